@@ -1,0 +1,78 @@
+//! Integers that follow from integers: angle counts and position exponents (spec §4.2, §4.3).
+//!
+//! Both are defined by real formulas and rounded once. `lattice_margins_hold` (tests) enumerates the domain
+//! and proves that no value comes close enough to a rounding boundary for f64 to decide differently.
+
+use super::splats::{Layout, Steps};
+
+/// Most angles in the coded layout.
+pub const MAX_ANGLES_CODED: u16 = 4096;
+/// Most angles in the packed and the planes layout: 7 bits.
+pub const MAX_ANGLES_PACKED: u16 = 128;
+
+/// The number of angles for each difference `major − minor` and the position exponents (spec §4.2, §4.3).
+#[derive(Debug, Clone)]
+pub struct Lattice {
+    delta: f64,
+    fineness: f64,
+    coarsest: i32,
+    finest: i32,
+    angles: [u16; 256],
+}
+
+impl Lattice {
+    /// Tabulates the counts for `steps` in `layout`.
+    #[must_use]
+    pub fn new(steps: &Steps, layout: Layout) -> Self {
+        let delta = (f64::from(steps.scale) + 4.0) / 32.0;
+        let tau = ((f64::from(steps.angle) - 1.0) / 2.0).exp2();
+        let cap = match layout {
+            Layout::Coded => MAX_ANGLES_CODED,
+            Layout::Packed | Layout::Planes => MAX_ANGLES_PACKED,
+        };
+        let mut angles = [1u16; 256];
+        for (difference, count) in angles.iter_mut().enumerate().skip(1) {
+            let aspect = (difference as f64 * delta).exp2();
+            let step = std::f64::consts::SQRT_2 * delta * std::f64::consts::LN_2 * tau;
+            let wanted = (std::f64::consts::PI * (aspect - 1.0 / aspect) / step).ceil();
+            *count = wanted.clamp(1.0, f64::from(cap)) as u16;
+        }
+        let coarsest = i32::from(steps.coarsest);
+        let fineness = -f64::from(steps.position) / 4.0 - 1.0 / 64.0;
+        Lattice { delta, fineness, coarsest, finest: coarsest - i32::from(steps.range), angles }
+    }
+
+    /// The number `n` of angles at a given `major − minor`; angles are `π·t/n` for `t` in `0..n`.
+    #[must_use]
+    pub fn angles(&self, major: u8, minor: u8) -> u16 {
+        self.angles[usize::from(major.saturating_sub(minor))]
+    }
+
+    /// Exponents `[ex, ey]` of the position steps `2^ex` and `2^ey`, pixels.
+    ///
+    /// `2^ey` follows the standard deviation of the Gaussian's marginal in y, `2^ex` that of x given y.
+    #[must_use]
+    pub fn exponents(&self, major: u8, minor: u8, angle: u16) -> [i32; 2] {
+        if self.finest == self.coarsest {
+            return [self.coarsest; 2];
+        }
+        let n = f64::from(self.angles(major, minor));
+        let aspect = (f64::from(major.saturating_sub(minor)) * self.delta).exp2();
+        let sin = (std::f64::consts::PI * f64::from(angle) / n).sin();
+        // log₂ of the marginal deviation of y over s₂: ½ log₂(r² sin² + cos²).
+        let lift = 0.5 * (1.0 + (aspect * aspect - 1.0) * sin * sin).log2();
+        let log_y = f64::from(minor) * self.delta - 2.0 + lift;
+        let log_x = f64::from(major) * self.delta - 2.0 - lift;
+        [log_x, log_y].map(|l| ((l + self.fineness + 0.5).floor() as i32).clamp(self.finest, self.coarsest))
+    }
+
+    /// How many positions there are along a side of `pixels` at exponent `e`: `ceil(pixels / 2^e)`.
+    #[must_use]
+    pub fn positions(pixels: u32, exponent: i32) -> u32 {
+        if exponent >= 0 {
+            (u64::from(pixels) + (1u64 << exponent) - 1 >> exponent) as u32
+        } else {
+            pixels << -exponent
+        }
+    }
+}

@@ -1,0 +1,89 @@
+//! The integers of a picture: what every layout carries, exactly (spec §4).
+
+use crate::gaussian::{Blend, Channels};
+use crate::pixels::Depth;
+
+/// The step sizes of the integers, as the indices that the header stores (spec §4.1).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Steps {
+    /// `0..=15`: scales are `2^(i·δ − 2)` with `δ = (scale + 4)/32`.
+    pub scale: u8,
+    /// `0..=3`: angles are coarser by `τ = 2^((angle − 1)/2)`.
+    pub angle: u8,
+    /// `0..=15`: position steps are about `2^(−position/4)` of the Gaussian's own extent.
+    pub position: u8,
+    /// `−6..=9`: the coarsest position step is `2^coarsest` pixels.
+    pub coarsest: i8,
+    /// `0..=15`: position steps reach down to `2^(coarsest − range)` pixels.
+    pub range: u8,
+    /// `0..=15`: the step of luma, grey and alpha is `2^(luma/3 − 7)`.
+    pub luma: u8,
+    /// `0..=3`: the chroma step is 1, 1.5, 2 or 3 luma steps.
+    pub chroma: u8,
+}
+
+/// One primitive in integers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub struct PackedGaussian {
+    /// Mean: `(x + ½)·2^ex` pixels, where `ex` follows from the scales and the angle (spec §4.3).
+    pub x: u32,
+    /// Mean: `(y + ½)·2^ey` pixels.
+    pub y: u32,
+    /// Index of the major scale; never below `minor`.
+    pub major: u8,
+    /// Index of the minor scale.
+    pub minor: u8,
+    /// Angle `π·angle/n`, where `n` follows from `major − minor` (spec §4.2).
+    pub angle: u16,
+    /// Grey: `[Y]`; grey with alpha: `[Y, A]`; colour: `[Y, Co, Cg]`, then `A`; unused ones are 0.
+    pub color: [i16; 4],
+}
+
+/// How the integers become bytes (spec §6 to §8).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Layout {
+    /// Fixed-size records, 7 bytes each for a colour picture.
+    Packed,
+    /// The records' fields as separate streams under zstd.
+    Planes,
+    /// Adaptive entropy coding.
+    #[default]
+    Coded,
+}
+
+/// ICC profile and EXIF block, carried untouched.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct Metadata {
+    /// ICC colour profile.
+    pub icc: Option<Vec<u8>>,
+    /// EXIF block, starting at its TIFF header.
+    pub exif: Option<Vec<u8>>,
+}
+
+/// A whole picture in integers.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PackedSplats {
+    /// Width, pixels, `1..=2²⁰`.
+    pub width: u32,
+    /// Height, pixels, `1..=2²⁰`.
+    pub height: u32,
+    /// Channels of the colours.
+    pub channels: Channels,
+    /// Bits a sample of the source.
+    pub depth: Depth,
+    /// How the primitives blend.
+    pub blend: Blend,
+    /// How the integers become bytes.
+    pub layout: Layout,
+    /// Step sizes.
+    pub steps: Steps,
+    /// Background colour in the integers of [`PackedGaussian::color`].
+    pub background: [i16; 4],
+    /// Distinct colours, where each primitive stores an index instead of its colour.
+    pub codebook: Option<Vec<[i16; 4]>>,
+    /// The primitives.
+    pub gaussians: Vec<PackedGaussian>,
+    /// ICC profile and EXIF block.
+    pub metadata: Metadata,
+}

@@ -1,0 +1,123 @@
+//! The picture as a function of the plane: 2D Gaussians, their blend and their background (spec §5).
+//!
+//! Lengths are pixels of the picture's own grid with pixel centres at `+0.5`; angles are radians;
+//! colours are encoded sRGB values where 0 is black and 1 is white, not bounded to that range.
+
+use bytemuck::{Pod, Zeroable};
+use glam::{Mat2, Vec2};
+
+/// Radius of a primitive's support in units of its scales (spec §5.2).
+pub const CUTOFF: f32 = 3.5;
+
+/// What the support's edge subtracts so that the weight is continuous there: `exp(−CUTOFF²/2)`.
+pub const CUTOFF_WEIGHT: f32 = 0.002_187_491_1;
+
+/// Conditions the division of the normalized blend: `ε` of spec §5.3.
+pub const EPSILON: f32 = 1.0 / 128.0;
+
+/// Smallest legal scale, pixels.
+pub const MIN_SCALE: f32 = 0.25;
+
+/// Largest legal scale, pixels.
+pub const MAX_SCALE: f32 = 1_048_576.0;
+
+/// One primitive: a 2D Gaussian with a constant colour.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct Gaussian {
+    /// Centre `μ`, pixels.
+    pub mean: [f32; 2],
+    /// Standard deviations `s₁ ≥ s₂ > 0` along the major and the minor axis, pixels.
+    pub scale: [f32; 2],
+    /// Direction of the major axis, radians, period π.
+    pub rotation: f32,
+    /// Colour, one value per channel in the order of [`Channels`]; unused ones are 0.
+    pub color: [f32; 4],
+}
+
+impl Gaussian {
+    /// Covariance matrix `Σ = R(θ) diag(s₁², s₂²) R(θ)ᵀ`, pixels².
+    #[must_use]
+    pub fn covariance(&self) -> Mat2 {
+        let r = Mat2::from_angle(self.rotation);
+        let [s1, s2] = self.scale;
+        r * Mat2::from_diagonal(Vec2::new(s1 * s1, s2 * s2)) * r.transpose()
+    }
+
+    /// Half width and half height of the bounding box of the support, pixels.
+    #[must_use]
+    pub fn extent(&self) -> [f32; 2] {
+        let (sin, cos) = self.rotation.sin_cos();
+        let [s1, s2] = self.scale;
+        [CUTOFF * (s1 * cos).hypot(s2 * sin), CUTOFF * (s1 * sin).hypot(s2 * cos)]
+    }
+}
+
+/// How primitives become a colour (spec §5.3).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub enum Blend {
+    /// `I(x) = (Σ wᵢ cᵢ + ε b) / (Σ wᵢ + ε)`.
+    #[default]
+    Normalized,
+    /// `I(x) = b + Σ wᵢ cᵢ`.
+    Sum,
+}
+
+/// The channels of a picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Channels {
+    /// Grey.
+    Grey,
+    /// Grey and straight alpha.
+    GreyAlpha,
+    /// Red, green, blue.
+    Rgb,
+    /// Red, green, blue and straight alpha.
+    Rgba,
+}
+
+impl Channels {
+    /// Number of channels, 1 to 4.
+    #[must_use]
+    pub fn count(self) -> usize {
+        match self {
+            Channels::Grey => 1,
+            Channels::GreyAlpha => 2,
+            Channels::Rgb => 3,
+            Channels::Rgba => 4,
+        }
+    }
+
+    /// The channels that are `count` many.
+    #[must_use]
+    pub fn from_count(count: usize) -> Option<Self> {
+        [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba].into_iter().find(|c| c.count() == count)
+    }
+
+    /// Index of the alpha channel, if there is one.
+    #[must_use]
+    pub fn alpha(self) -> Option<usize> {
+        match self {
+            Channels::GreyAlpha => Some(1),
+            Channels::Rgba => Some(3),
+            _ => None,
+        }
+    }
+}
+
+/// A whole picture in floats: what is rasterized.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Channels of the colours.
+    pub channels: Channels,
+    /// How the primitives blend.
+    pub blend: Blend,
+    /// Background colour `b`.
+    pub background: [f32; 4],
+    /// The primitives; their order means nothing.
+    pub gaussians: Vec<Gaussian>,
+}

@@ -1,0 +1,18 @@
+//! ssplat: pictures stored as 2D Gaussians ("splats") instead of pixels.
+//!
+//! Bytes become integers exactly ([`bitstream`]), integers become Gaussians by the specification's formulas
+//! ([`quantize`]), Gaussians become pixels within a stated error, and the `image` crate stands at the door.
+
+pub mod bitstream;
+pub mod error;
+pub mod gaussian;
+pub mod limits;
+pub mod options;
+pub mod pixels;
+pub mod quantize;
+
+pub use error::{Error, FormatError, Result};
+pub use gaussian::{Blend, Channels, Gaussian, Picture};
+pub use limits::Limits;
+pub use options::{Ablation, Backend, DecodeOptions, EncodeOptions, Recipe, Target, Tune};
+pub use pixels::{Depth, Pixels, Samples};

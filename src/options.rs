@@ -1,0 +1,122 @@
+//! What a caller can ask of the encoder and the decoder.
+
+use std::time::Duration;
+
+use crate::bitstream::splats::Layout;
+use crate::gaussian::Blend;
+use crate::limits::Limits;
+
+/// What the encoder aims at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum Target {
+    /// Width × height × channels bytes (8 bits a sample whatever the source's depth) over file bytes.
+    Ratio(f64),
+    /// File size, bytes; never exceeded.
+    Bytes(u64),
+    /// Number of primitives.
+    Primitives(u32),
+    /// PSNR against the source, dB: the smallest file found that reaches it.
+    Psnr(f64),
+}
+
+/// Where the fit starts and how it goes on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[non_exhaustive]
+pub enum Recipe {
+    /// Our own, as `spec/` and the README describe it.
+    #[default]
+    Ssplat,
+    /// The pipeline of SmartSplat (AAAI 2026), with the parts of [`Ablation`].
+    SmartSplat(Ablation),
+}
+
+/// Which parts of SmartSplat's initialization are used, in the order of the paper's ablation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Hash)]
+pub enum Ablation {
+    /// Random means, uniform scales, random colours.
+    Random,
+    /// Means by feature-guided and exclusion-based sampling.
+    Means,
+    /// Scales by the paper's rule as well.
+    Scales,
+    /// Gaussian-weighted median colours as well: the whole initialization.
+    #[default]
+    Colors,
+}
+
+/// Which measure the fit favours.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub enum Tune {
+    /// Squared error.
+    #[default]
+    Psnr,
+    /// Structural similarity, for at most half a decibel of PSNR.
+    Ssim,
+}
+
+/// Which device fits the picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub enum Backend {
+    /// The GPU where a hardware adapter is found and the picture is worth it, else the CPU.
+    #[default]
+    Auto,
+    /// The CPU.
+    Cpu,
+    /// The GPU; an error when there is none.
+    Gpu,
+}
+
+/// Options of [`encode`](crate::encode).
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct EncodeOptions {
+    /// What to aim at.
+    pub target: Target,
+    /// `1..=9`: how much work to spend; 5 is the default.
+    pub effort: u8,
+    /// Wall-clock budget; the best state reached is written.
+    pub time: Option<Duration>,
+    /// Seed of everything random; equal seeds give equal bytes.
+    pub seed: u64,
+    /// How the integers become bytes.
+    pub layout: Layout,
+    /// How primitives blend; `None`: as the recipe has it.
+    pub blend: Option<Blend>,
+    /// The fitting recipe.
+    pub recipe: Recipe,
+    /// Which measure to favour.
+    pub tune: Tune,
+    /// Which device fits.
+    pub backend: Backend,
+    /// ICC profile to carry.
+    pub icc: Option<Vec<u8>>,
+    /// EXIF block to carry.
+    pub exif: Option<Vec<u8>>,
+}
+
+impl Default for EncodeOptions {
+    fn default() -> Self {
+        EncodeOptions {
+            target: Target::Ratio(50.0),
+            effort: 5,
+            time: None,
+            seed: 0,
+            layout: Layout::Coded,
+            blend: None,
+            recipe: Recipe::Ssplat,
+            tune: Tune::Psnr,
+            backend: Backend::Auto,
+            icc: None,
+            exif: None,
+        }
+    }
+}
+
+/// Options of [`decode`](crate::decode).
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct DecodeOptions {
+    /// What the file may ask for.
+    pub limits: Limits,
+}

@@ -1,0 +1,198 @@
+//! Integers to Gaussians by the specification's formulas (spec §5.1), and Gaussians to the nearest integers.
+
+use glam::Vec2;
+
+use crate::bitstream::lattice::Lattice;
+use crate::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
+use crate::gaussian::{Channels, Gaussian, Picture};
+
+/// Chroma steps in units of the luma step (spec §4.1).
+const CHROMA_RATIOS: [f32; 4] = [1.0, 1.5, 2.0, 3.0];
+
+/// The map between [`PackedGaussian`] and [`Gaussian`] for one file's step sizes.
+#[derive(Debug, Clone)]
+pub struct Quantizer {
+    lattice: Lattice,
+    size: [u32; 2],
+    channels: Channels,
+    /// log₂ of the ratio of neighbouring scales.
+    delta: f64,
+    luma: f32,
+    chroma: f32,
+    scales: Vec<f32>,
+}
+
+impl Quantizer {
+    /// The map for a picture of `size` pixels (width, height).
+    #[must_use]
+    pub fn new(steps: &Steps, layout: Layout, size: [u32; 2], channels: Channels) -> Self {
+        let delta = (f64::from(steps.scale) + 4.0) / 32.0;
+        let luma = (f64::from(steps.luma) / 3.0 - 7.0).exp2() as f32;
+        let scales = (0..256).map(|i| (f64::from(i) * delta - 2.0).min(20.0).exp2() as f32).collect();
+        let chroma = luma * CHROMA_RATIOS[usize::from(steps.chroma & 3)];
+        Quantizer { lattice: Lattice::new(steps, layout), size, channels, delta, luma, chroma, scales }
+    }
+
+    /// The angle counts and position exponents that go with these steps.
+    #[must_use]
+    pub fn lattice(&self) -> &Lattice {
+        &self.lattice
+    }
+
+    /// Scale of index `i`, pixels.
+    #[must_use]
+    pub fn scale(&self, index: u8) -> f32 {
+        self.scales[usize::from(index)]
+    }
+
+    /// Steps of the four colour integers, in the order of [`PackedGaussian::color`].
+    #[must_use]
+    pub fn color_steps(&self) -> [f32; 4] {
+        match self.channels {
+            Channels::Grey | Channels::GreyAlpha => [self.luma; 4],
+            Channels::Rgb | Channels::Rgba => [self.luma, self.chroma, self.chroma, self.luma],
+        }
+    }
+
+    /// Colour of the integers: grey and alpha directly, otherwise by the YCoCg transform (spec §5.1).
+    #[must_use]
+    pub fn dequantize_color(&self, color: [i16; 4]) -> [f32; 4] {
+        let steps = self.color_steps();
+        let v: [f32; 4] = std::array::from_fn(|k| f32::from(color[k]) * steps[k]);
+        match self.channels {
+            Channels::Grey => [v[0], 0.0, 0.0, 0.0],
+            Channels::GreyAlpha => [v[0], v[1], 0.0, 0.0],
+            Channels::Rgb | Channels::Rgba => {
+                let rest = v[0] - 0.5 * v[2];
+                let alpha = if self.channels == Channels::Rgba { v[3] } else { 0.0 };
+                [rest + 0.5 * v[1], v[2] + rest, rest - 0.5 * v[1], alpha]
+            }
+        }
+    }
+
+    /// A colour in the axes of [`PackedGaussian::color`], before rounding: the inverse of the transform.
+    #[must_use]
+    pub fn transform_color(&self, c: [f32; 4]) -> [f32; 4] {
+        match self.channels {
+            Channels::Grey | Channels::GreyAlpha => c,
+            Channels::Rgb | Channels::Rgba => {
+                [0.25 * c[0] + 0.5 * c[1] + 0.25 * c[2], c[0] - c[2], c[1] - 0.5 * (c[0] + c[2]), c[3]]
+            }
+        }
+    }
+
+    /// The nearest colour integers.
+    #[must_use]
+    pub fn quantize_color(&self, color: [f32; 4]) -> [i16; 4] {
+        let (axes, steps) = (self.transform_color(color), self.color_steps());
+        std::array::from_fn(|k| {
+            if k < self.channels.count() {
+                (axes[k] / steps[k] + 0.5).floor().clamp(-32768.0, 32767.0) as i16
+            } else {
+                0
+            }
+        })
+    }
+
+    /// The Gaussian of the integers.
+    #[must_use]
+    pub fn dequantize(&self, p: &PackedGaussian) -> Gaussian {
+        let [ex, ey] = self.lattice.exponents(p.major, p.minor, p.angle);
+        Gaussian {
+            mean: [center(p.x, ex), center(p.y, ey)],
+            scale: [self.scale(p.major), self.scale(p.minor)],
+            rotation: self.rotation(p.major, p.minor, p.angle),
+            color: self.dequantize_color(p.color),
+        }
+    }
+
+    /// The angle of the integers, radians.
+    #[must_use]
+    pub fn rotation(&self, major: u8, minor: u8, angle: u16) -> f32 {
+        (std::f64::consts::PI * f64::from(angle) / f64::from(self.lattice.angles(major, minor))) as f32
+    }
+
+    /// The integers next to `g`: shape first, then the position that is nearest in the units of that shape.
+    #[must_use]
+    pub fn quantize(&self, g: &Gaussian) -> PackedGaussian {
+        let (major, minor, angle) = self.quantize_shape(g.scale, g.rotation);
+        let mut p = PackedGaussian { x: 0, y: 0, major, minor, angle, color: self.quantize_color(g.color) };
+        self.place(&mut p, g.mean);
+        p
+    }
+
+    /// The nearest integers of scales (pixels) and rotation (radians).
+    #[must_use]
+    pub fn quantize_shape(&self, scale: [f32; 2], rotation: f32) -> (u8, u8, u16) {
+        let index = |s: f32| ((f64::from(s).log2() + 2.0) / self.delta + 0.5).floor().clamp(0.0, self.top()) as u8;
+        let (mut s, mut turn) = (scale, f64::from(rotation) / std::f64::consts::PI);
+        if s[0] < s[1] {
+            s.swap(0, 1);
+            turn += 0.5;
+        }
+        let (major, minor) = (index(s[0]), index(s[1]));
+        let n = self.lattice.angles(major, minor);
+        let angle = ((turn - turn.floor()) * f64::from(n) + 0.5).floor() as u16 % n;
+        (major, minor, angle)
+    }
+
+    /// Moves `p` to the lattice point nearest to `mean` (pixels) in the metric of its own covariance.
+    pub fn place(&self, p: &mut PackedGaussian, mean: [f32; 2]) {
+        let [ex, ey] = self.lattice.exponents(p.major, p.minor, p.angle);
+        let (s1, s2) = (self.scale(p.major), self.scale(p.minor));
+        let (sin, cos) = self.rotation(p.major, p.minor, p.angle).sin_cos();
+        let yy = s1 * s1 * sin * sin + s2 * s2 * cos * cos;
+        // Regression of x on y: moving y by e moves the best x by shear·e.
+        let shear = sin * cos * (s1 * s1 - s2 * s2) / yy;
+        let last = [Lattice::positions(self.size[0], ex) - 1, Lattice::positions(self.size[1], ey) - 1];
+        let near = nearest(mean[1], ey, last[1]);
+        let mut best = f32::INFINITY;
+        for y in near.saturating_sub(1)..=(near + 1).min(last[1]) {
+            let dy = center(y, ey) - mean[1];
+            let x = nearest(mean[0] + shear * dy, ex, last[0]);
+            let d = Vec2::new(center(x, ex) - mean[0], dy);
+            let (u, v) = ((cos * d.x + sin * d.y) / s1, (cos * d.y - sin * d.x) / s2);
+            let distance = u * u + v * v;
+            if distance < best {
+                (best, p.x, p.y) = (distance, x, y);
+            }
+        }
+    }
+
+    /// Highest legal scale index: `i·δ − 2 ≤ 20`.
+    fn top(&self) -> f64 {
+        (22.0 / self.delta).floor().min(255.0)
+    }
+}
+
+/// Centre of cell `i` at exponent `e`, pixels.
+fn center(i: u32, e: i32) -> f32 {
+    ((f64::from(i) + 0.5) * f64::from(e).exp2()) as f32
+}
+
+/// The cell that holds `v` pixels at exponent `e`, kept within `0..=last`.
+fn nearest(v: f32, e: i32, last: u32) -> u32 {
+    (f64::from(v) * f64::from(-e).exp2()).floor().clamp(0.0, f64::from(last)) as u32
+}
+
+impl PackedSplats {
+    /// The map between this file's integers and Gaussians.
+    #[must_use]
+    pub fn quantizer(&self) -> Quantizer {
+        Quantizer::new(&self.steps, self.layout, [self.width, self.height], self.channels)
+    }
+
+    /// The picture in floats.
+    #[must_use]
+    pub fn to_picture(&self) -> Picture {
+        let q = self.quantizer();
+        Picture {
+            width: self.width,
+            height: self.height,
+            channels: self.channels,
+            blend: self.blend,
+            background: q.dequantize_color(self.background),
+            gaussians: self.gaussians.iter().map(|p| q.dequantize(p)).collect(),
+        }
+    }
+}
