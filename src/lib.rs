@@ -7,6 +7,7 @@ pub mod bitstream;
 pub mod error;
 pub mod gaussian;
 pub mod limits;
+pub mod metrics;
 pub mod options;
 pub mod pixels;
 pub mod quantize;

@@ -1,0 +1,3 @@
+//! The `ssplat` program.
+
+fn main() {}

@@ -1,0 +1,324 @@
+//! How far two pictures are apart: PSNR, SSIM and MS-SSIM, on sample values where 255 is white.
+//!
+//! PSNR takes one mean squared error over all pixels and channels. SSIM and MS-SSIM (Wang, Simoncelli and Bovik,
+//! 2003) use an 11-tap Gaussian window with σ = 1.5 pixels, its valid region only, K₁ = 0.01 and K₂ = 0.03, on each
+//! channel alone, and the mean of the channels; MS-SSIM has five scales with 2×2 mean pooling between them.
+//!
+//! ```
+//! use ssplat::{Channels, Pixels, Samples, metrics};
+//!
+//! let a = Pixels::new(16, 16, Channels::Grey, Samples::U8(vec![100; 256]))?;
+//! let b = Pixels::new(16, 16, Channels::Grey, Samples::U8(vec![110; 256]))?;
+//! let difference = metrics::compare(&a, &b)?;
+//! assert!((difference.psnr - 28.13).abs() < 0.01);
+//! assert!(difference.ssim.is_some() && difference.ms_ssim.is_none());
+//! # Ok::<(), ssplat::Error>(())
+//! ```
+
+#[cfg(feature = "rayon")]
+use rayon::prelude::*;
+
+use crate::error::{Error, Result};
+use crate::pixels::{Pixels, Samples};
+
+/// Taps of the window.
+const TAPS: usize = 11;
+/// Standard deviation of the window, pixels.
+const SIGMA: f64 = 1.5;
+/// Keeps the luminance term finite: `K₁²` for values in 0..=1.
+const C1: f32 = 0.0001;
+/// Keeps the contrast term finite: `K₂²` for values in 0..=1.
+const C2: f32 = 0.0009;
+/// Exponents of the five scales, finest first.
+const WEIGHTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
+/// Output rows of one unit of work; the sums are taken band by band, so it fixes the last bits of the result.
+const BAND: usize = 64;
+/// Output columns that are filtered together, so that a band's intermediate values stay in a core's cache.
+const BLOCK: usize = 256;
+
+/// What [`compare`] finds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Comparison {
+    /// Peak signal-to-noise ratio, dB; infinite when the samples are equal.
+    pub psnr: f64,
+    /// Structural similarity, at most 1; `None` when a side is under 11 pixels.
+    pub ssim: Option<f64>,
+    /// Multi-scale structural similarity, `0..=1`; `None` when a side is under 161 pixels.
+    pub ms_ssim: Option<f64>,
+}
+
+/// PSNR, SSIM and MS-SSIM of two pictures of one size, channels and depth.
+///
+/// # Errors
+/// [`Error::Parameter`] when the two differ in width, height, channels or depth.
+pub fn compare(a: &Pixels, b: &Pixels) -> Result<Comparison> {
+    let psnr = psnr(a, b)?;
+    let [ssim, ms_ssim] = similarities(a, b);
+    Ok(Comparison { psnr, ssim, ms_ssim })
+}
+
+/// Peak signal-to-noise ratio, dB, over all samples; infinite when they are equal.
+///
+/// # Errors
+/// [`Error::Parameter`] when the two differ in width, height, channels or depth.
+pub fn psnr(a: &Pixels, b: &Pixels) -> Result<f64> {
+    same_shape(a, b)?;
+    let mse = squared_error(a, b) as f64 / (a.width() as f64 * f64::from(a.height()) * a.channels().count() as f64);
+    let peak = f64::from(a.depth().max());
+    Ok(10.0 * (peak * peak / mse).log10())
+}
+
+/// Checks that samples correspond.
+fn same_shape(a: &Pixels, b: &Pixels) -> Result<()> {
+    let shape = |p: &Pixels| (p.width(), p.height(), p.channels(), p.depth());
+    if shape(a) == shape(b) {
+        return Ok(());
+    }
+    let say = |p: &Pixels| format!("{}x{} {:?} {:?}", p.width(), p.height(), p.channels(), p.depth());
+    Err(Error::Parameter { name: "pixels", problem: format!("{} against {}", say(a), say(b)) })
+}
+
+/// Sum of squared sample differences; exact, so no order of summation changes it.
+fn squared_error(a: &Pixels, b: &Pixels) -> u128 {
+    /// Samples of which the squares (below 2³²) surely fit a `u64` sum.
+    const CHUNK: usize = 1 << 16;
+    fn chunk<T: Copy + Into<i64>>(a: &[T], b: &[T]) -> u64 {
+        a.iter().zip(b).map(|(&x, &y)| (x.into() - y.into()).unsigned_abs().pow(2)).sum()
+    }
+    match (a.samples(), b.samples()) {
+        (Samples::U8(a), Samples::U8(b)) => {
+            let sums = ordered(a.len().div_ceil(CHUNK), |i| chunk(part(a, i, CHUNK), part(b, i, CHUNK)));
+            sums.into_iter().map(u128::from).sum()
+        }
+        (Samples::U16(a), Samples::U16(b)) => {
+            let sums = ordered(a.len().div_ceil(CHUNK), |i| chunk(part(a, i, CHUNK), part(b, i, CHUNK)));
+            sums.into_iter().map(u128::from).sum()
+        }
+        _ => unreachable!("same_shape compared the depths"),
+    }
+}
+
+/// The `i`-th piece of `length` items.
+fn part<T>(all: &[T], i: usize, length: usize) -> &[T] {
+    &all[i * length..all.len().min((i + 1) * length)]
+}
+
+/// SSIM and MS-SSIM, means over the channels; `None` where a scale is smaller than the window.
+fn similarities(a: &Pixels, b: &Pixels) -> [Option<f64>; 2] {
+    let count = a.channels().count();
+    let mut total = [Some(0.0); 2];
+    for channel in 0..count {
+        let found = channel_similarities(Plane::channel(a, channel), Plane::channel(b, channel));
+        for (total, found) in total.iter_mut().zip(found) {
+            *total = total.zip(found).map(|(t, f)| t + f / count as f64);
+        }
+    }
+    total
+}
+
+/// SSIM and MS-SSIM of one channel.
+fn channel_similarities(mut a: Plane<'_>, mut b: Plane<'_>) -> [Option<f64>; 2] {
+    let mut ssim = None;
+    let mut product = 1.0;
+    for (scale, weight) in WEIGHTS.into_iter().enumerate() {
+        if a.width.min(a.height) < TAPS {
+            return [ssim, None];
+        }
+        let (whole, contrast) = mean_similarity(&a, &b);
+        if scale == 0 {
+            ssim = Some(whole);
+        }
+        let is_last = scale + 1 == WEIGHTS.len();
+        product *= if is_last { whole } else { contrast }.max(0.0).powf(weight);
+        if !is_last {
+            (a, b) = (a.pooled(), b.pooled());
+        }
+    }
+    [ssim, Some(product)]
+}
+
+/// Means over the valid region of SSIM and of its contrast and structure part.
+fn mean_similarity(a: &Plane<'_>, b: &Plane<'_>) -> (f64, f64) {
+    let window = window();
+    let (width, height) = (a.width - (TAPS - 1), a.height - (TAPS - 1));
+    let sums = ordered(height.div_ceil(BAND), |band| {
+        let top = band * BAND;
+        let rows = BAND.min(height - top);
+        let mut sums = [0.0; 2];
+        let mut scratch = Scratch::default();
+        for left in (0..width).step_by(BLOCK) {
+            let columns = BLOCK.min(width - left);
+            let block = scratch.block(a, b, &window, [left, top], [columns, rows]);
+            sums = [sums[0] + block[0], sums[1] + block[1]];
+        }
+        sums
+    });
+    let count = width as f64 * height as f64;
+    let mean = |k: usize| sums.iter().map(|s| s[k]).sum::<f64>() / count;
+    (mean(0), mean(1))
+}
+
+/// Working memory of one band: a few hundred kilobytes.
+#[derive(Default)]
+struct Scratch {
+    a: Vec<f32>,
+    b: Vec<f32>,
+    /// Rows after the horizontal pass: means of a, b, a² + b² and a·b.
+    rows: [Vec<f32>; 4],
+}
+
+impl Scratch {
+    /// Sums of SSIM and of its contrast part over the block of `size` outputs at `corner`.
+    fn block(
+        &mut self,
+        a: &Plane<'_>,
+        b: &Plane<'_>,
+        window: &[f32; TAPS],
+        [left, top]: [usize; 2],
+        [columns, rows]: [usize; 2],
+    ) -> [f64; 2] {
+        let (wide, tall) = (columns + TAPS - 1, rows + TAPS - 1);
+        self.a.resize(wide, 0.0);
+        self.b.resize(wide, 0.0);
+        for r in &mut self.rows {
+            r.resize(columns * tall, 0.0);
+        }
+        for y in 0..tall {
+            a.read(left, top + y, &mut self.a);
+            b.read(left, top + y, &mut self.b);
+            let [ma, mb, squares, products] = self.rows.each_mut().map(|r| &mut r[y * columns..(y + 1) * columns]);
+            horizontal(window, &self.a, ma);
+            horizontal(window, &self.b, mb);
+            for (a, b) in self.a.iter_mut().zip(&mut self.b) {
+                (*a, *b) = (*a * *a + *b * *b, *a * *b);
+            }
+            horizontal(window, &self.a, squares);
+            horizontal(window, &self.b, products);
+        }
+        let mut sums = [0.0; 2];
+        let mut filtered = [[0.0f32; BLOCK]; 4];
+        for y in 0..rows {
+            for (out, rows) in filtered.iter_mut().zip(&self.rows) {
+                vertical(window, &rows[y * columns..], columns, &mut out[..columns]);
+            }
+            let [ma, mb, squares, products] = &filtered;
+            // A row of at most 256 values near 1 sums in f32 to about 1e-6 of its mean.
+            let (mut whole_row, mut contrast_row) = (0.0f32, 0.0f32);
+            for x in 0..columns {
+                let (product, power) = (ma[x] * mb[x], ma[x] * ma[x] + mb[x] * mb[x]);
+                let contrast = (2.0 * (products[x] - product) + C2) / (squares[x] - power + C2);
+                whole_row += contrast * (2.0 * product + C1) / (power + C1);
+                contrast_row += contrast;
+            }
+            sums = [sums[0] + f64::from(whole_row), sums[1] + f64::from(contrast_row)];
+        }
+        sums
+    }
+}
+
+/// The window's row pass: `out[x] = Σ window[k] · row[x + k]`.
+fn horizontal(window: &[f32; TAPS], row: &[f32], out: &mut [f32]) {
+    out.fill(0.0);
+    for (k, &w) in window.iter().enumerate() {
+        for (o, &v) in out.iter_mut().zip(&row[k..]) {
+            *o += w * v;
+        }
+    }
+}
+
+/// The window's column pass over rows of `stride` values.
+fn vertical(window: &[f32; TAPS], rows: &[f32], stride: usize, out: &mut [f32]) {
+    out.fill(0.0);
+    for (&w, row) in window.iter().zip(rows.chunks_exact(stride)) {
+        for (o, &v) in out.iter_mut().zip(row) {
+            *o += w * v;
+        }
+    }
+}
+
+/// The normalized window.
+fn window() -> [f32; TAPS] {
+    let raw: [f64; TAPS] = std::array::from_fn(|i| (-(i as f64 - 5.0).powi(2) / (2.0 * SIGMA * SIGMA)).exp());
+    let sum: f64 = raw.iter().sum();
+    raw.map(|v| (v / sum) as f32)
+}
+
+/// One channel of a picture, or what pooling made of it; values in `0..=1`.
+struct Plane<'a> {
+    width: usize,
+    height: usize,
+    values: Values<'a>,
+}
+
+/// Where a plane's values are. The finest scale is read from the samples, so that a large picture is never copied whole.
+enum Values<'a> {
+    Channel { pixels: &'a Pixels, channel: usize },
+    Pooled(Vec<f32>),
+}
+
+impl<'a> Plane<'a> {
+    fn channel(pixels: &'a Pixels, channel: usize) -> Self {
+        let (width, height) = (pixels.width() as usize, pixels.height() as usize);
+        Plane { width, height, values: Values::Channel { pixels, channel } }
+    }
+
+    /// Copies the values from `(left, y)` on to the right.
+    fn read(&self, left: usize, y: usize, out: &mut [f32]) {
+        let start = y * self.width + left;
+        match &self.values {
+            Values::Pooled(values) => out.copy_from_slice(&values[start..start + out.len()]),
+            Values::Channel { pixels, channel } => {
+                let step = pixels.channels().count();
+                let first = start * step + channel;
+                match pixels.samples() {
+                    Samples::U8(v) => {
+                        for (o, &v) in out.iter_mut().zip(v[first..].iter().step_by(step)) {
+                            *o = f32::from(v) / 255.0;
+                        }
+                    }
+                    Samples::U16(v) => {
+                        for (o, &v) in out.iter_mut().zip(v[first..].iter().step_by(step)) {
+                            *o = f32::from(v) / 65535.0;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Means of 2×2 values. An odd side gets a leading row or column of zeros, as the reference implementations have it
+    /// (`avg_pool2d` with padding): the means at that edge are halved, in both pictures alike.
+    fn pooled(&self) -> Plane<'static> {
+        let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
+        let (pad_x, pad_y) = (self.width % 2, self.height % 2);
+        let bands = ordered(height.div_ceil(BAND), |band| {
+            let mut rows = [vec![0.0f32; 2 * width], vec![0.0f32; 2 * width]];
+            let mut out = Vec::with_capacity(width * BAND);
+            for y in band * BAND..height.min((band + 1) * BAND) {
+                for (k, row) in rows.iter_mut().enumerate() {
+                    match (2 * y + k).checked_sub(pad_y) {
+                        Some(source) => self.read(0, source, &mut row[pad_x..]),
+                        None => row.fill(0.0),
+                    }
+                }
+                let pairs = rows[0].chunks_exact(2).zip(rows[1].chunks_exact(2));
+                out.extend(pairs.map(|(t, b)| (t[0] + b[0] + t[1] + b[1]) * 0.25));
+            }
+            out
+        });
+        Plane { width, height, values: Values::Pooled(bands.concat()) }
+    }
+}
+
+/// `f(0), f(1), …, f(count − 1)` in order, worked out in parallel.
+#[cfg(feature = "rayon")]
+fn ordered<T: Send>(count: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+    (0..count).into_par_iter().map(f).collect()
+}
+
+/// `f(0), f(1), …, f(count − 1)` in order.
+#[cfg(not(feature = "rayon"))]
+fn ordered<T: Send>(count: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+    (0..count).map(f).collect()
+}
