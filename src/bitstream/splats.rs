@@ -59,6 +59,8 @@ pub struct Metadata {
     pub icc: Option<Vec<u8>>,
     /// EXIF block, starting at its TIFF header.
     pub exif: Option<Vec<u8>>,
+    /// Names of the sections that were dropped when reading because their checksums did not match; not written.
+    pub damaged: Vec<[u8; 4]>,
 }
 
 /// A whole picture in integers.
@@ -80,10 +82,13 @@ pub struct PackedSplats {
     pub steps: Steps,
     /// Background colour in the integers of [`PackedGaussian::color`].
     pub background: [i16; 4],
-    /// Distinct colours, where each primitive stores an index instead of its colour.
+    /// The colours that occur, ascending, where each primitive stores an index instead of its colour; at most 65536.
     pub codebook: Option<Vec<[i16; 4]>>,
-    /// The primitives.
+    /// The primitives, level by level.
     pub gaussians: Vec<PackedGaussian>,
+    /// How many primitives each progressive level has, coarse levels first, at most 8; empty: one level. Only the coded
+    /// layout has several; a file cut after a level still shows a whole, coarser picture.
+    pub levels: Vec<u32>,
     /// ICC profile and EXIF block.
     pub metadata: Metadata,
 }

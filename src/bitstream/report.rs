@@ -1,0 +1,64 @@
+//! Where a file's bytes go: by part and, for the primitives, by field.
+
+use super::header::Header;
+use super::sections::SectionInfo;
+
+/// Bytes of one part of a file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Part {
+    /// Its name in the specification.
+    pub name: &'static str,
+    /// Its bytes.
+    pub bytes: u64,
+}
+
+/// Bits of one field, over all primitives.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Field {
+    /// Its name in the specification.
+    pub name: &'static str,
+    /// Bits of all primitives together; fractional under entropy coding.
+    pub bits: f64,
+}
+
+/// What [`inspect`](super::inspect) finds.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Report {
+    /// The header.
+    pub header: Header,
+    /// Bytes of the whole file.
+    pub bytes: u64,
+    /// Parts in the order of the file; they add up to `bytes`.
+    pub parts: Vec<Part>,
+    /// Sections in the order of the file.
+    pub sections: Vec<SectionInfo>,
+    /// Fields of the primitives.
+    pub fields: Vec<Field>,
+    /// Primitives of each progressive level.
+    pub levels: Vec<u32>,
+    /// Number of separately coded groups; 1 without a directory.
+    pub groups: u32,
+}
+
+/// Gathers a report while a file is read.
+#[derive(Debug, Default)]
+pub(crate) struct Tally {
+    pub parts: Vec<Part>,
+    pub fields: Vec<Field>,
+    pub groups: u32,
+}
+
+impl Tally {
+    pub fn part(&mut self, name: &'static str, bytes: usize) {
+        self.parts.push(Part { name, bytes: bytes as u64 });
+    }
+
+    /// Adds `bits` to a field.
+    pub fn field(&mut self, name: &'static str, bits: f64) {
+        match self.fields.iter_mut().find(|f| f.name == name) {
+            Some(field) => field.bits += bits,
+            None => self.fields.push(Field { name, bits }),
+        }
+    }
+}

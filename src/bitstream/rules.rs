@@ -1,0 +1,154 @@
+//! What the integers of a picture must obey, whether a file or a caller names them (spec §4).
+
+use super::header::{MAX_SIDE, MIN_EXPONENT};
+use super::lattice::Lattice;
+use super::splats::{Layout, PackedGaussian, PackedSplats, Steps};
+use crate::error::{Error, FormatError, Result};
+use crate::gaussian::Channels;
+
+/// Most colours of a codebook.
+pub const MAX_CODEBOOK: usize = 1 << 16;
+
+/// Most progressive levels.
+pub const MAX_LEVELS: usize = 8;
+
+/// A value that is against the rules.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Broken {
+    pub field: &'static str,
+    pub value: u64,
+}
+
+impl From<Broken> for Error {
+    /// The rule as a file breaks it.
+    fn from(b: Broken) -> Self {
+        FormatError::BadValue { field: b.field, value: b.value }.into()
+    }
+}
+
+/// The rules of one picture.
+#[derive(Debug, Clone)]
+pub(crate) struct Rules {
+    pub lattice: Lattice,
+    pub size: [u32; 2],
+    pub coarsest: i32,
+    /// Highest legal scale index.
+    pub top: u8,
+    pub channels: usize,
+}
+
+impl Rules {
+    pub fn new(steps: &Steps, layout: Layout, size: [u32; 2], channels: Channels) -> Self {
+        Rules {
+            lattice: Lattice::new(steps, layout),
+            size,
+            coarsest: steps.coarsest.into(),
+            // i·δ − 2 ≤ 20 with δ = (scale + 4)/32.
+            top: (22 * 32 / (u32::from(steps.scale) + 4)).min(255) as u8,
+            channels: channels.count(),
+        }
+    }
+
+    pub fn of(splats: &PackedSplats) -> Self {
+        Rules::new(&splats.steps, splats.layout, [splats.width, splats.height], splats.channels)
+    }
+
+    /// Number of cells of the coarsest step along each side.
+    pub fn grid(&self) -> [u32; 2] {
+        self.size.map(|side| Lattice::positions(side, self.coarsest))
+    }
+
+    /// How many bits finer than the coarsest step the positions of this shape are.
+    pub fn refinement(&self, major: u8, minor: u8, angle: u16) -> [u32; 2] {
+        self.lattice.exponents(major, minor, angle).map(|e| (self.coarsest - e) as u32)
+    }
+
+    pub fn shape(&self, major: u8, minor: u8, angle: u16) -> Result<(), Broken> {
+        let broken = |field, value| Err(Broken { field, value });
+        if major > self.top {
+            return broken("major scale", major.into());
+        }
+        if minor > major {
+            return broken("minor scale", minor.into());
+        }
+        if angle >= self.lattice.angles(major, minor) {
+            return broken("angle", angle.into());
+        }
+        Ok(())
+    }
+
+    pub fn color(&self, color: [i16; 4]) -> Result<(), Broken> {
+        match color[self.channels..].iter().find(|&&c| c != 0) {
+            Some(&c) => Err(Broken { field: "colour of an absent channel", value: u64::from(c.unsigned_abs()) }),
+            None => Ok(()),
+        }
+    }
+
+    pub fn primitive(&self, p: &PackedGaussian) -> Result<(), Broken> {
+        self.shape(p.major, p.minor, p.angle)?;
+        let exponents = self.lattice.exponents(p.major, p.minor, p.angle);
+        for (field, value, side, e) in [("x", p.x, self.size[0], exponents[0]), ("y", p.y, self.size[1], exponents[1])]
+        {
+            if value >= Lattice::positions(side, e) {
+                return Err(Broken { field, value: value.into() });
+            }
+        }
+        self.color(p.color)
+    }
+}
+
+/// Checks all that a caller can get wrong in `splats`.
+///
+/// # Errors
+/// [`Error::Parameter`] with the field's name.
+pub(crate) fn check(splats: &PackedSplats) -> Result<()> {
+    check_all(splats)
+        .map_err(|b| Error::Parameter { name: b.field, problem: format!("{} is against the format", b.value) })
+}
+
+fn check_all(splats: &PackedSplats) -> Result<(), Broken> {
+    let s = &splats.steps;
+    let in_range = |field, ok: bool, value: u64| if ok { Ok(()) } else { Err(Broken { field, value }) };
+    for (field, side) in [("width", splats.width), ("height", splats.height)] {
+        in_range(field, (1..=MAX_SIDE).contains(&side), side.into())?;
+    }
+    for (field, value, last) in [
+        ("scale step", s.scale, 15),
+        ("angle step", s.angle, 3),
+        ("position step", s.position, 15),
+        ("luma step", s.luma, 15),
+        ("chroma step", s.chroma, 3),
+        ("position range", s.range, if splats.layout == Layout::Packed { 0 } else { 15 }),
+    ] {
+        in_range(field, value <= last, value.into())?;
+    }
+    in_range("coarsest step", (-6..=9).contains(&s.coarsest), s.coarsest as u64)?;
+    in_range("position range", i32::from(s.coarsest) - i32::from(s.range) >= MIN_EXPONENT, s.range.into())?;
+    in_range("primitive count", u32::try_from(splats.gaussians.len()).is_ok(), splats.gaussians.len() as u64)?;
+    let leveled = splats.levels.iter().map(|&n| u64::from(n)).sum::<u64>();
+    in_range("levels", splats.levels.is_empty() || leveled == splats.gaussians.len() as u64, leveled)?;
+    in_range("levels", splats.levels.len() <= MAX_LEVELS, splats.levels.len() as u64)?;
+    in_range("levels", splats.levels.len() <= 1 || splats.layout == Layout::Coded, splats.levels.len() as u64)?;
+    let rules = Rules::of(splats);
+    rules.color(splats.background)?;
+    if let Some(codebook) = &splats.codebook {
+        in_range("codebook size", (1..=MAX_CODEBOOK).contains(&codebook.len()), codebook.len() as u64)?;
+        codebook.iter().try_for_each(|&c| rules.color(c))?;
+    }
+    splats.gaussians.iter().try_for_each(|p| rules.primitive(p))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn top_is_the_last_index_below_the_largest_scale() {
+        for scale in 0..16u8 {
+            let steps = Steps { scale, angle: 1, position: 5, coarsest: 2, range: 4, luma: 4, chroma: 1 };
+            let top = Rules::new(&steps, Layout::Coded, [1, 1], Channels::Rgb).top;
+            let log = |i: f64| i * (f64::from(scale) + 4.0) / 32.0 - 2.0;
+            assert!(log(top.into()) <= 20.0 && (top == 255 || log(f64::from(top) + 1.0) > 20.0));
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! Optional blocks behind the header: ICC profile, EXIF, and what later versions add (spec §3).
+
+use crc32fast::Hasher;
+
+use super::bytes::{Bytes, put_varint};
+use super::splats::Metadata;
+use crate::error::{FormatError, Result};
+use crate::limits::Limits;
+
+/// Name of the ICC profile's section.
+pub const ICC: [u8; 4] = *b"iccp";
+/// Name of the EXIF block's section.
+pub const EXIF: [u8; 4] = *b"exif";
+
+/// A section's place and size, for reports.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SectionInfo {
+    /// Four ASCII letters; a capital first letter means that a decoder which does not know it must refuse the file.
+    pub name: [u8; 4],
+    /// Bytes of the section in the file, its head included.
+    pub bytes: u64,
+    /// What became of it.
+    pub fate: SectionFate,
+}
+
+/// What a reader did with a section.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum SectionFate {
+    /// Understood and kept.
+    Kept,
+    /// Optional and not known: skipped.
+    Skipped,
+    /// Optional and its checksum does not match: dropped.
+    Damaged,
+}
+
+/// Reads the sections. The file's checksum, which `checksum` gathers, covers their heads; each head holds the checksum
+/// of its contents, so that a damaged profile cannot hide the picture.
+pub(crate) fn read_sections(
+    bytes: &mut Bytes<'_>,
+    limits: &Limits,
+    checksum: &mut Hasher,
+) -> Result<(Metadata, Vec<SectionInfo>)> {
+    let (mut metadata, mut infos) = (Metadata::default(), Vec::new());
+    let mut head = bytes.taken().len();
+    let count = bytes.varint("section count")?;
+    let mut total = 0u64;
+    let mut last = None;
+    for _ in 0..count {
+        let before = bytes.left();
+        let name = bytes.array::<4>("section name")?;
+        if !name.iter().all(u8::is_ascii_alphabetic) || last.is_some_and(|l| l >= name) {
+            let value = u64::from(u32::from_be_bytes(name));
+            return Err(FormatError::BadValue { field: "section name", value }.into());
+        }
+        last = Some(name);
+        let length = bytes.varint("section length")?;
+        let stored = bytes.u32("section checksum")?;
+        checksum.update(&bytes.taken()[head..]);
+        let contents = bytes.take(length, "section")?;
+        head = bytes.taken().len();
+        total = total.saturating_add(length);
+        Limits::check("metadata", total, limits.metadata)?;
+        let computed = contents_checksum(name, contents);
+        let known = match name {
+            ICC => Some(&mut metadata.icc),
+            EXIF => Some(&mut metadata.exif),
+            _ if name[0].is_ascii_uppercase() => return Err(FormatError::UnknownCriticalSection { name }.into()),
+            _ => None,
+        };
+        let fate = match known {
+            _ if stored != computed => {
+                metadata.damaged.push(name);
+                SectionFate::Damaged
+            }
+            None => SectionFate::Skipped,
+            Some(slot) => {
+                *slot = Some(contents.to_vec());
+                SectionFate::Kept
+            }
+        };
+        infos.push(SectionInfo { name, bytes: (before - bytes.left()) as u64, fate });
+    }
+    checksum.update(&bytes.taken()[head..]);
+    Ok((metadata, infos))
+}
+
+/// Appends the sections of `metadata` and feeds the file's checksum.
+pub(crate) fn put_sections(metadata: &Metadata, out: &mut Vec<u8>, checksum: &mut Hasher) {
+    let sections: Vec<_> = [(EXIF, &metadata.exif), (ICC, &metadata.icc)]
+        .into_iter()
+        .filter_map(|(n, s)| Some((n, s.as_ref()?)))
+        .collect();
+    let mut head = out.len();
+    put_varint(sections.len() as u64, out);
+    for (name, contents) in sections {
+        out.extend_from_slice(&name);
+        put_varint(contents.len() as u64, out);
+        out.extend_from_slice(&contents_checksum(name, contents).to_le_bytes());
+        checksum.update(&out[head..]);
+        out.extend_from_slice(contents);
+        head = out.len();
+    }
+    checksum.update(&out[head..]);
+}
+
+fn contents_checksum(name: [u8; 4], contents: &[u8]) -> u32 {
+    let mut hasher = Hasher::new();
+    hasher.update(&name);
+    hasher.update(contents);
+    hasher.finalize()
+}

@@ -1,0 +1,122 @@
+//! Promises of the bitstream: exact round trips, canonical bytes, typed errors for everything broken.
+
+mod synthetic;
+
+use ssplat::bitstream::splats::{Layout, PackedSplats};
+use ssplat::bitstream::{inspect, read, to_bytes};
+use ssplat::{Blend, Channels, Depth, Error, Limits};
+use synthetic::{Scene, scene};
+
+const LAYOUTS: [Layout; 1] = [Layout::Packed];
+
+/// Writes, reads and writes again; gives back what was read.
+fn round_trip(splats: &PackedSplats) -> PackedSplats {
+    let bytes = to_bytes(splats).unwrap();
+    let again = read(&bytes[..], &Limits::default()).unwrap();
+    assert_eq!(to_bytes(&again).unwrap(), bytes, "bytes are not canonical");
+    again
+}
+
+/// The primitives of each level in an order of their own.
+fn sorted(splats: &PackedSplats) -> Vec<Vec<[i64; 9]>> {
+    let mut rest = &splats.gaussians[..];
+    let mut levels = splats.levels.clone();
+    if levels.is_empty() {
+        levels.push(rest.len() as u32);
+    }
+    levels
+        .iter()
+        .map(|&n| {
+            let (level, tail) = rest.split_at(n as usize);
+            rest = tail;
+            let mut level: Vec<[i64; 9]> = level
+                .iter()
+                .map(|p| {
+                    let c = p.color.map(i64::from);
+                    [p.x.into(), p.y.into(), p.major.into(), p.minor.into(), p.angle.into(), c[0], c[1], c[2], c[3]]
+                })
+                .collect();
+            level.sort_unstable();
+            level
+        })
+        .collect()
+}
+
+#[test]
+fn every_kind_of_picture_round_trips_exactly() {
+    for layout in LAYOUTS {
+        for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
+            for (count, seed) in [(0, 1), (1, 2), (2, 3), (17, 4), (700, 5)] {
+                for codebook in [false, true] {
+                    let mut splats = scene(&Scene { layout, channels, count, codebook, seed, ..Scene::default() });
+                    if seed % 2 == 0 {
+                        (splats.depth, splats.blend) = (Depth::Sixteen, Blend::Sum);
+                    }
+                    let again = round_trip(&splats);
+                    assert_eq!(sorted(&again), sorted(&splats));
+                    let fields = |s: &PackedSplats| {
+                        (s.width, s.height, s.channels, s.depth, s.blend, s.layout, s.steps, s.background)
+                    };
+                    assert_eq!(fields(&again), fields(&splats));
+                    assert_eq!(again.codebook, splats.codebook);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn report_adds_up_to_the_file() {
+    for layout in LAYOUTS {
+        let mut splats = scene(&Scene { layout, count: 300, codebook: true, ..Scene::default() });
+        splats.metadata.icc = Some(vec![7; 100]);
+        let bytes = to_bytes(&splats).unwrap();
+        let (_, report) = inspect(&bytes, &Limits::default()).unwrap();
+        assert_eq!(report.parts.iter().map(|p| p.bytes).sum::<u64>(), bytes.len() as u64, "{:?}", report.parts);
+    }
+}
+
+#[test]
+fn a_plain_colour_picture_spends_at_most_24_bytes_beside_its_payload() {
+    let splats = scene(&Scene { count: 200, layout: Layout::Packed, ..Scene::default() });
+    let (_, report) = inspect(&to_bytes(&splats).unwrap(), &Limits::default()).unwrap();
+    let frame: u64 = report.parts.iter().filter(|p| ["header", "checksum"].contains(&p.name)).map(|p| p.bytes).sum();
+    assert!(frame <= 24, "{frame}");
+}
+
+#[test]
+fn metadata_is_carried_and_damage_to_it_does_not_hide_the_picture() {
+    let mut splats = scene(&Scene { count: 20, layout: Layout::Packed, ..Scene::default() });
+    splats.metadata.icc = Some((0..200).collect());
+    splats.metadata.exif = Some(b"II*\0".to_vec());
+    let again = round_trip(&splats);
+    assert_eq!(again.metadata, splats.metadata);
+    let mut bytes = to_bytes(&splats).unwrap();
+    let start = bytes.windows(4).position(|w| w == [100, 101, 102, 103]).unwrap();
+    bytes[start] ^= 1;
+    let hurt = read(&bytes[..], &Limits::default()).unwrap();
+    assert_eq!((hurt.metadata.icc, hurt.metadata.damaged), (None, vec![*b"iccp"]));
+    assert_eq!(hurt.metadata.exif, splats.metadata.exif);
+    assert_eq!(hurt.gaussians, again.gaussians);
+}
+
+#[test]
+fn limits_are_kept_before_memory_is_spent() {
+    let splats = scene(&Scene { count: 50, layout: Layout::Packed, ..Scene::default() });
+    let bytes = to_bytes(&splats).unwrap();
+    type Set = fn(&mut Limits);
+    let sets: [(&str, Set); 4] = [
+        ("width", |l| l.width = 10),
+        ("height", |l| l.height = 10),
+        ("primitives", |l| l.primitives = 49),
+        ("alloc", |l| l.alloc = 100),
+    ];
+    for (name, set) in sets {
+        let mut limits = Limits::default();
+        set(&mut limits);
+        match read(&bytes[..], &limits) {
+            Err(Error::LimitExceeded { what, .. }) => assert_eq!(what, name),
+            other => panic!("{name}: {other:?}"),
+        }
+    }
+}
