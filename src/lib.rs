@@ -11,6 +11,7 @@ pub mod metrics;
 pub mod options;
 pub mod pixels;
 pub mod quantize;
+pub mod raster;
 
 pub use error::{Error, FormatError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};

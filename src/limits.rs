@@ -14,6 +14,9 @@ pub struct Limits {
     pub primitives: u64,
     /// Most (Gaussian, tile) pairs that rasterizing one view may visit.
     pub tile_pairs: u64,
+    /// Most (Gaussian, tile) pairs for each tile of a view on average, beyond two a primitive and 2¹⁹ in all: keeps
+    /// the work in proportion to output pixels and primitives.
+    pub tile_load: u64,
     /// Most bytes that decoding may allocate in all, output included.
     pub alloc: u64,
     /// Most bytes of metadata (ICC profile, EXIF) kept.
@@ -27,6 +30,7 @@ impl Default for Limits {
             height: 1 << 20,
             primitives: 16 << 20,
             tile_pairs: 256 << 20,
+            tile_load: 1024,
             alloc: 4 << 30,
             metadata: 64 << 20,
         }

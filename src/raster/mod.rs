@@ -1,0 +1,37 @@
+//! Gaussians to pixels, within one 8-bit code value of [`reference`] (spec §5); knows no bytes.
+//!
+//! A [`View`] says which part of the plane is drawn at which step, a [`Renderer`] draws it. The output is
+//! bit-identical for any number of threads, any instruction set and any way of cutting a view into parts:
+//! tiles are anchored to the view's grid, and nothing that is computed for a tile depends on what is drawn
+//! around it.
+//!
+//! ```
+//! use ssplat::raster::{Renderer, View};
+//! use ssplat::{Blend, Channels, Depth, Gaussian, Limits, Picture};
+//!
+//! let picture = Picture {
+//!     width: 64,
+//!     height: 48,
+//!     channels: Channels::Rgb,
+//!     blend: Blend::Normalized,
+//!     background: [0.5, 0.5, 0.5, 0.0],
+//!     gaussians: vec![Gaussian { mean: [32.0, 24.0], scale: [9.0, 3.0], rotation: 0.5, color: [1.0, 0.2, 0.0, 0.0] }],
+//! };
+//! let whole = View::full(&picture);
+//! let region = whole.crop(16, 8, 32, 32)?;
+//! let pixels = Renderer::new(&picture, &region, &Limits::default())?.render(Depth::Eight)?;
+//! assert_eq!((pixels.width(), pixels.height()), (32, 32));
+//! # Ok::<(), ssplat::Error>(())
+//! ```
+
+mod bins;
+mod kernel;
+mod project;
+pub mod reference;
+mod renderer;
+mod samples;
+mod view;
+
+pub use renderer::Renderer;
+pub use samples::SamplesMut;
+pub use view::View;

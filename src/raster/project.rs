@@ -1,0 +1,112 @@
+//! Gaussians of the picture as the kernel wants them on a view's grid.
+//!
+//! With `u = rise·dy − shear·dx` and `v = run·dx`, where `(dx, dy)` is the offset from the mean in output pixels,
+//! the Gaussian is `2^−(u² + v²)`. Large offsets cancel in `u`, so these are f64 up to the corner of a strip.
+
+use super::view::View;
+use crate::error::{Error, Result};
+use crate::gaussian::{CUTOFF, Gaussian, Picture};
+use crate::limits::Limits;
+
+/// `u² + v²` at the edge of the support: `K²/2 · log₂ e`.
+pub(super) const SUPPORT: f64 = 0.5 * (CUTOFF as f64) * (CUTOFF as f64) * std::f64::consts::LOG2_E;
+
+/// Columns that one strip of the kernel spans.
+pub(super) const LANES: usize = 8;
+
+/// Largest `u² + v²` that the recurrence may meet: beyond it f32 would underflow.
+const RECURRENCE_REACH: f64 = 120.0;
+
+/// How the kernel walks down a strip.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Walk {
+    /// Two multiplications a row.
+    Recurrence,
+    /// An exponential a row: for Gaussians so narrow that the recurrence would leave f32's range.
+    Direct,
+}
+
+/// A Gaussian on the grid of a view.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Splat {
+    /// Centre, output pixels from the grid's corner.
+    pub mean: [f64; 2],
+    /// `u` for each pixel down.
+    pub rise: f64,
+    /// `−u` for each pixel to the right.
+    pub shear: f64,
+    /// `v` for each pixel to the right.
+    pub run: f64,
+    /// How far to the right of the mean the support's lowest point (largest y) lies, pixels.
+    pub tip: f64,
+    /// Half width and half height of the support's bounding box, pixels.
+    pub extent: [f64; 2],
+    /// Factor between the ratios of neighbouring rows: `2^(−2·rise²)`.
+    pub bend: f32,
+    pub walk: Walk,
+    pub color: [f32; 4],
+}
+
+impl Splat {
+    fn new(g: &Gaussian, view: &View) -> Self {
+        let (sin, cos) = f64::from(g.rotation).sin_cos();
+        let [s1, s2] = g.scale.map(f64::from);
+        let [tx, ty] = view.step.map(f64::recip);
+        let (v1, v2) = (s1 * s1, s2 * s2);
+        let xx = (v1 * cos * cos + v2 * sin * sin) * tx * tx;
+        let yy = (v1 * sin * sin + v2 * cos * cos) * ty * ty;
+        let xy = (v1 - v2) * sin * cos * tx * ty;
+        // Not `xx·yy − xy²`, which cancels for needles.
+        let det = s1 * s2 * tx * ty;
+        let half = (0.5 * std::f64::consts::LOG2_E).sqrt();
+        let (sx, sy) = (xx.sqrt(), yy.sqrt());
+        let rise = half * sx / det;
+        let across = half * sy / det;
+        let steep = (SUPPORT.sqrt() + LANES as f64 * across).powi(2) > RECURRENCE_REACH || rise > 4.0;
+        let cutoff = f64::from(CUTOFF);
+        Splat {
+            mean: std::array::from_fn(|k| (f64::from(g.mean[k]) - view.origin[k]) / view.step[k]),
+            rise,
+            shear: rise * (xy / xx),
+            run: half / sx,
+            tip: cutoff * xy / sy,
+            extent: [cutoff * sx, cutoff * sy],
+            bend: (-2.0 * rise * rise).exp2() as f32,
+            walk: if steep { Walk::Direct } else { Walk::Recurrence },
+            color: g.color,
+        }
+    }
+
+    /// Whether the support reaches a pixel centre's column and row within the view.
+    fn touches(&self, view: &View) -> bool {
+        let side = [view.width, view.height];
+        (0..2).all(|k| {
+            let (first, last) = (f64::from(view.offset[k]), f64::from(view.offset[k]) + f64::from(side[k]));
+            self.mean[k] + self.extent[k] >= first && self.mean[k] - self.extent[k] <= last
+        })
+    }
+}
+
+/// Projects what is visible in `view`.
+pub(super) fn project(picture: &Picture, view: &View, limits: &Limits) -> Result<Vec<Splat>> {
+    let count = picture.gaussians.len() as u64;
+    Limits::check("primitives", count, limits.primitives)?;
+    Limits::check("alloc", count * size_of::<Splat>() as u64, limits.alloc)?;
+    let mut splats = Vec::new();
+    for (i, g) in picture.gaussians.iter().enumerate() {
+        let sound = g.mean.iter().chain([&g.rotation]).all(|v| v.is_finite())
+            && g.color.iter().all(|v| v.is_finite())
+            && g.scale.iter().all(|&s| s > 0.0 && s.is_finite());
+        if !sound {
+            return Err(Error::Parameter {
+                name: "gaussians",
+                problem: format!("number {i} is not finite or has a scale of zero: {g:?}"),
+            });
+        }
+        let splat = Splat::new(g, view);
+        if splat.touches(view) {
+            splats.push(splat);
+        }
+    }
+    Ok(splats)
+}

@@ -1,0 +1,250 @@
+//! Draws a view, whole or band by band, on as many threads as there are.
+
+use super::bins::Bins;
+use super::kernel::{Scene, Scratch, TILE_HEIGHT, TILE_WIDTH, Window, draw_tile};
+use super::project::{Splat, project};
+use super::samples::{Sample, SamplesMut};
+use super::view::{MAX_SIDE, View};
+use crate::error::{Error, Result};
+use crate::gaussian::{Blend, Channels, Picture};
+use crate::limits::Limits;
+use crate::pixels::{Depth, Pixels, Samples};
+#[cfg(feature = "rayon")]
+use rayon::prelude::*;
+
+/// A view of a picture, ready to be drawn any number of times.
+#[derive(Debug)]
+pub struct Renderer {
+    view: View,
+    channels: Channels,
+    blend: Blend,
+    background: [f32; 4],
+    splats: Vec<Splat>,
+    bins: Bins,
+    alloc: u64,
+    backend: Dispatch,
+}
+
+/// Which instruction set draws. The output is the same.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Dispatch {
+    /// The best that the machine has.
+    Detected,
+    /// What the crate is compiled for: the twin that tests compare with.
+    #[cfg(test)]
+    Compiled,
+}
+
+/// A tile of a band: its column and the slices of the rows it shows.
+type TileRows<'a, T> = Vec<(u32, Vec<&'a mut [T]>)>;
+
+impl Renderer {
+    /// Projects what `view` shows of `picture` and sorts it into tiles.
+    ///
+    /// # Errors
+    /// [`Error::LimitExceeded`] when primitives, (Gaussian, tile) pairs or memory go beyond `limits`, before they
+    /// are spent; [`Error::Parameter`] when a primitive is not finite, has a scale of zero, or a side of the view is 0 or over 2²⁰.
+    pub fn new(picture: &Picture, view: &View, limits: &Limits) -> Result<Self> {
+        if [view.width, view.height].iter().any(|&side| side == 0 || side > MAX_SIDE) {
+            return Err(Error::Parameter {
+                name: "view",
+                problem: format!("{view:?} has a side outside 1..={MAX_SIDE}"),
+            });
+        }
+        if !picture.background.iter().all(|v| v.is_finite()) {
+            return Err(Error::Parameter { name: "background", problem: format!("{:?}", picture.background) });
+        }
+        let splats = project(picture, view, limits)?;
+        let bins = Bins::new(&splats, view, limits)?;
+        Ok(Renderer {
+            view: *view,
+            channels: picture.channels,
+            blend: picture.blend,
+            background: picture.background,
+            splats,
+            bins,
+            alloc: limits.alloc,
+            backend: Dispatch::Detected,
+        })
+    }
+
+    /// What is drawn.
+    #[must_use]
+    pub fn view(&self) -> &View {
+        &self.view
+    }
+
+    /// Channels of the output.
+    #[must_use]
+    pub fn channels(&self) -> Channels {
+        self.channels
+    }
+
+    /// Samples in a row of the output.
+    #[must_use]
+    pub fn row_len(&self) -> usize {
+        self.view.width as usize * self.channels.count()
+    }
+
+    /// Number of bands: rows of tiles that the view touches.
+    #[must_use]
+    pub fn bands(&self) -> u32 {
+        self.bins.count[1]
+    }
+
+    /// The rows of the view that band `band` holds; bands have 64 rows but for the first and the last.
+    ///
+    /// # Panics
+    /// If `band` is not below [`Renderer::bands`].
+    #[must_use]
+    pub fn band_rows(&self, band: u32) -> std::ops::Range<u32> {
+        assert!(band < self.bands(), "band {band} of {}", self.bands());
+        let tile = (self.bins.first[1] + band) * TILE_HEIGHT as u32;
+        let end = tile + (TILE_HEIGHT as u32).min(self.view.offset[1] + self.view.height - tile);
+        tile.max(self.view.offset[1]) - self.view.offset[1]..end - self.view.offset[1]
+    }
+
+    /// Draws the consecutive bands `bands` into `out`: all of their rows, [`Renderer::row_len`] samples each.
+    ///
+    /// # Panics
+    /// If `bands` is empty or reaches beyond [`Renderer::bands`], or `out` has not exactly that length.
+    pub fn render_bands(&self, bands: std::ops::Range<u32>, out: SamplesMut<'_>) {
+        match out {
+            SamplesMut::U8(out) => self.draw(bands, out),
+            SamplesMut::U16(out) => self.draw(bands, out),
+        }
+    }
+
+    /// Draws the whole view.
+    ///
+    /// # Errors
+    /// [`Error::LimitExceeded`] when the output would take more memory than the limits allow.
+    pub fn render(&self, depth: Depth) -> Result<Pixels> {
+        let samples = self.row_len() as u64 * u64::from(self.view.height);
+        Limits::check("alloc", samples * depth.bytes() as u64, self.alloc)?;
+        let bands = 0..self.bands();
+        let samples = match depth {
+            Depth::Eight => {
+                let mut out = vec![0u8; samples as usize];
+                self.draw(bands, &mut out);
+                Samples::U8(out)
+            }
+            Depth::Sixteen => {
+                let mut out = vec![0u16; samples as usize];
+                self.draw(bands, &mut out);
+                Samples::U16(out)
+            }
+        };
+        Pixels::new(self.view.width, self.view.height, self.channels, samples)
+    }
+
+    fn draw<T: Sample>(&self, bands: std::ops::Range<u32>, mut out: &mut [T]) {
+        assert!(bands.start < bands.end, "no bands in {bands:?}");
+        let (first, last) = (self.band_rows(bands.start), self.band_rows(bands.end - 1));
+        let want = (last.end - first.start) as usize * self.row_len();
+        assert_eq!(out.len(), want, "samples for bands {bands:?}");
+        let mut parts = Vec::with_capacity(bands.len());
+        for band in bands {
+            let (part, rest) = out.split_at_mut(self.band_rows(band).len() * self.row_len());
+            parts.push((band, part));
+            out = rest;
+        }
+        #[cfg(feature = "rayon")]
+        parts.into_par_iter().for_each(|(band, part)| {
+            self.split(part).into_par_iter().for_each_init(Scratch::default, |scratch, (column, mut rows)| {
+                self.draw_tile(band, column, scratch, &mut rows);
+            });
+        });
+        #[cfg(not(feature = "rayon"))]
+        {
+            let mut scratch = Scratch::default();
+            for (band, part) in parts {
+                for (column, mut rows) in self.split(part) {
+                    self.draw_tile(band, column, &mut scratch, &mut rows);
+                }
+            }
+        }
+    }
+
+    /// The columns of the tile that the view shows.
+    fn columns(&self, column: u32) -> std::ops::Range<usize> {
+        let tile = (self.bins.first[0] + column) * TILE_WIDTH as u32;
+        let start = self.view.offset[0].max(tile) - tile;
+        let end = (TILE_WIDTH as u32).min(self.view.offset[0] + self.view.width - tile);
+        start as usize..end as usize
+    }
+
+    /// Cuts the rows of a band into those of its tiles.
+    fn split<'a, T>(&self, band: &'a mut [T]) -> TileRows<'a, T> {
+        let rows = band.len() / self.row_len();
+        let mut tiles: TileRows<'a, T> =
+            (0..self.bins.count[0]).map(|column| (column, Vec::with_capacity(rows))).collect();
+        for mut row in band.chunks_exact_mut(self.row_len()) {
+            for (column, tile) in &mut tiles {
+                let (part, rest) = row.split_at_mut(self.columns(*column).len() * self.channels.count());
+                tile.push(part);
+                row = rest;
+            }
+        }
+        tiles
+    }
+
+    fn draw_tile<T: Sample>(&self, band: u32, column: u32, scratch: &mut Scratch<T>, out: &mut [&mut [T]]) {
+        let rows = self.band_rows(band);
+        let tile =
+            [(self.bins.first[0] + column) * TILE_WIDTH as u32, (self.bins.first[1] + band) * TILE_HEIGHT as u32];
+        let in_tile = |row: u32| (row + self.view.offset[1] - tile[1]) as usize;
+        let window = Window {
+            corner: tile.map(f64::from),
+            columns: self.columns(column),
+            rows: in_tile(rows.start)..in_tile(rows.end),
+        };
+        let scene = Scene {
+            splats: &self.splats,
+            blend: self.blend,
+            background: self.background,
+            channels: self.channels.count(),
+        };
+        let members = self.bins.members(column, band);
+        match self.backend {
+            Dispatch::Detected => pulp::Arch::new().dispatch(|| draw_tile(&scene, members, &window, scratch, out)),
+            #[cfg(test)]
+            Dispatch::Compiled => draw_tile(&scene, members, &window, scratch, out),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussian::Gaussian;
+
+    #[test]
+    fn every_instruction_set_gives_the_same_bits() {
+        let gaussians: Vec<Gaussian> = (0..400u32)
+            .map(|i| {
+                let f = |k: u32| (f64::from(i) * f64::from(k).sqrt()).fract() as f32;
+                Gaussian {
+                    mean: [300.0 * f(2), 200.0 * f(3)],
+                    scale: [0.25 + 30.0 * f(5), 0.25 + 9.0 * f(7) * f(11)],
+                    rotation: 3.0 * f(13),
+                    color: [f(17), 2.0 * f(19), f(23) - 0.5, f(29)],
+                }
+            })
+            .collect();
+        for (channels, blend) in [(Channels::Rgb, Blend::Normalized), (Channels::Rgba, Blend::Sum)] {
+            let picture = Picture {
+                width: 300,
+                height: 200,
+                channels,
+                blend,
+                background: [0.5; 4],
+                gaussians: gaussians.clone(),
+            };
+            let mut renderer = Renderer::new(&picture, &View::full(&picture), &Limits::default()).unwrap();
+            let detected = renderer.render(Depth::Sixteen).unwrap();
+            renderer.backend = Dispatch::Compiled;
+            assert_eq!(detected, renderer.render(Depth::Sixteen).unwrap());
+        }
+    }
+}
