@@ -7,7 +7,7 @@ use ssplat::bitstream::{inspect, read, to_bytes};
 use ssplat::{Blend, Channels, Depth, Error, Limits};
 use synthetic::{Scene, scene};
 
-const LAYOUTS: [Layout; 1] = [Layout::Packed];
+const LAYOUTS: [Layout; 2] = [Layout::Packed, Layout::Coded];
 
 /// Writes, reads and writes again; gives back what was read.
 fn round_trip(splats: &PackedSplats) -> PackedSplats {

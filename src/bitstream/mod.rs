@@ -1,12 +1,18 @@
 //! Bytes to integers and back; exact. Knows no colour and no pixel (spec §2 to §8).
 
+mod attributes;
 mod bits;
 mod bytes;
+mod coded;
 pub mod header;
 mod hilbert;
+mod kd;
 pub mod lattice;
+mod model;
+mod neighbours;
 mod packed;
 mod palette;
+mod range;
 pub mod report;
 pub mod rules;
 pub mod sections;
@@ -51,7 +57,12 @@ pub fn to_bytes(splats: &PackedSplats) -> Result<Vec<u8>> {
     let has_sections = splats.metadata.icc.is_some() || splats.metadata.exif.is_some();
     let sections = if has_sections { Sections::Present } else { Sections::Absent };
     let (mut out, mut checksum) = (Vec::new(), Hasher::new());
-    put_header(splats, Grouping::Single, sections, &mut out);
+    put_header(
+        splats,
+        if splats.layout == Layout::Coded { coded::grouping(splats) } else { Grouping::Single },
+        sections,
+        &mut out,
+    );
     checksum.update(&out);
     if has_sections {
         put_sections(&splats.metadata, &mut out, &mut checksum);
@@ -59,8 +70,9 @@ pub fn to_bytes(splats: &PackedSplats) -> Result<Vec<u8>> {
     let payload = out.len();
     match splats.layout {
         Layout::Packed => packed::put(splats, &mut out)?,
-        Layout::Planes | Layout::Coded => {
-            return Err(Error::Parameter { name: "layout", problem: "is not implemented yet".into() });
+        Layout::Coded => coded::put(splats, &mut out)?,
+        Layout::Planes => {
+            return Err(Error::Parameter { name: "layout", problem: "planes are not written yet".into() });
         }
     }
     checksum.update(&out[payload..]);
@@ -160,8 +172,9 @@ impl Header {
         };
         match self.layout {
             Layout::Packed => packed::read(&mut bytes, self, &mut splats, tally)?,
-            Layout::Planes | Layout::Coded => {
-                return Err(Error::Parameter { name: "layout", problem: "is not implemented yet".into() });
+            Layout::Coded => coded::read(&mut bytes, self, &mut splats, tally)?,
+            Layout::Planes => {
+                return Err(Error::Parameter { name: "layout", problem: "planes are not written yet".into() });
             }
         }
         bytes.finish()?;

@@ -1,0 +1,157 @@
+//! The coded layout: adaptive entropy coding, in one piece or in groups (spec §8).
+
+use super::attributes::{Attributes, Palette, Scene, typical_major};
+use super::bytes::Bytes;
+use super::header::{Coloring, Grouping, Header};
+use super::kd::{Counts, Region, cells};
+use super::model::{Field, SIGNED_NODES};
+use super::neighbours::Buckets;
+use super::palette::{index_of, push_ascending, sorted_codebook, to_i16};
+use super::range::{Coder, Decoder, Encoder, Meter};
+use super::report::Tally;
+use super::rules::{Broken, Rules};
+use super::splats::{PackedGaussian, PackedSplats};
+use crate::error::Result;
+
+/// How the writer divides the primitives.
+pub(crate) fn grouping(splats: &PackedSplats) -> Grouping {
+    let _ = splats;
+    Grouping::Single
+}
+
+/// Appends the payload.
+pub(crate) fn put(splats: &PackedSplats, out: &mut Vec<u8>) -> Result<()> {
+    let rules = Rules::of(splats);
+    let book = sorted_codebook(splats);
+    if let Some(book) = &book {
+        splats.gaussians.iter().try_for_each(|p| index_of(book, p.color).map(drop))?;
+    }
+    let palette = Palette { channels: splats.channels, background: splats.background, book: book.as_deref() };
+    let region = Region::whole(rules.grid());
+    let mut encoder = Encoder::new();
+    put_palette(&mut encoder, &palette);
+    let mut level = splats.gaussians.clone();
+    sort(&mut level, &rules, region);
+    group(&mut encoder, splats, &rules, palette, region, Some(&level), level.len() as u32)?;
+    out.extend(encoder.finish());
+    Ok(())
+}
+
+/// Reads the payload into `splats`.
+pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSplats, tally: &mut Tally) -> Result<()> {
+    let rules = Rules::of(splats);
+    let region = Region::whole(rules.grid());
+    let payload = bytes.rest();
+    let mut meter = Meter::new(Decoder::new(payload));
+    let coder = &mut meter;
+    let (background, book) = read_palette(coder, header)?;
+    splats.background = background;
+    splats.codebook = book;
+    let palette =
+        Palette { channels: splats.channels, background: splats.background, book: splats.codebook.as_deref() };
+    splats.gaussians = group(coder, splats, &rules, palette, region, None, header.primitives)?;
+    meter.coder.finish()?;
+    tally.part("coded stream", payload.len());
+    for (name, bits) in meter.fields {
+        tally.field(name, bits);
+    }
+    Ok(())
+}
+
+/// The order of a group: by cell along the halves, then by shape, position and colour.
+fn sort(gaussians: &mut [PackedGaussian], rules: &Rules, region: Region) {
+    gaussians.sort_by_cached_key(|p| order(p, rules, region));
+}
+
+type Order = (u64, u8, u8, u16, u32, u32, [i16; 4]);
+
+fn order(p: &PackedGaussian, rules: &Rules, region: Region) -> Order {
+    (region.key(cell(p, rules)), p.major, p.minor, p.angle, p.x, p.y, p.color)
+}
+
+/// The coarsest cell that holds the centre.
+fn cell(p: &PackedGaussian, rules: &Rules) -> [u32; 2] {
+    let [fx, fy] = rules.refinement(p.major, p.minor, p.angle);
+    [p.x >> fx, p.y >> fy]
+}
+
+/// Codes one group; the writer passes its primitives sorted.
+fn group<C: Coder>(
+    coder: &mut C,
+    splats: &PackedSplats,
+    rules: &Rules,
+    palette: Palette<'_>,
+    region: Region,
+    sorted: Option<&[PackedGaussian]>,
+    count: u32,
+) -> Result<Vec<PackedGaussian>, Broken> {
+    let grid = rules.grid();
+    let places: Option<Vec<_>> = sorted.map(|s| s.iter().map(|p| cell(p, rules)).collect());
+    let places = cells(coder, &mut Counts::new(), grid, region, places.as_deref(), count)?;
+    coder.account("position");
+    let extent = [0, 1].map(|k| (grid[k] - region.corner[k]).min(1 << region.log[k]));
+    let mut buckets = Buckets::new(&places, region.corner, extent);
+    let mut attributes = Attributes::new(count as usize, &palette);
+    let typical = typical_major([splats.width, splats.height], count, splats.steps.scale);
+    let scene = Scene { rules, palette, range: splats.steps.range.into(), typical };
+    let mut out: Vec<PackedGaussian> = Vec::with_capacity(count as usize);
+    for (i, &place) in places.iter().enumerate() {
+        let given = sorted.map_or_else(PackedGaussian::default, |s| s[i]);
+        let p = attributes.code(coder, &scene, &mut buckets, place, &given)?;
+        // Cells ascend by construction; within one the order is checked.
+        if i > 0 && places[i - 1] == place && order(&out[i - 1], rules, region) > order(&p, rules, region) {
+            return Err(Broken { field: "order of primitives", value: i as u64 });
+        }
+        out.push(p);
+    }
+    Ok(out)
+}
+
+/// Background and codebook in front of a single stream.
+fn put_palette(coder: &mut Encoder, palette: &Palette<'_>) {
+    let mut field = palette_field();
+    for k in 0..palette.channels.count() {
+        field.signed(coder, &[usize::from(k > 0)], palette.background[k].into());
+    }
+    let Some(book) = palette.book else { return };
+    coder.raw(16, book.len() as u32 - 1);
+    let mut last = palette.background;
+    for color in book {
+        for k in 0..palette.channels.count() {
+            field.signed(coder, &[2 + k], i32::from(color[k]) - i32::from(last[k]));
+        }
+        last = *color;
+    }
+}
+
+type PaletteRead = ([i16; 4], Option<Vec<[i16; 4]>>);
+
+fn read_palette<C: Coder>(coder: &mut C, header: &Header) -> Result<PaletteRead> {
+    let (mut field, channels) = (palette_field(), header.channels.count());
+    let mut background = [0i16; 4];
+    for (k, b) in background.iter_mut().enumerate().take(channels) {
+        *b = to_i16("background", field.signed(coder, &[usize::from(k > 0)], 0).into())?;
+    }
+    coder.account("background");
+    if header.coloring == Coloring::Direct {
+        return Ok((background, None));
+    }
+    let mut book = Vec::new();
+    let count = coder.raw(16, 0) + 1;
+    let mut last = background;
+    for _ in 0..count {
+        let mut color = [0i16; 4];
+        for k in 0..channels {
+            let step = field.signed(coder, &[2 + k], 0);
+            color[k] = to_i16("codebook", i64::from(last[k]) + i64::from(step))?;
+        }
+        push_ascending(&mut book, color)?;
+        last = color;
+    }
+    coder.account("codebook");
+    Ok((background, Some(book)))
+}
+
+fn palette_field() -> Field<1> {
+    Field::new(SIGNED_NODES, [6], 60)
+}

@@ -1,0 +1,258 @@
+//! The range coder: binary decisions with given probabilities to bytes and back (spec §8.1).
+//!
+//! 32-bit range, carry propagation, 16-bit probabilities. Bytes past the end read as zero, and the writer ends with the
+//! shortest string that still decodes: a stream has no terminator, and one string only is legal for each message.
+
+use super::rules::Broken;
+
+/// Below this the range is scaled up by a byte.
+const TOP: u32 = 1 << 24;
+
+/// One side of the coder. Writer and reader run the same code: the writer is given each decision, the reader gives it.
+pub(crate) trait Coder {
+    /// Codes one decision whose probability of being 1 is `one / 2¹⁶`, `one` in `1..=65535`.
+    fn bit(&mut self, one: u32, bit: u32) -> u32;
+
+    /// Codes `count ≤ 32` bits of `value` as they are, the highest first.
+    fn raw(&mut self, count: u32, value: u32) -> u32 {
+        (0..count).rev().fold(0, |v, i| v << 1 | self.bit(1 << 15, value >> i & 1))
+    }
+
+    /// Ends the account of `field`; only a meter keeps one.
+    fn account(&mut self, _field: &'static str) {}
+}
+
+/// Writes decisions.
+#[derive(Debug)]
+pub(crate) struct Encoder {
+    low: u64,
+    range: u32,
+    bytes: Vec<u8>,
+}
+
+impl Encoder {
+    pub fn new() -> Self {
+        Encoder { low: 0, range: u32::MAX, bytes: Vec::new() }
+    }
+
+    /// Adds the carry that has run out of `low`.
+    fn carry(&mut self) {
+        if self.low >> 32 != 0 {
+            self.low &= 0xffff_ffff;
+            // The value is below 1, so a carry always finds a byte that is not 255.
+            for byte in self.bytes.iter_mut().rev() {
+                *byte = byte.wrapping_add(1);
+                if *byte != 0 {
+                    break;
+                }
+            }
+        }
+    }
+
+    /// The bytes: the shortest string in the final interval, and the smallest of these.
+    pub fn finish(mut self) -> Vec<u8> {
+        let last = self.low + u64::from(self.range) - 1;
+        for kept in 0..=4 {
+            let unit = 1u64 << (32 - 8 * kept);
+            let value = self.low.next_multiple_of(unit);
+            if value <= last {
+                self.low = value;
+                self.carry();
+                self.bytes.extend_from_slice(&(self.low as u32).to_be_bytes()[..kept]);
+                break;
+            }
+        }
+        while self.bytes.last() == Some(&0) {
+            self.bytes.pop();
+        }
+        self.bytes
+    }
+}
+
+impl Coder for Encoder {
+    fn bit(&mut self, one: u32, bit: u32) -> u32 {
+        let bound = (self.range >> 16) * one;
+        if bit != 0 {
+            self.range = bound;
+        } else {
+            self.low += u64::from(bound);
+            self.range -= bound;
+            self.carry();
+        }
+        while self.range < TOP {
+            self.bytes.push((self.low >> 24) as u8);
+            self.low = self.low << 8 & 0xffff_ffff;
+            self.range <<= 8;
+        }
+        bit
+    }
+}
+
+/// Reads decisions.
+#[derive(Debug, Clone)]
+pub(crate) struct Decoder<'a> {
+    /// The value of the bytes less the lower end of the interval.
+    code: u32,
+    range: u32,
+    bytes: &'a [u8],
+    /// How many bytes have been shifted in.
+    at: usize,
+}
+
+impl<'a> Decoder<'a> {
+    pub fn new(bytes: &'a [u8]) -> Self {
+        let mut decoder = Decoder { code: 0, range: u32::MAX, bytes, at: 0 };
+        (0..4).for_each(|_| decoder.shift());
+        decoder
+    }
+
+    #[inline]
+    fn shift(&mut self) {
+        self.code = self.code << 8 | u32::from(self.bytes.get(self.at).copied().unwrap_or(0));
+        self.at += 1;
+    }
+
+    /// Checks that the bytes are the ones that [`Encoder::finish`] writes for this message.
+    pub fn finish(&self) -> Result<(), Broken> {
+        let length = self.bytes.len();
+        let broken = Err(Broken { field: "end of the coded stream", value: length as u64 });
+        let Some(&last) = self.bytes.last() else { return Ok(()) };
+        if length > self.at || last == 0 || self.code >= self.range {
+            return broken;
+        }
+        // Shorter or smaller strings in the interval exist where the last byte's unit fits below or its next multiple
+        // above; a last byte that has left the window weighs more than the whole interval.
+        let place = 8 * (self.at - length) as u32;
+        if place >= 32 {
+            return Ok(());
+        }
+        let (code, range, unit) = (u64::from(self.code), u64::from(self.range), 1u64 << place);
+        let (below, above) = (u64::from(last) * unit, (256 - u64::from(last)) * unit);
+        if below <= code || code + above < range || unit <= code { broken } else { Ok(()) }
+    }
+}
+
+impl Coder for Decoder<'_> {
+    #[inline]
+    fn bit(&mut self, one: u32, _bit: u32) -> u32 {
+        let bound = (self.range >> 16) * one;
+        let bit = if self.code < bound {
+            self.range = bound;
+            1
+        } else {
+            self.code -= bound;
+            self.range -= bound;
+            0
+        };
+        while self.range < TOP {
+            self.range <<= 8;
+            self.shift();
+        }
+        bit
+    }
+}
+
+/// Passes decisions on and adds up what they cost.
+#[derive(Debug)]
+pub(crate) struct Meter<C> {
+    pub coder: C,
+    /// Bits since the last account.
+    bits: f64,
+    pub fields: Vec<(&'static str, f64)>,
+}
+
+impl<C> Meter<C> {
+    pub fn new(coder: C) -> Self {
+        Meter { coder, bits: 0.0, fields: Vec::new() }
+    }
+}
+
+impl<C: Coder> Coder for Meter<C> {
+    fn bit(&mut self, one: u32, bit: u32) -> u32 {
+        let bit = self.coder.bit(one, bit);
+        let chance = if bit != 0 { one } else { 65536 - one };
+        self.bits += 16.0 - f64::from(chance).log2();
+        bit
+    }
+
+    fn account(&mut self, field: &'static str) {
+        match self.fields.iter_mut().find(|f| f.0 == field) {
+            Some(f) => f.1 += self.bits,
+            None => self.fields.push((field, self.bits)),
+        }
+        self.bits = 0.0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn next(state: &mut u64) -> u64 {
+        *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        *state >> 33
+    }
+
+    fn decisions(seed: u64, count: u64) -> Vec<(u32, u32)> {
+        let mut state = seed;
+        (0..count)
+            .map(|_| {
+                let one = match next(&mut state) % 4 {
+                    0 => 1,
+                    1 => 65535,
+                    _ => 1 + (next(&mut state) % 65535) as u32,
+                };
+                (one, u32::from((next(&mut state) % 65536) < u64::from(one)))
+            })
+            .collect()
+    }
+
+    #[test]
+    fn messages_round_trip_and_no_other_ending_is_accepted() {
+        for seed in 0..400 {
+            let message = decisions(seed, seed % 97);
+            let mut encoder = Encoder::new();
+            message.iter().for_each(|&(one, bit)| {
+                encoder.bit(one, bit);
+            });
+            let bytes = encoder.finish();
+            let decode = |bytes: &[u8]| {
+                let mut decoder = Decoder::new(bytes);
+                let same = message.iter().all(|&(one, bit)| decoder.bit(one, bit) == bit);
+                (same, decoder.finish())
+            };
+            assert_eq!(decode(&bytes), (true, Ok(())), "seed {seed}");
+            for extra in [0, 1, 255] {
+                let mut longer = bytes.clone();
+                longer.push(extra);
+                let (same, end) = decode(&longer);
+                assert!(!same || end.is_err(), "seed {seed} with {extra} appended");
+            }
+            if let Some(last) = bytes.len().checked_sub(1) {
+                for byte in 0..=255 {
+                    let mut other = bytes.clone();
+                    other[last] = byte;
+                    let (same, end) = decode(&other);
+                    assert!(byte == bytes[last] || !same || end.is_err(), "seed {seed} ending in {byte}");
+                }
+                let (same, end) = decode(&bytes[..last]);
+                assert!(!same || end.is_err(), "seed {seed} cut");
+            }
+        }
+    }
+
+    #[test]
+    fn carries_run_through_long_rows_of_ones() {
+        let mut encoder = Encoder::new();
+        for _ in 0..100 {
+            encoder.bit(1, 0);
+            encoder.bit(65535, 1);
+        }
+        let bytes = encoder.finish();
+        let mut decoder = Decoder::new(&bytes);
+        for _ in 0..100 {
+            assert_eq!((decoder.bit(1, 0), decoder.bit(65535, 0)), (0, 1));
+        }
+        decoder.finish().unwrap();
+    }
+}
