@@ -4,6 +4,8 @@
 //! ([`quantize`]), Gaussians become pixels within a stated error, and the `image` crate stands at the door.
 
 pub mod bitstream;
+mod convert;
+mod decoder;
 pub mod error;
 pub mod gaussian;
 pub mod limits;
@@ -13,6 +15,7 @@ pub mod pixels;
 pub mod quantize;
 pub mod raster;
 
+pub use decoder::{EXTENSION, SsplatDecoder, register};
 pub use error::{Error, FormatError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
 pub use limits::Limits;

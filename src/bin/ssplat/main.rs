@@ -1,3 +1,44 @@
-//! The `ssplat` program.
+//! The `ssplat` program: decode, info, compare.
 
-fn main() {}
+mod args;
+mod compare;
+mod decode;
+mod failure;
+mod info;
+mod progress;
+mod rows;
+mod sink;
+mod source;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use args::{Args, Command};
+use failure::Failure;
+
+fn main() -> ExitCode {
+    let args = Args::parse();
+    match run(args) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("ssplat: {}", failure.message);
+            ExitCode::from(failure.kind.code())
+        }
+    }
+}
+
+fn run(args: Args) -> Result<(), Failure> {
+    sink::remove_on_interrupt()?;
+    if let Some(threads) = args.threads {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads.get())
+            .build_global()
+            .map_err(|e| Failure::usage(format!("--threads {threads}: {e}")))?;
+    }
+    match args.command {
+        Command::Decode(args) => decode::run(&args),
+        Command::Info(args) => info::run(&args),
+        Command::Compare(args) => compare::run(&args),
+    }
+}

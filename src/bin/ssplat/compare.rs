@@ -1,0 +1,83 @@
+//! `ssplat compare`: PSNR, SSIM and MS-SSIM of two pictures of any format.
+
+use serde_json::{Value, json};
+use ssplat::metrics::{self, Comparison};
+use ssplat::{Channels, Depth, Pixels, Samples};
+
+use crate::args;
+use crate::failure::Failure;
+use crate::source;
+
+/// What stands for the infinite PSNR of equal samples where a number is wanted, dB.
+pub const IDENTICAL: f64 = 99.0;
+
+pub fn run(args: &args::Compare) -> Result<(), Failure> {
+    let reference = source::open(&args.reference)?.pixels;
+    let test = source::open(&args.test)?.pixels;
+    let found = measure(&reference, &test)
+        .map_err(|e| Failure::usage(format!("{} and {}: {e}", args.reference.display(), args.test.display())))?;
+    if args.json {
+        println!("{}", as_json(&found));
+    } else {
+        println!("{}", as_text(&found));
+    }
+    Ok(())
+}
+
+/// Compares two pictures of one size, whatever their channels and depths.
+pub fn measure(reference: &Pixels, test: &Pixels) -> ssplat::Result<Comparison> {
+    if reference.channels() == test.channels() && reference.depth() == test.depth() {
+        return metrics::compare(reference, test);
+    }
+    let channels = join(reference.channels(), test.channels());
+    let depth = if reference.depth() == test.depth() { reference.depth() } else { Depth::Sixteen };
+    metrics::compare(&converted(reference, channels, depth)?, &converted(test, channels, depth)?)
+}
+
+/// The smallest set of channels that holds both.
+fn join(a: Channels, b: Channels) -> Channels {
+    let color = a.count().max(b.count()) >= 3;
+    let alpha = a.alpha().or(b.alpha()).is_some();
+    match (color, alpha) {
+        (false, false) => Channels::Grey,
+        (false, true) => Channels::GreyAlpha,
+        (true, false) => Channels::Rgb,
+        (true, true) => Channels::Rgba,
+    }
+}
+
+/// The same picture with more channels or bits: grey as equal red, green and blue, and opaque where alpha was missing.
+fn converted(p: &Pixels, channels: Channels, depth: Depth) -> ssplat::Result<Pixels> {
+    let samples = match (p.samples(), depth) {
+        (Samples::U8(v), Depth::Eight) => Samples::U8(spread(v, p.channels(), channels, 255)),
+        (Samples::U8(v), Depth::Sixteen) => {
+            let wide: Vec<u16> = v.iter().map(|&v| u16::from(v) * 257).collect();
+            Samples::U16(spread(&wide, p.channels(), channels, 65535))
+        }
+        (Samples::U16(v), _) => Samples::U16(spread(v, p.channels(), channels, 65535)),
+    };
+    Pixels::new(p.width(), p.height(), channels, samples)
+}
+
+/// Samples of `from` channels as samples of `to`, which holds all of them.
+fn spread<T: Copy>(samples: &[T], from: Channels, to: Channels, opaque: T) -> Vec<T> {
+    let colors = to.count() - usize::from(to.alpha().is_some());
+    let source = |pixel: &[T], k: usize| match from.alpha() {
+        _ if k < colors => pixel[if from.count() < 3 { 0 } else { k }],
+        Some(a) => pixel[a],
+        None => opaque,
+    };
+    samples.chunks_exact(from.count()).flat_map(|pixel| (0..to.count()).map(move |k| source(pixel, k))).collect()
+}
+
+/// The figures under the keys `psnr`, `ssim`, `ms_ssim`.
+pub fn as_json(found: &Comparison) -> Value {
+    json!({ "psnr": found.psnr.min(IDENTICAL), "ssim": found.ssim, "ms_ssim": found.ms_ssim })
+}
+
+/// The figures in one line.
+pub fn as_text(found: &Comparison) -> String {
+    let psnr = if found.psnr.is_finite() { format!("{:.2} dB", found.psnr) } else { "identical samples".into() };
+    let of = |v: Option<f64>| v.map_or_else(|| "-".into(), |v| format!("{v:.4}"));
+    format!("PSNR {psnr}, SSIM {}, MS-SSIM {}", of(found.ssim), of(found.ms_ssim))
+}

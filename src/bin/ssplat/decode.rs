@@ -1,0 +1,113 @@
+//! `ssplat decode`: a file, or a part of it at any size, to a picture, band by band.
+
+use std::path::Path;
+use std::time::Instant;
+
+use serde_json::json;
+use ssplat::bitstream::splats::Metadata;
+use ssplat::raster::{Renderer, SamplesMut, View};
+use ssplat::{Depth, Limits, Picture};
+
+use crate::args;
+use crate::failure::Failure;
+use crate::progress::Bar;
+use crate::rows::{Format, RowWriter, Shape};
+use crate::sink::Sink;
+use crate::source;
+
+/// Bytes of output that are drawn before they are written, unless one band takes more.
+const BATCH: usize = 8 << 20;
+
+pub fn run(args: &args::Decode) -> Result<(), Failure> {
+    let start = Instant::now();
+    let format = match &args.format {
+        Some(extension) => Format::from_extension(extension)?,
+        None if args.output == Path::new("-") => Format::Png,
+        None => Format::of_path(&args.output)?,
+    };
+    let bytes = source::read_all(&args.input)?;
+    let failed = |e| Failure::library(&args.input, &e);
+    let limits = Limits::default();
+    let splats = ssplat::bitstream::read(&bytes[..], &limits).map_err(failed)?;
+    drop(bytes);
+    let (picture, depth) = (splats.to_picture(), splats.depth);
+    let metadata = splats.metadata;
+    let view = view(args, &picture).map_err(failed)?;
+    let renderer = Renderer::new(&picture, &view, &limits).map_err(failed)?;
+    drop(picture);
+    let sink = Sink::create(&args.output, &[&args.input])?;
+    draw(&renderer, depth, &metadata, format, &sink, &args.output)?;
+    sink.finish()?;
+    if args.json {
+        println!(
+            "{}",
+            json!({ "width": view.width(), "height": view.height(), "seconds": start.elapsed().as_secs_f64() })
+        );
+    }
+    Ok(())
+}
+
+/// What `--region` and the size options ask for.
+fn view(args: &args::Decode, picture: &Picture) -> ssplat::Result<View> {
+    let mut view = View::full(picture);
+    if let Some([x, y, width, height]) = args.region {
+        view = view.crop(x, y, width, height)?;
+    }
+    let [width, height] = [view.width(), view.height()].map(f64::from);
+    let [wide, tall] = match (args.width, args.height, args.scale) {
+        (Some(w), Some(h), _) => [f64::from(w), f64::from(h)],
+        (Some(w), None, _) => [f64::from(w), height * f64::from(w) / width],
+        (None, Some(h), _) => [width * f64::from(h) / height, f64::from(h)],
+        (None, None, Some(scale)) => [width * scale, height * scale],
+        (None, None, None) => return Ok(view),
+    };
+    // A side that would vanish keeps one pixel; one that is too long is left for `resized` to refuse.
+    view.resized(wide.round().max(1.0) as u32, tall.round().max(1.0) as u32)
+}
+
+/// Draws and writes everything, a few bands at a time.
+pub fn draw(
+    renderer: &Renderer,
+    depth: Depth,
+    metadata: &Metadata,
+    format: Format,
+    sink: &Sink,
+    path: &Path,
+) -> Result<(), Failure> {
+    let io = |e| Failure::io(path, &e);
+    let shape = Shape {
+        width: renderer.view().width(),
+        height: renderer.view().height(),
+        channels: renderer.channels(),
+        depth,
+    };
+    let mut rows = RowWriter::new(sink, format, shape, metadata).map_err(io)?;
+    let bar = Bar::new();
+    let (mut bytes, mut words) = (Vec::new(), Vec::new());
+    let mut first = 0;
+    while first < renderer.bands() {
+        let mut last = first + 1;
+        let samples = |last| {
+            let rows = renderer.band_rows(last - 1).end - renderer.band_rows(first).start;
+            rows as usize * renderer.row_len()
+        };
+        while last < renderer.bands() && samples(last + 1) * depth.bytes() <= BATCH {
+            last += 1;
+        }
+        match depth {
+            Depth::Eight => {
+                bytes.resize(samples(last), 0);
+                renderer.render_bands(first..last, SamplesMut::U8(&mut bytes));
+                rows.write(SamplesMut::U8(&mut bytes)).map_err(io)?;
+            }
+            Depth::Sixteen => {
+                words.resize(samples(last), 0);
+                renderer.render_bands(first..last, SamplesMut::U16(&mut words));
+                rows.write(SamplesMut::U16(&mut words)).map_err(io)?;
+            }
+        }
+        first = last;
+        bar.show(first as f32 / renderer.bands() as f32, "drawing".into());
+    }
+    rows.finish(path)
+}

@@ -1,0 +1,159 @@
+//! `ssplat info`: the header, where the bytes go, and bits per primitive and field.
+
+use serde_json::{Value, json};
+use ssplat::bitstream::header::VERSION;
+use ssplat::bitstream::report::Report;
+use ssplat::bitstream::sections::{SectionFate, SectionInfo};
+use ssplat::bitstream::splats::{Layout, PackedSplats};
+use ssplat::{Blend, Channels, Limits};
+
+use crate::args;
+use crate::failure::Failure;
+use crate::source;
+
+pub fn run(args: &args::Info) -> Result<(), Failure> {
+    let bytes = source::read_all(&args.input)?;
+    let (splats, report) =
+        ssplat::bitstream::inspect(&bytes, &Limits::default()).map_err(|e| Failure::library(&args.input, &e))?;
+    if args.json {
+        println!("{:#}", as_json(&splats, &report));
+    } else {
+        print!("{}", as_text(&splats, &report));
+    }
+    Ok(())
+}
+
+fn as_json(splats: &PackedSplats, report: &Report) -> Value {
+    let h = &report.header;
+    let parts: Vec<Value> = report.parts.iter().map(|p| json!({ "name": p.name, "bytes": p.bytes })).collect();
+    let sections: Vec<Value> = report
+        .sections
+        .iter()
+        .map(|s| json!({ "name": section_name(s), "bytes": s.bytes, "fate": fate(s.fate) }))
+        .collect();
+    let fields: Vec<Value> = report
+        .fields
+        .iter()
+        .map(|f| json!({ "name": f.name, "bits": f.bits, "bits_per_primitive": per_primitive(f.bits, splats) }))
+        .collect();
+    json!({
+        "version": VERSION,
+        "width": h.width,
+        "height": h.height,
+        "channels": channels(h.channels),
+        "depth": 8 * h.depth.bytes(),
+        "blend": blend(h.blend),
+        "layout": layout(h.layout),
+        "steps": {
+            "scale": h.steps.scale,
+            "angle": h.steps.angle,
+            "position": h.steps.position,
+            "coarsest": h.steps.coarsest,
+            "range": h.steps.range,
+            "luma": h.steps.luma,
+            "chroma": h.steps.chroma,
+        },
+        "primitives": h.primitives,
+        "levels": report.levels,
+        "groups": report.groups,
+        "codebook": splats.codebook.as_ref().map(Vec::len),
+        "icc_bytes": splats.metadata.icc.as_ref().map(Vec::len),
+        "exif_bytes": splats.metadata.exif.as_ref().map(Vec::len),
+        "bytes": report.bytes,
+        "ratio": ratio(report),
+        "bits_per_primitive": per_primitive(8.0 * report.bytes as f64, splats),
+        "parts": parts,
+        "sections": sections,
+        "fields": fields,
+    })
+}
+
+fn as_text(splats: &PackedSplats, report: &Report) -> String {
+    let h = &report.header;
+    let mut text = format!(
+        "picture     {} x {} pixels, {}, {} bits\n\
+         file        {} bytes, ratio {:.1}, version {VERSION}, {} layout\n\
+         primitives  {}, {} blend, {:.1} bits each over the whole file\n",
+        h.width,
+        h.height,
+        channels(h.channels),
+        8 * h.depth.bytes(),
+        report.bytes,
+        ratio(report),
+        layout(h.layout),
+        h.primitives,
+        blend(h.blend),
+        per_primitive(8.0 * report.bytes as f64, splats).unwrap_or(0.0),
+    );
+    if let Some(codebook) = &splats.codebook {
+        text += &format!("codebook    {} colours\n", codebook.len());
+    }
+    if report.levels.len() > 1 {
+        text += &format!("levels      {:?} primitives, coarse to fine\n", report.levels);
+    }
+    if report.groups > 1 {
+        text += &format!("groups      {}\n", report.groups);
+    }
+    text += "parts\n";
+    for part in &report.parts {
+        text += &format!("  {:<20} {:>10} bytes\n", part.name, part.bytes);
+    }
+    for section in &report.sections {
+        text +=
+            &format!("  section {:<12} {:>10} bytes, {}\n", section_name(section), section.bytes, fate(section.fate));
+    }
+    text += "fields\n";
+    for field in &report.fields {
+        let each = per_primitive(field.bits, splats).unwrap_or(0.0);
+        text += &format!("  {:<20} {each:>10.2} bits a primitive\n", field.name);
+    }
+    text
+}
+
+/// Width × height × channels over the bytes of the file.
+fn ratio(report: &Report) -> f64 {
+    let h = &report.header;
+    f64::from(h.width) * f64::from(h.height) * h.channels.count() as f64 / report.bytes as f64
+}
+
+/// `None` where there are no primitives.
+fn per_primitive(bits: f64, splats: &PackedSplats) -> Option<f64> {
+    let count = splats.gaussians.len();
+    (count > 0).then(|| bits / count as f64)
+}
+
+fn section_name(section: &SectionInfo) -> String {
+    String::from_utf8_lossy(&section.name).into_owned()
+}
+
+fn fate(fate: SectionFate) -> &'static str {
+    match fate {
+        SectionFate::Kept => "kept",
+        SectionFate::Skipped => "unknown, skipped",
+        SectionFate::Damaged => "damaged, dropped",
+    }
+}
+
+fn channels(channels: Channels) -> &'static str {
+    match channels {
+        Channels::Grey => "grey",
+        Channels::GreyAlpha => "grey+alpha",
+        Channels::Rgb => "rgb",
+        Channels::Rgba => "rgba",
+    }
+}
+
+fn blend(blend: Blend) -> &'static str {
+    match blend {
+        Blend::Normalized => "normalized",
+        Blend::Sum => "sum",
+    }
+}
+
+fn layout(layout: Layout) -> &'static str {
+    match layout {
+        Layout::Packed => "packed",
+        Layout::Planes => "planes",
+        Layout::Coded => "coded",
+    }
+}

@@ -1,0 +1,36 @@
+//! The progress bar: on a terminal only, on standard error.
+
+use std::io::IsTerminal;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+/// Steps of the bar.
+const STEPS: u64 = 1000;
+
+/// A bar; hidden where standard error is not a terminal.
+pub struct Bar(ProgressBar);
+
+impl Bar {
+    pub fn new() -> Bar {
+        let target = if std::io::stderr().is_terminal() {
+            ProgressDrawTarget::stderr_with_hz(10)
+        } else {
+            ProgressDrawTarget::hidden()
+        };
+        let style =
+            ProgressStyle::with_template("{msg:<28} {wide_bar} {percent:>3} % {elapsed}").expect("valid template");
+        Bar(ProgressBar::with_draw_target(Some(STEPS), target).with_style(style))
+    }
+
+    /// Shows `done` in `0..=1` and what is being done.
+    pub fn show(&self, done: f32, message: String) {
+        self.0.set_message(message);
+        self.0.set_position((f64::from(done) * STEPS as f64) as u64);
+    }
+}
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}

@@ -1,0 +1,124 @@
+//! Files out: written under a temporary name in the same folder and renamed when complete, so that nobody ever sees
+//! half a file, and so that an interrupted run leaves nothing behind.
+
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use tempfile::NamedTempFile;
+
+use crate::failure::{Failure, Kind};
+
+/// The temporary files that an interrupt has to remove.
+static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+/// Exit status after an interrupt, as shells have it for SIGINT.
+const INTERRUPTED: i32 = 130;
+
+/// From now on Ctrl-C and SIGTERM remove unfinished files and end the program.
+pub fn remove_on_interrupt() -> Result<(), Failure> {
+    let handler = || {
+        // Holding the lock until the exit keeps a file from being renamed, or a new one from being made, meanwhile.
+        let unfinished = UNFINISHED.lock().unwrap_or_else(|e| e.into_inner());
+        for path in unfinished.iter() {
+            let _ = std::fs::remove_file(path);
+        }
+        eprintln!("ssplat: interrupted");
+        std::process::exit(INTERRUPTED);
+    };
+    ctrlc::set_handler(handler).map_err(|e| Failure { kind: Kind::Other, message: format!("signal handler: {e}") })
+}
+
+/// A file being written.
+pub struct Sink {
+    path: PathBuf,
+    out: Out,
+}
+
+enum Out {
+    /// Becomes `target` when finished.
+    Temporary {
+        file: NamedTempFile,
+        target: PathBuf,
+    },
+    /// A device or a pipe, which cannot be renamed over.
+    Special(File),
+    Stdout,
+}
+
+impl Sink {
+    /// Starts the file at `path`, or standard output for `-`; `inputs` are files that it must not replace.
+    pub fn create(path: &Path, inputs: &[&Path]) -> Result<Sink, Failure> {
+        let io = |e: io::Error| Failure::io(path, &e);
+        let path_buf = path.to_path_buf();
+        if path == Path::new("-") {
+            return Ok(Sink { path: path_buf, out: Out::Stdout });
+        }
+        let target = match std::fs::metadata(path) {
+            Ok(m) if m.is_dir() => return Err(Failure::usage(format!("{}: is a folder", path.display()))),
+            Ok(m) if !m.is_file() => {
+                let file = File::options().write(true).open(path).map_err(io)?;
+                return Ok(Sink { path: path_buf, out: Out::Special(file) });
+            }
+            // The file behind a link is replaced, not the link.
+            Ok(_) => std::fs::canonicalize(path).map_err(io)?,
+            Err(e) if e.kind() == io::ErrorKind::NotFound => path_buf.clone(),
+            Err(e) => return Err(io(e)),
+        };
+        for input in inputs {
+            if std::fs::canonicalize(input).is_ok_and(|i| i == target) {
+                return Err(Failure::usage(format!("{}: is the input; it is not overwritten", path.display())));
+            }
+        }
+        let folder = match target.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() => folder,
+            _ => Path::new("."),
+        };
+        let mut unfinished = UNFINISHED.lock().unwrap_or_else(|e| e.into_inner());
+        let file = temporary().tempfile_in(folder).map_err(io)?;
+        unfinished.push(file.path().to_path_buf());
+        Ok(Sink { path: path_buf, out: Out::Temporary { file, target } })
+    }
+
+    /// What to write to; all writers of a sink go on where the last one stopped.
+    pub fn writer(&self) -> io::Result<Box<dyn Write>> {
+        Ok(match &self.out {
+            Out::Temporary { file, .. } => Box::new(file.as_file().try_clone()?),
+            Out::Special(file) => Box::new(file.try_clone()?),
+            Out::Stdout => Box::new(io::stdout()),
+        })
+    }
+
+    /// Writes `bytes` as the whole file and puts it in its place.
+    pub fn finish_with(self, bytes: &[u8]) -> Result<(), Failure> {
+        let written = self.writer().and_then(|mut w| w.write_all(bytes).and_then(|()| w.flush()));
+        written.map_err(|e| Failure::io(&self.path, &e))?;
+        self.finish()
+    }
+
+    /// Puts the file in its place.
+    pub fn finish(self) -> Result<(), Failure> {
+        let Out::Temporary { file, target } = self.out else { return Ok(()) };
+        let mut unfinished = UNFINISHED.lock().unwrap_or_else(|e| e.into_inner());
+        unfinished.retain(|p| p != file.path());
+        file.persist(&target).map(drop).map_err(|e| Failure::io(&self.path, &e.error))
+    }
+}
+
+/// A temporary file with the rights that a plain new file gets.
+#[cfg(unix)]
+fn temporary() -> tempfile::Builder<'static, 'static> {
+    use std::os::unix::fs::PermissionsExt;
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".ssplat-").permissions(std::fs::Permissions::from_mode(0o666));
+    builder
+}
+
+/// A temporary file.
+#[cfg(not(unix))]
+fn temporary() -> tempfile::Builder<'static, 'static> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".ssplat-");
+    builder
+}

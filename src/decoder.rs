@@ -1,0 +1,176 @@
+//! Files to pixels of the `image` crate: [`register`], which makes `image::open("x.ssplat")` work, and [`SsplatDecoder`].
+//!
+//! ```no_run
+//! ssplat::register();
+//! let picture = image::open("photo.ssplat")?;
+//! # Ok::<(), image::ImageError>(())
+//! ```
+
+use std::io::Read;
+use std::sync::OnceLock;
+
+use image::error::{DecodingError, ImageFormatHint, LimitError, LimitErrorKind, ParameterError, ParameterErrorKind};
+use image::error::{UnsupportedError, UnsupportedErrorKind};
+use image::hooks::{register_decoding_hook, register_format_detection_hook};
+use image::{ColorType, ImageDecoder, ImageError, ImageResult, LimitSupport};
+
+use crate::bitstream::header::{Header, MAGIC};
+use crate::bitstream::splats::{PackedGaussian, PackedSplats};
+use crate::error::Error;
+use crate::gaussian::{Channels, Gaussian};
+use crate::limits::Limits;
+use crate::pixels::Depth;
+use crate::raster::{Renderer, SamplesMut, View};
+
+/// File name extension.
+pub const EXTENSION: &str = "ssplat";
+
+/// Teaches the `image` crate to open ssplat files, by extension and by content, in the whole process.
+///
+/// Returns whether `image` opens them with this crate. It is false when the extension was taken by another hook, which
+/// stays in place; nothing is registered then. Calling it again changes nothing and returns the same.
+pub fn register() -> bool {
+    static ACCEPTED: OnceLock<bool> = OnceLock::new();
+    *ACCEPTED.get_or_init(|| {
+        let accepted =
+            register_decoding_hook(EXTENSION.into(), Box::new(|reader| Ok(Box::new(SsplatDecoder::new(reader)?))));
+        if accepted {
+            register_format_detection_hook(EXTENSION.into(), &MAGIC, None);
+        }
+        accepted
+    })
+}
+
+/// Decodes one ssplat file for the `image` crate, on the CPU.
+///
+/// The output has the file's own channels and depth. `max_image_width` and `max_image_height` of
+/// [`set_limits`](ImageDecoder::set_limits) are strict; `max_alloc` bounds all that the decoder allocates beside the
+/// caller's buffer. An orientation in the EXIF block is handed out, not applied.
+#[derive(Debug)]
+pub struct SsplatDecoder<R> {
+    reader: R,
+    header: Header,
+    limits: Limits,
+    /// What follows the header, once something has asked for it.
+    splats: Option<PackedSplats>,
+}
+
+impl<R: Read> SsplatDecoder<R> {
+    /// Reads the header, at most 24 bytes, and nothing behind it.
+    ///
+    /// # Errors
+    /// [`ImageError::Decoding`] when it is broken, [`ImageError::Unsupported`] for a newer version,
+    /// [`ImageError::Limits`] when it asks for more than the default [`Limits`], [`ImageError::IoError`] from `reader`.
+    pub fn new(mut reader: R) -> ImageResult<Self> {
+        let limits = Limits::default();
+        let header = Header::read(&mut reader, &limits).map_err(decoding_error)?;
+        Ok(SsplatDecoder { reader, header, limits, splats: None })
+    }
+
+    /// The integers of the picture, read on first use.
+    fn splats(&mut self) -> ImageResult<&PackedSplats> {
+        let splats = match self.splats.take() {
+            Some(splats) => splats,
+            None => self.header.read_body(&mut self.reader, &self.limits).map_err(decoding_error)?,
+        };
+        Ok(self.splats.insert(splats))
+    }
+
+    /// The picture, ready to be drawn.
+    fn renderer(&mut self) -> ImageResult<Renderer> {
+        let splats = self.splats()?;
+        let held = (size_of::<PackedGaussian>() + size_of::<Gaussian>()) as u64 * splats.gaussians.len() as u64;
+        let picture = self.splats.take().map(|s| s.to_picture()).expect("just read");
+        let mut limits = self.limits.clone();
+        Limits::check("alloc", held, limits.alloc).map_err(decoding_error)?;
+        limits.alloc -= held;
+        Renderer::new(&picture, &View::full(&picture), &limits).map_err(decoding_error)
+    }
+}
+
+impl<R: Read> ImageDecoder for SsplatDecoder<R> {
+    fn dimensions(&self) -> (u32, u32) {
+        (self.header.width, self.header.height)
+    }
+
+    fn color_type(&self) -> ColorType {
+        match (self.header.channels, self.header.depth) {
+            (Channels::Grey, Depth::Eight) => ColorType::L8,
+            (Channels::GreyAlpha, Depth::Eight) => ColorType::La8,
+            (Channels::Rgb, Depth::Eight) => ColorType::Rgb8,
+            (Channels::Rgba, Depth::Eight) => ColorType::Rgba8,
+            (Channels::Grey, Depth::Sixteen) => ColorType::L16,
+            (Channels::GreyAlpha, Depth::Sixteen) => ColorType::La16,
+            (Channels::Rgb, Depth::Sixteen) => ColorType::Rgb16,
+            (Channels::Rgba, Depth::Sixteen) => ColorType::Rgba16,
+        }
+    }
+
+    fn icc_profile(&mut self) -> ImageResult<Option<Vec<u8>>> {
+        Ok(self.splats()?.metadata.icc.clone())
+    }
+
+    fn exif_metadata(&mut self) -> ImageResult<Option<Vec<u8>>> {
+        Ok(self.splats()?.metadata.exif.clone())
+    }
+
+    fn set_limits(&mut self, limits: image::Limits) -> ImageResult<()> {
+        limits.check_support(&LimitSupport::default())?;
+        limits.check_dimensions(self.header.width, self.header.height)?;
+        self.limits.alloc = limits.max_alloc.unwrap_or(u64::MAX);
+        Ok(())
+    }
+
+    fn read_image(mut self, buf: &mut [u8]) -> ImageResult<()> {
+        assert_eq!(buf.len() as u64, self.total_bytes(), "buffer length");
+        let renderer = self.renderer()?;
+        match self.header.depth {
+            Depth::Eight => renderer.render_bands(0..renderer.bands(), SamplesMut::U8(buf)),
+            Depth::Sixteen => match bytemuck::try_cast_slice_mut(buf) {
+                Ok(samples) => renderer.render_bands(0..renderer.bands(), SamplesMut::U16(samples)),
+                Err(_) => render_unaligned(&renderer, buf),
+            },
+        }
+        Ok(())
+    }
+
+    fn read_image_boxed(self: Box<Self>, buf: &mut [u8]) -> ImageResult<()> {
+        (*self).read_image(buf)
+    }
+}
+
+/// Draws 16-bit samples into a buffer that starts at an odd address, by way of an aligned band.
+fn render_unaligned(renderer: &Renderer, mut buf: &mut [u8]) {
+    let mut band = Vec::new();
+    for i in 0..renderer.bands() {
+        band.resize(renderer.band_rows(i).len() * renderer.row_len(), 0u16);
+        renderer.render_bands(i..i + 1, SamplesMut::U16(&mut band));
+        let (out, rest) = buf.split_at_mut(2 * band.len());
+        out.copy_from_slice(bytemuck::cast_slice(&band));
+        buf = rest;
+    }
+}
+
+/// An error of decoding in the words of `image`; the original is the source where `image` keeps one.
+fn decoding_error(e: Error) -> ImageError {
+    match e {
+        Error::Io(e) => ImageError::IoError(e),
+        Error::UnsupportedVersion { .. } => ImageError::Unsupported(UnsupportedError::from_format_and_kind(
+            hint(),
+            UnsupportedErrorKind::GenericFeature(e.to_string()),
+        )),
+        Error::LimitExceeded { what: "width" | "height", .. } => {
+            ImageError::Limits(LimitError::from_kind(LimitErrorKind::DimensionError))
+        }
+        Error::LimitExceeded { .. } => ImageError::Limits(LimitError::from_kind(LimitErrorKind::InsufficientMemory)),
+        Error::Parameter { .. } => {
+            ImageError::Parameter(ParameterError::from_kind(ParameterErrorKind::Generic(e.to_string())))
+        }
+        e => ImageError::Decoding(DecodingError::new(hint(), e)),
+    }
+}
+
+/// The format as `image` names it in errors.
+fn hint() -> ImageFormatHint {
+    ImageFormatHint::Name(EXTENSION.into())
+}

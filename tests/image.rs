@@ -1,0 +1,228 @@
+//! What the `image` crate's users are promised: opening by name and by content, limits, metadata, every colour type.
+
+use std::io::{self, Cursor, Read};
+
+use image::error::LimitErrorKind;
+use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageReader};
+use ssplat::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
+use ssplat::quantize::Quantizer;
+use ssplat::raster::{Renderer, View};
+use ssplat::{Blend, Channels, Depth, Gaussian, Limits, Pixels, SsplatDecoder};
+
+const WIDTH: u32 = 83;
+const HEIGHT: u32 = 150;
+const CHANNELS: [Channels; 4] = [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba];
+
+/// A picture of a few primitives.
+fn splats(channels: Channels, depth: Depth, metadata: Metadata) -> PackedSplats {
+    let steps = Steps { scale: 2, angle: 1, position: 6, coarsest: -2, range: 0, luma: 6, chroma: 1 };
+    let layout = Layout::Packed;
+    let q = Quantizer::new(&steps, layout, [WIDTH, HEIGHT], channels);
+    let gaussian = |i: u8| Gaussian {
+        mean: [f32::from(i % 5) * 18.0 + 4.0, f32::from(i / 5) * 30.0 + 9.0],
+        scale: [9.0 + f32::from(i % 3) * 4.0, 5.0],
+        rotation: f32::from(i) * 0.4,
+        color: [0.1 * f32::from(i % 7), 0.04 * f32::from(i), 1.0 - 0.05 * f32::from(i), 0.9],
+    };
+    PackedSplats {
+        width: WIDTH,
+        height: HEIGHT,
+        channels,
+        depth,
+        blend: Blend::Normalized,
+        layout,
+        steps,
+        background: q.quantize_color([0.4, 0.5, 0.3, 1.0]),
+        codebook: None,
+        gaussians: (0..25).map(|i| q.quantize(&gaussian(i))).collect(),
+        levels: Vec::new(),
+        metadata,
+    }
+}
+
+fn file(channels: Channels, depth: Depth) -> Vec<u8> {
+    ssplat::bitstream::to_bytes(&splats(channels, depth, Metadata::default())).unwrap()
+}
+
+/// What the crate itself draws.
+fn expected(channels: Channels, depth: Depth) -> Pixels {
+    let limits = Limits::default();
+    let picture = ssplat::bitstream::read(&file(channels, depth)[..], &limits).unwrap().to_picture();
+    Renderer::new(&picture, &View::full(&picture), &limits).unwrap().render(depth).unwrap()
+}
+
+fn metadata() -> Metadata {
+    let mut metadata = Metadata::default();
+    metadata.icc = Some((0..=255).cycle().take(3000).collect());
+    // A TIFF header and one entry: orientation 6.
+    let exif = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0";
+    metadata.exif = Some(exif.to_vec());
+    metadata
+}
+
+#[test]
+fn opens_by_extension_and_by_content() {
+    assert!(ssplat::register());
+    assert!(ssplat::register(), "registering again says the same");
+    let bytes = file(Channels::Rgb, Depth::Eight);
+    let expected = DynamicImage::from(expected(Channels::Rgb, Depth::Eight));
+
+    let folder = tempfile::tempdir().unwrap();
+    let named = folder.path().join("picture.SSPLAT");
+    std::fs::write(&named, &bytes).unwrap();
+    assert!(image::open(&named).unwrap() == expected);
+    assert!(ImageReader::open(&named).unwrap().decode().unwrap() == expected);
+
+    let unnamed = folder.path().join("picture");
+    std::fs::write(&unnamed, &bytes).unwrap();
+    assert!(ImageReader::open(&unnamed).unwrap().decode().is_err());
+    assert!(ImageReader::open(&unnamed).unwrap().with_guessed_format().unwrap().decode().unwrap() == expected);
+    let misnamed = folder.path().join("picture.png");
+    std::fs::write(&misnamed, &bytes).unwrap();
+    assert!(ImageReader::open(&misnamed).unwrap().with_guessed_format().unwrap().decode().unwrap() == expected);
+
+    assert!(image::load_from_memory(&bytes).unwrap() == expected);
+    assert_eq!(ImageReader::open(&named).unwrap().into_dimensions().unwrap(), (WIDTH, HEIGHT));
+}
+
+#[test]
+fn every_colour_type_comes_out_as_it_is() {
+    let types = [
+        [ColorType::L8, ColorType::La8, ColorType::Rgb8, ColorType::Rgba8],
+        [ColorType::L16, ColorType::La16, ColorType::Rgb16, ColorType::Rgba16],
+    ];
+    for (depth, types) in [Depth::Eight, Depth::Sixteen].into_iter().zip(types) {
+        for (channels, color) in CHANNELS.into_iter().zip(types) {
+            let decoder = SsplatDecoder::new(Cursor::new(file(channels, depth))).unwrap();
+            assert_eq!(decoder.color_type(), color);
+            assert_eq!(decoder.original_color_type(), color.into());
+            assert_eq!(decoder.total_bytes(), u64::from(WIDTH * HEIGHT) * u64::from(color.bytes_per_pixel()));
+            let picture = DynamicImage::from_decoder(decoder).unwrap();
+            assert!(picture == DynamicImage::from(expected(channels, depth)), "{color:?}");
+            assert!(Pixels::try_from(&picture).unwrap() == expected(channels, depth), "{color:?}");
+            assert!(Pixels::try_from(picture).unwrap() == expected(channels, depth), "{color:?}");
+        }
+    }
+}
+
+#[test]
+fn sixteen_bits_decode_into_a_buffer_at_an_odd_address() {
+    let decoder = SsplatDecoder::new(Cursor::new(file(Channels::Rgb, Depth::Sixteen))).unwrap();
+    let mut buf = vec![0u8; decoder.total_bytes() as usize + 2];
+    let start = 1 + buf.as_ptr().addr() % 2;
+    let end = start + decoder.total_bytes() as usize;
+    decoder.read_image(&mut buf[start..end]).unwrap();
+    let picture = DynamicImage::from(expected(Channels::Rgb, Depth::Sixteen));
+    assert!(buf[start..end] == *picture.as_bytes());
+}
+
+#[test]
+fn icc_profile_and_exif_come_out_untouched() {
+    let bytes = ssplat::bitstream::to_bytes(&splats(Channels::Rgb, Depth::Eight, metadata())).unwrap();
+    let mut decoder = SsplatDecoder::new(&bytes[..]).unwrap();
+    assert_eq!(decoder.icc_profile().unwrap(), metadata().icc);
+    assert_eq!(decoder.exif_metadata().unwrap(), metadata().exif);
+    assert_eq!(decoder.orientation().unwrap(), image::metadata::Orientation::Rotate90);
+    // Carried, not applied.
+    assert!(DynamicImage::from_decoder(decoder).unwrap() == expected(Channels::Rgb, Depth::Eight).into());
+    let mut plain = SsplatDecoder::new(Cursor::new(file(Channels::Rgb, Depth::Eight))).unwrap();
+    assert_eq!((plain.icc_profile().unwrap(), plain.exif_metadata().unwrap()), (None, None));
+}
+
+/// Counts the bytes that were read.
+struct Counting<'a>(Cursor<Vec<u8>>, &'a std::cell::Cell<usize>);
+
+impl Read for Counting<'_> {
+    fn read(&mut self, buf: &mut [u8]) -> io::Result<usize> {
+        let n = self.0.read(buf)?;
+        self.1.set(self.1.get() + n);
+        Ok(n)
+    }
+}
+
+#[test]
+fn only_the_header_is_read_before_the_limits_are_set() {
+    let read = std::cell::Cell::new(0);
+    let mut decoder = SsplatDecoder::new(Counting(Cursor::new(file(Channels::Rgb, Depth::Eight)), &read)).unwrap();
+    assert!(read.get() <= 24, "{} bytes read", read.get());
+    decoder.set_limits(image::Limits::default()).unwrap();
+    assert!(read.get() <= 24, "{} bytes read", read.get());
+}
+
+#[track_caller]
+fn limit_of(result: Result<impl Sized, ImageError>) -> LimitErrorKind {
+    match result {
+        Err(ImageError::Limits(e)) => e.kind(),
+        Err(other) => panic!("{other:?}"),
+        Ok(_) => panic!("not limited"),
+    }
+}
+
+#[test]
+fn limits_hold() {
+    assert!(ssplat::register());
+    let decode = |width, height, alloc| {
+        let mut limits = image::Limits::no_limits();
+        (limits.max_image_width, limits.max_image_height, limits.max_alloc) = (width, height, alloc);
+        let mut reader = ImageReader::new(Cursor::new(file(Channels::Rgb, Depth::Eight)));
+        reader.limits(limits);
+        reader.with_guessed_format().unwrap().decode()
+    };
+    let output = u64::from(WIDTH * HEIGHT * 3);
+    assert_eq!(limit_of(decode(Some(WIDTH - 1), None, None)), LimitErrorKind::DimensionError);
+    assert_eq!(limit_of(decode(None, Some(HEIGHT - 1), None)), LimitErrorKind::DimensionError);
+    assert_eq!(limit_of(decode(None, None, Some(output - 1))), LimitErrorKind::InsufficientMemory);
+    // The output fits, what it takes to draw it does not.
+    assert_eq!(limit_of(decode(None, None, Some(output + 100))), LimitErrorKind::InsufficientMemory);
+    decode(Some(WIDTH), Some(HEIGHT), Some(output + (1 << 20))).unwrap();
+    decode(None, None, None).unwrap();
+}
+
+#[test]
+fn broken_files_are_decoding_errors() {
+    assert!(ssplat::register());
+    let bytes = file(Channels::Rgb, Depth::Eight);
+    for end in 0..bytes.len() {
+        let error = SsplatDecoder::new(&bytes[..end]).and_then(DynamicImage::from_decoder).unwrap_err();
+        let ImageError::Decoding(e) = error else { panic!("{error:?} at {end}") };
+        assert!(std::error::Error::source(&e).is_some_and(|e| e.is::<ssplat::Error>()), "{e:?}");
+    }
+    let mut newer = bytes.clone();
+    newer[8] = 200;
+    assert!(matches!(SsplatDecoder::new(&newer[..]), Err(ImageError::Unsupported(_))));
+    assert!(image::load_from_memory(&bytes[..16]).is_err());
+}
+
+/// Cannot be read.
+#[derive(Debug)]
+struct Failing;
+
+impl Read for Failing {
+    fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
+        Err(io::Error::new(io::ErrorKind::PermissionDenied, "for a test"))
+    }
+}
+
+#[test]
+fn errors_of_the_reader_stay_io_errors() {
+    let error = SsplatDecoder::new(Failing).unwrap_err();
+    assert!(matches!(error, ImageError::IoError(e) if e.kind() == io::ErrorKind::PermissionDenied));
+}
+
+#[test]
+#[should_panic(expected = "buffer length")]
+fn a_buffer_of_wrong_length_panics_as_image_asks() {
+    let decoder = SsplatDecoder::new(Cursor::new(file(Channels::Rgb, Depth::Eight))).unwrap();
+    let mut buf = vec![0; 5];
+    let _ = decoder.read_image(&mut buf);
+}
+
+#[test]
+fn floats_become_sixteen_bits_by_the_stated_rule() {
+    let of = |v: Vec<f32>| Pixels::try_from(DynamicImage::from(image::Rgb32FImage::from_vec(1, 1, v).unwrap()));
+    let pixels = of(vec![-1.0, 0.5, 7.0]).unwrap();
+    assert_eq!(pixels.samples(), &ssplat::Samples::U16(vec![0, 32768, 65535]));
+    for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        assert!(matches!(of(vec![0.0, bad, 0.0]), Err(ssplat::Error::Parameter { name: "samples", .. })));
+    }
+}
