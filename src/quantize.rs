@@ -159,6 +159,19 @@ impl Quantizer {
         }
     }
 
+    /// Whether the position of `p` lies in the picture.
+    #[must_use]
+    pub fn holds(&self, p: &PackedGaussian) -> bool {
+        let [ex, ey] = self.lattice.exponents(p.major, p.minor, p.angle);
+        p.x < Lattice::positions(self.size[0], ex) && p.y < Lattice::positions(self.size[1], ey)
+    }
+
+    /// Whether `index` is a legal scale.
+    #[must_use]
+    pub fn holds_scale(&self, index: i16) -> bool {
+        index >= 0 && f64::from(index) <= self.top()
+    }
+
     /// Highest legal scale index: `i·δ − 2 ≤ 20`.
     fn top(&self) -> f64 {
         (22.0 / self.delta).floor().min(255.0)

@@ -1,0 +1,521 @@
+//! Coordinate descent over the integers: each primitive in turn takes the neighbouring lattice point, with the best
+//! colour for it, that lowers `squared error + λ·bits` most, or goes away.
+//!
+//! For a given shape the picture is linear in the primitive's colour once its weight is fixed, so that one pass over
+//! the support gives the error for every colour. Primitives in disjoint bands of rows run in parallel.
+
+use crate::fit::field::{Field, Output, RowSet, Scene};
+use crate::fit::kernel::{self, LANES, Lanes, RowExponent};
+use crate::fit::project::Projected;
+use crate::fit::rates::Rates;
+use crate::fit::target::Target;
+use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON};
+use crate::bitstream::splats::PackedGaussian;
+use crate::parallel;
+use crate::quantize::Quantizer;
+
+/// Height of the smallest bands, rows.
+const BAND: usize = 96;
+
+/// What one sweep did.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Sweep {
+    pub changed: usize,
+    pub removed: usize,
+    /// Fall of the objective.
+    pub gain: f64,
+}
+
+/// Settings of a sweep.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Objective {
+    /// Squared error per bit.
+    pub lambda: f32,
+    /// Bits of a primitive beyond those that [`Rates`] knows: its position at step 1. Minus infinity: never remove.
+    pub position_bits: f32,
+}
+
+/// One sweep over all primitives. `gaussians` keeps its order; removed ones are taken out.
+pub(crate) fn sweep(
+    scene: &Scene,
+    target: &Target,
+    quantizer: &Quantizer,
+    gaussians: &mut Vec<PackedGaussian>,
+    objective: &Objective,
+    field: &mut Field,
+) -> Sweep {
+    match target.channels.count() {
+        1 => sweep_channels::<1>(scene, target, quantizer, gaussians, objective, field),
+        2 => sweep_channels::<2>(scene, target, quantizer, gaussians, objective, field),
+        3 => sweep_channels::<3>(scene, target, quantizer, gaussians, objective, field),
+        _ => sweep_channels::<4>(scene, target, quantizer, gaussians, objective, field),
+    }
+}
+
+fn sweep_channels<const C: usize>(
+    scene: &Scene,
+    target: &Target,
+    quantizer: &Quantizer,
+    gaussians: &mut Vec<PackedGaussian>,
+    objective: &Objective,
+    field: &mut Field,
+) -> Sweep {
+    let rates = Rates::measure(gaussians, C);
+    let projected: Vec<Projected> =
+        gaussians.iter().map(|g| Projected::from_gaussian(&quantizer.dequantize(g), scene.height)).collect();
+    field.draw(scene, target, &projected, RowSet::ALL, Output::Sums);
+    let row_size = (C + 1) * target.stride;
+    let height = scene.height as usize;
+    let mut waiting: Vec<u32> = (0..gaussians.len() as u32).collect();
+    let mut removed = vec![false; gaussians.len()];
+    let mut result = Sweep::default();
+    let arch = pulp::Arch::new();
+    let mut band = BAND;
+    while !waiting.is_empty() {
+        for offset in [0, band / 2] {
+            // Whole bands first, the same ones shifted by half a band next, then larger ones.
+            let fits = |i: u32| -> Option<usize> {
+                let rows = reach(&projected[i as usize], height);
+                if rows.start < offset && band < height {
+                    return None;
+                }
+                let b = rows.start.saturating_sub(offset) / band;
+                (band >= height || rows.end <= offset + (b + 1) * band).then_some(if band >= height { 0 } else { b })
+            };
+            let offset = if band >= height { 0 } else { offset };
+            if offset >= height {
+                continue;
+            }
+            let bands = (height - offset).div_ceil(band);
+            let mut members: Vec<Vec<u32>> = vec![Vec::new(); bands];
+            waiting.retain(|&i| match fits(i) {
+                Some(b) => {
+                    members[b].push(i);
+                    false
+                }
+                None => true,
+            });
+            let planes = &mut field.planes[offset * row_size..];
+            let changes = parallel::map_chunks(planes, band * row_size, |b, planes| {
+                let task = BandTask::<C> {
+                    scene,
+                    target,
+                    quantizer,
+                    rates: &rates,
+                    objective,
+                    gaussians,
+                    members: &members[b],
+                    planes,
+                    first: offset + b * band,
+                };
+                arch.dispatch(task)
+            });
+            for change in changes.into_iter().flatten() {
+                result.gain += f64::from(change.gain);
+                match change.to {
+                    Some(g) => {
+                        gaussians[change.index as usize] = g;
+                        result.changed += 1;
+                    }
+                    None => {
+                        removed[change.index as usize] = true;
+                        result.removed += 1;
+                    }
+                }
+            }
+            if band >= height {
+                break;
+            }
+        }
+        band *= 4;
+    }
+    let mut i = 0;
+    gaussians.retain(|_| {
+        i += 1;
+        !removed[i - 1]
+    });
+    result
+}
+
+/// The rows that a primitive and its neighbours on the lattice may touch.
+fn reach(p: &Projected, height: usize) -> std::ops::Range<usize> {
+    let tall = (p.rows[1] - p.rows[0]) as usize;
+    let margin = tall / 4 + 2;
+    (p.rows[0] as usize).saturating_sub(margin)..(p.rows[1] as usize + margin).min(height)
+}
+
+struct Change {
+    index: u32,
+    to: Option<PackedGaussian>,
+    gain: f32,
+}
+
+struct BandTask<'a, const C: usize> {
+    scene: &'a Scene,
+    target: &'a Target,
+    quantizer: &'a Quantizer,
+    rates: &'a Rates,
+    objective: &'a Objective,
+    gaussians: &'a [PackedGaussian],
+    members: &'a [u32],
+    planes: &'a mut [f32],
+    first: usize,
+}
+
+/// The pixels around one primitive, with that primitive taken out.
+#[derive(Default)]
+struct Patch {
+    /// Rows of `2C + 2` planes, `stride` floats each: `Σwc` with `εb` (C), `Σw + ε`, targets (C), squared error.
+    planes: Vec<f32>,
+    stride: usize,
+    left: usize,
+    rows: std::ops::Range<usize>,
+    /// Squared error over the patch without the primitive.
+    bare: f32,
+}
+
+/// Error of the patch as a function of the colour: `rest + Σ 2 c·cross + c²·square`, relative to `Patch::bare`.
+#[derive(Clone, Copy)]
+struct Parabola {
+    rest: f32,
+    cross: [f32; 4],
+    square: [f32; 2],
+}
+
+impl Parabola {
+    #[inline(always)]
+    fn at(&self, c: [f32; 4], channels: usize) -> f32 {
+        let mut e = self.rest;
+        for k in 0..channels {
+            e += c[k] * (2.0 * self.cross[k] + c[k] * self.square(k, channels));
+        }
+        e
+    }
+
+    /// `Σ r²` of channel `k`; alpha is weighted differently from colour.
+    #[inline(always)]
+    fn square(&self, k: usize, channels: usize) -> f32 {
+        self.square[usize::from(channels % 2 == 0 && k + 1 == channels)]
+    }
+}
+
+impl<const C: usize> pulp::WithSimd for BandTask<'_, C> {
+    type Output = Vec<Change>;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(mut self, _: S) -> Vec<Change> {
+        let mut changes = Vec::new();
+        let mut patch = Patch::default();
+        for n in 0..self.members.len() {
+            let index = self.members[n];
+            let old = self.gaussians[index as usize];
+            if let Some((to, gain)) = self.improve(old, &mut patch) {
+                changes.push(Change { index, to, gain });
+            }
+        }
+        changes
+    }
+}
+
+impl<const C: usize> BandTask<'_, C> {
+    #[inline(always)]
+    fn improve(&mut self, old: PackedGaussian, patch: &mut Patch) -> Option<(Option<PackedGaussian>, f32)> {
+        let height = self.scene.height;
+        let before = self.quantizer.dequantize(&old);
+        let p = Projected::from_gaussian(&before, height);
+        if p.rows[0] >= p.rows[1] {
+            return None;
+        }
+        let end = self.first + self.planes.len() / ((C + 1) * self.target.stride);
+        let rows = reach(&p, height as usize);
+        let rows = rows.start.max(self.first)..rows.end.min(end);
+        let half = before.extent()[0] * 1.25 + 2.0 + LANES as f32;
+        let left = (p.center[0] - half).max(0.0) as usize;
+        let right = ((p.center[0] + half).max(0.0) as usize + 1).min(self.scene.width as usize);
+        if left >= right {
+            return None;
+        }
+        self.cut(&p, rows, left, right, patch);
+
+        let lambda = self.objective.lambda;
+        let lattice = self.quantizer.lattice();
+        let now = self.parabola(&p, patch);
+        let current = now.at(p.color, C) + lambda * (self.rates.geometry(&old, lattice) + self.rates.colors(old.color));
+        let (mut best, mut best_value) = (old, current);
+        let mut consider = |task: &Self, candidate: PackedGaussian, parabola: &Parabola| {
+            let geometry = lambda * task.rates.geometry(&candidate, lattice);
+            let (color, value) = task.best_color(parabola, candidate.color);
+            if value + geometry < best_value {
+                (best, best_value) = (PackedGaussian { color, ..candidate }, value + geometry);
+            }
+        };
+        consider(self, old, &now);
+        for step in 0..14 {
+            let Some(candidate) = neighbor(&old, &before.mean, step, self.quantizer) else { continue };
+            let g = self.quantizer.dequantize(&candidate);
+            let q = Projected::from_gaussian(&g, height);
+            let wide = g.extent()[0];
+            let inside = q.rows[0] as usize >= patch.rows.start
+                && q.rows[1] as usize <= patch.rows.end
+                && q.center[0] - wide >= if left == 0 { f32::NEG_INFINITY } else { left as f32 }
+                && q.center[0] + wide
+                    <= if right == self.scene.width as usize { f32::INFINITY } else { (right - 1) as f32 };
+            if inside && q.rows[0] < q.rows[1] {
+                let parabola = self.parabola(&q, patch);
+                consider(self, candidate, &parabola);
+            }
+        }
+        // Without it, the patch keeps its bare error, which is 0 in these units.
+        let removal = -lambda * self.objective.position_bits;
+        if removal < best_value {
+            self.paste(&p, None);
+            return Some((None, current - removal));
+        }
+        if best == old || best_value >= current - 1e-7 * patch.bare.abs() {
+            return None;
+        }
+        let q = Projected::from_gaussian(&self.quantizer.dequantize(&best), height);
+        self.paste(&p, Some(&q));
+        Some((Some(best), current - best_value))
+    }
+
+    /// Copies the pixels around `p` into `patch`, with `p` taken out.
+    #[inline(always)]
+    fn cut(&self, p: &Projected, rows: std::ops::Range<usize>, left: usize, right: usize, patch: &mut Patch) {
+        let stride = self.target.stride;
+        let width = (right - left).next_multiple_of(LANES) + LANES;
+        patch.stride = width;
+        patch.left = left;
+        patch.rows = rows.clone();
+        patch.planes.resize((2 * C + 2) * width * rows.len(), 0.0);
+        let alpha = self.target.channels.alpha();
+        let mut bare = [0.0f32; LANES];
+        for (y, out) in rows.zip(patch.planes.chunks_exact_mut((2 * C + 2) * width)) {
+            let row = &self.planes[(y - self.first) * (C + 1) * stride..][..(C + 1) * stride];
+            let target = self.target.row(y as u32);
+            let span = p.span(y as u32, self.scene.width);
+            let exponent = RowExponent::new(p, y as f32 - p.center[1]);
+            let mut x = left;
+            let mut o = 0;
+            while o < width {
+                // Past the right end of the patch nothing counts; the planes are padded, but only by one run.
+                if x >= right {
+                    for k in 0..2 * C + 2 {
+                        kernel::store(out, k * width + o, &[if k == C { 1.0 } else { 0.0 }; LANES]);
+                    }
+                    (x, o) = (x + LANES, o + LANES);
+                    continue;
+                }
+                let own: Lanes = match span {
+                    Some((first, end, _)) if x + LANES > first && x < end => {
+                        let (_, e) = exponent.at(x);
+                        kernel::lanes(|i| {
+                            if e[i] > CUTOFF_WEIGHT && x + i < self.scene.width as usize {
+                                e[i] - CUTOFF_WEIGHT
+                            } else {
+                                0.0
+                            }
+                        })
+                    }
+                    _ => [0.0; LANES],
+                };
+                let all = kernel::load(row, C * stride + x);
+                let (with, without) = match self.scene.blend {
+                    Blend::Normalized => (
+                        kernel::lanes(|i| all[i] + EPSILON),
+                        kernel::lanes(|i| (all[i] - own[i]).max(0.0) + EPSILON),
+                    ),
+                    Blend::Sum => ([1.0; LANES], [1.0; LANES]),
+                };
+                let mut bare_error = [0.0f32; LANES];
+                let inside = kernel::lanes(|i| if x + i < right { 1.0 } else { 0.0 });
+                for k in 0..C {
+                    let s = kernel::load(row, k * stride + x);
+                    let shift = self.shift(k);
+                    let n = kernel::lanes(|i| s[i] - own[i] * p.color[k] + shift);
+                    let t = kernel::load(target, k * stride + x);
+                    // Overshoot of a saturated pixel is clamped away: as long as it stays, it is no error.
+                    let v = kernel::lanes(|i| (s[i] + shift) / with[i]);
+                    let t = kernel::lanes(|i| {
+                        if (t[i] >= 1.0 && v[i] > 1.0) || (t[i] <= 0.0 && v[i] < 0.0) { v[i] } else { t[i] }
+                    });
+                    let weight = match alpha {
+                        Some(a) if a != k => kernel::load(target, a * stride + x),
+                        _ => [1.0; LANES],
+                    };
+                    let d = kernel::lanes(|i| (n[i] / without[i] - t[i]) * weight[i]);
+                    bare_error = kernel::lanes(|i| bare_error[i] + d[i] * d[i]);
+                    kernel::store(out, k * width + o, &n);
+                    kernel::store(out, (C + 1 + k) * width + o, &t);
+                }
+                bare_error = kernel::lanes(|i| bare_error[i] * inside[i]);
+                kernel::store(out, C * width + o, &without);
+                kernel::store(out, (2 * C + 1) * width + o, &bare_error);
+                bare = kernel::lanes(|i| bare[i] + bare_error[i]);
+                (x, o) = (x + LANES, o + LANES);
+            }
+        }
+        patch.bare = kernel::total(&bare);
+    }
+
+    /// What is added to `Σwc` of channel `k` before the division.
+    #[inline(always)]
+    fn shift(&self, k: usize) -> f32 {
+        match self.scene.blend {
+            Blend::Normalized => EPSILON * self.scene.background[k],
+            Blend::Sum => self.scene.background[k],
+        }
+    }
+
+    /// The error over the patch with `q` in it, for any colour, minus the bare error.
+    #[inline(always)]
+    fn parabola(&self, q: &Projected, patch: &Patch) -> Parabola {
+        let width = patch.stride;
+        let alpha = self.target.channels.alpha();
+        let mut rest = [0.0f32; LANES];
+        let mut cross = [[0.0f32; LANES]; C];
+        let mut square = [[0.0f32; LANES]; 2];
+        for y in (q.rows[0] as usize).max(patch.rows.start)..(q.rows[1] as usize).min(patch.rows.end) {
+            let Some((first, end, dy)) = q.span(y as u32, self.scene.width) else { continue };
+            let row = &patch.planes[(y - patch.rows.start) * (2 * C + 2) * width..][..(2 * C + 2) * width];
+            let exponent = RowExponent::new(q, dy);
+            let mut x = first.max(patch.left);
+            while x < end {
+                let o = x - patch.left;
+                let (_, e) = exponent.at(x);
+                let w = kernel::lanes(|i| if e[i] > CUTOFF_WEIGHT && x + i < end { e[i] - CUTOFF_WEIGHT } else { 0.0 });
+                let without = kernel::load(row, C * width + o);
+                let inv = match self.scene.blend {
+                    Blend::Normalized => kernel::lanes(|i| 1.0 / (without[i] + w[i])),
+                    Blend::Sum => [1.0; LANES],
+                };
+                let r = kernel::lanes(|i| w[i] * inv[i]);
+                let mut error = [0.0f32; LANES];
+                for k in 0..C {
+                    let n = kernel::load(row, k * width + o);
+                    let t = kernel::load(row, (C + 1 + k) * width + o);
+                    let mut a = kernel::lanes(|i| n[i] * inv[i] - t[i]);
+                    let mut r = r;
+                    if let (Some(plane), true) = (alpha, alpha != Some(k)) {
+                        let weight = kernel::load(row, (C + 1 + plane) * width + o);
+                        a = kernel::lanes(|i| a[i] * weight[i]);
+                        r = kernel::lanes(|i| r[i] * weight[i]);
+                    }
+                    error = kernel::lanes(|i| error[i] + a[i] * a[i]);
+                    cross[k] = kernel::lanes(|i| cross[k][i] + a[i] * r[i]);
+                    if k == 0 || alpha == Some(k) {
+                        let s = usize::from(k != 0);
+                        square[s] = kernel::lanes(|i| square[s][i] + r[i] * r[i]);
+                    }
+                }
+                let bare = kernel::load(row, (2 * C + 1) * width + o);
+                rest = kernel::lanes(|i| rest[i] + if w[i] > 0.0 { error[i] - bare[i] } else { 0.0 });
+                x += LANES;
+            }
+        }
+        let mut out = Parabola { rest: kernel::total(&rest), cross: [0.0; 4], square: square.map(|s| kernel::total(&s)) };
+        for k in 0..C {
+            out.cross[k] = kernel::total(&cross[k]);
+        }
+        out
+    }
+
+    /// The colour integers with the least `error + λ·bits`, near the parabola's minimum, and that value.
+    #[inline(always)]
+    fn best_color(&self, parabola: &Parabola, old: [i16; 4]) -> ([i16; 4], f32) {
+        let lambda = self.objective.lambda;
+        let value = |c: [i16; 4]| {
+            parabola.at(self.quantizer.dequantize_color(c), C) + lambda * self.rates.colors(c)
+        };
+        let mut best = (old, value(old));
+        let mut minimum = [0.0f32; 4];
+        for k in 0..C {
+            let square = parabola.square(k, C);
+            if square < 1e-6 {
+                return best;
+            }
+            minimum[k] = (-parabola.cross[k] / square).clamp(-4.0, 4.0);
+        }
+        let axes = self.quantizer.transform_color(minimum);
+        let steps = self.quantizer.color_steps();
+        let at = |k: usize, v: f32| (v / steps[k]).floor().clamp(-30000.0, 30000.0) as i16;
+        if C < 3 {
+            for k in 0..C {
+                let start = best.0;
+                for v in at(k, axes[k])..=at(k, axes[k]) + 1 {
+                    let mut c = start;
+                    c[k] = v;
+                    let e = value(c);
+                    if e < best.1 {
+                        best = (c, e);
+                    }
+                }
+            }
+            return best;
+        }
+        let alpha = if C == 4 { (axes[3] / steps[3] + 0.5).floor().clamp(-30000.0, 30000.0) as i16 } else { 0 };
+        let (co0, cg0) = (at(1, axes[1]), at(2, axes[2]));
+        for co in co0..=co0 + 1 {
+            for cg in cg0..=cg0 + 1 {
+                // Luma and Cg are not orthogonal in RGB: the rest of Cg's rounding moves the best luma by a sixth.
+                let left = f32::from(cg) * steps[2] - axes[2];
+                let luma = at(0, axes[0] + left / 6.0);
+                for y in luma..=luma + 1 {
+                    let c = [y, co, cg, alpha];
+                    let e = value(c);
+                    if e < best.1 {
+                        best = (c, e);
+                    }
+                }
+            }
+        }
+        best
+    }
+
+    /// Replaces `old` by `new` in the sums.
+    #[inline(always)]
+    fn paste(&mut self, old: &Projected, new: Option<&Projected>) {
+        let stride = self.target.stride;
+        let end = self.first + self.planes.len() / ((C + 1) * stride);
+        for (p, sign) in [(Some(old), -1.0f32), (new, 1.0)] {
+            let Some(p) = p else { continue };
+            for y in (p.rows[0] as usize).max(self.first)..(p.rows[1] as usize).min(end) {
+                let row = &mut self.planes[(y - self.first) * (C + 1) * stride..][..(C + 1) * stride];
+                kernel::splat_signed::<C>(p, y as u32, self.scene.width, row, stride, sign);
+            }
+        }
+    }
+}
+
+/// The `step`-th neighbour of `old` on the lattice, if there is one. Where the shape changes, the position is the one
+/// nearest to `mean`.
+#[inline(always)]
+fn neighbor(old: &PackedGaussian, mean: &[f32; 2], step: usize, quantizer: &Quantizer) -> Option<PackedGaussian> {
+    let mut p = *old;
+    let lattice = quantizer.lattice();
+    if step < 4 {
+        let (x, y) = [(1i64, 0i64), (-1, 0), (0, 1), (0, -1)][step];
+        p.x = u32::try_from(i64::from(p.x) + x).ok()?;
+        p.y = u32::try_from(i64::from(p.y) + y).ok()?;
+        return quantizer.holds(&p).then_some(p);
+    }
+    if step < 6 {
+        let n = lattice.angles(p.major, p.minor);
+        if n < 2 || (n == 2 && step == 5) {
+            return None;
+        }
+        p.angle = if step == 4 { (p.angle + 1) % n } else { (p.angle + n - 1) % n };
+    } else {
+        let (a, b) = [(1i16, 0i16), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)][step - 6];
+        let (major, minor) = (i16::from(p.major) + a, i16::from(p.minor) + b);
+        if minor < 0 || major < minor || !quantizer.holds_scale(major) {
+            return None;
+        }
+        let before = lattice.angles(p.major, p.minor);
+        (p.major, p.minor) = (major as u8, minor as u8);
+        let after = lattice.angles(p.major, p.minor);
+        p.angle = ((f32::from(p.angle) * f32::from(after) / f32::from(before) + 0.5).floor() as u16) % after;
+    }
+    quantizer.place(&mut p, *mean);
+    Some(p)
+}

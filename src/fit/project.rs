@@ -1,0 +1,87 @@
+//! Primitives in the fit's own coordinates, and their projection to conics and pixel rows.
+
+use crate::gaussian::{CUTOFF, Gaussian};
+
+/// A primitive while it is fitted: as [`Gaussian`], with the scales as natural logarithms and in no order.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Primitive {
+    /// Centre, pixels.
+    pub mean: [f32; 2],
+    /// Natural logarithms of the scales along the rotated x and y axes.
+    pub log_scale: [f32; 2],
+    /// Angle of the rotated x axis, radians.
+    pub rotation: f32,
+    /// Colour.
+    pub color: [f32; 4],
+}
+
+impl Primitive {
+    pub(crate) fn to_gaussian(self) -> Gaussian {
+        let [a, b] = self.log_scale.map(f32::exp);
+        let turned = if a >= b { 0.0 } else { std::f32::consts::FRAC_PI_2 };
+        let rotation = (self.rotation + turned).rem_euclid(std::f32::consts::PI);
+        Gaussian { mean: self.mean, scale: [a.max(b), a.min(b)], rotation, color: self.color }
+    }
+
+    pub(crate) fn from_gaussian(g: &Gaussian) -> Self {
+        Primitive { mean: g.mean, log_scale: g.scale.map(f32::ln), rotation: g.rotation, color: g.color }
+    }
+}
+
+/// What the pixel loops need of one primitive.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Projected {
+    /// Mean in coordinates where pixel `i` has its centre at `i`.
+    pub center: [f32; 2],
+    /// The inverse covariance `[[a, b], [b, c]]`.
+    pub conic: [f32; 3],
+    /// `b / a`: how far the row's maximum moves per row.
+    pub shear: f32,
+    /// `c − b²/a`, computed without cancellation.
+    pub rest: f32,
+    /// `1 / a`.
+    pub inv_a: f32,
+    /// First row of the support and the row after the last, within the picture.
+    pub rows: [u32; 2],
+    /// Colour.
+    pub color: [f32; 4],
+}
+
+impl Projected {
+    pub(crate) fn new(p: &Primitive, height: u32) -> Self {
+        let [ix, iy] = p.log_scale.map(|l| (-2.0 * l).exp());
+        Self::from_parts(p.mean, [ix, iy], p.rotation, p.color, height)
+    }
+
+    pub(crate) fn from_gaussian(g: &Gaussian, height: u32) -> Self {
+        Self::from_parts(g.mean, g.scale.map(|s| 1.0 / (s * s)), g.rotation, g.color, height)
+    }
+
+    fn from_parts(mean: [f32; 2], [ix, iy]: [f32; 2], rotation: f32, color: [f32; 4], height: u32) -> Self {
+        let (sin, cos) = rotation.sin_cos();
+        let a = cos * cos * ix + sin * sin * iy;
+        let b = cos * sin * (ix - iy);
+        let c = sin * sin * ix + cos * cos * iy;
+        let half = CUTOFF * (sin * sin / ix + cos * cos / iy).sqrt();
+        let center = [mean[0] - 0.5, mean[1] - 0.5];
+        let first = (center[1] - half).ceil().max(0.0);
+        let end = ((center[1] + half).floor() + 1.0).clamp(0.0, height as f32);
+        let rows = [first.min(end) as u32, end as u32];
+        Projected { center, conic: [a, b, c], shear: b / a, rest: ix * iy / a, inv_a: 1.0 / a, rows, color }
+    }
+
+    /// The pixels of row `y` inside the support, `first..end`, and the row's distance from the centre.
+    #[inline(always)]
+    pub(crate) fn span(&self, y: u32, width: u32) -> Option<(usize, usize, f32)> {
+        let dy = y as f32 - self.center[1];
+        let t = CUTOFF * CUTOFF - self.rest * dy * dy;
+        if t <= 0.0 {
+            return None;
+        }
+        let half = (t * self.inv_a).sqrt();
+        let middle = self.center[0] - self.shear * dy;
+        let first = (middle - half).ceil().max(0.0);
+        let end = ((middle + half).floor() + 1.0).min(width as f32);
+        (first < end).then_some((first as usize, end as usize, dy))
+    }
+}

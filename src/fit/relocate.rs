@@ -1,0 +1,289 @@
+//! Moving the least useful primitives to where the error is largest.
+
+use crate::fit::adam::Memory;
+use crate::fit::field::{Field, Output, RowSet, Scene};
+use crate::fit::kernel::{self, LANES, RowExponent};
+use crate::fit::project::{Primitive, Projected};
+use crate::fit::sample::blur;
+use crate::fit::target::Target;
+use crate::gaussian::{Blend, CUTOFF_WEIGHT};
+use crate::parallel;
+
+/// A place where a new primitive would help most.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Peak {
+    pub mean: [f32; 2],
+    pub scale: f32,
+    /// Estimated drop of the squared error.
+    pub gain: f32,
+    /// Mean residual (target − picture) there, doubled as the peak of a Gaussian of that size.
+    pub residual: [f32; 4],
+}
+
+/// The rise of the squared error when each primitive is removed, estimated without refitting the others.
+///
+/// `field` holds [`Output::Picture`] over `rows`; the sums are scaled up by the rows left out.
+pub(crate) fn removal_costs(
+    scene: &Scene,
+    channels: usize,
+    field: &Field,
+    rows: RowSet,
+    projected: &[Projected],
+) -> Vec<f32> {
+    const CHUNK: usize = 64;
+    let arch = pulp::Arch::new();
+    let chunks = projected.len().div_ceil(CHUNK);
+    parallel::map(chunks, |chunk| {
+        let projected = &projected[chunk * CHUNK..projected.len().min((chunk + 1) * CHUNK)];
+        match channels {
+            1 => arch.dispatch(CostTask::<1> { scene, field, rows, projected }),
+            2 => arch.dispatch(CostTask::<2> { scene, field, rows, projected }),
+            3 => arch.dispatch(CostTask::<3> { scene, field, rows, projected }),
+            _ => arch.dispatch(CostTask::<4> { scene, field, rows, projected }),
+        }
+    })
+    .concat()
+}
+
+/// The costs of a run of primitives; a struct so that `inline(always)` carries the dispatched instruction set inside.
+struct CostTask<'a, const C: usize> {
+    scene: &'a Scene,
+    field: &'a Field,
+    rows: RowSet,
+    projected: &'a [Projected],
+}
+
+impl<const C: usize> pulp::WithSimd for CostTask<'_, C> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<f32> {
+        let mut out = Vec::with_capacity(self.projected.len());
+        for p in self.projected {
+            out.push(removal_cost::<C>(self.scene, self.field, self.rows, p));
+        }
+        out
+    }
+}
+
+#[inline(always)]
+fn removal_cost<const C: usize>(scene: &Scene, field: &Field, rows: RowSet, p: &Projected) -> f32 {
+    let stride = field.stride;
+    let mut sum = [0.0f32; LANES];
+    for index in rows.index(p.rows[0])..rows.index(p.rows[1]) {
+        let Some((first, end, dy)) = p.span(rows.row(index), scene.width) else { continue };
+        let row = field.row(index, C);
+        let exponent = RowExponent::new(p, dy);
+        let mut x = first;
+        while x < end {
+            let (_, e) = exponent.at(x);
+            let w = kernel::lanes(|i| if e[i] > CUTOFF_WEIGHT { e[i] - CUTOFF_WEIGHT } else { 0.0 });
+            let mut distance = [0.0f32; LANES];
+            let share = match scene.blend {
+                Blend::Normalized => {
+                    let all = kernel::load(row, C * stride + x);
+                    kernel::lanes(|i| (w[i] / ((all[i] - w[i]).max(0.0) + 0.02)).min(20.0))
+                }
+                Blend::Sum => w,
+            };
+            for k in 0..C {
+                match scene.blend {
+                    Blend::Normalized => {
+                        let v = kernel::load(row, k * stride + x);
+                        let d = kernel::lanes(|i| p.color[k] - v[i]);
+                        distance = kernel::lanes(|i| distance[i] + d[i] * d[i]);
+                    }
+                    Blend::Sum => {
+                        distance = kernel::lanes(|i| distance[i] + p.color[k] * p.color[k]);
+                    }
+                }
+            }
+            sum = kernel::lanes(|i| sum[i] + share[i] * share[i] * distance[i]);
+            x += LANES;
+        }
+    }
+    kernel::total(&sum) * rows.step as f32
+}
+
+/// Largest blurred residuals at several scales, best first, at most `count`.
+pub(crate) fn peaks(scene: &Scene, target: &Target, field: &Field, rows: RowSet, count: usize) -> Vec<Peak> {
+    let channels = target.channels.count();
+    let spacing = (scene.width as f32 * scene.height as f32 / (std::f32::consts::PI * count.max(1) as f32)).sqrt();
+    // Work on cells of `rows.step` pixels: the field has no more rows than that.
+    let cell = rows.step as usize;
+    let (mut w, mut h) = ((scene.width as usize).div_ceil(cell), rows.count(scene.height));
+    let mut planes = residual(scene, target, field, rows, w, h);
+    let mut size = cell as f32;
+    let mut candidates: Vec<(Peak, u32)> = Vec::new();
+    // Variance of the blur so far, in pixels².
+    let mut variance = 0.0f32;
+    for level in 0..12u32 {
+        let passes = if level == 0 { 2 } else { 1 };
+        for plane in &mut planes {
+            for _ in 0..passes {
+                *plane = blur(plane, w, h);
+            }
+        }
+        variance += passes as f32 * size * size;
+        let sigma = variance.sqrt();
+        if level > 0 && sigma > spacing {
+            break;
+        }
+        let score: Vec<f32> = (0..w * h).map(|i| planes.iter().map(|p| p[i] * p[i]).sum()).collect();
+        let found = parallel::map(h, |y| {
+            let mut out = Vec::new();
+            for x in 0..w {
+                let v = score[y * w + x];
+                if v > 0.0 && is_peak(&score, w, h, x, y) {
+                    out.push((x, y, v));
+                }
+            }
+            out
+        });
+        for (x, y, v) in found.into_iter().flatten() {
+            let mut residual = [0.0; 4];
+            for k in 0..channels {
+                residual[k] = 2.0 * planes[k][y * w + x];
+            }
+            let mean = [(x as f32 + 0.5) * size, (y as f32 + 0.5) * size];
+            let gain = 4.0 * std::f32::consts::PI * variance * v;
+            candidates.push((Peak { mean, scale: sigma, gain, residual }, level));
+        }
+        if w < 4 || h < 4 {
+            break;
+        }
+        // Half the resolution; the box adds a quarter of a pixel² of variance at the finer size.
+        let (nw, nh) = (w.div_ceil(2), h.div_ceil(2));
+        for plane in &mut planes {
+            *plane = halve(plane, w, h);
+        }
+        variance += 0.25 * size * size;
+        (w, h, size) = (nw, nh, size * 2.0);
+    }
+    // Ties are broken by place, so that the order is defined.
+    candidates.sort_by(|(a, la), (b, lb)| {
+        b.gain.total_cmp(&a.gain).then(la.cmp(lb)).then(a.mean[1].total_cmp(&b.mean[1])).then(a.mean[0].total_cmp(&b.mean[0]))
+    });
+    spread(candidates.into_iter().map(|(p, _)| p), count, scene)
+}
+
+fn residual(scene: &Scene, target: &Target, field: &Field, rows: RowSet, w: usize, h: usize) -> Vec<Vec<f32>> {
+    let channels = target.channels.count();
+    let cell = rows.step as usize;
+    let share = 1.0 / cell as f32;
+    (0..channels)
+        .map(|k| {
+            let mut plane = vec![0.0; w * h];
+            parallel::map_chunks(&mut plane, w, |i, out| {
+                let t = &target.row(rows.row(i))[k * target.stride..][..scene.width as usize];
+                let v = &field.row(i, channels)[k * field.stride..][..scene.width as usize];
+                let alpha = target.channels.alpha().filter(|&a| a != k);
+                let opacity = alpha.map(|a| &target.row(rows.row(i))[a * target.stride..][..scene.width as usize]);
+                for (x, (t, v)) in t.iter().zip(v).enumerate() {
+                    let weight = opacity.map_or(share, |o| o[x] * share);
+                    out[x / cell] += (t - v.clamp(0.0, 1.0)) * weight;
+                }
+            });
+            plane
+        })
+        .collect()
+}
+
+fn is_peak(score: &[f32], w: usize, h: usize, x: usize, y: usize) -> bool {
+    let v = score[y * w + x];
+    for ny in y.saturating_sub(1)..=(y + 1).min(h - 1) {
+        for nx in x.saturating_sub(1)..=(x + 1).min(w - 1) {
+            let o = score[ny * w + nx];
+            if o > v || (o == v && (ny, nx) < (y, x)) {
+                return false;
+            }
+        }
+    }
+    true
+}
+
+fn halve(plane: &[f32], w: usize, h: usize) -> Vec<f32> {
+    let (nw, nh) = (w.div_ceil(2), h.div_ceil(2));
+    let mut out = vec![0.0; nw * nh];
+    parallel::map_chunks(&mut out, nw, |y, row| {
+        let (a, b) = (&plane[2 * y * w..][..w], &plane[(2 * y + 1).min(h - 1) * w..][..w]);
+        for (x, o) in row.iter_mut().enumerate() {
+            let (l, r) = (2 * x, (2 * x + 1).min(w - 1));
+            *o = 0.25 * (a[l] + a[r] + b[l] + b[r]);
+        }
+    });
+    out
+}
+
+/// Keeps the best peaks that are at least 1.5 of their own scales away from all better ones.
+fn spread(candidates: impl Iterator<Item = Peak>, count: usize, scene: &Scene) -> Vec<Peak> {
+    const CELL: f32 = 8.0;
+    let cols = (scene.width as f32 / CELL) as usize + 1;
+    let rows = (scene.height as f32 / CELL) as usize + 1;
+    let mut grid: std::collections::HashMap<usize, Vec<[f32; 2]>> = std::collections::HashMap::new();
+    let place = |m: [f32; 2]| (((m[0] / CELL) as usize).min(cols - 1), ((m[1] / CELL) as usize).min(rows - 1));
+    let mut out: Vec<Peak> = Vec::new();
+    for p in candidates {
+        if out.len() >= count {
+            break;
+        }
+        let reach = 1.5 * p.scale;
+        let (cx, cy) = place(p.mean);
+        let r = (reach / CELL).ceil() as usize;
+        let near = |q: &[f32; 2]| {
+            let (dx, dy) = (q[0] - p.mean[0], q[1] - p.mean[1]);
+            dx * dx + dy * dy < reach * reach
+        };
+        let taken = if (2 * r + 1) * (2 * r + 1) > out.len() {
+            out.iter().any(|q| near(&q.mean))
+        } else {
+            (cy.saturating_sub(r)..=(cy + r).min(rows - 1)).any(|y| {
+                (cx.saturating_sub(r)..=(cx + r).min(cols - 1))
+                    .any(|x| grid.get(&(y * cols + x)).is_some_and(|c| c.iter().any(near)))
+            })
+        };
+        if !taken {
+            grid.entry(cy * cols + cx).or_default().push(p.mean);
+            out.push(p);
+        }
+    }
+    out
+}
+
+/// A round primitive at a peak.
+pub(crate) fn at_peak(peak: &Peak, scene: &Scene, target: &Target) -> Primitive {
+    let color = match scene.blend {
+        Blend::Normalized => target.at(peak.mean),
+        Blend::Sum => peak.residual,
+    };
+    Primitive { mean: peak.mean, log_scale: [peak.scale.max(0.5).ln(); 2], rotation: 0.3, color }
+}
+
+/// Moves at most `count` primitives to peaks, as long as the estimated gain exceeds the removal cost. Returns how many.
+#[allow(clippy::too_many_arguments)]
+pub(crate) fn relocate(
+    scene: &Scene,
+    target: &Target,
+    field: &mut Field,
+    rows: RowSet,
+    primitives: &mut [Primitive],
+    memory: &mut [Memory],
+    count: usize,
+) -> usize {
+    let projected: Vec<Projected> = primitives.iter().map(|p| Projected::new(p, scene.height)).collect();
+    field.draw(scene, target, &projected, rows, Output::Picture);
+    let costs = removal_costs(scene, target.channels.count(), field, rows, &projected);
+    let peaks = peaks(scene, target, field, rows, count);
+    let mut cheapest: Vec<usize> = (0..primitives.len()).collect();
+    cheapest.sort_by(|&a, &b| costs[a].total_cmp(&costs[b]).then(a.cmp(&b)));
+    let mut moved = 0;
+    for (peak, &i) in peaks.iter().zip(&cheapest) {
+        if peak.gain < costs[i] {
+            break;
+        }
+        primitives[i] = at_peak(peak, scene, target);
+        memory[i] = Memory::default();
+        moved += 1;
+    }
+    moved
+}

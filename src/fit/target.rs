@@ -1,0 +1,75 @@
+//! The picture to fit, as padded planes of floats.
+
+use crate::fit::kernel::LANES;
+use crate::gaussian::Channels;
+use crate::parallel;
+use crate::pixels::Pixels;
+
+/// Rows of `channels` planes, each `stride` floats long: `width` samples, then zeros.
+#[derive(Debug, Clone)]
+pub(crate) struct Target {
+    pub width: u32,
+    pub height: u32,
+    pub channels: Channels,
+    pub stride: usize,
+    planes: Vec<f32>,
+    /// Mean colour; colours of transparent pixels do not count.
+    pub mean: [f32; 4],
+}
+
+/// Length of a plane's row: a run may start at the last pixel.
+pub(crate) fn stride(width: u32) -> usize {
+    (width as usize).next_multiple_of(LANES) + LANES
+}
+
+impl Target {
+    pub(crate) fn new(pixels: &Pixels) -> Self {
+        let (width, height, channels) = (pixels.width(), pixels.height(), pixels.channels());
+        let (count, stride, w) = (channels.count(), stride(width), width as usize);
+        let mut planes = vec![0.0f32; height as usize * count * stride];
+        let sums = parallel::map_chunks(&mut planes, count * stride, |y, row| {
+            let mut sum = [0.0f64; 5];
+            for x in 0..w {
+                let first = (y * w + x) * count;
+                let weight = channels.alpha().map_or(1.0, |a| f64::from(pixels.value(first + a)));
+                for k in 0..count {
+                    let v = pixels.value(first + k);
+                    row[k * stride + x] = v;
+                    sum[k] += f64::from(v) * if channels.alpha() == Some(k) { 1.0 } else { weight };
+                }
+                sum[4] += weight;
+            }
+            sum
+        });
+        let mut sum = [0.0f64; 5];
+        for s in &sums {
+            for k in 0..5 {
+                sum[k] += s[k];
+            }
+        }
+        let area = f64::from(width) * f64::from(height);
+        let mean = std::array::from_fn(|k| {
+            let weight = if channels.alpha() == Some(k) { area } else { sum[4] };
+            if weight > 0.0 { (sum[k] / weight) as f32 } else { 0.0 }
+        });
+        Target { width, height, channels, stride, planes, mean }
+    }
+
+    /// The planes of row `y`.
+    #[inline(always)]
+    pub(crate) fn row(&self, y: u32) -> &[f32] {
+        let size = self.channels.count() * self.stride;
+        &self.planes[y as usize * size..][..size]
+    }
+
+    /// The colour at the pixel that holds the point (pixels), clamped into the picture.
+    pub(crate) fn at(&self, point: [f32; 2]) -> [f32; 4] {
+        let x = (point[0].max(0.0) as usize).min(self.width as usize - 1);
+        let row = self.row((point[1].max(0.0) as u32).min(self.height - 1));
+        let mut color = [0.0; 4];
+        for (k, c) in color.iter_mut().enumerate().take(self.channels.count()) {
+            *c = row[k * self.stride + x];
+        }
+        color
+    }
+}

@@ -1,0 +1,42 @@
+//! Work over indices and chunks, on rayon where the feature is on. Results come back in order, so that sums over
+//! them do not depend on the thread count.
+
+#[cfg(feature = "rayon")]
+use rayon::prelude::*;
+
+/// `f(0), …, f(count − 1)`.
+pub(crate) fn map<T: Send>(count: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+    #[cfg(feature = "rayon")]
+    return (0..count).into_par_iter().map(f).collect();
+    #[cfg(not(feature = "rayon"))]
+    return (0..count).map(f).collect();
+}
+
+/// `f(i, chunk i)` over chunks of `size` elements, the last one possibly shorter.
+pub(crate) fn map_chunks<A: Send, T: Send>(
+    data: &mut [A],
+    size: usize,
+    f: impl Fn(usize, &mut [A]) -> T + Sync + Send,
+) -> Vec<T> {
+    #[cfg(feature = "rayon")]
+    return data.par_chunks_mut(size).enumerate().map(|(i, c)| f(i, c)).collect();
+    #[cfg(not(feature = "rayon"))]
+    return data.chunks_mut(size).enumerate().map(|(i, c)| f(i, c)).collect();
+}
+
+/// `f(i, chunk i of a, chunk i of b)` over chunks of `size_a` and `size_b` elements.
+pub(crate) fn map_chunk_pairs<A: Send, B: Send, T: Send>(
+    (a, size_a): (&mut [A], usize),
+    (b, size_b): (&mut [B], usize),
+    f: impl Fn(usize, &mut [A], &mut [B]) -> T + Sync + Send,
+) -> Vec<T> {
+    #[cfg(feature = "rayon")]
+    return a
+        .par_chunks_mut(size_a)
+        .zip(b.par_chunks_mut(size_b))
+        .enumerate()
+        .map(|(i, (a, b))| f(i, a, b))
+        .collect();
+    #[cfg(not(feature = "rayon"))]
+    return a.chunks_mut(size_a).zip(b.chunks_mut(size_b)).enumerate().map(|(i, (a, b))| f(i, a, b)).collect();
+}
