@@ -6,8 +6,9 @@
 pub mod bitstream;
 mod convert;
 mod decoder;
+pub mod encode;
 pub mod error;
-pub mod fit;
+mod fit;
 pub mod gaussian;
 pub mod limits;
 pub mod metrics;
@@ -18,6 +19,7 @@ pub mod quantize;
 pub mod raster;
 
 pub use decoder::{EXTENSION, SsplatDecoder, register};
+pub use encode::{EncodeReport, Encoded, LeftOut, Progress, encode, encode_with_progress};
 pub use error::{Error, FormatError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
 pub use limits::Limits;

@@ -31,12 +31,7 @@ pub(crate) fn map_chunk_pairs<A: Send, B: Send, T: Send>(
     f: impl Fn(usize, &mut [A], &mut [B]) -> T + Sync + Send,
 ) -> Vec<T> {
     #[cfg(feature = "rayon")]
-    return a
-        .par_chunks_mut(size_a)
-        .zip(b.par_chunks_mut(size_b))
-        .enumerate()
-        .map(|(i, (a, b))| f(i, a, b))
-        .collect();
+    return a.par_chunks_mut(size_a).zip(b.par_chunks_mut(size_b)).enumerate().map(|(i, (a, b))| f(i, a, b)).collect();
     #[cfg(not(feature = "rayon"))]
     return a.chunks_mut(size_a).zip(b.chunks_mut(size_b)).enumerate().map(|(i, (a, b))| f(i, a, b)).collect();
 }

@@ -4,13 +4,13 @@
 //! For a given shape the picture is linear in the primitive's colour once its weight is fixed, so that one pass over
 //! the support gives the error for every colour. Primitives in disjoint bands of rows run in parallel.
 
+use crate::bitstream::splats::PackedGaussian;
 use crate::fit::field::{Field, Output, RowSet, Scene};
 use crate::fit::kernel::{self, LANES, Lanes, RowExponent};
 use crate::fit::project::Projected;
 use crate::fit::rates::Rates;
 use crate::fit::target::Target;
 use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON};
-use crate::bitstream::splats::PackedGaussian;
 use crate::parallel;
 use crate::quantize::Quantizer;
 
@@ -321,10 +321,9 @@ impl<const C: usize> BandTask<'_, C> {
                 };
                 let all = kernel::load(row, C * stride + x);
                 let (with, without) = match self.scene.blend {
-                    Blend::Normalized => (
-                        kernel::lanes(|i| all[i] + EPSILON),
-                        kernel::lanes(|i| (all[i] - own[i]).max(0.0) + EPSILON),
-                    ),
+                    Blend::Normalized => {
+                        (kernel::lanes(|i| all[i] + EPSILON), kernel::lanes(|i| (all[i] - own[i]).max(0.0) + EPSILON))
+                    }
                     Blend::Sum => ([1.0; LANES], [1.0; LANES]),
                 };
                 let mut bare_error = [0.0f32; LANES];
@@ -413,7 +412,8 @@ impl<const C: usize> BandTask<'_, C> {
                 x += LANES;
             }
         }
-        let mut out = Parabola { rest: kernel::total(&rest), cross: [0.0; 4], square: square.map(|s| kernel::total(&s)) };
+        let mut out =
+            Parabola { rest: kernel::total(&rest), cross: [0.0; 4], square: square.map(|s| kernel::total(&s)) };
         for k in 0..C {
             out.cross[k] = kernel::total(&cross[k]);
         }
@@ -424,9 +424,7 @@ impl<const C: usize> BandTask<'_, C> {
     #[inline(always)]
     fn best_color(&self, parabola: &Parabola, old: [i16; 4]) -> ([i16; 4], f32) {
         let lambda = self.objective.lambda;
-        let value = |c: [i16; 4]| {
-            parabola.at(self.quantizer.dequantize_color(c), C) + lambda * self.rates.colors(c)
-        };
+        let value = |c: [i16; 4]| parabola.at(self.quantizer.dequantize_color(c), C) + lambda * self.rates.colors(c);
         let mut best = (old, value(old));
         let mut minimum = [0.0f32; 4];
         for k in 0..C {

@@ -162,7 +162,11 @@ pub(crate) fn peaks(scene: &Scene, target: &Target, field: &Field, rows: RowSet,
     }
     // Ties are broken by place, so that the order is defined.
     candidates.sort_by(|(a, la), (b, lb)| {
-        b.gain.total_cmp(&a.gain).then(la.cmp(lb)).then(a.mean[1].total_cmp(&b.mean[1])).then(a.mean[0].total_cmp(&b.mean[0]))
+        b.gain
+            .total_cmp(&a.gain)
+            .then(la.cmp(lb))
+            .then(a.mean[1].total_cmp(&b.mean[1]))
+            .then(a.mean[0].total_cmp(&b.mean[0]))
     });
     spread(candidates.into_iter().map(|(p, _)| p), count, scene)
 }

@@ -28,8 +28,7 @@ pub(crate) fn by_detail(target: &Target, count: usize, rng: &mut Pcg64Mcg) -> Ve
     let scaled: Vec<f64> = density.iter().map(|&d| f64::from(d) / total * DETAIL + even).collect();
 
     let order = cols.max(rows).next_power_of_two().trailing_zeros();
-    let mut cells: Vec<(u64, u32)> =
-        (0..cols * rows).map(|i| (hilbert_index(order, i % cols, i / cols), i)).collect();
+    let mut cells: Vec<(u64, u32)> = (0..cols * rows).map(|i| (hilbert_index(order, i % cols, i / cols), i)).collect();
     cells.sort_unstable();
 
     let mut out = Vec::with_capacity(count);

@@ -1,0 +1,193 @@
+//! From fitted floats to integers of an asked size: step sizes, descent over the integers, and the number of primitives.
+
+use crate::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
+use crate::error::Result;
+use crate::fit::descend::{self, Objective};
+use crate::fit::field::{Field, Output, RowSet, Scene};
+use crate::fit::plan::Plan;
+use crate::fit::project::{Primitive, Projected};
+use crate::fit::relocate;
+use crate::fit::target::Target;
+use crate::fit::{Watch, project_all};
+use crate::quantize::Quantizer;
+
+/// Squared error that a bit must save, in units of the mean squared error per bit: the slope of the rate–distortion
+/// curve, where doubling the bytes wins two to three decibels.
+const SLOPE: f64 = 0.7;
+
+/// What the file must fit into.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Size {
+    /// At most this many bytes, and as close to it as can be.
+    Bytes(u64),
+    /// As it comes.
+    Free,
+}
+
+/// Step sizes for `primitives` in `layout`.
+pub(crate) fn steps(primitives: &[Primitive], layout: Layout) -> Steps {
+    let mut sizes: Vec<f32> = primitives.iter().map(|p| p.log_scale[0].max(p.log_scale[1])).collect();
+    sizes.sort_by(f32::total_cmp);
+    let at = |share: f32| sizes.get((sizes.len() as f32 * share) as usize).copied().unwrap_or(0.0);
+    let env = |k: &str, d: f32| std::env::var(k).ok().map_or(d, |v| v.parse().unwrap());
+    match layout {
+        Layout::Coded => {
+            let position = env("SP", 5.0) as u8;
+            let log2 = at(0.97) / std::f32::consts::LN_2 - f32::from(position) / 4.0;
+            let coarsest = (log2.ceil() as i8).clamp(-2, 9);
+            let range = (coarsest + 4).clamp(1, 15) as u8;
+            Steps {
+                scale: env("SS", 2.0) as u8,
+                angle: env("SA", 1.0) as u8,
+                position,
+                coarsest,
+                range,
+                luma: env("SL", 6.0) as u8,
+                chroma: env("SC", 1.0) as u8,
+            }
+        }
+        Layout::Packed | Layout::Planes => {
+            // One step for all positions: fine enough for the small Gaussians.
+            let small = at(0.25) / std::f32::consts::LN_2;
+            let coarsest = ((small - 2.5).round() as i8).clamp(-4, 6);
+            Steps { scale: 2, angle: 1, position: 5, coarsest, range: 0, luma: 8, chroma: 2 }
+        }
+    }
+}
+
+/// Quantizes `primitives` and refines the integers until the file has its size. `splats` brings everything but the
+/// primitives and the steps.
+pub(crate) fn finish(
+    scene: &Scene,
+    target: &Target,
+    primitives: &[Primitive],
+    splats: &mut PackedSplats,
+    size: Size,
+    plan: &Plan,
+    watch: Watch<'_>,
+) -> Result<Vec<u8>> {
+    splats.steps = steps(primitives, splats.layout);
+    let quantizer = splats.quantizer();
+    splats.background = quantizer.quantize_color(target.mean);
+    let scene = Scene { background: quantizer.dequantize_color(splats.background), ..*scene };
+    splats.gaussians = primitives.iter().map(|p| quantizer.quantize(&p.to_gaussian())).collect();
+    let mut field = Field::default();
+
+    let mut bytes = crate::bitstream::to_bytes(splats)?;
+    let mut best: Option<(f64, Vec<PackedGaussian>, Vec<u8>)> = None;
+    let rounds = plan.sweeps.max(2) + 6;
+    let mut quiet = 0;
+    for round in 0..rounds {
+        watch(round as f32 / rounds as f32)?;
+        let error = squared_error(&scene, target, &quantizer, &splats.gaussians, &mut field);
+        if std::env::var("LOG").is_ok() {
+            let n = scene.width as f64 * scene.height as f64 * target.channels.count() as f64;
+            eprintln!(
+                "round {round} n {} bytes {} psnr {:.3}",
+                splats.gaussians.len(),
+                bytes.len(),
+                -10.0 * (error / n).log10()
+            );
+        }
+        if let Size::Bytes(most) = size {
+            if bytes.len() as u64 <= most && best.as_ref().is_none_or(|b| error < b.0) {
+                best = Some((error, splats.gaussians.clone(), bytes.clone()));
+            }
+            // The last sweeps change the size only a little: correct it while there are enough left to settle.
+            let settled = bytes.len() as u64 <= most && most - bytes.len() as u64 <= (most / 400).max(4);
+            if settled && (round >= plan.sweeps || quiet > 1) {
+                break;
+            }
+            if round > 0 && !settled {
+                resize(&scene, target, &quantizer, splats, bytes.len() as u64, most, &mut field);
+            }
+        } else if round >= plan.sweeps || quiet > 1 {
+            break;
+        }
+        if plan.is_over() && best.is_some() {
+            break;
+        }
+        let bits = 8.0 * bytes.len() as f64;
+        let objective = Objective { lambda: (SLOPE * error / bits) as f32, position_bits: f32::NEG_INFINITY };
+        let swept = descend::sweep(&scene, target, &quantizer, &mut splats.gaussians, &objective, &mut field);
+        quiet = if swept.gain < 2e-4 * error { quiet + 1 } else { 0 };
+        bytes = crate::bitstream::to_bytes(splats)?;
+    }
+    if let Size::Bytes(most) = size {
+        let error = squared_error(&scene, target, &quantizer, &splats.gaussians, &mut field);
+        if bytes.len() as u64 <= most && best.as_ref().is_none_or(|b| error < b.0) {
+            best = Some((error, splats.gaussians.clone(), bytes.clone()));
+        }
+        if let Some((_, gaussians, found)) = best {
+            splats.gaussians = gaussians;
+            return Ok(found);
+        }
+        while bytes.len() as u64 > most && !splats.gaussians.is_empty() {
+            resize(&scene, target, &quantizer, splats, bytes.len() as u64, most, &mut field);
+            bytes = crate::bitstream::to_bytes(splats)?;
+        }
+    }
+    Ok(bytes)
+}
+
+fn projected(quantizer: &Quantizer, gaussians: &[PackedGaussian], height: u32) -> Vec<Projected> {
+    gaussians.iter().map(|g| Projected::from_gaussian(&quantizer.dequantize(g), height)).collect()
+}
+
+/// Squared error of the picture of `gaussians`, clamped.
+fn squared_error(
+    scene: &Scene,
+    target: &Target,
+    quantizer: &Quantizer,
+    gaussians: &[PackedGaussian],
+    field: &mut Field,
+) -> f64 {
+    field.draw(scene, target, &projected(quantizer, gaussians, scene.height), RowSet::ALL, Output::Picture)
+}
+
+/// Takes away the cheapest primitives, or adds some where the error is largest, by the bytes over or under.
+fn resize(
+    scene: &Scene,
+    target: &Target,
+    quantizer: &Quantizer,
+    splats: &mut PackedSplats,
+    bytes: u64,
+    most: u64,
+    field: &mut Field,
+) {
+    let each = (bytes.saturating_sub(20) as f64 / splats.gaussians.len().max(1) as f64).max(1.0);
+    let current = projected(quantizer, &splats.gaussians, scene.height);
+    field.draw(scene, target, &current, RowSet::ALL, Output::Picture);
+    if bytes > most {
+        let count = (((bytes - most) as f64 / each).ceil() as usize).clamp(1, splats.gaussians.len());
+        let costs = relocate::removal_costs(scene, target.channels.count(), field, RowSet::ALL, &current);
+        let mut cheapest: Vec<usize> = (0..costs.len()).collect();
+        cheapest.sort_by(|&a, &b| costs[a].total_cmp(&costs[b]).then(a.cmp(&b)));
+        let mut removed = vec![false; costs.len()];
+        for &i in &cheapest[..count] {
+            removed[i] = true;
+        }
+        let mut i = 0;
+        splats.gaussians.retain(|_| {
+            i += 1;
+            !removed[i - 1]
+        });
+    } else {
+        let count = ((most - bytes) as f64 / each * 0.97) as usize;
+        for peak in relocate::peaks(scene, target, field, RowSet::ALL, count) {
+            let p = relocate::at_peak(&peak, scene, target);
+            splats.gaussians.push(quantizer.quantize(&p.to_gaussian()));
+        }
+    }
+}
+
+/// The picture of float primitives, for reports: squared error over all rows.
+pub(crate) fn float_error(scene: &Scene, target: &Target, primitives: &[Primitive]) -> f64 {
+    let mut field = Field::default();
+    field.draw(scene, target, &project_all(primitives, scene.height), RowSet::ALL, Output::Picture)
+}
+
+/// The same of integer primitives.
+pub(crate) fn packed_error(scene: &Scene, target: &Target, quantizer: &Quantizer, gaussians: &[PackedGaussian]) -> f64 {
+    squared_error(scene, target, quantizer, gaussians, &mut Field::default())
+}

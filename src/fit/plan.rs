@@ -1,0 +1,46 @@
+//! How much work a fit spends: iterations, sampled rows, sweeps.
+
+use std::time::{Duration, Instant};
+
+/// The schedule of one encode.
+#[derive(Debug, Clone)]
+pub(crate) struct Plan {
+    /// Gradient steps of the float fit.
+    pub iterations: u32,
+    /// Most sweeps of descent over the integers.
+    pub sweeps: u32,
+    /// Iterations between relocations.
+    pub relocate_every: u32,
+    /// Share of the primitives moved at a time.
+    pub relocate_share: f32,
+    /// When to stop, whatever is left.
+    pub deadline: Option<Instant>,
+    /// Seed of everything random.
+    pub seed: u64,
+}
+
+impl Plan {
+    /// The schedule for `effort` (1..=9).
+    pub(crate) fn new(effort: u8, time: Option<Duration>, seed: u64) -> Self {
+        let iterations = [60, 120, 240, 400, 640, 1000, 1500, 2400, 4000][usize::from(effort.clamp(1, 9)) - 1];
+        let sweeps = [1, 2, 3, 4, 6, 8, 10, 14, 20][usize::from(effort.clamp(1, 9)) - 1];
+        let deadline = time.map(|t| Instant::now() + t);
+        let relocate_every = (iterations / 24).clamp(8, 40);
+        Plan { iterations, sweeps, relocate_every, relocate_share: 0.03, deadline, seed }
+    }
+
+    /// Share of the time budget that is gone, 0 without one.
+    pub(crate) fn spent(&self, since: Instant) -> f32 {
+        match self.deadline {
+            Some(end) => {
+                let all = end.saturating_duration_since(since).as_secs_f32().max(1e-3);
+                (since.elapsed().as_secs_f32() / all).min(1.0)
+            }
+            None => 0.0,
+        }
+    }
+
+    pub(crate) fn is_over(&self) -> bool {
+        self.deadline.is_some_and(|d| Instant::now() >= d)
+    }
+}
