@@ -7,6 +7,7 @@ pub mod bitstream;
 mod convert;
 mod decoder;
 pub mod encode;
+mod encoder;
 pub mod error;
 mod fit;
 pub mod gaussian;
@@ -20,6 +21,7 @@ pub mod raster;
 
 pub use decoder::{EXTENSION, SsplatDecoder, register};
 pub use encode::{EncodeReport, Encoded, LeftOut, Progress, encode, encode_with_progress};
+pub use encoder::{SsplatEncoder, save};
 pub use error::{Error, FormatError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
 pub use limits::Limits;

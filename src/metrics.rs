@@ -15,10 +15,8 @@
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 
-#[cfg(feature = "rayon")]
-use rayon::prelude::*;
-
 use crate::error::{Error, Result};
+use crate::parallel;
 use crate::pixels::{Pixels, Samples};
 
 /// Taps of the window.
@@ -88,11 +86,11 @@ fn squared_error(a: &Pixels, b: &Pixels) -> u128 {
     }
     match (a.samples(), b.samples()) {
         (Samples::U8(a), Samples::U8(b)) => {
-            let sums = ordered(a.len().div_ceil(CHUNK), |i| chunk(part(a, i, CHUNK), part(b, i, CHUNK)));
+            let sums = parallel::map(a.len().div_ceil(CHUNK), |i| chunk(part(a, i, CHUNK), part(b, i, CHUNK)));
             sums.into_iter().map(u128::from).sum()
         }
         (Samples::U16(a), Samples::U16(b)) => {
-            let sums = ordered(a.len().div_ceil(CHUNK), |i| chunk(part(a, i, CHUNK), part(b, i, CHUNK)));
+            let sums = parallel::map(a.len().div_ceil(CHUNK), |i| chunk(part(a, i, CHUNK), part(b, i, CHUNK)));
             sums.into_iter().map(u128::from).sum()
         }
         _ => unreachable!("same_shape compared the depths"),
@@ -142,7 +140,7 @@ fn channel_similarities(mut a: Plane<'_>, mut b: Plane<'_>) -> [Option<f64>; 2] 
 fn mean_similarity(a: &Plane<'_>, b: &Plane<'_>) -> (f64, f64) {
     let window = window();
     let (width, height) = (a.width - (TAPS - 1), a.height - (TAPS - 1));
-    let sums = ordered(height.div_ceil(BAND), |band| {
+    let sums = parallel::map(height.div_ceil(BAND), |band| {
         let top = band * BAND;
         let rows = BAND.min(height - top);
         let mut sums = [0.0; 2];
@@ -292,7 +290,7 @@ impl<'a> Plane<'a> {
     fn pooled(&self) -> Plane<'static> {
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let (pad_x, pad_y) = (self.width % 2, self.height % 2);
-        let bands = ordered(height.div_ceil(BAND), |band| {
+        let bands = parallel::map(height.div_ceil(BAND), |band| {
             let mut rows = [vec![0.0f32; 2 * width], vec![0.0f32; 2 * width]];
             let mut out = Vec::with_capacity(width * BAND);
             for y in band * BAND..height.min((band + 1) * BAND) {
@@ -309,16 +307,4 @@ impl<'a> Plane<'a> {
         });
         Plane { width, height, values: Values::Pooled(bands.concat()) }
     }
-}
-
-/// `f(0), f(1), …, f(count − 1)` in order, worked out in parallel.
-#[cfg(feature = "rayon")]
-fn ordered<T: Send>(count: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
-    (0..count).into_par_iter().map(f).collect()
-}
-
-/// `f(0), f(1), …, f(count − 1)` in order.
-#[cfg(not(feature = "rayon"))]
-fn ordered<T: Send>(count: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
-    (0..count).map(f).collect()
 }

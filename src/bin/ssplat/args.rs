@@ -2,8 +2,13 @@
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Args as ClapArgs, Parser, Subcommand};
+use ssplat::bitstream::splats::Layout;
+use ssplat::{Backend, Blend, EncodeOptions, Recipe, Target, Tune};
+
+use crate::names;
 
 /// Pictures stored as 2D Gaussians.
 #[derive(Debug, Parser)]
@@ -23,12 +28,111 @@ failure no output file is left behind.";
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Fit a picture and write it as .ssplat
+    Encode(Box<Encode>),
     /// Draw a .ssplat file as PNG, PNM or another format
     Decode(Decode),
     /// Say what a .ssplat file holds
     Info(Info),
     /// Measure how far two pictures are apart
     Compare(Compare),
+}
+
+const ENCODE_EXAMPLES: &str = "\
+Examples:
+  ssplat encode photo.jpg photo.ssplat                        at the default ratio of 50
+  ssplat encode photo.png photo.ssplat --bytes 300            a placeholder
+  ssplat encode photo.png photo.ssplat --ratio 200 --effort 9
+  ssplat encode photo.png photo.ssplat --preview result.png   also decode and measure
+  cat photo.png | ssplat encode - - > photo.ssplat
+
+An orientation in the EXIF block is carried along, not applied. Samples in 32-bit
+floats are clamped to 0..1 and kept with 16 bits.";
+
+#[derive(Debug, ClapArgs)]
+#[command(after_help = ENCODE_EXAMPLES)]
+pub struct Encode {
+    /// The picture, in any format known by its content; - for standard input
+    pub input: PathBuf,
+    /// The .ssplat file to write; - for standard output
+    pub output: PathBuf,
+    #[command(flatten)]
+    pub target: TargetArgs,
+    /// How much work to spend, 1 to 9
+    #[arg(long, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
+    pub effort: u8,
+    /// Wall-clock budget; the best state reached is written
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    pub time: Option<Duration>,
+    /// Seed of everything random
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// How the file is laid out
+    #[arg(long, default_value = "coded", value_parser = names::layout())]
+    pub layout: Layout,
+    /// How primitives blend [default: as the recipe has it]
+    #[arg(long, value_parser = names::blend())]
+    pub blend: Option<Blend>,
+    /// The fitting recipe; the last four are the SmartSplat paper's and its ablation
+    #[arg(long, default_value = "ssplat", value_parser = names::recipe())]
+    pub recipe: Recipe,
+    /// Which measure to favour
+    #[arg(long, default_value = "psnr", value_parser = names::tune())]
+    pub tune: Tune,
+    /// Which device fits
+    #[arg(long, default_value = "auto", value_parser = names::backend())]
+    pub backend: Backend,
+    /// Also decode the file, write the pixels here, and measure them
+    #[arg(long, value_name = "PNG")]
+    pub preview: Option<PathBuf>,
+    /// Say where the time and the bytes went
+    #[arg(long)]
+    pub explain: bool,
+    /// Print the result as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What to aim at: at most one of these.
+#[derive(Debug, ClapArgs)]
+#[group(multiple = false)]
+pub struct TargetArgs {
+    /// Width x height x channels bytes over file bytes [default: 50]
+    #[arg(long, value_name = "R", value_parser = positive)]
+    pub ratio: Option<f64>,
+    /// File size, bytes; never exceeded
+    #[arg(long, value_name = "N")]
+    pub bytes: Option<u64>,
+    /// Number of primitives
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub primitives: Option<u32>,
+    /// The smallest file that reaches this PSNR
+    #[arg(long, value_name = "DB", value_parser = positive)]
+    pub psnr: Option<f64>,
+}
+
+impl Encode {
+    /// The library's options for these arguments.
+    pub fn options(&self) -> EncodeOptions {
+        let mut o = EncodeOptions::default();
+        let t = &self.target;
+        let targets = [
+            t.ratio.map(Target::Ratio),
+            t.bytes.map(Target::Bytes),
+            t.primitives.map(Target::Primitives),
+            t.psnr.map(Target::Psnr),
+        ];
+        o.target = targets.into_iter().flatten().next().unwrap_or(o.target);
+        o.effort = self.effort;
+        o.time = self.time;
+        o.seed = self.seed;
+        o.layout = self.layout;
+        o.blend = self.blend;
+        o.recipe = self.recipe;
+        o.tune = self.tune;
+        o.backend = self.backend;
+        o
+    }
 }
 
 const DECODE_EXAMPLES: &str = "\
@@ -113,6 +217,10 @@ fn positive(text: &str) -> Result<f64, String> {
         Ok(v) if v > 0.0 && f64::is_finite(v) => Ok(v),
         _ => Err("not a positive number".into()),
     }
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    positive(text).and_then(|s| Duration::try_from_secs_f64(s).map_err(|e| e.to_string()))
 }
 
 fn region(text: &str) -> Result<[u32; 4], String> {

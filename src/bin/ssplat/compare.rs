@@ -6,6 +6,7 @@ use ssplat::{Channels, Depth, Pixels, Samples};
 
 use crate::args;
 use crate::failure::Failure;
+use crate::sink::say;
 use crate::source;
 
 /// What stands for the infinite PSNR of equal samples where a number is wanted, dB.
@@ -16,12 +17,7 @@ pub fn run(args: &args::Compare) -> Result<(), Failure> {
     let test = source::open(&args.test)?.pixels;
     let found = measure(&reference, &test)
         .map_err(|e| Failure::usage(format!("{} and {}: {e}", args.reference.display(), args.test.display())))?;
-    if args.json {
-        println!("{}", as_json(&found));
-    } else {
-        println!("{}", as_text(&found));
-    }
-    Ok(())
+    say(&if args.json { format!("{}\n", as_json(&found)) } else { format!("{}\n", as_text(&found)) })
 }
 
 /// Compares two pictures of one size, whatever their channels and depths.

@@ -12,7 +12,7 @@ use crate::args;
 use crate::failure::Failure;
 use crate::progress::Bar;
 use crate::rows::{Format, RowWriter, Shape};
-use crate::sink::Sink;
+use crate::sink::{Sink, say};
 use crate::source;
 
 /// Bytes of output that are drawn before they are written, unless one band takes more.
@@ -38,11 +38,10 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     let sink = Sink::create(&args.output, &[&args.input])?;
     draw(&renderer, depth, &metadata, format, &sink, &args.output)?;
     sink.finish()?;
-    if args.json {
-        println!(
-            "{}",
-            json!({ "width": view.width(), "height": view.height(), "seconds": start.elapsed().as_secs_f64() })
-        );
+    let seconds = start.elapsed().as_secs_f64();
+    if args.json && args.output != Path::new("-") {
+        let result = json!({ "width": view.width(), "height": view.height(), "seconds": seconds });
+        say(&format!("{result}\n"))?;
     }
     Ok(())
 }
@@ -107,7 +106,7 @@ pub fn draw(
             }
         }
         first = last;
-        bar.show(first as f32 / renderer.bands() as f32, "drawing".into());
+        bar.show(first as f32 / renderer.bands() as f32, "drawing");
     }
     rows.finish(path)
 }

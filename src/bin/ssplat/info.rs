@@ -9,18 +9,14 @@ use ssplat::{Blend, Channels, Limits};
 
 use crate::args;
 use crate::failure::Failure;
+use crate::sink::say;
 use crate::source;
 
 pub fn run(args: &args::Info) -> Result<(), Failure> {
     let bytes = source::read_all(&args.input)?;
     let (splats, report) =
         ssplat::bitstream::inspect(&bytes, &Limits::default()).map_err(|e| Failure::library(&args.input, &e))?;
-    if args.json {
-        println!("{:#}", as_json(&splats, &report));
-    } else {
-        print!("{}", as_text(&splats, &report));
-    }
-    Ok(())
+    say(&if args.json { format!("{:#}\n", as_json(&splats, &report)) } else { as_text(&splats, &report) })
 }
 
 fn as_json(splats: &PackedSplats, report: &Report) -> Value {

@@ -1,10 +1,12 @@
-//! The `ssplat` program: decode, info, compare.
+//! The `ssplat` program: encode, decode, info, compare.
 
 mod args;
 mod compare;
 mod decode;
+mod encode;
 mod failure;
 mod info;
+mod names;
 mod progress;
 mod rows;
 mod sink;
@@ -37,6 +39,7 @@ fn run(args: Args) -> Result<(), Failure> {
             .map_err(|e| Failure::usage(format!("--threads {threads}: {e}")))?;
     }
     match args.command {
+        Command::Encode(args) => encode::run(&args),
         Command::Decode(args) => decode::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Compare(args) => compare::run(&args),

@@ -22,8 +22,8 @@ impl Bar {
         Bar(ProgressBar::with_draw_target(Some(STEPS), target).with_style(style))
     }
 
-    /// Shows `done` in `0..=1` and what is being done.
-    pub fn show(&self, done: f32, message: String) {
+    /// Shows what is being done, and how much of it is, in `0..=1`.
+    pub fn show(&self, done: f32, message: &'static str) {
         self.0.set_message(message);
         self.0.set_position((f64::from(done) * STEPS as f64) as u64);
     }

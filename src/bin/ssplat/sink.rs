@@ -30,6 +30,15 @@ pub fn remove_on_interrupt() -> Result<(), Failure> {
     ctrlc::set_handler(handler).map_err(|e| Failure { kind: Kind::Other, message: format!("signal handler: {e}") })
 }
 
+/// Prints `text` on standard output. A reader that has gone away wants no more, and is no failure.
+pub fn say(text: &str) -> Result<(), Failure> {
+    let mut out = io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != io::ErrorKind::BrokenPipe => Err(Failure::io(Path::new("-"), &e)),
+        _ => Ok(()),
+    }
+}
+
 /// A file being written.
 pub struct Sink {
     path: PathBuf,

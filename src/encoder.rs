@@ -1,0 +1,105 @@
+//! Pixels of the `image` crate to files: [`SsplatEncoder`] and [`save`].
+//!
+//! `image` has no hook for saving, so `DynamicImage::save("x.ssplat")` cannot work; these two can:
+//!
+//! ```no_run
+//! use ssplat::{EncodeOptions, SsplatEncoder, Target};
+//!
+//! let picture = image::open("photo.png")?;
+//! let mut options = EncodeOptions::default();
+//! options.target = Target::Ratio(100.0);
+//! ssplat::save(&picture, "photo.ssplat", &options)?;
+//!
+//! let mut bytes = Vec::new();
+//! picture.write_with_encoder(SsplatEncoder::new(&mut bytes, options))?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+use std::io::Write;
+use std::path::Path;
+
+use image::error::{EncodingError, ImageFormatHint, ParameterError, ParameterErrorKind, UnsupportedError};
+use image::error::{LimitError, LimitErrorKind, UnsupportedErrorKind};
+use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageResult};
+
+use crate::convert::{Rejected, gather};
+use crate::decoder::EXTENSION;
+use crate::encode::{EncodeReport, encode};
+use crate::error::{Error, Result};
+use crate::options::EncodeOptions;
+use crate::pixels::Pixels;
+
+/// Fits `picture` and writes the file to `path`, replacing what is there once the fit has succeeded.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be written; otherwise as [`encode`].
+pub fn save(picture: &DynamicImage, path: impl AsRef<Path>, options: &EncodeOptions) -> Result<EncodeReport> {
+    let encoded = encode(&Pixels::try_from(picture)?, options)?;
+    std::fs::write(path, &encoded.bytes)?;
+    Ok(encoded.report)
+}
+
+/// Writes pictures as ssplat files, for [`DynamicImage::write_with_encoder`].
+///
+/// Takes the colour types of [`DynamicImage`], and `Bgr8` and `Bgra8`. Samples in `f32` are read as encoded values where
+/// 1.0 is white, clamped to `0..=1` and kept with 16 bits; a sample that is not finite is an error.
+#[derive(Debug)]
+pub struct SsplatEncoder<W> {
+    writer: W,
+    options: EncodeOptions,
+}
+
+impl<W: Write> SsplatEncoder<W> {
+    /// An encoder that writes one file to `writer`, in a single call.
+    pub fn new(writer: W, options: EncodeOptions) -> Self {
+        SsplatEncoder { writer, options }
+    }
+}
+
+impl<W: Write> ImageEncoder for SsplatEncoder<W> {
+    fn write_image(mut self, buf: &[u8], width: u32, height: u32, color_type: ExtendedColorType) -> ImageResult<()> {
+        let pixels = gather(buf, width, height, color_type)?;
+        let encoded = encode(&pixels, &self.options).map_err(encoding_error)?;
+        self.writer.write_all(&encoded.bytes)?;
+        self.writer.flush()?;
+        Ok(())
+    }
+
+    fn set_icc_profile(&mut self, icc_profile: Vec<u8>) -> Result<(), UnsupportedError> {
+        self.options.icc = Some(icc_profile);
+        Ok(())
+    }
+
+    fn set_exif_metadata(&mut self, exif: Vec<u8>) -> Result<(), UnsupportedError> {
+        self.options.exif = Some(exif);
+        Ok(())
+    }
+}
+
+impl From<Rejected> for ImageError {
+    fn from(rejected: Rejected) -> Self {
+        match rejected {
+            Rejected::Pixels(e) => encoding_error(e),
+            Rejected::Color(c) => {
+                ImageError::Unsupported(UnsupportedError::from_format_and_kind(hint(), UnsupportedErrorKind::Color(c)))
+            }
+        }
+    }
+}
+
+/// The format as `image` names it in errors.
+fn hint() -> ImageFormatHint {
+    ImageFormatHint::Name(EXTENSION.into())
+}
+
+/// An error of encoding in the words of `image`.
+fn encoding_error(e: Error) -> ImageError {
+    match e {
+        Error::Io(e) => ImageError::IoError(e),
+        Error::LimitExceeded { .. } => ImageError::Limits(LimitError::from_kind(LimitErrorKind::InsufficientMemory)),
+        Error::Parameter { name, problem } => ImageError::Parameter(ParameterError::from_kind(
+            ParameterErrorKind::Generic(format!("bad parameter {name}: {problem}")),
+        )),
+        e => ImageError::Encoding(EncodingError::new(hint(), e)),
+    }
+}

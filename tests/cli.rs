@@ -1,0 +1,457 @@
+//! What the command line promises: results, exit statuses, messages, and no half-written files.
+#![cfg(feature = "cli")]
+
+use std::ffi::OsStr;
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use image::{DynamicImage, ImageDecoder, ImageEncoder, ImageReader};
+use tempfile::TempDir;
+
+const PHOTO: &str = "tests/images/kodim05.png";
+
+/// A folder for one test.
+struct Folder(TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Folder(tempfile::tempdir().unwrap())
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// Names of all files, hidden ones too.
+    fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> =
+            fs::read_dir(self.0.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    /// A small picture of ramps as `name`.
+    fn picture(&self, name: &str) -> PathBuf {
+        let path = self.path(name);
+        small().save(&path).unwrap();
+        path
+    }
+
+    /// A file of a few primitives as `name`.
+    fn encoded(&self, name: &str) -> PathBuf {
+        let source = self.picture("source.png");
+        let path = self.path(name);
+        succeeds(ssplat(&[&"encode", &source, &path, &"--primitives", &"40", &"--effort", &"1"]));
+        fs::remove_file(source).unwrap();
+        path
+    }
+}
+
+fn small() -> DynamicImage {
+    image::RgbImage::from_fn(60, 40, |x, y| image::Rgb([x as u8 * 4, y as u8 * 6, (x * y / 10) as u8])).into()
+}
+
+fn command(args: &[&dyn AsRef<OsStr>]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ssplat"));
+    command.args(args.iter().map(|a| a.as_ref()));
+    command
+}
+
+fn ssplat(args: &[&dyn AsRef<OsStr>]) -> Output {
+    command(args).output().unwrap()
+}
+
+/// The program with `input` on standard input.
+fn fed(args: &[&dyn AsRef<OsStr>], input: &[u8]) -> Output {
+    let mut child = command(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    child.stdin.take().unwrap().write_all(input).unwrap();
+    child.wait_with_output().unwrap()
+}
+
+#[track_caller]
+fn succeeds(output: Output) -> String {
+    assert!(output.status.success(), "{output:?}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Checks the exit status and that one line names what is wrong.
+#[track_caller]
+fn fails(output: Output, status: i32, message: &str) {
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(status), "{said}");
+    assert!(said.contains(message), "{said:?} does not contain {message:?}");
+    assert!(output.stdout.is_empty() && !said.contains("panicked"), "{said}");
+}
+
+/// The number under `key` of a flat JSON text.
+fn number(json: &str, key: &str) -> f64 {
+    let value: serde_json::Value = serde_json::from_str(json).unwrap();
+    value[key].as_f64().unwrap_or_else(|| panic!("{key} in {json}"))
+}
+
+#[test]
+fn encode_decode_and_compare_agree_on_a_photograph() {
+    let folder = Folder::new();
+    let (file, preview, decoded) = (folder.path("k.ssplat"), folder.path("p.png"), folder.path("d.png"));
+    let json = succeeds(ssplat(&[
+        &"encode",
+        &PHOTO,
+        &file,
+        &"--ratio",
+        &"200",
+        &"--effort",
+        &"1",
+        &"--preview",
+        &preview,
+        &"--json",
+    ]));
+    let bytes = fs::metadata(&file).unwrap().len();
+    assert_eq!(number(&json, "bytes") as u64, bytes);
+    assert!(bytes as f64 <= 768.0 * 512.0 * 3.0 / 200.0, "{bytes} bytes are more than asked for");
+    succeeds(ssplat(&[&"decode", &file, &decoded]));
+    assert_eq!(fs::read(&preview).unwrap(), fs::read(&decoded).unwrap());
+    let measured = succeeds(ssplat(&[&"compare", &PHOTO, &file, &"--json"]));
+    assert_eq!(measured, succeeds(ssplat(&[&"compare", &PHOTO, &decoded, &"--json"])));
+    assert!((number(&measured, "psnr") - number(&json, "psnr")).abs() < 0.01, "{measured} {json}");
+    assert!(number(&measured, "ssim") > 0.0 && number(&measured, "ms_ssim") > 0.0);
+    assert_eq!(folder.names(), ["d.png", "k.ssplat", "p.png"]);
+}
+
+#[test]
+fn the_file_does_not_depend_on_the_thread_count() {
+    let folder = Folder::new();
+    let file = |threads: &str| {
+        let path = folder.path(threads);
+        succeeds(ssplat(&[&"encode", &PHOTO, &path, &"--ratio", &"500", &"--effort", &"1", &"--threads", &threads]));
+        fs::read(path).unwrap()
+    };
+    assert!(file("1") == file("2"));
+}
+
+#[test]
+fn standard_input_and_output_serve_as_files() {
+    let folder = Folder::new();
+    let picture = fs::read(folder.picture("a.png")).unwrap();
+    let encoded = fed(&[&"encode", &"-", &"-", &"--primitives", &"20", &"--effort", &"1"], &picture);
+    assert!(encoded.status.success(), "{encoded:?}");
+    let png = fed(&[&"decode", &"-", &"-"], &encoded.stdout);
+    let decoded = image::load_from_memory(&png.stdout).unwrap();
+    assert_eq!((decoded.width(), decoded.height()), (60, 40));
+    let ppm = fed(&[&"decode", &"-", &"-", &"--format", &"ppm"], &encoded.stdout);
+    assert_eq!(ppm.stdout, [b"P6\n60 40\n255\n", decoded.as_bytes()].concat());
+    succeeds(fed(&[&"info", &"-"], &encoded.stdout));
+    succeeds(fed(&[&"compare", &"-", &folder.path("a.png")], &encoded.stdout));
+}
+
+#[test]
+fn info_adds_up() {
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    let text = succeeds(ssplat(&[&"info", &file, &"--json"]));
+    let info: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let sum: u64 = info["parts"].as_array().unwrap().iter().map(|p| p["bytes"].as_u64().unwrap()).sum();
+    assert_eq!(sum, fs::metadata(&file).unwrap().len());
+    assert_eq!(info["bytes"].as_u64().unwrap(), sum);
+    assert_eq!((info["width"].as_u64(), info["height"].as_u64()), (Some(60), Some(40)));
+    assert!(info["primitives"].as_u64().unwrap() <= 40);
+    assert!(succeeds(ssplat(&[&"info", &file])).contains("60 x 40 pixels, rgb, 8 bits"));
+}
+
+#[test]
+fn every_output_format_holds_the_same_pixels() {
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    for extension in ["png", "ppm", "pnm", "pam", "webp", "bmp", "tiff", "qoi", "tga", "ff"] {
+        let out = folder.path(&format!("out.{extension}"));
+        succeeds(ssplat(&[&"decode", &file, &out]));
+        assert_eq!(number(&succeeds(ssplat(&[&"compare", &file, &out, &"--json"])), "psnr"), 99.0, "{extension}");
+    }
+    let jpeg = folder.path("out.jpg");
+    succeeds(ssplat(&[&"decode", &file, &jpeg]));
+    assert!(number(&succeeds(ssplat(&[&"compare", &file, &jpeg, &"--json"])), "psnr") > 35.0);
+}
+
+#[test]
+fn a_region_is_the_same_as_cutting_the_whole() {
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    let (whole, part) = (folder.path("whole.png"), folder.path("part.png"));
+    succeeds(ssplat(&[&"decode", &file, &whole]));
+    succeeds(ssplat(&[&"decode", &file, &part, &"--region", &"13,7,31,22"]));
+    let cut = image::open(&whole).unwrap().crop_imm(13, 7, 31, 22);
+    assert!(image::open(&part).unwrap() == cut);
+}
+
+#[test]
+fn sizes_come_out_as_asked() {
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    let out = folder.path("out.png");
+    let cases: [(&[&str], _); 6] = [
+        (&["--width", "30"], (30, 20)),
+        (&["--height", "60"], (90, 60)),
+        (&["--width", "7", "--height", "90"], (7, 90)),
+        (&["--scale", "2.5"], (150, 100)),
+        (&["--scale", "0.001"], (1, 1)),
+        (&["--region", "0,0,10,40", "--scale", "3"], (30, 120)),
+    ];
+    for (options, size) in cases {
+        let mut args: Vec<&dyn AsRef<OsStr>> = vec![&"decode", &file, &out];
+        args.extend(options.iter().map(|o| o as &dyn AsRef<OsStr>));
+        succeeds(ssplat(&args));
+        assert_eq!(image::image_dimensions(&out).unwrap(), size, "{options:?}");
+    }
+}
+
+/// A PNG with an ICC profile and an EXIF block.
+fn tagged(path: &Path, icc: &[u8], exif: &[u8]) {
+    let mut encoder = image::codecs::png::PngEncoder::new(fs::File::create(path).unwrap());
+    encoder.set_icc_profile(icc.to_vec()).unwrap();
+    encoder.set_exif_metadata(exif.to_vec()).unwrap();
+    small().write_with_encoder(encoder).unwrap();
+}
+
+#[test]
+fn icc_profile_and_exif_pass_from_png_to_png() {
+    let folder = Folder::new();
+    let (source, file, out) = (folder.path("s.png"), folder.path("f.ssplat"), folder.path("o.png"));
+    let (icc, exif) = (vec![7u8; 500], b"II*\0\x08\0\0\0\0\0\0\0\0\0".to_vec());
+    tagged(&source, &icc, &exif);
+    succeeds(ssplat(&[&"encode", &source, &file, &"--primitives", &"10", &"--effort", &"1"]));
+    for extension in ["png", "webp", "jpg"] {
+        let out = out.with_extension(extension);
+        succeeds(ssplat(&[&"decode", &file, &out]));
+        let mut decoder = ImageReader::open(&out).unwrap().into_decoder().unwrap();
+        assert_eq!(decoder.icc_profile().unwrap().as_ref(), Some(&icc), "{extension}");
+        assert_eq!(decoder.exif_metadata().unwrap().as_ref(), Some(&exif), "{extension}");
+    }
+    // And from one ssplat file to another.
+    let again = folder.path("again.ssplat");
+    succeeds(ssplat(&[&"encode", &file, &again, &"--primitives", &"10", &"--effort", &"1"]));
+    let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &again, &"--json"]))).unwrap();
+    assert_eq!(info["icc_bytes"].as_u64(), Some(500));
+    assert_eq!(info["exif_bytes"].as_u64(), Some(exif.len() as u64));
+}
+
+#[test]
+fn grey_alpha_and_sixteen_bits_stay_what_they_are() {
+    let folder = Folder::new();
+    let pictures: [DynamicImage; 4] = [
+        small().to_luma8().into(),
+        small().to_luma_alpha16().into(),
+        small().to_rgba8().into(),
+        small().to_rgb16().into(),
+    ];
+    for picture in pictures {
+        let (source, file, out) = (folder.path("s.png"), folder.path("f.ssplat"), folder.path("o.png"));
+        picture.save(&source).unwrap();
+        succeeds(ssplat(&[&"encode", &source, &file, &"--primitives", &"30", &"--effort", &"1"]));
+        succeeds(ssplat(&[&"decode", &file, &out]));
+        assert_eq!(image::open(&out).unwrap().color(), picture.color());
+    }
+}
+
+#[test]
+fn odd_sizes_pass_through() {
+    let folder = Folder::new();
+    for (width, height) in [(1, 1), (1, 4000), (4000, 1), (3, 2)] {
+        let (source, file, out) = (folder.path("s.png"), folder.path("f.ssplat"), folder.path("o.png"));
+        image::RgbImage::from_fn(width, height, |x, y| image::Rgb([(x + y) as u8, 90, 10])).save(&source).unwrap();
+        succeeds(ssplat(&[&"encode", &source, &file, &"--bytes", &"120", &"--effort", &"1"]));
+        assert!(fs::metadata(&file).unwrap().len() <= 120);
+        succeeds(ssplat(&[&"decode", &file, &out]));
+        assert_eq!(image::image_dimensions(&out).unwrap(), (width, height));
+    }
+}
+
+#[test]
+fn compare_joins_channels_and_depths() {
+    let folder = Folder::new();
+    let colour = folder.picture("a.png");
+    for (name, picture) in
+        [("alpha.png", DynamicImage::from(small().to_rgba8())), ("deep.png", small().to_rgba16().into())]
+    {
+        let other = folder.path(name);
+        picture.save(&other).unwrap();
+        let json = succeeds(ssplat(&[&"compare", &colour, &other, &"--json"]));
+        assert_eq!(number(&json, "psnr"), 99.0, "{name}");
+        assert!(json.contains("\"ms_ssim\":null"), "{json}");
+    }
+    let grey = folder.path("grey.png");
+    small().to_luma8().save(&grey).unwrap();
+    assert!(number(&succeeds(ssplat(&[&"compare", &colour, &grey, &"--json"])), "psnr") < 40.0);
+}
+
+#[test]
+fn wrong_usage_exits_with_2() {
+    let folder = Folder::new();
+    let (picture, out) = (folder.picture("a.png"), folder.path("o.ssplat"));
+    for (options, message) in [
+        (["--ratio", "0"], "--ratio"),
+        (["--ratio", "-3"], "-3"),
+        (["--ratio", "nan"], "nan"),
+        (["--effort", "10"], "10"),
+        (["--time", "0"], "--time"),
+        (["--primitives", "0"], "--primitives"),
+        (["--layout", "zip"], "zip"),
+        (["--recipe", "none"], "none"),
+        (["--threads", "0"], "--threads"),
+        (["--bytes", "1"], "a.png"),
+    ] {
+        fails(ssplat(&[&"encode", &picture, &out, &options[0], &options[1]]), 2, message);
+    }
+    fails(ssplat(&[&"encode", &picture, &out, &"--ratio", &"9", &"--bytes", &"900"]), 2, "--bytes");
+    fails(ssplat(&[&"encode", &picture, &out, &"--preview", &out]), 2, "o.ssplat");
+    fails(ssplat(&[&"encode", &picture, &"-", &"--json"]), 2, "--json");
+    fails(ssplat(&[]), 2, "Usage");
+    assert_eq!(folder.names(), ["a.png"]);
+
+    let file = folder.encoded("a.ssplat");
+    for (options, message) in [
+        (["--region", "1,2,3"], "1,2,3"),
+        (["--region", "1,2,0,3"], "empty"),
+        (["--region", "50,0,20,20"], "50"),
+        (["--scale", "0"], "--scale"),
+        (["--scale", "1e9"], "1048576"),
+        (["--width", "0"], "--width"),
+        (["--format", "xyz"], "xyz"),
+    ] {
+        fails(ssplat(&[&"decode", &file, &folder.path("o.png"), &options[0], &options[1]]), 2, message);
+    }
+    fails(ssplat(&[&"decode", &file, &folder.path("noextension")]), 2, "noextension");
+    fails(ssplat(&[&"decode", &file, &folder.path("o.gif")]), 2, "gif");
+    fails(ssplat(&[&"compare", &file, &PHOTO]), 2, "60x40");
+    assert_eq!(folder.names(), ["a.png", "a.ssplat"]);
+}
+
+#[test]
+fn missing_files_and_folders_exit_with_3() {
+    let folder = Folder::new();
+    let picture = folder.picture("a.png");
+    let (missing, out) = (folder.path("missing.ssplat"), folder.path("o.png"));
+    fails(ssplat(&[&"decode", &missing, &out]), 3, "missing.ssplat");
+    fails(ssplat(&[&"info", &missing]), 3, "missing.ssplat");
+    fails(ssplat(&[&"compare", &picture, &missing]), 3, "missing.ssplat");
+    fails(ssplat(&[&"encode", &missing, &out]), 3, "missing.ssplat");
+    fails(ssplat(&[&"encode", &picture, &folder.path("no/such/o.ssplat"), &"--effort", &"1"]), 3, "o.ssplat");
+    assert_eq!(folder.names(), ["a.png"]);
+}
+
+#[test]
+fn broken_files_exit_with_4_and_leave_nothing() {
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    let bytes = fs::read(&file).unwrap();
+    let (bad, out) = (folder.path("bad.ssplat"), folder.path("o.png"));
+    let flipped = |i: usize| [&bytes[..i], &[bytes[i] ^ 1], &bytes[i + 1..]].concat();
+    for (broken, message) in [
+        (bytes[..bytes.len() - 1].to_vec(), ""),
+        (bytes[..30].to_vec(), ""),
+        (Vec::new(), "cut off"),
+        (flipped(bytes.len() - 10), "checksum"),
+        (b"not an ssplat file at all".to_vec(), "magic"),
+    ] {
+        fs::write(&bad, broken).unwrap();
+        fails(ssplat(&[&"decode", &bad, &out]), 4, "bad.ssplat");
+        fails(ssplat(&[&"info", &bad]), 4, message);
+    }
+    fs::write(&bad, &fs::read(PHOTO).unwrap()[..5000]).unwrap();
+    fails(ssplat(&[&"encode", &bad, &out]), 4, "bad.ssplat");
+    assert_eq!(folder.names(), ["a.ssplat", "bad.ssplat"]);
+}
+
+#[test]
+fn unknown_formats_and_versions_exit_with_5() {
+    let folder = Folder::new();
+    let (text, out) = (folder.path("text.png"), folder.path("o.ssplat"));
+    fs::write(&text, "hello").unwrap();
+    fails(ssplat(&[&"compare", &text, &text]), 4, "text.png");
+    let unknown = folder.path("text.txt");
+    fs::write(&unknown, "hello").unwrap();
+    fails(ssplat(&[&"encode", &unknown, &out]), 5, "text.txt");
+    let file = folder.encoded("a.ssplat");
+    let mut bytes = fs::read(&file).unwrap();
+    bytes[8] = 99;
+    fs::write(&file, bytes).unwrap();
+    fails(ssplat(&[&"info", &file]), 5, "99");
+    assert_eq!(folder.names(), ["a.ssplat", "text.png", "text.txt"]);
+}
+
+#[test]
+fn the_input_is_never_overwritten() {
+    let folder = Folder::new();
+    let picture = folder.picture("a.png");
+    let before = fs::read(&picture).unwrap();
+    let roundabout = folder.0.path().join(".").join("a.png");
+    fails(ssplat(&[&"encode", &picture, &roundabout, &"--effort", &"1"]), 2, "is the input");
+    let file = folder.encoded("a.ssplat");
+    fails(ssplat(&[&"encode", &file, &file, &"--effort", &"1"]), 2, "is the input");
+    fails(ssplat(&[&"encode", &picture, &folder.path("x"), &"--preview", &picture]), 2, "is the input");
+    assert_eq!(fs::read(&picture).unwrap(), before);
+    assert_eq!(folder.names(), ["a.png", "a.ssplat"]);
+}
+
+#[test]
+fn existing_outputs_are_replaced_whole_or_not_at_all() {
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    let out = folder.path("o.png");
+    fs::write(&out, "before").unwrap();
+    let bad = folder.path("bad.ssplat");
+    fs::write(&bad, &fs::read(&file).unwrap()[..40]).unwrap();
+    fails(ssplat(&[&"decode", &bad, &out]), 4, "bad.ssplat");
+    assert_eq!(fs::read(&out).unwrap(), b"before");
+    succeeds(ssplat(&[&"decode", &file, &out]));
+    assert_eq!(image::image_dimensions(&out).unwrap(), (60, 40));
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupt_leaves_nothing_behind() {
+    let folder = Folder::new();
+    let out = folder.path("o.ssplat");
+    let mut child = command(&[&"encode", &PHOTO, &out, &"--ratio", &"20", &"--effort", &"9"])
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    // The temporary file shows that the work has begun.
+    let start = std::time::Instant::now();
+    while folder.names().is_empty() {
+        assert!(start.elapsed().as_secs() < 60, "no file was begun");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert!(folder.names().is_empty(), "{:?}", folder.names());
+}
+
+#[test]
+#[cfg(unix)]
+fn outputs_have_ordinary_rights_and_links_and_devices_stay() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    let plain = folder.path("plain");
+    fs::write(&plain, "").unwrap();
+    assert_eq!(fs::metadata(&file).unwrap().permissions().mode(), fs::metadata(&plain).unwrap().permissions().mode());
+    let (link, target) = (folder.path("link.png"), folder.path("target.png"));
+    fs::write(&target, "").unwrap();
+    std::os::unix::fs::symlink(&target, &link).unwrap();
+    succeeds(ssplat(&[&"decode", &file, &link]));
+    assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+    assert_eq!(image::image_dimensions(&target).unwrap(), (60, 40));
+    succeeds(ssplat(&[&"decode", &file, &"/dev/null", &"--format", &"png"]));
+    assert!(!fs::metadata("/dev/null").unwrap().is_file());
+}
+
+#[test]
+fn help_shows_examples() {
+    for name in ["encode", "decode", "info", "compare"] {
+        assert!(succeeds(ssplat(&[&name, &"--help"])).contains("Examples:"), "{name}");
+    }
+    assert!(succeeds(ssplat(&[&"--help"])).contains("Exit status"));
+}
