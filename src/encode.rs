@@ -1,7 +1,6 @@
 //! Pixels to bytes: the whole encoder behind one function.
 
 use std::ops::ControlFlow;
-use std::time::Instant;
 
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
 use crate::error::{Error, Result};
@@ -13,6 +12,7 @@ use crate::fit::target::Target as Planes;
 use crate::gaussian::Blend;
 use crate::options::{EncodeOptions, Recipe, Target};
 use crate::pixels::Pixels;
+use crate::trace::{TracePoint, Tracer};
 
 /// Most primitives that an encode will fit.
 const MAX_PRIMITIVES: u64 = 16 << 20;
@@ -36,12 +36,14 @@ pub struct EncodeReport {
     pub psnr: f64,
     /// PSNR before quantization, decibels.
     pub float_psnr: f64,
-    /// Wall-clock seconds.
+    /// Wall-clock seconds, those that a trace takes not counted.
     pub seconds: f64,
     /// Seconds of each stage, in order.
     pub stages: Vec<(&'static str, f64)>,
     /// What the picture did not need.
     pub left_out: Vec<LeftOut>,
+    /// Quality along the way; empty unless [`EncodeOptions::trace`] asks for it.
+    pub trace: Vec<TracePoint>,
 }
 
 /// Something that the encoder measured and found unnecessary.
@@ -64,6 +66,8 @@ pub struct Progress {
     pub stage: &'static str,
     /// Share of the stage that is done, `0..=1`.
     pub done: f32,
+    /// PSNR when it was last measured, dB; only with [`EncodeOptions::trace`].
+    pub psnr: Option<f64>,
 }
 
 /// Encodes `pixels`.
@@ -84,13 +88,13 @@ pub fn encode_with_progress(
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
     check(options)?;
-    let start = Instant::now();
+    let tracer = Tracer::new(options.trace);
     let blend = options.blend.unwrap_or(match options.recipe {
         Recipe::Ssplat => Blend::Normalized,
         Recipe::SmartSplat(_) => Blend::Sum,
     });
     let planes = Planes::new(pixels);
-    let mut session = Session { pixels, options, blend, planes, progress, stages: Vec::new() };
+    let mut session = Session { pixels, options, blend, planes, progress, tracer, stages: Vec::new() };
     let (bytes, splats, float_error) = match options.target {
         Target::Ratio(ratio) => {
             let raw = session.samples();
@@ -100,15 +104,17 @@ pub fn encode_with_progress(
         Target::Primitives(count) => session.at_count(count as usize, Size::Free)?,
         Target::Psnr(psnr) => session.at_psnr(psnr)?,
     };
+    session.trace_end(&splats);
     let error = session.error(&splats);
     let samples = session.samples();
     let report = EncodeReport {
         primitives: splats.gaussians.len(),
         psnr: decibels(error, samples),
         float_psnr: decibels(float_error, samples),
-        seconds: start.elapsed().as_secs_f64(),
+        seconds: session.tracer.seconds(),
         stages: session.stages,
         left_out: Vec::new(),
+        trace: session.tracer.into_points(),
     };
     Ok(Encoded { bytes, report })
 }
@@ -138,6 +144,7 @@ struct Session<'a> {
     blend: Blend,
     planes: Planes,
     progress: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>,
+    tracer: Tracer,
     stages: Vec<(&'static str, f64)>,
 }
 
@@ -240,27 +247,41 @@ impl Session<'_> {
         let plan = Plan::new(self.options.effort, self.options.time, self.options.seed);
         let scene = self.scene();
         let mut splats = self.empty();
-        let clock = Instant::now();
-        let progress = &mut *self.progress;
-        let mut watch = |stage: &'static str, done: f32| match progress(&Progress { stage, done }) {
-            ControlFlow::Continue(()) => Ok(()),
-            ControlFlow::Break(()) => Err(Error::Cancelled),
+        let (progress, tracer) = (&mut *self.progress, &mut self.tracer);
+        let (pixels, planes) = (self.pixels, &self.planes);
+        let mut clock = tracer.seconds();
+        let mut watch = |tracer: &mut Tracer, stage, done, drawing: fit::Drawing<'_>| {
+            let psnr = tracer.step(stage, pixels, planes, drawing);
+            match progress(&Progress { stage, done, psnr }) {
+                ControlFlow::Continue(()) => Ok(()),
+                ControlFlow::Break(()) => Err(Error::Cancelled),
+            }
         };
-        let primitives = fit::fit(&scene, &self.planes, count, &plan, &mut |done| watch("fit", done))?;
-        self.stages.push(("fit", clock.elapsed().as_secs_f64()));
-        let float_error = finish::float_error(&scene, &self.planes, &primitives);
-        let clock = Instant::now();
-        let bytes = finish::finish(&scene, &self.planes, &primitives, &mut splats, size, &plan, &mut |done| {
-            watch("finish", done)
+        let primitives = fit::fit(&scene, planes, count, &plan, &mut |done, now| watch(tracer, "fit", done, now))?;
+        self.stages.push(("fit", tracer.seconds() - clock));
+        let float_error = finish::float_error(&scene, planes, &primitives);
+        clock = tracer.seconds();
+        let bytes = finish::finish(&scene, planes, &primitives, &mut splats, size, &plan, &mut |done, now| {
+            watch(tracer, "finish", done, now)
         })?;
-        self.stages.push(("finish", clock.elapsed().as_secs_f64()));
+        self.stages.push(("finish", tracer.seconds() - clock));
         Ok((bytes, splats, float_error))
+    }
+
+    /// Makes the stored picture the trace's last point.
+    fn trace_end(&mut self, splats: &PackedSplats) {
+        let scene = self.stored_scene(splats);
+        let drawing = || (scene, finish::projected(&splats.quantizer(), &splats.gaussians, splats.height));
+        self.tracer.step("written", self.pixels, &self.planes, &drawing);
+    }
+
+    fn stored_scene(&self, splats: &PackedSplats) -> Scene {
+        Scene { background: splats.quantizer().dequantize_color(splats.background), ..self.scene() }
     }
 
     /// Squared error of the stored picture.
     fn error(&self, splats: &PackedSplats) -> f64 {
-        let quantizer = splats.quantizer();
-        let scene = Scene { background: quantizer.dequantize_color(splats.background), ..self.scene() };
+        let (quantizer, scene) = (splats.quantizer(), self.stored_scene(splats));
         finish::packed_error(&scene, &self.planes, &quantizer, &splats.gaussians)
     }
 }

@@ -18,6 +18,7 @@ mod parallel;
 pub mod pixels;
 pub mod quantize;
 pub mod raster;
+mod trace;
 
 pub use decoder::{EXTENSION, SsplatDecoder, register};
 pub use encode::{EncodeReport, Encoded, LeftOut, Progress, encode, encode_with_progress};
@@ -25,5 +26,6 @@ pub use encoder::{SsplatEncoder, save};
 pub use error::{Error, FormatError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
 pub use limits::Limits;
-pub use options::{Ablation, Backend, DecodeOptions, EncodeOptions, Recipe, Target, Tune};
+pub use options::{Ablation, Backend, DecodeOptions, EncodeOptions, Recipe, Target, Trace, Tune};
 pub use pixels::{Depth, Pixels, Samples};
+pub use trace::TracePoint;

@@ -67,6 +67,17 @@ pub enum Backend {
     Gpu,
 }
 
+/// Whether an encode measures its own progress.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub enum Trace {
+    /// Nothing is measured on the way.
+    #[default]
+    Off,
+    /// PSNR, SSIM and MS-SSIM are measured at growing intervals and reported; the times are those without measuring,
+    /// but a time budget is not extended for it.
+    On,
+}
+
 /// Options of [`encode`](crate::encode).
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -89,6 +100,8 @@ pub struct EncodeOptions {
     pub tune: Tune,
     /// Which device fits.
     pub backend: Backend,
+    /// Whether to measure quality along the way.
+    pub trace: Trace,
     /// ICC profile to carry.
     pub icc: Option<Vec<u8>>,
     /// EXIF block to carry.
@@ -107,6 +120,7 @@ impl Default for EncodeOptions {
             recipe: Recipe::Ssplat,
             tune: Tune::Psnr,
             backend: Backend::Auto,
+            trace: Trace::Off,
             icc: None,
             exif: None,
         }

@@ -78,7 +78,7 @@ pub(crate) fn finish(
     let rounds = plan.sweeps.max(2) + 6;
     let mut quiet = 0;
     for round in 0..rounds {
-        watch(round as f32 / rounds as f32)?;
+        watch(round as f32 / rounds as f32, &|| (scene, projected(&quantizer, &splats.gaussians, scene.height)))?;
         let error = squared_error(&scene, target, &quantizer, &splats.gaussians, &mut field);
         if std::env::var("LOG").is_ok() {
             let n = scene.width as f64 * scene.height as f64 * target.channels.count() as f64;
@@ -130,7 +130,7 @@ pub(crate) fn finish(
     Ok(bytes)
 }
 
-fn projected(quantizer: &Quantizer, gaussians: &[PackedGaussian], height: u32) -> Vec<Projected> {
+pub(crate) fn projected(quantizer: &Quantizer, gaussians: &[PackedGaussian], height: u32) -> Vec<Projected> {
     gaussians.iter().map(|g| Projected::from_gaussian(&quantizer.dequantize(g), height)).collect()
 }
 

@@ -34,8 +34,11 @@ const SAMPLED: f32 = 0.75;
 /// Share of the iterations after which nothing is relocated any more.
 const RELOCATED: f32 = 0.7;
 
-/// Called with the share of the work done (0..=1); an error stops the fit.
-pub(crate) type Watch<'a> = &'a mut dyn FnMut(f32) -> Result<()>;
+/// Shows the state of the work when called: costs a projection of all primitives.
+pub(crate) type Drawing<'a> = &'a dyn Fn() -> (Scene, Vec<Projected>);
+
+/// Called at every step with the share of the work done (0..=1); an error stops the fit.
+pub(crate) type Watch<'a> = &'a mut dyn FnMut(f32, Drawing<'_>) -> Result<()>;
 
 /// Fits `count` primitives to `target`.
 pub(crate) fn fit(
@@ -64,7 +67,7 @@ pub(crate) fn fit(
         if done >= 1.0 {
             break;
         }
-        watch(done)?;
+        watch(done, &|| (*scene, project_all(&primitives, scene.height)))?;
         if iteration > 0 && iteration % plan.relocate_every == 0 && done < RELOCATED {
             let rows = RowSet { step: step.div_ceil(2), phase: 0 };
             let most = ((count as f32 * plan.relocate_share) as usize).max(1);

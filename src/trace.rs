@@ -1,0 +1,115 @@
+//! Quality against time: measures the picture at growing intervals while it is encoded, and takes what the measuring
+//! costs out of the times.
+
+use std::time::{Duration, Instant};
+
+use crate::fit::field::{Field, Output, RowSet, Scene};
+use crate::fit::project::Projected;
+use crate::fit::target::Target;
+use crate::metrics;
+use crate::options::Trace;
+use crate::pixels::{Depth, Pixels, Samples};
+
+/// Seconds between two points over the seconds of the encode so far.
+const INTERVAL: f64 = 0.18;
+/// Seconds before the second point.
+const FIRST: f64 = 0.02;
+
+/// Quality at one moment of an encode.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct TracePoint {
+    /// The stage, as in [`Progress`](crate::Progress).
+    pub stage: &'static str,
+    /// Seconds since the encode began, those spent on measuring not counted.
+    pub seconds: f64,
+    /// Steps done within the stage.
+    pub step: u32,
+    /// Primitives at that moment.
+    pub primitives: usize,
+    /// PSNR, dB, over the samples as a decoder would write them; infinite when all are equal.
+    pub psnr: f64,
+    /// Structural similarity; `None` when a side is under 11 pixels.
+    pub ssim: Option<f64>,
+    /// Multi-scale structural similarity; `None` when a side is under 161 pixels.
+    pub ms_ssim: Option<f64>,
+}
+
+/// Takes the points.
+pub(crate) struct Tracer {
+    start: Instant,
+    spent: Duration,
+    /// Seconds at which the next point is due; infinite when nothing is traced.
+    next: f64,
+    points: Vec<TracePoint>,
+    step: (&'static str, u32),
+}
+
+impl Tracer {
+    pub(crate) fn new(trace: Trace) -> Self {
+        let next = if trace == Trace::On { 0.0 } else { f64::INFINITY };
+        Tracer { start: Instant::now(), spent: Duration::ZERO, next, points: Vec::new(), step: ("", 0) }
+    }
+
+    /// Seconds since the start, without those of measuring.
+    pub(crate) fn seconds(&self) -> f64 {
+        (self.start.elapsed() - self.spent).as_secs_f64()
+    }
+
+    /// Counts a step of `stage`, and measures what `drawing` shows when a point is due. Returns the last PSNR.
+    pub(crate) fn step(
+        &mut self,
+        stage: &'static str,
+        pixels: &Pixels,
+        target: &Target,
+        drawing: &dyn Fn() -> (Scene, Vec<Projected>),
+    ) -> Option<f64> {
+        let now = self.seconds();
+        if self.step.0 != stage {
+            self.step = (stage, 0);
+            // A stage's first step is always a point.
+            self.next = if self.next.is_finite() { now } else { self.next };
+        }
+        if now >= self.next {
+            let clock = Instant::now();
+            let (scene, projected) = drawing();
+            let found = metrics::compare(pixels, &draw(&scene, target, &projected, pixels.depth()));
+            let found = found.expect("a picture of the same shape");
+            self.points.push(TracePoint {
+                stage,
+                seconds: now,
+                step: self.step.1,
+                primitives: projected.len(),
+                psnr: found.psnr,
+                ssim: found.ssim,
+                ms_ssim: found.ms_ssim,
+            });
+            self.next = now + (now * INTERVAL).max(FIRST);
+            self.spent += clock.elapsed();
+        }
+        self.step.1 += 1;
+        self.points.last().map(|p| p.psnr)
+    }
+
+    pub(crate) fn into_points(self) -> Vec<TracePoint> {
+        self.points
+    }
+}
+
+/// The samples of `projected`, by the fit's own kernels.
+fn draw(scene: &Scene, target: &Target, projected: &[Projected], depth: Depth) -> Pixels {
+    let mut field = Field::default();
+    field.draw(scene, target, projected, RowSet::ALL, Output::Picture);
+    let (width, count) = (scene.width as usize, target.channels.count());
+    let white = depth.max();
+    let codes = (0..scene.height as usize).flat_map(|y| {
+        let row = field.row(y, count);
+        let stride = field.stride;
+        (0..width * count).map(move |i| row[i % count * stride + i / count].clamp(0.0, 1.0) * white + 0.5)
+    });
+    let samples = match depth {
+        Depth::Eight => Samples::U8(codes.map(|v| v as u8).collect()),
+        Depth::Sixteen => Samples::U16(codes.map(|v| v as u16).collect()),
+    };
+    Pixels::new(scene.width, scene.height, target.channels, samples).expect("as many samples as the size says")
+}

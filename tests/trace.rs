@@ -1,0 +1,30 @@
+//! The trace of an encode: what it says, and that asking for it changes nothing else.
+
+use ssplat::{Channels, EncodeOptions, Pixels, Samples, Target, Trace, encode};
+
+fn disc(side: u32) -> Pixels {
+    let inside = |x: u32, y: u32| (x * 2).abs_diff(side).pow(2) + (y * 2).abs_diff(side).pow(2) < (side * side) / 2;
+    let samples = (0..side * side).map(|i| if inside(i % side, i / side) { 230 } else { 40 }).collect();
+    Pixels::new(side, side, Channels::Grey, Samples::U8(samples)).unwrap()
+}
+
+#[test]
+fn a_trace_ends_with_the_written_picture_and_leaves_the_bytes_alone() {
+    let pixels = disc(48);
+    let mut options = EncodeOptions::default();
+    options.target = Target::Primitives(20);
+    options.effort = 2;
+    let plain = encode(&pixels, &options).unwrap();
+    assert!(plain.report.trace.is_empty());
+    options.trace = Trace::On;
+    let traced = encode(&pixels, &options).unwrap();
+    assert_eq!(plain.bytes, traced.bytes);
+    let points = &traced.report.trace;
+    assert!(points.windows(2).all(|p| p[0].seconds <= p[1].seconds));
+    assert_eq!(points[0].stage, "fit");
+    let last = points.last().unwrap();
+    assert_eq!(last.stage, "written");
+    // The trace has rounded code values, the report has not.
+    assert!((last.psnr - traced.report.psnr).abs() < 0.1, "{} {}", last.psnr, traced.report.psnr);
+    assert!(last.psnr > points[0].psnr && last.ssim.is_some() && last.ms_ssim.is_none());
+}
