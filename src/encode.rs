@@ -8,6 +8,7 @@ use crate::fit;
 use crate::fit::field::Scene;
 use crate::fit::finish::{self, Size};
 use crate::fit::plan::Plan;
+use crate::fit::project::Primitive;
 use crate::fit::target::Target as Planes;
 use crate::gaussian::Blend;
 use crate::options::{EncodeOptions, Recipe, Target};
@@ -257,11 +258,17 @@ impl Session<'_> {
                 ControlFlow::Break(()) => Err(Error::Cancelled),
             }
         };
-        let primitives = fit::fit(&scene, planes, count, &plan, &mut |done, now| watch(tracer, "fit", done, now))?;
+        let mut draft = splats.clone();
+        let mut recount = |primitives: &[Primitive]| match size {
+            Size::Bytes(most) => Ok(finish::count_for(primitives, &mut draft, most)?.clamp(count.min(1), count * 2)),
+            Size::Free => Ok(count),
+        };
+        let state =
+            fit::fit(&scene, planes, count, &plan, &mut recount, &mut |done, now| watch(tracer, "fit", done, now))?;
         self.stages.push(("fit", tracer.seconds() - clock));
-        let float_error = finish::float_error(&scene, planes, &primitives);
+        let float_error = finish::float_error(&scene, planes, &state.primitives);
         clock = tracer.seconds();
-        let bytes = finish::finish(&scene, planes, &primitives, &mut splats, size, &plan, &mut |done, now| {
+        let bytes = finish::finish(&scene, planes, state, &mut splats, size, &plan, &mut |done, now| {
             watch(tracer, "finish", done, now)
         })?;
         self.stages.push(("finish", tracer.seconds() - clock));

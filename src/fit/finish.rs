@@ -8,12 +8,15 @@ use crate::fit::plan::Plan;
 use crate::fit::project::{Primitive, Projected};
 use crate::fit::relocate;
 use crate::fit::target::Target;
-use crate::fit::{Watch, project_all};
+use crate::fit::{Drawing, State, Watch, freeze, project_all};
 use crate::quantize::Quantizer;
 
 /// Squared error that a bit must save, in units of the mean squared error per bit: the slope of the rate–distortion
 /// curve, where doubling the bytes wins two to three decibels.
 const SLOPE: f64 = 0.7;
+
+/// How much the descent shrinks what it starts from.
+const SHRINK: f64 = 1.008;
 
 /// What the file must fit into.
 #[derive(Debug, Clone, Copy)]
@@ -29,22 +32,13 @@ pub(crate) fn steps(primitives: &[Primitive], layout: Layout) -> Steps {
     let mut sizes: Vec<f32> = primitives.iter().map(|p| p.log_scale[0].max(p.log_scale[1])).collect();
     sizes.sort_by(f32::total_cmp);
     let at = |share: f32| sizes.get((sizes.len() as f32 * share) as usize).copied().unwrap_or(0.0);
-    let env = |k: &str, d: f32| std::env::var(k).ok().map_or(d, |v| v.parse().unwrap());
     match layout {
         Layout::Coded => {
-            let position = env("SP", 5.0) as u8;
+            let position = 5;
             let log2 = at(0.97) / std::f32::consts::LN_2 - f32::from(position) / 4.0;
             let coarsest = (log2.ceil() as i8).clamp(-2, 9);
             let range = (coarsest + 4).clamp(1, 15) as u8;
-            Steps {
-                scale: env("SS", 2.0) as u8,
-                angle: env("SA", 1.0) as u8,
-                position,
-                coarsest,
-                range,
-                luma: env("SL", 6.0) as u8,
-                chroma: env("SC", 1.0) as u8,
-            }
+            Steps { scale: 2, angle: 1, position, coarsest, range, luma: 6, chroma: 1 }
         }
         Layout::Packed | Layout::Planes => {
             // One step for all positions: fine enough for the small Gaussians.
@@ -60,35 +54,32 @@ pub(crate) fn steps(primitives: &[Primitive], layout: Layout) -> Steps {
 pub(crate) fn finish(
     scene: &Scene,
     target: &Target,
-    primitives: &[Primitive],
+    mut state: State,
     splats: &mut PackedSplats,
     size: Size,
     plan: &Plan,
     watch: Watch<'_>,
 ) -> Result<Vec<u8>> {
-    splats.steps = steps(primitives, splats.layout);
+    splats.steps = steps(&state.primitives, splats.layout);
     let quantizer = splats.quantizer();
     splats.background = quantizer.quantize_color(target.mean);
     let scene = Scene { background: quantizer.dequantize_color(splats.background), ..*scene };
-    splats.gaussians = primitives.iter().map(|p| quantizer.quantize(&p.to_gaussian())).collect();
-    let mut field = Field::default();
+    if plan.freezing > 0 {
+        let mut half = |done: f32, now: Drawing<'_>| watch(0.5 * done, now);
+        freeze::freeze(&scene, target, &mut state, &quantizer, plan.freezing, plan.seed, &mut half)?;
+    }
+    splats.gaussians = state.primitives.iter().map(|p| quantizer.quantize(&p.to_gaussian())).collect();
+    let mut field = std::mem::take(&mut state.field);
 
     let mut bytes = crate::bitstream::to_bytes(splats)?;
     let mut best: Option<(f64, Vec<PackedGaussian>, Vec<u8>)> = None;
     let rounds = plan.sweeps.max(2) + 6;
     let mut quiet = 0;
     for round in 0..rounds {
-        watch(round as f32 / rounds as f32, &|| (scene, projected(&quantizer, &splats.gaussians, scene.height)))?;
+        watch(0.5 + 0.5 * round as f32 / rounds as f32, &|| {
+            (scene, projected(&quantizer, &splats.gaussians, scene.height))
+        })?;
         let error = squared_error(&scene, target, &quantizer, &splats.gaussians, &mut field);
-        if std::env::var("LOG").is_ok() {
-            let n = scene.width as f64 * scene.height as f64 * target.channels.count() as f64;
-            eprintln!(
-                "round {round} n {} bytes {} psnr {:.3}",
-                splats.gaussians.len(),
-                bytes.len(),
-                -10.0 * (error / n).log10()
-            );
-        }
         if let Size::Bytes(most) = size {
             if bytes.len() as u64 <= most && best.as_ref().is_none_or(|b| error < b.0) {
                 best = Some((error, splats.gaussians.clone(), bytes.clone()));
@@ -98,7 +89,7 @@ pub(crate) fn finish(
             if settled && (round >= plan.sweeps || quiet > 1) {
                 break;
             }
-            if round > 0 && !settled {
+            if round + 3 >= plan.sweeps && !settled {
                 resize(&scene, target, &quantizer, splats, bytes.len() as u64, most, &mut field);
             }
         } else if round >= plan.sweeps || quiet > 1 {
@@ -161,10 +152,8 @@ fn resize(
     if bytes > most {
         let count = (((bytes - most) as f64 / each).ceil() as usize).clamp(1, splats.gaussians.len());
         let costs = relocate::removal_costs(scene, target.channels.count(), field, RowSet::ALL, &current);
-        let mut cheapest: Vec<usize> = (0..costs.len()).collect();
-        cheapest.sort_by(|&a, &b| costs[a].total_cmp(&costs[b]).then(a.cmp(&b)));
         let mut removed = vec![false; costs.len()];
-        for &i in &cheapest[..count] {
+        for i in relocate::cheapest_first(&costs).into_iter().take(count) {
             removed[i] = true;
         }
         let mut i = 0;
@@ -179,6 +168,18 @@ fn resize(
             splats.gaussians.push(quantizer.quantize(&p.to_gaussian()));
         }
     }
+}
+
+/// How many primitives of this kind fit into `most` bytes: those that there are, quantized and written, set the price.
+pub(crate) fn count_for(primitives: &[Primitive], splats: &mut PackedSplats, most: u64) -> Result<usize> {
+    splats.steps = steps(primitives, splats.layout);
+    let quantizer = splats.quantizer();
+    splats.gaussians = primitives.iter().map(|p| quantizer.quantize(&p.to_gaussian())).collect();
+    let all = crate::bitstream::to_bytes(splats)?.len() as f64;
+    splats.gaussians.clear();
+    let fixed = crate::bitstream::to_bytes(splats)?.len() as f64;
+    let each = ((all - fixed) / primitives.len().max(1) as f64).max(0.5);
+    Ok(((most as f64 * SHRINK - fixed) / each).max(0.0) as usize)
 }
 
 /// The picture of float primitives, for reports: squared error over all rows.

@@ -4,6 +4,7 @@ pub(crate) mod adam;
 pub(crate) mod descend;
 pub(crate) mod field;
 pub(crate) mod finish;
+pub(crate) mod freeze;
 pub(crate) mod kernel;
 pub(crate) mod plan;
 pub(crate) mod project;
@@ -19,7 +20,7 @@ use rand_pcg::Pcg64Mcg;
 
 use crate::error::Result;
 use crate::parallel;
-use adam::{Bounds, Memory, Rates};
+use adam::{Bounds, Freedom, Memory, Rates};
 use field::{Field, Output, RowSet, Scene};
 use plan::Plan;
 use project::{Primitive, Projected};
@@ -40,74 +41,141 @@ pub(crate) type Drawing<'a> = &'a dyn Fn() -> (Scene, Vec<Projected>);
 /// Called at every step with the share of the work done (0..=1); an error stops the fit.
 pub(crate) type Watch<'a> = &'a mut dyn FnMut(f32, Drawing<'_>) -> Result<()>;
 
-/// Fits `count` primitives to `target`.
+/// When the number of primitives is corrected, as shares of the iterations.
+const RECOUNTED: [f32; 2] = [0.3, 0.62];
+
+/// Tells, from the primitives so far, how many there should be.
+pub(crate) type Recount<'a> = &'a mut dyn FnMut(&[Primitive]) -> Result<usize>;
+
+/// Fits about `count` primitives to `target`; `recount` corrects the number on the way.
 pub(crate) fn fit(
     scene: &Scene,
     target: &Target,
     count: usize,
     plan: &Plan,
+    recount: Recount<'_>,
     watch: Watch<'_>,
-) -> Result<Vec<Primitive>> {
+) -> Result<State> {
     let mut rng = Pcg64Mcg::seed_from_u64(plan.seed);
-    let mut primitives = sample::by_detail(target, count, &mut rng);
-    let bounds = Bounds::new(target.width, target.height);
-    for p in &mut primitives {
-        bounds.apply(p);
-    }
-    let mut memory = vec![Memory::default(); count];
-    sort(&mut primitives, &mut memory);
-    let mut field = Field::default();
-    let step = row_step(scene, count);
-    let mut order = 0u32;
+    let mut state = State::new(sample::by_detail(target, count, &mut rng), Bounds::new(target.width, target.height));
+    let mut step = row_step(scene, count);
+    let mut rows = RowCycle::new();
     let start = Instant::now();
+    let mut recounts = RECOUNTED.iter().peekable();
     let mut iteration = 0;
-    while iteration < plan.iterations && count > 0 {
+    while iteration < plan.iterations && !state.primitives.is_empty() {
         // With a time budget the schedule follows the clock where that is ahead.
         let done = (iteration as f32 / plan.iterations as f32).max(plan.spent(start));
         if done >= 1.0 {
             break;
         }
-        watch(done, &|| (*scene, project_all(&primitives, scene.height)))?;
-        if iteration > 0 && iteration % plan.relocate_every == 0 && done < RELOCATED {
-            let rows = RowSet { step: step.div_ceil(2), phase: 0 };
-            let most = ((count as f32 * plan.relocate_share) as usize).max(1);
-            relocate::relocate(scene, target, &mut field, rows, &mut primitives, &mut memory, most);
-            sort(&mut primitives, &mut memory);
+        watch(done, &|| (*scene, project_all(&state.primitives, scene.height)))?;
+        if recounts.next_if(|&&at| done >= at).is_some() {
+            let wanted = recount(&state.primitives)?;
+            relocate::resize(scene, target, &mut state, RowSet { step: step.div_ceil(2), phase: 0 }, wanted);
+            step = row_step(scene, state.primitives.len());
+        } else if iteration > 0 && iteration % plan.relocate_every == 0 && done < RELOCATED {
+            let sampled = RowSet { step: step.div_ceil(2), phase: 0 };
+            let most = ((state.primitives.len() as f32 * plan.relocate_share) as usize).max(1);
+            relocate::relocate(scene, target, &mut state, sampled, most);
         }
-        let step = if done < SAMPLED { step } else { step / 4 };
-        let rows = if step > 1 {
-            let m = iteration % step;
-            if m == 0 {
-                order = rng.random::<u32>() >> 8;
-            }
-            RowSet { step, phase: (m * (step / 2 + 1 + step % 2 * (step > 3) as u32) + order) % step }
-        } else {
-            RowSet::ALL
-        };
-        let projected = project_all(&primitives, scene.height);
-        field.draw(scene, target, &projected, rows, Output::Gradient);
+        let sampled = rows.next(if done < SAMPLED { step } else { step / 4 }, &mut rng);
         let rates = RATES.scaled(LAST_RATE + (1.0 - LAST_RATE) * 0.5 * (1.0 + (std::f32::consts::PI * done).cos()));
-        let channels = target.channels.count();
-        adam::step(
-            scene,
-            channels,
-            &field,
-            rows,
-            &projected,
-            &mut primitives,
-            &mut memory,
-            None,
-            &bounds,
-            rates,
-            iteration,
-        );
+        state.descend(scene, target, sampled, rates);
         iteration += 1;
     }
-    Ok(primitives)
+    Ok(state)
+}
+
+/// Primitives on their way, with what the optimizer remembers of each.
+#[derive(Debug)]
+pub(crate) struct State {
+    pub primitives: Vec<Primitive>,
+    pub memory: Vec<Memory>,
+    /// Which parameters may move; empty: all.
+    pub freedom: Vec<Freedom>,
+    pub bounds: Bounds,
+    pub field: Field,
+    iteration: u32,
+}
+
+impl State {
+    pub(crate) fn new(mut primitives: Vec<Primitive>, bounds: Bounds) -> Self {
+        for p in &mut primitives {
+            bounds.apply(p);
+        }
+        let memory = vec![Memory::default(); primitives.len()];
+        let field = Field::default();
+        let mut state = State { primitives, memory, freedom: Vec::new(), bounds, field, iteration: 0 };
+        state.sort();
+        state
+    }
+
+    /// One step of the optimizer on the error over `rows`.
+    pub(crate) fn descend(&mut self, scene: &Scene, target: &Target, rows: RowSet, rates: Rates) {
+        let projected = project_all(&self.primitives, scene.height);
+        self.field.draw(scene, target, &projected, rows, Output::Gradient);
+        let freedom = (!self.freedom.is_empty()).then_some(&self.freedom[..]);
+        adam::step(
+            scene,
+            target.channels.count(),
+            &self.field,
+            rows,
+            &projected,
+            &mut self.primitives,
+            &mut self.memory,
+            freedom,
+            &self.bounds,
+            rates,
+            self.iteration,
+        );
+        self.iteration += 1;
+    }
+
+    /// Brings neighbours in the picture next to each other in memory.
+    pub(crate) fn sort(&mut self) {
+        let mut order: Vec<u32> = (0..self.primitives.len() as u32).collect();
+        order.sort_by_key(|&i| {
+            let [x, y] = self.primitives[i as usize].mean;
+            ((y / 16.0) as u32, x as u32, i)
+        });
+        self.primitives = order.iter().map(|&i| self.primitives[i as usize]).collect();
+        self.memory = order.iter().map(|&i| self.memory[i as usize]).collect();
+    }
+}
+
+/// Which rows each iteration sees: every phase once in a shuffled cycle.
+pub(crate) struct RowCycle {
+    count: u32,
+    shift: u32,
+}
+
+impl RowCycle {
+    pub(crate) fn new() -> Self {
+        RowCycle { count: 0, shift: 0 }
+    }
+
+    pub(crate) fn next(&mut self, step: u32, rng: &mut Pcg64Mcg) -> RowSet {
+        if step <= 1 {
+            return RowSet::ALL;
+        }
+        let m = self.count % step;
+        self.count += 1;
+        if m == 0 {
+            self.shift = rng.random::<u32>() >> 8;
+        }
+        // A stride prime to `step` keeps consecutive samples apart.
+        let stride = (step / 2 + 1..step).find(|&s| gcd(s, step) == 1).unwrap_or(1);
+        RowSet { step, phase: (m * stride + self.shift) % step }
+    }
+}
+
+fn gcd(a: u32, b: u32) -> u32 {
+    if b == 0 { a } else { gcd(b, a % b) }
 }
 
 /// Rows in one sampled row: every Gaussian should see a few.
-fn row_step(scene: &Scene, count: usize) -> u32 {
+pub(crate) fn row_step(scene: &Scene, count: usize) -> u32 {
     let area = scene.width as f32 * scene.height as f32;
     let typical = 0.7 * (area / (std::f32::consts::PI * count.max(1) as f32)).sqrt();
     ((1.2 * typical) as u32).clamp(1, 16).min(scene.height)
@@ -121,18 +189,4 @@ pub(crate) fn project_all(primitives: &[Primitive], height: u32) -> Vec<Projecte
         part.iter().map(|p| Projected::new(p, height)).collect::<Vec<_>>()
     })
     .concat()
-}
-
-/// Brings neighbours in the picture next to each other in memory.
-fn sort(primitives: &mut [Primitive], memory: &mut [Memory]) {
-    let mut order: Vec<u32> = (0..primitives.len() as u32).collect();
-    order.sort_by_key(|&i| {
-        let [x, y] = primitives[i as usize].mean;
-        ((y / 16.0) as u32, x as u32, i)
-    });
-    let sorted: Vec<(Primitive, Memory)> =
-        order.iter().map(|&i| (primitives[i as usize], memory[i as usize])).collect();
-    for (i, (p, m)) in sorted.into_iter().enumerate() {
-        (primitives[i], memory[i]) = (p, m);
-    }
 }

@@ -6,6 +6,7 @@ use crate::fit::kernel::{self, LANES, RowExponent};
 use crate::fit::project::{Primitive, Projected};
 use crate::fit::sample::blur;
 use crate::fit::target::Target;
+use crate::fit::{State, project_all};
 use crate::gaussian::{Blend, CUTOFF_WEIGHT};
 use crate::parallel;
 
@@ -264,30 +265,54 @@ pub(crate) fn at_peak(peak: &Peak, scene: &Scene, target: &Target) -> Primitive 
 }
 
 /// Moves at most `count` primitives to peaks, as long as the estimated gain exceeds the removal cost. Returns how many.
-#[allow(clippy::too_many_arguments)]
-pub(crate) fn relocate(
-    scene: &Scene,
-    target: &Target,
-    field: &mut Field,
-    rows: RowSet,
-    primitives: &mut [Primitive],
-    memory: &mut [Memory],
-    count: usize,
-) -> usize {
-    let projected: Vec<Projected> = primitives.iter().map(|p| Projected::new(p, scene.height)).collect();
-    field.draw(scene, target, &projected, rows, Output::Picture);
-    let costs = removal_costs(scene, target.channels.count(), field, rows, &projected);
-    let peaks = peaks(scene, target, field, rows, count);
-    let mut cheapest: Vec<usize> = (0..primitives.len()).collect();
-    cheapest.sort_by(|&a, &b| costs[a].total_cmp(&costs[b]).then(a.cmp(&b)));
+pub(crate) fn relocate(scene: &Scene, target: &Target, state: &mut State, rows: RowSet, count: usize) -> usize {
+    let costs = costs(scene, target, state, rows);
+    let peaks = peaks(scene, target, &state.field, rows, count);
     let mut moved = 0;
-    for (peak, &i) in peaks.iter().zip(&cheapest) {
+    for (peak, i) in peaks.iter().zip(cheapest_first(&costs)) {
         if peak.gain < costs[i] {
             break;
         }
-        primitives[i] = at_peak(peak, scene, target);
-        memory[i] = Memory::default();
+        state.primitives[i] = at_peak(peak, scene, target);
+        state.memory[i] = Memory::default();
         moved += 1;
     }
+    state.sort();
     moved
+}
+
+/// Brings the number of primitives to `wanted`, taking the cheapest away or adding at peaks.
+pub(crate) fn resize(scene: &Scene, target: &Target, state: &mut State, rows: RowSet, wanted: usize) {
+    let costs = costs(scene, target, state, rows);
+    let have = state.primitives.len();
+    if wanted < have {
+        let mut keep = vec![true; have];
+        for i in cheapest_first(&costs).into_iter().take(have - wanted) {
+            keep[i] = false;
+        }
+        let mut kept = keep.iter();
+        state.primitives.retain(|_| *kept.next().expect("one for each"));
+        let mut kept = keep.iter();
+        state.memory.retain(|_| *kept.next().expect("one for each"));
+    } else {
+        for peak in peaks(scene, target, &state.field, rows, wanted - have) {
+            state.primitives.push(at_peak(&peak, scene, target));
+            state.memory.push(Memory::default());
+        }
+    }
+    state.sort();
+}
+
+/// Leaves the picture in the state's field.
+fn costs(scene: &Scene, target: &Target, state: &mut State, rows: RowSet) -> Vec<f32> {
+    let projected = project_all(&state.primitives, scene.height);
+    state.field.draw(scene, target, &projected, rows, Output::Picture);
+    removal_costs(scene, target.channels.count(), &state.field, rows, &projected)
+}
+
+/// Indices by rising cost; equal costs by index.
+pub(crate) fn cheapest_first(costs: &[f32]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..costs.len()).collect();
+    order.sort_by(|&a, &b| costs[a].total_cmp(&costs[b]).then(a.cmp(&b)));
+    order
 }

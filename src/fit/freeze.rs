@@ -1,0 +1,73 @@
+//! Incremental hard freezing: the primitives nearest to their lattice points are put there a few at a time, while the
+//! rest goes on adapting.
+
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+
+use crate::error::Result;
+use crate::fit::adam::{Freedom, Rates};
+use crate::fit::field::Scene;
+use crate::fit::project::Primitive;
+use crate::fit::target::Target;
+use crate::fit::{RowCycle, State, Watch, project_all, row_step};
+use crate::quantize::Quantizer;
+
+/// Steps while freezing: well below those of the fit, large enough to walk a lattice step.
+const RATES: Rates = Rates { mean: 0.03, log_scale: 0.03, rotation: 0.03, color: 0.004 };
+
+/// Puts every primitive of `state` on the lattice, colours excepted, over `iterations` steps.
+pub(crate) fn freeze(
+    scene: &Scene,
+    target: &Target,
+    state: &mut State,
+    quantizer: &Quantizer,
+    iterations: u32,
+    seed: u64,
+    watch: Watch<'_>,
+) -> Result<()> {
+    let count = state.primitives.len();
+    let mut rng = Pcg64Mcg::seed_from_u64(seed ^ 0x5f72_656e);
+    let mut rows = RowCycle::new();
+    let step = (row_step(scene, count) / 2).max(1);
+    let rounds = 20.min(iterations.max(1));
+    state.freedom = vec![Freedom::All; count];
+    for round in 0..rounds {
+        watch(round as f32 / rounds as f32, &|| (*scene, project_all(&state.primitives, scene.height)))?;
+        // All are frozen a little before the end, so that the colours settle.
+        let share = ((round + 1) as f32 / rounds as f32 / 0.92).min(1.0);
+        let frozen = state.freedom.iter().filter(|f| **f == Freedom::Color).count();
+        let wanted = (share * count as f32).ceil() as usize;
+        let mut distances: Vec<(f32, usize)> = (0..count)
+            .filter(|&i| state.freedom[i] == Freedom::All)
+            .map(|i| (distance(&state.primitives[i], quantizer), i))
+            .collect();
+        distances.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        for &(_, i) in distances.iter().take(wanted.saturating_sub(frozen)) {
+            let p = &mut state.primitives[i];
+            let g = p.to_gaussian();
+            let on = quantizer.dequantize(&quantizer.quantize(&g));
+            *p = Primitive { color: p.color, ..Primitive::from_gaussian(&on) };
+            state.freedom[i] = Freedom::Color;
+        }
+        let done = round as f32 / rounds as f32;
+        let rates = RATES.scaled(0.1 + 0.9 * 0.5 * (1.0 + (std::f32::consts::PI * done).cos()));
+        for _ in 0..iterations / rounds {
+            let sampled = rows.next(step, &mut rng);
+            state.descend(scene, target, sampled, rates);
+        }
+    }
+    Ok(())
+}
+
+/// How far `p` is from its lattice point, squared, in its own units.
+fn distance(p: &Primitive, quantizer: &Quantizer) -> f32 {
+    let g = p.to_gaussian();
+    let on = quantizer.dequantize(&quantizer.quantize(&g));
+    let (sin, cos) = on.rotation.sin_cos();
+    let [dx, dy] = [on.mean[0] - g.mean[0], on.mean[1] - g.mean[1]];
+    let (u, v) = ((cos * dx + sin * dy) / on.scale[0], (cos * dy - sin * dx) / on.scale[1]);
+    let (a, b) = ((on.scale[0] / g.scale[0]).ln(), (on.scale[1] / g.scale[1]).ln());
+    let aspect = on.scale[0] / on.scale[1];
+    let turn = (on.rotation - g.rotation).sin() * (aspect - 1.0 / aspect);
+    u * u + v * v + a * a + b * b + 0.5 * turn * turn
+}
