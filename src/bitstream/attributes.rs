@@ -1,14 +1,49 @@
 //! Shape and colour of the primitives of a group, each coded knowing its neighbours (spec §8.4, §8.5).
 
+use super::kd::Place;
 use super::model::{Field, SIGNED_NODES};
 use super::neighbours::Buckets;
 use super::range::Coder;
 use super::rules::{Broken, Rules};
-use super::splats::PackedGaussian;
+use super::splats::{PackedGaussian, Steps};
 use crate::gaussian::Channels;
 
 /// Levels of the angle's tree that adapt.
 const ANGLE_NODES: usize = 16;
+
+/// Quantities that are averaged over the neighbours: two scales and four colours.
+const QUANTITIES: usize = 6;
+
+/// Fraction bits of predictions.
+const FINE: i64 = 16;
+
+/// First opinions of the nodes of each field, in 1/256.
+const PRIOR_MAJOR: [u8; 36] = [
+    19, 128, 214, 164, 75, 10, 11, 64, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 123,
+    128, 128, 100, 116, 111, 42, 84, 70, 29, 45, 69, 64,
+];
+const PRIOR_ASPECT: [u8; 36] = [
+    19, 128, 212, 163, 64, 9, 12, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 122,
+    128, 128, 101, 118, 115, 33, 75, 84, 12, 36, 128, 128,
+];
+const PRIOR_LUMA: [u8; 36] = [
+    11, 128, 232, 202, 137, 49, 5, 25, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128,
+    128, 128, 122, 125, 119, 83, 108, 101, 33, 79, 79, 25,
+];
+const PRIOR_CO: [u8; 36] = [
+    105, 128, 95, 68, 30, 21, 44, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 78,
+    128, 128, 61, 91, 94, 49, 81, 100, 67, 91, 192, 128,
+];
+const PRIOR_CG: [u8; 36] = [
+    149, 128, 55, 34, 15, 47, 64, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 62,
+    128, 128, 31, 74, 57, 35, 53, 128, 64, 64, 128, 128,
+];
+
+/// First opinions, in 1/256 and by the neighbours' accord, that the angle lies in the half, quarter and eighth next to
+/// the neighbours' direction.
+const PRIOR_HALF: [u8; 6] = [128, 134, 170, 182, 196, 210];
+const PRIOR_QUARTER: [u8; 6] = [128, 140, 150, 170, 188, 216];
+const PRIOR_EIGHTH: [u8; 6] = [128, 135, 145, 155, 175, 200];
 
 /// Colours as the coder sees them.
 #[derive(Debug, Clone, Copy)]
@@ -23,8 +58,68 @@ pub(crate) struct Palette<'a> {
 struct Seen {
     /// Centre in half steps of the finest lattice.
     at: [i64; 2],
-    p: PackedGaussian,
-    angles: u16,
+    values: [i32; QUANTITIES],
+    /// How far the values were from what was expected.
+    errors: [i32; QUANTITIES],
+    /// Direction of the doubled angle, as long as the primitive is elongated.
+    axis: [i32; 2],
+    elongation: i32,
+}
+
+/// Averages over the neighbours, weighted by distance.
+#[derive(Debug, Clone, Copy, Default)]
+struct Around {
+    weight: i64,
+    values: [i64; QUANTITIES],
+    errors: [i64; QUANTITIES],
+    /// `16·log₂` of the number of primitives around.
+    density: i64,
+    axis: [i64; 2],
+    elongation: i64,
+}
+
+/// A running mean that starts at a guess.
+#[derive(Debug, Clone, Copy)]
+struct Mean {
+    sum: i64,
+    count: i64,
+}
+
+impl Mean {
+    fn new(guess: i64, count: i64) -> Self {
+        Mean { sum: guess * count, count }
+    }
+
+    fn get(self) -> i64 {
+        self.sum.div_euclid(self.count)
+    }
+
+    fn add(&mut self, value: i64) {
+        self.sum += value;
+        self.count += 1;
+    }
+}
+
+/// Running regression of one quantity on another: how much of `x` shows in `y`, in 1/256.
+#[derive(Debug, Clone, Copy)]
+struct Slope {
+    xy: i64,
+    xx: i64,
+}
+
+impl Slope {
+    fn new(guess: i64, weight: i64) -> Self {
+        Slope { xy: guess * weight, xx: weight * 256 }
+    }
+
+    fn of(self, x: i64) -> i64 {
+        (self.xy * 256 / self.xx).clamp(-1024, 1024) * x >> 8
+    }
+
+    fn add(&mut self, x: i64, y: i64) {
+        self.xy += x * y;
+        self.xx += x * x;
+    }
 }
 
 /// The models of one group.
@@ -36,26 +131,12 @@ pub(crate) struct Attributes {
     colors: Vec<Field<3>>,
     index: Field<1>,
     seen: Vec<Seen>,
-    /// Sum and number of the majors' distances from their expectation.
-    drift: [i32; 2],
-    sums: [i64; 4],
-}
-
-impl Attributes {
-    pub fn new(count: usize, palette: &Palette<'_>) -> Self {
-        let n = SIGNED_NODES;
-        let fields = if palette.book.is_some() { 0 } else { palette.channels.count() };
-        Attributes {
-            major: Field::new(n, [16, 19, 16 * 8], 250),
-            aspect: Field::new(n, [17, 24, 16 * 9], 250),
-            angle: Field::new(ANGLE_NODES, [8 * 3, 17 * 3, 8 * 12], 250),
-            colors: (0..fields).map(|_| Field::new(n, [1, 16, 64], 250)).collect(),
-            index: Field::new(palette.book.map_or(0, |b| b.len().next_power_of_two().max(2)), [1], 250),
-            seen: Vec::with_capacity(count),
-            drift: [0; 2],
-            sums: [0; 4],
-        }
-    }
+    means: [Mean; QUANTITIES],
+    density: Mean,
+    /// How much a colour follows the average of its neighbours.
+    follow: [Slope; 4],
+    /// How much a colour's surprise follows the first and the second channel's.
+    cross: [[Slope; 2]; 4],
 }
 
 /// What all primitives of a group share.
@@ -63,111 +144,249 @@ impl Attributes {
 pub(crate) struct Scene<'a> {
     pub rules: &'a Rules,
     pub palette: Palette<'a>,
-    /// Position steps reach down to `coarsest − range`.
-    pub range: u32,
-    /// Expected major scale index.
-    pub typical: i32,
+    pub steps: Steps,
+    /// Exponent of the finest position step.
+    pub finest: i32,
+    /// `16·log₂` of the primitives' spacing, pixels.
+    pub spacing: i64,
 }
 
-/// The major scale index to expect for `count` primitives on a picture: in proportion to their spacing.
-pub(crate) fn typical_major(size: [u32; 2], count: u32, scale_step: u8) -> i32 {
+impl Scene<'_> {
+    /// `32·δ`: 32nds of an octave between neighbouring scales.
+    fn delta(&self) -> i64 {
+        i64::from(self.steps.scale) + 4
+    }
+
+    /// Scale index, with fraction, of `log` sixteenths of an octave above a pixel.
+    fn scale_of(&self, log: i64) -> i64 {
+        (log + 32) * 2 * FINE / self.delta()
+    }
+}
+
+/// `16·log₂` of the spacing, in pixels, of `count` primitives on a picture.
+pub(crate) fn spacing(size: [u32; 2], count: u32) -> i64 {
     let area = u64::from(size[0]) * u64::from(size[1]) * 256 / u64::from(count.max(1));
-    let area = area.max(16);
-    let log = area.ilog2();
-    // 16·log₂ of the area in pixels², linear between powers of two.
-    let log16 = 16 * (i64::from(log) - 8) + (area >> (log - 4) & 15) as i64;
-    ((log16 + 56) / (i64::from(scale_step) + 4)).clamp(0, 255) as i32
+    (log16(area.max(1)) - 16 * 8).div_euclid(2)
 }
 
-fn class(value: i32, last: i32) -> usize {
+/// `16·log₂`, linear between powers of two.
+fn log16(value: u64) -> i64 {
+    let log = value.ilog2();
+    let rest = if log >= 4 { value >> (log - 4) } else { value << (4 - log) };
+    16 * i64::from(log) + (rest & 15) as i64
+}
+
+fn class(value: i64, last: i64) -> usize {
     (value.clamp(-last, last) + last) as usize
 }
 
+/// 0 for 0, then the number of bits.
 fn log_class(value: u64, last: u32) -> usize {
     (64 - value.leading_zeros()).min(last) as usize
 }
 
+/// The angle's field: the better the neighbours agree, the higher the first opinion of the middle.
+fn angle_field() -> Field<3> {
+    let mut field = Field::new(ANGLE_NODES, [8 * 6, 16 * 6, 6], 250);
+    for (k, contexts) in [8 * 6, 16 * 6, 6].into_iter().enumerate() {
+        for context in 0..contexts {
+            for (node, chances) in [(2, PRIOR_HALF), (5, PRIOR_QUARTER), (11, PRIOR_EIGHTH)] {
+                let one = u32::from(chances[context % 6]) << 8;
+                let count = [6, 2, 12][k] as u32;
+                field.set(k, context, node, one, count);
+                // The node on the other side of the middle.
+                field.set(k, context, 3 * (node + 1).next_power_of_two() / 2 - 1 - node, 65536 - one, count);
+            }
+        }
+    }
+    field
+}
+
+/// Direction `2π·k/64`, 256 long.
+fn unit(k: u32) -> [i32; 2] {
+    let turn = std::f64::consts::TAU * f64::from(k) / 64.0;
+    [turn.cos(), turn.sin()].map(|c| (256.0 * c + 0.5).floor() as i32)
+}
+
+/// The nearest of the 64 directions to a sum of vectors of 256 times `total` length at most, and how well they agree: 0
+/// for no opinion, in which case the direction is 0, to 5.
+fn consensus(axis: [i64; 2], total: i64) -> (u32, usize) {
+    let [x, y] = axis.map(|a| a >> 8);
+    let square = x * x + y * y;
+    let fifths = (1..5).filter(|k| 25 * square >= k * k * total * total).count();
+    if total == 0 || fifths == 0 {
+        return (0, usize::from(total != 0));
+    }
+    // Turned into the first quadrant.
+    let (quarter, x, y) = match (x > 0, y >= 0) {
+        (true, true) => (0, x, y),
+        (false, _) if y > 0 => (1, y, -x),
+        (false, _) if x < 0 => (2, -x, -y),
+        _ => (3, -y, x),
+    };
+    let steps = (0..16).filter(|&j| {
+        let tangent = (std::f64::consts::TAU * (f64::from(j) + 0.5) / 64.0).tan();
+        y * 4096 >= x * (4096.0 * tangent + 0.5).floor() as i64
+    });
+    ((quarter * 16 + steps.count() as u32) % 64, fifths + 1)
+}
+
 impl Attributes {
-    /// Codes the primitive in `cell`; a reader's `p` is ignored, and the one that comes back obeys the rules.
+    pub fn new(scene: &Scene<'_>, count: usize) -> Self {
+        let palette = &scene.palette;
+        let n = SIGNED_NODES;
+        let fields = if palette.book.is_some() { 0 } else { palette.channels.count() };
+        let octave = 32 * FINE / scene.delta();
+        let spacing = scene.scale_of(scene.spacing);
+        let color = palette.background.map(|b| Mean::new(i64::from(b) * FINE, 4));
+        Attributes {
+            major: Field::new(n, [16, 16 * 9, 8], 250).prior(&PRIOR_MAJOR, [16, 8, 8]),
+            aspect: Field::new(n, [40, 9 * 9, 16], 250).prior(&PRIOR_ASPECT, [3, 3, 16]),
+            angle: angle_field(),
+            colors: (0..fields)
+                .map(|k| {
+                    Field::new(n, [4, 16 * 8, 64], 250)
+                        .prior([&PRIOR_LUMA, &PRIOR_CO, &PRIOR_CG, &PRIOR_LUMA][k], [12, 3, 3])
+                })
+                .collect(),
+            index: Field::new(palette.book.map_or(0, |b| b.len().next_power_of_two().max(2)), [1], 250),
+            seen: Vec::with_capacity(count),
+            means: [
+                Mean::new(spacing - octave, 4),
+                Mean::new(spacing - 3 * octave, 4),
+                color[0],
+                color[1],
+                color[2],
+                color[3],
+            ],
+            density: Mean::new(64, 4),
+            follow: [Slope::new(256, 16 * 256); 4],
+            cross: [[Slope::new(0, 16 * 256); 2]; 4],
+        }
+    }
+
+    /// Codes the primitive at `place`; a reader's `p` is ignored, and the one that comes back obeys the rules.
     pub fn code<C: Coder>(
         &mut self,
         coder: &mut C,
         scene: &Scene<'_>,
         buckets: &mut Buckets,
-        cell: [u32; 2],
+        place: Place,
         p: &PackedGaussian,
     ) -> Result<PackedGaussian, Broken> {
-        let center = cell.map(|c| (2 * i64::from(c) + 1) << scene.range);
-        let mut near = [(i64::MAX, usize::MAX); 2];
-        let [total, places] = buckets.around(cell, |j| {
-            let d = [0, 1].map(|k| self.seen[j].at[k] - center[k]);
-            let d = d[0] * d[0] + d[1] * d[1];
-            if d < near[0].0 {
-                near = [(d, j), near[0]];
-            } else if d < near[1].0 {
-                near[1] = (d, j);
-            }
-        });
-        let first = self.seen.get(near[0].1).copied();
-        let second = self.seen.get(near[1].1).copied();
-        let density = log_class(u64::from(total) * 9 * 9 / (u64::from(places) * 9), 15);
+        let log = place.log.0;
+        // Half finest cells.
+        let center = place.corner.map(|c| 2 * i64::from(c) + (1 << log));
+        let around = self.around(buckets, &place, center);
+        let means = self.means.map(Mean::get);
+        // Deviation of the neighbours' average from the mean, shrunk where few are near.
+        let dev: [i64; QUANTITIES] =
+            std::array::from_fn(|k| (around.values[k] * FINE - means[k] * around.weight) / (around.weight + 600));
+        let mut errors = [0i32; QUANTITIES];
 
-        // Shape.
-        let expected = scene.typical + self.drift[0] / (self.drift[1] + 3);
-        let beside = first.map_or(18, |s| class((i32::from(s.p.major) - expected) / 2, 8));
-        let beside_minor = first.map_or(7, |s| class((i32::from(s.p.minor) - expected + 4) / 4, 3));
-        let contexts = [density, beside, density * 8 + beside_minor];
-        let major = expected + self.major.signed(coder, &contexts, i32::from(p.major) - expected);
-        let major = u8::try_from(major).map_err(|_| Broken { field: "major scale", value: major as u64 })?;
-        self.drift[0] += i32::from(major) - scene.typical;
-        self.drift[1] += 1;
+        let dense = around.density - self.density.get();
+        let guess = means[0] + (9 * dev[0] + 2 * dev[1]) / 16 - dense * 8 * FINE / (16 * scene.delta());
+        // The step's octave bounds the major scale; the neighbours say where it lies therein.
+        let exponent = i64::from(scene.finest) + i64::from(log);
+        let octave = scene.scale_of(16 * exponent + 4 * i64::from(scene.steps.position));
+        let expected = ((octave + 8) >> 4).max(0);
+        let near = class((guess - octave) * scene.delta() / (8 * FINE), 4);
+        let level = (exponent + 8).clamp(0, 15) as usize;
+        let activity = around.errors[0] * 4 / (around.weight + 600);
+        let contexts = [level, level * 9 + near, log_class(activity as u64, 7)];
+        let off = i64::from(self.major.signed(coder, &contexts, i32::from(p.major) - expected as i32));
+        let major = u8::try_from(expected + off).map_err(|_| Broken { field: "major scale", value: off as u64 })?;
+        errors[0] = off as i32;
+        if scene.rules.seat(major) != log {
+            return Err(Broken { field: "major scale", value: major.into() });
+        }
         coder.account("major scale");
 
-        let off = i32::from(major) - expected;
-        let aspect_beside = first.map_or(23, |s| (s.p.major - s.p.minor).min(22).into());
-        let contexts = [class(off / 2, 8), aspect_beside, density * 9 + class(off / 4, 4)];
-        let aspect = self.aspect.unsigned(coder, &contexts, u32::from(p.major.saturating_sub(p.minor)));
-        let minor = u8::try_from(i64::from(major) - i64::from(aspect))
-            .map_err(|_| Broken { field: "minor scale", value: aspect.into() })?;
+        let surprise = i64::from(major) * FINE - means[0];
+        let guess = means[1] + (9 * surprise + 7 * dev[1] - dev[0]) / 16;
+        let expected = (i64::from(major) - ((guess + 8) >> 4)).max(0);
+        let contexts = [expected.min(39) as usize, class(off / 2, 4) * 9 + class(dev[1] >> 5, 4), 0];
+        let off = self.aspect.signed(coder, &contexts, i32::from(p.major) - i32::from(p.minor) - expected as i32);
+        let minor = i64::from(major) - expected - i64::from(off);
+        let minor = u8::try_from(minor).map_err(|_| Broken { field: "minor scale", value: minor as u64 })?;
+        errors[1] = off;
         coder.account("minor scale");
 
         let n = scene.rules.lattice.angles(major, minor);
-        let angle = self.angle(coder, n, p.angle, [first, second]);
+        let angle = self.angle(coder, n, p.angle, &around);
         scene.rules.shape(major, minor, angle)?;
         coder.account("angle");
 
         // The rest of the position.
-        let [fx, fy] = scene.rules.refinement(major, minor, angle);
-        let low = |v: u32, bits: u32| v & ((1u32 << bits) - 1);
-        let x = cell[0] << fx | coder.raw(fx, low(p.x, fx));
-        let y = cell[1] << fy | coder.raw(fy, low(p.y, fy));
+        let [lx, ly] = scene.rules.logs(major, minor, angle);
+        let rest = |coder: &mut C, corner: u32, v: u32, l: u32| {
+            let count = log - l;
+            corner >> l | coder.raw(count, v & ((1u32 << count) - 1))
+        };
+        let x = rest(coder, place.corner[0], p.x, lx);
+        let y = rest(coder, place.corner[1], p.y, ly);
         coder.account("position refinement");
 
-        let at = [(x, fx), (y, fy)].map(|(v, f)| (2 * i64::from(v) + 1) << (scene.range - f));
-        let color = self.color(coder, scene, at, [first, second], p.color, (major, minor))?;
+        let at = [(x, lx), (y, ly)].map(|(v, l)| (2 * i64::from(v) + 1) << l);
+        let color = match scene.palette.book {
+            Some(book) => {
+                let bits = usize::BITS - (book.len() - 1).leading_zeros();
+                let wanted = book.binary_search(&p.color).unwrap_or(0);
+                let index = self.index.tree(coder, &[0], 0, bits, wanted as u32);
+                coder.account("colour index");
+                *book.get(index as usize).ok_or(Broken { field: "codebook index", value: index.into() })?
+            }
+            None => self.color(coder, &means, &dev, &around, p.color, (major, minor), &mut errors, scene)?,
+        };
         let p = PackedGaussian { x, y, major, minor, angle, color };
         scene.rules.primitive(&p)?;
-        self.seen.push(Seen { at, p, angles: n });
-        buckets.add(cell);
+        let c = color.map(i32::from);
+        let values = [major.into(), minor.into(), c[0], c[1], c[2], c[3]];
+        for (mean, v) in self.means.iter_mut().zip(values) {
+            mean.add(i64::from(v) * FINE);
+        }
+        self.density.add(around.density);
+        let octaves = i32::from(major - minor) * (scene.delta() as i32);
+        let elongation = 16 * octaves / (octaves + 32);
+        let direction = (u32::from(angle) * 64 + u32::from(n) / 2) / u32::from(n) % 64;
+        let axis = unit(direction).map(|c| c * elongation);
+        self.seen.push(Seen { at, values, errors: errors.map(i32::abs), axis, elongation });
+        buckets.add(&place);
         Ok(p)
     }
 
-    fn angle<C: Coder>(&mut self, coder: &mut C, n: u16, angle: u16, near: [Option<Seen>; 2]) -> u16 {
+    fn around(&self, buckets: &Buckets, place: &Place, center: [i64; 2]) -> Around {
+        let mut around = Around::default();
+        // 64 units of squared distance to the square of a bucket's side.
+        let shift = (2 * (1 + buckets.log)).saturating_sub(6);
+        let [total, places] = buckets.around(place, |j| {
+            let seen = &self.seen[j];
+            let d = [0, 1].map(|k| seen.at[k] - center[k]);
+            let d = d[0] * d[0] + d[1] * d[1];
+            let w = 65536 / ((d >> shift) + 16);
+            around.weight += w;
+            for k in 0..QUANTITIES {
+                around.values[k] += w * i64::from(seen.values[k]);
+                around.errors[k] += w * i64::from(seen.errors[k]);
+            }
+            for k in 0..2 {
+                around.axis[k] += w * i64::from(seen.axis[k]);
+            }
+            around.elongation += w * i64::from(seen.elongation);
+        });
+        around.density = log16(u64::from(total) * 9 * 16 / u64::from(places));
+        around
+    }
+
+    fn angle<C: Coder>(&mut self, coder: &mut C, n: u16, angle: u16, around: &Around) -> u16 {
         if n <= 1 {
             return 0;
         }
         let n = u32::from(n);
-        let (mut strength, mut guess, mut apart) = (0, 0, 16);
-        for s in near.into_iter().flatten() {
-            if s.angles > 4 {
-                strength = if s.angles > 12 { 2 } else { 1 };
-                guess = (2 * u32::from(s.p.angle) * n / u32::from(s.angles)).div_ceil(2) % n;
-                apart = u32::from(s.p.angle) * 16 / u32::from(s.angles);
-                break;
-            }
-        }
+        let (direction, accord) = consensus(around.axis, around.elongation);
+        let guess = (direction * n + 32) / 64 % n;
         let size = (n.ilog2() as usize).min(7);
-        let contexts = [size * 3 + strength, apart as usize * 3 + strength, size * 12 + strength];
+        let contexts = [size * 6 + accord, (direction / 4) as usize * 6 + accord, accord];
         let wanted = (u32::from(angle) + 2 * n - guess + n / 2) % n;
         let (mut low, mut high, mut node) = (0, n, 1usize);
         while high - low > 1 {
@@ -191,43 +410,47 @@ impl Attributes {
     fn color<C: Coder>(
         &mut self,
         coder: &mut C,
-        scene: &Scene<'_>,
-        _at: [i64; 2],
-        near: [Option<Seen>; 2],
+        means: &[i64; QUANTITIES],
+        dev: &[i64; QUANTITIES],
+        around: &Around,
         color: [i16; 4],
         (major, minor): (u8, u8),
+        errors: &mut [i32; QUANTITIES],
+        scene: &Scene<'_>,
     ) -> Result<[i16; 4], Broken> {
-        if let Some(book) = scene.palette.book {
-            let bits = usize::BITS - (book.len() - 1).leading_zeros();
-            let wanted = book.binary_search(&color).unwrap_or(0);
-            let index = self.index.tree(coder, &[0], 0, bits, wanted as u32);
-            coder.account("colour index");
-            return book.get(index as usize).copied().ok_or(Broken { field: "codebook index", value: index.into() });
-        }
         let mut out = [0i16; 4];
+        let mut surprises = [0i64; 4];
         let mut before = 0;
-        let seen = self.seen.len() as i64;
         for k in 0..self.colors.len() {
-            let background = i64::from(scene.palette.background[k]);
-            let mean = (self.sums[k] + 4 * background) / (seen + 4);
-            let (guess, contrast) = match near {
-                [Some(a), Some(b)] => {
-                    let (a, b) = (i64::from(a.p.color[k]), i64::from(b.p.color[k]));
-                    ((a + b + mean).div_euclid(3), (a - b).unsigned_abs())
-                }
-                [Some(a), None] => ((i64::from(a.p.color[k]) + mean).div_euclid(2), 0),
-                _ => (mean, 0),
-            };
-            let contrast = log_class(contrast, 7);
-            let size = ((usize::from(major) + usize::from(minor)) / 8).min(15);
-            let contexts = [0, contrast * 2, (before * 8 + contrast).min(63)];
-            let _ = size;
-            let guess = guess.clamp(i64::from(i16::MIN), i64::from(i16::MAX)) as i32;
-            let off = self.colors[k].signed(coder, &contexts, i32::from(color[k]) - guess);
+            let follow = self.follow[k].of(dev[2 + k]);
+            let mut guess = means[2 + k] + follow;
+            for (slope, &s) in self.cross[k].iter().zip(&surprises[..k]) {
+                guess += slope.of(s);
+            }
+            let guess = guess.clamp(i64::from(i16::MIN) * FINE, i64::from(i16::MAX) * FINE);
+            let expected = ((guess + 8) >> 4) as i32;
+            let activity = log_class((around.errors[2 + k] * 4 / (around.weight + 300)) as u64, 7);
+            let spacing = scene.scale_of(scene.spacing) >> 3;
+            let size = (i64::from(major) + i64::from(minor) - spacing) * scene.delta() / 32 + 8;
+            let contexts = [
+                ((guess + 8) & 15) as usize / 4,
+                size.clamp(0, 15) as usize * 8 + activity,
+                (before * 8 + activity).min(63),
+            ];
+            let off = self.colors[k].signed(coder, &contexts, i32::from(color[k]) - expected);
+            errors[2 + k] = off;
             before = log_class(off.unsigned_abs().into(), 7);
-            let value = guess + off;
+            let value = expected + off;
             out[k] = i16::try_from(value).map_err(|_| Broken { field: "colour", value: value as u64 })?;
-            self.sums[k] += i64::from(value);
+            let actual = i64::from(value) * FINE;
+            self.follow[k].add(dev[2 + k], actual - means[2 + k]);
+            let left = actual - means[2 + k] - follow;
+            let mut rest = left;
+            for (slope, &s) in self.cross[k].iter_mut().zip(&surprises[..k]) {
+                slope.add(s, rest);
+                rest -= slope.of(s);
+            }
+            surprises[k] = left;
             coder.account(["colour 0", "colour 1", "colour 2", "colour 3"][k]);
         }
         Ok(out)

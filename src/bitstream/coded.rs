@@ -1,9 +1,9 @@
 //! The coded layout: adaptive entropy coding, in one piece or in groups (spec §8).
 
-use super::attributes::{Attributes, Palette, Scene, typical_major};
+use super::attributes::{Attributes, Palette, Scene, spacing};
 use super::bytes::Bytes;
 use super::header::{Coloring, Grouping, Header};
-use super::kd::{Counts, Region, cells};
+use super::kd::{Counts, Extent, Place, Region, by_key, places};
 use super::model::{Field, SIGNED_NODES};
 use super::neighbours::Buckets;
 use super::palette::{index_of, push_ascending, sorted_codebook, to_i16};
@@ -27,7 +27,7 @@ pub(crate) fn put(splats: &PackedSplats, out: &mut Vec<u8>) -> Result<()> {
         splats.gaussians.iter().try_for_each(|p| index_of(book, p.color).map(drop))?;
     }
     let palette = Palette { channels: splats.channels, background: splats.background, book: book.as_deref() };
-    let region = Region::whole(rules.grid());
+    let region = rules.region();
     let mut encoder = Encoder::new();
     put_palette(&mut encoder, &palette);
     let mut level = splats.gaussians.clone();
@@ -40,7 +40,7 @@ pub(crate) fn put(splats: &PackedSplats, out: &mut Vec<u8>) -> Result<()> {
 /// Reads the payload into `splats`.
 pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSplats, tally: &mut Tally) -> Result<()> {
     let rules = Rules::of(splats);
-    let region = Region::whole(rules.grid());
+    let region = rules.region();
     let payload = bytes.rest();
     let mut meter = Meter::new(Decoder::new(payload));
     let coder = &mut meter;
@@ -58,21 +58,15 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
     Ok(())
 }
 
-/// The order of a group: by cell along the halves, then by shape, position and colour.
+/// The order of a group: coarse squares first, along the halves, then by shape, position and colour.
 fn sort(gaussians: &mut [PackedGaussian], rules: &Rules, region: Region) {
     gaussians.sort_by_cached_key(|p| order(p, rules, region));
 }
 
-type Order = (u64, u8, u8, u16, u32, u32, [i16; 4]);
+type Order = (Place, u8, u8, u16, u32, u32, [i16; 4]);
 
 fn order(p: &PackedGaussian, rules: &Rules, region: Region) -> Order {
-    (region.key(cell(p, rules)), p.major, p.minor, p.angle, p.x, p.y, p.color)
-}
-
-/// The coarsest cell that holds the centre.
-fn cell(p: &PackedGaussian, rules: &Rules) -> [u32; 2] {
-    let [fx, fy] = rules.refinement(p.major, p.minor, p.angle);
-    [p.x >> fx, p.y >> fy]
+    (rules.place(p, region), p.major, p.minor, p.angle, p.x, p.y, p.color)
 }
 
 /// Codes one group; the writer passes its primitives sorted.
@@ -85,20 +79,26 @@ fn group<C: Coder>(
     sorted: Option<&[PackedGaussian]>,
     count: u32,
 ) -> Result<Vec<PackedGaussian>, Broken> {
-    let grid = rules.grid();
-    let places: Option<Vec<_>> = sorted.map(|s| s.iter().map(|p| cell(p, rules)).collect());
-    let places = cells(coder, &mut Counts::new(), grid, region, places.as_deref(), count)?;
+    let given: Option<Vec<Place>> = sorted.map(|s| {
+        let mut given: Vec<_> = s.iter().map(|p| rules.place(p, region)).collect();
+        given.sort_by_cached_key(|p| by_key(p, &region));
+        given
+    });
+    let spacing = spacing([splats.width, splats.height], count);
+    let finest = rules.finest();
+    let extent =
+        Extent { grid: rules.grid(), region, coarsest: rules.range(), spacing: spacing - 16 * i64::from(finest) };
+    let places = places(coder, &mut Counts::new(), &extent, given.as_deref(), count)?;
     coder.account("position");
-    let extent = [0, 1].map(|k| (grid[k] - region.corner[k]).min(1 << region.log[k]));
-    let mut buckets = Buckets::new(&places, region.corner, extent);
-    let mut attributes = Attributes::new(count as usize, &palette);
-    let typical = typical_major([splats.width, splats.height], count, splats.steps.scale);
-    let scene = Scene { rules, palette, range: splats.steps.range.into(), typical };
+    let side = [0, 1].map(|k| (extent.grid[k] - region.corner[k]).min(1 << region.log[k]));
+    let mut buckets = Buckets::new(&places, region.corner, side);
+    let scene = Scene { rules, palette, steps: splats.steps, finest, spacing };
+    let mut attributes = Attributes::new(&scene, count as usize);
     let mut out: Vec<PackedGaussian> = Vec::with_capacity(count as usize);
     for (i, &place) in places.iter().enumerate() {
         let given = sorted.map_or_else(PackedGaussian::default, |s| s[i]);
         let p = attributes.code(coder, &scene, &mut buckets, place, &given)?;
-        // Cells ascend by construction; within one the order is checked.
+        // Places ascend by construction; in one the order is checked.
         if i > 0 && places[i - 1] == place && order(&out[i - 1], rules, region) > order(&p, rules, region) {
             return Err(Broken { field: "order of primitives", value: i as u64 });
         }

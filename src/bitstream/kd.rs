@@ -18,9 +18,9 @@ pub(crate) struct Region {
 }
 
 impl Region {
-    /// The rectangle of powers of two around the whole grid.
-    pub fn whole(grid: [u32; 2]) -> Self {
-        Region { corner: [0, 0], log: grid.map(|g| u32::BITS - (g - 1).leading_zeros()) }
+    /// The rectangle of powers of two around the whole grid, no side below `2^least`.
+    pub fn whole(grid: [u32; 2], least: u32) -> Self {
+        Region { corner: [0, 0], log: grid.map(|g| (u32::BITS - (g - 1).leading_zeros()).max(least)) }
     }
 
     /// The axis that is halved next, or `None` for a single cell.
@@ -45,14 +45,16 @@ impl Region {
         self.log[0] + self.log[1]
     }
 
-    /// The halves that lead to a cell, the first one in the highest bit.
-    pub fn key(&self, cell: [u32; 2]) -> u64 {
+    /// The place of a primitive in the square of `2^log` cells that holds `cell`.
+    pub fn place(&self, cell: [u32; 2], log: u32) -> Place {
         let (mut region, mut key) = (*self, 0);
-        while let Some(axis) = region.axis() {
-            region.log[axis] -= 1;
-            key = key << 1 | u64::from((cell[axis] - self.corner[axis]) >> region.log[axis] & 1);
+        while region.log != [log; 2] {
+            let Some(axis) = region.axis() else { break };
+            let upper = (cell[axis] - region.corner[axis]) >> (region.log[axis] - 1) & 1;
+            region = region.halves(axis)[upper as usize];
+            key = key << 1 | u64::from(upper);
         }
-        key
+        Place { log: std::cmp::Reverse(log), key, corner: region.corner }
     }
 
     /// Cells of the grid in each half along `axis`.
@@ -61,27 +63,49 @@ impl Region {
     }
 }
 
+/// First opinion, in 1/256, that a primitive which has not stayed in a larger square stays in this one, by the square's
+/// side: 12 is the primitives' spacing, a step is half an octave.
+const STAY: [u32; 24] = [251, 251, 249, 243, 222, 195, 164, 137, 102, 71, 46, 25, 13, 8, 4, 2, 2, 2, 2, 2, 2, 2, 2, 2];
+
+/// The chance, in 1/65536, that one of `tries` succeeds where each has `chance / 256`.
+fn some(chance: u32, tries: u32) -> u32 {
+    65536 - (0..tries.max(1)).fold(65536, |none, _| (none * (256 - chance) >> 8).max(256))
+}
+
 /// The models of the counts.
 #[derive(Debug)]
 pub(crate) struct Counts {
     small: Field<3>,
     large: Field<2>,
+    pub stay: Field<3>,
 }
 
 /// A cell of some level and what it holds.
 #[derive(Debug, Clone, Copy)]
 struct Node {
     region: Region,
+    key: u64,
+    /// Place of its first primitive in the writer's list.
+    start: u32,
     count: u32,
+    around: Around,
 }
 
 /// What is known around a cell: classes of the counts beside it.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 struct Around {
     /// `0..=6`: which side along the halved axis is fuller; 3 when even.
     slope: usize,
     /// `0..=3`: how full the four neighbours are.
     density: usize,
+    /// `0..=7`: how many primitives there are here and beside, as a number of bits.
+    crowd: usize,
+}
+
+impl Default for Around {
+    fn default() -> Self {
+        Around { slope: 3, density: 0, crowd: 7 }
+    }
 }
 
 impl Counts {
@@ -90,7 +114,20 @@ impl Counts {
         let mut counts = Counts {
             small: Field::new(1, [small * 2, small * 8 * 4, small * 8], 250),
             large: Field::new(SIGNED_NODES, [16, 7], 250),
+            stay: Field::new(1, [24, 24 * 24, 24 * 16], 250),
         };
+        for (size, &chance) in STAY.iter().enumerate() {
+            counts.stay.set(0, size, 0, chance << 8, 16);
+            for full in 0..8u32 {
+                for stay in 0..3u32 {
+                    let context = (size * 8 + full as usize) * 3 + stay as usize;
+                    counts.stay.set(1, context, 0, some(chance, full.saturating_sub(stay) / (stay + 1)), 6);
+                }
+                for crowd in 0..2 {
+                    counts.stay.set(2, (size * 8 + full as usize) * 2 + crowd, 0, some(chance, 1 + crowd as u32), 4);
+                }
+            }
+        }
         // Centres that keep their distance split more evenly than by chance; chance is where to start.
         for n in 1..=SMALL {
             for node in 1..16 {
@@ -98,7 +135,7 @@ impl Counts {
                     for (k, contexts) in [2, 32, 8].into_iter().enumerate() {
                         for context in 0..contexts {
                             let at = small_context(n, node, context, contexts);
-                            counts.small.set(k, at, 0, one, if k == 0 { 6 } else { 1 });
+                            counts.small.set(k, at, 0, one, 30);
                         }
                     }
                 }
@@ -164,136 +201,161 @@ fn even_chance(n: u32, node: u32) -> Option<(u32, u32)> {
     Some((65536 * ways(middle, high) / ways(low, high), middle))
 }
 
-/// Codes the cells of `count` primitives in `region` of the grid, in the order of their keys.
+/// Where a primitive sits: the square of `2^log` finest cells a side that is as coarse as its position step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Place {
+    /// Coarse squares first.
+    pub log: std::cmp::Reverse<u32>,
+    /// The halves that lead there.
+    pub key: u64,
+    pub corner: [u32; 2],
+}
+
+/// What the counts of a group depend on.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Extent {
+    /// Cells of the finest position step in the picture.
+    pub grid: [u32; 2],
+    /// The group's part of it.
+    pub region: Region,
+    /// Logarithm of the largest square in which a primitive can stay, finest cells.
+    pub coarsest: u32,
+    /// Logarithm of the primitives' spacing, finest cells, in 1/16.
+    pub spacing: i64,
+}
+
+/// Codes where `count` primitives sit, coarse squares first and by key within a size.
 ///
-/// The writer passes the cells sorted by key; the reader passes none and gets them.
-pub(crate) fn cells<C: Coder>(
+/// The writer passes the places sorted by `(key, log)` as [`by_key`] has it; the reader passes none.
+pub(crate) fn places<C: Coder>(
     coder: &mut C,
     counts: &mut Counts,
-    grid: [u32; 2],
-    region: Region,
-    sorted: Option<&[[u32; 2]]>,
+    extent: &Extent,
+    sorted: Option<&[Place]>,
     count: u32,
-) -> Result<Vec<[u32; 2]>, Broken> {
-    let mut walk = Walk { coder, counts, grid, sorted, out: Vec::new() };
-    walk.out.reserve_exact(count as usize);
-    let mut level = vec![Node { region, count }];
+) -> Result<Vec<Place>, Broken> {
+    let mut out = Vec::with_capacity(count as usize);
+    let mut region = extent.region;
+    let mut level = vec![Node { region, key: 0, start: 0, count, around: Around::default() }];
     if count == 0 {
-        return Ok(walk.out);
+        return Ok(out);
     }
-    // While the cells are not many more than the primitives, whole levels at a time, with the neighbours in sight.
-    let mut log = region.log;
+    let corner = region.corner;
+    let shape = [0, 1].map(|k| u64::from((extent.grid[k] - corner[k]).min(1 << region.log[k])));
     loop {
-        let here = Region { corner: region.corner, log };
-        let Some(axis) = here.axis() else { break };
-        let shape =
-            [0, 1].map(|k| u64::from((grid[k] - region.corner[k]).min(1 << region.log[k])).div_ceil(1 << log[k]));
-        if shape[0] * shape[1] > 4 * u64::from(count) + 64 {
-            break;
+        // While squares are not many more than primitives, their neighbours are looked up; later they keep what was seen.
+        let shape = [0, 1].map(|k| shape[k].div_ceil(1 << region.log[k]) as usize);
+        let axis = region.axis();
+        if shape[0] as u64 * shape[1] as u64 <= 4 * u64::from(count) + 64 {
+            look_around(&mut level, corner, shape, axis.unwrap_or(0));
         }
-        level = walk.level(&level, region.corner, shape.map(|s| s as usize), axis)?;
-        log[axis] -= 1;
+        let mut walk = Walk { coder, counts, extent, sorted };
+        if region.log[0] == region.log[1] && region.log[0] <= extent.coarsest {
+            for node in &mut level {
+                let stay = if axis.is_none() { node.count } else { walk.stay(node) };
+                let place = Place { log: std::cmp::Reverse(region.log[0]), key: node.key, corner: node.region.corner };
+                out.extend((0..stay).map(|_| place));
+                node.count -= stay;
+                node.start += stay;
+            }
+        }
+        let Some(axis) = axis else { return Ok(out) };
+        let mut next = Vec::with_capacity(2 * level.len());
+        for node in level.iter().filter(|n| n.count > 0) {
+            next.extend(walk.split(node, axis)?.into_iter().filter(|h| h.count > 0));
+        }
+        level = next;
+        region.log[axis] -= 1;
     }
-    for node in level {
-        walk.descend(node)?;
-    }
-    Ok(walk.out)
+}
+
+/// The order in which a writer passes places: what stays in a square comes before what is in its halves.
+pub(crate) fn by_key(place: &Place, region: &Region) -> (u64, std::cmp::Reverse<u32>) {
+    let below = 2 * place.log.0;
+    debug_assert!(below <= region.key_bits());
+    (place.key << below, place.log)
 }
 
 struct Walk<'a, C> {
     coder: &'a mut C,
     counts: &'a mut Counts,
-    grid: [u32; 2],
-    sorted: Option<&'a [[u32; 2]]>,
-    out: Vec<[u32; 2]>,
+    extent: &'a Extent,
+    sorted: Option<&'a [Place]>,
 }
 
 impl<C: Coder> Walk<'_, C> {
-    /// How many of the writer's `cells` lie in the lower half.
-    fn lower(cells: Option<&[[u32; 2]]>, axis: usize, upper: Region) -> u32 {
-        cells.map_or(0, |c| c.partition_point(|p| p[axis] < upper.corner[axis]) as u32)
+    /// The writer's places in a node.
+    fn inside(&self, node: &Node) -> Option<&[Place]> {
+        self.sorted.map(|s| &s[node.start as usize..(node.start + node.count) as usize])
     }
 
-    fn split(&mut self, node: Node, axis: usize, around: Around, start: usize) -> Result<[Node; 2], Broken> {
+    /// Codes how many primitives of a square stay in it.
+    fn stay(&mut self, node: &Node) -> u32 {
+        let log = node.region.log[0];
+        let wanted = self.inside(node).map_or(0, |p| p.iter().take_while(|p| p.log.0 == log).count()) as u32;
+        // The square's side over the spacing, in half octaves.
+        let size = ((16 * i64::from(log) - self.extent.spacing) / 8 + 12).clamp(0, 23) as usize;
+        let full = node.count.min(7) as usize;
+        let mut stay = 0;
+        while stay < node.count {
+            let contexts = [
+                size,
+                (size * 8 + full) * 3 + stay.min(2) as usize,
+                (size * 8 + node.around.crowd) * 2 + usize::from(node.count > 1),
+            ];
+            if self.counts.stay.bit(self.coder, &contexts, 0, u32::from(wanted > stay)) == 0 {
+                break;
+            }
+            stay += 1;
+        }
+        stay
+    }
+
+    fn split(&mut self, node: &Node, axis: usize) -> Result<[Node; 2], Broken> {
         let [low, high] = node.region.halves(axis);
-        let inside = node.region.inside(axis, self.grid);
+        let inside = node.region.inside(axis, self.extent.grid);
         let n = node.count;
         let mut lower = n;
         if inside[1] > 0 {
-            let cells = self.sorted.map(|s| &s[start..start + n as usize]);
-            let count = Self::lower(cells, axis, high);
-            let coded = self.counts.split(self.coder, n, inside, around, count);
+            let wanted = self.inside(node).map_or(0, |p| p.partition_point(|p| p.corner[axis] < high.corner[axis]));
+            let coded = self.counts.split(self.coder, n, inside, node.around, wanted as u32);
             lower = u32::try_from(coded)
                 .ok()
                 .filter(|&l| l <= n)
-                .ok_or(Broken { field: "count of a cell", value: coded as u64 })?;
+                .ok_or(Broken { field: "count of a half", value: coded as u64 })?;
         }
-        Ok([Node { region: low, count: lower }, Node { region: high, count: n - lower }])
-    }
-
-    fn level(&mut self, nodes: &[Node], corner: [u32; 2], shape: [usize; 2], axis: usize) -> Result<Vec<Node>, Broken> {
-        let mut table = vec![0u32; shape[0] * shape[1]];
-        let place = |r: Region| [0, 1].map(|k| ((r.corner[k] - corner[k]) >> r.log[k]) as usize);
-        for node in nodes {
-            let [x, y] = place(node.region);
-            table[y * shape[0] + x] = node.count;
-        }
-        let mut next = Vec::with_capacity(2 * nodes.len());
-        let mut start = 0;
-        for &node in nodes {
-            let at = place(node.region);
-            let beside = |k: usize, step: isize| -> u32 {
-                let mut other = at;
-                match other[k].checked_add_signed(step) {
-                    Some(v) if v < shape[k] => other[k] = v,
-                    _ => return node.count,
-                }
-                table[other[1] * shape[0] + other[0]]
-            };
-            let (before, behind) = (beside(axis, -1), beside(axis, 1));
-            let sides = beside(1 - axis, -1) + beside(1 - axis, 1);
-            let halves = self.split(node, axis, around(node.count, before, behind, sides), start)?;
-            start += node.count as usize;
-            next.extend(halves.into_iter().filter(|h| h.count > 0));
-        }
-        Ok(next)
-    }
-
-    /// The rest of a node's levels, depth first.
-    fn descend(&mut self, node: Node) -> Result<(), Broken> {
-        let Some(axis) = node.region.axis() else {
-            self.out.extend((0..node.count).map(|_| node.region.corner));
-            return Ok(());
-        };
-        let start = self.out.len();
-        if node.count == 1 {
-            let cell = self.alone(node.region, self.sorted.map(|s| s[start]));
-            self.out.push(cell);
-            return Ok(());
-        }
-        let around = Around { slope: 3, density: 0 };
-        for half in self.split(node, axis, around, start)? {
-            if half.count > 0 {
-                self.descend(half)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// One primitive's way down: bits as they are, but for halves outside the grid.
-    fn alone(&mut self, mut region: Region, cell: Option<[u32; 2]>) -> [u32; 2] {
-        while let Some(axis) = region.axis() {
-            let halves = region.halves(axis);
-            let upper = cell.is_some_and(|c| c[axis] >= halves[1].corner[axis]);
-            let inside = region.inside(axis, self.grid)[1] > 0;
-            let bit = if inside { self.coder.raw(1, upper.into()) } else { 0 };
-            region = halves[bit as usize];
-        }
-        region.corner
+        let (key, around) = (node.key << 1, node.around);
+        Ok([
+            Node { region: low, key, start: node.start, count: lower, around },
+            Node { region: high, key: key | 1, start: node.start + lower, count: n - lower, around },
+        ])
     }
 }
 
-fn around(n: u32, before: u32, behind: u32, sides: u32) -> Around {
+/// Sets what each node of a level sees around it; `axis` is the one that is halved next.
+fn look_around(level: &mut [Node], corner: [u32; 2], shape: [usize; 2], axis: usize) {
+    let mut table = vec![0u32; shape[0] * shape[1]];
+    let place = |r: Region| [0, 1].map(|k| ((r.corner[k] - corner[k]) >> r.log[k]) as usize);
+    for node in level.iter() {
+        let [x, y] = place(node.region);
+        table[y * shape[0] + x] = node.count;
+    }
+    for node in level {
+        let at = place(node.region);
+        let beside = |k: usize, step: isize| -> u32 {
+            let mut other = at;
+            match other[k].checked_add_signed(step) {
+                Some(v) if v < shape[k] => other[k] = v,
+                _ => return node.count,
+            }
+            table[other[1] * shape[0] + other[0]]
+        };
+        let sides = u64::from(beside(1 - axis, -1)) + u64::from(beside(1 - axis, 1));
+        node.around = around(node.count, beside(axis, -1), beside(axis, 1), sides);
+    }
+}
+
+fn around(n: u32, before: u32, behind: u32, sides: u64) -> Around {
     let (n, a, b) = (i64::from(n), i64::from(before), i64::from(behind));
     let slope = match 8 * (b - a) / (a + b + n) {
         i64::MIN..=-4 => 0,
@@ -304,11 +366,13 @@ fn around(n: u32, before: u32, behind: u32, sides: u32) -> Around {
         2..=3 => 5,
         _ => 6,
     };
-    let density = match (a + b + i64::from(sides)) / n {
+    let around = a + b + sides as i64;
+    let density = match around / n {
         0..=1 => 0,
         2 => 1,
         3..=4 => 2,
         _ => 3,
     };
-    Around { slope, density }
+    let crowd = (64 - (around as u64 * 2 + n as u64).leading_zeros()).min(7) as usize;
+    Around { slope, density, crowd }
 }

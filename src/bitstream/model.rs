@@ -19,9 +19,9 @@ pub(crate) struct Tables {
     stretch: [i16; 4096],
     /// `2¹⁶/(1 + exp(−x/256))` for `x` in `−2047..=2047`.
     squash: [u16; 4095],
-    /// `2¹⁶/(n + 1.5)`: how far a slot seen `n` times moves.
+    /// `2¹⁶/(n + 2)`: how far a slot seen `n` times moves.
     step: [u32; 1024],
-    /// `256·√(n/(n + 1.5))`: how much a slot seen `n` times is trusted.
+    /// `256·√(n/(n + 2))`: how much a slot seen `n` times is trusted.
     trust: [i32; 1024],
 }
 
@@ -39,11 +39,11 @@ pub(crate) mod formulas {
     }
 
     pub fn step(n: usize) -> f64 {
-        65536.0 / (n as f64 + 1.5)
+        65536.0 / (n as f64 + 2.0)
     }
 
     pub fn trust(n: usize) -> f64 {
-        UNIT * (n as f64 / (n as f64 + 1.5)).sqrt()
+        UNIT * (n as f64 / (n as f64 + 2.0)).sqrt()
     }
 }
 
@@ -95,8 +95,21 @@ impl<const K: usize> Field<K> {
             *start = total;
             total += n * nodes;
         }
-        let weight = (65536 * 5 / (4 * K)) as i32;
+        let weight = (65536 / K) as i32;
         Field { slots: vec![Slot::NEW; total], nodes, starts, weights: vec![[weight; K]; nodes], limit }
+    }
+
+    /// Gives all contexts first opinions.
+    pub fn prior(mut self, chances: &[u8], counts: [u32; K]) -> Self {
+        for k in 0..K {
+            let end = self.starts.get(k + 1).copied().unwrap_or(self.slots.len());
+            for context in self.slots[self.starts[k]..end].chunks_mut(self.nodes) {
+                for (slot, &one) in context.iter_mut().zip(chances) {
+                    *slot = Slot((u32::from(one) * 256 + 128) << 16 | counts[k]);
+                }
+            }
+        }
+        self
     }
 
     /// Gives a slot a first opinion: `one / 2¹⁶`, held as firmly as after `count` decisions.

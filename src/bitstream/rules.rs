@@ -1,6 +1,7 @@
 //! What the integers of a picture must obey, whether a file or a caller names them (spec §4).
 
 use super::header::{MAX_SIDE, MIN_EXPONENT};
+use super::kd::{Place, Region};
 use super::lattice::Lattice;
 use super::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use crate::error::{Error, FormatError, Result};
@@ -32,6 +33,10 @@ pub(crate) struct Rules {
     pub lattice: Lattice,
     pub size: [u32; 2],
     pub coarsest: i32,
+    range: u32,
+    /// `32·δ`.
+    delta: i32,
+    position: i32,
     /// Highest legal scale index.
     pub top: u8,
     pub channels: usize,
@@ -43,6 +48,9 @@ impl Rules {
             lattice: Lattice::new(steps, layout),
             size,
             coarsest: steps.coarsest.into(),
+            range: steps.range.into(),
+            delta: i32::from(steps.scale) + 4,
+            position: steps.position.into(),
             // i·δ − 2 ≤ 20 with δ = (scale + 4)/32.
             top: (22 * 32 / (u32::from(steps.scale) + 4)).min(255) as u8,
             channels: channels.count(),
@@ -53,14 +61,42 @@ impl Rules {
         Rules::new(&splats.steps, splats.layout, [splats.width, splats.height], splats.channels)
     }
 
-    /// Number of cells of the coarsest step along each side.
-    pub fn grid(&self) -> [u32; 2] {
-        self.size.map(|side| Lattice::positions(side, self.coarsest))
+    /// Exponent of the finest position step.
+    pub fn finest(&self) -> i32 {
+        self.coarsest - self.range as i32
     }
 
-    /// How many bits finer than the coarsest step the positions of this shape are.
-    pub fn refinement(&self, major: u8, minor: u8, angle: u16) -> [u32; 2] {
-        self.lattice.exponents(major, minor, angle).map(|e| (self.coarsest - e) as u32)
+    /// How many octaves the coarsest position step is above the finest.
+    pub fn range(&self) -> u32 {
+        self.range
+    }
+
+    /// Number of cells of the finest step along each side.
+    pub fn grid(&self) -> [u32; 2] {
+        self.size.map(|side| Lattice::positions(side, self.finest()))
+    }
+
+    /// The region that holds every primitive.
+    pub fn region(&self) -> Region {
+        Region::whole(self.grid(), self.range)
+    }
+
+    /// Logarithms of the position steps of a shape, in finest cells.
+    pub fn logs(&self, major: u8, minor: u8, angle: u16) -> [u32; 2] {
+        self.lattice.exponents(major, minor, angle).map(|e| (e - self.finest()) as u32)
+    }
+
+    /// Logarithm of the side, in finest cells, of the square where a primitive of this major scale sits: the position
+    /// step that it would have along its major axis, which is the coarsest that its shape can have.
+    pub fn seat(&self, major: u8) -> u32 {
+        let log64 = 2 * (i32::from(major) * self.delta - 64 - 8 * self.position) - 1;
+        ((log64 + 32).div_euclid(64).clamp(self.finest(), self.coarsest) - self.finest()) as u32
+    }
+
+    /// The square where a primitive sits.
+    pub fn place(&self, p: &PackedGaussian, region: Region) -> Place {
+        let [lx, ly] = self.logs(p.major, p.minor, p.angle);
+        region.place([p.x << lx, p.y << ly], self.seat(p.major))
     }
 
     pub fn shape(&self, major: u8, minor: u8, angle: u16) -> Result<(), Broken> {
