@@ -150,7 +150,7 @@ impl Header {
         checksum.update(payload);
         let computed = checksum.finalize();
         let stored = Bytes::new(&rest[end..], 0).u32("checksum")?;
-        if stored != computed {
+        if stored != computed && !cfg!(fuzzing) {
             return Err(FormatError::Checksum { what: "file", stored, computed }.into());
         }
         if u64::from(self.primitives) > most_primitives(payload.len()) {

@@ -1,0 +1,33 @@
+//! Any bytes through the `image` hook with tight limits: an error or a picture, within the memory that was granted.
+#![no_main]
+
+use std::io::Cursor;
+
+use image::ImageReader;
+use libfuzzer_sys::fuzz_target;
+use peak_alloc::PeakAlloc;
+use ssplat_fuzz::SLACK;
+
+#[global_allocator]
+static ALLOCATOR: PeakAlloc = PeakAlloc;
+
+const SIDE: u32 = 256;
+const ALLOC: u64 = 8 << 20;
+
+fuzz_target!(|data: &[u8]| {
+    assert!(ssplat::register());
+    let mut limits = image::Limits::default();
+    limits.max_image_width = Some(SIDE);
+    limits.max_image_height = Some(SIDE);
+    limits.max_alloc = Some(ALLOC);
+    ALLOCATOR.reset_peak_usage();
+    let before = ALLOCATOR.current_usage();
+    let mut reader = ImageReader::new(Cursor::new(data)).with_guessed_format().expect("memory can be read");
+    reader.limits(limits);
+    let picture = reader.decode();
+    let peak = (ALLOCATOR.peak_usage() - before) as u64;
+    assert!(peak <= ALLOC + SLACK, "{peak} bytes allocated");
+    if let Ok(picture) = picture {
+        assert!(picture.width() <= SIDE && picture.height() <= SIDE);
+    }
+});

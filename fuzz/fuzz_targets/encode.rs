@@ -1,0 +1,65 @@
+//! Tiny pictures and any options: a file no larger than asked that decodes to the same size, the same twice, or a
+//! typed error.
+#![no_main]
+
+use arbitrary::{Arbitrary, Unstructured};
+use libfuzzer_sys::fuzz_target;
+use ssplat::bitstream::splats::Layout;
+use ssplat::{Ablation, Blend, Channels, EncodeOptions, Error, Limits, Pixels, Recipe, Samples, Target, Tune};
+
+#[derive(Debug)]
+struct Input {
+    pixels: Pixels,
+    options: EncodeOptions,
+}
+
+impl<'a> Arbitrary<'a> for Input {
+    fn arbitrary(u: &mut Unstructured<'a>) -> arbitrary::Result<Self> {
+        let mut options = EncodeOptions::default();
+        options.target = match u.int_in_range(0..=3)? {
+            0 => Target::Ratio(f64::from(u.int_in_range(1..=100u8)?)),
+            1 => Target::Bytes(u.int_in_range(0..=400)?),
+            2 => Target::Primitives(u.int_in_range(0..=30)?),
+            _ => Target::Psnr(f64::from(u.int_in_range(5..=40u8)?)),
+        };
+        options.effort = 1;
+        options.seed = u.arbitrary()?;
+        options.layout = *u.choose(&[Layout::Packed, Layout::Planes, Layout::Coded])?;
+        options.blend = *u.choose(&[None, Some(Blend::Normalized), Some(Blend::Sum)])?;
+        options.recipe =
+            *u.choose(&[Recipe::Ssplat, Recipe::SmartSplat(Ablation::Colors), Recipe::SmartSplat(Ablation::Random)])?;
+        options.tune = *u.choose(&[Tune::Psnr, Tune::Ssim])?;
+        options.backend = ssplat::Backend::Cpu;
+        let channels = *u.choose(&[Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba])?;
+        let (width, height) = (u.int_in_range(1..=24)?, u.int_in_range(1..=24)?);
+        let count = (width * height) as usize * channels.count();
+        // Few fuzzed bytes make a picture: they repeat.
+        let seed: Vec<u16> = (0..u.int_in_range(1..=32)?).map(|_| u.arbitrary()).collect::<Result<_, _>>()?;
+        let values = seed.iter().copied().cycle().take(count);
+        let samples = if u.arbitrary()? {
+            Samples::U8(values.map(|v| v as u8).collect())
+        } else {
+            Samples::U16(values.collect())
+        };
+        let pixels = Pixels::new(width, height, channels, samples).expect("sizes agree");
+        Ok(Input { pixels, options })
+    }
+}
+
+fuzz_target!(|input: Input| {
+    let Input { pixels, options } = input;
+    let encoded = match ssplat::encode(&pixels, &options) {
+        Ok(encoded) => encoded,
+        Err(Error::Parameter { .. }) => return,
+        Err(e) => panic!("{e}"),
+    };
+    if let Target::Bytes(most) = options.target {
+        assert!(encoded.bytes.len() as u64 <= most, "{} bytes of {most}", encoded.bytes.len());
+    }
+    let again = ssplat::encode(&pixels, &options).expect("it succeeded before");
+    assert!(encoded.bytes == again.bytes, "two runs differ");
+    let splats = ssplat::bitstream::read(&encoded.bytes[..], &Limits::default()).expect("what was encoded reads");
+    let shape = (splats.width, splats.height, splats.channels, splats.depth);
+    assert_eq!(shape, (pixels.width(), pixels.height(), pixels.channels(), pixels.depth()));
+    assert_eq!(splats.gaussians.len(), encoded.report.primitives);
+});

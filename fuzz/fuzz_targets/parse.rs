@@ -1,0 +1,40 @@
+//! Any bytes: typed error or integers that write the same bytes again, however the reader slices its input, in bounded
+//! memory.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use peak_alloc::PeakAlloc;
+use ssplat::bitstream::sections::SectionFate;
+use ssplat::bitstream::{inspect, read, to_bytes};
+use ssplat_fuzz::{SLACK, Sliced, tight_limits};
+
+#[global_allocator]
+static ALLOCATOR: PeakAlloc = PeakAlloc;
+
+/// Bytes of the checksum, which is not checked under fuzzing.
+const CHECKSUM: usize = 4;
+
+fuzz_target!(|data: &[u8]| {
+    let limits = tight_limits();
+    ALLOCATOR.reset_peak_usage();
+    let before = ALLOCATOR.current_usage();
+    let whole = read(data, &limits);
+    let peak = (ALLOCATOR.peak_usage() - before) as u64;
+    assert!(peak <= limits.alloc + SLACK, "{peak} bytes allocated");
+
+    let sliced = read(Sliced::new(data), &limits);
+    match (&whole, &sliced) {
+        (Ok(a), Ok(b)) => assert!(a == b, "sliced input reads differently"),
+        (Err(a), Err(b)) => assert_eq!(format!("{a:?}"), format!("{b:?}")),
+        (a, b) => panic!("whole {:?}, sliced {:?}", a.as_ref().err(), b.as_ref().err()),
+    }
+    let Ok(splats) = whole else { return };
+    let (inspected, report) = inspect(data, &limits).expect("what reads can be inspected");
+    assert!(inspected == splats);
+    assert_eq!(report.parts.iter().map(|p| p.bytes).sum::<u64>(), data.len() as u64);
+    if report.sections.iter().all(|s| s.fate == SectionFate::Kept) {
+        let again = to_bytes(&splats).expect("what was read can be written");
+        let body = data.len() - CHECKSUM;
+        assert!(again.len() == data.len() && again[..body] == data[..body], "bytes are not canonical");
+    }
+});

@@ -1,0 +1,103 @@
+//! Any floats as a picture: refused, or drawn within one code value of the f64 definition, the same in parts as whole.
+#![no_main]
+
+use arbitrary::{Arbitrary, Unstructured};
+use libfuzzer_sys::fuzz_target;
+use ssplat::gaussian::{MAX_SCALE, MIN_SCALE};
+use ssplat::raster::{Renderer, View, reference};
+use ssplat::{Blend, Channels, Depth, Gaussian, Picture, Samples};
+use ssplat_fuzz::tight_limits;
+
+#[derive(Debug)]
+struct Input {
+    picture: Picture,
+    /// Left, top, width and height of a part.
+    part: [u32; 4],
+    /// Whether every value is one that a file can hold.
+    is_legal: bool,
+}
+
+impl<'a> Arbitrary<'a> for Input {
+    fn arbitrary(u: &mut Unstructured<'a>) -> arbitrary::Result<Self> {
+        let (width, height) = (u.int_in_range(1..=160)?, u.int_in_range(1..=90)?);
+        let is_legal = u.ratio(7, 8)?;
+        let channels = *u.choose(&[Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba])?;
+        let (x, y) = (u.int_in_range(0..=width - 1)?, u.int_in_range(0..=height - 1)?);
+        let part = [x, y, u.int_in_range(1..=width - x)?, u.int_in_range(1..=height - y)?];
+        let mut picture = Picture {
+            width,
+            height,
+            channels,
+            blend: if u.arbitrary()? { Blend::Normalized } else { Blend::Sum },
+            background: [0.5, 0.25, 0.75, 1.0],
+            gaussians: Vec::new(),
+        };
+        while !u.is_empty() && picture.gaussians.len() < 40 {
+            let mut unit = || -> arbitrary::Result<f32> { Ok(f32::from(u.arbitrary::<u16>()?) / 65535.0) };
+            // Log-uniform from the smallest scale to far beyond the picture.
+            let log_scale = |t: f32| MIN_SCALE * (MAX_SCALE / MIN_SCALE).powf(t * t);
+            let (a, b) = (log_scale(unit()?), log_scale(unit()?));
+            let gaussian = Gaussian {
+                mean: [unit()? * width as f32, unit()? * height as f32],
+                scale: [a.max(b), a.min(b)],
+                rotation: unit()? * std::f32::consts::PI,
+                color: [unit()? * 8.0 - 4.0, unit()? * 8.0 - 4.0, unit()? * 8.0 - 4.0, unit()? * 8.0 - 4.0],
+            };
+            picture.gaussians.push(gaussian);
+        }
+        if !is_legal {
+            let poison =
+                u.choose(&[f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, -1.0, 1e-45, f32::MAX, f32::MIN])?;
+            if let Some(g) = picture.gaussians.last_mut() {
+                match u.int_in_range(0..=4)? {
+                    0 => g.mean[0] = *poison,
+                    1 => g.mean[1] = *poison,
+                    2 => g.scale = [*poison; 2],
+                    3 => g.rotation = *poison,
+                    _ => g.color[0] = *poison,
+                }
+            }
+        }
+        Ok(Input { picture, part, is_legal })
+    }
+}
+
+fn bytes(samples: &Samples) -> &[u8] {
+    match samples {
+        Samples::U8(v) => v,
+        Samples::U16(_) => unreachable!("drawn with 8 bits"),
+    }
+}
+
+fuzz_target!(|input: Input| {
+    let Input { picture, part: [x, y, width, height], is_legal } = input;
+    let limits = tight_limits();
+    let full = View::full(&picture);
+    let renderer = match Renderer::new(&picture, &full, &limits) {
+        Ok(renderer) => renderer,
+        Err(e) => {
+            assert!(!is_legal || matches!(e, ssplat::Error::LimitExceeded { .. }), "{e}");
+            return;
+        }
+    };
+    let whole = renderer.render(Depth::Eight).expect("within the limits");
+    let view = full.crop(x, y, width, height).expect("a part");
+    let part =
+        Renderer::new(&picture, &view, &limits).expect("a part of it").render(Depth::Eight).expect("a part of it");
+    let channels = picture.channels.count();
+    for row in 0..height as usize {
+        let start = ((y as usize + row) * picture.width as usize + x as usize) * channels;
+        let length = width as usize * channels;
+        assert!(
+            bytes(part.samples())[row * length..][..length] == bytes(whole.samples())[start..][..length],
+            "parts differ"
+        );
+    }
+    if is_legal {
+        let reference = reference::sample(&picture, &full);
+        for (i, (&drawn, &value)) in bytes(whole.samples()).iter().zip(&reference).enumerate() {
+            let want = reference::code(value, Depth::Eight);
+            assert!(u16::from(drawn).abs_diff(want) <= 1, "sample {i}: {drawn}, reference {want}");
+        }
+    }
+});

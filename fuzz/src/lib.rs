@@ -1,0 +1,123 @@
+//! What the fuzz targets share: readers that slice, pictures from fuzzed bytes, and tight limits.
+
+use std::io::Read;
+
+use arbitrary::{Arbitrary, Unstructured};
+use ssplat::bitstream::lattice::Lattice;
+use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
+use ssplat::{Blend, Channels, Depth, Limits};
+
+/// What a fuzzed file may ask for.
+pub fn tight_limits() -> Limits {
+    let mut limits = Limits::default();
+    limits.width = 1 << 12;
+    limits.height = 1 << 12;
+    limits.primitives = 1 << 16;
+    limits.tile_pairs = 1 << 20;
+    limits.alloc = 32 << 20;
+    limits.metadata = 1 << 16;
+    limits
+}
+
+/// Allocator overhead, error values and what a target itself holds, bytes.
+pub const SLACK: u64 = 1 << 20;
+
+/// Hands out its bytes in pieces of 1, 2, 3, … bytes.
+pub struct Sliced<'a> {
+    bytes: &'a [u8],
+    piece: usize,
+}
+
+impl<'a> Sliced<'a> {
+    pub fn new(bytes: &'a [u8]) -> Self {
+        Sliced { bytes, piece: 0 }
+    }
+}
+
+impl Read for Sliced<'_> {
+    fn read(&mut self, buf: &mut [u8]) -> std::io::Result<usize> {
+        self.piece = self.piece % 7 + 1;
+        let n = self.piece.min(buf.len()).min(self.bytes.len());
+        buf[..n].copy_from_slice(&self.bytes[..n]);
+        self.bytes = &self.bytes[n..];
+        Ok(n)
+    }
+}
+
+/// Integers that obey the format.
+#[derive(Debug, Clone)]
+pub struct Legal(pub PackedSplats);
+
+impl<'a> Arbitrary<'a> for Legal {
+    fn arbitrary(u: &mut Unstructured<'a>) -> arbitrary::Result<Self> {
+        let layout = *u.choose(&[Layout::Packed, Layout::Planes, Layout::Coded])?;
+        let channels = *u.choose(&[Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba])?;
+        let (width, height) = (u.int_in_range(1..=300)?, u.int_in_range(1..=300)?);
+        let coarsest = u.int_in_range(-6..=9)?;
+        let most = if layout == Layout::Packed { 0 } else { 15.min(coarsest + 10) };
+        let steps = Steps {
+            scale: u.int_in_range(0..=15)?,
+            angle: u.int_in_range(0..=3)?,
+            position: u.int_in_range(0..=15)?,
+            coarsest,
+            range: u.int_in_range(0..=most)? as u8,
+            luma: u.int_in_range(0..=15)?,
+            chroma: u.int_in_range(0..=3)?,
+        };
+        let lattice = Lattice::new(&steps, layout);
+        let wide = u.arbitrary()?;
+        let colors = if u.arbitrary()? {
+            Some((0..=u.int_in_range(0..=20)?).map(|_| color(u, channels, wide)).collect::<Result<Vec<_>, _>>()?)
+        } else {
+            None
+        };
+        let mut splats = PackedSplats {
+            width,
+            height,
+            channels,
+            depth: if u.arbitrary()? { Depth::Eight } else { Depth::Sixteen },
+            blend: if u.arbitrary()? { Blend::Normalized } else { Blend::Sum },
+            layout,
+            steps,
+            background: color(u, channels, wide)?,
+            codebook: colors,
+            gaussians: Vec::new(),
+            levels: Vec::new(),
+            metadata: Default::default(),
+        };
+        if u.arbitrary()? {
+            splats.metadata.icc = Some(u.arbitrary()?);
+        }
+        if u.arbitrary()? {
+            splats.metadata.exif = Some(u.arbitrary()?);
+        }
+        let top = (22 * 32 / (u32::from(steps.scale) + 4)).min(255) as u8;
+        while !u.is_empty() && splats.gaussians.len() < 300 {
+            let major = u.int_in_range(0..=top)?;
+            let minor = u.int_in_range(0..=major)?;
+            let angle = u.int_in_range(0..=lattice.angles(major, minor) - 1)?;
+            let [ex, ey] = lattice.exponents(major, minor, angle);
+            splats.gaussians.push(PackedGaussian {
+                x: u.int_in_range(0..=Lattice::positions(width, ex) - 1)?,
+                y: u.int_in_range(0..=Lattice::positions(height, ey) - 1)?,
+                major,
+                minor,
+                angle,
+                color: match &splats.codebook {
+                    Some(book) => *u.choose(book)?,
+                    None => color(u, channels, wide)?,
+                },
+            });
+        }
+        Ok(Legal(splats))
+    }
+}
+
+/// A colour: any, or of moderate size as real ones are.
+fn color(u: &mut Unstructured<'_>, channels: Channels, wide: bool) -> arbitrary::Result<[i16; 4]> {
+    let mut color = [0; 4];
+    for c in &mut color[..channels.count()] {
+        *c = if wide { u.arbitrary()? } else { u.int_in_range(-200..=400)? };
+    }
+    Ok(color)
+}
