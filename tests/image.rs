@@ -3,11 +3,11 @@
 use std::io::{self, Cursor, Read};
 
 use image::error::LimitErrorKind;
-use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageReader};
+use image::{ColorType, DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, ImageReader};
 use ssplat::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
 use ssplat::quantize::Quantizer;
 use ssplat::raster::{Renderer, View};
-use ssplat::{Blend, Channels, Depth, Gaussian, Limits, Pixels, SsplatDecoder};
+use ssplat::{Blend, Channels, Depth, EncodeOptions, Gaussian, Limits, Pixels, SsplatDecoder, SsplatEncoder, Target};
 
 const WIDTH: u32 = 83;
 const HEIGHT: u32 = 150;
@@ -225,4 +225,115 @@ fn floats_become_sixteen_bits_by_the_stated_rule() {
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
         assert!(matches!(of(vec![0.0, bad, 0.0]), Err(ssplat::Error::Parameter { name: "samples", .. })));
     }
+}
+
+fn quick() -> EncodeOptions {
+    let mut options = EncodeOptions::default();
+    (options.target, options.effort) = (Target::Bytes(400), 1);
+    options
+}
+
+/// A small picture of ramps in `color`.
+fn ramps(color: ColorType) -> DynamicImage {
+    let rgba = image::Rgba32FImage::from_fn(40, 30, |x, y| {
+        image::Rgba([x as f32 / 40.0, y as f32 / 30.0, 0.5, 1.0 - x as f32 / 80.0])
+    });
+    let picture = DynamicImage::from(rgba);
+    match color {
+        ColorType::L8 => picture.to_luma8().into(),
+        ColorType::La8 => picture.to_luma_alpha8().into(),
+        ColorType::Rgb8 => picture.to_rgb8().into(),
+        ColorType::Rgba8 => picture.to_rgba8().into(),
+        ColorType::L16 => picture.to_luma16().into(),
+        ColorType::La16 => picture.to_luma_alpha16().into(),
+        ColorType::Rgb16 => picture.to_rgb16().into(),
+        ColorType::Rgba16 => picture.to_rgba16().into(),
+        ColorType::Rgb32F => picture.to_rgb32f().into(),
+        _ => picture,
+    }
+}
+
+#[test]
+fn every_colour_type_is_encoded() {
+    let same = |c| (c, c);
+    let floats = [(ColorType::Rgb32F, ColorType::Rgb16), (ColorType::Rgba32F, ColorType::Rgba16)];
+    let whole = [
+        ColorType::L8,
+        ColorType::La8,
+        ColorType::Rgb8,
+        ColorType::Rgba8,
+        ColorType::L16,
+        ColorType::La16,
+        ColorType::Rgb16,
+        ColorType::Rgba16,
+    ];
+    for (given, stored) in whole.map(same).into_iter().chain(floats) {
+        let picture = ramps(given);
+        assert_eq!(picture.color(), given);
+        let mut bytes = Vec::new();
+        picture.write_with_encoder(SsplatEncoder::new(&mut bytes, quick())).unwrap();
+        assert!(bytes.len() <= 400, "{} bytes", bytes.len());
+        let decoded = DynamicImage::from_decoder(SsplatDecoder::new(&bytes[..]).unwrap()).unwrap();
+        assert_eq!(decoded.color(), stored);
+        let psnr = ssplat::metrics::psnr(&Pixels::try_from(picture).unwrap(), &Pixels::try_from(decoded).unwrap());
+        assert!(psnr.as_ref().is_ok_and(|&p| p > 25.0), "{given:?}: {psnr:?}");
+    }
+}
+
+#[test]
+fn blue_first_is_red_first_with_bytes_exchanged() {
+    let rgba = ramps(ColorType::Rgba8).into_rgba8().into_raw();
+    let encode = |bytes: &[u8], color| {
+        let mut out = Vec::new();
+        SsplatEncoder::new(&mut out, quick()).write_image(bytes, 40, 30, color).unwrap();
+        out
+    };
+    let bgra: Vec<u8> = rgba.chunks_exact(4).flat_map(|p| [p[2], p[1], p[0], p[3]]).collect();
+    assert!(encode(&rgba, ExtendedColorType::Rgba8) == encode(&bgra, ExtendedColorType::Bgra8));
+}
+
+#[test]
+fn other_colour_types_and_samples_that_are_not_finite_are_errors() {
+    let write = |bytes: &[u8], color| SsplatEncoder::new(Vec::new(), quick()).write_image(bytes, 2, 1, color);
+    assert!(matches!(write(&[0; 8], ExtendedColorType::Cmyk8), Err(ImageError::Unsupported(_))));
+    assert!(matches!(write(&[0], ExtendedColorType::L4), Err(ImageError::Unsupported(_))));
+    let mut floats = [0.5f32; 6].map(f32::to_ne_bytes);
+    floats[4] = f32::NAN.to_ne_bytes();
+    assert!(matches!(write(floats.as_flattened(), ExtendedColorType::Rgb32F), Err(ImageError::Parameter(_))));
+}
+
+#[test]
+#[should_panic(expected = "buffer length")]
+fn encoding_a_buffer_of_wrong_length_panics_as_image_asks() {
+    let _ = SsplatEncoder::new(Vec::new(), quick()).write_image(&[0; 5], 2, 1, ExtendedColorType::Rgb8);
+}
+
+#[test]
+fn saved_pictures_open_again_with_their_metadata() {
+    assert!(ssplat::register());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("saved.ssplat");
+    let report = ssplat::save(&ramps(ColorType::Rgb8), &path, &quick()).unwrap();
+    assert!(report.primitives > 0);
+    assert_eq!(image::open(&path).unwrap().color(), ColorType::Rgb8);
+
+    let mut bytes = Vec::new();
+    let mut encoder = SsplatEncoder::new(&mut bytes, quick());
+    encoder.set_icc_profile(vec![3; 50]).unwrap();
+    encoder.set_exif_metadata(metadata().exif.unwrap()).unwrap();
+    ramps(ColorType::Rgb8).write_with_encoder(encoder).unwrap();
+    let mut decoder = SsplatDecoder::new(&bytes[..]).unwrap();
+    assert_eq!(decoder.icc_profile().unwrap(), Some(vec![3; 50]));
+    assert_eq!(decoder.exif_metadata().unwrap(), metadata().exif);
+}
+
+#[test]
+fn a_failed_save_keeps_the_old_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("kept.ssplat");
+    std::fs::write(&path, "before").unwrap();
+    let mut options = quick();
+    options.target = Target::Bytes(1);
+    assert!(ssplat::save(&ramps(ColorType::Rgb8), &path, &options).is_err());
+    assert_eq!(std::fs::read(&path).unwrap(), b"before");
 }
