@@ -3,11 +3,11 @@
 mod synthetic;
 
 use ssplat::bitstream::splats::{Layout, PackedSplats};
-use ssplat::bitstream::{inspect, read, to_bytes};
+use ssplat::bitstream::{inspect, read, read_partial, to_bytes};
 use ssplat::{Blend, Channels, Depth, Error, Limits};
 use synthetic::{Scene, scene};
 
-const LAYOUTS: [Layout; 2] = [Layout::Packed, Layout::Coded];
+const LAYOUTS: [Layout; 3] = [Layout::Packed, Layout::Planes, Layout::Coded];
 
 /// Writes, reads and writes again; gives back what was read.
 fn round_trip(splats: &PackedSplats) -> PackedSplats {
@@ -119,4 +119,46 @@ fn limits_are_kept_before_memory_is_spent() {
             other => panic!("{name}: {other:?}"),
         }
     }
+}
+
+#[test]
+fn many_primitives_go_into_groups_and_come_back() {
+    let splats = scene(&Scene { count: 40_000, size: [1500, 1000], ..Scene::default() });
+    let again = round_trip(&splats);
+    assert_eq!(sorted(&again), sorted(&splats));
+    let (_, report) = inspect(&to_bytes(&splats).unwrap(), &Limits::default()).unwrap();
+    assert!(report.groups > 1);
+}
+
+#[test]
+fn a_file_cut_after_a_level_shows_the_coarser_picture() {
+    let mut splats = scene(&Scene { count: 2000, ..Scene::default() });
+    splats.gaussians.sort_by_key(|p| std::cmp::Reverse(u32::from(p.major) + u32::from(p.minor)));
+    splats.levels = vec![200, 600, 1200];
+    let whole = round_trip(&splats);
+    assert_eq!(sorted(&whole), sorted(&splats));
+    let bytes = to_bytes(&splats).unwrap();
+    let mut seen = Vec::new();
+    for end in 0..bytes.len() {
+        assert!(read(&bytes[..end], &Limits::default()).is_err());
+        let Ok((part, missing)) = read_partial(&bytes[..end], &Limits::default()) else { continue };
+        assert_eq!(part.gaussians.len() + missing.primitives as usize, 2000);
+        assert_eq!(whole.gaussians[..part.gaussians.len()], part.gaussians);
+        assert_eq!(missing.of_groups, 3);
+        seen.push(part.gaussians.len());
+    }
+    seen.dedup();
+    assert_eq!(seen, [0, 200, 800, 2000]);
+}
+
+#[test]
+fn damage_to_one_group_loses_that_group_only() {
+    let mut splats = scene(&Scene { count: 900, ..Scene::default() });
+    splats.levels = vec![300, 300, 300];
+    let mut bytes = to_bytes(&splats).unwrap();
+    let at = bytes.len() / 2;
+    bytes[at] ^= 16;
+    assert!(read(&bytes[..], &Limits::default()).is_err());
+    let (part, missing) = read_partial(&bytes, &Limits::default()).unwrap();
+    assert_eq!((part.gaussians.len(), part.levels, missing.primitives, missing.groups), (600, vec![300, 300], 300, 1));
 }

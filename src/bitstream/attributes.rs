@@ -163,14 +163,14 @@ impl Scene<'_> {
     }
 }
 
-/// `16·log₂` of the spacing, in pixels, of `count` primitives on a picture.
+/// `16·log₂` of the spacing, in cells, of `count` primitives on `size` cells.
 pub(crate) fn spacing(size: [u32; 2], count: u32) -> i64 {
-    let area = u64::from(size[0]) * u64::from(size[1]) * 256 / u64::from(count.max(1));
+    let area = u128::from(size[0]) * u128::from(size[1]) * 256 / u128::from(count.max(1));
     (log16(area.max(1)) - 16 * 8).div_euclid(2)
 }
 
 /// `16·log₂`, linear between powers of two.
-fn log16(value: u64) -> i64 {
+fn log16(value: u128) -> i64 {
     let log = value.ilog2();
     let rest = if log >= 4 { value >> (log - 4) } else { value << (4 - log) };
     16 * i64::from(log) + (rest & 15) as i64
@@ -374,7 +374,7 @@ impl Attributes {
             }
             around.elongation += w * i64::from(seen.elongation);
         });
-        around.density = log16(u64::from(total) * 9 * 16 / u64::from(places));
+        around.density = log16(u128::from(total) * 9 * 16 / u128::from(places));
         around
     }
 

@@ -2,64 +2,60 @@
 
 use super::attributes::{Attributes, Palette, Scene, spacing};
 use super::bytes::Bytes;
-use super::header::{Coloring, Grouping, Header};
+use super::header::{Coloring, Header};
 use super::kd::{Counts, Extent, Place, Region, by_key, places};
 use super::model::{Field, SIGNED_NODES};
 use super::neighbours::Buckets;
 use super::palette::{index_of, push_ascending, sorted_codebook, to_i16};
 use super::range::{Coder, Decoder, Encoder, Meter};
-use super::report::Tally;
+use super::report::{Detail, Tally};
 use super::rules::{Broken, Rules};
-use super::splats::{PackedGaussian, PackedSplats};
+use super::splats::{PackedGaussian, PackedSplats, Steps};
 use crate::error::Result;
 
-/// How the writer divides the primitives.
-pub(crate) fn grouping(splats: &PackedSplats) -> Grouping {
-    let _ = splats;
-    Grouping::Single
-}
-
-/// Appends the payload.
+/// Appends the payload of a file without groups.
 pub(crate) fn put(splats: &PackedSplats, out: &mut Vec<u8>) -> Result<()> {
-    let rules = Rules::of(splats);
     let book = sorted_codebook(splats);
-    if let Some(book) = &book {
-        splats.gaussians.iter().try_for_each(|p| index_of(book, p.color).map(drop))?;
-    }
-    let palette = Palette { channels: splats.channels, background: splats.background, book: book.as_deref() };
-    let region = rules.region();
+    let group = Group::new(splats, book.as_deref())?;
     let mut encoder = Encoder::new();
-    put_palette(&mut encoder, &palette);
-    let mut level = splats.gaussians.clone();
-    sort(&mut level, &rules, region);
-    group(&mut encoder, splats, &rules, palette, region, Some(&level), level.len() as u32)?;
+    put_palette(&mut encoder, &group.palette);
+    let region = group.rules.region();
+    let mut sorted = splats.gaussians.clone();
+    sort(&mut sorted, &group.rules, region);
+    group.code(&mut encoder, region, Some(&sorted), sorted.len() as u32)?;
     out.extend(encoder.finish());
     Ok(())
 }
 
-/// Reads the payload into `splats`.
+/// Reads the payload of a file without groups into `splats`.
 pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSplats, tally: &mut Tally) -> Result<()> {
-    let rules = Rules::of(splats);
-    let region = rules.region();
     let payload = bytes.rest();
-    let mut meter = Meter::new(Decoder::new(payload));
-    let coder = &mut meter;
-    let (background, book) = read_palette(coder, header)?;
-    splats.background = background;
-    splats.codebook = book;
-    let palette =
-        Palette { channels: splats.channels, background: splats.background, book: splats.codebook.as_deref() };
-    splats.gaussians = group(coder, splats, &rules, palette, region, None, header.primitives)?;
-    meter.coder.finish()?;
-    tally.part("coded stream", payload.len());
-    for (name, bits) in meter.fields {
-        tally.field(name, bits);
+    match tally.detail {
+        Detail::Parts => {
+            let mut decoder = Decoder::new(payload);
+            read_stream(&mut decoder, header, splats)?;
+            decoder.finish()?;
+        }
+        Detail::Fields => {
+            let mut meter = Meter::new(Decoder::new(payload));
+            read_stream(&mut meter, header, splats)?;
+            meter.coder.finish()?;
+            tally.add(meter.fields);
+        }
     }
+    tally.part("coded stream", payload.len());
+    Ok(())
+}
+
+fn read_stream<C: Coder>(coder: &mut C, header: &Header, splats: &mut PackedSplats) -> Result<()> {
+    (splats.background, splats.codebook) = read_palette(coder, header)?;
+    let group = Group::new(splats, splats.codebook.as_deref())?;
+    splats.gaussians = group.code(coder, group.rules.region(), None, header.primitives)?;
     Ok(())
 }
 
 /// The order of a group: coarse squares first, along the halves, then by shape, position and colour.
-fn sort(gaussians: &mut [PackedGaussian], rules: &Rules, region: Region) {
+pub(crate) fn sort(gaussians: &mut [PackedGaussian], rules: &Rules, region: Region) {
     gaussians.sort_by_cached_key(|p| order(p, rules, region));
 }
 
@@ -69,42 +65,61 @@ fn order(p: &PackedGaussian, rules: &Rules, region: Region) -> Order {
     (rules.place(p, region), p.major, p.minor, p.angle, p.x, p.y, p.color)
 }
 
-/// Codes one group; the writer passes its primitives sorted.
-fn group<C: Coder>(
-    coder: &mut C,
-    splats: &PackedSplats,
-    rules: &Rules,
-    palette: Palette<'_>,
-    region: Region,
-    sorted: Option<&[PackedGaussian]>,
-    count: u32,
-) -> Result<Vec<PackedGaussian>, Broken> {
-    let given: Option<Vec<Place>> = sorted.map(|s| {
-        let mut given: Vec<_> = s.iter().map(|p| rules.place(p, region)).collect();
-        given.sort_by_cached_key(|p| by_key(p, &region));
-        given
-    });
-    let spacing = spacing([splats.width, splats.height], count);
-    let finest = rules.finest();
-    let extent =
-        Extent { grid: rules.grid(), region, coarsest: rules.range(), spacing: spacing - 16 * i64::from(finest) };
-    let places = places(coder, &mut Counts::new(), &extent, given.as_deref(), count)?;
-    coder.account("position");
-    let side = [0, 1].map(|k| (extent.grid[k] - region.corner[k]).min(1 << region.log[k]));
-    let mut buckets = Buckets::new(&places, region.corner, side);
-    let scene = Scene { rules, palette, steps: splats.steps, finest, spacing };
-    let mut attributes = Attributes::new(&scene, count as usize);
-    let mut out: Vec<PackedGaussian> = Vec::with_capacity(count as usize);
-    for (i, &place) in places.iter().enumerate() {
-        let given = sorted.map_or_else(PackedGaussian::default, |s| s[i]);
-        let p = attributes.code(coder, &scene, &mut buckets, place, &given)?;
-        // Places ascend by construction; in one the order is checked.
-        if i > 0 && places[i - 1] == place && order(&out[i - 1], rules, region) > order(&p, rules, region) {
-            return Err(Broken { field: "order of primitives", value: i as u64 });
+/// What the groups of a picture have in common.
+#[derive(Debug)]
+pub(crate) struct Group<'a> {
+    pub rules: Rules,
+    steps: Steps,
+    palette: Palette<'a>,
+}
+
+impl<'a> Group<'a> {
+    /// # Errors
+    /// [`Error::Parameter`](crate::Error::Parameter) when a primitive's colour is not in the codebook.
+    pub fn new(splats: &PackedSplats, book: Option<&'a [[i16; 4]]>) -> Result<Self> {
+        if let Some(book) = book {
+            splats.gaussians.iter().try_for_each(|p| index_of(book, p.color).map(drop))?;
         }
-        out.push(p);
+        let palette = Palette { channels: splats.channels, background: splats.background, book };
+        Ok(Group { rules: Rules::of(splats), steps: splats.steps, palette })
     }
-    Ok(out)
+
+    /// Codes `count` primitives of `region`; the writer passes them sorted.
+    pub fn code<C: Coder>(
+        &self,
+        coder: &mut C,
+        region: Region,
+        sorted: Option<&[PackedGaussian]>,
+        count: u32,
+    ) -> Result<Vec<PackedGaussian>, Broken> {
+        let rules = &self.rules;
+        let given: Option<Vec<Place>> = sorted.map(|s| {
+            let mut given: Vec<_> = s.iter().map(|p| rules.place(p, region)).collect();
+            given.sort_by_cached_key(|p| by_key(p, &region));
+            given
+        });
+        let (grid, finest) = (rules.grid(), rules.finest());
+        let side = [0, 1].map(|k| (grid[k] - region.corner[k]).min(1 << region.log[k]));
+        let cells = spacing(side, count);
+        let extent = Extent { grid, region, coarsest: rules.range(), spacing: cells };
+        let spacing = cells + 16 * i64::from(finest);
+        let places = places(coder, &mut Counts::new(), &extent, given.as_deref(), count)?;
+        coder.account("position");
+        let mut buckets = Buckets::new(&places, region.corner, side);
+        let scene = Scene { rules, palette: self.palette, steps: self.steps, finest, spacing };
+        let mut attributes = Attributes::new(&scene, count as usize);
+        let mut out: Vec<PackedGaussian> = Vec::with_capacity(count as usize);
+        for (i, &place) in places.iter().enumerate() {
+            let given = sorted.map_or_else(PackedGaussian::default, |s| s[i]);
+            let p = attributes.code(coder, &scene, &mut buckets, place, &given)?;
+            // Places ascend by construction; in one the order is checked.
+            if i > 0 && places[i - 1] == place && order(&out[i - 1], rules, region) > order(&p, rules, region) {
+                return Err(Broken { field: "order of primitives", value: i as u64 });
+            }
+            out.push(p);
+        }
+        Ok(out)
+    }
 }
 
 /// Background and codebook in front of a single stream.

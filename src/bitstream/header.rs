@@ -144,6 +144,11 @@ impl Header {
         })
     }
 
+    /// CRC-32 of the header.
+    pub(crate) fn checksum(&self) -> u32 {
+        crc32fast::hash(&self.bytes)
+    }
+
     /// The bytes as they were read.
     pub(crate) fn bytes(&self) -> &[u8] {
         &self.bytes

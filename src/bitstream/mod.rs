@@ -4,6 +4,7 @@ mod attributes;
 mod bits;
 mod bytes;
 mod coded;
+mod groups;
 pub mod header;
 mod hilbert;
 mod kd;
@@ -12,6 +13,7 @@ mod model;
 mod neighbours;
 mod packed;
 mod palette;
+mod planes;
 mod range;
 pub mod report;
 pub mod rules;
@@ -23,8 +25,9 @@ use std::io::{Read, Write};
 use crc32fast::Hasher;
 
 use self::bytes::Bytes;
+pub use self::groups::Missing;
 use self::header::{Grouping, Header, Sections, put_header};
-use self::report::{Report, Tally};
+use self::report::{Detail, Report, Tally};
 use self::sections::{SectionInfo, put_sections, read_sections};
 use self::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
 use crate::error::{Error, FormatError, Result};
@@ -35,8 +38,20 @@ const CHECKSUM: usize = 4;
 
 /// How many primitives a payload of `bytes` bytes may hold: real ones take 20 bits or more, and a file that claims
 /// millions in a few bytes must not cost the work of millions.
-fn most_primitives(bytes: usize) -> u64 {
-    1024 + 8 * bytes as u64
+fn most_primitives(bytes: u64) -> u64 {
+    bytes.saturating_mul(8).saturating_add(1024)
+}
+
+/// Most bytes that reading a primitive of a layout takes at any time.
+fn working_bytes(layout: Layout) -> u64 {
+    let extra = match layout {
+        Layout::Packed => 0,
+        // A row of ten fields, and planes on their way into rows.
+        Layout::Planes => 100,
+        // Nodes of two levels of the tree, later places, buckets and neighbours.
+        Layout::Coded => 240,
+    };
+    size_of::<PackedGaussian>() as u64 + extra
 }
 
 /// Writes `splats` in their layout. The primitives of a level are put into the layout's own order.
@@ -57,26 +72,22 @@ pub fn to_bytes(splats: &PackedSplats) -> Result<Vec<u8>> {
     let has_sections = splats.metadata.icc.is_some() || splats.metadata.exif.is_some();
     let sections = if has_sections { Sections::Present } else { Sections::Absent };
     let (mut out, mut checksum) = (Vec::new(), Hasher::new());
-    put_header(
-        splats,
-        if splats.layout == Layout::Coded { coded::grouping(splats) } else { Grouping::Single },
-        sections,
-        &mut out,
-    );
+    let grouping = groups::grouping(splats);
+    put_header(splats, grouping, sections, &mut out);
     checksum.update(&out);
+    let header = crc32fast::hash(&out);
     if has_sections {
         put_sections(&splats.metadata, &mut out, &mut checksum);
     }
     let payload = out.len();
-    match splats.layout {
-        Layout::Packed => packed::put(splats, &mut out)?,
-        Layout::Coded => coded::put(splats, &mut out)?,
-        Layout::Planes => {
-            return Err(Error::Parameter { name: "layout", problem: "planes are not written yet".into() });
-        }
+    match (splats.layout, grouping) {
+        (Layout::Packed, _) => packed::put(splats, &mut out)?,
+        (Layout::Planes, _) => planes::put(splats, &mut out)?,
+        (Layout::Coded, Grouping::Single) => coded::put(splats, &mut out)?,
+        (Layout::Coded, Grouping::Groups) => groups::put(splats, header, &mut out)?,
     }
     checksum.update(&out[payload..]);
-    if splats.gaussians.len() as u64 > most_primitives(out.len() - payload) {
+    if splats.gaussians.len() as u64 > most_primitives((out.len() - payload) as u64) {
         let problem = format!("{} are more than 1024 and 8 a byte", splats.gaussians.len());
         return Err(Error::Parameter { name: "primitive count", problem });
     }
@@ -103,14 +114,40 @@ pub fn read<R: Read>(mut reader: R, limits: &Limits) -> Result<PackedSplats> {
 pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Report)> {
     let mut rest = bytes;
     let header = Header::read(&mut rest, limits)?;
-    let mut tally = Tally::default();
+    let mut tally = Tally { detail: Detail::Fields, ..Tally::default() };
     tally.part("header", header.bytes().len());
     let (splats, sections) = header.parse(rest, limits, &mut tally)?;
     tally.part("checksum", CHECKSUM);
     let levels = splats.levels.clone();
-    let Tally { parts, fields, groups } = tally;
+    let Tally { parts, fields, groups, .. } = tally;
     let report = Report { header, bytes: bytes.len() as u64, parts, sections, fields, levels, groups: groups.max(1) };
     Ok((splats, report))
+}
+
+/// Reads what is intact of a damaged or truncated file, and says what is missing.
+///
+/// Only files in groups have parts that stand alone; any other file is read whole or not at all.
+///
+/// # Errors
+/// As [`read`] when header, sections or the directory of the groups are damaged, or when there are no groups.
+pub fn read_partial(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Missing)> {
+    let mut rest = bytes;
+    let header = Header::read(&mut rest, limits)?;
+    let error = match header.parse(rest, limits, &mut Tally::default()) {
+        Ok((splats, _)) => return Ok((splats, Missing::default())),
+        Err(error) => error,
+    };
+    if header.grouping == Grouping::Single || matches!(error, Error::LimitExceeded { .. }) {
+        return Err(error);
+    }
+    let mut cursor = Bytes::new(rest, header.bytes().len() as u64);
+    let metadata = match header.sections {
+        Sections::Absent => Metadata::default(),
+        Sections::Present => read_sections(&mut cursor, limits, &mut Hasher::new())?.0,
+    };
+    let mut splats = header.empty(metadata);
+    let missing = groups::read_intact(&mut cursor, &header, &mut splats)?;
+    Ok((splats, missing))
 }
 
 impl Header {
@@ -128,8 +165,8 @@ impl Header {
 
     /// Parses the bytes behind the header.
     fn parse(&self, rest: &[u8], limits: &Limits, tally: &mut Tally) -> Result<(PackedSplats, Vec<SectionInfo>)> {
-        let records = u64::from(self.primitives) * size_of::<PackedGaussian>() as u64;
-        Limits::check("alloc", rest.len() as u64 + records, limits.alloc)?;
+        let working = u64::from(self.primitives) * working_bytes(self.layout);
+        Limits::check("alloc", rest.len() as u64 + working, limits.alloc)?;
         let base = self.bytes().len() as u64;
         let end = rest
             .len()
@@ -153,10 +190,23 @@ impl Header {
         if stored != computed && !cfg!(fuzzing) {
             return Err(FormatError::Checksum { what: "file", stored, computed }.into());
         }
-        if u64::from(self.primitives) > most_primitives(payload.len()) {
+        if u64::from(self.primitives) > most_primitives(payload.len() as u64) {
             return Err(FormatError::BadValue { field: "primitive count", value: self.primitives.into() }.into());
         }
-        let mut splats = PackedSplats {
+        let mut splats = self.empty(metadata);
+        match (self.layout, self.grouping) {
+            (Layout::Packed, _) => packed::read(&mut bytes, self, &mut splats, tally)?,
+            (Layout::Planes, _) => planes::read(&mut bytes, self, &mut splats, tally)?,
+            (Layout::Coded, Grouping::Single) => coded::read(&mut bytes, self, &mut splats, tally)?,
+            (Layout::Coded, Grouping::Groups) => groups::read(&mut bytes, self, &mut splats, tally)?,
+        }
+        bytes.finish()?;
+        Ok((splats, sections))
+    }
+
+    /// The picture of this header without primitives.
+    fn empty(&self, metadata: Metadata) -> PackedSplats {
+        PackedSplats {
             width: self.width,
             height: self.height,
             channels: self.channels,
@@ -169,15 +219,6 @@ impl Header {
             gaussians: Vec::new(),
             levels: Vec::new(),
             metadata,
-        };
-        match self.layout {
-            Layout::Packed => packed::read(&mut bytes, self, &mut splats, tally)?,
-            Layout::Coded => coded::read(&mut bytes, self, &mut splats, tally)?,
-            Layout::Planes => {
-                return Err(Error::Parameter { name: "layout", problem: "planes are not written yet".into() });
-            }
         }
-        bytes.finish()?;
-        Ok((splats, sections))
     }
 }

@@ -167,14 +167,6 @@ impl<const K: usize> Field<K> {
         if negative { -magnitude } else { magnitude }
     }
 
-    /// Codes an integer of at most 17 bits: zero, then the length and the bits.
-    pub fn unsigned<C: Coder>(&mut self, coder: &mut C, contexts: &[usize; K], value: u32) -> u32 {
-        if self.bit(coder, contexts, 0, u32::from(value == 0)) != 0 {
-            return 0;
-        }
-        self.magnitude(coder, contexts, value)
-    }
-
     fn magnitude<C: Coder>(&mut self, coder: &mut C, contexts: &[usize; K], value: u32) -> u32 {
         let value = value.max(1);
         let mut length = 0;

@@ -41,9 +41,20 @@ pub struct Report {
     pub groups: u32,
 }
 
+/// How much a report tells.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum Detail {
+    /// The parts only.
+    #[default]
+    Parts,
+    /// The bits of each field as well, which costs time.
+    Fields,
+}
+
 /// Gathers a report while a file is read.
 #[derive(Debug, Default)]
 pub(crate) struct Tally {
+    pub detail: Detail,
     pub parts: Vec<Part>,
     pub fields: Vec<Field>,
     pub groups: u32,
@@ -60,5 +71,10 @@ impl Tally {
             Some(field) => field.bits += bits,
             None => self.fields.push(Field { name, bits }),
         }
+    }
+
+    /// Adds the accounts of a meter.
+    pub fn add(&mut self, fields: Vec<(&'static str, f64)>) {
+        fields.into_iter().for_each(|(name, bits)| self.field(name, bits));
     }
 }

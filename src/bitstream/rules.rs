@@ -163,6 +163,7 @@ fn check_all(splats: &PackedSplats) -> Result<(), Broken> {
     in_range("primitive count", u32::try_from(splats.gaussians.len()).is_ok(), splats.gaussians.len() as u64)?;
     let leveled = splats.levels.iter().map(|&n| u64::from(n)).sum::<u64>();
     in_range("levels", splats.levels.is_empty() || leveled == splats.gaussians.len() as u64, leveled)?;
+    in_range("levels", !splats.levels.contains(&0), 0)?;
     in_range("levels", splats.levels.len() <= MAX_LEVELS, splats.levels.len() as u64)?;
     in_range("levels", splats.levels.len() <= 1 || splats.layout == Layout::Coded, splats.levels.len() as u64)?;
     let rules = Rules::of(splats);

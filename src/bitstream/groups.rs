@@ -1,0 +1,283 @@
+//! The coded layout in groups: parts that decode alone, in a directory that says where they are (spec §8.6).
+
+use std::ops::Range;
+
+use crc32fast::hash;
+
+use super::bytes::{Bytes, put_varint};
+use super::coded::{Group, sort};
+use super::header::{Coloring, Grouping, Header};
+use super::kd::Region;
+use super::palette::{put_codebook, put_color, read_codebook, read_color, sorted_codebook};
+use super::range::{Decoder, Encoder, Meter};
+use super::report::{Detail, Tally};
+use super::rules::{Broken, MAX_LEVELS, Rules};
+use super::splats::{Layout, PackedGaussian, PackedSplats};
+use crate::error::{FormatError, Result};
+use crate::parallel;
+
+/// A region with more primitives than this is halved.
+const MOST: u32 = 1 << 15;
+
+/// How the writer divides the primitives: not at all, if it can be helped.
+pub(crate) fn grouping(splats: &PackedSplats) -> Grouping {
+    let many = splats.levels.len() > 1 || splats.gaussians.len() > MOST as usize;
+    if splats.layout == Layout::Coded && many { Grouping::Groups } else { Grouping::Single }
+}
+
+/// A part that decodes alone.
+#[derive(Debug, Clone)]
+struct Entry {
+    level: usize,
+    region: Region,
+    count: u32,
+    /// Its bytes, from the end of the directory.
+    bytes: Range<u64>,
+    checksum: u32,
+}
+
+/// What a reader could not get.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct Missing {
+    /// Primitives.
+    pub primitives: u32,
+    /// Groups.
+    pub groups: u32,
+    /// Groups that the file should have.
+    pub of_groups: u32,
+}
+
+/// Appends the payload; `header` is the header's checksum.
+pub(crate) fn put(splats: &PackedSplats, header: u32, out: &mut Vec<u8>) -> Result<()> {
+    let channels = splats.channels.count();
+    let start = out.len();
+    let book = sorted_codebook(splats);
+    let group = Group::new(splats, book.as_deref())?;
+    put_color(&splats.background[..channels], out);
+    if let Some(book) = &book {
+        put_codebook(book, channels, out);
+    }
+    let levels = if splats.levels.is_empty() { vec![splats.gaussians.len() as u32] } else { splats.levels.clone() };
+    put_varint(levels.len() as u64, out);
+    levels.iter().for_each(|&n| put_varint(n.into(), out));
+    let mut sorted = splats.gaussians.clone();
+    let mut parts: Vec<(Region, &[PackedGaussian])> = Vec::new();
+    let mut rest = &mut sorted[..];
+    for &n in &levels {
+        let (level, tail) = rest.split_at_mut(n as usize);
+        rest = tail;
+        divide(level, &group.rules, group.rules.region(), out, &mut parts);
+    }
+    let streams = parallel::map(parts.len(), |i| {
+        let (region, part) = parts[i];
+        let mut encoder = Encoder::new();
+        group.code(&mut encoder, region, Some(part), part.len() as u32).map(|_| encoder.finish())
+    });
+    let streams = streams.into_iter().collect::<Result<Vec<_>, Broken>>()?;
+    for stream in &streams {
+        put_varint(stream.len() as u64, out);
+        out.extend_from_slice(&hash(stream).to_le_bytes());
+    }
+    let directory = directory_checksum(header, &out[start..]);
+    out.extend_from_slice(&directory.to_le_bytes());
+    streams.iter().for_each(|s| out.extend_from_slice(s));
+    Ok(())
+}
+
+/// The axis along which a region of `count` primitives is divided, if it is. Halves stay large enough for the coarsest
+/// squares.
+fn divided(rules: &Rules, region: &Region, count: u32) -> Option<usize> {
+    region.axis().filter(|&axis| count > MOST && region.log[axis] > rules.range())
+}
+
+/// Divides the primitives of a region, notes how many fall into the lower halves, and sorts what is left whole.
+fn divide<'a>(
+    primitives: &'a mut [PackedGaussian],
+    rules: &Rules,
+    region: Region,
+    out: &mut Vec<u8>,
+    parts: &mut Vec<(Region, &'a [PackedGaussian])>,
+) {
+    if primitives.is_empty() {
+        return;
+    }
+    let Some(axis) = divided(rules, &region, primitives.len() as u32) else {
+        sort(primitives, rules, region);
+        parts.push((region, primitives));
+        return;
+    };
+    let halves = region.halves(axis);
+    let upper = |p: &PackedGaussian| rules.place(p, region).corner[axis] >= halves[1].corner[axis];
+    primitives.sort_by_key(upper);
+    let (low, high) = primitives.split_at_mut(primitives.partition_point(|p| !upper(p)));
+    if halves[1].corner[axis] < rules.grid()[axis] {
+        put_varint(low.len() as u64, out);
+    }
+    divide(low, rules, halves[0], out, parts);
+    divide(high, rules, halves[1], out, parts);
+}
+
+/// Reads the divisions of a region of `count` primitives.
+fn read_divisions(
+    bytes: &mut Bytes<'_>,
+    rules: &Rules,
+    region: Region,
+    (level, count): (usize, u32),
+    entries: &mut Vec<Entry>,
+) -> Result<()> {
+    if count == 0 {
+        return Ok(());
+    }
+    let Some(axis) = divided(rules, &region, count) else {
+        entries.push(Entry { level, region, count, bytes: 0..0, checksum: 0 });
+        return Ok(());
+    };
+    let halves = region.halves(axis);
+    let mut lower = count;
+    if halves[1].corner[axis] < rules.grid()[axis] {
+        let value = bytes.varint("group size")?;
+        lower = u32::try_from(value).ok().filter(|&l| l <= count).ok_or(Broken { field: "group size", value })?;
+    }
+    read_divisions(bytes, rules, halves[0], (level, lower), entries)?;
+    read_divisions(bytes, rules, halves[1], (level, count - lower), entries)
+}
+
+/// Reads all up to the groups themselves into `splats` and checks it.
+fn read_directory(
+    bytes: &mut Bytes<'_>,
+    header: &Header,
+    checksum: u32,
+    splats: &mut PackedSplats,
+) -> Result<Vec<Entry>> {
+    let (rules, channels, start) = (Rules::of(splats), splats.channels.count(), bytes.taken().len());
+    splats.background = read_color(bytes, channels, "background")?;
+    if header.coloring == Coloring::Codebook {
+        splats.codebook = Some(read_codebook(bytes, channels)?);
+    }
+    let count = bytes.varint("level count")?;
+    if !(1..=MAX_LEVELS as u64).contains(&count) {
+        return Err(Broken { field: "level count", value: count }.into());
+    }
+    let mut left = header.primitives;
+    for _ in 0..count {
+        let value = bytes.varint("level")?;
+        let n = u32::try_from(value).ok().filter(|&n| 0 < n && n <= left).ok_or(Broken { field: "level", value })?;
+        left -= n;
+        splats.levels.push(n);
+    }
+    if left > 0 || count == 1 && header.primitives <= MOST {
+        return Err(Broken { field: "level", value: left.into() }.into());
+    }
+    let mut entries = Vec::new();
+    for (level, &n) in splats.levels.iter().enumerate() {
+        read_divisions(bytes, &rules, rules.region(), (level, n), &mut entries)?;
+    }
+    let mut at = 0;
+    for entry in &mut entries {
+        let length = bytes.varint("group length")?;
+        entry.bytes = at..at.saturating_add(length);
+        at = entry.bytes.end;
+        entry.checksum = bytes.u32("group checksum")?;
+        if u64::from(entry.count) > super::most_primitives(length) {
+            return Err(Broken { field: "primitives of a group", value: entry.count.into() }.into());
+        }
+    }
+    let computed = directory_checksum(checksum, &bytes.taken()[start..]);
+    let stored = bytes.u32("directory checksum")?;
+    if stored != computed {
+        return Err(FormatError::Checksum { what: "directory", stored, computed }.into());
+    }
+    if splats.levels.len() == 1 {
+        splats.levels.clear();
+    }
+    Ok(entries)
+}
+
+/// CRC-32 over the directory, begun with the header's.
+fn directory_checksum(header: u32, directory: &[u8]) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&header.to_le_bytes());
+    hasher.update(directory);
+    hasher.finalize()
+}
+
+/// Decodes one group.
+fn read_group(stream: &[u8], entry: &Entry, group: &Group<'_>, detail: Detail) -> Result<(Vec<PackedGaussian>, Tally)> {
+    let computed = hash(stream);
+    if computed != entry.checksum {
+        return Err(FormatError::Checksum { what: "group", stored: entry.checksum, computed }.into());
+    }
+    let mut tally = Tally { detail, ..Tally::default() };
+    let gaussians = match detail {
+        Detail::Parts => {
+            let mut decoder = Decoder::new(stream);
+            let gaussians = group.code(&mut decoder, entry.region, None, entry.count)?;
+            decoder.finish()?;
+            gaussians
+        }
+        Detail::Fields => {
+            let mut meter = Meter::new(Decoder::new(stream));
+            let gaussians = group.code(&mut meter, entry.region, None, entry.count)?;
+            meter.coder.finish()?;
+            tally.add(meter.fields);
+            gaussians
+        }
+    };
+    Ok((gaussians, tally))
+}
+
+/// Reads the payload into `splats`; groups in parallel.
+pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSplats, tally: &mut Tally) -> Result<()> {
+    let start = bytes.left();
+    let entries = read_directory(bytes, header, header.checksum(), splats)?;
+    tally.part("directory", start - bytes.left());
+    let total = entries.last().map_or(0, |e| e.bytes.end);
+    let streams = bytes.take(total, "groups")?;
+    tally.part("groups", streams.len());
+    tally.groups = entries.len() as u32;
+    let group = Group::new(splats, splats.codebook.as_deref())?;
+    let parts = parallel::map(entries.len(), |i| {
+        let e = &entries[i];
+        read_group(&streams[e.bytes.start as usize..e.bytes.end as usize], e, &group, tally.detail)
+    });
+    let mut gaussians = Vec::with_capacity(header.primitives as usize);
+    for part in parts {
+        let (part, fields) = part?;
+        gaussians.extend(part);
+        fields.fields.into_iter().for_each(|f| tally.field(f.name, f.bits));
+    }
+    splats.gaussians = gaussians;
+    Ok(())
+}
+
+/// Reads the groups whose bytes are there and sound.
+pub(crate) fn read_intact(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSplats) -> Result<Missing> {
+    let entries = read_directory(bytes, header, header.checksum(), splats)?;
+    let streams = bytes.rest();
+    let group = Group::new(splats, splats.codebook.as_deref())?;
+    let parts = parallel::map(entries.len(), |i| {
+        let range = &entries[i].bytes;
+        let stream = streams.get(usize::try_from(range.start).ok()?..usize::try_from(range.end).ok()?)?;
+        read_group(stream, &entries[i], &group, Detail::Parts).ok().map(|(part, _)| part)
+    });
+    let mut missing = Missing { of_groups: entries.len() as u32, ..Missing::default() };
+    let mut levels = vec![0u32; MAX_LEVELS];
+    let mut gaussians = Vec::new();
+    for (entry, part) in entries.iter().zip(parts) {
+        match part {
+            Some(part) => {
+                levels[entry.level] += entry.count;
+                gaussians.extend(part);
+            }
+            None => {
+                missing.groups += 1;
+                missing.primitives += entry.count;
+            }
+        }
+    }
+    levels.retain(|&n| n > 0);
+    splats.levels = if levels.len() > 1 { levels } else { Vec::new() };
+    splats.gaussians = gaussians;
+    Ok(missing)
+}
