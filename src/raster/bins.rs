@@ -76,9 +76,11 @@ impl Bins {
         let size = [TILE_WIDTH as f64, TILE_HEIGHT as f64];
         let corner: [f64; 2] = std::array::from_fn(|k| f64::from(self.first[k]) * size[k]);
         let mean: [f64; 2] = std::array::from_fn(|k| splat.mean[k] - corner[k]);
+        // Casts saturate and round towards zero, which is down where it matters.
         let tiles = |k: usize, low: f64, high: f64| {
-            let start = (low / size[k]).floor().max(0.0) as usize;
-            let end = ((high / size[k]).floor() + 1.0).clamp(0.0, f64::from(self.count[k])) as usize;
+            let start = (low * (1.0 / size[k])) as usize;
+            let end = if high < 0.0 { 0 } else { (high * (1.0 / size[k])) as usize + 1 };
+            let end = end.min(self.count[k] as usize);
             start..end.max(start)
         };
         let columns = tiles(0, mean[0] - splat.extent[0], mean[0] + splat.extent[0]);

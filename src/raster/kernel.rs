@@ -1,52 +1,30 @@
 //! The hot loops: Gaussians into a strip of eight columns, and the strip into code values.
 //!
-//! Plain arrays in loops of fixed length, compiled for each instruction set by `pulp`. No fused multiply-add, so
-//! every instruction set gives the same bits. A strip is wide enough for one AVX register and, with its planes
-//! side by side, small enough for the first-level cache.
+//! A strip is as wide as one AVX register and, with its planes side by side, small enough for the first-level cache.
 
-use super::project::{LANES, SUPPORT, Splat, Walk};
-use super::samples::Sample;
+use super::lanes::{LANES, Lanes, Plain, Simd};
+use super::project::{SUPPORT, Splat, Walk};
+use super::samples::{Codes, Sample};
 use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON};
 
 /// Columns of a tile.
 pub(super) const TILE_WIDTH: usize = 128;
 
-/// Rows of a tile. The recurrence starts afresh in each, which bounds its drift: 64 rows of f32 rounding in the
-/// ratio add up to 64²/2 · 2⁻²⁴ ≈ 1.2·10⁻⁴ of the weight.
-pub(super) const TILE_HEIGHT: usize = 64;
+/// Rows of a tile. The recurrence starts afresh in each, which bounds its drift.
+pub(super) const TILE_HEIGHT: usize = 128;
 
 /// Strips of a tile.
 const STRIPS: usize = TILE_WIDTH / LANES;
 
-type Lanes = [f32; LANES];
-
-/// `2^x` for `−126 ≤ x ≤ 126` within 2·10⁻⁷ of its value; below, `2^−126`.
-#[inline(always)]
-fn exp2(x: Lanes) -> Lanes {
-    // Adding 1.5·2²³ leaves the nearest integer in the low bits.
-    const MAGIC: f32 = 12_582_912.0;
-    std::array::from_fn(|i| {
-        let x = if x[i] > -126.0 { x[i] } else { -126.0 };
-        let shifted = x + MAGIC;
-        let f = x - (shifted - MAGIC);
-        // Minimax over |f| ≤ ½ with 1 and ln 2 kept, so that arguments near 0 are exact.
-        let mut p = 1.330_026_5e-3 * f + 9.669_709e-3;
-        p = p * f + 5.550_56e-2;
-        p = p * f + 2.402_228_1e-1;
-        p = p * f + std::f32::consts::LN_2;
-        p = p * f + 1.0;
-        f32::from_bits((shifted.to_bits() << 23).wrapping_add(p.to_bits()))
-    })
-}
-
-/// What tiles are drawn with: allocated once a thread.
+/// What tiles are drawn with, one at a time.
 #[derive(Debug, Default)]
-pub(super) struct Scratch<T> {
-    /// Members of the tile by strip, and where each strip's start.
-    order: Vec<u32>,
-    spans: Vec<(u8, u8)>,
-    /// Code values of the tile, one plane a channel.
-    planes: Vec<T>,
+pub(super) struct Scratch {
+    /// The members of a batch on each strip that they touch.
+    lists: [Vec<Segment>; STRIPS],
+    /// Sums of the strips, row by row and plane by plane.
+    sums: Vec<Lanes>,
+    /// Code values of the tile.
+    codes: Codes,
 }
 
 /// The part of a tile that a view shows.
@@ -69,162 +47,293 @@ pub(super) struct Scene<'a> {
     pub channels: usize,
 }
 
-/// Draws one tile; `out` has a slice for each shown row.
-#[inline(always)]
-pub(super) fn draw_tile<T: Sample>(
-    scene: &Scene<'_>,
-    members: &[u32],
-    window: &Window,
-    scratch: &mut Scratch<T>,
-    out: &mut [&mut [T]],
-) {
-    match (scene.blend, scene.channels) {
-        (Blend::Normalized, 1) => draw::<T, 1, 2>(scene, members, window, scratch, out),
-        (Blend::Normalized, 2) => draw::<T, 2, 3>(scene, members, window, scratch, out),
-        (Blend::Normalized, 3) => draw::<T, 3, 4>(scene, members, window, scratch, out),
-        (Blend::Normalized, _) => draw::<T, 4, 5>(scene, members, window, scratch, out),
-        (Blend::Sum, 1) => draw::<T, 1, 1>(scene, members, window, scratch, out),
-        (Blend::Sum, 2) => draw::<T, 2, 2>(scene, members, window, scratch, out),
-        (Blend::Sum, 3) => draw::<T, 3, 3>(scene, members, window, scratch, out),
-        (Blend::Sum, _) => draw::<T, 4, 4>(scene, members, window, scratch, out),
+/// One tile to draw.
+pub(super) struct Job<'a, 'b, T> {
+    pub scene: Scene<'a>,
+    /// The splats that touch the tile.
+    pub members: &'a [u32],
+    pub window: Window,
+    pub scratch: &'a mut Scratch,
+    /// A slice for each shown row.
+    pub out: &'a mut [&'b mut [T]],
+}
+
+impl<T: Sample> Job<'_, '_, T> {
+    /// Draws the tile with the best instructions that the machine has.
+    pub fn run(self) {
+        #[cfg(target_arch = "x86_64")]
+        if let Some(simd) = pulp::x86::V3::try_new() {
+            return simd.vectorize(OnAvx2(simd, self));
+        }
+        self.run_with(Plain);
+    }
+
+    /// Draws the tile with the instructions that the crate is compiled for.
+    #[cfg(test)]
+    pub fn run_plain(self) {
+        self.run_with(Plain);
+    }
+
+    #[inline(always)]
+    fn run_with<S: Simd>(self, simd: S) {
+        match (self.scene.blend, self.scene.channels) {
+            (Blend::Normalized, 1) => draw::<S, T, 1, 2>(simd, self),
+            (Blend::Normalized, 2) => draw::<S, T, 2, 3>(simd, self),
+            (Blend::Normalized, 3) => draw::<S, T, 3, 4>(simd, self),
+            (Blend::Normalized, _) => draw::<S, T, 4, 5>(simd, self),
+            (Blend::Sum, 1) => draw::<S, T, 1, 1>(simd, self),
+            (Blend::Sum, 2) => draw::<S, T, 2, 2>(simd, self),
+            (Blend::Sum, 3) => draw::<S, T, 3, 3>(simd, self),
+            (Blend::Sum, _) => draw::<S, T, 4, 4>(simd, self),
+        }
+    }
+}
+
+/// A named operation and not a closure: a closure's body would not be inlined into the function that is compiled
+/// for AVX2, and run without it.
+#[cfg(target_arch = "x86_64")]
+struct OnAvx2<'a, 'b, T>(pulp::x86::V3, Job<'a, 'b, T>);
+
+#[cfg(target_arch = "x86_64")]
+impl<T: Sample> pulp::NullaryFnOnce for OnAvx2<'_, '_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.1.run_with(self.0);
     }
 }
 
 /// `C` channels; `P` planes are summed: the channels and, where the blend divides by it, the weight.
 #[inline(always)]
-fn draw<T: Sample, const C: usize, const P: usize>(
-    scene: &Scene<'_>,
-    members: &[u32],
-    window: &Window,
-    scratch: &mut Scratch<T>,
-    out: &mut [&mut [T]],
-) {
-    let Scratch { order, spans, planes } = scratch;
-    let starts = sort_by_strip(scene.splats, members, window.corner[0], spans, order);
-    planes.resize(C * TILE_HEIGHT * TILE_WIDTH, T::default());
-    let mut start = [[0.0; LANES]; P];
-    for (k, plane) in start.iter_mut().enumerate() {
+fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_, '_, T>) {
+    let Job { scene, members, window, scratch, out } = job;
+    let Scratch { lists, sums, codes } = scratch;
+    let codes = T::codes(codes);
+    codes.resize(TILE_HEIGHT * TILE_WIDTH * C, T::default());
+    let strips = window.columns.start / LANES..window.columns.end.div_ceil(LANES);
+    let rows = window.rows.end;
+    let batches = members.len().div_ceil(BATCH).max(1);
+    // One batch, and one strip's sums serve all in turn and stay in the first-level cache.
+    let kept = if batches == 1 { 1 } else { STRIPS };
+    sums.resize(kept * TILE_HEIGHT * P, Lanes([0.0; LANES]));
+    let mut start = [0.0; P];
+    for (k, value) in start.iter_mut().enumerate() {
         let b = if k < C { scene.background[k] } else { 1.0 };
-        *plane = [if P > C { EPSILON * b } else { b }; LANES];
+        *value = if P > C { EPSILON * b } else { b };
     }
-    let height = window.rows.end;
-    let mut strip = [[[0.0; LANES]; P]; TILE_HEIGHT];
-    for s in window.columns.start / LANES..window.columns.end.div_ceil(LANES) {
-        let strip = &mut strip[..height];
-        strip.fill(start);
-        let corner = [window.corner[0] + (s * LANES) as f64, window.corner[1]];
-        for &id in &order[starts[s] as usize..starts[s + 1] as usize] {
-            add::<C, P>(strip, &scene.splats[id as usize], corner);
-        }
-        for (y, row) in strip.iter().enumerate().skip(window.rows.start) {
-            let scale: Lanes = if P > C { std::array::from_fn(|i| 1.0 / row[P - 1][i]) } else { [1.0; LANES] };
-            for (c, sums) in row.iter().enumerate().take(C) {
-                let at = (c * TILE_HEIGHT + y) * TILE_WIDTH + s * LANES;
-                let codes: &mut [T; LANES] = (&mut planes[at..at + LANES]).try_into().expect("a strip's width");
-                for i in 0..LANES {
-                    let v = sums[i] * scale[i];
-                    let v = if v > 0.0 { v } else { 0.0 };
-                    let v = if v < 1.0 { v } else { 1.0 };
-                    codes[i] = T::from_code((v * T::WHITE + 0.5) as i32);
+    for batch in 0..batches {
+        let members = &members[batch * BATCH..members.len().min((batch + 1) * BATCH)];
+        prepare(simd, scene.splats, members, window.corner, rows, lists);
+        for s in strips.clone() {
+            let strip = (s % kept) * TILE_HEIGHT * P;
+            let (sums, _) = sums[strip..strip + rows * P].as_chunks_mut::<P>();
+            if batch == 0 {
+                for row in sums.iter_mut() {
+                    for (lanes, value) in row.iter_mut().zip(start) {
+                        simd.store(lanes, simd.splat(value));
+                    }
+                }
+            }
+            for segment in &lists[s] {
+                segment.draw::<S, C, P>(simd, sums);
+            }
+            if batch + 1 == batches {
+                let codes = codes[window.rows.start * TILE_WIDTH * C..].chunks_exact_mut(TILE_WIDTH * C);
+                for (row, codes) in sums[window.rows.start..].iter().zip(codes) {
+                    finish::<S, T, C, P>(simd, row, &mut codes[s * LANES * C..(s + 1) * LANES * C]);
                 }
             }
         }
     }
-    for (y, row) in window.rows.clone().zip(out) {
-        interleave::<T, C>(planes, y, window.columns.clone(), row);
+    let rows = codes.chunks_exact(TILE_WIDTH * C).skip(window.rows.start);
+    for (row, out) in rows.zip(out) {
+        out.copy_from_slice(&row[window.columns.start * C..window.columns.end * C]);
     }
 }
 
-/// Sorts `members` by the strips that they touch; returns where each strip's list starts in `order`.
+/// The sums of one row of a strip as code values.
 #[inline(always)]
-fn sort_by_strip(
+fn finish<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, row: &[Lanes; P], codes: &mut [T]) {
+    let white = simd.splat(T::WHITE);
+    let scale = if P > C { simd.div(white, simd.load(&row[P - 1])) } else { white };
+    let mut values = [scale; C];
+    for (value, sum) in values.iter_mut().zip(row) {
+        let v = simd.mul(simd.load(sum), scale);
+        *value = simd.add(simd.min(simd.max(v, simd.splat(0.0)), white), simd.splat(0.5));
+    }
+    T::store::<S, C>(simd, codes, values);
+}
+
+/// Cuts each member into the segments of the strips that it touches, for the first `rows` rows of the tile at
+/// `corner`.
+///
+/// All segments of a batch are prepared before any is drawn: preparations overlap in the processor, which none of
+/// them does with a loop over rows whose end it must wait for.
+#[inline(always)]
+fn prepare<S: Simd>(
+    simd: S,
     splats: &[Splat],
     members: &[u32],
-    corner: f64,
-    spans: &mut Vec<(u8, u8)>,
-    order: &mut Vec<u32>,
-) -> [u32; STRIPS + 1] {
-    let mut counts = [0u32; STRIPS + 1];
-    spans.clear();
+    corner: [f64; 2],
+    rows: usize,
+    lists: &mut [Vec<Segment>; STRIPS],
+) {
+    for list in lists.iter_mut() {
+        list.clear();
+    }
     for &id in members {
         let splat = &splats[id as usize];
-        let x = splat.mean[0] - corner - 0.5;
-        // Columns whose centres lie within the extent.
-        let first = (x - splat.extent[0]).ceil().clamp(0.0, TILE_WIDTH as f64) as usize;
-        let end = ((x + splat.extent[0]).floor() + 1.0).clamp(0.0, TILE_WIDTH as f64) as usize;
-        let span = if first < end { (first / LANES, (end - 1) / LANES + 1) } else { (0, 0) };
-        for count in &mut counts[span.0..span.1] {
-            *count += 1;
-        }
-        spans.push((span.0 as u8, span.1 as u8));
-    }
-    let mut total = 0;
-    for count in &mut counts {
-        total += std::mem::replace(count, total);
-    }
-    let mut next = counts;
-    order.clear();
-    order.resize(total as usize, 0);
-    for (&id, &(first, end)) in members.iter().zip(spans.iter()) {
-        for slot in &mut next[usize::from(first)..usize::from(end)] {
-            order[*slot as usize] = id;
-            *slot += 1;
+        let x = splat.mean[0] - corner[0];
+        // Strips that hold a column whose centre may lie within the extent.
+        let first = ((x - splat.extent[0] - 0.5).max(0.0) * (1.0 / LANES as f64)) as i32 as usize;
+        let end =
+            ((x + splat.extent[0] + 0.5).clamp(0.0, TILE_WIDTH as f64) * (1.0 / LANES as f64)).ceil() as i32 as usize;
+        if first < end {
+            cut(simd, splat, corner, rows, first..end, lists);
         }
     }
-    counts
 }
 
-/// Adds one Gaussian to a strip whose top left corner on the grid is `corner`.
+/// Appends the segments of one splat to the lists of the `strips` that it touches.
 #[inline(always)]
-fn add<const C: usize, const P: usize>(strip: &mut [[Lanes; P]], splat: &Splat, corner: [f64; 2]) {
+fn cut<S: Simd>(
+    simd: S,
+    splat: &Splat,
+    corner: [f64; 2],
+    rows: usize,
+    strips: std::ops::Range<usize>,
+    lists: &mut [Vec<Segment>; STRIPS],
+) {
+    let zero = simd.splat(0.0);
     let dx = corner[0] + 0.5 - splat.mean[0];
     let dy = corner[1] + 0.5 - splat.mean[1];
-    let u0 = (splat.rise * dy - splat.shear * dx) as f32;
-    let v0 = (splat.run * dx) as f32;
-    let (rise, shear, run) = (splat.rise as f32, splat.shear as f32, splat.run as f32);
-    // Rows between the support's highest and lowest point over the strip.
-    let edge = |lane: f32, sign: f32| {
-        let v = v0 + run * lane;
-        let rest = SUPPORT as f32 - v * v;
-        let u = if rest > 0.0 { rest.sqrt() } else { 0.0 };
-        (sign * u - u0 + shear * lane) / rise
-    };
-    let last_lane = (LANES - 1) as f64;
-    let low = edge((-splat.tip - dx).clamp(0.0, last_lane) as f32, -1.0);
-    let high = edge((splat.tip - dx).clamp(0.0, last_lane) as f32, 1.0);
-    let first = low.ceil().max(0.0) as usize;
-    let end = ((high.floor() + 1.0).max(0.0) as usize).min(strip.len());
-    if first >= end {
-        return;
-    }
-    let top = u0 + rise * first as f32;
-    let mut u = [0.0; LANES];
-    let mut v2 = [0.0; LANES];
-    for i in 0..LANES {
-        u[i] = top - shear * i as f32;
-        let v = v0 + run * i as f32;
-        v2[i] = v * v;
-    }
-    let color: [f32; C] = std::array::from_fn(|k| splat.color[k]);
-    let exponent = |u: &Lanes| -> Lanes { std::array::from_fn(|i| -(u[i] * u[i] + v2[i])) };
-    match splat.walk {
-        Walk::Recurrence => {
-            let mut g = exp2(exponent(&u));
-            let mut ratio = exp2(std::array::from_fn(|i| -(rise * (2.0 * u[i] + rise))));
-            let bend = splat.bend;
-            for row in &mut strip[first..end] {
-                deposit::<C, P>(row, &g, &color);
-                for i in 0..LANES {
-                    g[i] *= ratio[i];
-                    ratio[i] *= bend;
+    let u_corner = splat.rise * dy - splat.shear * dx;
+    let (rise, shear, run) =
+        (simd.splat(splat.rise as f32), simd.splat(splat.shear as f32), simd.splat(splat.run as f32));
+    // How the ratio of two rows changes from lane to lane, taken from the middle to stay within f32's range.
+    let turn = (2.0 * splat.rise * splat.shear) as f32;
+    let middle = simd.splat(0.5 * (LANES - 1) as f32);
+    let tilt = simd.exp2(simd.mul(simd.splat(turn), simd.sub(simd.index(), middle)));
+    let mut at = strips.start;
+    while at < strips.end {
+        // Eight strips side by side: between which rows does the support lie?
+        let strip_dx = dx + (at * LANES) as f64;
+        let offset = simd.mul(simd.index(), simd.splat(LANES as f32));
+        let u0 = simd.sub(simd.splat((u_corner - splat.shear * (at * LANES) as f64) as f32), simd.mul(shear, offset));
+        let v0 = simd.add(simd.splat((splat.run * strip_dx) as f32), simd.mul(run, offset));
+        let mut edges = [zero; 2];
+        for (edge, sign) in edges.iter_mut().zip([-1.0f32, 1.0]) {
+            let tip = simd.sub(simd.splat((f64::from(sign) * splat.tip - strip_dx) as f32), offset);
+            let lane = simd.min(simd.max(tip, zero), simd.splat((LANES - 1) as f32));
+            let v = simd.add(v0, simd.mul(run, lane));
+            let half = simd.sqrt(simd.max(simd.sub(simd.splat(SUPPORT as f32), simd.mul(v, v)), zero));
+            let u = simd.sub(simd.add(simd.mul(half, simd.splat(sign)), simd.mul(shear, lane)), u0);
+            *edge = simd.mul(u, simd.splat(splat.pitch));
+        }
+        // Of the whole tile whatever is shown of it: bits must not depend on that.
+        let height = simd.splat(TILE_HEIGHT as f32);
+        let [low, high] = edges;
+        // From above, so that rounding down rounds the first row up.
+        let above = simd.floor(simd.sub(height, simd.min(simd.max(low, zero), height)));
+        let end = simd.floor(simd.min(simd.max(simd.add(high, simd.splat(1.0)), zero), height));
+        let mut u_first = Lanes([0.0; LANES]);
+        for k in 0..LANES {
+            let first = TILE_HEIGHT as u32 - above[k];
+            let column = f64::from(((at + k) * LANES) as u32);
+            u_first.0[k] = (u_corner - splat.shear * column + splat.rise * f64::from(first)) as f32;
+        }
+        let mut ratios = Lanes([0.0; LANES]);
+        let central = simd.sub(simd.load(&u_first), simd.mul(shear, middle));
+        let slope = simd.add(simd.add(central, central), rise);
+        let mut length = Lanes([0.0; LANES]);
+        for k in 0..LANES {
+            length.0[k] = (end[k] + above[k]) as f32 - TILE_HEIGHT as f32;
+        }
+        let drift = simd.mul(simd.splat(splat.drift), simd.load(&length));
+        simd.store(&mut ratios, simd.exp2(simd.sub(drift, simd.mul(rise, slope))));
+        let mut v_first = Lanes([0.0; LANES]);
+        simd.store(&mut v_first, v0);
+        for k in 0..LANES.min(strips.end - at) {
+            let (first, end) = ((TILE_HEIGHT as u32 - above[k]) as u8, end[k].min(rows as u32) as u8);
+            if first >= end {
+                continue;
+            }
+            let v = simd.add(simd.splat(v_first.0[k]), simd.mul(run, simd.index()));
+            let rest = simd.sub(zero, simd.mul(v, v));
+            let u = simd.sub(simd.splat(u_first.0[k]), simd.mul(shear, simd.index()));
+            let mut segment = Segment { first, end, walk: splat.walk, color: splat.color, ..Segment::NONE };
+            match splat.walk {
+                Walk::Recurrence => {
+                    simd.store(&mut segment.value, simd.exp2(simd.sub(rest, simd.mul(u, u))));
+                    simd.store(&mut segment.ratio, simd.mul(tilt, simd.splat(ratios.0[k])));
+                    segment.bend = splat.bend;
+                }
+                Walk::Direct => {
+                    simd.store(&mut segment.value, u);
+                    simd.store(&mut segment.ratio, rest);
+                    segment.bend = splat.rise as f32;
                 }
             }
+            lists[at + k].push(segment);
         }
-        Walk::Direct => {
-            for (y, row) in strip[first..end].iter_mut().enumerate() {
-                let down = rise * y as f32;
-                let here: Lanes = std::array::from_fn(|i| u[i] + down);
-                deposit::<C, P>(row, &exp2(exponent(&here)), &color);
+        at += LANES;
+    }
+}
+
+/// Most Gaussians of a tile that are prepared before they are drawn.
+const BATCH: usize = 256;
+
+/// One Gaussian on the rows of a strip where its support lies.
+#[derive(Debug, Clone, Copy)]
+struct Segment {
+    /// Recurrence: the Gaussian on the first row. Direct: `u` on the first row.
+    value: Lanes,
+    /// Recurrence: what the first row is multiplied by to give the second. Direct: `−v²`.
+    ratio: Lanes,
+    color: [f32; 4],
+    /// Recurrence: the factor between ratios. Direct: `rise`.
+    bend: f32,
+    walk: Walk,
+    first: u8,
+    end: u8,
+}
+
+impl Segment {
+    const NONE: Segment = Segment {
+        value: Lanes([0.0; LANES]),
+        ratio: Lanes([0.0; LANES]),
+        color: [0.0; 4],
+        bend: 0.0,
+        walk: Walk::Direct,
+        first: 0,
+        end: 0,
+    };
+
+    /// Adds the segment to its strip.
+    #[inline(always)]
+    fn draw<S: Simd, const C: usize, const P: usize>(&self, simd: S, strip: &mut [[Lanes; P]]) {
+        let rows = &mut strip[usize::from(self.first)..usize::from(self.end)];
+        let mut color = [simd.splat(0.0); C];
+        for (color, &value) in color.iter_mut().zip(&self.color) {
+            *color = simd.splat(value);
+        }
+        let (value, mut ratio) = (simd.load(&self.value), simd.load(&self.ratio));
+        match self.walk {
+            Walk::Recurrence => {
+                let (mut g, bend) = (value, simd.splat(self.bend));
+                for row in rows {
+                    deposit::<S, C, P>(simd, row, g, &color);
+                    g = simd.mul(g, ratio);
+                    ratio = simd.mul(ratio, bend);
+                }
+            }
+            Walk::Direct => {
+                for (y, row) in rows.iter_mut().enumerate() {
+                    let u = simd.add(value, simd.splat(self.bend * y as f32));
+                    let g = simd.exp2(simd.sub(ratio, simd.mul(u, u)));
+                    deposit::<S, C, P>(simd, row, g, &color);
+                }
             }
         }
     }
@@ -232,32 +341,19 @@ fn add<const C: usize, const P: usize>(strip: &mut [[Lanes; P]], splat: &Splat, 
 
 /// Adds the weights that belong to Gaussian values `g` to one row of a strip.
 #[inline(always)]
-fn deposit<const C: usize, const P: usize>(row: &mut [Lanes; P], g: &Lanes, color: &[f32; C]) {
-    let mut w = [0.0; LANES];
-    for i in 0..LANES {
-        let shifted = g[i] - CUTOFF_WEIGHT;
-        w[i] = if shifted > 0.0 { shifted } else { 0.0 };
-    }
+fn deposit<S: Simd, const C: usize, const P: usize>(
+    simd: S,
+    row: &mut [Lanes; P],
+    g: S::Vector,
+    color: &[S::Vector; C],
+) {
+    let w = simd.max(simd.sub(g, simd.splat(CUTOFF_WEIGHT)), simd.splat(0.0));
     for c in 0..C {
-        for i in 0..LANES {
-            row[c][i] += w[i] * color[c];
-        }
+        let sum = simd.add(simd.load(&row[c]), simd.mul(w, color[c]));
+        simd.store(&mut row[c], sum);
     }
     if P > C {
-        for i in 0..LANES {
-            row[C][i] += w[i];
-        }
-    }
-}
-
-/// One row of the planes, channels interleaved.
-#[inline(always)]
-fn interleave<T: Sample, const C: usize>(planes: &[T], y: usize, columns: std::ops::Range<usize>, out: &mut [T]) {
-    let row = |c: usize| &planes[(c * TILE_HEIGHT + y) * TILE_WIDTH..][columns.clone()];
-    let rows: [&[T]; C] = std::array::from_fn(row);
-    for (x, pixel) in out.chunks_exact_mut(C).enumerate() {
-        for c in 0..C {
-            pixel[c] = rows[c][x];
-        }
+        let sum = simd.add(simd.load(&row[C]), w);
+        simd.store(&mut row[C], sum);
     }
 }

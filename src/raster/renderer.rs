@@ -1,7 +1,7 @@
 //! Draws a view, whole or band by band, on as many threads as there are.
 
 use super::bins::Bins;
-use super::kernel::{Scene, Scratch, TILE_HEIGHT, TILE_WIDTH, Window, draw_tile};
+use super::kernel::{Job, Scene, Scratch, TILE_HEIGHT, TILE_WIDTH, Window};
 use super::project::{Splat, project};
 use super::samples::{Sample, SamplesMut};
 use super::view::{MAX_SIDE, View};
@@ -11,6 +11,7 @@ use crate::limits::Limits;
 use crate::pixels::{Depth, Pixels, Samples};
 #[cfg(feature = "rayon")]
 use rayon::prelude::*;
+use std::sync::Mutex;
 
 /// A view of a picture, ready to be drawn any number of times.
 #[derive(Debug)]
@@ -23,6 +24,8 @@ pub struct Renderer {
     bins: Bins,
     alloc: u64,
     backend: Dispatch,
+    /// What tiles are drawn with, for as many threads as have drawn at once.
+    pool: Mutex<Vec<Scratch>>,
 }
 
 /// Which instruction set draws. The output is the same.
@@ -65,6 +68,7 @@ impl Renderer {
             bins,
             alloc: limits.alloc,
             backend: Dispatch::Detected,
+            pool: Mutex::new(Vec::new()),
         })
     }
 
@@ -92,7 +96,7 @@ impl Renderer {
         self.bins.count[1]
     }
 
-    /// The rows of the view that band `band` holds; bands have 64 rows but for the first and the last.
+    /// The rows of the view that band `band` holds; bands have 128 rows but for the first and the last.
     ///
     /// # Panics
     /// If `band` is not below [`Renderer::bands`].
@@ -151,17 +155,14 @@ impl Renderer {
         }
         #[cfg(feature = "rayon")]
         parts.into_par_iter().for_each(|(band, part)| {
-            self.split(part).into_par_iter().for_each_init(Scratch::default, |scratch, (column, mut rows)| {
-                self.draw_tile(band, column, scratch, &mut rows);
+            self.split(part).into_par_iter().for_each(|(column, mut rows)| {
+                self.draw_tile(band, column, &mut rows);
             });
         });
         #[cfg(not(feature = "rayon"))]
-        {
-            let mut scratch = Scratch::default();
-            for (band, part) in parts {
-                for (column, mut rows) in self.split(part) {
-                    self.draw_tile(band, column, &mut scratch, &mut rows);
-                }
+        for (band, part) in parts {
+            for (column, mut rows) in self.split(part) {
+                self.draw_tile(band, column, &mut rows);
             }
         }
     }
@@ -189,7 +190,7 @@ impl Renderer {
         tiles
     }
 
-    fn draw_tile<T: Sample>(&self, band: u32, column: u32, scratch: &mut Scratch<T>, out: &mut [&mut [T]]) {
+    fn draw_tile<T: Sample>(&self, band: u32, column: u32, out: &mut [&mut [T]]) {
         let rows = self.band_rows(band);
         let tile =
             [(self.bins.first[0] + column) * TILE_WIDTH as u32, (self.bins.first[1] + band) * TILE_HEIGHT as u32];
@@ -206,11 +207,14 @@ impl Renderer {
             channels: self.channels.count(),
         };
         let members = self.bins.members(column, band);
+        let mut scratch = self.pool.lock().expect("no tile panics").pop().unwrap_or_default();
+        let job = Job { scene, members, window, scratch: &mut scratch, out };
         match self.backend {
-            Dispatch::Detected => pulp::Arch::new().dispatch(|| draw_tile(&scene, members, &window, scratch, out)),
+            Dispatch::Detected => job.run(),
             #[cfg(test)]
-            Dispatch::Compiled => draw_tile(&scene, members, &window, scratch, out),
+            Dispatch::Compiled => job.run_plain(),
         }
+        self.pool.lock().expect("no tile panics").push(scratch);
     }
 }
 

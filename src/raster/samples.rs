@@ -1,5 +1,6 @@
 //! Code values of either depth, written into the caller's buffer.
 
+use super::lanes::{LANES, Simd};
 use crate::pixels::Depth;
 
 /// Where a band of pixels goes: rows one after the other, channels interleaved.
@@ -22,29 +23,67 @@ impl SamplesMut<'_> {
     }
 }
 
+/// Code values of either depth, to be reused.
+#[derive(Debug, Default)]
+pub(super) struct Codes {
+    eight: Vec<u8>,
+    sixteen: Vec<u16>,
+}
+
 /// A code value.
 pub(super) trait Sample: Copy + Default + Send + Sync {
     /// The code value of white.
     const WHITE: f32;
 
-    /// The code value from an integer within `0..=WHITE`.
-    fn from_code(code: i32) -> Self;
+    /// The code values of this depth.
+    fn codes(codes: &mut Codes) -> &mut Vec<Self>;
+
+    /// Writes eight pixels, channels interleaved, from code values that are to be rounded down.
+    fn store<S: Simd, const C: usize>(simd: S, to: &mut [Self], v: [S::Vector; C]);
 }
 
 impl Sample for u8 {
     const WHITE: f32 = 255.0;
 
+    fn codes(codes: &mut Codes) -> &mut Vec<u8> {
+        &mut codes.eight
+    }
+
     #[inline(always)]
-    fn from_code(code: i32) -> Self {
-        code as u8
+    fn store<S: Simd, const C: usize>(simd: S, to: &mut [u8], v: [S::Vector; C]) {
+        if let (&[r, g, b], Ok(to)) = (v.as_slice(), <&mut [u8; 3 * LANES]>::try_from(&mut *to)) {
+            simd.store_rgb(to, [r, g, b]);
+            return;
+        }
+        let mut codes = [[0; LANES]; C];
+        for (codes, v) in codes.iter_mut().zip(v) {
+            *codes = simd.floor(v);
+        }
+        for (i, pixel) in to.chunks_exact_mut(C).enumerate() {
+            for c in 0..C {
+                pixel[c] = codes[c][i] as u8;
+            }
+        }
     }
 }
 
 impl Sample for u16 {
     const WHITE: f32 = 65535.0;
 
+    fn codes(codes: &mut Codes) -> &mut Vec<u16> {
+        &mut codes.sixteen
+    }
+
     #[inline(always)]
-    fn from_code(code: i32) -> Self {
-        code as u16
+    fn store<S: Simd, const C: usize>(simd: S, to: &mut [u16], v: [S::Vector; C]) {
+        let mut codes = [[0; LANES]; C];
+        for (codes, v) in codes.iter_mut().zip(v) {
+            *codes = simd.floor(v);
+        }
+        for (i, pixel) in to.chunks_exact_mut(C).enumerate() {
+            for c in 0..C {
+                pixel[c] = codes[c][i] as u16;
+            }
+        }
     }
 }

@@ -1,0 +1,193 @@
+//! Eight floats side by side on any instruction set, and the plain one that every machine has.
+//!
+//! Each operation is one IEEE operation a lane and none is fused, so that every instruction set gives the same bits.
+
+/// Columns that one strip of the kernel spans.
+pub(super) const LANES: usize = 8;
+
+/// Eight floats in memory, one for each column of a strip.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(align(32))]
+pub(super) struct Lanes(pub [f32; LANES]);
+
+/// Operations on eight floats at once.
+///
+/// Code that uses it must be inlined into the function that is compiled for the instruction set, so: no closures.
+pub(super) trait Simd: Copy {
+    /// Eight floats, in a register if there is one.
+    type Vector: Copy;
+
+    fn load(self, from: &Lanes) -> Self::Vector;
+    fn store(self, to: &mut Lanes, v: Self::Vector);
+    fn splat(self, value: f32) -> Self::Vector;
+    fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn sub(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn mul(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn div(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    /// Square root.
+    fn sqrt(self, a: Self::Vector) -> Self::Vector;
+    /// The larger; `b` where either is NaN.
+    fn max(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    /// The smaller; `b` where either is NaN.
+    fn min(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    /// `p · 2ⁿ` where the low bits of `shifted`'s mantissa are `n`.
+    fn scale(self, p: Self::Vector, shifted: Self::Vector) -> Self::Vector;
+    /// `floor(v)` for `0 ≤ v < 2²²`.
+    fn floor(self, v: Self::Vector) -> [u32; LANES];
+    /// Writes `floor(v)` for `0 ≤ v < 256` of three vectors, interleaved.
+    fn store_rgb(self, to: &mut [u8; 3 * LANES], v: [Self::Vector; 3]);
+
+    /// 0, 1, 2, …
+    #[inline(always)]
+    fn index(self) -> Self::Vector {
+        self.load(&Lanes([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]))
+    }
+
+    /// `2^x` within 2·10⁻⁷ of its value for `−126 ≤ x ≤ 126`; below, `2^−126`.
+    #[inline(always)]
+    fn exp2(self, x: Self::Vector) -> Self::Vector {
+        // Adding 1.5·2²³ leaves the nearest integer in the low bits.
+        let magic = self.splat(12_582_912.0);
+        let x = self.max(x, self.splat(-126.0));
+        let shifted = self.add(x, magic);
+        let f = self.sub(x, self.sub(shifted, magic));
+        // Minimax over |f| ≤ ½ with 1 and ln 2 kept, so that arguments near 0 are exact.
+        let mut p = self.splat(1.330_026_5e-3);
+        for c in [9.669_709e-3, 5.550_56e-2, 2.402_228_1e-1, std::f32::consts::LN_2, 1.0] {
+            p = self.add(self.mul(p, f), self.splat(c));
+        }
+        self.scale(p, shifted)
+    }
+}
+
+/// Plain arrays, in loops that compilers may turn into vectors: the twin of every other instruction set.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Plain;
+
+#[inline(always)]
+fn zip(a: [f32; LANES], b: [f32; LANES], f: impl Fn(f32, f32) -> f32) -> [f32; LANES] {
+    std::array::from_fn(|i| f(a[i], b[i]))
+}
+
+impl Simd for Plain {
+    type Vector = [f32; LANES];
+
+    #[inline(always)]
+    fn load(self, from: &Lanes) -> Self::Vector {
+        from.0
+    }
+
+    #[inline(always)]
+    fn store(self, to: &mut Lanes, v: Self::Vector) {
+        to.0 = v;
+    }
+
+    #[inline(always)]
+    fn splat(self, value: f32) -> Self::Vector {
+        [value; LANES]
+    }
+
+    #[inline(always)]
+    fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
+        zip(a, b, |a, b| a + b)
+    }
+
+    #[inline(always)]
+    fn sub(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
+        zip(a, b, |a, b| a - b)
+    }
+
+    #[inline(always)]
+    fn mul(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
+        zip(a, b, |a, b| a * b)
+    }
+
+    #[inline(always)]
+    fn div(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
+        zip(a, b, |a, b| a / b)
+    }
+
+    #[inline(always)]
+    fn sqrt(self, a: Self::Vector) -> Self::Vector {
+        a.map(f32::sqrt)
+    }
+
+    #[inline(always)]
+    fn max(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
+        zip(a, b, |a, b| if a > b { a } else { b })
+    }
+
+    #[inline(always)]
+    fn min(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
+        zip(a, b, |a, b| if a < b { a } else { b })
+    }
+
+    #[inline(always)]
+    fn scale(self, p: Self::Vector, shifted: Self::Vector) -> Self::Vector {
+        zip(p, shifted, |p, s| f32::from_bits((s.to_bits() << 23).wrapping_add(p.to_bits())))
+    }
+
+    #[inline(always)]
+    fn floor(self, v: Self::Vector) -> [u32; LANES] {
+        // Not a cast: those saturate, and the checks keep compilers from using vectors.
+        const MAGIC: f32 = 8_388_608.0;
+        v.map(|v| {
+            let shifted = v + MAGIC;
+            (shifted.to_bits() & 0x7F_FFFF).wrapping_sub(u32::from(shifted - MAGIC > v))
+        })
+    }
+
+    #[inline(always)]
+    fn store_rgb(self, to: &mut [u8; 3 * LANES], v: [Self::Vector; 3]) {
+        let codes = v.map(|v| self.floor(v));
+        for i in 0..LANES {
+            for c in 0..3 {
+                to[3 * i + c] = codes[c][i] as u8;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// What each instruction set promises.
+    pub fn keeps_its_promises(simd: impl Simd) {
+        let out = |v| {
+            let mut lanes = Lanes([0.0; LANES]);
+            simd.store(&mut lanes, v);
+            lanes.0
+        };
+        let mut worst = 0f64;
+        for i in -126 * 512..126 * 512 {
+            let x = i as f32 / 512.0 + 0.000_7;
+            let got = f64::from(out(simd.exp2(simd.splat(x)))[3]);
+            worst = worst.max((got / f64::from(x).exp2() - 1.0).abs());
+        }
+        assert!(worst < 2e-7, "{worst}");
+        assert_eq!(out(simd.exp2(simd.splat(0.0))), [1.0; LANES]);
+        assert_eq!(out(simd.exp2(simd.splat(-1e9))), [f32::MIN_POSITIVE; LANES]);
+        for i in 0..=65536u32 {
+            let x = i as f32;
+            assert_eq!(simd.floor(simd.splat(x)), [i; LANES]);
+            assert_eq!(simd.floor(simd.splat(x.next_up())), [i; LANES]);
+            if i > 0 {
+                assert_eq!(simd.floor(simd.splat(x.next_down())), [i - 1; LANES]);
+            }
+        }
+        let rgb: [_; 3] = std::array::from_fn(|c| simd.add(simd.index(), simd.splat(c as f32 * 100.0 + 0.9)));
+        let mut bytes = [0; 24];
+        simd.store_rgb(&mut bytes, rgb);
+        let want: [u8; 24] = std::array::from_fn(|i| (i / 3 + i % 3 * 100) as u8);
+        assert_eq!(bytes, want);
+        let nan = simd.splat(f32::NAN);
+        assert_eq!(out(simd.max(nan, simd.splat(0.0))), [0.0; LANES]);
+        assert_eq!(out(simd.min(nan, simd.splat(1.0))), [1.0; LANES]);
+    }
+
+    #[test]
+    fn plain_lanes_keep_their_promises() {
+        keeps_its_promises(Plain);
+    }
+}
