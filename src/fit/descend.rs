@@ -10,7 +10,7 @@ use crate::fit::kernel::{self, LANES, Lanes, RowExponent};
 use crate::fit::project::Projected;
 use crate::fit::rates::Rates;
 use crate::fit::target::Target;
-use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON};
+use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON, Gaussian};
 use crate::parallel;
 use crate::quantize::Quantizer;
 
@@ -26,6 +26,49 @@ pub(crate) struct Sweep {
     pub gain: f64,
 }
 
+/// Which parts of the picture changed lately: a primitive whose surroundings rest need not be tried again.
+#[derive(Debug)]
+pub(crate) struct Activity {
+    /// The sweep in which a cell of `CELL²` pixels changed last.
+    stamps: Vec<u32>,
+    cols: usize,
+    sweep: u32,
+}
+
+/// Side of an activity cell, pixels.
+const CELL: usize = 16;
+
+impl Activity {
+    pub(crate) fn new(width: u32, height: u32) -> Self {
+        let (cols, rows) = ((width as usize).div_ceil(CELL), (height as usize).div_ceil(CELL));
+        Activity { stamps: vec![1; cols * rows], cols, sweep: 1 }
+    }
+
+    /// The cells under the support of `g`.
+    fn cells(&self, g: &Gaussian) -> impl Iterator<Item = usize> + use<> {
+        let [hx, hy] = g.extent();
+        let (cols, rows) = (self.cols, self.stamps.len() / self.cols);
+        let span = |m: f32, h: f32, n: usize| {
+            let cell = |v: f32| ((v.max(0.0) / CELL as f32) as usize).min(n - 1);
+            cell(m - h)..=cell(m + h)
+        };
+        let across = span(g.mean[0], hx, cols);
+        span(g.mean[1], hy, rows).flat_map(move |y| across.clone().map(move |x| y * cols + x))
+    }
+
+    /// Notes that `g` came, went or changed.
+    pub(crate) fn mark(&mut self, g: &Gaussian) {
+        for i in self.cells(g) {
+            self.stamps[i] = self.sweep;
+        }
+    }
+
+    /// Whether anything under `g` changed in this sweep or the one before.
+    fn stirred(&self, g: &Gaussian) -> bool {
+        self.cells(g).any(|i| self.stamps[i] + 1 >= self.sweep)
+    }
+}
+
 /// Settings of a sweep.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Objective {
@@ -36,37 +79,43 @@ pub(crate) struct Objective {
 }
 
 /// One sweep over all primitives. `gaussians` keeps its order; removed ones are taken out.
+#[allow(clippy::too_many_arguments)]
 pub(crate) fn sweep(
     scene: &Scene,
     target: &Target,
     quantizer: &Quantizer,
     gaussians: &mut Vec<PackedGaussian>,
     objective: &Objective,
+    activity: &mut Activity,
     field: &mut Field,
 ) -> Sweep {
     match target.channels.count() {
-        1 => sweep_channels::<1>(scene, target, quantizer, gaussians, objective, field),
-        2 => sweep_channels::<2>(scene, target, quantizer, gaussians, objective, field),
-        3 => sweep_channels::<3>(scene, target, quantizer, gaussians, objective, field),
-        _ => sweep_channels::<4>(scene, target, quantizer, gaussians, objective, field),
+        1 => sweep_channels::<1>(scene, target, quantizer, gaussians, objective, activity, field),
+        2 => sweep_channels::<2>(scene, target, quantizer, gaussians, objective, activity, field),
+        3 => sweep_channels::<3>(scene, target, quantizer, gaussians, objective, activity, field),
+        _ => sweep_channels::<4>(scene, target, quantizer, gaussians, objective, activity, field),
     }
 }
 
+#[allow(clippy::too_many_arguments)]
 fn sweep_channels<const C: usize>(
     scene: &Scene,
     target: &Target,
     quantizer: &Quantizer,
     gaussians: &mut Vec<PackedGaussian>,
     objective: &Objective,
+    activity: &mut Activity,
     field: &mut Field,
 ) -> Sweep {
+    activity.sweep += 1;
     let rates = Rates::measure(gaussians, C);
-    let projected: Vec<Projected> =
-        gaussians.iter().map(|g| Projected::from_gaussian(&quantizer.dequantize(g), scene.height)).collect();
+    let floats: Vec<Gaussian> = gaussians.iter().map(|g| quantizer.dequantize(g)).collect();
+    let projected: Vec<Projected> = floats.iter().map(|g| Projected::from_gaussian(g, scene.height)).collect();
     field.draw(scene, target, &projected, RowSet::ALL, Output::Sums);
     let row_size = (C + 1) * target.stride;
     let height = scene.height as usize;
-    let mut waiting: Vec<u32> = (0..gaussians.len() as u32).collect();
+    let mut waiting: Vec<u32> =
+        (0..gaussians.len() as u32).filter(|&i| activity.stirred(&floats[i as usize])).collect();
     let mut removed = vec![false; gaussians.len()];
     let mut result = Sweep::default();
     let arch = pulp::Arch::new();
@@ -112,8 +161,10 @@ fn sweep_channels<const C: usize>(
             });
             for change in changes.into_iter().flatten() {
                 result.gain += f64::from(change.gain);
+                activity.mark(&floats[change.index as usize]);
                 match change.to {
                     Some(g) => {
+                        activity.mark(&quantizer.dequantize(&g));
                         gaussians[change.index as usize] = g;
                         result.changed += 1;
                     }

@@ -2,7 +2,7 @@
 
 use crate::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use crate::error::Result;
-use crate::fit::descend::{self, Objective};
+use crate::fit::descend::{self, Activity, Objective};
 use crate::fit::field::{Field, Output, RowSet, Scene};
 use crate::fit::plan::Plan;
 use crate::fit::project::{Primitive, Projected};
@@ -71,7 +71,8 @@ pub(crate) fn finish(
     splats.gaussians = state.primitives.iter().map(|p| quantizer.quantize(&p.to_gaussian())).collect();
     let mut field = std::mem::take(&mut state.field);
 
-    let mut bytes = crate::bitstream::to_bytes(splats)?;
+    let mut activity = Activity::new(scene.width, scene.height);
+    let mut bytes = smallest(splats)?;
     let mut best: Option<(f64, Vec<PackedGaussian>, Vec<u8>)> = None;
     let rounds = plan.sweeps.max(2) + 6;
     let mut quiet = 0;
@@ -90,7 +91,7 @@ pub(crate) fn finish(
                 break;
             }
             if round + 3 >= plan.sweeps && !settled {
-                resize(&scene, target, &quantizer, splats, bytes.len() as u64, most, &mut field);
+                resize(&scene, target, &quantizer, splats, bytes.len() as u64, most, &mut activity, &mut field);
             }
         } else if round >= plan.sweeps || quiet > 1 {
             break;
@@ -100,9 +101,10 @@ pub(crate) fn finish(
         }
         let bits = 8.0 * bytes.len() as f64;
         let objective = Objective { lambda: (SLOPE * error / bits) as f32, position_bits: f32::NEG_INFINITY };
-        let swept = descend::sweep(&scene, target, &quantizer, &mut splats.gaussians, &objective, &mut field);
+        let swept =
+            descend::sweep(&scene, target, &quantizer, &mut splats.gaussians, &objective, &mut activity, &mut field);
         quiet = if swept.gain < 2e-4 * error { quiet + 1 } else { 0 };
-        bytes = crate::bitstream::to_bytes(splats)?;
+        bytes = smallest(splats)?;
     }
     if let Size::Bytes(most) = size {
         let error = squared_error(&scene, target, &quantizer, &splats.gaussians, &mut field);
@@ -114,11 +116,31 @@ pub(crate) fn finish(
             return Ok(found);
         }
         while bytes.len() as u64 > most && !splats.gaussians.is_empty() {
-            resize(&scene, target, &quantizer, splats, bytes.len() as u64, most, &mut field);
-            bytes = crate::bitstream::to_bytes(splats)?;
+            resize(&scene, target, &quantizer, splats, bytes.len() as u64, most, &mut activity, &mut field);
+            bytes = smallest(splats)?;
         }
     }
     Ok(bytes)
+}
+
+/// The file, with its colours in a codebook where that is smaller.
+fn smallest(splats: &mut PackedSplats) -> Result<Vec<u8>> {
+    splats.codebook = None;
+    let direct = crate::bitstream::to_bytes(splats)?;
+    let mut colors: Vec<[i16; 4]> = splats.gaussians.iter().map(|g| g.color).collect();
+    colors.sort_unstable();
+    colors.dedup();
+    // Where most colours occur once, a codebook cannot pay.
+    if colors.len() * 3 > splats.gaussians.len() {
+        return Ok(direct);
+    }
+    splats.codebook = Some(colors);
+    let indexed = crate::bitstream::to_bytes(splats)?;
+    if indexed.len() < direct.len() {
+        return Ok(indexed);
+    }
+    splats.codebook = None;
+    Ok(direct)
 }
 
 pub(crate) fn projected(quantizer: &Quantizer, gaussians: &[PackedGaussian], height: u32) -> Vec<Projected> {
@@ -144,6 +166,7 @@ fn resize(
     splats: &mut PackedSplats,
     bytes: u64,
     most: u64,
+    activity: &mut Activity,
     field: &mut Field,
 ) {
     let each = (bytes.saturating_sub(20) as f64 / splats.gaussians.len().max(1) as f64).max(1.0);
@@ -155,6 +178,7 @@ fn resize(
         let mut removed = vec![false; costs.len()];
         for i in relocate::cheapest_first(&costs).into_iter().take(count) {
             removed[i] = true;
+            activity.mark(&quantizer.dequantize(&splats.gaussians[i]));
         }
         let mut i = 0;
         splats.gaussians.retain(|_| {
@@ -165,7 +189,9 @@ fn resize(
         let count = ((most - bytes) as f64 / each * 0.97) as usize;
         for peak in relocate::peaks(scene, target, field, RowSet::ALL, count) {
             let p = relocate::at_peak(&peak, scene, target);
-            splats.gaussians.push(quantizer.quantize(&p.to_gaussian()));
+            let added = quantizer.quantize(&p.to_gaussian());
+            activity.mark(&quantizer.dequantize(&added));
+            splats.gaussians.push(added);
         }
     }
 }

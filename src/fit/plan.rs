@@ -2,6 +2,9 @@
 
 use std::time::{Duration, Instant};
 
+/// Share of a time budget that the float fit may take.
+const FIT_SHARE: f64 = 0.75;
+
 /// The schedule of one encode.
 #[derive(Debug, Clone)]
 pub(crate) struct Plan {
@@ -15,6 +18,8 @@ pub(crate) struct Plan {
     pub relocate_every: u32,
     /// Share of the primitives moved at a time.
     pub relocate_share: f32,
+    /// When the float fit should be through.
+    pub fit_deadline: Option<Instant>,
     /// When to stop, whatever is left.
     pub deadline: Option<Instant>,
     /// Seed of everything random.
@@ -28,13 +33,14 @@ impl Plan {
         let sweeps = [1, 2, 3, 4, 6, 8, 10, 14, 20][usize::from(effort.clamp(1, 9)) - 1];
         let freezing = if effort >= 7 { iterations / 4 } else { 0 };
         let deadline = time.map(|t| Instant::now() + t);
+        let fit_deadline = time.map(|t| Instant::now() + t.mul_f64(FIT_SHARE));
         let relocate_every = (iterations / 24).clamp(8, 40);
-        Plan { iterations, freezing, sweeps, relocate_every, relocate_share: 0.03, deadline, seed }
+        Plan { iterations, freezing, sweeps, relocate_every, relocate_share: 0.03, fit_deadline, deadline, seed }
     }
 
     /// Share of the time budget that is gone, 0 without one.
     pub(crate) fn spent(&self, since: Instant) -> f32 {
-        match self.deadline {
+        match self.fit_deadline {
             Some(end) => {
                 let all = end.saturating_duration_since(since).as_secs_f32().max(1e-3);
                 (since.elapsed().as_secs_f32() / all).min(1.0)
