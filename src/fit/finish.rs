@@ -13,7 +13,7 @@ use crate::quantize::Quantizer;
 
 /// Squared error that a bit must save, in units of the mean squared error per bit: the slope of the rate–distortion
 /// curve, where doubling the bytes wins two to three decibels.
-const SLOPE: f64 = 0.7;
+const SLOPE: f64 = 0.5;
 
 /// How much the descent shrinks what it starts from.
 const SHRINK: f64 = 1.008;

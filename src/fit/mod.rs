@@ -27,7 +27,7 @@ use project::{Primitive, Projected};
 use target::Target;
 
 /// Step sizes at the start; see `design.md` for how they were found.
-const RATES: Rates = Rates { mean: 0.1, log_scale: 0.1, rotation: 0.1, color: 0.01 };
+const RATES: Rates = Rates { mean: 0.3, log_scale: 0.3, rotation: 0.15, color: 0.01 };
 /// Step sizes at the end, in units of those at the start.
 const LAST_RATE: f32 = 0.02;
 /// Share of the iterations that see a sample of the rows.
@@ -178,7 +178,7 @@ fn gcd(a: u32, b: u32) -> u32 {
 pub(crate) fn row_step(scene: &Scene, count: usize) -> u32 {
     let area = scene.width as f32 * scene.height as f32;
     let typical = 0.7 * (area / (std::f32::consts::PI * count.max(1) as f32)).sqrt();
-    ((1.2 * typical) as u32).clamp(1, 16).min(scene.height)
+    ((0.55 * typical) as u32).clamp(1, 16).min(scene.height)
 }
 
 pub(crate) fn project_all(primitives: &[Primitive], height: u32) -> Vec<Projected> {

@@ -35,7 +35,7 @@ impl Plan {
         let deadline = time.map(|t| Instant::now() + t);
         let fit_deadline = time.map(|t| Instant::now() + t.mul_f64(FIT_SHARE));
         let relocate_every = (iterations / 24).clamp(8, 40);
-        Plan { iterations, freezing, sweeps, relocate_every, relocate_share: 0.03, fit_deadline, deadline, seed }
+        Plan { iterations, freezing, sweeps, relocate_every, relocate_share: 0.1, fit_deadline, deadline, seed }
     }
 
     /// Share of the time budget that is gone, 0 without one.
