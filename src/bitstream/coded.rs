@@ -32,12 +32,12 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
     let payload = bytes.rest();
     match tally.detail {
         Detail::Parts => {
-            let mut decoder = Decoder::new(payload);
+            let mut decoder = Decoder::new(payload)?;
             read_stream(&mut decoder, header, splats)?;
             decoder.finish()?;
         }
         Detail::Fields => {
-            let mut meter = Meter::new(Decoder::new(payload));
+            let mut meter = Meter::new(Decoder::new(payload)?);
             read_stream(&mut meter, header, splats)?;
             meter.coder.finish()?;
             tally.add(meter.fields);

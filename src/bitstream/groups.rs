@@ -211,13 +211,13 @@ fn read_group(stream: &[u8], entry: &Entry, group: &Group<'_>, detail: Detail) -
     let mut tally = Tally { detail, ..Tally::default() };
     let gaussians = match detail {
         Detail::Parts => {
-            let mut decoder = Decoder::new(stream);
+            let mut decoder = Decoder::new(stream)?;
             let gaussians = group.code(&mut decoder, entry.region, None, entry.count)?;
             decoder.finish()?;
             gaussians
         }
         Detail::Fields => {
-            let mut meter = Meter::new(Decoder::new(stream));
+            let mut meter = Meter::new(Decoder::new(stream)?);
             let gaussians = group.code(&mut meter, entry.region, None, entry.count)?;
             meter.coder.finish()?;
             tally.add(meter.fields);

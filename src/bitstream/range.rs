@@ -100,10 +100,15 @@ pub(crate) struct Decoder<'a> {
 }
 
 impl<'a> Decoder<'a> {
-    pub fn new(bytes: &'a [u8]) -> Self {
+    /// # Errors
+    /// [`Broken`] for a value above the first interval, which no writer reaches: 2³² − 1 in the first four bytes.
+    pub fn new(bytes: &'a [u8]) -> Result<Self, Broken> {
         let mut decoder = Decoder { code: 0, range: u32::MAX, bytes, at: 0 };
         (0..4).for_each(|_| decoder.shift());
-        decoder
+        if decoder.code >= decoder.range {
+            return Err(Broken { field: "start of the coded stream", value: decoder.code.into() });
+        }
+        Ok(decoder)
     }
 
     #[inline]
@@ -117,7 +122,7 @@ impl<'a> Decoder<'a> {
         let length = self.bytes.len();
         let broken = Err(Broken { field: "end of the coded stream", value: length as u64 });
         let Some(&last) = self.bytes.last() else { return Ok(()) };
-        if length > self.at || last == 0 || self.code >= self.range {
+        if length > self.at || last == 0 {
             return broken;
         }
         // Shorter or smaller strings in the interval exist where the last byte's unit fits below or its next multiple
@@ -217,7 +222,7 @@ mod tests {
             });
             let bytes = encoder.finish();
             let decode = |bytes: &[u8]| {
-                let mut decoder = Decoder::new(bytes);
+                let mut decoder = Decoder::new(bytes).unwrap();
                 let same = message.iter().all(|&(one, bit)| decoder.bit(one, bit) == bit);
                 (same, decoder.finish())
             };
@@ -249,7 +254,7 @@ mod tests {
             encoder.bit(65535, 1);
         }
         let bytes = encoder.finish();
-        let mut decoder = Decoder::new(&bytes);
+        let mut decoder = Decoder::new(&bytes).unwrap();
         for _ in 0..100 {
             assert_eq!((decoder.bit(1, 0), decoder.bit(65535, 0)), (0, 1));
         }
