@@ -78,6 +78,17 @@ struct Around {
     elongation: i64,
 }
 
+/// What a colour is expected from.
+#[derive(Debug, Clone, Copy)]
+struct Outlook {
+    means: [i64; QUANTITIES],
+    /// How far the neighbours' average is from the mean.
+    dev: [i64; QUANTITIES],
+    around: Around,
+    /// `0..=15`: how large the primitive is for the primitives' spacing, in octaves of its area.
+    size: usize,
+}
+
 /// A running mean that starts at a guess.
 #[derive(Debug, Clone, Copy)]
 struct Mean {
@@ -119,6 +130,11 @@ impl Slope {
     fn add(&mut self, x: i64, y: i64) {
         self.xy += x * y;
         self.xx += x * x;
+        // No real picture comes near: this keeps `xy·256` within 64 bits. A term is below 2⁴⁸ and adds to `xx` no less
+        // than its root does to `xy`, so that `xx` stays above 0.
+        if self.xx.max(self.xy.abs()) >> 50 != 0 {
+            (self.xx, self.xy) = (self.xx >> 1, self.xy >> 1);
+        }
     }
 }
 
@@ -336,7 +352,12 @@ impl Attributes {
                 coder.account("colour index");
                 *book.get(index as usize).ok_or(Broken { field: "codebook index", value: index.into() })?
             }
-            None => self.color(coder, &means, &dev, &around, p.color, (major, minor), &mut errors, scene)?,
+            None => {
+                let spacing = scene.scale_of(scene.spacing) >> 3;
+                let size = (i64::from(major) + i64::from(minor) - spacing) * scene.delta() / 32 + 8;
+                let outlook = Outlook { means, dev, around, size: size.clamp(0, 15) as usize };
+                self.color(coder, &outlook, p.color, &mut errors)?
+            }
         };
         let p = PackedGaussian { x, y, major, minor, angle, color };
         scene.rules.primitive(&p)?;
@@ -410,13 +431,9 @@ impl Attributes {
     fn color<C: Coder>(
         &mut self,
         coder: &mut C,
-        means: &[i64; QUANTITIES],
-        dev: &[i64; QUANTITIES],
-        around: &Around,
+        &Outlook { means, dev, around, size }: &Outlook,
         color: [i16; 4],
-        (major, minor): (u8, u8),
         errors: &mut [i32; QUANTITIES],
-        scene: &Scene<'_>,
     ) -> Result<[i16; 4], Broken> {
         let mut out = [0i16; 4];
         let mut surprises = [0i64; 4];
@@ -430,13 +447,7 @@ impl Attributes {
             let guess = guess.clamp(i64::from(i16::MIN) * FINE, i64::from(i16::MAX) * FINE);
             let expected = ((guess + 8) >> 4) as i32;
             let activity = log_class((around.errors[2 + k] * 4 / (around.weight + 300)) as u64, 7);
-            let spacing = scene.scale_of(scene.spacing) >> 3;
-            let size = (i64::from(major) + i64::from(minor) - spacing) * scene.delta() / 32 + 8;
-            let contexts = [
-                ((guess + 8) & 15) as usize / 4,
-                size.clamp(0, 15) as usize * 8 + activity,
-                (before * 8 + activity).min(63),
-            ];
+            let contexts = [((guess + 8) & 15) as usize / 4, size * 8 + activity, (before * 8 + activity).min(63)];
             let off = self.colors[k].signed(coder, &contexts, i32::from(color[k]) - expected);
             errors[2 + k] = off;
             before = log_class(off.unsigned_abs().into(), 7);
@@ -454,5 +465,38 @@ impl Attributes {
             coder.account(["colour 0", "colour 1", "colour 2", "colour 3"][k]);
         }
         Ok(out)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Further from a rounding boundary than any f64 library is from the true value.
+    fn clear(v: f64) -> bool {
+        (v - v.floor() - 0.5).abs() > 1e-9
+    }
+
+    #[test]
+    fn directions_and_tangents_round_alike_everywhere() {
+        for k in 0..64 {
+            let turn = std::f64::consts::TAU * f64::from(k) / 64.0;
+            assert!(clear(256.0 * turn.cos()) && clear(256.0 * turn.sin()));
+        }
+        for j in 0..16 {
+            assert!(clear(4096.0 * (std::f64::consts::TAU * (f64::from(j) + 0.5) / 64.0).tan()));
+        }
+    }
+
+    #[test]
+    fn slopes_stay_in_range_under_the_largest_terms() {
+        for (x, y) in [(1 << 23, 1 << 24), (1, 1 << 24), (-(1 << 23), 1 << 24)] {
+            let mut slope = Slope::new(0, 16 * 256);
+            for _ in 0..1 << 20 {
+                slope.add(x, y);
+                assert!(slope.xx > 0 && slope.xy.abs() < 1 << 51);
+            }
+            slope.of(x);
+        }
     }
 }

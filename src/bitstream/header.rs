@@ -53,7 +53,7 @@ pub enum Sections {
     Present,
 }
 
-/// Everything that is known before the first section; reading it takes at most 23 bytes.
+/// Everything that is known before the first section; reading it takes at most 24 bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Header {

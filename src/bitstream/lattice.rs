@@ -1,6 +1,6 @@
 //! Integers that follow from integers: angle counts and position exponents (spec §4.2, §4.3).
 //!
-//! Both are defined by real formulas and rounded once. `lattice_margins_hold` (tests) enumerates the domain
+//! Both are defined by real formulas and rounded once. `lattice_margins_hold` enumerates the domain
 //! and proves that no value comes close enough to a rounding boundary for f64 to decide differently.
 
 use super::splats::{Layout, Steps};
@@ -74,5 +74,42 @@ impl Lattice {
         } else {
             pixels << -exponent
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Runs over every step size and shape: no angle count and no exponent is near a rounding boundary.
+    #[test]
+    fn lattice_margins_hold() {
+        let (mut of_counts, mut of_exponents) = (1.0f64, 1.0f64);
+        for (scale, angle, layout) in
+            (0..16).flat_map(|s| (0..4).flat_map(move |a| [Layout::Coded, Layout::Packed].map(|l| (s, a, l))))
+        {
+            let steps = Steps { scale, angle, position: 0, coarsest: 0, range: 1, luma: 0, chroma: 0 };
+            let lattice = Lattice::new(&steps, layout);
+            for difference in 1..=(22 * 32 / (u32::from(scale) + 4)).min(255) as u8 {
+                let aspect = (f64::from(difference) * lattice.delta).exp2();
+                let tau = ((f64::from(angle) - 1.0) / 2.0).exp2();
+                let step = std::f64::consts::SQRT_2 * lattice.delta * std::f64::consts::LN_2 * tau;
+                let wanted = std::f64::consts::PI * (aspect - 1.0 / aspect) / step;
+                let n = lattice.angles(difference, 0);
+                if wanted < f64::from(n) + 1.0 {
+                    of_counts = of_counts.min((wanted - wanted.round()).abs());
+                }
+                for t in 0..n {
+                    let sin = (std::f64::consts::PI * f64::from(t) / f64::from(n)).sin();
+                    let lift = 0.5 * (1.0 + (aspect * aspect - 1.0) * sin * sin).log2();
+                    // All else in an exponent is a multiple of 1/32 less 1/64.
+                    let place = 32.0 * lift - 0.5;
+                    of_exponents = of_exponents.min((place - place.round()).abs() / 32.0);
+                }
+            }
+        }
+        assert!(of_counts > 1e-4, "{of_counts:e}");
+        assert!(of_exponents > 1e-8, "{of_exponents:e}");
+        println!("margins: {of_counts:e} of an angle, {of_exponents:e} of an octave");
     }
 }

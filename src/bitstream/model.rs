@@ -187,3 +187,16 @@ impl<const K: usize> Field<K> {
         m
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tables_round_alike_everywhere() {
+        let clear = |v: f64| (v - v.floor() - 0.5).abs() > 1e-9;
+        assert!((0..4096).all(|i| clear(formulas::stretch(i))));
+        assert!((0..4095).all(|i| clear(formulas::squash(i))));
+        assert!((0..1024).all(|n| clear(formulas::step(n)) && clear(formulas::trust(n))));
+    }
+}

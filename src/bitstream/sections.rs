@@ -44,6 +44,9 @@ pub(crate) fn read_sections(
     let (mut metadata, mut infos) = (Metadata::default(), Vec::new());
     let mut head = bytes.taken().len();
     let count = bytes.varint("section count")?;
+    if count == 0 {
+        return Err(FormatError::BadValue { field: "section count", value: 0 }.into());
+    }
     let mut total = 0u64;
     let mut last = None;
     for _ in 0..count {
