@@ -10,8 +10,9 @@ use crate::fit::finish::{self, Size};
 use crate::fit::plan::Plan;
 use crate::fit::project::Primitive;
 use crate::fit::target::Target as Planes;
-use crate::gaussian::Blend;
-use crate::options::{EncodeOptions, Recipe, Target};
+use crate::gaussian::{Blend, Channels};
+use crate::leave_out;
+use crate::options::{EncodeOptions, Needs, Recipe, Target};
 use crate::pixels::Pixels;
 use crate::trace::{TracePoint, Tracer};
 
@@ -53,9 +54,9 @@ pub struct EncodeReport {
 pub struct LeftOut {
     /// What it is.
     pub what: &'static str,
-    /// Bytes saved.
+    /// Bytes saved; 0 where it saves only time, which then buys quality.
     pub bytes: u64,
-    /// Seconds saved.
+    /// Seconds saved, estimated from the cost of one iteration with and without it.
     pub seconds: f64,
 }
 
@@ -94,9 +95,26 @@ pub fn encode_with_progress(
         Recipe::Ssplat => Blend::Normalized,
         Recipe::SmartSplat(_) => Blend::Sum,
     });
-    let planes = Planes::new(pixels);
-    let mut session = Session { pixels, options, blend, planes, progress, tracer, stages: Vec::new() };
+    // Only the coded layout stores a constant channel in next to nothing.
+    let measured = options.needs == Needs::Measured && options.layout == Layout::Coded;
+    let narrow = if measured { leave_out::narrow(pixels) } else { None };
+    let narrowed = narrow.as_ref().map_or(pixels, |n| &n.pixels);
+    let planes = Planes::new(narrowed);
+    let mut session = Session {
+        original: pixels,
+        pixels: narrowed,
+        channels: pixels.channels(),
+        options,
+        blend,
+        planes,
+        progress,
+        tracer,
+        stages: Vec::new(),
+        left_out: Vec::new(),
+    };
+    let constant = if measured { session.constant()? } else { None };
     let (bytes, splats, float_error) = match options.target {
+        _ if constant.is_some() => constant.expect("just seen"),
         Target::Ratio(ratio) => {
             let raw = session.samples();
             session.at_size(Size::Bytes((raw / ratio).floor() as u64))?
@@ -106,15 +124,23 @@ pub fn encode_with_progress(
         Target::Psnr(psnr) => session.at_psnr(psnr)?,
     };
     session.trace_end(&splats);
+    if let Some(narrow) = &narrow {
+        let seconds = session.seconds_of_channels(pixels, &splats);
+        session.left_out.insert(0, LeftOut { what: narrow.what, bytes: 0, seconds });
+    }
+    session.note_codebook(&bytes, &splats)?;
     let error = session.error(&splats);
     let samples = session.samples();
+    // The floats were measured on what was fitted: the channels that were left out weigh as they do in the file.
+    let weight = error / session.fitted_error(&splats);
+    let float_error = float_error * if weight.is_finite() { weight } else { 1.0 };
     let report = EncodeReport {
         primitives: splats.gaussians.len(),
         psnr: decibels(error, samples),
         float_psnr: decibels(float_error, samples),
         seconds: session.tracer.seconds(),
         stages: session.stages,
-        left_out: Vec::new(),
+        left_out: session.left_out,
         trace: session.tracer.into_points(),
     };
     Ok(Encoded { bytes, report })
@@ -140,20 +166,27 @@ fn check(options: &EncodeOptions) -> Result<()> {
 }
 
 struct Session<'a> {
+    /// What the caller gave.
+    original: &'a Pixels,
+    /// What is fitted.
     pixels: &'a Pixels,
+    /// What the file has.
+    channels: Channels,
     options: &'a EncodeOptions,
     blend: Blend,
     planes: Planes,
     progress: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>,
     tracer: Tracer,
     stages: Vec<(&'static str, f64)>,
+    left_out: Vec<LeftOut>,
 }
 
+/// The file, the integers that were fitted, and the squared error of the floats.
 type Outcome = (Vec<u8>, PackedSplats, f64);
 
 impl Session<'_> {
     fn samples(&self) -> f64 {
-        f64::from(self.pixels.width()) * f64::from(self.pixels.height()) * self.pixels.channels().count() as f64
+        f64::from(self.pixels.width()) * f64::from(self.pixels.height()) * self.channels.count() as f64
     }
 
     fn empty(&self) -> PackedSplats {
@@ -191,7 +224,7 @@ impl Session<'_> {
 
     fn at_size(&mut self, size: Size) -> Result<Outcome> {
         let Size::Bytes(most) = size else { return self.at_count(0, size) };
-        let fixed = crate::bitstream::to_bytes(&self.empty())?.len() as u64;
+        let fixed = self.file(&self.empty())?.len() as u64;
         if most < fixed {
             let problem = format!("{most} bytes cannot hold the picture: {fixed} are needed without any primitive");
             return Err(Error::Parameter { name: "bytes", problem });
@@ -238,18 +271,130 @@ impl Session<'_> {
                 break;
             }
         }
-        best.ok_or_else(|| Error::Parameter {
-            name: "psnr",
-            problem: format!("{wanted} dB cannot be reached: the best fit has {reached:.2} dB"),
-        })
+        let Some((mut file, mut splats, float_error)) = best else {
+            let problem = format!("{wanted} dB cannot be reached: the best fit has {reached:.2} dB");
+            return Err(Error::Parameter { name: "psnr", problem });
+        };
+        // Where channels were left out, what they add to the error is not known here.
+        if self.options.needs == Needs::Measured && self.channels == self.pixels.channels() {
+            self.prune(&mut file, &mut splats, raw * 10f64.powf(-0.1 * wanted))?;
+        }
+        Ok((file, splats, float_error))
     }
 
+    /// The file of a picture of one colour, where that is what there is and the file may be as large.
+    fn constant(&mut self) -> Result<Option<Outcome>> {
+        let most = match self.options.target {
+            Target::Ratio(ratio) => (self.samples() / ratio).floor() as u64,
+            Target::Bytes(bytes) => bytes,
+            Target::Primitives(0) => 0,
+            _ => u64::MAX,
+        };
+        if self.blend != Blend::Normalized || !leave_out::is_constant(self.pixels) {
+            return Ok(None);
+        }
+        let mut splats = self.empty();
+        leave_out::constant(&mut splats, self.planes.mean);
+        let bytes = self.file(&splats)?;
+        if bytes.len() as u64 > most {
+            return Ok(None);
+        }
+        self.note(LeftOut { what: "the fit: the picture is one colour", bytes: 0, seconds: 0.0 });
+        let error = self.fitted_error(&splats);
+        Ok(Some((bytes, splats, error)))
+    }
+
+    /// Fits a picture of `size` with about `count` primitives to begin with, and puts back what was left out.
     fn at_count(&mut self, count: usize, size: Size) -> Result<Outcome> {
-        let plan = Plan::new(self.options.effort, self.options.time, self.options.seed);
+        let whole = self.channels == self.pixels.channels();
+        let most = match size {
+            Size::Bytes(most) => most,
+            Size::Free => u64::MAX,
+        };
+        // What the constant channels may take; corrected where that is too little.
+        let mut spare = if whole { 0 } else { 6 + most.min(1 << 30) / 400 };
+        loop {
+            let narrow = match size {
+                Size::Bytes(most) => Size::Bytes(most.saturating_sub(spare)),
+                Size::Free => Size::Free,
+            };
+            let (mut bytes, mut splats, float_error) = self.fitted(count, narrow)?;
+            if !whole {
+                bytes = self.file(&splats)?;
+            }
+            if self.options.needs == Needs::Measured {
+                let enough = leave_out::rounding(self.pixels.depth()) * self.fitted_samples();
+                self.prune(&mut bytes, &mut splats, enough)?;
+            }
+            // Whatever a fit came to, it is not worse than one colour.
+            let alone = PackedSplats { gaussians: Vec::new(), codebook: None, ..splats.clone() };
+            let error = self.fitted_error(&splats);
+            if error.is_nan() || error > self.fitted_error(&alone) {
+                (bytes, splats) = (self.file(&alone)?, alone);
+            }
+            let over = (bytes.len() as u64).saturating_sub(most);
+            if over == 0 || splats.gaussians.is_empty() {
+                return Ok((bytes, splats, float_error));
+            }
+            spare += over + 4;
+        }
+    }
+
+    /// The file, with the channels that were left out put back.
+    fn file(&self, splats: &PackedSplats) -> Result<Vec<u8>> {
+        match self.channels == splats.channels {
+            true => crate::bitstream::to_bytes(splats),
+            false => crate::bitstream::to_bytes(&leave_out::widen(splats, self.channels)),
+        }
+    }
+
+    /// Takes out the primitives without which the squared error of what was fitted stays within `enough`.
+    fn prune(&mut self, bytes: &mut Vec<u8>, splats: &mut PackedSplats, enough: f64) -> Result<()> {
+        let clock = self.tracer.seconds();
+        let scene = self.stored_scene(splats);
+        let Some(pruned) = leave_out::pruned(&scene, &self.planes, splats, enough) else { return Ok(()) };
+        let file = self.file(&pruned)?;
+        if file.len() < bytes.len() {
+            let what = "primitives without which the error stays below that of rounding, or of the target";
+            self.note(LeftOut { what, bytes: (bytes.len() - file.len()) as u64, seconds: 0.0 });
+            (*bytes, *splats) = (file, pruned);
+        }
+        self.stages.push(("prune", self.tracer.seconds() - clock));
+        Ok(())
+    }
+
+    /// Notes what was left out, in place of what an earlier attempt left out for the same reason.
+    fn note(&mut self, left_out: LeftOut) {
+        self.left_out.retain(|l| l.what != left_out.what);
+        self.left_out.push(left_out);
+    }
+
+    /// Notes what a codebook saved, from a file written without it.
+    fn note_codebook(&mut self, bytes: &[u8], splats: &PackedSplats) -> Result<()> {
+        if splats.codebook.is_some() {
+            let direct = self.file(&PackedSplats { codebook: None, ..splats.clone() })?;
+            let what = "a colour of its own for each primitive: a codebook is smaller";
+            self.note(LeftOut { what, bytes: direct.len().saturating_sub(bytes.len()) as u64, seconds: 0.0 });
+        }
+        Ok(())
+    }
+
+    /// Samples of what is fitted.
+    fn fitted_samples(&self) -> f64 {
+        self.samples() / self.channels.count() as f64 * self.pixels.channels().count() as f64
+    }
+
+    /// Fits the narrow picture.
+    fn fitted(&mut self, count: usize, size: Size) -> Result<Outcome> {
+        let mut plan = Plan::new(self.options.effort, self.options.time, self.options.seed);
+        if self.options.needs == Needs::Measured {
+            plan.enough = leave_out::enough(self.options.target, self.pixels.depth());
+        }
         let scene = self.scene();
         let mut splats = self.empty();
         let (progress, tracer) = (&mut *self.progress, &mut self.tracer);
-        let (pixels, planes) = (self.pixels, &self.planes);
+        let (pixels, planes) = (self.original, &self.planes);
+        let mut iterations = 0;
         let mut clock = tracer.seconds();
         let mut watch = |tracer: &mut Tracer, stage, done, drawing: fit::Drawing<'_>| {
             let psnr = tracer.step(stage, pixels, planes, drawing);
@@ -263,9 +408,19 @@ impl Session<'_> {
             Size::Bytes(most) => Ok(finish::count_for(primitives, &mut draft, most)?.clamp(count.min(1), count * 2)),
             Size::Free => Ok(count),
         };
-        let state =
-            fit::fit(&scene, planes, count, &plan, &mut recount, &mut |done, now| watch(tracer, "fit", done, now))?;
-        self.stages.push(("fit", tracer.seconds() - clock));
+        let state = fit::fit(&scene, planes, count, &plan, &mut recount, &mut |done, now| {
+            iterations += 1;
+            watch(tracer, "fit", done, now)
+        })?;
+        let seconds = tracer.seconds() - clock;
+        self.stages.push(("fit", seconds));
+        if state.is_enough {
+            let each = seconds / f64::from(iterations);
+            let seconds = each * f64::from(plan.iterations - iterations);
+            let what = "iterations: the error is below that of rounding, or well below the target";
+            self.left_out.retain(|l| l.what != what);
+            self.left_out.push(LeftOut { what, bytes: 0, seconds });
+        }
         let float_error = finish::float_error(&scene, planes, &state.primitives);
         clock = tracer.seconds();
         let bytes = finish::finish(&scene, planes, state, &mut splats, size, &plan, &mut |done, now| {
@@ -279,15 +434,38 @@ impl Session<'_> {
     fn trace_end(&mut self, splats: &PackedSplats) {
         let scene = self.stored_scene(splats);
         let drawing = || (scene, finish::projected(&splats.quantizer(), &splats.gaussians, splats.height));
-        self.tracer.step("written", self.pixels, &self.planes, &drawing);
+        self.tracer.step("written", self.original, &self.planes, &drawing);
     }
 
     fn stored_scene(&self, splats: &PackedSplats) -> Scene {
         Scene { background: splats.quantizer().dequantize_color(splats.background), ..self.scene() }
     }
 
-    /// Squared error of the stored picture.
+    /// Seconds that the channels that were left out would have taken: one iteration with them and one without tell.
+    fn seconds_of_channels(&self, pixels: &Pixels, splats: &PackedSplats) -> f64 {
+        let scene = self.stored_scene(splats);
+        let projected = finish::projected(&splats.quantizer(), &splats.gaussians, splats.height);
+        let seconds = |planes: &Planes| {
+            let draw = || leave_out::drawing_seconds(&scene, planes, &projected);
+            draw().min(draw())
+        };
+        let spent: f64 = self.stages.iter().map(|s| s.1).sum();
+        spent * (seconds(&Planes::new(pixels)) / seconds(&self.planes).max(1e-9) - 1.0).max(0.0)
+    }
+
+    /// Squared error of the stored picture over the samples of the caller's channels.
     fn error(&self, splats: &PackedSplats) -> f64 {
+        if self.channels == self.pixels.channels() {
+            return self.fitted_error(splats);
+        }
+        let wide = leave_out::widen(splats, self.channels);
+        let planes = Planes::new(self.original);
+        let scene = Scene { background: wide.quantizer().dequantize_color(wide.background), ..self.scene() };
+        finish::packed_error(&scene, &planes, &wide.quantizer(), &wide.gaussians)
+    }
+
+    /// Squared error of the stored picture over the samples that were fitted.
+    fn fitted_error(&self, splats: &PackedSplats) -> f64 {
         let (quantizer, scene) = (splats.quantizer(), self.stored_scene(splats));
         finish::packed_error(&scene, &self.planes, &quantizer, &splats.gaussians)
     }

@@ -3,6 +3,10 @@
 //! Bytes become integers exactly ([`bitstream`]), integers become Gaussians by the specification's formulas
 //! ([`quantize`]), Gaussians become pixels within a stated error, and the `image` crate stands at the door.
 
+// Tests inside share pictures with the program, which names this crate from outside.
+#[cfg(test)]
+extern crate self as ssplat;
+
 pub mod bitstream;
 mod convert;
 mod decoder;
@@ -11,6 +15,7 @@ mod encoder;
 pub mod error;
 mod fit;
 pub mod gaussian;
+mod leave_out;
 pub mod limits;
 pub mod metrics;
 pub mod options;
@@ -26,6 +31,6 @@ pub use encoder::{SsplatEncoder, save};
 pub use error::{Error, FormatError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
 pub use limits::Limits;
-pub use options::{Ablation, Backend, DecodeOptions, EncodeOptions, Recipe, Target, Trace, Tune};
+pub use options::{Ablation, Backend, DecodeOptions, EncodeOptions, Needs, Recipe, Target, Trace, Tune};
 pub use pixels::{Depth, Pixels, Samples};
 pub use trace::TracePoint;

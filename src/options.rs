@@ -67,6 +67,17 @@ pub enum Backend {
     Gpu,
 }
 
+/// Which parts of a picture the encoder takes to be needed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub enum Needs {
+    /// Those that a look at the samples finds to say something; the rest is left out of the fit. The decoded picture
+    /// has the caller's channels all the same.
+    #[default]
+    Measured,
+    /// All.
+    Everything,
+}
+
 /// Whether an encode measures its own progress.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub enum Trace {
@@ -100,6 +111,8 @@ pub struct EncodeOptions {
     pub tune: Tune,
     /// Which device fits.
     pub backend: Backend,
+    /// What to look for that can be left out.
+    pub needs: Needs,
     /// Whether to measure quality along the way.
     pub trace: Trace,
     /// ICC profile to carry.
@@ -120,6 +133,7 @@ impl Default for EncodeOptions {
             recipe: Recipe::Ssplat,
             tune: Tune::Psnr,
             backend: Backend::Auto,
+            needs: Needs::Measured,
             trace: Trace::Off,
             icc: None,
             exif: None,

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use crate::fit::field::{Field, Output, RowSet, Scene};
 use crate::fit::project::Projected;
 use crate::fit::target::Target;
+use crate::leave_out;
 use crate::metrics;
 use crate::options::Trace;
 use crate::pixels::{Depth, Pixels, Samples};
@@ -73,7 +74,8 @@ impl Tracer {
         if now >= self.next {
             let clock = Instant::now();
             let (scene, projected) = drawing();
-            let found = metrics::compare(pixels, &draw(&scene, target, &projected, pixels.depth()));
+            let drawn = draw(&scene, target, &projected, pixels.depth());
+            let found = metrics::compare(pixels, &leave_out::widen_pixels(drawn, pixels.channels()));
             let found = found.expect("a picture of the same shape");
             self.points.push(TracePoint {
                 stage,

@@ -124,14 +124,14 @@ pub(crate) fn finish(
 }
 
 /// The file, with its colours in a codebook where that is smaller.
-fn smallest(splats: &mut PackedSplats) -> Result<Vec<u8>> {
+pub(crate) fn smallest(splats: &mut PackedSplats) -> Result<Vec<u8>> {
     splats.codebook = None;
     let direct = crate::bitstream::to_bytes(splats)?;
     let mut colors: Vec<[i16; 4]> = splats.gaussians.iter().map(|g| g.color).collect();
     colors.sort_unstable();
     colors.dedup();
-    // Where most colours occur once, a codebook cannot pay.
-    if colors.len() * 3 > splats.gaussians.len() {
+    // Where most colours occur once, a codebook cannot pay; one of no colours is none.
+    if colors.is_empty() || colors.len() * 3 > splats.gaussians.len() {
         return Ok(direct);
     }
     splats.codebook = Some(colors);

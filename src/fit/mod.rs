@@ -11,6 +11,8 @@ pub(crate) mod project;
 pub(crate) mod rates;
 pub(crate) mod relocate;
 pub(crate) mod sample;
+#[cfg(test)]
+mod stability;
 pub(crate) mod target;
 
 use std::time::Instant;
@@ -62,6 +64,8 @@ pub(crate) fn fit(
     let mut rows = RowCycle::new();
     let start = Instant::now();
     let mut recounts = RECOUNTED.iter().peekable();
+    let samples =
+        |rows: RowSet| rows.count(scene.height) as f64 * f64::from(scene.width) * target.channels.count() as f64;
     let mut iteration = 0;
     while iteration < plan.iterations && !state.primitives.is_empty() {
         // With a time budget the schedule follows the clock where that is ahead.
@@ -80,9 +84,16 @@ pub(crate) fn fit(
             relocate::relocate(scene, target, &mut state, sampled, most);
         }
         let sampled = rows.next(if done < SAMPLED { step } else { step / 4 }, &mut rng);
-        let rates = RATES.scaled(LAST_RATE + (1.0 - LAST_RATE) * 0.5 * (1.0 + (std::f32::consts::PI * done).cos()));
-        state.descend(scene, target, sampled, rates);
+        let rates = RATES
+            .scaled(plan.rate)
+            .scaled(LAST_RATE + (1.0 - LAST_RATE) * 0.5 * (1.0 + (std::f32::consts::PI * done).cos()));
+        let error = state.descend(scene, target, sampled, rates);
         iteration += 1;
+        // A sample of the rows only hints at it.
+        if error <= plan.enough * samples(sampled) && plan.enough * samples(RowSet::ALL) >= state.error(scene, target) {
+            state.is_enough = iteration < plan.iterations;
+            break;
+        }
     }
     Ok(state)
 }
@@ -96,6 +107,8 @@ pub(crate) struct State {
     pub freedom: Vec<Freedom>,
     pub bounds: Bounds,
     pub field: Field,
+    /// Whether the fit ended early because the error was small enough.
+    pub is_enough: bool,
     iteration: u32,
 }
 
@@ -106,15 +119,22 @@ impl State {
         }
         let memory = vec![Memory::default(); primitives.len()];
         let field = Field::default();
-        let mut state = State { primitives, memory, freedom: Vec::new(), bounds, field, iteration: 0 };
+        let mut state =
+            State { primitives, memory, freedom: Vec::new(), bounds, field, is_enough: false, iteration: 0 };
         state.sort();
         state
     }
 
-    /// One step of the optimizer on the error over `rows`.
-    pub(crate) fn descend(&mut self, scene: &Scene, target: &Target, rows: RowSet, rates: Rates) {
+    /// Squared error of the picture so far.
+    fn error(&mut self, scene: &Scene, target: &Target) -> f64 {
         let projected = project_all(&self.primitives, scene.height);
-        self.field.draw(scene, target, &projected, rows, Output::Gradient);
+        self.field.draw(scene, target, &projected, RowSet::ALL, Output::Picture)
+    }
+
+    /// One step of the optimizer on the error over `rows`; returns that error before the step.
+    pub(crate) fn descend(&mut self, scene: &Scene, target: &Target, rows: RowSet, rates: Rates) -> f64 {
+        let projected = project_all(&self.primitives, scene.height);
+        let error = self.field.draw(scene, target, &projected, rows, Output::Gradient);
         let freedom = (!self.freedom.is_empty()).then_some(&self.freedom[..]);
         adam::step(
             scene,
@@ -130,6 +150,7 @@ impl State {
             self.iteration,
         );
         self.iteration += 1;
+        error
     }
 
     /// Brings neighbours in the picture next to each other in memory.

@@ -22,6 +22,10 @@ pub(crate) struct Plan {
     pub fit_deadline: Option<Instant>,
     /// When to stop, whatever is left.
     pub deadline: Option<Instant>,
+    /// Mean squared error of a sample at which the float fit is through, whatever is left.
+    pub enough: f64,
+    /// Factor of the optimizer's steps; other than 1 only in tests of stability.
+    pub rate: f32,
     /// Seed of everything random.
     pub seed: u64,
 }
@@ -35,7 +39,18 @@ impl Plan {
         let deadline = time.map(|t| Instant::now() + t);
         let fit_deadline = time.map(|t| Instant::now() + t.mul_f64(FIT_SHARE));
         let relocate_every = (iterations / 24).clamp(8, 40);
-        Plan { iterations, freezing, sweeps, relocate_every, relocate_share: 0.1, fit_deadline, deadline, seed }
+        Plan {
+            iterations,
+            freezing,
+            sweeps,
+            relocate_every,
+            relocate_share: 0.1,
+            fit_deadline,
+            deadline,
+            enough: 0.0,
+            rate: 1.0,
+            seed,
+        }
     }
 
     /// Share of the time budget that is gone, 0 without one.

@@ -8,14 +8,14 @@ use serde_json::{Value, json};
 use ssplat::bitstream::splats::Metadata;
 use ssplat::metrics::Comparison;
 use ssplat::raster::SamplesMut;
-use ssplat::{EncodeReport, Pixels, Samples};
+use ssplat::{EncodeReport, Limits, Pixels, Samples};
 
 use crate::failure::Failure;
 use crate::progress::Bar;
 use crate::rows::{Format, RowWriter, Shape};
 use crate::sink::{Sink, say};
 use crate::source::{self, Source};
-use crate::{args, compare};
+use crate::{args, compare, left_out};
 
 pub fn run(args: &args::Encode) -> Result<(), Failure> {
     if args.json && args.output == Path::new("-") {
@@ -58,6 +58,10 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
     }
     if args.explain {
         text += &explain(&encoded.report);
+        let (splats, report) = ssplat::bitstream::inspect(&encoded.bytes, &Limits::default())
+            .map_err(|e| Failure::library(&args.output, &e))?;
+        text += "not in the file:\n";
+        text += &left_out::as_text(&left_out::of_file(&splats, &report));
     }
     if args.output == Path::new("-") {
         eprint!("{text}");
@@ -143,7 +147,10 @@ fn explain(report: &EncodeReport) -> String {
         text += "left out, because the scene does not need it:\n";
     }
     for l in &report.left_out {
-        text += &format!("  {}: saves {} bytes, {:.2} s\n", l.what, l.bytes, l.seconds);
+        let bytes = if l.bytes > 0 { format!(" {} bytes", l.bytes) } else { String::new() };
+        let seconds = if l.seconds > 0.0 { format!(" {:.2} s", l.seconds) } else { String::new() };
+        let saved = [bytes, seconds].concat();
+        text += &format!("  {}{}{saved}\n", l.what, if saved.is_empty() { "" } else { ": saves" });
     }
     text
 }

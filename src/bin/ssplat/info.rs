@@ -7,10 +7,10 @@ use ssplat::bitstream::sections::{SectionFate, SectionInfo};
 use ssplat::bitstream::splats::{Layout, PackedSplats};
 use ssplat::{Blend, Channels, Limits};
 
-use crate::args;
 use crate::failure::Failure;
 use crate::sink::say;
 use crate::source;
+use crate::{args, left_out};
 
 pub fn run(args: &args::Info) -> Result<(), Failure> {
     let bytes = source::read_all(&args.input)?;
@@ -32,6 +32,8 @@ fn as_json(splats: &PackedSplats, report: &Report) -> Value {
         .iter()
         .map(|f| json!({ "name": f.name, "bits": f.bits, "bits_per_primitive": per_primitive(f.bits, splats) }))
         .collect();
+    let left_out: Vec<Value> =
+        left_out::of_file(splats, report).iter().map(|a| json!({ "what": a.what, "bytes_saved": a.saved })).collect();
     json!({
         "version": VERSION,
         "width": h.width,
@@ -61,6 +63,7 @@ fn as_json(splats: &PackedSplats, report: &Report) -> Value {
         "parts": parts,
         "sections": sections,
         "fields": fields,
+        "left_out": left_out,
     })
 }
 
@@ -103,6 +106,8 @@ fn as_text(splats: &PackedSplats, report: &Report) -> String {
         let each = per_primitive(field.bits, splats).unwrap_or(0.0);
         text += &format!("  {:<20} {each:>10.2} bits a primitive\n", field.name);
     }
+    text += "left out\n";
+    text += &left_out::as_text(&left_out::of_file(splats, report));
     text
 }
 

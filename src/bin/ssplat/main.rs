@@ -6,6 +6,7 @@ mod decode;
 mod encode;
 mod failure;
 mod info;
+mod left_out;
 mod names;
 mod progress;
 mod rows;
