@@ -160,6 +160,25 @@ fn info_adds_up() {
 }
 
 #[test]
+fn encode_and_info_say_what_was_left_out() {
+    let folder = Folder::new();
+    let (picture, file) = (folder.path("grey.png"), folder.path("grey.ssplat"));
+    let grey = |x: u32, y: u32| (x * 3 + y) as u8 ^ (8 * (y as u8 % 2));
+    let opaque = |x, y| image::Rgba([grey(x, y), grey(x, y), grey(x, y), 255]);
+    image::RgbaImage::from_fn(60, 40, opaque).save(&picture).unwrap();
+    let text = succeeds(ssplat(&[&"encode", &picture, &file, &"--bytes", &"300", &"--effort", &"1", &"--explain"]));
+    assert!(text.contains("colour and alpha: all is grey and opaque"), "{text}");
+    assert!(text.contains("sections: neither"), "{text}");
+    assert!(fs::metadata(&file).unwrap().len() <= 300);
+    let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &file, &"--json"]))).unwrap();
+    let left_out = info["left_out"].as_array().unwrap();
+    let levels = left_out.iter().find(|l| l["what"].as_str().unwrap().starts_with("progressive levels")).unwrap();
+    // Measured: the same primitives in a file with levels are as much larger.
+    assert!(levels["bytes_saved"].as_u64().unwrap() > 0, "{info}");
+    assert!(succeeds(ssplat(&[&"info", &file])).contains("left out\n"));
+}
+
+#[test]
 fn every_output_format_holds_the_same_pixels() {
     let folder = Folder::new();
     let file = folder.encoded("a.ssplat");
@@ -450,7 +469,7 @@ fn outputs_have_ordinary_rights_and_links_and_devices_stay() {
 
 #[test]
 fn help_shows_examples() {
-    for name in ["encode", "decode", "info", "compare"] {
+    for name in ["encode", "decode", "info", "compare", "report"] {
         assert!(succeeds(ssplat(&[&name, &"--help"])).contains("Examples:"), "{name}");
     }
     assert!(succeeds(ssplat(&[&"--help"])).contains("Exit status"));

@@ -1,4 +1,4 @@
-//! The `ssplat` program: encode, decode, info, compare.
+//! The `ssplat` program: encode, decode, info, compare, report.
 
 mod args;
 mod compare;
@@ -9,6 +9,7 @@ mod info;
 mod left_out;
 mod names;
 mod progress;
+mod report;
 mod rows;
 mod sink;
 mod source;
@@ -44,5 +45,6 @@ fn run(args: Args) -> Result<(), Failure> {
         Command::Decode(args) => decode::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Report(args) => report::run(&args),
     }
 }

@@ -1,5 +1,6 @@
 //! The progress bar: on a terminal only, on standard error.
 
+use std::borrow::Cow;
 use std::io::IsTerminal;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -23,7 +24,7 @@ impl Bar {
     }
 
     /// Shows what is being done, and how much of it is, in `0..=1`.
-    pub fn show(&self, done: f32, message: &'static str) {
+    pub fn show(&self, done: f32, message: impl Into<Cow<'static, str>>) {
         self.0.set_message(message);
         self.0.set_position((f64::from(done) * STEPS as f64) as u64);
     }

@@ -1,0 +1,73 @@
+//! What scenes leave out: each encoded with everything and with only what it needs.
+
+use serde_json::{Value, json};
+use ssplat::raster::{Renderer, View};
+use ssplat::{EncodeOptions, Limits, Needs, Pixels, Target, encode, metrics};
+
+use super::scenes;
+
+/// One scene, encoded twice: with everything, and with what it needs.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Needless {
+    pub scene: String,
+    pub what: Vec<String>,
+    pub bytes: [u64; 2],
+    pub seconds: [f64; 2],
+    /// PSNR of the decoded samples, dB, 99 at most.
+    pub psnr: [f64; 2],
+}
+
+impl Needless {
+    pub fn as_json(&self) -> Value {
+        json!({
+            "scene": self.scene, "left_out": self.what, "bytes": self.bytes, "seconds": self.seconds, "psnr": self.psnr,
+        })
+    }
+}
+
+/// Reads what [`Needless::as_json`] made.
+pub fn from_json(v: &Value) -> Option<Needless> {
+    let pair = |key: &str| Some([v[key][0].as_f64()?, v[key][1].as_f64()?]);
+    Some(Needless {
+        scene: v["scene"].as_str()?.into(),
+        what: v["left_out"].as_array()?.iter().filter_map(|w| Some(w.as_str()?.to_string())).collect(),
+        bytes: [v["bytes"][0].as_u64()?, v["bytes"][1].as_u64()?],
+        seconds: pair("seconds")?,
+        psnr: pair("psnr")?,
+    })
+}
+
+/// The scenes of the table; the photograph is a part of `photograph`.
+pub fn list(photograph: Option<Pixels>) -> Vec<(String, Pixels)> {
+    let mut list = vec![
+        ("flat icon, opaque alpha".to_string(), scenes::icon()),
+        ("grey scan stored as colour".into(), scenes::scan()),
+        ("gradient".into(), scenes::gradient()),
+        ("text page stored as colour".into(), scenes::text()),
+    ];
+    list.extend(photograph.map(|p| ("photograph".into(), p)));
+    list
+}
+
+/// Encodes a scene both ways.
+///
+/// # Errors
+/// What the encoder or the decoder says.
+pub fn measure(name: &str, pixels: &Pixels) -> ssplat::Result<Needless> {
+    let mut options = EncodeOptions::default();
+    options.target = Target::Primitives(400);
+    options.effort = 4;
+    let mut out = Needless { scene: name.into(), what: Vec::new(), bytes: [0; 2], seconds: [0.0; 2], psnr: [0.0; 2] };
+    for (i, needs) in [Needs::Everything, Needs::Measured].into_iter().enumerate() {
+        options.needs = needs;
+        let encoded = encode(pixels, &options)?;
+        let splats = ssplat::bitstream::read(&encoded.bytes[..], &Limits::default())?;
+        let picture = splats.to_picture();
+        let drawn = Renderer::new(&picture, &View::full(&picture), &Limits::default())?.render(splats.depth)?;
+        out.bytes[i] = encoded.bytes.len() as u64;
+        out.seconds[i] = encoded.report.seconds;
+        out.psnr[i] = metrics::psnr(pixels, &drawn)?.min(99.0);
+        out.what = encoded.report.left_out.iter().map(|l| l.what.to_string()).collect();
+    }
+    Ok(out)
+}
