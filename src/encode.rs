@@ -386,7 +386,7 @@ impl Session<'_> {
 
     /// Fits the narrow picture.
     fn fitted(&mut self, count: usize, size: Size) -> Result<Outcome> {
-        let mut plan = Plan::new(self.options.effort, self.options.time, self.options.seed);
+        let mut plan = Plan::new(self.options.effort, count, self.options.time, self.options.seed);
         if self.options.needs == Needs::Measured {
             plan.enough = leave_out::enough(self.options.target, self.pixels.depth());
         }
@@ -405,7 +405,9 @@ impl Session<'_> {
         };
         let mut draft = splats.clone();
         let mut recount = |primitives: &[Primitive]| match size {
-            Size::Bytes(most) => Ok(finish::count_for(primitives, &mut draft, most)?.clamp(count.min(1), count * 2)),
+            Size::Bytes(most) => {
+                Ok(finish::count_for(&scene, planes, primitives, &mut draft, most)?.clamp(count.min(1), count * 2))
+            }
             Size::Free => Ok(count),
         };
         let state = fit::fit(&scene, planes, count, &plan, &mut recount, &mut |done, now| {

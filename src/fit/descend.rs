@@ -246,7 +246,7 @@ impl Parabola {
     /// `Σ r²` of channel `k`; alpha is weighted differently from colour.
     #[inline(always)]
     fn square(&self, k: usize, channels: usize) -> f32 {
-        self.square[usize::from(channels % 2 == 0 && k + 1 == channels)]
+        self.square[usize::from(channels.is_multiple_of(2) && k + 1 == channels)]
     }
 }
 

@@ -44,7 +44,7 @@ pub(crate) type Drawing<'a> = &'a dyn Fn() -> (Scene, Vec<Projected>);
 pub(crate) type Watch<'a> = &'a mut dyn FnMut(f32, Drawing<'_>) -> Result<()>;
 
 /// When the number of primitives is corrected, as shares of the iterations.
-const RECOUNTED: [f32; 2] = [0.3, 0.62];
+const RECOUNTED: [f32; 3] = [0.3, 0.6, 0.85];
 
 /// Tells, from the primitives so far, how many there should be.
 pub(crate) type Recount<'a> = &'a mut dyn FnMut(&[Primitive]) -> Result<usize>;
@@ -199,7 +199,7 @@ fn gcd(a: u32, b: u32) -> u32 {
 pub(crate) fn row_step(scene: &Scene, count: usize) -> u32 {
     let area = scene.width as f32 * scene.height as f32;
     let typical = 0.7 * (area / (std::f32::consts::PI * count.max(1) as f32)).sqrt();
-    ((0.55 * typical) as u32).clamp(1, 16).min(scene.height)
+    ((0.9 * typical) as u32).clamp(1, 16).min(scene.height)
 }
 
 pub(crate) fn project_all(primitives: &[Primitive], height: u32) -> Vec<Projected> {

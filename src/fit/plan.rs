@@ -31,14 +31,17 @@ pub(crate) struct Plan {
 }
 
 impl Plan {
-    /// The schedule for `effort` (1..=9).
-    pub(crate) fn new(effort: u8, time: Option<Duration>, seed: u64) -> Self {
-        let iterations = [60, 120, 240, 400, 640, 1000, 1500, 2400, 4000][usize::from(effort.clamp(1, 9)) - 1];
-        let sweeps = [1, 2, 3, 4, 6, 8, 10, 14, 20][usize::from(effort.clamp(1, 9)) - 1];
-        let freezing = if effort >= 7 { iterations / 4 } else { 0 };
+    /// The schedule for `effort` (1..=9) and `count` primitives: fewer cost less, and need more steps to find their places.
+    pub(crate) fn new(effort: u8, count: usize, time: Option<Duration>, seed: u64) -> Self {
+        let level = usize::from(effort.clamp(1, 9)) - 1;
+        let base = [60.0, 120.0, 200.0, 320.0, 480.0, 800.0, 1400.0, 2400.0, 4000.0f32][level];
+        let patience = (5500.0 / count.max(1) as f32).powf(0.3).clamp(0.4, 3.0);
+        let iterations = (base * patience) as u32;
+        let sweeps = [1, 2, 2, 3, 4, 6, 10, 14, 20][level] + if count < 2000 { 3 } else { 0 };
+        let freezing = if effort >= 7 && count > 2000 { iterations / 4 } else { 0 };
         let deadline = time.map(|t| Instant::now() + t);
         let fit_deadline = time.map(|t| Instant::now() + t.mul_f64(FIT_SHARE));
-        let relocate_every = (iterations / 24).clamp(8, 40);
+        let relocate_every = (iterations / 24).clamp(8, 25);
         Plan {
             iterations,
             freezing,
