@@ -22,7 +22,7 @@ FINE = 16
 # What this decoder is willing to do (§9).
 MOST_PRIMITIVES = 1 << 24
 MOST_SAMPLES = 1 << 28
-MOST_WEIGHTS = 1 << 36
+MOST_WEIGHTS = 1 << 32
 
 
 class Illegal(Exception):

@@ -36,6 +36,10 @@ use crate::limits::Limits;
 /// Bytes of the checksum at the end.
 const CHECKSUM: usize = 4;
 
+/// How often the bytes of a file are counted against the memory limit: reading grows its buffer to twice the size while
+/// the old one is there; later, metadata are copied out of it.
+const FILE_COPIES: u64 = 3;
+
 /// How many primitives a payload of `bytes` bytes may hold: real ones take 20 bits or more, and a file that claims
 /// millions in a few bytes must not cost the work of millions.
 fn most_primitives(bytes: u64) -> u64 {
@@ -158,15 +162,14 @@ impl Header {
     pub fn read_body<R: Read>(&self, reader: R, limits: &Limits) -> Result<PackedSplats> {
         let mut rest = Vec::new();
         // What is read is backed by bytes that somebody sent; the limit stops endless streams.
-        reader.take(limits.alloc.saturating_add(1)).read_to_end(&mut rest)?;
-        Limits::check("alloc", rest.len() as u64, limits.alloc)?;
+        reader.take(limits.alloc / FILE_COPIES + 1).read_to_end(&mut rest)?;
         self.parse(&rest, limits, &mut Tally::default()).map(|(splats, _)| splats)
     }
 
     /// Parses the bytes behind the header.
     fn parse(&self, rest: &[u8], limits: &Limits, tally: &mut Tally) -> Result<(PackedSplats, Vec<SectionInfo>)> {
         let working = u64::from(self.primitives) * working_bytes(self.layout);
-        Limits::check("alloc", rest.len() as u64 + working, limits.alloc)?;
+        Limits::check("alloc", FILE_COPIES * rest.len() as u64 + working, limits.alloc)?;
         let base = self.bytes().len() as u64;
         let end = rest
             .len()

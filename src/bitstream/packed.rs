@@ -152,12 +152,11 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
     let tiles = tx.saturating_mul(ty);
     // A tile's count takes a byte at least, a record takes all of its bytes: nothing is allocated that is not backed.
     bytes.clone().take(tiles.saturating_add(count as u64 * format.bytes() as u64), "records")?;
-    let mut counts = Vec::with_capacity(tiles as usize);
+    // Read twice rather than kept: there can be as many as the file has bytes.
+    let mut counts = bytes.clone();
     let mut sum = 0u64;
     for _ in 0..tiles {
-        let n = bytes.varint("tile count")?;
-        sum = sum.saturating_add(n);
-        counts.push(n);
+        sum = sum.saturating_add(bytes.varint("tile count")?);
     }
     if sum != count as u64 {
         return Err(Broken { field: "sum of tile counts", value: sum }.into());
@@ -171,7 +170,8 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
     splats.gaussians.reserve_exact(count);
     let mut record = records.chunks(format.bytes().max(1));
     let mut last = None;
-    for (tile, n) in (0u64..).zip(counts) {
+    for tile in 0..tiles {
+        let n = counts.varint("tile count")?;
         let corner = [tile % tx << format.widths[0], tile / tx << format.widths[1]].map(|c| c as u32);
         for _ in 0..n {
             let p = read_record(record.next().unwrap_or(&[]), &format, splats, corner)?;

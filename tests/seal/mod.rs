@@ -1,13 +1,16 @@
-//! Damaged files with a checksum that fits them again, so that what lies behind it is tested.
+//! Damaged files with checksums that fit them again, so that what lies behind the checksums is tested.
 
 use ssplat::bitstream::read;
 use ssplat::{Error, FormatError, Limits};
 
-/// Sets the checksum at the end of the file to the one that its reader computes.
+/// Sets the checksums of file, directory and groups to the ones that a reader computes.
 pub fn seal(bytes: &mut [u8]) {
-    if let Err(Error::Format(FormatError::Checksum { what: "file", computed, .. })) = read(&*bytes, &Limits::default())
-    {
-        let end = bytes.len();
-        bytes[end - 4..].copy_from_slice(&computed.to_le_bytes());
+    for _ in 0..16 {
+        let Err(Error::Format(FormatError::Checksum { stored, computed, .. })) = read(&*bytes, &Limits::default())
+        else {
+            return;
+        };
+        let Some(at) = bytes.windows(4).rposition(|w| w == stored.to_le_bytes()) else { return };
+        bytes[at..at + 4].copy_from_slice(&computed.to_le_bytes());
     }
 }

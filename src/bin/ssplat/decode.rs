@@ -6,7 +6,7 @@ use std::time::Instant;
 use serde_json::json;
 use ssplat::bitstream::splats::Metadata;
 use ssplat::raster::{Renderer, SamplesMut, View};
-use ssplat::{Depth, Limits, Picture};
+use ssplat::{Depth, Error, Limits, Picture};
 
 use crate::args;
 use crate::failure::Failure;
@@ -33,6 +33,12 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     let (picture, depth) = (splats.to_picture(), splats.depth);
     let metadata = splats.metadata;
     let view = view(args, &picture).map_err(failed)?;
+    // The output is written as it is drawn: no memory bounds it.
+    let samples = u64::from(view.width()) * u64::from(view.height()) * picture.channels.count() as u64;
+    let (requested, allowed) = (samples * depth.bytes() as u64, limits.alloc);
+    if requested > allowed {
+        return Err(failed(Error::LimitExceeded { what: "alloc", requested, allowed }));
+    }
     let renderer = Renderer::new(&picture, &view, &limits).map_err(failed)?;
     drop(picture);
     let sink = Sink::create(&args.output, &[&args.input])?;

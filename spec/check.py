@@ -1,0 +1,157 @@
+#!/usr/bin/env python3
+"""Runs a decoder over the conformance vectors: python3 check.py [COMMAND...]
+
+COMMAND is called with two more arguments, a .ssplat file and the picture to write (PAM, or PGM or PPM with raw samples).
+It shall write the picture and exit with 0, or write nothing and exit with another status. Without COMMAND, decode.py
+beside this file is checked. `check.py --control` checks the checker: decoders that are wrong on purpose shall fail.
+
+Each vector is a folder with file.ssplat, case.txt (what it shows, its SHA-256, what to expect) and, where a picture is
+expected, picture.pam.
+"""
+
+import contextlib
+import hashlib
+import io
+import pathlib
+import re
+import subprocess
+import sys
+import tempfile
+
+import numpy as np
+
+import decode
+
+HERE = pathlib.Path(__file__).resolve().parent
+SECONDS = 60
+
+
+def read_picture(path):
+    """Samples, rows × columns × channels, and the largest code value, of a PAM, PGM or PPM."""
+    data = path.read_bytes()
+    if data[:2] == b"P7":
+        head, body = data.split(b"ENDHDR\n", 1)
+        fields = dict(line.split(b" ", 1) for line in head.split(b"\n")[1:] if b" " in line)
+        width, height, channels, top = (int(fields[k]) for k in (b"WIDTH", b"HEIGHT", b"DEPTH", b"MAXVAL"))
+    else:
+        kind, width, height, top = re.match(rb"(P[56])\s+(\d+)\s+(\d+)\s+(\d+)\s", data).groups()
+        channels, width, height, top = {b"P5": 1, b"P6": 3}[kind], int(width), int(height), int(top)
+        body = data[len(data) - width * height * channels * (2 if top > 255 else 1) :]
+    samples = np.frombuffer(body, ">u2" if top > 255 else "u1").astype(int)
+    return samples.reshape(height, width, channels), top
+
+
+def problem_of(run, case, folder, out):
+    """What the decoder did wrong, or None."""
+    status = run(folder / "file.ssplat", out)
+    if status is None:
+        return f"took more than {SECONDS} s"
+    if status < 0 or status >= 128:
+        return f"crashed with status {status}"
+    if case["expect"] == "error":
+        if status == 0:
+            return "accepted the file"
+        return "wrote a picture for a file that it refused" if out.exists() else None
+    if status != 0:
+        return f"refused the file with status {status}"
+    if not out.exists():
+        return "wrote no picture"
+    (got, top), (want, right_top) = read_picture(out), read_picture(folder / "picture.pam")
+    if (got.shape, top) != (want.shape, right_top):
+        return f"wrote {got.shape} up to {top} in place of {want.shape} up to {right_top}"
+    worst = int(abs(got - want).max())
+    return f"differs by {worst}" if worst > int(case["tolerance"]) else None
+
+
+def check(run, show=True):
+    """Runs all vectors; gives back how many there are and what went wrong."""
+    folders = sorted(p.parent for p in (HERE / "vectors").glob("*/*/case.txt"))
+    problems = []
+    with tempfile.TemporaryDirectory() as temporary:
+        for folder in folders:
+            name = f"{folder.parent.name}/{folder.name}"
+            case = dict(line.split(": ", 1) for line in (folder / "case.txt").read_text().splitlines())
+            if hashlib.sha256((folder / "file.ssplat").read_bytes()).hexdigest() != case["sha256"]:
+                problem = "the vector's file is not the one that its case names"
+            else:
+                out = pathlib.Path(temporary) / "out.pam"
+                out.unlink(missing_ok=True)
+                problem = problem_of(run, case, folder, out)
+            if problem:
+                problems.append(name)
+                if show:
+                    print(f"{name}: {problem} ({case['shows']})")
+    return len(folders), problems
+
+
+def by_command(command):
+    def run(file, out):
+        try:
+            return subprocess.run([*command, file, out], capture_output=True, timeout=SECONDS).returncode
+        except subprocess.TimeoutExpired:
+            return None
+
+    return run
+
+
+def by_decode(file, out):
+    with contextlib.redirect_stderr(io.StringIO()):
+        return decode.main([str(file), str(out)])
+
+
+def control():
+    """Decoders that are wrong in one way each, and the vectors that shall find them out."""
+
+    def off_by(amount):
+        def run(file, out):
+            status = by_decode(file, out)
+            if status == 0:
+                data = bytearray(out.read_bytes())
+                data[-1] = (data[-1] + amount) % 256
+                out.write_bytes(data)
+            return status
+
+        return run
+
+    def accepts_all(file, out):
+        status = by_decode(file, out)
+        if status != 0:
+            out.write_bytes(b"P5 1 1 255 \0")
+        return 0
+
+    def crashes(file, out):
+        return by_decode(file, out) and -11
+
+    def leaves_half(file, out):
+        status = by_decode(file, out)
+        out.touch()
+        return status
+
+    def cuts_a_row(file, out):
+        status = by_decode(file, out)
+        if status == 0:
+            samples, top = read_picture(out)
+            head = f"P7\nWIDTH {samples.shape[1]}\nHEIGHT {samples.shape[0] - 1}\nDEPTH {samples.shape[2]}\nMAXVAL {top}\nENDHDR\n"
+            out.write_bytes(head.encode() + samples[1:].astype(">u2" if top > 255 else "u1").tobytes())
+        return status
+
+    expected = {"off by 100": off_by(100), "accepts all": accepts_all, "crashes": crashes}
+    expected |= {"refuses all": lambda file, out: 1, "leaves half a file": leaves_half, "cuts a row": cuts_a_row}
+    unseen = 0
+    for name, run in expected.items():
+        count, problems = check(run, show=False)
+        print(f"a decoder that {name}: {len(problems)} of {count} vectors fail")
+        unseen += not problems
+    return unseen
+
+
+def main(arguments):
+    if arguments == ["--control"]:
+        return 1 if control() else 0
+    count, problems = check(by_command(arguments) if arguments else by_decode)
+    print(f"{count - len(problems)} of {count} vectors pass")
+    return 1 if problems or count == 0 else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

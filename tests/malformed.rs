@@ -1,0 +1,192 @@
+//! Files that are cut, hurt or made up: a typed error or a legal picture, never a panic, and nothing damaged in silence.
+
+mod seal;
+mod synthetic;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use seal::seal;
+use ssplat::bitstream::splats::Layout;
+use ssplat::bitstream::{Missing, inspect, read, read_partial, to_bytes};
+use ssplat::raster::{Renderer, View};
+use ssplat::{Error, Limits};
+use synthetic::Random;
+
+/// How often each outcome was seen.
+#[derive(Default)]
+struct Outcomes(BTreeMap<&'static str, u64>);
+
+impl Outcomes {
+    fn add(&mut self, outcome: &'static str) {
+        *self.0.entry(outcome).or_default() += 1;
+    }
+
+    fn of(&self, outcome: &str) -> u64 {
+        self.0.get(outcome).copied().unwrap_or(0)
+    }
+
+    fn print(&self, what: &str) {
+        println!("{what}: {} files, {:?}", self.0.values().sum::<u64>(), self.0);
+    }
+}
+
+/// The sound files among the vectors.
+fn sound() -> Vec<(String, Vec<u8>)> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("spec/vectors/valid");
+    let mut files: Vec<_> = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| {
+            let path = entry.unwrap().path();
+            (path.file_name().unwrap().to_string_lossy().into_owned(), fs::read(path.join("file.ssplat")).unwrap())
+        })
+        .collect();
+    files.sort();
+    assert!(files.len() > 40);
+    files
+}
+
+/// Limits that every vector keeps.
+fn tight() -> Limits {
+    let mut limits = Limits::default();
+    (limits.width, limits.height, limits.primitives) = (1 << 12, 1 << 12, 1 << 16);
+    (limits.alloc, limits.tile_pairs) = (48 << 20, 1 << 20);
+    limits
+}
+
+fn kind(e: &Error) -> &'static str {
+    match e {
+        Error::Format(ssplat::FormatError::Checksum { .. }) => "checksum",
+        Error::Format(_) => "format",
+        Error::UnsupportedVersion { .. } => "unsupported",
+        Error::LimitExceeded { .. } => "limit",
+        e => panic!("{e:?}"),
+    }
+}
+
+/// Reads and draws; what is accepted writes the same bytes again.
+fn outcome(bytes: &[u8]) -> &'static str {
+    let limits = tight();
+    let splats = match read(bytes, &limits) {
+        Ok(splats) => splats,
+        Err(e) => return kind(&e),
+    };
+    let (_, report) = inspect(bytes, &limits).unwrap();
+    let kept = report.sections.iter().all(|s| s.fate == ssplat::bitstream::sections::SectionFate::Kept);
+    if kept && splats.layout != Layout::Planes {
+        assert!(to_bytes(&splats).unwrap() == bytes, "bytes are not canonical");
+    }
+    let picture = splats.to_picture();
+    // The whole of a large picture takes long to draw: a corner says as much.
+    let view = View::full(&picture).crop(0, 0, picture.width.min(48), picture.height.min(48)).unwrap();
+    match Renderer::new(&picture, &view, &limits).and_then(|r| r.render(splats.depth)) {
+        Ok(_) if !splats.metadata.damaged.is_empty() => "picture without a damaged section",
+        Ok(_) => "picture",
+        Err(e) => kind(&e),
+    }
+}
+
+#[test]
+fn every_truncation_is_refused() {
+    let mut outcomes = Outcomes::default();
+    for (name, bytes) in sound() {
+        for end in 0..bytes.len() {
+            let outcome = outcome(&bytes[..end]);
+            assert!(["format", "checksum"].contains(&outcome), "{name} cut at {end}: {outcome}");
+            outcomes.add(outcome);
+        }
+    }
+    outcomes.print("truncations");
+}
+
+#[test]
+fn every_flipped_bit_is_found() {
+    let mut outcomes = Outcomes::default();
+    // One bit of the damaged one makes it sound again.
+    for (name, bytes) in sound().into_iter().filter(|f| f.0 != "sections-damaged") {
+        for bit in 0..8 * bytes.len() {
+            let mut hurt = bytes.clone();
+            hurt[bit / 8] ^= 1 << (bit % 8);
+            let outcome = outcome(&hurt);
+            assert!(outcome != "picture", "{name} with bit {bit} flipped is accepted");
+            outcomes.add(outcome);
+        }
+    }
+    outcomes.print("flipped bits");
+    // The two sections whose contents have checksums of their own.
+    assert!(outcomes.of("picture without a damaged section") > 0);
+}
+
+#[test]
+fn every_value_of_every_header_byte_is_refused_or_legal() {
+    let mut outcomes = Outcomes::default();
+    for (_, bytes) in sound() {
+        for at in 0..16 {
+            for value in 0..=255 {
+                let mut changed = bytes.clone();
+                changed[at] = value;
+                seal(&mut changed);
+                outcomes.add(outcome(&changed));
+            }
+        }
+    }
+    outcomes.print("header bytes");
+    assert!(outcomes.of("picture") > 0 && outcomes.of("format") > 0 && outcomes.of("limit") > 0);
+}
+
+#[test]
+fn mutations_under_right_checksums_are_refused_or_legal() {
+    let (mut outcomes, mut random, files) = (Outcomes::default(), Random(0x5eed), sound());
+    for i in 0..10_000 {
+        let mut bytes = files[i % files.len()].1.clone();
+        for _ in 0..1 + random.below(4) {
+            let at = random.below(bytes.len() as u64 - 4) as usize;
+            match random.below(8) {
+                0 => bytes.insert(at, random.next() as u8),
+                1 if bytes.len() > 8 => drop(bytes.remove(at)),
+                2 => {
+                    // A piece of another file.
+                    let other = &files[random.below(files.len() as u64) as usize].1;
+                    let from = random.below(other.len() as u64) as usize;
+                    let count = (random.below(16) as usize).min(other.len() - from);
+                    bytes.splice(at..at, other[from..from + count].iter().copied());
+                }
+                3 => bytes[at] ^= 1 << random.below(8),
+                _ => bytes[at] = random.next() as u8,
+            }
+        }
+        seal(&mut bytes);
+        outcomes.add(outcome(&bytes));
+    }
+    outcomes.print("mutations");
+    assert!(outcomes.of("picture") > 100 && outcomes.of("format") > 1000, "the mutations have lost their bite");
+}
+
+#[test]
+fn partial_reading_shows_the_intact_groups_and_counts_the_rest() {
+    let mut seen = Outcomes::default();
+    for (name, bytes) in sound() {
+        let whole = read(&bytes[..], &tight()).unwrap();
+        for bit in 0..8 * bytes.len() {
+            let mut hurt = bytes.clone();
+            hurt[bit / 8] ^= 1 << (bit % 8);
+            seen.add(match read_partial(&hurt, &tight()) {
+                Ok((part, missing)) => {
+                    let lost = whole.gaussians.len() - part.gaussians.len();
+                    assert_eq!(missing.primitives as usize, lost, "{name} with bit {bit} flipped");
+                    assert!(part.gaussians.iter().all(|p| whole.gaussians.contains(p)));
+                    if missing == Missing::default() { "whole" } else { "part" }
+                }
+                Err(e) => {
+                    // Only header, sections' heads and directory can hide groups.
+                    let intact = name.starts_with("groups") && bit / 8 > bytes.len() / 2;
+                    assert!(!intact, "{name} with bit {bit} flipped: {e}");
+                    kind(&e)
+                }
+            });
+        }
+    }
+    seen.print("partial reading");
+    assert!(seen.of("part") > 0);
+}

@@ -1,0 +1,102 @@
+//! What reading and drawing takes at most, counted by the allocator, against what it was granted.
+
+mod synthetic;
+
+use std::fs;
+use std::io::Cursor;
+use std::path::Path;
+
+use image::ImageReader;
+use peak_alloc::PeakAlloc;
+use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
+use ssplat::bitstream::to_bytes;
+use ssplat::{Blend, Channels, Depth};
+use synthetic::{Scene, scene};
+
+#[global_allocator]
+static ALLOCATOR: PeakAlloc = PeakAlloc;
+
+/// The models of the coded layout for each thread, a tile for each thread, and error values: the same for every file.
+const SLACK: u64 = 4 << 20;
+
+/// Files that ask for as much as they can for their size.
+fn worst() -> Vec<(String, Vec<u8>)> {
+    let mut files = Vec::new();
+    let steps = Steps { scale: 0, angle: 0, position: 15, coarsest: 0, range: 10, luma: 6, chroma: 2 };
+    for (layout, kind) in [(Layout::Packed, "packed"), (Layout::Planes, "planes"), (Layout::Coded, "coded")] {
+        for (channels, codebook) in [(Channels::Grey, false), (Channels::Rgba, false), (Channels::Rgb, true)] {
+            let made = Scene { layout, channels, codebook, count: 60_000, size: [1200, 900], ..Scene::default() };
+            files.push((format!("{kind} {channels:?} {codebook}"), to_bytes(&scene(&made)).unwrap()));
+        }
+        // Equal primitives: the most for the bytes, all in one place.
+        let mut steps = steps;
+        if layout == Layout::Packed {
+            (steps.coarsest, steps.range) = (-6, 0);
+        }
+        let p = PackedGaussian { x: 9, y: 7, major: 40, minor: 40, angle: 0, color: [5; 4] };
+        let equal = PackedSplats {
+            width: 64,
+            height: 64,
+            channels: Channels::Rgba,
+            depth: Depth::Eight,
+            blend: Blend::Sum,
+            layout,
+            steps,
+            background: [0; 4],
+            codebook: None,
+            gaussians: vec![p; 7000],
+            levels: Vec::new(),
+            metadata: Default::default(),
+        };
+        // As many as the format allows for these bytes.
+        let mut equal = equal;
+        while to_bytes(&equal).is_err() {
+            equal.gaussians.truncate(equal.gaussians.len() * 9 / 10);
+        }
+        files.push((format!("{kind} of {} equal ones", equal.gaussians.len()), to_bytes(&equal).unwrap()));
+        equal.gaussians.truncate(50);
+        equal.metadata.icc = Some(vec![1; 6 << 20]);
+        files.push((format!("{kind} with metadata"), to_bytes(&equal).unwrap()));
+    }
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("spec/vectors");
+    for kind in ["valid", "invalid", "limits"] {
+        for entry in fs::read_dir(folder.join(kind)).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            files.push((name, fs::read(path.join("file.ssplat")).unwrap()));
+        }
+    }
+    files
+}
+
+/// One test alone, so that no other's memory is counted.
+#[test]
+fn decoding_through_image_keeps_to_the_memory_that_it_is_granted() {
+    assert!(ssplat::register());
+    let files = worst();
+    let mut most = (i64::MIN, String::new());
+    let (mut decoded, mut refused) = (0, 0);
+    for granted in [256 << 10, 1 << 20, 4 << 20, 16 << 20, 64 << 20] {
+        for (name, bytes) in &files {
+            let mut limits = image::Limits::default();
+            limits.max_alloc = Some(granted);
+            let mut reader = ImageReader::new(Cursor::new(&bytes[..])).with_guessed_format().unwrap();
+            reader.limits(limits);
+            ALLOCATOR.reset_peak_usage();
+            let before = ALLOCATOR.current_usage();
+            let picture = reader.decode();
+            let peak = (ALLOCATOR.peak_usage() - before) as u64;
+            assert!(peak <= granted + SLACK, "{name}: {peak} bytes of {granted}");
+            match picture {
+                Ok(_) => decoded += 1,
+                Err(_) => refused += 1,
+            }
+            let beyond = peak as i64 - granted as i64;
+            if beyond > most.0 {
+                most = (beyond, format!("{name}: {peak} bytes of {granted} granted"));
+            }
+        }
+    }
+    println!("{decoded} decoded, {refused} refused; worst: {}", most.1);
+    assert!(decoded > 100 && refused > 100);
+}

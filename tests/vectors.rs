@@ -1,0 +1,502 @@
+//! The conformance vectors in `spec/vectors`: small files, and what a decoder must make of them.
+//!
+//! `cargo test --release --test vectors -- --ignored` writes them anew; the other tests hold the library against them.
+
+mod seal;
+mod sha256;
+mod synthetic;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use seal::seal;
+use sha256::sha256;
+use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
+use ssplat::bitstream::{read, to_bytes};
+use ssplat::raster::{Renderer, View, reference};
+use ssplat::{Blend, Channels, Depth, Error, Limits, Pixels, Samples};
+use synthetic::{Random, Scene, any_primitive, scene};
+
+/// A file and what it shows.
+struct Vector {
+    folder: &'static str,
+    name: String,
+    shows: String,
+    bytes: Vec<u8>,
+}
+
+/// What decoding a vector gives: a picture, or a kind of error and its text.
+enum Outcome {
+    Picture(Pixels),
+    Refused(&'static str, String),
+}
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("spec/vectors")
+}
+
+fn decode(bytes: &[u8]) -> Outcome {
+    let limits = Limits::default();
+    let drawn = read(bytes, &limits).and_then(|splats| {
+        let picture = splats.to_picture();
+        Renderer::new(&picture, &View::full(&picture), &limits)?.render(splats.depth)
+    });
+    match drawn {
+        Ok(pixels) => Outcome::Picture(pixels),
+        Err(e) => {
+            let kind = match e {
+                Error::Format(_) => "format",
+                Error::UnsupportedVersion { .. } => "unsupported",
+                Error::LimitExceeded { .. } => "limit",
+                _ => "other",
+            };
+            Outcome::Refused(kind, e.to_string())
+        }
+    }
+}
+
+/// The picture by its definition in double precision.
+fn reference_pixels(bytes: &[u8]) -> Pixels {
+    let splats = read(bytes, &Limits::default()).unwrap();
+    let picture = splats.to_picture();
+    let values = reference::sample(&picture, &View::full(&picture));
+    let codes = values.into_iter().map(|v| reference::code(v, splats.depth));
+    let samples = match splats.depth {
+        Depth::Eight => Samples::U8(codes.map(|c| c as u8).collect()),
+        Depth::Sixteen => Samples::U16(codes.collect()),
+    };
+    Pixels::new(splats.width, splats.height, splats.channels, samples).unwrap()
+}
+
+fn pam(pixels: &Pixels) -> Vec<u8> {
+    let (kind, count) = match pixels.channels() {
+        Channels::Grey => ("GRAYSCALE", 1),
+        Channels::GreyAlpha => ("GRAYSCALE_ALPHA", 2),
+        Channels::Rgb => ("RGB", 3),
+        Channels::Rgba => ("RGB_ALPHA", 4),
+    };
+    let (top, samples) = match pixels.samples() {
+        Samples::U8(v) => (255, v.clone()),
+        Samples::U16(v) => (65535, v.iter().flat_map(|s| s.to_be_bytes()).collect()),
+    };
+    let (width, height) = (pixels.width(), pixels.height());
+    let mut out = format!("P7\nWIDTH {width}\nHEIGHT {height}\nDEPTH {count}\nMAXVAL {top}\nTUPLTYPE {kind}\nENDHDR\n")
+        .into_bytes();
+    out.extend(samples);
+    out
+}
+
+/// The largest difference of two pictures in PAM, code values; `None` if they are not of the same kind.
+fn difference(a: &[u8], b: &[u8]) -> Option<u16> {
+    let body = |pam: &[u8]| pam.windows(7).position(|w| w == b"ENDHDR\n").map(|at| at + 7);
+    let (start, deep) = (body(a)?, a.windows(12).any(|w| w == b"MAXVAL 65535"));
+    if body(b)? != start || a[..start] != b[..start] || a.len() != b.len() {
+        return None;
+    }
+    let codes = |pam: &[u8]| -> Vec<u16> {
+        let body = &pam[start..];
+        if deep {
+            body.chunks(2).map(|c| u16::from_be_bytes([c[0], c[1]])).collect()
+        } else {
+            body.iter().map(|&c| c.into()).collect()
+        }
+    };
+    Some(codes(a).into_iter().zip(codes(b)).map(|(a, b)| a.abs_diff(b)).max().unwrap_or(0))
+}
+
+/// The two Gaussians of spec §10.
+fn two(layout: Layout) -> PackedSplats {
+    let steps = Steps { scale: 4, angle: 1, position: 0, coarsest: -1, range: 0, luma: 6, chroma: 2 };
+    PackedSplats {
+        width: 8,
+        height: 8,
+        channels: Channels::Rgb,
+        depth: Depth::Eight,
+        blend: Blend::Normalized,
+        layout,
+        steps,
+        background: [16, 0, 0, 0],
+        codebook: None,
+        gaussians: vec![
+            PackedGaussian { x: 6, y: 8, major: 12, minor: 8, angle: 5, color: [24, 4, -2, 0] },
+            PackedGaussian { x: 12, y: 3, major: 8, minor: 8, angle: 0, color: [4, 0, 0, 0] },
+        ],
+        levels: Vec::new(),
+        metadata: Default::default(),
+    }
+}
+
+fn small(layout: Layout, channels: Channels, count: usize, codebook: bool, seed: u64) -> PackedSplats {
+    scene(&Scene { layout, channels, size: [24, 16], count, codebook, seed, ..Scene::default() })
+}
+
+/// Primitives from all over the integers, where the formulas are at their edges.
+fn extreme(layout: Layout, steps: Steps, seed: u64) -> PackedSplats {
+    let mut splats = two(layout);
+    (splats.width, splats.height, splats.steps) = (19, 13, steps);
+    let mut random = Random(seed);
+    splats.gaussians = (0..60).map(|_| any_primitive(&splats, &mut random)).collect();
+    for p in &mut splats.gaussians {
+        p.color.iter_mut().take(3).for_each(|c| *c %= 100);
+    }
+    splats
+}
+
+fn valid() -> Vec<Vector> {
+    use Layout::{Coded, Packed, Planes};
+    let mut out = Vec::new();
+    let mut add = |name: &str, shows: &str, bytes: Vec<u8>| {
+        out.push(Vector { folder: "valid", name: name.into(), shows: shows.into(), bytes });
+    };
+    let bytes = |splats: &PackedSplats| to_bytes(splats).unwrap();
+    for (layout, name) in [(Packed, "packed"), (Planes, "planes"), (Coded, "coded")] {
+        add(&format!("{name}-two"), "the two Gaussians of section 10", bytes(&two(layout)));
+        let mut empty = two(layout);
+        empty.gaussians.clear();
+        add(&format!("{name}-empty"), "no primitive: the background everywhere", bytes(&empty));
+        for (channels, kind, seed) in [
+            (Channels::Grey, "grey", 1),
+            (Channels::GreyAlpha, "grey-alpha", 2),
+            (Channels::Rgb, "rgb", 3),
+            (Channels::Rgba, "rgba", 4),
+        ] {
+            let mut splats = small(layout, channels, 40, false, seed);
+            splats.depth = if seed % 2 == 0 { Depth::Sixteen } else { Depth::Eight };
+            let depth = if seed % 2 == 0 { 16 } else { 8 };
+            add(&format!("{name}-{kind}"), &format!("{kind} with {depth} bits, 40 primitives"), bytes(&splats));
+        }
+        add(&format!("{name}-codebook"), "colours in a codebook", bytes(&small(layout, Channels::Rgb, 40, true, 5)));
+        let mut sum = small(layout, Channels::Rgb, 12, false, 6);
+        sum.blend = Blend::Sum;
+        add(&format!("{name}-sum"), "the sum blend", bytes(&sum));
+        let mut equal = two(layout);
+        equal.gaussians = vec![equal.gaussians[0]; 20];
+        add(&format!("{name}-equal"), "20 equal primitives", bytes(&equal));
+        let mut dot = two(layout);
+        (dot.width, dot.height) = (1, 1);
+        dot.gaussians.truncate(1);
+        (dot.gaussians[0].x, dot.gaussians[0].y) = (1, 0);
+        add(&format!("{name}-dot"), "a picture of one pixel", bytes(&dot));
+        let thin = scene(&Scene { layout, size: [1, 90], count: 25, seed: 7, ..Scene::default() });
+        add(&format!("{name}-thin"), "one pixel wide, 90 high", bytes(&thin));
+    }
+    for (k, steps) in [
+        Steps { scale: 0, angle: 0, position: 15, coarsest: 5, range: 15, luma: 3, chroma: 0 },
+        Steps { scale: 15, angle: 3, position: 0, coarsest: 9, range: 15, luma: 0, chroma: 3 },
+        Steps { scale: 2, angle: 2, position: 7, coarsest: 0, range: 10, luma: 15, chroma: 1 },
+        Steps { scale: 1, angle: 1, position: 4, coarsest: -6, range: 4, luma: 9, chroma: 2 },
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let shows = "primitives from all over the integers: needles, huge and tiny ones, steps at their edges";
+        add(&format!("coded-extreme-{k}"), shows, bytes(&extreme(Coded, steps, 10 + k as u64)));
+        add(&format!("planes-extreme-{k}"), shows, bytes(&extreme(Planes, steps, 20 + k as u64)));
+    }
+    add("coded-many", "700 primitives: long runs of every model", {
+        bytes(&scene(&Scene { size: [48, 32], count: 700, seed: 8, ..Scene::default() }))
+    });
+    let mut sparse = small(Coded, Channels::Rgb, 9, false, 9);
+    for p in &mut sparse.gaussians {
+        (p.major, p.minor, p.angle) = (16, 16, 0);
+        (p.x, p.y) = (p.x % 48, p.y % 32);
+    }
+    add("coded-sparse", "gaps between primitives, where a small sum of weights divides", bytes(&sparse));
+    let mut levels = small(Coded, Channels::Rgb, 60, false, 11);
+    levels.gaussians.sort_by_key(|p| std::cmp::Reverse(p.major));
+    levels.levels = vec![10, 20, 30];
+    add("groups-levels", "three levels, a group each", bytes(&levels));
+    let mut book = small(Coded, Channels::Rgba, 40, true, 12);
+    book.levels = vec![25, 15];
+    add("groups-codebook", "two levels with a codebook", bytes(&book));
+    let mut with = two(Packed);
+    with.metadata.icc = Some(b"not a real profile".to_vec());
+    with.metadata.exif = Some(b"II*\0\x08\0\0\0\0\0\0\0".to_vec());
+    let carried = bytes(&with);
+    add("sections", "an ICC profile and an EXIF block", carried.clone());
+    let mut hurt = carried.clone();
+    let at = hurt.windows(8).position(|w| w == b"not a re").unwrap();
+    hurt[at] ^= 0x20;
+    add("sections-damaged", "the ICC profile is damaged: the picture decodes without it", hurt);
+    add("sections-unknown", "an optional section that version 1 does not know", renamed(&carried, b"iccp", b"zzzz"));
+    out
+}
+
+/// A file with a section of another name.
+fn renamed(bytes: &[u8], from: &[u8; 4], to: &[u8; 4]) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    let at = bytes.windows(4).position(|w| w == from).unwrap();
+    bytes[at..at + 4].copy_from_slice(to);
+    let length = usize::from(bytes[at + 4]);
+    let contents = [&to[..], &bytes[at + 9..at + 9 + length]].concat();
+    bytes[at + 5..at + 9].copy_from_slice(&crc32fast::hash(&contents).to_le_bytes());
+    seal(&mut bytes);
+    bytes
+}
+
+/// The first of a row of seeded changes to `base` that is refused for `reason`.
+fn refused_for(base: &[u8], reason: &str) -> Vec<u8> {
+    let mut random = Random(17);
+    for _ in 0..20_000 {
+        let mut bytes = base.to_vec();
+        for _ in 0..1 + random.below(3) {
+            let at = 16 + random.below(bytes.len() as u64 - 20) as usize;
+            bytes[at] = random.next() as u8;
+        }
+        seal(&mut bytes);
+        if let Outcome::Refused("format", text) = decode(&bytes)
+            && text.contains(&format!("file: {reason} "))
+        {
+            return bytes;
+        }
+    }
+    panic!("no change is refused for {reason}");
+}
+
+fn invalid() -> Vec<Vector> {
+    use Layout::{Coded, Packed, Planes};
+    let mut out = Vec::new();
+    let mut add = |name: &str, shows: &str, bytes: Vec<u8>| {
+        out.push(Vector { folder: "invalid", name: name.into(), shows: shows.into(), bytes });
+    };
+    let packed = to_bytes(&two(Packed)).unwrap();
+    let planes = to_bytes(&two(Planes)).unwrap();
+    let coded = to_bytes(&two(Coded)).unwrap();
+    // A change to a byte under a checksum that fits.
+    let changed = |base: &[u8], at: usize, value: u8| {
+        let mut bytes = base.to_vec();
+        bytes[at] = value;
+        seal(&mut bytes);
+        bytes
+    };
+    let spliced = |base: &[u8], at: usize, remove: usize, insert: &[u8]| {
+        let mut bytes = base.to_vec();
+        bytes.splice(at..at + remove, insert.iter().copied());
+        seal(&mut bytes);
+        bytes
+    };
+    add("empty-file", "no byte at all", Vec::new());
+    add("signature-text", "the signature after a transfer as text: 0D 0A has become 0A", spliced(&packed, 4, 1, &[]));
+    add("signature-seven-bits", "the signature after a transfer with 7 bits", changed(&packed, 0, 9));
+    add("version-2", "a newer version", changed(&packed, 8, 2));
+    add("width-0", "no pixels", changed(&packed, 10, 0));
+    add("height-huge", "a height of 2^20 + 1", spliced(&packed, 11, 1, &[0x81, 0x80, 0x40]));
+    add("width-long", "a width in more bytes than it needs", spliced(&packed, 10, 1, &[0x88, 0]));
+    add("packed-range", "a range of position steps in the packed layout", changed(&packed, 15, 0x15));
+    add("steps-fine", "a finest position step below 2^-10 pixels", changed(&coded, 15, 0x90));
+    add("header-cut", "the file ends in the header", packed[..13].to_vec());
+    add("checksum-cut", "the file ends before its checksum", packed[..packed.len() - 4].to_vec());
+    add("checksum", "a wrong bit in the payload", {
+        let mut bytes = packed.clone();
+        bytes[30] ^= 1;
+        bytes
+    });
+    add("count-without-bytes", "a million primitives in a few bytes", spliced(&coded, 12, 1, &[0xc0, 0x84, 0x3d]));
+    let end = |base: &[u8]| base.len() - 4;
+    add("packed-trailing", "a byte too many", spliced(&packed, end(&packed), 0, &[0]));
+    add("planes-trailing", "a byte too many", spliced(&planes, end(&planes), 0, &[7]));
+    add("coded-trailing-zero", "a zero byte too many", spliced(&coded, end(&coded), 0, &[0]));
+    add("coded-trailing", "a byte too many", spliced(&coded, end(&coded), 0, &[1]));
+    add("coded-start", "a stream that starts with FF FF FF FF", spliced(&coded, 16, 4, &[255; 4]));
+
+    let mut with = two(Packed);
+    with.metadata.icc = Some(b"profile".to_vec());
+    with.metadata.exif = Some(b"II*\0".to_vec());
+    let sections = to_bytes(&with).unwrap();
+    add("section-critical", "a critical section that version 1 does not know", renamed(&sections, b"exif", b"Newx"));
+    add("section-order", "sections out of order", renamed(&sections, b"exif", b"zzzz"));
+    add("section-name", "a section whose name is not made of letters", renamed(&sections, b"exif", b"ex1f"));
+    add("section-none", "the flag for sections, and none", {
+        let mut bytes = changed(&packed, 9, packed[9] | 0x80);
+        bytes.insert(16, 0);
+        seal(&mut bytes);
+        bytes
+    });
+    add("section-cut", "a section that is longer than the file", changed(&sections, 21, 0x7f));
+
+    let coarse = Steps { scale: 2, angle: 2, position: 7, coarsest: 4, range: 10, luma: 15, chroma: 1 };
+    let codebook = |layout| to_bytes(&small(layout, Channels::Rgb, 40, true, 5)).unwrap();
+    let scene = |layout| to_bytes(&small(layout, Channels::Rgb, 40, false, 3)).unwrap();
+    let mut levels = small(Coded, Channels::Rgb, 60, false, 11);
+    levels.levels = vec![10, 20, 30];
+    let groups = to_bytes(&levels).unwrap();
+    add("groups-directory", "a wrong bit in the directory, under a right checksum of the file", {
+        let mut bytes = groups.clone();
+        bytes[20] ^= 1;
+        let body = bytes.len() - 4;
+        let checksum = crc32fast::hash(&bytes[..body]).to_le_bytes();
+        bytes[body..].copy_from_slice(&checksum);
+        bytes
+    });
+    add("groups-group", "a wrong bit in a group, under a right checksum of the file", {
+        let mut bytes = groups.clone();
+        let body = bytes.len() - 4;
+        bytes[body - 1] ^= 1;
+        let checksum = crc32fast::hash(&bytes[..body]).to_le_bytes();
+        bytes[body..].copy_from_slice(&checksum);
+        bytes
+    });
+    for (name, base, reasons) in [
+        (
+            "packed",
+            packed.clone(),
+            &[
+                "record field width",
+                "sum of tile counts",
+                "padding of a record",
+                "order of records",
+                "record format",
+                "minor scale",
+                "angle",
+                "background",
+            ][..],
+        ),
+        ("packed", codebook(Packed), &["codebook size", "codebook order", "codebook index"]),
+        ("planes", scene(Planes), &["bytes of a field", "position", "aspect", "compressed stream of", "x", "angle"]),
+        ("coded", scene(Coded), &["major scale", "minor scale", "count of a half", "end of the coded stream"]),
+        ("coded", to_bytes(&extreme(Coded, coarse, 30)).unwrap(), &["x", "y"]),
+        ("coded", to_bytes(&equal()).unwrap(), &["order of primitives"]),
+        ("coded", codebook(Coded), &["codebook order", "codebook index"]),
+        ("groups", groups, &["level count", "level", "end of the coded stream"]),
+    ] {
+        for reason in reasons {
+            let name = format!("{name}-{}", reason.replace(' ', "-"));
+            add(&name, &format!("refused for: {reason}"), refused_for(&base, reason));
+        }
+    }
+    out
+}
+
+/// Many primitives in one square.
+fn equal() -> PackedSplats {
+    let mut splats = two(Layout::Coded);
+    splats.gaussians = vec![splats.gaussians[0]; 30];
+    splats
+}
+
+fn limits() -> Vec<Vector> {
+    let mut out = Vec::new();
+    let mut add = |name: &str, shows: &str, bytes: Vec<u8>| {
+        out.push(Vector { folder: "limits", name: name.into(), shows: shows.into(), bytes });
+    };
+    let mut huge = two(Layout::Coded);
+    (huge.width, huge.height) = (1 << 20, 1 << 20);
+    huge.gaussians.clear();
+    add("huge-picture", "a terapixel in a few bytes", to_bytes(&huge).unwrap());
+    let mut bytes = to_bytes(&two(Layout::Coded)).unwrap();
+    bytes.splice(12..13, [255, 255, 255, 255, 15]);
+    seal(&mut bytes);
+    add("many-primitives", "a count of 2^32 - 1", bytes);
+    // Every primitive covers every tile.
+    let mut heavy = two(Layout::Coded);
+    (heavy.width, heavy.height) = (4096, 4096);
+    (heavy.steps.coarsest, heavy.steps.position) = (9, 0);
+    let wide = PackedGaussian { x: 4, y: 4, major: 60, minor: 60, angle: 0, color: [9, 0, 0, 0] };
+    heavy.gaussians = vec![wide; 1700];
+    add("heavy-overlap", "1700 primitives that each cover 16 million pixels", to_bytes(&heavy).unwrap());
+    out
+}
+
+fn all() -> Vec<Vector> {
+    [valid(), invalid(), limits()].into_iter().flatten().collect()
+}
+
+/// The case file of a vector, and its picture if it has one.
+fn case(vector: &Vector) -> (String, Option<Vec<u8>>) {
+    let mut text = format!("shows: {}\nsha256: {}\n", vector.shows, sha256(&vector.bytes));
+    let picture = match (vector.folder, decode(&vector.bytes)) {
+        ("valid", Outcome::Picture(pixels)) => {
+            let tolerance = if matches!(pixels.samples(), Samples::U8(_)) { 1 } else { 257 };
+            text += &format!("expect: picture\ntolerance: {tolerance}\n");
+            Some(pam(&reference_pixels(&vector.bytes)))
+        }
+        ("invalid" | "limits", Outcome::Refused(kind, reason)) => {
+            text += &format!("expect: error\nkind: {kind}\nreason: {reason}\n");
+            None
+        }
+        (_, Outcome::Picture(_)) => panic!("{}/{} is accepted", vector.folder, vector.name),
+        (_, Outcome::Refused(_, reason)) => panic!("{}/{}: {reason}", vector.folder, vector.name),
+    };
+    (text, picture)
+}
+
+#[test]
+#[ignore = "writes spec/vectors"]
+fn write_vectors() {
+    for folder in ["valid", "invalid", "limits"] {
+        let _ = fs::remove_dir_all(root().join(folder));
+    }
+    for vector in all() {
+        let folder = root().join(vector.folder).join(&vector.name);
+        fs::create_dir_all(&folder).unwrap();
+        let (text, picture) = case(&vector);
+        fs::write(folder.join("case.txt"), text).unwrap();
+        fs::write(folder.join("file.ssplat"), &vector.bytes).unwrap();
+        if let Some(picture) = picture {
+            fs::write(folder.join("picture.pam"), picture).unwrap();
+        }
+    }
+}
+
+/// The vectors on disk: folder, name, the fields of the case file, the file, the picture.
+fn on_disk() -> Vec<(String, Vec<(String, String)>, Vec<u8>, Option<Vec<u8>>)> {
+    let mut out = Vec::new();
+    for folder in ["valid", "invalid", "limits"] {
+        for entry in fs::read_dir(root().join(folder)).unwrap() {
+            let path = entry.unwrap().path();
+            let name = format!("{folder}/{}", path.file_name().unwrap().to_string_lossy());
+            let text = fs::read_to_string(path.join("case.txt")).unwrap();
+            let fields = text.lines().map(|l| l.split_once(": ").unwrap()).map(|(k, v)| (k.into(), v.into()));
+            let file = fs::read(path.join("file.ssplat")).unwrap();
+            out.push((name, fields.collect(), file, fs::read(path.join("picture.pam")).ok()));
+        }
+    }
+    out
+}
+
+#[test]
+fn vectors_are_those_that_the_command_writes() {
+    let vectors = all();
+    assert_eq!(on_disk().len(), vectors.len());
+    for vector in vectors {
+        let folder = root().join(vector.folder).join(&vector.name);
+        // zstd's own versions write other frames: those of the planes layout need not be the same.
+        if !vector.name.starts_with("planes") {
+            assert!(fs::read(folder.join("file.ssplat")).unwrap() == vector.bytes, "{} has changed", vector.name);
+        }
+    }
+}
+
+#[test]
+fn library_meets_every_vector() {
+    let mut counts = [0; 2];
+    for (name, fields, file, picture) in on_disk() {
+        let field = |key: &str| fields.iter().find(|f| f.0 == key).map(|f| f.1.as_str()).unwrap_or_default();
+        assert_eq!(sha256(&file), field("sha256"), "{name}");
+        match decode(&file) {
+            Outcome::Picture(pixels) => {
+                assert_eq!(field("expect"), "picture", "{name} is accepted");
+                let worst = difference(&pam(&pixels), &picture.expect("a picture")).expect("pictures of one kind");
+                assert!(worst <= field("tolerance").parse().unwrap(), "{name}: {worst}");
+                counts[0] += 1;
+            }
+            Outcome::Refused(kind, reason) => {
+                assert_eq!((field("expect"), field("kind")), ("error", kind), "{name}: {reason}");
+                assert_eq!(field("reason"), reason, "{name}");
+                counts[1] += 1;
+            }
+        }
+    }
+    println!("{} pictures, {} refusals", counts[0], counts[1]);
+    assert!(counts[0] > 40 && counts[1] > 40);
+}
+
+#[test]
+fn the_comparison_of_pictures_sees_a_code_value() {
+    let pixels = reference_pixels(&to_bytes(&two(Layout::Packed)).unwrap());
+    let right = pam(&pixels);
+    let mut wrong = right.clone();
+    *wrong.last_mut().unwrap() ^= 2;
+    assert_eq!((difference(&right, &right), difference(&right, &wrong)), (Some(0), Some(2)));
+    assert_eq!(difference(&right, &right[..right.len() - 1]), None);
+}
