@@ -248,7 +248,7 @@ fn watched(pixels: &Pixels, blend: Blend, count: usize, plan: &Plan) -> f64 {
 }
 
 fn short(iterations: u32) -> Plan {
-    Plan { iterations, ..Plan::new(2, None, 1) }
+    Plan { iterations, ..Plan::new(2, 5500, None, 1) }
 }
 
 #[test]
