@@ -5,7 +5,7 @@
 //! the support gives the error for every colour. Primitives in disjoint bands of rows run in parallel.
 
 use crate::bitstream::splats::PackedGaussian;
-use crate::fit::field::{Field, Output, RowSet, Scene};
+use crate::fit::field::{Field, Gradient, Output, RowSet, Scene};
 use crate::fit::kernel::{self, LANES, Lanes, RowExponent};
 use crate::fit::project::Projected;
 use crate::fit::rates::Rates;
@@ -248,6 +248,20 @@ impl Parabola {
     fn square(&self, k: usize, channels: usize) -> f32 {
         self.square[usize::from(channels.is_multiple_of(2) && k + 1 == channels)]
     }
+
+    /// The colour of the least error, unless nearly all are as good.
+    #[inline(always)]
+    fn minimum(&self, channels: usize) -> Option<[f32; 4]> {
+        let mut c = [0.0f32; 4];
+        for k in 0..channels {
+            let square = self.square(k, channels);
+            if square < 1e-6 {
+                return None;
+            }
+            c[k] = (-self.cross[k] / square).clamp(-4.0, 4.0);
+        }
+        Some(c)
+    }
 }
 
 impl<const C: usize> pulp::WithSimd for BandTask<'_, C> {
@@ -301,9 +315,16 @@ impl<const C: usize> BandTask<'_, C> {
             }
         };
         consider(self, old, &now);
+        // By the envelope theorem this is the gradient of the least error over all colours.
+        let gradient = self.gradient(&p, &before, now.minimum(C).unwrap_or(p.color), patch);
         for step in 0..14 {
             let Some(candidate) = neighbor(&old, &before.mean, step, self.quantizer) else { continue };
             let g = self.quantizer.dequantize(&candidate);
+            let cheaper = self.rates.geometry(&candidate, lattice) - self.rates.geometry(&old, lattice);
+            // The error is convex enough around its minimum: uphill there is nothing to gain but bits.
+            if 2.0 * gradient.along(&before, &g) + lambda * cheaper >= 0.0 {
+                continue;
+            }
             let q = Projected::from_gaussian(&g, height);
             let wide = g.extent()[0];
             let inside = q.rows[0] as usize >= patch.rows.start
@@ -471,20 +492,67 @@ impl<const C: usize> BandTask<'_, C> {
         out
     }
 
+    /// The gradient of half the error over the patch with `p`, the projection of `g`, in it and of `color`.
+    #[inline(always)]
+    fn gradient(&self, p: &Projected, g: &Gaussian, color: [f32; 4], patch: &Patch) -> Gradient {
+        let width = patch.stride;
+        let alpha = self.target.channels.alpha();
+        let mut m = [[0.0f32; LANES]; 5];
+        for y in (p.rows[0] as usize).max(patch.rows.start)..(p.rows[1] as usize).min(patch.rows.end) {
+            let Some((first, end, dy)) = p.span(y as u32, self.scene.width) else { continue };
+            let row = &patch.planes[(y - patch.rows.start) * (2 * C + 2) * width..][..(2 * C + 2) * width];
+            let exponent = RowExponent::new(p, dy);
+            let (mut v0, mut v1, mut v2) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+            let mut x = first.max(patch.left);
+            while x < end {
+                let o = x - patch.left;
+                let (dx, e) = exponent.at(x);
+                let e = kernel::lanes(|i| if e[i] > CUTOFF_WEIGHT && x + i < end { e[i] } else { 0.0 });
+                let w = kernel::lanes(|i| if e[i] > 0.0 { e[i] - CUTOFF_WEIGHT } else { 0.0 });
+                let without = kernel::load(row, C * width + o);
+                let inv = match self.scene.blend {
+                    Blend::Normalized => kernel::lanes(|i| 1.0 / (without[i] + w[i])),
+                    Blend::Sum => [1.0; LANES],
+                };
+                let mut t = [0.0f32; LANES];
+                for k in 0..C {
+                    let n = kernel::load(row, k * width + o);
+                    let wanted = kernel::load(row, (C + 1 + k) * width + o);
+                    let v = kernel::lanes(|i| (n[i] + w[i] * color[k]) * inv[i]);
+                    let mut d = kernel::lanes(|i| v[i] - wanted[i]);
+                    if let (Some(plane), true) = (alpha, alpha != Some(k)) {
+                        let weight = kernel::load(row, (C + 1 + plane) * width + o);
+                        d = kernel::lanes(|i| d[i] * weight[i] * weight[i]);
+                    }
+                    let own = match self.scene.blend {
+                        Blend::Normalized => kernel::lanes(|i| (color[k] - v[i]) * inv[i]),
+                        Blend::Sum => [color[k]; LANES],
+                    };
+                    t = kernel::lanes(|i| t[i] + d[i] * own[i]);
+                }
+                let t = kernel::lanes(|i| t[i] * e[i]);
+                let tx = kernel::lanes(|i| t[i] * dx[i]);
+                v0 = kernel::lanes(|i| v0[i] + t[i]);
+                v1 = kernel::lanes(|i| v1[i] + tx[i]);
+                v2 = kernel::lanes(|i| v2[i] + tx[i] * dx[i]);
+                x += LANES;
+            }
+            m[0] = kernel::lanes(|i| m[0][i] + v1[i]);
+            m[1] = kernel::lanes(|i| m[1][i] + dy * v0[i]);
+            m[2] = kernel::lanes(|i| m[2][i] + v2[i]);
+            m[3] = kernel::lanes(|i| m[3][i] + dy * v1[i]);
+            m[4] = kernel::lanes(|i| m[4][i] + dy * dy * v0[i]);
+        }
+        Gradient::from_moments(m.map(|v| kernel::total(&v)), g.scale, g.rotation)
+    }
+
     /// The colour integers with the least `error + λ·bits`, near the parabola's minimum, and that value.
     #[inline(always)]
     fn best_color(&self, parabola: &Parabola, old: [i16; 4]) -> ([i16; 4], f32) {
         let lambda = self.objective.lambda;
         let value = |c: [i16; 4]| parabola.at(self.quantizer.dequantize_color(c), C) + lambda * self.rates.colors(c);
         let mut best = (old, value(old));
-        let mut minimum = [0.0f32; 4];
-        for k in 0..C {
-            let square = parabola.square(k, C);
-            if square < 1e-6 {
-                return best;
-            }
-            minimum[k] = (-parabola.cross[k] / square).clamp(-4.0, 4.0);
-        }
+        let Some(minimum) = parabola.minimum(C) else { return best };
         let axes = self.quantizer.transform_color(minimum);
         let steps = self.quantizer.color_steps();
         let at = |k: usize, v: f32| (v / steps[k]).floor().clamp(-30000.0, 30000.0) as i16;

@@ -6,7 +6,7 @@
 use crate::fit::kernel::{self, LANES, Moments};
 use crate::fit::project::{Primitive, Projected};
 use crate::fit::target::Target;
-use crate::gaussian::{Blend, EPSILON};
+use crate::gaussian::{Blend, EPSILON, Gaussian};
 use crate::parallel;
 
 /// Sampled rows in one band: the unit of parallel work.
@@ -271,24 +271,12 @@ pub(crate) fn gather<const C: usize>(
     for index in rows.index(p.rows[0])..rows.index(p.rows[1]) {
         kernel::gather_row::<C>(p, rows.row(index), width, field.row(index, C), field.stride, &mut m);
     }
-    let g = m.geometry.map(|v| kernel::total(&v));
-    let [sx, sy] = log_scale.map(f32::exp);
-    let (sin, cos) = rotation.sin_cos();
-    let (ix, iy) = (1.0 / (sx * sx), 1.0 / (sy * sy));
-    let [_, m10, m01, m20, m11, m02] = g;
-    let uu = cos * cos * m20 + 2.0 * cos * sin * m11 + sin * sin * m02;
-    let vv = sin * sin * m20 - 2.0 * cos * sin * m11 + cos * cos * m02;
-    let uv = cos * sin * (m02 - m20) + (cos * cos - sin * sin) * m11;
-    let mut color = [0.0; 4];
+    let [_, geometry @ ..] = m.geometry.map(|v| kernel::total(&v));
+    let mut gradient = Gradient::from_moments(geometry, log_scale.map(f32::exp), rotation);
     for k in 0..C {
-        color[k] = kernel::total(&m.color[k]);
+        gradient.color[k] = kernel::total(&m.color[k]);
     }
-    Gradient {
-        mean: [(cos * m10 + sin * m01) / sx, (cos * m01 - sin * m10) / sy],
-        log_scale: [uu * ix, vv * iy],
-        rotation: -uv * (ix - iy),
-        color,
-    }
+    gradient
 }
 
 /// The gradients of a run of primitives; a struct for the same reason as [`BandTask`].
@@ -320,4 +308,36 @@ pub(crate) struct Gradient {
     pub log_scale: [f32; 2],
     pub rotation: f32,
     pub color: [f32; 4],
+}
+
+impl Gradient {
+    /// From `Σ t` times `dx`, `dy`, `dx²`, `dx dy` and `dy²`, where `t` is the gradient with respect to the exponent.
+    #[inline(always)]
+    pub(crate) fn from_moments([m10, m01, m20, m11, m02]: [f32; 5], [sx, sy]: [f32; 2], rotation: f32) -> Self {
+        let (sin, cos) = rotation.sin_cos();
+        let (ix, iy) = (1.0 / (sx * sx), 1.0 / (sy * sy));
+        let uu = cos * cos * m20 + 2.0 * cos * sin * m11 + sin * sin * m02;
+        let vv = sin * sin * m20 - 2.0 * cos * sin * m11 + cos * cos * m02;
+        let uv = cos * sin * (m02 - m20) + (cos * cos - sin * sin) * m11;
+        Gradient {
+            mean: [(cos * m10 + sin * m01) / sx, (cos * m01 - sin * m10) / sy],
+            log_scale: [uu * ix, vv * iy],
+            rotation: -uv * (ix - iy),
+            color: [0.0; 4],
+        }
+    }
+
+    /// The change to first order on the way from `from` to `to`, colours apart.
+    #[inline(always)]
+    pub(crate) fn along(&self, from: &Gaussian, to: &Gaussian) -> f32 {
+        let (sin, cos) = from.rotation.sin_cos();
+        let [dx, dy] = [to.mean[0] - from.mean[0], to.mean[1] - from.mean[1]];
+        let turn = to.rotation - from.rotation;
+        let turn = turn - std::f32::consts::PI * (turn / std::f32::consts::PI).round();
+        self.mean[0] * (cos * dx + sin * dy) / from.scale[0]
+            + self.mean[1] * (cos * dy - sin * dx) / from.scale[1]
+            + self.log_scale[0] * (to.scale[0] / from.scale[0]).ln()
+            + self.log_scale[1] * (to.scale[1] / from.scale[1]).ln()
+            + self.rotation * turn
+    }
 }

@@ -194,7 +194,7 @@ fn resize(
         });
     } else {
         let count = ((most - bytes) as f64 / each * 0.97) as usize;
-        for peak in relocate::peaks(scene, target, field, RowSet::ALL, count) {
+        for peak in relocate::peaks(scene, target, field, RowSet::ALL, count, splats.gaussians.len()) {
             let p = relocate::at_peak(&peak, scene, target);
             let added = quantizer.quantize(&p.to_gaussian());
             activity.mark(&quantizer.dequantize(&added));

@@ -34,6 +34,8 @@ const RATES: Rates = Rates { mean: 0.3, log_scale: 0.3, rotation: 0.15, color: 0
 const LAST_RATE: f32 = 0.02;
 /// Share of the iterations that see a sample of the rows.
 const SAMPLED: f32 = 0.75;
+/// Share of the iterations after which all rows are seen.
+const WHOLE: f32 = 0.88;
 /// Share of the iterations after which nothing is relocated any more.
 const RELOCATED: f32 = 0.7;
 
@@ -83,7 +85,7 @@ pub(crate) fn fit(
             let most = ((state.primitives.len() as f32 * plan.relocate_share) as usize).max(1);
             relocate::relocate(scene, target, &mut state, sampled, most);
         }
-        let sampled = rows.next(if done < SAMPLED { step } else { step / 4 }, &mut rng);
+        let sampled = rows.next(sampling(step, done), &mut rng);
         let rates = RATES
             .scaled(plan.rate)
             .scaled(LAST_RATE + (1.0 - LAST_RATE) * 0.5 * (1.0 + (std::f32::consts::PI * done).cos()));
@@ -188,6 +190,15 @@ impl RowCycle {
         // A stride prime to `step` keeps consecutive samples apart.
         let stride = (step / 2 + 1..step).find(|&s| gcd(s, step) == 1).unwrap_or(1);
         RowSet { step, phase: (m * stride + self.shift) % step }
+    }
+}
+
+/// Fewer rows are left out towards the end, so that the noise of sampling does not stay.
+fn sampling(step: u32, done: f32) -> u32 {
+    match done {
+        ..SAMPLED => step,
+        ..WHOLE => step / 4,
+        _ => 1,
     }
 }
 

@@ -35,9 +35,14 @@ impl Plan {
     pub(crate) fn new(effort: u8, count: usize, time: Option<Duration>, seed: u64) -> Self {
         let level = usize::from(effort.clamp(1, 9)) - 1;
         let base = [60.0, 120.0, 200.0, 320.0, 480.0, 800.0, 1400.0, 2400.0, 4000.0f32][level];
-        let patience = (5500.0 / count.max(1) as f32).powf(0.3).clamp(0.4, 3.0);
+        let patience = (5500.0 / count.max(1) as f32).powf(0.3).clamp(0.25, 3.0);
         let iterations = (base * patience) as u32;
-        let sweeps = [1, 2, 2, 3, 4, 6, 10, 14, 20][level] + if count < 2000 { 3 } else { 0 };
+        // Small pictures can afford more; the first sweeps bring most.
+        let sweeps = match count {
+            ..2000 => [4, 5, 5, 6, 7, 9, 13, 17, 20][level],
+            2000..40_000 => [1, 2, 2, 3, 4, 6, 10, 14, 20][level],
+            _ => [1, 1, 2, 2, 3, 4, 6, 8, 12][level],
+        };
         let freezing = if effort >= 7 && count > 2000 { iterations / 4 } else { 0 };
         let deadline = time.map(|t| Instant::now() + t);
         let fit_deadline = time.map(|t| Instant::now() + t.mul_f64(FIT_SHARE));

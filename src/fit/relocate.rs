@@ -106,10 +106,22 @@ fn removal_cost<const C: usize>(scene: &Scene, field: &Field, rows: RowSet, p: &
     kernel::total(&sum) * rows.step as f32
 }
 
-/// Largest blurred residuals at several scales, best first, at most `count`.
-pub(crate) fn peaks(scene: &Scene, target: &Target, field: &Field, rows: RowSet, count: usize) -> Vec<Peak> {
+/// Largest blurred residuals at several scales, best first, at most `count`, for a picture of `among` primitives.
+pub(crate) fn peaks(
+    scene: &Scene,
+    target: &Target,
+    field: &Field,
+    rows: RowSet,
+    count: usize,
+    among: usize,
+) -> Vec<Peak> {
     let channels = target.channels.count();
-    let spacing = (scene.width as f32 * scene.height as f32 / (std::f32::consts::PI * count.max(1) as f32)).sqrt();
+    // Where the blend divides by the weights, a primitive larger than those around it would smear what they draw.
+    let crowd = match scene.blend {
+        Blend::Normalized => among,
+        Blend::Sum => count,
+    };
+    let spacing = (scene.width as f32 * scene.height as f32 / (std::f32::consts::PI * crowd.max(1) as f32)).sqrt();
     // Work on cells of `rows.step` pixels: the field has no more rows than that.
     let cell = rows.step as usize;
     let (mut w, mut h) = ((scene.width as usize).div_ceil(cell), rows.count(scene.height));
@@ -267,7 +279,7 @@ pub(crate) fn at_peak(peak: &Peak, scene: &Scene, target: &Target) -> Primitive 
 /// Moves at most `count` primitives to peaks, as long as the estimated gain exceeds the removal cost. Returns how many.
 pub(crate) fn relocate(scene: &Scene, target: &Target, state: &mut State, rows: RowSet, count: usize) -> usize {
     let costs = costs(scene, target, state, rows);
-    let peaks = peaks(scene, target, &state.field, rows, count);
+    let peaks = peaks(scene, target, &state.field, rows, count, state.primitives.len());
     let mut moved = 0;
     for (peak, i) in peaks.iter().zip(cheapest_first(&costs)) {
         if peak.gain < costs[i] {
@@ -295,7 +307,7 @@ pub(crate) fn resize(scene: &Scene, target: &Target, state: &mut State, rows: Ro
         let mut kept = keep.iter();
         state.memory.retain(|_| *kept.next().expect("one for each"));
     } else {
-        for peak in peaks(scene, target, &state.field, rows, wanted - have) {
+        for peak in peaks(scene, target, &state.field, rows, wanted - have, wanted) {
             state.primitives.push(at_peak(&peak, scene, target));
             state.memory.push(Memory::default());
         }
