@@ -9,10 +9,12 @@ use crate::fit::field::Scene;
 use crate::fit::finish::{self, Size};
 use crate::fit::plan::Plan;
 use crate::fit::project::Primitive;
+use crate::fit::smartsplat;
+use crate::fit::structure;
 use crate::fit::target::Target as Planes;
 use crate::gaussian::{Blend, Channels};
 use crate::leave_out;
-use crate::options::{EncodeOptions, Needs, Recipe, Target};
+use crate::options::{EncodeOptions, Needs, Recipe, Target, Tune};
 use crate::pixels::Pixels;
 use crate::trace::{TracePoint, Tracer};
 
@@ -218,7 +220,10 @@ impl Session<'_> {
             width: self.pixels.width(),
             height: self.pixels.height(),
             blend: self.blend,
-            background: self.planes.mean,
+            background: match self.options.recipe {
+                Recipe::Ssplat => self.planes.mean,
+                Recipe::SmartSplat(_) => [0.0; 4],
+            },
         }
     }
 
@@ -333,8 +338,12 @@ impl Session<'_> {
                 (bytes, splats) = (self.file(&alone)?, alone);
             }
             let over = (bytes.len() as u64).saturating_sub(most);
-            if over == 0 || splats.gaussians.is_empty() {
+            if over == 0 {
                 return Ok((bytes, splats, float_error));
+            }
+            if splats.gaussians.is_empty() {
+                let problem = format!("{most} bytes cannot hold the picture: {} are needed", bytes.len());
+                return Err(Error::Parameter { name: "bytes", problem });
             }
             spare += over + 4;
         }
@@ -392,6 +401,9 @@ impl Session<'_> {
         }
         let scene = self.scene();
         let mut splats = self.empty();
+        if self.options.tune == Tune::Ssim {
+            self.planes.amplitude = structure::amplitudes(&self.planes, count);
+        }
         let (progress, tracer) = (&mut *self.progress, &mut self.tracer);
         let (pixels, planes) = (self.original, &self.planes);
         let mut iterations = 0;
@@ -410,10 +422,16 @@ impl Session<'_> {
             }
             Size::Free => Ok(count),
         };
-        let state = fit::fit(&scene, planes, count, &plan, &mut recount, &mut |done, now| {
+        let mut watch_fit = |done: f32, now: fit::Drawing<'_>| {
             iterations += 1;
             watch(tracer, "fit", done, now)
-        })?;
+        };
+        let state = match self.options.recipe {
+            Recipe::Ssplat => fit::fit(&scene, planes, count, &plan, &mut recount, &mut watch_fit)?,
+            Recipe::SmartSplat(parts) => {
+                smartsplat::fit(&scene, planes, count, parts, &plan, &mut recount, &mut watch_fit)?
+            }
+        };
         let seconds = tracer.seconds() - clock;
         self.stages.push(("fit", seconds));
         if state.is_enough {

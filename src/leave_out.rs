@@ -154,7 +154,7 @@ pub(crate) fn pruned(scene: &Scene, target: &Planes, splats: &PackedSplats, enou
         if field.draw(scene, target, &projected, RowSet::ALL, Output::Picture) > enough {
             break;
         }
-        let costs = relocate::removal_costs(scene, target.channels.count(), &field, RowSet::ALL, &projected);
+        let costs = relocate::removal_costs(scene, target, &field, RowSet::ALL, &projected);
         let order = relocate::cheapest_first(&costs);
         // The most that can go: between `sure`, which can, and `over`, which cannot.
         let (mut sure, mut over) = (0, trial.len() + 1);

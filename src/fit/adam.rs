@@ -1,6 +1,6 @@
 //! Adam in the whitened local frame of each Gaussian.
 
-use crate::fit::field::{self, Field, Gradient, RowSet, Scene};
+use crate::fit::field::{Field, Gradient, RowSet, Scene};
 use crate::fit::project::{Primitive, Projected};
 use crate::parallel;
 
@@ -88,16 +88,10 @@ pub(crate) fn step(
 ) {
     const CHUNK: usize = 64;
     let corrections = (1.0 - BETA1.powi(iteration as i32 + 1), 1.0 - BETA2.powi(iteration as i32 + 1));
-    let arch = pulp::Arch::new();
     parallel::map_chunk_pairs((primitives, CHUNK), (memory, CHUNK), |chunk, primitives, memory| {
         let start = chunk * CHUNK;
         let projected = &projected[start..][..primitives.len()];
-        let gradients = match channels {
-            1 => arch.dispatch(field::GatherTask::<1> { field, rows, width: scene.width, projected, primitives }),
-            2 => arch.dispatch(field::GatherTask::<2> { field, rows, width: scene.width, projected, primitives }),
-            3 => arch.dispatch(field::GatherTask::<3> { field, rows, width: scene.width, projected, primitives }),
-            _ => arch.dispatch(field::GatherTask::<4> { field, rows, width: scene.width, projected, primitives }),
-        };
+        let gradients = field.gather(channels, rows, scene.width, projected, primitives);
         for (j, (p, m)) in primitives.iter_mut().zip(memory).enumerate() {
             let free = freedom.map_or(Freedom::All, |f| f[start + j]);
             update(p, m, &gradients[j], free, bounds, rates, corrections);

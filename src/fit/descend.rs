@@ -367,6 +367,7 @@ impl<const C: usize> BandTask<'_, C> {
             let target = self.target.row(y as u32);
             let span = p.span(y as u32, self.scene.width);
             let exponent = RowExponent::new(p, y as f32 - p.center[1]);
+            let amplitude = self.target.amplitude(y as u32);
             let mut x = left;
             let mut o = 0;
             while o < width {
@@ -410,10 +411,14 @@ impl<const C: usize> BandTask<'_, C> {
                     let t = kernel::lanes(|i| {
                         if (t[i] >= 1.0 && v[i] > 1.0) || (t[i] <= 0.0 && v[i] < 0.0) { v[i] } else { t[i] }
                     });
-                    let weight = match alpha {
+                    let mut weight = match alpha {
                         Some(a) if a != k => kernel::load(target, a * stride + x),
                         _ => [1.0; LANES],
                     };
+                    if let Some(a) = amplitude {
+                        let a = kernel::load(a, x);
+                        weight = kernel::lanes(|i| weight[i] * a[i]);
+                    }
                     let d = kernel::lanes(|i| (n[i] / without[i] - t[i]) * weight[i]);
                     bare_error = kernel::lanes(|i| bare_error[i] + d[i] * d[i]);
                     kernel::store(out, k * width + o, &n);
@@ -450,6 +455,7 @@ impl<const C: usize> BandTask<'_, C> {
             let Some((first, end, dy)) = q.span(y as u32, self.scene.width) else { continue };
             let row = &patch.planes[(y - patch.rows.start) * (2 * C + 2) * width..][..(2 * C + 2) * width];
             let exponent = RowExponent::new(q, dy);
+            let amplitude = self.target.amplitude(y as u32);
             let mut x = first.max(patch.left);
             while x < end {
                 let o = x - patch.left;
@@ -462,11 +468,16 @@ impl<const C: usize> BandTask<'_, C> {
                 };
                 let r = kernel::lanes(|i| w[i] * inv[i]);
                 let mut error = [0.0f32; LANES];
+                let amplitude = amplitude.map(|a| kernel::load(a, x));
                 for k in 0..C {
                     let n = kernel::load(row, k * width + o);
                     let t = kernel::load(row, (C + 1 + k) * width + o);
                     let mut a = kernel::lanes(|i| n[i] * inv[i] - t[i]);
                     let mut r = r;
+                    if let Some(m) = amplitude {
+                        a = kernel::lanes(|i| a[i] * m[i]);
+                        r = kernel::lanes(|i| r[i] * m[i]);
+                    }
                     if let (Some(plane), true) = (alpha, alpha != Some(k)) {
                         let weight = kernel::load(row, (C + 1 + plane) * width + o);
                         a = kernel::lanes(|i| a[i] * weight[i]);
@@ -502,6 +513,7 @@ impl<const C: usize> BandTask<'_, C> {
             let Some((first, end, dy)) = p.span(y as u32, self.scene.width) else { continue };
             let row = &patch.planes[(y - patch.rows.start) * (2 * C + 2) * width..][..(2 * C + 2) * width];
             let exponent = RowExponent::new(p, dy);
+            let amplitude = self.target.amplitude(y as u32);
             let (mut v0, mut v1, mut v2) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
             let mut x = first.max(patch.left);
             while x < end {
@@ -509,6 +521,7 @@ impl<const C: usize> BandTask<'_, C> {
                 let (dx, e) = exponent.at(x);
                 let e = kernel::lanes(|i| if e[i] > CUTOFF_WEIGHT && x + i < end { e[i] } else { 0.0 });
                 let w = kernel::lanes(|i| if e[i] > 0.0 { e[i] - CUTOFF_WEIGHT } else { 0.0 });
+                let amplitude = amplitude.map(|a| kernel::load(a, x));
                 let without = kernel::load(row, C * width + o);
                 let inv = match self.scene.blend {
                     Blend::Normalized => kernel::lanes(|i| 1.0 / (without[i] + w[i])),
@@ -523,6 +536,9 @@ impl<const C: usize> BandTask<'_, C> {
                     if let (Some(plane), true) = (alpha, alpha != Some(k)) {
                         let weight = kernel::load(row, (C + 1 + plane) * width + o);
                         d = kernel::lanes(|i| d[i] * weight[i] * weight[i]);
+                    }
+                    if let Some(a) = amplitude {
+                        d = kernel::lanes(|i| d[i] * a[i] * a[i]);
                     }
                     let own = match self.scene.blend {
                         Blend::Normalized => kernel::lanes(|i| (color[k] - v[i]) * inv[i]),

@@ -62,8 +62,6 @@ pub(crate) struct Field {
 pub(crate) enum Output {
     /// `∂L/∂(Σwc)` for each channel and `h = Σ g I` (normalized) or 0 (sum), for the squared error.
     Gradient,
-    /// The same for the absolute error.
-    GradientL1,
     /// The picture `I` for each channel and `Σ w`.
     Picture,
     /// `Σ w c` and `Σ w` as they are.
@@ -107,7 +105,8 @@ impl Bands {
 
 impl Field {
     /// Sums `projected` over the rows of `rows` and leaves `output` in the planes. Returns the squared error of the
-    /// clamped picture over those rows (0 for [`Output::Sums`]).
+    /// clamped picture over those rows: weighted as the target has it for the gradients, plain for
+    /// [`Output::Picture`], 0 for [`Output::Sums`].
     pub(crate) fn draw(
         &mut self,
         scene: &Scene,
@@ -143,6 +142,24 @@ impl Field {
             arch.dispatch(BandTask::<C> { scene, target, projected, members, rows, first: b * BAND, band, output })
         });
         errors.iter().sum()
+    }
+
+    /// The gradients of a run of primitives, gathered from gradient planes over `rows`.
+    pub(crate) fn gather(
+        &self,
+        channels: usize,
+        rows: RowSet,
+        width: u32,
+        projected: &[Projected],
+        primitives: &[Primitive],
+    ) -> Vec<Gradient> {
+        let (arch, field) = (pulp::Arch::new(), self);
+        match channels {
+            1 => arch.dispatch(GatherTask::<1> { field, rows, width, projected, primitives }),
+            2 => arch.dispatch(GatherTask::<2> { field, rows, width, projected, primitives }),
+            3 => arch.dispatch(GatherTask::<3> { field, rows, width, projected, primitives }),
+            _ => arch.dispatch(GatherTask::<4> { field, rows, width, projected, primitives }),
+        }
     }
 
     /// The planes of sampled row `i`.
@@ -189,7 +206,9 @@ impl<const C: usize> pulp::WithSimd for BandTask<'_, C> {
         for i in 0..count {
             let y = rows.row(first + i);
             let row = &mut band[i * row_size..][..row_size];
-            error += resolve_row::<C>(scene, target.row(y), row, stride, output, target.channels.alpha());
+            let alpha = target.channels.alpha();
+            let amplitude = if output == Output::Picture { None } else { target.amplitude(y) };
+            error += resolve_row::<C>(scene, target.row(y), row, stride, output, alpha, amplitude);
         }
         error
     }
@@ -204,6 +223,7 @@ fn resolve_row<const C: usize>(
     stride: usize,
     output: Output,
     alpha: Option<usize>,
+    amplitude: Option<&[f32]>,
 ) -> f64 {
     let mut error = [0.0f32; LANES];
     let w = scene.width as usize;
@@ -218,6 +238,7 @@ fn resolve_row<const C: usize>(
         };
         let mut h = [0.0f32; LANES];
         let opacity = alpha.map(|a| kernel::load(target, a * stride + x));
+        let amplitude = amplitude.map(|a| kernel::load(a, x));
         for k in 0..C {
             let run = kernel::load(colors, k * stride + x);
             let t = kernel::load(target, k * stride + x);
@@ -233,18 +254,23 @@ fn resolve_row<const C: usize>(
             if inside < LANES {
                 e = kernel::lanes(|i| if i < inside { e[i] } else { 0.0 });
             }
+            if let Some(a) = amplitude {
+                e = kernel::lanes(|i| e[i] * a[i]);
+            }
             error = kernel::lanes(|i| error[i] + e[i] * e[i]);
+            if let Some(a) = amplitude {
+                e = kernel::lanes(|i| e[i] * a[i]);
+            }
             let left = match output {
                 Output::Picture | Output::Sums => v,
                 Output::Gradient => kernel::lanes(|i| e[i] * inv[i]),
-                Output::GradientL1 => kernel::lanes(|i| if e[i] == 0.0 { 0.0 } else { e[i].signum() * inv[i] }),
             };
             kernel::store(colors, k * stride + x, &left);
             if scene.blend == Blend::Normalized {
                 h = kernel::lanes(|i| h[i] + left[i] * v[i]);
             }
         }
-        if matches!(output, Output::Gradient | Output::GradientL1) {
+        if output == Output::Gradient {
             kernel::store(weights, x, &h);
         }
         x += LANES;
@@ -280,12 +306,12 @@ pub(crate) fn gather<const C: usize>(
 }
 
 /// The gradients of a run of primitives; a struct for the same reason as [`BandTask`].
-pub(crate) struct GatherTask<'a, const C: usize> {
-    pub field: &'a Field,
-    pub rows: RowSet,
-    pub width: u32,
-    pub projected: &'a [Projected],
-    pub primitives: &'a [Primitive],
+struct GatherTask<'a, const C: usize> {
+    field: &'a Field,
+    rows: RowSet,
+    width: u32,
+    projected: &'a [Projected],
+    primitives: &'a [Primitive],
 }
 
 impl<const C: usize> pulp::WithSimd for GatherTask<'_, C> {

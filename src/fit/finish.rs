@@ -69,18 +69,18 @@ pub(crate) fn finish(
 ) -> Result<Vec<u8>> {
     splats.steps = steps(&state.primitives, splats.layout, psnr(scene, target, &state.primitives));
     let quantizer = splats.quantizer();
-    splats.background = quantizer.quantize_color(target.mean);
+    splats.background = quantizer.quantize_color(scene.background);
     let scene = Scene { background: quantizer.dequantize_color(splats.background), ..*scene };
-    if plan.freezing > 0 {
+    if plan.freezing > 0 && !plan.is_fit_over() {
         let mut half = |done: f32, now: Drawing<'_>| watch(0.5 * done, now);
-        freeze::freeze(&scene, target, &mut state, &quantizer, plan.freezing, plan.seed, &mut half)?;
+        freeze::freeze(&scene, target, &mut state, &quantizer, plan, &mut half)?;
     }
     splats.gaussians = state.primitives.iter().map(|p| quantizer.quantize(&p.to_gaussian())).collect();
     let mut field = std::mem::take(&mut state.field);
 
     let mut activity = Activity::new(scene.width, scene.height);
     let mut bytes = smallest(splats)?;
-    let mut best: Option<(f64, Vec<PackedGaussian>, Vec<u8>)> = None;
+    let mut best: Option<Best> = None;
     let rounds = plan.sweeps.max(2) + 6;
     let mut quiet = 0;
     for round in 0..rounds {
@@ -88,39 +88,39 @@ pub(crate) fn finish(
             (scene, projected(&quantizer, &splats.gaussians, scene.height))
         })?;
         let error = squared_error(&scene, target, &quantizer, &splats.gaussians, &mut field);
+        let over = plan.is_over();
         if let Size::Bytes(most) = size {
-            if bytes.len() as u64 <= most && best.as_ref().is_none_or(|b| error < b.0) {
-                best = Some((error, splats.gaussians.clone(), bytes.clone()));
+            Best::keep(&mut best, error, splats, &bytes, most);
+            if over && best.as_ref().is_some_and(|b| b.fills) {
+                break;
             }
             // The last sweeps change the size only a little: correct it while there are enough left to settle.
             let settled = bytes.len() as u64 <= most && most - bytes.len() as u64 <= (most / 400).max(4);
             if settled && (round >= plan.sweeps || quiet > 1) {
                 break;
             }
-            if round + 3 >= plan.sweeps && !settled {
+            if (over || round + 3 >= plan.sweeps) && !settled {
                 resize(&scene, target, &quantizer, splats, bytes.len() as u64, most, &mut activity, &mut field);
             }
-        } else if round >= plan.sweeps || quiet > 1 {
+        } else if over || round >= plan.sweeps || quiet > 1 {
             break;
         }
-        if plan.is_over() && best.is_some() {
-            break;
+        // When the time is over only the size is still brought right.
+        if !over {
+            let bits = 8.0 * bytes.len() as f64;
+            let objective = Objective { lambda: (SLOPE * error / bits) as f32, position_bits: f32::NEG_INFINITY };
+            let gaussians = &mut splats.gaussians;
+            let swept = descend::sweep(&scene, target, &quantizer, gaussians, &objective, &mut activity, &mut field);
+            quiet = if swept.gain < 2e-4 * error { quiet + 1 } else { 0 };
         }
-        let bits = 8.0 * bytes.len() as f64;
-        let objective = Objective { lambda: (SLOPE * error / bits) as f32, position_bits: f32::NEG_INFINITY };
-        let swept =
-            descend::sweep(&scene, target, &quantizer, &mut splats.gaussians, &objective, &mut activity, &mut field);
-        quiet = if swept.gain < 2e-4 * error { quiet + 1 } else { 0 };
         bytes = smallest(splats)?;
     }
     if let Size::Bytes(most) = size {
         let error = squared_error(&scene, target, &quantizer, &splats.gaussians, &mut field);
-        if bytes.len() as u64 <= most && best.as_ref().is_none_or(|b| error < b.0) {
-            best = Some((error, splats.gaussians.clone(), bytes.clone()));
-        }
-        if let Some((_, gaussians, found)) = best {
-            splats.gaussians = gaussians;
-            return Ok(found);
+        Best::keep(&mut best, error, splats, &bytes, most);
+        if let Some(best) = best {
+            (splats.gaussians, splats.codebook) = (best.gaussians, best.codebook);
+            return Ok(best.bytes);
         }
         while bytes.len() as u64 > most && !splats.gaussians.is_empty() {
             resize(&scene, target, &quantizer, splats, bytes.len() as u64, most, &mut activity, &mut field);
@@ -128,6 +128,27 @@ pub(crate) fn finish(
         }
     }
     Ok(bytes)
+}
+
+/// The best file so far that is not too large.
+struct Best {
+    /// Whether it comes within 2 % of its size, or 40 bytes: that goes before the error.
+    fills: bool,
+    error: f64,
+    gaussians: Vec<PackedGaussian>,
+    codebook: Option<Vec<[i16; 4]>>,
+    bytes: Vec<u8>,
+}
+
+impl Best {
+    fn keep(best: &mut Option<Self>, error: f64, splats: &PackedSplats, bytes: &[u8], most: u64) {
+        let Some(left) = most.checked_sub(bytes.len() as u64) else { return };
+        let fills = left <= (most / 50).max(40);
+        if best.as_ref().is_none_or(|b| (fills, b.error) > (b.fills, error)) {
+            let (gaussians, codebook) = (splats.gaussians.clone(), splats.codebook.clone());
+            *best = Some(Best { fills, error, gaussians, codebook, bytes: bytes.to_vec() });
+        }
+    }
 }
 
 /// The file, with its colours in a codebook where that is smaller.
@@ -154,7 +175,7 @@ pub(crate) fn projected(quantizer: &Quantizer, gaussians: &[PackedGaussian], hei
     gaussians.iter().map(|g| Projected::from_gaussian(&quantizer.dequantize(g), height)).collect()
 }
 
-/// Squared error of the picture of `gaussians`, clamped.
+/// Squared error of the picture of `gaussians`, clamped, weighted as the target has it.
 fn squared_error(
     scene: &Scene,
     target: &Target,
@@ -162,10 +183,11 @@ fn squared_error(
     gaussians: &[PackedGaussian],
     field: &mut Field,
 ) -> f64 {
-    field.draw(scene, target, &projected(quantizer, gaussians, scene.height), RowSet::ALL, Output::Picture)
+    field.draw(scene, target, &projected(quantizer, gaussians, scene.height), RowSet::ALL, Output::Gradient)
 }
 
 /// Takes away the cheapest primitives, or adds some where the error is largest, by the bytes over or under.
+#[allow(clippy::too_many_arguments)]
 fn resize(
     scene: &Scene,
     target: &Target,
@@ -180,8 +202,11 @@ fn resize(
     let current = projected(quantizer, &splats.gaussians, scene.height);
     field.draw(scene, target, &current, RowSet::ALL, Output::Picture);
     if bytes > most {
+        if splats.gaussians.is_empty() {
+            return;
+        }
         let count = (((bytes - most) as f64 / each).ceil() as usize).clamp(1, splats.gaussians.len());
-        let costs = relocate::removal_costs(scene, target.channels.count(), field, RowSet::ALL, &current);
+        let costs = relocate::removal_costs(scene, target, field, RowSet::ALL, &current);
         let mut removed = vec![false; costs.len()];
         for i in relocate::cheapest_first(&costs).into_iter().take(count) {
             removed[i] = true;
@@ -221,7 +246,7 @@ pub(crate) fn count_for(
     Ok(((most as f64 * SHRINK - fixed) / each).max(0.0) as usize)
 }
 
-/// The picture of float primitives, for reports: squared error over all rows.
+/// The picture of float primitives, for reports: plain squared error over all rows.
 pub(crate) fn float_error(scene: &Scene, target: &Target, primitives: &[Primitive]) -> f64 {
     let mut field = Field::default();
     field.draw(scene, target, &project_all(primitives, scene.height), RowSet::ALL, Output::Picture)
@@ -235,5 +260,6 @@ fn psnr(scene: &Scene, target: &Target, primitives: &[Primitive]) -> f64 {
 
 /// The squared error of integer primitives.
 pub(crate) fn packed_error(scene: &Scene, target: &Target, quantizer: &Quantizer, gaussians: &[PackedGaussian]) -> f64 {
-    squared_error(scene, target, quantizer, gaussians, &mut Field::default())
+    let projected = projected(quantizer, gaussians, scene.height);
+    Field::default().draw(scene, target, &projected, RowSet::ALL, Output::Picture)
 }

@@ -7,6 +7,7 @@ use rand_pcg::Pcg64Mcg;
 use crate::error::Result;
 use crate::fit::adam::{Freedom, Rates};
 use crate::fit::field::Scene;
+use crate::fit::plan::Plan;
 use crate::fit::project::Primitive;
 use crate::fit::target::Target;
 use crate::fit::{RowCycle, State, Watch, project_all, row_step};
@@ -15,18 +16,18 @@ use crate::quantize::Quantizer;
 /// Steps while freezing: well below those of the fit, large enough to walk a lattice step.
 const RATES: Rates = Rates { mean: 0.03, log_scale: 0.03, rotation: 0.03, color: 0.004 };
 
-/// Puts every primitive of `state` on the lattice, colours excepted, over `iterations` steps.
+/// Puts every primitive of `state` on the lattice, colours excepted, over `plan.freezing` steps,
+/// as far as there is time.
 pub(crate) fn freeze(
     scene: &Scene,
     target: &Target,
     state: &mut State,
     quantizer: &Quantizer,
-    iterations: u32,
-    seed: u64,
+    plan: &Plan,
     watch: Watch<'_>,
 ) -> Result<()> {
-    let count = state.primitives.len();
-    let mut rng = Pcg64Mcg::seed_from_u64(seed ^ 0x5f72_656e);
+    let (count, iterations) = (state.primitives.len(), plan.freezing);
+    let mut rng = Pcg64Mcg::seed_from_u64(plan.seed ^ 0x5f72_656e);
     let mut rows = RowCycle::new();
     let step = (row_step(scene, count) / 2).max(1);
     let rounds = 20.min(iterations.max(1));
@@ -52,6 +53,9 @@ pub(crate) fn freeze(
         let done = round as f32 / rounds as f32;
         let rates = RATES.scaled(0.1 + 0.9 * 0.5 * (1.0 + (std::f32::consts::PI * done).cos()));
         for _ in 0..iterations / rounds {
+            if plan.is_fit_over() {
+                return Ok(());
+            }
             let sampled = rows.next(step, &mut rng);
             state.descend(scene, target, sampled, rates);
         }

@@ -11,8 +11,10 @@ pub(crate) mod project;
 pub(crate) mod rates;
 pub(crate) mod relocate;
 pub(crate) mod sample;
+pub(crate) mod smartsplat;
 #[cfg(test)]
 mod stability;
+pub(crate) mod structure;
 pub(crate) mod target;
 
 use std::time::Instant;

@@ -72,6 +72,10 @@ impl Plan {
         }
     }
 
+    pub(crate) fn is_fit_over(&self) -> bool {
+        self.fit_deadline.is_some_and(|d| Instant::now() >= d)
+    }
+
     pub(crate) fn is_over(&self) -> bool {
         self.deadline.is_some_and(|d| Instant::now() >= d)
     }

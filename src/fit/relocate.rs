@@ -26,7 +26,7 @@ pub(crate) struct Peak {
 /// `field` holds [`Output::Picture`] over `rows`; the sums are scaled up by the rows left out.
 pub(crate) fn removal_costs(
     scene: &Scene,
-    channels: usize,
+    target: &Target,
     field: &Field,
     rows: RowSet,
     projected: &[Projected],
@@ -36,11 +36,11 @@ pub(crate) fn removal_costs(
     let chunks = projected.len().div_ceil(CHUNK);
     parallel::map(chunks, |chunk| {
         let projected = &projected[chunk * CHUNK..projected.len().min((chunk + 1) * CHUNK)];
-        match channels {
-            1 => arch.dispatch(CostTask::<1> { scene, field, rows, projected }),
-            2 => arch.dispatch(CostTask::<2> { scene, field, rows, projected }),
-            3 => arch.dispatch(CostTask::<3> { scene, field, rows, projected }),
-            _ => arch.dispatch(CostTask::<4> { scene, field, rows, projected }),
+        match target.channels.count() {
+            1 => arch.dispatch(CostTask::<1> { scene, target, field, rows, projected }),
+            2 => arch.dispatch(CostTask::<2> { scene, target, field, rows, projected }),
+            3 => arch.dispatch(CostTask::<3> { scene, target, field, rows, projected }),
+            _ => arch.dispatch(CostTask::<4> { scene, target, field, rows, projected }),
         }
     })
     .concat()
@@ -49,6 +49,7 @@ pub(crate) fn removal_costs(
 /// The costs of a run of primitives; a struct so that `inline(always)` carries the dispatched instruction set inside.
 struct CostTask<'a, const C: usize> {
     scene: &'a Scene,
+    target: &'a Target,
     field: &'a Field,
     rows: RowSet,
     projected: &'a [Projected],
@@ -61,32 +62,37 @@ impl<const C: usize> pulp::WithSimd for CostTask<'_, C> {
     fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<f32> {
         let mut out = Vec::with_capacity(self.projected.len());
         for p in self.projected {
-            out.push(removal_cost::<C>(self.scene, self.field, self.rows, p));
+            out.push(removal_cost::<C>(self.scene, self.target, self.field, self.rows, p));
         }
         out
     }
 }
 
 #[inline(always)]
-fn removal_cost<const C: usize>(scene: &Scene, field: &Field, rows: RowSet, p: &Projected) -> f32 {
+fn removal_cost<const C: usize>(scene: &Scene, target: &Target, field: &Field, rows: RowSet, p: &Projected) -> f32 {
     let stride = field.stride;
     let mut sum = [0.0f32; LANES];
     for index in rows.index(p.rows[0])..rows.index(p.rows[1]) {
         let Some((first, end, dy)) = p.span(rows.row(index), scene.width) else { continue };
         let row = field.row(index, C);
         let exponent = RowExponent::new(p, dy);
+        let amplitude = target.amplitude(rows.row(index));
         let mut x = first;
         while x < end {
             let (_, e) = exponent.at(x);
             let w = kernel::lanes(|i| if e[i] > CUTOFF_WEIGHT { e[i] - CUTOFF_WEIGHT } else { 0.0 });
             let mut distance = [0.0f32; LANES];
-            let share = match scene.blend {
+            let mut share = match scene.blend {
                 Blend::Normalized => {
                     let all = kernel::load(row, C * stride + x);
                     kernel::lanes(|i| (w[i] / ((all[i] - w[i]).max(0.0) + 0.02)).min(20.0))
                 }
                 Blend::Sum => w,
             };
+            if let Some(a) = amplitude {
+                let a = kernel::load(a, x);
+                share = kernel::lanes(|i| share[i] * a[i]);
+            }
             for k in 0..C {
                 match scene.blend {
                     Blend::Normalized => {
@@ -196,8 +202,9 @@ fn residual(scene: &Scene, target: &Target, field: &Field, rows: RowSet, w: usiz
                 let v = &field.row(i, channels)[k * field.stride..][..scene.width as usize];
                 let alpha = target.channels.alpha().filter(|&a| a != k);
                 let opacity = alpha.map(|a| &target.row(rows.row(i))[a * target.stride..][..scene.width as usize]);
+                let amplitude = target.amplitude(rows.row(i));
                 for (x, (t, v)) in t.iter().zip(v).enumerate() {
-                    let weight = opacity.map_or(share, |o| o[x] * share);
+                    let weight = opacity.map_or(share, |o| o[x] * share) * amplitude.map_or(1.0, |a| a[x]);
                     out[x / cell] += (t - v.clamp(0.0, 1.0)) * weight;
                 }
             });
@@ -271,7 +278,8 @@ fn spread(candidates: impl Iterator<Item = Peak>, count: usize, scene: &Scene) -
 pub(crate) fn at_peak(peak: &Peak, scene: &Scene, target: &Target) -> Primitive {
     let color = match scene.blend {
         Blend::Normalized => target.at(peak.mean),
-        Blend::Sum => peak.residual,
+        // The residual was weighted to find the peak.
+        Blend::Sum => peak.residual.map(|r| r / target.amplitude_at(peak.mean)),
     };
     Primitive { mean: peak.mean, log_scale: [peak.scale.max(0.5).ln(); 2], rotation: 0.3, color }
 }
@@ -319,7 +327,7 @@ pub(crate) fn resize(scene: &Scene, target: &Target, state: &mut State, rows: Ro
 fn costs(scene: &Scene, target: &Target, state: &mut State, rows: RowSet) -> Vec<f32> {
     let projected = project_all(&state.primitives, scene.height);
     state.field.draw(scene, target, &projected, rows, Output::Picture);
-    removal_costs(scene, target.channels.count(), &state.field, rows, &projected)
+    removal_costs(scene, target, &state.field, rows, &projected)
 }
 
 /// Indices by rising cost; equal costs by index.

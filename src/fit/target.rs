@@ -13,6 +13,8 @@ pub(crate) struct Target {
     pub channels: Channels,
     pub stride: usize,
     planes: Vec<f32>,
+    /// Square root of how much a pixel's squared error counts, `stride` floats a row; empty when all count 1.
+    pub amplitude: Vec<f32>,
     /// Mean colour; colours of transparent pixels do not count.
     pub mean: [f32; 4],
 }
@@ -52,7 +54,7 @@ impl Target {
             let weight = if channels.alpha() == Some(k) { area } else { sum[4] };
             if weight > 0.0 { (sum[k] / weight) as f32 } else { 0.0 }
         });
-        Target { width, height, channels, stride, planes, mean }
+        Target { width, height, channels, stride, planes, amplitude: Vec::new(), mean }
     }
 
     /// The planes of row `y`.
@@ -62,10 +64,38 @@ impl Target {
         &self.planes[y as usize * size..][..size]
     }
 
+    /// Channel `k` without the padding.
+    pub(crate) fn plane(&self, k: usize) -> Vec<f32> {
+        let width = self.width as usize;
+        let mut plane = vec![0.0f32; width * self.height as usize];
+        parallel::map_chunks(&mut plane, width, |y, out| {
+            out.copy_from_slice(&self.row(y as u32)[k * self.stride..][..width]);
+        });
+        plane
+    }
+
+    /// What errors in row `y` are multiplied by before they are squared; `None`: by 1.
+    #[inline(always)]
+    pub(crate) fn amplitude(&self, y: u32) -> Option<&[f32]> {
+        self.amplitude.get(y as usize * self.stride..)?.get(..self.stride)
+    }
+
+    /// The pixel that holds the point (pixels), clamped into the picture.
+    fn pixel(&self, point: [f32; 2]) -> (usize, u32) {
+        let x = (point[0].max(0.0) as usize).min(self.width as usize - 1);
+        (x, (point[1].max(0.0) as u32).min(self.height - 1))
+    }
+
+    /// The amplitude at the pixel that holds the point (pixels).
+    pub(crate) fn amplitude_at(&self, point: [f32; 2]) -> f32 {
+        let (x, y) = self.pixel(point);
+        self.amplitude(y).map_or(1.0, |a| a[x])
+    }
+
     /// The colour at the pixel that holds the point (pixels), clamped into the picture.
     pub(crate) fn at(&self, point: [f32; 2]) -> [f32; 4] {
-        let x = (point[0].max(0.0) as usize).min(self.width as usize - 1);
-        let row = self.row((point[1].max(0.0) as u32).min(self.height - 1));
+        let (x, y) = self.pixel(point);
+        let row = self.row(y);
         let mut color = [0.0; 4];
         for (k, c) in color.iter_mut().enumerate().take(self.channels.count()) {
             *c = row[k * self.stride + x];

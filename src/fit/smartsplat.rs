@@ -1,0 +1,516 @@
+//! The pipeline of SmartSplat (AAAI 2026): its initialization in parts that can be left out, its loss, its optimizer.
+//!
+//! Where the paper's text and its published program differ, this follows what ran: rates of 0.05 pixels for scales and
+//! 0.005 for colours (the text has them the other way round), and 0.8 of the loss for the absolute error (text: 0.9).
+//! Of the states on the way the best is kept, not the last.
+
+use std::time::Instant;
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use rstar::RTree;
+
+use crate::error::Result;
+use crate::fit::adam::Bounds;
+use crate::fit::field::{Field, Gradient, Output, RowSet, Scene};
+use crate::fit::plan::Plan;
+use crate::fit::project::Primitive;
+use crate::fit::structure::Loss;
+use crate::fit::target::Target;
+use crate::fit::{Recount, State, Watch, project_all};
+use crate::options::Ablation;
+use crate::parallel;
+
+/// Share of the primitives that follow gradients and variance; the rest is spread evenly.
+const GUIDED: f64 = 0.7;
+/// Share of the gradient in the weight of a pixel; the rest is the variance's.
+const GRADIENT_SHARE: f32 = 0.9;
+/// Side of the tiles that are sampled on their own, pixels.
+const TILE: usize = 1024;
+/// Half the side of the square whose variance counts, pixels.
+const VARIANCE_REACH: usize = 2;
+/// Neighbours that set the scale of an evenly spread primitive.
+const NEIGHBOURS: usize = 3;
+/// Least weight of a pixel, so that flat tiles can be sampled.
+const LEAST_WEIGHT: f32 = 1e-8;
+/// Share of the absolute error in the loss; the rest is structural similarity's.
+const ABSOLUTE: f32 = 0.8;
+
+/// Constant step sizes: means in halves of the picture's sides, scales in pixels, rotations as logits of the share of
+/// a full turn.
+const MEAN_RATE: f32 = 1e-4;
+const SCALE_RATE: f32 = 5e-2;
+const ROTATION_RATE: f32 = 1e-3;
+const COLOR_RATE: f32 = 5e-3;
+const BETA1: f32 = 0.9;
+const BETA2: f32 = 0.999;
+
+/// Share of the iterations after which the number of primitives is set anew, and the fit with it: the paper takes
+/// seven bytes for each, what they cost here is known only from fitted ones.
+const PROBED: f32 = 0.25;
+
+/// Fits as SmartSplat does; `recount` corrects the number of primitives once.
+pub(crate) fn fit(
+    scene: &Scene,
+    target: &Target,
+    count: usize,
+    parts: Ablation,
+    plan: &Plan,
+    recount: Recount<'_>,
+    watch: Watch<'_>,
+) -> Result<State> {
+    let bounds = Bounds::new(target.width, target.height);
+    let loss = Loss::new(target, ABSOLUTE);
+    let mut run = Run::new(target, count, parts, plan.seed, &bounds);
+    let mut probed = false;
+    let start = Instant::now();
+    for iteration in 0..plan.iterations {
+        // With a time budget the clock may be ahead.
+        let done = (iteration as f32 / plan.iterations as f32).max(plan.spent(start));
+        if done >= 1.0 || run.state.primitives.is_empty() {
+            break;
+        }
+        watch(done, &|| (*scene, project_all(&run.state.primitives, scene.height)))?;
+        if !probed && done >= PROBED {
+            probed = true;
+            let wanted = recount(&run.state.primitives)?;
+            if wanted != run.state.primitives.len() {
+                run = Run::new(target, wanted, parts, plan.seed, &bounds);
+            }
+        }
+        run.step(scene, target, &loss, &bounds);
+    }
+    run.keep_best(scene, target);
+    Ok(State::new(run.best.primitives, bounds))
+}
+
+/// One fit from one initialization.
+struct Run {
+    state: Parameters,
+    memory: Vec<Memory>,
+    field: Field,
+    iteration: i32,
+    best: Parameters,
+}
+
+/// A state of the fit and its squared error.
+#[derive(Clone)]
+struct Parameters {
+    primitives: Vec<Primitive>,
+    error: f64,
+}
+
+/// Moments of one primitive's gradient.
+#[derive(Clone, Copy, Default)]
+struct Memory {
+    first: [f32; 9],
+    second: [f32; 9],
+}
+
+impl Run {
+    fn new(target: &Target, count: usize, parts: Ablation, seed: u64, bounds: &Bounds) -> Self {
+        let mut primitives = initial(target, count, parts, &mut Pcg64Mcg::seed_from_u64(seed));
+        for p in &mut primitives {
+            bounds.apply(p);
+        }
+        let state = Parameters { primitives, error: f64::INFINITY };
+        let memory = vec![Memory::default(); state.primitives.len()];
+        Run { best: state.clone(), state, memory, field: Field::default(), iteration: 0 }
+    }
+
+    /// Leaves the picture in the field.
+    fn keep_best(&mut self, scene: &Scene, target: &Target) {
+        let projected = project_all(&self.state.primitives, scene.height);
+        self.state.error = self.field.draw(scene, target, &projected, RowSet::ALL, Output::Picture);
+        if self.state.error < self.best.error {
+            self.best.clone_from(&self.state);
+        }
+    }
+
+    fn step(&mut self, scene: &Scene, target: &Target, loss: &Loss, bounds: &Bounds) {
+        const CHUNK: usize = 64;
+        self.keep_best(scene, target);
+        loss.gradient(scene, target, &mut self.field);
+        self.iteration += 1;
+        let corrections = [1.0 - BETA1.powi(self.iteration), 1.0 - BETA2.powi(self.iteration)];
+        let projected = project_all(&self.state.primitives, scene.height);
+        let (field, channels) = (&self.field, target.channels.count());
+        let halves = bounds.size.map(|s| 0.5 * s);
+        parallel::map_chunk_pairs(
+            (&mut self.state.primitives, CHUNK),
+            (&mut self.memory, CHUNK),
+            |c, primitives, memory| {
+                let projected = &projected[c * CHUNK..][..primitives.len()];
+                let gradients = field.gather(channels, RowSet::ALL, scene.width, projected, primitives);
+                for ((p, m), g) in primitives.iter_mut().zip(memory).zip(&gradients) {
+                    update(p, m, g, halves, corrections);
+                    bounds.apply(p);
+                }
+            },
+        );
+    }
+}
+
+/// One step of Adam on means, scales, rotation and colour as they are.
+fn update(p: &mut Primitive, m: &mut Memory, g: &Gradient, halves: [f32; 2], corrections: [f32; 2]) {
+    let [sx, sy] = p.log_scale.map(f32::exp);
+    let (sin, cos) = p.rotation.sin_cos();
+    // From the primitive's own frame to the picture's.
+    let (u, v) = (g.mean[0] / sx, g.mean[1] / sy);
+    let turn = (p.rotation / std::f32::consts::TAU).rem_euclid(1.0).clamp(1e-4, 1.0 - 1e-4);
+    let slope = std::f32::consts::TAU * turn * (1.0 - turn);
+    let [r, s, t, a] = g.color;
+    let gradient = [
+        (cos * u - sin * v) * halves[0],
+        (sin * u + cos * v) * halves[1],
+        g.log_scale[0] / sx,
+        g.log_scale[1] / sy,
+        g.rotation * slope,
+        r,
+        s,
+        t,
+        a,
+    ];
+    let mut d = [0.0f32; 9];
+    for j in 0..9 {
+        let v = if gradient[j].is_finite() { gradient[j] } else { 0.0 };
+        m.first[j] = BETA1 * m.first[j] + (1.0 - BETA1) * v;
+        m.second[j] = BETA2 * m.second[j] + (1.0 - BETA2) * v * v;
+        d[j] = -(m.first[j] / corrections[0]) / ((m.second[j] / corrections[1]).sqrt() + 1e-15);
+    }
+    p.mean[0] += MEAN_RATE * d[0] * halves[0];
+    p.mean[1] += MEAN_RATE * d[1] * halves[1];
+    // A scale that passes 0 comes out on the other side, as in the program, which takes the absolute value.
+    p.log_scale = [(sx + SCALE_RATE * d[2]).abs().ln(), (sy + SCALE_RATE * d[3]).abs().ln()];
+    let logit = (turn / (1.0 - turn)).ln() + ROTATION_RATE * d[4];
+    p.rotation = std::f32::consts::TAU / (1.0 + (-logit).exp());
+    for k in 0..4 {
+        p.color[k] = (p.color[k] + COLOR_RATE * d[5 + k]).clamp(-4.0, 4.0);
+    }
+}
+
+/// Where the fit starts, with the parts of the initialization that `parts` has.
+fn initial(target: &Target, count: usize, parts: Ablation, rng: &mut Pcg64Mcg) -> Vec<Primitive> {
+    let area = f64::from(target.width) * f64::from(target.height);
+    // A third of the radius at which as many circles would cover the picture: three scales reach that far.
+    let base = ((area / (std::f64::consts::PI * count.max(1) as f64)).sqrt() / 3.0) as f32;
+    let mut places = if parts >= Ablation::Means {
+        spread(target, count, base, rng)
+    } else {
+        (0..count).map(|_| Place { mean: anywhere(target, rng), scale: base }).collect()
+    };
+    if parts < Ablation::Scales {
+        places.iter_mut().for_each(|p| p.scale = base);
+    }
+    let mut primitives: Vec<Primitive> = places
+        .iter()
+        .map(|p| Primitive {
+            mean: p.mean,
+            log_scale: [p.scale.ln(); 2],
+            rotation: rng.random::<f32>() * std::f32::consts::TAU,
+            color: std::array::from_fn(|_| rng.random()),
+        })
+        .collect();
+    if parts >= Ablation::Colors {
+        parallel::map_chunks(&mut primitives, 64, |chunk, primitives| {
+            for (p, place) in primitives.iter_mut().zip(&places[chunk * 64..]) {
+                p.color = median_color(target, place);
+            }
+        });
+    }
+    primitives
+}
+
+/// Where a primitive starts and how large, pixels.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    mean: [f32; 2],
+    scale: f32,
+}
+
+fn anywhere(target: &Target, rng: &mut Pcg64Mcg) -> [f32; 2] {
+    [rng.random::<f32>() * target.width as f32, rng.random::<f32>() * target.height as f32]
+}
+
+/// Primitives by gradient and variance, then evenly where those leave room.
+fn spread(target: &Target, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<Place> {
+    let mut places = guided(target, (count as f64 * GUIDED).round() as usize, base, rng);
+    let mut scales: Vec<f32> = places.iter().map(|p| p.scale).collect();
+    scales.sort_by(f32::total_cmp);
+    let radius = scales.get(scales.len() / 2).map_or(base, |&median| base.max(median));
+    let taken = RTree::bulk_load(places.iter().map(|p| p.mean).collect());
+    let first_even = places.len();
+    while places.len() < count {
+        // The circles to keep out of cover less than a tenth of the picture: few places are refused.
+        let free = (0..64)
+            .map(|_| anywhere(target, rng))
+            .find(|m| taken.locate_within_distance(*m, radius * radius).next().is_none());
+        let mean = free.unwrap_or_else(|| anywhere(target, rng));
+        places.push(Place { mean, scale: base });
+    }
+    let all = RTree::bulk_load(places.iter().map(|p| p.mean).collect());
+    parallel::map_chunks(&mut places[first_even..], 64, |_, even| {
+        for p in even {
+            // The nearest is the place itself.
+            let squares = all.nearest_neighbor_iter(p.mean).skip(1).take(NEIGHBOURS).map(|q| {
+                let [dx, dy] = [q[0] - p.mean[0], q[1] - p.mean[1]];
+                dx * dx + dy * dy
+            });
+            let (sum, found) = squares.fold((0.0, 0), |(sum, found), d| (sum + d, found + 1));
+            if sum > 0.0 {
+                p.scale = (sum / found as f32).sqrt();
+            }
+        }
+    });
+    places
+}
+
+/// Pixels drawn without replacement, in each tile as many, by gradient and variance.
+fn guided(target: &Target, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<Place> {
+    let columns = tiles(target.width as usize);
+    let rows = tiles(target.height as usize);
+    let number = columns.len() * rows.len();
+    let mut places = Vec::with_capacity(count);
+    for (i, (y, x)) in rows.iter().flat_map(|y| columns.iter().map(move |x| (y, x))).enumerate() {
+        let wanted = count / number + usize::from(i < count % number);
+        let weights = weights(target, x.clone(), y.clone());
+        // The smallest of exponential variables over their weights: as drawn one after the other (Efraimidis and
+        // Spirakis, 2006).
+        let mut keys: Vec<(f32, usize)> =
+            weights.iter().enumerate().map(|(i, w)| (-(1.0 - rng.random::<f32>()).ln() / w, i)).collect();
+        let by_key = |a: &(f32, usize), b: &(f32, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+        if wanted < keys.len() {
+            keys.select_nth_unstable_by(wanted, by_key);
+            keys.truncate(wanted);
+        }
+        keys.sort_unstable_by_key(|k| k.1);
+        places.extend(keys.iter().map(|&(_, i)| Place {
+            mean: [(x.start + i % x.len()) as f32 + 0.5, (y.start + i / x.len()) as f32 + 0.5],
+            scale: base * (-0.5 * weights[i]).exp(),
+        }));
+    }
+    places
+}
+
+/// Tiles along a side: evenly placed, the last one ending with the picture, overlapping where they must.
+fn tiles(side: usize) -> Vec<std::ops::Range<usize>> {
+    let count = side.div_ceil(TILE);
+    let stride = if count > 1 { (side - TILE) as f64 / (count - 1) as f64 } else { 0.0 };
+    let start = |i: usize| ((i as f64 * stride) as usize).min(side.saturating_sub(TILE));
+    (0..count).map(|i| start(i)..(start(i) + TILE).min(side)).collect()
+}
+
+/// The weight of each pixel of a tile: gradient and variance, both in units of their largest value in the tile.
+fn weights(target: &Target, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>) -> Vec<f32> {
+    let width = columns.len();
+    let mut gradients = vec![0.0f32; width * rows.len()];
+    let mut variances = vec![0.0f32; width * rows.len()];
+    let largest =
+        parallel::map_chunk_pairs((&mut gradients, width), (&mut variances, width), |y, gradients, variances| {
+            let mut largest = [1e-8f32; 2];
+            for (x, (g, v)) in gradients.iter_mut().zip(variances).enumerate() {
+                (*g, *v) = (
+                    gradient(target, columns.start + x, rows.start + y),
+                    variance(target, columns.start + x, rows.start + y),
+                );
+                largest = [largest[0].max(*g), largest[1].max(*v)];
+            }
+            largest
+        });
+    let [gradient, variance] = largest.iter().fold([0.0f32; 2], |a, b| [a[0].max(b[0]), a[1].max(b[1])]);
+    gradients
+        .iter()
+        .zip(&variances)
+        .map(|(g, v)| (GRADIENT_SHARE * g / gradient + (1.0 - GRADIENT_SHARE) * v / variance).max(LEAST_WEIGHT))
+        .collect()
+}
+
+/// Mean over the channels of the gradient's magnitude, after Sobel; the picture's border is repeated.
+fn gradient(target: &Target, x: usize, y: usize) -> f32 {
+    let rows = around(y, 1, target.height as usize).map(|y| target.row(y as u32));
+    let columns = around(x, 1, target.width as usize);
+    let count = target.channels.count();
+    let sum: f32 = (0..count)
+        .map(|k| {
+            let at = |i: usize, j: usize| rows[i][k * target.stride + columns[j]];
+            let dx = at(0, 2) + 2.0 * at(1, 2) + at(2, 2) - at(0, 0) - 2.0 * at(1, 0) - at(2, 0);
+            let dy = at(2, 0) + 2.0 * at(2, 1) + at(2, 2) - at(0, 0) - 2.0 * at(0, 1) - at(0, 2);
+            (dx * dx + dy * dy).sqrt()
+        })
+        .sum();
+    sum / count as f32
+}
+
+/// The two neighbours of `i` in `0..size` and itself.
+fn around(i: usize, reach: usize, size: usize) -> [usize; 3] {
+    [i.saturating_sub(reach), i, (i + reach).min(size - 1)]
+}
+
+/// Mean over the channels of the variance in the square around a pixel.
+fn variance(target: &Target, x: usize, y: usize) -> f32 {
+    let [left, _, right] = around(x, VARIANCE_REACH, target.width as usize);
+    let [top, _, bottom] = around(y, VARIANCE_REACH, target.height as usize);
+    let number = ((right - left + 1) * (bottom - top + 1)) as f32;
+    let count = target.channels.count();
+    let sum: f32 = (0..count)
+        .map(|k| {
+            let (mut sum, mut squares) = (0.0f32, 0.0f32);
+            for y in top..=bottom {
+                for v in &target.row(y as u32)[k * target.stride + left..=k * target.stride + right] {
+                    sum += v;
+                    squares += v * v;
+                }
+            }
+            (squares / number - (sum / number) * (sum / number)).max(0.0)
+        })
+        .sum();
+    sum / count as f32
+}
+
+/// The median of the pixels within one scale of a place, weighted by a Gaussian of that scale.
+fn median_color(target: &Target, place: &Place) -> [f32; 4] {
+    let Place { mean, scale } = *place;
+    // Centres of pixels are half a pixel from their corners.
+    let range = |m: f32, side: u32| {
+        let first = (m - 0.5 - scale).ceil().max(0.0) as u32;
+        first..((m - 0.5 + scale).floor() + 1.0).clamp(0.0, side as f32) as u32
+    };
+    let mut pixels: Vec<(f32, u32, u32)> = Vec::new();
+    for y in range(mean[1], target.height) {
+        for x in range(mean[0], target.width) {
+            let (dx, dy) = (x as f32 + 0.5 - mean[0], y as f32 + 0.5 - mean[1]);
+            let square = dx * dx + dy * dy;
+            if square <= scale * scale {
+                pixels.push(((-0.5 * square / (scale * scale)).exp(), x, y));
+            }
+        }
+    }
+    let mut color = target.at(mean);
+    if pixels.is_empty() {
+        return color;
+    }
+    let half = 0.5 * pixels.iter().map(|p| p.0).sum::<f32>();
+    let mut values = Vec::with_capacity(pixels.len());
+    for (k, c) in color.iter_mut().enumerate().take(target.channels.count()) {
+        values.clear();
+        values.extend(pixels.iter().map(|&(w, x, y)| (target.row(y)[k * target.stride + x as usize], w)));
+        values.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut below = 0.0;
+        for &(v, w) in &values {
+            below += w;
+            *c = v;
+            if below >= half {
+                break;
+            }
+        }
+    }
+    color
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussian::Blend;
+    use crate::{Channels, Pixels, Samples};
+
+    const BASE: f32 = 2.0;
+
+    /// Left half flat, right half noise.
+    fn half_busy(width: u32, height: u32) -> Target {
+        let noise = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
+        let at = |i: u32| if i % width < width / 2 { 100 } else { noise(i) };
+        let samples = (0..width * height).map(at).collect();
+        Target::new(&Pixels::new(width, height, Channels::Grey, Samples::U8(samples)).unwrap())
+    }
+
+    fn rng() -> Pcg64Mcg {
+        Pcg64Mcg::seed_from_u64(7)
+    }
+
+    #[test]
+    fn tiles_are_of_one_size_and_leave_no_pixel_out() {
+        for side in (1..=TILE + 2).chain([2 * TILE - 1, 2 * TILE, 2 * TILE + 1, 5 * TILE - 300]) {
+            let tiles = tiles(side);
+            assert!(tiles.iter().all(|t| t.len() == side.min(TILE)));
+            assert_eq!((tiles[0].start, tiles.last().unwrap().end), (0, side));
+            assert!(tiles.windows(2).all(|t| t[1].start <= t[0].end), "{side}");
+        }
+    }
+
+    #[test]
+    fn guided_places_are_distinct_and_follow_detail_with_smaller_scales() {
+        let places = guided(&half_busy(64, 64), 300, BASE, &mut rng());
+        assert_eq!(places.len(), 300);
+        let mut means: Vec<[u32; 2]> = places.iter().map(|p| p.mean.map(f32::to_bits)).collect();
+        means.sort_unstable();
+        means.dedup();
+        assert_eq!(means.len(), 300);
+        let busy = places.iter().filter(|p| p.mean[0] > 29.0).count();
+        assert!(busy > 295, "{busy}");
+        assert!(places.iter().all(|p| p.scale <= BASE && p.scale >= BASE * (-0.5f32).exp()));
+    }
+
+    #[test]
+    fn evenly_spread_places_keep_away_from_guided_ones() {
+        let places = spread(&half_busy(64, 64), 200, BASE, &mut rng());
+        let (guided, even) = places.split_at(140);
+        let apart = |a: &Place, b: &Place| (a.mean[0] - b.mean[0]).hypot(a.mean[1] - b.mean[1]);
+        for p in even {
+            assert!(guided.iter().all(|q| apart(p, q) >= BASE));
+            let mut near: Vec<f32> = places.iter().map(|q| apart(p, q)).filter(|&d| d > 0.0).collect();
+            near.sort_by(f32::total_cmp);
+            let rms = (near[..3].iter().map(|d| d * d).sum::<f32>() / 3.0).sqrt();
+            assert!((p.scale - rms).abs() < 1e-3, "{} {rms}", p.scale);
+        }
+    }
+
+    #[test]
+    fn the_median_color_ignores_outliers_and_weighs_the_middle() {
+        let mut samples = vec![90u8; 81];
+        samples[40] = 255;
+        samples[0] = 0;
+        let target = Target::new(&Pixels::new(9, 9, Channels::Grey, Samples::U8(samples)).unwrap());
+        let at = |scale| median_color(&target, &Place { mean: [4.5, 4.5], scale })[0];
+        assert_eq!(at(3.0), 90.0 / 255.0);
+        assert_eq!(at(0.4), 1.0);
+    }
+
+    #[test]
+    fn each_part_of_the_initialization_can_be_left_out() {
+        let target = half_busy(64, 64);
+        let of = |parts| initial(&target, 100, parts, &mut rng());
+        let one_scale = |p: &[Primitive]| p.iter().all(|q| q.log_scale == p[0].log_scale);
+        let left = |p: &[Primitive]| p.iter().filter(|q| q.mean[0] < 29.0).count();
+        let stored = |p: &[Primitive]| p.iter().all(|q| (q.color[0] * 255.0).fract().abs() < 1e-3);
+        let (random, means, scales, colors) =
+            (of(Ablation::Random), of(Ablation::Means), of(Ablation::Scales), of(Ablation::Colors));
+        assert!(one_scale(&random) && one_scale(&means) && !one_scale(&scales));
+        assert!(left(&random) > 30 && left(&means) < 30);
+        assert!(!stored(&scales) && stored(&colors));
+        assert!(scales.iter().zip(&colors).all(|(a, b)| (a.mean, a.log_scale) == (b.mean, b.log_scale)));
+    }
+
+    #[test]
+    fn the_fit_gets_better_and_returns_its_best_state() {
+        let target = half_busy(48, 40);
+        for blend in [Blend::Sum, Blend::Normalized] {
+            let scene = Scene { width: 48, height: 40, blend, background: [0.0; 4] };
+            let plan = Plan::new(1, 40, None, 3);
+            let error = |p: &[Primitive]| {
+                let mut field = Field::default();
+                field.draw(&scene, &target, &project_all(p, 40), RowSet::ALL, Output::Picture)
+            };
+            let mut seen = Vec::new();
+            let state = fit(&scene, &target, 40, Ablation::Colors, &plan, &mut |p| Ok(p.len()), &mut |_, now| {
+                let mut field = Field::default();
+                seen.push(field.draw(&now().0, &target, &now().1, RowSet::ALL, Output::Picture));
+                Ok(())
+            });
+            let end = error(&state.unwrap().primitives);
+            assert!(end < 0.95 * seen[0], "{blend:?}: {} {end}", seen[0]);
+            let best = seen.iter().copied().fold(f64::INFINITY, f64::min);
+            // The order of summation changes when primitives are sorted.
+            assert!(end <= best * (1.0 + 1e-5), "{blend:?}: {end} {best}");
+        }
+    }
+}

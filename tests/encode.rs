@@ -1,0 +1,330 @@
+//! The encoder as a library: sizes, determinism, kinds of pictures, targets, budgets, recipes, and what it refuses.
+
+use std::ops::ControlFlow;
+use std::time::Duration;
+
+use ssplat::bitstream::splats::Layout;
+use ssplat::raster::{Renderer, View};
+use ssplat::{
+    Ablation, Blend, Channels, Depth, EncodeOptions, Encoded, Error, Limits, Pixels, Recipe, Samples, Target, Tune,
+    bitstream, encode, encode_with_progress, metrics,
+};
+
+const LAYOUTS: [Layout; 3] = [Layout::Packed, Layout::Planes, Layout::Coded];
+
+/// A picture with slopes, edges and texture; 8 bits a sample.
+fn picture(width: u32, height: u32, channels: Channels) -> Pixels {
+    Pixels::new(
+        width,
+        height,
+        channels,
+        Samples::U8(values(width, height, channels).map(|v| (v * 255.0) as u8).collect()),
+    )
+    .unwrap()
+}
+
+/// The same with 16 bits.
+fn deep_picture(width: u32, height: u32, channels: Channels) -> Pixels {
+    let samples = values(width, height, channels).map(|v| (v * 65535.0) as u16).collect();
+    Pixels::new(width, height, channels, Samples::U16(samples)).unwrap()
+}
+
+fn values(width: u32, height: u32, channels: Channels) -> impl Iterator<Item = f32> {
+    let count = channels.count() as u32;
+    (0..width * height * count).map(move |i| {
+        let (x, y, k) = ((i / count % width) as f32, (i / count / width) as f32, (i % count) as f32);
+        let slope = (x + y) / (width + height) as f32;
+        let disc = if (x - 30.0).hypot(y - 25.0) < 14.0 { 0.3 } else { 0.0 };
+        let texture = if x > 50.0 { 0.15 * (x * 0.9 + k).sin() * (y * 0.7).sin() } else { 0.0 };
+        (0.2 + 0.4 * slope + disc * (1.0 - 0.3 * k) + texture).clamp(0.0, 1.0)
+    })
+}
+
+/// Options with little effort.
+fn quick(target: Target) -> EncodeOptions {
+    let mut options = EncodeOptions::default();
+    options.target = target;
+    options.effort = 1;
+    options
+}
+
+fn run(pixels: &Pixels, target: Target) -> Encoded {
+    encode(pixels, &quick(target)).unwrap()
+}
+
+fn decoded(encoded: &Encoded) -> Pixels {
+    let splats = bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
+    let picture = splats.to_picture();
+    Renderer::new(&picture, &View::full(&picture), &Limits::default()).unwrap().render(splats.depth).unwrap()
+}
+
+/// Asserts that the file is not over `most` bytes, and at most 2 % or 40 bytes under.
+fn assert_fills(encoded: &Encoded, most: u64, what: &str) {
+    let bytes = encoded.bytes.len() as u64;
+    assert!(bytes <= most, "{what}: {bytes} of {most}");
+    assert!(most - bytes <= (most / 50).max(40), "{what}: {bytes} of {most}");
+}
+
+/// Asserts that `error` names the parameter `name`.
+#[track_caller]
+fn assert_refused(result: Result<Encoded, Error>, name: &str) {
+    match result {
+        Err(Error::Parameter { name: found, problem }) => {
+            assert_eq!(found, name, "{problem}");
+            assert!(!problem.is_empty());
+        }
+        other => panic!("{name}: {other:?}"),
+    }
+}
+
+#[test]
+fn files_fill_the_bytes_that_were_asked_and_never_exceed_them() {
+    let pixels = picture(96, 64, Channels::Rgb);
+    for layout in LAYOUTS {
+        for most in [60, 100, 333, 1000, 2000] {
+            let mut options = quick(Target::Bytes(most));
+            options.layout = layout;
+            assert_fills(&encode(&pixels, &options).unwrap(), most, &format!("{layout:?}"));
+        }
+    }
+}
+
+#[test]
+fn files_fill_the_ratio_that_was_asked_whatever_the_depth() {
+    for (pixels, name) in [(picture(96, 64, Channels::Rgb), "8 bits"), (deep_picture(96, 64, Channels::Rgb), "16 bits")]
+    {
+        for ratio in [10.0, 33.3, 100.0, 300.0] {
+            let most = (96.0 * 64.0 * 3.0 / ratio) as u64;
+            assert_fills(&run(&pixels, Target::Ratio(ratio)), most, &format!("{name}, ratio {ratio}"));
+        }
+    }
+}
+
+#[test]
+fn files_fill_their_size_at_every_effort_seed_blend_and_tune() {
+    let pixels = picture(96, 64, Channels::Rgb);
+    let most = 400;
+    let mut all = Vec::new();
+    for change in [
+        (|o| o.effort = 3) as fn(&mut EncodeOptions),
+        |o| o.effort = 7,
+        |o| o.seed = 99,
+        |o| o.blend = Some(Blend::Sum),
+        |o| o.tune = Tune::Ssim,
+        |_| (),
+    ] {
+        let mut options = quick(Target::Bytes(most));
+        change(&mut options);
+        let encoded = encode(&pixels, &options).unwrap();
+        assert_fills(&encoded, most, &format!("{options:?}"));
+        all.push(encoded.bytes);
+    }
+    // None of these options is without effect.
+    all.sort();
+    all.dedup();
+    assert_eq!(all.len(), 6);
+}
+
+#[test]
+fn the_number_of_primitives_is_as_asked() {
+    let pixels = picture(96, 64, Channels::Rgb);
+    for count in [0, 1, 7, 80] {
+        let encoded = run(&pixels, Target::Primitives(count));
+        assert_eq!(encoded.report.primitives, count as usize);
+        assert_eq!(bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap().gaussians.len(), count as usize);
+    }
+}
+
+#[test]
+fn equal_options_give_equal_bytes() {
+    let pixels = picture(80, 60, Channels::Rgb);
+    for recipe in [Recipe::Ssplat, Recipe::SmartSplat(Ablation::Colors)] {
+        for tune in [Tune::Psnr, Tune::Ssim] {
+            let mut options = quick(Target::Bytes(300));
+            (options.recipe, options.tune) = (recipe, tune);
+            assert_eq!(encode(&pixels, &options).unwrap().bytes, encode(&pixels, &options).unwrap().bytes);
+        }
+    }
+}
+
+#[cfg(feature = "rayon")]
+#[test]
+fn bytes_do_not_depend_on_the_thread_count() {
+    let pixels = picture(100, 150, Channels::Rgba);
+    // Effort 7 freezes as well.
+    for (recipe, tune, effort) in [
+        (Recipe::Ssplat, Tune::Psnr, 7),
+        (Recipe::Ssplat, Tune::Ssim, 2),
+        (Recipe::SmartSplat(Ablation::Colors), Tune::Psnr, 1),
+    ] {
+        let mut options = quick(Target::Bytes(500));
+        (options.recipe, options.tune, options.effort) = (recipe, tune, effort);
+        let with = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| encode(&pixels, &options).unwrap().bytes)
+        };
+        assert!(with(1) == with(2), "{options:?}");
+    }
+}
+
+#[test]
+fn pictures_of_every_kind_come_back_alike() {
+    for (width, height) in [(1, 1), (1, 4000), (4000, 1), (2, 3), (75, 53)] {
+        for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
+            for pixels in [picture(width, height, channels), deep_picture(width, height, channels)] {
+                let encoded = run(&pixels, Target::Bytes(600));
+                let back = decoded(&encoded);
+                let shape = |p: &Pixels| (p.width(), p.height(), p.channels(), p.depth());
+                assert_eq!(shape(&back), shape(&pixels));
+                let psnr = metrics::psnr(&pixels, &back).unwrap();
+                let what = format!("{width}x{height} {channels:?} {:?}: {psnr} dB", pixels.depth());
+                assert!(psnr > 24.0, "{what}");
+                // The report does not round to code values and weighs colours by opacity.
+                if channels.alpha().is_none() && pixels.depth() == Depth::Sixteen && psnr < 70.0 {
+                    assert!((psnr - encoded.report.psnr).abs() < 0.05, "{what} {}", encoded.report.psnr);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_under_full_transparency_costs_nothing() {
+    // The colours under the transparent half are noise, those of the rest are flat.
+    let noise = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
+    let samples =
+        (0..64 * 64u32).flat_map(|i| if i % 64 < 32 { [noise(i), noise(i + 9), 80, 0] } else { [50, 90, 130, 255] });
+    let pixels = Pixels::new(64, 64, Channels::Rgba, Samples::U8(samples.collect())).unwrap();
+    let encoded = run(&pixels, Target::Bytes(200));
+    let Samples::U8(back) = decoded(&encoded).into_samples() else { panic!("8 bits went in") };
+    for (i, p) in back.chunks_exact(4).enumerate().filter(|(i, _)| i % 64 > 36) {
+        let far = [50, 90, 130, 255].iter().zip(p).map(|(a, b): (&u8, &u8)| a.abs_diff(*b)).max();
+        assert!(far < Some(40), "{i}: {p:?}");
+    }
+    assert!(encoded.report.psnr > 26.0, "{}", encoded.report.psnr);
+}
+
+#[test]
+fn a_psnr_is_reached_or_refused_with_what_can_be_had() {
+    let pixels = picture(64, 48, Channels::Rgb);
+    for wanted in [22.0, 28.0] {
+        let encoded = run(&pixels, Target::Psnr(wanted));
+        let psnr = metrics::psnr(&pixels, &decoded(&encoded)).unwrap();
+        assert!(encoded.report.psnr >= wanted, "{wanted}: {}", encoded.report.psnr);
+        // Rounding to code values adds 1/12 of a squared step.
+        assert!(psnr > wanted - 0.05, "{wanted}: {psnr}");
+    }
+    let noise = (0..24 * 24u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    let noise = Pixels::new(24, 24, Channels::Grey, Samples::U8(noise)).unwrap();
+    let refused = encode(&noise, &quick(Target::Psnr(90.0)));
+    assert!(matches!(&refused, Err(Error::Parameter { problem, .. }) if problem.contains("dB")), "{refused:?}");
+    assert_refused(refused, "psnr");
+}
+
+#[test]
+fn a_time_budget_ends_the_work() {
+    let pixels = picture(400, 300, Channels::Rgb);
+    for recipe in [Recipe::Ssplat, Recipe::SmartSplat(Ablation::Colors)] {
+        let mut options = quick(Target::Ratio(50.0));
+        (options.recipe, options.effort) = (recipe, 9);
+        options.time = Some(Duration::from_millis(600));
+        let encoded = encode(&pixels, &options).unwrap();
+        // Effort 9 takes half a minute; the allowance is for a machine that is busy with other things.
+        assert!(encoded.report.seconds < 12.0, "{recipe:?}: {} s", encoded.report.seconds);
+        assert_fills(&encoded, 400 * 300 * 3 / 50, "600 ms");
+        assert!(encoded.report.psnr.is_finite());
+    }
+}
+
+#[test]
+fn the_parts_of_smartsplat_all_matter_and_fill_the_size() {
+    let pixels = picture(96, 64, Channels::Rgb);
+    let mut all = Vec::new();
+    for parts in [Ablation::Random, Ablation::Means, Ablation::Scales, Ablation::Colors] {
+        let mut options = quick(Target::Bytes(600));
+        options.recipe = Recipe::SmartSplat(parts);
+        let encoded = encode(&pixels, &options).unwrap();
+        assert_fills(&encoded, 600, &format!("{parts:?}"));
+        assert_eq!(bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap().blend, Blend::Sum);
+        all.push(encoded.bytes);
+    }
+    all.sort();
+    all.dedup();
+    assert_eq!(all.len(), 4);
+}
+
+#[test]
+fn progress_goes_forward_and_can_stop_the_work() {
+    let pixels = picture(64, 48, Channels::Rgb);
+    let mut seen = Vec::new();
+    encode_with_progress(&pixels, &quick(Target::Bytes(300)), &mut |p| {
+        seen.push((p.stage, p.done));
+        ControlFlow::Continue(())
+    })
+    .unwrap();
+    assert!(seen.iter().all(|s| (0.0..=1.0).contains(&s.1)));
+    assert!(seen.windows(2).all(|s| s[0].0 != s[1].0 || s[0].1 <= s[1].1), "{seen:?}");
+    for stop in [0, 1, seen.len() / 2, seen.len() - 1] {
+        let mut calls = 0;
+        let stopped = encode_with_progress(&pixels, &quick(Target::Bytes(300)), &mut |_| {
+            calls += 1;
+            if calls > stop { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        assert!(matches!(stopped, Err(Error::Cancelled)), "{stop}: {stopped:?}");
+        assert_eq!(calls, stop + 1);
+    }
+}
+
+#[test]
+fn options_out_of_range_are_parameter_errors() {
+    let pixels = picture(16, 16, Channels::Rgb);
+    for ratio in [0.0, -3.0, f64::NAN, f64::INFINITY] {
+        assert_refused(encode(&pixels, &quick(Target::Ratio(ratio))), "ratio");
+    }
+    for psnr in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        assert_refused(encode(&pixels, &quick(Target::Psnr(psnr))), "psnr");
+    }
+    for effort in [0, 10, 255] {
+        let mut options = quick(Target::Bytes(300));
+        options.effort = effort;
+        assert_refused(encode(&pixels, &options), "effort");
+    }
+    assert_refused(encode(&pixels, &quick(Target::Primitives(u32::MAX))), "primitives");
+}
+
+#[test]
+fn sizes_that_cannot_hold_the_picture_are_parameter_errors() {
+    let pixels = picture(16, 16, Channels::Rgb);
+    for layout in LAYOUTS {
+        let refused = |most| {
+            let mut options = quick(Target::Bytes(most));
+            options.layout = layout;
+            encode(&pixels, &options)
+        };
+        let least = (0..64).find(|&most| refused(most).is_ok()).expect("64 bytes are enough");
+        assert!((20..=48).contains(&least), "{layout:?}: {least}");
+        for most in 0..least {
+            assert_refused(refused(most), "bytes");
+        }
+        assert!(refused(least).unwrap().bytes.len() as u64 <= least);
+    }
+    assert_refused(encode(&pixels, &quick(Target::Ratio(1e9))), "bytes");
+    let mut options = quick(Target::Bytes(300));
+    options.icc = Some(vec![7; 400]);
+    assert_refused(encode(&pixels, &options), "bytes");
+}
+
+#[test]
+fn pixels_without_a_side_or_of_the_wrong_length_are_parameter_errors() {
+    let make = |width, height, length| Pixels::new(width, height, Channels::Rgb, Samples::U8(vec![0; length]));
+    for (width, height, length, name) in [
+        (0, 5, 0, "width"),
+        (5, 0, 0, "height"),
+        (1 << 21, 1, 3 << 21, "width"),
+        (4, 4, 47, "samples"),
+        (4, 4, 49, "samples"),
+    ] {
+        let refused = make(width, height, length);
+        assert!(matches!(refused, Err(Error::Parameter { name: found, .. }) if found == name), "{refused:?}");
+    }
+}
