@@ -6,7 +6,7 @@ use libfuzzer_sys::fuzz_target;
 use peak_alloc::PeakAlloc;
 use ssplat::bitstream::sections::SectionFate;
 use ssplat::bitstream::splats::Layout;
-use ssplat::bitstream::{inspect, read, to_bytes};
+use ssplat::bitstream::{Missing, inspect, read, read_partial, to_bytes};
 use ssplat_fuzz::{SLACK, Sliced, tight_limits};
 
 #[global_allocator]
@@ -28,6 +28,15 @@ fuzz_target!(|data: &[u8]| {
         (Ok(a), Ok(b)) => assert!(a == b, "sliced input reads differently"),
         (Err(a), Err(b)) => assert_eq!(format!("{a:?}"), format!("{b:?}")),
         (a, b) => panic!("whole {:?}, sliced {:?}", a.as_ref().err(), b.as_ref().err()),
+    }
+    match (read_partial(data, &limits), &whole) {
+        (Ok((part, missing)), Ok(whole)) => assert!(part == *whole && missing == Missing::default()),
+        (Ok((part, missing)), Err(_)) => {
+            let count = part.gaussians.len() as u64 + u64::from(missing.primitives);
+            assert!(count <= limits.primitives && missing.groups <= missing.of_groups);
+        }
+        (Err(e), Ok(_)) => panic!("read whole but not in part: {e}"),
+        (Err(_), Err(_)) => {}
     }
     let Ok(splats) = whole else { return };
     let (inspected, report) = inspect(data, &limits).expect("what reads can be inspected");

@@ -4,7 +4,8 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde_json::json;
-use ssplat::bitstream::splats::Metadata;
+use ssplat::bitstream::splats::{Metadata, PackedSplats};
+use ssplat::bitstream::{Missing, read, read_partial};
 use ssplat::raster::{Renderer, SamplesMut, View};
 use ssplat::{Depth, Error, Limits, Picture};
 
@@ -28,8 +29,14 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     let bytes = source::read_all(&args.input)?;
     let failed = |e| Failure::library(&args.input, &e);
     let limits = Limits::default();
-    let splats = ssplat::bitstream::read(&bytes[..], &limits).map_err(failed)?;
+    let (splats, missing) = if args.partial {
+        read_partial(&bytes, &limits).map_err(failed)?
+    } else {
+        (read(&bytes[..], &limits).map_err(failed)?, Missing::default())
+    };
     drop(bytes);
+    let of = splats.gaussians.len() as u64 + u64::from(missing.primitives);
+    report_loss(&args.input, &splats, missing, of);
     let (picture, depth) = (splats.to_picture(), splats.depth);
     let metadata = splats.metadata;
     let view = view(args, &picture).map_err(failed)?;
@@ -46,10 +53,25 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     sink.finish()?;
     let seconds = start.elapsed().as_secs_f64();
     if args.json && args.output != Path::new("-") {
-        let result = json!({ "width": view.width(), "height": view.height(), "seconds": seconds });
+        let loss = json!({ "primitives": missing.primitives, "of": of });
+        let result = json!({ "width": view.width(), "height": view.height(), "missing": loss, "seconds": seconds });
         say(&format!("{result}\n"))?;
     }
     Ok(())
+}
+
+/// Says on standard error what a damaged file has lost.
+fn report_loss(path: &Path, splats: &PackedSplats, missing: Missing, of: u64) {
+    for name in &splats.metadata.damaged {
+        eprintln!("ssplat: {}: section {} is damaged and left out", path.display(), String::from_utf8_lossy(name));
+    }
+    if missing != Missing::default() {
+        let Missing { primitives, groups, of_groups, .. } = missing;
+        eprintln!(
+            "ssplat: {}: {primitives} of {of} primitives in {groups} of {of_groups} groups are missing",
+            path.display()
+        );
+    }
 }
 
 /// What `--region` and the size options ask for.

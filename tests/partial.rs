@@ -1,0 +1,58 @@
+//! What `ssplat decode --partial` promises: what is intact is drawn, and what is lost is named.
+#![cfg(feature = "cli")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use tempfile::TempDir;
+
+/// The bytes of a vector of the specification.
+fn vector(name: &str) -> Vec<u8> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("spec/vectors/valid");
+    fs::read(folder.join(name).join("file.ssplat")).unwrap()
+}
+
+/// Decodes `bytes` in `folder`, and says where the picture is if there is one.
+fn decode(folder: &TempDir, bytes: &[u8], options: &[&str]) -> (Output, Option<PathBuf>) {
+    let (input, output) = (folder.path().join("in.ssplat"), folder.path().join("out.pam"));
+    fs::write(&input, bytes).unwrap();
+    let _ = fs::remove_file(&output);
+    let run = Command::new(env!("CARGO_BIN_EXE_ssplat")).arg("decode").args([&input, &output]).args(options).output();
+    let drawn = output.exists().then_some(output);
+    (run.unwrap(), drawn)
+}
+
+#[test]
+fn a_cut_file_is_drawn_on_request_and_its_loss_is_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = vector("groups-levels");
+    let cut = &bytes[..bytes.len() - 20];
+    let (refused, none) = decode(&folder, cut, &[]);
+    assert_eq!((refused.status.code(), none), (Some(4), None));
+    let (drawn, picture) = decode(&folder, cut, &["--partial", "--json"]);
+    assert!(drawn.status.success() && picture.is_some());
+    let said = String::from_utf8(drawn.stderr).unwrap();
+    assert!(said.contains("30 of 60 primitives in 1 of 3 groups are missing"), "{said}");
+    let json = String::from_utf8(drawn.stdout).unwrap();
+    assert!(json.contains("\"missing\":{\"of\":60,\"primitives\":30}"), "{json}");
+}
+
+#[test]
+fn a_file_without_groups_is_whole_or_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = vector("coded-rgb");
+    let (whole, _) = decode(&folder, &bytes, &["--partial"]);
+    assert!(whole.status.success() && whole.stderr.is_empty());
+    let (cut, none) = decode(&folder, &bytes[..bytes.len() - 1], &["--partial"]);
+    assert_eq!((cut.status.code(), none), (Some(4), None));
+}
+
+#[test]
+fn a_damaged_section_is_named_and_the_picture_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let (drawn, picture) = decode(&folder, &vector("sections-damaged"), &[]);
+    assert!(drawn.status.success() && picture.is_some());
+    let said = String::from_utf8(drawn.stderr).unwrap();
+    assert!(said.contains("section iccp is damaged and left out"), "{said}");
+}
