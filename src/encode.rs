@@ -157,6 +157,9 @@ fn check(options: &EncodeOptions) -> Result<()> {
     if !(1..=9).contains(&options.effort) {
         return bad("effort", format!("{} is outside 1..=9", options.effort));
     }
+    if !(1..=8).contains(&options.levels) || (options.levels > 1 && options.layout != Layout::Coded) {
+        return bad("levels", format!("{} is outside 1..=8, or above 1 without the coded layout", options.levels));
+    }
     match options.target {
         Target::Ratio(r) if !(r.is_finite() && r > 0.0) => bad("ratio", format!("{r} is not a positive number")),
         Target::Psnr(p) if !(p.is_finite() && p > 0.0) => bad("psnr", format!("{p} is not a positive number")),
@@ -332,7 +335,7 @@ impl Session<'_> {
                 self.prune(&mut bytes, &mut splats, enough)?;
             }
             // Whatever a fit came to, it is not worse than one colour.
-            let alone = PackedSplats { gaussians: Vec::new(), codebook: None, ..splats.clone() };
+            let alone = PackedSplats { gaussians: Vec::new(), codebook: None, levels: Vec::new(), ..splats.clone() };
             let error = self.fitted_error(&splats);
             if error.is_nan() || error > self.fitted_error(&alone) {
                 (bytes, splats) = (self.file(&alone)?, alone);
@@ -396,6 +399,7 @@ impl Session<'_> {
     /// Fits the narrow picture.
     fn fitted(&mut self, count: usize, size: Size) -> Result<Outcome> {
         let mut plan = Plan::new(self.options.effort, count, self.options.time, self.options.seed);
+        plan.levels = self.options.levels;
         if self.options.needs == Needs::Measured {
             plan.enough = leave_out::enough(self.options.target, self.pixels.depth());
         }

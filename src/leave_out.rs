@@ -184,7 +184,7 @@ pub(crate) fn pruned(scene: &Scene, target: &Planes, splats: &PackedSplats, enou
         return None;
     }
     let mut pruned = PackedSplats { gaussians: best, ..splats.clone() };
-    finish::smallest(&mut pruned).ok()?;
+    finish::smallest(&mut pruned, 1).ok()?;
     Some(pruned)
 }
 

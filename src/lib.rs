@@ -9,6 +9,7 @@ extern crate self as ssplat;
 
 pub mod bitstream;
 mod convert;
+pub mod decode;
 mod decoder;
 pub mod encode;
 mod encoder;
@@ -25,12 +26,13 @@ pub mod quantize;
 pub mod raster;
 mod trace;
 
+pub use decode::{Decoded, decode};
 pub use decoder::{EXTENSION, SsplatDecoder, register};
 pub use encode::{EncodeReport, Encoded, LeftOut, Progress, encode, encode_with_progress};
 pub use encoder::{SsplatEncoder, save};
 pub use error::{Error, FormatError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
 pub use limits::Limits;
-pub use options::{Ablation, Backend, DecodeOptions, EncodeOptions, Needs, Recipe, Target, Trace, Tune};
+pub use options::{Ablation, Backend, Damage, DecodeOptions, EncodeOptions, Needs, Recipe, Target, Trace, Tune};
 pub use pixels::{Depth, Pixels, Samples};
 pub use trace::TracePoint;

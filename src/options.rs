@@ -113,6 +113,9 @@ pub struct EncodeOptions {
     pub backend: Backend,
     /// What to look for that can be left out.
     pub needs: Needs,
+    /// `1..=8`: progressive levels, large primitives first, so that a file cut after a level is a whole, coarser
+    /// picture. Each costs 1 to 2 % of the bytes. Only the coded layout has more than one.
+    pub levels: u8,
     /// Whether to measure quality along the way.
     pub trace: Trace,
     /// ICC profile to carry.
@@ -134,6 +137,7 @@ impl Default for EncodeOptions {
             tune: Tune::Psnr,
             backend: Backend::Auto,
             needs: Needs::Measured,
+            levels: 1,
             trace: Trace::Off,
             icc: None,
             exif: None,
@@ -141,10 +145,27 @@ impl Default for EncodeOptions {
     }
 }
 
-/// Options of [`decode`](crate::decode).
+/// What to do with a truncated or damaged file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub enum Damage {
+    /// Fail.
+    #[default]
+    Refuse,
+    /// Draw the groups that are intact, if the file has any, and say what is missing.
+    Accept,
+}
+
+/// Options of [`decode`](crate::decode()).
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct DecodeOptions {
     /// What the file may ask for.
     pub limits: Limits,
+    /// The part to draw: left, top, width and height, pixels of the picture; `None`: all of it.
+    pub region: Option<[u32; 4]>,
+    /// Width and height of the output, pixels; `None`: those of the region. Larger ones sample the continuous picture,
+    /// smaller ones are low-passed.
+    pub size: Option<[u32; 2]>,
+    /// What to do with a truncated or damaged file.
+    pub damage: Damage,
 }

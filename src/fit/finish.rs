@@ -79,7 +79,7 @@ pub(crate) fn finish(
     let mut field = std::mem::take(&mut state.field);
 
     let mut activity = Activity::new(scene.width, scene.height);
-    let mut bytes = smallest(splats)?;
+    let mut bytes = smallest(splats, plan.levels)?;
     let mut best: Option<Best> = None;
     let rounds = plan.sweeps.max(2) + 6;
     let mut quiet = 0;
@@ -113,18 +113,18 @@ pub(crate) fn finish(
             let swept = descend::sweep(&scene, target, &quantizer, gaussians, &objective, &mut activity, &mut field);
             quiet = if swept.gain < 2e-4 * error { quiet + 1 } else { 0 };
         }
-        bytes = smallest(splats)?;
+        bytes = smallest(splats, plan.levels)?;
     }
     if let Size::Bytes(most) = size {
         let error = squared_error(&scene, target, &quantizer, &splats.gaussians, &mut field);
         Best::keep(&mut best, error, splats, &bytes, most);
         if let Some(best) = best {
-            (splats.gaussians, splats.codebook) = (best.gaussians, best.codebook);
+            (splats.gaussians, splats.codebook, splats.levels) = (best.gaussians, best.codebook, best.levels);
             return Ok(best.bytes);
         }
         while bytes.len() as u64 > most && !splats.gaussians.is_empty() {
             resize(&scene, target, &quantizer, splats, bytes.len() as u64, most, &mut activity, &mut field);
-            bytes = smallest(splats)?;
+            bytes = smallest(splats, plan.levels)?;
         }
     }
     Ok(bytes)
@@ -137,6 +137,7 @@ struct Best {
     error: f64,
     gaussians: Vec<PackedGaussian>,
     codebook: Option<Vec<[i16; 4]>>,
+    levels: Vec<u32>,
     bytes: Vec<u8>,
 }
 
@@ -146,13 +147,26 @@ impl Best {
         let fills = left <= (most / 50).max(40);
         if best.as_ref().is_none_or(|b| (fills, b.error) > (b.fills, error)) {
             let (gaussians, codebook) = (splats.gaussians.clone(), splats.codebook.clone());
-            *best = Some(Best { fills, error, gaussians, codebook, bytes: bytes.to_vec() });
+            let levels = splats.levels.clone();
+            *best = Some(Best { fills, error, gaussians, codebook, levels, bytes: bytes.to_vec() });
         }
     }
 }
 
+/// Orders the primitives into `levels` levels, large ones first, each with three times as many as all before it.
+fn divide(splats: &mut PackedSplats, levels: u8) {
+    splats.gaussians.sort_by_key(|g| std::cmp::Reverse(u16::from(g.major) + u16::from(g.minor)));
+    let count = splats.gaussians.len() as u32;
+    let ends: Vec<u32> = (1..=u32::from(levels)).map(|k| count / 3u32.pow(u32::from(levels) - k)).collect();
+    splats.levels = ends.iter().enumerate().map(|(k, end)| end - if k > 0 { ends[k - 1] } else { 0 }).collect();
+    splats.levels.retain(|&n| n > 0);
+}
+
 /// The file, with its colours in a codebook where that is smaller.
-pub(crate) fn smallest(splats: &mut PackedSplats) -> Result<Vec<u8>> {
+pub(crate) fn smallest(splats: &mut PackedSplats, levels: u8) -> Result<Vec<u8>> {
+    if levels > 1 {
+        divide(splats, levels);
+    }
     splats.codebook = None;
     let direct = crate::bitstream::to_bytes(splats)?;
     let mut colors: Vec<[i16; 4]> = splats.gaussians.iter().map(|g| g.color).collect();

@@ -26,6 +26,8 @@ pub(crate) struct Plan {
     pub enough: f64,
     /// Factor of the optimizer's steps; other than 1 only in tests of stability.
     pub rate: f32,
+    /// Progressive levels of the file.
+    pub levels: u8,
     /// Seed of everything random.
     pub seed: u64,
 }
@@ -57,6 +59,7 @@ impl Plan {
             deadline,
             enough: 0.0,
             rate: 1.0,
+            levels: 1,
             seed,
         }
     }

@@ -81,6 +81,9 @@ pub struct Encode {
     /// Which measure to favour
     #[arg(long, default_value = "psnr", value_parser = names::tune())]
     pub tune: Tune,
+    /// Progressive levels, each 1 to 2 % of the bytes: a file cut after one decodes with --partial
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
+    pub levels: u8,
     /// Which device fits
     #[arg(long, default_value = "auto", value_parser = names::backend())]
     pub backend: Backend,
@@ -132,6 +135,7 @@ impl Encode {
         o.blend = self.blend;
         o.recipe = self.recipe;
         o.tune = self.tune;
+        o.levels = self.levels;
         o.backend = self.backend;
         o
     }

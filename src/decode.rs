@@ -1,0 +1,44 @@
+//! Bytes to pixels: the whole decoder behind one function.
+
+use crate::bitstream::splats::Metadata;
+use crate::bitstream::{self, Missing};
+use crate::error::Result;
+use crate::options::{Damage, DecodeOptions};
+use crate::pixels::Pixels;
+use crate::raster::{Renderer, View};
+
+/// A decoded picture.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Decoded {
+    /// The pixels, with the channels and the depth of the source.
+    pub pixels: Pixels,
+    /// ICC profile and EXIF block.
+    pub metadata: Metadata,
+    /// What could not be read; nothing unless [`Damage::Accept`] was asked for.
+    pub missing: Missing,
+}
+
+/// Decodes the file `bytes`, or the part of it that `options` ask for; primitives outside that part cost no drawing.
+///
+/// # Errors
+/// [`Error::Format`](crate::Error::Format) and [`Error::UnsupportedVersion`](crate::Error::UnsupportedVersion) for
+/// what cannot be read, [`Error::LimitExceeded`](crate::Error::LimitExceeded) for what is too large,
+/// [`Error::Parameter`](crate::Error::Parameter) for a region outside the picture or an empty one.
+pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
+    let limits = &options.limits;
+    let (splats, missing) = match options.damage {
+        Damage::Refuse => (bitstream::read(bytes, limits)?, Missing::default()),
+        Damage::Accept => bitstream::read_partial(bytes, limits)?,
+    };
+    let picture = splats.to_picture();
+    let mut view = View::full(&picture);
+    if let Some([x, y, width, height]) = options.region {
+        view = view.crop(x, y, width, height)?;
+    }
+    if let Some([width, height]) = options.size {
+        view = view.resized(width, height)?;
+    }
+    let pixels = Renderer::new(&picture, &view, limits)?.render(splats.depth)?;
+    Ok(Decoded { pixels, metadata: splats.metadata, missing })
+}
