@@ -116,9 +116,9 @@ fn widened<T: Copy>(samples: &[T], from: Channels, to: Channels, white: T) -> Ve
     samples.chunks_exact(from.count()).flat_map(|p| (0..to.count()).map(move |k| value(p, k))).collect()
 }
 
-/// Mean squared error of a sample that rounding to code values makes by itself.
+/// Mean squared error of a sample that rounding to code values makes by itself: once in the source, once when decoding.
 pub(crate) fn rounding(depth: Depth) -> f64 {
-    1.0 / (12.0 * f64::from(depth.max()).powi(2))
+    2.0 / (12.0 * f64::from(depth.max()).powi(2))
 }
 
 /// Mean squared error of a sample at which more iterations bring nothing: rounding makes as much, or the target is
@@ -296,10 +296,10 @@ mod tests {
             report.left_out.iter().find(|l| l.what.starts_with(what)).unwrap_or_else(|| panic!("{what}: {report:?}"))
         });
         assert!(iterations.seconds > 0.0 && primitives.bytes > 0);
-        // 58.9 dB is the error of rounding itself.
-        assert!(report.psnr > 58.9, "{}", report.psnr);
+        // 55.9 dB is the error of rounding twice.
+        assert!(report.psnr > 55.9, "{}", report.psnr);
         let found = crate::metrics::psnr(&pixels, &decoded(&encoded.bytes)).unwrap();
-        assert!(found > 55.5, "{found}");
+        assert!(found > 53.5, "{found}");
     }
 
     #[test]

@@ -224,7 +224,7 @@ Examples:
   ssplat report *.png --out report --ratios 20,50,200,1000 --efforts 1,3,5,7,9
   ssplat report *.png --out report --anchors anchors.csv --codecs none
 
-Writes index.html, results.csv, results.json and anchors.csv into the folder. What is
+Writes index.html, tables.md, results.csv, results.json and anchors.csv into the folder. What is
 done is kept in its folder cells: started again, the command goes on where it stopped.
 The CSV of anchors has the columns image, codec, bytes, psnr, msssim, ssim, enc_s,
 dec_s, setting.";
@@ -266,7 +266,7 @@ pub struct Report {
 pub enum Recipes {
     /// Both blends, and SmartSplat with its ablation
     All,
-    /// Only our own
+    /// Only our own, with both blends
     Own,
 }
 

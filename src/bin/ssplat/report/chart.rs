@@ -76,13 +76,13 @@ impl Chart {
                 WIDTH - right,
                 left - 6.0,
                 py + 4.0,
-                number(tick)
+                y.text(tick)
             );
         }
         let mut free = f64::NEG_INFINITY;
         for tick in x.ticks(6) {
             let (px, _) = at((tick, y.low));
-            let text = number(tick);
+            let text = x.text(tick);
             let half = text.len() as f64 * 3.2;
             let _ =
                 write!(svg, r#"<line class="grid" x1="{px:.1}" x2="{px:.1}" y1="{top}" y2="{}"/>"#, HEIGHT - bottom);
@@ -223,7 +223,8 @@ impl Span {
         match scale {
             Scale::Log => {
                 low = low.max(1e-6);
-                let pad = (high / low).max(1.2).powf(0.04);
+                // Two round values at least, however few points there are.
+                let pad = (high / low).max(1.2).powf(0.04).max((2.6 / (high / low)).sqrt());
                 Span { low: low / pad, high: high.max(low) * pad, scale }
             }
             Scale::Linear => {
@@ -239,6 +240,17 @@ impl Span {
             Scale::Log => (v.max(1e-6) / self.low).ln() / (self.high / self.low).ln(),
             Scale::Linear => (v - self.low) / (self.high - self.low),
         }
+    }
+
+    /// A tick's label, with as many digits as tell it from the next one.
+    fn text(&self, tick: f64) -> String {
+        let span = self.high - self.low;
+        if self.scale == Scale::Log || span > 5.0 || self.high.abs() >= 999.5 {
+            return number(tick);
+        }
+        let digits = (1 - (span / 5.0).log10().floor() as i32).clamp(0, 6) as usize;
+        let text = format!("{tick:.digits$}");
+        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
     }
 
     /// About `count` round values within the span.

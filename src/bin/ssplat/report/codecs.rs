@@ -4,6 +4,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
+use image::codecs::pnm::{PnmEncoder, PnmSubtype, SampleEncoding};
 use ssplat::Pixels;
 
 use crate::compare;
@@ -117,7 +118,16 @@ pub fn run(name: &str, image: &str, pixels: &Pixels) -> Result<Vec<Anchor>, Fail
     // cjpeg reads PPM, avifenc PNG; the others read both.
     let input = path(if codec.name == "jpeg" { "in.ppm" } else { "in.png" });
     let picture = image::DynamicImage::from(pixels.clone()).to_rgb8();
-    picture.save(&input).map_err(|e| Failure::image(Path::new(&input), &e))?;
+    let failed = |e| Failure::image(Path::new(&input), &e);
+    match codec.name {
+        // `save` would write PAM, which cjpeg does not read.
+        "jpeg" => {
+            let file = std::fs::File::create(&input).map_err(|e| Failure::io(Path::new(&input), &e))?;
+            let pixmap = PnmSubtype::Pixmap(SampleEncoding::Binary);
+            picture.write_with_encoder(PnmEncoder::new(file).with_subtype(pixmap)).map_err(failed)?;
+        }
+        _ => picture.save(&input).map_err(failed)?,
+    }
     let reference =
         Pixels::try_from(image::DynamicImage::from(picture)).map_err(|e| Failure::library(Path::new(image), &e))?;
     let mut anchors = Vec::new();

@@ -5,7 +5,7 @@ use image::{DynamicImage, ImageEncoder, RgbImage};
 use ssplat::Pixels;
 
 /// Side of a piece, pixels.
-pub const SIDE: u32 = 176;
+pub const SIDE: u32 = 156;
 /// What the error is multiplied by to be seen.
 pub const GAIN: f32 = 4.0;
 

@@ -8,6 +8,7 @@ mod left_out;
 mod page;
 mod scenes;
 mod stability;
+mod tables;
 
 use std::path::Path;
 
@@ -71,6 +72,7 @@ pub fn run(args: &args::Report) -> Result<(), Failure> {
         Sink::create(&path, &[])?.finish_with(text.as_bytes())
     };
     write("index.html", contents.html())?;
+    write("tables.md", tables::markdown(&contents))?;
     write("results.csv", csv(&cells))?;
     write("results.json", format!("{:#}\n", as_json(&cells, &anchors, &stability, &left_out)))?;
     write("anchors.csv", codecs::as_csv(&anchors))?;
@@ -92,8 +94,8 @@ fn jobs(args: &args::Report, subjects: usize, (ratio, effort): (f64, u8)) -> Vec
     let mut setups = vec![own];
     setups.extend(args.ratios.iter().map(|&ratio| Setup { ratio, ..own }));
     setups.extend(args.efforts.iter().map(|&effort| Setup { effort, ..own }));
+    setups.push(Setup { blend: Some(Blend::Sum), ..own });
     if args.recipes == Recipes::All {
-        setups.push(Setup { blend: Some(Blend::Sum), ..own });
         for step in [Ablation::Random, Ablation::Means, Ablation::Scales, Ablation::Colors] {
             setups.push(Setup { recipe: Recipe::SmartSplat(step), ..own });
         }

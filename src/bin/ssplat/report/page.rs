@@ -70,7 +70,7 @@ impl Contents<'_> {
         })
     }
 
-    fn over_ratios(&self, subject: usize) -> Vec<&Cell> {
+    pub fn over_ratios(&self, subject: usize) -> Vec<&Cell> {
         let mut cells: Vec<&Cell> = self.ours(subject).filter(|c| c.job.setup.effort == self.middle.1).collect();
         cells.sort_by(|a, b| a.job.setup.ratio.total_cmp(&b.job.setup.ratio));
         cells
@@ -114,13 +114,12 @@ impl Contents<'_> {
                     cell.number("decode_ms_full"),
                 );
                 for codec in colors.keys() {
-                    let curve = self.curve(&subject.name, codec, |a| Some(a.psnr));
-                    match codecs::at_bytes(&curve, cell.number("bytes")) {
-                        Some(other) if psnr >= other => {
-                            let _ = write!(table, "<td class=\"up\">+{:.2}</td>", psnr - other);
+                    match self.lead(&subject.name, codec, cell) {
+                        Some(lead) if lead >= 0.0 => {
+                            let _ = write!(table, "<td class=\"up\">+{lead:.2}</td>");
                         }
-                        Some(other) => {
-                            let _ = write!(table, "<td class=\"down\">−{:.2}</td>", other - psnr);
+                        Some(lead) => {
+                            let _ = write!(table, "<td class=\"down\">−{:.2}</td>", -lead);
                         }
                         None => table += "<td class=\"none\">–</td>",
                     }
@@ -131,6 +130,17 @@ impl Contents<'_> {
         table += "</tbody></table></div>\n<p class=\"note\">Δ is our PSNR minus the codec's at the same bytes, between its measured files; – where it \
                   has no files around that size.</p>\n";
         table
+    }
+
+    /// Names of the codecs beside ours.
+    pub fn codecs(&self) -> Vec<&str> {
+        codec_colors(self.anchors).into_keys().collect()
+    }
+
+    /// PSNR of `cell` over that of `codec` at the same bytes, dB; `None` where the codec has no files around that size.
+    pub fn lead(&self, image: &str, codec: &str, cell: &Cell) -> Option<f64> {
+        let curve = self.curve(image, codec, |a| Some(a.psnr));
+        codecs::at_bytes(&curve, cell.number("bytes")).map(|other| cell.number("psnr") - other)
     }
 
     fn curve(&self, image: &str, codec: &str, value: impl Fn(&Anchor) -> Option<f64>) -> Vec<(f64, f64)> {
@@ -322,20 +332,34 @@ impl Contents<'_> {
         let failed = self.stability.iter().filter(|r| !r.holds()).count();
         let mut html = format!(
             "<h2>Stiff and extreme cases</h2>\n<p>{} cases, {}. A fit must be finite and no worse than the picture of its mean colour; a picture drawn in \
-             f32 must stay within one 8-bit code value of the f64 definition.</p>\n<div class=\"scroll\"><table><thead><tr><th>Kind</th><th>Case</th>\
-             <th>Worst</th><th>Bound</th><th></th><th>What guards it</th></tr></thead><tbody>\n",
+             f32 must stay within one 8-bit code value of the f64 definition; gradients must be those of finite differences in f64.</p>\n",
             self.stability.len(),
             if failed == 0 { "all within their bounds".into() } else { format!("{failed} beyond their bounds") },
         );
+        html += "<div class=\"scroll\"><table><thead><tr><th>Kind</th><th>Cases</th><th class=\"text\">The worst of them</th><th>Worst</th>\
+                 <th>Bound</th></tr></thead><tbody>\n";
+        let mut groups: Vec<&str> = Vec::new();
         for row in self.stability {
-            let small = |v: f64| if v != 0.0 && v.abs() < 1e-2 { format!("{v:.0e}") } else { number(v) };
-            let (worst, bound) = match row.bound {
-                Bound::Codes(v) => (format!("{} codes", small(row.worst)), format!("≤ {} codes", number(v))),
-                Bound::Gain(v) => (format!("{:+.2} dB", row.worst), format!("≥ {v} dB")),
-                Bound::Relative(v) => (format!("{:.1e}", row.worst), format!("≤ {v:e}")),
-                Bound::Finite => (format!("{:+.2} dB", row.worst), "finite".into()),
-                Bound::Reported => (format!("{:.1e}", row.worst), "–".into()),
-            };
+            if !groups.contains(&row.group.as_str()) {
+                groups.push(&row.group);
+            }
+        }
+        for group in groups {
+            let rows = || self.stability.iter().filter(|r| r.group == group);
+            let Some(row) = rows().max_by(|a, b| a.badness().total_cmp(&b.badness())) else { continue };
+            let (worst, bound) = figures(row);
+            let _ = writeln!(
+                html,
+                "<tr><th>{}</th><td>{}</td><td class=\"text\">{}</td><td>{worst}</td><td>{bound}</td></tr>",
+                escape(group),
+                rows().count(),
+                escape(&row.case),
+            );
+        }
+        html += "</tbody></table></div>\n<details><summary>All cases, and what guards each</summary>\n<div class=\"scroll\"><table><thead><tr><th>Kind</th>\
+                 <th class=\"text\">Case</th><th>Worst</th><th>Bound</th><th></th><th class=\"text\">What guards it</th></tr></thead><tbody>\n";
+        for row in self.stability {
+            let (worst, bound) = figures(row);
             let _ = writeln!(
                 html,
                 "<tr><th>{}</th><th>{}</th><td>{worst}</td><td>{bound}</td><td class=\"{}\">{}</td><td class=\"text\">{}</td></tr>",
@@ -346,7 +370,7 @@ impl Contents<'_> {
                 escape(&row.guard)
             );
         }
-        html + "</tbody></table></div>\n"
+        html + "</tbody></table></div></details>\n"
     }
 
     fn needless(&self) -> String {
@@ -354,12 +378,13 @@ impl Contents<'_> {
             return String::new();
         }
         let mut html = String::from(
-            "<h2>What a scene leaves out</h2>\n<p>The same picture, encoded twice with the same number of primitives: once with everything, once without what \
-             the encoder measured to be needless.</p>\n<div class=\"scroll\"><table><thead><tr><th>Scene</th><th>Left out</th><th>Bytes</th><th>Saved</th>\
+            "<h2>What a scene leaves out</h2>\n<p>The same picture, encoded with 400 primitives or fewer: once with everything, once without what the encoder \
+             measured to be needless; means over four seeds; in brackets, bytes of the file written both ways. The photograph is a part of the first picture.</p>\n\
+             <div class=\"scroll\"><table><thead><tr><th>Scene</th><th class=\"text\">Left out</th><th>Bytes</th><th>Saved</th>\
              <th>Seconds</th><th>Saved</th><th>PSNR dB</th><th>Change</th></tr></thead><tbody>\n",
         );
         for n in self.left_out {
-            let what = if n.what.is_empty() { "nothing".to_string() } else { n.what.join(", ") };
+            let what = if n.what.is_empty() { "nothing".to_string() } else { n.what.join("; ") };
             let _ = writeln!(
                 html,
                 "<tr><th>{}</th><td class=\"text\">{}</td><td>{}</td><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:+.2}</td></tr>",
@@ -399,6 +424,19 @@ impl Contents<'_> {
             );
         }
         html
+    }
+}
+
+/// What a row saw and what it promises, in words.
+pub fn figures(row: &Row) -> (String, String) {
+    let small = |v: f64| if v != 0.0 && v.abs() < 1e-2 { format!("{v:.0e}") } else { number(v) };
+    match row.bound {
+        Bound::Codes(v) => (format!("{} codes", small(row.worst)), format!("≤ {} codes", number(v))),
+        Bound::Gain(v) => (format!("{:+.2} dB", row.worst), format!("≥ {v} dB")),
+        Bound::Relative(v) => (format!("{:.1e}", row.worst), format!("≤ {v:e}")),
+        Bound::Finite => (if row.worst.is_finite() { "finite" } else { "not finite" }.into(), "finite".into()),
+        Bound::Reported if row.worst.is_infinite() => ("singular".into(), "–".into()),
+        Bound::Reported => (format!("{:.1e}", row.worst), "–".into()),
     }
 }
 

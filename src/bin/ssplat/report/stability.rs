@@ -29,7 +29,7 @@ pub enum Bound {
     Gain(f64),
     /// A relative error of at most this.
     Relative(f64),
-    /// Finite, whatever its size, in decibels above the picture of one constant colour.
+    /// Finite, whatever its size.
     Finite,
     /// Nothing: it is there to be known.
     Reported,
@@ -43,6 +43,17 @@ impl Row {
             Bound::Finite => self.worst.is_finite(),
             Bound::Reported => true,
         }
+    }
+
+    /// How near its bound the row is, for finding the worst of several; NaN counts as the worst.
+    pub fn badness(&self) -> f64 {
+        let v = match self.bound {
+            Bound::Codes(most) | Bound::Relative(most) => self.worst / most,
+            Bound::Gain(least) => least - self.worst,
+            Bound::Finite => -self.worst.abs(),
+            Bound::Reported => self.worst,
+        };
+        if v.is_nan() { f64::INFINITY } else { v }
     }
 
     /// The row as one line of tab-separated text.
@@ -61,6 +72,8 @@ impl Row {
 /// Reads the lines of [`Row::line`] among others.
 pub fn parse(text: &str) -> Vec<Row> {
     let rows = text.lines().filter_map(|line| {
+        // The harness of tests may have begun the line.
+        let line = &line[line.find("stability\t")?..];
         let cells: Vec<&str> = line.trim().split('\t').collect();
         let ["stability", group, case, worst, unit, bound, guard] = cells[..] else { return None };
         let bound: f64 = bound.parse().ok()?;
