@@ -80,8 +80,18 @@ fn fitted_scenes_are_within_one_code_value_for_all_channels_and_blends() {
 #[test]
 fn single_gaussians_of_every_shape_are_within_one_code_value() {
     let scales = [0.25f32, 0.3, 0.5, 0.8, 1.0, 1.7, 3.0, 9.0, 40.0, 300.0, 1e4, 1_048_576.0];
-    let angles =
-        [0.0f32, 1e-4, 0.1, std::f32::consts::FRAC_PI_4, 1.2, 1.5707, 1.570_796_4, 1.58, 2.4, std::f32::consts::PI];
+    let angles = [
+        0.0f32,
+        1e-4,
+        0.1,
+        std::f32::consts::FRAC_PI_4,
+        1.2,
+        std::f32::consts::FRAC_PI_2 - 1e-4,
+        std::f32::consts::FRAC_PI_2,
+        1.58,
+        2.4,
+        std::f32::consts::PI,
+    ];
     for blend in [Blend::Normalized, Blend::Sum] {
         for (i, &major) in scales.iter().enumerate() {
             for &minor in &scales[..=i] {
@@ -200,7 +210,7 @@ fn thread_counts_do_not_change_bits() {
 fn pictures_of_none_one_and_two_primitives_draw() {
     for blend in [Blend::Normalized, Blend::Sum] {
         for count in 0..3 {
-            let all = vec![one([10.0, 9.0], [4.0, 2.0], 0.3), one([1.0, 20.0], [0.25, 0.25], 0.0)];
+            let all = [one([10.0, 9.0], [4.0, 2.0], 0.3), one([1.0, 20.0], [0.25, 0.25], 0.0)];
             let p = picture(33, 21, Channels::Rgb, blend, all[..count].to_vec());
             assert!(worst(&p, &View::full(&p), Depth::Eight) <= 1);
         }

@@ -438,8 +438,11 @@ fn write_vectors() {
     }
 }
 
-/// The vectors on disk: folder, name, the fields of the case file, the file, the picture.
-fn on_disk() -> Vec<(String, Vec<(String, String)>, Vec<u8>, Option<Vec<u8>>)> {
+/// A vector on disk: name, the fields of the case file, the file, the picture.
+type Stored = (String, Vec<(String, String)>, Vec<u8>, Option<Vec<u8>>);
+
+/// The vectors on disk.
+fn on_disk() -> Vec<Stored> {
     let mut out = Vec::new();
     for folder in ["valid", "invalid", "limits"] {
         for entry in fs::read_dir(root().join(folder)).unwrap() {
