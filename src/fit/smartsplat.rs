@@ -434,6 +434,8 @@ mod tests {
             assert!(tiles.iter().all(|t| t.len() == side.min(TILE)));
             assert_eq!((tiles[0].start, tiles.last().unwrap().end), (0, side));
             assert!(tiles.windows(2).all(|t| t[1].start <= t[0].end), "{side}");
+            let steps = || tiles.windows(2).map(|t| t[1].start - t[0].start);
+            assert!(steps().max().unwrap_or(0) - steps().min().unwrap_or(0) <= 1, "{side}");
         }
     }
 
