@@ -3,29 +3,33 @@
 
 use arbitrary::Arbitrary;
 use libfuzzer_sys::fuzz_target;
-use ssplat::bitstream::splats::Layout;
+use ssplat::bitstream::header::Header;
+use ssplat::bitstream::splats::{Layout, PackedGaussian};
 use ssplat::bitstream::{read, to_bytes};
-use ssplat_fuzz::{Legal, tight_limits};
+use ssplat_fuzz::{Head, tight_limits};
 
+/// The payload is what is left of the fuzzed bytes.
 #[derive(Debug, Arbitrary)]
 struct Input<'a> {
-    head: Legal,
+    head: Head,
+    count: u8,
     payload: &'a [u8],
 }
 
 fuzz_target!(|input: Input| {
-    let mut splats = input.head.0;
+    let (limits, mut splats) = (tight_limits(), input.head.0);
     splats.layout = Layout::Coded;
-    splats.metadata = Default::default();
-    // The header is what comes before a stream of the same header with another background.
+    // Primitives only for the header to count them.
+    let color = splats.codebook.as_ref().map_or([0; 4], |book| book[0]);
+    splats.gaussians = vec![PackedGaussian { color, ..PackedGaussian::default() }; input.count.into()];
     let Ok(mut bytes) = to_bytes(&splats) else { return };
-    splats.background[0] ^= 0x55;
-    let Ok(other) = to_bytes(&splats) else { return };
-    let head = bytes.iter().zip(&other).take_while(|(a, b)| a == b).count().min(23);
+    let mut rest = &bytes[..];
+    Header::read(&mut rest, &limits).expect("what was written has a sound header");
+    let head = bytes.len() - rest.len();
     bytes.truncate(head);
     bytes.extend_from_slice(input.payload);
     bytes.extend_from_slice(&[0; 4]);
-    if let Ok(read) = read(&bytes[..], &tight_limits()) {
+    if let Ok(read) = read(&bytes[..], &limits) {
         let again = to_bytes(&read).expect("what was read can be written");
         let body = bytes.len() - 4;
         assert!(again.len() == bytes.len() && again[..body] == bytes[..body], "bytes are not canonical");

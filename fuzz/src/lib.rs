@@ -44,11 +44,11 @@ impl Read for Sliced<'_> {
     }
 }
 
-/// Integers that obey the format.
+/// A picture that obeys the format, without primitives.
 #[derive(Debug, Clone)]
-pub struct Legal(pub PackedSplats);
+pub struct Head(pub PackedSplats);
 
-impl<'a> Arbitrary<'a> for Legal {
+impl<'a> Arbitrary<'a> for Head {
     fn arbitrary(u: &mut Unstructured<'a>) -> arbitrary::Result<Self> {
         let layout = *u.choose(&[Layout::Packed, Layout::Planes, Layout::Coded])?;
         let channels = *u.choose(&[Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba])?;
@@ -64,14 +64,13 @@ impl<'a> Arbitrary<'a> for Legal {
             luma: u.int_in_range(0..=15)?,
             chroma: u.int_in_range(0..=3)?,
         };
-        let lattice = Lattice::new(&steps, layout);
         let wide = u.arbitrary()?;
         let colors = if u.arbitrary()? {
             Some((0..=u.int_in_range(0..=20)?).map(|_| color(u, channels, wide)).collect::<Result<Vec<_>, _>>()?)
         } else {
             None
         };
-        let mut splats = PackedSplats {
+        Ok(Head(PackedSplats {
             width,
             height,
             channels,
@@ -84,7 +83,20 @@ impl<'a> Arbitrary<'a> for Legal {
             gaussians: Vec::new(),
             levels: Vec::new(),
             metadata: Default::default(),
-        };
+        }))
+    }
+}
+
+/// Integers that obey the format.
+#[derive(Debug, Clone)]
+pub struct Legal(pub PackedSplats);
+
+impl<'a> Arbitrary<'a> for Legal {
+    fn arbitrary(u: &mut Unstructured<'a>) -> arbitrary::Result<Self> {
+        let mut splats = Head::arbitrary(u)?.0;
+        let PackedSplats { steps, width, height, channels, .. } = splats;
+        let lattice = Lattice::new(&steps, splats.layout);
+        let wide = u.arbitrary()?;
         if u.arbitrary()? {
             splats.metadata.icc = Some(u.arbitrary()?);
         }
