@@ -89,7 +89,7 @@ pub enum Trace {
     On,
 }
 
-/// Options of [`encode`](crate::encode).
+/// Options of [`encode`](crate::encode()).
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct EncodeOptions {

@@ -78,6 +78,8 @@ fn fitted_scenes_are_within_one_code_value_for_all_channels_and_blends() {
 }
 
 #[test]
+// Near a quarter turn on purpose.
+#[allow(clippy::approx_constant)]
 fn single_gaussians_of_every_shape_are_within_one_code_value() {
     let scales = [0.25f32, 0.3, 0.5, 0.8, 1.0, 1.7, 3.0, 9.0, 40.0, 300.0, 1e4, 1_048_576.0];
     let angles = [

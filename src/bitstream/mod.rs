@@ -67,7 +67,7 @@ pub fn write<W: Write>(splats: &PackedSplats, writer: &mut W) -> Result<()> {
     Ok(())
 }
 
-/// The file of `splats`; see [`write`].
+/// The file of `splats`; see [`write()`].
 ///
 /// # Errors
 /// [`Error::Parameter`] if the integers break spec §4.

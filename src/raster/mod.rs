@@ -1,4 +1,4 @@
-//! Gaussians to pixels, within one 8-bit code value of [`reference`] (spec §5); knows no bytes.
+//! Gaussians to pixels, within one 8-bit code value of [`mod@reference`] (spec §5); knows no bytes.
 //!
 //! A [`View`] says which part of the plane is drawn at which step, a [`Renderer`] draws it. The output is
 //! bit-identical for any number of threads, any instruction set and any way of cutting a view into parts:
