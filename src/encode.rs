@@ -2,6 +2,7 @@
 
 use std::ops::ControlFlow;
 
+use crate::backend::{Choice, Chosen};
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
 use crate::error::{Error, Result};
 use crate::fit;
@@ -46,6 +47,8 @@ pub struct EncodeReport {
     pub stages: Vec<(&'static str, f64)>,
     /// What the picture did not need.
     pub left_out: Vec<LeftOut>,
+    /// The device that fitted the picture, and why that one.
+    pub chosen: Chosen,
     /// Quality along the way; empty unless [`EncodeOptions::trace`] asks for it.
     pub trace: Vec<TracePoint>,
 }
@@ -102,6 +105,7 @@ pub fn encode_with_progress(
     let narrow = if measured { leave_out::narrow(pixels) } else { None };
     let narrowed = narrow.as_ref().map_or(pixels, |n| &n.pixels);
     let planes = Planes::new(narrowed);
+    let choice = Choice::new(options, narrowed)?;
     let mut session = Session {
         original: pixels,
         pixels: narrowed,
@@ -109,6 +113,7 @@ pub fn encode_with_progress(
         options,
         blend,
         planes,
+        choice,
         progress,
         tracer,
         stages: Vec::new(),
@@ -143,6 +148,7 @@ pub fn encode_with_progress(
         seconds: session.tracer.seconds(),
         stages: session.stages,
         left_out: session.left_out,
+        chosen: session.choice.chosen,
         trace: session.tracer.into_points(),
     };
     Ok(Encoded { bytes, report })
@@ -180,6 +186,7 @@ struct Session<'a> {
     options: &'a EncodeOptions,
     blend: Blend,
     planes: Planes,
+    choice: Choice,
     progress: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>,
     tracer: Tracer,
     stages: Vec<(&'static str, f64)>,
@@ -431,7 +438,9 @@ impl Session<'_> {
             watch(tracer, "fit", done, now)
         };
         let state = match self.options.recipe {
-            Recipe::Ssplat => fit::fit(&scene, planes, count, &plan, &mut recount, &mut watch_fit)?,
+            Recipe::Ssplat => {
+                self.choice.fit(&scene, self.pixels, planes, count, &plan, &mut recount, &mut watch_fit)?
+            }
             Recipe::SmartSplat(parts) => {
                 smartsplat::fit(&scene, planes, count, parts, &plan, &mut recount, &mut watch_fit)?
             }

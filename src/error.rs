@@ -36,6 +36,57 @@ pub enum Error {
     },
     /// The encoder stopped because the progress callback asked for it.
     Cancelled,
+    /// The device: a GPU is missing, failed or is too small.
+    Gpu(GpuError),
+}
+
+/// What went wrong on the way to a GPU or on it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum GpuError {
+    /// This build of the crate has no `gpu` feature.
+    NotBuilt,
+    /// No adapter was found.
+    NoAdapter,
+    /// The only adapters are programs, which were not asked for.
+    SoftwareOnly {
+        /// The best of them.
+        name: String,
+    },
+    /// The adapter could not be opened.
+    Refused {
+        /// What the driver says.
+        problem: String,
+    },
+    /// The device is gone: unplugged, reset by its driver or destroyed by the program.
+    Lost {
+        /// What the driver says.
+        problem: String,
+    },
+    /// The device has not enough memory.
+    OutOfMemory {
+        /// What the driver says.
+        problem: String,
+    },
+    /// The device refused a call.
+    Validation {
+        /// What the driver says.
+        problem: String,
+    },
+    /// A list on the device would have to be longer than a binding can be.
+    Overflow {
+        /// What the list holds.
+        what: &'static str,
+        /// How many there are, or as many as were counted.
+        requested: u64,
+        /// How many it can hold.
+        allowed: u64,
+    },
+    /// The GPU cannot do what an option asks for.
+    Unsupported {
+        /// The option.
+        what: &'static str,
+    },
 }
 
 /// Where and how a file breaks the specification. `offset` fields count bytes from the file's start.
@@ -98,6 +149,25 @@ impl fmt::Display for Error {
             }
             Error::Parameter { name, problem } => write!(f, "bad parameter {name}: {problem}"),
             Error::Cancelled => write!(f, "cancelled"),
+            Error::Gpu(e) => write!(f, "GPU: {e}"),
+        }
+    }
+}
+
+impl fmt::Display for GpuError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            GpuError::NotBuilt => write!(f, "this build has no GPU support"),
+            GpuError::NoAdapter => write!(f, "no adapter found"),
+            GpuError::SoftwareOnly { name } => write!(f, "no hardware adapter found, only {name}"),
+            GpuError::Refused { problem } => write!(f, "the adapter could not be opened: {problem}"),
+            GpuError::Lost { problem } => write!(f, "device lost: {problem}"),
+            GpuError::OutOfMemory { problem } => write!(f, "out of memory: {problem}"),
+            GpuError::Validation { problem } => write!(f, "call refused: {problem}"),
+            GpuError::Overflow { what, requested, allowed } => {
+                write!(f, "{requested} {what} where {allowed} fit")
+            }
+            GpuError::Unsupported { what } => write!(f, "{what} is not supported"),
         }
     }
 }
@@ -125,12 +195,21 @@ impl std::error::Error for Error {
         match self {
             Error::Io(e) => Some(e),
             Error::Format(e) => Some(e),
+            Error::Gpu(e) => Some(e),
             _ => None,
         }
     }
 }
 
 impl std::error::Error for FormatError {}
+
+impl std::error::Error for GpuError {}
+
+impl From<GpuError> for Error {
+    fn from(e: GpuError) -> Self {
+        Error::Gpu(e)
+    }
+}
 
 impl From<std::io::Error> for Error {
     fn from(e: std::io::Error) -> Self {

@@ -7,6 +7,7 @@
 #[cfg(test)]
 extern crate self as ssplat;
 
+mod backend;
 pub mod bitstream;
 mod convert;
 pub mod decode;
@@ -16,6 +17,8 @@ mod encoder;
 pub mod error;
 mod fit;
 pub mod gaussian;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 mod leave_out;
 pub mod limits;
 pub mod metrics;
@@ -26,11 +29,12 @@ pub mod quantize;
 pub mod raster;
 mod trace;
 
+pub use backend::Chosen;
 pub use decode::{Decoded, decode};
 pub use decoder::{EXTENSION, SsplatDecoder, register};
 pub use encode::{EncodeReport, Encoded, LeftOut, Progress, encode, encode_with_progress};
 pub use encoder::{SsplatEncoder, save};
-pub use error::{Error, FormatError, Result};
+pub use error::{Error, FormatError, GpuError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
 pub use limits::Limits;
 pub use options::{Ablation, Backend, Damage, DecodeOptions, EncodeOptions, Needs, Recipe, Target, Trace, Tune};

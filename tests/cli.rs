@@ -146,6 +146,17 @@ fn standard_input_and_output_serve_as_files() {
 }
 
 #[test]
+#[cfg(not(feature = "gpu"))]
+fn a_gpu_is_refused_by_a_build_without() {
+    let folder = Folder::new();
+    let (source, file) = (folder.picture("a.png"), folder.encoded("a.ssplat"));
+    let (out, png) = (folder.path("b.ssplat"), folder.path("b.png"));
+    fails(ssplat(&[&"encode", &source, &out, &"--backend", &"gpu"]), 1, "this build has no GPU support");
+    fails(ssplat(&[&"decode", &file, &png, &"--backend", &"gpu"]), 1, "this build has no GPU support");
+    assert_eq!(folder.names(), ["a.png", "a.ssplat"]);
+}
+
+#[test]
 fn info_adds_up() {
     let folder = Folder::new();
     let file = folder.encoded("a.ssplat");

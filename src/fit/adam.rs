@@ -68,8 +68,8 @@ pub(crate) struct Memory {
     second: [f32; 9],
 }
 
-const BETA1: f32 = 0.9;
-const BETA2: f32 = 0.95;
+pub(crate) const BETA1: f32 = 0.9;
+pub(crate) const BETA2: f32 = 0.95;
 
 /// Gathers every primitive's gradient from `field` and takes one step. `iteration` counts from 0.
 #[allow(clippy::too_many_arguments)]

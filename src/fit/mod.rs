@@ -53,7 +53,39 @@ const RECOUNTED: [f32; 3] = [0.3, 0.6, 0.85];
 /// Tells, from the primitives so far, how many there should be.
 pub(crate) type Recount<'a> = &'a mut dyn FnMut(&[Primitive]) -> Result<usize>;
 
-/// Fits about `count` primitives to `target`; `recount` corrects the number on the way.
+/// Why a fit ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Ending {
+    /// Its iterations or its time are over.
+    Scheduled,
+    /// The error is small enough.
+    Enough,
+}
+
+/// What takes the steps of a fit: [`State`] on the CPU, or a GPU.
+pub(crate) trait Engine {
+    /// Number of primitives.
+    fn count(&self) -> usize;
+    /// The primitives as they are now.
+    fn primitives(&self) -> Vec<Primitive>;
+    /// Squared error of the picture so far.
+    fn error(&mut self, scene: &Scene, target: &Target) -> Result<f64>;
+    /// One step of the optimizer on the error over `rows`; returns that error before the step, where it is known yet.
+    fn descend(&mut self, scene: &Scene, target: &Target, rows: RowSet, rates: Rates) -> Result<Option<f64>>;
+    /// Moves at most `most` primitives to where the error over `rows` is largest; returns how many.
+    fn relocate(&mut self, scene: &Scene, target: &Target, rows: RowSet, most: usize) -> Result<usize>;
+    /// Brings the number of primitives to `wanted`, taking the cheapest away or adding at peaks.
+    fn resize(&mut self, scene: &Scene, target: &Target, rows: RowSet, wanted: usize) -> Result<()>;
+}
+
+/// Where a fit of about `count` primitives starts, and the random numbers that it goes on with.
+pub(crate) fn start(target: &Target, count: usize, plan: &Plan) -> (State, Pcg64Mcg) {
+    let mut rng = Pcg64Mcg::seed_from_u64(plan.seed);
+    let primitives = sample::by_detail(target, count, &mut rng);
+    (State::new(primitives, Bounds::new(target.width, target.height)), rng)
+}
+
+/// Fits about `count` primitives to `target` on the CPU; `recount` corrects the number on the way.
 pub(crate) fn fit(
     scene: &Scene,
     target: &Target,
@@ -62,44 +94,57 @@ pub(crate) fn fit(
     recount: Recount<'_>,
     watch: Watch<'_>,
 ) -> Result<State> {
-    let mut rng = Pcg64Mcg::seed_from_u64(plan.seed);
-    let mut state = State::new(sample::by_detail(target, count, &mut rng), Bounds::new(target.width, target.height));
-    let mut step = row_step(scene, count);
+    let (mut state, rng) = start(target, count, plan);
+    state.is_enough = run(scene, target, &mut state, rng, plan, recount, watch)? == Ending::Enough;
+    Ok(state)
+}
+
+/// Fits the primitives of `engine` to `target`; `recount` corrects their number on the way.
+pub(crate) fn run<E: Engine>(
+    scene: &Scene,
+    target: &Target,
+    engine: &mut E,
+    mut rng: Pcg64Mcg,
+    plan: &Plan,
+    recount: Recount<'_>,
+    watch: Watch<'_>,
+) -> Result<Ending> {
+    let mut step = row_step(scene, engine.count());
     let mut rows = RowCycle::new();
     let start = Instant::now();
     let mut recounts = RECOUNTED.iter().peekable();
     let samples =
         |rows: RowSet| rows.count(scene.height) as f64 * f64::from(scene.width) * target.channels.count() as f64;
     let mut iteration = 0;
-    while iteration < plan.iterations && !state.primitives.is_empty() {
+    while iteration < plan.iterations && engine.count() > 0 {
         // With a time budget the schedule follows the clock where that is ahead.
         let done = (iteration as f32 / plan.iterations as f32).max(plan.spent(start));
         if done >= 1.0 {
             break;
         }
-        watch(done, &|| (*scene, project_all(&state.primitives, scene.height)))?;
+        watch(done, &|| (*scene, project_all(&engine.primitives(), scene.height)))?;
         if recounts.next_if(|&&at| done >= at).is_some() {
-            let wanted = recount(&state.primitives)?;
-            relocate::resize(scene, target, &mut state, RowSet { step: step.div_ceil(2), phase: 0 }, wanted);
-            step = row_step(scene, state.primitives.len());
+            let wanted = recount(&engine.primitives())?;
+            engine.resize(scene, target, RowSet { step: step.div_ceil(2), phase: 0 }, wanted)?;
+            step = row_step(scene, engine.count());
         } else if iteration > 0 && iteration % plan.relocate_every == 0 && done < RELOCATED {
             let sampled = RowSet { step: step.div_ceil(2), phase: 0 };
-            let most = ((state.primitives.len() as f32 * plan.relocate_share) as usize).max(1);
-            relocate::relocate(scene, target, &mut state, sampled, most);
+            let most = ((engine.count() as f32 * plan.relocate_share) as usize).max(1);
+            engine.relocate(scene, target, sampled, most)?;
         }
         let sampled = rows.next(sampling(step, done), &mut rng);
         let rates = RATES
             .scaled(plan.rate)
             .scaled(LAST_RATE + (1.0 - LAST_RATE) * 0.5 * (1.0 + (std::f32::consts::PI * done).cos()));
-        let error = state.descend(scene, target, sampled, rates);
+        let error = engine.descend(scene, target, sampled, rates)?;
         iteration += 1;
         // A sample of the rows only hints at it.
-        if error <= plan.enough * samples(sampled) && plan.enough * samples(RowSet::ALL) >= state.error(scene, target) {
-            state.is_enough = iteration < plan.iterations;
-            break;
+        let hinted = error.is_some_and(|e| e <= plan.enough * samples(sampled));
+        if hinted && iteration < plan.iterations && engine.error(scene, target)? <= plan.enough * samples(RowSet::ALL) {
+            return Ok(Ending::Enough);
         }
     }
-    Ok(state)
+    Ok(Ending::Scheduled)
 }
 
 /// Primitives on their way, with what the optimizer remembers of each.
@@ -127,12 +172,6 @@ impl State {
             State { primitives, memory, freedom: Vec::new(), bounds, field, is_enough: false, iteration: 0 };
         state.sort();
         state
-    }
-
-    /// Squared error of the picture so far.
-    fn error(&mut self, scene: &Scene, target: &Target) -> f64 {
-        let projected = project_all(&self.primitives, scene.height);
-        self.field.draw(scene, target, &projected, RowSet::ALL, Output::Picture)
     }
 
     /// One step of the optimizer on the error over `rows`; returns that error before the step.
@@ -166,6 +205,34 @@ impl State {
         });
         self.primitives = order.iter().map(|&i| self.primitives[i as usize]).collect();
         self.memory = order.iter().map(|&i| self.memory[i as usize]).collect();
+    }
+}
+
+impl Engine for State {
+    fn count(&self) -> usize {
+        self.primitives.len()
+    }
+
+    fn primitives(&self) -> Vec<Primitive> {
+        self.primitives.clone()
+    }
+
+    fn error(&mut self, scene: &Scene, target: &Target) -> Result<f64> {
+        let projected = project_all(&self.primitives, scene.height);
+        Ok(self.field.draw(scene, target, &projected, RowSet::ALL, Output::Picture))
+    }
+
+    fn descend(&mut self, scene: &Scene, target: &Target, rows: RowSet, rates: Rates) -> Result<Option<f64>> {
+        Ok(Some(State::descend(self, scene, target, rows, rates)))
+    }
+
+    fn relocate(&mut self, scene: &Scene, target: &Target, rows: RowSet, most: usize) -> Result<usize> {
+        Ok(relocate::relocate(scene, target, self, rows, most))
+    }
+
+    fn resize(&mut self, scene: &Scene, target: &Target, rows: RowSet, wanted: usize) -> Result<()> {
+        relocate::resize(scene, target, self, rows, wanted);
+        Ok(())
     }
 }
 

@@ -48,15 +48,19 @@ impl Plan {
         let freezing = if effort >= 7 && count > 2000 { iterations / 4 } else { 0 };
         let deadline = time.map(|t| Instant::now() + t);
         let fit_deadline = time.map(|t| Instant::now() + t.mul_f64(FIT_SHARE));
-        let relocate_every = (iterations / 24).clamp(8, 25);
+        Plan { freezing, sweeps, fit_deadline, deadline, ..Plan::steps(iterations, seed) }
+    }
+
+    /// The schedule of a float fit of `iterations` steps, and nothing after it.
+    pub(crate) fn steps(iterations: u32, seed: u64) -> Self {
         Plan {
             iterations,
-            freezing,
-            sweeps,
-            relocate_every,
+            freezing: 0,
+            sweeps: 0,
+            relocate_every: (iterations / 24).clamp(8, 25),
             relocate_share: 0.1,
-            fit_deadline,
-            deadline,
+            fit_deadline: None,
+            deadline: None,
             enough: 0.0,
             rate: 1.0,
             levels: 1,

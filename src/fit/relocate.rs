@@ -80,7 +80,9 @@ fn removal_cost<const C: usize>(scene: &Scene, target: &Target, field: &Field, r
         let mut x = first;
         while x < end {
             let (_, e) = exponent.at(x);
-            let w = kernel::lanes(|i| if e[i] > CUTOFF_WEIGHT { e[i] - CUTOFF_WEIGHT } else { 0.0 });
+            // Lanes beyond the picture's edge have no sums to be compared with.
+            let inside = end - x;
+            let w = kernel::lanes(|i| if e[i] > CUTOFF_WEIGHT && i < inside { e[i] - CUTOFF_WEIGHT } else { 0.0 });
             let mut distance = [0.0f32; LANES];
             let mut share = match scene.blend {
                 Blend::Normalized => {
@@ -112,6 +114,16 @@ fn removal_cost<const C: usize>(scene: &Scene, target: &Target, field: &Field, r
     kernel::total(&sum) * rows.step as f32
 }
 
+/// Scale of the largest new primitives, pixels, when `count` are looked for in a picture of `among`.
+pub(crate) fn spacing(scene: &Scene, count: usize, among: usize) -> f32 {
+    // Where the blend divides by the weights, a primitive larger than those around it would smear what they draw.
+    let crowd = match scene.blend {
+        Blend::Normalized => among,
+        Blend::Sum => count,
+    };
+    (scene.width as f32 * scene.height as f32 / (std::f32::consts::PI * crowd.max(1) as f32)).sqrt()
+}
+
 /// Largest blurred residuals at several scales, best first, at most `count`, for a picture of `among` primitives.
 pub(crate) fn peaks(
     scene: &Scene,
@@ -122,12 +134,7 @@ pub(crate) fn peaks(
     among: usize,
 ) -> Vec<Peak> {
     let channels = target.channels.count();
-    // Where the blend divides by the weights, a primitive larger than those around it would smear what they draw.
-    let crowd = match scene.blend {
-        Blend::Normalized => among,
-        Blend::Sum => count,
-    };
-    let spacing = (scene.width as f32 * scene.height as f32 / (std::f32::consts::PI * crowd.max(1) as f32)).sqrt();
+    let spacing = spacing(scene, count, among);
     // Work on cells of `rows.step` pixels: the field has no more rows than that.
     let cell = rows.step as usize;
     let (mut w, mut h) = ((scene.width as usize).div_ceil(cell), rows.count(scene.height));
@@ -179,6 +186,11 @@ pub(crate) fn peaks(
         variance += 0.25 * size * size;
         (w, h, size) = (nw, nh, size * 2.0);
     }
+    best(candidates, count, scene)
+}
+
+/// The best `count` of candidates with their levels, none near a better one.
+pub(crate) fn best(mut candidates: Vec<(Peak, u32)>, count: usize, scene: &Scene) -> Vec<Peak> {
     // Ties are broken by place, so that the order is defined.
     candidates.sort_by(|(a, la), (b, lb)| {
         b.gain

@@ -173,6 +173,9 @@ pub struct Decode {
     /// Output pixels per pixel of the picture
     #[arg(long, value_name = "FACTOR", value_parser = positive)]
     pub scale: Option<f64>,
+    /// Which device draws; a file from a stranger is best drawn on the CPU
+    #[arg(long, default_value = "cpu", value_parser = names::drawing_backend())]
+    pub backend: Backend,
     /// Draw what is intact of a truncated or damaged file, and say what is missing
     #[arg(long)]
     pub partial: bool,

@@ -7,14 +7,14 @@ use serde_json::json;
 use ssplat::bitstream::splats::{Metadata, PackedSplats};
 use ssplat::bitstream::{Missing, read, read_partial};
 use ssplat::raster::{Renderer, SamplesMut, View};
-use ssplat::{Depth, Error, Limits, Picture};
+use ssplat::{Backend, Depth, Error, Limits, Picture, Pixels};
 
-use crate::args;
 use crate::failure::Failure;
 use crate::progress::Bar;
 use crate::rows::{Format, RowWriter, Shape};
 use crate::sink::{Sink, say};
-use crate::source;
+use crate::source::{self, Source};
+use crate::{args, encode};
 
 /// Bytes of output that are drawn before they are written, unless one band takes more.
 const BATCH: usize = 8 << 20;
@@ -46,15 +46,26 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     if requested > allowed {
         return Err(failed(Error::LimitExceeded { what: "alloc", requested, allowed }));
     }
-    let renderer = Renderer::new(&picture, &view, &limits).map_err(failed)?;
-    drop(picture);
-    let sink = Sink::create(&args.output, &[&args.input])?;
-    draw(&renderer, depth, &metadata, format, &sink, &args.output)?;
+    let sink;
+    let mut device = String::from("CPU");
+    if args.backend == Backend::Gpu {
+        let pixels;
+        (pixels, device) = on_gpu(&picture, &view, depth, &limits).map_err(failed)?;
+        sink = Sink::create(&args.output, &[&args.input])?;
+        let source = Source { pixels, icc: metadata.icc, exif: metadata.exif };
+        encode::write_pixels(source, format, &sink, &args.output)?;
+    } else {
+        let renderer = Renderer::new(&picture, &view, &limits).map_err(failed)?;
+        drop(picture);
+        sink = Sink::create(&args.output, &[&args.input])?;
+        draw(&renderer, depth, &metadata, format, &sink, &args.output)?;
+    }
     sink.finish()?;
     let seconds = start.elapsed().as_secs_f64();
     if args.json && args.output != Path::new("-") {
         let loss = json!({ "primitives": missing.primitives, "of": of });
-        let result = json!({ "width": view.width(), "height": view.height(), "missing": loss, "seconds": seconds });
+        let (width, height) = (view.width(), view.height());
+        let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": device });
         say(&format!("{result}\n"))?;
     }
     Ok(())
@@ -72,6 +83,20 @@ fn report_loss(path: &Path, splats: &PackedSplats, missing: Missing, of: u64) {
             path.display()
         );
     }
+}
+
+/// Draws on a GPU, the whole view at once; also the GPU's name.
+#[cfg(feature = "gpu")]
+fn on_gpu(picture: &Picture, view: &View, depth: Depth, limits: &Limits) -> ssplat::Result<(Pixels, String)> {
+    use ssplat::gpu::{Adapters, Device, Renderer};
+    let device = Device::open(Adapters::Any)?;
+    let pixels = Renderer::new(&device, picture, limits)?.render(view, depth)?;
+    Ok((pixels, device.name().to_owned()))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn on_gpu(_: &Picture, _: &View, _: Depth, _: &Limits) -> ssplat::Result<(Pixels, String)> {
+    Err(ssplat::GpuError::NotBuilt.into())
 }
 
 /// What `--region` and the size options ask for.

@@ -49,6 +49,10 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
         encoded.report.psnr,
         encoded.report.seconds
     );
+    // Where there is a choice, it is told.
+    if cfg!(feature = "gpu") {
+        text += &format!("fitted on {}\n", encoded.report.chosen);
+    }
     if let Some(preview) = preview {
         let path = preview.path;
         let (found, seconds) = preview.finish(&encoded.bytes, &pixels)?;
@@ -100,7 +104,7 @@ impl<'a> Preview<'a> {
 }
 
 /// Writes a whole picture.
-fn write_pixels(source: Source, format: Format, sink: &Sink, path: &Path) -> Result<(), Failure> {
+pub fn write_pixels(source: Source, format: Format, sink: &Sink, path: &Path) -> Result<(), Failure> {
     let Source { pixels, icc, exif } = source;
     let shape =
         Shape { width: pixels.width(), height: pixels.height(), channels: pixels.channels(), depth: pixels.depth() };
@@ -134,6 +138,8 @@ fn summary(pixels: &Pixels, bytes: usize, report: &EncodeReport) -> Value {
         "seconds": report.seconds,
         "stages": stages,
         "left_out": left_out,
+        "device": report.chosen.device,
+        "device_reason": report.chosen.reason,
     })
 }
 

@@ -35,3 +35,7 @@ pub fn tune() -> impl TypedValueParser<Value = Tune> {
 pub fn backend() -> impl TypedValueParser<Value = Backend> {
     named(&[("auto", Backend::Auto), ("cpu", Backend::Cpu), ("gpu", Backend::Gpu)])
 }
+
+pub fn drawing_backend() -> impl TypedValueParser<Value = Backend> {
+    named(&[("cpu", Backend::Cpu), ("gpu", Backend::Gpu)])
+}

@@ -1,0 +1,34 @@
+// Counts the (Gaussian, tile) pairs of each tile (mode 0), then writes them to the tiles' lists (mode 1). One shader
+// for both, so that both see the same pairs whatever the compiler makes of the arithmetic.
+
+@group(0) @binding(1) var<storage, read> splats: array<Splat>;
+// Counts at first; where the next pair goes afterwards.
+@group(0) @binding(2) var<storage, read_write> cursors: array<atomic<u32>>;
+@group(0) @binding(3) var<storage, read_write> lists: array<u32>;
+// Pairs of this band; most pairs of a band that did not fit; steps taken.
+@group(0) @binding(4) var<storage, read_write> status: array<atomic<u32>>;
+
+@compute @workgroup_size(64)
+fn bin(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) local: u32) {
+    let i = group_index(group, groups) * 64u + local;
+    if (i >= scene.primitives) { return; }
+    // Nothing more once the lists are too short: this also bounds the work.
+    if (atomicLoad(&status[1]) != 0u || atomicLoad(&status[0]) > scene.capacity) { return; }
+    let splat = splats[i];
+    let rows = tile_rows(splat);
+    if (scene.mode == 0u) {
+        var pairs = 0u;
+        for (var row = rows.x; row < rows.y; row++) {
+            let columns = tile_columns(splat, row, 1.0);
+            pairs += columns.y - columns.x;
+        }
+        if (pairs == 0u || atomicAdd(&status[0], pairs) > scene.capacity) { return; }
+    }
+    for (var row = rows.x; row < rows.y; row++) {
+        let columns = tile_columns(splat, row, 1.0);
+        for (var column = columns.x; column < columns.y; column++) {
+            let slot = atomicAdd(&cursors[row * scene.tiles_x + column], 1u);
+            if (scene.mode == 1u && slot < scene.capacity) { lists[slot] = i; }
+        }
+    }
+}

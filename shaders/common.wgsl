@@ -1,0 +1,146 @@
+// Shared by every stage, joined in front of it: the scene's numbers, the projected splat, and where it lies in tiles.
+
+struct Scene {
+    background: vec4f,
+    // Step sizes: mean, log-scale, rotation, colour.
+    rates: vec4f,
+    // Where the drawn grid starts in the picture, pixels, as a sum of two floats.
+    origin_high: vec2f,
+    origin_low: vec2f,
+    // Picture pixels for each drawn pixel.
+    step: vec2f,
+    // Bounds of the means, pixels.
+    size: vec2f,
+    min_log_scale: f32,
+    max_log_scale: f32,
+    max_log_aspect: f32,
+    // 1 − β₁ⁿ and 1 − β₂ⁿ.
+    correction_first: f32,
+    correction_second: f32,
+    // Peaks below this gain are of no use.
+    least_gain: f32,
+    // Variance of the blur so far, pixels².
+    variance: f32,
+    primitives: u32,
+    // Pairs that the lists can hold.
+    capacity: u32,
+    // Columns and rows that are drawn in all.
+    width: u32,
+    height: u32,
+    // Row `i` of the sampled ones is `row_phase + i · row_step`.
+    row_step: u32,
+    row_phase: u32,
+    // The band: sampled rows `band_first .. band_first + band_rows`, and its tiles.
+    band_first: u32,
+    band_rows: u32,
+    tiles_x: u32,
+    tiles_y: u32,
+    // The band's first tile among those of all bands.
+    tile_base: u32,
+    // 0: normalized, 1: sum.
+    blend: u32,
+    channels: u32,
+    // Index of the alpha channel; 4 when there is none.
+    alpha: u32,
+    // 32-bit words for each pixel of the source: 1 with 8 bits a sample, 2 with 16.
+    source_words: u32,
+    // First row of the picture that the bound part of the source holds.
+    source_first: u32,
+    // What the stage is to do, where it can do two things.
+    mode: u32,
+    // Cells of the level that is worked on.
+    cells_x: u32,
+    cells_y: u32,
+    // Cell size, pixels; words or pixels in an output row.
+    cell: u32,
+    stride: u32,
+    level: u32,
+    // To a multiple of 16 bytes.
+    spare_0: u32,
+    spare_1: u32,
+    spare_2: u32,
+}
+
+// A Gaussian on the drawn grid. With (dx, dy) from the centre, u = rise·dy − shear·dx and v = run·dx, it is
+// 2^−(u² + v²).
+struct Splat {
+    // Centre where pixel i has its centre at i; rise; shear.
+    place: vec4f,
+    // run; how far the row's middle moves per row; half width in the middle row; dy of the rightmost point.
+    shape: vec4f,
+    // Half width and half height of the support.
+    extent: vec4f,
+    color: vec4f,
+}
+
+const CUTOFF: f32 = 3.5;
+const CUTOFF_WEIGHT: f32 = 0.0021874911;
+// u² + v² at the edge of the support.
+const SUPPORT: f32 = 8.836507;
+// √(½ log₂ e): from standard deviations to u and v.
+const HALF: f32 = 0.8493218;
+const EPSILON: f32 = 0.0078125;
+const TILE: u32 = 16u;
+const GRADIENT: u32 = 0u;
+const PICTURE: u32 = 1u;
+
+@group(0) @binding(0) var<uniform> scene: Scene;
+
+// Workgroups beyond 65535 are folded into a second dimension.
+fn group_index(group: vec3u, groups: vec3u) -> u32 {
+    return group.y * groups.x + group.x;
+}
+
+// Sine and cosine within 1e−7 for |x| < 100: the language promises no more than 2⁻¹¹.
+fn sin_cos(x: f32) -> vec2f {
+    let k = floor(x * 0.63661977 + 0.5);
+    let r = ((x - k * 1.5703125) - k * 4.837513e-4) - k * 7.54979e-8;
+    let z = r * r;
+    let s = r + r * z * (-0.16666654611 + z * (8.3321608736e-3 + z * -1.9515295891e-4));
+    let c = 1.0 - 0.5 * z + z * z * (4.166664568e-2 + z * (-1.388731625e-3 + z * 2.443315712e-5));
+    let q = u32(i32(k)) & 3u;
+    if (q == 0u) { return vec2f(s, c); }
+    if (q == 1u) { return vec2f(c, -s); }
+    if (q == 2u) { return vec2f(-s, -c); }
+    return vec2f(-c, s);
+}
+
+// The row of the picture that sampled row `index` is.
+fn sampled_row(index: u32) -> u32 {
+    return scene.row_phase + index * scene.row_step;
+}
+
+// Tile rows of the band that the splat may touch: first and end.
+fn tile_rows(splat: Splat) -> vec2u {
+    let phase = f32(scene.row_phase);
+    let step = f32(scene.row_step);
+    let low = (splat.place.y - splat.extent.y - 0.5 - phase) / step;
+    let high = (splat.place.y + splat.extent.y + 0.5 - phase) / step;
+    let start = f32(scene.band_first);
+    let stop = f32(scene.band_first + scene.band_rows);
+    let first = clamp(ceil(low), start, stop);
+    let end = clamp(floor(high) + 1.0, start, stop);
+    if (first >= end) { return vec2u(0u, 0u); }
+    return vec2u((u32(first) - scene.band_first) / TILE, (u32(end) - 1u - scene.band_first) / TILE + 1u);
+}
+
+// Tile columns that the splat may touch in tile row `row`, with `slack` pixels on either side: first and end.
+fn tile_columns(splat: Splat, row: u32, slack: f32) -> vec2u {
+    let index = scene.band_first + row * TILE;
+    let top = f32(sampled_row(index)) - splat.place.y - 0.5;
+    let bottom = f32(sampled_row(index + TILE - 1u)) - splat.place.y + 0.5;
+    let level = splat.shape.w;
+    let right = clamp(level, top, bottom);
+    let left = clamp(-level, top, bottom);
+    let r = right / splat.extent.y;
+    let l = left / splat.extent.y;
+    let half_right = splat.shape.z * sqrt(max(0.0, 1.0 - r * r));
+    let half_left = splat.shape.z * sqrt(max(0.0, 1.0 - l * l));
+    let low = splat.place.x + splat.shape.y * left - half_left - slack;
+    let high = splat.place.x + splat.shape.y * right + half_right + slack;
+    let last = f32(scene.width);
+    let first = clamp(floor(low), 0.0, last);
+    let end = clamp(floor(high) + 1.0, 0.0, last);
+    if (first >= end) { return vec2u(0u, 0u); }
+    return vec2u(u32(first) / TILE, (u32(end) - 1u) / TILE + 1u);
+}

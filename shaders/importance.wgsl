@@ -1,0 +1,39 @@
+// The picture to what each pair's pixels would lose without its Gaussian. Joined behind pair.wgsl.
+
+@compute @workgroup_size(64)
+fn importance(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) local: u32) {
+    let pair = group_index(group, groups) * 64u + local;
+    if (status[1] != 0u || pair >= starts[scene.tiles_x * scene.tiles_y]) { return; }
+    let tile = tile_of(pair);
+    let splat = splats[sorted[pair]];
+    let left = (tile % scene.tiles_x) * TILE;
+    let right = min(left + TILE, scene.width);
+    let first = (tile / scene.tiles_x) * TILE;
+    let end = min(first + TILE, scene.band_rows);
+    let used = select(vec4f(0.0), vec4f(1.0), vec4u(0u, 1u, 2u, 3u) < vec4u(scene.channels));
+    var cost = 0.0;
+    for (var row = first; row < end; row++) {
+        let dy = f32(sampled_row(scene.band_first + row)) - splat.place.y;
+        let columns = span(splat, dy, left, right);
+        for (var x = columns.x; x < columns.y; x++) {
+            let dx = f32(x) - splat.place.x;
+            let u = splat.place.z * dy - splat.place.w * dx;
+            let v = splat.shape.x * dx;
+            let q = u * u + v * v;
+            if (q < SUPPORT) {
+                let at = row * scene.width + x;
+                let w = max(exp2(-q) - CUTOFF_WEIGHT, 0.0);
+                var share = w;
+                var distance = splat.color * used;
+                if (scene.blend == 0u) {
+                    share = min(w / (max(tails[at] - w, 0.0) + 0.02), 20.0);
+                    distance = (splat.color - planes[at]) * used;
+                }
+                cost += share * share * dot(distance, distance);
+            }
+        }
+    }
+    slots[3u * pair] = vec4f(cost * f32(scene.row_step), 0.0, 0.0, 0.0);
+    slots[3u * pair + 1u] = vec4f(0.0);
+    slots[3u * pair + 2u] = vec4f(0.0);
+}

@@ -1,0 +1,34 @@
+// What backward and importance share: one thread for each (Gaussian, tile) pair, which writes to its own slot.
+
+@group(0) @binding(1) var<storage, read> splats: array<Splat>;
+@group(0) @binding(2) var<storage, read> starts: array<u32>;
+@group(0) @binding(3) var<storage, read> sorted: array<u32>;
+@group(0) @binding(4) var<storage, read> status: array<u32>;
+@group(0) @binding(5) var<storage, read> planes: array<vec4f>;
+@group(0) @binding(6) var<storage, read> tails: array<f32>;
+// Three for each pair.
+@group(0) @binding(7) var<storage, read_write> slots: array<vec4f>;
+
+// The tile whose list holds `pair`.
+fn tile_of(pair: u32) -> u32 {
+    var low = 0u;
+    var high = scene.tiles_x * scene.tiles_y;
+    while (high - low > 1u) {
+        let middle = (low + high) / 2u;
+        if (starts[middle] <= pair) { low = middle; } else { high = middle; }
+    }
+    return low;
+}
+
+// Columns of `tile` in which the splat's row `dy` from the centre lies within the support: first and end.
+fn span(splat: Splat, dy: f32, left: u32, right: u32) -> vec2u {
+    let t = dy / splat.extent.y;
+    let rest = 1.0 - t * t;
+    if (rest <= 0.0) { return vec2u(0u, 0u); }
+    let half = splat.shape.z * sqrt(rest);
+    let middle = splat.place.x + splat.shape.y * dy;
+    // Half a pixel more on either side: what lies outside weighs nothing.
+    let first = clamp(ceil(middle - half - 0.5), f32(left), f32(right));
+    let end = clamp(floor(middle + half + 0.5) + 1.0, f32(left), f32(right));
+    return vec2u(u32(first), u32(end));
+}

@@ -1,0 +1,19 @@
+// What forward and residual share: the target's pixels, and how much each channel of them counts.
+
+// Red, green, blue and alpha of the target's pixel in column `x` of picture row `y`.
+fn source_pixel(x: u32, y: u32) -> vec4f {
+    let at = ((y - scene.source_first) * scene.width + x) * scene.source_words;
+    if (scene.source_words == 1u) { return unpack4x8unorm(source[at]); }
+    return vec4f(unpack2x16unorm(source[at]), unpack2x16unorm(source[at + 1u]));
+}
+
+// 1 for used channels, times the opacity where there is one; 0 for unused ones.
+fn importance_of_channels(wanted: vec4f) -> vec4f {
+    var opacity = 1.0;
+    if (scene.alpha == 1u) { opacity = wanted.y; }
+    if (scene.alpha == 3u) { opacity = wanted.w; }
+    var share = vec4f(opacity);
+    if (scene.alpha == 1u) { share.y = 1.0; }
+    if (scene.alpha == 3u) { share.w = 1.0; }
+    return select(vec4f(0.0), share, vec4u(0u, 1u, 2u, 3u) < vec4u(scene.channels));
+}

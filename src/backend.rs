@@ -1,0 +1,165 @@
+//! Which device fits a picture: the choice, why it was made, and the fit on it.
+
+use std::fmt;
+
+use crate::error::{Error, GpuError, Result};
+use crate::fit::field::Scene;
+use crate::fit::plan::Plan;
+use crate::fit::target::Target;
+use crate::fit::{self, Recount, State, Watch};
+use crate::options::{Backend, EncodeOptions};
+use crate::pixels::Pixels;
+
+#[cfg(feature = "gpu")]
+use crate::gpu::{Adapters, Device, Fitter};
+#[cfg(feature = "gpu")]
+use crate::options::{Recipe, Tune};
+/// There is none in this build.
+#[cfg(not(feature = "gpu"))]
+type Device = std::convert::Infallible;
+
+/// Pictures of fewer pixels are fitted on the CPU unless the GPU is asked for: they are done before a GPU has started.
+const SMALL: u64 = 1 << 18;
+
+/// The device that fitted a picture.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Chosen {
+    /// [`Backend::Cpu`] or [`Backend::Gpu`].
+    pub backend: Backend,
+    /// The device's name; that of the adapter on a GPU.
+    pub device: String,
+    /// Why it was chosen.
+    pub reason: String,
+}
+
+impl Default for Chosen {
+    fn default() -> Self {
+        Chosen::cpu("asked for")
+    }
+}
+
+impl fmt::Display for Chosen {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.device, self.reason)
+    }
+}
+
+impl Chosen {
+    fn cpu(reason: impl Into<String>) -> Self {
+        Chosen { backend: Backend::Cpu, device: "CPU".to_owned(), reason: reason.into() }
+    }
+}
+
+/// A device chosen for an encode.
+#[derive(Debug)]
+pub(crate) struct Choice {
+    pub chosen: Chosen,
+    asked: Backend,
+    gpu: Option<Device>,
+}
+
+impl Choice {
+    /// Chooses as `options` ask.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the GPU is asked for and cannot be had; the automatic choice falls back to the CPU.
+    pub(crate) fn new(options: &EncodeOptions, pixels: &Pixels) -> Result<Self> {
+        let area = u64::from(pixels.width()) * u64::from(pixels.height());
+        let opened = match options.backend {
+            Backend::Cpu => Ok((None, Chosen::cpu("asked for"))),
+            Backend::Auto if area < SMALL => Ok((None, Chosen::cpu(format!("{area} pixels are few")))),
+            asked => open(asked, options),
+        };
+        let (gpu, chosen) = match opened {
+            Ok(found) => found,
+            Err(e) if options.backend == Backend::Auto => (None, Chosen::cpu(e.to_string())),
+            Err(e) => return Err(e.into()),
+        };
+        Ok(Choice { chosen, asked: options.backend, gpu })
+    }
+
+    /// Fits about `count` primitives on the chosen device.
+    #[allow(clippy::too_many_arguments)]
+    pub(crate) fn fit(
+        &mut self,
+        scene: &Scene,
+        pixels: &Pixels,
+        target: &Target,
+        count: usize,
+        plan: &Plan,
+        recount: Recount<'_>,
+        watch: Watch<'_>,
+    ) -> Result<State> {
+        if let Some(device) = &self.gpu {
+            match fit_on(device, scene, pixels, target, count, plan, recount, watch) {
+                Err(Error::Gpu(e)) if self.asked == Backend::Auto => {
+                    self.chosen = Chosen::cpu(format!("{} failed: {e}", self.chosen.device));
+                    self.gpu = None;
+                }
+                fitted => return fitted,
+            }
+        }
+        fit::fit(scene, target, count, plan, recount, watch)
+    }
+}
+
+#[cfg(feature = "gpu")]
+fn open(asked: Backend, options: &EncodeOptions) -> Result<(Option<Device>, Chosen), GpuError> {
+    if options.recipe != Recipe::Ssplat {
+        return Err(GpuError::Unsupported { what: "recipe" });
+    }
+    if options.tune != Tune::Psnr {
+        return Err(GpuError::Unsupported { what: "tune" });
+    }
+    // Who asks for the GPU by name may mean a program that acts as one.
+    let adapters = if asked == Backend::Gpu { Adapters::Any } else { Adapters::Hardware };
+    let device = Device::open(adapters).map_err(|e| match e {
+        Error::Gpu(e) => e,
+        e => GpuError::Refused { problem: e.to_string() },
+    })?;
+    let why = if asked == Backend::Gpu { "asked for, " } else { "" };
+    let reason = format!("{why}{}", device.reason());
+    let chosen = Chosen { backend: Backend::Gpu, device: device.name().to_owned(), reason };
+    Ok((Some(device), chosen))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn open(_: Backend, _: &EncodeOptions) -> Result<(Option<Device>, Chosen), GpuError> {
+    Err(GpuError::NotBuilt)
+}
+
+#[cfg(feature = "gpu")]
+#[allow(clippy::too_many_arguments)]
+fn fit_on(
+    device: &Device,
+    scene: &Scene,
+    pixels: &Pixels,
+    target: &Target,
+    count: usize,
+    plan: &Plan,
+    recount: Recount<'_>,
+    watch: Watch<'_>,
+) -> Result<State> {
+    let (state, rng) = fit::start(target, count, plan);
+    let fitter = Fitter::new(device, scene, pixels, &state.primitives, &state.bounds)?;
+    let ending = fit::run(scene, target, &mut &fitter, rng, plan, recount, watch)?;
+    let mut state = State::new(fitter.finish()?, state.bounds);
+    state.is_enough = ending == fit::Ending::Enough;
+    Ok(state)
+}
+
+#[cfg(not(feature = "gpu"))]
+#[allow(clippy::too_many_arguments)]
+fn fit_on(
+    device: &Device,
+    _: &Scene,
+    _: &Pixels,
+    _: &Target,
+    _: usize,
+    _: &Plan,
+    _: Recount<'_>,
+    _: Watch<'_>,
+) -> Result<State> {
+    match *device {}
+}

@@ -1,0 +1,242 @@
+//! A GPU: how it is chosen, and how its failures become errors.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::kernels::Kernels;
+use crate::error::{Error, GpuError, Result};
+
+/// Which adapters may be chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+pub enum Adapters {
+    /// Real GPUs only.
+    #[default]
+    Hardware,
+    /// Software as well, where there is nothing better: slower than the CPU's own code, but the same shaders.
+    Any,
+}
+
+/// An opened GPU. Clones share it.
+#[derive(Debug, Clone)]
+pub struct Device {
+    inner: Arc<Inner>,
+}
+
+#[derive(Debug)]
+struct Inner {
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    kernels: Kernels,
+    name: String,
+    reason: String,
+    software: bool,
+    /// Why the device was lost, once it is.
+    lost: Arc<Mutex<Option<String>>>,
+}
+
+impl Device {
+    /// Opens the best adapter: discrete before integrated before virtual ones, software last and only if allowed. The
+    /// environment variables of `wgpu` (`WGPU_BACKEND`) narrow the choice.
+    ///
+    /// # Errors
+    /// [`GpuError::NoAdapter`] when there is none, [`GpuError::SoftwareOnly`] when there are only adapters that
+    /// `adapters` excludes, [`GpuError::Refused`] when the driver will not open it.
+    pub fn open(adapters: Adapters) -> Result<Self> {
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+        let mut found: Vec<(wgpu::Adapter, wgpu::AdapterInfo)> =
+            pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()))
+                .into_iter()
+                .map(|a| {
+                    let info = a.get_info();
+                    (a, info)
+                })
+                .collect();
+        // Equals keep the driver's order.
+        found.sort_by_key(|(_, info)| rank(info.device_type));
+        let names: Vec<String> = found.iter().map(|(_, info)| describe(info)).collect();
+        let Some((adapter, info)) = found.into_iter().next() else {
+            return Err(GpuError::NoAdapter.into());
+        };
+        let software = info.device_type == wgpu::DeviceType::Cpu;
+        if software && adapters == Adapters::Hardware {
+            return Err(GpuError::SoftwareOnly { name: info.name }.into());
+        }
+        let reason = match names.len() {
+            1 => "the only adapter".to_owned(),
+            n => format!("the first of {n} adapters: {}", names.join(", ")),
+        };
+        let request = wgpu::DeviceDescriptor { label: Some("ssplat"), ..Default::default() };
+        let (device, queue) = pollster::block_on(adapter.request_device(&request))
+            .map_err(|e| GpuError::Refused { problem: e.to_string() })?;
+        // Failures that no scope was waiting for must not bring the program down; the next scope or wait meets them.
+        device.on_uncaptured_error(Arc::new(|_| ()));
+        Device::with(device, queue, names.into_iter().next().unwrap_or_default(), reason, software)
+    }
+
+    /// Takes a device that the program has opened already, so that a [`Renderer`](super::Renderer) can draw into its
+    /// textures. It needs no features and `wgpu::Limits::default()`.
+    ///
+    /// # Errors
+    /// [`GpuError::Validation`] when a shader cannot be built on it.
+    pub fn from_wgpu(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
+        let info = device.adapter_info();
+        let software = info.device_type == wgpu::DeviceType::Cpu;
+        Device::with(device, queue, describe(&info), "given by the program".to_owned(), software)
+    }
+
+    fn with(device: wgpu::Device, queue: wgpu::Queue, name: String, reason: String, software: bool) -> Result<Self> {
+        let lost = Arc::new(Mutex::new(None));
+        let note = Arc::clone(&lost);
+        device.set_device_lost_callback(move |reason, message| {
+            let mut lost = note.lock().unwrap_or_else(PoisonError::into_inner);
+            lost.get_or_insert(format!("{reason:?}: {message}"));
+        });
+        let kernels = scoped(&device, || Kernels::new(&device))?;
+        Ok(Device { inner: Arc::new(Inner { device, queue, kernels, name, reason, software, lost }) })
+    }
+
+    /// The adapter's name, its kind and the interface to it: `NVIDIA H100 (discrete, Vulkan)`.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.inner.name
+    }
+
+    /// Why this adapter was chosen.
+    #[must_use]
+    pub fn reason(&self) -> &str {
+        &self.inner.reason
+    }
+
+    /// Whether the adapter is a program and no GPU.
+    #[must_use]
+    pub fn is_software(&self) -> bool {
+        self.inner.software
+    }
+
+    /// The device, for programs that make their own textures on it.
+    #[must_use]
+    pub fn wgpu(&self) -> (&wgpu::Device, &wgpu::Queue) {
+        (&self.inner.device, &self.inner.queue)
+    }
+
+    pub(super) fn kernels(&self) -> &Kernels {
+        &self.inner.kernels
+    }
+
+    /// Runs `work`; what goes wrong on the device in it becomes an error.
+    pub(super) fn scoped<T>(&self, work: impl FnOnce() -> T) -> Result<T> {
+        let result = scoped(&self.inner.device, work);
+        if result.is_err() {
+            // The loss is told at the next poll. Whatever else failed, failed because of that.
+            let _ = self.inner.device.poll(wgpu::PollType::Poll);
+        }
+        self.check_lost()?;
+        result
+    }
+
+    fn check_lost(&self) -> Result<()> {
+        match &*self.inner.lost.lock().unwrap_or_else(PoisonError::into_inner) {
+            Some(problem) => Err(GpuError::Lost { problem: problem.clone() }.into()),
+            None => Ok(()),
+        }
+    }
+
+    /// Waits until everything submitted is done.
+    pub(super) fn wait(&self) -> Result<()> {
+        let waited = self.inner.device.poll(wgpu::PollType::wait_indefinitely());
+        self.check_lost()?;
+        waited.map(|_| ()).map_err(|e| GpuError::Lost { problem: e.to_string() }.into())
+    }
+
+    /// A buffer of `size` bytes, rounded up to 4 and to one item of any kind: nothing can bind an empty one.
+    ///
+    /// Call it in a scope: that is where running out of memory shows.
+    pub(super) fn buffer(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+        let size = size.next_multiple_of(4).max(64);
+        self.inner.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size,
+            usage,
+            mapped_at_creation: false,
+        })
+    }
+
+    /// A storage buffer that can be copied from and to.
+    pub(super) fn storage(&self, label: &str, size: u64) -> wgpu::Buffer {
+        use wgpu::BufferUsages as U;
+        self.buffer(label, size, U::STORAGE | U::COPY_DST | U::COPY_SRC)
+    }
+
+    /// Writes `data` to the start of `buffer` before what is submitted next.
+    pub(super) fn write<T: bytemuck::Pod>(&self, buffer: &wgpu::Buffer, data: &[T]) {
+        if !data.is_empty() {
+            self.inner.queue.write_buffer(buffer, 0, bytemuck::cast_slice(data));
+        }
+    }
+
+    /// The first `size` bytes of `buffer` (a multiple of 4), after everything submitted so far.
+    pub(super) fn read(&self, buffer: &wgpu::Buffer, size: u64) -> Result<Vec<u8>> {
+        if size == 0 {
+            return Ok(Vec::new());
+        }
+        let (sender, receiver) = std::sync::mpsc::channel();
+        let staging = self.scoped(|| {
+            let staging = self.buffer("staging", size, wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST);
+            let mut encoder = self.inner.device.create_command_encoder(&Default::default());
+            encoder.copy_buffer_to_buffer(buffer, 0, &staging, 0, size);
+            self.inner.queue.submit([encoder.finish()]);
+            staging.map_async(wgpu::MapMode::Read, .., move |result| {
+                // The receiver is gone only if this function has failed before.
+                let _ = sender.send(result);
+            });
+            staging
+        })?;
+        self.wait()?;
+        let lost = |problem: String| Error::from(GpuError::Lost { problem });
+        receiver.recv().map_err(|e| lost(e.to_string()))?.map_err(|e| lost(e.to_string()))?;
+        let view = staging.get_mapped_range(0..size).map_err(|e| lost(e.to_string()))?;
+        Ok(view.to_vec())
+    }
+
+    /// As [`Device::read`], as `T`.
+    pub(super) fn read_as<T: bytemuck::Pod>(&self, buffer: &wgpu::Buffer, count: usize) -> Result<Vec<T>> {
+        Ok(bytemuck::pod_collect_to_vec(&self.read(buffer, (count * size_of::<T>()) as u64)?))
+    }
+}
+
+fn rank(kind: wgpu::DeviceType) -> u8 {
+    match kind {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    }
+}
+
+fn describe(info: &wgpu::AdapterInfo) -> String {
+    let kind = match info.device_type {
+        wgpu::DeviceType::DiscreteGpu => "discrete",
+        wgpu::DeviceType::IntegratedGpu => "integrated",
+        wgpu::DeviceType::VirtualGpu => "virtual",
+        wgpu::DeviceType::Other => "of unknown kind",
+        wgpu::DeviceType::Cpu => "software",
+    };
+    format!("{} ({kind}, {:?})", info.name, info.backend)
+}
+
+/// Runs `work` and turns the device's complaints into errors.
+fn scoped<T>(device: &wgpu::Device, work: impl FnOnce() -> T) -> Result<T> {
+    let memory = device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+    let internal = device.push_error_scope(wgpu::ErrorFilter::Internal);
+    let validation = device.push_error_scope(wgpu::ErrorFilter::Validation);
+    let result = work();
+    let errors = [validation.pop(), internal.pop(), memory.pop()].map(pollster::block_on);
+    // Running out of memory makes later calls invalid: it is the cause.
+    match errors.into_iter().flatten().next_back() {
+        None => Ok(result),
+        Some(wgpu::Error::OutOfMemory { source }) => Err(GpuError::OutOfMemory { problem: source.to_string() }.into()),
+        Some(wgpu::Error::Validation { description, .. } | wgpu::Error::Internal { description, .. }) => {
+            Err(GpuError::Validation { problem: description }.into())
+        }
+    }
+}

@@ -1,0 +1,729 @@
+//! The fit on the device: the steps of `fit`, with everything that is as large as the picture kept there.
+//!
+//! Rows are worked on in bands, so that no binding passes 128 MiB: the target lies in slabs of `slab_rows` rows, and
+//! the planes of a step hold `band_rows` sampled rows. Both are fixed by the picture's size, unless the lists of a
+//! band overflow: then nothing of that step is kept, the lists grow or the bands shrink, and it is taken again.
+
+use std::cell::RefCell;
+
+use super::device::Device;
+use super::lists::{Lists, MOST_BINDING, MOST_TILES, check_primitives};
+use super::peaks::Peaks;
+use super::scene::{Primitive, TILE, Uniforms, spaced};
+use crate::error::{Error, GpuError, Result};
+use crate::fit::Engine;
+use crate::fit::adam::{BETA1, BETA2, Bounds, Rates};
+use crate::fit::field::{RowSet, Scene};
+use crate::fit::project;
+use crate::fit::relocate::{self, Peak};
+use crate::fit::target::Target;
+use crate::pixels::{Pixels, Samples};
+use crate::raster::View;
+
+/// Steps that are submitted at a time.
+const BATCH: usize = 8;
+
+/// Sampled pixels after which the commands so far are submitted, so that no driver takes a slow device for hung.
+const MOST_PIXELS: u64 = 1 << 24;
+
+/// Sets of uniforms that are submitted at a time.
+const SLOTS: usize = 1024;
+
+/// Bytes that a pair takes in the slots.
+const SLOT: u64 = 48;
+
+/// A fit on a device.
+#[derive(Debug)]
+pub(crate) struct Fitter {
+    state: RefCell<State>,
+}
+
+#[derive(Debug)]
+struct State {
+    device: Device,
+    base: Uniforms,
+    slabs: Vec<Slab>,
+    /// Bytes that a binding of something as large as the picture may have.
+    binding: u64,
+    slab_rows: u32,
+    band_rows: u32,
+    capacity: u32,
+    count: u32,
+    primitives: wgpu::Buffer,
+    first: wgpu::Buffer,
+    second: wgpu::Buffer,
+    stage: Option<Stage>,
+    peaks: Option<Peaks>,
+    /// Steps asked for and not yet taken.
+    pending: Vec<(RowSet, Rates)>,
+    /// Steps taken.
+    iteration: u32,
+    /// An error met where none could be returned.
+    failed: Option<Error>,
+}
+
+/// A part of the target: rows from `first` on.
+#[derive(Debug)]
+struct Slab {
+    first: u32,
+    end: u32,
+    source: wgpu::Buffer,
+}
+
+/// Rows of a step that are worked on together: sampled rows `first .. first + rows`, all within one slab.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Band {
+    slab: usize,
+    first: u32,
+    rows: u32,
+}
+
+/// The buffers that depend on the number of primitives, the bands and the lists, and the stages bound to them.
+#[derive(Debug)]
+pub(super) struct Stage {
+    pub uniforms: wgpu::Buffer,
+    pub lists: Lists,
+    pub planes: wgpu::Buffer,
+    pub errors: wgpu::Buffer,
+    pub moments: wgpu::Buffer,
+    forward: Vec<wgpu::BindGroup>,
+    backward: wgpu::BindGroup,
+    importance: wgpu::BindGroup,
+    gather: wgpu::BindGroup,
+    adam: wgpu::BindGroup,
+    /// What a test looks at.
+    #[cfg(test)]
+    pub tails: wgpu::Buffer,
+    #[cfg(test)]
+    pub slots: wgpu::Buffer,
+}
+
+impl Stage {
+    /// The sum of what the last step or survey, of `tiles` tiles in all bands, left in the errors.
+    fn error(&self, device: &Device, tiles: u64) -> Result<f64> {
+        Ok(device.read_as::<f32>(&self.errors, tiles as usize)?.iter().map(|&e| f64::from(e)).sum())
+    }
+}
+
+/// What a look at the whole picture is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Wanted {
+    /// The error alone, over just the rows that are asked for.
+    Error,
+    /// The costs of removal and the cells of what is missing, too.
+    All,
+}
+
+/// What a look at the whole picture brings.
+#[derive(Debug)]
+pub(super) struct Survey {
+    /// Squared error over the rows that were looked at.
+    pub error: f64,
+    /// The rise of the squared error when each primitive is removed.
+    pub costs: Vec<f32>,
+    /// The rows that were looked at: perhaps fewer than were asked for.
+    rows: RowSet,
+}
+
+impl Fitter {
+    /// Brings the picture and where its fit starts to `device`.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails or cannot hold them.
+    pub(crate) fn new(
+        device: &Device,
+        scene: &Scene,
+        pixels: &Pixels,
+        primitives: &[project::Primitive],
+        bounds: &Bounds,
+    ) -> Result<Self> {
+        Fitter::within(device, scene, pixels, primitives, bounds, MOST_BINDING)
+    }
+
+    /// The same with bindings of at most `binding` bytes for whatever is as large as the picture.
+    pub(super) fn within(
+        device: &Device,
+        scene: &Scene,
+        pixels: &Pixels,
+        primitives: &[project::Primitive],
+        bounds: &Bounds,
+        binding: u64,
+    ) -> Result<Self> {
+        check_primitives(primitives.len() as u64)?;
+        let view = View::of_size(scene.width, scene.height);
+        let words = pixels.depth().bytes() as u32;
+        let base = Uniforms {
+            min_log_scale: bounds.min_log_scale,
+            max_log_scale: bounds.max_log_scale,
+            max_log_aspect: bounds.max_log_aspect,
+            source_words: words,
+            ..Uniforms::new(&view, scene.blend, pixels.channels(), scene.background, 0)
+        };
+        let [slab_rows, band_rows] = rows_at_a_time(scene.width, scene.height, words, binding)?;
+        let slabs = device.scoped(|| {
+            let mut slabs = Vec::new();
+            let mut first = 0;
+            while first < scene.height {
+                let end = scene.height.min(first + slab_rows);
+                let packed = pack(pixels, first, end);
+                let source = device.storage("source", packed.len() as u64 * 4);
+                device.write(&source, &packed);
+                slabs.push(Slab { first, end, source });
+                first = end;
+            }
+            slabs
+        })?;
+        let count = primitives.len() as u32;
+        let capacity = capacity_for(count);
+        let [primitives, first, second] = upload(device, primitives, None)?;
+        let state = State {
+            device: device.clone(),
+            base,
+            slabs,
+            binding,
+            slab_rows,
+            band_rows,
+            capacity,
+            count,
+            primitives,
+            first,
+            second,
+            stage: None,
+            peaks: None,
+            pending: Vec::new(),
+            iteration: 0,
+            failed: None,
+        };
+        Ok(Fitter { state: RefCell::new(state) })
+    }
+
+    /// Rows of the target's slabs and of the bands, and the pairs that the lists of a band hold.
+    pub(super) fn bands(&self) -> [u32; 3] {
+        let s = self.state.borrow();
+        [s.slab_rows, s.band_rows, s.capacity]
+    }
+
+    /// The primitives after all steps asked for.
+    pub(crate) fn finish(mut self) -> Result<Vec<project::Primitive>> {
+        let state = self.state.get_mut();
+        state.flush()?;
+        state.download()
+    }
+
+    /// Takes all steps asked for.
+    pub(super) fn settle(&self) -> Result<()> {
+        let mut state = self.state.borrow_mut();
+        state.flush()?;
+        state.device.wait()
+    }
+
+    /// Squared error of the clamped picture over all rows.
+    pub(super) fn error(&self) -> Result<f64> {
+        let mut state = self.state.borrow_mut();
+        state.flush()?;
+        Ok(state.survey(RowSet::ALL, Wanted::Error)?.error)
+    }
+
+    /// Runs one step for tests and shows what it left behind.
+    #[cfg(test)]
+    pub(super) fn inspect<T>(
+        &mut self,
+        rows: RowSet,
+        rates: Rates,
+        look: impl FnOnce(&Device, &Stage, &[&wgpu::Buffer; 3], Uniforms) -> T,
+    ) -> Result<T> {
+        let state = self.state.get_mut();
+        state.prepare()?;
+        let bands = state.bands(rows);
+        assert_eq!(bands.len(), 1, "tests look at one band");
+        state.submit(&[(rows, rates)])?;
+        let stage = state.stage.as_ref().expect("prepared");
+        let scene = state.uniforms(rows, rates, 0, &bands[0], 0);
+        Ok(look(&state.device, stage, &[&state.primitives, &state.first, &state.second], scene))
+    }
+
+    /// Looks at the picture for tests.
+    #[cfg(test)]
+    pub(super) fn inspect_survey<T>(
+        &mut self,
+        rows: RowSet,
+        look: impl FnOnce(&Device, &Stage, &Survey, &Peaks) -> T,
+    ) -> Result<T> {
+        let state = self.state.get_mut();
+        let survey = state.survey(rows, Wanted::All)?;
+        Ok(look(
+            &state.device,
+            state.stage.as_ref().expect("prepared"),
+            &survey,
+            state.peaks.as_ref().expect("prepared"),
+        ))
+    }
+
+    /// Makes the lists shorter than they would be.
+    #[cfg(test)]
+    pub(super) fn limit_lists(&mut self, capacity: u32) {
+        self.state.get_mut().capacity = capacity;
+    }
+}
+
+/// Of a reference, so that a fit can be looked at while it runs.
+impl Engine for &Fitter {
+    fn count(&self) -> usize {
+        self.state.borrow().count as usize
+    }
+
+    fn primitives(&self) -> Vec<project::Primitive> {
+        let mut state = self.state.borrow_mut();
+        let read = state.flush().and_then(|()| state.download());
+        read.unwrap_or_else(|e| {
+            // The next step returns it.
+            state.failed = Some(e);
+            Vec::new()
+        })
+    }
+
+    fn error(&mut self, _: &Scene, _: &Target) -> Result<f64> {
+        Fitter::error(self)
+    }
+
+    fn descend(&mut self, _: &Scene, _: &Target, rows: RowSet, rates: Rates) -> Result<Option<f64>> {
+        let mut state = self.state.borrow_mut();
+        if let Some(e) = state.failed.take() {
+            return Err(e);
+        }
+        state.pending.push((rows, rates));
+        if state.pending.len() < BATCH {
+            return Ok(None);
+        }
+        state.flush()?;
+        let tiles: u64 = state.slots(rows, rates, 0).iter().step_by(2).map(Uniforms::tiles).sum();
+        let stage = state.stage.as_ref().expect("prepared");
+        Ok(Some(stage.error(&state.device, tiles)?))
+    }
+
+    fn relocate(&mut self, scene: &Scene, target: &Target, rows: RowSet, most: usize) -> Result<usize> {
+        self.state.borrow_mut().relocate(scene, target, rows, most)
+    }
+
+    fn resize(&mut self, scene: &Scene, target: &Target, rows: RowSet, wanted: usize) -> Result<()> {
+        self.state.borrow_mut().resize(scene, target, rows, wanted)
+    }
+}
+
+impl State {
+    /// The bands of a step over `rows`.
+    fn bands(&self, rows: RowSet) -> Vec<Band> {
+        let mut bands = Vec::new();
+        for (slab, s) in self.slabs.iter().enumerate() {
+            let (mut first, end) = (rows.index(s.first) as u32, rows.index(s.end) as u32);
+            while first < end {
+                let rows = self.band_rows.min(end - first);
+                bands.push(Band { slab, first, rows });
+                first += rows;
+            }
+        }
+        bands
+    }
+
+    /// The uniforms of one band of the step after `ahead` others.
+    fn uniforms(&self, rows: RowSet, rates: Rates, ahead: u32, band: &Band, tile_base: u64) -> Uniforms {
+        let n = (self.iteration + ahead + 1) as i32;
+        Uniforms {
+            rates: [rates.mean, rates.log_scale, rates.rotation, rates.color],
+            correction_first: 1.0 - BETA1.powi(n),
+            correction_second: 1.0 - BETA2.powi(n),
+            primitives: self.count,
+            capacity: self.capacity,
+            row_step: rows.step,
+            row_phase: rows.phase,
+            tile_base: tile_base as u32,
+            source_first: self.slabs[band.slab].first,
+            ..self.base.band(band.first, band.rows)
+        }
+    }
+
+    /// The uniforms of all bands of a step, each with mode 0 and with mode 1.
+    fn slots(&self, rows: RowSet, rates: Rates, ahead: u32) -> Vec<Uniforms> {
+        let mut tiles = 0;
+        let mut slots = Vec::new();
+        for band in self.bands(rows) {
+            let u = self.uniforms(rows, rates, ahead, &band, tiles);
+            tiles += u.tiles();
+            slots.extend([u, Uniforms { mode: 1, ..u }]);
+        }
+        slots
+    }
+
+    /// Makes the buffers, unless they are there.
+    fn prepare(&mut self) -> Result<()> {
+        if self.stage.is_some() {
+            return Ok(());
+        }
+        let (device, count) = (&self.device, u64::from(self.count));
+        let tiles_x = u64::from(self.base.tiles_x);
+        let band_tiles = tiles_x * u64::from(self.band_rows.div_ceil(TILE));
+        let all_tiles: u64 = self.bands(RowSet::ALL).iter().map(|b| tiles_x * u64::from(b.rows.div_ceil(TILE))).sum();
+        let pixels = u64::from(self.base.width) * u64::from(self.band_rows);
+        let stage = device.scoped(|| {
+            use wgpu::BufferUsages as U;
+            let (k, d) = (device.kernels(), device.wgpu().0);
+            let uniforms =
+                device.buffer("uniforms", SLOTS as u64 * u64::from(Uniforms::STRIDE), U::UNIFORM | U::COPY_DST);
+            let lists = Lists::new(device, &uniforms, &self.primitives, count, band_tiles, self.capacity);
+            let planes = device.storage("planes", pixels * 16);
+            let tails = device.storage("tails", pixels * 4);
+            let errors = device.storage("errors", all_tiles * 4);
+            let slots = device.storage("slots", u64::from(self.capacity) * SLOT);
+            let moments = device.storage("moments", count * 36);
+            let shared = [&lists.splats, &lists.starts, &lists.sorted, &lists.status];
+            let forward = self.slabs.iter().map(|s| {
+                let buffers = [&shared[..], &[&s.source, &planes, &tails, &errors]].concat();
+                k.forward.bind(d, &uniforms, &buffers)
+            });
+            let forward = forward.collect();
+            let pairs = [&shared[..], &[&planes, &tails, &slots]].concat();
+            let gathered = [&shared[..], &[&slots, &moments]].concat();
+            Stage {
+                forward,
+                backward: k.backward.bind(d, &uniforms, &pairs),
+                importance: k.importance.bind(d, &uniforms, &pairs),
+                gather: k.gather.bind(d, &uniforms, &gathered),
+                adam: k.adam.bind(
+                    d,
+                    &uniforms,
+                    &[&self.primitives, &moments, &self.first, &self.second, &lists.status],
+                ),
+                uniforms,
+                lists,
+                planes,
+                errors,
+                moments,
+                #[cfg(test)]
+                tails,
+                #[cfg(test)]
+                slots,
+            }
+        })?;
+        self.stage = Some(stage);
+        Ok(())
+    }
+
+    /// Takes the pending steps.
+    fn flush(&mut self) -> Result<()> {
+        if self.count == 0 {
+            self.pending.clear();
+        }
+        while !self.pending.is_empty() {
+            self.prepare()?;
+            let mut steps = Vec::new();
+            let mut slots = 0;
+            for &(rows, rates) in self.pending.iter().take(BATCH) {
+                slots += 2 * self.bands(rows).len();
+                if slots > SLOTS && !steps.is_empty() {
+                    break;
+                }
+                steps.push((rows, rates));
+            }
+            self.submit(&steps)?;
+            let [_, missing, taken, _] = self.stage.as_ref().expect("prepared").lists.status(&self.device)?;
+            self.iteration += taken;
+            self.pending.drain(..taken as usize);
+            if missing > 0 {
+                self.make_room(missing)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Submits `steps`.
+    fn submit(&self, steps: &[(RowSet, Rates)]) -> Result<()> {
+        let stage = self.stage.as_ref().expect("prepared");
+        let (device, k, count) = (&self.device, self.device.kernels(), u64::from(self.count));
+        let sets: Vec<Vec<Uniforms>> =
+            steps.iter().enumerate().map(|(i, &(rows, rates))| self.slots(rows, rates, i as u32)).collect();
+        device.scoped(|| {
+            device.write(&stage.uniforms, &spaced(&sets.concat()));
+            let mut work = Work::new(device);
+            work.encoder.clear_buffer(&stage.lists.status, 0, None);
+            let mut slot = 0;
+            for (set, &(rows, _)) in sets.iter().zip(steps) {
+                let start = slot;
+                stage.lists.project(k, &mut work.encoder, start, count);
+                for (u, band) in set.chunks_exact(2).zip(self.bands(rows)) {
+                    stage.lists.fill(k, &mut work.encoder, slot, &u[0]);
+                    let mut pass = work.encoder.begin_compute_pass(&Default::default());
+                    k.forward.groups(&mut pass, &stage.forward[band.slab], slot, u[0].tiles());
+                    k.backward.each(&mut pass, &stage.backward, slot, self.capacity.into());
+                    k.gather.each(&mut pass, &stage.gather, slot + u32::from(slot > start), count);
+                    drop(pass);
+                    slot += 2;
+                    work.did(&u[0]);
+                }
+                let mut pass = work.encoder.begin_compute_pass(&Default::default());
+                k.adam.each(&mut pass, &stage.adam, start, count);
+            }
+            work.submit();
+        })
+    }
+
+    /// Makes the lists longer or, when they are as long as can be, the bands lower. `missing` is what a band asked for,
+    /// or as much of that as was counted.
+    fn make_room(&mut self, missing: u32) -> Result<()> {
+        let most = (MOST_BINDING / SLOT) as u32;
+        if self.capacity < most {
+            self.capacity = self.capacity.saturating_mul(2).max(missing).min(most);
+        } else if self.band_rows > TILE {
+            self.band_rows = (self.band_rows / 2).next_multiple_of(TILE);
+        } else {
+            let what = "(Gaussian, tile) pairs in a row of tiles";
+            return Err(GpuError::Overflow { what, requested: missing.into(), allowed: most.into() }.into());
+        }
+        self.stage = None;
+        self.peaks = None;
+        Ok(())
+    }
+
+    /// Draws the picture over `rows`; leaves what is missing from it in the cells of `peaks`.
+    fn survey(&mut self, mut rows: RowSet, wanted: Wanted) -> Result<Survey> {
+        // Cells are as wide as the rows are apart; where they would not fit into a binding, look less closely.
+        while wanted == Wanted::All && Peaks::cells(&self.base, rows) > self.binding / 16 {
+            rows.step += 1;
+        }
+        let still = Rates { mean: 0.0, log_scale: 0.0, rotation: 0.0, color: 0.0 };
+        loop {
+            self.prepare()?;
+            let stage = self.stage.as_ref().expect("prepared");
+            if wanted == Wanted::All && self.peaks.as_ref().is_none_or(|p| p.room() < Peaks::cells(&self.base, rows)) {
+                let sources: Vec<&wgpu::Buffer> = self.slabs.iter().map(|s| &s.source).collect();
+                self.peaks = Some(Peaks::new(&self.device, &self.base, rows, &sources, stage)?);
+            }
+            let peaks = self.peaks.as_ref().filter(|_| wanted == Wanted::All);
+            let (device, k, count) = (&self.device, self.device.kernels(), u64::from(self.count));
+            let bands = self.bands(rows);
+            let mut set = self.slots(rows, still, 0);
+            for u in &mut set {
+                u.cell = rows.step;
+                u.cells_x = self.base.width.div_ceil(rows.step);
+            }
+            let tiles: u64 = set.iter().step_by(2).map(Uniforms::tiles).sum();
+            if set.len() > SLOTS {
+                let (requested, allowed) = (set.len() as u64 / 2, SLOTS as u64 / 2);
+                return Err(GpuError::Overflow { what: "bands", requested, allowed }.into());
+            }
+            device.scoped(|| {
+                device.write(&stage.uniforms, &spaced(&set));
+                let mut work = Work::new(device);
+                work.encoder.clear_buffer(&stage.lists.status, 0, None);
+                stage.lists.project(k, &mut work.encoder, 0, count);
+                let mut slot = 0;
+                for (u, band) in set.chunks_exact(2).zip(&bands) {
+                    stage.lists.fill(k, &mut work.encoder, slot, &u[0]);
+                    let mut pass = work.encoder.begin_compute_pass(&Default::default());
+                    k.forward.groups(&mut pass, &stage.forward[band.slab], slot + 1, u[0].tiles());
+                    if let Some(peaks) = peaks {
+                        k.importance.each(&mut pass, &stage.importance, slot, self.capacity.into());
+                        k.gather.each(&mut pass, &stage.gather, slot + u32::from(slot > 0), count);
+                        peaks.residual(k, &mut pass, band.slab, slot, &u[0]);
+                    }
+                    drop(pass);
+                    slot += 2;
+                    work.did(&u[0]);
+                }
+                work.submit();
+            })?;
+            let [_, missing, ..] = stage.lists.status(device)?;
+            if missing > 0 {
+                self.make_room(missing)?;
+                continue;
+            }
+            let error = stage.error(device, tiles)?;
+            let costs = match wanted {
+                Wanted::Error => Vec::new(),
+                Wanted::All => device.read_as(&stage.moments, self.count as usize)?,
+            };
+            return Ok(Survey { error, costs, rows });
+        }
+    }
+
+    /// The best `count` peaks after a survey, of those worth at least `least`, for a picture of `among` primitives.
+    fn best_peaks(&self, scene: &Scene, survey: &Survey, count: usize, among: usize, least: f32) -> Result<Vec<Peak>> {
+        let peaks = self.peaks.as_ref().expect("surveyed");
+        let spacing = relocate::spacing(scene, count, among);
+        let candidates = peaks.find(&self.device, &self.base, survey.rows, spacing, least)?;
+        Ok(relocate::best(candidates, count, scene))
+    }
+
+    fn relocate(&mut self, scene: &Scene, target: &Target, rows: RowSet, most: usize) -> Result<usize> {
+        self.flush()?;
+        if self.count == 0 {
+            return Ok(0);
+        }
+        let survey = self.survey(rows, Wanted::All)?;
+        let order = relocate::cheapest_first(&survey.costs);
+        let least = survey.costs[order[0]];
+        let mut moves: Vec<u32> = Vec::new();
+        for (peak, i) in self.best_peaks(scene, &survey, most, self.count as usize, least)?.iter().zip(order) {
+            if peak.gain < survey.costs[i] {
+                break;
+            }
+            moves.push(i as u32);
+            let [p] = [packed(&relocate::at_peak(peak, scene, target))];
+            moves.extend(bytemuck::cast_slice::<_, u32>(std::slice::from_ref(&p)));
+        }
+        let count = (moves.len() / 10) as u32;
+        let (device, k) = (&self.device, self.device.kernels());
+        let stage = self.stage.as_ref().expect("prepared");
+        device.scoped(|| {
+            let (d, queue) = device.wgpu();
+            let list = device.storage("moves", moves.len() as u64 * 4);
+            device.write(&list, &moves);
+            let u = Uniforms { primitives: self.count, capacity: count, ..self.base };
+            device.write(&stage.uniforms, &spaced(&[u]));
+            let bound = k.relocate.bind(d, &stage.uniforms, &[&list, &self.primitives, &self.first, &self.second]);
+            let mut encoder = d.create_command_encoder(&Default::default());
+            let mut pass = encoder.begin_compute_pass(&Default::default());
+            k.relocate.each(&mut pass, &bound, 0, count.into());
+            drop(pass);
+            queue.submit([encoder.finish()]);
+        })?;
+        Ok(count as usize)
+    }
+
+    fn resize(&mut self, scene: &Scene, target: &Target, rows: RowSet, wanted: usize) -> Result<()> {
+        self.flush()?;
+        check_primitives(wanted as u64)?;
+        let have = self.count as usize;
+        let mut primitives = self.download()?;
+        let read = |buffer| self.device.read_as::<[f32; 9]>(buffer, have);
+        let (mut first, mut second) = (read(&self.first)?, read(&self.second)?);
+        if wanted != have {
+            let survey = self.survey(rows, Wanted::All)?;
+            if wanted < have {
+                let mut keep = vec![true; have];
+                for i in relocate::cheapest_first(&survey.costs).into_iter().take(have - wanted) {
+                    keep[i] = false;
+                }
+                primitives = kept(&primitives, &keep);
+                first = kept(&first, &keep);
+                second = kept(&second, &keep);
+            } else {
+                for peak in self.best_peaks(scene, &survey, wanted - have, wanted, 0.0)? {
+                    primitives.push(relocate::at_peak(&peak, scene, target));
+                    first.push([0.0; 9]);
+                    second.push([0.0; 9]);
+                }
+            }
+        }
+        [self.primitives, self.first, self.second] = upload(&self.device, &primitives, Some([&first, &second]))?;
+        self.count = primitives.len() as u32;
+        self.capacity = self.capacity.max(capacity_for(self.count));
+        self.stage = None;
+        self.peaks = None;
+        Ok(())
+    }
+
+    fn download(&self) -> Result<Vec<project::Primitive>> {
+        let read: Vec<Primitive> = self.device.read_as(&self.primitives, self.count as usize)?;
+        Ok(read.into_iter().map(unpacked).collect())
+    }
+}
+
+/// Commands on their way, submitted in parts.
+struct Work<'a> {
+    device: &'a Device,
+    encoder: wgpu::CommandEncoder,
+    pixels: u64,
+}
+
+impl<'a> Work<'a> {
+    fn new(device: &'a Device) -> Self {
+        let encoder = device.wgpu().0.create_command_encoder(&Default::default());
+        Work { device, encoder, pixels: 0 }
+    }
+
+    /// Notes that the commands of a band are complete.
+    fn did(&mut self, band: &Uniforms) {
+        self.pixels += u64::from(band.width) * u64::from(band.band_rows);
+        if self.pixels > MOST_PIXELS {
+            self.pixels = 0;
+            let next = self.device.wgpu().0.create_command_encoder(&Default::default());
+            self.device.wgpu().1.submit([std::mem::replace(&mut self.encoder, next).finish()]);
+        }
+    }
+
+    fn submit(self) {
+        self.device.wgpu().1.submit([self.encoder.finish()]);
+    }
+}
+
+/// Rows of a slab of the target and of a band of planes, of pixels of `words` words, so that no binding passes
+/// `binding` bytes.
+pub(super) fn rows_at_a_time(width: u32, height: u32, words: u32, binding: u64) -> Result<[u32; 2]> {
+    let (wide, tile) = (u64::from(width), u64::from(TILE));
+    let slab = (binding / (4 * u64::from(words) * wide)).min(u64::from(height)) as u32;
+    let by_planes = binding / (16 * wide) / tile;
+    let by_tiles = MOST_TILES / wide.div_ceil(tile);
+    let band = by_planes.min(by_tiles).min(u64::from(height.div_ceil(TILE))) as u32 * TILE;
+    if slab == 0 || band == 0 {
+        let what = "columns of a picture to fit";
+        return Err(GpuError::Overflow { what, requested: wide, allowed: binding / (16 * tile) }.into());
+    }
+    Ok([slab, band])
+}
+
+/// Pairs to make room for at first: what fitted pictures have, and some more.
+fn capacity_for(count: u32) -> u32 {
+    count.saturating_mul(24).max(1 << 14).min((MOST_BINDING / SLOT) as u32)
+}
+
+fn kept<T: Copy>(all: &[T], keep: &[bool]) -> Vec<T> {
+    all.iter().zip(keep).filter(|(_, k)| **k).map(|(v, _)| *v).collect()
+}
+
+/// Primitives, and the first and second moments of their gradients.
+fn upload(
+    device: &Device,
+    primitives: &[project::Primitive],
+    memory: Option<[&[[f32; 9]]; 2]>,
+) -> Result<[wgpu::Buffer; 3]> {
+    let bytes = primitives.len() as u64 * size_of::<Primitive>() as u64;
+    let primitives: Vec<Primitive> = primitives.iter().map(packed).collect();
+    device.scoped(|| {
+        // New buffers are zero.
+        let buffers = ["primitives", "first moments", "second moments"].map(|name| device.storage(name, bytes));
+        device.write(&buffers[0], &primitives);
+        if let Some([first, second]) = memory {
+            device.write(&buffers[1], first);
+            device.write(&buffers[2], second);
+        }
+        buffers
+    })
+}
+
+pub(super) fn packed(p: &project::Primitive) -> Primitive {
+    Primitive { mean: p.mean, log_scale: p.log_scale, rotation: p.rotation, color: p.color }
+}
+
+fn unpacked(p: Primitive) -> project::Primitive {
+    project::Primitive { mean: p.mean, log_scale: p.log_scale, rotation: p.rotation, color: p.color }
+}
+
+/// Rows `first..end` of the target, four channels a pixel: a word with 8 bits a sample, two with 16.
+pub(super) fn pack(pixels: &Pixels, first: u32, end: u32) -> Vec<u32> {
+    let count = pixels.channels().count();
+    let row = pixels.width() as usize * count;
+    let range = first as usize * row..end as usize * row;
+    match pixels.samples() {
+        Samples::U8(v) => v[range]
+            .chunks_exact(count)
+            .map(|p| p.iter().enumerate().fold(0, |word, (k, &s)| word | u32::from(s) << (8 * k)))
+            .collect(),
+        Samples::U16(v) => v[range]
+            .chunks_exact(count)
+            .flat_map(|p| {
+                let s = |k: usize| p.get(k).map_or(0, |&s| u32::from(s));
+                [s(0) | s(1) << 16, s(2) | s(3) << 16]
+            })
+            .collect(),
+    }
+}

@@ -1,0 +1,37 @@
+//! Drawing and fitting on a GPU, by way of `wgpu`: Vulkan, Metal, Direct3D 12 and the browser's WebGPU.
+//!
+//! Results are bit-identical from run to run on one device, and within one code value of
+//! [`raster::reference`](crate::raster::reference). Nothing here needs more than `wgpu::Limits::default()`; large
+//! pictures are worked on in bands of rows. Files from strangers are best decoded on the CPU: a driver is a large
+//! thing to expose to them, and a GPU can be kept busy for longer.
+//!
+//! ```no_run
+//! use ssplat::gpu::{Adapters, Device, Renderer};
+//! use ssplat::raster::View;
+//! use ssplat::{Depth, Limits};
+//!
+//! let file = std::fs::File::open("photo.ssplat")?;
+//! let picture = ssplat::bitstream::read(file, &Limits::default())?.to_picture();
+//! let device = Device::open(Adapters::Hardware)?;
+//! let mut renderer = Renderer::new(&device, &picture, &Limits::default())?;
+//! let pixels = renderer.render(&View::full(&picture), Depth::Eight)?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod device;
+mod fit;
+mod fitted;
+mod kernels;
+mod lists;
+mod peaks;
+mod renderer;
+mod scene;
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+mod twin;
+
+pub use device::{Adapters, Device};
+pub(crate) use fit::Fitter;
+pub use fitted::{Fitted, Look, fit};
+pub use renderer::Renderer;

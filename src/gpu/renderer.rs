@@ -1,0 +1,329 @@
+//! Draws views of a picture that stays on the device.
+
+use super::device::Device;
+use super::lists::{Lists, MOST_BINDING, MOST_TILES, check_primitives};
+use super::scene::{Primitive, TILE, Uniforms, spaced};
+use crate::error::{Error, GpuError, Result};
+use crate::gaussian::{Blend, Channels, MAX_SCALE, Picture};
+use crate::limits::Limits;
+use crate::pixels::{Depth, Pixels, Samples};
+use crate::raster::View;
+
+/// Bytes that a row of a texture copy is aligned to.
+const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
+
+/// A picture on a device, ready to be drawn in any view.
+#[derive(Debug)]
+pub struct Renderer {
+    device: Device,
+    channels: Channels,
+    blend: Blend,
+    background: [f32; 4],
+    count: u32,
+    limits: Limits,
+    primitives: wgpu::Buffer,
+    stage: Option<Stage>,
+    band_rows: u32,
+    /// Pairs that a band may have before its lists must grow.
+    capacity: u32,
+}
+
+/// The buffers for views of one shape.
+#[derive(Debug)]
+struct Stage {
+    shape: Shape,
+    uniforms: wgpu::Buffer,
+    codes: wgpu::Buffer,
+    lists: Lists,
+    render: wgpu::BindGroup,
+}
+
+/// What the buffers depend on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Shape {
+    width: u32,
+    height: u32,
+    /// Words in a row of the codes.
+    stride: u32,
+    band_rows: u32,
+    capacity: u32,
+}
+
+/// How code values are laid out; the numbers are the modes of `render.wgsl`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Format {
+    Rgba8 = 0,
+    Bgra8 = 1,
+    Rgba16 = 2,
+}
+
+impl Renderer {
+    /// Brings `picture` to `device`.
+    ///
+    /// # Errors
+    /// [`Error::LimitExceeded`] when `limits` do not allow its primitives; [`Error::Parameter`] when one of them is not
+    /// finite or has a scale outside 0..=2²⁰; [`Error::Gpu`] when the device fails or cannot hold them.
+    pub fn new(device: &Device, picture: &Picture, limits: &Limits) -> Result<Self> {
+        let count = picture.gaussians.len() as u64;
+        Limits::check("primitives", count, limits.primitives)?;
+        check_primitives(count)?;
+        if !picture.background.iter().all(|v| v.is_finite()) {
+            return Err(Error::Parameter { name: "background", problem: format!("{:?}", picture.background) });
+        }
+        let mut primitives = Vec::with_capacity(picture.gaussians.len());
+        for (i, g) in picture.gaussians.iter().enumerate() {
+            let sound = g.mean.iter().chain([&g.rotation]).chain(&g.color).all(|v| v.is_finite())
+                && g.scale.iter().all(|&s| s > 0.0 && s <= MAX_SCALE);
+            if !sound {
+                return Err(Error::Parameter {
+                    name: "gaussians",
+                    problem: format!("number {i} is not finite or has a scale outside 0..=1048576: {g:?}"),
+                });
+            }
+            primitives.push(Primitive {
+                mean: g.mean,
+                log_scale: g.scale.map(f32::ln),
+                // The shader's sine is exact near 0.
+                rotation: g.rotation.rem_euclid(std::f32::consts::PI),
+                color: g.color,
+            });
+        }
+        let buffer = device.scoped(|| {
+            let buffer = device.storage("primitives", count * size_of::<Primitive>() as u64);
+            device.write(&buffer, &primitives);
+            buffer
+        })?;
+        Ok(Renderer {
+            device: device.clone(),
+            channels: picture.channels,
+            blend: picture.blend,
+            background: picture.background,
+            count: count as u32,
+            limits: limits.clone(),
+            primitives: buffer,
+            stage: None,
+            band_rows: u32::MAX,
+            capacity: (count as u32).saturating_mul(24).max(1 << 16).min((MOST_BINDING / 4) as u32),
+        })
+    }
+
+    /// Draws `view` and brings the pixels back.
+    ///
+    /// # Errors
+    /// [`Error::LimitExceeded`] when the pixels or the (Gaussian, tile) pairs go beyond the limits; [`Error::Gpu`] when
+    /// the device fails, or the Gaussians of a single row of tiles do not fit into a list.
+    pub fn render(&mut self, view: &View, depth: Depth) -> Result<Pixels> {
+        let count = self.channels.count();
+        let samples = u64::from(view.width()) * u64::from(view.height()) * count as u64;
+        Limits::check("alloc", samples * depth.bytes() as u64, self.limits.alloc)?;
+        // Of red, green, blue and alpha, those that the picture has.
+        let picked: &[usize] = match self.channels {
+            Channels::Grey => &[0],
+            Channels::GreyAlpha => &[0, 3],
+            Channels::Rgb => &[0, 1, 2],
+            Channels::Rgba => &[0, 1, 2, 3],
+        };
+        let pixel = |bytes: &mut Vec<u8>, p: &[u8]| bytes.extend(picked.iter().map(|&k| p[k]));
+        let samples = match depth {
+            Depth::Eight => {
+                let mut out = Vec::with_capacity(samples as usize);
+                self.draw(view, Format::Rgba8, view.width(), |device, codes, words, _| {
+                    for p in device.read(codes, words * 4)?.chunks_exact(4) {
+                        pixel(&mut out, p);
+                    }
+                    Ok(())
+                })?;
+                Samples::U8(out)
+            }
+            Depth::Sixteen => {
+                let mut out: Vec<u16> = Vec::with_capacity(samples as usize);
+                self.draw(view, Format::Rgba16, 2 * view.width(), |device, codes, words, _| {
+                    for p in device.read_as::<[u32; 2]>(codes, words as usize / 2)? {
+                        let p = [p[0] as u16, (p[0] >> 16) as u16, p[1] as u16, (p[1] >> 16) as u16];
+                        out.extend(picked.iter().map(|&k| p[k]));
+                    }
+                    Ok(())
+                })?;
+                Samples::U16(out)
+            }
+        };
+        Pixels::new(view.width(), view.height(), self.channels, samples)
+    }
+
+    /// Draws `view` into `buffer` as red, green, blue and straight alpha, 8 bits each, row after row. It stays on the
+    /// device.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`]; [`GpuError::Validation`] when the buffer is shorter than four bytes a pixel, is of
+    /// another device or cannot be copied to.
+    pub fn render_to_buffer(&mut self, view: &View, buffer: &wgpu::Buffer) -> Result<()> {
+        let width = view.width();
+        self.draw(view, Format::Rgba8, width, |device, codes, words, first| {
+            let to = u64::from(first) * u64::from(width) * 4;
+            device.scoped(|| {
+                let (d, queue) = device.wgpu();
+                let mut encoder = d.create_command_encoder(&Default::default());
+                encoder.copy_buffer_to_buffer(codes, 0, buffer, to, words * 4);
+                queue.submit([encoder.finish()]);
+            })
+        })
+    }
+
+    /// Draws `view` into the top left corner of `texture`, with straight alpha. The pixels never leave the device.
+    ///
+    /// The texture must be of the same `wgpu` device, can be copied to (`COPY_DST`) and has a format of four times 8
+    /// bits: `Rgba8Unorm`, `Rgba8UnormSrgb`, `Bgra8Unorm` or `Bgra8UnormSrgb`. Values are encoded sRGB, so that the
+    /// `Srgb` ones sample as linear light.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`]; [`Error::Parameter`] for another format or a texture smaller than the view.
+    pub fn render_to_texture(&mut self, view: &View, texture: &wgpu::Texture) -> Result<()> {
+        use wgpu::TextureFormat as F;
+        let format = match texture.format() {
+            F::Rgba8Unorm | F::Rgba8UnormSrgb => Format::Rgba8,
+            F::Bgra8Unorm | F::Bgra8UnormSrgb => Format::Bgra8,
+            other => {
+                return Err(Error::Parameter { name: "texture", problem: format!("format {other:?}") });
+            }
+        };
+        let (width, height) = (view.width(), view.height());
+        if width > texture.width() || height > texture.height() {
+            let problem = format!("{}×{} is smaller than the view", texture.width(), texture.height());
+            return Err(Error::Parameter { name: "texture", problem });
+        }
+        let stride = (width * 4).next_multiple_of(ROW_ALIGNMENT) / 4;
+        self.draw(view, format, stride, |device, codes, words, first| {
+            device.scoped(|| {
+                let (d, queue) = device.wgpu();
+                let mut encoder = d.create_command_encoder(&Default::default());
+                let source = wgpu::TexelCopyBufferInfo {
+                    buffer: codes,
+                    layout: wgpu::TexelCopyBufferLayout {
+                        offset: 0,
+                        bytes_per_row: Some(stride * 4),
+                        rows_per_image: None,
+                    },
+                };
+                let target = wgpu::TexelCopyTextureInfo {
+                    texture,
+                    mip_level: 0,
+                    origin: wgpu::Origin3d { x: 0, y: first, z: 0 },
+                    aspect: wgpu::TextureAspect::All,
+                };
+                let rows = (words / u64::from(stride)) as u32;
+                let size = wgpu::Extent3d { width, height: rows, depth_or_array_layers: 1 };
+                encoder.copy_buffer_to_texture(source, target, size);
+                queue.submit([encoder.finish()]);
+            })
+        })
+    }
+
+    /// Rows of the bands that the last view was drawn in, and the pairs that a band's lists hold.
+    #[must_use]
+    pub fn bands(&self) -> (u32, u32) {
+        (self.band_rows, self.capacity)
+    }
+
+    /// Draws `view` band by band; `take` is given each band's codes, their number in words and the band's first row.
+    /// Nothing is handed on before the band is known to be whole.
+    fn draw(
+        &mut self,
+        view: &View,
+        format: Format,
+        stride: u32,
+        mut take: impl FnMut(&Device, &wgpu::Buffer, u64, u32) -> Result<()>,
+    ) -> Result<()> {
+        let tiles_x = u64::from(view.width().div_ceil(TILE));
+        // Whole rows of tiles whose codes fit into a binding.
+        let by_codes = MOST_BINDING / 4 / u64::from(stride) / u64::from(TILE);
+        let by_tiles = MOST_TILES / tiles_x;
+        let most = (by_codes.min(by_tiles).max(1) as u32).saturating_mul(TILE);
+        let lowest = view.height().next_multiple_of(TILE);
+        if self
+            .stage
+            .as_ref()
+            .is_none_or(|s| [s.shape.width, s.shape.height, s.shape.stride] != [view.width(), view.height(), stride])
+        {
+            self.band_rows = most.min(lowest);
+        }
+        let mut first = 0;
+        let mut pairs = 0u64;
+        while first < view.height() {
+            let rows = self.band_rows.min(view.height() - first);
+            self.prepare(view, stride)?;
+            let stage = self.stage.as_ref().expect("just prepared");
+            let band = Uniforms {
+                capacity: self.capacity,
+                stride,
+                ..Uniforms::new(view, self.blend, self.channels, self.background, self.count)
+            }
+            .band(first, rows);
+            let modes = [0, 1, format as u32].map(|mode| Uniforms { mode, ..band });
+            self.device.scoped(|| {
+                let (d, queue) = self.device.wgpu();
+                let kernels = self.device.kernels();
+                self.device.write(&stage.uniforms, &spaced(&modes));
+                let mut encoder = d.create_command_encoder(&Default::default());
+                encoder.clear_buffer(&stage.lists.status, 0, None);
+                stage.lists.project(kernels, &mut encoder, 0, u64::from(self.count));
+                stage.lists.fill(kernels, &mut encoder, 0, &band);
+                let mut pass = encoder.begin_compute_pass(&Default::default());
+                kernels.render.groups(&mut pass, &stage.render, 2, band.tiles());
+                drop(pass);
+                queue.submit([encoder.finish()]);
+            })?;
+            let [found, missing, ..] = stage.lists.status(&self.device)?;
+            if missing > 0 {
+                self.make_room(missing)?;
+                continue;
+            }
+            pairs += u64::from(found);
+            Limits::check("tile_pairs", pairs, self.limits.tile_pairs)?;
+            take(&self.device, &stage.codes, u64::from(rows) * u64::from(stride), first)?;
+            first += rows;
+        }
+        Ok(())
+    }
+
+    /// Makes the lists longer or, when they are as long as can be, the bands lower. `missing` is what a band asked for,
+    /// or as much of that as was counted.
+    fn make_room(&mut self, missing: u32) -> Result<()> {
+        let most = (MOST_BINDING / 4) as u32;
+        if self.capacity < most {
+            self.capacity = (self.capacity.saturating_mul(2)).max(missing).min(most);
+        } else if self.band_rows > TILE {
+            self.band_rows = (self.band_rows / 2).next_multiple_of(TILE);
+        } else {
+            let what = "(Gaussian, tile) pairs in a row of tiles";
+            return Err(GpuError::Overflow { what, requested: missing.into(), allowed: most.into() }.into());
+        }
+        Ok(())
+    }
+
+    /// Makes the buffers, unless those of the last view do.
+    fn prepare(&mut self, view: &View, stride: u32) -> Result<()> {
+        let shape = Shape {
+            width: view.width(),
+            height: view.height(),
+            stride,
+            band_rows: self.band_rows,
+            capacity: self.capacity,
+        };
+        if self.stage.as_ref().is_some_and(|s| s.shape == shape) {
+            return Ok(());
+        }
+        let device = &self.device;
+        let tiles = u64::from(shape.width.div_ceil(TILE)) * u64::from(shape.band_rows.div_ceil(TILE));
+        let stage = device.scoped(|| {
+            use wgpu::BufferUsages as U;
+            let uniforms = device.buffer("uniforms", 3 * u64::from(Uniforms::STRIDE), U::UNIFORM | U::COPY_DST);
+            let codes = device.storage("codes", u64::from(stride) * u64::from(shape.band_rows) * 4);
+            let lists = Lists::new(device, &uniforms, &self.primitives, self.count.into(), tiles, shape.capacity);
+            let buffers = [&lists.splats, &lists.starts, &lists.sorted, &lists.status, &codes];
+            let render = device.kernels().render.bind(device.wgpu().0, &uniforms, &buffers);
+            Stage { shape, uniforms, codes, lists, render }
+        })?;
+        self.stage = Some(stage);
+        Ok(())
+    }
+}

@@ -1,0 +1,729 @@
+//! What integration tests cannot see: the shaders' text and layouts, and each stage beside its twin.
+
+use super::kernels::{Kernels, fold};
+use super::scene::{Primitive, Splat, Uniforms};
+use crate::gpu::kernels::Access;
+use wgpu::naga;
+
+fn parsed(spec: &super::kernels::Spec) -> naga::Module {
+    let source = spec.source();
+    naga::front::wgsl::parse_str(&source).unwrap_or_else(|e| panic!("{}: {}", spec.entry, e.emit_to_string(&source)))
+}
+
+#[test]
+fn every_shader_is_valid_and_within_default_limits() {
+    use naga::valid::{Capabilities, ValidationFlags, Validator};
+    for spec in Kernels::SPECS {
+        let module = parsed(spec);
+        // No capability beyond the core language: no subgroups, no float atomics.
+        Validator::new(ValidationFlags::all(), Capabilities::empty())
+            .validate(&module)
+            .unwrap_or_else(|e| panic!("{}: {e:?}", spec.entry));
+        let entry = module.entry_points.iter().find(|e| e.name == spec.entry).expect("entry point");
+        let threads: u32 = entry.workgroup_size.iter().product();
+        assert_eq!(threads, spec.threads, "{}", spec.entry);
+        assert!(threads <= 256);
+        assert!(spec.bindings.len() <= 8, "{} binds {}", spec.entry, spec.bindings.len());
+        let mut layouter = naga::proc::Layouter::default();
+        layouter.update(module.to_ctx()).unwrap();
+        let mut shared = 0;
+        for (_, global) in module.global_variables.iter() {
+            match global.space {
+                naga::AddressSpace::WorkGroup => shared += layouter[global.ty].size,
+                naga::AddressSpace::Storage { access } => {
+                    let binding = global.binding.expect("bound").binding as usize;
+                    let write = access.contains(naga::StorageAccess::STORE);
+                    let want = if write { Access::Write } else { Access::Read };
+                    assert_eq!(spec.bindings.get(binding - 1), Some(&want), "{} {:?}", spec.entry, global.name);
+                }
+                _ => {}
+            }
+        }
+        assert!(shared <= 16 << 10, "{} shares {shared} bytes", spec.entry);
+    }
+}
+
+/// Offsets and names of the members of the WGSL struct `name`, and its size.
+fn members(module: &naga::Module, name: &str) -> (Vec<(String, u32)>, u32) {
+    let found = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name));
+    let Some((_, naga::Type { inner: naga::TypeInner::Struct { members, span }, .. })) = found else {
+        panic!("no struct {name}");
+    };
+    (members.iter().map(|m| (m.name.clone().unwrap(), m.offset)).collect(), *span)
+}
+
+#[test]
+fn structs_are_laid_out_alike_on_both_sides() {
+    macro_rules! offsets {
+        ($type:ty: $($field:ident),+) => { vec![$((stringify!($field).to_owned(), std::mem::offset_of!($type, $field) as u32)),+] };
+    }
+    let module = parsed(&Kernels::SPECS[0]);
+    let (scene, size) = members(&module, "Scene");
+    let rust = offsets!(Uniforms: background, rates, origin_high, origin_low, step, size, min_log_scale, max_log_scale,
+        max_log_aspect, correction_first, correction_second, least_gain, variance, primitives, capacity, width, height,
+        row_step, row_phase, band_first, band_rows, tiles_x, tiles_y, tile_base, blend, channels, alpha, source_words,
+        source_first, mode, cells_x, cells_y, cell, stride, level, spare_0, spare_1, spare_2);
+    assert_eq!(scene, rust);
+    assert_eq!(size as usize, size_of::<Uniforms>());
+    assert!(size <= Uniforms::STRIDE);
+    let (splat, size) = members(&module, "Splat");
+    assert_eq!((splat, size as usize), (offsets!(Splat: place, shape, extent, color), size_of::<Splat>()));
+    let (primitive, size) = members(&module, "Primitive");
+    assert_eq!((primitive.len() * 4, size as usize), (size_of::<Primitive>(), size_of::<Primitive>()));
+}
+
+#[test]
+fn constants_are_the_crates_own() {
+    use super::twin::common as twin;
+    let support = 0.5 * f64::from(crate::gaussian::CUTOFF).powi(2) * std::f64::consts::LOG2_E;
+    assert_eq!(twin::CUTOFF, crate::gaussian::CUTOFF);
+    assert_eq!(twin::CUTOFF_WEIGHT, crate::gaussian::CUTOFF_WEIGHT);
+    assert_eq!(twin::EPSILON, crate::gaussian::EPSILON);
+    assert!((f64::from(twin::SUPPORT) - support).abs() < 1e-6);
+    assert!((f64::from(twin::HALF) - (0.5 * std::f64::consts::LOG2_E).sqrt()).abs() < 1e-7);
+    let common = include_str!("../../shaders/common.wgsl");
+    for text in ["CUTOFF: f32 = 3.5;", "CUTOFF_WEIGHT: f32 = 0.0021874911;", "SUPPORT: f32 = 8.836507;"] {
+        assert!(common.contains(text), "{text}");
+    }
+    for text in ["HALF: f32 = 0.8493218;", "EPSILON: f32 = 0.0078125;"] {
+        assert!(common.contains(text), "{text}");
+    }
+    let adam = include_str!("../../shaders/adam.wgsl");
+    for (name, value) in [("FIRST", crate::fit::adam::BETA1), ("SECOND", crate::fit::adam::BETA2)] {
+        assert!(adam.contains(&format!("const BETA_{name}: f32 = {value};")), "{name}");
+    }
+}
+
+#[test]
+fn sine_and_cosine_of_the_twin_are_within_two_ten_millionths() {
+    for i in -20_000..=20_000 {
+        let x = i as f32 * 0.005;
+        let [s, c] = super::twin::common::sin_cos(x);
+        let (sin, cos) = f64::from(x).sin_cos();
+        assert!((f64::from(s) - sin).abs() < 2e-7 && (f64::from(c) - cos).abs() < 2e-7, "{x}");
+    }
+}
+
+#[test]
+fn sixteen_thousand_rows_fit_into_bindings() {
+    use super::fit::rows_at_a_time;
+    use super::lists::MOST_BINDING;
+    // The largest picture of the SmartSplat paper: six slabs, 768 sampled rows at a time.
+    assert_eq!(rows_at_a_time(10_848, 16_320, 1, MOST_BINDING).unwrap(), [3093, 768]);
+    assert_eq!(rows_at_a_time(10_848, 16_320, 2, MOST_BINDING).unwrap(), [1546, 768]);
+    // Flat and small pictures.
+    assert_eq!(rows_at_a_time(1 << 19, 36, 2, MOST_BINDING).unwrap(), [32, 16]);
+    assert_eq!(rows_at_a_time(1, 1, 1, MOST_BINDING).unwrap(), [1, 16]);
+    assert!(rows_at_a_time((1 << 19) + 1, 36, 1, MOST_BINDING).is_err());
+}
+
+#[test]
+fn workgroups_fold_into_two_dimensions() {
+    for groups in [1, 65_535, 65_536, 131_071, 4_000_000, u64::from(u32::MAX)] {
+        let [x, y] = fold(groups).map(u64::from);
+        assert!(x <= 65_535 && y <= 65_538 && x * y >= groups && x * y < groups + y, "{groups}: {x} × {y}");
+    }
+}
+
+mod stages {
+    //! Each stage beside its twin, on any adapter. Without one they say so; with `SSPLAT_REQUIRE_GPU=1` they fail.
+
+    use super::super::device::{Adapters, Device};
+    use super::super::fit::{Fitter, Stage, pack, packed};
+    use super::super::peaks::Found;
+    use super::super::renderer::Renderer;
+    use super::super::scene::{Primitive, Splat, Uniforms};
+    use super::super::twin;
+    use crate::fit::adam::{Bounds, Rates};
+    use crate::fit::field::{Output, RowSet, Scene};
+    use crate::fit::plan::Plan;
+    use crate::fit::project::Primitive as Free;
+    use crate::fit::target::Target;
+    use crate::fit::{self, Engine};
+    use crate::gaussian::{Blend, Channels};
+    use crate::pixels::{Pixels, Samples};
+    use std::io::Write;
+    use std::sync::OnceLock;
+
+    fn device() -> Option<Device> {
+        static DEVICE: OnceLock<Result<Device, String>> = OnceLock::new();
+        match DEVICE.get_or_init(|| Device::open(Adapters::Any).map_err(|e| e.to_string())) {
+            Ok(device) => Some(device.clone()),
+            Err(e) => {
+                assert!(std::env::var("SSPLAT_REQUIRE_GPU").as_deref() != Ok("1"), "{e}");
+                // Past the harness, which would keep it to itself.
+                let name = std::thread::current().name().unwrap_or_default().to_owned();
+                let _ = writeln!(std::io::stderr(), "test {name} ... ignored, {e}");
+                None
+            }
+        }
+    }
+
+    const RATES: Rates = Rates { mean: 0.1, log_scale: 0.1, rotation: 0.1, color: 0.01 };
+
+    struct Random(u64);
+
+    impl Random {
+        fn within(&mut self, low: f32, high: f32) -> f32 {
+            self.0 ^= self.0 << 13;
+            self.0 ^= self.0 >> 7;
+            self.0 ^= self.0 << 17;
+            low + (high - low) * (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 40) as f32 / (1u64 << 24) as f32
+        }
+    }
+
+    /// Waves and an edge, so that there is something to fit at all scales.
+    fn pixels(width: u32, height: u32, channels: Channels, sixteen: bool) -> Pixels {
+        let mut values = Vec::new();
+        for y in 0..height {
+            for x in 0..width {
+                let (u, v) = (x as f32 / width as f32, y as f32 / height as f32);
+                for k in 0..channels.count() {
+                    let wave = (9.0 * u + 5.0 * v * v + k as f32).sin() * 0.3;
+                    let edge = if 3.0 * u + v > 1.7 + 0.2 * (20.0 * v).sin() { 0.35 } else { 0.0 };
+                    values.push((0.4 + wave + edge).clamp(0.0, 1.0));
+                }
+            }
+        }
+        let samples = if sixteen {
+            Samples::U16(values.iter().map(|v| (v * 65535.0) as u16).collect())
+        } else {
+            Samples::U8(values.iter().map(|v| (v * 255.0) as u8).collect())
+        };
+        Pixels::new(width, height, channels, samples).unwrap()
+    }
+
+    fn primitives(width: u32, height: u32, count: usize) -> Vec<Free> {
+        let mut r = Random(count as u64 + 99);
+        let one = |r: &mut Random| Free {
+            mean: [r.within(0.0, width as f32), r.within(0.0, height as f32)],
+            log_scale: [r.within(-0.5, 2.2), r.within(-0.5, 2.2)],
+            rotation: r.within(-4.0, 4.0),
+            color: std::array::from_fn(|_| r.within(-0.2, 1.2)),
+        };
+        (0..count).map(|_| one(&mut r)).collect()
+    }
+
+    struct Case {
+        pixels: Pixels,
+        scene: Scene,
+        free: Vec<Free>,
+        fitter: Fitter,
+    }
+
+    fn case(device: &Device, channels: Channels, blend: Blend, sixteen: bool) -> Case {
+        let (width, height) = (75, 61);
+        let pixels = pixels(width, height, channels, sixteen);
+        let scene = Scene { width, height, blend, background: [0.5, 0.4, 0.3, 0.9] };
+        let mut free = primitives(width, height, 90);
+        for p in &mut free {
+            p.color[channels.count()..].fill(0.0);
+        }
+        let fitter = Fitter::new(device, &scene, &pixels, &free, &Bounds::new(width, height)).unwrap();
+        Case { pixels, scene, free, fitter }
+    }
+
+    /// What the design document asks of two implementations of one sum: nearly all values within 1e−4 of each other,
+    /// relative to the largest, and an r.m.s. difference below 1e−5 of it.
+    #[track_caller]
+    fn assert_near(what: &str, a: &[f32], b: &[f32]) {
+        assert_eq!(a.len(), b.len(), "{what}");
+        let scale = a.iter().chain(b).fold(1e-20f32, |m, v| m.max(v.abs()));
+        let far = a.iter().zip(b).filter(|(a, b)| (*a - *b).abs() > 1e-4 * scale || a.is_nan() || b.is_nan()).count();
+        let square: f64 = a.iter().zip(b).map(|(a, b)| (f64::from(a - b) / f64::from(scale)).powi(2)).sum();
+        let rms = (square / a.len().max(1) as f64).sqrt();
+        assert!(far * 100_000 <= a.len() && rms < 1e-5, "{what}: {far} of {} far, rms {rms:e}", a.len());
+    }
+
+    /// Everything that a step leaves on the device.
+    struct Left {
+        scene: Uniforms,
+        splats: Vec<Splat>,
+        starts: Vec<u32>,
+        unsorted: Vec<u32>,
+        sorted: Vec<u32>,
+        status: [u32; 4],
+        planes: Vec<[f32; 4]>,
+        tails: Vec<f32>,
+        errors: Vec<f32>,
+        slots: Vec<[f32; 4]>,
+        moments: Vec<f32>,
+        primitives: Vec<f32>,
+        first: Vec<f32>,
+        second: Vec<f32>,
+    }
+
+    fn left(d: &Device, s: &Stage, state: &[&wgpu::Buffer; 3], scene: Uniforms) -> Left {
+        let n = scene.primitives as usize;
+        let tiles = scene.tiles() as usize;
+        let starts: Vec<u32> = d.read_as(&s.lists.starts, tiles + 1).unwrap();
+        let pairs = starts[tiles] as usize;
+        let pixels = (scene.width * scene.band_rows) as usize;
+        let read = |b: &wgpu::Buffer| d.read_as::<f32>(b, 9 * n).unwrap();
+        Left {
+            scene,
+            splats: d.read_as(&s.lists.splats, n).unwrap(),
+            unsorted: d.read_as(&s.lists.unsorted, pairs).unwrap(),
+            sorted: d.read_as(&s.lists.sorted, pairs).unwrap(),
+            status: s.lists.status(d).unwrap(),
+            planes: d.read_as(&s.planes, pixels).unwrap(),
+            tails: d.read_as(&s.tails, pixels).unwrap(),
+            errors: d.read_as(&s.errors, tiles).unwrap(),
+            slots: d.read_as(&s.slots, 3 * pairs).unwrap(),
+            moments: read(&s.moments),
+            primitives: read(state[0]),
+            first: read(state[1]),
+            second: read(state[2]),
+            starts,
+        }
+    }
+
+    #[test]
+    fn every_stage_of_a_step_agrees_with_its_twin() {
+        let Some(device) = device() else { return };
+        for (channels, blend, sixteen, rows) in [
+            (Channels::Rgb, Blend::Normalized, false, RowSet::ALL),
+            (Channels::Rgb, Blend::Sum, true, RowSet { step: 3, phase: 2 }),
+            (Channels::Rgba, Blend::Normalized, false, RowSet { step: 2, phase: 1 }),
+            (Channels::GreyAlpha, Blend::Normalized, true, RowSet::ALL),
+            (Channels::Grey, Blend::Sum, false, RowSet { step: 5, phase: 0 }),
+        ] {
+            let mut c = case(&device, channels, blend, sixteen);
+            let free: Vec<Primitive> = c.free.iter().map(packed).collect();
+            let got = c.fitter.inspect(rows, RATES, left).unwrap();
+            let scene = got.scene;
+            let tiles = scene.tiles() as usize;
+
+            let splats = twin::project::project(&scene, &free);
+            assert_near("splats", bytemuck::cast_slice(&got.splats), bytemuck::cast_slice(&splats));
+
+            // From here on each stage is given what the device's own stage was given.
+            let splats = &got.splats;
+            let (mut cursors, mut starts, mut status) = (vec![0; tiles], vec![0; tiles + 1], [0; 4]);
+            let mut lists = vec![0; got.sorted.len()];
+            twin::bin::bin(&scene, splats, &mut cursors, &mut lists, &mut status);
+            twin::scan::scan(&scene, &mut cursors, &mut starts, &mut status);
+            twin::bin::bin(&Uniforms { mode: 1, ..scene }, splats, &mut cursors, &mut lists, &mut [0; 4]);
+            assert_eq!(starts, got.starts);
+            assert_eq!(status[..2], got.status[..2]);
+            assert_eq!(got.status[2], 1, "steps taken");
+
+            let mut sorted = vec![0; got.sorted.len()];
+            twin::sort::sort(&starts, &got.unsorted, &mut sorted);
+            assert_eq!(sorted, got.sorted);
+            assert_eq!(lists, sorted, "one thread after the other makes sorted lists");
+
+            let source = pack(&c.pixels, 0, c.scene.height);
+            let mut planes = vec![[0.0; 4]; got.planes.len()];
+            let (mut tails, mut errors) = (vec![0.0; got.tails.len()], vec![0.0; tiles]);
+            let mut out = twin::forward::Output { planes: &mut planes, tails: &mut tails, errors: &mut errors };
+            twin::forward::forward(&scene, splats, &starts, &sorted, &source, &mut out);
+            assert_near("planes", bytemuck::cast_slice(&got.planes), bytemuck::cast_slice(&planes));
+            assert_near("tails", &got.tails, &tails);
+            assert_near("errors", &got.errors, &errors);
+
+            let mut slots = vec![[0.0; 4]; got.slots.len()];
+            twin::backward::backward(&scene, splats, &starts, &sorted, &got.planes, &got.tails, &mut slots);
+            assert_near("slots", bytemuck::cast_slice(&got.slots), bytemuck::cast_slice(&slots));
+
+            let mut moments = vec![0.0; got.moments.len()];
+            twin::gather::gather(&scene, splats, &starts, &sorted, &got.slots, &mut moments);
+            assert_near("moments", &got.moments, &moments);
+
+            let mut after: Vec<f32> = bytemuck::cast_slice(&free).to_vec();
+            let (mut first, mut second) = (vec![0.0; after.len()], vec![0.0; after.len()]);
+            twin::adam::adam(&scene, &mut after, &got.moments, &mut first, &mut second);
+            assert_near("first moments", &got.first, &first);
+            assert_near("second moments", &got.second, &second);
+            assert_near("primitives", &got.primitives, &after);
+        }
+    }
+
+    #[test]
+    fn steps_are_those_of_the_cpu() {
+        let Some(device) = device() else { return };
+        for blend in [Blend::Normalized, Blend::Sum] {
+            let pixels = pixels(75, 61, Channels::Rgb, false);
+            let target = Target::new(&pixels);
+            let scene = Scene { width: 75, height: 61, blend, background: target.mean };
+            let bounds = Bounds::new(75, 61);
+            let mut free = primitives(75, 61, 90);
+            for p in &mut free {
+                p.color[3] = 0.0;
+            }
+            let mut cpu = fit::State::new(free, bounds);
+            let gpu = Fitter::new(&device, &scene, &pixels, &cpu.primitives, &bounds).unwrap();
+            // Long steps, so that all bounds are met.
+            let rates = Rates { mean: 0.5, log_scale: 0.5, rotation: 0.2, color: 1.5 };
+            for phase in [1, 0, 1] {
+                let rows = RowSet { step: 2, phase };
+                cpu.descend(&scene, &target, rows, rates);
+                (&gpu).descend(&scene, &target, rows, rates).unwrap();
+            }
+            let flat = |p: &Free| bytemuck::cast::<_, [f32; 9]>(packed(p));
+            let want: Vec<f32> = cpu.primitives.iter().flat_map(flat).collect();
+            let got: Vec<f32> = gpu.finish().unwrap().iter().flat_map(flat).collect();
+            assert!(want.iter().any(|v| v.abs() == 4.0), "no colour at its bound");
+            // Adam's first steps have the gradients' signs: where one is about zero, rounding decides.
+            let far = got.iter().zip(&want).filter(|(a, b)| (*a - *b).abs() > 1e-3 * (1.0 + b.abs())).count();
+            assert!(far * 50 <= got.len(), "{blend:?}: {far} of {} far", got.len());
+        }
+    }
+
+    #[test]
+    fn slabs_and_bands_add_up_to_the_whole() {
+        let Some(device) = device() else { return };
+        let (width, height) = (75, 61);
+        let pixels = pixels(width, height, Channels::Rgb, true);
+        let target = Target::new(&pixels);
+        let scene = Scene { width, height, blend: Blend::Normalized, background: target.mean };
+        let bounds = Bounds::new(width, height);
+        let mut state = fit::State::new(primitives(width, height, 90), bounds);
+        for p in &mut state.primitives {
+            p.color[3] = 0.0;
+        }
+        for rows in [RowSet::ALL, RowSet { step: 2, phase: 1 }] {
+            let run = |binding: u64, heights: [u32; 2]| {
+                let fitter = Fitter::within(&device, &scene, &pixels, &state.primitives, &bounds, binding).unwrap();
+                assert_eq!(fitter.bands()[..2], heights);
+                let error = fitter.error().unwrap();
+                // One step: Adam makes it of the sums' signs alone, the second tells their sizes.
+                for _ in 0..2 {
+                    (&fitter).descend(&scene, &target, rows, RATES).unwrap();
+                }
+                let flat = |p: &Free| bytemuck::cast::<_, [f32; 9]>(packed(p));
+                (error, fitter.finish().unwrap().iter().flat_map(flat).collect::<Vec<f32>>())
+            };
+            let want = fit::finish::float_error(&scene, &target, &state.primitives);
+            let (error, high) = run(1 << 20, [61, 64]);
+            // A row of the target takes 600 bytes, one of the planes 1200.
+            let (same, low) = run(16 * 1200, [32, 16]);
+            assert!((error / want - 1.0).abs() < 1e-4 && (same / want - 1.0).abs() < 1e-4, "{error} {same} {want}");
+            let far = low.iter().zip(&high).filter(|(a, b)| (*a - *b).abs() > 1e-3 * (1.0 + b.abs())).count();
+            assert!(far * 100 <= low.len(), "{rows:?}: {far} of {} far", low.len());
+        }
+    }
+
+    #[test]
+    fn surveys_agree_with_their_twins_and_with_the_cpu() {
+        let Some(device) = device() else { return };
+        for blend in [Blend::Normalized, Blend::Sum] {
+            let mut c = case(&device, Channels::Rgb, blend, false);
+            let rows = RowSet { step: 2, phase: 0 };
+            let target = Target::new(&c.pixels);
+            let count = c.free.len();
+            // The error over the same rows, the costs and the peaks of the CPU's own relocation.
+            let projected = fit::project_all(&c.free, c.scene.height);
+            let mut field = fit::field::Field::default();
+            let error = field.draw(&c.scene, &target, &projected, rows, Output::Picture);
+            let costs = fit::relocate::removal_costs(&c.scene, &target, &field, rows, &projected);
+            let peaks = fit::relocate::peaks(&c.scene, &target, &field, rows, 12, count);
+            let source = pack(&c.pixels, 0, c.scene.height);
+            let (scene, background) = (c.scene, c.scene.background);
+            let found = c
+                .fitter
+                .inspect_survey(rows, |d, s, survey, p| {
+                    assert!((survey.error / error - 1.0).abs() < 1e-4, "{} {error}", survey.error);
+                    assert_near("costs", &survey.costs, &costs);
+                    let view = crate::raster::View::of_size(scene.width, scene.height);
+                    let base = Uniforms {
+                        primitives: count as u32,
+                        row_step: 2,
+                        cell: 2,
+                        cells_x: scene.width.div_ceil(2),
+                        cells_y: rows.count(scene.height) as u32,
+                        ..Uniforms::new(&view, blend, Channels::Rgb, background, 0)
+                    }
+                    .band(0, rows.count(scene.height) as u32);
+                    let tiles = base.tiles() as usize;
+                    let starts: Vec<u32> = d.read_as(&s.lists.starts, tiles + 1).unwrap();
+                    let sorted: Vec<u32> = d.read_as(&s.lists.sorted, starts[tiles] as usize).unwrap();
+                    let splats: Vec<Splat> = d.read_as(&s.lists.splats, count).unwrap();
+                    let pixels = (base.width * base.band_rows) as usize;
+                    let planes: Vec<[f32; 4]> = d.read_as(&s.planes, pixels).unwrap();
+                    let tails: Vec<f32> = d.read_as(&s.tails, pixels).unwrap();
+                    let got: Vec<[f32; 4]> = d.read_as(&s.slots, 3 * sorted.len()).unwrap();
+                    let mut slots = vec![[0.0; 4]; got.len()];
+                    twin::importance::importance(&base, &splats, &starts, &sorted, &planes, &tails, &mut slots);
+                    assert_near("importance", bytemuck::cast_slice(&got), bytemuck::cast_slice(&slots));
+                    let mut cells = vec![[0.0; 4]; (base.cells_x * base.cells_y) as usize];
+                    twin::residual::residual(&base, &planes, &source, &mut cells);
+                    let got: Vec<[f32; 4]> = d.read_as(&p.cells[0], cells.len()).unwrap();
+                    assert_near("residual", bytemuck::cast_slice(&got), bytemuck::cast_slice(&cells));
+                    // The first level of the search, stage by stage in the twins.
+                    let mut blurred = got;
+                    for _ in 0..2 {
+                        blurred = twin::blur::blur(&base, &blurred);
+                        blurred = twin::blur::blur(&Uniforms { mode: 1, ..base }, &blurred);
+                    }
+                    let mut found: Vec<Found> = Vec::new();
+                    twin::peaks::find_peaks(&Uniforms { variance: 8.0, ..base }, &blurred, &mut found);
+                    let all = p.find(d, &base, rows, fit::relocate::spacing(&scene, 12, count), 0.0).unwrap();
+                    let mut first: Vec<f32> = all.iter().filter(|(_, l)| *l == 0).map(|(p, _)| p.gain).collect();
+                    let mut twins: Vec<f32> = found.iter().map(|f| f.gain).collect();
+                    first.sort_by(f32::total_cmp);
+                    twins.sort_by(f32::total_cmp);
+                    assert_near("peaks", &first, &twins);
+                    let halved = twin::halve::halve(&base, &blurred);
+                    // Level 1 starts in the second buffer; whatever came later went back and forth.
+                    assert_eq!(halved.len() as u32, base.cells_x.div_ceil(2) * base.cells_y.div_ceil(2));
+                    fit::relocate::best(all, 12, &scene)
+                })
+                .unwrap();
+            assert_eq!(found.len(), peaks.len());
+            for (a, b) in found.iter().zip(&peaks) {
+                assert_eq!(a.mean, b.mean);
+                assert!((a.gain / b.gain - 1.0).abs() < 1e-3 && (a.scale / b.scale - 1.0).abs() < 1e-6, "{a:?} {b:?}");
+                assert_near("residual of a peak", &a.residual, &b.residual);
+            }
+        }
+    }
+
+    #[test]
+    fn halving_and_moving_agree_with_their_twins() {
+        let cells: Vec<[f32; 4]> = (0..35).map(|i| [i as f32, 1.0, -(i as f32), 0.5]).collect();
+        let view = crate::raster::View::of_size(7, 5);
+        let u = Uniforms {
+            cells_x: 7,
+            cells_y: 5,
+            primitives: 3,
+            capacity: 1,
+            ..Uniforms::new(&view, Blend::Sum, Channels::Rgba, [0.0; 4], 3)
+        };
+        let halved = twin::halve::halve(&u, &cells);
+        assert_eq!((halved[0], halved[11]), ([4.0, 1.0, -4.0, 0.5], [34.0, 1.0, -34.0, 0.5]));
+        let moves: Vec<u32> = std::iter::once(1).chain((0..9).map(|k| (k as f32 + 0.5).to_bits())).collect();
+        let before = [vec![1.0f32; 27], vec![2.0; 27], vec![3.0; 27]];
+        let mut want = before.clone();
+        let [p, first, second] = &mut want;
+        twin::relocate::relocate(&u, &moves, p, first, second);
+        let Some(device) = device() else { return };
+        let (d, queue) = device.wgpu();
+        let k = device.kernels();
+        let (cell_buffer, out, got) = device
+            .scoped(|| {
+                let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
+                let uniforms = device.buffer("uniforms", 256, usage);
+                device.write(&uniforms, &[u]);
+                let [cell_buffer, out, list] = [35 * 16, 12 * 16, 40].map(|size| device.storage("test", size));
+                device.write(&cell_buffer, &cells);
+                device.write(&list, &moves);
+                let got = before.clone().map(|v| {
+                    let buffer = device.storage("test", 27 * 4);
+                    device.write(&buffer, &v);
+                    buffer
+                });
+                let halve = k.halve.bind(d, &uniforms, &[&cell_buffer, &out]);
+                let relocate = k.relocate.bind(d, &uniforms, &[&list, &got[0], &got[1], &got[2]]);
+                let mut encoder = d.create_command_encoder(&Default::default());
+                let mut pass = encoder.begin_compute_pass(&Default::default());
+                k.halve.each(&mut pass, &halve, 0, 12);
+                k.relocate.each(&mut pass, &relocate, 0, 1);
+                drop(pass);
+                queue.submit([encoder.finish()]);
+                (cell_buffer, out, got)
+            })
+            .unwrap();
+        drop(cell_buffer);
+        assert_eq!(device.read_as::<[f32; 4]>(&out, 12).unwrap(), halved);
+        for (got, want) in got.iter().zip(&want) {
+            assert_eq!(&device.read_as::<f32>(got, 27).unwrap(), want);
+        }
+    }
+
+    #[test]
+    fn renders_agree_with_their_twin() {
+        let Some(device) = device() else { return };
+        let (width, height) = (50, 37);
+        let free = primitives(width, height, 60);
+        let gaussians: Vec<_> = free.iter().map(|p| p.to_gaussian()).collect();
+        let picture = crate::Picture {
+            width,
+            height,
+            channels: Channels::Rgba,
+            blend: Blend::Normalized,
+            background: [0.3; 4],
+            gaussians,
+        };
+        let view = crate::raster::View::full(&picture);
+        let u = Uniforms {
+            stride: width,
+            capacity: 1 << 16,
+            ..Uniforms::new(&view, picture.blend, picture.channels, picture.background, 60)
+        }
+        .band(0, height);
+        let p: Vec<Primitive> = picture
+            .gaussians
+            .iter()
+            .map(|g| Primitive { mean: g.mean, log_scale: g.scale.map(f32::ln), rotation: g.rotation, color: g.color })
+            .collect();
+        let splats = twin::project::project(&u, &p);
+        let tiles = u.tiles() as usize;
+        let (mut cursors, mut starts, mut lists) = (vec![0; tiles], vec![0; tiles + 1], vec![0; 1 << 16]);
+        twin::bin::bin(&u, &splats, &mut cursors, &mut lists, &mut [0; 4]);
+        twin::scan::scan(&u, &mut cursors, &mut starts, &mut [0; 4]);
+        twin::bin::bin(&Uniforms { mode: 1, ..u }, &splats, &mut cursors, &mut lists, &mut [0; 4]);
+        let mut codes = vec![0u32; (width * height) as usize];
+        twin::render::render(&u, &splats, &starts, &lists, &mut codes);
+        let mut renderer = Renderer::new(&device, &picture, &crate::Limits::default()).unwrap();
+        let drawn = renderer.render(&view, crate::Depth::Eight).unwrap().into_samples();
+        let Samples::U8(drawn) = drawn else { panic!("8 bits") };
+        let codes: Vec<u8> = codes.iter().flat_map(|c| c.to_le_bytes()).collect();
+        // A value on the edge between two codes may fall to either side.
+        assert!(drawn.iter().zip(&codes).all(|(a, b)| a.abs_diff(*b) <= 1));
+        assert!(drawn.iter().zip(&codes).filter(|(a, b)| a != b).count() * 1000 <= drawn.len());
+    }
+
+    /// Half the squared error in f64, unclamped where the picture is within 0..=1.
+    fn loss(c: &Case, free: &[Free]) -> f64 {
+        let gaussians: Vec<_> = free.iter().map(|p| p.to_gaussian()).collect();
+        let picture = crate::Picture {
+            width: c.scene.width,
+            height: c.scene.height,
+            channels: c.pixels.channels(),
+            blend: c.scene.blend,
+            background: c.scene.background,
+            gaussians,
+        };
+        let view = crate::raster::View::full(&picture);
+        let drawn = crate::raster::reference::sample(&picture, &view);
+        drawn.iter().enumerate().map(|(i, v)| 0.5 * (v - f64::from(c.pixels.value(i))).powi(2)).sum()
+    }
+
+    #[test]
+    fn gradients_are_those_of_finite_differences() {
+        let Some(device) = device() else { return };
+        for blend in [Blend::Normalized, Blend::Sum] {
+            let (width, height) = (40, 33);
+            let pixels = pixels(width, height, Channels::Rgb, false);
+            let scene = Scene { width, height, blend, background: [0.5; 4] };
+            let mut free = primitives(width, height, 12);
+            for p in &mut free {
+                // Within 0..=1 everywhere, where the straight-through clamp is no clamp.
+                p.color =
+                    if blend == Blend::Sum { p.color.map(|c| 0.1 * c - 0.06) } else { p.color.map(|c| 0.4 + 0.2 * c) };
+                p.color[3] = 0.0;
+                // Some weight everywhere: where it ends, the loss has kinks that differences see and gradients do not.
+                p.log_scale = p.log_scale.map(|l| l + 1.2);
+            }
+            let fitter = Fitter::new(&device, &scene, &pixels, &free, &Bounds::new(width, height)).unwrap();
+            let mut c = Case { pixels, scene, free, fitter };
+            let got = c.fitter.inspect(RowSet::ALL, RATES, left).unwrap();
+            let mut worst = 0.0f64;
+            for i in 0..c.free.len() {
+                let p: [f32; 9] = bytemuck::cast(packed(&c.free[i]));
+                let gradient = twin::adam::gradient(&got.scene, &p, &got.moments, i);
+                let f = c.free[i];
+                let (sin, cos) = f.rotation.sin_cos();
+                let [s1, s2] = f.log_scale.map(f32::exp);
+                let moved: [Box<dyn Fn(f32) -> Free>; 8] = [
+                    Box::new(|h| Free { mean: [f.mean[0] + h * s1 * cos, f.mean[1] + h * s1 * sin], ..f }),
+                    Box::new(|h| Free { mean: [f.mean[0] - h * s2 * sin, f.mean[1] + h * s2 * cos], ..f }),
+                    Box::new(|h| Free { log_scale: [f.log_scale[0] + h, f.log_scale[1]], ..f }),
+                    Box::new(|h| Free { log_scale: [f.log_scale[0], f.log_scale[1] + h], ..f }),
+                    Box::new(|h| Free { rotation: f.rotation + h, ..f }),
+                    Box::new(|h| Free { color: [f.color[0] + h, f.color[1], f.color[2], 0.0], ..f }),
+                    Box::new(|h| Free { color: [f.color[0], f.color[1] + h, f.color[2], 0.0], ..f }),
+                    Box::new(|h| Free { color: [f.color[0], f.color[1], f.color[2] + h, 0.0], ..f }),
+                ];
+                for (k, moved) in moved.iter().enumerate() {
+                    const H: f32 = 1.0 / 256.0;
+                    let at = |h: f32| {
+                        let mut free = c.free.clone();
+                        free[i] = moved(h);
+                        loss(&c, &free)
+                    };
+                    let numeric = (at(H) - at(-H)) / (2.0 * f64::from(H));
+                    let scale = 0.05 + numeric.abs();
+                    let off = (f64::from(gradient[k]) - numeric).abs() / scale;
+                    worst = worst.max(off);
+                    assert!(off < 0.02, "{blend:?} primitive {i} parameter {k}: {} against {numeric}", gradient[k]);
+                }
+            }
+            eprintln!("{blend:?}: worst relative difference {worst:.5}");
+        }
+    }
+
+    fn fitted(engine: &mut impl Engine, scene: &Scene, target: &Target, plan: &Plan) {
+        let (_, rng) = fit::start(target, engine.count(), plan);
+        let count = engine.count();
+        // The number stays what it is: both take from and add to their primitives once.
+        let mut asked = 0;
+        let mut recount = |_: &[Free]| {
+            asked += 1;
+            Ok(if asked == 1 { count - 20 } else { count })
+        };
+        fit::run(scene, target, engine, rng, plan, &mut recount, &mut |_, _| Ok(())).unwrap();
+    }
+
+    fn decibels(error: f64, pixels: &Pixels) -> f64 {
+        let samples = pixels.width() as usize * pixels.height() as usize * pixels.channels().count();
+        -10.0 * (error / samples as f64).log10()
+    }
+
+    /// A photograph: on smooth drawings the first steps of a fit are chaos, which tells nothing.
+    fn photograph() -> Pixels {
+        let photo = image::open(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/images/kodim05.png")).unwrap().to_rgb8();
+        let part = image::imageops::crop_imm(&photo, 300, 200, 192, 128).to_image();
+        Pixels::new(192, 128, Channels::Rgb, Samples::U8(part.into_raw())).unwrap()
+    }
+
+    #[test]
+    fn short_fits_are_as_good_as_the_cpus_and_the_same_each_time() {
+        let Some(device) = device() else { return };
+        let pixels = photograph();
+        let target = Target::new(&pixels);
+        for (blend, count, seeds) in [(Blend::Normalized, 1000, 1..5), (Blend::Sum, 2000, 1..3)] {
+            let scene = Scene { width: 192, height: 128, blend, background: target.mean };
+            let mut differences = Vec::new();
+            for seed in seeds {
+                let plan = Plan::steps(40, seed);
+                let (mut cpu, _) = fit::start(&target, count, &plan);
+                let start = cpu.primitives.clone();
+                let gpu = || {
+                    let fitter = Fitter::new(&device, &scene, &pixels, &start, &Bounds::new(192, 128)).unwrap();
+                    fitted(&mut &fitter, &scene, &target, &plan);
+                    let error = fitter.error().unwrap();
+                    (fitter.finish().unwrap(), error)
+                };
+                let (primitives, error) = gpu();
+                assert_eq!(primitives.len(), count);
+                fitted(&mut cpu, &scene, &target, &plan);
+                let of = |p: &[Free]| decibels(fit::finish::float_error(&scene, &target, p), &pixels);
+                let (want, got) = (of(&cpu.primitives), of(&primitives));
+                eprintln!("{blend:?}, seed {seed}: CPU {want:.3} dB, GPU {got:.3} dB");
+                assert!((decibels(error, &pixels) - got).abs() < 0.01, "{error}");
+                differences.push(got - want);
+                if seed == 1 {
+                    assert_eq!(gpu().0, primitives, "a second run");
+                }
+            }
+            // A tenth of a decibel, beyond twice what the scatter of so few seeds lets one know of the mean.
+            let n = differences.len() as f64;
+            let mean = differences.iter().sum::<f64>() / n;
+            let scatter = (differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n * (n - 1.0))).sqrt();
+            assert!(mean.abs() < 0.1 + 2.0 * scatter && scatter < 0.2, "{blend:?}: {differences:?}");
+        }
+    }
+
+    #[test]
+    fn overflowing_lists_grow_and_change_nothing() {
+        let Some(device) = device() else { return };
+        let run = |capacity: Option<u32>| {
+            let mut c = case(&device, Channels::Rgb, Blend::Normalized, false);
+            if let Some(capacity) = capacity {
+                c.fitter.limit_lists(capacity);
+            }
+            let target = Target::new(&c.pixels);
+            for i in 0..12 {
+                (&c.fitter).descend(&c.scene, &target, RowSet { step: 2, phase: i % 2 }, RATES).unwrap();
+            }
+            (&c.fitter).relocate(&c.scene, &target, RowSet::ALL, 5).unwrap();
+            (c.fitter.bands(), c.fitter.finish().unwrap())
+        };
+        let (bands, want) = run(None);
+        let (grown, got) = run(Some(100));
+        assert!(grown[2] > 100 && bands[2] >= 1 << 14, "{grown:?}");
+        assert_eq!(got, want);
+    }
+}

@@ -1,0 +1,53 @@
+//! Twin of `importance.wgsl`.
+
+use super::common::{CUTOFF_WEIGHT, SUPPORT, sampled_row};
+use super::forward::dot;
+use super::pair::{span, tile_of};
+use crate::gpu::scene::{Splat, TILE, Uniforms};
+
+pub(in crate::gpu) fn importance(
+    scene: &Uniforms,
+    splats: &[Splat],
+    starts: &[u32],
+    sorted: &[u32],
+    planes: &[[f32; 4]],
+    tails: &[f32],
+    slots: &mut [[f32; 4]],
+) {
+    for pair in 0..starts[scene.tiles() as usize] {
+        let tile = tile_of(scene, starts, pair);
+        let splat = &splats[sorted[pair as usize] as usize];
+        let left = (tile % scene.tiles_x) * TILE;
+        let right = (left + TILE).min(scene.width);
+        let first = (tile / scene.tiles_x) * TILE;
+        let end = (first + TILE).min(scene.band_rows);
+        let used =
+            |v: [f32; 4]| -> [f32; 4] { std::array::from_fn(|k| if (k as u32) < scene.channels { v[k] } else { 0.0 }) };
+        let mut cost = 0.0;
+        for row in first..end {
+            let dy = sampled_row(scene, scene.band_first + row) as f32 - splat.place[1];
+            let columns = span(splat, dy, left, right);
+            for x in columns[0]..columns[1] {
+                let dx = x as f32 - splat.place[0];
+                let u = splat.place[2] * dy - splat.place[3] * dx;
+                let v = splat.shape[0] * dx;
+                let q = u * u + v * v;
+                if q < SUPPORT {
+                    let at = (row * scene.width + x) as usize;
+                    let w = ((-q).exp2() - CUTOFF_WEIGHT).max(0.0);
+                    let mut share = w;
+                    let mut distance = used(splat.color);
+                    if scene.blend == 0 {
+                        share = (w / ((tails[at] - w).max(0.0) + 0.02)).min(20.0);
+                        distance = used(std::array::from_fn(|k| splat.color[k] - planes[at][k]));
+                    }
+                    cost += share * share * dot(distance, distance);
+                }
+            }
+        }
+        let slot = 3 * pair as usize;
+        slots[slot] = [cost * scene.row_step as f32, 0.0, 0.0, 0.0];
+        slots[slot + 1] = [0.0; 4];
+        slots[slot + 2] = [0.0; 4];
+    }
+}

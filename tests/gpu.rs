@@ -1,0 +1,407 @@
+//! The GPU against the definition and against the CPU, through the public interface only.
+//!
+//! Any adapter will do, software included. Without one these tests are ignored; with `SSPLAT_REQUIRE_GPU=1` they fail.
+
+use libtest_mimic::{Arguments, Failed, Trial};
+use ssplat::gpu::{Adapters, Device, Renderer};
+use ssplat::raster::{View, reference};
+use ssplat::{
+    Backend, Blend, Channels, Depth, EncodeOptions, Error, Gaussian, GpuError, Limits, Picture, Recipe, Samples,
+    Target, Tune,
+};
+
+/// A test of a device.
+type Test = fn(&Device);
+
+fn main() {
+    let arguments = Arguments::from_args();
+    let required = std::env::var("SSPLAT_REQUIRE_GPU").is_ok_and(|v| v == "1");
+    let opened = Device::open(Adapters::Any);
+    match &opened {
+        Ok(device) => eprintln!("adapter: {}; {}", device.name(), device.reason()),
+        Err(e) => eprintln!("{e}: tests on the GPU are ignored"),
+    }
+    let missing = matches!(&opened, Err(Error::Gpu(GpuError::NoAdapter)));
+    let all: &[(&str, Test)] = &[
+        ("renders_are_within_one_code_value_of_the_definition", renders_are_within_one_code_value),
+        ("sixteen_bits_are_as_near_as_floats_are", sixteen_bits),
+        ("needles_of_the_encoder_are_within_one_code_value", needles),
+        ("regions_and_sizes_are_those_of_the_cpu", regions_and_sizes),
+        ("a_second_run_gives_the_same_bits", same_bits),
+        ("bands_give_the_same_bits_as_one", bands),
+        ("textures_and_buffers_hold_the_same_codes", textures_and_buffers),
+        ("a_picture_without_primitives_is_its_background", empty),
+        ("bad_primitives_are_the_callers_fault", bad_primitives),
+        ("limits_hold_on_the_gpu", limits),
+        ("hardware_only_never_opens_software", hardware_only),
+        ("a_lost_device_is_a_typed_error", lost),
+        ("an_encoder_asked_for_the_gpu_uses_it_or_fails", encoder),
+        #[cfg(feature = "cli")]
+        ("the_program_fits_and_draws_on_the_gpu", program::fits_and_draws),
+        #[cfg(feature = "cli")]
+        ("auto_never_takes_software_and_says_why", program::auto),
+        #[cfg(feature = "cli")]
+        ("a_missing_adapter_is_said_and_auto_goes_on", program::missing),
+    ];
+    let trials = all
+        .iter()
+        .map(|&(name, test)| {
+            let opened = opened.as_ref().map(Device::clone).map_err(ToString::to_string);
+            let run = move || -> Result<(), Failed> {
+                test(&opened?);
+                Ok(())
+            };
+            Trial::test(format!("gpu::{name}"), run).with_ignored_flag(missing && !required)
+        })
+        .collect();
+    libtest_mimic::run(&arguments, trials).exit();
+}
+
+fn encoder(device: &Device) {
+    let pixels: Vec<u8> = (0..48 * 40 * 3).map(|i| (i * 7 % 251) as u8).collect();
+    let pixels = ssplat::Pixels::new(48, 40, Channels::Rgb, Samples::U8(pixels)).unwrap();
+    let mut options = EncodeOptions::default();
+    (options.target, options.effort, options.backend) = (Target::Primitives(40), 1, Backend::Gpu);
+    let encoded = ssplat::encode(&pixels, &options).unwrap();
+    let chosen = &encoded.report.chosen;
+    assert_eq!((chosen.backend, &*chosen.device), (Backend::Gpu, device.name()), "{chosen}");
+    assert!(encoded.report.primitives > 30 && encoded.report.psnr > 5.0, "{:?}", encoded.report);
+    assert_eq!(ssplat::encode(&pixels, &options).unwrap().bytes, encoded.bytes, "a second run");
+    for spoil in [
+        |o: &mut EncodeOptions| o.recipe = Recipe::SmartSplat(Default::default()),
+        |o: &mut EncodeOptions| o.tune = Tune::Ssim,
+    ] {
+        let mut options = options.clone();
+        spoil(&mut options);
+        let refused = ssplat::encode(&pixels, &options);
+        assert!(matches!(refused, Err(Error::Gpu(GpuError::Unsupported { .. }))), "{refused:?}");
+    }
+}
+
+/// Through the program: what it chooses, and what it says of that.
+#[cfg(feature = "cli")]
+mod program {
+    use super::Device;
+    use std::process::{Command, Output};
+
+    fn ssplat(folder: &tempfile::TempDir, backends: &str, args: &[&str]) -> Output {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_ssplat"));
+        command.current_dir(folder.path()).args(args);
+        // The variable of `wgpu` that hides adapters.
+        if !backends.is_empty() {
+            command.env("WGPU_BACKEND", backends);
+        }
+        command.output().unwrap()
+    }
+
+    #[track_caller]
+    fn said(output: &Output) -> serde_json::Value {
+        assert!(output.status.success(), "{output:?}");
+        serde_json::from_slice(&output.stdout).unwrap()
+    }
+
+    /// A folder with a picture of that size.
+    fn folder(width: u32, height: u32) -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        let picture = image::RgbImage::from_fn(width, height, |x, y| {
+            image::Rgb([(x * 255 / width) as u8, (y * 255 / height) as u8, ((x / 8 + y / 8) % 2 * 90) as u8])
+        });
+        picture.save(folder.path().join("in.png")).unwrap();
+        folder
+    }
+
+    const SMALL: [&str; 8] = ["encode", "in.png", "out.ssplat", "--primitives", "60", "--effort", "1", "--json"];
+
+    pub fn fits_and_draws(device: &Device) {
+        let folder = folder(64, 48);
+        let encoded = said(&ssplat(&folder, "", &[&SMALL[..], &["--backend", "gpu"]].concat()));
+        assert_eq!(encoded["device"], device.name());
+        let mut drawn = Vec::new();
+        for backend in ["cpu", "gpu"] {
+            let args = ["decode", "out.ssplat", "out.png", "--width", "100", "--json", "--backend", backend];
+            let decoded = said(&ssplat(&folder, "", &args));
+            assert_eq!(decoded["device"], if backend == "gpu" { device.name() } else { "CPU" });
+            drawn.push(image::open(folder.path().join("out.png")).unwrap().to_rgb8());
+        }
+        assert!(drawn[0].iter().zip(drawn[1].iter()).all(|(a, b)| a.abs_diff(*b) <= 1));
+    }
+
+    pub fn auto(device: &Device) {
+        // As many pixels as auto takes to a GPU.
+        let folder = folder(512, 512);
+        let encoded = said(&ssplat(&folder, "", &SMALL));
+        if device.is_software() {
+            assert_eq!(encoded["device"], "CPU");
+            let reason = encoded["device_reason"].as_str().unwrap();
+            assert!(reason.starts_with("no hardware adapter found, only"), "{reason}");
+        } else {
+            assert_eq!(encoded["device"], device.name());
+        }
+    }
+
+    pub fn missing(_: &Device) {
+        let folder = folder(512, 512);
+        let none = if cfg!(windows) { "metal" } else { "dx12" };
+        let encoded = said(&ssplat(&folder, none, &SMALL));
+        assert_eq!([&encoded["device"], &encoded["device_reason"]], ["CPU", "no adapter found"]);
+        for args in
+            [&[&SMALL[..], &["--backend", "gpu"]].concat()[..], &["decode", "out.ssplat", "o.png", "--backend", "gpu"]]
+        {
+            let refused = ssplat(&folder, none, args);
+            let text = String::from_utf8_lossy(&refused.stderr).into_owned();
+            assert!(!refused.status.success() && text.contains("no adapter found"), "{text}");
+        }
+        assert!(!folder.path().join("o.png").exists());
+    }
+}
+
+/// xorshift64*: enough for scenes, and the same everywhere.
+struct Random(u64);
+
+impl Random {
+    fn within(&mut self, low: f32, high: f32) -> f32 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        low + (high - low) * (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 40) as f32 / (1u64 << 24) as f32
+    }
+}
+
+/// A scene with the statistics of a fitted picture: log-normal scales, aspects up to `aspect`, colours beyond 0..=1.
+fn scene(width: u32, height: u32, count: usize, channels: Channels, blend: Blend, aspect: f32) -> Picture {
+    let mut r = Random(count as u64 * 7919 + 12345);
+    let spacing = (width as f32 * height as f32 / count as f32).sqrt();
+    let gaussians = (0..count)
+        .map(|_| {
+            let size = spacing * 0.4 * r.within(-1.0, 1.0).exp();
+            let aspect = r.within(0.0, aspect.ln()).exp();
+            Gaussian {
+                mean: [r.within(-9.0, width as f32 + 9.0), r.within(-9.0, height as f32 + 9.0)],
+                scale: [(size * aspect.sqrt()).max(0.25), (size / aspect.sqrt()).max(0.25)],
+                rotation: r.within(0.0, std::f32::consts::PI),
+                color: std::array::from_fn(|_| r.within(-0.3, 1.3)),
+            }
+        })
+        .collect();
+    Picture { width, height, channels, blend, background: [0.4, 0.7, 0.2, 0.9], gaussians }
+}
+
+fn codes(samples: Samples) -> Vec<u16> {
+    match samples {
+        Samples::U8(v) => v.into_iter().map(u16::from).collect(),
+        Samples::U16(v) => v,
+    }
+}
+
+fn render(device: &Device, picture: &Picture, view: &View, depth: Depth) -> Vec<u16> {
+    let mut renderer = Renderer::new(device, picture, &Limits::default()).unwrap();
+    codes(renderer.render(view, depth).unwrap().into_samples())
+}
+
+/// Largest difference to the definition, code values.
+fn worst(device: &Device, picture: &Picture, view: &View, depth: Depth) -> u16 {
+    let want = reference::sample(picture, view);
+    let drawn = render(device, picture, view, depth);
+    assert_eq!(drawn.len(), want.len());
+    drawn.iter().zip(want).map(|(&d, w)| d.abs_diff(reference::code(w, depth))).max().unwrap_or(0)
+}
+
+fn renders_are_within_one_code_value(device: &Device) {
+    for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
+        for blend in [Blend::Normalized, Blend::Sum] {
+            let picture = scene(100, 75, 250, channels, blend, 6.0);
+            let worst = worst(device, &picture, &View::full(&picture), Depth::Eight);
+            assert!(worst <= 1, "{channels:?} {blend:?}: {worst}");
+        }
+    }
+}
+
+fn sixteen_bits(device: &Device) {
+    let picture = scene(61, 83, 200, Channels::Rgba, Blend::Normalized, 6.0);
+    // 1/255 is 257 codes; where the weights vanish the division amplifies the errors of f32.
+    let worst = worst(device, &picture, &View::full(&picture), Depth::Sixteen);
+    assert!(worst <= 32, "{worst}");
+}
+
+fn needles(device: &Device) {
+    for blend in [Blend::Normalized, Blend::Sum] {
+        let mut picture = scene(120, 90, 60, Channels::Rgb, blend, 6.0);
+        for g in &mut picture.gaussians {
+            // The encoder's largest aspect.
+            g.scale = [60.0, 0.6];
+        }
+        let worst = worst(device, &picture, &View::full(&picture), Depth::Eight);
+        assert!(worst <= 1, "{blend:?}: {worst}");
+    }
+}
+
+fn regions_and_sizes(device: &Device) {
+    let picture = scene(160, 110, 400, Channels::Rgb, Blend::Normalized, 6.0);
+    let full = View::full(&picture);
+    let region = full.crop(37, 21, 90, 70).unwrap();
+    let views = [
+        region,
+        full.resized(333, 229).unwrap(),
+        full.resized(80, 55).unwrap(),
+        region.resized(400, 311).unwrap().crop(111, 99, 128, 65).unwrap(),
+    ];
+    for view in views {
+        let cpu = ssplat::raster::Renderer::new(&picture, &view, &Limits::default()).unwrap();
+        let cpu = codes(cpu.render(Depth::Eight).unwrap().into_samples());
+        let gpu = render(device, &picture, &view, Depth::Eight);
+        // Each is within one of the definition.
+        let worst = cpu.iter().zip(&gpu).map(|(a, b)| a.abs_diff(*b)).max().unwrap();
+        assert!(worst <= 1, "{view:?}: {worst}");
+    }
+}
+
+fn same_bits(device: &Device) {
+    let picture = scene(128, 128, 1500, Channels::Rgb, Blend::Normalized, 9.0);
+    let view = View::full(&picture);
+    let mut renderer = Renderer::new(device, &picture, &Limits::default()).unwrap();
+    let first = renderer.render(&view, Depth::Sixteen).unwrap();
+    for _ in 0..3 {
+        assert_eq!(renderer.render(&view, Depth::Sixteen).unwrap(), first);
+    }
+    assert_eq!(render(device, &picture, &view, Depth::Sixteen), codes(first.into_samples()));
+}
+
+fn bands(device: &Device) {
+    // A row of 16-bit codes takes 8 bytes a pixel: 16 rows of a megapixel each fill a binding.
+    let picture = scene(1 << 20, 20, 40, Channels::Grey, Blend::Sum, 2.0);
+    let view = View::full(&picture);
+    let mut renderer = Renderer::new(device, &picture, &Limits::default()).unwrap();
+    let whole = codes(renderer.render(&view, Depth::Sixteen).unwrap().into_samples());
+    assert_eq!(renderer.bands().0, 16, "rows of a band");
+    let part = view.crop(0, 10, 4096, 10).unwrap();
+    let part = codes(
+        Renderer::new(device, &picture, &Limits::default())
+            .unwrap()
+            .render(&part, Depth::Sixteen)
+            .unwrap()
+            .into_samples(),
+    );
+    let row = 1 << 20;
+    let same = (0..10)
+        .all(|y| part[y * 4096..][..4096].iter().zip(&whole[(y + 10) * row..]).all(|(a, b)| a.abs_diff(*b) <= 1));
+    assert!(same);
+}
+
+fn textures_and_buffers(device: &Device) {
+    let picture = scene(70, 40, 120, Channels::GreyAlpha, Blend::Normalized, 4.0);
+    let view = View::full(&picture);
+    let (d, queue) = device.wgpu();
+    let mut renderer = Renderer::new(device, &picture, &Limits::default()).unwrap();
+    let want: Vec<u8> = codes(renderer.render(&view, Depth::Eight).unwrap().into_samples())
+        .chunks_exact(2)
+        .flat_map(|p| [p[0] as u8, p[0] as u8, p[0] as u8, p[1] as u8])
+        .collect();
+    let usage = wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
+    let buffer =
+        |size| d.create_buffer(&wgpu::BufferDescriptor { label: None, size, usage, mapped_at_creation: false });
+    let plain = buffer(70 * 40 * 4);
+    renderer.render_to_buffer(&view, &plain).unwrap();
+    assert_eq!(read(device, &plain), want);
+    for format in [wgpu::TextureFormat::Rgba8UnormSrgb, wgpu::TextureFormat::Bgra8Unorm] {
+        let texture = d.create_texture(&wgpu::TextureDescriptor {
+            label: None,
+            size: wgpu::Extent3d { width: 80, height: 40, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage: wgpu::TextureUsages::COPY_DST | wgpu::TextureUsages::COPY_SRC,
+            view_formats: &[],
+        });
+        renderer.render_to_texture(&view, &texture).unwrap();
+        let copy = buffer(512 * 40);
+        let mut encoder = d.create_command_encoder(&Default::default());
+        encoder.copy_texture_to_buffer(
+            texture.as_image_copy(),
+            wgpu::TexelCopyBufferInfo {
+                buffer: &copy,
+                layout: wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(512), rows_per_image: None },
+            },
+            wgpu::Extent3d { width: 80, height: 40, depth_or_array_layers: 1 },
+        );
+        queue.submit([encoder.finish()]);
+        let bytes = read(device, &copy);
+        for (row, want) in bytes.chunks_exact(512).zip(want.chunks_exact(280)) {
+            for (p, w) in row.chunks_exact(4).zip(want.chunks_exact(4)) {
+                let swapped = [w[2], w[1], w[0], w[3]];
+                assert_eq!(p, if format == wgpu::TextureFormat::Bgra8Unorm { &swapped[..] } else { w });
+            }
+        }
+    }
+    let small = buffer(16);
+    assert!(matches!(renderer.render_to_buffer(&view, &small), Err(Error::Gpu(GpuError::Validation { .. }))));
+    // The device goes on after a refused call.
+    renderer.render_to_buffer(&view, &plain).unwrap();
+}
+
+fn read(device: &Device, buffer: &wgpu::Buffer) -> Vec<u8> {
+    let (d, queue) = device.wgpu();
+    let (sender, receiver) = std::sync::mpsc::channel();
+    wgpu::util::DownloadBuffer::read_buffer(d, queue, &buffer.slice(..), move |r| {
+        sender.send(r.unwrap().to_vec()).unwrap()
+    });
+    d.poll(wgpu::PollType::wait_indefinitely()).unwrap();
+    receiver.recv().unwrap()
+}
+
+fn empty(device: &Device) {
+    let mut picture = scene(20, 20, 1, Channels::Rgb, Blend::Normalized, 2.0);
+    picture.gaussians.clear();
+    assert_eq!(render(device, &picture, &View::full(&picture), Depth::Eight)[..3], [102, 179, 51]);
+}
+
+fn bad_primitives(device: &Device) {
+    let picture = scene(20, 20, 3, Channels::Rgb, Blend::Normalized, 2.0);
+    let spoil: [fn(&mut Gaussian); 4] = [
+        |g| g.mean[0] = f32::NAN,
+        |g| g.scale[1] = 0.0,
+        |g| g.scale[0] = f32::INFINITY,
+        |g| g.color[2] = f32::NEG_INFINITY,
+    ];
+    for spoil in spoil {
+        let mut picture = picture.clone();
+        spoil(&mut picture.gaussians[1]);
+        let made = Renderer::new(device, &picture, &Limits::default());
+        assert!(matches!(made, Err(Error::Parameter { name: "gaussians", .. })), "{made:?}");
+    }
+}
+
+fn limits(device: &Device) {
+    let picture = scene(128, 128, 300, Channels::Rgb, Blend::Normalized, 2.0);
+    let mut limits = Limits::default();
+    limits.primitives = 299;
+    assert!(matches!(Renderer::new(device, &picture, &limits), Err(Error::LimitExceeded { what: "primitives", .. })));
+    let mut limits = Limits::default();
+    limits.tile_pairs = 300;
+    let drawn = Renderer::new(device, &picture, &limits).unwrap().render(&View::full(&picture), Depth::Eight);
+    assert!(matches!(drawn, Err(Error::LimitExceeded { what: "tile_pairs", .. })), "{drawn:?}");
+    let mut limits = Limits::default();
+    limits.alloc = 128 * 128 * 3 - 1;
+    let drawn = Renderer::new(device, &picture, &limits).unwrap().render(&View::full(&picture), Depth::Eight);
+    assert!(matches!(drawn, Err(Error::LimitExceeded { what: "alloc", .. })), "{drawn:?}");
+}
+
+fn hardware_only(device: &Device) {
+    match Device::open(Adapters::Hardware) {
+        Ok(opened) => assert!(!opened.is_software()),
+        Err(e) => {
+            assert!(device.is_software());
+            assert!(matches!(e, Error::Gpu(GpuError::SoftwareOnly { .. })), "{e}");
+        }
+    }
+}
+
+fn lost(_: &Device) {
+    // One of its own: what is lost stays lost.
+    let device = Device::open(Adapters::Any).unwrap();
+    let picture = scene(32, 32, 30, Channels::Rgb, Blend::Normalized, 2.0);
+    let mut renderer = Renderer::new(&device, &picture, &Limits::default()).unwrap();
+    device.wgpu().0.destroy();
+    let drawn = renderer.render(&View::full(&picture), Depth::Eight);
+    assert!(matches!(drawn, Err(Error::Gpu(GpuError::Lost { .. }))), "{drawn:?}");
+}
