@@ -7,6 +7,7 @@ use crate::fit::field::Scene;
 use crate::fit::plan::Plan;
 use crate::fit::target::Target;
 use crate::fit::{self, Recount, State, Watch};
+use crate::leave_out;
 use crate::options::{Backend, EncodeOptions};
 use crate::pixels::Pixels;
 
@@ -18,7 +19,8 @@ use crate::options::{Recipe, Tune};
 #[cfg(not(feature = "gpu"))]
 type Device = std::convert::Infallible;
 
-/// Pictures of fewer pixels are fitted on the CPU unless the GPU is asked for: they are done before a GPU has started.
+/// Pictures of fewer pixels are fitted on the CPU unless the GPU is asked for: too much of the time would go into
+/// starting a GPU.
 const SMALL: u64 = 1 << 18;
 
 /// The device that fitted a picture.
@@ -68,7 +70,10 @@ impl Choice {
         let area = u64::from(pixels.width()) * u64::from(pixels.height());
         let opened = match options.backend {
             Backend::Cpu => Ok((None, Chosen::cpu("asked for"))),
-            Backend::Auto if area < SMALL => Ok((None, Chosen::cpu(format!("{area} pixels are few")))),
+            Backend::Auto if area < SMALL => {
+                Ok((None, Chosen::cpu(format!("the picture has fewer than {SMALL} pixels"))))
+            }
+            Backend::Auto if leave_out::is_constant(pixels) => Ok((None, Chosen::cpu("the picture is one colour"))),
             asked => open(asked, options),
         };
         let (gpu, chosen) = match opened {
@@ -77,6 +82,12 @@ impl Choice {
             Err(e) => return Err(e.into()),
         };
         Ok(Choice { chosen, asked: options.backend, gpu })
+    }
+
+    /// Why there was no GPU where one might have been taken, in words.
+    pub(crate) fn left_out(&self) -> Option<String> {
+        let is_left_out = self.asked == Backend::Auto && self.gpu.is_none();
+        is_left_out.then(|| format!("the GPU: {}", self.chosen.reason))
     }
 
     /// Fits about `count` primitives on the chosen device.
@@ -107,10 +118,10 @@ impl Choice {
 #[cfg(feature = "gpu")]
 fn open(asked: Backend, options: &EncodeOptions) -> Result<(Option<Device>, Chosen), GpuError> {
     if options.recipe != Recipe::Ssplat {
-        return Err(GpuError::Unsupported { what: "recipe" });
+        return Err(GpuError::Unsupported { what: "the recipe smartsplat" });
     }
     if options.tune != Tune::Psnr {
-        return Err(GpuError::Unsupported { what: "tune" });
+        return Err(GpuError::Unsupported { what: "tuning for SSIM" });
     }
     // Who asks for the GPU by name may mean a program that acts as one.
     let adapters = if asked == Backend::Gpu { Adapters::Any } else { Adapters::Hardware };

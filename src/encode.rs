@@ -53,15 +53,15 @@ pub struct EncodeReport {
     pub trace: Vec<TracePoint>,
 }
 
-/// Something that the encoder measured and found unnecessary.
+/// Something that the encoder did without, because the picture or the options do not need it or it was not to be had.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct LeftOut {
-    /// What it is.
-    pub what: &'static str,
-    /// Bytes saved; 0 where it saves only time, which then buys quality.
+    /// What it is, a colon, and why.
+    pub what: String,
+    /// Bytes saved; 0 where it saves only time, which then buys quality, or nothing that was measured.
     pub bytes: u64,
-    /// Seconds saved, estimated from the cost of one iteration with and without it.
+    /// Seconds saved, estimated from the cost of one iteration with and without it; 0 where that is not known.
     pub seconds: f64,
 }
 
@@ -120,6 +120,7 @@ pub fn encode_with_progress(
         left_out: Vec::new(),
     };
     let constant = if measured { session.constant()? } else { None };
+    let is_fitted = constant.is_none();
     let (bytes, splats, float_error) = match options.target {
         _ if constant.is_some() => constant.expect("just seen"),
         Target::Ratio(ratio) => {
@@ -133,9 +134,12 @@ pub fn encode_with_progress(
     session.trace_end(&splats);
     if let Some(narrow) = &narrow {
         let seconds = session.seconds_of_channels(pixels, &splats);
-        session.left_out.insert(0, LeftOut { what: narrow.what, bytes: 0, seconds });
+        session.left_out.insert(0, LeftOut { what: narrow.what.to_owned(), bytes: 0, seconds });
     }
     session.note_codebook(&bytes, &splats)?;
+    if let Some(what) = session.choice.left_out().filter(|_| is_fitted) {
+        note(&mut session.left_out, &what, 0, 0.0);
+    }
     let error = session.error(&splats);
     let samples = session.samples();
     // The floats were measured on what was fitted: the channels that were left out weigh as they do in the file.
@@ -152,6 +156,12 @@ pub fn encode_with_progress(
         trace: session.tracer.into_points(),
     };
     Ok(Encoded { bytes, report })
+}
+
+/// Notes what was left out, in place of what an earlier attempt left out for the same reason.
+fn note(list: &mut Vec<LeftOut>, what: &str, bytes: u64, seconds: f64) {
+    list.retain(|l| l.what != what);
+    list.push(LeftOut { what: what.to_owned(), bytes, seconds });
 }
 
 fn decibels(error: f64, samples: f64) -> f64 {
@@ -314,7 +324,7 @@ impl Session<'_> {
         if bytes.len() as u64 > most {
             return Ok(None);
         }
-        self.note(LeftOut { what: "the fit: the picture is one colour", bytes: 0, seconds: 0.0 });
+        note(&mut self.left_out, "the fit: the picture is one colour", 0, 0.0);
         let error = self.fitted_error(&splats);
         Ok(Some((bytes, splats, error)))
     }
@@ -375,17 +385,11 @@ impl Session<'_> {
         let file = self.file(&pruned)?;
         if file.len() < bytes.len() {
             let what = "primitives without which the error stays below that of rounding, or of the target";
-            self.note(LeftOut { what, bytes: (bytes.len() - file.len()) as u64, seconds: 0.0 });
+            note(&mut self.left_out, what, (bytes.len() - file.len()) as u64, 0.0);
             (*bytes, *splats) = (file, pruned);
         }
         self.stages.push(("prune", self.tracer.seconds() - clock));
         Ok(())
-    }
-
-    /// Notes what was left out, in place of what an earlier attempt left out for the same reason.
-    fn note(&mut self, left_out: LeftOut) {
-        self.left_out.retain(|l| l.what != left_out.what);
-        self.left_out.push(left_out);
     }
 
     /// Notes what a codebook saved, from a file written without it.
@@ -393,7 +397,7 @@ impl Session<'_> {
         if splats.codebook.is_some() {
             let direct = self.file(&PackedSplats { codebook: None, ..splats.clone() })?;
             let what = "a colour of its own for each primitive: a codebook is smaller";
-            self.note(LeftOut { what, bytes: direct.len().saturating_sub(bytes.len()) as u64, seconds: 0.0 });
+            note(&mut self.left_out, what, direct.len().saturating_sub(bytes.len()) as u64, 0.0);
         }
         Ok(())
     }
@@ -401,6 +405,21 @@ impl Session<'_> {
     /// Samples of what is fitted.
     fn fitted_samples(&self) -> f64 {
         self.samples() / self.channels.count() as f64 * self.pixels.channels().count() as f64
+    }
+
+    /// Weighs the errors by structure, where that is asked for and weighs anything.
+    fn weigh(&mut self, count: usize) {
+        // The recipe of the paper has its own terms.
+        if self.options.tune == Tune::Psnr && self.options.recipe == Recipe::Ssplat {
+            note(&mut self.left_out, "SSIM terms: the fit is tuned for PSNR", 0, 0.0);
+        }
+        if self.options.tune == Tune::Ssim {
+            self.planes.amplitude = structure::amplitudes(&self.planes, count);
+            if self.options.needs == Needs::Measured && leave_out::is_even(&self.planes) {
+                self.planes.amplitude.clear();
+                note(&mut self.left_out, "SSIM terms: the picture is so even that all pixels weigh the same", 0, 0.0);
+            }
+        }
     }
 
     /// Fits the narrow picture.
@@ -412,9 +431,7 @@ impl Session<'_> {
         }
         let scene = self.scene();
         let mut splats = self.empty();
-        if self.options.tune == Tune::Ssim {
-            self.planes.amplitude = structure::amplitudes(&self.planes, count);
-        }
+        self.weigh(count);
         let (progress, tracer) = (&mut *self.progress, &mut self.tracer);
         let (pixels, planes) = (self.original, &self.planes);
         let mut iterations = 0;
@@ -451,8 +468,7 @@ impl Session<'_> {
             let each = seconds / f64::from(iterations);
             let seconds = each * f64::from(plan.iterations - iterations);
             let what = "iterations: the error is below that of rounding, or well below the target";
-            self.left_out.retain(|l| l.what != what);
-            self.left_out.push(LeftOut { what, bytes: 0, seconds });
+            note(&mut self.left_out, what, 0, seconds);
         }
         let float_error = finish::float_error(&scene, planes, &state.primitives);
         clock = tracer.seconds();

@@ -132,6 +132,13 @@ pub(crate) fn enough(target: Target, depth: Depth) -> f64 {
     }
 }
 
+/// Whether the errors of all pixels weigh the same within a hundredth, so that weighing them would change nothing.
+pub(crate) fn is_even(target: &Planes) -> bool {
+    let width = target.width as usize;
+    let rows = target.amplitude.chunks_exact(target.stride).map(|row| &row[..width]);
+    rows.flatten().all(|a| (a * a - 1.0).abs() < 0.01)
+}
+
 /// `splats` with as few primitives as keep the squared error within `enough`; `None` where all are needed.
 pub(crate) fn pruned(scene: &Scene, target: &Planes, splats: &PackedSplats, enough: f64) -> Option<PackedSplats> {
     // Each round takes out what is not needed; a sweep over the rest makes room for the next one.
@@ -260,7 +267,7 @@ mod tests {
             let encoded = crate::encode(&pixels, &options).unwrap();
             assert!(encoded.bytes.len() <= 200, "{}", encoded.bytes.len());
             assert_eq!(
-                encoded.report.left_out.first().map(|l| l.what),
+                encoded.report.left_out.first().map(|l| &*l.what),
                 Some("colour and alpha: all is grey and opaque")
             );
             let back = decoded(&encoded.bytes);
@@ -308,5 +315,51 @@ mod tests {
         let options = EncodeOptions { effort: 3, target: Target::Psnr(30.0), ..EncodeOptions::default() };
         let encoded = crate::encode(&pixels, &options).unwrap();
         assert!((30.0..30.4).contains(&encoded.report.psnr), "{}", encoded.report.psnr);
+    }
+
+    fn left_out(pixels: &Pixels, options: &EncodeOptions) -> Vec<String> {
+        crate::encode(pixels, options).unwrap().report.left_out.into_iter().map(|l| l.what).collect()
+    }
+
+    #[test]
+    fn ssim_terms_are_left_out_where_they_are_not_asked_for_and_where_they_would_weigh_nothing() {
+        let even = wave(Channels::Grey, |x, y, _| (100 + (x + y) / 4) as u8);
+        let rough = wave(Channels::Grey, |x, y, _| (100 + x * y % 7 * x) as u8);
+        let psnr = EncodeOptions { effort: 1, target: Target::Bytes(150), ..EncodeOptions::default() };
+        let ssim = EncodeOptions { tune: crate::Tune::Ssim, ..psnr.clone() };
+        let everything = EncodeOptions { needs: crate::Needs::Everything, ..ssim.clone() };
+        for (pixels, options, why) in [
+            (&even, &psnr, Some("SSIM terms: the fit is tuned for PSNR")),
+            (&even, &ssim, Some("SSIM terms: the picture is so even that all pixels weigh the same")),
+            (&even, &everything, None),
+            (&rough, &ssim, None),
+        ] {
+            let found = left_out(pixels, options);
+            assert_eq!(found.iter().find(|w| w.starts_with("SSIM")).map(String::as_str), why, "{found:?}");
+        }
+        let bytes = |options| crate::encode(&even, options).unwrap().bytes;
+        assert_eq!(bytes(&psnr), bytes(&ssim));
+    }
+
+    #[test]
+    fn a_gpu_that_was_free_to_be_taken_and_was_not_is_left_out_and_the_reason_is_told() {
+        let gpu = |pixels: &Pixels, backend| {
+            let options =
+                EncodeOptions { effort: 1, target: Target::Primitives(3), backend, ..EncodeOptions::default() };
+            left_out(pixels, &options).into_iter().find(|w| w.starts_with("the GPU"))
+        };
+        let small = wave(Channels::Grey, |x, y, _| (x + y) as u8);
+        let why = gpu(&small, crate::Backend::Auto);
+        assert_eq!(why.as_deref(), Some("the GPU: the picture has fewer than 262144 pixels"));
+        assert_eq!(gpu(&small, crate::Backend::Cpu), None);
+        // Without a fit nothing is fitted on anything.
+        assert_eq!(gpu(&wave(Channels::Grey, |_, _, _| 9), crate::Backend::Auto), None);
+        #[cfg(not(feature = "gpu"))]
+        {
+            let samples = (0..512 * 512u32).map(|i| (i / 4096 + i % 512 / 16) as u8).collect();
+            let large = Pixels::new(512, 512, Channels::Grey, Samples::U8(samples)).unwrap();
+            let why = gpu(&large, crate::Backend::Auto);
+            assert_eq!(why.as_deref(), Some("the GPU: this build has no GPU support"));
+        }
     }
 }

@@ -179,6 +179,9 @@ fn encode_and_info_say_what_was_left_out() {
     image::RgbaImage::from_fn(60, 40, opaque).save(&picture).unwrap();
     let text = succeeds(ssplat(&[&"encode", &picture, &file, &"--bytes", &"300", &"--effort", &"1", &"--explain"]));
     assert!(text.contains("colour and alpha: all is grey and opaque"), "{text}");
+    for what in ["SSIM terms: the fit is tuned for PSNR\n", "the GPU: the picture has fewer than 262144 pixels\n"] {
+        assert!(text.contains(what), "{text}");
+    }
     assert!(text.contains("sections: neither"), "{text}");
     assert!(fs::metadata(&file).unwrap().len() <= 300);
     let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &file, &"--json"]))).unwrap();

@@ -134,9 +134,16 @@ mod program {
             assert_eq!(encoded["device"], "CPU");
             let reason = encoded["device_reason"].as_str().unwrap();
             assert!(reason.starts_with("no hardware adapter found, only"), "{reason}");
+            assert!(leaves_out(&encoded, &format!("the GPU: {reason}")), "{encoded}");
         } else {
             assert_eq!(encoded["device"], device.name());
+            assert!(!leaves_out(&encoded, "the GPU"), "{encoded}");
         }
+    }
+
+    /// Whether something that begins with `what` was left out.
+    fn leaves_out(encoded: &serde_json::Value, what: &str) -> bool {
+        encoded["left_out"].as_array().unwrap().iter().any(|l| l["what"].as_str().unwrap().starts_with(what))
     }
 
     pub fn missing(_: &Device) {
@@ -144,6 +151,7 @@ mod program {
         let none = if cfg!(windows) { "metal" } else { "dx12" };
         let encoded = said(&ssplat(&folder, none, &SMALL));
         assert_eq!([&encoded["device"], &encoded["device_reason"]], ["CPU", "no adapter found"]);
+        assert!(leaves_out(&encoded, "the GPU: no adapter found"), "{encoded}");
         for args in
             [&[&SMALL[..], &["--backend", "gpu"]].concat()[..], &["decode", "out.ssplat", "o.png", "--backend", "gpu"]]
         {

@@ -150,7 +150,7 @@ fn explain(report: &EncodeReport) -> String {
         text += &format!("  {name:<24} {seconds:8.2} s\n");
     }
     if !report.left_out.is_empty() {
-        text += "left out, because the scene does not need it:\n";
+        text += "left out:\n";
     }
     for l in &report.left_out {
         let bytes = if l.bytes > 0 { format!(" {} bytes", l.bytes) } else { String::new() };

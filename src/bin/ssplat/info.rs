@@ -108,6 +108,8 @@ fn as_text(splats: &PackedSplats, report: &Report) -> String {
     }
     text += "left out\n";
     text += &left_out::as_text(&left_out::of_file(splats, report));
+    // A file does not know how it was made.
+    text += "  what the fit left out: `ssplat encode --explain` tells when it is made\n";
     text
 }
 

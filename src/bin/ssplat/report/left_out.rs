@@ -21,11 +21,24 @@ pub struct Needless {
 }
 
 impl Needless {
+    /// What it leaves out but for what is `common` to all, in words.
+    pub fn own(&self, common: &[&str]) -> String {
+        let own: Vec<&str> = self.what.iter().map(String::as_str).filter(|w| !common.contains(w)).collect();
+        if own.is_empty() { "nothing".into() } else { own.join("; ") }
+    }
+
     pub fn as_json(&self) -> Value {
         json!({
             "scene": self.scene, "left_out": self.what, "bytes": self.bytes, "seconds": self.seconds, "psnr": self.psnr,
         })
     }
+}
+
+/// What every scene leaves out, where there are several: it tells nothing about any of them.
+pub fn common(rows: &[Needless]) -> Vec<&str> {
+    let [first, rest @ ..] = rows else { return Vec::new() };
+    let everywhere = |what: &&String| !rest.is_empty() && rest.iter().all(|n| n.what.contains(what));
+    first.what.iter().filter(everywhere).map(String::as_str).collect()
 }
 
 /// Reads what [`Needless::as_json`] made.
@@ -74,11 +87,11 @@ pub fn measure(name: &str, pixels: &Pixels) -> ssplat::Result<Needless> {
         out.psnr[i] += metrics::psnr(pixels, &drawn)?.min(99.0) / SEEDS as f64;
         for l in &encoded.report.left_out {
             let text = match l.bytes {
-                0 => l.what.to_string(),
+                0 => l.what.clone(),
                 bytes => format!("{} ({bytes} B)", l.what),
             };
             // The first seed's bytes stand for all.
-            if i == 1 && !out.what.iter().any(|w| w.starts_with(l.what)) {
+            if i == 1 && !out.what.iter().any(|w| w.starts_with(&l.what)) {
                 out.what.push(text);
             }
         }

@@ -9,7 +9,7 @@ use super::cells::{Cell, Subject};
 use super::chart::{Axis, Bars, Chart, Length, Scale, Series, Stroke, escape, number};
 use super::codecs::{self, Anchor};
 use super::crops;
-use super::left_out::Needless;
+use super::left_out::{self, Needless};
 use super::stability::{Bound, Row};
 
 /// Everything that the page shows.
@@ -383,13 +383,13 @@ impl Contents<'_> {
              <div class=\"scroll\"><table><thead><tr><th>Scene</th><th class=\"text\">Left out</th><th>Bytes</th><th>Saved</th>\
              <th>Seconds</th><th>Saved</th><th>PSNR dB</th><th>Change</th></tr></thead><tbody>\n",
         );
+        let common = left_out::common(self.left_out);
         for n in self.left_out {
-            let what = if n.what.is_empty() { "nothing".to_string() } else { n.what.join("; ") };
             let _ = writeln!(
                 html,
                 "<tr><th>{}</th><td class=\"text\">{}</td><td>{}</td><td>{}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td><td>{:+.2}</td></tr>",
                 escape(&n.scene),
-                escape(&what),
+                escape(&n.own(&common)),
                 n.bytes[1],
                 n.bytes[0] as i64 - n.bytes[1] as i64,
                 n.seconds[1],
@@ -398,7 +398,11 @@ impl Contents<'_> {
                 n.psnr[1] - n.psnr[0],
             );
         }
-        html + "</tbody></table></div>\n"
+        html += "</tbody></table></div>\n";
+        if !common.is_empty() {
+            let _ = writeln!(html, "<p>All of them leave out: {}.</p>", escape(&common.join("; ")));
+        }
+        html
     }
 
     fn method(&self) -> String {

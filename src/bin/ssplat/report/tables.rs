@@ -3,13 +3,14 @@
 use std::fmt::Write;
 
 use super::chart::number;
+use super::left_out;
 use super::page::{Contents, figures};
 
 /// Headline, stiff cases and what scenes leave out.
 pub fn markdown(contents: &Contents) -> String {
     let mut text = format!("# ssplat report\n\nMade by `{}`.\n", contents.command);
     headline(contents, &mut text);
-    left_out(contents, &mut text);
+    needless(contents, &mut text);
     stability(contents, &mut text);
     text
 }
@@ -46,16 +47,26 @@ fn headline(contents: &Contents, text: &mut String) {
     }
 }
 
-fn left_out(contents: &Contents, text: &mut String) {
+fn needless(contents: &Contents, text: &mut String) {
     *text += "\n## What a scene leaves out\n\nWith everything → with what the scene needs; means over four seeds.\n\n\
               | scene | left out | bytes | seconds | PSNR dB |\n|---|---|--:|--:|--:|\n";
+    let common = left_out::common(contents.left_out);
     for n in contents.left_out {
-        let what = if n.what.is_empty() { "nothing".into() } else { n.what.join("; ") };
         let _ = writeln!(
             text,
-            "| {} | {what} | {} → {} | {:.2} → {:.2} | {:.2} → {:.2} |",
-            n.scene, n.bytes[0], n.bytes[1], n.seconds[0], n.seconds[1], n.psnr[0], n.psnr[1],
+            "| {} | {} | {} → {} | {:.2} → {:.2} | {:.2} → {:.2} |",
+            n.scene,
+            n.own(&common),
+            n.bytes[0],
+            n.bytes[1],
+            n.seconds[0],
+            n.seconds[1],
+            n.psnr[0],
+            n.psnr[1],
         );
+    }
+    if !common.is_empty() {
+        let _ = writeln!(text, "\nAll of them leave out: {}.", common.join("; "));
     }
 }
 
