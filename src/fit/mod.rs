@@ -96,6 +96,7 @@ pub(crate) fn fit(
 ) -> Result<State> {
     let (mut state, rng) = start(target, count, plan);
     state.is_enough = run(scene, target, &mut state, rng, plan, recount, watch)? == Ending::Enough;
+    state.keep_best();
     Ok(state)
 }
 
@@ -159,6 +160,10 @@ pub(crate) struct State {
     /// Whether the fit ended early because the error was small enough.
     pub is_enough: bool,
     iteration: u32,
+    /// The least error over all rows that was seen with this many primitives, and the primitives that had it.
+    best: Option<(f64, Vec<Primitive>)>,
+    /// The error over all rows that was seen last.
+    latest: f64,
 }
 
 impl State {
@@ -168,8 +173,17 @@ impl State {
         }
         let memory = vec![Memory::default(); primitives.len()];
         let field = Field::default();
-        let mut state =
-            State { primitives, memory, freedom: Vec::new(), bounds, field, is_enough: false, iteration: 0 };
+        let mut state = State {
+            primitives,
+            memory,
+            freedom: Vec::new(),
+            bounds,
+            field,
+            is_enough: false,
+            iteration: 0,
+            best: None,
+            latest: 0.0,
+        };
         state.sort();
         state
     }
@@ -194,6 +208,16 @@ impl State {
         );
         self.iteration += 1;
         error
+    }
+
+    /// Goes back to the best state where the fit has ended in a clearly worse one. Few primitives can lose decibels
+    /// in their first steps on all rows: the optimizer's memory is of the noise of samples, and those steps are long.
+    fn keep_best(&mut self) {
+        if let Some((error, primitives)) = self.best.take()
+            && self.latest > 1.01 * error
+        {
+            *self = State { is_enough: self.is_enough, ..State::new(primitives, self.bounds) };
+        }
     }
 
     /// Brings neighbours in the picture next to each other in memory.
@@ -223,7 +247,15 @@ impl Engine for State {
     }
 
     fn descend(&mut self, scene: &Scene, target: &Target, rows: RowSet, rates: Rates) -> Result<Option<f64>> {
-        Ok(Some(State::descend(self, scene, target, rows, rates)))
+        let before = (rows == RowSet::ALL).then(|| self.primitives.clone());
+        let error = State::descend(self, scene, target, rows, rates);
+        if let Some(before) = before {
+            self.latest = error;
+            if self.best.as_ref().is_none_or(|b| error < b.0) {
+                self.best = Some((error, before));
+            }
+        }
+        Ok(Some(error))
     }
 
     fn relocate(&mut self, scene: &Scene, target: &Target, rows: RowSet, most: usize) -> Result<usize> {
@@ -232,6 +264,7 @@ impl Engine for State {
 
     fn resize(&mut self, scene: &Scene, target: &Target, rows: RowSet, wanted: usize) -> Result<()> {
         relocate::resize(scene, target, self, rows, wanted);
+        self.best.take_if(|(_, primitives)| primitives.len() != wanted);
         Ok(())
     }
 }

@@ -438,7 +438,6 @@ pub fn figures(row: &Row) -> (String, String) {
         Bound::Codes(v) => (format!("{} codes", small(row.worst)), format!("≤ {} codes", number(v))),
         Bound::Gain(v) => (format!("{:+.2} dB", row.worst), format!("≥ {v} dB")),
         Bound::Relative(v) => (format!("{:.1e}", row.worst), format!("≤ {v:e}")),
-        Bound::Finite => (if row.worst.is_finite() { "finite" } else { "not finite" }.into(), "finite".into()),
         Bound::Reported if row.worst.is_infinite() => ("singular".into(), "–".into()),
         Bound::Reported => (format!("{:.1e}", row.worst), "–".into()),
     }
