@@ -53,6 +53,19 @@ impl Chosen {
     }
 }
 
+/// A picture to fit, and with what.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Job<'a> {
+    pub scene: &'a Scene,
+    #[cfg_attr(not(feature = "gpu"), expect(dead_code, reason = "only a GPU takes samples as they are"))]
+    pub pixels: &'a Pixels,
+    /// The same picture.
+    pub target: &'a Target,
+    /// About how many primitives.
+    pub count: usize,
+    pub plan: &'a Plan,
+}
+
 /// A device chosen for an encode.
 #[derive(Debug)]
 pub(crate) struct Choice {
@@ -90,20 +103,10 @@ impl Choice {
         is_left_out.then(|| format!("the GPU: {}", self.chosen.reason))
     }
 
-    /// Fits about `count` primitives on the chosen device.
-    #[allow(clippy::too_many_arguments)]
-    pub(crate) fn fit(
-        &mut self,
-        scene: &Scene,
-        pixels: &Pixels,
-        target: &Target,
-        count: usize,
-        plan: &Plan,
-        recount: Recount<'_>,
-        watch: Watch<'_>,
-    ) -> Result<State> {
+    /// Does `job` on the chosen device.
+    pub(crate) fn fit(&mut self, job: &Job<'_>, recount: Recount<'_>, watch: Watch<'_>) -> Result<State> {
         if let Some(device) = &self.gpu {
-            match fit_on(device, scene, pixels, target, count, plan, recount, watch) {
+            match fit_on(device, job, recount, watch) {
                 Err(Error::Gpu(e)) if self.asked == Backend::Auto => {
                     self.chosen = Chosen::cpu(format!("{} failed: {e}", self.chosen.device));
                     self.gpu = None;
@@ -111,7 +114,7 @@ impl Choice {
                 fitted => return fitted,
             }
         }
-        fit::fit(scene, target, count, plan, recount, watch)
+        fit::fit(job.scene, job.target, job.count, job.plan, recount, watch)
     }
 }
 
@@ -141,17 +144,8 @@ fn open(_: Backend, _: &EncodeOptions) -> Result<(Option<Device>, Chosen), GpuEr
 }
 
 #[cfg(feature = "gpu")]
-#[allow(clippy::too_many_arguments)]
-fn fit_on(
-    device: &Device,
-    scene: &Scene,
-    pixels: &Pixels,
-    target: &Target,
-    count: usize,
-    plan: &Plan,
-    recount: Recount<'_>,
-    watch: Watch<'_>,
-) -> Result<State> {
+fn fit_on(device: &Device, job: &Job<'_>, recount: Recount<'_>, watch: Watch<'_>) -> Result<State> {
+    let Job { scene, pixels, target, count, plan } = *job;
     let (state, rng) = fit::start(target, count, plan);
     let fitter = Fitter::new(device, scene, pixels, &state.primitives, &state.bounds)?;
     let ending = fit::run(scene, target, &mut &fitter, rng, plan, recount, watch)?;
@@ -161,16 +155,6 @@ fn fit_on(
 }
 
 #[cfg(not(feature = "gpu"))]
-#[allow(clippy::too_many_arguments)]
-fn fit_on(
-    device: &Device,
-    _: &Scene,
-    _: &Pixels,
-    _: &Target,
-    _: usize,
-    _: &Plan,
-    _: Recount<'_>,
-    _: Watch<'_>,
-) -> Result<State> {
+fn fit_on(device: &Device, _: &Job<'_>, _: Recount<'_>, _: Watch<'_>) -> Result<State> {
     match *device {}
 }

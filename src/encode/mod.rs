@@ -1,0 +1,152 @@
+//! Pixels to bytes: the whole encoder behind one function.
+
+mod savings;
+mod session;
+mod size;
+
+use std::ops::ControlFlow;
+
+use crate::backend::{Choice, Chosen};
+use crate::bitstream::splats::Layout;
+use crate::error::{Error, Result};
+use crate::fit::target::Target as Planes;
+use crate::gaussian::Blend;
+use crate::leave_out;
+use crate::options::{EncodeOptions, Needs, Recipe, Target};
+use crate::pixels::Pixels;
+use crate::trace::{TracePoint, Tracer};
+pub use savings::LeftOut;
+use savings::Savings;
+use session::{Session, decibels};
+
+/// Most primitives that an encode will fit.
+const MAX_PRIMITIVES: u64 = 16 << 20;
+
+/// An encoded picture.
+#[derive(Debug, Clone)]
+pub struct Encoded {
+    /// The file.
+    pub bytes: Vec<u8>,
+    /// What was done.
+    pub report: EncodeReport,
+}
+
+/// What an encode did and what it cost.
+#[derive(Debug, Clone, Default)]
+#[non_exhaustive]
+pub struct EncodeReport {
+    /// Primitives in the file.
+    pub primitives: usize,
+    /// PSNR of the stored picture against the source, decibels, before rounding to code values; infinite when equal.
+    pub psnr: f64,
+    /// PSNR before quantization, decibels.
+    pub float_psnr: f64,
+    /// Wall-clock seconds, those that a trace takes not counted.
+    pub seconds: f64,
+    /// Seconds of each stage, in order.
+    pub stages: Vec<(&'static str, f64)>,
+    /// What was done without.
+    pub left_out: Vec<LeftOut>,
+    /// The device that fitted the picture, and why that one.
+    pub chosen: Chosen,
+    /// Quality along the way; empty unless [`EncodeOptions::trace`] asks for it.
+    pub trace: Vec<TracePoint>,
+}
+
+/// How far an encode is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Progress {
+    /// The stage's name.
+    pub stage: &'static str,
+    /// Share of the stage that is done, `0..=1`.
+    pub done: f32,
+    /// PSNR when it was last measured, dB; only with [`EncodeOptions::trace`].
+    pub psnr: Option<f64>,
+}
+
+/// Encodes `pixels`.
+///
+/// # Errors
+/// [`Error::Parameter`] when an option is out of range or the asked size cannot hold the picture.
+pub fn encode(pixels: &Pixels, options: &EncodeOptions) -> Result<Encoded> {
+    encode_with_progress(pixels, options, &mut |_| ControlFlow::Continue(()))
+}
+
+/// Encodes `pixels` and calls `progress` a few hundred times on the way.
+///
+/// # Errors
+/// As [`encode`], and [`Error::Cancelled`] when `progress` returns [`ControlFlow::Break`].
+pub fn encode_with_progress(
+    pixels: &Pixels,
+    options: &EncodeOptions,
+    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Encoded> {
+    check(options)?;
+    let tracer = Tracer::new(options.trace);
+    // Only the coded layout stores a constant channel in next to nothing.
+    let measured = options.needs == Needs::Measured && options.layout == Layout::Coded;
+    let narrow = if measured { leave_out::narrow(pixels) } else { None };
+    let narrowed = narrow.as_ref().map_or(pixels, |n| &n.pixels);
+    let mut session = Session {
+        original: pixels,
+        pixels: narrowed,
+        options,
+        measured,
+        blend: options.blend.unwrap_or(match options.recipe {
+            Recipe::Ssplat => Blend::Normalized,
+            Recipe::SmartSplat(_) => Blend::Sum,
+        }),
+        planes: Planes::new(narrowed),
+        choice: Choice::new(options, narrowed)?,
+        progress,
+        tracer,
+        stages: Vec::new(),
+        savings: Savings::default(),
+    };
+    let outcome = session.aim()?;
+    session.trace_end(&outcome.splats);
+    let fitted_error = session.fitted_error(&outcome.splats);
+    let error = match &narrow {
+        Some(narrow) => {
+            let whole = Planes::new(pixels);
+            session.note_channels(narrow.what, &whole, &outcome.splats);
+            session.whole_error(&outcome.splats, &whole)
+        }
+        None => fitted_error,
+    };
+    session.note_codebook(&outcome)?;
+    let samples = session.samples();
+    // The floats were measured on what was fitted: the channels that were left out weigh as they do in the file.
+    let weight = error / fitted_error;
+    let float_error = outcome.float_error * if weight.is_finite() { weight } else { 1.0 };
+    let report = EncodeReport {
+        primitives: outcome.splats.gaussians.len(),
+        psnr: decibels(error, samples),
+        float_psnr: decibels(float_error, samples),
+        seconds: session.tracer.seconds(),
+        stages: session.stages,
+        left_out: session.savings.into_list(),
+        chosen: session.choice.chosen,
+        trace: session.tracer.into_points(),
+    };
+    Ok(Encoded { bytes: outcome.bytes, report })
+}
+
+fn check(options: &EncodeOptions) -> Result<()> {
+    let bad = |name, problem| Err(Error::Parameter { name, problem });
+    if !(1..=9).contains(&options.effort) {
+        return bad("effort", format!("{} is outside 1..=9", options.effort));
+    }
+    if !(1..=8).contains(&options.levels) || (options.levels > 1 && options.layout != Layout::Coded) {
+        return bad("levels", format!("{} is outside 1..=8, or above 1 without the coded layout", options.levels));
+    }
+    match options.target {
+        Target::Ratio(r) if !(r.is_finite() && r > 0.0) => bad("ratio", format!("{r} is not a positive number")),
+        Target::Psnr(p) if !(p.is_finite() && p > 0.0) => bad("psnr", format!("{p} is not a positive number")),
+        Target::Primitives(n) if u64::from(n) > MAX_PRIMITIVES => {
+            bad("primitives", format!("{n} is over {MAX_PRIMITIVES}"))
+        }
+        _ => Ok(()),
+    }
+}

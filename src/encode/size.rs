@@ -1,0 +1,155 @@
+//! From what is asked for to a file of that kind: with how many primitives a fit begins, and how often one is tried.
+
+use super::MAX_PRIMITIVES;
+use super::session::{Outcome, Session, decibels};
+use crate::bitstream::splats::{Layout, PackedSplats};
+use crate::error::{Error, Result};
+use crate::fit::finish::Size;
+use crate::gaussian::Blend;
+use crate::leave_out;
+use crate::options::{Needs, Target};
+
+impl Session<'_> {
+    /// Fits the picture as the options ask.
+    pub(super) fn aim(&mut self) -> Result<Outcome> {
+        let size = match self.options.target {
+            Target::Ratio(ratio) => Size::Bytes((self.samples() / ratio).floor() as u64),
+            Target::Bytes(bytes) => Size::Bytes(bytes),
+            Target::Primitives(_) | Target::Psnr(_) => Size::Free,
+        };
+        if let Some(constant) = self.constant(size)? {
+            return Ok(constant);
+        }
+        match self.options.target {
+            Target::Ratio(_) | Target::Bytes(_) => self.at_size(size),
+            Target::Primitives(count) => self.at_count(count as usize, size),
+            Target::Psnr(psnr) => self.at_psnr(psnr),
+        }
+    }
+
+    /// The file of a picture of one colour, where that is what there is and the file may be as large.
+    fn constant(&mut self, size: Size) -> Result<Option<Outcome>> {
+        let is_wanted =
+            self.measured && self.blend == Blend::Normalized && self.options.target != Target::Primitives(0);
+        if !is_wanted || !leave_out::is_constant(self.pixels) {
+            return Ok(None);
+        }
+        let mut splats = self.empty();
+        leave_out::constant(&mut splats, self.planes.mean);
+        let bytes = self.file(&splats)?;
+        if over(&bytes, size) > 0 {
+            return Ok(None);
+        }
+        self.savings.note("the fit: the picture is one colour", 0, 0.0);
+        let float_error = self.fitted_error(&splats);
+        Ok(Some(Outcome { bytes, splats, float_error }))
+    }
+
+    fn at_size(&mut self, size: Size) -> Result<Outcome> {
+        let Size::Bytes(most) = size else { return self.at_count(0, size) };
+        let fixed = self.file(&self.empty())?.len() as u64;
+        if most < fixed {
+            let problem = format!("{most} bytes cannot hold the picture: {fixed} are needed without any primitive");
+            return Err(Error::Parameter { name: "bytes", problem });
+        }
+        // What a primitive costs before anything is known; the size is corrected while the integers settle.
+        let bits = match self.options.layout {
+            Layout::Packed => 56.0,
+            Layout::Planes => 46.0,
+            Layout::Coded => 34.5,
+        };
+        // More primitives than samples bring nothing.
+        let count = (((most - fixed) as f64 * 8.0 / bits) as u64).min(MAX_PRIMITIVES).min(self.samples() as u64);
+        self.at_count(count as usize, size)
+    }
+
+    fn at_psnr(&mut self, wanted: f64) -> Result<Outcome> {
+        let raw = self.samples();
+        let mut bytes = raw / 50.0;
+        let mut best: Option<Outcome> = None;
+        let mut reached: f64 = 0.0;
+        let (mut low, mut high) = (0.0f64, raw);
+        for _ in 0..6 {
+            let outcome = self.at_size(Size::Bytes(bytes.max(64.0) as u64))?;
+            let got = decibels(self.error(&outcome.splats), raw);
+            reached = reached.max(got);
+            if got >= wanted {
+                high = bytes;
+                let close = got - wanted < 0.1;
+                if best.as_ref().is_none_or(|b| outcome.bytes.len() < b.bytes.len()) {
+                    best = Some(outcome);
+                }
+                if close {
+                    break;
+                }
+            } else {
+                low = bytes;
+            }
+            // Doubling the bytes wins about 2.5 dB.
+            bytes *= ((wanted - got + 0.05) / 2.5).exp2().clamp(0.05, 20.0);
+            if bytes <= low || bytes >= high {
+                bytes = (low.max(64.0) * high).sqrt();
+            }
+            if high / low.max(1.0) < 1.01 {
+                break;
+            }
+        }
+        let Some(mut best) = best else {
+            let problem = format!("{wanted} dB cannot be reached: the best fit has {reached:.2} dB");
+            return Err(Error::Parameter { name: "psnr", problem });
+        };
+        // Where channels were left out, what they add to the error is not known here.
+        if self.options.needs == Needs::Measured && self.is_whole() {
+            self.prune(&mut best, raw * 10f64.powf(-0.1 * wanted))?;
+        }
+        Ok(best)
+    }
+
+    /// Fits a picture of `size` with about `count` primitives to begin with, and puts back what was left out.
+    fn at_count(&mut self, count: usize, size: Size) -> Result<Outcome> {
+        // What the constant channels may take; corrected where that is too little.
+        let mut spare = match size {
+            Size::Bytes(most) if !self.is_whole() => 6 + most.min(1 << 30) / 400,
+            _ => 0,
+        };
+        loop {
+            let narrow = match size {
+                Size::Bytes(most) => Size::Bytes(most.saturating_sub(spare)),
+                Size::Free => Size::Free,
+            };
+            let mut outcome = self.fitted(count, narrow)?;
+            if !self.is_whole() {
+                outcome.bytes = self.file(&outcome.splats)?;
+            }
+            if self.options.needs == Needs::Measured {
+                let enough = leave_out::rounding(self.pixels.depth()) * self.fitted_samples();
+                self.prune(&mut outcome, enough)?;
+            }
+            // Whatever a fit came to, it is not worse than one colour.
+            let alone =
+                PackedSplats { gaussians: Vec::new(), codebook: None, levels: Vec::new(), ..outcome.splats.clone() };
+            let error = self.fitted_error(&outcome.splats);
+            if error.is_nan() || error > self.fitted_error(&alone) {
+                (outcome.bytes, outcome.splats) = (self.file(&alone)?, alone);
+            }
+            let over = over(&outcome.bytes, size);
+            if over == 0 {
+                return Ok(outcome);
+            }
+            if outcome.splats.gaussians.is_empty() {
+                let (asked, needed) = (outcome.bytes.len() as u64 - over, outcome.bytes.len());
+                let problem = format!("{asked} bytes cannot hold the picture: {needed} are needed");
+                return Err(Error::Parameter { name: "bytes", problem });
+            }
+            spare += over + 4;
+        }
+    }
+}
+
+/// Bytes by which a file is larger than it may be.
+fn over(bytes: &[u8], size: Size) -> u64 {
+    match size {
+        Size::Bytes(most) => (bytes.len() as u64).saturating_sub(most),
+        Size::Free => 0,
+    }
+}
