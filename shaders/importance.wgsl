@@ -4,17 +4,13 @@
 fn importance(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) local: u32) {
     let pair = group_index(group, groups) * 64u + local;
     if (status[1] != 0u || pair >= starts[scene.tiles_x * scene.tiles_y]) { return; }
-    let tile = tile_of(pair);
     let splat = splats[sorted[pair]];
-    let left = (tile % scene.tiles_x) * TILE;
-    let right = min(left + TILE, scene.width);
-    let first = (tile / scene.tiles_x) * TILE;
-    let end = min(first + TILE, scene.band_rows);
+    let area = area_of(tile_of(pair));
     let used = select(vec4f(0.0), vec4f(1.0), vec4u(0u, 1u, 2u, 3u) < vec4u(scene.channels));
     var cost = 0.0;
-    for (var row = first; row < end; row++) {
+    for (var row = area.z; row < area.w; row++) {
         let dy = f32(sampled_row(scene.band_first + row)) - splat.place.y;
-        let columns = span(splat, dy, left, right);
+        let columns = span(splat, dy, area.x, area.y);
         for (var x = columns.x; x < columns.y; x++) {
             let dx = f32(x) - splat.place.x;
             let u = splat.place.z * dy - splat.place.w * dx;

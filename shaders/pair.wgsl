@@ -20,7 +20,7 @@ fn tile_of(pair: u32) -> u32 {
     return low;
 }
 
-// Columns of `tile` in which the splat's row `dy` from the centre lies within the support: first and end.
+// Columns from `left` to `right` in which the splat's row `dy` from the centre lies within the support: first and end.
 fn span(splat: Splat, dy: f32, left: u32, right: u32) -> vec2u {
     let t = dy / splat.extent.y;
     let rest = 1.0 - t * t;
@@ -31,4 +31,11 @@ fn span(splat: Splat, dy: f32, left: u32, right: u32) -> vec2u {
     let first = clamp(ceil(middle - half - 0.5), f32(left), f32(right));
     let end = clamp(floor(middle + half + 0.5) + 1.0, f32(left), f32(right));
     return vec2u(u32(first), u32(end));
+}
+
+// What of the band `tile` covers: columns from x to y, sampled rows from z to w.
+fn area_of(tile: u32) -> vec4u {
+    let left = (tile % scene.tiles_x) * TILE;
+    let first = (tile / scene.tiles_x) * TILE;
+    return vec4u(left, min(left + TILE, scene.width), first, min(first + TILE, scene.band_rows));
 }

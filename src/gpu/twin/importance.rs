@@ -2,8 +2,8 @@
 
 use super::common::{CUTOFF_WEIGHT, SUPPORT, sampled_row};
 use super::forward::dot;
-use super::pair::{span, tile_of};
-use crate::gpu::scene::{Splat, TILE, Uniforms};
+use super::pair::{area_of, span, tile_of};
+use crate::gpu::scene::{Splat, Uniforms};
 
 pub(in crate::gpu) fn importance(
     scene: &Uniforms,
@@ -15,18 +15,14 @@ pub(in crate::gpu) fn importance(
     slots: &mut [[f32; 4]],
 ) {
     for pair in 0..starts[scene.tiles() as usize] {
-        let tile = tile_of(scene, starts, pair);
         let splat = &splats[sorted[pair as usize] as usize];
-        let left = (tile % scene.tiles_x) * TILE;
-        let right = (left + TILE).min(scene.width);
-        let first = (tile / scene.tiles_x) * TILE;
-        let end = (first + TILE).min(scene.band_rows);
+        let area = area_of(scene, tile_of(scene, starts, pair));
         let used =
             |v: [f32; 4]| -> [f32; 4] { std::array::from_fn(|k| if (k as u32) < scene.channels { v[k] } else { 0.0 }) };
         let mut cost = 0.0;
-        for row in first..end {
+        for row in area[2]..area[3] {
             let dy = sampled_row(scene, scene.band_first + row) as f32 - splat.place[1];
-            let columns = span(splat, dy, left, right);
+            let columns = span(splat, dy, area[0], area[1]);
             for x in columns[0]..columns[1] {
                 let dx = x as f32 - splat.place[0];
                 let u = splat.place[2] * dy - splat.place[3] * dx;

@@ -1,6 +1,6 @@
 //! Twin of `pair.wgsl`.
 
-use crate::gpu::scene::{Splat, Uniforms};
+use crate::gpu::scene::{Splat, TILE, Uniforms};
 
 pub(in crate::gpu) fn tile_of(scene: &Uniforms, starts: &[u32], pair: u32) -> u32 {
     let mut low = 0;
@@ -27,4 +27,10 @@ pub(in crate::gpu) fn span(splat: &Splat, dy: f32, left: u32, right: u32) -> [u3
     let first = (middle - half - 0.5).ceil().clamp(left as f32, right as f32);
     let end = ((middle + half + 0.5).floor() + 1.0).clamp(left as f32, right as f32);
     [first as u32, end as u32]
+}
+
+pub(in crate::gpu) fn area_of(scene: &Uniforms, tile: u32) -> [u32; 4] {
+    let left = (tile % scene.tiles_x) * TILE;
+    let first = (tile / scene.tiles_x) * TILE;
+    [left, (left + TILE).min(scene.width), first, (first + TILE).min(scene.band_rows)]
 }
