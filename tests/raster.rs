@@ -250,6 +250,13 @@ fn giants_and_needles_over_many_tiles_are_within_one_code_value() {
     }
 }
 
+/// Fuzzing found the sum that overflows: a support wider than any integer.
+#[test]
+fn the_largest_finite_scale_covers_the_picture() {
+    let scene = picture(300, 200, Channels::Rgb, Blend::Sum, vec![one([150.0, 100.0], [f32::MAX; 2], 0.3)]);
+    assert!(worst(&scene, &View::full(&scene), Depth::Eight) <= 1);
+}
+
 #[test]
 fn tile_pairs_are_limited_before_the_work() {
     let giants = vec![one([500.0, 500.0], [1e4, 1e4], 0.0); 1000];

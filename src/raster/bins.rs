@@ -79,7 +79,7 @@ impl Bins {
         // Casts saturate and round towards zero, which is down where it matters.
         let tiles = |k: usize, low: f64, high: f64| {
             let start = (low * (1.0 / size[k])) as usize;
-            let end = if high < 0.0 { 0 } else { (high * (1.0 / size[k])) as usize + 1 };
+            let end = if high < 0.0 { 0 } else { ((high * (1.0 / size[k])) as usize).saturating_add(1) };
             let end = end.min(self.count[k] as usize);
             start..end.max(start)
         };
