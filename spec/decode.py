@@ -16,7 +16,7 @@ import zlib
 
 import numpy as np
 
-SIGNATURE = bytes([0x89, 0x53, 0x53, 0x50, 0x0D, 0x0A, 0x1A, 0x0A])
+SIGNATURE = bytes([0x89, 0x53, 0x53, 0x50])
 FINE = 16
 
 # What this decoder is willing to do (§9).
@@ -102,10 +102,10 @@ class Bytes:
 class Header:
     def __init__(self, data):
         b = Bytes(data)
-        demand(data[:8] == SIGNATURE, "not an ssplat file")
-        b.at = 8
+        demand(data[:4] == SIGNATURE, "not an ssplat file")
+        b.at = 4
         version = b.byte("version")
-        if version != 1:
+        if version != 2:
             raise Unsupported(f"format version {version}")
         flags = b.byte("flags")
         self.layout = flags & 3
@@ -909,7 +909,8 @@ def read_coded(b, header):
 
 # §8.6 Groups and levels
 
-MOST_OF_A_GROUP = 32768
+MOST_WITHOUT_GROUPS = 32768
+MOST_OF_A_GROUP = 4096
 
 
 def read_divisions(b, header, corner, log, count, groups):
@@ -940,19 +941,19 @@ def read_groups(b, header, lost=None):
     demand(1 <= levels <= 8, "level count")
     sizes = [b.varint("level") for _ in range(levels)]
     demand(min(sizes) > 0 and sum(sizes) == header.count, "sizes of levels")
-    demand(levels > 1 or header.count > MOST_OF_A_GROUP, "levels where there is no need")
+    demand(levels > 1 or header.count > MOST_WITHOUT_GROUPS, "levels where there is no need")
     groups = []
     for size in sizes:
         read_divisions(b, header, *whole_region(header), size, groups)
     entries = []
     for group in groups:
         length = b.varint("group length")
-        entries.append((length, b.u32("group checksum")))
+        entries.append((length, b.byte("largest scale of a group"), b.u32("group checksum")))
         demand(group[2] <= 8 * length + 1024, "primitives of a group")
     computed = zlib.crc32(zlib.crc32(header.bytes).to_bytes(4, "little") + b.data[start : b.at])
     demand(b.u32("directory checksum") == computed, "checksum of the directory")
     at, out = b.at, []
-    for (corner, log, count), (length, checksum) in zip(groups, entries):
+    for (corner, log, count), (length, largest, checksum) in zip(groups, entries):
         b.at, at = min(at, len(b.data)), at + length
         try:
             stream = b.take(length, "group")
@@ -960,6 +961,7 @@ def read_groups(b, header, lost=None):
             coder = RangeDecoder(stream)
             part = read_group(coder, header, background, book, corner, log, count)
             coder.finish()
+            demand(max(p[2] for p in part) == largest, "largest scale of a group")
         except Illegal:
             if lost is None:
                 raise

@@ -19,7 +19,8 @@ pub struct Decoded {
     pub missing: Missing,
 }
 
-/// Decodes the file `bytes`, or the part of it that `options` ask for; primitives outside that part cost no drawing.
+/// Decodes the file `bytes`, or the part of it that `options` ask for; what cannot be seen in that part
+/// is not drawn, and in a file with groups mostly not even read.
 ///
 /// # Errors
 /// [`Error::Format`](crate::Error::Format) and [`Error::UnsupportedVersion`](crate::Error::UnsupportedVersion) for
@@ -27,9 +28,10 @@ pub struct Decoded {
 /// [`Error::Parameter`](crate::Error::Parameter) for a region outside the picture or an empty one.
 pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
     let limits = &options.limits;
-    let (splats, missing) = match options.damage {
-        Damage::Refuse => (bitstream::read(bytes, limits)?, Missing::default()),
-        Damage::Accept => bitstream::read_partial(bytes, limits)?,
+    let (splats, missing) = match (options.damage, options.region) {
+        (Damage::Accept, _) => bitstream::read_partial(bytes, limits)?,
+        (Damage::Refuse, None) => (bitstream::read(bytes, limits)?, Missing::default()),
+        (Damage::Refuse, Some(region)) => (bitstream::read_area(bytes, &region.into(), limits)?, Missing::default()),
     };
     let picture = splats.to_picture();
     let mut view = View::full(&picture);

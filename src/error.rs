@@ -93,10 +93,10 @@ pub enum GpuError {
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FormatError {
-    /// The first eight bytes are not the signature (spec §2).
+    /// The first four bytes are not the signature (spec §2).
     BadMagic {
         /// The bytes found.
-        found: [u8; 8],
+        found: [u8; 4],
     },
     /// The file ends before what `what` needs.
     Truncated {

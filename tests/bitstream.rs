@@ -3,9 +3,10 @@
 mod synthetic;
 
 use ssplat::bitstream::splats::{Layout, PackedSplats};
-use ssplat::bitstream::{inspect, read, read_partial, to_bytes};
+use ssplat::bitstream::{inspect, read, read_area, read_partial, to_bytes};
+use ssplat::raster::{Renderer, View};
 use ssplat::{Blend, Channels, Depth, Error, Limits};
-use synthetic::{Scene, scene};
+use synthetic::{Random, Scene, scene};
 
 const LAYOUTS: [Layout; 3] = [Layout::Packed, Layout::Planes, Layout::Coded];
 
@@ -77,11 +78,11 @@ fn report_adds_up_to_the_file() {
 }
 
 #[test]
-fn a_plain_colour_picture_spends_at_most_24_bytes_beside_its_payload() {
+fn a_plain_colour_picture_spends_at_most_20_bytes_beside_its_payload() {
     let splats = scene(&Scene { count: 200, layout: Layout::Packed, ..Scene::default() });
     let (_, report) = inspect(&to_bytes(&splats).unwrap(), &Limits::default()).unwrap();
     let frame: u64 = report.parts.iter().filter(|p| ["header", "checksum"].contains(&p.name)).map(|p| p.bytes).sum();
-    assert!(frame <= 24, "{frame}");
+    assert!(frame <= 20, "{frame}");
 }
 
 #[test]
@@ -128,6 +129,35 @@ fn many_primitives_go_into_groups_and_come_back() {
     assert_eq!(sorted(&again), sorted(&splats));
     let (_, report) = inspect(&to_bytes(&splats).unwrap(), &Limits::default()).unwrap();
     assert!(report.groups > 1);
+}
+
+#[test]
+fn a_part_of_a_large_file_is_drawn_from_a_part_of_its_groups() {
+    let splats = scene(&Scene { count: 40_000, size: [1500, 1000], ..Scene::default() });
+    let bytes = to_bytes(&splats).unwrap();
+    let limits = Limits::default();
+    let whole = read(&bytes[..], &limits).unwrap();
+    let draw = |splats: &PackedSplats, region: [u32; 4]| {
+        let picture = splats.to_picture();
+        let [x, y, width, height] = region;
+        let view = View::full(&picture).crop(x, y, width, height).unwrap();
+        Renderer::new(&picture, &view, &limits).unwrap().render(splats.depth).unwrap()
+    };
+    let mut random = Random(5);
+    let mut most = 0;
+    for _ in 0..12 {
+        let (width, height) = (1 + random.below(200) as u32, 1 + random.below(200) as u32);
+        let region = [random.below(1300) as u32, random.below(800) as u32, width, height];
+        let part = read_area(&bytes, &region.into(), &limits).unwrap();
+        most = most.max(part.gaussians.len());
+        assert!(draw(&part, region) == draw(&whole, region), "{region:?}");
+    }
+    assert!(most < 30_000, "{most} of 40 000 primitives were read");
+    // A file in one piece is read whole, and a region that is nowhere needs nothing.
+    let small = scene(&Scene::default());
+    let read = read_area(&to_bytes(&small).unwrap(), &[0, 0, 1, 1].into(), &limits).unwrap();
+    assert_eq!(read.gaussians.len(), small.gaussians.len());
+    assert!(read_area(&bytes, &[u32::MAX; 4].into(), &limits).unwrap().gaussians.is_empty());
 }
 
 #[test]

@@ -406,7 +406,7 @@ fn unknown_formats_and_versions_exit_with_5() {
     fails(ssplat(&[&"encode", &unknown, &out]), 5, "text.txt");
     let file = folder.encoded("a.ssplat");
     let mut bytes = fs::read(&file).unwrap();
-    bytes[8] = 99;
+    bytes[4] = 99;
     fs::write(&file, bytes).unwrap();
     fails(ssplat(&[&"info", &file]), 5, "99");
     assert_eq!(folder.names(), ["a.ssplat", "text.png", "text.txt"]);

@@ -188,7 +188,7 @@ fn broken_files_are_decoding_errors() {
         assert!(std::error::Error::source(&e).is_some_and(|e| e.is::<ssplat::Error>()), "{e:?}");
     }
     let mut newer = bytes.clone();
-    newer[8] = 200;
+    newer[4] = 200;
     assert!(matches!(SsplatDecoder::new(&newer[..]), Err(ImageError::Unsupported(_))));
     assert!(image::load_from_memory(&bytes[..16]).is_err());
 }

@@ -32,7 +32,8 @@ impl Outcomes {
     }
 }
 
-/// The sound files among the vectors.
+/// The sound files among the vectors; without the one that is long enough for its groups to be divided, whose 90 000
+/// bits would take minutes and which has no kind of part that others have not.
 fn sound() -> Vec<(String, Vec<u8>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("spec/vectors/valid");
     let mut files: Vec<_> = fs::read_dir(folder)
@@ -42,6 +43,7 @@ fn sound() -> Vec<(String, Vec<u8>)> {
             (path.file_name().unwrap().to_string_lossy().into_owned(), fs::read(path.join("file.ssplat")).unwrap())
         })
         .collect();
+    files.retain(|(_, bytes)| bytes.len() < 8192);
     files.sort();
     assert!(files.len() > 40);
     files
@@ -122,7 +124,7 @@ fn every_flipped_bit_is_found() {
 fn every_value_of_every_header_byte_is_refused_or_legal() {
     let mut outcomes = Outcomes::default();
     for (_, bytes) in sound() {
-        for at in 0..16 {
+        for at in 0..12 {
             for value in 0..=255 {
                 let mut changed = bytes.clone();
                 changed[at] = value;

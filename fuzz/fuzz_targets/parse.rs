@@ -6,7 +6,7 @@ use libfuzzer_sys::fuzz_target;
 use peak_alloc::PeakAlloc;
 use ssplat::bitstream::sections::SectionFate;
 use ssplat::bitstream::splats::Layout;
-use ssplat::bitstream::{Missing, inspect, read, read_partial, to_bytes};
+use ssplat::bitstream::{Missing, inspect, read, read_area, read_partial, to_bytes};
 use ssplat_fuzz::{SLACK, Sliced, tight_limits};
 
 #[global_allocator]
@@ -39,6 +39,8 @@ fuzz_target!(|data: &[u8]| {
         (Err(_), Err(_)) => {}
     }
     let Ok(splats) = whole else { return };
+    let part = read_area(data, &[splats.width / 2, splats.height / 2, 1, 1].into(), &limits).expect("a part of it reads");
+    assert!(part.gaussians.len() <= splats.gaussians.len());
     let (inspected, report) = inspect(data, &limits).expect("what reads can be inspected");
     assert!(inspected == splats);
     assert_eq!(report.parts.iter().map(|p| p.bytes).sum::<u64>(), data.len() as u64);

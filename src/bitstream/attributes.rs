@@ -1,5 +1,7 @@
 //! Shape and colour of the primitives of a group, each coded knowing its neighbours (spec §8.4, §8.5).
 
+use std::sync::LazyLock;
+
 use super::kd::Place;
 use super::model::{Field, SIGNED_NODES};
 use super::neighbours::Buckets;
@@ -218,11 +220,13 @@ fn angle_field() -> Field<3> {
     field
 }
 
-/// Direction `2π·k/64`, 256 long.
-fn unit(k: u32) -> [i32; 2] {
-    let turn = std::f64::consts::TAU * f64::from(k) / 64.0;
-    [turn.cos(), turn.sin()].map(|c| (256.0 * c + 0.5).floor() as i32)
-}
+/// The 64 directions `2π·k/64`, 256 long.
+static DIRECTIONS: LazyLock<[[i32; 2]; 64]> = LazyLock::new(|| {
+    std::array::from_fn(|k| {
+        let turn = std::f64::consts::TAU * k as f64 / 64.0;
+        [turn.cos(), turn.sin()].map(|c| (256.0 * c + 0.5).floor() as i32)
+    })
+});
 
 /// The nearest of the 64 directions to a sum of vectors of 256 times `total` length at most, and how well they agree: 0
 /// for no opinion, in which case the direction is 0, to 5.
@@ -334,13 +338,15 @@ impl Attributes {
         coder.account("angle");
 
         // The rest of the position.
-        let [lx, ly] = scene.rules.logs(major, minor, angle);
+        let exponents = scene.rules.lattice.exponents(major, minor, angle);
+        let [lx, ly] = scene.rules.in_cells(exponents);
         let rest = |coder: &mut C, corner: u32, v: u32, l: u32| {
             let count = log - l;
             corner >> l | coder.raw(count, v & ((1u32 << count) - 1))
         };
         let x = rest(coder, place.corner[0], p.x, lx);
         let y = rest(coder, place.corner[1], p.y, ly);
+        scene.rules.position([x, y], exponents)?;
         coder.account("position refinement");
 
         let at = [(x, lx), (y, ly)].map(|(v, l)| (2 * i64::from(v) + 1) << l);
@@ -360,7 +366,6 @@ impl Attributes {
             }
         };
         let p = PackedGaussian { x, y, major, minor, angle, color };
-        scene.rules.primitive(&p)?;
         let c = color.map(i32::from);
         let values = [major.into(), minor.into(), c[0], c[1], c[2], c[3]];
         for (mean, v) in self.means.iter_mut().zip(values) {
@@ -370,7 +375,7 @@ impl Attributes {
         let octaves = i32::from(major - minor) * (scene.delta() as i32);
         let elongation = 16 * octaves / (octaves + 32);
         let direction = (u32::from(angle) * 64 + u32::from(n) / 2) / u32::from(n) % 64;
-        let axis = unit(direction).map(|c| c * elongation);
+        let axis = DIRECTIONS[direction as usize].map(|c| c * elongation);
         self.seen.push(Seen { at, values, errors: errors.map(i32::abs), axis, elongation });
         buckets.add(&place);
         Ok(p)

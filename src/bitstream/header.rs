@@ -9,11 +9,11 @@ use crate::gaussian::{Blend, Channels};
 use crate::limits::Limits;
 use crate::pixels::Depth;
 
-/// The first eight bytes of every file. The high bit, the line ends and the ^Z show what a text-mode transfer breaks.
-pub const MAGIC: [u8; 8] = [0x89, b'S', b'S', b'P', b'\r', b'\n', 0x1a, b'\n'];
+/// The first four bytes of every file; no text begins with them.
+pub const MAGIC: [u8; 4] = [0x89, b'S', b'S', b'P'];
 
 /// The format version that this crate reads and writes.
-pub const VERSION: u8 = 1;
+pub const VERSION: u8 = 2;
 
 /// Largest side of a picture, pixels.
 pub const MAX_SIDE: u32 = 1 << 20;
@@ -53,7 +53,7 @@ pub enum Sections {
     Present,
 }
 
-/// Everything that is known before the first section; reading it takes at most 24 bytes.
+/// Everything that is known before the first section; reading it takes at most 20 bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Header {
@@ -90,8 +90,8 @@ impl Header {
     /// [`Error::Format`] if it breaks spec §2, [`Error::UnsupportedVersion`] for a newer file, [`Error::LimitExceeded`]
     /// if the picture is larger than `limits` allow, [`Error::Io`] from the reader.
     pub fn read<R: Read>(reader: &mut R, limits: &Limits) -> Result<Self> {
-        let mut tap = Tap { reader, bytes: Vec::with_capacity(24) };
-        let mut found = [0u8; 8];
+        let mut tap = Tap { reader, bytes: Vec::with_capacity(20) };
+        let mut found = [0u8; 4];
         for i in 0..found.len() {
             found[i] = match tap.byte("signature") {
                 // A short file of another kind is better told by its first bytes than by its length.

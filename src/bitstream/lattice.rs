@@ -18,6 +18,8 @@ pub struct Lattice {
     coarsest: i32,
     finest: i32,
     angles: [u16; 256],
+    /// `r² − 1` for the aspect `r` of each difference.
+    stretches: [f64; 256],
 }
 
 impl Lattice {
@@ -30,16 +32,18 @@ impl Lattice {
             Layout::Coded => MAX_ANGLES_CODED,
             Layout::Packed | Layout::Planes => MAX_ANGLES_PACKED,
         };
+        let aspect = |difference: usize| (difference as f64 * delta).exp2();
         let mut angles = [1u16; 256];
         for (difference, count) in angles.iter_mut().enumerate().skip(1) {
-            let aspect = (difference as f64 * delta).exp2();
+            let aspect = aspect(difference);
             let step = std::f64::consts::SQRT_2 * delta * std::f64::consts::LN_2 * tau;
             let wanted = (std::f64::consts::PI * (aspect - 1.0 / aspect) / step).ceil();
             *count = wanted.clamp(1.0, f64::from(cap)) as u16;
         }
         let coarsest = i32::from(steps.coarsest);
         let fineness = -f64::from(steps.position) / 4.0 - 1.0 / 64.0;
-        Lattice { delta, fineness, coarsest, finest: coarsest - i32::from(steps.range), angles }
+        let stretches = std::array::from_fn(|difference| aspect(difference).powi(2) - 1.0);
+        Lattice { delta, fineness, coarsest, finest: coarsest - i32::from(steps.range), angles, stretches }
     }
 
     /// The number `n` of angles at a given `major − minor`; angles are `π·t/n` for `t` in `0..n`.
@@ -57,10 +61,10 @@ impl Lattice {
             return [self.coarsest; 2];
         }
         let n = f64::from(self.angles(major, minor));
-        let aspect = (f64::from(major.saturating_sub(minor)) * self.delta).exp2();
+        let stretch = self.stretches[usize::from(major.saturating_sub(minor))];
         let sin = (std::f64::consts::PI * f64::from(angle) / n).sin();
         // log₂ of the marginal deviation of y over s₂: ½ log₂(r² sin² + cos²).
-        let lift = 0.5 * (1.0 + (aspect * aspect - 1.0) * sin * sin).log2();
+        let lift = 0.5 * (1.0 + stretch * sin * sin).log2();
         let log_y = f64::from(minor) * self.delta - 2.0 + lift;
         let log_x = f64::from(major) * self.delta - 2.0 - lift;
         [log_x, log_y].map(|l| ((l + self.fineness + 0.5).floor() as i32).clamp(self.finest, self.coarsest))

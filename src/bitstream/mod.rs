@@ -28,6 +28,7 @@ use self::bytes::Bytes;
 pub use self::groups::Missing;
 use self::header::{Grouping, Header, Sections, put_header};
 use self::report::{Detail, Report, Tally};
+use self::rules::Area;
 use self::sections::{SectionInfo, put_sections, read_sections};
 use self::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
 use crate::error::{Error, FormatError, Result};
@@ -111,6 +112,17 @@ pub fn read<R: Read>(mut reader: R, limits: &Limits) -> Result<PackedSplats> {
     header.read_body(reader, limits)
 }
 
+/// Reads the primitives that can be seen in `area`, and perhaps others: a file in groups is not decoded where they are
+/// out of its reach.
+///
+/// # Errors
+/// As [`read`], but what is wrong in a group that is left out goes unnoticed unless its checksum shows it.
+pub fn read_area(bytes: &[u8], area: &Area, limits: &Limits) -> Result<PackedSplats> {
+    let mut rest = bytes;
+    let header = Header::read(&mut rest, limits)?;
+    header.parse(rest, limits, Some(area), &mut Tally::default()).map(|(splats, _)| splats)
+}
+
 /// Reads a file and reports where its bytes go.
 ///
 /// # Errors
@@ -120,7 +132,7 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Report)> 
     let header = Header::read(&mut rest, limits)?;
     let mut tally = Tally { detail: Detail::Fields, ..Tally::default() };
     tally.part("header", header.bytes().len());
-    let (splats, sections) = header.parse(rest, limits, &mut tally)?;
+    let (splats, sections) = header.parse(rest, limits, None, &mut tally)?;
     tally.part("checksum", CHECKSUM);
     let levels = splats.levels.clone();
     let Tally { parts, fields, groups, .. } = tally;
@@ -137,7 +149,7 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Report)> 
 pub fn read_partial(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Missing)> {
     let mut rest = bytes;
     let header = Header::read(&mut rest, limits)?;
-    let error = match header.parse(rest, limits, &mut Tally::default()) {
+    let error = match header.parse(rest, limits, None, &mut Tally::default()) {
         Ok((splats, _)) => return Ok((splats, Missing::default())),
         Err(error) => error,
     };
@@ -163,11 +175,17 @@ impl Header {
         let mut rest = Vec::new();
         // What is read is backed by bytes that somebody sent; the limit stops endless streams.
         reader.take(limits.alloc / FILE_COPIES + 1).read_to_end(&mut rest)?;
-        self.parse(&rest, limits, &mut Tally::default()).map(|(splats, _)| splats)
+        self.parse(&rest, limits, None, &mut Tally::default()).map(|(splats, _)| splats)
     }
 
-    /// Parses the bytes behind the header.
-    fn parse(&self, rest: &[u8], limits: &Limits, tally: &mut Tally) -> Result<(PackedSplats, Vec<SectionInfo>)> {
+    /// Parses the bytes behind the header; with an `area`, groups that cannot reach into it are left out.
+    fn parse(
+        &self,
+        rest: &[u8],
+        limits: &Limits,
+        area: Option<&Area>,
+        tally: &mut Tally,
+    ) -> Result<(PackedSplats, Vec<SectionInfo>)> {
         let working = u64::from(self.primitives) * working_bytes(self.layout);
         Limits::check("alloc", FILE_COPIES * rest.len() as u64 + working, limits.alloc)?;
         let base = self.bytes().len() as u64;
@@ -201,7 +219,7 @@ impl Header {
             (Layout::Packed, _) => packed::read(&mut bytes, self, &mut splats, tally)?,
             (Layout::Planes, _) => planes::read(&mut bytes, self, &mut splats, tally)?,
             (Layout::Coded, Grouping::Single) => coded::read(&mut bytes, self, &mut splats, tally)?,
-            (Layout::Coded, Grouping::Groups) => groups::read(&mut bytes, self, &mut splats, tally)?,
+            (Layout::Coded, Grouping::Groups) => groups::read(&mut bytes, self, area, &mut splats, tally)?,
         }
         bytes.finish()?;
         Ok((splats, sections))

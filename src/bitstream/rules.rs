@@ -5,13 +5,29 @@ use super::kd::{Place, Region};
 use super::lattice::Lattice;
 use super::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use crate::error::{Error, FormatError, Result};
-use crate::gaussian::Channels;
+use crate::gaussian::{CUTOFF, Channels};
 
 /// Most colours of a codebook.
 pub const MAX_CODEBOOK: usize = 1 << 16;
 
 /// Most progressive levels.
 pub const MAX_LEVELS: usize = 8;
+
+/// A rectangle of the picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Area {
+    /// Left and top, pixels.
+    pub corner: [u32; 2],
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+}
+
+impl From<[u32; 4]> for Area {
+    /// Left, top, width and height.
+    fn from([x, y, width, height]: [u32; 4]) -> Self {
+        Area { corner: [x, y], size: [width, height] }
+    }
+}
 
 /// A value that is against the rules.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -83,7 +99,12 @@ impl Rules {
 
     /// Logarithms of the position steps of a shape, in finest cells.
     pub fn logs(&self, major: u8, minor: u8, angle: u16) -> [u32; 2] {
-        self.lattice.exponents(major, minor, angle).map(|e| (e - self.finest()) as u32)
+        self.in_cells(self.lattice.exponents(major, minor, angle))
+    }
+
+    /// Logarithms of position steps of `2^exponents` pixels, in finest cells.
+    pub fn in_cells(&self, exponents: [i32; 2]) -> [u32; 2] {
+        exponents.map(|e| (e - self.finest()) as u32)
     }
 
     /// Logarithm of the side, in finest cells, of the square where a primitive of this major scale sits: the position
@@ -91,6 +112,12 @@ impl Rules {
     pub fn seat(&self, major: u8) -> u32 {
         let log64 = 2 * (i32::from(major) * self.delta - 64 - 8 * self.position) - 1;
         ((log64 + 32).div_euclid(64).clamp(self.finest(), self.coarsest) - self.finest()) as u32
+    }
+
+    /// Half of the longest axis of the support of a primitive of this major scale, pixels, and a little more.
+    pub fn reach(&self, major: u8) -> f64 {
+        let log2 = f64::from(i32::from(major) * self.delta) / 32.0 - 2.0;
+        f64::from(CUTOFF) * log2.exp2() * (1.0 + 1e-6)
     }
 
     /// The square where a primitive sits.
@@ -122,14 +149,18 @@ impl Rules {
 
     pub fn primitive(&self, p: &PackedGaussian) -> Result<(), Broken> {
         self.shape(p.major, p.minor, p.angle)?;
-        let exponents = self.lattice.exponents(p.major, p.minor, p.angle);
-        for (field, value, side, e) in [("x", p.x, self.size[0], exponents[0]), ("y", p.y, self.size[1], exponents[1])]
-        {
-            if value >= Lattice::positions(side, e) {
-                return Err(Broken { field, value: value.into() });
+        self.position([p.x, p.y], self.lattice.exponents(p.major, p.minor, p.angle))?;
+        self.color(p.color)
+    }
+
+    /// Whether positions in steps of `2^exponents` pixels lie in the picture.
+    pub fn position(&self, position: [u32; 2], exponents: [i32; 2]) -> Result<(), Broken> {
+        for (k, field) in ["x", "y"].into_iter().enumerate() {
+            if position[k] >= Lattice::positions(self.size[k], exponents[k]) {
+                return Err(Broken { field, value: position[k].into() });
             }
         }
-        self.color(p.color)
+        Ok(())
     }
 }
 

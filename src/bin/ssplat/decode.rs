@@ -4,8 +4,9 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde_json::json;
+use ssplat::bitstream::header::Header;
 use ssplat::bitstream::splats::{Metadata, PackedSplats};
-use ssplat::bitstream::{Missing, read, read_partial};
+use ssplat::bitstream::{Missing, read, read_area, read_partial};
 use ssplat::raster::{Renderer, SamplesMut, View};
 use ssplat::{Backend, Depth, Error, Limits, Picture, Pixels};
 
@@ -29,13 +30,13 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     let bytes = source::read_all(&args.input)?;
     let failed = |e| Failure::library(&args.input, &e);
     let limits = Limits::default();
-    let (splats, missing) = if args.partial {
-        read_partial(&bytes, &limits).map_err(failed)?
-    } else {
-        (read(&bytes[..], &limits).map_err(failed)?, Missing::default())
+    let (splats, missing) = match (args.partial, args.region) {
+        (true, _) => read_partial(&bytes, &limits).map_err(failed)?,
+        (false, None) => (read(&bytes[..], &limits).map_err(failed)?, Missing::default()),
+        (false, Some(region)) => (read_area(&bytes, &region.into(), &limits).map_err(failed)?, Missing::default()),
     };
+    let of = Header::read(&mut &bytes[..], &limits).map_err(failed)?.primitives;
     drop(bytes);
-    let of = splats.gaussians.len() as u64 + u64::from(missing.primitives);
     report_loss(&args.input, &splats, missing, of);
     let (picture, depth) = (splats.to_picture(), splats.depth);
     let metadata = splats.metadata;
@@ -72,7 +73,7 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
 }
 
 /// Says on standard error what a damaged file has lost.
-fn report_loss(path: &Path, splats: &PackedSplats, missing: Missing, of: u64) {
+fn report_loss(path: &Path, splats: &PackedSplats, missing: Missing, of: u32) {
     for name in &splats.metadata.damaged {
         eprintln!("ssplat: {}: section {} is damaged and left out", path.display(), String::from_utf8_lossy(name));
     }
