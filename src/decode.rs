@@ -1,5 +1,6 @@
 //! Bytes to pixels: the whole decoder behind one function.
 
+use crate::bitstream::header::Header;
 use crate::bitstream::splats::Metadata;
 use crate::bitstream::{self, Missing};
 use crate::error::Result;
@@ -28,19 +29,20 @@ pub struct Decoded {
 /// [`Error::Parameter`](crate::Error::Parameter) for a region outside the picture or an empty one.
 pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
     let limits = &options.limits;
-    let (splats, missing) = match (options.damage, options.region) {
-        (Damage::Accept, _) => bitstream::read_partial(bytes, limits)?,
-        (Damage::Refuse, None) => (bitstream::read(bytes, limits)?, Missing::default()),
-        (Damage::Refuse, Some(region)) => (bitstream::read_area(bytes, &region.into(), limits)?, Missing::default()),
-    };
-    let picture = splats.to_picture();
-    let mut view = View::full(&picture);
+    let header = Header::read(&mut &bytes[..], limits)?;
+    let mut view = View::of_size(header.width, header.height);
     if let Some([x, y, width, height]) = options.region {
         view = view.crop(x, y, width, height)?;
     }
     if let Some([width, height]) = options.size {
         view = view.resized(width, height)?;
     }
+    let (splats, missing) = match (options.damage, options.region) {
+        (Damage::Accept, _) => bitstream::read_partial(bytes, limits)?,
+        (Damage::Refuse, None) => (bitstream::read(bytes, limits)?, Missing::default()),
+        (Damage::Refuse, Some(_)) => (bitstream::read_area(bytes, &view.area().into(), limits)?, Missing::default()),
+    };
+    let picture = splats.to_picture();
     let pixels = Renderer::new(&picture, &view, limits)?.render(splats.depth)?;
     Ok(Decoded { pixels, metadata: splats.metadata, missing })
 }

@@ -164,7 +164,7 @@ pub struct DecodeOptions {
     /// The part to draw: left, top, width and height, pixels of the picture; `None`: all of it.
     pub region: Option<[u32; 4]>,
     /// Width and height of the output, pixels; `None`: those of the region. Larger ones sample the continuous picture,
-    /// smaller ones are low-passed.
+    /// smaller ones are low-passed as [`View::resized`](crate::raster::View::resized) says.
     pub size: Option<[u32; 2]>,
     /// What to do with a truncated or damaged file.
     pub damage: Damage,

@@ -238,6 +238,24 @@ fn sizes_come_out_as_asked() {
     }
 }
 
+#[test]
+fn an_eighth_of_the_width_is_the_average_of_the_pixels() {
+    let folder = Folder::new();
+    let (file, whole, small) = (folder.path("photo.ssplat"), folder.path("whole.png"), folder.path("small.png"));
+    succeeds(ssplat(&[&"encode", &PHOTO, &file, &"--ratio", &"50", &"--effort", &"1"]));
+    succeeds(ssplat(&[&"decode", &file, &whole]));
+    succeeds(ssplat(&[&"decode", &file, &small, &"--width", &"96"]));
+    let (whole, small) = (image::open(whole).unwrap().to_rgb8(), image::open(small).unwrap().to_rgb8());
+    assert_eq!(small.dimensions(), (96, 64));
+    for (x, y, pixel) in small.enumerate_pixels() {
+        for c in 0..3 {
+            let block = (0..64).map(|k| f32::from(whole.get_pixel(8 * x + k % 8, 8 * y + k / 8)[c]));
+            // Half a code value for the rounding of either.
+            assert!((f32::from(pixel[c]) - block.sum::<f32>() / 64.0).abs() <= 1.0, "{x},{y}");
+        }
+    }
+}
+
 /// A PNG with an ICC profile and an EXIF block.
 fn tagged(path: &Path, icc: &[u8], exif: &[u8]) {
     let mut encoder = image::codecs::png::PngEncoder::new(fs::File::create(path).unwrap());

@@ -1,5 +1,9 @@
 //! What the plain decoder promises: parts at any size, and what is left of a damaged file.
 
+mod synthetic;
+
+use ssplat::bitstream::{read, to_bytes};
+use ssplat::raster::{Renderer, View};
 use ssplat::{Channels, Damage, DecodeOptions, EncodeOptions, Error, Pixels, Samples, Target, decode, encode};
 
 fn picture() -> Pixels {
@@ -28,6 +32,51 @@ fn a_region_is_the_part_of_the_whole() {
     of_part.size = Some([60, 80]);
     let large = decode(&bytes, &of_part).unwrap().pixels;
     assert_eq!((large.width(), large.height()), (60, 80));
+}
+
+#[test]
+fn an_eighth_of_the_size_is_the_average_of_the_pixels() {
+    // Gaussians of down to half a pixel.
+    let made = synthetic::Scene { size: [96, 64], count: 3000, ..Default::default() };
+    let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
+    let mut options = DecodeOptions::default();
+    let whole = decode(&bytes, &options).unwrap().pixels;
+    options.size = Some([12, 8]);
+    let small = decode(&bytes, &options).unwrap().pixels;
+    let (Samples::U8(whole), Samples::U8(small)) = (whole.samples(), small.samples()) else { panic!("8 bits") };
+    let mut contrast = 0;
+    for (i, &value) in small.iter().enumerate() {
+        let (x, y, c) = (i / 3 % 12 * 8, i / 36 * 8, i % 3);
+        let block = (0..64).map(|k| whole[((y + k / 8) * 96 + x + k % 8) * 3 + c]);
+        let average = block.clone().map(f32::from).sum::<f32>() / 64.0;
+        contrast = contrast.max(block.clone().max().unwrap() - block.min().unwrap());
+        // Half a code value for the rounding of either.
+        assert!((f32::from(value) - average).abs() <= 1.0, "sample {i}: {value} for {average}");
+    }
+    assert!(contrast > 100, "{contrast}: any sample would do");
+}
+
+#[test]
+fn a_reduced_region_of_a_file_in_groups_misses_nothing() {
+    let made = synthetic::Scene { size: [2048, 1536], count: 40_000, ..Default::default() };
+    let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
+    let mut options = DecodeOptions::default();
+    let splats = read(&bytes[..], &options.limits).unwrap();
+    // Samples 12.5, 4, 32 and 1.07 pixels apart widen by a box as wide; 3.5 deviations of it are seen beyond each edge.
+    let cases = [
+        ([100, 200, 900, 800], [9, 8], [87, 187, 926, 826]),
+        ([1000, 700, 256, 256], [8, 1], [996, 667, 264, 322]),
+        ([900, 5, 64, 64], [60, 2], [899, 1, 66, 72]),
+        ([900, 5, 64, 64], [64, 900], [900, 5, 64, 64]),
+    ];
+    for (region, size, area) in cases {
+        (options.region, options.size) = (Some(region), Some(size));
+        let [x, y, width, height] = region;
+        let view = View::of_size(2048, 1536).crop(x, y, width, height).unwrap().resized(size[0], size[1]).unwrap();
+        assert_eq!(view.area(), area);
+        let whole = Renderer::new(&splats.to_picture(), &view, &options.limits).unwrap().render(splats.depth).unwrap();
+        assert_eq!(decode(&bytes, &options).unwrap().pixels, whole, "{region:?}");
+    }
 }
 
 #[test]

@@ -56,9 +56,40 @@ fn render(picture: &Picture, view: &View, depth: Depth) -> Vec<u16> {
 /// Largest difference to the reference at `depth`, code values.
 fn worst(picture: &Picture, view: &View, depth: Depth) -> u16 {
     let drawn = render(picture, view, depth);
-    let want = reference::sample(picture, view);
+    let want = reference::filtered(picture, view);
     assert_eq!(drawn.len(), want.len());
     drawn.iter().zip(want).map(|(&a, v)| a.abs_diff(reference::code(v, depth))).max().unwrap()
+}
+
+/// PSNR of what is drawn in `view`, the whole picture reduced, against the averages of the full view's pixels that each
+/// of its pixels covers, dB.
+fn psnr_to_averages(picture: &Picture, view: &View) -> f64 {
+    let drawn = render(picture, view, Depth::Sixteen);
+    let full = View::full(picture);
+    let pixels = render(picture, &full, Depth::Sixteen);
+    let (count, [across, down]) = (picture.channels.count(), view.step());
+    // How much of each pixel of the full view lies within output pixel `i`.
+    let covered = |i: u32, step: f64| {
+        let (start, end) = (f64::from(i) * step, f64::from(i + 1) * step);
+        let last = (end - 1e-9).floor() as u32;
+        (start as u32..=last).map(move |p| (p as usize, end.min(f64::from(p) + 1.0) - start.max(f64::from(p))))
+    };
+    let mut error = 0.0;
+    for j in 0..view.height() {
+        for i in 0..view.width() {
+            for c in 0..count {
+                let mut sum = 0.0;
+                for (y, tall) in covered(j, down) {
+                    for (x, wide) in covered(i, across) {
+                        sum += wide * tall * f64::from(pixels[(y * full.width() as usize + x) * count + c]);
+                    }
+                }
+                let got = f64::from(drawn[(j * view.width() + i) as usize * count + c]);
+                error += (got - sum / across / down).powi(2);
+            }
+        }
+    }
+    10.0 * (65535.0f64.powi(2) * drawn.len() as f64 / error).log10()
 }
 
 fn one(mean: [f32; 2], scale: [f32; 2], rotation: f32) -> Gaussian {
@@ -148,9 +179,139 @@ fn enlarged_views_sample_the_continuous_picture() {
     for (w, h) in [(60, 50), (61, 50), (175, 333), (600, 500)] {
         let view = View::full(&p).resized(w, h).unwrap();
         assert!(worst(&p, &view, Depth::Eight) <= 1, "{w}×{h}");
+        assert_eq!(reference::filtered(&p, &view), clamped(reference::sample(&p, &view)), "{w}×{h}");
     }
     let part = View::full(&p).crop(20, 10, 9, 7).unwrap().resized(90, 140).unwrap();
     assert!(worst(&p, &part, Depth::Eight) <= 1);
+    assert_eq!(reference::filtered(&p, &part), clamped(reference::sample(&p, &part)));
+}
+
+fn clamped(values: Vec<f64>) -> Vec<f64> {
+    values.into_iter().map(|v| v.clamp(0.0, 1.0)).collect()
+}
+
+#[test]
+fn reduced_views_are_within_one_code_value_of_their_definition() {
+    // Steps along x and y that need each number of samples, widened or not, together with enlarging, and beyond the most.
+    let sizes = [(109, 131), (64, 80), (50, 33), (20, 300), (19, 16), (5, 7), (1, 1)];
+    for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
+        for blend in [Blend::Normalized, Blend::Sum] {
+            let mut p = scene(150, 131, 60, channels, blend, 31);
+            p.gaussians.push(one([70.0, 60.0], [400.0, 0.25], 0.7));
+            p.gaussians.push(one([20.0, 90.0], [0.25, 0.25], 0.0));
+            for (w, h) in sizes {
+                let view = View::full(&p).resized(w, h).unwrap();
+                let want = reference::filtered(&p, &view);
+                for (depth, most) in [(Depth::Eight, 1), (Depth::Sixteen, 8)] {
+                    let drawn = render(&p, &view, depth);
+                    assert_eq!(drawn.len(), want.len());
+                    let found = drawn.iter().zip(&want).map(|(&a, &v)| a.abs_diff(reference::code(v, depth))).max();
+                    assert!(found.unwrap() <= most, "{found:?} for {channels:?} {blend:?} {w}×{h} {depth:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+// Near a quarter turn on purpose.
+#[allow(clippy::approx_constant)]
+fn single_gaussians_of_every_shape_are_within_one_code_value_when_reduced() {
+    let scales = [0.25f32, 0.8, 3.0, 40.0, 1e4, 1_048_576.0];
+    for blend in [Blend::Normalized, Blend::Sum] {
+        for (i, &major) in scales.iter().enumerate() {
+            for &minor in &scales[..=i] {
+                for angle in [0.0f32, 1e-4, 0.7, 1.57, std::f32::consts::FRAC_PI_2, 2.4] {
+                    let p = picture(400, 210, Channels::Rgb, blend, vec![one([186.37, 81.81], [major, minor], angle)]);
+                    for (w, h) in [(280, 26), (40, 20), (6, 3)] {
+                        let view = View::full(&p).resized(w, h).unwrap();
+                        let found = worst(&p, &view, Depth::Eight);
+                        assert!(found <= 1, "{found} for {blend:?} {major} {minor} {angle} at {w}×{h}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn reduced_views_are_close_to_the_averages_of_the_full_view() {
+    // Spaced by 7 pixels as at a ratio of 50, scales down to the smallest.
+    for (blend, seed) in [(Blend::Normalized, 12), (Blend::Sum, 13)] {
+        let mut p = scene(768, 512, 8000, Channels::Rgb, blend, seed);
+        for g in &mut p.gaussians {
+            g.color = g.color.map(|c| if blend == Blend::Sum { 0.2 * c } else { c });
+        }
+        let full = View::full(&p);
+        for (w, h, least) in [(384, 256, 70.0), (192, 128, 70.0), (96, 64, 70.0), (256, 171, 40.0), (48, 32, 40.0)] {
+            let found = psnr_to_averages(&p, &full.resized(w, h).unwrap());
+            assert!(found >= least, "{found} dB for {blend:?} at {w}×{h}");
+        }
+    }
+}
+
+#[test]
+fn lines_of_one_pixel_do_not_alias_when_reduced() {
+    // Black and white columns in turn: grey from afar, whatever the step.
+    let lines = (0..640)
+        .map(|x| Gaussian {
+            mean: [x as f32 + 0.5, 30.0],
+            scale: [200.0, 0.4],
+            rotation: std::f32::consts::FRAC_PI_2,
+            color: [(x % 2) as f32; 4],
+        })
+        .collect();
+    let p = picture(640, 60, Channels::Grey, Blend::Normalized, lines);
+    let range = |values: &[f64]| {
+        // Columns at the ends see half a line more of one kind.
+        let inner = &values[2..values.len() - 2];
+        inner.iter().fold(0.0, |m: f64, &v| m.max(v)) - inner.iter().fold(1.0, |m: f64, &v| m.min(v))
+    };
+    // From 4 to 16 pixels of the picture for each of the output. Averages over 9.14 pixels still know whether a tenth is
+    // black or white, and beyond 12 the samples lie further apart than the lines need.
+    let most =
+        [(162, 0.03), (158, 0.03), (107, 0.03), (82, 0.05), (80, 0.01), (78, 0.05), (70, 0.11), (53, 0.03), (39, 0.25)];
+    for (width, most) in most {
+        let view = View::full(&p).resized(width, 1).unwrap();
+        let drawn: Vec<f64> = render(&p, &view, Depth::Eight).into_iter().map(|v| f64::from(v) / 255.0).collect();
+        let found = range(&drawn);
+        assert!(found <= most, "{found} at {width}");
+        // What no filter would leave; at 80 each sample lies between two lines.
+        let sampled = range(&clamped(reference::sample(&p, &view)));
+        assert!(sampled > 0.8 || width == 80, "{sampled} at {width}");
+    }
+}
+
+#[test]
+fn far_reductions_are_cheap() {
+    // A tile and a pair for each primitive, however large the picture.
+    let side = 1 << 20;
+    let mut r = Random(3);
+    let gaussians = (0..2000)
+        .map(|_| one([r.within(0.0, side as f32), r.within(0.0, side as f32)], [9.0, 2.0], r.within(0.0, 3.0)))
+        .collect();
+    let p = picture(side, side, Channels::Rgb, Blend::Normalized, gaussians);
+    let mut limits = Limits::default();
+    limits.tile_pairs = 2000;
+    for (w, h) in [(1, 1), (16, 16)] {
+        let view = View::full(&p).resized(w, h).unwrap();
+        assert!(Renderer::new(&p, &view, &limits).is_ok(), "{w}×{h}");
+        assert!(worst(&p, &view, Depth::Eight) <= 1, "{w}×{h}");
+    }
+}
+
+#[test]
+fn tile_pairs_of_reduced_views_are_those_of_their_samples() {
+    // 80 × 80 output pixels of 8 × 8 samples each: 5 × 5 tiles.
+    let giants = vec![one([500.0, 500.0], [1e4, 1e4], 0.0); 1000];
+    let p = picture(640, 640, Channels::Rgb, Blend::Normalized, giants);
+    let view = View::full(&p).resized(80, 80).unwrap();
+    let mut limits = Limits::default();
+    limits.tile_pairs = 24_999;
+    let error = Renderer::new(&p, &view, &limits).unwrap_err();
+    assert!(matches!(error, Error::LimitExceeded { what: "tile_pairs", .. }));
+    limits.tile_pairs = 25_000;
+    assert!(Renderer::new(&p, &view, &limits).is_ok());
 }
 
 #[test]
@@ -159,7 +320,8 @@ fn every_way_of_cutting_gives_the_same_bits() {
     p.gaussians.push(one([200.0, 100.0], [900.0, 0.4], 0.61));
     p.gaussians.push(one([-50.0, 300.0], [300.0, 200.0], 2.0));
     let full = View::full(&p);
-    for view in [full, full.resized(1000, 300).unwrap(), full.resized(150, 90).unwrap()] {
+    let sizes = [(401, 277), (1000, 300), (300, 200), (150, 90), (40, 200), (31, 23), (13, 9)];
+    for view in sizes.map(|(w, h)| full.resized(w, h).unwrap()) {
         let whole = render(&p, &view, Depth::Sixteen);
         let mut r = Random(11);
         for _ in 0..40 {
@@ -179,7 +341,9 @@ fn every_way_of_cutting_gives_the_same_bits() {
 #[test]
 fn bands_put_together_are_the_whole() {
     let p = scene(300, 333, 500, Channels::Rgba, Blend::Sum, 6);
-    for view in [View::full(&p), View::full(&p).crop(17, 41, 200, 250).unwrap()] {
+    let full = View::full(&p);
+    let reduced = full.resized(100, 60).unwrap();
+    for view in [full, full.crop(17, 41, 200, 250).unwrap(), reduced, reduced.crop(9, 11, 50, 43).unwrap()] {
         let renderer = Renderer::new(&p, &view, &Limits::default()).unwrap();
         let whole = renderer.render(Depth::Eight).unwrap().into_samples();
         let mut rows = Vec::new();
@@ -198,9 +362,10 @@ fn bands_put_together_are_the_whole() {
 #[test]
 fn thread_counts_do_not_change_bits() {
     let p = scene(500, 400, 1500, Channels::Rgb, Blend::Normalized, 8);
+    let views = [View::full(&p), View::full(&p).resized(90, 70).unwrap()];
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| render(&p, &View::full(&p), Depth::Sixteen))
+        pool.install(|| views.map(|view| render(&p, &view, Depth::Sixteen)))
     };
     let one = with(1);
     for threads in [2, 3, 7] {

@@ -1,4 +1,5 @@
-//! Any floats as a picture: refused, or drawn within one code value of the f64 definition, the same in parts as whole.
+//! Any floats as a picture: refused, or drawn within one code value of the f64 definition, the same in parts as whole,
+//! and so are reduced views.
 #![no_main]
 
 use arbitrary::{Arbitrary, Unstructured};
@@ -13,6 +14,8 @@ struct Input {
     picture: Picture,
     /// Left, top, width and height of a part.
     part: [u32; 4],
+    /// Width and height of a reduced view.
+    reduced: [u32; 2],
     /// Whether every value is one that a file can hold.
     is_legal: bool,
 }
@@ -24,6 +27,7 @@ impl<'a> Arbitrary<'a> for Input {
         let channels = *u.choose(&[Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba])?;
         let (x, y) = (u.int_in_range(0..=width - 1)?, u.int_in_range(0..=height - 1)?);
         let part = [x, y, u.int_in_range(1..=width - x)?, u.int_in_range(1..=height - y)?];
+        let reduced = [u.int_in_range(1..=width)?, u.int_in_range(1..=height)?];
         let mut picture = Picture {
             width,
             height,
@@ -58,7 +62,7 @@ impl<'a> Arbitrary<'a> for Input {
                 }
             }
         }
-        Ok(Input { picture, part, is_legal })
+        Ok(Input { picture, part, reduced, is_legal })
     }
 }
 
@@ -70,10 +74,19 @@ fn bytes(samples: &Samples) -> &[u8] {
 }
 
 fuzz_target!(|input: Input| {
-    let Input { picture, part: [x, y, width, height], is_legal } = input;
-    let limits = tight_limits();
+    let Input { picture, part, reduced, is_legal } = input;
     let full = View::full(&picture);
-    let renderer = match Renderer::new(&picture, &full, &limits) {
+    check(&picture, &full, part, is_legal);
+    let [width, height] = reduced;
+    let small = full.resized(width, height).expect("a size");
+    let [x, y] = [part[0].min(width - 1), part[1].min(height - 1)];
+    check(&picture, &small, [x, y, part[2].min(width - x), part[3].min(height - y)], is_legal);
+});
+
+/// Draws `view` and a part of it.
+fn check(picture: &Picture, view: &View, [x, y, width, height]: [u32; 4], is_legal: bool) {
+    let limits = tight_limits();
+    let renderer = match Renderer::new(picture, view, &limits) {
         Ok(renderer) => renderer,
         Err(e) => {
             assert!(!is_legal || matches!(e, ssplat::Error::LimitExceeded { .. }), "{e}");
@@ -81,12 +94,12 @@ fuzz_target!(|input: Input| {
         }
     };
     let whole = renderer.render(Depth::Eight).expect("within the limits");
-    let view = full.crop(x, y, width, height).expect("a part");
+    let crop = view.crop(x, y, width, height).expect("a part");
     let part =
-        Renderer::new(&picture, &view, &limits).expect("a part of it").render(Depth::Eight).expect("a part of it");
+        Renderer::new(picture, &crop, &limits).expect("a part of it").render(Depth::Eight).expect("a part of it");
     let channels = picture.channels.count();
     for row in 0..height as usize {
-        let start = ((y as usize + row) * picture.width as usize + x as usize) * channels;
+        let start = ((y as usize + row) * view.width() as usize + x as usize) * channels;
         let length = width as usize * channels;
         assert!(
             bytes(part.samples())[row * length..][..length] == bytes(whole.samples())[start..][..length],
@@ -94,10 +107,10 @@ fuzz_target!(|input: Input| {
         );
     }
     if is_legal {
-        let reference = reference::sample(&picture, &full);
+        let reference = reference::filtered(picture, view);
         for (i, (&drawn, &value)) in bytes(whole.samples()).iter().zip(&reference).enumerate() {
             let want = reference::code(value, Depth::Eight);
             assert!(u16::from(drawn).abs_diff(want) <= 1, "sample {i}: {drawn}, reference {want}");
         }
     }
-});
+}

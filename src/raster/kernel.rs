@@ -5,7 +5,7 @@
 use super::lanes::{LANES, Lanes, Plain, Simd};
 use super::project::{SUPPORT, Splat, Walk};
 use super::samples::{Codes, Sample};
-use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON};
+use crate::gaussian::{Blend, EPSILON};
 
 /// Columns of a tile.
 pub(super) const TILE_WIDTH: usize = 128;
@@ -27,10 +27,10 @@ pub(super) struct Scratch {
     codes: Codes,
 }
 
-/// The part of a tile that a view shows.
+/// The part of a tile that a view shows, in pixels of the grid that tiles lie on: [`Scene::parts`] for each of the output.
 #[derive(Debug, Clone)]
 pub(super) struct Window {
-    /// The tile's corner on the grid, output pixels.
+    /// The tile's corner on the grid.
     pub corner: [f64; 2],
     /// Columns of the tile that are shown.
     pub columns: std::ops::Range<usize>,
@@ -45,6 +45,8 @@ pub(super) struct Scene<'a> {
     pub blend: Blend,
     pub background: [f32; 4],
     pub channels: usize,
+    /// Columns and rows whose mean is a pixel of the output; divisors of [`LANES`].
+    pub parts: [usize; 2],
 }
 
 /// One tile to draw.
@@ -54,7 +56,7 @@ pub(super) struct Job<'a, 'b, T> {
     pub members: &'a [u32],
     pub window: Window,
     pub scratch: &'a mut Scratch,
-    /// A slice for each shown row.
+    /// A slice for each row of the output that is shown.
     pub out: &'a mut [&'b mut [T]],
 }
 
@@ -113,6 +115,8 @@ fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_
     codes.resize(TILE_HEIGHT * TILE_WIDTH * C, T::default());
     let strips = window.columns.start / LANES..window.columns.end.div_ceil(LANES);
     let rows = window.rows.end;
+    let [across, down] = scene.parts;
+    let first_row = window.rows.start / down;
     let batches = members.len().div_ceil(BATCH).max(1);
     // One batch, and one strip's sums serve all in turn and stay in the first-level cache.
     let kept = if batches == 1 { 1 } else { STRIPS };
@@ -139,30 +143,79 @@ fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_
                 segment.draw::<S, C, P>(simd, sums);
             }
             if batch + 1 == batches {
-                let codes = codes[window.rows.start * TILE_WIDTH * C..].chunks_exact_mut(TILE_WIDTH * C);
-                for (row, codes) in sums[window.rows.start..].iter().zip(codes) {
-                    finish::<S, T, C, P>(simd, row, &mut codes[s * LANES * C..(s + 1) * LANES * C]);
+                let codes = codes[first_row * TILE_WIDTH * C..].chunks_exact_mut(TILE_WIDTH * C);
+                let shown = &sums[window.rows.start..];
+                if scene.parts == [1, 1] {
+                    for (row, codes) in shown.iter().zip(codes) {
+                        finish::<S, T, C, P>(simd, row, &mut codes[s * LANES * C..(s + 1) * LANES * C]);
+                    }
+                } else {
+                    let width = LANES / across * C;
+                    for (rows, codes) in shown.chunks_exact(down).zip(codes) {
+                        average::<S, T, C, P>(simd, rows, across, &mut codes[s * width..(s + 1) * width]);
+                    }
                 }
             }
         }
     }
-    let rows = codes.chunks_exact(TILE_WIDTH * C).skip(window.rows.start);
+    let rows = codes.chunks_exact(TILE_WIDTH * C).skip(first_row);
     for (row, out) in rows.zip(out) {
-        out.copy_from_slice(&row[window.columns.start * C..window.columns.end * C]);
+        out.copy_from_slice(&row[window.columns.start / across * C..window.columns.end / across * C]);
     }
 }
 
-/// The sums of one row of a strip as code values.
+/// The sums of one row of a strip as colours from 0 to white.
 #[inline(always)]
-fn finish<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, row: &[Lanes; P], codes: &mut [T]) {
+fn shade<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, row: &[Lanes; P]) -> [S::Vector; C] {
     let white = simd.splat(T::WHITE);
     let scale = if P > C { simd.div(white, simd.load(&row[P - 1])) } else { white };
     let mut values = [scale; C];
     for (value, sum) in values.iter_mut().zip(row) {
         let v = simd.mul(simd.load(sum), scale);
-        *value = simd.add(simd.min(simd.max(v, simd.splat(0.0)), white), simd.splat(0.5));
+        *value = simd.min(simd.max(v, simd.splat(0.0)), white);
+    }
+    values
+}
+
+/// The sums of one row of a strip as code values.
+#[inline(always)]
+fn finish<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, row: &[Lanes; P], codes: &mut [T]) {
+    let mut values = shade::<S, T, C, P>(simd, row);
+    for value in &mut values {
+        *value = simd.add(*value, simd.splat(0.5));
     }
     T::store::<S, C>(simd, codes, values);
+}
+
+/// The mean of each `across` columns of all `rows` of a strip as code values.
+#[inline(always)]
+fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
+    simd: S,
+    rows: &[[Lanes; P]],
+    across: usize,
+    codes: &mut [T],
+) {
+    let mut sums = [simd.splat(0.0); C];
+    for row in rows {
+        for (sum, value) in sums.iter_mut().zip(shade::<S, T, C, P>(simd, row)) {
+            *sum = simd.add(*sum, value);
+        }
+    }
+    let mut columns = [Lanes([0.0; LANES]); C];
+    for (columns, sum) in columns.iter_mut().zip(sums) {
+        simd.store(columns, sum);
+    }
+    // A power of two: the mean is as exact as the sum.
+    let share = 1.0 / (across * rows.len()) as f32;
+    for (i, pixel) in codes.chunks_exact_mut(C).enumerate() {
+        for (code, columns) in pixel.iter_mut().zip(&columns) {
+            let mut sum = 0.0;
+            for value in &columns.0[i * across..(i + 1) * across] {
+                sum += value;
+            }
+            *code = T::floor(sum * share + 0.5);
+        }
+    }
 }
 
 /// Cuts each member into the segments of the strips that it touches, for the first `rows` rows of the tile at
@@ -260,9 +313,10 @@ fn cut<S: Simd>(
                 continue;
             }
             let v = simd.add(simd.splat(v_first.0[k]), simd.mul(run, simd.index()));
-            let rest = simd.sub(zero, simd.mul(v, v));
+            let rest = simd.sub(simd.splat(splat.level), simd.mul(v, v));
             let u = simd.sub(simd.splat(u_first.0[k]), simd.mul(shear, simd.index()));
-            let mut segment = Segment { first, end, walk: splat.walk, color: splat.color, ..Segment::NONE };
+            let Splat { walk, color, edge, .. } = *splat;
+            let mut segment = Segment { first, end, walk, color, edge, ..Segment::NONE };
             match splat.walk {
                 Walk::Recurrence => {
                     simd.store(&mut segment.value, simd.exp2(simd.sub(rest, simd.mul(u, u))));
@@ -289,11 +343,13 @@ const BATCH: usize = 256;
 struct Segment {
     /// Recurrence: the Gaussian on the first row. Direct: `u` on the first row.
     value: Lanes,
-    /// Recurrence: what the first row is multiplied by to give the second. Direct: `−v²`.
+    /// Recurrence: what the first row is multiplied by to give the second. Direct: `level − v²`.
     ratio: Lanes,
     color: [f32; 4],
     /// Recurrence: the factor between ratios. Direct: `rise`.
     bend: f32,
+    /// What is subtracted from the Gaussian to give the weight.
+    edge: f32,
     walk: Walk,
     first: u8,
     end: u8,
@@ -305,6 +361,7 @@ impl Segment {
         ratio: Lanes([0.0; LANES]),
         color: [0.0; 4],
         bend: 0.0,
+        edge: 0.0,
         walk: Walk::Direct,
         first: 0,
         end: 0,
@@ -319,11 +376,12 @@ impl Segment {
             *color = simd.splat(value);
         }
         let (value, mut ratio) = (simd.load(&self.value), simd.load(&self.ratio));
+        let edge = simd.splat(self.edge);
         match self.walk {
             Walk::Recurrence => {
                 let (mut g, bend) = (value, simd.splat(self.bend));
                 for row in rows {
-                    deposit::<S, C, P>(simd, row, g, &color);
+                    deposit::<S, C, P>(simd, row, simd.sub(g, edge), &color);
                     g = simd.mul(g, ratio);
                     ratio = simd.mul(ratio, bend);
                 }
@@ -332,22 +390,22 @@ impl Segment {
                 for (y, row) in rows.iter_mut().enumerate() {
                     let u = simd.add(value, simd.splat(self.bend * y as f32));
                     let g = simd.exp2(simd.sub(ratio, simd.mul(u, u)));
-                    deposit::<S, C, P>(simd, row, g, &color);
+                    deposit::<S, C, P>(simd, row, simd.sub(g, edge), &color);
                 }
             }
         }
     }
 }
 
-/// Adds the weights that belong to Gaussian values `g` to one row of a strip.
+/// Adds the weights `above`, which are 0 where they would be negative, to one row of a strip.
 #[inline(always)]
 fn deposit<S: Simd, const C: usize, const P: usize>(
     simd: S,
     row: &mut [Lanes; P],
-    g: S::Vector,
+    above: S::Vector,
     color: &[S::Vector; C],
 ) {
-    let w = simd.max(simd.sub(g, simd.splat(CUTOFF_WEIGHT)), simd.splat(0.0));
+    let w = simd.max(above, simd.splat(0.0));
     for c in 0..C {
         let sum = simd.add(simd.load(&row[c]), simd.mul(w, color[c]));
         simd.store(&mut row[c], sum);

@@ -1,18 +1,19 @@
-//! Gaussians of the picture as the kernel wants them on a view's grid.
+//! Gaussians of the picture as the kernel wants them on the grid that they are sampled at, which has several pixels for
+//! each of the output where a view is reduced.
 //!
-//! With `u = rise·dy − shear·dx` and `v = run·dx`, where `(dx, dy)` is the offset from the mean in output pixels,
-//! the Gaussian is `2^−(u² + v²)`. Large offsets cancel in `u`, so these are f64 up to the corner of a strip.
+//! With `u = rise·dy − shear·dx` and `v = run·dx`, where `(dx, dy)` is the offset from the mean in pixels of that grid,
+//! the Gaussian is `2^(level − u² − v²)`. Large offsets cancel in `u`, so these are f64 up to the corner of a strip.
 
 use super::lanes::LANES;
 use super::view::View;
 use crate::error::{Error, Result};
-use crate::gaussian::{CUTOFF, Gaussian, Picture};
+use crate::gaussian::{CUTOFF, CUTOFF_WEIGHT, Gaussian, Picture};
 use crate::limits::Limits;
 
 /// `u² + v²` at the edge of the support: `K²/2 · log₂ e`.
 pub(super) const SUPPORT: f64 = 0.5 * (CUTOFF as f64) * (CUTOFF as f64) * std::f64::consts::LOG2_E;
 
-/// Largest `u² + v²` that the recurrence may meet: beyond it f32 would underflow.
+/// Largest `u² + v² − level` that the recurrence may meet: beyond it f32 would underflow.
 const RECURRENCE_REACH: f64 = 120.0;
 
 /// How the kernel walks down a strip.
@@ -27,7 +28,7 @@ pub(super) enum Walk {
 /// A Gaussian on the grid of a view.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Splat {
-    /// Centre, output pixels from the grid's corner.
+    /// Centre, pixels from the grid's corner.
     pub mean: [f64; 2],
     /// `u` for each pixel down.
     pub rise: f64,
@@ -45,26 +46,37 @@ pub(super) struct Splat {
     pub pitch: f32,
     /// What to add to the ratio's exponent for each row of a segment, against `bend`'s rounding: see [`Splat::new`].
     pub drift: f32,
+    /// Binary logarithm of the amplitude: 0 unless the filter widens the Gaussian.
+    pub level: f32,
+    /// What the support's edge subtracts: the amplitude's share of [`CUTOFF_WEIGHT`].
+    pub edge: f32,
     pub walk: Walk,
     pub color: [f32; 4],
 }
 
 impl Splat {
-    fn new(g: &Gaussian, view: &View) -> Self {
+    fn new(g: &Gaussian, view: &View, variance: [f64; 2]) -> Self {
         let (sin, cos) = f64::from(g.rotation).sin_cos();
         let [s1, s2] = g.scale.map(f64::from);
         let [tx, ty] = view.step.map(f64::recip);
         let (v1, v2) = (s1 * s1, s2 * s2);
-        let xx = (v1 * cos * cos + v2 * sin * sin) * tx * tx;
-        let yy = (v1 * sin * sin + v2 * cos * cos) * ty * ty;
+        let (xx, yy) = (v1 * cos * cos + v2 * sin * sin, v1 * sin * sin + v2 * cos * cos);
+        // Of the covariance, the root of the determinant. Not `√(xx·yy − xy²)`, which cancels for needles.
+        let (mut root, mut amplitude, mut level) = (s1 * s2, 1.0, 0.0);
+        if variance != [0.0; 2] {
+            root = (v1 * v2 + variance[0] * yy + variance[1] * xx + variance[0] * variance[1]).sqrt();
+            amplitude = s1 * s2 / root;
+            level = amplitude.log2();
+        }
+        let xx = (xx + variance[0]) * tx * tx;
+        let yy = (yy + variance[1]) * ty * ty;
         let xy = (v1 - v2) * sin * cos * tx * ty;
-        // Not `xx·yy − xy²`, which cancels for needles.
-        let det = s1 * s2 * tx * ty;
+        let det = root * tx * ty;
         let half = (0.5 * std::f64::consts::LOG2_E).sqrt();
         let (sx, sy) = (xx.sqrt(), yy.sqrt());
         let rise = half * sx / det;
         let across = half * sy / det;
-        let steep = (SUPPORT.sqrt() + LANES as f64 * across).powi(2) > RECURRENCE_REACH || rise > 4.0;
+        let steep = (SUPPORT.sqrt() + LANES as f64 * across).powi(2) - level > RECURRENCE_REACH || rise > 4.0;
         let cutoff = f64::from(CUTOFF);
         // f32 holds `bend` within 2⁻²⁴, which after n rows is n²/2 times that in the Gaussian. Taking (√2 − 1)·N times
         // the error off the first ratio of N rows leaves at most .086·N² times it: 8·10⁻⁵ at 128 rows.
@@ -90,6 +102,8 @@ impl Splat {
             pitch: rise.recip() as f32,
             bend,
             drift: drift as f32,
+            level: level as f32,
+            edge: (amplitude * f64::from(CUTOFF_WEIGHT)) as f32,
             walk: if steep { Walk::Direct } else { Walk::Recurrence },
             color: g.color,
         }
@@ -105,8 +119,8 @@ impl Splat {
     }
 }
 
-/// Projects what is visible in `view`.
-pub(super) fn project(picture: &Picture, view: &View, limits: &Limits) -> Result<Vec<Splat>> {
+/// Projects what is visible in `view`, widened by `variance` along x and y, picture pixels².
+pub(super) fn project(picture: &Picture, view: &View, variance: [f64; 2], limits: &Limits) -> Result<Vec<Splat>> {
     let count = picture.gaussians.len() as u64;
     Limits::check("primitives", count, limits.primitives)?;
     Limits::check("alloc", count * size_of::<Splat>() as u64, limits.alloc)?;
@@ -121,7 +135,7 @@ pub(super) fn project(picture: &Picture, view: &View, limits: &Limits) -> Result
                 problem: format!("number {i} is not finite or has a scale of zero: {g:?}"),
             });
         }
-        let splat = Splat::new(g, view);
+        let splat = Splat::new(g, view, variance);
         if splat.touches(view) {
             splats.push(splat);
         }

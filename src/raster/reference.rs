@@ -1,6 +1,6 @@
 //! The picture's definition in plain f64 (spec §5.2, §5.3): slow, short, and what everything else is tested against.
 
-use super::view::View;
+use super::view::{Filter, View};
 use crate::gaussian::{Blend, CUTOFF, EPSILON, Gaussian, Picture};
 use crate::pixels::Depth;
 
@@ -15,13 +15,36 @@ pub fn weight(g: &Gaussian, x: f64, y: f64) -> f64 {
     ((-0.5 * (u * u + v * v)).exp() - (-0.5 * cutoff * cutoff).exp()).max(0.0)
 }
 
+/// Weight at `(x, y)` of `g` with `variance` added along x and y, pixels², and its integral kept.
+fn widened(g: &Gaussian, variance: [f64; 2], x: f64, y: f64) -> f64 {
+    if variance == [0.0; 2] {
+        return weight(g, x, y);
+    }
+    let (sin, cos) = f64::from(g.rotation).sin_cos();
+    let (dx, dy) = (x - f64::from(g.mean[0]), y - f64::from(g.mean[1]));
+    let [v1, v2] = g.scale.map(|s| f64::from(s).powi(2));
+    let (xx, yy) = (v1 * cos * cos + v2 * sin * sin, v1 * sin * sin + v2 * cos * cos);
+    let (wide, xy) = (xx + variance[0], (v1 - v2) * sin * cos);
+    // The determinant without what cancels in it.
+    let det = v1 * v2 + variance[0] * yy + variance[1] * xx + variance[0] * variance[1];
+    let lean = dy - dx * xy / wide;
+    let distance = dx * dx / wide + lean * lean * wide / det;
+    let cutoff = f64::from(CUTOFF);
+    (v1 * v2 / det).sqrt() * ((-0.5 * distance).exp() - (-0.5 * cutoff * cutoff).exp()).max(0.0)
+}
+
 /// Colour of `picture` at `(x, y)`, pixels: 1.0 is white, not clamped; unused channels are those of the background.
 #[must_use]
 pub fn color(picture: &Picture, x: f64, y: f64) -> [f64; 4] {
+    blend(picture, [0.0; 2], x, y)
+}
+
+/// Colour of `picture` at `(x, y)` where the Gaussians' variances along x and y are greater by `variance`, pixels².
+fn blend(picture: &Picture, variance: [f64; 2], x: f64, y: f64) -> [f64; 4] {
     let background = picture.background.map(f64::from);
     let (mut sum, mut total) = ([0.0; 4], 0.0);
     for g in &picture.gaussians {
-        let w = weight(g, x, y);
+        let w = widened(g, variance, x, y);
         total += w;
         for (s, c) in sum.iter_mut().zip(g.color) {
             *s += w * f64::from(c);
@@ -41,7 +64,8 @@ pub fn code(value: f64, depth: Depth) -> u16 {
 }
 
 /// Colour values of every pixel of `view`, row by row with interleaved channels: the picture sampled at the
-/// pixel centres, with no filter, so that for reduced views it is not what a [`Renderer`](super::Renderer) draws.
+/// pixel centres, with no filter, so that for reduced views it is not what a [`Renderer`](super::Renderer) draws but
+/// [`filtered`] is.
 #[must_use]
 pub fn sample(picture: &Picture, view: &View) -> Vec<f64> {
     let mut out = Vec::new();
@@ -49,6 +73,29 @@ pub fn sample(picture: &Picture, view: &View) -> Vec<f64> {
         for i in 0..view.width() {
             let [x, y] = view.position(i, j);
             out.extend_from_slice(&color(picture, x, y)[..picture.channels.count()]);
+        }
+    }
+    out
+}
+
+/// Colour values of every pixel of `view` with the low-pass of [`View::resized`], row by row with interleaved channels:
+/// means of samples clamped to 0..=1.
+#[must_use]
+pub fn filtered(picture: &Picture, view: &View) -> Vec<f64> {
+    let Filter { parts, variance } = view.filter();
+    let fine = view.refined(parts);
+    let share = 1.0 / f64::from(parts[0] * parts[1]);
+    let mut out = Vec::new();
+    for j in 0..view.height() {
+        for i in 0..view.width() {
+            let mut mean = [0.0; 4];
+            for part in 0..parts[0] * parts[1] {
+                let [x, y] = fine.position(i * parts[0] + part % parts[0], j * parts[1] + part / parts[0]);
+                for (mean, value) in mean.iter_mut().zip(blend(picture, variance, x, y)) {
+                    *mean += share * value.clamp(0.0, 1.0);
+                }
+            }
+            out.extend_from_slice(&mean[..picture.channels.count()]);
         }
     }
     out

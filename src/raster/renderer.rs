@@ -4,7 +4,7 @@ use super::bins::Bins;
 use super::kernel::{Job, Scene, Scratch, TILE_HEIGHT, TILE_WIDTH, Window};
 use super::project::{Splat, project};
 use super::samples::{Sample, SamplesMut};
-use super::view::{MAX_SIDE, View};
+use super::view::{Filter, MAX_SIDE, View};
 use crate::error::{Error, Result};
 use crate::gaussian::{Blend, Channels, Picture};
 use crate::limits::Limits;
@@ -17,6 +17,7 @@ use std::sync::Mutex;
 #[derive(Debug)]
 pub struct Renderer {
     view: View,
+    filter: Filter,
     channels: Channels,
     blend: Blend,
     background: [f32; 4],
@@ -57,10 +58,13 @@ impl Renderer {
         if !picture.background.iter().all(|v| v.is_finite()) {
             return Err(Error::Parameter { name: "background", problem: format!("{:?}", picture.background) });
         }
-        let splats = project(picture, view, limits)?;
-        let bins = Bins::new(&splats, view, limits)?;
+        let filter = view.filter();
+        let fine = view.refined(filter.parts);
+        let splats = project(picture, &fine, filter.variance, limits)?;
+        let bins = Bins::new(&splats, &fine, limits)?;
         Ok(Renderer {
             view: *view,
+            filter,
             channels: picture.channels,
             blend: picture.blend,
             background: picture.background,
@@ -96,15 +100,22 @@ impl Renderer {
         self.bins.count[1]
     }
 
-    /// The rows of the view that band `band` holds; bands have 128 rows but for the first and the last.
+    /// Columns and rows of the output that a tile holds.
+    fn tile(&self) -> [u32; 2] {
+        [TILE_WIDTH as u32 / self.filter.parts[0], TILE_HEIGHT as u32 / self.filter.parts[1]]
+    }
+
+    /// The rows of the view that band `band` holds: 128, fewer where the view is reduced, but for the first and the
+    /// last band.
     ///
     /// # Panics
     /// If `band` is not below [`Renderer::bands`].
     #[must_use]
     pub fn band_rows(&self, band: u32) -> std::ops::Range<u32> {
         assert!(band < self.bands(), "band {band} of {}", self.bands());
-        let tile = (self.bins.first[1] + band) * TILE_HEIGHT as u32;
-        let end = tile + (TILE_HEIGHT as u32).min(self.view.offset[1] + self.view.height - tile);
+        let height = self.tile()[1];
+        let tile = (self.bins.first[1] + band) * height;
+        let end = tile + height.min(self.view.offset[1] + self.view.height - tile);
         tile.max(self.view.offset[1]) - self.view.offset[1]..end - self.view.offset[1]
     }
 
@@ -167,11 +178,12 @@ impl Renderer {
         }
     }
 
-    /// The columns of the tile that the view shows.
+    /// The columns of the output's part in a tile that the view shows.
     fn columns(&self, column: u32) -> std::ops::Range<usize> {
-        let tile = (self.bins.first[0] + column) * TILE_WIDTH as u32;
+        let width = self.tile()[0];
+        let tile = (self.bins.first[0] + column) * width;
         let start = self.view.offset[0].max(tile) - tile;
-        let end = (TILE_WIDTH as u32).min(self.view.offset[0] + self.view.width - tile);
+        let end = width.min(self.view.offset[0] + self.view.width - tile);
         start as usize..end as usize
     }
 
@@ -191,13 +203,16 @@ impl Renderer {
     }
 
     fn draw_tile<T: Sample>(&self, band: u32, column: u32, out: &mut [&mut [T]]) {
-        let rows = self.band_rows(band);
-        let tile =
-            [(self.bins.first[0] + column) * TILE_WIDTH as u32, (self.bins.first[1] + band) * TILE_HEIGHT as u32];
-        let in_tile = |row: u32| (row + self.view.offset[1] - tile[1]) as usize;
+        let (columns, rows) = (self.columns(column), self.band_rows(band));
+        let [across, down] = self.filter.parts.map(|k| k as usize);
+        let top = (self.bins.first[1] + band) * self.tile()[1];
+        let in_tile = |row: u32| (row + self.view.offset[1] - top) as usize * down;
         let window = Window {
-            corner: tile.map(f64::from),
-            columns: self.columns(column),
+            corner: [
+                f64::from(self.bins.first[0] + column) * TILE_WIDTH as f64,
+                f64::from(self.bins.first[1] + band) * TILE_HEIGHT as f64,
+            ],
+            columns: columns.start * across..columns.end * across,
             rows: in_tile(rows.start)..in_tile(rows.end),
         };
         let scene = Scene {
@@ -205,6 +220,7 @@ impl Renderer {
             blend: self.blend,
             background: self.background,
             channels: self.channels.count(),
+            parts: [across, down],
         };
         let members = self.bins.members(column, band);
         let mut scratch = self.pool.lock().expect("no tile panics").pop().unwrap_or_default();
@@ -245,10 +261,16 @@ mod tests {
                 background: [0.5; 4],
                 gaussians: gaussians.clone(),
             };
-            let mut renderer = Renderer::new(&picture, &View::full(&picture), &Limits::default()).unwrap();
-            let detected = renderer.render(Depth::Sixteen).unwrap();
-            renderer.backend = Dispatch::Compiled;
-            assert_eq!(detected, renderer.render(Depth::Sixteen).unwrap());
+            let full = View::full(&picture);
+            for view in [full, full.resized(110, 35).unwrap(), full.resized(7, 5).unwrap()] {
+                let mut renderer = Renderer::new(&picture, &view, &Limits::default()).unwrap();
+                for depth in [Depth::Eight, Depth::Sixteen] {
+                    renderer.backend = Dispatch::Detected;
+                    let detected = renderer.render(depth).unwrap();
+                    renderer.backend = Dispatch::Compiled;
+                    assert_eq!(detected, renderer.render(depth).unwrap());
+                }
+            }
         }
     }
 }

@@ -38,6 +38,9 @@ pub(super) trait Sample: Copy + Default + Send + Sync {
     /// The code values of this depth.
     fn codes(codes: &mut Codes) -> &mut Vec<Self>;
 
+    /// `floor(v)` for `0 ≤ v < WHITE + 1`.
+    fn floor(v: f32) -> Self;
+
     /// Writes eight pixels, channels interleaved, from code values that are to be rounded down.
     fn store<S: Simd, const C: usize>(simd: S, to: &mut [Self], v: [S::Vector; C]);
 }
@@ -47,6 +50,11 @@ impl Sample for u8 {
 
     fn codes(codes: &mut Codes) -> &mut Vec<u8> {
         &mut codes.eight
+    }
+
+    #[inline(always)]
+    fn floor(v: f32) -> u8 {
+        v as u8
     }
 
     #[inline(always)]
@@ -72,6 +80,11 @@ impl Sample for u16 {
 
     fn codes(codes: &mut Codes) -> &mut Vec<u16> {
         &mut codes.sixteen
+    }
+
+    #[inline(always)]
+    fn floor(v: f32) -> u16 {
+        v as u16
     }
 
     #[inline(always)]

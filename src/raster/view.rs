@@ -1,10 +1,26 @@
 //! Which part of the plane is drawn, and how finely.
 
 use crate::error::{Error, Result};
-use crate::gaussian::Picture;
+use crate::gaussian::{CUTOFF, Picture};
 
 /// Longest side of a view, output pixels.
 pub(super) const MAX_SIDE: u32 = 1 << 20;
+
+/// Distance of samples that a reducing view goes below if it can, picture pixels. A lattice of 2 would see one phase
+/// only of detail of the finest period, 2 pixels.
+const SAMPLING: f64 = 1.5;
+
+/// Most samples of an output pixel along an axis: the kernel averages within its strips of eight columns.
+const MOST_PARTS: u32 = 8;
+
+/// How a view is low-passed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Filter {
+    /// Samples of which an output pixel is the mean, along x and y: 1, 2, 4 or 8.
+    pub parts: [u32; 2],
+    /// What the Gaussians' variances grow by along x and y, picture pixels².
+    pub variance: [f64; 2],
+}
 
 /// A rectangle of output pixels on a grid laid over the picture.
 ///
@@ -48,7 +64,14 @@ impl View {
 
     /// The same area of the plane drawn at `width × height` output pixels.
     ///
-    /// Enlarging samples the continuous picture; reducing filters it, so that fine detail does not alias.
+    /// Enlarging samples the continuous picture. Reducing low-passes it, so that fine detail does not alias: an output
+    /// pixel that is `step` picture pixels wide is the mean of `k` samples (clamped to 0..=1) side by side, `k` being
+    /// the smallest of 1, 2, 4 and 8 with `step / k ≤ 1.5`, else 8. Where that leaves samples more than one picture
+    /// pixel apart, the Gaussians' variance along the axis grows by `((step / k)² − 1) / 12`, their integral being kept:
+    /// the variance of the pixels that each sample stands for. Either axis has its own `k`. Halves, quarters and eighths
+    /// are the averages of the full view's pixels. The work is at most that of `8 × 8` times the output pixels.
+    ///
+    /// A [`Renderer`](super::Renderer) does this; the GPU's samples only.
     ///
     /// # Errors
     /// [`Error::Parameter`] when a side is 0 or over 2²⁰.
@@ -82,6 +105,48 @@ impl View {
     #[must_use]
     pub fn step(&self) -> [f64; 2] {
         self.step
+    }
+
+    /// Left, top, width and height of the part of the picture, in its pixels, that a Gaussian's support must reach into to
+    /// be seen: more than what the view shows where the low-pass widens Gaussians.
+    #[must_use]
+    pub fn area(&self) -> [u32; 4] {
+        let Filter { variance, .. } = self.filter();
+        let side = [self.width, self.height];
+        let [x, y] = std::array::from_fn(|k| {
+            let margin = f64::from(CUTOFF) * variance[k].sqrt();
+            let start = self.origin[k] + f64::from(self.offset[k]) * self.step[k];
+            let end = start + f64::from(side[k]) * self.step[k] + margin;
+            // Casts saturate.
+            let start = (start - margin).floor() as u32;
+            [start, end.ceil() as u32 - start]
+        });
+        [x[0], y[0], x[1], y[1]]
+    }
+
+    /// The low-pass that the step asks for; crops have that of their view.
+    pub(crate) fn filter(&self) -> Filter {
+        let parts = self.step.map(|step| {
+            let mut parts = 1;
+            while parts < MOST_PARTS && step > SAMPLING * f64::from(parts) {
+                parts *= 2;
+            }
+            parts
+        });
+        let variance = std::array::from_fn(|k| ((self.step[k] / f64::from(parts[k])).powi(2) - 1.0).max(0.0) / 12.0);
+        Filter { parts, variance }
+    }
+
+    /// The same area with `parts` pixels for each along x and y, on the grid that is finer in the same way.
+    pub(super) fn refined(&self, parts: [u32; 2]) -> View {
+        View {
+            origin: self.origin,
+            step: std::array::from_fn(|k| self.step[k] / f64::from(parts[k])),
+            // Steps other than 1 come from `resized`, whose grids end at `MAX_SIDE`.
+            offset: std::array::from_fn(|k| self.offset[k] * parts[k]),
+            width: self.width * parts[0],
+            height: self.height * parts[1],
+        }
     }
 
     /// Where in the picture, in pixels, the centre of output pixel `(i, j)` lies.

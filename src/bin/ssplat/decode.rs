@@ -30,17 +30,18 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     let bytes = source::read_all(&args.input)?;
     let failed = |e| Failure::library(&args.input, &e);
     let limits = Limits::default();
+    let header = Header::read(&mut &bytes[..], &limits).map_err(failed)?;
+    let of = header.primitives;
+    let view = view(args, View::of_size(header.width, header.height)).map_err(failed)?;
     let (splats, missing) = match (args.partial, args.region) {
         (true, _) => read_partial(&bytes, &limits).map_err(failed)?,
         (false, None) => (read(&bytes[..], &limits).map_err(failed)?, Missing::default()),
-        (false, Some(region)) => (read_area(&bytes, &region.into(), &limits).map_err(failed)?, Missing::default()),
+        (false, Some(_)) => (read_area(&bytes, &view.area().into(), &limits).map_err(failed)?, Missing::default()),
     };
-    let of = Header::read(&mut &bytes[..], &limits).map_err(failed)?.primitives;
     drop(bytes);
     report_loss(&args.input, &splats, missing, of);
     let (picture, depth) = (splats.to_picture(), splats.depth);
     let metadata = splats.metadata;
-    let view = view(args, &picture).map_err(failed)?;
     // The output is written as it is drawn: no memory bounds it.
     let samples = u64::from(view.width()) * u64::from(view.height()) * picture.channels.count() as u64;
     let (requested, allowed) = (samples * depth.bytes() as u64, limits.alloc);
@@ -100,9 +101,9 @@ fn on_gpu(_: &Picture, _: &View, _: Depth, _: &Limits) -> ssplat::Result<(Pixels
     Err(ssplat::GpuError::NotBuilt.into())
 }
 
-/// What `--region` and the size options ask for.
-fn view(args: &args::Decode, picture: &Picture) -> ssplat::Result<View> {
-    let mut view = View::full(picture);
+/// What `--region` and the size options ask for of the `whole` picture.
+fn view(args: &args::Decode, whole: View) -> ssplat::Result<View> {
+    let mut view = whole;
     if let Some([x, y, width, height]) = args.region {
         view = view.crop(x, y, width, height)?;
     }
