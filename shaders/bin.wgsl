@@ -22,7 +22,13 @@ fn bin(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec
             let columns = tile_columns(splat, row, 1.0);
             pairs += columns.y - columns.x;
         }
-        if (pairs == 0u || atomicAdd(&status[0], pairs) > scene.capacity) { return; }
+        if (pairs == 0u) { return; }
+        let before = atomicAdd(&status[0], pairs);
+        if (before > scene.capacity) {
+            // Remembered: the sum of many threads may pass 2³² and look small again, but not in one step.
+            atomicMax(&status[1], before);
+            return;
+        }
     }
     for (var row = rows.x; row < rows.y; row++) {
         let columns = tile_columns(splat, row, 1.0);

@@ -1,6 +1,8 @@
 //! Fitting primitives to a picture: float, stochastic, seeded; the same result for any thread count.
 
 pub(crate) mod adam;
+#[cfg(all(test, unix))]
+mod coarse;
 pub(crate) mod descend;
 pub(crate) mod field;
 pub(crate) mod finish;
@@ -40,6 +42,12 @@ const SAMPLED: f32 = 0.75;
 const WHOLE: f32 = 0.88;
 /// Share of the iterations after which nothing is relocated any more.
 const RELOCATED: f32 = 0.7;
+/// Share of the iterations that see a large picture at half its size: `coarse.rs` measures it.
+const COARSE: f32 = 0.7;
+/// Pixels of a large picture: smaller ones are done soon enough.
+const LARGE: u64 = 1 << 21;
+/// Rows in one sampled row from which on half the size loses nothing at first: Gaussians span several pixels.
+const SPARSE: u32 = 5;
 
 /// Shows the state of the work when called: costs a projection of all primitives.
 pub(crate) type Drawing<'a> = &'a dyn Fn() -> (Scene, Vec<Projected>);
@@ -76,6 +84,30 @@ pub(crate) trait Engine {
     fn relocate(&mut self, scene: &Scene, target: &Target, rows: RowSet, most: usize) -> Result<usize>;
     /// Brings the number of primitives to `wanted`, taking the cheapest away or adding at peaks.
     fn resize(&mut self, scene: &Scene, target: &Target, rows: RowSet, wanted: usize) -> Result<()>;
+    /// Goes on with the picture at another size, `by` times the one before.
+    fn zoom(&mut self, scene: &Scene, target: &Target, by: f32) -> Result<()>;
+}
+
+/// A picture at half its size, for the first steps of a fit.
+struct Half {
+    scene: Scene,
+    target: Target,
+}
+
+impl Half {
+    fn new(scene: &Scene, target: &Target) -> Self {
+        let target = target.halved();
+        Half { scene: Scene { width: target.width, height: target.height, ..*scene }, target }
+    }
+}
+
+/// The same primitives in a picture `by` times as large.
+pub(crate) fn zoomed(mut primitives: Vec<Primitive>, by: f32) -> Vec<Primitive> {
+    for p in &mut primitives {
+        p.mean = p.mean.map(|v| v * by);
+        p.log_scale = p.log_scale.map(|v| v + by.ln());
+    }
+    primitives
 }
 
 /// Where a fit of about `count` primitives starts, and the random numbers that it goes on with.
@@ -105,17 +137,40 @@ pub(crate) fn run<E: Engine>(
     scene: &Scene,
     target: &Target,
     engine: &mut E,
-    mut rng: Pcg64Mcg,
+    rng: Pcg64Mcg,
     plan: &Plan,
     recount: Recount<'_>,
     watch: Watch<'_>,
 ) -> Result<Ending> {
+    let is_large = u64::from(scene.width) * u64::from(scene.height) >= LARGE;
+    let coarse = if is_large && row_step(scene, engine.count()) >= SPARSE { COARSE } else { 0.0 };
+    run_coarse_to_fine(scene, target, engine, rng, plan, coarse, recount, watch)
+}
+
+/// The same; the share `coarse` of the iterations sees the picture at half its size.
+#[allow(clippy::too_many_arguments)]
+fn run_coarse_to_fine<E: Engine>(
+    scene: &Scene,
+    target: &Target,
+    engine: &mut E,
+    mut rng: Pcg64Mcg,
+    plan: &Plan,
+    coarse: f32,
+    recount: Recount<'_>,
+    watch: Watch<'_>,
+) -> Result<Ending> {
+    let mut half = (coarse > 0.0).then(|| Half::new(scene, target));
+    if let Some(half) = &half {
+        engine.zoom(&half.scene, &half.target, 0.5)?;
+    }
+    let mut is_near = false;
     let mut step = row_step(scene, engine.count());
     let mut rows = RowCycle::new();
     let start = Instant::now();
     let mut recounts = RECOUNTED.iter().peekable();
-    let samples =
-        |rows: RowSet| rows.count(scene.height) as f64 * f64::from(scene.width) * target.channels.count() as f64;
+    let samples = |scene: &Scene, rows: RowSet| {
+        rows.count(scene.height) as f64 * f64::from(scene.width) * target.channels.count() as f64
+    };
     let mut iteration = 0;
     while iteration < plan.iterations && engine.count() > 0 {
         // With a time budget the schedule follows the clock where that is ahead.
@@ -123,27 +178,49 @@ pub(crate) fn run<E: Engine>(
         if done >= 1.0 {
             break;
         }
-        watch(done, &|| (*scene, project_all(&engine.primitives(), scene.height)))?;
+        if half.is_some() && (done >= coarse || is_near) {
+            half = None;
+            engine.zoom(scene, target, 2.0)?;
+        }
+        let (seen, seen_target, by) = match &half {
+            Some(half) => (&half.scene, &half.target, 2),
+            None => (scene, target, 1),
+        };
+        // At half the size as many rows are seen, each half as long.
+        let seen_rows = |rows: RowSet| {
+            let step = (rows.step / by).max(1);
+            RowSet { step, phase: rows.phase / by % step }
+        };
+        let whole = |engine: &E| zoomed(engine.primitives(), by as f32);
+        watch(done, &|| (*scene, project_all(&whole(engine), scene.height)))?;
+        let surveyed = seen_rows(RowSet { step: step.div_ceil(2), phase: 0 });
         if recounts.next_if(|&&at| done >= at).is_some() {
-            let wanted = recount(&engine.primitives())?;
-            engine.resize(scene, target, RowSet { step: step.div_ceil(2), phase: 0 }, wanted)?;
+            let wanted = recount(&whole(engine))?;
+            engine.resize(seen, seen_target, surveyed, wanted)?;
             step = row_step(scene, engine.count());
         } else if iteration > 0 && iteration % plan.relocate_every == 0 && done < RELOCATED {
-            let sampled = RowSet { step: step.div_ceil(2), phase: 0 };
             let most = ((engine.count() as f32 * plan.relocate_share) as usize).max(1);
-            engine.relocate(scene, target, sampled, most)?;
+            engine.relocate(seen, seen_target, surveyed, most)?;
         }
-        let sampled = rows.next(sampling(step, done), &mut rng);
+        let sampled = seen_rows(rows.next(sampling(step, done), &mut rng));
         let rates = RATES
             .scaled(plan.rate)
             .scaled(LAST_RATE + (1.0 - LAST_RATE) * 0.5 * (1.0 + (std::f32::consts::PI * done).cos()));
-        let error = engine.descend(scene, target, sampled, rates)?;
+        let error = engine.descend(seen, seen_target, sampled, rates)?;
         iteration += 1;
-        // A sample of the rows only hints at it.
-        let hinted = error.is_some_and(|e| e <= plan.enough * samples(sampled));
-        if hinted && iteration < plan.iterations && engine.error(scene, target)? <= plan.enough * samples(RowSet::ALL) {
-            return Ok(Ending::Enough);
+        // A sample of the rows only hints at it, and so does half the size.
+        let hinted = error.is_some_and(|e| e <= plan.enough * samples(seen, sampled));
+        if hinted && half.is_some() {
+            is_near = true;
+        } else if hinted && iteration < plan.iterations {
+            let most = plan.enough * samples(scene, RowSet::ALL);
+            if engine.error(scene, target)? <= most {
+                return Ok(Ending::Enough);
+            }
         }
+    }
+    if half.is_some() {
+        engine.zoom(scene, target, 2.0)?;
     }
     Ok(Ending::Scheduled)
 }
@@ -265,6 +342,14 @@ impl Engine for State {
     fn resize(&mut self, scene: &Scene, target: &Target, rows: RowSet, wanted: usize) -> Result<()> {
         relocate::resize(scene, target, self, rows, wanted);
         self.best.take_if(|(_, primitives)| primitives.len() != wanted);
+        Ok(())
+    }
+
+    fn zoom(&mut self, scene: &Scene, _: &Target, by: f32) -> Result<()> {
+        // Gradients grow with the picture: what the optimizer remembers would mislead it.
+        let bounds = Bounds::new(scene.width, scene.height);
+        let zoomed = State::new(zoomed(std::mem::take(&mut self.primitives), by), bounds);
+        *self = State { iteration: self.iteration, field: std::mem::take(&mut self.field), ..zoomed };
         Ok(())
     }
 }

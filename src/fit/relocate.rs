@@ -192,14 +192,31 @@ pub(crate) fn peaks(
 /// The best `count` of candidates with their levels, none near a better one.
 pub(crate) fn best(mut candidates: Vec<(Peak, u32)>, count: usize, scene: &Scene) -> Vec<Peak> {
     // Ties are broken by place, so that the order is defined.
-    candidates.sort_by(|(a, la), (b, lb)| {
+    let order = |(a, la): &(Peak, u32), (b, lb): &(Peak, u32)| {
         b.gain
             .total_cmp(&a.gain)
             .then(la.cmp(lb))
             .then(a.mean[1].total_cmp(&b.mean[1]))
             .then(a.mean[0].total_cmp(&b.mean[0]))
+    };
+    // A large picture has many times as many candidates as are taken: the worst are seldom worth sorting.
+    let part = (4 * count).max(1024);
+    let (mut next, mut sorted) = (0, 0);
+    let candidates = std::iter::from_fn(|| {
+        if next == sorted {
+            let rest = &mut candidates[sorted..];
+            let part = part.min(rest.len());
+            if part < rest.len() {
+                rest.select_nth_unstable_by(part, order);
+            }
+            rest[..part].sort_unstable_by(order);
+            sorted += part;
+        }
+        let (peak, _) = *candidates.get(next)?;
+        next += 1;
+        Some(peak)
     });
-    spread(candidates.into_iter().map(|(p, _)| p), count, scene)
+    spread(candidates, count, scene)
 }
 
 fn residual(scene: &Scene, target: &Target, field: &Field, rows: RowSet, w: usize, h: usize) -> Vec<Vec<f32>> {
@@ -254,9 +271,12 @@ fn halve(plane: &[f32], w: usize, h: usize) -> Vec<f32> {
 /// Keeps the best peaks that are at least 1.5 of their own scales away from all better ones.
 fn spread(candidates: impl Iterator<Item = Peak>, count: usize, scene: &Scene) -> Vec<Peak> {
     const CELL: f32 = 8.0;
+    const NONE: u32 = u32::MAX;
     let cols = (scene.width as f32 / CELL) as usize + 1;
     let rows = (scene.height as f32 / CELL) as usize + 1;
-    let mut grid: std::collections::HashMap<usize, Vec<[f32; 2]>> = std::collections::HashMap::new();
+    // The peak taken last in each cell, and for each peak the one taken before it there.
+    let mut last = vec![NONE; cols * rows];
+    let mut before: Vec<u32> = Vec::new();
     let place = |m: [f32; 2]| (((m[0] / CELL) as usize).min(cols - 1), ((m[1] / CELL) as usize).min(rows - 1));
     let mut out: Vec<Peak> = Vec::new();
     for p in candidates {
@@ -266,20 +286,30 @@ fn spread(candidates: impl Iterator<Item = Peak>, count: usize, scene: &Scene) -
         let reach = 1.5 * p.scale;
         let (cx, cy) = place(p.mean);
         let r = (reach / CELL).ceil() as usize;
-        let near = |q: &[f32; 2]| {
-            let (dx, dy) = (q[0] - p.mean[0], q[1] - p.mean[1]);
+        let near = |q: &Peak| {
+            let (dx, dy) = (q.mean[0] - p.mean[0], q.mean[1] - p.mean[1]);
             dx * dx + dy * dy < reach * reach
         };
         let taken = if (2 * r + 1) * (2 * r + 1) > out.len() {
-            out.iter().any(|q| near(&q.mean))
+            out.iter().any(near)
         } else {
             (cy.saturating_sub(r)..=(cy + r).min(rows - 1)).any(|y| {
-                (cx.saturating_sub(r)..=(cx + r).min(cols - 1))
-                    .any(|x| grid.get(&(y * cols + x)).is_some_and(|c| c.iter().any(near)))
+                let cells = &last[y * cols..][cx.saturating_sub(r)..=(cx + r).min(cols - 1)];
+                cells.iter().any(|&first| {
+                    let mut i = first;
+                    while i != NONE {
+                        if near(&out[i as usize]) {
+                            return true;
+                        }
+                        i = before[i as usize];
+                    }
+                    false
+                })
             })
         };
         if !taken {
-            grid.entry(cy * cols + cx).or_default().push(p.mean);
+            let cell = &mut last[cy * cols + cx];
+            before.push(std::mem::replace(cell, out.len() as u32));
             out.push(p);
         }
     }
@@ -301,7 +331,7 @@ pub(crate) fn relocate(scene: &Scene, target: &Target, state: &mut State, rows: 
     let costs = costs(scene, target, state, rows);
     let peaks = peaks(scene, target, &state.field, rows, count, state.primitives.len());
     let mut moved = 0;
-    for (peak, i) in peaks.iter().zip(cheapest_first(&costs)) {
+    for (peak, i) in peaks.iter().zip(cheapest(&costs, count)) {
         if peak.gain < costs[i] {
             break;
         }
@@ -344,7 +374,17 @@ fn costs(scene: &Scene, target: &Target, state: &mut State, rows: RowSet) -> Vec
 
 /// Indices by rising cost; equal costs by index.
 pub(crate) fn cheapest_first(costs: &[f32]) -> Vec<usize> {
+    cheapest(costs, costs.len())
+}
+
+/// The first `most` of them.
+pub(crate) fn cheapest(costs: &[f32], most: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..costs.len()).collect();
-    order.sort_by(|&a, &b| costs[a].total_cmp(&costs[b]).then(a.cmp(&b)));
+    let by_cost = |a: &usize, b: &usize| costs[*a].total_cmp(&costs[*b]).then(a.cmp(b));
+    if most < order.len() {
+        order.select_nth_unstable_by(most, by_cost);
+        order.truncate(most);
+    }
+    order.sort_unstable_by(by_cost);
     order
 }

@@ -74,6 +74,46 @@ impl Target {
         plane
     }
 
+    /// The same picture at half its size: means of 2 × 2 pixels, borders repeated. Colours count by their opacity.
+    pub(crate) fn halved(&self) -> Target {
+        let (count, alpha) = (self.channels.count(), self.channels.alpha());
+        let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
+        let (stride, last) = (stride(width), self.width as usize - 1);
+        let below = |y: usize| [2 * y as u32, (2 * y as u32 + 1).min(self.height - 1)];
+        let mut planes = vec![0.0f32; height as usize * count * stride];
+        parallel::map_chunks(&mut planes, count * stride, |y, out| {
+            let rows = below(y).map(|y| self.row(y));
+            let four = |k: usize, x: usize| {
+                let plane = rows.map(|r| &r[k * self.stride..]);
+                [plane[0][2 * x], plane[0][(2 * x + 1).min(last)], plane[1][2 * x], plane[1][(2 * x + 1).min(last)]]
+            };
+            for k in 0..count {
+                for x in 0..width as usize {
+                    let v = four(k, x);
+                    let opacity = alpha.filter(|&a| a != k).map_or([1.0; 4], |a| four(a, x));
+                    let total: f32 = opacity.iter().sum();
+                    out[k * stride + x] = if total > 0.0 {
+                        v.iter().zip(opacity).map(|(v, o)| v * o).sum::<f32>() / total
+                    } else {
+                        0.25 * v.iter().sum::<f32>()
+                    };
+                }
+            }
+        });
+        let mut amplitude = Vec::new();
+        if !self.amplitude.is_empty() {
+            amplitude.resize(height as usize * stride, 0.0);
+            parallel::map_chunks(&mut amplitude, stride, |y, out| {
+                let rows = below(y).map(|y| self.amplitude(y).expect("one for each row"));
+                for x in 0..width as usize {
+                    let square = |x: usize| rows[0][x] * rows[0][x] + rows[1][x] * rows[1][x];
+                    out[x] = (0.25 * (square(2 * x) + square((2 * x + 1).min(last)))).sqrt();
+                }
+            });
+        }
+        Target { width, height, stride, planes, amplitude, ..*self }
+    }
+
     /// What errors in row `y` are multiplied by before they are squared; `None`: by 1.
     #[inline(always)]
     pub(crate) fn amplitude(&self, y: u32) -> Option<&[f32]> {

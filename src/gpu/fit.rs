@@ -7,17 +7,19 @@
 use std::cell::RefCell;
 
 use super::device::Device;
-use super::lists::{Lists, MOST_BINDING, MOST_TILES, check_primitives};
+use super::lists::{Lists, MOST_BINDING, check_primitives};
 use super::peaks::Peaks;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
+use super::source::{Source, pack, pack_target, rows_at_a_time};
 use crate::error::{Error, GpuError, Result};
-use crate::fit::Engine;
 use crate::fit::adam::{BETA1, BETA2, Bounds, Rates};
 use crate::fit::field::{RowSet, Scene};
 use crate::fit::project;
 use crate::fit::relocate::{self, Peak};
 use crate::fit::target::Target;
-use crate::pixels::{Pixels, Samples};
+use crate::fit::{self, Engine};
+use crate::gaussian::Channels;
+use crate::pixels::Pixels;
 use crate::raster::View;
 
 /// Steps that are submitted at a time.
@@ -42,10 +44,12 @@ pub(crate) struct Fitter {
 struct State {
     device: Device,
     base: Uniforms,
-    slabs: Vec<Slab>,
+    source: Source,
+    /// The picture at its own size, while the steps see it at half its size.
+    whole: Option<Source>,
     /// Bytes that a binding of something as large as the picture may have.
     binding: u64,
-    slab_rows: u32,
+    channels: Channels,
     band_rows: u32,
     capacity: u32,
     count: u32,
@@ -60,14 +64,6 @@ struct State {
     iteration: u32,
     /// An error met where none could be returned.
     failed: Option<Error>,
-}
-
-/// A part of the target: rows from `first` on.
-#[derive(Debug)]
-struct Slab {
-    first: u32,
-    end: u32,
-    source: wgpu::Buffer,
 }
 
 /// Rows of a step that are worked on together: sampled rows `first .. first + rows`, all within one slab.
@@ -150,38 +146,21 @@ impl Fitter {
         binding: u64,
     ) -> Result<Self> {
         check_primitives(primitives.len() as u64)?;
-        let view = View::of_size(scene.width, scene.height);
         let words = pixels.depth().bytes() as u32;
-        let base = Uniforms {
-            min_log_scale: bounds.min_log_scale,
-            max_log_scale: bounds.max_log_scale,
-            max_log_aspect: bounds.max_log_aspect,
-            source_words: words,
-            ..Uniforms::new(&view, scene.blend, pixels.channels(), scene.background, 0)
-        };
-        let [slab_rows, band_rows] = rows_at_a_time(scene.width, scene.height, words, binding)?;
-        let slabs = device.scoped(|| {
-            let mut slabs = Vec::new();
-            let mut first = 0;
-            while first < scene.height {
-                let end = scene.height.min(first + slab_rows);
-                let packed = pack(pixels, first, end);
-                let source = device.storage("source", packed.len() as u64 * 4);
-                device.write(&source, &packed);
-                slabs.push(Slab { first, end, source });
-                first = end;
-            }
-            slabs
-        })?;
+        let base = base(scene, pixels.channels(), words, bounds);
+        let size = [scene.width, scene.height];
+        let [slab_rows, band_rows] = rows_at_a_time(size[0], size[1], words, binding)?;
+        let source = Source::new(device, size, slab_rows, |first, end| pack(pixels, first, end))?;
         let count = primitives.len() as u32;
         let capacity = capacity_for(count);
         let [primitives, first, second] = upload(device, primitives, None)?;
         let state = State {
             device: device.clone(),
             base,
-            slabs,
+            source,
+            whole: None,
             binding,
-            slab_rows,
+            channels: pixels.channels(),
             band_rows,
             capacity,
             count,
@@ -200,7 +179,7 @@ impl Fitter {
     /// Rows of the target's slabs and of the bands, and the pairs that the lists of a band hold.
     pub(super) fn bands(&self) -> [u32; 3] {
         let s = self.state.borrow();
-        [s.slab_rows, s.band_rows, s.capacity]
+        [s.source.slab_rows, s.band_rows, s.capacity]
     }
 
     /// The primitives after all steps asked for.
@@ -217,11 +196,24 @@ impl Fitter {
         state.device.wait()
     }
 
-    /// Squared error of the clamped picture over all rows.
-    pub(super) fn error(&self) -> Result<f64> {
+    /// Squared error of the clamped picture over all rows, at the picture's own size.
+    pub(super) fn error(&self, scene: &Scene) -> Result<f64> {
         let mut state = self.state.borrow_mut();
         state.flush()?;
-        Ok(state.survey(RowSet::ALL, Wanted::Error)?.error)
+        let Some(whole) = state.whole.take() else {
+            return Ok(state.survey(RowSet::ALL, Wanted::Error)?.error);
+        };
+        let zoomed = fit::zoomed(state.download()?, 2.0);
+        let [zoomed, ..] = upload(&state.device, &zoomed, None)?;
+        let half = Scene { width: state.source.size[0], height: state.source.size[1], ..*scene };
+        let primitives = std::mem::replace(&mut state.primitives, zoomed);
+        let source = std::mem::replace(&mut state.source, whole);
+        state.see(scene)?;
+        let survey = state.survey(RowSet::ALL, Wanted::Error);
+        state.primitives = primitives;
+        state.whole = Some(std::mem::replace(&mut state.source, source));
+        state.see(&half)?;
+        Ok(survey?.error)
     }
 
     /// Runs one step for tests and shows what it left behind.
@@ -282,8 +274,8 @@ impl Engine for &Fitter {
         })
     }
 
-    fn error(&mut self, _: &Scene, _: &Target) -> Result<f64> {
-        Fitter::error(self)
+    fn error(&mut self, scene: &Scene, _: &Target) -> Result<f64> {
+        Fitter::error(self, scene)
     }
 
     fn descend(&mut self, _: &Scene, _: &Target, rows: RowSet, rates: Rates) -> Result<Option<f64>> {
@@ -308,13 +300,48 @@ impl Engine for &Fitter {
     fn resize(&mut self, scene: &Scene, target: &Target, rows: RowSet, wanted: usize) -> Result<()> {
         self.state.borrow_mut().resize(scene, target, rows, wanted)
     }
+
+    fn zoom(&mut self, scene: &Scene, target: &Target, by: f32) -> Result<()> {
+        self.state.borrow_mut().zoom(scene, target, by)
+    }
 }
 
 impl State {
+    /// Takes up `scene`, of the size of the source; buffers of another size go.
+    fn see(&mut self, scene: &Scene) -> Result<()> {
+        let words = self.base.source_words;
+        [_, self.band_rows] = rows_at_a_time(scene.width, scene.height, words, self.binding)?;
+        let channels = self.channels;
+        self.base = base(scene, channels, words, &Bounds::new(scene.width, scene.height));
+        self.stage = None;
+        self.peaks = None;
+        Ok(())
+    }
+
+    fn zoom(&mut self, scene: &Scene, target: &Target, by: f32) -> Result<()> {
+        self.flush()?;
+        let size = [scene.width, scene.height];
+        let source = match self.whole.take().filter(|s| s.size == size) {
+            Some(whole) => whole,
+            None => {
+                let words = self.base.source_words;
+                let [slab_rows, _] = rows_at_a_time(size[0], size[1], words, self.binding)?;
+                Source::new(&self.device, size, slab_rows, |first, end| pack_target(target, words, first, end))?
+            }
+        };
+        let before = std::mem::replace(&mut self.source, source);
+        self.whole = (by < 1.0).then_some(before);
+        let bounds = Bounds::new(scene.width, scene.height);
+        let mut primitives = fit::zoomed(self.download()?, by);
+        primitives.iter_mut().for_each(|p| bounds.apply(p));
+        [self.primitives, self.first, self.second] = upload(&self.device, &primitives, None)?;
+        self.see(scene)
+    }
+
     /// The bands of a step over `rows`.
     fn bands(&self, rows: RowSet) -> Vec<Band> {
         let mut bands = Vec::new();
-        for (slab, s) in self.slabs.iter().enumerate() {
+        for (slab, s) in self.source.slabs.iter().enumerate() {
             let (mut first, end) = (rows.index(s.first) as u32, rows.index(s.end) as u32);
             while first < end {
                 let rows = self.band_rows.min(end - first);
@@ -337,7 +364,7 @@ impl State {
             row_step: rows.step,
             row_phase: rows.phase,
             tile_base: tile_base as u32,
-            source_first: self.slabs[band.slab].first,
+            source_first: self.source.slabs[band.slab].first,
             ..self.base.band(band.first, band.rows)
         }
     }
@@ -376,7 +403,7 @@ impl State {
             let slots = device.storage("slots", u64::from(self.capacity) * SLOT);
             let moments = device.storage("moments", count * 36);
             let shared = [&lists.splats, &lists.starts, &lists.sorted, &lists.status];
-            let forward = self.slabs.iter().map(|s| {
+            let forward = self.source.slabs.iter().map(|s| {
                 let buffers = [&shared[..], &[&s.source, &planes, &tails, &errors]].concat();
                 k.forward.bind(d, &uniforms, &buffers)
             });
@@ -494,7 +521,7 @@ impl State {
             self.prepare()?;
             let stage = self.stage.as_ref().expect("prepared");
             if wanted == Wanted::All && self.peaks.as_ref().is_none_or(|p| p.room() < Peaks::cells(&self.base, rows)) {
-                let sources: Vec<&wgpu::Buffer> = self.slabs.iter().map(|s| &s.source).collect();
+                let sources: Vec<&wgpu::Buffer> = self.source.slabs.iter().map(|s| &s.source).collect();
                 self.peaks = Some(Peaks::new(&self.device, &self.base, rows, &sources, stage)?);
             }
             let peaks = self.peaks.as_ref().filter(|_| wanted == Wanted::All);
@@ -559,8 +586,9 @@ impl State {
             return Ok(0);
         }
         let survey = self.survey(rows, Wanted::All)?;
-        let order = relocate::cheapest_first(&survey.costs);
-        let least = survey.costs[order[0]];
+        let order = relocate::cheapest(&survey.costs, most);
+        let Some(&first) = order.first() else { return Ok(0) };
+        let least = survey.costs[first];
         let mut moves: Vec<u32> = Vec::new();
         for (peak, i) in self.best_peaks(scene, &survey, most, self.count as usize, least)?.iter().zip(order) {
             if peak.gain < survey.costs[i] {
@@ -656,19 +684,16 @@ impl<'a> Work<'a> {
     }
 }
 
-/// Rows of a slab of the target and of a band of planes, of pixels of `words` words, so that no binding passes
-/// `binding` bytes.
-pub(super) fn rows_at_a_time(width: u32, height: u32, words: u32, binding: u64) -> Result<[u32; 2]> {
-    let (wide, tile) = (u64::from(width), u64::from(TILE));
-    let slab = (binding / (4 * u64::from(words) * wide)).min(u64::from(height)) as u32;
-    let by_planes = binding / (16 * wide) / tile;
-    let by_tiles = MOST_TILES / wide.div_ceil(tile);
-    let band = by_planes.min(by_tiles).min(u64::from(height.div_ceil(TILE))) as u32 * TILE;
-    if slab == 0 || band == 0 {
-        let what = "columns of a picture to fit";
-        return Err(GpuError::Overflow { what, requested: wide, allowed: binding / (16 * tile) }.into());
+/// The uniforms that are the same in all steps.
+fn base(scene: &Scene, channels: Channels, words: u32, bounds: &Bounds) -> Uniforms {
+    let view = View::of_size(scene.width, scene.height);
+    Uniforms {
+        min_log_scale: bounds.min_log_scale,
+        max_log_scale: bounds.max_log_scale,
+        max_log_aspect: bounds.max_log_aspect,
+        source_words: words,
+        ..Uniforms::new(&view, scene.blend, channels, scene.background, 0)
     }
-    Ok([slab, band])
 }
 
 /// Pairs to make room for at first: what fitted pictures have, and some more.
@@ -706,24 +731,4 @@ pub(super) fn packed(p: &project::Primitive) -> Primitive {
 
 fn unpacked(p: Primitive) -> project::Primitive {
     project::Primitive { mean: p.mean, log_scale: p.log_scale, rotation: p.rotation, color: p.color }
-}
-
-/// Rows `first..end` of the target, four channels a pixel: a word with 8 bits a sample, two with 16.
-pub(super) fn pack(pixels: &Pixels, first: u32, end: u32) -> Vec<u32> {
-    let count = pixels.channels().count();
-    let row = pixels.width() as usize * count;
-    let range = first as usize * row..end as usize * row;
-    match pixels.samples() {
-        Samples::U8(v) => v[range]
-            .chunks_exact(count)
-            .map(|p| p.iter().enumerate().fold(0, |word, (k, &s)| word | u32::from(s) << (8 * k)))
-            .collect(),
-        Samples::U16(v) => v[range]
-            .chunks_exact(count)
-            .flat_map(|p| {
-                let s = |k: usize| p.get(k).map_or(0, |&s| u32::from(s));
-                [s(0) | s(1) << 16, s(2) | s(3) << 16]
-            })
-            .collect(),
-    }
 }

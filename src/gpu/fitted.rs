@@ -33,6 +33,7 @@ pub struct Fitted {
 #[derive(Debug)]
 pub struct Look<'a> {
     fitter: &'a Fitter,
+    scene: &'a Scene,
     samples: f64,
     start: Instant,
     /// Seconds that looks took.
@@ -56,7 +57,7 @@ impl Look<'_> {
         self.fitter.settle()?;
         let clock = Instant::now();
         let seconds = (clock - self.start).as_secs_f64() - self.looked;
-        let psnr = -10.0 * (self.fitter.error()? / self.samples).log10();
+        let psnr = -10.0 * (self.fitter.error(self.scene)? / self.samples).log10();
         self.looked += clock.elapsed().as_secs_f64();
         Ok((psnr, seconds))
     }
@@ -87,7 +88,7 @@ pub fn fit(
     device.wait()?;
     let setup_seconds = clock.elapsed().as_secs_f64();
     let samples = f64::from(scene.width) * f64::from(scene.height) * pixels.channels().count() as f64;
-    let mut at = Look { fitter: &fitter, samples, start: Instant::now(), looked: 0.0, step: 0 };
+    let mut at = Look { fitter: &fitter, scene: &scene, samples, start: Instant::now(), looked: 0.0, step: 0 };
     crate::fit::run(&scene, &target, &mut &fitter, rng, &plan, &mut |_| Ok(count as usize), &mut |_, _| {
         let goes_on = look(&mut at)?;
         at.step += 1;

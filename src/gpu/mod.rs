@@ -22,10 +22,13 @@ mod device;
 mod fit;
 mod fitted;
 mod kernels;
+#[cfg(test)]
+mod large;
 mod lists;
 mod peaks;
 mod renderer;
 mod scene;
+mod source;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

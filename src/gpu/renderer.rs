@@ -235,9 +235,12 @@ impl Renderer {
     ) -> Result<()> {
         let tiles_x = u64::from(view.width().div_ceil(TILE));
         // Whole rows of tiles whose codes fit into a binding.
-        let by_codes = MOST_BINDING / 4 / u64::from(stride) / u64::from(TILE);
-        let by_tiles = MOST_TILES / tiles_x;
-        let most = (by_codes.min(by_tiles).max(1) as u32).saturating_mul(TILE);
+        let row = u64::from(stride) * u64::from(TILE) * 4;
+        let most = (MOST_BINDING / row).min(MOST_TILES / tiles_x) as u32 * TILE;
+        if most == 0 {
+            let (what, requested) = ("bytes in a row of tiles", row);
+            return Err(GpuError::Overflow { what, requested, allowed: MOST_BINDING }.into());
+        }
         let lowest = view.height().next_multiple_of(TILE);
         if self
             .stage

@@ -21,9 +21,13 @@ pub(in crate::gpu) fn bin(
                 let columns = tile_columns(scene, splat, row, 1.0);
                 pairs += columns[1] - columns[0];
             }
+            if pairs == 0 {
+                continue;
+            }
             let before = status[0];
             status[0] += pairs;
-            if pairs == 0 || before > scene.capacity {
+            if before > scene.capacity {
+                status[1] = status[1].max(before);
                 continue;
             }
         }

@@ -1,0 +1,99 @@
+//! Coarse to fine, measured: fits that see the picture at half its size in the first share of their steps.
+//!
+//! ```text
+//! SSPLAT_PICTURE=photo.jpg RAYON_NUM_THREADS=1 \
+//!     cargo test --release --features cli --lib -- --ignored --nocapture coarse_to_fine_against
+//! ```
+//!
+//! prints CPU seconds and PSNR of float fits of the picture, scaled to 6 megapixels, at a ratio of 200. Of a canyon and of
+//! a bar with people, while other work kept the machine busy:
+//!
+//! | share at half size | steps | canyon: CPU seconds, PSNR | bar: CPU seconds, PSNR |
+//! |--:|--:|--:|--:|
+//! | 0 | 120 | 15.0, 27.15 | 9.0, 32.28 |
+//! | 0 | 200 | 22.6, 27.43 | 17.1, 33.58 |
+//! | 0.5 | 200 | 19.8, 27.47 | 15.4, 33.59 |
+//! | 0.7 | 200 | 20.9, 27.50 | 15.8, 33.62 |
+//! | 0.85 | 200 | 17.2, 27.50 | 11.3, 33.53 |
+//! | 0 | 400 | 42.3, 27.79 | 27.7, 34.68 |
+//! | 0.7 | 400 | 34.6, 27.81 | not measured |
+//!
+//! So a start at half the size costs less and ends no lower: up to .1 dB at equal seconds. Row sampling alone, which keeps all
+//! columns, is what it is added to. Small pictures do without: there it has not been measured.
+
+use super::field::Scene;
+use super::plan::Plan;
+use super::project::Primitive;
+use super::target::Target;
+use super::{finish, run_coarse_to_fine, start};
+use crate::gaussian::{Blend, Channels};
+use crate::pixels::{Pixels, Samples};
+
+/// Fits, and returns the PSNR at the picture's own size, dB.
+fn fitted(target: &Target, count: usize, plan: &Plan, share: f32) -> f64 {
+    let scene = Scene { width: target.width, height: target.height, blend: Blend::Normalized, background: target.mean };
+    let (mut state, rng) = start(target, count, plan);
+    let all = &mut |_: &[Primitive]| Ok(count);
+    run_coarse_to_fine(&scene, target, &mut state, rng, plan, share, all, &mut |_, _| Ok(())).unwrap();
+    let samples = f64::from(scene.width) * f64::from(scene.height) * target.channels.count() as f64;
+    -10.0 * (finish::float_error(&scene, target, &state.primitives) / samples).log10()
+}
+
+#[test]
+fn a_start_at_half_the_size_ends_at_the_whole_one() {
+    // Odd sizes, so that the last column and row of the half are repeated.
+    let picture = image::RgbImage::from_fn(95, 63, |x, y| {
+        image::Rgb([x * 2, y * 3, (90.0 + 60.0 * (f64::from(x + 2 * y) / 9.0).sin()) as u32].map(|v| v as u8))
+    });
+    let target = Target::new(&pixels(picture));
+    let plan = Plan::steps(80, 1);
+    let whole = fitted(&target, 60, &plan, 0.0);
+    // To the end, too, as when the time is over early.
+    for (share, most) in [(0.5, 1.0), (1.0, 3.0)] {
+        let half = fitted(&target, 60, &plan, share);
+        assert!(half > whole - most, "{share}: {half} dB, {whole} dB without");
+    }
+}
+
+#[test]
+fn halves_are_means_and_colours_count_by_their_opacity() {
+    let values = [200, 255, 100, 0, 50, 255, 10, 255, 30, 85, 90, 170];
+    let picture = Pixels::new(3, 2, Channels::GreyAlpha, Samples::U8(values.to_vec())).unwrap();
+    let half = Target::new(&picture).halved();
+    assert_eq!((half.width, half.height), (2, 1));
+    let near = |v: f32, want: f32| assert!((v * 255.0 - want).abs() < 1e-3, "{} {want}", v * 255.0);
+    let row = half.row(0);
+    near(row[0], (200.0 * 255.0 + 10.0 * 255.0 + 30.0 * 85.0) / 595.0);
+    near(row[half.stride], 595.0 / 4.0);
+    near(row[1], (50.0 * 255.0 + 90.0 * 170.0) / 425.0);
+    near(row[half.stride + 1], 425.0 / 2.0);
+}
+
+fn pixels(picture: image::RgbImage) -> Pixels {
+    let (width, height) = picture.dimensions();
+    Pixels::new(width, height, Channels::Rgb, Samples::U8(picture.into_raw())).unwrap()
+}
+
+fn cpu_seconds() -> f64 {
+    use nix::sys::resource::{UsageWho, getrusage};
+    let used = getrusage(UsageWho::RUSAGE_SELF).unwrap().user_time();
+    used.tv_sec() as f64 + used.tv_usec() as f64 * 1e-6
+}
+
+#[test]
+#[ignore = "measures for minutes, a picture that is given"]
+fn coarse_to_fine_against_row_sampling_at_equal_time() {
+    let path = std::env::var("SSPLAT_PICTURE").expect("SSPLAT_PICTURE names a picture");
+    let photo = image::open(path).unwrap().to_rgb8();
+    let (w, h) = if photo.width() > photo.height() { (3000, 2000) } else { (2000, 3000) };
+    let photo = image::imageops::resize(&photo, w, h, image::imageops::FilterType::CatmullRom);
+    let target = Target::new(&pixels(photo));
+    let count = (3 * w * h / (7 * 200)) as usize;
+    println!("| share of the steps at half size | steps | CPU seconds | PSNR dB |\n|--:|--:|--:|--:|");
+    for (share, steps) in [(0.0, 120), (0.0, 200), (0.5, 200), (0.7, 200), (0.85, 200), (0.0, 400), (0.7, 400)] {
+        let clock = cpu_seconds();
+        let psnr = fitted(&target, count, &Plan::steps(steps, 1), share);
+        let seconds = cpu_seconds() - clock;
+        println!("| {share} | {steps} | {seconds:.1} | {psnr:.2} |");
+    }
+}

@@ -1,0 +1,145 @@
+//! Pictures of 177 megapixels within wgpu's default limits, for real. On software Vulkan that takes minutes and
+//! gigabytes, so only on request:
+//!
+//! ```text
+//! cargo test --release --features gpu --lib -- --ignored --nocapture --test-threads 1 largest_picture
+//! ```
+
+use std::time::Instant;
+
+use super::device::{Adapters, Device};
+use super::fit::Fitter;
+use super::renderer::Renderer;
+use crate::fit::adam::Rates;
+use crate::fit::field::{Output, RowSet, Scene};
+use crate::fit::plan::Plan;
+use crate::fit::project::Primitive;
+use crate::fit::target::Target;
+use crate::fit::{self, Engine, relocate};
+use crate::gaussian::{Blend, Channels, Picture};
+use crate::pixels::{Depth, Pixels, Samples};
+use crate::raster::{self, View};
+use crate::{Limits, parallel};
+
+/// The largest picture of the SmartSplat paper.
+const WIDTH: u32 = 10_848;
+const HEIGHT: u32 = 16_320;
+
+/// Waves of many lengths and an edge, cheap for so many pixels: sums of what depends on the column and on the row.
+fn pixels() -> Pixels {
+    let waves = |length: u32, by: f32| -> Vec<f32> {
+        let wave = |i: u32, period: f32| 0.08 * (i as f32 * by / period).sin();
+        (0..length).map(|i| wave(i, 11.0) + wave(i, 60.0) + wave(i, 300.0) + wave(i, 2000.0)).collect()
+    };
+    let (across, down) = (waves(WIDTH, 1.0), waves(HEIGHT, 0.7));
+    let row = WIDTH as usize * 3;
+    let mut samples = vec![0u8; row * HEIGHT as usize];
+    parallel::map_chunks(&mut samples, row, |y, out| {
+        for (x, pixel) in out.chunks_exact_mut(3).enumerate() {
+            let edge = f32::from((x * 3 + y * 2) % 1700 > 900) * 0.2;
+            for (k, sample) in pixel.iter_mut().enumerate() {
+                let value = 0.4 + across[(x + 5 * k) % across.len()] + down[y] + edge;
+                *sample = (value * 255.0).clamp(0.0, 255.0) as u8;
+            }
+        }
+    });
+    Pixels::new(WIDTH, HEIGHT, Channels::Rgb, Samples::U8(samples)).unwrap()
+}
+
+/// Fits `count` primitives for two steps and a relocation, and draws the first `rows` rows; every part is held against the CPU.
+fn fit_and_draw(count: usize, rows: u32) {
+    let device = Device::open(Adapters::Any).unwrap();
+    let clock = Instant::now();
+    let mut last = clock;
+    let mut note = |what: &str| {
+        eprintln!("{what}: {:.1} s", last.elapsed().as_secs_f64());
+        last = Instant::now();
+    };
+    eprintln!("adapter: {}", device.name());
+    let pixels = pixels();
+    let target = Target::new(&pixels);
+    let scene = Scene { width: WIDTH, height: HEIGHT, blend: Blend::Normalized, background: target.mean };
+    let (mut cpu, _) = fit::start(&target, count, &Plan::steps(1000, 0));
+    note("picture and start, CPU");
+    let mut fitter = Fitter::new(&device, &scene, &pixels, &cpu.primitives, &cpu.bounds).unwrap();
+    drop(pixels);
+    note("bringing them to the device");
+
+    // A list that was cut off would show in the error and in the costs of what it left out.
+    let few = RowSet { step: 16, phase: 3 };
+    let (error, costs) = fitter.inspect_survey(few, |_, _, survey, _| (survey.error, survey.costs.clone())).unwrap();
+    note("survey of one row in 16");
+    let projected = fit::project_all(&cpu.primitives, HEIGHT);
+    let want = cpu.field.draw(&scene, &target, &projected, few, Output::Picture);
+    let wanted = relocate::removal_costs(&scene, &target, &cpu.field, few, &projected);
+    note("the same, CPU");
+    assert!((error / want - 1.0).abs() < 1e-5, "{error} against {want}");
+    let far = costs.iter().zip(&wanted).filter(|(a, b)| (*a - *b).abs() > 1e-3 * (b.abs() + 1e-3)).count();
+    eprintln!("squared error {error:.3}, CPU {want:.3}; {far} of {count} costs differ by more than 1e-3");
+    assert!(far * 1000 <= costs.len(), "{far} costs");
+
+    let rates = Rates { mean: 0.3, log_scale: 0.3, rotation: 0.15, color: 0.01 };
+    let step = fit::row_step(&scene, count);
+    for phase in 0..2 {
+        let rows = RowSet { step, phase };
+        (&fitter).descend(&scene, &target, rows, rates).unwrap();
+        fitter.settle().unwrap();
+        note(&format!("step over one row in {step}"));
+        cpu.descend(&scene, &target, rows, rates);
+        note("the same, CPU");
+    }
+    let got = Engine::primitives(&&fitter);
+    // Adam's first steps have the gradients' signs: where one is about zero, rounding decides.
+    let off = |a: &Primitive, b: &Primitive| (0..2).any(|k| (a.mean[k] - b.mean[k]).abs() > 0.01);
+    let far = got.iter().zip(&cpu.primitives).filter(|(a, b)| off(a, b)).count();
+    eprintln!("{far} of {count} means are more than .01 pixels from those of the CPU");
+    assert!(got.len() == count && far * 50 <= count, "{far} of {count}");
+    drop(cpu);
+
+    let sampled = RowSet { step: step.div_ceil(2), phase: 0 };
+    let moved = (&fitter).relocate(&scene, &target, sampled, count / 10).unwrap();
+    note(&format!("relocation of {moved}"));
+    assert!(moved > 0);
+    let bands = fitter.bands();
+    eprintln!("target in slabs of {} rows, bands of {} sampled rows, lists of {} pairs", bands[0], bands[1], bands[2]);
+    assert_eq!(bands[..2], [3093, 768], "lists overflowed, or sizes have changed");
+    let held =
+        |device: &Device| device.wgpu().0.generate_allocator_report().map_or(0, |r| r.total_reserved_bytes >> 20);
+    eprintln!("device memory for the fit: {} MB", held(&device));
+    drop(target);
+
+    let gaussians = fitter.finish().unwrap().into_iter().map(Primitive::to_gaussian).collect();
+    let background = scene.background;
+    let picture =
+        Picture { width: WIDTH, height: HEIGHT, channels: Channels::Rgb, blend: scene.blend, background, gaussians };
+    let mut renderer = Renderer::new(&device, &picture, &Limits::default()).unwrap();
+    let view = View::full(&picture).crop(0, 0, WIDTH, rows).unwrap();
+    last = Instant::now();
+    let Samples::U8(drawn) = renderer.render(&view, Depth::Eight).unwrap().into_samples() else { panic!("8 bits") };
+    eprintln!("drawing {rows} rows, bands of {} rows: {:.1} s", renderer.bands().0, last.elapsed().as_secs_f64());
+    // At the seam of two bands.
+    let first = (renderer.bands().0 - 32).min(rows - 64);
+    let part = view.crop(0, first, WIDTH, 64).unwrap();
+    let want = raster::Renderer::new(&picture, &part, &Limits::default()).unwrap().render(Depth::Eight).unwrap();
+    let Samples::U8(want) = want.into_samples() else { panic!("8 bits") };
+    let off: Vec<u8> =
+        drawn[first as usize * WIDTH as usize * 3..].iter().zip(&want).map(|(a, b)| a.abs_diff(*b)).collect();
+    let (worst, differ) = (off.iter().max().unwrap(), off.iter().filter(|&&d| d > 0).count());
+    eprintln!("rows {first}..{}: {differ} of {} samples differ, by at most {worst}", first + 64, off.len());
+    assert!(*worst <= 1);
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let peak = status.lines().find(|l| l.starts_with("VmHWM")).unwrap_or_default();
+    eprintln!("{count} primitives: {:.0} s in all; host: {peak}", clock.elapsed().as_secs_f64());
+}
+
+#[test]
+#[ignore = "minutes and gigabytes on software Vulkan"]
+fn the_papers_largest_picture_is_fitted_and_drawn() {
+    fit_and_draw(379_367, HEIGHT);
+}
+
+#[test]
+#[ignore = "minutes and gigabytes on software Vulkan"]
+fn the_papers_largest_picture_takes_1300000_primitives() {
+    fit_and_draw(1_300_000, 3_200);
+}

@@ -1,0 +1,105 @@
+//! The picture to fit on the device: in slabs of rows, each a binding.
+
+use super::device::Device;
+use super::lists::MOST_TILES;
+use super::scene::TILE;
+use crate::error::{GpuError, Result};
+use crate::fit::target::Target;
+use crate::pixels::{Pixels, Samples};
+
+/// The target on the device.
+#[derive(Debug)]
+pub(super) struct Source {
+    pub size: [u32; 2],
+    pub slab_rows: u32,
+    pub slabs: Vec<Slab>,
+}
+
+/// A part of the target: rows from `first` on.
+#[derive(Debug)]
+pub(super) struct Slab {
+    pub first: u32,
+    pub end: u32,
+    pub source: wgpu::Buffer,
+}
+
+impl Source {
+    /// Brings a picture of `words` words a pixel to the device; `packed` gives the words of rows `first..end`.
+    pub(super) fn new(
+        device: &Device,
+        size: [u32; 2],
+        slab_rows: u32,
+        packed: impl Fn(u32, u32) -> Vec<u32>,
+    ) -> Result<Self> {
+        let mut slabs = Vec::new();
+        for first in (0..size[1]).step_by(slab_rows as usize) {
+            let end = size[1].min(first + slab_rows);
+            let packed = packed(first, end);
+            let source = device.scoped(|| {
+                let source = device.storage("source", packed.len() as u64 * 4);
+                device.write(&source, &packed);
+                device.wgpu().1.submit([]);
+                source
+            })?;
+            // The copy on its way takes as much memory again: one slab at a time.
+            device.wait()?;
+            slabs.push(Slab { first, end, source });
+        }
+        Ok(Source { size, slab_rows, slabs })
+    }
+}
+
+/// Rows of a slab of the target and of a band of planes, of pixels of `words` words, so that no binding passes
+/// `binding` bytes.
+pub(super) fn rows_at_a_time(width: u32, height: u32, words: u32, binding: u64) -> Result<[u32; 2]> {
+    let (wide, tile) = (u64::from(width), u64::from(TILE));
+    let slab = (binding / (4 * u64::from(words) * wide)).min(u64::from(height)) as u32;
+    let by_planes = binding / (16 * wide) / tile;
+    let by_tiles = MOST_TILES / wide.div_ceil(tile);
+    let band = by_planes.min(by_tiles).min(u64::from(height.div_ceil(TILE))) as u32 * TILE;
+    if slab == 0 || band == 0 {
+        let what = "columns of a picture to fit";
+        return Err(GpuError::Overflow { what, requested: wide, allowed: binding / (16 * tile) }.into());
+    }
+    Ok([slab, band])
+}
+
+/// Rows `first..end` of a target that is not of whole code values, as [`pack`] has them.
+pub(super) fn pack_target(target: &Target, words: u32, first: u32, end: u32) -> Vec<u32> {
+    let count = target.channels.count();
+    let white = if words == 1 { 255.0 } else { 65535.0 };
+    let mut out = Vec::with_capacity((end - first) as usize * (target.width * words) as usize);
+    for y in first..end {
+        let row = target.row(y);
+        for x in 0..target.width as usize {
+            let code = |k: usize| {
+                if k < count { (row[k * target.stride + x].clamp(0.0, 1.0) * white + 0.5) as u32 } else { 0 }
+            };
+            match words {
+                1 => out.push(code(0) | code(1) << 8 | code(2) << 16 | code(3) << 24),
+                _ => out.extend([code(0) | code(1) << 16, code(2) | code(3) << 16]),
+            }
+        }
+    }
+    out
+}
+
+/// Rows `first..end` of the target, four channels a pixel: a word with 8 bits a sample, two with 16.
+pub(super) fn pack(pixels: &Pixels, first: u32, end: u32) -> Vec<u32> {
+    let count = pixels.channels().count();
+    let row = pixels.width() as usize * count;
+    let range = first as usize * row..end as usize * row;
+    match pixels.samples() {
+        Samples::U8(v) => v[range]
+            .chunks_exact(count)
+            .map(|p| p.iter().enumerate().fold(0, |word, (k, &s)| word | u32::from(s) << (8 * k)))
+            .collect(),
+        Samples::U16(v) => v[range]
+            .chunks_exact(count)
+            .flat_map(|p| {
+                let s = |k: usize| p.get(k).map_or(0, |&s| u32::from(s));
+                [s(0) | s(1) << 16, s(2) | s(3) << 16]
+            })
+            .collect(),
+    }
+}
