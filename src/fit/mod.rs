@@ -46,6 +46,8 @@ const RELOCATED: f32 = 0.7;
 const COARSE: f32 = 0.7;
 /// Pixels of a large picture: smaller ones are done soon enough.
 const LARGE: u64 = 1 << 21;
+/// Primitives that are worth it: fewer cost little, and each matters to the end.
+const MANY: usize = 1000;
 /// Rows in one sampled row from which on half the size loses nothing at first: Gaussians span several pixels.
 const SPARSE: u32 = 5;
 
@@ -142,8 +144,9 @@ pub(crate) fn run<E: Engine>(
     recount: Recount<'_>,
     watch: Watch<'_>,
 ) -> Result<Ending> {
-    let is_large = u64::from(scene.width) * u64::from(scene.height) >= LARGE;
-    let coarse = if is_large && row_step(scene, engine.count()) >= SPARSE { COARSE } else { 0.0 };
+    let (area, count) = (u64::from(scene.width) * u64::from(scene.height), engine.count());
+    let pays = area >= LARGE && count >= MANY && row_step(scene, count) >= SPARSE;
+    let coarse = if pays { COARSE } else { 0.0 };
     run_coarse_to_fine(scene, target, engine, rng, plan, coarse, recount, watch)
 }
 
