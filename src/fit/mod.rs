@@ -399,8 +399,9 @@ fn gcd(a: u32, b: u32) -> u32 {
 /// Rows in one sampled row: every Gaussian should see a few.
 pub(crate) fn row_step(scene: &Scene, count: usize) -> u32 {
     let area = scene.width as f32 * scene.height as f32;
+    // Sampling few rows of large Gaussians would save more, but each of a few primitives matters.
     let typical = 0.7 * (area / (std::f32::consts::PI * count.max(1) as f32)).sqrt();
-    ((0.9 * typical) as u32).clamp(1, 16).min(scene.height)
+    (f32::min(0.9 * typical, 1.6 * typical.powf(0.6)) as u32).clamp(1, 16).min(scene.height)
 }
 
 pub(crate) fn project_all(primitives: &[Primitive], height: u32) -> Vec<Projected> {

@@ -38,7 +38,7 @@ impl Plan {
         let level = usize::from(effort.clamp(1, 9)) - 1;
         let base = [60.0, 120.0, 200.0, 320.0, 480.0, 800.0, 1400.0, 2400.0, 4000.0f32][level];
         let crowd = count.max(1) as f32 / 5500.0;
-        let patience = crowd.powf(if crowd < 1.0 { -0.4 } else { -0.3 }).clamp(0.25, 3.0);
+        let patience = crowd.powf(if crowd < 1.0 { -0.8 } else { -0.3 }).clamp(0.25, 6.5);
         let iterations = (base * patience) as u32;
         // Small pictures can afford more; the first sweeps bring most.
         let sweeps = match count {
