@@ -208,11 +208,11 @@ impl Session<'_> {
         if let Some(what) = self.choice.left_out() {
             self.savings.note(what, 0, 0.0);
         }
-        let float_error = finish::float_error(&scene, planes, &state.primitives);
         clock = tracer.seconds();
-        let bytes = finish::finish(&scene, planes, state, &mut splats, size, &plan, &mut |done, now| {
-            watch(tracer, "finish", done, now)
-        })?;
+        let (bytes, float_error) =
+            finish::finish(&scene, planes, state, &mut splats, size, &plan, &mut |done, now| {
+                watch(tracer, "finish", done, now)
+            })?;
         self.stages.push(("finish", tracer.seconds() - clock));
         Ok(Outcome { bytes, splats, float_error })
     }

@@ -56,8 +56,8 @@ pub(crate) fn steps(primitives: &[Primitive], layout: Layout, psnr: f64) -> Step
     }
 }
 
-/// Quantizes `primitives` and refines the integers until the file has its size. `splats` brings everything but the
-/// primitives and the steps.
+/// Quantizes the primitives of `state` and refines the integers until the file has its size. `splats` brings everything
+/// but the primitives and the steps. Returns the file, and the squared error of the floats.
 pub(crate) fn finish(
     scene: &Scene,
     target: &Target,
@@ -66,8 +66,9 @@ pub(crate) fn finish(
     size: Size,
     plan: &Plan,
     watch: Watch<'_>,
-) -> Result<Vec<u8>> {
-    splats.steps = steps(&state.primitives, splats.layout, psnr(scene, target, &state.primitives));
+) -> Result<(Vec<u8>, f64)> {
+    let float_error = float_error(scene, target, &state.primitives);
+    splats.steps = steps(&state.primitives, splats.layout, psnr(scene, target, float_error));
     let quantizer = splats.quantizer();
     splats.background = quantizer.quantize_color(scene.background);
     let scene = Scene { background: quantizer.dequantize_color(splats.background), ..*scene };
@@ -120,14 +121,14 @@ pub(crate) fn finish(
         Best::keep(&mut best, error, splats, &bytes, most);
         if let Some(best) = best {
             (splats.gaussians, splats.codebook, splats.levels) = (best.gaussians, best.codebook, best.levels);
-            return Ok(best.bytes);
+            return Ok((best.bytes, float_error));
         }
         while bytes.len() as u64 > most && !splats.gaussians.is_empty() {
             resize(&scene, target, &quantizer, splats, bytes.len() as u64, most, &mut activity, &mut field);
             bytes = smallest(splats, plan.levels)?;
         }
     }
-    Ok(bytes)
+    Ok((bytes, float_error))
 }
 
 /// The best file so far that is not too large.
@@ -250,7 +251,7 @@ pub(crate) fn count_for(
     splats: &mut PackedSplats,
     most: u64,
 ) -> Result<usize> {
-    splats.steps = steps(primitives, splats.layout, psnr(scene, target, primitives));
+    splats.steps = steps(primitives, splats.layout, psnr(scene, target, float_error(scene, target, primitives)));
     let quantizer = splats.quantizer();
     splats.gaussians = primitives.iter().map(|p| quantizer.quantize(&p.to_gaussian())).collect();
     let all = crate::bitstream::to_bytes(splats)?.len() as f64;
@@ -266,10 +267,10 @@ pub(crate) fn float_error(scene: &Scene, target: &Target, primitives: &[Primitiv
     field.draw(scene, target, &project_all(primitives, scene.height), RowSet::ALL, Output::Picture)
 }
 
-/// The same as PSNR, decibels.
-fn psnr(scene: &Scene, target: &Target, primitives: &[Primitive]) -> f64 {
+/// A squared error as PSNR, decibels.
+fn psnr(scene: &Scene, target: &Target, error: f64) -> f64 {
     let samples = f64::from(scene.width) * f64::from(scene.height) * target.channels.count() as f64;
-    -10.0 * (float_error(scene, target, primitives) / samples).log10()
+    -10.0 * (error / samples).log10()
 }
 
 /// The squared error of integer primitives.
