@@ -37,10 +37,9 @@ pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
     if let Some([width, height]) = options.size {
         view = view.resized(width, height)?;
     }
-    let (splats, missing) = match (options.damage, options.region) {
-        (Damage::Accept, _) => bitstream::read_partial(bytes, limits)?,
-        (Damage::Refuse, None) => (bitstream::read(bytes, limits)?, Missing::default()),
-        (Damage::Refuse, Some(_)) => (bitstream::read_area(bytes, &view.area().into(), limits)?, Missing::default()),
+    let (splats, missing) = match options.damage {
+        Damage::Accept => bitstream::read_partial(bytes, limits)?,
+        Damage::Refuse => (bitstream::read_area(bytes, &view.area().into(), limits)?, Missing::default()),
     };
     let picture = splats.to_picture();
     let pixels = Renderer::new(&picture, &view, limits)?.render(splats.depth)?;

@@ -153,6 +153,7 @@ fn a_part_of_a_large_file_is_drawn_from_a_part_of_its_groups() {
         assert!(draw(&part, region) == draw(&whole, region), "{region:?}");
     }
     assert!(most < 30_000, "{most} of 40 000 primitives were read");
+    assert!(read_area(&bytes, &[0, 0, 1500, 1000].into(), &limits).unwrap() == whole);
     // A file in one piece is read whole, and a region that is nowhere needs nothing.
     let small = scene(&Scene::default());
     let read = read_area(&to_bytes(&small).unwrap(), &[0, 0, 1, 1].into(), &limits).unwrap();

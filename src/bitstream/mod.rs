@@ -112,8 +112,8 @@ pub fn read<R: Read>(mut reader: R, limits: &Limits) -> Result<PackedSplats> {
     header.read_body(reader, limits)
 }
 
-/// Reads the primitives that can be seen in `area`, and perhaps others: a file in groups is not decoded where they are
-/// out of its reach.
+/// Reads the primitives that can be seen in `area`, and perhaps others: groups that are out of its reach are not
+/// decoded. For the whole picture that is all of them, as [`read`] gives them.
 ///
 /// # Errors
 /// As [`read`], but what is wrong in a group that is left out goes unnoticed unless its checksum shows it.

@@ -6,7 +6,7 @@ use std::time::Instant;
 use serde_json::json;
 use ssplat::bitstream::header::Header;
 use ssplat::bitstream::splats::{Metadata, PackedSplats};
-use ssplat::bitstream::{Missing, read, read_area, read_partial};
+use ssplat::bitstream::{Missing, read_area, read_partial};
 use ssplat::raster::{Renderer, SamplesMut, View};
 use ssplat::{Backend, Depth, Error, Limits, Picture, Pixels};
 
@@ -33,10 +33,10 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     let header = Header::read(&mut &bytes[..], &limits).map_err(failed)?;
     let of = header.primitives;
     let view = view(args, View::of_size(header.width, header.height)).map_err(failed)?;
-    let (splats, missing) = match (args.partial, args.region) {
-        (true, _) => read_partial(&bytes, &limits).map_err(failed)?,
-        (false, None) => (read(&bytes[..], &limits).map_err(failed)?, Missing::default()),
-        (false, Some(_)) => (read_area(&bytes, &view.area().into(), &limits).map_err(failed)?, Missing::default()),
+    let (splats, missing) = if args.partial {
+        read_partial(&bytes, &limits).map_err(failed)?
+    } else {
+        (read_area(&bytes, &view.area().into(), &limits).map_err(failed)?, Missing::default())
     };
     drop(bytes);
     report_loss(&args.input, &splats, missing, of);
