@@ -11,6 +11,8 @@ struct Scene {
     step: vec2f,
     // Bounds of the means, pixels.
     size: vec2f,
+    // What the low-pass of a reduced view adds to the variances along x and y, picture pixels².
+    widening: vec2f,
     min_log_scale: f32,
     max_log_scale: f32,
     max_log_aspect: f32,
@@ -24,9 +26,11 @@ struct Scene {
     primitives: u32,
     // Pairs that the lists can hold.
     capacity: u32,
-    // Columns and rows that are drawn in all.
+    // Columns and rows that are drawn in all: `across` and `down` for each of the output, whose pixels are their means.
     width: u32,
     height: u32,
+    across: u32,
+    down: u32,
     // Row `i` of the sampled ones is `row_phase + i · row_step`.
     row_step: u32,
     row_phase: u32,
@@ -62,13 +66,13 @@ struct Scene {
 }
 
 // A Gaussian on the drawn grid. With (dx, dy) from the centre, u = rise·dy − shear·dx and v = run·dx, it is
-// 2^−(u² + v²).
+// amplitude · 2^−(u² + v²).
 struct Splat {
     // Centre where pixel i has its centre at i; rise; shear.
     place: vec4f,
     // run; how far the row's middle moves per row; half width in the middle row; dy of the rightmost point.
     shape: vec4f,
-    // Half width and half height of the support.
+    // Half width and half height of the support; the amplitude, 1 unless the low-pass widens: what is fitted has none.
     extent: vec4f,
     color: vec4f,
 }

@@ -24,11 +24,20 @@ fn project(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups:
     let v2 = s2 * s2;
     let tx = 1.0 / scene.step.x;
     let ty = 1.0 / scene.step.y;
-    let xx = (v1 * cos * cos + v2 * sin * sin) * tx * tx;
-    let yy = (v1 * sin * sin + v2 * cos * cos) * ty * ty;
+    let wide = v1 * cos * cos + v2 * sin * sin;
+    let tall = v1 * sin * sin + v2 * cos * cos;
+    // Of the covariance, the root of the determinant. Not √(xx·yy − xy²), which cancels for needles.
+    var root = s1 * s2;
+    var amplitude = 1.0;
+    let add = scene.widening;
+    if (add.x > 0.0 || add.y > 0.0) {
+        root = sqrt(v1 * v2 + add.x * tall + add.y * wide + add.x * add.y);
+        amplitude = s1 * s2 / root;
+    }
+    let xx = (wide + add.x) * tx * tx;
+    let yy = (tall + add.y) * ty * ty;
     let xy = (v1 - v2) * sin * cos * tx * ty;
-    // Not xx·yy − xy², which cancels for needles.
-    let det = s1 * s2 * tx * ty;
+    let det = root * tx * ty;
     let sx = sqrt(xx);
     let sy = sqrt(yy);
     let center_x = ((p.mean_x - scene.origin_high.x) - scene.origin_low.x) / scene.step.x - 0.5;
@@ -37,7 +46,7 @@ fn project(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups:
     var splat: Splat;
     splat.place = vec4f(center_x, center_y, rise, rise * (xy / xx));
     splat.shape = vec4f(HALF / sx, xy / yy, CUTOFF * det / sy, CUTOFF * xy / sx);
-    splat.extent = vec4f(CUTOFF * sx, CUTOFF * sy, 0.0, 0.0);
+    splat.extent = vec4f(CUTOFF * sx, CUTOFF * sy, amplitude, 0.0);
     splat.color = vec4f(p.red, p.green, p.blue, p.alpha);
     splats[i] = splat;
 }

@@ -1,4 +1,4 @@
-// What forward and render share: the sums Σwc and Σw of one pixel of a tile.
+// What forward and render share: the sums Σwc and Σw of one sample of a tile.
 
 @group(0) @binding(1) var<storage, read> splats: array<Splat>;
 @group(0) @binding(2) var<storage, read> starts: array<u32>;
@@ -11,10 +11,11 @@ struct Sums {
 }
 
 var<workgroup> places: array<vec4f, 256>;
-var<workgroup> runs: array<f32, 256>;
+// run; the amplitude.
+var<workgroup> runs: array<vec2f, 256>;
 var<workgroup> colors: array<vec4f, 256>;
 
-// Called by all 256 threads of a tile's workgroup, each for the pixel in column `x` of row `y`.
+// Called by all 256 threads of a tile's workgroup, each for the sample in column `x` of row `y`.
 fn sum_tile(tile: u32, local: u32, x: f32, y: f32) -> Sums {
     var sums = Sums(vec4f(0.0), 0.0);
     let first = starts[tile];
@@ -23,7 +24,7 @@ fn sum_tile(tile: u32, local: u32, x: f32, y: f32) -> Sums {
         if (base + local < end) {
             let splat = splats[sorted[base + local]];
             places[local] = splat.place;
-            runs[local] = splat.shape.x;
+            runs[local] = vec2f(splat.shape.x, splat.extent.z);
             colors[local] = splat.color;
         }
         workgroupBarrier();
@@ -32,10 +33,11 @@ fn sum_tile(tile: u32, local: u32, x: f32, y: f32) -> Sums {
             let place = places[j];
             let dx = x - place.x;
             let u = place.z * (y - place.y) - place.w * dx;
-            let v = runs[j] * dx;
+            let run = runs[j];
+            let v = run.x * dx;
             let q = u * u + v * v;
             if (q < SUPPORT) {
-                let w = max(exp2(-q) - CUTOFF_WEIGHT, 0.0);
+                let w = run.y * max(exp2(-q) - CUTOFF_WEIGHT, 0.0);
                 sums.color += w * colors[j];
                 sums.weight += w;
             }

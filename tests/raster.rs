@@ -1,52 +1,13 @@
 //! The rasterizer against its definition in f64, and against itself cut differently.
 
+mod scenes;
+
+use scenes::{Random, codes, scene};
 use ssplat::raster::{Renderer, SamplesMut, View, reference};
 use ssplat::{Blend, Channels, Depth, Error, Gaussian, Limits, Picture, Samples};
 
-/// xorshift64*: enough for scenes, and the same everywhere.
-struct Random(u64);
-
-impl Random {
-    fn unit(&mut self) -> f32 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 40) as f32 / (1u64 << 24) as f32
-    }
-
-    fn within(&mut self, low: f32, high: f32) -> f32 {
-        low + (high - low) * self.unit()
-    }
-}
-
 fn picture(width: u32, height: u32, channels: Channels, blend: Blend, gaussians: Vec<Gaussian>) -> Picture {
     Picture { width, height, channels, blend, background: [0.4, 0.7, 0.2, 0.9], gaussians }
-}
-
-/// A scene with the statistics of a fitted picture: log-normal scales, aspects around 2.5, colours beyond 0..=1.
-fn scene(width: u32, height: u32, count: usize, channels: Channels, blend: Blend, seed: u64) -> Picture {
-    let mut r = Random(seed * 7919 + 12345);
-    let spacing = (width as f32 * height as f32 / count as f32).sqrt();
-    let gaussians = (0..count)
-        .map(|_| {
-            let size = spacing * 0.4 * r.within(-1.0, 1.0).exp();
-            let aspect = r.within(0.0, 1.8).exp();
-            Gaussian {
-                mean: [r.within(0.0, width as f32), r.within(0.0, height as f32)],
-                scale: [(size * aspect.sqrt()).max(0.25), (size / aspect.sqrt()).max(0.25)],
-                rotation: r.within(0.0, std::f32::consts::PI),
-                color: std::array::from_fn(|_| r.within(-0.3, 1.3)),
-            }
-        })
-        .collect();
-    picture(width, height, channels, blend, gaussians)
-}
-
-fn codes(samples: Samples) -> Vec<u16> {
-    match samples {
-        Samples::U8(v) => v.into_iter().map(u16::from).collect(),
-        Samples::U16(v) => v,
-    }
 }
 
 fn render(picture: &Picture, view: &View, depth: Depth) -> Vec<u16> {

@@ -231,12 +231,16 @@ fn scoped<T>(device: &wgpu::Device, work: impl FnOnce() -> T) -> Result<T> {
     let validation = device.push_error_scope(wgpu::ErrorFilter::Validation);
     let result = work();
     let errors = [validation.pop(), internal.pop(), memory.pop()].map(pollster::block_on);
+    cause(errors).map_or(Ok(result), |e| Err(e.into()))
+}
+
+/// What is told of the errors of the scopes of one piece of work: validation, internal, memory.
+pub(super) fn cause(errors: [Option<wgpu::Error>; 3]) -> Option<GpuError> {
     // Running out of memory makes later calls invalid: it is the cause.
-    match errors.into_iter().flatten().next_back() {
-        None => Ok(result),
-        Some(wgpu::Error::OutOfMemory { source }) => Err(GpuError::OutOfMemory { problem: source.to_string() }.into()),
-        Some(wgpu::Error::Validation { description, .. } | wgpu::Error::Internal { description, .. }) => {
-            Err(GpuError::Validation { problem: description }.into())
+    errors.into_iter().flatten().next_back().map(|error| match error {
+        wgpu::Error::OutOfMemory { source } => GpuError::OutOfMemory { problem: source.to_string() },
+        wgpu::Error::Validation { description, .. } | wgpu::Error::Internal { description, .. } => {
+            GpuError::Validation { problem: description }
         }
-    }
+    })
 }

@@ -2,6 +2,8 @@
 
 use super::device::Device;
 use super::lists::{Lists, MOST_BINDING, MOST_TILES, check_primitives};
+#[cfg(test)]
+use super::scene::Splat;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
 use crate::error::{Error, GpuError, Result};
 use crate::gaussian::{Blend, Channels, MAX_SCALE, Picture};
@@ -23,6 +25,7 @@ pub struct Renderer {
     limits: Limits,
     primitives: wgpu::Buffer,
     stage: Option<Stage>,
+    /// Rows of the output.
     band_rows: u32,
     /// Pairs that a band may have before its lists must grow.
     capacity: u32,
@@ -41,12 +44,21 @@ struct Stage {
 /// What the buffers depend on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Shape {
-    width: u32,
-    height: u32,
-    /// Words in a row of the codes.
-    stride: u32,
+    grid: Grid,
     band_rows: u32,
     capacity: u32,
+}
+
+/// What is drawn, and what of it is kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Grid {
+    /// Columns and rows of samples.
+    width: u32,
+    height: u32,
+    /// Rows of samples for each of the output.
+    down: u32,
+    /// Words in a row of the codes.
+    stride: u32,
 }
 
 /// How code values are laid out; the numbers are the modes of `render.wgsl`.
@@ -224,6 +236,13 @@ impl Renderer {
         (self.band_rows, self.capacity)
     }
 
+    /// The splats of the last view.
+    #[cfg(test)]
+    pub(super) fn splats(&self) -> Result<Vec<Splat>> {
+        let lists = &self.stage.as_ref().expect("something was drawn").lists;
+        self.device.read_as(&lists.splats, self.count as usize)
+    }
+
     /// Draws `view` band by band; `take` is given each band's codes, their number in words and the band's first row.
     /// Nothing is handed on before the band is known to be whole.
     fn draw(
@@ -233,34 +252,26 @@ impl Renderer {
         stride: u32,
         mut take: impl FnMut(&Device, &wgpu::Buffer, u64, u32) -> Result<()>,
     ) -> Result<()> {
-        let tiles_x = u64::from(view.width().div_ceil(TILE));
-        // Whole rows of tiles whose codes fit into a binding.
-        let row = u64::from(stride) * u64::from(TILE) * 4;
-        let most = (MOST_BINDING / row).min(MOST_TILES / tiles_x) as u32 * TILE;
+        let base = Uniforms { stride, ..Uniforms::new(view, self.blend, self.channels, self.background, self.count) };
+        // Rows of the output in one of tiles; whole rows of tiles whose codes fit into a binding.
+        let tall = TILE / base.down;
+        let row = u64::from(stride) * u64::from(tall) * 4;
+        let most = (MOST_BINDING / row).min(MOST_TILES / u64::from(base.tiles_x)) as u32 * tall;
         if most == 0 {
             let (what, requested) = ("bytes in a row of tiles", row);
             return Err(GpuError::Overflow { what, requested, allowed: MOST_BINDING }.into());
         }
-        let lowest = view.height().next_multiple_of(TILE);
-        if self
-            .stage
-            .as_ref()
-            .is_none_or(|s| [s.shape.width, s.shape.height, s.shape.stride] != [view.width(), view.height(), stride])
-        {
-            self.band_rows = most.min(lowest);
+        let grid = Grid { width: base.width, height: base.height, down: base.down, stride };
+        if self.stage.as_ref().is_none_or(|s| s.shape.grid != grid) {
+            self.band_rows = most.min(view.height().next_multiple_of(tall));
         }
         let mut first = 0;
         let mut pairs = 0u64;
         while first < view.height() {
             let rows = self.band_rows.min(view.height() - first);
-            self.prepare(view, stride)?;
+            self.prepare(grid)?;
             let stage = self.stage.as_ref().expect("just prepared");
-            let band = Uniforms {
-                capacity: self.capacity,
-                stride,
-                ..Uniforms::new(view, self.blend, self.channels, self.background, self.count)
-            }
-            .band(first, rows);
+            let band = Uniforms { capacity: self.capacity, ..base }.band(first * base.down, rows * base.down);
             let modes = [0, 1, format as u32].map(|mode| Uniforms { mode, ..band });
             self.device.scoped(|| {
                 let (d, queue) = self.device.wgpu();
@@ -277,7 +288,7 @@ impl Renderer {
             })?;
             let [found, missing, ..] = stage.lists.status(&self.device)?;
             if missing > 0 {
-                self.make_room(missing)?;
+                self.make_room(missing, tall)?;
                 continue;
             }
             pairs += u64::from(found);
@@ -288,14 +299,14 @@ impl Renderer {
         Ok(())
     }
 
-    /// Makes the lists longer or, when they are as long as can be, the bands lower. `missing` is what a band asked for,
-    /// or as much of that as was counted.
-    fn make_room(&mut self, missing: u32) -> Result<()> {
+    /// Makes the lists longer or, when they are as long as can be, the bands lower: `tall` is the height of a tile, rows
+    /// of the output. `missing` is what a band asked for, or as much of that as was counted.
+    fn make_room(&mut self, missing: u32, tall: u32) -> Result<()> {
         let most = (MOST_BINDING / 4) as u32;
         if self.capacity < most {
             self.capacity = (self.capacity.saturating_mul(2)).max(missing).min(most);
-        } else if self.band_rows > TILE {
-            self.band_rows = (self.band_rows / 2).next_multiple_of(TILE);
+        } else if self.band_rows > tall {
+            self.band_rows = (self.band_rows / 2).next_multiple_of(tall);
         } else {
             let what = "(Gaussian, tile) pairs in a row of tiles";
             return Err(GpuError::Overflow { what, requested: missing.into(), allowed: most.into() }.into());
@@ -304,23 +315,17 @@ impl Renderer {
     }
 
     /// Makes the buffers, unless those of the last view do.
-    fn prepare(&mut self, view: &View, stride: u32) -> Result<()> {
-        let shape = Shape {
-            width: view.width(),
-            height: view.height(),
-            stride,
-            band_rows: self.band_rows,
-            capacity: self.capacity,
-        };
+    fn prepare(&mut self, grid: Grid) -> Result<()> {
+        let shape = Shape { grid, band_rows: self.band_rows, capacity: self.capacity };
         if self.stage.as_ref().is_some_and(|s| s.shape == shape) {
             return Ok(());
         }
         let device = &self.device;
-        let tiles = u64::from(shape.width.div_ceil(TILE)) * u64::from(shape.band_rows.div_ceil(TILE));
+        let tiles = u64::from(grid.width.div_ceil(TILE)) * u64::from((shape.band_rows * grid.down).div_ceil(TILE));
         let stage = device.scoped(|| {
             use wgpu::BufferUsages as U;
             let uniforms = device.buffer("uniforms", 3 * u64::from(Uniforms::STRIDE), U::UNIFORM | U::COPY_DST);
-            let codes = device.storage("codes", u64::from(stride) * u64::from(shape.band_rows) * 4);
+            let codes = device.storage("codes", u64::from(grid.stride) * u64::from(shape.band_rows) * 4);
             let lists = Lists::new(device, &uniforms, &self.primitives, self.count.into(), tiles, shape.capacity);
             let buffers = [&lists.splats, &lists.starts, &lists.sorted, &lists.status, &codes];
             let render = device.kernels().render.bind(device.wgpu().0, &uniforms, &buffers);

@@ -18,6 +18,7 @@ pub(super) struct Uniforms {
     pub origin_low: [f32; 2],
     pub step: [f32; 2],
     pub size: [f32; 2],
+    pub widening: [f32; 2],
     pub min_log_scale: f32,
     pub max_log_scale: f32,
     pub max_log_aspect: f32,
@@ -29,6 +30,8 @@ pub(super) struct Uniforms {
     pub capacity: u32,
     pub width: u32,
     pub height: u32,
+    pub across: u32,
+    pub down: u32,
     pub row_step: u32,
     pub row_phase: u32,
     pub band_first: u32,
@@ -57,8 +60,11 @@ impl Uniforms {
     /// Bytes from one set of uniforms to the next in their buffer: what every device can align to.
     pub(super) const STRIDE: u32 = 256;
 
-    /// What is the same for all stages that draw `view`.
+    /// What is the same for all stages that draw `view`; in a reduced one, they draw the samples of its pixels.
     pub(super) fn new(view: &View, blend: Blend, channels: Channels, background: [f32; 4], primitives: u32) -> Self {
+        let filter = view.filter();
+        let [across, down] = filter.parts;
+        let view = view.refined(filter.parts);
         let step = view.step();
         let first = view.position(0, 0);
         let origin: [f64; 2] = std::array::from_fn(|k| first[k] - 0.5 * step[k]);
@@ -69,9 +75,12 @@ impl Uniforms {
             origin_low: std::array::from_fn(|k| (origin[k] - f64::from(high[k])) as f32),
             step: step.map(|v| v as f32),
             size: [view.width() as f32, view.height() as f32],
+            widening: filter.variance.map(|v| v as f32),
             primitives,
             width: view.width(),
             height: view.height(),
+            across,
+            down,
             row_step: 1,
             tiles_x: view.width().div_ceil(TILE),
             blend: match blend {

@@ -71,8 +71,6 @@ impl View {
     /// the variance of the pixels that each sample stands for. Either axis has its own `k`. Halves, quarters and eighths
     /// are the averages of the full view's pixels. The work is at most that of `8 × 8` times the output pixels.
     ///
-    /// A [`Renderer`](super::Renderer) does this; the GPU's samples only.
-    ///
     /// # Errors
     /// [`Error::Parameter`] when a side is 0 or over 2²⁰.
     pub fn resized(&self, width: u32, height: u32) -> Result<Self> {
@@ -138,7 +136,7 @@ impl View {
     }
 
     /// The same area with `parts` pixels for each along x and y, on the grid that is finer in the same way.
-    pub(super) fn refined(&self, parts: [u32; 2]) -> View {
+    pub(crate) fn refined(&self, parts: [u32; 2]) -> View {
         View {
             origin: self.origin,
             step: std::array::from_fn(|k| self.step[k] / f64::from(parts[k])),

@@ -170,7 +170,7 @@ pub struct Decode {
     /// Output height, pixels; alone it keeps the aspect ratio
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20), conflicts_with = "scale")]
     pub height: Option<u32>,
-    /// Output pixels per pixel of the picture; below 1 the picture is low-passed (on the CPU)
+    /// Output pixels per pixel of the picture; below 1 the picture is low-passed
     #[arg(long, value_name = "FACTOR", value_parser = positive)]
     pub scale: Option<f64>,
     /// Which device draws; a file from a stranger is best drawn on the CPU

@@ -15,10 +15,19 @@ fn one(scene: &Uniforms, p: &Primitive) -> Splat {
     let v2 = s2 * s2;
     let tx = 1.0 / scene.step[0];
     let ty = 1.0 / scene.step[1];
-    let xx = (v1 * cos * cos + v2 * sin * sin) * tx * tx;
-    let yy = (v1 * sin * sin + v2 * cos * cos) * ty * ty;
+    let wide = v1 * cos * cos + v2 * sin * sin;
+    let tall = v1 * sin * sin + v2 * cos * cos;
+    let mut root = s1 * s2;
+    let mut amplitude = 1.0;
+    let add = scene.widening;
+    if add[0] > 0.0 || add[1] > 0.0 {
+        root = (v1 * v2 + add[0] * tall + add[1] * wide + add[0] * add[1]).sqrt();
+        amplitude = s1 * s2 / root;
+    }
+    let xx = (wide + add[0]) * tx * tx;
+    let yy = (tall + add[1]) * ty * ty;
     let xy = (v1 - v2) * sin * cos * tx * ty;
-    let det = s1 * s2 * tx * ty;
+    let det = root * tx * ty;
     let sx = xx.sqrt();
     let sy = yy.sqrt();
     let center_x = ((p.mean[0] - scene.origin_high[0]) - scene.origin_low[0]) / scene.step[0] - 0.5;
@@ -27,7 +36,7 @@ fn one(scene: &Uniforms, p: &Primitive) -> Splat {
     Splat {
         place: [center_x, center_y, rise, rise * (xy / xx)],
         shape: [HALF / sx, xy / yy, CUTOFF * det / sy, CUTOFF * xy / sx],
-        extent: [CUTOFF * sx, CUTOFF * sy, 0.0, 0.0],
+        extent: [CUTOFF * sx, CUTOFF * sy, amplitude, 0.0],
         color: p.color,
     }
 }

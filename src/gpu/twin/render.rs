@@ -5,15 +5,17 @@ use super::tile::sum_tile;
 use crate::gpu::scene::{Splat, TILE, Uniforms};
 
 pub(in crate::gpu) fn render(scene: &Uniforms, splats: &[Splat], starts: &[u32], sorted: &[u32], codes: &mut [u32]) {
-    for row in 0..scene.band_rows {
-        for x in 0..scene.width {
-            let tile = (row / TILE) * scene.tiles_x + x / TILE;
-            let y = scene.band_first + row;
-            let sums = sum_tile(splats, starts, sorted, tile as usize, x as f32, y as f32);
-            let mut value: [f32; 4] = std::array::from_fn(|k| match scene.blend {
-                0 => (sums.color[k] + EPSILON * scene.background[k]) / (sums.weight + EPSILON),
-                _ => sums.color[k] + scene.background[k],
-            });
+    let parts = [scene.across, scene.down];
+    for row in 0..scene.band_rows / parts[1] {
+        for x in 0..scene.width / parts[0] {
+            let mut value = [0.0; 4];
+            for y in row * parts[1]..(row + 1) * parts[1] {
+                for x in x * parts[0]..(x + 1) * parts[0] {
+                    let part = sample(scene, splats, starts, sorted, x, y);
+                    value = std::array::from_fn(|k| value[k] + part[k]);
+                }
+            }
+            value = value.map(|v| v / (parts[0] * parts[1]) as f32);
             match scene.channels {
                 1 => value = [value[0], value[0], value[0], 1.0],
                 2 => value = [value[0], value[0], value[0], value[1]],
@@ -24,7 +26,7 @@ pub(in crate::gpu) fn render(scene: &Uniforms, splats: &[Splat], starts: &[u32],
                 value.swap(0, 2);
             }
             let white = if scene.mode == 2 { 65535.0 } else { 255.0 };
-            let code = value.map(|v| (v.clamp(0.0, 1.0) * white + 0.5).floor() as u32);
+            let code = value.map(|v| (v * white + 0.5).floor() as u32);
             let at = (row * scene.stride) as usize;
             let x = x as usize;
             if scene.mode == 2 {
@@ -35,4 +37,15 @@ pub(in crate::gpu) fn render(scene: &Uniforms, splats: &[Splat], starts: &[u32],
             }
         }
     }
+}
+
+/// The colour, 0..=1, of the band's sample in column `x` of row `row`.
+fn sample(scene: &Uniforms, splats: &[Splat], starts: &[u32], sorted: &[u32], x: u32, row: u32) -> [f32; 4] {
+    let tile = (row / TILE) * scene.tiles_x + x / TILE;
+    let y = scene.band_first + row;
+    let sums = sum_tile(splats, starts, sorted, tile as usize, x as f32, y as f32);
+    std::array::from_fn(|k| match scene.blend {
+        0 => ((sums.color[k] + EPSILON * scene.background[k]) / (sums.weight + EPSILON)).clamp(0.0, 1.0),
+        _ => (sums.color[k] + scene.background[k]).clamp(0.0, 1.0),
+    })
 }

@@ -19,7 +19,7 @@ pub(in crate::gpu) fn sum_tile(splats: &[Splat], starts: &[u32], sorted: &[u32],
         let v = splat.shape[0] * dx;
         let q = u * u + v * v;
         if q < SUPPORT {
-            let w = ((-q).exp2() - CUTOFF_WEIGHT).max(0.0);
+            let w = splat.extent[2] * ((-q).exp2() - CUTOFF_WEIGHT).max(0.0);
             for k in 0..4 {
                 sums.color[k] += w * splat.color[k];
             }
