@@ -1,9 +1,11 @@
 //! Bytes to pixels: the whole decoder behind one function.
 
 use crate::bitstream::header::Header;
-use crate::bitstream::splats::Metadata;
+use crate::bitstream::splats::{Metadata, PackedGaussian, PackedSplats};
 use crate::bitstream::{self, Missing};
 use crate::error::Result;
+use crate::gaussian::Gaussian;
+use crate::limits::Limits;
 use crate::options::{Damage, DecodeOptions};
 use crate::pixels::Pixels;
 use crate::raster::{Renderer, View};
@@ -37,11 +39,27 @@ pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
     if let Some([width, height]) = options.size {
         view = view.resized(width, height)?;
     }
-    let (splats, missing) = match options.damage {
+    // A picture too large to be had is not worth reading.
+    let samples = u64::from(view.width()) * u64::from(view.height()) * header.channels.count() as u64;
+    limits.check_alloc(samples * header.depth.bytes() as u64)?;
+    let (mut splats, missing) = match options.damage {
         Damage::Accept => bitstream::read_partial(bytes, limits)?,
         Damage::Refuse => (bitstream::read_area(bytes, &view.area().into(), limits)?, Missing::default()),
     };
+    let (depth, metadata) = (splats.depth, std::mem::take(&mut splats.metadata));
+    let held = metadata.icc.iter().chain(&metadata.exif).map(|m| m.len() as u64).sum();
+    let mut limits = limits.clone();
+    limits.alloc = limits.check_alloc(held)?;
+    let pixels = renderer(splats, &view, &limits)?.render(depth)?;
+    Ok(Decoded { pixels, metadata, missing })
+}
+
+/// What draws `view`, in the memory that the integers leave.
+pub(crate) fn renderer(splats: PackedSplats, view: &View, limits: &Limits) -> Result<Renderer> {
+    let held = (size_of::<PackedGaussian>() + size_of::<Gaussian>()) as u64 * splats.gaussians.len() as u64;
+    let mut limits = limits.clone();
+    limits.alloc = limits.check_alloc(held)?;
     let picture = splats.to_picture();
-    let pixels = Renderer::new(&picture, &view, limits)?.render(splats.depth)?;
-    Ok(Decoded { pixels, metadata: splats.metadata, missing })
+    drop(splats);
+    Renderer::new(&picture, view, &limits)
 }

@@ -15,9 +15,10 @@ use image::hooks::{register_decoding_hook, register_format_detection_hook};
 use image::{ColorType, ImageDecoder, ImageError, ImageResult, LimitSupport};
 
 use crate::bitstream::header::{Header, MAGIC};
-use crate::bitstream::splats::{PackedGaussian, PackedSplats};
+use crate::bitstream::splats::PackedSplats;
+use crate::decode::renderer;
 use crate::error::Error;
-use crate::gaussian::{Channels, Gaussian};
+use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::pixels::Depth;
 use crate::raster::{Renderer, SamplesMut, View};
@@ -78,13 +79,10 @@ impl<R: Read> SsplatDecoder<R> {
 
     /// The picture, ready to be drawn.
     fn renderer(&mut self) -> ImageResult<Renderer> {
-        let splats = self.splats()?;
-        let held = (size_of::<PackedGaussian>() + size_of::<Gaussian>()) as u64 * splats.gaussians.len() as u64;
-        let picture = self.splats.take().map(|s| s.to_picture()).expect("just read");
-        let mut limits = self.limits.clone();
-        Limits::check("alloc", held, limits.alloc).map_err(decoding_error)?;
-        limits.alloc -= held;
-        Renderer::new(&picture, &View::full(&picture), &limits).map_err(decoding_error)
+        let view = View::of_size(self.header.width, self.header.height);
+        self.splats()?;
+        let splats = self.splats.take().expect("just read");
+        renderer(splats, &view, &self.limits).map_err(decoding_error)
     }
 }
 

@@ -14,10 +14,13 @@ pub struct Limits {
     pub primitives: u64,
     /// Most (Gaussian, tile) pairs that rasterizing one view may visit.
     pub tile_pairs: u64,
-    /// Most (Gaussian, tile) pairs for each tile of a view on average, beyond two a primitive and 2¹⁹ in all: keeps
-    /// the work in proportion to output pixels and primitives.
-    pub tile_load: u64,
-    /// Most bytes that decoding may allocate in all, output included.
+    /// Most work of rasterizing one view on the CPU: the pixels that its Gaussians cover, and 1024 for each (Gaussian, tile)
+    /// pair.
+    pub work: u64,
+    /// Most Gaussians over a pixel of a view on average: keeps the work in proportion to output pixels and primitives.
+    /// Work of 2³² in all and of 4096 for each primitive is free of it, so that small pictures may be dense.
+    pub overlap: u64,
+    /// Most bytes that decoding may allocate in all, output included; never more than `isize::MAX`.
     pub alloc: u64,
     /// Most bytes of metadata (ICC profile, EXIF) kept.
     pub metadata: u64,
@@ -30,8 +33,10 @@ impl Default for Limits {
             height: 1 << 20,
             primitives: 16 << 20,
             tile_pairs: 256 << 20,
-            tile_load: 1024,
-            alloc: 4 << 30,
+            work: 1 << 37,
+            overlap: 256,
+            // What can be had of an address space of 32 bits.
+            alloc: if usize::BITS < 64 { 1 << 30 } else { 4 << 30 },
             metadata: 64 << 20,
         }
     }
@@ -47,5 +52,15 @@ impl Limits {
             return Err(Error::LimitExceeded { what, requested, allowed });
         }
         Ok(())
+    }
+
+    /// Checks `bytes` against what may be allocated, and returns what is left beside them.
+    ///
+    /// # Errors
+    /// [`Error::LimitExceeded`] when `bytes` are more.
+    pub(crate) fn check_alloc(&self, bytes: u64) -> Result<u64> {
+        let allowed = self.alloc.min(isize::MAX as u64);
+        Limits::check("alloc", bytes, allowed)?;
+        Ok(allowed - bytes)
     }
 }

@@ -7,10 +7,15 @@ use crate::gaussian::Blend;
 use crate::limits::Limits;
 
 /// What the encoder aims at.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub enum Target {
-    /// Width × height × channels bytes (8 bits a sample whatever the source's depth) over file bytes.
+    /// A ratio of 50, and at least 80 bytes for the primitives: no picture is too small for it. An ICC profile and an
+    /// EXIF block come on top.
+    #[default]
+    Auto,
+    /// Width × height × channels bytes (8 bits a sample whatever the source's depth) over file bytes; an error where that
+    /// is too little for the picture.
     Ratio(f64),
     /// File size, bytes; never exceeded.
     Bytes(u64),
@@ -93,7 +98,7 @@ pub enum Trace {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct EncodeOptions {
-    /// What to aim at.
+    /// What to aim at; [`Target::Auto`] is the default.
     pub target: Target,
     /// `1..=9`: how much work to spend; 5 is the default.
     pub effort: u8,
@@ -127,7 +132,7 @@ pub struct EncodeOptions {
 impl Default for EncodeOptions {
     fn default() -> Self {
         EncodeOptions {
-            target: Target::Ratio(50.0),
+            target: Target::Auto,
             effort: 5,
             time: None,
             seed: 0,

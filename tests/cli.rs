@@ -318,6 +318,22 @@ fn odd_sizes_pass_through() {
 }
 
 #[test]
+fn no_picture_is_too_small_when_no_size_is_asked_for() {
+    let folder = Folder::new();
+    let (tiny, file, out) = (folder.path("tiny.png"), folder.path("tiny.ssplat"), folder.path("out.png"));
+    for (width, height) in [(1, 1), (8, 8), (1, 300)] {
+        let pixel = |x, y| image::Rgb([(37 * x) as u8, (91 * y + 5 * x) as u8, (11 * x * y) as u8]);
+        image::RgbImage::from_fn(width, height, pixel).save(&tiny).unwrap();
+        succeeds(ssplat(&[&"encode", &tiny, &file]));
+        assert!(fs::metadata(&file).unwrap().len() <= 120);
+        succeeds(ssplat(&[&"decode", &file, &out]));
+        assert_eq!(image::image_dimensions(&out).unwrap(), (width, height));
+        // A size that is asked for is kept or refused.
+        fails(ssplat(&[&"encode", &tiny, &file, &"--ratio", &"500"]), 2, "cannot hold the picture");
+    }
+}
+
+#[test]
 fn compare_joins_channels_and_depths() {
     let folder = Folder::new();
     let colour = folder.picture("a.png");

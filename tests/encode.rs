@@ -328,3 +328,36 @@ fn pixels_without_a_side_or_of_the_wrong_length_are_parameter_errors() {
         assert!(matches!(refused, Err(Error::Parameter { name: found, .. }) if found == name), "{refused:?}");
     }
 }
+
+#[test]
+fn without_a_size_no_picture_is_too_small() {
+    for (width, height) in [(1, 1), (8, 8), (1, 300), (300, 1)] {
+        for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
+            for layout in LAYOUTS {
+                for metadata in [None, Some(vec![7; 3000])] {
+                    let mut options = EncodeOptions::default();
+                    (options.effort, options.layout, options.icc) = (1, layout, metadata);
+                    let pixels = picture(width, height, channels);
+                    let what = format!("{width} × {height} {channels:?} {layout:?}");
+                    let encoded = encode(&pixels, &options).unwrap_or_else(|e| panic!("{what}: {e}"));
+                    let most = 140 + options.icc.map_or(0, |icc| icc.len());
+                    assert!(encoded.bytes.len() <= most, "{what}: {} bytes", encoded.bytes.len());
+                    assert_eq!(decoded(&encoded).width(), width);
+                }
+            }
+        }
+    }
+    let mut options = EncodeOptions::default();
+    (options.effort, options.levels) = (1, 8);
+    encode(&picture(8, 8, Channels::Rgb), &options).unwrap();
+}
+
+#[test]
+fn without_a_size_the_ratio_is_50() {
+    let pixels = picture(160, 120, Channels::Rgb);
+    let mut options = quick(Target::Ratio(50.0));
+    let asked = encode(&pixels, &options).unwrap().bytes;
+    options.target = Target::default();
+    assert_eq!(encode(&pixels, &options).unwrap().bytes, asked);
+    assert_eq!(EncodeOptions::default().target, Target::Auto);
+}

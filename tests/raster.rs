@@ -402,7 +402,33 @@ fn work_is_limited_in_proportion_to_pixels_and_primitives() {
     let giants = vec![one([500.0, 500.0], [1e4, 1e4], 0.0); 16384];
     let p = picture(1000, 1000, Channels::Rgb, Blend::Normalized, giants);
     let error = Renderer::new(&p, &View::full(&p), &Limits::default()).unwrap_err();
-    assert!(matches!(error, Error::LimitExceeded { what: "tile_pairs", .. }));
+    assert!(matches!(error, Error::LimitExceeded { what: "work", .. }));
+}
+
+#[test]
+fn two_million_primitives_on_a_16k_picture_are_within_the_limits() {
+    // Each pixel lies under 40 Gaussians, more than twice what fits of photographs have (kodim05 and kodim15 at ratios
+    // from 20 to 1000: 4 to 16).
+    for (width, height) in [(10848, 16320), (16384, 16384)] {
+        let mut r = Random(9);
+        let area = 40.0 * (width as f32 * height as f32) / 2e6 / (std::f32::consts::PI * 3.5 * 3.5);
+        let gaussians = (0..2_000_000)
+            .map(|_| {
+                let stretch = r.within(0.0, 2.0).exp2();
+                let mean = [r.within(0.0, width as f32), r.within(0.0, height as f32)];
+                one(mean, [area.sqrt() * stretch, area.sqrt() / stretch], r.within(0.0, 3.0))
+            })
+            .collect();
+        let p = picture(width, height, Channels::Rgba, Blend::Normalized, gaussians);
+        let renderer = Renderer::new(&p, &View::full(&p), &Limits::default());
+        assert!(renderer.is_ok(), "{renderer:?}");
+        if usize::BITS == 64 {
+            // What is left holds the pixels, the primitives in integers and floats, and what reading them takes.
+            let pixels = u64::from(width) * u64::from(height) * 8;
+            let each = 200 + size_of::<Gaussian>() as u64 + 300;
+            assert!(pixels + 2_000_000 * each < Limits::default().alloc);
+        }
+    }
 }
 
 #[test]

@@ -36,7 +36,9 @@ fn root() -> PathBuf {
 }
 
 fn decode(bytes: &[u8]) -> Outcome {
-    let limits = Limits::default();
+    let mut limits = Limits::default();
+    // The same wherever this runs.
+    limits.alloc = 1 << 30;
     let drawn = read(bytes, &limits).and_then(|splats| {
         let picture = splats.to_picture();
         Renderer::new(&picture, &View::full(&picture), &limits)?.render(splats.depth)

@@ -14,6 +14,7 @@ pub fn tight_limits() -> Limits {
     limits.height = 1 << 12;
     limits.primitives = 1 << 16;
     limits.tile_pairs = 1 << 20;
+    limits.work = 1 << 31;
     limits.alloc = 32 << 20;
     limits.metadata = 1 << 16;
     limits

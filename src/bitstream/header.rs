@@ -116,7 +116,7 @@ impl Header {
         Limits::check("width", width.into(), limits.width.into())?;
         Limits::check("height", height.into(), limits.height.into())?;
         Limits::check("primitives", primitives, limits.primitives)?;
-        Limits::check("alloc", primitives.saturating_mul(size_of::<PackedGaussian>() as u64), limits.alloc)?;
+        limits.check_alloc(primitives.saturating_mul(size_of::<PackedGaussian>() as u64))?;
         let primitives = u32::try_from(primitives)
             .map_err(|_| FormatError::BadValue { field: "primitive count", value: primitives })?;
         let (layout, grouping) = match flags & 3 {

@@ -187,7 +187,7 @@ impl Header {
         tally: &mut Tally,
     ) -> Result<(PackedSplats, Vec<SectionInfo>)> {
         let working = u64::from(self.primitives) * working_bytes(self.layout);
-        Limits::check("alloc", FILE_COPIES * rest.len() as u64 + working, limits.alloc)?;
+        limits.check_alloc(FILE_COPIES * rest.len() as u64 + working)?;
         let base = self.bytes().len() as u64;
         let end = rest
             .len()

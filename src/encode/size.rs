@@ -9,10 +9,17 @@ use crate::gaussian::Blend;
 use crate::leave_out;
 use crate::options::{Needs, Target};
 
+/// Ratio of [`Target::Auto`].
+const RATIO: f64 = 50.0;
+
+/// Fewest bytes for primitives of [`Target::Auto`]: some twenty of them.
+const LEAST: u64 = 80;
+
 impl Session<'_> {
     /// Fits the picture as the options ask.
     pub(super) fn aim(&mut self) -> Result<Outcome> {
         let size = match self.options.target {
+            Target::Auto => self.auto()?,
             Target::Ratio(ratio) => Size::Bytes((self.samples() / ratio).floor() as u64),
             Target::Bytes(bytes) => Size::Bytes(bytes),
             Target::Primitives(_) | Target::Psnr(_) => Size::Free,
@@ -21,10 +28,18 @@ impl Session<'_> {
             return Ok(constant);
         }
         match self.options.target {
-            Target::Ratio(_) | Target::Bytes(_) => self.at_size(size),
+            Target::Auto | Target::Ratio(_) | Target::Bytes(_) => self.at_size(size),
             Target::Primitives(count) => self.at_count(count as usize, size),
             Target::Psnr(psnr) => self.at_psnr(psnr),
         }
+    }
+
+    /// The size of a file when nobody asks for one.
+    fn auto(&self) -> Result<Size> {
+        let length = |metadata: Option<&Vec<u8>>| metadata.map_or(0, |m| m.len() as u64);
+        let metadata = length(self.options.icc.as_ref()) + length(self.options.exif.as_ref());
+        let fixed = self.file(&self.empty())?.len() as u64;
+        Ok(Size::Bytes(((self.samples() / RATIO) as u64 + metadata).max(fixed + LEAST)))
     }
 
     /// The file of a picture of one colour, where that is what there is and the file may be as large.

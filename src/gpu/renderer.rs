@@ -127,7 +127,7 @@ impl Renderer {
     pub fn render(&mut self, view: &View, depth: Depth) -> Result<Pixels> {
         let count = self.channels.count();
         let samples = u64::from(view.width()) * u64::from(view.height()) * count as u64;
-        Limits::check("alloc", samples * depth.bytes() as u64, self.limits.alloc)?;
+        self.limits.check_alloc(samples * depth.bytes() as u64)?;
         // Of red, green, blue and alpha, those that the picture has.
         let picked: &[usize] = match self.channels {
             Channels::Grey => &[0],

@@ -6,6 +6,16 @@ use super::view::View;
 use crate::error::Result;
 use crate::limits::Limits;
 
+/// Pixels of a tile.
+const TILE: u64 = (TILE_WIDTH * TILE_HEIGHT) as u64;
+
+/// Pixels that take as long as cutting a Gaussian into the strips of a tile.
+const PAIR_WORK: u64 = 1024;
+
+/// Work that [`Limits::overlap`] leaves free: in all, and for each primitive.
+const FREE_WORK: u64 = 1 << 32;
+const FREE_WORK_EACH: u64 = 4096;
+
 /// For each tile of a view, in rows from its top left, the Gaussians that touch it, in the picture's order.
 #[derive(Debug)]
 pub(super) struct Bins {
@@ -25,15 +35,18 @@ impl Bins {
         let first: [u32; 2] = std::array::from_fn(|k| view.offset[k] / size[k]);
         let count: [u32; 2] = std::array::from_fn(|k| (view.offset[k] + side[k] - 1) / size[k] - first[k] + 1);
         let tiles = u64::from(count[0]) * u64::from(count[1]);
-        let fixed = size_of_val(splats) as u64 + (tiles + 1) * 4;
-        Limits::check("alloc", fixed, limits.alloc)?;
-        // A load that no picture worth its bytes has: keeps the work in proportion to pixels and primitives.
-        let fair = (1 << 19) + limits.tile_load.saturating_mul(tiles) + 2 * splats.len() as u64;
-        let allowed = limits.tile_pairs.min(fair).min(u64::from(u32::MAX));
+        // Where the tiles' lists start, once more while they are filled.
+        let fixed = 2 * (tiles + 1) * 4;
+        limits.check_alloc(fixed)?;
+        let allowed = limits.tile_pairs.min(u64::from(u32::MAX));
+        let fair = limits.overlap.saturating_mul(u64::from(view.width) * u64::from(view.height));
+        let free = FREE_WORK + FREE_WORK_EACH * splats.len() as u64;
+        let most_work = limits.work.min(fair.saturating_add(free));
         let mut bins = Bins { first, count, starts: vec![0; tiles as usize + 1], members: Vec::new() };
-        let mut pairs = 0u64;
+        let (mut pairs, mut work) = (0u64, 0u64);
         for splat in splats {
             let mut starts = std::mem::take(&mut bins.starts);
+            let before = pairs;
             bins.rows(splat, |row, columns| {
                 pairs += columns.len() as u64;
                 for tile in columns {
@@ -43,8 +56,10 @@ impl Bins {
             });
             bins.starts = starts;
             Limits::check("tile_pairs", pairs, allowed)?;
+            work += (pairs - before) * PAIR_WORK + splat.covered(view).min((pairs - before) * TILE);
+            Limits::check("work", work, most_work)?;
         }
-        Limits::check("alloc", fixed + pairs * 4, limits.alloc)?;
+        limits.check_alloc(fixed + pairs * 4)?;
         for i in 1..bins.starts.len() {
             bins.starts[i] += bins.starts[i - 1];
         }
@@ -62,6 +77,11 @@ impl Bins {
         }
         bins.members = members;
         Ok(bins)
+    }
+
+    /// What the lists take, bytes.
+    pub fn bytes(&self) -> u64 {
+        ((self.starts.len() + self.members.len()) * size_of::<u32>()) as u64
     }
 
     /// The Gaussians that touch the tile `(column, row)`, counted from the view's first.

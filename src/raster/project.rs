@@ -109,6 +109,22 @@ impl Splat {
         }
     }
 
+    /// About how many pixels of `view` the kernel visits for it, and no fewer: those within the support's box and no further
+    /// than a strip's width from the support.
+    pub fn covered(&self, view: &View) -> u64 {
+        let side = [view.width, view.height];
+        let [wide, high] = std::array::from_fn(|k| {
+            let (first, last) = (f64::from(view.offset[k]), f64::from(view.offset[k]) + f64::from(side[k]));
+            (self.mean[k] + self.extent[k]).min(last) - (self.mean[k] - self.extent[k]).max(first) + 1.0
+        });
+        let [ex, ey] = self.extent;
+        // In each row the support is an interval; both of its ends lie in strips that are drawn whole.
+        let ellipse = std::f64::consts::PI * (ex * ex - self.tip * self.tip).max(0.0).sqrt() * ey;
+        let ends = 2.0 * LANES as f64;
+        // The cast saturates.
+        (ellipse + ends * high).min((wide + ends) * high) as u64
+    }
+
     /// Whether the support reaches a pixel centre's column and row within the view.
     fn touches(&self, view: &View) -> bool {
         let side = [view.width, view.height];
@@ -123,7 +139,7 @@ impl Splat {
 pub(super) fn project(picture: &Picture, view: &View, variance: [f64; 2], limits: &Limits) -> Result<Vec<Splat>> {
     let count = picture.gaussians.len() as u64;
     Limits::check("primitives", count, limits.primitives)?;
-    Limits::check("alloc", count * size_of::<Splat>() as u64, limits.alloc)?;
+    limits.check_alloc(count * size_of::<Splat>() as u64)?;
     let mut splats = Vec::with_capacity(picture.gaussians.len());
     for (i, g) in picture.gaussians.iter().enumerate() {
         let sound = g.mean.iter().chain([&g.rotation]).all(|v| v.is_finite())

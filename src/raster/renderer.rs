@@ -23,7 +23,8 @@ pub struct Renderer {
     background: [f32; 4],
     splats: Vec<Splat>,
     bins: Bins,
-    alloc: u64,
+    /// What may be allocated, with what is left of the memory.
+    limits: Limits,
     backend: Dispatch,
     /// What tiles are drawn with, for as many threads as have drawn at once.
     pool: Mutex<Vec<Scratch>>,
@@ -46,7 +47,7 @@ impl Renderer {
     /// Projects what `view` shows of `picture` and sorts it into tiles.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] when primitives, (Gaussian, tile) pairs or memory go beyond `limits`, before they
+    /// [`Error::LimitExceeded`] when primitives, (Gaussian, tile) pairs, work or memory go beyond `limits`, before they
     /// are spent; [`Error::Parameter`] when a primitive is not finite, has a scale of zero, or a side of the view is 0 or over 2²⁰.
     pub fn new(picture: &Picture, view: &View, limits: &Limits) -> Result<Self> {
         if [view.width, view.height].iter().any(|&side| side == 0 || side > MAX_SIDE) {
@@ -61,7 +62,10 @@ impl Renderer {
         let filter = view.filter();
         let fine = view.refined(filter.parts);
         let splats = project(picture, &fine, filter.variance, limits)?;
-        let bins = Bins::new(&splats, &fine, limits)?;
+        let mut limits = limits.clone();
+        limits.alloc = limits.check_alloc((splats.capacity() * size_of::<Splat>()) as u64)?;
+        let bins = Bins::new(&splats, &fine, &limits)?;
+        limits.alloc = limits.check_alloc(bins.bytes())?;
         Ok(Renderer {
             view: *view,
             filter,
@@ -70,7 +74,7 @@ impl Renderer {
             background: picture.background,
             splats,
             bins,
-            alloc: limits.alloc,
+            limits,
             backend: Dispatch::Detected,
             pool: Mutex::new(Vec::new()),
         })
@@ -136,7 +140,7 @@ impl Renderer {
     /// [`Error::LimitExceeded`] when the output would take more memory than the limits allow.
     pub fn render(&self, depth: Depth) -> Result<Pixels> {
         let samples = self.row_len() as u64 * u64::from(self.view.height);
-        Limits::check("alloc", samples * depth.bytes() as u64, self.alloc)?;
+        self.limits.check_alloc(samples * depth.bytes() as u64)?;
         let bands = 0..self.bands();
         let samples = match depth {
             Depth::Eight => {

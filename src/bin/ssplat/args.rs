@@ -49,7 +49,10 @@ Examples:
   cat photo.png | ssplat encode - - > photo.ssplat
 
 An orientation in the EXIF block is carried along, not applied. Samples in 32-bit
-floats are clamped to 0..1 and kept with 16 bits.";
+floats are clamped to 0..1 and kept with 16 bits.
+
+With no size asked for, the ratio is 50, but the primitives get 80 bytes at least, and ICC profile
+and EXIF block come on top: no picture is too small. A size that is asked for is kept or refused.";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = ENCODE_EXAMPLES)]
@@ -102,7 +105,7 @@ pub struct Encode {
 #[derive(Debug, ClapArgs)]
 #[group(multiple = false)]
 pub struct TargetArgs {
-    /// Width x height x channels bytes over file bytes [default: 50]
+    /// Width x height x channels bytes over file bytes [default: 50, with some 100 bytes at least]
     #[arg(long, value_name = "R", value_parser = positive)]
     pub ratio: Option<f64>,
     /// File size, bytes; never exceeded

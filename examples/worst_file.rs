@@ -1,0 +1,118 @@
+//! The files that cost the most to decode for their size: for pictures of several sizes, as many Gaussians of a costly
+//! kind as the default limits let through. Prints CPU seconds and peak memory of a decode on one thread.
+//!
+//! ```sh
+//! cargo run --release --example worst_file -- [SIDE...]
+//! ```
+
+use std::error::Error;
+use std::fs;
+use std::process::Command;
+use std::time::Duration;
+
+use nix::sys::resource::{UsageWho, getrusage};
+use ssplat::bitstream::lattice::MAX_ANGLES_CODED;
+use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
+use ssplat::bitstream::to_bytes;
+use ssplat::raster::{Renderer, View};
+use ssplat::{Blend, Channels, DecodeOptions, Depth, Limits, decode};
+
+type Result<T> = std::result::Result<T, Box<dyn Error>>;
+
+fn main() -> Result<()> {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    // Used by the program itself: a process for each decode has the memory of that alone.
+    if let [first, path] = &args[..]
+        && first == "--decode"
+    {
+        return measure(&fs::read(path)?);
+    }
+    let sides = if args.is_empty() { vec!["64".into(), "1024".into(), "16384".into()] } else { args };
+    let file = tempfile::NamedTempFile::new()?;
+    println!("| picture | Gaussians | how many | file, bytes | CPU s | peak MB |");
+    println!("|---|---|--:|--:|--:|--:|");
+    for side in sides {
+        for kind in ["wide", "corner", "upright"] {
+            let splats = worst(side.parse()?, kind);
+            let bytes = to_bytes(&splats)?;
+            fs::write(file.path(), &bytes)?;
+            let mut decode = Command::new(std::env::current_exe()?);
+            let output = decode.arg("--decode").arg(file.path()).env("RAYON_NUM_THREADS", "1").output()?;
+            if !output.status.success() {
+                return Err(String::from_utf8_lossy(&output.stderr).into());
+            }
+            let figures = String::from_utf8(output.stdout)?;
+            println!(
+                "| {side} × {side} | {kind} | {} | {} | {} |",
+                splats.gaussians.len(),
+                bytes.len(),
+                figures.trim()
+            );
+        }
+    }
+    Ok(())
+}
+
+/// As many Gaussians of a kind as may be drawn, within 3 % and up to two million.
+fn worst(side: u32, kind: &str) -> PackedSplats {
+    let (cells, tiles) = (side.div_ceil(8), side.div_ceil(128));
+    let picture = |count: u32| {
+        let gaussians = (0..count).map(|i| {
+            let (x, y, major, minor, angle) = match kind {
+                // Cover everything.
+                "wide" => (cells / 2, cells / 2, 120, 120, 0),
+                // Lie around a corner of four tiles.
+                "corner" => (i % tiles * 16, i / tiles % tiles * 16, 32, 32, 0),
+                // Are so thin that each row takes an exponential.
+                _ => (i % cells, cells / 2, 120, 0, MAX_ANGLES_CODED / 2),
+            };
+            // Some entropy, without which the format does not allow for so many.
+            let luma = (i.wrapping_mul(0x9e37_79b9) >> 29) as i16;
+            PackedGaussian { x, y, major, minor, angle, color: [luma, 0, 0, 0] }
+        });
+        PackedSplats {
+            width: side,
+            height: side,
+            channels: Channels::Rgba,
+            depth: Depth::Eight,
+            blend: Blend::Normalized,
+            layout: Layout::Coded,
+            // Eighths of an octave above ¼ pixel; cells of 8 × 8 pixels.
+            steps: Steps { scale: 0, angle: 0, position: 0, coarsest: 3, range: 0, luma: 6, chroma: 2 },
+            background: [0; 4],
+            codebook: None,
+            gaussians: gaussians.collect(),
+            levels: Vec::new(),
+            metadata: Default::default(),
+        }
+    };
+    let is_allowed = |count| {
+        let picture = picture(count).to_picture();
+        Renderer::new(&picture, &View::full(&picture), &Limits::default()).is_ok()
+    };
+    const MOST: u32 = 1 << 21;
+    let (mut good, mut bad) = (1, MOST);
+    while bad - good > 1 + good / 32 {
+        let middle = if bad < MOST { (good + bad) / 2 } else { (good * 2).min(MOST - 1) };
+        if is_allowed(middle) { good = middle } else { bad = middle }
+    }
+    picture(good)
+}
+
+/// Decodes once and prints two columns.
+fn measure(bytes: &[u8]) -> Result<()> {
+    let before = cpu_time()?;
+    decode(bytes, &DecodeOptions::default())?;
+    let seconds = (cpu_time()? - before).as_secs_f64();
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:")?.split_whitespace().next()?.parse::<f64>().ok());
+    let peak = peak.map_or("?".into(), |kilobytes| format!("{:.0}", kilobytes / 1024.0));
+    println!("{seconds:.1} | {peak}");
+    Ok(())
+}
+
+fn cpu_time() -> Result<Duration> {
+    let usage = getrusage(UsageWho::RUSAGE_SELF)?;
+    let micros = |t: nix::sys::time::TimeVal| t.tv_sec() as u64 * 1_000_000 + t.tv_usec() as u64;
+    Ok(Duration::from_micros(micros(usage.user_time()) + micros(usage.system_time())))
+}
