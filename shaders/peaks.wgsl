@@ -1,20 +1,38 @@
-// Cells whose squared residual is the largest around them, appended to a list in any order.
+// Cells whose squared residual is the largest around them, appended to a list in any order, each with the best shape of
+// a new primitive there: round, or along one of the ridges.
+
+const RIDGES = 32u;
+const TAPS = 11u;
 
 @group(0) @binding(1) var<storage, read> cells: array<vec4f>;
-// Level and index, residual, gain; the number of them is counted apart.
+// Mean residual under the shape; the ridge counts from 1 on. The number of peaks is counted apart.
 struct Peak {
     residual: vec4f,
-    gain: f32,
     level: u32,
+    ridge: u32,
     x: u32,
     y: u32,
 }
 @group(0) @binding(2) var<storage, read_write> peaks: array<Peak>;
 @group(0) @binding(3) var<storage, read_write> found: atomic<u32>;
+// A cell beside a peak, and its mirror image.
+struct Tap {
+    x: i32,
+    y: i32,
+    weight: f32,
+    aspect: f32,
+}
+@group(0) @binding(4) var<storage, read> ridges: array<Tap>;
 
 fn score(x: u32, y: u32) -> f32 {
     let v = cells[y * scene.cells_x + x];
     return dot(v, v);
+}
+
+// Beyond the edges nothing is missing.
+fn missing(x: i32, y: i32) -> vec4f {
+    if (x < 0 || y < 0 || u32(x) >= scene.cells_x || u32(y) >= scene.cells_y) { return vec4f(0.0); }
+    return cells[u32(y) * scene.cells_x + u32(x)];
 }
 
 @compute @workgroup_size(64)
@@ -24,9 +42,11 @@ fn find_peaks(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) grou
     let x = i % scene.cells_x;
     let y = i / scene.cells_x;
     let own = score(x, y);
-    // Four times π times the variance: the squared error that a Gaussian as wide as the blur takes away.
+    // Four times π times the variance: the squared error that a Gaussian as wide as the blur takes away. One along a
+    // ridge takes away at most as many times that as it is longer.
     let gain = 12.566371 * scene.variance * own;
-    if (!(own > 0.0) || gain < scene.least_gain) { return; }
+    let longest = ridges[(RIDGES - 1u) * TAPS].aspect;
+    if (!(own > 0.0) || gain * longest < scene.least_gain) { return; }
     for (var ny = max(y, 1u) - 1u; ny <= min(y + 1u, scene.cells_y - 1u); ny++) {
         for (var nx = max(x, 1u) - 1u; nx <= min(x + 1u, scene.cells_x - 1u); nx++) {
             let other = score(nx, ny);
@@ -34,13 +54,27 @@ fn find_peaks(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) grou
             if (other > own || (other == own && (ny < y || (ny == y && nx < x)))) { return; }
         }
     }
-    let slot = atomicAdd(&found, 1u);
-    if (slot >= scene.capacity) { return; }
     var peak: Peak;
     peak.residual = cells[i];
-    peak.gain = gain;
     peak.level = scene.level;
+    peak.ridge = 0u;
     peak.x = x;
     peak.y = y;
-    peaks[slot] = peak;
+    var best = own;
+    for (var ridge = 0u; ridge < RIDGES; ridge++) {
+        var mean = vec4f(0.0);
+        for (var k = ridge * TAPS; k < (ridge + 1u) * TAPS; k++) {
+            let tap = ridges[k];
+            mean += tap.weight * missing(i32(x) + tap.x, i32(y) + tap.y);
+            mean += tap.weight * missing(i32(x) - tap.x, i32(y) - tap.y);
+        }
+        let score = ridges[ridge * TAPS].aspect * dot(mean, mean);
+        if (score > best) {
+            best = score;
+            peak.residual = mean;
+            peak.ridge = ridge + 1u;
+        }
+    }
+    let slot = atomicAdd(&found, 1u);
+    if (slot < scene.capacity) { peaks[slot] = peak; }
 }

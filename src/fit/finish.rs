@@ -6,9 +6,8 @@ use crate::fit::descend::{self, Activity, Objective};
 use crate::fit::field::{Field, Output, RowSet, Scene};
 use crate::fit::plan::Plan;
 use crate::fit::project::{Primitive, Projected};
-use crate::fit::relocate;
 use crate::fit::target::Target;
-use crate::fit::{Drawing, State, Watch, freeze, project_all};
+use crate::fit::{Drawing, State, Watch, freeze, peaks, project_all, relocate};
 use crate::quantize::Quantizer;
 
 /// Squared error that a bit must save, in units of the mean squared error per bit: the slope of the rate–distortion
@@ -234,8 +233,8 @@ fn resize(
         });
     } else {
         let count = ((most - bytes) as f64 / each * 0.97) as usize;
-        for peak in relocate::peaks(scene, target, field, RowSet::ALL, count, splats.gaussians.len()) {
-            let p = relocate::at_peak(&peak, scene, target);
+        for peak in peaks::peaks(scene, target, field, RowSet::ALL, count, splats.gaussians.len()) {
+            let p = peaks::at_peak(&peak, scene, target);
             let added = quantizer.quantize(&p.to_gaussian());
             activity.mark(&quantizer.dequantize(&added));
             splats.gaussians.push(added);

@@ -36,9 +36,9 @@ impl Plan {
     /// The schedule for `effort` (1..=9) and `count` primitives: fewer cost less, and need more steps to find their places.
     pub(crate) fn new(effort: u8, count: usize, time: Option<Duration>, seed: u64) -> Self {
         let level = usize::from(effort.clamp(1, 9)) - 1;
-        let base = [60.0, 120.0, 200.0, 320.0, 480.0, 800.0, 1400.0, 2400.0, 4000.0f32][level];
+        let base = [66.0, 130.0, 220.0, 350.0, 530.0, 880.0, 1540.0, 2640.0, 4400.0f32][level];
         let crowd = count.max(1) as f32 / 5500.0;
-        let patience = crowd.powf(if crowd < 1.0 { -0.8 } else { -0.3 }).clamp(0.25, 6.5);
+        let patience = crowd.powf(if crowd < 1.0 { -0.95 } else { -0.3 }).clamp(0.25, 9.0);
         let iterations = (base * patience) as u32;
         // Small pictures can afford more; the first sweeps bring most.
         let sweeps = match count {

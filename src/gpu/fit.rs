@@ -14,8 +14,9 @@ use super::source::{Source, pack, pack_target, rows_at_a_time};
 use crate::error::{Error, GpuError, Result};
 use crate::fit::adam::{BETA1, BETA2, Bounds, Rates};
 use crate::fit::field::{RowSet, Scene};
+use crate::fit::peaks::{self, Peak};
 use crate::fit::project;
-use crate::fit::relocate::{self, Peak};
+use crate::fit::relocate;
 use crate::fit::target::Target;
 use crate::fit::{self, Engine};
 use crate::gaussian::Channels;
@@ -574,10 +575,10 @@ impl State {
 
     /// The best `count` peaks after a survey, of those worth at least `least`, for a picture of `among` primitives.
     fn best_peaks(&self, scene: &Scene, survey: &Survey, count: usize, among: usize, least: f32) -> Result<Vec<Peak>> {
-        let peaks = self.peaks.as_ref().expect("surveyed");
-        let spacing = relocate::spacing(scene, count, among);
-        let candidates = peaks.find(&self.device, &self.base, survey.rows, spacing, least)?;
-        Ok(relocate::best(candidates, count, scene))
+        let spacing = peaks::spacing(scene, count, among);
+        let search = self.peaks.as_ref().expect("surveyed");
+        let candidates = search.find(&self.device, &self.base, survey.rows, spacing, least)?;
+        Ok(peaks::best(candidates, count, scene))
     }
 
     fn relocate(&mut self, scene: &Scene, target: &Target, rows: RowSet, most: usize) -> Result<usize> {
@@ -595,7 +596,7 @@ impl State {
                 break;
             }
             moves.push(i as u32);
-            let [p] = [packed(&relocate::at_peak(peak, scene, target))];
+            let [p] = [packed(&peaks::at_peak(peak, scene, target))];
             moves.extend(bytemuck::cast_slice::<_, u32>(std::slice::from_ref(&p)));
         }
         let count = (moves.len() / 10) as u32;
@@ -636,7 +637,7 @@ impl State {
                 second = kept(&second, &keep);
             } else {
                 for peak in self.best_peaks(scene, &survey, wanted - have, wanted, 0.0)? {
-                    primitives.push(relocate::at_peak(&peak, scene, target));
+                    primitives.push(peaks::at_peak(&peak, scene, target));
                     first.push([0.0; 9]);
                     second.push([0.0; 9]);
                 }

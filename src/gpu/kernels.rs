@@ -79,7 +79,7 @@ kernels! {
     residual: [PIXEL, include_str!("../../shaders/residual.wgsl")], [Read, Read, Write, Read], 64;
     blur: [include_str!("../../shaders/blur.wgsl")], [Read, Write], 64;
     halve: [include_str!("../../shaders/halve.wgsl")], [Read, Write], 64;
-    find_peaks: [include_str!("../../shaders/peaks.wgsl")], [Read, Write, Write], 64;
+    find_peaks: [include_str!("../../shaders/peaks.wgsl")], [Read, Write, Write, Read], 64;
     relocate: [include_str!("../../shaders/relocate.wgsl")], [Read, Write, Write, Write], 64;
 }
 

@@ -6,7 +6,8 @@ use super::kernels::Kernels;
 use super::scene::{Uniforms, spaced};
 use crate::error::{GpuError, Result};
 use crate::fit::field::RowSet;
-use crate::fit::relocate::Peak;
+use crate::fit::peaks::Peak;
+use crate::fit::ridge::{self, Shape};
 use bytemuck::{Pod, Zeroable};
 
 /// Most levels.
@@ -19,11 +20,19 @@ const SLOTS: u64 = 4 * LEVELS as u64;
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Found {
+    /// Mean residual under its shape.
     pub residual: [f32; 4],
-    pub gain: f32,
     pub level: u32,
+    /// Number of its ridge from 1 on, 0 where it is round.
+    pub ridge: u32,
     pub x: u32,
     pub y: u32,
+}
+
+impl Found {
+    pub fn shape(&self) -> Shape {
+        Shape::new((self.ridge as usize).checked_sub(1), self.residual)
+    }
 }
 
 /// The buffers, and the stages bound to them.
@@ -76,6 +85,8 @@ impl Peaks {
             let cells = ["cells", "blurred"].map(|name| device.storage(name, room * 16));
             let found = device.storage("peaks", most_peaks(room) * size_of::<Found>() as u64);
             let count = device.storage("peak count", 4);
+            let ridges = device.storage("ridges", size_of_val(&ridge::all()) as u64);
+            device.write(&ridges, ridge::all().as_flattened());
             let status = &stage.lists.status;
             let residual = sources.iter();
             let residual =
@@ -86,7 +97,7 @@ impl Peaks {
                 residual,
                 blur: both.map(|b| k.blur.bind(d, &uniforms, &b)),
                 halve: both.map(|b| k.halve.bind(d, &uniforms, &b)),
-                find: both.map(|b| k.find_peaks.bind(d, &uniforms, &[b[0], &found, &count])),
+                find: both.map(|b| k.find_peaks.bind(d, &uniforms, &[b[0], &found, &count, &ridges])),
                 uniforms,
                 found,
                 count,
@@ -170,8 +181,7 @@ impl Peaks {
         let peak = |f: Found| {
             let level = &levels[f.level as usize];
             let mean = [f.x, f.y].map(|v| (v as f32 + 0.5) * level.cell);
-            let residual = f.residual.map(|v| 2.0 * v);
-            (Peak { mean, scale: level.variance.sqrt(), gain: f.gain, residual }, f.level)
+            (Peak::new(mean, level.variance.sqrt(), &f.shape()), f.level)
         };
         Ok(found.into_iter().map(peak).collect())
     }
@@ -182,7 +192,7 @@ fn most_peaks(cells: u64) -> u64 {
     cells / 2 + 64 * u64::from(LEVELS)
 }
 
-/// The levels of the search, as `relocate::peaks` has them.
+/// The levels of the search, as `fit::peaks::peaks` has them.
 fn levels(base: &Uniforms, rows: RowSet, spacing: f32) -> Vec<Level> {
     let mut size = [base.width.div_ceil(rows.step), rows.count(base.height) as u32];
     let mut cell = rows.step as f32;

@@ -467,7 +467,7 @@ mod stages {
             let mut field = fit::field::Field::default();
             let error = field.draw(&c.scene, &target, &projected, rows, Output::Picture);
             let costs = fit::relocate::removal_costs(&c.scene, &target, &field, rows, &projected);
-            let peaks = fit::relocate::peaks(&c.scene, &target, &field, rows, 12, count);
+            let peaks = fit::peaks::peaks(&c.scene, &target, &field, rows, 12, count);
             let source = pack(&c.pixels, 0, c.scene.height);
             let (scene, background) = (c.scene, c.scene.background);
             let found = c
@@ -507,23 +507,28 @@ mod stages {
                         blurred = twin::blur::blur(&Uniforms { mode: 1, ..base }, &blurred);
                     }
                     let mut found: Vec<Found> = Vec::new();
-                    twin::peaks::find_peaks(&Uniforms { variance: 8.0, ..base }, &blurred, &mut found);
-                    let all = p.find(d, &base, rows, fit::relocate::spacing(&scene, 12, count), 0.0).unwrap();
+                    let ridges = fit::ridge::all();
+                    twin::peaks::find_peaks(&Uniforms { variance: 8.0, ..base }, &blurred, &ridges, &mut found);
+                    let all = p.find(d, &base, rows, fit::peaks::spacing(&scene, 12, count), 0.0).unwrap();
                     let mut first: Vec<f32> = all.iter().filter(|(_, l)| *l == 0).map(|(p, _)| p.gain).collect();
-                    let mut twins: Vec<f32> = found.iter().map(|f| f.gain).collect();
+                    let mut twins: Vec<f32> =
+                        found.iter().map(|f| 4.0 * std::f32::consts::PI * 8.0 * f.shape().score).collect();
                     first.sort_by(f32::total_cmp);
                     twins.sort_by(f32::total_cmp);
                     assert_near("peaks", &first, &twins);
                     let halved = twin::halve::halve(&base, &blurred);
                     // Level 1 starts in the second buffer; whatever came later went back and forth.
                     assert_eq!(halved.len() as u32, base.cells_x.div_ceil(2) * base.cells_y.div_ceil(2));
-                    fit::relocate::best(all, 12, &scene)
+                    fit::peaks::best(all, 12, &scene)
                 })
                 .unwrap();
             assert_eq!(found.len(), peaks.len());
             for (a, b) in found.iter().zip(&peaks) {
-                assert_eq!(a.mean, b.mean);
-                assert!((a.gain / b.gain - 1.0).abs() < 1e-3 && (a.scale / b.scale - 1.0).abs() < 1e-6, "{a:?} {b:?}");
+                assert_eq!((a.mean, a.rotation), (b.mean, b.rotation));
+                assert!(
+                    (a.gain / b.gain - 1.0).abs() < 1e-3 && (a.scale[1] / b.scale[1] - 1.0).abs() < 1e-6,
+                    "{a:?} {b:?}"
+                );
                 assert_near("residual of a peak", &a.residual, &b.residual);
             }
         }

@@ -1,20 +1,33 @@
 //! Twin of `peaks.wgsl`.
 
 use super::forward::dot;
+use crate::fit::ridge::{RIDGES, TAPS, Tap};
 use crate::gpu::peaks::Found;
 use crate::gpu::scene::Uniforms;
 
-pub(in crate::gpu) fn find_peaks(scene: &Uniforms, cells: &[[f32; 4]], peaks: &mut Vec<Found>) {
+pub(in crate::gpu) fn find_peaks(
+    scene: &Uniforms,
+    cells: &[[f32; 4]],
+    ridges: &[[Tap; TAPS]; RIDGES],
+    peaks: &mut Vec<Found>,
+) {
     let score = |x: u32, y: u32| {
         let v = cells[(y * scene.cells_x + x) as usize];
         dot(v, v)
+    };
+    let missing = |x: i32, y: i32| {
+        if x < 0 || y < 0 || x as u32 >= scene.cells_x || y as u32 >= scene.cells_y {
+            return [0.0; 4];
+        }
+        cells[(y as u32 * scene.cells_x + x as u32) as usize]
     };
     'cells: for i in 0..scene.cells_x * scene.cells_y {
         let x = i % scene.cells_x;
         let y = i / scene.cells_x;
         let own = score(x, y);
         let gain = 12.566_371 * scene.variance * own;
-        if own <= 0.0 || gain < scene.least_gain {
+        let longest = ridges[RIDGES - 1][0].aspect;
+        if own <= 0.0 || gain * longest < scene.least_gain {
             continue;
         }
         for ny in y.max(1) - 1..=(y + 1).min(scene.cells_y - 1) {
@@ -25,6 +38,21 @@ pub(in crate::gpu) fn find_peaks(scene: &Uniforms, cells: &[[f32; 4]], peaks: &m
                 }
             }
         }
-        peaks.push(Found { residual: cells[i as usize], gain, level: scene.level, x, y });
+        let mut peak = Found { residual: cells[i as usize], level: scene.level, ridge: 0, x, y };
+        let mut best = own;
+        for (ridge, taps) in ridges.iter().enumerate() {
+            let mut mean = [0.0f32; 4];
+            for tap in taps {
+                for v in [missing(x as i32 + tap.x, y as i32 + tap.y), missing(x as i32 - tap.x, y as i32 - tap.y)] {
+                    mean = std::array::from_fn(|k| mean[k] + tap.weight * v[k]);
+                }
+            }
+            let score = taps[0].aspect * dot(mean, mean);
+            if score > best {
+                best = score;
+                (peak.residual, peak.ridge) = (mean, ridge as u32 + 1);
+            }
+        }
+        peaks.push(peak);
     }
 }
