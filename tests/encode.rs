@@ -179,8 +179,9 @@ fn pictures_of_every_kind_come_back_alike() {
                 let psnr = metrics::psnr(&pixels, &back).unwrap();
                 let what = format!("{width}x{height} {channels:?} {:?}: {psnr} dB", pixels.depth());
                 assert!(psnr > 24.0, "{what}");
-                // The report does not round to code values and weighs colours by opacity.
-                if channels.alpha().is_none() && pixels.depth() == Depth::Sixteen && psnr < 70.0 {
+                // The report does not round to code values and weighs colours by opacity; and the fit's drawing and the
+                // decoder's differ by some 10⁻⁵, which is seen above 60 dB.
+                if channels.alpha().is_none() && pixels.depth() == Depth::Sixteen && psnr < 60.0 {
                     assert!((psnr - encoded.report.psnr).abs() < 0.05, "{what} {}", encoded.report.psnr);
                 }
             }

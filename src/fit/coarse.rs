@@ -43,7 +43,10 @@ fn fitted(target: &Target, count: usize, plan: &Plan, share: f32) -> f64 {
 fn a_start_at_half_the_size_ends_at_the_whole_one() {
     // Odd sizes, so that the last column and row of the half are repeated.
     let picture = image::RgbImage::from_fn(95, 63, |x, y| {
-        image::Rgb([x * 2, y * 3, (90.0 + 60.0 * (f64::from(x + 2 * y) / 9.0).sin()) as u32].map(|v| v as u8))
+        image::Rgb(
+            [x * 2, y * 3, (90.0 + 60.0 * (f64::from(x) / 9.0).sin() * (f64::from(y) / 7.0).cos()) as u32]
+                .map(|v| v as u8),
+        )
     });
     let target = Target::new(&pixels(picture));
     let plan = Plan::steps(80, 1);

@@ -42,6 +42,8 @@ const LAST_RATE: f32 = 0.02;
 const SAMPLED: f32 = 0.8;
 /// Share of the iterations after which the most rows are seen.
 const SETTLED: f32 = 0.95;
+/// Iterations between looks at the error over all rows when few are seen in the last steps.
+const REMEMBERED: u32 = 20;
 /// Share of the iterations after which nothing is relocated any more.
 const RELOCATED: f32 = 0.7;
 /// Share of the iterations that see a large picture at half its size: `coarse.rs` measures it.
@@ -88,6 +90,10 @@ pub(crate) trait Engine {
     fn relocate(&mut self, scene: &Scene, target: &Target, rows: RowSet, most: usize) -> Result<usize>;
     /// Brings the number of primitives to `wanted`, taking the cheapest away or adding at peaks.
     fn resize(&mut self, scene: &Scene, target: &Target, rows: RowSet, wanted: usize) -> Result<()>;
+    /// Remembers the present state if its error over all rows is the least so far.
+    fn remember(&mut self, _scene: &Scene, _target: &Target) -> Result<()> {
+        Ok(())
+    }
     /// Goes on with the picture at another size, `by` times the one before.
     fn zoom(&mut self, scene: &Scene, target: &Target, by: f32) -> Result<()>;
 }
@@ -212,6 +218,11 @@ fn run_coarse_to_fine<E: Engine>(
         let rates = RATES
             .scaled(plan.rate)
             .scaled(LAST_RATE + (1.0 - LAST_RATE) * 0.5 * (1.0 + (std::f32::consts::PI * done).cos()));
+        // A step on all rows tells the error by itself.
+        let is_due = iteration % REMEMBERED == 0 || iteration + 1 == plan.iterations;
+        if done >= SAMPLED && sampled.step > 1 && half.is_none() && is_due {
+            engine.remember(scene, target)?;
+        }
         let error = engine.descend(seen, seen_target, sampled, rates)?;
         iteration += 1;
         // A sample of the rows only hints at it, and so does half the size.
@@ -293,6 +304,13 @@ impl State {
         error
     }
 
+    fn keep(&mut self, error: f64, primitives: Vec<Primitive>) {
+        self.latest = error;
+        if self.best.as_ref().is_none_or(|b| error < b.0) {
+            self.best = Some((error, primitives));
+        }
+    }
+
     /// Goes back to the best state where the fit has ended in a clearly worse one. Few primitives can lose decibels
     /// in their first steps on all rows: the optimizer's memory is of the noise of samples, and those steps are long.
     fn keep_best(&mut self) {
@@ -333,12 +351,15 @@ impl Engine for State {
         let before = (rows == RowSet::ALL).then(|| self.primitives.clone());
         let error = State::descend(self, scene, target, rows, rates);
         if let Some(before) = before {
-            self.latest = error;
-            if self.best.as_ref().is_none_or(|b| error < b.0) {
-                self.best = Some((error, before));
-            }
+            self.keep(error, before);
         }
         Ok(Some(error))
+    }
+
+    fn remember(&mut self, scene: &Scene, target: &Target) -> Result<()> {
+        let error = self.error(scene, target)?;
+        self.keep(error, self.primitives.clone());
+        Ok(())
     }
 
     fn relocate(&mut self, scene: &Scene, target: &Target, rows: RowSet, most: usize) -> Result<usize> {
