@@ -23,6 +23,8 @@ struct Scene {
     least_gain: f32,
     // Variance of the blur so far, pixels².
     variance: f32,
+    // Largest aspect of a new primitive.
+    longest: f32,
     primitives: u32,
     // Pairs that the lists can hold.
     capacity: u32,
@@ -62,7 +64,6 @@ struct Scene {
     // To a multiple of 16 bytes.
     spare_0: u32,
     spare_1: u32,
-    spare_2: u32,
 }
 
 // A Gaussian on the drawn grid. With (dx, dy) from the centre, u = rise·dy − shear·dx and v = run·dx, it is

@@ -45,8 +45,7 @@ fn find_peaks(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) grou
     // Four times π times the variance: the squared error that a Gaussian as wide as the blur takes away. One along a
     // ridge takes away at most as many times that as it is longer.
     let gain = 12.566371 * scene.variance * own;
-    let longest = ridges[(RIDGES - 1u) * TAPS].aspect;
-    if (!(own > 0.0) || gain * longest < scene.least_gain) { return; }
+    if (!(own > 0.0) || gain * scene.longest < scene.least_gain) { return; }
     for (var ny = max(y, 1u) - 1u; ny <= min(y + 1u, scene.cells_y - 1u); ny++) {
         for (var nx = max(x, 1u) - 1u; nx <= min(x + 1u, scene.cells_x - 1u); nx++) {
             let other = score(nx, ny);
@@ -62,6 +61,7 @@ fn find_peaks(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) grou
     peak.y = y;
     var best = own;
     for (var ridge = 0u; ridge < RIDGES; ridge++) {
+        if (ridges[ridge * TAPS].aspect > scene.longest) { continue; }
         var mean = vec4f(0.0);
         for (var k = ridge * TAPS; k < (ridge + 1u) * TAPS; k++) {
             let tap = ridges[k];

@@ -2,7 +2,7 @@
 
 use crate::fit::field::{Field, RowSet, Scene};
 use crate::fit::project::Primitive;
-use crate::fit::ridge::{self, MOST_ASPECT, Shape};
+use crate::fit::ridge::{self, Shape};
 use crate::fit::sample::blur;
 use crate::fit::target::Target;
 use crate::gaussian::Blend;
@@ -85,10 +85,12 @@ pub(crate) fn peaks(
         })
         .concat();
         let gain_of = |score: f32| 4.0 * std::f32::consts::PI * variance * score;
-        let least = bar.raised(tops.iter().map(|&(x, y)| gain_of(score[y * w + x]))) / MOST_ASPECT;
+        let longest = ridge::longest(spacing, sigma);
+        let least = bar.raised(tops.iter().map(|&(x, y)| gain_of(score[y * w + x]))) / longest;
         let tops: Vec<_> = tops.into_iter().filter(|&(x, y)| gain_of(score[y * w + x]) >= least).collect();
         let shapes =
-            parallel::map(tops.len(), |i| vec![ridge::shape(&ridges, &planes, [w, h], tops[i].into())]).concat();
+            parallel::map(tops.len(), |i| vec![ridge::shape(&ridges, longest, &planes, [w, h], tops[i].into())])
+                .concat();
         for ((x, y), shape) in tops.into_iter().zip(shapes) {
             let mean = [(x as f32 + 0.5) * size, (y as f32 + 0.5) * size];
             candidates.push((Peak::new(mean, sigma, &shape), level));

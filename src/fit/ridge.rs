@@ -81,14 +81,27 @@ pub(crate) fn all() -> [[Tap; TAPS]; RIDGES] {
     })
 }
 
-/// The best shape at `cell` of `planes`, each of `size` cells; beyond the edges nothing is missing.
-pub(crate) fn shape(ridges: &[[Tap; TAPS]; RIDGES], planes: &[Vec<f32>], size: [usize; 2], cell: [usize; 2]) -> Shape {
+/// The largest aspect of a new primitive `sigma` pixels wide where the largest round one has a scale of `spacing`: no
+/// larger than that in area.
+pub(crate) fn longest(spacing: f32, sigma: f32) -> f32 {
+    (spacing * spacing / (sigma * sigma)).clamp(1.0, MOST_ASPECT)
+}
+
+/// The best shape at `cell` of `planes`, each of `size` cells, up to the aspect `longest`; beyond the edges nothing is
+/// missing.
+pub(crate) fn shape(
+    ridges: &[[Tap; TAPS]; RIDGES],
+    longest: f32,
+    planes: &[Vec<f32>],
+    size: [usize; 2],
+    cell: [usize; 2],
+) -> Shape {
     let mut residual = [0.0; 4];
     for (r, plane) in residual.iter_mut().zip(planes) {
         *r = plane[cell[1] * size[0] + cell[0]];
     }
     let mut best = Shape::new(None, residual);
-    for (i, ridge) in ridges.iter().enumerate() {
+    for (i, ridge) in ridges.iter().enumerate().filter(|(_, r)| r[0].aspect <= longest) {
         let mut mean = [0.0f32; 4];
         for tap in ridge {
             for [dx, dy] in [[tap.x, tap.y], [-tap.x, -tap.y]] {
@@ -121,15 +134,19 @@ mod tests {
         let blurred = |v: f32| (-0.5 * (v / BLUR).powi(2)).exp();
         for k in 0..DIRECTIONS {
             let (sin, cos) = rotation(k).sin_cos();
-            let line = shape(&all(), &plane(&|x, y| blurred(cos * y - sin * x)), [w, h], [20, 20]);
+            let line = shape(&all(), MOST_ASPECT, &plane(&|x, y| blurred(cos * y - sin * x)), [w, h], [20, 20]);
             assert_eq!((line.aspect, line.rotation), (MOST_ASPECT, rotation(k)), "{line:?}");
             // All of the line's height, but for rounding to cells.
             assert!(line.score > 0.9 * MOST_ASPECT, "{line:?}");
         }
-        let dot = shape(&all(), &plane(&|x, y| blurred(x) * blurred(y)), [w, h], [20, 20]);
+        let dot = shape(&all(), MOST_ASPECT, &plane(&|x, y| blurred(x) * blurred(y)), [w, h], [20, 20]);
         assert_eq!((dot.aspect, dot.rotation), (1.0, ANY));
+        let short = shape(&all(), longest(2.0, 1.0), &plane(&|_, y| blurred(y)), [w, h], [20, 20]);
+        assert_eq!((short.aspect, longest(1.0, 2.0)), (MOST_ASPECT, 1.0));
+        let short = shape(&all(), longest(1.5, 1.0), &plane(&|_, y| blurred(y)), [w, h], [20, 20]);
+        assert_eq!((short.aspect, short.rotation), (2.0, 0.0));
         // Half of a line ends at the edge: cells that are not there count as 0.
-        let edge = shape(&all(), &plane(&|x, _| blurred(x + 20.0)), [w, h], [0, 0]);
+        let edge = shape(&all(), MOST_ASPECT, &plane(&|x, _| blurred(x + 20.0)), [w, h], [0, 0]);
         assert!(edge.score < MOST_ASPECT * 0.5, "{edge:?}");
     }
 }

@@ -26,6 +26,7 @@ pub(super) struct Uniforms {
     pub correction_second: f32,
     pub least_gain: f32,
     pub variance: f32,
+    pub longest: f32,
     pub primitives: u32,
     pub capacity: u32,
     pub width: u32,
@@ -53,7 +54,6 @@ pub(super) struct Uniforms {
     /// To a multiple of 16 bytes.
     pub spare_0: u32,
     pub spare_1: u32,
-    pub spare_2: u32,
 }
 
 impl Uniforms {

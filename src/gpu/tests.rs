@@ -60,9 +60,9 @@ fn structs_are_laid_out_alike_on_both_sides() {
     let module = parsed(&Kernels::SPECS[0]);
     let (scene, size) = members(&module, "Scene");
     let rust = offsets!(Uniforms: background, rates, origin_high, origin_low, step, size, widening, min_log_scale,
-        max_log_scale, max_log_aspect, correction_first, correction_second, least_gain, variance, primitives, capacity,
+        max_log_scale, max_log_aspect, correction_first, correction_second, least_gain, variance, longest, primitives, capacity,
         width, height, across, down, row_step, row_phase, band_first, band_rows, tiles_x, tiles_y, tile_base, blend,
-        channels, alpha, source_words, source_first, mode, cells_x, cells_y, cell, stride, level, spare_0, spare_1, spare_2);
+        channels, alpha, source_words, source_first, mode, cells_x, cells_y, cell, stride, level, spare_0, spare_1);
     assert_eq!(scene, rust);
     assert_eq!(size as usize, size_of::<Uniforms>());
     assert!(size <= Uniforms::STRIDE);
@@ -508,7 +508,13 @@ mod stages {
                     }
                     let mut found: Vec<Found> = Vec::new();
                     let ridges = fit::ridge::all();
-                    twin::peaks::find_peaks(&Uniforms { variance: 8.0, ..base }, &blurred, &ridges, &mut found);
+                    let longest = fit::ridge::longest(fit::peaks::spacing(&scene, 12, count), 8.0f32.sqrt());
+                    twin::peaks::find_peaks(
+                        &Uniforms { variance: 8.0, longest, ..base },
+                        &blurred,
+                        &ridges,
+                        &mut found,
+                    );
                     let all = p.find(d, &base, rows, fit::peaks::spacing(&scene, 12, count), 0.0).unwrap();
                     let mut first: Vec<f32> = all.iter().filter(|(_, l)| *l == 0).map(|(p, _)| p.gain).collect();
                     let mut twins: Vec<f32> =

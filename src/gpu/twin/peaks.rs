@@ -26,8 +26,7 @@ pub(in crate::gpu) fn find_peaks(
         let y = i / scene.cells_x;
         let own = score(x, y);
         let gain = 12.566_371 * scene.variance * own;
-        let longest = ridges[RIDGES - 1][0].aspect;
-        if own <= 0.0 || gain * longest < scene.least_gain {
+        if own <= 0.0 || gain * scene.longest < scene.least_gain {
             continue;
         }
         for ny in y.max(1) - 1..=(y + 1).min(scene.cells_y - 1) {
@@ -40,7 +39,7 @@ pub(in crate::gpu) fn find_peaks(
         }
         let mut peak = Found { residual: cells[i as usize], level: scene.level, ridge: 0, x, y };
         let mut best = own;
-        for (ridge, taps) in ridges.iter().enumerate() {
+        for (ridge, taps) in ridges.iter().enumerate().filter(|(_, r)| r[0].aspect <= scene.longest) {
             let mut mean = [0.0f32; 4];
             for tap in taps {
                 for v in [missing(x as i32 + tap.x, y as i32 + tap.y), missing(x as i32 - tap.x, y as i32 - tap.y)] {
