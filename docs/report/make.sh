@@ -1,5 +1,5 @@
 #!/bin/sh
-# Makes the report in this folder: a few minutes on two cores. Started again, it goes on where it stopped;
+# Makes the report in this folder: a quarter of an hour on two cores. Started again, it goes on where it stopped;
 # `rm -r target/report` makes it begin anew. cjpeg, cwebp, avifenc and cjxl are run where they are installed.
 set -e
 cd "$(dirname "$0")/../.."
