@@ -2,7 +2,7 @@
 //! first of their steps gains nothing.
 
 /// Largest aspect that a new primitive gets; the fit stretches it further.
-pub(crate) const MOST_ASPECT: f32 = 4.0;
+const MOST_ASPECT: f32 = 4.0;
 
 /// Aspects of ridges.
 const ASPECTS: [f32; 2] = [2.0, MOST_ASPECT];
