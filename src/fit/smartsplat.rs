@@ -60,7 +60,7 @@ pub(crate) fn fit(
     watch: Watch<'_>,
 ) -> Result<State> {
     let bounds = Bounds::new(target.width, target.height);
-    let loss = Loss::new(target, ABSOLUTE);
+    let mut loss = Loss::new(target, ABSOLUTE);
     let mut run = Run::new(target, count, parts, plan.seed, &bounds);
     let mut probed = false;
     let start = Instant::now();
@@ -78,7 +78,7 @@ pub(crate) fn fit(
                 run = Run::new(target, wanted, parts, plan.seed, &bounds);
             }
         }
-        run.step(scene, target, &loss, &bounds);
+        run.step(scene, target, &mut loss, &bounds);
     }
     run.keep_best(scene, target);
     Ok(State::new(run.best.primitives, bounds))
@@ -127,7 +127,7 @@ impl Run {
         }
     }
 
-    fn step(&mut self, scene: &Scene, target: &Target, loss: &Loss, bounds: &Bounds) {
+    fn step(&mut self, scene: &Scene, target: &Target, loss: &mut Loss, bounds: &Bounds) {
         const CHUNK: usize = 64;
         self.keep_best(scene, target);
         loss.gradient(scene, target, &mut self.field);

@@ -64,8 +64,26 @@ const C2: f32 = 0.0009;
 pub(crate) struct Loss {
     absolute: f32,
     window: [f32; TAPS],
-    /// Windowed means of each channel of the target; they stay the same all along.
+    width: usize,
+    /// Each channel of the target.
+    truths: Vec<Vec<f32>>,
+    /// Their windowed means; they stay the same all along.
     means: Vec<Vec<f32>>,
+    /// The slope of SSIM in each channel.
+    slopes: Vec<Vec<f32>>,
+    planes: Planes,
+}
+
+/// Planes of one channel at a time, kept from step to step: the system would clear fresh ones each time.
+#[derive(Debug)]
+struct Planes {
+    picture: Vec<f32>,
+    /// What has been summed along rows only.
+    across: Vec<f32>,
+    /// Windowed means, mean squares and mean products; then what is windowed of the slopes with respect to them.
+    windowed: [Vec<f32>; 3],
+    /// Those slopes, one after the other in each row.
+    slopes: Vec<f32>,
 }
 
 impl Loss {
@@ -74,9 +92,19 @@ impl Loss {
         let raw: [f32; TAPS] = std::array::from_fn(|i| (-(i as f32 - 5.0).powi(2) / (2.0 * SIGMA * SIGMA)).exp());
         let sum: f32 = raw.iter().sum();
         let window = raw.map(|v| v / sum);
-        let means =
-            (0..target.channels.count()).map(|k| windowed(&window, &target.plane(k), target.width as usize)).collect();
-        Loss { absolute, window, means }
+        let width = target.width as usize;
+        let truths: Vec<Vec<f32>> = (0..target.channels.count()).map(|k| target.plane(k)).collect();
+        let zeros = |times: usize| vec![0.0f32; times * width * target.height as usize];
+        let mut across = zeros(1);
+        let windowed_plane = |truth: &Vec<f32>| {
+            let mut out = zeros(1);
+            windowed(&window, width, |y, row| row.copy_from_slice(&truth[y * width..][..width]), &mut across, &mut out);
+            out
+        };
+        let means = truths.iter().map(windowed_plane).collect();
+        let slopes = truths.iter().map(|_| zeros(1)).collect();
+        let planes = Planes { picture: zeros(1), across, windowed: [(); 3].map(|()| zeros(1)), slopes: zeros(3) };
+        Loss { absolute, window, width, truths, means, slopes, planes }
     }
 
     /// Turns the picture of all rows in `field` ([`Output::Picture`]) into the gradient, as [`Output::Gradient`] leaves
@@ -84,20 +112,18 @@ impl Loss {
     ///
     /// [`Output::Picture`]: crate::fit::field::Output::Picture
     /// [`Output::Gradient`]: crate::fit::field::Output::Gradient
-    pub(crate) fn gradient(&self, scene: &Scene, target: &Target, field: &mut Field) {
-        let (channels, stride, width) = (target.channels.count(), field.stride, scene.width as usize);
+    pub(crate) fn gradient(&mut self, scene: &Scene, target: &Target, field: &mut Field) {
+        let (channels, stride, width) = (target.channels.count(), field.stride, self.width);
         let size = (channels + 1) * stride;
-        let slopes: Vec<Vec<f32>> = (0..channels)
-            .map(|k| {
-                let mut picture = vec![0.0f32; width * scene.height as usize];
-                parallel::map_chunks(&mut picture, width, |y, out| {
-                    for (o, v) in out.iter_mut().zip(&field.planes[y * size + k * stride..]) {
-                        *o = v.clamp(0.0, 1.0);
-                    }
-                });
-                self.similarity_slope(&picture, &target.plane(k), &self.means[k], width)
-            })
-            .collect();
+        for k in 0..channels {
+            parallel::map_chunks(&mut self.planes.picture, width, |y, out| {
+                for (o, v) in out.iter_mut().zip(&field.planes[y * size + k * stride..]) {
+                    *o = v.clamp(0.0, 1.0);
+                }
+            });
+            self.similarity_slope(k);
+        }
+        let (absolute, slopes) = (self.absolute, &self.slopes);
         parallel::map_chunks(&mut field.planes, size, |y, row| {
             let (colors, weights) = row.split_at_mut(channels * stride);
             let truth = target.row(y as u32);
@@ -111,7 +137,7 @@ impl Loss {
                     let (v, t) = (colors[k * stride + x], truth[k * stride + x]);
                     let opacity = target.channels.alpha().filter(|&a| a != k).map_or(1.0, |a| truth[a * stride + x]);
                     let sign = if v == t { 0.0 } else { (v - t).signum() };
-                    let slope = self.absolute * sign - (1.0 - self.absolute) * slopes[k][y * width + x];
+                    let slope = absolute * sign - (1.0 - absolute) * slopes[k][y * width + x];
                     let g = if (0.0..=1.0).contains(&v) { slope * opacity * inverse } else { 0.0 };
                     colors[k * stride + x] = g;
                     h += g * v;
@@ -125,78 +151,113 @@ impl Loss {
         });
     }
 
-    /// The gradient of the sum of SSIM over the pixels of one channel with respect to `picture`. Outside, both pictures
-    /// are 0, so that every pixel has a window.
-    fn similarity_slope(&self, picture: &[f32], truth: &[f32], truth_means: &[f32], width: usize) -> Vec<f32> {
-        let blend = |f: fn(f32, f32) -> f32| {
-            let mut out = vec![0.0; picture.len()];
-            parallel::map_chunks(&mut out, width, |y, out| {
-                let pairs = picture[y * width..].iter().zip(&truth[y * width..]);
-                for (o, (a, b)) in out.iter_mut().zip(pairs) {
-                    *o = f(*a, *b);
-                }
-            });
-            windowed(&self.window, &out, width)
-        };
-        let means = windowed(&self.window, picture, width);
-        let squares = blend(|a, b| a * a + b * b);
-        let products = blend(|a, b| a * b);
-        // Slopes with respect to the windowed mean, mean square and mean product.
-        let [mut by_mean, mut by_square, mut by_product] = [(); 3].map(|()| vec![0.0f32; picture.len()]);
-        let slopes = |y: usize, x: usize| {
-            let i = y * width + x;
-            let (a, b) = (means[i], truth_means[i]);
-            let (l2, s2) = (a * a + b * b + C1, squares[i] - a * a - b * b + C2);
-            let (light, contrast) = ((2.0 * a * b + C1) / l2, (2.0 * (products[i] - a * b) + C2) / s2);
-            let (square, product) = (-light * contrast / s2, 2.0 * light / s2);
-            [2.0 * contrast * (b - light * a) / l2 - product * b - 2.0 * square * a, square, product]
-        };
-        parallel::map_chunk_pairs((&mut by_mean, width), (&mut by_square, width), |y, by_mean, by_square| {
-            for (x, (m, s)) in by_mean.iter_mut().zip(by_square).enumerate() {
-                [*m, *s, _] = slopes(y, x);
+    /// The gradient of the sum of SSIM over the pixels of channel `k` with respect to the picture in `planes`. Outside,
+    /// both pictures are 0, so that every pixel has a window.
+    fn similarity_slope(&mut self, k: usize) {
+        let (window, width, truth, truth_means) = (&self.window, self.width, &self.truths[k], &self.means[k]);
+        let Planes { picture, across, windowed: [means, squares, products], slopes } = &mut self.planes;
+        let pairs = |y: usize| picture[y * width..][..width].iter().zip(&truth[y * width..][..width]);
+        windowed(window, width, |y, row| row.copy_from_slice(&picture[y * width..][..width]), across, means);
+        let square =
+            |y: usize, row: &mut [f32]| row.iter_mut().zip(pairs(y)).for_each(|(o, (a, b))| *o = a * a + b * b);
+        windowed(window, width, square, across, squares);
+        let product = |y: usize, row: &mut [f32]| row.iter_mut().zip(pairs(y)).for_each(|(o, (a, b))| *o = a * b);
+        windowed(window, width, product, across, products);
+        parallel::map_chunks(slopes, 3 * width, |y, out| {
+            let (by_mean, out) = out.split_at_mut(width);
+            let (by_square, by_product) = out.split_at_mut(width);
+            let at = y * width..(y + 1) * width;
+            let (means, truths) = (&means[at.clone()], &truth_means[at.clone()]);
+            let (squares, products) = (&squares[at.clone()], &products[at]);
+            for x in 0..width {
+                let (a, b) = (means[x], truths[x]);
+                let (l2, s2) = (a * a + b * b + C1, squares[x] - a * a - b * b + C2);
+                let (light, contrast) = ((2.0 * a * b + C1) / l2, (2.0 * (products[x] - a * b) + C2) / s2);
+                let (square, product) = (-light * contrast / s2, 2.0 * light / s2);
+                by_mean[x] = 2.0 * contrast * (b - light * a) / l2 - product * b - 2.0 * square * a;
+                by_square[x] = square;
+                by_product[x] = product;
             }
         });
-        parallel::map_chunks(&mut by_product, width, |y, out| {
+        for (i, out) in [&mut *means, &mut *squares, &mut *products].into_iter().enumerate() {
+            let row = |y: usize, row: &mut [f32]| row.copy_from_slice(&slopes[(3 * y + i) * width..][..width]);
+            windowed(window, width, row, across, out);
+        }
+        parallel::map_chunks(&mut self.slopes[k], width, |y, out| {
+            let at = y * width..(y + 1) * width;
+            let (by_mean, by_square, by_product) = (&means[at.clone()], &squares[at.clone()], &products[at.clone()]);
+            let (picture, truth) = (&picture[at.clone()], &truth[at]);
             for (x, o) in out.iter_mut().enumerate() {
-                *o = slopes(y, x)[2];
+                *o = by_mean[x] + (2.0 * picture[x] * by_square[x] + truth[x] * by_product[x]);
             }
         });
-        let [mut out, by_square, by_product] =
-            [by_mean, by_square, by_product].map(|plane| windowed(&self.window, &plane, width));
-        parallel::map_chunks(&mut out, width, |y, out| {
-            for (x, o) in out.iter_mut().enumerate() {
-                let i = y * width + x;
-                *o += 2.0 * picture[i] * by_square[i] + truth[i] * by_product[i];
-            }
-        });
-        out
     }
 }
 
-/// The window over every pixel of a plane; outside, the plane is 0.
-fn windowed(window: &[f32; TAPS], plane: &[f32], width: usize) -> Vec<f32> {
+/// Samples that are summed together: as many as registers hold.
+const LANES: usize = 16;
+
+/// The window over every pixel of a plane, whose rows `row` writes, into `out`; outside, the plane is 0. `across` is
+/// as large and is left with what nobody needs.
+fn windowed(
+    window: &[f32; TAPS],
+    width: usize,
+    row: impl Fn(usize, &mut [f32]) + Sync + Send,
+    across: &mut [f32],
+    out: &mut [f32],
+) {
     const REACH: usize = TAPS / 2;
-    let height = plane.len() / width;
-    let mut across = vec![0.0f32; plane.len()];
-    parallel::map_chunks(&mut across, width, |y, out| {
+    let height = out.len() / width;
+    let arch = pulp::Arch::new();
+    parallel::map_chunks(across, width, |y, out| {
         let mut padded = vec![0.0f32; width + 2 * REACH];
-        padded[REACH..REACH + width].copy_from_slice(&plane[y * width..][..width]);
-        for (k, &w) in window.iter().enumerate() {
-            for (o, v) in out.iter_mut().zip(&padded[k..]) {
+        row(y, &mut padded[REACH..REACH + width]);
+        let taps: [&[f32]; TAPS] = std::array::from_fn(|k| &padded[k..k + width]);
+        arch.dispatch(Taps { window, taps: &taps, out });
+    });
+    let across = &*across;
+    parallel::map_chunks(out, width, |y, out| {
+        let first = REACH.saturating_sub(y);
+        let last = TAPS.min(height + REACH - y);
+        let mut taps: [&[f32]; TAPS] = [&[]; TAPS];
+        for k in first..last {
+            taps[k] = &across[(y + k - REACH) * width..][..width];
+        }
+        arch.dispatch(Taps { window: &window[first..last], taps: &taps[first..last], out });
+    });
+}
+
+/// The weighted sum of slices as long as `out`, in their order: the same bits for any instruction set.
+struct Taps<'a> {
+    window: &'a [f32],
+    taps: &'a [&'a [f32]],
+    out: &'a mut [f32],
+}
+
+impl pulp::WithSimd for Taps<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let (chunks, rest) = self.out.as_chunks_mut::<LANES>();
+        let tail = chunks.len() * LANES;
+        for (i, out) in chunks.iter_mut().enumerate() {
+            let mut sums = [0.0f32; LANES];
+            for (w, tap) in self.window.iter().zip(self.taps) {
+                let tap: &[f32; LANES] = tap[i * LANES..][..LANES].try_into().expect("as long as asked for");
+                for (s, v) in sums.iter_mut().zip(tap) {
+                    *s += w * v;
+                }
+            }
+            *out = sums;
+        }
+        rest.fill(0.0);
+        for (w, tap) in self.window.iter().zip(self.taps) {
+            for (o, v) in rest.iter_mut().zip(&tap[tail..]) {
                 *o += w * v;
             }
         }
-    });
-    let mut out = vec![0.0f32; plane.len()];
-    parallel::map_chunks(&mut out, width, |y, out| {
-        for (k, &w) in window.iter().enumerate() {
-            let Some(source) = (y + k).checked_sub(REACH).filter(|&s| s < height) else { continue };
-            for (o, v) in out.iter_mut().zip(&across[source * width..]) {
-                *o += w * v;
-            }
-        }
-    });
-    out
+    }
 }
 
 #[cfg(test)]
@@ -228,8 +289,10 @@ mod tests {
         let samples = truth.iter().map(|v| (v * 65535.0) as u16).collect();
         let target = Target::new(&Pixels::new(17, 14, Channels::Grey, Samples::U16(samples)).unwrap());
         let truth = target.plane(0);
-        let loss = Loss::new(&target, 0.5);
-        let slope = loss.similarity_slope(&picture, &truth, &loss.means[0], width);
+        let mut loss = Loss::new(&target, 0.5);
+        loss.planes.picture.copy_from_slice(&picture);
+        loss.similarity_slope(0);
+        let slope = loss.slopes[0].clone();
         // SSIM by its definition, one window at a time, in f64.
         let similarity = |picture: &[f32]| -> f64 {
             let mut sum = 0.0;

@@ -253,7 +253,10 @@ pub struct Report {
     /// Recipes to set beside ours
     #[arg(long, value_enum, default_value_t = Recipes::All)]
     pub recipes: Recipes,
-    /// Backends to set beside the default one
+    /// On how many of the pictures, from the first on, to run SmartSplat: its fits take by far the longest [default: all]
+    #[arg(long, value_name = "N")]
+    pub smartsplat_images: Option<usize>,
+    /// Backends to set beside the default one [default: cpu,gpu where there is a GPU, none elsewhere]
     #[arg(long, value_name = "NAME,...", value_delimiter = ',', value_parser = names::backend())]
     pub backends: Vec<Backend>,
     /// Figures of other codecs

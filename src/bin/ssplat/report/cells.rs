@@ -27,6 +27,15 @@ pub struct Subject {
     pub pixels: Pixels,
 }
 
+/// What the command line calls `backend`.
+pub fn backend_name(backend: Backend) -> &'static str {
+    match backend {
+        Backend::Cpu => "cpu",
+        Backend::Gpu => "gpu",
+        _ => "auto",
+    }
+}
+
 /// What a cell varies.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Setup {
@@ -55,11 +64,7 @@ impl Setup {
     }
 
     pub fn backend_name(&self) -> &'static str {
-        match self.backend {
-            Backend::Cpu => "cpu",
-            Backend::Gpu => "gpu",
-            _ => "auto",
-        }
+        backend_name(self.backend)
     }
 
     fn name(&self) -> String {
@@ -214,6 +219,7 @@ fn measure(encoded: &ssplat::Encoded, job: &Job, subject: &Subject) -> Result<Va
         "effort": job.setup.effort,
         "recipe": job.setup.recipe_name(),
         "backend": job.setup.backend_name(),
+        "device": r.chosen.device,
         "bytes": encoded.bytes.len(),
         "primitives": r.primitives,
         "psnr": found.psnr.min(compare::IDENTICAL),

@@ -9,6 +9,9 @@ use super::scenes;
 /// Encodes whose means are shown: with few primitives chance weighs as much as what is left out.
 pub const SEEDS: u64 = 4;
 
+/// How much work each of them is: a small part of that of a report.
+pub const EFFORT: u8 = 1;
+
 /// One scene, encoded both ways: with everything, and with what it needs; means over the seeds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Needless {
@@ -72,7 +75,7 @@ pub fn list(photograph: Option<Pixels>) -> Vec<(String, Pixels)> {
 pub fn measure(name: &str, pixels: &Pixels) -> ssplat::Result<Needless> {
     let mut options = EncodeOptions::default();
     options.target = Target::Primitives(400);
-    options.effort = 3;
+    options.effort = EFFORT;
     let mut out = Needless { scene: name.into(), what: Vec::new(), bytes: [0; 2], seconds: [0.0; 2], psnr: [0.0; 2] };
     let both = [Needs::Everything, Needs::Measured].into_iter().enumerate();
     let all = (0..SEEDS).flat_map(|seed| both.clone().map(move |(i, needs)| (seed, i, needs)));

@@ -37,7 +37,13 @@ pub fn run(args: &args::Report) -> Result<(), Failure> {
         subjects.push(Subject { name, pixels: source::open(path)?.pixels });
     }
     let middle = (middle(&args.ratios), middle(&args.efforts));
-    let jobs = jobs(args, subjects.len(), middle);
+    let gpu = gpu();
+    let backends = match &gpu {
+        _ if !args.backends.is_empty() => &args.backends,
+        Ok(_) => &[Backend::Cpu, Backend::Gpu][..],
+        Err(_) => &[],
+    };
+    let jobs = jobs(args, backends, subjects.len(), middle);
     let bar = Bar::new();
     let steps = jobs.len() as f32 + 2.0;
     let mut cells = Vec::new();
@@ -64,6 +70,7 @@ pub fn run(args: &args::Report) -> Result<(), Failure> {
         stability: &stability,
         left_out: &left_out,
         middle,
+        gpu: &gpu,
         threads: rayon::current_num_threads(),
         command: command(args),
     };
@@ -89,7 +96,7 @@ fn middle<T: Copy>(list: &[T]) -> T {
 }
 
 /// What is measured: ratios at the middle effort, efforts at the middle ratio, then recipes and backends at both.
-fn jobs(args: &args::Report, subjects: usize, (ratio, effort): (f64, u8)) -> Vec<Job> {
+fn jobs(args: &args::Report, backends: &[Backend], subjects: usize, (ratio, effort): (f64, u8)) -> Vec<Job> {
     let own = Setup { ratio, effort, recipe: Recipe::Ssplat, blend: None, backend: Backend::Auto };
     let mut setups = vec![own];
     setups.extend(args.ratios.iter().map(|&ratio| Setup { ratio, ..own }));
@@ -102,14 +109,32 @@ fn jobs(args: &args::Report, subjects: usize, (ratio, effort): (f64, u8)) -> Vec
         let paper = Recipe::SmartSplat(Ablation::Colors);
         setups.push(Setup { recipe: paper, blend: Some(Blend::Normalized), ..own });
     }
-    setups.extend(args.backends.iter().map(|&backend| Setup { backend, ..own }));
+    setups.extend(backends.iter().map(|&backend| Setup { backend, ..own }));
+    let with_smartsplat = args.smartsplat_images.unwrap_or(subjects);
     let mut jobs: Vec<Job> = Vec::new();
     for job in (0..subjects).flat_map(|subject| setups.iter().map(move |&setup| Job { subject, setup })) {
-        if !jobs.contains(&job) {
+        let is_wanted = job.setup.recipe == Recipe::Ssplat || job.subject < with_smartsplat;
+        if is_wanted && !jobs.contains(&job) {
             jobs.push(job);
         }
     }
     jobs
+}
+
+/// The name of the GPU that fits can run on, or why there is none, in words. Software adapters do not count.
+#[cfg(feature = "gpu")]
+fn gpu() -> Result<String, String> {
+    use ssplat::gpu::{Adapters, Device};
+    match Device::open(Adapters::Hardware) {
+        Ok(device) => Ok(device.name().to_owned()),
+        Err(ssplat::Error::Gpu(e)) => Err(e.to_string()),
+        Err(e) => Err(e.to_string()),
+    }
+}
+
+#[cfg(not(feature = "gpu"))]
+fn gpu() -> Result<String, String> {
+    Err(ssplat::GpuError::NotBuilt.to_string())
 }
 
 /// Other codecs' files: those of the CSV, and those of the programs that are installed.
@@ -206,6 +231,13 @@ fn command(args: &args::Report) -> String {
     if args.recipes == Recipes::Own {
         text += " --recipes own";
     }
+    if let Some(count) = args.smartsplat_images {
+        text += &format!(" --smartsplat-images {count}");
+    }
+    if !args.backends.is_empty() {
+        text +=
+            &format!(" --backends {}", list(args.backends.iter().map(|&b| cells::backend_name(b).into()).collect()));
+    }
     if let Some(path) = &args.anchors {
         text += &format!(" --anchors {}", path.display());
     }
@@ -219,7 +251,7 @@ fn command(args: &args::Report) -> String {
 }
 
 /// Columns of the CSV, keys of a cell's values.
-const COLUMNS: [&str; 16] = [
+const COLUMNS: [&str; 17] = [
     "image",
     "width",
     "height",
@@ -227,6 +259,7 @@ const COLUMNS: [&str; 16] = [
     "effort",
     "recipe",
     "backend",
+    "device",
     "bytes",
     "primitives",
     "psnr",

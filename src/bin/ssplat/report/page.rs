@@ -21,6 +21,8 @@ pub struct Contents<'a> {
     pub left_out: &'a [Needless],
     /// The ratio and the effort at which the other is varied.
     pub middle: (f64, u8),
+    /// The GPU's name, or why none was found.
+    pub gpu: &'a Result<String, String>,
     pub threads: usize,
     /// The command line that makes the page.
     pub command: String,
@@ -223,6 +225,8 @@ impl Contents<'_> {
         if cells.len() < 2 {
             return String::new();
         }
+        let is_compared = cells.iter().any(|c| c.job.setup.backend != Backend::Auto);
+        let what = if is_compared { "Recipes and backends" } else { "Recipes" };
         let name = |c: &Cell| match c.job.setup.backend {
             Backend::Auto => c.job.setup.recipe_name(),
             _ => format!("{} ({})", c.job.setup.recipe_name(), c.job.setup.backend_name()),
@@ -236,7 +240,7 @@ impl Contents<'_> {
         let series = series.map(|s| Series { stroke: Stroke::Bare, ..s }).collect();
         let x = Axis { label: "seconds", scale: Scale::Log };
         let y = Axis { label: "dB", scale: Scale::Linear };
-        Chart { title: format!("Recipes, ratio {}, PSNR", self.middle.0), x, y, series }.html()
+        Chart { title: format!("{what}, ratio {}, PSNR", self.middle.0), x, y, series }.html()
     }
 
     /// Decode time against quality.
@@ -379,7 +383,7 @@ impl Contents<'_> {
         }
         let mut html = String::from(
             "<h2>What a scene leaves out</h2>\n<p>The same picture, encoded with 400 primitives or fewer: once with everything, once without what the encoder \
-             measured to be needless; means over four seeds; in brackets, bytes of the file written both ways. The photograph is a part of the first picture.</p>\n\
+             measured to be needless; effort 1, means over four seeds; in brackets, bytes of the file written both ways. The photograph is a part of the first picture.</p>\n\
              <div class=\"scroll\"><table><thead><tr><th>Scene</th><th class=\"text\">Left out</th><th>Bytes</th><th>Saved</th>\
              <th>Seconds</th><th>Saved</th><th>PSNR dB</th><th>Change</th></tr></thead><tbody>\n",
         );
@@ -405,6 +409,18 @@ impl Contents<'_> {
         html
     }
 
+    /// Which devices fitted, and whether a GPU is among them, in words.
+    pub fn backends(&self) -> String {
+        let mut devices: Vec<&str> = self.cells.iter().filter_map(|c| c.values["device"].as_str()).collect();
+        devices.sort_unstable();
+        devices.dedup();
+        let gpu = match self.gpu {
+            Ok(name) => format!("The GPU of this machine is {name}."),
+            Err(why) => format!("No row is from a hardware GPU: {why}."),
+        };
+        format!("Fitted on: {}. {gpu}", devices.join("; "))
+    }
+
     fn method(&self) -> String {
         let seconds: f64 = self.cells.iter().map(|c| c.number("seconds")).filter(|s| s.is_finite()).sum();
         let mut html = format!(
@@ -415,6 +431,7 @@ impl Contents<'_> {
             self.threads,
             number(seconds)
         );
+        let _ = writeln!(html, "<p>{}</p>", escape(&self.backends()));
         for c in self.cells.iter().filter(|c| c.failed().is_some()) {
             let s = c.job.setup;
             let _ = writeln!(

@@ -8,7 +8,7 @@ use super::page::{Contents, figures};
 
 /// Headline, stiff cases and what scenes leave out.
 pub fn markdown(contents: &Contents) -> String {
-    let mut text = format!("# ssplat report\n\nMade by `{}`.\n", contents.command);
+    let mut text = format!("# ssplat report\n\nMade by `{}`. {}\n", contents.command, contents.backends());
     headline(contents, &mut text);
     needless(contents, &mut text);
     stability(contents, &mut text);
@@ -48,7 +48,7 @@ fn headline(contents: &Contents, text: &mut String) {
 }
 
 fn needless(contents: &Contents, text: &mut String) {
-    *text += "\n## What a scene leaves out\n\nWith everything → with what the scene needs; means over four seeds.\n\n\
+    *text += "\n## What a scene leaves out\n\nWith everything → with what the scene needs; effort 1, means over four seeds.\n\n\
               | scene | left out | bytes | seconds | PSNR dB |\n|---|---|--:|--:|--:|\n";
     let common = left_out::common(contents.left_out);
     for n in contents.left_out {
