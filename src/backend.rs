@@ -149,6 +149,7 @@ fn fit_on(device: &Device, job: &Job<'_>, recount: Recount<'_>, watch: Watch<'_>
     let (state, rng) = fit::start(target, count, plan);
     let fitter = Fitter::new(device, scene, pixels, &state.primitives, &state.bounds)?;
     let ending = fit::run(scene, target, &mut &fitter, rng, plan, recount, watch)?;
+    fitter.keep_best()?;
     let mut state = State::new(fitter.finish()?, state.bounds);
     state.is_enough = ending == fit::Ending::Enough;
     Ok(state)
@@ -157,4 +158,36 @@ fn fit_on(device: &Device, job: &Job<'_>, recount: Recount<'_>, watch: Watch<'_>
 #[cfg(not(feature = "gpu"))]
 fn fit_on(device: &Device, _: &Job<'_>, _: Recount<'_>, _: Watch<'_>) -> Result<State> {
     match *device {}
+}
+
+#[cfg(all(test, feature = "gpu"))]
+mod gpu_tests {
+    use super::*;
+    use crate::gaussian::{Blend, Channels};
+    use crate::pixels::Samples;
+
+    #[test]
+    fn a_gpu_that_is_lost_is_left_for_the_cpu_and_auto_says_so() {
+        let Some(device) = crate::gpu::tests::own_device() else { return };
+        let samples = (0..40 * 30 * 3).map(|i| (i * 7 % 251) as u8).collect();
+        let pixels = Pixels::new(40, 30, Channels::Rgb, Samples::U8(samples)).unwrap();
+        let target = Target::new(&pixels);
+        let scene = Scene { width: 40, height: 30, blend: Blend::Normalized, background: target.mean };
+        let plan = Plan::steps(20, 0);
+        let job = Job { scene: &scene, pixels: &pixels, target: &target, count: 30, plan: &plan };
+        let on_cpu = fit::fit(&scene, &target, 30, &plan, &mut |_| Ok(30), &mut |_, _| Ok(())).unwrap();
+        device.wgpu().0.destroy();
+        for asked in [Backend::Auto, Backend::Gpu] {
+            let chosen = Chosen { backend: Backend::Gpu, device: "the GPU".to_owned(), reason: String::new() };
+            let mut choice = Choice { chosen, asked, gpu: Some(device.clone()) };
+            let fitted = choice.fit(&job, &mut |_| Ok(30), &mut |_, _| Ok(()));
+            if asked == Backend::Auto {
+                assert_eq!(fitted.unwrap().primitives, on_cpu.primitives);
+                assert!(choice.chosen.to_string().starts_with("CPU: the GPU failed: device lost"), "{}", choice.chosen);
+                assert!(choice.left_out().is_some());
+            } else {
+                assert!(matches!(fitted, Err(Error::Gpu(GpuError::Lost { .. }))), "{fitted:?}");
+            }
+        }
+    }
 }

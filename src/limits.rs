@@ -14,8 +14,8 @@ pub struct Limits {
     pub primitives: u64,
     /// Most (Gaussian, tile) pairs that rasterizing one view may visit.
     pub tile_pairs: u64,
-    /// Most work of rasterizing one view on the CPU: the pixels that its Gaussians cover, and 1024 for each (Gaussian, tile)
-    /// pair.
+    /// Most work of rasterizing one view. On the CPU: the pixels that its Gaussians cover, and 1024 for each (Gaussian, tile)
+    /// pair; on a GPU the 256 pixels of each of its smaller tiles.
     pub work: u64,
     /// Most Gaussians over a pixel of a view on average: keeps the work in proportion to output pixels and primitives.
     /// Work of 2³² in all and of 4096 for each primitive is free of it, so that small pictures may be dense.
@@ -25,6 +25,10 @@ pub struct Limits {
     /// Most bytes of metadata (ICC profile, EXIF) kept.
     pub metadata: u64,
 }
+
+/// Work that [`Limits::overlap`] leaves free: in all, and for each primitive.
+const FREE_WORK: u64 = 1 << 32;
+const FREE_WORK_EACH: u64 = 4096;
 
 impl Default for Limits {
     fn default() -> Self {
@@ -52,6 +56,12 @@ impl Limits {
             return Err(Error::LimitExceeded { what, requested, allowed });
         }
         Ok(())
+    }
+
+    /// Most work that a view of so many pixels of a picture of so many primitives may be.
+    pub(crate) fn most_work(&self, pixels: u64, primitives: u64) -> u64 {
+        let free = FREE_WORK + FREE_WORK_EACH * primitives;
+        self.work.min(self.overlap.saturating_mul(pixels).saturating_add(free))
     }
 
     /// Checks `bytes` against what may be allocated, and returns what is left beside them.

@@ -9,9 +9,10 @@ use scenes::{codes, scene};
 use ssplat::gpu::{Adapters, Device, Renderer};
 use ssplat::raster::{View, reference};
 use ssplat::{
-    Backend, Blend, Channels, Depth, EncodeOptions, Error, Gaussian, GpuError, Limits, Picture, Recipe, Samples,
-    Target, Tune,
+    Backend, Blend, Channels, Depth, EncodeOptions, Error, Gaussian, GpuError, Limits, Picture, Pixels, Recipe,
+    Samples, Target, Tune,
 };
+use std::ops::ControlFlow;
 
 /// A test of a device.
 type Test = fn(&Device);
@@ -63,7 +64,7 @@ fn main() {
 
 fn encoder(device: &Device) {
     let pixels: Vec<u8> = (0..48 * 40 * 3).map(|i| (i * 7 % 251) as u8).collect();
-    let pixels = ssplat::Pixels::new(48, 40, Channels::Rgb, Samples::U8(pixels)).unwrap();
+    let pixels = Pixels::new(48, 40, Channels::Rgb, Samples::U8(pixels)).unwrap();
     let mut options = EncodeOptions::default();
     (options.target, options.effort, options.backend) = (Target::Primitives(40), 1, Backend::Gpu);
     let encoded = ssplat::encode(&pixels, &options).unwrap();
@@ -379,6 +380,28 @@ fn limits(device: &Device) {
     limits.tile_pairs = 300;
     let drawn = Renderer::new(device, &picture, &limits).unwrap().render(&View::full(&picture), Depth::Eight);
     assert!(matches!(drawn, Err(Error::LimitExceeded { what: "tile_pairs", .. })), "{drawn:?}");
+    // The 256 pixels of each pair count, in all bands together: with one fewer than needed the last is not drawn.
+    let view = View::full(&picture);
+    let within = |work: u64| {
+        let mut limits = Limits::default();
+        limits.work = work;
+        Renderer::new(device, &picture, &limits).unwrap().render(&view, Depth::Eight)
+    };
+    let (mut refused, mut enough) = (0, 1 << 37);
+    while enough - refused > 1 {
+        let work = (refused + enough) / 2;
+        match within(work) {
+            Ok(_) => enough = work,
+            Err(Error::LimitExceeded { what: "work", requested, allowed }) => {
+                assert!(requested > allowed && allowed == work, "{requested} of {allowed}");
+                refused = work;
+            }
+            Err(e) => panic!("{e}"),
+        }
+    }
+    assert_eq!(enough % 256, 0);
+    let unlimited = Renderer::new(device, &picture, &Limits::default()).unwrap().render(&view, Depth::Eight);
+    assert_eq!(within(enough).unwrap(), unlimited.unwrap());
     let mut limits = Limits::default();
     limits.alloc = 128 * 128 * 3 - 1;
     let drawn = Renderer::new(device, &picture, &limits).unwrap().render(&View::full(&picture), Depth::Eight);
@@ -403,4 +426,14 @@ fn lost(_: &Device) {
     device.wgpu().0.destroy();
     let drawn = renderer.render(&View::full(&picture), Depth::Eight);
     assert!(matches!(drawn, Err(Error::Gpu(GpuError::Lost { .. }))), "{drawn:?}");
+    // In the middle of a fit.
+    let device = Device::open(Adapters::Any).unwrap();
+    let pixels = Pixels::new(48, 40, Channels::Grey, Samples::U8((0..48 * 40).map(|i| (i % 251) as u8).collect()));
+    let fitted = ssplat::gpu::fit(&device, &pixels.unwrap(), Blend::Normalized, 40, 60, 0, &mut |look| {
+        if look.step() == 30 {
+            device.wgpu().0.destroy();
+        }
+        Ok(ControlFlow::Continue(()))
+    });
+    assert!(matches!(fitted, Err(Error::Gpu(GpuError::Lost { .. }))), "{fitted:?}");
 }

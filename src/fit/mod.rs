@@ -43,7 +43,7 @@ const SAMPLED: f32 = 0.8;
 /// Share of the iterations after which the most rows are seen.
 const SETTLED: f32 = 0.95;
 /// Iterations between looks at the error over all rows when few are seen in the last steps.
-const REMEMBERED: u32 = 20;
+pub(crate) const REMEMBERED: u32 = 20;
 /// Share of the iterations after which nothing is relocated any more.
 const RELOCATED: f32 = 0.7;
 /// Share of the iterations that see a large picture at half its size: `coarse.rs` measures it.

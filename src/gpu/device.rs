@@ -126,8 +126,8 @@ impl Device {
     pub(super) fn scoped<T>(&self, work: impl FnOnce() -> T) -> Result<T> {
         let result = scoped(&self.inner.device, work);
         if result.is_err() {
-            // The loss is told at the next poll. Whatever else failed, failed because of that.
-            let _ = self.inner.device.poll(wgpu::PollType::Poll);
+            // The loss is told when what was submitted before is done. Whatever else failed, failed because of that.
+            let _ = self.inner.device.poll(wgpu::PollType::wait_indefinitely());
         }
         self.check_lost()?;
         result

@@ -63,6 +63,10 @@ struct State {
     pending: Vec<(RowSet, Rates)>,
     /// Steps taken.
     iteration: u32,
+    /// The least error over all rows that was seen with this many primitives at this size, and the primitives that had it.
+    best: Option<(f64, wgpu::Buffer)>,
+    /// Steps asked for since all rows were looked at.
+    unseen: u32,
     /// An error met where none could be returned.
     failed: Option<Error>,
 }
@@ -172,6 +176,8 @@ impl Fitter {
             peaks: None,
             pending: Vec::new(),
             iteration: 0,
+            best: None,
+            unseen: 0,
             failed: None,
         };
         Ok(Fitter { state: RefCell::new(state) })
@@ -195,6 +201,11 @@ impl Fitter {
         let mut state = self.state.borrow_mut();
         state.flush()?;
         state.device.wait()
+    }
+
+    /// Goes back to the best state where the fit has ended in a clearly worse one, as it does on the CPU.
+    pub(crate) fn keep_best(&self) -> Result<()> {
+        self.state.borrow_mut().keep_best()
     }
 
     /// Squared error of the clamped picture over all rows, at the picture's own size.
@@ -284,6 +295,11 @@ impl Engine for &Fitter {
         if let Some(e) = state.failed.take() {
             return Err(e);
         }
+        state.unseen += 1;
+        // Steps on all rows are not followed by a look, and their own errors come too late to keep what had them.
+        if rows == RowSet::ALL && state.unseen > fit::REMEMBERED {
+            state.remember()?;
+        }
         state.pending.push((rows, rates));
         if state.pending.len() < BATCH {
             return Ok(None);
@@ -300,6 +316,10 @@ impl Engine for &Fitter {
 
     fn resize(&mut self, scene: &Scene, target: &Target, rows: RowSet, wanted: usize) -> Result<()> {
         self.state.borrow_mut().resize(scene, target, rows, wanted)
+    }
+
+    fn remember(&mut self, _: &Scene, _: &Target) -> Result<()> {
+        self.state.borrow_mut().remember()
     }
 
     fn zoom(&mut self, scene: &Scene, target: &Target, by: f32) -> Result<()> {
@@ -319,8 +339,44 @@ impl State {
         Ok(())
     }
 
+    /// Remembers the present state if its error over all rows is the least so far.
+    fn remember(&mut self) -> Result<()> {
+        self.flush()?;
+        self.unseen = 0;
+        if self.count == 0 {
+            return Ok(());
+        }
+        let error = self.survey(RowSet::ALL, Wanted::Error)?.error;
+        if self.best.as_ref().is_none_or(|b| error < b.0) {
+            let (device, from) = (&self.device, &self.primitives);
+            let size = u64::from(self.count) * size_of::<Primitive>() as u64;
+            let copy = device.scoped(|| {
+                let (d, queue) = device.wgpu();
+                let copy = device.storage("best primitives", size);
+                let mut encoder = d.create_command_encoder(&Default::default());
+                encoder.copy_buffer_to_buffer(from, 0, &copy, 0, size);
+                queue.submit([encoder.finish()]);
+                copy
+            })?;
+            self.best = Some((error, copy));
+        }
+        Ok(())
+    }
+
+    fn keep_best(&mut self) -> Result<()> {
+        self.flush()?;
+        let Some((least, best)) = self.best.take() else { return Ok(()) };
+        if self.survey(RowSet::ALL, Wanted::Error)?.error > 1.01 * least {
+            self.primitives = best;
+            self.stage = None;
+            self.peaks = None;
+        }
+        Ok(())
+    }
+
     fn zoom(&mut self, scene: &Scene, target: &Target, by: f32) -> Result<()> {
         self.flush()?;
+        self.best = None;
         let size = [scene.width, scene.height];
         let source = match self.whole.take().filter(|s| s.size == size) {
             Some(whole) => whole,
@@ -622,6 +678,9 @@ impl State {
         self.flush()?;
         check_primitives(wanted as u64)?;
         let have = self.count as usize;
+        if wanted != have {
+            self.best = None;
+        }
         let mut primitives = self.download()?;
         let read = |buffer| self.device.read_as::<[f32; 9]>(buffer, have);
         let (mut first, mut second) = (read(&self.first)?, read(&self.second)?);

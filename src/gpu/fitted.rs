@@ -94,6 +94,7 @@ pub fn fit(
         at.step += 1;
         if goes_on.is_break() { Err(Error::Cancelled) } else { Ok(()) }
     })?;
+    fitter.keep_best()?;
     let (psnr, seconds) = at.psnr()?;
     let bands = fitter.bands();
     let gaussians = fitter.finish()?.into_iter().map(Primitive::to_gaussian).collect();

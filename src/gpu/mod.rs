@@ -2,8 +2,8 @@
 //!
 //! Results are bit-identical from run to run on one device, and within one code value of
 //! [`raster::reference`](crate::raster::reference). Nothing here needs more than `wgpu::Limits::default()`; large
-//! pictures are worked on in bands of rows. Files from strangers are best decoded on the CPU: a driver is a large
-//! thing to expose to them, and a GPU can be kept busy for longer.
+//! pictures are worked on in bands of rows. [`Limits`](crate::Limits) hold as on the CPU; files from strangers are
+//! best decoded there all the same: a driver is a large thing to expose to them.
 //!
 //! ```no_run
 //! use ssplat::gpu::{Adapters, Device, Renderer};
@@ -30,7 +30,7 @@ mod renderer;
 mod scene;
 mod source;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 #[cfg(test)]
 mod twin;
 

@@ -14,6 +14,9 @@ use crate::raster::View;
 /// Bytes that a row of a texture copy is aligned to.
 const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 
+/// Work of a (Gaussian, tile) pair, pixels: a tile is drawn as a whole.
+const PAIR_WORK: u64 = (TILE * TILE) as u64;
+
 /// A picture on a device, ready to be drawn in any view.
 #[derive(Debug)]
 pub struct Renderer {
@@ -122,8 +125,9 @@ impl Renderer {
     /// Draws `view` and brings the pixels back.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] when the pixels or the (Gaussian, tile) pairs go beyond the limits; [`Error::Gpu`] when
-    /// the device fails, or the Gaussians of a single row of tiles do not fit into a list.
+    /// [`Error::LimitExceeded`] when the pixels, the (Gaussian, tile) pairs or their work go beyond the limits, before
+    /// the band in which they do is drawn; [`Error::Gpu`] when the device fails, or the Gaussians of a single row of
+    /// tiles do not fit into a list.
     pub fn render(&mut self, view: &View, depth: Depth) -> Result<Pixels> {
         let count = self.channels.count();
         let samples = u64::from(view.width()) * u64::from(view.height()) * count as u64;
@@ -265,13 +269,22 @@ impl Renderer {
         if self.stage.as_ref().is_none_or(|s| s.shape.grid != grid) {
             self.band_rows = most.min(view.height().next_multiple_of(tall));
         }
+        let most_work = self.limits.most_work(u64::from(base.width) * u64::from(base.height), self.count.into());
+        let tile_pairs = self.limits.tile_pairs;
+        let most_pairs = tile_pairs.min(most_work / PAIR_WORK);
+        let check = |pairs: u64| {
+            Limits::check("tile_pairs", pairs, tile_pairs)?;
+            Limits::check("work", pairs.saturating_mul(PAIR_WORK), most_work)
+        };
         let mut first = 0;
         let mut pairs = 0u64;
         while first < view.height() {
             let rows = self.band_rows.min(view.height() - first);
             self.prepare(grid)?;
             let stage = self.stage.as_ref().expect("just prepared");
-            let band = Uniforms { capacity: self.capacity, ..base }.band(first * base.down, rows * base.down);
+            // A band with more pairs than are left is not drawn.
+            let left = u32::try_from(most_pairs - pairs).unwrap_or(u32::MAX);
+            let band = Uniforms { capacity: self.capacity.min(left), ..base }.band(first * base.down, rows * base.down);
             let modes = [0, 1, format as u32].map(|mode| Uniforms { mode, ..band });
             self.device.scoped(|| {
                 let (d, queue) = self.device.wgpu();
@@ -288,11 +301,11 @@ impl Renderer {
             })?;
             let [found, missing, ..] = stage.lists.status(&self.device)?;
             if missing > 0 {
+                check(pairs + u64::from(missing))?;
                 self.make_room(missing, tall)?;
                 continue;
             }
             pairs += u64::from(found);
-            Limits::check("tile_pairs", pairs, self.limits.tile_pairs)?;
             take(&self.device, &stage.codes, u64::from(rows) * u64::from(stride), first)?;
             first += rows;
         }

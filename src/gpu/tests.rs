@@ -3,6 +3,7 @@
 use super::kernels::{Kernels, fold};
 use super::scene::{Primitive, Splat, Uniforms};
 use crate::gpu::kernels::Access;
+pub(crate) use stages::own_device;
 use wgpu::naga;
 
 fn parsed(spec: &super::kernels::Spec) -> naga::Module {
@@ -180,6 +181,12 @@ mod stages {
                 None
             }
         }
+    }
+
+    /// A device that a test may lose.
+    pub(crate) fn own_device() -> Option<Device> {
+        device()?;
+        Some(Device::open(Adapters::Any).unwrap())
     }
 
     const RATES: Rates = Rates { mean: 0.1, log_scale: 0.1, rotation: 0.1, color: 0.01 };
@@ -810,6 +817,32 @@ mod stages {
                  {by_nudge:+.3} ± {b:.3} dB"
             );
             assert!(by_device.abs() < 0.1, "{blend:?}, {steps} steps: {devices:?}");
+        }
+    }
+
+    #[test]
+    fn the_best_state_is_kept_where_the_end_is_clearly_worse() {
+        let Some(device) = device() else { return };
+        let c = case(&device, Channels::Rgb, Blend::Normalized, false);
+        let target = Target::new(&c.pixels);
+        let mut fitter = &c.fitter;
+        fitter.descend(&c.scene, &target, RowSet::ALL, RATES).unwrap();
+        fitter.remember(&c.scene, &target).unwrap();
+        let best = fitter.primitives();
+        let wild = Rates { mean: 8.0, color: 1.0, ..RATES };
+        (0..3).for_each(|_| _ = fitter.descend(&c.scene, &target, RowSet::ALL, wild).unwrap());
+        assert_ne!(fitter.primitives(), best);
+        fitter.keep_best().unwrap();
+        assert_eq!(fitter.primitives(), best);
+        // What is not clearly worse stays, and so does what nothing is known of.
+        for remembers in [true, false] {
+            if remembers {
+                fitter.remember(&c.scene, &target).unwrap();
+            }
+            fitter.descend(&c.scene, &target, RowSet::ALL, RATES.scaled(1e-3)).unwrap();
+            let last = fitter.primitives();
+            fitter.keep_best().unwrap();
+            assert_eq!(fitter.primitives(), last);
         }
     }
 

@@ -12,10 +12,6 @@ const TILE: u64 = (TILE_WIDTH * TILE_HEIGHT) as u64;
 /// Pixels that take as long as cutting a Gaussian into the strips of a tile.
 const PAIR_WORK: u64 = 1024;
 
-/// Work that [`Limits::overlap`] leaves free: in all, and for each primitive.
-const FREE_WORK: u64 = 1 << 32;
-const FREE_WORK_EACH: u64 = 4096;
-
 /// For each tile of a view, in rows from its top left, the Gaussians that touch it, in the picture's order.
 #[derive(Debug)]
 pub(super) struct Bins {
@@ -39,9 +35,7 @@ impl Bins {
         let fixed = 2 * (tiles + 1) * 4;
         limits.check_alloc(fixed)?;
         let allowed = limits.tile_pairs.min(u64::from(u32::MAX));
-        let fair = limits.overlap.saturating_mul(u64::from(view.width) * u64::from(view.height));
-        let free = FREE_WORK + FREE_WORK_EACH * splats.len() as u64;
-        let most_work = limits.work.min(fair.saturating_add(free));
+        let most_work = limits.most_work(u64::from(view.width) * u64::from(view.height), splats.len() as u64);
         let mut bins = Bins { first, count, starts: vec![0; tiles as usize + 1], members: Vec::new() };
         let (mut pairs, mut work) = (0u64, 0u64);
         for splat in splats {
