@@ -21,7 +21,7 @@
 //! brought to the device once. A frame is the whole picture in 8-bit RGBA in a buffer on the device.
 //!
 //! Memory is what the driver holds for the device, in blocks of 64 MB and more, and the most that the program held on
-//! the host, all cases so far (`–`: not told). The host needs about 4 GB for `paper`.
+//! the host, all cases so far (`–`: not told). The host needs about 4.6 GB for `paper`.
 
 use std::io::Write;
 use std::num::NonZero;
