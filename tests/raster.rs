@@ -100,6 +100,25 @@ fn single_gaussians_of_every_shape_are_within_one_code_value() {
 }
 
 #[test]
+fn narrow_gaussians_are_exact_wherever_they_lie_in_a_strip() {
+    // Strips have eight columns; how far the narrow ones' exponents reach in one depends on the place.
+    for scale in
+        [[0.25f32, 0.25], [0.4, 0.3], [0.6, 0.5], [0.85, 0.85], [1.3, 0.25], [2.5, 0.5], [9.0, 0.3], [60.0, 0.7]]
+    {
+        for angle in [0.0f32, 0.4, 0.8, 1.2, 1.5, 2.0, 2.7] {
+            for place in 0..32 {
+                let mean = [12.0 + 0.27 * place as f32, 9.0 + 0.31 * (place % 5) as f32];
+                for blend in [Blend::Normalized, Blend::Sum] {
+                    let p = picture(32, 22, Channels::Grey, blend, vec![one(mean, scale, angle)]);
+                    let found = worst(&p, &View::full(&p), Depth::Sixteen);
+                    assert!(found <= 8, "{found} for {blend:?} {scale:?} {angle} at {mean:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn shapes_that_end_far_from_their_mean_are_within_one_code_value() {
     // The mean of a needle lies up to 2²⁰ pixels from the pixels that are drawn.
     let side = 1 << 20;

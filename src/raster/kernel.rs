@@ -3,7 +3,7 @@
 //! A strip is as wide as one AVX register and, with its planes side by side, small enough for the first-level cache.
 
 use super::lanes::{LANES, Lanes, Plain, Simd};
-use super::project::{SUPPORT, Splat, Walk};
+use super::project::{SUPPORT, Splat};
 use super::samples::{Codes, Sample};
 use crate::gaussian::{Blend, EPSILON};
 
@@ -307,6 +307,14 @@ fn cut<S: Simd>(
         simd.store(&mut ratios, simd.exp2(simd.sub(drift, simd.mul(rise, slope))));
         let mut v_first = Lanes([0.0; LANES]);
         simd.store(&mut v_first, v0);
+        // Along a row `u² + v²` is largest at an end of the strip.
+        let last = simd.splat((LANES - 1) as f32);
+        let (u_last, v_last) =
+            (simd.sub(simd.load(&u_first), simd.mul(shear, last)), simd.add(v0, simd.mul(run, last)));
+        let left = simd.add(simd.mul(simd.load(&u_first), simd.load(&u_first)), simd.mul(v0, v0));
+        let right = simd.add(simd.mul(u_last, u_last), simd.mul(v_last, v_last));
+        let mut reach = Lanes([0.0; LANES]);
+        simd.store(&mut reach, simd.max(left, right));
         for k in 0..LANES.min(strips.end - at) {
             let (first, end) = ((TILE_HEIGHT as u32 - above[k]) as u8, end[k].min(rows as u32) as u8);
             if first >= end {
@@ -315,9 +323,10 @@ fn cut<S: Simd>(
             let v = simd.add(simd.splat(v_first.0[k]), simd.mul(run, simd.index()));
             let rest = simd.sub(simd.splat(splat.level), simd.mul(v, v));
             let u = simd.sub(simd.splat(u_first.0[k]), simd.mul(shear, simd.index()));
-            let Splat { walk, color, edge, .. } = *splat;
+            let walk = if reach.0[k] <= splat.reach { Walk::Recurrence } else { Walk::Direct };
+            let Splat { color, edge, .. } = *splat;
             let mut segment = Segment { first, end, walk, color, edge, ..Segment::NONE };
-            match splat.walk {
+            match walk {
                 Walk::Recurrence => {
                     simd.store(&mut segment.value, simd.exp2(simd.sub(rest, simd.mul(u, u))));
                     simd.store(&mut segment.ratio, simd.mul(tilt, simd.splat(ratios.0[k])));
@@ -337,6 +346,15 @@ fn cut<S: Simd>(
 
 /// Most Gaussians of a tile that are prepared before they are drawn.
 const BATCH: usize = 256;
+
+/// How the kernel walks down a strip.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Walk {
+    /// Two multiplications a row.
+    Recurrence,
+    /// An exponential a row: where the recurrence would leave f32's range.
+    Direct,
+}
 
 /// One Gaussian on the rows of a strip where its support lies.
 #[derive(Debug, Clone, Copy)]

@@ -13,17 +13,11 @@ use crate::limits::Limits;
 /// `u² + v²` at the edge of the support: `K²/2 · log₂ e`.
 pub(super) const SUPPORT: f64 = 0.5 * (CUTOFF as f64) * (CUTOFF as f64) * std::f64::consts::LOG2_E;
 
-/// Largest `u² + v² − level` that the recurrence may meet: beyond it f32 would underflow.
+/// Largest `u² + v² − level` that the recurrence may start from: beyond it f32 would underflow.
 const RECURRENCE_REACH: f64 = 120.0;
 
-/// How the kernel walks down a strip.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Walk {
-    /// Two multiplications a row.
-    Recurrence,
-    /// An exponential a row: for Gaussians so narrow that the recurrence would leave f32's range.
-    Direct,
-}
+/// Largest rise of the recurrence: its ratios stay within f32's range, as `|u| ≤ √120`.
+const RECURRENCE_RISE: f64 = 4.0;
 
 /// A Gaussian on the grid of a view.
 #[derive(Debug, Clone, Copy)]
@@ -50,7 +44,8 @@ pub(super) struct Splat {
     pub level: f32,
     /// What the support's edge subtracts: the amplitude's share of [`CUTOFF_WEIGHT`].
     pub edge: f32,
-    pub walk: Walk,
+    /// Largest `u² + v²` on the first row of a segment that the recurrence may start from; none if negative.
+    pub reach: f32,
     pub color: [f32; 4],
 }
 
@@ -75,8 +70,7 @@ impl Splat {
         let half = (0.5 * std::f64::consts::LOG2_E).sqrt();
         let (sx, sy) = (xx.sqrt(), yy.sqrt());
         let rise = half * sx / det;
-        let across = half * sy / det;
-        let steep = (SUPPORT.sqrt() + LANES as f64 * across).powi(2) - level > RECURRENCE_REACH || rise > 4.0;
+        let steep = rise > RECURRENCE_RISE;
         let cutoff = f64::from(CUTOFF);
         // f32 holds `bend` within 2⁻²⁴, which after n rows is n²/2 times that in the Gaussian. Taking (√2 − 1)·N times
         // the error off the first ratio of N rows leaves at most .086·N² times it: 8·10⁻⁵ at 128 rows.
@@ -104,7 +98,7 @@ impl Splat {
             drift: drift as f32,
             level: level as f32,
             edge: (amplitude * f64::from(CUTOFF_WEIGHT)) as f32,
-            walk: if steep { Walk::Direct } else { Walk::Recurrence },
+            reach: if steep { -1.0 } else { (RECURRENCE_REACH + level) as f32 },
             color: g.color,
         }
     }
@@ -135,12 +129,42 @@ impl Splat {
     }
 }
 
+/// The rectangle of the picture that a view shows, and how far the filter reaches, pixels of the picture.
+struct Beyond {
+    first: [f64; 2],
+    last: [f64; 2],
+    margin: [f64; 2],
+}
+
+impl Beyond {
+    fn new(view: &View, variance: [f64; 2]) -> Self {
+        let side = [view.width, view.height];
+        let corner = |k: usize, pixels: u32| view.origin[k] + f64::from(pixels) * view.step[k];
+        // The extents are those of sums of variances. Half a pixel more: rounding must never lose a Gaussian.
+        Beyond {
+            first: std::array::from_fn(|k| corner(k, view.offset[k]) - 0.5),
+            last: std::array::from_fn(|k| corner(k, view.offset[k]) + f64::from(side[k]) * view.step[k] + 0.5),
+            margin: variance.map(|v| f64::from(CUTOFF) * v.sqrt()),
+        }
+    }
+
+    /// Whether even the circle around the support of `g` stays outside: far cheaper to tell than where the support lies.
+    fn sees_none_of(&self, g: &Gaussian) -> bool {
+        let radius = f64::from(CUTOFF) * f64::from(g.scale[0].max(g.scale[1]));
+        (0..2).any(|k| {
+            let (mean, reach) = (f64::from(g.mean[k]), (radius + self.margin[k]) * (1.0 + 1e-9));
+            mean + reach < self.first[k] || mean - reach > self.last[k]
+        })
+    }
+}
+
 /// Projects what is visible in `view`, widened by `variance` along x and y, picture pixels².
 pub(super) fn project(picture: &Picture, view: &View, variance: [f64; 2], limits: &Limits) -> Result<Vec<Splat>> {
     let count = picture.gaussians.len() as u64;
     Limits::check("primitives", count, limits.primitives)?;
     limits.check_alloc(count * size_of::<Splat>() as u64)?;
     let mut splats = Vec::with_capacity(picture.gaussians.len());
+    let beyond = Beyond::new(view, variance);
     for (i, g) in picture.gaussians.iter().enumerate() {
         let sound = g.mean.iter().chain([&g.rotation]).all(|v| v.is_finite())
             && g.color.iter().all(|v| v.is_finite())
@@ -151,10 +175,65 @@ pub(super) fn project(picture: &Picture, view: &View, variance: [f64; 2], limits
                 problem: format!("number {i} is not finite or has a scale of zero: {g:?}"),
             });
         }
+        if beyond.sees_none_of(g) {
+            continue;
+        }
         let splat = Splat::new(g, view, variance);
         if splat.touches(view) {
             splats.push(splat);
         }
     }
     Ok(splats)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussian::{Blend, Channels};
+
+    #[test]
+    fn what_is_left_out_early_touches_nothing() {
+        let full = View::of_size(500, 300);
+        let views = [
+            full.crop(100, 60, 130, 90).unwrap(),
+            full.resized(1100, 400).unwrap().crop(300, 100, 200, 50).unwrap(),
+            full.resized(200, 40).unwrap().crop(60, 10, 3, 2).unwrap(),
+            full.resized(7, 5).unwrap(),
+        ];
+        let (mut left_out, mut drawn) = (0, 0);
+        for view in views {
+            let filter = view.filter();
+            let view = view.refined(filter.parts);
+            let beyond = Beyond::new(&view, filter.variance);
+            for i in 0..20_000u32 {
+                let f = |k: u32| (f64::from(i) * f64::from(k).sqrt()).fract() as f32;
+                let g = Gaussian {
+                    mean: [900.0 * f(2) - 200.0, 700.0 * f(3) - 200.0],
+                    scale: [0.25 + 60.0 * f(5) * f(7), 0.25 + 20.0 * f(11)],
+                    rotation: 3.2 * f(13),
+                    color: [0.0; 4],
+                };
+                let touches = Splat::new(&g, &view, filter.variance).touches(&view);
+                assert!(!(touches && beyond.sees_none_of(&g)), "{g:?} in {view:?}");
+                left_out += u32::from(!touches && beyond.sees_none_of(&g));
+                drawn += u32::from(touches);
+            }
+        }
+        assert!(left_out > 10_000 && drawn > 5_000, "{left_out} {drawn}");
+    }
+
+    #[test]
+    fn what_is_no_number_is_refused_even_outside_the_view() {
+        let far = Gaussian { mean: [1e6, 1e6], scale: [1.0; 2], rotation: 0.0, color: [f32::NAN; 4] };
+        let picture = Picture {
+            width: 8,
+            height: 8,
+            channels: Channels::Rgb,
+            blend: Blend::Sum,
+            background: [0.0; 4],
+            gaussians: vec![far],
+        };
+        let found = project(&picture, &View::full(&picture), [0.0; 2], &Limits::default());
+        assert!(matches!(found, Err(Error::Parameter { name: "gaussians", .. })));
+    }
 }
