@@ -105,7 +105,7 @@ class Header:
         demand(data[:4] == SIGNATURE, "not an ssplat file")
         b.at = 4
         version = b.byte("version")
-        if version != 2:
+        if version != 3:
             raise Unsupported(f"format version {version}")
         flags = b.byte("flags")
         self.layout = flags & 3
@@ -398,17 +398,28 @@ class RangeDecoder:
             self.range -= bound
             self.code -= bound
             bit = 0
+        self.normalize()
+        return bit
+
+    def normalize(self):
         while self.range < 1 << 24:
             self.range <<= 8
             self.code = self.code << 8 | (self.data[self.at] if self.at < len(self.data) else 0)
             self.at += 1
-        return bit
+
+    def uniform(self, total):
+        unit = self.range // total
+        value = min(self.code // unit, total - 1)
+        self.code -= unit * value
+        self.range = self.range - unit * value if value == total - 1 else unit
+        self.normalize()
+        return value
 
     def raw(self, count):
-        value = 0
-        for _ in range(count):
-            value = value << 1 | self.bit(1 << 15)
-        return value
+        if count > 16:
+            high = self.uniform(1 << count - 16)
+            return high << 16 | self.uniform(1 << 16)
+        return self.uniform(1 << count)
 
     def finish(self):
         length = len(self.data)
@@ -479,14 +490,12 @@ class Field:
         negative, length, m = self.bit(contexts, 1), 0, 1
         while length < 16 and self.bit(contexts, 2 + length):
             length += 1
-        for i in range(length):
-            if i == 0:
-                bit = self.bit(contexts, 20 + 3 * length)
-            elif i == 1:
-                bit = self.bit(contexts, 21 + 3 * length + (m & 1))
-            else:
-                bit = self.coder.raw(1)
-            m = 2 * m + bit
+        if length > 0:
+            m = 2 + self.bit(contexts, 20 + 3 * length)
+        if length > 1:
+            m = 2 * m + self.bit(contexts, 21 + 3 * length + (m & 1))
+        rest = max(0, length - 2)
+        m = m << rest | self.coder.raw(rest)
         return -m if negative else m
 
 
@@ -526,16 +535,15 @@ def whole_region(header):
 class Counts:
     def __init__(self, coder):
         self.coder = coder
-        self.stay = Field(coder, 1, [24, 576, 384], 250)
-        self.small = Field(coder, 1, [416, 6656, 1664], 250)
+        self.stay = Field(coder, 1, [576, 384], 250)
+        self.small = Field(coder, 1, [416, 6656], 250)
         self.large = Field(coder, 72, [16, 7], 250)
         for size, chance in enumerate(STAY):
-            self.stay.start(0, size, 0, 256 * chance, 16)
             for full in range(8):
                 for s in range(3):
-                    self.stay.start(1, (size * 8 + full) * 3 + s, 0, some(chance, max(0, full - s) // (s + 1)), 6)
+                    self.stay.start(0, (size * 8 + full) * 3 + s, 0, some(chance, max(0, full - s) // (s + 1)), 6)
                 for m in range(2):
-                    self.stay.start(2, (size * 8 + full) * 2 + m, 0, some(chance, 1 + m), 4)
+                    self.stay.start(1, (size * 8 + full) * 2 + m, 0, some(chance, 1 + m), 4)
         for n in range(1, 13):
             self.opinion(n, 1, 0, n + 1)
 
@@ -545,7 +553,7 @@ class Counts:
         middle = low + (high - low) // 2
         one = 65536 * sum(math.comb(n, k) for k in range(middle, high)) // sum(math.comb(n, k) for k in range(low, high))
         at = 16 * n + node
-        for k, values in enumerate((2, 32, 8)):
+        for k, values in enumerate((2, 32)):
             for value in range(values):
                 self.small.start(k, at * values + value, 0, one, 30)
         self.opinion(n, 2 * node, low, middle)
@@ -563,7 +571,7 @@ class Counts:
         while high - low > 1:
             middle = low + (high - low) // 2
             place = 16 * n + at
-            bit = self.small.bit((place * 2 + partial, place * 32 + 4 * slope + node.density, place * 8 + slope), 0)
+            bit = self.small.bit((place * 2 + partial, place * 32 + 4 * slope + node.density), 0)
             low, high = (middle, high) if bit else (low, middle)
             at = 2 * at + bit
         return low
@@ -603,7 +611,7 @@ def read_places(coder, header, corner, log, side, cells, count):
                 s = node.count if axis is None else 0
                 full, several = min(node.count, 7), int(node.count > 1)
                 while s < node.count:
-                    contexts = (size, (size * 8 + full) * 3 + min(s, 2), (size * 8 + node.crowd) * 2 + several)
+                    contexts = ((size * 8 + full) * 3 + min(s, 2), (size * 8 + node.crowd) * 2 + several)
                     if not counts.stay.bit(contexts, 0):
                         break
                     s += 1
@@ -633,35 +641,39 @@ def read_places(coder, header, corner, log, side, cells, count):
 
 
 class Buckets:
-    def __init__(self, places, corner, side):
-        self.corner, self.log = corner, 0
-        while self.log < 30 and self.shape(side)[0] * self.shape(side)[1] > max(1, len(places)):
-            self.log += 1
-        self.last = [s - 1 for s in self.shape(side)]
-        self.total, self.coded = {}, {}
-        for place in places:
-            bucket = self.of(place)
-            self.total[bucket] = self.total.get(bucket, 0) + 1
+    def __init__(self, count, corner, side):
+        self.corner, log = corner, [0, 0]
 
-    def shape(self, side):
-        return [-(-s // (1 << self.log)) for s in side]
+        def shape():
+            return [-(-side[k] // (1 << log[k])) for k in (0, 1)]
+
+        while shape()[0] * shape()[1] > max(1, 3 * count // 8) and log[1] < 30:
+            log[0 if log[0] == log[1] else 1] += 1
+        self.log, self.last, self.sums = log, [s - 1 for s in shape()], {}
 
     def of(self, place):
         log, q = place
-        return tuple(min(q[k] - self.corner[k] + ((1 << log) >> 1) >> self.log, self.last[k]) for k in (0, 1))
+        out = []
+        for k in (0, 1):
+            u = (q[k] - self.corner[k] + ((1 << log) >> 1)) * 8 >> self.log[k]
+            out.append((u >> 3, u % 8) if u >> 3 <= self.last[k] else (self.last[k], 7))
+        return out
 
     def around(self, place):
-        cx, cy = self.of(place)
-        total, places, near = 0, 0, []
+        (cx, fx), (cy, fy) = self.of(place)
+        out = [0] * 16
         for y in range(max(0, cy - 1), min(self.last[1], cy + 1) + 1):
             for x in range(max(0, cx - 1), min(self.last[0], cx + 1) + 1):
-                total += self.total.get((x, y), 0)
-                places += 1
-                near += self.coded.get((x, y), [])[-8:]
-        return total, places, near
+                dx, dy = 8 * (x - cx) + 4 - fx, 8 * (y - cy) + 4 - fy
+                w = 4096 // (dx * dx + dy * dy + 10)
+                if (x, y) in self.sums:
+                    out = [o + w * s for o, s in zip(out, self.sums[x, y])]
+        return out
 
-    def add(self, place, seen):
-        self.coded.setdefault(self.of(place), []).append(seen)
+    def add(self, place, left):
+        (x, _), (y, _) = self.of(place)
+        sums = [s + v for s, v in zip(self.sums.get((x, y), [0] * 16), left)]
+        self.sums[x, y] = [s >> 1 for s in sums] if sums[15] >= 16 else sums
 
 
 # §8.5 Shape and colour
@@ -743,7 +755,7 @@ def read_group(coder, header, background, book, corner, log, count):
     side = [min(header.grid[k] - corner[k], 1 << log[k]) for k in (0, 1)]
     cells = (log16(max(1, 256 * side[0] * side[1] // max(1, count))) - 128) // 2
     places = read_places(coder, header, corner, log, side, cells, count)
-    buckets = Buckets(places, corner, side)
+    buckets = Buckets(count, corner, side)
     D, finest, position = header.D, header.finest, header.position
 
     def scale_of(g):
@@ -752,16 +764,16 @@ def read_group(coder, header, background, book, corner, log, count):
     spacing = scale_of(cells + 16 * finest)
     octave = 32 * FINE // D
     guesses = [spacing - octave, spacing - 3 * octave] + [FINE * b for b in background] + [0] * (4 - len(background))
-    means, mean_density = [Mean(g) for g in guesses], Mean(64)
+    means = [Mean(g) for g in guesses]
     follow = [Slope(1 << 20) for _ in range(4)]
     cross = [[Slope(0), Slope(0)] for _ in range(4)]
-    field_major = Field(coder, 72, [16, 144, 8], 250).opinions(CHANCES["major"], (16, 8, 8))
-    field_aspect = Field(coder, 72, [40, 81, 16], 250).opinions(CHANCES["aspect"], (3, 3, 16))
-    field_angle = Field(coder, 16, [48, 96, 6], 250)
-    for k, values in enumerate((48, 96, 6)):
+    field_major = Field(coder, 72, [144, 8], 250).opinions(CHANCES["major"], (6, 6))
+    field_aspect = Field(coder, 72, [40, 81], 250).opinions(CHANCES["aspect"], (3, 3))
+    field_angle = Field(coder, 16, [48, 96], 250)
+    for k, values in enumerate((48, 96)):
         for value in range(values):
             for node, chances in ACCORD.items():
-                one, n = 256 * chances[value % 6], (6, 2, 12)[k]
+                one, n = 256 * chances[value % 6], (6, 2)[k]
                 field_angle.start(k, value, node, one, n)
                 field_angle.start(k, value, MIRROR[node], 65536 - one, n)
     if book:
@@ -769,39 +781,24 @@ def read_group(coder, header, background, book, corner, log, count):
         field_index = Field(coder, max(2, 1 << index_bits), [1], 250)
     else:
         names = ("luma", "Co", "Cg", "luma")[: header.channels]
-        field_colors = [Field(coder, 72, [4, 128, 64], 250).opinions(CHANCES[n], (12, 3, 3)) for n in names]
+        field_colors = [Field(coder, 72, [128, 64], 250).opinions(CHANCES[n], (3, 3)) for n in names]
 
     out, last = [], None
     for place in places:
         l, q = place
         # What is near (§8.4).
-        center = [2 * q[k] + (1 << l) for k in (0, 1)]
-        total, around, near = buckets.around(place)
-        shift = max(0, 2 * (1 + buckets.log) - 6)
-        weight, V, E, axis, elongation = 0, [0] * 6, [0] * 6, [0, 0], 0
-        for at, values, errors, direction, elongated in near:
-            distance = (at[0] - center[0]) ** 2 + (at[1] - center[1]) ** 2
-            w = 65536 // ((distance >> shift) + 16)
-            weight += w
-            for k in range(6):
-                V[k] += w * values[k]
-                E[k] += w * errors[k]
-            axis[0] += w * direction[0]
-            axis[1] += w * direction[1]
-            elongation += w * elongated
-        density = log16(144 * total // around)
+        near = buckets.around(place)
+        V, E, axis, elongation, weight = near[:6], near[6:12], near[12:14], near[14], near[15]
         mean = [m.get() for m in means]
-        dev = [quotient(FINE * V[k] - mean[k] * weight, weight + 600) for k in range(6)]
+        dev = [quotient(FINE * V[k] - mean[k] * weight, weight + 40) for k in range(6)]
         errors = [0] * 6
 
         # Major scale.
-        dense = density - mean_density.get()
-        guess = mean[0] + quotient(9 * dev[0] + 2 * dev[1], 16) - quotient(dense * 8 * FINE, 16 * D)
         e = finest + l
         o = scale_of(16 * e + 4 * position)
         f = clamp(e + 8, 0, 15)
-        hint = group_class(quotient((guess - o) * D, 8 * FINE), 4)
-        off = field_major.signed((f, 9 * f + hint, level_of(4 * E[0] // (weight + 600))))
+        hint = group_class(quotient((mean[0] - o) * D, 8 * FINE), 4)
+        off = field_major.signed((9 * f + hint, level_of(4 * E[0] // (weight + 40))))
         major = max(0, o + 8 >> 4) + off
         errors[0] = abs(off)
         demand(0 <= major <= header.top, "major scale")
@@ -811,7 +808,7 @@ def read_group(coder, header, background, book, corner, log, count):
         # Minor scale.
         guess = mean[1] + quotient(9 * (FINE * major - mean[0]) + 7 * dev[1] - dev[0], 16)
         expected = max(0, major - (guess + 8 >> 4))
-        contexts = (min(39, expected), 9 * group_class(quotient(off, 2), 4) + group_class(dev[1] >> 5, 4), 0)
+        contexts = (min(39, expected), 9 * group_class(quotient(off, 2), 4) + group_class(dev[1] >> 5, 4))
         off = field_aspect.signed(contexts)
         minor = major - expected - off
         errors[1] = abs(off)
@@ -822,17 +819,14 @@ def read_group(coder, header, background, book, corner, log, count):
         if n > 1:
             direction, accord = consensus(axis, elongation)
             guess = (direction * n + 32) // 64 % n
-            contexts = (6 * min(7, ilog2(n)) + accord, 6 * (direction // 4) + accord, accord)
+            contexts = (6 * min(7, ilog2(n)) + accord, 6 * (direction // 4) + accord)
             low, high, node = 0, n, 1
-            while high - low > 1:
+            while high - low > 1 and node < 16:
                 middle = low + (high - low) // 2
-                if node < 16:
-                    bit = field_angle.bit(contexts, node)
-                else:
-                    bit = coder.bit(65536 * (high - middle) // (high - low))
+                bit = field_angle.bit(contexts, node)
                 low, high = (middle, high) if bit else (low, middle)
                 node = 2 * node + bit
-            angle = (low + guess + n - n // 2) % n
+            angle = (low + coder.uniform(high - low) + guess + n - n // 2) % n
 
         # Rest of the position.
         lx, ly = header.logs(major, minor, angle)
@@ -852,8 +846,9 @@ def read_group(coder, header, background, book, corner, log, count):
                 pairs = list(zip(cross[k], surprises))
                 guess = mean[2 + k] + following + sum(slope(s) for slope, s in pairs)
                 guess = clamp(guess, -32768 * FINE, 32767 * FINE)
-                activity = level_of(4 * E[2 + k] // (weight + 300))
-                contexts = ((guess + 8) % 16 // 4, 8 * z + activity, min(63, 8 * before + activity))
+                activity = level_of(4 * E[2 + k] // (weight + 20))
+                phase = (guess + 8) % 16 // 4
+                contexts = (8 * before + activity, 16 * phase + z) if k else (8 * z + activity, 8 * phase + activity)
                 off = field_colors[k].signed(contexts)
                 value = (guess + 8 >> 4) + off
                 demand(-32768 <= value <= 32767, "colour out of range")
@@ -880,12 +875,10 @@ def read_group(coder, header, background, book, corner, log, count):
         values = [major, minor] + list(color) + [0] * (4 - len(color))
         for m, value in zip(means, values):
             m.add(FINE * value)
-        mean_density.add(density)
         g = (major - minor) * D
         elongated = 16 * g // (g + 32)
         ux, uy = UNITS[(64 * angle + n // 2) // n % 64]
-        at = ((2 * x + 1) << lx, (2 * y + 1) << ly)
-        buckets.add(place, (at, values, errors, (elongated * ux, elongated * uy), elongated))
+        buckets.add(place, values + errors + [elongated * ux, elongated * uy, elongated, 1])
     return out
 
 

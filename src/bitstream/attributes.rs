@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use super::kd::Place;
 use super::model::{Field, SIGNED_NODES};
-use super::neighbours::Buckets;
+use super::neighbours::{Buckets, COUNT, LANES};
 use super::range::Coder;
 use super::rules::{Broken, Rules};
 use super::splats::{PackedGaussian, Steps};
@@ -55,29 +55,29 @@ pub(crate) struct Palette<'a> {
     pub book: Option<&'a [[i16; 4]]>,
 }
 
-/// A coded primitive as a neighbour.
+/// Sums over the primitives around, weighted by distance.
 #[derive(Debug, Clone, Copy)]
-struct Seen {
-    /// Centre in half steps of the finest lattice.
-    at: [i64; 2],
-    values: [i32; QUANTITIES],
-    /// How far the values were from what was expected.
-    errors: [i32; QUANTITIES],
-    /// Direction of the doubled angle, as long as the primitive is elongated.
-    axis: [i32; 2],
-    elongation: i32,
-}
-
-/// Averages over the neighbours, weighted by distance.
-#[derive(Debug, Clone, Copy, Default)]
 struct Around {
     weight: i64,
     values: [i64; QUANTITIES],
+    /// How far the values were from what was expected.
     errors: [i64; QUANTITIES],
-    /// `16·log₂` of the number of primitives around.
-    density: i64,
+    /// Direction of the doubled angle, as long as the primitive is elongated.
     axis: [i64; 2],
     elongation: i64,
+}
+
+impl From<[i32; LANES]> for Around {
+    fn from(sums: [i32; LANES]) -> Self {
+        let sums = sums.map(i64::from);
+        Around {
+            weight: sums[COUNT],
+            values: std::array::from_fn(|k| sums[k]),
+            errors: std::array::from_fn(|k| sums[QUANTITIES + k]),
+            axis: [sums[12], sums[13]],
+            elongation: sums[14],
+        }
+    }
 }
 
 /// What a colour is expected from.
@@ -143,14 +143,12 @@ impl Slope {
 /// The models of one group.
 #[derive(Debug)]
 pub(crate) struct Attributes {
-    major: Field<3>,
-    aspect: Field<3>,
-    angle: Field<3>,
-    colors: Vec<Field<3>>,
+    major: Field<2>,
+    aspect: Field<2>,
+    angle: Field<2>,
+    colors: Vec<Field<2>>,
     index: Field<1>,
-    seen: Vec<Seen>,
     means: [Mean; QUANTITIES],
-    density: Mean,
     /// How much a colour follows the average of its neighbours.
     follow: [Slope; 4],
     /// How much a colour's surprise follows the first and the second channel's.
@@ -183,12 +181,15 @@ impl Scene<'_> {
 
 /// `16·log₂` of the spacing, in cells, of `count` primitives on `size` cells.
 pub(crate) fn spacing(size: [u32; 2], count: u32) -> i64 {
-    let area = u128::from(size[0]) * u128::from(size[1]) * 256 / u128::from(count.max(1));
-    (log16(area.max(1)) - 16 * 8).div_euclid(2)
+    // Of 256 times the cells that each has, less than 2⁷².
+    let (area, count) = (u128::from(size[0]) * u128::from(size[1]) << 8, u128::from(count.max(1)));
+    let cells = (area / count).max(1);
+    let halved = (cells.ilog2() + 1).saturating_sub(64);
+    (log16((cells >> halved) as u64) + 16 * i64::from(halved) - 16 * 8).div_euclid(2)
 }
 
-/// `16·log₂`, linear between powers of two.
-fn log16(value: u128) -> i64 {
+/// `16·log₂` of a positive number, linear between powers of two.
+fn log16(value: u64) -> i64 {
     let log = value.ilog2();
     let rest = if log >= 4 { value >> (log - 4) } else { value << (4 - log) };
     16 * i64::from(log) + (rest & 15) as i64
@@ -204,13 +205,13 @@ fn log_class(value: u64, last: u32) -> usize {
 }
 
 /// The angle's field: the better the neighbours agree, the higher the first opinion of the middle.
-fn angle_field() -> Field<3> {
-    let mut field = Field::new(ANGLE_NODES, [8 * 6, 16 * 6, 6], 250);
-    for (k, contexts) in [8 * 6, 16 * 6, 6].into_iter().enumerate() {
+fn angle_field() -> Field<2> {
+    let mut field = Field::new(ANGLE_NODES, [8 * 6, 16 * 6], 250);
+    for (k, contexts) in [8 * 6, 16 * 6].into_iter().enumerate() {
         for context in 0..contexts {
             for (node, chances) in [(2, PRIOR_HALF), (5, PRIOR_QUARTER), (11, PRIOR_EIGHTH)] {
                 let one = u32::from(chances[context % 6]) << 8;
-                let count = [6, 2, 12][k] as u32;
+                let count = [6, 2][k];
                 field.set(k, context, node, one, count);
                 // The node on the other side of the middle.
                 field.set(k, context, 3 * (node + 1).next_power_of_two() / 2 - 1 - node, 65536 - one, count);
@@ -252,7 +253,7 @@ fn consensus(axis: [i64; 2], total: i64) -> (u32, usize) {
 }
 
 impl Attributes {
-    pub fn new(scene: &Scene<'_>, count: usize) -> Self {
+    pub fn new(scene: &Scene<'_>) -> Self {
         let palette = &scene.palette;
         let n = SIGNED_NODES;
         let fields = if palette.book.is_some() { 0 } else { palette.channels.count() };
@@ -260,17 +261,15 @@ impl Attributes {
         let spacing = scene.scale_of(scene.spacing);
         let color = palette.background.map(|b| Mean::new(i64::from(b) * FINE, 4));
         Attributes {
-            major: Field::new(n, [16, 16 * 9, 8], 250).prior(&PRIOR_MAJOR, [16, 8, 8]),
-            aspect: Field::new(n, [40, 9 * 9, 16], 250).prior(&PRIOR_ASPECT, [3, 3, 16]),
+            major: Field::new(n, [16 * 9, 8], 250).prior(&PRIOR_MAJOR, [6, 6]),
+            aspect: Field::new(n, [40, 9 * 9], 250).prior(&PRIOR_ASPECT, [3, 3]),
             angle: angle_field(),
             colors: (0..fields)
                 .map(|k| {
-                    Field::new(n, [4, 16 * 8, 64], 250)
-                        .prior([&PRIOR_LUMA, &PRIOR_CO, &PRIOR_CG, &PRIOR_LUMA][k], [12, 3, 3])
+                    Field::new(n, [128, 64], 250).prior([&PRIOR_LUMA, &PRIOR_CO, &PRIOR_CG, &PRIOR_LUMA][k], [3, 3])
                 })
                 .collect(),
             index: Field::new(palette.book.map_or(0, |b| b.len().next_power_of_two().max(2)), [1], 250),
-            seen: Vec::with_capacity(count),
             means: [
                 Mean::new(spacing - octave, 4),
                 Mean::new(spacing - 3 * octave, 4),
@@ -279,7 +278,6 @@ impl Attributes {
                 color[2],
                 color[3],
             ],
-            density: Mean::new(64, 4),
             follow: [Slope::new(256, 16 * 256); 4],
             cross: [[Slope::new(0, 16 * 256); 2]; 4],
         }
@@ -295,25 +293,21 @@ impl Attributes {
         p: &PackedGaussian,
     ) -> Result<PackedGaussian, Broken> {
         let log = place.log.0;
-        // Half finest cells.
-        let center = place.corner.map(|c| 2 * i64::from(c) + (1 << log));
-        let around = self.around(buckets, &place, center);
+        let around = Around::from(buckets.around(&place));
         let means = self.means.map(Mean::get);
         // Deviation of the neighbours' average from the mean, shrunk where few are near.
         let dev: [i64; QUANTITIES] =
-            std::array::from_fn(|k| (around.values[k] * FINE - means[k] * around.weight) / (around.weight + 600));
+            std::array::from_fn(|k| (around.values[k] * FINE - means[k] * around.weight) / (around.weight + 40));
         let mut errors = [0i32; QUANTITIES];
 
-        let dense = around.density - self.density.get();
-        let guess = means[0] + (9 * dev[0] + 2 * dev[1]) / 16 - dense * 8 * FINE / (16 * scene.delta());
-        // The step's octave bounds the major scale; the neighbours say where it lies therein.
+        // The step's octave bounds the major scale; the mean says where it lies therein.
         let exponent = i64::from(scene.finest) + i64::from(log);
         let octave = scene.scale_of(16 * exponent + 4 * i64::from(scene.steps.position));
         let expected = ((octave + 8) >> 4).max(0);
-        let near = class((guess - octave) * scene.delta() / (8 * FINE), 4);
+        let near = class((means[0] - octave) * scene.delta() / (8 * FINE), 4);
         let level = (exponent + 8).clamp(0, 15) as usize;
-        let activity = around.errors[0] * 4 / (around.weight + 600);
-        let contexts = [level, level * 9 + near, log_class(activity as u64, 7)];
+        let activity = around.errors[0] * 4 / (around.weight + 40);
+        let contexts = [level * 9 + near, log_class(activity as u64, 7)];
         let off = i64::from(self.major.signed(coder, &contexts, i32::from(p.major) - expected as i32));
         let major = u8::try_from(expected + off).map_err(|_| Broken { field: "major scale", value: off as u64 })?;
         errors[0] = off as i32;
@@ -325,7 +319,7 @@ impl Attributes {
         let surprise = i64::from(major) * FINE - means[0];
         let guess = means[1] + (9 * surprise + 7 * dev[1] - dev[0]) / 16;
         let expected = (i64::from(major) - ((guess + 8) >> 4)).max(0);
-        let contexts = [expected.min(39) as usize, class(off / 2, 4) * 9 + class(dev[1] >> 5, 4), 0];
+        let contexts = [expected.min(39) as usize, class(off / 2, 4) * 9 + class(dev[1] >> 5, 4)];
         let off = self.aspect.signed(coder, &contexts, i32::from(p.major) - i32::from(p.minor) - expected as i32);
         let minor = i64::from(major) - expected - i64::from(off);
         let minor = u8::try_from(minor).map_err(|_| Broken { field: "minor scale", value: minor as u64 })?;
@@ -349,7 +343,6 @@ impl Attributes {
         scene.rules.position([x, y], exponents)?;
         coder.account("position refinement");
 
-        let at = [(x, lx), (y, ly)].map(|(v, l)| (2 * i64::from(v) + 1) << l);
         let color = match scene.palette.book {
             Some(book) => {
                 let bits = usize::BITS - (book.len() - 1).leading_zeros();
@@ -371,37 +364,18 @@ impl Attributes {
         for (mean, v) in self.means.iter_mut().zip(values) {
             mean.add(i64::from(v) * FINE);
         }
-        self.density.add(around.density);
         let octaves = i32::from(major - minor) * (scene.delta() as i32);
         let elongation = 16 * octaves / (octaves + 32);
         let direction = (u32::from(angle) * 64 + u32::from(n) / 2) / u32::from(n) % 64;
         let axis = DIRECTIONS[direction as usize].map(|c| c * elongation);
-        self.seen.push(Seen { at, values, errors: errors.map(i32::abs), axis, elongation });
-        buckets.add(&place);
+        let mut lanes = [0; LANES];
+        lanes[..QUANTITIES].copy_from_slice(&values);
+        lanes[QUANTITIES..2 * QUANTITIES].copy_from_slice(&errors.map(i32::abs));
+        lanes[12..14].copy_from_slice(&axis);
+        lanes[14] = elongation;
+        lanes[COUNT] = 1;
+        buckets.add(&place, &lanes);
         Ok(p)
-    }
-
-    fn around(&self, buckets: &Buckets, place: &Place, center: [i64; 2]) -> Around {
-        let mut around = Around::default();
-        // 64 units of squared distance to the square of a bucket's side.
-        let shift = (2 * (1 + buckets.log)).saturating_sub(6);
-        let [total, places] = buckets.around(place, |j| {
-            let seen = &self.seen[j];
-            let d = [0, 1].map(|k| seen.at[k] - center[k]);
-            let d = d[0] * d[0] + d[1] * d[1];
-            let w = 65536 / ((d >> shift) + 16);
-            around.weight += w;
-            for k in 0..QUANTITIES {
-                around.values[k] += w * i64::from(seen.values[k]);
-                around.errors[k] += w * i64::from(seen.errors[k]);
-            }
-            for k in 0..2 {
-                around.axis[k] += w * i64::from(seen.axis[k]);
-            }
-            around.elongation += w * i64::from(seen.elongation);
-        });
-        around.density = log16(u128::from(total) * 9 * 16 / u128::from(places));
-        around
     }
 
     fn angle<C: Coder>(&mut self, coder: &mut C, n: u16, angle: u16, around: &Around) -> u16 {
@@ -412,24 +386,18 @@ impl Attributes {
         let (direction, accord) = consensus(around.axis, around.elongation);
         let guess = (direction * n + 32) / 64 % n;
         let size = (n.ilog2() as usize).min(7);
-        let contexts = [size * 6 + accord, (direction / 4) as usize * 6 + accord, accord];
+        let contexts = [size * 6 + accord, (direction / 4) as usize * 6 + accord];
         let wanted = (u32::from(angle) + 2 * n - guess + n / 2) % n;
         let (mut low, mut high, mut node) = (0, n, 1usize);
-        while high - low > 1 {
+        while high - low > 1 && node < ANGLE_NODES {
             let middle = low + (high - low) / 2;
-            let bit = u32::from(wanted >= middle);
-            let bit = if node < ANGLE_NODES {
-                self.angle.bit(coder, &contexts, node, bit)
+            if self.angle.bit(coder, &contexts, node, u32::from(wanted >= middle)) != 0 {
+                (low, node) = (middle, 2 * node + 1);
             } else {
-                coder.bit(65536 * (high - middle) / (high - low), bit)
-            };
-            if bit != 0 {
-                low = middle
-            } else {
-                high = middle
+                (high, node) = (middle, 2 * node);
             }
-            node = node << 1 | bit as usize;
         }
+        low += coder.uniform(high - low, wanted.wrapping_sub(low));
         ((low + guess + n - n / 2) % n) as u16
     }
 
@@ -451,8 +419,12 @@ impl Attributes {
             }
             let guess = guess.clamp(i64::from(i16::MIN) * FINE, i64::from(i16::MAX) * FINE);
             let expected = ((guess + 8) >> 4) as i32;
-            let activity = log_class((around.errors[2 + k] * 4 / (around.weight + 300)) as u64, 7);
-            let contexts = [((guess + 8) & 15) as usize / 4, size * 8 + activity, (before * 8 + activity).min(63)];
+            let activity = log_class((around.errors[2 + k] * 4 / (around.weight + 20)) as u64, 7);
+            let phase = ((guess + 8) & 15) as usize / 4;
+            let contexts = match k {
+                0 => [size * 8 + activity, phase * 8 + activity],
+                _ => [before * 8 + activity, phase * 16 + size],
+            };
             let off = self.colors[k].signed(coder, &contexts, i32::from(color[k]) - expected);
             errors[2 + k] = off;
             before = log_class(off.unsigned_abs().into(), 7);

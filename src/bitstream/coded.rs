@@ -105,9 +105,9 @@ impl<'a> Group<'a> {
         let spacing = cells + 16 * i64::from(finest);
         let places = places(coder, &mut Counts::new(), &extent, given.as_deref(), count)?;
         coder.account("position");
-        let mut buckets = Buckets::new(&places, region.corner, side);
+        let mut buckets = Buckets::new(count, region.corner, side);
         let scene = Scene { rules, palette: self.palette, steps: self.steps, finest, spacing };
-        let mut attributes = Attributes::new(&scene, count as usize);
+        let mut attributes = Attributes::new(&scene);
         let mut out: Vec<PackedGaussian> = Vec::with_capacity(count as usize);
         for (i, &place) in places.iter().enumerate() {
             let given = sorted.map_or_else(PackedGaussian::default, |s| s[i]);

@@ -75,9 +75,9 @@ fn some(chance: u32, tries: u32) -> u32 {
 /// The models of the counts.
 #[derive(Debug)]
 pub(crate) struct Counts {
-    small: Field<3>,
+    small: Field<2>,
     large: Field<2>,
-    pub stay: Field<3>,
+    pub stay: Field<2>,
 }
 
 /// A cell of some level and what it holds.
@@ -112,19 +112,18 @@ impl Counts {
     pub fn new() -> Self {
         let small = (SMALL as usize + 1) * 16;
         let mut counts = Counts {
-            small: Field::new(1, [small * 2, small * 8 * 4, small * 8], 250),
+            small: Field::new(1, [small * 2, small * 8 * 4], 250),
             large: Field::new(SIGNED_NODES, [16, 7], 250),
-            stay: Field::new(1, [24, 24 * 24, 24 * 16], 250),
+            stay: Field::new(1, [24 * 24, 24 * 16], 250),
         };
         for (size, &chance) in STAY.iter().enumerate() {
-            counts.stay.set(0, size, 0, chance << 8, 16);
             for full in 0..8u32 {
                 for stay in 0..3u32 {
                     let context = (size * 8 + full as usize) * 3 + stay as usize;
-                    counts.stay.set(1, context, 0, some(chance, full.saturating_sub(stay) / (stay + 1)), 6);
+                    counts.stay.set(0, context, 0, some(chance, full.saturating_sub(stay) / (stay + 1)), 6);
                 }
                 for crowd in 0..2 {
-                    counts.stay.set(2, (size * 8 + full as usize) * 2 + crowd, 0, some(chance, 1 + crowd as u32), 4);
+                    counts.stay.set(1, (size * 8 + full as usize) * 2 + crowd, 0, some(chance, 1 + crowd as u32), 4);
                 }
             }
         }
@@ -132,7 +131,7 @@ impl Counts {
         for n in 1..=SMALL {
             for node in 1..16 {
                 if let Some((one, _)) = even_chance(n, node) {
-                    for (k, contexts) in [2, 32, 8].into_iter().enumerate() {
+                    for (k, contexts) in [2, 32].into_iter().enumerate() {
                         for context in 0..contexts {
                             let at = small_context(n, node, context, contexts);
                             counts.small.set(k, at, 0, one, 30);
@@ -164,7 +163,6 @@ impl Counts {
             let contexts = [
                 small_context(n, node, usize::from(part > 0), 2),
                 small_context(n, node, slope * 4 + around.density, 32),
-                small_context(n, node, slope, 8),
             ];
             let bit = self.small.bit(coder, &contexts, 0, u32::from(lower >= middle));
             if bit != 0 {
@@ -299,7 +297,6 @@ impl<C: Coder> Walk<'_, C> {
         let mut stay = 0;
         while stay < node.count {
             let contexts = [
-                size,
                 (size * 8 + full) * 3 + stay.min(2) as usize,
                 (size * 8 + node.around.crowd) * 2 + usize::from(node.count > 1),
             ];

@@ -13,13 +13,13 @@ pub const MAX_ANGLES_PACKED: u16 = 128;
 /// The number of angles for each difference `major − minor` and the position exponents (spec §4.2, §4.3).
 #[derive(Debug, Clone)]
 pub struct Lattice {
-    delta: f64,
-    fineness: f64,
     coarsest: i32,
     finest: i32,
     angles: [u16; 256],
     /// `r² − 1` for the aspect `r` of each difference.
     stretches: [f64; 256],
+    /// `4^l` where `l + ½` is what a scale contributes to the exponent of its position step, for each scale.
+    powers: [f64; 256],
 }
 
 impl Lattice {
@@ -43,7 +43,8 @@ impl Lattice {
         let coarsest = i32::from(steps.coarsest);
         let fineness = -f64::from(steps.position) / 4.0 - 1.0 / 64.0;
         let stretches = std::array::from_fn(|difference| aspect(difference).powi(2) - 1.0);
-        Lattice { delta, fineness, coarsest, finest: coarsest - i32::from(steps.range), angles, stretches }
+        let powers = std::array::from_fn(|scale| (2.0 * (scale as f64 * delta - 2.0 + fineness + 0.5)).exp2());
+        Lattice { coarsest, finest: coarsest - i32::from(steps.range), angles, stretches, powers }
     }
 
     /// The number `n` of angles at a given `major − minor`; angles are `π·t/n` for `t` in `0..n`.
@@ -63,11 +64,11 @@ impl Lattice {
         let n = f64::from(self.angles(major, minor));
         let stretch = self.stretches[usize::from(major.saturating_sub(minor))];
         let sin = (std::f64::consts::PI * f64::from(angle) / n).sin();
-        // log₂ of the marginal deviation of y over s₂: ½ log₂(r² sin² + cos²).
-        let lift = 0.5 * (1.0 + stretch * sin * sin).log2();
-        let log_y = f64::from(minor) * self.delta - 2.0 + lift;
-        let log_x = f64::from(major) * self.delta - 2.0 - lift;
-        [log_x, log_y].map(|l| ((l + self.fineness + 0.5).floor() as i32).clamp(self.finest, self.coarsest))
+        // The square of the marginal deviation of y over s₂: r² sin² + cos².
+        let lift = 1.0 + stretch * sin * sin;
+        let y = self.powers[usize::from(minor)] * lift;
+        let x = self.powers[usize::from(major)] / lift;
+        [x, y].map(|square| (floor_log2(square) >> 1).clamp(self.finest, self.coarsest))
     }
 
     /// How many positions there are along a side of `pixels` at exponent `e`: `ceil(pixels / 2^e)`.
@@ -79,6 +80,11 @@ impl Lattice {
             pixels << -exponent
         }
     }
+}
+
+/// `⌊log₂ v⌋` of a positive normal number.
+fn floor_log2(v: f64) -> i32 {
+    (v.to_bits() >> 52) as i32 - 1023
 }
 
 #[cfg(test)]
@@ -94,10 +100,11 @@ mod tests {
         {
             let steps = Steps { scale, angle, position: 0, coarsest: 0, range: 1, luma: 0, chroma: 0 };
             let lattice = Lattice::new(&steps, layout);
+            let delta = (f64::from(scale) + 4.0) / 32.0;
             for difference in 1..=(22 * 32 / (u32::from(scale) + 4)).min(255) as u8 {
-                let aspect = (f64::from(difference) * lattice.delta).exp2();
+                let aspect = (f64::from(difference) * delta).exp2();
                 let tau = ((f64::from(angle) - 1.0) / 2.0).exp2();
-                let step = std::f64::consts::SQRT_2 * lattice.delta * std::f64::consts::LN_2 * tau;
+                let step = std::f64::consts::SQRT_2 * delta * std::f64::consts::LN_2 * tau;
                 let wanted = std::f64::consts::PI * (aspect - 1.0 / aspect) / step;
                 let n = lattice.angles(difference, 0);
                 if wanted < f64::from(n) + 1.0 {

@@ -173,18 +173,14 @@ impl<const K: usize> Field<K> {
         while length < 16 && self.bit(coder, contexts, 2 + length as usize, u32::from(value.ilog2() > length)) != 0 {
             length += 1;
         }
-        let mut m = 1;
-        for i in (0..length).rev() {
-            let bit = value >> i & 1;
-            let node = 20 + 3 * length as usize;
-            m = m << 1
-                | match length - i {
-                    1 => self.bit(coder, contexts, node, bit),
-                    2 => self.bit(coder, contexts, node + 1 + (m & 1) as usize, bit),
-                    _ => coder.raw(1, bit),
-                };
+        // The two bits below the highest are modelled, the rest is as good as noise.
+        let (node, mut m, mut left) = (20 + 3 * length as usize, 1, length);
+        while left > length.saturating_sub(2) {
+            left -= 1;
+            let node = if m == 1 { node } else { node + 1 + (m & 1) as usize };
+            m = m << 1 | self.bit(coder, contexts, node, value >> left & 1);
         }
-        m
+        m << left | coder.raw(left, value & ((1 << left) - 1))
     }
 }
 

@@ -1,93 +1,101 @@
-//! Who is near: the primitives of a group sorted into buckets (spec §8.4).
+//! What lies around: sums over the coded primitives of a group, by buckets (spec §8.4).
 
 use super::kd::Place;
 
-/// How many coded primitives of a bucket are looked at: bounds the work where all centres coincide.
-const DEPTH: usize = 8;
+/// What is summed over the primitives of a bucket.
+pub(crate) const LANES: usize = 16;
 
-/// Buckets of one to four primitives, on average, over a region of cells.
+/// Where [`LANES`] count primitives.
+pub(crate) const COUNT: usize = LANES - 1;
+
+/// From this many primitives on a bucket's sums are halved: later ones count more, and sums stay in 32 bits.
+const MANY: i32 = 16;
+
+/// Buckets of three to five primitives, on average, over a region of cells.
 #[derive(Debug)]
 pub(crate) struct Buckets {
-    /// Logarithm of a bucket's side, cells.
-    pub log: u32,
+    /// Logarithms of a bucket's sides, cells.
+    log: [u32; 2],
     corner: [u32; 2],
     shape: [usize; 2],
-    /// Where each bucket starts in a list of the primitives by bucket.
-    starts: Vec<u32>,
-    /// How many primitives of each bucket have been coded.
-    coded: Vec<u32>,
-    /// The primitives, bucket by bucket, in order.
-    list: Vec<u32>,
+    sums: Vec<[i32; LANES]>,
 }
 
 impl Buckets {
-    /// Buckets for all of `places`, of which none is coded yet.
-    pub fn new(places: &[Place], corner: [u32; 2], extent: [u32; 2]) -> Self {
-        let shape_of = |log: u32| extent.map(|e| u64::from(e.div_ceil(1 << log)).max(1));
-        let mut log = 0;
-        while log < 30 && shape_of(log)[0] * shape_of(log)[1] > places.len().max(1) as u64 {
-            log += 1;
+    /// Empty buckets for `count` primitives in the `extent` cells from `corner` on.
+    pub fn new(count: u32, corner: [u32; 2], extent: [u32; 2]) -> Self {
+        let shape_of = |log: [u32; 2]| [0, 1].map(|k| u64::from(extent[k].div_ceil(1 << log[k])).max(1));
+        let mut log = [0; 2];
+        while log[1] < 30 && shape_of(log)[0] * shape_of(log)[1] > (3 * u64::from(count) / 8).max(1) {
+            log[usize::from(log[0] > log[1])] += 1;
         }
         let shape = shape_of(log).map(|s| s as usize);
-        let buckets = shape[0] * shape[1];
-        let mut grid = Buckets {
-            log,
-            corner,
-            shape,
-            starts: vec![0; buckets + 1],
-            coded: vec![0; buckets],
-            list: vec![0; places.len()],
-        };
-        for place in places {
-            let bucket = grid.bucket(place);
-            grid.starts[bucket + 1] += 1;
-        }
-        for i in 0..buckets {
-            grid.starts[i + 1] += grid.starts[i];
-        }
-        for (i, place) in (0..).zip(places) {
-            let bucket = grid.bucket(place);
-            grid.list[(grid.starts[bucket] + grid.coded[bucket]) as usize] = i;
-            grid.coded[bucket] += 1;
-        }
-        grid.coded.fill(0);
-        grid
+        Buckets { log, corner, shape, sums: vec![[0; LANES]; shape[0] * shape[1]] }
     }
 
-    fn at(&self, place: &Place) -> [usize; 2] {
-        // The middle of a square that reaches over the edge may lie outside.
+    /// The bucket of a place along each axis, and where in it the place's middle lies, eighths of its sides.
+    fn at(&self, place: &Place) -> [(usize, i32); 2] {
         let half = 1 << place.log.0 >> 1;
-        [0, 1].map(|k| (((place.corner[k] - self.corner[k] + half) >> self.log) as usize).min(self.shape[k] - 1))
+        [0, 1].map(|k| {
+            let eighths = u64::from(place.corner[k] - self.corner[k] + half) << 3 >> self.log[k];
+            // The middle of a square that reaches over the edge may lie outside.
+            match (eighths >> 3) as usize {
+                bucket if bucket < self.shape[k] => (bucket, (eighths & 7) as i32),
+                _ => (self.shape[k] - 1, 7),
+            }
+        })
     }
 
-    fn bucket(&self, place: &Place) -> usize {
-        let [x, y] = self.at(place);
-        y * self.shape[0] + x
+    /// Adds a primitive whose every lane is within 16 bits; the last lane is 1.
+    pub fn add(&mut self, place: &Place, lanes: &[i32; LANES]) {
+        let [(x, _), (y, _)] = self.at(place);
+        let sums = &mut self.sums[y * self.shape[0] + x];
+        sums.iter_mut().zip(lanes).for_each(|(sum, lane)| *sum += lane);
+        if sums[COUNT] >= MANY {
+            sums.iter_mut().for_each(|sum| *sum >>= 1);
+        }
     }
 
-    /// The primitive that follows the last one has been coded.
-    pub fn add(&mut self, place: &Place) {
-        let bucket = self.bucket(place);
-        self.coded[bucket] += 1;
-    }
-
-    /// Calls `visit` with coded primitives in the 3 × 3 buckets around `place`, and returns how many primitives these
-    /// buckets will hold and how many buckets there are.
-    pub fn around(&self, place: &Place, mut visit: impl FnMut(usize)) -> [u32; 2] {
-        let [cx, cy] = self.at(place);
-        let (mut total, mut buckets) = (0u32, 0);
+    /// Sums over the 3 × 3 buckets around `place`, the near ones with larger weights: of any lane less than 2³¹ in
+    /// magnitude, since the weights of nine buckets add up to less than 2¹¹.
+    pub fn around(&self, place: &Place) -> [i32; LANES] {
+        let [(cx, fx), (cy, fy)] = self.at(place);
+        let mut out = [0; LANES];
         for y in cy.saturating_sub(1)..=(cy + 1).min(self.shape[1] - 1) {
             for x in cx.saturating_sub(1)..=(cx + 1).min(self.shape[0] - 1) {
-                let bucket = y * self.shape[0] + x;
-                let (start, end) = (self.starts[bucket] as usize, self.starts[bucket + 1]);
-                total += end - start as u32;
-                buckets += 1;
-                let coded = start + self.coded[bucket] as usize;
-                for &i in &self.list[start.max(coded.saturating_sub(DEPTH))..coded] {
-                    visit(i as usize);
+                let away = |bucket: usize, at: usize, eighths: i32| 8 * (bucket as i32 - at as i32) + 4 - eighths;
+                let (dx, dy) = (away(x, cx, fx), away(y, cy, fy));
+                let weight = 4096 / (dx * dx + dy * dy + 10);
+                for (sum, lane) in out.iter_mut().zip(&self.sums[y * self.shape[0] + x]) {
+                    *sum += weight * lane;
                 }
             }
         }
-        [total, buckets]
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cmp::Reverse;
+
+    use super::*;
+
+    #[test]
+    fn sums_of_the_largest_values_fit() {
+        let mut buckets = Buckets::new(1 << 12, [0, 0], [1 << 10, 1 << 10]);
+        let places: Vec<Place> = (0..1 << 10)
+            .flat_map(|y| (0..1 << 10).map(move |x| Place { log: Reverse(0), key: 0, corner: [x, y] }))
+            .collect();
+        for place in &places {
+            let mut lanes = [i32::from(i16::MIN); LANES];
+            lanes[0] = 1 << 16;
+            lanes[COUNT] = 1;
+            buckets.add(place, &lanes);
+        }
+        for place in &places {
+            let sums = buckets.around(place);
+            assert!(sums[0] > 0 && sums[1] < 0 && sums[COUNT] > 0);
+        }
     }
 }

@@ -13,9 +13,16 @@ pub(crate) trait Coder {
     /// Codes one decision whose probability of being 1 is `one / 2¹⁶`, `one` in `1..=65535`.
     fn bit(&mut self, one: u32, bit: u32) -> u32;
 
-    /// Codes `count ≤ 32` bits of `value` as they are, the highest first.
+    /// Codes one of `total` equally likely values, `total` in `1..=2¹⁶`.
+    fn uniform(&mut self, total: u32, value: u32) -> u32;
+
+    /// Codes `count ≤ 32` bits of `value` as they are, the higher half first.
     fn raw(&mut self, count: u32, value: u32) -> u32 {
-        (0..count).rev().fold(0, |v, i| v << 1 | self.bit(1 << 15, value >> i & 1))
+        if count > 16 {
+            let high = self.uniform(1 << (count - 16), value >> 16);
+            return high << 16 | self.uniform(1 << 16, value & 0xffff);
+        }
+        self.uniform(1 << count, value)
     }
 
     /// Ends the account of `field`; only a meter keeps one.
@@ -49,6 +56,14 @@ impl Encoder {
         }
     }
 
+    fn normalize(&mut self) {
+        while self.range < TOP {
+            self.bytes.push((self.low >> 24) as u8);
+            self.low = self.low << 8 & 0xffff_ffff;
+            self.range <<= 8;
+        }
+    }
+
     /// The bytes: the shortest string in the final interval, and the smallest of these.
     pub fn finish(mut self) -> Vec<u8> {
         let last = self.low + u64::from(self.range) - 1;
@@ -79,12 +94,17 @@ impl Coder for Encoder {
             self.range -= bound;
             self.carry();
         }
-        while self.range < TOP {
-            self.bytes.push((self.low >> 24) as u8);
-            self.low = self.low << 8 & 0xffff_ffff;
-            self.range <<= 8;
-        }
+        self.normalize();
         bit
+    }
+
+    fn uniform(&mut self, total: u32, value: u32) -> u32 {
+        let unit = self.range / total;
+        self.low += u64::from(unit * value);
+        self.range = if value + 1 == total { self.range - unit * value } else { unit };
+        self.carry();
+        self.normalize();
+        value
     }
 }
 
@@ -115,6 +135,14 @@ impl<'a> Decoder<'a> {
     fn shift(&mut self) {
         self.code = self.code << 8 | u32::from(self.bytes.get(self.at).copied().unwrap_or(0));
         self.at += 1;
+    }
+
+    #[inline]
+    fn normalize(&mut self) {
+        while self.range < TOP {
+            self.range <<= 8;
+            self.shift();
+        }
     }
 
     /// Checks that the bytes are the ones that [`Encoder::finish`] writes for this message.
@@ -149,11 +177,18 @@ impl Coder for Decoder<'_> {
             self.range -= bound;
             0
         };
-        while self.range < TOP {
-            self.range <<= 8;
-            self.shift();
-        }
+        self.normalize();
         bit
+    }
+
+    #[inline]
+    fn uniform(&mut self, total: u32, _value: u32) -> u32 {
+        let unit = self.range / total;
+        let value = (self.code / unit).min(total - 1);
+        self.code -= unit * value;
+        self.range = if value + 1 == total { self.range - unit * value } else { unit };
+        self.normalize();
+        value
     }
 }
 
@@ -178,6 +213,11 @@ impl<C: Coder> Coder for Meter<C> {
         let chance = if bit != 0 { one } else { 65536 - one };
         self.bits += 16.0 - f64::from(chance).log2();
         bit
+    }
+
+    fn uniform(&mut self, total: u32, value: u32) -> u32 {
+        self.bits += f64::from(total).log2();
+        self.coder.uniform(total, value)
     }
 
     fn account(&mut self, field: &'static str) {
@@ -217,13 +257,18 @@ mod tests {
         for seed in 0..400 {
             let message = decisions(seed, seed % 97);
             let mut encoder = Encoder::new();
+            // Every decision is followed by a uniform value, the last one of its range included.
+            let uniform = |one: u32| (1 + one % 977, (one / 7).min(one % 977));
             message.iter().for_each(|&(one, bit)| {
                 encoder.bit(one, bit);
+                encoder.uniform(uniform(one).0, uniform(one).1);
             });
             let bytes = encoder.finish();
             let decode = |bytes: &[u8]| {
                 let mut decoder = Decoder::new(bytes).unwrap();
-                let same = message.iter().all(|&(one, bit)| decoder.bit(one, bit) == bit);
+                let same = message.iter().all(|&(one, bit)| {
+                    decoder.bit(one, bit) == bit && decoder.uniform(uniform(one).0, 0) == uniform(one).1
+                });
                 (same, decoder.finish())
             };
             assert_eq!(decode(&bytes), (true, Ok(())), "seed {seed}");
