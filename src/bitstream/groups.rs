@@ -131,7 +131,7 @@ fn divide<'a>(
     };
     let halves = region.halves(axis);
     let upper = |p: &PackedGaussian| rules.place(p, region).corner[axis] >= halves[1].corner[axis];
-    primitives.sort_by_key(upper);
+    primitives.sort_by_cached_key(upper);
     let (low, high) = primitives.split_at_mut(primitives.partition_point(|p| !upper(p)));
     if halves[1].corner[axis] < rules.grid()[axis] {
         put_varint(low.len() as u64, out);

@@ -6,6 +6,7 @@
 
 use crate::bitstream::splats::PackedGaussian;
 use crate::fit::field::{Field, Gradient, Output, RowSet, Scene};
+use crate::fit::is_large;
 use crate::fit::kernel::{self, LANES, Lanes, RowExponent};
 use crate::fit::project::Projected;
 use crate::fit::rates::Rates;
@@ -16,6 +17,12 @@ use crate::quantize::Quantizer;
 
 /// Height of the smallest bands, rows.
 const BAND: usize = 96;
+
+/// Rows of a primitive's support, on a large picture, for one that is looked at.
+const TALL: usize = 32;
+
+/// Most rows in one that is looked at.
+const MOST_ROWS: usize = 4;
 
 /// What one sweep did.
 #[derive(Debug, Clone, Copy, Default)]
@@ -221,6 +228,8 @@ struct Patch {
     stride: usize,
     left: usize,
     rows: std::ops::Range<usize>,
+    /// Only every `step`th of them is there, and counts for all.
+    step: usize,
     /// Squared error over the patch without the primitive.
     bare: f32,
 }
@@ -231,6 +240,17 @@ struct Parabola {
     rest: f32,
     cross: [f32; 4],
     square: [f32; 2],
+}
+
+impl Patch {
+    /// The rows that are there and inside `rows`, with their planes.
+    #[inline(always)]
+    fn rows(&self, rows: [u32; 2], channels: usize) -> impl Iterator<Item = (u32, &[f32])> {
+        let [from, to] = rows.map(|y| (y as usize).clamp(self.rows.start, self.rows.end) - self.rows.start);
+        let size = (2 * channels + 2) * self.stride;
+        (from.div_ceil(self.step)..to.div_ceil(self.step))
+            .map(move |i| ((self.rows.start + i * self.step) as u32, &self.planes[i * size..][..size]))
+    }
 }
 
 impl Parabola {
@@ -359,10 +379,11 @@ impl<const C: usize> BandTask<'_, C> {
         patch.stride = width;
         patch.left = left;
         patch.rows = rows.clone();
-        patch.planes.resize((2 * C + 2) * width * rows.len(), 0.0);
+        patch.step = self.row_step(p);
+        patch.planes.resize((2 * C + 2) * width * rows.len().div_ceil(patch.step), 0.0);
         let alpha = self.target.channels.alpha();
         let mut bare = [0.0f32; LANES];
-        for (y, out) in rows.zip(patch.planes.chunks_exact_mut((2 * C + 2) * width)) {
+        for (y, out) in rows.step_by(patch.step).zip(patch.planes.chunks_exact_mut((2 * C + 2) * width)) {
             let row = &self.planes[(y - self.first) * (C + 1) * stride..][..(C + 1) * stride];
             let target = self.target.row(y as u32);
             let span = p.span(y as u32, self.scene.width);
@@ -431,7 +452,13 @@ impl<const C: usize> BandTask<'_, C> {
                 (x, o) = (x + LANES, o + LANES);
             }
         }
-        patch.bare = kernel::total(&bare);
+        patch.bare = kernel::total(&bare) * patch.step as f32;
+    }
+
+    /// Rows in one that is looked at: on a large picture tall primitives have more pixels than it takes to decide.
+    fn row_step(&self, p: &Projected) -> usize {
+        let tall = (p.rows[1] - p.rows[0]) as usize;
+        if is_large(self.scene) { (tall / TALL).clamp(1, MOST_ROWS) } else { 1 }
     }
 
     /// What is added to `Σwc` of channel `k` before the division.
@@ -451,11 +478,10 @@ impl<const C: usize> BandTask<'_, C> {
         let mut rest = [0.0f32; LANES];
         let mut cross = [[0.0f32; LANES]; C];
         let mut square = [[0.0f32; LANES]; 2];
-        for y in (q.rows[0] as usize).max(patch.rows.start)..(q.rows[1] as usize).min(patch.rows.end) {
-            let Some((first, end, dy)) = q.span(y as u32, self.scene.width) else { continue };
-            let row = &patch.planes[(y - patch.rows.start) * (2 * C + 2) * width..][..(2 * C + 2) * width];
+        for (y, row) in patch.rows(q.rows, C) {
+            let Some((first, end, dy)) = q.span(y, self.scene.width) else { continue };
             let exponent = RowExponent::new(q, dy);
-            let amplitude = self.target.amplitude(y as u32);
+            let amplitude = self.target.amplitude(y);
             let mut x = first.max(patch.left);
             while x < end {
                 let o = x - patch.left;
@@ -495,10 +521,10 @@ impl<const C: usize> BandTask<'_, C> {
                 x += LANES;
             }
         }
-        let mut out =
-            Parabola { rest: kernel::total(&rest), cross: [0.0; 4], square: square.map(|s| kernel::total(&s)) };
+        let total = |sum: &Lanes| kernel::total(sum) * patch.step as f32;
+        let mut out = Parabola { rest: total(&rest), cross: [0.0; 4], square: square.map(|s| total(&s)) };
         for k in 0..C {
-            out.cross[k] = kernel::total(&cross[k]);
+            out.cross[k] = total(&cross[k]);
         }
         out
     }
@@ -509,11 +535,10 @@ impl<const C: usize> BandTask<'_, C> {
         let width = patch.stride;
         let alpha = self.target.channels.alpha();
         let mut m = [[0.0f32; LANES]; 5];
-        for y in (p.rows[0] as usize).max(patch.rows.start)..(p.rows[1] as usize).min(patch.rows.end) {
-            let Some((first, end, dy)) = p.span(y as u32, self.scene.width) else { continue };
-            let row = &patch.planes[(y - patch.rows.start) * (2 * C + 2) * width..][..(2 * C + 2) * width];
+        for (y, row) in patch.rows(p.rows, C) {
+            let Some((first, end, dy)) = p.span(y, self.scene.width) else { continue };
             let exponent = RowExponent::new(p, dy);
-            let amplitude = self.target.amplitude(y as u32);
+            let amplitude = self.target.amplitude(y);
             let (mut v0, mut v1, mut v2) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
             let mut x = first.max(patch.left);
             while x < end {
@@ -559,7 +584,7 @@ impl<const C: usize> BandTask<'_, C> {
             m[3] = kernel::lanes(|i| m[3][i] + dy * v1[i]);
             m[4] = kernel::lanes(|i| m[4][i] + dy * dy * v0[i]);
         }
-        Gradient::from_moments(m.map(|v| kernel::total(&v)), g.scale, g.rotation)
+        Gradient::from_moments(m.map(|v| kernel::total(&v) * patch.step as f32), g.scale, g.rotation)
     }
 
     /// The colour integers with the least `error + λ·bits`, near the parabola's minimum, and that value.

@@ -421,7 +421,7 @@ fn gcd(a: u32, b: u32) -> u32 {
     if b == 0 { a } else { gcd(b, a % b) }
 }
 
-fn is_large(scene: &Scene) -> bool {
+pub(crate) fn is_large(scene: &Scene) -> bool {
     u64::from(scene.width) * u64::from(scene.height) >= LARGE
 }
 
