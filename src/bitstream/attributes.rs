@@ -181,15 +181,12 @@ impl Scene<'_> {
 
 /// `16·log₂` of the spacing, in cells, of `count` primitives on `size` cells.
 pub(crate) fn spacing(size: [u32; 2], count: u32) -> i64 {
-    // Of 256 times the cells that each has, less than 2⁷².
-    let (area, count) = (u128::from(size[0]) * u128::from(size[1]) << 8, u128::from(count.max(1)));
-    let cells = (area / count).max(1);
-    let halved = (cells.ilog2() + 1).saturating_sub(64);
-    (log16((cells >> halved) as u64) + 16 * i64::from(halved) - 16 * 8).div_euclid(2)
+    let area = u128::from(size[0]) * u128::from(size[1]) * 256 / u128::from(count.max(1));
+    (log16(area.max(1)) - 16 * 8).div_euclid(2)
 }
 
-/// `16·log₂` of a positive number, linear between powers of two.
-fn log16(value: u64) -> i64 {
+/// `16·log₂`, linear between powers of two.
+fn log16(value: u128) -> i64 {
     let log = value.ilog2();
     let rest = if log >= 4 { value >> (log - 4) } else { value << (4 - log) };
     16 * i64::from(log) + (rest & 15) as i64

@@ -46,7 +46,7 @@ impl Buckets {
         })
     }
 
-    /// Adds a primitive whose every lane is within 16 bits; the last lane is 1.
+    /// Adds a primitive whose lanes are within ±2¹⁶; the last lane is 1.
     pub fn add(&mut self, place: &Place, lanes: &[i32; LANES]) {
         let [(x, _), (y, _)] = self.at(place);
         let sums = &mut self.sums[y * self.shape[0] + x];
@@ -56,8 +56,8 @@ impl Buckets {
         }
     }
 
-    /// Sums over the 3 × 3 buckets around `place`, the near ones with larger weights: of any lane less than 2³¹ in
-    /// magnitude, since the weights of nine buckets add up to less than 2¹¹.
+    /// Sums over the 3 × 3 buckets around `place`, the near ones with larger weights. Nine weights add up to less than
+    /// 2¹⁰ and no bucket keeps a sum beyond 2²⁰, so that all stay within 2³⁰.
     pub fn around(&self, place: &Place) -> [i32; LANES] {
         let [(cx, fx), (cy, fy)] = self.at(place);
         let mut out = [0; LANES];

@@ -44,6 +44,8 @@ const SAMPLED: f32 = 0.8;
 const SETTLED: f32 = 0.95;
 /// Iterations between looks at the error over all rows when few are seen in the last steps.
 pub(crate) const REMEMBERED: u32 = 20;
+/// Error of the last state, over that of the best one, from which on the best one is gone back to.
+pub(crate) const CLEARLY_WORSE: f64 = 1.01;
 /// Share of the iterations after which nothing is relocated any more.
 const RELOCATED: f32 = 0.7;
 /// Share of the iterations that see a large picture at half its size: `coarse.rs` measures it.
@@ -315,7 +317,7 @@ impl State {
     /// in their first steps on all rows: the optimizer's memory is of the noise of samples, and those steps are long.
     fn keep_best(&mut self) {
         if let Some((error, primitives)) = self.best.take()
-            && self.latest > 1.01 * error
+            && self.latest > CLEARLY_WORSE * error
         {
             *self = State { is_enough: self.is_enough, ..State::new(primitives, self.bounds) };
         }

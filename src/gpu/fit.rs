@@ -366,7 +366,7 @@ impl State {
     fn keep_best(&mut self) -> Result<()> {
         self.flush()?;
         let Some((least, best)) = self.best.take() else { return Ok(()) };
-        if self.survey(RowSet::ALL, Wanted::Error)?.error > 1.01 * least {
+        if self.survey(RowSet::ALL, Wanted::Error)?.error > fit::CLEARLY_WORSE * least {
             self.primitives = best;
             self.stage = None;
             self.peaks = None;

@@ -7,10 +7,15 @@ use ssplat::{EncodeOptions, Limits, Needs, Pixels, Target, encode, metrics};
 use super::scenes;
 
 /// Encodes whose means are shown: with few primitives chance weighs as much as what is left out.
-pub const SEEDS: u64 = 4;
+const SEEDS: u64 = 4;
 
 /// How much work each of them is: a small part of that of a report.
-pub const EFFORT: u8 = 1;
+const EFFORT: u8 = 1;
+
+/// How they are encoded, in words.
+pub fn settings() -> String {
+    format!("effort {EFFORT}, means over {SEEDS} seeds")
+}
 
 /// One scene, encoded both ways: with everything, and with what it needs; means over the seeds.
 #[derive(Debug, Clone, PartialEq)]

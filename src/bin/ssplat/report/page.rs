@@ -381,11 +381,12 @@ impl Contents<'_> {
         if self.left_out.is_empty() {
             return String::new();
         }
-        let mut html = String::from(
+        let mut html = format!(
             "<h2>What a scene leaves out</h2>\n<p>The same picture, encoded with 400 primitives or fewer: once with everything, once without what the encoder \
-             measured to be needless; effort 1, means over four seeds; in brackets, bytes of the file written both ways. The photograph is a part of the first picture.</p>\n\
+             measured to be needless; {}; in brackets, bytes of the file written both ways. The photograph is a part of the first picture.</p>\n\
              <div class=\"scroll\"><table><thead><tr><th>Scene</th><th class=\"text\">Left out</th><th>Bytes</th><th>Saved</th>\
              <th>Seconds</th><th>Saved</th><th>PSNR dB</th><th>Change</th></tr></thead><tbody>\n",
+            left_out::settings()
         );
         let common = left_out::common(self.left_out);
         for n in self.left_out {

@@ -48,8 +48,12 @@ fn headline(contents: &Contents, text: &mut String) {
 }
 
 fn needless(contents: &Contents, text: &mut String) {
-    *text += "\n## What a scene leaves out\n\nWith everything → with what the scene needs; effort 1, means over four seeds.\n\n\
-              | scene | left out | bytes | seconds | PSNR dB |\n|---|---|--:|--:|--:|\n";
+    let _ = write!(
+        text,
+        "\n## What a scene leaves out\n\nWith everything → with what the scene needs; {}.\n\n\
+         | scene | left out | bytes | seconds | PSNR dB |\n|---|---|--:|--:|--:|\n",
+        left_out::settings()
+    );
     let common = left_out::common(contents.left_out);
     for n in contents.left_out {
         let _ = writeln!(
