@@ -105,7 +105,7 @@ class Header:
         demand(data[:4] == SIGNATURE, "not an ssplat file")
         b.at = 4
         version = b.byte("version")
-        if version != 3:
+        if version != 4:
             raise Unsupported(f"format version {version}")
         flags = b.byte("flags")
         self.layout = flags & 3
@@ -164,6 +164,11 @@ class Header:
                 ey = math.floor(minor * self.delta - 2 + lift - fine + 0.5)
                 self.steps_of[key] = tuple(clamp(e, self.finest, self.coarsest) - self.finest for e in (ex, ey))
         return self.steps_of[key]
+
+    def seat(self, major):
+        """The logarithm of the side of the square where such primitives sit (§8.4)."""
+        t = 2 * (major * self.D - 64 - 8 * self.position) - 1
+        return clamp((t + 32) // 64, self.finest, self.coarsest) - self.finest
 
     def check_shape(self, major, minor, angle):
         demand(0 <= minor <= major <= self.top, "scale out of range")
@@ -407,12 +412,31 @@ class RangeDecoder:
             self.code = self.code << 8 | (self.data[self.at] if self.at < len(self.data) else 0)
             self.at += 1
 
+    def choose(self, below, low, high):
+        """The value v of low … high − 1 that below(v) ≤ target < below(v + 1) holds for; below(low) is 0. Gives both bounds too."""
+        total = below(high)
+        unit = self.range // total
+        target = min(self.code // unit, total - 1)
+        first, last = 0, total
+        while high - low > 1:
+            middle = (low + high) // 2
+            at = below(middle)
+            if at <= target:
+                low, first = middle, at
+            else:
+                high, last = middle, at
+        self.take(unit, first, last, total)
+        return low, first, last, total
+
+    def take(self, unit, first, last, total):
+        self.code -= unit * first
+        self.range = self.range - unit * first if last == total else unit * (last - first)
+        self.normalize()
+
     def uniform(self, total):
         unit = self.range // total
         value = min(self.code // unit, total - 1)
-        self.code -= unit * value
-        self.range = self.range - unit * value if value == total - 1 else unit
-        self.normalize()
+        self.take(unit, value, value + 1, total)
         return value
 
     def raw(self, count):
@@ -420,6 +444,13 @@ class RangeDecoder:
             high = self.uniform(1 << count - 16)
             return high << 16 | self.uniform(1 << 16)
         return self.uniform(1 << count)
+
+    def pair(self, a, b):
+        if a + b <= 16:
+            both = self.raw(a + b)
+            return both >> b, both & (1 << b) - 1
+        first = self.raw(a)
+        return first, self.raw(b)
 
     def finish(self):
         length = len(self.data)
@@ -433,82 +464,11 @@ class RangeDecoder:
         demand(right, "end of the coded stream")
 
 
-# §8.2 Models
+# §8.2 Values near a place
 
-STRETCH = [rounded(256 * math.log(p / (1 - p))) for p in ((i + 0.5) / 4096 for i in range(4096))]
-SQUASH = [clamp(rounded(65536 / (1 + math.exp(-i / 256))), 32, 65504) for i in range(-2047, 2048)]
-STEP = [rounded(65536 / (n + 2)) for n in range(1024)]
-TRUST = [rounded(256 * math.sqrt(n / (n + 2))) for n in range(1024)]
-
-
-class Field:
-    def __init__(self, coder, nodes, contexts, limit):
-        self.coder, self.nodes, self.limit = coder, nodes, limit
-        self.p = [[1 << 21] * (n * nodes) for n in contexts]
-        self.n = [[0] * (n * nodes) for n in contexts]
-        self.weights = [[65536 // len(contexts)] * len(contexts) for _ in range(nodes)]
-
-    def start(self, k, value, node, one, n):
-        self.p[k][value * self.nodes + node] = 64 * one
-        self.n[k][value * self.nodes + node] = n
-
-    def opinions(self, chances, counts):
-        for k, n in enumerate(counts):
-            for value in range(len(self.p[k]) // self.nodes):
-                for node, chance in enumerate(chances):
-                    self.start(k, value, node, 256 * chance + 128, n)
-        return self
-
-    def bit(self, contexts, node):
-        weights, x, inputs, places = self.weights[node], 0, [], []
-        for k, value in enumerate(contexts):
-            at = value * self.nodes + node
-            v = STRETCH[self.p[k][at] >> 10] * TRUST[self.n[k][at]] >> 8
-            x += v * weights[k]
-            inputs.append(v)
-            places.append(at)
-        one = SQUASH[clamp(x >> 16, -2047, 2047) + 2047]
-        bit = self.coder.bit(one)
-        error, target = (65536 - one, (1 << 22) - 1) if bit else (-one, 0)
-        for k, at in enumerate(places):
-            weights[k] += inputs[k] * error + 8192 >> 14
-            p, n = self.p[k], self.n[k]
-            p[at] += (target - p[at]) * STEP[n[at]] >> 16
-            if n[at] < self.limit:
-                n[at] += 1
-        return bit
-
-    def tree(self, contexts, count):
-        node = 1
-        for _ in range(count):
-            node = 2 * node + self.bit(contexts, node)
-        return node - (1 << count)
-
-    def signed(self, contexts):
-        if self.bit(contexts, 0):
-            return 0
-        negative, length, m = self.bit(contexts, 1), 0, 1
-        while length < 16 and self.bit(contexts, 2 + length):
-            length += 1
-        if length > 0:
-            m = 2 + self.bit(contexts, 20 + 3 * length)
-        if length > 1:
-            m = 2 * m + self.bit(contexts, 21 + 3 * length + (m & 1))
-        rest = max(0, length - 2)
-        m = m << rest | self.coder.raw(rest)
-        return -m if negative else m
-
-
-# §8.3 Positions
-
-STAY = [251, 251, 249, 243, 222, 195, 164, 137, 102, 71, 46, 25, 13, 8, 4] + [2] * 9
-
-
-def some(chance, tries):
-    none = 65536
-    for _ in range(max(1, tries)):
-        none = max(256, none * (256 - chance) >> 8)
-    return 65536 - none
+LOGISTIC = [rounded(65536 / (1 + math.exp(-(i - 2048) / 256))) for i in range(4097)]
+INVERSE = {i: rounded(2**16 * 4096 * 2 * math.log(2) / (16 * 2 ** (i / 16 - 8))) for i in range(80, 321)}
+AT_THE_MEAN = 5678
 
 
 def log16(v):
@@ -516,128 +476,192 @@ def log16(v):
     return 16 * log + ((v << 4 >> log) & 15)
 
 
-class Node:
-    __slots__ = ("corner", "count", "slope", "density", "crowd")
+class Near:
+    """The distribution around a place, with a spread."""
 
-    def __init__(self, corner, count, around):
-        self.corner, self.count = corner, count
-        self.slope, self.density, self.crowd = around
+    def __init__(self, coder, place, spread):
+        self.coder, self.place, self.inverse = coder, place, INVERSE[clamp(spread, 80, 320)]
+
+    def chance(self, v):
+        t = clamp((16 * v - 8 - self.place) * self.inverse >> 16, -32767, 32767) + 32768
+        i = t >> 4
+        return LOGISTIC[i] + ((LOGISTIC[i + 1] - LOGISTIC[i]) * (t % 16) >> 4)
+
+    def distance(self, v):
+        return min(abs(16 * v - self.place) * self.inverse >> 16, 32767)
+
+    def chosen(self, low, count, share):
+        least, floor = self.chance(low), share // count + 1
+        return self.coder.choose(lambda v: self.chance(v) - least + floor * (v - low), low, low + count)
+
+    def bounded(self, low, count, share):
+        return self.chosen(low, count, share)[0]
+
+    def open(self):
+        middle = self.place + 8 >> 4
+
+        def below(v):
+            if v == -128 or v == 128:
+                return 256 * (v + 128)
+            return (self.chance(middle + v) * 65280 >> 16) + v + 128
+
+        step = self.coder.choose(below, -128, 128)[0]
+        if -128 < step < 127:
+            return middle + step
+        n = self.coder.uniform(18)
+        rest = (1 << n) + self.coder.raw(n) - 1
+        return middle - 128 - rest if step < 0 else middle + 127 + rest
+
+
+class Gains:
+    def __init__(self, *classes):
+        self.kinds = [[[0, 0] for _ in range(n)] for n in classes]
+
+    def sum(self, classes):
+        return sum(kind[c][0] for kind, c in zip(self.kinds, classes)) >> 16
+
+    def learn(self, classes, distance):
+        for kind, c in zip(self.kinds, classes):
+            number, count = kind[c]
+            number += (distance - AT_THE_MEAN) * max(1024, 65536 // (count + 12)) >> 8
+            kind[c] = [clamp(number, -(1 << 23), 1 << 23), min(count + 1, 64)]
+
+
+# §8.3 Adaptive bits
+
+
+class Field:
+    def __init__(self, coder, nodes, values, limit):
+        self.coder, self.nodes, self.limit = coder, nodes, limit
+        self.p = [1 << 21] * (values * nodes)
+        self.n = [0] * (values * nodes)
+
+    def start(self, value, node, one, n):
+        self.p[value * self.nodes + node] = 64 * one
+        self.n[value * self.nodes + node] = n
+
+    def bit(self, context, node):
+        at = context * self.nodes + node
+        p, n = self.p[at], self.n[at]
+        bit = self.coder.bit(clamp(p >> 6, 32, 65504))
+        target = (1 << 22) - 1 if bit else 0
+        self.p[at] = p + ((target - p) * (65536 // (n + 2)) >> 16)
+        self.n[at] = min(n + 1, self.limit)
+        return bit
+
+    def tree(self, context, count):
+        node = 1
+        for _ in range(count):
+            node = 2 * node + self.bit(context, node)
+        return node - (1 << count)
+
+    def signed(self, context):
+        if self.bit(context, 0):
+            return 0
+        negative, length, m = self.bit(context, 1), 0, 1
+        while length < 16 and self.bit(context, 2 + length):
+            length += 1
+        if length > 0:
+            m = 2 + self.bit(context, 20 + 3 * length)
+        if length > 1:
+            m = 2 * m + self.bit(context, 21 + 3 * length + (m & 1))
+        rest = max(0, length - 2)
+        m = m << rest | self.coder.raw(rest)
+        return -m if negative else m
+
+
+# §8.4 Positions
+
+STAY = [251, 251, 249, 243, 222, 195, 164, 137, 102, 71, 46, 25, 13, 8, 4] + [2] * 9
 
 
 def axis_of(log):
-    return None if log == [0, 0] else 0 if log[0] >= log[1] else 1
+    return None if list(log) == [0, 0] else 0 if log[0] >= log[1] else 1
 
 
 def whole_region(header):
     return (0, 0), [max(bits(g - 1), header.range) for g in header.grid]
 
 
-class Counts:
-    def __init__(self, coder):
-        self.coder = coder
-        self.stay = Field(coder, 1, [576, 384], 250)
-        self.small = Field(coder, 1, [416, 6656], 250)
-        self.large = Field(coder, 72, [16, 7], 250)
+def halves(corner, log, axis):
+    """The logarithms of both halves' sides, and the upper half's corner."""
+    log, upper = list(log), list(corner)
+    log[axis] -= 1
+    upper[axis] += 1 << log[axis]
+    return log, tuple(upper)
+
+
+class Places:
+    """The squares of a group's primitives, as (logarithm of the side, corner), in the order in which they are found."""
+
+    def __init__(self, coder, header, cells):
+        self.coder, self.header, self.cells, self.out = coder, header, cells, []
+        self.gains = Gains(32)
+        self.stay = Field(coder, 1, 72, 250)
         for size, chance in enumerate(STAY):
-            for full in range(8):
-                for s in range(3):
-                    self.stay.start(0, (size * 8 + full) * 3 + s, 0, some(chance, max(0, full - s) // (s + 1)), 6)
-                for m in range(2):
-                    self.stay.start(1, (size * 8 + full) * 2 + m, 0, some(chance, 1 + m), 4)
-        for n in range(1, 13):
-            self.opinion(n, 1, 0, n + 1)
+            none = 65536
+            for n in (1, 2, 3):
+                none = none * (256 - chance) >> 8
+                self.stay.start(3 * size + n - 1, 0, clamp(65536 - none, 256, 65280), 6)
 
-    def opinion(self, n, node, low, high):
-        if high - low < 2:
+    def stays(self, l, n):
+        size = clamp(quotient(16 * l - self.cells, 8) + 12, 0, 23)
+        return self.stay.bit(3 * size + min(n, 3) - 1, 0)
+
+    def region(self, corner, log, n):
+        header, axis = self.header, axis_of(log)
+        if n == 1:
+            l = min(*log, header.range)
+            while l > 0 and not self.stays(l, 1):
+                l -= 1
+            place = self.coder.pair(log[0] - l, log[1] - l)
+            corner = tuple(c + (p << l) for c, p in zip(corner, place))
+            demand(corner[0] < header.grid[0] and corner[1] < header.grid[1], "position out of range")
+            self.out.append((l, corner))
             return
-        middle = low + (high - low) // 2
-        one = 65536 * sum(math.comb(n, k) for k in range(middle, high)) // sum(math.comb(n, k) for k in range(low, high))
-        at = 16 * n + node
-        for k, values in enumerate((2, 32)):
-            for value in range(values):
-                self.small.start(k, at * values + value, 0, one, 30)
-        self.opinion(n, 2 * node, low, middle)
-        self.opinion(n, 2 * node + 1, middle, high)
+        left = n
+        if log[0] == log[1] <= header.range:
+            while left > 0 and (axis is None or self.stays(log[0], left)):
+                left -= 1
+            self.out.extend([(log[0], corner)] * (n - left))
+        if left == 0:
+            return
+        log, upper = halves(corner, log, axis)
+        inside = [clamp(header.grid[axis] - c[axis], 0, 1 << log[axis]) for c in (corner, upper)]
+        lower = self.split(left, inside) if inside[1] > 0 else left
+        if lower > 0:
+            self.region(corner, log, lower)
+        if lower < left:
+            self.region(upper, log, left - lower)
 
-    def split(self, node, inside):
-        n, partial = node.count, int(inside[1] < inside[0])
-        if n > 12:
-            expected = n * inside[0] // (inside[0] + inside[1])
-            fine = max(0, ilog2(n) // 2 - 1)
-            coarse = self.large.signed((min(15, ilog2(n)), node.slope))
-            return expected + (coarse << fine) + self.coder.raw(fine)
-        low, high, at = 0, n + 1, 1
-        slope = 7 if partial else node.slope
-        while high - low > 1:
-            middle = low + (high - low) // 2
-            place = 16 * n + at
-            bit = self.small.bit((place * 2 + partial, place * 32 + 4 * slope + node.density), 0)
-            low, high = (middle, high) if bit else (low, middle)
-            at = 2 * at + bit
-        return low
-
-
-def look_around(level, corner, log, shape, axis):
-    table = {tuple(n.corner[k] - corner[k] >> log[k] for k in (0, 1)): n.count for n in level}
-    for node in level:
-        n, at = node.count, [node.corner[k] - corner[k] >> log[k] for k in (0, 1)]
-
-        def beside(k, step):
-            other = at.copy()
-            other[k] += step
-            return table.get(tuple(other), 0) if 0 <= other[k] < shape[k] else n
-
-        a, b = beside(axis, -1), beside(axis, 1)
-        total = a + b + beside(1 - axis, -1) + beside(1 - axis, 1)
-        q = quotient(8 * (b - a), a + b + n)
-        node.slope = 0 if q <= -4 else 1 if q <= -2 else 2 if q == -1 else 3 if q == 0 else 4 if q == 1 else 5 if q <= 3 else 6
-        density = total // n
-        node.density = 0 if density <= 1 else 1 if density == 2 else 2 if density <= 4 else 3
-        node.crowd = min(7, bits(2 * total + n))
+    def split(self, n, inside):
+        part = (inside[0] << 16) // (inside[0] + inside[1])
+        if n <= 12:
+            chances = [65536] + [0] * n
+            for _ in range(n):
+                chances = [c * (65536 - part) + b * part >> 16 for b, c in zip([0] + chances, chances)]
+            sums = [0]
+            for c in chances:
+                sums.append(sums[-1] + c + 1)
+            return self.coder.choose(sums.__getitem__, 0, n + 1)[0]
+        fine, classes = max(0, ilog2(n) - 10), (ilog2(n),)
+        spread = max(0, log16(n) // 2 - 16 * fine) + 120 + self.gains.sum(classes)
+        near = Near(self.coder, (16 * n * part >> 16) >> fine, spread)
+        coarse = near.bounded(0, (n >> fine) + 1, 64)
+        self.gains.learn(classes, near.distance(coarse))
+        lower = (coarse << fine) + self.coder.raw(fine)
+        demand(lower <= n, "count of a half")
+        return lower
 
 
-def read_places(coder, header, corner, log, side, cells, count):
-    """The squares of the group's primitives, as (logarithm of the side, corner), in order."""
-    counts, out, log = Counts(coder), [], list(log)
-    level = [Node(corner, count, (3, 0, 7))] if count else []
-    while level:
-        axis = axis_of(log)
-        shape = [-(-side[k] // (1 << log[k])) for k in (0, 1)]
-        if shape[0] * shape[1] <= 4 * count + 64:
-            look_around(level, corner, log, shape, axis or 0)
-        if log[0] == log[1] and log[0] <= header.range:
-            size = clamp(quotient(16 * log[0] - cells, 8) + 12, 0, 23)
-            for node in level:
-                s = node.count if axis is None else 0
-                full, several = min(node.count, 7), int(node.count > 1)
-                while s < node.count:
-                    contexts = ((size * 8 + full) * 3 + min(s, 2), (size * 8 + node.crowd) * 2 + several)
-                    if not counts.stay.bit(contexts, 0):
-                        break
-                    s += 1
-                out.extend([(log[0], node.corner)] * s)
-                node.count -= s
-        if axis is None:
-            break
-        log[axis] -= 1
-        half, following = 1 << log[axis], []
-        for node in level:
-            if node.count == 0:
-                continue
-            upper = list(node.corner)
-            upper[axis] += half
-            inside = [clamp(header.grid[axis] - c[axis], 0, half) for c in (node.corner, upper)]
-            lower = counts.split(node, inside) if inside[1] > 0 else node.count
-            demand(0 <= lower <= node.count, "count of a half")
-            around = (node.slope, node.density, node.crowd)
-            for c, n in ((node.corner, lower), (tuple(upper), node.count - lower)):
-                if n > 0:
-                    following.append(Node(c, n, around))
-        level = following
-    return out
+def read_places(coder, header, corner, log, cells, count):
+    places = Places(coder, header, cells)
+    if count > 0:
+        places.region(corner, log, count)
+    return sorted(places.out, key=lambda place: -place[0])
 
 
-# §8.4 Neighbours
+# §8.5 Neighbours
 
 
 class Buckets:
@@ -661,38 +685,25 @@ class Buckets:
 
     def around(self, place):
         (cx, fx), (cy, fy) = self.of(place)
-        out = [0] * 16
+        out = [0] * 14
         for y in range(max(0, cy - 1), min(self.last[1], cy + 1) + 1):
             for x in range(max(0, cx - 1), min(self.last[0], cx + 1) + 1):
                 dx, dy = 8 * (x - cx) + 4 - fx, 8 * (y - cy) + 4 - fy
-                w = 4096 // (dx * dx + dy * dy + 10)
+                w = 1 << ilog2(5792 // (dx * dx + dy * dy + 10))
                 if (x, y) in self.sums:
                     out = [o + w * s for o, s in zip(out, self.sums[x, y])]
         return out
 
     def add(self, place, left):
         (x, _), (y, _) = self.of(place)
-        sums = [s + v for s, v in zip(self.sums.get((x, y), [0] * 16), left)]
-        self.sums[x, y] = [s >> 1 for s in sums] if sums[15] >= 16 else sums
+        sums = [s + v for s, v in zip(self.sums.get((x, y), [0] * 14), left)]
+        self.sums[x, y] = [s >> 1 for s in sums] if sums[13] >= 16 else sums
 
 
-# §8.5 Shape and colour
+# §8.6 Shape and colour
 
-CHANCES = {
-    "major": "19 128 214 164 75 10 11 64 128 128 128 128 128 128 128 128 128 128 "
-    "128 128 128 128 128 123 128 128 100 116 111 42 84 70 29 45 69 64",
-    "aspect": "19 128 212 163 64 9 12 128 128 128 128 128 128 128 128 128 128 128 "
-    "128 128 128 128 128 122 128 128 101 118 115 33 75 84 12 36 128 128",
-    "luma": "11 128 232 202 137 49 5 25 128 128 128 128 128 128 128 128 128 128 "
-    "128 128 128 128 128 128 128 128 122 125 119 83 108 101 33 79 79 25",
-    "Co": "105 128 95 68 30 21 44 128 128 128 128 128 128 128 128 128 128 128 "
-    "128 128 128 128 128 78 128 128 61 91 94 49 81 100 67 91 192 128",
-    "Cg": "149 128 55 34 15 47 64 128 128 128 128 128 128 128 128 128 128 128 "
-    "128 128 128 128 128 62 128 128 31 74 57 35 53 128 64 64 128 128",
-}
-CHANCES = {name: [int(c) for c in text.split()] for name, text in CHANCES.items()}
-ACCORD = {2: (128, 134, 170, 182, 196, 210), 5: (128, 140, 150, 170, 188, 216), 11: (128, 135, 145, 155, 175, 200)}
-MIRROR = {2: 3, 5: 6, 11: 12}
+ERRORS = (384, 192, 128, 384)
+ACCORD = (112, 112, 86, 79, 72, 63)
 TANGENTS = [rounded(4096 * math.tan(2 * math.pi * (j + 0.5) / 64)) for j in range(16)]
 UNITS = [tuple(rounded(256 * f(2 * math.pi * k / 64)) for f in (math.cos, math.sin)) for k in range(64)]
 
@@ -701,16 +712,12 @@ def group_class(v, c):
     return clamp(v, -c, c) + c
 
 
-def level_of(v):
-    return min(7, bits(v))
-
-
 class Mean:
     def __init__(self, value):
         self.sum, self.count = 4 * value, 4
 
-    def get(self):
-        return self.sum // self.count
+    def refresh(self):
+        self.value = self.sum // self.count
 
     def add(self, value):
         self.sum += value
@@ -721,8 +728,11 @@ class Slope:
     def __init__(self, xy):
         self.xy, self.xx = xy, 1 << 20
 
+    def refresh(self):
+        self.slope = clamp(quotient(self.xy * 256, self.xx), -1024, 1024)
+
     def __call__(self, v):
-        return clamp(quotient(self.xy * 256, self.xx), -1024, 1024) * v >> 8
+        return self.slope * v >> 8
 
     def add(self, u, v):
         self.xy += u * v
@@ -754,107 +764,103 @@ def consensus(axis, elongation):
 def read_group(coder, header, background, book, corner, log, count):
     side = [min(header.grid[k] - corner[k], 1 << log[k]) for k in (0, 1)]
     cells = (log16(max(1, 256 * side[0] * side[1] // max(1, count))) - 128) // 2
-    places = read_places(coder, header, corner, log, side, cells, count)
+    places = read_places(coder, header, corner, log, cells, count)
     buckets = Buckets(count, corner, side)
-    D, finest, position = header.D, header.finest, header.position
+    D, channels = header.D, header.channels
 
     def scale_of(g):
         return quotient((g + 32) * 2 * FINE, D)
 
-    spacing = scale_of(cells + 16 * finest)
+    spacing = scale_of(cells + 16 * header.finest)
     octave = 32 * FINE // D
     guesses = [spacing - octave, spacing - 3 * octave] + [FINE * b for b in background] + [0] * (4 - len(background))
-    means = [Mean(g) for g in guesses]
+    means, mean_errors = [Mean(g) for g in guesses], [Mean(e) for e in ERRORS]
     follow = [Slope(1 << 20) for _ in range(4)]
     cross = [[Slope(0), Slope(0)] for _ in range(4)]
-    field_major = Field(coder, 72, [144, 8], 250).opinions(CHANCES["major"], (6, 6))
-    field_aspect = Field(coder, 72, [40, 81], 250).opinions(CHANCES["aspect"], (3, 3))
-    field_angle = Field(coder, 16, [48, 96], 250)
-    for k, values in enumerate((48, 96)):
-        for value in range(values):
-            for node, chances in ACCORD.items():
-                one, n = 256 * chances[value % 6], (6, 2)[k]
-                field_angle.start(k, value, node, one, n)
-                field_angle.start(k, value, MIRROR[node], 65536 - one, n)
+    refreshed = means + mean_errors + follow + [slope for pair in cross for slope in pair]
+    majors_of = {}
+    for major in range(header.top + 1):
+        majors_of.setdefault(header.seat(major), []).append(major)
+    gains_minor, gains_angle = Gains(40, 9, 9), Gains(8, 6, 16)
+    shift, seen = [0] * 40, [0] * 40
     if book:
         index_bits = bits(len(book) - 1)
-        field_index = Field(coder, max(2, 1 << index_bits), [1], 250)
+        field_index = Field(coder, max(2, 1 << index_bits), 1, 250)
     else:
-        names = ("luma", "Co", "Cg", "luma")[: header.channels]
-        field_colors = [Field(coder, 72, [128, 64], 250).opinions(CHANCES[n], (3, 3)) for n in names]
+        gains_colors = [Gains(16, 9, 8) for _ in range(channels)]
 
     out, last = [], None
     for place in places:
         l, q = place
-        # What is near (§8.4).
+        # What is near (§8.5), and what was before.
         near = buckets.around(place)
-        V, E, axis, elongation, weight = near[:6], near[6:12], near[12:14], near[14], near[15]
-        mean = [m.get() for m in means]
-        dev = [quotient(FINE * V[k] - mean[k] * weight, weight + 40) for k in range(6)]
-        errors = [0] * 6
+        V, E, axis, elongation, weight = near[:6], near[6:10], near[10:12], near[12], near[13]
+        if len(out) < 64 or len(out) % 8 == 0:
+            for r in refreshed:
+                r.refresh()
+        mean = [m.value for m in means]
+        trust = (1 << 24) // (weight + 40)
+        dev = [(FINE * v - m * weight) * trust >> 24 for v, m in zip(V, mean)]
+        errors = [0] * 4
 
         # Major scale.
-        e = finest + l
-        o = scale_of(16 * e + 4 * position)
-        f = clamp(e + 8, 0, 15)
-        hint = group_class(quotient((mean[0] - o) * D, 8 * FINE), 4)
-        off = field_major.signed((9 * f + hint, level_of(4 * E[0] // (weight + 40))))
-        major = max(0, o + 8 >> 4) + off
-        errors[0] = abs(off)
-        demand(0 <= major <= header.top, "major scale")
-        t = 2 * (major * D - 64 - 8 * position) - 1
-        demand(clamp((t + 32) // 64, finest, header.coarsest) - finest == l, "major scale is not of this square")
+        demand(l in majors_of, "square without a scale")
+        low = majors_of[l][0]
+        major = Near(coder, mean[0] + dev[0], 165).bounded(low, len(majors_of[l]), 1024)
 
         # Minor scale.
-        guess = mean[1] + quotient(9 * (FINE * major - mean[0]) + 7 * dev[1] - dev[0], 16)
-        expected = max(0, major - (guess + 8 >> 4))
-        contexts = (min(39, expected), 9 * group_class(quotient(off, 2), 4) + group_class(dev[1] >> 5, 4))
-        off = field_aspect.signed(contexts)
-        minor = major - expected - off
-        errors[1] = abs(off)
-        demand(0 <= minor <= major, "minor scale")
+        e = FINE * major - mean[1] - quotient(9 * (FINE * major - mean[0]) + 10 * dev[1], 16)
+        kind = clamp(e + 8 >> 4, 0, 39)
+        p = e + (shift[kind] >> 16)
+        classes = (kind, group_class(dev[0] >> 5, 4), group_class(dev[1] >> 5, 4))
+        around = Near(coder, p, 152 + gains_minor.sum(classes))
+        d = around.bounded(0, major + 1, 1024)
+        minor = major - d
+        gains_minor.learn(classes, around.distance(d))
+        moved = shift[kind] + clamp(FINE * d - p, -64, 64) * max(1024, 65536 // (seen[kind] + 20))
+        shift[kind] = clamp(moved, -(1 << 23), 1 << 23)
+        seen[kind] += 1
 
         # Angle.
-        n, angle = header.angle_counts[major - minor], 0
+        n, angle = header.angle_counts[d], 0
         if n > 1:
             direction, accord = consensus(axis, elongation)
-            guess = (direction * n + 32) // 64 % n
-            contexts = (6 * min(7, ilog2(n)) + accord, 6 * (direction // 4) + accord)
-            low, high, node = 0, n, 1
-            while high - low > 1 and node < 16:
-                middle = low + (high - low) // 2
-                bit = field_angle.bit(contexts, node)
-                low, high = (middle, high) if bit else (low, middle)
-                node = 2 * node + bit
-            angle = (low + coder.uniform(high - low) + guess + n - n // 2) % n
+            p = direction * n // 4
+            classes = (min(7, log16(n) >> 4), accord, direction // 4)
+            around = Near(coder, p, log16(n) + gains_angle.sum(classes) + ACCORD[accord])
+            v, first, end, total = around.chosen(p - 8 * n + 15 >> 4, n, 16384)
+            angle = v % n
+            gains_angle.learn(classes, 2 * AT_THE_MEAN * abs(first + end - total) // total)
 
         # Rest of the position.
         lx, ly = header.logs(major, minor, angle)
-        x = (q[0] >> lx) + coder.raw(l - lx)
-        y = (q[1] >> ly) + coder.raw(l - ly)
+        u, v = coder.pair(l - lx, l - ly)
+        x, y = (q[0] >> lx) + u, (q[1] >> ly) + v
 
         # Colour.
         if book:
-            index = field_index.tree((0,), index_bits)
+            index = field_index.tree(0, index_bits)
             demand(index < len(book), "codebook index")
             color = book[index]
         else:
-            color, surprises, before = [], [], 0
+            color, surprises, before = [], [], 8
+            trust = (1 << 24) // (weight + 512)
             z = clamp(quotient((major + minor - (spacing >> 3)) * D, 32) + 8, 0, 15)
-            for k in range(header.channels):
+            a = min(7, d * D // 32)
+            for k in range(channels):
                 following = follow[k](dev[2 + k])
                 pairs = list(zip(cross[k], surprises))
-                guess = mean[2 + k] + following + sum(slope(s) for slope, s in pairs)
-                guess = clamp(guess, -32768 * FINE, 32767 * FINE)
-                activity = level_of(4 * E[2 + k] // (weight + 20))
-                phase = (guess + 8) % 16 // 4
-                contexts = (8 * before + activity, 16 * phase + z) if k else (8 * z + activity, 8 * phase + activity)
-                off = field_colors[k].signed(contexts)
-                value = (guess + 8 >> 4) + off
+                p = mean[2 + k] + following + sum(slope(s) for slope, s in pairs)
+                p = clamp(p, -32768 * FINE, 32767 * FINE)
+                expected = (FINE * E[k] + 512 * mean_errors[k].value) * trust >> 24
+                classes = (z, before, a)
+                around = Near(coder, p, log16(max(1, expected)) + 32 + gains_colors[k].sum(classes))
+                value = around.open()
                 demand(-32768 <= value <= 32767, "colour out of range")
                 color.append(value)
-                errors[2 + k] = abs(off)
-                before = level_of(abs(off))
+                gains_colors[k].learn(classes, around.distance(value))
+                errors[k] = min(65536, abs(FINE * value - p) >> 2)
+                before = min(7, bits(abs(value - (p + 8 >> 4))))
                 v = FINE * value - mean[2 + k]
                 follow[k].add(dev[2 + k], v)
                 left = v - following
@@ -873,9 +879,9 @@ def read_group(coder, header, background, book, corner, log, count):
 
         # What it leaves.
         values = [major, minor] + list(color) + [0] * (4 - len(color))
-        for m, value in zip(means, values):
+        for m, value in zip(means + mean_errors, values + errors):
             m.add(FINE * value)
-        g = (major - minor) * D
+        g = d * D
         elongated = 16 * g // (g + 32)
         ux, uy = UNITS[(64 * angle + n // 2) // n % 64]
         buckets.add(place, values + errors + [elongated * ux, elongated * uy, elongated, 1])
@@ -884,14 +890,14 @@ def read_group(coder, header, background, book, corner, log, count):
 
 def read_coded(b, header):
     coder = RangeDecoder(b.take(len(b.data) - b.at, "stream"))
-    field = Field(coder, 72, [6], 60)
-    background = tuple(field.signed((min(k, 1),)) for k in range(header.channels))
+    field = Field(coder, 72, 6, 60)
+    background = tuple(field.signed(min(k, 1)) for k in range(header.channels))
     demand(all(-32768 <= c <= 32767 for c in background), "background out of range")
     book = None
     if header.codebook:
         book, color = [], background
         for _ in range(coder.raw(16) + 1):
-            color = tuple(c + field.signed((2 + k,)) for k, c in enumerate(color))
+            color = tuple(c + field.signed(2 + k) for k, c in enumerate(color))
             demand(all(-32768 <= c <= 32767 for c in color), "codebook out of range")
             demand(not book or book[-1] < color, "codebook order")
             book.append(color)
@@ -900,10 +906,10 @@ def read_coded(b, header):
     return background, out
 
 
-# §8.6 Groups and levels
+# §8.7 Groups and levels
 
 MOST_WITHOUT_GROUPS = 32768
-MOST_OF_A_GROUP = 4096
+MOST_OF_A_GROUP = 2048
 
 
 def read_divisions(b, header, corner, log, count, groups):
@@ -913,16 +919,18 @@ def read_divisions(b, header, corner, log, count, groups):
     if count <= MOST_OF_A_GROUP or axis is None or log[axis] <= header.range:
         groups.append((corner, log, count))
         return
-    log = list(log)
-    log[axis] -= 1
-    upper = list(corner)
-    upper[axis] += 1 << log[axis]
+    staying = b.varint("group size")
+    demand(staying <= count, "group size")
+    if staying > 0:
+        groups.append((corner, log, staying))
+    count -= staying
+    log, upper = halves(corner, log, axis)
     lower = count
     if upper[axis] < header.grid[axis]:
         lower = b.varint("group size")
         demand(lower <= count, "group size")
     read_divisions(b, header, corner, log, lower, groups)
-    read_divisions(b, header, tuple(upper), log, count - lower, groups)
+    read_divisions(b, header, upper, log, count - lower, groups)
 
 
 def read_groups(b, header, lost=None):

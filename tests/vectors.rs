@@ -212,9 +212,17 @@ fn valid() -> Vec<Vector> {
     book.levels = vec![25, 15];
     add("groups-codebook", "two levels with a codebook", bytes(&book));
     let mut divided =
-        scene(&Scene { channels: Channels::Grey, size: [96, 64], count: 4200, seed: 13, ..Scene::default() });
-    divided.levels = vec![20, 4180];
-    add("groups-divided", "two levels, the second in two groups", bytes(&divided));
+        scene(&Scene { channels: Channels::Grey, size: [64, 64], count: 2300, seed: 13, ..Scene::default() });
+    for p in divided.gaussians.iter_mut().step_by(23) {
+        (p.x, p.y, p.major, p.minor, p.angle) = (p.x % 8, p.y % 8, 44, 40, 0);
+    }
+    divided.levels = vec![20, 2280];
+    add("groups-divided", "two levels, the second in two groups and one of what stays undivided", bytes(&divided));
+    let mut vivid = small(Coded, Channels::Rgba, 50, false, 14);
+    for (k, p) in vivid.gaussians.iter_mut().enumerate() {
+        p.color = p.color.map(|c| if k % 3 == 0 { c.saturating_mul(1 << (k % 15)) } else { c });
+    }
+    add("coded-vivid", "colours far from what is expected, up to the ends of their range", bytes(&vivid));
     let mut with = two(Packed);
     with.metadata.icc = Some(b"not a real profile".to_vec());
     with.metadata.exif = Some(b"II*\0\x08\0\0\0\0\0\0\0".to_vec());
@@ -283,8 +291,8 @@ fn invalid() -> Vec<Vector> {
     };
     add("empty-file", "no byte at all", Vec::new());
     add("signature-seven-bits", "the signature after a transfer with 7 bits", changed(&packed, 0, 9));
-    add("version-4", "a newer version", changed(&packed, 4, 4));
-    add("version-2", "a version from before the first release", changed(&packed, 4, 2));
+    add("version-5", "a newer version", changed(&packed, 4, 5));
+    add("version-3", "a version from before the first release", changed(&packed, 4, 3));
     add("width-0", "no pixels", changed(&packed, 6, 0));
     add("height-huge", "a height of 2^20 + 1", spliced(&packed, 7, 1, &[0x81, 0x80, 0x40]));
     add("width-long", "a width in more bytes than it needs", spliced(&packed, 6, 1, &[0x88, 0]));
@@ -321,6 +329,8 @@ fn invalid() -> Vec<Vector> {
     add("section-cut", "a section that is longer than the file", changed(&sections, 17, 0x7f));
 
     let coarse = Steps { scale: 2, angle: 2, position: 7, coarsest: 4, range: 10, luma: 15, chroma: 1 };
+    // The smallest scale sits four squares above the finest.
+    let sparse = Steps { scale: 4, angle: 1, position: 0, coarsest: 0, range: 6, luma: 4, chroma: 1 };
     let codebook = |layout| to_bytes(&small(layout, Channels::Rgb, 40, true, 5)).unwrap();
     let scene = |layout| to_bytes(&small(layout, Channels::Rgb, 40, false, 3)).unwrap();
     let mut levels = small(Coded, Channels::Rgb, 60, false, 11);
@@ -359,8 +369,9 @@ fn invalid() -> Vec<Vector> {
         ),
         ("packed", codebook(Packed), &["codebook size", "codebook order", "codebook index"]),
         ("planes", scene(Planes), &["bytes of a field", "position", "aspect", "compressed stream of", "x", "angle"]),
-        ("coded", scene(Coded), &["major scale", "minor scale", "count of a half", "end of the coded stream"]),
-        ("coded", to_bytes(&extreme(Coded, coarse, 30)).unwrap(), &["x", "y"]),
+        ("coded", scene(Coded), &["end of the coded stream"]),
+        ("coded", to_bytes(&extreme(Coded, coarse, 30)).unwrap(), &["x", "y", "colour"]),
+        ("coded", to_bytes(&extreme(Coded, sparse, 30)).unwrap(), &["square without a scale"]),
         ("coded", to_bytes(&equal()).unwrap(), &["order of primitives"]),
         ("coded", codebook(Coded), &["codebook order", "codebook index"]),
         ("groups", groups, &["level count", "level", "largest scale of a group", "end of the coded stream"]),

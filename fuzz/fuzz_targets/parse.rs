@@ -12,6 +12,10 @@ use ssplat_fuzz::{SLACK, Sliced, tight_limits};
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;
 
+/// The byte with the layout in its lowest bits, and the one in groups.
+const FLAGS: usize = 5;
+const IN_GROUPS: u8 = 3;
+
 /// Bytes of the checksum, which is not checked under fuzzing.
 const CHECKSUM: usize = 4;
 
@@ -50,6 +54,12 @@ fuzz_target!(|data: &[u8]| {
             // zstd has many streams for the same bytes.
             let read = read(&again[..], &limits).expect("what was written reads back");
             assert!(read == splats, "what was written reads differently");
+            return;
+        }
+        if data[FLAGS] & 3 == IN_GROUPS {
+            // What stays undivided is the writer's choice.
+            let read = read(&again[..], &limits).expect("what was written reads back");
+            assert!(to_bytes(&read).expect("it can be written") == again, "what was written is written differently");
             return;
         }
         let body = data.len() - CHECKSUM;

@@ -1,51 +1,41 @@
-//! Shape and colour of the primitives of a group, each coded knowing its neighbours (spec §8.4, §8.5).
+//! Shape and colour of the primitives of a group, each coded knowing its neighbours (spec §8.5, §8.6).
 
 use std::sync::LazyLock;
 
 use super::kd::Place;
-use super::model::{Field, SIGNED_NODES};
+use super::model::Field;
 use super::neighbours::{Buckets, COUNT, LANES};
-use super::range::Coder;
+use super::range::{Coder, Cumulative};
 use super::rules::{Broken, Rules};
 use super::splats::{PackedGaussian, Steps};
+use super::spread::{Bounded, FINE, Gains, MEAN, Near, Open, Shifts, log16};
 use crate::gaussian::Channels;
-
-/// Levels of the angle's tree that adapt.
-const ANGLE_NODES: usize = 16;
 
 /// Quantities that are averaged over the neighbours: two scales and four colours.
 const QUANTITIES: usize = 6;
 
-/// Fraction bits of predictions.
-const FINE: i64 = 16;
+/// Weight of no neighbours: how far the neighbours' average is trusted, and how far their surprises.
+const DOUBT: i64 = 40;
+const DOUBT_OF_ERRORS: i64 = 512;
 
-/// First opinions of the nodes of each field, in 1/256.
-const PRIOR_MAJOR: [u8; 36] = [
-    19, 128, 214, 164, 75, 10, 11, 64, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 123,
-    128, 128, 100, 116, 111, 42, 84, 70, 29, 45, 69, 64,
-];
-const PRIOR_ASPECT: [u8; 36] = [
-    19, 128, 212, 163, 64, 9, 12, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 122,
-    128, 128, 101, 118, 115, 33, 75, 84, 12, 36, 128, 128,
-];
-const PRIOR_LUMA: [u8; 36] = [
-    11, 128, 232, 202, 137, 49, 5, 25, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128,
-    128, 128, 122, 125, 119, 83, 108, 101, 33, 79, 79, 25,
-];
-const PRIOR_CO: [u8; 36] = [
-    105, 128, 95, 68, 30, 21, 44, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 78,
-    128, 128, 61, 91, 94, 49, 81, 100, 67, 91, 192, 128,
-];
-const PRIOR_CG: [u8; 36] = [
-    149, 128, 55, 34, 15, 47, 64, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 128, 62,
-    128, 128, 31, 74, 57, 35, 53, 128, 64, 64, 128, 128,
-];
+/// First surprises of the four channels, 64ths.
+const ERRORS: [i64; 4] = [384, 192, 128, 384];
 
-/// First opinions, in 1/256 and by the neighbours' accord, that the angle lies in the half, quarter and eighth next to
-/// the neighbours' direction.
-const PRIOR_HALF: [u8; 6] = [128, 134, 170, 182, 196, 210];
-const PRIOR_QUARTER: [u8; 6] = [128, 140, 150, 170, 188, 216];
-const PRIOR_EIGHTH: [u8; 6] = [128, 135, 145, 155, 175, 200];
+/// Spread of the major scale within what its square leaves open.
+const MAJOR_SPREAD: i32 = 165;
+
+/// Spread of the aspect before anything is learnt.
+const ASPECT_SPREAD: i32 = 152;
+
+/// Spread of the angle over half a turn, by the neighbours' accord.
+const ANGLE_SPREADS: [i32; 6] = [112, 112, 86, 79, 72, 63];
+
+/// Part of the scales' chances, and of the angle's, that all values share alike, 65536ths.
+const SHARE: u32 = 1024;
+const ANGLE_SHARE: u32 = 16384;
+
+/// Classes of expected aspects.
+const ASPECTS: usize = 40;
 
 /// Colours as the coder sees them.
 #[derive(Debug, Clone, Copy)]
@@ -60,8 +50,8 @@ pub(crate) struct Palette<'a> {
 struct Around {
     weight: i64,
     values: [i64; QUANTITIES],
-    /// How far the values were from what was expected.
-    errors: [i64; QUANTITIES],
+    /// How far the colours were from what was expected, quarters.
+    errors: [i64; 4],
     /// Direction of the doubled angle, as long as the primitive is elongated.
     axis: [i64; 2],
     elongation: i64,
@@ -73,12 +63,17 @@ impl From<[i32; LANES]> for Around {
         Around {
             weight: sums[COUNT],
             values: std::array::from_fn(|k| sums[k]),
-            errors: std::array::from_fn(|k| sums[QUANTITIES + k]),
-            axis: [sums[12], sums[13]],
-            elongation: sums[14],
+            errors: std::array::from_fn(|k| sums[ERROR_LANES + k]),
+            axis: [sums[AXIS_LANES], sums[AXIS_LANES + 1]],
+            elongation: sums[ELONGATION_LANE],
         }
     }
 }
+
+/// Where [`LANES`] hold the errors, the axis and the elongation; the values come first.
+const ERROR_LANES: usize = QUANTITIES;
+const AXIS_LANES: usize = ERROR_LANES + 4;
+const ELONGATION_LANE: usize = AXIS_LANES + 2;
 
 /// What a colour is expected from.
 #[derive(Debug, Clone, Copy)]
@@ -86,9 +81,12 @@ struct Outlook {
     means: [i64; QUANTITIES],
     /// How far the neighbours' average is from the mean.
     dev: [i64; QUANTITIES],
-    around: Around,
+    /// Expected surprise, 64ths.
+    errors: [i64; 4],
     /// `0..=15`: how large the primitive is for the primitives' spacing, in octaves of its area.
     size: usize,
+    /// `0..=7`: octaves of its aspect.
+    aspect: usize,
 }
 
 /// A running mean that starts at a guess.
@@ -96,20 +94,21 @@ struct Outlook {
 struct Mean {
     sum: i64,
     count: i64,
+    value: i64,
 }
 
 impl Mean {
     fn new(guess: i64, count: i64) -> Self {
-        Mean { sum: guess * count, count }
-    }
-
-    fn get(self) -> i64 {
-        self.sum.div_euclid(self.count)
+        Mean { sum: guess * count, count, value: guess }
     }
 
     fn add(&mut self, value: i64) {
         self.sum += value;
         self.count += 1;
+    }
+
+    fn refresh(&mut self) {
+        self.value = self.sum.div_euclid(self.count);
     }
 }
 
@@ -118,15 +117,16 @@ impl Mean {
 struct Slope {
     xy: i64,
     xx: i64,
+    value: i64,
 }
 
 impl Slope {
     fn new(guess: i64, weight: i64) -> Self {
-        Slope { xy: guess * weight, xx: weight * 256 }
+        Slope { xy: guess * weight, xx: weight * 256, value: guess }
     }
 
     fn of(self, x: i64) -> i64 {
-        (self.xy * 256 / self.xx).clamp(-1024, 1024) * x >> 8
+        self.value * x >> 8
     }
 
     fn add(&mut self, x: i64, y: i64) {
@@ -138,21 +138,36 @@ impl Slope {
             (self.xx, self.xy) = (self.xx >> 1, self.xy >> 1);
         }
     }
+
+    fn refresh(&mut self) {
+        self.value = (self.xy * 256 / self.xx).clamp(-1024, 1024);
+    }
 }
+
+/// Up to this many primitives all statistics are refreshed at each, later at each of so many: a division costs more than
+/// it brings.
+const REFRESH_ALL: u32 = 64;
+const REFRESH_EACH: u32 = 8;
 
 /// The models of one group.
 #[derive(Debug)]
 pub(crate) struct Attributes {
-    major: Field<2>,
-    aspect: Field<2>,
-    angle: Field<2>,
-    colors: Vec<Field<2>>,
-    index: Field<1>,
+    aspect: Gains<3>,
+    aspect_shift: Shifts,
+    angle: Gains<3>,
+    colors: [Gains<3>; 4],
+    channels: usize,
+    index: Field,
     means: [Mean; QUANTITIES],
+    /// Running means of the colours' errors, 64ths.
+    errors: [Mean; 4],
     /// How much a colour follows the average of its neighbours.
     follow: [Slope; 4],
     /// How much a colour's surprise follows the first and the second channel's.
     cross: [[Slope; 2]; 4],
+    seen: u32,
+    /// Eighths of the scale index of the primitives' spacing.
+    spacing: i64,
 }
 
 /// What all primitives of a group share.
@@ -161,8 +176,6 @@ pub(crate) struct Scene<'a> {
     pub rules: &'a Rules,
     pub palette: Palette<'a>,
     pub steps: Steps,
-    /// Exponent of the finest position step.
-    pub finest: i32,
     /// `16·log₂` of the primitives' spacing, pixels.
     pub spacing: i64,
 }
@@ -182,14 +195,12 @@ impl Scene<'_> {
 /// `16·log₂` of the spacing, in cells, of `count` primitives on `size` cells.
 pub(crate) fn spacing(size: [u32; 2], count: u32) -> i64 {
     let area = u128::from(size[0]) * u128::from(size[1]) * 256 / u128::from(count.max(1));
-    (log16(area.max(1)) - 16 * 8).div_euclid(2)
-}
-
-/// `16·log₂`, linear between powers of two.
-fn log16(value: u128) -> i64 {
-    let log = value.ilog2();
-    let rest = if log >= 4 { value >> (log - 4) } else { value << (4 - log) };
-    16 * i64::from(log) + (rest & 15) as i64
+    // An area of 60 bits and 8 more does not fit: two octaves less cost nothing.
+    let log = match u64::try_from(area) {
+        Ok(area) => log16(area.max(1)),
+        Err(_) => log16((area >> 16) as u64) + 16 * 16,
+    };
+    i64::from((log - 16 * 8).div_euclid(2))
 }
 
 fn class(value: i64, last: i64) -> usize {
@@ -197,25 +208,8 @@ fn class(value: i64, last: i64) -> usize {
 }
 
 /// 0 for 0, then the number of bits.
-fn log_class(value: u64, last: u32) -> usize {
-    (64 - value.leading_zeros()).min(last) as usize
-}
-
-/// The angle's field: the better the neighbours agree, the higher the first opinion of the middle.
-fn angle_field() -> Field<2> {
-    let mut field = Field::new(ANGLE_NODES, [8 * 6, 16 * 6], 250);
-    for (k, contexts) in [8 * 6, 16 * 6].into_iter().enumerate() {
-        for context in 0..contexts {
-            for (node, chances) in [(2, PRIOR_HALF), (5, PRIOR_QUARTER), (11, PRIOR_EIGHTH)] {
-                let one = u32::from(chances[context % 6]) << 8;
-                let count = [6, 2][k];
-                field.set(k, context, node, one, count);
-                // The node on the other side of the middle.
-                field.set(k, context, 3 * (node + 1).next_power_of_two() / 2 - 1 - node, 65536 - one, count);
-            }
-        }
-    }
-    field
+fn log_class(value: u32, last: u32) -> usize {
+    (32 - value.leading_zeros()).min(last) as usize
 }
 
 /// The 64 directions `2π·k/64`, 256 long.
@@ -252,21 +246,16 @@ fn consensus(axis: [i64; 2], total: i64) -> (u32, usize) {
 impl Attributes {
     pub fn new(scene: &Scene<'_>) -> Self {
         let palette = &scene.palette;
-        let n = SIGNED_NODES;
-        let fields = if palette.book.is_some() { 0 } else { palette.channels.count() };
         let octave = 32 * FINE / scene.delta();
         let spacing = scene.scale_of(scene.spacing);
         let color = palette.background.map(|b| Mean::new(i64::from(b) * FINE, 4));
         Attributes {
-            major: Field::new(n, [16 * 9, 8], 250).prior(&PRIOR_MAJOR, [6, 6]),
-            aspect: Field::new(n, [40, 9 * 9], 250).prior(&PRIOR_ASPECT, [3, 3]),
-            angle: angle_field(),
-            colors: (0..fields)
-                .map(|k| {
-                    Field::new(n, [128, 64], 250).prior([&PRIOR_LUMA, &PRIOR_CO, &PRIOR_CG, &PRIOR_LUMA][k], [3, 3])
-                })
-                .collect(),
-            index: Field::new(palette.book.map_or(0, |b| b.len().next_power_of_two().max(2)), [1], 250),
+            aspect: Gains::new([ASPECTS, 9, 9]),
+            aspect_shift: Shifts::new(ASPECTS),
+            angle: Gains::new([8, 6, 16]),
+            colors: std::array::from_fn(|_| Gains::new([16, 9, 8])),
+            channels: palette.channels.count(),
+            index: Field::new(palette.book.map_or(0, |b| b.len().next_power_of_two().max(2)), 1, 250),
             means: [
                 Mean::new(spacing - octave, 4),
                 Mean::new(spacing - 3 * octave, 4),
@@ -275,9 +264,21 @@ impl Attributes {
                 color[2],
                 color[3],
             ],
+            errors: ERRORS.map(|e| Mean::new(e, 4)),
             follow: [Slope::new(256, 16 * 256); 4],
             cross: [[Slope::new(0, 16 * 256); 2]; 4],
+            seen: 0,
+            spacing: spacing >> 3,
         }
+    }
+
+    /// Brings what is taken from the statistics up to date, now and then.
+    fn refresh(&mut self) {
+        if self.seen < REFRESH_ALL || self.seen.is_multiple_of(REFRESH_EACH) {
+            self.means.iter_mut().chain(&mut self.errors).for_each(Mean::refresh);
+            self.follow.iter_mut().chain(self.cross.as_flattened_mut()).for_each(Slope::refresh);
+        }
+        self.seen = self.seen.wrapping_add(1);
     }
 
     /// Codes the primitive at `place`; a reader's `p` is ignored, and the one that comes back obeys the rules.
@@ -289,38 +290,24 @@ impl Attributes {
         place: Place,
         p: &PackedGaussian,
     ) -> Result<PackedGaussian, Broken> {
+        self.refresh();
         let log = place.log.0;
         let around = Around::from(buckets.around(&place));
-        let means = self.means.map(Mean::get);
+        let means = self.means.map(|m| m.value);
         // Deviation of the neighbours' average from the mean, shrunk where few are near.
+        let trust = (1 << 24) / (around.weight + DOUBT);
         let dev: [i64; QUANTITIES] =
-            std::array::from_fn(|k| (around.values[k] * FINE - means[k] * around.weight) / (around.weight + 40));
-        let mut errors = [0i32; QUANTITIES];
+            std::array::from_fn(|k| (around.values[k] * FINE - means[k] * around.weight) * trust >> 24);
 
-        // The step's octave bounds the major scale; the mean says where it lies therein.
-        let exponent = i64::from(scene.finest) + i64::from(log);
-        let octave = scene.scale_of(16 * exponent + 4 * i64::from(scene.steps.position));
-        let expected = ((octave + 8) >> 4).max(0);
-        let near = class((means[0] - octave) * scene.delta() / (8 * FINE), 4);
-        let level = (exponent + 8).clamp(0, 15) as usize;
-        let activity = around.errors[0] * 4 / (around.weight + 40);
-        let contexts = [level * 9 + near, log_class(activity as u64, 7)];
-        let off = i64::from(self.major.signed(coder, &contexts, i32::from(p.major) - expected as i32));
-        let major = u8::try_from(expected + off).map_err(|_| Broken { field: "major scale", value: off as u64 })?;
-        errors[0] = off as i32;
-        if scene.rules.seat(major) != log {
-            return Err(Broken { field: "major scale", value: major.into() });
-        }
+        // The square leaves about an octave open.
+        let (low, high) = scene.rules.majors(log)?;
+        let near = Near::new(means[0] + dev[0], MAJOR_SPREAD);
+        let choice = Bounded::new(near, low.into(), i32::from(high - low) + 1, SHARE);
+        let major = low + coder.choose(&choice, i32::from(p.major) - i32::from(low)) as u8;
         coder.account("major scale");
 
-        let surprise = i64::from(major) * FINE - means[0];
-        let guess = means[1] + (9 * surprise + 7 * dev[1] - dev[0]) / 16;
-        let expected = (i64::from(major) - ((guess + 8) >> 4)).max(0);
-        let contexts = [expected.min(39) as usize, class(off / 2, 4) * 9 + class(dev[1] >> 5, 4)];
-        let off = self.aspect.signed(coder, &contexts, i32::from(p.major) - i32::from(p.minor) - expected as i32);
-        let minor = i64::from(major) - expected - i64::from(off);
-        let minor = u8::try_from(minor).map_err(|_| Broken { field: "minor scale", value: minor as u64 })?;
-        errors[1] = off;
+        let difference = self.aspect(coder, major, [means[0], means[1]], [dev[0], dev[1]], p);
+        let minor = major - difference;
         coder.account("minor scale");
 
         let n = scene.rules.lattice.angles(major, minor);
@@ -331,27 +318,33 @@ impl Attributes {
         // The rest of the position.
         let exponents = scene.rules.lattice.exponents(major, minor, angle);
         let [lx, ly] = scene.rules.in_cells(exponents);
-        let rest = |coder: &mut C, corner: u32, v: u32, l: u32| {
-            let count = log - l;
-            corner >> l | coder.raw(count, v & ((1u32 << count) - 1))
-        };
-        let x = rest(coder, place.corner[0], p.x, lx);
-        let y = rest(coder, place.corner[1], p.y, ly);
+        let bits = [log - lx, log - ly];
+        let rest = coder.pair(bits, [p.x & ((1 << bits[0]) - 1), p.y & ((1 << bits[1]) - 1)]);
+        let (x, y) = (place.corner[0] >> lx | rest[0], place.corner[1] >> ly | rest[1]);
         scene.rules.position([x, y], exponents)?;
         coder.account("position refinement");
 
+        let mut errors = [0; 4];
         let color = match scene.palette.book {
             Some(book) => {
                 let bits = usize::BITS - (book.len() - 1).leading_zeros();
                 let wanted = book.binary_search(&p.color).unwrap_or(0);
-                let index = self.index.tree(coder, &[0], 0, bits, wanted as u32);
+                let index = self.index.tree(coder, 0, bits, wanted as u32);
                 coder.account("colour index");
                 *book.get(index as usize).ok_or(Broken { field: "codebook index", value: index.into() })?
             }
             None => {
-                let spacing = scene.scale_of(scene.spacing) >> 3;
-                let size = (i64::from(major) + i64::from(minor) - spacing) * scene.delta() / 32 + 8;
-                let outlook = Outlook { means, dev, around, size: size.clamp(0, 15) as usize };
+                let size = (i64::from(major) + i64::from(minor) - self.spacing) * scene.delta() / 32 + 8;
+                let trust = (1 << 24) / (around.weight + DOUBT_OF_ERRORS);
+                let outlook = Outlook {
+                    means,
+                    dev,
+                    errors: std::array::from_fn(|k| {
+                        (around.errors[k] * FINE + self.errors[k].value * DOUBT_OF_ERRORS) * trust >> 24
+                    }),
+                    size: size.clamp(0, 15) as usize,
+                    aspect: (i64::from(difference) * scene.delta() / 32).min(7) as usize,
+                };
                 self.color(coder, &outlook, p.color, &mut errors)?
             }
         };
@@ -361,75 +354,88 @@ impl Attributes {
         for (mean, v) in self.means.iter_mut().zip(values) {
             mean.add(i64::from(v) * FINE);
         }
-        let octaves = i32::from(major - minor) * (scene.delta() as i32);
+        for (mean, e) in self.errors.iter_mut().zip(errors) {
+            mean.add(i64::from(e) * FINE);
+        }
+        let octaves = i32::from(difference) * (scene.delta() as i32);
         let elongation = 16 * octaves / (octaves + 32);
         let direction = (u32::from(angle) * 64 + u32::from(n) / 2) / u32::from(n) % 64;
         let axis = DIRECTIONS[direction as usize].map(|c| c * elongation);
         let mut lanes = [0; LANES];
         lanes[..QUANTITIES].copy_from_slice(&values);
-        lanes[QUANTITIES..2 * QUANTITIES].copy_from_slice(&errors.map(i32::abs));
-        lanes[12..14].copy_from_slice(&axis);
-        lanes[14] = elongation;
+        lanes[ERROR_LANES..AXIS_LANES].copy_from_slice(&errors);
+        lanes[AXIS_LANES..ELONGATION_LANE].copy_from_slice(&axis);
+        lanes[ELONGATION_LANE] = elongation;
         lanes[COUNT] = 1;
         buckets.add(&place, &lanes);
         Ok(p)
+    }
+
+    /// `major − minor`.
+    fn aspect<C: Coder>(&mut self, coder: &mut C, major: u8, means: [i64; 2], dev: [i64; 2], p: &PackedGaussian) -> u8 {
+        let minor = means[1] + (9 * (i64::from(major) * FINE - means[0]) + 10 * dev[1]) / 16;
+        let expected = i64::from(major) * FINE - minor;
+        let kind = ((expected + FINE / 2) >> 4).clamp(0, ASPECTS as i64 - 1) as usize;
+        let place = expected + self.aspect_shift.get(kind);
+        let classes = [kind, class(dev[0] >> 5, 4), class(dev[1] >> 5, 4)];
+        let near = Near::new(place, ASPECT_SPREAD + self.aspect.log(&classes));
+        let choice = Bounded::new(near, 0, i32::from(major) + 1, SHARE);
+        let difference = coder.choose(&choice, i32::from(p.major) - i32::from(p.minor));
+        self.aspect.learn(&classes, near.distance(difference.into()));
+        self.aspect_shift.learn(kind, i64::from(difference) * FINE - place);
+        difference as u8
     }
 
     fn angle<C: Coder>(&mut self, coder: &mut C, n: u16, angle: u16, around: &Around) -> u16 {
         if n <= 1 {
             return 0;
         }
-        let n = u32::from(n);
+        let n = i64::from(n);
         let (direction, accord) = consensus(around.axis, around.elongation);
-        let guess = (direction * n + 32) / 64 % n;
-        let size = (n.ilog2() as usize).min(7);
-        let contexts = [size * 6 + accord, (direction / 4) as usize * 6 + accord];
-        let wanted = (u32::from(angle) + 2 * n - guess + n / 2) % n;
-        let (mut low, mut high, mut node) = (0, n, 1usize);
-        while high - low > 1 && node < ANGLE_NODES {
-            let middle = low + (high - low) / 2;
-            if self.angle.bit(coder, &contexts, node, u32::from(wanted >= middle)) != 0 {
-                (low, node) = (middle, 2 * node + 1);
-            } else {
-                (high, node) = (middle, 2 * node);
-            }
-        }
-        low += coder.uniform(high - low, wanted.wrapping_sub(low));
-        ((low + guess + n - n / 2) % n) as u16
+        let place = i64::from(direction) * n / 4;
+        // Half a turn around the neighbours' direction.
+        let low = (place - 8 * n + 15) >> 4;
+        let log = log16(n as u64);
+        let classes = [(log >> 4).min(7) as usize, accord, direction as usize / 4];
+        let near = Near::new(place, log + ANGLE_SPREADS[accord] + self.angle.log(&classes));
+        let choice = Bounded::new(near, low, n as i32, ANGLE_SHARE);
+        let step = coder.choose(&choice, (i64::from(angle) - low).rem_euclid(n) as i32);
+        // On a circle distances end: what counts is how far from the middle of the chances the value lies.
+        let (total, middle) = (choice.total(), choice.below(step) + choice.below(step + 1));
+        let off = u64::from(middle.abs_diff(total));
+        self.angle.learn(&classes, (2 * MEAN as u64 * off / u64::from(total)) as i32);
+        (low + i64::from(step)).rem_euclid(n) as u16
     }
 
     fn color<C: Coder>(
         &mut self,
         coder: &mut C,
-        &Outlook { means, dev, around, size }: &Outlook,
+        outlook: &Outlook,
         color: [i16; 4],
-        errors: &mut [i32; QUANTITIES],
+        errors: &mut [i32; 4],
     ) -> Result<[i16; 4], Broken> {
         let mut out = [0i16; 4];
         let mut surprises = [0i64; 4];
-        let mut before = 0;
-        for k in 0..self.colors.len() {
-            let follow = self.follow[k].of(dev[2 + k]);
-            let mut guess = means[2 + k] + follow;
+        let mut before = 8;
+        for k in 0..self.channels {
+            let (mean, dev) = (outlook.means[2 + k], outlook.dev[2 + k]);
+            let follow = self.follow[k].of(dev);
+            let mut guess = mean + follow;
             for (slope, &s) in self.cross[k].iter().zip(&surprises[..k]) {
                 guess += slope.of(s);
             }
             let guess = guess.clamp(i64::from(i16::MIN) * FINE, i64::from(i16::MAX) * FINE);
-            let expected = ((guess + 8) >> 4) as i32;
-            let activity = log_class((around.errors[2 + k] * 4 / (around.weight + 20)) as u64, 7);
-            let phase = ((guess + 8) & 15) as usize / 4;
-            let contexts = match k {
-                0 => [size * 8 + activity, phase * 8 + activity],
-                _ => [before * 8 + activity, phase * 16 + size],
-            };
-            let off = self.colors[k].signed(coder, &contexts, i32::from(color[k]) - expected);
-            errors[2 + k] = off;
-            before = log_class(off.unsigned_abs().into(), 7);
-            let value = expected + off;
+            let classes = [outlook.size, before, outlook.aspect];
+            let log = log16(outlook.errors[k].max(1) as u64) + 32 + self.colors[k].log(&classes);
+            let near = Near::new(guess, log);
+            let value = Open::new(near).code(coder, color[k].into());
             out[k] = i16::try_from(value).map_err(|_| Broken { field: "colour", value: value as u64 })?;
-            let actual = i64::from(value) * FINE;
-            self.follow[k].add(dev[2 + k], actual - means[2 + k]);
-            let left = actual - means[2 + k] - follow;
+            self.colors[k].learn(&classes, near.distance(value));
+            let actual = value * FINE;
+            errors[k] = ((actual - guess).abs() >> 2).min(1 << 16) as i32;
+            before = log_class((value - ((guess + FINE / 2) >> 4)).unsigned_abs() as u32, 7);
+            self.follow[k].add(dev, actual - mean);
+            let left = actual - mean - follow;
             let mut rest = left;
             for (slope, &s) in self.cross[k].iter_mut().zip(&surprises[..k]) {
                 slope.add(s, rest);

@@ -106,7 +106,7 @@ impl<'a> Group<'a> {
         let places = places(coder, &mut Counts::new(), &extent, given.as_deref(), count)?;
         coder.account("position");
         let mut buckets = Buckets::new(count, region.corner, side);
-        let scene = Scene { rules, palette: self.palette, steps: self.steps, finest, spacing };
+        let scene = Scene { rules, palette: self.palette, steps: self.steps, spacing };
         let mut attributes = Attributes::new(&scene);
         let mut out: Vec<PackedGaussian> = Vec::with_capacity(count as usize);
         for (i, &place) in places.iter().enumerate() {
@@ -126,14 +126,14 @@ impl<'a> Group<'a> {
 fn put_palette(coder: &mut Encoder, palette: &Palette<'_>) {
     let mut field = palette_field();
     for k in 0..palette.channels.count() {
-        field.signed(coder, &[usize::from(k > 0)], palette.background[k].into());
+        field.signed(coder, usize::from(k > 0), palette.background[k].into());
     }
     let Some(book) = palette.book else { return };
     coder.raw(16, book.len() as u32 - 1);
     let mut last = palette.background;
     for color in book {
         for k in 0..palette.channels.count() {
-            field.signed(coder, &[2 + k], i32::from(color[k]) - i32::from(last[k]));
+            field.signed(coder, 2 + k, i32::from(color[k]) - i32::from(last[k]));
         }
         last = *color;
     }
@@ -145,7 +145,7 @@ fn read_palette<C: Coder>(coder: &mut C, header: &Header) -> Result<PaletteRead>
     let (mut field, channels) = (palette_field(), header.channels.count());
     let mut background = [0i16; 4];
     for (k, b) in background.iter_mut().enumerate().take(channels) {
-        *b = to_i16("background", field.signed(coder, &[usize::from(k > 0)], 0).into())?;
+        *b = to_i16("background", field.signed(coder, usize::from(k > 0), 0).into())?;
     }
     coder.account("background");
     if header.coloring == Coloring::Direct {
@@ -157,7 +157,7 @@ fn read_palette<C: Coder>(coder: &mut C, header: &Header) -> Result<PaletteRead>
     for _ in 0..count {
         let mut color = [0i16; 4];
         for k in 0..channels {
-            let step = field.signed(coder, &[2 + k], 0);
+            let step = field.signed(coder, 2 + k, 0);
             color[k] = to_i16("codebook", i64::from(last[k]) + i64::from(step))?;
         }
         push_ascending(&mut book, color)?;
@@ -167,6 +167,6 @@ fn read_palette<C: Coder>(coder: &mut C, header: &Header) -> Result<PaletteRead>
     Ok((background, Some(book)))
 }
 
-fn palette_field() -> Field<1> {
-    Field::new(SIGNED_NODES, [6], 60)
+fn palette_field() -> Field {
+    Field::new(SIGNED_NODES, 6, 60)
 }

@@ -1,4 +1,4 @@
-//! The coded layout in groups: parts that decode alone, in a directory that says where they are (spec §8.6).
+//! The coded layout in groups: parts that decode alone, in a directory that says where they are (spec §8.7).
 
 use std::ops::Range;
 
@@ -19,9 +19,16 @@ use crate::parallel;
 /// A file with more primitives than this is divided into groups.
 const MANY: u32 = 1 << 15;
 
-/// A region with more primitives than this is halved. Small groups cost bytes, since each learns anew (1/4096 instead of
-/// 1/32768: .7 %), and save work where only a part of the picture is wanted.
-const MOST: u32 = 1 << 12;
+/// A region with more primitives than this is halved. Small groups cost bytes, since each learns anew (1/2048 instead of
+/// 1/4096: .2 %), and save work where only a part of the picture is wanted.
+const MOST: u32 = 1 << 11;
+
+/// The writer keeps primitives that reach further than this part of their region out of its halves: a few wide ones
+/// would make every group reach into every area.
+const WIDE: f64 = 0.25;
+
+/// Fewer wide primitives than this are not worth a group of their own.
+const FEW: usize = 64;
 
 /// How the writer divides the primitives: not at all, if it can be helped.
 pub(crate) fn grouping(splats: &PackedSplats) -> Grouping {
@@ -113,7 +120,8 @@ fn divided(rules: &Rules, region: &Region, count: u32) -> Option<usize> {
     region.axis().filter(|&axis| count > MOST && region.log[axis] > rules.range())
 }
 
-/// Divides the primitives of a region, notes how many fall into the lower halves, and sorts what is left whole.
+/// Divides the primitives of a region, notes how many stay undivided and how many fall into the lower halves, and sorts
+/// what is left whole.
 fn divide<'a>(
     primitives: &'a mut [PackedGaussian],
     rules: &Rules,
@@ -129,15 +137,32 @@ fn divide<'a>(
         parts.push((region, primitives));
         return;
     };
+    let narrow = narrow(rules, &region);
+    let mut wide = primitives.iter().filter(|p| p.major > narrow).count();
+    if wide < FEW || region.log[0] != region.log[1] {
+        wide = 0;
+    }
     let halves = region.halves(axis);
     let upper = |p: &PackedGaussian| rules.place(p, region).corner[axis] >= halves[1].corner[axis];
-    primitives.sort_by_cached_key(upper);
-    let (low, high) = primitives.split_at_mut(primitives.partition_point(|p| !upper(p)));
+    primitives.sort_by_cached_key(|p| (wide == 0 || p.major <= narrow, upper(p)));
+    let (wide, rest) = primitives.split_at_mut(wide);
+    let (low, high) = rest.split_at_mut(rest.partition_point(|p| !upper(p)));
+    put_varint(wide.len() as u64, out);
     if halves[1].corner[axis] < rules.grid()[axis] {
         put_varint(low.len() as u64, out);
     }
+    if !wide.is_empty() {
+        sort(wide, rules, region);
+        parts.push((region, wide));
+    }
     divide(low, rules, halves[0], out, parts);
     divide(high, rules, halves[1], out, parts);
+}
+
+/// The largest major scale that does not reach too far for the halves of a square region.
+fn narrow(rules: &Rules, region: &Region) -> u8 {
+    let side = f64::from(rules.finest()).exp2() * (1u64 << region.log[0]) as f64;
+    (0..rules.top).take_while(|&major| rules.reach(major + 1) <= WIDE * side).count() as u8
 }
 
 fn largest(part: &[PackedGaussian]) -> u8 {
@@ -160,10 +185,15 @@ fn read_divisions(
         return Ok(());
     };
     let halves = region.halves(axis);
-    let mut lower = count;
-    if halves[1].corner[axis] < rules.grid()[axis] {
+    let mut at_most = |most: u32| -> Result<u32> {
         let value = bytes.varint("group size")?;
-        lower = u32::try_from(value).ok().filter(|&l| l <= count).ok_or(Broken { field: "group size", value })?;
+        Ok(u32::try_from(value).ok().filter(|&n| n <= most).ok_or(Broken { field: "group size", value })?)
+    };
+    let wide = at_most(count)?;
+    let count = count - wide;
+    let lower = if halves[1].corner[axis] < rules.grid()[axis] { at_most(count)? } else { count };
+    if wide > 0 {
+        entries.push(Entry { level, region, count: wide, bytes: 0..0, largest: 0, checksum: 0 });
     }
     read_divisions(bytes, rules, halves[0], (level, lower), entries)?;
     read_divisions(bytes, rules, halves[1], (level, count - lower), entries)

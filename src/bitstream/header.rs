@@ -13,7 +13,7 @@ use crate::pixels::Depth;
 pub const MAGIC: [u8; 4] = [0x89, b'S', b'S', b'P'];
 
 /// The format version that this crate reads and writes.
-pub const VERSION: u8 = 3;
+pub const VERSION: u8 = 4;
 
 /// Largest side of a picture, pixels.
 pub const MAX_SIDE: u32 = 1 << 20;
@@ -35,7 +35,7 @@ pub enum Coloring {
     Codebook,
 }
 
-/// How the primitives are divided into separately coded parts (spec §8.6).
+/// How the primitives are divided into separately coded parts (spec §8.7).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Grouping {
     /// One part that ends with the file.

@@ -1,13 +1,14 @@
-//! Positions: how many centres fall into each half of a cell, level by level (spec §8.3).
+//! Positions: how many centres fall into each half of a cell (spec §8.4).
 //!
 //! The grid is embedded in a rectangle of powers of two whose longer side is halved until the sides are equal, then x
-//! and y in turn. A level is coded before the next, so that the counts on both sides of a cell tell where its own lie.
+//! and y in turn. Few centres split as evenly as by chance, whatever lies beside them, so that fixed chances do.
 
-use super::model::{Field, SIGNED_NODES};
-use super::range::Coder;
+use super::model::Field;
+use super::range::{Coder, Cumulative};
 use super::rules::Broken;
+use super::spread::{Bounded, FINE, Gains, Near, log16};
 
-/// Counts up to this many have a tree of their own; larger ones are coded as a distance from the even split.
+/// Counts up to this many split by a table; larger ones are coded as a distance from the even split.
 const SMALL: u32 = 12;
 
 /// A part of the grid: corner and the logarithms of the sides, in cells.
@@ -67,136 +68,101 @@ impl Region {
 /// side: 12 is the primitives' spacing, a step is half an octave.
 const STAY: [u32; 24] = [251, 251, 249, 243, 222, 195, 164, 137, 102, 71, 46, 25, 13, 8, 4, 2, 2, 2, 2, 2, 2, 2, 2, 2];
 
-/// The chance, in 1/65536, that one of `tries` succeeds where each has `chance / 256`.
-fn some(chance: u32, tries: u32) -> u32 {
-    65536 - (0..tries.max(1)).fold(65536, |none, _| (none * (256 - chance) >> 8).max(256))
-}
+/// How many primitives a square has, as the chance to stay depends on it: one, two, or more.
+const CROWDS: usize = 3;
+
+/// Logarithm of the most values that a distance from the even split is told apart by.
+const SPLIT_BITS: u32 = 11;
+
+/// Spread of a large count over its root before anything is learnt: more than by chance.
+const CLUMPS: i32 = 120;
 
 /// The models of the counts.
 #[derive(Debug)]
 pub(crate) struct Counts {
-    small: Field<2>,
-    large: Field<2>,
-    pub stay: Field<2>,
+    stay: Field,
+    /// Spread of large counts, by their logarithm.
+    large: Gains<1>,
+    /// How counts split evenly, for each up to [`SMALL`].
+    even: [Binomial; SMALL as usize + 1],
 }
 
-/// A cell of some level and what it holds.
-#[derive(Debug, Clone, Copy)]
-struct Node {
-    region: Region,
-    key: u64,
-    /// Place of its first primitive in the writer's list.
-    start: u32,
+/// Chances that `0..=count` of `count` fall into the lower half, added up.
+#[derive(Debug, Clone, Copy, Default)]
+struct Binomial {
+    below: [u32; SMALL as usize + 2],
     count: u32,
-    around: Around,
 }
 
-/// What is known around a cell: classes of the counts beside it.
-#[derive(Debug, Clone, Copy)]
-struct Around {
-    /// `0..=6`: which side along the halved axis is fuller; 3 when even.
-    slope: usize,
-    /// `0..=3`: how full the four neighbours are.
-    density: usize,
-    /// `0..=7`: how many primitives there are here and beside, as a number of bits.
-    crowd: usize,
+impl Binomial {
+    /// Each goes to the lower half with a chance of `lower / 2¹⁶`.
+    fn new(count: u32, lower: u32) -> Self {
+        let mut chances = [0u32; SMALL as usize + 1];
+        chances[0] = 65536;
+        for n in 1..=count as usize {
+            for k in (0..=n).rev() {
+                let more = if k > 0 { chances[k - 1] } else { 0 };
+                chances[k] = (u64::from(chances[k]) * u64::from(65536 - lower) + u64::from(more) * u64::from(lower)
+                    >> 16) as u32;
+            }
+        }
+        let mut below = [0; SMALL as usize + 2];
+        for k in 0..=count as usize {
+            below[k + 1] = below[k] + chances[k] + 1;
+        }
+        Binomial { below, count }
+    }
 }
 
-impl Default for Around {
-    fn default() -> Self {
-        Around { slope: 3, density: 0, crowd: 7 }
+impl Cumulative for Binomial {
+    fn below(&self, value: i32) -> u32 {
+        self.below[value as usize]
+    }
+
+    fn total(&self) -> u32 {
+        self.below[self.count as usize + 1]
+    }
+
+    fn find(&self, target: u32) -> (i32, u32, u32) {
+        let k = self.below[1..=self.count as usize].iter().take_while(|&&end| end <= target).count();
+        (k as i32, self.below[k], self.below[k + 1])
     }
 }
 
 impl Counts {
     pub fn new() -> Self {
-        let small = (SMALL as usize + 1) * 16;
-        let mut counts = Counts {
-            small: Field::new(1, [small * 2, small * 8 * 4], 250),
-            large: Field::new(SIGNED_NODES, [16, 7], 250),
-            stay: Field::new(1, [24 * 24, 24 * 16], 250),
-        };
+        let mut stay = Field::new(1, STAY.len() * CROWDS, 250);
         for (size, &chance) in STAY.iter().enumerate() {
-            for full in 0..8u32 {
-                for stay in 0..3u32 {
-                    let context = (size * 8 + full as usize) * 3 + stay as usize;
-                    counts.stay.set(0, context, 0, some(chance, full.saturating_sub(stay) / (stay + 1)), 6);
-                }
-                for crowd in 0..2 {
-                    counts.stay.set(1, (size * 8 + full as usize) * 2 + crowd, 0, some(chance, 1 + crowd as u32), 4);
-                }
+            for crowd in 0..CROWDS {
+                // One of so many.
+                let none = (0..=crowd).fold(65536, |none, _| none * (256 - chance) >> 8);
+                stay.set(size * CROWDS + crowd, 0, (65536 - none).clamp(256, 65280), 6);
             }
         }
-        // Centres that keep their distance split more evenly than by chance; chance is where to start.
-        for n in 1..=SMALL {
-            for node in 1..16 {
-                if let Some((one, _)) = even_chance(n, node) {
-                    for (k, contexts) in [2, 32].into_iter().enumerate() {
-                        for context in 0..contexts {
-                            let at = small_context(n, node, context, contexts);
-                            counts.small.set(k, at, 0, one, 30);
-                        }
-                    }
-                }
-            }
-        }
-        counts
+        let even = std::array::from_fn(|n| Binomial::new(n as u32, 1 << 15));
+        Counts { stay, large: Gains::new([32]), even }
     }
 
-    /// Codes how many of `n` lie in the lower half.
-    fn split<C: Coder>(&mut self, coder: &mut C, n: u32, inside: [u32; 2], around: Around, lower: u32) -> i64 {
-        let partial = inside[1] < inside[0];
-        if n > SMALL {
-            let expected = (u64::from(n) * u64::from(inside[0]) / u64::from(inside[0] + inside[1])) as u32;
-            let fine = (n.ilog2() / 2).saturating_sub(1);
-            let distance = lower as i32 - expected as i32;
-            let context = [n.ilog2().min(15) as usize, around.slope];
-            let coarse = self.large.signed(coder, &context, distance >> fine);
-            let rest = coder.raw(fine, distance as u32 & ((1 << fine) - 1));
-            return i64::from(expected) + (i64::from(coarse) << fine) + i64::from(rest);
+    /// Codes how many of `n` lie in the lower half; `inside` are the cells of the halves.
+    fn split<C: Coder>(&mut self, coder: &mut C, n: u32, inside: [u32; 2], lower: u32) -> u32 {
+        if n <= SMALL && inside[0] == inside[1] {
+            return coder.choose(&self.even[n as usize], lower as i32) as u32;
         }
-        let part = if partial { 7 } else { 0 };
-        let slope = if partial { 7 } else { around.slope };
-        let (mut low, mut high, mut node) = (0, n + 1, 1);
-        while high - low > 1 {
-            let middle = low + (high - low) / 2;
-            let contexts = [
-                small_context(n, node, usize::from(part > 0), 2),
-                small_context(n, node, slope * 4 + around.density, 32),
-            ];
-            let bit = self.small.bit(coder, &contexts, 0, u32::from(lower >= middle));
-            if bit != 0 {
-                low = middle;
-            } else {
-                high = middle;
-            }
-            node = node << 1 | bit;
+        let share = (u64::from(inside[0]) << 16) / (u64::from(inside[0]) + u64::from(inside[1]));
+        if n <= SMALL {
+            return coder.choose(&Binomial::new(n, share as u32), lower as i32) as u32;
         }
-        low.into()
+        // The distance from the even split grows with the root of the count, and more where they crowd.
+        let fine = (n.ilog2() + 1).saturating_sub(SPLIT_BITS);
+        let (log, count) = (log16(n.into()), (n >> fine) as i32 + 1);
+        let expected = (u64::from(n) * share * FINE as u64 >> 16 >> fine) as i64;
+        let class = [n.ilog2() as usize];
+        let spread = (log / 2 - 16 * fine as i32).max(0) + CLUMPS + self.large.log(&class);
+        let near = Near::new(expected, spread);
+        let coarse = coder.choose(&Bounded::new(near, 0, count, 64), (lower >> fine) as i32);
+        self.large.learn(&class, near.distance(coarse.into()));
+        (coarse as u32) << fine | coder.raw(fine, lower & ((1 << fine) - 1))
     }
-}
-
-fn small_context(n: u32, node: u32, context: usize, contexts: usize) -> usize {
-    (n as usize * 16 + node as usize) * contexts + context
-}
-
-/// The chance of a 1 at `node` of the tree over `0..=n` when each of `n` goes either way alone, and the node's middle.
-fn even_chance(n: u32, node: u32) -> Option<(u32, u32)> {
-    let (mut low, mut high) = (0, n + 1);
-    let depth = node.ilog2();
-    for i in (0..depth).rev() {
-        if high - low <= 1 {
-            return None;
-        }
-        let middle = low + (high - low) / 2;
-        if node >> i & 1 != 0 { low = middle } else { high = middle }
-    }
-    if high - low <= 1 {
-        return None;
-    }
-    let middle = low + (high - low) / 2;
-    let ways = |from: u32, to: u32| (from..to).map(|k| (0..k).fold(1u32, |c, i| c * (n - i) / (i + 1))).sum::<u32>();
-    Some((65536 * ways(middle, high) / ways(low, high), middle))
 }
 
 /// Where a primitive sits: the square of `2^log` finest cells a side that is as coarse as its position step.
@@ -222,9 +188,9 @@ pub(crate) struct Extent {
     pub spacing: i64,
 }
 
-/// Codes where `count` primitives sit, coarse squares first and by key within a size.
+/// Codes where `count` primitives sit; they come back coarse squares first and by key within a size.
 ///
-/// The writer passes the places sorted by `(key, log)` as [`by_key`] has it; the reader passes none.
+/// The writer passes the places sorted as [`by_key`] has it; the reader passes none.
 pub(crate) fn places<C: Coder>(
     coder: &mut C,
     counts: &mut Counts,
@@ -232,39 +198,14 @@ pub(crate) fn places<C: Coder>(
     sorted: Option<&[Place]>,
     count: u32,
 ) -> Result<Vec<Place>, Broken> {
+    let sizes = vec![Vec::new(); extent.coarsest as usize + 1];
+    let mut walk = Walk { coder, counts, extent, sizes };
+    if count > 0 {
+        walk.node(Node { region: extent.region, key: 0, count, sorted })?;
+    }
     let mut out = Vec::with_capacity(count as usize);
-    let mut region = extent.region;
-    let mut level = vec![Node { region, key: 0, start: 0, count, around: Around::default() }];
-    if count == 0 {
-        return Ok(out);
-    }
-    let corner = region.corner;
-    let shape = [0, 1].map(|k| u64::from((extent.grid[k] - corner[k]).min(1 << region.log[k])));
-    loop {
-        // While squares are not many more than primitives, their neighbours are looked up; later they keep what was seen.
-        let shape = [0, 1].map(|k| shape[k].div_ceil(1 << region.log[k]) as usize);
-        let axis = region.axis();
-        if shape[0] as u64 * shape[1] as u64 <= 4 * u64::from(count) + 64 {
-            look_around(&mut level, corner, shape, axis.unwrap_or(0));
-        }
-        let mut walk = Walk { coder, counts, extent, sorted };
-        if region.log[0] == region.log[1] && region.log[0] <= extent.coarsest {
-            for node in &mut level {
-                let stay = if axis.is_none() { node.count } else { walk.stay(node) };
-                let place = Place { log: std::cmp::Reverse(region.log[0]), key: node.key, corner: node.region.corner };
-                out.extend((0..stay).map(|_| place));
-                node.count -= stay;
-                node.start += stay;
-            }
-        }
-        let Some(axis) = axis else { return Ok(out) };
-        let mut next = Vec::with_capacity(2 * level.len());
-        for node in level.iter().filter(|n| n.count > 0) {
-            next.extend(walk.split(node, axis)?.into_iter().filter(|h| h.count > 0));
-        }
-        level = next;
-        region.log[axis] -= 1;
-    }
+    walk.sizes.iter().rev().for_each(|places| out.extend_from_slice(places));
+    Ok(out)
 }
 
 /// The order in which a writer passes places: what stays in a square comes before what is in its halves.
@@ -274,33 +215,76 @@ pub(crate) fn by_key(place: &Place, region: &Region) -> (u64, std::cmp::Reverse<
     (place.key << below, place.log)
 }
 
+/// A part of the region, what it holds, and the writer's places in it.
+#[derive(Debug, Clone, Copy)]
+struct Node<'a> {
+    region: Region,
+    key: u64,
+    count: u32,
+    sorted: Option<&'a [Place]>,
+}
+
 struct Walk<'a, C> {
     coder: &'a mut C,
     counts: &'a mut Counts,
     extent: &'a Extent,
-    sorted: Option<&'a [Place]>,
+    /// The places so far, by the logarithm of their squares.
+    sizes: Vec<Vec<Place>>,
 }
 
 impl<C: Coder> Walk<'_, C> {
-    /// The writer's places in a node.
-    fn inside(&self, node: &Node) -> Option<&[Place]> {
-        self.sorted.map(|s| &s[node.start as usize..(node.start + node.count) as usize])
+    /// Codes what a region holds. Each call halves it, so that calls nest no deeper than the key has bits.
+    fn node(&mut self, mut node: Node<'_>) -> Result<(), Broken> {
+        if node.count == 1 {
+            return self.lone(&node);
+        }
+        let [x, y] = node.region.log;
+        if x == y && x <= self.extent.coarsest {
+            let stay = self.stay(&node);
+            let place = Place { log: std::cmp::Reverse(x), key: node.key, corner: node.region.corner };
+            self.sizes[x as usize].extend((0..stay).map(|_| place));
+            node.count -= stay;
+            node.sorted = node.sorted.map(|s| &s[stay as usize..]);
+        }
+        let Some(axis) = node.region.axis().filter(|_| node.count > 0) else { return Ok(()) };
+        let halves = node.region.halves(axis);
+        let inside = node.region.inside(axis, self.extent.grid);
+        let mut lower = node.count;
+        if inside[1] > 0 {
+            let wanted = node.sorted.map_or(0, |s| s.partition_point(|p| p.corner[axis] < halves[1].corner[axis]));
+            lower = self.counts.split(self.coder, node.count, inside, wanted as u32);
+            if lower > node.count {
+                return Err(Broken { field: "count of a half", value: lower.into() });
+            }
+        }
+        let sorted = [node.sorted.map(|s| &s[..lower as usize]), node.sorted.map(|s| &s[lower as usize..])];
+        for (half, count) in [(0, lower), (1, node.count - lower)] {
+            if count > 0 {
+                let key = node.key << 1 | half as u64;
+                self.node(Node { region: halves[half], key, count, sorted: sorted[half] })?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The context of a square's decisions.
+    fn context(&self, log: u32, count: u32) -> usize {
+        // The square's side over the spacing, in half octaves.
+        let size = ((16 * i64::from(log) - self.extent.spacing) / 8 + 12).clamp(0, 23) as usize;
+        size * CROWDS + (count as usize - 1).min(CROWDS - 1)
     }
 
     /// Codes how many primitives of a square stay in it.
-    fn stay(&mut self, node: &Node) -> u32 {
+    fn stay(&mut self, node: &Node<'_>) -> u32 {
         let log = node.region.log[0];
-        let wanted = self.inside(node).map_or(0, |p| p.iter().take_while(|p| p.log.0 == log).count()) as u32;
-        // The square's side over the spacing, in half octaves.
-        let size = ((16 * i64::from(log) - self.extent.spacing) / 8 + 12).clamp(0, 23) as usize;
-        let full = node.count.min(7) as usize;
+        if log == 0 {
+            return node.count;
+        }
+        let wanted = node.sorted.map_or(0, |s| s.iter().take_while(|p| p.log.0 == log).count()) as u32;
         let mut stay = 0;
         while stay < node.count {
-            let contexts = [
-                (size * 8 + full) * 3 + stay.min(2) as usize,
-                (size * 8 + node.around.crowd) * 2 + usize::from(node.count > 1),
-            ];
-            if self.counts.stay.bit(self.coder, &contexts, 0, u32::from(wanted > stay)) == 0 {
+            let context = self.context(log, node.count - stay);
+            if self.counts.stay.bit(self.coder, context, 0, u32::from(wanted > stay)) == 0 {
                 break;
             }
             stay += 1;
@@ -308,68 +292,40 @@ impl<C: Coder> Walk<'_, C> {
         stay
     }
 
-    fn split(&mut self, node: &Node, axis: usize) -> Result<[Node; 2], Broken> {
-        let [low, high] = node.region.halves(axis);
-        let inside = node.region.inside(axis, self.extent.grid);
-        let n = node.count;
-        let mut lower = n;
-        if inside[1] > 0 {
-            let wanted = self.inside(node).map_or(0, |p| p.partition_point(|p| p.corner[axis] < high.corner[axis]));
-            let coded = self.counts.split(self.coder, n, inside, node.around, wanted as u32);
-            lower = u32::try_from(coded)
-                .ok()
-                .filter(|&l| l <= n)
-                .ok_or(Broken { field: "count of a half", value: coded as u64 })?;
-        }
-        let (key, around) = (node.key << 1, node.around);
-        Ok([
-            Node { region: low, key, start: node.start, count: lower, around },
-            Node { region: high, key: key | 1, start: node.start + lower, count: n - lower, around },
-        ])
-    }
-}
-
-/// Sets what each node of a level sees around it; `axis` is the one that is halved next.
-fn look_around(level: &mut [Node], corner: [u32; 2], shape: [usize; 2], axis: usize) {
-    let mut table = vec![0u32; shape[0] * shape[1]];
-    let place = |r: Region| [0, 1].map(|k| ((r.corner[k] - corner[k]) >> r.log[k]) as usize);
-    for node in level.iter() {
-        let [x, y] = place(node.region);
-        table[y * shape[0] + x] = node.count;
-    }
-    for node in level {
-        let at = place(node.region);
-        let beside = |k: usize, step: isize| -> u32 {
-            let mut other = at;
-            match other[k].checked_add_signed(step) {
-                Some(v) if v < shape[k] => other[k] = v,
-                _ => return node.count,
+    /// Codes the place of one primitive that has a region for itself: how small its square is, then which.
+    fn lone(&mut self, node: &Node<'_>) -> Result<(), Broken> {
+        let given = node.sorted.map(|s| s[0]);
+        let [x, y] = node.region.log;
+        let mut log = x.min(y).min(self.extent.coarsest);
+        while log > 0 {
+            let context = self.context(log, 1);
+            if self.counts.stay.bit(self.coder, context, 0, u32::from(given.is_some_and(|p| p.log.0 == log))) != 0 {
+                break;
             }
-            table[other[1] * shape[0] + other[0]]
-        };
-        let sides = u64::from(beside(1 - axis, -1)) + u64::from(beside(1 - axis, 1));
-        node.around = around(node.count, beside(axis, -1), beside(axis, 1), sides);
+            log -= 1;
+        }
+        let mut corner = node.region.corner;
+        let wanted = given.map_or([0; 2], |p| [0, 1].map(|k| (p.corner[k] - corner[k]) >> log));
+        let square = self.coder.pair([x - log, y - log], wanted);
+        for k in 0..2 {
+            corner[k] += square[k] << log;
+            if corner[k] >= self.extent.grid[k] {
+                return Err(Broken { field: ["x", "y"][k], value: corner[k].into() });
+            }
+        }
+        let key = node.key << (x + y - 2 * log) | interleaved(square, [x - log, y - log]);
+        self.sizes[log as usize].push(Place { log: std::cmp::Reverse(log), key, corner });
+        Ok(())
     }
 }
 
-fn around(n: u32, before: u32, behind: u32, sides: u64) -> Around {
-    let (n, a, b) = (i64::from(n), i64::from(before), i64::from(behind));
-    let slope = match 8 * (b - a) / (a + b + n) {
-        i64::MIN..=-4 => 0,
-        -3..=-2 => 1,
-        -1 => 2,
-        0 => 3,
-        1 => 4,
-        2..=3 => 5,
-        _ => 6,
-    };
-    let around = a + b + sides as i64;
-    let density = match around / n {
-        0..=1 => 0,
-        2 => 1,
-        3..=4 => 2,
-        _ => 3,
-    };
-    let crowd = (64 - (around as u64 * 2 + n as u64).leading_zeros()).min(7) as usize;
-    Around { slope, density, crowd }
+/// The halves that lead to a square, of so many along each axis.
+fn interleaved(square: [u32; 2], mut bits: [u32; 2]) -> u64 {
+    let mut key = 0;
+    while bits != [0, 0] {
+        let axis = usize::from(bits[0] < bits[1]);
+        bits[axis] -= 1;
+        key = key << 1 | u64::from(square[axis] >> bits[axis] & 1);
+    }
+    key
 }

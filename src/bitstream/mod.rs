@@ -19,6 +19,7 @@ pub mod report;
 pub mod rules;
 pub mod sections;
 pub mod splats;
+mod spread;
 
 use std::io::{Read, Write};
 

@@ -1,4 +1,4 @@
-//! What lies around: sums over the coded primitives of a group, by buckets (spec §8.4).
+//! What lies around: sums over the coded primitives of a group, by buckets (spec §8.5).
 
 use super::kd::Place;
 
@@ -10,6 +10,17 @@ pub(crate) const COUNT: usize = LANES - 1;
 
 /// From this many primitives on a bucket's sums are halved: later ones count more, and sums stay in 32 bits.
 const MANY: i32 = 16;
+
+/// `⌊log₂(5792/(d² + 10))⌋`, a weight as a shift, for the square of a distance in eighths of a bucket, at most 12 along each axis.
+const SHIFTS: [u32; 289] = {
+    let mut shifts = [0; 289];
+    let mut square = 0;
+    while square < 289 {
+        shifts[square] = (5792 / (square as u32 + 10)).ilog2();
+        square += 1;
+    }
+    shifts
+};
 
 /// Buckets of three to five primitives, on average, over a region of cells.
 #[derive(Debug)]
@@ -65,9 +76,9 @@ impl Buckets {
             for x in cx.saturating_sub(1)..=(cx + 1).min(self.shape[0] - 1) {
                 let away = |bucket: usize, at: usize, eighths: i32| 8 * (bucket as i32 - at as i32) + 4 - eighths;
                 let (dx, dy) = (away(x, cx, fx), away(y, cy, fy));
-                let weight = 4096 / (dx * dx + dy * dy + 10);
+                let shift = SHIFTS[(dx * dx + dy * dy) as usize];
                 for (sum, lane) in out.iter_mut().zip(&self.sums[y * self.shape[0] + x]) {
-                    *sum += weight * lane;
+                    *sum += lane << shift;
                 }
             }
         }

@@ -8,6 +8,18 @@ use super::rules::Broken;
 /// Below this the range is scaled up by a byte.
 const TOP: u32 = 1 << 24;
 
+/// Frequencies of consecutive integers, added up.
+pub(crate) trait Cumulative: std::fmt::Debug {
+    /// Sum of the frequencies of the integers below `value`.
+    fn below(&self, value: i32) -> u32;
+
+    /// Sum of all, at most 2¹⁷.
+    fn total(&self) -> u32;
+
+    /// The integer whose share of the sum holds `target`, with the share's ends.
+    fn find(&self, target: u32) -> (i32, u32, u32);
+}
+
 /// One side of the coder. Writer and reader run the same code: the writer is given each decision, the reader gives it.
 pub(crate) trait Coder {
     /// Codes one decision whose probability of being 1 is `one / 2¹⁶`, `one` in `1..=65535`.
@@ -16,6 +28,9 @@ pub(crate) trait Coder {
     /// Codes one of `total` equally likely values, `total` in `1..=2¹⁶`.
     fn uniform(&mut self, total: u32, value: u32) -> u32;
 
+    /// Codes one of several integers.
+    fn choose(&mut self, frequencies: &impl Cumulative, value: i32) -> i32;
+
     /// Codes `count ≤ 32` bits of `value` as they are, the higher half first.
     fn raw(&mut self, count: u32, value: u32) -> u32 {
         if count > 16 {
@@ -23,6 +38,16 @@ pub(crate) trait Coder {
             return high << 16 | self.uniform(1 << 16, value & 0xffff);
         }
         self.uniform(1 << count, value)
+    }
+
+    /// Codes two numbers of so many bits, in one step where they are few.
+    #[inline]
+    fn pair(&mut self, bits: [u32; 2], [x, y]: [u32; 2]) -> [u32; 2] {
+        if bits[0] + bits[1] > 16 {
+            return [self.raw(bits[0], x), self.raw(bits[1], y)];
+        }
+        let both = self.uniform(1 << (bits[0] + bits[1]), x << bits[1] | y);
+        [both >> bits[1], both & ((1 << bits[1]) - 1)]
     }
 
     /// Ends the account of `field`; only a meter keeps one.
@@ -64,6 +89,15 @@ impl Encoder {
         }
     }
 
+    /// Takes the part from `low` to `high` of `total`.
+    fn narrow(&mut self, total: u32, low: u32, high: u32) {
+        let unit = self.range / total;
+        self.low += u64::from(unit * low);
+        self.range = if high == total { self.range - unit * low } else { unit * (high - low) };
+        self.carry();
+        self.normalize();
+    }
+
     /// The bytes: the shortest string in the final interval, and the smallest of these.
     pub fn finish(mut self) -> Vec<u8> {
         let last = self.low + u64::from(self.range) - 1;
@@ -99,11 +133,12 @@ impl Coder for Encoder {
     }
 
     fn uniform(&mut self, total: u32, value: u32) -> u32 {
-        let unit = self.range / total;
-        self.low += u64::from(unit * value);
-        self.range = if value + 1 == total { self.range - unit * value } else { unit };
-        self.carry();
-        self.normalize();
+        self.narrow(total, value, value + 1);
+        value
+    }
+
+    fn choose(&mut self, frequencies: &impl Cumulative, value: i32) -> i32 {
+        self.narrow(frequencies.total(), frequencies.below(value), frequencies.below(value + 1));
         value
     }
 }
@@ -143,6 +178,14 @@ impl<'a> Decoder<'a> {
             self.range <<= 8;
             self.shift();
         }
+    }
+
+    /// Takes the part from `low` to `high` of `total`, each of them `unit` long.
+    #[inline]
+    fn narrow(&mut self, unit: u32, total: u32, low: u32, high: u32) {
+        self.code -= unit * low;
+        self.range = if high == total { self.range - unit * low } else { unit * (high - low) };
+        self.normalize();
     }
 
     /// Checks that the bytes are the ones that [`Encoder::finish`] writes for this message.
@@ -185,9 +228,16 @@ impl Coder for Decoder<'_> {
     fn uniform(&mut self, total: u32, _value: u32) -> u32 {
         let unit = self.range / total;
         let value = (self.code / unit).min(total - 1);
-        self.code -= unit * value;
-        self.range = if value + 1 == total { self.range - unit * value } else { unit };
-        self.normalize();
+        self.narrow(unit, total, value, value + 1);
+        value
+    }
+
+    #[inline]
+    fn choose(&mut self, frequencies: &impl Cumulative, _value: i32) -> i32 {
+        let total = frequencies.total();
+        let unit = self.range / total;
+        let (value, low, high) = frequencies.find((self.code / unit).min(total - 1));
+        self.narrow(unit, total, low, high);
         value
     }
 }
@@ -218,6 +268,13 @@ impl<C: Coder> Coder for Meter<C> {
     fn uniform(&mut self, total: u32, value: u32) -> u32 {
         self.bits += f64::from(total).log2();
         self.coder.uniform(total, value)
+    }
+
+    fn choose(&mut self, frequencies: &impl Cumulative, value: i32) -> i32 {
+        let value = self.coder.choose(frequencies, value);
+        let share = frequencies.below(value + 1) - frequencies.below(value);
+        self.bits += f64::from(frequencies.total()).log2() - f64::from(share).log2();
+        value
     }
 
     fn account(&mut self, field: &'static str) {

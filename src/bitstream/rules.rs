@@ -56,11 +56,13 @@ pub(crate) struct Rules {
     /// Highest legal scale index.
     pub top: u8,
     pub channels: usize,
+    /// The first and the last major scale for each square; none where the first is the larger.
+    majors: [(u8, u8); 16],
 }
 
 impl Rules {
     pub fn new(steps: &Steps, layout: Layout, size: [u32; 2], channels: Channels) -> Self {
-        Rules {
+        let mut rules = Rules {
             lattice: Lattice::new(steps, layout),
             size,
             coarsest: steps.coarsest.into(),
@@ -70,7 +72,13 @@ impl Rules {
             // i·δ − 2 ≤ 20 with δ = (scale + 4)/32.
             top: (22 * 32 / (u32::from(steps.scale) + 4)).min(255) as u8,
             channels: channels.count(),
+            majors: [(u8::MAX, 0); 16],
+        };
+        for major in 0..=rules.top {
+            let (low, high) = &mut rules.majors[rules.seat(major) as usize];
+            (*low, *high) = (major.min(*low), major);
         }
+        rules
     }
 
     pub fn of(splats: &PackedSplats) -> Self {
@@ -112,6 +120,12 @@ impl Rules {
     pub fn seat(&self, major: u8) -> u32 {
         let log64 = 2 * (i32::from(major) * self.delta - 64 - 8 * self.position) - 1;
         ((log64 + 32).div_euclid(64).clamp(self.finest(), self.coarsest) - self.finest()) as u32
+    }
+
+    /// The least and the largest major scale that sit in squares of side `2^log` cells.
+    pub fn majors(&self, log: u32) -> Result<(u8, u8), Broken> {
+        let (low, high) = self.majors[log as usize];
+        if low > high { Err(Broken { field: "square without a scale", value: log.into() }) } else { Ok((low, high)) }
     }
 
     /// Half of the longest axis of the support of a primitive of this major scale, pixels, and a little more.
