@@ -5,6 +5,7 @@ use glam::Vec2;
 use crate::bitstream::lattice::Lattice;
 use crate::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use crate::gaussian::{Channels, Gaussian, Picture};
+use crate::parallel;
 
 /// Chroma steps in units of the luma step (spec §4.1).
 const CHROMA_RATIOS: [f32; 4] = [1.0, 1.5, 2.0, 3.0];
@@ -180,12 +181,17 @@ impl Quantizer {
 
 /// Centre of cell `i` at exponent `e`, pixels.
 fn center(i: u32, e: i32) -> f32 {
-    ((f64::from(i) + 0.5) * f64::from(e).exp2()) as f32
+    ((f64::from(i) + 0.5) * power(e)) as f32
+}
+
+/// `2^e` of an exponent between −1022 and 1023.
+fn power(e: i32) -> f64 {
+    f64::from_bits(((1023 + i64::from(e)) as u64) << 52)
 }
 
 /// The cell that holds `v` pixels at exponent `e`, kept within `0..=last`.
 fn nearest(v: f32, e: i32, last: u32) -> u32 {
-    (f64::from(v) * f64::from(-e).exp2()).floor().clamp(0.0, f64::from(last)) as u32
+    (f64::from(v) * power(-e)).floor().clamp(0.0, f64::from(last)) as u32
 }
 
 impl PackedSplats {
@@ -205,7 +211,7 @@ impl PackedSplats {
             channels: self.channels,
             blend: self.blend,
             background: q.dequantize_color(self.background),
-            gaussians: self.gaussians.iter().map(|p| q.dequantize(p)).collect(),
+            gaussians: parallel::map(self.gaussians.len(), |i| q.dequantize(&self.gaussians[i])),
         }
     }
 }

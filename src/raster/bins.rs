@@ -1,7 +1,7 @@
 //! Which Gaussians touch which tile: a counting sort of (Gaussian, tile) pairs, counted before it is done.
 
 use super::kernel::{TILE_HEIGHT, TILE_WIDTH};
-use super::project::Splat;
+use super::project::{Splat, Splats};
 use super::view::View;
 use crate::error::Result;
 use crate::limits::Limits;
@@ -25,7 +25,7 @@ pub(super) struct Bins {
 }
 
 impl Bins {
-    pub fn new(splats: &[Splat], view: &View, limits: &Limits) -> Result<Self> {
+    pub fn new(splats: &Splats, view: &View, limits: &Limits) -> Result<Self> {
         let size = [TILE_WIDTH as u32, TILE_HEIGHT as u32];
         let side = [view.width, view.height];
         let first: [u32; 2] = std::array::from_fn(|k| view.offset[k] / size[k]);
@@ -38,20 +38,22 @@ impl Bins {
         let most_work = limits.most_work(u64::from(view.width) * u64::from(view.height), splats.len() as u64);
         let mut bins = Bins { first, count, starts: vec![0; tiles as usize + 1], members: Vec::new() };
         let (mut pairs, mut work) = (0u64, 0u64);
-        for splat in splats {
-            let mut starts = std::mem::take(&mut bins.starts);
-            let before = pairs;
-            bins.rows(splat, |row, columns| {
-                pairs += columns.len() as u64;
-                for tile in columns {
-                    starts[row + tile + 1] += 1;
-                }
-                pairs <= allowed
-            });
-            bins.starts = starts;
-            Limits::check("tile_pairs", pairs, allowed)?;
-            work += (pairs - before) * PAIR_WORK + splat.covered(view).min((pairs - before) * TILE);
-            Limits::check("work", work, most_work)?;
+        for (_, run) in splats.runs() {
+            for splat in run {
+                let mut starts = std::mem::take(&mut bins.starts);
+                let before = pairs;
+                bins.rows(splat, |row, columns| {
+                    pairs += columns.len() as u64;
+                    for tile in columns {
+                        starts[row + tile + 1] += 1;
+                    }
+                    pairs <= allowed
+                });
+                bins.starts = starts;
+                Limits::check("tile_pairs", pairs, allowed)?;
+                work += (pairs - before) * PAIR_WORK + splat.covered(view).min((pairs - before) * TILE);
+                Limits::check("work", work, most_work)?;
+            }
         }
         limits.check_alloc(fixed + pairs * 4)?;
         for i in 1..bins.starts.len() {
@@ -59,15 +61,17 @@ impl Bins {
         }
         let mut next = bins.starts.clone();
         let mut members = vec![0u32; pairs as usize];
-        for (id, splat) in splats.iter().enumerate() {
-            bins.rows(splat, |row, columns| {
-                for tile in columns {
-                    let slot = &mut next[row + tile];
-                    members[*slot as usize] = id as u32;
-                    *slot += 1;
-                }
-                true
-            });
+        for (first, run) in splats.runs() {
+            for (id, splat) in (first..).zip(run) {
+                bins.rows(splat, |row, columns| {
+                    for tile in columns {
+                        let slot = &mut next[row + tile];
+                        members[*slot as usize] = id;
+                        *slot += 1;
+                    }
+                    true
+                });
+            }
         }
         bins.members = members;
         Ok(bins)
@@ -92,10 +96,10 @@ impl Bins {
         let mean: [f64; 2] = std::array::from_fn(|k| splat.mean[k] - corner[k]);
         // Casts saturate and round towards zero, which is down where it matters.
         let tiles = |k: usize, low: f64, high: f64| {
-            let start = (low * (1.0 / size[k])) as usize;
-            let end = if high < 0.0 { 0 } else { ((high * (1.0 / size[k])) as usize).saturating_add(1) };
-            let end = end.min(self.count[k] as usize);
-            start..end.max(start)
+            let start = (low * (1.0 / size[k])) as u32;
+            let end = if high < 0.0 { 0 } else { ((high * (1.0 / size[k])) as u32).saturating_add(1) };
+            let end = end.min(self.count[k]);
+            start as usize..end.max(start) as usize
         };
         let columns = tiles(0, mean[0] - splat.extent[0], mean[0] + splat.extent[0]);
         let rows = tiles(1, mean[1] - splat.extent[1], mean[1] + splat.extent[1]);
@@ -114,7 +118,8 @@ impl Bins {
         let width = (ex * ex - deepest * deepest).max(0.0).sqrt();
         // The rightmost point lies where `x = ex`; by symmetry of the covariance its dy is `tip·ey/ex`.
         let level = deepest * ey / ex;
-        let half = |dy: f64| width * (1.0 - (dy / ey).powi(2)).max(0.0).sqrt();
+        let inverse = ey.recip();
+        let half = |dy: f64| width * (1.0 - (dy * inverse).powi(2)).max(0.0).sqrt();
         for row in rows {
             let (top, bottom) = (row as f64 * size[1] - mean[1], (row + 1) as f64 * size[1] - mean[1]);
             let (right, left) = (level.clamp(top, bottom), (-level).clamp(top, bottom));

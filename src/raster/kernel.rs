@@ -3,7 +3,7 @@
 //! A strip is as wide as one AVX register and, with its planes side by side, small enough for the first-level cache.
 
 use super::lanes::{LANES, Lanes, Plain, Simd};
-use super::project::{SUPPORT, Splat};
+use super::project::{SUPPORT, Splat, Splats};
 use super::samples::{Codes, Sample};
 use crate::gaussian::{Blend, EPSILON};
 
@@ -19,6 +19,8 @@ const STRIPS: usize = TILE_WIDTH / LANES;
 /// What tiles are drawn with, one at a time.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
+    /// The members of a batch side by side.
+    batch: Vec<Splat>,
     /// The members of a batch on each strip that they touch.
     lists: [Vec<Segment>; STRIPS],
     /// Sums of the strips, row by row and plane by plane.
@@ -41,7 +43,7 @@ pub(super) struct Window {
 /// Everything that is the same for all tiles.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Scene<'a> {
-    pub splats: &'a [Splat],
+    pub splats: &'a Splats,
     pub blend: Blend,
     pub background: [f32; 4],
     pub channels: usize,
@@ -110,7 +112,7 @@ impl<T: Sample> pulp::NullaryFnOnce for OnAvx2<'_, '_, T> {
 #[inline(always)]
 fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_, '_, T>) {
     let Job { scene, members, window, scratch, out } = job;
-    let Scratch { lists, sums, codes } = scratch;
+    let Scratch { batch: near, lists, sums, codes } = scratch;
     let codes = T::codes(codes);
     codes.resize(TILE_HEIGHT * TILE_WIDTH * C, T::default());
     let strips = window.columns.start / LANES..window.columns.end.div_ceil(LANES);
@@ -121,6 +123,8 @@ fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_
     // One batch, and one strip's sums serve all in turn and stay in the first-level cache.
     let kept = if batches == 1 { 1 } else { STRIPS };
     sums.resize(kept * TILE_HEIGHT * P, Lanes([0.0; LANES]));
+    // Finishing a strip visits all of its sums and leaves them as the next strip is to find them.
+    let renewed = kept == 1 && scene.parts == [1, 1] && window.rows.start == 0;
     let mut start = [0.0; P];
     for (k, value) in start.iter_mut().enumerate() {
         let b = if k < C { scene.background[k] } else { 1.0 };
@@ -128,15 +132,16 @@ fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_
     }
     for batch in 0..batches {
         let members = &members[batch * BATCH..members.len().min((batch + 1) * BATCH)];
-        prepare(simd, scene.splats, members, window.corner, rows, lists);
+        // Far apart in memory: fetched one after the other, they would each be waited for.
+        near.clear();
+        near.extend(members.iter().map(|&id| *scene.splats.get(id)));
+        prepare(simd, near, window.corner, rows, lists);
         for s in strips.clone() {
             let strip = (s % kept) * TILE_HEIGHT * P;
             let (sums, _) = sums[strip..strip + rows * P].as_chunks_mut::<P>();
-            if batch == 0 {
+            if batch == 0 && !(renewed && s > strips.start) {
                 for row in sums.iter_mut() {
-                    for (lanes, value) in row.iter_mut().zip(start) {
-                        simd.store(lanes, simd.splat(value));
-                    }
+                    fill(simd, row, start);
                 }
             }
             for segment in &lists[s] {
@@ -144,10 +149,11 @@ fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_
             }
             if batch + 1 == batches {
                 let codes = codes[first_row * TILE_WIDTH * C..].chunks_exact_mut(TILE_WIDTH * C);
-                let shown = &sums[window.rows.start..];
+                let shown = &mut sums[window.rows.start..];
                 if scene.parts == [1, 1] {
-                    for (row, codes) in shown.iter().zip(codes) {
+                    for (row, codes) in shown.iter_mut().zip(codes) {
                         finish::<S, T, C, P>(simd, row, &mut codes[s * LANES * C..(s + 1) * LANES * C]);
+                        fill(simd, row, start);
                     }
                 } else {
                     let width = LANES / across * C;
@@ -161,6 +167,14 @@ fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_
     let rows = codes.chunks_exact(TILE_WIDTH * C).skip(first_row);
     for (row, out) in rows.zip(out) {
         out.copy_from_slice(&row[window.columns.start / across * C..window.columns.end / across * C]);
+    }
+}
+
+/// Sets the sums of one row of a strip to `values`.
+#[inline(always)]
+fn fill<S: Simd, const P: usize>(simd: S, row: &mut [Lanes; P], values: [f32; P]) {
+    for (lanes, value) in row.iter_mut().zip(values) {
+        simd.store(lanes, simd.splat(value));
     }
 }
 
@@ -224,19 +238,11 @@ fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
 /// All segments of a batch are prepared before any is drawn: preparations overlap in the processor, which none of
 /// them does with a loop over rows whose end it must wait for.
 #[inline(always)]
-fn prepare<S: Simd>(
-    simd: S,
-    splats: &[Splat],
-    members: &[u32],
-    corner: [f64; 2],
-    rows: usize,
-    lists: &mut [Vec<Segment>; STRIPS],
-) {
+fn prepare<S: Simd>(simd: S, members: &[Splat], corner: [f64; 2], rows: usize, lists: &mut [Vec<Segment>; STRIPS]) {
     for list in lists.iter_mut() {
         list.clear();
     }
-    for &id in members {
-        let splat = &splats[id as usize];
+    for splat in members {
         let x = splat.mean[0] - corner[0];
         // Strips that hold a column whose centre may lie within the extent.
         let first = ((x - splat.extent[0] - 0.5).max(0.0) * (1.0 / LANES as f64)) as i32 as usize;
@@ -344,8 +350,9 @@ fn cut<S: Simd>(
     }
 }
 
-/// Most Gaussians of a tile that are prepared before they are drawn.
-const BATCH: usize = 256;
+/// Most Gaussians of a tile that are prepared before they are drawn: seldom exceeded, as sums of more than one batch leave
+/// the first-level cache.
+const BATCH: usize = 512;
 
 /// How the kernel walks down a strip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

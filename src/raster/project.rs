@@ -9,6 +9,7 @@ use super::view::View;
 use crate::error::{Error, Result};
 use crate::gaussian::{CUTOFF, CUTOFF_WEIGHT, Gaussian, Picture};
 use crate::limits::Limits;
+use crate::parallel;
 
 /// `u² + v²` at the edge of the support: `K²/2 · log₂ e`.
 pub(super) const SUPPORT: f64 = 0.5 * (CUTOFF as f64) * (CUTOFF as f64) * std::f64::consts::LOG2_E;
@@ -158,32 +159,71 @@ impl Beyond {
     }
 }
 
-/// Projects what is visible in `view`, widened by `variance` along x and y, picture pixels².
-pub(super) fn project(picture: &Picture, view: &View, variance: [f64; 2], limits: &Limits) -> Result<Vec<Splat>> {
-    let count = picture.gaussians.len() as u64;
-    Limits::check("primitives", count, limits.primitives)?;
-    limits.check_alloc(count * size_of::<Splat>() as u64)?;
-    let mut splats = Vec::with_capacity(picture.gaussians.len());
-    let beyond = Beyond::new(view, variance);
-    for (i, g) in picture.gaussians.iter().enumerate() {
-        let sound = g.mean.iter().chain([&g.rotation]).all(|v| v.is_finite())
-            && g.color.iter().all(|v| v.is_finite())
-            && g.scale.iter().all(|&s| s > 0.0 && s.is_finite());
-        if !sound {
-            return Err(Error::Parameter {
-                name: "gaussians",
-                problem: format!("number {i} is not finite or has a scale of zero: {g:?}"),
-            });
-        }
-        if beyond.sees_none_of(g) {
-            continue;
-        }
-        let splat = Splat::new(g, view, variance);
-        if splat.touches(view) {
-            splats.push(splat);
-        }
+/// Gaussians that are projected in one go.
+const CHUNK: usize = 4096;
+
+/// What is visible in a view, in the picture's order.
+#[derive(Debug)]
+pub(super) struct Splats {
+    /// Of each [`CHUNK`] of the picture's Gaussians those that are visible: threads need not wait for each other to
+    /// know where theirs go.
+    chunks: Vec<Vec<Splat>>,
+}
+
+impl Splats {
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.chunks.iter().map(Vec::len).sum()
     }
-    Ok(splats)
+
+    /// What they take, bytes.
+    pub fn bytes(&self) -> u64 {
+        self.chunks.iter().map(|chunk| (chunk.capacity() * size_of::<Splat>()) as u64).sum()
+    }
+
+    /// All of them in runs of consecutive numbers, each with its first number.
+    pub fn runs(&self) -> impl Iterator<Item = (u32, &[Splat])> {
+        self.chunks.iter().enumerate().map(|(i, chunk)| ((i * CHUNK) as u32, &chunk[..]))
+    }
+
+    /// The one with number `id`.
+    #[inline(always)]
+    pub fn get(&self, id: u32) -> &Splat {
+        &self.chunks[id as usize / CHUNK][id as usize % CHUNK]
+    }
+}
+
+/// Projects what is visible in `view`, widened by `variance` along x and y, picture pixels².
+pub(super) fn project(picture: &Picture, view: &View, variance: [f64; 2], limits: &Limits) -> Result<Splats> {
+    let count = picture.gaussians.len() as u64;
+    Limits::check("primitives", count, limits.primitives.min(u64::from(u32::MAX)))?;
+    limits.check_alloc(count * size_of::<Splat>() as u64)?;
+    let beyond = Beyond::new(view, variance);
+    let chunks = parallel::map(picture.gaussians.len().div_ceil(CHUNK), |i| {
+        let start = i * CHUNK;
+        let gaussians = &picture.gaussians[start..picture.gaussians.len().min(start + CHUNK)];
+        let mut splats = Vec::with_capacity(gaussians.len());
+        for (i, g) in (start..).zip(gaussians) {
+            let sound = g.mean.iter().chain([&g.rotation]).all(|v| v.is_finite())
+                && g.color.iter().all(|v| v.is_finite())
+                && g.scale.iter().all(|&s| s > 0.0 && s.is_finite());
+            if !sound {
+                return Err(Error::Parameter {
+                    name: "gaussians",
+                    problem: format!("number {i} is not finite or has a scale of zero: {g:?}"),
+                });
+            }
+            if beyond.sees_none_of(g) {
+                continue;
+            }
+            let splat = Splat::new(g, view, variance);
+            if splat.touches(view) {
+                splats.push(splat);
+            }
+        }
+        Ok(splats)
+    });
+    Ok(Splats { chunks: chunks.into_iter().collect::<Result<_>>()? })
 }
 
 #[cfg(test)]

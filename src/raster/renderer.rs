@@ -2,7 +2,7 @@
 
 use super::bins::Bins;
 use super::kernel::{Job, Scene, Scratch, TILE_HEIGHT, TILE_WIDTH, Window};
-use super::project::{Splat, project};
+use super::project::{Splats, project};
 use super::samples::{Sample, SamplesMut};
 use super::view::{Filter, MAX_SIDE, View};
 use crate::error::{Error, Result};
@@ -21,7 +21,7 @@ pub struct Renderer {
     channels: Channels,
     blend: Blend,
     background: [f32; 4],
-    splats: Vec<Splat>,
+    splats: Splats,
     bins: Bins,
     /// What may be allocated, with what is left of the memory.
     limits: Limits,
@@ -63,7 +63,7 @@ impl Renderer {
         let fine = view.refined(filter.parts);
         let splats = project(picture, &fine, filter.variance, limits)?;
         let mut limits = limits.clone();
-        limits.alloc = limits.check_alloc((splats.capacity() * size_of::<Splat>()) as u64)?;
+        limits.alloc = limits.check_alloc(splats.bytes())?;
         let bins = Bins::new(&splats, &fine, &limits)?;
         limits.alloc = limits.check_alloc(bins.bytes())?;
         Ok(Renderer {
@@ -245,7 +245,7 @@ mod tests {
 
     #[test]
     fn every_instruction_set_gives_the_same_bits() {
-        let gaussians: Vec<Gaussian> = (0..400u32)
+        let gaussians: Vec<Gaussian> = (0..1500u32)
             .map(|i| {
                 let f = |k: u32| (f64::from(i) * f64::from(k).sqrt()).fract() as f32;
                 Gaussian {
