@@ -159,7 +159,8 @@ impl Session<'_> {
 
     /// Fits about `count` primitives and rounds them to a file of `size`, both without the channels that are left out.
     pub(super) fn fitted(&mut self, count: usize, size: Size) -> Result<Outcome> {
-        let mut plan = Plan::new(self.options.effort, count, self.options.time, self.options.seed);
+        let pixels = u64::from(self.pixels.width()) * u64::from(self.pixels.height());
+        let mut plan = Plan::new(self.options.effort, count, pixels, self.options.time, self.options.seed);
         plan.levels = self.options.levels;
         if self.options.needs == Needs::Measured {
             plan.enough = leave_out::enough(self.options.target, self.pixels.depth());

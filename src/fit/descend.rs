@@ -1,11 +1,14 @@
-//! Coordinate descent over the integers: each primitive in turn takes the neighbouring lattice point, with the best
-//! colour for it, that lowers `squared error + λ·bits` most, or goes away.
+//! Descent over the integers, block by block: each primitive in turn takes the lattice point around, with the best colour
+//! for it, that lowers `squared error + λ·bits` most, or goes away.
 //!
 //! For a given shape the picture is linear in the primitive's colour once its weight is fixed, so that one pass over
-//! the support gives the error for every colour. Primitives in disjoint bands of rows run in parallel.
+//! the support gives the error for every colour. Another one tells how the error bends with the shape: of the shapes
+//! and positions around, only those are drawn that promise something. Primitives in disjoint bands of rows run in
+//! parallel.
 
 use crate::bitstream::splats::PackedGaussian;
-use crate::fit::field::{Field, Gradient, Output, RowSet, Scene};
+use crate::fit::bowl::{Bowl, Moves};
+use crate::fit::field::{Field, Output, RowSet, Scene};
 use crate::fit::is_large;
 use crate::fit::kernel::{self, LANES, Lanes, RowExponent};
 use crate::fit::project::Projected;
@@ -23,6 +26,10 @@ const TALL: usize = 32;
 
 /// Most rows in one that is looked at.
 const MOST_ROWS: usize = 4;
+
+/// Bits by which a move may look worse than none and still be looked at: how well its colour can be rounded is not
+/// known before.
+const SLACK: f32 = 3.0;
 
 /// What one sweep did.
 #[derive(Debug, Clone, Copy, Default)]
@@ -335,16 +342,10 @@ impl<const C: usize> BandTask<'_, C> {
             }
         };
         consider(self, old, &now);
-        // By the envelope theorem this is the gradient of the least error over all colours.
-        let gradient = self.gradient(&p, &before, now.minimum(C).unwrap_or(p.color), patch);
-        for step in 0..14 {
-            let Some(candidate) = neighbor(&old, &before.mean, step, self.quantizer) else { continue };
+        // By the envelope theorem the gradient is that of the least error over all colours.
+        let bowl = self.bowl(&p, &before, now.minimum(C).unwrap_or(p.color), &now, patch);
+        for candidate in self.moves(&old, &before, &bowl).iter() {
             let g = self.quantizer.dequantize(&candidate);
-            let cheaper = self.rates.geometry(&candidate, lattice) - self.rates.geometry(&old, lattice);
-            // The error is convex enough around its minimum: uphill there is nothing to gain but bits.
-            if 2.0 * gradient.along(&before, &g) + lambda * cheaper >= 0.0 {
-                continue;
-            }
             let q = Projected::from_gaussian(&g, height);
             let wide = g.extent()[0];
             let inside = q.rows[0] as usize >= patch.rows.start
@@ -529,18 +530,23 @@ impl<const C: usize> BandTask<'_, C> {
         out
     }
 
-    /// The gradient of half the error over the patch with `p`, the projection of `g`, in it and of `color`.
+    /// How the error over the patch with `p`, the projection of `g`, in it and of `color` changes with mean, scales and
+    /// rotation, to second order.
     #[inline(always)]
-    fn gradient(&self, p: &Projected, g: &Gaussian, color: [f32; 4], patch: &Patch) -> Gradient {
+    fn bowl(&self, p: &Projected, g: &Gaussian, color: [f32; 4], parabola: &Parabola, patch: &Patch) -> Bowl {
         let width = patch.stride;
         let alpha = self.target.channels.alpha();
-        let mut m = [[0.0f32; LANES]; 5];
+        let (sin, cos) = g.rotation.sin_cos();
+        let [sx, sy] = g.scale;
+        let turn = sx / sy - sy / sx;
+        let mut first = [[0.0f32; LANES]; 5];
+        let mut second = [[0.0f32; LANES]; 15];
+        let mut mixed = [[[0.0f32; LANES]; 5]; C];
         for (y, row) in patch.rows(p.rows, C) {
-            let Some((first, end, dy)) = p.span(y, self.scene.width) else { continue };
+            let Some((start, end, dy)) = p.span(y, self.scene.width) else { continue };
             let exponent = RowExponent::new(p, dy);
             let amplitude = self.target.amplitude(y);
-            let (mut v0, mut v1, mut v2) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-            let mut x = first.max(patch.left);
+            let mut x = start.max(patch.left);
             while x < end {
                 let o = x - patch.left;
                 let (dx, e) = exponent.at(x);
@@ -552,39 +558,102 @@ impl<const C: usize> BandTask<'_, C> {
                     Blend::Normalized => kernel::lanes(|i| 1.0 / (without[i] + w[i])),
                     Blend::Sum => [1.0; LANES],
                 };
+                let u = kernel::lanes(|i| (cos * dx[i] + sin * dy) * (1.0 / sx));
+                let v = kernel::lanes(|i| (cos * dy - sin * dx[i]) * (1.0 / sy));
+                let features = [
+                    u,
+                    v,
+                    kernel::lanes(|i| u[i] * u[i]),
+                    kernel::lanes(|i| v[i] * v[i]),
+                    kernel::lanes(|i| turn * u[i] * v[i]),
+                ];
                 let mut t = [0.0f32; LANES];
+                let mut square = [0.0f32; LANES];
                 for k in 0..C {
                     let n = kernel::load(row, k * width + o);
                     let wanted = kernel::load(row, (C + 1 + k) * width + o);
-                    let v = kernel::lanes(|i| (n[i] + w[i] * color[k]) * inv[i]);
-                    let mut d = kernel::lanes(|i| v[i] - wanted[i]);
+                    let value = kernel::lanes(|i| (n[i] + w[i] * color[k]) * inv[i]);
+                    let mut weight = [1.0f32; LANES];
                     if let (Some(plane), true) = (alpha, alpha != Some(k)) {
-                        let weight = kernel::load(row, (C + 1 + plane) * width + o);
-                        d = kernel::lanes(|i| d[i] * weight[i] * weight[i]);
+                        weight = kernel::load(row, (C + 1 + plane) * width + o);
                     }
                     if let Some(a) = amplitude {
-                        d = kernel::lanes(|i| d[i] * a[i] * a[i]);
+                        weight = kernel::lanes(|i| weight[i] * a[i]);
                     }
                     let own = match self.scene.blend {
-                        Blend::Normalized => kernel::lanes(|i| (color[k] - v[i]) * inv[i]),
-                        Blend::Sum => [color[k]; LANES],
+                        Blend::Normalized => kernel::lanes(|i| (color[k] - value[i]) * inv[i] * weight[i] * e[i]),
+                        Blend::Sum => kernel::lanes(|i| color[k] * weight[i] * e[i]),
                     };
-                    t = kernel::lanes(|i| t[i] + d[i] * own[i]);
+                    t = kernel::lanes(|i| t[i] + (value[i] - wanted[i]) * weight[i] * own[i]);
+                    square = kernel::lanes(|i| square[i] + own[i] * own[i]);
+                    let shown = kernel::lanes(|i| own[i] * w[i] * inv[i] * weight[i]);
+                    for (sum, f) in mixed[k].iter_mut().zip(&features) {
+                        *sum = kernel::lanes(|i| sum[i] + shown[i] * f[i]);
+                    }
                 }
-                let t = kernel::lanes(|i| t[i] * e[i]);
-                let tx = kernel::lanes(|i| t[i] * dx[i]);
-                v0 = kernel::lanes(|i| v0[i] + t[i]);
-                v1 = kernel::lanes(|i| v1[i] + tx[i]);
-                v2 = kernel::lanes(|i| v2[i] + tx[i] * dx[i]);
+                let mut n = 0;
+                for a in 0..5 {
+                    let f = &features[a];
+                    first[a] = kernel::lanes(|i| first[a][i] + t[i] * f[i]);
+                    let scaled = kernel::lanes(|i| square[i] * f[i]);
+                    for other in &features[..=a] {
+                        second[n] = kernel::lanes(|i| second[n][i] + scaled[i] * other[i]);
+                        n += 1;
+                    }
+                }
                 x += LANES;
             }
-            m[0] = kernel::lanes(|i| m[0][i] + v1[i]);
-            m[1] = kernel::lanes(|i| m[1][i] + dy * v0[i]);
-            m[2] = kernel::lanes(|i| m[2][i] + v2[i]);
-            m[3] = kernel::lanes(|i| m[3][i] + dy * v1[i]);
-            m[4] = kernel::lanes(|i| m[4][i] + dy * dy * v0[i]);
         }
-        Gradient::from_moments(m.map(|v| kernel::total(&v) * patch.step as f32), g.scale, g.rotation)
+        let total = |sum: &Lanes| kernel::total(sum) * patch.step as f32;
+        let mut bowl = Bowl { slope: first.map(|v| total(&v)), ..Bowl::default() };
+        let mixed = mixed.map(|of| of.map(|v| total(&v)));
+        let mut n = 0;
+        for a in 0..5 {
+            for b in 0..=a {
+                let mut v = total(&second[n]);
+                for k in 0..C {
+                    // The colour follows.
+                    v -= mixed[k][a] * mixed[k][b] / (parabola.square(k, C) + 1e-6);
+                }
+                (bowl.curvature[a][b], bowl.curvature[b][a]) = (v, v);
+                n += 1;
+            }
+        }
+        bowl
+    }
+
+    /// The lattice points around `old` that promise most: for each neighbouring shape the positions that suit it best.
+    #[inline(always)]
+    fn moves(&self, old: &PackedGaussian, before: &Gaussian, bowl: &Bowl) -> Moves {
+        let lambda = self.objective.lambda;
+        let lattice = self.quantizer.lattice();
+        let now = self.rates.geometry(old, lattice);
+        let (sin, cos) = before.rotation.sin_cos();
+        let [sx, sy] = before.scale;
+        let mut moves = Moves::default();
+        for shape in 0..27 {
+            let Some(mut p) = neighbor(old, shape, self.quantizer) else { continue };
+            let turn = self.quantizer.rotation(p.major, p.minor, p.angle) - before.rotation;
+            let turn = turn - std::f32::consts::PI * (turn / std::f32::consts::PI).round();
+            let log = |index: u8, scale: f32| (self.quantizer.scale(index) / scale).ln();
+            let valley = bowl.given([log(p.major, sx), log(p.minor, sy), turn]);
+            let [u, v] = valley.lowest();
+            let (u, v) = (u * sx, v * sy);
+            self.quantizer.place(&mut p, [before.mean[0] + cos * u - sin * v, before.mean[1] + sin * u + cos * v]);
+            let bits = lambda * (self.rates.geometry(&p, lattice) - now);
+            let [ex, ey] = lattice.exponents(p.major, p.minor, p.angle).map(|e| (e as f32).exp2());
+            // What is nearest in the metric of the shape need not be lowest.
+            for (x, y) in [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)] {
+                let (Some(x), Some(y)) = (p.x.checked_add_signed(x), p.y.checked_add_signed(y)) else { continue };
+                let to = PackedGaussian { x, y, ..p };
+                let [dx, dy] = [(x as f32 + 0.5) * ex - before.mean[0], (y as f32 + 0.5) * ey - before.mean[1]];
+                let value = bits + valley.at([(cos * dx + sin * dy) / sx, (cos * dy - sin * dx) / sy]);
+                if value < SLACK * lambda && to != *old && self.quantizer.holds(&to) {
+                    moves.add(value, to);
+                }
+            }
+        }
+        moves
     }
 
     /// The colour integers with the least `error + λ·bits`, near the parabola's minimum, and that value.
@@ -645,35 +714,24 @@ impl<const C: usize> BandTask<'_, C> {
     }
 }
 
-/// The `step`-th neighbour of `old` on the lattice, if there is one. Where the shape changes, the position is the one
-/// nearest to `mean`.
+/// The `step`th of the 27 shapes within one step of `old` in both scales and the angle, if there is such a one.
 #[inline(always)]
-fn neighbor(old: &PackedGaussian, mean: &[f32; 2], step: usize, quantizer: &Quantizer) -> Option<PackedGaussian> {
-    let mut p = *old;
+fn neighbor(old: &PackedGaussian, step: i16, quantizer: &Quantizer) -> Option<PackedGaussian> {
+    let (major, minor) = (i16::from(old.major) + step / 9 - 1, i16::from(old.minor) + step / 3 % 3 - 1);
+    if minor < 0 || major < minor || !quantizer.holds_scale(major) {
+        return None;
+    }
+    let mut p = PackedGaussian { major: major as u8, minor: minor as u8, ..*old };
     let lattice = quantizer.lattice();
-    if step < 4 {
-        let (x, y) = [(1i64, 0i64), (-1, 0), (0, 1), (0, -1)][step];
-        p.x = u32::try_from(i64::from(p.x) + x).ok()?;
-        p.y = u32::try_from(i64::from(p.y) + y).ok()?;
-        return quantizer.holds(&p).then_some(p);
+    let (before, n) = (lattice.angles(old.major, old.minor), lattice.angles(p.major, p.minor));
+    if n != before {
+        p.angle = ((f32::from(p.angle) * f32::from(n) / f32::from(before) + 0.5).floor() as u16) % n;
     }
-    if step < 6 {
-        let n = lattice.angles(p.major, p.minor);
-        if n < 2 || (n == 2 && step == 5) {
-            return None;
-        }
-        p.angle = if step == 4 { (p.angle + 1) % n } else { (p.angle + n - 1) % n };
-    } else {
-        let (a, b) = [(1i16, 0i16), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)][step - 6];
-        let (major, minor) = (i16::from(p.major) + a, i16::from(p.minor) + b);
-        if minor < 0 || major < minor || !quantizer.holds_scale(major) {
-            return None;
-        }
-        let before = lattice.angles(p.major, p.minor);
-        (p.major, p.minor) = (major as u8, minor as u8);
-        let after = lattice.angles(p.major, p.minor);
-        p.angle = ((f32::from(p.angle) * f32::from(after) / f32::from(before) + 0.5).floor() as u16) % after;
+    match step % 3 {
+        0 if n >= 2 => p.angle = (p.angle + n - 1) % n,
+        1 => {}
+        2 if n > 2 => p.angle = (p.angle + 1) % n,
+        _ => return None,
     }
-    quantizer.place(&mut p, *mean);
     Some(p)
 }

@@ -6,7 +6,7 @@
 use crate::fit::kernel::{self, LANES, Moments};
 use crate::fit::project::{Primitive, Projected};
 use crate::fit::target::Target;
-use crate::gaussian::{Blend, EPSILON, Gaussian};
+use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
 
 /// Sampled rows in one band: the unit of parallel work.
@@ -351,19 +351,5 @@ impl Gradient {
             rotation: -uv * (ix - iy),
             color: [0.0; 4],
         }
-    }
-
-    /// The change to first order on the way from `from` to `to`, colours apart.
-    #[inline(always)]
-    pub(crate) fn along(&self, from: &Gaussian, to: &Gaussian) -> f32 {
-        let (sin, cos) = from.rotation.sin_cos();
-        let [dx, dy] = [to.mean[0] - from.mean[0], to.mean[1] - from.mean[1]];
-        let turn = to.rotation - from.rotation;
-        let turn = turn - std::f32::consts::PI * (turn / std::f32::consts::PI).round();
-        self.mean[0] * (cos * dx + sin * dy) / from.scale[0]
-            + self.mean[1] * (cos * dy - sin * dx) / from.scale[1]
-            + self.log_scale[0] * (to.scale[0] / from.scale[0]).ln()
-            + self.log_scale[1] * (to.scale[1] / from.scale[1]).ln()
-            + self.rotation * turn
     }
 }

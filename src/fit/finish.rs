@@ -12,7 +12,7 @@ use crate::quantize::Quantizer;
 
 /// Squared error that a bit must save, in units of the mean squared error per bit: the slope of the rate–distortion
 /// curve, where doubling the bytes wins two to three decibels.
-const SLOPE: f64 = 0.5;
+const SLOPE: f64 = 0.7;
 
 /// How much the descent shrinks what it starts from.
 const SHRINK: f64 = 1.008;
@@ -37,9 +37,10 @@ pub(crate) fn steps(primitives: &[Primitive], layout: Layout, psnr: f64) -> Step
             // Found by trying all neighbours on photographs at ratios from 20 to 1500; the optimum is flat.
             let (scale, position, luma) = match psnr {
                 ..24.0 => (5, 5, 6),
-                24.0..36.0 => (4, 5, 6),
-                36.0..41.0 => (3, 6, 5),
-                _ => (2, 7, 4),
+                24.0..30.0 => (4, 6, 6),
+                30.0..36.0 => (4, 7, 6),
+                36.0..41.0 => (3, 7, 5),
+                _ => (2, 8, 4),
             };
             let log2 = at(0.97) / std::f32::consts::LN_2 - f32::from(position) / 4.0;
             let coarsest = (log2.ceil() as i8).clamp(-2, 9);

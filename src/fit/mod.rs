@@ -1,6 +1,7 @@
 //! Fitting primitives to a picture: float, stochastic, seeded; the same result for any thread count.
 
 pub(crate) mod adam;
+pub(crate) mod bowl;
 #[cfg(all(test, unix))]
 mod coarse;
 pub(crate) mod descend;
@@ -51,7 +52,7 @@ const RELOCATED: f32 = 0.7;
 /// Share of the iterations that see a large picture at half its size: `coarse.rs` measures it.
 const COARSE: f32 = 0.7;
 /// Pixels of a large picture: smaller ones are done soon enough.
-const LARGE: u64 = 1 << 21;
+pub(crate) const LARGE: u64 = 1 << 21;
 /// Primitives that are worth it: fewer cost little, and each matters to the end.
 const MANY: usize = 1000;
 /// Rows in one sampled row from which on half the size loses nothing at first: Gaussians span several pixels.

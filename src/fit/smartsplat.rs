@@ -497,7 +497,7 @@ mod tests {
         let target = half_busy(48, 40);
         for blend in [Blend::Sum, Blend::Normalized] {
             let scene = Scene { width: 48, height: 40, blend, background: [0.0; 4] };
-            let plan = Plan::new(1, 40, None, 3);
+            let plan = Plan::new(1, 40, 48 * 40, None, 3);
             let error = |p: &[Primitive]| {
                 let mut field = Field::default();
                 field.draw(&scene, &target, &project_all(p, 40), RowSet::ALL, Output::Picture)

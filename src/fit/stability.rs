@@ -269,7 +269,7 @@ fn worse(a: f64, b: f64) -> f64 {
 }
 
 fn short(iterations: u32) -> Plan {
-    Plan { iterations, ..Plan::new(2, 5500, None, 1) }
+    Plan { iterations, ..Plan::new(2, 5500, 0, None, 1) }
 }
 
 #[test]
@@ -283,7 +283,7 @@ fn every_iteration_of_every_extreme_fit_is_finite_and_the_best_state_is_kept() {
             _ if large => 8,
             _ => 40,
         };
-        let plan = if large { short(4) } else { Plan::new(2, count, None, 1) };
+        let plan = if large { short(4) } else { Plan::new(2, count, 0, None, 1) };
         let worst = BLENDS.map(|b| watched(&case.pixels, b, count, &plan).kept).into_iter().fold(f64::INFINITY, worse);
         let guard = "log-scales, bounded aspect, ε, gradients that are not finite count as 0; best state kept";
         rows.push(row("every iteration", case.name, worst, Bound::Gain(-0.1), guard));

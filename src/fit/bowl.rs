@@ -1,0 +1,127 @@
+//! The error around one primitive as a quadratic function of its mean, scales and rotation: tells which moves are worth a
+//! look at the pixels.
+
+use crate::bitstream::splats::PackedGaussian;
+
+/// Most moves that are looked at; more of them gain a hundredth of a decibel.
+const LOOKS: usize = 6;
+
+/// How far the mean is moved at most, in units of the scales: further off the error is no parabola.
+const TRUST: f32 = 1.0;
+
+/// Half the gradient and half the Hessian (Gauss–Newton) of the squared error in the primitive's whitened frame: mean,
+/// log-scales, rotation. The colour follows along as is best.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Bowl {
+    pub slope: [f32; 5],
+    pub curvature: [[f32; 5]; 5],
+}
+
+/// What is left of a [`Bowl`] for moves of the mean, once scales and rotation are chosen.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Valley {
+    floor: f32,
+    slope: [f32; 2],
+    curvature: [[f32; 2]; 2],
+}
+
+impl Bowl {
+    /// The error for log-scales and rotation that differ by `shape`.
+    #[inline(always)]
+    pub(crate) fn given(&self, shape: [f32; 3]) -> Valley {
+        let c = &self.curvature;
+        let mut floor = 0.0;
+        let mut slope = [self.slope[0], self.slope[1]];
+        for i in 0..3 {
+            floor += 2.0 * self.slope[2 + i] * shape[i];
+            for j in 0..3 {
+                floor += c[2 + i][2 + j] * shape[i] * shape[j];
+            }
+            slope[0] += c[0][2 + i] * shape[i];
+            slope[1] += c[1][2 + i] * shape[i];
+        }
+        Valley { floor, slope, curvature: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]] }
+    }
+}
+
+impl Valley {
+    /// The shift of the mean with the least error, within the range that can be trusted.
+    #[inline(always)]
+    pub(crate) fn lowest(&self) -> [f32; 2] {
+        let [[a, b], [_, c]] = self.curvature;
+        // Where the error is flat in some direction, rounding must not send the mean far along it.
+        let ridge = 1e-3 * (a.max(0.0) + c.max(0.0)) + 1e-9;
+        let (a, c) = (a.max(0.0) + ridge, c.max(0.0) + ridge);
+        let det = (a * c - b * b).max(1e-3 * a * c);
+        let [u, v] = self.slope;
+        [(b * v - c * u) / det, (b * u - a * v) / det].map(|s| s.clamp(-TRUST, TRUST))
+    }
+
+    /// Change of the error when the mean shifts by `(u, v)`.
+    #[inline(always)]
+    pub(crate) fn at(&self, [u, v]: [f32; 2]) -> f32 {
+        let [[a, b], [_, c]] = self.curvature;
+        self.floor + 2.0 * (self.slope[0] * u + self.slope[1] * v) + a * u * u + 2.0 * b * u * v + c * v * v
+    }
+}
+
+/// The most promising moves, best first.
+#[derive(Debug, Default)]
+pub(crate) struct Moves {
+    best: [(f32, PackedGaussian); LOOKS],
+    count: usize,
+}
+
+impl Moves {
+    /// Takes in a move that is expected to change the objective by `value`.
+    #[inline(always)]
+    pub(crate) fn add(&mut self, value: f32, to: PackedGaussian) {
+        let at = self.best[..self.count].iter().position(|b| value < b.0).unwrap_or(self.count);
+        if at < LOOKS {
+            self.count = (self.count + 1).min(LOOKS);
+            self.best.copy_within(at..self.count - 1, at + 1);
+            self.best[at] = (value, to);
+        }
+    }
+
+    pub(crate) fn iter(&self) -> impl Iterator<Item = PackedGaussian> {
+        self.best[..self.count].iter().map(|b| b.1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_lowest_shift_is_the_minimum_for_its_shape() {
+        let mut bowl = Bowl { slope: [0.3, -0.2, 0.1, 0.4, -0.5], ..Bowl::default() };
+        for i in 0..5 {
+            for j in 0..5 {
+                bowl.curvature[i][j] = if i == j { 2.0 } else { 0.1 * (i + j) as f32 };
+            }
+        }
+        let valley = bowl.given([0.2, -0.1, 0.3]);
+        let [u, v] = valley.lowest();
+        for (du, dv) in [(0.05, 0.0), (-0.05, 0.0), (0.0, 0.05), (0.0, -0.05)] {
+            assert!(valley.at([u, v]) < valley.at([u + du, v + dv]));
+        }
+    }
+
+    #[test]
+    fn flat_errors_give_bounded_shifts() {
+        for curvature in [0.0, 1e-30, -1.0] {
+            let bowl = Bowl { slope: [1.0, -1.0, 0.0, 0.0, 0.0], curvature: [[curvature; 5]; 5] };
+            assert!(bowl.given([0.0; 3]).lowest().iter().all(|s| s.abs() <= TRUST));
+        }
+    }
+
+    #[test]
+    fn the_best_moves_are_kept_in_order() {
+        let mut moves = Moves::default();
+        for i in [5u32, 3, 9, 1, 7, 2, 8, 4, 6, 0] {
+            moves.add(i as f32, PackedGaussian { x: i, ..PackedGaussian::default() });
+        }
+        assert_eq!(moves.iter().map(|g| g.x).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5]);
+    }
+}
