@@ -2,6 +2,7 @@
 
 mod synthetic;
 
+use ssplat::bitstream::lattice::Lattice;
 use ssplat::bitstream::splats::{Layout, PackedSplats};
 use ssplat::bitstream::{inspect, read, read_area, read_partial, to_bytes};
 use ssplat::raster::{Renderer, View};
@@ -159,6 +160,29 @@ fn a_part_of_a_large_file_is_drawn_from_a_part_of_its_groups() {
     let read = read_area(&to_bytes(&small).unwrap(), &[0, 0, 1, 1].into(), &limits).unwrap();
     assert_eq!(read.gaussians.len(), small.gaussians.len());
     assert!(read_area(&bytes, &[u32::MAX; 4].into(), &limits).unwrap().gaussians.is_empty());
+}
+
+#[test]
+fn a_few_wide_primitives_do_not_make_every_group_reach_everywhere() {
+    let mut splats = scene(&Scene { count: 40_000, size: [1500, 1000], ..Scene::default() });
+    let lattice = Lattice::new(&splats.steps, splats.layout);
+    let mut random = Random(6);
+    let read_for_a_corner = |splats: &PackedSplats| {
+        read_area(&to_bytes(splats).unwrap(), &[0, 0, 50, 50].into(), &Limits::default()).unwrap().gaussians.len()
+    };
+    let before = read_for_a_corner(&splats);
+    // 100 pixels and more along the major axis: three times as far reaches into a third of the picture.
+    for p in splats.gaussians.iter_mut().step_by(100) {
+        let size = f64::from(splats.steps.scale + 4) / 32.0;
+        let major = ((100f64.log2() + 2.0) / size).ceil() as u8;
+        (p.major, p.minor, p.angle) = (major, major - 2, 0);
+        let [ex, ey] = lattice.exponents(p.major, p.minor, p.angle);
+        p.x = random.below(Lattice::positions(1500, ex).into()) as u32;
+        p.y = random.below(Lattice::positions(1000, ey).into()) as u32;
+    }
+    let after = read_for_a_corner(&splats);
+    assert_eq!(sorted(&round_trip(&splats)), sorted(&splats));
+    assert!(after < before + 2000, "{after} of 40 000 primitives were read, {before} without wide ones");
 }
 
 #[test]

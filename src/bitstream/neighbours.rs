@@ -70,16 +70,24 @@ impl Buckets {
     /// Sums over the 3 × 3 buckets around `place`, the near ones with larger weights. Nine weights add up to less than
     /// 2¹⁰ and no bucket keeps a sum beyond 2²⁰, so that all stay within 2³⁰.
     pub fn around(&self, place: &Place) -> [i32; LANES] {
-        let [(cx, fx), (cy, fy)] = self.at(place);
+        let at = self.at(place);
+        // The buckets along each axis and the squares of their distances, eighths.
+        let [(left, across), (top, down)] = [0, 1].map(|k| {
+            let (bucket, eighths) = at[k];
+            let first = bucket.saturating_sub(1);
+            let count = (bucket + 2).min(self.shape[k]) - first;
+            let squares: [usize; 3] = std::array::from_fn(|i| {
+                let away = 8 * ((first + i) as i32 - bucket as i32) + 4 - eighths;
+                (away * away) as usize
+            });
+            (first, (count, squares))
+        });
         let mut out = [0; LANES];
-        for y in cy.saturating_sub(1)..=(cy + 1).min(self.shape[1] - 1) {
-            for x in cx.saturating_sub(1)..=(cx + 1).min(self.shape[0] - 1) {
-                let away = |bucket: usize, at: usize, eighths: i32| 8 * (bucket as i32 - at as i32) + 4 - eighths;
-                let (dx, dy) = (away(x, cx, fx), away(y, cy, fy));
-                let shift = SHIFTS[(dx * dx + dy * dy) as usize];
-                for (sum, lane) in out.iter_mut().zip(&self.sums[y * self.shape[0] + x]) {
-                    *sum += lane << shift;
-                }
+        for (y, down) in down.1[..down.0].iter().enumerate() {
+            let row = &self.sums[(top + y) * self.shape[0] + left..][..across.0];
+            for (sums, across) in row.iter().zip(across.1) {
+                let shift = SHIFTS[across + down];
+                out.iter_mut().zip(sums).for_each(|(out, sum)| *out += sum << shift);
             }
         }
         out
