@@ -54,7 +54,7 @@ fn working_bytes(layout: Layout) -> u64 {
         Layout::Packed => 0,
         // A row of ten fields, and planes on their way into rows.
         Layout::Planes => 100,
-        // Nodes of two levels of the tree, later places, buckets and neighbours.
+        // Places by size, growing, then in order; later places and buckets.
         Layout::Coded => 240,
     };
     size_of::<PackedGaussian>() as u64 + extra
