@@ -4,11 +4,10 @@ use crate::bitstream::header::Header;
 use crate::bitstream::splats::{Metadata, PackedGaussian, PackedSplats};
 use crate::bitstream::{self, Missing};
 use crate::error::Result;
-use crate::gaussian::Gaussian;
 use crate::limits::Limits;
 use crate::options::{Damage, DecodeOptions};
 use crate::pixels::Pixels;
-use crate::raster::{Renderer, View};
+use crate::raster::{Canvas, Renderer, View};
 
 /// A decoded picture.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -54,12 +53,24 @@ pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
     Ok(Decoded { pixels, metadata, missing })
 }
 
-/// What draws `view`, in the memory that the integers leave.
+impl PackedSplats {
+    /// What draws `view`. The Gaussians are made on the way: they need not all be there at once, as they would be with
+    /// [`to_picture`](PackedSplats::to_picture).
+    ///
+    /// # Errors
+    /// As [`Renderer::new`].
+    pub fn renderer(&self, view: &View, limits: &Limits) -> Result<Renderer> {
+        let quantizer = self.quantizer();
+        let background = quantizer.dequantize_color(self.background);
+        let canvas = Canvas { channels: self.channels, blend: self.blend, background };
+        let gaussian = |i: usize| quantizer.dequantize(&self.gaussians[i]);
+        Renderer::of(&canvas, self.gaussians.len(), gaussian, view, limits)
+    }
+}
+
+/// What draws `view`, in the memory that the integers leave; they are gone afterwards.
 pub(crate) fn renderer(splats: PackedSplats, view: &View, limits: &Limits) -> Result<Renderer> {
-    let held = (size_of::<PackedGaussian>() + size_of::<Gaussian>()) as u64 * splats.gaussians.len() as u64;
     let mut limits = limits.clone();
-    limits.alloc = limits.check_alloc(held)?;
-    let picture = splats.to_picture();
-    drop(splats);
-    Renderer::new(&picture, view, &limits)
+    limits.alloc = limits.check_alloc((size_of::<PackedGaussian>() * splats.gaussians.len()) as u64)?;
+    splats.renderer(view, &limits)
 }

@@ -6,10 +6,12 @@ use rayon::prelude::*;
 
 /// `f(0), …, f(count − 1)`.
 pub(crate) fn map<T: Send>(count: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+    // Handing over a single piece of work costs more than a small one itself.
     #[cfg(feature = "rayon")]
-    return (0..count).into_par_iter().map(f).collect();
-    #[cfg(not(feature = "rayon"))]
-    return (0..count).map(f).collect();
+    if count > 1 {
+        return (0..count).into_par_iter().map(f).collect();
+    }
+    (0..count).map(f).collect()
 }
 
 /// `f(i, chunk i)` over chunks of `size` elements, the last one possibly shorter.

@@ -35,6 +35,7 @@ mod renderer;
 mod samples;
 mod view;
 
+pub(crate) use renderer::Canvas;
 pub use renderer::Renderer;
 pub use samples::SamplesMut;
 pub use view::View;

@@ -7,7 +7,7 @@
 use super::lanes::LANES;
 use super::view::View;
 use crate::error::{Error, Result};
-use crate::gaussian::{CUTOFF, CUTOFF_WEIGHT, Gaussian, Picture};
+use crate::gaussian::{CUTOFF, CUTOFF_WEIGHT, Gaussian};
 use crate::limits::Limits;
 use crate::parallel;
 
@@ -193,17 +193,22 @@ impl Splats {
     }
 }
 
-/// Projects what is visible in `view`, widened by `variance` along x and y, picture pixels².
-pub(super) fn project(picture: &Picture, view: &View, variance: [f64; 2], limits: &Limits) -> Result<Splats> {
-    let count = picture.gaussians.len() as u64;
-    Limits::check("primitives", count, limits.primitives.min(u64::from(u32::MAX)))?;
-    limits.check_alloc(count * size_of::<Splat>() as u64)?;
+/// Projects what is visible in `view` of `count` Gaussians, widened by `variance` along x and y, picture pixels².
+pub(super) fn project(
+    count: usize,
+    gaussian: impl Fn(usize) -> Gaussian + Sync + Send,
+    view: &View,
+    variance: [f64; 2],
+    limits: &Limits,
+) -> Result<Splats> {
+    Limits::check("primitives", count as u64, limits.primitives.min(u64::from(u32::MAX)))?;
+    limits.check_alloc(count as u64 * size_of::<Splat>() as u64)?;
     let beyond = Beyond::new(view, variance);
-    let chunks = parallel::map(picture.gaussians.len().div_ceil(CHUNK), |i| {
-        let start = i * CHUNK;
-        let gaussians = &picture.gaussians[start..picture.gaussians.len().min(start + CHUNK)];
-        let mut splats = Vec::with_capacity(gaussians.len());
-        for (i, g) in (start..).zip(gaussians) {
+    let chunks = parallel::map(count.div_ceil(CHUNK), |i| {
+        let range = i * CHUNK..count.min((i + 1) * CHUNK);
+        let mut splats = Vec::with_capacity(range.len());
+        for i in range {
+            let g = gaussian(i);
             let sound = g.mean.iter().chain([&g.rotation]).all(|v| v.is_finite())
                 && g.color.iter().all(|v| v.is_finite())
                 && g.scale.iter().all(|&s| s > 0.0 && s.is_finite());
@@ -213,10 +218,10 @@ pub(super) fn project(picture: &Picture, view: &View, variance: [f64; 2], limits
                     problem: format!("number {i} is not finite or has a scale of zero: {g:?}"),
                 });
             }
-            if beyond.sees_none_of(g) {
+            if beyond.sees_none_of(&g) {
                 continue;
             }
-            let splat = Splat::new(g, view, variance);
+            let splat = Splat::new(&g, view, variance);
             if splat.touches(view) {
                 splats.push(splat);
             }
@@ -229,7 +234,7 @@ pub(super) fn project(picture: &Picture, view: &View, variance: [f64; 2], limits
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gaussian::{Blend, Channels};
+    use crate::gaussian::{Blend, Channels, Picture};
 
     #[test]
     fn what_is_left_out_early_touches_nothing() {
@@ -273,7 +278,7 @@ mod tests {
             background: [0.0; 4],
             gaussians: vec![far],
         };
-        let found = project(&picture, &View::full(&picture), [0.0; 2], &Limits::default());
+        let found = project(1, |i| picture.gaussians[i], &View::full(&picture), [0.0; 2], &Limits::default());
         assert!(matches!(found, Err(Error::Parameter { name: "gaussians", .. })));
     }
 }

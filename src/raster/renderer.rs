@@ -6,7 +6,7 @@ use super::project::{Splats, project};
 use super::samples::{Sample, SamplesMut};
 use super::view::{Filter, MAX_SIDE, View};
 use crate::error::{Error, Result};
-use crate::gaussian::{Blend, Channels, Picture};
+use crate::gaussian::{Blend, Channels, Gaussian, Picture};
 use crate::limits::Limits;
 use crate::pixels::{Depth, Pixels, Samples};
 #[cfg(feature = "rayon")]
@@ -30,6 +30,15 @@ pub struct Renderer {
     pool: Mutex<Vec<Scratch>>,
 }
 
+/// What the Gaussians of a picture are drawn onto.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Canvas {
+    pub channels: Channels,
+    pub blend: Blend,
+    /// Encoded values.
+    pub background: [f32; 4],
+}
+
 /// Which instruction set draws. The output is the same.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Dispatch {
@@ -50,18 +59,30 @@ impl Renderer {
     /// [`Error::LimitExceeded`] when primitives, (Gaussian, tile) pairs, work or memory go beyond `limits`, before they
     /// are spent; [`Error::Parameter`] when a primitive is not finite, has a scale of zero, or a side of the view is 0 or over 2²⁰.
     pub fn new(picture: &Picture, view: &View, limits: &Limits) -> Result<Self> {
+        let canvas = Canvas { channels: picture.channels, blend: picture.blend, background: picture.background };
+        Renderer::of(&canvas, picture.gaussians.len(), |i| picture.gaussians[i], view, limits)
+    }
+
+    /// The same for `count` Gaussians that are made when they are asked for, so that they need not all be there at once.
+    pub(crate) fn of(
+        canvas: &Canvas,
+        count: usize,
+        gaussian: impl Fn(usize) -> Gaussian + Sync + Send,
+        view: &View,
+        limits: &Limits,
+    ) -> Result<Self> {
         if [view.width, view.height].iter().any(|&side| side == 0 || side > MAX_SIDE) {
             return Err(Error::Parameter {
                 name: "view",
                 problem: format!("{view:?} has a side outside 1..={MAX_SIDE}"),
             });
         }
-        if !picture.background.iter().all(|v| v.is_finite()) {
-            return Err(Error::Parameter { name: "background", problem: format!("{:?}", picture.background) });
+        if !canvas.background.iter().all(|v| v.is_finite()) {
+            return Err(Error::Parameter { name: "background", problem: format!("{:?}", canvas.background) });
         }
         let filter = view.filter();
         let fine = view.refined(filter.parts);
-        let splats = project(picture, &fine, filter.variance, limits)?;
+        let splats = project(count, gaussian, &fine, filter.variance, limits)?;
         let mut limits = limits.clone();
         limits.alloc = limits.check_alloc(splats.bytes())?;
         let bins = Bins::new(&splats, &fine, &limits)?;
@@ -69,9 +90,9 @@ impl Renderer {
         Ok(Renderer {
             view: *view,
             filter,
-            channels: picture.channels,
-            blend: picture.blend,
-            background: picture.background,
+            channels: canvas.channels,
+            blend: canvas.blend,
+            background: canvas.background,
             splats,
             bins,
             limits,

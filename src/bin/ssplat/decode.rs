@@ -40,10 +40,9 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     };
     drop(bytes);
     report_loss(&args.input, &splats, missing, of);
-    let (picture, depth) = (splats.to_picture(), splats.depth);
-    let metadata = splats.metadata;
+    let depth = splats.depth;
     // The output is written as it is drawn: no memory bounds it.
-    let samples = u64::from(view.width()) * u64::from(view.height()) * picture.channels.count() as u64;
+    let samples = u64::from(view.width()) * u64::from(view.height()) * splats.channels.count() as u64;
     let (requested, allowed) = (samples * depth.bytes() as u64, limits.alloc);
     if requested > allowed {
         return Err(failed(Error::LimitExceeded { what: "alloc", requested, allowed }));
@@ -52,13 +51,14 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     let mut device = String::from("CPU");
     if args.backend == Backend::Gpu {
         let pixels;
-        (pixels, device) = on_gpu(&picture, &view, depth, &limits).map_err(failed)?;
+        (pixels, device) = on_gpu(&splats.to_picture(), &view, depth, &limits).map_err(failed)?;
         sink = Sink::create(&args.output, &[&args.input])?;
-        let source = Source { pixels, icc: metadata.icc, exif: metadata.exif };
+        let source = Source { pixels, icc: splats.metadata.icc, exif: splats.metadata.exif };
         encode::write_pixels(source, format, &sink, &args.output)?;
     } else {
-        let renderer = Renderer::new(&picture, &view, &limits).map_err(failed)?;
-        drop(picture);
+        let renderer = splats.renderer(&view, &limits).map_err(failed)?;
+        let metadata = splats.metadata;
+        drop(splats.gaussians);
         sink = Sink::create(&args.output, &[&args.input])?;
         draw(&renderer, depth, &metadata, format, &sink, &args.output)?;
     }

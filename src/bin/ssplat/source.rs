@@ -6,7 +6,7 @@ use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageReader};
 use ssplat::bitstream::header::MAGIC;
-use ssplat::raster::{Renderer, View};
+use ssplat::raster::View;
 use ssplat::{Limits, Pixels};
 
 use crate::failure::Failure;
@@ -74,8 +74,8 @@ pub fn decode(path: &Path, bytes: &[u8]) -> Result<Source, Failure> {
     let limits = Limits::default();
     let failed = |e| Failure::library(path, &e);
     let splats = ssplat::bitstream::read(bytes, &limits).map_err(failed)?;
-    let picture = splats.to_picture();
-    let renderer = Renderer::new(&picture, &View::full(&picture), &limits).map_err(failed)?;
+    let view = View::of_size(splats.width, splats.height);
+    let renderer = splats.renderer(&view, &limits).map_err(failed)?;
     let pixels = renderer.render(splats.depth).map_err(failed)?;
     Ok(Source { pixels, icc: splats.metadata.icc, exif: splats.metadata.exif })
 }
