@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use super::kd::Place;
+use super::kd::Square;
 use super::model::Field;
 use super::neighbours::{Buckets, COUNT, LANES};
 use super::range::{Coder, Cumulative};
@@ -47,26 +47,40 @@ pub(crate) struct Palette<'a> {
 
 /// Sums over the primitives around, weighted by distance.
 #[derive(Debug, Clone, Copy)]
-struct Around {
-    weight: i64,
-    values: [i64; QUANTITIES],
-    /// How far the colours were from what was expected, quarters.
-    errors: [i64; 4],
-    /// Direction of the doubled angle, as long as the primitive is elongated.
-    axis: [i64; 2],
-    elongation: i64,
-}
+struct Around([i32; LANES]);
 
-impl From<[i32; LANES]> for Around {
-    fn from(sums: [i32; LANES]) -> Self {
-        let sums = sums.map(i64::from);
-        Around {
-            weight: sums[COUNT],
-            values: std::array::from_fn(|k| sums[k]),
-            errors: std::array::from_fn(|k| sums[ERROR_LANES + k]),
-            axis: [sums[AXIS_LANES], sums[AXIS_LANES + 1]],
-            elongation: sums[ELONGATION_LANE],
-        }
+impl Around {
+    #[inline]
+    fn weight(&self) -> i32 {
+        self.0[COUNT]
+    }
+
+    #[inline]
+    fn value(&self, k: usize) -> i64 {
+        self.0[k].into()
+    }
+
+    /// How far a colour was from what was expected, quarters.
+    #[inline]
+    fn error(&self, k: usize) -> i64 {
+        self.0[ERROR_LANES + k].into()
+    }
+
+    /// Direction of the doubled angle, as long as the primitives are elongated.
+    #[inline]
+    fn axis(&self) -> [i64; 2] {
+        [self.0[AXIS_LANES].into(), self.0[AXIS_LANES + 1].into()]
+    }
+
+    #[inline]
+    fn elongation(&self) -> i64 {
+        self.0[ELONGATION_LANE].into()
+    }
+
+    /// `2²⁴` over the weight and that of no neighbours.
+    #[inline]
+    fn trust(&self, doubt: i64) -> i64 {
+        ((1 << 24) / (self.weight() + doubt as i32)).into()
     }
 }
 
@@ -77,12 +91,10 @@ const ELONGATION_LANE: usize = AXIS_LANES + 2;
 
 /// What a colour is expected from.
 #[derive(Debug, Clone, Copy)]
-struct Outlook {
-    means: [i64; QUANTITIES],
-    /// How far the neighbours' average is from the mean.
-    dev: [i64; QUANTITIES],
-    /// Expected surprise, 64ths.
-    errors: [i64; 4],
+struct Outlook<'a> {
+    around: &'a Around,
+    /// How far the neighbours' average is trusted, and how far their surprises.
+    trust: [i64; 2],
     /// `0..=15`: how large the primitive is for the primitives' spacing, in octaves of its area.
     size: usize,
     /// `0..=7`: octaves of its aspect.
@@ -134,7 +146,7 @@ impl Slope {
         self.xx += x * x;
         // No real picture comes near: this keeps `xy·256` within 64 bits. A term is below 2⁴⁸ and adds to `xx` no less
         // than its root does to `xy`, so that `xx` stays above 0.
-        if self.xx.max(self.xy.abs()) >> 50 != 0 {
+        if (self.xx | self.xy.abs()) >> 50 != 0 {
             (self.xx, self.xy) = (self.xx >> 1, self.xy >> 1);
         }
     }
@@ -176,6 +188,8 @@ pub(crate) struct Scene<'a> {
     pub rules: &'a Rules,
     pub palette: Palette<'a>,
     pub steps: Steps,
+    /// Cells of the finest position step.
+    pub grid: [u32; 2],
     /// `16·log₂` of the primitives' spacing, pixels.
     pub spacing: i64,
 }
@@ -203,6 +217,7 @@ pub(crate) fn spacing(size: [u32; 2], count: u32) -> i64 {
     i64::from((log - 16 * 8).div_euclid(2))
 }
 
+#[inline]
 fn class(value: i64, last: i64) -> usize {
     (value.clamp(-last, last) + last) as usize
 }
@@ -236,12 +251,18 @@ fn consensus(axis: [i64; 2], total: i64) -> (u32, usize) {
         (false, _) if x < 0 => (2, -x, -y),
         _ => (3, -y, x),
     };
-    let steps = (0..16).filter(|&j| {
-        let tangent = (std::f64::consts::TAU * (f64::from(j) + 0.5) / 64.0).tan();
-        y * 4096 >= x * (4096.0 * tangent + 0.5).floor() as i64
-    });
-    ((quarter * 16 + steps.count() as u32) % 64, fifths + 1)
+    let mut steps = 0;
+    for half in [8, 4, 2, 1, 1] {
+        if y * 4096 >= x * TANGENTS[steps + half - 1] {
+            steps += half;
+        }
+    }
+    ((quarter * 16 + steps as u32) % 64, fifths + 1)
 }
+
+/// `4096·tan(2π·(j + ½)/64)`, rounded.
+static TANGENTS: [i64; 16] =
+    [201, 608, 1026, 1466, 1937, 2455, 3038, 3712, 4519, 5523, 6834, 8660, 11448, 16352, 27613, 83376];
 
 impl Attributes {
     pub fn new(scene: &Scene<'_>) -> Self {
@@ -250,10 +271,10 @@ impl Attributes {
         let spacing = scene.scale_of(scene.spacing);
         let color = palette.background.map(|b| Mean::new(i64::from(b) * FINE, 4));
         Attributes {
-            aspect: Gains::new([ASPECTS, 9, 9]),
-            aspect_shift: Shifts::new(ASPECTS),
-            angle: Gains::new([8, 6, 16]),
-            colors: std::array::from_fn(|_| Gains::new([16, 9, 8])),
+            aspect: Gains::new(),
+            aspect_shift: Shifts::new(),
+            angle: Gains::new(),
+            colors: std::array::from_fn(|_| Gains::new()),
             channels: palette.channels.count(),
             index: Field::new(palette.book.map_or(0, |b| b.len().next_power_of_two().max(2)), 1, 250),
             means: [
@@ -275,29 +296,31 @@ impl Attributes {
     /// Brings what is taken from the statistics up to date, now and then.
     fn refresh(&mut self) {
         if self.seen < REFRESH_ALL || self.seen.is_multiple_of(REFRESH_EACH) {
-            self.means.iter_mut().chain(&mut self.errors).for_each(Mean::refresh);
-            self.follow.iter_mut().chain(self.cross.as_flattened_mut()).for_each(Slope::refresh);
+            self.means[..2 + self.channels].iter_mut().for_each(Mean::refresh);
+            self.errors[..self.channels].iter_mut().for_each(Mean::refresh);
+            self.follow[..self.channels].iter_mut().for_each(Slope::refresh);
+            for k in 1..self.channels {
+                self.cross[k][..k.min(2)].iter_mut().for_each(Slope::refresh);
+            }
         }
         self.seen = self.seen.wrapping_add(1);
     }
 
-    /// Codes the primitive at `place`; a reader's `p` is ignored, and the one that comes back obeys the rules.
+    /// Codes the primitive in `square`; a reader's `p` is ignored, and the one that comes back obeys the rules.
     pub fn code<C: Coder>(
         &mut self,
         coder: &mut C,
         scene: &Scene<'_>,
         buckets: &mut Buckets,
-        place: Place,
+        square: &Square,
         p: &PackedGaussian,
     ) -> Result<PackedGaussian, Broken> {
         self.refresh();
-        let log = place.log.0;
-        let around = Around::from(buckets.around(&place));
-        let means = self.means.map(|m| m.value);
-        // Deviation of the neighbours' average from the mean, shrunk where few are near.
-        let trust = (1 << 24) / (around.weight + DOUBT);
-        let dev: [i64; QUANTITIES] =
-            std::array::from_fn(|k| (around.values[k] * FINE - means[k] * around.weight) * trust >> 24);
+        let log = square.log;
+        let spot = buckets.spot(square);
+        let around = Around(buckets.around(&spot));
+        let trust = around.trust(DOUBT);
+        let [means, dev] = [[self.means[0].value, self.means[1].value], [0, 1].map(|k| self.dev(&around, trust, k))];
 
         // The square leaves about an octave open.
         let (low, high) = scene.rules.majors(log)?;
@@ -306,13 +329,13 @@ impl Attributes {
         let major = low + coder.choose(&choice, i32::from(p.major) - i32::from(low)) as u8;
         coder.account("major scale");
 
-        let difference = self.aspect(coder, major, [means[0], means[1]], [dev[0], dev[1]], p);
+        let difference = self.aspect(coder, major, means, dev, p);
         let minor = major - difference;
         coder.account("minor scale");
 
         let n = scene.rules.lattice.angles(major, minor);
         let angle = self.angle(coder, n, p.angle, &around);
-        scene.rules.shape(major, minor, angle)?;
+        debug_assert!(scene.rules.shape(major, minor, angle).is_ok());
         coder.account("angle");
 
         // The rest of the position.
@@ -320,8 +343,12 @@ impl Attributes {
         let [lx, ly] = scene.rules.in_cells(exponents);
         let bits = [log - lx, log - ly];
         let rest = coder.pair(bits, [p.x & ((1 << bits[0]) - 1), p.y & ((1 << bits[1]) - 1)]);
-        let (x, y) = (place.corner[0] >> lx | rest[0], place.corner[1] >> ly | rest[1]);
-        scene.rules.position([x, y], exponents)?;
+        let (x, y) = (square.corner[0] >> lx | rest[0], square.corner[1] >> ly | rest[1]);
+        for (field, value, cell, cells) in [("x", x, x << lx, scene.grid[0]), ("y", y, y << ly, scene.grid[1])] {
+            if cell >= cells {
+                return Err(Broken { field, value: value.into() });
+            }
+        }
         coder.account("position refinement");
 
         let mut errors = [0; 4];
@@ -335,13 +362,9 @@ impl Attributes {
             }
             None => {
                 let size = (i64::from(major) + i64::from(minor) - self.spacing) * scene.delta() / 32 + 8;
-                let trust = (1 << 24) / (around.weight + DOUBT_OF_ERRORS);
                 let outlook = Outlook {
-                    means,
-                    dev,
-                    errors: std::array::from_fn(|k| {
-                        (around.errors[k] * FINE + self.errors[k].value * DOUBT_OF_ERRORS) * trust >> 24
-                    }),
+                    around: &around,
+                    trust: [trust, around.trust(DOUBT_OF_ERRORS)],
                     size: size.clamp(0, 15) as usize,
                     aspect: (i64::from(difference) * scene.delta() / 32).min(7) as usize,
                 };
@@ -367,8 +390,14 @@ impl Attributes {
         lanes[AXIS_LANES..ELONGATION_LANE].copy_from_slice(&axis);
         lanes[ELONGATION_LANE] = elongation;
         lanes[COUNT] = 1;
-        buckets.add(&place, &lanes);
+        buckets.add(&spot, &lanes);
         Ok(p)
+    }
+
+    /// Deviation of the neighbours' average of a quantity from the mean, shrunk where few are near.
+    #[inline]
+    fn dev(&self, around: &Around, trust: i64, k: usize) -> i64 {
+        (around.value(k) * FINE - self.means[k].value * i64::from(around.weight())) * trust >> 24
     }
 
     /// `major − minor`.
@@ -377,7 +406,7 @@ impl Attributes {
         let expected = i64::from(major) * FINE - minor;
         let kind = ((expected + FINE / 2) >> 4).clamp(0, ASPECTS as i64 - 1) as usize;
         let place = expected + self.aspect_shift.get(kind);
-        let classes = [kind, class(dev[0] >> 5, 4), class(dev[1] >> 5, 4)];
+        let classes = [kind, ASPECTS + class(dev[0] >> 5, 4), ASPECTS + 9 + class(dev[1] >> 5, 4)];
         let near = Near::new(place, ASPECT_SPREAD + self.aspect.log(&classes));
         let choice = Bounded::new(near, 0, i32::from(major) + 1, SHARE);
         let difference = coder.choose(&choice, i32::from(p.major) - i32::from(p.minor));
@@ -391,42 +420,50 @@ impl Attributes {
             return 0;
         }
         let n = i64::from(n);
-        let (direction, accord) = consensus(around.axis, around.elongation);
+        let (direction, accord) = consensus(around.axis(), around.elongation());
         let place = i64::from(direction) * n / 4;
         // Half a turn around the neighbours' direction.
         let low = (place - 8 * n + 15) >> 4;
         let log = log16(n as u64);
-        let classes = [(log >> 4).min(7) as usize, accord, direction as usize / 4];
+        let classes = [(log >> 4).min(7) as usize, 8 + accord, 8 + 6 + direction as usize / 4];
         let near = Near::new(place, log + ANGLE_SPREADS[accord] + self.angle.log(&classes));
         let choice = Bounded::new(near, low, n as i32, ANGLE_SHARE);
-        let step = coder.choose(&choice, (i64::from(angle) - low).rem_euclid(n) as i32);
-        // On a circle distances end: what counts is how far from the middle of the chances the value lies.
-        let (total, middle) = (choice.total(), choice.below(step) + choice.below(step + 1));
-        let off = u64::from(middle.abs_diff(total));
-        self.angle.learn(&classes, (2 * MEAN as u64 * off / u64::from(total)) as i32);
-        (low + i64::from(step)).rem_euclid(n) as u16
+        let (step, share) = coder.share(&choice, (i64::from(angle) - low).rem_euclid(n) as i32);
+        // On a circle distances end: what counts is how far from the middle of the chances the value lies. No total is
+        // above 2¹⁷: 32 bits suffice.
+        let (total, middle) = (choice.total(), share[0] + share[1]);
+        self.angle.learn(&classes, (2 * MEAN as u32 * middle.abs_diff(total) / total) as i32);
+        // From half a turn below 0 to half a turn above one.
+        let angle = low + i64::from(step);
+        (if angle < 0 {
+            angle + n
+        } else if angle < n {
+            angle
+        } else {
+            angle - n
+        }) as u16
     }
 
     fn color<C: Coder>(
         &mut self,
         coder: &mut C,
-        outlook: &Outlook,
+        outlook: &Outlook<'_>,
         color: [i16; 4],
         errors: &mut [i32; 4],
     ) -> Result<[i16; 4], Broken> {
         let mut out = [0i16; 4];
-        let mut surprises = [0i64; 4];
+        // Of the first two channels.
+        let mut surprises = [0i64; 2];
         let mut before = 8;
         for k in 0..self.channels {
-            let (mean, dev) = (outlook.means[2 + k], outlook.dev[2 + k]);
+            let (mean, dev) = (self.means[2 + k].value, self.dev(outlook.around, outlook.trust[0], 2 + k));
             let follow = self.follow[k].of(dev);
-            let mut guess = mean + follow;
-            for (slope, &s) in self.cross[k].iter().zip(&surprises[..k]) {
-                guess += slope.of(s);
-            }
+            let guess = mean + follow + self.cross[k][0].of(surprises[0]) + self.cross[k][1].of(surprises[1]);
             let guess = guess.clamp(i64::from(i16::MIN) * FINE, i64::from(i16::MAX) * FINE);
-            let classes = [outlook.size, before, outlook.aspect];
-            let log = log16(outlook.errors[k].max(1) as u64) + 32 + self.colors[k].log(&classes);
+            let classes = [outlook.size, 16 + before, 16 + 9 + outlook.aspect];
+            let own = self.errors[k].value * DOUBT_OF_ERRORS;
+            let error = (outlook.around.error(k) * FINE + own) * outlook.trust[1] >> 24;
+            let log = log16(error.max(1) as u64) + 32 + self.colors[k].log(&classes);
             let near = Near::new(guess, log);
             let value = Open::new(near).code(coder, color[k].into());
             out[k] = i16::try_from(value).map_err(|_| Broken { field: "colour", value: value as u64 })?;
@@ -436,12 +473,13 @@ impl Attributes {
             before = log_class((value - ((guess + FINE / 2) >> 4)).unsigned_abs() as u32, 7);
             self.follow[k].add(dev, actual - mean);
             let left = actual - mean - follow;
-            let mut rest = left;
-            for (slope, &s) in self.cross[k].iter_mut().zip(&surprises[..k]) {
-                slope.add(s, rest);
-                rest -= slope.of(s);
+            // Surprises that are still to come are 0 and teach nothing.
+            let [first, second] = &mut self.cross[k];
+            first.add(surprises[0], left);
+            second.add(surprises[1], left - first.of(surprises[0]));
+            if let Some(surprise) = surprises.get_mut(k) {
+                *surprise = left;
             }
-            surprises[k] = left;
             coder.account(["colour 0", "colour 1", "colour 2", "colour 3"][k]);
         }
         Ok(out)
@@ -464,7 +502,8 @@ mod tests {
             assert!(clear(256.0 * turn.cos()) && clear(256.0 * turn.sin()));
         }
         for j in 0..16 {
-            assert!(clear(4096.0 * (std::f64::consts::TAU * (f64::from(j) + 0.5) / 64.0).tan()));
+            let tangent = 4096.0 * (std::f64::consts::TAU * (f64::from(j) + 0.5) / 64.0).tan();
+            assert!(clear(tangent) && (tangent + 0.5).floor() as i64 == TANGENTS[j as usize]);
         }
     }
 

@@ -3,7 +3,7 @@
 use super::attributes::{Attributes, Palette, Scene, spacing};
 use super::bytes::Bytes;
 use super::header::{Coloring, Header};
-use super::kd::{Counts, Extent, Place, Region, by_key, places};
+use super::kd::{Counts, Extent, Place, Region, by_key, squares};
 use super::model::{Field, SIGNED_NODES};
 use super::neighbours::Buckets;
 use super::palette::{index_of, push_ascending, sorted_codebook, to_i16};
@@ -56,13 +56,12 @@ fn read_stream<C: Coder>(coder: &mut C, header: &Header, splats: &mut PackedSpla
 
 /// The order of a group: coarse squares first, along the halves, then by shape, position and colour.
 pub(crate) fn sort(gaussians: &mut [PackedGaussian], rules: &Rules, region: Region) {
-    gaussians.sort_by_cached_key(|p| order(p, rules, region));
+    gaussians.sort_by_cached_key(|p| (rules.place(p, region), order(p)));
 }
 
-type Order = (Place, u8, u8, u16, u32, u32, [i16; 4]);
-
-fn order(p: &PackedGaussian, rules: &Rules, region: Region) -> Order {
-    (rules.place(p, region), p.major, p.minor, p.angle, p.x, p.y, p.color)
+/// The order of the primitives of a square.
+fn order(p: &PackedGaussian) -> (u8, u8, u16, u32, u32, [i16; 4]) {
+    (p.major, p.minor, p.angle, p.x, p.y, p.color)
 }
 
 /// What the groups of a picture have in common.
@@ -93,29 +92,28 @@ impl<'a> Group<'a> {
         count: u32,
     ) -> Result<Vec<PackedGaussian>, Broken> {
         let rules = &self.rules;
-        let given: Option<Vec<Place>> = sorted.map(|s| {
-            let mut given: Vec<_> = s.iter().map(|p| rules.place(p, region)).collect();
-            given.sort_by_cached_key(|p| by_key(p, &region));
-            given
-        });
+        let mut given: Vec<Place> = sorted.unwrap_or_default().iter().map(|p| rules.place(p, region)).collect();
+        given.sort_by_cached_key(|p| by_key(p, &region));
         let (grid, finest) = (rules.grid(), rules.finest());
         let side = [0, 1].map(|k| (grid[k] - region.corner[k]).min(1 << region.log[k]));
         let cells = spacing(side, count);
         let extent = Extent { grid, region, coarsest: rules.range(), spacing: cells };
         let spacing = cells + 16 * i64::from(finest);
-        let places = places(coder, &mut Counts::new(), &extent, given.as_deref(), count)?;
+        let squares = squares(coder, &mut Counts::new(), &extent, &given, count)?;
         coder.account("position");
         let mut buckets = Buckets::new(count, region.corner, side);
-        let scene = Scene { rules, palette: self.palette, steps: self.steps, spacing };
+        let scene = Scene { rules, palette: self.palette, steps: self.steps, grid, spacing };
         let mut attributes = Attributes::new(&scene);
         let mut out: Vec<PackedGaussian> = Vec::with_capacity(count as usize);
-        for (i, &place) in places.iter().enumerate() {
+        let mut last = None;
+        for (i, square) in squares.iter().enumerate() {
             let given = sorted.map_or_else(PackedGaussian::default, |s| s[i]);
-            let p = attributes.code(coder, &scene, &mut buckets, place, &given)?;
-            // Places ascend by construction; in one the order is checked.
-            if i > 0 && places[i - 1] == place && order(&out[i - 1], rules, region) > order(&p, rules, region) {
+            let p = attributes.code(coder, &scene, &mut buckets, square, &given)?;
+            // Squares ascend by construction; in one the order is checked.
+            if last == Some(square) && out.last().is_some_and(|before| order(before) > order(&p)) {
                 return Err(Broken { field: "order of primitives", value: i as u64 });
             }
+            last = Some(square);
             out.push(p);
         }
         Ok(out)

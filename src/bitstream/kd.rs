@@ -3,7 +3,7 @@
 //! The grid is embedded in a rectangle of powers of two whose longer side is halved until the sides are equal, then x
 //! and y in turn. Few centres split as evenly as by chance, whatever lies beside them, so that fixed chances do.
 
-use super::model::Field;
+use super::model::Slot;
 use super::range::{Coder, Cumulative};
 use super::rules::Broken;
 use super::spread::{Bounded, FINE, Gains, Near, log16};
@@ -60,7 +60,8 @@ impl Region {
 
     /// Cells of the grid in each half along `axis`.
     fn inside(&self, axis: usize, grid: [u32; 2]) -> [u32; 2] {
-        self.halves(axis).map(|h| grid[axis].saturating_sub(h.corner[axis]).min(1 << h.log[axis]))
+        let (left, half) = (grid[axis].saturating_sub(self.corner[axis]), 1 << (self.log[axis] - 1));
+        [left.min(half), left.saturating_sub(half).min(half)]
     }
 }
 
@@ -80,7 +81,7 @@ const CLUMPS: i32 = 120;
 /// The models of the counts.
 #[derive(Debug)]
 pub(crate) struct Counts {
-    stay: Field,
+    stay: [Slot; STAY.len() * CROWDS],
     /// Spread of large counts, by their logarithm.
     large: Gains<1>,
     /// How counts split evenly, for each up to [`SMALL`].
@@ -91,7 +92,7 @@ pub(crate) struct Counts {
 #[derive(Debug, Clone, Copy, Default)]
 struct Binomial {
     below: [u32; SMALL as usize + 2],
-    count: u32,
+    total: u32,
 }
 
 impl Binomial {
@@ -110,7 +111,7 @@ impl Binomial {
         for k in 0..=count as usize {
             below[k + 1] = below[k] + chances[k] + 1;
         }
-        Binomial { below, count }
+        Binomial { below, total: below[count as usize + 1] }
     }
 }
 
@@ -120,27 +121,35 @@ impl Cumulative for Binomial {
     }
 
     fn total(&self) -> u32 {
-        self.below[self.count as usize + 1]
+        self.total
     }
 
-    fn find(&self, target: u32) -> (i32, u32, u32) {
-        let k = self.below[1..=self.count as usize].iter().take_while(|&&end| end <= target).count();
-        (k as i32, self.below[k], self.below[k + 1])
+    #[inline]
+    fn find(&self, target: u32) -> (i32, [u32; 2]) {
+        let mut k = 0;
+        while k < SMALL as usize && self.below[k + 1] <= target {
+            k += 1;
+        }
+        (k as i32, [self.below[k], self.below[k + 1]])
     }
 }
 
 impl Counts {
     pub fn new() -> Self {
-        let mut stay = Field::new(1, STAY.len() * CROWDS, 250);
-        for (size, &chance) in STAY.iter().enumerate() {
-            for crowd in 0..CROWDS {
-                // One of so many.
-                let none = (0..=crowd).fold(65536, |none, _| none * (256 - chance) >> 8);
-                stay.set(size * CROWDS + crowd, 0, (65536 - none).clamp(256, 65280), 6);
-            }
-        }
+        let stay = std::array::from_fn(|context| {
+            // One of so many.
+            let (chance, crowd) = (STAY[context / CROWDS], context % CROWDS);
+            let none = (0..=crowd).fold(65536, |none, _| none * (256 - chance) >> 8);
+            Slot::new((65536 - none).clamp(256, 65280), 6)
+        });
         let even = std::array::from_fn(|n| Binomial::new(n as u32, 1 << 15));
-        Counts { stay, large: Gains::new([32]), even }
+        Counts { stay, large: Gains::new(), even }
+    }
+
+    /// Codes whether a primitive stays in a square.
+    #[inline]
+    fn stays<C: Coder>(&mut self, coder: &mut C, context: usize, stays: bool) -> u32 {
+        self.stay[context].code(coder, 250, stays.into())
     }
 
     /// Codes how many of `n` lie in the lower half; `inside` are the cells of the halves.
@@ -175,6 +184,13 @@ pub(crate) struct Place {
     pub corner: [u32; 2],
 }
 
+/// The same without the way there, which readers do not need.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Square {
+    pub log: u32,
+    pub corner: [u32; 2],
+}
+
 /// What the counts of a group depend on.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Extent {
@@ -188,23 +204,25 @@ pub(crate) struct Extent {
     pub spacing: i64,
 }
 
-/// Codes where `count` primitives sit; they come back coarse squares first and by key within a size.
+/// Codes where `count` primitives sit; they come back coarse squares first and along the halves within a size.
 ///
 /// The writer passes the places sorted as [`by_key`] has it; the reader passes none.
-pub(crate) fn places<C: Coder>(
+pub(crate) fn squares<C: Coder>(
     coder: &mut C,
     counts: &mut Counts,
     extent: &Extent,
-    sorted: Option<&[Place]>,
+    given: &[Place],
     count: u32,
-) -> Result<Vec<Place>, Broken> {
+) -> Result<Vec<Square>, Broken> {
     let sizes = vec![Vec::new(); extent.coarsest as usize + 1];
-    let mut walk = Walk { coder, counts, extent, sizes };
+    // The square's side over the spacing, in half octaves.
+    let size = |log: usize| ((16 * log as i64 - extent.spacing) / 8 + 12).clamp(0, 23) as usize;
+    let mut walk = Walk { coder, counts, extent, contexts: std::array::from_fn(|log| size(log) * CROWDS), sizes };
     if count > 0 {
-        walk.node(Node { region: extent.region, key: 0, count, sorted })?;
+        walk.node(extent.region, count, given)?;
     }
     let mut out = Vec::with_capacity(count as usize);
-    walk.sizes.iter().rev().for_each(|places| out.extend_from_slice(places));
+    walk.sizes.iter().rev().for_each(|squares| out.extend_from_slice(squares));
     Ok(out)
 }
 
@@ -215,96 +233,77 @@ pub(crate) fn by_key(place: &Place, region: &Region) -> (u64, std::cmp::Reverse<
     (place.key << below, place.log)
 }
 
-/// A part of the region, what it holds, and the writer's places in it.
-#[derive(Debug, Clone, Copy)]
-struct Node<'a> {
-    region: Region,
-    key: u64,
-    count: u32,
-    sorted: Option<&'a [Place]>,
-}
-
 struct Walk<'a, C> {
     coder: &'a mut C,
     counts: &'a mut Counts,
     extent: &'a Extent,
-    /// The places so far, by the logarithm of their squares.
-    sizes: Vec<Vec<Place>>,
+    /// The first context of the decisions in squares of each size.
+    contexts: [usize; 32],
+    /// The squares so far, by their logarithm.
+    sizes: Vec<Vec<Square>>,
 }
 
 impl<C: Coder> Walk<'_, C> {
-    /// Codes what a region holds. Each call halves it, so that calls nest no deeper than the key has bits.
-    fn node(&mut self, mut node: Node<'_>) -> Result<(), Broken> {
-        if node.count == 1 {
-            return self.lone(&node);
-        }
-        let [x, y] = node.region.log;
-        if x == y && x <= self.extent.coarsest {
-            let stay = self.stay(&node);
-            let place = Place { log: std::cmp::Reverse(x), key: node.key, corner: node.region.corner };
-            self.sizes[x as usize].extend((0..stay).map(|_| place));
-            node.count -= stay;
-            node.sorted = node.sorted.map(|s| &s[stay as usize..]);
-        }
-        let Some(axis) = node.region.axis().filter(|_| node.count > 0) else { return Ok(()) };
-        let halves = node.region.halves(axis);
-        let inside = node.region.inside(axis, self.extent.grid);
-        let mut lower = node.count;
-        if inside[1] > 0 {
-            let wanted = node.sorted.map_or(0, |s| s.partition_point(|p| p.corner[axis] < halves[1].corner[axis]));
-            lower = self.counts.split(self.coder, node.count, inside, wanted as u32);
-            if lower > node.count {
-                return Err(Broken { field: "count of a half", value: lower.into() });
+    /// Codes what a region holds. Each call halves it, so that calls nest no deeper than the region has halves.
+    fn node(&mut self, mut region: Region, mut count: u32, mut given: &[Place]) -> Result<(), Broken> {
+        while count > 1 {
+            let stay = self.stay(&region, count, given);
+            (count, given) = (count - stay, parted(given, stay).1);
+            let Some(axis) = region.axis().filter(|_| count > 0) else { return Ok(()) };
+            let [low, high] = region.halves(axis);
+            let inside = region.inside(axis, self.extent.grid);
+            let mut lower = count;
+            if inside[1] > 0 {
+                let wanted = given.partition_point(|p| p.corner[axis] < high.corner[axis]);
+                lower = self.counts.split(self.coder, count, inside, wanted as u32);
+                if lower > count {
+                    return Err(Broken { field: "count of a half", value: lower.into() });
+                }
             }
-        }
-        let sorted = [node.sorted.map(|s| &s[..lower as usize]), node.sorted.map(|s| &s[lower as usize..])];
-        for (half, count) in [(0, lower), (1, node.count - lower)] {
-            if count > 0 {
-                let key = node.key << 1 | half as u64;
-                self.node(Node { region: halves[half], key, count, sorted: sorted[half] })?;
+            let (upper, parts) = (count - lower, parted(given, lower));
+            if lower > 0 && upper > 0 {
+                self.node(low, lower, parts.0)?;
             }
+            (region, count, given) = if upper > 0 { (high, upper, parts.1) } else { (low, lower, parts.0) };
         }
-        Ok(())
+        self.lone(&region, given.first())
     }
 
-    /// The context of a square's decisions.
-    fn context(&self, log: u32, count: u32) -> usize {
-        // The square's side over the spacing, in half octaves.
-        let size = ((16 * i64::from(log) - self.extent.spacing) / 8 + 12).clamp(0, 23) as usize;
-        size * CROWDS + (count as usize - 1).min(CROWDS - 1)
-    }
-
-    /// Codes how many primitives of a square stay in it.
-    fn stay(&mut self, node: &Node<'_>) -> u32 {
-        let log = node.region.log[0];
-        if log == 0 {
-            return node.count;
+    /// Codes how many of the primitives of a region stay in it, if it is a square in which they can.
+    fn stay(&mut self, region: &Region, count: u32, given: &[Place]) -> u32 {
+        let [log, y] = region.log;
+        if log != y || log > self.extent.coarsest {
+            return 0;
         }
-        let wanted = node.sorted.map_or(0, |s| s.iter().take_while(|p| p.log.0 == log).count()) as u32;
         let mut stay = 0;
-        while stay < node.count {
-            let context = self.context(log, node.count - stay);
-            if self.counts.stay.bit(self.coder, context, 0, u32::from(wanted > stay)) == 0 {
-                break;
+        if log == 0 {
+            stay = count;
+        } else {
+            let wanted = given.iter().take_while(|p| p.log.0 == log).count() as u32;
+            while stay < count {
+                let context = self.contexts[log as usize] + (count - stay - 1).min(CROWDS as u32 - 1) as usize;
+                if self.counts.stays(self.coder, context, wanted > stay) == 0 {
+                    break;
+                }
+                stay += 1;
             }
-            stay += 1;
         }
+        let square = Square { log, corner: region.corner };
+        self.sizes[log as usize].extend(std::iter::repeat_n(square, stay as usize));
         stay
     }
 
     /// Codes the place of one primitive that has a region for itself: how small its square is, then which.
-    fn lone(&mut self, node: &Node<'_>) -> Result<(), Broken> {
-        let given = node.sorted.map(|s| s[0]);
-        let [x, y] = node.region.log;
+    fn lone(&mut self, region: &Region, given: Option<&Place>) -> Result<(), Broken> {
+        let Region { mut corner, log: [x, y] } = *region;
         let mut log = x.min(y).min(self.extent.coarsest);
         while log > 0 {
-            let context = self.context(log, 1);
-            if self.counts.stay.bit(self.coder, context, 0, u32::from(given.is_some_and(|p| p.log.0 == log))) != 0 {
+            let stays = given.is_some_and(|p| p.log.0 == log);
+            if self.counts.stays(self.coder, self.contexts[log as usize], stays) != 0 {
                 break;
             }
             log -= 1;
         }
-        let mut corner = node.region.corner;
         let wanted = given.map_or([0; 2], |p| [0, 1].map(|k| (p.corner[k] - corner[k]) >> log));
         let square = self.coder.pair([x - log, y - log], wanted);
         for k in 0..2 {
@@ -313,19 +312,12 @@ impl<C: Coder> Walk<'_, C> {
                 return Err(Broken { field: ["x", "y"][k], value: corner[k].into() });
             }
         }
-        let key = node.key << (x + y - 2 * log) | interleaved(square, [x - log, y - log]);
-        self.sizes[log as usize].push(Place { log: std::cmp::Reverse(log), key, corner });
+        self.sizes[log as usize].push(Square { log, corner });
         Ok(())
     }
 }
 
-/// The halves that lead to a square, of so many along each axis.
-fn interleaved(square: [u32; 2], mut bits: [u32; 2]) -> u64 {
-    let mut key = 0;
-    while bits != [0, 0] {
-        let axis = usize::from(bits[0] < bits[1]);
-        bits[axis] -= 1;
-        key = key << 1 | u64::from(square[axis] >> bits[axis] & 1);
-    }
-    key
+/// The writer's first `count` places and the rest; a reader has none.
+fn parted(given: &[Place], count: u32) -> (&[Place], &[Place]) {
+    given.split_at(given.len().min(count as usize))
 }

@@ -18,10 +18,23 @@ const STEPS: [u16; 256] = {
 
 /// A probability of 1 in 22 bits above a count of decisions in 10.
 #[derive(Debug, Clone, Copy)]
-struct Slot(u32);
+pub(crate) struct Slot(u32);
 
 impl Slot {
     const NEW: Slot = Slot(1 << 31);
+
+    /// A first opinion: `one / 2¹⁶`, held as firmly as after `count` decisions.
+    pub const fn new(one: u32, count: u32) -> Self {
+        Slot(one << 16 | count)
+    }
+
+    /// Codes one decision and counts it, up to `limit < 256`.
+    #[inline]
+    pub fn code<C: Coder>(&mut self, coder: &mut C, limit: u32, bit: u32) -> u32 {
+        let bit = coder.bit(self.one(), bit);
+        self.update(bit, limit);
+        bit
+    }
 
     /// The chance of a 1, in 1/65536, never certain.
     #[inline]
@@ -53,18 +66,10 @@ impl Field {
         Field { slots: vec![Slot::NEW; nodes * contexts], nodes, limit }
     }
 
-    /// Gives a slot a first opinion: `one / 2¹⁶`, held as firmly as after `count` decisions.
-    pub fn set(&mut self, context: usize, node: usize, one: u32, count: u32) {
-        self.slots[context * self.nodes + node] = Slot(one << 16 | count);
-    }
-
     /// Codes one decision at `node`.
     #[inline]
     pub fn bit<C: Coder>(&mut self, coder: &mut C, context: usize, node: usize, bit: u32) -> u32 {
-        let slot = &mut self.slots[context * self.nodes + node];
-        let bit = coder.bit(slot.one(), bit);
-        slot.update(bit, self.limit);
-        bit
+        self.slots[context * self.nodes + node].code(coder, self.limit, bit)
     }
 
     /// Codes `count` bits of `value`, the highest first, each under the ones before; needs `2^count` nodes.

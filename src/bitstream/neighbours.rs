@@ -1,6 +1,6 @@
 //! What lies around: sums over the coded primitives of a group, by buckets (spec §8.5).
 
-use super::kd::Place;
+use super::kd::Square;
 
 /// What is summed over the primitives of a bucket.
 pub(crate) const LANES: usize = 16;
@@ -11,13 +11,16 @@ pub(crate) const COUNT: usize = LANES - 1;
 /// From this many primitives on a bucket's sums are halved: later ones count more, and sums stay in 32 bits.
 const MANY: i32 = 16;
 
-/// `⌊log₂(5792/(d² + 10))⌋`, a weight as a shift, for the square of a distance in eighths of a bucket, at most 12 along each axis.
-const SHIFTS: [u32; 289] = {
-    let mut shifts = [0; 289];
-    let mut square = 0;
-    while square < 289 {
-        shifts[square] = (5792 / (square as u32 + 10)).ilog2();
-        square += 1;
+/// `⌊log₂(5792/(d² + 10))⌋`, a weight as a shift, of the 3 × 3 buckets around, by the eighths along y and x at which a
+/// place lies in its own; `d` is the distance to a bucket's middle, eighths.
+static SHIFTS: [[[[u8; 3]; 3]; 8]; 8] = {
+    let mut shifts = [[[[0; 3]; 3]; 8]; 8];
+    let mut i = 0;
+    while i < 8 * 8 * 3 * 3 {
+        let (y, x, down, across) = (i / 72, i / 9 % 8, i / 3 % 3, i % 3);
+        let away = [8 * down as i32 - 4 - y as i32, 8 * across as i32 - 4 - x as i32];
+        shifts[y][x][down][across] = (5792 / (away[0] * away[0] + away[1] * away[1] + 10)).ilog2() as u8;
+        i += 1;
     }
     shifts
 };
@@ -29,7 +32,15 @@ pub(crate) struct Buckets {
     log: [u32; 2],
     corner: [u32; 2],
     shape: [usize; 2],
+    /// By row, with an empty one before each row and behind the last.
     sums: Vec<[i32; LANES]>,
+}
+
+/// A bucket along each axis, and where in it a square's middle lies, eighths of its sides.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Spot {
+    bucket: [usize; 2],
+    eighths: [usize; 2],
 }
 
 impl Buckets {
@@ -41,52 +52,42 @@ impl Buckets {
             log[usize::from(log[0] > log[1])] += 1;
         }
         let shape = shape_of(log).map(|s| s as usize);
-        Buckets { log, corner, shape, sums: vec![[0; LANES]; shape[0] * shape[1]] }
+        Buckets { log, corner, shape, sums: vec![[0; LANES]; (shape[0] + 1) * shape[1] + 1] }
     }
 
-    /// The bucket of a place along each axis, and where in it the place's middle lies, eighths of its sides.
-    fn at(&self, place: &Place) -> [(usize, i32); 2] {
-        let half = 1 << place.log.0 >> 1;
-        [0, 1].map(|k| {
-            let eighths = u64::from(place.corner[k] - self.corner[k] + half) << 3 >> self.log[k];
+    /// Where the middle of a square lies.
+    #[inline]
+    pub fn spot(&self, square: &Square) -> Spot {
+        let half = 1 << square.log >> 1;
+        let eighths = [0, 1].map(|k| {
+            let eighths = u64::from(square.corner[k] - self.corner[k] + half) << 3 >> self.log[k];
             // The middle of a square that reaches over the edge may lie outside.
-            match (eighths >> 3) as usize {
-                bucket if bucket < self.shape[k] => (bucket, (eighths & 7) as i32),
-                _ => (self.shape[k] - 1, 7),
-            }
-        })
+            (eighths as usize).min(8 * self.shape[k] - 1)
+        });
+        Spot { bucket: eighths.map(|e| e >> 3), eighths: eighths.map(|e| e & 7) }
     }
 
     /// Adds a primitive whose lanes are within ±2¹⁶; the last lane is 1.
-    pub fn add(&mut self, place: &Place, lanes: &[i32; LANES]) {
-        let [(x, _), (y, _)] = self.at(place);
-        let sums = &mut self.sums[y * self.shape[0] + x];
+    #[inline]
+    pub fn add(&mut self, spot: &Spot, lanes: &[i32; LANES]) {
+        let [x, y] = spot.bucket;
+        let sums = &mut self.sums[y * (self.shape[0] + 1) + x + 1];
         sums.iter_mut().zip(lanes).for_each(|(sum, lane)| *sum += lane);
         if sums[COUNT] >= MANY {
             sums.iter_mut().for_each(|sum| *sum >>= 1);
         }
     }
 
-    /// Sums over the 3 × 3 buckets around `place`, the near ones with larger weights. Nine weights add up to less than
-    /// 2¹⁰ and no bucket keeps a sum beyond 2²⁰, so that all stay within 2³⁰.
-    pub fn around(&self, place: &Place) -> [i32; LANES] {
-        let at = self.at(place);
-        // The buckets along each axis and the squares of their distances, eighths.
-        let [(left, across), (top, down)] = [0, 1].map(|k| {
-            let (bucket, eighths) = at[k];
-            let first = bucket.saturating_sub(1);
-            let count = (bucket + 2).min(self.shape[k]) - first;
-            let squares: [usize; 3] = std::array::from_fn(|i| {
-                let away = 8 * ((first + i) as i32 - bucket as i32) + 4 - eighths;
-                (away * away) as usize
-            });
-            (first, (count, squares))
-        });
+    /// Sums over the 3 × 3 buckets around, the near ones with larger weights. Nine weights add up to less than 2¹⁰ and
+    /// no bucket keeps a sum beyond 2²⁰, so that all stay within 2³⁰.
+    #[inline]
+    pub fn around(&self, spot: &Spot) -> [i32; LANES] {
+        let [x, y] = spot.bucket;
+        let shifts = &SHIFTS[spot.eighths[1]][spot.eighths[0]];
         let mut out = [0; LANES];
-        for (y, down) in down.1[..down.0].iter().enumerate() {
-            let row = &self.sums[(top + y) * self.shape[0] + left..][..across.0];
-            for (sums, across) in row.iter().zip(across.1) {
-                let shift = SHIFTS[across + down];
+        for row in y.saturating_sub(1)..(y + 2).min(self.shape[1]) {
+            let three = &self.sums[row * (self.shape[0] + 1) + x..][..3];
+            for (sums, shift) in three.iter().zip(shifts[row + 1 - y]) {
                 out.iter_mut().zip(sums).for_each(|(out, sum)| *out += sum << shift);
             }
         }
@@ -96,24 +97,23 @@ impl Buckets {
 
 #[cfg(test)]
 mod tests {
-    use std::cmp::Reverse;
-
     use super::*;
 
     #[test]
     fn sums_of_the_largest_values_fit() {
         let mut buckets = Buckets::new(1 << 12, [0, 0], [1 << 10, 1 << 10]);
-        let places: Vec<Place> = (0..1 << 10)
-            .flat_map(|y| (0..1 << 10).map(move |x| Place { log: Reverse(0), key: 0, corner: [x, y] }))
+        let spots: Vec<Spot> = (0..1 << 10)
+            .flat_map(|y| (0..1 << 10).map(move |x| Square { log: 0, corner: [x, y] }))
+            .map(|square| buckets.spot(&square))
             .collect();
-        for place in &places {
+        for spot in &spots {
             let mut lanes = [i32::from(i16::MIN); LANES];
             lanes[0] = 1 << 16;
             lanes[COUNT] = 1;
-            buckets.add(place, &lanes);
+            buckets.add(spot, &lanes);
         }
-        for place in &places {
-            let sums = buckets.around(place);
+        for spot in &spots {
+            let sums = buckets.around(spot);
             assert!(sums[0] > 0 && sums[1] < 0 && sums[COUNT] > 0);
         }
     }

@@ -17,7 +17,7 @@ pub(crate) trait Cumulative: std::fmt::Debug {
     fn total(&self) -> u32;
 
     /// The integer whose share of the sum holds `target`, with the share's ends.
-    fn find(&self, target: u32) -> (i32, u32, u32);
+    fn find(&self, target: u32) -> (i32, [u32; 2]);
 }
 
 /// One side of the coder. Writer and reader run the same code: the writer is given each decision, the reader gives it.
@@ -28,8 +28,14 @@ pub(crate) trait Coder {
     /// Codes one of `total` equally likely values, `total` in `1..=2¹⁶`.
     fn uniform(&mut self, total: u32, value: u32) -> u32;
 
+    /// Codes one of several integers; the ends of its share come with it.
+    fn share(&mut self, frequencies: &impl Cumulative, value: i32) -> (i32, [u32; 2]);
+
     /// Codes one of several integers.
-    fn choose(&mut self, frequencies: &impl Cumulative, value: i32) -> i32;
+    #[inline]
+    fn choose(&mut self, frequencies: &impl Cumulative, value: i32) -> i32 {
+        self.share(frequencies, value).0
+    }
 
     /// Codes `count ≤ 32` bits of `value` as they are, the higher half first.
     fn raw(&mut self, count: u32, value: u32) -> u32 {
@@ -137,9 +143,10 @@ impl Coder for Encoder {
         value
     }
 
-    fn choose(&mut self, frequencies: &impl Cumulative, value: i32) -> i32 {
-        self.narrow(frequencies.total(), frequencies.below(value), frequencies.below(value + 1));
-        value
+    fn share(&mut self, frequencies: &impl Cumulative, value: i32) -> (i32, [u32; 2]) {
+        let [low, high] = [value, value + 1].map(|v| frequencies.below(v));
+        self.narrow(frequencies.total(), low, high);
+        (value, [low, high])
     }
 }
 
@@ -233,12 +240,12 @@ impl Coder for Decoder<'_> {
     }
 
     #[inline]
-    fn choose(&mut self, frequencies: &impl Cumulative, _value: i32) -> i32 {
+    fn share(&mut self, frequencies: &impl Cumulative, _value: i32) -> (i32, [u32; 2]) {
         let total = frequencies.total();
         let unit = self.range / total;
-        let (value, low, high) = frequencies.find((self.code / unit).min(total - 1));
+        let (value, [low, high]) = frequencies.find((self.code / unit).min(total - 1));
         self.narrow(unit, total, low, high);
-        value
+        (value, [low, high])
     }
 }
 
@@ -270,11 +277,10 @@ impl<C: Coder> Coder for Meter<C> {
         self.coder.uniform(total, value)
     }
 
-    fn choose(&mut self, frequencies: &impl Cumulative, value: i32) -> i32 {
-        let value = self.coder.choose(frequencies, value);
-        let share = frequencies.below(value + 1) - frequencies.below(value);
-        self.bits += f64::from(frequencies.total()).log2() - f64::from(share).log2();
-        value
+    fn share(&mut self, frequencies: &impl Cumulative, value: i32) -> (i32, [u32; 2]) {
+        let (value, [low, high]) = self.coder.share(frequencies, value);
+        self.bits += f64::from(frequencies.total()).log2() - f64::from(high - low).log2();
+        (value, [low, high])
     }
 
     fn account(&mut self, field: &'static str) {
