@@ -77,6 +77,12 @@ impl Around {
         self.0[ELONGATION_LANE].into()
     }
 
+    /// Deviation of the average of a value from its mean, shrunk where few are near.
+    #[inline]
+    fn dev(&self, k: usize, mean: i64, trust: i64) -> i64 {
+        (self.value(k) * FINE - mean * i64::from(self.weight())) * trust >> 24
+    }
+
     /// `2²⁴` over the weight and that of no neighbours.
     #[inline]
     fn trust(&self, doubt: i64) -> i64 {
@@ -161,22 +167,29 @@ impl Slope {
 const REFRESH_ALL: u32 = 64;
 const REFRESH_EACH: u32 = 8;
 
+/// The model of one channel.
+#[derive(Debug)]
+struct Color {
+    gains: Gains<3>,
+    mean: Mean,
+    /// Running mean of the errors, 64ths.
+    error: Mean,
+    /// How much a colour follows the average of its neighbours.
+    follow: Slope,
+    /// How much its surprise follows the first and the second channel's.
+    cross: [Slope; 2],
+}
+
 /// The models of one group.
 #[derive(Debug)]
 pub(crate) struct Attributes {
     aspect: Gains<3>,
     aspect_shift: Shifts,
     angle: Gains<3>,
-    colors: [Gains<3>; 4],
-    channels: usize,
+    colors: Vec<Color>,
     index: Field,
-    means: [Mean; QUANTITIES],
-    /// Running means of the colours' errors, 64ths.
-    errors: [Mean; 4],
-    /// How much a colour follows the average of its neighbours.
-    follow: [Slope; 4],
-    /// How much a colour's surprise follows the first and the second channel's.
-    cross: [[Slope; 2]; 4],
+    /// Of the major and the minor scales.
+    means: [Mean; 2],
     seen: u32,
     /// Eighths of the scale index of the primitives' spacing.
     spacing: i64,
@@ -269,41 +282,35 @@ impl Attributes {
         let palette = &scene.palette;
         let octave = 32 * FINE / scene.delta();
         let spacing = scene.scale_of(scene.spacing);
-        let color = palette.background.map(|b| Mean::new(i64::from(b) * FINE, 4));
+        let colors = (0..palette.channels.count()).map(|k| Color {
+            gains: Gains::new(),
+            mean: Mean::new(i64::from(palette.background[k]) * FINE, 4),
+            error: Mean::new(ERRORS[k], 4),
+            follow: Slope::new(256, 16 * 256),
+            cross: [Slope::new(0, 16 * 256); 2],
+        });
         Attributes {
             aspect: Gains::new(),
             aspect_shift: Shifts::new(),
             angle: Gains::new(),
-            colors: std::array::from_fn(|_| Gains::new()),
-            channels: palette.channels.count(),
+            colors: colors.collect(),
             index: Field::new(palette.book.map_or(0, |b| b.len().next_power_of_two().max(2)), 1, 250),
-            means: [
-                Mean::new(spacing - octave, 4),
-                Mean::new(spacing - 3 * octave, 4),
-                color[0],
-                color[1],
-                color[2],
-                color[3],
-            ],
-            errors: ERRORS.map(|e| Mean::new(e, 4)),
-            follow: [Slope::new(256, 16 * 256); 4],
-            cross: [[Slope::new(0, 16 * 256); 2]; 4],
+            means: [Mean::new(spacing - octave, 4), Mean::new(spacing - 3 * octave, 4)],
             seen: 0,
             spacing: spacing >> 3,
         }
     }
 
-    /// Brings what is taken from the statistics up to date, now and then.
+    /// Brings what is taken from the statistics up to date.
+    #[inline(never)]
     fn refresh(&mut self) {
-        if self.seen < REFRESH_ALL || self.seen.is_multiple_of(REFRESH_EACH) {
-            self.means[..2 + self.channels].iter_mut().for_each(Mean::refresh);
-            self.errors[..self.channels].iter_mut().for_each(Mean::refresh);
-            self.follow[..self.channels].iter_mut().for_each(Slope::refresh);
-            for k in 1..self.channels {
-                self.cross[k][..k.min(2)].iter_mut().for_each(Slope::refresh);
-            }
+        self.means.iter_mut().for_each(Mean::refresh);
+        for (k, color) in self.colors.iter_mut().enumerate() {
+            color.mean.refresh();
+            color.error.refresh();
+            color.follow.refresh();
+            color.cross[..k.min(2)].iter_mut().for_each(Slope::refresh);
         }
-        self.seen = self.seen.wrapping_add(1);
     }
 
     /// Codes the primitive in `square`; a reader's `p` is ignored, and the one that comes back obeys the rules.
@@ -315,12 +322,16 @@ impl Attributes {
         square: &Square,
         p: &PackedGaussian,
     ) -> Result<PackedGaussian, Broken> {
-        self.refresh();
+        if self.seen < REFRESH_ALL || self.seen.is_multiple_of(REFRESH_EACH) {
+            self.refresh();
+        }
+        self.seen = self.seen.wrapping_add(1);
         let log = square.log;
         let spot = buckets.spot(square);
         let around = Around(buckets.around(&spot));
         let trust = around.trust(DOUBT);
-        let [means, dev] = [[self.means[0].value, self.means[1].value], [0, 1].map(|k| self.dev(&around, trust, k))];
+        let means = [self.means[0].value, self.means[1].value];
+        let dev = [around.dev(0, means[0], trust), around.dev(1, means[1], trust)];
 
         // The square leaves about an octave open.
         let (low, high) = scene.rules.majors(log)?;
@@ -344,10 +355,11 @@ impl Attributes {
         let bits = [log - lx, log - ly];
         let rest = coder.pair(bits, [p.x & ((1 << bits[0]) - 1), p.y & ((1 << bits[1]) - 1)]);
         let (x, y) = (square.corner[0] >> lx | rest[0], square.corner[1] >> ly | rest[1]);
-        for (field, value, cell, cells) in [("x", x, x << lx, scene.grid[0]), ("y", y, y << ly, scene.grid[1])] {
-            if cell >= cells {
-                return Err(Broken { field, value: value.into() });
-            }
+        if x << lx >= scene.grid[0] {
+            return Err(Broken { field: "x", value: x.into() });
+        }
+        if y << ly >= scene.grid[1] {
+            return Err(Broken { field: "y", value: y.into() });
         }
         coder.account("position refinement");
 
@@ -374,12 +386,8 @@ impl Attributes {
         let p = PackedGaussian { x, y, major, minor, angle, color };
         let c = color.map(i32::from);
         let values = [major.into(), minor.into(), c[0], c[1], c[2], c[3]];
-        for (mean, v) in self.means.iter_mut().zip(values) {
-            mean.add(i64::from(v) * FINE);
-        }
-        for (mean, e) in self.errors.iter_mut().zip(errors) {
-            mean.add(i64::from(e) * FINE);
-        }
+        self.means[0].add(i64::from(major) * FINE);
+        self.means[1].add(i64::from(minor) * FINE);
         let octaves = i32::from(difference) * (scene.delta() as i32);
         let elongation = 16 * octaves / (octaves + 32);
         let direction = (u32::from(angle) * 64 + u32::from(n) / 2) / u32::from(n) % 64;
@@ -392,12 +400,6 @@ impl Attributes {
         lanes[COUNT] = 1;
         buckets.add(&spot, &lanes);
         Ok(p)
-    }
-
-    /// Deviation of the neighbours' average of a quantity from the mean, shrunk where few are near.
-    #[inline]
-    fn dev(&self, around: &Around, trust: i64, k: usize) -> i64 {
-        (around.value(k) * FINE - self.means[k].value * i64::from(around.weight())) * trust >> 24
     }
 
     /// `major − minor`.
@@ -455,26 +457,29 @@ impl Attributes {
         // Of the first two channels.
         let mut surprises = [0i64; 2];
         let mut before = 8;
-        for k in 0..self.channels {
-            let (mean, dev) = (self.means[2 + k].value, self.dev(outlook.around, outlook.trust[0], 2 + k));
-            let follow = self.follow[k].of(dev);
-            let guess = mean + follow + self.cross[k][0].of(surprises[0]) + self.cross[k][1].of(surprises[1]);
+        for (k, model) in self.colors.iter_mut().enumerate() {
+            let mean = model.mean.value;
+            let dev = outlook.around.dev(2 + k, mean, outlook.trust[0]);
+            let follow = model.follow.of(dev);
+            let guess = mean + follow + model.cross[0].of(surprises[0]) + model.cross[1].of(surprises[1]);
             let guess = guess.clamp(i64::from(i16::MIN) * FINE, i64::from(i16::MAX) * FINE);
             let classes = [outlook.size, 16 + before, 16 + 9 + outlook.aspect];
-            let own = self.errors[k].value * DOUBT_OF_ERRORS;
+            let own = model.error.value * DOUBT_OF_ERRORS;
             let error = (outlook.around.error(k) * FINE + own) * outlook.trust[1] >> 24;
-            let log = log16(error.max(1) as u64) + 32 + self.colors[k].log(&classes);
+            let log = log16(error.max(1) as u64) + 32 + model.gains.log(&classes);
             let near = Near::new(guess, log);
             let value = Open::new(near).code(coder, color[k].into());
             out[k] = i16::try_from(value).map_err(|_| Broken { field: "colour", value: value as u64 })?;
-            self.colors[k].learn(&classes, near.distance(value));
+            model.gains.learn(&classes, near.distance(value));
             let actual = value * FINE;
             errors[k] = ((actual - guess).abs() >> 2).min(1 << 16) as i32;
             before = log_class((value - ((guess + FINE / 2) >> 4)).unsigned_abs() as u32, 7);
-            self.follow[k].add(dev, actual - mean);
+            model.mean.add(actual);
+            model.error.add(i64::from(errors[k]) * FINE);
+            model.follow.add(dev, actual - mean);
             let left = actual - mean - follow;
             // Surprises that are still to come are 0 and teach nothing.
-            let [first, second] = &mut self.cross[k];
+            let [first, second] = &mut model.cross;
             first.add(surprises[0], left);
             second.add(surprises[1], left - first.of(surprises[0]));
             if let Some(surprise) = surprises.get_mut(k) {

@@ -250,21 +250,25 @@ impl<C: Coder> Walk<'_, C> {
             let stay = self.stay(&region, count, given);
             (count, given) = (count - stay, parted(given, stay).1);
             let Some(axis) = region.axis().filter(|_| count > 0) else { return Ok(()) };
-            let [low, high] = region.halves(axis);
             let inside = region.inside(axis, self.extent.grid);
+            region.log[axis] -= 1;
+            let middle = region.corner[axis] + (1 << region.log[axis]);
             let mut lower = count;
             if inside[1] > 0 {
-                let wanted = given.partition_point(|p| p.corner[axis] < high.corner[axis]);
+                let wanted = given.partition_point(|p| p.corner[axis] < middle);
                 lower = self.counts.split(self.coder, count, inside, wanted as u32);
                 if lower > count {
                     return Err(Broken { field: "count of a half", value: lower.into() });
                 }
             }
-            let (upper, parts) = (count - lower, parted(given, lower));
-            if lower > 0 && upper > 0 {
-                self.node(low, lower, parts.0)?;
+            if lower < count {
+                let (of_lower, of_upper) = parted(given, lower);
+                if lower > 0 {
+                    self.node(region, lower, of_lower)?;
+                }
+                region.corner[axis] = middle;
+                (count, given) = (count - lower, of_upper);
             }
-            (region, count, given) = if upper > 0 { (high, upper, parts.1) } else { (low, lower, parts.0) };
         }
         self.lone(&region, given.first())
     }

@@ -80,7 +80,7 @@ impl Buckets {
 
     /// Sums over the 3 × 3 buckets around, the near ones with larger weights. Nine weights add up to less than 2¹⁰ and
     /// no bucket keeps a sum beyond 2²⁰, so that all stay within 2³⁰.
-    #[inline]
+    #[inline(always)]
     pub fn around(&self, spot: &Spot) -> [i32; LANES] {
         let [x, y] = spot.bucket;
         let shifts = &SHIFTS[spot.eighths[1]][spot.eighths[0]];

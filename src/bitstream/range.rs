@@ -239,7 +239,7 @@ impl Coder for Decoder<'_> {
         value
     }
 
-    #[inline]
+    #[inline(always)]
     fn share(&mut self, frequencies: &impl Cumulative, _value: i32) -> (i32, [u32; 2]) {
         let total = frequencies.total();
         let unit = self.range / total;

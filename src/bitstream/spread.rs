@@ -254,22 +254,36 @@ impl Cumulative for Bounded {
         self.total
     }
 
-    #[inline]
+    #[inline(always)]
     fn find(&self, target: u32) -> (i32, [u32; 2]) {
-        // What all have alike is spread over the range. About is enough, and stays in 32 bits.
-        let alike = self.floor * self.count as u32;
-        let chance = match alike < self.total / 16 {
-            true => target,
-            false => target * ((self.total - alike) / 4) / (self.total / 4 + 1),
+        let guess = |chance: u32| {
+            let about = self.near.about(chance + self.base) - self.low;
+            about.clamp(0, i64::from(self.count) - 1) as i32
         };
-        let about = self.near.about(chance + self.base) - self.low;
-        search(self, target, about.clamp(0, i64::from(self.count) - 1) as i32, [0, self.count])
+        // What all have alike takes its part below the value, too, as a first guess tells.
+        let guess = match self.floor * (self.count as u32) < self.total / 16 {
+            true => guess(target),
+            false => guess(target.saturating_sub(self.floor / 2 + self.floor * guess(target - target / 4) as u32)),
+        };
+        search(self, target, guess, [0, self.count])
     }
 }
 
 /// The value whose share holds `target`, and its share; `about` is where to begin in `first..end`.
 #[inline]
-fn search(frequencies: &impl Cumulative, target: u32, about: i32, [first, end]: [i32; 2]) -> (i32, [u32; 2]) {
+fn search<F: Cumulative + Copy>(frequencies: &F, target: u32, about: i32, range: [i32; 2]) -> (i32, [u32; 2]) {
+    let [low, high] = [about, about + 1].map(|v| frequencies.below(v));
+    match low <= target && target < high {
+        true => (about, [low, high]),
+        // A copy, so that what is nearly always enough stays in registers.
+        false => search_on(*frequencies, target, about, range),
+    }
+}
+
+/// The same where the first guess, which is nearly always right, is not.
+#[cold]
+#[inline(never)]
+fn search_on(frequencies: impl Cumulative, target: u32, about: i32, [first, end]: [i32; 2]) -> (i32, [u32; 2]) {
     let mut value = about;
     let mut at = frequencies.below(value);
     for _ in 0..8 {
@@ -300,7 +314,7 @@ fn search(frequencies: &impl Cumulative, target: u32, about: i32, [first, end]: 
 #[derive(Debug, Clone, Copy, Default)]
 struct Gain {
     log: i32,
-    seen: u32,
+    seen: u8,
 }
 
 /// Gains are held to ±this: eight octaves.
@@ -329,16 +343,16 @@ impl<const K: usize> Gains<K> {
     pub fn learn(&mut self, classes: &Classes<K>, distance: i32) {
         for c in classes {
             let gain = &mut self.0[c & 63];
-            let moved = (distance - MEAN) * GAIN_STEPS[gain.seen as usize & 63] >> 8;
+            let moved = (distance - MEAN) * GAIN_STEPS[usize::from(gain.seen)] >> 8;
             gain.log = (gain.log + moved).clamp(-MOST, MOST);
-            gain.seen += u32::from(gain.seen < 63);
+            gain.seen += u8::from(gain.seen < u8::MAX);
         }
     }
 }
 
 /// How far an estimate moves that has seen so many values, in 1/65536; no less than 1/64.
-const fn steps(doubt: i32) -> [i32; 64] {
-    let mut steps = [1024; 64];
+const fn steps(doubt: i32) -> [i32; 256] {
+    let mut steps = [1024; 256];
     let mut seen = 0;
     while seen + doubt < 64 {
         steps[seen as usize] = 65536 / (seen + doubt);
@@ -347,8 +361,8 @@ const fn steps(doubt: i32) -> [i32; 64] {
     steps
 }
 
-static GAIN_STEPS: [i32; 64] = steps(12);
-static SHIFT_STEPS: [i32; 64] = steps(20);
+static GAIN_STEPS: [i32; 256] = steps(12);
+static SHIFT_STEPS: [i32; 256] = steps(20);
 
 /// A shift of the expected place, 65536ths of a sixteenth, learnt by class, of at most 64.
 #[derive(Debug, Clone)]
@@ -369,9 +383,9 @@ impl Shifts {
     #[inline]
     pub fn learn(&mut self, class: usize, off: i64) {
         let shift = &mut self.0[class & 63];
-        let moved = off.clamp(-64, 64) as i32 * SHIFT_STEPS[shift.seen as usize & 63];
+        let moved = off.clamp(-64, 64) as i32 * SHIFT_STEPS[usize::from(shift.seen)];
         shift.log = (shift.log + moved).clamp(-MOST, MOST);
-        shift.seen += u32::from(shift.seen < 63);
+        shift.seen += u8::from(shift.seen < u8::MAX);
     }
 }
 
