@@ -256,16 +256,17 @@ impl Cumulative for Bounded {
 
     #[inline(always)]
     fn find(&self, target: u32) -> (i32, [u32; 2]) {
-        let guess = |chance: u32| {
-            let about = self.near.about(chance + self.base) - self.low;
+        let guess = |alike: u32| {
+            let about = self.near.about(target.saturating_sub(alike) + self.base) - self.low;
             about.clamp(0, i64::from(self.count) - 1) as i32
         };
-        // What all have alike takes its part below the value, too, as a first guess tells.
-        let guess = match self.floor * (self.count as u32) < self.total / 16 {
-            true => guess(target),
-            false => guess(target.saturating_sub(self.floor / 2 + self.floor * guess(target - target / 4) as u32)),
+        // What all have alike takes its part below the value, too: half of it, or as much as a first guess tells.
+        let alike = self.floor * self.count as u32;
+        let below = match alike < self.total / 16 {
+            true => alike / 2,
+            false => self.floor * guess(target / 4) as u32 + self.floor / 2,
         };
-        search(self, target, guess, [0, self.count])
+        search(self, target, guess(below), [0, self.count])
     }
 }
 
