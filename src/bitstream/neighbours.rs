@@ -62,7 +62,7 @@ impl Buckets {
         let eighths = [0, 1].map(|k| {
             let eighths = u64::from(square.corner[k] - self.corner[k] + half) << 3 >> self.log[k];
             // The middle of a square that reaches over the edge may lie outside.
-            (eighths as usize).min(8 * self.shape[k] - 1)
+            eighths.min(8 * self.shape[k] as u64 - 1) as usize
         });
         Spot { bucket: eighths.map(|e| e >> 3), eighths: eighths.map(|e| e & 7) }
     }
