@@ -196,13 +196,15 @@ fn what_is_under_full_transparency_costs_nothing() {
     let samples =
         (0..64 * 64u32).flat_map(|i| if i % 64 < 32 { [noise(i), noise(i + 9), 80, 0] } else { [50, 90, 130, 255] });
     let pixels = Pixels::new(64, 64, Channels::Rgba, Samples::U8(samples.collect())).unwrap();
-    let encoded = run(&pixels, Target::Bytes(200));
+    // With the few steps of effort 1 a primitive of the edge can end a few pixels beside it.
+    let mut options = quick(Target::Bytes(200));
+    options.effort = 2;
+    let encoded = encode(&pixels, &options).unwrap();
     let Samples::U8(back) = decoded(&encoded).into_samples() else { panic!("8 bits went in") };
-    // At the least effort a primitive of the edge may stick out by a pixel; noise would be everywhere.
-    let flat = back.chunks_exact(4).enumerate().filter(|(i, _)| i % 64 > 36);
-    let far = flat.filter(|(_, p)| [50, 90, 130, 255].iter().zip(*p).any(|(a, b): (&u8, &u8)| a.abs_diff(*b) >= 40));
-    let far: Vec<_> = far.collect();
-    assert!(far.len() < 10, "{far:?}");
+    for (i, p) in back.chunks_exact(4).enumerate().filter(|(i, _)| i % 64 > 36) {
+        let far = [50, 90, 130, 255].iter().zip(p).map(|(a, b): (&u8, &u8)| a.abs_diff(*b)).max();
+        assert!(far < Some(40), "{i}: {p:?}");
+    }
     assert!(encoded.report.psnr > 26.0, "{}", encoded.report.psnr);
 }
 

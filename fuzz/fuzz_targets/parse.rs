@@ -5,7 +5,7 @@
 use libfuzzer_sys::fuzz_target;
 use peak_alloc::PeakAlloc;
 use ssplat::bitstream::sections::SectionFate;
-use ssplat::bitstream::splats::Layout;
+use ssplat::bitstream::splats::{Layout, PackedSplats};
 use ssplat::bitstream::{Missing, inspect, read, read_area, read_partial, to_bytes};
 use ssplat_fuzz::{SLACK, Sliced, tight_limits};
 
@@ -18,6 +18,19 @@ const IN_GROUPS: u8 = 3;
 
 /// Bytes of the checksum, which is not checked under fuzzing.
 const CHECKSUM: usize = 4;
+
+/// With the primitives of each level sorted.
+fn by_level(splats: &PackedSplats) -> PackedSplats {
+    let mut sorted = splats.clone();
+    let mut rest = &mut sorted.gaussians[..];
+    let levels = if splats.levels.is_empty() { vec![rest.len() as u32] } else { splats.levels.clone() };
+    for n in levels {
+        let (level, tail) = rest.split_at_mut(n as usize);
+        level.sort_unstable_by_key(|p| (p.x, p.y, p.major, p.minor, p.angle, p.color));
+        rest = tail;
+    }
+    sorted
+}
 
 fuzz_target!(|data: &[u8]| {
     let limits = tight_limits();
@@ -59,6 +72,7 @@ fuzz_target!(|data: &[u8]| {
         if data[FLAGS] & 3 == IN_GROUPS {
             // What stays undivided is the writer's choice.
             let read = read(&again[..], &limits).expect("what was written reads back");
+            assert!(by_level(&read) == by_level(&splats), "what was written reads differently");
             assert!(to_bytes(&read).expect("it can be written") == again, "what was written is written differently");
             return;
         }

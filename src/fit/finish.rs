@@ -15,7 +15,7 @@ use crate::quantize::Quantizer;
 const SLOPE: f64 = 0.7;
 
 /// How much the descent shrinks what it starts from.
-const SHRINK: f64 = 1.008;
+const SHRINK: f64 = 1.05;
 
 /// What the file must fit into.
 #[derive(Debug, Clone, Copy)]

@@ -1,0 +1,29 @@
+//! Files in groups, where the writer chooses what stays undivided: the same primitives, but not the same bytes.
+
+use ssplat::bitstream::splats::PackedSplats;
+
+/// The byte with the layout in its lowest bits, and the value of groups.
+const FLAGS: usize = 5;
+const IN_GROUPS: u8 = 3;
+
+/// Whether a file of the coded layout is in groups.
+pub fn is_grouped(bytes: &[u8]) -> bool {
+    bytes[FLAGS] & 3 == IN_GROUPS
+}
+
+/// Each level has the same primitives, and all else is the same.
+pub fn assert_same_but_for_order(a: &PackedSplats, b: &PackedSplats) {
+    assert_eq!(sorted(a), sorted(b));
+}
+
+fn sorted(splats: &PackedSplats) -> PackedSplats {
+    let mut sorted = splats.clone();
+    let mut rest = &mut sorted.gaussians[..];
+    let levels = if splats.levels.is_empty() { vec![rest.len() as u32] } else { splats.levels.clone() };
+    for n in levels {
+        let (level, tail) = rest.split_at_mut(n as usize);
+        level.sort_unstable_by_key(|p| (p.x, p.y, p.major, p.minor, p.angle, p.color));
+        rest = tail;
+    }
+    sorted
+}
