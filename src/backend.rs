@@ -146,9 +146,9 @@ fn open(_: Backend, _: &EncodeOptions) -> Result<(Option<Device>, Chosen), GpuEr
 #[cfg(feature = "gpu")]
 fn fit_on(device: &Device, job: &Job<'_>, recount: Recount<'_>, watch: Watch<'_>) -> Result<State> {
     let Job { scene, pixels, target, count, plan } = *job;
-    let (state, rng) = fit::start(target, count, plan);
+    let (state, rng, from) = fit::draft::start(scene, target, count, plan, recount, watch)?;
     let fitter = Fitter::new(device, scene, pixels, &state.primitives, &state.bounds)?;
-    let ending = fit::run(scene, target, &mut &fitter, rng, plan, recount, watch)?;
+    let ending = fit::run(scene, target, &mut &fitter, rng, plan, from, recount, watch)?;
     fitter.keep_best()?;
     let mut state = State::new(fitter.finish()?, state.bounds);
     state.is_enough = ending == fit::Ending::Enough;

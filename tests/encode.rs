@@ -151,13 +151,14 @@ fn equal_options_give_equal_bytes() {
 #[test]
 fn bytes_do_not_depend_on_the_thread_count() {
     let pixels = picture(100, 150, Channels::Rgba);
-    // Effort 7 freezes as well.
-    for (recipe, tune, effort) in [
-        (Recipe::Ssplat, Tune::Psnr, 7),
-        (Recipe::Ssplat, Tune::Ssim, 2),
-        (Recipe::SmartSplat(Ablation::Colors), Tune::Psnr, 1),
+    // Effort 7 freezes as well, and 80 bytes start from drafts.
+    for (bytes, recipe, tune, effort) in [
+        (500, Recipe::Ssplat, Tune::Psnr, 7),
+        (500, Recipe::Ssplat, Tune::Ssim, 2),
+        (80, Recipe::Ssplat, Tune::Psnr, 2),
+        (500, Recipe::SmartSplat(Ablation::Colors), Tune::Psnr, 1),
     ] {
-        let mut options = quick(Target::Bytes(500));
+        let mut options = quick(Target::Bytes(bytes));
         (options.recipe, options.tune, options.effort) = (recipe, tune, effort);
         let with = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

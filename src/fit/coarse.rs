@@ -24,8 +24,9 @@
 use super::field::Scene;
 use super::plan::Plan;
 use super::project::Primitive;
+use super::reduced::{Coarse, Reduced};
 use super::target::Target;
-use super::{finish, run_coarse_to_fine, start};
+use super::{finish, run_part, start};
 use crate::gaussian::{Blend, Channels};
 use crate::pixels::{Pixels, Samples};
 
@@ -34,7 +35,9 @@ fn fitted(target: &Target, count: usize, plan: &Plan, share: f32) -> f64 {
     let scene = Scene { width: target.width, height: target.height, blend: Blend::Normalized, background: target.mean };
     let (mut state, rng) = start(target, count, plan);
     let all = &mut |_: &[Primitive]| Ok(count);
-    run_coarse_to_fine(&scene, target, &mut state, rng, plan, share, all, &mut |_, _| Ok(())).unwrap();
+    let half = Reduced::new(&scene, target, 1);
+    let coarse = (share > 0.0).then_some(Coarse { reduced: &half, share });
+    run_part(&scene, target, &mut state, rng, plan, 0..plan.iterations, coarse, all, &mut |_, _| Ok(())).unwrap();
     let samples = f64::from(scene.width) * f64::from(scene.height) * target.channels.count() as f64;
     -10.0 * (finish::float_error(&scene, target, &state.primitives) / samples).log10()
 }

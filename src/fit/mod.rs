@@ -5,6 +5,7 @@ pub(crate) mod bowl;
 #[cfg(all(test, unix))]
 mod coarse;
 pub(crate) mod descend;
+pub(crate) mod draft;
 pub(crate) mod field;
 pub(crate) mod finish;
 pub(crate) mod freeze;
@@ -13,6 +14,7 @@ pub(crate) mod peaks;
 pub(crate) mod plan;
 pub(crate) mod project;
 pub(crate) mod rates;
+pub(crate) mod reduced;
 pub(crate) mod relocate;
 pub(crate) mod ridge;
 pub(crate) mod sample;
@@ -22,6 +24,7 @@ mod stability;
 pub(crate) mod structure;
 pub(crate) mod target;
 
+use std::ops::Range;
 use std::time::Instant;
 
 use rand::{RngExt, SeedableRng};
@@ -33,6 +36,7 @@ use adam::{Bounds, Freedom, Memory, Rates};
 use field::{Field, Output, RowSet, Scene};
 use plan::Plan;
 use project::{Primitive, Projected};
+use reduced::{Coarse, Reduced};
 use target::Target;
 
 /// Step sizes at the start; see `design.md` for how they were found.
@@ -101,19 +105,6 @@ pub(crate) trait Engine {
     fn zoom(&mut self, scene: &Scene, target: &Target, by: f32) -> Result<()>;
 }
 
-/// A picture at half its size, for the first steps of a fit.
-struct Half {
-    scene: Scene,
-    target: Target,
-}
-
-impl Half {
-    fn new(scene: &Scene, target: &Target) -> Self {
-        let target = target.halved();
-        Half { scene: Scene { width: target.width, height: target.height, ..*scene }, target }
-    }
-}
-
 /// The same primitives in a picture `by` times as large.
 pub(crate) fn zoomed(mut primitives: Vec<Primitive>, by: f32) -> Vec<Primitive> {
     for p in &mut primitives {
@@ -139,65 +130,70 @@ pub(crate) fn fit(
     recount: Recount<'_>,
     watch: Watch<'_>,
 ) -> Result<State> {
-    let (mut state, rng) = start(target, count, plan);
-    state.is_enough = run(scene, target, &mut state, rng, plan, recount, watch)? == Ending::Enough;
+    let (mut state, rng, from) = draft::start(scene, target, count, plan, recount, watch)?;
+    state.is_enough = run(scene, target, &mut state, rng, plan, from, recount, watch)? == Ending::Enough;
     state.keep_best();
     Ok(state)
 }
 
-/// Fits the primitives of `engine` to `target`; `recount` corrects their number on the way.
+/// Fits the primitives of `engine` to `target`, from the iteration `from` on; `recount` corrects their number on the way.
+#[allow(clippy::too_many_arguments)]
 pub(crate) fn run<E: Engine>(
     scene: &Scene,
     target: &Target,
     engine: &mut E,
     rng: Pcg64Mcg,
     plan: &Plan,
+    from: u32,
     recount: Recount<'_>,
     watch: Watch<'_>,
 ) -> Result<Ending> {
     let count = engine.count();
     let pays = is_large(scene) && count >= MANY && row_step(scene, count) >= SPARSE;
-    let coarse = if pays { COARSE } else { 0.0 };
-    run_coarse_to_fine(scene, target, engine, rng, plan, coarse, recount, watch)
+    let half = pays.then(|| Reduced::new(scene, target, 1));
+    let coarse = half.as_ref().map(|reduced| Coarse { reduced, share: COARSE });
+    run_part(scene, target, engine, rng, plan, from..plan.iterations, coarse, recount, watch)
 }
 
-/// The same; the share `coarse` of the iterations sees the picture at half its size.
+/// The same in a part of the iterations, of which the first may see a smaller picture.
 #[allow(clippy::too_many_arguments)]
-fn run_coarse_to_fine<E: Engine>(
+fn run_part<E: Engine>(
     scene: &Scene,
     target: &Target,
     engine: &mut E,
     mut rng: Pcg64Mcg,
     plan: &Plan,
-    coarse: f32,
+    part: Range<u32>,
+    coarse: Option<Coarse<'_>>,
     recount: Recount<'_>,
     watch: Watch<'_>,
 ) -> Result<Ending> {
-    let mut half = (coarse > 0.0).then(|| Half::new(scene, target));
-    if let Some(half) = &half {
-        engine.zoom(&half.scene, &half.target, 0.5)?;
+    let mut small = coarse.map(|c| c.reduced);
+    if let Some(small) = small {
+        engine.zoom(&small.scene, &small.target, 1.0 / small.by as f32)?;
     }
     let mut is_near = false;
     let mut step = row_step(scene, engine.count());
     let mut rows = RowCycle::new();
     let start = Instant::now();
-    let mut recounts = RECOUNTED.iter().peekable();
+    let share = |iteration: u32| iteration as f32 / plan.iterations as f32;
+    let mut recounts = RECOUNTED.iter().filter(|&&at| at >= share(part.start)).peekable();
     let samples = |scene: &Scene, rows: RowSet| {
         rows.count(scene.height) as f64 * f64::from(scene.width) * target.channels.count() as f64
     };
-    let mut iteration = 0;
-    while iteration < plan.iterations && engine.count() > 0 {
+    let mut iteration = part.start;
+    while iteration < part.end && engine.count() > 0 {
         // With a time budget the schedule follows the clock where that is ahead.
-        let done = (iteration as f32 / plan.iterations as f32).max(plan.spent(start));
+        let done = share(iteration).max(plan.spent(start));
         if done >= 1.0 {
             break;
         }
-        if half.is_some() && (done >= coarse || is_near) {
-            half = None;
-            engine.zoom(scene, target, 2.0)?;
+        let is_coarse = coarse.is_some_and(|c| done < c.share) && !is_near;
+        if let Some(small) = small.take_if(|_| !is_coarse) {
+            engine.zoom(scene, target, small.by as f32)?;
         }
-        let (seen, seen_target, by) = match &half {
-            Some(half) => (&half.scene, &half.target, 2),
+        let (seen, seen_target, by) = match small {
+            Some(small) => (&small.scene, &small.target, small.by),
             None => (scene, target, 1),
         };
         // At half the size as many rows are seen, each half as long.
@@ -213,7 +209,7 @@ fn run_coarse_to_fine<E: Engine>(
             let wanted = recount(&whole(engine))?;
             engine.resize(seen, seen_target, surveyed, wanted)?;
             step = row_step(scene, engine.count());
-        } else if iteration > 0 && iteration % plan.relocate_every == 0 && done < RELOCATED {
+        } else if iteration > 0 && iteration.is_multiple_of(plan.relocate_every) && done < RELOCATED {
             let most = ((engine.count() as f32 * plan.relocate_share) as usize).max(1);
             engine.relocate(seen, seen_target, surveyed, most)?;
         }
@@ -222,15 +218,15 @@ fn run_coarse_to_fine<E: Engine>(
             .scaled(plan.rate)
             .scaled(LAST_RATE + (1.0 - LAST_RATE) * 0.5 * (1.0 + (std::f32::consts::PI * done).cos()));
         // A step on all rows tells the error by itself.
-        let is_due = iteration % REMEMBERED == 0 || iteration + 1 == plan.iterations;
-        if done >= SAMPLED && sampled.step > 1 && half.is_none() && is_due {
+        let is_due = iteration.is_multiple_of(REMEMBERED) || iteration + 1 == plan.iterations;
+        if done >= SAMPLED && sampled.step > 1 && small.is_none() && is_due {
             engine.remember(scene, target)?;
         }
         let error = engine.descend(seen, seen_target, sampled, rates)?;
         iteration += 1;
         // A sample of the rows only hints at it, and so does half the size.
         let hinted = error.is_some_and(|e| e <= plan.enough * samples(seen, sampled));
-        if hinted && half.is_some() {
+        if hinted && small.is_some() {
             is_near = true;
         } else if hinted && iteration < plan.iterations {
             let most = plan.enough * samples(scene, RowSet::ALL);
@@ -239,8 +235,8 @@ fn run_coarse_to_fine<E: Engine>(
             }
         }
     }
-    if half.is_some() {
-        engine.zoom(scene, target, 2.0)?;
+    if let Some(small) = small {
+        engine.zoom(scene, target, small.by as f32)?;
     }
     Ok(Ending::Scheduled)
 }
@@ -428,11 +424,16 @@ pub(crate) fn is_large(scene: &Scene) -> bool {
     u64::from(scene.width) * u64::from(scene.height) >= LARGE
 }
 
+/// About the scale of `count` Gaussians, pixels.
+fn typical_scale(scene: &Scene, count: usize) -> f32 {
+    let area = scene.width as f32 * scene.height as f32;
+    0.7 * (area / (std::f32::consts::PI * count.max(1) as f32)).sqrt()
+}
+
 /// Rows in one sampled row: every Gaussian should see a few.
 pub(crate) fn row_step(scene: &Scene, count: usize) -> u32 {
-    let area = scene.width as f32 * scene.height as f32;
     // Sampling few rows of large Gaussians would save more, but each of a few primitives matters.
-    let typical = 0.7 * (area / (std::f32::consts::PI * count.max(1) as f32)).sqrt();
+    let typical = typical_scale(scene, count);
     (f32::min(0.9 * typical, 1.6 * typical.powf(0.6)) as u32).clamp(1, 16).min(scene.height)
 }
 

@@ -89,7 +89,7 @@ pub fn fit(
     let setup_seconds = clock.elapsed().as_secs_f64();
     let samples = f64::from(scene.width) * f64::from(scene.height) * pixels.channels().count() as f64;
     let mut at = Look { fitter: &fitter, scene: &scene, samples, start: Instant::now(), looked: 0.0, step: 0 };
-    crate::fit::run(&scene, &target, &mut &fitter, rng, &plan, &mut |_| Ok(count as usize), &mut |_, _| {
+    crate::fit::run(&scene, &target, &mut &fitter, rng, &plan, 0, &mut |_| Ok(count as usize), &mut |_, _| {
         let goes_on = look(&mut at)?;
         at.step += 1;
         if goes_on.is_break() { Err(Error::Cancelled) } else { Ok(()) }

@@ -726,7 +726,7 @@ mod stages {
             asked += 1;
             Ok(if asked == 1 { count - 20 } else { count })
         };
-        fit::run(scene, target, engine, rng, plan, &mut recount, &mut |_, _| Ok(())).unwrap();
+        fit::run(scene, target, engine, rng, plan, 0, &mut recount, &mut |_, _| Ok(())).unwrap();
     }
 
     fn decibels(error: f64, pixels: &Pixels) -> f64 {

@@ -1,0 +1,121 @@
+//! Where a fit of few primitives starts: the best of several fits that see a small copy of the picture.
+//!
+//! A few large Gaussians see as much in a small copy, at a fraction of the work, and where they end depends on where they
+//! started, by half a decibel at a dozen of them. Kodak, mean of twelve pictures, one fit of the whole → the best of four
+//! drafts: 40 bytes 16.94 → 17.05 dB, 98 bytes 19.28 → 19.39, 295 bytes 21.65 → 21.69, in a third to two thirds of the time.
+
+use rand_pcg::Pcg64Mcg;
+
+use crate::error::Result;
+use crate::fit::field::Scene;
+use crate::fit::plan::Plan;
+use crate::fit::reduced::{Coarse, Reduced};
+use crate::fit::target::Target;
+use crate::fit::{self, Engine, Recount, State, Watch};
+use crate::parallel;
+
+/// From so many primitives on the small ones among them need all pixels: 260 lose .1 dB to a copy of half the size.
+const FEW: usize = 120;
+/// Scale of a typical Gaussian in the copy, pixels, at least.
+const TYPICAL: f32 = 6.0;
+/// The copy's shorter side, pixels, at least.
+const SHORTEST: u32 = 16;
+/// Fits that the best is chosen from, each from a start of its own.
+const DRAFTS: usize = 4;
+
+/// A fit that is not through.
+struct Draft {
+    error: f64,
+    state: State,
+    rng: Pcg64Mcg,
+}
+
+/// How often the picture is halved for `count` primitives.
+fn halvings(scene: &Scene, count: usize) -> u32 {
+    let by_scale = (fit::typical_scale(scene, count) / TYPICAL).max(1.0).log2() as u32;
+    let by_side = (scene.width.min(scene.height) / SHORTEST).max(1).ilog2();
+    by_scale.min(by_side)
+}
+
+/// Where a fit of about `count` primitives starts, the random numbers that it goes on with, and its first iteration.
+/// `recount` may correct the number on the way.
+pub(crate) fn start(
+    scene: &Scene,
+    target: &Target,
+    count: usize,
+    plan: &Plan,
+    recount: Recount<'_>,
+    watch: Watch<'_>,
+) -> Result<(State, Pcg64Mcg, u32)> {
+    let halvings = halvings(scene, count);
+    // A budget of time is better spent on one fit.
+    if !(1..FEW).contains(&count) || halvings == 0 || plan.fit_deadline.is_some() {
+        let (state, rng) = fit::start(target, count, plan);
+        return Ok((state, rng, 0));
+    }
+    let reduced = Reduced::new(scene, target, halvings);
+    let end = (plan.iterations as f32 * fit::RELOCATED) as u32;
+    let draft = |count: usize, seed: u64, recount: Recount<'_>, watch: Watch<'_>| -> Result<Draft> {
+        // Of a copy the error says little.
+        let plan = Plan { seed, enough: 0.0, ..plan.clone() };
+        let (mut state, rng) = fit::start(target, count, &plan);
+        let coarse = Some(Coarse { reduced: &reduced, share: 1.0 });
+        fit::run_part(scene, target, &mut state, rng.clone(), &plan, 0..end, coarse, recount, watch)?;
+        Ok(Draft { error: state.error(scene, target)?, state, rng })
+    };
+    let mut best = draft(count, plan.seed, recount, watch)?;
+    let count = best.state.count();
+    let others = parallel::map(DRAFTS - 1, |i| {
+        draft(count, plan.seed.wrapping_add(1 + i as u64), &mut |_| Ok(count), &mut |_, _| Ok(()))
+    });
+    for other in others {
+        let other = other?;
+        if other.error < best.error {
+            best = other;
+        }
+    }
+    Ok((best.state, best.rng, end))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::project::Primitive;
+    use crate::gaussian::{Blend, Channels};
+    use crate::pixels::{Pixels, Samples};
+
+    fn picture(width: u32, height: u32) -> (Scene, Target) {
+        let samples = (0..width * height).map(|i| {
+            let (x, y) = ((i % width) as f32 / 17.0, (i / width) as f32 / 23.0);
+            (128.0 + 60.0 * x.sin() * y.cos() + 40.0 * (x * 0.3 + y * 0.2).sin()) as u8
+        });
+        let pixels = Pixels::new(width, height, Channels::Grey, Samples::U8(samples.collect())).unwrap();
+        let target = Target::new(&pixels);
+        (Scene { width, height, blend: Blend::Normalized, background: target.mean }, target)
+    }
+
+    fn started(scene: &Scene, target: &Target, count: usize) -> (State, u32) {
+        let all = &mut |p: &[Primitive]| Ok(p.len());
+        let (state, _, from) = start(scene, target, count, &Plan::steps(100, 0), all, &mut |_, _| Ok(())).unwrap();
+        (state, from)
+    }
+
+    #[test]
+    fn few_primitives_go_on_from_a_draft() {
+        let (scene, target) = picture(240, 160);
+        let (mut drafted, from) = started(&scene, &target, 30);
+        assert_eq!((drafted.count(), from), (30, 70));
+        let (mut scattered, _) = fit::start(&target, 30, &Plan::steps(100, 0));
+        let [error, before] = [&mut drafted, &mut scattered].map(|s| s.error(&scene, &target).unwrap());
+        assert!(error < 0.2 * before, "{error} of {before}");
+    }
+
+    #[test]
+    fn where_a_copy_would_lose_something_there_is_no_draft() {
+        // Too many, too thin a picture, Gaussians too small, none at all.
+        for (width, height, count) in [(240, 160, FEW), (1000, 31, 10), (40, 40, 10), (240, 160, 0)] {
+            let (scene, target) = picture(width, height);
+            assert_eq!(started(&scene, &target, count).1, 0, "{count} on {width} × {height}");
+        }
+    }
+}
