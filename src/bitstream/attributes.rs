@@ -222,7 +222,7 @@ impl Scene<'_> {
 /// `16·log₂` of the spacing, in cells, of `count` primitives on `size` cells.
 pub(crate) fn spacing(size: [u32; 2], count: u32) -> i64 {
     let area = u128::from(size[0]) * u128::from(size[1]) * 256 / u128::from(count.max(1));
-    // An area of 60 bits and 8 more does not fit: two octaves less cost nothing.
+    // An area of 60 bits and 8 more does not fit; only the highest five bits count.
     let log = match u64::try_from(area) {
         Ok(area) => log16(area.max(1)),
         Err(_) => log16((area >> 16) as u64) + 16 * 16,

@@ -14,7 +14,8 @@ use crate::quantize::Quantizer;
 /// curve, where doubling the bytes wins two to three decibels.
 const SLOPE: f64 = 0.7;
 
-/// How much the descent shrinks what it starts from.
+/// How many more primitives rounding starts with than fit, as a factor: the descent takes bits off them, and what is still
+/// too much goes by its worth. On six Kodak pictures .04 dB better at ratio 50 than a hundredth more, and no worse at 1000.
 const SHRINK: f64 = 1.05;
 
 /// What the file must fit into.
