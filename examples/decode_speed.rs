@@ -92,6 +92,7 @@ fn table(path: &Path, args: &Args, folder: &Path) -> Result<()> {
     let mut rows = vec![
         ("zune-jpeg", jpeg.clone()),
         ("ssplat", ours.clone()),
+        ("ssplat, reading alone", ours.clone()),
         ("ssplat, 1024² region", ours.clone()),
         ("ssplat, 256 wide", ours),
         ("png (image)", png.clone()),
@@ -182,6 +183,7 @@ fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
             "avifdec" => program("avifdec", &["--png-compress".as_ref(), "0".as_ref(), file, png.path()])?,
             "djxl" => program("djxl", &[file, output.path()])?,
             "ssplat" => drop(ssplat::decode(&bytes, &DecodeOptions::default())?),
+            "ssplat, reading alone" => drop(ssplat::bitstream::read(&bytes[..], &Limits::default())?),
             "ssplat, 1024² region" => {
                 let size = Header::read(&mut &bytes[..], &Limits::default())?;
                 let [w, h] = [size.width, size.height].map(|side| side.min(1024));
