@@ -12,7 +12,6 @@ use crate::fit::plan::Plan;
 use crate::fit::reduced::{Coarse, Reduced};
 use crate::fit::target::Target;
 use crate::fit::{self, Engine, Recount, State, Watch};
-use crate::parallel;
 
 /// From so many primitives on the small ones among them need all pixels: 260 lose .1 dB to a copy of half the size.
 const FEW: usize = 120;
@@ -21,7 +20,7 @@ const TYPICAL: f32 = 6.0;
 /// The copy's shorter side, pixels, at least.
 const SHORTEST: u32 = 16;
 /// Fits that the best is chosen from, each from a start of its own.
-const DRAFTS: usize = 4;
+const DRAFTS: u16 = 4;
 
 /// A fit that is not through.
 struct Draft {
@@ -55,25 +54,38 @@ pub(crate) fn start(
     }
     let reduced = Reduced::new(scene, target, halvings);
     let end = (plan.iterations as f32 * fit::RELOCATED) as u32;
-    let draft = |count: usize, seed: u64, recount: Recount<'_>, watch: Watch<'_>| -> Result<Draft> {
+    let mut best: Option<Draft> = None;
+    for i in 0..DRAFTS {
         // Of a copy the error says little.
-        let plan = Plan { seed, enough: 0.0, ..plan.clone() };
+        let plan = Plan { seed: plan.seed.wrapping_add(i.into()), enough: 0.0, ..plan.clone() };
+        // The number is corrected once.
+        let count = best.as_ref().map_or(count, |b| b.state.count());
         let (mut state, rng) = fit::start(target, count, &plan);
-        let coarse = Some(Coarse { reduced: &reduced, share: 1.0 });
-        fit::run_part(scene, target, &mut state, rng.clone(), &plan, 0..end, coarse, recount, watch)?;
-        Ok(Draft { error: state.error(scene, target)?, state, rng })
-    };
-    let mut best = draft(count, plan.seed, recount, watch)?;
-    let count = best.state.count();
-    let others = parallel::map(DRAFTS - 1, |i| {
-        draft(count, plan.seed.wrapping_add(1 + i as u64), &mut |_| Ok(count), &mut |_, _| Ok(()))
-    });
-    for other in others {
-        let other = other?;
-        if other.error < best.error {
-            best = other;
+        let mut draft = |recount: Recount<'_>| {
+            let coarse = Some(Coarse { reduced: &reduced, share: 1.0 });
+            fit::run_part(
+                scene,
+                target,
+                &mut state,
+                rng.clone(),
+                &plan,
+                0..end,
+                coarse,
+                recount,
+                &mut |done, drawing| watch((i as f32 * fit::RELOCATED + done) / DRAFTS as f32, drawing),
+            )
+        };
+        if i == 0 {
+            draft(recount)?
+        } else {
+            draft(&mut |_| Ok(count))?
+        };
+        let error = state.error(scene, target)?;
+        if best.as_ref().is_none_or(|b| error < b.error) {
+            best = Some(Draft { error, state, rng });
         }
     }
+    let best = best.expect("there are drafts");
     Ok((best.state, best.rng, end))
 }
 
