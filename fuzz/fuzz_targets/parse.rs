@@ -2,35 +2,21 @@
 //! memory.
 #![no_main]
 
+#[path = "../../tests/groups/mod.rs"]
+mod groups;
+
 use libfuzzer_sys::fuzz_target;
 use peak_alloc::PeakAlloc;
 use ssplat::bitstream::sections::SectionFate;
-use ssplat::bitstream::splats::{Layout, PackedSplats};
+use ssplat::bitstream::splats::Layout;
 use ssplat::bitstream::{Missing, inspect, read, read_area, read_partial, to_bytes};
 use ssplat_fuzz::{SLACK, Sliced, tight_limits};
 
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;
 
-/// The byte with the layout in its lowest bits, and the one in groups.
-const FLAGS: usize = 5;
-const IN_GROUPS: u8 = 3;
-
 /// Bytes of the checksum, which is not checked under fuzzing.
 const CHECKSUM: usize = 4;
-
-/// With the primitives of each level sorted.
-fn by_level(splats: &PackedSplats) -> PackedSplats {
-    let mut sorted = splats.clone();
-    let mut rest = &mut sorted.gaussians[..];
-    let levels = if splats.levels.is_empty() { vec![rest.len() as u32] } else { splats.levels.clone() };
-    for n in levels {
-        let (level, tail) = rest.split_at_mut(n as usize);
-        level.sort_unstable_by_key(|p| (p.x, p.y, p.major, p.minor, p.angle, p.color));
-        rest = tail;
-    }
-    sorted
-}
 
 fuzz_target!(|data: &[u8]| {
     let limits = tight_limits();
@@ -56,7 +42,8 @@ fuzz_target!(|data: &[u8]| {
         (Err(_), Err(_)) => {}
     }
     let Ok(splats) = whole else { return };
-    let part = read_area(data, &[splats.width / 2, splats.height / 2, 1, 1].into(), &limits).expect("a part of it reads");
+    let part =
+        read_area(data, &[splats.width / 2, splats.height / 2, 1, 1].into(), &limits).expect("a part of it reads");
     assert!(part.gaussians.len() <= splats.gaussians.len());
     let (inspected, report) = inspect(data, &limits).expect("what reads can be inspected");
     assert!(inspected == splats);
@@ -69,10 +56,9 @@ fuzz_target!(|data: &[u8]| {
             assert!(read == splats, "what was written reads differently");
             return;
         }
-        if data[FLAGS] & 3 == IN_GROUPS {
-            // What stays undivided is the writer's choice.
+        if groups::is_grouped(data) {
             let read = read(&again[..], &limits).expect("what was written reads back");
-            assert!(by_level(&read) == by_level(&splats), "what was written reads differently");
+            groups::assert_same_but_for_order(&splats, &read);
             assert!(to_bytes(&read).expect("it can be written") == again, "what was written is written differently");
             return;
         }
