@@ -1,8 +1,9 @@
 //! Where a fit of few primitives starts: the best of several fits that see a small copy of the picture.
 //!
 //! A few large Gaussians see as much in a small copy, at a fraction of the work, and where they end depends on where they
-//! started, by half a decibel at a dozen of them. Kodak, mean of twelve pictures, one fit of the whole → the best of four
-//! drafts: 40 bytes 16.94 → 17.05 dB, 98 bytes 19.28 → 19.39, 295 bytes 21.65 → 21.69, in a third to two thirds of the time.
+//! started. Kodak, mean of twelve pictures, one fit of the whole → the best of four drafts (`--example rate_distortion --
+//! KODAK --ratios 31000,12000,4000`): 16.94 → 17.04 dB, 19.28 → 19.39, and 21.65 as before. CPU time of single files: 6.1 →
+//! 2.0 s at 40 bytes, 8.0 → 5.7 s at 300.
 
 use rand_pcg::Pcg64Mcg;
 

@@ -1,6 +1,8 @@
 //! Files in groups, where the writer chooses what stays undivided: the same primitives, but not the same bytes.
 
+use ssplat::Limits;
 use ssplat::bitstream::splats::PackedSplats;
+use ssplat::bitstream::{read, to_bytes};
 
 /// The byte with the layout in its lowest bits, and the value of groups.
 const FLAGS: usize = 5;
@@ -11,9 +13,12 @@ pub fn is_grouped(bytes: &[u8]) -> bool {
     bytes[FLAGS] & 3 == IN_GROUPS
 }
 
-/// Each level has the same primitives, and all else is the same.
-pub fn assert_same_but_for_order(a: &PackedSplats, b: &PackedSplats) {
-    assert_eq!(sorted(a), sorted(b));
+/// Written and read again, each level has the same primitives and all else is the same; written again, so are the bytes.
+pub fn assert_kept(splats: &PackedSplats, limits: &Limits, name: &str) {
+    let again = to_bytes(splats).unwrap();
+    let reread = read(&again[..], limits).unwrap();
+    assert_eq!(sorted(&reread), sorted(splats), "{name}");
+    assert!(to_bytes(&reread).unwrap() == again, "{name} is written in two ways");
 }
 
 fn sorted(splats: &PackedSplats) -> PackedSplats {
