@@ -27,6 +27,7 @@ mod parallel;
 pub mod pixels;
 pub mod quantize;
 pub mod raster;
+mod simd;
 mod trace;
 
 pub use backend::Chosen;

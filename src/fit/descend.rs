@@ -10,13 +10,14 @@ use crate::bitstream::splats::PackedGaussian;
 use crate::fit::bowl::{Bowl, Moves};
 use crate::fit::field::{Field, Output, RowSet, Scene};
 use crate::fit::is_large;
-use crate::fit::kernel::{self, LANES, Lanes, RowExponent};
+use crate::fit::kernel::{self, Strip, Visit};
 use crate::fit::project::Projected;
 use crate::fit::rates::Rates;
 use crate::fit::target::Target;
 use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON, Gaussian};
 use crate::parallel;
 use crate::quantize::Quantizer;
+use crate::simd::{self, LANES, Simd, Task};
 
 /// Height of the smallest bands, rows.
 const BAND: usize = 96;
@@ -132,7 +133,6 @@ fn sweep_channels<const C: usize>(
         (0..gaussians.len() as u32).filter(|&i| activity.stirred(&floats[i as usize])).collect();
     let mut removed = vec![false; gaussians.len()];
     let mut result = Sweep::default();
-    let arch = pulp::Arch::new();
     let mut band = BAND;
     while !waiting.is_empty() {
         for offset in [0, band / 2] {
@@ -171,7 +171,7 @@ fn sweep_channels<const C: usize>(
                     planes,
                     first: offset + b * band,
                 };
-                arch.dispatch(task)
+                simd::dispatch(task)
             });
             for change in changes.into_iter().flatten() {
                 result.gain += f64::from(change.gain);
@@ -233,7 +233,7 @@ struct Patch {
     /// Rows of `2C + 2` planes, `stride` floats each: `Σwc` with `εb` (C), `Σw + ε`, targets (C), squared error.
     planes: Vec<f32>,
     stride: usize,
-    left: usize,
+    columns: std::ops::Range<usize>,
     rows: std::ops::Range<usize>,
     /// Only every `step`th of them is there, and counts for all.
     step: usize,
@@ -250,13 +250,16 @@ struct Parabola {
 }
 
 impl Patch {
-    /// The rows that are there and inside `rows`, with their planes.
-    #[inline(always)]
-    fn rows(&self, rows: [u32; 2], channels: usize) -> impl Iterator<Item = (u32, &[f32])> {
+    /// Which of the rows that are there lie inside `rows`.
+    fn range(&self, rows: [u32; 2]) -> std::ops::Range<usize> {
         let [from, to] = rows.map(|y| (y as usize).clamp(self.rows.start, self.rows.end) - self.rows.start);
-        let size = (2 * channels + 2) * self.stride;
-        (from.div_ceil(self.step)..to.div_ceil(self.step))
-            .map(move |i| ((self.rows.start + i * self.step) as u32, &self.planes[i * size..][..size]))
+        from.div_ceil(self.step)..to.div_ceil(self.step)
+    }
+
+    /// The number in the picture of the `i`th row that is there.
+    #[inline(always)]
+    fn row(&self, i: usize) -> u32 {
+        (self.rows.start + i * self.step) as u32
     }
 }
 
@@ -291,17 +294,17 @@ impl Parabola {
     }
 }
 
-impl<const C: usize> pulp::WithSimd for BandTask<'_, C> {
+impl<const C: usize> Task for BandTask<'_, C> {
     type Output = Vec<Change>;
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(mut self, _: S) -> Vec<Change> {
+    fn run<S: Simd>(mut self, simd: S) -> Vec<Change> {
         let mut changes = Vec::new();
         let mut patch = Patch::default();
         for n in 0..self.members.len() {
             let index = self.members[n];
             let old = self.gaussians[index as usize];
-            if let Some((to, gain)) = self.improve(old, &mut patch) {
+            if let Some((to, gain)) = self.improve(simd, old, &mut patch) {
                 changes.push(Change { index, to, gain });
             }
         }
@@ -311,7 +314,12 @@ impl<const C: usize> pulp::WithSimd for BandTask<'_, C> {
 
 impl<const C: usize> BandTask<'_, C> {
     #[inline(always)]
-    fn improve(&mut self, old: PackedGaussian, patch: &mut Patch) -> Option<(Option<PackedGaussian>, f32)> {
+    fn improve<S: Simd>(
+        &mut self,
+        simd: S,
+        old: PackedGaussian,
+        patch: &mut Patch,
+    ) -> Option<(Option<PackedGaussian>, f32)> {
         let height = self.scene.height;
         let before = self.quantizer.dequantize(&old);
         let p = Projected::from_gaussian(&before, height);
@@ -327,11 +335,11 @@ impl<const C: usize> BandTask<'_, C> {
         if left >= right {
             return None;
         }
-        self.cut(&p, rows, left, right, patch);
+        self.cut(simd, &p, rows, (left, right), patch);
 
         let lambda = self.objective.lambda;
         let lattice = self.quantizer.lattice();
-        let now = self.parabola(&p, patch);
+        let now = self.parabola(simd, &p, patch);
         let current = now.at(p.color, C) + lambda * (self.rates.geometry(&old, lattice) + self.rates.colors(old.color));
         let (mut best, mut best_value) = (old, current);
         let mut consider = |task: &Self, candidate: PackedGaussian, parabola: &Parabola| {
@@ -343,7 +351,7 @@ impl<const C: usize> BandTask<'_, C> {
         };
         consider(self, old, &now);
         // By the envelope theorem the gradient is that of the least error over all colours.
-        let bowl = self.bowl(&p, &before, now.minimum(C).unwrap_or(p.color), &now, patch);
+        let bowl = self.bowl(simd, (&p, &before), now.minimum(C).unwrap_or(p.color), &now, patch);
         for candidate in self.moves(&old, &before, &bowl).iter() {
             let g = self.quantizer.dequantize(&candidate);
             let q = Projected::from_gaussian(&g, height);
@@ -354,106 +362,103 @@ impl<const C: usize> BandTask<'_, C> {
                 && q.center[0] + wide
                     <= if right == self.scene.width as usize { f32::INFINITY } else { (right - 1) as f32 };
             if inside && q.rows[0] < q.rows[1] {
-                let parabola = self.parabola(&q, patch);
+                let parabola = self.parabola(simd, &q, patch);
                 consider(self, candidate, &parabola);
             }
         }
         // Without it, the patch keeps its bare error, which is 0 in these units.
         let removal = -lambda * self.objective.position_bits;
         if removal < best_value {
-            self.paste(&p, None);
+            self.paste(simd, &p, None);
             return Some((None, current - removal));
         }
         if best == old || best_value >= current - 1e-7 * patch.bare.abs() {
             return None;
         }
         let q = Projected::from_gaussian(&self.quantizer.dequantize(&best), height);
-        self.paste(&p, Some(&q));
+        self.paste(simd, &p, Some(&q));
         Some((Some(best), current - best_value))
     }
 
     /// Copies the pixels around `p` into `patch`, with `p` taken out.
     #[inline(always)]
-    fn cut(&self, p: &Projected, rows: std::ops::Range<usize>, left: usize, right: usize, patch: &mut Patch) {
+    fn cut<S: Simd>(
+        &self,
+        simd: S,
+        p: &Projected,
+        rows: std::ops::Range<usize>,
+        (left, right): (usize, usize),
+        patch: &mut Patch,
+    ) {
         let stride = self.target.stride;
         let width = (right - left).next_multiple_of(LANES) + LANES;
         patch.stride = width;
-        patch.left = left;
+        patch.columns = left..right;
         patch.rows = rows.clone();
         patch.step = self.row_step(p);
         patch.planes.resize((2 * C + 2) * width * rows.len().div_ceil(patch.step), 0.0);
         let alpha = self.target.channels.alpha();
-        let mut bare = [0.0f32; LANES];
+        let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
+        let epsilon = simd.splat(EPSILON);
+        let mut bare = zero;
         for (y, out) in rows.step_by(patch.step).zip(patch.planes.chunks_exact_mut((2 * C + 2) * width)) {
             let row = &self.planes[(y - self.first) * (C + 1) * stride..][..(C + 1) * stride];
             let target = self.target.row(y as u32);
             let span = p.span(y as u32, self.scene.width);
-            let exponent = RowExponent::new(p, y as f32 - p.center[1]);
             let amplitude = self.target.amplitude(y as u32);
-            let mut x = left;
-            let mut o = 0;
-            while o < width {
-                // Past the right end of the patch nothing counts; the planes are padded, but only by one run.
+            for o in (0..width).step_by(LANES) {
+                let x = left + o;
+                // Past the right end of the patch nothing counts.
                 if x >= right {
                     for k in 0..2 * C + 2 {
-                        kernel::store(out, k * width + o, &[if k == C { 1.0 } else { 0.0 }; LANES]);
+                        simd.write(&mut out[k * width + o..], if k == C { one } else { zero });
                     }
-                    (x, o) = (x + LANES, o + LANES);
                     continue;
                 }
-                let own: Lanes = match span {
-                    Some((first, end, _)) if x + LANES > first && x < end => {
-                        let (_, e) = exponent.at(x);
-                        kernel::lanes(|i| {
-                            if e[i] > CUTOFF_WEIGHT && x + i < self.scene.width as usize {
-                                e[i] - CUTOFF_WEIGHT
-                            } else {
-                                0.0
-                            }
-                        })
+                let limit = simd.splat((right - x) as f32 - 0.5);
+                let own = match span {
+                    Some((first, end, dy)) if x + LANES > first && x < end => {
+                        let e = kernel::at(simd, p, x, dy);
+                        simd.keep_above(simd.max(simd.sub(e, simd.splat(CUTOFF_WEIGHT)), zero), limit, simd.index())
                     }
-                    _ => [0.0; LANES],
+                    _ => zero,
                 };
-                let all = kernel::load(row, C * stride + x);
+                let all = simd.read(&row[C * stride + x..]);
                 let (with, without) = match self.scene.blend {
                     Blend::Normalized => {
-                        (kernel::lanes(|i| all[i] + EPSILON), kernel::lanes(|i| (all[i] - own[i]).max(0.0) + EPSILON))
+                        (simd.add(all, epsilon), simd.add(simd.max(simd.sub(all, own), zero), epsilon))
                     }
-                    Blend::Sum => ([1.0; LANES], [1.0; LANES]),
+                    Blend::Sum => (one, one),
                 };
-                let mut bare_error = [0.0f32; LANES];
-                let inside = kernel::lanes(|i| if x + i < right { 1.0 } else { 0.0 });
+                let (with, share) = (simd.div(one, with), simd.div(one, without));
+                let mut error = zero;
                 for k in 0..C {
-                    let s = kernel::load(row, k * stride + x);
-                    let shift = self.shift(k);
-                    let n = kernel::lanes(|i| s[i] - own[i] * p.color[k] + shift);
-                    let t = kernel::load(target, k * stride + x);
+                    let sum = simd.add(simd.read(&row[k * stride + x..]), simd.splat(self.shift(k)));
+                    let n = simd.sub(sum, simd.mul(own, simd.splat(p.color[k])));
+                    let mut t = simd.read(&target[k * stride + x..]);
                     // Overshoot of a saturated pixel is clamped away: as long as it stays, it is no error.
-                    let v = kernel::lanes(|i| (s[i] + shift) / with[i]);
-                    let t = kernel::lanes(|i| {
-                        if (t[i] >= 1.0 && v[i] > 1.0) || (t[i] <= 0.0 && v[i] < 0.0) { v[i] } else { t[i] }
-                    });
-                    let mut weight = match alpha {
-                        Some(a) if a != k => kernel::load(target, a * stride + x),
-                        _ => [1.0; LANES],
-                    };
-                    if let Some(a) = amplitude {
-                        let a = kernel::load(a, x);
-                        weight = kernel::lanes(|i| weight[i] * a[i]);
+                    let beyond = simd.sub(simd.mul(sum, with), t);
+                    let above = simd.keep_above(simd.max(beyond, zero), t, simd.splat(1.0f32.next_down()));
+                    let below = simd.keep_above(simd.min(beyond, zero), simd.splat(f32::MIN_POSITIVE), t);
+                    t = simd.add(simd.add(t, above), below);
+                    let mut d = simd.sub(simd.mul(n, share), t);
+                    if let Some(a) = alpha.filter(|&a| a != k) {
+                        d = simd.mul(d, simd.read(&target[a * stride + x..]));
                     }
-                    let d = kernel::lanes(|i| (n[i] / without[i] - t[i]) * weight[i]);
-                    bare_error = kernel::lanes(|i| bare_error[i] + d[i] * d[i]);
-                    kernel::store(out, k * width + o, &n);
-                    kernel::store(out, (C + 1 + k) * width + o, &t);
+                    if let Some(a) = amplitude {
+                        d = simd.mul(d, simd.read(&a[x..]));
+                    }
+                    error = simd.add(error, simd.mul(d, d));
+                    simd.write(&mut out[k * width + o..], n);
+                    simd.write(&mut out[(C + 1 + k) * width + o..], t);
                 }
-                bare_error = kernel::lanes(|i| bare_error[i] * inside[i]);
-                kernel::store(out, C * width + o, &without);
-                kernel::store(out, (2 * C + 1) * width + o, &bare_error);
-                bare = kernel::lanes(|i| bare[i] + bare_error[i]);
-                (x, o) = (x + LANES, o + LANES);
+                let error = simd.keep_above(error, limit, simd.index());
+                simd.write(&mut out[C * width + o..], without);
+                simd.write(&mut out[(2 * C + 1) * width + o..], error);
+                bare = simd.add(bare, error);
             }
         }
-        patch.bare = kernel::total(&bare) * patch.step as f32;
+        patch.bare = simd.sum(bare) * patch.step as f32;
     }
 
     /// Rows in one that is looked at: on a large picture tall primitives have more pixels than it takes to decide.
@@ -473,147 +478,80 @@ impl<const C: usize> BandTask<'_, C> {
 
     /// The error over the patch with `q` in it, for any colour, minus the bare error.
     #[inline(always)]
-    fn parabola(&self, q: &Projected, patch: &Patch) -> Parabola {
-        let width = patch.stride;
-        let alpha = self.target.channels.alpha();
-        let mut rest = [0.0f32; LANES];
-        let mut cross = [[0.0f32; LANES]; C];
-        let mut square = [[0.0f32; LANES]; 2];
-        for (y, row) in patch.rows(q.rows, C) {
-            let Some((first, end, dy)) = q.span(y, self.scene.width) else { continue };
-            let exponent = RowExponent::new(q, dy);
-            let amplitude = self.target.amplitude(y);
-            let mut x = first.max(patch.left);
-            while x < end {
-                let o = x - patch.left;
-                let (_, e) = exponent.at(x);
-                let w = kernel::lanes(|i| if e[i] > CUTOFF_WEIGHT && x + i < end { e[i] - CUTOFF_WEIGHT } else { 0.0 });
-                let without = kernel::load(row, C * width + o);
-                let inv = match self.scene.blend {
-                    Blend::Normalized => kernel::lanes(|i| 1.0 / (without[i] + w[i])),
-                    Blend::Sum => [1.0; LANES],
-                };
-                let r = kernel::lanes(|i| w[i] * inv[i]);
-                let mut error = [0.0f32; LANES];
-                let amplitude = amplitude.map(|a| kernel::load(a, x));
-                for k in 0..C {
-                    let n = kernel::load(row, k * width + o);
-                    let t = kernel::load(row, (C + 1 + k) * width + o);
-                    let mut a = kernel::lanes(|i| n[i] * inv[i] - t[i]);
-                    let mut r = r;
-                    if let Some(m) = amplitude {
-                        a = kernel::lanes(|i| a[i] * m[i]);
-                        r = kernel::lanes(|i| r[i] * m[i]);
-                    }
-                    if let (Some(plane), true) = (alpha, alpha != Some(k)) {
-                        let weight = kernel::load(row, (C + 1 + plane) * width + o);
-                        a = kernel::lanes(|i| a[i] * weight[i]);
-                        r = kernel::lanes(|i| r[i] * weight[i]);
-                    }
-                    error = kernel::lanes(|i| error[i] + a[i] * a[i]);
-                    cross[k] = kernel::lanes(|i| cross[k][i] + a[i] * r[i]);
-                    if k == 0 || alpha == Some(k) {
-                        let s = usize::from(k != 0);
-                        square[s] = kernel::lanes(|i| square[s][i] + r[i] * r[i]);
-                    }
-                }
-                let bare = kernel::load(row, (2 * C + 1) * width + o);
-                rest = kernel::lanes(|i| rest[i] + if w[i] > 0.0 { error[i] - bare[i] } else { 0.0 });
-                x += LANES;
-            }
-        }
-        let total = |sum: &Lanes| kernel::total(sum) * patch.step as f32;
-        let mut out = Parabola { rest: total(&rest), cross: [0.0; 4], square: square.map(|s| total(&s)) };
+    fn parabola<S: Simd>(&self, simd: S, q: &Projected, patch: &Patch) -> Parabola {
+        let (zero, range) = (simd.splat(0.0), patch.range(q.rows));
+        let mut errors = Errors {
+            pixels: Pixels { scene: self.scene, target: self.target, patch, first: range.start },
+            rest: zero,
+            cross: [zero; C],
+            square: [zero; 2],
+        };
+        self.walk(simd, q, range, patch, &mut errors);
+        let scale = patch.step as f32;
+        let mut out = Parabola {
+            rest: simd.sum(errors.rest) * scale,
+            cross: [0.0; 4],
+            square: [simd.sum(errors.square[0]), simd.sum(errors.square[1])].map(|s| s * scale),
+        };
         for k in 0..C {
-            out.cross[k] = total(&cross[k]);
+            out.cross[k] = simd.sum(errors.cross[k]) * scale;
         }
         out
+    }
+
+    /// Visits the pixels of `p` in the rows `range` of the patch.
+    #[inline(always)]
+    fn walk<S: Simd>(
+        &self,
+        simd: S,
+        p: &Projected,
+        range: std::ops::Range<usize>,
+        patch: &Patch,
+        visitor: &mut impl Visit<S>,
+    ) {
+        let dy = patch.row(range.start) as f32 - p.center[1];
+        kernel::walk(simd, p, (dy, patch.step as f32, range.len()), patch.columns.clone(), visitor);
     }
 
     /// How the error over the patch with `p`, the projection of `g`, in it and of `color` changes with mean, scales and
     /// rotation, to second order.
     #[inline(always)]
-    fn bowl(&self, p: &Projected, g: &Gaussian, color: [f32; 4], parabola: &Parabola, patch: &Patch) -> Bowl {
-        let width = patch.stride;
-        let alpha = self.target.channels.alpha();
+    fn bowl<S: Simd>(
+        &self,
+        simd: S,
+        (p, g): (&Projected, &Gaussian),
+        color: [f32; 4],
+        parabola: &Parabola,
+        patch: &Patch,
+    ) -> Bowl {
+        let (zero, range) = (simd.splat(0.0), patch.range(p.rows));
         let (sin, cos) = g.rotation.sin_cos();
         let [sx, sy] = g.scale;
-        let turn = sx / sy - sy / sx;
-        let mut first = [[0.0f32; LANES]; 5];
-        let mut second = [[0.0f32; LANES]; 15];
-        let mut mixed = [[[0.0f32; LANES]; 5]; C];
-        for (y, row) in patch.rows(p.rows, C) {
-            let Some((start, end, dy)) = p.span(y, self.scene.width) else { continue };
-            let exponent = RowExponent::new(p, dy);
-            let amplitude = self.target.amplitude(y);
-            let mut x = start.max(patch.left);
-            while x < end {
-                let o = x - patch.left;
-                let (dx, e) = exponent.at(x);
-                let e = kernel::lanes(|i| if e[i] > CUTOFF_WEIGHT && x + i < end { e[i] } else { 0.0 });
-                let w = kernel::lanes(|i| if e[i] > 0.0 { e[i] - CUTOFF_WEIGHT } else { 0.0 });
-                let amplitude = amplitude.map(|a| kernel::load(a, x));
-                let without = kernel::load(row, C * width + o);
-                let inv = match self.scene.blend {
-                    Blend::Normalized => kernel::lanes(|i| 1.0 / (without[i] + w[i])),
-                    Blend::Sum => [1.0; LANES],
-                };
-                let u = kernel::lanes(|i| (cos * dx[i] + sin * dy) * (1.0 / sx));
-                let v = kernel::lanes(|i| (cos * dy - sin * dx[i]) * (1.0 / sy));
-                let features = [
-                    u,
-                    v,
-                    kernel::lanes(|i| u[i] * u[i]),
-                    kernel::lanes(|i| v[i] * v[i]),
-                    kernel::lanes(|i| turn * u[i] * v[i]),
-                ];
-                let mut t = [0.0f32; LANES];
-                let mut square = [0.0f32; LANES];
-                for k in 0..C {
-                    let n = kernel::load(row, k * width + o);
-                    let wanted = kernel::load(row, (C + 1 + k) * width + o);
-                    let value = kernel::lanes(|i| (n[i] + w[i] * color[k]) * inv[i]);
-                    let mut weight = [1.0f32; LANES];
-                    if let (Some(plane), true) = (alpha, alpha != Some(k)) {
-                        weight = kernel::load(row, (C + 1 + plane) * width + o);
-                    }
-                    if let Some(a) = amplitude {
-                        weight = kernel::lanes(|i| weight[i] * a[i]);
-                    }
-                    let own = match self.scene.blend {
-                        Blend::Normalized => kernel::lanes(|i| (color[k] - value[i]) * inv[i] * weight[i] * e[i]),
-                        Blend::Sum => kernel::lanes(|i| color[k] * weight[i] * e[i]),
-                    };
-                    t = kernel::lanes(|i| t[i] + (value[i] - wanted[i]) * weight[i] * own[i]);
-                    square = kernel::lanes(|i| square[i] + own[i] * own[i]);
-                    let shown = kernel::lanes(|i| own[i] * w[i] * inv[i] * weight[i]);
-                    for (sum, f) in mixed[k].iter_mut().zip(&features) {
-                        *sum = kernel::lanes(|i| sum[i] + shown[i] * f[i]);
-                    }
-                }
-                let mut n = 0;
-                for a in 0..5 {
-                    let f = &features[a];
-                    first[a] = kernel::lanes(|i| first[a][i] + t[i] * f[i]);
-                    let scaled = kernel::lanes(|i| square[i] * f[i]);
-                    for other in &features[..=a] {
-                        second[n] = kernel::lanes(|i| second[n][i] + scaled[i] * other[i]);
-                        n += 1;
-                    }
-                }
-                x += LANES;
-            }
-        }
-        let total = |sum: &Lanes| kernel::total(sum) * patch.step as f32;
-        let mut bowl = Bowl { slope: first.map(|v| total(&v)), ..Bowl::default() };
-        let mixed = mixed.map(|of| of.map(|v| total(&v)));
+        let mut slopes = Slopes {
+            pixels: Pixels { scene: self.scene, target: self.target, patch, first: range.start },
+            color,
+            across: [cos / sx, sin / sx],
+            along: [-sin / sy, cos / sy],
+            turn: sx / sy - sy / sx,
+            first: [zero; 5],
+            second: [zero; 15],
+            mixed: [[zero; 5]; C],
+        };
+        self.walk(simd, p, range, patch, &mut slopes);
+        let scale = patch.step as f32;
+        let mut bowl = Bowl::default();
+        let mut mixed = [[0.0; 5]; C];
         let mut n = 0;
         for a in 0..5 {
+            bowl.slope[a] = simd.sum(slopes.first[a]) * scale;
+            for k in 0..C {
+                mixed[k][a] = simd.sum(slopes.mixed[k][a]) * scale;
+            }
             for b in 0..=a {
-                let mut v = total(&second[n]);
-                for k in 0..C {
+                let mut v = simd.sum(slopes.second[n]) * scale;
+                for (k, of) in mixed.iter().enumerate() {
                     // The colour follows.
-                    v -= mixed[k][a] * mixed[k][b] / (parabola.square(k, C) + 1e-6);
+                    v -= of[a] * of[b] / (parabola.square(k, C) + 1e-6);
                 }
                 (bowl.curvature[a][b], bowl.curvature[b][a]) = (v, v);
                 n += 1;
@@ -701,14 +639,164 @@ impl<const C: usize> BandTask<'_, C> {
 
     /// Replaces `old` by `new` in the sums.
     #[inline(always)]
-    fn paste(&mut self, old: &Projected, new: Option<&Projected>) {
+    fn paste<S: Simd>(&mut self, simd: S, old: &Projected, new: Option<&Projected>) {
         let stride = self.target.stride;
-        let end = self.first + self.planes.len() / ((C + 1) * stride);
         for (p, sign) in [(Some(old), -1.0f32), (new, 1.0)] {
             let Some(p) = p else { continue };
-            for y in (p.rows[0] as usize).max(self.first)..(p.rows[1] as usize).min(end) {
-                let row = &mut self.planes[(y - self.first) * (C + 1) * stride..][..(C + 1) * stride];
-                kernel::splat_signed::<C>(p, y as u32, self.scene.width, row, stride, sign);
+            let planes = (&mut *self.planes, stride);
+            kernel::splat::<S, C>(simd, p, (RowSet::ALL, self.first), self.scene.width, planes, sign);
+        }
+    }
+}
+
+/// The pixels of a patch under a primitive.
+struct Pixels<'a> {
+    scene: &'a Scene,
+    target: &'a Target,
+    patch: &'a Patch,
+    /// The first row that is visited, among those that are there.
+    first: usize,
+}
+
+/// Eight pixels of a patch.
+struct Eight<'a> {
+    /// The row's planes from these pixels on.
+    planes: &'a [f32],
+    stride: usize,
+    /// The factors of errors.
+    amplitude: Option<&'a [f32]>,
+    /// The channel whose target is a factor of the others' errors.
+    alpha: Option<usize>,
+    blend: Blend,
+}
+
+impl Pixels<'_> {
+    #[inline(always)]
+    fn eight<const C: usize>(&self, i: usize, x: usize) -> Eight<'_> {
+        let (i, stride) = (self.first + i, self.patch.stride);
+        Eight {
+            planes: &self.patch.planes[i * (2 * C + 2) * stride + x - self.patch.columns.start..],
+            stride,
+            amplitude: self.target.amplitude(self.patch.row(i)).map(|a| &a[x..]),
+            alpha: self.target.channels.alpha(),
+            blend: self.scene.blend,
+        }
+    }
+}
+
+impl Eight<'_> {
+    #[inline(always)]
+    fn plane<S: Simd>(&self, simd: S, k: usize) -> S::Vector {
+        simd.read(&self.planes[k * self.stride..])
+    }
+
+    /// What the sums are multiplied by if the weight `w` joins them.
+    #[inline(always)]
+    fn share<S: Simd, const C: usize>(&self, simd: S, w: S::Vector) -> S::Vector {
+        match self.blend {
+            Blend::Normalized => simd.div(simd.splat(1.0), simd.add(self.plane(simd, C), w)),
+            Blend::Sum => simd.splat(1.0),
+        }
+    }
+
+    /// `v`, which belongs to channel `k`, times what errors of these pixels count.
+    #[inline(always)]
+    fn weighted<S: Simd, const C: usize>(&self, simd: S, k: usize, mut v: S::Vector) -> S::Vector {
+        if let Some(a) = self.amplitude {
+            v = simd.mul(v, simd.read(a));
+        }
+        if let Some(plane) = self.alpha.filter(|&a| a != k) {
+            v = simd.mul(v, self.plane(simd, C + 1 + plane));
+        }
+        v
+    }
+}
+
+/// Sums a [`Parabola`].
+struct Errors<'a, S: Simd, const C: usize> {
+    pixels: Pixels<'a>,
+    rest: S::Vector,
+    cross: [S::Vector; C],
+    square: [S::Vector; 2],
+}
+
+impl<S: Simd, const C: usize> Visit<S> for Errors<'_, S, C> {
+    #[inline(always)]
+    fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, _dy: S::Vector) {
+        let zero = simd.splat(0.0);
+        let at = self.pixels.eight::<C>(i, strip.x);
+        let w = simd.max(simd.sub(g, strip.edge), zero);
+        let share = at.share::<S, C>(simd, w);
+        let part = simd.mul(w, share);
+        let mut error = zero;
+        for k in 0..C {
+            let a = simd.sub(simd.mul(at.plane(simd, k), share), at.plane(simd, C + 1 + k));
+            let a = at.weighted::<S, C>(simd, k, a);
+            let r = at.weighted::<S, C>(simd, k, part);
+            error = simd.add(error, simd.mul(a, a));
+            self.cross[k] = simd.add(self.cross[k], simd.mul(a, r));
+            if k == 0 || at.alpha == Some(k) {
+                let s = usize::from(k != 0);
+                self.square[s] = simd.add(self.square[s], simd.mul(r, r));
+            }
+        }
+        let more = simd.sub(error, at.plane(simd, 2 * C + 1));
+        self.rest = simd.add(self.rest, simd.keep_above(more, w, zero));
+    }
+}
+
+/// Sums a [`Bowl`].
+struct Slopes<'a, S: Simd, const C: usize> {
+    pixels: Pixels<'a>,
+    color: [f32; 4],
+    /// Along the rotated x axis, in units of its scale, per pixel to the right and down.
+    across: [f32; 2],
+    /// The same along the rotated y axis.
+    along: [f32; 2],
+    /// What a rotation moves for each `u·v`.
+    turn: f32,
+    first: [S::Vector; 5],
+    second: [S::Vector; 15],
+    mixed: [[S::Vector; 5]; C],
+}
+
+impl<S: Simd, const C: usize> Visit<S> for Slopes<'_, S, C> {
+    #[inline(always)]
+    fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, dy: S::Vector) {
+        let at = self.pixels.eight::<C>(i, strip.x);
+        let e = simd.keep_above(g, g, strip.edge);
+        let w = simd.max(simd.sub(g, strip.edge), simd.splat(0.0));
+        let share = at.share::<S, C>(simd, w);
+        let ([ux, uy], [vx, vy]) = (self.across, self.along);
+        let u = simd.add(simd.mul(simd.splat(ux), strip.dx), simd.mul(simd.splat(uy), dy));
+        let v = simd.add(simd.mul(simd.splat(vx), strip.dx), simd.mul(simd.splat(vy), dy));
+        let turn = simd.mul(simd.mul(simd.splat(self.turn), u), v);
+        let features = [u, v, simd.mul(u, u), simd.mul(v, v), turn];
+        let mut t = simd.splat(0.0);
+        let mut square = simd.splat(0.0);
+        for k in 0..C {
+            let color = simd.splat(self.color[k]);
+            let value = simd.mul(simd.add(at.plane(simd, k), simd.mul(w, color)), share);
+            let own = match at.blend {
+                Blend::Normalized => simd.mul(simd.mul(simd.sub(color, value), share), e),
+                Blend::Sum => simd.mul(color, e),
+            };
+            let own = at.weighted::<S, C>(simd, k, own);
+            let error = at.weighted::<S, C>(simd, k, simd.sub(value, at.plane(simd, C + 1 + k)));
+            t = simd.add(t, simd.mul(error, own));
+            square = simd.add(square, simd.mul(own, own));
+            let shown = at.weighted::<S, C>(simd, k, simd.mul(simd.mul(own, w), share));
+            for (sum, f) in self.mixed[k].iter_mut().zip(features) {
+                *sum = simd.add(*sum, simd.mul(shown, f));
+            }
+        }
+        let mut n = 0;
+        for (a, &f) in features.iter().enumerate() {
+            self.first[a] = simd.add(self.first[a], simd.mul(t, f));
+            let scaled = simd.mul(square, f);
+            for &other in &features[..=a] {
+                self.second[n] = simd.add(self.second[n], simd.mul(scaled, other));
+                n += 1;
             }
         }
     }

@@ -3,11 +3,12 @@
 //! Only the rows of a [`RowSet`] are kept, so that stochastic gradients over one row in `n` cost a fraction of the
 //! time and of the memory.
 
-use crate::fit::kernel::{self, LANES, Moments};
+use crate::fit::kernel;
 use crate::fit::project::{Primitive, Projected};
 use crate::fit::target::Target;
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
+use crate::simd::{self, LANES, Simd, Task};
 
 /// Sampled rows in one band: the unit of parallel work.
 const BAND: usize = 16;
@@ -136,10 +137,9 @@ impl Field {
         self.stride = target.stride;
         self.rows = Some(rows);
         self.planes.resize(rows.count(scene.height) * row_size, 0.0);
-        let arch = pulp::Arch::new();
         let errors = parallel::map_chunks(&mut self.planes, BAND * row_size, |b, band| {
             let members = &bands.members[bands.starts[b] as usize..bands.starts[b + 1] as usize];
-            arch.dispatch(BandTask::<C> { scene, target, projected, members, rows, first: b * BAND, band, output })
+            simd::dispatch(BandTask::<C> { scene, target, projected, members, rows, first: b * BAND, band, output })
         });
         errors.iter().sum()
     }
@@ -153,12 +153,12 @@ impl Field {
         projected: &[Projected],
         primitives: &[Primitive],
     ) -> Vec<Gradient> {
-        let (arch, field) = (pulp::Arch::new(), self);
+        let field = self;
         match channels {
-            1 => arch.dispatch(GatherTask::<1> { field, rows, width, projected, primitives }),
-            2 => arch.dispatch(GatherTask::<2> { field, rows, width, projected, primitives }),
-            3 => arch.dispatch(GatherTask::<3> { field, rows, width, projected, primitives }),
-            _ => arch.dispatch(GatherTask::<4> { field, rows, width, projected, primitives }),
+            1 => simd::dispatch(GatherTask::<1> { field, rows, width, projected, primitives }),
+            2 => simd::dispatch(GatherTask::<2> { field, rows, width, projected, primitives }),
+            3 => simd::dispatch(GatherTask::<3> { field, rows, width, projected, primitives }),
+            _ => simd::dispatch(GatherTask::<4> { field, rows, width, projected, primitives }),
         }
     }
 
@@ -170,7 +170,7 @@ impl Field {
     }
 }
 
-/// One band to draw. A struct and not a closure: only `inline(always)` carries the dispatched instruction set inside.
+/// One band to draw.
 struct BandTask<'a, const C: usize> {
     scene: &'a Scene,
     target: &'a Target,
@@ -182,11 +182,11 @@ struct BandTask<'a, const C: usize> {
     output: Output,
 }
 
-impl<const C: usize> pulp::WithSimd for BandTask<'_, C> {
+impl<const C: usize> Task for BandTask<'_, C> {
     type Output = f64;
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) -> f64 {
+    fn run<S: Simd>(self, simd: S) -> f64 {
         let BandTask { scene, target, projected, members, rows, first, band, output } = self;
         let stride = target.stride;
         let row_size = (C + 1) * stride;
@@ -194,10 +194,7 @@ impl<const C: usize> pulp::WithSimd for BandTask<'_, C> {
         band.fill(0.0);
         for &i in members {
             let p = &projected[i as usize];
-            for index in rows.index(p.rows[0]).max(first)..rows.index(p.rows[1]).min(first + count) {
-                let row = &mut band[(index - first) * row_size..][..row_size];
-                kernel::splat_row::<C>(p, rows.row(index), scene.width, row, stride);
-            }
+            kernel::splat::<S, C>(simd, p, (rows, first), scene.width, (&mut *band, stride), 1.0);
         }
         if output == Output::Sums {
             return 0.0;
@@ -208,7 +205,7 @@ impl<const C: usize> pulp::WithSimd for BandTask<'_, C> {
             let row = &mut band[i * row_size..][..row_size];
             let alpha = target.channels.alpha();
             let amplitude = if output == Output::Picture { None } else { target.amplitude(y) };
-            error += resolve_row::<C>(scene, target.row(y), row, stride, output, alpha, amplitude);
+            error += resolve_row::<S, C>(simd, scene, (target.row(y), alpha, amplitude), (row, stride), output);
         }
         error
     }
@@ -216,76 +213,71 @@ impl<const C: usize> pulp::WithSimd for BandTask<'_, C> {
 
 /// Turns the sums of one row into `output`; returns the squared error of the clamped row.
 #[inline(always)]
-fn resolve_row<const C: usize>(
+fn resolve_row<S: Simd, const C: usize>(
+    simd: S,
     scene: &Scene,
-    target: &[f32],
-    row: &mut [f32],
-    stride: usize,
+    (target, alpha, amplitude): (&[f32], Option<usize>, Option<&[f32]>),
+    (row, stride): (&mut [f32], usize),
     output: Output,
-    alpha: Option<usize>,
-    amplitude: Option<&[f32]>,
 ) -> f64 {
-    let mut error = [0.0f32; LANES];
+    let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
+    let mut error = zero;
     let w = scene.width as usize;
     let (colors, weights) = row.split_at_mut(C * stride);
     let mut x = 0;
     while x < w {
-        let sum = kernel::load(weights, x);
-        let inside = w - x;
+        let limit = simd.splat((w - x) as f32 - 0.5);
         let inv = match scene.blend {
-            Blend::Normalized => kernel::lanes(|i| 1.0 / (sum[i] + EPSILON)),
-            Blend::Sum => [1.0; LANES],
+            Blend::Normalized => simd.div(one, simd.add(simd.read(&weights[x..]), simd.splat(EPSILON))),
+            Blend::Sum => one,
         };
-        let mut h = [0.0f32; LANES];
-        let opacity = alpha.map(|a| kernel::load(target, a * stride + x));
-        let amplitude = amplitude.map(|a| kernel::load(a, x));
+        let mut h = zero;
         for k in 0..C {
-            let run = kernel::load(colors, k * stride + x);
-            let t = kernel::load(target, k * stride + x);
-            let b = scene.background[k];
-            let v = match scene.blend {
-                Blend::Normalized => kernel::lanes(|i| (run[i] + EPSILON * b) * inv[i]),
-                Blend::Sum => kernel::lanes(|i| run[i] + b),
+            let colors = &mut colors[k * stride + x..];
+            let b = match scene.blend {
+                Blend::Normalized => EPSILON * scene.background[k],
+                Blend::Sum => scene.background[k],
             };
-            let mut e = kernel::lanes(|i| v[i].clamp(0.0, 1.0) - t[i]);
-            if let (Some(o), false) = (opacity, alpha == Some(k)) {
-                e = kernel::lanes(|i| e[i] * o[i]);
+            let v = simd.mul(simd.add(simd.read(colors), simd.splat(b)), inv);
+            let clamped = simd.min(simd.max(v, zero), one);
+            let mut e = simd.sub(clamped, simd.read(&target[k * stride + x..]));
+            if let Some(a) = alpha.filter(|&a| a != k) {
+                e = simd.mul(e, simd.read(&target[a * stride + x..]));
             }
-            if inside < LANES {
-                e = kernel::lanes(|i| if i < inside { e[i] } else { 0.0 });
-            }
+            e = simd.keep_above(e, limit, simd.index());
             if let Some(a) = amplitude {
-                e = kernel::lanes(|i| e[i] * a[i]);
+                e = simd.mul(e, simd.read(&a[x..]));
             }
-            error = kernel::lanes(|i| error[i] + e[i] * e[i]);
+            error = simd.add(error, simd.mul(e, e));
             if let Some(a) = amplitude {
-                e = kernel::lanes(|i| e[i] * a[i]);
+                e = simd.mul(e, simd.read(&a[x..]));
             }
             let left = match output {
                 Output::Picture | Output::Sums => v,
-                Output::Gradient => kernel::lanes(|i| e[i] * inv[i]),
+                Output::Gradient => simd.mul(e, inv),
             };
-            kernel::store(colors, k * stride + x, &left);
+            simd.write(colors, left);
             if scene.blend == Blend::Normalized {
-                h = kernel::lanes(|i| h[i] + left[i] * v[i]);
+                h = simd.add(h, simd.mul(left, v));
             }
         }
         if output == Output::Gradient {
-            kernel::store(weights, x, &h);
+            simd.write(&mut weights[x..], h);
         }
         x += LANES;
     }
-    // Runs may overhang the row's end: what lies there must not count.
+    // Strips may overhang the row's end: what lies there must not count.
     for plane in row.chunks_exact_mut(stride) {
         plane[x..].fill(0.0);
     }
-    f64::from(kernel::total(&error))
+    f64::from(simd.sum(error))
 }
 
 /// The gradient of half the squared error with respect to one primitive, gathered from gradient planes, in the
 /// primitive's whitened frame: mean along its own axes in units of its own scales, log-scales, rotation, colour.
 #[inline(always)]
-pub(crate) fn gather<const C: usize>(
+fn gather<S: Simd, const C: usize>(
+    simd: S,
     field: &Field,
     rows: RowSet,
     width: u32,
@@ -293,19 +285,13 @@ pub(crate) fn gather<const C: usize>(
     log_scale: [f32; 2],
     rotation: f32,
 ) -> Gradient {
-    let mut m = Moments::<C>::zero();
-    for index in rows.index(p.rows[0])..rows.index(p.rows[1]) {
-        kernel::gather_row::<C>(p, rows.row(index), width, field.row(index, C), field.stride, &mut m);
-    }
-    let [_, geometry @ ..] = m.geometry.map(|v| kernel::total(&v));
-    let mut gradient = Gradient::from_moments(geometry, log_scale.map(f32::exp), rotation);
-    for k in 0..C {
-        gradient.color[k] = kernel::total(&m.color[k]);
-    }
+    let m = kernel::gather::<S, C>(simd, p, rows, width, (&field.planes, field.stride));
+    let mut gradient = Gradient::from_moments(m.geometry, log_scale.map(f32::exp), rotation);
+    gradient.color[..C].copy_from_slice(&m.color);
     gradient
 }
 
-/// The gradients of a run of primitives; a struct for the same reason as [`BandTask`].
+/// The gradients of a run of primitives.
 struct GatherTask<'a, const C: usize> {
     field: &'a Field,
     rows: RowSet,
@@ -314,14 +300,14 @@ struct GatherTask<'a, const C: usize> {
     primitives: &'a [Primitive],
 }
 
-impl<const C: usize> pulp::WithSimd for GatherTask<'_, C> {
+impl<const C: usize> Task for GatherTask<'_, C> {
     type Output = Vec<Gradient>;
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<Gradient> {
+    fn run<S: Simd>(self, simd: S) -> Vec<Gradient> {
         let mut out = Vec::with_capacity(self.projected.len());
         for (q, p) in self.projected.iter().zip(self.primitives) {
-            out.push(gather::<C>(self.field, self.rows, self.width, q, p.log_scale, p.rotation));
+            out.push(gather::<S, C>(simd, self.field, self.rows, self.width, q, p.log_scale, p.rotation));
         }
         out
     }

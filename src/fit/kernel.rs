@@ -1,123 +1,213 @@
-//! The inner loops of the fit over runs of pixels: forward (weights into planes) and backward (planes into moments).
-//!
-//! Plain arrays in safe code; callers run them inside `pulp`'s dispatch so that they are compiled for AVX2 and
-//! AVX-512 as well. No fused multiply-add: every instruction set gives the same bits.
+//! The inner loops of the fit: forward (weights into planes) and backward (planes into moments), eight columns at a time
+//! down runs of rows as the decoder draws, by recurrence. Rows are padded by as much, since the last strip may overhang.
 
+use crate::fit::field::RowSet;
 use crate::fit::project::Projected;
 use crate::gaussian::CUTOFF_WEIGHT;
+use crate::simd::{self, Simd};
 
-/// Pixels at a time. Rows are padded by this much, so that the last run may overhang.
-pub(crate) const LANES: usize = 16;
-pub(crate) type Lanes = [f32; LANES];
+/// Sampled rows at most that the recurrence walks down before it starts afresh, which bounds its drift: relative errors
+/// of 2⁻²⁴ in the ratio of rows grow to 7·10⁻⁵ in the last one at most.
+const RUN: usize = 32;
 
-const IOTA: Lanes = {
-    let mut v = [0.0; LANES];
-    let mut i = 0;
-    while i < LANES {
-        v[i] = i as f32;
-        i += 1;
-    }
-    v
-};
+/// Largest `−log₂` of a Gaussian that the recurrence may start from, and of the ratio between rows: beyond it f32 would
+/// underflow.
+const REACH: f32 = 110.0;
 
-#[inline(always)]
-pub(crate) fn lanes(f: impl Fn(usize) -> f32) -> Lanes {
-    // Not `array::from_fn`: that is a call of its own, which the dispatched instruction sets do not reach.
-    let mut v = [0.0; LANES];
-    let mut i = 0;
-    while i < LANES {
-        v[i] = f(i);
-        i += 1;
-    }
-    v
+/// A primitive on consecutive sampled rows, `2^((a·dx + b·dy)·dx + c·dy²)`.
+#[derive(Clone, Copy)]
+struct Run {
+    a: f32,
+    b: f32,
+    c: f32,
+    /// Distance of the first row from the centre, and of rows from each other.
+    dy: f32,
+    step: f32,
+    /// Factor between the ratios of neighbouring rows.
+    bend: f32,
 }
 
-/// `2^q` for `q ≤ 0`, relative error below 3e−7; 0 where the result would underflow.
-// The polynomial's linear term is close to ln 2, not equal.
-#[allow(clippy::approx_constant)]
-#[inline(always)]
-pub(crate) fn exp2(q: Lanes) -> Lanes {
-    const MAGIC: f32 = 12_582_912.0; // 1.5·2²³: adding it rounds to an integer
-    lanes(|i| {
-        let x = if q[i] > -126.0 { q[i] } else { -126.0 };
-        let m = x + MAGIC;
-        let f = x - (m - MAGIC);
-        let p = 1.327_647e-3;
-        let p = p * f + 9.675_541e-3;
-        let p = p * f + 5.550_713e-2;
-        let p = p * f + 2.402_212e-1;
-        let p = p * f + 6.931_47e-1;
-        let p = p * f + 1.0;
-        f32::from_bits((m.to_bits() << 23).wrapping_add(p.to_bits()))
-    })
-}
-
-/// The exponentials of one row of a primitive, without the shift at the cutoff.
-pub(crate) struct RowExponent {
-    qa: f32,
-    qb: f32,
-    qc: f32,
-    cx: f32,
-}
-
-impl RowExponent {
+impl Run {
     #[inline(always)]
-    pub(crate) fn new(p: &Projected, dy: f32) -> Self {
+    fn new(p: &Projected, dy: f32, step: f32) -> Self {
         const L2E: f32 = std::f32::consts::LOG2_E;
         let [a, b, c] = p.conic;
-        RowExponent { qa: -0.5 * L2E * a, qb: -L2E * b * dy, qc: -0.5 * L2E * c * dy * dy, cx: p.center[0] }
+        let c = -0.5 * L2E * c;
+        Run { a: -0.5 * L2E * a, b: -L2E * b, c, dy, step, bend: (2.0 * c * step * step).max(-126.0).exp2() }
     }
 
-    /// Distances `dx` from the centre and `exp(−d²/2)` for the pixels from `x` on.
+    /// The exponent on the first row.
     #[inline(always)]
-    pub(crate) fn at(&self, x: usize) -> (Lanes, Lanes) {
-        let x0 = x as f32 - self.cx;
-        let dx = lanes(|i| IOTA[i] + x0);
-        let e = exp2(lanes(|i| (self.qa * dx[i] + self.qb) * dx[i] + self.qc));
-        (dx, e)
+    fn exponent(&self, dx: f32) -> f32 {
+        (self.a * dx + self.b * self.dy) * dx + self.c * self.dy * self.dy
+    }
+
+    /// How much the exponent grows to the second row.
+    #[inline(always)]
+    fn growth(&self, dx: f32) -> f32 {
+        self.step * (self.b * dx + self.c * (2.0 * self.dy + self.step))
+    }
+
+    /// Whether eight columns from `dx` on may be walked down by recurrence. Exponents are concave along the row, so their
+    /// least is at an end.
+    #[inline(always)]
+    fn is_mild(&self, dx: f32) -> bool {
+        let last = dx + (simd::LANES - 1) as f32;
+        self.exponent(dx).min(self.exponent(last)) > -REACH
+            && self.growth(dx).abs().max(self.growth(last).abs()) < REACH
+            && self.bend > 1e-9
+    }
+
+    /// The Gaussian on the first row and the ratio of the second to it.
+    #[inline(always)]
+    fn start<S: Simd>(&self, simd: S, dx: S::Vector) -> (S::Vector, S::Vector) {
+        let growth = simd.add(
+            simd.mul(simd.splat(self.step * self.b), dx),
+            simd.splat(self.step * self.c * (2.0 * self.dy + self.step)),
+        );
+        (self.at(simd, dx, self.dy), simd.exp2(growth))
+    }
+
+    /// The Gaussian at distance `dy` from the centre.
+    #[inline(always)]
+    fn at<S: Simd>(&self, simd: S, dx: S::Vector, dy: f32) -> S::Vector {
+        let slope = simd.add(simd.mul(simd.splat(self.a), dx), simd.splat(self.b * dy));
+        simd.exp2(simd.add(simd.mul(slope, dx), simd.splat(self.c * dy * dy)))
     }
 }
 
+/// `p` itself at the eight pixels from `x` on, in a row that is `dy` from its centre.
 #[inline(always)]
-pub(crate) fn load(plane: &[f32], x: usize) -> Lanes {
-    plane[x..x + LANES].try_into().expect("LANES long")
+pub(crate) fn at<S: Simd>(simd: S, p: &Projected, x: usize, dy: f32) -> S::Vector {
+    let dx = simd.add(simd.index(), simd.splat(x as f32 - p.center[0]));
+    Run::new(p, dy, 1.0).at(simd, dx, dy)
 }
 
-#[inline(always)]
-pub(crate) fn store(plane: &mut [f32], x: usize, v: &Lanes) {
-    plane[x..x + LANES].copy_from_slice(v);
+/// Eight columns side by side.
+#[derive(Clone, Copy)]
+pub(crate) struct Strip<S: Simd> {
+    /// The first of them.
+    pub x: usize,
+    /// Their distances from the centre.
+    pub dx: S::Vector,
+    /// What the Gaussian has to exceed: [`CUTOFF_WEIGHT`], and more than it ever is in columns that are not to be visited.
+    pub edge: S::Vector,
 }
 
-/// Adds the weights of `p` in row `y`, times its colour, to `C` colour planes, and the weights to a last plane.
-/// `row` holds the `C + 1` planes, `stride` floats each.
-#[inline(always)]
-pub(crate) fn splat_row<const C: usize>(p: &Projected, y: u32, width: u32, row: &mut [f32], stride: usize) {
-    splat_signed::<C>(p, y, width, row, stride, 1.0);
+/// What is done with a primitive's pixels.
+pub(crate) trait Visit<S: Simd> {
+    /// Before the rows of a strip.
+    #[inline(always)]
+    fn enter(&mut self, _simd: S, _strip: &Strip<S>) {}
+
+    /// Row `i` of those that are visited, at distance `dy` from the centre, where the Gaussian is `g`; it may be less than
+    /// the edge.
+    fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, dy: S::Vector);
+
+    /// After the rows of a strip.
+    #[inline(always)]
+    fn leave(&mut self, _simd: S, _strip: &Strip<S>) {}
 }
 
-/// As [`splat_row`], with the weights times `sign`.
+/// Visits the pixels of `p` in `count` rows, the first of them `dy` from the centre, the others `step` from each other. Of
+/// those outside `columns` the last strip may hold some, with an edge that nothing exceeds.
 #[inline(always)]
-pub(crate) fn splat_signed<const C: usize>(
+pub(crate) fn walk<S: Simd>(
+    simd: S,
     p: &Projected,
-    y: u32,
+    (mut dy, step, count): (f32, f32, usize),
+    columns: std::ops::Range<usize>,
+    visitor: &mut impl Visit<S>,
+) {
+    let mut first = 0;
+    while first < count {
+        let end = count.min(first + RUN);
+        let run = Run::new(p, dy, step);
+        let (left, right) = p.columns(dy, dy + step * (end - first - 1) as f32);
+        let right = right.min(columns.end);
+        let mut x = left.max(columns.start);
+        while x < right {
+            let start = x as f32 - p.center[0];
+            let mut edge = simd.splat(CUTOFF_WEIGHT);
+            if x + simd::LANES > columns.end {
+                let beyond = simd.sub(simd.index(), simd.splat((columns.end - x) as f32 - 0.5));
+                edge = simd.max(edge, simd.mul(beyond, simd.splat(1e9)));
+            }
+            let strip = Strip { x, dx: simd.add(simd.index(), simd.splat(start)), edge };
+            visitor.enter(simd, &strip);
+            let (mut y, down) = (simd.splat(dy), simd.splat(step));
+            if run.is_mild(start) {
+                let (mut g, mut ratio) = run.start(simd, strip.dx);
+                let bend = simd.splat(run.bend);
+                for i in first..end {
+                    visitor.pixels(simd, &strip, i, g, y);
+                    g = simd.mul(g, ratio);
+                    ratio = simd.mul(ratio, bend);
+                    y = simd.add(y, down);
+                }
+            } else {
+                for i in first..end {
+                    let g = run.at(simd, strip.dx, dy + step * (i - first) as f32);
+                    visitor.pixels(simd, &strip, i, g, y);
+                    y = simd.add(y, down);
+                }
+            }
+            visitor.leave(simd, &strip);
+            x += simd::LANES;
+        }
+        dy += step * (end - first) as f32;
+        first = end;
+    }
+}
+
+/// Adds the weights of `p`, times `sign`, to sums: times its colour to `C` planes, and as they are to a last one.
+///
+/// `planes` holds the sampled rows from index `first` on, each `C + 1` planes of `stride` floats. Rows that are not there
+/// are left out.
+#[inline(always)]
+pub(crate) fn splat<S: Simd, const C: usize>(
+    simd: S,
+    p: &Projected,
+    (rows, first): (RowSet, usize),
     width: u32,
-    row: &mut [f32],
-    stride: usize,
+    (planes, stride): (&mut [f32], usize),
     sign: f32,
 ) {
-    let Some((first, end, dy)) = p.span(y, width) else { return };
-    let exponent = RowExponent::new(p, dy);
-    let mut x = first;
-    while x < end {
-        let (_, e) = exponent.at(x);
-        let w = lanes(|i| if e[i] > CUTOFF_WEIGHT { (e[i] - CUTOFF_WEIGHT) * sign } else { 0.0 });
+    let size = (C + 1) * stride;
+    let from = rows.index(p.rows[0]).max(first);
+    let end = rows.index(p.rows[1]).min(first + planes.len() / size);
+    if from >= end {
+        return;
+    }
+    let mut color = [simd.splat(0.0); C];
+    for (color, value) in color.iter_mut().zip(p.color) {
+        *color = simd.splat(value * sign);
+    }
+    let planes = &mut planes[(from - first) * size..(end - first) * size];
+    let mut deposit = Deposit { color, sign: simd.splat(sign), planes, stride };
+    walk(simd, p, (rows.row(from) as f32 - p.center[1], rows.step as f32, end - from), 0..width as usize, &mut deposit);
+}
+
+/// Adds weights to sums.
+struct Deposit<'a, S: Simd, const C: usize> {
+    /// Times the sign.
+    color: [S::Vector; C],
+    sign: S::Vector,
+    planes: &'a mut [f32],
+    stride: usize,
+}
+
+impl<S: Simd, const C: usize> Visit<S> for Deposit<'_, S, C> {
+    #[inline(always)]
+    fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, _dy: S::Vector) {
+        let row = &mut self.planes[i * (C + 1) * self.stride + strip.x..];
+        let w = simd.max(simd.sub(g, strip.edge), simd.splat(0.0));
         for k in 0..C {
-            let old = load(row, k * stride + x);
-            store(row, k * stride + x, &lanes(|i| old[i] + w[i] * p.color[k]));
+            let sums = &mut row[k * self.stride..];
+            simd.write(sums, simd.add(simd.read(sums), simd.mul(w, self.color[k])));
         }
-        let old = load(row, C * stride + x);
-        store(row, C * stride + x, &lanes(|i| old[i] + w[i]));
-        x += LANES;
+        let sums = &mut row[C * self.stride..];
+        simd.write(sums, simd.add(simd.read(sums), simd.mul(w, self.sign)));
     }
 }
 
@@ -125,71 +215,194 @@ pub(crate) fn splat_signed<const C: usize>(
 #[derive(Clone, Copy)]
 pub(crate) struct Moments<const C: usize> {
     /// `Σ w g` for each channel.
-    pub color: [Lanes; C],
-    /// `Σ e v`, with `dx`, `dy`, `dx²`, `dx dy`, `dy²` in front, where `v = Σ g c − h`.
-    pub geometry: [Lanes; 6],
+    pub color: [f32; C],
+    /// `Σ e v` times `dx`, `dy`, `dx²`, `dx dy` and `dy²`, where `v = Σ g c − h`.
+    pub geometry: [f32; 5],
 }
 
-impl<const C: usize> Moments<C> {
-    #[inline(always)]
-    pub(crate) fn zero() -> Self {
-        Moments { color: [[0.0; LANES]; C], geometry: [[0.0; LANES]; 6] }
-    }
-}
-
-/// Sum of the lanes, in pairs, so that the order is fixed.
+/// The moments of `p` over the gradient planes of all its sampled rows: for each, `C` of `∂L/∂(Σwc)`, then `h`, `stride`
+/// floats each.
 #[inline(always)]
-pub(crate) fn total(v: &Lanes) -> f32 {
-    let mut t = *v;
-    let mut n = LANES / 2;
-    while n > 0 {
-        for i in 0..n {
-            t[i] += t[i + n];
-        }
-        n /= 2;
-    }
-    t[0]
-}
-
-/// Gathers row `y` of the gradient planes (`C` of `∂L/∂(Σwc)`, then `h`) under `p` into `m`.
-#[inline(always)]
-pub(crate) fn gather_row<const C: usize>(
+pub(crate) fn gather<S: Simd, const C: usize>(
+    simd: S,
     p: &Projected,
-    y: u32,
+    rows: RowSet,
     width: u32,
-    row: &[f32],
-    stride: usize,
-    m: &mut Moments<C>,
-) {
-    let Some((first, end, dy)) = p.span(y, width) else { return };
-    let exponent = RowExponent::new(p, dy);
-    let (mut v0, mut v1, mut v2) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-    let mut x = first;
-    while x < end {
-        let (dx, e) = exponent.at(x);
-        // Runs may overhang the span: outside the support both the weight and its derivative are 0.
-        let e = lanes(|i| if e[i] > CUTOFF_WEIGHT { e[i] } else { 0.0 });
-        let w = lanes(|i| if e[i] > CUTOFF_WEIGHT { e[i] - CUTOFF_WEIGHT } else { 0.0 });
-        let h = load(row, C * stride + x);
-        let mut v = lanes(|i| -h[i]);
-        for k in 0..C {
-            let g = load(row, k * stride + x);
-            m.color[k] = lanes(|i| m.color[k][i] + w[i] * g[i]);
-            v = lanes(|i| v[i] + g[i] * p.color[k]);
-        }
-        let t = lanes(|i| e[i] * v[i]);
-        let tx = lanes(|i| t[i] * dx[i]);
-        v0 = lanes(|i| v0[i] + t[i]);
-        v1 = lanes(|i| v1[i] + tx[i]);
-        v2 = lanes(|i| v2[i] + tx[i] * dx[i]);
-        x += LANES;
+    (planes, stride): (&[f32], usize),
+) -> Moments<C> {
+    let zero = simd.splat(0.0);
+    let mut color = [zero; C];
+    for (color, value) in color.iter_mut().zip(p.color) {
+        *color = simd.splat(value);
     }
-    let g = &mut m.geometry;
-    let t01 = lanes(|i| dy * v0[i]);
-    g[0] = lanes(|i| g[0][i] + v0[i]);
-    g[1] = lanes(|i| g[1][i] + v1[i]);
-    g[2] = lanes(|i| g[2][i] + t01[i]);
-    g[3] = lanes(|i| g[3][i] + v2[i]);
-    g[4] = lanes(|i| g[4][i] + dy * v1[i]);
-    g[5] = lanes(|i| g[5][i] + dy * t01[i]);
+    let (from, end) = (rows.index(p.rows[0]), rows.index(p.rows[1]));
+    let planes = &planes[from * (C + 1) * stride..];
+    let mut gather = Gather { color, planes, stride, colors: [zero; C], geometry: [zero; 5], strip: [zero; 3] };
+    if from < end {
+        walk(
+            simd,
+            p,
+            (rows.row(from) as f32 - p.center[1], rows.step as f32, end - from),
+            0..width as usize,
+            &mut gather,
+        );
+    }
+    let mut moments = Moments { color: [0.0; C], geometry: [0.0; 5] };
+    for (sum, v) in moments.color.iter_mut().zip(gather.colors) {
+        *sum = simd.sum(v);
+    }
+    for (sum, v) in moments.geometry.iter_mut().zip(gather.geometry) {
+        *sum = simd.sum(v);
+    }
+    moments
+}
+
+/// Sums moments.
+struct Gather<'a, S: Simd, const C: usize> {
+    color: [S::Vector; C],
+    planes: &'a [f32],
+    stride: usize,
+    colors: [S::Vector; C],
+    geometry: [S::Vector; 5],
+    /// `Σ e v` times 1, `dy` and `dy²` over a strip.
+    strip: [S::Vector; 3],
+}
+
+impl<S: Simd, const C: usize> Visit<S> for Gather<'_, S, C> {
+    #[inline(always)]
+    fn enter(&mut self, simd: S, _: &Strip<S>) {
+        self.strip = [simd.splat(0.0); 3];
+    }
+
+    #[inline(always)]
+    fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, dy: S::Vector) {
+        let row = &self.planes[i * (C + 1) * self.stride + strip.x..];
+        // Columns may lie outside the support, where both the weight and its derivative are 0.
+        let e = simd.keep_above(g, g, strip.edge);
+        let w = simd.max(simd.sub(g, strip.edge), simd.splat(0.0));
+        let mut v = simd.sub(simd.splat(0.0), simd.read(&row[C * self.stride..]));
+        for k in 0..C {
+            let gradient = simd.read(&row[k * self.stride..]);
+            self.colors[k] = simd.add(self.colors[k], simd.mul(w, gradient));
+            v = simd.add(v, simd.mul(gradient, self.color[k]));
+        }
+        let t = simd.mul(e, v);
+        let ty = simd.mul(t, dy);
+        self.strip[0] = simd.add(self.strip[0], t);
+        self.strip[1] = simd.add(self.strip[1], ty);
+        self.strip[2] = simd.add(self.strip[2], simd.mul(ty, dy));
+    }
+
+    #[inline(always)]
+    fn leave(&mut self, simd: S, strip: &Strip<S>) {
+        let [t, ty, tyy] = self.strip;
+        let tx = simd.mul(t, strip.dx);
+        let sums = [tx, ty, simd.mul(tx, strip.dx), simd.mul(ty, strip.dx), tyy];
+        for (sum, v) in self.geometry.iter_mut().zip(sums) {
+            *sum = simd.add(*sum, v);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::project::Primitive;
+    use crate::gaussian::CUTOFF;
+    use crate::simd::{Plain, Task};
+
+    const WIDTH: u32 = 83;
+    const HEIGHT: u32 = 71;
+    const STRIDE: usize = 96;
+
+    /// Round ones, needles, giants and such as are narrower than a pixel, in and beside the picture.
+    fn primitives() -> Vec<Primitive> {
+        (0..600u32)
+            .map(|i| {
+                let f = |k: u32| (f64::from(i) * f64::from(k).sqrt()).fract() as f32;
+                let long = [0.3, 2.0, 9.0, 60.0, 900.0][i as usize % 5] * (0.5 + f(2));
+                Primitive {
+                    mean: [f(3) * 110.0 - 14.0, f(5) * 100.0 - 14.0],
+                    log_scale: [long.ln(), (long * f(7).max(0.01)).max(0.25).ln()],
+                    rotation: f(11) * 4.0,
+                    color: [0.8, -0.3, 0.5, 0.0],
+                }
+            })
+            .collect()
+    }
+
+    struct Draw<'a>(&'a Projected, RowSet, &'a mut [f32]);
+
+    impl Task for Draw<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn run<S: Simd>(self, simd: S) {
+            splat::<S, 3>(simd, self.0, (self.1, 0), WIDTH, (self.2, STRIDE), 1.0);
+        }
+    }
+
+    struct Sum<'a>(&'a Projected, RowSet, &'a [f32]);
+
+    impl Task for Sum<'_> {
+        type Output = Moments<3>;
+
+        #[inline(always)]
+        fn run<S: Simd>(self, simd: S) -> Moments<3> {
+            gather::<S, 3>(simd, self.0, self.1, WIDTH, (self.2, STRIDE))
+        }
+    }
+
+    fn row_sets() -> [RowSet; 3] {
+        [RowSet::ALL, RowSet { step: 2, phase: 1 }, RowSet { step: 5, phase: 3 }]
+    }
+
+    #[test]
+    fn weights_are_those_of_f64_for_round_and_stiff_shapes() {
+        for (i, p) in primitives().iter().enumerate() {
+            let rows = row_sets()[i % 3];
+            let projected = Projected::new(p, HEIGHT);
+            let mut planes = vec![0.0; rows.count(HEIGHT) * 4 * STRIDE];
+            simd::dispatch(Draw(&projected, rows, &mut planes));
+            let (sin, cos) = f64::from(p.rotation).sin_cos();
+            let [s1, s2] = p.log_scale.map(|l| f64::from(l).exp());
+            for r in 0..rows.count(HEIGHT) {
+                for x in 0..STRIDE {
+                    let [dx, dy] =
+                        [x as f64 + 0.5 - f64::from(p.mean[0]), f64::from(rows.row(r)) + 0.5 - f64::from(p.mean[1])];
+                    let (u, v) = ((cos * dx + sin * dy) / s1, (cos * dy - sin * dx) / s2);
+                    let e = (-0.5 * (u * u + v * v)).exp();
+                    let want = if x < WIDTH as usize { (e - f64::from(CUTOFF_WEIGHT)).max(0.0) } else { 0.0 };
+                    let found = planes[(r * 4 + 3) * STRIDE + x];
+                    // The exponent's terms cancel: up to `(dx² + dy²)/s₂²` in units of f32's last place.
+                    let size = ((dx * dx + dy * dy) / (s2 * s2)).min(400.0 * f64::from(CUTOFF).powi(2));
+                    // `exp2` is off by 2·10⁻⁷ in the first ratio, and each row rounds the ratio and its bend by 2⁻²⁴.
+                    let rounding = f64::from(f32::EPSILON) / 2.0;
+                    let drift = RUN as f64 * (2e-7 + rounding) + (RUN * RUN) as f64 * rounding;
+                    let tolerance = drift + 1e-6 + 3e-7 * size;
+                    assert!((f64::from(found) - want).abs() < tolerance, "{p:?} {x} {r}: {found} for {want}");
+                    let color = planes[(r * 4) * STRIDE + x];
+                    assert!((color - 0.8 * found).abs() < 1e-6);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn every_instruction_set_gives_the_same_bits() {
+        let noise: Vec<f32> =
+            (0..HEIGHT as usize * 4 * STRIDE).map(|i| ((i * 7919) % 1000) as f32 * 1e-3 - 0.4).collect();
+        for (i, p) in primitives().iter().enumerate() {
+            let rows = row_sets()[i % 3];
+            let projected = Projected::new(p, HEIGHT);
+            let [mut found, mut want] = [(); 2].map(|()| vec![0.0; rows.count(HEIGHT) * 4 * STRIDE]);
+            simd::dispatch(Draw(&projected, rows, &mut found));
+            Draw(&projected, rows, &mut want).run(Plain);
+            assert_eq!(found, want, "{p:?}");
+            let [found, want] =
+                [simd::dispatch(Sum(&projected, rows, &noise)), Sum(&projected, rows, &noise).run(Plain)];
+            assert_eq!((found.color, found.geometry), (want.color, want.geometry), "{p:?}");
+            assert!(found.color.iter().chain(&found.geometry).all(|v| v.is_finite()), "{p:?}");
+        }
+    }
 }

@@ -41,6 +41,8 @@ pub(crate) struct Projected {
     pub rest: f32,
     /// `1 / a`.
     pub inv_a: f32,
+    /// How far below the centre the support's rightmost point lies.
+    pub tip: f32,
     /// First row of the support and the row after the last, within the picture.
     pub rows: [u32; 2],
     /// Colour.
@@ -67,7 +69,8 @@ impl Projected {
         let first = (center[1] - half).ceil().max(0.0);
         let end = ((center[1] + half).floor() + 1.0).clamp(0.0, height as f32);
         let rows = [first.min(end) as u32, end as u32];
-        Projected { center, conic: [a, b, c], shear: b / a, rest: ix * iy / a, inv_a: 1.0 / a, rows, color }
+        let tip = -CUTOFF * b / (ix * iy * c).sqrt();
+        Projected { center, conic: [a, b, c], shear: b / a, rest: ix * iy / a, inv_a: 1.0 / a, tip, rows, color }
     }
 
     /// The pixels of row `y` inside the support, `first..end`, and the row's distance from the centre.
@@ -83,5 +86,19 @@ impl Projected {
         let first = (middle - half).ceil().max(0.0);
         let end = ((middle + half).floor() + 1.0).min(width as f32);
         (first < end).then_some((first as usize, end as usize, dy))
+    }
+
+    /// The pixels `first..end` of a row that the support reaches somewhere between the distances `top` and `bottom` from
+    /// the centre; a little more, as rounding must lose none.
+    #[inline(always)]
+    pub(crate) fn columns(&self, top: f32, bottom: f32) -> (usize, usize) {
+        let edge = |dy: f32, sign: f32| {
+            let half = ((CUTOFF * CUTOFF - self.rest * dy * dy).max(0.0) * self.inv_a).sqrt();
+            self.center[0] - self.shear * dy + sign * (half + 0.01)
+        };
+        let right = edge(self.tip.max(top).min(bottom), 1.0);
+        let left = edge((-self.tip).max(top).min(bottom), -1.0);
+        // Casts saturate, also from below.
+        (left.ceil() as usize, (right.floor() + 1.0) as usize)
     }
 }

@@ -2,13 +2,14 @@
 
 use crate::fit::adam::Memory;
 use crate::fit::field::{Field, Output, RowSet, Scene};
-use crate::fit::kernel::{self, LANES, RowExponent};
+use crate::fit::kernel::{self, Strip, Visit};
 use crate::fit::peaks::{at_peak, peaks};
 use crate::fit::project::Projected;
 use crate::fit::target::Target;
 use crate::fit::{State, project_all};
-use crate::gaussian::{Blend, CUTOFF_WEIGHT};
+use crate::gaussian::Blend;
 use crate::parallel;
+use crate::simd::{self, Simd, Task};
 
 /// The rise of the squared error when each primitive is removed, estimated without refitting the others.
 ///
@@ -21,21 +22,20 @@ pub(crate) fn removal_costs(
     projected: &[Projected],
 ) -> Vec<f32> {
     const CHUNK: usize = 64;
-    let arch = pulp::Arch::new();
     let chunks = projected.len().div_ceil(CHUNK);
     parallel::map(chunks, |chunk| {
         let projected = &projected[chunk * CHUNK..projected.len().min((chunk + 1) * CHUNK)];
         match target.channels.count() {
-            1 => arch.dispatch(CostTask::<1> { scene, target, field, rows, projected }),
-            2 => arch.dispatch(CostTask::<2> { scene, target, field, rows, projected }),
-            3 => arch.dispatch(CostTask::<3> { scene, target, field, rows, projected }),
-            _ => arch.dispatch(CostTask::<4> { scene, target, field, rows, projected }),
+            1 => simd::dispatch(CostTask::<1> { scene, target, field, rows, projected }),
+            2 => simd::dispatch(CostTask::<2> { scene, target, field, rows, projected }),
+            3 => simd::dispatch(CostTask::<3> { scene, target, field, rows, projected }),
+            _ => simd::dispatch(CostTask::<4> { scene, target, field, rows, projected }),
         }
     })
     .concat()
 }
 
-/// The costs of a run of primitives; a struct so that `inline(always)` carries the dispatched instruction set inside.
+/// The costs of a run of primitives.
 struct CostTask<'a, const C: usize> {
     scene: &'a Scene,
     target: &'a Target,
@@ -44,63 +44,68 @@ struct CostTask<'a, const C: usize> {
     projected: &'a [Projected],
 }
 
-impl<const C: usize> pulp::WithSimd for CostTask<'_, C> {
+impl<const C: usize> Task for CostTask<'_, C> {
     type Output = Vec<f32>;
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<f32> {
-        let mut out = Vec::with_capacity(self.projected.len());
-        for p in self.projected {
-            out.push(removal_cost::<C>(self.scene, self.target, self.field, self.rows, p));
+    fn run<S: Simd>(self, simd: S) -> Vec<f32> {
+        let CostTask { scene, target, field, rows, projected } = self;
+        let mut out = Vec::with_capacity(projected.len());
+        for p in projected {
+            let (first, end) = (rows.index(p.rows[0]), rows.index(p.rows[1]));
+            let mut color = [simd.splat(0.0); C];
+            for (color, value) in color.iter_mut().zip(p.color) {
+                *color = simd.splat(value);
+            }
+            let mut cost = Cost { scene, target, field, rows, first, color, sum: simd.splat(0.0) };
+            if first < end {
+                let dy = rows.row(first) as f32 - p.center[1];
+                kernel::walk(simd, p, (dy, rows.step as f32, end - first), 0..scene.width as usize, &mut cost);
+            }
+            out.push(simd.sum(cost.sum) * rows.step as f32);
         }
         out
     }
 }
 
-#[inline(always)]
-fn removal_cost<const C: usize>(scene: &Scene, target: &Target, field: &Field, rows: RowSet, p: &Projected) -> f32 {
-    let stride = field.stride;
-    let mut sum = [0.0f32; LANES];
-    for index in rows.index(p.rows[0])..rows.index(p.rows[1]) {
-        let Some((first, end, dy)) = p.span(rows.row(index), scene.width) else { continue };
-        let row = field.row(index, C);
-        let exponent = RowExponent::new(p, dy);
-        let amplitude = target.amplitude(rows.row(index));
-        let mut x = first;
-        while x < end {
-            let (_, e) = exponent.at(x);
-            // Lanes beyond the picture's edge have no sums to be compared with.
-            let inside = end - x;
-            let w = kernel::lanes(|i| if e[i] > CUTOFF_WEIGHT && i < inside { e[i] - CUTOFF_WEIGHT } else { 0.0 });
-            let mut distance = [0.0f32; LANES];
-            let mut share = match scene.blend {
-                Blend::Normalized => {
-                    let all = kernel::load(row, C * stride + x);
-                    kernel::lanes(|i| (w[i] / ((all[i] - w[i]).max(0.0) + 0.02)).min(20.0))
-                }
-                Blend::Sum => w,
-            };
-            if let Some(a) = amplitude {
-                let a = kernel::load(a, x);
-                share = kernel::lanes(|i| share[i] * a[i]);
+/// Sums what the picture loses without a primitive.
+struct Cost<'a, S: Simd, const C: usize> {
+    scene: &'a Scene,
+    target: &'a Target,
+    field: &'a Field,
+    rows: RowSet,
+    /// Index of the first row that is visited.
+    first: usize,
+    color: [S::Vector; C],
+    sum: S::Vector,
+}
+
+impl<S: Simd, const C: usize> Visit<S> for Cost<'_, S, C> {
+    #[inline(always)]
+    fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, _dy: S::Vector) {
+        let zero = simd.splat(0.0);
+        let row = &self.field.row(self.first + i, C)[strip.x..];
+        let w = simd.max(simd.sub(g, strip.edge), zero);
+        let mut share = match self.scene.blend {
+            Blend::Normalized => {
+                let rest = simd.max(simd.sub(simd.read(&row[C * self.field.stride..]), w), zero);
+                simd.min(simd.div(w, simd.add(rest, simd.splat(0.02))), simd.splat(20.0))
             }
-            for k in 0..C {
-                match scene.blend {
-                    Blend::Normalized => {
-                        let v = kernel::load(row, k * stride + x);
-                        let d = kernel::lanes(|i| p.color[k] - v[i]);
-                        distance = kernel::lanes(|i| distance[i] + d[i] * d[i]);
-                    }
-                    Blend::Sum => {
-                        distance = kernel::lanes(|i| distance[i] + p.color[k] * p.color[k]);
-                    }
-                }
-            }
-            sum = kernel::lanes(|i| sum[i] + share[i] * share[i] * distance[i]);
-            x += LANES;
+            Blend::Sum => w,
+        };
+        if let Some(a) = self.target.amplitude(self.rows.row(self.first + i)) {
+            share = simd.mul(share, simd.read(&a[strip.x..]));
         }
+        let mut distance = zero;
+        for k in 0..C {
+            let d = match self.scene.blend {
+                Blend::Normalized => simd.sub(self.color[k], simd.read(&row[k * self.field.stride..])),
+                Blend::Sum => self.color[k],
+            };
+            distance = simd.add(distance, simd.mul(d, d));
+        }
+        self.sum = simd.add(self.sum, simd.mul(simd.mul(share, share), distance));
     }
-    kernel::total(&sum) * rows.step as f32
 }
 
 /// Moves at most `count` primitives to peaks, as long as the estimated gain exceeds the removal cost. Returns how many.

@@ -9,7 +9,7 @@ mod cases;
 mod scenes;
 
 use super::adam::Bounds;
-use super::field::{self, Field, Output, RowSet, Scene};
+use super::field::{Field, Output, RowSet, Scene};
 use super::plan::Plan;
 use super::project::{Primitive, Projected};
 use super::target::Target;
@@ -137,13 +137,7 @@ fn gradient_errors(scene: &Scene, pixels: &Pixels, primitives: &[Primitive]) -> 
 }
 
 fn gathered(field: &Field, width: u32, q: &Projected, p: &Primitive, count: usize) -> [f32; 9] {
-    let gather = match count {
-        1 => field::gather::<1>,
-        2 => field::gather::<2>,
-        3 => field::gather::<3>,
-        _ => field::gather::<4>,
-    };
-    let g = gather(field, RowSet::ALL, width, q, p.log_scale, p.rotation);
+    let g = field.gather(count, RowSet::ALL, width, &[*q], &[*p])[0];
     let [c0, c1, c2, c3] = g.color;
     [g.mean[0], g.mean[1], g.log_scale[0], g.log_scale[1], g.rotation, c0, c1, c2, c3]
 }

@@ -5,6 +5,7 @@ use crate::fit::sample::blur;
 use crate::fit::target::Target;
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
+use crate::simd::{self, LANES, Simd, Task};
 
 /// What is added to twice the variance: above SSIM's own `C₂` of 0.0009, so that smooth areas do not take everything.
 const FLOOR: f32 = 0.005;
@@ -194,8 +195,8 @@ impl Loss {
     }
 }
 
-/// Samples that are summed together: as many as registers hold.
-const LANES: usize = 16;
+/// Samples that are summed together: each sum waits for the one before it, so several take turns.
+const TOGETHER: usize = 4 * LANES;
 
 /// The window over every pixel of a plane, whose rows `row` writes, into `out`; outside, the plane is 0. `across` is
 /// as large and is left with what nobody needs.
@@ -208,12 +209,11 @@ fn windowed(
 ) {
     const REACH: usize = TAPS / 2;
     let height = out.len() / width;
-    let arch = pulp::Arch::new();
     parallel::map_chunks(across, width, |y, out| {
         let mut padded = vec![0.0f32; width + 2 * REACH];
         row(y, &mut padded[REACH..REACH + width]);
         let taps: [&[f32]; TAPS] = std::array::from_fn(|k| &padded[k..k + width]);
-        arch.dispatch(Taps { window, taps: &taps, out });
+        simd::dispatch(Taps { window, taps: &taps, out });
     });
     let across = &*across;
     parallel::map_chunks(out, width, |y, out| {
@@ -223,33 +223,35 @@ fn windowed(
         for k in first..last {
             taps[k] = &across[(y + k - REACH) * width..][..width];
         }
-        arch.dispatch(Taps { window: &window[first..last], taps: &taps[first..last], out });
+        simd::dispatch(Taps { window: &window[first..last], taps: &taps[first..last], out });
     });
 }
 
-/// The weighted sum of slices as long as `out`, in their order: the same bits for any instruction set.
+/// The weighted sum of slices as long as `out`, in their order.
 struct Taps<'a> {
     window: &'a [f32],
     taps: &'a [&'a [f32]],
     out: &'a mut [f32],
 }
 
-impl pulp::WithSimd for Taps<'_> {
+impl Task for Taps<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
-        let (chunks, rest) = self.out.as_chunks_mut::<LANES>();
-        let tail = chunks.len() * LANES;
+    fn run<S: Simd>(self, simd: S) {
+        let (chunks, rest) = self.out.as_chunks_mut::<TOGETHER>();
+        let tail = chunks.len() * TOGETHER;
         for (i, out) in chunks.iter_mut().enumerate() {
-            let mut sums = [0.0f32; LANES];
-            for (w, tap) in self.window.iter().zip(self.taps) {
-                let tap: &[f32; LANES] = tap[i * LANES..][..LANES].try_into().expect("as long as asked for");
-                for (s, v) in sums.iter_mut().zip(tap) {
-                    *s += w * v;
+            let mut sums = [simd.splat(0.0); TOGETHER / LANES];
+            for (&w, tap) in self.window.iter().zip(self.taps) {
+                let w = simd.splat(w);
+                for (j, sum) in sums.iter_mut().enumerate() {
+                    *sum = simd.add(*sum, simd.mul(w, simd.read(&tap[i * TOGETHER + j * LANES..])));
                 }
             }
-            *out = sums;
+            for (j, sum) in sums.into_iter().enumerate() {
+                simd.write(&mut out[j * LANES..], sum);
+            }
         }
         rest.fill(0.0);
         for (w, tap) in self.window.iter().zip(self.taps) {

@@ -1,9 +1,9 @@
 //! The picture to fit, as padded planes of floats.
 
-use crate::fit::kernel::LANES;
 use crate::gaussian::Channels;
 use crate::parallel;
 use crate::pixels::Pixels;
+use crate::simd::LANES;
 
 /// Rows of `channels` planes, each `stride` floats long: `width` samples, then zeros.
 #[derive(Debug, Clone)]
@@ -19,7 +19,7 @@ pub(crate) struct Target {
     pub mean: [f32; 4],
 }
 
-/// Length of a plane's row: a run may start at the last pixel.
+/// Length of a plane's row: a strip may start at the last pixel.
 pub(crate) fn stride(width: u32) -> usize {
     (width as usize).next_multiple_of(LANES) + LANES
 }

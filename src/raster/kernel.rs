@@ -2,10 +2,10 @@
 //!
 //! A strip is as wide as one AVX register and, with its planes side by side, small enough for the first-level cache.
 
-use super::lanes::{LANES, Lanes, Plain, Simd};
 use super::project::{SUPPORT, Splat, Splats};
 use super::samples::{Codes, Sample};
 use crate::gaussian::{Blend, EPSILON};
+use crate::simd::{LANES, Lanes, Simd, Task};
 
 /// Columns of a tile.
 pub(super) const TILE_WIDTH: usize = 128;
@@ -62,24 +62,12 @@ pub(super) struct Job<'a, 'b, T> {
     pub out: &'a mut [&'b mut [T]],
 }
 
-impl<T: Sample> Job<'_, '_, T> {
-    /// Draws the tile with the best instructions that the machine has.
-    pub fn run(self) {
-        #[cfg(target_arch = "x86_64")]
-        if let Some(simd) = pulp::x86::V3::try_new() {
-            return simd.vectorize(OnAvx2(simd, self));
-        }
-        self.run_with(Plain);
-    }
+impl<T: Sample> Task for Job<'_, '_, T> {
+    type Output = ();
 
-    /// Draws the tile with the instructions that the crate is compiled for.
-    #[cfg(test)]
-    pub fn run_plain(self) {
-        self.run_with(Plain);
-    }
-
+    /// Draws the tile.
     #[inline(always)]
-    fn run_with<S: Simd>(self, simd: S) {
+    fn run<S: Simd>(self, simd: S) {
         match (self.scene.blend, self.scene.channels) {
             (Blend::Normalized, 1) => draw::<S, T, 1, 2>(simd, self),
             (Blend::Normalized, 2) => draw::<S, T, 2, 3>(simd, self),
@@ -90,21 +78,6 @@ impl<T: Sample> Job<'_, '_, T> {
             (Blend::Sum, 3) => draw::<S, T, 3, 3>(simd, self),
             (Blend::Sum, _) => draw::<S, T, 4, 4>(simd, self),
         }
-    }
-}
-
-/// A named operation and not a closure: a closure's body would not be inlined into the function that is compiled
-/// for AVX2, and run without it.
-#[cfg(target_arch = "x86_64")]
-struct OnAvx2<'a, 'b, T>(pulp::x86::V3, Job<'a, 'b, T>);
-
-#[cfg(target_arch = "x86_64")]
-impl<T: Sample> pulp::NullaryFnOnce for OnAvx2<'_, '_, T> {
-    type Output = ();
-
-    #[inline(always)]
-    fn call(self) {
-        self.1.run_with(self.0);
     }
 }
 

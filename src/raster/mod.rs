@@ -24,11 +24,8 @@
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 
-#[cfg(target_arch = "x86_64")]
-mod avx2;
 mod bins;
 mod kernel;
-mod lanes;
 mod project;
 pub mod reference;
 mod renderer;

@@ -4,12 +4,12 @@
 //! With `u = rise·dy − shear·dx` and `v = run·dx`, where `(dx, dy)` is the offset from the mean in pixels of that grid,
 //! the Gaussian is `2^(level − u² − v²)`. Large offsets cancel in `u`, so these are f64 up to the corner of a strip.
 
-use super::lanes::LANES;
 use super::view::View;
 use crate::error::{Error, Result};
 use crate::gaussian::{CUTOFF, CUTOFF_WEIGHT, Gaussian};
 use crate::limits::Limits;
 use crate::parallel;
+use crate::simd::LANES;
 
 /// `u² + v²` at the edge of the support: `K²/2 · log₂ e`.
 pub(super) const SUPPORT: f64 = 0.5 * (CUTOFF as f64) * (CUTOFF as f64) * std::f64::consts::LOG2_E;

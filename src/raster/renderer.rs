@@ -9,6 +9,7 @@ use crate::error::{Error, Result};
 use crate::gaussian::{Blend, Channels, Gaussian, Picture};
 use crate::limits::Limits;
 use crate::pixels::{Depth, Pixels, Samples};
+use crate::simd;
 #[cfg(feature = "rayon")]
 use rayon::prelude::*;
 use std::sync::Mutex;
@@ -251,9 +252,9 @@ impl Renderer {
         let mut scratch = self.pool.lock().expect("no tile panics").pop().unwrap_or_default();
         let job = Job { scene, members, window, scratch: &mut scratch, out };
         match self.backend {
-            Dispatch::Detected => job.run(),
+            Dispatch::Detected => simd::dispatch(job),
             #[cfg(test)]
-            Dispatch::Compiled => job.run_plain(),
+            Dispatch::Compiled => simd::Task::run(job, simd::Plain),
         }
         self.pool.lock().expect("no tile panics").push(scratch);
     }

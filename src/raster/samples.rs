@@ -1,7 +1,7 @@
 //! Code values of either depth, written into the caller's buffer.
 
-use super::lanes::{LANES, Simd};
 use crate::pixels::Depth;
+use crate::simd::{LANES, Simd};
 
 /// Where a band of pixels goes: rows one after the other, channels interleaved.
 #[derive(Debug)]

@@ -2,23 +2,48 @@
 //!
 //! Each operation is one IEEE operation a lane and none is fused, so that every instruction set gives the same bits.
 
-/// Columns that one strip of the kernel spans.
-pub(super) const LANES: usize = 8;
+#[cfg(target_arch = "x86_64")]
+mod avx2;
 
-/// Eight floats in memory, one for each column of a strip.
+/// Floats side by side.
+pub(crate) const LANES: usize = 8;
+
+/// Eight floats in memory.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[repr(align(32))]
-pub(super) struct Lanes(pub [f32; LANES]);
+pub(crate) struct Lanes(pub [f32; LANES]);
+
+/// Work that is compiled for each instruction set.
+///
+/// A struct and not a closure: a closure's body would not be inlined into the function that is compiled for AVX2, and run
+/// without it.
+pub(crate) trait Task {
+    type Output;
+
+    /// To be `#[inline(always)]`, as all that it calls in its inner loops.
+    fn run<S: Simd>(self, simd: S) -> Self::Output;
+}
+
+/// Runs `task` with the best instructions that the machine has.
+pub(crate) fn dispatch<T: Task>(task: T) -> T::Output {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(simd) = pulp::x86::V3::try_new() {
+        return simd.vectorize(avx2::OnAvx2(simd, task));
+    }
+    task.run(Plain)
+}
 
 /// Operations on eight floats at once.
 ///
 /// Code that uses it must be inlined into the function that is compiled for the instruction set, so: no closures.
-pub(super) trait Simd: Copy {
+pub(crate) trait Simd: Copy {
     /// Eight floats, in a register if there is one.
     type Vector: Copy;
 
     fn load(self, from: &Lanes) -> Self::Vector;
     fn store(self, to: &mut Lanes, v: Self::Vector);
+    fn vector(self, values: [f32; LANES]) -> Self::Vector;
+    fn to_array(self, v: Self::Vector) -> [f32; LANES];
     fn splat(self, value: f32) -> Self::Vector;
     fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     fn sub(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
@@ -30,12 +55,34 @@ pub(super) trait Simd: Copy {
     fn max(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// The smaller; `b` where either is NaN.
     fn min(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    /// `v` where `a > b`, else 0.
+    fn keep_above(self, v: Self::Vector, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// `p · 2ⁿ` where the low bits of `shifted`'s mantissa are `n`.
     fn scale(self, p: Self::Vector, shifted: Self::Vector) -> Self::Vector;
     /// `floor(v)` for `0 ≤ v < 2²²`.
     fn floor(self, v: Self::Vector) -> [u32; LANES];
     /// Writes `floor(v)` for `0 ≤ v < 256` of three vectors, interleaved.
     fn store_rgb(self, to: &mut [u8; 3 * LANES], v: [Self::Vector; 3]);
+
+    /// The first eight of `from`.
+    #[inline(always)]
+    fn read(self, from: &[f32]) -> Self::Vector {
+        self.vector(*from.first_chunk().expect("eight floats"))
+    }
+
+    /// Over the first eight of `to`.
+    #[inline(always)]
+    fn write(self, to: &mut [f32], v: Self::Vector) {
+        *to.first_chunk_mut().expect("eight floats") = self.to_array(v);
+    }
+
+    /// The sum of all, halves first.
+    #[inline(always)]
+    fn sum(self, v: Self::Vector) -> f32 {
+        let v = self.to_array(v);
+        let [a, b, c, d] = [v[0] + v[4], v[1] + v[5], v[2] + v[6], v[3] + v[7]];
+        (a + c) + (b + d)
+    }
 
     /// 0, 1, 2, …
     #[inline(always)]
@@ -62,7 +109,7 @@ pub(super) trait Simd: Copy {
 
 /// Plain arrays, in loops that compilers may turn into vectors: the twin of every other instruction set.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Plain;
+pub(crate) struct Plain;
 
 #[inline(always)]
 fn zip(a: [f32; LANES], b: [f32; LANES], f: impl Fn(f32, f32) -> f32) -> [f32; LANES] {
@@ -80,6 +127,16 @@ impl Simd for Plain {
     #[inline(always)]
     fn store(self, to: &mut Lanes, v: Self::Vector) {
         to.0 = v;
+    }
+
+    #[inline(always)]
+    fn vector(self, values: [f32; LANES]) -> Self::Vector {
+        values
+    }
+
+    #[inline(always)]
+    fn to_array(self, v: Self::Vector) -> [f32; LANES] {
+        v
     }
 
     #[inline(always)]
@@ -123,6 +180,11 @@ impl Simd for Plain {
     }
 
     #[inline(always)]
+    fn keep_above(self, v: Self::Vector, a: Self::Vector, b: Self::Vector) -> Self::Vector {
+        std::array::from_fn(|i| if a[i] > b[i] { v[i] } else { 0.0 })
+    }
+
+    #[inline(always)]
     fn scale(self, p: Self::Vector, shifted: Self::Vector) -> Self::Vector {
         zip(p, shifted, |p, s| f32::from_bits((s.to_bits() << 23).wrapping_add(p.to_bits())))
     }
@@ -149,7 +211,7 @@ impl Simd for Plain {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
 
     /// What each instruction set promises.
@@ -182,6 +244,14 @@ pub(super) mod tests {
         let want: [u8; 24] = std::array::from_fn(|i| (i / 3 + i % 3 * 100) as u8);
         assert_eq!(bytes, want);
         let nan = simd.splat(f32::NAN);
+        let kept = simd.keep_above(simd.splat(7.0), simd.index(), simd.splat(3.0));
+        assert_eq!(out(kept), [0.0, 0.0, 0.0, 0.0, 7.0, 7.0, 7.0, 7.0]);
+        assert_eq!(out(simd.keep_above(simd.splat(7.0), nan, simd.splat(3.0))), [0.0; LANES]);
+        assert_eq!(simd.sum(simd.index()), 28.0);
+        let mut floats = [9.0; 12];
+        simd.write(&mut floats[2..], simd.index());
+        assert_eq!(floats, [9.0, 9.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 9.0, 9.0]);
+        assert_eq!(out(simd.read(&floats[3..])), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 9.0]);
         assert_eq!(out(simd.max(nan, simd.splat(0.0))), [0.0; LANES]);
         assert_eq!(out(simd.min(nan, simd.splat(1.0))), [1.0; LANES]);
     }

@@ -1,9 +1,21 @@
-//! The kernel's eight lanes in AVX2 registers, through `pulp`'s proof that the machine has them.
+//! Eight lanes in AVX2 registers, through `pulp`'s proof that the machine has them.
 
 use pulp::x86::V3;
-use std::arch::x86_64::{__m128i, __m256};
+use std::arch::x86_64::{__m128i, __m256, _CMP_GT_OQ};
 
-use super::lanes::{LANES, Lanes, Simd};
+use super::{LANES, Lanes, Simd, Task};
+
+/// A task for AVX2.
+pub(super) struct OnAvx2<T>(pub V3, pub T);
+
+impl<T: Task> pulp::NullaryFnOnce for OnAvx2<T> {
+    type Output = T::Output;
+
+    #[inline(always)]
+    fn call(self) -> T::Output {
+        self.1.run(self.0)
+    }
+}
 
 impl Simd for V3 {
     type Vector = __m256;
@@ -16,6 +28,16 @@ impl Simd for V3 {
     #[inline(always)]
     fn store(self, to: &mut Lanes, v: __m256) {
         to.0 = bytemuck::cast(v);
+    }
+
+    #[inline(always)]
+    fn vector(self, values: [f32; LANES]) -> __m256 {
+        bytemuck::cast(values)
+    }
+
+    #[inline(always)]
+    fn to_array(self, v: __m256) -> [f32; LANES] {
+        bytemuck::cast(v)
     }
 
     #[inline(always)]
@@ -59,6 +81,11 @@ impl Simd for V3 {
     }
 
     #[inline(always)]
+    fn keep_above(self, v: __m256, a: __m256, b: __m256) -> __m256 {
+        self.avx._mm256_and_ps(v, self.avx._mm256_cmp_ps::<_CMP_GT_OQ>(a, b))
+    }
+
+    #[inline(always)]
     fn scale(self, p: __m256, shifted: __m256) -> __m256 {
         let exponent = self.avx2._mm256_slli_epi32::<23>(self.avx._mm256_castps_si256(shifted));
         self.avx._mm256_castsi256_ps(self.avx2._mm256_add_epi32(exponent, self.avx._mm256_castps_si256(p)))
@@ -94,7 +121,7 @@ impl Simd for V3 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::lanes::tests::keeps_its_promises;
+    use super::super::tests::keeps_its_promises;
 
     #[test]
     fn avx2_lanes_keep_their_promises() {
