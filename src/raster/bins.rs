@@ -101,9 +101,11 @@ impl Bins {
             let end = end.min(self.count[k]);
             start as usize..end.max(start) as usize
         };
-        let columns = tiles(0, mean[0] - splat.extent[0], mean[0] + splat.extent[0]);
-        let rows = tiles(1, mean[1] - splat.extent[1], mean[1] + splat.extent[1]);
-        if columns.len() <= 1 || rows.len() <= 1 {
+        let [ex, ey] = splat.extent();
+        let columns = tiles(0, mean[0] - ex, mean[0] + ex);
+        let rows = tiles(1, mean[1] - ey, mean[1] + ey);
+        // An extent beyond f32 is infinite: no tile within the box is ruled out.
+        if columns.len() <= 1 || rows.len() <= 1 || (ex + ey).is_infinite() {
             for row in rows {
                 if !f(row * self.count[0] as usize, columns.clone()) {
                     return;
@@ -112,7 +114,6 @@ impl Bins {
             return;
         }
         // In rows the support reaches from `lean·dy − half` to `lean·dy + half`, half = width·√(1 − dy²/extent²).
-        let [ex, ey] = splat.extent;
         let deepest = splat.tip;
         let lean = deepest / ey;
         let width = (ex * ex - deepest * deepest).max(0.0).sqrt();

@@ -216,11 +216,10 @@ fn prepare<S: Simd>(simd: S, members: &[Splat], corner: [f64; 2], rows: usize, l
         list.clear();
     }
     for splat in members {
-        let x = splat.mean[0] - corner[0];
+        let (x, extent) = (splat.mean[0] - corner[0], splat.extent()[0]);
         // Strips that hold a column whose centre may lie within the extent.
-        let first = ((x - splat.extent[0] - 0.5).max(0.0) * (1.0 / LANES as f64)) as i32 as usize;
-        let end =
-            ((x + splat.extent[0] + 0.5).clamp(0.0, TILE_WIDTH as f64) * (1.0 / LANES as f64)).ceil() as i32 as usize;
+        let first = ((x - extent - 0.5).max(0.0) * (1.0 / LANES as f64)) as i32 as usize;
+        let end = ((x + extent + 0.5).clamp(0.0, TILE_WIDTH as f64) * (1.0 / LANES as f64)).ceil() as i32 as usize;
         if first < end {
             cut(simd, splat, corner, rows, first..end, lists);
         }
@@ -238,6 +237,7 @@ fn cut<S: Simd>(
     lists: &mut [Vec<Segment>; STRIPS],
 ) {
     let zero = simd.splat(0.0);
+    let (pitch, limit) = (simd.splat(splat.pitch()), splat.reach());
     let dx = corner[0] + 0.5 - splat.mean[0];
     let dy = corner[1] + 0.5 - splat.mean[1];
     let u_corner = splat.rise * dy - splat.shear * dx;
@@ -261,7 +261,7 @@ fn cut<S: Simd>(
             let v = simd.add(v0, simd.mul(run, lane));
             let half = simd.sqrt(simd.max(simd.sub(simd.splat(SUPPORT as f32), simd.mul(v, v)), zero));
             let u = simd.sub(simd.add(simd.mul(half, simd.splat(sign)), simd.mul(shear, lane)), u0);
-            *edge = simd.mul(u, simd.splat(splat.pitch));
+            *edge = simd.mul(u, pitch);
         }
         // Of the whole tile whatever is shown of it: bits must not depend on that.
         let height = simd.splat(TILE_HEIGHT as f32);
@@ -302,7 +302,7 @@ fn cut<S: Simd>(
             let v = simd.add(simd.splat(v_first.0[k]), simd.mul(run, simd.index()));
             let rest = simd.sub(simd.splat(splat.level), simd.mul(v, v));
             let u = simd.sub(simd.splat(u_first.0[k]), simd.mul(shear, simd.index()));
-            let walk = if reach.0[k] <= splat.reach { Walk::Recurrence } else { Walk::Direct };
+            let walk = if reach.0[k] <= limit { Walk::Recurrence } else { Walk::Direct };
             let Splat { color, edge, .. } = *splat;
             let mut segment = Segment { first, end, walk, color, edge, ..Segment::NONE };
             match walk {

@@ -33,20 +33,16 @@ pub(super) struct Splat {
     pub run: f64,
     /// How far to the right of the mean the support's lowest point (largest y) lies, pixels.
     pub tip: f64,
-    /// Half width and half height of the support's bounding box, pixels.
-    pub extent: [f64; 2],
+    /// Half width and half height of the support's bounding box, pixels, rounded up, at most to infinity.
+    extent: [f32; 2],
     /// Factor between the ratios of neighbouring rows: `2^(−2·rise²)`.
     pub bend: f32,
-    /// Pixels down for each unit of `u`.
-    pub pitch: f32,
     /// What to add to the ratio's exponent for each row of a segment, against `bend`'s rounding: see [`Splat::new`].
     pub drift: f32,
     /// Binary logarithm of the amplitude: 0 unless the filter widens the Gaussian.
     pub level: f32,
     /// What the support's edge subtracts: the amplitude's share of [`CUTOFF_WEIGHT`].
     pub edge: f32,
-    /// Largest `u² + v²` on the first row of a segment that the recurrence may start from; none if negative.
-    pub reach: f32,
     pub color: [f32; 4],
 }
 
@@ -93,26 +89,43 @@ impl Splat {
             shear: rise * (xy / xx),
             run: half / sx,
             tip: cutoff * xy / sy,
-            extent: [cutoff * sx, cutoff * sy],
-            pitch: rise.recip() as f32,
+            extent: [cutoff * sx, cutoff * sy].map(|extent| (extent as f32).next_up()),
             bend,
             drift: drift as f32,
             level: level as f32,
             edge: (amplitude * f64::from(CUTOFF_WEIGHT)) as f32,
-            reach: if steep { -1.0 } else { (RECURRENCE_REACH + level) as f32 },
             color: g.color,
         }
+    }
+
+    /// Half width and half height of a box around the support, pixels: those of its bounding box but for rounding up.
+    #[inline(always)]
+    pub fn extent(&self) -> [f64; 2] {
+        self.extent.map(f64::from)
+    }
+
+    /// Pixels down for each unit of `u`.
+    #[inline(always)]
+    pub fn pitch(&self) -> f32 {
+        self.rise.recip() as f32
+    }
+
+    /// Largest `u² + v²` on the first row of a segment that the recurrence may start from; none if negative.
+    #[inline(always)]
+    pub fn reach(&self) -> f32 {
+        if self.rise > RECURRENCE_RISE { -1.0 } else { (RECURRENCE_REACH + f64::from(self.level)) as f32 }
     }
 
     /// About how many pixels of `view` the kernel visits for it, and no fewer: those within the support's box and no further
     /// than a strip's width from the support.
     pub fn covered(&self, view: &View) -> u64 {
         let side = [view.width, view.height];
+        let extent = self.extent();
         let [wide, high] = std::array::from_fn(|k| {
             let (first, last) = (f64::from(view.offset[k]), f64::from(view.offset[k]) + f64::from(side[k]));
-            (self.mean[k] + self.extent[k]).min(last) - (self.mean[k] - self.extent[k]).max(first) + 1.0
+            (self.mean[k] + extent[k]).min(last) - (self.mean[k] - extent[k]).max(first) + 1.0
         });
-        let [ex, ey] = self.extent;
+        let [ex, ey] = extent;
         // In each row the support is an interval; both of its ends lie in strips that are drawn whole.
         let ellipse = std::f64::consts::PI * (ex * ex - self.tip * self.tip).max(0.0).sqrt() * ey;
         let ends = 2.0 * LANES as f64;
@@ -122,10 +135,10 @@ impl Splat {
 
     /// Whether the support reaches a pixel centre's column and row within the view.
     fn touches(&self, view: &View) -> bool {
-        let side = [view.width, view.height];
+        let (side, extent) = ([view.width, view.height], self.extent());
         (0..2).all(|k| {
             let (first, last) = (f64::from(view.offset[k]), f64::from(view.offset[k]) + f64::from(side[k]));
-            self.mean[k] + self.extent[k] >= first && self.mean[k] - self.extent[k] <= last
+            self.mean[k] + extent[k] >= first && self.mean[k] - extent[k] <= last
         })
     }
 }
