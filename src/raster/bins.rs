@@ -5,6 +5,9 @@ use super::project::{Splat, Splats};
 use super::view::View;
 use crate::error::Result;
 use crate::limits::Limits;
+use crate::parallel;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Pixels of a tile.
 const TILE: u64 = (TILE_WIDTH * TILE_HEIGHT) as u64;
@@ -12,69 +15,100 @@ const TILE: u64 = (TILE_WIDTH * TILE_HEIGHT) as u64;
 /// Pixels that take as long as cutting a Gaussian into the strips of a tile.
 const PAIR_WORK: u64 = 1024;
 
-/// For each tile of a view, in rows from its top left, the Gaussians that touch it, in the picture's order.
-#[derive(Debug)]
-pub(super) struct Bins {
+/// Most groups of consecutive Gaussians that are counted and sorted side by side.
+const GROUPS: usize = 16;
+
+/// Pairs after which a group tells the others about them.
+const UNTOLD: u64 = 1 << 16;
+
+/// The tiles that a view touches.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Tiles {
     /// Column and row of the first tile on the grid.
     pub first: [u32; 2],
     /// Tiles along x and y.
     pub count: [u32; 2],
+}
+
+/// For each tile of a view, in rows from its top left, the Gaussians that touch it, in the picture's order.
+#[derive(Debug)]
+pub(super) struct Bins {
+    pub tiles: Tiles,
     /// Where each tile's list starts in `members`; one more than there are tiles.
     starts: Vec<u32>,
     members: Vec<u32>,
 }
 
+/// Pairs and work of a view: what there is so far, or the most that there may be.
+#[derive(Debug, Clone, Copy)]
+struct Cost {
+    pairs: u64,
+    work: u64,
+}
+
+impl Cost {
+    /// Adds `more` to what all groups have come to, checks it and returns how many pairs are left.
+    fn spend(self, more: &mut Cost, spent: &Mutex<Cost>) -> Result<u64> {
+        let mut spent = spent.lock().expect("no group panics");
+        spent.pairs += more.pairs;
+        spent.work += more.work;
+        *more = Cost { pairs: 0, work: 0 };
+        Limits::check("tile_pairs", spent.pairs, self.pairs)?;
+        Limits::check("work", spent.work, self.work)?;
+        Ok(self.pairs - spent.pairs)
+    }
+}
+
 impl Bins {
     pub fn new(splats: &Splats, view: &View, limits: &Limits) -> Result<Self> {
-        let size = [TILE_WIDTH as u32, TILE_HEIGHT as u32];
-        let side = [view.width, view.height];
-        let first: [u32; 2] = std::array::from_fn(|k| view.offset[k] / size[k]);
-        let count: [u32; 2] = std::array::from_fn(|k| (view.offset[k] + side[k] - 1) / size[k] - first[k] + 1);
-        let tiles = u64::from(count[0]) * u64::from(count[1]);
-        // Where the tiles' lists start, once more while they are filled.
-        let fixed = 2 * (tiles + 1) * 4;
+        let tiles = Tiles::of(view);
+        let number = u64::from(tiles.count[0]) * u64::from(tiles.count[1]);
+        let runs: Vec<(u32, &[Splat])> = splats.runs().collect();
+        // Counts of all groups take no more than the larger of one group's and the Gaussians'.
+        let groups = (splats.len() as u64 / number).clamp(1, GROUPS.min(runs.len()).max(1) as u64);
+        let fixed = (groups + 1) * (number + 1) * 4;
         limits.check_alloc(fixed)?;
-        let allowed = limits.tile_pairs.min(u64::from(u32::MAX));
-        let most_work = limits.most_work(u64::from(view.width) * u64::from(view.height), splats.len() as u64);
-        let mut bins = Bins { first, count, starts: vec![0; tiles as usize + 1], members: Vec::new() };
-        let (mut pairs, mut work) = (0u64, 0u64);
-        for (_, run) in splats.runs() {
-            for splat in run {
-                let mut starts = std::mem::take(&mut bins.starts);
-                let before = pairs;
-                bins.rows(splat, |row, columns| {
-                    pairs += columns.len() as u64;
-                    for tile in columns {
-                        starts[row + tile + 1] += 1;
-                    }
-                    pairs <= allowed
-                });
-                bins.starts = starts;
-                Limits::check("tile_pairs", pairs, allowed)?;
-                work += (pairs - before) * PAIR_WORK + splat.covered(view).min((pairs - before) * TILE);
-                Limits::check("work", work, most_work)?;
-            }
-        }
+        let most = Cost {
+            pairs: limits.tile_pairs.min(u64::from(u32::MAX)),
+            work: limits.most_work(u64::from(view.width) * u64::from(view.height), splats.len() as u64),
+        };
+        let nothing = || Mutex::new(Cost { pairs: 0, work: 0 });
+        let spent = nothing();
+        let groups: Vec<&[(u32, &[Splat])]> = runs.chunks(runs.len().div_ceil(groups as usize).max(1)).collect();
+        let counts: Result<Vec<Vec<u32>>> =
+            parallel::map(groups.len(), |i| tiles.counts(groups[i], view, most, &spent, UNTOLD)).into_iter().collect();
+        let mut slots = match counts {
+            Ok(counts) => counts,
+            // How much the groups have come to when they stop depends on how they took turns; the error must not.
+            Err(error) => return Err(tiles.counts(&runs, view, most, &nothing(), 0).err().unwrap_or(error)),
+        };
+        let pairs = spent.into_inner().expect("no group panics").pairs;
         limits.check_alloc(fixed + pairs * 4)?;
-        for i in 1..bins.starts.len() {
-            bins.starts[i] += bins.starts[i - 1];
-        }
-        let mut next = bins.starts.clone();
-        let mut members = vec![0u32; pairs as usize];
-        for (first, run) in splats.runs() {
-            for (id, splat) in (first..).zip(run) {
-                bins.rows(splat, |row, columns| {
-                    for tile in columns {
-                        let slot = &mut next[row + tile];
-                        members[*slot as usize] = id;
-                        *slot += 1;
-                    }
-                    true
-                });
+        let mut starts = Vec::with_capacity(number as usize + 1);
+        let mut next = 0;
+        for tile in 0..number as usize {
+            starts.push(next);
+            for slots in &mut slots {
+                next += std::mem::replace(&mut slots[tile], next);
             }
         }
-        bins.members = members;
-        Ok(bins)
+        starts.push(next);
+        // Each slot is written once: atomic only so that threads may write side by side.
+        let members: Vec<AtomicU32> = (0..pairs).map(|_| AtomicU32::new(0)).collect();
+        parallel::map_chunks(&mut slots, 1, |group, slots| {
+            for (first, run) in groups[group] {
+                for (id, splat) in (*first..).zip(*run) {
+                    tiles.rows(splat, |row, columns| {
+                        for slot in &mut slots[0][row + columns.start..row + columns.end] {
+                            members[*slot as usize].store(id, Ordering::Relaxed);
+                            *slot += 1;
+                        }
+                        true
+                    });
+                }
+            }
+        });
+        Ok(Bins { tiles, starts, members: members.into_iter().map(AtomicU32::into_inner).collect() })
     }
 
     /// What the lists take, bytes.
@@ -84,8 +118,51 @@ impl Bins {
 
     /// The Gaussians that touch the tile `(column, row)`, counted from the view's first.
     pub fn members(&self, column: u32, row: u32) -> &[u32] {
-        let tile = row as usize * self.count[0] as usize + column as usize;
+        let tile = row as usize * self.tiles.count[0] as usize + column as usize;
         &self.members[self.starts[tile] as usize..self.starts[tile + 1] as usize]
+    }
+}
+
+impl Tiles {
+    fn of(view: &View) -> Self {
+        let (size, side) = ([TILE_WIDTH as u32, TILE_HEIGHT as u32], [view.width, view.height]);
+        let first: [u32; 2] = std::array::from_fn(|k| view.offset[k] / size[k]);
+        let count = std::array::from_fn(|k| (view.offset[k] + side[k] - 1) / size[k] - first[k] + 1);
+        Tiles { first, count }
+    }
+
+    /// How many Gaussians of `runs` touch each tile. Adds to what all groups have `spent` after each run and each `untold`
+    /// pairs, and fails when that is more than `most`.
+    fn counts(
+        &self,
+        runs: &[(u32, &[Splat])],
+        view: &View,
+        most: Cost,
+        spent: &Mutex<Cost>,
+        untold: u64,
+    ) -> Result<Vec<u32>> {
+        let mut counts = vec![0u32; self.count[0] as usize * self.count[1] as usize];
+        let mut new = Cost { pairs: 0, work: 0 };
+        let mut left = most.pairs;
+        for (_, run) in runs {
+            for splat in *run {
+                let before = new.pairs;
+                self.rows(splat, |row, columns| {
+                    new.pairs += columns.len() as u64;
+                    for count in &mut counts[row + columns.start..row + columns.end] {
+                        *count += 1;
+                    }
+                    new.pairs <= left
+                });
+                let pairs = new.pairs - before;
+                new.work += pairs * PAIR_WORK + splat.covered(view).min(pairs * TILE);
+                if new.pairs > untold {
+                    left = most.spend(&mut new, spent)?;
+                }
+            }
+            left = most.spend(&mut new, spent)?;
+        }
+        Ok(counts)
     }
 
     /// Calls `f` with the index of the first tile of each tile row that `splat` touches and the columns that it
@@ -99,7 +176,7 @@ impl Bins {
             let start = (low * (1.0 / size[k])) as u32;
             let end = if high < 0.0 { 0 } else { ((high * (1.0 / size[k])) as u32).saturating_add(1) };
             let end = end.min(self.count[k]);
-            start as usize..end.max(start) as usize
+            start.min(end) as usize..end as usize
         };
         let [ex, ey] = splat.extent();
         let columns = tiles(0, mean[0] - ex, mean[0] + ex);
@@ -130,5 +207,83 @@ impl Bins {
                 return;
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::project::project;
+    use super::*;
+    use crate::error::Error;
+    use crate::gaussian::Gaussian;
+
+    fn splats(count: usize, view: &View) -> Splats {
+        let gaussian = |i: usize| {
+            let f = |k: u32| (i as f64 * f64::from(k).sqrt()).fract() as f32;
+            Gaussian {
+                mean: [2500.0 * f(2) - 200.0, 1700.0 * f(3) - 200.0],
+                scale: [0.25 + 900.0 * f(5).powi(9), 0.25 + 40.0 * f(7) * f(11).powi(3)],
+                rotation: 3.2 * f(13),
+                color: [0.0; 4],
+            }
+        };
+        project(count, gaussian, view, [0.0; 2], &Limits::default()).unwrap()
+    }
+
+    #[test]
+    fn members_stand_in_the_order_of_the_picture() {
+        let full = View::of_size(2100, 1300);
+        for view in [full, full.crop(130, 700, 1500, 333).unwrap(), full.crop(1000, 500, 20, 20).unwrap()] {
+            for count in [0, 1, 5000, 30_000] {
+                let splats = splats(count, &view);
+                let bins = Bins::new(&splats, &view, &Limits::default()).unwrap();
+                let tiles = bins.tiles;
+                let mut want = vec![Vec::new(); (tiles.count[0] * tiles.count[1]) as usize];
+                for (first, run) in splats.runs() {
+                    for (id, splat) in (first..).zip(run) {
+                        tiles.rows(splat, |row, columns| {
+                            columns.for_each(|column| want[row + column].push(id));
+                            true
+                        });
+                    }
+                }
+                let mut total = 0;
+                for (i, want) in want.iter().enumerate() {
+                    let i = i as u32;
+                    assert_eq!(bins.members(i % tiles.count[0], i / tiles.count[0]), want);
+                    total += want.len();
+                }
+                assert!(total >= splats.len() && (count < 5000 || total > 100), "{total}");
+            }
+        }
+    }
+
+    #[test]
+    fn refusals_do_not_depend_on_how_threads_take_turns() {
+        let view = View::of_size(2100, 1300);
+        let splats = splats(60_000, &view);
+        let pairs = Bins::new(&splats, &view, &Limits::default()).unwrap().members.len() as u64;
+        assert!(pairs > 2 * UNTOLD, "{pairs}");
+        let mut limits = Limits::default();
+        for _ in 0..20 {
+            limits.tile_pairs = pairs;
+            assert!(Bins::new(&splats, &view, &limits).is_ok());
+            for allowed in [pairs - 1, pairs / 2, 0] {
+                limits.tile_pairs = allowed;
+                let refusal = |limits| match Bins::new(&splats, &view, limits) {
+                    Err(Error::LimitExceeded { what: "tile_pairs", requested, .. }) => requested,
+                    other => panic!("{other:?}"),
+                };
+                let requested = refusal(&limits);
+                assert!(requested > allowed && requested <= allowed + 17, "{requested} {allowed}");
+                assert_eq!(refusal(&limits), requested);
+            }
+        }
+        limits = Limits::default();
+        limits.work = pairs * PAIR_WORK;
+        assert!(matches!(Bins::new(&splats, &view, &limits), Err(Error::LimitExceeded { what: "work", .. })));
+        limits = Limits::default();
+        limits.alloc = pairs * 4;
+        assert!(matches!(Bins::new(&splats, &view, &limits), Err(Error::LimitExceeded { what: "alloc", .. })));
     }
 }

@@ -123,7 +123,7 @@ impl Renderer {
     /// Number of bands: rows of tiles that the view touches.
     #[must_use]
     pub fn bands(&self) -> u32 {
-        self.bins.count[1]
+        self.bins.tiles.count[1]
     }
 
     /// Columns and rows of the output that a tile holds.
@@ -140,7 +140,7 @@ impl Renderer {
     pub fn band_rows(&self, band: u32) -> std::ops::Range<u32> {
         assert!(band < self.bands(), "band {band} of {}", self.bands());
         let height = self.tile()[1];
-        let tile = (self.bins.first[1] + band) * height;
+        let tile = (self.bins.tiles.first[1] + band) * height;
         let end = tile + height.min(self.view.offset[1] + self.view.height - tile);
         tile.max(self.view.offset[1]) - self.view.offset[1]..end - self.view.offset[1]
     }
@@ -207,7 +207,7 @@ impl Renderer {
     /// The columns of the output's part in a tile that the view shows.
     fn columns(&self, column: u32) -> std::ops::Range<usize> {
         let width = self.tile()[0];
-        let tile = (self.bins.first[0] + column) * width;
+        let tile = (self.bins.tiles.first[0] + column) * width;
         let start = self.view.offset[0].max(tile) - tile;
         let end = width.min(self.view.offset[0] + self.view.width - tile);
         start as usize..end as usize
@@ -217,7 +217,7 @@ impl Renderer {
     fn split<'a, T>(&self, band: &'a mut [T]) -> TileRows<'a, T> {
         let rows = band.len() / self.row_len();
         let mut tiles: TileRows<'a, T> =
-            (0..self.bins.count[0]).map(|column| (column, Vec::with_capacity(rows))).collect();
+            (0..self.bins.tiles.count[0]).map(|column| (column, Vec::with_capacity(rows))).collect();
         for mut row in band.chunks_exact_mut(self.row_len()) {
             for (column, tile) in &mut tiles {
                 let (part, rest) = row.split_at_mut(self.columns(*column).len() * self.channels.count());
@@ -231,12 +231,12 @@ impl Renderer {
     fn draw_tile<T: Sample>(&self, band: u32, column: u32, out: &mut [&mut [T]]) {
         let (columns, rows) = (self.columns(column), self.band_rows(band));
         let [across, down] = self.filter.parts.map(|k| k as usize);
-        let top = (self.bins.first[1] + band) * self.tile()[1];
+        let top = (self.bins.tiles.first[1] + band) * self.tile()[1];
         let in_tile = |row: u32| (row + self.view.offset[1] - top) as usize * down;
         let window = Window {
             corner: [
-                f64::from(self.bins.first[0] + column) * TILE_WIDTH as f64,
-                f64::from(self.bins.first[1] + band) * TILE_HEIGHT as f64,
+                f64::from(self.bins.tiles.first[0] + column) * TILE_WIDTH as f64,
+                f64::from(self.bins.tiles.first[1] + band) * TILE_HEIGHT as f64,
             ],
             columns: columns.start * across..columns.end * across,
             rows: in_tile(rows.start)..in_tile(rows.end),
