@@ -9,24 +9,18 @@
 use crate::bitstream::splats::PackedGaussian;
 use crate::fit::bowl::{Bowl, Moves};
 use crate::fit::field::{Field, Output, RowSet, Scene};
-use crate::fit::is_large;
-use crate::fit::kernel::{self, Strip, Visit};
+use crate::fit::kernel;
+use crate::fit::patch::{Parabola, Patch};
 use crate::fit::project::Projected;
 use crate::fit::rates::Rates;
 use crate::fit::target::Target;
-use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON, Gaussian};
+use crate::gaussian::Gaussian;
 use crate::parallel;
 use crate::quantize::Quantizer;
 use crate::simd::{self, LANES, Simd, Task};
 
 /// Height of the smallest bands, rows.
 const BAND: usize = 96;
-
-/// Rows of a primitive's support, on a large picture, for one that is looked at.
-const TALL: usize = 32;
-
-/// Most rows in one that is looked at.
-const MOST_ROWS: usize = 4;
 
 /// Bits by which a move may look worse than none and still be looked at: how well its colour can be rounded is not
 /// known before.
@@ -227,80 +221,13 @@ struct BandTask<'a, const C: usize> {
     first: usize,
 }
 
-/// The pixels around one primitive, with that primitive taken out.
-#[derive(Default)]
-struct Patch {
-    /// Rows of `2C + 2` planes, `stride` floats each: `Σwc` with `εb` (C), `Σw + ε`, targets (C), squared error.
-    planes: Vec<f32>,
-    stride: usize,
-    columns: std::ops::Range<usize>,
-    rows: std::ops::Range<usize>,
-    /// Only every `step`th of them is there, and counts for all.
-    step: usize,
-    /// Squared error over the patch without the primitive.
-    bare: f32,
-}
-
-/// Error of the patch as a function of the colour: `rest + Σ 2 c·cross + c²·square`, relative to `Patch::bare`.
-#[derive(Clone, Copy)]
-struct Parabola {
-    rest: f32,
-    cross: [f32; 4],
-    square: [f32; 2],
-}
-
-impl Patch {
-    /// Which of the rows that are there lie inside `rows`.
-    fn range(&self, rows: [u32; 2]) -> std::ops::Range<usize> {
-        let [from, to] = rows.map(|y| (y as usize).clamp(self.rows.start, self.rows.end) - self.rows.start);
-        from.div_ceil(self.step)..to.div_ceil(self.step)
-    }
-
-    /// The number in the picture of the `i`th row that is there.
-    #[inline(always)]
-    fn row(&self, i: usize) -> u32 {
-        (self.rows.start + i * self.step) as u32
-    }
-}
-
-impl Parabola {
-    #[inline(always)]
-    fn at(&self, c: [f32; 4], channels: usize) -> f32 {
-        let mut e = self.rest;
-        for k in 0..channels {
-            e += c[k] * (2.0 * self.cross[k] + c[k] * self.square(k, channels));
-        }
-        e
-    }
-
-    /// `Σ r²` of channel `k`; alpha is weighted differently from colour.
-    #[inline(always)]
-    fn square(&self, k: usize, channels: usize) -> f32 {
-        self.square[usize::from(channels.is_multiple_of(2) && k + 1 == channels)]
-    }
-
-    /// The colour of the least error, unless nearly all are as good.
-    #[inline(always)]
-    fn minimum(&self, channels: usize) -> Option<[f32; 4]> {
-        let mut c = [0.0f32; 4];
-        for k in 0..channels {
-            let square = self.square(k, channels);
-            if square < 1e-6 {
-                return None;
-            }
-            c[k] = (-self.cross[k] / square).clamp(-4.0, 4.0);
-        }
-        Some(c)
-    }
-}
-
 impl<const C: usize> Task for BandTask<'_, C> {
     type Output = Vec<Change>;
 
     #[inline(always)]
     fn run<S: Simd>(mut self, simd: S) -> Vec<Change> {
         let mut changes = Vec::new();
-        let mut patch = Patch::default();
+        let mut patch = Patch::new(self.scene, self.target);
         for n in 0..self.members.len() {
             let index = self.members[n];
             let old = self.gaussians[index as usize];
@@ -318,7 +245,7 @@ impl<const C: usize> BandTask<'_, C> {
         &mut self,
         simd: S,
         old: PackedGaussian,
-        patch: &mut Patch,
+        patch: &mut Patch<'_>,
     ) -> Option<(Option<PackedGaussian>, f32)> {
         let height = self.scene.height;
         let before = self.quantizer.dequantize(&old);
@@ -335,11 +262,11 @@ impl<const C: usize> BandTask<'_, C> {
         if left >= right {
             return None;
         }
-        self.cut(simd, &p, rows, (left, right), patch);
+        patch.cut::<S, C>(simd, &p, (rows, left..right), (self.planes, self.first));
 
         let lambda = self.objective.lambda;
         let lattice = self.quantizer.lattice();
-        let now = self.parabola(simd, &p, patch);
+        let now = patch.parabola::<S, C>(simd, &p);
         let current = now.at(p.color, C) + lambda * (self.rates.geometry(&old, lattice) + self.rates.colors(old.color));
         let (mut best, mut best_value) = (old, current);
         let mut consider = |task: &Self, candidate: PackedGaussian, parabola: &Parabola| {
@@ -351,7 +278,7 @@ impl<const C: usize> BandTask<'_, C> {
         };
         consider(self, old, &now);
         // By the envelope theorem the gradient is that of the least error over all colours.
-        let bowl = self.bowl(simd, (&p, &before), now.minimum(C).unwrap_or(p.color), &now, patch);
+        let bowl = patch.bowl::<S, C>(simd, (&p, &before), now.minimum(C).unwrap_or(p.color), &now);
         for candidate in self.moves(&old, &before, &bowl).iter() {
             let g = self.quantizer.dequantize(&candidate);
             let q = Projected::from_gaussian(&g, height);
@@ -362,7 +289,7 @@ impl<const C: usize> BandTask<'_, C> {
                 && q.center[0] + wide
                     <= if right == self.scene.width as usize { f32::INFINITY } else { (right - 1) as f32 };
             if inside && q.rows[0] < q.rows[1] {
-                let parabola = self.parabola(simd, &q, patch);
+                let parabola = patch.parabola::<S, C>(simd, &q);
                 consider(self, candidate, &parabola);
             }
         }
@@ -378,186 +305,6 @@ impl<const C: usize> BandTask<'_, C> {
         let q = Projected::from_gaussian(&self.quantizer.dequantize(&best), height);
         self.paste(simd, &p, Some(&q));
         Some((Some(best), current - best_value))
-    }
-
-    /// Copies the pixels around `p` into `patch`, with `p` taken out.
-    #[inline(always)]
-    fn cut<S: Simd>(
-        &self,
-        simd: S,
-        p: &Projected,
-        rows: std::ops::Range<usize>,
-        (left, right): (usize, usize),
-        patch: &mut Patch,
-    ) {
-        let stride = self.target.stride;
-        let width = (right - left).next_multiple_of(LANES) + LANES;
-        patch.stride = width;
-        patch.columns = left..right;
-        patch.rows = rows.clone();
-        patch.step = self.row_step(p);
-        patch.planes.resize((2 * C + 2) * width * rows.len().div_ceil(patch.step), 0.0);
-        let alpha = self.target.channels.alpha();
-        let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
-        let epsilon = simd.splat(EPSILON);
-        let mut bare = zero;
-        for (y, out) in rows.step_by(patch.step).zip(patch.planes.chunks_exact_mut((2 * C + 2) * width)) {
-            let row = &self.planes[(y - self.first) * (C + 1) * stride..][..(C + 1) * stride];
-            let target = self.target.row(y as u32);
-            let span = p.span(y as u32, self.scene.width);
-            let amplitude = self.target.amplitude(y as u32);
-            for o in (0..width).step_by(LANES) {
-                let x = left + o;
-                // Past the right end of the patch nothing counts.
-                if x >= right {
-                    for k in 0..2 * C + 2 {
-                        simd.write(&mut out[k * width + o..], if k == C { one } else { zero });
-                    }
-                    continue;
-                }
-                let limit = simd.splat((right - x) as f32 - 0.5);
-                let own = match span {
-                    Some((first, end, dy)) if x + LANES > first && x < end => {
-                        let e = kernel::at(simd, p, x, dy);
-                        simd.keep_above(simd.max(simd.sub(e, simd.splat(CUTOFF_WEIGHT)), zero), limit, simd.index())
-                    }
-                    _ => zero,
-                };
-                let all = simd.read(&row[C * stride + x..]);
-                let (with, without) = match self.scene.blend {
-                    Blend::Normalized => {
-                        (simd.add(all, epsilon), simd.add(simd.max(simd.sub(all, own), zero), epsilon))
-                    }
-                    Blend::Sum => (one, one),
-                };
-                let (with, share) = (simd.div(one, with), simd.div(one, without));
-                let mut error = zero;
-                for k in 0..C {
-                    let sum = simd.add(simd.read(&row[k * stride + x..]), simd.splat(self.shift(k)));
-                    let n = simd.sub(sum, simd.mul(own, simd.splat(p.color[k])));
-                    let mut t = simd.read(&target[k * stride + x..]);
-                    // Overshoot of a saturated pixel is clamped away: as long as it stays, it is no error.
-                    let beyond = simd.sub(simd.mul(sum, with), t);
-                    let above = simd.keep_above(simd.max(beyond, zero), t, simd.splat(1.0f32.next_down()));
-                    let below = simd.keep_above(simd.min(beyond, zero), simd.splat(f32::MIN_POSITIVE), t);
-                    t = simd.add(simd.add(t, above), below);
-                    let mut d = simd.sub(simd.mul(n, share), t);
-                    if let Some(a) = alpha.filter(|&a| a != k) {
-                        d = simd.mul(d, simd.read(&target[a * stride + x..]));
-                    }
-                    if let Some(a) = amplitude {
-                        d = simd.mul(d, simd.read(&a[x..]));
-                    }
-                    error = simd.add(error, simd.mul(d, d));
-                    simd.write(&mut out[k * width + o..], n);
-                    simd.write(&mut out[(C + 1 + k) * width + o..], t);
-                }
-                let error = simd.keep_above(error, limit, simd.index());
-                simd.write(&mut out[C * width + o..], without);
-                simd.write(&mut out[(2 * C + 1) * width + o..], error);
-                bare = simd.add(bare, error);
-            }
-        }
-        patch.bare = simd.sum(bare) * patch.step as f32;
-    }
-
-    /// Rows in one that is looked at: on a large picture tall primitives have more pixels than it takes to decide.
-    fn row_step(&self, p: &Projected) -> usize {
-        let tall = (p.rows[1] - p.rows[0]) as usize;
-        if is_large(self.scene) { (tall / TALL).clamp(1, MOST_ROWS) } else { 1 }
-    }
-
-    /// What is added to `Σwc` of channel `k` before the division.
-    #[inline(always)]
-    fn shift(&self, k: usize) -> f32 {
-        match self.scene.blend {
-            Blend::Normalized => EPSILON * self.scene.background[k],
-            Blend::Sum => self.scene.background[k],
-        }
-    }
-
-    /// The error over the patch with `q` in it, for any colour, minus the bare error.
-    #[inline(always)]
-    fn parabola<S: Simd>(&self, simd: S, q: &Projected, patch: &Patch) -> Parabola {
-        let (zero, range) = (simd.splat(0.0), patch.range(q.rows));
-        let mut errors = Errors {
-            pixels: Pixels { scene: self.scene, target: self.target, patch, first: range.start },
-            rest: zero,
-            cross: [zero; C],
-            square: [zero; 2],
-        };
-        self.walk(simd, q, range, patch, &mut errors);
-        let scale = patch.step as f32;
-        let mut out = Parabola {
-            rest: simd.sum(errors.rest) * scale,
-            cross: [0.0; 4],
-            square: [simd.sum(errors.square[0]), simd.sum(errors.square[1])].map(|s| s * scale),
-        };
-        for k in 0..C {
-            out.cross[k] = simd.sum(errors.cross[k]) * scale;
-        }
-        out
-    }
-
-    /// Visits the pixels of `p` in the rows `range` of the patch.
-    #[inline(always)]
-    fn walk<S: Simd>(
-        &self,
-        simd: S,
-        p: &Projected,
-        range: std::ops::Range<usize>,
-        patch: &Patch,
-        visitor: &mut impl Visit<S>,
-    ) {
-        let dy = patch.row(range.start) as f32 - p.center[1];
-        kernel::walk(simd, p, (dy, patch.step as f32, range.len()), patch.columns.clone(), visitor);
-    }
-
-    /// How the error over the patch with `p`, the projection of `g`, in it and of `color` changes with mean, scales and
-    /// rotation, to second order.
-    #[inline(always)]
-    fn bowl<S: Simd>(
-        &self,
-        simd: S,
-        (p, g): (&Projected, &Gaussian),
-        color: [f32; 4],
-        parabola: &Parabola,
-        patch: &Patch,
-    ) -> Bowl {
-        let (zero, range) = (simd.splat(0.0), patch.range(p.rows));
-        let (sin, cos) = g.rotation.sin_cos();
-        let [sx, sy] = g.scale;
-        let mut slopes = Slopes {
-            pixels: Pixels { scene: self.scene, target: self.target, patch, first: range.start },
-            color,
-            across: [cos / sx, sin / sx],
-            along: [-sin / sy, cos / sy],
-            turn: sx / sy - sy / sx,
-            first: [zero; 5],
-            second: [zero; 15],
-            mixed: [[zero; 5]; C],
-        };
-        self.walk(simd, p, range, patch, &mut slopes);
-        let scale = patch.step as f32;
-        let mut bowl = Bowl::default();
-        let mut mixed = [[0.0; 5]; C];
-        let mut n = 0;
-        for a in 0..5 {
-            bowl.slope[a] = simd.sum(slopes.first[a]) * scale;
-            for k in 0..C {
-                mixed[k][a] = simd.sum(slopes.mixed[k][a]) * scale;
-            }
-            for b in 0..=a {
-                let mut v = simd.sum(slopes.second[n]) * scale;
-                for (k, of) in mixed.iter().enumerate() {
-                    // The colour follows.
-                    v -= of[a] * of[b] / (parabola.square(k, C) + 1e-6);
-                }
-                (bowl.curvature[a][b], bowl.curvature[b][a]) = (v, v);
-                n += 1;
-            }
-        }
-        bowl
     }
 
     /// The lattice points around `old` that promise most: for each neighbouring shape the positions that suit it best.
@@ -645,159 +392,6 @@ impl<const C: usize> BandTask<'_, C> {
             let Some(p) = p else { continue };
             let planes = (&mut *self.planes, stride);
             kernel::splat::<S, C>(simd, p, (RowSet::ALL, self.first), self.scene.width, planes, sign);
-        }
-    }
-}
-
-/// The pixels of a patch under a primitive.
-struct Pixels<'a> {
-    scene: &'a Scene,
-    target: &'a Target,
-    patch: &'a Patch,
-    /// The first row that is visited, among those that are there.
-    first: usize,
-}
-
-/// Eight pixels of a patch.
-struct Eight<'a> {
-    /// The row's planes from these pixels on.
-    planes: &'a [f32],
-    stride: usize,
-    /// The factors of errors.
-    amplitude: Option<&'a [f32]>,
-    /// The channel whose target is a factor of the others' errors.
-    alpha: Option<usize>,
-    blend: Blend,
-}
-
-impl Pixels<'_> {
-    #[inline(always)]
-    fn eight<const C: usize>(&self, i: usize, x: usize) -> Eight<'_> {
-        let (i, stride) = (self.first + i, self.patch.stride);
-        Eight {
-            planes: &self.patch.planes[i * (2 * C + 2) * stride + x - self.patch.columns.start..],
-            stride,
-            amplitude: self.target.amplitude(self.patch.row(i)).map(|a| &a[x..]),
-            alpha: self.target.channels.alpha(),
-            blend: self.scene.blend,
-        }
-    }
-}
-
-impl Eight<'_> {
-    #[inline(always)]
-    fn plane<S: Simd>(&self, simd: S, k: usize) -> S::Vector {
-        simd.read(&self.planes[k * self.stride..])
-    }
-
-    /// What the sums are multiplied by if the weight `w` joins them.
-    #[inline(always)]
-    fn share<S: Simd, const C: usize>(&self, simd: S, w: S::Vector) -> S::Vector {
-        match self.blend {
-            Blend::Normalized => simd.div(simd.splat(1.0), simd.add(self.plane(simd, C), w)),
-            Blend::Sum => simd.splat(1.0),
-        }
-    }
-
-    /// `v`, which belongs to channel `k`, times what errors of these pixels count.
-    #[inline(always)]
-    fn weighted<S: Simd, const C: usize>(&self, simd: S, k: usize, mut v: S::Vector) -> S::Vector {
-        if let Some(a) = self.amplitude {
-            v = simd.mul(v, simd.read(a));
-        }
-        if let Some(plane) = self.alpha.filter(|&a| a != k) {
-            v = simd.mul(v, self.plane(simd, C + 1 + plane));
-        }
-        v
-    }
-}
-
-/// Sums a [`Parabola`].
-struct Errors<'a, S: Simd, const C: usize> {
-    pixels: Pixels<'a>,
-    rest: S::Vector,
-    cross: [S::Vector; C],
-    square: [S::Vector; 2],
-}
-
-impl<S: Simd, const C: usize> Visit<S> for Errors<'_, S, C> {
-    #[inline(always)]
-    fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, _dy: S::Vector) {
-        let zero = simd.splat(0.0);
-        let at = self.pixels.eight::<C>(i, strip.x);
-        let w = simd.max(simd.sub(g, strip.edge), zero);
-        let share = at.share::<S, C>(simd, w);
-        let part = simd.mul(w, share);
-        let mut error = zero;
-        for k in 0..C {
-            let a = simd.sub(simd.mul(at.plane(simd, k), share), at.plane(simd, C + 1 + k));
-            let a = at.weighted::<S, C>(simd, k, a);
-            let r = at.weighted::<S, C>(simd, k, part);
-            error = simd.add(error, simd.mul(a, a));
-            self.cross[k] = simd.add(self.cross[k], simd.mul(a, r));
-            if k == 0 || at.alpha == Some(k) {
-                let s = usize::from(k != 0);
-                self.square[s] = simd.add(self.square[s], simd.mul(r, r));
-            }
-        }
-        let more = simd.sub(error, at.plane(simd, 2 * C + 1));
-        self.rest = simd.add(self.rest, simd.keep_above(more, w, zero));
-    }
-}
-
-/// Sums a [`Bowl`].
-struct Slopes<'a, S: Simd, const C: usize> {
-    pixels: Pixels<'a>,
-    color: [f32; 4],
-    /// Along the rotated x axis, in units of its scale, per pixel to the right and down.
-    across: [f32; 2],
-    /// The same along the rotated y axis.
-    along: [f32; 2],
-    /// What a rotation moves for each `u·v`.
-    turn: f32,
-    first: [S::Vector; 5],
-    second: [S::Vector; 15],
-    mixed: [[S::Vector; 5]; C],
-}
-
-impl<S: Simd, const C: usize> Visit<S> for Slopes<'_, S, C> {
-    #[inline(always)]
-    fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, dy: S::Vector) {
-        let at = self.pixels.eight::<C>(i, strip.x);
-        let e = simd.keep_above(g, g, strip.edge);
-        let w = simd.max(simd.sub(g, strip.edge), simd.splat(0.0));
-        let share = at.share::<S, C>(simd, w);
-        let ([ux, uy], [vx, vy]) = (self.across, self.along);
-        let u = simd.add(simd.mul(simd.splat(ux), strip.dx), simd.mul(simd.splat(uy), dy));
-        let v = simd.add(simd.mul(simd.splat(vx), strip.dx), simd.mul(simd.splat(vy), dy));
-        let turn = simd.mul(simd.mul(simd.splat(self.turn), u), v);
-        let features = [u, v, simd.mul(u, u), simd.mul(v, v), turn];
-        let mut t = simd.splat(0.0);
-        let mut square = simd.splat(0.0);
-        for k in 0..C {
-            let color = simd.splat(self.color[k]);
-            let value = simd.mul(simd.add(at.plane(simd, k), simd.mul(w, color)), share);
-            let own = match at.blend {
-                Blend::Normalized => simd.mul(simd.mul(simd.sub(color, value), share), e),
-                Blend::Sum => simd.mul(color, e),
-            };
-            let own = at.weighted::<S, C>(simd, k, own);
-            let error = at.weighted::<S, C>(simd, k, simd.sub(value, at.plane(simd, C + 1 + k)));
-            t = simd.add(t, simd.mul(error, own));
-            square = simd.add(square, simd.mul(own, own));
-            let shown = at.weighted::<S, C>(simd, k, simd.mul(simd.mul(own, w), share));
-            for (sum, f) in self.mixed[k].iter_mut().zip(features) {
-                *sum = simd.add(*sum, simd.mul(shown, f));
-            }
-        }
-        let mut n = 0;
-        for (a, &f) in features.iter().enumerate() {
-            self.first[a] = simd.add(self.first[a], simd.mul(t, f));
-            let scaled = simd.mul(square, f);
-            for &other in &features[..=a] {
-                self.second[n] = simd.add(self.second[n], simd.mul(scaled, other));
-                n += 1;
-            }
         }
     }
 }

@@ -10,6 +10,7 @@ pub(crate) mod field;
 pub(crate) mod finish;
 pub(crate) mod freeze;
 pub(crate) mod kernel;
+mod patch;
 pub(crate) mod peaks;
 pub(crate) mod plan;
 pub(crate) mod project;
