@@ -160,6 +160,29 @@ pub(crate) fn walk<S: Simd>(
     }
 }
 
+/// Visits the pixels of `p` in the sampled rows with the indices `range`.
+#[inline(always)]
+pub(crate) fn walk_rows<S: Simd>(
+    simd: S,
+    p: &Projected,
+    (rows, range): (RowSet, std::ops::Range<usize>),
+    width: u32,
+    visitor: &mut impl Visit<S>,
+) {
+    let dy = rows.row(range.start) as f32 - p.center[1];
+    walk(simd, p, (dy, rows.step as f32, range.len()), 0..width as usize, visitor);
+}
+
+/// The colour of `p`, each channel in all lanes.
+#[inline(always)]
+pub(crate) fn colors<S: Simd, const C: usize>(simd: S, p: &Projected) -> [S::Vector; C] {
+    let mut colors = [simd.splat(0.0); C];
+    for (color, value) in colors.iter_mut().zip(p.color) {
+        *color = simd.splat(value);
+    }
+    colors
+}
+
 /// Adds the weights of `p`, times `sign`, to sums: times its colour to `C` planes, and as they are to a last one.
 ///
 /// `planes` holds the sampled rows from index `first` on, each `C + 1` planes of `stride` floats. Rows that are not there
@@ -179,13 +202,14 @@ pub(crate) fn splat<S: Simd, const C: usize>(
     if from >= end {
         return;
     }
-    let mut color = [simd.splat(0.0); C];
-    for (color, value) in color.iter_mut().zip(p.color) {
-        *color = simd.splat(value * sign);
+    let sign = simd.splat(sign);
+    let mut color = colors::<S, C>(simd, p);
+    for color in &mut color {
+        *color = simd.mul(*color, sign);
     }
     let planes = &mut planes[(from - first) * size..(end - first) * size];
-    let mut deposit = Deposit { color, sign: simd.splat(sign), planes, stride };
-    walk(simd, p, (rows.row(from) as f32 - p.center[1], rows.step as f32, end - from), 0..width as usize, &mut deposit);
+    let mut deposit = Deposit { color, sign, planes, stride };
+    walk_rows(simd, p, (rows, from..end), width, &mut deposit);
 }
 
 /// Adds weights to sums.
@@ -231,22 +255,11 @@ pub(crate) fn gather<S: Simd, const C: usize>(
     (planes, stride): (&[f32], usize),
 ) -> Moments<C> {
     let zero = simd.splat(0.0);
-    let mut color = [zero; C];
-    for (color, value) in color.iter_mut().zip(p.color) {
-        *color = simd.splat(value);
-    }
     let (from, end) = (rows.index(p.rows[0]), rows.index(p.rows[1]));
     let planes = &planes[from * (C + 1) * stride..];
-    let mut gather = Gather { color, planes, stride, colors: [zero; C], geometry: [zero; 5], strip: [zero; 3] };
-    if from < end {
-        walk(
-            simd,
-            p,
-            (rows.row(from) as f32 - p.center[1], rows.step as f32, end - from),
-            0..width as usize,
-            &mut gather,
-        );
-    }
+    let mut gather =
+        Gather { color: colors(simd, p), planes, stride, colors: [zero; C], geometry: [zero; 5], strip: [zero; 3] };
+    walk_rows(simd, p, (rows, from..end), width, &mut gather);
     let mut moments = Moments { color: [0.0; C], geometry: [0.0; 5] };
     for (sum, v) in moments.color.iter_mut().zip(gather.colors) {
         *sum = simd.sum(v);

@@ -53,15 +53,9 @@ impl<const C: usize> Task for CostTask<'_, C> {
         let mut out = Vec::with_capacity(projected.len());
         for p in projected {
             let (first, end) = (rows.index(p.rows[0]), rows.index(p.rows[1]));
-            let mut color = [simd.splat(0.0); C];
-            for (color, value) in color.iter_mut().zip(p.color) {
-                *color = simd.splat(value);
-            }
-            let mut cost = Cost { scene, target, field, rows, first, color, sum: simd.splat(0.0) };
-            if first < end {
-                let dy = rows.row(first) as f32 - p.center[1];
-                kernel::walk(simd, p, (dy, rows.step as f32, end - first), 0..scene.width as usize, &mut cost);
-            }
+            let color = kernel::colors(simd, p);
+            let mut cost = Cost::<S, C> { scene, target, field, rows, first, color, sum: simd.splat(0.0) };
+            kernel::walk_rows(simd, p, (rows, first..end), scene.width, &mut cost);
             out.push(simd.sum(cost.sum) * rows.step as f32);
         }
         out

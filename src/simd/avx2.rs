@@ -3,7 +3,7 @@
 use pulp::x86::V3;
 use std::arch::x86_64::{__m128i, __m256, _CMP_GT_OQ};
 
-use super::{LANES, Lanes, Simd, Task};
+use super::{LANES, Simd, Task};
 
 /// A task for AVX2.
 pub(super) struct OnAvx2<T>(pub V3, pub T);
@@ -19,16 +19,6 @@ impl<T: Task> pulp::NullaryFnOnce for OnAvx2<T> {
 
 impl Simd for V3 {
     type Vector = __m256;
-
-    #[inline(always)]
-    fn load(self, from: &Lanes) -> __m256 {
-        bytemuck::cast(from.0)
-    }
-
-    #[inline(always)]
-    fn store(self, to: &mut Lanes, v: __m256) {
-        to.0 = bytemuck::cast(v);
-    }
 
     #[inline(always)]
     fn vector(self, values: [f32; LANES]) -> __m256 {

@@ -40,8 +40,6 @@ pub(crate) trait Simd: Copy {
     /// Eight floats, in a register if there is one.
     type Vector: Copy;
 
-    fn load(self, from: &Lanes) -> Self::Vector;
-    fn store(self, to: &mut Lanes, v: Self::Vector);
     fn vector(self, values: [f32; LANES]) -> Self::Vector;
     fn to_array(self, v: Self::Vector) -> [f32; LANES];
     fn splat(self, value: f32) -> Self::Vector;
@@ -63,6 +61,16 @@ pub(crate) trait Simd: Copy {
     fn floor(self, v: Self::Vector) -> [u32; LANES];
     /// Writes `floor(v)` for `0 ≤ v < 256` of three vectors, interleaved.
     fn store_rgb(self, to: &mut [u8; 3 * LANES], v: [Self::Vector; 3]);
+
+    #[inline(always)]
+    fn load(self, from: &Lanes) -> Self::Vector {
+        self.vector(from.0)
+    }
+
+    #[inline(always)]
+    fn store(self, to: &mut Lanes, v: Self::Vector) {
+        to.0 = self.to_array(v);
+    }
 
     /// The first eight of `from`.
     #[inline(always)]
@@ -118,16 +126,6 @@ fn zip(a: [f32; LANES], b: [f32; LANES], f: impl Fn(f32, f32) -> f32) -> [f32; L
 
 impl Simd for Plain {
     type Vector = [f32; LANES];
-
-    #[inline(always)]
-    fn load(self, from: &Lanes) -> Self::Vector {
-        from.0
-    }
-
-    #[inline(always)]
-    fn store(self, to: &mut Lanes, v: Self::Vector) {
-        to.0 = v;
-    }
 
     #[inline(always)]
     fn vector(self, values: [f32; LANES]) -> Self::Vector {
