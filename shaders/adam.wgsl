@@ -40,6 +40,8 @@ fn adam(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         moments[7u * n + i],
         moments[8u * n + i],
     );
+    gradient[2] += scene.price * s1 * s2;
+    gradient[3] += scene.price * s1 * s2;
     var move_by = array<f32, 9>();
     for (var k = 0u; k < 9u; k++) {
         var g = gradient[k];

@@ -61,9 +61,10 @@ struct Scene {
     cell: u32,
     stride: u32,
     level: u32,
+    // What size costs: half the squared error for each pixel² of the product of the scales.
+    price: f32,
     // To a multiple of 16 bytes.
-    spare_0: u32,
-    spare_1: u32,
+    spare: u32,
 }
 
 // A Gaussian on the drawn grid. With (dx, dy) from the centre, u = rise·dy − shear·dx and v = run·dx, it is

@@ -253,6 +253,8 @@ pub(crate) struct State {
     pub field: Field,
     /// Whether the fit ended early because the error was small enough.
     pub is_enough: bool,
+    /// The price of size, by the error that was seen last: see [`adam::price`].
+    pub price: f32,
     iteration: u32,
     /// The least error over all rows that was seen with this many primitives, and the primitives that had it.
     best: Option<(f64, Vec<Primitive>)>,
@@ -274,6 +276,7 @@ impl State {
             bounds,
             field,
             is_enough: false,
+            price: 0.0,
             iteration: 0,
             best: None,
             latest: 0.0,
@@ -298,6 +301,7 @@ impl State {
             freedom,
             &self.bounds,
             rates,
+            self.price,
             self.iteration,
         );
         self.iteration += 1;
@@ -317,7 +321,7 @@ impl State {
         if let Some((error, primitives)) = self.best.take()
             && self.latest > CLEARLY_WORSE * error
         {
-            *self = State { is_enough: self.is_enough, ..State::new(primitives, self.bounds) };
+            *self = State { is_enough: self.is_enough, price: self.price, ..State::new(primitives, self.bounds) };
         }
     }
 
@@ -376,7 +380,8 @@ impl Engine for State {
         // Gradients grow with the picture: what the optimizer remembers would mislead it.
         let bounds = Bounds::new(scene.width, scene.height);
         let zoomed = State::new(zoomed(std::mem::take(&mut self.primitives), by), bounds);
-        *self = State { iteration: self.iteration, field: std::mem::take(&mut self.field), ..zoomed };
+        let (iteration, price, field) = (self.iteration, self.price, std::mem::take(&mut self.field));
+        *self = State { iteration, price, field, ..zoomed };
         Ok(())
     }
 }

@@ -1,6 +1,6 @@
 //! Moving the least useful primitives to where the error is largest: what removing each costs, and the exchange.
 
-use crate::fit::adam::Memory;
+use crate::fit::adam::{Memory, price};
 use crate::fit::field::{Field, Output, RowSet, Scene};
 use crate::fit::kernel::{self, Strip, Visit};
 use crate::fit::peaks::{at_peak, peaks};
@@ -141,10 +141,11 @@ pub(crate) fn resize(scene: &Scene, target: &Target, state: &mut State, rows: Ro
     state.sort();
 }
 
-/// Leaves the picture in the state's field.
+/// Leaves the picture in the state's field, and sets the price by its error.
 fn costs(scene: &Scene, target: &Target, state: &mut State, rows: RowSet) -> Vec<f32> {
     let projected = project_all(&state.primitives, scene.height);
-    state.field.draw(scene, target, &projected, rows, Output::Picture);
+    let error = state.field.draw(scene, target, &projected, rows, Output::Picture);
+    state.price = price(error, rows.count(scene.height) as f64 * f64::from(scene.width));
     removal_costs(scene, target, &state.field, rows, &projected)
 }
 

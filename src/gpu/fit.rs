@@ -12,7 +12,7 @@ use super::peaks::Peaks;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
 use super::source::{Source, pack, pack_target, rows_at_a_time};
 use crate::error::{Error, GpuError, Result};
-use crate::fit::adam::{BETA1, BETA2, Bounds, Rates};
+use crate::fit::adam::{self, BETA1, BETA2, Bounds, Rates};
 use crate::fit::field::{RowSet, Scene};
 use crate::fit::peaks::{self, Peak};
 use crate::fit::project;
@@ -61,6 +61,8 @@ struct State {
     peaks: Option<Peaks>,
     /// Steps asked for and not yet taken.
     pending: Vec<(RowSet, Rates)>,
+    /// The price of size, by the error that was seen last: see [`adam::price`].
+    price: f32,
     /// Steps taken.
     iteration: u32,
     /// The least error over all rows that was seen with this many primitives at this size, and the primitives that had it.
@@ -175,6 +177,7 @@ impl Fitter {
             stage: None,
             peaks: None,
             pending: Vec::new(),
+            price: 0.0,
             iteration: 0,
             best: None,
             unseen: 0,
@@ -261,6 +264,12 @@ impl Fitter {
             &survey,
             state.peaks.as_ref().expect("prepared"),
         ))
+    }
+
+    /// Makes size cost what it would with such an error.
+    #[cfg(test)]
+    pub(super) fn set_price(&mut self, price: f32) {
+        self.state.get_mut().price = price;
     }
 
     /// Makes the lists shorter than they would be.
@@ -414,6 +423,7 @@ impl State {
         let n = (self.iteration + ahead + 1) as i32;
         Uniforms {
             rates: [rates.mean, rates.log_scale, rates.rotation, rates.color],
+            price: self.price / rows.step as f32,
             correction_first: 1.0 - BETA1.powi(n),
             correction_second: 1.0 - BETA2.powi(n),
             primitives: self.count,
@@ -625,6 +635,10 @@ impl State {
                 Wanted::Error => Vec::new(),
                 Wanted::All => device.read_as(&stage.moments, self.count as usize)?,
             };
+            if wanted == Wanted::All {
+                let pixels = rows.count(self.base.height) as f64 * f64::from(self.base.width);
+                self.price = adam::price(error, pixels);
+            }
             return Ok(Survey { error, costs, rows });
         }
     }

@@ -51,9 +51,9 @@ pub(super) struct Uniforms {
     pub cell: u32,
     pub stride: u32,
     pub level: u32,
+    pub price: f32,
     /// To a multiple of 16 bytes.
-    pub spare_0: u32,
-    pub spare_1: u32,
+    pub spare: u32,
 }
 
 impl Uniforms {

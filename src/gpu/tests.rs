@@ -63,7 +63,7 @@ fn structs_are_laid_out_alike_on_both_sides() {
     let rust = offsets!(Uniforms: background, rates, origin_high, origin_low, step, size, widening, min_log_scale,
         max_log_scale, max_log_aspect, correction_first, correction_second, least_gain, variance, longest, primitives, capacity,
         width, height, across, down, row_step, row_phase, band_first, band_rows, tiles_x, tiles_y, tile_base, blend,
-        channels, alpha, source_words, source_first, mode, cells_x, cells_y, cell, stride, level, spare_0, spare_1);
+        channels, alpha, source_words, source_first, mode, cells_x, cells_y, cell, stride, level, price, spare);
     assert_eq!(scene, rust);
     assert_eq!(size as usize, size_of::<Uniforms>());
     assert!(size <= Uniforms::STRIDE);
@@ -309,6 +309,7 @@ mod stages {
         ] {
             let mut c = case(&device, channels, blend, sixteen);
             let free: Vec<Primitive> = c.free.iter().map(packed).collect();
+            c.fitter.set_price(1e-3);
             let got = c.fitter.inspect(rows, RATES, left).unwrap();
             let scene = got.scene;
             let tiles = scene.tiles() as usize;
@@ -371,7 +372,10 @@ mod stages {
                 p.color[3] = 0.0;
             }
             let mut cpu = fit::State::new(free, bounds);
-            let gpu = Fitter::new(&device, &scene, &pixels, &cpu.primitives, &bounds).unwrap();
+            let mut gpu = Fitter::new(&device, &scene, &pixels, &cpu.primitives, &bounds).unwrap();
+            // As high as the gradients.
+            cpu.price = 1.0;
+            gpu.set_price(cpu.price);
             // Long steps, so that all bounds are met.
             let rates = Rates { mean: 0.5, log_scale: 0.5, rotation: 0.2, color: 1.5 };
             for phase in [1, 0, 1] {

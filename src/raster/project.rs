@@ -173,7 +173,7 @@ impl Beyond {
 }
 
 /// Gaussians that are projected in one go.
-const CHUNK: usize = 4096;
+const CHUNK: usize = 1024;
 
 /// What is visible in a view, in the picture's order.
 #[derive(Debug)]

@@ -40,9 +40,11 @@ pub(in crate::gpu) fn adam(
 ) {
     for i in 0..scene.primitives as usize {
         let p = &mut primitives[9 * i..9 * i + 9];
-        let gradient = gradient(scene, p, moments, i);
+        let mut gradient = gradient(scene, p, moments, i);
         let s1 = p[2].exp();
         let s2 = p[3].exp();
+        gradient[2] += scene.price * s1 * s2;
+        gradient[3] += scene.price * s1 * s2;
         let [sin, cos] = sin_cos(p[4]);
         let mut move_by = [0.0f32; 9];
         for k in 0..9 {
