@@ -105,7 +105,7 @@ class Header:
         demand(data[:4] == SIGNATURE, "not an ssplat file")
         b.at = 4
         version = b.byte("version")
-        if version != 4:
+        if version != 5:
             raise Unsupported(f"format version {version}")
         flags = b.byte("flags")
         self.layout = flags & 3
@@ -909,7 +909,7 @@ def read_coded(b, header):
 # §8.7 Groups and levels
 
 MOST_WITHOUT_GROUPS = 32768
-MOST_OF_A_GROUP = 2048
+MOST_OF_A_GROUP = 512
 
 
 def read_divisions(b, header, corner, log, count, groups):

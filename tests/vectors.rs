@@ -291,8 +291,8 @@ fn invalid() -> Vec<Vector> {
     };
     add("empty-file", "no byte at all", Vec::new());
     add("signature-seven-bits", "the signature after a transfer with 7 bits", changed(&packed, 0, 9));
-    add("version-5", "a newer version", changed(&packed, 4, 5));
-    add("version-3", "a version from before the first release", changed(&packed, 4, 3));
+    add("version-6", "a newer version", changed(&packed, 4, 6));
+    add("version-4", "a version from before the first release", changed(&packed, 4, 4));
     add("width-0", "no pixels", changed(&packed, 6, 0));
     add("height-huge", "a height of 2^20 + 1", spliced(&packed, 7, 1, &[0x81, 0x80, 0x40]));
     add("width-long", "a width in more bytes than it needs", spliced(&packed, 6, 1, &[0x88, 0]));

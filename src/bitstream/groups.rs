@@ -19,16 +19,16 @@ use crate::parallel;
 /// A file with more primitives than this is divided into groups.
 const MANY: u32 = 1 << 15;
 
-/// A region with more primitives than this is halved. Small groups cost bytes, since each learns anew (1/2048 instead of
-/// 1/4096: .2 %), and save work where only a part of the picture is wanted.
-const MOST: u32 = 1 << 11;
+/// A region with more primitives than this is halved. Small groups cost bytes, since each has its entry and learns anew (512
+/// instead of 2048: 1.5 %), and save work where only a part of the picture is wanted (reading a third to a half).
+const MOST: u32 = 1 << 9;
 
 /// The writer keeps primitives that reach further than this part of their region out of its halves: a few wide ones
 /// would make every group reach into every area.
 const WIDE: f64 = 0.25;
 
 /// Fewer wide primitives than this are not worth a group of their own.
-const FEW: usize = 64;
+const FEW: usize = 16;
 
 /// How the writer divides the primitives: not at all, if it can be helped.
 pub(crate) fn grouping(splats: &PackedSplats) -> Grouping {
