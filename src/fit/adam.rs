@@ -59,11 +59,18 @@ impl Rates {
 /// nothing tells one size from another: 37 deep in a sky, where 9 do.
 const PRICE: f64 = 1e-3;
 
-/// Half the price for a Gaussian of scales 1, by the squared error over so many pixels: like the gradients, of half the
-/// squared error.
-pub(crate) fn price(error: f64, pixels: f64) -> f32 {
+/// Pixels for each primitive from which on the whole price is asked. Smaller ones cost what they cost by their number, and
+/// texture suffers where they are held back.
+const ROOMY: f64 = 128.0;
+
+/// Half the price for a Gaussian of scales 1 where `count` of them have the squared error `error` over the rows `rows` of a
+/// picture: like the gradients, of half the squared error.
+pub(crate) fn price(error: f64, [width, height]: [u32; 2], rows: RowSet, count: usize) -> f32 {
+    let pixels = |rows: u64| rows as f64 * f64::from(width);
+    let room = pixels(height.into()) / count.max(1) as f64;
     let support = std::f64::consts::PI * f64::from(CUTOFF) * f64::from(CUTOFF);
-    (0.5 * PRICE * support * error / pixels.max(1.0)) as f32
+    let error = error / pixels(rows.count(height) as u64).max(1.0);
+    (0.5 * PRICE * (room / ROOMY).min(1.0) * support * error) as f32
 }
 
 /// Which parameters of a primitive may move.
@@ -190,7 +197,7 @@ mod tests {
         let fitted = |priced: bool| {
             let mut state = State::new(primitives.clone(), Bounds::new(96, 80));
             let before = state.descend(&scene, &target, RowSet::ALL, RATES.scaled(LAST_RATE));
-            state.price = if priced { price(before, 96.0 * 80.0) } else { 0.0 };
+            state.price = if priced { price(before, [96, 80], RowSet::ALL, primitives.len()) } else { 0.0 };
             let mut after = 0.0;
             for i in 0..200 {
                 let rows = RowSet { step: 2, phase: i % 2 };

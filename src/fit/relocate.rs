@@ -145,7 +145,7 @@ pub(crate) fn resize(scene: &Scene, target: &Target, state: &mut State, rows: Ro
 fn costs(scene: &Scene, target: &Target, state: &mut State, rows: RowSet) -> Vec<f32> {
     let projected = project_all(&state.primitives, scene.height);
     let error = state.field.draw(scene, target, &projected, rows, Output::Picture);
-    state.price = price(error, rows.count(scene.height) as f64 * f64::from(scene.width));
+    state.price = price(error, [scene.width, scene.height], rows, projected.len());
     removal_costs(scene, target, &state.field, rows, &projected)
 }
 

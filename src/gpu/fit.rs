@@ -636,8 +636,7 @@ impl State {
                 Wanted::All => device.read_as(&stage.moments, self.count as usize)?,
             };
             if wanted == Wanted::All {
-                let pixels = rows.count(self.base.height) as f64 * f64::from(self.base.width);
-                self.price = adam::price(error, pixels);
+                self.price = adam::price(error, [self.base.width, self.base.height], rows, self.count as usize);
             }
             return Ok(Survey { error, costs, rows });
         }
