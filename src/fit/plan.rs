@@ -7,6 +7,9 @@ use crate::fit::LARGE;
 /// Share of a time budget that the float fit may take.
 const FIT_SHARE: f64 = 0.75;
 
+/// Primitives of the largest pictures.
+const HUGE: usize = 300_000;
+
 /// The schedule of one encode.
 #[derive(Debug, Clone)]
 pub(crate) struct Plan {
@@ -39,7 +42,11 @@ impl Plan {
     /// find their places.
     pub(crate) fn new(effort: u8, count: usize, pixels: u64, time: Option<Duration>, seed: u64) -> Self {
         let level = usize::from(effort.clamp(1, 9)) - 1;
-        let base = [66.0, 130.0, 220.0, 350.0, 590.0, 880.0, 1540.0, 2640.0, 4400.0f32][level];
+        let mut base = [66.0, 130.0, 220.0, 350.0, 590.0, 880.0, 1540.0, 2640.0, 4400.0f32][level];
+        // The largest pictures take minutes as it is.
+        if count >= HUGE {
+            base *= 0.9;
+        }
         let crowd = count.max(1) as f32 / 5500.0;
         let patience = crowd.powf(if crowd < 1.0 { -0.95 } else { -0.3 }).clamp(0.25, 9.0);
         // On small pictures it takes only seconds to get the tenth of a decibel that half as many again win.
@@ -50,7 +57,8 @@ impl Plan {
         let sweeps = match count {
             ..2000 => [4, 5, 5, 6, 7, 9, 13, 17, 20][level],
             2000..40_000 => [1, 2, 2, 3, 5, 7, 10, 14, 20][level],
-            _ => [1, 1, 2, 2, 4, 5, 6, 8, 12][level],
+            40_000..HUGE => [1, 1, 2, 2, 4, 5, 6, 8, 12][level],
+            _ => [1, 1, 2, 2, 3, 4, 6, 8, 12][level],
         };
         let freezing = if effort >= 7 && count > 2000 { iterations / 4 } else { 0 };
         let deadline = time.map(|t| Instant::now() + t);
