@@ -56,7 +56,7 @@ impl Rates {
 
 /// What a pixel more under a support costs, in squared errors of a mean pixel: all supports together may raise the error by as
 /// much a pixel as they overlap, and raise it by far less. Without a price Gaussians pile up where the picture is smooth and
-/// nothing tells one size from another: 37 deep in a sky, where 9 do.
+/// nothing tells one size from another, as in a sky.
 const PRICE: f64 = 1e-3;
 
 /// Pixels for each primitive from which on the whole price is asked. Smaller ones cost what they cost by their number, and
