@@ -6,8 +6,9 @@
 
 use crate::bitstream::splats::{PackedGaussian, PackedSplats, Steps};
 use crate::fit::descend::{self, Activity, Objective};
-use crate::fit::field::{Field, Output, RowSet, Scene};
+use crate::fit::field::{Field, Output, Scene};
 use crate::fit::project::Projected;
+use crate::fit::rows::RowSet;
 use crate::fit::target::Target as Planes;
 use crate::fit::{finish, relocate};
 use crate::gaussian::{CUTOFF_WEIGHT, Channels, EPSILON};

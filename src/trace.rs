@@ -3,8 +3,9 @@
 
 use std::time::{Duration, Instant};
 
-use crate::fit::field::{Field, Output, RowSet, Scene};
+use crate::fit::field::{Field, Output, Scene};
 use crate::fit::project::Projected;
+use crate::fit::rows::RowSet;
 use crate::fit::target::Target;
 use crate::leave_out;
 use crate::metrics;

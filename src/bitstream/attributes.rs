@@ -2,11 +2,12 @@
 
 use std::sync::LazyLock;
 
-use super::kd::Square;
+use super::broken::Broken;
 use super::model::Field;
 use super::neighbours::{Buckets, COUNT, LANES};
 use super::range::{Coder, Cumulative};
-use super::rules::{Broken, Rules};
+use super::region::Square;
+use super::rules::Rules;
 use super::splats::{PackedGaussian, Steps};
 use super::spread::{Bounded, FINE, Gains, MEAN, Near, Open, Shifts, log16};
 use crate::gaussian::Channels;

@@ -1,15 +1,17 @@
 //! The coded layout: adaptive entropy coding, in one piece or in groups (spec §8).
 
 use super::attributes::{Attributes, Palette, Scene, spacing};
+use super::broken::Broken;
 use super::bytes::Bytes;
 use super::header::{Coloring, Header};
-use super::kd::{Counts, Extent, Place, Region, by_key, squares};
+use super::kd::{Counts, Extent, by_key, squares};
 use super::model::{Field, SIGNED_NODES};
 use super::neighbours::Buckets;
 use super::palette::{index_of, push_ascending, sorted_codebook, to_i16};
 use super::range::{Coder, Decoder, Encoder, Meter};
+use super::region::{Place, Region};
 use super::report::{Detail, Tally};
-use super::rules::{Broken, Rules};
+use super::rules::Rules;
 use super::splats::{PackedGaussian, PackedSplats, Steps};
 use crate::error::Result;
 

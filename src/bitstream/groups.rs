@@ -4,14 +4,15 @@ use std::ops::Range;
 
 use crc32fast::hash;
 
+use super::broken::Broken;
 use super::bytes::{Bytes, put_varint};
 use super::coded::{Group, sort};
 use super::header::{Coloring, Grouping, Header};
-use super::kd::Region;
 use super::palette::{put_codebook, put_color, read_codebook, read_color, sorted_codebook};
 use super::range::{Decoder, Encoder, Meter};
+use super::region::Region;
 use super::report::{Detail, Tally};
-use super::rules::{Area, Broken, MAX_LEVELS, Rules};
+use super::rules::{Area, MAX_LEVELS, Rules};
 use super::splats::{Layout, PackedGaussian, PackedSplats};
 use crate::error::{FormatError, Result};
 use crate::parallel;

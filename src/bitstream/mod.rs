@@ -2,6 +2,7 @@
 
 mod attributes;
 mod bits;
+mod broken;
 mod bytes;
 mod coded;
 mod groups;
@@ -15,6 +16,7 @@ mod packed;
 mod palette;
 mod planes;
 mod range;
+mod region;
 pub mod report;
 pub mod rules;
 pub mod sections;

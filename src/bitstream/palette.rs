@@ -1,7 +1,8 @@
 //! Background and codebook as plain bytes, and the way from a colour to its index (spec §6.1).
 
+use super::broken::Broken;
 use super::bytes::{Bytes, put_varint, unzigzag, zigzag};
-use super::rules::{Broken, MAX_CODEBOOK};
+use super::rules::MAX_CODEBOOK;
 use super::splats::PackedSplats;
 use crate::error::{Error, Result};
 

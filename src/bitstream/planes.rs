@@ -1,11 +1,12 @@
 //! The planes layout: each field of all primitives as streams of bytes, compressed by zstd (spec §7).
 
+use super::broken::Broken;
 use super::bytes::{Bytes, put_varint, unzigzag, zigzag};
 use super::header::{Coloring, Header};
 use super::hilbert::{hilbert, hilbert_point};
 use super::palette::{index_of, put_codebook, put_color, read_codebook, read_color, sorted_codebook, to_i16};
 use super::report::Tally;
-use super::rules::{Broken, Rules};
+use super::rules::Rules;
 use super::splats::{PackedGaussian, PackedSplats};
 use crate::error::{Error, FormatError, Result};
 

@@ -1,10 +1,11 @@
 //! What the integers of a picture must obey, whether a file or a caller names them (spec §4).
 
+use super::broken::Broken;
 use super::header::{MAX_SIDE, MIN_EXPONENT};
-use super::kd::{Place, Region};
 use super::lattice::Lattice;
+use super::region::{Place, Region};
 use super::splats::{Layout, PackedGaussian, PackedSplats, Steps};
-use crate::error::{Error, FormatError, Result};
+use crate::error::{Error, Result};
 use crate::gaussian::{CUTOFF, Channels};
 
 /// Most colours of a codebook.
@@ -26,20 +27,6 @@ impl From<[u32; 4]> for Area {
     /// Left, top, width and height.
     fn from([x, y, width, height]: [u32; 4]) -> Self {
         Area { corner: [x, y], size: [width, height] }
-    }
-}
-
-/// A value that is against the rules.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Broken {
-    pub field: &'static str,
-    pub value: u64,
-}
-
-impl From<Broken> for Error {
-    /// The rule as a file breaks it.
-    fn from(b: Broken) -> Self {
-        FormatError::BadValue { field: b.field, value: b.value }.into()
     }
 }
 

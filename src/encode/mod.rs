@@ -1,5 +1,6 @@
 //! Pixels to bytes: the whole encoder behind one function.
 
+mod prune;
 mod savings;
 mod session;
 mod size;

@@ -1,7 +1,8 @@
 //! Adam in the whitened local frame of each Gaussian.
 
-use crate::fit::field::{Field, Gradient, RowSet, Scene};
+use crate::fit::field::{Field, Gradient, Scene};
 use crate::fit::project::{Primitive, Projected};
+use crate::fit::rows::RowSet;
 use crate::gaussian::CUTOFF;
 use crate::parallel;
 
@@ -169,7 +170,8 @@ fn update(
 
 #[cfg(test)]
 mod tests {
-    use crate::fit::field::{RowSet, Scene};
+    use crate::fit::field::Scene;
+    use crate::fit::rows::RowSet;
     use crate::fit::target::Target;
     use crate::fit::{LAST_RATE, RATES, State};
     use crate::gaussian::{Blend, Channels};

@@ -8,11 +8,12 @@
 
 use crate::bitstream::splats::PackedGaussian;
 use crate::fit::bowl::{Bowl, Moves};
-use crate::fit::field::{Field, Output, RowSet, Scene};
+use crate::fit::field::{Field, Output, Scene};
 use crate::fit::kernel;
 use crate::fit::patch::{Parabola, Patch};
 use crate::fit::project::Projected;
 use crate::fit::rates::Rates;
+use crate::fit::rows::RowSet;
 use crate::fit::target::Target;
 use crate::gaussian::Gaussian;
 use crate::parallel;

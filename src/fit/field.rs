@@ -5,6 +5,7 @@
 
 use crate::fit::kernel;
 use crate::fit::project::{Primitive, Projected};
+use crate::fit::rows::RowSet;
 use crate::fit::target::Target;
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
@@ -12,34 +13,6 @@ use crate::simd::{self, LANES, Simd, Task};
 
 /// Sampled rows in one band: the unit of parallel work.
 const BAND: usize = 16;
-
-/// Every `step`-th row from `phase` on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct RowSet {
-    pub step: u32,
-    pub phase: u32,
-}
-
-impl RowSet {
-    pub(crate) const ALL: RowSet = RowSet { step: 1, phase: 0 };
-
-    /// How many of `height` rows are in the set.
-    pub(crate) fn count(self, height: u32) -> usize {
-        (height.saturating_sub(self.phase)).div_ceil(self.step) as usize
-    }
-
-    /// Index of the first row of the set at or after `y`.
-    #[inline(always)]
-    pub(crate) fn index(self, y: u32) -> usize {
-        y.saturating_sub(self.phase).div_ceil(self.step) as usize
-    }
-
-    /// Row number of index `i`.
-    #[inline(always)]
-    pub(crate) fn row(self, i: usize) -> u32 {
-        self.phase + i as u32 * self.step
-    }
-}
 
 /// What is fitted: blend, background, and the size of the planes.
 #[derive(Debug, Clone, Copy)]

@@ -3,9 +3,10 @@
 use crate::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use crate::error::Result;
 use crate::fit::descend::{self, Activity, Objective};
-use crate::fit::field::{Field, Output, RowSet, Scene};
+use crate::fit::field::{Field, Output, Scene};
 use crate::fit::plan::Plan;
 use crate::fit::project::{Primitive, Projected};
+use crate::fit::rows::RowSet;
 use crate::fit::target::Target;
 use crate::fit::{Drawing, State, Watch, freeze, peaks, project_all, relocate};
 use crate::quantize::Quantizer;

@@ -1,8 +1,8 @@
 //! The inner loops of the fit: forward (weights into planes) and backward (planes into moments), eight columns at a time
 //! down runs of rows as the decoder draws, by recurrence. Rows are padded by as much, since the last strip may overhang.
 
-use crate::fit::field::RowSet;
 use crate::fit::project::Projected;
+use crate::fit::rows::RowSet;
 use crate::gaussian::CUTOFF_WEIGHT;
 use crate::simd::{self, Simd};
 

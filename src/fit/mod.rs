@@ -18,6 +18,7 @@ pub(crate) mod rates;
 pub(crate) mod reduced;
 pub(crate) mod relocate;
 pub(crate) mod ridge;
+pub(crate) mod rows;
 pub(crate) mod sample;
 pub(crate) mod smartsplat;
 #[cfg(test)]
@@ -34,10 +35,11 @@ use rand_pcg::Pcg64Mcg;
 use crate::error::Result;
 use crate::parallel;
 use adam::{Bounds, Freedom, Memory, Rates};
-use field::{Field, Output, RowSet, Scene};
+use field::{Field, Output, Scene};
 use plan::Plan;
 use project::{Primitive, Projected};
 use reduced::{Coarse, Reduced};
+use rows::RowSet;
 use target::Target;
 
 /// Step sizes at the start; see `design.md` for how they were found.

@@ -1,8 +1,9 @@
 //! Where the error is largest, and what shape a new primitive should have there.
 
-use crate::fit::field::{Field, RowSet, Scene};
+use crate::fit::field::{Field, Scene};
 use crate::fit::project::Primitive;
 use crate::fit::ridge::{self, Shape};
+use crate::fit::rows::RowSet;
 use crate::fit::sample::blur;
 use crate::fit::target::Target;
 use crate::gaussian::Blend;

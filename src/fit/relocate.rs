@@ -1,10 +1,11 @@
 //! Moving the least useful primitives to where the error is largest: what removing each costs, and the exchange.
 
 use crate::fit::adam::{Memory, price};
-use crate::fit::field::{Field, Output, RowSet, Scene};
+use crate::fit::field::{Field, Output, Scene};
 use crate::fit::kernel::{self, Strip, Visit};
 use crate::fit::peaks::{at_peak, peaks};
 use crate::fit::project::Projected;
+use crate::fit::rows::RowSet;
 use crate::fit::target::Target;
 use crate::fit::{State, project_all};
 use crate::gaussian::Blend;

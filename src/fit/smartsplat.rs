@@ -12,9 +12,10 @@ use rstar::RTree;
 
 use crate::error::Result;
 use crate::fit::adam::Bounds;
-use crate::fit::field::{Field, Gradient, Output, RowSet, Scene};
+use crate::fit::field::{Field, Gradient, Output, Scene};
 use crate::fit::plan::Plan;
 use crate::fit::project::Primitive;
+use crate::fit::rows::RowSet;
 use crate::fit::structure::Loss;
 use crate::fit::target::Target;
 use crate::fit::{Recount, State, Watch, project_all};

@@ -9,9 +9,10 @@ mod cases;
 mod scenes;
 
 use super::adam::Bounds;
-use super::field::{Field, Output, RowSet, Scene};
+use super::field::{Field, Output, Scene};
 use super::plan::Plan;
 use super::project::{Primitive, Projected};
+use super::rows::RowSet;
 use super::target::Target;
 use super::{LAST_RATE, RATES, SAMPLED, State, fit, project_all};
 use crate::gaussian::{Blend, Channels, Picture};

@@ -7,16 +7,18 @@
 use std::cell::RefCell;
 
 use super::device::Device;
-use super::lists::{Lists, MOST_BINDING, check_primitives};
+use super::lists::{MOST_BINDING, check_primitives};
 use super::peaks::Peaks;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
 use super::source::{Source, pack, pack_target, rows_at_a_time};
+use super::stage::{Room, SLOT, SLOTS, Stage};
 use crate::error::{Error, GpuError, Result};
 use crate::fit::adam::{self, BETA1, BETA2, Bounds, Rates};
-use crate::fit::field::{RowSet, Scene};
+use crate::fit::field::Scene;
 use crate::fit::peaks::{self, Peak};
 use crate::fit::project;
 use crate::fit::relocate;
+use crate::fit::rows::RowSet;
 use crate::fit::target::Target;
 use crate::fit::{self, Engine};
 use crate::gaussian::Channels;
@@ -28,12 +30,6 @@ const BATCH: usize = 8;
 
 /// Sampled pixels after which the commands so far are submitted, so that no driver takes a slow device for hung.
 const MOST_PIXELS: u64 = 1 << 24;
-
-/// Sets of uniforms that are submitted at a time.
-const SLOTS: usize = 1024;
-
-/// Bytes that a pair takes in the slots.
-const SLOT: u64 = 48;
 
 /// A fit on a device.
 #[derive(Debug)]
@@ -79,33 +75,6 @@ struct Band {
     slab: usize,
     first: u32,
     rows: u32,
-}
-
-/// The buffers that depend on the number of primitives, the bands and the lists, and the stages bound to them.
-#[derive(Debug)]
-pub(super) struct Stage {
-    pub uniforms: wgpu::Buffer,
-    pub lists: Lists,
-    pub planes: wgpu::Buffer,
-    pub errors: wgpu::Buffer,
-    pub moments: wgpu::Buffer,
-    forward: Vec<wgpu::BindGroup>,
-    backward: wgpu::BindGroup,
-    importance: wgpu::BindGroup,
-    gather: wgpu::BindGroup,
-    adam: wgpu::BindGroup,
-    /// What a test looks at.
-    #[cfg(test)]
-    pub tails: wgpu::Buffer,
-    #[cfg(test)]
-    pub slots: wgpu::Buffer,
-}
-
-impl Stage {
-    /// The sum of what the last step or survey, of `tiles` tiles in all bands, left in the errors.
-    fn error(&self, device: &Device, tiles: u64) -> Result<f64> {
-        Ok(device.read_as::<f32>(&self.errors, tiles as usize)?.iter().map(|&e| f64::from(e)).sum())
-    }
 }
 
 /// What a look at the whole picture is for.
@@ -453,51 +422,16 @@ impl State {
         if self.stage.is_some() {
             return Ok(());
         }
-        let (device, count) = (&self.device, u64::from(self.count));
         let tiles_x = u64::from(self.base.tiles_x);
-        let band_tiles = tiles_x * u64::from(self.band_rows.div_ceil(TILE));
-        let all_tiles: u64 = self.bands(RowSet::ALL).iter().map(|b| tiles_x * u64::from(b.rows.div_ceil(TILE))).sum();
-        let pixels = u64::from(self.base.width) * u64::from(self.band_rows);
-        let stage = device.scoped(|| {
-            use wgpu::BufferUsages as U;
-            let (k, d) = (device.kernels(), device.wgpu().0);
-            let uniforms =
-                device.buffer("uniforms", SLOTS as u64 * u64::from(Uniforms::STRIDE), U::UNIFORM | U::COPY_DST);
-            let lists = Lists::new(device, &uniforms, &self.primitives, count, band_tiles, self.capacity);
-            let planes = device.storage("planes", pixels * 16);
-            let tails = device.storage("tails", pixels * 4);
-            let errors = device.storage("errors", all_tiles * 4);
-            let slots = device.storage("slots", u64::from(self.capacity) * SLOT);
-            let moments = device.storage("moments", count * 36);
-            let shared = [&lists.splats, &lists.starts, &lists.sorted, &lists.status];
-            let forward = self.source.slabs.iter().map(|s| {
-                let buffers = [&shared[..], &[&s.source, &planes, &tails, &errors]].concat();
-                k.forward.bind(d, &uniforms, &buffers)
-            });
-            let forward = forward.collect();
-            let pairs = [&shared[..], &[&planes, &tails, &slots]].concat();
-            let gathered = [&shared[..], &[&slots, &moments]].concat();
-            Stage {
-                forward,
-                backward: k.backward.bind(d, &uniforms, &pairs),
-                importance: k.importance.bind(d, &uniforms, &pairs),
-                gather: k.gather.bind(d, &uniforms, &gathered),
-                adam: k.adam.bind(
-                    d,
-                    &uniforms,
-                    &[&self.primitives, &moments, &self.first, &self.second, &lists.status],
-                ),
-                uniforms,
-                lists,
-                planes,
-                errors,
-                moments,
-                #[cfg(test)]
-                tails,
-                #[cfg(test)]
-                slots,
-            }
-        })?;
+        let tiles = |rows: u32| tiles_x * u64::from(rows.div_ceil(TILE));
+        let room = Room {
+            primitives: self.count.into(),
+            capacity: self.capacity,
+            pixels: u64::from(self.base.width) * u64::from(self.band_rows),
+            band_tiles: tiles(self.band_rows),
+            all_tiles: self.bands(RowSet::ALL).iter().map(|b| tiles(b.rows)).sum(),
+        };
+        let stage = Stage::new(&self.device, &self.source, [&self.primitives, &self.first, &self.second], &room)?;
         self.stage = Some(stage);
         Ok(())
     }

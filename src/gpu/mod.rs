@@ -29,6 +29,7 @@ mod peaks;
 mod renderer;
 mod scene;
 mod source;
+mod stage;
 #[cfg(test)]
 pub(crate) mod tests;
 #[cfg(test)]

@@ -1,13 +1,13 @@
 //! Where the error is largest, found on the device: cells of what is missing, blurred and halved level by level.
 
 use super::device::Device;
-use super::fit::Stage;
 use super::kernels::Kernels;
 use super::scene::{Uniforms, spaced};
+use super::stage::Stage;
 use crate::error::{GpuError, Result};
-use crate::fit::field::RowSet;
 use crate::fit::peaks::Peak;
 use crate::fit::ridge::{self, Shape};
+use crate::fit::rows::RowSet;
 use bytemuck::{Pod, Zeroable};
 
 /// Most levels.

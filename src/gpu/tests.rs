@@ -150,16 +150,18 @@ mod stages {
     //! Each stage beside its twin, on any adapter. Without one they say so; with `SSPLAT_REQUIRE_GPU=1` they fail.
 
     use super::super::device::{Adapters, Device};
-    use super::super::fit::{Fitter, Stage, packed};
+    use super::super::fit::{Fitter, packed};
     use super::super::peaks::Found;
     use super::super::renderer::Renderer;
     use super::super::scene::{Primitive, Splat, Uniforms};
     use super::super::source::pack;
+    use super::super::stage::Stage;
     use super::super::twin;
     use crate::fit::adam::{Bounds, Rates};
-    use crate::fit::field::{Output, RowSet, Scene};
+    use crate::fit::field::{Output, Scene};
     use crate::fit::plan::Plan;
     use crate::fit::project::Primitive as Free;
+    use crate::fit::rows::RowSet;
     use crate::fit::target::Target;
     use crate::fit::{self, Engine};
     use crate::gaussian::{Blend, Channels};

@@ -1,6 +1,9 @@
 //! The hot loops: Gaussians into a strip of eight columns, and the strip into code values.
 //!
 //! A strip is as wide as one AVX register and, with its planes side by side, small enough for the first-level cache.
+//!
+//! Large Gaussians are drawn at every pixel, too: sums of fewer samples, interpolated, miss the kink at a support's edge, which
+//! shows by several code values where a Gaussian lies alone and ε is all that it is divided by.
 
 use super::project::{SUPPORT, Splat, Splats};
 use super::samples::{Codes, Sample};

@@ -1,0 +1,98 @@
+//! What a step works with: buffers that depend on the number of primitives, the bands and the lists, and the passes bound to
+//! them.
+
+use super::device::Device;
+use super::lists::Lists;
+use super::scene::Uniforms;
+use super::source::Source;
+use crate::error::Result;
+
+/// Sets of uniforms that are submitted at a time.
+pub(super) const SLOTS: usize = 1024;
+
+/// Bytes that a pair takes in the slots.
+pub(super) const SLOT: u64 = 48;
+
+/// How much the buffers are to hold.
+#[derive(Debug)]
+pub(super) struct Room {
+    pub primitives: u64,
+    /// Pairs of the lists.
+    pub capacity: u32,
+    /// Pixels of a band.
+    pub pixels: u64,
+    /// Tiles of a band, and of all bands of the whole picture.
+    pub band_tiles: u64,
+    pub all_tiles: u64,
+}
+
+/// The buffers and the passes.
+#[derive(Debug)]
+pub(super) struct Stage {
+    pub uniforms: wgpu::Buffer,
+    pub lists: Lists,
+    pub planes: wgpu::Buffer,
+    pub errors: wgpu::Buffer,
+    pub moments: wgpu::Buffer,
+    pub forward: Vec<wgpu::BindGroup>,
+    pub backward: wgpu::BindGroup,
+    pub importance: wgpu::BindGroup,
+    pub gather: wgpu::BindGroup,
+    pub adam: wgpu::BindGroup,
+    /// What a test looks at.
+    #[cfg(test)]
+    pub tails: wgpu::Buffer,
+    #[cfg(test)]
+    pub slots: wgpu::Buffer,
+}
+
+impl Stage {
+    /// Makes them for the slabs of `source` and the `state` of a fit: its primitives, and the moments that Adam keeps of them.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`](crate::Error::Gpu) when the device cannot hold them.
+    pub(super) fn new(device: &Device, source: &Source, state: [&wgpu::Buffer; 3], room: &Room) -> Result<Self> {
+        let [primitives, first, second] = state;
+        device.scoped(|| {
+            use wgpu::BufferUsages as U;
+            let (k, d) = (device.kernels(), device.wgpu().0);
+            let uniforms =
+                device.buffer("uniforms", SLOTS as u64 * u64::from(Uniforms::STRIDE), U::UNIFORM | U::COPY_DST);
+            let lists = Lists::new(device, &uniforms, primitives, room.primitives, room.band_tiles, room.capacity);
+            let planes = device.storage("planes", room.pixels * 16);
+            let tails = device.storage("tails", room.pixels * 4);
+            let errors = device.storage("errors", room.all_tiles * 4);
+            let slots = device.storage("slots", u64::from(room.capacity) * SLOT);
+            let moments = device.storage("moments", room.primitives * 36);
+            let shared = [&lists.splats, &lists.starts, &lists.sorted, &lists.status];
+            let forward = source.slabs.iter().map(|s| {
+                let buffers = [&shared[..], &[&s.source, &planes, &tails, &errors]].concat();
+                k.forward.bind(d, &uniforms, &buffers)
+            });
+            let forward = forward.collect();
+            let pairs = [&shared[..], &[&planes, &tails, &slots]].concat();
+            let gathered = [&shared[..], &[&slots, &moments]].concat();
+            Stage {
+                forward,
+                backward: k.backward.bind(d, &uniforms, &pairs),
+                importance: k.importance.bind(d, &uniforms, &pairs),
+                gather: k.gather.bind(d, &uniforms, &gathered),
+                adam: k.adam.bind(d, &uniforms, &[primitives, &moments, first, second, &lists.status]),
+                uniforms,
+                lists,
+                planes,
+                errors,
+                moments,
+                #[cfg(test)]
+                tails,
+                #[cfg(test)]
+                slots,
+            }
+        })
+    }
+
+    /// The sum of what the last step or survey, of `tiles` tiles in all bands, left in the errors.
+    pub(super) fn error(&self, device: &Device, tiles: u64) -> Result<f64> {
+        Ok(device.read_as::<f32>(&self.errors, tiles as usize)?.iter().map(|&e| f64::from(e)).sum())
+    }
+}
