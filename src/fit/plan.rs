@@ -42,11 +42,7 @@ impl Plan {
     /// find their places.
     pub(crate) fn new(effort: u8, count: usize, pixels: u64, time: Option<Duration>, seed: u64) -> Self {
         let level = usize::from(effort.clamp(1, 9)) - 1;
-        let mut base = [66.0, 130.0, 220.0, 350.0, 590.0, 880.0, 1540.0, 2640.0, 4400.0f32][level];
-        // The largest pictures take minutes as it is: at effort 5 this is what they had before it was raised.
-        if count >= HUGE {
-            base *= 0.9;
-        }
+        let base = [66.0, 130.0, 220.0, 350.0, 590.0, 880.0, 1540.0, 2640.0, 4400.0f32][level];
         let crowd = count.max(1) as f32 / 5500.0;
         let patience = crowd.powf(if crowd < 1.0 { -0.95 } else { -0.3 }).clamp(0.25, 9.0);
         // On small pictures it takes only seconds to get the tenth of a decibel that half as many again win.
