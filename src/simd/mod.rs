@@ -1,7 +1,7 @@
 //! Eight floats side by side on any instruction set, and the plain one that every machine has.
 //!
 //! Each operation is one IEEE operation a lane and none is fused, so that every instruction set gives the same bits. Sixteen
-//! lanes of AVX-512, two rows of a strip, draw no faster or hardly so: what bounds the kernel is its loads and stores.
+//! lanes of AVX-512, two rows of a strip, draw no faster or hardly so.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
