@@ -67,7 +67,6 @@
 #[cfg(test)]
 extern crate self as ssplat;
 
-mod backend;
 pub mod bitstream;
 mod convert;
 pub mod decode;
@@ -79,7 +78,6 @@ mod fit;
 pub mod gaussian;
 #[cfg(feature = "gpu")]
 pub mod gpu;
-mod leave_out;
 pub mod limits;
 pub mod metrics;
 pub mod options;
@@ -87,17 +85,15 @@ mod parallel;
 pub mod pixels;
 pub mod quantize;
 pub mod raster;
+mod round;
 mod simd;
-mod trace;
 
-pub use backend::Chosen;
 pub use decode::{Decoded, decode};
 pub use decoder::{EXTENSION, SsplatDecoder, register};
-pub use encode::{EncodeReport, Encoded, LeftOut, Progress, encode, encode_with_progress};
+pub use encode::{Chosen, EncodeReport, Encoded, LeftOut, Progress, TracePoint, encode, encode_with_progress};
 pub use encoder::{SsplatEncoder, save};
 pub use error::{Error, FormatError, GpuError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
 pub use limits::Limits;
 pub use options::{Ablation, Backend, Damage, DecodeOptions, EncodeOptions, Needs, Recipe, Target, Trace, Tune};
 pub use pixels::{Depth, Pixels, Samples};
-pub use trace::TracePoint;

@@ -1,24 +1,28 @@
 //! Pixels to bytes: the whole encoder behind one function.
 
+mod aim;
+pub(crate) mod channels;
+mod device;
+mod job;
 mod prune;
-mod savings;
-mod session;
-mod size;
+mod report;
+mod trace;
 
 use std::ops::ControlFlow;
 
-use crate::backend::{Choice, Chosen};
 use crate::bitstream::splats::Layout;
 use crate::error::{Error, Result};
-use crate::fit::target::Target as Planes;
+use crate::fit::model::planes::Target as Planes;
 use crate::gaussian::Blend;
-use crate::leave_out;
 use crate::options::{EncodeOptions, Needs, Recipe, Target};
 use crate::pixels::Pixels;
-use crate::trace::{TracePoint, Tracer};
-pub use savings::LeftOut;
-use savings::Savings;
-use session::{Session, decibels};
+use device::Choice;
+pub use device::Chosen;
+use job::{Session, decibels};
+pub use report::LeftOut;
+use report::Savings;
+pub use trace::TracePoint;
+use trace::Tracer;
 
 /// Most primitives that an encode will fit.
 const MAX_PRIMITIVES: u64 = 16 << 20;
@@ -87,7 +91,7 @@ pub fn encode_with_progress(
     let tracer = Tracer::new(options.trace);
     // Only the coded layout stores a constant channel in next to nothing.
     let measured = options.needs == Needs::Measured && options.layout == Layout::Coded;
-    let narrow = if measured { leave_out::narrow(pixels) } else { None };
+    let narrow = if measured { channels::narrow(pixels) } else { None };
     let narrowed = narrow.as_ref().map_or(pixels, |n| &n.pixels);
     let mut session = Session {
         original: pixels,

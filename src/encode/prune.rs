@@ -1,18 +1,18 @@
 //! What is taken out after a fit, and what that and what was left out before it saved.
 
-use super::session::{Outcome, Session};
+use super::channels;
+use super::job::{Outcome, Session};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
-use crate::fit::finish;
-use crate::fit::target::Target as Planes;
-use crate::leave_out;
+use crate::fit::model::planes::Target as Planes;
+use crate::round::finish;
 
 impl Session<'_> {
     /// Takes out the primitives without which the squared error of what was fitted stays within `enough`.
     pub(super) fn prune(&mut self, outcome: &mut Outcome, enough: f64) -> Result<()> {
         let clock = self.tracer.seconds();
         let scene = self.stored_scene(&outcome.splats);
-        let Some(pruned) = leave_out::pruned(&scene, &self.planes, &outcome.splats, enough) else { return Ok(()) };
+        let Some(pruned) = channels::pruned(&scene, &self.planes, &outcome.splats, enough) else { return Ok(()) };
         let file = self.file(&pruned)?;
         if file.len() < outcome.bytes.len() {
             let what = "primitives without which the error stays below that of rounding, or of the target";
@@ -39,7 +39,7 @@ impl Session<'_> {
         let scene = self.stored_scene(splats);
         let projected = finish::projected(&splats.quantizer(), &splats.gaussians, splats.height);
         let seconds = |planes: &Planes| {
-            let draw = || leave_out::drawing_seconds(&scene, planes, &projected);
+            let draw = || channels::drawing_seconds(&scene, planes, &projected);
             draw().min(draw())
         };
         let spent: f64 = self.stages.iter().map(|s| s.1).sum();

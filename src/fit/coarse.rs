@@ -21,14 +21,15 @@
 //! So a start at half the size costs less and ends .2 to .3 dB higher: its surveys leave no rows out. Row sampling alone,
 //! which keeps all columns, is what it is added to. Small pictures do without: surveys of theirs see all rows anyway.
 
-use super::field::Scene;
+use super::model::field::Scene;
+use super::model::planes::Target;
+use super::model::project::Primitive;
+use super::model::reduced::{Coarse, Reduced};
 use super::plan::Plan;
-use super::project::Primitive;
-use super::reduced::{Coarse, Reduced};
-use super::target::Target;
-use super::{finish, run_part, start};
+use super::{run_part, start};
 use crate::gaussian::{Blend, Channels};
 use crate::pixels::{Pixels, Samples};
+use crate::round::finish;
 
 /// Fits, and returns the PSNR at the picture's own size, dB.
 fn fitted(target: &Target, count: usize, plan: &Plan, share: f32) -> f64 {

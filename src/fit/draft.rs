@@ -8,10 +8,10 @@
 use rand_pcg::Pcg64Mcg;
 
 use crate::error::Result;
-use crate::fit::field::Scene;
+use crate::fit::model::field::Scene;
+use crate::fit::model::planes::Target;
+use crate::fit::model::reduced::{Coarse, Reduced};
 use crate::fit::plan::Plan;
-use crate::fit::reduced::{Coarse, Reduced};
-use crate::fit::target::Target;
 use crate::fit::{self, Engine, Recount, State, Watch};
 
 /// From so many primitives on the small ones among them need all pixels: 260 lose .1 dB to a copy of half the size.
@@ -93,7 +93,7 @@ pub(crate) fn start(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::project::Primitive;
+    use crate::fit::model::project::Primitive;
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::{Pixels, Samples};
 

@@ -1,30 +1,13 @@
 //! Fitting primitives to a picture: float, stochastic, seeded; the same result for any thread count.
 
-pub(crate) mod adam;
-pub(crate) mod bowl;
 #[cfg(all(test, unix))]
 mod coarse;
-pub(crate) mod descend;
 pub(crate) mod draft;
-pub(crate) mod field;
-pub(crate) mod finish;
-pub(crate) mod freeze;
-pub(crate) mod kernel;
-mod patch;
-pub(crate) mod peaks;
+pub(crate) mod model;
 pub(crate) mod plan;
-pub(crate) mod project;
-pub(crate) mod rates;
-pub(crate) mod reduced;
-pub(crate) mod relocate;
-pub(crate) mod ridge;
-pub(crate) mod rows;
-pub(crate) mod sample;
 pub(crate) mod smartsplat;
 #[cfg(test)]
 mod stability;
-pub(crate) mod structure;
-pub(crate) mod target;
 
 use std::ops::Range;
 use std::time::Instant;
@@ -34,13 +17,14 @@ use rand_pcg::Pcg64Mcg;
 
 use crate::error::Result;
 use crate::parallel;
-use adam::{Bounds, Freedom, Memory, Rates};
-use field::{Field, Output, Scene};
+use model::adam::{self, Bounds, Freedom, Memory, Rates};
+use model::field::{Field, Output, Scene};
+use model::planes::Target;
+use model::project::{Primitive, Projected};
+use model::reduced::{Coarse, Reduced};
+use model::rows::RowSet;
+use model::{relocate, sample};
 use plan::Plan;
-use project::{Primitive, Projected};
-use reduced::{Coarse, Reduced};
-use rows::RowSet;
-use target::Target;
 
 /// Step sizes at the start; see `design.md` for how they were found.
 const RATES: Rates = Rates { mean: 0.3, log_scale: 0.3, rotation: 0.15, color: 0.01 };

@@ -8,15 +8,15 @@ mod cases;
 #[allow(dead_code)]
 mod scenes;
 
-use super::adam::Bounds;
-use super::field::{Field, Output, Scene};
+use super::model::adam::Bounds;
+use super::model::field::{Field, Output, Scene};
+use super::model::planes::Target;
+use super::model::project::{Primitive, Projected};
+use super::model::rows::RowSet;
 use super::plan::Plan;
-use super::project::{Primitive, Projected};
-use super::rows::RowSet;
-use super::target::Target;
 use super::{LAST_RATE, RATES, SAMPLED, State, fit, project_all};
+use crate::encode::channels;
 use crate::gaussian::{Blend, Channels, Picture};
-use crate::leave_out;
 use crate::options::Target as Aim;
 use crate::pixels::Pixels;
 use crate::raster::reference;
@@ -254,7 +254,7 @@ fn watched(pixels: &Pixels, blend: Blend, count: usize, plan: &Plan) -> Watched 
     let known = |v: f64| if finite { v } else { f64::NAN };
     // A fit may be through before that.
     let best = if best.is_finite() { best } else { end };
-    let shown = |v: f64| v.min(-10.0 * leave_out::rounding(pixels.depth()).log10());
+    let shown = |v: f64| v.min(-10.0 * channels::rounding(pixels.depth()).log10());
     Watched { gain: known(end - constant), kept: known(shown(end) - shown(best)) }
 }
 

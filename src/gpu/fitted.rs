@@ -6,10 +6,10 @@ use std::time::Instant;
 use super::device::Device;
 use super::fit::Fitter;
 use crate::error::{Error, Result};
-use crate::fit::field::Scene;
+use crate::fit::model::field::Scene;
+use crate::fit::model::planes::Target;
+use crate::fit::model::project::Primitive;
 use crate::fit::plan::Plan;
-use crate::fit::project::Primitive;
-use crate::fit::target::Target;
 use crate::gaussian::{Blend, Picture};
 use crate::pixels::Pixels;
 

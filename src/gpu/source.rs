@@ -4,7 +4,7 @@ use super::device::Device;
 use super::lists::MOST_TILES;
 use super::scene::TILE;
 use crate::error::{GpuError, Result};
-use crate::fit::target::Target;
+use crate::fit::model::planes::Target;
 use crate::pixels::{Pixels, Samples};
 
 /// The target on the device.

@@ -90,7 +90,7 @@ fn constants_are_the_crates_own() {
         assert!(common.contains(text), "{text}");
     }
     let adam = include_str!("../../shaders/adam.wgsl");
-    for (name, value) in [("FIRST", crate::fit::adam::BETA1), ("SECOND", crate::fit::adam::BETA2)] {
+    for (name, value) in [("FIRST", crate::fit::model::adam::BETA1), ("SECOND", crate::fit::model::adam::BETA2)] {
         assert!(adam.contains(&format!("const BETA_{name}: f32 = {value};")), "{name}");
     }
 }
@@ -157,12 +157,12 @@ mod stages {
     use super::super::source::pack;
     use super::super::stage::Stage;
     use super::super::twin;
-    use crate::fit::adam::{Bounds, Rates};
-    use crate::fit::field::{Output, Scene};
+    use crate::fit::model::adam::{Bounds, Rates};
+    use crate::fit::model::field::{Output, Scene};
+    use crate::fit::model::planes::Target;
+    use crate::fit::model::project::Primitive as Free;
+    use crate::fit::model::rows::RowSet;
     use crate::fit::plan::Plan;
-    use crate::fit::project::Primitive as Free;
-    use crate::fit::rows::RowSet;
-    use crate::fit::target::Target;
     use crate::fit::{self, Engine};
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::{Pixels, Samples};
@@ -422,15 +422,15 @@ mod stages {
             gpu.descend(&half_scene, &half, rows, RATES).unwrap();
         }
         // Errors are those at the whole size all the while.
-        let at_whole = fit::finish::float_error(&scene, &target, &fit::zoomed(cpu.primitives.clone(), 2.0));
+        let at_whole = crate::round::finish::float_error(&scene, &target, &fit::zoomed(cpu.primitives.clone(), 2.0));
         near(fitter.error(&scene).unwrap(), at_whole);
         assert_ne!(halved, cpu.primitives);
         gpu.zoom(&scene, &target, 2.0).unwrap();
         cpu.zoom(&scene, &target, 2.0).unwrap();
-        near(fitter.error(&scene).unwrap(), fit::finish::float_error(&scene, &target, &cpu.primitives));
+        near(fitter.error(&scene).unwrap(), crate::round::finish::float_error(&scene, &target, &cpu.primitives));
         cpu.descend(&scene, &target, RowSet::ALL, RATES);
         gpu.descend(&scene, &target, RowSet::ALL, RATES).unwrap();
-        near(fitter.error(&scene).unwrap(), fit::finish::float_error(&scene, &target, &cpu.primitives));
+        near(fitter.error(&scene).unwrap(), crate::round::finish::float_error(&scene, &target, &cpu.primitives));
     }
 
     #[test]
@@ -457,7 +457,7 @@ mod stages {
                 let flat = |p: &Free| bytemuck::cast::<_, [f32; 9]>(packed(p));
                 (error, fitter.finish().unwrap().iter().flat_map(flat).collect::<Vec<f32>>())
             };
-            let want = fit::finish::float_error(&scene, &target, &state.primitives);
+            let want = crate::round::finish::float_error(&scene, &target, &state.primitives);
             let (error, high) = run(1 << 20, [61, 64]);
             // A row of the target takes 600 bytes, one of the planes 1200.
             let (same, low) = run(16 * 1200, [32, 16]);
@@ -477,10 +477,10 @@ mod stages {
             let count = c.free.len();
             // The error over the same rows, the costs and the peaks of the CPU's own relocation.
             let projected = fit::project_all(&c.free, c.scene.height);
-            let mut field = fit::field::Field::default();
+            let mut field = fit::model::field::Field::default();
             let error = field.draw(&c.scene, &target, &projected, rows, Output::Picture);
-            let costs = fit::relocate::removal_costs(&c.scene, &target, &field, rows, &projected);
-            let peaks = fit::peaks::peaks(&c.scene, &target, &field, rows, 12, count);
+            let costs = fit::model::relocate::removal_costs(&c.scene, &target, &field, rows, &projected);
+            let peaks = fit::model::peaks::peaks(&c.scene, &target, &field, rows, 12, count);
             let source = pack(&c.pixels, 0, c.scene.height);
             let (scene, background) = (c.scene, c.scene.background);
             let found = c
@@ -520,15 +520,16 @@ mod stages {
                         blurred = twin::blur::blur(&Uniforms { mode: 1, ..base }, &blurred);
                     }
                     let mut found: Vec<Found> = Vec::new();
-                    let ridges = fit::ridge::all();
-                    let longest = fit::ridge::longest(fit::peaks::spacing(&scene, 12, count), 8.0f32.sqrt());
+                    let ridges = fit::model::ridge::all();
+                    let longest =
+                        fit::model::ridge::longest(fit::model::peaks::spacing(&scene, 12, count), 8.0f32.sqrt());
                     twin::peaks::find_peaks(
                         &Uniforms { variance: 8.0, longest, ..base },
                         &blurred,
                         &ridges,
                         &mut found,
                     );
-                    let all = p.find(d, &base, rows, fit::peaks::spacing(&scene, 12, count), 0.0).unwrap();
+                    let all = p.find(d, &base, rows, fit::model::peaks::spacing(&scene, 12, count), 0.0).unwrap();
                     let mut first: Vec<f32> = all.iter().filter(|(_, l)| *l == 0).map(|(p, _)| p.gain).collect();
                     let mut twins: Vec<f32> =
                         found.iter().map(|f| 4.0 * std::f32::consts::PI * 8.0 * f.shape().score).collect();
@@ -538,7 +539,7 @@ mod stages {
                     let halved = twin::halve::halve(&base, &blurred);
                     // Level 1 starts in the second buffer; whatever came later went back and forth.
                     assert_eq!(halved.len() as u32, base.cells_x.div_ceil(2) * base.cells_y.div_ceil(2));
-                    fit::peaks::best(all, 12, &scene)
+                    fit::model::peaks::best(all, 12, &scene)
                 })
                 .unwrap();
             assert_eq!(found.len(), peaks.len());
@@ -764,7 +765,7 @@ mod stages {
         let (primitives, error) = gpu();
         assert_eq!(primitives.len(), count);
         fitted(&mut cpu, &scene, &target, &plan);
-        let of = |p: &[Free]| decibels(fit::finish::float_error(&scene, &target, p), &pixels);
+        let of = |p: &[Free]| decibels(crate::round::finish::float_error(&scene, &target, p), &pixels);
         let (want, got) = (of(&cpu.primitives), of(&primitives));
         eprintln!("{blend:?}, {steps} steps, seed {seed}: CPU {want:.3} dB, GPU {got:.3} dB");
         assert!((decibels(error, &pixels) - got).abs() < 0.01, "{error}");
@@ -814,7 +815,7 @@ mod stages {
                     p.mean[i % 2] += 1e-4;
                 }
                 fitted(&mut nudged, &scene, &target, &plan);
-                let error = fit::finish::float_error(&scene, &target, &nudged.primitives);
+                let error = crate::round::finish::float_error(&scene, &target, &nudged.primitives);
                 nudges.push(decibels(error, &pixels) - want);
             }
             let ((by_device, a), (by_nudge, b)) = (mean(&devices), mean(&nudges));

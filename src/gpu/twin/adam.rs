@@ -1,7 +1,7 @@
 //! Twin of `adam.wgsl`.
 
 use super::common::{HALF, sin_cos};
-use crate::fit::adam::{BETA1 as BETA_FIRST, BETA2 as BETA_SECOND};
+use crate::fit::model::adam::{BETA1 as BETA_FIRST, BETA2 as BETA_SECOND};
 use crate::gpu::scene::Uniforms;
 
 /// The gradient of half the squared error in the Gaussian's own frame: mean in units of its scales, log-scales,

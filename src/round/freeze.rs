@@ -5,11 +5,11 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
 use crate::error::Result;
-use crate::fit::adam::{Freedom, Rates};
-use crate::fit::field::Scene;
+use crate::fit::model::adam::{Freedom, Rates};
+use crate::fit::model::field::Scene;
+use crate::fit::model::planes::Target;
+use crate::fit::model::project::Primitive;
 use crate::fit::plan::Plan;
-use crate::fit::project::Primitive;
-use crate::fit::target::Target;
 use crate::fit::{RowCycle, State, Watch, project_all, row_step};
 use crate::quantize::Quantizer;
 

@@ -1,12 +1,12 @@
 //! Moving the least useful primitives to where the error is largest: what removing each costs, and the exchange.
 
-use crate::fit::adam::{Memory, price};
-use crate::fit::field::{Field, Output, Scene};
-use crate::fit::kernel::{self, Strip, Visit};
-use crate::fit::peaks::{at_peak, peaks};
-use crate::fit::project::Projected;
-use crate::fit::rows::RowSet;
-use crate::fit::target::Target;
+use crate::fit::model::adam::{Memory, price};
+use crate::fit::model::field::{Field, Output, Scene};
+use crate::fit::model::kernel::{self, Strip, Visit};
+use crate::fit::model::peaks::{at_peak, peaks};
+use crate::fit::model::planes::Target;
+use crate::fit::model::project::Projected;
+use crate::fit::model::rows::RowSet;
 use crate::fit::{State, project_all};
 use crate::gaussian::Blend;
 use crate::parallel;

@@ -3,10 +3,10 @@
 //! Only the rows of a [`RowSet`] are kept, so that stochastic gradients over one row in `n` cost a fraction of the
 //! time and of the memory.
 
-use crate::fit::kernel;
-use crate::fit::project::{Primitive, Projected};
-use crate::fit::rows::RowSet;
-use crate::fit::target::Target;
+use crate::fit::model::kernel;
+use crate::fit::model::planes::Target;
+use crate::fit::model::project::{Primitive, Projected};
+use crate::fit::model::rows::RowSet;
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};

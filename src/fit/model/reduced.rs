@@ -1,7 +1,7 @@
 //! A picture made smaller, for the first steps of a fit.
 
-use crate::fit::field::Scene;
-use crate::fit::target::Target;
+use crate::fit::model::field::Scene;
+use crate::fit::model::planes::Target;
 
 /// A picture made smaller.
 pub(crate) struct Reduced {

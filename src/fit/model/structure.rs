@@ -1,8 +1,8 @@
 //! Structural similarity for the fit: weights that make the squared error favour it, and its own gradient.
 
-use crate::fit::field::{Field, Scene};
-use crate::fit::sample::blur;
-use crate::fit::target::Target;
+use crate::fit::model::field::{Field, Scene};
+use crate::fit::model::planes::Target;
+use crate::fit::model::sample::blur;
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
@@ -111,8 +111,8 @@ impl Loss {
     /// Turns the picture of all rows in `field` ([`Output::Picture`]) into the gradient, as [`Output::Gradient`] leaves
     /// it. Where the picture is outside `0..=1` the gradient is 0, as it is behind a clamp.
     ///
-    /// [`Output::Picture`]: crate::fit::field::Output::Picture
-    /// [`Output::Gradient`]: crate::fit::field::Output::Gradient
+    /// [`Output::Picture`]: crate::fit::model::field::Output::Picture
+    /// [`Output::Gradient`]: crate::fit::model::field::Output::Gradient
     pub(crate) fn gradient(&mut self, scene: &Scene, target: &Target, field: &mut Field) {
         let (channels, stride, width) = (target.channels.count(), field.stride, self.width);
         let size = (channels + 1) * stride;

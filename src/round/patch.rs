@@ -1,13 +1,13 @@
 //! The pixels around one primitive, and how their error depends on what takes its place: on the colour of a given shape, and
 //! to second order on the shape itself.
 
-use crate::fit::bowl::Bowl;
-use crate::fit::field::Scene;
 use crate::fit::is_large;
-use crate::fit::kernel::{self, Strip, Visit};
-use crate::fit::project::Projected;
-use crate::fit::target::Target;
+use crate::fit::model::field::Scene;
+use crate::fit::model::kernel::{self, Strip, Visit};
+use crate::fit::model::planes::Target;
+use crate::fit::model::project::Projected;
 use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON, Gaussian};
+use crate::round::bowl::Bowl;
 use crate::simd::{LANES, Simd};
 
 /// Rows of a primitive's support, on a large picture, for one that is looked at.

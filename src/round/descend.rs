@@ -7,17 +7,17 @@
 //! parallel.
 
 use crate::bitstream::splats::PackedGaussian;
-use crate::fit::bowl::{Bowl, Moves};
-use crate::fit::field::{Field, Output, Scene};
-use crate::fit::kernel;
-use crate::fit::patch::{Parabola, Patch};
-use crate::fit::project::Projected;
-use crate::fit::rates::Rates;
-use crate::fit::rows::RowSet;
-use crate::fit::target::Target;
+use crate::fit::model::field::{Field, Output, Scene};
+use crate::fit::model::kernel;
+use crate::fit::model::planes::Target;
+use crate::fit::model::project::Projected;
+use crate::fit::model::rows::RowSet;
 use crate::gaussian::Gaussian;
 use crate::parallel;
 use crate::quantize::Quantizer;
+use crate::round::bit_cost::Rates;
+use crate::round::bowl::{Bowl, Moves};
+use crate::round::patch::{Parabola, Patch};
 use crate::simd::{self, LANES, Simd, Task};
 
 /// Height of the smallest bands, rows.

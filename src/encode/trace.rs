@@ -3,11 +3,11 @@
 
 use std::time::{Duration, Instant};
 
-use crate::fit::field::{Field, Output, Scene};
-use crate::fit::project::Projected;
-use crate::fit::rows::RowSet;
-use crate::fit::target::Target;
-use crate::leave_out;
+use super::channels;
+use crate::fit::model::field::{Field, Output, Scene};
+use crate::fit::model::planes::Target;
+use crate::fit::model::project::Projected;
+use crate::fit::model::rows::RowSet;
 use crate::metrics;
 use crate::options::Trace;
 use crate::pixels::{Depth, Pixels, Samples};
@@ -76,7 +76,7 @@ impl Tracer {
             let clock = Instant::now();
             let (scene, projected) = drawing();
             let drawn = draw(&scene, target, &projected, pixels.depth());
-            let found = metrics::compare(pixels, &leave_out::widen_pixels(drawn, pixels.channels()));
+            let found = metrics::compare(pixels, &channels::widen_pixels(drawn, pixels.channels()));
             let found = found.expect("a picture of the same shape");
             self.points.push(TracePoint {
                 stage,

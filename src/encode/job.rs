@@ -3,23 +3,23 @@
 use std::ops::ControlFlow;
 
 use super::Progress;
-use super::savings::Savings;
-use crate::backend::{Choice, Job};
+use super::channels;
+use super::report::Savings;
 use crate::bitstream::splats::{Metadata, PackedSplats, Steps};
+use crate::encode::device::{Choice, Job};
+use crate::encode::trace::Tracer;
 use crate::error::{Error, Result};
 use crate::fit;
-use crate::fit::field::Scene;
-use crate::fit::finish::{self, Size};
+use crate::fit::model::field::Scene;
+use crate::fit::model::planes::Target as Planes;
+use crate::fit::model::project::Primitive;
+use crate::fit::model::structure;
 use crate::fit::plan::Plan;
-use crate::fit::project::Primitive;
 use crate::fit::smartsplat;
-use crate::fit::structure;
-use crate::fit::target::Target as Planes;
 use crate::gaussian::{Blend, Channels};
-use crate::leave_out;
 use crate::options::{EncodeOptions, Needs, Recipe, Tune};
 use crate::pixels::Pixels;
-use crate::trace::Tracer;
+use crate::round::finish::{self, Size};
 
 pub(super) struct Session<'a> {
     /// What the caller gave.
@@ -112,7 +112,7 @@ impl Session<'_> {
     pub(super) fn file(&self, splats: &PackedSplats) -> Result<Vec<u8>> {
         match self.is_whole() {
             true => crate::bitstream::to_bytes(splats),
-            false => crate::bitstream::to_bytes(&leave_out::widen(splats, self.channels())),
+            false => crate::bitstream::to_bytes(&channels::widen(splats, self.channels())),
         }
     }
 
@@ -126,7 +126,7 @@ impl Session<'_> {
 
     /// The same with the planes of all channels, where some were left out.
     pub(super) fn whole_error(&self, splats: &PackedSplats, whole: &Planes) -> f64 {
-        let wide = leave_out::widen(splats, self.channels());
+        let wide = channels::widen(splats, self.channels());
         finish::packed_error(&self.stored_scene(&wide), whole, &wide.quantizer(), &wide.gaussians)
     }
 
@@ -150,7 +150,7 @@ impl Session<'_> {
         }
         if self.options.tune == Tune::Ssim {
             self.planes.amplitude = structure::amplitudes(&self.planes, count);
-            if self.options.needs == Needs::Measured && leave_out::is_even(&self.planes) {
+            if self.options.needs == Needs::Measured && channels::is_even(&self.planes) {
                 self.planes.amplitude.clear();
                 self.savings.note("SSIM terms: the picture is so even that all pixels weigh the same", 0, 0.0);
             }
@@ -163,7 +163,7 @@ impl Session<'_> {
         let mut plan = Plan::new(self.options.effort, count, pixels, self.options.time, self.options.seed);
         plan.levels = self.options.levels;
         if self.options.needs == Needs::Measured {
-            plan.enough = leave_out::enough(self.options.target, self.pixels.depth());
+            plan.enough = channels::enough(self.options.target, self.pixels.depth());
         }
         let scene = self.scene();
         let mut splats = self.empty();

@@ -1,11 +1,11 @@
 //! Where the error is largest, and what shape a new primitive should have there.
 
-use crate::fit::field::{Field, Scene};
-use crate::fit::project::Primitive;
-use crate::fit::ridge::{self, Shape};
-use crate::fit::rows::RowSet;
-use crate::fit::sample::blur;
-use crate::fit::target::Target;
+use crate::fit::model::field::{Field, Scene};
+use crate::fit::model::planes::Target;
+use crate::fit::model::project::Primitive;
+use crate::fit::model::ridge::{self, Shape};
+use crate::fit::model::rows::RowSet;
+use crate::fit::model::sample::blur;
 use crate::gaussian::Blend;
 use crate::parallel;
 

@@ -3,8 +3,8 @@
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
-use crate::fit::project::Primitive;
-use crate::fit::target::Target;
+use crate::fit::model::planes::Target;
+use crate::fit::model::project::Primitive;
 use crate::parallel;
 
 /// Share of the primitives that follow detail; the rest is spread evenly.

@@ -2,12 +2,12 @@
 
 use std::fmt;
 
+use super::channels;
 use crate::error::{Error, GpuError, Result};
-use crate::fit::field::Scene;
+use crate::fit::model::field::Scene;
+use crate::fit::model::planes::Target;
 use crate::fit::plan::Plan;
-use crate::fit::target::Target;
 use crate::fit::{self, Recount, State, Watch};
-use crate::leave_out;
 use crate::options::{Backend, EncodeOptions};
 use crate::pixels::Pixels;
 
@@ -86,7 +86,7 @@ impl Choice {
             Backend::Auto if area < SMALL => {
                 Ok((None, Chosen::cpu(format!("the picture has fewer than {SMALL} pixels"))))
             }
-            Backend::Auto if leave_out::is_constant(pixels) => Ok((None, Chosen::cpu("the picture is one colour"))),
+            Backend::Auto if channels::is_constant(pixels) => Ok((None, Chosen::cpu("the picture is one colour"))),
             asked => open(asked, options),
         };
         let (gpu, chosen) = match opened {

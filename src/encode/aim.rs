@@ -1,13 +1,13 @@
 //! From what is asked for to a file of that kind: with how many primitives a fit begins, and how often one is tried.
 
 use super::MAX_PRIMITIVES;
-use super::session::{Outcome, Session, decibels};
+use super::channels;
+use super::job::{Outcome, Session, decibels};
 use crate::bitstream::splats::{Layout, PackedSplats};
 use crate::error::{Error, Result};
-use crate::fit::finish::Size;
 use crate::gaussian::Blend;
-use crate::leave_out;
 use crate::options::{Needs, Target};
+use crate::round::finish::Size;
 
 /// Ratio of [`Target::Auto`].
 const RATIO: f64 = 50.0;
@@ -46,11 +46,11 @@ impl Session<'_> {
     fn constant(&mut self, size: Size) -> Result<Option<Outcome>> {
         let is_wanted =
             self.measured && self.blend == Blend::Normalized && self.options.target != Target::Primitives(0);
-        if !is_wanted || !leave_out::is_constant(self.pixels) {
+        if !is_wanted || !channels::is_constant(self.pixels) {
             return Ok(None);
         }
         let mut splats = self.empty();
-        leave_out::constant(&mut splats, self.planes.mean);
+        channels::constant(&mut splats, self.planes.mean);
         let bytes = self.file(&splats)?;
         if over(&bytes, size) > 0 {
             return Ok(None);
@@ -137,7 +137,7 @@ impl Session<'_> {
                 outcome.bytes = self.file(&outcome.splats)?;
             }
             if self.options.needs == Needs::Measured {
-                let enough = leave_out::rounding(self.pixels.depth()) * self.fitted_samples();
+                let enough = channels::rounding(self.pixels.depth()) * self.fitted_samples();
                 self.prune(&mut outcome, enough)?;
             }
             // Whatever a fit came to, it is not worse than one colour.

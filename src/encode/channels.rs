@@ -5,15 +5,16 @@
 //! layout stores a constant in next to nothing.
 
 use crate::bitstream::splats::{PackedGaussian, PackedSplats, Steps};
-use crate::fit::descend::{self, Activity, Objective};
-use crate::fit::field::{Field, Output, Scene};
-use crate::fit::project::Projected;
-use crate::fit::rows::RowSet;
-use crate::fit::target::Target as Planes;
-use crate::fit::{finish, relocate};
+use crate::fit::model::field::{Field, Output, Scene};
+use crate::fit::model::planes::Target as Planes;
+use crate::fit::model::project::Projected;
+use crate::fit::model::relocate;
+use crate::fit::model::rows::RowSet;
 use crate::gaussian::{CUTOFF_WEIGHT, Channels, EPSILON};
 use crate::options::Target;
 use crate::pixels::{Depth, Pixels, Samples};
+use crate::round::descend::{self, Activity, Objective};
+use crate::round::finish;
 
 /// A picture with only the channels that say something.
 #[derive(Debug)]

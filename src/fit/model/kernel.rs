@@ -1,8 +1,8 @@
 //! The inner loops of the fit: forward (weights into planes) and backward (planes into moments), eight columns at a time
 //! down runs of rows as the decoder draws, by recurrence. Rows are padded by as much, since the last strip may overhang.
 
-use crate::fit::project::Projected;
-use crate::fit::rows::RowSet;
+use crate::fit::model::project::Projected;
+use crate::fit::model::rows::RowSet;
 use crate::gaussian::CUTOFF_WEIGHT;
 use crate::simd::{self, Simd};
 
@@ -320,7 +320,7 @@ impl<S: Simd, const C: usize> Visit<S> for Gather<'_, S, C> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::project::Primitive;
+    use crate::fit::model::project::Primitive;
     use crate::gaussian::CUTOFF;
     use crate::simd::{Plain, Task};
 

@@ -2,14 +2,16 @@
 
 use crate::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use crate::error::Result;
-use crate::fit::descend::{self, Activity, Objective};
-use crate::fit::field::{Field, Output, Scene};
+use crate::fit::model::field::{Field, Output, Scene};
+use crate::fit::model::planes::Target;
+use crate::fit::model::project::{Primitive, Projected};
+use crate::fit::model::rows::RowSet;
+use crate::fit::model::{peaks, relocate};
 use crate::fit::plan::Plan;
-use crate::fit::project::{Primitive, Projected};
-use crate::fit::rows::RowSet;
-use crate::fit::target::Target;
-use crate::fit::{Drawing, State, Watch, freeze, peaks, project_all, relocate};
+use crate::fit::{Drawing, State, Watch, project_all};
 use crate::quantize::Quantizer;
+use crate::round::descend::{self, Activity, Objective};
+use crate::round::freeze;
 
 /// Squared error that a bit must save, in units of the mean squared error per bit: the slope of the rate–distortion
 /// curve, where doubling the bytes wins two to three decibels.

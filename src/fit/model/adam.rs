@@ -1,8 +1,8 @@
 //! Adam in the whitened local frame of each Gaussian.
 
-use crate::fit::field::{Field, Gradient, Scene};
-use crate::fit::project::{Primitive, Projected};
-use crate::fit::rows::RowSet;
+use crate::fit::model::field::{Field, Gradient, Scene};
+use crate::fit::model::project::{Primitive, Projected};
+use crate::fit::model::rows::RowSet;
 use crate::gaussian::CUTOFF;
 use crate::parallel;
 
@@ -170,9 +170,9 @@ fn update(
 
 #[cfg(test)]
 mod tests {
-    use crate::fit::field::Scene;
-    use crate::fit::rows::RowSet;
-    use crate::fit::target::Target;
+    use crate::fit::model::field::Scene;
+    use crate::fit::model::planes::Target;
+    use crate::fit::model::rows::RowSet;
     use crate::fit::{LAST_RATE, RATES, State};
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::{Pixels, Samples};

@@ -1,0 +1,15 @@
+//! What a fit is made of: primitives and their projection, the picture as planes, its errors and gradients, and where it
+//! lacks something.
+
+pub(crate) mod adam;
+pub(crate) mod field;
+pub(crate) mod kernel;
+pub(crate) mod peaks;
+pub(crate) mod planes;
+pub(crate) mod project;
+pub(crate) mod reduced;
+pub(crate) mod relocate;
+pub(crate) mod ridge;
+pub(crate) mod rows;
+pub(crate) mod sample;
+pub(crate) mod structure;
