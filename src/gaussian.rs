@@ -4,7 +4,6 @@
 //! colours are encoded sRGB values where 0 is black and 1 is white, not bounded to that range.
 
 use bytemuck::{Pod, Zeroable};
-use glam::{Mat2, Vec2};
 
 /// Radius of a primitive's support in units of its scales (spec §5.2).
 pub const CUTOFF: f32 = 3.5;
@@ -36,14 +35,6 @@ pub struct Gaussian {
 }
 
 impl Gaussian {
-    /// Covariance matrix `Σ = R(θ) diag(s₁², s₂²) R(θ)ᵀ`, pixels².
-    #[must_use]
-    pub fn covariance(&self) -> Mat2 {
-        let r = Mat2::from_angle(self.rotation);
-        let [s1, s2] = self.scale;
-        r * Mat2::from_diagonal(Vec2::new(s1 * s1, s2 * s2)) * r.transpose()
-    }
-
     /// Half width and half height of the bounding box of the support, pixels.
     #[must_use]
     pub fn extent(&self) -> [f32; 2] {

@@ -68,16 +68,15 @@
 extern crate self as ssplat;
 
 pub mod bitstream;
-mod convert;
+mod budget;
 pub mod decode;
-mod decoder;
 pub mod encode;
-mod encoder;
 pub mod error;
 mod fit;
 pub mod gaussian;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+mod image_crate;
 pub mod limits;
 pub mod metrics;
 pub mod options;
@@ -88,12 +87,11 @@ pub mod raster;
 mod round;
 mod simd;
 
-pub use decode::{Decoded, decode};
-pub use decoder::{EXTENSION, SsplatDecoder, register};
+pub use decode::{Decoded, Opened, Opening, decode, decode_into};
 pub use encode::{Chosen, EncodeReport, Encoded, LeftOut, Progress, TracePoint, encode, encode_with_progress};
-pub use encoder::{SsplatEncoder, save};
 pub use error::{Error, FormatError, GpuError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
+pub use image_crate::{EXTENSION, SsplatDecoder, SsplatEncoder, register, save};
 pub use limits::Limits;
 pub use options::{Ablation, Backend, Damage, DecodeOptions, EncodeOptions, Needs, Recipe, Target, Trace, Tune};
 pub use pixels::{Depth, Pixels, Samples};

@@ -63,14 +63,4 @@ impl Limits {
         let free = FREE_WORK + FREE_WORK_EACH * primitives;
         self.work.min(self.overlap.saturating_mul(pixels).saturating_add(free))
     }
-
-    /// Checks `bytes` against what may be allocated, and returns what is left beside them.
-    ///
-    /// # Errors
-    /// [`Error::LimitExceeded`] when `bytes` are more.
-    pub(crate) fn check_alloc(&self, bytes: u64) -> Result<u64> {
-        let allowed = self.alloc.min(isize::MAX as u64);
-        Limits::check("alloc", bytes, allowed)?;
-        Ok(allowed - bytes)
-    }
 }

@@ -3,8 +3,9 @@
 mod synthetic;
 
 use ssplat::bitstream::{read, to_bytes};
-use ssplat::raster::{Renderer, View};
-use ssplat::{Channels, Damage, DecodeOptions, EncodeOptions, Error, Pixels, Samples, Target, decode, encode};
+use ssplat::raster::{Renderer, SamplesMut, View};
+use ssplat::{Channels, Damage, DecodeOptions, EncodeOptions, Error, Limits, Opened, Opening, Pixels, Samples, Target};
+use ssplat::{decode, decode_into, encode};
 
 fn picture() -> Pixels {
     let samples = (0..96 * 64 * 3).map(|i| ((i / 3 % 96) * 2 + (i / 288) * (1 + i % 3)) as u8).collect();
@@ -125,4 +126,67 @@ fn levels_outside_their_range_are_the_callers_fault() {
         options.levels = levels;
         assert!(matches!(encode(&picture(), &options), Err(Error::Parameter { name: "levels", .. })));
     }
+}
+
+#[test]
+fn an_opened_file_draws_every_view_as_decode_does() {
+    let made = synthetic::Scene { size: [1024, 768], count: 40_000, ..Default::default() };
+    let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
+    let opened = Opened::from_bytes(&bytes, &Limits::default()).unwrap();
+    let mut memory = Vec::new();
+    for (region, size) in
+        [([0, 0, 1024, 768], [1024, 768]), ([100, 200, 300, 400], [300, 400]), ([5, 9, 800, 700], [70, 33])]
+    {
+        let mut options = DecodeOptions::default();
+        (options.region, options.size) = (Some(region), Some(size));
+        let want = decode(&bytes, &options).unwrap().pixels;
+        let view = opened.view().crop(region[0], region[1], region[2], region[3]).unwrap();
+        let view = view.resized(size[0], size[1]).unwrap();
+        assert!(opened.draw(&view).unwrap() == want, "{region:?}");
+        // Into memory that still holds the view before.
+        memory.resize((size[0] * size[1] * 3) as usize, 0);
+        opened.draw_into(&view, SamplesMut::U8(&mut memory)).unwrap();
+        assert!(Samples::U8(memory.clone()) == *want.samples(), "{region:?}");
+        memory.reverse();
+        decode_into(&bytes, &options, SamplesMut::U8(&mut memory)).unwrap();
+        assert!(Samples::U8(memory.clone()) == *want.samples(), "{region:?}");
+    }
+}
+
+#[test]
+fn what_was_read_for_a_part_draws_no_more_than_that_part() {
+    let made = synthetic::Scene { size: [2048, 1536], count: 40_000, ..Default::default() };
+    let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
+    let opening = Opening::new(&bytes, &Limits::default()).unwrap();
+    let whole = opening.view();
+    let part = whole.crop(300, 400, 500, 600).unwrap();
+    let opened = opening.read_for(&part, Damage::Refuse).unwrap();
+    assert!(opened.splats().gaussians.len() < 40_000 / 2, "{}", opened.splats().gaussians.len());
+    let inner = part.crop(20, 30, 100, 100).unwrap();
+    let mut options = DecodeOptions::default();
+    options.region = Some([320, 430, 100, 100]);
+    assert_eq!(opened.draw(&inner).unwrap(), decode(&bytes, &options).unwrap().pixels);
+    for beyond in [whole, whole.crop(299, 400, 10, 10).unwrap(), whole.crop(790, 990, 11, 10).unwrap()] {
+        assert!(matches!(opened.draw(&beyond), Err(Error::Parameter { name: "view", .. })), "{beyond:?}");
+    }
+}
+
+#[test]
+fn views_that_are_held_together_share_one_limit() {
+    let made = synthetic::Scene { size: [512, 512], count: 5000, ..Default::default() };
+    let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
+    let mut opened = Opened::from_bytes(&bytes, &Limits::default()).unwrap();
+    // Enough for the picture and one renderer, not for two.
+    let mut alloc = 1 << 18;
+    let one = loop {
+        opened.limit_alloc(alloc).unwrap();
+        match opened.renderer(&opened.view()) {
+            Ok(renderer) => break renderer,
+            Err(_) => alloc += 1 << 14,
+        }
+    };
+    assert!(matches!(opened.renderer(&opened.view()), Err(Error::LimitExceeded { what: "alloc", .. })));
+    drop(one);
+    assert!(opened.renderer(&opened.view()).is_ok());
+    assert!(matches!(opened.limit_alloc(5000), Err(Error::LimitExceeded { what: "alloc", .. })));
 }

@@ -179,6 +179,27 @@ fn limits_hold() {
 }
 
 #[test]
+fn limits_that_come_late_hold_for_what_has_been_read() {
+    let mut splats = splats(Channels::Rgb, Depth::Eight, Metadata::default());
+    splats.metadata.icc = Some(vec![7; 5000]);
+    let bytes = ssplat::bitstream::to_bytes(&splats).unwrap();
+    let output = u64::from(WIDTH * HEIGHT * 3);
+    let late = |alloc| {
+        let mut decoder = SsplatDecoder::new(&bytes[..])?;
+        assert!(decoder.icc_profile()?.is_some());
+        let mut limits = image::Limits::no_limits();
+        limits.max_alloc = Some(alloc);
+        decoder.set_limits(limits)?;
+        decoder.read_image(&mut vec![0; output as usize])
+    };
+    // The profile and the integers are there already.
+    assert_eq!(limit_of(late(5000)), LimitErrorKind::InsufficientMemory);
+    // What draws them is not.
+    assert_eq!(limit_of(late(6000)), LimitErrorKind::InsufficientMemory);
+    late(1 << 20).unwrap();
+}
+
+#[test]
 fn broken_files_are_decoding_errors() {
     assert!(ssplat::register());
     let bytes = file(Channels::Rgb, Depth::Eight);

@@ -12,7 +12,7 @@ use super::palette::{put_codebook, put_color, read_codebook, read_color, sorted_
 use super::range::{Decoder, Encoder, Meter};
 use super::region::Region;
 use super::report::{Detail, Tally};
-use super::rules::{Area, MAX_LEVELS, Rules};
+use super::rules::{Area, MAX_LEVELS, Rules, most_primitives};
 use super::splats::{Layout, PackedGaussian, PackedSplats};
 use crate::error::{FormatError, Result};
 use crate::parallel;
@@ -237,7 +237,7 @@ fn read_directory(
         at = entry.bytes.end;
         entry.largest = bytes.take(1, "largest scale of a group")?[0];
         entry.checksum = bytes.u32("group checksum")?;
-        if u64::from(entry.count) > super::most_primitives(length) {
+        if u64::from(entry.count) > most_primitives(length) {
             return Err(Broken { field: "primitives of a group", value: entry.count.into() }.into());
         }
     }
@@ -315,15 +315,24 @@ pub(crate) fn read(
     Ok(())
 }
 
-/// Reads the groups whose bytes are there and sound.
+/// Reads the groups whose bytes are there and sound, and leaves `bytes` behind the last group or at their end.
 pub(crate) fn read_intact(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSplats) -> Result<Missing> {
+    let start = bytes.left();
     let entries = read_directory(bytes, header, header.checksum(), splats)?;
-    let streams = bytes.rest();
+    let total = entries.last().map_or(0, |e| e.bytes.end);
+    let streams = bytes.take(total.min(bytes.left() as u64), "groups")?;
+    let stream = |e: &Entry| {
+        let range = usize::try_from(e.bytes.start).ok()?..usize::try_from(e.bytes.end).ok()?;
+        streams.get(range)
+    };
+    // The rule of the payload, for as much of it as there is: many tiny groups must not claim more together.
+    let there: u64 = entries.iter().filter(|e| stream(e).is_some()).map(|e| u64::from(e.count)).sum();
+    if there > most_primitives((start - bytes.left()) as u64) {
+        return Err(Broken { field: "primitive count", value: there }.into());
+    }
     let group = Group::new(splats, splats.codebook.as_deref())?;
     let parts = parallel::map(entries.len(), |i| {
-        let range = &entries[i].bytes;
-        let stream = streams.get(usize::try_from(range.start).ok()?..usize::try_from(range.end).ok()?)?;
-        read_group(stream, &entries[i], &group, Detail::Parts).ok().map(|(part, _)| part)
+        read_group(stream(&entries[i])?, &entries[i], &group, Detail::Parts).ok().map(|(part, _)| part)
     });
     let mut missing = Missing { of_groups: entries.len() as u32, ..Missing::default() };
     for (entry, _) in entries.iter().zip(&parts).filter(|(_, part)| part.is_none()) {

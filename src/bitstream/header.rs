@@ -3,7 +3,8 @@
 use std::io::{ErrorKind, Read};
 
 use super::bytes::{put_varint, varint};
-use super::splats::{Layout, PackedGaussian, PackedSplats, Steps};
+use super::splats::{Layout, Metadata, PackedGaussian, PackedSplats, Steps};
+use crate::budget::Budget;
 use crate::error::{Error, FormatError, Result};
 use crate::gaussian::{Blend, Channels};
 use crate::limits::Limits;
@@ -53,7 +54,10 @@ pub enum Sections {
     Present,
 }
 
-/// Everything that is known before the first section; reading it takes at most 20 bytes.
+/// Bytes of the longest legal header. Of an illegal one a few more are read, as a varint may have up to nine bytes.
+const LONGEST: usize = 20;
+
+/// Everything that is known before the first section.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Header {
@@ -90,7 +94,7 @@ impl Header {
     /// [`Error::Format`] if it breaks spec §2, [`Error::UnsupportedVersion`] for a newer file, [`Error::LimitExceeded`]
     /// if the picture is larger than `limits` allow, [`Error::Io`] from the reader.
     pub fn read<R: Read>(reader: &mut R, limits: &Limits) -> Result<Self> {
-        let mut tap = Tap { reader, bytes: Vec::with_capacity(20) };
+        let mut tap = Tap { reader, bytes: Vec::with_capacity(LONGEST) };
         let mut found = [0u8; 4];
         for i in 0..found.len() {
             found[i] = match tap.byte("signature") {
@@ -116,7 +120,7 @@ impl Header {
         Limits::check("width", width.into(), limits.width.into())?;
         Limits::check("height", height.into(), limits.height.into())?;
         Limits::check("primitives", primitives, limits.primitives)?;
-        limits.check_alloc(primitives.saturating_mul(size_of::<PackedGaussian>() as u64))?;
+        Budget::of(limits).check(primitives.saturating_mul(size_of::<PackedGaussian>() as u64))?;
         let primitives = u32::try_from(primitives)
             .map_err(|_| FormatError::BadValue { field: "primitive count", value: primitives })?;
         let (layout, grouping) = match flags & 3 {
@@ -147,6 +151,24 @@ impl Header {
     /// CRC-32 of the header.
     pub(crate) fn checksum(&self) -> u32 {
         crc32fast::hash(&self.bytes)
+    }
+
+    /// The picture of this header without primitives.
+    pub(crate) fn empty(&self, metadata: Metadata) -> PackedSplats {
+        PackedSplats {
+            width: self.width,
+            height: self.height,
+            channels: self.channels,
+            depth: self.depth,
+            blend: self.blend,
+            layout: self.layout,
+            steps: self.steps,
+            background: [0; 4],
+            codebook: None,
+            gaussians: Vec::new(),
+            levels: Vec::new(),
+            metadata,
+        }
     }
 
     /// The bytes as they were read.

@@ -14,6 +14,12 @@ pub const MAX_CODEBOOK: usize = 1 << 16;
 /// Most progressive levels.
 pub const MAX_LEVELS: usize = 8;
 
+/// How many primitives a payload of `bytes` bytes may hold: real ones take 20 bits or more, and a file that claims
+/// millions in a few bytes must not cost the work of millions.
+pub(crate) fn most_primitives(bytes: u64) -> u64 {
+    bytes.saturating_mul(8).saturating_add(1024)
+}
+
 /// A rectangle of the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Area {
@@ -21,6 +27,14 @@ pub struct Area {
     pub corner: [u32; 2],
     /// Width and height, pixels.
     pub size: [u32; 2],
+}
+
+impl Area {
+    /// Whether all of `other` lies in it.
+    pub(crate) fn holds(&self, other: &Area) -> bool {
+        let end = |area: &Area, k: usize| u64::from(area.corner[k]) + u64::from(area.size[k]);
+        (0..2).all(|k| self.corner[k] <= other.corner[k] && end(other, k) <= end(self, k))
+    }
 }
 
 impl From<[u32; 4]> for Area {

@@ -3,7 +3,9 @@
 use crc32fast::Hasher;
 
 use super::bytes::{Bytes, put_varint};
+use super::report::Detail;
 use super::splats::Metadata;
+use crate::budget::Reservation;
 use crate::error::{FormatError, Result};
 use crate::limits::Limits;
 
@@ -11,6 +13,9 @@ use crate::limits::Limits;
 pub const ICC: [u8; 4] = *b"iccp";
 /// Name of the EXIF block's section.
 pub const EXIF: [u8; 4] = *b"exif";
+
+/// A list that grows has room for twice its elements while the old one is still there.
+const GROWING: u64 = 3;
 
 /// A section's place and size, for reports.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -36,10 +41,14 @@ pub enum SectionFate {
 
 /// Reads the sections. The file's checksum, which `checksum` gathers, covers their heads; each head holds the checksum
 /// of its contents, so that a damaged profile cannot hide the picture.
+///
+/// There can be millions of empty ones: what is noted of each grows `working`, and what only a report needs is noted
+/// where its fields are asked for.
 pub(crate) fn read_sections(
     bytes: &mut Bytes<'_>,
     limits: &Limits,
-    checksum: &mut Hasher,
+    (checksum, working): (&mut Hasher, &mut Reservation),
+    detail: Detail,
 ) -> Result<(Metadata, Vec<SectionInfo>)> {
     let (mut metadata, mut infos) = (Metadata::default(), Vec::new());
     let mut head = bytes.taken().len();
@@ -73,6 +82,7 @@ pub(crate) fn read_sections(
         };
         let fate = match known {
             _ if stored != computed => {
+                working.grow(GROWING * size_of_val(&name) as u64)?;
                 metadata.damaged.push(name);
                 SectionFate::Damaged
             }
@@ -82,6 +92,10 @@ pub(crate) fn read_sections(
                 SectionFate::Kept
             }
         };
+        if detail == Detail::Parts {
+            continue;
+        }
+        working.grow(GROWING * size_of::<SectionInfo>() as u64)?;
         infos.push(SectionInfo { name, bytes: (before - bytes.left()) as u64, fate });
     }
     checksum.update(&bytes.taken()[head..]);

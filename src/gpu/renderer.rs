@@ -5,6 +5,7 @@ use super::lists::{Lists, MOST_BINDING, MOST_TILES, check_primitives};
 #[cfg(test)]
 use super::scene::Splat;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
+use crate::budget::Budget;
 use crate::error::{Error, GpuError, Result};
 use crate::gaussian::{Blend, Channels, MAX_SCALE, Picture};
 use crate::limits::Limits;
@@ -131,7 +132,7 @@ impl Renderer {
     pub fn render(&mut self, view: &View, depth: Depth) -> Result<Pixels> {
         let count = self.channels.count();
         let samples = u64::from(view.width()) * u64::from(view.height()) * count as u64;
-        self.limits.check_alloc(samples * depth.bytes() as u64)?;
+        Budget::of(&self.limits).check(samples * depth.bytes() as u64)?;
         // Of red, green, blue and alpha, those that the picture has.
         let picked: &[usize] = match self.channels {
             Channels::Grey => &[0],

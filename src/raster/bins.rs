@@ -3,6 +3,7 @@
 use super::kernel::{TILE_HEIGHT, TILE_WIDTH};
 use super::project::{Splat, Splats};
 use super::view::View;
+use crate::budget::{Budget, Reservation};
 use crate::error::Result;
 use crate::limits::Limits;
 use crate::parallel;
@@ -37,6 +38,8 @@ pub(super) struct Bins {
     /// Where each tile's list starts in `members`; one more than there are tiles.
     starts: Vec<u32>,
     members: Vec<u32>,
+    #[expect(dead_code, reason = "held until the lists are gone")]
+    memory: Reservation,
 }
 
 /// Pairs and work of a view: what there is so far, or the most that there may be.
@@ -60,14 +63,14 @@ impl Cost {
 }
 
 impl Bins {
-    pub fn new(splats: &Splats, view: &View, limits: &Limits) -> Result<Self> {
+    pub fn new(splats: &Splats, view: &View, limits: &Limits, budget: &Budget) -> Result<Self> {
         let tiles = Tiles::of(view);
         let number = u64::from(tiles.count[0]) * u64::from(tiles.count[1]);
         let runs: Vec<(u32, &[Splat])> = splats.runs().collect();
         // Counts of all groups take no more than the larger of one group's and the Gaussians'.
         let groups = (splats.len() as u64 / number).clamp(1, GROUPS.min(runs.len()).max(1) as u64);
         let fixed = (groups + 1) * (number + 1) * 4;
-        limits.check_alloc(fixed)?;
+        let mut memory = budget.reserve(fixed)?;
         let most = Cost {
             pairs: limits.tile_pairs.min(u64::from(u32::MAX)),
             work: limits.most_work(u64::from(view.width) * u64::from(view.height), splats.len() as u64),
@@ -83,7 +86,7 @@ impl Bins {
             Err(error) => return Err(tiles.counts(&runs, view, most, &nothing(), 0).err().unwrap_or(error)),
         };
         let pairs = spent.into_inner().expect("no group panics").pairs;
-        limits.check_alloc(fixed + pairs * 4)?;
+        memory.grow(pairs * 4)?;
         let mut starts = Vec::with_capacity(number as usize + 1);
         let mut next = 0;
         for tile in 0..number as usize {
@@ -108,12 +111,10 @@ impl Bins {
                 }
             }
         });
-        Ok(Bins { tiles, starts, members: members.into_iter().map(AtomicU32::into_inner).collect() })
-    }
-
-    /// What the lists take, bytes.
-    pub fn bytes(&self) -> u64 {
-        ((self.starts.len() + self.members.len()) * size_of::<u32>()) as u64
+        let members: Vec<u32> = members.into_iter().map(AtomicU32::into_inner).collect();
+        drop(slots);
+        memory.shrink(((starts.len() + members.len()) * size_of::<u32>()) as u64);
+        Ok(Bins { tiles, starts, members, memory })
     }
 
     /// The Gaussians that touch the tile `(column, row)`, counted from the view's first.
@@ -217,6 +218,11 @@ mod tests {
     use crate::error::Error;
     use crate::gaussian::Gaussian;
 
+    /// Sorts within `limits` alone.
+    fn bins(splats: &Splats, view: &View, limits: &Limits) -> Result<Bins> {
+        Bins::new(splats, view, limits, &Budget::of(limits))
+    }
+
     fn splats(count: usize, view: &View) -> Splats {
         let gaussian = |i: usize| {
             let f = |k: u32| (i as f64 * f64::from(k).sqrt()).fract() as f32;
@@ -227,7 +233,7 @@ mod tests {
                 color: [0.0; 4],
             }
         };
-        project(count, gaussian, view, [0.0; 2], &Limits::default()).unwrap()
+        project((count, gaussian), view, [0.0; 2], &Budget::of(&Limits::default())).unwrap()
     }
 
     #[test]
@@ -236,7 +242,7 @@ mod tests {
         for view in [full, full.crop(130, 700, 1500, 333).unwrap(), full.crop(1000, 500, 20, 20).unwrap()] {
             for count in [0, 1, 5000, 30_000] {
                 let splats = splats(count, &view);
-                let bins = Bins::new(&splats, &view, &Limits::default()).unwrap();
+                let bins = bins(&splats, &view, &Limits::default()).unwrap();
                 let tiles = bins.tiles;
                 let mut want = vec![Vec::new(); (tiles.count[0] * tiles.count[1]) as usize];
                 for (first, run) in splats.runs() {
@@ -262,15 +268,15 @@ mod tests {
     fn refusals_do_not_depend_on_how_threads_take_turns() {
         let view = View::of_size(2100, 1300);
         let splats = splats(60_000, &view);
-        let pairs = Bins::new(&splats, &view, &Limits::default()).unwrap().members.len() as u64;
+        let pairs = bins(&splats, &view, &Limits::default()).unwrap().members.len() as u64;
         assert!(pairs > 2 * UNTOLD, "{pairs}");
         let mut limits = Limits::default();
         for _ in 0..20 {
             limits.tile_pairs = pairs;
-            assert!(Bins::new(&splats, &view, &limits).is_ok());
+            assert!(bins(&splats, &view, &limits).is_ok());
             for allowed in [pairs - 1, pairs / 2, 0] {
                 limits.tile_pairs = allowed;
-                let refusal = |limits| match Bins::new(&splats, &view, limits) {
+                let refusal = |limits| match bins(&splats, &view, limits) {
                     Err(Error::LimitExceeded { what: "tile_pairs", requested, .. }) => requested,
                     other => panic!("{other:?}"),
                 };
@@ -281,9 +287,9 @@ mod tests {
         }
         limits = Limits::default();
         limits.work = pairs * PAIR_WORK;
-        assert!(matches!(Bins::new(&splats, &view, &limits), Err(Error::LimitExceeded { what: "work", .. })));
+        assert!(matches!(bins(&splats, &view, &limits), Err(Error::LimitExceeded { what: "work", .. })));
         limits = Limits::default();
         limits.alloc = pairs * 4;
-        assert!(matches!(Bins::new(&splats, &view, &limits), Err(Error::LimitExceeded { what: "alloc", .. })));
+        assert!(matches!(bins(&splats, &view, &limits), Err(Error::LimitExceeded { what: "alloc", .. })));
     }
 }

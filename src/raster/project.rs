@@ -5,9 +5,9 @@
 //! the Gaussian is `2^(level − u² − v²)`. Large offsets cancel in `u`, so these are f64 up to the corner of a strip.
 
 use super::view::View;
+use crate::budget::{Budget, Reservation};
 use crate::error::{Error, Result};
 use crate::gaussian::{CUTOFF, CUTOFF_WEIGHT, Gaussian};
-use crate::limits::Limits;
 use crate::parallel;
 use crate::simd::LANES;
 
@@ -181,17 +181,14 @@ pub(super) struct Splats {
     /// Of each [`CHUNK`] of the picture's Gaussians those that are visible: threads need not wait for each other to
     /// know where theirs go.
     chunks: Vec<Vec<Splat>>,
+    #[expect(dead_code, reason = "held until the splats are gone")]
+    memory: Reservation,
 }
 
 impl Splats {
     /// How many there are.
     pub fn len(&self) -> usize {
         self.chunks.iter().map(Vec::len).sum()
-    }
-
-    /// What they take, bytes.
-    pub fn bytes(&self) -> u64 {
-        self.chunks.iter().map(|chunk| (chunk.capacity() * size_of::<Splat>()) as u64).sum()
     }
 
     /// All of them in runs of consecutive numbers, each with its first number.
@@ -208,14 +205,12 @@ impl Splats {
 
 /// Projects what is visible in `view` of `count` Gaussians, widened by `variance` along x and y, picture pixels².
 pub(super) fn project(
-    count: usize,
-    gaussian: impl Fn(usize) -> Gaussian + Sync + Send,
+    (count, gaussian): (usize, impl Fn(usize) -> Gaussian + Sync + Send),
     view: &View,
     variance: [f64; 2],
-    limits: &Limits,
+    budget: &Budget,
 ) -> Result<Splats> {
-    Limits::check("primitives", count as u64, limits.primitives.min(u64::from(u32::MAX)))?;
-    limits.check_alloc(count as u64 * size_of::<Splat>() as u64)?;
+    let mut memory = budget.reserve(count as u64 * size_of::<Splat>() as u64)?;
     let beyond = Beyond::new(view, variance);
     let chunks = parallel::map(count.div_ceil(CHUNK), |i| {
         let range = i * CHUNK..count.min((i + 1) * CHUNK);
@@ -241,13 +236,15 @@ pub(super) fn project(
         }
         Ok(splats)
     });
-    Ok(Splats { chunks: chunks.into_iter().collect::<Result<_>>()? })
+    let chunks = chunks.into_iter().collect::<Result<Vec<Vec<Splat>>>>()?;
+    memory.shrink(chunks.iter().map(|chunk| (chunk.capacity() * size_of::<Splat>()) as u64).sum());
+    Ok(Splats { chunks, memory })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gaussian::{Blend, Channels, Picture};
+    use crate::limits::Limits;
 
     #[test]
     fn what_is_left_out_early_touches_nothing() {
@@ -283,15 +280,7 @@ mod tests {
     #[test]
     fn what_is_no_number_is_refused_even_outside_the_view() {
         let far = Gaussian { mean: [1e6, 1e6], scale: [1.0; 2], rotation: 0.0, color: [f32::NAN; 4] };
-        let picture = Picture {
-            width: 8,
-            height: 8,
-            channels: Channels::Rgb,
-            blend: Blend::Sum,
-            background: [0.0; 4],
-            gaussians: vec![far],
-        };
-        let found = project(1, |i| picture.gaussians[i], &View::full(&picture), [0.0; 2], &Limits::default());
+        let found = project((1, |_| far), &View::of_size(8, 8), [0.0; 2], &Budget::of(&Limits::default()));
         assert!(matches!(found, Err(Error::Parameter { name: "gaussians", .. })));
     }
 }

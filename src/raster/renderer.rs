@@ -5,6 +5,7 @@ use super::kernel::{Job, Scene, Scratch, TILE_HEIGHT, TILE_WIDTH, Window};
 use super::project::{Splats, project};
 use super::samples::{Sample, SamplesMut};
 use super::view::{Filter, MAX_SIDE, View};
+use crate::budget::Budget;
 use crate::error::{Error, Result};
 use crate::gaussian::{Blend, Channels, Gaussian, Picture};
 use crate::limits::Limits;
@@ -24,8 +25,8 @@ pub struct Renderer {
     background: [f32; 4],
     splats: Splats,
     bins: Bins,
-    /// What may be allocated, with what is left of the memory.
-    limits: Limits,
+    /// What pixels may be allocated from.
+    budget: Budget,
     backend: Dispatch,
     /// What tiles are drawn with, for as many threads as have drawn at once.
     pool: Mutex<Vec<Scratch>>,
@@ -61,16 +62,17 @@ impl Renderer {
     /// are spent; [`Error::Parameter`] when a primitive is not finite, has a scale of zero, or a side of the view is 0 or over 2²⁰.
     pub fn new(picture: &Picture, view: &View, limits: &Limits) -> Result<Self> {
         let canvas = Canvas { channels: picture.channels, blend: picture.blend, background: picture.background };
-        Renderer::of(&canvas, picture.gaussians.len(), |i| picture.gaussians[i], view, limits)
+        let gaussians = (picture.gaussians.len(), |i| picture.gaussians[i]);
+        Renderer::of(&canvas, gaussians, view, limits, &Budget::of(limits))
     }
 
     /// The same for `count` Gaussians that are made when they are asked for, so that they need not all be there at once.
     pub(crate) fn of(
         canvas: &Canvas,
-        count: usize,
-        gaussian: impl Fn(usize) -> Gaussian + Sync + Send,
+        (count, gaussian): (usize, impl Fn(usize) -> Gaussian + Sync + Send),
         view: &View,
         limits: &Limits,
+        budget: &Budget,
     ) -> Result<Self> {
         if [view.width, view.height].iter().any(|&side| side == 0 || side > MAX_SIDE) {
             return Err(Error::Parameter {
@@ -83,11 +85,9 @@ impl Renderer {
         }
         let filter = view.filter();
         let fine = view.refined(filter.parts);
-        let splats = project(count, gaussian, &fine, filter.variance, limits)?;
-        let mut limits = limits.clone();
-        limits.alloc = limits.check_alloc(splats.bytes())?;
-        let bins = Bins::new(&splats, &fine, &limits)?;
-        limits.alloc = limits.check_alloc(bins.bytes())?;
+        Limits::check("primitives", count as u64, limits.primitives.min(u64::from(u32::MAX)))?;
+        let splats = project((count, gaussian), &fine, filter.variance, budget)?;
+        let bins = Bins::new(&splats, &fine, limits, budget)?;
         Ok(Renderer {
             view: *view,
             filter,
@@ -96,7 +96,7 @@ impl Renderer {
             background: canvas.background,
             splats,
             bins,
-            limits,
+            budget: budget.clone(),
             backend: Dispatch::Detected,
             pool: Mutex::new(Vec::new()),
         })
@@ -162,7 +162,7 @@ impl Renderer {
     /// [`Error::LimitExceeded`] when the output would take more memory than the limits allow.
     pub fn render(&self, depth: Depth) -> Result<Pixels> {
         let samples = self.row_len() as u64 * u64::from(self.view.height);
-        self.limits.check_alloc(samples * depth.bytes() as u64)?;
+        self.budget.check(samples * depth.bytes() as u64)?;
         let bands = 0..self.bands();
         let samples = match depth {
             Depth::Eight => {
@@ -177,6 +177,14 @@ impl Renderer {
             }
         };
         Pixels::new(self.view.width, self.view.height, self.channels, samples)
+    }
+
+    /// Draws the whole view into `out`, row by row with interleaved channels.
+    ///
+    /// # Panics
+    /// If `out` has not exactly [`Renderer::row_len`] × height samples.
+    pub fn render_into(&self, out: SamplesMut<'_>) {
+        self.render_bands(0..self.bands(), out);
     }
 
     fn draw<T: Sample>(&self, bands: std::ops::Range<u32>, mut out: &mut [T]) {

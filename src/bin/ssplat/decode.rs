@@ -4,11 +4,10 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde_json::json;
-use ssplat::bitstream::header::Header;
-use ssplat::bitstream::splats::{Metadata, PackedSplats};
-use ssplat::bitstream::{Missing, read_area, read_partial};
+use ssplat::bitstream::Missing;
+use ssplat::bitstream::splats::Metadata;
 use ssplat::raster::{Renderer, SamplesMut, View};
-use ssplat::{Backend, Depth, Error, Limits, Picture, Pixels};
+use ssplat::{Backend, Damage, Depth, Limits, Opening, Picture, Pixels};
 
 use crate::failure::Failure;
 use crate::progress::Bar;
@@ -30,35 +29,26 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     let bytes = source::read_all(&args.input)?;
     let failed = |e| Failure::library(&args.input, &e);
     let limits = Limits::default();
-    let header = Header::read(&mut &bytes[..], &limits).map_err(failed)?;
-    let of = header.primitives;
-    let view = view(args, View::of_size(header.width, header.height)).map_err(failed)?;
-    let (splats, missing) = if args.partial {
-        read_partial(&bytes, &limits).map_err(failed)?
-    } else {
-        (read_area(&bytes, &view.area().into(), &limits).map_err(failed)?, Missing::default())
-    };
+    let opening = Opening::new(&bytes, &limits).map_err(failed)?;
+    let of = opening.header().primitives;
+    let view = view(args, opening.view()).map_err(failed)?;
+    let damage = if args.partial { Damage::Accept } else { Damage::Refuse };
+    let opened = opening.read_for(&view, damage).map_err(failed)?;
     drop(bytes);
-    report_loss(&args.input, &splats, missing, of);
-    let depth = splats.depth;
-    // The output is written as it is drawn: no memory bounds it.
-    let samples = u64::from(view.width()) * u64::from(view.height()) * splats.channels.count() as u64;
-    let (requested, allowed) = (samples * depth.bytes() as u64, limits.alloc);
-    if requested > allowed {
-        return Err(failed(Error::LimitExceeded { what: "alloc", requested, allowed }));
-    }
+    let (depth, missing) = (opened.splats().depth, opened.missing());
+    report_loss(&args.input, opened.metadata(), missing, of);
     let sink;
     let mut device = String::from("CPU");
     if args.backend == Backend::Gpu {
         let pixels;
-        (pixels, device) = on_gpu(&splats.to_picture(), &view, depth, &limits).map_err(failed)?;
+        (pixels, device) = on_gpu(&opened.splats().to_picture(), &view, depth, &limits).map_err(failed)?;
         sink = Sink::create(&args.output, &[&args.input])?;
-        let source = Source { pixels, icc: splats.metadata.icc, exif: splats.metadata.exif };
+        let metadata = opened.into_metadata();
+        let source = Source { pixels, icc: metadata.icc, exif: metadata.exif };
         encode::write_pixels(source, format, &sink, &args.output)?;
     } else {
-        let renderer = splats.renderer(&view, &limits).map_err(failed)?;
-        let metadata = splats.metadata;
-        drop(splats.gaussians);
+        let renderer = opened.renderer(&view).map_err(failed)?;
+        let metadata = opened.into_metadata();
         sink = Sink::create(&args.output, &[&args.input])?;
         draw(&renderer, depth, &metadata, format, &sink, &args.output)?;
     }
@@ -74,8 +64,8 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
 }
 
 /// Says on standard error what a damaged file has lost.
-fn report_loss(path: &Path, splats: &PackedSplats, missing: Missing, of: u32) {
-    for name in &splats.metadata.damaged {
+fn report_loss(path: &Path, metadata: &Metadata, missing: Missing, of: u32) {
+    for name in &metadata.damaged {
         eprintln!("ssplat: {}: section {} is damaged and left out", path.display(), String::from_utf8_lossy(name));
     }
     if missing != Missing::default() {

@@ -6,8 +6,7 @@ use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageReader};
 use ssplat::bitstream::header::MAGIC;
-use ssplat::raster::View;
-use ssplat::{Limits, Pixels};
+use ssplat::{DecodeOptions, Pixels};
 
 use crate::failure::Failure;
 
@@ -71,11 +70,6 @@ pub fn open(path: &Path) -> Result<Source, Failure> {
 
 /// Decodes the ssplat file `bytes`, which came from `path`.
 pub fn decode(path: &Path, bytes: &[u8]) -> Result<Source, Failure> {
-    let limits = Limits::default();
-    let failed = |e| Failure::library(path, &e);
-    let splats = ssplat::bitstream::read(bytes, &limits).map_err(failed)?;
-    let view = View::of_size(splats.width, splats.height);
-    let renderer = splats.renderer(&view, &limits).map_err(failed)?;
-    let pixels = renderer.render(splats.depth).map_err(failed)?;
-    Ok(Source { pixels, icc: splats.metadata.icc, exif: splats.metadata.exif })
+    let decoded = ssplat::decode(bytes, &DecodeOptions::default()).map_err(|e| Failure::library(path, &e))?;
+    Ok(Source { pixels: decoded.pixels, icc: decoded.metadata.icc, exif: decoded.metadata.exif })
 }

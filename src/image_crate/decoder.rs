@@ -15,13 +15,14 @@ use image::hooks::{register_decoding_hook, register_format_detection_hook};
 use image::{ColorType, ImageDecoder, ImageError, ImageResult, LimitSupport};
 
 use crate::bitstream::header::{Header, MAGIC};
-use crate::bitstream::splats::PackedSplats;
-use crate::decode::renderer;
-use crate::error::Error;
+use crate::bitstream::read_rest;
+use crate::decode::{Opened, Opening};
+use crate::error::{Error, Result};
 use crate::gaussian::Channels;
 use crate::limits::Limits;
+use crate::options::Damage;
 use crate::pixels::Depth;
-use crate::raster::{Renderer, SamplesMut, View};
+use crate::raster::{Renderer, SamplesMut};
 
 /// File name extension.
 pub const EXTENSION: &str = "ssplat";
@@ -52,12 +53,12 @@ pub struct SsplatDecoder<R> {
     reader: R,
     header: Header,
     limits: Limits,
-    /// What follows the header, once something has asked for it.
-    splats: Option<PackedSplats>,
+    /// All of the file, once something behind the header has been asked for.
+    opened: Option<Opened>,
 }
 
 impl<R: Read> SsplatDecoder<R> {
-    /// Reads the header, at most 24 bytes, and nothing behind it.
+    /// Reads the header and nothing behind it.
     ///
     /// # Errors
     /// [`ImageError::Decoding`] when it is broken, [`ImageError::Unsupported`] for a newer version,
@@ -65,24 +66,29 @@ impl<R: Read> SsplatDecoder<R> {
     pub fn new(mut reader: R) -> ImageResult<Self> {
         let limits = Limits::default();
         let header = Header::read(&mut reader, &limits).map_err(decoding_error)?;
-        Ok(SsplatDecoder { reader, header, limits, splats: None })
+        Ok(SsplatDecoder { reader, header, limits, opened: None })
     }
 
-    /// The integers of the picture, read on first use.
-    fn splats(&mut self) -> ImageResult<&PackedSplats> {
-        let splats = match self.splats.take() {
-            Some(splats) => splats,
-            None => self.header.read_body(&mut self.reader, &self.limits).map_err(decoding_error)?,
+    /// The file, read on first use.
+    fn opened(&mut self) -> ImageResult<&mut Opened> {
+        let opened = match self.opened.take() {
+            Some(opened) => opened,
+            None => self.read().map_err(decoding_error)?,
         };
-        Ok(self.splats.insert(splats))
+        Ok(self.opened.insert(opened))
     }
 
-    /// The picture, ready to be drawn.
+    fn read(&mut self) -> Result<Opened> {
+        let rest = read_rest(&mut self.reader, &self.limits)?;
+        Opening::behind(self.header.clone(), &rest, &self.limits).read(Damage::Refuse)
+    }
+
+    /// The picture, ready to be drawn; the integers go.
     fn renderer(&mut self) -> ImageResult<Renderer> {
-        let view = View::of_size(self.header.width, self.header.height);
-        self.splats()?;
-        let splats = self.splats.take().expect("just read");
-        renderer(splats, &view, &self.limits).map_err(decoding_error)
+        let opened = self.opened()?;
+        let renderer = opened.renderer(&opened.view()).map_err(decoding_error)?;
+        self.opened = None;
+        Ok(renderer)
     }
 }
 
@@ -105,17 +111,21 @@ impl<R: Read> ImageDecoder for SsplatDecoder<R> {
     }
 
     fn icc_profile(&mut self) -> ImageResult<Option<Vec<u8>>> {
-        Ok(self.splats()?.metadata.icc.clone())
+        Ok(self.opened()?.metadata().icc.clone())
     }
 
     fn exif_metadata(&mut self) -> ImageResult<Option<Vec<u8>>> {
-        Ok(self.splats()?.metadata.exif.clone())
+        Ok(self.opened()?.metadata().exif.clone())
     }
 
     fn set_limits(&mut self, limits: image::Limits) -> ImageResult<()> {
         limits.check_support(&LimitSupport::default())?;
         limits.check_dimensions(self.header.width, self.header.height)?;
-        self.limits.alloc = limits.max_alloc.unwrap_or(u64::MAX);
+        let alloc = limits.max_alloc.unwrap_or(u64::MAX);
+        if let Some(opened) = &mut self.opened {
+            opened.limit_alloc(alloc).map_err(decoding_error)?;
+        }
+        self.limits.alloc = alloc;
         Ok(())
     }
 
@@ -123,9 +133,9 @@ impl<R: Read> ImageDecoder for SsplatDecoder<R> {
         assert_eq!(buf.len() as u64, self.total_bytes(), "buffer length");
         let renderer = self.renderer()?;
         match self.header.depth {
-            Depth::Eight => renderer.render_bands(0..renderer.bands(), SamplesMut::U8(buf)),
+            Depth::Eight => renderer.render_into(SamplesMut::U8(buf)),
             Depth::Sixteen => match bytemuck::try_cast_slice_mut(buf) {
-                Ok(samples) => renderer.render_bands(0..renderer.bands(), SamplesMut::U16(samples)),
+                Ok(samples) => renderer.render_into(SamplesMut::U16(samples)),
                 Err(_) => render_unaligned(&renderer, buf),
             },
         }

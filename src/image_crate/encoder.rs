@@ -22,8 +22,8 @@ use image::error::{EncodingError, ImageFormatHint, ParameterError, ParameterErro
 use image::error::{LimitError, LimitErrorKind, UnsupportedErrorKind};
 use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageResult};
 
-use crate::convert::{Rejected, gather};
-use crate::decoder::EXTENSION;
+use super::convert::{Rejected, gather};
+use super::decoder::EXTENSION;
 use crate::encode::{EncodeReport, encode};
 use crate::error::{Error, Result};
 use crate::options::EncodeOptions;

@@ -1,0 +1,194 @@
+//! Bytes of a file to integers, whole or in part, with every length held against limits and bytes first (spec §2, §9).
+
+use std::io::Read;
+
+use crc32fast::Hasher;
+
+use super::bytes::Bytes;
+use super::groups::Missing;
+use super::header::{Grouping, Header, Sections};
+use super::report::{Detail, Report, Tally};
+use super::rules::{Area, most_primitives};
+use super::sections::{SectionInfo, read_sections};
+use super::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
+use super::{CHECKSUM, coded, groups, packed, planes};
+use crate::budget::{Budget, Reservation};
+use crate::error::{FormatError, Result};
+use crate::limits::Limits;
+
+/// How often the bytes of a file are counted against the memory limit: reading grows its buffer to twice the size while
+/// the old one is there; later, metadata are copied out of it.
+const FILE_COPIES: u64 = 3;
+
+/// Most bytes that reading a primitive of a layout takes at any time.
+fn working_bytes(layout: Layout) -> u64 {
+    let extra = match layout {
+        Layout::Packed => 0,
+        // A row of ten fields, and planes on their way into rows.
+        Layout::Planes => 100,
+        // Places by size, growing, then in order; later places and buckets.
+        Layout::Coded => 240,
+    };
+    size_of::<PackedGaussian>() as u64 + extra
+}
+
+/// Reads a file, holding every length against `limits` and against the bytes that are there before allocating.
+///
+/// A damaged optional section does not fail the file: it is left out and named in [`Metadata::damaged`].
+///
+/// # Errors
+/// [`Error::Format`](crate::Error::Format) if the file breaks the specification, [`Error::UnsupportedVersion`](crate::Error::UnsupportedVersion) if it is newer,
+/// [`Error::LimitExceeded`](crate::Error::LimitExceeded) if it is sound but too large, [`Error::Io`](crate::Error::Io) from the reader.
+pub fn read<R: Read>(mut reader: R, limits: &Limits) -> Result<PackedSplats> {
+    let header = Header::read(&mut reader, limits)?;
+    let rest = read_rest(reader, limits)?;
+    Reading { limits, budget: &Budget::of(limits) }
+        .whole(&header, &rest, None, &mut Tally::default())
+        .map(|(splats, _)| splats)
+}
+
+/// Reads the primitives that can be seen in `area`, and perhaps others: groups that are out of its reach are not
+/// decoded. For the whole picture that is all of them, as [`read`] gives them.
+///
+/// # Errors
+/// As [`read`], but what is wrong in a group that is left out goes unnoticed unless its checksum shows it.
+pub fn read_area(bytes: &[u8], area: &Area, limits: &Limits) -> Result<PackedSplats> {
+    let mut rest = bytes;
+    let header = Header::read(&mut rest, limits)?;
+    let reading = Reading { limits, budget: &Budget::of(limits) };
+    reading.whole(&header, rest, Some(area), &mut Tally::default()).map(|(splats, _)| splats)
+}
+
+/// Reads a file and reports where its bytes go.
+///
+/// # Errors
+/// As [`read`].
+pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Report)> {
+    let mut rest = bytes;
+    let header = Header::read(&mut rest, limits)?;
+    let mut tally = Tally { detail: Detail::Fields, ..Tally::default() };
+    tally.part("header", header.bytes().len());
+    let reading = Reading { limits, budget: &Budget::of(limits) };
+    let (splats, sections) = reading.whole(&header, rest, None, &mut tally)?;
+    tally.part("checksum", CHECKSUM);
+    let levels = splats.levels.clone();
+    let Tally { parts, fields, groups, .. } = tally;
+    let report = Report { header, bytes: bytes.len() as u64, parts, sections, fields, levels, groups: groups.max(1) };
+    Ok((splats, report))
+}
+
+/// Reads what is intact of a damaged or truncated file, and says what is missing.
+///
+/// Only files in groups have parts that stand alone; any other file is read whole or not at all.
+///
+/// # Errors
+/// As [`read`] when header, sections or the directory of the groups are damaged, or when there are no groups.
+pub fn read_partial(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Missing)> {
+    let mut rest = bytes;
+    let header = Header::read(&mut rest, limits)?;
+    Reading { limits, budget: &Budget::of(limits) }.intact(&header, rest)
+}
+
+/// Everything that `reader` still has, or a byte more than may be read into memory.
+///
+/// # Errors
+/// [`Error::Io`](crate::Error::Io) from the reader.
+pub(crate) fn read_rest<R: Read>(reader: R, limits: &Limits) -> Result<Vec<u8>> {
+    let mut rest = Vec::new();
+    // What is read is backed by bytes that somebody sent; the limit stops endless streams.
+    reader.take(limits.alloc / FILE_COPIES + 1).read_to_end(&mut rest)?;
+    Ok(rest)
+}
+
+/// What bounds the reading of one file.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Reading<'a> {
+    pub limits: &'a Limits,
+    pub budget: &'a Budget,
+}
+
+impl Reading<'_> {
+    /// Parses the bytes behind the header; with an `area`, groups that cannot reach into it are left out.
+    pub fn whole(
+        self,
+        header: &Header,
+        rest: &[u8],
+        area: Option<&Area>,
+        tally: &mut Tally,
+    ) -> Result<(PackedSplats, Vec<SectionInfo>)> {
+        let mut working = self.reserve(header, rest)?;
+        let base = header.bytes().len() as u64;
+        let end = rest
+            .len()
+            .checked_sub(CHECKSUM)
+            .ok_or(FormatError::Truncated { what: "checksum", offset: base + rest.len() as u64 })?;
+        let mut bytes = Bytes::new(&rest[..end], base);
+        let mut checksum = Hasher::new();
+        checksum.update(header.bytes());
+        let (metadata, sections) = self.sections(header, &mut bytes, (&mut checksum, &mut working), tally)?;
+        let payload = &rest[bytes.taken().len()..end];
+        checksum.update(payload);
+        let computed = checksum.finalize();
+        let stored = Bytes::new(&rest[end..], 0).u32("checksum")?;
+        if stored != computed && !cfg!(fuzzing) {
+            return Err(FormatError::Checksum { what: "file", stored, computed }.into());
+        }
+        if u64::from(header.primitives) > most_primitives(payload.len() as u64) {
+            return Err(FormatError::BadValue { field: "primitive count", value: header.primitives.into() }.into());
+        }
+        let mut splats = header.empty(metadata);
+        match (header.layout, header.grouping) {
+            (Layout::Packed, _) => packed::read(&mut bytes, header, &mut splats, tally)?,
+            (Layout::Planes, _) => planes::read(&mut bytes, header, &mut splats, tally)?,
+            (Layout::Coded, Grouping::Single) => coded::read(&mut bytes, header, &mut splats, tally)?,
+            (Layout::Coded, Grouping::Groups) => groups::read(&mut bytes, header, area, &mut splats, tally)?,
+        }
+        bytes.finish()?;
+        Ok((splats, sections))
+    }
+
+    /// Parses what is intact of the bytes behind the header, and says what is missing.
+    pub fn intact(self, header: &Header, rest: &[u8]) -> Result<(PackedSplats, Missing)> {
+        if header.grouping == Grouping::Single {
+            let (splats, _) = self.whole(header, rest, None, &mut Tally::default())?;
+            return Ok((splats, Missing::default()));
+        }
+        let mut working = self.reserve(header, rest)?;
+        // What is trusted is covered by the directory's checksum and the groups' own. That of the file, which may be cut off or
+        // be a part of the last group of a file that is cut, only tells whether all is well.
+        let mut bytes = Bytes::new(rest, header.bytes().len() as u64);
+        let mut checksum = Hasher::new();
+        checksum.update(header.bytes());
+        let (metadata, _) = self.sections(header, &mut bytes, (&mut checksum, &mut working), &mut Tally::default())?;
+        let payload = bytes.taken().len();
+        let mut splats = header.empty(metadata);
+        let missing = groups::read_intact(&mut bytes, header, &mut splats)?;
+        checksum.update(&bytes.taken()[payload..]);
+        let computed = checksum.finalize();
+        let is_sealed = bytes.u32("checksum").is_ok_and(|stored| stored == computed || cfg!(fuzzing));
+        let is_whole = is_sealed && bytes.left() == 0 && missing.groups == 0;
+        Ok((splats, if is_whole { Missing::default() } else { missing }))
+    }
+
+    /// What parsing `rest` takes at most, but for what is said of many sections.
+    fn reserve(self, header: &Header, rest: &[u8]) -> Result<Reservation> {
+        let primitives = u64::from(header.primitives) * working_bytes(header.layout);
+        self.budget.reserve(FILE_COPIES * rest.len() as u64 + primitives)
+    }
+
+    /// The sections, if there are any.
+    fn sections(
+        self,
+        header: &Header,
+        bytes: &mut Bytes<'_>,
+        (checksum, working): (&mut Hasher, &mut Reservation),
+        tally: &mut Tally,
+    ) -> Result<(Metadata, Vec<SectionInfo>)> {
+        if header.sections == Sections::Absent {
+            return Ok(Default::default());
+        }
+        let read = read_sections(bytes, self.limits, (checksum, working), tally.detail)?;
+        tally.part("sections", bytes.taken().len());
+        Ok(read)
+    }
+}

@@ -1,0 +1,53 @@
+//! Integers to the bytes of a file: header, sections, payload, checksum (spec §2).
+
+use std::io::Write;
+
+use crc32fast::Hasher;
+
+use super::header::{Grouping, Sections, put_header};
+use super::rules::{self, most_primitives};
+use super::sections::put_sections;
+use super::splats::{Layout, PackedSplats};
+use super::{coded, groups, packed, planes};
+use crate::error::{Error, Result};
+
+/// Writes `splats` in their layout. The primitives of a level are put into the layout's own order.
+///
+/// # Errors
+/// [`Error::Parameter`] if the integers break spec §4, [`Error::Io`] from the writer.
+pub fn write<W: Write>(splats: &PackedSplats, writer: &mut W) -> Result<()> {
+    writer.write_all(&to_bytes(splats)?)?;
+    Ok(())
+}
+
+/// The file of `splats`; see [`write()`].
+///
+/// # Errors
+/// [`Error::Parameter`] if the integers break spec §4.
+pub fn to_bytes(splats: &PackedSplats) -> Result<Vec<u8>> {
+    rules::check(splats)?;
+    let has_sections = splats.metadata.icc.is_some() || splats.metadata.exif.is_some();
+    let sections = if has_sections { Sections::Present } else { Sections::Absent };
+    let (mut out, mut checksum) = (Vec::new(), Hasher::new());
+    let grouping = groups::grouping(splats);
+    put_header(splats, grouping, sections, &mut out);
+    checksum.update(&out);
+    let header = crc32fast::hash(&out);
+    if has_sections {
+        put_sections(&splats.metadata, &mut out, &mut checksum);
+    }
+    let payload = out.len();
+    match (splats.layout, grouping) {
+        (Layout::Packed, _) => packed::put(splats, &mut out)?,
+        (Layout::Planes, _) => planes::put(splats, &mut out)?,
+        (Layout::Coded, Grouping::Single) => coded::put(splats, &mut out)?,
+        (Layout::Coded, Grouping::Groups) => groups::put(splats, header, &mut out)?,
+    }
+    checksum.update(&out[payload..]);
+    if splats.gaussians.len() as u64 > most_primitives((out.len() - payload) as u64) {
+        let problem = format!("{} are more than 1024 and 8 a byte", splats.gaussians.len());
+        return Err(Error::Parameter { name: "primitive count", problem });
+    }
+    out.extend_from_slice(&checksum.finalize().to_le_bytes());
+    Ok(out)
+}

@@ -1,0 +1,142 @@
+//! Memory that may still be taken: reserved before it is allocated, given back when what it was for is gone.
+//!
+//! A [`Budget`] belongs to one opened file and to everything that is drawn from it. Reservations are made by the thread
+//! that the caller is on, never side by side, so that what is refused does not depend on the number of threads.
+
+use std::sync::{Arc, Mutex, MutexGuard};
+
+use crate::error::Result;
+use crate::limits::Limits;
+
+/// What may be allocated in all; clones share one account.
+#[derive(Debug, Clone)]
+pub(crate) struct Budget(Arc<Mutex<Account>>);
+
+#[derive(Debug)]
+struct Account {
+    allowed: u64,
+    reserved: u64,
+}
+
+/// A part of a [`Budget`], held until it is dropped.
+#[derive(Debug)]
+pub(crate) struct Reservation {
+    budget: Budget,
+    bytes: u64,
+}
+
+impl Budget {
+    /// The account that `limits` open.
+    pub fn of(limits: &Limits) -> Self {
+        Budget(Arc::new(Mutex::new(Account { allowed: most(limits.alloc), reserved: 0 })))
+    }
+
+    fn account(&self) -> MutexGuard<'_, Account> {
+        self.0.lock().expect("no holder panics")
+    }
+
+    /// Bytes that are free.
+    pub fn left(&self) -> u64 {
+        let account = self.account();
+        account.allowed - account.reserved
+    }
+
+    /// Checks that `bytes` could be reserved.
+    ///
+    /// # Errors
+    /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) with what is free when they cannot.
+    pub fn check(&self, bytes: u64) -> Result<()> {
+        Limits::check("alloc", bytes, self.left())
+    }
+
+    /// Takes `bytes` out of what is free.
+    ///
+    /// # Errors
+    /// As [`Budget::check`].
+    pub fn reserve(&self, bytes: u64) -> Result<Reservation> {
+        let mut reservation = Reservation { budget: self.clone(), bytes: 0 };
+        reservation.grow(bytes)?;
+        Ok(reservation)
+    }
+
+    /// Allows `alloc` bytes in all from now on.
+    ///
+    /// # Errors
+    /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) when more is reserved already; nothing changes then.
+    pub fn allow(&self, alloc: u64) -> Result<()> {
+        let mut account = self.account();
+        Limits::check("alloc", account.reserved, most(alloc))?;
+        account.allowed = most(alloc);
+        Ok(())
+    }
+}
+
+impl Reservation {
+    /// Takes `more` bytes.
+    ///
+    /// # Errors
+    /// As [`Budget::check`]; what was reserved stays so.
+    pub fn grow(&mut self, more: u64) -> Result<()> {
+        let mut account = self.budget.account();
+        Limits::check("alloc", more, account.allowed - account.reserved)?;
+        account.reserved += more;
+        self.bytes += more;
+        Ok(())
+    }
+
+    /// Gives back all but `bytes`, which must not be more than there are.
+    pub fn shrink(&mut self, bytes: u64) {
+        debug_assert!(bytes <= self.bytes, "{bytes} of {}", self.bytes);
+        let bytes = bytes.min(self.bytes);
+        self.budget.account().reserved -= self.bytes - bytes;
+        self.bytes = bytes;
+    }
+}
+
+impl Drop for Reservation {
+    fn drop(&mut self) {
+        self.shrink(0);
+    }
+}
+
+/// No allocation can be larger.
+fn most(alloc: u64) -> u64 {
+    alloc.min(isize::MAX as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::error::Error;
+
+    fn budget(alloc: u64) -> Budget {
+        Budget::of(&Limits { alloc, ..Limits::default() })
+    }
+
+    #[test]
+    fn what_is_reserved_is_free_again_when_it_is_dropped() {
+        let budget = budget(100);
+        let mut first = budget.reserve(60).unwrap();
+        assert!(matches!(budget.reserve(41), Err(Error::LimitExceeded { requested: 41, allowed: 40, .. })));
+        let second = budget.clone().reserve(40).unwrap();
+        assert_eq!(budget.left(), 0);
+        drop(second);
+        first.shrink(10);
+        assert_eq!(budget.left(), 90);
+        assert!(first.grow(91).is_err() && first.grow(90).is_ok());
+        drop(first);
+        assert_eq!(budget.left(), 100);
+    }
+
+    #[test]
+    fn a_smaller_allowance_must_hold_what_is_reserved() {
+        let budget = budget(u64::MAX);
+        assert_eq!(budget.left(), isize::MAX as u64);
+        let held = budget.reserve(50).unwrap();
+        assert!(matches!(budget.allow(49), Err(Error::LimitExceeded { requested: 50, allowed: 49, .. })));
+        budget.allow(51).unwrap();
+        assert!(budget.check(2).is_err() && budget.check(1).is_ok());
+        drop(held);
+        assert_eq!(budget.left(), 51);
+    }
+}

@@ -1,0 +1,87 @@
+//! Bytes to pixels: [`decode()`] for a picture at a time, [`Opened`] for a file that is drawn again and again.
+//!
+//! ```no_run
+//! use ssplat::{DecodeOptions, decode};
+//!
+//! let bytes = std::fs::read("photo.ssplat")?;
+//! let whole = decode(&bytes, &DecodeOptions::default())?.pixels;
+//!
+//! // The part of 640 × 480 pixels at (100, 50), at half the size.
+//! let mut options = DecodeOptions::default();
+//! options.region = Some([100, 50, 640, 480]);
+//! options.size = Some([320, 240]);
+//! let part = decode(&bytes, &options)?.pixels;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod opened;
+
+pub use opened::{Opened, Opening};
+
+use crate::bitstream::Missing;
+use crate::bitstream::splats::Metadata;
+use crate::error::Result;
+use crate::options::DecodeOptions;
+use crate::pixels::Pixels;
+use crate::raster::{SamplesMut, View};
+
+/// A decoded picture.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Decoded {
+    /// The pixels, with the channels and the depth of the source.
+    pub pixels: Pixels,
+    /// ICC profile and EXIF block.
+    pub metadata: Metadata,
+    /// What could not be read; nothing unless [`Damage::Accept`](crate::Damage::Accept) was asked for.
+    pub missing: Missing,
+}
+
+/// Decodes the file `bytes`, or the part of it that `options` ask for; what cannot be seen in that part
+/// is not drawn, and in a file with groups mostly not even read.
+///
+/// # Errors
+/// [`Error::Format`](crate::Error::Format) and [`Error::UnsupportedVersion`](crate::Error::UnsupportedVersion) for
+/// what cannot be read, [`Error::LimitExceeded`](crate::Error::LimitExceeded) for what is too large,
+/// [`Error::Parameter`](crate::Error::Parameter) for a region outside the picture or an empty one.
+pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
+    let opening = Opening::new(bytes, &options.limits)?;
+    let view = options.view(&opening.view())?;
+    let opened = opening.read_for(&view, options.damage)?;
+    let (depth, missing) = (opened.splats().depth, opened.missing());
+    let renderer = opened.renderer(&view)?;
+    // The integers make room for the pixels.
+    let (metadata, _reserved) = opened.described();
+    Ok(Decoded { pixels: renderer.render(depth)?, metadata, missing })
+}
+
+/// Decodes the file `bytes` into `out`, as [`decode()`] does but with the depth of `out`: for one picture after the other in
+/// the same memory. [`Opening`] tells a picture's size beforehand.
+///
+/// # Errors
+/// As [`decode()`].
+///
+/// # Panics
+/// If `out` has not exactly as many samples as what `options` ask for: width × height × channels.
+pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -> Result<(Metadata, Missing)> {
+    let opening = Opening::new(bytes, &options.limits)?;
+    let view = options.view(&opening.view())?;
+    let opened = opening.read_for(&view, options.damage)?;
+    opened.draw_into(&view, out)?;
+    let missing = opened.missing();
+    Ok((opened.into_metadata(), missing))
+}
+
+impl DecodeOptions {
+    /// The part and the size that are asked for of the `whole` picture.
+    fn view(&self, whole: &View) -> Result<View> {
+        let mut view = *whole;
+        if let Some([x, y, width, height]) = self.region {
+            view = view.crop(x, y, width, height)?;
+        }
+        match self.size {
+            Some([width, height]) => view.resized(width, height),
+            None => Ok(view),
+        }
+    }
+}

@@ -1,0 +1,268 @@
+//! An opened file: its integers and metadata, from which any view is drawn, any number of times.
+
+use crate::bitstream::header::Header;
+use crate::bitstream::report::Tally;
+use crate::bitstream::rules::Area;
+use crate::bitstream::splats::{Metadata, PackedGaussian, PackedSplats};
+use crate::bitstream::{Missing, Reading};
+use crate::budget::{Budget, Reservation};
+use crate::error::{Error, Result};
+use crate::limits::Limits;
+use crate::options::Damage;
+use crate::pixels::Pixels;
+use crate::raster::{Canvas, Renderer, SamplesMut, View};
+
+/// A file whose header has been read and nothing else: what picture it is, before anything is spent on it.
+///
+/// ```no_run
+/// use ssplat::{Damage, Limits, Opening};
+///
+/// // A thumbnail of at most 256 × 256 pixels, of which only what it needs is read.
+/// let bytes = std::fs::read("photo.ssplat")?;
+/// let opening = Opening::new(&bytes, &Limits::default())?;
+/// let whole = opening.view();
+/// let scale = 256.0 / f64::from(whole.width().max(whole.height()));
+/// let [width, height] = [whole.width(), whole.height()].map(|side| (f64::from(side) * scale).ceil() as u32);
+/// let thumbnail = whole.resized(width, height)?;
+/// let pixels = opening.read_for(&thumbnail, Damage::Refuse)?.draw(&thumbnail)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Opening<'a> {
+    header: Header,
+    /// What follows the header.
+    rest: &'a [u8],
+    limits: Limits,
+    budget: Budget,
+}
+
+/// A file that has been read, ready to be drawn any number of times.
+///
+/// It holds the integers of the picture, not the bytes of the file. [`Limits::alloc`] bounds what it and all that is
+/// drawn from it take at the same time.
+///
+/// ```
+/// use ssplat::raster::SamplesMut;
+/// use ssplat::{Channels, EncodeOptions, Limits, Opened, Pixels, Samples, Target};
+///
+/// # let samples = (0..64 * 48 * 3).map(|i| (i / 3 % 64 * 2 + i / 192) as u8).collect();
+/// # let pixels = Pixels::new(64, 48, Channels::Rgb, Samples::U8(samples))?;
+/// # let mut options = EncodeOptions::default();
+/// # (options.target, options.effort) = (Target::Primitives(20), 1);
+/// # let bytes = ssplat::encode(&pixels, &options)?.bytes;
+/// let opened = Opened::from_bytes(&bytes, &Limits::default())?;
+/// let whole = opened.view();
+/// let icc = opened.metadata().icc.as_deref();
+///
+/// // The left half, at twice the size.
+/// let half = whole.crop(0, 0, 32, 48)?.resized(64, 96)?;
+/// let enlarged = opened.draw(&half)?;
+/// assert_eq!((enlarged.width(), enlarged.height()), (64, 96));
+///
+/// // A pan over the picture: every frame is drawn into the same memory.
+/// let mut frame = vec![0; 16 * 16 * 3];
+/// for x in 0..48 {
+///     opened.draw_into(&whole.crop(x, 8, 16, 16)?, SamplesMut::U8(&mut frame))?;
+/// }
+///
+/// // Row by row, for a writer that needs no more: the view is sorted into tiles once and drawn band by band.
+/// let renderer = opened.renderer(&whole)?;
+/// for band in 0..renderer.bands() {
+///     let mut rows = vec![0; renderer.band_rows(band).len() * renderer.row_len()];
+///     renderer.render_bands(band..band + 1, SamplesMut::U8(&mut rows));
+/// }
+/// # assert!(icc.is_none());
+/// # Ok::<(), ssplat::Error>(())
+/// ```
+#[derive(Debug)]
+pub struct Opened {
+    splats: PackedSplats,
+    missing: Missing,
+    /// What can be drawn, if that is not all of the picture.
+    area: Option<Area>,
+    limits: Limits,
+    budget: Budget,
+    /// For the integers.
+    #[expect(dead_code, reason = "held until the integers are gone")]
+    integers: Reservation,
+    /// For the metadata.
+    described: Reservation,
+}
+
+impl<'a> Opening<'a> {
+    /// Reads the header of the file `bytes`.
+    ///
+    /// # Errors
+    /// As [`Header::read`].
+    pub fn new(bytes: &'a [u8], limits: &Limits) -> Result<Self> {
+        let mut rest = bytes;
+        let header = Header::read(&mut rest, limits)?;
+        Ok(Opening::behind(header, rest, limits))
+    }
+
+    /// A file whose header has been read, and the bytes that follow it.
+    pub(crate) fn behind(header: Header, rest: &'a [u8], limits: &Limits) -> Self {
+        Opening { header, rest, limits: limits.clone(), budget: Budget::of(limits) }
+    }
+
+    /// Size, channels, depth, and how the picture is stored.
+    #[must_use]
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// The whole picture, one output pixel for each of its own.
+    #[must_use]
+    pub fn view(&self) -> View {
+        View::of_size(self.header.width, self.header.height)
+    }
+
+    /// Reads all of the picture.
+    ///
+    /// # Errors
+    /// [`Error::Format`] for what cannot be read, which [`Damage::Accept`] makes less, and [`Error::LimitExceeded`] for
+    /// what takes too much memory.
+    pub fn read(self, damage: Damage) -> Result<Opened> {
+        self.read_area(None, damage)
+    }
+
+    /// Reads what can be seen in `view`, which is much less than everything for a part of a large file; what is read can
+    /// only draw this view and parts of it. Of a damaged file everything is read.
+    ///
+    /// # Errors
+    /// As [`Opening::read`], and [`Error::LimitExceeded`] if the pixels of `view` alone would take too much memory.
+    pub fn read_for(self, view: &View, damage: Damage) -> Result<Opened> {
+        let samples = u64::from(view.width()) * u64::from(view.height()) * self.header.channels.count() as u64;
+        // A picture too large to be had is not worth reading.
+        self.budget.check(samples * self.header.depth.bytes() as u64)?;
+        self.read_area(Some(view.area().into()), damage)
+    }
+
+    fn read_area(self, area: Option<Area>, damage: Damage) -> Result<Opened> {
+        let Opening { header, rest, limits, budget } = self;
+        let reading = Reading { limits: &limits, budget: &budget };
+        let (splats, missing, area) = match damage {
+            Damage::Accept => {
+                let (splats, missing) = reading.intact(&header, rest)?;
+                (splats, missing, None)
+            }
+            Damage::Refuse => {
+                let (splats, _) = reading.whole(&header, rest, area.as_ref(), &mut Tally::default())?;
+                (splats, Missing::default(), area)
+            }
+        };
+        let book = splats.codebook.as_ref().map_or(0, |book| size_of_val(&book[..]));
+        let integers = budget.reserve((size_of::<PackedGaussian>() * splats.gaussians.len() + book) as u64)?;
+        let Metadata { icc, exif, damaged } = &splats.metadata;
+        let carried: usize = icc.iter().chain(exif).map(Vec::len).sum();
+        let described = budget.reserve((carried + size_of_val(&damaged[..])) as u64)?;
+        Ok(Opened { splats, missing, area, limits, budget, integers, described })
+    }
+}
+
+impl Opened {
+    /// Reads the whole of the file `bytes`. [`Opening`] reads a part, or what is left of a damaged file.
+    ///
+    /// # Errors
+    /// As [`Opening::new`] and [`Opening::read`].
+    pub fn from_bytes(bytes: &[u8], limits: &Limits) -> Result<Self> {
+        Opening::new(bytes, limits)?.read(Damage::Refuse)
+    }
+
+    /// The whole picture, one output pixel for each of its own.
+    #[must_use]
+    pub fn view(&self) -> View {
+        View::of_size(self.splats.width, self.splats.height)
+    }
+
+    /// The integers that were read.
+    #[must_use]
+    pub fn splats(&self) -> &PackedSplats {
+        &self.splats
+    }
+
+    /// ICC profile, EXIF block, and which sections were damaged.
+    #[must_use]
+    pub fn metadata(&self) -> &Metadata {
+        &self.splats.metadata
+    }
+
+    /// What could not be read; nothing unless [`Damage::Accept`] was asked for.
+    #[must_use]
+    pub fn missing(&self) -> Missing {
+        self.missing
+    }
+
+    /// What draws `view`. It does not need the opened file any more.
+    ///
+    /// # Errors
+    /// As [`Renderer::new`], and [`Error::Parameter`] for a view that shows what was not read.
+    pub fn renderer(&self, view: &View) -> Result<Renderer> {
+        if self.area.is_some_and(|area| !area.holds(&view.area().into())) {
+            let problem = format!("{view:?} shows more than the part of the picture that was read");
+            return Err(Error::Parameter { name: "view", problem });
+        }
+        self.splats.renderer_within(view, &self.limits, &self.budget)
+    }
+
+    /// Draws `view` with the channels and the depth of the file.
+    ///
+    /// # Errors
+    /// As [`Opened::renderer`], and [`Error::LimitExceeded`] when the pixels would take too much memory.
+    pub fn draw(&self, view: &View) -> Result<Pixels> {
+        self.renderer(view)?.render(self.splats.depth)
+    }
+
+    /// Draws `view` into `out`, row by row with interleaved channels, with the depth of `out`. For a picture after the
+    /// other this spares asking the system for memory, which takes a part of the time of a large one.
+    ///
+    /// # Errors
+    /// As [`Opened::renderer`].
+    ///
+    /// # Panics
+    /// If `out` has not exactly width × height × channels samples.
+    pub fn draw_into(&self, view: &View, out: SamplesMut<'_>) -> Result<()> {
+        self.renderer(view)?.render_into(out);
+        Ok(())
+    }
+
+    /// Keeps the metadata and drops the integers.
+    #[must_use]
+    pub fn into_metadata(self) -> Metadata {
+        self.splats.metadata
+    }
+
+    /// The metadata, and the memory that they take; the integers go.
+    pub(crate) fn described(self) -> (Metadata, Reservation) {
+        (self.splats.metadata, self.described)
+    }
+
+    /// Allows `alloc` bytes in all, what is held included, in place of [`Limits::alloc`].
+    ///
+    /// # Errors
+    /// [`Error::LimitExceeded`] when more is held already; the old limit stays then.
+    pub fn limit_alloc(&mut self, alloc: u64) -> Result<()> {
+        self.budget.allow(alloc)?;
+        self.limits.alloc = alloc;
+        Ok(())
+    }
+}
+
+impl PackedSplats {
+    /// What draws `view`. The Gaussians are made on the way: they need not all be there at once, as they would be with
+    /// [`to_picture`](PackedSplats::to_picture).
+    ///
+    /// # Errors
+    /// As [`Renderer::new`].
+    pub fn renderer(&self, view: &View, limits: &Limits) -> Result<Renderer> {
+        self.renderer_within(view, limits, &Budget::of(limits))
+    }
+
+    fn renderer_within(&self, view: &View, limits: &Limits, budget: &Budget) -> Result<Renderer> {
+        let quantizer = self.quantizer();
+        let background = quantizer.dequantize_color(self.background);
+        let canvas = Canvas { channels: self.channels, blend: self.blend, background };
+        let gaussian = |i: usize| quantizer.dequantize(&self.gaussians[i]);
+        Renderer::of(&canvas, (self.gaussians.len(), gaussian), view, limits, budget)
+    }
+}
