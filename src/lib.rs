@@ -63,7 +63,7 @@
 //! ([`quantize`]), Gaussians become pixels within a stated error ([`raster`]), and the `image` crate stands at the door.
 //! The repository's `docs/ARCHITECTURE.md` is the map, `spec/ssplat.md` the format.
 
-// Tests inside share pictures with the program, which names this crate from outside.
+// Tests inside share pictures with those outside, which name this crate.
 #[cfg(test)]
 extern crate self as ssplat;
 

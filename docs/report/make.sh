@@ -6,14 +6,14 @@ cd "$(dirname "$0")/../.."
 out=target/report
 mkdir -p "$out"
 # What fits on a GPU takes minutes to build: only where there may be one.
-features=cli
+features=report
 for device in /dev/dri/renderD* /dev/nvidia0 /dev/dxg; do
-    if [ -e "$device" ]; then features=cli,gpu; fi
+    if [ -e "$device" ]; then features=report,gpu; fi
 done
-if [ "$(uname)" = Darwin ]; then features=cli,gpu; fi
-# The cases that need the encoder's inside are tests; their rows join those that the program measures itself. A test of
-# another kind, of which none is run, makes this build the program as well: `cargo run` would build all of it once more.
-cargo test -q --release --features "$features" --lib --test metrics stability -- --nocapture >"$out/tests.txt"
+if [ "$(uname)" = Darwin ]; then features=report,gpu; fi
+# The stiff cases are tests, inside and outside; the report shows the rows that they print. The first builds the program as well.
+cargo test -q --release --features "$features" --test stability -- --nocapture >"$out/tests.txt"
+cargo test -q --release --features "$features" --lib stability -- --nocapture >>"$out/tests.txt"
 # The steps of SmartSplat see every pixel and its structural similarity: one picture is enough.
 "${CARGO_TARGET_DIR:-target}/release/ssplat" report tests/images/kodim15.png tests/images/kodim05.png --out "$out" \
     --ratios 50,200,1000 --efforts 1,3,5 --smartsplat-images 1 --stability "$out/tests.txt"

@@ -1,12 +1,9 @@
 //! Stiff and extreme cases seen from inside: gradients against f64, every iteration's state, rates, long runs, and how
 //! ill-conditioned a joint solve of the colours would be. Prints rows for the table of `ssplat report --stability`.
 
-#[path = "../bin/ssplat/report/stability.rs"]
-#[allow(dead_code, clippy::field_reassign_with_default)]
-mod cases;
-#[path = "../bin/ssplat/report/scenes.rs"]
-#[allow(dead_code)]
-mod scenes;
+// Shared with the tests of the whole way.
+#[path = "../../tests/stiff/mod.rs"]
+mod stiff;
 
 use super::model::adam::Bounds;
 use super::model::field::{Field, Output, Scene};
@@ -20,7 +17,7 @@ use crate::gaussian::{Blend, Channels, Picture};
 use crate::options::Target as Aim;
 use crate::pixels::Pixels;
 use crate::raster::reference;
-use cases::{Bound, Row};
+use stiff::{Bound, Row};
 
 const BLENDS: [Blend; 2] = [Blend::Normalized, Blend::Sum];
 
@@ -40,7 +37,7 @@ fn waves(width: u32, height: u32, channels: Channels) -> Pixels {
         let v = 0.5 + 0.4 * (f64::from(x * (k as u32 + 1) + 2 * y) / 6.0).sin();
         if channels.alpha() == Some(k) { 0.5 + 0.5 * v } else { v }
     };
-    scenes::picture(width, height, channels, value)
+    stiff::picture(width, height, channels, value)
 }
 
 fn scene(pixels: &Pixels, blend: Blend, background: [f32; 4]) -> Scene {
@@ -270,7 +267,7 @@ fn short(iterations: u32) -> Plan {
 #[test]
 fn every_iteration_of_every_extreme_fit_is_finite_and_the_best_state_is_kept() {
     let mut rows = Vec::new();
-    for case in cases::fits() {
+    for case in stiff::fits() {
         // The long ones are fitted whole elsewhere; here a few iterations show the same steps.
         let large = u64::from(case.pixels.width()) * u64::from(case.pixels.height()) > 1 << 20;
         let count = match case.target {

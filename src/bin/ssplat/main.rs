@@ -1,4 +1,4 @@
-//! The `ssplat` program: encode, decode, info, compare, report.
+//! The `ssplat` program: encode, decode, info, compare; with the feature `report` also report.
 
 mod args;
 mod compare;
@@ -9,6 +9,7 @@ mod info;
 mod left_out;
 mod names;
 mod progress;
+#[cfg(feature = "report")]
 mod report;
 mod rows;
 mod sink;
@@ -45,6 +46,7 @@ fn run(args: Args) -> Result<(), Failure> {
         Command::Decode(args) => decode::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Compare(args) => compare::run(&args),
+        #[cfg(feature = "report")]
         Command::Report(args) => report::run(&args),
     }
 }

@@ -1,5 +1,6 @@
 //! `ssplat report`: pictures encoded over ratios, efforts, recipes and backends, on one page with its numbers.
 
+pub mod args;
 mod cells;
 mod chart;
 mod codecs;
@@ -15,11 +16,11 @@ use std::path::Path;
 use serde_json::{Value, json};
 use ssplat::{Ablation, Backend, Blend, Channels, Pixels, Recipe, Samples};
 
-use crate::args::{self, Codecs, Recipes};
 use crate::failure::Failure;
 use crate::progress::Bar;
 use crate::sink::{Sink, say};
 use crate::source;
+use args::{Codecs, Recipes};
 use cells::{Cell, Job, Setup, Subject};
 use codecs::Anchor;
 use left_out::Needless;
@@ -45,7 +46,7 @@ pub fn run(args: &args::Report) -> Result<(), Failure> {
     };
     let jobs = jobs(args, backends, subjects.len(), middle);
     let bar = Bar::new();
-    let steps = jobs.len() as f32 + 2.0;
+    let steps = jobs.len() as f32 + 1.0;
     let mut cells = Vec::new();
     for (i, job) in jobs.into_iter().enumerate() {
         let subject = &subjects[job.subject];
@@ -57,12 +58,11 @@ pub fn run(args: &args::Report) -> Result<(), Failure> {
         };
         cells.push(cell);
     }
-    bar.show((steps - 2.0) / steps, "other codecs");
+    bar.show((steps - 1.0) / steps, "other codecs");
     let anchors = anchors(args, &kept, &subjects)?;
-    bar.show((steps - 1.5) / steps, "scenes");
+    bar.show((steps - 0.5) / steps, "scenes");
     let left_out = scenes(&kept, &subjects[0])?;
-    bar.show((steps - 1.0) / steps, "stiff cases");
-    let stability = stiff(args, &kept)?;
+    let stability = stiff(args)?;
     let contents = page::Contents {
         subjects: &subjects,
         cells: &cells,
@@ -201,20 +201,10 @@ fn piece(pixels: &Pixels) -> Option<Pixels> {
     Pixels::new(w, h, Channels::from_count(count)?, Samples::U8(out)).ok()
 }
 
-/// The stiff cases; kept like the cells, and joined by those of the file that was named.
-fn stiff(args: &args::Report, kept: &Path) -> Result<Vec<Row>, Failure> {
-    let path = kept.join("stability.tsv");
-    let mut rows = stability::parse(&std::fs::read_to_string(&path).unwrap_or_default());
-    if rows.is_empty() {
-        rows = stability::all();
-        let lines: Vec<String> = rows.iter().map(Row::line).collect();
-        std::fs::write(&path, lines.join("\n")).map_err(|e| Failure::io(&path, &e))?;
-    }
-    if let Some(more) = &args.stability {
-        let text = source::read_all(more)?;
-        rows.extend(stability::parse(&String::from_utf8_lossy(&text)));
-    }
-    Ok(rows)
+/// The stiff cases of the file that was named.
+fn stiff(args: &args::Report) -> Result<Vec<Row>, Failure> {
+    let Some(path) = &args.stability else { return Ok(Vec::new()) };
+    Ok(stability::parse(&String::from_utf8_lossy(&source::read_all(path)?)))
 }
 
 /// The command line, without what only this machine has.

@@ -1,9 +1,9 @@
-//! Pictures made by rule: the extreme ones of the stability table, and plain ones that leave something out.
+//! Pictures made by rule that leave something out.
 
 use ssplat::{Channels, Pixels, Samples};
 
 /// A picture of `channels` from values in `0..=1`, by pixel and channel.
-pub fn picture(width: u32, height: u32, channels: Channels, value: impl Fn(u32, u32, usize) -> f64) -> Pixels {
+fn picture(width: u32, height: u32, channels: Channels, value: impl Fn(u32, u32, usize) -> f64) -> Pixels {
     let count = channels.count();
     let mut samples = Vec::with_capacity(width as usize * height as usize * count);
     for y in 0..height {
@@ -15,7 +15,7 @@ pub fn picture(width: u32, height: u32, channels: Channels, value: impl Fn(u32, 
 }
 
 /// The same noise everywhere: a hash of the place, in `0..1`.
-pub fn noise(x: u32, y: u32, k: usize) -> f64 {
+fn noise(x: u32, y: u32, k: usize) -> f64 {
     let mut h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA6B) ^ (k as u32).wrapping_mul(0xC2B2_AE35);
     for _ in 0..2 {
         h = (h ^ h >> 15).wrapping_mul(0x2C1B_3C6D);
@@ -25,18 +25,11 @@ pub fn noise(x: u32, y: u32, k: usize) -> f64 {
 }
 
 /// 1 within a line of `width` pixels through the middle of a picture of `side`, at `angle` radians, 0 elsewhere.
-pub fn line(side: u32, width: f64, angle: f64, x: u32, y: u32) -> f64 {
+fn line(side: u32, width: f64, angle: f64, x: u32, y: u32) -> f64 {
     let middle = f64::from(side) / 2.0;
     let (dx, dy) = (f64::from(x) + 0.5 - middle, f64::from(y) + 0.5 - middle);
     let distance = (dy * angle.cos() - dx * angle.sin()).abs();
     (width / 2.0 + 0.5 - distance).clamp(0.0, 1.0)
-}
-
-/// Rings whose frequency rises from the middle to the limit of the grid at the border.
-pub fn zone_plate(side: u32, x: u32, y: u32) -> f64 {
-    let middle = f64::from(side) / 2.0;
-    let (dx, dy) = (f64::from(x) + 0.5 - middle, f64::from(y) + 0.5 - middle);
-    0.5 + 0.5 * (std::f64::consts::PI * (dx * dx + dy * dy) / f64::from(side)).cos()
 }
 
 /// A flat icon: a disc and a bar in three colours, with an alpha channel that is opaque everywhere.

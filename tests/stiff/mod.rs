@@ -1,0 +1,150 @@
+//! Stiff and extreme pictures, and the rows of the table that they fill; shared by the tests of the whole way and of the fit.
+
+use ssplat::{Channels, Pixels, Samples, Target};
+
+/// One row of the table.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Row {
+    pub group: String,
+    pub case: String,
+    /// The worst that was seen, in the unit of `bound`.
+    pub worst: f64,
+    /// What it may be.
+    pub bound: Bound,
+    /// What keeps it there.
+    pub guard: String,
+}
+
+/// The promise of a row.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[allow(dead_code)] // Those outside and those inside promise different things.
+pub enum Bound {
+    /// At most this many 8-bit code values from the f64 definition.
+    Codes(f64),
+    /// At least this many decibels above the picture of one constant colour, or above an earlier state of the same fit.
+    Gain(f64),
+    /// A relative error of at most this.
+    Relative(f64),
+    /// Nothing: it is there to be known.
+    Reported,
+}
+
+impl Row {
+    pub fn holds(&self) -> bool {
+        match self.bound {
+            Bound::Codes(most) | Bound::Relative(most) => self.worst <= most,
+            Bound::Gain(least) => self.worst >= least,
+            Bound::Reported => true,
+        }
+    }
+
+    /// The row as one line of tab-separated text.
+    pub fn line(&self) -> String {
+        let (unit, bound) = match self.bound {
+            Bound::Codes(v) => ("codes", v),
+            Bound::Gain(v) => ("gain", v),
+            Bound::Relative(v) => ("relative", v),
+            Bound::Reported => ("reported", 0.0),
+        };
+        format!("stability\t{}\t{}\t{:.3e}\t{unit}\t{bound:e}\t{}", self.group, self.case, self.worst, self.guard)
+    }
+}
+
+/// A picture to fit.
+pub struct Fit {
+    pub name: String,
+    pub pixels: Pixels,
+    pub target: Target,
+}
+
+/// The pictures of the table.
+pub fn fits() -> Vec<Fit> {
+    use Channels::{Grey, GreyAlpha, Rgb, Rgba};
+    const SIDE: u32 = 48;
+    let grey = |f: &dyn Fn(u32, u32) -> f64| picture(SIDE, SIDE, Grey, |x, y, _| f(x, y));
+    let mut list: Vec<(String, Pixels, Target)> = Vec::new();
+    let mut add = |name: &str, pixels| list.push((name.into(), pixels, Target::Primitives(60)));
+    add("constant", picture(SIDE, SIDE, Rgb, |_, _, k| [0.3, 0.6, 0.1][k]));
+    add("black", grey(&|_, _| 0.0));
+    add("white", grey(&|_, _| 1.0));
+    add("single bright pixel", grey(&|x, y| f64::from(x == 20 && y == 31)));
+    add("checkerboard of single pixels", grey(&|x, y| f64::from((x + y) % 2)));
+    for (name, angle) in [
+        ("0°", 0.0),
+        ("1°", 0.0175),
+        ("27°", 0.47),
+        ("45°", std::f64::consts::FRAC_PI_4),
+        ("90°", std::f64::consts::FRAC_PI_2),
+    ] {
+        add(&format!("line of one pixel at {name}"), grey(&|x, y| line(SIDE, 0.5, angle, x, y)));
+    }
+    add("step edge", grey(&|x, _| f64::from(x >= SIDE / 2)));
+    add("zone plate", grey(&|x, y| zone_plate(SIDE, x, y)));
+    add("white noise", picture(SIDE, SIDE, Rgb, noise));
+    add("ramp", grey(&|x, _| f64::from(x) / 47.0));
+    add("saturated colours", picture(SIDE, SIDE, Rgb, |x, y, k| f64::from((x / 12 + y / 12) as usize % 3 == k)));
+    add("transparent everywhere", picture(SIDE, SIDE, Rgba, |x, y, k| if k == 3 { 0.0 } else { noise(x, y, k) }));
+    add(
+        "alpha with a hard edge",
+        picture(SIDE, SIDE, GreyAlpha, |x, y, k| if k == 1 { f64::from(y > x) } else { 0.8 }),
+    );
+    add("1 × 1", picture(1, 1, Rgb, |_, _, k| [0.9, 0.2, 0.4][k]));
+    add("2 × 1", picture(2, 1, Grey, |x, _, _| f64::from(x)));
+    add("1 × 65535", picture(1, 65535, Grey, |_, y, _| 0.5 + 0.5 * (f64::from(y) / 900.0).sin()));
+    add("65535 × 1", picture(65535, 1, Grey, |x, _, _| 0.5 + 0.5 * (f64::from(x) / 900.0).sin()));
+    add("primes 53 × 31", picture(53, 31, Rgb, |x, y, k| 0.5 + 0.5 * (f64::from(x * (k as u32 + 1) + y) / 7.0).sin()));
+    let wave = || picture(96, 96, Rgb, |x, y, k| 0.5 + 0.4 * (f64::from(x * (k as u32 + 1) + 2 * y) / 9.0).sin());
+    for ratio in [2.0, 10.0, 100.0, 1000.0] {
+        // As many primitives as a ratio of 2 asks for take their time even on a stamp.
+        let pixels = if ratio < 5.0 { picture(40, 40, Rgb, noise) } else { wave() };
+        list.push((format!("ratio {ratio}"), pixels, Target::Ratio(ratio)));
+    }
+    // A ramp there and back: a file of a few dozen bytes for millions of samples.
+    let wide =
+        |side: u32| picture(side, side, Rgb, |x, y, _| f64::from((x + y).min(2 * side - x - y)) / f64::from(side));
+    for (side, ratio, name) in [(500, 1e4, "1e4"), (1300, 1e5, "1e5"), (3400, 1e6, "1e6"), (1300, 1e6, "1e6")] {
+        list.push((format!("ratio {name}, {side} × {side}"), wide(side), Target::Ratio(ratio)));
+    }
+    list.push(("N = 0".into(), wave(), Target::Primitives(0)));
+    list.push(("N = 1".into(), wave(), Target::Primitives(1)));
+    list.push(("N = 2".into(), wave(), Target::Primitives(2)));
+    list.push(("N beyond the pixels".into(), grey(&|x, y| noise(x, y, 5)), Target::Primitives(4000)));
+    list.into_iter().map(|(name, pixels, target)| Fit { name, pixels, target }).collect()
+}
+
+/// A picture of `channels` from values in `0..=1`, by pixel and channel.
+pub fn picture(width: u32, height: u32, channels: Channels, value: impl Fn(u32, u32, usize) -> f64) -> Pixels {
+    let count = channels.count();
+    let mut samples = Vec::with_capacity(width as usize * height as usize * count);
+    for y in 0..height {
+        for x in 0..width {
+            samples.extend((0..count).map(|k| (value(x, y, k).clamp(0.0, 1.0) * 255.0 + 0.5) as u8));
+        }
+    }
+    Pixels::new(width, height, channels, Samples::U8(samples)).expect("as many samples as the size says")
+}
+
+/// The same noise everywhere: a hash of the place, in `0..1`.
+fn noise(x: u32, y: u32, k: usize) -> f64 {
+    let mut h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA6B) ^ (k as u32).wrapping_mul(0xC2B2_AE35);
+    for _ in 0..2 {
+        h = (h ^ h >> 15).wrapping_mul(0x2C1B_3C6D);
+        h = (h ^ h >> 13).wrapping_mul(0x297A_2D39);
+    }
+    f64::from(h >> 8) / f64::from(1 << 24)
+}
+
+/// 1 within a line of `width` pixels through the middle of a picture of `side`, at `angle` radians, 0 elsewhere.
+fn line(side: u32, width: f64, angle: f64, x: u32, y: u32) -> f64 {
+    let middle = f64::from(side) / 2.0;
+    let (dx, dy) = (f64::from(x) + 0.5 - middle, f64::from(y) + 0.5 - middle);
+    let distance = (dy * angle.cos() - dx * angle.sin()).abs();
+    (width / 2.0 + 0.5 - distance).clamp(0.0, 1.0)
+}
+
+/// Rings whose frequency rises from the middle to the limit of the grid at the border.
+fn zone_plate(side: u32, x: u32, y: u32) -> f64 {
+    let middle = f64::from(side) / 2.0;
+    let (dx, dy) = (f64::from(x) + 0.5 - middle, f64::from(y) + 0.5 - middle);
+    0.5 + 0.5 * (std::f64::consts::PI * (dx * dx + dy * dy) / f64::from(side)).cos()
+}
