@@ -1,0 +1,162 @@
+#!/usr/bin/env python3
+"""Encodes a folder of pictures, or any fsspec URL, on a Ray cluster: files, and a manifest in Parquet.
+
+    pip install 'ssplat[ray]'
+    python examples/ray_encode.py photos/ encoded/ --ratio 50
+    python examples/ray_encode.py s3://bucket/photos s3://bucket/encoded --address auto
+
+Each picture is one row of OUT/manifest/*.parquet: path, output, bytes, psnr, ms_ssim, seconds, error. A picture that
+cannot be read or encoded is a row with its error and no output; the others go on. What the manifest has is skipped, so
+a run that was stopped is gone on with by the same command. `--again` tries those with errors once more.
+
+Paths are handed out and read inside the task: one broken file must not end the job. A task is a block of pictures; it
+writes its rows when it is through, under a name that is the same when Ray runs it again after a worker died. So every
+picture has one row, and at most the work of a block is done twice.
+
+With Dask, `client.map(functools.partial(encode_one, source=..., out=..., options=...), paths)` gives the same rows; with
+Spark, `mapInPandas`.
+"""
+
+import argparse
+import io
+import json
+import os
+import posixpath
+import sys
+import time
+
+import fsspec
+import pyarrow as pa
+import pyarrow.dataset
+
+SCHEMA = pa.schema(
+    [
+        ("path", pa.string()),
+        ("output", pa.string()),
+        ("bytes", pa.int64()),
+        ("psnr", pa.float64()),
+        ("ms_ssim", pa.float64()),
+        ("seconds", pa.float64()),
+        ("error", pa.string()),
+        ("options", pa.string()),
+    ]
+)
+MANIFEST = "manifest"
+
+
+def encode_one(path, source, out, options):
+    """Encodes the picture `path` under `source` to a file under `out`: a row of the manifest, never an exception."""
+    import ssplat
+    from PIL import Image
+
+    row = dict.fromkeys(SCHEMA.names) | {"path": path, "options": json.dumps(options, sort_keys=True)}
+    start = time.perf_counter()
+    try:
+        fs, root = fsspec.url_to_fs(source)
+        with Image.open(io.BytesIO(fs.cat_file(posixpath.join(root, path)))) as image:
+            data = ssplat.encode(image, threads=1, **options)
+            stored = ssplat.decode(data, threads=1)
+            row["psnr"] = ssplat.metrics.psnr(image, stored, threads=1)
+            row["ms_ssim"] = ssplat.metrics.ms_ssim(image, stored, threads=1)
+        output = path + ".ssplat"
+        write_whole(out, output, data)
+        row |= {"output": output, "bytes": len(data)}
+    except Exception as e:
+        row["error"] = f"{type(e).__name__}: {e}"
+    row["seconds"] = time.perf_counter() - start
+    return row
+
+
+def write_whole(root, name, data):
+    """Writes a file that is there as a whole or not at all. Object stores do so by themselves."""
+    fs, root = fsspec.url_to_fs(root)
+    path = posixpath.join(root, name)
+    if "file" not in fs.protocol:
+        fs.pipe_file(path, data)
+        return
+    os.makedirs(os.path.dirname(path), exist_ok=True)
+    part = f"{path}.{os.getpid()}.part"
+    with open(part, "wb") as file:
+        file.write(data)
+    os.replace(part, path)
+
+
+def list_pictures(source):
+    """Paths below `source` of all files that Pillow may know by their names."""
+    from PIL import Image
+
+    fs, root = fsspec.url_to_fs(source)
+    known = {extension for extension, name in Image.registered_extensions().items() if name in Image.OPEN}
+    names = (posixpath.relpath(path, root) for path in fs.find(root))
+    return sorted(name for name in names if posixpath.splitext(name)[1].lower() in known)
+
+
+def read_manifest(out):
+    """The rows so far."""
+    fs, root = fsspec.url_to_fs(out)
+    files = [path for path in fs.find(posixpath.join(root, MANIFEST)) if path.endswith(".parquet")]
+    if not files:
+        return SCHEMA.empty_table()
+    return pyarrow.dataset.dataset(files, schema=SCHEMA, filesystem=fs, format="parquet").to_table()
+
+
+def left_to_do(source, out, options, again=False):
+    """The pictures without a row; with `again`, also those whose last row is an error."""
+    done, text = set(), json.dumps(options, sort_keys=True)
+    for row in read_manifest(out).select(["path", "error", "options"]).to_pylist():
+        if row["options"] != text:
+            raise SystemExit(f"{out}: was encoded with {row['options']}, not {text}; give another folder")
+        if not (again and row["error"]):
+            done.add(row["path"])
+    return [path for path in list_pictures(source) if path not in done]
+
+
+def run(source, out, options, *, block=16, again=False, encode=encode_one):
+    """Encodes what is left to do on the Ray cluster that is connected, and returns how many pictures that were."""
+    import ray
+
+    paths = left_to_do(source, out, options, again)
+    if not paths:
+        return 0
+
+    def encode_block(batch):
+        rows = [encode(path, source, out, options) for path in batch["path"].to_pylist()]
+        return pa.Table.from_pylist(rows, schema=SCHEMA)
+
+    blocks = -(-len(paths) // block)
+    ray.data.from_items([{"path": path} for path in paths], override_num_blocks=blocks).map_batches(
+        encode_block, batch_size=None, batch_format="pyarrow", num_cpus=1
+    ).write_parquet(out.rstrip("/") + "/" + MANIFEST)
+    return len(paths)
+
+
+def main(arguments=None):
+    parser = argparse.ArgumentParser(description="Encodes pictures on a Ray cluster.")
+    parser.add_argument("source", help="folder or fsspec URL of the pictures")
+    parser.add_argument("out", help="folder or fsspec URL for the files and the manifest")
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--ratio", type=float)
+    size.add_argument("--bytes", type=int)
+    size.add_argument("--psnr", type=float)
+    parser.add_argument("--effort", type=int, default=5)
+    parser.add_argument("--block", type=int, default=16, help="pictures in a task (default 16)")
+    parser.add_argument("--again", action="store_true", help="try pictures with errors once more")
+    parser.add_argument("--address", help="the cluster's; by default one on this machine")
+    a = parser.parse_args(arguments)
+    import ray
+
+    options = {k: v for k in ("ratio", "bytes", "psnr", "effort") if (v := getattr(a, k)) is not None}
+    # Ray's workers are elsewhere.
+    local = [p if "://" in p else os.path.abspath(p) for p in (a.source, a.out)]
+    ray.init(address=a.address)
+    start = time.perf_counter()
+    count = run(*local, options, block=a.block, again=a.again)
+    seconds = time.perf_counter() - start
+    table = read_manifest(local[1])
+    failed = len(table) - table["error"].null_count
+    print(f"{count} pictures in {seconds:.1f} s; the manifest has {len(table)}, {failed} of them with errors")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,57 @@
+"""Pictures stored as 2D Gaussians: the .ssplat codec.
+
+    import ssplat
+    data = ssplat.encode("photo.png", ratio=50)    # bytes of a file
+    pixels = ssplat.decode(data)                   # numpy array
+
+With Pillow installed, ``Image.open("x.ssplat")`` and ``image.save("x.ssplat", ratio=50)`` work once this module is
+imported. All functions release the interpreter's lock, may be called from any thread, and work in forked and spawned
+processes. What goes wrong is a subclass of :class:`Error`; see :mod:`ssplat.errors`.
+"""
+
+from __future__ import annotations
+
+from . import metrics
+from ._codec import decode, encode, info
+from ._primitives import from_gaussians, gaussians
+from ._ssplat import FORMAT_VERSION, __version__
+from .errors import (
+    CancelledError,
+    Error,
+    FormatError,
+    GpuError,
+    IoError,
+    LimitExceededError,
+    ParameterError,
+    PartialWarning,
+    UnsupportedVersionError,
+)
+
+__all__ = [
+    "FORMAT_VERSION",
+    "CancelledError",
+    "Error",
+    "FormatError",
+    "GpuError",
+    "IoError",
+    "LimitExceededError",
+    "ParameterError",
+    "PartialWarning",
+    "UnsupportedVersionError",
+    "__version__",
+    "decode",
+    "encode",
+    "from_gaussians",
+    "gaussians",
+    "info",
+    "metrics",
+]
+
+try:
+    from . import pillow as _pillow
+except ModuleNotFoundError as _missing:
+    # Pillow is optional; anything else that is missing is a fault.
+    if (_missing.name or "").split(".")[0] != "PIL":
+        raise
+else:
+    _pillow.register()

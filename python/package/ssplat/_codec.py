@@ -1,0 +1,155 @@
+"""Pictures to files and back."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+from . import _ssplat
+from ._input import content, exif_of, pixels
+from .errors import PartialWarning
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ._input import Data, ImageLike
+
+_KEEP: Any = type("_Keep", (), {"__repr__": lambda self: "KEEP"})()
+
+
+def encode(
+    image: ImageLike,
+    *,
+    ratio: float | None = None,
+    bytes: int | None = None,
+    psnr: float | None = None,
+    primitives: int | None = None,
+    effort: int = 5,
+    time: float | None = None,
+    progress: Callable[[str, float], object] | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    levels: int = 1,
+    tune: Literal["psnr", "ssim"] = "psnr",
+    layout: Literal["coded", "planes", "packed"] = "coded",
+    blend: Literal["normalized", "sum"] | None = None,
+    needs: Literal["measured", "everything"] = "measured",
+    backend: Literal["auto", "cpu", "gpu"] = "auto",
+    icc_profile: bytes | None = _KEEP,
+    exif: bytes | None = _KEEP,
+) -> bytes:
+    """Encodes a picture and returns the bytes of a file. Equal arguments give equal bytes on any number of threads.
+
+    Args:
+        image: an array of uint8 or uint16 with shape (height, width) or (height, width, 1 to 4 channels: grey, grey and
+            alpha, RGB, RGBA); a Pillow image; or the path of a picture that Pillow can open. The samples are copied
+            once, so the array may change meanwhile. An array that is not contiguous or not in native byte order is
+            copied once more. Other types are a ParameterError.
+        ratio: bytes of the samples with 8 bits each over bytes of the file. 50 when nothing else is asked for.
+        bytes: largest size of the file.
+        psnr: PSNR to reach, dB; the smallest file found that does.
+        primitives: number of Gaussians. At most one of these four.
+        effort: 1 to 9.
+        time: wall-clock budget, seconds; the best state reached by then is written.
+        progress: called with a stage's name and the share of it that is done, 0 to 1, in this thread. It stops the
+            encode by raising, or by returning False, which raises a CancelledError.
+        seed: of everything random.
+        threads: how many to use; None: one for each core.
+        levels: 1 to 8 progressive levels; a file that is cut after one is a coarser picture.
+        tune: the measure to favour.
+        layout: how the integers become bytes.
+        blend: how primitives blend; None: normalized.
+        needs: whether to look for what can be left out of the fit.
+        backend: the device; only a build with the feature ``gpu`` has another than the CPU.
+        icc_profile: profile to carry. By default that of the picture, if it has one.
+        exif: EXIF block to carry, with or without ``Exif\\0\\0`` before it. By default that of the picture.
+
+    Raises:
+        ParameterError: an argument is out of range, or the size cannot hold the picture.
+        CancelledError: ``progress`` returned False.
+        KeyboardInterrupt: at once; the work ends at its next step.
+    """
+    array, own_profile, own_exif = pixels("image", image)
+    options = {
+        "ratio": ratio,
+        "bytes": bytes,
+        "psnr": psnr,
+        "primitives": primitives,
+        "effort": effort,
+        "time": time,
+        "seed": seed,
+        "threads": threads,
+        "levels": levels,
+        "tune": tune,
+        "layout": layout,
+        "blend": blend,
+        "needs": needs,
+        "backend": backend,
+        "icc_profile": own_profile if icc_profile is _KEEP else icc_profile,
+        "exif": own_exif if exif is _KEEP else exif_of(exif),
+    }
+    return _ssplat.encode(array, options, progress)
+
+
+def decode(
+    data: Data,
+    *,
+    region: Sequence[int] | None = None,
+    size: Sequence[int] | None = None,
+    partial: bool = False,
+    bits: Literal[8, 16] | None = None,
+    threads: int | None = None,
+    limits: Mapping[str, int] | None = None,
+) -> np.ndarray:
+    """Decodes a file, or the part of it that is asked for; of a large file little more than that part is read.
+
+    Args:
+        data: the file as bytes, or its path. Other buffers are copied, since they may change.
+        region: left, top, width and height of the part, pixels of the picture.
+        size: width and height of the output, pixels. Larger ones sample the continuous picture, smaller ones are
+            low-passed.
+        partial: of a damaged file, draw what is intact and warn with a PartialWarning. Only files in groups, those of
+            large pictures or with several levels, have parts that stand alone.
+        bits: bits of a sample; None: those of the source.
+        threads: how many to use; None: as many as are worth it.
+        limits: what the file may ask for, in place of the defaults: any of ``width``, ``height``, ``primitives``,
+            ``tile_pairs``, ``work``, ``overlap``, ``alloc`` and ``metadata``, as the library's Limits have them.
+
+    Returns:
+        A new array of uint8 or uint16, (height, width) for grey, else (height, width, channels).
+
+    Raises:
+        FormatError: the file is broken.
+        UnsupportedVersionError: it is newer than this package.
+        LimitExceededError: it asks for too much.
+        ParameterError: an argument is out of range.
+    """
+    options = {
+        "region": None if region is None else list(region),
+        "size": None if size is None else list(size),
+        "bits": bits,
+        "partial": bool(partial),
+        "threads": threads,
+        "limits": None if limits is None else dict(limits),
+    }
+    array, (primitives, groups, of_groups) = _ssplat.decode(content(data), options)
+    if groups:
+        text = f"{groups} of {of_groups} groups with {primitives} primitives are missing"
+        warnings.warn(text, PartialWarning, stacklevel=2)
+    return array
+
+
+def info(data: Data) -> dict[str, Any]:
+    """What a file says about itself: all but the primitives.
+
+    Returns:
+        ``width`` and ``height`` in pixels, ``channels`` (1 to 4), ``bits`` of a sample (8 or 16), ``bytes`` of the
+        file, ``primitives``, ``layout``, ``blend``, ``levels`` (primitives in each), ``groups``, ``codebook`` (colours
+        in it, or None), ``steps`` (the indices of specification §4.1), ``parts`` (bytes of each part of the file),
+        ``icc_profile`` and ``exif`` (bytes, or None).
+
+    Raises:
+        FormatError, UnsupportedVersionError, LimitExceededError: as for :func:`decode`.
+    """
+    return _ssplat.info(content(data))

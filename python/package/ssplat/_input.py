@@ -1,0 +1,87 @@
+"""What the functions take: pictures as arrays, and files as bytes."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from .errors import ParameterError
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+    ImageLike: TypeAlias = np.ndarray | Image.Image | str | os.PathLike[str]
+    Data: TypeAlias = bytes | bytearray | memoryview | str | os.PathLike[str]
+
+#: Modes of Pillow that hold what a file holds.
+MODES = ("L", "LA", "RGB", "RGBA", "I;16")
+#: Modes of which the array is one that a file holds.
+_ARRAYS = (*MODES, "I;16B", "I;16L")
+#: What shows the same as a mode that no file holds, and as one with a transparent colour beside its samples.
+_SAME = {"1": "L", "La": "LA", "RGBa": "RGBA", "RGBX": "RGB", "P": "RGB", "PA": "RGBA"}
+_TRANSPARENT = {"1": "LA", "L": "LA", "RGB": "RGBA", "P": "RGBA"}
+
+
+def is_path(value: Any) -> bool:
+    return isinstance(value, (str, os.PathLike))
+
+
+def is_pillow(value: Any) -> bool:
+    # Without importing Pillow for those who do not use it.
+    return hasattr(value, "getbands") and hasattr(value, "mode")
+
+
+def convert(image: Image.Image) -> Image.Image:
+    """The picture in a mode that a file holds and that shows the same; a ParameterError where there is none."""
+    if "transparency" in image.info and image.mode in _TRANSPARENT:
+        return image.convert(_TRANSPARENT[image.mode])
+    if image.mode in _ARRAYS:
+        return image
+    if image.mode in _SAME:
+        return image.convert(_SAME[image.mode])
+    text = f"bad parameter image: mode {image.mode} is not stored; convert it to one of {', '.join(MODES)}"
+    raise ParameterError(text, "image")
+
+
+def contiguous(name: str, array: Any) -> np.ndarray:
+    """The array itself where its rows lie one after the other in native byte order, else a copy that does."""
+    if not isinstance(array, np.ndarray):
+        raise ParameterError(f"bad parameter {name}: {type(array).__name__} is neither an array nor a picture", name)
+    if array.dtype.kind != "u" or array.dtype.itemsize > 2:
+        raise ParameterError(f"bad parameter {name}: dtype {array.dtype} is neither uint8 nor uint16", name)
+    return np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
+
+
+def pixels(name: str, image: ImageLike) -> tuple[np.ndarray, bytes | None, bytes | None]:
+    """The samples of a picture, its ICC profile and its EXIF block."""
+    if is_path(image):
+        from PIL import Image
+
+        with Image.open(image) as opened:
+            return pixels(name, opened)
+    if is_pillow(image):
+        return contiguous(name, np.asarray(convert(image))), image.info.get("icc_profile"), exif_of(image.info.get("exif"))
+    return contiguous(name, image), None, None
+
+
+def exif_of(block: Any) -> bytes | None:
+    """An EXIF block as files hold it: from its TIFF header on."""
+    if block is None:
+        return None
+    if hasattr(block, "tobytes") and not isinstance(block, memoryview):
+        block = block.tobytes()
+    return bytes(block).removeprefix(b"Exif\0\0") or None
+
+
+def content(data: Data) -> bytes:
+    """The bytes of a file: as they are, copied out of a buffer that may change, or read from a path."""
+    if isinstance(data, bytes):
+        return data
+    if is_path(data):
+        with open(data, "rb") as file:
+            return file.read()
+    if isinstance(data, (bytearray, memoryview)):
+        return bytes(data)
+    raise ParameterError(f"bad parameter data: {type(data).__name__} is neither bytes nor a path", "data")

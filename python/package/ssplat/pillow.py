@@ -1,0 +1,119 @@
+"""Pillow's plugin: ``import ssplat``, then ``Image.open`` and ``Image.save`` know .ssplat.
+
+``Image.open`` reads the header, and the ICC profile and EXIF block if there are any; the picture is decoded when its
+pixels are asked for. ``draft`` and ``thumbnail`` let the decoder draw at the smaller size, which takes a part of the
+time. ``save`` takes the options of :func:`ssplat.encode`. Modes: L, LA, RGB, RGBA and I;16; other pictures of 16 bits
+are opened with 8, which is what Pillow can hold. With ``ImageFile.LOAD_TRUNCATED_IMAGES`` a damaged file shows what is
+intact.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from typing import IO, Any
+
+import numpy as np
+from PIL import Image, ImageFile
+
+from . import _ssplat
+from ._codec import decode, encode
+from ._input import MODES
+from .errors import Error, FormatError, ParameterError
+
+__all__ = ["SsplatImageFile", "register"]
+
+_FORMAT = "SSPLAT"
+#: What the header takes at most.
+_HEADER = 32
+_OPTIONS = frozenset(inspect.signature(encode).parameters) - {"image", "icc_profile", "exif"}
+
+
+class SsplatImageFile(ImageFile.ImageFile):
+    """A file whose header has been read."""
+
+    format = _FORMAT
+    format_description = "Pictures stored as 2D Gaussians"
+
+    def _open(self) -> None:
+        head = self.fp.read(_HEADER)
+        try:
+            width, height, channels, bits, has_metadata = _ssplat.header(head)
+        except FormatError as e:
+            # What Pillow takes for "not mine".
+            raise SyntaxError(str(e)) from e
+        except Error as e:
+            raise OSError(str(e)) from e
+        self._size = (width, height)
+        self._mode = "I;16" if (channels, bits) == (1, 16) else MODES[channels - 1]
+        self.tile = [ImageFile._Tile("ssplat", (0, 0, width, height), 0, (self._mode, self._size))]
+        if has_metadata:
+            # The picture may be too large to be had, and its metadata still of use.
+            self._describe(head + self.fp.read())
+
+    def _describe(self, data: bytes) -> None:
+        try:
+            profile, exif = _ssplat.metadata(data)
+        except Error:
+            # Loading says what is wrong.
+            return
+        if profile:
+            self.info["icc_profile"] = profile
+        if exif:
+            self.info["exif"] = b"Exif\0\0" + exif
+
+    def draft(self, mode: str | None, size: tuple[int, int] | None) -> tuple[str, tuple[int, int, float, float]] | None:
+        """Has the picture drawn at the smallest size that is no smaller than ``size`` and of its shape."""
+        if size is None or len(self.tile) != 1:
+            return None
+        scale = max(size[0] / self.width, size[1] / self.height)
+        if not 0 < scale < 1:
+            return None
+        width, height = (min(side, math.ceil(side * scale)) for side in self.size)
+        self._size = (width, height)
+        self.tile = [ImageFile._Tile("ssplat", (0, 0, width, height), 0, (self._mode, self._size))]
+        return self._mode, (0, 0, width, height)
+
+
+class _Decoder(ImageFile.PyDecoder):
+    """Draws the whole file at once."""
+
+    _pulls_fd = True
+
+    def decode(self, buffer: Any) -> tuple[int, int]:
+        mode, size = self.args
+        bits = 16 if mode == "I;16" else 8
+        try:
+            array = decode(self.fd.read(), size=size, bits=bits, partial=ImageFile.LOAD_TRUNCATED_IMAGES)
+        except Error as e:
+            raise OSError(str(e)) from e
+        # I;16 is little-endian everywhere.
+        self.set_as_raw(array.astype("<u2" if bits == 16 else np.uint8, copy=False).tobytes(), mode)
+        return -1, 0
+
+
+def _accept(prefix: bytes) -> bool:
+    return prefix.startswith(_ssplat.MAGIC)
+
+
+def _save(im: Image.Image, fp: IO[bytes], filename: str | bytes) -> None:
+    wanted = im.encoderinfo
+    options = {name: wanted[name] for name in _OPTIONS & wanted.keys()}
+    # As Pillow's other plugins: what is asked for, else the picture's own; an empty one is none.
+    options["icc_profile"] = wanted.get("icc_profile", im.info.get("icc_profile")) or None
+    options["exif"] = wanted.get("exif", im.info.get("exif")) or None
+    try:
+        fp.write(encode(im, **options))
+    except ParameterError as e:
+        if e.name == "image":
+            raise OSError(f"cannot write mode {im.mode} as {_FORMAT}") from e
+        raise
+
+
+def register() -> None:
+    """Makes the plugin known to Pillow; ``import ssplat`` does it."""
+    Image.register_decoder("ssplat", _Decoder)
+    Image.register_open(_FORMAT, SsplatImageFile, _accept)
+    Image.register_save(_FORMAT, _save)
+    Image.register_extension(_FORMAT, ".ssplat")
+    Image.register_mime(_FORMAT, "image/x-ssplat")

@@ -1,0 +1,109 @@
+//! A file to pixels.
+
+use std::collections::BTreeMap;
+
+use pyo3::prelude::*;
+use pyo3::pybacked::PyBackedBytes;
+use ssplat::bitstream::Missing;
+use ssplat::raster::View;
+use ssplat::{Damage, Depth, Limits, Opening, Pixels, Result};
+
+use crate::failure::{exception, integer, parameter};
+use crate::{array, work};
+
+/// Output pixels that are worth a thread.
+const PIXELS_A_THREAD: u64 = 1 << 16;
+
+/// The options of `ssplat.decode`, all of them.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Options {
+    region: Option<[i128; 4]>,
+    size: Option<[i128; 2]>,
+    bits: Option<i128>,
+    partial: bool,
+    threads: Option<i128>,
+    limits: Option<BTreeMap<String, i128>>,
+}
+
+/// What is drawn of the file, and how.
+struct Job {
+    view: View,
+    depth: Depth,
+    damage: Damage,
+    limits: Limits,
+}
+
+impl Job {
+    fn new(data: &[u8], options: &Options) -> PyResult<Self> {
+        let limits = limits(options.limits.as_ref())?;
+        let opening = Opening::new(data, &limits).map_err(exception)?;
+        let mut view = opening.view();
+        if let Some(region) = options.region {
+            let [x, y, width, height] = whole("region", region)?;
+            view = view.crop(x, y, width, height).map_err(exception)?;
+        }
+        if let Some(size) = options.size {
+            let [width, height] = whole("size", size)?;
+            view = view.resized(width, height).map_err(exception)?;
+        }
+        let depth = match options.bits {
+            None => opening.header().depth,
+            Some(8) => Depth::Eight,
+            Some(16) => Depth::Sixteen,
+            Some(bits) => return Err(parameter("bits", format!("{bits} is neither 8 nor 16"))),
+        };
+        let damage = if options.partial { Damage::Accept } else { Damage::Refuse };
+        Ok(Job { view, depth, damage, limits })
+    }
+
+    fn run(&self, data: &[u8]) -> Result<(Pixels, Missing)> {
+        let opened = Opening::new(data, &self.limits)?.read_for(&self.view, self.damage)?;
+        let missing = opened.missing();
+        let renderer = opened.renderer(&self.view)?;
+        // The integers make room for the pixels.
+        drop(opened);
+        Ok((renderer.render(self.depth)?, missing))
+    }
+}
+
+fn whole<const N: usize>(name: &'static str, values: [i128; N]) -> PyResult<[u32; N]> {
+    let mut out = [0; N];
+    for (out, value) in out.iter_mut().zip(values) {
+        *out = integer(name, value)?;
+    }
+    Ok(out)
+}
+
+/// The defaults with what the caller names in place of them.
+pub fn limits(changes: Option<&BTreeMap<String, i128>>) -> PyResult<Limits> {
+    let mut limits = Limits::default();
+    for (name, &value) in changes.into_iter().flatten() {
+        match name.as_str() {
+            "width" => limits.width = integer("limits", value)?,
+            "height" => limits.height = integer("limits", value)?,
+            "primitives" => limits.primitives = integer("limits", value)?,
+            "tile_pairs" => limits.tile_pairs = integer("limits", value)?,
+            "work" => limits.work = integer("limits", value)?,
+            "overlap" => limits.overlap = integer("limits", value)?,
+            "alloc" => limits.alloc = integer("limits", value)?,
+            "metadata" => limits.metadata = integer("limits", value)?,
+            _ => return Err(parameter("limits", format!("there is no limit {name:?}"))),
+        }
+    }
+    Ok(limits)
+}
+
+/// The array, and of how many groups how many are missing, with how many primitives: `(primitives, groups, of_groups)`.
+#[pyfunction]
+pub fn decode<'py>(
+    py: Python<'py>,
+    data: PyBackedBytes,
+    options: Options,
+) -> PyResult<(Bound<'py, PyAny>, (u32, u32, u32))> {
+    let job = Job::new(&data, &options)?;
+    let pixels = u64::from(job.view.width()) * u64::from(job.view.height());
+    let threads = work::threads(options.threads, usize::try_from(pixels / PIXELS_A_THREAD).unwrap_or(usize::MAX))?;
+    let (pixels, missing) = work::run(py, threads, None, move |_| job.run(&data))?;
+    Ok((array::array(py, pixels)?, (missing.primitives, missing.groups, missing.of_groups)))
+}

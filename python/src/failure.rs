@@ -1,0 +1,47 @@
+//! The library's errors as Python's exceptions, one class for each kind (`ssplat/errors.py`).
+
+use pyo3::PyErr;
+use ssplat::Error;
+
+mod kinds {
+    pyo3::import_exception!(ssplat.errors, CancelledError);
+    pyo3::import_exception!(ssplat.errors, Error);
+    pyo3::import_exception!(ssplat.errors, FormatError);
+    pyo3::import_exception!(ssplat.errors, GpuError);
+    pyo3::import_exception!(ssplat.errors, IoError);
+    pyo3::import_exception!(ssplat.errors, LimitExceededError);
+    pyo3::import_exception!(ssplat.errors, ParameterError);
+    pyo3::import_exception!(ssplat.errors, UnsupportedVersionError);
+}
+
+/// The exception of `error`.
+pub fn exception(error: Error) -> PyErr {
+    let text = error.to_string();
+    match error {
+        Error::Io(_) => kinds::IoError::new_err(text),
+        Error::Format(_) => kinds::FormatError::new_err(text),
+        Error::UnsupportedVersion { found } => kinds::UnsupportedVersionError::new_err((text, found)),
+        Error::LimitExceeded { what, requested, allowed } => {
+            kinds::LimitExceededError::new_err((text, what, requested, allowed))
+        }
+        Error::Parameter { name, .. } => kinds::ParameterError::new_err((text, name)),
+        Error::Cancelled => kinds::CancelledError::new_err(text),
+        Error::Gpu(_) => kinds::GpuError::new_err(text),
+        _ => kinds::Error::new_err(text),
+    }
+}
+
+/// The exception for an argument that is wrong before the library sees it.
+pub fn parameter(name: &'static str, problem: impl Into<String>) -> PyErr {
+    exception(Error::Parameter { name, problem: problem.into() })
+}
+
+/// The exception for a bug: the library panicked.
+pub fn panicked() -> PyErr {
+    kinds::Error::new_err("the library panicked; this is a bug in it")
+}
+
+/// An integer argument in the type that the library takes.
+pub fn integer<T: TryFrom<i128>>(name: &'static str, value: i128) -> Result<T, PyErr> {
+    T::try_from(value).map_err(|_| parameter(name, format!("{value} is out of range")))
+}

@@ -1,0 +1,75 @@
+//! What a file says about itself.
+
+use pyo3::prelude::*;
+use pyo3::pybacked::PyBackedBytes;
+use pyo3::types::{PyBytes, PyDict};
+use ssplat::bitstream::header::{Header, Sections};
+use ssplat::bitstream::splats::{Metadata, Steps};
+use ssplat::{Damage, Limits, Opening, bitstream};
+
+use crate::failure::exception;
+use crate::{names, work};
+
+/// `(width, height, channels, bits, whether there is metadata)` from the first bytes of a file; 32 are enough.
+#[pyfunction]
+pub fn header(data: &[u8]) -> PyResult<(u32, u32, usize, usize, bool)> {
+    let h = Header::read(&mut &data[..], &Limits::default()).map_err(exception)?;
+    Ok((h.width, h.height, h.channels.count(), 8 * h.depth.bytes(), h.sections == Sections::Present))
+}
+
+/// The bytes of a section, where there is one.
+type Section = Option<Py<PyBytes>>;
+
+/// `(ICC profile, EXIF block)`, reading as little of the file as its layout allows.
+#[pyfunction]
+pub fn metadata(py: Python<'_>, data: PyBackedBytes) -> PyResult<(Section, Section)> {
+    let Metadata { icc, exif, .. } = work::run(py, 1, None, move |_| {
+        let opening = Opening::new(&data, &Limits::default())?;
+        let corner = opening.view().crop(0, 0, 1, 1)?;
+        Ok(opening.read_for(&corner, Damage::Refuse)?.into_metadata())
+    })?;
+    let bytes = |v: Option<Vec<u8>>| v.map(|v| PyBytes::new(py, &v).unbind());
+    Ok((bytes(icc), bytes(exif)))
+}
+
+/// Everything but the primitives.
+#[pyfunction]
+pub fn info<'py>(py: Python<'py>, data: PyBackedBytes) -> PyResult<Bound<'py, PyDict>> {
+    let (splats, report) = work::run(py, 1, None, move |_| bitstream::inspect(&data, &Limits::default()))?;
+    let h = &report.header;
+    let d = PyDict::new(py);
+    d.set_item("width", h.width)?;
+    d.set_item("height", h.height)?;
+    d.set_item("channels", h.channels.count())?;
+    d.set_item("bits", 8 * h.depth.bytes())?;
+    d.set_item("bytes", report.bytes)?;
+    d.set_item("primitives", h.primitives)?;
+    d.set_item("layout", names::word(&names::LAYOUTS, h.layout))?;
+    d.set_item("blend", names::word(&names::BLENDS, h.blend))?;
+    d.set_item("levels", if report.levels.is_empty() { vec![h.primitives] } else { report.levels.clone() })?;
+    d.set_item("groups", report.groups)?;
+    d.set_item("codebook", splats.codebook.as_ref().map(Vec::len))?;
+    d.set_item("steps", steps(py, &h.steps)?)?;
+    let parts = PyDict::new(py);
+    for part in &report.parts {
+        parts.set_item(part.name, part.bytes)?;
+    }
+    d.set_item("parts", parts)?;
+    let bytes = |v: &Option<Vec<u8>>| v.as_ref().map(|v| PyBytes::new(py, v));
+    d.set_item("icc_profile", bytes(&splats.metadata.icc))?;
+    d.set_item("exif", bytes(&splats.metadata.exif))?;
+    Ok(d)
+}
+
+/// The step indices of the header.
+pub fn steps<'py>(py: Python<'py>, s: &Steps) -> PyResult<Bound<'py, PyDict>> {
+    let d = PyDict::new(py);
+    d.set_item("scale", s.scale)?;
+    d.set_item("angle", s.angle)?;
+    d.set_item("position", s.position)?;
+    d.set_item("coarsest", s.coarsest)?;
+    d.set_item("range", s.range)?;
+    d.set_item("luma", s.luma)?;
+    d.set_item("chroma", s.chroma)?;
+    Ok(d)
+}

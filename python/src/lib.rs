@@ -1,0 +1,33 @@
+//! The codec as the Python module `ssplat._ssplat`; `package/ssplat` dresses it for people.
+//!
+//! Arrays come in by one copy, so that other threads may change them meanwhile, and go out by none. Everything runs
+//! without the interpreter's lock on threads of its own; see [`work`].
+
+mod array;
+mod decode;
+mod encode;
+mod failure;
+mod gaussians;
+mod info;
+mod metrics;
+mod names;
+mod work;
+
+use pyo3::prelude::*;
+
+/// Everything else is in `package/ssplat`.
+#[pymodule(gil_used = false)]
+fn _ssplat(m: &Bound<'_, PyModule>) -> PyResult<()> {
+    m.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    m.add("FORMAT_VERSION", ssplat::bitstream::header::VERSION)?;
+    m.add("MAGIC", pyo3::types::PyBytes::new(m.py(), &ssplat::bitstream::header::MAGIC))?;
+    m.add_function(wrap_pyfunction!(encode::encode, m)?)?;
+    m.add_function(wrap_pyfunction!(decode::decode, m)?)?;
+    m.add_function(wrap_pyfunction!(info::header, m)?)?;
+    m.add_function(wrap_pyfunction!(info::info, m)?)?;
+    m.add_function(wrap_pyfunction!(info::metadata, m)?)?;
+    m.add_function(wrap_pyfunction!(gaussians::gaussians, m)?)?;
+    m.add_function(wrap_pyfunction!(gaussians::from_gaussians, m)?)?;
+    m.add_function(wrap_pyfunction!(metrics::compare, m)?)?;
+    m.add_function(wrap_pyfunction!(metrics::psnr, m)?)
+}

@@ -1,0 +1,32 @@
+"""What the tests have other processes do; they import it by its name."""
+
+import os
+import pathlib
+import signal
+
+import ssplat
+from pictures import waves
+
+PICTURE = waves(40, 50)
+SMALL = {"effort": 1, "primitives": 20}
+
+
+def work(seed):
+    """A file, and the sum of what is decoded from it."""
+    data = ssplat.encode(PICTURE, **SMALL, seed=seed)
+    return data, int(ssplat.decode(data, threads=2).sum())
+
+
+class DiesOnce:
+    """Encodes; kills its own worker the first time that it has a certain picture's file half written."""
+
+    def __init__(self, name, marker):
+        self.name, self.marker = name, marker
+
+    def __call__(self, path, *arguments):
+        if path == self.name and not os.path.exists(self.marker):
+            pathlib.Path(self.marker).touch()
+            os.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+        import ray_encode
+
+        return ray_encode.encode_one(path, *arguments)

@@ -1,0 +1,146 @@
+"""Pictures to files and back: what is asked for is what comes."""
+
+import io
+
+import numpy as np
+import pytest
+import ssplat
+from PIL import Image
+from pictures import KODIM05, waves
+
+PICTURE = waves(60, 80)
+SMALL = {"effort": 1, "bytes": 500}
+FILE = ssplat.encode(PICTURE, **SMALL)
+
+
+@pytest.mark.parametrize("channels", [None, 1, 2, 3, 4])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_shape_and_depth_come_back(channels, dtype):
+    picture = waves(33, 47, channels, dtype)
+    pixels = ssplat.decode(ssplat.encode(picture, effort=1, primitives=40))
+    assert pixels.dtype == dtype
+    assert pixels.shape == ((33, 47) if channels in (None, 1) else (33, 47, channels))
+    assert pixels.flags.c_contiguous and pixels.flags.writeable
+    assert ssplat.metrics.psnr(pixels, picture.reshape(pixels.shape)) > 20
+
+
+def test_a_file_is_no_larger_than_asked_for():
+    assert 400 < len(FILE) <= 500
+    assert len(ssplat.encode(PICTURE, effort=1, ratio=20)) <= PICTURE.size / 20
+
+
+def test_number_of_primitives_is_the_one_asked_for():
+    assert ssplat.info(ssplat.encode(PICTURE, effort=1, primitives=30, needs="everything"))["primitives"] == 30
+
+
+def test_psnr_is_reached():
+    pixels = ssplat.decode(ssplat.encode(PICTURE, effort=1, psnr=28))
+    assert ssplat.metrics.psnr(pixels, PICTURE) > 27.9
+
+
+def test_bytes_do_not_depend_on_threads():
+    assert ssplat.encode(PICTURE, **SMALL, threads=1) == ssplat.encode(PICTURE, **SMALL, threads=3) == FILE
+    assert (ssplat.decode(FILE, threads=1) == ssplat.decode(FILE, threads=3)).all()
+
+
+def test_seed_changes_the_file():
+    assert ssplat.encode(PICTURE, **SMALL, seed=1) != FILE
+
+
+def test_arrays_pictures_and_paths_give_one_file(tmp_path):
+    path = tmp_path / "waves.png"
+    Image.fromarray(PICTURE).save(path)
+    assert ssplat.encode(path, **SMALL) == ssplat.encode(str(path), **SMALL) == FILE
+    assert ssplat.encode(Image.open(path), **SMALL) == FILE
+
+
+def test_the_caller_may_change_the_array_meanwhile():
+    picture = PICTURE.copy()
+
+    def spoil(stage, done):
+        picture[:] = 0
+
+    assert ssplat.encode(picture, **SMALL, progress=spoil) == FILE
+    assert not picture.any()
+
+
+def test_files_are_read_from_bytes_buffers_and_paths(tmp_path):
+    path = tmp_path / "waves.ssplat"
+    path.write_bytes(FILE)
+    want = ssplat.decode(FILE)
+    for data in (bytearray(FILE), memoryview(FILE), path, str(path)):
+        assert (ssplat.decode(data) == want).all()
+        assert ssplat.info(data) == ssplat.info(FILE)
+
+
+def test_a_region_is_that_part_of_the_whole():
+    whole = ssplat.decode(FILE)
+    assert (ssplat.decode(FILE, region=(13, 7, 40, 21)) == whole[7:28, 13:53]).all()
+
+
+def test_half_the_size_is_the_mean_of_two_by_two_pixels():
+    whole = ssplat.decode(FILE, bits=16).astype(float)
+    half = ssplat.decode(FILE, size=(40, 30), bits=16)
+    means = whole.reshape(30, 2, 40, 2, 3).mean((1, 3))
+    # A code value of 8 bits, which the specification allows.
+    assert abs(means - half).max() <= 257
+
+
+def test_bits_of_a_sample_can_be_chosen():
+    deep = ssplat.decode(FILE, bits=16)
+    assert deep.dtype == np.uint16
+    assert abs(deep / 257 - ssplat.decode(FILE)).max() <= 0.51
+
+
+def test_metadata_are_carried_and_those_of_a_picture_by_default():
+    image = Image.fromarray(PICTURE)
+    image.info["icc_profile"] = b"a profile"
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    image.info["exif"] = exif.tobytes()
+    kept = ssplat.info(ssplat.encode(image, effort=1))
+    assert kept["icc_profile"] == b"a profile"
+    assert b"Exif\0\0" + kept["exif"] == exif.tobytes()
+    dropped = ssplat.info(ssplat.encode(image, effort=1, icc_profile=None, exif=None))
+    assert dropped["icc_profile"] is None and dropped["exif"] is None
+    assert ssplat.info(ssplat.encode(PICTURE, effort=1, icc_profile=b"other"))["icc_profile"] == b"other"
+
+
+def test_info_names_what_was_encoded():
+    told = ssplat.info(FILE)
+    assert (told["width"], told["height"], told["channels"], told["bits"]) == (80, 60, 3, 8)
+    assert told["bytes"] == len(FILE) == sum(told["parts"].values())
+    assert (told["layout"], told["blend"], sum(told["levels"])) == ("coded", "normalized", told["primitives"])
+
+
+def test_progress_tells_the_stages_up_to_their_end():
+    seen = []
+    ssplat.encode(PICTURE, **SMALL, progress=lambda stage, done: seen.append((stage, done)))
+    assert {stage for stage, _ in seen} == {"fit", "finish"}
+    assert all(0 <= done <= 1 for _, done in seen)
+    assert max(done for stage, done in seen if stage == "fit") > 0.9
+
+
+def test_a_damaged_file_is_drawn_in_part_when_asked_for():
+    levels = ssplat.encode(KODIM05, effort=1, ratio=300, levels=2)
+    cut = levels[: len(levels) * 2 // 3]
+    with pytest.raises(ssplat.FormatError):
+        ssplat.decode(cut)
+    with pytest.warns(ssplat.PartialWarning, match="groups"):
+        pixels = ssplat.decode(cut, partial=True)
+    whole = ssplat.decode(levels)
+    assert pixels.shape == whole.shape
+    assert 15 < ssplat.metrics.psnr(pixels, whole) < 60
+
+
+def test_a_time_budget_gives_a_file():
+    assert ssplat.decode(ssplat.encode(PICTURE, bytes=500, effort=9, time=0.2)).shape == PICTURE.shape
+
+
+def test_every_layout_and_blend_holds_the_picture():
+    for layout in ("coded", "planes", "packed"):
+        for blend in ("normalized", "sum"):
+            data = ssplat.encode(PICTURE, effort=1, bytes=900, layout=layout, blend=blend)
+            told = ssplat.info(io.BytesIO(data).getvalue())
+            assert (told["layout"], told["blend"]) == (layout, blend)
+            assert ssplat.metrics.psnr(ssplat.decode(data), PICTURE) > 15

@@ -1,0 +1,131 @@
+"""Errors by kind: whose fault it is, with which value."""
+
+import pickle
+
+import numpy as np
+import pytest
+import ssplat
+from pictures import waves
+
+PICTURE = waves(20, 30)
+FILE = ssplat.encode(PICTURE, effort=1, primitives=9)
+
+
+def changed(position, value):
+    data = bytearray(FILE)
+    data[position] = value
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("kind", "also", "call"),
+    [
+        (ssplat.FormatError, ValueError, lambda: ssplat.decode(b"not a file")),
+        (ssplat.FormatError, ValueError, lambda: ssplat.decode(b"")),
+        (ssplat.FormatError, ValueError, lambda: ssplat.decode(FILE[:-1])),
+        (ssplat.FormatError, ValueError, lambda: ssplat.info(changed(-1, FILE[-1] ^ 1))),
+        (ssplat.FormatError, ValueError, lambda: ssplat.gaussians(FILE + b"more")),
+        (ssplat.UnsupportedVersionError, ValueError, lambda: ssplat.decode(changed(4, 200))),
+        (ssplat.LimitExceededError, ValueError, lambda: ssplat.decode(FILE, limits={"width": 10})),
+        (ssplat.ParameterError, ValueError, lambda: ssplat.decode(FILE, region=(0, 0, 31, 1))),
+        (ssplat.CancelledError, Exception, lambda: ssplat.encode(PICTURE, progress=lambda stage, done: False)),
+        (FileNotFoundError, OSError, lambda: ssplat.decode("there is no such file")),
+        (FileNotFoundError, OSError, lambda: ssplat.encode("there is no such file")),
+    ],
+)
+def test_each_kind_has_its_class(kind, also, call):
+    with pytest.raises(kind) as caught:
+        call()
+    assert isinstance(caught.value, also)
+    assert str(caught.value)
+
+
+def test_a_version_and_a_limit_tell_their_values():
+    with pytest.raises(ssplat.UnsupportedVersionError) as caught:
+        ssplat.decode(changed(4, 200))
+    assert caught.value.found == 200
+    with pytest.raises(ssplat.LimitExceededError) as caught:
+        ssplat.decode(FILE, limits={"width": 10})
+    assert (caught.value.what, caught.value.requested, caught.value.allowed) == ("width", 30, 10)
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ({"effort": 0}, "effort"),
+        ({"effort": 10}, "effort"),
+        ({"effort": -1}, "effort"),
+        ({"effort": 1 << 70}, "effort"),
+        ({"ratio": 0}, "ratio"),
+        ({"ratio": float("nan")}, "ratio"),
+        ({"ratio": 50, "bytes": 100}, "ratio"),
+        ({"bytes": -1}, "bytes"),
+        ({"bytes": 3}, "bytes"),
+        ({"psnr": -3.0}, "psnr"),
+        ({"primitives": 1 << 40}, "primitives"),
+        ({"time": -1.0}, "time"),
+        ({"time": float("inf")}, "time"),
+        ({"seed": -1}, "seed"),
+        ({"seed": 1 << 64}, "seed"),
+        ({"threads": 0}, "threads"),
+        ({"threads": 1 << 20}, "threads"),
+        ({"levels": 9}, "levels"),
+        ({"tune": "vmaf"}, "tune"),
+        ({"layout": "zip"}, "layout"),
+        ({"blend": "multiply"}, "blend"),
+        ({"backend": "tpu"}, "backend"),
+        ({"needs": "nothing"}, "needs"),
+    ],
+)
+def test_an_option_out_of_range_is_named(options, name):
+    with pytest.raises(ssplat.ParameterError) as caught:
+        ssplat.encode(PICTURE, **options)
+    assert caught.value.name == name
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ({"region": (0, 0, 0, 5)}, "width"),
+        ({"region": (0, -1, 5, 5)}, "region"),
+        ({"size": (0, 5)}, "width"),
+        ({"size": (5, 1 << 21)}, "height"),
+        ({"bits": 10}, "bits"),
+        ({"threads": 0}, "threads"),
+        ({"limits": {"colour": 5}}, "limits"),
+        ({"limits": {"alloc": -5}}, "limits"),
+    ],
+)
+def test_an_option_of_decoding_out_of_range_is_named(options, name):
+    with pytest.raises(ssplat.ParameterError) as caught:
+        ssplat.decode(FILE, **options)
+    assert caught.value.name == name
+
+
+@pytest.mark.parametrize("options", [{"effort": "high"}, {"ratio": "a lot"}, {"effort": 2.5}])
+def test_an_option_of_another_type_is_a_type_error(options):
+    with pytest.raises(TypeError):
+        ssplat.encode(PICTURE, **options)
+
+
+def test_every_error_survives_the_way_between_processes():
+    errors = [
+        ssplat.FormatError("a"),
+        ssplat.IoError("b"),
+        ssplat.UnsupportedVersionError("c", 9),
+        ssplat.LimitExceededError("d", "width", 30, 10),
+        ssplat.ParameterError("e", "ratio"),
+        ssplat.CancelledError("f"),
+        ssplat.GpuError("g"),
+    ]
+    for error in errors:
+        again = pickle.loads(pickle.dumps(error))
+        assert isinstance(again, ssplat.Error)
+        assert (type(again), str(again), vars(again)) == (type(error), str(error), vars(error))
+
+
+def test_pictures_of_two_shapes_cannot_be_compared():
+    with pytest.raises(ssplat.ParameterError, match="30x20"):
+        ssplat.metrics.psnr(PICTURE, PICTURE[:, :7])
+    with pytest.raises(ssplat.ParameterError):
+        ssplat.metrics.ssim(PICTURE, PICTURE.astype(np.uint16))
