@@ -86,6 +86,7 @@ const SUPPORT: f32 = 8.836507;
 // √(½ log₂ e): from standard deviations to u and v.
 const HALF: f32 = 0.8493218;
 const EPSILON: f32 = 0.0078125;
+const HIDDEN: f32 = 0.00024414063;
 const TILE: u32 = 16u;
 const GRADIENT: u32 = 0u;
 const PICTURE: u32 = 1u;

@@ -28,12 +28,25 @@ fn render(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: 
         let pixels = TILE / parts;
         if (local >= pixels.x * pixels.y) { return; }
         at = vec2u(local % pixels.x, local / pixels.x);
+        // Colours count by their alpha: what hides where a picture is transparent shall not show where it is not.
         value = vec4f(0.0);
+        var alpha = 0.0;
+        var weights = 0.0;
         for (var y = at.y * parts.y; y < (at.y + 1u) * parts.y; y++) {
-            for (var x = at.x * parts.x; x < (at.x + 1u) * parts.x; x++) { value += colors[y * TILE + x]; }
+            for (var x = at.x * parts.x; x < (at.x + 1u) * parts.x; x++) {
+                let part = colors[y * TILE + x];
+                var weight = 1.0;
+                if (scene.alpha < 4u) {
+                    alpha += part[scene.alpha];
+                    weight = part[scene.alpha] + HIDDEN;
+                }
+                value += weight * part;
+                weights += weight;
+            }
         }
-        // A power of two: the mean is as exact as the sum.
-        value /= f32(parts.x * parts.y);
+        // A power of two without alpha: the mean is as exact as the sum.
+        value /= weights;
+        if (scene.alpha < 4u) { value[scene.alpha] = alpha / f32(parts.x * parts.y); }
         pixel = corner / parts + at;
         size /= parts;
     }

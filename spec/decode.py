@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Decodes a .ssplat file to PAM, in double precision: python3 decode.py [--partial] IN.ssplat OUT.pam
+"""Decodes a .ssplat file to PAM, in double precision: python3 decode.py [--partial] [--width W --height H] IN.ssplat OUT.pam
 
 Written from the text of ssplat.md alone, to read beside it: section numbers are those of the text. Needs numpy, and
 the zstd library (Debian: libzstd1) for the planes layout.
@@ -7,6 +7,7 @@ the zstd library (Debian: libzstd1) for the planes layout.
 Exit codes: 2 wrong use, 3 reading or writing failed, 4 illegal file, 5 newer version or no zstd library, 6 over this decoder's limits.
 """
 
+import argparse
 import ctypes
 import ctypes.util
 import math
@@ -984,51 +985,90 @@ def colors_of(header, colors):
     return v
 
 
-def draw(header, background, primitives):
-    width, height = header.size
-    channels, K = header.channels, 3.5
+def low_pass(side, pixels):
+    """Samples of an output pixel, their distance, and what the variance grows by, along one axis (§5.5)."""
+    step = side / pixels
+    k = next((k for k in (1, 2, 4) if step / k <= 1.5), 8)
+    distance = step / k
+    return k, distance, max(0.0, distance * distance - 1) / 12
+
+
+class Shape:
+    """A primitive as it is sampled."""
+
+    def __init__(self, header, primitive, grid):
+        x, y, major, minor, angle, _ = primitive
+        lx, ly = header.logs(major, minor, angle)
+        self.cx, self.cy = (x + 0.5) * 2.0 ** (header.finest + lx), (y + 0.5) * 2.0 ** (header.finest + ly)
+        self.s1, self.s2 = s1, s2 = 2.0 ** (major * header.delta - 2), 2.0 ** (minor * header.delta - 2)
+        phi = math.pi * angle / header.angle_counts[major - minor]
+        self.cos, self.sin = cos, sin = math.cos(phi), math.sin(phi)
+        (_, dx, qx), (_, dy, qy) = grid
+        self.xx, self.yy = (s1 * cos) ** 2 + (s2 * sin) ** 2, (s1 * sin) ** 2 + (s2 * cos) ** 2
+        self.xy = (s1 * s1 - s2 * s2) * sin * cos
+        self.widened = qx > 0 or qy > 0
+        self.det = (s1 * s2) ** 2 + qx * self.yy + qy * self.xx + qx * qy
+        self.xx, self.yy = self.xx + qx, self.yy + qy
+        hx, hy = 3.5 * math.sqrt(self.xx), 3.5 * math.sqrt(self.yy)
+        self.columns = math.floor((self.cx - hx) / dx), math.ceil((self.cx + hx) / dx)
+        self.rows = math.floor((self.cy - hy) / dy), math.ceil((self.cy + hy) / dy)
+
+    def weights(self, x, y):
+        """Of the points with these columns and rows (§5.2, §5.5)."""
+        dx, dy = x - self.cx, (y - self.cy)[:, None]
+        edge = math.exp(-3.5 * 3.5 / 2)
+        if not self.widened:
+            u, v = (dx * self.cos + dy * self.sin) / self.s1, (dy * self.cos - dx * self.sin) / self.s2
+            return np.maximum(0, np.exp(-(u * u + v * v) / 2) - edge)
+        lean = dy - dx * (self.xy / self.xx)
+        squared = dx * dx / self.xx + lean * lean * (self.xx / self.det)
+        return self.s1 * self.s2 / math.sqrt(self.det) * np.maximum(0, np.exp(-squared / 2) - edge)
+
+
+def draw(header, background, primitives, size=None):
+    """The samples, rows × columns × channels, of the whole picture in its own size or another."""
+    width, height = size or header.size
+    grid = low_pass(header.size[0], width), low_pass(header.size[1], height)
+    (across, dx, _), (down, dy, _) = grid
+    channels = header.channels
     top, dtype = (65535, ">u2") if header.sixteen else (255, "u1")
     b = colors_of(header, [background])[0]
     colors = colors_of(header, [p[5] for p in primitives])
-    shapes, weights = [], 0
-    for x, y, major, minor, angle, _ in primitives:
-        lx, ly = header.logs(major, minor, angle)
-        cx, cy = (x + 0.5) * 2.0 ** (header.finest + lx), (y + 0.5) * 2.0 ** (header.finest + ly)
-        s1, s2 = 2.0 ** (major * header.delta - 2), 2.0 ** (minor * header.delta - 2)
-        phi = math.pi * angle / header.angle_counts[major - minor]
-        cos, sin = math.cos(phi), math.sin(phi)
-        hx, hy = K * math.hypot(s1 * cos, s2 * sin), K * math.hypot(s1 * sin, s2 * cos)
-        left, right = max(0, math.floor(cx - hx)), min(width, math.ceil(cx + hx))
-        above, below = max(0, math.floor(cy - hy)), min(height, math.ceil(cy + hy))
-        weights += max(0, right - left) * max(0, below - above)
-        shapes.append((cx, cy, s1, s2, cos, sin, left, right, above, below))
+    shapes, weights = [Shape(header, p, grid) for p in primitives], 0
+    for s in shapes:
+        s.columns = max(0, s.columns[0]), min(width * across, s.columns[1])
+        s.rows = max(0, s.rows[0]), min(height * down, s.rows[1])
+        weights += max(0, s.columns[1] - s.columns[0]) * max(0, s.rows[1] - s.rows[0])
     if weights > MOST_WEIGHTS:
         raise TooMuch(f"{weights} weights to draw")
-    edge = math.exp(-K * K / 2)
     out = np.empty((height, width, channels), dtype)
-    rows = max(1, (1 << 22) // width)
-    for start in range(0, height, rows):
-        end = min(height, start + rows)
-        total = np.zeros((end - start, width))
-        sums = np.zeros((channels, end - start, width))
-        for (cx, cy, s1, s2, cos, sin, left, right, above, below), color in zip(shapes, colors):
-            above, below = max(above, start), min(below, end)
+    rows = max(1, (1 << 22) // (width * across * down))
+    for first in range(0, height, rows):
+        last = min(height, first + rows)
+        start, end = first * down, last * down
+        total = np.zeros((end - start, width * across))
+        sums = np.zeros((channels, *total.shape))
+        for s, color in zip(shapes, colors):
+            (left, right), (above, below) = s.columns, (max(s.rows[0], start), min(s.rows[1], end))
             if left >= right or above >= below:
                 continue
-            dx = np.arange(left, right) + 0.5 - cx
-            dy = (np.arange(above, below) + 0.5 - cy)[:, None]
-            u, v = (dx * cos + dy * sin) / s1, (dy * cos - dx * sin) / s2
-            w = np.maximum(0, np.exp(-(u * u + v * v) / 2) - edge)
+            w = s.weights((np.arange(left, right) + 0.5) * dx, (np.arange(above, below) + 0.5) * dy)
             box = np.s_[above - start : below - start, left:right]
             total[box] += w
             for k in range(channels):
                 sums[k][box] += w * color[k]
-        for k in range(channels):
-            if header.blend_sum:
-                value = b[k] + sums[k]
+        ground = b.reshape(-1, 1, 1)
+        values = ground + sums if header.blend_sum else (sums + ground / 128) / (total + 1 / 128)
+        values = np.clip(values, 0, 1)
+        if across > 1 or down > 1:
+            mean = lambda v: v.reshape(len(v), last - first, down, width, across).mean((2, 4))
+            if channels in (2, 4):
+                alpha = values[-1:]
+                share = alpha + 2.0**-12
+                values = np.concatenate([mean(values[:-1] * share) / mean(share), mean(alpha)])
             else:
-                value = (sums[k] + b[k] / 128) / (total + 1 / 128)
-            out[start:end, :, k] = np.floor(np.clip(value, 0, 1) * top + 0.5)
+                values = mean(values)
+        out[first:last] = np.moveaxis(np.floor(values * top + 0.5), 0, -1)
     return out
 
 
@@ -1045,11 +1085,12 @@ def read(data, header, notes):
     return picture
 
 
-def decode(data, partial=False):
+def decode(data, partial=False, size=None):
     """The header, the samples (rows × columns × channels), and what there is to report."""
     header, notes = Header(data), []
-    if math.prod(header.size) * header.channels > MOST_SAMPLES or header.count > MOST_PRIMITIVES:
-        raise TooMuch(f"{header.size[0]} × {header.size[1]} pixels, {header.count} primitives")
+    if math.prod(size or header.size) * header.channels > MOST_SAMPLES or header.count > MOST_PRIMITIVES:
+        width, height = size or header.size
+        raise TooMuch(f"{width} × {height} pixels, {header.count} primitives")
     try:
         background, primitives = read(data, header, notes)
     except Illegal as e:
@@ -1060,13 +1101,13 @@ def decode(data, partial=False):
             read_sections(b, [])
         background, primitives = read_groups(b, header, lost)
         notes.append(f"{e}; {sum(lost)} of {header.count} primitives in {len(lost)} groups are missing")
-    return header, draw(header, background, primitives), notes
+    return header, draw(header, background, primitives, size), notes
 
 
 def write_pam(path, header, samples):
     kinds = {1: "GRAYSCALE", 2: "GRAYSCALE_ALPHA", 3: "RGB", 4: "RGB_ALPHA"}
     head = "P7\nWIDTH {}\nHEIGHT {}\nDEPTH {}\nMAXVAL {}\nTUPLTYPE {}\nENDHDR\n".format(
-        *header.size, header.channels, 65535 if header.sixteen else 255, kinds[header.channels]
+        samples.shape[1], samples.shape[0], header.channels, 65535 if header.sixteen else 255, kinds[header.channels]
     )
     with open(path + ".part", "wb") as f:
         f.write(head.encode() + samples.tobytes())
@@ -1074,15 +1115,23 @@ def write_pam(path, header, samples):
 
 
 def main(arguments):
-    partial = "--partial" in arguments
-    files = [a for a in arguments if a != "--partial"]
-    if len(files) != 2:
-        print(__doc__.splitlines()[0], file=sys.stderr)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--partial", action="store_true", help="draw what is intact of a damaged file")
+    parser.add_argument("--width", type=int, help="width of the output, with --height")
+    parser.add_argument("--height", type=int, help="height of the output, with --width")
+    parser.add_argument("files", nargs=2)
+    try:
+        asked = parser.parse_args(arguments)
+    except SystemExit as e:
+        return e.code
+    files, size = asked.files, (asked.width, asked.height)
+    if any(size) and not all(side and 1 <= side <= 1 << 20 for side in size):
+        print("--width and --height go together, 1 to 1048576", file=sys.stderr)
         return 2
     try:
         with open(files[0], "rb") as f:
             data = f.read()
-        header, samples, notes = decode(data, partial)
+        header, samples, notes = decode(data, asked.partial, size if any(size) else None)
         write_pam(files[1], header, samples)
     except (Illegal, TooMuch, Unsupported, OSError) as e:
         words = {Illegal: "illegal file", TooMuch: "limit exceeded", Unsupported: "not supported"}

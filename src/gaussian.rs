@@ -14,6 +14,9 @@ pub const CUTOFF_WEIGHT: f32 = 0.002_187_491_1;
 /// Conditions the division of the normalized blend: `ε` of spec §5.3.
 pub const EPSILON: f32 = 1.0 / 128.0;
 
+/// What a sample's colour counts beside its alpha in the mean of a reduced view: `η` of spec §5.5.
+pub const HIDDEN: f32 = 1.0 / 4096.0;
+
 /// Smallest legal scale, pixels.
 pub const MIN_SCALE: f32 = 0.25;
 

@@ -11,11 +11,15 @@ use std::path::{Path, PathBuf};
 
 use seal::seal;
 use sha256::sha256;
+use ssplat::bitstream::lattice::Lattice;
 use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use ssplat::bitstream::{read, to_bytes};
 use ssplat::raster::{Renderer, View, reference};
-use ssplat::{Blend, Channels, Depth, Error, Limits, Pixels, Samples};
+use ssplat::{Blend, Channels, Depth, Error, Limits, Picture, Pixels, Samples};
 use synthetic::{Random, Scene, any_primitive, scene};
+
+/// The folders of the vectors.
+const FOLDERS: [&str; 4] = ["valid", "invalid", "limits", "reduced"];
 
 /// A file and what it shows.
 struct Vector {
@@ -23,6 +27,8 @@ struct Vector {
     name: String,
     shows: String,
     bytes: Vec<u8>,
+    /// The size to draw in, if that is not the picture's own.
+    size: Option<[u32; 2]>,
 }
 
 /// What decoding a vector gives: a picture, or a kind of error and its text.
@@ -35,13 +41,19 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("spec/vectors")
 }
 
-fn decode(bytes: &[u8]) -> Outcome {
+/// The whole of a picture in its own size or another.
+fn view(picture: &Picture, size: Option<[u32; 2]>) -> View {
+    let full = View::full(picture);
+    size.map_or(full, |[width, height]| full.resized(width, height).unwrap())
+}
+
+fn decode(bytes: &[u8], size: Option<[u32; 2]>) -> Outcome {
     let mut limits = Limits::default();
     // The same wherever this runs.
     limits.alloc = 1 << 30;
     let drawn = read(bytes, &limits).and_then(|splats| {
         let picture = splats.to_picture();
-        Renderer::new(&picture, &View::full(&picture), &limits)?.render(splats.depth)
+        Renderer::new(&picture, &view(&picture, size), &limits)?.render(splats.depth)
     });
     match drawn {
         Ok(pixels) => Outcome::Picture(pixels),
@@ -58,16 +70,17 @@ fn decode(bytes: &[u8]) -> Outcome {
 }
 
 /// The picture by its definition in double precision.
-fn reference_pixels(bytes: &[u8]) -> Pixels {
+fn reference_pixels(bytes: &[u8], size: Option<[u32; 2]>) -> Pixels {
     let splats = read(bytes, &Limits::default()).unwrap();
     let picture = splats.to_picture();
-    let values = reference::sample(&picture, &View::full(&picture));
+    let view = view(&picture, size);
+    let values = reference::filtered(&picture, &view);
     let codes = values.into_iter().map(|v| reference::code(v, splats.depth));
     let samples = match splats.depth {
         Depth::Eight => Samples::U8(codes.map(|c| c as u8).collect()),
         Depth::Sixteen => Samples::U16(codes.collect()),
     };
-    Pixels::new(splats.width, splats.height, splats.channels, samples).unwrap()
+    Pixels::new(view.width(), view.height(), splats.channels, samples).unwrap()
 }
 
 fn pam(pixels: &Pixels) -> Vec<u8> {
@@ -104,6 +117,26 @@ fn difference(a: &[u8], b: &[u8]) -> Option<u16> {
         }
     };
     Some(codes(a).into_iter().zip(codes(b)).map(|(a, b)| a.abs_diff(b)).max().unwrap_or(0))
+}
+
+/// The same as if each colour had to be right the less the more transparent it is in `b` (spec §5.5): by how many
+/// times `tolerance` a sample is off at most.
+fn excess(a: &Pixels, b: &Pixels, tolerance: f64) -> f64 {
+    let codes = |p: &Pixels| -> Vec<f64> {
+        match p.samples() {
+            Samples::U8(v) => v.iter().map(|&c| c.into()).collect(),
+            Samples::U16(v) => v.iter().map(|&c| c.into()).collect(),
+        }
+    };
+    let (count, alpha, top) = (b.channels().count(), b.channels().alpha(), f64::from(b.depth().max()));
+    let mut worst = 0.0f64;
+    for (got, want) in codes(a).chunks(count).zip(codes(b).chunks(count)) {
+        for k in 0..count {
+            let alpha = alpha.filter(|&a| a != k).map_or(1.0, |a| want[a] / top);
+            worst = worst.max((got[k] - want[k]).abs() * (16.0 * alpha).min(1.0) / tolerance);
+        }
+    }
+    worst
 }
 
 /// The two Gaussians of spec §10.
@@ -148,7 +181,7 @@ fn valid() -> Vec<Vector> {
     use Layout::{Coded, Packed, Planes};
     let mut out = Vec::new();
     let mut add = |name: &str, shows: &str, bytes: Vec<u8>| {
-        out.push(Vector { folder: "valid", name: name.into(), shows: shows.into(), bytes });
+        out.push(Vector { folder: "valid", name: name.into(), shows: shows.into(), bytes, size: None });
     };
     let bytes = |splats: &PackedSplats| to_bytes(splats).unwrap();
     for (layout, name) in [(Packed, "packed"), (Planes, "planes"), (Coded, "coded")] {
@@ -258,7 +291,7 @@ fn refused_for(base: &[u8], reason: &str) -> Vec<u8> {
             bytes[at] = random.next() as u8;
         }
         seal(&mut bytes);
-        if let Outcome::Refused("format", text) = decode(&bytes)
+        if let Outcome::Refused("format", text) = decode(&bytes, None)
             && text.contains(&format!("file: {reason} "))
         {
             return bytes;
@@ -271,7 +304,7 @@ fn invalid() -> Vec<Vector> {
     use Layout::{Coded, Packed, Planes};
     let mut out = Vec::new();
     let mut add = |name: &str, shows: &str, bytes: Vec<u8>| {
-        out.push(Vector { folder: "invalid", name: name.into(), shows: shows.into(), bytes });
+        out.push(Vector { folder: "invalid", name: name.into(), shows: shows.into(), bytes, size: None });
     };
     let packed = to_bytes(&two(Packed)).unwrap();
     let planes = to_bytes(&two(Planes)).unwrap();
@@ -394,7 +427,7 @@ fn equal() -> PackedSplats {
 fn limits() -> Vec<Vector> {
     let mut out = Vec::new();
     let mut add = |name: &str, shows: &str, bytes: Vec<u8>| {
-        out.push(Vector { folder: "limits", name: name.into(), shows: shows.into(), bytes });
+        out.push(Vector { folder: "limits", name: name.into(), shows: shows.into(), bytes, size: None });
     };
     let mut huge = two(Layout::Coded);
     (huge.width, huge.height) = (1 << 20, 1 << 20);
@@ -414,18 +447,56 @@ fn limits() -> Vec<Vector> {
     out
 }
 
+/// Pictures to be drawn smaller.
+fn reduced() -> Vec<Vector> {
+    let mut out = Vec::new();
+    let mut add = |name: &str, shows: &str, splats: &PackedSplats, size: [u32; 2]| {
+        let bytes = to_bytes(splats).unwrap();
+        out.push(Vector { folder: "reduced", name: name.into(), shows: shows.into(), bytes, size: Some(size) });
+    };
+    let colour = small(Layout::Coded, Channels::Rgb, 40, false, 3);
+    add("halves", "2 × 2 samples a pixel, none widened", &colour, [12, 8]);
+    add("thirds", "samples 1.5 pixels apart along x, 1.33 along y, widened", &colour, [8, 6]);
+    add("one-axis", "reduced along x, enlarged along y", &colour, [5, 40]);
+    let mut sum = small(Layout::Packed, Channels::Grey, 20, false, 6);
+    (sum.blend, sum.depth) = (Blend::Sum, Depth::Sixteen);
+    add("sum", "the sum blend, 16 bits, 8 samples a side", &sum, [3, 2]);
+    let mut logo = small(Layout::Coded, Channels::Rgba, 60, false, 4);
+    logo.depth = Depth::Eight;
+    // Y, Co and Cg of red, which hides, and of white; alpha.
+    for p in &mut logo.gaussians {
+        (p.major, p.minor, p.angle) = (p.major.min(24), p.minor.min(24), 0);
+        let lattice = Lattice::new(&logo.steps, logo.layout);
+        let [ex, ey] = lattice.exponents(p.major, p.minor, p.angle);
+        p.x = p.x.min(Lattice::positions(logo.width, ex) - 1);
+        p.y = p.y.min(Lattice::positions(logo.height, ey) - 1);
+        let is_left = (f64::from(p.x) + 0.5) * f64::from(ex).exp2() < 11.0;
+        p.color = if is_left { [32, 0, 0, 32] } else { [8, 16, -8, 0] };
+    }
+    logo.background = [8, 16, -8, 0];
+    add("alpha", "white beside red that hides under alpha 0: colours count by their alpha", &logo, [5, 4]);
+    add("alpha-pixel", "the same in one pixel, 8 × 8 samples, widened", &logo, [1, 1]);
+    let mut grey = small(Layout::Coded, Channels::GreyAlpha, 40, false, 2);
+    grey.depth = Depth::Sixteen;
+    add("grey-alpha", "grey and alpha with 16 bits", &grey, [9, 5]);
+    out
+}
+
 fn all() -> Vec<Vector> {
-    [valid(), invalid(), limits()].into_iter().flatten().collect()
+    [valid(), invalid(), limits(), reduced()].into_iter().flatten().collect()
 }
 
 /// The case file of a vector, and its picture if it has one.
 fn case(vector: &Vector) -> (String, Option<Vec<u8>>) {
     let mut text = format!("shows: {}\nsha256: {}\n", vector.shows, sha256(&vector.bytes));
-    let picture = match (vector.folder, decode(&vector.bytes)) {
-        ("valid", Outcome::Picture(pixels)) => {
+    if let Some([width, height]) = vector.size {
+        text += &format!("size: {width} {height}\n");
+    }
+    let picture = match (vector.folder, decode(&vector.bytes, vector.size)) {
+        ("valid" | "reduced", Outcome::Picture(pixels)) => {
             let tolerance = if matches!(pixels.samples(), Samples::U8(_)) { 1 } else { 257 };
             text += &format!("expect: picture\ntolerance: {tolerance}\n");
-            Some(pam(&reference_pixels(&vector.bytes)))
+            Some(pam(&reference_pixels(&vector.bytes, vector.size)))
         }
         ("invalid" | "limits", Outcome::Refused(kind, reason)) => {
             text += &format!("expect: error\nkind: {kind}\nreason: {reason}\n");
@@ -440,7 +511,7 @@ fn case(vector: &Vector) -> (String, Option<Vec<u8>>) {
 #[test]
 #[ignore = "writes spec/vectors"]
 fn write_vectors() {
-    for folder in ["valid", "invalid", "limits"] {
+    for folder in FOLDERS {
         let _ = fs::remove_dir_all(root().join(folder));
     }
     for vector in all() {
@@ -461,7 +532,7 @@ type Stored = (String, Vec<(String, String)>, Vec<u8>, Option<Vec<u8>>);
 /// The vectors on disk.
 fn on_disk() -> Vec<Stored> {
     let mut out = Vec::new();
-    for folder in ["valid", "invalid", "limits"] {
+    for folder in FOLDERS {
         for entry in fs::read_dir(root().join(folder)).unwrap() {
             let path = entry.unwrap().path();
             let name = format!("{folder}/{}", path.file_name().unwrap().to_string_lossy());
@@ -493,7 +564,17 @@ fn library_meets_every_vector() {
     for (name, fields, file, picture) in on_disk() {
         let field = |key: &str| fields.iter().find(|f| f.0 == key).map(|f| f.1.as_str()).unwrap_or_default();
         assert_eq!(sha256(&file), field("sha256"), "{name}");
-        match decode(&file) {
+        let mut sides = field("size").split(' ').filter_map(|side| side.parse().ok());
+        let size = sides.next().zip(sides.next()).map(|(width, height)| [width, height]);
+        assert_eq!(size.is_some(), name.starts_with("reduced"), "{name}");
+        match decode(&file, size) {
+            Outcome::Picture(pixels) if size.is_some() => {
+                let want = reference_pixels(&file, size);
+                assert_eq!(Some(pam(&want)), picture, "{name}");
+                let excess = excess(&pixels, &want, field("tolerance").parse().unwrap());
+                assert!(excess <= 1.0, "{name}: {excess} times the tolerance");
+                counts[0] += 1;
+            }
             Outcome::Picture(pixels) => {
                 assert_eq!(field("expect"), "picture", "{name} is accepted");
                 let worst = difference(&pam(&pixels), &picture.expect("a picture")).expect("pictures of one kind");
@@ -513,7 +594,7 @@ fn library_meets_every_vector() {
 
 #[test]
 fn the_comparison_of_pictures_sees_a_code_value() {
-    let pixels = reference_pixels(&to_bytes(&two(Layout::Packed)).unwrap());
+    let pixels = reference_pixels(&to_bytes(&two(Layout::Packed)).unwrap(), None);
     let right = pam(&pixels);
     let mut wrong = right.clone();
     *wrong.last_mut().unwrap() ^= 2;

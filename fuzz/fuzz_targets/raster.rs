@@ -110,7 +110,11 @@ fn check(picture: &Picture, view: &View, [x, y, width, height]: [u32; 4], is_leg
         let reference = reference::filtered(picture, view);
         for (i, (&drawn, &value)) in bytes(whole.samples()).iter().zip(&reference).enumerate() {
             let want = reference::code(value, Depth::Eight);
-            assert!(u16::from(drawn).abs_diff(want) <= 1, "sample {i}: {drawn}, reference {want}");
+            // In a reduced view colours of the nearly transparent are the less certain.
+            let pixel = &reference[i - i % channels..][..channels];
+            let alpha = picture.channels.alpha().filter(|&k| k != i % channels).map_or(1.0, |k| pixel[k]);
+            let most = if view.step() == [1.0; 2] { 1.0 } else { (1.0 / (16.0 * alpha)).max(1.0) };
+            assert!(f64::from(u16::from(drawn).abs_diff(want)) <= most, "sample {i}: {drawn}, reference {want}");
         }
     }
 }

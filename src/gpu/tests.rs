@@ -80,13 +80,14 @@ fn constants_are_the_crates_own() {
     assert_eq!(twin::CUTOFF, crate::gaussian::CUTOFF);
     assert_eq!(twin::CUTOFF_WEIGHT, crate::gaussian::CUTOFF_WEIGHT);
     assert_eq!(twin::EPSILON, crate::gaussian::EPSILON);
+    assert_eq!(twin::HIDDEN, crate::gaussian::HIDDEN);
     assert!((f64::from(twin::SUPPORT) - support).abs() < 1e-6);
     assert!((f64::from(twin::HALF) - (0.5 * std::f64::consts::LOG2_E).sqrt()).abs() < 1e-7);
     let common = include_str!("../../shaders/common.wgsl");
     for text in ["CUTOFF: f32 = 3.5;", "CUTOFF_WEIGHT: f32 = 0.0021874911;", "SUPPORT: f32 = 8.836507;"] {
         assert!(common.contains(text), "{text}");
     }
-    for text in ["HALF: f32 = 0.8493218;", "EPSILON: f32 = 0.0078125;"] {
+    for text in ["HALF: f32 = 0.8493218;", "EPSILON: f32 = 0.0078125;", "HIDDEN: f32 = 0.00024414063;"] {
         assert!(common.contains(text), "{text}");
     }
     let adam = include_str!("../../shaders/adam.wgsl");

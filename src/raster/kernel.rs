@@ -7,7 +7,7 @@
 
 use super::project::{SUPPORT, Splat, Splats};
 use super::samples::{Codes, Sample};
-use crate::gaussian::{Blend, EPSILON};
+use crate::gaussian::{Blend, EPSILON, HIDDEN};
 use crate::simd::{LANES, Lanes, Simd, Task};
 
 /// Columns of a tile.
@@ -177,7 +177,8 @@ fn finish<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, row: &[La
     T::store::<S, C>(simd, codes, values);
 }
 
-/// The mean of each `across` columns of all `rows` of a strip as code values.
+/// The mean of each `across` columns of all `rows` of a strip as code values. Colours count by their alpha: what hides
+/// where a picture is transparent shall not show where it is not.
 #[inline(always)]
 fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
     simd: S,
@@ -185,9 +186,20 @@ fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
     across: usize,
     codes: &mut [T],
 ) {
-    let mut sums = [simd.splat(0.0); C];
+    // Grey and alpha, or three colours and alpha.
+    let has_alpha = C == 2 || C == 4;
+    let hidden = simd.splat(HIDDEN * T::WHITE);
+    let (mut sums, mut weights) = ([simd.splat(0.0); C], simd.splat(0.0));
     for row in rows {
-        for (sum, value) in sums.iter_mut().zip(shade::<S, T, C, P>(simd, row)) {
+        let mut values = shade::<S, T, C, P>(simd, row);
+        if has_alpha {
+            let weight = simd.add(values[C - 1], hidden);
+            weights = simd.add(weights, weight);
+            for value in &mut values[..C - 1] {
+                *value = simd.mul(*value, weight);
+            }
+        }
+        for (sum, value) in sums.iter_mut().zip(values) {
             *sum = simd.add(*sum, value);
         }
     }
@@ -195,15 +207,22 @@ fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
     for (columns, sum) in columns.iter_mut().zip(sums) {
         simd.store(columns, sum);
     }
+    let mut weight_columns = Lanes([0.0; LANES]);
+    simd.store(&mut weight_columns, weights);
+    let of_pixel = |columns: &Lanes, i: usize| {
+        let mut sum = 0.0;
+        for value in &columns.0[i * across..(i + 1) * across] {
+            sum += value;
+        }
+        sum
+    };
     // A power of two: the mean is as exact as the sum.
     let share = 1.0 / (across * rows.len()) as f32;
     for (i, pixel) in codes.chunks_exact_mut(C).enumerate() {
-        for (code, columns) in pixel.iter_mut().zip(&columns) {
-            let mut sum = 0.0;
-            for value in &columns.0[i * across..(i + 1) * across] {
-                sum += value;
-            }
-            *code = T::floor(sum * share + 0.5);
+        let color_share = if has_alpha { 1.0 / of_pixel(&weight_columns, i) } else { share };
+        for (k, (code, columns)) in pixel.iter_mut().zip(&columns).enumerate() {
+            let share = if has_alpha && k == C - 1 { share } else { color_share };
+            *code = T::floor(of_pixel(columns, i) * share + 0.5);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The picture's definition in plain f64 (spec §5.2, §5.3): slow, short, and what everything else is tested against.
 
 use super::view::{Filter, View};
-use crate::gaussian::{Blend, CUTOFF, EPSILON, Gaussian, Picture};
+use crate::gaussian::{Blend, CUTOFF, EPSILON, Gaussian, HIDDEN, Picture};
 use crate::pixels::Depth;
 
 /// Weight `max(0, exp(−d²/2) − exp(−K²/2))` of `g` at `(x, y)`, pixels.
@@ -78,24 +78,30 @@ pub fn sample(picture: &Picture, view: &View) -> Vec<f64> {
     out
 }
 
-/// Colour values of every pixel of `view` with the low-pass of [`View::resized`], row by row with interleaved channels:
-/// means of samples clamped to 0..=1.
+/// Colour values of every pixel of `view` with the low-pass of [`View::resized`] (spec §5.5), row by row with interleaved
+/// channels: means of samples clamped to 0..=1, where colours count by their alpha.
 #[must_use]
 pub fn filtered(picture: &Picture, view: &View) -> Vec<f64> {
     let Filter { parts, variance } = view.filter();
     let fine = view.refined(parts);
-    let share = 1.0 / f64::from(parts[0] * parts[1]);
+    let count = f64::from(parts[0] * parts[1]);
+    let (channels, alpha) = (picture.channels.count(), picture.channels.alpha());
     let mut out = Vec::new();
     for j in 0..view.height() {
         for i in 0..view.width() {
-            let mut mean = [0.0; 4];
+            let (mut mean, mut weights) = ([0.0; 4], 0.0);
             for part in 0..parts[0] * parts[1] {
                 let [x, y] = fine.position(i * parts[0] + part % parts[0], j * parts[1] + part / parts[0]);
-                for (mean, value) in mean.iter_mut().zip(blend(picture, variance, x, y)) {
-                    *mean += share * value.clamp(0.0, 1.0);
+                let values = blend(picture, variance, x, y).map(|v| v.clamp(0.0, 1.0));
+                let weight = alpha.map_or(1.0, |k| values[k] + f64::from(HIDDEN));
+                weights += weight;
+                for (k, (mean, value)) in mean.iter_mut().zip(values).enumerate() {
+                    *mean += value * if alpha == Some(k) { 1.0 } else { weight };
                 }
             }
-            out.extend_from_slice(&mean[..picture.channels.count()]);
+            for (k, mean) in mean.iter().enumerate().take(channels) {
+                out.push(mean / if alpha == Some(k) { count } else { weights });
+            }
         }
     }
     out

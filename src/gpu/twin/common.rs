@@ -9,6 +9,7 @@ pub(in crate::gpu) const SUPPORT: f32 = 8.836_507;
 /// `√(½ log₂ e)`.
 pub(in crate::gpu) const HALF: f32 = 0.849_321_8;
 pub(in crate::gpu) const EPSILON: f32 = 0.007_812_5;
+pub(in crate::gpu) const HIDDEN: f32 = 0.000_244_140_63;
 
 pub(in crate::gpu) fn sin_cos(x: f32) -> [f32; 2] {
     let k = (x * std::f32::consts::FRAC_2_PI + 0.5).floor();

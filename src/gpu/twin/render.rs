@@ -1,6 +1,6 @@
 //! Twin of `render.wgsl`.
 
-use super::common::EPSILON;
+use super::common::{EPSILON, HIDDEN};
 use super::tile::sum_tile;
 use crate::gpu::scene::{Splat, TILE, Uniforms};
 
@@ -8,14 +8,8 @@ pub(in crate::gpu) fn render(scene: &Uniforms, splats: &[Splat], starts: &[u32],
     let parts = [scene.across, scene.down];
     for row in 0..scene.band_rows / parts[1] {
         for x in 0..scene.width / parts[0] {
-            let mut value = [0.0; 4];
-            for y in row * parts[1]..(row + 1) * parts[1] {
-                for x in x * parts[0]..(x + 1) * parts[0] {
-                    let part = sample(scene, splats, starts, sorted, x, y);
-                    value = std::array::from_fn(|k| value[k] + part[k]);
-                }
-            }
-            value = value.map(|v| v / (parts[0] * parts[1]) as f32);
+            let sample = |x: u32, y: u32| sample(scene, splats, starts, sorted, x, y);
+            let mut value = if parts == [1, 1] { sample(x, row) } else { average(scene, parts, x, row, sample) };
             match scene.channels {
                 1 => value = [value[0], value[0], value[0], 1.0],
                 2 => value = [value[0], value[0], value[0], value[1]],
@@ -37,6 +31,34 @@ pub(in crate::gpu) fn render(scene: &Uniforms, splats: &[Splat], starts: &[u32],
             }
         }
     }
+}
+
+/// The mean of the samples of the pixel in column `column` of row `row`, in which colours count by their alpha.
+fn average(
+    scene: &Uniforms,
+    parts: [u32; 2],
+    column: u32,
+    row: u32,
+    sample: impl Fn(u32, u32) -> [f32; 4],
+) -> [f32; 4] {
+    let (mut value, mut alpha, mut weights) = ([0.0; 4], 0.0, 0.0);
+    for y in row * parts[1]..(row + 1) * parts[1] {
+        for x in column * parts[0]..(column + 1) * parts[0] {
+            let part = sample(x, y);
+            let mut weight = 1.0;
+            if scene.alpha < 4 {
+                alpha += part[scene.alpha as usize];
+                weight = part[scene.alpha as usize] + HIDDEN;
+            }
+            value = std::array::from_fn(|k| value[k] + weight * part[k]);
+            weights += weight;
+        }
+    }
+    value = value.map(|v| v / weights);
+    if scene.alpha < 4 {
+        value[scene.alpha as usize] = alpha / (parts[0] * parts[1]) as f32;
+    }
+    value
 }
 
 /// The colour, 0..=1, of the band's sample in column `x` of row `row`.
