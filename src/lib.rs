@@ -88,7 +88,9 @@ mod round;
 mod simd;
 
 pub use decode::{Decoded, Opened, Opening, decode, decode_into};
-pub use encode::{Chosen, EncodeReport, Encoded, LeftOut, Progress, TracePoint, encode, encode_with_progress};
+pub use encode::{
+    Chosen, EncodeReport, Encoded, LeftOut, Omission, Progress, TracePoint, encode, encode_with_progress,
+};
 pub use error::{Error, FormatError, GpuError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
 pub use image_crate::{EXTENSION, SsplatDecoder, SsplatEncoder, register, save};

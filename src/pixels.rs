@@ -32,6 +32,12 @@ impl Depth {
         }
     }
 
+    /// Returns the mean squared error of a sample, in units of the white one's square, that rounding to code values makes by
+    /// itself: once in the source, once when decoding.
+    pub(crate) fn rounding_error(self) -> f64 {
+        2.0 / (12.0 * f64::from(self.max()).powi(2))
+    }
+
     /// Bytes a sample.
     #[must_use]
     pub fn bytes(self) -> usize {

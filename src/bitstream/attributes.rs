@@ -198,7 +198,7 @@ pub(crate) struct Attributes {
 
 /// What all primitives of a group share.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Scene<'a> {
+pub(crate) struct GroupContext<'a> {
     pub rules: &'a Rules,
     pub palette: Palette<'a>,
     pub steps: Steps,
@@ -208,7 +208,7 @@ pub(crate) struct Scene<'a> {
     pub spacing: i64,
 }
 
-impl Scene<'_> {
+impl GroupContext<'_> {
     /// `32·δ`: 32nds of an octave between neighbouring scales.
     fn delta(&self) -> i64 {
         i64::from(self.steps.scale) + 4
@@ -279,7 +279,7 @@ static TANGENTS: [i64; 16] =
     [201, 608, 1026, 1466, 1937, 2455, 3038, 3712, 4519, 5523, 6834, 8660, 11448, 16352, 27613, 83376];
 
 impl Attributes {
-    pub fn new(scene: &Scene<'_>) -> Self {
+    pub fn new(scene: &GroupContext<'_>) -> Self {
         let palette = &scene.palette;
         let octave = 32 * FINE / scene.delta();
         let spacing = scene.scale_of(scene.spacing);
@@ -318,7 +318,7 @@ impl Attributes {
     pub fn code<C: Coder>(
         &mut self,
         coder: &mut C,
-        scene: &Scene<'_>,
+        scene: &GroupContext<'_>,
         buckets: &mut Buckets,
         square: &Square,
         p: &PackedGaussian,

@@ -1,6 +1,6 @@
 //! The coded layout: adaptive entropy coding, in one piece or in groups (spec §8).
 
-use super::attributes::{Attributes, Palette, Scene, spacing};
+use super::attributes::{Attributes, GroupContext, Palette, spacing};
 use super::broken::Broken;
 use super::bytes::Bytes;
 use super::header::{Coloring, Header};
@@ -104,7 +104,7 @@ impl<'a> Group<'a> {
         let squares = squares(coder, &mut Counts::new(), &extent, &given, count)?;
         coder.account("position");
         let mut buckets = Buckets::new(count, region.corner, side);
-        let scene = Scene { rules, palette: self.palette, steps: self.steps, grid, spacing };
+        let scene = GroupContext { rules, palette: self.palette, steps: self.steps, grid, spacing };
         let mut attributes = Attributes::new(&scene);
         let mut out: Vec<PackedGaussian> = Vec::with_capacity(count as usize);
         let mut last = None;

@@ -1,13 +1,17 @@
 //! From what is asked for to a file of that kind: with how many primitives a fit begins, and how often one is tried.
 
-use super::MAX_PRIMITIVES;
-use super::channels;
-use super::job::{Outcome, Session, decibels};
+use super::channels::widen;
+use super::constant::{constant, is_constant};
+use super::job::{Encoding, Outcome, stored_error};
+use super::report::Omission;
+use super::subject::may_leave_out;
+use super::{MAX_PRIMITIVES, decibels};
 use crate::bitstream::splats::{Layout, PackedSplats};
 use crate::error::{Error, Result};
+use crate::fit::model::planes::Planes;
 use crate::gaussian::Blend;
 use crate::options::{Needs, Target};
-use crate::round::finish::Size;
+use crate::round::size::Size;
 
 /// Ratio of [`Target::Auto`].
 const RATIO: f64 = 50.0;
@@ -15,19 +19,19 @@ const RATIO: f64 = 50.0;
 /// Fewest bytes for primitives of [`Target::Auto`]: some twenty of them.
 const LEAST: u64 = 80;
 
-impl Session<'_> {
+impl Encoding<'_> {
     /// Fits the picture as the options ask.
     pub(super) fn aim(&mut self) -> Result<Outcome> {
-        let size = match self.options.target {
+        let size = match self.subject.options.target {
             Target::Auto => self.auto()?,
-            Target::Ratio(ratio) => Size::Bytes((self.samples() / ratio).floor() as u64),
+            Target::Ratio(ratio) => Size::Bytes((self.subject.samples() / ratio).floor() as u64),
             Target::Bytes(bytes) => Size::Bytes(bytes),
             Target::Primitives(_) | Target::Psnr(_) => Size::Free,
         };
         if let Some(constant) = self.constant(size)? {
             return Ok(constant);
         }
-        match self.options.target {
+        match self.subject.options.target {
             Target::Auto | Target::Ratio(_) | Target::Bytes(_) => self.at_size(size),
             Target::Primitives(count) => self.at_count(count as usize, size),
             Target::Psnr(psnr) => self.at_psnr(psnr),
@@ -37,56 +41,70 @@ impl Session<'_> {
     /// The size of a file when nobody asks for one.
     fn auto(&self) -> Result<Size> {
         let length = |metadata: Option<&Vec<u8>>| metadata.map_or(0, |m| m.len() as u64);
-        let metadata = length(self.options.icc.as_ref()) + length(self.options.exif.as_ref());
-        let fixed = self.file(&self.empty())?.len() as u64;
-        Ok(Size::Bytes(((self.samples() / RATIO) as u64 + metadata).max(fixed + LEAST)))
+        let metadata = length(self.subject.options.icc.as_ref()) + length(self.subject.options.exif.as_ref());
+        let fixed = self.subject.file(&self.subject.empty())?.len() as u64;
+        Ok(Size::Bytes(((self.subject.samples() / RATIO) as u64 + metadata).max(fixed + LEAST)))
     }
 
     /// The file of a picture of one colour, where that is what there is and the file may be as large.
     fn constant(&mut self, size: Size) -> Result<Option<Outcome>> {
-        let is_wanted =
-            self.measured && self.blend == Blend::Normalized && self.options.target != Target::Primitives(0);
-        if !is_wanted || !channels::is_constant(self.pixels) {
+        let options = self.subject.options;
+        let is_wanted = may_leave_out(options)
+            && self.subject.blend() == Blend::Normalized
+            && options.target != Target::Primitives(0);
+        if !is_wanted || !is_constant(self.subject.pixels) {
             return Ok(None);
         }
-        let mut splats = self.empty();
-        channels::constant(&mut splats, self.planes.mean);
-        let bytes = self.file(&splats)?;
+        let mut splats = self.subject.empty();
+        constant(&mut splats, self.planes.mean);
+        let bytes = self.subject.file(&splats)?;
         if over(&bytes, size) > 0 {
             return Ok(None);
         }
-        self.savings.note("the fit: the picture is one colour", 0, 0.0);
+        self.journal.note(Omission::Fit, 0, 0.0);
         let float_error = self.fitted_error(&splats);
         Ok(Some(Outcome { bytes, splats, float_error }))
     }
 
     fn at_size(&mut self, size: Size) -> Result<Outcome> {
         let Size::Bytes(most) = size else { return self.at_count(0, size) };
-        let fixed = self.file(&self.empty())?.len() as u64;
+        let fixed = self.subject.file(&self.subject.empty())?.len() as u64;
         if most < fixed {
             let problem = format!("{most} bytes cannot hold the picture: {fixed} are needed without any primitive");
             return Err(Error::Parameter { name: "bytes", problem });
         }
         // What a primitive costs before anything is known; the size is corrected while the integers settle.
-        let bits = match self.options.layout {
+        let bits = match self.subject.options.layout {
             Layout::Packed => 56.0,
             Layout::Planes => 46.0,
             Layout::Coded => 34.5,
         };
         // More primitives than samples bring nothing.
-        let count = (((most - fixed) as f64 * 8.0 / bits) as u64).min(MAX_PRIMITIVES).min(self.samples() as u64);
+        let count =
+            (((most - fixed) as f64 * 8.0 / bits) as u64).min(MAX_PRIMITIVES).min(self.subject.samples() as u64);
         self.at_count(count as usize, size)
     }
 
+    /// Returns the squared error of the stored picture over the samples of the caller's channels.
+    pub(super) fn whole_error(&self, splats: &PackedSplats) -> f64 {
+        match self.subject.is_whole() {
+            true => self.fitted_error(splats),
+            false => {
+                let wide = widen(splats, self.subject.channels());
+                stored_error(&wide, &Planes::new(self.subject.original))
+            }
+        }
+    }
+
     fn at_psnr(&mut self, wanted: f64) -> Result<Outcome> {
-        let raw = self.samples();
+        let raw = self.subject.samples();
         let mut bytes = raw / 50.0;
         let mut best: Option<Outcome> = None;
         let mut reached: f64 = 0.0;
         let (mut low, mut high) = (0.0f64, raw);
         for _ in 0..6 {
             let outcome = self.at_size(Size::Bytes(bytes.max(64.0) as u64))?;
-            let got = decibels(self.error(&outcome.splats), raw);
+            let got = decibels(self.whole_error(&outcome.splats), raw);
             reached = reached.max(got);
             if got >= wanted {
                 high = bytes;
@@ -114,7 +132,7 @@ impl Session<'_> {
             return Err(Error::Parameter { name: "psnr", problem });
         };
         // Where channels were left out, what they add to the error is not known here.
-        if self.options.needs == Needs::Measured && self.is_whole() {
+        if self.subject.options.needs == Needs::Measured && self.subject.is_whole() {
             self.prune(&mut best, raw * 10f64.powf(-0.1 * wanted))?;
         }
         Ok(best)
@@ -124,7 +142,7 @@ impl Session<'_> {
     fn at_count(&mut self, count: usize, size: Size) -> Result<Outcome> {
         // What the constant channels may take; corrected where that is too little.
         let mut spare = match size {
-            Size::Bytes(most) if !self.is_whole() => 6 + most.min(1 << 30) / 400,
+            Size::Bytes(most) if !self.subject.is_whole() => 6 + most.min(1 << 30) / 400,
             _ => 0,
         };
         loop {
@@ -133,11 +151,11 @@ impl Session<'_> {
                 Size::Free => Size::Free,
             };
             let mut outcome = self.fitted(count, narrow)?;
-            if !self.is_whole() {
-                outcome.bytes = self.file(&outcome.splats)?;
+            if !self.subject.is_whole() {
+                outcome.bytes = self.subject.file(&outcome.splats)?;
             }
-            if self.options.needs == Needs::Measured {
-                let enough = channels::rounding(self.pixels.depth()) * self.fitted_samples();
+            if self.subject.options.needs == Needs::Measured {
+                let enough = self.subject.pixels.depth().rounding_error() * self.subject.fitted_samples();
                 self.prune(&mut outcome, enough)?;
             }
             // Whatever a fit came to, it is not worse than one colour.
@@ -145,7 +163,7 @@ impl Session<'_> {
                 PackedSplats { gaussians: Vec::new(), codebook: None, levels: Vec::new(), ..outcome.splats.clone() };
             let error = self.fitted_error(&outcome.splats);
             if error.is_nan() || error > self.fitted_error(&alone) {
-                (outcome.bytes, outcome.splats) = (self.file(&alone)?, alone);
+                (outcome.bytes, outcome.splats) = (self.subject.file(&alone)?, alone);
             }
             let over = over(&outcome.bytes, size);
             if over == 0 {

@@ -2,12 +2,11 @@
 
 use std::fmt;
 
-use super::channels;
+use super::constant::is_constant;
 use crate::error::{Error, GpuError, Result};
-use crate::fit::model::field::Scene;
-use crate::fit::model::planes::Target;
-use crate::fit::plan::Plan;
-use crate::fit::{self, Recount, State, Watch};
+use crate::fit::engine::{Ending, Watcher};
+use crate::fit::state::State;
+use crate::fit::{self, Job};
 use crate::options::{Backend, EncodeOptions};
 use crate::pixels::Pixels;
 
@@ -53,22 +52,9 @@ impl Chosen {
     }
 }
 
-/// A picture to fit, and with what.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Job<'a> {
-    pub scene: &'a Scene,
-    #[cfg_attr(not(feature = "gpu"), expect(dead_code, reason = "only a GPU takes samples as they are"))]
-    pub pixels: &'a Pixels,
-    /// The same picture.
-    pub target: &'a Target,
-    /// About how many primitives.
-    pub count: usize,
-    pub plan: &'a Plan,
-}
-
 /// A device chosen for an encode.
 #[derive(Debug)]
-pub(crate) struct Choice {
+pub(super) struct Choice {
     pub chosen: Chosen,
     asked: Backend,
     gpu: Option<Device>,
@@ -79,14 +65,14 @@ impl Choice {
     ///
     /// # Errors
     /// [`Error::Gpu`] when the GPU is asked for and cannot be had; the automatic choice falls back to the CPU.
-    pub(crate) fn new(options: &EncodeOptions, pixels: &Pixels) -> Result<Self> {
+    pub(super) fn new(options: &EncodeOptions, pixels: &Pixels) -> Result<Self> {
         let area = u64::from(pixels.width()) * u64::from(pixels.height());
         let opened = match options.backend {
             Backend::Cpu => Ok((None, Chosen::cpu("asked for"))),
             Backend::Auto if area < SMALL => {
                 Ok((None, Chosen::cpu(format!("the picture has fewer than {SMALL} pixels"))))
             }
-            Backend::Auto if channels::is_constant(pixels) => Ok((None, Chosen::cpu("the picture is one colour"))),
+            Backend::Auto if is_constant(pixels) => Ok((None, Chosen::cpu("the picture is one colour"))),
             asked => open(asked, options),
         };
         let (gpu, chosen) = match opened {
@@ -97,16 +83,17 @@ impl Choice {
         Ok(Choice { chosen, asked: options.backend, gpu })
     }
 
-    /// Why there was no GPU where one might have been taken, in words.
-    pub(crate) fn left_out(&self) -> Option<String> {
-        let is_left_out = self.asked == Backend::Auto && self.gpu.is_none();
-        is_left_out.then(|| format!("the GPU: {}", self.chosen.reason))
+    /// Returns why there was no GPU where one might have been taken.
+    pub(super) fn passed_over(&self) -> Option<String> {
+        let is_passed_over = self.asked == Backend::Auto && self.gpu.is_none();
+        is_passed_over.then(|| self.chosen.reason.clone())
     }
 
-    /// Does `job` on the chosen device.
-    pub(crate) fn fit(&mut self, job: &Job<'_>, recount: Recount<'_>, watch: Watch<'_>) -> Result<State> {
+    /// Does `job`, whose picture is `pixels`, on the chosen device; where that is a GPU that fails and nobody asked for it,
+    /// once more on the CPU.
+    pub(super) fn fit(&mut self, job: &Job<'_>, pixels: &Pixels, watcher: &mut dyn Watcher) -> Result<(State, Ending)> {
         if let Some(device) = &self.gpu {
-            match fit_on(device, job, recount, watch) {
+            match fit_on(device, job, pixels, watcher) {
                 Err(Error::Gpu(e)) if self.asked == Backend::Auto => {
                     self.chosen = Chosen::cpu(format!("{} failed: {e}", self.chosen.device));
                     self.gpu = None;
@@ -114,7 +101,7 @@ impl Choice {
                 fitted => return fitted,
             }
         }
-        fit::fit(job.scene, job.target, job.count, job.plan, recount, watch)
+        fit::fit_on_cpu(job, watcher)
     }
 }
 
@@ -144,25 +131,25 @@ fn open(_: Backend, _: &EncodeOptions) -> Result<(Option<Device>, Chosen), GpuEr
 }
 
 #[cfg(feature = "gpu")]
-fn fit_on(device: &Device, job: &Job<'_>, recount: Recount<'_>, watch: Watch<'_>) -> Result<State> {
-    let Job { scene, pixels, target, count, plan } = *job;
-    let (state, rng, from) = fit::draft::start(scene, target, count, plan, recount, watch)?;
-    let fitter = Fitter::new(device, scene, pixels, &state.primitives, &state.bounds)?;
-    let ending = fit::run(scene, target, &mut &fitter, rng, plan, from, recount, watch)?;
-    fitter.keep_best()?;
-    let mut state = State::new(fitter.finish()?, state.bounds);
-    state.is_enough = ending == fit::Ending::Enough;
-    Ok(state)
+fn fit_on(device: &Device, job: &Job<'_>, pixels: &Pixels, watcher: &mut dyn Watcher) -> Result<(State, Ending)> {
+    use crate::fit::engine::Engine;
+    let open = |start: State| Fitter::new(device, &job.problem.scene, pixels, &start.primitives, &start.bounds);
+    let (fitter, ending) = fit::fit(job, open, watcher)?;
+    Ok((fitter.finish()?, ending))
 }
 
 #[cfg(not(feature = "gpu"))]
-fn fit_on(device: &Device, _: &Job<'_>, _: Recount<'_>, _: Watch<'_>) -> Result<State> {
+fn fit_on(device: &Device, _: &Job<'_>, _: &Pixels, _: &mut dyn Watcher) -> Result<(State, Ending)> {
     match *device {}
 }
 
 #[cfg(all(test, feature = "gpu"))]
 mod gpu_tests {
     use super::*;
+    use crate::fit::Unwatched;
+    use crate::fit::model::planes::Planes;
+    use crate::fit::model::problem::{Problem, Scene};
+    use crate::fit::plan::Plan;
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::Samples;
 
@@ -171,20 +158,20 @@ mod gpu_tests {
         let Some(device) = crate::gpu::tests::own_device() else { return };
         let samples = (0..40 * 30 * 3).map(|i| (i * 7 % 251) as u8).collect();
         let pixels = Pixels::new(40, 30, Channels::Rgb, Samples::U8(samples)).unwrap();
-        let target = Target::new(&pixels);
+        let target = Planes::new(&pixels);
         let scene = Scene { width: 40, height: 30, blend: Blend::Normalized, background: target.mean };
         let plan = Plan::steps(20, 0);
-        let job = Job { scene: &scene, pixels: &pixels, target: &target, count: 30, plan: &plan };
-        let on_cpu = fit::fit(&scene, &target, 30, &plan, &mut |_| Ok(30), &mut |_, _| Ok(())).unwrap();
+        let job = Job { problem: Problem { scene, target: &target }, count: 30, plan: &plan };
+        let (on_cpu, _) = fit::fit_on_cpu(&job, &mut Unwatched).unwrap();
         device.wgpu().0.destroy();
         for asked in [Backend::Auto, Backend::Gpu] {
             let chosen = Chosen { backend: Backend::Gpu, device: "the GPU".to_owned(), reason: String::new() };
             let mut choice = Choice { chosen, asked, gpu: Some(device.clone()) };
-            let fitted = choice.fit(&job, &mut |_| Ok(30), &mut |_, _| Ok(()));
+            let fitted = choice.fit(&job, &pixels, &mut Unwatched);
             if asked == Backend::Auto {
-                assert_eq!(fitted.unwrap().primitives, on_cpu.primitives);
+                assert_eq!(fitted.unwrap().0.primitives, on_cpu.primitives);
                 assert!(choice.chosen.to_string().starts_with("CPU: the GPU failed: device lost"), "{}", choice.chosen);
-                assert!(choice.left_out().is_some());
+                assert!(choice.passed_over().is_some());
             } else {
                 assert!(matches!(fitted, Err(Error::Gpu(GpuError::Lost { .. }))), "{fitted:?}");
             }

@@ -1,26 +1,32 @@
 //! Pixels to bytes: the whole encoder behind one function.
+//!
+//! [`aim`] says with how many primitives a fit begins and how often one is tried, [`job`] does a fit and has it rounded,
+//! [`file`] writes the smallest file of the integers.
 
 mod aim;
-pub(crate) mod channels;
+mod channels;
+mod constant;
 mod device;
+mod file;
 mod job;
 mod prune;
 mod report;
+mod subject;
 mod trace;
 
 use std::ops::ControlFlow;
 
 use crate::bitstream::splats::Layout;
 use crate::error::{Error, Result};
-use crate::fit::model::planes::Target as Planes;
-use crate::gaussian::Blend;
-use crate::options::{EncodeOptions, Needs, Recipe, Target};
+use crate::fit::model::planes::Planes;
+use crate::options::{EncodeOptions, Target};
 use crate::pixels::Pixels;
 use device::Choice;
 pub use device::Chosen;
-use job::{Session, decibels};
-pub use report::LeftOut;
-use report::Savings;
+use job::Encoding;
+use report::Journal;
+pub use report::{LeftOut, Omission};
+use subject::{Subject, may_leave_out};
 pub use trace::TracePoint;
 use trace::Tracer;
 
@@ -89,53 +95,40 @@ pub fn encode_with_progress(
 ) -> Result<Encoded> {
     check(options)?;
     let tracer = Tracer::new(options.trace);
-    // Only the coded layout stores a constant channel in next to nothing.
-    let measured = options.needs == Needs::Measured && options.layout == Layout::Coded;
-    let narrow = if measured { channels::narrow(pixels) } else { None };
-    let narrowed = narrow.as_ref().map_or(pixels, |n| &n.pixels);
-    let mut session = Session {
-        original: pixels,
-        pixels: narrowed,
-        options,
-        measured,
-        blend: options.blend.unwrap_or(match options.recipe {
-            Recipe::Ssplat => Blend::Normalized,
-            Recipe::SmartSplat(_) => Blend::Sum,
-        }),
-        planes: Planes::new(narrowed),
-        choice: Choice::new(options, narrowed)?,
-        progress,
-        tracer,
-        stages: Vec::new(),
-        savings: Savings::default(),
+    let narrow = if may_leave_out(options) { channels::narrow(pixels) } else { None };
+    let fitted = narrow.as_ref().map_or(pixels, |n| &n.pixels);
+    let mut job = Encoding {
+        subject: Subject { original: pixels, pixels: fitted, options },
+        planes: Planes::new(fitted),
+        device: Choice::new(options, fitted)?,
+        journal: Journal::new(progress, tracer),
     };
-    let outcome = session.aim()?;
-    session.trace_end(&outcome.splats);
-    let fitted_error = session.fitted_error(&outcome.splats);
-    let error = match &narrow {
-        Some(narrow) => {
-            let whole = Planes::new(pixels);
-            session.note_channels(narrow.what, &whole, &outcome.splats);
-            session.whole_error(&outcome.splats, &whole)
-        }
-        None => fitted_error,
-    };
-    session.note_codebook(&outcome)?;
-    let samples = session.samples();
+    if let Some(narrow) = &narrow {
+        job.journal.note(narrow.what.clone(), 0, 0.0);
+    }
+    let outcome = job.aim()?;
+    job.trace_end(&outcome.splats)?;
+    let error = job.whole_error(&outcome.splats);
+    job.note_codebook(&outcome)?;
     // The floats were measured on what was fitted: the channels that were left out weigh as they do in the file.
-    let weight = error / fitted_error;
+    let weight = error / job.fitted_error(&outcome.splats);
     let float_error = outcome.float_error * if weight.is_finite() { weight } else { 1.0 };
+    let (samples, seconds) = (job.subject.samples(), job.journal.seconds());
     let report = EncodeReport {
         primitives: outcome.splats.gaussians.len(),
         psnr: decibels(error, samples),
         float_psnr: decibels(float_error, samples),
-        seconds: session.tracer.seconds(),
-        stages: session.stages,
-        left_out: session.savings.into_list(),
-        chosen: session.choice.chosen,
-        trace: session.tracer.into_points(),
+        seconds,
+        stages: job.journal.stages,
+        left_out: job.journal.left_out,
+        chosen: job.device.chosen,
+        trace: job.journal.tracer.into_points(),
     };
     Ok(Encoded { bytes: outcome.bytes, report })
+}
+
+fn decibels(error: f64, samples: f64) -> f64 {
+    -10.0 * (error / samples).log10()
 }
 
 fn check(options: &EncodeOptions) -> Result<()> {

@@ -1,49 +1,108 @@
-//! What is taken out after a fit, and what that and what was left out before it saved.
+//! Primitives that a file does not need: taken out after the fit.
 
-use super::channels;
-use super::job::{Outcome, Session};
-use crate::bitstream::splats::PackedSplats;
+use super::file;
+use super::job::{Encoding, Outcome};
+use super::report::Omission;
+use super::subject::stored_scene;
+use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::error::Result;
-use crate::fit::model::planes::Target as Planes;
-use crate::round::finish;
+use crate::fit::model::field::{Field, Output};
+use crate::fit::model::problem::Problem;
+use crate::fit::model::removal;
+use crate::fit::model::rows::RowSet;
+use crate::round::descend::{Descent, Objective};
+use crate::round::rounded::projected;
 
-impl Session<'_> {
+impl Encoding<'_> {
     /// Takes out the primitives without which the squared error of what was fitted stays within `enough`.
     pub(super) fn prune(&mut self, outcome: &mut Outcome, enough: f64) -> Result<()> {
-        let clock = self.tracer.seconds();
-        let scene = self.stored_scene(&outcome.splats);
-        let Some(pruned) = channels::pruned(&scene, &self.planes, &outcome.splats, enough) else { return Ok(()) };
-        let file = self.file(&pruned)?;
+        let clock = self.journal.seconds();
+        let problem = Problem { scene: stored_scene(&outcome.splats), target: &self.planes };
+        let Some(pruned) = pruned(&problem, &outcome.splats, enough) else { return Ok(()) };
+        let file = self.subject.file(&pruned)?;
         if file.len() < outcome.bytes.len() {
-            let what = "primitives without which the error stays below that of rounding, or of the target";
-            self.savings.note(what, (outcome.bytes.len() - file.len()) as u64, 0.0);
+            self.journal.note(Omission::Primitives, (outcome.bytes.len() - file.len()) as u64, 0.0);
             (outcome.bytes, outcome.splats) = (file, pruned);
         }
-        self.stages.push(("prune", self.tracer.seconds() - clock));
+        self.journal.stage("prune", clock);
         Ok(())
     }
 
     /// Notes what a codebook saved, from a file written without it.
     pub(super) fn note_codebook(&mut self, outcome: &Outcome) -> Result<()> {
         if outcome.splats.codebook.is_some() {
-            let direct = self.file(&PackedSplats { codebook: None, ..outcome.splats.clone() })?;
+            let direct = self.subject.file(&PackedSplats { codebook: None, ..outcome.splats.clone() })?;
             let saved = direct.len().saturating_sub(outcome.bytes.len()) as u64;
-            self.savings.note("a colour of its own for each primitive: a codebook is smaller", saved, 0.0);
+            self.journal.note(Omission::OwnColors, saved, 0.0);
         }
         Ok(())
     }
+}
 
-    /// Notes the channels that were left out and the seconds that they would have taken: one iteration with them, as
-    /// `whole` has them, and one without tell.
-    pub(super) fn note_channels(&mut self, what: &'static str, whole: &Planes, splats: &PackedSplats) {
-        let scene = self.stored_scene(splats);
-        let projected = finish::projected(&splats.quantizer(), &splats.gaussians, splats.height);
-        let seconds = |planes: &Planes| {
-            let draw = || channels::drawing_seconds(&scene, planes, &projected);
-            draw().min(draw())
-        };
-        let spent: f64 = self.stages.iter().map(|s| s.1).sum();
-        let saved = spent * (seconds(whole) / seconds(&self.planes).max(1e-9) - 1.0).max(0.0);
-        self.savings.note_first(what, saved);
+/// Each of so few primitives is tried by itself: what the others are expected to cost is not exact.
+const FEW: usize = 64;
+
+/// Returns `splats` with as few primitives as keep the squared error within `enough`; `None` where all are needed.
+fn pruned(problem: &Problem<'_>, splats: &PackedSplats, enough: f64) -> Option<PackedSplats> {
+    // Each round takes out what is not needed; a sweep over the rest makes room for the next one.
+    const ROUNDS: usize = 6;
+    if !splats.levels.is_empty() {
+        return None;
     }
+    let quantizer = splats.quantizer();
+    let project = |gaussians: &[PackedGaussian]| projected(&quantizer, gaussians, problem.scene.height);
+    let mut field = Field::default();
+    let mut best = splats.gaussians.clone();
+    for _ in 0..ROUNDS {
+        let mut trial = best.clone();
+        if trial.len() < splats.gaussians.len() {
+            let objective = Objective { lambda: 0.0, position_bits: f32::NEG_INFINITY };
+            Descent::new(*problem, &quantizer, Field::default()).sweep(&mut trial, &objective);
+        }
+        let drawn = project(&trial);
+        if field.draw(problem, &drawn, RowSet::ALL, Output::Picture) > enough {
+            break;
+        }
+        let costs = removal::costs(problem, &field, RowSet::ALL, &drawn);
+        let order = removal::cheapest_first(&costs);
+        // The most that can go: between `sure`, which can, and `over`, which cannot.
+        let (mut sure, mut over) = (0, trial.len() + 1);
+        let without = |count: usize| -> Vec<PackedGaussian> {
+            let mut removed = vec![false; trial.len()];
+            order[..count].iter().for_each(|&i| removed[i] = true);
+            trial.iter().zip(&removed).filter(|(_, r)| !**r).map(|(g, _)| *g).collect()
+        };
+        while over - sure > 1 {
+            let middle = (sure + over) / 2;
+            let rest = project(&without(middle));
+            match field.draw(problem, &rest, RowSet::ALL, Output::Picture) <= enough {
+                true => sure = middle,
+                false => over = middle,
+            }
+        }
+        if sure == 0 {
+            break;
+        }
+        best = without(sure);
+        // What is left to win would not be worth another round.
+        if sure * 50 < best.len() {
+            break;
+        }
+    }
+    if best.len() <= FEW {
+        let mut error =
+            |gaussians: &[PackedGaussian]| field.draw(problem, &project(gaussians), RowSet::ALL, Output::Picture);
+        let mut i = if error(&best) <= enough { 0 } else { best.len() };
+        while i < best.len() {
+            let mut without = best.clone();
+            without.remove(i);
+            if error(&without) <= enough { best = without } else { i += 1 }
+        }
+    }
+    if best.len() == splats.gaussians.len() {
+        return None;
+    }
+    let mut pruned = PackedSplats { gaussians: best, ..splats.clone() };
+    file::smallest(&mut pruned, 1).ok()?;
+    Some(pruned)
 }

@@ -3,9 +3,12 @@
 
 use std::time::{Duration, Instant};
 
-use super::channels;
-use crate::fit::model::field::{Field, Output, Scene};
-use crate::fit::model::planes::Target;
+use super::channels::widen_pixels;
+use crate::error::Result;
+use crate::fit::engine::Sight;
+use crate::fit::model::field::{Field, Output};
+use crate::fit::model::planes::Planes;
+use crate::fit::model::problem::Problem;
 use crate::fit::model::project::Projected;
 use crate::fit::model::rows::RowSet;
 use crate::metrics;
@@ -58,14 +61,14 @@ impl Tracer {
         (self.start.elapsed() - self.spent).as_secs_f64()
     }
 
-    /// Counts a step of `stage`, and measures what `drawing` shows when a point is due. Returns the last PSNR.
+    /// Counts a step of `stage`, and measures the work as it is now when a point is due. Returns the last PSNR.
     pub(crate) fn step(
         &mut self,
         stage: &'static str,
         pixels: &Pixels,
-        target: &Target,
-        drawing: &dyn Fn() -> (Scene, Vec<Projected>),
-    ) -> Option<f64> {
+        target: &Planes,
+        sight: &mut dyn Sight,
+    ) -> Result<Option<f64>> {
         let now = self.seconds();
         if self.step.0 != stage {
             self.step = (stage, 0);
@@ -74,10 +77,9 @@ impl Tracer {
         }
         if now >= self.next {
             let clock = Instant::now();
-            let (scene, projected) = drawing();
-            let drawn = draw(&scene, target, &projected, pixels.depth());
-            let found = metrics::compare(pixels, &channels::widen_pixels(drawn, pixels.channels()));
-            let found = found.expect("a picture of the same shape");
+            let (scene, projected) = sight.drawing()?;
+            let drawn = draw(&Problem { scene, target }, &projected, pixels.depth());
+            let found = metrics::compare(pixels, &widen_pixels(drawn, pixels.channels()))?;
             self.points.push(TracePoint {
                 stage,
                 seconds: now,
@@ -91,7 +93,7 @@ impl Tracer {
             self.spent += clock.elapsed();
         }
         self.step.1 += 1;
-        self.points.last().map(|p| p.psnr)
+        Ok(self.points.last().map(|p| p.psnr))
     }
 
     pub(crate) fn into_points(self) -> Vec<TracePoint> {
@@ -99,10 +101,11 @@ impl Tracer {
     }
 }
 
-/// The samples of `projected`, by the fit's own kernels.
-fn draw(scene: &Scene, target: &Target, projected: &[Projected], depth: Depth) -> Pixels {
+/// Draws the samples of `projected`, by the fit's own kernels.
+fn draw(problem: &Problem<'_>, projected: &[Projected], depth: Depth) -> Pixels {
+    let Problem { scene, target } = *problem;
     let mut field = Field::default();
-    field.draw(scene, target, projected, RowSet::ALL, Output::Picture);
+    field.draw(problem, projected, RowSet::ALL, Output::Picture);
     let (width, count) = (scene.width as usize, target.channels.count());
     let white = depth.max();
     let codes = (0..scene.height as usize).flat_map(|y| {

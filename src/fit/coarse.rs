@@ -21,26 +21,28 @@
 //! So a start at half the size costs less and ends .2 to .3 dB higher: its surveys leave no rows out. Row sampling alone,
 //! which keeps all columns, is what it is added to. Small pictures do without: surveys of theirs see all rows anyway.
 
-use super::model::field::Scene;
-use super::model::planes::Target;
-use super::model::project::Primitive;
+use super::draft::{Start, scattered};
+use super::model::field::float_error;
+use super::model::planes::Planes;
+use super::model::problem::{Problem, Scene};
 use super::model::reduced::{Coarse, Reduced};
+use super::model::rows::RowSet;
 use super::plan::Plan;
-use super::{run_part, start};
+use super::schedule::{Part, run_part};
+use super::{Job, Unwatched};
 use crate::gaussian::{Blend, Channels};
 use crate::pixels::{Pixels, Samples};
-use crate::round::finish;
 
 /// Fits, and returns the PSNR at the picture's own size, dB.
-fn fitted(target: &Target, count: usize, plan: &Plan, share: f32) -> f64 {
+fn fitted(target: &Planes, count: usize, plan: &Plan, share: f32) -> f64 {
     let scene = Scene { width: target.width, height: target.height, blend: Blend::Normalized, background: target.mean };
-    let (mut state, rng) = start(target, count, plan);
-    let all = &mut |_: &[Primitive]| Ok(count);
-    let half = Reduced::new(&scene, target, 1);
+    let problem = Problem { scene, target };
+    let Start { mut state, rng, .. } = scattered(target, count, plan);
+    let half = Reduced::new(&problem, 1);
     let coarse = (share > 0.0).then_some(Coarse { reduced: &half, share });
-    run_part(&scene, target, &mut state, rng, plan, 0..plan.iterations, coarse, all, &mut |_, _| Ok(())).unwrap();
-    let samples = f64::from(scene.width) * f64::from(scene.height) * target.channels.count() as f64;
-    -10.0 * (finish::float_error(&scene, target, &state.primitives) / samples).log10()
+    let part = Part { steps: 0..plan.iterations, coarse };
+    run_part(&Job { problem, count, plan }, part, &mut state, rng, &mut Unwatched).unwrap();
+    -10.0 * (float_error(&problem, &state.primitives) / problem.samples(RowSet::ALL)).log10()
 }
 
 #[test]
@@ -52,7 +54,7 @@ fn a_start_at_half_the_size_ends_at_the_whole_one() {
                 .map(|v| v as u8),
         )
     });
-    let target = Target::new(&pixels(picture));
+    let target = Planes::new(&pixels(picture));
     let plan = Plan::steps(80, 1);
     let whole = fitted(&target, 60, &plan, 0.0);
     // To the end, too, as when the time is over early.
@@ -66,7 +68,7 @@ fn a_start_at_half_the_size_ends_at_the_whole_one() {
 fn halves_are_means_and_colours_count_by_their_opacity() {
     let values = [200, 255, 100, 0, 50, 255, 10, 255, 30, 85, 90, 170];
     let picture = Pixels::new(3, 2, Channels::GreyAlpha, Samples::U8(values.to_vec())).unwrap();
-    let half = Target::new(&picture).halved();
+    let half = Planes::new(&picture).halved();
     assert_eq!((half.width, half.height), (2, 1));
     let near = |v: f32, want: f32| assert!((v * 255.0 - want).abs() < 1e-3, "{} {want}", v * 255.0);
     let row = half.row(0);
@@ -94,7 +96,7 @@ fn coarse_to_fine_against_row_sampling_at_equal_time() {
     let photo = image::open(path).unwrap().to_rgb8();
     let (w, h) = if photo.width() > photo.height() { (3000, 2000) } else { (2000, 3000) };
     let photo = image::imageops::resize(&photo, w, h, image::imageops::FilterType::CatmullRom);
-    let target = Target::new(&pixels(photo));
+    let target = Planes::new(&pixels(photo));
     let count = (3 * w * h / (7 * 200)) as usize;
     println!("| share of the steps at half size | steps | CPU seconds | PSNR dB |\n|--:|--:|--:|--:|");
     for (share, steps) in [(0.0, 120), (0.0, 200), (0.5, 200), (0.7, 200), (0.85, 200), (0.0, 400), (0.7, 400)] {

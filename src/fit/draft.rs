@@ -5,14 +5,21 @@
 //! KODAK --ratios 31000,12000,4000`): 16.94 → 17.04 dB, 19.28 → 19.39, and 21.65 as before. CPU time of single files: 6.1 →
 //! 2.0 s at 40 bytes, 8.0 → 5.7 s at 300.
 
+use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
 use crate::error::Result;
-use crate::fit::model::field::Scene;
-use crate::fit::model::planes::Target;
+use crate::fit::Job;
+use crate::fit::engine::{Engine, Sight, Watcher};
+use crate::fit::model::adam::Bounds;
+use crate::fit::model::planes::Planes;
+use crate::fit::model::problem::Scene;
+use crate::fit::model::project::Primitive;
 use crate::fit::model::reduced::{Coarse, Reduced};
+use crate::fit::model::sample;
 use crate::fit::plan::Plan;
-use crate::fit::{self, Engine, Recount, State, Watch};
+use crate::fit::schedule::{self, Part, RELOCATED};
+use crate::fit::state::State;
 
 /// From so many primitives on the small ones among them need all pixels: 260 lose .1 dB to a copy of half the size.
 const FEW: usize = 120;
@@ -23,103 +30,107 @@ const SHORTEST: u32 = 16;
 /// Fits that the best is chosen from, each from a start of its own.
 const DRAFTS: u16 = 4;
 
-/// A fit that is not through.
-struct Draft {
-    error: f64,
-    state: State,
-    rng: Pcg64Mcg,
+/// Where a fit starts.
+pub(crate) struct Start {
+    pub state: State,
+    /// The random numbers that the fit goes on with.
+    pub rng: Pcg64Mcg,
+    /// Its first iteration.
+    pub from: u32,
 }
 
-/// How often the picture is halved for `count` primitives.
+/// Returns about `count` primitives that are spread by the picture's detail.
+pub(crate) fn scattered(target: &Planes, count: usize, plan: &Plan) -> Start {
+    let mut rng = Pcg64Mcg::seed_from_u64(plan.seed);
+    let primitives = sample::by_detail(target, count, &mut rng);
+    Start { state: State::new(primitives, Bounds::new(target.width, target.height)), rng, from: 0 }
+}
+
+/// Returns how often the picture is halved for `count` primitives.
 fn halvings(scene: &Scene, count: usize) -> u32 {
-    let by_scale = (fit::typical_scale(scene, count) / TYPICAL).max(1.0).log2() as u32;
+    let by_scale = (scene.typical_scale(count) / TYPICAL).max(1.0).log2() as u32;
     let by_side = (scene.width.min(scene.height) / SHORTEST).max(1).ilog2();
     by_scale.min(by_side)
 }
 
-/// Where a fit of about `count` primitives starts, the random numbers that it goes on with, and its first iteration.
-/// `recount` may correct the number on the way.
-pub(crate) fn start(
-    scene: &Scene,
-    target: &Target,
-    count: usize,
-    plan: &Plan,
-    recount: Recount<'_>,
-    watch: Watch<'_>,
-) -> Result<(State, Pcg64Mcg, u32)> {
-    let halvings = halvings(scene, count);
+/// Returns where the fit of `job` starts. `watcher` may correct the number on the way.
+pub(crate) fn start(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<Start> {
+    let Job { problem, count, plan } = *job;
+    let halvings = halvings(&problem.scene, count);
     // A budget of time is better spent on one fit.
     if !(1..FEW).contains(&count) || halvings == 0 || plan.fit_deadline.is_some() {
-        let (state, rng) = fit::start(target, count, plan);
-        return Ok((state, rng, 0));
+        return Ok(scattered(problem.target, count, plan));
     }
-    let reduced = Reduced::new(scene, target, halvings);
-    let end = (plan.iterations as f32 * fit::RELOCATED) as u32;
-    let mut best: Option<Draft> = None;
+    let reduced = Reduced::new(&problem, halvings);
+    let end = (plan.iterations as f32 * RELOCATED) as u32;
+    let mut best: Option<(f64, Start)> = None;
     for i in 0..DRAFTS {
-        // Of a copy the error says little.
+        // The error of a copy says little about that of the picture: no draft ends early.
         let plan = Plan { seed: plan.seed.wrapping_add(i.into()), enough: 0.0, ..plan.clone() };
-        // The number is corrected once.
-        let count = best.as_ref().map_or(count, |b| b.state.count());
-        let (mut state, rng) = fit::start(target, count, &plan);
-        let mut draft = |recount: Recount<'_>| {
-            let coarse = Some(Coarse { reduced: &reduced, share: 1.0 });
-            fit::run_part(
-                scene,
-                target,
-                &mut state,
-                rng.clone(),
-                &plan,
-                0..end,
-                coarse,
-                recount,
-                &mut |done, drawing| watch((i as f32 * fit::RELOCATED + done) / DRAFTS as f32, drawing),
-            )
-        };
-        if i == 0 {
-            draft(recount)?
-        } else {
-            draft(&mut |_| Ok(count))?
-        };
-        let error = state.error(scene, target)?;
-        if best.as_ref().is_none_or(|b| error < b.error) {
-            best = Some(Draft { error, state, rng });
+        // Only the first draft corrects the number.
+        let count = best.as_ref().map_or(count, |(_, b)| b.state.count());
+        let Start { mut state, rng, .. } = scattered(problem.target, count, &plan);
+        let part = Part { steps: 0..end, coarse: Some(Coarse { reduced: &reduced, share: 1.0 }) };
+        let mut watcher = OneOf { watcher: &mut *watcher, index: i, count: (i > 0).then_some(count) };
+        schedule::run_part(&Job { problem, count, plan: &plan }, part, &mut state, rng.clone(), &mut watcher)?;
+        let error = state.error(&problem)?;
+        if best.as_ref().is_none_or(|b| error < b.0) {
+            best = Some((error, Start { state, rng, from: end }));
         }
     }
-    let best = best.expect("there are drafts");
-    Ok((best.state, best.rng, end))
+    Ok(best.expect("there are drafts").1)
+}
+
+/// Watches one of the drafts for who watches the whole fit.
+struct OneOf<'a> {
+    watcher: &'a mut dyn Watcher,
+    index: u16,
+    /// The number of primitives, where it is known.
+    count: Option<usize>,
+}
+
+impl Watcher for OneOf<'_> {
+    fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()> {
+        self.watcher.step((self.index as f32 * RELOCATED + done) / DRAFTS as f32, now)
+    }
+
+    fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {
+        self.count.map_or_else(|| self.watcher.recount(primitives), Ok)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::model::project::Primitive;
+    use crate::fit::Unwatched;
+    use crate::fit::model::problem::Problem;
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::{Pixels, Samples};
 
-    fn picture(width: u32, height: u32) -> (Scene, Target) {
+    fn picture(width: u32, height: u32) -> (Scene, Planes) {
         let samples = (0..width * height).map(|i| {
             let (x, y) = ((i % width) as f32 / 17.0, (i / width) as f32 / 23.0);
             (128.0 + 60.0 * x.sin() * y.cos() + 40.0 * (x * 0.3 + y * 0.2).sin()) as u8
         });
         let pixels = Pixels::new(width, height, Channels::Grey, Samples::U8(samples.collect())).unwrap();
-        let target = Target::new(&pixels);
+        let target = Planes::new(&pixels);
         (Scene { width, height, blend: Blend::Normalized, background: target.mean }, target)
     }
 
-    fn started(scene: &Scene, target: &Target, count: usize) -> (State, u32) {
-        let all = &mut |p: &[Primitive]| Ok(p.len());
-        let (state, _, from) = start(scene, target, count, &Plan::steps(100, 0), all, &mut |_, _| Ok(())).unwrap();
+    fn started(problem: Problem<'_>, count: usize) -> (State, u32) {
+        let Start { state, from, .. } =
+            start(&Job { problem, count, plan: &Plan::steps(100, 0) }, &mut Unwatched).unwrap();
         (state, from)
     }
 
     #[test]
     fn few_primitives_go_on_from_a_draft() {
         let (scene, target) = picture(240, 160);
-        let (mut drafted, from) = started(&scene, &target, 30);
+        let problem = Problem { scene, target: &target };
+        let (mut drafted, from) = started(problem, 30);
         assert_eq!((drafted.count(), from), (30, 70));
-        let (mut scattered, _) = fit::start(&target, 30, &Plan::steps(100, 0));
-        let [error, before] = [&mut drafted, &mut scattered].map(|s| s.error(&scene, &target).unwrap());
+        let mut scattered = scattered(&target, 30, &Plan::steps(100, 0)).state;
+        let [error, before] = [&mut drafted, &mut scattered].map(|s| s.error(&problem).unwrap());
         assert!(error < 0.2 * before, "{error} of {before}");
     }
 
@@ -128,7 +139,7 @@ mod tests {
         // Too many, too thin a picture, Gaussians too small, none at all.
         for (width, height, count) in [(240, 160, FEW), (1000, 31, 10), (40, 40, 10), (240, 160, 0)] {
             let (scene, target) = picture(width, height);
-            assert_eq!(started(&scene, &target, count).1, 0, "{count} on {width} × {height}");
+            assert_eq!(started(Problem { scene, target: &target }, count).1, 0, "{count} on {width} × {height}");
         }
     }
 }

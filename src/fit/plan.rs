@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::fit::LARGE;
+use crate::fit::model::problem::LARGE;
 
 /// Share of a time budget that the float fit may take.
 const FIT_SHARE: f64 = 0.75;
@@ -31,17 +31,15 @@ pub(crate) struct Plan {
     pub enough: f64,
     /// Factor of the optimizer's steps; other than 1 only in tests of stability.
     pub rate: f32,
-    /// Progressive levels of the file.
-    pub levels: u8,
     /// Seed of everything random.
     pub seed: u64,
 }
 
 impl Plan {
-    /// The schedule for `effort` (1..=9) and `count` primitives on so many pixels: fewer cost less, and need more steps to
-    /// find their places.
+    /// Returns the schedule for `effort`, which is within `1..=9`, and `count` primitives on so many pixels: fewer cost
+    /// less, and need more steps to find their places.
     pub(crate) fn new(effort: u8, count: usize, pixels: u64, time: Option<Duration>, seed: u64) -> Self {
-        let level = usize::from(effort.clamp(1, 9)) - 1;
+        let level = usize::from(effort) - 1;
         let base = [66.0, 130.0, 220.0, 350.0, 590.0, 880.0, 1540.0, 2640.0, 4400.0f32][level];
         let crowd = count.max(1) as f32 / 5500.0;
         let patience = crowd.powf(if crowd < 1.0 { -0.95 } else { -0.3 }).clamp(0.25, 9.0);
@@ -62,7 +60,7 @@ impl Plan {
         Plan { freezing, sweeps, fit_deadline, deadline, ..Plan::steps(iterations, seed) }
     }
 
-    /// The schedule of a float fit of `iterations` steps, and nothing after it.
+    /// Returns the schedule of a float fit of `iterations` steps, and nothing after it.
     pub(crate) fn steps(iterations: u32, seed: u64) -> Self {
         Plan {
             iterations,
@@ -74,12 +72,11 @@ impl Plan {
             deadline: None,
             enough: 0.0,
             rate: 1.0,
-            levels: 1,
             seed,
         }
     }
 
-    /// Share of the time budget that is gone, 0 without one.
+    /// Returns the share of the time budget that is gone, 0 without one.
     pub(crate) fn spent(&self, since: Instant) -> f32 {
         match self.fit_deadline {
             Some(end) => {

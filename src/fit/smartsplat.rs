@@ -11,14 +11,16 @@ use rand_pcg::Pcg64Mcg;
 use rstar::RTree;
 
 use crate::error::Result;
+use crate::fit::Job;
+use crate::fit::engine::{Still, Watcher};
 use crate::fit::model::adam::Bounds;
-use crate::fit::model::field::{Field, Gradient, Output, Scene};
-use crate::fit::model::planes::Target;
-use crate::fit::model::project::Primitive;
+use crate::fit::model::field::{Field, Gradient, Output};
+use crate::fit::model::planes::Planes;
+use crate::fit::model::problem::Problem;
+use crate::fit::model::project::{self, Primitive};
 use crate::fit::model::rows::RowSet;
 use crate::fit::model::structure::Loss;
-use crate::fit::plan::Plan;
-use crate::fit::{Recount, State, Watch, project_all};
+use crate::fit::state::State;
 use crate::options::Ablation;
 use crate::parallel;
 
@@ -50,16 +52,10 @@ const BETA2: f32 = 0.999;
 /// seven bytes for each, what they cost here is known only from fitted ones.
 const PROBED: f32 = 0.25;
 
-/// Fits as SmartSplat does; `recount` corrects the number of primitives once.
-pub(crate) fn fit(
-    scene: &Scene,
-    target: &Target,
-    count: usize,
-    parts: Ablation,
-    plan: &Plan,
-    recount: Recount<'_>,
-    watch: Watch<'_>,
-) -> Result<State> {
+/// Fits as SmartSplat does; `watcher` corrects the number of primitives once.
+pub(crate) fn fit(job: &Job<'_>, parts: Ablation, watcher: &mut dyn Watcher) -> Result<State> {
+    let Job { problem, count, plan } = *job;
+    let Problem { scene, target } = problem;
     let bounds = Bounds::new(target.width, target.height);
     let mut loss = Loss::new(target, ABSOLUTE);
     let mut run = Run::new(target, count, parts, plan.seed, &bounds);
@@ -71,17 +67,18 @@ pub(crate) fn fit(
         if done >= 1.0 || run.state.primitives.is_empty() {
             break;
         }
-        watch(done, &|| (*scene, project_all(&run.state.primitives, scene.height)))?;
+        let project = || project::all(&run.state.primitives, scene.height);
+        watcher.step(done, &mut Still { problem: &problem, project: &project })?;
         if !probed && done >= PROBED {
             probed = true;
-            let wanted = recount(&run.state.primitives)?;
+            let wanted = watcher.recount(&run.state.primitives)?;
             if wanted != run.state.primitives.len() {
                 run = Run::new(target, wanted, parts, plan.seed, &bounds);
             }
         }
-        run.step(scene, target, &mut loss, &bounds);
+        run.step(&problem, &mut loss, &bounds);
     }
-    run.keep_best(scene, target);
+    run.keep_best(&problem);
     Ok(State::new(run.best.primitives, bounds))
 }
 
@@ -109,7 +106,7 @@ struct Memory {
 }
 
 impl Run {
-    fn new(target: &Target, count: usize, parts: Ablation, seed: u64, bounds: &Bounds) -> Self {
+    fn new(target: &Planes, count: usize, parts: Ablation, seed: u64, bounds: &Bounds) -> Self {
         let mut primitives = initial(target, count, parts, &mut Pcg64Mcg::seed_from_u64(seed));
         for p in &mut primitives {
             bounds.apply(p);
@@ -120,21 +117,22 @@ impl Run {
     }
 
     /// Leaves the picture in the field.
-    fn keep_best(&mut self, scene: &Scene, target: &Target) {
-        let projected = project_all(&self.state.primitives, scene.height);
-        self.state.error = self.field.draw(scene, target, &projected, RowSet::ALL, Output::Picture);
+    fn keep_best(&mut self, problem: &Problem<'_>) {
+        let projected = project::all(&self.state.primitives, problem.scene.height);
+        self.state.error = self.field.draw(problem, &projected, RowSet::ALL, Output::Picture);
         if self.state.error < self.best.error {
             self.best.clone_from(&self.state);
         }
     }
 
-    fn step(&mut self, scene: &Scene, target: &Target, loss: &mut Loss, bounds: &Bounds) {
+    fn step(&mut self, problem: &Problem<'_>, loss: &mut Loss, bounds: &Bounds) {
         const CHUNK: usize = 64;
-        self.keep_best(scene, target);
-        loss.gradient(scene, target, &mut self.field);
+        let (scene, target) = (&problem.scene, problem.target);
+        self.keep_best(problem);
+        loss.gradient(problem, &mut self.field);
         self.iteration += 1;
         let corrections = [1.0 - BETA1.powi(self.iteration), 1.0 - BETA2.powi(self.iteration)];
-        let projected = project_all(&self.state.primitives, scene.height);
+        let projected = project::all(&self.state.primitives, scene.height);
         let (field, channels) = (&self.field, target.channels.count());
         let halves = bounds.size.map(|s| 0.5 * s);
         parallel::map_chunk_pairs(
@@ -191,7 +189,7 @@ fn update(p: &mut Primitive, m: &mut Memory, g: &Gradient, halves: [f32; 2], cor
 }
 
 /// Where the fit starts, with the parts of the initialization that `parts` has.
-fn initial(target: &Target, count: usize, parts: Ablation, rng: &mut Pcg64Mcg) -> Vec<Primitive> {
+fn initial(target: &Planes, count: usize, parts: Ablation, rng: &mut Pcg64Mcg) -> Vec<Primitive> {
     let area = f64::from(target.width) * f64::from(target.height);
     // A third of the radius at which as many circles would cover the picture: three scales reach that far.
     let base = ((area / (std::f64::consts::PI * count.max(1) as f64)).sqrt() / 3.0) as f32;
@@ -229,12 +227,12 @@ struct Place {
     scale: f32,
 }
 
-fn anywhere(target: &Target, rng: &mut Pcg64Mcg) -> [f32; 2] {
+fn anywhere(target: &Planes, rng: &mut Pcg64Mcg) -> [f32; 2] {
     [rng.random::<f32>() * target.width as f32, rng.random::<f32>() * target.height as f32]
 }
 
 /// Primitives by gradient and variance, then evenly where those leave room.
-fn spread(target: &Target, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<Place> {
+fn spread(target: &Planes, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<Place> {
     let mut places = guided(target, (count as f64 * GUIDED).round() as usize, base, rng);
     let mut scales: Vec<f32> = places.iter().map(|p| p.scale).collect();
     scales.sort_by(f32::total_cmp);
@@ -267,7 +265,7 @@ fn spread(target: &Target, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<P
 }
 
 /// Pixels drawn without replacement, in each tile as many, by gradient and variance.
-fn guided(target: &Target, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<Place> {
+fn guided(target: &Planes, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<Place> {
     let columns = tiles(target.width as usize);
     let rows = tiles(target.height as usize);
     let number = columns.len() * rows.len();
@@ -302,7 +300,7 @@ fn tiles(side: usize) -> Vec<std::ops::Range<usize>> {
 }
 
 /// The weight of each pixel of a tile: gradient and variance, both in units of their largest value in the tile.
-fn weights(target: &Target, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>) -> Vec<f32> {
+fn weights(target: &Planes, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>) -> Vec<f32> {
     let width = columns.len();
     let mut gradients = vec![0.0f32; width * rows.len()];
     let mut variances = vec![0.0f32; width * rows.len()];
@@ -327,7 +325,7 @@ fn weights(target: &Target, columns: std::ops::Range<usize>, rows: std::ops::Ran
 }
 
 /// Mean over the channels of the gradient's magnitude, after Sobel; the picture's border is repeated.
-fn gradient(target: &Target, x: usize, y: usize) -> f32 {
+fn gradient(target: &Planes, x: usize, y: usize) -> f32 {
     let rows = around(y, 1, target.height as usize).map(|y| target.row(y as u32));
     let columns = around(x, 1, target.width as usize);
     let count = target.channels.count();
@@ -348,7 +346,7 @@ fn around(i: usize, reach: usize, size: usize) -> [usize; 3] {
 }
 
 /// Mean over the channels of the variance in the square around a pixel.
-fn variance(target: &Target, x: usize, y: usize) -> f32 {
+fn variance(target: &Planes, x: usize, y: usize) -> f32 {
     let [left, _, right] = around(x, VARIANCE_REACH, target.width as usize);
     let [top, _, bottom] = around(y, VARIANCE_REACH, target.height as usize);
     let number = ((right - left + 1) * (bottom - top + 1)) as f32;
@@ -369,7 +367,7 @@ fn variance(target: &Target, x: usize, y: usize) -> f32 {
 }
 
 /// The median of the pixels within one scale of a place, weighted by a Gaussian of that scale.
-fn median_color(target: &Target, place: &Place) -> [f32; 4] {
+fn median_color(target: &Planes, place: &Place) -> [f32; 4] {
     let Place { mean, scale } = *place;
     // Centres of pixels are half a pixel from their corners.
     let range = |m: f32, side: u32| {
@@ -411,17 +409,21 @@ fn median_color(target: &Target, place: &Place) -> [f32; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fit::engine::Sight;
+    use crate::fit::model::field::float_error;
+    use crate::fit::model::problem::Scene;
+    use crate::fit::plan::Plan;
     use crate::gaussian::Blend;
     use crate::{Channels, Pixels, Samples};
 
     const BASE: f32 = 2.0;
 
     /// Left half flat, right half noise.
-    fn half_busy(width: u32, height: u32) -> Target {
+    fn half_busy(width: u32, height: u32) -> Planes {
         let noise = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
         let at = |i: u32| if i % width < width / 2 { 100 } else { noise(i) };
         let samples = (0..width * height).map(at).collect();
-        Target::new(&Pixels::new(width, height, Channels::Grey, Samples::U8(samples)).unwrap())
+        Planes::new(&Pixels::new(width, height, Channels::Grey, Samples::U8(samples)).unwrap())
     }
 
     fn rng() -> Pcg64Mcg {
@@ -472,7 +474,7 @@ mod tests {
         let mut samples = vec![90u8; 81];
         samples[40] = 255;
         samples[0] = 0;
-        let target = Target::new(&Pixels::new(9, 9, Channels::Grey, Samples::U8(samples)).unwrap());
+        let target = Planes::new(&Pixels::new(9, 9, Channels::Grey, Samples::U8(samples)).unwrap());
         let at = |scale| median_color(&target, &Place { mean: [4.5, 4.5], scale })[0];
         assert_eq!(at(3.0), 90.0 / 255.0);
         assert_eq!(at(0.4), 1.0);
@@ -493,22 +495,31 @@ mod tests {
         assert!(scales.iter().zip(&colors).all(|(a, b)| (a.mean, a.log_scale) == (b.mean, b.log_scale)));
     }
 
+    /// Notes the error of every step.
+    struct Errors(Vec<f64>);
+
+    impl Watcher for Errors {
+        fn step(&mut self, _: f32, now: &mut dyn Sight) -> Result<()> {
+            self.0.push(now.error()?);
+            Ok(())
+        }
+
+        fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {
+            Ok(primitives.len())
+        }
+    }
+
     #[test]
     fn the_fit_gets_better_and_returns_its_best_state() {
         let target = half_busy(48, 40);
         for blend in [Blend::Sum, Blend::Normalized] {
             let scene = Scene { width: 48, height: 40, blend, background: [0.0; 4] };
             let plan = Plan::new(1, 40, 48 * 40, None, 3);
-            let error = |p: &[Primitive]| {
-                let mut field = Field::default();
-                field.draw(&scene, &target, &project_all(p, 40), RowSet::ALL, Output::Picture)
-            };
-            let mut seen = Vec::new();
-            let state = fit(&scene, &target, 40, Ablation::Colors, &plan, &mut |p| Ok(p.len()), &mut |_, now| {
-                let mut field = Field::default();
-                seen.push(field.draw(&now().0, &target, &now().1, RowSet::ALL, Output::Picture));
-                Ok(())
-            });
+            let problem = Problem { scene, target: &target };
+            let mut seen = Errors(Vec::new());
+            let state = fit(&Job { problem, count: 40, plan: &plan }, Ablation::Colors, &mut seen);
+            let seen = seen.0;
+            let error = |p: &[Primitive]| float_error(&problem, p);
             let end = error(&state.unwrap().primitives);
             assert!(end < 0.95 * seen[0], "{blend:?}: {} {end}", seen[0]);
             let best = seen.iter().copied().fold(f64::INFINITY, f64::min);

@@ -5,14 +5,18 @@
 #[path = "../../tests/stiff/mod.rs"]
 mod stiff;
 
+use super::engine::{Sight, Watcher};
 use super::model::adam::Bounds;
-use super::model::field::{Field, Output, Scene};
-use super::model::planes::Target;
-use super::model::project::{Primitive, Projected};
+use super::model::field::{Field, Output, float_error, squared_error};
+use super::model::planes::Planes;
+use super::model::problem::{Problem, Scene};
+use super::model::project::{self, Primitive, Projected};
 use super::model::rows::RowSet;
 use super::plan::Plan;
-use super::{LAST_RATE, RATES, SAMPLED, State, fit, project_all};
-use crate::encode::channels;
+use super::schedule::{LAST_RATE, RATES, SAMPLED};
+use super::state::State;
+use super::{Job, Unwatched, fit_on_cpu};
+use crate::error::Result;
 use crate::gaussian::{Blend, Channels, Picture};
 use crate::options::Target as Aim;
 use crate::pixels::Pixels;
@@ -108,11 +112,11 @@ fn moved(p: &Exact, j: usize, step: f64) -> Exact {
 fn gradient_errors(scene: &Scene, pixels: &Pixels, primitives: &[Primitive]) -> [f64; 4] {
     const STEP: f64 = 1e-4;
     const KINDS: [usize; 9] = [0, 0, 1, 1, 2, 3, 3, 3, 3];
-    let target = Target::new(pixels);
+    let target = Planes::new(pixels);
     let count = target.channels.count();
-    let projected = project_all(primitives, scene.height);
+    let projected = project::all(primitives, scene.height);
     let mut field = Field::default();
-    field.draw(scene, &target, &projected, RowSet::ALL, Output::Gradient);
+    field.draw(&Problem { scene: *scene, target: &target }, &projected, RowSet::ALL, Output::Gradient);
     let exacts: Vec<Exact> = primitives.iter().map(exact).collect();
     let (mut errors, mut largest) = ([0.0f64; 4], [1e-6f64; 4]);
     for (i, (p, q)) in primitives.iter().zip(&projected).enumerate() {
@@ -230,28 +234,40 @@ struct Watched {
     kept: f64,
 }
 
-/// Fits and looks at every iteration.
-fn watched(pixels: &Pixels, blend: Blend, count: usize, plan: &Plan) -> Watched {
-    let target = Target::new(pixels);
-    let scene = scene(pixels, blend, target.mean);
-    let mut field = Field::default();
-    let mut error = |projected: &[Projected]| field.draw(&scene, &target, projected, RowSet::ALL, Output::Picture);
-    let constant = decibels(error(&[]), pixels);
-    let (mut finite, mut best) = (true, f64::NEG_INFINITY);
-    let state = fit(&scene, &target, count, plan, &mut |p| Ok(p.len()), &mut |done, drawing| {
-        let projected = drawing().1;
-        finite &= is_finite(&projected);
+/// Looks at every iteration.
+struct Every {
+    pixels: Pixels,
+    finite: bool,
+    best: f64,
+}
+
+impl Watcher for Every {
+    fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()> {
+        self.finite &= is_finite(&now.drawing()?.1);
         if done >= SAMPLED {
-            best = best.max(decibels(error(&projected), pixels));
+            self.best = self.best.max(decibels(now.error()?, &self.pixels));
         }
         Ok(())
-    });
-    let state = state.expect("nothing stops it");
-    let end = decibels(error(&project_all(&state.primitives, scene.height)), pixels);
+    }
+
+    fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {
+        Ok(primitives.len())
+    }
+}
+
+/// Fits and looks at every iteration.
+fn watched(pixels: &Pixels, blend: Blend, count: usize, plan: &Plan) -> Watched {
+    let target = Planes::new(pixels);
+    let problem = Problem { scene: scene(pixels, blend, target.mean), target: &target };
+    let constant = decibels(squared_error(&problem, &[]), pixels);
+    let mut every = Every { pixels: pixels.clone(), finite: true, best: f64::NEG_INFINITY };
+    let (state, _) = fit_on_cpu(&Job { problem, count, plan }, &mut every).expect("nothing stops it");
+    let Every { finite, best, .. } = every;
+    let end = decibels(float_error(&problem, &state.primitives), pixels);
     let known = |v: f64| if finite { v } else { f64::NAN };
     // A fit may be through before that.
     let best = if best.is_finite() { best } else { end };
-    let shown = |v: f64| v.min(-10.0 * channels::rounding(pixels.depth()).log10());
+    let shown = |v: f64| v.min(-10.0 * pixels.depth().rounding_error().log10());
     Watched { gain: known(end - constant), kept: known(shown(end) - shown(best)) }
 }
 
@@ -302,17 +318,17 @@ fn learning_rates_ten_times_off_stay_finite_and_beat_a_constant() {
 #[test]
 fn a_hundred_thousand_iterations_do_not_drift() {
     let pixels = waves(12, 11, Channels::Grey);
-    let target = Target::new(&pixels);
+    let target = Planes::new(&pixels);
     let mut rows = Vec::new();
     for blend in BLENDS {
         let scene = scene(&pixels, blend, target.mean);
         let plan = short(500);
-        let state = fit(&scene, &target, 6, &plan, &mut |p| Ok(p.len()), &mut |_, _| Ok(()));
-        let State { primitives, .. } = state.expect("nothing stops it");
-        let mut state = State::new(primitives, Bounds::new(12, 11));
+        let problem = Problem { scene, target: &target };
+        let fitted = fit_on_cpu(&Job { problem, count: 6, plan: &plan }, &mut Unwatched);
+        let mut state = State::new(fitted.expect("nothing stops it").0.primitives, Bounds::new(12, 11));
         let (mut early, mut late) = (0.0, 0.0);
         for i in 0..100_000 {
-            let error = state.descend(&scene, &target, RowSet::ALL, RATES.scaled(LAST_RATE));
+            let error = state.descend(&problem, RowSet::ALL, RATES.scaled(LAST_RATE));
             assert!(error.is_finite(), "{i}");
             early += if i < 10_000 { error } else { 0.0 };
             late += if i >= 90_000 { error } else { 0.0 };
@@ -378,12 +394,12 @@ fn the_condition_of_a_joint_colour_solve_is_known_and_nothing_depends_on_it() {
         let guard = "colours are found one primitive at a time: no system is solved";
         rows.push(row("condition of the colours", case, condition(normal), Bound::Reported, guard));
     };
-    let target = Target::new(&pixels);
+    let target = Planes::new(&pixels);
     for blend in BLENDS {
-        let scene = scene(&pixels, blend, target.mean);
+        let problem = Problem { scene: scene(&pixels, blend, target.mean), target: &target };
         for (name, count) in [("12 fitted", 12), ("60 fitted, crowded", 60)] {
-            let state = fit(&scene, &target, count, &short(120), &mut |p| Ok(p.len()), &mut |_, _| Ok(()));
-            add(name, blend, &state.expect("nothing stops it").primitives);
+            let fitted = fit_on_cpu(&Job { problem, count, plan: &short(120) }, &mut Unwatched);
+            add(name, blend, &fitted.expect("nothing stops it").0.primitives);
         }
         let coincident = vec![primitive([16.0, 13.0], [5.0, 3.0], 0.4, 1.0); 3];
         add("3 coincident", blend, &coincident);
@@ -392,9 +408,8 @@ fn the_condition_of_a_joint_colour_solve_is_known_and_nothing_depends_on_it() {
     // A singular system all the same gives a fit.
     for blend in BLENDS {
         let mut state = State::new(vec![primitive([16.0, 13.0], [5.0, 3.0], 0.4, 1.0); 3], Bounds::new(32, 27));
-        let scene = scene(&pixels, blend, target.mean);
-        let errors: Vec<f64> =
-            (0..200).map(|_| state.descend(&scene, &target, RowSet::ALL, RATES.scaled(0.2))).collect();
+        let problem = Problem { scene: scene(&pixels, blend, target.mean), target: &target };
+        let errors: Vec<f64> = (0..200).map(|_| state.descend(&problem, RowSet::ALL, RATES.scaled(0.2))).collect();
         assert!(errors.iter().all(|e| e.is_finite()) && errors[199] < errors[0]);
     }
 }

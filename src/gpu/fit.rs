@@ -4,23 +4,22 @@
 //! the planes of a step hold `band_rows` sampled rows. Both are fixed by the picture's size, unless the lists of a
 //! band overflow: then nothing of that step is kept, the lists grow or the bands shrink, and it is taken again.
 
-use std::cell::RefCell;
-
 use super::device::Device;
 use super::lists::{MOST_BINDING, check_primitives};
 use super::peaks::Peaks;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
 use super::source::{Source, pack, pack_target, rows_at_a_time};
-use super::stage::{Room, SLOT, SLOTS, Stage};
-use crate::error::{Error, GpuError, Result};
-use crate::fit::model::adam::{self, BETA1, BETA2, Bounds, Rates};
-use crate::fit::model::field::Scene;
+use super::workspace::{Room, SLOT, SLOTS, Workspace};
+use crate::error::{GpuError, Result};
+use crate::fit::engine::Engine;
+use crate::fit::model::adam::{self, Bounds, Rates};
 use crate::fit::model::peaks::{self, Peak};
-use crate::fit::model::planes::Target;
+use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::project;
-use crate::fit::model::relocate;
+use crate::fit::model::removal;
 use crate::fit::model::rows::RowSet;
-use crate::fit::{self, Engine};
+use crate::fit::schedule::REMEMBERED;
+use crate::fit::state::{CLEARLY_WORSE, State};
 use crate::gaussian::Channels;
 use crate::pixels::Pixels;
 use crate::raster::View;
@@ -34,11 +33,6 @@ const MOST_PIXELS: u64 = 1 << 24;
 /// A fit on a device.
 #[derive(Debug)]
 pub(crate) struct Fitter {
-    state: RefCell<State>,
-}
-
-#[derive(Debug)]
-struct State {
     device: Device,
     base: Uniforms,
     source: Source,
@@ -53,7 +47,7 @@ struct State {
     primitives: wgpu::Buffer,
     first: wgpu::Buffer,
     second: wgpu::Buffer,
-    stage: Option<Stage>,
+    workspace: Option<Workspace>,
     peaks: Option<Peaks>,
     /// Steps asked for and not yet taken.
     pending: Vec<(RowSet, Rates)>,
@@ -65,8 +59,6 @@ struct State {
     best: Option<(f64, wgpu::Buffer)>,
     /// Steps asked for since all rows were looked at.
     unseen: u32,
-    /// An error met where none could be returned.
-    failed: Option<Error>,
 }
 
 /// Rows of a step that are worked on together: sampled rows `first .. first + rows`, all within one slab.
@@ -130,7 +122,7 @@ impl Fitter {
         let count = primitives.len() as u32;
         let capacity = capacity_for(count);
         let [primitives, first, second] = upload(device, primitives, None)?;
-        let state = State {
+        Ok(Fitter {
             device: device.clone(),
             base,
             source,
@@ -143,61 +135,19 @@ impl Fitter {
             primitives,
             first,
             second,
-            stage: None,
+            workspace: None,
             peaks: None,
             pending: Vec::new(),
             price: 0.0,
             iteration: 0,
             best: None,
             unseen: 0,
-            failed: None,
-        };
-        Ok(Fitter { state: RefCell::new(state) })
+        })
     }
 
-    /// Rows of the target's slabs and of the bands, and the pairs that the lists of a band hold.
-    pub(super) fn bands(&self) -> [u32; 3] {
-        let s = self.state.borrow();
-        [s.source.slab_rows, s.band_rows, s.capacity]
-    }
-
-    /// The primitives after all steps asked for.
-    pub(crate) fn finish(mut self) -> Result<Vec<project::Primitive>> {
-        let state = self.state.get_mut();
-        state.flush()?;
-        state.download()
-    }
-
-    /// Takes all steps asked for.
-    pub(super) fn settle(&self) -> Result<()> {
-        let mut state = self.state.borrow_mut();
-        state.flush()?;
-        state.device.wait()
-    }
-
-    /// Goes back to the best state where the fit has ended in a clearly worse one, as it does on the CPU.
-    pub(crate) fn keep_best(&self) -> Result<()> {
-        self.state.borrow_mut().keep_best()
-    }
-
-    /// Squared error of the clamped picture over all rows, at the picture's own size.
-    pub(super) fn error(&self, scene: &Scene) -> Result<f64> {
-        let mut state = self.state.borrow_mut();
-        state.flush()?;
-        let Some(whole) = state.whole.take() else {
-            return Ok(state.survey(RowSet::ALL, Wanted::Error)?.error);
-        };
-        let zoomed = fit::zoomed(state.download()?, 2.0);
-        let [zoomed, ..] = upload(&state.device, &zoomed, None)?;
-        let half = Scene { width: state.source.size[0], height: state.source.size[1], ..*scene };
-        let primitives = std::mem::replace(&mut state.primitives, zoomed);
-        let source = std::mem::replace(&mut state.source, whole);
-        state.see(scene)?;
-        let survey = state.survey(RowSet::ALL, Wanted::Error);
-        state.primitives = primitives;
-        state.whole = Some(std::mem::replace(&mut state.source, source));
-        state.see(&half)?;
-        Ok(survey?.error)
+    /// Returns the rows of the target's slabs and of the bands, and the pairs that the lists of a band hold.
+    pub(super) fn sizes(&self) -> [u32; 3] {
+        [self.source.slab_rows, self.band_rows, self.capacity]
     }
 
     /// Runs one step for tests and shows what it left behind.
@@ -206,16 +156,15 @@ impl Fitter {
         &mut self,
         rows: RowSet,
         rates: Rates,
-        look: impl FnOnce(&Device, &Stage, &[&wgpu::Buffer; 3], Uniforms) -> T,
+        look: impl FnOnce(&Device, &Workspace, &[&wgpu::Buffer; 3], Uniforms) -> T,
     ) -> Result<T> {
-        let state = self.state.get_mut();
-        state.prepare()?;
-        let bands = state.bands(rows);
+        self.prepare()?;
+        let bands = self.bands(rows);
         assert_eq!(bands.len(), 1, "tests look at one band");
-        state.submit(&[(rows, rates)])?;
-        let stage = state.stage.as_ref().expect("prepared");
-        let scene = state.uniforms(rows, rates, 0, &bands[0], 0);
-        Ok(look(&state.device, stage, &[&state.primitives, &state.first, &state.second], scene))
+        self.submit(&[(rows, rates)])?;
+        let workspace = self.workspace.as_ref().expect("prepared");
+        let scene = self.uniforms(rows, rates, 0, &bands[0], 0);
+        Ok(look(&self.device, workspace, &[&self.primitives, &self.first, &self.second], scene))
     }
 
     /// Looks at the picture for tests.
@@ -223,102 +172,38 @@ impl Fitter {
     pub(super) fn inspect_survey<T>(
         &mut self,
         rows: RowSet,
-        look: impl FnOnce(&Device, &Stage, &Survey, &Peaks) -> T,
+        look: impl FnOnce(&Device, &Workspace, &Survey, &Peaks) -> T,
     ) -> Result<T> {
-        let state = self.state.get_mut();
-        let survey = state.survey(rows, Wanted::All)?;
-        Ok(look(
-            &state.device,
-            state.stage.as_ref().expect("prepared"),
-            &survey,
-            state.peaks.as_ref().expect("prepared"),
-        ))
+        let survey = self.survey(rows, Wanted::All)?;
+        let (workspace, peaks) = (self.workspace.as_ref(), self.peaks.as_ref());
+        Ok(look(&self.device, workspace.expect("prepared"), &survey, peaks.expect("prepared")))
     }
 
     /// Makes size cost what it would with such an error.
     #[cfg(test)]
     pub(super) fn set_price(&mut self, price: f32) {
-        self.state.get_mut().price = price;
+        self.price = price;
     }
 
     /// Makes the lists shorter than they would be.
     #[cfg(test)]
     pub(super) fn limit_lists(&mut self, capacity: u32) {
-        self.state.get_mut().capacity = capacity;
-    }
-}
-
-/// Of a reference, so that a fit can be looked at while it runs.
-impl Engine for &Fitter {
-    fn count(&self) -> usize {
-        self.state.borrow().count as usize
+        self.capacity = capacity;
     }
 
-    fn primitives(&self) -> Vec<project::Primitive> {
-        let mut state = self.state.borrow_mut();
-        let read = state.flush().and_then(|()| state.download());
-        read.unwrap_or_else(|e| {
-            // The next step returns it.
-            state.failed = Some(e);
-            Vec::new()
-        })
-    }
-
-    fn error(&mut self, scene: &Scene, _: &Target) -> Result<f64> {
-        Fitter::error(self, scene)
-    }
-
-    fn descend(&mut self, _: &Scene, _: &Target, rows: RowSet, rates: Rates) -> Result<Option<f64>> {
-        let mut state = self.state.borrow_mut();
-        if let Some(e) = state.failed.take() {
-            return Err(e);
-        }
-        state.unseen += 1;
-        // Steps on all rows are not followed by a look, and their own errors come too late to keep what had them.
-        if rows == RowSet::ALL && state.unseen > fit::REMEMBERED {
-            state.remember()?;
-        }
-        state.pending.push((rows, rates));
-        if state.pending.len() < BATCH {
-            return Ok(None);
-        }
-        state.flush()?;
-        let tiles: u64 = state.slots(rows, rates, 0).iter().step_by(2).map(Uniforms::tiles).sum();
-        let stage = state.stage.as_ref().expect("prepared");
-        Ok(Some(stage.error(&state.device, tiles)?))
-    }
-
-    fn relocate(&mut self, scene: &Scene, target: &Target, rows: RowSet, most: usize) -> Result<usize> {
-        self.state.borrow_mut().relocate(scene, target, rows, most)
-    }
-
-    fn resize(&mut self, scene: &Scene, target: &Target, rows: RowSet, wanted: usize) -> Result<()> {
-        self.state.borrow_mut().resize(scene, target, rows, wanted)
-    }
-
-    fn remember(&mut self, _: &Scene, _: &Target) -> Result<()> {
-        self.state.borrow_mut().remember()
-    }
-
-    fn zoom(&mut self, scene: &Scene, target: &Target, by: f32) -> Result<()> {
-        self.state.borrow_mut().zoom(scene, target, by)
-    }
-}
-
-impl State {
     /// Takes up `scene`, of the size of the source; buffers of another size go.
     fn see(&mut self, scene: &Scene) -> Result<()> {
         let words = self.base.source_words;
         [_, self.band_rows] = rows_at_a_time(scene.width, scene.height, words, self.binding)?;
         let channels = self.channels;
         self.base = base(scene, channels, words, &Bounds::new(scene.width, scene.height));
-        self.stage = None;
+        self.workspace = None;
         self.peaks = None;
         Ok(())
     }
 
     /// Remembers the present state if its error over all rows is the least so far.
-    fn remember(&mut self) -> Result<()> {
+    fn look_back(&mut self) -> Result<()> {
         self.flush()?;
         self.unseen = 0;
         if self.count == 0 {
@@ -341,38 +226,6 @@ impl State {
         Ok(())
     }
 
-    fn keep_best(&mut self) -> Result<()> {
-        self.flush()?;
-        let Some((least, best)) = self.best.take() else { return Ok(()) };
-        if self.survey(RowSet::ALL, Wanted::Error)?.error > fit::CLEARLY_WORSE * least {
-            self.primitives = best;
-            self.stage = None;
-            self.peaks = None;
-        }
-        Ok(())
-    }
-
-    fn zoom(&mut self, scene: &Scene, target: &Target, by: f32) -> Result<()> {
-        self.flush()?;
-        self.best = None;
-        let size = [scene.width, scene.height];
-        let source = match self.whole.take().filter(|s| s.size == size) {
-            Some(whole) => whole,
-            None => {
-                let words = self.base.source_words;
-                let [slab_rows, _] = rows_at_a_time(size[0], size[1], words, self.binding)?;
-                Source::new(&self.device, size, slab_rows, |first, end| pack_target(target, words, first, end))?
-            }
-        };
-        let before = std::mem::replace(&mut self.source, source);
-        self.whole = (by < 1.0).then_some(before);
-        let bounds = Bounds::new(scene.width, scene.height);
-        let mut primitives = fit::zoomed(self.download()?, by);
-        primitives.iter_mut().for_each(|p| bounds.apply(p));
-        [self.primitives, self.first, self.second] = upload(&self.device, &primitives, None)?;
-        self.see(scene)
-    }
-
     /// The bands of a step over `rows`.
     fn bands(&self, rows: RowSet) -> Vec<Band> {
         let mut bands = Vec::new();
@@ -389,12 +242,12 @@ impl State {
 
     /// The uniforms of one band of the step after `ahead` others.
     fn uniforms(&self, rows: RowSet, rates: Rates, ahead: u32, band: &Band, tile_base: u64) -> Uniforms {
-        let n = (self.iteration + ahead + 1) as i32;
+        let (correction_first, correction_second) = adam::corrections(self.iteration + ahead);
         Uniforms {
             rates: [rates.mean, rates.log_scale, rates.rotation, rates.color],
             price: self.price / rows.step as f32,
-            correction_first: 1.0 - BETA1.powi(n),
-            correction_second: 1.0 - BETA2.powi(n),
+            correction_first,
+            correction_second,
             primitives: self.count,
             capacity: self.capacity,
             row_step: rows.step,
@@ -419,7 +272,7 @@ impl State {
 
     /// Makes the buffers, unless they are there.
     fn prepare(&mut self) -> Result<()> {
-        if self.stage.is_some() {
+        if self.workspace.is_some() {
             return Ok(());
         }
         let tiles_x = u64::from(self.base.tiles_x);
@@ -431,8 +284,9 @@ impl State {
             band_tiles: tiles(self.band_rows),
             all_tiles: self.bands(RowSet::ALL).iter().map(|b| tiles(b.rows)).sum(),
         };
-        let stage = Stage::new(&self.device, &self.source, [&self.primitives, &self.first, &self.second], &room)?;
-        self.stage = Some(stage);
+        let workspace =
+            Workspace::new(&self.device, &self.source, [&self.primitives, &self.first, &self.second], &room)?;
+        self.workspace = Some(workspace);
         Ok(())
     }
 
@@ -453,7 +307,7 @@ impl State {
                 steps.push((rows, rates));
             }
             self.submit(&steps)?;
-            let [_, missing, taken, _] = self.stage.as_ref().expect("prepared").lists.status(&self.device)?;
+            let [_, missing, taken, _] = self.workspace.as_ref().expect("prepared").lists.status(&self.device)?;
             self.iteration += taken;
             self.pending.drain(..taken as usize);
             if missing > 0 {
@@ -465,30 +319,30 @@ impl State {
 
     /// Submits `steps`.
     fn submit(&self, steps: &[(RowSet, Rates)]) -> Result<()> {
-        let stage = self.stage.as_ref().expect("prepared");
+        let workspace = self.workspace.as_ref().expect("prepared");
         let (device, k, count) = (&self.device, self.device.kernels(), u64::from(self.count));
         let sets: Vec<Vec<Uniforms>> =
             steps.iter().enumerate().map(|(i, &(rows, rates))| self.slots(rows, rates, i as u32)).collect();
         device.scoped(|| {
-            device.write(&stage.uniforms, &spaced(&sets.concat()));
+            device.write(&workspace.uniforms, &spaced(&sets.concat()));
             let mut work = Work::new(device);
-            work.encoder.clear_buffer(&stage.lists.status, 0, None);
+            work.encoder.clear_buffer(&workspace.lists.status, 0, None);
             let mut slot = 0;
             for (set, &(rows, _)) in sets.iter().zip(steps) {
                 let start = slot;
-                stage.lists.project(k, &mut work.encoder, start, count);
+                workspace.lists.project(k, &mut work.encoder, start, count);
                 for (u, band) in set.chunks_exact(2).zip(self.bands(rows)) {
-                    stage.lists.fill(k, &mut work.encoder, slot, &u[0]);
+                    workspace.lists.fill(k, &mut work.encoder, slot, &u[0]);
                     let mut pass = work.encoder.begin_compute_pass(&Default::default());
-                    k.forward.groups(&mut pass, &stage.forward[band.slab], slot, u[0].tiles());
-                    k.backward.each(&mut pass, &stage.backward, slot, self.capacity.into());
-                    k.gather.each(&mut pass, &stage.gather, slot + u32::from(slot > start), count);
+                    k.forward.groups(&mut pass, &workspace.forward[band.slab], slot, u[0].tiles());
+                    k.backward.each(&mut pass, &workspace.backward, slot, self.capacity.into());
+                    k.gather.each(&mut pass, &workspace.gather, slot + u32::from(slot > start), count);
                     drop(pass);
                     slot += 2;
                     work.did(&u[0]);
                 }
                 let mut pass = work.encoder.begin_compute_pass(&Default::default());
-                k.adam.each(&mut pass, &stage.adam, start, count);
+                k.adam.each(&mut pass, &workspace.adam, start, count);
             }
             work.submit();
         })
@@ -506,7 +360,7 @@ impl State {
             let what = "(Gaussian, tile) pairs in a row of tiles";
             return Err(GpuError::Overflow { what, requested: missing.into(), allowed: most.into() }.into());
         }
-        self.stage = None;
+        self.workspace = None;
         self.peaks = None;
         Ok(())
     }
@@ -520,10 +374,10 @@ impl State {
         let still = Rates { mean: 0.0, log_scale: 0.0, rotation: 0.0, color: 0.0 };
         loop {
             self.prepare()?;
-            let stage = self.stage.as_ref().expect("prepared");
+            let workspace = self.workspace.as_ref().expect("prepared");
             if wanted == Wanted::All && self.peaks.as_ref().is_none_or(|p| p.room() < Peaks::cells(&self.base, rows)) {
                 let sources: Vec<&wgpu::Buffer> = self.source.slabs.iter().map(|s| &s.source).collect();
-                self.peaks = Some(Peaks::new(&self.device, &self.base, rows, &sources, stage)?);
+                self.peaks = Some(Peaks::new(&self.device, &self.base, rows, &sources, workspace)?);
             }
             let peaks = self.peaks.as_ref().filter(|_| wanted == Wanted::All);
             let (device, k, count) = (&self.device, self.device.kernels(), u64::from(self.count));
@@ -539,18 +393,18 @@ impl State {
                 return Err(GpuError::Overflow { what: "bands", requested, allowed }.into());
             }
             device.scoped(|| {
-                device.write(&stage.uniforms, &spaced(&set));
+                device.write(&workspace.uniforms, &spaced(&set));
                 let mut work = Work::new(device);
-                work.encoder.clear_buffer(&stage.lists.status, 0, None);
-                stage.lists.project(k, &mut work.encoder, 0, count);
+                work.encoder.clear_buffer(&workspace.lists.status, 0, None);
+                workspace.lists.project(k, &mut work.encoder, 0, count);
                 let mut slot = 0;
                 for (u, band) in set.chunks_exact(2).zip(&bands) {
-                    stage.lists.fill(k, &mut work.encoder, slot, &u[0]);
+                    workspace.lists.fill(k, &mut work.encoder, slot, &u[0]);
                     let mut pass = work.encoder.begin_compute_pass(&Default::default());
-                    k.forward.groups(&mut pass, &stage.forward[band.slab], slot + 1, u[0].tiles());
+                    k.forward.groups(&mut pass, &workspace.forward[band.slab], slot + 1, u[0].tiles());
                     if let Some(peaks) = peaks {
-                        k.importance.each(&mut pass, &stage.importance, slot, self.capacity.into());
-                        k.gather.each(&mut pass, &stage.gather, slot + u32::from(slot > 0), count);
+                        k.importance.each(&mut pass, &workspace.importance, slot, self.capacity.into());
+                        k.gather.each(&mut pass, &workspace.gather, slot + u32::from(slot > 0), count);
                         peaks.residual(k, &mut pass, band.slab, slot, &u[0]);
                     }
                     drop(pass);
@@ -559,15 +413,15 @@ impl State {
                 }
                 work.submit();
             })?;
-            let [_, missing, ..] = stage.lists.status(device)?;
+            let [_, missing, ..] = workspace.lists.status(device)?;
             if missing > 0 {
                 self.make_room(missing)?;
                 continue;
             }
-            let error = stage.error(device, tiles)?;
+            let error = workspace.error(device, tiles)?;
             let costs = match wanted {
                 Wanted::Error => Vec::new(),
-                Wanted::All => device.read_as(&stage.moments, self.count as usize)?,
+                Wanted::All => device.read_as(&workspace.moments, self.count as usize)?,
             };
             if wanted == Wanted::All {
                 self.price = adam::price(error, [self.base.width, self.base.height], rows, self.count as usize);
@@ -576,7 +430,7 @@ impl State {
         }
     }
 
-    /// The best `count` peaks after a survey, of those worth at least `least`, for a picture of `among` primitives.
+    /// Returns the best `count` peaks after a survey, of those worth at least `least`, for a picture of `among` primitives.
     fn best_peaks(&self, scene: &Scene, survey: &Survey, count: usize, among: usize, least: f32) -> Result<Vec<Peak>> {
         let spacing = peaks::spacing(scene, count, among);
         let search = self.peaks.as_ref().expect("surveyed");
@@ -584,34 +438,95 @@ impl State {
         Ok(peaks::best(candidates, count, scene))
     }
 
-    fn relocate(&mut self, scene: &Scene, target: &Target, rows: RowSet, most: usize) -> Result<usize> {
+    fn download(&self) -> Result<Vec<project::Primitive>> {
+        let read: Vec<Primitive> = self.device.read_as(&self.primitives, self.count as usize)?;
+        Ok(read.into_iter().map(unpacked).collect())
+    }
+}
+
+impl Engine for Fitter {
+    fn count(&self) -> usize {
+        self.count as usize
+    }
+
+    fn primitives(&mut self) -> Result<Vec<project::Primitive>> {
+        self.flush()?;
+        self.download()
+    }
+
+    fn settle(&mut self) -> Result<()> {
+        self.flush()?;
+        self.device.wait()
+    }
+
+    fn error(&mut self, whole: &Problem<'_>) -> Result<f64> {
+        self.flush()?;
+        let Some(source) = self.whole.take() else {
+            return Ok(self.survey(RowSet::ALL, Wanted::Error)?.error);
+        };
+        // The steps see a smaller picture: put the whole one in its place for one look.
+        let [width, height] = self.source.size;
+        let half = Scene { width, height, ..whole.scene };
+        let by = whole.scene.width.div_ceil(width) as f32;
+        let zoomed = project::zoomed(self.download()?, by);
+        let [zoomed, ..] = upload(&self.device, &zoomed, None)?;
+        let primitives = std::mem::replace(&mut self.primitives, zoomed);
+        let small = std::mem::replace(&mut self.source, source);
+        let survey = self.see(&whole.scene).and_then(|()| self.survey(RowSet::ALL, Wanted::Error));
+        self.primitives = primitives;
+        self.whole = Some(std::mem::replace(&mut self.source, small));
+        self.see(&half)?;
+        Ok(survey?.error)
+    }
+
+    fn descend(&mut self, _: &Problem<'_>, rows: RowSet, rates: Rates) -> Result<Option<f64>> {
+        self.unseen += 1;
+        // Steps on all rows are not followed by a look, and their own errors come too late to keep what had them.
+        if rows == RowSet::ALL && self.unseen > REMEMBERED {
+            self.look_back()?;
+        }
+        self.pending.push((rows, rates));
+        if self.pending.len() < BATCH {
+            return Ok(None);
+        }
+        self.flush()?;
+        let tiles: u64 = self.slots(rows, rates, 0).iter().step_by(2).map(Uniforms::tiles).sum();
+        let workspace = self.workspace.as_ref().expect("prepared");
+        Ok(Some(workspace.error(&self.device, tiles)?))
+    }
+
+    fn remember(&mut self, _: &Problem<'_>) -> Result<()> {
+        self.look_back()
+    }
+
+    fn relocate(&mut self, problem: &Problem<'_>, rows: RowSet, most: usize) -> Result<usize> {
         self.flush()?;
         if self.count == 0 {
             return Ok(0);
         }
         let survey = self.survey(rows, Wanted::All)?;
-        let order = relocate::cheapest(&survey.costs, most);
+        let order = removal::cheapest(&survey.costs, most);
         let Some(&first) = order.first() else { return Ok(0) };
         let least = survey.costs[first];
         let mut moves: Vec<u32> = Vec::new();
-        for (peak, i) in self.best_peaks(scene, &survey, most, self.count as usize, least)?.iter().zip(order) {
+        for (peak, i) in self.best_peaks(&problem.scene, &survey, most, self.count as usize, least)?.iter().zip(order) {
             if peak.gain < survey.costs[i] {
                 break;
             }
             moves.push(i as u32);
-            let [p] = [packed(&peaks::at_peak(peak, scene, target))];
+            let [p] = [packed(&peaks::at_peak(peak, problem))];
             moves.extend(bytemuck::cast_slice::<_, u32>(std::slice::from_ref(&p)));
         }
         let count = (moves.len() / 10) as u32;
         let (device, k) = (&self.device, self.device.kernels());
-        let stage = self.stage.as_ref().expect("prepared");
+        let workspace = self.workspace.as_ref().expect("prepared");
         device.scoped(|| {
             let (d, queue) = device.wgpu();
             let list = device.storage("moves", moves.len() as u64 * 4);
             device.write(&list, &moves);
             let u = Uniforms { primitives: self.count, capacity: count, ..self.base };
-            device.write(&stage.uniforms, &spaced(&[u]));
-            let bound = k.relocate.bind(d, &stage.uniforms, &[&list, &self.primitives, &self.first, &self.second]);
+            device.write(&workspace.uniforms, &spaced(&[u]));
+            let bound = k.relocate.bind(d, &workspace.uniforms, &[&list, &self.primitives, &self.first, &self.second]);
             let mut encoder = d.create_command_encoder(&Default::default());
             let mut pass = encoder.begin_compute_pass(&Default::default());
             k.relocate.each(&mut pass, &bound, 0, count.into());
@@ -621,7 +536,7 @@ impl State {
         Ok(count as usize)
     }
 
-    fn resize(&mut self, scene: &Scene, target: &Target, rows: RowSet, wanted: usize) -> Result<()> {
+    fn resize(&mut self, problem: &Problem<'_>, rows: RowSet, wanted: usize) -> Result<()> {
         self.flush()?;
         check_primitives(wanted as u64)?;
         let have = self.count as usize;
@@ -635,15 +550,15 @@ impl State {
             let survey = self.survey(rows, Wanted::All)?;
             if wanted < have {
                 let mut keep = vec![true; have];
-                for i in relocate::cheapest_first(&survey.costs).into_iter().take(have - wanted) {
+                for i in removal::cheapest_first(&survey.costs).into_iter().take(have - wanted) {
                     keep[i] = false;
                 }
                 primitives = kept(&primitives, &keep);
                 first = kept(&first, &keep);
                 second = kept(&second, &keep);
             } else {
-                for peak in self.best_peaks(scene, &survey, wanted - have, wanted, 0.0)? {
-                    primitives.push(peaks::at_peak(&peak, scene, target));
+                for peak in self.best_peaks(&problem.scene, &survey, wanted - have, wanted, 0.0)? {
+                    primitives.push(peaks::at_peak(&peak, problem));
                     first.push([0.0; 9]);
                     second.push([0.0; 9]);
                 }
@@ -652,14 +567,47 @@ impl State {
         [self.primitives, self.first, self.second] = upload(&self.device, &primitives, Some([&first, &second]))?;
         self.count = primitives.len() as u32;
         self.capacity = self.capacity.max(capacity_for(self.count));
-        self.stage = None;
+        self.workspace = None;
         self.peaks = None;
         Ok(())
     }
 
-    fn download(&self) -> Result<Vec<project::Primitive>> {
-        let read: Vec<Primitive> = self.device.read_as(&self.primitives, self.count as usize)?;
-        Ok(read.into_iter().map(unpacked).collect())
+    fn keep_best(&mut self) -> Result<()> {
+        self.flush()?;
+        let Some((least, best)) = self.best.take() else { return Ok(()) };
+        if self.survey(RowSet::ALL, Wanted::Error)?.error > CLEARLY_WORSE * least {
+            self.primitives = best;
+            self.workspace = None;
+            self.peaks = None;
+        }
+        Ok(())
+    }
+
+    fn zoom(&mut self, problem: &Problem<'_>, by: f32) -> Result<()> {
+        let Problem { scene, target } = problem;
+        self.flush()?;
+        self.best = None;
+        let size = [scene.width, scene.height];
+        let source = match self.whole.take().filter(|s| s.size == size) {
+            Some(whole) => whole,
+            None => {
+                let words = self.base.source_words;
+                let [slab_rows, _] = rows_at_a_time(size[0], size[1], words, self.binding)?;
+                Source::new(&self.device, size, slab_rows, |first, end| pack_target(target, words, first, end))?
+            }
+        };
+        let before = std::mem::replace(&mut self.source, source);
+        self.whole = (by < 1.0).then_some(before);
+        let bounds = Bounds::new(scene.width, scene.height);
+        let mut primitives = project::zoomed(self.download()?, by);
+        primitives.iter_mut().for_each(|p| bounds.apply(p));
+        [self.primitives, self.first, self.second] = upload(&self.device, &primitives, None)?;
+        self.see(scene)
+    }
+
+    fn finish(mut self) -> Result<State> {
+        let bounds = Bounds::new(self.base.width, self.base.height);
+        Ok(State::new(self.primitives()?, bounds))
     }
 }
 

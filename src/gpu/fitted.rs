@@ -1,15 +1,20 @@
 //! A fit without a file: pixels to a picture in floats, on a device.
 
+use std::fmt;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
 use super::device::Device;
 use super::fit::Fitter;
 use crate::error::{Error, Result};
-use crate::fit::model::field::Scene;
-use crate::fit::model::planes::Target;
+use crate::fit::engine::{Engine, Sight, Watcher};
+use crate::fit::model::planes::Planes;
+use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::project::Primitive;
+use crate::fit::model::rows::RowSet;
 use crate::fit::plan::Plan;
+use crate::fit::state::State;
+use crate::fit::{self, Job};
 use crate::gaussian::{Blend, Picture};
 use crate::pixels::Pixels;
 
@@ -23,26 +28,31 @@ pub struct Fitted {
     pub psnr: f64,
     /// Seconds before the first step: the start on the CPU, and bringing everything to the device.
     pub setup_seconds: f64,
-    /// Seconds of the steps, relocation included, looks not.
+    /// Seconds of the steps, relocation included, looks not. Fits of few primitives begin with drafts on the CPU, whose
+    /// steps count.
     pub seconds: f64,
     /// Rows of the target that are bound at a time, sampled rows of a band, and pairs that a band's lists hold.
     pub bands: [u32; 3],
 }
 
 /// A fit on its way.
-#[derive(Debug)]
 pub struct Look<'a> {
-    fitter: &'a Fitter,
-    scene: &'a Scene,
+    now: &'a mut dyn Sight,
     samples: f64,
     start: Instant,
     /// Seconds that looks took.
-    looked: f64,
+    looked: &'a mut f64,
     step: u32,
 }
 
+impl fmt::Debug for Look<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Look").field("step", &self.step).field("looked", &self.looked).finish_non_exhaustive()
+    }
+}
+
 impl Look<'_> {
-    /// Steps asked for so far; a few of them may not be taken yet.
+    /// Steps asked for so far, those of drafts included; a few of them may not be taken yet.
     #[must_use]
     pub fn step(&self) -> u32 {
         self.step
@@ -54,12 +64,36 @@ impl Look<'_> {
     /// # Errors
     /// [`Error::Gpu`] when the device fails.
     pub fn psnr(&mut self) -> Result<(f64, f64)> {
-        self.fitter.settle()?;
+        self.now.settle()?;
         let clock = Instant::now();
-        let seconds = (clock - self.start).as_secs_f64() - self.looked;
-        let psnr = -10.0 * (self.fitter.error(self.scene)? / self.samples).log10();
-        self.looked += clock.elapsed().as_secs_f64();
+        let seconds = (clock - self.start).as_secs_f64() - *self.looked;
+        let psnr = -10.0 * (self.now.error()? / self.samples).log10();
+        *self.looked += clock.elapsed().as_secs_f64();
         Ok((psnr, seconds))
+    }
+}
+
+/// Lets the caller look before each step.
+struct Looking<'a> {
+    look: &'a mut dyn FnMut(&mut Look<'_>) -> Result<ControlFlow<()>>,
+    samples: f64,
+    /// When the first step began.
+    start: Option<Instant>,
+    looked: f64,
+    step: u32,
+}
+
+impl Watcher for Looking<'_> {
+    fn step(&mut self, _: f32, now: &mut dyn Sight) -> Result<()> {
+        let start = *self.start.get_or_insert_with(Instant::now);
+        let mut at = Look { now, samples: self.samples, start, looked: &mut self.looked, step: self.step };
+        let goes_on = (self.look)(&mut at)?;
+        self.step += 1;
+        if goes_on.is_break() { Err(Error::Cancelled) } else { Ok(()) }
+    }
+
+    fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {
+        Ok(primitives.len())
     }
 }
 
@@ -80,24 +114,26 @@ pub fn fit(
     look: &mut dyn FnMut(&mut Look<'_>) -> Result<ControlFlow<()>>,
 ) -> Result<Fitted> {
     let clock = Instant::now();
-    let target = Target::new(pixels);
+    let target = Planes::new(pixels);
     let scene = Scene { width: pixels.width(), height: pixels.height(), blend, background: target.mean };
+    let problem = Problem { scene, target: &target };
+    let samples = problem.samples(RowSet::ALL);
     let plan = Plan::steps(steps, seed);
-    let (state, rng) = crate::fit::start(&target, count as usize, &plan);
-    let fitter = Fitter::new(device, &scene, pixels, &state.primitives, &state.bounds)?;
-    device.wait()?;
-    let setup_seconds = clock.elapsed().as_secs_f64();
-    let samples = f64::from(scene.width) * f64::from(scene.height) * pixels.channels().count() as f64;
-    let mut at = Look { fitter: &fitter, scene: &scene, samples, start: Instant::now(), looked: 0.0, step: 0 };
-    crate::fit::run(&scene, &target, &mut &fitter, rng, &plan, 0, &mut |_| Ok(count as usize), &mut |_, _| {
-        let goes_on = look(&mut at)?;
-        at.step += 1;
-        if goes_on.is_break() { Err(Error::Cancelled) } else { Ok(()) }
-    })?;
-    fitter.keep_best()?;
-    let (psnr, seconds) = at.psnr()?;
-    let bands = fitter.bands();
-    let gaussians = fitter.finish()?.into_iter().map(Primitive::to_gaussian).collect();
+    let mut looking = Looking { look, samples, start: None, looked: 0.0, step: 0 };
+    let open = |start: State| {
+        let mut fitter = Fitter::new(device, &scene, pixels, &start.primitives, &start.bounds)?;
+        // What is brought to the device is part of the setup, not of the first step.
+        fitter.settle()?;
+        Ok(fitter)
+    };
+    let (mut fitter, _) = fit::fit(&Job { problem, count: count as usize, plan: &plan }, open, &mut looking)?;
+    fitter.settle()?;
+    let end = Instant::now();
+    let start = looking.start.unwrap_or(end);
+    let (setup_seconds, seconds) = ((start - clock).as_secs_f64(), (end - start).as_secs_f64() - looking.looked);
+    let psnr = -10.0 * (fitter.error(&problem)? / samples).log10();
+    let bands = fitter.sizes();
+    let gaussians = fitter.primitives()?.into_iter().map(Primitive::to_gaussian).collect();
     let picture = Picture {
         width: scene.width,
         height: scene.height,

@@ -7,17 +7,21 @@
 
 use std::time::Instant;
 
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+
 use super::device::{Adapters, Device};
 use super::fit::Fitter;
 use super::renderer::Renderer;
-use crate::fit::model::adam::Rates;
-use crate::fit::model::field::{Output, Scene};
-use crate::fit::model::planes::Target;
-use crate::fit::model::project::Primitive;
-use crate::fit::model::relocate;
+use crate::fit::engine::Engine;
+use crate::fit::model::adam::{Bounds, Rates};
+use crate::fit::model::field::Output;
+use crate::fit::model::planes::Planes;
+use crate::fit::model::problem::{Problem, Scene};
+use crate::fit::model::project::{self, Primitive};
 use crate::fit::model::rows::RowSet;
-use crate::fit::plan::Plan;
-use crate::fit::{self, Engine};
+use crate::fit::model::{removal, sample};
+use crate::fit::state::State;
 use crate::gaussian::{Blend, Channels, Picture};
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::raster::{self, View};
@@ -59,9 +63,11 @@ fn fit_and_draw(count: usize, rows: u32) {
     };
     eprintln!("adapter: {}", device.name());
     let pixels = pixels();
-    let target = Target::new(&pixels);
+    let target = Planes::new(&pixels);
     let scene = Scene { width: WIDTH, height: HEIGHT, blend: Blend::Normalized, background: target.mean };
-    let (mut cpu, _) = fit::start(&target, count, &Plan::steps(1000, 0));
+    let problem = Problem { scene, target: &target };
+    let primitives = sample::by_detail(&target, count, &mut Pcg64Mcg::seed_from_u64(0));
+    let mut cpu = State::new(primitives, Bounds::new(WIDTH, HEIGHT));
     note("picture and start, CPU");
     let mut fitter = Fitter::new(&device, &scene, &pixels, &cpu.primitives, &cpu.bounds).unwrap();
     drop(pixels);
@@ -71,9 +77,9 @@ fn fit_and_draw(count: usize, rows: u32) {
     let few = RowSet { step: 16, phase: 3 };
     let (error, costs) = fitter.inspect_survey(few, |_, _, survey, _| (survey.error, survey.costs.clone())).unwrap();
     note("survey of one row in 16");
-    let projected = fit::project_all(&cpu.primitives, HEIGHT);
-    let want = cpu.field.draw(&scene, &target, &projected, few, Output::Picture);
-    let wanted = relocate::removal_costs(&scene, &target, &cpu.field, few, &projected);
+    let projected = project::all(&cpu.primitives, HEIGHT);
+    let want = cpu.field.draw(&problem, &projected, few, Output::Picture);
+    let wanted = removal::costs(&problem, &cpu.field, few, &projected);
     note("the same, CPU");
     assert!((error / want - 1.0).abs() < 1e-5, "{error} against {want}");
     let far = costs.iter().zip(&wanted).filter(|(a, b)| (*a - *b).abs() > 1e-3 * (b.abs() + 1e-3)).count();
@@ -81,16 +87,16 @@ fn fit_and_draw(count: usize, rows: u32) {
     assert!(far * 1000 <= costs.len(), "{far} costs");
 
     let rates = Rates { mean: 0.3, log_scale: 0.3, rotation: 0.15, color: 0.01 };
-    let step = fit::row_step(&scene, count);
+    let step = scene.row_step(count);
     for phase in 0..2 {
         let rows = RowSet { step, phase };
-        (&fitter).descend(&scene, &target, rows, rates).unwrap();
+        fitter.descend(&problem, rows, rates).unwrap();
         fitter.settle().unwrap();
         note(&format!("step over one row in {step}"));
-        cpu.descend(&scene, &target, rows, rates);
+        cpu.descend(&problem, rows, rates);
         note("the same, CPU");
     }
-    let got = Engine::primitives(&&fitter);
+    let got = fitter.primitives().unwrap();
     // Adam's first steps have the gradients' signs: where one is about zero, rounding decides.
     let off = |a: &Primitive, b: &Primitive| (0..2).any(|k| (a.mean[k] - b.mean[k]).abs() > 0.01);
     let far = got.iter().zip(&cpu.primitives).filter(|(a, b)| off(a, b)).count();
@@ -99,10 +105,10 @@ fn fit_and_draw(count: usize, rows: u32) {
     drop(cpu);
 
     let sampled = RowSet { step: step.div_ceil(2), phase: 0 };
-    let moved = (&fitter).relocate(&scene, &target, sampled, count / 10).unwrap();
+    let moved = fitter.relocate(&problem, sampled, count / 10).unwrap();
     note(&format!("relocation of {moved}"));
     assert!(moved > 0);
-    let bands = fitter.bands();
+    let bands = fitter.sizes();
     eprintln!("target in slabs of {} rows, bands of {} sampled rows, lists of {} pairs", bands[0], bands[1], bands[2]);
     assert_eq!(bands[..2], [3093, 768], "lists overflowed, or sizes have changed");
     let held =
@@ -110,7 +116,7 @@ fn fit_and_draw(count: usize, rows: u32) {
     eprintln!("device memory for the fit: {} MB", held(&device));
     drop(target);
 
-    let gaussians = fitter.finish().unwrap().into_iter().map(Primitive::to_gaussian).collect();
+    let gaussians = fitter.primitives().unwrap().into_iter().map(Primitive::to_gaussian).collect();
     let background = scene.background;
     let picture =
         Picture { width: WIDTH, height: HEIGHT, channels: Channels::Rgb, blend: scene.blend, background, gaussians };

@@ -29,11 +29,11 @@ mod peaks;
 mod renderer;
 mod scene;
 mod source;
-mod stage;
 #[cfg(test)]
 pub(crate) mod tests;
 #[cfg(test)]
 mod twin;
+mod workspace;
 
 pub use device::{Adapters, Device};
 pub(crate) use fit::Fitter;

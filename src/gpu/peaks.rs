@@ -3,7 +3,7 @@
 use super::device::Device;
 use super::kernels::Kernels;
 use super::scene::{Uniforms, spaced};
-use super::stage::Stage;
+use super::workspace::Workspace;
 use crate::error::{GpuError, Result};
 use crate::fit::model::peaks::Peak;
 use crate::fit::model::ridge::{self, Shape};
@@ -75,7 +75,7 @@ impl Peaks {
         base: &Uniforms,
         rows: RowSet,
         sources: &[&wgpu::Buffer],
-        stage: &Stage,
+        workspace: &Workspace,
     ) -> Result<Self> {
         let room = Self::cells(base, rows);
         device.scoped(|| {
@@ -87,10 +87,11 @@ impl Peaks {
             let count = device.storage("peak count", 4);
             let ridges = device.storage("ridges", size_of_val(&ridge::all()) as u64);
             device.write(&ridges, ridge::all().as_flattened());
-            let status = &stage.lists.status;
+            let status = &workspace.lists.status;
             let residual = sources.iter();
-            let residual =
-                residual.map(|s| k.residual.bind(d, &stage.uniforms, &[&stage.planes, s, &cells[0], status])).collect();
+            let residual = residual
+                .map(|s| k.residual.bind(d, &workspace.uniforms, &[&workspace.planes, s, &cells[0], status]))
+                .collect();
             let both = [[&cells[0], &cells[1]], [&cells[1], &cells[0]]];
             Peaks {
                 room,

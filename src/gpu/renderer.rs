@@ -28,7 +28,7 @@ pub struct Renderer {
     count: u32,
     limits: Limits,
     primitives: wgpu::Buffer,
-    stage: Option<Stage>,
+    stage: Option<Canvas>,
     /// Rows of the output.
     band_rows: u32,
     /// Pairs that a band may have before its lists must grow.
@@ -37,8 +37,8 @@ pub struct Renderer {
 
 /// The buffers for views of one shape.
 #[derive(Debug)]
-struct Stage {
-    shape: Shape,
+struct Canvas {
+    shape: CanvasSize,
     uniforms: wgpu::Buffer,
     codes: wgpu::Buffer,
     lists: Lists,
@@ -47,7 +47,7 @@ struct Stage {
 
 /// What the buffers depend on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Shape {
+struct CanvasSize {
     grid: Grid,
     band_rows: u32,
     capacity: u32,
@@ -330,7 +330,7 @@ impl Renderer {
 
     /// Makes the buffers, unless those of the last view do.
     fn prepare(&mut self, grid: Grid) -> Result<()> {
-        let shape = Shape { grid, band_rows: self.band_rows, capacity: self.capacity };
+        let shape = CanvasSize { grid, band_rows: self.band_rows, capacity: self.capacity };
         if self.stage.as_ref().is_some_and(|s| s.shape == shape) {
             return Ok(());
         }
@@ -343,7 +343,7 @@ impl Renderer {
             let lists = Lists::new(device, &uniforms, &self.primitives, self.count.into(), tiles, shape.capacity);
             let buffers = [&lists.splats, &lists.starts, &lists.sorted, &lists.status, &codes];
             let render = device.kernels().render.bind(device.wgpu().0, &uniforms, &buffers);
-            Stage { shape, uniforms, codes, lists, render }
+            Canvas { shape, uniforms, codes, lists, render }
         })?;
         self.stage = Some(stage);
         Ok(())

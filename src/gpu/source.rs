@@ -4,7 +4,7 @@ use super::device::Device;
 use super::lists::MOST_TILES;
 use super::scene::TILE;
 use crate::error::{GpuError, Result};
-use crate::fit::model::planes::Target;
+use crate::fit::model::planes::Planes;
 use crate::pixels::{Pixels, Samples};
 
 /// The target on the device.
@@ -65,7 +65,7 @@ pub(super) fn rows_at_a_time(width: u32, height: u32, words: u32, binding: u64) 
 }
 
 /// Rows `first..end` of a target that is not of whole code values, as [`pack`] has them.
-pub(super) fn pack_target(target: &Target, words: u32, first: u32, end: u32) -> Vec<u32> {
+pub(super) fn pack_target(target: &Planes, words: u32, first: u32, end: u32) -> Vec<u32> {
     let count = target.channels.count();
     let white = if words == 1 { 255.0 } else { 65535.0 };
     let mut out = Vec::with_capacity((end - first) as usize * (target.width * words) as usize);

@@ -156,15 +156,19 @@ mod stages {
     use super::super::renderer::Renderer;
     use super::super::scene::{Primitive, Splat, Uniforms};
     use super::super::source::pack;
-    use super::super::stage::Stage;
     use super::super::twin;
+    use super::super::workspace::Workspace;
+    use crate::fit::engine::{Engine, Sight, Watcher};
     use crate::fit::model::adam::{Bounds, Rates};
-    use crate::fit::model::field::{Output, Scene};
-    use crate::fit::model::planes::Target;
-    use crate::fit::model::project::Primitive as Free;
+    use crate::fit::model::field::{Field, Output, float_error};
+    use crate::fit::model::planes::Planes;
+    use crate::fit::model::problem::{Problem, Scene};
+    use crate::fit::model::project::{self, Primitive as Free};
     use crate::fit::model::rows::RowSet;
+    use crate::fit::model::{peaks, removal, ridge, sample};
     use crate::fit::plan::Plan;
-    use crate::fit::{self, Engine};
+    use crate::fit::state::State;
+    use crate::fit::{Job, schedule};
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::{Pixels, Samples};
     use rand::{RngExt, SeedableRng};
@@ -275,7 +279,7 @@ mod stages {
         second: Vec<f32>,
     }
 
-    fn left(d: &Device, s: &Stage, state: &[&wgpu::Buffer; 3], scene: Uniforms) -> Left {
+    fn left(d: &Device, s: &Workspace, state: &[&wgpu::Buffer; 3], scene: Uniforms) -> Left {
         let n = scene.primitives as usize;
         let tiles = scene.tiles() as usize;
         let starts: Vec<u32> = d.read_as(&s.lists.starts, tiles + 1).unwrap();
@@ -367,14 +371,15 @@ mod stages {
         let Some(device) = device() else { return };
         for blend in [Blend::Normalized, Blend::Sum] {
             let pixels = pixels(75, 61, Channels::Rgb, false);
-            let target = Target::new(&pixels);
+            let target = Planes::new(&pixels);
             let scene = Scene { width: 75, height: 61, blend, background: target.mean };
+            let problem = Problem { scene, target: &target };
             let bounds = Bounds::new(75, 61);
             let mut free = primitives(75, 61, 90);
             for p in &mut free {
                 p.color[3] = 0.0;
             }
-            let mut cpu = fit::State::new(free, bounds);
+            let mut cpu = State::new(free, bounds);
             let mut gpu = Fitter::new(&device, &scene, &pixels, &cpu.primitives, &bounds).unwrap();
             // As high as the gradients.
             cpu.price = 1.0;
@@ -383,12 +388,12 @@ mod stages {
             let rates = Rates { mean: 0.5, log_scale: 0.5, rotation: 0.2, color: 1.5 };
             for phase in [1, 0, 1] {
                 let rows = RowSet { step: 2, phase };
-                cpu.descend(&scene, &target, rows, rates);
-                (&gpu).descend(&scene, &target, rows, rates).unwrap();
+                cpu.descend(&problem, rows, rates);
+                gpu.descend(&problem, rows, rates).unwrap();
             }
             let flat = |p: &Free| bytemuck::cast::<_, [f32; 9]>(packed(p));
             let want: Vec<f32> = cpu.primitives.iter().flat_map(flat).collect();
-            let got: Vec<f32> = gpu.finish().unwrap().iter().flat_map(flat).collect();
+            let got: Vec<f32> = gpu.primitives().unwrap().iter().flat_map(flat).collect();
             assert!(want.iter().any(|v| v.abs() == 4.0), "no colour at its bound");
             // Adam's first steps have the gradients' signs: where one is about zero, rounding decides.
             let far = got.iter().zip(&want).filter(|(a, b)| (*a - *b).abs() > 1e-3 * (1.0 + b.abs())).count();
@@ -400,38 +405,39 @@ mod stages {
     fn half_the_size_is_what_the_cpu_sees() {
         let Some(device) = device() else { return };
         let pixels = pixels(75, 61, Channels::Rgb, true);
-        let target = Target::new(&pixels);
+        let target = Planes::new(&pixels);
         let half = target.halved();
         let scene = Scene { width: 75, height: 61, blend: Blend::Normalized, background: target.mean };
         let half_scene = Scene { width: 38, height: 31, ..scene };
+        let (problem, half) = (Problem { scene, target: &target }, Problem { scene: half_scene, target: &half });
         let bounds = Bounds::new(75, 61);
         let mut free = primitives(75, 61, 90);
         for p in &mut free {
             p.color[3] = 0.0;
         }
-        let mut cpu = fit::State::new(free, bounds);
-        let fitter = Fitter::new(&device, &scene, &pixels, &cpu.primitives, &bounds).unwrap();
+        let mut cpu = State::new(free, bounds);
+        let mut gpu = Fitter::new(&device, &scene, &pixels, &cpu.primitives, &bounds).unwrap();
         let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-3, "{a} {b}");
-        let mut gpu = &fitter;
         // The order of the two is the same as long as nothing is sorted anew in between.
-        gpu.zoom(&half_scene, &half, 0.5).unwrap();
-        cpu.zoom(&half_scene, &half, 0.5).unwrap();
+        gpu.zoom(&half, 0.5).unwrap();
+        cpu.zoom(&half, 0.5).unwrap();
         let halved = cpu.primitives.clone();
         for phase in 0..2 {
             let rows = RowSet { step: 2, phase };
-            cpu.descend(&half_scene, &half, rows, RATES);
-            gpu.descend(&half_scene, &half, rows, RATES).unwrap();
+            cpu.descend(&half, rows, RATES);
+            gpu.descend(&half, rows, RATES).unwrap();
         }
         // Errors are those at the whole size all the while.
-        let at_whole = crate::round::finish::float_error(&scene, &target, &fit::zoomed(cpu.primitives.clone(), 2.0));
-        near(fitter.error(&scene).unwrap(), at_whole);
+        let at_whole = float_error(&problem, &project::zoomed(cpu.primitives.clone(), 2.0));
+        near(gpu.error(&problem).unwrap(), at_whole);
+        near(cpu.error(&problem).unwrap(), at_whole);
         assert_ne!(halved, cpu.primitives);
-        gpu.zoom(&scene, &target, 2.0).unwrap();
-        cpu.zoom(&scene, &target, 2.0).unwrap();
-        near(fitter.error(&scene).unwrap(), crate::round::finish::float_error(&scene, &target, &cpu.primitives));
-        cpu.descend(&scene, &target, RowSet::ALL, RATES);
-        gpu.descend(&scene, &target, RowSet::ALL, RATES).unwrap();
-        near(fitter.error(&scene).unwrap(), crate::round::finish::float_error(&scene, &target, &cpu.primitives));
+        gpu.zoom(&problem, 2.0).unwrap();
+        cpu.zoom(&problem, 2.0).unwrap();
+        near(gpu.error(&problem).unwrap(), float_error(&problem, &cpu.primitives));
+        cpu.descend(&problem, RowSet::ALL, RATES);
+        gpu.descend(&problem, RowSet::ALL, RATES).unwrap();
+        near(gpu.error(&problem).unwrap(), float_error(&problem, &cpu.primitives));
     }
 
     #[test]
@@ -439,26 +445,27 @@ mod stages {
         let Some(device) = device() else { return };
         let (width, height) = (75, 61);
         let pixels = pixels(width, height, Channels::Rgb, true);
-        let target = Target::new(&pixels);
+        let target = Planes::new(&pixels);
         let scene = Scene { width, height, blend: Blend::Normalized, background: target.mean };
+        let problem = Problem { scene, target: &target };
         let bounds = Bounds::new(width, height);
-        let mut state = fit::State::new(primitives(width, height, 90), bounds);
+        let mut state = State::new(primitives(width, height, 90), bounds);
         for p in &mut state.primitives {
             p.color[3] = 0.0;
         }
         for rows in [RowSet::ALL, RowSet { step: 2, phase: 1 }] {
             let run = |binding: u64, heights: [u32; 2]| {
-                let fitter = Fitter::within(&device, &scene, &pixels, &state.primitives, &bounds, binding).unwrap();
-                assert_eq!(fitter.bands()[..2], heights);
-                let error = fitter.error(&scene).unwrap();
+                let mut gpu = Fitter::within(&device, &scene, &pixels, &state.primitives, &bounds, binding).unwrap();
+                assert_eq!(gpu.sizes()[..2], heights);
+                let error = gpu.error(&problem).unwrap();
                 // One step: Adam makes it of the sums' signs alone, the second tells their sizes.
                 for _ in 0..2 {
-                    (&fitter).descend(&scene, &target, rows, RATES).unwrap();
+                    gpu.descend(&problem, rows, RATES).unwrap();
                 }
                 let flat = |p: &Free| bytemuck::cast::<_, [f32; 9]>(packed(p));
-                (error, fitter.finish().unwrap().iter().flat_map(flat).collect::<Vec<f32>>())
+                (error, gpu.primitives().unwrap().iter().flat_map(flat).collect::<Vec<f32>>())
             };
-            let want = crate::round::finish::float_error(&scene, &target, &state.primitives);
+            let want = float_error(&problem, &state.primitives);
             let (error, high) = run(1 << 20, [61, 64]);
             // A row of the target takes 600 bytes, one of the planes 1200.
             let (same, low) = run(16 * 1200, [32, 16]);
@@ -474,14 +481,15 @@ mod stages {
         for blend in [Blend::Normalized, Blend::Sum] {
             let mut c = case(&device, Channels::Rgb, blend, false);
             let rows = RowSet { step: 2, phase: 0 };
-            let target = Target::new(&c.pixels);
+            let target = Planes::new(&c.pixels);
             let count = c.free.len();
             // The error over the same rows, the costs and the peaks of the CPU's own relocation.
-            let projected = fit::project_all(&c.free, c.scene.height);
-            let mut field = fit::model::field::Field::default();
-            let error = field.draw(&c.scene, &target, &projected, rows, Output::Picture);
-            let costs = fit::model::relocate::removal_costs(&c.scene, &target, &field, rows, &projected);
-            let peaks = fit::model::peaks::peaks(&c.scene, &target, &field, rows, 12, count);
+            let problem = Problem { scene: c.scene, target: &target };
+            let projected = project::all(&c.free, c.scene.height);
+            let mut field = Field::default();
+            let error = field.draw(&problem, &projected, rows, Output::Picture);
+            let costs = removal::costs(&problem, &field, rows, &projected);
+            let want = peaks::peaks(&problem, &field, rows, 12, count);
             let source = pack(&c.pixels, 0, c.scene.height);
             let (scene, background) = (c.scene, c.scene.background);
             let found = c
@@ -521,16 +529,15 @@ mod stages {
                         blurred = twin::blur::blur(&Uniforms { mode: 1, ..base }, &blurred);
                     }
                     let mut found: Vec<Found> = Vec::new();
-                    let ridges = fit::model::ridge::all();
-                    let longest =
-                        fit::model::ridge::longest(fit::model::peaks::spacing(&scene, 12, count), 8.0f32.sqrt());
+                    let ridges = ridge::all();
+                    let longest = ridge::longest(peaks::spacing(&scene, 12, count), 8.0f32.sqrt());
                     twin::peaks::find_peaks(
                         &Uniforms { variance: 8.0, longest, ..base },
                         &blurred,
                         &ridges,
                         &mut found,
                     );
-                    let all = p.find(d, &base, rows, fit::model::peaks::spacing(&scene, 12, count), 0.0).unwrap();
+                    let all = p.find(d, &base, rows, peaks::spacing(&scene, 12, count), 0.0).unwrap();
                     let mut first: Vec<f32> = all.iter().filter(|(_, l)| *l == 0).map(|(p, _)| p.gain).collect();
                     let mut twins: Vec<f32> =
                         found.iter().map(|f| 4.0 * std::f32::consts::PI * 8.0 * f.shape().score).collect();
@@ -540,11 +547,11 @@ mod stages {
                     let halved = twin::halve::halve(&base, &blurred);
                     // Level 1 starts in the second buffer; whatever came later went back and forth.
                     assert_eq!(halved.len() as u32, base.cells_x.div_ceil(2) * base.cells_y.div_ceil(2));
-                    fit::model::peaks::best(all, 12, &scene)
+                    peaks::best(all, 12, &scene)
                 })
                 .unwrap();
-            assert_eq!(found.len(), peaks.len());
-            for (a, b) in found.iter().zip(&peaks) {
+            assert_eq!(found.len(), want.len());
+            for (a, b) in found.iter().zip(&want) {
                 assert_eq!((a.mean, a.rotation), (b.mean, b.rotation));
                 assert!(
                     (a.gain / b.gain - 1.0).abs() < 1e-3 && (a.scale[1] / b.scale[1] - 1.0).abs() < 1e-6,
@@ -725,16 +732,33 @@ mod stages {
         }
     }
 
-    fn fitted(engine: &mut impl Engine, scene: &Scene, target: &Target, plan: &Plan) {
-        let (_, rng) = fit::start(target, engine.count(), plan);
+    /// Has primitives taken away and added once, and their number as it was in the end.
+    struct TakesAndAdds {
+        count: usize,
+        is_first: bool,
+    }
+
+    impl Watcher for TakesAndAdds {
+        fn step(&mut self, _: f32, _: &mut dyn Sight) -> crate::Result<()> {
+            Ok(())
+        }
+
+        fn recount(&mut self, _: &[Free]) -> crate::Result<usize> {
+            Ok(if std::mem::take(&mut self.is_first) { self.count - 20 } else { self.count })
+        }
+    }
+
+    fn fitted(engine: &mut impl Engine, problem: Problem<'_>, plan: &Plan) {
         let count = engine.count();
-        // The number stays what it is: both take from and add to their primitives once.
-        let mut asked = 0;
-        let mut recount = |_: &[Free]| {
-            asked += 1;
-            Ok(if asked == 1 { count - 20 } else { count })
-        };
-        fit::run(scene, target, engine, rng, plan, 0, &mut recount, &mut |_, _| Ok(())).unwrap();
+        let rng = Pcg64Mcg::seed_from_u64(plan.seed);
+        let mut watcher = TakesAndAdds { count, is_first: true };
+        schedule::run(&Job { problem, count, plan }, engine, (rng, 0), &mut watcher).unwrap();
+    }
+
+    /// Returns `count` primitives that are spread by detail.
+    fn scattered(target: &Planes, count: usize, seed: u64) -> State {
+        let primitives = sample::by_detail(target, count, &mut Pcg64Mcg::seed_from_u64(seed));
+        State::new(primitives, Bounds::new(target.width, target.height))
     }
 
     fn decibels(error: f64, pixels: &Pixels) -> f64 {
@@ -752,21 +776,22 @@ mod stages {
     /// Fits of `count` primitives in `steps` steps: PSNR on the CPU, and what the GPU is above it, dB.
     fn compared(device: &Device, blend: Blend, count: usize, steps: u32, seed: u64) -> (f64, f64) {
         let pixels = photograph();
-        let target = Target::new(&pixels);
+        let target = Planes::new(&pixels);
         let scene = Scene { width: 192, height: 128, blend, background: target.mean };
+        let problem = Problem { scene, target: &target };
         let plan = Plan::steps(steps, seed);
-        let (mut cpu, _) = fit::start(&target, count, &plan);
+        let mut cpu = scattered(&target, count, seed);
         let start = cpu.primitives.clone();
         let gpu = || {
-            let fitter = Fitter::new(device, &scene, &pixels, &start, &Bounds::new(192, 128)).unwrap();
-            fitted(&mut &fitter, &scene, &target, &plan);
-            let error = fitter.error(&scene).unwrap();
-            (fitter.finish().unwrap(), error)
+            let mut fitter = Fitter::new(device, &scene, &pixels, &start, &Bounds::new(192, 128)).unwrap();
+            fitted(&mut fitter, problem, &plan);
+            let error = fitter.error(&problem).unwrap();
+            (fitter.primitives().unwrap(), error)
         };
         let (primitives, error) = gpu();
         assert_eq!(primitives.len(), count);
-        fitted(&mut cpu, &scene, &target, &plan);
-        let of = |p: &[Free]| decibels(crate::round::finish::float_error(&scene, &target, p), &pixels);
+        fitted(&mut cpu, problem, &plan);
+        let of = |p: &[Free]| decibels(float_error(&problem, p), &pixels);
         let (want, got) = (of(&cpu.primitives), of(&primitives));
         eprintln!("{blend:?}, {steps} steps, seed {seed}: CPU {want:.3} dB, GPU {got:.3} dB");
         assert!((decibels(error, &pixels) - got).abs() < 0.01, "{error}");
@@ -801,7 +826,7 @@ mod stages {
     fn many_fits_differ_from_the_cpus_by_rounding_alone() {
         let Some(device) = device() else { return };
         let pixels = photograph();
-        let target = Target::new(&pixels);
+        let target = Planes::new(&pixels);
         for (blend, count, steps, seeds) in
             [(Blend::Normalized, 1000, 40, 24), (Blend::Sum, 2000, 40, 8), (Blend::Normalized, 1000, 200, 8)]
         {
@@ -811,12 +836,13 @@ mod stages {
                 let (want, difference) = compared(&device, blend, count, steps, seed);
                 devices.push(difference);
                 let plan = Plan::steps(steps, seed);
-                let (mut nudged, _) = fit::start(&target, count, &plan);
+                let problem = Problem { scene, target: &target };
+                let mut nudged = scattered(&target, count, seed);
                 for (i, p) in nudged.primitives.iter_mut().enumerate() {
                     p.mean[i % 2] += 1e-4;
                 }
-                fitted(&mut nudged, &scene, &target, &plan);
-                let error = crate::round::finish::float_error(&scene, &target, &nudged.primitives);
+                fitted(&mut nudged, problem, &plan);
+                let error = float_error(&problem, &nudged.primitives);
                 nudges.push(decibels(error, &pixels) - want);
             }
             let ((by_device, a), (by_nudge, b)) = (mean(&devices), mean(&nudges));
@@ -831,26 +857,27 @@ mod stages {
     #[test]
     fn the_best_state_is_kept_where_the_end_is_clearly_worse() {
         let Some(device) = device() else { return };
-        let c = case(&device, Channels::Rgb, Blend::Normalized, false);
-        let target = Target::new(&c.pixels);
-        let mut fitter = &c.fitter;
-        fitter.descend(&c.scene, &target, RowSet::ALL, RATES).unwrap();
-        fitter.remember(&c.scene, &target).unwrap();
-        let best = fitter.primitives();
+        let mut c = case(&device, Channels::Rgb, Blend::Normalized, false);
+        let target = Planes::new(&c.pixels);
+        let problem = Problem { scene: c.scene, target: &target };
+        let fitter = &mut c.fitter;
+        fitter.descend(&problem, RowSet::ALL, RATES).unwrap();
+        fitter.remember(&problem).unwrap();
+        let best = fitter.primitives().unwrap();
         let wild = Rates { mean: 8.0, color: 1.0, ..RATES };
-        (0..3).for_each(|_| _ = fitter.descend(&c.scene, &target, RowSet::ALL, wild).unwrap());
-        assert_ne!(fitter.primitives(), best);
+        (0..3).for_each(|_| _ = fitter.descend(&problem, RowSet::ALL, wild).unwrap());
+        assert_ne!(fitter.primitives().unwrap(), best);
         fitter.keep_best().unwrap();
-        assert_eq!(fitter.primitives(), best);
+        assert_eq!(fitter.primitives().unwrap(), best);
         // What is not clearly worse stays, and so does what nothing is known of.
         for remembers in [true, false] {
             if remembers {
-                fitter.remember(&c.scene, &target).unwrap();
+                fitter.remember(&problem).unwrap();
             }
-            fitter.descend(&c.scene, &target, RowSet::ALL, RATES.scaled(1e-3)).unwrap();
-            let last = fitter.primitives();
+            fitter.descend(&problem, RowSet::ALL, RATES.scaled(1e-3)).unwrap();
+            let last = fitter.primitives().unwrap();
             fitter.keep_best().unwrap();
-            assert_eq!(fitter.primitives(), last);
+            assert_eq!(fitter.primitives().unwrap(), last);
         }
     }
 
@@ -862,12 +889,13 @@ mod stages {
             if let Some(capacity) = capacity {
                 c.fitter.limit_lists(capacity);
             }
-            let target = Target::new(&c.pixels);
+            let target = Planes::new(&c.pixels);
+            let problem = Problem { scene: c.scene, target: &target };
             for i in 0..12 {
-                (&c.fitter).descend(&c.scene, &target, RowSet { step: 2, phase: i % 2 }, RATES).unwrap();
+                c.fitter.descend(&problem, RowSet { step: 2, phase: i % 2 }, RATES).unwrap();
             }
-            (&c.fitter).relocate(&c.scene, &target, RowSet::ALL, 5).unwrap();
-            (c.fitter.bands(), c.fitter.finish().unwrap())
+            c.fitter.relocate(&problem, RowSet::ALL, 5).unwrap();
+            (c.fitter.sizes(), c.fitter.primitives().unwrap())
         };
         let (bands, want) = run(None);
         let (grown, got) = run(Some(100));

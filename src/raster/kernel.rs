@@ -32,7 +32,7 @@ pub(super) struct Scratch {
     codes: Codes,
 }
 
-/// The part of a tile that a view shows, in pixels of the grid that tiles lie on: [`Scene::parts`] for each of the output.
+/// The part of a tile that a view shows, in pixels of the grid that tiles lie on: [`Drawing::parts`] for each of the output.
 #[derive(Debug, Clone)]
 pub(super) struct Window {
     /// The tile's corner on the grid.
@@ -45,7 +45,7 @@ pub(super) struct Window {
 
 /// Everything that is the same for all tiles.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Scene<'a> {
+pub(super) struct Drawing<'a> {
     pub splats: &'a Splats,
     pub blend: Blend,
     pub background: [f32; 4],
@@ -56,7 +56,7 @@ pub(super) struct Scene<'a> {
 
 /// One tile to draw.
 pub(super) struct Job<'a, 'b, T> {
-    pub scene: Scene<'a>,
+    pub scene: Drawing<'a>,
     /// The splats that touch the tile.
     pub members: &'a [u32],
     pub window: Window,

@@ -1,7 +1,7 @@
 //! Draws a view, whole or band by band, on as many threads as there are.
 
 use super::bins::Bins;
-use super::kernel::{Job, Scene, Scratch, TILE_HEIGHT, TILE_WIDTH, Window};
+use super::kernel::{Drawing, Job, Scratch, TILE_HEIGHT, TILE_WIDTH, Window};
 use super::project::{Splats, project};
 use super::samples::{Sample, SamplesMut};
 use super::view::{Filter, MAX_SIDE, View};
@@ -249,7 +249,7 @@ impl Renderer {
             columns: columns.start * across..columns.end * across,
             rows: in_tile(rows.start)..in_tile(rows.end),
         };
-        let scene = Scene {
+        let scene = Drawing {
             splats: &self.splats,
             blend: self.blend,
             background: self.background,

@@ -5,7 +5,7 @@ use crate::bitstream::splats::PackedGaussian;
 
 /// Bits of each symbol under order-0 statistics of one set of primitives.
 #[derive(Debug, Clone)]
-pub(crate) struct Rates {
+pub(crate) struct BitCosts {
     major: Vec<f32>,
     difference: Vec<f32>,
     color: [Vec<f32>; 4],
@@ -15,7 +15,7 @@ pub(crate) struct Rates {
 /// Colour integers are counted within `±COLOR_REACH`; beyond they cost the same as at the end.
 const COLOR_REACH: i32 = 512;
 
-impl Rates {
+impl BitCosts {
     pub(crate) fn measure(gaussians: &[PackedGaussian], channels: usize) -> Self {
         let mut major = vec![0.05f32; 256];
         let mut difference = vec![0.05f32; 256];
@@ -30,7 +30,7 @@ impl Rates {
         for counts in color.iter_mut().take(channels) {
             *counts = smooth(counts);
         }
-        Rates { major: bits(&major), difference: bits(&difference), color: color.map(|c| bits(&c)), channels }
+        BitCosts { major: bits(&major), difference: bits(&difference), color: color.map(|c| bits(&c)), channels }
     }
 
     fn slot(value: i16) -> usize {

@@ -7,17 +7,18 @@
 //! parallel.
 
 use crate::bitstream::splats::PackedGaussian;
-use crate::fit::model::field::{Field, Output, Scene};
+use crate::fit::model::field::{Field, Output};
 use crate::fit::model::kernel;
-use crate::fit::model::planes::Target;
+use crate::fit::model::problem::Problem;
 use crate::fit::model::project::Projected;
 use crate::fit::model::rows::RowSet;
 use crate::gaussian::Gaussian;
 use crate::parallel;
 use crate::quantize::Quantizer;
-use crate::round::bit_cost::Rates;
+use crate::round::bit_cost::BitCosts;
 use crate::round::bowl::{Bowl, Moves};
 use crate::round::patch::{Parabola, Patch};
+use crate::round::rounded::projected;
 use crate::simd::{self, LANES, Simd, Task};
 
 /// Height of the smallest bands, rows.
@@ -38,7 +39,7 @@ pub(crate) struct Sweep {
 
 /// Which parts of the picture changed lately: a primitive whose surroundings rest need not be tried again.
 #[derive(Debug)]
-pub(crate) struct Activity {
+pub(super) struct Activity {
     /// The sweep in which a cell of `CELL²` pixels changed last.
     stamps: Vec<u32>,
     cols: usize,
@@ -49,7 +50,7 @@ pub(crate) struct Activity {
 const CELL: usize = 16;
 
 impl Activity {
-    pub(crate) fn new(width: u32, height: u32) -> Self {
+    fn new(width: u32, height: u32) -> Self {
         let (cols, rows) = ((width as usize).div_ceil(CELL), (height as usize).div_ceil(CELL));
         Activity { stamps: vec![1; cols * rows], cols, sweep: 1 }
     }
@@ -67,7 +68,7 @@ impl Activity {
     }
 
     /// Notes that `g` came, went or changed.
-    pub(crate) fn mark(&mut self, g: &Gaussian) {
+    pub(super) fn mark(&mut self, g: &Gaussian) {
         for i in self.cells(g) {
             self.stamps[i] = self.sweep;
         }
@@ -84,44 +85,56 @@ impl Activity {
 pub(crate) struct Objective {
     /// Squared error per bit.
     pub lambda: f32,
-    /// Bits of a primitive beyond those that [`Rates`] knows: its position at step 1. Minus infinity: never remove.
+    /// Bits of a primitive beyond those that [`BitCosts`] knows: its position at step 1. Minus infinity: never remove.
     pub position_bits: f32,
 }
 
-/// One sweep over all primitives. `gaussians` keeps its order; removed ones are taken out.
-#[allow(clippy::too_many_arguments)]
-pub(crate) fn sweep(
-    scene: &Scene,
-    target: &Target,
-    quantizer: &Quantizer,
-    gaussians: &mut Vec<PackedGaussian>,
-    objective: &Objective,
-    activity: &mut Activity,
-    field: &mut Field,
-) -> Sweep {
-    match target.channels.count() {
-        1 => sweep_channels::<1>(scene, target, quantizer, gaussians, objective, activity, field),
-        2 => sweep_channels::<2>(scene, target, quantizer, gaussians, objective, activity, field),
-        3 => sweep_channels::<3>(scene, target, quantizer, gaussians, objective, activity, field),
-        _ => sweep_channels::<4>(scene, target, quantizer, gaussians, objective, activity, field),
+/// What sweeps lower the objective of, and what they remember from one to the next.
+#[derive(Debug)]
+pub(crate) struct Descent<'a> {
+    pub(super) problem: Problem<'a>,
+    pub(super) quantizer: &'a Quantizer,
+    pub(super) activity: Activity,
+    pub(super) field: Field,
+}
+
+impl<'a> Descent<'a> {
+    /// Starts with everything to be tried. `field` brings memory for the planes.
+    pub(crate) fn new(problem: Problem<'a>, quantizer: &'a Quantizer, field: Field) -> Self {
+        let activity = Activity::new(problem.scene.width, problem.scene.height);
+        Descent { problem, quantizer, activity, field }
+    }
+
+    /// Sweeps over all primitives once. `gaussians` keeps its order; removed ones are taken out.
+    pub(crate) fn sweep(&mut self, gaussians: &mut Vec<PackedGaussian>, objective: &Objective) -> Sweep {
+        match self.problem.target.channels.count() {
+            1 => sweep_channels::<1>(self, gaussians, objective),
+            2 => sweep_channels::<2>(self, gaussians, objective),
+            3 => sweep_channels::<3>(self, gaussians, objective),
+            _ => sweep_channels::<4>(self, gaussians, objective),
+        }
+    }
+
+    /// Returns the squared error of the picture of `gaussians`, clamped, weighted as the target has it.
+    pub(super) fn error(&mut self, gaussians: &[PackedGaussian]) -> f64 {
+        let projected = projected(self.quantizer, gaussians, self.problem.scene.height);
+        self.field.draw(&self.problem, &projected, RowSet::ALL, Output::Gradient)
     }
 }
 
-#[allow(clippy::too_many_arguments)]
 fn sweep_channels<const C: usize>(
-    scene: &Scene,
-    target: &Target,
-    quantizer: &Quantizer,
+    descent: &mut Descent<'_>,
     gaussians: &mut Vec<PackedGaussian>,
     objective: &Objective,
-    activity: &mut Activity,
-    field: &mut Field,
 ) -> Sweep {
+    let (problem, quantizer) = (&descent.problem, descent.quantizer);
+    let (activity, field) = (&mut descent.activity, &mut descent.field);
+    let Problem { scene, target } = *problem;
     activity.sweep += 1;
-    let rates = Rates::measure(gaussians, C);
+    let costs = BitCosts::measure(gaussians, C);
     let floats: Vec<Gaussian> = gaussians.iter().map(|g| quantizer.dequantize(g)).collect();
     let projected: Vec<Projected> = floats.iter().map(|g| Projected::from_gaussian(g, scene.height)).collect();
-    field.draw(scene, target, &projected, RowSet::ALL, Output::Sums);
+    field.draw(problem, &projected, RowSet::ALL, Output::Sums);
     let row_size = (C + 1) * target.stride;
     let height = scene.height as usize;
     let mut waiting: Vec<u32> =
@@ -156,10 +169,9 @@ fn sweep_channels<const C: usize>(
             let planes = &mut field.planes[offset * row_size..];
             let changes = parallel::map_chunks(planes, band * row_size, |b, planes| {
                 let task = BandTask::<C> {
-                    scene,
-                    target,
+                    problem,
                     quantizer,
-                    rates: &rates,
+                    costs: &costs,
                     objective,
                     gaussians,
                     members: &members[b],
@@ -211,10 +223,9 @@ struct Change {
 }
 
 struct BandTask<'a, const C: usize> {
-    scene: &'a Scene,
-    target: &'a Target,
+    problem: &'a Problem<'a>,
     quantizer: &'a Quantizer,
-    rates: &'a Rates,
+    costs: &'a BitCosts,
     objective: &'a Objective,
     gaussians: &'a [PackedGaussian],
     members: &'a [u32],
@@ -228,7 +239,7 @@ impl<const C: usize> Task for BandTask<'_, C> {
     #[inline(always)]
     fn run<S: Simd>(mut self, simd: S) -> Vec<Change> {
         let mut changes = Vec::new();
-        let mut patch = Patch::new(self.scene, self.target);
+        let mut patch = Patch::new(self.problem);
         for n in 0..self.members.len() {
             let index = self.members[n];
             let old = self.gaussians[index as usize];
@@ -248,18 +259,18 @@ impl<const C: usize> BandTask<'_, C> {
         old: PackedGaussian,
         patch: &mut Patch<'_>,
     ) -> Option<(Option<PackedGaussian>, f32)> {
-        let height = self.scene.height;
+        let height = self.problem.scene.height;
         let before = self.quantizer.dequantize(&old);
         let p = Projected::from_gaussian(&before, height);
         if p.rows[0] >= p.rows[1] {
             return None;
         }
-        let end = self.first + self.planes.len() / ((C + 1) * self.target.stride);
+        let end = self.first + self.planes.len() / ((C + 1) * self.problem.target.stride);
         let rows = reach(&p, height as usize);
         let rows = rows.start.max(self.first)..rows.end.min(end);
         let half = before.extent()[0] * 1.25 + 2.0 + LANES as f32;
         let left = (p.center[0] - half).max(0.0) as usize;
-        let right = ((p.center[0] + half).max(0.0) as usize + 1).min(self.scene.width as usize);
+        let right = ((p.center[0] + half).max(0.0) as usize + 1).min(self.problem.scene.width as usize);
         if left >= right {
             return None;
         }
@@ -268,10 +279,10 @@ impl<const C: usize> BandTask<'_, C> {
         let lambda = self.objective.lambda;
         let lattice = self.quantizer.lattice();
         let now = patch.parabola::<S, C>(simd, &p);
-        let current = now.at(p.color, C) + lambda * (self.rates.geometry(&old, lattice) + self.rates.colors(old.color));
+        let current = now.at(p.color, C) + lambda * (self.costs.geometry(&old, lattice) + self.costs.colors(old.color));
         let (mut best, mut best_value) = (old, current);
         let mut consider = |task: &Self, candidate: PackedGaussian, parabola: &Parabola| {
-            let geometry = lambda * task.rates.geometry(&candidate, lattice);
+            let geometry = lambda * task.costs.geometry(&candidate, lattice);
             let (color, value) = task.best_color(parabola, candidate.color);
             if value + geometry < best_value {
                 (best, best_value) = (PackedGaussian { color, ..candidate }, value + geometry);
@@ -288,7 +299,7 @@ impl<const C: usize> BandTask<'_, C> {
                 && q.rows[1] as usize <= patch.rows.end
                 && q.center[0] - wide >= if left == 0 { f32::NEG_INFINITY } else { left as f32 }
                 && q.center[0] + wide
-                    <= if right == self.scene.width as usize { f32::INFINITY } else { (right - 1) as f32 };
+                    <= if right == self.problem.scene.width as usize { f32::INFINITY } else { (right - 1) as f32 };
             if inside && q.rows[0] < q.rows[1] {
                 let parabola = patch.parabola::<S, C>(simd, &q);
                 consider(self, candidate, &parabola);
@@ -313,7 +324,7 @@ impl<const C: usize> BandTask<'_, C> {
     fn moves(&self, old: &PackedGaussian, before: &Gaussian, bowl: &Bowl) -> Moves {
         let lambda = self.objective.lambda;
         let lattice = self.quantizer.lattice();
-        let now = self.rates.geometry(old, lattice);
+        let now = self.costs.geometry(old, lattice);
         let (sin, cos) = before.rotation.sin_cos();
         let [sx, sy] = before.scale;
         let mut moves = Moves::default();
@@ -326,7 +337,7 @@ impl<const C: usize> BandTask<'_, C> {
             let [u, v] = valley.lowest();
             let (u, v) = (u * sx, v * sy);
             self.quantizer.place(&mut p, [before.mean[0] + cos * u - sin * v, before.mean[1] + sin * u + cos * v]);
-            let bits = lambda * (self.rates.geometry(&p, lattice) - now);
+            let bits = lambda * (self.costs.geometry(&p, lattice) - now);
             let [ex, ey] = lattice.exponents(p.major, p.minor, p.angle).map(|e| (e as f32).exp2());
             // What is nearest in the metric of the shape need not be lowest.
             for (x, y) in [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)] {
@@ -346,7 +357,7 @@ impl<const C: usize> BandTask<'_, C> {
     #[inline(always)]
     fn best_color(&self, parabola: &Parabola, old: [i16; 4]) -> ([i16; 4], f32) {
         let lambda = self.objective.lambda;
-        let value = |c: [i16; 4]| parabola.at(self.quantizer.dequantize_color(c), C) + lambda * self.rates.colors(c);
+        let value = |c: [i16; 4]| parabola.at(self.quantizer.dequantize_color(c), C) + lambda * self.costs.colors(c);
         let mut best = (old, value(old));
         let Some(minimum) = parabola.minimum(C) else { return best };
         let axes = self.quantizer.transform_color(minimum);
@@ -388,11 +399,11 @@ impl<const C: usize> BandTask<'_, C> {
     /// Replaces `old` by `new` in the sums.
     #[inline(always)]
     fn paste<S: Simd>(&mut self, simd: S, old: &Projected, new: Option<&Projected>) {
-        let stride = self.target.stride;
+        let stride = self.problem.target.stride;
         for (p, sign) in [(Some(old), -1.0f32), (new, 1.0)] {
             let Some(p) = p else { continue };
             let planes = (&mut *self.planes, stride);
-            kernel::splat::<S, C>(simd, p, (RowSet::ALL, self.first), self.scene.width, planes, sign);
+            kernel::splat::<S, C>(simd, p, (RowSet::ALL, self.first), self.problem.scene.width, planes, sign);
         }
     }
 }

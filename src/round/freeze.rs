@@ -5,12 +5,13 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
 use crate::error::Result;
+use crate::fit::engine::{Sight, Still};
 use crate::fit::model::adam::{Freedom, Rates};
-use crate::fit::model::field::Scene;
-use crate::fit::model::planes::Target;
-use crate::fit::model::project::Primitive;
+use crate::fit::model::problem::Problem;
+use crate::fit::model::project::{self, Primitive};
 use crate::fit::plan::Plan;
-use crate::fit::{RowCycle, State, Watch, project_all, row_step};
+use crate::fit::schedule::RowCycle;
+use crate::fit::state::State;
 use crate::quantize::Quantizer;
 
 /// Steps while freezing: well below those of the fit, large enough to walk a lattice step.
@@ -19,21 +20,22 @@ const RATES: Rates = Rates { mean: 0.03, log_scale: 0.03, rotation: 0.03, color:
 /// Puts every primitive of `state` on the lattice, colours excepted, over `plan.freezing` steps,
 /// as far as there is time.
 pub(crate) fn freeze(
-    scene: &Scene,
-    target: &Target,
+    problem: &Problem<'_>,
     state: &mut State,
     quantizer: &Quantizer,
     plan: &Plan,
-    watch: Watch<'_>,
+    watch: &mut dyn FnMut(f32, &mut dyn Sight) -> Result<()>,
 ) -> Result<()> {
+    let scene = &problem.scene;
     let (count, iterations) = (state.primitives.len(), plan.freezing);
     let mut rng = Pcg64Mcg::seed_from_u64(plan.seed ^ 0x5f72_656e);
     let mut rows = RowCycle::new();
-    let step = (row_step(scene, count) / 2).max(1);
+    let step = (scene.row_step(count) / 2).max(1);
     let rounds = 20.min(iterations.max(1));
     state.freedom = vec![Freedom::All; count];
     for round in 0..rounds {
-        watch(round as f32 / rounds as f32, &|| (*scene, project_all(&state.primitives, scene.height)))?;
+        let project = || project::all(&state.primitives, scene.height);
+        watch(round as f32 / rounds as f32, &mut Still { problem, project: &project })?;
         // All are frozen a little before the end, so that the colours settle.
         let share = ((round + 1) as f32 / rounds as f32 / 0.92).min(1.0);
         let frozen = state.freedom.iter().filter(|f| **f == Freedom::Color).count();
@@ -57,7 +59,7 @@ pub(crate) fn freeze(
                 return Ok(());
             }
             let sampled = rows.next(step, &mut rng);
-            state.descend(scene, target, sampled, rates);
+            state.descend(problem, sampled, rates);
         }
     }
     Ok(())

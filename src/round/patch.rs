@@ -1,10 +1,9 @@
 //! The pixels around one primitive, and how their error depends on what takes its place: on the colour of a given shape, and
 //! to second order on the shape itself.
 
-use crate::fit::is_large;
-use crate::fit::model::field::Scene;
 use crate::fit::model::kernel::{self, Strip, Visit};
-use crate::fit::model::planes::Target;
+use crate::fit::model::planes::Planes;
+use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::project::Projected;
 use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON, Gaussian};
 use crate::round::bowl::Bowl;
@@ -18,8 +17,7 @@ const MOST_ROWS: usize = 4;
 
 /// The pixels around one primitive, with that primitive taken out.
 pub(super) struct Patch<'a> {
-    scene: &'a Scene,
-    target: &'a Target,
+    problem: &'a Problem<'a>,
     /// Rows of `2C + 2` planes, `stride` floats each: `Σwc` with `εb` (C), `Σw + ε`, targets (C), squared error.
     planes: Vec<f32>,
     stride: usize,
@@ -41,8 +39,8 @@ pub(super) struct Parabola {
 
 impl<'a> Patch<'a> {
     /// An empty one.
-    pub(super) fn new(scene: &'a Scene, target: &'a Target) -> Self {
-        Patch { scene, target, planes: Vec::new(), stride: 0, columns: 0..0, rows: 0..0, step: 1, bare: 0.0 }
+    pub(super) fn new(problem: &'a Problem<'a>) -> Self {
+        Patch { problem, planes: Vec::new(), stride: 0, columns: 0..0, rows: 0..0, step: 1, bare: 0.0 }
     }
 
     /// Copies the pixels of `rows` and `columns` out of the sums, `C + 1` planes a row from row `first` on, with `p` taken
@@ -55,7 +53,7 @@ impl<'a> Patch<'a> {
         (rows, columns): (std::ops::Range<usize>, std::ops::Range<usize>),
         (sums, first): (&[f32], usize),
     ) {
-        let (Scene { width: picture, blend, .. }, target) = (*self.scene, self.target);
+        let Problem { scene: Scene { width: picture, blend, .. }, target } = *self.problem;
         let (stride, colors) = (target.stride, p.color);
         let width = columns.len().next_multiple_of(LANES) + LANES;
         let (left, right) = (columns.start, columns.end);
@@ -132,15 +130,15 @@ impl<'a> Patch<'a> {
     /// Rows in one that is looked at: on a large picture tall primitives have more pixels than it takes to decide.
     fn row_step(&self, p: &Projected) -> usize {
         let tall = (p.rows[1] - p.rows[0]) as usize;
-        if is_large(self.scene) { (tall / TALL).clamp(1, MOST_ROWS) } else { 1 }
+        if self.problem.scene.is_large() { (tall / TALL).clamp(1, MOST_ROWS) } else { 1 }
     }
 
     /// What is added to `Σwc` of channel `k` before the division.
     #[inline(always)]
     fn shift(&self, k: usize) -> f32 {
-        match self.scene.blend {
-            Blend::Normalized => EPSILON * self.scene.background[k],
-            Blend::Sum => self.scene.background[k],
+        match self.problem.scene.blend {
+            Blend::Normalized => EPSILON * self.problem.scene.background[k],
+            Blend::Sum => self.problem.scene.background[k],
         }
     }
 
@@ -172,9 +170,9 @@ impl<'a> Patch<'a> {
             left: self.columns.start,
             row: self.rows.start + range.start * self.step,
             step: self.step,
-            target: self.target,
-            alpha: self.target.channels.alpha(),
-            blend: self.scene.blend,
+            target: self.problem.target,
+            alpha: self.problem.target.channels.alpha(),
+            blend: self.problem.scene.blend,
         }
     }
 
@@ -279,7 +277,7 @@ struct Pixels<'a> {
     /// The first row's number in the picture, and how far the next one is.
     row: usize,
     step: usize,
-    target: &'a Target,
+    target: &'a Planes,
     alpha: Option<usize>,
     blend: Blend,
 }

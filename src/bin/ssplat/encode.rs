@@ -125,7 +125,7 @@ fn summary(pixels: &Pixels, bytes: usize, report: &EncodeReport) -> Value {
     let left_out: Vec<Value> = report
         .left_out
         .iter()
-        .map(|l| json!({ "what": l.what, "bytes_saved": l.bytes, "seconds_saved": l.seconds }))
+        .map(|l| json!({ "what": l.what.to_string(), "bytes_saved": l.bytes, "seconds_saved": l.seconds }))
         .collect();
     json!({
         "width": pixels.width(),

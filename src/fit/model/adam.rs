@@ -1,10 +1,9 @@
 //! Adam in the whitened local frame of each Gaussian.
 
-use crate::fit::model::field::{Field, Gradient, Scene};
-use crate::fit::model::project::{Primitive, Projected};
+use crate::fit::model::field::Gradient;
+use crate::fit::model::project::Primitive;
 use crate::fit::model::rows::RowSet;
 use crate::gaussian::CUTOFF;
-use crate::parallel;
 
 /// Bounds that every step respects.
 #[derive(Debug, Clone, Copy)]
@@ -92,39 +91,13 @@ pub(crate) struct Memory {
 pub(crate) const BETA1: f32 = 0.9;
 pub(crate) const BETA2: f32 = 0.95;
 
-/// Gathers every primitive's gradient from `field`, adds that of the [`price`] and takes one step. `iteration` counts from 0.
-#[allow(clippy::too_many_arguments)]
-pub(crate) fn step(
-    scene: &Scene,
-    channels: usize,
-    field: &Field,
-    rows: RowSet,
-    projected: &[Projected],
-    primitives: &mut [Primitive],
-    memory: &mut [Memory],
-    freedom: Option<&[Freedom]>,
-    bounds: &Bounds,
-    rates: Rates,
-    price: f32,
-    iteration: u32,
-) {
-    const CHUNK: usize = 64;
-    let price = price / rows.step as f32;
-    let corrections = (1.0 - BETA1.powi(iteration as i32 + 1), 1.0 - BETA2.powi(iteration as i32 + 1));
-    parallel::map_chunk_pairs((primitives, CHUNK), (memory, CHUNK), |chunk, primitives, memory| {
-        let start = chunk * CHUNK;
-        let projected = &projected[start..][..primitives.len()];
-        let mut gradients = field.gather(channels, rows, scene.width, projected, primitives);
-        for (j, (p, m)) in primitives.iter_mut().zip(memory).enumerate() {
-            let free = freedom.map_or(Freedom::All, |f| f[start + j]);
-            let growth = price * p.log_scale[0].exp() * p.log_scale[1].exp();
-            gradients[j].log_scale = gradients[j].log_scale.map(|g| g + growth);
-            update(p, m, &gradients[j], free, bounds, rates, corrections);
-        }
-    });
+/// Returns what the moments of step `iteration`, counted from 0, are divided by: they start at 0.
+pub(crate) fn corrections(iteration: u32) -> (f32, f32) {
+    (1.0 - BETA1.powi(iteration as i32 + 1), 1.0 - BETA2.powi(iteration as i32 + 1))
 }
 
-fn update(
+/// Moves a primitive one step against its gradient `g`.
+pub(crate) fn update(
     p: &mut Primitive,
     m: &mut Memory,
     g: &Gradient,
@@ -166,51 +139,4 @@ fn update(
     p.log_scale[1] += rates.log_scale * d[3];
     p.rotation += rates.rotation * d[4];
     bounds.apply(p);
-}
-
-#[cfg(test)]
-mod tests {
-    use crate::fit::model::field::Scene;
-    use crate::fit::model::planes::Target;
-    use crate::fit::model::rows::RowSet;
-    use crate::fit::{LAST_RATE, RATES, State};
-    use crate::gaussian::{Blend, Channels};
-    use crate::pixels::{Pixels, Samples};
-
-    use super::*;
-
-    #[test]
-    fn size_that_gains_nothing_is_given_up() {
-        // Noise without a slope: any size of Gaussian shows its mean.
-        let samples = (0..96 * 80usize).map(|i| 120 + (i * 7919 % 251 % 16) as u8).collect();
-        let target = Target::new(&Pixels::new(96, 80, Channels::Grey, Samples::U8(samples)).unwrap());
-        let scene = Scene { width: 96, height: 80, blend: Blend::Normalized, background: target.mean };
-        let primitives: Vec<Primitive> = (0..60u32)
-            .map(|i| {
-                let f = |k: u32| (f64::from(i) * f64::from(k).sqrt()).fract() as f32;
-                Primitive {
-                    mean: [96.0 * f(2), 80.0 * f(3)],
-                    log_scale: [3.0 + f(5), 2.5 + f(7)],
-                    rotation: 3.0 * f(11),
-                    color: [target.mean[0], 0.0, 0.0, 0.0],
-                }
-            })
-            .collect();
-        let fitted = |priced: bool| {
-            let mut state = State::new(primitives.clone(), Bounds::new(96, 80));
-            let before = state.descend(&scene, &target, RowSet::ALL, RATES.scaled(LAST_RATE));
-            state.price = if priced { price(before, [96, 80], RowSet::ALL, primitives.len()) } else { 0.0 };
-            let mut after = 0.0;
-            for i in 0..200 {
-                let rows = RowSet { step: 2, phase: i % 2 };
-                after = state.descend(&scene, &target, rows, RATES.scaled(0.3));
-            }
-            let area: f32 = state.primitives.iter().map(|p| (p.log_scale[0] + p.log_scale[1]).exp()).sum();
-            (2.0 * after / before, area)
-        };
-        let ((error, area), (free_error, free_area)) = (fitted(true), fitted(false));
-        // Some 40 supports over each pixel, at a thousandth of its error each, are worth 4 % of it at most.
-        assert!(area < 0.5 * free_area, "{area} {free_area}");
-        assert!(error < 1.04 * free_error, "{error} {free_error}");
-    }
 }

@@ -4,8 +4,8 @@
 //! time and of the memory.
 
 use crate::fit::model::kernel;
-use crate::fit::model::planes::Target;
-use crate::fit::model::project::{Primitive, Projected};
+use crate::fit::model::problem::{Problem, Scene};
+use crate::fit::model::project::{self, Primitive, Projected};
 use crate::fit::model::rows::RowSet;
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
@@ -13,15 +13,6 @@ use crate::simd::{self, LANES, Simd, Task};
 
 /// Sampled rows in one band: the unit of parallel work.
 const BAND: usize = 16;
-
-/// What is fitted: blend, background, and the size of the planes.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Scene {
-    pub width: u32,
-    pub height: u32,
-    pub blend: Blend,
-    pub background: [f32; 4],
-}
 
 /// The planes.
 #[derive(Debug, Default)]
@@ -81,30 +72,23 @@ impl Field {
     /// Sums `projected` over the rows of `rows` and leaves `output` in the planes. Returns the squared error of the
     /// clamped picture over those rows: weighted as the target has it for the gradients, plain for
     /// [`Output::Picture`], 0 for [`Output::Sums`].
-    pub(crate) fn draw(
-        &mut self,
-        scene: &Scene,
-        target: &Target,
-        projected: &[Projected],
-        rows: RowSet,
-        output: Output,
-    ) -> f64 {
-        match target.channels.count() {
-            1 => self.draw_channels::<1>(scene, target, projected, rows, output),
-            2 => self.draw_channels::<2>(scene, target, projected, rows, output),
-            3 => self.draw_channels::<3>(scene, target, projected, rows, output),
-            _ => self.draw_channels::<4>(scene, target, projected, rows, output),
+    pub(crate) fn draw(&mut self, problem: &Problem<'_>, projected: &[Projected], rows: RowSet, output: Output) -> f64 {
+        match problem.target.channels.count() {
+            1 => self.draw_channels::<1>(problem, projected, rows, output),
+            2 => self.draw_channels::<2>(problem, projected, rows, output),
+            3 => self.draw_channels::<3>(problem, projected, rows, output),
+            _ => self.draw_channels::<4>(problem, projected, rows, output),
         }
     }
 
     fn draw_channels<const C: usize>(
         &mut self,
-        scene: &Scene,
-        target: &Target,
+        problem: &Problem<'_>,
         projected: &[Projected],
         rows: RowSet,
         output: Output,
     ) -> f64 {
+        let Problem { scene, target } = *problem;
         let bands = Bands::new(projected, rows, scene.height);
         let row_size = (C + 1) * target.stride;
         self.stride = target.stride;
@@ -112,7 +96,7 @@ impl Field {
         self.planes.resize(rows.count(scene.height) * row_size, 0.0);
         let errors = parallel::map_chunks(&mut self.planes, BAND * row_size, |b, band| {
             let members = &bands.members[bands.starts[b] as usize..bands.starts[b + 1] as usize];
-            simd::dispatch(BandTask::<C> { scene, target, projected, members, rows, first: b * BAND, band, output })
+            simd::dispatch(BandTask::<C> { problem, projected, members, rows, first: b * BAND, band, output })
         });
         errors.iter().sum()
     }
@@ -143,10 +127,19 @@ impl Field {
     }
 }
 
+/// Returns the squared error of the clamped picture of `projected` over all rows.
+pub(crate) fn squared_error(problem: &Problem<'_>, projected: &[Projected]) -> f64 {
+    Field::default().draw(problem, projected, RowSet::ALL, Output::Picture)
+}
+
+/// Returns the squared error of the clamped picture of `primitives` over all rows.
+pub(crate) fn float_error(problem: &Problem<'_>, primitives: &[Primitive]) -> f64 {
+    squared_error(problem, &project::all(primitives, problem.scene.height))
+}
+
 /// One band to draw.
 struct BandTask<'a, const C: usize> {
-    scene: &'a Scene,
-    target: &'a Target,
+    problem: &'a Problem<'a>,
     projected: &'a [Projected],
     members: &'a [u32],
     rows: RowSet,
@@ -160,7 +153,8 @@ impl<const C: usize> Task for BandTask<'_, C> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> f64 {
-        let BandTask { scene, target, projected, members, rows, first, band, output } = self;
+        let BandTask { problem, projected, members, rows, first, band, output } = self;
+        let Problem { scene, target } = problem;
         let stride = target.stride;
         let row_size = (C + 1) * stride;
         let count = band.len() / row_size;

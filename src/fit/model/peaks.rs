@@ -1,7 +1,7 @@
 //! Where the error is largest, and what shape a new primitive should have there.
 
-use crate::fit::model::field::{Field, Scene};
-use crate::fit::model::planes::Target;
+use crate::fit::model::field::Field;
+use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::project::Primitive;
 use crate::fit::model::ridge::{self, Shape};
 use crate::fit::model::rows::RowSet;
@@ -48,19 +48,13 @@ pub(crate) fn spacing(scene: &Scene, count: usize, among: usize) -> f32 {
 
 /// The places where new primitives would help most, best first, at most `count`, for a picture of `among` primitives:
 /// peaks of the residual blurred at several scales, and where one is part of a ridge, an elongated peak along it.
-pub(crate) fn peaks(
-    scene: &Scene,
-    target: &Target,
-    field: &Field,
-    rows: RowSet,
-    count: usize,
-    among: usize,
-) -> Vec<Peak> {
+pub(crate) fn peaks(problem: &Problem<'_>, field: &Field, rows: RowSet, count: usize, among: usize) -> Vec<Peak> {
+    let scene = &problem.scene;
     let spacing = spacing(scene, count, among);
     // Work on cells of `rows.step` pixels: the field has no more rows than that.
     let cell = rows.step as usize;
     let (mut w, mut h) = ((scene.width as usize).div_ceil(cell), rows.count(scene.height));
-    let mut planes = residual(scene, target, field, rows, w, h);
+    let mut planes = residual(problem, field, rows, w, h);
     let mut size = cell as f32;
     let ridges = ridge::all();
     let mut bar = Bar { count, gains: Vec::new() };
@@ -158,7 +152,8 @@ pub(crate) fn best(mut candidates: Vec<(Peak, u32)>, count: usize, scene: &Scene
     spread(candidates, count, scene)
 }
 
-fn residual(scene: &Scene, target: &Target, field: &Field, rows: RowSet, w: usize, h: usize) -> Vec<Vec<f32>> {
+fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet, w: usize, h: usize) -> Vec<Vec<f32>> {
+    let Problem { scene, target } = *problem;
     let channels = target.channels.count();
     let cell = rows.step as usize;
     let share = 1.0 / cell as f32;
@@ -258,7 +253,8 @@ fn spread(candidates: impl Iterator<Item = Peak>, count: usize, scene: &Scene) -
 }
 
 /// A primitive for a peak.
-pub(crate) fn at_peak(peak: &Peak, scene: &Scene, target: &Target) -> Primitive {
+pub(crate) fn at_peak(peak: &Peak, problem: &Problem<'_>) -> Primitive {
+    let Problem { scene, target } = *problem;
     let color = match scene.blend {
         Blend::Normalized => target.at(peak.mean),
         // The residual was weighted to find the peak.

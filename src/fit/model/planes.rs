@@ -7,7 +7,7 @@ use crate::simd::LANES;
 
 /// Rows of `channels` planes, each `stride` floats long: `width` samples, then zeros.
 #[derive(Debug, Clone)]
-pub(crate) struct Target {
+pub(crate) struct Planes {
     pub width: u32,
     pub height: u32,
     pub channels: Channels,
@@ -24,7 +24,7 @@ pub(crate) fn stride(width: u32) -> usize {
     (width as usize).next_multiple_of(LANES) + LANES
 }
 
-impl Target {
+impl Planes {
     pub(crate) fn new(pixels: &Pixels) -> Self {
         let (width, height, channels) = (pixels.width(), pixels.height(), pixels.channels());
         let (count, stride, w) = (channels.count(), stride(width), width as usize);
@@ -54,7 +54,7 @@ impl Target {
             let weight = if channels.alpha() == Some(k) { area } else { sum[4] };
             if weight > 0.0 { (sum[k] / weight) as f32 } else { 0.0 }
         });
-        Target { width, height, channels, stride, planes, amplitude: Vec::new(), mean }
+        Planes { width, height, channels, stride, planes, amplitude: Vec::new(), mean }
     }
 
     /// The planes of row `y`.
@@ -75,7 +75,7 @@ impl Target {
     }
 
     /// The same picture at half its size: means of 2 × 2 pixels, borders repeated. Colours count by their opacity.
-    pub(crate) fn halved(&self) -> Target {
+    pub(crate) fn halved(&self) -> Planes {
         let (count, alpha) = (self.channels.count(), self.channels.alpha());
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let (stride, last) = (stride(width), self.width as usize - 1);
@@ -111,13 +111,19 @@ impl Target {
                 }
             });
         }
-        Target { width, height, stride, planes, amplitude, ..*self }
+        Planes { width, height, stride, planes, amplitude, ..*self }
     }
 
     /// What errors in row `y` are multiplied by before they are squared; `None`: by 1.
     #[inline(always)]
     pub(crate) fn amplitude(&self, y: u32) -> Option<&[f32]> {
         self.amplitude.get(y as usize * self.stride..)?.get(..self.stride)
+    }
+
+    /// Tells whether the errors of all pixels weigh the same within a hundredth, so that weighing them changes nothing.
+    pub(crate) fn is_even(&self) -> bool {
+        let rows = self.amplitude.chunks_exact(self.stride).map(|row| &row[..self.width as usize]);
+        rows.flatten().all(|a| (a * a - 1.0).abs() < 0.01)
     }
 
     /// The pixel that holds the point (pixels), clamped into the picture.

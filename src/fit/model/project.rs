@@ -1,6 +1,7 @@
 //! Primitives in the fit's own coordinates, and their projection to conics and pixel rows.
 
 use crate::gaussian::{CUTOFF, Gaussian};
+use crate::parallel;
 
 /// A primitive while it is fitted: as [`Gaussian`], with the scales as natural logarithms and in no order.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -26,6 +27,26 @@ impl Primitive {
     pub(crate) fn from_gaussian(g: &Gaussian) -> Self {
         Primitive { mean: g.mean, log_scale: g.scale.map(f32::ln), rotation: g.rotation, color: g.color }
     }
+}
+
+/// Returns the same primitives in a picture `by` times as large.
+pub(crate) fn zoomed(mut primitives: Vec<Primitive>, by: f32) -> Vec<Primitive> {
+    for p in &mut primitives {
+        p.mean = p.mean.map(|v| v * by);
+        p.log_scale = p.log_scale.map(|v| v + by.ln());
+    }
+    primitives
+}
+
+/// Projects `primitives` into a picture of so many rows.
+pub(crate) fn all(primitives: &[Primitive], height: u32) -> Vec<Projected> {
+    const CHUNK: usize = 512;
+    let chunks = primitives.len().div_ceil(CHUNK);
+    parallel::map(chunks, |c| {
+        let part = &primitives[c * CHUNK..primitives.len().min((c + 1) * CHUNK)];
+        part.iter().map(|p| Projected::new(p, height)).collect::<Vec<_>>()
+    })
+    .concat()
 }
 
 /// What the pixel loops need of one primitive.

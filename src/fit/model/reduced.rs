@@ -1,24 +1,29 @@
 //! A picture made smaller, for the first steps of a fit.
 
-use crate::fit::model::field::Scene;
-use crate::fit::model::planes::Target;
+use crate::fit::model::planes::Planes;
+use crate::fit::model::problem::{Problem, Scene};
 
 /// A picture made smaller.
 pub(crate) struct Reduced {
-    pub scene: Scene,
-    pub target: Target,
+    scene: Scene,
+    target: Planes,
     /// How many times its sides are shorter: a power of two.
     pub by: u32,
 }
 
 impl Reduced {
-    /// Halved so many times, at least once.
-    pub(crate) fn new(scene: &Scene, target: &Target, times: u32) -> Self {
-        let mut target = target.halved();
+    /// Halves the picture so many times, at least once.
+    pub(crate) fn new(problem: &Problem<'_>, times: u32) -> Self {
+        let mut target = problem.target.halved();
         for _ in 1..times {
             target = target.halved();
         }
-        Reduced { scene: Scene { width: target.width, height: target.height, ..*scene }, target, by: 1 << times }
+        Reduced { scene: Scene { width: target.width, height: target.height, ..problem.scene }, target, by: 1 << times }
+    }
+
+    /// Returns the same problem at the smaller size.
+    pub(crate) fn problem(&self) -> Problem<'_> {
+        Problem { scene: self.scene, target: &self.target }
     }
 }
 

@@ -3,7 +3,7 @@
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
-use crate::fit::model::planes::Target;
+use crate::fit::model::planes::Planes;
 use crate::fit::model::project::Primitive;
 use crate::parallel;
 
@@ -13,7 +13,7 @@ const DETAIL: f64 = 0.8;
 const SPREAD: f32 = 0.7;
 
 /// `count` round primitives whose density follows the square root of the blurred gradient.
-pub(crate) fn by_detail(target: &Target, count: usize, rng: &mut Pcg64Mcg) -> Vec<Primitive> {
+pub(crate) fn by_detail(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Vec<Primitive> {
     let area = f64::from(target.width) * f64::from(target.height);
     // Cells well below the mean distance of primitives, so that a stratum rarely shares one.
     let spacing = (area / count.max(1) as f64).sqrt();
@@ -60,7 +60,7 @@ pub(crate) fn by_detail(target: &Target, count: usize, rng: &mut Pcg64Mcg) -> Ve
 }
 
 /// Mean magnitude of the colour gradient in each cell.
-fn detail(target: &Target, cell: u32, cols: u32, rows: u32) -> Vec<f32> {
+fn detail(target: &Planes, cell: u32, cols: u32, rows: u32) -> Vec<f32> {
     let (w, stride, count) = (target.width, target.stride, target.channels.count());
     parallel::map(rows as usize, |r| {
         let mut sums = vec![0.0f32; cols as usize];

@@ -1,7 +1,8 @@
 //! Structural similarity for the fit: weights that make the squared error favour it, and its own gradient.
 
-use crate::fit::model::field::{Field, Scene};
-use crate::fit::model::planes::Target;
+use crate::fit::model::field::Field;
+use crate::fit::model::planes::Planes;
+use crate::fit::model::problem::Problem;
 use crate::fit::model::sample::blur;
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
@@ -20,9 +21,9 @@ const DENSE: f32 = 160.0;
 /// Largest weight, and the inverse of the smallest.
 const MOST: f32 = 20.0;
 
-/// Amplitudes for [`Target::amplitude`]: errors count more where the picture varies little, as they do in SSIM, whose
+/// Amplitudes for [`Planes::amplitude`]: errors count more where the picture varies little, as they do in SSIM, whose
 /// contrast term falls by about `e² / (2σ² + C₂)` for an error `e` over a local variance `σ²`; for `count` primitives.
-pub(crate) fn amplitudes(target: &Target, count: usize) -> Vec<f32> {
+pub(crate) fn amplitudes(target: &Planes, count: usize) -> Vec<f32> {
     let colors = target.channels.count() - usize::from(target.channels.alpha().is_some());
     let (width, height) = (target.width as usize, target.height as usize);
     let sparse = (width * height) as f32 / count.max(1) as f32 / DENSE;
@@ -72,12 +73,12 @@ pub(crate) struct Loss {
     means: Vec<Vec<f32>>,
     /// The slope of SSIM in each channel.
     slopes: Vec<Vec<f32>>,
-    planes: Planes,
+    buffers: Buffers,
 }
 
 /// Planes of one channel at a time, kept from step to step: the system would clear fresh ones each time.
 #[derive(Debug)]
-struct Planes {
+struct Buffers {
     picture: Vec<f32>,
     /// What has been summed along rows only.
     across: Vec<f32>,
@@ -89,7 +90,7 @@ struct Planes {
 
 impl Loss {
     /// `absolute`: the share of the absolute error, `0..=1`.
-    pub(crate) fn new(target: &Target, absolute: f32) -> Self {
+    pub(crate) fn new(target: &Planes, absolute: f32) -> Self {
         let raw: [f32; TAPS] = std::array::from_fn(|i| (-(i as f32 - 5.0).powi(2) / (2.0 * SIGMA * SIGMA)).exp());
         let sum: f32 = raw.iter().sum();
         let window = raw.map(|v| v / sum);
@@ -104,8 +105,8 @@ impl Loss {
         };
         let means = truths.iter().map(windowed_plane).collect();
         let slopes = truths.iter().map(|_| zeros(1)).collect();
-        let planes = Planes { picture: zeros(1), across, windowed: [(); 3].map(|()| zeros(1)), slopes: zeros(3) };
-        Loss { absolute, window, width, truths, means, slopes, planes }
+        let buffers = Buffers { picture: zeros(1), across, windowed: [(); 3].map(|()| zeros(1)), slopes: zeros(3) };
+        Loss { absolute, window, width, truths, means, slopes, buffers }
     }
 
     /// Turns the picture of all rows in `field` ([`Output::Picture`]) into the gradient, as [`Output::Gradient`] leaves
@@ -113,11 +114,12 @@ impl Loss {
     ///
     /// [`Output::Picture`]: crate::fit::model::field::Output::Picture
     /// [`Output::Gradient`]: crate::fit::model::field::Output::Gradient
-    pub(crate) fn gradient(&mut self, scene: &Scene, target: &Target, field: &mut Field) {
+    pub(crate) fn gradient(&mut self, problem: &Problem<'_>, field: &mut Field) {
+        let Problem { scene, target } = *problem;
         let (channels, stride, width) = (target.channels.count(), field.stride, self.width);
         let size = (channels + 1) * stride;
         for k in 0..channels {
-            parallel::map_chunks(&mut self.planes.picture, width, |y, out| {
+            parallel::map_chunks(&mut self.buffers.picture, width, |y, out| {
                 for (o, v) in out.iter_mut().zip(&field.planes[y * size + k * stride..]) {
                     *o = v.clamp(0.0, 1.0);
                 }
@@ -152,11 +154,11 @@ impl Loss {
         });
     }
 
-    /// The gradient of the sum of SSIM over the pixels of channel `k` with respect to the picture in `planes`. Outside,
+    /// The gradient of the sum of SSIM over the pixels of channel `k` with respect to the picture in `buffers`. Outside,
     /// both pictures are 0, so that every pixel has a window.
     fn similarity_slope(&mut self, k: usize) {
         let (window, width, truth, truth_means) = (&self.window, self.width, &self.truths[k], &self.means[k]);
-        let Planes { picture, across, windowed: [means, squares, products], slopes } = &mut self.planes;
+        let Buffers { picture, across, windowed: [means, squares, products], slopes } = &mut self.buffers;
         let pairs = |y: usize| picture[y * width..][..width].iter().zip(&truth[y * width..][..width]);
         windowed(window, width, |y, row| row.copy_from_slice(&picture[y * width..][..width]), across, means);
         let square =
@@ -270,7 +272,7 @@ mod tests {
     #[test]
     fn smooth_areas_weigh_more_and_the_mean_weight_is_one() {
         let samples = (0..64 * 40usize).map(|i| if i % 64 < 32 { 90 } else { (i * 7919 % 251) as u8 }).collect();
-        let target = Target::new(&Pixels::new(64, 40, Channels::Grey, Samples::U8(samples)).unwrap());
+        let target = Planes::new(&Pixels::new(64, 40, Channels::Grey, Samples::U8(samples)).unwrap());
         let amplitudes = amplitudes(&target, 50);
         assert_eq!(amplitudes.len(), target.stride * 40);
         let rows = amplitudes.chunks_exact(target.stride);
@@ -289,10 +291,10 @@ mod tests {
         };
         let (mut picture, truth) = (noise(1), noise(2));
         let samples = truth.iter().map(|v| (v * 65535.0) as u16).collect();
-        let target = Target::new(&Pixels::new(17, 14, Channels::Grey, Samples::U16(samples)).unwrap());
+        let target = Planes::new(&Pixels::new(17, 14, Channels::Grey, Samples::U16(samples)).unwrap());
         let truth = target.plane(0);
         let mut loss = Loss::new(&target, 0.5);
-        loss.planes.picture.copy_from_slice(&picture);
+        loss.buffers.picture.copy_from_slice(&picture);
         loss.similarity_slope(0);
         let slope = loss.slopes[0].clone();
         // SSIM by its definition, one window at a time, in f64.

@@ -198,8 +198,11 @@ fn measure(encoded: &ssplat::Encoded, job: &Job, subject: &Subject) -> Result<Va
     let r = &encoded.report;
     let parts: Vec<Value> = report.parts.iter().map(|p| json!([p.name, p.bytes])).collect();
     let fields: Vec<Value> = report.fields.iter().map(|f| json!([f.name, f.bits / 8.0])).collect();
-    let left_out: Vec<Value> =
-        r.left_out.iter().map(|l| json!({ "what": l.what, "bytes": l.bytes, "seconds": l.seconds })).collect();
+    let left_out: Vec<Value> = r
+        .left_out
+        .iter()
+        .map(|l| json!({ "what": l.what.to_string(), "bytes": l.bytes, "seconds": l.seconds }))
+        .collect();
     let trace: Vec<Value> = r
         .trace
         .iter()

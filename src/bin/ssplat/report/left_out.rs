@@ -95,11 +95,11 @@ pub fn measure(name: &str, pixels: &Pixels) -> ssplat::Result<Needless> {
         out.psnr[i] += metrics::psnr(pixels, &drawn)?.min(99.0) / SEEDS as f64;
         for l in &encoded.report.left_out {
             let text = match l.bytes {
-                0 => l.what.clone(),
+                0 => l.what.to_string(),
                 bytes => format!("{} ({bytes} B)", l.what),
             };
             // The first seed's bytes stand for all.
-            if i == 1 && !out.what.iter().any(|w| w.starts_with(&l.what)) {
+            if i == 1 && !out.what.iter().any(|w| w.starts_with(&l.what.to_string())) {
                 out.what.push(text);
             }
         }

@@ -28,7 +28,7 @@ pub(super) struct Room {
 
 /// The buffers and the passes.
 #[derive(Debug)]
-pub(super) struct Stage {
+pub(super) struct Workspace {
     pub uniforms: wgpu::Buffer,
     pub lists: Lists,
     pub planes: wgpu::Buffer,
@@ -46,7 +46,7 @@ pub(super) struct Stage {
     pub slots: wgpu::Buffer,
 }
 
-impl Stage {
+impl Workspace {
     /// Makes them for the slabs of `source` and the `state` of a fit: its primitives, and the moments that Adam keeps of them.
     ///
     /// # Errors
@@ -72,7 +72,7 @@ impl Stage {
             let forward = forward.collect();
             let pairs = [&shared[..], &[&planes, &tails, &slots]].concat();
             let gathered = [&shared[..], &[&slots, &moments]].concat();
-            Stage {
+            Workspace {
                 forward,
                 backward: k.backward.bind(d, &uniforms, &pairs),
                 importance: k.importance.bind(d, &uniforms, &pairs),

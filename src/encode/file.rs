@@ -1,0 +1,90 @@
+//! Integers to the smallest file of them: progressive levels, and a codebook of colours where it pays.
+
+use crate::bitstream;
+use crate::bitstream::rules::MAX_CODEBOOK;
+use crate::bitstream::splats::PackedSplats;
+use crate::error::Result;
+
+/// Writes the file, in `levels` levels, with its colours in a codebook where that is smaller. Brings the primitives into the
+/// order of the file.
+pub(super) fn smallest(splats: &mut PackedSplats, levels: u8) -> Result<Vec<u8>> {
+    if levels > 1 {
+        divide(splats, levels);
+    }
+    splats.codebook = None;
+    let direct = bitstream::to_bytes(splats)?;
+    let mut colors: Vec<[i16; 4]> = splats.gaussians.iter().map(|g| g.color).collect();
+    colors.sort_unstable();
+    colors.dedup();
+    // Where most colours occur once, a codebook cannot pay; the format has none of no colours, and none of too many.
+    if colors.is_empty() || colors.len() > MAX_CODEBOOK || colors.len() * 3 > splats.gaussians.len() {
+        return Ok(direct);
+    }
+    splats.codebook = Some(colors);
+    let indexed = bitstream::to_bytes(splats)?;
+    if indexed.len() < direct.len() {
+        return Ok(indexed);
+    }
+    splats.codebook = None;
+    Ok(direct)
+}
+
+/// Orders the primitives into `levels` levels, large ones first, each with three times as many as all before it.
+fn divide(splats: &mut PackedSplats, levels: u8) {
+    splats.gaussians.sort_by_key(|g| std::cmp::Reverse(u16::from(g.major) + u16::from(g.minor)));
+    let count = splats.gaussians.len() as u32;
+    let ends: Vec<u32> = (1..=u32::from(levels)).map(|k| count / 3u32.pow(u32::from(levels) - k)).collect();
+    splats.levels = ends.iter().enumerate().map(|(k, end)| end - if k > 0 { ends[k - 1] } else { 0 }).collect();
+    splats.levels.retain(|&n| n > 0);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bitstream::splats::{Layout, Metadata, PackedGaussian, Steps};
+    use crate::gaussian::{Blend, Channels};
+    use crate::pixels::Depth;
+
+    fn of_colors(colors: usize, times: usize) -> PackedSplats {
+        let color = |i: usize| [(i % colors % 256) as i16, (i % colors / 256) as i16, 0, 0];
+        let gaussians = (0..colors * times).map(|i| PackedGaussian { color: color(i), ..PackedGaussian::default() });
+        PackedSplats {
+            width: 8,
+            height: 8,
+            channels: Channels::Rgb,
+            depth: Depth::Eight,
+            blend: Blend::Normalized,
+            layout: Layout::Packed,
+            steps: Steps { scale: 2, angle: 1, position: 5, coarsest: 0, range: 0, luma: 8, chroma: 2 },
+            background: [0; 4],
+            codebook: None,
+            gaussians: gaussians.collect(),
+            levels: Vec::new(),
+            metadata: Metadata::default(),
+        }
+    }
+
+    #[test]
+    fn more_colours_than_a_codebook_may_have_are_written_one_by_one() {
+        let mut splats = of_colors(100, 4);
+        smallest(&mut splats, 1).unwrap();
+        assert_eq!(splats.codebook.as_ref().map(Vec::len), Some(100));
+        let mut splats = of_colors(MAX_CODEBOOK + 1, 3);
+        smallest(&mut splats, 1).unwrap();
+        assert_eq!(splats.codebook, None);
+    }
+
+    #[test]
+    fn each_level_has_three_times_as_many_primitives_as_all_before_it() {
+        let mut splats = of_colors(90, 1);
+        for (i, g) in splats.gaussians.iter_mut().enumerate() {
+            (g.major, g.minor) = ((i % 7) as u8, 0);
+        }
+        divide(&mut splats, 3);
+        assert_eq!(splats.levels, [10, 20, 60]);
+        assert!(splats.gaussians.windows(2).all(|g| g[0].major >= g[1].major));
+        divide(&mut splats, 8);
+        assert_eq!(splats.levels.iter().sum::<u32>(), 90);
+        assert!(!splats.levels.contains(&0));
+    }
+}

@@ -1,0 +1,107 @@
+//! What is encoded: the caller's picture, the channels of it that are fitted, and the file that both become.
+
+use super::channels::widen;
+use crate::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
+use crate::error::Result;
+use crate::fit::model::problem::Scene;
+use crate::gaussian::{Blend, Channels};
+use crate::options::{EncodeOptions, Needs, Recipe};
+use crate::pixels::Pixels;
+
+/// A picture, and what its caller asks for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Subject<'a> {
+    /// What the caller gave.
+    pub original: &'a Pixels,
+    /// What is fitted: the same, perhaps without channels that say nothing.
+    pub pixels: &'a Pixels,
+    pub options: &'a EncodeOptions,
+}
+
+impl Subject<'_> {
+    /// Returns how primitives blend.
+    pub(super) fn blend(&self) -> Blend {
+        self.options.blend.unwrap_or(match self.options.recipe {
+            Recipe::Ssplat => Blend::Normalized,
+            Recipe::SmartSplat(_) => Blend::Sum,
+        })
+    }
+
+    /// Returns the channels of the file.
+    pub(super) fn channels(&self) -> Channels {
+        self.original.channels()
+    }
+
+    /// Tells whether all channels are fitted.
+    pub(super) fn is_whole(&self) -> bool {
+        self.channels() == self.pixels.channels()
+    }
+
+    /// Returns the number of samples of the caller's picture.
+    pub(super) fn samples(&self) -> f64 {
+        f64::from(self.pixels.width()) * f64::from(self.pixels.height()) * self.channels().count() as f64
+    }
+
+    /// Returns the number of samples of what is fitted.
+    pub(super) fn fitted_samples(&self) -> f64 {
+        self.samples() / self.channels().count() as f64 * self.pixels.channels().count() as f64
+    }
+
+    /// Returns the scene of a fit whose picture has the mean colour `mean`.
+    pub(super) fn scene(&self, mean: [f32; 4]) -> Scene {
+        Scene {
+            width: self.pixels.width(),
+            height: self.pixels.height(),
+            blend: self.blend(),
+            background: match self.options.recipe {
+                Recipe::Ssplat => mean,
+                Recipe::SmartSplat(_) => [0.0; 4],
+            },
+        }
+    }
+
+    /// Returns the integers of what is fitted, without primitives.
+    pub(super) fn empty(&self) -> PackedSplats {
+        let mut metadata = Metadata::default();
+        metadata.icc.clone_from(&self.options.icc);
+        metadata.exif.clone_from(&self.options.exif);
+        PackedSplats {
+            width: self.pixels.width(),
+            height: self.pixels.height(),
+            channels: self.pixels.channels(),
+            depth: self.pixels.depth(),
+            blend: self.blend(),
+            layout: self.options.layout,
+            steps: Steps { scale: 2, angle: 1, position: 5, coarsest: 0, range: 0, luma: 6, chroma: 1 },
+            background: [0; 4],
+            codebook: None,
+            gaussians: Vec::new(),
+            levels: Vec::new(),
+            metadata,
+        }
+    }
+
+    /// Writes the file of `splats`, with the channels that were left out put back.
+    pub(super) fn file(&self, splats: &PackedSplats) -> Result<Vec<u8>> {
+        match self.is_whole() {
+            true => crate::bitstream::to_bytes(splats),
+            false => crate::bitstream::to_bytes(&widen(splats, self.channels())),
+        }
+    }
+}
+
+/// Tells whether a caller with these options lets channels, a whole fit or primitives be left out of the file: only the
+/// coded layout stores a constant channel in next to nothing.
+pub(super) fn may_leave_out(options: &EncodeOptions) -> bool {
+    options.needs == Needs::Measured && options.layout == Layout::Coded
+}
+
+/// Returns the scene of a stored picture.
+pub(super) fn stored_scene(splats: &PackedSplats) -> Scene {
+    Scene {
+        width: splats.width,
+        height: splats.height,
+        blend: splats.blend,
+        background: splats.quantizer().dequantize_color(splats.background),
+    }
+}

@@ -1,0 +1,110 @@
+//! What the picture loses without each primitive, and which are the least useful.
+
+use crate::fit::model::field::Field;
+use crate::fit::model::kernel::{self, Strip, Visit};
+use crate::fit::model::problem::Problem;
+use crate::fit::model::project::Projected;
+use crate::fit::model::rows::RowSet;
+use crate::gaussian::Blend;
+use crate::parallel;
+use crate::simd::{self, Simd, Task};
+
+/// The rise of the squared error when each primitive is removed, estimated without refitting the others.
+///
+/// `field` holds [`Output::Picture`](crate::fit::model::field::Output::Picture) over `rows`; the sums are scaled up by the rows left out.
+pub(crate) fn costs(problem: &Problem<'_>, field: &Field, rows: RowSet, projected: &[Projected]) -> Vec<f32> {
+    const CHUNK: usize = 64;
+    let chunks = projected.len().div_ceil(CHUNK);
+    parallel::map(chunks, |chunk| {
+        let projected = &projected[chunk * CHUNK..projected.len().min((chunk + 1) * CHUNK)];
+        match problem.target.channels.count() {
+            1 => simd::dispatch(CostTask::<1> { problem, field, rows, projected }),
+            2 => simd::dispatch(CostTask::<2> { problem, field, rows, projected }),
+            3 => simd::dispatch(CostTask::<3> { problem, field, rows, projected }),
+            _ => simd::dispatch(CostTask::<4> { problem, field, rows, projected }),
+        }
+    })
+    .concat()
+}
+
+/// The costs of a run of primitives.
+struct CostTask<'a, const C: usize> {
+    problem: &'a Problem<'a>,
+    field: &'a Field,
+    rows: RowSet,
+    projected: &'a [Projected],
+}
+
+impl<const C: usize> Task for CostTask<'_, C> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> Vec<f32> {
+        let CostTask { problem, field, rows, projected } = self;
+        let mut out = Vec::with_capacity(projected.len());
+        for p in projected {
+            let (first, end) = (rows.index(p.rows[0]), rows.index(p.rows[1]));
+            let color = kernel::colors(simd, p);
+            let mut cost = Cost::<S, C> { problem, field, rows, first, color, sum: simd.splat(0.0) };
+            kernel::walk_rows(simd, p, (rows, first..end), problem.scene.width, &mut cost);
+            out.push(simd.sum(cost.sum) * rows.step as f32);
+        }
+        out
+    }
+}
+
+/// Sums what the picture loses without a primitive.
+struct Cost<'a, S: Simd, const C: usize> {
+    problem: &'a Problem<'a>,
+    field: &'a Field,
+    rows: RowSet,
+    /// Index of the first row that is visited.
+    first: usize,
+    color: [S::Vector; C],
+    sum: S::Vector,
+}
+
+impl<S: Simd, const C: usize> Visit<S> for Cost<'_, S, C> {
+    #[inline(always)]
+    fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, _dy: S::Vector) {
+        let zero = simd.splat(0.0);
+        let row = &self.field.row(self.first + i, C)[strip.x..];
+        let w = simd.max(simd.sub(g, strip.edge), zero);
+        let mut share = match self.problem.scene.blend {
+            Blend::Normalized => {
+                let rest = simd.max(simd.sub(simd.read(&row[C * self.field.stride..]), w), zero);
+                simd.min(simd.div(w, simd.add(rest, simd.splat(0.02))), simd.splat(20.0))
+            }
+            Blend::Sum => w,
+        };
+        if let Some(a) = self.problem.target.amplitude(self.rows.row(self.first + i)) {
+            share = simd.mul(share, simd.read(&a[strip.x..]));
+        }
+        let mut distance = zero;
+        for k in 0..C {
+            let d = match self.problem.scene.blend {
+                Blend::Normalized => simd.sub(self.color[k], simd.read(&row[k * self.field.stride..])),
+                Blend::Sum => self.color[k],
+            };
+            distance = simd.add(distance, simd.mul(d, d));
+        }
+        self.sum = simd.add(self.sum, simd.mul(simd.mul(share, share), distance));
+    }
+}
+
+/// Indices by rising cost; equal costs by index.
+pub(crate) fn cheapest_first(costs: &[f32]) -> Vec<usize> {
+    cheapest(costs, costs.len())
+}
+
+/// The first `most` of them.
+pub(crate) fn cheapest(costs: &[f32], most: usize) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..costs.len()).collect();
+    let by_cost = |a: &usize, b: &usize| costs[*a].total_cmp(&costs[*b]).then(a.cmp(b));
+    if most < order.len() {
+        order.select_nth_unstable_by(most, by_cost);
+        order.truncate(most);
+    }
+    order.sort_unstable_by(by_cost);
+    order
+}

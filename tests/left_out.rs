@@ -1,0 +1,139 @@
+//! What an encode does without: the file keeps its size and the picture its channels, and the report says what it was.
+
+use ssplat::bitstream;
+use ssplat::raster::{Renderer, View};
+use ssplat::{Backend, Blend, Channels, EncodeOptions, Limits, Needs, Omission, Pixels, Samples, Target, Tune};
+
+fn options(effort: u8, target: Target) -> EncodeOptions {
+    let mut options = EncodeOptions::default();
+    (options.effort, options.target) = (effort, target);
+    options
+}
+
+fn decoded(bytes: &[u8]) -> Pixels {
+    let splats = bitstream::read(bytes, &Limits::default()).unwrap();
+    let picture = splats.to_picture();
+    Renderer::new(&picture, &View::full(&picture), &Limits::default()).unwrap().render(splats.depth).unwrap()
+}
+
+fn wave(channels: Channels, value: impl Fn(u32, u32, usize) -> u8) -> Pixels {
+    let n = channels.count();
+    let samples = (0..40 * 30 * n).map(|i| value((i / n) as u32 % 40, (i / n) as u32 / 40, i % n)).collect();
+    Pixels::new(40, 30, channels, Samples::U8(samples)).unwrap()
+}
+
+#[test]
+fn opaque_and_grey_pictures_come_back_opaque_grey_and_in_their_own_channels() {
+    for blend in [Blend::Normalized, Blend::Sum] {
+        let pixels = wave(Channels::Rgba, |x, y, k| if k == 3 { 255 } else { (3 * x + 2 * y) as u8 });
+        let mut options = options(1, Target::Bytes(200));
+        options.blend = Some(blend);
+        let encoded = ssplat::encode(&pixels, &options).unwrap();
+        assert!(encoded.bytes.len() <= 200, "{}", encoded.bytes.len());
+        assert_eq!(encoded.report.left_out.first().map(|l| &l.what), Some(&Omission::ColorAndAlpha));
+        let back = decoded(&encoded.bytes);
+        assert_eq!(back.channels(), Channels::Rgba);
+        let Samples::U8(v) = back.samples() else { panic!("8 bits") };
+        assert!(v.chunks_exact(4).all(|p| p[0] == p[1] && p[1] == p[2] && p[3] == 255));
+        let found = ssplat::metrics::psnr(&pixels, &back).unwrap();
+        assert!((found - encoded.report.psnr).abs() < 1.0, "{found} {}", encoded.report.psnr);
+    }
+}
+
+#[test]
+fn every_constant_grey_comes_back_exactly() {
+    for v in 0..=255 {
+        let pixels = wave(Channels::Rgb, |_, _, k| if k == 0 { v } else { 255 - v });
+        let encoded = ssplat::encode(&pixels, &EncodeOptions::default()).unwrap();
+        assert_eq!(decoded(&encoded.bytes), pixels, "{v}");
+        assert_eq!(encoded.report.primitives, 1);
+    }
+}
+
+#[test]
+fn a_soft_picture_stops_early_loses_needless_primitives_and_stays_within_rounding() {
+    let pixels = wave(Channels::Rgb, |x, y, k| 60 + (2 * x + (k as u32 + 1) * y) as u8);
+    let mut options = options(5, Target::Primitives(300));
+    let encoded = ssplat::encode(&pixels, &options).unwrap();
+    options.needs = Needs::Everything;
+    let everything = ssplat::encode(&pixels, &options).unwrap();
+    let report = &encoded.report;
+    assert!(report.primitives < 300, "{}", report.primitives);
+    assert!(encoded.bytes.len() < everything.bytes.len());
+    let [iterations, primitives] = [Omission::Iterations, Omission::Primitives]
+        .map(|what| report.left_out.iter().find(|l| l.what == what).unwrap_or_else(|| panic!("{what}: {report:?}")));
+    assert!(iterations.seconds > 0.0 && primitives.bytes > 0);
+    // 55.9 dB is the error of rounding twice.
+    assert!(report.psnr > 55.9, "{}", report.psnr);
+    let found = ssplat::metrics::psnr(&pixels, &decoded(&encoded.bytes)).unwrap();
+    assert!(found > 53.5, "{found}");
+}
+
+#[test]
+fn a_target_in_decibels_is_met_with_no_more_primitives_than_it_takes() {
+    let pixels = wave(Channels::Rgb, |x, y, k| (x * x / 7 + (k as u32 + 1) * y * 3) as u8);
+    let encoded = ssplat::encode(&pixels, &options(3, Target::Psnr(30.0))).unwrap();
+    assert!((30.0..30.4).contains(&encoded.report.psnr), "{}", encoded.report.psnr);
+    let splats = bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
+    for i in 0..splats.gaussians.len() {
+        let mut fewer = splats.clone();
+        fewer.gaussians.remove(i);
+        let found = ssplat::metrics::psnr(&pixels, &decoded(&bitstream::to_bytes(&fewer).unwrap())).unwrap();
+        assert!(found < 30.0, "{found} without {i} of {}", splats.gaussians.len());
+    }
+}
+
+fn left_out(pixels: &Pixels, options: &EncodeOptions) -> Vec<Omission> {
+    ssplat::encode(pixels, options).unwrap().report.left_out.into_iter().map(|l| l.what).collect()
+}
+
+#[test]
+fn ssim_terms_are_left_out_where_they_would_weigh_nothing() {
+    let even = wave(Channels::Grey, |x, y, _| (100 + (x + y) / 4) as u8);
+    let rough = wave(Channels::Grey, |x, y, _| (100 + x * y % 7 * x) as u8);
+    let psnr = options(1, Target::Bytes(150));
+    let mut ssim = psnr.clone();
+    ssim.tune = Tune::Ssim;
+    let mut everything = ssim.clone();
+    everything.needs = Needs::Everything;
+    // Who asks for PSNR goes without nothing: the report does not tell of it.
+    for (pixels, options, is_left_out) in
+        [(&even, &psnr, false), (&even, &ssim, true), (&even, &everything, false), (&rough, &ssim, false)]
+    {
+        let found = left_out(pixels, options);
+        assert_eq!(found.contains(&Omission::StructureWeights), is_left_out, "{found:?}");
+    }
+    let bytes = |options| ssplat::encode(&even, options).unwrap().bytes;
+    assert_eq!(bytes(&psnr), bytes(&ssim));
+}
+
+#[test]
+fn a_gpu_that_was_free_to_be_taken_and_was_not_is_left_out_and_the_reason_is_told() {
+    let gpu = |pixels: &Pixels, backend| {
+        let mut options = options(1, Target::Primitives(3));
+        options.backend = backend;
+        left_out(pixels, &options).into_iter().find(|w| matches!(w, Omission::Gpu { .. })).map(|w| w.to_string())
+    };
+    let small = wave(Channels::Grey, |x, y, _| (x + y) as u8);
+    let why = gpu(&small, Backend::Auto);
+    assert_eq!(why.as_deref(), Some("the GPU: the picture has fewer than 262144 pixels"));
+    assert_eq!(gpu(&small, Backend::Cpu), None);
+    // Without a fit nothing is fitted on anything.
+    assert_eq!(gpu(&wave(Channels::Grey, |_, _, _| 9), Backend::Auto), None);
+    #[cfg(not(feature = "gpu"))]
+    {
+        let samples = (0..512 * 512u32).map(|i| (i / 4096 + i % 512 / 16) as u8).collect();
+        let large = Pixels::new(512, 512, Channels::Grey, Samples::U8(samples)).unwrap();
+        let why = gpu(&large, Backend::Auto);
+        assert_eq!(why.as_deref(), Some("the GPU: this build has no GPU support"));
+    }
+}
+
+#[test]
+fn the_seconds_that_drafts_save_are_fewer_than_those_that_the_fit_took_times_its_steps() {
+    // Of few primitives, four drafts take more steps than the schedule of one fit has.
+    let pixels = wave(Channels::Grey, |x, y, _| (100 + (x + y) / 2) as u8);
+    let encoded = ssplat::encode(&pixels, &options(5, Target::Primitives(40))).unwrap();
+    let saved = encoded.report.left_out.iter().find(|l| l.what == Omission::Iterations).expect("it is soft").seconds;
+    assert!((0.0..1000.0).contains(&saved), "{saved} s");
+}
