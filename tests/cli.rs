@@ -256,6 +256,11 @@ fn an_eighth_of_the_width_is_the_average_of_the_pixels() {
     }
 }
 
+/// As much of an ICC profile as is looked at: 500 bytes that say they are for RGB.
+fn rgb_profile() -> Vec<u8> {
+    [&[7u8; 16][..], b"RGB ", &[7; 480]].concat()
+}
+
 /// A PNG with an ICC profile and an EXIF block.
 fn tagged(path: &Path, icc: &[u8], exif: &[u8]) {
     let mut encoder = image::codecs::png::PngEncoder::new(fs::File::create(path).unwrap());
@@ -268,7 +273,7 @@ fn tagged(path: &Path, icc: &[u8], exif: &[u8]) {
 fn icc_profile_and_exif_pass_from_png_to_png() {
     let folder = Folder::new();
     let (source, file, out) = (folder.path("s.png"), folder.path("f.ssplat"), folder.path("o.png"));
-    let (icc, exif) = (vec![7u8; 500], b"II*\0\x08\0\0\0\0\0\0\0\0\0".to_vec());
+    let (icc, exif) = (rgb_profile(), b"II*\0\x08\0\0\0\0\0\0\0\0\0".to_vec());
     tagged(&source, &icc, &exif);
     succeeds(ssplat(&[&"encode", &source, &file, &"--primitives", &"10", &"--effort", &"1"]));
     for extension in ["png", "webp", "jpg"] {
@@ -401,7 +406,7 @@ fn missing_files_and_folders_exit_with_3() {
     fails(ssplat(&[&"decode", &missing, &out]), 3, "missing.ssplat");
     fails(ssplat(&[&"info", &missing]), 3, "missing.ssplat");
     fails(ssplat(&[&"compare", &picture, &missing]), 3, "missing.ssplat");
-    fails(ssplat(&[&"encode", &missing, &out]), 3, "missing.ssplat");
+    fails(ssplat(&[&"encode", &missing, &folder.path("o.ssplat")]), 3, "missing.ssplat");
     fails(ssplat(&[&"encode", &picture, &folder.path("no/such/o.ssplat"), &"--effort", &"1"]), 3, "o.ssplat");
     assert_eq!(folder.names(), ["a.png"]);
 }
@@ -425,7 +430,7 @@ fn broken_files_exit_with_4_and_leave_nothing() {
         fails(ssplat(&[&"info", &bad]), 4, message);
     }
     fs::write(&bad, &fs::read(PHOTO).unwrap()[..5000]).unwrap();
-    fails(ssplat(&[&"encode", &bad, &out]), 4, "bad.ssplat");
+    fails(ssplat(&[&"encode", &bad, &folder.path("o.ssplat")]), 4, "bad.ssplat");
     assert_eq!(folder.names(), ["a.ssplat", "bad.ssplat"]);
 }
 
@@ -452,7 +457,7 @@ fn the_input_is_never_overwritten() {
     let picture = folder.picture("a.png");
     let before = fs::read(&picture).unwrap();
     let roundabout = folder.0.path().join(".").join("a.png");
-    fails(ssplat(&[&"encode", &picture, &roundabout, &"--effort", &"1"]), 2, "is the input");
+    fails(ssplat(&[&"encode", &picture, &roundabout, &"--effort", &"1", &"--force"]), 2, "is the input");
     let file = folder.encoded("a.ssplat");
     fails(ssplat(&[&"encode", &file, &file, &"--effort", &"1"]), 2, "is the input");
     fails(ssplat(&[&"encode", &picture, &folder.path("x"), &"--preview", &picture]), 2, "is the input");
@@ -521,4 +526,296 @@ fn help_shows_examples() {
         assert!(succeeds(ssplat(&[&name, &"--help"])).contains("Examples:"), "{name}");
     }
     assert!(succeeds(ssplat(&[&"--help"])).contains("Exit status"));
+}
+
+/// A JPEG of the photograph, with `icc` where there is one.
+fn jpeg(path: &Path, icc: Option<&[u8]>, picture: &DynamicImage) {
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new(fs::File::create(path).unwrap());
+    if let Some(icc) = icc {
+        encoder.set_icc_profile(icc.to_vec()).unwrap();
+    }
+    picture.write_with_encoder(encoder).unwrap();
+}
+
+/// An EXIF block that holds only an orientation.
+fn exif_of(orientation: u8) -> Vec<u8> {
+    let entry = [0x12, 0x01, 3, 0, 1, 0, 0, 0, orientation, 0, 0, 0];
+    [&b"II*\0\x08\0\0\0\x01\0"[..], &entry, &[0; 4]].concat()
+}
+
+/// What is said on standard error by a program that succeeds.
+#[track_caller]
+fn told(output: Output) -> String {
+    assert!(output.status.success(), "{output:?}");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+const QUICK: [&str; 4] = ["--primitives", "20", "--effort", "1"];
+
+/// `encode` of one file with few primitives.
+fn quick(input: &Path, output: &Path, more: &[&str]) -> Output {
+    let mut command = command(&[&"encode", &input, &output]);
+    command.args(QUICK).args(more).output().unwrap()
+}
+
+#[test]
+fn a_picture_that_was_cut_off_is_refused_in_every_format() {
+    let folder = Folder::new();
+    let out = folder.path("o.ssplat");
+    for extension in ["jpg", "png", "webp", "gif", "bmp", "tiff", "tga", "qoi", "ppm", "pam", "ff"] {
+        let (whole, cut) = (folder.path(&format!("whole.{extension}")), folder.path(&format!("cut.{extension}")));
+        match extension {
+            "ff" => DynamicImage::from(small().to_rgba16()).save(&whole).unwrap(),
+            _ => small().save(&whole).unwrap(),
+        }
+        told(quick(&whole, &out, &[]));
+        fs::remove_file(&out).unwrap();
+        let bytes = fs::read(&whole).unwrap();
+        for length in [bytes.len() / 2, bytes.len() * 9 / 10] {
+            fs::write(&cut, &bytes[..length]).unwrap();
+            fails(quick(&cut, &out, &[]), 4, "cut.");
+            assert!(!out.exists());
+        }
+    }
+    // What is there of a JPEG can be had.
+    let cut = folder.path("cut.jpg");
+    assert!(told(quick(&cut, &out, &["--partial"])).contains("cut off"));
+}
+
+#[test]
+fn a_jpeg_with_a_thumbnail_in_its_exif_block_still_has_to_reach_its_own_end() {
+    let folder = Folder::new();
+    let (plain, cut, out) = (folder.path("a.jpg"), folder.path("cut.jpg"), folder.path("o.ssplat"));
+    jpeg(&plain, None, &small());
+    let bytes = fs::read(&plain).unwrap();
+    // The segment holds the end mark of a thumbnail.
+    let thumbnail = [&[0xFF, 0xE1, 0, 12][..], b"Exif\0\0", &[0xFF, 0xD9, 1, 2]].concat();
+    let with = [&bytes[..2], &thumbnail, &bytes[2..]].concat();
+    fs::write(&plain, &with).unwrap();
+    told(quick(&plain, &out, &[]));
+    fs::write(&cut, &with[..with.len() - 30]).unwrap();
+    fails(quick(&cut, &out, &[]), 4, "cut.jpg");
+}
+
+#[test]
+fn a_profile_for_other_channels_is_left_out_and_named() {
+    let folder = Folder::new();
+    let (source, out) = (folder.path("a.jpg"), folder.path("o.ssplat"));
+    let profile = |space: &[u8; 4]| [&[7u8; 16][..], space, &[7; 100]].concat();
+    let grey = DynamicImage::from(small().to_luma8());
+    for (picture, space, kept) in
+        [(small(), b"RGB ", true), (small(), b"CMYK", false), (grey.clone(), b"RGB ", false), (grey, b"GRAY", true)]
+    {
+        jpeg(&source, Some(&profile(space)), &picture);
+        let said = told(quick(&source, &out, &[]));
+        assert_eq!(said.contains("ICC profile"), !kept, "{said}");
+        let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &out, &"--json"]))).unwrap();
+        assert_eq!(info["icc_bytes"].as_u64(), kept.then_some(120));
+        assert!(told(quick(&source, &out, &["--quiet"])).is_empty());
+    }
+}
+
+#[test]
+fn an_output_with_the_extension_of_another_format_needs_force() {
+    let folder = Folder::new();
+    let (a, b) = (folder.picture("a.png"), folder.picture("b.png"));
+    let before = fs::read(&b).unwrap();
+    for name in ["b.png", "c.jpg", "c.JPEG", "c.avif", "c.heic", "c.jxl", "c.webp"] {
+        fails(quick(&a, &folder.path(name), &[]), 2, "--force");
+    }
+    assert_eq!(fs::read(&b).unwrap(), before);
+    assert_eq!(folder.names(), ["a.png", "b.png"]);
+    told(quick(&a, &b, &["--force"]));
+    assert!(fs::read(&b).unwrap() != before);
+}
+
+#[test]
+fn what_is_lost_on_the_way_is_said() {
+    let folder = Folder::new();
+    let (source, file) = (folder.path("a.png"), folder.path("a.ssplat"));
+    tagged(&source, &rgb_profile(), &exif_of(6));
+    assert!(told(quick(&source, &file, &[])).is_empty());
+    for (extension, words) in [
+        ("png", &[][..]),
+        ("jpg", &[]),
+        ("webp", &[]),
+        ("tiff", &["EXIF", "orientation"][..]),
+        ("bmp", &["ICC", "EXIF", "orientation"]),
+        ("qoi", &["ICC", "EXIF", "orientation"]),
+        ("tga", &["ICC", "EXIF", "orientation"]),
+        ("ppm", &["ICC", "EXIF", "orientation"]),
+    ] {
+        let said = told(ssplat(&[&"decode", &file, &folder.path(&format!("o.{extension}"))]));
+        assert_eq!(said.is_empty(), words.is_empty(), "{said}");
+        words.iter().for_each(|word| assert!(said.contains(word), "{said} lacks {word}"));
+    }
+    // More than one frame.
+    let frames = folder.path("frames.gif");
+    let mut gif = image::codecs::gif::GifEncoder::new(fs::File::create(&frames).unwrap());
+    gif.encode_frames((0..2).map(|_| image::Frame::new(small().to_rgba8()))).unwrap();
+    drop(gif);
+    assert!(told(quick(&frames, &file, &[])).contains("only the first"));
+}
+
+#[test]
+fn auto_orient_turns_and_says_so_in_the_exif_block() {
+    let folder = Folder::new();
+    let (source, file, out) = (folder.path("a.png"), folder.path("a.ssplat"), folder.path("o.png"));
+    tagged(&source, &rgb_profile(), &exif_of(6));
+    let kept = |path: &Path| ImageReader::open(path).unwrap().into_decoder().unwrap().exif_metadata().unwrap();
+    told(quick(&source, &file, &["--auto-orient"]));
+    told(ssplat(&[&"decode", &file, &out]));
+    assert_eq!((image::image_dimensions(&out).unwrap(), kept(&out)), ((40, 60), Some(exif_of(1))));
+    // And when decoding.
+    told(quick(&source, &file, &[]));
+    told(ssplat(&[&"decode", &file, &out, &"--auto-orient"]));
+    assert_eq!((image::image_dimensions(&out).unwrap(), kept(&out)), ((40, 60), Some(exif_of(1))));
+    let plain = folder.path("plain.png");
+    told(ssplat(&[&"decode", &file, &plain]));
+    assert!(image::open(&plain).unwrap().rotate90() == image::open(&out).unwrap());
+}
+
+#[test]
+fn a_transparent_picture_is_laid_over_the_background() {
+    let folder = Folder::new();
+    let (source, file) = (folder.path("a.png"), folder.path("a.ssplat"));
+    // Red that nobody sees.
+    image::RgbaImage::from_pixel(16, 16, image::Rgba([255, 0, 0, 0])).save(&source).unwrap();
+    told(quick(&source, &file, &[]));
+    let jpeg = folder.path("o.jpg");
+    assert!(told(ssplat(&[&"decode", &file, &jpeg])).contains("--background"));
+    assert!(image::open(&jpeg).unwrap().to_rgb8().pixels().all(|p| p.0.iter().all(|&v| v > 250)));
+    let png = folder.path("o.png");
+    assert!(told(ssplat(&[&"decode", &file, &png, &"--background", &"102030"])).is_empty());
+    let covered = image::open(&png).unwrap();
+    assert_eq!(covered.color(), image::ColorType::Rgb8);
+    assert!(covered.to_rgb8().pixels().all(|p| p.0 == [0x10, 0x20, 0x30]));
+}
+
+#[test]
+#[cfg(unix)]
+fn a_link_that_leads_nowhere_yet_is_followed() {
+    let folder = Folder::new();
+    let source = folder.picture("a.png");
+    std::os::unix::fs::symlink("target.ssplat", folder.path("link.ssplat")).unwrap();
+    told(quick(&source, &folder.path("link.ssplat"), &[]));
+    assert_eq!(folder.names(), ["a.png", "link.ssplat", "target.ssplat"]);
+    assert!(fs::symlink_metadata(folder.path("link.ssplat")).unwrap().is_symlink());
+    assert!(fs::symlink_metadata(folder.path("target.ssplat")).unwrap().is_file());
+}
+
+#[test]
+fn more_threads_or_primitives_than_help_are_not_used() {
+    let folder = Folder::new();
+    let (source, out) = (folder.path("a.png"), folder.path("o.ssplat"));
+    image::GrayImage::from_fn(9, 7, |x, y| image::Luma([(x * 28 + y * 3) as u8])).save(&source).unwrap();
+    assert!(told(quick(&source, &out, &["--threads", "100000"])).contains("--threads 100000"));
+    let many = ssplat(&[&"encode", &source, &out, &"--primitives", &"16777216", &"--effort", &"1"]);
+    assert!(told(many).contains("63 are enough"));
+}
+
+#[test]
+fn messages_speak_of_what_was_asked() {
+    let folder = Folder::new();
+    let (picture, out) = (folder.picture("a.png"), folder.path("no/such/o.ssplat"));
+    let said = quick(&picture, &out, &[]);
+    assert!(!String::from_utf8_lossy(&said.stderr).contains(".ssplat-"), "{said:?}");
+    fails(said, 3, "no/such/o.ssplat");
+    let out = folder.path("o.ssplat");
+    fails(ssplat(&[&"encode", &picture, &out, &"--ratio", &"1e9"]), 2, "--ratio 1000000000");
+    fails(fed(&[&"encode", &"-", &out], b""), 4, "standard input: is empty");
+    let avif = folder.path("a.avif");
+    fs::write(&avif, b"\0\0\0\x1cftypavif\0\0\0\0avifmif1miaf").unwrap();
+    fails(ssplat(&[&"encode", &avif, &out]), 5, "avifdec");
+    let file = folder.encoded("b.ssplat");
+    fails(ssplat(&[&"decode", &file, &folder.path("o.png"), &"--scale", &"1e30"]), 2, "1048576 at most");
+}
+
+/// Starts `encode` of several inputs.
+fn many(inputs: &[&Path], folder: &Path, more: &[&str]) -> Output {
+    let mut command = command(&[&"encode"]);
+    command.args(inputs).arg("--out-dir").arg(folder).args(QUICK).args(more).output().unwrap()
+}
+
+#[test]
+fn many_files_become_what_each_becomes_alone_and_a_broken_one_stops_none() {
+    let folder = Folder::new();
+    fs::create_dir_all(folder.path("in/deep")).unwrap();
+    for name in ["in/a.png", "in/b.png", "in/deep/c.png"] {
+        small().save(folder.path(name)).unwrap();
+    }
+    fs::write(folder.path("in/bad.png"), "no picture").unwrap();
+    fs::write(folder.path("in/notes.txt"), "not asked for").unwrap();
+    let (input, out, manifest) = (folder.path("in"), folder.path("out"), folder.path("m.jsonl"));
+    let alone = folder.path("alone.ssplat");
+    told(quick(&folder.path("in/a.png"), &alone, &[]));
+    let options = ["--recursive", "--jobs", "3", "--skip-existing", "--manifest", manifest.to_str().unwrap()];
+    let first = many(&[&input], &out, &options);
+    assert_eq!(first.status.code(), Some(4), "{first:?}");
+    let said = String::from_utf8(first.stderr).unwrap();
+    assert!(said.contains("bad.png") && said.contains("1 of 4 files failed"), "{said}");
+    for name in ["a.ssplat", "b.ssplat", "deep/c.ssplat"] {
+        assert!(fs::read(out.join(name)).unwrap() == fs::read(&alone).unwrap(), "{name}");
+    }
+    assert!(!out.join("bad.ssplat").exists() && !out.join("notes.ssplat").exists());
+    // A second run goes on: only what failed is tried again.
+    small().save(folder.path("in/bad.png")).unwrap();
+    let time = fs::metadata(out.join("a.ssplat")).unwrap().modified().unwrap();
+    let second = many(&[&input], &out, &options);
+    assert!(succeeds(second).contains("1 files done, 3 skipped, 0 failed"));
+    assert_eq!(fs::metadata(out.join("a.ssplat")).unwrap().modified().unwrap(), time);
+    let lines: Vec<serde_json::Value> =
+        fs::read_to_string(&manifest).unwrap().lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert_eq!(lines.len(), 5);
+    assert_eq!(lines.iter().filter(|l| l["error"].is_string()).count(), 1);
+    // What is there is not replaced unless that is asked for.
+    fails(many(&[&folder.path("in/a.png")], &out, &["--quiet"]), 2, "--overwrite");
+    succeeds(many(&[&folder.path("in/a.png")], &out, &["--overwrite"]));
+    // And back.
+    let back = folder.path("back");
+    succeeds(ssplat(&[&"decode", &out, &"--out-dir", &back, &"--recursive", &"--format", &"ppm"]));
+    for name in ["a.ppm", "b.ppm", "bad.ppm", "deep/c.ppm"] {
+        assert_eq!(image::image_dimensions(back.join(name)).unwrap(), (60, 40));
+    }
+}
+
+#[test]
+fn several_inputs_need_a_folder_and_outputs_of_their_own() {
+    let folder = Folder::new();
+    let (a, b) = (folder.picture("a.png"), folder.picture("b.png"));
+    fails(ssplat(&[&"encode", &a, &b, &folder.path("c.ssplat")]), 2, "--out-dir");
+    fails(ssplat(&[&"encode", &a]), 2, "--out-dir");
+    let twin = folder.path("a.bmp");
+    small().save(&twin).unwrap();
+    let out = folder.path("out");
+    fails(many(&[&a, &twin], &out, &[]), 2, "would both become");
+    assert_eq!(folder.names(), ["a.bmp", "a.png", "b.png"]);
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupt_leaves_whole_files_only() {
+    let folder = Folder::new();
+    fs::create_dir(folder.path("in")).unwrap();
+    small().save(folder.path("in/0.png")).unwrap();
+    for i in 1..3 {
+        fs::copy(PHOTO, folder.path(&format!("in/{i}.png"))).unwrap();
+    }
+    let out = folder.path("out");
+    let mut child = command(&[&"encode", &folder.path("in"), &"--out-dir", &out, &"--ratio", &"20", &"--effort", &"8"])
+        .args(["--jobs", "2"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let start = std::time::Instant::now();
+    while !out.join("0.ssplat").exists() {
+        assert!(start.elapsed().as_secs() < 60, "no file was written");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    let names: Vec<_> = fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(names, ["0.ssplat"]);
+    succeeds(ssplat(&[&"info", &out.join("0.ssplat")]));
 }

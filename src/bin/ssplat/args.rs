@@ -1,18 +1,19 @@
 //! The command line.
 
 use std::num::NonZeroUsize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::{Args as ClapArgs, Parser, Subcommand};
 use ssplat::bitstream::splats::Layout;
 use ssplat::{Backend, Blend, EncodeOptions, Recipe, Target, Tune};
 
+use crate::failure::Failure;
 use crate::names;
 
 /// Pictures stored as 2D Gaussians.
 #[derive(Debug, Parser)]
-#[command(name = "ssplat", version, max_term_width = 100, after_help = EXIT_STATUS)]
+#[command(name = "ssplat", version = VERSION, max_term_width = 100, after_help = EXIT_STATUS)]
 pub struct Args {
     #[command(subcommand)]
     pub command: Command,
@@ -21,10 +22,18 @@ pub struct Args {
     pub threads: Option<NonZeroUsize>,
 }
 
+/// The version, and what was built in.
+const VERSION: &str = if cfg!(feature = "gpu") {
+    concat!(env!("CARGO_PKG_VERSION"), " (features: rayon, cli, gpu)")
+} else {
+    concat!(env!("CARGO_PKG_VERSION"), " (features: rayon, cli)")
+};
+
 const EXIT_STATUS: &str = "\
 Exit status: 0 success, 2 wrong usage, 3 reading or writing failed, 4 broken file,
 5 unsupported format or version, 6 file beyond the limits, 1 anything else. On
-failure no output file is left behind.";
+failure no output file is left behind. Of several inputs the status is that of all
+failures, or 1 where they differ.";
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
@@ -41,29 +50,56 @@ pub enum Command {
     Report(crate::report::args::Report),
 }
 
+const ENCODE_USAGE: &str = "\
+ssplat encode [OPTIONS] <INPUT> <OUTPUT>
+       ssplat encode [OPTIONS] <INPUT>... --out-dir <DIR>";
+
+const DECODE_USAGE: &str = "\
+ssplat decode [OPTIONS] <INPUT> <OUTPUT>
+       ssplat decode [OPTIONS] <INPUT>... --out-dir <DIR>";
+
 const ENCODE_EXAMPLES: &str = "\
 Examples:
   ssplat encode photo.jpg photo.ssplat                        at the default ratio of 50
   ssplat encode photo.png photo.ssplat --bytes 300            a placeholder
   ssplat encode photo.png photo.ssplat --ratio 200 --effort 9
   ssplat encode photo.png photo.ssplat --preview result.png   also decode and measure
+  ssplat encode *.jpg scans --recursive --out-dir small --skip-existing
   cat photo.png | ssplat encode - - > photo.ssplat
 
-An orientation in the EXIF block is carried along, not applied. Samples in 32-bit
-floats are clamped to 0..1 and kept with 16 bits.
+With --out-dir all paths are inputs, folders too: small pictures are encoded side by side,
+one that fails does not stop the others, and with --skip-existing a second run goes on where
+the first stopped.
+
+An orientation in the EXIF block is carried along, unless --auto-orient applies it. Samples
+in 32-bit floats are clamped to 0..1 and kept with 16 bits. What of the input is lost (XMP,
+further frames) is told on standard error.
 
 With no size asked for, the ratio is 50, but the primitives get 80 bytes at least, and ICC profile
 and EXIF block come on top: no picture is too small. A size that is asked for is kept or refused.";
 
 #[derive(Debug, ClapArgs)]
-#[command(after_help = ENCODE_EXAMPLES)]
+#[command(after_help = ENCODE_EXAMPLES, override_usage = ENCODE_USAGE)]
 pub struct Encode {
-    /// The picture, in any format known by its content; - for standard input
-    pub input: PathBuf,
-    /// The .ssplat file to write; - for standard output
-    pub output: PathBuf,
+    /// The picture, in any format known by its content, and the .ssplat file to write; - for standard input or output
+    #[arg(required = true, value_name = "PATH")]
+    pub paths: Vec<PathBuf>,
+    #[command(flatten)]
+    pub many: Many,
     #[command(flatten)]
     pub target: TargetArgs,
+    /// Take what is there of a JPEG or GIF that was cut off
+    #[arg(long)]
+    pub partial: bool,
+    /// Turn the picture as its EXIF block says
+    #[arg(long)]
+    pub auto_orient: bool,
+    /// Write the file even under the extension of another format
+    #[arg(long)]
+    pub force: bool,
+    /// Say nothing but errors
+    #[arg(long, short)]
+    pub quiet: bool,
     /// How much work to spend, 1 to 9
     #[arg(long, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
     pub effort: u8,
@@ -92,7 +128,7 @@ pub struct Encode {
     #[arg(long, default_value = "auto", value_parser = names::backend())]
     pub backend: Backend,
     /// Also decode the file, write the pixels here, and measure them
-    #[arg(long, value_name = "PNG")]
+    #[arg(long, value_name = "PNG", conflicts_with = "out_dir")]
     pub preview: Option<PathBuf>,
     /// Say where the time and the bytes went
     #[arg(long)]
@@ -100,6 +136,56 @@ pub struct Encode {
     /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+/// What is done with outputs of several inputs that are there already.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Existing {
+    Refuse,
+    Skip,
+    Replace,
+}
+
+/// How several inputs are treated.
+#[derive(Debug, ClapArgs)]
+pub struct Many {
+    /// Write into this folder: every path is an input, a folder stands for its files
+    #[arg(long, value_name = "DIR")]
+    pub out_dir: Option<PathBuf>,
+    /// Also take the folders in folders
+    #[arg(long, requires = "out_dir")]
+    pub recursive: bool,
+    /// How many small pictures to work on at a time [default: one a thread]
+    #[arg(long, value_name = "N", requires = "out_dir")]
+    pub jobs: Option<NonZeroUsize>,
+    /// Pass over inputs whose output is there
+    #[arg(long, requires = "out_dir", conflicts_with = "overwrite")]
+    pub skip_existing: bool,
+    /// Replace outputs that are there
+    #[arg(long, requires = "out_dir")]
+    pub overwrite: bool,
+    /// Add a line of JSON for each file to this one
+    #[arg(long, value_name = "JSONL", requires = "out_dir")]
+    pub manifest: Option<PathBuf>,
+}
+
+impl Many {
+    pub fn existing(&self) -> Existing {
+        match (self.skip_existing, self.overwrite) {
+            (true, _) => Existing::Skip,
+            (_, true) => Existing::Replace,
+            _ => Existing::Refuse,
+        }
+    }
+}
+
+/// The input and the output where there is one of each.
+pub fn pair(paths: &[PathBuf]) -> Result<(&Path, &Path), Failure> {
+    match paths {
+        [input, output] => Ok((input, output)),
+        [input] => Err(Failure::usage(format!("{}: where to? name an output, or --out-dir", input.display()))),
+        _ => Err(Failure::usage(format!("{} paths: several inputs need --out-dir", paths.len()))),
+    }
 }
 
 /// What to aim at: at most one of these.
@@ -152,19 +238,30 @@ Examples:
   ssplat decode photo.ssplat detail.png --region 1000,800,512,512 --scale 2
   ssplat decode photo.ssplat - --format ppm | pnmtojpeg > photo.jpg
   ssplat decode cut-off.ssplat coarse.png --partial
+  ssplat decode small --out-dir large --format jpg
 
 PNG and PNM are written band by band, in little memory whatever the picture's size.";
 
 #[derive(Debug, ClapArgs)]
-#[command(after_help = DECODE_EXAMPLES)]
+#[command(after_help = DECODE_EXAMPLES, override_usage = DECODE_USAGE)]
 pub struct Decode {
-    /// The .ssplat file; - for standard input
-    pub input: PathBuf,
-    /// The picture to write, in the format of its extension; - for standard output
-    pub output: PathBuf,
-    /// Output format, as an extension [default: that of OUTPUT, or png on standard output]
+    /// The .ssplat file, and the picture to write, in the format of its extension; - for standard input or output
+    #[arg(required = true, value_name = "PATH")]
+    pub paths: Vec<PathBuf>,
+    #[command(flatten)]
+    pub many: Many,
+    /// Output format, as an extension [default: that of OUTPUT, or png on standard output and in a folder]
     #[arg(long, value_name = "EXT")]
     pub format: Option<String>,
+    /// Lay pictures with alpha over this colour, as six hexadecimal digits [default: ffffff for JPEG, else none]
+    #[arg(long, value_name = "RRGGBB", value_parser = color)]
+    pub background: Option<[u8; 3]>,
+    /// Turn the picture as its EXIF block says
+    #[arg(long)]
+    pub auto_orient: bool,
+    /// Say nothing but errors
+    #[arg(long, short)]
+    pub quiet: bool,
     /// Draw only this part: left, top, width and height in pixels of the picture
     #[arg(long, value_name = "X,Y,W,H", value_parser = region)]
     pub region: Option<[u32; 4]>,
@@ -229,6 +326,14 @@ pub fn positive(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(v) if v > 0.0 && f64::is_finite(v) => Ok(v),
         _ => Err("not a positive number".into()),
+    }
+}
+
+fn color(text: &str) -> Result<[u8; 3], String> {
+    let digits = text.trim_start_matches('#');
+    match u32::from_str_radix(digits, 16) {
+        Ok(v) if digits.len() == 6 => Ok([(v >> 16) as u8, (v >> 8) as u8, v as u8]),
+        _ => Err("not six hexadecimal digits".into()),
     }
 }
 

@@ -7,14 +7,20 @@ use ssplat::{Channels, Depth, Pixels, Samples};
 use crate::args;
 use crate::failure::Failure;
 use crate::sink::say;
-use crate::source;
+use crate::source::{self, Turn};
 
 /// What stands for the infinite PSNR of equal samples where a number is wanted, dB.
 pub const IDENTICAL: f64 = 99.0;
 
 pub fn run(args: &args::Compare) -> Result<(), Failure> {
-    let reference = source::open(&args.reference)?.pixels;
-    let test = source::open(&args.test)?.pixels;
+    let open = |path| -> Result<Pixels, Failure> {
+        let source = source::open(path, Turn::Keep)?;
+        if source.is_cut_off {
+            eprintln!("ssplat: {}: the file is cut off", Failure::input(path));
+        }
+        Ok(source.pixels)
+    };
+    let (reference, test) = (open(&args.reference)?, open(&args.test)?);
     let found = measure(&reference, &test)
         .map_err(|e| Failure::usage(format!("{} and {}: {e}", args.reference.display(), args.test.display())))?;
     say(&if args.json { format!("{}\n", as_json(&found)) } else { format!("{}\n", as_text(&found)) })

@@ -3,78 +3,175 @@
 use std::path::Path;
 use std::time::Instant;
 
+use image::DynamicImage;
+use image::metadata::Orientation;
 use serde_json::json;
 use ssplat::bitstream::Missing;
+use ssplat::bitstream::header::Header;
 use ssplat::bitstream::splats::Metadata;
 use ssplat::raster::{Renderer, SamplesMut, View};
-use ssplat::{Backend, Damage, Depth, Limits, Opening, Picture, Pixels};
+use ssplat::{Backend, Channels, Damage, Depth, Limits, Opening, Picture, Pixels, Samples};
 
+use crate::batch::{self, Command, Done, Show, Voice};
 use crate::failure::Failure;
 use crate::progress::Bar;
 use crate::rows::{Format, RowWriter, Shape};
-use crate::sink::{Sink, say};
+use crate::sink::{self, Sink, say};
 use crate::source::{self, Source};
 use crate::{args, encode};
 
 /// Bytes of output that are drawn before they are written, unless one band takes more.
 const BATCH: usize = 8 << 20;
 
+/// Longest side of an output, pixels.
+const LONGEST: u32 = 1 << 20;
+
 pub fn run(args: &args::Decode) -> Result<(), Failure> {
-    let start = Instant::now();
-    let format = match &args.format {
-        Some(extension) => Format::from_extension(extension)?,
-        None if args.output == Path::new("-") => Format::Png,
-        None => Format::of_path(&args.output)?,
-    };
-    let bytes = source::read_all(&args.input)?;
-    let failed = |e| Failure::library(&args.input, &e);
-    let limits = Limits::default();
-    let opening = Opening::new(&bytes, &limits).map_err(failed)?;
-    let of = opening.header().primitives;
-    let view = view(args, opening.view()).map_err(failed)?;
-    let damage = if args.partial { Damage::Accept } else { Damage::Refuse };
-    let opened = opening.read_for(&view, damage).map_err(failed)?;
-    drop(bytes);
-    let (depth, missing) = (opened.splats().depth, opened.missing());
-    report_loss(&args.input, opened.metadata(), missing, of);
-    let sink;
-    let mut device = String::from("CPU");
-    if args.backend == Backend::Gpu {
-        let pixels;
-        (pixels, device) = on_gpu(&opened.splats().to_picture(), &view, depth, &limits).map_err(failed)?;
-        sink = Sink::create(&args.output, &[&args.input])?;
-        let metadata = opened.into_metadata();
-        let source = Source { pixels, icc: metadata.icc, exif: metadata.exif };
-        encode::write_pixels(source, format, &sink, &args.output)?;
-    } else {
-        let renderer = opened.renderer(&view).map_err(failed)?;
-        let metadata = opened.into_metadata();
-        sink = Sink::create(&args.output, &[&args.input])?;
-        draw(&renderer, depth, &metadata, format, &sink, &args.output)?;
+    let voice = Voice::new(args.json, args.quiet);
+    let named = args.format.as_deref().map(Format::from_extension).transpose()?;
+    if let Some(folder) = &args.many.out_dir {
+        let format = named.unwrap_or(Format::Png);
+        let command = Command {
+            takes: &|path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ssplat::EXTENSION)),
+            extension: args.format.as_deref().unwrap_or("png"),
+            pixels: &pixels,
+            run: &|input, output, show| one(args, input, output, format, show),
+        };
+        return batch::run(&args.paths, folder, &args.many, voice, &command);
     }
-    sink.finish()?;
-    let seconds = start.elapsed().as_secs_f64();
-    if args.json && args.output != Path::new("-") {
-        let loss = json!({ "primitives": missing.primitives, "of": of });
-        let (width, height) = (view.width(), view.height());
-        let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": device });
-        say(&format!("{result}\n"))?;
+    let (input, output) = args::pair(&args.paths)?;
+    let format = match named {
+        Some(format) => format,
+        None if output == Path::new("-") => Format::Png,
+        None => Format::of_path(output)?,
+    };
+    let bar = if voice == Voice::Quiet { Bar::hidden() } else { Bar::new() };
+    let done = one(args, input, output, format, &|share, stage| bar.show(share, stage))?;
+    drop(bar);
+    if voice != Voice::Quiet {
+        done.notes.iter().for_each(|note| eprintln!("ssplat: {}: {note}", Failure::input(input)));
+    }
+    if args.json && output != Path::new("-") {
+        say(&format!("{}\n", done.result))?;
     }
     Ok(())
 }
 
-/// Says on standard error what a damaged file has lost.
-fn report_loss(path: &Path, metadata: &Metadata, missing: Missing, of: u32) {
-    for name in &metadata.damaged {
-        eprintln!("ssplat: {}: section {} is damaged and left out", path.display(), String::from_utf8_lossy(name));
+/// Width times height of the picture in the file at `path`; 0 where it cannot be told.
+fn pixels(path: &Path) -> u64 {
+    let mut reader = std::fs::File::open(path).map(std::io::BufReader::new);
+    let header = reader.as_mut().ok().and_then(|r| Header::read(r, &Limits::default()).ok());
+    header.map_or(0, |h| u64::from(h.width) * u64::from(h.height))
+}
+
+/// Decodes one file.
+fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &Show) -> Result<Done, Failure> {
+    let start = Instant::now();
+    let bytes = source::read_all(input)?;
+    let failed = |e| Failure::library(input, &e);
+    let limits = Limits::default();
+    let opening = Opening::new(&bytes, &limits).map_err(failed)?;
+    let of = opening.header().primitives;
+    let view = view(args, input, opening.view())?;
+    let damage = if args.partial { Damage::Accept } else { Damage::Refuse };
+    let opened = opening.read_for(&view, damage).map_err(failed)?;
+    drop(bytes);
+    let (depth, missing, channels) = (opened.splats().depth, opened.missing(), opened.splats().channels);
+    let mut notes = losses(opened.metadata(), missing, of);
+    notes.extend(format.losses(opened.metadata()));
+    let orientation = opened.metadata().exif.as_deref().and_then(Orientation::from_exif_chunk);
+    let orientation = orientation.filter(|&o| args.auto_orient && o != Orientation::NoTransforms);
+    let background = background(args, channels, format, &mut notes);
+    let mut shape = (view.width(), view.height());
+    let mut device = String::from("CPU");
+    let sink;
+    if args.backend == Backend::Gpu || orientation.is_some() || background.is_some() {
+        // What turns or covers a picture sees all of it.
+        let mut pixels = if args.backend == Backend::Gpu {
+            let pixels;
+            (pixels, device) = on_gpu(&opened.splats().to_picture(), &view, depth, &limits).map_err(failed)?;
+            pixels
+        } else {
+            opened.draw(&view).map_err(failed)?
+        };
+        let mut metadata = opened.into_metadata();
+        if let Some(background) = background {
+            pixels = opaque(&pixels, background).map_err(failed)?;
+        }
+        if let Some(orientation) = orientation {
+            let mut picture = DynamicImage::from(pixels);
+            picture.apply_orientation(orientation);
+            shape = (picture.width(), picture.height());
+            pixels = Pixels::try_from(picture).map_err(failed)?;
+            if let Some(exif) = &mut metadata.exif {
+                let _ = Orientation::remove_from_exif_chunk(exif);
+            }
+        }
+        sink = Sink::create(output, &[input])?;
+        let (icc, exif) = (metadata.icc, metadata.exif);
+        let source = Source { pixels, icc, exif, is_cut_off: false, notes: Vec::new() };
+        encode::write_pixels(source, format, &sink, &sink::named(output))?;
+    } else {
+        let renderer = opened.renderer(&view).map_err(failed)?;
+        let metadata = opened.into_metadata();
+        sink = Sink::create(output, &[input])?;
+        let mut rows = start_rows(&renderer, depth, &metadata, format, &sink)?;
+        draw(&renderer, depth, &mut rows, output, show)?;
+        rows.finish(&sink::named(output))?;
     }
+    sink.finish()?;
+    let seconds = start.elapsed().as_secs_f64();
+    let loss = json!({ "primitives": missing.primitives, "of": of });
+    let (width, height) = shape;
+    let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": device });
+    Ok(Done { text: String::new(), result, notes })
+}
+
+/// The colour under a picture that loses its alpha.
+fn background(args: &args::Decode, channels: Channels, format: Format, notes: &mut Vec<String>) -> Option<[u8; 3]> {
+    channels.alpha()?;
+    if args.background.is_none() && !format.has_alpha() {
+        notes.push("the format has no alpha: the picture is laid over white; --background names another colour".into());
+        return Some([255; 3]);
+    }
+    args.background
+}
+
+/// The picture over a background, without alpha; the colour stays grey only if the background is.
+fn opaque(pixels: &Pixels, background: [u8; 3]) -> ssplat::Result<Pixels> {
+    let is_grey = pixels.channels().count() < 3 && background[1..] == [background[0]; 2];
+    let (count, alpha) = (pixels.channels().count(), pixels.channels().count() - 1);
+    let colors = if is_grey { 1 } else { 3 };
+    let channels = if is_grey { Channels::Grey } else { Channels::Rgb };
+    let most = f64::from(pixels.depth().max());
+    let share = |i: usize| match pixels.samples() {
+        Samples::U8(v) => f64::from(v[i]) / most,
+        Samples::U16(v) => f64::from(v[i]) / most,
+    };
+    let value = |i: usize, k: usize| {
+        let opacity = share(i * count + alpha);
+        let over = share(i * count + if count < 3 { 0 } else { k });
+        let under = f64::from(background[k]) / 255.0;
+        ((under + opacity * (over - under)) * most).round()
+    };
+    let all = pixels.width() as usize * pixels.height() as usize;
+    let values = (0..all).flat_map(|i| (0..colors).map(move |k| (i, k))).map(|(i, k)| value(i, k));
+    let samples = match pixels.depth() {
+        Depth::Eight => Samples::U8(values.map(|v| v as u8).collect()),
+        Depth::Sixteen => Samples::U16(values.map(|v| v as u16).collect()),
+    };
+    Pixels::new(pixels.width(), pixels.height(), channels, samples)
+}
+
+/// What a damaged file has lost, in words.
+fn losses(metadata: &Metadata, missing: Missing, of: u32) -> Vec<String> {
+    let section = |name| format!("section {} is damaged and left out", String::from_utf8_lossy(name));
+    let mut notes: Vec<String> = metadata.damaged.iter().map(|name| section(&name[..])).collect();
     if missing != Missing::default() {
         let Missing { primitives, groups, of_groups, .. } = missing;
-        eprintln!(
-            "ssplat: {}: {primitives} of {of} primitives in {groups} of {of_groups} groups are missing",
-            path.display()
-        );
+        notes.push(format!("{primitives} of {of} primitives in {groups} of {of_groups} groups are missing"));
     }
+    notes
 }
 
 /// Draws on a GPU, the whole view at once; also the GPU's name.
@@ -92,10 +189,11 @@ fn on_gpu(_: &Picture, _: &View, _: Depth, _: &Limits) -> ssplat::Result<(Pixels
 }
 
 /// What `--region` and the size options ask for of the `whole` picture.
-fn view(args: &args::Decode, whole: View) -> ssplat::Result<View> {
+fn view(args: &args::Decode, input: &Path, whole: View) -> Result<View, Failure> {
+    let failed = |e| Failure::library(input, &e);
     let mut view = whole;
     if let Some([x, y, width, height]) = args.region {
-        view = view.crop(x, y, width, height)?;
+        view = view.crop(x, y, width, height).map_err(failed)?;
     }
     let [width, height] = [view.width(), view.height()].map(f64::from);
     let [wide, tall] = match (args.width, args.height, args.scale) {
@@ -105,28 +203,32 @@ fn view(args: &args::Decode, whole: View) -> ssplat::Result<View> {
         (None, None, Some(scale)) => [width * scale, height * scale],
         (None, None, None) => return Ok(view),
     };
-    // A side that would vanish keeps one pixel; one that is too long is left for `resized` to refuse.
-    view.resized(wide.round().max(1.0) as u32, tall.round().max(1.0) as u32)
+    for (name, side) in [("wide", wide), ("high", tall)] {
+        if side.round() > f64::from(LONGEST) {
+            let path = Failure::input(input);
+            return Err(Failure::usage(format!("{path}: it would be {side:.0} pixels {name}; {LONGEST} at most")));
+        }
+    }
+    // A side that would vanish keeps one pixel.
+    view.resized(wide.round().max(1.0) as u32, tall.round().max(1.0) as u32).map_err(failed)
+}
+
+/// Starts the output of what `renderer` draws.
+fn start_rows<'a>(
+    renderer: &Renderer,
+    depth: Depth,
+    metadata: &'a Metadata,
+    format: Format,
+    sink: &Sink,
+) -> Result<RowWriter<'a>, Failure> {
+    let (width, height) = (renderer.view().width(), renderer.view().height());
+    let shape = Shape { width, height, channels: renderer.channels(), depth };
+    RowWriter::new(sink, format, shape, metadata).map_err(|e| Failure::io(sink.path(), &e))
 }
 
 /// Draws and writes everything, a few bands at a time.
-pub fn draw(
-    renderer: &Renderer,
-    depth: Depth,
-    metadata: &Metadata,
-    format: Format,
-    sink: &Sink,
-    path: &Path,
-) -> Result<(), Failure> {
-    let io = |e| Failure::io(path, &e);
-    let shape = Shape {
-        width: renderer.view().width(),
-        height: renderer.view().height(),
-        channels: renderer.channels(),
-        depth,
-    };
-    let mut rows = RowWriter::new(sink, format, shape, metadata).map_err(io)?;
-    let bar = Bar::new();
+fn draw(renderer: &Renderer, depth: Depth, rows: &mut RowWriter, path: &Path, show: &Show) -> Result<(), Failure> {
+    let io = |e| Failure::io(&sink::named(path), &e);
     let (mut bytes, mut words) = (Vec::new(), Vec::new());
     let mut first = 0;
     while first < renderer.bands() {
@@ -151,7 +253,7 @@ pub fn draw(
             }
         }
         first = last;
-        bar.show(first as f32 / renderer.bands() as f32, "drawing");
+        show(first as f32 / renderer.bands() as f32, "drawing");
     }
-    rows.finish(path)
+    Ok(())
 }

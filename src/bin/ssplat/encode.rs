@@ -4,45 +4,113 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Instant;
 
+use image::{ImageFormat, ImageReader};
 use serde_json::{Value, json};
 use ssplat::bitstream::splats::Metadata;
 use ssplat::metrics::Comparison;
 use ssplat::raster::SamplesMut;
-use ssplat::{EncodeReport, Limits, Pixels, Samples};
+use ssplat::{EncodeReport, Error, Limits, Pixels, Samples, Target};
 
+use crate::batch::{self, Command, Done, Show, Voice};
 use crate::failure::Failure;
 use crate::progress::Bar;
 use crate::rows::{Format, RowWriter, Shape};
 use crate::sink::{Sink, say};
-use crate::source::{self, Source};
+use crate::source::{self, Source, Turn};
 use crate::{args, compare, left_out};
 
+/// Extensions of picture formats that `image` does not know or that are not read.
+const OTHERS: [&str; 5] = ["heic", "heif", "jxl", "jp2", "svg"];
+
 pub fn run(args: &args::Encode) -> Result<(), Failure> {
-    if args.json && args.output == Path::new("-") {
+    let voice = Voice::new(args.json, args.quiet);
+    if let Some(folder) = &args.many.out_dir {
+        let command = Command {
+            takes: &|path| ImageFormat::from_path(path).is_ok() || path.extension().is_some_and(|e| e == "pam"),
+            extension: ssplat::EXTENSION,
+            pixels: &pixels,
+            run: &|input, output, show| one(args, input, output, show),
+        };
+        return batch::run(&args.paths, folder, &args.many, voice, &command);
+    }
+    let (input, output) = args::pair(&args.paths)?;
+    if args.json && output == Path::new("-") {
         return Err(Failure::usage("--json and the file cannot both go to standard output"));
     }
-    if args.preview.as_ref() == Some(&args.output) {
-        return Err(Failure::usage(format!("{}: cannot hold both the file and its preview", args.output.display())));
+    if !args.force && is_of_another_format(output) {
+        let path = output.display();
+        return Err(Failure::usage(format!(
+            "{path}: has the extension of another format; --force writes it all the same"
+        )));
     }
-    let Source { pixels, icc, exif } = source::open(&args.input)?;
+    let bar = if voice == Voice::Quiet { Bar::hidden() } else { Bar::new() };
+    let done = one(args, input, output, &|share, stage| bar.show(share, stage))?;
+    drop(bar);
+    if voice != Voice::Quiet {
+        done.notes.iter().for_each(|note| eprintln!("ssplat: {}: {note}", Failure::input(input)));
+    }
+    match voice {
+        Voice::Text if output == Path::new("-") => eprint!("{}", done.text),
+        Voice::Text => say(&done.text)?,
+        Voice::Json => say(&format!("{:#}\n", done.result))?,
+        Voice::Quiet => {}
+    }
+    Ok(())
+}
+
+/// Whether a file of that name would be taken for a picture of another format.
+fn is_of_another_format(path: &Path) -> bool {
+    let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+    extension.is_some_and(|e| ImageFormat::from_extension(&e).is_some() || OTHERS.contains(&e.as_str()))
+}
+
+/// Width times height of the picture at `path`; 0 where it cannot be told.
+fn pixels(path: &Path) -> u64 {
+    let size = ImageReader::open(path).and_then(|r| r.with_guessed_format()).map(|r| r.into_dimensions());
+    size.ok().and_then(Result::ok).map_or(0, |(width, height)| u64::from(width) * u64::from(height))
+}
+
+/// Encodes one file.
+fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<Done, Failure> {
+    if args.preview.as_deref() == Some(output) {
+        return Err(Failure::usage(format!("{}: cannot hold both the file and its preview", output.display())));
+    }
+    let mut source = source::open(input, if args.auto_orient { Turn::Upright } else { Turn::Keep })?;
+    if args.partial && source.is_cut_off {
+        source.notes.push("the file is cut off, and so is what is encoded".into());
+    } else {
+        source = source.whole(input)?;
+    }
+    let Source { pixels, icc, exif, mut notes, .. } = source;
     let mut options = args.options();
     (options.icc, options.exif) = (icc, exif);
+    let samples = u64::from(pixels.width()) * u64::from(pixels.height()) * pixels.channels().count() as u64;
+    if let Target::Primitives(asked) = options.target
+        && u64::from(asked) > samples
+    {
+        options.target = Target::Primitives(samples as u32);
+        notes.push(format!("{asked} primitives are more than the picture has samples: {samples} are enough"));
+    }
     // That a file cannot be written is found out before the work is done, not after.
-    let sink = Sink::create(&args.output, &[&args.input])?;
-    let preview = args.preview.as_deref().map(|path| Preview::prepare(path, &args.input)).transpose()?;
-    let bar = Bar::new();
+    let sink = Sink::create(output, &[input])?;
+    let preview = args.preview.as_deref().map(|path| Preview::prepare(path, input)).transpose()?;
     let encoded = ssplat::encode_with_progress(&pixels, &options, &mut |p| {
-        bar.show(p.done, p.stage);
+        show(p.done, p.stage);
         ControlFlow::Continue(())
-    })
-    .map_err(|e| Failure::library(&args.input, &e))?;
-    drop(bar);
+    });
+    let encoded = encoded.map_err(|e| match (&e, args.target.ratio) {
+        // The bytes are the program's own words for the ratio.
+        (Error::Parameter { name: "bytes", problem }, Some(ratio)) => {
+            Failure::usage(format!("{}: --ratio {ratio}: {problem}", Failure::input(input)))
+        }
+        _ => Failure::library(input, &e),
+    })?;
     sink.finish_with(&encoded.bytes)?;
 
     let mut result = summary(&pixels, encoded.bytes.len(), &encoded.report);
     let mut text = format!(
         "{}: {} bytes, ratio {:.1}, {} primitives, PSNR {:.2} dB, encoded in {:.2} s\n",
-        args.output.display(),
+        output.display(),
         encoded.bytes.len(),
         ratio(&pixels, encoded.bytes.len()),
         encoded.report.primitives,
@@ -62,16 +130,12 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
     }
     if args.explain {
         text += &explain(&encoded.report);
-        let (splats, report) = ssplat::bitstream::inspect(&encoded.bytes, &Limits::default())
-            .map_err(|e| Failure::library(&args.output, &e))?;
+        let (splats, report) =
+            ssplat::bitstream::inspect(&encoded.bytes, &Limits::default()).map_err(|e| Failure::library(output, &e))?;
         text += "not in the file:\n";
         text += &left_out::as_text(&left_out::of_file(&splats, &report));
     }
-    if args.output == Path::new("-") {
-        eprint!("{text}");
-        return Ok(());
-    }
-    say(&if args.json { format!("{result:#}\n") } else { text })
+    Ok(Done { text, result, notes })
 }
 
 /// Bytes of the samples with 8 bits each over bytes of the file.
@@ -105,7 +169,7 @@ impl<'a> Preview<'a> {
 
 /// Writes a whole picture.
 pub fn write_pixels(source: Source, format: Format, sink: &Sink, path: &Path) -> Result<(), Failure> {
-    let Source { pixels, icc, exif } = source;
+    let Source { pixels, icc, exif, .. } = source;
     let shape =
         Shape { width: pixels.width(), height: pixels.height(), channels: pixels.channels(), depth: pixels.depth() };
     let mut metadata = Metadata::default();

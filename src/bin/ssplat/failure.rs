@@ -58,7 +58,7 @@ impl Failure {
             Error::Parameter { .. } => Kind::Usage,
             _ => Kind::Other,
         };
-        Failure { kind, message: format!("{}: {error}", shown(path)) }
+        Failure { kind, message: format!("{}: {error}", Failure::input(path)) }
     }
 
     /// An error of the `image` crate while at work on `path`.
@@ -72,15 +72,15 @@ impl Failure {
             ImageError::Limits(_) => Kind::Limit,
             ImageError::Parameter(_) => Kind::Usage,
         };
-        Failure { kind, message: format!("{}: {error}", shown(path)) }
+        Failure { kind, message: format!("{}: {error}", Failure::input(path)) }
     }
 
     pub fn io(path: &Path, error: &std::io::Error) -> Self {
-        Failure { kind: Kind::Io, message: format!("{}: {error}", shown(path)) }
+        Failure { kind: Kind::Io, message: format!("{}: {error}", Failure::input(path)) }
     }
-}
 
-/// The path for a message; `-` has a name of its own.
-fn shown(path: &Path) -> String {
-    if path == Path::new("-") { "standard input or output".into() } else { path.display().to_string() }
+    /// The path for a message; `-` has a name of its own. Outputs are named by their sink.
+    pub fn input(path: &Path) -> String {
+        if path == Path::new("-") { "standard input".into() } else { path.display().to_string() }
+    }
 }

@@ -1,6 +1,7 @@
 //! The `ssplat` program: encode, decode, info, compare; with the feature `report` also report.
 
 mod args;
+mod batch;
 mod compare;
 mod decode;
 mod encode;
@@ -14,6 +15,7 @@ mod report;
 mod rows;
 mod sink;
 mod source;
+mod structure;
 
 use std::process::ExitCode;
 
@@ -35,9 +37,13 @@ fn main() -> ExitCode {
 
 fn run(args: Args) -> Result<(), Failure> {
     sink::remove_on_interrupt()?;
-    if let Some(threads) = args.threads {
+    if let Some(asked) = args.threads {
+        let threads = asked.get().min(most_threads());
+        if threads < asked.get() {
+            eprintln!("ssplat: --threads {asked}: {threads} are used, as more would only wait");
+        }
         rayon::ThreadPoolBuilder::new()
-            .num_threads(threads.get())
+            .num_threads(threads)
             .build_global()
             .map_err(|e| Failure::usage(format!("--threads {threads}: {e}")))?;
     }
@@ -49,4 +55,9 @@ fn run(args: Args) -> Result<(), Failure> {
         #[cfg(feature = "report")]
         Command::Report(args) => report::run(&args),
     }
+}
+
+/// More threads than this wait for each other and take memory, on any machine.
+fn most_threads() -> usize {
+    8 * std::thread::available_parallelism().map_or(1, |n| n.get())
 }

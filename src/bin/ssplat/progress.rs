@@ -13,11 +13,15 @@ pub struct Bar(ProgressBar);
 
 impl Bar {
     pub fn new() -> Bar {
-        let target = if std::io::stderr().is_terminal() {
-            ProgressDrawTarget::stderr_with_hz(10)
-        } else {
-            ProgressDrawTarget::hidden()
-        };
+        if std::io::stderr().is_terminal() { Bar::on(ProgressDrawTarget::stderr_with_hz(10)) } else { Bar::hidden() }
+    }
+
+    /// A bar that nobody sees.
+    pub fn hidden() -> Bar {
+        Bar::on(ProgressDrawTarget::hidden())
+    }
+
+    fn on(target: ProgressDrawTarget) -> Bar {
         let style =
             ProgressStyle::with_template("{msg:<28} {wide_bar} {percent:>3} % {elapsed}").expect("valid template");
         Bar(ProgressBar::with_draw_target(Some(STEPS), target).with_style(style))
@@ -27,6 +31,11 @@ impl Bar {
     pub fn show(&self, done: f32, message: impl Into<Cow<'static, str>>) {
         self.0.set_message(message);
         self.0.set_position((f64::from(done) * STEPS as f64) as u64);
+    }
+
+    /// Prints without the bar in between.
+    pub fn aside(&self, print: impl FnOnce()) {
+        self.0.suspend(print);
     }
 }
 

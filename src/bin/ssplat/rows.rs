@@ -4,6 +4,7 @@ use std::io::{self, Cursor, Write};
 use std::path::Path;
 
 use image::codecs::{jpeg::JpegEncoder, tiff::TiffEncoder, webp::WebPEncoder};
+use image::metadata::Orientation;
 use image::{DynamicImage, ImageEncoder, ImageFormat, ImageResult};
 use ssplat::bitstream::splats::Metadata;
 use ssplat::raster::SamplesMut;
@@ -61,6 +62,33 @@ impl Format {
         let extension =
             extension.ok_or_else(|| Failure::usage(format!("{}: has no extension; name --format", path.display())))?;
         Format::from_extension(extension)
+    }
+}
+
+impl Format {
+    /// Whether pictures in it may be transparent.
+    pub fn has_alpha(self) -> bool {
+        self != Format::Whole(ImageFormat::Jpeg)
+    }
+
+    /// What of `metadata` files of the format do not carry, in words.
+    pub fn losses(self, metadata: &Metadata) -> Vec<String> {
+        let (icc, exif) = match self {
+            Format::Png | Format::Whole(ImageFormat::Jpeg | ImageFormat::WebP) => (true, true),
+            Format::Whole(ImageFormat::Tiff) => (true, false),
+            _ => (false, false),
+        };
+        let mut notes = Vec::new();
+        if !icc && metadata.icc.is_some() {
+            notes.push("the ICC profile is left out: the format has no place for it".into());
+        }
+        if let Some(exif) = metadata.exif.as_deref().filter(|_| !exif) {
+            let turned = Orientation::from_exif_chunk(exif).is_some_and(|o| o != Orientation::NoTransforms);
+            let orientation =
+                if turned { ", and with it the orientation; --auto-orient turns the picture" } else { "" };
+            notes.push(format!("the EXIF block is left out: the format has no place for it{orientation}"));
+        }
+        notes
     }
 }
 
@@ -218,7 +246,7 @@ fn encode_whole(picture: DynamicImage, format: ImageFormat, metadata: &Metadata)
 }
 
 fn with_metadata(picture: &DynamicImage, mut encoder: impl ImageEncoder, metadata: &Metadata) -> ImageResult<()> {
-    // What a format cannot carry is left out, as every converter does.
+    // What a format cannot carry is left out; `Format::losses` says so.
     if let Some(icc) = &metadata.icc {
         let _ = encoder.set_icc_profile(icc.clone());
     }

@@ -34,7 +34,7 @@ pub fn remove_on_interrupt() -> Result<(), Failure> {
 pub fn say(text: &str) -> Result<(), Failure> {
     let mut out = io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
-        Err(e) if e.kind() != io::ErrorKind::BrokenPipe => Err(Failure::io(Path::new("-"), &e)),
+        Err(e) if e.kind() != io::ErrorKind::BrokenPipe => Err(Failure::io(&named(Path::new("-")), &e)),
         _ => Ok(()),
     }
 }
@@ -59,20 +59,22 @@ enum Out {
 impl Sink {
     /// Starts the file at `path`, or standard output for `-`; `inputs` are files that it must not replace.
     pub fn create(path: &Path, inputs: &[&Path]) -> Result<Sink, Failure> {
-        let io = |e: io::Error| Failure::io(path, &e);
-        let path_buf = path.to_path_buf();
+        let path_buf = named(path);
         if path == Path::new("-") {
             return Ok(Sink { path: path_buf, out: Out::Stdout });
         }
+        let io = |e: io::Error| Failure::io(path, &e);
         let target = match std::fs::metadata(path) {
-            Ok(m) if m.is_dir() => return Err(Failure::usage(format!("{}: is a folder", path.display()))),
+            Ok(m) if m.is_dir() => {
+                return Err(Failure::usage(format!("{}: is a folder; name it with --out-dir", path.display())));
+            }
             Ok(m) if !m.is_file() => {
                 let file = File::options().write(true).open(path).map_err(io)?;
                 return Ok(Sink { path: path_buf, out: Out::Special(file) });
             }
             // The file behind a link is replaced, not the link.
             Ok(_) => std::fs::canonicalize(path).map_err(io)?,
-            Err(e) if e.kind() == io::ErrorKind::NotFound => path_buf.clone(),
+            Err(e) if e.kind() == io::ErrorKind::NotFound => followed(path).map_err(io)?,
             Err(e) => return Err(io(e)),
         };
         for input in inputs {
@@ -85,9 +87,14 @@ impl Sink {
             _ => Path::new("."),
         };
         let mut unfinished = UNFINISHED.lock().unwrap_or_else(|e| e.into_inner());
-        let file = temporary().tempfile_in(folder).map_err(io)?;
+        let file = temporary().tempfile_in(folder).map_err(|e| io(plain(&e, folder)))?;
         unfinished.push(file.path().to_path_buf());
         Ok(Sink { path: path_buf, out: Out::Temporary { file, target } })
+    }
+
+    /// The path for messages.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// What to write to; all writers of a sink go on where the last one stopped.
@@ -113,6 +120,31 @@ impl Sink {
         unfinished.retain(|p| p != file.path());
         file.persist(&target).map(drop).map_err(|e| Failure::io(&self.path, &e.error))
     }
+}
+
+/// An output's path for messages.
+pub fn named(path: &Path) -> PathBuf {
+    if path == Path::new("-") { "standard output".into() } else { path.to_path_buf() }
+}
+
+/// Most links that are followed one after another, as Linux has it.
+const MAX_LINKS: usize = 40;
+
+/// Where a file comes to lie that is written to `path`, at which there is none: behind a link that leads nowhere yet.
+fn followed(path: &Path) -> io::Result<PathBuf> {
+    let mut target = path.to_path_buf();
+    for _ in 0..MAX_LINKS {
+        match std::fs::read_link(&target) {
+            Ok(next) => target = target.parent().unwrap_or(Path::new("")).join(next),
+            Err(_) => return Ok(target),
+        }
+    }
+    Err(io::Error::other("too many links"))
+}
+
+/// Why no file can be made in `folder`, without a temporary file's name, which tells nobody anything.
+fn plain(e: &io::Error, folder: &Path) -> io::Error {
+    std::fs::metadata(folder).err().unwrap_or_else(|| e.kind().into())
 }
 
 /// A temporary file with the rights that a plain new file gets.

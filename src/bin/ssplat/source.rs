@@ -1,24 +1,48 @@
 //! Pictures in: any format that is known by its content, with its ICC profile and EXIF block.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Cursor, Read, Seek};
+use std::io::{self, BufRead, BufReader, Cursor, Read, Seek};
 use std::path::Path;
 
+use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageReader};
 use ssplat::bitstream::header::MAGIC;
-use ssplat::{DecodeOptions, Pixels};
+use ssplat::{Channels, DecodeOptions, Pixels};
 
-use crate::failure::Failure;
+use crate::failure::{Failure, Kind};
+use crate::structure;
 
 /// Most bytes that a decoder of `image` may allocate: a 177-megapixel picture takes 531 MB with 8 bits, twice that
 /// with 16.
 const MAX_ALLOC: u64 = 8 << 30;
+
+/// Whether pixels are turned as their EXIF block says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Turn {
+    Keep,
+    Upright,
+}
 
 /// A picture and what came with it.
 pub struct Source {
     pub pixels: Pixels,
     pub icc: Option<Vec<u8>>,
     pub exif: Option<Vec<u8>>,
+    /// The file ends before its picture does.
+    pub is_cut_off: bool,
+    /// What of the file is not in here, in words.
+    pub notes: Vec<String>,
+}
+
+impl Source {
+    /// Refuses a picture of which a part is missing.
+    pub fn whole(self, path: &Path) -> Result<Source, Failure> {
+        if self.is_cut_off {
+            let message = format!("{}: the file is cut off; --partial takes what is there", path.display());
+            return Err(Failure { kind: Kind::Format, message });
+        }
+        Ok(self)
+    }
 }
 
 trait ReadSeek: BufRead + Seek {}
@@ -28,7 +52,7 @@ impl<T: BufRead + Seek> ReadSeek for T {}
 pub fn read_all(path: &Path) -> Result<Vec<u8>, Failure> {
     let mut bytes = Vec::new();
     let read = if path == Path::new("-") {
-        std::io::stdin().lock().read_to_end(&mut bytes)
+        io::stdin().lock().read_to_end(&mut bytes)
     } else {
         File::open(path).and_then(|mut f| f.read_to_end(&mut bytes))
     };
@@ -37,19 +61,28 @@ pub fn read_all(path: &Path) -> Result<Vec<u8>, Failure> {
 }
 
 /// Decodes `path`, or standard input for `-`.
-pub fn open(path: &Path) -> Result<Source, Failure> {
+pub fn open(path: &Path, turn: Turn) -> Result<Source, Failure> {
     let io = |e| Failure::io(path, &e);
     let mut reader: Box<dyn ReadSeek> = if path == Path::new("-") {
         Box::new(Cursor::new(read_all(path)?))
     } else {
         Box::new(BufReader::new(File::open(path).map_err(io)?))
     };
-    if reader.fill_buf().map_err(io)?.starts_with(&MAGIC) {
+    let start = reader.fill_buf().map_err(io)?;
+    if start.is_empty() {
+        return Err(Failure { kind: Kind::Format, message: format!("{}: is empty", Failure::input(path)) });
+    }
+    if start.starts_with(&MAGIC) {
         let mut bytes = Vec::new();
         reader.read_to_end(&mut bytes).map_err(io)?;
         return decode(path, &bytes);
     }
-    let failed = |e| Failure::image(path, &e);
+    let advice = advice(start);
+    let failed = |e| {
+        let mut failure = Failure::image(path, &e);
+        failure.message += advice.unwrap_or("");
+        failure
+    };
     let mut image = ImageReader::new(reader).with_guessed_format().map_err(io)?;
     if image.format().is_none() {
         // A few formats (TGA) cannot be told by their content.
@@ -57,19 +90,74 @@ pub fn open(path: &Path) -> Result<Source, Failure> {
             image.set_format(format);
         }
     }
+    let mut is_cut_off = false;
+    let mut notes = Vec::new();
+    if let Some(format) = image.format() {
+        let mut reader = image.into_inner();
+        let found = structure::look(&mut reader, format).map_err(io)?;
+        reader.rewind().map_err(io)?;
+        is_cut_off = !found.is_whole;
+        if found.has_more {
+            notes.push("only the first of its frames or pages is taken".into());
+        }
+        image = ImageReader::with_format(reader, format);
+    }
     let mut limits = image::Limits::default();
     limits.max_alloc = Some(MAX_ALLOC);
     image.limits(limits);
     let mut decoder = image.into_decoder().map_err(failed)?;
     let icc = decoder.icc_profile().map_err(failed)?;
-    let exif = decoder.exif_metadata().map_err(failed)?;
-    let picture = DynamicImage::from_decoder(decoder).map_err(failed)?;
+    let mut exif = decoder.exif_metadata().map_err(failed)?;
+    if decoder.xmp_metadata().is_ok_and(|xmp| xmp.is_some()) {
+        notes.push("its XMP block is left out".into());
+    }
+    let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+    let mut picture = DynamicImage::from_decoder(decoder).map_err(failed)?;
+    if turn == Turn::Upright {
+        picture.apply_orientation(orientation);
+        if let Some(exif) = &mut exif {
+            let _ = Orientation::remove_from_exif_chunk(exif);
+        }
+    } else if orientation != Orientation::NoTransforms && exif.is_none() {
+        notes.push("its orientation is left out; --auto-orient turns the picture".into());
+    }
     let pixels = Pixels::try_from(picture).map_err(|e| Failure::library(path, &e))?;
-    Ok(Source { pixels, icc, exif })
+    let icc = icc.filter(|icc| match misfit(icc, pixels.channels()) {
+        Some(space) => {
+            notes.push(format!("its ICC profile is for {space}, not for the stored channels, and is left out"));
+            false
+        }
+        None => true,
+    });
+    Ok(Source { pixels, icc, exif, is_cut_off, notes })
 }
 
 /// Decodes the ssplat file `bytes`, which came from `path`.
 pub fn decode(path: &Path, bytes: &[u8]) -> Result<Source, Failure> {
     let decoded = ssplat::decode(bytes, &DecodeOptions::default()).map_err(|e| Failure::library(path, &e))?;
-    Ok(Source { pixels: decoded.pixels, icc: decoded.metadata.icc, exif: decoded.metadata.exif })
+    let (icc, exif) = (decoded.metadata.icc, decoded.metadata.exif);
+    Ok(Source { pixels: decoded.pixels, icc, exif, is_cut_off: false, notes: Vec::new() })
+}
+
+/// The colour space of a profile where it is another than that of `channels`.
+fn misfit(icc: &[u8], channels: Channels) -> Option<String> {
+    // ICC.1, header: data colour space.
+    let space = icc.get(16..20).unwrap_or(b"none");
+    let wanted = if channels.count() < 3 { b"GRAY" } else { b"RGB " };
+    (space != wanted).then(|| String::from_utf8_lossy(space).trim().to_string())
+}
+
+/// What to do about formats that are not read, by the first bytes of a file.
+fn advice(start: &[u8]) -> Option<&'static str> {
+    match start.get(4..12) {
+        Some(b"ftypavif" | b"ftypavis") => Some(" (an AVIF file: convert it first, with `avifdec IN.avif OUT.png`)"),
+        Some(b"ftypheic" | b"ftypheix" | b"ftypmif1" | b"ftypmsf1" | b"ftyphevc") => {
+            Some(" (a HEIC file: convert it first, with `heif-convert IN.heic OUT.png`)")
+        }
+        Some(b"JXL \r\n\x87\n") => Some(" (a JPEG XL file: convert it first, with `djxl IN.jxl OUT.png`)"),
+        _ if start.starts_with(&[0xFF, 0x0A]) => {
+            Some(" (a JPEG XL file: convert it first, with `djxl IN.jxl OUT.png`)")
+        }
+        _ => None,
+    }
 }

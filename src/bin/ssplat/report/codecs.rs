@@ -9,7 +9,7 @@ use ssplat::Pixels;
 
 use crate::compare;
 use crate::failure::Failure;
-use crate::source;
+use crate::source::{self, Turn};
 
 /// One file of another codec.
 #[derive(Debug, Clone, PartialEq)]
@@ -137,7 +137,7 @@ pub fn run(name: &str, image: &str, pixels: &Pixels) -> Result<Vec<Anchor>, Fail
         let Some(encode_seconds) = timed(codec.encoder, &(codec.encode)(setting, &input, &coded)) else { continue };
         let Some(decode_seconds) = timed(codec.decoder, &(codec.decode)(&coded, &output)) else { continue };
         let Ok(metadata) = std::fs::metadata(&coded) else { continue };
-        let decoded = source::open(Path::new(&output))?.pixels;
+        let decoded = source::open(Path::new(&output), Turn::Keep)?.pixels;
         let Ok(found) = compare::measure(&reference, &decoded) else { continue };
         anchors.push(Anchor {
             image: image.into(),

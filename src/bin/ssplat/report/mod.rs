@@ -19,7 +19,7 @@ use ssplat::{Ablation, Backend, Blend, Channels, Pixels, Recipe, Samples};
 use crate::failure::Failure;
 use crate::progress::Bar;
 use crate::sink::{Sink, say};
-use crate::source;
+use crate::source::{self, Turn};
 use args::{Codecs, Recipes};
 use cells::{Cell, Job, Setup, Subject};
 use codecs::Anchor;
@@ -35,7 +35,7 @@ pub fn run(args: &args::Report) -> Result<(), Failure> {
     let mut subjects = Vec::new();
     for path in &args.images {
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-        subjects.push(Subject { name, pixels: source::open(path)?.pixels });
+        subjects.push(Subject { name, pixels: source::open(path, Turn::Keep)?.pixels });
     }
     let middle = (middle(&args.ratios), middle(&args.efforts));
     let gpu = gpu();

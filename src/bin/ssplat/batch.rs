@@ -1,0 +1,256 @@
+//! Many files in one run: which inputs become which outputs, several small ones at a time, one bar, and a manifest.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+use serde_json::{Value, json};
+
+use crate::args::{Existing, Many};
+use crate::failure::{Failure, Kind};
+use crate::progress::Bar;
+use crate::sink::say;
+
+/// Pixels up to which a picture is small: it is worked on with one thread, beside others.
+const SMALL: u64 = 1 << 22;
+
+/// What came of one file.
+pub struct Done {
+    /// For people; empty, or whole lines.
+    pub text: String,
+    /// For programs.
+    pub result: Value,
+    /// Losses and the like, in words.
+    pub notes: Vec<String>,
+}
+
+/// Hears of the share of a file that is done, and by which stage.
+pub type Show<'a> = dyn Fn(f32, &'static str) + 'a;
+
+/// From an input to an output.
+pub type Work<'a> = dyn Fn(&Path, &Path, &Show) -> Result<Done, Failure> + Sync + 'a;
+
+/// How a command treats one file.
+pub struct Command<'a> {
+    /// Which files of a folder are taken.
+    pub takes: &'a (dyn Fn(&Path) -> bool + Sync),
+    /// The extension of an output.
+    pub extension: &'a str,
+    /// Width times height, 0 where it is not known.
+    pub pixels: &'a (dyn Fn(&Path) -> u64 + Sync),
+    /// Does the work; hears of the share that is done.
+    pub run: &'a Work<'a>,
+}
+
+/// What is printed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Voice {
+    Text,
+    Json,
+    Quiet,
+}
+
+impl Voice {
+    pub fn new(json: bool, quiet: bool) -> Voice {
+        match (json, quiet) {
+            (true, _) => Voice::Json,
+            (_, true) => Voice::Quiet,
+            _ => Voice::Text,
+        }
+    }
+}
+
+struct Task {
+    input: PathBuf,
+    output: PathBuf,
+}
+
+/// Works on all inputs. What fails is told, and does not stop the others.
+pub fn run(inputs: &[PathBuf], folder: &Path, many: &Many, voice: Voice, command: &Command) -> Result<(), Failure> {
+    let tasks = tasks(inputs, folder, many, command)?;
+    let manifest = many.manifest.as_deref().map(Manifest::open).transpose()?;
+    let all = tasks.len();
+    let waiting = tasks.into_iter().filter(|t| many.existing() != Existing::Skip || !t.output.exists());
+    let (small, large): (Vec<Task>, Vec<Task>) = waiting.partition(|t| (command.pixels)(&t.input) <= SMALL);
+    let threads = rayon::current_num_threads();
+    let jobs = many.jobs.map_or(threads, |n| n.get().min(crate::most_threads())).min(small.len()).max(1);
+    let total = small.len() + large.len();
+    let shift = Shift { command, many, voice, manifest, total, board: Mutex::default(), bar: Bar::new() };
+    let next = AtomicUsize::new(0);
+    let of_small = || {
+        let work = || {
+            while let Some(task) = small.get(next.fetch_add(1, Ordering::Relaxed)) {
+                shift.work(task);
+            }
+        };
+        match rayon::ThreadPoolBuilder::new().num_threads((threads / jobs).max(1)).build() {
+            Ok(pool) => pool.install(work),
+            Err(_) => work(),
+        }
+    };
+    std::thread::scope(|scope| (0..jobs).for_each(|_| drop(scope.spawn(of_small))));
+    large.iter().for_each(|task| shift.work(task));
+    drop(shift.bar);
+    let board = shift.board.into_inner().unwrap_or_else(|e| e.into_inner());
+    if voice == Voice::Text {
+        let (done, failed) = (board.finished - board.failed.len(), board.failed.len());
+        say(&format!("{done} files done, {} skipped, {failed} failed\n", all - total))?;
+    }
+    match board.failed[..] {
+        [] => Ok(()),
+        [first, ..] => {
+            // Failures of several kinds have no status of their own.
+            let kind = if board.failed.iter().all(|&k| k == first) { first } else { Kind::Other };
+            Err(Failure { kind, message: format!("{} of {all} files failed", board.failed.len()) })
+        }
+    }
+}
+
+/// What all who work share.
+struct Shift<'a> {
+    command: &'a Command<'a>,
+    many: &'a Many,
+    voice: Voice,
+    manifest: Option<Manifest>,
+    total: usize,
+    board: Mutex<Board>,
+    bar: Bar,
+}
+
+/// Who is at what.
+#[derive(Default)]
+struct Board {
+    finished: usize,
+    failed: Vec<Kind>,
+    /// When each began, and its share that is done.
+    busy: HashMap<PathBuf, (Option<Instant>, f32)>,
+}
+
+impl Shift<'_> {
+    fn work(&self, task: &Task) {
+        let start = Instant::now();
+        self.post(&task.input, start, 0.0);
+        let outcome = self.prepare(task).and_then(|()| {
+            (self.command.run)(&task.input, &task.output, &|share, _| self.post(&task.input, start, share))
+        });
+        let (input, output) = (task.input.display().to_string(), task.output.display().to_string());
+        let entry = match &outcome {
+            Ok(done) => json!({ "input": input, "output": output, "result": done.result }),
+            Err(failure) => json!({ "input": input, "output": output, "error": failure.message }),
+        };
+        let written = self.manifest.as_ref().map_or(Ok(()), |m| m.add(&entry));
+        let mut board = self.board.lock().unwrap_or_else(|e| e.into_inner());
+        board.busy.remove(&task.input);
+        board.finished += 1;
+        let outcome = outcome.and_then(|done| written.map(|()| done));
+        self.bar.aside(|| match &outcome {
+            Ok(done) => {
+                if self.voice != Voice::Quiet {
+                    done.notes.iter().for_each(|note| eprintln!("ssplat: {input}: {note}"));
+                }
+                // A reader who has gone away does not stop the work.
+                let _ = match self.voice {
+                    Voice::Text => say(&done.text),
+                    Voice::Json => say(&format!("{entry}\n")),
+                    Voice::Quiet => Ok(()),
+                };
+            }
+            Err(failure) => eprintln!("ssplat: {}", failure.message),
+        });
+        board.failed.extend(outcome.err().map(|f| f.kind));
+    }
+
+    /// Checks that the output may be written, and makes its folder.
+    fn prepare(&self, task: &Task) -> Result<(), Failure> {
+        if self.many.existing() == Existing::Refuse && task.output.exists() {
+            let path = task.output.display();
+            return Err(Failure::usage(format!("{path}: exists; --overwrite replaces it, --skip-existing keeps it")));
+        }
+        let folder = task.output.parent().unwrap_or(Path::new("."));
+        std::fs::create_dir_all(folder).map_err(|e| Failure::io(folder, &e))
+    }
+
+    /// Shows how far all are, and what has been worked on for longest.
+    fn post(&self, path: &Path, start: Instant, share: f32) {
+        let mut board = self.board.lock().unwrap_or_else(|e| e.into_inner());
+        board.busy.insert(path.to_path_buf(), (Some(start), share));
+        let sum: f32 = board.busy.values().map(|b| b.1).sum();
+        let slowest = board.busy.iter().min_by_key(|(_, b)| b.0).map(|(path, _)| path.as_path()).unwrap_or(path);
+        let name = slowest.file_name().unwrap_or_default().to_string_lossy();
+        let message = format!("{}/{} {name}", board.finished, self.total);
+        self.bar.show((board.finished as f32 + sum) / self.total as f32, message);
+    }
+}
+
+/// A file of one JSON object a line; what is in it already stays.
+struct Manifest {
+    path: PathBuf,
+    file: Mutex<File>,
+}
+
+impl Manifest {
+    fn open(path: &Path) -> Result<Manifest, Failure> {
+        let file = File::options().create(true).append(true).open(path).map_err(|e| Failure::io(path, &e))?;
+        Ok(Manifest { path: path.into(), file: Mutex::new(file) })
+    }
+
+    /// Adds a line in one piece.
+    fn add(&self, entry: &Value) -> Result<(), Failure> {
+        let mut file = self.file.lock().unwrap_or_else(|e| e.into_inner());
+        file.write_all(format!("{entry}\n").as_bytes()).map_err(|e| Failure::io(&self.path, &e))
+    }
+}
+
+/// Every input with its output; no two have the same one.
+fn tasks(inputs: &[PathBuf], folder: &Path, many: &Many, command: &Command) -> Result<Vec<Task>, Failure> {
+    let mut tasks = Vec::new();
+    let mut taken: HashMap<PathBuf, PathBuf> = HashMap::new();
+    for input in inputs {
+        let mut files = Vec::new();
+        if input.is_dir() {
+            list(input, Path::new(""), many, command, &mut files)?;
+            files.sort();
+        } else if input == Path::new("-") {
+            return Err(Failure::usage("standard input cannot be one of several inputs"));
+        } else {
+            files.push((input.clone(), PathBuf::from(input.file_name().unwrap_or(input.as_os_str()))));
+        }
+        for (input, name) in files {
+            let output = folder.join(name.with_extension(command.extension));
+            if let Some(other) = taken.insert(output.clone(), input.clone()) {
+                let both = format!("{} and {}", other.display(), input.display());
+                return Err(Failure::usage(format!("{both} would both become {}", output.display())));
+            }
+            tasks.push(Task { input, output });
+        }
+    }
+    Ok(tasks)
+}
+
+/// Adds the files of `folder` that the command takes, each with its path below the folder that was named.
+fn list(
+    folder: &Path,
+    below: &Path,
+    many: &Many,
+    command: &Command,
+    files: &mut Vec<(PathBuf, PathBuf)>,
+) -> Result<(), Failure> {
+    let io = |e| Failure::io(folder, &e);
+    for entry in std::fs::read_dir(folder).map_err(io)? {
+        let entry = entry.map_err(io)?;
+        let (path, name) = (entry.path(), below.join(entry.file_name()));
+        // Links to folders are not followed: they may lead in a circle.
+        if entry.file_type().map_err(io)?.is_dir() {
+            if many.recursive {
+                list(&path, &name, many, command, files)?;
+            }
+        } else if (command.takes)(&path) {
+            files.push((path, name));
+        }
+    }
+    Ok(())
+}

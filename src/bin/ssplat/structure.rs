@@ -1,0 +1,142 @@
+//! What the structure of a picture file tells beside its first picture: whether its end is there, and whether more
+//! pictures follow. Decoders draw a JPEG that was cut off as if the rest were grey, and pass over further frames.
+
+use std::io::{self, BufRead, ErrorKind, Read, Seek, SeekFrom};
+
+use image::ImageFormat;
+
+/// What was found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Structure {
+    /// The mark at the end of the file is there.
+    pub is_whole: bool,
+    /// There are more frames or pages than the first.
+    pub has_more: bool,
+}
+
+/// Looks through a file of `format` from its beginning; formats whose decoders tell by themselves count as whole.
+pub fn look<R: BufRead + Seek>(reader: &mut R, format: ImageFormat) -> io::Result<Structure> {
+    let mut found = Structure { is_whole: true, has_more: false };
+    let outcome = match format {
+        ImageFormat::Jpeg => jpeg(reader),
+        ImageFormat::Gif => gif(reader, &mut found),
+        ImageFormat::Png => png(reader, &mut found),
+        ImageFormat::WebP => webp(reader, &mut found),
+        ImageFormat::Tiff => tiff(reader, &mut found),
+        _ => Ok(()),
+    };
+    match outcome {
+        Err(e) if e.kind() == ErrorKind::UnexpectedEof => found.is_whole = false,
+        outcome => outcome?,
+    }
+    Ok(found)
+}
+
+fn bytes<const N: usize>(reader: &mut impl Read) -> io::Result<[u8; N]> {
+    let mut bytes = [0; N];
+    reader.read_exact(&mut bytes)?;
+    Ok(bytes)
+}
+
+fn byte(reader: &mut impl Read) -> io::Result<u8> {
+    Ok(bytes::<1>(reader)?[0])
+}
+
+/// Reads up to the end mark. Between segments, and within a scan, everything but a marker is passed over.
+fn jpeg(reader: &mut impl BufRead) -> io::Result<()> {
+    loop {
+        let skipped = reader.skip_until(0xFF)?;
+        if skipped == 0 {
+            return Err(ErrorKind::UnexpectedEof.into());
+        }
+        let mut marker = byte(reader)?;
+        while marker == 0xFF {
+            marker = byte(reader)?;
+        }
+        match marker {
+            0xD9 => return Ok(()),
+            // A byte of a scan, a restart within it, the start, and a marker without a length.
+            0x00 | 0x01 | 0xD0..=0xD8 => {}
+            _ => {
+                let length = u64::from(u16::from_be_bytes(bytes(reader)?)).saturating_sub(2);
+                skip(reader, length)?;
+            }
+        }
+    }
+}
+
+fn skip(reader: &mut impl Read, length: u64) -> io::Result<()> {
+    let passed = io::copy(&mut reader.take(length), &mut io::sink())?;
+    if passed < length { Err(ErrorKind::UnexpectedEof.into()) } else { Ok(()) }
+}
+
+/// Goes over the blocks up to the trailer.
+fn gif(reader: &mut impl Read, found: &mut Structure) -> io::Result<()> {
+    let screen: [u8; 13] = bytes(reader)?;
+    let colors = |flags: u8| if flags & 0x80 != 0 { 3u64 << ((flags & 7) + 1) } else { 0 };
+    skip(reader, colors(screen[10]))?;
+    let mut frames = 0;
+    loop {
+        match byte(reader)? {
+            0x2C => {
+                let frame: [u8; 9] = bytes(reader)?;
+                // The colours, and one byte before the blocks of samples.
+                skip(reader, colors(frame[8]) + 1)?;
+                frames += 1;
+                found.has_more = frames > 1;
+            }
+            0x21 => skip(reader, 1)?,
+            0x3B => return Ok(()),
+            // Not a block: the decoder says so.
+            _ => return Ok(()),
+        }
+        loop {
+            match byte(reader)? {
+                0 => break,
+                length => skip(reader, u64::from(length))?,
+            }
+        }
+    }
+}
+
+/// Looks for the chunk that announces an animation.
+fn png(reader: &mut (impl Read + Seek), found: &mut Structure) -> io::Result<()> {
+    skip(reader, 8)?;
+    loop {
+        let length = u32::from_be_bytes(bytes(reader)?);
+        match &bytes::<4>(reader)? {
+            b"acTL" => {
+                found.has_more = u32::from_be_bytes(bytes(reader)?) > 1;
+                return Ok(());
+            }
+            b"IDAT" => return Ok(()),
+            _ => reader.seek(SeekFrom::Current(i64::from(length) + 4))?,
+        };
+    }
+}
+
+/// Reads the flag of an animation in the extended header.
+fn webp(reader: &mut impl Read, found: &mut Structure) -> io::Result<()> {
+    let head: [u8; 16] = bytes(reader)?;
+    if &head[12..] == b"VP8X" {
+        let flags: [u8; 5] = bytes(reader)?;
+        found.has_more = flags[4] & 2 != 0;
+    }
+    Ok(())
+}
+
+/// Looks whether the first directory has a successor.
+fn tiff(reader: &mut (impl Read + Seek), found: &mut Structure) -> io::Result<()> {
+    let head: [u8; 8] = bytes(reader)?;
+    let short = |b: [u8; 2]| if head[0] == b'I' { u16::from_le_bytes(b) } else { u16::from_be_bytes(b) };
+    let long = |b: [u8; 4]| if head[0] == b'I' { u32::from_le_bytes(b) } else { u32::from_be_bytes(b) };
+    // Files with offsets of 64 bits are not looked at.
+    if short([head[2], head[3]]) != 42 {
+        return Ok(());
+    }
+    reader.seek(SeekFrom::Start(u64::from(long([head[4], head[5], head[6], head[7]]))))?;
+    let entries = short(bytes(reader)?);
+    reader.seek(SeekFrom::Current(12 * i64::from(entries)))?;
+    found.has_more = long(bytes(reader)?) != 0;
+    Ok(())
+}
