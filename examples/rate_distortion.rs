@@ -6,13 +6,17 @@
 //! ```
 //!
 //! Every picture is encoded at every ratio, decoded from the bytes, and compared with the original. The CSV has the
-//! columns `image,codec,target_cr,bytes,actual_cr,psnr,msssim,…` and `N/A` where a codec does not reach a ratio. The
-//! first table has a row for each picture and ratio; the second has the means.
+//! columns `image,codec,target_cr,bytes,psnr,msssim` at least, `ssimulacra2` and `butteraugli` where it has them, and
+//! `N/A` where a codec does not reach a ratio. Codecs are given as PSNR / MS-SSIM / SSIMULACRA2 / Butteraugli. The first
+//! table has a row for each picture and ratio; the second has the means.
 
 // The option names of the program; a binary's modules have no other way out.
 #[path = "../src/bin/ssplat/names.rs"]
 #[allow(dead_code)]
 mod names;
+// The measures of the program that the library has not.
+#[path = "../src/bin/ssplat/perceived.rs"]
+mod perceived;
 
 use std::error::Error;
 use std::fs;
@@ -71,6 +75,14 @@ struct Args {
     csv: Option<PathBuf>,
 }
 
+/// Columns of the tables.
+const MEASURES: [&str; 4] = ["PSNR", "MS-SSIM", "SSIMULACRA2", "Butteraugli"];
+const SECONDS: [&str; 2] = ["enc s", "dec s"];
+
+/// Columns of the CSV that is written.
+const CSV_COLUMNS: &str = "image,codec,target_cr,bytes,actual_cr,psnr,msssim,ssimulacra2,butteraugli,ssim,enc_s,dec_s,\
+                           setting,width,height,note";
+
 /// One codec's result on one picture at one ratio.
 #[derive(Debug, Clone)]
 struct Row {
@@ -87,6 +99,10 @@ struct Quality {
     psnr: f64,
     /// `None` where the picture is too small for it.
     ms_ssim: Option<f64>,
+    /// `None` where the CSV has no such column, too.
+    ssimulacra2: Option<f64>,
+    /// 3-norm; `None` likewise.
+    butteraugli: Option<f64>,
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -103,9 +119,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let mut csv = args.csv.as_ref().map(fs::File::create).transpose()?;
     if let Some(csv) = &mut csv {
-        writeln!(csv, "image,codec,target_cr,bytes,actual_cr,psnr,msssim,ssim,enc_s,dec_s,setting,width,height,note")?;
+        writeln!(csv, "{CSV_COLUMNS}")?;
     }
-    println!("{}", header(&["image", "ratio", "bytes", "N", "PSNR", "MS-SSIM", "enc s", "dec s"], &codecs));
+    println!("{}", header(&[&["image", "ratio", "bytes", "N"][..], &MEASURES, &SECONDS].concat(), &codecs));
     let mut rows = Vec::new();
     for path in pictures(&args)? {
         let image = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -116,13 +132,19 @@ fn main() -> Result<(), Box<dyn Error>> {
             let encode_seconds = start.elapsed().as_secs_f64();
             let (decoded, decode_seconds) = decode(&encoded.bytes, args.repeat)?;
             let found = metrics::compare(&pixels, &decoded)?;
-            let quality = Quality { bytes: encoded.bytes.len() as u64, psnr: found.psnr, ms_ssim: found.ms_ssim };
+            let seen = perceived::measure(&pixels, &decoded);
+            let quality = Quality {
+                bytes: encoded.bytes.len() as u64,
+                psnr: found.psnr,
+                ms_ssim: found.ms_ssim,
+                ssimulacra2: seen.ssimulacra2,
+                butteraugli: seen.butteraugli,
+            };
             let mut line = format!(
-                "| {image} | {ratio} | {} | {} | {:.2} | {} | {encode_seconds:.2} | {decode_seconds:.4} |",
+                "| {image} | {ratio} | {} | {} | {} | {encode_seconds:.2} | {decode_seconds:.4} |",
                 quality.bytes,
                 encoded.report.primitives,
-                quality.psnr,
-                similarity(quality.ms_ssim)
+                quality.cells(" | "),
             );
             for codec in &codecs {
                 let anchor = anchors.iter().find(|r| r.image == image && r.ratio == ratio && r.codec == *codec);
@@ -135,12 +157,14 @@ fn main() -> Result<(), Box<dyn Error>> {
                     f64::from(width) * f64::from(height) * pixels.channels().count() as f64 / quality.bytes as f64;
                 writeln!(
                     csv,
-                    "{image},ssplat,{ratio},{},{actual:.2},{:.3},{},{},{encode_seconds:.3},{decode_seconds:.4},e={},\
+                    "{image},ssplat,{ratio},{},{actual:.2},{:.3},{},{},{},{},{encode_seconds:.3},{decode_seconds:.4},e={},\
                      {width},{height},",
                     quality.bytes,
                     quality.psnr,
-                    found.ms_ssim.map_or("N/A".into(), |v| format!("{v:.5}")),
-                    found.ssim.map_or("N/A".into(), |v| format!("{v:.5}")),
+                    or_none(found.ms_ssim, 5),
+                    or_none(seen.ssimulacra2, 3),
+                    or_none(seen.butteraugli, 3),
+                    or_none(found.ssim, 5),
                     args.effort
                 )?;
             }
@@ -203,13 +227,20 @@ fn read_anchors(path: &Path) -> Result<Vec<Row>, Box<dyn Error>> {
     let column = |name: &str| names.iter().position(|n| *n == name).ok_or(format!("the CSV has no column {name}"));
     let columns = [column("image")?, column("codec")?, column("target_cr")?, column("bytes")?, column("psnr")?];
     let ms_ssim = column("msssim")?;
+    let [ssimulacra2, butteraugli] = ["ssimulacra2", "butteraugli"].map(|name| column(name).ok());
     let row = |line: &str| -> Result<Row, Box<dyn Error>> {
         let cells: Vec<&str> = line.split(',').collect();
         let cell = |i: usize| cells.get(i).copied().ok_or(format!("short line {line:?}"));
         let [image, codec, ratio, bytes, psnr] = columns.map(cell);
         let quality = match psnr? {
-            "N/A" => None,
-            psnr => Some(Quality { bytes: bytes?.parse()?, psnr: psnr.parse()?, ms_ssim: cell(ms_ssim)?.parse().ok() }),
+            "N/A" | "" => None,
+            psnr => Some(Quality {
+                bytes: bytes?.parse()?,
+                psnr: psnr.parse()?,
+                ms_ssim: cell(ms_ssim)?.parse().ok(),
+                ssimulacra2: ssimulacra2.map(cell).transpose()?.and_then(|v| v.parse().ok()),
+                butteraugli: butteraugli.map(cell).transpose()?.and_then(|v| v.parse().ok()),
+            }),
         };
         Ok(Row { image: image?.into(), codec: codec?.into(), ratio: ratio?.parse()?, quality })
     };
@@ -222,13 +253,35 @@ fn header(columns: &[&str], codecs: &[String]) -> String {
     format!("| {} |\n|{}", names.join(" | "), "---|".repeat(names.len()))
 }
 
-fn similarity(v: Option<f64>) -> String {
-    v.map_or("-".into(), |v| format!("{v:.4}"))
+/// A figure with `digits` decimals for the CSV.
+fn or_none(v: Option<f64>, digits: usize) -> String {
+    v.map_or("N/A".into(), |v| format!("{v:.digits$}"))
 }
 
-/// PSNR and MS-SSIM of a codec.
+impl Quality {
+    /// The four measures, with `between` between them.
+    fn cells(&self, between: &str) -> String {
+        let of = |v: Option<f64>, digits: usize| v.map_or("-".into(), |v| format!("{v:.digits$}"));
+        [of(Some(self.psnr), 2), of(self.ms_ssim, 4), of(self.ssimulacra2, 1), of(self.butteraugli, 2)].join(between)
+    }
+
+    /// Means of each; `None` where one has none.
+    fn mean(all: &[Quality]) -> Quality {
+        let of =
+            |v: fn(&Quality) -> Option<f64>| all.iter().map(v).collect::<Option<Vec<_>>>().map(|v| mean(v.into_iter()));
+        Quality {
+            bytes: mean(all.iter().map(|q| q.bytes as f64)) as u64,
+            psnr: mean(all.iter().map(|q| q.psnr)),
+            ms_ssim: of(|q| q.ms_ssim),
+            ssimulacra2: of(|q| q.ssimulacra2),
+            butteraugli: of(|q| q.butteraugli),
+        }
+    }
+}
+
+/// The measures of a codec.
 fn cell(quality: Option<Quality>) -> String {
-    quality.map_or(" - |".into(), |q| format!(" {:.2} / {} |", q.psnr, similarity(q.ms_ssim)))
+    quality.map_or(" - |".into(), |q| format!(" {} |", q.cells(" / ")))
 }
 
 /// Prints, for each ratio, the means of ssplat and of the codecs over the pictures that were measured.
@@ -236,17 +289,17 @@ fn print_means(ratios: &[u32], rows: &[(Row, [f64; 2])], anchors: &[Row], codecs
     println!(
         "\nMeans; in brackets over how many pictures where a codec does not reach all, and ssplat's lead there in dB.\n"
     );
-    println!("{}", header(&["ratio", "pictures", "bytes", "PSNR", "MS-SSIM", "enc s", "dec s"], codecs));
+    println!("{}", header(&[&["ratio", "pictures", "bytes"][..], &MEASURES, &SECONDS].concat(), codecs));
     for &ratio in ratios {
         let ours: Vec<_> = rows.iter().filter(|r| r.0.ratio == ratio).collect();
         let found: Vec<Quality> = ours.iter().filter_map(|r| r.0.quality).collect();
         let seconds = |k: usize| mean(ours.iter().map(|r| r.1[k]));
+        let ours_mean = Quality::mean(&found);
         let mut line = format!(
-            "| {ratio} | {} | {:.0} | {:.2} | {} | {:.2} | {:.4} |",
+            "| {ratio} | {} | {} | {} | {:.2} | {:.4} |",
             found.len(),
-            mean(found.iter().map(|q| q.bytes as f64)),
-            mean(found.iter().map(|q| q.psnr)),
-            similarity(found.iter().map(|q| q.ms_ssim).collect::<Option<Vec<_>>>().map(|v| mean(v.into_iter()))),
+            ours_mean.bytes,
+            ours_mean.cells(" | "),
             seconds(0),
             seconds(1),
         );
@@ -262,14 +315,10 @@ fn print_means(ratios: &[u32], rows: &[(Row, [f64; 2])], anchors: &[Row], codecs
                 line += " - |";
                 continue;
             }
-            let ms_ssim = pairs.iter().map(|p| p.1.ms_ssim).collect::<Option<Vec<_>>>();
+            let theirs: Vec<Quality> = pairs.iter().map(|p| p.1).collect();
             let lead = mean(pairs.iter().map(|p| p.0.psnr - p.1.psnr));
             let count = if pairs.len() < found.len() { format!(" ({})", pairs.len()) } else { String::new() };
-            line += &format!(
-                " {:.2} / {}{count} {lead:+.2} |",
-                mean(pairs.iter().map(|p| p.1.psnr)),
-                similarity(ms_ssim.map(|v| mean(v.into_iter())))
-            );
+            line += &format!(" {}{count} {lead:+.2} |", Quality::mean(&theirs).cells(" / "));
         }
         println!("{line}");
     }

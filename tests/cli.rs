@@ -116,6 +116,7 @@ fn encode_decode_and_compare_agree_on_a_photograph() {
     assert_eq!(measured, succeeds(ssplat(&[&"compare", &PHOTO, &decoded, &"--json"])));
     assert!((number(&measured, "psnr") - number(&json, "psnr")).abs() < 0.01, "{measured} {json}");
     assert!(number(&measured, "ssim") > 0.0 && number(&measured, "ms_ssim") > 0.0);
+    assert!(number(&measured, "ssimulacra2") < 60.0 && number(&measured, "butteraugli") > 1.0, "{measured}");
     assert_eq!(folder.names(), ["d.png", "k.ssplat", "p.png"]);
 }
 
@@ -349,6 +350,7 @@ fn compare_joins_channels_and_depths() {
         picture.save(&other).unwrap();
         let json = succeeds(ssplat(&[&"compare", &colour, &other, &"--json"]));
         assert_eq!(number(&json, "psnr"), 99.0, "{name}");
+        assert_eq!((number(&json, "ssimulacra2"), number(&json, "butteraugli")), (100.0, 0.0), "{name}");
         assert!(json.contains("\"ms_ssim\":null"), "{json}");
     }
     let grey = folder.path("grey.png");

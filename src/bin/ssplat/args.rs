@@ -308,7 +308,9 @@ Examples:
 Where one picture has colour or alpha and the other has not, grey is taken as equal
 red, green and blue, and missing alpha as opaque; where depths differ, both are taken
 with 16 bits. JSON keys: psnr in dB (99 at most), ssim, ms_ssim (null where a side is
-under 11 or 161 pixels, too small for them).";
+under 11 or 161 pixels, too small for them), ssimulacra2 (100 is the best; null where a
+side is under 8 pixels), butteraugli (3-norm, 0 is the best; null there and above 16
+million pixels).";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = COMPARE_EXAMPLES)]

@@ -1,11 +1,12 @@
-//! `ssplat compare`: PSNR, SSIM and MS-SSIM of two pictures of any format.
+//! `ssplat compare`: PSNR, SSIM, MS-SSIM, SSIMULACRA2 and Butteraugli of two pictures of any format.
 
 use serde_json::{Value, json};
-use ssplat::metrics::{self, Comparison};
+use ssplat::metrics;
 use ssplat::{Channels, Depth, Pixels, Samples};
 
 use crate::args;
 use crate::failure::Failure;
+use crate::perceived::{self, Perceived};
 use crate::sink::say;
 use crate::source::{self, Turn};
 
@@ -26,14 +27,29 @@ pub fn run(args: &args::Compare) -> Result<(), Failure> {
     say(&if args.json { format!("{}\n", as_json(&found)) } else { format!("{}\n", as_text(&found)) })
 }
 
+/// What is found between two pictures.
+#[derive(Debug, Clone, Copy)]
+pub struct Found {
+    /// dB; infinite where samples are equal.
+    pub psnr: f64,
+    pub ssim: Option<f64>,
+    pub ms_ssim: Option<f64>,
+    pub perceived: Perceived,
+}
+
 /// Compares two pictures of one size, whatever their channels and depths.
-pub fn measure(reference: &Pixels, test: &Pixels) -> ssplat::Result<Comparison> {
+pub fn measure(reference: &Pixels, test: &Pixels) -> ssplat::Result<Found> {
+    let alike = |a: &Pixels, b: &Pixels| -> ssplat::Result<Found> {
+        let found = metrics::compare(a, b)?;
+        let perceived = perceived::measure(a, b);
+        Ok(Found { psnr: found.psnr, ssim: found.ssim, ms_ssim: found.ms_ssim, perceived })
+    };
     if reference.channels() == test.channels() && reference.depth() == test.depth() {
-        return metrics::compare(reference, test);
+        return alike(reference, test);
     }
     let channels = join(reference.channels(), test.channels());
     let depth = if reference.depth() == test.depth() { reference.depth() } else { Depth::Sixteen };
-    metrics::compare(&converted(reference, channels, depth)?, &converted(test, channels, depth)?)
+    alike(&converted(reference, channels, depth)?, &converted(test, channels, depth)?)
 }
 
 /// The smallest set of channels that holds both.
@@ -72,14 +88,25 @@ fn spread<T: Copy>(samples: &[T], from: Channels, to: Channels, opaque: T) -> Ve
     samples.chunks_exact(from.count()).flat_map(|pixel| (0..to.count()).map(move |k| source(pixel, k))).collect()
 }
 
-/// The figures under the keys `psnr`, `ssim`, `ms_ssim`.
-pub fn as_json(found: &Comparison) -> Value {
-    json!({ "psnr": found.psnr.min(IDENTICAL), "ssim": found.ssim, "ms_ssim": found.ms_ssim })
+/// The figures under the keys `psnr`, `ssim`, `ms_ssim`, `ssimulacra2`, `butteraugli`.
+pub fn as_json(found: &Found) -> Value {
+    let Perceived { ssimulacra2, butteraugli } = found.perceived;
+    json!({
+        "psnr": found.psnr.min(IDENTICAL), "ssim": found.ssim, "ms_ssim": found.ms_ssim,
+        "ssimulacra2": ssimulacra2, "butteraugli": butteraugli,
+    })
 }
 
 /// The figures in one line.
-pub fn as_text(found: &Comparison) -> String {
+pub fn as_text(found: &Found) -> String {
     let psnr = if found.psnr.is_finite() { format!("{:.2} dB", found.psnr) } else { "identical samples".into() };
-    let of = |v: Option<f64>| v.map_or_else(|| "-".into(), |v| format!("{v:.4}"));
-    format!("PSNR {psnr}, SSIM {}, MS-SSIM {}", of(found.ssim), of(found.ms_ssim))
+    let of = |v: Option<f64>, digits: usize| v.map_or_else(|| "-".into(), |v| format!("{v:.digits$}"));
+    let Perceived { ssimulacra2, butteraugli } = found.perceived;
+    format!(
+        "PSNR {psnr}, SSIM {}, MS-SSIM {}, SSIMULACRA2 {}, Butteraugli {}",
+        of(found.ssim, 4),
+        of(found.ms_ssim, 4),
+        of(ssimulacra2, 2),
+        of(butteraugli, 3)
+    )
 }

@@ -7,7 +7,6 @@ use std::time::Instant;
 use image::{ImageFormat, ImageReader};
 use serde_json::{Value, json};
 use ssplat::bitstream::splats::Metadata;
-use ssplat::metrics::Comparison;
 use ssplat::raster::SamplesMut;
 use ssplat::{EncodeReport, Error, Limits, Pixels, Samples, Target};
 
@@ -156,7 +155,7 @@ impl<'a> Preview<'a> {
     }
 
     /// Decodes `bytes`, writes the pixels and compares them with `original`; also the seconds that decoding took.
-    fn finish(self, bytes: &[u8], original: &Pixels) -> Result<(Comparison, f64), Failure> {
+    fn finish(self, bytes: &[u8], original: &Pixels) -> Result<(compare::Found, f64), Failure> {
         let start = Instant::now();
         let decoded = source::decode(self.path, bytes)?;
         let seconds = start.elapsed().as_secs_f64();

@@ -9,6 +9,7 @@ mod failure;
 mod info;
 mod left_out;
 mod names;
+mod perceived;
 mod progress;
 #[cfg(feature = "report")]
 mod report;

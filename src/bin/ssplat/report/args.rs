@@ -17,7 +17,7 @@ Examples:
 Writes index.html, tables.md, results.csv, results.json and anchors.csv into the folder. What is
 done is kept in its folder cells: started again, the command goes on where it stopped.
 The CSV of anchors has the columns image, codec, bytes, psnr, msssim, ssim, enc_s,
-dec_s, setting.";
+dec_s, setting, and may have ssimulacra2 and butteraugli.";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = REPORT_EXAMPLES)]

@@ -228,6 +228,8 @@ fn measure(encoded: &ssplat::Encoded, job: &Job, subject: &Subject) -> Result<Va
         "psnr": found.psnr.min(compare::IDENTICAL),
         "ssim": found.ssim,
         "ms_ssim": found.ms_ssim,
+        "ssimulacra2": found.perceived.ssimulacra2,
+        "butteraugli": found.perceived.butteraugli,
         "float_psnr": r.float_psnr.min(compare::IDENTICAL),
         "seconds": r.seconds,
         "decode_ms_full": time(&full)?,

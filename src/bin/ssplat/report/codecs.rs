@@ -20,6 +20,8 @@ pub struct Anchor {
     pub psnr: f64,
     pub ssim: Option<f64>,
     pub ms_ssim: Option<f64>,
+    pub ssimulacra2: Option<f64>,
+    pub butteraugli: Option<f64>,
     pub encode_seconds: f64,
     pub decode_seconds: f64,
     pub setting: String,
@@ -146,6 +148,8 @@ pub fn run(name: &str, image: &str, pixels: &Pixels) -> Result<Vec<Anchor>, Fail
             psnr: found.psnr.min(compare::IDENTICAL),
             ssim: found.ssim,
             ms_ssim: found.ms_ssim,
+            ssimulacra2: found.perceived.ssimulacra2,
+            butteraugli: found.perceived.butteraugli,
             encode_seconds,
             decode_seconds,
             setting: (*setting).into(),
@@ -169,18 +173,24 @@ fn timed(program: &str, arguments: &[String]) -> Option<f64> {
 
 const COLUMNS: [&str; 9] = ["image", "codec", "bytes", "psnr", "msssim", "ssim", "enc_s", "dec_s", "setting"];
 
+/// Columns that a CSV may have besides.
+const FURTHER: [&str; 2] = ["ssimulacra2", "butteraugli"];
+
 /// Anchors as a CSV that [`parse`] reads.
 pub fn as_csv(anchors: &[Anchor]) -> String {
     let of = |v: Option<f64>| v.map_or_else(|| "N/A".into(), |v| format!("{v:.5}"));
-    let mut text = COLUMNS.join(",") + "\n";
+    let [ms_ssim, rest] = [&COLUMNS[..5], &COLUMNS[5..]];
+    let mut text = [ms_ssim, &FURTHER, rest].concat().join(",") + "\n";
     for a in anchors {
         text += &format!(
-            "{},{},{},{:.3},{},{},{:.3},{:.3},{}\n",
+            "{},{},{},{:.3},{},{},{},{},{:.3},{:.3},{}\n",
             a.image,
             a.codec,
             a.bytes,
             a.psnr,
             of(a.ms_ssim),
+            of(a.ssimulacra2),
+            of(a.butteraugli),
             of(a.ssim),
             a.encode_seconds,
             a.decode_seconds,
@@ -191,7 +201,7 @@ pub fn as_csv(anchors: &[Anchor]) -> String {
 }
 
 /// Reads a CSV with at least the columns `image, codec, bytes, psnr, msssim, ssim, enc_s, dec_s, setting`, in any
-/// order; rows without a size (`N/A`) are passed over.
+/// order, and with `ssimulacra2` and `butteraugli` where it has them; rows without a size (`N/A`) are passed over.
 pub fn parse(path: &Path) -> Result<Vec<Anchor>, Failure> {
     let text = String::from_utf8_lossy(&source::read_all(path)?).into_owned();
     let mut lines = text.lines();
@@ -203,12 +213,15 @@ pub fn parse(path: &Path) -> Result<Vec<Anchor>, Failure> {
             .position(|h| *h == name)
             .ok_or_else(|| Failure::usage(format!("{}: no column {name}", path.display())))?;
     }
+    let further = FURTHER.map(|name| header.iter().position(|h| *h == name));
     let mut anchors = Vec::new();
     for line in lines {
         // Only the last column of such files is ever quoted, and none behind it is read.
         let cells: Vec<&str> = line.split(',').map(str::trim).collect();
         let cell = |i: usize| cells.get(columns[i]).copied().unwrap_or("");
         let value = |i: usize| cell(i).parse::<f64>().ok();
+        let [ssimulacra2, butteraugli] =
+            further.map(|place| place.and_then(|i| cells.get(i)).and_then(|v| v.parse::<f64>().ok()));
         let (Some(bytes), Some(psnr)) = (value(2), value(3)) else { continue };
         anchors.push(Anchor {
             image: cell(0).into(),
@@ -216,6 +229,8 @@ pub fn parse(path: &Path) -> Result<Vec<Anchor>, Failure> {
             bytes: bytes as u64,
             psnr,
             ms_ssim: value(4),
+            ssimulacra2,
+            butteraugli,
             ssim: value(5),
             encode_seconds: value(6).unwrap_or(0.0),
             decode_seconds: value(7).unwrap_or(0.0),

@@ -241,7 +241,7 @@ fn command(args: &args::Report) -> String {
 }
 
 /// Columns of the CSV, keys of a cell's values.
-const COLUMNS: [&str; 17] = [
+const COLUMNS: [&str; 19] = [
     "image",
     "width",
     "height",
@@ -255,6 +255,8 @@ const COLUMNS: [&str; 17] = [
     "psnr",
     "ssim",
     "ms_ssim",
+    "ssimulacra2",
+    "butteraugli",
     "seconds",
     "decode_ms_full",
     "decode_ms_region",
@@ -283,7 +285,7 @@ fn as_json(cells: &[Cell], anchors: &[Anchor], stability: &[Row], left_out: &[Ne
         .map(|a| {
             json!({
                 "image": a.image, "codec": a.codec, "bytes": a.bytes, "psnr": a.psnr, "ssim": a.ssim,
-                "ms_ssim": a.ms_ssim, "encode_seconds": a.encode_seconds, "decode_seconds": a.decode_seconds,
+                "ms_ssim": a.ms_ssim, "ssimulacra2": a.ssimulacra2, "butteraugli": a.butteraugli, "encode_seconds": a.encode_seconds, "decode_seconds": a.decode_seconds,
                 "setting": a.setting,
             })
         })

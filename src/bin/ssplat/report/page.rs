@@ -96,7 +96,7 @@ impl Contents<'_> {
     fn headline(&self) -> String {
         let colors = codec_colors(self.anchors);
         let mut table = String::from(
-            "<h2>At a glance</h2>\n<div class=\"scroll\"><table><thead><tr><th>Picture</th><th>Ratio</th><th>Bytes</th><th>PSNR dB</th><th>MS-SSIM</th><th>Encode s</th><th>Decode ms</th>",
+            "<h2>At a glance</h2>\n<div class=\"scroll\"><table><thead><tr><th>Picture</th><th>Ratio</th><th>Bytes</th><th>PSNR dB</th><th>MS-SSIM</th><th>SSIMULACRA2</th><th>Butteraugli</th><th>Encode s</th><th>Decode ms</th>",
         );
         for codec in colors.keys() {
             let _ = write!(table, "<th>Δ {} dB</th>", escape(codec));
@@ -107,11 +107,13 @@ impl Contents<'_> {
                 let psnr = cell.number("psnr");
                 let _ = write!(
                     table,
-                    "<tr><th>{}</th><td>{}</td><td>{}</td><td><b>{psnr:.2}</b></td><td>{:.4}</td><td>{:.1}</td><td>{:.1}</td>",
+                    "<tr><th>{}</th><td>{}</td><td>{}</td><td><b>{psnr:.2}</b></td><td>{:.4}</td><td>{:.1}</td><td>{:.2}</td><td>{:.1}</td><td>{:.1}</td>",
                     escape(&subject.name),
                     number(cell.job.setup.ratio),
                     cell.number("bytes"),
                     cell.number("ms_ssim"),
+                    cell.number("ssimulacra2"),
+                    cell.number("butteraugli"),
                     cell.number("seconds"),
                     cell.number("decode_ms_full"),
                 );
@@ -199,6 +201,8 @@ impl Contents<'_> {
         chart("PSNR", "dB", "psnr", |a| Some(a.psnr), |v| v)
             + &chart("MS-SSIM", "dB of 1 − MS-SSIM", "ms_ssim", |a| a.ms_ssim, log)
             + &chart("SSIM", "dB of 1 − SSIM", "ssim", |a| a.ssim, log)
+            + &chart("SSIMULACRA2", "SSIMULACRA2", "ssimulacra2", |a| a.ssimulacra2, |v| v)
+            + &chart("Butteraugli", "Butteraugli, 3-norm (less is better)", "butteraugli", |a| a.butteraugli, |v| v)
     }
 
     /// Quality against seconds along each encode, by effort.

@@ -18,21 +18,23 @@ pub fn markdown(contents: &Contents) -> String {
 fn headline(contents: &Contents, text: &mut String) {
     let codecs = contents.codecs();
     *text += "\n## At a glance\n\nΔ: our PSNR minus the codec's at the same bytes, – where it has no files around that size.\n\n";
-    *text += "| picture | ratio | bytes | PSNR dB | MS-SSIM | encode s | decode ms |";
+    *text += "| picture | ratio | bytes | PSNR dB | MS-SSIM | SSIMULACRA2 | Butteraugli | encode s | decode ms |";
     codecs.iter().for_each(|c| *text += &format!(" Δ {c} dB |"));
-    *text += "\n|---|--:|--:|--:|--:|--:|--:|";
+    *text += "\n|---|--:|--:|--:|--:|--:|--:|--:|--:|";
     codecs.iter().for_each(|_| *text += "--:|");
     *text += "\n";
     for (i, subject) in contents.subjects.iter().enumerate() {
         for cell in contents.over_ratios(i) {
             let _ = write!(
                 text,
-                "| {} | {} | {} | {:.2} | {:.4} | {:.1} | {:.1} |",
+                "| {} | {} | {} | {:.2} | {:.4} | {:.1} | {:.2} | {:.1} | {:.1} |",
                 subject.name,
                 cell.job.setup.ratio,
                 cell.number("bytes"),
                 cell.number("psnr"),
                 cell.number("ms_ssim"),
+                cell.number("ssimulacra2"),
+                cell.number("butteraugli"),
                 cell.number("seconds"),
                 cell.number("decode_ms_full"),
             );
