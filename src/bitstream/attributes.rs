@@ -15,6 +15,9 @@ use crate::gaussian::Channels;
 /// Quantities that are averaged over the neighbours: two scales and four colours.
 const QUANTITIES: usize = 6;
 
+// The numbers from here to `ANGLE_SHARE` were learnt on the Kodak pictures of odd number by a study before the first release, which
+// is not in the repository: they are a part of the format (spec §8.6) and can only change with its version.
+
 /// Weight of no neighbours: how far the neighbours' average is trusted, and how far their surprises.
 const DOUBT: i64 = 40;
 const DOUBT_OF_ERRORS: i64 = 512;

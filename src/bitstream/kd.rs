@@ -12,6 +12,9 @@ use super::spread::{Bounded, FINE, Gains, Near, log16};
 /// Counts up to this many split by a table; larger ones are coded as a distance from the even split.
 const SMALL: u32 = 12;
 
+// `STAY` and `CLUMPS` were learnt on the Kodak pictures of odd number by a study before the first release, which is not in the
+// repository: they are a part of the format (spec §8.4) and can only change with its version.
+
 /// First opinion, in 1/256, that a primitive which has not stayed in a larger square stays in this one, by the square's
 /// side: 12 is the primitives' spacing, a step is half an octave.
 const STAY: [u32; 24] = [251, 251, 249, 243, 222, 195, 164, 137, 102, 71, 46, 25, 13, 8, 4, 2, 2, 2, 2, 2, 2, 2, 2, 2];
