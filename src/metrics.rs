@@ -1,6 +1,8 @@
 //! How far two pictures are apart: PSNR, SSIM and MS-SSIM, on sample values where 255 is white.
 //!
-//! PSNR takes one mean squared error over all pixels and channels. SSIM and MS-SSIM (Wang, Simoncelli and Bovik,
+//! PSNR takes one mean squared error over all pixels and channels. Where there is alpha, the squared error of a colour
+//! counts by the opacity of the first picture there: what is transparent may have any colour. Encoding reports the same
+//! measure. SSIM and MS-SSIM (Wang, Simoncelli and Bovik,
 //! 2003) use an 11-tap Gaussian window with σ = 1.5 pixels, its valid region only, K₁ = 0.01 and K₂ = 0.03, on each
 //! channel alone, and the mean of the channels; MS-SSIM has five scales with 2×2 mean pooling between them.
 //!
@@ -56,13 +58,14 @@ pub fn compare(a: &Pixels, b: &Pixels) -> Result<Comparison> {
     Ok(Comparison { psnr, ssim, ms_ssim })
 }
 
-/// Peak signal-to-noise ratio, dB, over all samples; infinite when they are equal.
+/// Peak signal-to-noise ratio, dB, over all samples; infinite when they are equal. `a` is the original, whose opacity
+/// weighs the errors of colours.
 ///
 /// # Errors
 /// [`Error::Parameter`] when the two differ in width, height, channels or depth.
 pub fn psnr(a: &Pixels, b: &Pixels) -> Result<f64> {
     same_shape(a, b)?;
-    let mse = squared_error(a, b) as f64 / (a.width() as f64 * f64::from(a.height()) * a.channels().count() as f64);
+    let mse = squared_error(a, b) / (a.width() as f64 * f64::from(a.height()) * a.channels().count() as f64);
     let peak = f64::from(a.depth().max());
     Ok(10.0 * (peak * peak / mse).log10())
 }
@@ -77,24 +80,45 @@ fn same_shape(a: &Pixels, b: &Pixels) -> Result<()> {
     Err(Error::Parameter { name: "pixels", problem: format!("{} against {}", say(a), say(b)) })
 }
 
-/// Sum of squared sample differences; exact, so no order of summation changes it.
-fn squared_error(a: &Pixels, b: &Pixels) -> u128 {
-    /// Samples of which the squares (below 2³²) surely fit a `u64` sum.
-    const CHUNK: usize = 1 << 16;
-    fn chunk<T: Copy + Into<i64>>(a: &[T], b: &[T]) -> u64 {
-        a.iter().zip(b).map(|(&x, &y)| (x.into() - y.into()).unsigned_abs().pow(2)).sum()
+/// Sum of squared sample differences, those of colours times the opacity of `a`. The integers are exact, so no order of
+/// summation changes it.
+fn squared_error(a: &Pixels, b: &Pixels) -> f64 {
+    let (count, alpha) = (a.channels().count(), a.channels().alpha());
+    let Some(alpha) = alpha else {
+        return match (a.samples(), b.samples()) {
+            (Samples::U8(a), Samples::U8(b)) => summed(a, b, 1, |p, q| square(p[0], q[0])),
+            (Samples::U16(a), Samples::U16(b)) => summed(a, b, 1, |p, q| square(p[0], q[0])),
+            _ => unreachable!("same_shape compared the depths"),
+        };
+    };
+    let most = a.depth().max() as u64;
+    // At most 4·2³²·2¹⁶.
+    fn pixel<T: Copy + Into<u64>>(p: &[T], q: &[T], alpha: usize, most: u64) -> u64 {
+        let weight = |k: usize| if k == alpha { most } else { p[alpha].into() };
+        (0..p.len()).map(|k| square(p[k], q[k]) * weight(k)).sum()
     }
-    match (a.samples(), b.samples()) {
-        (Samples::U8(a), Samples::U8(b)) => {
-            let sums = parallel::map(a.len().div_ceil(CHUNK), |i| chunk(part(a, i, CHUNK), part(b, i, CHUNK)));
-            sums.into_iter().map(u128::from).sum()
-        }
-        (Samples::U16(a), Samples::U16(b)) => {
-            let sums = parallel::map(a.len().div_ceil(CHUNK), |i| chunk(part(a, i, CHUNK), part(b, i, CHUNK)));
-            sums.into_iter().map(u128::from).sum()
-        }
+    let sum = match (a.samples(), b.samples()) {
+        (Samples::U8(a), Samples::U8(b)) => summed(a, b, count, |p, q| pixel(p, q, alpha, most)),
+        (Samples::U16(a), Samples::U16(b)) => summed(a, b, count, |p, q| pixel(p, q, alpha, most)),
         _ => unreachable!("same_shape compared the depths"),
-    }
+    };
+    sum / most as f64
+}
+
+fn square<T: Into<u64>>(p: T, q: T) -> u64 {
+    p.into().abs_diff(q.into()).pow(2)
+}
+
+/// The sum of `value` over every `count` samples of both.
+fn summed<T: Sync>(a: &[T], b: &[T], count: usize, value: impl Fn(&[T], &[T]) -> u64 + Sync) -> f64 {
+    /// Values of one unit of work; the largest, below 2⁵⁰, may not overflow their sum.
+    const CHUNK: usize = 1 << 14;
+    let length = CHUNK * count;
+    let chunk = |i| {
+        let pairs = part(a, i, length).chunks_exact(count).zip(part(b, i, length).chunks_exact(count));
+        pairs.map(|(p, q)| value(p, q)).sum::<u64>()
+    };
+    parallel::map(a.len().div_ceil(length), chunk).into_iter().map(u128::from).sum::<u128>() as f64
 }
 
 /// The `i`-th piece of `length` items.

@@ -358,3 +358,29 @@ fn a_failed_save_keeps_the_old_file() {
     assert!(ssplat::save(&ramps(ColorType::Rgb8), &path, &options).is_err());
     assert_eq!(std::fs::read(&path).unwrap(), b"before");
 }
+
+#[test]
+#[cfg(unix)]
+fn save_replaces_a_file_whole_and_leaves_nothing_beside_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let names = || {
+        let mut names: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        names.sort();
+        names
+    };
+    let (path, link) = (folder.path().join("a.ssplat"), folder.path().join("link.ssplat"));
+    std::fs::write(&path, "before").unwrap();
+    // Whoever reads while the file is written goes on reading the old one.
+    let mut reader = std::fs::File::open(&path).unwrap();
+    std::os::unix::fs::symlink("a.ssplat", &link).unwrap();
+    ssplat::save(&ramps(ColorType::Rgb8), &link, &quick()).unwrap();
+    let mut before = String::new();
+    std::io::Read::read_to_string(&mut reader, &mut before).unwrap();
+    assert_eq!(before, "before");
+    assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
+    assert!(std::fs::read(&path).unwrap().starts_with(&ssplat::bitstream::header::MAGIC));
+    assert_eq!(names(), ["a.ssplat", "link.ssplat"]);
+    std::fs::create_dir(folder.path().join("folder")).unwrap();
+    assert!(ssplat::save(&ramps(ColorType::Rgb8), folder.path().join("folder"), &quick()).is_err());
+    assert_eq!(names(), ["a.ssplat", "folder", "link.ssplat"]);
+}

@@ -101,3 +101,21 @@ fn different_shapes_are_a_parameter_error() {
         assert!(matches!(metrics::compare(&a, &b), Err(ssplat::Error::Parameter { .. })));
     }
 }
+
+#[test]
+fn colours_count_by_the_opacity_of_the_original() {
+    let picture = |color: u8, alpha: u8| {
+        Pixels::new(12, 12, Channels::GreyAlpha, Samples::U8([color, alpha].repeat(144))).unwrap()
+    };
+    // What nobody sees may have any colour.
+    assert_eq!(metrics::psnr(&picture(0, 0), &picture(200, 0)).unwrap(), f64::INFINITY);
+    let half = metrics::psnr(&picture(100, 51), &picture(110, 51)).unwrap();
+    let whole = metrics::psnr(&picture(100, 255), &picture(110, 255)).unwrap();
+    assert!((half - whole - 10.0 * 5.0f64.log10()).abs() < 1e-9, "{half} {whole}");
+    let deep =
+        |color: u16| Pixels::new(12, 12, Channels::GreyAlpha, Samples::U16([color, 51 * 257].repeat(144))).unwrap();
+    assert!((metrics::psnr(&deep(100 * 257), &deep(110 * 257)).unwrap() - half).abs() < 1e-9);
+    // An error of alpha counts in full.
+    let alpha = metrics::psnr(&picture(100, 0), &picture(100, 10)).unwrap();
+    assert!((alpha - whole).abs() < 1e-9, "{alpha} {whole}");
+}

@@ -29,8 +29,9 @@ pub(super) fn smallest(splats: &mut PackedSplats, levels: u8) -> Result<Vec<u8>>
     Ok(direct)
 }
 
-/// Orders the primitives into `levels` levels, large ones first, each with three times as many as all before it.
-fn divide(splats: &mut PackedSplats, levels: u8) {
+/// Orders the primitives into `levels` progressive levels: large ones first, each level up to three times as many primitives
+/// as the levels before it reach. This is what [`EncodeOptions::levels`](crate::EncodeOptions::levels) writes.
+pub fn divide(splats: &mut PackedSplats, levels: u8) {
     splats.gaussians.sort_by_key(|g| std::cmp::Reverse(u16::from(g.major) + u16::from(g.minor)));
     let count = splats.gaussians.len() as u32;
     let ends: Vec<u32> = (1..=u32::from(levels)).map(|k| count / 3u32.pow(u32::from(levels) - k)).collect();

@@ -23,6 +23,7 @@ use crate::options::{EncodeOptions, Target};
 use crate::pixels::Pixels;
 use device::Choice;
 pub use device::Chosen;
+pub use file::divide;
 use job::Encoding;
 use report::Journal;
 pub use report::{LeftOut, Omission};

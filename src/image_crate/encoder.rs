@@ -24,18 +24,19 @@ use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageResu
 
 use super::convert::{Rejected, gather};
 use super::decoder::EXTENSION;
+use super::replace::replace;
 use crate::encode::{EncodeReport, encode};
 use crate::error::{Error, Result};
 use crate::options::EncodeOptions;
 use crate::pixels::Pixels;
 
-/// Fits `picture` and writes the file to `path`, replacing what is there once the fit has succeeded.
+/// Fits `picture` and writes the file to `path`, replacing what is there once all is written: under another name first.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be written; otherwise as [`encode`].
 pub fn save(picture: &DynamicImage, path: impl AsRef<Path>, options: &EncodeOptions) -> Result<EncodeReport> {
     let encoded = encode(&Pixels::try_from(picture)?, options)?;
-    std::fs::write(path, &encoded.bytes)?;
+    replace(path.as_ref(), &encoded.bytes)?;
     Ok(encoded.report)
 }
 

@@ -3,6 +3,7 @@
 mod convert;
 mod decoder;
 mod encoder;
+mod replace;
 
 pub use decoder::{EXTENSION, SsplatDecoder, register};
 pub use encoder::{SsplatEncoder, save};

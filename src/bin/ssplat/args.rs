@@ -45,6 +45,10 @@ pub enum Command {
     Info(Info),
     /// Measure how far two pictures are apart
     Compare(Compare),
+    /// Print completions for a shell
+    Completions(Completions),
+    /// Print the manual page
+    Man,
     /// Encode pictures in many ways and show what came of it on one HTML page
     #[cfg(feature = "report")]
     Report(crate::report::args::Report),
@@ -298,6 +302,18 @@ pub struct Info {
     /// Print as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+const COMPLETIONS_EXAMPLES: &str = "\
+Examples:
+  ssplat completions bash > ~/.local/share/bash-completion/completions/ssplat
+  ssplat man > ~/.local/share/man/man1/ssplat.1";
+
+#[derive(Debug, ClapArgs)]
+#[command(after_help = COMPLETIONS_EXAMPLES)]
+pub struct Completions {
+    /// Which one
+    pub shell: clap_complete::Shell,
 }
 
 const COMPARE_EXAMPLES: &str = "\

@@ -80,12 +80,9 @@ fn with_codebook(splats: &PackedSplats) -> Option<PackedSplats> {
     (colors.len() <= 65536).then(|| PackedSplats { codebook: Some(colors), ..splats.clone() })
 }
 
-/// Three levels: the largest ninth, the next larger third, the rest.
+/// Three levels, as the encoder makes them.
 fn with_levels(splats: &PackedSplats) -> PackedSplats {
     let mut with = splats.clone();
-    with.gaussians.sort_by_key(|g| std::cmp::Reverse(g.major));
-    let count = with.gaussians.len() as u32;
-    let (first, second) = ((count / 9).max(1), (count / 3).max(1));
-    with.levels = vec![first, second, count - first - second];
+    ssplat::encode::divide(&mut with, 3);
     with
 }

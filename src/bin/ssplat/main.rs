@@ -8,6 +8,7 @@ mod encode;
 mod failure;
 mod info;
 mod left_out;
+mod manual;
 mod names;
 mod perceived;
 mod progress;
@@ -53,6 +54,8 @@ fn run(args: Args) -> Result<(), Failure> {
         Command::Decode(args) => decode::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Completions(args) => manual::completions(&args),
+        Command::Man => manual::man(),
         #[cfg(feature = "report")]
         Command::Report(args) => report::run(&args),
     }

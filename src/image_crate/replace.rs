@@ -1,0 +1,34 @@
+//! Files are written whole or not at all: under a name of their own first, which is then changed.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Keeps apart the files that one process writes at a time.
+static COUNT: AtomicU64 = AtomicU64::new(0);
+
+/// Writes `bytes` to `path`. Nobody ever sees half of them, and what was there stays if it fails.
+///
+/// # Errors
+/// What the world says; no file is left behind then.
+pub(super) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let target = match fs::metadata(path) {
+        // Devices and pipes cannot be renamed over.
+        Ok(found) if !found.is_file() => return fs::write(path, bytes),
+        // The file behind a link is replaced, not the link.
+        Ok(_) => fs::canonicalize(path)?,
+        // A link that leads nowhere yet: the system follows it.
+        Err(_) if fs::symlink_metadata(path).is_ok() => return fs::write(path, bytes),
+        Err(_) => path.to_path_buf(),
+    };
+    let Some(name) = target.file_name() else { return Err(io::ErrorKind::InvalidInput.into()) };
+    let count = COUNT.fetch_add(1, Ordering::Relaxed);
+    let beside = target.with_file_name(format!(".{}.{}-{count}", name.to_string_lossy(), std::process::id()));
+    let mut file = File::create_new(&beside)?;
+    let written = file.write_all(bytes).and_then(|()| fs::rename(&beside, &target));
+    if written.is_err() {
+        let _ = fs::remove_file(&beside);
+    }
+    written
+}
