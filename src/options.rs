@@ -58,6 +58,9 @@ pub enum Tune {
     Psnr,
     /// Structural similarity, for at most half a decibel of PSNR.
     Ssim,
+    /// What eyes see from some way off, for about as much: errors count by how busy the luma and its surroundings are at
+    /// several sizes.
+    Iq,
 }
 
 /// Which device fits the picture.

@@ -121,6 +121,18 @@ fn encode_decode_and_compare_agree_on_a_photograph() {
 }
 
 #[test]
+fn a_fit_for_the_eye_looks_better_and_costs_less_than_half_a_decibel() {
+    let folder = Folder::new();
+    let [psnr, iq] = ["psnr", "iq"].map(|tune| {
+        let file = folder.path(tune);
+        succeeds(ssplat(&[&"encode", &PHOTO, &file, &"--ratio", &"200", &"--effort", &"1", &"--tune", &tune]));
+        succeeds(ssplat(&[&"compare", &PHOTO, &file, &"--json"]))
+    });
+    let gain = |key| number(&iq, key) - number(&psnr, key);
+    assert!(gain("ssimulacra2") > 2.0 && gain("ms_ssim") > 0.0 && gain("psnr") > -0.5, "{psnr} {iq}");
+}
+
+#[test]
 fn the_file_does_not_depend_on_the_thread_count() {
     let folder = Folder::new();
     let file = |threads: &str| {

@@ -111,6 +111,7 @@ fn files_fill_their_size_at_every_effort_seed_blend_and_tune() {
         |o| o.seed = 99,
         |o| o.blend = Some(Blend::Sum),
         |o| o.tune = Tune::Ssim,
+        |o| o.tune = Tune::Iq,
         |_| (),
     ] {
         let mut options = quick(Target::Bytes(most));
@@ -122,7 +123,7 @@ fn files_fill_their_size_at_every_effort_seed_blend_and_tune() {
     // None of these options is without effect.
     all.sort();
     all.dedup();
-    assert_eq!(all.len(), 6);
+    assert_eq!(all.len(), 7);
 }
 
 #[test]
@@ -139,7 +140,7 @@ fn the_number_of_primitives_is_as_asked() {
 fn equal_options_give_equal_bytes() {
     let pixels = picture(80, 60, Channels::Rgb);
     for recipe in [Recipe::Ssplat, Recipe::SmartSplat(Ablation::Colors)] {
-        for tune in [Tune::Psnr, Tune::Ssim] {
+        for tune in [Tune::Psnr, Tune::Ssim, Tune::Iq] {
             let mut options = quick(Target::Bytes(300));
             (options.recipe, options.tune) = (recipe, tune);
             assert_eq!(encode(&pixels, &options).unwrap().bytes, encode(&pixels, &options).unwrap().bytes);
@@ -155,6 +156,7 @@ fn bytes_do_not_depend_on_the_thread_count() {
     for (bytes, recipe, tune, effort) in [
         (500, Recipe::Ssplat, Tune::Psnr, 7),
         (500, Recipe::Ssplat, Tune::Ssim, 2),
+        (500, Recipe::Ssplat, Tune::Iq, 2),
         (80, Recipe::Ssplat, Tune::Psnr, 2),
         (500, Recipe::SmartSplat(Ablation::Colors), Tune::Psnr, 1),
     ] {

@@ -75,6 +75,7 @@ fn encoder(device: &Device) {
     for spoil in [
         |o: &mut EncodeOptions| o.recipe = Recipe::SmartSplat(Default::default()),
         |o: &mut EncodeOptions| o.tune = Tune::Ssim,
+        |o: &mut EncodeOptions| o.tune = Tune::Iq,
     ] {
         let mut options = options.clone();
         spoil(&mut options);

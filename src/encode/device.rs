@@ -111,7 +111,7 @@ fn open(asked: Backend, options: &EncodeOptions) -> Result<(Option<Device>, Chos
         return Err(GpuError::Unsupported { what: "the recipe smartsplat" });
     }
     if options.tune != Tune::Psnr {
-        return Err(GpuError::Unsupported { what: "tuning for SSIM" });
+        return Err(GpuError::Unsupported { what: "tuning for SSIM or the eye" });
     }
     // Who asks for the GPU by name may mean a program that acts as one.
     let adapters = if asked == Backend::Gpu { Adapters::Any } else { Adapters::Hardware };

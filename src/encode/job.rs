@@ -11,7 +11,7 @@ use crate::fit::model::field::squared_error;
 use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::Problem;
 use crate::fit::model::project::Primitive;
-use crate::fit::model::structure;
+use crate::fit::model::{masking, structure};
 use crate::fit::plan::Plan;
 use crate::fit::{self, smartsplat};
 use crate::options::{Needs, Recipe, Target, Tune};
@@ -54,12 +54,15 @@ impl Encoding<'_> {
     /// Weighs the errors by structure, where that is asked for and weighs anything.
     fn weigh(&mut self, count: usize) {
         let options = self.subject.options;
-        if options.tune == Tune::Ssim {
-            self.planes.amplitude = structure::amplitudes(&self.planes, count);
-            if options.needs == Needs::Measured && self.planes.is_even() {
-                self.planes.amplitude.clear();
-                self.journal.note(Omission::StructureWeights, 0, 0.0);
-            }
+        self.planes.amplitude = match options.tune {
+            Tune::Psnr => Vec::new(),
+            Tune::Ssim => structure::amplitudes(&self.planes, count),
+            Tune::Iq => masking::amplitudes(&self.planes, count),
+        };
+        let is_weighted = !self.planes.amplitude.is_empty();
+        if is_weighted && options.needs == Needs::Measured && self.planes.is_even() {
+            self.planes.amplitude.clear();
+            self.journal.note(Omission::StructureWeights, 0, 0.0);
         }
     }
 

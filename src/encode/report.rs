@@ -32,7 +32,8 @@ pub enum Omission {
     Color,
     /// Colour and alpha, where all is grey and opaque.
     ColorAndAlpha,
-    /// The weights of [`Tune::Ssim`](crate::Tune::Ssim), where the picture is so even that they are the same everywhere.
+    /// The weights of [`Tune::Ssim`](crate::Tune::Ssim) and [`Tune::Iq`](crate::Tune::Iq), where the picture is so even
+    /// that they are the same everywhere.
     StructureWeights,
     /// The fit, where the picture is one colour.
     Fit,

@@ -29,7 +29,7 @@ pub fn recipe() -> impl TypedValueParser<Value = Recipe> {
 }
 
 pub fn tune() -> impl TypedValueParser<Value = Tune> {
-    named(&[("psnr", Tune::Psnr), ("ssim", Tune::Ssim)])
+    named(&[("psnr", Tune::Psnr), ("ssim", Tune::Ssim), ("iq", Tune::Iq)])
 }
 
 pub fn backend() -> impl TypedValueParser<Value = Backend> {

@@ -4,6 +4,7 @@
 pub(crate) mod adam;
 pub(crate) mod field;
 pub(crate) mod kernel;
+pub(crate) mod masking;
 pub(crate) mod peaks;
 pub(crate) mod planes;
 pub(crate) mod problem;

@@ -5,7 +5,7 @@ use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::project::Primitive;
 use crate::fit::model::ridge::{self, Shape};
 use crate::fit::model::rows::RowSet;
-use crate::fit::model::sample::blur;
+use crate::fit::model::sample::{blur, halve};
 use crate::gaussian::Blend;
 use crate::parallel;
 
@@ -187,19 +187,6 @@ fn is_peak(score: &[f32], w: usize, h: usize, x: usize, y: usize) -> bool {
         }
     }
     true
-}
-
-fn halve(plane: &[f32], w: usize, h: usize) -> Vec<f32> {
-    let (nw, nh) = (w.div_ceil(2), h.div_ceil(2));
-    let mut out = vec![0.0; nw * nh];
-    parallel::map_chunks(&mut out, nw, |y, row| {
-        let (a, b) = (&plane[2 * y * w..][..w], &plane[(2 * y + 1).min(h - 1) * w..][..w]);
-        for (x, o) in row.iter_mut().enumerate() {
-            let (l, r) = (2 * x, (2 * x + 1).min(w - 1));
-            *o = 0.25 * (a[l] + a[r] + b[l] + b[r]);
-        }
-    });
-    out
 }
 
 /// Keeps the best peaks that are at least 1.5 of their own scales away from all better ones, in each direction.

@@ -110,6 +110,20 @@ pub(crate) fn blur(plane: &[f32], width: usize, height: usize) -> Vec<f32> {
     out
 }
 
+/// Means of 2 × 2 values, borders repeated.
+pub(crate) fn halve(plane: &[f32], w: usize, h: usize) -> Vec<f32> {
+    let (nw, nh) = (w.div_ceil(2), h.div_ceil(2));
+    let mut out = vec![0.0; nw * nh];
+    parallel::map_chunks(&mut out, nw, |y, row| {
+        let (a, b) = (&plane[2 * y * w..][..w], &plane[(2 * y + 1).min(h - 1) * w..][..w]);
+        for (x, o) in row.iter_mut().enumerate() {
+            let (l, r) = (2 * x, (2 * x + 1).min(w - 1));
+            *o = 0.25 * (a[l] + a[r] + b[l] + b[r]);
+        }
+    });
+    out
+}
+
 /// Position of `(x, y)` along the Hilbert curve over a square of side `2^order`.
 pub(crate) fn hilbert_index(order: u32, mut x: u32, mut y: u32) -> u64 {
     let mut index = 0u64;

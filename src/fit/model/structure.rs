@@ -9,7 +9,7 @@ use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
 
 /// What is added to twice the variance: above SSIM's own `C₂` of 0.0009, so that smooth areas do not take everything.
-const FLOOR: f32 = 0.005;
+pub(crate) const FLOOR: f32 = 0.005;
 /// Power of the inverse where primitives are dense: 1 would be SSIM's own slope, and would cost more decibels than
 /// [`Tune::Ssim`] may.
 ///
@@ -17,7 +17,7 @@ const FLOOR: f32 = 0.005;
 const POWER: f32 = 0.5;
 /// Pixels per primitive from which on the power falls with their square root: large primitives have little to do with
 /// a variance over a few pixels, and the same power costs more decibels the fewer they are.
-const DENSE: f32 = 160.0;
+pub(crate) const DENSE: f32 = 160.0;
 /// Largest weight, and the inverse of the smallest.
 const MOST: f32 = 20.0;
 
@@ -41,6 +41,12 @@ pub(crate) fn amplitudes(target: &Planes, count: usize) -> Vec<f32> {
             *w += (2.0 * (s - m * m).max(0.0) + FLOOR).powf(-power);
         }
     }
+    normalized(target, &weights)
+}
+
+/// Amplitudes of weights, one for each pixel: their square roots with a mean square of 1.
+pub(crate) fn normalized(target: &Planes, weights: &[f32]) -> Vec<f32> {
+    let (width, height) = (target.width as usize, target.height as usize);
     let sums = parallel::map(height, |y| weights[y * width..][..width].iter().map(|&w| f64::from(w)).sum::<f64>());
     let mean = (sums.iter().sum::<f64>() / (width * height) as f64) as f32;
     let mut out = vec![0.0; target.stride * height];
