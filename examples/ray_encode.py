@@ -13,8 +13,8 @@ Paths are handed out and read inside the task: one broken file must not end the 
 writes its rows when it is through, under a name that is the same when Ray runs it again after a worker died. So every
 picture has one row, and at most the work of a block is done twice.
 
-With Dask, `client.map(functools.partial(encode_one, source=..., out=..., options=...), paths)` gives the same rows; with
-Spark, `mapInPandas`.
+With Dask, `client.map(functools.partial(encode_one, source=..., out=..., options=...), paths)` gives the same rows;
+with Spark, `mapInPandas`.
 """
 
 import argparse

@@ -24,20 +24,30 @@ from PIL import Image
 
 HERE = pathlib.Path(__file__).resolve().parent
 OUT = pathlib.Path(sys.argv[2]) if sys.argv[1:2] == ["--out"] else HERE
+
+
+def save(figure, name):
+    """Saves a figure with a palette of 128 colours: small enough to be committed."""
+    out = io.BytesIO()
+    figure.savefig(out, dpi=90)
+    Image.open(out).convert("RGB").quantize(128).save(OUT / name, optimize=True)
+
+
 PICTURE = Image.open(HERE.parents[1] / "tests" / "images" / "kodim15.png").convert("RGB")
 
 # %% [markdown]
 # ## Gaussians as ellipses
 #
-# A part of the picture at a ratio of 200, beside the Gaussians of which it is made: each an ellipse at one standard
-# deviation, in its own colour. They are dense and small where there is detail.
+# A part of the picture at a ratio of 200, beside the Gaussians of which it is made: each an ellipse at one and a half
+# standard deviations, in its own colour. They are dense and small where there is detail.
 
 # %%
 part = PICTURE.crop((180, 20, 500, 260))
 data = ssplat.encode(part, ratio=200, effort=5)
 g = ssplat.gaussians(data)
 stored = ssplat.decode(data)
-print(f"{part.width}x{part.height}: {len(data)} bytes, {len(g['mean'])} Gaussians, {ssplat.metrics.psnr(part, stored):.2f} dB")
+decibels = ssplat.metrics.psnr(part, stored)
+print(f"{part.width}x{part.height}: {len(data)} bytes, {len(g['mean'])} Gaussians, {decibels:.2f} dB")
 
 figure, axes = plt.subplots(1, 3, figsize=(10.5, 2.9), layout="constrained")
 for axis, title in zip(axes, ("source", f"{len(data)} bytes", f"{len(g['mean'])} Gaussians")):
@@ -48,9 +58,9 @@ axes[1].imshow(stored, extent=extent)
 order = np.argsort(-g["scale"].prod(1))
 axes[2].add_collection(
     EllipseCollection(
-        # Diameters at one standard deviation, and degrees; the axis points down as the angle turns.
-        2 * g["scale"][order, 0],
-        2 * g["scale"][order, 1],
+        # Diameters at 1.5 standard deviations, and degrees.
+        3 * g["scale"][order, 0],
+        3 * g["scale"][order, 1],
         np.degrees(g["rotation"][order]),
         units="xy",
         offsets=g["mean"][order],
@@ -60,7 +70,7 @@ axes[2].add_collection(
         linewidths=0.2,
     )
 )
-figure.savefig(OUT / "gaussians.png", dpi=100)
+save(figure, "gaussians.png")
 
 # %% [markdown]
 # ## Rate and distortion
@@ -93,4 +103,4 @@ for name, points in curves.items():
 axis.set(xscale="log", xlabel="bytes", ylabel="PSNR, dB", title=f"kodim15, {PICTURE.width}×{PICTURE.height}")
 axis.grid(alpha=0.3)
 axis.legend()
-figure.savefig(OUT / "rate_distortion.png", dpi=90)
+save(figure, "rate_distortion.png")

@@ -15,15 +15,17 @@ import sys
 import tempfile
 import time
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1]))
+EXAMPLES = str(pathlib.Path(__file__).resolve().parents[1])
+sys.path.insert(0, EXAMPLES)
+
 import ray_encode
 
 
 def by_xargs(program, pictures, source, out, options):
+    for name in pictures:
+        pathlib.Path(out, name).parent.mkdir(parents=True, exist_ok=True)
     words = [f"--{name}={value}" for name, value in options.items()]
-    script = 'program=$1; from=$2; to=$3; shift 3; name=$1; shift; exec "$program" encode "$from/$name" "$to/$name.ssplat" "$@"'
-    # The name comes before the options: xargs puts it at the end, and the shell puts it back.
-    command = ["xargs", "-0", "-P2", "-I{}", "sh", "-c", script, "sh", program, source, out, "{}", *words]
+    command = ["xargs", "-0", "-P2", "-I{}", program, "encode", f"{source}/{{}}", f"{out}/{{}}.ssplat", *words]
     environment = os.environ | {"RAYON_NUM_THREADS": "1"}
     start = time.perf_counter()
     subprocess.run(command, input="\0".join(pictures).encode(), env=environment, check=True, stdout=subprocess.DEVNULL)
@@ -37,7 +39,7 @@ def main():
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--ratio", type=float, default=50)
     parser.add_argument("--effort", type=int, default=1)
-    parser.add_argument("--block", type=int, default=4)
+    parser.add_argument("--block", type=int, default=1)
     a = parser.parse_args()
     import ray
 
@@ -45,7 +47,8 @@ def main():
     options = {"effort": a.effort, "ratio": a.ratio}
     pictures = ray_encode.list_pictures(source)
     start = time.perf_counter()
-    ray.init(num_cpus=2, include_dashboard=False, logging_level="error")
+    environment = {"env_vars": {"PYTHONPATH": EXAMPLES}}
+    ray.init(num_cpus=2, include_dashboard=False, logging_level="error", runtime_env=environment)
     print(f"{len(pictures)} pictures; the cluster started in {time.perf_counter() - start:.1f} s")
     totals = [0.0, 0.0]
     for round_ in range(a.rounds):

@@ -34,9 +34,11 @@ def test_other_types_are_refused_by_name(dtype, shape):
 
 
 @settings(max_examples=100, deadline=None)
-@given(arrays.array_shapes(min_dims=0, max_dims=5, min_side=0, max_side=6).filter(
-    lambda s: not (len(s) in (2, 3) and all(s) and (len(s) == 2 or s[2] <= 4))
-))
+@given(
+    arrays.array_shapes(min_dims=0, max_dims=5, min_side=0, max_side=6).filter(
+        lambda s: not (len(s) in (2, 3) and all(s) and (len(s) == 2 or s[2] <= 4))
+    )
+)
 def test_other_shapes_are_refused_by_name(shape):
     with pytest.raises(ssplat.ParameterError):
         ssplat.encode(np.zeros(shape, np.uint8))
@@ -47,7 +49,9 @@ def test_any_strides_are_the_picture_that_they_show(cut):
     view = waves(40, 50)[cut]
     assert not view.flags.c_contiguous
     assert ssplat.encode(view, effort=1, primitives=9) == ssplat.encode(view.copy(), effort=1, primitives=9)
-    assert ssplat.encode(view.T[0].T, effort=1, primitives=9) == ssplat.encode(view[..., 0].copy(), effort=1, primitives=9)
+    assert ssplat.encode(view.T[0].T, effort=1, primitives=9) == ssplat.encode(
+        view[..., 0].copy(), effort=1, primitives=9
+    )
 
 
 def test_read_only_arrays_and_subclasses_are_taken():

@@ -5,8 +5,8 @@ import io
 import numpy as np
 import pytest
 import ssplat
-from PIL import Image
 from pictures import KODIM05, waves
+from PIL import Image
 
 PICTURE = waves(60, 80)
 SMALL = {"effort": 1, "bytes": 500}

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 import ssplat
-from PIL import Image
 from pictures import waves
+from PIL import Image
 
 A = waves(180, 200)
 B = np.clip(A.astype(int) + np.random.default_rng(1).integers(-9, 10, A.shape), 0, 255).astype(np.uint8)

@@ -6,8 +6,8 @@ import pickle
 import numpy as np
 import pytest
 import ssplat
-from PIL import Image, ImageFile, UnidentifiedImageError
 from pictures import KODIM05, waves
+from PIL import Image, ImageFile, UnidentifiedImageError
 
 PICTURE = Image.fromarray(waves(60, 80))
 

@@ -67,7 +67,7 @@ def test_an_error_in_the_callback_stops_the_encode_and_comes_out():
 
 def test_false_stops_the_encode_and_nothing_else_does():
     for answer in (None, True, 0.0, [], "no"):
-        assert ssplat.encode(PICTURE, **SMALL, progress=lambda stage, done: answer) == FILE
+        assert ssplat.encode(PICTURE, **SMALL, progress=lambda stage, done, answer=answer: answer) == FILE
     with pytest.raises(ssplat.CancelledError):
         ssplat.encode(PICTURE, **SMALL, progress=lambda stage, done: done < 0.3)
 

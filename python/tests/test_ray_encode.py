@@ -8,14 +8,14 @@ import sys
 import pytest
 import ssplat
 from jobs import DiesOnce
-from PIL import Image
 from pictures import ROOT, waves
+from PIL import Image
 
 ray = pytest.importorskip("ray")
 pytest.importorskip("ray.data")
 sys.path.insert(0, str(ROOT / "examples"))
 
-import ray_encode  # noqa: E402
+import ray_encode
 
 OPTIONS = {"bytes": 300, "effort": 1}
 GOOD = [f"{k:02}.png" for k in range(11)] + ["deeper/11.jpg"]

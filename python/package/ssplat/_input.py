@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 import numpy as np
 
@@ -24,11 +24,11 @@ _SAME = {"1": "L", "La": "LA", "RGBa": "RGBA", "RGBX": "RGB", "P": "RGB", "PA": 
 _TRANSPARENT = {"1": "LA", "L": "LA", "RGB": "RGBA", "P": "RGBA"}
 
 
-def is_path(value: Any) -> bool:
+def is_path(value: object) -> TypeGuard[str | os.PathLike[str]]:
     return isinstance(value, (str, os.PathLike))
 
 
-def is_pillow(value: Any) -> bool:
+def is_pillow(value: object) -> TypeGuard[Image.Image]:
     # Without importing Pillow for those who do not use it.
     return hasattr(value, "getbands") and hasattr(value, "mode")
 
@@ -62,7 +62,11 @@ def pixels(name: str, image: ImageLike) -> tuple[np.ndarray, bytes | None, bytes
         with Image.open(image) as opened:
             return pixels(name, opened)
     if is_pillow(image):
-        return contiguous(name, np.asarray(convert(image))), image.info.get("icc_profile"), exif_of(image.info.get("exif"))
+        return (
+            contiguous(name, np.asarray(convert(image))),
+            image.info.get("icc_profile"),
+            exif_of(image.info.get("exif")),
+        )
     return contiguous(name, image), None, None
 
 

@@ -84,7 +84,9 @@ def from_gaussians(
     channels = color.shape[1] if color.ndim == 2 else 0
     if ratio is not None:
         if bytes is not None or not ratio > 0:
-            raise ParameterError(f"bad parameter ratio: {ratio} is not positive, or bytes are asked for as well", "ratio")
+            raise ParameterError(
+                f"bad parameter ratio: {ratio} is not positive, or bytes are asked for as well", "ratio"
+            )
         bytes = int(width * height * channels / ratio)
     options = {
         "width": width,

@@ -6,6 +6,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = [
+    "FORMAT_VERSION",
+    "MAGIC",
+    "__version__",
+    "compare",
+    "decode",
+    "encode",
+    "from_gaussians",
+    "gaussians",
+    "header",
+    "info",
+    "metadata",
+    "psnr",
+]
+
 __version__: str
 FORMAT_VERSION: int
 MAGIC: bytes

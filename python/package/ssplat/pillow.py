@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 import numpy as np
 from PIL import Image, ImageFile
@@ -36,6 +36,7 @@ class SsplatImageFile(ImageFile.ImageFile):
     format_description = "Pictures stored as 2D Gaussians"
 
     def _open(self) -> None:
+        assert self.fp is not None
         head = self.fp.read(_HEADER)
         try:
             width, height, channels, bits, has_metadata = _ssplat.header(head)
@@ -82,7 +83,8 @@ class _Decoder(ImageFile.PyDecoder):
 
     def decode(self, buffer: Any) -> tuple[int, int]:
         mode, size = self.args
-        bits = 16 if mode == "I;16" else 8
+        bits: Literal[8, 16] = 16 if mode == "I;16" else 8
+        assert self.fd is not None
         try:
             array = decode(self.fd.read(), size=size, bits=bits, partial=ImageFile.LOAD_TRUNCATED_IMAGES)
         except Error as e:
