@@ -2,16 +2,18 @@
 
 use super::channels::widen;
 use super::constant::{constant, is_constant};
-use super::job::{Encoding, Outcome, stored_error};
-use super::report::Omission;
+use super::job::{Encoding, Outcome, decibels, stored_error};
+use super::left_out::Omission;
 use super::subject::may_leave_out;
-use super::{MAX_PRIMITIVES, decibels};
 use crate::bitstream::splats::{Layout, PackedSplats};
 use crate::error::{Error, Result};
 use crate::fit::model::planes::Planes;
 use crate::gaussian::Blend;
 use crate::options::{Needs, Target};
 use crate::round::size::Size;
+
+/// Most primitives that an encode will fit.
+pub(super) const MAX_PRIMITIVES: u64 = 16 << 20;
 
 /// Ratio of [`Target::Auto`].
 const RATIO: f64 = 50.0;

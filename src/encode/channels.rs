@@ -1,7 +1,7 @@
 //! Channels that say nothing: they are left out of the fit and put back into the integers, where the coded layout stores a
 //! constant in next to nothing. The file keeps the caller's channels.
 
-use super::report::Omission;
+use super::left_out::Omission;
 use crate::bitstream::splats::PackedSplats;
 use crate::gaussian::{Blend, Channels};
 use crate::pixels::{Pixels, Samples};
@@ -10,7 +10,7 @@ use crate::pixels::{Pixels, Samples};
 #[derive(Debug)]
 pub(super) struct Narrow {
     pub pixels: Pixels,
-    /// What was left out.
+    /// Names the channels that were left out.
     pub what: Omission,
 }
 

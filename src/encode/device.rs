@@ -4,9 +4,10 @@ use std::fmt;
 
 use super::constant::is_constant;
 use crate::error::{Error, GpuError, Result};
+use crate::fit;
 use crate::fit::engine::{Ending, Watcher};
+use crate::fit::job::Job;
 use crate::fit::state::State;
-use crate::fit::{self, Job};
 use crate::options::{Backend, EncodeOptions};
 use crate::pixels::Pixels;
 
@@ -146,7 +147,7 @@ fn fit_on(device: &Device, _: &Job<'_>, _: &Pixels, _: &mut dyn Watcher) -> Resu
 #[cfg(all(test, feature = "gpu"))]
 mod gpu_tests {
     use super::*;
-    use crate::fit::Unwatched;
+    use crate::fit::engine::Unwatched;
     use crate::fit::model::planes::Planes;
     use crate::fit::model::problem::{Problem, Scene};
     use crate::fit::plan::Plan;

@@ -2,18 +2,20 @@
 
 use super::device::Choice;
 use super::file;
-use super::report::{Journal, Omission, Stage};
+use super::left_out::Omission;
+use super::report::{Journal, Stage};
 use super::subject::{Subject, stored_scene};
 use crate::bitstream::{self, splats::PackedSplats};
 use crate::error::Result;
 use crate::fit::engine::{Ending, Sight, Still, Watcher};
+use crate::fit::job::Job;
 use crate::fit::model::field::squared_error;
 use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::Problem;
 use crate::fit::model::project::Primitive;
 use crate::fit::model::{masking, structure};
 use crate::fit::plan::Plan;
-use crate::fit::{self, smartsplat};
+use crate::fit::smartsplat;
 use crate::options::{Needs, Recipe, Target, Tune};
 use crate::pixels::Depth;
 use crate::round::finish::{self, Client, Rounding};
@@ -23,7 +25,7 @@ use crate::round::size::Size;
 /// An encode on its way.
 pub(super) struct Encoding<'a> {
     pub subject: Subject<'a>,
-    /// What is fitted, as planes.
+    /// The picture that is fitted, as planes; their amplitudes depend on the number of primitives.
     pub planes: Planes,
     pub device: Choice,
     pub journal: Journal<'a>,
@@ -77,7 +79,7 @@ impl Encoding<'_> {
             plan.enough = enough(options.target, subject.pixels.depth());
         }
         let problem = Problem { scene: subject.scene(planes.mean), target: planes };
-        let job = fit::Job { problem, count, plan: &plan };
+        let job = Job { problem, count, plan: &plan };
 
         let clock = self.journal.seconds();
         let stage = Stage { name: "fit", journal: &mut self.journal, subject, planes };
@@ -108,6 +110,11 @@ impl Encoding<'_> {
     }
 }
 
+/// Returns a squared error as PSNR, decibels.
+pub(super) fn decibels(error: f64, samples: f64) -> f64 {
+    -10.0 * (error / samples).log10()
+}
+
 /// Returns the squared error of a stored picture over the samples of `planes`.
 pub(super) fn stored_error(splats: &PackedSplats, planes: &Planes) -> f64 {
     let projected = projected(&splats.quantizer(), &splats.gaussians, splats.height);
@@ -128,7 +135,7 @@ fn enough(target: Target, depth: Depth) -> f64 {
 /// Watches the fit, and corrects the number of its primitives by what their file takes.
 struct Fitting<'a, 'b> {
     stage: Stage<'a, 'b>,
-    job: fit::Job<'a>,
+    job: Job<'a>,
     size: Size,
     /// The file so far, without primitives.
     draft: PackedSplats,

@@ -9,6 +9,7 @@ mod constant;
 mod device;
 mod file;
 mod job;
+mod left_out;
 mod prune;
 mod report;
 mod subject;
@@ -21,29 +22,28 @@ use crate::error::{Error, Result};
 use crate::fit::model::planes::Planes;
 use crate::options::{EncodeOptions, Target};
 use crate::pixels::Pixels;
+use aim::MAX_PRIMITIVES;
 use device::Choice;
 pub use device::Chosen;
 pub use file::divide;
-use job::Encoding;
+use job::{Encoding, decibels};
+pub use left_out::{LeftOut, Omission};
 use report::Journal;
-pub use report::{LeftOut, Omission};
+pub use report::Progress;
 use subject::{Subject, may_leave_out};
 pub use trace::TracePoint;
 use trace::Tracer;
-
-/// Most primitives that an encode will fit.
-const MAX_PRIMITIVES: u64 = 16 << 20;
 
 /// An encoded picture.
 #[derive(Debug, Clone)]
 pub struct Encoded {
     /// The file.
     pub bytes: Vec<u8>,
-    /// What was done.
+    /// An account of how it was made.
     pub report: EncodeReport,
 }
 
-/// What an encode did and what it cost.
+/// An account of an encode: its result, its cost, and what it went without.
 #[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub struct EncodeReport {
@@ -57,24 +57,12 @@ pub struct EncodeReport {
     pub seconds: f64,
     /// Seconds of each stage, in order.
     pub stages: Vec<(&'static str, f64)>,
-    /// What was done without.
+    /// Everything that the encode went without.
     pub left_out: Vec<LeftOut>,
     /// The device that fitted the picture, and why that one.
     pub chosen: Chosen,
     /// Quality along the way; empty unless [`EncodeOptions::trace`] asks for it.
     pub trace: Vec<TracePoint>,
-}
-
-/// How far an encode is.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
-pub struct Progress {
-    /// The stage's name.
-    pub stage: &'static str,
-    /// Share of the stage that is done, `0..=1`.
-    pub done: f32,
-    /// PSNR when it was last measured, dB; only with [`EncodeOptions::trace`].
-    pub psnr: Option<f64>,
 }
 
 /// Encodes `pixels`.
@@ -126,10 +114,6 @@ pub fn encode_with_progress(
         trace: job.journal.tracer.into_points(),
     };
     Ok(Encoded { bytes: outcome.bytes, report })
-}
-
-fn decibels(error: f64, samples: f64) -> f64 {
-    -10.0 * (error / samples).log10()
 }
 
 fn check(options: &EncodeOptions) -> Result<()> {

@@ -2,7 +2,7 @@
 
 use super::file;
 use super::job::{Encoding, Outcome};
-use super::report::Omission;
+use super::left_out::Omission;
 use super::subject::stored_scene;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::error::Result;

@@ -1,72 +1,27 @@
-//! What an encode tells of itself: progress, the time of its stages, and what it did without.
+//! The account of an encode: progress, the time of its stages, and everything that it went without.
 
-use std::fmt;
 use std::ops::ControlFlow;
 
-use super::Progress;
+use super::left_out::{LeftOut, Omission};
 use super::subject::Subject;
 use super::trace::Tracer;
 use crate::error::{Error, Result};
 use crate::fit::engine::Sight;
 use crate::fit::model::planes::Planes;
 
-/// Something that the encoder did without, because the picture or the options do not need it or it was not to be had.
-#[derive(Debug, Clone, PartialEq)]
+/// How far an encode is.
+#[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
-pub struct LeftOut {
-    /// What it is, and why.
-    pub what: Omission,
-    /// Bytes saved; 0 where it saves only time, which then buys quality, or nothing that was measured.
-    pub bytes: u64,
-    /// Seconds saved, estimated from the cost of one iteration; 0 where that is not known.
-    pub seconds: f64,
+pub struct Progress {
+    /// The stage's name.
+    pub stage: &'static str,
+    /// Share of the stage that is done, `0..=1`.
+    pub done: f32,
+    /// PSNR when it was last measured, dB; only with [`EncodeOptions::trace`].
+    pub psnr: Option<f64>,
 }
 
-/// What an encode can do without. As text it is the thing, a colon, and why it was not needed.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum Omission {
-    /// Alpha, where all is opaque.
-    Alpha,
-    /// Colour, where all is grey.
-    Color,
-    /// Colour and alpha, where all is grey and opaque.
-    ColorAndAlpha,
-    /// The weights of [`Tune::Ssim`](crate::Tune::Ssim) and [`Tune::Iq`](crate::Tune::Iq), where the picture is so even
-    /// that they are the same everywhere.
-    StructureWeights,
-    /// The fit, where the picture is one colour.
-    Fit,
-    /// Iterations, where the error was small enough before the last one.
-    Iterations,
-    /// Primitives without which the error stays small enough.
-    Primitives,
-    /// A colour of its own for each primitive, where a codebook is smaller.
-    OwnColors,
-    /// The GPU, where one might have been taken.
-    Gpu {
-        /// Why it was not.
-        reason: String,
-    },
-}
-
-impl fmt::Display for Omission {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Omission::Alpha => "alpha: all is opaque",
-            Omission::Color => "colour: all is grey",
-            Omission::ColorAndAlpha => "colour and alpha: all is grey and opaque",
-            Omission::StructureWeights => "SSIM terms: the picture is so even that all pixels weigh the same",
-            Omission::Fit => "the fit: the picture is one colour",
-            Omission::Iterations => "iterations: the error is below that of rounding, or well below the target",
-            Omission::Primitives => "primitives without which the error stays below that of rounding, or of the target",
-            Omission::OwnColors => "a colour of its own for each primitive: a codebook is smaller",
-            Omission::Gpu { reason } => return write!(f, "the GPU: {reason}"),
-        })
-    }
-}
-
-/// What is told of an encode on its way.
+/// The account of an encode that goes on.
 pub(super) struct Journal<'a> {
     progress: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>,
     pub tracer: Tracer,

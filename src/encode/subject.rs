@@ -1,4 +1,4 @@
-//! What is encoded: the caller's picture, the channels of it that are fitted, and the file that both become.
+//! The subject of an encode: the caller's picture, the channels of it that are fitted, and the file that they become.
 
 use super::channels::widen;
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
@@ -11,9 +11,9 @@ use crate::pixels::Pixels;
 /// A picture, and what its caller asks for.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Subject<'a> {
-    /// What the caller gave.
+    /// The caller's picture.
     pub original: &'a Pixels,
-    /// What is fitted: the same, perhaps without channels that say nothing.
+    /// The picture that is fitted: the caller's, perhaps without channels that say nothing.
     pub pixels: &'a Pixels,
     pub options: &'a EncodeOptions,
 }

@@ -22,6 +22,8 @@
 //! which keeps all columns, is what it is added to. Small pictures do without: surveys of theirs see all rows anyway.
 
 use super::draft::{Start, scattered};
+use super::engine::Unwatched;
+use super::job::Job;
 use super::model::field::float_error;
 use super::model::planes::Planes;
 use super::model::problem::{Problem, Scene};
@@ -29,7 +31,6 @@ use super::model::reduced::{Coarse, Reduced};
 use super::model::rows::RowSet;
 use super::plan::Plan;
 use super::schedule::{Part, run_part};
-use super::{Job, Unwatched};
 use crate::gaussian::{Blend, Channels};
 use crate::pixels::{Pixels, Samples};
 

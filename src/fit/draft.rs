@@ -9,8 +9,8 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
 use crate::error::Result;
-use crate::fit::Job;
 use crate::fit::engine::{Engine, Sight, Watcher};
+use crate::fit::job::Job;
 use crate::fit::model::adam::Bounds;
 use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::Scene;
@@ -102,7 +102,7 @@ impl Watcher for OneOf<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::Unwatched;
+    use crate::fit::engine::Unwatched;
     use crate::fit::model::problem::Problem;
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::{Pixels, Samples};

@@ -1,4 +1,4 @@
-//! What takes the steps of a fit, and who watches it.
+//! The engine that takes the steps of a fit, and the watcher that accompanies it.
 
 use crate::error::Result;
 use crate::fit::model::adam::Rates;
@@ -116,5 +116,20 @@ impl Sight for Still<'_> {
 
     fn drawing(&mut self) -> Result<(Scene, Vec<Projected>)> {
         Ok((self.problem.scene, (self.project)()))
+    }
+}
+
+/// Keeps the number of primitives and looks at nothing.
+#[cfg(test)]
+pub(crate) struct Unwatched;
+
+#[cfg(test)]
+impl Watcher for Unwatched {
+    fn step(&mut self, _: f32, _: &mut dyn Sight) -> Result<()> {
+        Ok(())
+    }
+
+    fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {
+        Ok(primitives.len())
     }
 }

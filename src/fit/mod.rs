@@ -5,8 +5,10 @@
 
 #[cfg(all(test, unix))]
 mod coarse;
+mod cpu;
 mod draft;
 pub(crate) mod engine;
+pub(crate) mod job;
 pub(crate) mod model;
 pub(crate) mod plan;
 pub(crate) mod schedule;
@@ -17,17 +19,8 @@ pub(crate) mod state;
 
 use crate::error::Result;
 use engine::{Ending, Engine, Watcher};
-use model::problem::Problem;
-use plan::Plan;
+use job::Job;
 use state::State;
-
-/// What to fit, with about how many primitives, and how much work to spend.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Job<'a> {
-    pub problem: Problem<'a>,
-    pub count: usize,
-    pub plan: &'a Plan,
-}
 
 /// Fits as `job` says, on the engine that `open` makes of where the fit starts. `watcher` corrects the number on the way.
 ///
@@ -52,19 +45,4 @@ pub(crate) fn fit<E: Engine>(
 pub(crate) fn fit_on_cpu(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<(State, Ending)> {
     let (state, ending) = fit(job, Ok, watcher)?;
     Ok((state.finish()?, ending))
-}
-
-/// Keeps the number of primitives and looks at nothing.
-#[cfg(test)]
-pub(crate) struct Unwatched;
-
-#[cfg(test)]
-impl Watcher for Unwatched {
-    fn step(&mut self, _: f32, _: &mut dyn engine::Sight) -> Result<()> {
-        Ok(())
-    }
-
-    fn recount(&mut self, primitives: &[model::project::Primitive]) -> Result<usize> {
-        Ok(primitives.len())
-    }
 }

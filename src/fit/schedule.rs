@@ -7,8 +7,8 @@ use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
 use crate::error::Result;
-use crate::fit::Job;
 use crate::fit::engine::{Ending, Engine, Running, Watcher};
+use crate::fit::job::Job;
 use crate::fit::model::adam::Rates;
 use crate::fit::model::problem::Problem;
 use crate::fit::model::reduced::{Coarse, Reduced};
@@ -73,7 +73,7 @@ struct Course<'a> {
     part: Part<'a>,
     /// The picture that the steps see, as long as that is a smaller one.
     small: Option<&'a Reduced>,
-    /// Whether the error at the smaller size is small enough, so that the whole size must be looked at.
+    /// Set when the error at the smaller size is small enough: the whole size must be looked at then.
     is_near: bool,
     /// The distance of sampled rows at the picture's own size.
     row_step: u32,

@@ -2,7 +2,7 @@
 //!
 //! Where the paper's text and its published program differ, this follows what ran: rates of 0.05 pixels for scales and
 //! 0.005 for colours (the text has them the other way round), and 0.8 of the loss for the absolute error (text: 0.9).
-//! Of the states on the way the best is kept, not the last.
+//! The fit returns the best state on the way, not the last.
 
 use std::time::Instant;
 
@@ -11,8 +11,8 @@ use rand_pcg::Pcg64Mcg;
 use rstar::RTree;
 
 use crate::error::Result;
-use crate::fit::Job;
 use crate::fit::engine::{Still, Watcher};
+use crate::fit::job::Job;
 use crate::fit::model::adam::Bounds;
 use crate::fit::model::field::{Field, Gradient, Output};
 use crate::fit::model::planes::Planes;

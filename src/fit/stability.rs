@@ -5,7 +5,10 @@
 #[path = "../../tests/stiff/mod.rs"]
 mod stiff;
 
+use super::engine::Unwatched;
 use super::engine::{Sight, Watcher};
+use super::fit_on_cpu;
+use super::job::Job;
 use super::model::adam::Bounds;
 use super::model::field::{Field, Output, float_error, squared_error};
 use super::model::planes::Planes;
@@ -15,7 +18,6 @@ use super::model::rows::RowSet;
 use super::plan::Plan;
 use super::schedule::{LAST_RATE, RATES, SAMPLED};
 use super::state::State;
-use super::{Job, Unwatched, fit_on_cpu};
 use crate::error::Result;
 use crate::gaussian::{Blend, Channels, Picture};
 use crate::options::Target as Aim;

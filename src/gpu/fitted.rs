@@ -7,14 +7,15 @@ use std::time::Instant;
 use super::device::Device;
 use super::fit::Fitter;
 use crate::error::{Error, Result};
+use crate::fit;
 use crate::fit::engine::{Engine, Sight, Watcher};
+use crate::fit::job::Job;
 use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::project::Primitive;
 use crate::fit::model::rows::RowSet;
 use crate::fit::plan::Plan;
 use crate::fit::state::State;
-use crate::fit::{self, Job};
 use crate::gaussian::{Blend, Picture};
 use crate::pixels::Pixels;
 

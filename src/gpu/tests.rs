@@ -159,6 +159,7 @@ mod stages {
     use super::super::twin;
     use super::super::workspace::Workspace;
     use crate::fit::engine::{Engine, Sight, Watcher};
+    use crate::fit::job::Job;
     use crate::fit::model::adam::{Bounds, Rates};
     use crate::fit::model::field::{Field, Output, float_error};
     use crate::fit::model::planes::Planes;
@@ -167,8 +168,8 @@ mod stages {
     use crate::fit::model::rows::RowSet;
     use crate::fit::model::{peaks, removal, ridge, sample};
     use crate::fit::plan::Plan;
+    use crate::fit::schedule;
     use crate::fit::state::State;
-    use crate::fit::{Job, schedule};
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::{Pixels, Samples};
     use rand::{RngExt, SeedableRng};

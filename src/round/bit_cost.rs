@@ -1,4 +1,4 @@
-//! What the integers of a primitive cost, estimated from how often they occur; for rate–distortion decisions.
+//! The bits that the integers of a primitive cost, estimated from how often they occur; for rate–distortion decisions.
 
 use crate::bitstream::lattice::Lattice;
 use crate::bitstream::splats::PackedGaussian;

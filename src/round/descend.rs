@@ -28,7 +28,7 @@ const BAND: usize = 96;
 /// known before.
 const SLACK: f32 = 3.0;
 
-/// What one sweep did.
+/// The result of one sweep.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Sweep {
     pub changed: usize,
@@ -74,7 +74,7 @@ impl Activity {
         }
     }
 
-    /// Whether anything under `g` changed in this sweep or the one before.
+    /// Tells whether anything under `g` changed in this sweep or the one before.
     fn stirred(&self, g: &Gaussian) -> bool {
         self.cells(g).any(|i| self.stamps[i] + 1 >= self.sweep)
     }
@@ -89,7 +89,7 @@ pub(crate) struct Objective {
     pub position_bits: f32,
 }
 
-/// What sweeps lower the objective of, and what they remember from one to the next.
+/// A descent on its way: the problem, and the memory from one sweep to the next.
 #[derive(Debug)]
 pub(crate) struct Descent<'a> {
     pub(super) problem: Problem<'a>,

@@ -42,7 +42,7 @@ const FILLED: u64 = 50;
 /// Bytes that a file which fills its size may always be short: some ten primitives.
 const FILLED_BYTES: u64 = 40;
 
-/// What to round, and how far.
+/// A fit to round, and the size to reach.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rounding<'a> {
     pub problem: Problem<'a>,
@@ -59,7 +59,7 @@ pub(crate) trait Client {
     fn bytes(&mut self, rounded: &mut Rounded) -> Result<u64>;
 }
 
-/// What rounding came to.
+/// The result of rounding.
 #[derive(Debug)]
 pub(crate) struct Finished {
     pub rounded: Rounded,
@@ -187,7 +187,7 @@ impl Rounds<'_> {
 
 /// The best integers so far whose file is not too large.
 struct Best {
-    /// Whether the file fills its size: that goes before the error.
+    /// True if the file fills its size: that goes before the error.
     fills: bool,
     error: f64,
     gaussians: Vec<PackedGaussian>,

@@ -7,7 +7,7 @@ use crate::fit::model::{peaks, removal};
 use crate::round::descend::Descent;
 use crate::round::rounded::projected;
 
-/// What the file must fit into.
+/// The size that a file may have.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Size {
     /// At most this many bytes, and as close to it as can be.

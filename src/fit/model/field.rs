@@ -22,7 +22,7 @@ pub(crate) struct Field {
     pub rows: Option<RowSet>,
 }
 
-/// What to leave in the planes.
+/// Says what a drawing leaves in the planes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Output {
     /// `∂L/∂(Σwc)` for each channel and `h = Σ g I` (normalized) or 0 (sum), for the squared error.

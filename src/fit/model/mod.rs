@@ -1,5 +1,5 @@
-//! What a fit is made of: primitives and their projection, the picture as planes, its errors and gradients, and where it
-//! lacks something.
+//! The parts of a fit: primitives and their projection, the picture as planes, its errors and gradients, and the places
+//! where it lacks something.
 
 pub(crate) mod adam;
 pub(crate) mod field;

@@ -74,7 +74,7 @@ impl Planes {
         plane
     }
 
-    /// The same picture at half its size: means of 2 × 2 pixels, borders repeated. Colours count by their opacity.
+    /// Returns the picture at half its size: means of 2 × 2 pixels, borders repeated. Colours count by their opacity.
     pub(crate) fn halved(&self) -> Planes {
         let (count, alpha) = (self.channels.count(), self.channels.alpha());
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
@@ -114,7 +114,7 @@ impl Planes {
         Planes { width, height, stride, planes, amplitude, ..*self }
     }
 
-    /// What errors in row `y` are multiplied by before they are squared; `None`: by 1.
+    /// Returns the factors of the errors in row `y` before they are squared; `None`: 1.
     #[inline(always)]
     pub(crate) fn amplitude(&self, y: u32) -> Option<&[f32]> {
         self.amplitude.get(y as usize * self.stride..)?.get(..self.stride)

@@ -1,4 +1,4 @@
-//! What is fitted: a picture, and how primitives are to make it.
+//! The problem that a fit solves: a picture, and how primitives are to make it.
 
 use crate::fit::model::planes::Planes;
 use crate::fit::model::rows::RowSet;
@@ -17,7 +17,7 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
-    /// Whether the picture is so large that looks at it leave rows out.
+    /// Tells whether the picture is so large that looks at it leave rows out.
     pub(crate) fn is_large(&self) -> bool {
         u64::from(self.width) * u64::from(self.height) >= LARGE
     }

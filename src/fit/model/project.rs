@@ -49,7 +49,7 @@ pub(crate) fn all(primitives: &[Primitive], height: u32) -> Vec<Projected> {
     .concat()
 }
 
-/// What the pixel loops need of one primitive.
+/// One primitive as the pixel loops need it.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Projected {
     /// Mean in coordinates where pixel `i` has its centre at `i`.

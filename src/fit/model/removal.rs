@@ -1,4 +1,4 @@
-//! What the picture loses without each primitive, and which are the least useful.
+//! The cost of removing a primitive, and the order in which they are least missed.
 
 use crate::fit::model::field::Field;
 use crate::fit::model::kernel::{self, Strip, Visit};

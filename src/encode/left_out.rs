@@ -1,0 +1,59 @@
+//! Everything that an encode can go without.
+
+use std::fmt;
+
+/// Something that the encoder did without, because the picture or the options do not need it or it was not to be had.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct LeftOut {
+    /// The thing, and why it was not needed.
+    pub what: Omission,
+    /// Bytes saved; 0 where it saves only time, which then buys quality, or nothing that was measured.
+    pub bytes: u64,
+    /// Seconds saved, estimated from the cost of one iteration; 0 where that is not known.
+    pub seconds: f64,
+}
+
+/// Something that an encode can do without. As text it is the thing, a colon, and why it was not needed.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Omission {
+    /// Alpha, where all is opaque.
+    Alpha,
+    /// Colour, where all is grey.
+    Color,
+    /// Colour and alpha, where all is grey and opaque.
+    ColorAndAlpha,
+    /// The weights of [`Tune::Ssim`](crate::Tune::Ssim) and [`Tune::Iq`](crate::Tune::Iq), where the picture is so even
+    /// that they are the same everywhere.
+    StructureWeights,
+    /// The fit, where the picture is one colour.
+    Fit,
+    /// Iterations, where the error was small enough before the last one.
+    Iterations,
+    /// Primitives without which the error stays small enough.
+    Primitives,
+    /// A colour of its own for each primitive, where a codebook is smaller.
+    OwnColors,
+    /// The GPU, where one might have been taken.
+    Gpu {
+        /// Why it was not.
+        reason: String,
+    },
+}
+
+impl fmt::Display for Omission {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Omission::Alpha => "alpha: all is opaque",
+            Omission::Color => "colour: all is grey",
+            Omission::ColorAndAlpha => "colour and alpha: all is grey and opaque",
+            Omission::StructureWeights => "SSIM terms: the picture is so even that all pixels weigh the same",
+            Omission::Fit => "the fit: the picture is one colour",
+            Omission::Iterations => "iterations: the error is below that of rounding, or well below the target",
+            Omission::Primitives => "primitives without which the error stays below that of rounding, or of the target",
+            Omission::OwnColors => "a colour of its own for each primitive: a codebook is smaller",
+            Omission::Gpu { reason } => return write!(f, "the GPU: {reason}"),
+        })
+    }
+}

@@ -1,0 +1,115 @@
+//! The engine of a fit on the CPU.
+
+use crate::error::Result;
+use crate::fit::engine::Engine;
+use crate::fit::model::adam::{Bounds, Memory, Rates};
+use crate::fit::model::field::{Output, float_error};
+use crate::fit::model::peaks::{at_peak, peaks};
+use crate::fit::model::problem::Problem;
+use crate::fit::model::project::{self, Primitive};
+use crate::fit::model::removal;
+use crate::fit::model::rows::RowSet;
+use crate::fit::state::{CLEARLY_WORSE, State};
+
+impl Engine for State {
+    fn count(&self) -> usize {
+        self.primitives.len()
+    }
+
+    fn primitives(&mut self) -> Result<Vec<Primitive>> {
+        Ok(self.primitives.clone())
+    }
+
+    fn settle(&mut self) -> Result<()> {
+        Ok(())
+    }
+
+    fn error(&mut self, whole: &Problem<'_>) -> Result<f64> {
+        if self.scale != 1.0 {
+            return Ok(float_error(whole, &project::zoomed(self.primitives.clone(), self.scale.recip())));
+        }
+        let projected = project::all(&self.primitives, whole.scene.height);
+        Ok(self.field.draw(whole, &projected, RowSet::ALL, Output::Picture))
+    }
+
+    fn descend(&mut self, problem: &Problem<'_>, rows: RowSet, rates: Rates) -> Result<Option<f64>> {
+        // A step on all rows tells the error of what was there before it.
+        let before = (rows == RowSet::ALL).then(|| self.primitives.clone());
+        let error = State::descend(self, problem, rows, rates);
+        if let Some(before) = before {
+            self.keep(error, before);
+        }
+        Ok(Some(error))
+    }
+
+    /// Moves primitives as long as the estimated gain exceeds the removal cost.
+    fn relocate(&mut self, problem: &Problem<'_>, rows: RowSet, most: usize) -> Result<usize> {
+        let costs = self.survey(problem, rows);
+        let peaks = peaks(problem, &self.field, rows, most, self.primitives.len());
+        let mut moved = 0;
+        for (peak, i) in peaks.iter().zip(removal::cheapest(&costs, most)) {
+            if peak.gain < costs[i] {
+                break;
+            }
+            self.primitives[i] = at_peak(peak, problem);
+            self.memory[i] = Memory::default();
+            moved += 1;
+        }
+        self.sort();
+        Ok(moved)
+    }
+
+    fn resize(&mut self, problem: &Problem<'_>, rows: RowSet, wanted: usize) -> Result<()> {
+        let costs = self.survey(problem, rows);
+        let have = self.primitives.len();
+        if wanted < have {
+            let mut keep = vec![true; have];
+            for i in removal::cheapest_first(&costs).into_iter().take(have - wanted) {
+                keep[i] = false;
+            }
+            let mut kept = keep.iter();
+            self.primitives.retain(|_| *kept.next().expect("one for each"));
+            let mut kept = keep.iter();
+            self.memory.retain(|_| *kept.next().expect("one for each"));
+        } else {
+            for peak in peaks(problem, &self.field, rows, wanted - have, wanted) {
+                self.primitives.push(at_peak(&peak, problem));
+                self.memory.push(Memory::default());
+            }
+        }
+        self.sort();
+        // Errors with another number of primitives do not compare.
+        self.best.take_if(|(_, primitives)| primitives.len() != wanted);
+        Ok(())
+    }
+
+    fn remember(&mut self, problem: &Problem<'_>) -> Result<()> {
+        let error = self.error(problem)?;
+        self.keep(error, self.primitives.clone());
+        Ok(())
+    }
+
+    /// Goes back to the best state where the fit has ended in a clearly worse one. Few primitives can lose decibels
+    /// in their first steps on all rows: the optimizer's memory is of the noise of samples, and those steps are long.
+    fn keep_best(&mut self) -> Result<()> {
+        if let Some((error, primitives)) = self.best.take()
+            && self.latest > CLEARLY_WORSE * error
+        {
+            *self = State { price: self.price, ..State::new(primitives, self.bounds) };
+        }
+        Ok(())
+    }
+
+    fn zoom(&mut self, problem: &Problem<'_>, by: f32) -> Result<()> {
+        // Gradients grow with the picture: what the optimizer remembers would mislead it.
+        let bounds = Bounds::new(problem.scene.width, problem.scene.height);
+        let zoomed = State::new(project::zoomed(std::mem::take(&mut self.primitives), by), bounds);
+        let (iteration, price, scale) = (self.iteration, self.price, self.scale * by);
+        *self = State { iteration, price, scale, field: std::mem::take(&mut self.field), ..zoomed };
+        Ok(())
+    }
+
+    fn finish(self) -> Result<State> {
+        Ok(self)
+    }
+}
