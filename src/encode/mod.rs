@@ -1,7 +1,7 @@
 //! Pixels to bytes: the whole encoder behind one function.
 //!
-//! [`aim`] says with how many primitives a fit begins and how often one is tried, [`job`] does a fit and has it rounded,
-//! [`file`] writes the smallest file of the integers.
+//! `aim` says with how many primitives a fit begins and how often one is tried, `job` does a fit and has it rounded,
+//! `file` writes the smallest file of the integers.
 
 mod aim;
 mod channels;

@@ -17,7 +17,7 @@ pub struct Progress {
     pub stage: &'static str,
     /// Share of the stage that is done, `0..=1`.
     pub done: f32,
-    /// PSNR when it was last measured, dB; only with [`EncodeOptions::trace`].
+    /// PSNR when it was last measured, dB; only with [`EncodeOptions::trace`](crate::EncodeOptions::trace).
     pub psnr: Option<f64>,
 }
 
