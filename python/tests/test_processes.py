@@ -34,9 +34,17 @@ def wait_until(condition):
         time.sleep(0.01)
 
 
+@pytest.fixture
+def interrupts():
+    # Where the tests run in the background of a shell, SIGINT is ignored and Python sets no handler by itself.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.skipif(not pathlib.Path("/proc/self/task").exists(), reason="threads are counted in /proc")
 @pytest.mark.parametrize("progress", [None, lambda stage, done: None])
-def test_keyboard_interrupt_stops_an_encode_and_its_threads(progress):
+def test_keyboard_interrupt_stops_an_encode_and_its_threads(progress, interrupts):
     before = threads_of_this_process()
 
     def interrupt():
