@@ -1,5 +1,5 @@
 //! The files that cost the most to decode for their size: for pictures of several sizes, as many Gaussians of a costly
-//! kind as the default limits let through. Prints CPU seconds and peak memory of a decode on one thread.
+//! kind as the default limits let through, and as many groups. Prints CPU seconds and peak memory of a decode on one thread.
 //!
 //! ```sh
 //! cargo run --release --example worst_file -- [SIDE...]
@@ -32,8 +32,12 @@ fn main() -> Result<()> {
     println!("| picture | Gaussians | how many | file, bytes | CPU s | peak MB |");
     println!("|---|---|--:|--:|--:|--:|");
     for side in sides {
-        for kind in ["wide", "corner", "upright"] {
-            let splats = worst(side.parse()?, kind);
+        for kind in ["wide", "corner", "upright", "tiny groups", "tiny groups, large codebook"] {
+            let splats = match kind {
+                "tiny groups" => tiny_groups(side.parse()?, 1),
+                "tiny groups, large codebook" => tiny_groups(side.parse()?, 1 << 16),
+                _ => worst(side.parse()?, kind),
+            };
             let bytes = to_bytes(&splats)?;
             fs::write(file.path(), &bytes)?;
             let mut decode = Command::new(std::env::current_exe()?);
@@ -97,6 +101,39 @@ fn worst(side: u32, kind: &str) -> PackedSplats {
         if is_allowed(middle) { good = middle } else { bad = middle }
     }
     picture(good)
+}
+
+/// Two million Gaussians in as many groups as there can be: 4096 clusters too large to be a group, each alone in a square of
+/// which one half after the other holds a single Gaussian. Each group begins with models of its own, and those of a
+/// codebook are the larger the more `colors` it has.
+fn tiny_groups(side: u32, colors: u32) -> PackedSplats {
+    // Cells of a 64th of a pixel, and the logarithm of a cluster's square.
+    let log = side.ilog2();
+    let gaussians = (0..64 * 64).flat_map(|cluster| {
+        let corner = [cluster % 64, cluster / 64].map(|c| c << log);
+        let color = |i: u32| [((cluster * 541 + i) % colors) as i16, 0, 0, 0];
+        let at = move |x: u32, y: u32, i: u32| {
+            let [x, y] = [corner[0] + x, corner[1] + y];
+            PackedGaussian { x, y, major: 0, minor: 0, angle: 0, color: color(i) }
+        };
+        let many = (0..513).map(move |i| at(0, 0, i));
+        let alone = (0..log).flat_map(move |k| [at(1 << k, 0, 513 + 2 * k), at(0, 1 << k, 514 + 2 * k)]);
+        many.chain(alone).collect::<Vec<_>>()
+    });
+    PackedSplats {
+        width: side,
+        height: side,
+        channels: Channels::Grey,
+        depth: Depth::Eight,
+        blend: Blend::Normalized,
+        layout: Layout::Coded,
+        steps: Steps { scale: 0, angle: 0, position: 0, coarsest: -6, range: 0, luma: 6, chroma: 2 },
+        background: [0; 4],
+        codebook: Some((0..colors).map(|i| [(i as u16) as i16, 0, 0, 0]).collect()),
+        gaussians: gaussians.collect(),
+        levels: Vec::new(),
+        metadata: Default::default(),
+    }
 }
 
 /// Decodes once and prints two columns.

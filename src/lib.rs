@@ -97,3 +97,4 @@ pub use image_crate::{EXTENSION, SsplatDecoder, SsplatEncoder, register, save};
 pub use limits::Limits;
 pub use options::{Ablation, Backend, Damage, DecodeOptions, EncodeOptions, Needs, Recipe, Target, Trace, Tune};
 pub use pixels::{Depth, Pixels, Samples};
+pub use simd::instruction_set;

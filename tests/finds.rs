@@ -12,7 +12,7 @@ use ssplat::bitstream::splats::Layout;
 use ssplat::bitstream::{read, to_bytes};
 use ssplat::{Error, FormatError, Limits};
 
-/// The finds by name. Fuzzing does not check the checksum, so it is set right here.
+/// The finds by name. Some come from when fuzzing did not check the checksum, so it is set right here.
 fn finds() -> Vec<(String, Vec<u8>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/finds");
     fs::read_dir(folder)

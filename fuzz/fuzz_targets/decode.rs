@@ -4,15 +4,18 @@
 use std::io::Cursor;
 
 use image::ImageReader;
-use libfuzzer_sys::fuzz_target;
+use libfuzzer_sys::{fuzz_mutator, fuzz_target};
 use peak_alloc::PeakAlloc;
 use ssplat_fuzz::SLACK;
+use ssplat_fuzz::mutate::mutate;
 
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;
 
 const SIDE: u32 = 256;
 const ALLOC: u64 = 8 << 20;
+
+fuzz_mutator!(|data: &mut [u8], size: usize, max: usize, seed: u32| { mutate(data, size, max, seed) });
 
 fuzz_target!(|data: &[u8]| {
     assert!(ssplat::register());

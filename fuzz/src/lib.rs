@@ -1,4 +1,6 @@
-//! What the fuzz targets share: readers that slice, pictures from fuzzed bytes, and tight limits.
+//! What the fuzz targets share: readers that slice, pictures from fuzzed bytes, tight limits, and mutations that know the format.
+
+pub mod mutate;
 
 use std::io::Read;
 

@@ -18,6 +18,8 @@ impl<T: Task> pulp::NullaryFnOnce for OnAvx2<T> {
 }
 
 impl Simd for V3 {
+    const NAME: &'static str = "avx2";
+
     type Vector = __m256;
 
     #[inline(always)]

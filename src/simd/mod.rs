@@ -6,6 +6,8 @@
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 
+use std::sync::OnceLock;
+
 /// Floats side by side.
 pub(crate) const LANES: usize = 8;
 
@@ -25,19 +27,50 @@ pub(crate) trait Task {
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
 
-/// Runs `task` with the best instructions that the machine has.
+/// The variable that chooses the plain instructions.
+const VARIABLE: &str = "SSPLAT_SIMD";
+
+/// Whether [`VARIABLE`] was `plain` when it was first asked for.
+fn is_plain_asked_for() -> bool {
+    static ASKED: OnceLock<bool> = OnceLock::new();
+    *ASKED.get_or_init(|| std::env::var_os(VARIABLE).is_some_and(|value| value == "plain"))
+}
+
+/// Runs `task` with the best instructions that the machine has, or with the plain ones if those are asked for.
 pub(crate) fn dispatch<T: Task>(task: T) -> T::Output {
     #[cfg(target_arch = "x86_64")]
-    if let Some(simd) = pulp::x86::V3::try_new() {
+    if !is_plain_asked_for()
+        && let Some(simd) = pulp::x86::V3::try_new()
+    {
         return simd.vectorize(avx2::OnAvx2(simd, task));
     }
     task.run(Plain)
+}
+
+/// The instructions that fit and draw on the CPU: `"avx2"`, or `"plain"` for those that the crate is compiled for.
+///
+/// Files and pixels are the same with either. With the environment variable `SSPLAT_SIMD=plain`, read once in a process,
+/// the plain ones are taken everywhere: to compare the two, or to rule one out when a result is doubted.
+#[must_use]
+pub fn instruction_set() -> &'static str {
+    struct Name;
+    impl Task for Name {
+        type Output = &'static str;
+
+        fn run<S: Simd>(self, _: S) -> &'static str {
+            S::NAME
+        }
+    }
+    dispatch(Name)
 }
 
 /// Operations on eight floats at once.
 ///
 /// Code that uses it must be inlined into the function that is compiled for the instruction set, so: no closures.
 pub(crate) trait Simd: Copy {
+    /// What [`instruction_set`] calls it.
+    const NAME: &'static str;
+
     /// Eight floats, in a register if there is one.
     type Vector: Copy;
 
@@ -126,6 +159,8 @@ fn zip(a: [f32; LANES], b: [f32; LANES], f: impl Fn(f32, f32) -> f32) -> [f32; L
 }
 
 impl Simd for Plain {
+    const NAME: &'static str = "plain";
+
     type Vector = [f32; LANES];
 
     #[inline(always)]

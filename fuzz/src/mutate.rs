@@ -1,0 +1,137 @@
+//! Mutations that get past checksums: bytes are changed as the fuzzer likes and sealed again, or the integers of a sound file
+//! are changed and written anew.
+
+use libfuzzer_sys::fuzzer_mutate;
+use ssplat::bitstream::header::{Header, Sections};
+use ssplat::bitstream::splats::{Layout, PackedSplats};
+use ssplat::bitstream::{read, to_bytes};
+use ssplat::{Error, FormatError};
+
+use crate::tight_limits;
+
+/// Most checksums that are set right in a file: one for each group, and those of the directory and the file each time.
+const MOST_SEALS: usize = 64;
+
+/// Changes the first `size` of `data`, which has room for `max`, and returns the new size.
+pub fn mutate(data: &mut [u8], size: usize, max: usize, seed: u32) -> usize {
+    let mut random = Random(seed.into());
+    if random.below(4) == 0
+        && let Ok(mut splats) = read(&data[..size], &tight_limits())
+    {
+        change(&mut splats, &mut random);
+        if let Ok(bytes) = to_bytes(&splats)
+            && bytes.len() <= max
+        {
+            data[..bytes.len()].copy_from_slice(&bytes);
+            return bytes.len();
+        }
+    }
+    let size = fuzzer_mutate(data, size, max);
+    // A few stay broken: what a reader does about a wrong checksum is to be seen, too.
+    if random.below(16) > 0 {
+        seal(&mut data[..size]);
+    }
+    size
+}
+
+/// Sets the checksums of sections, file, directory and groups to the ones that a reader computes.
+pub fn seal(bytes: &mut [u8]) {
+    seal_sections(bytes);
+    for _ in 0..MOST_SEALS {
+        let Err(Error::Format(FormatError::Checksum { stored, computed, .. })) = read(&*bytes, &tight_limits()) else {
+            return;
+        };
+        let Some(at) = bytes.windows(4).rposition(|w| w == stored.to_le_bytes()) else { return };
+        bytes[at..at + 4].copy_from_slice(&computed.to_le_bytes());
+    }
+}
+
+/// Sections with a wrong checksum are left out by a reader without an error, so that their place must be found here.
+fn seal_sections(bytes: &mut [u8]) {
+    let mut rest = &*bytes;
+    match Header::read(&mut rest, &tight_limits()) {
+        Ok(header) if header.sections == Sections::Present => {}
+        _ => return,
+    }
+    let mut at = bytes.len() - rest.len();
+    let Some(count) = varint(bytes, &mut at) else { return };
+    for _ in 0..count {
+        let name = at;
+        at += 4;
+        let Some(length) = varint(bytes, &mut at) else { return };
+        let Some(contents) = bytes.get(at + 4..).and_then(|b| b.get(..usize::try_from(length).ok()?)) else { return };
+        let checksum = crc32fast::hash(&[&bytes[name..name + 4], contents].concat());
+        let end = at + 4 + contents.len();
+        bytes[at..at + 4].copy_from_slice(&checksum.to_le_bytes());
+        at = end;
+    }
+}
+
+fn varint(bytes: &[u8], at: &mut usize) -> Option<u64> {
+    let mut value = 0;
+    for shift in (0..63).step_by(7) {
+        let byte = *bytes.get(*at)?;
+        *at += 1;
+        value |= u64::from(byte & 0x7f) << shift;
+        if byte < 0x80 {
+            return Some(value);
+        }
+    }
+    None
+}
+
+/// Changes some of the integers; what breaks a rule is refused by the writer.
+fn change(splats: &mut PackedSplats, random: &mut Random) {
+    let count = splats.gaussians.len();
+    for _ in 0..1 + random.below(3) {
+        match random.below(8) {
+            0 => splats.layout = [Layout::Packed, Layout::Planes, Layout::Coded][random.below(3)],
+            1 => splats.metadata.icc = Some(vec![random.next() as u8; random.below(40)]),
+            2 if count > 0 => {
+                splats.gaussians.truncate(random.below(count));
+                splats.levels.clear();
+            }
+            3 if count > 0 && count < 2000 => {
+                splats.gaussians.extend_from_within(random.below(count)..);
+                splats.levels.clear();
+            }
+            // Two levels make groups.
+            4 if splats.gaussians.len() > 1 => {
+                let total = splats.gaussians.len();
+                let first = 1 + random.below(total - 1);
+                splats.levels = vec![first as u32, (total - first) as u32];
+            }
+            5 => splats.background[random.below(splats.channels.count())] = random.next() as i16,
+            6 => splats.codebook = None,
+            _ if !splats.gaussians.is_empty() => {
+                let at = random.below(splats.gaussians.len());
+                let p = &mut splats.gaussians[at];
+                match random.below(4) {
+                    0 => (p.x, p.y) = (p.x >> random.below(8), p.y >> random.below(8)),
+                    1 => p.major = p.major.saturating_add(random.below(40) as u8),
+                    2 => p.angle = 0,
+                    _ => p.color[random.below(splats.channels.count())] = random.next() as i16,
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Splitmix64.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ z >> 31
+    }
+
+    /// Below `n`, which must not be 0.
+    fn below(&mut self, n: usize) -> usize {
+        (self.next() % n as u64) as usize
+    }
+}
