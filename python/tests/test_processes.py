@@ -24,7 +24,7 @@ PATIENCE = 120
 
 
 def threads_of_this_process():
-    return len(list(pathlib.Path("/proc/self/task").iterdir()))
+    return {task.name for task in pathlib.Path("/proc/self/task").iterdir()}
 
 
 def wait_until(condition):
@@ -48,8 +48,8 @@ def test_keyboard_interrupt_stops_an_encode_and_its_threads(progress, interrupts
     before = threads_of_this_process()
 
     def interrupt():
-        # Once the encode has its own threads.
-        wait_until(lambda: threads_of_this_process() > before + 1)
+        # Once the encode has threads beside this one. Threads of earlier tests may still end meanwhile.
+        wait_until(lambda: len(threads_of_this_process() - before) > 1)
         os.kill(os.getpid(), signal.SIGINT)
 
     killer = threading.Thread(target=interrupt)
@@ -57,7 +57,7 @@ def test_keyboard_interrupt_stops_an_encode_and_its_threads(progress, interrupts
     with pytest.raises(KeyboardInterrupt):
         ssplat.encode(LONG, effort=9, threads=1, progress=progress)
     killer.join()
-    wait_until(lambda: threads_of_this_process() <= before)
+    wait_until(lambda: threads_of_this_process() <= before)  # No thread is new.
 
 
 def test_an_error_in_the_callback_stops_the_encode_and_comes_out():
