@@ -82,8 +82,8 @@ fn varint(bytes: &[u8], at: &mut usize) -> Option<u64> {
 
 /// Changes some of the integers; what breaks a rule is refused by the writer.
 fn change(splats: &mut PackedSplats, random: &mut Random) {
-    let count = splats.gaussians.len();
     for _ in 0..1 + random.below(3) {
+        let count = splats.gaussians.len();
         match random.below(8) {
             0 => splats.layout = [Layout::Packed, Layout::Planes, Layout::Coded][random.below(3)],
             1 => splats.metadata.icc = Some(vec![random.next() as u8; random.below(40)]),
@@ -96,15 +96,14 @@ fn change(splats: &mut PackedSplats, random: &mut Random) {
                 splats.levels.clear();
             }
             // Two levels make groups.
-            4 if splats.gaussians.len() > 1 => {
-                let total = splats.gaussians.len();
-                let first = 1 + random.below(total - 1);
-                splats.levels = vec![first as u32, (total - first) as u32];
+            4 if count > 1 => {
+                let first = 1 + random.below(count - 1);
+                splats.levels = vec![first as u32, (count - first) as u32];
             }
             5 => splats.background[random.below(splats.channels.count())] = random.next() as i16,
             6 => splats.codebook = None,
-            _ if !splats.gaussians.is_empty() => {
-                let at = random.below(splats.gaussians.len());
+            _ if count > 0 => {
+                let at = random.below(count);
                 let p = &mut splats.gaussians[at];
                 match random.below(4) {
                     0 => (p.x, p.y) = (p.x >> random.below(8), p.y >> random.below(8)),

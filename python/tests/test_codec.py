@@ -137,6 +137,14 @@ def test_a_time_budget_gives_a_file():
     assert ssplat.decode(ssplat.encode(PICTURE, bytes=500, effort=9, time=0.2)).shape == PICTURE.shape
 
 
+def test_every_tune_weighs_errors_in_its_own_way():
+    # Noise in one half: the tunes differ by how much an error there counts.
+    picture = np.full((40, 80, 3), 120, np.uint8)
+    picture[:, 40:] += np.random.default_rng(1).integers(0, 100, (40, 40, 3), np.uint8)
+    files = {ssplat.encode(picture, effort=1, bytes=400, tune=tune) for tune in ("psnr", "ssim", "iq")}
+    assert len(files) == 3
+
+
 def test_every_layout_and_blend_holds_the_picture():
     for layout in ("coded", "planes", "packed"):
         for blend in ("normalized", "sum"):
