@@ -7,9 +7,6 @@
 @group(0) @binding(4) var<storage, read_write> second: array<f32>;
 @group(0) @binding(5) var<storage, read_write> status: array<u32>;
 
-const BETA_FIRST: f32 = 0.9;
-const BETA_SECOND: f32 = 0.95;
-
 @compute @workgroup_size(64)
 fn adam(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) local: u32) {
     let i = group_index(group, groups) * 64u + local;
@@ -47,8 +44,8 @@ fn adam(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         var g = gradient[k];
         // Neither infinite nor not a number.
         if (!(abs(g) < 3.0e38)) { g = 0.0; }
-        let m = BETA_FIRST * first[p + k] + (1.0 - BETA_FIRST) * g;
-        let s = BETA_SECOND * second[p + k] + (1.0 - BETA_SECOND) * g * g;
+        let m = scene.decay.x * first[p + k] + (1.0 - scene.decay.x) * g;
+        let s = scene.decay.y * second[p + k] + (1.0 - scene.decay.y) * g * g;
         first[p + k] = m;
         second[p + k] = s;
         move_by[k] = -(m / scene.correction_first) / (sqrt(s / scene.correction_second) + 1e-15);

@@ -13,6 +13,8 @@ struct Scene {
     size: vec2f,
     // What the low-pass of a reduced view adds to the variances along x and y, picture pixels².
     widening: vec2f,
+    // β₁ and β₂: what a step keeps of the first and second moments.
+    decay: vec2f,
     min_log_scale: f32,
     max_log_scale: f32,
     max_log_aspect: f32,
@@ -65,6 +67,8 @@ struct Scene {
     price: f32,
     // To a multiple of 16 bytes.
     spare: u32,
+    spare_second: u32,
+    spare_third: u32,
 }
 
 // A Gaussian on the drawn grid. With (dx, dy) from the centre, u = rise·dy − shear·dx and v = run·dx, it is

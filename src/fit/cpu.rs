@@ -3,7 +3,7 @@
 use crate::error::Result;
 use crate::fit::engine::Engine;
 use crate::fit::model::adam::{Bounds, Memory, Rates};
-use crate::fit::model::field::{Output, float_error};
+use crate::fit::model::field::float_error;
 use crate::fit::model::peaks::{at_peak, peaks};
 use crate::fit::model::problem::Problem;
 use crate::fit::model::project::{self, Primitive};
@@ -28,8 +28,7 @@ impl Engine for State {
         if self.scale != 1.0 {
             return Ok(float_error(whole, &project::zoomed(self.primitives.clone(), self.scale.recip())));
         }
-        let projected = project::all(&self.primitives, whole.scene.height);
-        Ok(self.field.draw(whole, &projected, RowSet::ALL, Output::Picture))
+        Ok(float_error(whole, &self.primitives))
     }
 
     fn descend(&mut self, problem: &Problem<'_>, rows: RowSet, rates: Rates) -> Result<Option<f64>> {

@@ -18,7 +18,7 @@ use crate::fit::model::project::Primitive;
 use crate::fit::model::reduced::{Coarse, Reduced};
 use crate::fit::model::sample;
 use crate::fit::plan::Plan;
-use crate::fit::schedule::{self, Part, RELOCATED};
+use crate::fit::schedule::{self, Part};
 use crate::fit::state::State;
 
 /// From so many primitives on the small ones among them need all pixels: 260 lose .1 dB to a copy of half the size.
@@ -27,6 +27,8 @@ const FEW: usize = 120;
 const TYPICAL: f32 = 6.0;
 /// The copy's shorter side, pixels, at least.
 const SHORTEST: u32 = 16;
+/// Share of the iterations that see the copy.
+const DRAFTED: f32 = 0.7;
 /// Fits that the best is chosen from, each from a start of its own.
 const DRAFTS: u16 = 4;
 
@@ -62,7 +64,7 @@ pub(crate) fn start(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<Start> {
         return Ok(scattered(problem.target, count, plan));
     }
     let reduced = Reduced::new(&problem, halvings);
-    let end = (plan.iterations as f32 * RELOCATED) as u32;
+    let end = (plan.iterations as f32 * DRAFTED) as u32;
     let mut best: Option<(f64, Start)> = None;
     for i in 0..DRAFTS {
         // The error of a copy says little about that of the picture: no draft ends early.
@@ -91,7 +93,7 @@ struct OneOf<'a> {
 
 impl Watcher for OneOf<'_> {
     fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()> {
-        self.watcher.step((self.index as f32 * RELOCATED + done) / DRAFTS as f32, now)
+        self.watcher.step((self.index as f32 * DRAFTED + done) / DRAFTS as f32, now)
     }
 
     fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {

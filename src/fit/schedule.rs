@@ -9,14 +9,15 @@ use rand_pcg::Pcg64Mcg;
 use crate::error::Result;
 use crate::fit::engine::{Ending, Engine, Running, Watcher};
 use crate::fit::job::Job;
-use crate::fit::model::adam::Rates;
+use crate::fit::model::adam::{self, Rates};
 use crate::fit::model::problem::Problem;
 use crate::fit::model::reduced::{Coarse, Reduced};
 use crate::fit::model::rows::RowSet;
+use crate::fit::plan::Pace;
 
 /// Step sizes at the start, in each Gaussian's own frame and units. What others would win or lose is measured by
 /// `cargo run --release --features cli --example rate_distortion -- PICTURES`.
-pub(crate) const RATES: Rates = Rates { mean: 0.3, log_scale: 0.3, rotation: 0.15, color: 0.01 };
+pub(crate) const RATES: Rates = Rates { mean: 0.3, log_scale: 0.3, rotation: 0.15, color: 0.02, decay: [0.9, 0.95] };
 /// Step sizes at the end, in units of those at the start.
 pub(crate) const LAST_RATE: f32 = 0.02;
 /// Share of the iterations that see the fewest rows.
@@ -26,7 +27,20 @@ const SETTLED: f32 = 0.95;
 /// Iterations between looks at the error over all rows when few are seen in the last steps.
 pub(crate) const REMEMBERED: u32 = 20;
 /// Share of the iterations after which nothing is relocated any more.
-pub(crate) const RELOCATED: f32 = 0.7;
+const RELOCATED: f32 = 0.6;
+/// The same at a steady pace.
+const RELOCATED_STEADILY: f32 = 0.7;
+/// Share of the primitives that may be relocated at a time, at a steady pace.
+const MOVED_STEADILY: f32 = 0.1;
+/// Share of the primitives that may be relocated at a time, at first; it falls to none.
+const MOVED: f32 = 0.2;
+fn relocated(pace: Pace) -> f32 {
+    match pace {
+        Pace::Steady => RELOCATED_STEADILY,
+        Pace::Brisk => RELOCATED,
+    }
+}
+
 /// Share of the iterations that see a large picture at half its size: `coarse.rs` measures it.
 const COARSE: f32 = 0.7;
 /// Primitives from which on that is worth it: fewer cost little, and each matters to the end.
@@ -172,8 +186,12 @@ impl<'a> Course<'a> {
             let wanted = watcher.recount(&self.running(engine).primitives()?)?;
             engine.resize(&seen, surveyed, wanted)?;
             self.row_step = scene.row_step(engine.count());
-        } else if iteration > 0 && iteration.is_multiple_of(plan.relocate_every) && done < RELOCATED {
-            let most = ((engine.count() as f32 * plan.relocate_share) as usize).max(1);
+        } else if iteration > 0 && iteration.is_multiple_of(plan.relocate_every) && done < relocated(plan.pace) {
+            let share = match plan.pace {
+                Pace::Steady => MOVED_STEADILY,
+                Pace::Brisk => MOVED * (1.0 - done / RELOCATED),
+            };
+            let most = ((engine.count() as f32 * share) as usize).max(1);
             engine.relocate(&seen, surveyed, most)?;
         }
         Ok(())
@@ -185,7 +203,13 @@ impl<'a> Course<'a> {
         let sampled = self.rows.next(sampling(self.row_step, done), &mut self.rng);
         let sampled = self.seen_rows(sampled);
         let cosine = 0.5 * (1.0 + (std::f32::consts::PI * done).cos());
-        let rates = RATES.scaled(plan.rate).scaled(LAST_RATE + (1.0 - LAST_RATE) * cosine);
+        // With a time budget there may be fewer than planned.
+        let steps = if done > 0.0 { iteration as f32 / done } else { f32::INFINITY }.min(plan.iterations as f32);
+        let rates = match plan.pace {
+            Pace::Steady => RATES,
+            Pace::Brisk => Rates { decay: adam::decay(steps), ..RATES },
+        };
+        let rates = rates.scaled(plan.rate).scaled(LAST_RATE + (1.0 - LAST_RATE) * cosine);
         // A step on all rows tells the error by itself.
         let is_due = iteration.is_multiple_of(REMEMBERED) || iteration + 1 == plan.iterations;
         if done >= SAMPLED && sampled.step > 1 && self.small.is_none() && is_due {

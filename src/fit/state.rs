@@ -66,7 +66,7 @@ impl State {
         const CHUNK: usize = 64;
         let (width, channels) = (problem.scene.width, problem.target.channels.count());
         let price = self.price / rows.step as f32;
-        let corrections = adam::corrections(self.iteration);
+        let corrections = adam::corrections(rates.decay, self.iteration);
         let (field, freedom, bounds) = (&self.field, &self.freedom, &self.bounds);
         let (primitives, memory) = (&mut self.primitives[..], &mut self.memory[..]);
         parallel::map_chunk_pairs((primitives, CHUNK), (memory, CHUNK), |chunk, primitives, memory| {
@@ -95,7 +95,7 @@ impl State {
         let mut order: Vec<u32> = (0..self.primitives.len() as u32).collect();
         order.sort_by_key(|&i| {
             let [x, y] = self.primitives[i as usize].mean;
-            ((y / 16.0) as u32, x as u32, i)
+            ((y / 64.0) as u32, x as u32, i)
         });
         self.primitives = order.iter().map(|&i| self.primitives[i as usize]).collect();
         self.memory = order.iter().map(|&i| self.memory[i as usize]).collect();

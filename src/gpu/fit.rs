@@ -242,9 +242,10 @@ impl Fitter {
 
     /// The uniforms of one band of the step after `ahead` others.
     fn uniforms(&self, rows: RowSet, rates: Rates, ahead: u32, band: &Band, tile_base: u64) -> Uniforms {
-        let (correction_first, correction_second) = adam::corrections(self.iteration + ahead);
+        let [correction_first, correction_second] = adam::corrections(rates.decay, self.iteration + ahead);
         Uniforms {
             rates: [rates.mean, rates.log_scale, rates.rotation, rates.color],
+            decay: rates.decay,
             price: self.price / rows.step as f32,
             correction_first,
             correction_second,
@@ -371,7 +372,7 @@ impl Fitter {
         while wanted == Wanted::All && Peaks::cells(&self.base, rows) > self.binding / 16 {
             rows.step += 1;
         }
-        let still = Rates { mean: 0.0, log_scale: 0.0, rotation: 0.0, color: 0.0 };
+        let still = Rates { mean: 0.0, log_scale: 0.0, rotation: 0.0, color: 0.0, decay: [0.9, 0.95] };
         loop {
             self.prepare()?;
             let workspace = self.workspace.as_ref().expect("prepared");

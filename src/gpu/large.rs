@@ -86,7 +86,7 @@ fn fit_and_draw(count: usize, rows: u32) {
     eprintln!("squared error {error:.3}, CPU {want:.3}; {far} of {count} costs differ by more than 1e-3");
     assert!(far * 1000 <= costs.len(), "{far} costs");
 
-    let rates = Rates { mean: 0.3, log_scale: 0.3, rotation: 0.15, color: 0.01 };
+    let rates = Rates { mean: 0.3, log_scale: 0.3, rotation: 0.15, color: 0.01, decay: [0.9, 0.95] };
     let step = scene.row_step(count);
     for phase in 0..2 {
         let rows = RowSet { step, phase };

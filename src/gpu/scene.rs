@@ -19,6 +19,7 @@ pub(super) struct Uniforms {
     pub step: [f32; 2],
     pub size: [f32; 2],
     pub widening: [f32; 2],
+    pub decay: [f32; 2],
     pub min_log_scale: f32,
     pub max_log_scale: f32,
     pub max_log_aspect: f32,
@@ -54,6 +55,8 @@ pub(super) struct Uniforms {
     pub price: f32,
     /// To a multiple of 16 bytes.
     pub spare: u32,
+    pub spare_second: u32,
+    pub spare_third: u32,
 }
 
 impl Uniforms {

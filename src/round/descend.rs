@@ -7,7 +7,7 @@
 //! parallel.
 
 use crate::bitstream::splats::PackedGaussian;
-use crate::fit::model::field::{Field, Output};
+use crate::fit::model::field::{self, Field, Output};
 use crate::fit::model::kernel;
 use crate::fit::model::problem::Problem;
 use crate::fit::model::project::Projected;
@@ -19,10 +19,13 @@ use crate::round::bit_cost::BitCosts;
 use crate::round::bowl::{Bowl, Moves};
 use crate::round::patch::{Parabola, Patch};
 use crate::round::rounded::projected;
-use crate::simd::{self, LANES, Simd, Task};
+use crate::simd::{self, Simd, Task};
 
 /// Height of the smallest bands, rows.
 const BAND: usize = 96;
+
+/// Width of what is worked on from top to bottom of a band, pixels.
+const BLOCK: usize = 64;
 
 /// Bits by which a move may look worse than none and still be looked at: how well its colour can be rounded is not
 /// known before.
@@ -116,9 +119,9 @@ impl<'a> Descent<'a> {
     }
 
     /// Returns the squared error of the picture of `gaussians`, clamped, weighted as the target has it.
-    pub(super) fn error(&mut self, gaussians: &[PackedGaussian]) -> f64 {
+    pub(super) fn error(&self, gaussians: &[PackedGaussian]) -> f64 {
         let projected = projected(self.quantizer, gaussians, self.problem.scene.height);
-        self.field.draw(&self.problem, &projected, RowSet::ALL, Output::Gradient)
+        field::error(&self.problem, &projected, Output::Gradient)
     }
 }
 
@@ -166,6 +169,10 @@ fn sweep_channels<const C: usize>(
                 }
                 None => true,
             });
+            // A few columns at a time, so that the rows under one primitive are still in the cache for the next.
+            for members in &mut members {
+                members.sort_by_key(|&i| projected[i as usize].center[0].max(0.0) as usize / BLOCK);
+            }
             let planes = &mut field.planes[offset * row_size..];
             let changes = parallel::map_chunks(planes, band * row_size, |b, planes| {
                 let task = BandTask::<C> {
@@ -268,7 +275,7 @@ impl<const C: usize> BandTask<'_, C> {
         let end = self.first + self.planes.len() / ((C + 1) * self.problem.target.stride);
         let rows = reach(&p, height as usize);
         let rows = rows.start.max(self.first)..rows.end.min(end);
-        let half = before.extent()[0] * 1.25 + 2.0 + LANES as f32;
+        let half = before.extent()[0] * 1.25 + 3.0;
         let left = (p.center[0] - half).max(0.0) as usize;
         let right = ((p.center[0] + half).max(0.0) as usize + 1).min(self.problem.scene.width as usize);
         if left >= right {

@@ -15,7 +15,7 @@ use crate::fit::state::State;
 use crate::quantize::Quantizer;
 
 /// Steps while freezing: well below those of the fit, large enough to walk a lattice step.
-const RATES: Rates = Rates { mean: 0.03, log_scale: 0.03, rotation: 0.03, color: 0.004 };
+const RATES: Rates = Rates { mean: 0.03, log_scale: 0.03, rotation: 0.03, color: 0.004, decay: [0.9, 0.95] };
 
 /// Puts every primitive of `state` on the lattice, colours excepted, over `plan.freezing` steps,
 /// as far as there is time.

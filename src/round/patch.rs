@@ -61,13 +61,17 @@ impl<'a> Patch<'a> {
         self.columns = columns;
         self.rows = rows.clone();
         self.step = self.row_step(p);
-        self.planes.resize((2 * C + 2) * width * rows.len().div_ceil(self.step), 0.0);
+        // Only ever grown: what is there is written over.
+        let size = (2 * C + 2) * width * rows.len().div_ceil(self.step);
+        if self.planes.len() < size {
+            self.planes.resize(size, 0.0);
+        }
         let alpha = target.channels.alpha();
         let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
         let epsilon = simd.splat(EPSILON);
         let shift: [f32; C] = std::array::from_fn(|k| self.shift(k));
         let mut bare = zero;
-        for (y, out) in rows.step_by(self.step).zip(self.planes.chunks_exact_mut((2 * C + 2) * width)) {
+        for (y, out) in rows.step_by(self.step).zip(self.planes[..size].chunks_exact_mut((2 * C + 2) * width)) {
             let row = &sums[(y - first) * (C + 1) * stride..][..(C + 1) * stride];
             let wanted = target.row(y as u32);
             let span = p.span(y as u32, picture);
@@ -82,21 +86,25 @@ impl<'a> Patch<'a> {
                     continue;
                 }
                 let limit = simd.splat((right - x) as f32 - 0.5);
-                let own = match span {
-                    Some((start, end, dy)) if x + LANES > start && x < end => {
-                        let e = kernel::at(simd, p, x, dy);
-                        simd.keep_above(simd.max(simd.sub(e, simd.splat(CUTOFF_WEIGHT)), zero), limit, simd.index())
-                    }
-                    _ => zero,
-                };
                 let all = simd.read(&row[C * stride + x..]);
-                let (with, without) = match blend {
-                    Blend::Normalized => {
-                        (simd.add(all, epsilon), simd.add(simd.max(simd.sub(all, own), zero), epsilon))
+                let (own, with, without) = match (span, blend) {
+                    (Some((start, end, dy)), _) if x + LANES > start && x < end => {
+                        let e = kernel::at(simd, p, x, dy);
+                        let own = simd.max(simd.sub(e, simd.splat(CUTOFF_WEIGHT)), zero);
+                        let own = simd.keep_above(own, limit, simd.index());
+                        match blend {
+                            Blend::Normalized => {
+                                let without = simd.add(simd.max(simd.sub(all, own), zero), epsilon);
+                                (own, Some(simd.div(one, simd.add(all, epsilon))), without)
+                            }
+                            Blend::Sum => (own, None, one),
+                        }
                     }
-                    Blend::Sum => (one, one),
+                    (_, Blend::Normalized) => (zero, None, simd.add(simd.max(all, zero), epsilon)),
+                    (_, Blend::Sum) => (zero, None, one),
                 };
-                let (with, share) = (simd.div(one, with), simd.div(one, without));
+                let share = simd.div(one, without);
+                let with = with.unwrap_or(share);
                 let mut error = zero;
                 for k in 0..C {
                     let sum = simd.add(simd.read(&row[k * stride + x..]), simd.splat(shift[k]));

@@ -46,11 +46,29 @@ pub(crate) struct Rates {
     pub log_scale: f32,
     pub rotation: f32,
     pub color: f32,
+    /// What a step keeps of the first and second moments.
+    pub decay: [f32; 2],
 }
 
 impl Rates {
     pub(crate) fn scaled(self, f: f32) -> Self {
-        Rates { mean: self.mean * f, log_scale: self.log_scale * f, rotation: self.rotation * f, color: self.color * f }
+        Rates {
+            mean: self.mean * f,
+            log_scale: self.log_scale * f,
+            rotation: self.rotation * f,
+            color: self.color * f,
+            ..self
+        }
+    }
+}
+
+/// Returns what a step of a fit of so many keeps of the first and second moments: where there are few, each has to go
+/// further, and what the first of them saw is out of date soon.
+pub(crate) fn decay(steps: f32) -> [f32; 2] {
+    match steps {
+        ..150.0 => [0.7, 0.9],
+        150.0..500.0 => [0.8, 0.9],
+        _ => [0.9, 0.95],
     }
 }
 
@@ -88,12 +106,9 @@ pub(crate) struct Memory {
     second: [f32; 9],
 }
 
-pub(crate) const BETA1: f32 = 0.9;
-pub(crate) const BETA2: f32 = 0.95;
-
 /// Returns what the moments of step `iteration`, counted from 0, are divided by: they start at 0.
-pub(crate) fn corrections(iteration: u32) -> (f32, f32) {
-    (1.0 - BETA1.powi(iteration as i32 + 1), 1.0 - BETA2.powi(iteration as i32 + 1))
+pub(crate) fn corrections(decay: [f32; 2], iteration: u32) -> [f32; 2] {
+    decay.map(|d| 1.0 - d.powi(iteration as i32 + 1))
 }
 
 /// Moves a primitive one step against its gradient `g`.
@@ -104,7 +119,7 @@ pub(crate) fn update(
     free: Freedom,
     bounds: &Bounds,
     rates: Rates,
-    (c1, c2): (f32, f32),
+    [c1, c2]: [f32; 2],
 ) {
     let g = [
         g.mean[0],
@@ -117,11 +132,12 @@ pub(crate) fn update(
         g.color[2],
         g.color[3],
     ];
+    let [b1, b2] = rates.decay;
     let mut d = [0.0f32; 9];
     for j in 0..9 {
         let v = if g[j].is_finite() { g[j] } else { 0.0 };
-        m.first[j] = BETA1 * m.first[j] + (1.0 - BETA1) * v;
-        m.second[j] = BETA2 * m.second[j] + (1.0 - BETA2) * v * v;
+        m.first[j] = b1 * m.first[j] + (1.0 - b1) * v;
+        m.second[j] = b2 * m.second[j] + (1.0 - b2) * v * v;
         d[j] = -(m.first[j] / c1) / ((m.second[j] / c2).sqrt() + 1e-15);
     }
     for k in 0..4 {

@@ -66,6 +66,11 @@ impl Bands {
         }
         Bands { starts, members }
     }
+
+    /// Those that reach into band `b`.
+    fn members(&self, b: usize) -> &[u32] {
+        &self.members[self.starts[b] as usize..self.starts[b + 1] as usize]
+    }
 }
 
 impl Field {
@@ -95,8 +100,8 @@ impl Field {
         self.rows = Some(rows);
         self.planes.resize(rows.count(scene.height) * row_size, 0.0);
         let errors = parallel::map_chunks(&mut self.planes, BAND * row_size, |b, band| {
-            let members = &bands.members[bands.starts[b] as usize..bands.starts[b + 1] as usize];
-            simd::dispatch(BandTask::<C> { problem, projected, members, rows, first: b * BAND, band, output })
+            let (members, first) = (bands.members(b), b * BAND);
+            simd::dispatch(BandTask::<C> { problem, projected, members, rows, first, band, output })
         });
         errors.iter().sum()
     }
@@ -129,7 +134,29 @@ impl Field {
 
 /// Returns the squared error of the clamped picture of `projected` over all rows.
 pub(crate) fn squared_error(problem: &Problem<'_>, projected: &[Projected]) -> f64 {
-    Field::default().draw(problem, projected, RowSet::ALL, Output::Picture)
+    error(problem, projected, Output::Picture)
+}
+
+/// Returns what [`Field::draw`] does, of all rows. What is drawn is not kept, a band at a time: the planes of a whole
+/// picture are several times as large as itself.
+pub(crate) fn error(problem: &Problem<'_>, projected: &[Projected], output: Output) -> f64 {
+    match problem.target.channels.count() {
+        1 => error_of::<1>(problem, projected, output),
+        2 => error_of::<2>(problem, projected, output),
+        3 => error_of::<3>(problem, projected, output),
+        _ => error_of::<4>(problem, projected, output),
+    }
+}
+
+fn error_of<const C: usize>(problem: &Problem<'_>, projected: &[Projected], output: Output) -> f64 {
+    let (rows, height) = (RowSet::ALL, problem.scene.height as usize);
+    let bands = Bands::new(projected, rows, problem.scene.height);
+    let errors = parallel::map(height.div_ceil(BAND), |b| {
+        let (members, first) = (bands.members(b), b * BAND);
+        let mut band = vec![0.0; (height - first).min(BAND) * (C + 1) * problem.target.stride];
+        simd::dispatch(BandTask::<C> { problem, projected, members, rows, first, band: &mut band, output })
+    });
+    errors.iter().sum()
 }
 
 /// Returns the squared error of the clamped picture of `primitives` over all rows.
@@ -303,6 +330,42 @@ impl Gradient {
             log_scale: [uu * ix, vv * iy],
             rotation: -uv * (ix - iy),
             color: [0.0; 4],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::model::planes::Planes;
+    use crate::gaussian::Channels;
+    use crate::pixels::{Pixels, Samples};
+
+    #[test]
+    fn an_error_is_the_same_whether_what_is_drawn_is_kept_or_not() {
+        // The last band is shorter than the others.
+        let (width, height) = (45, 3 * BAND as u32 + 5);
+        for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
+            let count = (width * height) as usize * channels.count();
+            let samples = (0..count).map(|i| (i * 7919 % 251) as u8).collect();
+            let target = Planes::new(&Pixels::new(width, height, channels, Samples::U8(samples)).unwrap());
+            let scene = Scene { width, height, blend: Blend::Normalized, background: target.mean };
+            let problem = Problem { scene, target: &target };
+            let projected: Vec<Projected> = (0..40u32)
+                .map(|i| {
+                    let f = |k: u32| (f64::from(i) * f64::from(k).sqrt()).fract() as f32;
+                    let (mean, color) = ([45.0 * f(2), 53.0 * f(3)], [f(5), f(7), f(11), f(13)]);
+                    Projected::new(
+                        &Primitive { mean, log_scale: [2.0 * f(17), f(19)], rotation: 3.0 * f(23), color },
+                        height,
+                    )
+                })
+                .collect();
+            for output in [Output::Picture, Output::Gradient] {
+                let kept = Field::default().draw(&problem, &projected, RowSet::ALL, output);
+                assert_eq!(error(&problem, &projected, output), kept);
+                assert!(kept > 0.0);
+            }
         }
     }
 }

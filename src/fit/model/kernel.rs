@@ -14,58 +14,54 @@ const RUN: usize = 32;
 /// underflow.
 const REACH: f32 = 110.0;
 
-/// A primitive on consecutive sampled rows, `2^((a·dx + b·dy)·dx + c·dy²)`.
+/// A primitive on rows `step` from each other, `2^((a·dx + b·dy)·dx + c·dy²)`.
 #[derive(Clone, Copy)]
-struct Run {
+struct Rows {
     a: f32,
     b: f32,
     c: f32,
-    /// Distance of the first row from the centre, and of rows from each other.
-    dy: f32,
     step: f32,
     /// Factor between the ratios of neighbouring rows.
     bend: f32,
 }
 
-impl Run {
+impl Rows {
     #[inline(always)]
-    fn new(p: &Projected, dy: f32, step: f32) -> Self {
+    fn new(p: &Projected, step: f32) -> Self {
         const L2E: f32 = std::f32::consts::LOG2_E;
         let [a, b, c] = p.conic;
         let c = -0.5 * L2E * c;
-        Run { a: -0.5 * L2E * a, b: -L2E * b, c, dy, step, bend: (2.0 * c * step * step).max(-126.0).exp2() }
+        Rows { a: -0.5 * L2E * a, b: -L2E * b, c, step, bend: (2.0 * c * step * step).max(-126.0).exp2() }
     }
 
-    /// The exponent on the first row.
+    /// The exponent on the row that is `dy` from the centre.
     #[inline(always)]
-    fn exponent(&self, dx: f32) -> f32 {
-        (self.a * dx + self.b * self.dy) * dx + self.c * self.dy * self.dy
+    fn exponent(&self, dx: f32, dy: f32) -> f32 {
+        (self.a * dx + self.b * dy) * dx + self.c * dy * dy
     }
 
-    /// How much the exponent grows to the second row.
+    /// How much the exponent grows from that row to the next.
     #[inline(always)]
-    fn growth(&self, dx: f32) -> f32 {
-        self.step * (self.b * dx + self.c * (2.0 * self.dy + self.step))
+    fn growth(&self, dx: f32, dy: f32) -> f32 {
+        self.step * (self.b * dx + self.c * (2.0 * dy + self.step))
     }
 
-    /// Whether eight columns from `dx` on may be walked down by recurrence. Exponents are concave along the row, so their
-    /// least is at an end.
+    /// Whether eight columns from `dx` on may be walked down from `dy` on by recurrence. Exponents are concave along the
+    /// row, so their least is at an end.
     #[inline(always)]
-    fn is_mild(&self, dx: f32) -> bool {
+    fn are_mild(&self, dx: f32, dy: f32) -> bool {
         let last = dx + (simd::LANES - 1) as f32;
-        self.exponent(dx).min(self.exponent(last)) > -REACH
-            && self.growth(dx).abs().max(self.growth(last).abs()) < REACH
+        self.exponent(dx, dy).min(self.exponent(last, dy)) > -REACH
+            && self.growth(dx, dy).abs().max(self.growth(last, dy).abs()) < REACH
             && self.bend > 1e-9
     }
 
-    /// The Gaussian on the first row and the ratio of the second to it.
+    /// The Gaussian on the row at `dy` and the ratio of the next to it.
     #[inline(always)]
-    fn start<S: Simd>(&self, simd: S, dx: S::Vector) -> (S::Vector, S::Vector) {
-        let growth = simd.add(
-            simd.mul(simd.splat(self.step * self.b), dx),
-            simd.splat(self.step * self.c * (2.0 * self.dy + self.step)),
-        );
-        (self.at(simd, dx, self.dy), simd.exp2(growth))
+    fn start<S: Simd>(&self, simd: S, dx: S::Vector, dy: f32) -> (S::Vector, S::Vector) {
+        let growth = simd
+            .add(simd.mul(simd.splat(self.step * self.b), dx), simd.splat(self.step * self.c * (2.0 * dy + self.step)));
+        (self.at(simd, dx, dy), simd.exp2(growth))
     }
 
     /// The Gaussian at distance `dy` from the centre.
@@ -80,7 +76,7 @@ impl Run {
 #[inline(always)]
 pub(crate) fn at<S: Simd>(simd: S, p: &Projected, x: usize, dy: f32) -> S::Vector {
     let dx = simd.add(simd.index(), simd.splat(x as f32 - p.center[0]));
-    Run::new(p, dy, 1.0).at(simd, dx, dy)
+    Rows::new(p, 1.0).at(simd, dx, dy)
 }
 
 /// Eight columns side by side.
@@ -96,17 +92,13 @@ pub(crate) struct Strip<S: Simd> {
 
 /// What is done with a primitive's pixels.
 pub(crate) trait Visit<S: Simd> {
-    /// Before the rows of a strip.
-    #[inline(always)]
-    fn enter(&mut self, _simd: S, _strip: &Strip<S>) {}
-
     /// Row `i` of those that are visited, at distance `dy` from the centre, where the Gaussian is `g`; it may be less than
     /// the edge.
     fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, dy: S::Vector);
 
-    /// After the rows of a strip.
+    /// After a run of rows of a strip, `step` from each other: the next one would be `dy` from the centre.
     #[inline(always)]
-    fn leave(&mut self, _simd: S, _strip: &Strip<S>) {}
+    fn leave(&mut self, _simd: S, _strip: &Strip<S>, _dy: f32, _step: f32) {}
 }
 
 /// Visits the pixels of `p` in `count` rows, the first of them `dy` from the centre, the others `step` from each other. Of
@@ -115,48 +107,53 @@ pub(crate) trait Visit<S: Simd> {
 pub(crate) fn walk<S: Simd>(
     simd: S,
     p: &Projected,
-    (mut dy, step, count): (f32, f32, usize),
+    (dy, step, count): (f32, f32, usize),
     columns: std::ops::Range<usize>,
     visitor: &mut impl Visit<S>,
 ) {
-    let mut first = 0;
-    while first < count {
-        let end = count.min(first + RUN);
-        let run = Run::new(p, dy, step);
-        let (left, right) = p.columns(dy, dy + step * (end - first - 1) as f32);
-        let right = right.min(columns.end);
-        let mut x = left.max(columns.start);
-        while x < right {
-            let start = x as f32 - p.center[0];
-            let mut edge = simd.splat(CUTOFF_WEIGHT);
-            if x + simd::LANES > columns.end {
-                let beyond = simd.sub(simd.index(), simd.splat((columns.end - x) as f32 - 0.5));
-                edge = simd.max(edge, simd.mul(beyond, simd.splat(1e9)));
-            }
-            let strip = Strip { x, dx: simd.add(simd.index(), simd.splat(start)), edge };
-            visitor.enter(simd, &strip);
+    if count == 0 {
+        return;
+    }
+    let (rows, lines, steps) = (Rows::new(p, step), p.lines(), 1.0 / step);
+    let (left, right) = p.columns(dy, dy + step * (count - 1) as f32);
+    let right = right.min(columns.end);
+    let mut x = left.max(columns.start);
+    while x < right {
+        let start = x as f32 - p.center[0];
+        let mut edge = simd.splat(CUTOFF_WEIGHT);
+        if x + simd::LANES > columns.end {
+            let beyond = simd.sub(simd.index(), simd.splat((columns.end - x) as f32 - 0.5));
+            edge = simd.max(edge, simd.mul(beyond, simd.splat(1e9)));
+        }
+        let strip = Strip { x, dx: simd.add(simd.index(), simd.splat(start)), edge };
+        // Only the rows that the support reaches in these columns. Casts saturate, also from below.
+        let (top, bottom) = lines.between(start, start + (simd::LANES - 1) as f32);
+        let mut first = ((top - dy) * steps).ceil() as usize;
+        let end = count.min((((bottom - dy) * steps).floor() + 1.0) as usize);
+        while first < end {
+            let last = end.min(first + RUN);
+            let dy = dy + step * first as f32;
             let (mut y, down) = (simd.splat(dy), simd.splat(step));
-            if run.is_mild(start) {
-                let (mut g, mut ratio) = run.start(simd, strip.dx);
-                let bend = simd.splat(run.bend);
-                for i in first..end {
+            if rows.are_mild(start, dy) {
+                let (mut g, mut ratio) = rows.start(simd, strip.dx, dy);
+                let bend = simd.splat(rows.bend);
+                for i in first..last {
                     visitor.pixels(simd, &strip, i, g, y);
                     g = simd.mul(g, ratio);
                     ratio = simd.mul(ratio, bend);
                     y = simd.add(y, down);
                 }
             } else {
-                for i in first..end {
-                    let g = run.at(simd, strip.dx, dy + step * (i - first) as f32);
+                for i in first..last {
+                    let g = rows.at(simd, strip.dx, dy + step * (i - first) as f32);
                     visitor.pixels(simd, &strip, i, g, y);
                     y = simd.add(y, down);
                 }
             }
-            visitor.leave(simd, &strip);
-            x += simd::LANES;
+            visitor.leave(simd, &strip, dy + step * (last - first) as f32, step);
+            first = last;
         }
-        dy += step * (end - first) as f32;
-        first = end;
+        x += simd::LANES;
     }
 }
 
@@ -224,7 +221,7 @@ struct Deposit<'a, S: Simd, const C: usize> {
 impl<S: Simd, const C: usize> Visit<S> for Deposit<'_, S, C> {
     #[inline(always)]
     fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, _dy: S::Vector) {
-        let row = &mut self.planes[i * (C + 1) * self.stride + strip.x..];
+        let row = &mut self.planes[i * (C + 1) * self.stride + strip.x..][..C * self.stride + simd::LANES];
         let w = simd.max(simd.sub(g, strip.edge), simd.splat(0.0));
         for k in 0..C {
             let sums = &mut row[k * self.stride..];
@@ -258,7 +255,7 @@ pub(crate) fn gather<S: Simd, const C: usize>(
     let (from, end) = (rows.index(p.rows[0]), rows.index(p.rows[1]));
     let planes = &planes[from * (C + 1) * stride..];
     let mut gather =
-        Gather { color: colors(simd, p), planes, stride, colors: [zero; C], geometry: [zero; 5], strip: [zero; 3] };
+        Gather { color: colors(simd, p), planes, stride, colors: [zero; C], geometry: [zero; 5], sums: [zero; 3] };
     walk_rows(simd, p, (rows, from..end), width, &mut gather);
     let mut moments = Moments { color: [0.0; C], geometry: [0.0; 5] };
     for (sum, v) in moments.color.iter_mut().zip(gather.colors) {
@@ -277,38 +274,42 @@ struct Gather<'a, S: Simd, const C: usize> {
     stride: usize,
     colors: [S::Vector; C],
     geometry: [S::Vector; 5],
-    /// `Σ e v` times 1, `dy` and `dy²` over a strip.
-    strip: [S::Vector; 3],
+    /// Of `e v` over a run of rows: its sum up to the present row, the sum of those sums, and the sum of these. They are
+    /// its moments along `dy` in the end, and three additions a row.
+    sums: [S::Vector; 3],
 }
 
 impl<S: Simd, const C: usize> Visit<S> for Gather<'_, S, C> {
     #[inline(always)]
-    fn enter(&mut self, simd: S, _: &Strip<S>) {
-        self.strip = [simd.splat(0.0); 3];
-    }
-
-    #[inline(always)]
-    fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, dy: S::Vector) {
-        let row = &self.planes[i * (C + 1) * self.stride + strip.x..];
+    fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, _dy: S::Vector) {
+        let row = &self.planes[i * (C + 1) * self.stride + strip.x..][..C * self.stride + simd::LANES];
         // Columns may lie outside the support, where both the weight and its derivative are 0.
         let e = simd.keep_above(g, g, strip.edge);
         let w = simd.max(simd.sub(g, strip.edge), simd.splat(0.0));
-        let mut v = simd.sub(simd.splat(0.0), simd.read(&row[C * self.stride..]));
+        let mut v = simd.splat(0.0);
         for k in 0..C {
             let gradient = simd.read(&row[k * self.stride..]);
             self.colors[k] = simd.add(self.colors[k], simd.mul(w, gradient));
-            v = simd.add(v, simd.mul(gradient, self.color[k]));
+            let part = simd.mul(gradient, self.color[k]);
+            v = if k == 0 { part } else { simd.add(v, part) };
         }
-        let t = simd.mul(e, v);
-        let ty = simd.mul(t, dy);
-        self.strip[0] = simd.add(self.strip[0], t);
-        self.strip[1] = simd.add(self.strip[1], ty);
-        self.strip[2] = simd.add(self.strip[2], simd.mul(ty, dy));
+        let t = simd.mul(e, simd.sub(v, simd.read(&row[C * self.stride..])));
+        self.sums[0] = simd.add(self.sums[0], t);
+        self.sums[1] = simd.add(self.sums[1], self.sums[0]);
+        self.sums[2] = simd.add(self.sums[2], self.sums[1]);
     }
 
     #[inline(always)]
-    fn leave(&mut self, simd: S, strip: &Strip<S>) {
-        let [t, ty, tyy] = self.strip;
+    fn leave(&mut self, simd: S, strip: &Strip<S>, dy: f32, step: f32) {
+        // Row `j` of `n`, at `dy − (n − j)·step`, is in `n − j` of the second sums and in half of `(n − j)(n − j + 1)` of the
+        // third ones.
+        let [t, linear, triangular] = std::mem::replace(&mut self.sums, [simd.splat(0.0); 3]);
+        let square = simd.sub(simd.add(triangular, triangular), linear);
+        let ty = simd.sub(simd.mul(simd.splat(dy), t), simd.mul(simd.splat(step), linear));
+        let tyy = simd.add(
+            simd.sub(simd.mul(simd.splat(dy * dy), t), simd.mul(simd.splat(2.0 * dy * step), linear)),
+            simd.mul(simd.splat(step * step), square),
+        );
         let tx = simd.mul(t, strip.dx);
         let sums = [tx, ty, simd.mul(tx, strip.dx), simd.mul(ty, strip.dx), tyy];
         for (sum, v) in self.geometry.iter_mut().zip(sums) {

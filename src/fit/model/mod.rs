@@ -2,6 +2,7 @@
 //! where it lacks something.
 
 pub(crate) mod adam;
+pub(crate) mod blur;
 pub(crate) mod field;
 pub(crate) mod kernel;
 pub(crate) mod masking;

@@ -1,13 +1,17 @@
 //! Where the error is largest, and what shape a new primitive should have there.
 
+use crate::fit::model::blur::Cells;
 use crate::fit::model::field::Field;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::project::Primitive;
 use crate::fit::model::ridge::{self, Shape};
 use crate::fit::model::rows::RowSet;
-use crate::fit::model::sample::{blur, halve};
 use crate::gaussian::Blend;
 use crate::parallel;
+use crate::simd::{self, Simd, Task};
+
+/// Tops whose shapes are looked for at a time.
+const CHUNK: usize = 64;
 
 /// A place where a new primitive would help most.
 #[derive(Debug, Clone, Copy)]
@@ -52,54 +56,45 @@ pub(crate) fn peaks(problem: &Problem<'_>, field: &Field, rows: RowSet, count: u
     let scene = &problem.scene;
     let spacing = spacing(scene, count, among);
     // Work on cells of `rows.step` pixels: the field has no more rows than that.
-    let cell = rows.step as usize;
-    let (mut w, mut h) = ((scene.width as usize).div_ceil(cell), rows.count(scene.height));
-    let mut planes = residual(problem, field, rows, w, h);
-    let mut size = cell as f32;
+    let mut cells = residual(problem, field, rows);
+    let mut size = rows.step as f32;
     let ridges = ridge::all();
     let mut bar = Bar { count, gains: Vec::new() };
     let mut candidates: Vec<(Peak, u32)> = Vec::new();
+    let (mut spare, mut score) = (Vec::new(), Vec::new());
     // Variance of the blur so far, in pixels².
     let mut variance = 0.0f32;
     for level in 0..12u32 {
         let passes = if level == 0 { 2 } else { 1 };
-        for plane in &mut planes {
-            for _ in 0..passes {
-                *plane = blur(plane, w, h);
-            }
+        for _ in 0..passes {
+            cells.blur(&mut spare);
         }
         variance += passes as f32 * size * size;
         let sigma = variance.sqrt();
         if level > 0 && sigma > spacing {
             break;
         }
-        let score: Vec<f32> = (0..w * h).map(|i| planes.iter().map(|p| p[i] * p[i]).sum()).collect();
-        let tops: Vec<(usize, usize)> = parallel::map(h, |y| {
-            let is_top = |x: &usize| score[y * w + x] > 0.0 && is_peak(&score, w, h, *x, y);
-            (0..w).filter(is_top).map(|x| (x, y)).collect::<Vec<_>>()
-        })
-        .concat();
         let gain_of = |score: f32| 4.0 * std::f32::consts::PI * variance * score;
         let longest = ridge::longest(spacing, sigma);
-        let least = bar.raised(tops.iter().map(|&(x, y)| gain_of(score[y * w + x]))) / longest;
-        let tops: Vec<_> = tops.into_iter().filter(|&(x, y)| gain_of(score[y * w + x]) >= least).collect();
-        let shapes =
-            parallel::map(tops.len(), |i| vec![ridge::shape(&ridges, longest, &planes, [w, h], tops[i].into())])
-                .concat();
-        for ((x, y), shape) in tops.into_iter().zip(shapes) {
+        let tops = tops(&cells, &mut score);
+        let least = bar.raised(tops.iter().map(|top| gain_of(top.score))) / longest;
+        let tops: Vec<_> = tops.into_iter().filter(|top| gain_of(top.score) >= least).collect();
+        let shapes = parallel::map(tops.len().div_ceil(CHUNK), |c| {
+            let tops = &tops[c * CHUNK..tops.len().min((c + 1) * CHUNK)];
+            tops.iter().map(|top| ridge::shape(&ridges, longest, &cells, top.cell)).collect::<Vec<_>>()
+        })
+        .concat();
+        for (Top { cell: [x, y], .. }, shape) in tops.into_iter().zip(shapes) {
             let mean = [(x as f32 + 0.5) * size, (y as f32 + 0.5) * size];
             candidates.push((Peak::new(mean, sigma, &shape), level));
         }
-        if w < 4 || h < 4 {
+        if cells.width < 4 || cells.height < 4 {
             break;
         }
-        // Half the resolution; the box adds a quarter of a pixel² of variance at the finer size.
-        let (nw, nh) = (w.div_ceil(2), h.div_ceil(2));
-        for plane in &mut planes {
-            *plane = halve(plane, w, h);
-        }
+        // The box adds a quarter of a pixel² of variance at the finer size.
+        cells = cells.halved();
         variance += 0.25 * size * size;
-        (w, h, size) = (nw, nh, size * 2.0);
+        size *= 2.0;
     }
     best(candidates, count, scene)
 }
@@ -152,41 +147,133 @@ pub(crate) fn best(mut candidates: Vec<(Peak, u32)>, count: usize, scene: &Scene
     spread(candidates, count, scene)
 }
 
-fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet, w: usize, h: usize) -> Vec<Vec<f32>> {
+/// What the target has and the picture in `field` has not, in cells of `rows.step` pixels a side.
+fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet) -> Cells {
     let Problem { scene, target } = *problem;
     let channels = target.channels.count();
-    let cell = rows.step as usize;
-    let share = 1.0 / cell as f32;
-    (0..channels)
-        .map(|k| {
-            let mut plane = vec![0.0; w * h];
-            parallel::map_chunks(&mut plane, w, |i, out| {
-                let t = &target.row(rows.row(i))[k * target.stride..][..scene.width as usize];
-                let v = &field.row(i, channels)[k * field.stride..][..scene.width as usize];
-                let alpha = target.channels.alpha().filter(|&a| a != k);
-                let opacity = alpha.map(|a| &target.row(rows.row(i))[a * target.stride..][..scene.width as usize]);
-                let amplitude = target.amplitude(rows.row(i));
+    let (step, length) = (rows.step as usize, scene.width as usize);
+    let (width, height) = (length.div_ceil(step), rows.count(scene.height));
+    // Four side by side are one step of a processor.
+    let each = if channels == 1 { 1 } else { 4 };
+    let share = 1.0 / step as f32;
+    let mut values = vec![0.0; width * height * each];
+    parallel::map_chunks(&mut values, (width * each).max(1), |i, out| {
+        let (wanted, amplitude) = (target.row(rows.row(i)), target.amplitude(rows.row(i)));
+        let opaque = target.channels.alpha().map(|a| (a, &wanted[a * target.stride..][..length]));
+        let found = field.row(i, channels);
+        for k in 0..channels {
+            let t = &wanted[k * target.stride..][..length];
+            let v = &found[k * field.stride..][..length];
+            let opacity = opaque.filter(|&(a, _)| a != k).map(|(_, plane)| plane);
+            let parts = t.chunks(step).zip(v.chunks(step)).zip(out.chunks_exact_mut(each));
+            for (cell, ((t, v), out)) in parts.enumerate() {
                 for (x, (t, v)) in t.iter().zip(v).enumerate() {
+                    let x = cell * step + x;
                     let weight = opacity.map_or(share, |o| o[x] * share) * amplitude.map_or(1.0, |a| a[x]);
-                    out[x / cell] += (t - v.clamp(0.0, 1.0)) * weight;
+                    out[k] += (t - v.clamp(0.0, 1.0)) * weight;
                 }
-            });
-            plane
-        })
-        .collect()
+            }
+        }
+    });
+    Cells { width, height, each, values }
 }
 
-fn is_peak(score: &[f32], w: usize, h: usize, x: usize, y: usize) -> bool {
-    let v = score[y * w + x];
-    for ny in y.saturating_sub(1)..=(y + 1).min(h - 1) {
-        for nx in x.saturating_sub(1)..=(x + 1).min(w - 1) {
-            let o = score[ny * w + nx];
-            if o > v || (o == v && (ny, nx) < (y, x)) {
-                return false;
+/// A cell whose square is larger than those around it.
+struct Top {
+    cell: [usize; 2],
+    score: f32,
+}
+
+/// The cells whose squares, which are left in `score`, are larger than those around them; of equal ones the first.
+fn tops(cells: &Cells, score: &mut Vec<f32>) -> Vec<Top> {
+    let (w, h) = (cells.width, cells.height);
+    score.resize(w * h, 0.0);
+    parallel::map_chunks(score, w.max(1), |y, out| {
+        simd::dispatch(Squares { row: cells.row(y), each: cells.each, out })
+    });
+    let row = |y: usize| &score[y * w..][..w];
+    let found = parallel::map(h, |y| {
+        let mut is_top = vec![false; w];
+        let (above, below) = (y.checked_sub(1).map(row), (y + 1 < h).then(|| row(y + 1)));
+        simd::dispatch(Larger { above, row: row(y), below, out: &mut is_top });
+        let tops = is_top.iter().zip(row(y)).enumerate().filter(|(_, (top, _))| **top);
+        tops.map(|(x, (_, &score))| Top { cell: [x, y], score }).collect::<Vec<_>>()
+    });
+    found.into_iter().flatten().collect()
+}
+
+/// The sums of squares of cells. Loops that compilers turn into vectors of the instruction set.
+struct Squares<'a> {
+    row: &'a [f32],
+    each: usize,
+    out: &'a mut [f32],
+}
+
+impl Task for Squares<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        if self.each == 4 {
+            for (out, [a, b, c, d]) in self.out.iter_mut().zip(self.row.as_chunks().0) {
+                *out = a * a + b * b + c * c + d * d;
+            }
+        } else {
+            for (out, v) in self.out.iter_mut().zip(self.row) {
+                *out = v * v;
             }
         }
     }
-    true
+}
+
+/// Which of a row are larger than those around them, and not 0.
+struct Larger<'a> {
+    above: Option<&'a [f32]>,
+    row: &'a [f32],
+    below: Option<&'a [f32]>,
+    out: &'a mut [bool],
+}
+
+impl Task for Larger<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        let Larger { above, row, below, out } = self;
+        let n = row.len();
+        for (o, &v) in out.iter_mut().zip(row) {
+            *o = v > 0.0;
+        }
+        // Of equal ones the first counts, by rows and along them.
+        for (i, o) in out.iter_mut().enumerate().skip(1) {
+            *o &= row[i] > row[i - 1];
+        }
+        for (i, o) in out[..n - 1].iter_mut().enumerate() {
+            *o &= row[i] >= row[i + 1];
+        }
+        if let Some(above) = above {
+            for i in 0..n {
+                out[i] &= row[i] > above[i];
+            }
+            for i in 1..n {
+                out[i] &= row[i] > above[i - 1];
+            }
+            for i in 0..n - 1 {
+                out[i] &= row[i] > above[i + 1];
+            }
+        }
+        if let Some(below) = below {
+            for i in 0..n {
+                out[i] &= row[i] >= below[i];
+            }
+            for i in 1..n {
+                out[i] &= row[i] >= below[i - 1];
+            }
+            for i in 0..n - 1 {
+                out[i] &= row[i] >= below[i + 1];
+            }
+        }
+    }
 }
 
 /// Keeps the best peaks that are at least 1.5 of their own scales away from all better ones, in each direction.

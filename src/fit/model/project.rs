@@ -122,4 +122,38 @@ impl Projected {
         // Casts saturate, also from below.
         (left.ceil() as usize, (right.floor() + 1.0) as usize)
     }
+
+    /// The rows of each column's support.
+    #[inline(always)]
+    pub(crate) fn lines(&self) -> Lines {
+        let [a, b, c] = self.conic;
+        let (inv_c, determinant) = (1.0 / c, self.rest * a);
+        Lines { shear: b * inv_c, rest: determinant * inv_c, inv_c, tip: -CUTOFF * b / (determinant * a).sqrt() }
+    }
+}
+
+/// Which rows of each column the support of a primitive has.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Lines {
+    /// `b / c`: how far the column's maximum moves per column.
+    shear: f32,
+    /// `a − b²/c`.
+    rest: f32,
+    /// `1 / c`.
+    inv_c: f32,
+    /// How far right of the centre the support's lowest point lies.
+    tip: f32,
+}
+
+impl Lines {
+    /// The distances from the centre between which the support reaches somewhere between the columns `left` and `right`
+    /// of it; a little more, as rounding must lose none.
+    #[inline(always)]
+    pub(crate) fn between(&self, left: f32, right: f32) -> (f32, f32) {
+        let edge = |dx: f32, sign: f32| {
+            let half = ((CUTOFF * CUTOFF - self.rest * dx * dx).max(0.0) * self.inv_c).sqrt();
+            sign * (half + 0.01) - self.shear * dx
+        };
+        (edge((-self.tip).max(left).min(right), -1.0), edge(self.tip.max(left).min(right), 1.0))
+    }
 }

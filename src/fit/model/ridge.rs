@@ -1,6 +1,8 @@
 //! Peaks of the residual that are part of a ridge: round primitives at thin lines seldom grow into needles, since the
 //! first of their steps gains nothing.
 
+use crate::fit::model::blur::Cells;
+
 /// Largest aspect that a new primitive gets; the fit stretches it further.
 const MOST_ASPECT: f32 = 4.0;
 
@@ -87,33 +89,43 @@ pub(crate) fn longest(spacing: f32, sigma: f32) -> f32 {
     (spacing * spacing / (sigma * sigma)).clamp(1.0, MOST_ASPECT)
 }
 
-/// The best shape at `cell` of `planes`, each of `size` cells, up to the aspect `longest`; beyond the edges nothing is
-/// missing.
-pub(crate) fn shape(
-    ridges: &[[Tap; TAPS]; RIDGES],
-    longest: f32,
-    planes: &[Vec<f32>],
-    size: [usize; 2],
-    cell: [usize; 2],
-) -> Shape {
-    let mut residual = [0.0; 4];
-    for (r, plane) in residual.iter_mut().zip(planes) {
-        *r = plane[cell[1] * size[0] + cell[0]];
+/// The best shape at `cell` of the residuals `cells`, up to the aspect `longest`; beyond the edges nothing is missing.
+pub(crate) fn shape(ridges: &[[Tap; TAPS]; RIDGES], longest: f32, cells: &Cells, cell: [usize; 2]) -> Shape {
+    match cells.each {
+        4 => shape_of::<4>(ridges, longest, cells, cell),
+        _ => shape_of::<1>(ridges, longest, cells, cell),
     }
-    let mut best = Shape::new(None, residual);
+}
+
+fn shape_of<const N: usize>(ridges: &[[Tap; TAPS]; RIDGES], longest: f32, cells: &Cells, [x, y]: [usize; 2]) -> Shape {
+    let (values, _) = cells.values.as_chunks::<N>();
+    let at = y * cells.width + x;
+    let of = |mean: [f32; N]| std::array::from_fn(|k| mean.get(k).copied().unwrap_or(0.0));
+    let mut best = Shape::new(None, of(values[at]));
+    let is_inside = |v: usize, size: usize| v + 1 >= TAPS && v + TAPS <= size;
+    let is_inside = is_inside(x, cells.width) && is_inside(y, cells.height);
     for (i, ridge) in ridges.iter().enumerate().filter(|(_, r)| r[0].aspect <= longest) {
-        let mut mean = [0.0f32; 4];
-        for tap in ridge {
+        let mut mean = [0.0f32; N];
+        let mut add = |weight: f32, cell: &[f32; N]| {
+            for (m, v) in mean.iter_mut().zip(cell) {
+                *m += weight * v;
+            }
+        };
+        for tap in ridge.iter().filter(|t| t.weight > 0.0) {
+            if is_inside {
+                let by = tap.y as isize * cells.width as isize + tap.x as isize;
+                add(tap.weight, &values[at.wrapping_add_signed(by)]);
+                add(tap.weight, &values[at.wrapping_add_signed(-by)]);
+                continue;
+            }
             for [dx, dy] in [[tap.x, tap.y], [-tap.x, -tap.y]] {
-                let at = [cell[0].wrapping_add_signed(dx as isize), cell[1].wrapping_add_signed(dy as isize)];
-                if at[0] < size[0] && at[1] < size[1] {
-                    for (m, plane) in mean.iter_mut().zip(planes) {
-                        *m += tap.weight * plane[at[1] * size[0] + at[0]];
-                    }
+                let [x, y] = [x.wrapping_add_signed(dx as isize), y.wrapping_add_signed(dy as isize)];
+                if x < cells.width && y < cells.height {
+                    add(tap.weight, &values[y * cells.width + x]);
                 }
             }
         }
-        let found = Shape::new(Some(i), mean);
+        let found = Shape::new(Some(i), of(mean));
         if found.score > best.score {
             best = found;
         }
@@ -129,24 +141,25 @@ mod tests {
     fn a_line_is_a_ridge_along_itself_and_a_dot_is_round() {
         let (w, h) = (40usize, 40usize);
         let plane = |f: &dyn Fn(f32, f32) -> f32| {
-            vec![(0..w * h).map(|i| f((i % w) as f32 - 20.0, (i / w) as f32 - 20.0)).collect::<Vec<f32>>()]
+            let values = (0..w * h).map(|i| f((i % w) as f32 - 20.0, (i / w) as f32 - 20.0)).collect();
+            Cells { width: w, height: h, each: 1, values }
         };
         let blurred = |v: f32| (-0.5 * (v / BLUR).powi(2)).exp();
         for k in 0..DIRECTIONS {
             let (sin, cos) = rotation(k).sin_cos();
-            let line = shape(&all(), MOST_ASPECT, &plane(&|x, y| blurred(cos * y - sin * x)), [w, h], [20, 20]);
+            let line = shape(&all(), MOST_ASPECT, &plane(&|x, y| blurred(cos * y - sin * x)), [20, 20]);
             assert_eq!((line.aspect, line.rotation), (MOST_ASPECT, rotation(k)), "{line:?}");
             // All of the line's height, but for rounding to cells.
             assert!(line.score > 0.9 * MOST_ASPECT, "{line:?}");
         }
-        let dot = shape(&all(), MOST_ASPECT, &plane(&|x, y| blurred(x) * blurred(y)), [w, h], [20, 20]);
+        let dot = shape(&all(), MOST_ASPECT, &plane(&|x, y| blurred(x) * blurred(y)), [20, 20]);
         assert_eq!((dot.aspect, dot.rotation), (1.0, ANY));
-        let short = shape(&all(), longest(2.0, 1.0), &plane(&|_, y| blurred(y)), [w, h], [20, 20]);
+        let short = shape(&all(), longest(2.0, 1.0), &plane(&|_, y| blurred(y)), [20, 20]);
         assert_eq!((short.aspect, longest(1.0, 2.0)), (MOST_ASPECT, 1.0));
-        let short = shape(&all(), longest(1.5, 1.0), &plane(&|_, y| blurred(y)), [w, h], [20, 20]);
+        let short = shape(&all(), longest(1.5, 1.0), &plane(&|_, y| blurred(y)), [20, 20]);
         assert_eq!((short.aspect, short.rotation), (2.0, 0.0));
         // Half of a line ends at the edge: cells that are not there count as 0.
-        let edge = shape(&all(), MOST_ASPECT, &plane(&|x, _| blurred(x + 20.0)), [w, h], [0, 0]);
+        let edge = shape(&all(), MOST_ASPECT, &plane(&|x, _| blurred(x + 20.0)), [0, 0]);
         assert!(edge.score < MOST_ASPECT * 0.5, "{edge:?}");
     }
 }

@@ -3,6 +3,7 @@
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
+use crate::fit::model::blur::blur;
 use crate::fit::model::planes::Planes;
 use crate::fit::model::project::Primitive;
 use crate::parallel;
@@ -11,18 +12,20 @@ use crate::parallel;
 const DETAIL: f64 = 0.8;
 /// Initial scales in units of `1/√(π·density)`.
 const SPREAD: f32 = 0.7;
+/// How much the aspect of primitives on a straight edge is above 1.
+const STRETCH: f32 = 2.0;
+/// Range of the angles of primitives around that of an edge, radians.
+const JITTER: f32 = 0.05;
 
-/// `count` round primitives whose density follows the square root of the blurred gradient.
+/// `count` primitives, stretched along edges, whose density follows the square root of the blurred gradient.
 pub(crate) fn by_detail(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Vec<Primitive> {
     let area = f64::from(target.width) * f64::from(target.height);
     // Cells well below the mean distance of primitives, so that a stratum rarely shares one.
     let spacing = (area / count.max(1) as f64).sqrt();
     let cell = (spacing / 4.0).clamp(1.0, 64.0) as u32;
     let (cols, rows) = (target.width.div_ceil(cell), target.height.div_ceil(cell));
-    let mut density = blur(&detail(target, cell, cols, rows), cols as usize, rows as usize);
-    for d in &mut density {
-        *d = d.max(1e-6).sqrt();
-    }
+    let detail = Detail::new(target, cell, [cols, rows]);
+    let density: Vec<f32> = detail.strength.iter().map(|d| d.max(1e-6).sqrt()).collect();
     let total: f64 = density.iter().map(|&d| f64::from(d)).sum();
     let even = (1.0 - DETAIL) / density.len() as f64;
     let scaled: Vec<f64> = density.iter().map(|&d| f64::from(d) / total * DETAIL + even).collect();
@@ -46,8 +49,11 @@ pub(crate) fn by_detail(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Ve
             let mean = [x.min(target.width as f32), y.min(target.height as f32)];
             let per_pixel = share as f32 / (cell * cell) as f32;
             let scale = (SPREAD / (std::f32::consts::PI * per_pixel).sqrt()).max(0.4).ln();
-            let rotation = rng.random::<f32>() * std::f32::consts::PI;
-            out.push(Primitive { mean, log_scale: [scale; 2], rotation, color: target.at(mean) });
+            let (stretch, along) = detail.stretch(i as usize);
+            let log_scale = [scale + 0.5 * stretch, scale - 0.5 * stretch];
+            // Never quite along the axes, which would keep gradients at 0.
+            let rotation = along + JITTER * (rng.random::<f32>() - 0.5);
+            out.push(Primitive { mean, log_scale, rotation, color: target.at(mean) });
         }
     }
     // Rounding may leave the last stratum open.
@@ -59,55 +65,57 @@ pub(crate) fn by_detail(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Ve
     out
 }
 
-/// Mean magnitude of the colour gradient in each cell.
-fn detail(target: &Planes, cell: u32, cols: u32, rows: u32) -> Vec<f32> {
-    let (w, stride, count) = (target.width, target.stride, target.channels.count());
-    parallel::map(rows as usize, |r| {
-        let mut sums = vec![0.0f32; cols as usize];
-        let first = r as u32 * cell;
-        let last = (first + cell).min(target.height);
-        for y in first..last {
-            let (row, below) = (target.row(y), target.row((y + 1).min(target.height - 1)));
-            for x in 0..w as usize {
-                let next = (x + 1).min(w as usize - 1);
-                let mut g = 0.0;
-                for k in 0..count {
-                    let v = row[k * stride + x];
-                    let (dx, dy) = (row[k * stride + next] - v, below[k * stride + x] - v);
-                    g += dx * dx + dy * dy;
-                }
-                sums[x / cell as usize] += g.sqrt();
-            }
-        }
-        sums
-    })
-    .concat()
+/// What the colour gradient is like in each cell.
+struct Detail {
+    /// Its mean magnitude.
+    strength: Vec<f32>,
+    /// Its structure tensor: means of `gₓ²`, `gₓ·g_y` and `g_y²`.
+    tensor: [Vec<f32>; 3],
 }
 
-/// Binomial blur (1 4 6 4 1)/16 in both directions, borders repeated.
-pub(crate) fn blur(plane: &[f32], width: usize, height: usize) -> Vec<f32> {
-    const TAPS: [f32; 5] = [0.0625, 0.25, 0.375, 0.25, 0.0625];
-    let mut across = vec![0.0; plane.len()];
-    parallel::map_chunks(&mut across, width, |y, out| {
-        let row = &plane[y * width..][..width];
-        for x in 0..width {
-            out[x] = if x >= 2 && x + 2 < width {
-                let r: &[f32; 5] = row[x - 2..x + 3].try_into().expect("five long");
-                TAPS[0] * (r[0] + r[4]) + TAPS[1] * (r[1] + r[3]) + TAPS[2] * r[2]
-            } else {
-                (0..5).map(|t| TAPS[t] * row[(x + t).saturating_sub(2).min(width - 1)]).sum()
-            };
-        }
-    });
-    let mut out = vec![0.0; plane.len()];
-    parallel::map_chunks(&mut out, width, |y, out| {
-        let rows: [&[f32]; 5] =
-            std::array::from_fn(|t| &across[(y + t).saturating_sub(2).min(height - 1) * width..][..width]);
-        for x in 0..width {
-            out[x] = TAPS[0] * (rows[0][x] + rows[4][x]) + TAPS[1] * (rows[1][x] + rows[3][x]) + TAPS[2] * rows[2][x];
-        }
-    });
-    out
+impl Detail {
+    fn new(target: &Planes, cell: u32, [cols, rows]: [u32; 2]) -> Self {
+        let (w, stride, count) = (target.width as usize, target.stride, target.channels.count());
+        let cells = parallel::map(rows as usize, |r| {
+            let mut sums = vec![[0.0f32; 4]; cols as usize];
+            let first = r as u32 * cell;
+            for y in first..(first + cell).min(target.height) {
+                let (row, below) = (target.row(y), target.row((y + 1).min(target.height - 1)));
+                for x in 0..w {
+                    let next = (x + 1).min(w - 1);
+                    let [mut xx, mut xy, mut yy] = [0.0; 3];
+                    for k in 0..count {
+                        let v = row[k * stride + x];
+                        let (dx, dy) = (row[k * stride + next] - v, below[k * stride + x] - v);
+                        xx += dx * dx;
+                        xy += dx * dy;
+                        yy += dy * dy;
+                    }
+                    let sums = &mut sums[x / cell as usize];
+                    for (sum, v) in sums.iter_mut().zip([(xx + yy).sqrt(), xx, xy, yy]) {
+                        *sum += v;
+                    }
+                }
+            }
+            sums
+        })
+        .concat();
+        let plane = |k: usize, times: u32| {
+            let plane: Vec<f32> = cells.iter().map(|c| c[k]).collect();
+            (0..times).fold(plane, |p, _| blur(&p, cols as usize, rows as usize))
+        };
+        Detail { strength: plane(0, 1), tensor: [1, 2, 3].map(|k| plane(k, 2)) }
+    }
+
+    /// How far a primitive in cell `i` is stretched, as the logarithm of its aspect, and along which angle: along the
+    /// edge, where there is one.
+    fn stretch(&self, i: usize) -> (f32, f32) {
+        let [a, b, c] = [0, 1, 2].map(|k| self.tensor[k][i]);
+        let (difference, sum) = ((a - c).hypot(2.0 * b), a + c);
+        let coherence = difference / (sum + 1e-6);
+        let aspect = 1.0 + STRETCH * coherence * coherence;
+        (aspect.ln(), 0.5 * (2.0 * b).atan2(a - c) + std::f32::consts::FRAC_PI_2)
+    }
 }
 
 /// Means of 2 × 2 values, borders repeated.
@@ -140,4 +148,37 @@ pub(crate) fn hilbert_index(order: u32, mut x: u32, mut y: u32) -> u64 {
         }
     }
     index
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+    use crate::gaussian::Channels;
+    use crate::pixels::{Pixels, Samples};
+
+    #[test]
+    fn primitives_start_along_edges_and_round_where_there_are_none() {
+        let start = |value: &dyn Fn(f32, f32) -> f32| {
+            let samples = (0..96 * 80u32).map(|i| value((i % 96) as f32, (i / 96) as f32) as u8).collect();
+            let pixels = Pixels::new(96, 80, Channels::Grey, Samples::U8(samples)).unwrap();
+            by_detail(&Planes::new(&pixels), 60, &mut Pcg64Mcg::seed_from_u64(1))
+        };
+        for angle in [0.4f32, 1.3, 2.5] {
+            let (sin, cos) = angle.sin_cos();
+            for p in start(&|x, y| 128.0 + 90.0 * (0.5 * (cos * y - sin * x)).sin()) {
+                // At the borders a gradient is that of what is repeated there.
+                if !(10.0..86.0).contains(&p.mean[0]) || !(10.0..70.0).contains(&p.mean[1]) {
+                    continue;
+                }
+                let turn = (p.rotation - angle).sin().abs();
+                let stretch = p.log_scale[0] - p.log_scale[1];
+                assert!(turn < 0.2 && stretch > 1.8f32.ln(), "{angle}: {p:?}");
+            }
+        }
+        for p in start(&|_, _| 77.0) {
+            assert_eq!(p.log_scale[0], p.log_scale[1]);
+        }
+    }
 }

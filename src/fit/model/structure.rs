@@ -1,9 +1,9 @@
 //! Structural similarity for the fit: weights that make the squared error favour it, and its own gradient.
 
+use crate::fit::model::blur::blur;
 use crate::fit::model::field::Field;
 use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::sample::blur;
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};

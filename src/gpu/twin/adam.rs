@@ -1,7 +1,6 @@
 //! Twin of `adam.wgsl`.
 
 use super::common::{HALF, sin_cos};
-use crate::fit::model::adam::{BETA1 as BETA_FIRST, BETA2 as BETA_SECOND};
 use crate::gpu::scene::Uniforms;
 
 /// The gradient of half the squared error in the Gaussian's own frame: mean in units of its scales, log-scales,
@@ -52,8 +51,8 @@ pub(in crate::gpu) fn adam(
             if !g.is_finite() {
                 g = 0.0;
             }
-            let m = BETA_FIRST * first[9 * i + k] + (1.0 - BETA_FIRST) * g;
-            let s = BETA_SECOND * second[9 * i + k] + (1.0 - BETA_SECOND) * g * g;
+            let m = scene.decay[0] * first[9 * i + k] + (1.0 - scene.decay[0]) * g;
+            let s = scene.decay[1] * second[9 * i + k] + (1.0 - scene.decay[1]) * g * g;
             first[9 * i + k] = m;
             second[9 * i + k] = s;
             move_by[k] = -(m / scene.correction_first) / ((s / scene.correction_second).sqrt() + 1e-15);

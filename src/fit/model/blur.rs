@@ -1,0 +1,202 @@
+//! Binomial blurs of planes of cells, in one pass over memory. The sums are those of each cell alone, in the same order on
+//! every instruction set.
+
+use crate::parallel;
+use crate::simd::{self, LANES, Simd, Task};
+
+/// Weights of a cell's neighbours, of those next to it, and its own.
+const TAPS: [f32; 3] = [0.0625, 0.25, 0.375];
+
+/// Rows that are worked on at a time.
+const CHUNK: usize = 32;
+
+/// A plane of cells, each of so many floats side by side.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Cells {
+    pub width: usize,
+    pub height: usize,
+    /// Floats in each.
+    pub each: usize,
+    pub values: Vec<f32>,
+}
+
+impl Cells {
+    /// The floats of row `y`.
+    #[inline(always)]
+    pub(crate) fn row(&self, y: usize) -> &[f32] {
+        &self.values[y * self.width * self.each..][..self.width * self.each]
+    }
+
+    /// Binomial blur (1 4 6 4 1)/16 in both directions, borders repeated, by way of `spare`.
+    pub(crate) fn blur(&mut self, spare: &mut Vec<f32>) {
+        let (length, height, each) = (self.width * self.each, self.height, self.each);
+        // What is there is written over.
+        spare.resize(self.values.len(), 0.0);
+        parallel::map_chunks(spare, (CHUNK * length).max(1), |c, out| {
+            let mut across = vec![0.0f32; 5 * length];
+            let mut next = (c * CHUNK).saturating_sub(2);
+            for (i, out) in out.chunks_exact_mut(length).enumerate() {
+                let y = c * CHUNK + i;
+                while next < height.min(y + 3) {
+                    let sums = &mut across[next % 5 * length..][..length];
+                    simd::dispatch(Across { row: self.row(next), sums, each });
+                    next += 1;
+                }
+                let rows = std::array::from_fn(|t| {
+                    &across[(y + t).saturating_sub(2).min(height - 1) % 5 * length..][..length]
+                });
+                simd::dispatch(Down { rows, out });
+            }
+        });
+        std::mem::swap(&mut self.values, spare);
+    }
+
+    /// Half the resolution: means of 2 × 2 cells, borders repeated.
+    pub(crate) fn halved(&self) -> Cells {
+        let (width, height, each) = (self.width.div_ceil(2), self.height.div_ceil(2), self.each);
+        let mut values = vec![0.0; width * height * each];
+        parallel::map_chunks(&mut values, (width * each).max(1), |y, out| {
+            let (a, b) = (self.row(2 * y), self.row((2 * y + 1).min(self.height - 1)));
+            for (x, out) in out.chunks_exact_mut(each).enumerate() {
+                let (l, r) = (2 * x * each, (2 * x + 1).min(self.width - 1) * each);
+                for (k, o) in out.iter_mut().enumerate() {
+                    *o = 0.25 * (a[l + k] + a[r + k] + b[l + k] + b[r + k]);
+                }
+            }
+        });
+        Cells { width, height, each, values }
+    }
+}
+
+/// Binomial blur of a plane of single floats.
+pub(crate) fn blur(plane: &[f32], width: usize, height: usize) -> Vec<f32> {
+    let mut cells = Cells { width, height, each: 1, values: plane.to_vec() };
+    cells.blur(&mut Vec::new());
+    cells.values
+}
+
+/// The weighted sum of five.
+#[inline(always)]
+fn sum([a, b, c, d, e]: [f32; 5]) -> f32 {
+    TAPS[0] * (a + e) + TAPS[1] * (b + d) + TAPS[2] * c
+}
+
+/// The same of eight at once.
+#[inline(always)]
+fn sum_lanes<S: Simd>(simd: S, [a, b, c, d, e]: [S::Vector; 5]) -> S::Vector {
+    let far = simd.mul(simd.splat(TAPS[0]), simd.add(a, e));
+    let near = simd.mul(simd.splat(TAPS[1]), simd.add(b, d));
+    simd.add(simd.add(far, near), simd.mul(simd.splat(TAPS[2]), c))
+}
+
+/// One row, along itself.
+struct Across<'a> {
+    row: &'a [f32],
+    sums: &'a mut [f32],
+    each: usize,
+}
+
+impl Task for Across<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Across { row, sums, each } = self;
+        let (length, border) = (row.len(), 2 * each);
+        let width = length / each;
+        let mut i = 0;
+        while i < length {
+            if i >= border && i + border + LANES <= length {
+                let five = [
+                    simd.read(&row[i - border..]),
+                    simd.read(&row[i - each..]),
+                    simd.read(&row[i..]),
+                    simd.read(&row[i + each..]),
+                    simd.read(&row[i + border..]),
+                ];
+                simd.write(&mut sums[i..], sum_lanes(simd, five));
+                i += LANES;
+            } else {
+                let (x, k) = (i / each, i % each);
+                let mut five = [0.0; 5];
+                for (t, v) in five.iter_mut().enumerate() {
+                    *v = row[(x + t).saturating_sub(2).min(width - 1) * each + k];
+                }
+                sums[i] = sum(five);
+                i += 1;
+            }
+        }
+    }
+}
+
+/// Five rows, across them.
+struct Down<'a> {
+    rows: [&'a [f32]; 5],
+    out: &'a mut [f32],
+}
+
+impl Task for Down<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Down { rows, out } = self;
+        let mut i = 0;
+        while i + LANES <= out.len() {
+            let [a, b, c, d, e] = rows;
+            let five =
+                [simd.read(&a[i..]), simd.read(&b[i..]), simd.read(&c[i..]), simd.read(&d[i..]), simd.read(&e[i..])];
+            simd.write(&mut out[i..], sum_lanes(simd, five));
+            i += LANES;
+        }
+        while i < out.len() {
+            out[i] = sum([rows[0][i], rows[1][i], rows[2][i], rows[3][i], rows[4][i]]);
+            i += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simd::Plain;
+
+    fn noise(count: usize) -> Vec<f32> {
+        (0..count).map(|i| (i * 7919 % 1009) as f32 * 1e-3 - 0.4).collect()
+    }
+
+    #[test]
+    fn every_cell_is_the_weighted_sum_of_those_around() {
+        const WEIGHTS: [f32; 5] = [0.0625, 0.25, 0.375, 0.25, 0.0625];
+        for (width, height, each) in [(1, 1, 1), (3, 2, 4), (5, 40, 1), (37, 70, 4), (64, 33, 1)] {
+            let before = Cells { width, height, each, values: noise(width * height * each) };
+            let mut after = before.clone();
+            after.blur(&mut vec![7.0; 3]);
+            for i in 0..width * height * each {
+                let (x, y, k) = (i / each % width, i / each / width, i % each);
+                let mut want = 0.0;
+                for (v, &down) in WEIGHTS.iter().enumerate() {
+                    for (u, &across) in WEIGHTS.iter().enumerate() {
+                        let [x, y] = [(x + u, width), (y + v, height)].map(|(p, n)| p.saturating_sub(2).min(n - 1));
+                        want += down * across * before.row(y)[x * each + k];
+                    }
+                }
+                assert!((after.values[i] - want).abs() < 1e-6, "{width} × {height} × {each}, {i}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_instruction_set_blurs_to_the_same_bits() {
+        let row = noise(4 * 53);
+        let [mut found, mut want] = [(); 2].map(|()| vec![0.0; row.len()]);
+        simd::dispatch(Across { row: &row, sums: &mut found, each: 4 });
+        Across { row: &row, sums: &mut want, each: 4 }.run(Plain);
+        assert_eq!(found, want);
+        let rows = std::array::from_fn(|t| &row[8 * t..][..53]);
+        let [mut found, mut want] = [(); 2].map(|()| vec![0.0; 53]);
+        simd::dispatch(Down { rows, out: &mut found });
+        Down { rows, out: &mut want }.run(Plain);
+        assert_eq!(found, want);
+    }
+}
