@@ -73,7 +73,9 @@ fn a_soft_picture_stops_early_loses_needless_primitives_and_stays_within_roundin
 fn a_target_in_decibels_is_met_with_no_more_primitives_than_it_takes() {
     let pixels = wave(Channels::Rgb, |x, y, k| (x * x / 7 + (k as u32 + 1) * y * 3) as u8);
     let encoded = ssplat::encode(&pixels, &options(3, Target::Psnr(30.0))).unwrap();
-    assert!((30.0..30.4).contains(&encoded.report.psnr), "{}", encoded.report.psnr);
+    // The search ends with the smallest file of six tries. Here its 32 primitives win 11 dB for twice as many, half a
+    // decibel each, and fits of as many scatter by more.
+    assert!((30.0..30.6).contains(&encoded.report.psnr), "{}", encoded.report.psnr);
     let splats = bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
     for i in 0..splats.gaussians.len() {
         let mut fewer = splats.clone();

@@ -100,34 +100,37 @@ impl Encoding<'_> {
 
     fn at_psnr(&mut self, wanted: f64) -> Result<Outcome> {
         let raw = self.subject.samples();
-        let mut bytes = raw / 50.0;
+        let mut bytes = (raw / 50.0).max(LEAST_TRIED);
         let mut best: Option<Outcome> = None;
         let mut reached: f64 = 0.0;
-        let (mut low, mut high) = (0.0f64, raw);
+        // What was tried last on either side: bytes and decibels.
+        let (mut below, mut above): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
         for _ in 0..6 {
-            let outcome = self.at_size(Size::Bytes(bytes.max(64.0) as u64))?;
+            let outcome = self.at_size(Size::Bytes(bytes as u64))?;
             let got = decibels(self.whole_error(&outcome.splats), raw);
             reached = reached.max(got);
             if got >= wanted {
-                high = bytes;
-                let close = got - wanted < 0.1;
+                above = Some([bytes, got]);
                 if best.as_ref().is_none_or(|b| outcome.bytes.len() < b.bytes.len()) {
                     best = Some(outcome);
                 }
-                if close {
+                if got - wanted < CLOSE {
                     break;
                 }
             } else {
-                low = bytes;
+                below = Some([bytes, got]);
             }
-            // Doubling the bytes wins about 2.5 dB.
-            bytes *= ((wanted - got + 0.05) / 2.5).exp2().clamp(0.05, 20.0);
-            if bytes <= low || bytes >= high {
-                bytes = (low.max(64.0) * high).sqrt();
-            }
-            if high / low.max(1.0) < 1.01 {
-                break;
-            }
+            bytes = match (below, above) {
+                (Some(low), Some(high)) if high[0] / low[0] < 1.01 => break,
+                (Some(low), Some(high)) => between(low, high, wanted + CLOSE / 2.0),
+                (Some(low), None) if low[0] >= raw => break,
+                (None, Some(high)) if high[0] <= LEAST_TRIED => break,
+                // Doubling the bytes wins about 2.5 dB.
+                _ => {
+                    let factor = ((wanted - got + CLOSE / 2.0) / 2.5).exp2().clamp(0.05, 20.0);
+                    (bytes * factor).min(raw).max(LEAST_TRIED)
+                }
+            };
         }
         let Some(mut best) = best else {
             let problem = format!("{wanted} dB cannot be reached: the best fit has {reached:.2} dB");
@@ -179,6 +182,18 @@ impl Encoding<'_> {
             spare += over + 4;
         }
     }
+}
+
+/// Decibels above the wanted ones at which the search ends.
+const CLOSE: f64 = 0.1;
+/// Fewest bytes that the search tries.
+const LEAST_TRIED: f64 = 64.0;
+
+/// Returns the bytes between two tries at which `wanted` decibels may be met, if these grow with the logarithm of bytes.
+fn between(low: [f64; 2], high: [f64; 2], wanted: f64) -> f64 {
+    // Never next to either: decibels scatter by some tenths from fit to fit.
+    let share = ((wanted - low[1]) / (high[1] - low[1])).clamp(0.1, 0.9);
+    low[0] * (high[0] / low[0]).powf(share)
 }
 
 /// Bytes by which a file is larger than it may be.

@@ -27,6 +27,7 @@ use super::job::Job;
 use super::model::field::float_error;
 use super::model::planes::Planes;
 use super::model::problem::{Problem, Scene};
+use super::model::project::Primitive;
 use super::model::reduced::{Coarse, Reduced};
 use super::model::rows::RowSet;
 use super::plan::Plan;
@@ -34,16 +35,24 @@ use super::schedule::{Part, run_part};
 use crate::gaussian::{Blend, Channels};
 use crate::pixels::{Pixels, Samples};
 
-/// Fits, and returns the PSNR at the picture's own size, dB.
-fn fitted(target: &Planes, count: usize, plan: &Plan, share: f32) -> f64 {
-    let scene = Scene { width: target.width, height: target.height, blend: Blend::Normalized, background: target.mean };
-    let problem = Problem { scene, target };
+/// Fits, and returns the primitives at the picture's own size.
+fn fitted(target: &Planes, count: usize, plan: &Plan, share: f32) -> Vec<Primitive> {
+    let problem = problem(target);
     let Start { mut state, rng, .. } = scattered(target, count, plan);
     let half = Reduced::new(&problem, 1);
     let coarse = (share > 0.0).then_some(Coarse { reduced: &half, share });
     let part = Part { steps: 0..plan.iterations, coarse };
     run_part(&Job { problem, count, plan }, part, &mut state, rng, &mut Unwatched).unwrap();
-    -10.0 * (float_error(&problem, &state.primitives) / problem.samples(RowSet::ALL)).log10()
+    state.primitives
+}
+
+fn problem(target: &Planes) -> Problem<'_> {
+    let scene = Scene { width: target.width, height: target.height, blend: Blend::Normalized, background: target.mean };
+    Problem { scene, target }
+}
+
+fn psnr(problem: &Problem<'_>, primitives: &[Primitive]) -> f64 {
+    -10.0 * (float_error(problem, primitives) / problem.samples(RowSet::ALL)).log10()
 }
 
 #[test]
@@ -56,12 +65,17 @@ fn a_start_at_half_the_size_ends_at_the_whole_one() {
         )
     });
     let target = Planes::new(&pixels(picture));
-    let plan = Plan::steps(80, 1);
-    let whole = fitted(&target, 60, &plan, 0.0);
-    // To the end, too, as when the time is over early.
-    for (share, most) in [(0.5, 1.0), (1.0, 3.0)] {
-        let half = fitted(&target, 60, &plan, share);
-        assert!(half > whole - most, "{share}: {half} dB, {whole} dB without");
+    for seed in 1..4 {
+        let plan = Plan::steps(80, seed);
+        let end = |share| psnr(&problem(&target), &fitted(&target, 60, &plan, share));
+        let without = end(0.0);
+        // Over eight seeds: the second half of the steps leaves 2.3 dB of what the first lost, at most. Half the size to the
+        // end, as when the time is over early, has 25 pixels for each primitive to learn from, and loses 3.7 dB at most. A
+        // picture that came back 2 % too large would lose 11.
+        for (share, most) in [(0.5, 3.0), (1.0, 5.0)] {
+            let half = end(share);
+            assert!(half > without - most, "seed {seed}, {share}: {half} dB, {without} dB without");
+        }
     }
 }
 
@@ -102,7 +116,7 @@ fn coarse_to_fine_against_row_sampling_at_equal_time() {
     println!("| share of the steps at half size | steps | CPU seconds | PSNR dB |\n|--:|--:|--:|--:|");
     for (share, steps) in [(0.0, 120), (0.0, 200), (0.5, 200), (0.7, 200), (0.85, 200), (0.0, 400), (0.7, 400)] {
         let clock = cpu_seconds();
-        let psnr = fitted(&target, count, &Plan::steps(steps, 1), share);
+        let psnr = psnr(&problem(&target), &fitted(&target, count, &Plan::steps(steps, 1), share));
         let seconds = cpu_seconds() - clock;
         println!("| {share} | {steps} | {seconds:.1} | {psnr:.2} |");
     }
