@@ -534,7 +534,7 @@ fn outputs_have_ordinary_rights_and_links_and_devices_stay() {
 
 #[test]
 fn help_shows_examples() {
-    for name in ["encode", "decode", "info", "compare"] {
+    for name in ["encode", "decode", "info", "compare", "export", "import"] {
         assert!(succeeds(ssplat(&[&name, &"--help"])).contains("Examples:"), "{name}");
     }
     assert!(succeeds(ssplat(&[&"--help"])).contains("Exit status"));

@@ -7,7 +7,7 @@ use crate::error::Result;
 
 /// Writes the file, in `levels` levels, with its colours in a codebook where that is smaller. Brings the primitives into the
 /// order of the file.
-pub(super) fn smallest(splats: &mut PackedSplats, levels: u8) -> Result<Vec<u8>> {
+pub(crate) fn smallest(splats: &mut PackedSplats, levels: u8) -> Result<Vec<u8>> {
     if levels > 1 {
         divide(splats, levels);
     }

@@ -26,6 +26,7 @@ use aim::MAX_PRIMITIVES;
 use device::Choice;
 pub use device::Chosen;
 pub use file::divide;
+pub(crate) use file::smallest;
 use job::{Encoding, decibels};
 pub use left_out::{LeftOut, Omission};
 use report::Journal;

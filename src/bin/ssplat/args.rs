@@ -8,6 +8,8 @@ use clap::{Args as ClapArgs, Parser, Subcommand};
 use ssplat::bitstream::splats::Layout;
 use ssplat::{Backend, Blend, EncodeOptions, Recipe, Target, Tune};
 
+use crate::exchange::format::{ExportFormat, ImportFormat};
+use crate::exchange::{csv, foreign};
 use crate::failure::Failure;
 use crate::names;
 
@@ -45,6 +47,10 @@ pub enum Command {
     Info(Info),
     /// Measure how far two pictures are apart
     Compare(Compare),
+    /// Write a .ssplat file's Gaussians for other programs
+    Export(Export),
+    /// Store Gaussians that were fitted elsewhere
+    Import(Import),
     /// Print completions for a shell
     Completions(Completions),
     /// Print the manual page
@@ -338,6 +344,67 @@ pub struct Compare {
     /// Print as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+const EXPORT_EXAMPLES: &str = "\
+Examples:
+  ssplat export photo.ssplat photo.npz      arrays for NumPy
+  ssplat export photo.ssplat photo.ply      for viewers of 3D Gaussian Splatting
+
+Means, scales and covariances are in pixels with pixel centres at +0.5, y down; rotations in radians,
+colours in encoded sRGB values, 0 to 1. The .npz holds means, scales, rotations, covariances, colors,
+background, size, blend, depth, layout and steps; the .csv the same as columns. Import of either gives
+the same integers again. A .ply is flat in z and drawn by opacity in viewers, so it shows the Gaussians
+rather than the picture; an .svg has an ellipse at one scale for each. Metadata are not exported.";
+
+#[derive(Debug, ClapArgs)]
+#[command(after_help = EXPORT_EXAMPLES)]
+pub struct Export {
+    /// The .ssplat file; - for standard input
+    pub input: PathBuf,
+    /// The file to write; - for standard output
+    pub output: PathBuf,
+    /// Format of the output [default: by its name]
+    #[arg(long, value_enum)]
+    pub format: Option<ExportFormat>,
+}
+
+const IMPORT_EXAMPLES: &str = "\
+Examples:
+  ssplat import photo.npz photo.ssplat
+  ssplat import fit.npz fit.ssplat --size 768x512 --bytes 20000
+
+Reads what export writes, or archives with means, colors, and scales with rotations or covariances;
+and the parameters of GaussianImage (_xyz, _cholesky or _scaling and _rotation, _features_dc) and of
+Image-GS (xy, scale, rot, feat), which do not state the picture's size. Their checkpoints become
+archives by one line:
+";
+
+#[derive(Debug, ClapArgs)]
+#[command(after_help = format!("{IMPORT_EXAMPLES}\n{}", foreign::HOW))]
+pub struct Import {
+    /// An .npz or .csv file; - for standard input
+    pub input: PathBuf,
+    /// The .ssplat file to write; - for standard output
+    pub output: PathBuf,
+    /// Format of the input [default: by its name]
+    #[arg(long, value_enum)]
+    pub format: Option<ImportFormat>,
+    /// Width and height of the picture, pixels [default: as the input says]
+    #[arg(long, value_name = "WxH", value_parser = csv::size)]
+    pub size: Option<[u32; 2]>,
+    /// How the Gaussians blend [default: as the input says]
+    #[arg(long, value_parser = names::blend())]
+    pub blend: Option<Blend>,
+    /// How fine the integers are, 0 to 9 [default: as they were stored, else 6]
+    #[arg(long, value_name = "LEVEL", conflicts_with = "bytes", value_parser = clap::value_parser!(u8).range(0..=i64::from(ssplat::pack::FINEST)))]
+    pub precision: Option<u8>,
+    /// The finest integers whose file has at most so many bytes
+    #[arg(long, value_name = "N")]
+    pub bytes: Option<u64>,
+    /// How the file is laid out [default: as it was stored, else coded]
+    #[arg(long, value_parser = names::layout())]
+    pub layout: Option<Layout>,
 }
 
 pub fn positive(text: &str) -> Result<f64, String> {

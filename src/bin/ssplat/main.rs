@@ -1,11 +1,14 @@
-//! The `ssplat` program: encode, decode, info, compare; with the feature `report` also report.
+//! The `ssplat` program: encode, decode, info, compare, export, import; with the feature `report` also report.
 
 mod args;
 mod batch;
 mod compare;
 mod decode;
 mod encode;
+mod exchange;
+mod export;
 mod failure;
+mod import;
 mod info;
 mod left_out;
 mod manual;
@@ -54,6 +57,8 @@ fn run(args: Args) -> Result<(), Failure> {
         Command::Decode(args) => decode::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Export(args) => export::run(&args),
+        Command::Import(args) => import::run(&args),
         Command::Completions(args) => manual::completions(&args),
         Command::Man => manual::man(),
         #[cfg(feature = "report")]

@@ -50,13 +50,23 @@ impl<T: BufRead + Seek> ReadSeek for T {}
 
 /// Reads the whole of `path`, or of standard input for `-`.
 pub fn read_all(path: &Path) -> Result<Vec<u8>, Failure> {
+    read_at_most(path, u64::MAX)
+}
+
+/// The same; refuses more than `most` bytes.
+pub fn read_at_most(path: &Path, most: u64) -> Result<Vec<u8>, Failure> {
     let mut bytes = Vec::new();
+    let end = most.saturating_add(1);
     let read = if path == Path::new("-") {
-        io::stdin().lock().read_to_end(&mut bytes)
+        io::stdin().lock().take(end).read_to_end(&mut bytes)
     } else {
-        File::open(path).and_then(|mut f| f.read_to_end(&mut bytes))
+        File::open(path).and_then(|f| f.take(end).read_to_end(&mut bytes))
     };
     read.map_err(|e| Failure::io(path, &e))?;
+    if bytes.len() as u64 > most {
+        let message = format!("{}: is longer than {most} bytes", Failure::input(path));
+        return Err(Failure { kind: Kind::Limit, message });
+    }
     Ok(bytes)
 }
 

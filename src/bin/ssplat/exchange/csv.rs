@@ -1,0 +1,198 @@
+//! Parameters as a table of text: a line of comment with what holds for all, a line of names, a line for each Gaussian.
+
+use std::fmt::Write;
+
+use ssplat::{Channels, Depth, Limits, Picture};
+
+use super::parameters::{self, Given, Parameters};
+use super::problem::{Problem, shown};
+
+/// Starts the line of comment.
+const COMMENT: &str = "# ssplat ";
+
+/// Columns before the colours.
+const COLUMNS: [&str; 8] = ["x", "y", "scale_major", "scale_minor", "rotation", "cov_xx", "cov_xy", "cov_yy"];
+
+/// Names of the colours' columns.
+fn color_columns(channels: Channels) -> &'static [&'static str] {
+    match channels {
+        Channels::Grey => &["grey"],
+        Channels::GreyAlpha => &["grey", "alpha"],
+        Channels::Rgb => &["red", "green", "blue"],
+        Channels::Rgba => &["red", "green", "blue", "alpha"],
+    }
+}
+
+/// The table. Numbers have as many digits as tell their 32-bit floats apart.
+pub fn write(of: &Parameters) -> String {
+    let p = &of.picture;
+    let channels = p.channels.count();
+    let joined = |values: &[f32]| values.iter().map(f32::to_string).collect::<Vec<_>>().join(" ");
+    let (blend, depth) = (parameters::blend_name(p.blend), 8 * of.depth.bytes());
+    let background = joined(&p.background[..channels]);
+    let mut out = format!("{COMMENT}size={}x{};blend={blend};background={background};depth={depth}", p.width, p.height);
+    if let Some((layout, steps)) = of.stored {
+        let steps = parameters::numbers_of(&steps).map(|v| v.to_string()).join(" ");
+        let _ = write!(out, ";layout={};steps={steps}", parameters::layout_name(layout));
+    }
+    out += "\n";
+    out += &[&COLUMNS[..], color_columns(p.channels)].concat().join(",");
+    out += "\n";
+    for g in &p.gaussians {
+        let shape = [g.mean[0], g.mean[1], g.scale[0], g.scale[1], g.rotation];
+        let line: Vec<String> =
+            shape.iter().chain(&parameters::covariance(g)).chain(&g.color[..channels]).map(f32::to_string).collect();
+        out += &line.join(",");
+        out += "\n";
+    }
+    out
+}
+
+/// Reads such a table; columns may stand in any order, others are passed over, and scales with rotation may stand without
+/// covariances or the other way round.
+pub fn read(text: &str, given: Given, limits: &Limits) -> Result<Parameters, Problem> {
+    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    let (mut size, mut blend, mut depth) = (None, None, Depth::Eight);
+    let (mut layout, mut steps, mut background) = (None, None, Vec::new());
+    let (_, mut line) = lines.next().ok_or("the table is empty")?;
+    while let Some(comment) = line.strip_prefix('#') {
+        let stated = format!("#{comment}");
+        for (name, value) in stated.strip_prefix(COMMENT).unwrap_or("").split(';').filter_map(|s| s.split_once('=')) {
+            match name.trim() {
+                "size" => size = Some(self::size(value)?),
+                "blend" => blend = Some(parameters::blend_of(value)?),
+                "background" => background = floats(value)?,
+                "depth" => {
+                    depth = parameters::depth_of(value.parse().map_err(|_| format!("depth is {}", shown(value)))?)?
+                }
+                "layout" => layout = Some(parameters::layout_of(value)?),
+                "steps" => steps = Some(parameters::steps_of(&floats(value)?)?),
+                _ => {}
+            }
+        }
+        line = lines.next().ok_or("the table has no line of names")?.1;
+    }
+    let names: Vec<&str> = line.split(',').map(str::trim).collect();
+    let find = |name: &str| names.iter().position(|n| *n == name);
+    let all = |wanted: &[&str]| wanted.iter().map(|name| find(name)).collect::<Option<Vec<_>>>();
+    let means = all(&COLUMNS[..2]).ok_or("the table has no columns x and y")?;
+    let shape = all(&COLUMNS[2..5]);
+    let covariance = all(&COLUMNS[5..]);
+    // The longest list that is there: a picture with alpha has the columns of one without.
+    let (channels, colors) = [Channels::Rgba, Channels::Rgb, Channels::GreyAlpha, Channels::Grey]
+        .into_iter()
+        .find_map(|c| Some((c, all(color_columns(c))?)))
+        .ok_or("the table has neither columns red, green and blue nor a column grey")?;
+    if !background.is_empty() && background.len() != channels.count() {
+        return Err(format!("the background has {} channels, the table {}", background.len(), channels.count()).into());
+    }
+    let mut gaussians = Vec::new();
+    if shape.is_none() && covariance.is_none() {
+        return Err("the table has neither scale_major, scale_minor and rotation nor cov_xx, cov_xy and cov_yy".into());
+    }
+    for (number, line) in lines {
+        Problem::limit("primitives", gaussians.len() as u64 + 1, limits.primitives)?;
+        let fields: Vec<&str> = line.split(',').map(str::trim).take(names.len()).collect();
+        let value = |column: usize| {
+            let field = fields.get(column).copied().unwrap_or("");
+            let problem =
+                || format!("line {}: {} is '{}', not a finite number", number + 1, names[column], shown(field));
+            field.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(problem)
+        };
+        let values = |columns: &[usize]| columns.iter().map(|&c| value(c)).collect::<Result<Vec<f64>, String>>();
+        let mean = values(&means)?;
+        let (scale, rotation) = match (&shape, &covariance) {
+            (None, Some(columns)) => {
+                let v = values(columns)?;
+                let problem = || format!("line {}: covariance {v:?} is not positive definite", number + 1);
+                parameters::of_covariance([v[0], v[1], v[2]]).ok_or_else(problem)?
+            }
+            (shape, _) => {
+                let v = values(shape.as_deref().unwrap_or_default())?;
+                parameters::ordered([v[0], v[1]], v[2])
+            }
+        };
+        gaussians.push(parameters::gaussian([mean[0], mean[1]], scale, rotation, &values(&colors)?));
+    }
+    let [width, height] = given.size(size)?;
+    let mut color = [0.0; 4];
+    background.iter().zip(&mut color).for_each(|(v, c)| *c = *v as f32);
+    let blend = given.blend(blend)?;
+    let picture = Picture { width, height, channels, blend, background: color, gaussians };
+    Ok(Parameters { picture, depth, stored: layout.zip(steps) })
+}
+
+/// `WxH`.
+pub fn size(text: &str) -> Result<[u32; 2], String> {
+    let sides = text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
+    let most = Limits::default();
+    let sound = |s: &[u32; 2]| (1..=most.width).contains(&s[0]) && (1..=most.height).contains(&s[1]);
+    let problem = || format!("size is {}, not WxH in pixels, 1 to {} each", shown(text), most.width);
+    sides.filter(sound).ok_or_else(problem)
+}
+
+/// A few finite numbers.
+fn floats(text: &str) -> Result<Vec<f64>, String> {
+    let number = |v: &str| v.parse().ok().filter(|v: &f64| v.is_finite());
+    let one = |v: &str| number(v).ok_or_else(|| format!("'{}' is not a finite number", shown(v)));
+    text.split_whitespace().take(parameters::MOST_NUMBERS).map(one).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ssplat::Blend;
+
+    #[test]
+    fn a_table_says_what_is_wrong_and_where() {
+        let head = "# ssplat size=8x8;blend=sum\nx,y,scale_major,scale_minor,rotation,red,green,blue\n";
+        for (text, problem) in [
+            (String::new(), "empty"),
+            ("# ssplat size=8x8;blend=sum\n".into(), "no line of names"),
+            (format!("{head}1,2,3,1,0,0.5,0.5,zero\n"), "line 3: blue is 'zero'"),
+            (format!("{head}1,2,3\n"), "line 3: scale_minor is ''"),
+            (head.replace("8x8", "8"), "size is 8"),
+            (head.replace("sum", "max"), "blend is max"),
+            (head.replace("size=8x8;", ""), "--size"),
+            (head.replace("blend=sum", ""), "--blend"),
+            (head.replace("red", "rot"), "red, green and blue"),
+            (format!("{}1,2,3,1,0,0.5,0.5,0\n", head.replace("rotation", "turn")), "neither scale_major"),
+            (head.replace("sum", "sum;background=1"), "1 channels"),
+            (head.replace("sum", "sum;background=1 inf 0"), "'inf' is not a finite"),
+            (head.replace("8x8", "8x2000000"), "size is 8x2000000"),
+            (format!("{head}1,NaN,3,1,0,0.5,0.5,0\n"), "line 3: y is 'NaN', not a finite number"),
+            (format!("{head}1,2,3,-inf,0,0.5,0.5,0\n"), "line 3: scale_minor is '-inf'"),
+            (format!("{head}{},2,3,1,0,0.5,0.5,0\n", "9x".repeat(1000)), "…'"),
+            ("# ssplat size=8x8;blend=sum\nx,y,cov_xx,cov_xy,cov_yy,grey\n1,2,1,2,4,1\n".into(), "positive definite"),
+        ] {
+            let error = read(&text, Given::default(), &Limits::default()).unwrap_err().to_string();
+            assert!(error.contains(problem), "{error} lacks {problem}");
+        }
+    }
+
+    #[test]
+    fn more_lines_than_are_allowed_are_a_limit() {
+        let text = "x,y,cov_xx,cov_xy,cov_yy,grey\n".to_owned() + &"1,2,4,0,9,0.5\n".repeat(3);
+        let mut limits = Limits::default();
+        limits.primitives = 2;
+        let given = Given { size: Some([8, 8]), blend: Some(Blend::Sum) };
+        let allowed = 2;
+        let problem = Problem::TooMuch { what: "primitives".into(), requested: 3, allowed };
+        assert_eq!(read(&text, given, &limits), Err(problem));
+        limits.primitives = 3;
+        assert_eq!(read(&text, given, &limits).unwrap().picture.gaussians.len(), 3);
+    }
+
+    #[test]
+    fn what_the_caller_gives_goes_before_what_the_table_says() {
+        let text = "# ssplat size=8x8;blend=sum\nx,y,cov_xx,cov_xy,cov_yy,grey\n1,2,4,0,9,0.5\n";
+        let given = Given { size: Some([20, 10]), blend: Some(Blend::Normalized) };
+        let found = read(text, given, &Limits::default()).unwrap().picture;
+        assert_eq!(
+            (found.width, found.height, found.blend, found.channels),
+            (20, 10, Blend::Normalized, Channels::Grey)
+        );
+        assert_eq!(found.gaussians[0].scale, [3.0, 2.0]);
+        assert!((found.gaussians[0].rotation - std::f32::consts::FRAC_PI_2).abs() < 1e-6);
+    }
+}
