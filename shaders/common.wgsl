@@ -50,7 +50,7 @@ struct Scene {
     channels: u32,
     // Index of the alpha channel; 4 when there is none.
     alpha: u32,
-    // 32-bit words for each pixel of the source: 1 with 8 bits a sample, 2 with 16.
+    // 32-bit words for each pixel of the source: 1 with 8 bits a sample, 2 with 16, and one more if they are weighted.
     source_words: u32,
     // First row of the picture that the bound part of the source holds.
     source_first: u32,
@@ -65,10 +65,11 @@ struct Scene {
     level: u32,
     // What size costs: half the squared error for each pixel² of the product of the scales.
     price: f32,
+    // 1: the last word of each pixel of the source is its amplitude, a float. 0: all count alike.
+    weighted: u32,
     // To a multiple of 16 bytes.
     spare: u32,
     spare_second: u32,
-    spare_third: u32,
 }
 
 // A Gaussian on the drawn grid. With (dx, dy) from the centre, u = rise·dy − shear·dx and v = run·dx, it is

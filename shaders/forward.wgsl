@@ -28,11 +28,14 @@ fn forward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups:
         } else {
             value = sums.color + scene.background;
         }
-        let e = (clamp(value, vec4f(0.0), vec4f(1.0)) - wanted) * importance_of_channels(wanted);
+        // The error of a picture is looked at as it is.
+        var a = 1.0;
+        if (scene.mode == GRADIENT) { a = amplitude(x, y); }
+        let e = (clamp(value, vec4f(0.0), vec4f(1.0)) - wanted) * (importance_of_channels(wanted) * a);
         error = dot(e, e);
         let at = row * scene.width + x;
         if (scene.mode == GRADIENT) {
-            let left = e * inverse;
+            let left = e * (a * inverse);
             planes[at] = left;
             if (scene.blend == 0u) { tails[at] = dot(left, value); } else { tails[at] = 0.0; }
         } else {

@@ -1,4 +1,6 @@
-// The picture to what each pair's pixels would lose without its Gaussian. Joined behind pair.wgsl.
+// The picture to what each pair's pixels would lose without its Gaussian. Joined behind pair.wgsl and pixel.wgsl.
+
+@group(0) @binding(8) var<storage, read> source: array<u32>;
 
 @compute @workgroup_size(64)
 fn importance(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) local: u32) {
@@ -9,7 +11,8 @@ fn importance(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) grou
     let used = select(vec4f(0.0), vec4f(1.0), vec4u(0u, 1u, 2u, 3u) < vec4u(scene.channels));
     var cost = 0.0;
     for (var row = area.z; row < area.w; row++) {
-        let dy = f32(sampled_row(scene.band_first + row)) - splat.place.y;
+        let y = sampled_row(scene.band_first + row);
+        let dy = f32(y) - splat.place.y;
         let columns = span(splat, dy, area.x, area.y);
         for (var x = columns.x; x < columns.y; x++) {
             let dx = f32(x) - splat.place.x;
@@ -25,6 +28,7 @@ fn importance(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) grou
                     share = min(w / (max(tails[at] - w, 0.0) + 0.02), 20.0);
                     distance = (splat.color - planes[at]) * used;
                 }
+                share *= amplitude(x, y);
                 cost += share * share * dot(distance, distance);
             }
         }

@@ -1,10 +1,16 @@
-// What forward and residual share: the target's pixels, and how much each channel of them counts.
+// What forward, residual and importance share: the target's pixels, and how much they and each channel of them count.
 
 // Red, green, blue and alpha of the target's pixel in column `x` of picture row `y`.
 fn source_pixel(x: u32, y: u32) -> vec4f {
     let at = ((y - scene.source_first) * scene.width + x) * scene.source_words;
-    if (scene.source_words == 1u) { return unpack4x8unorm(source[at]); }
+    if (scene.source_words - scene.weighted == 1u) { return unpack4x8unorm(source[at]); }
     return vec4f(unpack2x16unorm(source[at]), unpack2x16unorm(source[at + 1u]));
+}
+
+// By how much an error at that pixel counts before it is squared.
+fn amplitude(x: u32, y: u32) -> f32 {
+    if (scene.weighted == 0u) { return 1.0; }
+    return bitcast<f32>(source[((y - scene.source_first) * scene.width + x + 1u) * scene.source_words - 1u]);
 }
 
 // 1 for used channels, times the opacity where there is one; 0 for unused ones.

@@ -72,16 +72,16 @@ fn encoder(device: &Device) {
     assert_eq!((chosen.backend, &*chosen.device), (Backend::Gpu, device.name()), "{chosen}");
     assert!(encoded.report.primitives > 30 && encoded.report.psnr > 5.0, "{:?}", encoded.report);
     assert_eq!(ssplat::encode(&pixels, &options).unwrap().bytes, encoded.bytes, "a second run");
-    for spoil in [
-        |o: &mut EncodeOptions| o.recipe = Recipe::SmartSplat(Default::default()),
-        |o: &mut EncodeOptions| o.tune = Tune::Ssim,
-        |o: &mut EncodeOptions| o.tune = Tune::Iq,
-    ] {
+    for tune in [Tune::Ssim, Tune::Iq] {
         let mut options = options.clone();
-        spoil(&mut options);
-        let refused = ssplat::encode(&pixels, &options);
-        assert!(matches!(refused, Err(Error::Gpu(GpuError::Unsupported { .. }))), "{refused:?}");
+        options.tune = tune;
+        let tuned = ssplat::encode(&pixels, &options).unwrap();
+        assert_eq!(tuned.report.chosen.backend, Backend::Gpu, "{tune:?}");
+        assert_ne!(tuned.bytes, encoded.bytes, "{tune:?} weighs nothing");
     }
+    options.recipe = Recipe::SmartSplat(Default::default());
+    let refused = ssplat::encode(&pixels, &options);
+    assert!(matches!(refused, Err(Error::Gpu(GpuError::Unsupported { .. }))), "{refused:?}");
 }
 
 /// Through the program: what it chooses, and what it says of that.

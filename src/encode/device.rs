@@ -14,7 +14,7 @@ use crate::pixels::Pixels;
 #[cfg(feature = "gpu")]
 use crate::gpu::{Adapters, Device, Fitter};
 #[cfg(feature = "gpu")]
-use crate::options::{Recipe, Tune};
+use crate::options::Recipe;
 /// There is none in this build.
 #[cfg(not(feature = "gpu"))]
 type Device = std::convert::Infallible;
@@ -111,9 +111,6 @@ fn open(asked: Backend, options: &EncodeOptions) -> Result<(Option<Device>, Chos
     if options.recipe != Recipe::Ssplat {
         return Err(GpuError::Unsupported { what: "the recipe smartsplat" });
     }
-    if options.tune != Tune::Psnr {
-        return Err(GpuError::Unsupported { what: "tuning for SSIM or the eye" });
-    }
     // Who asks for the GPU by name may mean a program that acts as one.
     let adapters = if asked == Backend::Gpu { Adapters::Any } else { Adapters::Hardware };
     let device = Device::open(adapters).map_err(|e| match e {
@@ -134,7 +131,7 @@ fn open(_: Backend, _: &EncodeOptions) -> Result<(Option<Device>, Chosen), GpuEr
 #[cfg(feature = "gpu")]
 fn fit_on(device: &Device, job: &Job<'_>, pixels: &Pixels, watcher: &mut dyn Watcher) -> Result<(State, Ending)> {
     use crate::fit::engine::Engine;
-    let open = |start: State| Fitter::new(device, &job.problem.scene, pixels, &start.primitives, &start.bounds);
+    let open = |start: State| Fitter::new(device, &job.problem, pixels, &start.primitives, &start.bounds);
     let (fitter, ending) = fit::fit(job, open, watcher)?;
     Ok((fitter.finish()?, ending))
 }

@@ -8,7 +8,7 @@ use super::device::Device;
 use super::lists::{MOST_BINDING, check_primitives};
 use super::peaks::Peaks;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
-use super::source::{Source, pack, pack_target, rows_at_a_time};
+use super::source::{Source, pack, pack_target, rows_at_a_time, words};
 use super::workspace::{Room, SLOT, SLOTS, Workspace};
 use crate::error::{GpuError, Result};
 use crate::fit::engine::Engine;
@@ -21,7 +21,7 @@ use crate::fit::model::rows::RowSet;
 use crate::fit::schedule::REMEMBERED;
 use crate::fit::state::{CLEARLY_WORSE, State};
 use crate::gaussian::Channels;
-use crate::pixels::Pixels;
+use crate::pixels::{Depth, Pixels};
 use crate::raster::View;
 
 /// Steps that are submitted at a time.
@@ -41,6 +41,7 @@ pub(crate) struct Fitter {
     /// Bytes that a binding of something as large as the picture may have.
     binding: u64,
     channels: Channels,
+    depth: Depth,
     band_rows: u32,
     capacity: u32,
     count: u32,
@@ -90,35 +91,39 @@ pub(super) struct Survey {
 }
 
 impl Fitter {
-    /// Brings the picture and where its fit starts to `device`.
+    /// Brings the picture, the weights of its errors and where its fit starts to `device`; `pixels` are the samples of the
+    /// problem's target.
     ///
     /// # Errors
     /// [`Error::Gpu`] when the device fails or cannot hold them.
     pub(crate) fn new(
         device: &Device,
-        scene: &Scene,
+        problem: &Problem<'_>,
         pixels: &Pixels,
         primitives: &[project::Primitive],
         bounds: &Bounds,
     ) -> Result<Self> {
-        Fitter::within(device, scene, pixels, primitives, bounds, MOST_BINDING)
+        Fitter::within(device, problem, pixels, primitives, bounds, MOST_BINDING)
     }
 
     /// The same with bindings of at most `binding` bytes for whatever is as large as the picture.
     pub(super) fn within(
         device: &Device,
-        scene: &Scene,
+        problem: &Problem<'_>,
         pixels: &Pixels,
         primitives: &[project::Primitive],
         bounds: &Bounds,
         binding: u64,
     ) -> Result<Self> {
         check_primitives(primitives.len() as u64)?;
-        let words = pixels.depth().bytes() as u32;
-        let base = base(scene, pixels.channels(), words, bounds);
+        let Problem { scene, target } = problem;
+        let words = words(target, pixels.depth());
+        let weighted = !target.amplitude.is_empty();
+        let base =
+            Uniforms { source_words: words, weighted: weighted.into(), ..base(scene, pixels.channels(), bounds) };
         let size = [scene.width, scene.height];
         let [slab_rows, band_rows] = rows_at_a_time(size[0], size[1], words, binding)?;
-        let source = Source::new(device, size, slab_rows, |first, end| pack(pixels, first, end))?;
+        let source = Source::new(device, size, slab_rows, |first, end| pack(pixels, target, first, end))?;
         let count = primitives.len() as u32;
         let capacity = capacity_for(count);
         let [primitives, first, second] = upload(device, primitives, None)?;
@@ -129,6 +134,7 @@ impl Fitter {
             whole: None,
             binding,
             channels: pixels.channels(),
+            depth: pixels.depth(),
             band_rows,
             capacity,
             count,
@@ -193,10 +199,10 @@ impl Fitter {
 
     /// Takes up `scene`, of the size of the source; buffers of another size go.
     fn see(&mut self, scene: &Scene) -> Result<()> {
-        let words = self.base.source_words;
-        [_, self.band_rows] = rows_at_a_time(scene.width, scene.height, words, self.binding)?;
-        let channels = self.channels;
-        self.base = base(scene, channels, words, &Bounds::new(scene.width, scene.height));
+        let Uniforms { source_words, weighted, .. } = self.base;
+        [_, self.band_rows] = rows_at_a_time(scene.width, scene.height, source_words, self.binding)?;
+        let bounds = Bounds::new(scene.width, scene.height);
+        self.base = Uniforms { source_words, weighted, ..base(scene, self.channels, &bounds) };
         self.workspace = None;
         self.peaks = None;
         Ok(())
@@ -404,7 +410,7 @@ impl Fitter {
                     let mut pass = work.encoder.begin_compute_pass(&Default::default());
                     k.forward.groups(&mut pass, &workspace.forward[band.slab], slot + 1, u[0].tiles());
                     if let Some(peaks) = peaks {
-                        k.importance.each(&mut pass, &workspace.importance, slot, self.capacity.into());
+                        k.importance.each(&mut pass, &workspace.importance[band.slab], slot, self.capacity.into());
                         k.gather.each(&mut pass, &workspace.gather, slot + u32::from(slot > 0), count);
                         peaks.residual(k, &mut pass, band.slab, slot, &u[0]);
                     }
@@ -592,9 +598,8 @@ impl Engine for Fitter {
         let source = match self.whole.take().filter(|s| s.size == size) {
             Some(whole) => whole,
             None => {
-                let words = self.base.source_words;
-                let [slab_rows, _] = rows_at_a_time(size[0], size[1], words, self.binding)?;
-                Source::new(&self.device, size, slab_rows, |first, end| pack_target(target, words, first, end))?
+                let [slab_rows, _] = rows_at_a_time(size[0], size[1], self.base.source_words, self.binding)?;
+                Source::new(&self.device, size, slab_rows, |first, end| pack_target(target, self.depth, first, end))?
             }
         };
         let before = std::mem::replace(&mut self.source, source);
@@ -641,13 +646,12 @@ impl<'a> Work<'a> {
 }
 
 /// The uniforms that are the same in all steps.
-fn base(scene: &Scene, channels: Channels, words: u32, bounds: &Bounds) -> Uniforms {
+fn base(scene: &Scene, channels: Channels, bounds: &Bounds) -> Uniforms {
     let view = View::of_size(scene.width, scene.height);
     Uniforms {
         min_log_scale: bounds.min_log_scale,
         max_log_scale: bounds.max_log_scale,
         max_log_aspect: bounds.max_log_aspect,
-        source_words: words,
         ..Uniforms::new(&view, scene.blend, channels, scene.background, 0)
     }
 }

@@ -122,7 +122,7 @@ pub fn fit(
     let plan = Plan::steps(steps, seed);
     let mut looking = Looking { look, samples, start: None, looked: 0.0, step: 0 };
     let open = |start: State| {
-        let mut fitter = Fitter::new(device, &scene, pixels, &start.primitives, &start.bounds)?;
+        let mut fitter = Fitter::new(device, &problem, pixels, &start.primitives, &start.bounds)?;
         // What is brought to the device is part of the setup, not of the first step.
         fitter.settle()?;
         Ok(fitter)

@@ -73,7 +73,8 @@ kernels! {
     forward: [TILE, PIXEL, include_str!("../../shaders/forward.wgsl")],
         [Read, Read, Read, Read, Read, Write, Write, Write], 256;
     backward: [PAIR, include_str!("../../shaders/backward.wgsl")], [Read, Read, Read, Read, Read, Read, Write], 64;
-    importance: [PAIR, include_str!("../../shaders/importance.wgsl")], [Read, Read, Read, Read, Read, Read, Write], 64;
+    importance: [PAIR, PIXEL, include_str!("../../shaders/importance.wgsl")],
+        [Read, Read, Read, Read, Read, Read, Write, Read], 64;
     gather: [include_str!("../../shaders/gather.wgsl")], [Read, Read, Read, Read, Read, Write], 64;
     adam: [include_str!("../../shaders/adam.wgsl")], [Write, Read, Write, Write, Write], 64;
     residual: [PIXEL, include_str!("../../shaders/residual.wgsl")], [Read, Read, Write, Read], 64;

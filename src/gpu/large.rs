@@ -69,7 +69,7 @@ fn fit_and_draw(count: usize, rows: u32) {
     let primitives = sample::by_detail(&target, count, &mut Pcg64Mcg::seed_from_u64(0));
     let mut cpu = State::new(primitives, Bounds::new(WIDTH, HEIGHT));
     note("picture and start, CPU");
-    let mut fitter = Fitter::new(&device, &scene, &pixels, &cpu.primitives, &cpu.bounds).unwrap();
+    let mut fitter = Fitter::new(&device, &problem, &pixels, &cpu.primitives, &cpu.bounds).unwrap();
     drop(pixels);
     note("bringing them to the device");
 

@@ -53,10 +53,10 @@ pub(super) struct Uniforms {
     pub stride: u32,
     pub level: u32,
     pub price: f32,
+    pub weighted: u32,
     /// To a multiple of 16 bytes.
     pub spare: u32,
     pub spare_second: u32,
-    pub spare_third: u32,
 }
 
 impl Uniforms {

@@ -5,7 +5,7 @@ use super::lists::MOST_TILES;
 use super::scene::TILE;
 use crate::error::{GpuError, Result};
 use crate::fit::model::planes::Planes;
-use crate::pixels::{Pixels, Samples};
+use crate::pixels::{Depth, Pixels, Samples};
 
 /// The target on the device.
 #[derive(Debug)]
@@ -64,28 +64,54 @@ pub(super) fn rows_at_a_time(width: u32, height: u32, words: u32, binding: u64) 
     Ok([slab, band])
 }
 
+/// Words that a pixel of `depth` takes: its samples, and the amplitude of its error where `target` has one.
+pub(super) fn words(target: &Planes, depth: Depth) -> u32 {
+    depth.bytes() as u32 + u32::from(!target.amplitude.is_empty())
+}
+
 /// Rows `first..end` of a target that is not of whole code values, as [`pack`] has them.
-pub(super) fn pack_target(target: &Planes, words: u32, first: u32, end: u32) -> Vec<u32> {
+pub(super) fn pack_target(target: &Planes, depth: Depth, first: u32, end: u32) -> Vec<u32> {
     let count = target.channels.count();
-    let white = if words == 1 { 255.0 } else { 65535.0 };
-    let mut out = Vec::with_capacity((end - first) as usize * (target.width * words) as usize);
+    let white = depth.max();
+    let mut out = Vec::with_capacity((end - first) as usize * (target.width * words(target, depth)) as usize);
     for y in first..end {
-        let row = target.row(y);
+        let (row, amplitude) = (target.row(y), target.amplitude(y));
         for x in 0..target.width as usize {
             let code = |k: usize| {
                 if k < count { (row[k * target.stride + x].clamp(0.0, 1.0) * white + 0.5) as u32 } else { 0 }
             };
-            match words {
-                1 => out.push(code(0) | code(1) << 8 | code(2) << 16 | code(3) << 24),
-                _ => out.extend([code(0) | code(1) << 16, code(2) | code(3) << 16]),
+            match depth {
+                Depth::Eight => out.push(code(0) | code(1) << 8 | code(2) << 16 | code(3) << 24),
+                Depth::Sixteen => out.extend([code(0) | code(1) << 16, code(2) | code(3) << 16]),
             }
+            out.extend(amplitude.map(|a| a[x].to_bits()));
         }
     }
     out
 }
 
-/// Rows `first..end` of the target, four channels a pixel: a word with 8 bits a sample, two with 16.
-pub(super) fn pack(pixels: &Pixels, first: u32, end: u32) -> Vec<u32> {
+/// Rows `first..end` of the target, whose samples are `pixels`: four channels a pixel in a word with 8 bits a sample or two
+/// with 16, and the amplitude of its error, where there is one, as a float in a word more.
+pub(super) fn pack(pixels: &Pixels, target: &Planes, first: u32, end: u32) -> Vec<u32> {
+    let samples = pack_samples(pixels, first, end);
+    if target.amplitude.is_empty() {
+        return samples;
+    }
+    let each = pixels.depth().bytes();
+    let width = pixels.width() as usize;
+    let mut out = Vec::with_capacity(samples.len() / each * (each + 1));
+    for (y, row) in (first..end).zip(samples.chunks_exact(width * each)) {
+        let amplitude = target.amplitude(y).expect("one for each row");
+        for (words, a) in row.chunks_exact(each).zip(amplitude) {
+            out.extend_from_slice(words);
+            out.push(a.to_bits());
+        }
+    }
+    out
+}
+
+/// The words of the samples alone.
+fn pack_samples(pixels: &Pixels, first: u32, end: u32) -> Vec<u32> {
     let count = pixels.channels().count();
     let row = pixels.width() as usize * count;
     let range = first as usize * row..end as usize * row;

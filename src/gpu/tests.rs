@@ -63,8 +63,8 @@ fn structs_are_laid_out_alike_on_both_sides() {
     let rust = offsets!(Uniforms: background, rates, origin_high, origin_low, step, size, widening, decay, min_log_scale,
         max_log_scale, max_log_aspect, correction_first, correction_second, least_gain, variance, longest, primitives, capacity,
         width, height, across, down, row_step, row_phase, band_first, band_rows, tiles_x, tiles_y, tile_base, blend,
-        channels, alpha, source_words, source_first, mode, cells_x, cells_y, cell, stride, level, price, spare,
-        spare_second, spare_third);
+        channels, alpha, source_words, source_first, mode, cells_x, cells_y, cell, stride, level, price, weighted,
+        spare, spare_second);
     assert_eq!(scene, rust);
     assert_eq!(size as usize, size_of::<Uniforms>());
     assert!(size <= Uniforms::STRIDE);
@@ -163,7 +163,7 @@ mod stages {
     use crate::fit::model::problem::{Problem, Scene};
     use crate::fit::model::project::{self, Primitive as Free};
     use crate::fit::model::rows::RowSet;
-    use crate::fit::model::{peaks, removal, ridge, sample};
+    use crate::fit::model::{masking, peaks, removal, ridge, sample};
     use crate::fit::plan::Plan;
     use crate::fit::schedule;
     use crate::fit::state::State;
@@ -230,21 +230,33 @@ mod stages {
 
     struct Case {
         pixels: Pixels,
+        target: Planes,
         scene: Scene,
         free: Vec<Free>,
         fitter: Fitter,
     }
 
-    fn case(device: &Device, channels: Channels, blend: Blend, sixteen: bool) -> Case {
+    /// The target's planes, and weights of its errors if asked for: those for the eye, which differ everywhere.
+    fn planes(pixels: &Pixels, weighted: bool) -> Planes {
+        let mut target = Planes::new(pixels);
+        if weighted {
+            target.amplitude = masking::amplitudes(&target, 90);
+        }
+        target
+    }
+
+    fn case(device: &Device, channels: Channels, blend: Blend, [sixteen, weighted]: [bool; 2]) -> Case {
         let (width, height) = (75, 61);
         let pixels = pixels(width, height, channels, sixteen);
+        let target = planes(&pixels, weighted);
         let scene = Scene { width, height, blend, background: [0.5, 0.4, 0.3, 0.9] };
         let mut free = primitives(width, height, 90);
         for p in &mut free {
             p.color[channels.count()..].fill(0.0);
         }
-        let fitter = Fitter::new(device, &scene, &pixels, &free, &Bounds::new(width, height)).unwrap();
-        Case { pixels, scene, free, fitter }
+        let problem = Problem { scene, target: &target };
+        let fitter = Fitter::new(device, &problem, &pixels, &free, &Bounds::new(width, height)).unwrap();
+        Case { pixels, target, scene, free, fitter }
     }
 
     /// What the design document asks of two implementations of one sum: nearly all values within 1e−4 of each other,
@@ -305,14 +317,14 @@ mod stages {
     #[test]
     fn every_stage_of_a_step_agrees_with_its_twin() {
         let Some(device) = device() else { return };
-        for (channels, blend, sixteen, rows) in [
-            (Channels::Rgb, Blend::Normalized, false, RowSet::ALL),
-            (Channels::Rgb, Blend::Sum, true, RowSet { step: 3, phase: 2 }),
-            (Channels::Rgba, Blend::Normalized, false, RowSet { step: 2, phase: 1 }),
-            (Channels::GreyAlpha, Blend::Normalized, true, RowSet::ALL),
-            (Channels::Grey, Blend::Sum, false, RowSet { step: 5, phase: 0 }),
+        for (channels, blend, [sixteen, weighted], rows) in [
+            (Channels::Rgb, Blend::Normalized, [false, false], RowSet::ALL),
+            (Channels::Rgb, Blend::Sum, [true, false], RowSet { step: 3, phase: 2 }),
+            (Channels::Rgba, Blend::Normalized, [false, true], RowSet { step: 2, phase: 1 }),
+            (Channels::GreyAlpha, Blend::Normalized, [true, true], RowSet::ALL),
+            (Channels::Grey, Blend::Sum, [false, true], RowSet { step: 5, phase: 0 }),
         ] {
-            let mut c = case(&device, channels, blend, sixteen);
+            let mut c = case(&device, channels, blend, [sixteen, weighted]);
             let free: Vec<Primitive> = c.free.iter().map(packed).collect();
             c.fitter.set_price(1e-3);
             let got = c.fitter.inspect(rows, RATES, left).unwrap();
@@ -338,7 +350,7 @@ mod stages {
             assert_eq!(sorted, got.sorted);
             assert_eq!(lists, sorted, "one thread after the other makes sorted lists");
 
-            let source = pack(&c.pixels, 0, c.scene.height);
+            let source = pack(&c.pixels, &c.target, 0, c.scene.height);
             let mut planes = vec![[0.0; 4]; got.planes.len()];
             let (mut tails, mut errors) = (vec![0.0; got.tails.len()], vec![0.0; tiles]);
             let mut out = twin::forward::Output { planes: &mut planes, tails: &mut tails, errors: &mut errors };
@@ -367,9 +379,9 @@ mod stages {
     #[test]
     fn steps_are_those_of_the_cpu() {
         let Some(device) = device() else { return };
-        for blend in [Blend::Normalized, Blend::Sum] {
+        for (blend, weighted) in [(Blend::Normalized, false), (Blend::Normalized, true), (Blend::Sum, true)] {
             let pixels = pixels(75, 61, Channels::Rgb, false);
-            let target = Planes::new(&pixels);
+            let target = planes(&pixels, weighted);
             let scene = Scene { width: 75, height: 61, blend, background: target.mean };
             let problem = Problem { scene, target: &target };
             let bounds = Bounds::new(75, 61);
@@ -378,7 +390,7 @@ mod stages {
                 p.color[3] = 0.0;
             }
             let mut cpu = State::new(free, bounds);
-            let mut gpu = Fitter::new(&device, &scene, &pixels, &cpu.primitives, &bounds).unwrap();
+            let mut gpu = Fitter::new(&device, &problem, &pixels, &cpu.primitives, &bounds).unwrap();
             // As high as the gradients.
             cpu.price = 1.0;
             gpu.set_price(cpu.price);
@@ -395,7 +407,7 @@ mod stages {
             assert!(want.iter().any(|v| v.abs() == 4.0), "no colour at its bound");
             // Adam's first steps have the gradients' signs: where one is about zero, rounding decides.
             let far = got.iter().zip(&want).filter(|(a, b)| (*a - *b).abs() > 1e-3 * (1.0 + b.abs())).count();
-            assert!(far * 50 <= got.len(), "{blend:?}: {far} of {} far", got.len());
+            assert!(far * 50 <= got.len(), "{blend:?}, weighted {weighted}: {far} of {} far", got.len());
         }
     }
 
@@ -403,7 +415,7 @@ mod stages {
     fn half_the_size_is_what_the_cpu_sees() {
         let Some(device) = device() else { return };
         let pixels = pixels(75, 61, Channels::Rgb, true);
-        let target = Planes::new(&pixels);
+        let target = planes(&pixels, true);
         let half = target.halved();
         let scene = Scene { width: 75, height: 61, blend: Blend::Normalized, background: target.mean };
         let half_scene = Scene { width: 38, height: 31, ..scene };
@@ -414,7 +426,7 @@ mod stages {
             p.color[3] = 0.0;
         }
         let mut cpu = State::new(free, bounds);
-        let mut gpu = Fitter::new(&device, &scene, &pixels, &cpu.primitives, &bounds).unwrap();
+        let mut gpu = Fitter::new(&device, &problem, &pixels, &cpu.primitives, &bounds).unwrap();
         let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-3, "{a} {b}");
         // The order of the two is the same as long as nothing is sorted anew in between.
         gpu.zoom(&half, 0.5).unwrap();
@@ -443,7 +455,7 @@ mod stages {
         let Some(device) = device() else { return };
         let (width, height) = (75, 61);
         let pixels = pixels(width, height, Channels::Rgb, true);
-        let target = Planes::new(&pixels);
+        let target = planes(&pixels, true);
         let scene = Scene { width, height, blend: Blend::Normalized, background: target.mean };
         let problem = Problem { scene, target: &target };
         let bounds = Bounds::new(width, height);
@@ -453,7 +465,7 @@ mod stages {
         }
         for rows in [RowSet::ALL, RowSet { step: 2, phase: 1 }] {
             let run = |binding: u64, heights: [u32; 2]| {
-                let mut gpu = Fitter::within(&device, &scene, &pixels, &state.primitives, &bounds, binding).unwrap();
+                let mut gpu = Fitter::within(&device, &problem, &pixels, &state.primitives, &bounds, binding).unwrap();
                 assert_eq!(gpu.sizes()[..2], heights);
                 let error = gpu.error(&problem).unwrap();
                 // One step: Adam makes it of the sums' signs alone, the second tells their sizes.
@@ -465,8 +477,8 @@ mod stages {
             };
             let want = float_error(&problem, &state.primitives);
             let (error, high) = run(1 << 20, [61, 64]);
-            // A row of the target takes 600 bytes, one of the planes 1200.
-            let (same, low) = run(16 * 1200, [32, 16]);
+            // A row of the target takes 900 bytes, one of the planes 1200.
+            let (same, low) = run(16 * 1200, [21, 16]);
             assert!((error / want - 1.0).abs() < 1e-4 && (same / want - 1.0).abs() < 1e-4, "{error} {same} {want}");
             let far = low.iter().zip(&high).filter(|(a, b)| (*a - *b).abs() > 1e-3 * (1.0 + b.abs())).count();
             assert!(far * 100 <= low.len(), "{rows:?}: {far} of {} far", low.len());
@@ -476,10 +488,10 @@ mod stages {
     #[test]
     fn surveys_agree_with_their_twins_and_with_the_cpu() {
         let Some(device) = device() else { return };
-        for blend in [Blend::Normalized, Blend::Sum] {
-            let mut c = case(&device, Channels::Rgb, blend, false);
+        for (blend, weighted) in [Blend::Normalized, Blend::Sum].into_iter().flat_map(|b| [(b, false), (b, true)]) {
+            let mut c = case(&device, Channels::Rgb, blend, [false, weighted]);
             let rows = RowSet { step: 2, phase: 0 };
-            let target = Planes::new(&c.pixels);
+            let target = planes(&c.pixels, weighted);
             let count = c.free.len();
             // The error over the same rows, the costs and the peaks of the CPU's own relocation.
             let problem = Problem { scene: c.scene, target: &target };
@@ -488,7 +500,7 @@ mod stages {
             let error = field.draw(&problem, &projected, rows, Output::Picture);
             let costs = removal::costs(&problem, &field, rows, &projected);
             let want = peaks::peaks(&problem, &field, rows, 12, count);
-            let source = pack(&c.pixels, 0, c.scene.height);
+            let source = pack(&c.pixels, &target, 0, c.scene.height);
             let (scene, background) = (c.scene, c.scene.background);
             let found = c
                 .fitter
@@ -500,6 +512,8 @@ mod stages {
                         primitives: count as u32,
                         row_step: 2,
                         cell: 2,
+                        source_words: 1 + u32::from(weighted),
+                        weighted: weighted.into(),
                         cells_x: scene.width.div_ceil(2),
                         cells_y: rows.count(scene.height) as u32,
                         ..Uniforms::new(&view, blend, Channels::Rgb, background, 0)
@@ -514,7 +528,15 @@ mod stages {
                     let tails: Vec<f32> = d.read_as(&s.tails, pixels).unwrap();
                     let got: Vec<[f32; 4]> = d.read_as(&s.slots, 3 * sorted.len()).unwrap();
                     let mut slots = vec![[0.0; 4]; got.len()];
-                    twin::importance::importance(&base, &splats, &starts, &sorted, &planes, &tails, &mut slots);
+                    twin::importance::importance(
+                        &base,
+                        &splats,
+                        &starts,
+                        &sorted,
+                        (&planes, &tails),
+                        &source,
+                        &mut slots,
+                    );
                     assert_near("importance", bytemuck::cast_slice(&got), bytemuck::cast_slice(&slots));
                     let mut cells = vec![[0.0; 4]; (base.cells_x * base.cells_y) as usize];
                     twin::residual::residual(&base, &planes, &source, &mut cells);
@@ -692,8 +714,10 @@ mod stages {
                 // Some weight everywhere: where it ends, the loss has kinks that differences see and gradients do not.
                 p.log_scale = p.log_scale.map(|l| l + 1.2);
             }
-            let fitter = Fitter::new(&device, &scene, &pixels, &free, &Bounds::new(width, height)).unwrap();
-            let mut c = Case { pixels, scene, free, fitter };
+            let target = Planes::new(&pixels);
+            let problem = Problem { scene, target: &target };
+            let fitter = Fitter::new(&device, &problem, &pixels, &free, &Bounds::new(width, height)).unwrap();
+            let mut c = Case { pixels, target, scene, free, fitter };
             let got = c.fitter.inspect(RowSet::ALL, RATES, left).unwrap();
             let mut worst = 0.0f64;
             for i in 0..c.free.len() {
@@ -772,16 +796,16 @@ mod stages {
     }
 
     /// Fits of `count` primitives in `steps` steps: PSNR on the CPU, and what the GPU is above it, dB.
-    fn compared(device: &Device, blend: Blend, count: usize, steps: u32, seed: u64) -> (f64, f64) {
+    fn compared(device: &Device, (blend, weighted): (Blend, bool), count: usize, steps: u32, seed: u64) -> (f64, f64) {
         let pixels = photograph();
-        let target = Planes::new(&pixels);
+        let target = planes(&pixels, weighted);
         let scene = Scene { width: 192, height: 128, blend, background: target.mean };
         let problem = Problem { scene, target: &target };
         let plan = Plan::steps(steps, seed);
         let mut cpu = scattered(&target, count, seed);
         let start = cpu.primitives.clone();
         let gpu = || {
-            let mut fitter = Fitter::new(device, &scene, &pixels, &start, &Bounds::new(192, 128)).unwrap();
+            let mut fitter = Fitter::new(device, &problem, &pixels, &start, &Bounds::new(192, 128)).unwrap();
             fitted(&mut fitter, problem, &plan);
             let error = fitter.error(&problem).unwrap();
             (fitter.primitives().unwrap(), error)
@@ -791,7 +815,7 @@ mod stages {
         fitted(&mut cpu, problem, &plan);
         let of = |p: &[Free]| decibels(float_error(&problem, p), &pixels);
         let (want, got) = (of(&cpu.primitives), of(&primitives));
-        eprintln!("{blend:?}, {steps} steps, seed {seed}: CPU {want:.3} dB, GPU {got:.3} dB");
+        eprintln!("{blend:?}, weighted {weighted}, {steps} steps, seed {seed}: CPU {want:.3} dB, GPU {got:.3} dB");
         assert!((decibels(error, &pixels) - got).abs() < 0.01, "{error}");
         if seed == 1 {
             assert_eq!(gpu().0, primitives, "a second run");
@@ -809,8 +833,13 @@ mod stages {
     #[test]
     fn short_fits_are_as_good_as_the_cpus_and_the_same_each_time() {
         let Some(device) = device() else { return };
-        for (blend, count, seeds) in [(Blend::Normalized, 1000, 1..5), (Blend::Sum, 2000, 1..3)] {
-            let differences: Vec<f64> = seeds.map(|seed| compared(&device, blend, count, 40, seed).1).collect();
+        for (blend, weighted, count, seeds) in [
+            (Blend::Normalized, false, 1000, 1..5),
+            (Blend::Normalized, true, 1000, 1..3),
+            (Blend::Sum, false, 2000, 1..3),
+        ] {
+            let one = |seed| compared(&device, (blend, weighted), count, 40, seed).1;
+            let differences: Vec<f64> = seeds.map(one).collect();
             // A tenth of a decibel, beyond twice what the scatter of so few seeds lets one know of the mean.
             let (mean, scatter) = mean(&differences);
             assert!(mean.abs() < 0.1 + 2.0 * scatter && scatter < 0.2, "{blend:?}: {differences:?}");
@@ -831,7 +860,7 @@ mod stages {
             let scene = Scene { width: 192, height: 128, blend, background: target.mean };
             let (mut devices, mut nudges) = (Vec::new(), Vec::new());
             for seed in 1..=seeds {
-                let (want, difference) = compared(&device, blend, count, steps, seed);
+                let (want, difference) = compared(&device, (blend, false), count, steps, seed);
                 devices.push(difference);
                 let plan = Plan::steps(steps, seed);
                 let problem = Problem { scene, target: &target };
@@ -855,7 +884,7 @@ mod stages {
     #[test]
     fn the_best_state_is_kept_where_the_end_is_clearly_worse() {
         let Some(device) = device() else { return };
-        let mut c = case(&device, Channels::Rgb, Blend::Normalized, false);
+        let mut c = case(&device, Channels::Rgb, Blend::Normalized, [false, false]);
         let target = Planes::new(&c.pixels);
         let problem = Problem { scene: c.scene, target: &target };
         let fitter = &mut c.fitter;
@@ -883,7 +912,7 @@ mod stages {
     fn overflowing_lists_grow_and_change_nothing() {
         let Some(device) = device() else { return };
         let run = |capacity: Option<u32>| {
-            let mut c = case(&device, Channels::Rgb, Blend::Normalized, false);
+            let mut c = case(&device, Channels::Rgb, Blend::Normalized, [false, false]);
             if let Some(capacity) = capacity {
                 c.fitter.limit_lists(capacity);
             }

@@ -36,7 +36,7 @@ pub(super) struct Workspace {
     pub moments: wgpu::Buffer,
     pub forward: Vec<wgpu::BindGroup>,
     pub backward: wgpu::BindGroup,
-    pub importance: wgpu::BindGroup,
+    pub importance: Vec<wgpu::BindGroup>,
     pub gather: wgpu::BindGroup,
     pub adam: wgpu::BindGroup,
     /// What a test looks at.
@@ -71,11 +71,14 @@ impl Workspace {
             });
             let forward = forward.collect();
             let pairs = [&shared[..], &[&planes, &tails, &slots]].concat();
+            let importance =
+                source.slabs.iter().map(|s| k.importance.bind(d, &uniforms, &[&pairs[..], &[&s.source]].concat()));
+            let importance = importance.collect();
             let gathered = [&shared[..], &[&slots, &moments]].concat();
             Workspace {
                 forward,
                 backward: k.backward.bind(d, &uniforms, &pairs),
-                importance: k.importance.bind(d, &uniforms, &pairs),
+                importance,
                 gather: k.gather.bind(d, &uniforms, &gathered),
                 adam: k.adam.bind(d, &uniforms, &[primitives, &moments, first, second, &lists.status]),
                 uniforms,

@@ -6,10 +6,17 @@ use crate::gpu::scene::{Splat, TILE, Uniforms};
 
 pub(in crate::gpu) fn source_pixel(scene: &Uniforms, source: &[u32], x: u32, y: u32) -> [f32; 4] {
     let at = (((y - scene.source_first) * scene.width + x) * scene.source_words) as usize;
-    if scene.source_words == 1 {
+    if scene.source_words - scene.weighted == 1 {
         return std::array::from_fn(|k| (source[at] >> (8 * k) & 0xff) as f32 / 255.0);
     }
     std::array::from_fn(|k| (source[at + k / 2] >> (16 * (k % 2)) & 0xffff) as f32 / 65535.0)
+}
+
+pub(in crate::gpu) fn amplitude(scene: &Uniforms, source: &[u32], x: u32, y: u32) -> f32 {
+    if scene.weighted == 0 {
+        return 1.0;
+    }
+    f32::from_bits(source[(((y - scene.source_first) * scene.width + x + 1) * scene.source_words - 1) as usize])
 }
 
 pub(in crate::gpu) fn importance_of_channels(scene: &Uniforms, wanted: [f32; 4]) -> [f32; 4] {
@@ -59,11 +66,12 @@ pub(in crate::gpu) fn forward(
                 value = std::array::from_fn(|k| sums.color[k] + scene.background[k]);
             }
             let share = importance_of_channels(scene, wanted);
-            let e: [f32; 4] = std::array::from_fn(|k| (value[k].clamp(0.0, 1.0) - wanted[k]) * share[k]);
+            let a = if scene.mode == 0 { amplitude(scene, source, x, y) } else { 1.0 };
+            let e: [f32; 4] = std::array::from_fn(|k| (value[k].clamp(0.0, 1.0) - wanted[k]) * (share[k] * a));
             out.errors[scene.tile_base as usize + tile] += dot(e, e);
             let at = (row * scene.width + x) as usize;
             if scene.mode == 0 {
-                let left = e.map(|v| v * inverse);
+                let left = e.map(|v| v * (a * inverse));
                 out.planes[at] = left;
                 out.tails[at] = if scene.blend == 0 { dot(left, value) } else { 0.0 };
             } else {

@@ -1,7 +1,7 @@
 //! Twin of `importance.wgsl`.
 
 use super::common::{CUTOFF_WEIGHT, SUPPORT, sampled_row};
-use super::forward::dot;
+use super::forward::{amplitude, dot};
 use super::pair::{area_of, span, tile_of};
 use crate::gpu::scene::{Splat, Uniforms};
 
@@ -10,8 +10,8 @@ pub(in crate::gpu) fn importance(
     splats: &[Splat],
     starts: &[u32],
     sorted: &[u32],
-    planes: &[[f32; 4]],
-    tails: &[f32],
+    (planes, tails): (&[[f32; 4]], &[f32]),
+    source: &[u32],
     slots: &mut [[f32; 4]],
 ) {
     for pair in 0..starts[scene.tiles() as usize] {
@@ -21,7 +21,8 @@ pub(in crate::gpu) fn importance(
             |v: [f32; 4]| -> [f32; 4] { std::array::from_fn(|k| if (k as u32) < scene.channels { v[k] } else { 0.0 }) };
         let mut cost = 0.0;
         for row in area[2]..area[3] {
-            let dy = sampled_row(scene, scene.band_first + row) as f32 - splat.place[1];
+            let y = sampled_row(scene, scene.band_first + row);
+            let dy = y as f32 - splat.place[1];
             let columns = span(splat, dy, area[0], area[1]);
             for x in columns[0]..columns[1] {
                 let dx = x as f32 - splat.place[0];
@@ -37,6 +38,7 @@ pub(in crate::gpu) fn importance(
                         share = (w / ((tails[at] - w).max(0.0) + 0.02)).min(20.0);
                         distance = used(std::array::from_fn(|k| splat.color[k] - planes[at][k]));
                     }
+                    share *= amplitude(scene, source, x, y);
                     cost += share * share * dot(distance, distance);
                 }
             }
