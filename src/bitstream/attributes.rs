@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 use super::broken::Broken;
 use super::model::Field;
 use super::neighbours::{Buckets, COUNT, LANES};
-use super::range::{Coder, Cumulative};
+use super::range::{Coder, Cumulative, Forecast};
 use super::region::Square;
 use super::rules::Rules;
 use super::splats::{PackedGaussian, Steps};
@@ -37,6 +37,9 @@ const ANGLE_SPREADS: [i32; 6] = [112, 112, 86, 79, 72, 63];
 /// Part of the scales' chances, and of the angle's, that all values share alike, 65536ths.
 const SHARE: u32 = 1024;
 const ANGLE_SHARE: u32 = 16384;
+
+/// How much an expected minor scale grows with the major one, sixteenths.
+pub(super) const MINOR_GROWTH: i64 = 9;
 
 /// Classes of expected aspects.
 const ASPECTS: usize = 40;
@@ -281,6 +284,27 @@ fn consensus(axis: [i64; 2], total: i64) -> (u32, usize) {
 static TANGENTS: [i64; 16] =
     [201, 608, 1026, 1466, 1937, 2455, 3038, 3712, 4519, 5523, 6834, 8660, 11448, 16352, 27613, 83376];
 
+/// Returns the chances of `major − minor`.
+#[inline(always)]
+pub(super) fn aspects(near: Near, major: u8) -> Bounded {
+    Bounded::new(near, 0, i32::from(major) + 1, SHARE)
+}
+
+/// Returns the chances of `n` angles, half a turn around one of 64 directions, with a spread over half a turn; and the
+/// lowest of them.
+#[inline(always)]
+pub(super) fn angles(direction: u32, n: i64, spread: i32) -> (Bounded, i64) {
+    let place = i64::from(direction) * n / 4;
+    let low = (place - 8 * n + 15) >> 4;
+    (Bounded::new(Near::new(place, log16(n as u64) + spread), low, n as i32, ANGLE_SHARE), low)
+}
+
+/// Returns a colour's place, sixteenths, held to what colours can be.
+#[inline(always)]
+pub(super) fn legal(place: i64) -> i64 {
+    place.clamp(i64::from(i16::MIN) * FINE, i64::from(i16::MAX) * FINE)
+}
+
 impl Attributes {
     pub fn new(scene: &GroupContext<'_>) -> Self {
         let palette = &scene.palette;
@@ -408,13 +432,15 @@ impl Attributes {
 
     /// `major − minor`.
     fn aspect<C: Coder>(&mut self, coder: &mut C, major: u8, means: [i64; 2], dev: [i64; 2], p: &PackedGaussian) -> u8 {
-        let minor = means[1] + (9 * (i64::from(major) * FINE - means[0]) + 10 * dev[1]) / 16;
+        let minor = means[1] + (MINOR_GROWTH * (i64::from(major) * FINE - means[0]) + 10 * dev[1]) / 16;
         let expected = i64::from(major) * FINE - minor;
         let kind = ((expected + FINE / 2) >> 4).clamp(0, ASPECTS as i64 - 1) as usize;
         let place = expected + self.aspect_shift.get(kind);
         let classes = [kind, ASPECTS + class(dev[0] >> 5, 4), ASPECTS + 9 + class(dev[1] >> 5, 4)];
-        let near = Near::new(place, ASPECT_SPREAD + self.aspect.log(&classes));
-        let choice = Bounded::new(near, 0, i32::from(major) + 1, SHARE);
+        let spread = ASPECT_SPREAD + self.aspect.log(&classes);
+        coder.expect(Forecast::Aspect { major, place, spread });
+        let near = Near::new(place, spread);
+        let choice = aspects(near, major);
         let difference = coder.choose(&choice, i32::from(p.major) - i32::from(p.minor));
         self.aspect.learn(&classes, near.distance(difference.into()));
         self.aspect_shift.learn(kind, i64::from(difference) * FINE - place);
@@ -427,13 +453,10 @@ impl Attributes {
         }
         let n = i64::from(n);
         let (direction, accord) = consensus(around.axis(), around.elongation());
-        let place = i64::from(direction) * n / 4;
-        // Half a turn around the neighbours' direction.
-        let low = (place - 8 * n + 15) >> 4;
-        let log = log16(n as u64);
-        let classes = [(log >> 4).min(7) as usize, 8 + accord, 8 + 6 + direction as usize / 4];
-        let near = Near::new(place, log + ANGLE_SPREADS[accord] + self.angle.log(&classes));
-        let choice = Bounded::new(near, low, n as i32, ANGLE_SHARE);
+        let classes = [n.ilog2().min(7) as usize, 8 + accord, 8 + 6 + direction as usize / 4];
+        let spread = ANGLE_SPREADS[accord] + self.angle.log(&classes);
+        coder.expect(Forecast::Angle { direction, spread });
+        let (choice, low) = angles(direction, n, spread);
         let (step, share) = coder.share(&choice, (i64::from(angle) - low).rem_euclid(n) as i32);
         // On a circle distances end: what counts is how far from the middle of the chances the value lies. No total is
         // above 2¹⁷: 32 bits suffice.
@@ -466,11 +489,13 @@ impl Attributes {
             let dev = outlook.around.dev(2 + k, mean, outlook.trust[0]);
             let follow = model.follow.of(dev);
             let guess = mean + follow + model.cross[0].of(surprises[0]) + model.cross[1].of(surprises[1]);
-            let guess = guess.clamp(i64::from(i16::MIN) * FINE, i64::from(i16::MAX) * FINE);
+            let guess = legal(guess);
             let classes = [outlook.size, 16 + before, 16 + 9 + outlook.aspect];
             let own = model.error.value * DOUBT_OF_ERRORS;
             let error = (outlook.around.error(k) * FINE + own) * outlook.trust[1] >> 24;
             let log = log16(error.max(1) as u64) + 32 + model.gains.log(&classes);
+            let cross = [0, 1].map(|j| model.cross[j].value);
+            coder.expect(Forecast::Color { channel: k, place: mean + follow, cross, spread: log });
             let near = Near::new(guess, log);
             let value = Open::new(near).code(coder, color[k].into());
             out[k] = i16::try_from(value).map_err(|_| Broken { field: "colour", value: value as u64 })?;

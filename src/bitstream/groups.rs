@@ -87,17 +87,11 @@ pub(crate) fn put(splats: &PackedSplats, header: u32, out: &mut Vec<u8>) -> Resu
     if let Some(book) = &book {
         put_codebook(book, channels, out);
     }
-    let levels = if splats.levels.is_empty() { vec![splats.gaussians.len() as u32] } else { splats.levels.clone() };
+    let levels = levels(splats);
     put_varint(levels.len() as u64, out);
     levels.iter().for_each(|&n| put_varint(n.into(), out));
     let mut sorted = splats.gaussians.clone();
-    let mut parts: Vec<(Region, &[PackedGaussian])> = Vec::new();
-    let mut rest = &mut sorted[..];
-    for &n in &levels {
-        let (level, tail) = rest.split_at_mut(n as usize);
-        rest = tail;
-        divide(level, &group.rules, group.rules.region(), out, &mut parts);
-    }
+    let parts = parts(&mut sorted, &levels, &group.rules, out);
     let streams = parallel::map(parts.len(), |i| {
         let (region, part) = parts[i];
         let mut encoder = Encoder::new();
@@ -113,6 +107,28 @@ pub(crate) fn put(splats: &PackedSplats, header: u32, out: &mut Vec<u8>) -> Resu
     out.extend_from_slice(&directory.to_le_bytes());
     streams.iter().for_each(|s| out.extend_from_slice(s));
     Ok(())
+}
+
+/// Returns the number of primitives of each level.
+pub(super) fn levels(splats: &PackedSplats) -> Vec<u32> {
+    if splats.levels.is_empty() { vec![splats.gaussians.len() as u32] } else { splats.levels.clone() }
+}
+
+/// Brings the primitives of `levels` into the order of the file and returns its groups; appends how they are divided.
+pub(super) fn parts<'a>(
+    gaussians: &'a mut [PackedGaussian],
+    levels: &[u32],
+    rules: &Rules,
+    out: &mut Vec<u8>,
+) -> Vec<(Region, &'a [PackedGaussian])> {
+    let mut parts = Vec::new();
+    let mut rest = gaussians;
+    for &n in levels {
+        let (level, tail) = rest.split_at_mut(n as usize);
+        rest = tail;
+        divide(level, rules, rules.region(), out, &mut parts);
+    }
+    parts
 }
 
 /// The axis along which a region of `count` primitives is divided, if it is. Halves stay large enough for the coarsest

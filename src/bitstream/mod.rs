@@ -5,6 +5,7 @@ mod bits;
 mod broken;
 mod bytes;
 mod coded;
+pub(crate) mod expect;
 mod groups;
 pub mod header;
 mod hilbert;

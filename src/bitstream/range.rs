@@ -20,6 +20,18 @@ pub(crate) trait Cumulative: std::fmt::Debug {
     fn find(&self, target: u32) -> (i32, [u32; 2]);
 }
 
+/// What is expected of a value that is about to be coded. Places are in sixteenths, spreads in sixteenths of octaves.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Forecast {
+    /// Of `major − minor`.
+    Aspect { major: u8, place: i64, spread: i32 },
+    /// Of an angle: one of 64 directions, and the spread as a part of all angles.
+    Angle { direction: u32, spread: i32 },
+    /// Of a channel's colour: its place before the surprises of the first two channels are known, and how much, in 256ths,
+    /// it follows them.
+    Color { channel: usize, place: i64, cross: [i64; 2], spread: i32 },
+}
+
 /// One side of the coder. Writer and reader run the same code: the writer is given each decision, the reader gives it.
 pub(crate) trait Coder {
     /// Codes one decision whose probability of being 1 is `one / 2¹⁶`, `one` in `1..=65535`.
@@ -58,6 +70,10 @@ pub(crate) trait Coder {
 
     /// Ends the account of `field`; only a meter keeps one.
     fn account(&mut self, _field: &'static str) {}
+
+    /// Tells what is expected of the next value; only a recorder listens.
+    #[inline(always)]
+    fn expect(&mut self, _forecast: Forecast) {}
 }
 
 /// Writes decisions.

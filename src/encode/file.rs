@@ -1,6 +1,7 @@
 //! Integers to the smallest file of them: progressive levels, and a codebook of colours where it pays.
 
 use crate::bitstream;
+use crate::bitstream::expect::Expected;
 use crate::bitstream::rules::MAX_CODEBOOK;
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
@@ -27,6 +28,14 @@ pub(crate) fn smallest(splats: &mut PackedSplats, levels: u8) -> Result<Vec<u8>>
     }
     splats.codebook = None;
     Ok(direct)
+}
+
+/// Returns what the coder of that file expects of each primitive, and brings them into its order.
+pub(super) fn expected(splats: &mut PackedSplats, levels: u8) -> Result<Vec<Expected>> {
+    if levels > 1 {
+        divide(splats, levels);
+    }
+    bitstream::expect::expected(splats)
 }
 
 /// Orders the primitives into `levels` progressive levels: large ones first, each level up to three times as many primitives

@@ -5,6 +5,7 @@ use super::file;
 use super::left_out::Omission;
 use super::report::{Journal, Stage};
 use super::subject::{Subject, stored_scene};
+use crate::bitstream::expect::Expected;
 use crate::bitstream::{self, splats::PackedSplats};
 use crate::error::Result;
 use crate::fit::engine::{Ending, Sight, Still, Watcher};
@@ -199,16 +200,25 @@ impl Client for Making<'_, '_> {
     fn bytes(&mut self, rounded: &mut Rounded) -> Result<u64> {
         Ok(self.write(rounded)?.len() as u64)
     }
+
+    fn expected(&mut self, rounded: &mut Rounded) -> Result<Vec<Expected>> {
+        self.with(rounded, file::expected)
+    }
 }
 
 impl Making<'_, '_> {
     /// Writes the file, and brings the primitives into its order.
     fn write(&mut self, rounded: &mut Rounded) -> Result<Vec<u8>> {
+        self.with(rounded, file::smallest)
+    }
+
+    /// Looks at the integers as a file of so many levels.
+    fn with<T>(&mut self, rounded: &mut Rounded, look: impl FnOnce(&mut PackedSplats, u8) -> T) -> T {
         let splats = &mut self.splats;
         (splats.steps, splats.background) = (rounded.steps, rounded.background);
         std::mem::swap(&mut splats.gaussians, &mut rounded.gaussians);
-        let written = file::smallest(splats, self.levels);
+        let seen = look(splats, self.levels);
         std::mem::swap(&mut splats.gaussians, &mut rounded.gaussians);
-        written
+        seen
     }
 }

@@ -57,7 +57,7 @@ fn pruned(problem: &Problem<'_>, splats: &PackedSplats, enough: f64) -> Option<P
         let mut trial = best.clone();
         if trial.len() < splats.gaussians.len() {
             let objective = Objective { lambda: 0.0, position_bits: f32::NEG_INFINITY };
-            Descent::new(*problem, &quantizer, Field::default()).sweep(&mut trial, &objective);
+            Descent::new(*problem, &quantizer, Field::default()).sweep(&mut trial, &[], &objective);
         }
         let drawn = project(&trial);
         if field.draw(problem, &drawn, RowSet::ALL, Output::Picture) > enough {

@@ -6,6 +6,7 @@
 //! and positions around, only those are drawn that promise something. Primitives in disjoint bands of rows run in
 //! parallel.
 
+use crate::bitstream::expect::Expected;
 use crate::bitstream::splats::PackedGaussian;
 use crate::fit::model::field::{self, Field, Output};
 use crate::fit::model::kernel;
@@ -15,7 +16,7 @@ use crate::fit::model::rows::RowSet;
 use crate::gaussian::Gaussian;
 use crate::parallel;
 use crate::quantize::Quantizer;
-use crate::round::bit_cost::BitCosts;
+use crate::round::bit_cost::{BitCosts, Cost};
 use crate::round::bowl::{Bowl, Moves};
 use crate::round::patch::{Parabola, Patch};
 use crate::round::rounded::projected;
@@ -108,13 +109,19 @@ impl<'a> Descent<'a> {
         Descent { problem, quantizer, activity, field }
     }
 
-    /// Sweeps over all primitives once. `gaussians` keeps its order; removed ones are taken out.
-    pub(crate) fn sweep(&mut self, gaussians: &mut Vec<PackedGaussian>, objective: &Objective) -> Sweep {
+    /// Sweeps over all primitives once. `gaussians` keeps its order; removed ones are taken out. What the coder expects of
+    /// each, if anything, holds for the whole sweep.
+    pub(crate) fn sweep(
+        &mut self,
+        gaussians: &mut Vec<PackedGaussian>,
+        expected: &[Expected],
+        objective: &Objective,
+    ) -> Sweep {
         match self.problem.target.channels.count() {
-            1 => sweep_channels::<1>(self, gaussians, objective),
-            2 => sweep_channels::<2>(self, gaussians, objective),
-            3 => sweep_channels::<3>(self, gaussians, objective),
-            _ => sweep_channels::<4>(self, gaussians, objective),
+            1 => sweep_channels::<1>(self, gaussians, expected, objective),
+            2 => sweep_channels::<2>(self, gaussians, expected, objective),
+            3 => sweep_channels::<3>(self, gaussians, expected, objective),
+            _ => sweep_channels::<4>(self, gaussians, expected, objective),
         }
     }
 
@@ -128,13 +135,14 @@ impl<'a> Descent<'a> {
 fn sweep_channels<const C: usize>(
     descent: &mut Descent<'_>,
     gaussians: &mut Vec<PackedGaussian>,
+    expected: &[Expected],
     objective: &Objective,
 ) -> Sweep {
     let (problem, quantizer) = (&descent.problem, descent.quantizer);
     let (activity, field) = (&mut descent.activity, &mut descent.field);
     let Problem { scene, target } = *problem;
     activity.sweep += 1;
-    let costs = BitCosts::measure(gaussians, C);
+    let costs = BitCosts::measure(gaussians, C, expected);
     let floats: Vec<Gaussian> = gaussians.iter().map(|g| quantizer.dequantize(g)).collect();
     let projected: Vec<Projected> = floats.iter().map(|g| Projected::from_gaussian(g, scene.height)).collect();
     field.draw(problem, &projected, RowSet::ALL, Output::Sums);
@@ -232,7 +240,7 @@ struct Change {
 struct BandTask<'a, const C: usize> {
     problem: &'a Problem<'a>,
     quantizer: &'a Quantizer,
-    costs: &'a BitCosts,
+    costs: &'a BitCosts<'a>,
     objective: &'a Objective,
     gaussians: &'a [PackedGaussian],
     members: &'a [u32],
@@ -249,8 +257,7 @@ impl<const C: usize> Task for BandTask<'_, C> {
         let mut patch = Patch::new(self.problem);
         for n in 0..self.members.len() {
             let index = self.members[n];
-            let old = self.gaussians[index as usize];
-            if let Some((to, gain)) = self.improve(simd, old, &mut patch) {
+            if let Some((to, gain)) = self.improve(simd, index as usize, &mut patch) {
                 changes.push(Change { index, to, gain });
             }
         }
@@ -263,9 +270,10 @@ impl<const C: usize> BandTask<'_, C> {
     fn improve<S: Simd>(
         &mut self,
         simd: S,
-        old: PackedGaussian,
+        index: usize,
         patch: &mut Patch<'_>,
     ) -> Option<(Option<PackedGaussian>, f32)> {
+        let (old, cost) = (self.gaussians[index], self.costs.of(index));
         let height = self.problem.scene.height;
         let before = self.quantizer.dequantize(&old);
         let p = Projected::from_gaussian(&before, height);
@@ -286,11 +294,17 @@ impl<const C: usize> BandTask<'_, C> {
         let lambda = self.objective.lambda;
         let lattice = self.quantizer.lattice();
         let now = patch.parabola::<S, C>(simd, &p);
-        let current = now.at(p.color, C) + lambda * (self.costs.geometry(&old, lattice) + self.costs.colors(old.color));
+        let current = now.at(p.color, C) + lambda * (cost.geometry(&old, lattice) + cost.colors(old.color));
         let (mut best, mut best_value) = (old, current);
+        let least = cost.least_colors();
         let mut consider = |task: &Self, candidate: PackedGaussian, parabola: &Parabola| {
-            let geometry = lambda * task.costs.geometry(&candidate, lattice);
-            let (color, value) = task.best_color(parabola, candidate.color);
+            let geometry = lambda * cost.geometry(&candidate, lattice);
+            let minimum = parabola.minimum(C);
+            // Some cannot win with any colour.
+            if minimum.is_some_and(|m| parabola.at(m, C) + geometry + lambda * least >= best_value) {
+                return;
+            }
+            let (color, value) = task.best_color(&cost, (parabola, minimum), candidate.color);
             if value + geometry < best_value {
                 (best, best_value) = (PackedGaussian { color, ..candidate }, value + geometry);
             }
@@ -298,7 +312,7 @@ impl<const C: usize> BandTask<'_, C> {
         consider(self, old, &now);
         // By the envelope theorem the gradient is that of the least error over all colours.
         let bowl = patch.bowl::<S, C>(simd, (&p, &before), now.minimum(C).unwrap_or(p.color), &now);
-        for candidate in self.moves(&old, &before, &bowl).iter() {
+        for candidate in self.moves(&cost, (&old, &before), &bowl).iter() {
             let g = self.quantizer.dequantize(&candidate);
             let q = Projected::from_gaussian(&g, height);
             let wide = g.extent()[0];
@@ -328,13 +342,14 @@ impl<const C: usize> BandTask<'_, C> {
 
     /// The lattice points around `old` that promise most: for each neighbouring shape the positions that suit it best.
     #[inline(always)]
-    fn moves(&self, old: &PackedGaussian, before: &Gaussian, bowl: &Bowl) -> Moves {
+    fn moves(&self, cost: &Cost<'_>, (old, before): (&PackedGaussian, &Gaussian), bowl: &Bowl) -> Moves {
         let lambda = self.objective.lambda;
         let lattice = self.quantizer.lattice();
-        let now = self.costs.geometry(old, lattice);
+        let now = cost.geometry(old, lattice);
         let (sin, cos) = before.rotation.sin_cos();
         let [sx, sy] = before.scale;
         let mut moves = Moves::default();
+        let mut of_scales = cost.of_scales([old.major, old.minor], lattice);
         for shape in 0..27 {
             let Some(mut p) = neighbor(old, shape, self.quantizer) else { continue };
             let turn = self.quantizer.rotation(p.major, p.minor, p.angle) - before.rotation;
@@ -344,8 +359,13 @@ impl<const C: usize> BandTask<'_, C> {
             let [u, v] = valley.lowest();
             let (u, v) = (u * sx, v * sy);
             self.quantizer.place(&mut p, [before.mean[0] + cos * u - sin * v, before.mean[1] + sin * u + cos * v]);
-            let bits = lambda * (self.costs.geometry(&p, lattice) - now);
-            let [ex, ey] = lattice.exponents(p.major, p.minor, p.angle).map(|e| (e as f32).exp2());
+            // Shapes of the same scales follow each other.
+            if of_scales.scales != [p.major, p.minor] {
+                of_scales = cost.of_scales([p.major, p.minor], lattice);
+            }
+            let exponents = lattice.exponents(p.major, p.minor, p.angle);
+            let bits = lambda * (of_scales.bits(p.angle, exponents) - now);
+            let [ex, ey] = exponents.map(|e| (e as f32).exp2());
             // What is nearest in the metric of the shape need not be lowest.
             for (x, y) in [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)] {
                 let (Some(x), Some(y)) = (p.x.checked_add_signed(x), p.y.checked_add_signed(y)) else { continue };
@@ -362,11 +382,16 @@ impl<const C: usize> BandTask<'_, C> {
 
     /// The colour integers with the least `error + λ·bits`, near the parabola's minimum, and that value.
     #[inline(always)]
-    fn best_color(&self, parabola: &Parabola, old: [i16; 4]) -> ([i16; 4], f32) {
+    fn best_color(
+        &self,
+        cost: &Cost<'_>,
+        (parabola, minimum): (&Parabola, Option<[f32; 4]>),
+        old: [i16; 4],
+    ) -> ([i16; 4], f32) {
         let lambda = self.objective.lambda;
-        let value = |c: [i16; 4]| parabola.at(self.quantizer.dequantize_color(c), C) + lambda * self.costs.colors(c);
+        let value = |c: [i16; 4]| parabola.at(self.quantizer.dequantize_color(c), C) + lambda * cost.colors(c);
         let mut best = (old, value(old));
-        let Some(minimum) = parabola.minimum(C) else { return best };
+        let Some(minimum) = minimum else { return best };
         let axes = self.quantizer.transform_color(minimum);
         let steps = self.quantizer.color_steps();
         let at = |k: usize, v: f32| (v / steps[k]).floor().clamp(-30000.0, 30000.0) as i16;

@@ -1,5 +1,6 @@
 //! From fitted floats to integers of an asked size: rounds of descent over the integers and corrections of their number.
 
+use crate::bitstream::expect::Expected;
 use crate::bitstream::splats::{Layout, PackedGaussian};
 use crate::error::Result;
 use crate::fit::engine::{Sight, Still};
@@ -57,6 +58,8 @@ pub(crate) trait Client {
     fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()>;
     /// Returns the length of the file with these integers, which may be brought into the order of the file.
     fn bytes(&mut self, rounded: &mut Rounded) -> Result<u64>;
+    /// Returns what the coder of that file expects of each primitive, or nothing; they may be brought into the file's order.
+    fn expected(&mut self, rounded: &mut Rounded) -> Result<Vec<Expected>>;
 }
 
 /// The result of rounding.
@@ -119,7 +122,8 @@ impl Rounds<'_> {
             }
             // When the time is over only the size is still brought right.
             if !is_late {
-                self.sweep(error, bytes);
+                let expected = client.expected(&mut self.rounded)?;
+                self.sweep(&expected, error, bytes);
             }
             bytes = client.bytes(&mut self.rounded)?;
         }
@@ -154,10 +158,10 @@ impl Rounds<'_> {
     }
 
     /// Sweeps once over the integers of a file of so many bytes.
-    fn sweep(&mut self, error: f64, bytes: u64) {
+    fn sweep(&mut self, expected: &[Expected], error: f64, bytes: u64) {
         let bits = 8.0 * bytes as f64;
         let objective = Objective { lambda: (SLOPE * error / bits) as f32, position_bits: f32::NEG_INFINITY };
-        let swept = self.descent.sweep(&mut self.rounded.gaussians, &objective);
+        let swept = self.descent.sweep(&mut self.rounded.gaussians, expected, &objective);
         self.quiet = if swept.gain < QUIET * error { self.quiet + 1 } else { 0 };
     }
 
