@@ -85,6 +85,8 @@ mod parallel;
 pub mod pixels;
 pub mod quantize;
 pub mod raster;
+#[cfg(feature = "recipes")]
+pub mod recipes;
 mod round;
 mod simd;
 

@@ -55,6 +55,9 @@ pub enum Command {
     Completions(Completions),
     /// Print the manual page
     Man,
+    /// Fit pictures by other published methods and set them beside ours
+    #[cfg(feature = "recipes")]
+    BenchMethods(crate::bench_methods::args::BenchMethods),
     /// Encode pictures in many ways and show what came of it on one HTML page
     #[cfg(feature = "report")]
     Report(crate::report::args::Report),

@@ -1,7 +1,10 @@
-//! The `ssplat` program: encode, decode, info, compare, export, import; with the feature `report` also report.
+//! The `ssplat` program: encode, decode, info, compare, export, import; with the feature `report` also report, with
+//! `recipes` also bench-methods.
 
 mod args;
 mod batch;
+#[cfg(feature = "recipes")]
+mod bench_methods;
 mod compare;
 mod decode;
 mod encode;
@@ -61,6 +64,8 @@ fn run(args: Args) -> Result<(), Failure> {
         Command::Import(args) => import::run(&args),
         Command::Completions(args) => manual::completions(&args),
         Command::Man => manual::man(),
+        #[cfg(feature = "recipes")]
+        Command::BenchMethods(args) => bench_methods::run(&args),
         #[cfg(feature = "report")]
         Command::Report(args) => report::run(&args),
     }

@@ -1,0 +1,61 @@
+//! The command line of `ssplat bench-methods`.
+
+use std::path::PathBuf;
+
+use clap::Args as ClapArgs;
+use ssplat::recipes::Method;
+
+use super::contender::Contender;
+use crate::args::positive;
+
+const EXAMPLES: &str = "\
+Examples:
+  ssplat bench-methods kodim*.png --out methods --ratios 20,50 --seeds 0,1,2
+  ssplat bench-methods photo.png --out methods --counts 1000 --side 256 --iterations 500
+
+Each method fits the same number of Gaussians: that of the ratio at 7 bytes for each, as SmartSplat's
+paper counts. Then each gets a file of as many bytes as the ratio has: ours and SmartSplat by the encoder, the others
+by import of their Gaussians. Writes methods.md, methods.csv and convergence.svg into the folder.";
+
+#[derive(Debug, ClapArgs)]
+#[command(after_help = EXAMPLES)]
+pub struct BenchMethods {
+    /// The pictures; alpha is left out
+    #[arg(required = true)]
+    pub images: Vec<PathBuf>,
+    /// The folder to write
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Ratios of 8-bit sample bytes to file bytes
+    #[arg(long, value_name = "R,...", value_delimiter = ',', value_parser = positive, default_values_t = [20.0, 50.0], conflicts_with = "counts")]
+    pub ratios: Vec<f64>,
+    /// Numbers of Gaussians instead of ratios; files have 7 bytes for each
+    #[arg(long, value_name = "N,...", value_delimiter = ',')]
+    pub counts: Vec<u32>,
+    /// Seeds
+    #[arg(long, value_name = "N,...", value_delimiter = ',', default_values_t = [0, 1, 2])]
+    pub seeds: Vec<u64>,
+    /// Iterations of the other methods; ours and SmartSplat run as long as the effort says
+    #[arg(long, value_name = "N", default_value_t = 1000)]
+    pub iterations: u32,
+    /// Factors of the other methods' step sizes, which are made for ten to fifty times as many iterations
+    #[arg(long, value_name = "F,...", value_delimiter = ',', value_parser = positive, default_values_t = [1.0, 10.0])]
+    pub rates: Vec<f64>,
+    /// Effort of ours and SmartSplat
+    #[arg(long, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
+    pub effort: u8,
+    /// Shrinks pictures whose longer side has more pixels
+    #[arg(long, value_name = "PIXELS")]
+    pub side: Option<u32>,
+}
+
+impl BenchMethods {
+    /// Who is measured, in the order of the table.
+    pub fn contenders(&self) -> Vec<Contender> {
+        let mut all = vec![Contender::Ssplat, Contender::SmartSplat];
+        for method in Method::ALL {
+            all.extend(self.rates.iter().map(|&rate| Contender::Published { method, rate: rate as f32 }));
+        }
+        all
+    }
+}

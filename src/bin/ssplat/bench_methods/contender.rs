@@ -1,0 +1,119 @@
+//! One method at work on one picture: its floats, and its file.
+
+use ssplat::recipes::{self, Method};
+use ssplat::{
+    Ablation, DecodeOptions, EncodeOptions, Needs, Outside, PackOptions, Pixels, Precision, Recipe, Result, Target,
+    Trace, metrics,
+};
+
+/// Who is measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Contender {
+    /// This crate's own fit.
+    Ssplat,
+    /// SmartSplat's, with this crate's rounding and coder.
+    SmartSplat,
+    /// A published method with its step sizes times a factor.
+    Published { method: Method, rate: f32 },
+}
+
+/// What all have in common.
+#[derive(Debug, Clone, Copy)]
+pub struct Setup {
+    pub count: u32,
+    /// Size of the file.
+    pub bytes: u64,
+    pub seed: u64,
+    pub iterations: u32,
+    pub effort: u8,
+}
+
+/// What came of it; `None` where there is no such number.
+#[derive(Debug, Clone, Default)]
+pub struct Measured {
+    /// PSNR of the floats before rounding to code values, dB.
+    pub float_psnr: Option<f64>,
+    /// MS-SSIM of the picture that the method itself draws.
+    pub ms_ssim: Option<f64>,
+    /// Seconds of the fit.
+    pub seconds: f64,
+    /// PSNR of the decoded file of the asked size, dB.
+    pub file_psnr: Option<f64>,
+    /// Bytes of that file.
+    pub bytes: Option<u64>,
+    /// Bytes of the same Gaussians by the method's own count.
+    pub published_bytes: Option<u64>,
+    /// Why something is missing.
+    pub problem: Option<String>,
+    /// PSNR of the fit along its seconds.
+    pub trace: Vec<(f64, f64)>,
+}
+
+impl Contender {
+    pub fn name(self) -> String {
+        match self {
+            Contender::Ssplat => "ssplat".into(),
+            Contender::SmartSplat => "smartsplat".into(),
+            Contender::Published { method, rate: 1.0 } => method.name().into(),
+            Contender::Published { method, rate } => format!("{}, rates × {rate}", method.name()),
+        }
+    }
+
+    /// Fits and writes; a failure is a result too.
+    pub fn measure(self, pixels: &Pixels, setup: &Setup) -> Measured {
+        let mut measured = Measured::default();
+        let done = match self {
+            Contender::Ssplat => own(pixels, setup, Recipe::Ssplat, &mut measured),
+            Contender::SmartSplat => own(pixels, setup, Recipe::SmartSplat(Ablation::Colors), &mut measured),
+            Contender::Published { method, rate } => published(pixels, setup, method, rate, &mut measured),
+        };
+        if let Err(error) = done {
+            measured.problem = Some(error.to_string());
+        } else if !measured.float_psnr.is_some_and(f64::is_finite) {
+            measured.problem = Some("diverged".into());
+        }
+        measured
+    }
+}
+
+/// By the encoder: once with the number of Gaussians, once with the size of the file.
+fn own(pixels: &Pixels, setup: &Setup, recipe: Recipe, measured: &mut Measured) -> Result<()> {
+    let mut options = EncodeOptions::default();
+    (options.effort, options.seed, options.recipe) = (setup.effort, setup.seed, recipe);
+    (options.needs, options.trace) = (Needs::Everything, Trace::On);
+    options.target = Target::Primitives(setup.count);
+    let encoded = ssplat::encode(pixels, &options)?;
+    measured.float_psnr = Some(encoded.report.float_psnr);
+    measured.seconds = encoded.report.stages.iter().filter(|s| s.0 == "fit").map(|s| s.1).sum();
+    // The floats are not kept: this is the file of as many Gaussians, a little below them.
+    let decoded = ssplat::decode(&encoded.bytes, &DecodeOptions::default())?.pixels;
+    measured.ms_ssim = metrics::compare(pixels, &decoded)?.ms_ssim;
+    let fitted = encoded.report.trace.iter().filter(|p| p.stage == "fit");
+    measured.trace = fitted.map(|p| (p.seconds, p.psnr)).collect();
+    options.target = Target::Bytes(setup.bytes);
+    options.trace = Trace::Off;
+    let encoded = ssplat::encode(pixels, &options)?;
+    (measured.file_psnr, measured.bytes) = (Some(encoded.report.psnr), Some(encoded.bytes.len() as u64));
+    Ok(())
+}
+
+/// By the method, and by import of what it found.
+fn published(pixels: &Pixels, setup: &Setup, method: Method, rate: f32, measured: &mut Measured) -> Result<()> {
+    let mut options = recipes::Options::new(setup.count as usize);
+    (options.iterations, options.rate, options.seed) = (setup.iterations, rate, setup.seed);
+    options.trace = 30;
+    let fit = recipes::fit(pixels, method, &options)?;
+    measured.float_psnr = Some(fit.psnr);
+    measured.ms_ssim = metrics::compare(pixels, &fit.pixels)?.ms_ssim;
+    measured.seconds = fit.seconds;
+    measured.trace = fit.trace.iter().map(|p| (p.seconds, p.psnr)).collect();
+    measured.published_bytes = Some(method.published_bytes(setup.count as usize, pixels.channels().count()));
+    let mut options = PackOptions::default();
+    // Pixel centres are at whole numbers there: the last column is half a pixel outside.
+    (options.precision, options.outside) = (Precision::Bytes(setup.bytes), Outside::Crop);
+    let file = ssplat::bitstream::to_bytes(&ssplat::pack(&fit.picture, &options)?)?;
+    measured.bytes = Some(file.len() as u64);
+    let decoded = ssplat::decode(&file, &DecodeOptions::default())?.pixels;
+    measured.file_psnr = Some(metrics::psnr(pixels, &decoded)?);
+    Ok(())
+}

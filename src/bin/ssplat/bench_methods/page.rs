@@ -1,0 +1,147 @@
+//! The results as a table of means and spreads, and as rows.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use super::args::BenchMethods;
+use super::{Cell, Contender, Measured};
+
+/// Every fit, one a row.
+pub fn csv(cells: &[Cell]) -> String {
+    let mut out = String::from(
+        "picture,gaussians,method,seed,iterations,float_psnr,ms_ssim,seconds,file_bytes,file_psnr,published_bytes,problem\n",
+    );
+    let number = |v: Option<f64>, digits: usize| v.map_or(String::new(), |v| format!("{v:.digits$}"));
+    let whole = |v: Option<u64>| v.map_or(String::new(), |v| v.to_string());
+    for cell in cells {
+        let m = &cell.measured;
+        let iterations = match cell.contender {
+            Contender::Published { .. } => cell.setup.iterations.to_string(),
+            Contender::Ssplat | Contender::SmartSplat => format!("effort {}", cell.setup.effort),
+        };
+        let _ = writeln!(
+            out,
+            "{},{},{},{},{iterations},{},{},{:.2},{},{},{},{}",
+            cell.picture,
+            cell.setup.count,
+            // A comma is the table's own.
+            cell.contender.name().replace(',', ""),
+            cell.setup.seed,
+            number(m.float_psnr, 3),
+            number(m.ms_ssim, 5),
+            m.seconds,
+            whole(m.bytes),
+            number(m.file_psnr, 3),
+            whole(m.published_bytes),
+            m.problem.as_deref().unwrap_or("").replace(',', ";"),
+        );
+    }
+    out
+}
+
+/// The command that made the page, without the folders of its files.
+fn command(arguments: impl Iterator<Item = String>) -> String {
+    let plain = |argument: String| match Path::new(&argument).file_name().and_then(|n| n.to_str()) {
+        Some(name) if argument.contains(std::path::MAIN_SEPARATOR) => name.to_owned(),
+        _ => argument,
+    };
+    arguments.map(plain).collect::<Vec<_>>().join(" ")
+}
+
+/// The page.
+pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String {
+    let mut out = format!("# Methods side by side\n\n```sh\n{}\n```\n\n", command(std::env::args()));
+    let joined = |v: &[String]| v.join(", ");
+    let seeds: Vec<String> = args.seeds.iter().map(u64::to_string).collect();
+    let _ = writeln!(
+        out,
+        "Pictures: {}. Seeds {}: means, and after ± half the spread from the least to the largest. The other methods run {} \
+         iterations on the CPU, ours and SmartSplat at effort {}. Float PSNR is of the method's own picture before rounding; MS-SSIM \
+         of its 8 bits (of the rounded file for ours and SmartSplat). Files have as many bytes as the column says at most: ours \
+         and SmartSplat's by the encoder, with as many Gaussians as it finds best; the others' by import of the Gaussians of the \
+         row, at the finest steps that fit. Bytes by the method's own count are never written by its program. Every fit is in \
+         `methods.csv`.\n",
+        joined(sides),
+        joined(&seeds),
+        args.iterations,
+        args.effort
+    );
+    let mut rest = cells;
+    let mut heading = None;
+    while let Some(first) = rest.first() {
+        let is_same = |c: &Cell| {
+            c.picture == first.picture && c.setup.count == first.setup.count && c.contender == first.contender
+        };
+        let end = rest.iter().position(|c| !is_same(c)).unwrap_or(rest.len());
+        let (group, others) = rest.split_at(end);
+        rest = others;
+        let of = (first.picture.clone(), first.setup.count);
+        if heading.as_ref() != Some(&of) {
+            let _ = writeln!(
+                out,
+                "\n## {}, {} Gaussians, files of {} bytes\n\n\
+                 | method | float PSNR, dB | MS-SSIM | fit, s | file PSNR, dB | bytes by its own count | failures |\n\
+                 |---|---|---|---|---|---|---|",
+                first.picture, first.setup.count, first.setup.bytes
+            );
+            heading = Some(of);
+        }
+        let column = |digits: usize, value: &dyn Fn(&Measured) -> Option<f64>| {
+            let values: Vec<f64> = group.iter().filter_map(|c| value(&c.measured)).collect();
+            summary(&values, digits)
+        };
+        let problems: Vec<String> = group
+            .iter()
+            .filter_map(|c| Some(format!("seed {}: {}", c.setup.seed, c.measured.problem.as_ref()?)))
+            .collect();
+        let _ = writeln!(
+            out,
+            "| {} | {} | {} | {} | {} | {} | {} |",
+            first.contender.name(),
+            column(2, &|m| m.float_psnr),
+            column(4, &|m| m.ms_ssim),
+            column(1, &|m| Some(m.seconds)),
+            column(2, &|m| m.file_psnr),
+            first.measured.published_bytes.map_or("—".into(), |b| b.to_string()),
+            if problems.is_empty() { "none".into() } else { problems.join("; ") }
+        );
+    }
+    out + "\n![PSNR along the seconds of the fits](convergence.svg)\n"
+}
+
+/// The mean, and half of what lies between the least and the largest.
+fn summary(values: &[f64], digits: usize) -> String {
+    if values.is_empty() {
+        return "—".into();
+    }
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    if !mean.is_finite() {
+        return "not a number".into();
+    }
+    let range = values.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |r, &v| [r[0].min(v), r[1].max(v)]);
+    if values.len() == 1 {
+        format!("{mean:.digits$}")
+    } else {
+        format!("{mean:.digits$} ± {:.digits$}", 0.5 * (range[1] - range[0]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_names_no_folders() {
+        let arguments = ["/home/me/bin/ssplat", "bench-methods", "a/b/kodim05.png", "--ratios", "20,50"];
+        let arguments = arguments.map(|a| a.replace('/', std::path::MAIN_SEPARATOR_STR));
+        assert_eq!(command(arguments.into_iter()), "ssplat bench-methods kodim05.png --ratios 20,50");
+    }
+
+    #[test]
+    fn what_is_missing_or_no_number_is_said() {
+        assert_eq!(summary(&[], 2), "—");
+        assert_eq!(summary(&[30.0, 30.5, 31.0], 2), "30.50 ± 0.50");
+        assert_eq!(summary(&[30.0, f64::NAN], 2), "not a number");
+        assert_eq!(summary(&[2.25], 1), "2.2");
+    }
+}

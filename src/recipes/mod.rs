@@ -1,0 +1,236 @@
+//! Other methods that fit 2D Gaussians to pictures, to measure beside ours; behind the feature `recipes`.
+//!
+//! Each follows its published program: start, blend, loss, optimizer and growth, with the constants that it runs with. They
+//! share this crate's planes, gradients and measures, so that iterations and seconds can be compared. Where something is
+//! computed otherwise than there, the method's file says so.
+//!
+//! ```
+//! use ssplat::recipes::{self, Method, Options};
+//! use ssplat::{Channels, Pixels, Samples};
+//!
+//! let ramp = (0..32 * 32).map(|i| (i % 32 * 8) as u8).collect();
+//! let pixels = Pixels::new(32, 32, Channels::Grey, Samples::U8(ramp))?;
+//! let mut options = Options::new(20);
+//! options.iterations = 30;
+//! let fit = recipes::fit(&pixels, Method::GaussianImageCholesky, &options)?;
+//! assert_eq!(fit.picture.gaussians.len(), 20);
+//! # Ok::<(), ssplat::Error>(())
+//! ```
+
+mod drawn;
+mod gaussian_image;
+mod image_gs;
+mod moments;
+mod optimizer;
+mod top_k;
+
+use crate::error::{Error, Result};
+use crate::fit::model::planes::Planes;
+use crate::gaussian::Picture;
+use crate::pixels::Pixels;
+
+/// A published method.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Method {
+    /// GaussianImage (Zhang et al., ECCV 2024) with covariances as Cholesky factors.
+    GaussianImageCholesky,
+    /// GaussianImage with covariances as rotation and scales.
+    GaussianImageRs,
+    /// Image-GS (Zhang et al., SIGGRAPH 2025).
+    ImageGs,
+}
+
+impl Method {
+    /// All methods.
+    pub const ALL: [Method; 3] = [Method::GaussianImageCholesky, Method::GaussianImageRs, Method::ImageGs];
+
+    /// A short name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Method::GaussianImageCholesky => "gaussianimage-cholesky",
+            Method::GaussianImageRs => "gaussianimage-rs",
+            Method::ImageGs => "image-gs",
+        }
+    }
+
+    /// Iterations that its program runs by default.
+    #[must_use]
+    pub fn published_iterations(self) -> u32 {
+        match self {
+            Method::GaussianImageCholesky | Method::GaussianImageRs => 50_000,
+            Method::ImageGs => 10_000,
+        }
+    }
+
+    /// Bytes of `count` Gaussians by the bits that its program counts; neither writes a file.
+    ///
+    /// GaussianImage counts 16 bits a coordinate, 6 bits for each of three numbers of the covariance, two indices of 3 bits
+    /// for the colour, two codebooks of eight colours and a scale and an offset for each number of the covariance, all in
+    /// 32 bits (`analysis_wo_ec`). Image-GS counts 16 bits a number.
+    #[must_use]
+    pub fn published_bytes(self, count: usize, channels: usize) -> u64 {
+        let count = count as u64;
+        match self {
+            Method::GaussianImageCholesky | Method::GaussianImageRs => {
+                let each = 2 * 16 + 3 * 6 + 2 * 3;
+                let fixed = 32 * (2 * 8 * channels as u64 + 2 * 3);
+                (count * each + fixed).div_ceil(8)
+            }
+            Method::ImageGs => count * 2 * (5 + channels as u64),
+        }
+    }
+}
+
+/// Options of [`fit`].
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Options {
+    /// Number of Gaussians at the end.
+    pub count: usize,
+    /// Iterations. Whatever a method does after so many of its own iterations happens after the same share of these.
+    pub iterations: u32,
+    /// Factor of all step sizes: the published ones are made for the published number of iterations.
+    pub rate: f32,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// How many points the trace has at most.
+    pub trace: u32,
+}
+
+impl Options {
+    /// A thousand iterations at the published rates.
+    #[must_use]
+    pub fn new(count: usize) -> Self {
+        Options { count, iterations: 1000, rate: 1.0, seed: 0, trace: 0 }
+    }
+}
+
+/// A fit.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Fit {
+    /// The picture as the method itself draws it.
+    pub pixels: Pixels,
+    /// PSNR of that before rounding to code values, dB; no number if the fit has diverged.
+    pub psnr: f64,
+    /// The Gaussians with the blend of this crate that is nearest to the method's.
+    pub picture: Picture,
+    /// Wall-clock seconds, the trace not counted.
+    pub seconds: f64,
+    /// PSNR along the way.
+    pub trace: Vec<Point>,
+}
+
+/// A point of a trace.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Point {
+    /// Iterations before it.
+    pub iteration: u32,
+    /// Seconds before it.
+    pub seconds: f64,
+    /// PSNR as in [`Fit::psnr`].
+    pub psnr: f64,
+}
+
+/// Fits `pixels` by `method`.
+///
+/// # Errors
+/// [`Error::Parameter`] when the picture has alpha, which none of them knows, or there are more Gaussians than pixels or none.
+pub fn fit(pixels: &Pixels, method: Method, options: &Options) -> Result<Fit> {
+    if pixels.channels().alpha().is_some() {
+        return Err(Error::Parameter { name: "pixels", problem: format!("{:?} has alpha", pixels.channels()) });
+    }
+    let area = u64::from(pixels.width()) * u64::from(pixels.height());
+    if options.count == 0 || options.count as u64 > area {
+        let problem = format!("{} is not between 1 and the {area} pixels", options.count);
+        return Err(Error::Parameter { name: "count", problem });
+    }
+    let target = Planes::new(pixels);
+    Ok(match method {
+        Method::GaussianImageCholesky => gaussian_image::fit(&target, gaussian_image::Covariance::Cholesky, options),
+        Method::GaussianImageRs => gaussian_image::fit(&target, gaussian_image::Covariance::RotationScale, options),
+        Method::ImageGs => image_gs::fit(&target, options),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussian::Channels;
+    use crate::pixels::Samples;
+
+    /// A ramp with an edge.
+    fn pixels(channels: Channels) -> Pixels {
+        let count = channels.count() as u32;
+        let value = |i: u32| {
+            let (x, y) = (i / count % 40, i / count / 40);
+            if x > 20 { 200 - y * 2 } else { 40 + x * 3 + 20 * (i % count) }
+        };
+        let samples = (0..40 * 32 * count).map(|i| value(i) as u8).collect();
+        Pixels::new(40, 32, channels, Samples::U8(samples)).unwrap()
+    }
+
+    #[test]
+    fn every_method_gets_better_and_depends_on_the_seed_alone() {
+        for method in Method::ALL {
+            let mut options = Options::new(60);
+            (options.iterations, options.rate, options.trace) = (200, 10.0, 5);
+            let pixels = pixels(Channels::Rgb);
+            let fit = |options: &Options| super::fit(&pixels, method, options).unwrap();
+            let first = fit(&options);
+            assert_eq!(first.picture.gaussians.len(), 60, "{method:?}");
+            let start = first.trace[0].psnr;
+            assert!(first.psnr > start + 6.0, "{method:?}: {start} {}", first.psnr);
+            assert_eq!(first.picture, fit(&options).picture, "{method:?}");
+            options.seed = 1;
+            assert_ne!(first.picture, fit(&options).picture, "{method:?}");
+        }
+    }
+
+    #[test]
+    fn fits_of_the_smallest_and_dullest_pictures_stay_finite() {
+        let flat = |width, height, code| {
+            Pixels::new(width, height, Channels::Rgb, Samples::U8(vec![code; (width * height * 3) as usize])).unwrap()
+        };
+        let ramp = pixels(Channels::Grey);
+        for (pixels, count) in
+            [(&flat(1, 1, 77), 1), (&flat(24, 16, 0), 30), (&flat(24, 16, 255), 1), (&flat(1, 40, 9), 7), (&ramp, 1)]
+        {
+            for method in Method::ALL {
+                for rate in [1.0, 10.0] {
+                    let mut options = Options::new(count);
+                    (options.iterations, options.rate) = (40, rate);
+                    let fit = fit(pixels, method, &options).unwrap();
+                    let size = [pixels.width(), pixels.height()];
+                    assert!(!fit.psnr.is_nan(), "{method:?} {size:?} × {rate}");
+                    for g in &fit.picture.gaussians {
+                        let [values, scales] = [[g.mean, [g.rotation, g.color[0]]].concat(), g.scale.to_vec()];
+                        assert!(values.iter().all(|v| v.is_finite()), "{method:?} {size:?} × {rate}: {g:?}");
+                        assert!(
+                            scales.iter().all(|s| *s > 0.0 && s.is_finite()),
+                            "{method:?} {size:?} × {rate}: {g:?}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn pictures_with_alpha_and_impossible_counts_are_refused() {
+        let refused = |channels, count| fit(&pixels(channels), Method::ImageGs, &Options::new(count)).unwrap_err();
+        assert!(refused(Channels::GreyAlpha, 10).to_string().contains("alpha"));
+        assert!(refused(Channels::Grey, 0).to_string().contains("count"));
+        assert!(refused(Channels::Grey, 40 * 32 + 1).to_string().contains("1281"));
+    }
+
+    /// What the papers' own tables say of 50 000 and 10 000 Gaussians on RGB.
+    #[test]
+    fn published_bytes_are_seven_and_sixteen_for_each() {
+        assert_eq!(Method::GaussianImageCholesky.published_bytes(50_000, 3), 50_000 * 7 + 4 * (48 + 6));
+        assert_eq!(Method::ImageGs.published_bytes(10_000, 3), 160_000);
+    }
+}
