@@ -2,10 +2,9 @@
 
 use std::ops::Range;
 
-use crc32fast::hash;
-
 use super::broken::Broken;
 use super::bytes::{Bytes, put_varint};
+use super::checksum::{Hasher, hash};
 use super::coded::{Group, sort};
 use super::header::{Coloring, Grouping, Header};
 use super::palette::{put_codebook, put_color, read_codebook, read_color, sorted_codebook};
@@ -267,7 +266,7 @@ fn read_directory(
 
 /// CRC-32 over the directory, begun with the header's.
 fn directory_checksum(header: u32, directory: &[u8]) -> u32 {
-    let mut hasher = crc32fast::Hasher::new();
+    let mut hasher = Hasher::new();
     hasher.update(&header.to_le_bytes());
     hasher.update(directory);
     hasher.finalize()

@@ -3,6 +3,7 @@
 use std::io::{ErrorKind, Read};
 
 use super::bytes::{put_varint, varint};
+use super::checksum::hash;
 use super::splats::{Layout, Metadata, PackedGaussian, PackedSplats, Steps};
 use crate::budget::Budget;
 use crate::error::{Error, FormatError, Result};
@@ -150,7 +151,7 @@ impl Header {
 
     /// CRC-32 of the header.
     pub(crate) fn checksum(&self) -> u32 {
-        crc32fast::hash(&self.bytes)
+        hash(&self.bytes)
     }
 
     /// The picture of this header without primitives.

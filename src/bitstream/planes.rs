@@ -2,6 +2,7 @@
 
 use super::broken::Broken;
 use super::bytes::{Bytes, put_varint, unzigzag, zigzag};
+use super::frame;
 use super::header::{Coloring, Header};
 use super::hilbert::{hilbert, hilbert_point};
 use super::palette::{index_of, put_codebook, put_color, read_codebook, read_color, sorted_codebook, to_i16};
@@ -9,9 +10,6 @@ use super::report::Tally;
 use super::rules::Rules;
 use super::splats::{PackedGaussian, PackedSplats};
 use crate::error::{Error, FormatError, Result};
-
-/// zstd's level; the layout is for reading fast, so writing may take its time.
-const LEVEL: i32 = 19;
 
 /// Streams in the order of the file, and how many bytes each primitive has in them.
 const FIELDS: [(&str, usize); 10] = [
@@ -97,19 +95,17 @@ pub(crate) fn put(splats: &PackedSplats, out: &mut Vec<u8>) -> Result<()> {
 
 /// Appends a plane: as it is after a 0, or the length of its zstd frame and the frame where that is shorter.
 fn put_plane(plane: &[u8], out: &mut Vec<u8>) -> Result<()> {
-    let mut compressor = zstd::bulk::Compressor::new(LEVEL)?;
-    compressor.include_contentsize(false)?;
-    compressor.include_checksum(false)?;
-    let frame = compressor.compress(plane)?;
-    let mut packed = Vec::new();
-    put_varint(frame.len() as u64, &mut packed);
-    packed.extend_from_slice(&frame);
-    if packed.len() <= plane.len() {
-        out.extend_from_slice(&packed);
-    } else {
-        out.push(0);
-        out.extend_from_slice(plane);
+    if let Some(frame) = frame::compress(plane)? {
+        let mut packed = Vec::new();
+        put_varint(frame.len() as u64, &mut packed);
+        packed.extend_from_slice(&frame);
+        if packed.len() <= plane.len() {
+            out.extend_from_slice(&packed);
+            return Ok(());
+        }
     }
+    out.push(0);
+    out.extend_from_slice(plane);
     Ok(())
 }
 
@@ -121,15 +117,11 @@ fn read_plane(bytes: &mut Bytes<'_>, count: usize, what: &'static str) -> Result
     }
     let frame = bytes.take(length, what)?;
     let broken = || Error::from(FormatError::Compression { what });
-    // One frame and nothing behind it.
-    if zstd::zstd_safe::find_frame_compressed_size(frame).ok() != Some(frame.len()) {
-        return Err(broken());
-    }
     let mut plane = Vec::new();
     plane.try_reserve_exact(count).map_err(|_| broken())?;
     plane.resize(count, 0);
-    let written = zstd::bulk::Decompressor::new()?.decompress_to_buffer(frame, &mut plane[..]).map_err(|_| broken())?;
-    if written == count { Ok(plane) } else { Err(broken()) }
+    frame::decompress(frame, &mut plane).ok_or_else(broken)?;
+    Ok(plane)
 }
 
 /// Reads the payload into `splats`.

@@ -2,9 +2,8 @@
 
 use std::io::Read;
 
-use crc32fast::Hasher;
-
 use super::bytes::Bytes;
+use super::checksum::Hasher;
 use super::groups::Missing;
 use super::header::{Grouping, Header, Sections};
 use super::report::{Detail, Report, Tally};

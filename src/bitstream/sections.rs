@@ -1,8 +1,7 @@
 //! Optional blocks behind the header: ICC profile, EXIF, and what later versions add (spec §3).
 
-use crc32fast::Hasher;
-
 use super::bytes::{Bytes, put_varint};
+use super::checksum::Hasher;
 use super::report::Detail;
 use super::splats::Metadata;
 use crate::budget::Reservation;

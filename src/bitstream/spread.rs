@@ -44,8 +44,19 @@ const fn logistic(i: usize) -> u32 {
     (65536.0 / (1.0 + exp(-(i as f64 - 2048.0) / 256.0)) + 0.5) as u32
 }
 
-/// Each logistic value, and above it, from bit 16 on, how far it is to the next.
-static LOGISTIC: [u32; 4096] = {
+/// A table that the compiler computes. In WebAssembly the first use does: tables are a tenth of what a page would have to load.
+macro_rules! table {
+    ($(#[$doc:meta])* $name:ident: $kind:ty = $value:block) => {
+        $(#[$doc])*
+        #[cfg(not(target_family = "wasm"))]
+        static $name: $kind = $value;
+        #[cfg(target_family = "wasm")]
+        static $name: std::sync::LazyLock<$kind> = std::sync::LazyLock::new(|| $value);
+    };
+}
+
+table!(/// Each logistic value, and above it, from bit 16 on, how far it is to the next.
+LOGISTIC: [u32; 4096] = {
     let mut table = [0; 4096];
     let (mut i, mut value) = (0, logistic(0));
     while i < 4096 {
@@ -54,10 +65,10 @@ static LOGISTIC: [u32; 4096] = {
         (i, value) = (i + 1, next);
     }
     table
-};
+});
 
-/// `2¹⁶·(4096·2·ln 2)/(16·m)` for the mean magnitude `m` of each spread.
-static INVERSE: [u32; SPREADS] = {
+table!(/// `2¹⁶·(4096·2·ln 2)/(16·m)` for the mean magnitude `m` of each spread.
+INVERSE: [u32; SPREADS] = {
     let mut table = [0; SPREADS];
     let mut i = 0;
     while i < SPREADS {
@@ -67,10 +78,10 @@ static INVERSE: [u32; SPREADS] = {
         i += 1;
     }
     table
-};
+});
 
-/// `2³²` over the inverse, for readers: a division less.
-static WIDTH: [u32; SPREADS] = {
+table!(/// `2³²` over the inverse, for readers: a division less.
+WIDTH: [u32; SPREADS] = {
     let mut table = [0; SPREADS];
     let mut i = 0;
     while i < SPREADS {
@@ -78,10 +89,10 @@ static WIDTH: [u32; SPREADS] = {
         i += 1;
     }
     table
-};
+});
 
-/// The argument about where the distribution reaches the middle of each 1024th: where readers begin a search.
-static QUANTILE: [i16; 1024] = {
+table!(/// The argument about where the distribution reaches the middle of each 1024th: where readers begin a search.
+QUANTILE: [i16; 1024] = {
     let mut table = [0; 1024];
     let (mut i, mut at) = (0, 0);
     while i < 1024 {
@@ -92,7 +103,7 @@ static QUANTILE: [i16; 1024] = {
         i += 1;
     }
     table
-};
+});
 
 /// `16·log₂`, linear between powers of two.
 #[inline]

@@ -2,8 +2,7 @@
 
 use std::io::Write;
 
-use crc32fast::Hasher;
-
+use super::checksum::{Hasher, hash};
 use super::header::{Grouping, Sections, put_header};
 use super::rules::{self, most_primitives};
 use super::sections::put_sections;
@@ -32,7 +31,7 @@ pub fn to_bytes(splats: &PackedSplats) -> Result<Vec<u8>> {
     let grouping = groups::grouping(splats);
     put_header(splats, grouping, sections, &mut out);
     checksum.update(&out);
-    let header = crc32fast::hash(&out);
+    let header = hash(&out);
     if has_sections {
         put_sections(&splats.metadata, &mut out, &mut checksum);
     }

@@ -221,6 +221,7 @@ impl Opened {
     ///
     /// # Panics
     /// If `out` has not exactly width × height × channels samples.
+    #[inline]
     pub fn draw_into(&self, view: &View, out: SamplesMut<'_>) -> Result<()> {
         self.renderer(view)?.render_into(out);
         Ok(())

@@ -209,6 +209,18 @@ fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
     }
     let mut weight_columns = Lanes([0.0; LANES]);
     simd.store(&mut weight_columns, weights);
+    // A power of two: the mean is as exact as the sum.
+    let share = 1.0 / (across * rows.len()) as f32;
+    means(&columns, has_alpha.then_some(&weight_columns), across, share, codes);
+}
+
+/// The sums of each `across` columns, times `share`, as code values; those of colours over the sums of `weights`, where
+/// there are any.
+///
+/// In WebAssembly all numbers of channels share one, for the module's size.
+#[cfg_attr(target_family = "wasm", inline(never))]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
+fn means<T: Sample>(columns: &[Lanes], weights: Option<&Lanes>, across: usize, share: f32, codes: &mut [T]) {
     let of_pixel = |columns: &Lanes, i: usize| {
         let mut sum = 0.0;
         for value in &columns.0[i * across..(i + 1) * across] {
@@ -216,13 +228,11 @@ fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
         }
         sum
     };
-    // A power of two: the mean is as exact as the sum.
-    let share = 1.0 / (across * rows.len()) as f32;
-    for (i, pixel) in codes.chunks_exact_mut(C).enumerate() {
-        let color_share = if has_alpha { 1.0 / of_pixel(&weight_columns, i) } else { share };
-        for (k, (code, columns)) in pixel.iter_mut().zip(&columns).enumerate() {
-            let share = if has_alpha && k == C - 1 { share } else { color_share };
-            *code = T::floor(of_pixel(columns, i) * share + 0.5);
+    for (i, pixel) in codes.chunks_exact_mut(columns.len()).enumerate() {
+        let color_share = weights.map_or(share, |weights| 1.0 / of_pixel(weights, i));
+        for (k, (code, column)) in pixel.iter_mut().zip(columns).enumerate() {
+            let share = if weights.is_some() && k == columns.len() - 1 { share } else { color_share };
+            *code = T::floor(of_pixel(column, i) * share + 0.5);
         }
     }
 }
@@ -232,7 +242,10 @@ fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
 ///
 /// All segments of a batch are prepared before any is drawn: preparations overlap in the processor, which none of
 /// them does with a loop over rows whose end it must wait for.
-#[inline(always)]
+///
+/// In WebAssembly, which is compiled for one instruction set, all kernels share one, for the module's size.
+#[cfg_attr(target_family = "wasm", inline(never))]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn prepare<S: Simd>(simd: S, members: &[Splat], corner: [f64; 2], rows: usize, lists: &mut [Vec<Segment>; STRIPS]) {
     for list in lists.iter_mut() {
         list.clear();

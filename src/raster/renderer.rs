@@ -149,6 +149,7 @@ impl Renderer {
     ///
     /// # Panics
     /// If `bands` is empty or reaches beyond [`Renderer::bands`], or `out` has not exactly that length.
+    #[inline]
     pub fn render_bands(&self, bands: std::ops::Range<u32>, out: SamplesMut<'_>) {
         match out {
             SamplesMut::U8(out) => self.draw(bands, out),
@@ -183,10 +184,13 @@ impl Renderer {
     ///
     /// # Panics
     /// If `out` has not exactly [`Renderer::row_len`] × height samples.
+    #[inline]
     pub fn render_into(&self, out: SamplesMut<'_>) {
         self.render_bands(0..self.bands(), out);
     }
 
+    /// Apart from the choice of the depth, so that a program which draws one depth need not carry the other's kernels.
+    #[inline(never)]
     fn draw<T: Sample>(&self, bands: std::ops::Range<u32>, mut out: &mut [T]) {
         assert!(bands.start < bands.end, "no bands in {bands:?}");
         let (first, last) = (self.band_rows(bands.start), self.band_rows(bands.end - 1));

@@ -1,0 +1,8 @@
+// What went wrong, in the decoder's words. `kind` is format, version, limit or parameter; internal if the decoder itself failed.
+export class SsplatError extends Error {
+  constructor(kind, words) {
+    super(words)
+    this.name = "SsplatError"
+    this.kind = kind
+  }
+}

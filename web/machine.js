@@ -1,0 +1,98 @@
+// The WebAssembly module and how it is called (wasm/src/lib.rs is the other side). A machine does one thing at a time.
+import { SsplatError } from "./error.js"
+
+const kinds = [, "format", "version", "limit", "parameter", "internal"]
+const limits = ["width", "height", "primitives", "tilePairs", "work", "overlap", "alloc", "metadata"]
+// The memory of a module never shrinks: after a larger picture it is given back with its machine.
+const kept = 64 << 20
+// A function that needs vector instructions: `i32.const 0; i8x16.splat; i8x16.popcnt`.
+const vectors = Uint8Array.of(0, 97, 115, 109, 1, 0, 0, 0, 1, 5, 1, 96, 0, 1, 123, 3, 2, 1, 0, 10, 10, 1, 8, 0, 65, 0, 253, 15, 253, 98, 11)
+
+// The file of the module that this machine can run.
+export const moduleUrl = () => new URL(`./ssplat-${WebAssembly.validate(vectors) ? "simd" : "scalar"}.wasm`, import.meta.url)
+
+async function bytesOf(source) {
+  if (source instanceof URL && source.protocol == "file:") return (await import("node:fs/promises")).readFile(source)
+  const response = source instanceof Response ? source : await fetch(source)
+  if (!response.ok) throw new SsplatError("internal", `${response.url}: ${response.status} ${response.statusText}`)
+  return response.arrayBuffer()
+}
+
+// The compiled module of a URL, a Response, bytes or a module; without any of them, of the file beside this one.
+export async function compile(source = moduleUrl()) {
+  if (source instanceof WebAssembly.Module) return source
+  return WebAssembly.compile(source instanceof ArrayBuffer || ArrayBuffer.isView(source) ? source : await bytesOf(source))
+}
+
+const whole = (v, what, least = 0) => {
+  if (Number.isInteger(v) && v >= least && v < 2 ** 32) return v
+  throw new SsplatError("parameter", `${what} is ${v}, not an integer of at least ${least}`)
+}
+
+export class Machine {
+  #module
+  #wasm
+
+  constructor(module) {
+    this.#module = module
+  }
+
+  // One question about a file: [pieces, numbers] of the answer.
+  #ask(bytes, options, question, ...values) {
+    if (!(bytes instanceof Uint8Array)) {
+      if (!(bytes instanceof ArrayBuffer)) throw new SsplatError("parameter", "the file is neither a Uint8Array nor an ArrayBuffer")
+      bytes = new Uint8Array(bytes)
+    }
+    let wasm
+    try {
+      wasm = this.#wasm ??= new WebAssembly.Instance(this.#module).exports
+      const at = wasm.input(bytes.length)
+      if (!at) throw new SsplatError("limit", `no memory for a file of ${bytes.length} bytes`)
+      new Uint8Array(wasm.memory.buffer, at, bytes.length).set(bytes)
+      for (const [name, value] of Object.entries(options.limits ?? {})) {
+        if (!limits.includes(name) || !(value >= 0)) throw new SsplatError("parameter", `limit ${name} is ${value}`)
+        wasm.limit(limits.indexOf(name), value)
+      }
+      const kind = wasm[question](...values)
+      const piece = k => new Uint8Array(wasm.memory.buffer, wasm.piece(k), wasm.piece_length(k)).slice()
+      if (kind) throw new SsplatError(kinds[kind], new TextDecoder().decode(piece(0)))
+      const numbers = Array.from({ length: 7 }, (_, k) => wasm.number(k) >>> 0)
+      return [[0, 1, 2].map(piece), numbers]
+    } catch (error) {
+      if (error instanceof SsplatError) throw error
+      // A trap leaves the machine in an unknown state. The likeliest is that memory ran out.
+      this.#wasm = undefined
+      throw new SsplatError("internal", `the decoder stopped: ${error.message}`)
+    } finally {
+      if (wasm?.memory.buffer.byteLength > kept) this.#wasm = undefined
+      else this.#wasm?.input(0)
+    }
+  }
+
+  header(bytes, options = {}) {
+    const [[, icc, exif], [width, height, channels, depth, primitives, orientation]] = this.#ask(bytes, options, "header")
+    return { width, height, channels, depth, primitives, orientation, icc, exif }
+  }
+
+  decode(bytes, options = {}) {
+    const { region, width = 0, height = 0, partial = false } = options
+    const part = region ? ["left", "top", "width", "height"].map((name, k) => whole(region[k] ?? region[name], `region's ${name}`, k > 1 ? 1 : 0)) : [0, 0, 0, 0]
+    if (height && !width) throw new SsplatError("parameter", "a height needs a width")
+    const out = [whole(width, "width"), whole(height, "height")]
+    const [[data, icc, exif], numbers] = this.#ask(bytes, options, "decode", ...part, ...out, partial ? 1 : 0)
+    const [columns, rows, channels, depth, primitives, orientation, missing] = numbers
+    return { width: columns, height: rows, data: new Uint8ClampedArray(data.buffer), channels, depth, primitives, orientation, missing, icc, exif }
+  }
+
+  gaussians(bytes, options = {}) {
+    const [[data], [width, height, channels, , count]] = this.#ask(bytes, options, "gaussians"), all = new Float32Array(data.buffer)
+    const column = (from, to) => Float32Array.from({ length: count * (to - from) }, (_, i) => all[9 * Math.floor(i / (to - from)) + from + i % (to - from)])
+    return { width, height, channels, count, mean: column(0, 2), scale: column(2, 4), rotation: column(4, 5), color: column(5, 9), background: all.slice(9 * count) }
+  }
+
+  info(bytes, options = {}) {
+    const [[json, icc, exif], numbers] = this.#ask(bytes, options, "info")
+    const facts = JSON.parse(new TextDecoder().decode(json)), fields = facts.fields.map(({ name, thousandths }) => ({ name, bits: thousandths / 1000 }))
+    return { ...facts, fields, orientation: numbers[5], icc, exif }
+  }
+}

@@ -1,0 +1,211 @@
+// <ssplat-img src alt placeholder loading width height>: an <img> for .ssplat files, drawn at the size at which it is shown.
+// Other pictures are shown as <img> shows them. `placeholder` is a small file, as base64 or data URI, seen until then.
+import { decode as drawPlaceholder, read as readPlaceholder } from "./placeholder.js"
+import { Decoder } from "./ssplat.js"
+
+// One worker for all elements of a page.
+let shared
+const decoder = () => shared ??= new Decoder({ worker: true })
+
+// Of these a picture is not a .ssplat file.
+const others = /^image\/(?!x-ssplat|octet)/
+const magic = [0x89, 0x53, 0x53, 0x50]
+
+const bytesOf = text => Uint8Array.from(atob(text.replace(/^data:[^,]*,/, "").replace(/-/g, "+").replace(/_/g, "/")), c => c.charCodeAt(0))
+
+// How a canvas is turned for each EXIF orientation: x' = a·x + c·y + e, y' = b·x + d·y + f, in sides of the canvas.
+const turns = [, , [-1, 0, 0, 1, 1, 0], [-1, 0, 0, -1, 1, 1], [1, 0, 0, -1, 0, 1], [0, 1, 1, 0, 0, 0], [0, 1, -1, 0, 1, 0], [0, -1, -1, 0, 1, 1], [0, -1, 1, 0, 0, 1]]
+
+function paint(canvas, image, orientation = 1) {
+  const sides = orientation > 4 ? [image.height, image.width] : [image.width, image.height]
+  const settings = { colorSpace: image.colorSpace ?? "srgb" }
+  ;[canvas.width, canvas.height] = sides
+  const context = canvas.getContext("2d", settings)
+  if (orientation < 2) return context.putImageData(image, 0, 0)
+  const flat = new OffscreenCanvas(image.width, image.height), [a, b, c, d, e, f] = turns[orientation]
+  flat.getContext("2d", settings).putImageData(image, 0, 0)
+  context.setTransform(a, b, c, d, e * sides[0], f * sides[1])
+  context.drawImage(flat, 0, 0)
+}
+
+const style = `
+:host { display: inline-block; position: relative; overflow: hidden; vertical-align: bottom; object-fit: fill; max-width: 100% }
+:host([hidden]) { display: none }
+img, canvas { display: block; width: 100%; height: 100%; object-fit: inherit; object-position: inherit }
+[hidden] { display: none }
+span { font: inherit; overflow: hidden }`
+
+export class SsplatImg extends HTMLElement {
+  static observedAttributes = ["src", "alt", "placeholder", "loading", "width", "height"]
+  #canvas = document.createElement("canvas")
+  #img = document.createElement("img")
+  #words = document.createElement("span")
+  #sheet = new CSSStyleSheet
+  #sized = new ResizeObserver(() => this.#redraw())
+  #seen = new IntersectionObserver(entries => entries.some(e => e.isIntersecting) && this.#start(), { rootMargin: "50%" })
+  #file
+  #size = [0, 0]
+  #drawn = 0
+  #turn = 0
+  #complete = true
+  #started = ""
+  #stop
+
+  constructor() {
+    super()
+    const root = this.attachShadow({ mode: "open" })
+    this.#sheet.replaceSync(style + ":host {}")
+    root.adoptedStyleSheets = [this.#sheet]
+    this.#canvas.hidden = this.#img.hidden = this.#words.hidden = true
+    root.append(this.#canvas, this.#img, this.#words)
+  }
+
+  // As those of <img>.
+  get src() { return this.hasAttribute("src") ? new URL(this.getAttribute("src"), this.baseURI).href : "" }
+  set src(v) { this.setAttribute("src", v) }
+  get alt() { return this.getAttribute("alt") ?? "" }
+  set alt(v) { this.setAttribute("alt", v) }
+  get loading() { return this.getAttribute("loading") == "lazy" ? "lazy" : "eager" }
+  set loading(v) { this.setAttribute("loading", v) }
+  get naturalWidth() { return this.#size[0] }
+  get naturalHeight() { return this.#size[1] }
+  get complete() { return this.#complete }
+  decode() {
+    return new Promise((resolve, reject) => {
+      if (this.#complete) return this.#size[0] ? resolve() : reject(new DOMException("no picture", "EncodingError"))
+      this.addEventListener("load", () => resolve(), { once: true })
+      this.addEventListener("error", e => reject(e.error), { once: true })
+    })
+  }
+
+  connectedCallback() {
+    this.role ??= "img"
+    this.#sized.observe(this)
+    this.#load()
+  }
+
+  disconnectedCallback() {
+    this.#sized.disconnect()
+    this.#seen.disconnect()
+    this.#stop?.abort()
+    this.#started = ""
+  }
+
+  attributeChangedCallback(name) {
+    if (name == "alt") this.#words.textContent = this.ariaLabel = this.alt
+    if (name == "width" || name == "height") this.#shape()
+    if (this.isConnected && /^(src|placeholder|loading)$/.test(name)) this.#load()
+  }
+
+  // The size in CSS pixels that the element has unless style says otherwise.
+  #shape([w, h] = this.#size) {
+    const [width, height] = ["width", "height"].map(name => Number(this.getAttribute(name)) || 0)
+    const rules = [width && `width: ${width}px`, height && `height: ${height}px`, !width && !height && w && `width: ${w}px`, w && h ? `aspect-ratio: ${w} / ${h}` : width && height && `aspect-ratio: ${width} / ${height}`]
+    this.#sheet.deleteRule(this.#sheet.cssRules.length - 1)
+    this.#sheet.insertRule(`:host { ${rules.filter(Boolean).join("; ")} }`, this.#sheet.cssRules.length)
+  }
+
+  #show(part) {
+    for (const each of [this.#canvas, this.#img, this.#words]) each.hidden = each != part
+  }
+
+  #load() {
+    const now = JSON.stringify([this.src, this.getAttribute("placeholder")])
+    if (this.#started == now) {
+      if (this.loading == "eager" && !this.#complete) this.#start()
+      return
+    }
+    this.#started = now
+    this.#stop?.abort()
+    this.#stop = undefined
+    this.#seen.disconnect()
+    this.#file = undefined
+    this.#complete = !this.src
+    const placeholder = this.getAttribute("placeholder")
+    if (placeholder) {
+      try {
+        const bytes = bytesOf(placeholder), { width, height, rgba } = drawPlaceholder(bytes, 64)
+        paint(this.#canvas, new ImageData(rgba, width, height))
+        // It has the size of the picture that it stands for.
+        const file = readPlaceholder(bytes)
+        this.#shape([file.width, file.height])
+        this.#show(this.#canvas)
+      } catch (error) {
+        console.warn("ssplat-img: the placeholder is not shown:", error.message, this)
+      }
+    }
+    if (!this.src) return
+    if (this.loading == "lazy") this.#seen.observe(this)
+    else this.#start()
+  }
+
+  async #start() {
+    if (this.#stop) return
+    this.#seen.disconnect()
+    const stop = this.#stop = new AbortController, { src } = this
+    try {
+      const response = await fetch(src, { signal: stop.signal })
+      if (!response.ok) throw new Error(`${response.status} ${response.statusText}`)
+      const bytes = new Uint8Array(await response.arrayBuffer())
+      if (stop.signal.aborted) return
+      const type = response.headers.get("content-type") ?? ""
+      if (magic.every((v, i) => bytes[i] == v) || !others.test(type)) {
+        const { width, height, orientation } = await decoder().header(bytes)
+        if (stop.signal.aborted) return
+        this.#file = { bytes, width, height, orientation }
+        this.#size = orientation > 4 ? [height, width] : [width, height]
+        this.#drawn = 0
+        this.#shape()
+        await this.#redraw()
+      } else {
+        const url = URL.createObjectURL(new Blob([bytes], { type }))
+        try {
+          this.#img.src = url
+          await this.#img.decode()
+        } finally {
+          URL.revokeObjectURL(url)
+        }
+        if (stop.signal.aborted) return
+        this.#size = [this.#img.naturalWidth, this.#img.naturalHeight]
+        this.#shape()
+        this.#show(this.#img)
+      }
+      if (stop.signal.aborted) return
+      this.#complete = true
+      this.dispatchEvent(new Event("load"))
+    } catch (error) {
+      if (stop.signal.aborted) return
+      this.#file = undefined
+      this.#complete = true
+      this.#size = [0, 0]
+      this.#words.textContent = this.alt
+      // What the placeholder shows is more than words are.
+      if (this.#canvas.hidden) this.#show(this.#words)
+      console.error(`ssplat-img: ${src}: ${error.message}`)
+      this.dispatchEvent(new ErrorEvent("error", { error, message: `${src}: ${error.message}` }))
+    }
+  }
+
+  // Draws the file with a sample for each pixel of the device, up to the largest canvas that browsers bear.
+  async #redraw() {
+    const file = this.#file
+    if (!file) return
+    const box = this.getBoundingClientRect(), scale = devicePixelRatio, [w, h] = this.#size
+    // The picture covers at most this much, whatever object-fit says.
+    const cover = Math.max(box.width / w, box.height / h) || 1
+    const wanted = Math.max(1, Math.min(Math.ceil(w * cover * scale), 8192, Math.floor(8192 * w / h)))
+    if (wanted == this.#drawn) return
+    this.#drawn = wanted
+    const turn = ++this.#turn, width = file.orientation > 4 ? Math.max(1, Math.round(wanted * h / w)) : wanted
+    const image = await decoder().decode(file.bytes, { width }).catch(error => {
+      // It was drawn before: the former drawing stays.
+      if (!this.#complete) throw error
+      console.error(`ssplat-img: ${this.src}: ${error.message}`)
+    })
+    if (!image || turn != this.#turn || file != this.#file) return
+    paint(this.#canvas, image, file.orientation)
+    this.#show(this.#canvas)
+  }
+}
+
+customElements.define("ssplat-img", SsplatImg)

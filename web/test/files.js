@@ -1,0 +1,80 @@
+// What the package promises of files, in Node.js and in browsers: the native decoder's samples, and typed errors.
+
+// RGBA with 8 bits of a PAM file, and whether it had more.
+export function rgbaOfPam(bytes) {
+  const text = new TextDecoder("latin1").decode(bytes), body = text.indexOf("ENDHDR\n") + 7
+  const field = name => Number(new RegExp(`${name} (\\d+)`).exec(text)[1])
+  const [columns, rows, depth, deep] = [field("WIDTH"), field("HEIGHT"), field("DEPTH"), field("MAXVAL") > 255]
+  const sample = i => deep ? bytes[body + 2 * i] * 256 + bytes[body + 2 * i + 1] : bytes[body + i]
+  const rgba = deep ? new Uint16Array(4 * columns * rows).fill(65535) : new Uint8Array(4 * columns * rows).fill(255)
+  for (let i = 0; i < columns * rows; i++) {
+    const v = Array.from({ length: depth }, (_, k) => sample(depth * i + k)), grey = [v[0], v[0], v[0], ...v.slice(1)]
+    rgba.set(depth < 3 ? grey : v, 4 * i)
+  }
+  return { columns, rows, deep, rgba }
+}
+
+export function crc32(bytes) {
+  let crc = -1
+  for (const byte of bytes) {
+    crc ^= byte
+    for (let k = 0; k < 8; k++) crc = crc >>> 1 ^ (crc & 1 ? 0xEDB88320 : 0)
+  }
+  return ~crc >>> 0
+}
+
+const kindOf = { invalid: /^(format|version)$/, limits: /^limit$/ }
+
+// Draws every case with `decoder`, and holds it against what the native decoder drew.
+export async function run(cases, load, decoder) {
+  const problems = []
+  let same = 0, refused = 0, broken = 0
+  const check = (good, words) => { if (!good) problems.push(words) }
+  const attempt = async (question, ...values) => {
+    try {
+      return await decoder[question](...values)
+    } catch (error) {
+      return error
+    }
+  }
+  for (const { path, width, height, columns, rows, deep, rgba, checksum } of cases) {
+    const bytes = await load(path), answer = await attempt("decode", bytes, { width, height })
+    if (!columns) {
+      const kind = kindOf[path.split("/")[0]]
+      check(answer instanceof Error && answer.name == "SsplatError" && kind.test(answer.kind) && answer.message, `${path}: ${answer.kind}, ${answer}`)
+      refused++
+      continue
+    }
+    check(answer.width == columns && answer.height == rows, `${path}: ${answer}`)
+    if (answer instanceof Error) continue
+    // Of 16 bits, 8 are the nearest.
+    if (!deep) check(rgba ? answer.data.every((v, i) => v == rgba[i]) : crc32(answer.data) == checksum, `${path}: other samples than the native decoder's`)
+    else if (rgba) check(answer.data.every((v, i) => Math.abs(rgba[i] - 257 * v) <= 129), `${path}: not the nearest of the native decoder's samples`)
+    same++
+    const info = await attempt("info", bytes), header = await attempt("header", bytes), all = await attempt("gaussians", bytes)
+    check(info.parts?.reduce((sum, p) => sum + p.bytes, 0) == bytes.length, `${path}: info ${info} ${JSON.stringify(info.parts)}`)
+    check(info.primitives == all.count && header.primitives == all.count && all.mean?.length == 2 * all.count, `${path}: ${all.count} of ${info.primitives} Gaussians`)
+    // The middle alone is the middle of the whole.
+    if (!width && columns > 2 && rows > 2 && columns * rows < 1e6) {
+      const [left, top] = [columns >> 2, rows >> 2], part = await attempt("decode", bytes, { region: [left, top, 2, 2] })
+      const inside = [0, 1].flatMap(y => [...answer.data.subarray(4 * ((top + y) * columns + left), 4 * ((top + y) * columns + left + 2))])
+      check(inside.every((v, i) => v == part.data?.[i]), `${path}: a part is not the whole's: ${part}`)
+    }
+    // Broken files end in a typed error that is not the decoder's fault, or as another picture.
+    for (let i = 0; i < 12; i++) {
+      const other = bytes.slice()
+      other[5 + Math.floor(other.length * i / 12) % Math.max(1, other.length - 9)] ^= 1 << i % 8
+      new DataView(other.buffer).setUint32(other.length - 4, crc32(other.subarray(0, -4)), true)
+      const answer = await attempt("header", other)
+      const drawn = answer.width * answer.height < 1e6 ? await attempt("decode", other) : answer
+      check(!(drawn instanceof Error) || drawn.name == "SsplatError" && drawn.kind != "internal", `${path}, broken ${i}: ${drawn.stack}`)
+      broken++
+    }
+  }
+  const [first] = cases, bytes = await load(first.path)
+  for (const [options, kind] of [[{ region: [0, 0, 1 << 20, 1] }, "parameter"], [{ width: 1.5 }, "parameter"], [{ limits: { alloc: 1 } }, "limit"], [{ limits: { nonsense: 1 } }, "parameter"]])
+    check((await attempt("decode", bytes, options)).kind == kind, `${JSON.stringify(options)} is not refused as ${kind}`)
+  check((await attempt("decode", "text")).kind == "parameter", "text is not refused")
+  check(same > 30 && refused > 40, `only ${same} files were drawn and ${refused} refused`)
+  return { problems, words: `${same} files with the native samples, ${refused} refused, ${broken} broken on purpose` }
+}

@@ -1,0 +1,306 @@
+//! What JavaScript calls: bytes in; pixels, Gaussians, facts or an error's words out. `web/machine.js` is the other side.
+//!
+//! A call fills what [`input`] gave, asks with [`header`], [`decode`], [`gaussians`] or [`info`], and reads the pieces and the
+//! numbers of the answer if it is 0. Otherwise the answer is the kind of the error, and the first piece its words in UTF-8.
+//!
+//! No pointer is read here: those that go out are only JavaScript's to follow. The one thing that Rust calls unsafe is
+//! that functions are exported by their names, which might clash with another's; the linker of one module would say so.
+
+use std::cell::RefCell;
+use std::fmt::Write;
+
+use image::metadata::Orientation;
+use ssplat::bitstream::header::{Sections, VERSION};
+use ssplat::bitstream::splats::{Layout, Metadata};
+use ssplat::raster::SamplesMut;
+use ssplat::{Blend, Damage, Error, Limits, Opened, Opening, Result};
+
+/// What lies between two calls.
+#[derive(Default)]
+struct Desk {
+    input: Vec<u8>,
+    limits: Limits,
+    answer: Answer,
+}
+
+/// What is answered: pixels, Gaussians, JSON or words; ICC profile; EXIF block. And width, height, channels, depth in
+/// bits, primitives, orientation as EXIF counts them, and missing primitives.
+#[derive(Default)]
+struct Answer {
+    pieces: [Vec<u8>; 3],
+    numbers: [u32; 7],
+}
+
+thread_local! {
+    static DESK: RefCell<Desk> = RefCell::default();
+}
+
+/// Makes room for a file of `length` bytes, forgets everything else, and says where the bytes go; 0 if there is no room.
+#[unsafe(no_mangle)]
+pub extern "C" fn input(length: usize) -> *mut u8 {
+    DESK.with_borrow_mut(|desk| {
+        *desk = Desk::default();
+        if desk.input.try_reserve_exact(length).is_err() {
+            return std::ptr::null_mut();
+        }
+        desk.input.resize(length, 0);
+        desk.input.as_mut_ptr()
+    })
+}
+
+/// Sets a limit, counted in the order of [`Limits`]; 0 if there is no such limit.
+#[unsafe(no_mangle)]
+pub extern "C" fn limit(which: u32, value: f64) -> u32 {
+    DESK.with_borrow_mut(|Desk { limits, .. }| {
+        // From a double, casts end at the type's bounds.
+        match which {
+            0 => limits.width = value as u32,
+            1 => limits.height = value as u32,
+            2 => limits.primitives = value as u64,
+            3 => limits.tile_pairs = value as u64,
+            4 => limits.work = value as u64,
+            5 => limits.overlap = value as u64,
+            6 => limits.alloc = value as u64,
+            7 => limits.metadata = value as u64,
+            _ => return 0,
+        }
+        1
+    })
+}
+
+/// Where a piece of the last answer is.
+#[unsafe(no_mangle)]
+pub extern "C" fn piece(which: usize) -> *const u8 {
+    DESK.with_borrow(|desk| desk.answer.pieces.get(which).map_or(std::ptr::null(), |p| p.as_ptr()))
+}
+
+/// Bytes of a piece of the last answer.
+#[unsafe(no_mangle)]
+pub extern "C" fn piece_length(which: usize) -> usize {
+    DESK.with_borrow(|desk| desk.answer.pieces.get(which).map_or(0, Vec::len))
+}
+
+/// A number of the last answer.
+#[unsafe(no_mangle)]
+pub extern "C" fn number(which: usize) -> u32 {
+    DESK.with_borrow(|desk| desk.answer.numbers.get(which).copied().unwrap_or(0))
+}
+
+/// Reads the header, and ICC profile and EXIF block if there are any.
+#[unsafe(no_mangle)]
+pub extern "C" fn header() -> u32 {
+    answer(|input, limits| {
+        let opening = open(input, limits)?;
+        let header = opening.header();
+        let (width, height, sections) = (header.width, header.height, header.sections);
+        let mut answer = Answer::default();
+        let [channels, depth] = [header.channels.count(), 8 * header.depth.bytes()].map(|v| v as u32);
+        answer.numbers = [width, height, channels, depth, header.primitives, 1, 0];
+        if sections == Sections::Present {
+            describe(read(opening, Damage::Accept)?.into_metadata(), &mut answer);
+        }
+        Ok(answer)
+    })
+}
+
+/// Decodes the part of the picture at (`left`, `top`) to RGBA with 8 bits; a part of width 0 is the whole picture, and an
+/// output of width 0 has a pixel for each of the part's. An output of height 0 keeps the part's shape. `partial` other than
+/// 0 draws what is there of a damaged file.
+#[unsafe(no_mangle)]
+pub extern "C" fn decode(
+    left: u32,
+    top: u32,
+    width: u32,
+    height: u32,
+    out_width: u32,
+    out_height: u32,
+    partial: u32,
+) -> u32 {
+    answer(|input, limits| {
+        let opening = open(input, limits)?;
+        let header = opening.header();
+        let (channels, depth) = (header.channels.count(), header.depth);
+        let mut view = opening.view();
+        if width > 0 {
+            view = view.crop(left, top, width, height)?;
+        }
+        if out_width > 0 {
+            let kept = (f64::from(view.height()) * f64::from(out_width) / f64::from(view.width())).round().max(1.0);
+            view = view.resized(out_width, if out_height > 0 { out_height } else { kept as u32 })?;
+        }
+        // Samples and RGBA are there at once, beside all that decoding takes.
+        let pixels = u64::from(view.width()) * u64::from(view.height());
+        let needed = pixels.saturating_mul(channels as u64 + 4);
+        let allowed = limits.alloc;
+        let mut rest = limits.clone();
+        rest.alloc =
+            allowed.checked_sub(needed).ok_or(Error::LimitExceeded { what: "alloc", requested: needed, allowed })?;
+        let opening = open(input, &rest)?;
+        let primitives = opening.header().primitives;
+        let opened = opening.read_for(&view, if partial == 0 { Damage::Refuse } else { Damage::Accept })?;
+        let mut samples = zeros(pixels as usize * channels)?;
+        opened.draw_into(&view, SamplesMut::U8(&mut samples))?;
+        let missing = opened.missing().primitives;
+        let mut answer = Answer::default();
+        describe(opened.into_metadata(), &mut answer);
+        let mut rgba = zeros(pixels as usize * 4)?;
+        for (to, from) in rgba.chunks_exact_mut(4).zip(samples.chunks_exact(channels)) {
+            to.copy_from_slice(&match *from {
+                [grey] => [grey, grey, grey, 255],
+                [grey, alpha] => [grey, grey, grey, alpha],
+                [red, green, blue] => [red, green, blue, 255],
+                _ => [from[0], from[1], from[2], from[3]],
+            });
+        }
+        answer.pieces[0] = rgba;
+        let orientation = answer.numbers[ORIENTATION];
+        let bits = 8 * depth.bytes() as u32;
+        answer.numbers = [view.width(), view.height(), channels as u32, bits, primitives, orientation, missing];
+        Ok(answer)
+    })
+}
+
+/// All Gaussians: for each nine floats, which are the centre, the deviations along both axes, the rotation and four colour
+/// channels; behind them four floats of the background.
+#[unsafe(no_mangle)]
+pub extern "C" fn gaussians() -> u32 {
+    answer(|input, limits| {
+        let opening = open(input, limits)?;
+        let header = opening.header();
+        let (width, height, primitives) = (header.width, header.height, header.primitives);
+        let [channels, depth] = [header.channels.count(), 8 * header.depth.bytes()].map(|v| v as u32);
+        let opened = read(opening, Damage::Refuse)?;
+        let (splats, mut bytes) = (opened.splats(), zeros(36 * opened.splats().gaussians.len() + 16)?);
+        let quantizer = splats.quantizer();
+        let (rows, background) = bytes.split_at_mut(36 * splats.gaussians.len());
+        for (row, packed) in rows.chunks_exact_mut(36).zip(&splats.gaussians) {
+            let g = quantizer.dequantize(packed);
+            let ([x, y], [major, minor], [red, green, blue, alpha]) = (g.mean, g.scale, g.color);
+            write(row, &[x, y, major, minor, g.rotation, red, green, blue, alpha]);
+        }
+        write(background, &quantizer.dequantize_color(splats.background));
+        let mut answer = Answer::default();
+        answer.pieces[0] = bytes;
+        answer.numbers = [width, height, channels, depth, primitives, 1, 0];
+        Ok(answer)
+    })
+}
+
+/// What the file holds, as JSON. Everything is read.
+#[unsafe(no_mangle)]
+pub extern "C" fn info() -> u32 {
+    answer(|input, limits| {
+        let (splats, report) = ssplat::bitstream::inspect(input, limits)?;
+        let header = &report.header;
+        let layout = match header.layout {
+            Layout::Packed => "packed",
+            Layout::Planes => "planes",
+            Layout::Coded => "coded",
+        };
+        let mut json = String::from("{");
+        for (name, value) in [
+            ("version", u64::from(VERSION)),
+            ("width", u64::from(header.width)),
+            ("height", u64::from(header.height)),
+            ("channels", header.channels.count() as u64),
+            ("depth", 8 * header.depth.bytes() as u64),
+            ("primitives", u64::from(header.primitives)),
+            ("groups", u64::from(report.groups)),
+            ("codebook", splats.codebook.as_ref().map_or(0, Vec::len) as u64),
+            ("bytes", report.bytes),
+        ] {
+            let _ = write!(json, r#""{name}":{value},"#);
+        }
+        let blend = if header.blend == Blend::Sum { "sum" } else { "normalized" };
+        let _ = write!(json, r#""layout":"{layout}","blend":"{blend}","levels":["#);
+        for (k, level) in report.levels.iter().enumerate() {
+            let _ = write!(json, "{}{level}", if k > 0 { "," } else { "" });
+        }
+        json += r#"],"parts":["#;
+        for (k, part) in report.parts.iter().enumerate() {
+            item(&mut json, k, part.name, "bytes", part.bytes);
+        }
+        json += r#"],"sections":["#;
+        for (k, section) in report.sections.iter().enumerate() {
+            // Letters: a section of another name is refused.
+            item(&mut json, k, std::str::from_utf8(&section.name).unwrap_or("?"), "bytes", section.bytes);
+        }
+        json += r#"],"fields":["#;
+        for (k, field) in report.fields.iter().enumerate() {
+            // Integers: what prints floats would be a tenth of the module.
+            item(&mut json, k, field.name, "thousandths", (field.bits * 1000.0) as u64);
+        }
+        json += "]}";
+        let mut answer = Answer::default();
+        describe(splats.metadata, &mut answer);
+        answer.pieces[0] = json.into_bytes();
+        Ok(answer)
+    })
+}
+
+/// All questions share the one reader of headers.
+#[inline(never)]
+fn open<'a>(input: &'a [u8], limits: &Limits) -> Result<Opening<'a>> {
+    Opening::new(input, limits)
+}
+
+/// All of a file, or what is there of it.
+#[inline(never)]
+fn read(opening: Opening<'_>, damage: Damage) -> Result<Opened> {
+    opening.read(damage)
+}
+
+/// Place of the orientation among an answer's numbers.
+const ORIENTATION: usize = 5;
+
+/// Puts ICC profile, EXIF block and the orientation that it names into an answer.
+fn describe(Metadata { icc, exif, .. }: Metadata, answer: &mut Answer) {
+    let orientation = exif.as_deref().and_then(Orientation::from_exif_chunk).unwrap_or(Orientation::NoTransforms);
+    answer.numbers[ORIENTATION] = u32::from(orientation.to_exif());
+    answer.pieces[1] = icc.unwrap_or_default();
+    answer.pieces[2] = exif.unwrap_or_default();
+}
+
+/// Appends what stands at place `k` of a list.
+#[inline(never)]
+fn item(json: &mut String, k: usize, name: &str, unit: &str, value: u64) {
+    let _ = write!(json, r#"{}{{"name":"{name}","{unit}":{value}}}"#, if k > 0 { "," } else { "" });
+}
+
+/// Writes floats in JavaScript's order of bytes.
+fn write(to: &mut [u8], floats: &[f32]) {
+    for (to, v) in to.chunks_exact_mut(4).zip(floats) {
+        to.copy_from_slice(&v.to_le_bytes());
+    }
+}
+
+fn zeros(length: usize) -> Result<Vec<u8>> {
+    let mut buffer = Vec::new();
+    let full = |_| Error::LimitExceeded { what: "alloc", requested: length as u64, allowed: 0 };
+    buffer.try_reserve_exact(length).map_err(full)?;
+    buffer.resize(length, 0);
+    Ok(buffer)
+}
+
+/// Leaves an answer on the desk: what `make` gives and 0, or the error's words and its kind.
+fn answer(make: impl FnOnce(&[u8], &Limits) -> Result<Answer>) -> u32 {
+    DESK.with_borrow_mut(|desk| {
+        desk.answer = Answer::default();
+        match make(&desk.input, &desk.limits) {
+            Ok(answer) => {
+                desk.answer = answer;
+                0
+            }
+            Err(error) => {
+                desk.answer.pieces[0] = error.to_string().into_bytes();
+                match error {
+                    Error::Format(_) => 1,
+                    Error::UnsupportedVersion { .. } => 2,
+                    Error::LimitExceeded { .. } => 3,
+                    Error::Parameter { .. } => 4,
+                    _ => 5,
+                }
+            }
+        }
+    })
+}
