@@ -46,7 +46,7 @@ export async function test() {
   check(canvas(small).width == Math.ceil(200 * devicePixelRatio), `200 px are drawn as ${canvas(small).width}`)
 
   // A broken or missing file is an error with the reason, and hurts nothing else.
-  for (const [src, kind] of [["/spec/vectors/invalid/checksum/file.ssplat", "format"], ["/spec/vectors/limits/huge-picture/file.ssplat", "limit"], ["/web/no-such-file.ssplat", undefined]]) {
+  for (const [src, kind] of [["/spec/vectors/invalid/checksum/file.ssplat", "format"], ["/spec/vectors/limits/many-primitives/file.ssplat", "limit"], ["/web/no-such-file.ssplat", undefined]]) {
     const broken = add({ src, alt: "what it would be" }), answer = await event(broken, ["load", "error"])
     check(answer.type == "error" && answer.error.kind == kind && answer.message.includes(src), `${src}: ${answer.type}, ${answer.error?.kind}`)
     check(broken.shadowRoot.querySelector("span").textContent == "what it would be" && !broken.shadowRoot.querySelector("span").hidden, `${src}: alt is not shown`)
