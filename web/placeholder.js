@@ -39,7 +39,7 @@ function rangeDecoder(bytes, start, end) {
   let at = start, code = 0, range = 0xFFFFFFFF
   const next = () => { code = code * 256 + (at < end ? bytes[at] : 0); at++ }
   for (let i = 0; i < 4; i++) next()
-  if (code == 0xFFFFFFFF) broken("start of the coded stream")
+  if (code == 0xFFFFFFFF) broken("start of the stream")
   const refill = () => { while (range < 16777216) { range *= 256; next() } }
   const take = (unit, below, above, total) => {
     code -= unit * below
@@ -80,7 +80,7 @@ function rangeDecoder(bytes, start, end) {
     finish() {
       const place = 8 * (at - end), unit = power(place), last = bytes[end - 1]
       if (end > start && (place < 0 || !last ||
-        place < 32 && !(code < unit && code < last * unit && code + (256 - last) * unit >= range))) broken("end of the coded stream")
+        place < 32 && !(code < unit && code < last * unit && code + (256 - last) * unit >= range))) broken("end of the stream")
     }
   }
   return coder
@@ -143,11 +143,11 @@ function slots(coder, count, limit) {
 export function read(bytes) {
   const end = bytes.length - 4
   let at = 6
-  if (end > 16384) stop("limit", `file has ${bytes.length} bytes, a placeholder at most 16388`)
+  if (end > 16384) stop("limit", `file is ${bytes.length}, at most 16388 is allowed`)
   if ([0x89, 0x53, 0x53, 0x50].some((v, i) => bytes[i] != v)) stop("format", "not an ssplat file")
-  if (bytes[4] != 5) stop("version", `version ${bytes[4]} is not known, only 5`)
+  if (bytes[4] != 5) stop("version", `version ${bytes[4]} is not known`)
   const flags = bytes[5]
-  if ((flags & 3) != 2 || flags & 192) stop("unsupported", "only files of one coded stream without codebook and sections are placeholders")
+  if ((flags & 3) != 2 || flags & 192) stop("unsupported", "not one coded stream without codebook and sections")
   const byte = () => at < end ? bytes[at++] : broken("end of the header")
   const varint = (what, low, high) => {
     let v = 0, place = 1, b
@@ -384,7 +384,7 @@ export function decode(bytes, width, height) {
   const picture = read(bytes), { channels, background } = picture
   width ||= picture.width
   height ||= max(1, round(picture.height * width / picture.width))
-  if (width * height > power(24)) stop("limit", `${width} x ${height} pixels are more than ${power(24)}`)
+  if (width * height > power(24)) stop("limit", `size is ${width * height}, at most ${power(24)} is allowed`)
   const stride = channels + 1, sums = new Float64Array(width * height * stride), edge = exp(-6.125)
   const dx = picture.width / width, dy = picture.height / height, wider = [dx, dy].map(d => max(0, d * d - 1) / 12)
   const drawn = picture.gaussians.map(([cx, cy, s, t, phi, color]) => {
