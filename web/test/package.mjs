@@ -54,6 +54,8 @@ for (const kind of ["simd", "scalar"]) {
   if (size > budget) tell("size", { problems: [`${size} bytes as brotli are more than ${budget}`], words: wasm })
 }
 
+execFileSync(process.execPath, [new URL("../pack-viewer.mjs", import.meta.url).pathname, new URL("valid/coded-rgb/file.ssplat", vectors).pathname, new URL("packed.html", dist).pathname])
+
 // Browsers are told the checksums, not the samples.
 const told = cases.map(({ rgba, ...one }) => ({ ...one, checksum: rgba && crc32(rgba) }))
 const pages = readdirSync(new URL("pages/", import.meta.url)).filter(f => f.endsWith(".js"))

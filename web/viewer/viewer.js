@@ -2,7 +2,10 @@
 import { Decoder } from "../ssplat.js"
 
 const get = id => document.getElementById(id)
-const stage = get("stage"), picture = get("picture"), overlay = get("overlay"), decoder = new Decoder({ worker: true })
+// What a page of one file holds in itself (pack-viewer.mjs).
+const held = id => get(id) && Uint8Array.from(atob(get(id).textContent), c => c.charCodeAt(0))
+const stage = get("stage"), picture = get("picture"), overlay = get("overlay")
+const decoder = get("held-module") ? new Decoder({ module: held("held-module") }) : new Decoder({ worker: true })
 const say = words => get("status").textContent = words
 const number = v => v.toLocaleString("en")
 // More ellipses than these are no longer seen apart.
@@ -215,6 +218,7 @@ new ResizeObserver(() => {
   size = now
 }).observe(stage)
 
+if (get("held-file")) open(held("held-file"), get("held-file").dataset.name)
 const asked = new URLSearchParams(location.search).get("file")
 if (asked) {
   const response = await fetch(asked).catch(error => ({ statusText: error.message }))

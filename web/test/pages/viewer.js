@@ -15,9 +15,9 @@ export async function test() {
     checks++
     if (!good) problems.push(words)
   }
-  const open = async file => {
+  const open = async (file, page = "/web/dist/viewer/index.html") => {
     const frame = document.createElement("iframe")
-    frame.src = `/web/dist/viewer/index.html?file=${file}`
+    frame.src = file ? `${page}?file=${file}` : page
     frame.style = "width: 900px; height: 600px; border: 0"
     document.body.replaceChildren(frame)
     await new Promise(resolve => frame.onload = resolve)
@@ -47,5 +47,10 @@ export async function test() {
 
   const other = await open("/spec/vectors/invalid/checksum/file.ssplat")
   check(await until(() => /checksum/.test(other.document.getElementById("status").textContent)), "a broken file is not told")
+
+  // The same page with a file in it, which asks for nothing else.
+  const packed = await open("", "/web/dist/packed.html"), drew = () => packed.document.getElementById("picture").getContext("2d").getImageData(0, 0, 300, 150).data.some(v => v > 0)
+  check(await until(() => packed.document.title == "file.ssplat" && drew()), `the packed page shows nothing: ${packed.document.getElementById("status").textContent}`)
+  check(!packed.performance.getEntriesByType("resource").some(e => e.name.startsWith("http")), "the packed page asks for more")
   return { problems, words: `${checks} promises` }
 }
