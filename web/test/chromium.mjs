@@ -46,18 +46,27 @@ try {
   })
   await new Promise(resolve => server.listen(0, "127.0.0.1", resolve))
   const options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run", "--window-size=1000,800", `--user-data-dir=${home}`]
-  const browser = spawn(process.env.CHROMIUM ?? "chromium", [...options, `http://127.0.0.1:${server.address().port}/`], { stdio: "ignore" })
+  const browser = spawn(process.env.CHROMIUM ?? "chromium", [...options, `http://127.0.0.1:${server.address().port}/`], { stdio: "ignore", detached: true })
   const ended = new Promise(resolve => browser.on("exit", resolve).on("error", resolve))
   browser.on("error", () => finish(undefined))
   browser.on("exit", code => finish({ problems: [`Chromium ended with ${code}`], words: "stopped" }))
   const alarm = setTimeout(() => finish({ problems: [`no answer in ${patience / 1000} s`], words: "hung" }), patience)
   const result = await answer
   clearTimeout(alarm)
-  browser.kill("SIGKILL")
+  // With all of its children, which are of its group.
+  try {
+    process.kill(-browser.pid, "SIGKILL")
+  } catch {
+    browser.kill("SIGKILL")
+  }
   await ended
   server.closeAllConnections()
   server.close()
   // Its children may still be writing.
-  rmSync(home, { recursive: true, force: true, maxRetries: 20, retryDelay: 250 })
+  try {
+    rmSync(home, { recursive: true, force: true, maxRetries: 20, retryDelay: 250 })
+  } catch (error) {
+    console.log(`left behind: ${error.path}`)
+  }
   return result
 }
