@@ -68,9 +68,14 @@ fn main() -> Result<(), Box<dyn Error>> {
                 let pixels = Pixels::try_from(image::open(&path)?)?;
                 for seed in &args.seeds {
                     for (program, sums) in args.programs.iter().zip(&mut sums) {
-                        let options = [("--ratio", ratio.to_string()), ("--effort", effort.to_string())];
-                        let seed = ("--seed", seed.to_string());
-                        let [user, system] = encode(program, [&path, &file], options.into_iter().chain([seed]))?;
+                        let options = [
+                            ("--ratio", ratio.to_string()),
+                            ("--effort", effort.to_string()),
+                            ("--seed", seed.to_string()),
+                            // What builds favour by default differs.
+                            ("--tune", "psnr".to_owned()),
+                        ];
+                        let [user, system] = encode(program, [&path, &file], options.into_iter())?;
                         let bytes = fs::read(&file)?;
                         let decoded = ssplat::decode(&bytes, &DecodeOptions::default())?;
                         let found = metrics::compare(&pixels, &decoded.pixels)?;

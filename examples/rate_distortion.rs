@@ -197,7 +197,7 @@ fn options(args: &Args, ratio: u32) -> EncodeOptions {
     options.seed = args.seed;
     options.layout = args.layout;
     options.recipe = args.recipe;
-    options.tune = args.tune;
+    options.tune = Some(args.tune);
     options.backend = args.backend;
     options
 }

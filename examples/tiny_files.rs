@@ -16,7 +16,7 @@ use std::process::Command;
 use clap::Parser;
 use image::imageops::{self, FilterType};
 use image::{ImageReader, RgbImage, RgbaImage};
-use ssplat::{DecodeOptions, EncodeOptions, Pixels, Target, metrics};
+use ssplat::{DecodeOptions, EncodeOptions, Pixels, Target, Tune, metrics};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -80,6 +80,8 @@ fn ours(picture: &RgbImage, most: u64, effort: u8) -> Result<RgbImage> {
     let mut options = EncodeOptions::default();
     options.target = Target::Bytes(most);
     options.effort = effort;
+    // What the table has of the others is PSNR, too.
+    options.tune = Some(Tune::Psnr);
     let bytes = ssplat::encode(&pixels(picture)?, &options)?.bytes;
     let decoded = ssplat::decode(&bytes, &DecodeOptions::default())?.pixels;
     let ssplat::Samples::U8(samples) = decoded.into_samples() else { return Err("not 8 bits".into()) };

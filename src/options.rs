@@ -51,15 +51,14 @@ pub enum Ablation {
 }
 
 /// Which measure the fit favours.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Tune {
     /// Squared error.
-    #[default]
     Psnr,
     /// Structural similarity, for at most half a decibel of PSNR.
     Ssim,
-    /// What eyes see from some way off, for about as much: errors count by how busy the luma and its surroundings are at
-    /// several sizes.
+    /// What eyes see from some way off, for at most .5 dB of PSNR, .1 to .3 dB in the mean: errors count by how busy the luma
+    /// and its surroundings are at several sizes. The names are those that AV1's encoder has for the same choice.
     Iq,
 }
 
@@ -115,8 +114,9 @@ pub struct EncodeOptions {
     pub blend: Option<Blend>,
     /// The fitting recipe.
     pub recipe: Recipe,
-    /// Which measure to favour.
-    pub tune: Tune,
+    /// Which measure to favour; `None`: [`Tune::Iq`], but [`Tune::Psnr`] where the target is a PSNR and for the recipes of
+    /// others, which count all errors alike.
+    pub tune: Option<Tune>,
     /// Which device fits.
     pub backend: Backend,
     /// What to look for that can be left out.
@@ -132,6 +132,15 @@ pub struct EncodeOptions {
     pub exif: Option<Vec<u8>>,
 }
 
+impl EncodeOptions {
+    /// The measure that the fit favours with these options.
+    #[must_use]
+    pub fn favoured(&self) -> Tune {
+        let is_alike = matches!(self.target, Target::Psnr(_)) || self.recipe != Recipe::Ssplat;
+        self.tune.unwrap_or(if is_alike { Tune::Psnr } else { Tune::Iq })
+    }
+}
+
 impl Default for EncodeOptions {
     fn default() -> Self {
         EncodeOptions {
@@ -142,7 +151,7 @@ impl Default for EncodeOptions {
             layout: Layout::Coded,
             blend: None,
             recipe: Recipe::Ssplat,
-            tune: Tune::Psnr,
+            tune: None,
             backend: Backend::Auto,
             needs: Needs::Measured,
             levels: 1,

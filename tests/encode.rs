@@ -110,8 +110,8 @@ fn files_fill_their_size_at_every_effort_seed_blend_and_tune() {
         |o| o.effort = 7,
         |o| o.seed = 99,
         |o| o.blend = Some(Blend::Sum),
-        |o| o.tune = Tune::Ssim,
-        |o| o.tune = Tune::Iq,
+        |o| o.tune = Some(Tune::Ssim),
+        |o| o.tune = Some(Tune::Psnr),
         |_| (),
     ] {
         let mut options = quick(Target::Bytes(most));
@@ -142,7 +142,7 @@ fn equal_options_give_equal_bytes() {
     for recipe in [Recipe::Ssplat, Recipe::SmartSplat(Ablation::Colors)] {
         for tune in [Tune::Psnr, Tune::Ssim, Tune::Iq] {
             let mut options = quick(Target::Bytes(300));
-            (options.recipe, options.tune) = (recipe, tune);
+            (options.recipe, options.tune) = (recipe, Some(tune));
             assert_eq!(encode(&pixels, &options).unwrap().bytes, encode(&pixels, &options).unwrap().bytes);
         }
     }
@@ -161,7 +161,7 @@ fn bytes_do_not_depend_on_the_thread_count() {
         (500, Recipe::SmartSplat(Ablation::Colors), Tune::Psnr, 1),
     ] {
         let mut options = quick(Target::Bytes(bytes));
-        (options.recipe, options.tune, options.effort) = (recipe, tune, effort);
+        (options.recipe, options.tune, options.effort) = (recipe, Some(tune), effort);
         let with = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| encode(&pixels, &options).unwrap().bytes)
@@ -280,6 +280,28 @@ fn progress_goes_forward_and_can_stop_the_work() {
         assert!(matches!(stopped, Err(Error::Cancelled)), "{stop}: {stopped:?}");
         assert_eq!(calls, stop + 1);
     }
+}
+
+#[test]
+fn eyes_are_favoured_unless_a_psnr_or_another_recipe_is_asked_for() {
+    let mut options = quick(Target::Bytes(600));
+    assert_eq!(options.favoured(), Tune::Iq);
+    // Noise in one half, so that the weights differ.
+    let samples = (0..64 * 48 * 3u32).map(|i| if i / 3 % 64 < 32 { 100 } else { (i * i % 251) as u8 }).collect();
+    let pixels = Pixels::new(64, 48, Channels::Rgb, Samples::U8(samples)).unwrap();
+    let by_default = encode(&pixels, &options).unwrap().bytes;
+    options.tune = Some(Tune::Psnr);
+    assert_eq!(options.favoured(), Tune::Psnr);
+    assert_ne!(encode(&pixels, &options).unwrap().bytes, by_default);
+    options.tune = Some(Tune::Iq);
+    assert_eq!(encode(&pixels, &options).unwrap().bytes, by_default);
+    options.target = Target::Psnr(30.0);
+    assert_eq!(options.favoured(), Tune::Iq);
+    options.tune = None;
+    assert_eq!(options.favoured(), Tune::Psnr);
+    options.target = Target::Auto;
+    options.recipe = Recipe::SmartSplat(Ablation::Colors);
+    assert_eq!(options.favoured(), Tune::Psnr);
 }
 
 #[test]

@@ -39,7 +39,7 @@ fn results() -> String {
     let pixels = Pixels::new(60, 44, Channels::Rgb, Samples::U8(samples)).unwrap();
     for tune in [Tune::Psnr, Tune::Ssim, Tune::Iq] {
         let mut options = EncodeOptions::default();
-        (options.target, options.effort, options.tune) = (Target::Bytes(500), 1, tune);
+        (options.target, options.effort, options.tune) = (Target::Bytes(500), 1, Some(tune));
         options.backend = ssplat::Backend::Cpu;
         lines += &format!("encoded {tune:?} {:08x}\n", crc32fast::hash(&encode(&pixels, &options).unwrap().bytes));
     }

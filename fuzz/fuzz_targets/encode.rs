@@ -28,7 +28,7 @@ impl<'a> Arbitrary<'a> for Input {
         options.blend = *u.choose(&[None, Some(Blend::Normalized), Some(Blend::Sum)])?;
         options.recipe =
             *u.choose(&[Recipe::Ssplat, Recipe::SmartSplat(Ablation::Colors), Recipe::SmartSplat(Ablation::Random)])?;
-        options.tune = *u.choose(&[Tune::Psnr, Tune::Ssim])?;
+        options.tune = *u.choose(&[None, Some(Tune::Psnr), Some(Tune::Ssim), Some(Tune::Iq)])?;
         options.backend = ssplat::Backend::Cpu;
         let channels = *u.choose(&[Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba])?;
         let (width, height) = (u.int_in_range(1..=24)?, u.int_in_range(1..=24)?);

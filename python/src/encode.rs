@@ -24,7 +24,7 @@ pub struct Options {
     threads: Option<i128>,
     layout: String,
     blend: Option<String>,
-    tune: String,
+    tune: Option<String>,
     needs: String,
     backend: String,
     levels: i128,
@@ -56,7 +56,7 @@ impl Options {
         };
         o.layout = names::value("layout", &names::LAYOUTS, &self.layout)?;
         o.blend = self.blend.as_deref().map(|b| names::value("blend", &names::BLENDS, b)).transpose()?;
-        o.tune = names::value("tune", &names::TUNES, &self.tune)?;
+        o.tune = self.tune.as_deref().map(|t| names::value("tune", &names::TUNES, t)).transpose()?;
         o.needs = names::value("needs", &names::NEEDS, &self.needs)?;
         o.backend = names::value("backend", &names::BACKENDS, &self.backend)?;
         o.icc = self.icc_profile.as_ref().map(|b| b.to_vec());

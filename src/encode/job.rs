@@ -57,7 +57,7 @@ impl Encoding<'_> {
     /// Weighs the errors by structure, where that is asked for and weighs anything.
     fn weigh(&mut self, count: usize) {
         let options = self.subject.options;
-        self.planes.amplitude = match options.tune {
+        self.planes.amplitude = match options.favoured() {
             Tune::Psnr => Vec::new(),
             Tune::Ssim => structure::amplitudes(&self.planes, count),
             Tune::Iq => masking::amplitudes(&self.planes, count),

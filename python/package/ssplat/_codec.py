@@ -31,7 +31,7 @@ def encode(
     seed: int = 0,
     threads: int | None = None,
     levels: int = 1,
-    tune: Literal["psnr", "ssim", "iq"] = "psnr",
+    tune: Literal["psnr", "ssim", "iq"] | None = None,
     layout: Literal["coded", "planes", "packed"] = "coded",
     blend: Literal["normalized", "sum"] | None = None,
     needs: Literal["measured", "everything"] = "measured",
@@ -57,7 +57,7 @@ def encode(
         seed: of everything random.
         threads: how many to use; None: one for each core.
         levels: 1 to 8 progressive levels; a file that is cut after one is a coarser picture.
-        tune: the measure to favour: PSNR, SSIM, or ``iq``, what eyes see.
+        tune: the measure to favour: PSNR, SSIM, or ``iq``, what eyes see. None: ``iq``, but ``psnr`` with ``psnr=``.
         layout: how the integers become bytes.
         blend: how primitives blend; None: normalized.
         needs: whether to look for what can be left out of the fit.

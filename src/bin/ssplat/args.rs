@@ -131,9 +131,10 @@ pub struct Encode {
     /// The fitting recipe; the last four are the SmartSplat paper's and its ablation
     #[arg(long, default_value = "ssplat", value_parser = names::recipe())]
     pub recipe: Recipe,
-    /// Which measure to favour
-    #[arg(long, default_value = "psnr", value_parser = names::tune())]
-    pub tune: Tune,
+    /// Which measure to favour: squared error, structure, or what eyes see [default: iq; psnr with --psnr and for the paper's
+    /// recipes]
+    #[arg(long, value_parser = names::tune())]
+    pub tune: Option<Tune>,
     /// Progressive levels, each 1 to 2 % of the bytes: a file cut after one decodes with --partial
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
     pub levels: u8,

@@ -8,7 +8,7 @@ use std::time::Instant;
 use serde_json::{Value, json};
 use ssplat::bitstream::splats::Layout;
 use ssplat::raster::{Renderer, View};
-use ssplat::{Ablation, Backend, Blend, EncodeOptions, Limits, Pixels, Recipe, Target, Trace};
+use ssplat::{Ablation, Backend, Blend, EncodeOptions, Limits, Pixels, Recipe, Target, Trace, Tune};
 
 use crate::compare;
 use crate::failure::Failure;
@@ -80,6 +80,8 @@ impl Setup {
         o.backend = self.backend;
         o.layout = Layout::Coded;
         o.trace = Trace::On;
+        // The pages compare squared errors.
+        o.tune = Some(Tune::Psnr);
         o
     }
 }

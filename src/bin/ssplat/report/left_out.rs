@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 use ssplat::raster::{Renderer, View};
-use ssplat::{EncodeOptions, Limits, Needs, Pixels, Target, encode, metrics};
+use ssplat::{EncodeOptions, Limits, Needs, Pixels, Target, Tune, encode, metrics};
 
 use super::scenes;
 
@@ -81,6 +81,7 @@ pub fn measure(name: &str, pixels: &Pixels) -> ssplat::Result<Needless> {
     let mut options = EncodeOptions::default();
     options.target = Target::Primitives(400);
     options.effort = EFFORT;
+    options.tune = Some(Tune::Psnr);
     let mut out = Needless { scene: name.into(), what: Vec::new(), bytes: [0; 2], seconds: [0.0; 2], psnr: [0.0; 2] };
     let both = [Needs::Everything, Needs::Measured].into_iter().enumerate();
     let all = (0..SEEDS).flat_map(|seed| both.clone().map(move |(i, needs)| (seed, i, needs)));
