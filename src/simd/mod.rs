@@ -6,6 +6,7 @@
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 
+#[cfg(target_arch = "x86_64")]
 use std::sync::OnceLock;
 
 /// Floats side by side.
@@ -28,9 +29,11 @@ pub(crate) trait Task {
 }
 
 /// The variable that chooses the plain instructions.
+#[cfg(target_arch = "x86_64")]
 const VARIABLE: &str = "SSPLAT_SIMD";
 
 /// Whether [`VARIABLE`] was `plain` when it was first asked for.
+#[cfg(target_arch = "x86_64")]
 fn is_plain_asked_for() -> bool {
     static ASKED: OnceLock<bool> = OnceLock::new();
     *ASKED.get_or_init(|| std::env::var_os(VARIABLE).is_some_and(|value| value == "plain"))

@@ -47,6 +47,8 @@ pub enum Command {
     Info(Info),
     /// Measure how far two pictures are apart
     Compare(Compare),
+    /// Print a picture as the text of a small .ssplat file, to stand in a web page until the picture is there
+    Placeholder(Placeholder),
     /// Write a .ssplat file's Gaussians for other programs
     Export(Export),
     /// Store Gaussians that were fitted elsewhere
@@ -312,6 +314,48 @@ pub struct Info {
     /// Print as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+const PLACEHOLDER_EXAMPLES: &str = "\
+Examples:
+  ssplat placeholder photo.jpg                                base64 of at most 300 bytes
+  ssplat placeholder photo.jpg --bytes 100 --format uri
+  ssplat placeholder photo.jpg --format html --alt \"A lighthouse\" --src photo.ssplat
+
+web/placeholder.js draws such a file without WebAssembly; web/ssplat-img.js has the element <ssplat-img>. The
+picture is turned as its EXIF block says. Profile and EXIF block are left out.";
+
+/// What `ssplat placeholder` prints.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum PlaceholderFormat {
+    /// The file in base64
+    Base64,
+    /// The same as a data URI
+    Uri,
+    /// An element <ssplat-img>
+    Html,
+}
+
+#[derive(Debug, ClapArgs)]
+#[command(after_help = PLACEHOLDER_EXAMPLES)]
+pub struct Placeholder {
+    /// The picture, in any format known by its content; - for standard input
+    pub input: PathBuf,
+    /// Size of the file, bytes, never exceeded; base64 makes four letters of three
+    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u64).range(..=16 << 10))]
+    pub bytes: u64,
+    /// What to print
+    #[arg(long, value_enum, default_value = "base64")]
+    pub format: PlaceholderFormat,
+    /// The element's source [default: the input's name]
+    #[arg(long, value_name = "URL")]
+    pub src: Option<String>,
+    /// What the element says where the picture cannot be seen
+    #[arg(long, value_name = "TEXT")]
+    pub alt: Option<String>,
+    /// How much work to spend, 1 to 9
+    #[arg(long, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
+    pub effort: u8,
 }
 
 const COMPLETIONS_EXAMPLES: &str = "\

@@ -1,4 +1,4 @@
-//! The `ssplat` program: encode, decode, info, compare, export, import; with the feature `report` also report, with
+//! The `ssplat` program: encode, decode, info, compare, placeholder, export, import; with the feature `report` also report, with
 //! `recipes` also bench-methods.
 
 mod args;
@@ -17,6 +17,7 @@ mod left_out;
 mod manual;
 mod names;
 mod perceived;
+mod placeholder;
 mod progress;
 #[cfg(feature = "report")]
 mod report;
@@ -60,6 +61,7 @@ fn run(args: Args) -> Result<(), Failure> {
         Command::Decode(args) => decode::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Placeholder(args) => placeholder::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Completions(args) => manual::completions(&args),

@@ -1,0 +1,61 @@
+//! `ssplat placeholder`: a file small enough to stand in a page's text, as that text.
+
+use std::path::Path;
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use image::DynamicImage;
+use ssplat::{EncodeOptions, Pixels, Target};
+
+use crate::args::{self, PlaceholderFormat};
+use crate::failure::Failure;
+use crate::sink::say;
+use crate::source::{self, Turn};
+
+/// Pixels along the longer side that are fitted: what a few hundred Gaussians can show of a picture is there in these.
+const SIDE: u32 = 512;
+
+pub fn run(args: &args::Placeholder) -> Result<(), Failure> {
+    // A placeholder has no room for an EXIF block, and browsers turn the picture that follows.
+    let source = source::open(&args.input, Turn::Upright)?.whole(&args.input)?;
+    source.notes.iter().for_each(|note| eprintln!("ssplat: {}: {note}", Failure::input(&args.input)));
+    let size = [source.pixels.width(), source.pixels.height()];
+    let mut options = EncodeOptions::default();
+    (options.target, options.effort) = (Target::Bytes(args.bytes), args.effort);
+    let encoded = ssplat::encode(&shrunk(source.pixels), &options).map_err(|e| Failure::library(&args.input, &e))?;
+    let text = STANDARD.encode(encoded.bytes);
+    say(&match args.format {
+        PlaceholderFormat::Base64 => format!("{text}\n"),
+        PlaceholderFormat::Uri => format!("data:image/x-ssplat;base64,{text}\n"),
+        PlaceholderFormat::Html => html(args, size, &text),
+    })
+}
+
+/// A large picture at a smaller size. One with alpha stays as it is: means of its colours would show what hides under it.
+fn shrunk(pixels: Pixels) -> Pixels {
+    if pixels.width().max(pixels.height()) <= SIDE || pixels.channels().alpha().is_some() {
+        return pixels;
+    }
+    let picture = DynamicImage::from(pixels).thumbnail(SIDE, SIDE);
+    Pixels::try_from(picture).expect("a picture of samples that were pixels before")
+}
+
+/// The element of `web/ssplat-img.js`, which draws the placeholder until the source is there.
+fn html(args: &args::Placeholder, [width, height]: [u32; 2], text: &str) -> String {
+    let src = args.src.clone().unwrap_or_else(|| name(&args.input));
+    format!(
+        "<ssplat-img src=\"{}\" alt=\"{}\" width=\"{width}\" height=\"{height}\" placeholder=\"{text}\"></ssplat-img>\n",
+        escaped(&src),
+        escaped(args.alt.as_deref().unwrap_or_default())
+    )
+}
+
+/// The file's name without its folders, which a page does not have.
+fn name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Text as an attribute's value in double quotes.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('"', "&quot;").replace('<', "&lt;")
+}
