@@ -570,6 +570,21 @@ fn quick(input: &Path, output: &Path, more: &[&str]) -> Output {
     command.args(QUICK).args(more).output().unwrap()
 }
 
+#[cfg(unix)]
+#[test]
+fn what_is_no_ssplat_file_is_refused_by_its_start_however_long_it_is() {
+    let folder = Folder::new();
+    let (endless, out) = (Path::new("/dev/zero"), folder.path("out.png"));
+    fails(ssplat(&[&"info", &endless]), 4, "/dev/zero");
+    fails(ssplat(&[&"decode", &endless, &out]), 4, "/dev/zero");
+    fails(ssplat(&[&"export", &endless, &folder.path("out.npz")]), 4, "/dev/zero");
+    assert!(!out.exists());
+    // Three bytes, the first of them right.
+    let short = folder.path("short.ssplat");
+    fs::write(&short, b"\x89SS").unwrap();
+    fails(ssplat(&[&"info", &short]), 4, "short.ssplat");
+}
+
 #[test]
 fn a_picture_that_was_cut_off_is_refused_in_every_format() {
     let folder = Folder::new();

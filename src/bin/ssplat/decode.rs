@@ -67,7 +67,7 @@ fn pixels(path: &Path) -> u64 {
 /// Decodes one file.
 fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &Show) -> Result<Done, Failure> {
     let start = Instant::now();
-    let bytes = source::read_all(input)?;
+    let bytes = source::read_splats(input)?;
     let failed = |e| Failure::library(input, &e);
     let limits = Limits::default();
     let opening = Opening::new(&bytes, &limits).map_err(failed)?;

@@ -16,7 +16,7 @@ pub fn run(args: &args::Export) -> Result<(), Failure> {
         Some(format) => format,
         None => ExportFormat::of_path(&args.output)?,
     };
-    let bytes = source::read_all(&args.input)?;
+    let bytes = source::read_splats(&args.input)?;
     let splats =
         ssplat::bitstream::read(&bytes[..], &Limits::default()).map_err(|e| Failure::library(&args.input, &e))?;
     let parameters = Parameters::from(&splats);

@@ -13,7 +13,7 @@ use crate::source;
 use crate::{args, left_out};
 
 pub fn run(args: &args::Info) -> Result<(), Failure> {
-    let bytes = source::read_all(&args.input)?;
+    let bytes = source::read_splats(&args.input)?;
     let (splats, report) =
         ssplat::bitstream::inspect(&bytes, &Limits::default()).map_err(|e| Failure::library(&args.input, &e))?;
     say(&if args.json { format!("{:#}\n", as_json(&splats, &report)) } else { as_text(&splats, &report) })

@@ -7,7 +7,7 @@ use std::path::Path;
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageReader};
 use ssplat::bitstream::header::MAGIC;
-use ssplat::{Channels, DecodeOptions, Pixels};
+use ssplat::{Channels, DecodeOptions, Limits, Pixels};
 
 use crate::failure::{Failure, Kind};
 use crate::structure;
@@ -48,21 +48,32 @@ impl Source {
 trait ReadSeek: BufRead + Seek {}
 impl<T: BufRead + Seek> ReadSeek for T {}
 
-/// Reads the whole of `path`, or of standard input for `-`.
-pub fn read_all(path: &Path) -> Result<Vec<u8>, Failure> {
-    read_at_most(path, u64::MAX)
+/// Reads a .ssplat file, or standard input for `-`; of anything else only the start, so that it is refused whatever its length.
+pub fn read_splats(path: &Path) -> Result<Vec<u8>, Failure> {
+    read(path, &MAGIC, Limits::default().alloc)
 }
 
-/// The same; refuses more than `most` bytes.
+/// Reads the whole of `path`, or of standard input for `-`; refuses more than `most` bytes.
 pub fn read_at_most(path: &Path, most: u64) -> Result<Vec<u8>, Failure> {
+    read(path, &[], most)
+}
+
+/// Reads on behind `start` where the file begins with it.
+fn read(path: &Path, start: &[u8], most: u64) -> Result<Vec<u8>, Failure> {
     let mut bytes = Vec::new();
-    let end = most.saturating_add(1);
-    let read = if path == Path::new("-") {
-        io::stdin().lock().take(end).read_to_end(&mut bytes)
-    } else {
-        File::open(path).and_then(|f| f.take(end).read_to_end(&mut bytes))
+    let mut read = |reader: &mut dyn Read| {
+        reader.take(start.len() as u64).read_to_end(&mut bytes)?;
+        if bytes == start {
+            reader.take(most.saturating_sub(start.len() as u64).saturating_add(1)).read_to_end(&mut bytes)?;
+        }
+        Ok(())
     };
-    read.map_err(|e| Failure::io(path, &e))?;
+    let done = if path == Path::new("-") {
+        read(&mut io::stdin().lock())
+    } else {
+        File::open(path).and_then(|mut f| read(&mut f))
+    };
+    done.map_err(|e| Failure::io(path, &e))?;
     if bytes.len() as u64 > most {
         let message = format!("{}: is longer than {most} bytes", Failure::input(path));
         return Err(Failure { kind: Kind::Limit, message });
@@ -74,7 +85,7 @@ pub fn read_at_most(path: &Path, most: u64) -> Result<Vec<u8>, Failure> {
 pub fn open(path: &Path, turn: Turn) -> Result<Source, Failure> {
     let io = |e| Failure::io(path, &e);
     let mut reader: Box<dyn ReadSeek> = if path == Path::new("-") {
-        Box::new(Cursor::new(read_all(path)?))
+        Box::new(Cursor::new(read_at_most(path, Limits::default().alloc)?))
     } else {
         Box::new(BufReader::new(File::open(path).map_err(io)?))
     };

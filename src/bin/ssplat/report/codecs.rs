@@ -203,7 +203,7 @@ pub fn as_csv(anchors: &[Anchor]) -> String {
 /// Reads a CSV with at least the columns `image, codec, bytes, psnr, msssim, ssim, enc_s, dec_s, setting`, in any
 /// order, and with `ssimulacra2` and `butteraugli` where it has them; rows without a size (`N/A`) are passed over.
 pub fn parse(path: &Path) -> Result<Vec<Anchor>, Failure> {
-    let text = String::from_utf8_lossy(&source::read_all(path)?).into_owned();
+    let text = String::from_utf8_lossy(&source::read_at_most(path, 64 << 20)?).into_owned();
     let mut lines = text.lines();
     let header: Vec<&str> = lines.next().unwrap_or("").split(',').map(str::trim).collect();
     let mut columns = [0; COLUMNS.len()];

@@ -204,7 +204,7 @@ fn piece(pixels: &Pixels) -> Option<Pixels> {
 /// The stiff cases of the file that was named.
 fn stiff(args: &args::Report) -> Result<Vec<Row>, Failure> {
     let Some(path) = &args.stability else { return Ok(Vec::new()) };
-    Ok(stability::parse(&String::from_utf8_lossy(&source::read_all(path)?)))
+    Ok(stability::parse(&String::from_utf8_lossy(&source::read_at_most(path, 64 << 20)?)))
 }
 
 /// The command line, without what only this machine has.
