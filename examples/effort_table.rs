@@ -11,6 +11,8 @@
 //! The table has the means over pictures and seeds: CPU seconds of the whole program, those of the system apart, as they
 //! grow with what else the machine does; and what the files hold, decoded.
 
+mod folder;
+
 use std::error::Error;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -64,7 +66,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for &ratio in &args.ratios {
         for &effort in &args.efforts {
             let mut sums = vec![Sums::default(); args.programs.len()];
-            for path in pictures(&args)? {
+            for path in folder::pictures(&args.folder, &args.only)? {
                 let pixels = Pixels::try_from(image::open(&path)?)?;
                 for seed in &args.seeds {
                     for (program, sums) in args.programs.iter().zip(&mut sums) {
@@ -102,17 +104,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     }
     Ok(())
-}
-
-/// The pictures to measure, by name.
-fn pictures(args: &Args) -> Result<Vec<PathBuf>, Box<dyn Error>> {
-    let mut paths: Vec<PathBuf> = fs::read_dir(&args.folder)?.map(|e| Ok(e?.path())).collect::<std::io::Result<_>>()?;
-    paths.retain(|p| {
-        let name = p.file_name().unwrap_or_default().to_string_lossy();
-        image::ImageFormat::from_path(p).is_ok() && (args.only.is_empty() || args.only.contains(&name.into_owned()))
-    });
-    paths.sort();
-    Ok(paths)
 }
 
 /// CPU seconds, of the program and of the system for it, that encoding takes on one thread.

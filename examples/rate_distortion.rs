@@ -15,6 +15,7 @@
 #[allow(dead_code)]
 mod names;
 // The measures of the program that the library has not.
+mod folder;
 #[path = "../src/bin/ssplat/perceived.rs"]
 mod perceived;
 
@@ -123,7 +124,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     println!("{}", header(&[&["image", "ratio", "bytes", "N"][..], &MEASURES, &SECONDS].concat(), &codecs));
     let mut rows = Vec::new();
-    for path in pictures(&args)? {
+    for path in folder::pictures(&args.folder, &args.only)? {
         let image = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let pixels = Pixels::try_from(image::open(&path)?)?;
         for &ratio in &args.ratios {
@@ -176,17 +177,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     print_means(&args.ratios, &rows, &anchors, &codecs);
     Ok(())
-}
-
-/// The pictures to measure, by name.
-fn pictures(args: &Args) -> Result<Vec<PathBuf>, Box<dyn Error>> {
-    let mut paths: Vec<PathBuf> = fs::read_dir(&args.folder)?.map(|e| Ok(e?.path())).collect::<std::io::Result<_>>()?;
-    paths.retain(|p| {
-        let name = p.file_name().unwrap_or_default().to_string_lossy();
-        image::ImageFormat::from_path(p).is_ok() && (args.only.is_empty() || args.only.contains(&name.into_owned()))
-    });
-    paths.sort();
-    Ok(paths)
 }
 
 fn options(args: &Args, ratio: u32) -> EncodeOptions {
