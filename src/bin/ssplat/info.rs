@@ -4,10 +4,11 @@ use serde_json::{Value, json};
 use ssplat::bitstream::header::VERSION;
 use ssplat::bitstream::report::Report;
 use ssplat::bitstream::sections::{SectionFate, SectionInfo};
-use ssplat::bitstream::splats::{Layout, PackedSplats};
-use ssplat::{Blend, Channels, Limits};
+use ssplat::bitstream::splats::PackedSplats;
+use ssplat::{Channels, Limits};
 
 use crate::failure::Failure;
+use crate::names::{blend_name, layout_name};
 use crate::sink::say;
 use crate::source;
 use crate::{args, left_out};
@@ -40,8 +41,8 @@ fn as_json(splats: &PackedSplats, report: &Report) -> Value {
         "height": h.height,
         "channels": channels(h.channels),
         "depth": 8 * h.depth.bytes(),
-        "blend": blend(h.blend),
-        "layout": layout(h.layout),
+        "blend": blend_name(h.blend),
+        "layout": layout_name(h.layout),
         "steps": {
             "scale": h.steps.scale,
             "angle": h.steps.angle,
@@ -79,9 +80,9 @@ fn as_text(splats: &PackedSplats, report: &Report) -> String {
         8 * h.depth.bytes(),
         report.bytes,
         ratio(report),
-        layout(h.layout),
+        layout_name(h.layout),
         h.primitives,
-        blend(h.blend),
+        blend_name(h.blend),
         per_primitive(8.0 * report.bytes as f64, splats).unwrap_or(0.0),
     );
     if let Some(codebook) = &splats.codebook {
@@ -143,20 +144,5 @@ fn channels(channels: Channels) -> &'static str {
         Channels::GreyAlpha => "grey+alpha",
         Channels::Rgb => "rgb",
         Channels::Rgba => "rgba",
-    }
-}
-
-fn blend(blend: Blend) -> &'static str {
-    match blend {
-        Blend::Normalized => "normalized",
-        Blend::Sum => "sum",
-    }
-}
-
-fn layout(layout: Layout) -> &'static str {
-    match layout {
-        Layout::Packed => "packed",
-        Layout::Planes => "planes",
-        Layout::Coded => "coded",
     }
 }

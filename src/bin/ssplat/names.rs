@@ -1,21 +1,51 @@
-//! The names that options have on the command line; shared with the measuring programs in `examples/`.
+//! The names that options have on the command line and in what is printed; shared with the measuring programs in `examples/`.
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use ssplat::bitstream::splats::Layout;
 use ssplat::{Ablation, Backend, Blend, Recipe, Tune};
 
+static LAYOUTS: [(&str, Layout); 3] =
+    [("packed", Layout::Packed), ("planes", Layout::Planes), ("coded", Layout::Coded)];
+static BLENDS: [(&str, Blend); 2] = [("normalized", Blend::Normalized), ("sum", Blend::Sum)];
+
+/// The name of a value that has one.
+fn name_of<T: PartialEq>(values: &[(&'static str, T)], value: &T) -> &'static str {
+    values.iter().find(|v| v.1 == *value).map(|v| v.0).expect("a listed value")
+}
+
+/// The value of that name.
+fn value_of<T: Copy>(values: &[(&str, T)], name: &str) -> Option<T> {
+    values.iter().find(|v| v.0 == name).map(|v| v.1)
+}
+
+pub fn layout_name(layout: Layout) -> &'static str {
+    name_of(&LAYOUTS, &layout)
+}
+
+pub fn layout_of(name: &str) -> Option<Layout> {
+    value_of(&LAYOUTS, name)
+}
+
+pub fn blend_name(blend: Blend) -> &'static str {
+    name_of(&BLENDS, &blend)
+}
+
+pub fn blend_of(name: &str) -> Option<Blend> {
+    value_of(&BLENDS, name)
+}
+
 /// A parser of names for values.
 fn named<T: Copy + Send + Sync + 'static>(values: &'static [(&'static str, T)]) -> impl TypedValueParser<Value = T> {
-    let value = move |name: String| values.iter().find(|v| v.0 == name).map(|v| v.1).expect("a listed name");
+    let value = move |name: String| value_of(values, &name).expect("a listed name");
     PossibleValuesParser::new(values.iter().map(|v| v.0)).map(value)
 }
 
 pub fn layout() -> impl TypedValueParser<Value = Layout> {
-    named(&[("packed", Layout::Packed), ("planes", Layout::Planes), ("coded", Layout::Coded)])
+    named(&LAYOUTS)
 }
 
 pub fn blend() -> impl TypedValueParser<Value = Blend> {
-    named(&[("normalized", Blend::Normalized), ("sum", Blend::Sum)])
+    named(&BLENDS)
 }
 
 pub fn recipe() -> impl TypedValueParser<Value = Recipe> {

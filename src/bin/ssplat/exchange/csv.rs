@@ -6,6 +6,7 @@ use ssplat::{Channels, Depth, Limits, Picture};
 
 use super::parameters::{self, Given, Parameters};
 use super::problem::{Problem, shown};
+use crate::names;
 
 /// Starts the line of comment.
 const COMMENT: &str = "# ssplat ";
@@ -28,12 +29,12 @@ pub fn write(of: &Parameters) -> String {
     let p = &of.picture;
     let channels = p.channels.count();
     let joined = |values: &[f32]| values.iter().map(f32::to_string).collect::<Vec<_>>().join(" ");
-    let (blend, depth) = (parameters::blend_name(p.blend), 8 * of.depth.bytes());
+    let (blend, depth) = (names::blend_name(p.blend), 8 * of.depth.bytes());
     let background = joined(&p.background[..channels]);
     let mut out = format!("{COMMENT}size={}x{};blend={blend};background={background};depth={depth}", p.width, p.height);
     if let Some((layout, steps)) = of.stored {
         let steps = parameters::numbers_of(&steps).map(|v| v.to_string()).join(" ");
-        let _ = write!(out, ";layout={};steps={steps}", parameters::layout_name(layout));
+        let _ = write!(out, ";layout={};steps={steps}", names::layout_name(layout));
     }
     out += "\n";
     out += &[&COLUMNS[..], color_columns(p.channels)].concat().join(",");

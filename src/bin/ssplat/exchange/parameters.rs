@@ -12,6 +12,7 @@ use ssplat::{Blend, Channels, Depth, Gaussian, Picture};
 use super::npy::{self, Array, Values};
 use super::npz;
 use super::problem::{Problem, shown};
+use crate::names;
 
 /// Names of the arrays of our own archives.
 pub const ARRAYS: [&str; 11] = [
@@ -84,11 +85,11 @@ impl Parameters {
             ("colors", npy::floats(&[n, channels], gaussians.iter().flat_map(|g| g.color[..channels].to_vec()))),
             ("background", npy::floats(&[channels], p.background[..channels].to_vec())),
             ("size", npy::integers(&[p.width as i32, p.height as i32])),
-            ("blend", npy::text(blend_name(p.blend))),
+            ("blend", npy::text(names::blend_name(p.blend))),
             ("depth", npy::integers(&[8 * self.depth.bytes() as i32])),
         ];
         if let Some((layout, steps)) = self.stored {
-            arrays.push(("layout", npy::text(layout_name(layout))));
+            arrays.push(("layout", npy::text(names::layout_name(layout))));
             arrays.push(("steps", npy::integers(&numbers_of(&steps))));
         }
         npz::write(&arrays)
@@ -255,33 +256,12 @@ fn whole<const N: usize>(arrays: &BTreeMap<String, Array>, name: &str) -> Result
     found.map(Some).ok_or_else(|| format!("array {name} is {values:?}, not {N} whole numbers").into())
 }
 
-pub fn blend_name(blend: Blend) -> &'static str {
-    match blend {
-        Blend::Normalized => "normalized",
-        Blend::Sum => "sum",
-    }
-}
-
 pub fn blend_of(name: &str) -> Result<Blend, Problem> {
-    [Blend::Normalized, Blend::Sum]
-        .into_iter()
-        .find(|&b| blend_name(b) == name)
-        .ok_or_else(|| format!("blend is {}, not normalized or sum", shown(name)).into())
-}
-
-pub fn layout_name(layout: Layout) -> &'static str {
-    match layout {
-        Layout::Packed => "packed",
-        Layout::Planes => "planes",
-        Layout::Coded => "coded",
-    }
+    names::blend_of(name).ok_or_else(|| format!("blend is {}, not normalized or sum", shown(name)).into())
 }
 
 pub fn layout_of(name: &str) -> Result<Layout, Problem> {
-    [Layout::Packed, Layout::Planes, Layout::Coded]
-        .into_iter()
-        .find(|&l| layout_name(l) == name)
-        .ok_or_else(|| format!("layout is {}, not packed, planes or coded", shown(name)).into())
+    names::layout_of(name).ok_or_else(|| format!("layout is {}, not packed, planes or coded", shown(name)).into())
 }
 
 pub fn depth_of(bits: u32) -> Result<Depth, Problem> {
