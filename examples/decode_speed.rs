@@ -101,7 +101,8 @@ fn table(path: &Path, args: &Args, folder: &Path) -> Result<()> {
         ("ssplat, reused", ours.clone()),
         ("ssplat, reading alone", ours.clone()),
         ("ssplat, 1024² region", ours.clone()),
-        ("ssplat, 256 wide", ours),
+        ("ssplat, 256 wide", ours.clone()),
+        ("ssplat, its thumbnail", ours),
         ("png (image)", png.clone()),
         ("png (image), reused", png.clone()),
     ];
@@ -216,6 +217,7 @@ fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
                 options.size = Some([256, (256 * size.height).div_ceil(size.width)]);
                 drop(ssplat::decode(&bytes, &options)?);
             }
+            "ssplat, its thumbnail" => drop(ssplat::thumbnail(&bytes, [256; 2], &Limits::default())?),
             _ => drop(image::load_from_memory(&bytes)?),
         }
         let used = cpu_time(who)? - cpu;

@@ -90,7 +90,7 @@ pub mod recipes;
 mod round;
 mod simd;
 
-pub use decode::{Decoded, Opened, Opening, decode, decode_into};
+pub use decode::{Decoded, Opened, Opening, decode, decode_into, thumbnail};
 pub use encode::{
     Chosen, EncodeReport, Encoded, LeftOut, Omission, Progress, TracePoint, encode, encode_with_progress,
 };
@@ -98,7 +98,9 @@ pub use error::{Error, FormatError, GpuError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
 pub use image_crate::{EXTENSION, SsplatDecoder, SsplatEncoder, register, save};
 pub use limits::Limits;
-pub use options::{Ablation, Backend, Damage, DecodeOptions, EncodeOptions, Needs, Recipe, Target, Trace, Tune};
+pub use options::{
+    Ablation, Backend, Damage, DecodeOptions, EncodeOptions, Needs, Recipe, Target, Thumbnail, Trace, Tune,
+};
 pub use pack::{Outside, PackOptions, Precision, pack};
 pub use pixels::{Depth, Pixels, Samples};
 pub use simd::instruction_set;

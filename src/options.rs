@@ -96,6 +96,19 @@ pub enum Trace {
     On,
 }
 
+/// Whether a file carries a small version of its picture, which is drawn in a hundredth of the time (spec §3).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[non_exhaustive]
+pub enum Thumbnail {
+    /// Files of 100 000 bytes and more, of pictures that are larger than it: a hundredth of the file, at most 4000 bytes.
+    #[default]
+    Auto,
+    /// None.
+    Never,
+    /// Of at most so many bytes, in any file.
+    Bytes(u32),
+}
+
 /// Options of [`encode`](crate::encode()).
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -124,6 +137,8 @@ pub struct EncodeOptions {
     /// `1..=8`: progressive levels, large primitives first, so that a file cut after a level is a whole, coarser
     /// picture. Each costs 1 to 2 % of the bytes. Only the coded layout has more than one.
     pub levels: u8,
+    /// Whether the file carries a thumbnail; its bytes count as the file's.
+    pub thumbnail: Thumbnail,
     /// Whether to measure quality along the way.
     pub trace: Trace,
     /// ICC profile to carry.
@@ -155,6 +170,7 @@ impl Default for EncodeOptions {
             backend: Backend::Auto,
             needs: Needs::Measured,
             levels: 1,
+            thumbnail: Thumbnail::Auto,
             trace: Trace::Off,
             icc: None,
             exif: None,

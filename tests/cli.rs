@@ -685,6 +685,29 @@ fn what_is_lost_on_the_way_is_said() {
 }
 
 #[test]
+fn a_thumbnail_is_carried_and_drawn_where_it_is_asked_for() {
+    let folder = Folder::new();
+    let (with, out) = (folder.path("with.ssplat"), folder.path("small.png"));
+    succeeds(ssplat(&[&"encode", &PHOTO, &with, &"--bytes", &"2000", &"--thumbnail", &"600", &"--effort", &"1"]));
+    assert!(fs::metadata(&with).unwrap().len() <= 2000);
+    let bytes = number(&succeeds(ssplat(&[&"info", &with, &"--json"])), "thumbnail_bytes");
+    assert!((500.0..=600.0).contains(&bytes), "{bytes}");
+    let drawn = |option: &str| {
+        succeeds(ssplat(&[&"decode", &with, &out, &option, &"100"]));
+        let picture = image::open(&out).unwrap();
+        fs::remove_file(&out).unwrap();
+        picture
+    };
+    let (small, exact) = (drawn("--thumbnail"), drawn("--width"));
+    assert_eq!((small.width(), small.height()), (100, 67));
+    assert_ne!(small, exact);
+    fails(ssplat(&[&"decode", &with, &out, &"--thumbnail", &"100", &"--region", &"0,0,9,9"]), 2, "--region");
+    fails(ssplat(&[&"encode", &PHOTO, &out, &"--thumbnail", &"large"]), 2, "large");
+    fails(ssplat(&[&"encode", &PHOTO, &with, &"--bytes", &"2000", &"--thumbnail", &"9"]), 2, "9 bytes");
+    assert_eq!(folder.names(), ["with.ssplat"]);
+}
+
+#[test]
 fn auto_orient_turns_and_says_so_in_the_exif_block() {
     let folder = Folder::new();
     let (source, file, out) = (folder.path("a.png"), folder.path("a.ssplat"), folder.path("o.png"));

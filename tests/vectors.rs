@@ -265,6 +265,14 @@ fn valid() -> Vec<Vector> {
     let at = hurt.windows(8).position(|w| w == b"not a re").unwrap();
     hurt[at] ^= 0x20;
     add("sections-damaged", "the ICC profile is damaged: the picture decodes without it", hurt);
+    let mut small = two(Coded);
+    (small.width, small.height) = (4, 4);
+    for p in &mut small.gaussians {
+        (p.x, p.y, p.major, p.minor) = (p.x / 2, p.y / 2, p.major - 4, p.minor - 4);
+    }
+    let mut with = two(Packed);
+    with.metadata.thumbnail = Some(bytes(&small));
+    add("sections-thumbnail", "a thumbnail of half the sides, a file of its own", bytes(&with));
     add("sections-unknown", "an optional section that this version does not know", renamed(&carried, b"iccp", b"zzzz"));
     out
 }

@@ -33,4 +33,14 @@ fuzz_target!(|data: &[u8]| {
     if let Ok(picture) = picture {
         assert!(picture.width() <= SIDE && picture.height() <= SIDE);
     }
+    let mut limits = ssplat::Limits::default();
+    (limits.width, limits.height, limits.alloc) = (SIDE, SIDE, ALLOC);
+    ALLOCATOR.reset_peak_usage();
+    let before = ALLOCATOR.current_usage();
+    let small = ssplat::thumbnail(data, [16, 16], &limits);
+    let peak = (ALLOCATOR.peak_usage() - before) as u64;
+    assert!(peak <= ALLOC + SLACK, "{peak} bytes allocated for a thumbnail");
+    if let Ok(small) = small {
+        assert!(small.pixels.width() <= 16 && small.pixels.height() <= 16);
+    }
 });

@@ -106,6 +106,9 @@ impl<'a> Arbitrary<'a> for Legal {
         if u.arbitrary()? {
             splats.metadata.exif = Some(u.arbitrary()?);
         }
+        if u.arbitrary()? {
+            splats.metadata.thumbnail = Some(u.arbitrary()?);
+        }
         let top = (22 * 32 / (u32::from(steps.scale) + 4)).min(255) as u8;
         while !u.is_empty() && splats.gaussians.len() < 300 {
             let major = u.int_in_range(0..=top)?;

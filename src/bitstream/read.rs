@@ -169,6 +169,14 @@ impl Reading<'_> {
         Ok((splats, if is_whole { Missing::default() } else { missing }))
     }
 
+    /// Parses the sections and nothing behind them.
+    pub fn described(self, header: &Header, rest: &[u8]) -> Result<Metadata> {
+        let mut working = self.budget.reserve(FILE_COPIES * rest.len() as u64)?;
+        let mut bytes = Bytes::new(rest, header.bytes().len() as u64);
+        let read = self.sections(header, &mut bytes, (&mut Hasher::new(), &mut working), &mut Tally::default())?;
+        Ok(read.0)
+    }
+
     /// What parsing `rest` takes at most, but for what is said of many sections.
     fn reserve(self, header: &Header, rest: &[u8]) -> Result<Reservation> {
         let primitives = u64::from(header.primitives) * working_bytes(header.layout);

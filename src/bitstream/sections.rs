@@ -1,4 +1,4 @@
-//! Optional blocks behind the header: ICC profile, EXIF, and what later versions add (spec §3).
+//! Optional blocks behind the header: ICC profile, EXIF, thumbnail, and what later versions add (spec §3).
 
 use super::bytes::{Bytes, put_varint};
 use super::checksum::Hasher;
@@ -12,6 +12,8 @@ use crate::limits::Limits;
 pub const ICC: [u8; 4] = *b"iccp";
 /// Name of the EXIF block's section.
 pub const EXIF: [u8; 4] = *b"exif";
+/// Name of the thumbnail's section.
+pub const THUMBNAIL: [u8; 4] = *b"thmb";
 
 /// A list that grows has room for twice its elements while the old one is still there.
 const GROWING: u64 = 3;
@@ -76,6 +78,7 @@ pub(crate) fn read_sections(
         let known = match name {
             ICC => Some(&mut metadata.icc),
             EXIF => Some(&mut metadata.exif),
+            THUMBNAIL => Some(&mut metadata.thumbnail),
             _ if name[0].is_ascii_uppercase() => return Err(FormatError::UnknownCriticalSection { name }.into()),
             _ => None,
         };
@@ -103,13 +106,9 @@ pub(crate) fn read_sections(
 
 /// Appends the sections of `metadata` and feeds the file's checksum.
 pub(crate) fn put_sections(metadata: &Metadata, out: &mut Vec<u8>, checksum: &mut Hasher) {
-    let sections: Vec<_> = [(EXIF, &metadata.exif), (ICC, &metadata.icc)]
-        .into_iter()
-        .filter_map(|(n, s)| Some((n, s.as_ref()?)))
-        .collect();
     let mut head = out.len();
-    put_varint(sections.len() as u64, out);
-    for (name, contents) in sections {
+    put_varint(metadata.sections().count() as u64, out);
+    for (name, contents) in metadata.sections() {
         out.extend_from_slice(&name);
         put_varint(contents.len() as u64, out);
         out.extend_from_slice(&contents_checksum(name, contents).to_le_bytes());

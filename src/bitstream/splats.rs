@@ -1,5 +1,6 @@
 //! The integers of a picture: what every layout carries, exactly (spec §4).
 
+use super::sections::{EXIF, ICC, THUMBNAIL};
 use crate::gaussian::{Blend, Channels};
 use crate::pixels::Depth;
 
@@ -51,7 +52,7 @@ pub enum Layout {
     Coded,
 }
 
-/// ICC profile and EXIF block, carried untouched.
+/// What a file carries beside its picture, untouched.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Metadata {
@@ -59,8 +60,19 @@ pub struct Metadata {
     pub icc: Option<Vec<u8>>,
     /// EXIF block, starting at its TIFF header.
     pub exif: Option<Vec<u8>>,
+    /// The picture drawn smaller: a file of its own (spec §3).
+    pub thumbnail: Option<Vec<u8>>,
     /// Names of the sections that were dropped when reading because their checksums did not match; not written.
     pub damaged: Vec<[u8; 4]>,
+}
+
+impl Metadata {
+    /// The sections that are there, in the order of a file.
+    pub(crate) fn sections(&self) -> impl Iterator<Item = ([u8; 4], &[u8])> {
+        [(EXIF, &self.exif), (ICC, &self.icc), (THUMBNAIL, &self.thumbnail)]
+            .into_iter()
+            .filter_map(|(name, contents)| Some((name, contents.as_deref()?)))
+    }
 }
 
 /// A whole picture in integers.

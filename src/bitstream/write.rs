@@ -25,7 +25,7 @@ pub fn write<W: Write>(splats: &PackedSplats, writer: &mut W) -> Result<()> {
 /// [`Error::Parameter`] if the integers break spec §4.
 pub fn to_bytes(splats: &PackedSplats) -> Result<Vec<u8>> {
     rules::check(splats)?;
-    let has_sections = splats.metadata.icc.is_some() || splats.metadata.exif.is_some();
+    let has_sections = splats.metadata.sections().next().is_some();
     let sections = if has_sections { Sections::Present } else { Sections::Absent };
     let (mut out, mut checksum) = (Vec::new(), Hasher::new());
     let grouping = groups::grouping(splats);

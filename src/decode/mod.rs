@@ -15,8 +15,10 @@
 //! ```
 
 mod opened;
+mod thumbnail;
 
 pub use opened::{Opened, Opening};
+pub use thumbnail::thumbnail;
 
 use crate::bitstream::Missing;
 use crate::bitstream::splats::Metadata;

@@ -117,6 +117,15 @@ impl<'a> Opening<'a> {
         View::of_size(self.header.width, self.header.height)
     }
 
+    /// Reads ICC profile, EXIF block and thumbnail, and nothing of the picture. Each has a checksum of its own; what is
+    /// damaged is named in [`Metadata::damaged`].
+    ///
+    /// # Errors
+    /// [`Error::Format`] for sections that cannot be read, [`Error::LimitExceeded`] for more than [`Limits`] allow.
+    pub fn metadata(&self) -> Result<Metadata> {
+        Reading { limits: &self.limits, budget: &self.budget }.described(&self.header, self.rest)
+    }
+
     /// Reads all of the picture.
     ///
     /// # Errors
@@ -153,8 +162,8 @@ impl<'a> Opening<'a> {
         };
         let book = splats.codebook.as_ref().map_or(0, |book| size_of_val(&book[..]));
         let integers = budget.reserve((size_of::<PackedGaussian>() * splats.gaussians.len() + book) as u64)?;
-        let Metadata { icc, exif, damaged } = &splats.metadata;
-        let carried: usize = icc.iter().chain(exif).map(Vec::len).sum();
+        let Metadata { damaged, .. } = &splats.metadata;
+        let carried: usize = splats.metadata.sections().map(|(_, contents)| contents.len()).sum();
         let described = budget.reserve((carried + size_of_val(&damaged[..])) as u64)?;
         Ok(Opened { splats, missing, area, limits, budget, integers, described })
     }
@@ -181,7 +190,7 @@ impl Opened {
         &self.splats
     }
 
-    /// ICC profile, EXIF block, and which sections were damaged.
+    /// ICC profile, EXIF block, thumbnail, and which sections were damaged.
     #[must_use]
     pub fn metadata(&self) -> &Metadata {
         &self.splats.metadata

@@ -33,11 +33,16 @@ impl Encoding<'_> {
         if let Some(constant) = self.constant(size)? {
             return Ok(constant);
         }
-        match self.subject.options.target {
-            Target::Auto | Target::Ratio(_) | Target::Bytes(_) => self.at_size(size),
-            Target::Primitives(count) => self.at_count(count as usize, size),
-            Target::Psnr(psnr) => self.at_psnr(psnr),
-        }
+        let mut outcome = match self.subject.options.target {
+            Target::Auto | Target::Ratio(_) | Target::Bytes(_) => {
+                let size = self.beside_thumbnail(size);
+                self.at_size(size)?
+            }
+            Target::Primitives(count) => self.at_count(count as usize, size)?,
+            Target::Psnr(psnr) => self.at_psnr(psnr)?,
+        };
+        self.add_thumbnail(&mut outcome, size)?;
+        Ok(outcome)
     }
 
     /// The size of a file when nobody asks for one.

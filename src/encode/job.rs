@@ -1,5 +1,7 @@
 //! One encode on its way, and a single fit of its picture with the rounding to a file.
 
+use std::time::Duration;
+
 use super::device::Choice;
 use super::file;
 use super::left_out::Omission;
@@ -28,6 +30,8 @@ pub(super) struct Encoding<'a> {
     pub subject: Subject<'a>,
     /// The picture that is fitted, as planes; their amplitudes depend on the number of primitives.
     pub planes: Planes,
+    /// Wall-clock budget of a fit.
+    pub time: Option<Duration>,
     pub device: Choice,
     pub journal: Journal<'a>,
 }
@@ -75,7 +79,7 @@ impl Encoding<'_> {
         let (subject, planes) = (self.subject, &self.planes);
         let options = subject.options;
         let area = u64::from(subject.pixels.width()) * u64::from(subject.pixels.height());
-        let mut plan = Plan::new(options.effort, count, area, options.time, options.seed);
+        let mut plan = Plan::new(options.effort, count, area, self.time, options.seed);
         if options.needs == Needs::Measured {
             plan.enough = enough(options.target, subject.pixels.depth());
         }

@@ -13,6 +13,7 @@ mod left_out;
 mod prune;
 mod report;
 mod subject;
+mod thumbnail;
 mod trace;
 
 use std::ops::ControlFlow;
@@ -90,6 +91,7 @@ pub fn encode_with_progress(
     let mut job = Encoding {
         subject: Subject { original: pixels, pixels: fitted, options },
         planes: Planes::new(fitted),
+        time: options.time,
         device: Choice::new(options, fitted)?,
         journal: Journal::new(progress, tracer),
     };

@@ -23,7 +23,7 @@ pub struct Progress {
 
 /// The account of an encode that goes on.
 pub(super) struct Journal<'a> {
-    progress: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>,
+    pub progress: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>,
     pub tracer: Tracer,
     pub stages: Vec<(&'static str, f64)>,
     /// In the order in which it was found.

@@ -88,6 +88,23 @@ impl View {
         Ok(View { origin, step, offset: [0; 2], width, height })
     }
 
+    /// The same area of the plane as large as it fits into `within`, width and height in output pixels, and never larger than it
+    /// is. Sides that would vanish keep a pixel.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] when a side of `within` is 0.
+    pub fn fitted(&self, within: [u32; 2]) -> Result<Self> {
+        for (name, side) in [("width", within[0]), ("height", within[1])] {
+            if side == 0 {
+                return Err(Error::Parameter { name, problem: "0 pixels are too few".into() });
+            }
+        }
+        let sides = [self.width, self.height];
+        let scale = (0..2).map(|k| f64::from(within[k]) / f64::from(sides[k])).fold(1.0, f64::min);
+        let [width, height] = sides.map(|side| ((f64::from(side) * scale).round() as u32).max(1));
+        self.resized(width, height)
+    }
+
     /// Width, output pixels.
     #[must_use]
     pub fn width(&self) -> u32 {
@@ -153,5 +170,25 @@ impl View {
     pub fn position(&self, i: u32, j: u32) -> [f64; 2] {
         let index = [i, j];
         std::array::from_fn(|k| self.origin[k] + (f64::from(self.offset[k]) + f64::from(index[k]) + 0.5) * self.step[k])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fitted_views_keep_the_aspect_ratio_and_grow_no_larger() {
+        for (sides, within, size) in [
+            ([6000, 4000], [256, 256], [256, 171]),
+            ([4000, 6000], [256, 256], [171, 256]),
+            ([100, 50], [256, 256], [100, 50]),
+            ([1 << 20, 1], [256, 256], [256, 1]),
+            ([300, 200], [100, 10], [15, 10]),
+        ] {
+            let found = View::of_size(sides[0], sides[1]).fitted(within).unwrap();
+            assert_eq!([found.width(), found.height()], size, "{sides:?} in {within:?}");
+        }
+        assert!(View::of_size(3, 3).fitted([3, 0]).is_err());
     }
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::{Args as ClapArgs, Parser, Subcommand};
 use ssplat::bitstream::splats::Layout;
-use ssplat::{Backend, Blend, EncodeOptions, Recipe, Target, Tune};
+use ssplat::{Backend, Blend, EncodeOptions, Recipe, Target, Thumbnail, Tune};
 
 use crate::exchange::format::{ExportFormat, ImportFormat};
 use crate::exchange::{csv, foreign};
@@ -140,6 +140,10 @@ pub struct Encode {
     /// Progressive levels, each 1 to 2 % of the bytes: a file cut after one decodes with --partial
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
     pub levels: u8,
+    /// Whether the file carries a small version of the picture, within its size: auto, none, or the most bytes that it may
+    /// take; auto is for files of 100 kB and more, a hundredth of them, at most 4 kB
+    #[arg(long, value_name = "WHICH", default_value = "auto", value_parser = thumbnail)]
+    pub thumbnail: Thumbnail,
     /// Which device fits
     #[arg(long, default_value = "auto", value_parser = names::backend())]
     pub backend: Backend,
@@ -242,6 +246,7 @@ impl Encode {
         o.recipe = self.recipe;
         o.tune = self.tune;
         o.levels = self.levels;
+        o.thumbnail = self.thumbnail;
         o.backend = self.backend;
         o
     }
@@ -250,7 +255,8 @@ impl Encode {
 const DECODE_EXAMPLES: &str = "\
 Examples:
   ssplat decode photo.ssplat photo.png
-  ssplat decode photo.ssplat thumbnail.png --width 256
+  ssplat decode photo.ssplat thumbnail.png --thumbnail 256    from what the file carries for that
+  ssplat decode photo.ssplat smaller.png --width 1000
   ssplat decode photo.ssplat detail.png --region 1000,800,512,512 --scale 2
   ssplat decode photo.ssplat - --format ppm | pnmtojpeg > photo.jpg
   ssplat decode cut-off.ssplat coarse.png --partial
@@ -287,6 +293,10 @@ pub struct Decode {
     /// Output height, pixels; alone it keeps the aspect ratio
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20), conflicts_with = "scale")]
     pub height: Option<u32>,
+    /// Draw the picture as it fits into a square of so many pixels, from the thumbnail that the file carries where that is
+    /// large enough: at once, and less exactly
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20), conflicts_with_all = ["region", "width", "height", "scale", "backend", "partial"])]
+    pub thumbnail: Option<u32>,
     /// Output pixels per pixel of the picture; below 1 the picture is low-passed
     #[arg(long, value_name = "FACTOR", value_parser = positive)]
     pub scale: Option<f64>,
@@ -472,6 +482,14 @@ fn color(text: &str) -> Result<[u8; 3], String> {
 
 fn seconds(text: &str) -> Result<Duration, String> {
     positive(text).and_then(|s| Duration::try_from_secs_f64(s).map_err(|e| e.to_string()))
+}
+
+fn thumbnail(text: &str) -> Result<Thumbnail, String> {
+    match text {
+        "auto" => Ok(Thumbnail::Auto),
+        "none" => Ok(Thumbnail::Never),
+        bytes => bytes.parse().map(Thumbnail::Bytes).map_err(|_| "neither auto nor none nor a number of bytes".into()),
+    }
 }
 
 fn region(text: &str) -> Result<[u32; 4], String> {

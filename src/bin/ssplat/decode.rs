@@ -68,6 +68,9 @@ fn pixels(path: &Path) -> u64 {
 fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &Show) -> Result<Done, Failure> {
     let start = Instant::now();
     let bytes = source::read_splats(input)?;
+    if let Some(side) = args.thumbnail {
+        return thumbnail(args, (input, output), format, (&bytes, side));
+    }
     let failed = |e| Failure::library(input, &e);
     let limits = Limits::default();
     let opening = Opening::new(&bytes, &limits).map_err(failed)?;
@@ -79,37 +82,23 @@ fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &
     let (depth, missing, channels) = (opened.splats().depth, opened.missing(), opened.splats().channels);
     let mut notes = losses(opened.metadata(), missing, of);
     notes.extend(format.losses(opened.metadata()));
-    let orientation = opened.metadata().exif.as_deref().and_then(Orientation::from_exif_chunk);
-    let orientation = orientation.filter(|&o| args.auto_orient && o != Orientation::NoTransforms);
+    let orientation = orientation(args, opened.metadata());
     let background = background(args, channels, format, &mut notes);
     let mut shape = (view.width(), view.height());
     let mut device = String::from("CPU");
     let sink;
     if args.backend == Backend::Gpu || orientation.is_some() || background.is_some() {
         // What turns or covers a picture sees all of it.
-        let mut pixels = if args.backend == Backend::Gpu {
+        let pixels = if args.backend == Backend::Gpu {
             let pixels;
             (pixels, device) = on_gpu(&opened.splats().to_picture(), &view, depth, &limits).map_err(failed)?;
             pixels
         } else {
             opened.draw(&view).map_err(failed)?
         };
-        let mut metadata = opened.into_metadata();
-        if let Some(background) = background {
-            pixels = opaque(&pixels, background).map_err(failed)?;
-        }
-        if let Some(orientation) = orientation {
-            let mut picture = DynamicImage::from(pixels);
-            picture.apply_orientation(orientation);
-            shape = (picture.width(), picture.height());
-            pixels = Pixels::try_from(picture).map_err(failed)?;
-            if let Some(exif) = &mut metadata.exif {
-                let _ = Orientation::remove_from_exif_chunk(exif);
-            }
-        }
+        let source = shown(pixels, opened.into_metadata(), background, orientation).map_err(failed)?;
+        shape = (source.pixels.width(), source.pixels.height());
         sink = Sink::create(output, &[input])?;
-        let (icc, exif) = (metadata.icc, metadata.exif);
-        let source = Source { pixels, icc, exif, is_cut_off: false, notes: Vec::new() };
         encode::write_pixels(source, format, &sink, &sink::named(output))?;
     } else {
         let renderer = opened.renderer(&view).map_err(failed)?;
@@ -125,6 +114,58 @@ fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &
     let (width, height) = shape;
     let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": device });
     Ok(Done { text: String::new(), result, notes })
+}
+
+/// Draws the file `bytes` as it fits into a square, from its thumbnail where that is large enough.
+fn thumbnail(
+    args: &args::Decode,
+    (input, output): (&Path, &Path),
+    format: Format,
+    (bytes, side): (&[u8], u32),
+) -> Result<Done, Failure> {
+    let start = Instant::now();
+    let failed = |e| Failure::library(input, &e);
+    let ssplat::Decoded { pixels, metadata, .. } =
+        ssplat::thumbnail(bytes, [side; 2], &Limits::default()).map_err(failed)?;
+    let mut notes = losses(&metadata, Missing::default(), 0);
+    notes.extend(format.losses(&metadata));
+    let orientation = orientation(args, &metadata);
+    let background = background(args, pixels.channels(), format, &mut notes);
+    let source = shown(pixels, metadata, background, orientation).map_err(failed)?;
+    let (width, height) = (source.pixels.width(), source.pixels.height());
+    let sink = Sink::create(output, &[input])?;
+    encode::write_pixels(source, format, &sink, &sink::named(output))?;
+    sink.finish()?;
+    let (seconds, loss) = (start.elapsed().as_secs_f64(), json!({ "primitives": 0 }));
+    let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": "CPU" });
+    Ok(Done { text: String::new(), result, notes })
+}
+
+/// How the picture is to be turned, if it is.
+fn orientation(args: &args::Decode, metadata: &Metadata) -> Option<Orientation> {
+    let orientation = metadata.exif.as_deref().and_then(Orientation::from_exif_chunk);
+    orientation.filter(|&o| args.auto_orient && o != Orientation::NoTransforms)
+}
+
+/// The picture over its background and turned upright, where that is asked for, and what goes with it.
+fn shown(
+    mut pixels: Pixels,
+    mut metadata: Metadata,
+    background: Option<[u8; 3]>,
+    orientation: Option<Orientation>,
+) -> ssplat::Result<Source> {
+    if let Some(background) = background {
+        pixels = opaque(&pixels, background)?;
+    }
+    if let Some(orientation) = orientation {
+        let mut picture = DynamicImage::from(pixels);
+        picture.apply_orientation(orientation);
+        pixels = Pixels::try_from(picture)?;
+        if let Some(exif) = &mut metadata.exif {
+            let _ = Orientation::remove_from_exif_chunk(exif);
+        }
+    }
+    Ok(Source { pixels, icc: metadata.icc, exif: metadata.exif, is_cut_off: false, notes: Vec::new() })
 }
 
 /// The colour under a picture that loses its alpha.

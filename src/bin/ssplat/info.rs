@@ -58,6 +58,7 @@ fn as_json(splats: &PackedSplats, report: &Report) -> Value {
         "codebook": splats.codebook.as_ref().map(Vec::len),
         "icc_bytes": splats.metadata.icc.as_ref().map(Vec::len),
         "exif_bytes": splats.metadata.exif.as_ref().map(Vec::len),
+        "thumbnail_bytes": splats.metadata.thumbnail.as_ref().map(Vec::len),
         "bytes": report.bytes,
         "ratio": ratio(report),
         "bits_per_primitive": per_primitive(8.0 * report.bytes as f64, splats),

@@ -49,8 +49,8 @@ pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
         let bytes = bytes_of(report, &["colour 0", "colour 1", "colour 2", "colour 3"][a..=a]);
         add(format!("alpha: the same everywhere, {bytes} bytes in all"), None);
     }
-    if splats.metadata.icc.is_none() && splats.metadata.exif.is_none() {
-        add("sections: neither an ICC profile nor an EXIF block, not even a table of them".into(), None);
+    if report.sections.is_empty() {
+        add("sections: no ICC profile, no EXIF block, no thumbnail, not even a table of them".into(), None);
     }
     list
 }

@@ -1,0 +1,90 @@
+//! The thumbnail that a large file carries: the coded picture drawn small, and encoded as a file of its own.
+
+use super::channels::widen;
+use super::job::{Encoding, Outcome};
+use super::{Encoded, Progress, encode_with_progress};
+use crate::error::{Error, Result};
+use crate::limits::Limits;
+use crate::options::{Backend, EncodeOptions, Target, Thumbnail};
+use crate::raster::View;
+use crate::round::size::Size;
+
+/// Longest side of a thumbnail, pixels.
+const SIDE: u32 = 256;
+/// Bytes from which on a file carries a thumbnail unasked.
+const LARGE: u64 = 100_000;
+/// The part of the file that it takes then.
+const SHARE: u64 = 100;
+/// Most bytes that it takes then: more make it little better.
+const MOST: u64 = 4000;
+/// Bytes that a section takes beside its contents, at most: the number of sections, name, length and checksum.
+const HEAD: u64 = 1 + 4 + 5 + 4;
+/// Most work that is spent on it, which is little beside what a large picture takes.
+const EFFORT: u8 = 2;
+/// The part of a time budget that is kept for it.
+const TIME: u32 = 20;
+
+impl Encoding<'_> {
+    /// Returns the bytes that the thumbnail may take in a file of `bytes`, 0 without one.
+    fn thumbnail_bytes(&self, bytes: u64) -> u64 {
+        let pixels = self.subject.pixels;
+        match self.subject.options.thumbnail {
+            Thumbnail::Never => 0,
+            Thumbnail::Bytes(most) => most.into(),
+            Thumbnail::Auto if bytes < LARGE || pixels.width().max(pixels.height()) <= SIDE => 0,
+            Thumbnail::Auto => (bytes / SHARE).min(MOST),
+        }
+    }
+
+    /// Returns what of `size` is left for the picture, and keeps time for the thumbnail.
+    pub(super) fn beside_thumbnail(&mut self, size: Size) -> Size {
+        let Size::Bytes(most) = size else { return size };
+        let bytes = self.thumbnail_bytes(most);
+        if bytes == 0 {
+            return size;
+        }
+        self.time = self.time.map(|t| t - t / TIME);
+        Size::Bytes(most.saturating_sub(bytes + HEAD))
+    }
+
+    /// Puts the thumbnail into a file that was made for `size`, where it is to have one.
+    pub(super) fn add_thumbnail(&mut self, outcome: &mut Outcome, size: Size) -> Result<()> {
+        let most = self.thumbnail_bytes(match size {
+            Size::Bytes(most) => most,
+            Size::Free => outcome.bytes.len() as u64,
+        });
+        if most == 0 {
+            return Ok(());
+        }
+        let clock = self.journal.seconds();
+        let channels = self.subject.channels();
+        let wide = (!self.subject.is_whole()).then(|| widen(&outcome.splats, channels));
+        let splats = wide.as_ref().unwrap_or(&outcome.splats);
+        let whole = View::of_size(splats.width, splats.height);
+        // What the encoder made is no stranger's file.
+        let limits = Limits { tile_pairs: u64::MAX, work: u64::MAX, overlap: u64::MAX, ..Limits::default() };
+        let small = splats.renderer(&whole.fitted([SIDE; 2])?, &limits)?.render(splats.depth)?;
+        let options = EncodeOptions {
+            target: Target::Bytes(most),
+            effort: self.subject.options.effort.min(EFFORT),
+            time: self.subject.options.time.map(|t| t / TIME),
+            seed: self.subject.options.seed,
+            tune: self.subject.options.tune,
+            backend: Backend::Cpu,
+            thumbnail: Thumbnail::Never,
+            ..EncodeOptions::default()
+        };
+        let journal = &mut self.journal;
+        let made = encode_with_progress(&small, &options, &mut |p| {
+            (journal.progress)(&Progress { stage: "thumbnail", done: p.done, psnr: None })
+        });
+        let Encoded { bytes, .. } = made.map_err(|e| match e {
+            Error::Parameter { name: "bytes", problem } => Error::Parameter { name: "thumbnail", problem },
+            e => e,
+        })?;
+        outcome.splats.metadata.thumbnail = Some(bytes);
+        outcome.bytes = self.subject.file(&outcome.splats)?;
+        self.journal.stage("thumbnail", clock);
+        Ok(())
+    }
+}

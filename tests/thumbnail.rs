@@ -1,0 +1,154 @@
+//! What a thumbnail promises: a file keeps its size with one, a reader gets it or the picture, and nothing else is asked of it.
+
+use ssplat::bitstream::{inspect, read, to_bytes};
+use ssplat::metrics::psnr;
+use ssplat::{
+    Channels, DecodeOptions, EncodeOptions, Error, Limits, Opening, Pixels, Samples, Target, Thumbnail, Tune, decode,
+    encode, thumbnail,
+};
+
+/// A picture whose halves differ, with some detail.
+fn picture(width: u32, height: u32, channels: Channels) -> Pixels {
+    let n = channels.count();
+    let value = |x: u32, y: u32, k: usize| match k {
+        3 => 255 - (x / 3) as u8 / 2,
+        _ => (60 + 90 * (x > width / 2) as u32 + 20 * k as u32 + (x * 7 + y * 13) % 17 + y % 40) as u8,
+    };
+    let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+    let samples = pixels.flat_map(|(x, y)| (0..n).map(move |k| value(x, y, k))).collect();
+    Pixels::new(width, height, channels, Samples::U8(samples)).unwrap()
+}
+
+fn options(bytes: u64, carried: Thumbnail) -> EncodeOptions {
+    let mut options = EncodeOptions::default();
+    (options.effort, options.target, options.thumbnail) = (1, Target::Bytes(bytes), carried);
+    options
+}
+
+/// The picture itself, drawn in that size.
+fn drawn(bytes: &[u8], size: [u32; 2]) -> Pixels {
+    let mut options = DecodeOptions::default();
+    options.size = Some(size);
+    decode(bytes, &options).unwrap().pixels
+}
+
+fn small(bytes: &[u8], side: u32) -> Pixels {
+    thumbnail(bytes, [side; 2], &Limits::default()).unwrap().pixels
+}
+
+/// The file with other contents of its thumbnail's section.
+fn with(bytes: &[u8], contents: Vec<u8>) -> Vec<u8> {
+    let mut splats = read(bytes, &Limits::default()).unwrap();
+    splats.metadata.thumbnail = Some(contents);
+    to_bytes(&splats).unwrap()
+}
+
+#[test]
+fn a_file_with_a_thumbnail_has_the_asked_size_and_both_pictures() {
+    for channels in [Channels::Grey, Channels::Rgb, Channels::Rgba] {
+        let pixels = picture(500, 300, channels);
+        let mut options = options(6000, Thumbnail::Bytes(500));
+        (options.icc, options.exif) = (Some(vec![1; 40]), Some(b"II*\0".to_vec()));
+        let bytes = encode(&pixels, &options).unwrap().bytes;
+        assert!(bytes.len() <= 6000, "{}", bytes.len());
+        let carried = Opening::new(&bytes, &Limits::default()).unwrap().metadata().unwrap();
+        assert_eq!((&carried.icc, &carried.exif), (&options.icc, &options.exif));
+        let file = carried.thumbnail.unwrap();
+        assert!(file.len() <= 500 && file.len() > 450, "{}", file.len());
+        let whole = decode(&file, &DecodeOptions::default()).unwrap().pixels;
+        assert_eq!((whole.width(), whole.height(), whole.channels()), (256, 154, channels));
+        // It is what is drawn up to its size, and shows the picture.
+        let shown = thumbnail(&bytes, [256; 2], &Limits::default()).unwrap();
+        assert_eq!((shown.pixels, shown.metadata.icc, shown.metadata.exif), (whole, options.icc, options.exif));
+        let half = small(&bytes, 128);
+        assert_eq!(half, drawn(&file, [128, 77]));
+        assert_ne!(half, drawn(&bytes, [128, 77]));
+        let off = psnr(&half, &drawn(&bytes, [128, 77])).unwrap();
+        assert!(off > 25.0, "{off} dB");
+        // What is larger is drawn from the picture.
+        assert_eq!(small(&bytes, 257), drawn(&bytes, [257, 154]));
+        assert_eq!(small(&bytes, 2000), drawn(&bytes, [500, 300]));
+    }
+}
+
+#[test]
+fn small_files_and_small_pictures_carry_none_unasked() {
+    let sections = |bytes: &[u8]| inspect(bytes, &Limits::default()).unwrap().1.sections.len();
+    let pixels = picture(300, 200, Channels::Rgb);
+    let without = encode(&pixels, &options(3000, Thumbnail::Never)).unwrap().bytes;
+    assert_eq!(encode(&pixels, &options(3000, Thumbnail::Auto)).unwrap().bytes, without);
+    // As large as asked for, as files are from a hundred thousand bytes on.
+    let large = |side: u32, bytes: u64| {
+        let mut options = options(bytes, Thumbnail::Auto);
+        options.tune = Some(Tune::Psnr);
+        options.time = Some(std::time::Duration::from_secs(1));
+        encode(&picture(side, 200, Channels::Rgb), &options).unwrap().bytes
+    };
+    let bytes = large(300, 100_000);
+    assert!(bytes.len() <= 100_000, "{}", bytes.len());
+    assert_eq!(sections(&bytes), 1);
+    let carried = read(&bytes[..], &Limits::default()).unwrap().metadata.thumbnail.unwrap();
+    assert!(carried.len() <= 1000, "{}", carried.len());
+    assert_eq!(sections(&large(256, 100_000)), 0);
+    assert_eq!(sections(&large(300, 99_000)), 0);
+}
+
+#[test]
+fn files_of_any_size_get_one_where_the_size_comes_last() {
+    let mut options = options(0, Thumbnail::Bytes(200));
+    options.target = Target::Primitives(50);
+    let pixels = picture(300, 200, Channels::Rgb);
+    let bytes = encode(&pixels, &options).unwrap().bytes;
+    let carried = read(&bytes[..], &Limits::default()).unwrap().metadata.thumbnail.unwrap();
+    options.thumbnail = Thumbnail::Never;
+    let without = encode(&pixels, &options).unwrap().bytes;
+    assert_eq!(bytes.len(), without.len() + 1 + 4 + 2 + 4 + carried.len());
+    assert_eq!(drawn(&bytes, [300, 200]), drawn(&without, [300, 200]));
+}
+
+#[test]
+fn a_thumbnail_that_cannot_be_used_is_as_if_it_were_not_there() {
+    let pixels = picture(300, 200, Channels::Rgb);
+    let bytes = encode(&pixels, &options(2500, Thumbnail::Bytes(300))).unwrap().bytes;
+    let file = read(&bytes[..], &Limits::default()).unwrap().metadata.thumbnail.unwrap();
+    let expected = drawn(&bytes, [100, 67]);
+    assert_ne!(small(&bytes, 100), expected);
+    let mut damaged = bytes.clone();
+    let at = bytes.windows(file.len()).position(|w| w == file).unwrap();
+    damaged[at + file.len() / 2] ^= 1;
+    let shown = thumbnail(&damaged, [100; 2], &Limits::default()).unwrap();
+    assert_eq!((shown.pixels, shown.metadata.damaged), (expected.clone(), vec![*b"thmb"]));
+    let grey = encode(&picture(300, 200, Channels::Grey), &options(300, Thumbnail::Never)).unwrap().bytes;
+    let tiny = encode(&picture(30, 20, Channels::Rgb), &options(300, Thumbnail::Never)).unwrap().bytes;
+    for (what, contents) in [
+        ("nothing", Vec::new()),
+        ("no file", b"not a file".to_vec()),
+        ("a file that was cut off", file[..file.len() - 9].to_vec()),
+        ("other channels", grey),
+        ("too small", tiny),
+    ] {
+        assert_eq!(small(&with(&bytes, contents), 100), expected, "{what}");
+    }
+    // Files in files in files are not opened.
+    let nested = with(&bytes, with(&bytes, with(&bytes, file)));
+    assert_eq!(small(&nested, 100), expected);
+}
+
+#[test]
+fn what_cannot_be_asked_for_is_refused() {
+    let pixels = picture(300, 200, Channels::Rgb);
+    let failed = |o: &EncodeOptions| match encode(&pixels, o) {
+        Err(Error::Parameter { name, problem }) => (name, problem),
+        other => panic!("{other:?}"),
+    };
+    let (name, problem) = failed(&options(3000, Thumbnail::Bytes(5)));
+    assert!(name == "thumbnail" && problem.starts_with("5 bytes"), "{name} {problem}");
+    let (name, problem) = failed(&options(300, Thumbnail::Bytes(290)));
+    assert!(name == "bytes" && problem.contains("cannot hold"), "{name} {problem}");
+    let bytes = encode(&pixels, &options(2500, Thumbnail::Bytes(300))).unwrap().bytes;
+    assert!(matches!(thumbnail(&bytes, [0, 9], &Limits::default()), Err(Error::Parameter { name: "width", .. })));
+    let mut limits = Limits::default();
+    limits.alloc = 100;
+    assert!(matches!(thumbnail(&bytes, [100; 2], &limits), Err(Error::LimitExceeded { what: "alloc", .. })));
+    assert!(matches!(thumbnail(b"GIF89a", [100; 2], &limits), Err(Error::Format(_))));
+}
