@@ -146,7 +146,7 @@ export class SsplatImg extends HTMLElement {
     try {
       const response = await fetch(src, { signal: stop.signal })
       if (!response.ok) throw new Error(`${response.status} ${response.statusText}`)
-      const bytes = new Uint8Array(await response.arrayBuffer())
+      const bytes = await this.#read(response, stop.signal)
       if (stop.signal.aborted) return
       const type = response.headers.get("content-type") ?? ""
       if (magic.every((v, i) => bytes[i] == v) || !others.test(type)) {
@@ -186,17 +186,57 @@ export class SsplatImg extends HTMLElement {
     }
   }
 
-  // Draws the file with a sample for each pixel of the device, up to the largest canvas that browsers bear.
-  async #redraw() {
-    const file = this.#file
-    if (!file) return
+  // The bytes of a response. A file with groups shows what is there each time that half as much again has come.
+  async #read({ body }, signal) {
+    if (!body) return new Uint8Array
+    const reader = body.getReader()
+    let bytes = new Uint8Array(4096), length = 0, next = 64, drawing = false
+    for (;;) {
+      const { done, value } = await reader.read()
+      if (done) return bytes.subarray(0, length)
+      if (length + value.length > bytes.length) {
+        const longer = new Uint8Array(Math.max(2 * bytes.length, length + value.length))
+        longer.set(bytes)
+        bytes = longer
+      }
+      bytes.set(value, length)
+      length += value.length
+      if (drawing || length < next || !magic.every((v, i) => bytes[i] == v) || (bytes[5] & 3) != 3) continue
+      drawing = true
+      next = 1.5 * length
+      this.#glimpse(bytes.slice(0, length), signal).finally(() => drawing = false)
+    }
+  }
+
+  // Draws what is there of a file that is still coming.
+  async #glimpse(bytes, signal) {
+    // With too little of it there is nothing to draw, and what is wrong with it is told when it is all there.
+    const { width, height, orientation } = await decoder().header(bytes).catch(() => ({}))
+    if (!width || signal.aborted || this.#file) return
+    this.#size = orientation > 4 ? [height, width] : [width, height]
+    this.#shape()
+    const image = await decoder().decode(bytes, { width: this.#wanted(orientation)[1], partial: true }).catch(() => undefined)
+    if (!image || signal.aborted || this.#file || image.missing == image.primitives) return
+    paint(this.#canvas, image, orientation)
+    this.#show(this.#canvas)
+  }
+
+  // Samples for each pixel of the device, up to the largest canvas that browsers bear: along the element, and the file.
+  #wanted(orientation) {
     const box = this.getBoundingClientRect(), scale = devicePixelRatio, [w, h] = this.#size
     // The picture covers at most this much, whatever object-fit says.
     const cover = Math.max(box.width / w, box.height / h) || 1
     const wanted = Math.max(1, Math.min(Math.ceil(w * cover * scale), 8192, Math.floor(8192 * w / h)))
+    return [wanted, orientation > 4 ? Math.max(1, Math.round(wanted * h / w)) : wanted]
+  }
+
+  async #redraw() {
+    const file = this.#file
+    if (!file) return
+    const [wanted, width] = this.#wanted(file.orientation)
     if (wanted == this.#drawn) return
     this.#drawn = wanted
-    const turn = ++this.#turn, width = file.orientation > 4 ? Math.max(1, Math.round(wanted * h / w)) : wanted
+    const turn = ++this.#turn
     const image = await decoder().decode(file.bytes, { width }).catch(error => {
       // It was drawn before: the former drawing stays.
       if (!this.#complete) throw error

@@ -45,7 +45,7 @@ try {
     }
   })
   await new Promise(resolve => server.listen(0, "127.0.0.1", resolve))
-  const options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run", "--window-size=1000,800", `--user-data-dir=${home}`]
+  const options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage", "--no-first-run", "--window-size=1000,800", `--user-data-dir=${home}`]
   const browser = spawn(process.env.CHROMIUM ?? "chromium", [...options, `http://127.0.0.1:${server.address().port}/`], { stdio: "ignore", detached: true })
   const ended = new Promise(resolve => browser.on("exit", resolve).on("error", resolve))
   browser.on("error", () => finish(undefined))

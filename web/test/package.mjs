@@ -54,7 +54,9 @@ for (const kind of ["simd", "scalar"]) {
   if (size > budget) tell("size", { problems: [`${size} bytes as brotli are more than ${budget}`], words: wasm })
 }
 
-execFileSync(process.execPath, [new URL("../pack-viewer.mjs", import.meta.url).pathname, new URL("valid/coded-rgb/file.ssplat", vectors).pathname, new URL("packed.html", dist).pathname])
+const photo = new URL("tests/images/kodim05.png", root).pathname, shown = new URL("valid/coded-rgb/file.ssplat", vectors).pathname, viewer = ["--viewer", dist.pathname]
+execFileSync(program, ["view", shown, ...viewer, "--html", new URL("packed.html", dist).pathname])
+execFileSync(program, ["view", shown, ...viewer, "--original", photo, "--html", new URL("packed-original.html", dist).pathname])
 
 // Browsers are told the checksums, not the samples.
 const told = cases.map(({ rgba, ...one }) => ({ ...one, checksum: rgba && crc32(rgba) }))

@@ -1,17 +1,20 @@
-// The viewer: shows a file, given by drop, dialogue or ?file=URL, at any zoom. Whatever is seen is decoded at the screen's pixels.
-import { Decoder } from "../ssplat.js"
+// The viewer: shows a file, given by drop, dialogue or ?file=URL, at any zoom, beside its original (?original=URL).
+// What is seen is drawn at the screen's pixels: by WebGL2 where it can, else by the decoder (always with ?draw=decoder).
+import { Decoder, colorSpace } from "../ssplat.js"
+import { Splatting } from "./splatting.js"
+import { ellipses as drawEllipses, errorsOf } from "./gaussians.js"
 
 const get = id => document.getElementById(id)
-// What a page of one file holds in itself (pack-viewer.mjs).
+// What a page of one file holds in itself (`ssplat view --html`).
 const held = id => get(id) && Uint8Array.from(atob(get(id).textContent), c => c.charCodeAt(0))
 const stage = get("stage"), picture = get("picture"), overlay = get("overlay")
+const asked = new URLSearchParams(location.search)
 const decoder = get("held-module") ? new Decoder({ module: held("held-module") }) : new Decoder({ worker: true })
 const say = words => get("status").textContent = words
 const number = v => v.toLocaleString("en")
-// More ellipses than these are no longer seen apart.
-const mostEllipses = 20000
-
-let file, info, all
+let file, info, all, original, errors
+// Draws on the graphics device; nothing where there is none that can.
+const device = asked.get("draw") == "decoder" ? undefined : Splatting.create()
 // CSS pixels a pixel of the picture, and where the picture's corner is on the stage.
 let zoom = 1, left = 0, top_ = 0
 // What was decoded last: a canvas and the part of the picture that it shows.
@@ -42,9 +45,10 @@ function describe() {
 async function open(bytes, name) {
   say(`Reading ${name}`)
   try {
-    const read = await decoder.info(bytes)
-    ;[file, info, all, drawn] = [bytes, read, undefined, undefined]
-    all = await decoder.gaussians(bytes)
+    const read = await decoder.info(bytes), gaussians = await decoder.gaussians(bytes)
+    ;[file, info, all, drawn] = [bytes, read, gaussians, undefined]
+    compareWith(undefined)
+    device?.load(all, info.blend, colorSpace(info.icc))
     get("name").textContent = document.title = name
     get("hint").hidden = true
     describe()
@@ -77,23 +81,84 @@ function move(dx, dy) {
   show()
 }
 
-// Puts what there is where it belongs, and has the rest decoded.
+// Takes a picture to compare with, or none.
+async function compareWith(picture) {
+  ;[original, errors] = [picture, undefined]
+  get("comparing").hidden = get("colours").lastElementChild.disabled = !picture
+  if (!picture) return get("colours").value = "own"
+  get("colours").lastElementChild.disabled = false
+  show()
+  // Errors are seen as well in a picture of this width.
+  const from = file, width = Math.min(info.width, 1024), decoded = await decoder.decode(file, { width }).catch(error => say(error.message))
+  if (!decoded || from != file || original != picture) return
+  const canvas = new OffscreenCanvas(decoded.width, decoded.height), context = canvas.getContext("2d", { colorSpace: decoded.colorSpace })
+  context.imageSmoothingQuality = "high"
+  context.drawImage(picture, 0, 0, canvas.width, canvas.height)
+  errors = errorsOf(all, decoded, context.getImageData(0, 0, canvas.width, canvas.height, { colorSpace: decoded.colorSpace }))
+  ellipses()
+}
+
+// A file that was dropped, chosen or asked for: a .ssplat file is shown, another picture is its original.
+async function take(bytes, name) {
+  const start = new Uint8Array(bytes, 0, Math.min(4, bytes.byteLength)), ours = [0x89, 0x53, 0x53, 0x50].every((v, i) => start[i] == v)
+  if (ours || !info) return open(bytes, name)
+  try {
+    await compareWith(await createImageBitmap(new Blob([bytes])))
+  } catch (error) {
+    say(`${name}: neither a .ssplat file nor a picture that this browser knows`)
+    console.error(error)
+  }
+}
+
+// Where the picture is in the canvas: pixels of the canvas a pixel of the picture, and its corner.
+const place = () => [zoom, left, top_].map(v => v * devicePixelRatio)
+
+// Says what is seen, and has it drawn with the screen's next picture.
+let waiting = false
 function show() {
   if (!info) return
-  const scale = devicePixelRatio, context = picture.getContext("2d")
+  say(`${info.width} × ${info.height}, ${number(info.primitives)} Gaussians in ${number(info.bytes)} bytes, shown at ${(100 * zoom).toPrecision(3)} %`)
+  if (!waiting) requestAnimationFrame(paint)
+  waiting = true
+}
+
+function paint() {
+  waiting = false
   for (const canvas of [picture, overlay]) {
-    const [w, h] = [Math.round(stage.clientWidth * scale), Math.round(stage.clientHeight * scale)]
+    const [w, h] = [stage.clientWidth, stage.clientHeight].map(v => Math.round(v * devicePixelRatio))
     if (canvas.width != w || canvas.height != h) [canvas.width, canvas.height] = [w, h]
   }
-  context.setTransform(1, 0, 0, 1, 0, 0)
-  context.clearRect(0, 0, picture.width, picture.height)
-  if (drawn) {
-    const [x, y, w, h] = drawn.region, place = (v, start) => Math.round((start + v * zoom) * scale)
-    context.drawImage(drawn.canvas, place(x, left), place(y, top_), place(x + w, left) - place(x, left), place(y + h, top_) - place(y, top_))
+  const context = picture.getContext("2d"), [k, x, y] = place(), { width, height } = picture
+  context.clearRect(0, 0, width, height)
+  const view = { left: -x / k, top: -y / k, step: 1 / k, width, height }
+  const byDevice = device?.can(view) ?? false
+  stage.dataset.drawn = byDevice ? "WebGL2" : "decoder"
+  if (byDevice) {
+    device.draw(view)
+    context.drawImage(device.canvas, 0, 0)
+  } else if (drawn) {
+    const [left, top, w, h] = drawn.region, [x0, y0, x1, y1] = [x + left * k, y + top * k, x + (left + w) * k, y + (top + h) * k].map(Math.round)
+    context.drawImage(drawn.canvas, x0, y0, x1 - x0, y1 - y0)
+  }
+  if (original) {
+    const border = Math.round(width * get("split").value / 100)
+    context.save()
+    context.beginPath()
+    context.rect(border, 0, width - border, height)
+    context.clip()
+    // Its pixels are seen where they are enlarged.
+    context.imageSmoothingEnabled = k * info.width < original.width
+    context.clearRect(0, 0, width, height)
+    context.drawImage(original, x, y, info.width * k, info.height * k)
+    context.restore()
+    context.fillStyle = "#fff"
+    context.fillRect(border - 1, 0, 2, height)
+    context.fillStyle = "#000"
+    context.fillRect(border + 1, 0, 1, height)
   }
   ellipses()
-  say(`${info.width} × ${info.height}, ${number(info.primitives)} Gaussians in ${number(info.bytes)} bytes, shown at ${(100 * zoom).toPrecision(3)} %`)
-  redraw()
+  if (byDevice) stage.dispatchEvent(new Event("drawn"))
+  else redraw()
 }
 
 // The part that is seen, in whole pixels of the picture: left, top, width, height.
@@ -133,28 +198,9 @@ async function redraw() {
 }
 
 function ellipses() {
-  const context = overlay.getContext("2d"), scale = devicePixelRatio
-  context.setTransform(1, 0, 0, 1, 0, 0)
+  const context = overlay.getContext("2d")
   context.clearRect(0, 0, overlay.width, overlay.height)
-  if (!get("ellipses").checked || !all) return
-  context.lineWidth = scale
-  let count = 0
-  for (let i = 0; i < all.count && count < mostEllipses; i++) {
-    const x = (left + all.mean[2 * i] * zoom) * scale, y = (top_ + all.mean[2 * i + 1] * zoom) * scale
-    const [major, minor] = [all.scale[2 * i] * zoom * scale, all.scale[2 * i + 1] * zoom * scale]
-    if (x + major < 0 || y + major < 0 || x - major > overlay.width || y - major > overlay.height) continue
-    const [r, g, b] = [0, all.channels > 2 ? 1 : 0, all.channels > 2 ? 2 : 0].map(k => Math.round(255 * Math.min(Math.max(all.color[4 * i + k], 0), 1)))
-    // In its own colour, between two that keep it apart from the picture.
-    context.beginPath()
-    context.ellipse(x, y, Math.max(major, .5), Math.max(minor, .5), all.rotation[i], 0, 2 * Math.PI)
-    context.strokeStyle = r + g + b > 380 ? "#000a" : "#fffa"
-    context.lineWidth = 2.5 * scale
-    context.stroke()
-    context.strokeStyle = `rgb(${r} ${g} ${b})`
-    context.lineWidth = scale
-    context.stroke()
-    count++
-  }
+  if (get("ellipses").checked && all) drawEllipses(context, all, place(), devicePixelRatio, get("colours").value == "error" ? errors : undefined)
 }
 
 const pointers = new Map
@@ -184,7 +230,11 @@ function toggle() {
   get("ellipses").checked = !get("ellipses").checked
   ellipses()
 }
-const keys = { ArrowLeft: () => move(64, 0), ArrowRight: () => move(-64, 0), ArrowUp: () => move(0, 64), ArrowDown: () => move(0, -64), "+": () => zoomBy(1.25), "=": () => zoomBy(1.25), "-": () => zoomBy(.8), 0: fit, 1: actual, g: toggle }
+function split(by) {
+  get("split").value = Number(get("split").value) + by
+  show()
+}
+const keys = { ArrowLeft: () => move(64, 0), ArrowRight: () => move(-64, 0), ArrowUp: () => move(0, 64), ArrowDown: () => move(0, -64), "+": () => zoomBy(1.25), "=": () => zoomBy(1.25), "-": () => zoomBy(.8), 0: fit, 1: actual, g: toggle, "[": () => split(-5), "]": () => split(5) }
 stage.addEventListener("keydown", event => {
   if (event.ctrlKey || event.metaKey || event.altKey || !keys[event.key]) return
   event.preventDefault()
@@ -194,11 +244,12 @@ get("fit").onclick = fit
 get("actual").onclick = actual
 get("in").onclick = () => zoomBy(1.5)
 get("out").onclick = () => zoomBy(1 / 1.5)
-get("ellipses").onchange = ellipses
+get("ellipses").onchange = get("colours").onchange = ellipses
+get("split").oninput = show
 get("facts").onchange = event => get("panel").hidden = !event.target.checked
-get("file").onchange = async event => {
+for (const id of ["file", "original"]) get(id).onchange = async event => {
   const [chosen] = event.target.files
-  if (chosen) open(await chosen.arrayBuffer(), chosen.name)
+  if (chosen) take(await chosen.arrayBuffer(), chosen.name)
 }
 addEventListener("dragover", event => {
   event.preventDefault()
@@ -208,8 +259,10 @@ addEventListener("dragleave", () => stage.classList.remove("drop"))
 addEventListener("drop", async event => {
   event.preventDefault()
   stage.classList.remove("drop")
-  const [dropped] = event.dataTransfer.files
-  if (dropped) open(await dropped.arrayBuffer(), dropped.name)
+  const files = await Promise.all([...event.dataTransfer.files].map(async f => [await f.arrayBuffer(), f.name]))
+  // Of two at once, the .ssplat file comes first.
+  files.sort(([, a], [, b]) => b.endsWith(".ssplat") - a.endsWith(".ssplat"))
+  for (const [bytes, name] of files.slice(0, 2)) await take(bytes, name)
 })
 let size = ""
 new ResizeObserver(() => {
@@ -218,10 +271,13 @@ new ResizeObserver(() => {
   size = now
 }).observe(stage)
 
-if (get("held-file")) open(held("held-file"), get("held-file").dataset.name)
-const asked = new URLSearchParams(location.search).get("file")
-if (asked) {
-  const response = await fetch(asked).catch(error => ({ statusText: error.message }))
-  if (response.ok) open(await response.arrayBuffer(), asked.split("/").pop())
-  else say(`${asked}: ${response.statusText || response.status}`)
+async function fetched(url) {
+  const response = await fetch(url).catch(error => ({ statusText: error.message }))
+  if (response.ok) return take(await response.arrayBuffer(), url.split("/").pop())
+  say(`${url}: ${response.statusText || response.status}`)
+}
+for (const id of ["file", "original"]) {
+  const inside = held(`held-${id}`)
+  if (inside) await take(inside.buffer, get(`held-${id}`).dataset.name)
+  else if (asked.get(id)) await fetched(asked.get(id))
 }

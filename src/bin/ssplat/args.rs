@@ -49,6 +49,8 @@ pub enum Command {
     Compare(Compare),
     /// Print a picture as the text of a small .ssplat file, to stand in a web page until the picture is there
     Placeholder(Placeholder),
+    /// Show a .ssplat file in the browser, at any zoom, and where its bits go
+    View(View),
     /// Write a .ssplat file's Gaussians for other programs
     Export(Export),
     /// Store Gaussians that were fitted elsewhere
@@ -366,6 +368,39 @@ pub struct Placeholder {
     /// How much work to spend, 1 to 9
     #[arg(long, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
     pub effort: u8,
+}
+
+const VIEW_EXAMPLES: &str = "\
+Examples:
+  ssplat view photo.ssplat                       until Ctrl-C
+  ssplat view photo.ssplat --original photo.png  with a slider between the two
+  ssplat view photo.ssplat --html photo.html     one page that needs nothing else, to send to someone
+
+The viewer is WebAssembly and JavaScript, which the program does not hold: `web/build` in the
+source writes them to web/dist. They are looked for in --viewer, in the folder that the
+variable SSPLAT_VIEWER names, in ../share/ssplat/web beside the program's folder, and, for a
+program in the source's target folder, in web/dist there.
+
+The page is served to this machine alone, at a free port, with nothing but the viewer and
+the files that are named here. They are read once; a change shows when the command is run anew.";
+
+#[derive(Debug, ClapArgs)]
+#[command(after_help = VIEW_EXAMPLES)]
+pub struct View {
+    /// The .ssplat file; - for standard input
+    pub input: PathBuf,
+    /// The picture that it was made of, to compare with, in a format that browsers know
+    #[arg(long, value_name = "PICTURE")]
+    pub original: Option<PathBuf>,
+    /// Write the viewer with the file in it as one page instead of serving it; - for standard output
+    #[arg(long, value_name = "OUT")]
+    pub html: Option<PathBuf>,
+    /// Folder of the viewer, as web/build writes it [default: see below]
+    #[arg(long, value_name = "DIR")]
+    pub viewer: Option<PathBuf>,
+    /// Print the page's address without opening a browser
+    #[arg(long, conflicts_with = "html")]
+    pub no_open: bool,
 }
 
 const COMPLETIONS_EXAMPLES: &str = "\

@@ -1,4 +1,4 @@
-//! The `ssplat` program: encode, decode, info, compare, placeholder, export, import; with the feature `report` also report, with
+//! The `ssplat` program: encode, decode, info, compare, placeholder, view, export, import; with the feature `report` also report, with
 //! `recipes` also bench-methods.
 
 mod args;
@@ -25,6 +25,7 @@ mod rows;
 mod sink;
 mod source;
 mod structure;
+mod view;
 
 use std::process::ExitCode;
 
@@ -62,6 +63,7 @@ fn run(args: Args) -> Result<(), Failure> {
         Command::Info(args) => info::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Placeholder(args) => placeholder::run(&args),
+        Command::View(args) => view::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Completions(args) => manual::completions(&args),

@@ -1,5 +1,6 @@
 // What <ssplat-img> promises.
 import "/web/dist/ssplat-img.js"
+import { crc32 } from "/web/test/files.js"
 
 const vector = name => `/spec/vectors/valid/${name}/file.ssplat`
 const patience = 60_000
@@ -9,6 +10,40 @@ const event = (element, names, time = patience) => new Promise(resolve => {
   for (const name of names) element.addEventListener(name, resolve, { once: true })
   setTimeout(() => resolve({ type: "nothing" }), time)
 })
+
+// A file without sections, with these.
+function withSections(file, sections) {
+  const long = bytes => new Uint8Array(new Uint32Array([crc32(bytes)]).buffer), varint = v => v < 128 ? [v] : [v & 127 | 128, ...varint(v >> 7)]
+  let end = 6
+  for (let i = 0; i < 3; i++) while (file[end++] > 127);
+  const head = [...file.subarray(0, end + 3), Object.keys(sections).length]
+  head[5] |= 128
+  // The file's checksum is over everything but what is in the sections.
+  const whole = [...head], bare = [...head]
+  for (const [name, contents] of Object.entries(sections)) {
+    const letters = [...new TextEncoder().encode(name)], all = [...letters, ...varint(contents.length), ...long(Uint8Array.from([...letters, ...contents]))]
+    whole.push(...all, ...contents)
+    bare.push(...all)
+  }
+  const payload = file.subarray(end + 3, -4)
+  return Uint8Array.from([...whole, ...payload, ...long(Uint8Array.from([...bare, ...payload]))])
+}
+
+// An EXIF block that names an orientation, and an ICC profile that has nothing but its primaries.
+const exif = orientation => Uint8Array.of(73, 73, 42, 0, 8, 0, 0, 0, 1, 0, 0x12, 1, 3, 0, 1, 0, 0, 0, orientation, 0, 0, 0, 0, 0, 0, 0)
+function profile(primaries) {
+  const bytes = new Uint8Array(132 + 32 * 3), view = new DataView(bytes.buffer)
+  view.setUint32(128, 3)
+  primaries.forEach((xyz, k) => {
+    bytes.set(new TextEncoder().encode(`${"rgb"[k]}XYZ`), 132 + 12 * k)
+    view.setUint32(136 + 12 * k, 168 + 20 * k)
+    view.setUint32(140 + 12 * k, 20)
+    bytes.set(new TextEncoder().encode("XYZ "), 168 + 20 * k)
+    xyz.forEach((v, i) => view.setInt32(176 + 20 * k + 4 * i, Math.round(65536 * v)))
+  })
+  return bytes
+}
+const p3 = [[.5151, .2412, -.0011], [.292, .6922, .0419], [.1571, .0666, .7841]], srgb = [[.4361, .2225, .0139], [.3851, .7169, .0971], [.1431, .0606, .7141]]
 
 export async function test() {
   const problems = []
@@ -69,6 +104,54 @@ export async function test() {
   // Pictures of other formats are shown, too.
   const other = add({ src: "/tests/images/kodim15.png", placeholder: inline, width: 96 })
   check((await event(other, ["load", "error"])).type == "load" && other.naturalWidth > 96 && canvas(other).hidden, "a PNG is not shown")
+
+  // It is turned as its EXIF block says.
+  const file = new Uint8Array(await (await fetch(vector("coded-rgb"))).arrayBuffer()), url = bytes => URL.createObjectURL(new Blob([bytes]))
+  const pixels = (element, settings) => canvas(element).getContext("2d").getImageData(0, 0, canvas(element).width, canvas(element).height, settings).data
+  const [w, h] = [plain.naturalWidth, plain.naturalHeight], stored = pixels(plain)
+  const from = [, (x, y) => [x, y], (x, y) => [w - 1 - x, y], (x, y) => [w - 1 - x, h - 1 - y], (x, y) => [x, h - 1 - y], (x, y) => [y, x], (x, y) => [y, h - 1 - x], (x, y) => [w - 1 - y, h - 1 - x], (x, y) => [w - 1 - y, x]]
+  for (let orientation = 1; orientation <= 8; orientation++) {
+    const turned = add({ src: url(withSections(file, { exif: exif(orientation) })) })
+    check((await event(turned, ["load", "error"])).type == "load", `orientation ${orientation} is an error`)
+    const sides = orientation > 4 ? [h, w] : [w, h], now = pixels(turned)
+    check(turned.naturalWidth == sides[0] && turned.naturalHeight == sides[1] && canvas(turned).width == sides[0] && canvas(turned).height == sides[1], `orientation ${orientation}: ${turned.naturalWidth} x ${turned.naturalHeight}`)
+    check(now.every((v, i) => {
+      const [x, y] = from[orientation]((i >> 2) % sides[0], Math.floor((i >> 2) / sides[0]))
+      return v == stored[4 * (y * w + x) + (i & 3)]
+    }), `orientation ${orientation}: pixels are elsewhere`)
+  }
+
+  // Samples are those of the profile's colour space.
+  for (const [primaries, colorSpace] of [[p3, "display-p3"], [srgb, "srgb"]]) {
+    const coloured = add({ src: url(withSections(file, { iccp: profile(primaries) })) })
+    check((await event(coloured, ["load", "error"])).type == "load", `${colorSpace} is an error`)
+    const space = canvas(coloured).getContext("2d").getContextAttributes().colorSpace
+    check(space == colorSpace && pixels(coloured, { colorSpace }).every((v, i) => v == stored[i]), `a file in ${colorSpace} is drawn in ${space}`)
+  }
+
+  // What has come of a file with groups is seen before the rest is there.
+  const groups = new Uint8Array(await (await fetch(vector("groups-divided"))).arrayBuffer()), fetches = window.fetch
+  let go
+  const rest = new Promise(resolve => go = resolve)
+  window.fetch = async () => new Response(new ReadableStream({
+    async start(stream) {
+      stream.enqueue(groups.slice(0, 3000))
+      await rest
+      stream.enqueue(groups.slice(3000))
+      stream.close()
+    },
+  }))
+  const streamed = add({ src: "/slow.ssplat" }), loaded = event(streamed, ["load", "error"])
+  window.fetch = fetches
+  for (let i = 0; i < patience / 50 && !seen(streamed); i++) await new Promise(r => setTimeout(r, 50))
+  check(seen(streamed) && !streamed.complete, "half of a file shows nothing")
+  const half = pixels(streamed)
+  go()
+  check((await loaded).type == "load" && streamed.complete, "a file in two parts does not load")
+  const once = add({ src: vector("groups-divided") })
+  await event(once, ["load", "error"])
+  const now = pixels(streamed)
+  check(pixels(once).every((v, i) => v == now[i]) && half.some((v, i) => v != now[i]), "a file in two parts is not drawn whole")
 
   // What is far away waits until it is near.
   add({}, "display: block; height: 20000px")

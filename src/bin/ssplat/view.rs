@@ -1,0 +1,60 @@
+//! `ssplat view`: a file in the viewer of `web/`, in the browser or as one page.
+
+mod package;
+mod page;
+mod server;
+
+use std::path::Path;
+
+use ssplat::{Damage, Limits, Opening};
+
+use crate::args;
+use crate::failure::Failure;
+use crate::sink::Sink;
+use crate::source;
+
+/// What is shown: the bytes of a file, and its name for the page.
+struct Shown {
+    name: String,
+    bytes: Vec<u8>,
+}
+
+impl Shown {
+    fn new(path: &Path, bytes: Vec<u8>) -> Self {
+        let name = if path == Path::new("-") {
+            "standard-input".into()
+        } else {
+            path.file_name().unwrap_or_default().to_string_lossy()
+        };
+        // Letters that mean the same in an address and in a page.
+        let plain = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '_' };
+        Shown { name: name.chars().map(plain).collect(), bytes }
+    }
+}
+
+pub fn run(args: &args::View) -> Result<(), Failure> {
+    let bytes = source::read_splats(&args.input)?;
+    let limits = Limits::default();
+    // What is broken is told here, not in the browser.
+    Opening::new(&bytes, &limits)
+        .and_then(|o| o.read(Damage::Refuse))
+        .map_err(|e| Failure::library(&args.input, &e))?;
+    let file = Shown::new(&args.input, bytes);
+    let original = match &args.original {
+        Some(path) => Some(Shown::new(path, source::read_at_most(path, limits.alloc)?)),
+        None => None,
+    };
+    let package = package::Package::find(args.viewer.as_deref())?;
+    match &args.html {
+        Some(out) => {
+            let inputs: Vec<&Path> = [&args.input].into_iter().chain(&args.original).map(|p| p.as_path()).collect();
+            Sink::create(out, &inputs)?.finish_with(page::packed(&package, &file, original.as_ref())?.as_bytes())
+        }
+        None => server::run(
+            package,
+            file,
+            original,
+            if args.no_open { server::Opens::Nothing } else { server::Opens::Browser },
+        ),
+    }
+}
