@@ -56,11 +56,17 @@ impl Plan {
         // sooner, and many primitives move at first. `--example effort_table` measures it.
         let is_dense = count >= DENSE;
         let base = match is_dense {
-            true => [44.0, 94.0, 165.0, 280.0, 500.0, 750.0, 1310.0, 2250.0, 3750.0f32][level],
+            true => [57.0, 94.0, 165.0, 280.0, 500.0, 750.0, 1310.0, 2250.0, 3750.0f32][level],
             false => [66.0, 130.0, 220.0, 350.0, 590.0, 880.0, 1540.0, 2640.0, 4400.0f32][level],
         };
         let crowd = count.max(1) as f32 / 5500.0;
-        let patience = crowd.powf(if crowd < 1.0 { -0.95 } else { -0.3 }).clamp(0.25, 9.0);
+        // In a short fit of a large picture a step brings more than the sweep that would do its work.
+        let haste = match level {
+            0..3 => -0.1,
+            3 => -0.2,
+            _ => -0.3,
+        };
+        let patience = crowd.powf(if crowd < 1.0 { -0.95 } else { haste }).clamp(0.25, 9.0);
         // On small pictures it takes only seconds to get the tenth of a decibel that half as many again win.
         let share = |from: f32, to: f32| ((count as f32 - from) / (to - from)).clamp(0.0, 1.0);
         let more = if pixels < LARGE { 0.5 * share(8000.0, 12_000.0) * share(40_000.0, 25_000.0) } else { 0.0 };
