@@ -82,6 +82,7 @@ pub mod metrics;
 pub mod options;
 pub mod pack;
 mod parallel;
+pub mod pixel_source;
 pub mod pixels;
 pub mod quantize;
 pub mod raster;
@@ -92,7 +93,7 @@ mod simd;
 
 pub use decode::{Decoded, Opened, Opening, decode, decode_into, thumbnail};
 pub use encode::{
-    Chosen, EncodeReport, Encoded, LeftOut, Omission, Progress, TracePoint, encode, encode_with_progress,
+    Chosen, EncodeReport, Encoded, LeftOut, Omission, Progress, TracePoint, encode, encode_source, encode_with_progress,
 };
 pub use error::{Error, FormatError, GpuError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
@@ -102,5 +103,6 @@ pub use options::{
     Ablation, Backend, Damage, DecodeOptions, EncodeOptions, Needs, Recipe, Target, Thumbnail, Trace, Tune,
 };
 pub use pack::{Outside, PackOptions, Precision, pack};
+pub use pixel_source::PixelSource;
 pub use pixels::{Depth, Pixels, Samples};
 pub use simd::instruction_set;

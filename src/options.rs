@@ -139,6 +139,12 @@ pub struct EncodeOptions {
     pub levels: u8,
     /// Whether the file carries a thumbnail; its bytes count as the file's.
     pub thumbnail: Thumbnail,
+    /// The side of tiles that the picture is fitted in, pixels: a multiple of 128 up to 16384. `None`: pictures of more than
+    /// 2²⁸ pixels are fitted in tiles of 2048, others as a whole. A picture no larger than a tile is fitted as a whole.
+    ///
+    /// Tiles bound the memory that a fit takes. They are fitted on the CPU, in the coded layout, for a size or a number of
+    /// primitives, and their file carries no thumbnail.
+    pub tiles: Option<u32>,
     /// Whether to measure quality along the way.
     pub trace: Trace,
     /// ICC profile to carry.
@@ -171,6 +177,7 @@ impl Default for EncodeOptions {
             needs: Needs::Measured,
             levels: 1,
             thumbnail: Thumbnail::Auto,
+            tiles: None,
             trace: Trace::Off,
             icc: None,
             exif: None,

@@ -16,10 +16,13 @@ use crate::round::size::Size;
 pub(super) const MAX_PRIMITIVES: u64 = 16 << 20;
 
 /// Ratio of [`Target::Auto`].
-const RATIO: f64 = 50.0;
+pub(super) const RATIO: f64 = 50.0;
+
+/// What a primitive of the coded layout costs before anything is known, bits.
+pub(super) const CODED_BITS: f64 = 34.5;
 
 /// Fewest bytes for primitives of [`Target::Auto`]: some twenty of them.
-const LEAST: u64 = 80;
+pub(super) const LEAST: u64 = 80;
 
 impl Encoding<'_> {
     /// Fits the picture as the options ask.
@@ -84,7 +87,7 @@ impl Encoding<'_> {
         let bits = match self.subject.options.layout {
             Layout::Packed => 56.0,
             Layout::Planes => 46.0,
-            Layout::Coded => 34.5,
+            Layout::Coded => CODED_BITS,
         };
         // More primitives than samples bring nothing.
         let count =

@@ -128,7 +128,7 @@ pub(super) fn stored_error(splats: &PackedSplats, planes: &Planes) -> f64 {
 
 /// Mean squared error of a sample at which more iterations bring nothing: rounding makes as much, or the target is
 /// passed by more than what the integers lose.
-fn enough(target: Target, depth: Depth) -> f64 {
+pub(super) fn enough(target: Target, depth: Depth) -> f64 {
     // Decibels that quantization has been seen to lose at most, before the descent wins some back.
     const LOSS: f64 = 3.0;
     match target {
@@ -182,7 +182,7 @@ const LEAST_PRICE: f64 = 0.5;
 
 /// Returns by which factor the fit has more primitives than there is room for: the descent takes bits off them, and what is
 /// still too much goes by its worth.
-fn excess(primitives: usize) -> f64 {
+pub(super) fn excess(primitives: usize) -> f64 {
     // Kodak, twelve pictures, against 1.008: .02 to .07 dB better at ratios from 50 to 1000. With 15 000 primitives at ratio
     // 20 it won nothing and lost .0003 of MS-SSIM. `cargo run --release --features cli --example rate_distortion -- PICTURES`
     // measures it.

@@ -14,6 +14,7 @@ mod prune;
 mod report;
 mod subject;
 mod thumbnail;
+mod tiles;
 mod trace;
 
 use std::ops::ControlFlow;
@@ -21,7 +22,8 @@ use std::ops::ControlFlow;
 use crate::bitstream::splats::Layout;
 use crate::error::{Error, Result};
 use crate::fit::model::planes::Planes;
-use crate::options::{EncodeOptions, Target};
+use crate::options::{EncodeOptions, Target, Trace};
+use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
 use aim::MAX_PRIMITIVES;
 use device::Choice;
@@ -85,6 +87,9 @@ pub fn encode_with_progress(
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
     check(options)?;
+    if let Some(side) = side(pixels, options) {
+        return tiles::encode(pixels, options, side, Journal::new(progress, Tracer::new(Trace::Off)));
+    }
     let tracer = Tracer::new(options.trace);
     let narrow = if may_leave_out(options) { channels::narrow(pixels) } else { None };
     let fitted = narrow.as_ref().map_or(pixels, |n| &n.pixels);
@@ -117,6 +122,35 @@ pub fn encode_with_progress(
         trace: job.journal.tracer.into_points(),
     };
     Ok(Encoded { bytes: outcome.bytes, report })
+}
+
+/// Encodes the picture of `source` in tiles, which are read as they are needed, and calls `progress` on the way. A picture
+/// that [`EncodeOptions::tiles`] leaves whole is read as a whole.
+///
+/// # Errors
+/// As [`encode_with_progress`], and those of `source`.
+pub fn encode_source(
+    source: &dyn PixelSource,
+    options: &EncodeOptions,
+    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Encoded> {
+    check(options)?;
+    match side(source, options) {
+        Some(side) => tiles::encode(source, options, side, Journal::new(progress, Tracer::new(Trace::Off))),
+        None => encode_with_progress(&source.part([0, 0, source.width(), source.height()])?, options, progress),
+    }
+}
+
+/// Pictures of more pixels are fitted in tiles, unless [`EncodeOptions::tiles`] asks for tiles anyway.
+pub const LARGEST: u64 = 1 << 28;
+/// The side of those tiles, pixels.
+const SIDE: u32 = 2048;
+
+/// Returns the side of the tiles that a picture is fitted in, if it is.
+fn side(source: &dyn PixelSource, options: &EncodeOptions) -> Option<u32> {
+    let [width, height] = source.size();
+    let is_huge = u64::from(width) * u64::from(height) > LARGEST;
+    options.tiles.or(is_huge.then_some(SIDE)).filter(|&side| width > side || height > side)
 }
 
 fn check(options: &EncodeOptions) -> Result<()> {

@@ -40,6 +40,21 @@ impl<'a> Journal<'a> {
         self.tracer.seconds()
     }
 
+    /// Reports the share of a stage that is done, where nothing is measured on the way.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`] when the caller breaks off.
+    pub(super) fn show(&mut self, stage: &'static str, done: f32) -> Result<()> {
+        self.tell(&Progress { stage, done, psnr: None })
+    }
+
+    fn tell(&mut self, progress: &Progress) -> Result<()> {
+        match (self.progress)(progress) {
+            ControlFlow::Continue(()) => Ok(()),
+            ControlFlow::Break(()) => Err(Error::Cancelled),
+        }
+    }
+
     /// Notes that a stage, which began when [`seconds`](Self::seconds) were `since`, is over; returns how long it took.
     pub(super) fn stage(&mut self, name: &'static str, since: f64) -> f64 {
         let seconds = self.seconds() - since;
@@ -70,9 +85,6 @@ impl Stage<'_, '_> {
     pub(super) fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()> {
         let stage = self.name;
         let psnr = self.journal.tracer.step(stage, self.subject.original, self.planes, now)?;
-        match (self.journal.progress)(&Progress { stage, done, psnr }) {
-            ControlFlow::Continue(()) => Ok(()),
-            ControlFlow::Break(()) => Err(Error::Cancelled),
-        }
+        self.journal.tell(&Progress { stage, done, psnr })
     }
 }

@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::fit::model::problem::Scene;
 use crate::gaussian::{Blend, Channels};
 use crate::options::{EncodeOptions, Needs, Recipe};
-use crate::pixels::Pixels;
+use crate::pixels::{Depth, Pixels};
 
 /// A picture, and what its caller asks for.
 #[derive(Debug, Clone, Copy)]
@@ -62,23 +62,8 @@ impl Subject<'_> {
 
     /// Returns the integers of what is fitted, without primitives.
     pub(super) fn empty(&self) -> PackedSplats {
-        let mut metadata = Metadata::default();
-        metadata.icc.clone_from(&self.options.icc);
-        metadata.exif.clone_from(&self.options.exif);
-        PackedSplats {
-            width: self.pixels.width(),
-            height: self.pixels.height(),
-            channels: self.pixels.channels(),
-            depth: self.pixels.depth(),
-            blend: self.blend(),
-            layout: self.options.layout,
-            steps: Steps { scale: 2, angle: 1, position: 5, coarsest: 0, range: 0, luma: 6, chroma: 1 },
-            background: [0; 4],
-            codebook: None,
-            gaussians: Vec::new(),
-            levels: Vec::new(),
-            metadata,
-        }
+        let size = [self.pixels.width(), self.pixels.height()];
+        empty(size, (self.pixels.channels(), self.pixels.depth()), self.blend(), self.options)
     }
 
     /// Writes the file of `splats`, with the channels that were left out put back.
@@ -87,6 +72,32 @@ impl Subject<'_> {
             true => crate::bitstream::to_bytes(splats),
             false => crate::bitstream::to_bytes(&widen(splats, self.channels())),
         }
+    }
+}
+
+/// Returns the integers of a picture of `size` pixels, without primitives.
+pub(super) fn empty(
+    [width, height]: [u32; 2],
+    (channels, depth): (Channels, Depth),
+    blend: Blend,
+    options: &EncodeOptions,
+) -> PackedSplats {
+    let mut metadata = Metadata::default();
+    metadata.icc.clone_from(&options.icc);
+    metadata.exif.clone_from(&options.exif);
+    PackedSplats {
+        width,
+        height,
+        channels,
+        depth,
+        blend,
+        layout: options.layout,
+        steps: Steps { scale: 2, angle: 1, position: 5, coarsest: 0, range: 0, luma: 6, chroma: 1 },
+        background: [0; 4],
+        codebook: None,
+        gaussians: Vec::new(),
+        levels: Vec::new(),
+        metadata,
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::error::Result;
 use crate::fit::engine::Engine;
 use crate::fit::model::adam::{Bounds, Memory, Rates};
-use crate::fit::model::field::float_error;
+use crate::fit::model::field::{float_error, squared_error};
 use crate::fit::model::peaks::{at_peak, peaks};
 use crate::fit::model::problem::Problem;
 use crate::fit::model::project::{self, Primitive};
@@ -26,9 +26,10 @@ impl Engine for State {
 
     fn error(&mut self, whole: &Problem<'_>) -> Result<f64> {
         if self.scale != 1.0 {
-            return Ok(float_error(whole, &project::zoomed(self.primitives.clone(), self.scale.recip())));
+            let seen = [&self.primitives[..], &self.still].concat();
+            return Ok(float_error(whole, &project::zoomed(seen, self.scale.recip())));
         }
-        Ok(float_error(whole, &self.primitives))
+        Ok(squared_error(whole, &self.projected(whole.scene.height)))
     }
 
     fn descend(&mut self, problem: &Problem<'_>, rows: RowSet, rates: Rates) -> Result<Option<f64>> {
@@ -94,7 +95,8 @@ impl Engine for State {
         if let Some((error, primitives)) = self.best.take()
             && self.latest > CLEARLY_WORSE * error
         {
-            *self = State { price: self.price, ..State::new(primitives, self.bounds) };
+            let still = std::mem::take(&mut self.still);
+            *self = State { price: self.price, still, ..State::new(primitives, self.bounds) };
         }
         Ok(())
     }
@@ -103,8 +105,9 @@ impl Engine for State {
         // Gradients grow with the picture: what the optimizer remembers would mislead it.
         let bounds = Bounds::new(problem.scene.width, problem.scene.height);
         let zoomed = State::new(project::zoomed(std::mem::take(&mut self.primitives), by), bounds);
+        let still = project::zoomed(std::mem::take(&mut self.still), by);
         let (iteration, price, scale) = (self.iteration, self.price, self.scale * by);
-        *self = State { iteration, price, scale, field: std::mem::take(&mut self.field), ..zoomed };
+        *self = State { iteration, price, scale, still, field: std::mem::take(&mut self.field), ..zoomed };
         Ok(())
     }
 

@@ -43,9 +43,14 @@ pub(crate) struct Start {
 
 /// Returns about `count` primitives that are spread by the picture's detail.
 pub(crate) fn scattered(target: &Planes, count: usize, plan: &Plan) -> Start {
-    let mut rng = Pcg64Mcg::seed_from_u64(plan.seed);
+    let mut rng = random(plan);
     let primitives = sample::by_detail(target, count, &mut rng);
     Start { state: State::new(primitives, Bounds::new(target.width, target.height)), rng, from: 0 }
+}
+
+/// Returns the random numbers of a fit.
+pub(crate) fn random(plan: &Plan) -> Pcg64Mcg {
+    Pcg64Mcg::seed_from_u64(plan.seed)
 }
 
 /// Returns how often the picture is halved for `count` primitives.

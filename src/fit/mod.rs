@@ -6,7 +6,7 @@
 #[cfg(all(test, unix))]
 mod coarse;
 mod cpu;
-mod draft;
+pub(crate) mod draft;
 pub(crate) mod engine;
 pub(crate) mod job;
 pub(crate) mod model;
@@ -33,7 +33,7 @@ pub(crate) fn fit<E: Engine>(
 ) -> Result<(E, Ending)> {
     let start = draft::start(job, watcher)?;
     let mut engine = open(start.state)?;
-    let ending = schedule::run(job, &mut engine, (start.rng, start.from), watcher)?;
+    let ending = schedule::run(job, &mut engine, (start.rng, start.from..job.plan.iterations), watcher)?;
     engine.keep_best()?;
     Ok((engine, ending))
 }

@@ -50,18 +50,18 @@ const SPARSE: u32 = 5;
 /// When the number of primitives is corrected, as shares of the iterations.
 const RECOUNTED: [f32; 3] = [0.3, 0.6, 0.85];
 
-/// Fits the primitives of `engine`, from an iteration on; `watcher` corrects their number on the way.
+/// Fits the primitives of `engine` in those of the job's iterations that are `steps`; `watcher` corrects their number on the way.
 pub(crate) fn run<E: Engine>(
     job: &Job<'_>,
     engine: &mut E,
-    (rng, from): (Pcg64Mcg, u32),
+    (rng, steps): (Pcg64Mcg, Range<u32>),
     watcher: &mut dyn Watcher,
 ) -> Result<Ending> {
     let (scene, count) = (&job.problem.scene, engine.count());
     let pays = scene.is_large() && count >= MANY && scene.row_step(count) >= SPARSE;
     let half = pays.then(|| Reduced::new(&job.problem, 1));
     let coarse = half.as_ref().map(|reduced| Coarse { reduced, share: COARSE });
-    run_part(job, Part { steps: from..job.plan.iterations, coarse }, engine, rng, watcher)
+    run_part(job, Part { steps, coarse }, engine, rng, watcher)
 }
 
 /// A part of the iterations, of which the first may see a smaller picture.

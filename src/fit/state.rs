@@ -15,6 +15,8 @@ pub(crate) const CLEARLY_WORSE: f64 = 1.01;
 #[derive(Debug)]
 pub(crate) struct State {
     pub primitives: Vec<Primitive>,
+    /// Others that are seen beside them, and stay as they are.
+    pub still: Vec<Primitive>,
     pub(super) memory: Vec<Memory>,
     /// Which parameters may move; empty: all.
     pub freedom: Vec<Freedom>,
@@ -39,6 +41,7 @@ impl State {
         let memory = vec![Memory::default(); primitives.len()];
         let mut state = State {
             primitives,
+            still: Vec::new(),
             memory,
             freedom: Vec::new(),
             bounds,
@@ -55,10 +58,17 @@ impl State {
 
     /// Takes one step on the error over `rows`; returns that error before the step.
     pub(crate) fn descend(&mut self, problem: &Problem<'_>, rows: RowSet, rates: Rates) -> f64 {
-        let projected = project::all(&self.primitives, problem.scene.height);
+        let projected = self.projected(problem.scene.height);
         let error = self.field.draw(problem, &projected, rows, Output::Gradient);
         self.step(problem, rows, &projected, rates);
         error
+    }
+
+    /// Returns all that is seen in a picture of so many rows: first those that move, then those that are still.
+    pub(super) fn projected(&self, height: u32) -> Vec<Projected> {
+        let mut projected = project::all(&self.primitives, height);
+        projected.extend(self.still.iter().map(|p| Projected::new(p, height)));
+        projected
     }
 
     /// Gathers every primitive's gradient from the field, adds that of the [`adam::price`] and takes one step.
@@ -102,12 +112,12 @@ impl State {
     }
 
     /// Returns what removing each primitive costs. Leaves the picture in the field, and sets the price by its error.
-    pub(super) fn survey(&mut self, problem: &Problem<'_>, rows: RowSet) -> Vec<f32> {
+    pub(crate) fn survey(&mut self, problem: &Problem<'_>, rows: RowSet) -> Vec<f32> {
         let scene = &problem.scene;
-        let projected = project::all(&self.primitives, scene.height);
+        let projected = self.projected(scene.height);
         let error = self.field.draw(problem, &projected, rows, Output::Picture);
         self.price = adam::price(error, [scene.width, scene.height], rows, projected.len());
-        removal::costs(problem, &self.field, rows, &projected)
+        removal::costs(problem, &self.field, rows, &projected[..self.primitives.len()])
     }
 }
 

@@ -774,7 +774,7 @@ mod stages {
         let count = engine.count();
         let rng = Pcg64Mcg::seed_from_u64(plan.seed);
         let mut watcher = TakesAndAdds { count, is_first: true };
-        schedule::run(&Job { problem, count, plan }, engine, (rng, 0), &mut watcher).unwrap();
+        schedule::run(&Job { problem, count, plan }, engine, (rng, 0..plan.iterations), &mut watcher).unwrap();
     }
 
     /// Returns `count` primitives that are spread by detail.

@@ -100,13 +100,15 @@ pub(crate) struct Descent<'a> {
     pub(super) quantizer: &'a Quantizer,
     pub(super) activity: Activity,
     pub(super) field: Field,
+    /// Others that are seen beside those that change, and stay as they are.
+    pub(super) still: Vec<Projected>,
 }
 
 impl<'a> Descent<'a> {
     /// Starts with everything to be tried. `field` brings memory for the planes.
     pub(crate) fn new(problem: Problem<'a>, quantizer: &'a Quantizer, field: Field) -> Self {
         let activity = Activity::new(problem.scene.width, problem.scene.height);
-        Descent { problem, quantizer, activity, field }
+        Descent { problem, quantizer, activity, field, still: Vec::new() }
     }
 
     /// Sweeps over all primitives once. `gaussians` keeps its order; removed ones are taken out. What the coder expects of
@@ -125,9 +127,21 @@ impl<'a> Descent<'a> {
         }
     }
 
+    /// Keeps `still` in the picture all along.
+    pub(crate) fn beside(self, still: Vec<Projected>) -> Self {
+        Descent { still, ..self }
+    }
+
+    /// Returns all that is seen with `gaussians`: those first.
+    pub(crate) fn seen(&self, gaussians: &[PackedGaussian]) -> Vec<Projected> {
+        let mut seen = projected(self.quantizer, gaussians, self.problem.scene.height);
+        seen.extend_from_slice(&self.still);
+        seen
+    }
+
     /// Returns the squared error of the picture of `gaussians`, clamped, weighted as the target has it.
     pub(super) fn error(&self, gaussians: &[PackedGaussian]) -> f64 {
-        let projected = projected(self.quantizer, gaussians, self.problem.scene.height);
+        let projected = self.seen(gaussians);
         field::error(&self.problem, &projected, Output::Gradient)
     }
 }
@@ -144,7 +158,8 @@ fn sweep_channels<const C: usize>(
     activity.sweep += 1;
     let costs = BitCosts::measure(gaussians, C, expected);
     let floats: Vec<Gaussian> = gaussians.iter().map(|g| quantizer.dequantize(g)).collect();
-    let projected: Vec<Projected> = floats.iter().map(|g| Projected::from_gaussian(g, scene.height)).collect();
+    let mut projected: Vec<Projected> = floats.iter().map(|g| Projected::from_gaussian(g, scene.height)).collect();
+    projected.extend_from_slice(&descent.still);
     field.draw(problem, &projected, RowSet::ALL, Output::Sums);
     let row_size = (C + 1) * target.stride;
     let height = scene.height as usize;

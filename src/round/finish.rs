@@ -19,7 +19,7 @@ use crate::round::size::{Size, resize};
 
 /// Squared error that a bit must save, in units of the mean squared error per bit: the slope of the rate–distortion
 /// curve, where doubling the bytes wins two to three decibels.
-const SLOPE: f64 = 0.7;
+pub(crate) const SLOPE: f64 = 0.7;
 /// Least number of sweeps that the rounds are counted from: one lets the integers find each other, one shows that they have.
 const LEAST_SWEEPS: u32 = 2;
 /// Rounds after the last planned sweep in which a file may still be brought to its size: it takes one or two.

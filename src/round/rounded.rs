@@ -56,7 +56,7 @@ pub(crate) fn projected(quantizer: &Quantizer, gaussians: &[PackedGaussian], hei
 
 /// Returns the step sizes for `primitives` in `layout`, whose picture has a PSNR of `psnr` decibels before rounding: the
 /// better the fit, the finer the steps that its bytes are best spent on.
-fn steps(primitives: &[Primitive], layout: Layout, psnr: f64) -> Steps {
+pub(crate) fn steps(primitives: &[Primitive], layout: Layout, psnr: f64) -> Steps {
     let mut sizes: Vec<f32> = primitives.iter().map(|p| p.log_scale[0].max(p.log_scale[1])).collect();
     sizes.sort_by(f32::total_cmp);
     let at = |share: f32| sizes.get((sizes.len() as f32 * share) as usize).copied().unwrap_or(0.0);

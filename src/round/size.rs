@@ -5,7 +5,6 @@ use crate::fit::model::field::Output;
 use crate::fit::model::rows::RowSet;
 use crate::fit::model::{peaks, removal};
 use crate::round::descend::Descent;
-use crate::round::rounded::projected;
 
 /// The size that a file may have.
 #[derive(Debug, Clone, Copy)]
@@ -25,16 +24,16 @@ const FILLED: f64 = 0.97;
 
 /// Takes away the cheapest of `gaussians`, or adds some where the error is largest, by the bytes over or under `most`.
 pub(super) fn resize(descent: &mut Descent<'_>, gaussians: &mut Vec<PackedGaussian>, bytes: u64, most: u64) {
-    let Descent { problem, quantizer, activity, field } = descent;
+    let current = descent.seen(gaussians);
+    let Descent { problem, quantizer, activity, field, .. } = descent;
     let each = (bytes.saturating_sub(HEADER) as f64 / gaussians.len().max(1) as f64).max(1.0);
-    let current = projected(quantizer, gaussians, problem.scene.height);
     field.draw(problem, &current, RowSet::ALL, Output::Picture);
     if bytes > most {
         if gaussians.is_empty() {
             return;
         }
         let count = (((bytes - most) as f64 / each).ceil() as usize).clamp(1, gaussians.len());
-        let costs = removal::costs(problem, field, RowSet::ALL, &current);
+        let costs = removal::costs(problem, field, RowSet::ALL, &current[..gaussians.len()]);
         let mut removed = vec![false; costs.len()];
         for i in removal::cheapest(&costs, count) {
             removed[i] = true;
@@ -53,4 +52,27 @@ pub(super) fn resize(descent: &mut Descent<'_>, gaussians: &mut Vec<PackedGaussi
             gaussians.push(added);
         }
     }
+}
+
+/// What the primitives of a part of a picture are worth, and what others would be.
+#[derive(Debug, Default)]
+pub(crate) struct Worth {
+    /// What each of them costs to remove, squared error.
+    pub costs: Vec<f32>,
+    /// Others, with the drop of the squared error that each is estimated to bring; best first.
+    pub others: Vec<(PackedGaussian, f32)>,
+}
+
+/// Returns what `gaussians` are worth, and at most `count` others.
+pub(crate) fn worth(descent: &mut Descent<'_>, gaussians: &[PackedGaussian], count: usize) -> Worth {
+    let current = descent.seen(gaussians);
+    let Descent { problem, quantizer, field, .. } = descent;
+    field.draw(problem, &current, RowSet::ALL, Output::Picture);
+    let costs = removal::costs(problem, field, RowSet::ALL, &current[..gaussians.len()]);
+    let others = match count {
+        0 => Vec::new(),
+        _ => peaks::peaks(problem, field, RowSet::ALL, count, gaussians.len()),
+    };
+    let other = |peak| quantizer.quantize(&peaks::at_peak(peak, problem).to_gaussian());
+    Worth { costs, others: others.iter().map(|peak| (other(peak), peak.gain)).collect() }
 }

@@ -146,6 +146,10 @@ pub struct Encode {
     /// take; auto is for files of 100 kB and more, a hundredth of them, at most 4 kB
     #[arg(long, value_name = "WHICH", default_value = "auto", value_parser = thumbnail)]
     pub thumbnail: Thumbnail,
+    /// Fit the picture in tiles of so many pixels a side, in memory that does not grow with it: a multiple of 128, 2048 where
+    /// none is given [default: only above 268 megapixels]
+    #[arg(long, value_name = "SIDE", num_args = 0..=1, require_equals = true, default_missing_value = "2048")]
+    pub tiles: Option<u32>,
     /// Which device fits
     #[arg(long, default_value = "auto", value_parser = names::backend())]
     pub backend: Backend,
@@ -247,7 +251,7 @@ impl Encode {
         o.blend = self.blend;
         o.recipe = self.recipe;
         o.tune = self.tune;
-        o.levels = self.levels;
+        (o.levels, o.tiles) = (self.levels, self.tiles);
         o.thumbnail = self.thumbnail;
         o.backend = self.backend;
         o

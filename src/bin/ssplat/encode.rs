@@ -8,7 +8,7 @@ use image::{ImageFormat, ImageReader};
 use serde_json::{Value, json};
 use ssplat::bitstream::splats::Metadata;
 use ssplat::raster::SamplesMut;
-use ssplat::{EncodeReport, Error, Limits, Pixels, Samples, Target};
+use ssplat::{EncodeReport, Encoded, Error, Limits, PixelSource, Pixels, Samples, Target};
 
 use crate::batch::{self, Command, Done, Show, Voice};
 use crate::failure::Failure;
@@ -16,6 +16,7 @@ use crate::progress::Bar;
 use crate::rows::{Format, RowWriter, Shape};
 use crate::sink::{Sink, say};
 use crate::source::{self, Source, Turn};
+use crate::spool::{self, Spooled};
 use crate::{args, compare, left_out};
 
 /// Extensions of picture formats that `image` does not know or that are not read.
@@ -74,6 +75,15 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
     if args.preview.as_deref() == Some(output) {
         return Err(Failure::usage(format!("{}: cannot hold both the file and its preview", output.display())));
     }
+    // A preview is compared with the whole picture, and turning needs it, too.
+    let is_tiled = args.tiles.is_some() || pixels(input) > ssplat::encode::LARGEST;
+    if is_tiled
+        && args.preview.is_none()
+        && !args.auto_orient
+        && let Some(spooled) = spool::open(input)?
+    {
+        return in_parts(args, input, output, show, spooled);
+    }
     let mut source = source::open(input, if args.auto_orient { Turn::Upright } else { Turn::Keep })?;
     if args.partial && source.is_cut_off {
         source.notes.push("the file is cut off, and so is what is encoded".into());
@@ -97,29 +107,11 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
         show(p.done, p.stage);
         ControlFlow::Continue(())
     });
-    let encoded = encoded.map_err(|e| match (&e, args.target.ratio) {
-        // The bytes are the program's own words for the ratio.
-        (Error::Parameter { name: "bytes", problem }, Some(ratio)) => {
-            Failure::usage(format!("{}: --ratio {ratio}: {problem}", Failure::input(input)))
-        }
-        _ => Failure::library(input, &e),
-    })?;
+    let encoded = encoded.map_err(|e| refusal(args, input, &e))?;
     sink.finish_with(&encoded.bytes)?;
 
     let mut result = summary(&pixels, encoded.bytes.len(), &encoded.report);
-    let mut text = format!(
-        "{}: {} bytes, ratio {:.1}, {} primitives, PSNR {:.2} dB, encoded in {:.2} s\n",
-        output.display(),
-        encoded.bytes.len(),
-        ratio(&pixels, encoded.bytes.len()),
-        encoded.report.primitives,
-        encoded.report.psnr,
-        encoded.report.seconds
-    );
-    // Where there is a choice, it is told.
-    if cfg!(feature = "gpu") {
-        text += &format!("fitted on {}\n", encoded.report.chosen);
-    }
+    let mut text = told(output, &pixels, &encoded);
     if let Some(preview) = preview {
         let path = preview.path;
         let (found, seconds) = preview.finish(&encoded.bytes, &pixels)?;
@@ -128,17 +120,74 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
         result["preview"]["seconds"] = seconds.into();
     }
     if args.explain {
-        text += &explain(&encoded.report);
-        let (splats, report) =
-            ssplat::bitstream::inspect(&encoded.bytes, &Limits::default()).map_err(|e| Failure::library(output, &e))?;
-        text += "not in the file:\n";
-        text += &left_out::as_text(&left_out::of_file(&splats, &report));
+        text += &explained(output, &encoded)?;
     }
     Ok(Done { text, result, notes })
 }
 
+/// Encodes a picture that stays in its file.
+fn in_parts(
+    args: &args::Encode,
+    input: &Path,
+    output: &Path,
+    show: &Show,
+    mut picture: Spooled,
+) -> Result<Done, Failure> {
+    let mut options = args.options();
+    (options.icc, options.exif) = (picture.icc.take(), picture.exif.take());
+    let sink = Sink::create(output, &[input])?;
+    let encoded = ssplat::encode_source(&picture, &options, &mut |p| {
+        show(p.done, p.stage);
+        ControlFlow::Continue(())
+    });
+    let encoded = encoded.map_err(|e| refusal(args, input, &e))?;
+    sink.finish_with(&encoded.bytes)?;
+    let mut text = told(output, &picture, &encoded);
+    if args.explain {
+        text += &explained(output, &encoded)?;
+    }
+    let result = summary(&picture, encoded.bytes.len(), &encoded.report);
+    Ok(Done { text, result, notes: picture.notes })
+}
+
+/// Why a picture was not encoded.
+fn refusal(args: &args::Encode, input: &Path, error: &Error) -> Failure {
+    match (error, args.target.ratio) {
+        // The bytes are the program's own words for the ratio.
+        (Error::Parameter { name: "bytes", problem }, Some(ratio)) => {
+            Failure::usage(format!("{}: --ratio {ratio}: {problem}", Failure::input(input)))
+        }
+        _ => Failure::library(input, error),
+    }
+}
+
+/// The result in a line.
+fn told(output: &Path, picture: &dyn PixelSource, encoded: &Encoded) -> String {
+    let line = format!(
+        "{}: {} bytes, ratio {:.1}, {} primitives, PSNR {:.2} dB, encoded in {:.2} s\n",
+        output.display(),
+        encoded.bytes.len(),
+        ratio(picture, encoded.bytes.len()),
+        encoded.report.primitives,
+        encoded.report.psnr,
+        encoded.report.seconds
+    );
+    // Where there is a choice, it is told.
+    if cfg!(feature = "gpu") { line + &format!("fitted on {}\n", encoded.report.chosen) } else { line }
+}
+
+/// Where time and bytes went, and what the file does without.
+fn explained(output: &Path, encoded: &Encoded) -> Result<String, Failure> {
+    let mut text = explain(&encoded.report);
+    let (splats, report) =
+        ssplat::bitstream::inspect(&encoded.bytes, &Limits::default()).map_err(|e| Failure::library(output, &e))?;
+    text += "not in the file:\n";
+    text += &left_out::as_text(&left_out::of_file(&splats, &report));
+    Ok(text)
+}
+
 /// Bytes of the samples with 8 bits each over bytes of the file.
-fn ratio(pixels: &Pixels, bytes: usize) -> f64 {
+fn ratio(pixels: &dyn PixelSource, bytes: usize) -> f64 {
     f64::from(pixels.width()) * f64::from(pixels.height()) * pixels.channels().count() as f64 / bytes as f64
 }
 
@@ -183,7 +232,7 @@ pub fn write_pixels(source: Source, format: Format, sink: &Sink, path: &Path) ->
 }
 
 /// The result for programs.
-fn summary(pixels: &Pixels, bytes: usize, report: &EncodeReport) -> Value {
+fn summary(pixels: &dyn PixelSource, bytes: usize, report: &EncodeReport) -> Value {
     let stages: Vec<Value> = report.stages.iter().map(|(name, s)| json!({ "name": name, "seconds": s })).collect();
     let left_out: Vec<Value> = report
         .left_out

@@ -24,6 +24,7 @@ mod report;
 mod rows;
 mod sink;
 mod source;
+mod spool;
 mod structure;
 mod view;
 

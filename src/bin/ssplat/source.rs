@@ -143,13 +143,8 @@ pub fn open(path: &Path, turn: Turn) -> Result<Source, Failure> {
         notes.push("its orientation is left out; --auto-orient turns the picture".into());
     }
     let pixels = Pixels::try_from(picture).map_err(|e| Failure::library(path, &e))?;
-    let icc = icc.filter(|icc| match misfit(icc, pixels.channels()) {
-        Some(space) => {
-            notes.push(format!("its ICC profile is for {space}, not for the stored channels, and is left out"));
-            false
-        }
-        None => true,
-    });
+    let mut icc = icc;
+    keep_fitting(&mut icc, pixels.channels(), &mut notes);
     Ok(Source { pixels, icc, exif, is_cut_off, notes })
 }
 
@@ -158,6 +153,14 @@ pub fn decode(path: &Path, bytes: &[u8]) -> Result<Source, Failure> {
     let decoded = ssplat::decode(bytes, &DecodeOptions::default()).map_err(|e| Failure::library(path, &e))?;
     let (icc, exif) = (decoded.metadata.icc, decoded.metadata.exif);
     Ok(Source { pixels: decoded.pixels, icc, exif, is_cut_off: false, notes: Vec::new() })
+}
+
+/// Leaves a profile out that is not for `channels`, and notes it.
+pub fn keep_fitting(icc: &mut Option<Vec<u8>>, channels: Channels, notes: &mut Vec<String>) {
+    if let Some(space) = icc.as_ref().and_then(|icc| misfit(icc, channels)) {
+        notes.push(format!("its ICC profile is for {space}, not for the stored channels, and is left out"));
+        *icc = None;
+    }
 }
 
 /// The colour space of a profile where it is another than that of `channels`.

@@ -159,6 +159,37 @@ fn error_of<const C: usize>(problem: &Problem<'_>, projected: &[Projected], outp
     errors.iter().sum()
 }
 
+/// Returns the squared error of the clamped picture of `projected` over a part of the pixels, weighted or plain as
+/// [`Field::draw`] has it for `output`.
+pub(crate) fn error_within(
+    problem: &Problem<'_>,
+    projected: &[Projected],
+    (columns, lines): (std::ops::Range<usize>, std::ops::Range<u32>),
+    output: Output,
+) -> f64 {
+    let Problem { target, .. } = *problem;
+    let (count, alpha) = (target.channels.count(), target.channels.alpha());
+    let mut field = Field::default();
+    field.draw(problem, projected, RowSet::ALL, Output::Picture);
+    let errors = parallel::map(lines.len(), |i| {
+        let y = lines.start + i as u32;
+        let (drawn, wanted) = (field.row(y as usize, count), target.row(y));
+        let amplitude = if output == Output::Picture { None } else { target.amplitude(y) };
+        let mut error = 0.0;
+        for k in 0..count {
+            let of = |x: usize| {
+                let at = k * target.stride + x;
+                let opacity = alpha.filter(|&a| a != k).map_or(1.0, |a| wanted[a * target.stride + x]);
+                let weight = opacity * amplitude.map_or(1.0, |a| a[x]);
+                f64::from((drawn[at].clamp(0.0, 1.0) - wanted[at]) * weight).powi(2)
+            };
+            error += columns.clone().map(of).sum::<f64>();
+        }
+        error
+    });
+    errors.iter().sum()
+}
+
 /// Returns the squared error of the clamped picture of `primitives` over all rows.
 pub(crate) fn float_error(problem: &Problem<'_>, primitives: &[Primitive]) -> f64 {
     squared_error(problem, &project::all(primitives, problem.scene.height))

@@ -18,21 +18,43 @@ const POWER: f32 = 0.7;
 /// .3 dB either.
 const DENSE: f32 = 400.0;
 /// Sizes that are looked at, from the picture's own on, each half of the one before; they count alike.
-const SIZES: usize = 3;
+pub(crate) const SIZES: usize = 3;
 /// Luma of red, green and blue: about the share of each in what eyes see as lightness.
 const LUMA: [f32; 3] = [0.25, 0.6, 0.15];
 
+/// Mean weights at each size, before they are brought to a mean of 1.
+pub(crate) type Means = [f64; SIZES];
+
 /// Amplitudes for [`Planes::amplitude`] of `count` primitives.
 pub(crate) fn amplitudes(target: &Planes, count: usize) -> Vec<f32> {
+    let room = (target.width as usize * target.height as usize) as f32 / count.max(1) as f32;
+    normalized(target, &weights(target, room, None).0, None)
+}
+
+/// Amplitudes of a part of a picture which has one primitive to `room` pixels, and those mean weights.
+pub(crate) fn amplitudes_of_part(target: &Planes, room: f32, means: &Means) -> Vec<f32> {
+    normalized(target, &weights(target, room, Some(means)).0, Some(SIZES as f32))
+}
+
+/// Returns the mean weights of a part of a picture which has one primitive to `room` pixels.
+pub(crate) fn means_of_part(target: &Planes, room: f32) -> Means {
+    weights(target, room, None).1
+}
+
+/// Weights that are [`SIZES`] in the mean, and their means before. Those of a part take the whole picture's `means`.
+fn weights(target: &Planes, room: f32, whole: Option<&Means>) -> (Vec<f32>, Means) {
     let (width, height) = (target.width as usize, target.height as usize);
-    let sparse = (width * height) as f32 / count.max(1) as f32 / DENSE;
-    let power = POWER * sparse.max(1.0).sqrt().recip();
+    let power = POWER * (room / DENSE).max(1.0).sqrt().recip();
+    let mut means = [0.0; SIZES];
     let mut weights = vec![0.0f32; width * height];
     let mut sizes = vec![[width, height]];
     let mut plane = luma(target);
-    for _ in 0..SIZES {
+    for (size, found) in means.iter_mut().enumerate() {
         let [w, h] = sizes[sizes.len() - 1];
-        let mut at_size = weights_at(&plane, [w, h], power);
+        let (mut at_size, mean) = weights_at(&plane, [w, h], power);
+        *found = mean;
+        let mean = whole.map_or(mean, |means| means[size]) as f32;
+        at_size.iter_mut().for_each(|w| *w /= mean);
         for pair in sizes.windows(2).rev() {
             at_size = doubled(&at_size, pair[1], pair[0]);
         }
@@ -42,7 +64,7 @@ pub(crate) fn amplitudes(target: &Planes, count: usize) -> Vec<f32> {
         plane = halve(&plane, w, h);
         sizes.push([w.div_ceil(2), h.div_ceil(2)]);
     }
-    normalized(target, &weights)
+    (weights, means)
 }
 
 /// Luma, or grey, without the padding.
@@ -61,8 +83,8 @@ fn luma(target: &Planes) -> Vec<f32> {
     plane
 }
 
-/// Weights by the variance in a window of a few pixels, with a mean of 1.
-fn weights_at(plane: &[f32], [width, height]: [usize; 2], power: f32) -> Vec<f32> {
+/// Weights by the variance in a window of a few pixels, and their mean.
+fn weights_at(plane: &[f32], [width, height]: [usize; 2], power: f32) -> (Vec<f32>, f64) {
     let soften = |p: &[f32]| blur(&blur(p, width, height), width, height);
     let means = soften(plane);
     let mut weights = soften(&plane.iter().map(|v| v * v).collect::<Vec<_>>());
@@ -73,8 +95,7 @@ fn weights_at(plane: &[f32], [width, height]: [usize; 2], power: f32) -> Vec<f32
         out.iter().map(|&w| f64::from(w)).sum::<f64>()
     });
     let mean = sums.iter().sum::<f64>() / weights.len() as f64;
-    weights.iter_mut().for_each(|w| *w /= mean as f32);
-    weights
+    (weights, mean)
 }
 
 /// A plane at twice its size, or one less in either direction: linear between the middles of its pixels.

@@ -9,7 +9,7 @@ use crate::fit::model::project::Primitive;
 use crate::parallel;
 
 /// Share of the primitives that follow detail; the rest is spread evenly.
-const DETAIL: f64 = 0.8;
+pub(crate) const DETAIL: f64 = 0.8;
 /// Initial scales in units of `1/√(π·density)`.
 const SPREAD: f32 = 0.7;
 /// How much the aspect of primitives on a straight edge is above 1.
@@ -63,6 +63,14 @@ pub(crate) fn by_detail(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Ve
         out.push(Primitive { mean, log_scale: [scale; 2], rotation: 0.0, color: target.at(mean) });
     }
     out
+}
+
+/// Returns how much detail there is in a part of a picture of which one primitive has `room` pixels: what their density there
+/// follows.
+pub(crate) fn detail(target: &Planes, room: f64) -> f64 {
+    let cell = (room.sqrt() / 4.0).clamp(1.0, 64.0) as u32;
+    let detail = Detail::new(target, cell, [target.width.div_ceil(cell), target.height.div_ceil(cell)]);
+    detail.strength.iter().map(|d| f64::from(d.max(1e-6).sqrt())).sum()
 }
 
 /// What the colour gradient is like in each cell.

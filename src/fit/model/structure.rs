@@ -24,10 +24,25 @@ const MOST: f32 = 20.0;
 /// Amplitudes for [`Planes::amplitude`]: errors count more where the picture varies little, as they do in SSIM, whose
 /// contrast term falls by about `e² / (2σ² + C₂)` for an error `e` over a local variance `σ²`; for `count` primitives.
 pub(crate) fn amplitudes(target: &Planes, count: usize) -> Vec<f32> {
+    let room = (target.width as usize * target.height as usize) as f32 / count.max(1) as f32;
+    normalized(target, &weights(target, room), None)
+}
+
+/// Amplitudes of a part of a picture which has one primitive to `room` pixels, and that mean weight.
+pub(crate) fn amplitudes_of_part(target: &Planes, room: f32, mean: f64) -> Vec<f32> {
+    normalized(target, &weights(target, room), Some(mean as f32))
+}
+
+/// Returns the mean weight of a part of a picture which has one primitive to `room` pixels.
+pub(crate) fn mean_of_part(target: &Planes, room: f32) -> f64 {
+    let weights = weights(target, room);
+    weights.iter().map(|&w| f64::from(w)).sum::<f64>() / weights.len() as f64
+}
+
+fn weights(target: &Planes, room: f32) -> Vec<f32> {
     let colors = target.channels.count() - usize::from(target.channels.alpha().is_some());
     let (width, height) = (target.width as usize, target.height as usize);
-    let sparse = (width * height) as f32 / count.max(1) as f32 / DENSE;
-    let power = POWER * sparse.max(1.0).sqrt().recip();
+    let power = POWER * (room / DENSE).max(1.0).sqrt().recip();
     let mut weights = vec![0.0f32; width * height];
     for k in 0..colors {
         let mut plane = target.plane(k);
@@ -41,14 +56,17 @@ pub(crate) fn amplitudes(target: &Planes, count: usize) -> Vec<f32> {
             *w += (2.0 * (s - m * m).max(0.0) + FLOOR).powf(-power);
         }
     }
-    normalized(target, &weights)
+    weights
 }
 
-/// Amplitudes of weights, one for each pixel: their square roots with a mean square of 1.
-pub(crate) fn normalized(target: &Planes, weights: &[f32]) -> Vec<f32> {
+/// Amplitudes of weights, one for each pixel: their square roots with a mean square of 1, where `mean` is the weights' own.
+pub(crate) fn normalized(target: &Planes, weights: &[f32], mean: Option<f32>) -> Vec<f32> {
     let (width, height) = (target.width as usize, target.height as usize);
-    let sums = parallel::map(height, |y| weights[y * width..][..width].iter().map(|&w| f64::from(w)).sum::<f64>());
-    let mean = (sums.iter().sum::<f64>() / (width * height) as f64) as f32;
+    let own = || {
+        let sums = parallel::map(height, |y| weights[y * width..][..width].iter().map(|&w| f64::from(w)).sum::<f64>());
+        (sums.iter().sum::<f64>() / (width * height) as f64) as f32
+    };
+    let mean = mean.unwrap_or_else(own);
     let mut out = vec![0.0; target.stride * height];
     parallel::map_chunks(&mut out, target.stride, |y, out| {
         for (o, w) in out.iter_mut().zip(&weights[y * width..][..width]) {

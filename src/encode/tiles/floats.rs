@@ -1,0 +1,162 @@
+//! The float fit of a tile: by itself at first, then with what lies around it.
+
+use super::grid::{Area, Shift, Window};
+use super::mosaic::Placed;
+use super::whole::Whole;
+use crate::bitstream;
+use crate::bitstream::splats::PackedSplats;
+use crate::encode::aim::CODED_BITS;
+use crate::encode::job::excess;
+use crate::error::Result;
+use crate::fit::draft::{self, Start};
+use crate::fit::engine::{Engine, Sight, Watcher};
+use crate::fit::job::Job;
+use crate::fit::model::adam::Bounds;
+use crate::fit::model::field::{Field, Output, error_within, float_error};
+use crate::fit::model::peaks::{at_peak, peaks};
+use crate::fit::model::problem::{Problem, Scene};
+use crate::fit::model::project::{self, Primitive};
+use crate::fit::model::removal;
+use crate::fit::model::rows::RowSet;
+use crate::fit::schedule;
+use crate::fit::state::State;
+use crate::round::rounded::Rounded;
+
+/// Share of the iterations in which each tile is fitted by itself. Then nothing is relocated any more where primitives are
+/// many, and steps are still long enough to close the seams.
+const ALONE: f32 = 0.5;
+/// The passes after that: up to which share of the iterations, and where their tiles lie.
+pub(super) const JOINED: [(f32, Shift); 3] = [(0.7, Shift::Half), (0.85, Shift::None), (1.0, Shift::Half)];
+/// Places for other primitives that are looked for in a tile, as a share of those that it has.
+const OTHERS: f32 = 0.25;
+
+/// What became of a tile that was fitted by itself.
+pub(super) struct Begun {
+    /// The primitives, in the picture's coordinates.
+    pub own: Vec<Placed<Primitive>>,
+    /// Others that would help; the cost is what they bring.
+    pub others: Vec<Placed<Primitive>>,
+    /// Squared error of the tile.
+    pub error: f64,
+}
+
+/// Fits a tile by itself.
+pub(super) fn begin(whole: &Whole<'_>, window: &Window, show: &mut dyn FnMut(f32) -> Result<()>) -> Result<Begun> {
+    let target = whole.planes(&window.seen)?;
+    let problem = Problem { scene: whole.scene(&window.seen), target: &target };
+    let (count, plan) = (whole.count_of(&target), whole.plan_of(window));
+    let job = Job { problem, count, plan: &plan };
+    let Start { mut state, rng, from } = draft::scattered(&target, count, &plan);
+    let price = Some(Price {
+        problem,
+        draft: whole.draft(&window.seen),
+        bits: count as f64 * CODED_BITS * excess(whole.count),
+    });
+    let mut watcher = Shown { show, from: 0.0, to: ALONE, price: price.filter(|_| whole.is_priced) };
+    schedule::run(&job, &mut state, (rng, from..share(ALONE, plan.iterations)), &mut watcher)?;
+    Ok(appraise(&problem, &state.primitives, window))
+}
+
+fn share(of: f32, iterations: u32) -> u32 {
+    (iterations as f32 * of) as u32
+}
+
+/// Tells what the primitives of a window are worth, and what others would be.
+fn appraise(problem: &Problem<'_>, primitives: &[Primitive], window: &Window) -> Begun {
+    let projected = project::all(primitives, problem.scene.height);
+    let mut field = Field::default();
+    field.draw(problem, &projected, RowSet::ALL, Output::Picture);
+    let costs = removal::costs(problem, &field, RowSet::ALL, &projected);
+    let count = (primitives.len() as f32 * OTHERS) as usize;
+    let others = peaks(problem, &field, RowSet::ALL, count, primitives.len());
+    let placed = |p: Primitive, cost: f32| Placed { what: moved(p, window.seen.origin()), cost };
+    let is_own = |p: &Placed<Primitive>| window.core.holds(p.what.mean);
+    Begun {
+        own: primitives.iter().zip(costs).map(|(p, cost)| placed(*p, cost)).filter(is_own).collect(),
+        others: others.iter().map(|peak| placed(at_peak(peak, problem), peak.gain)).filter(is_own).collect(),
+        error: error_within(problem, &projected, window.own(), Output::Picture),
+    }
+}
+
+/// Goes on with the fit of a tile in the `pass`th of [`JOINED`], `own` among `others` that stay as they are.
+pub(super) fn join(
+    whole: &Whole<'_>,
+    (pass, window): (usize, &Window),
+    (own, others): (Vec<Primitive>, Vec<Primitive>),
+    show: &mut dyn FnMut(f32) -> Result<()>,
+) -> Result<(Vec<Placed<Primitive>>, f64)> {
+    let target = whole.planes(&window.seen)?;
+    let problem = Problem { scene: whole.scene(&window.seen), target: &target };
+    let plan = whole.plan_of(window);
+    let job = Job { problem, count: own.len(), plan: &plan };
+    let local = |all: Vec<Primitive>| -> Vec<Primitive> {
+        all.into_iter().map(|p| moved(p, window.seen.origin().map(|v| -v))).collect()
+    };
+    let mut state = State::new(local(own), Bounds::new(window.seen.size[0], window.seen.size[1]));
+    state.still = local(others);
+    let from = if pass > 0 { JOINED[pass - 1].0 } else { ALONE };
+    let to = JOINED[pass].0;
+    let mut watcher = Shown { show, from, to, price: None };
+    let rng = draft::random(&plan);
+    schedule::run(&job, &mut state, (rng, share(from, plan.iterations)..share(to, plan.iterations)), &mut watcher)?;
+    state.keep_best()?;
+    let seen = [&state.primitives[..], &state.still].concat();
+    let error = error_within(&problem, &project::all(&seen, problem.scene.height), window.own(), Output::Picture);
+    let placed = |p: &Primitive| Placed { what: moved(*p, window.seen.origin()), cost: 0.0 };
+    Ok((state.primitives.iter().map(placed).collect(), error))
+}
+
+fn moved(p: Primitive, by: [f32; 2]) -> Primitive {
+    Primitive { mean: [p.mean[0] + by[0], p.mean[1] + by[1]], ..p }
+}
+
+/// Returns the squared error of what is stored of a tile, from all that reaches into it.
+pub(super) fn plain_error(whole: &Whole<'_>, area: &Area, background: [f32; 4], seen: Vec<Primitive>) -> Result<f64> {
+    let target = whole.bare_planes(area)?;
+    let problem = Problem { scene: Scene { background, ..whole.scene(area) }, target: &target };
+    let local: Vec<Primitive> = seen.into_iter().map(|p| moved(p, area.origin().map(|v| -v))).collect();
+    Ok(float_error(&problem, &local))
+}
+
+/// Tells how far the fit of a tile is.
+struct Shown<'a> {
+    show: &'a mut dyn FnMut(f32) -> Result<()>,
+    /// The part of the schedule that is run through.
+    from: f32,
+    to: f32,
+    price: Option<Price<'a>>,
+}
+
+/// What the primitives of a tile take of the file, and what they may.
+struct Price<'a> {
+    problem: Problem<'a>,
+    /// A file of the tile, without primitives.
+    draft: PackedSplats,
+    bits: f64,
+}
+
+impl Price<'_> {
+    /// Returns how many primitives of this kind there is room for.
+    fn count(&mut self, primitives: &[Primitive]) -> Result<usize> {
+        let fixed = bitstream::to_bytes(&self.draft)?.len();
+        let rounded = Rounded::nearest(&self.problem, self.draft.layout, primitives);
+        (self.draft.steps, self.draft.gaussians) = (rounded.steps, rounded.gaussians);
+        let all = bitstream::to_bytes(&self.draft)?.len();
+        self.draft.gaussians.clear();
+        let each = 8.0 * (all - fixed.min(all)) as f64 / primitives.len().max(1) as f64;
+        Ok((self.bits / each.max(4.0)) as usize)
+    }
+}
+
+impl Watcher for Shown<'_> {
+    fn step(&mut self, done: f32, _: &mut dyn Sight) -> Result<()> {
+        (self.show)(((done - self.from) / (self.to - self.from)).clamp(0.0, 1.0))
+    }
+
+    fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {
+        match &mut self.price {
+            Some(price) => Ok(price.count(primitives)?.clamp(primitives.len().min(1), 2 * primitives.len())),
+            None => Ok(primitives.len()),
+        }
+    }
+}

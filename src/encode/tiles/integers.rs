@@ -1,0 +1,141 @@
+//! The integers of a tile: a sweep of descent among those around it, which stay as they are.
+
+use super::grid::Window;
+use super::mosaic::Placed;
+use super::whole::Whole;
+use crate::bitstream::splats::{PackedGaussian, PackedSplats};
+use crate::encode::file;
+use crate::error::Result;
+use crate::fit::model::field::{Field, Output, error_within};
+use crate::fit::model::problem::{Problem, Scene};
+use crate::fit::model::project::Projected;
+use crate::quantize::Quantizer;
+use crate::round::descend::{Descent, Objective};
+use crate::round::size;
+
+/// Places for other primitives that are looked for in a tile, as a share of those that it has, and more than that.
+const OTHERS: (f32, usize) = (0.06, 8);
+
+/// A window with its integers, in coordinates of its own.
+pub(super) struct Part<'a> {
+    whole: &'a Whole<'a>,
+    window: &'a Window,
+    /// The file of the window alone.
+    splats: PackedSplats,
+    quantizer: Quantizer,
+    still: Vec<Projected>,
+}
+
+/// What became of a tile.
+pub(super) struct Swept {
+    /// The primitives, in the picture's coordinates.
+    pub own: Vec<Placed<PackedGaussian>>,
+    /// Others that would help; the cost is what they bring.
+    pub others: Vec<Placed<PackedGaussian>>,
+    /// Squared error of the tile, weighted as it is fitted.
+    pub error: f64,
+}
+
+impl<'a> Part<'a> {
+    /// Cuts a window out of the picture whose file without primitives is `blank`.
+    pub(super) fn new(
+        whole: &'a Whole<'a>,
+        window: &'a Window,
+        blank: &PackedSplats,
+        (own, others): (Vec<PackedGaussian>, Vec<PackedGaussian>),
+    ) -> Self {
+        let of_whole = blank.quantizer();
+        let [width, height] = window.seen.size;
+        let gaussians = own.iter().map(|p| moved(p, &of_whole, window.seen.corner, Move::In)).collect();
+        let origin = window.seen.origin();
+        let still = others.iter().map(|p| {
+            let mut g = of_whole.dequantize(p);
+            g.mean = [g.mean[0] - origin[0], g.mean[1] - origin[1]];
+            Projected::from_gaussian(&g, height)
+        });
+        let still = still.collect();
+        let splats = PackedSplats { width, height, gaussians, ..blank.clone() };
+        Part { whole, window, quantizer: splats.quantizer(), splats, still }
+    }
+
+    fn scene(&self) -> Scene {
+        let background = self.quantizer.dequantize_color(self.splats.background);
+        Scene { background, ..self.whole.scene(&self.window.seen) }
+    }
+
+    /// Returns the squared error of the tile, weighted as it is fitted.
+    pub(super) fn error(self) -> Result<f64> {
+        let target = self.whole.planes(&self.window.seen)?;
+        let problem = Problem { scene: self.scene(), target: &target };
+        let descent = Descent::new(problem, &self.quantizer, Field::default()).beside(self.still);
+        Ok(error_within(&problem, &descent.seen(&self.splats.gaussians), self.window.own(), Output::Gradient))
+    }
+
+    /// Sweeps once over the integers, where a bit must save `lambda` of the squared error.
+    pub(super) fn sweep(mut self, lambda: f64) -> Result<Swept> {
+        let target = self.whole.planes(&self.window.seen)?;
+        let problem = Problem { scene: self.scene(), target: &target };
+        let expected = file::expected(&mut self.splats, 1)?;
+        let mut descent = Descent::new(problem, &self.quantizer, Field::default()).beside(self.still);
+        let objective = Objective { lambda: lambda as f32, position_bits: f32::NEG_INFINITY };
+        let mut own = self.splats.gaussians;
+        descent.sweep(&mut own, &expected, &objective);
+        let error = error_within(&problem, &descent.seen(&own), self.window.own(), Output::Gradient);
+        let worth = size::worth(&mut descent, &own, (own.len() as f32 * OTHERS.0) as usize + OTHERS.1);
+        let whole = |p: &PackedGaussian| moved(p, &self.quantizer, self.window.seen.corner, Move::Out);
+        let placed = |(p, cost): (&PackedGaussian, f32)| Placed { what: whole(p), cost };
+        let is_own = |p: &PackedGaussian| {
+            let [x, y] = self.quantizer.dequantize(p).mean;
+            let origin = self.window.seen.origin();
+            self.window.core.holds([x + origin[0], y + origin[1]])
+        };
+        Ok(Swept {
+            own: own.iter().zip(worth.costs).map(placed).collect(),
+            others: worth.others.iter().filter(|(p, _)| is_own(p)).map(|(p, gain)| placed((p, *gain))).collect(),
+            error,
+        })
+    }
+}
+
+/// Into a part, or out of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Move {
+    In,
+    Out,
+}
+
+/// Moves a position between the picture and its part at `corner`: by whole steps, which are no longer than a
+/// [`UNIT`](super::grid::UNIT).
+fn moved(p: &PackedGaussian, quantizer: &Quantizer, corner: [u32; 2], way: Move) -> PackedGaussian {
+    let exponents = quantizer.lattice().exponents(p.major, p.minor, p.angle);
+    let steps = |k: usize| match exponents[k] {
+        e if e >= 0 => corner[k] >> e,
+        e => corner[k] << -e,
+    };
+    match way {
+        Move::In => PackedGaussian { x: p.x - steps(0), y: p.y - steps(1), ..*p },
+        Move::Out => PackedGaussian { x: p.x + steps(0), y: p.y + steps(1), ..*p },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bitstream::splats::{Layout, Steps};
+    use crate::gaussian::Channels;
+
+    #[test]
+    fn integers_of_a_part_stand_for_the_same_place_in_the_picture() {
+        let steps = Steps { scale: 4, angle: 1, position: 6, coarsest: 6, range: 10, luma: 6, chroma: 1 };
+        let of = |size| Quantizer::new(&steps, Layout::Coded, size, Channels::Rgb);
+        let (whole, part) = (of([5000, 3000]), of([700, 500]));
+        let corner = [1024, 64 * 13];
+        for major in 0..40u8 {
+            let inside = PackedGaussian { x: 3, y: 5, major, minor: major / 2, angle: 1, color: [1, 2, 3, 0] };
+            let outside = moved(&inside, &part, corner, Move::Out);
+            assert_eq!(moved(&outside, &whole, corner, Move::In), inside);
+            let [a, b] = [part.dequantize(&inside).mean, whole.dequantize(&outside).mean];
+            assert_eq!([a[0] + corner[0] as f32, a[1] + corner[1] as f32], b);
+        }
+    }
+}

@@ -1,0 +1,199 @@
+//! Primitives of a whole picture, kept by place so that those of a part are found at once.
+
+use super::grid::{Area, Grid};
+use crate::gaussian::Gaussian;
+
+/// A primitive, and what the picture would lose without it: squared error.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Placed<T> {
+    pub what: T,
+    pub cost: f32,
+}
+
+/// Primitives in squares of half a tile: any tile, shifted or not, is made of whole squares.
+pub(super) struct Mosaic<'a, T> {
+    half: u32,
+    columns: usize,
+    squares: Vec<Square<T>>,
+    look: &'a dyn Fn(&T) -> Gaussian,
+}
+
+#[derive(Debug, Clone)]
+struct Square<T> {
+    placed: Vec<Placed<T>>,
+    /// How far any of them reaches from its mean, pixels.
+    reach: f32,
+}
+
+impl<'a, T: Copy> Mosaic<'a, T> {
+    /// An empty one; `look` tells what a primitive looks like in the picture.
+    pub(super) fn new(grid: &Grid, look: &'a dyn Fn(&T) -> Gaussian) -> Self {
+        let [columns, rows] = grid.size.map(|side| side.div_ceil(grid.half) as usize);
+        Mosaic {
+            half: grid.half,
+            columns,
+            squares: vec![Square { placed: Vec::new(), reach: 0.0 }; columns * rows],
+            look,
+        }
+    }
+
+    pub(super) fn count(&self) -> usize {
+        self.squares.iter().map(|s| s.placed.len()).sum()
+    }
+
+    pub(super) fn all(&self) -> impl Iterator<Item = &Placed<T>> {
+        self.squares.iter().flat_map(|s| &s.placed)
+    }
+
+    pub(super) fn insert(&mut self, placed: Placed<T>) {
+        let seen = (self.look)(&placed.what);
+        let rows = self.squares.len() / self.columns;
+        let at = |k: usize, n: usize| ((seen.mean[k].max(0.0) / self.half as f32) as usize).min(n - 1);
+        let square = &mut self.squares[at(1, rows) * self.columns + at(0, self.columns)];
+        let [x, y] = seen.extent();
+        square.reach = square.reach.max(x).max(y);
+        square.placed.push(placed);
+    }
+
+    /// The squares of a tile.
+    fn indices(&self, core: &Area) -> Vec<usize> {
+        let range = |k: usize| core.corner[k] / self.half..(core.corner[k] + core.size[k]).div_ceil(self.half);
+        range(1)
+            .flat_map(|y| range(0).map(move |x| (y, x)))
+            .map(|(y, x)| y as usize * self.columns + x as usize)
+            .collect()
+    }
+
+    /// Returns the primitives of a tile.
+    pub(super) fn own(&self, core: &Area) -> Vec<T> {
+        self.indices(core).into_iter().flat_map(|i| self.squares[i].placed.iter().map(|p| p.what)).collect()
+    }
+
+    /// Returns the other primitives that reach into `seen`.
+    pub(super) fn others(&self, core: &Area, seen: &Area) -> Vec<T> {
+        let own = self.indices(core);
+        let touches = |low: [f32; 2], high: [f32; 2]| {
+            (0..2).all(|k| low[k] < (seen.corner[k] + seen.size[k]) as f32 && high[k] > seen.corner[k] as f32)
+        };
+        let mut out = Vec::new();
+        for (i, square) in self.squares.iter().enumerate() {
+            let corner = [i % self.columns, i / self.columns].map(|v| (v as u32 * self.half) as f32);
+            let reach = square.reach + 1.0;
+            if own.contains(&i) || !touches(corner.map(|v| v - reach), corner.map(|v| v + self.half as f32 + reach)) {
+                continue;
+            }
+            out.extend(square.placed.iter().map(|p| p.what).filter(|what| {
+                let Gaussian { mean: [x, y], .. } = (self.look)(what);
+                let [w, h] = (self.look)(what).extent();
+                touches([x - w, y - h], [x + w, y + h])
+            }));
+        }
+        out
+    }
+
+    /// Puts what became of tiles in their place.
+    pub(super) fn replace(&mut self, became: Vec<(Area, Vec<Placed<T>>)>) {
+        for (core, _) in &became {
+            for i in self.indices(core) {
+                self.squares[i] = Square { placed: Vec::new(), reach: 0.0 };
+            }
+        }
+        became.into_iter().flat_map(|(_, placed)| placed).for_each(|placed| self.insert(placed));
+    }
+
+    /// Takes away the `count` that cost least.
+    pub(super) fn remove_cheapest(&mut self, count: usize) {
+        if count == 0 {
+            return;
+        }
+        let mut costs: Vec<f32> = self.all().map(|p| p.cost).collect();
+        if count >= costs.len() {
+            self.squares.iter_mut().for_each(|s| s.placed.clear());
+            return;
+        }
+        let bar = *costs.select_nth_unstable_by(count, f32::total_cmp).1;
+        // Of those that cost the same, the first go.
+        let mut left = count - costs[..count].iter().filter(|c| c.total_cmp(&bar).is_lt()).count();
+        for square in &mut self.squares {
+            square.placed.retain(|p| match p.cost.total_cmp(&bar) {
+                std::cmp::Ordering::Less => false,
+                std::cmp::Ordering::Equal if left > 0 => {
+                    left -= 1;
+                    false
+                }
+                _ => true,
+            });
+        }
+    }
+
+    /// Brings the number to about `wanted`: takes away those that cost least, adds those of `others` that bring most. As long
+    /// as another brings more than one costs, at most `swaps` more change places.
+    pub(super) fn balance(&mut self, mut others: Vec<Placed<T>>, wanted: usize, swaps: usize) {
+        let have = self.count();
+        others.sort_by(|a, b| b.cost.total_cmp(&a.cost));
+        let mut costs: Vec<f32> = self.all().map(|p| p.cost).collect();
+        costs.sort_unstable_by(f32::total_cmp);
+        let (mut removed, mut added) = (have.saturating_sub(wanted), wanted.saturating_sub(have).min(others.len()));
+        let most = added + swaps;
+        while added < most.min(others.len()) && removed < have && others[added].cost > costs[removed] {
+            (removed, added) = (removed + 1, added + 1);
+        }
+        self.remove_cheapest(removed);
+        others.truncate(added);
+        others.into_iter().for_each(|placed| self.insert(placed));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn look(p: &[f32; 2]) -> Gaussian {
+        Gaussian { mean: *p, scale: [3.0; 2], rotation: 0.0, color: [0.0; 4] }
+    }
+
+    fn at(x: f32, y: f32, cost: f32) -> Placed<[f32; 2]> {
+        Placed { what: [x, y], cost }
+    }
+
+    fn costs(mosaic: &Mosaic<'_, [f32; 2]>) -> Vec<f32> {
+        let mut costs: Vec<f32> = mosaic.all().map(|p| p.cost).collect();
+        costs.sort_by(f32::total_cmp);
+        costs
+    }
+
+    #[test]
+    fn a_tile_has_what_is_in_it_and_sees_what_reaches_in() {
+        let grid = Grid { size: [300, 200], half: 64, margin: 64 };
+        let mut mosaic = Mosaic::new(&grid, &look);
+        let points = [[10.0, 10.0], [127.0, 5.0], [130.0, 5.0], [200.0, 5.0], [299.9, 199.9], [300.5, -1.0]];
+        points.iter().for_each(|p| mosaic.insert(at(p[0], p[1], 1.0)));
+        assert_eq!(mosaic.count(), points.len());
+        let core = Area { corner: [0, 0], size: [128, 128] };
+        assert_eq!(mosaic.own(&core), [[10.0, 10.0], [127.0, 5.0]]);
+        assert_eq!(mosaic.others(&core, &core), [[130.0, 5.0]]);
+        let seen = Area { corner: [0, 0], size: [192, 192] };
+        assert_eq!(mosaic.others(&core, &seen), [[130.0, 5.0], [200.0, 5.0]]);
+        mosaic.replace(vec![(core, vec![at(290.0, 190.0, 2.0)])]);
+        assert_eq!((mosaic.count(), mosaic.own(&core).len()), (points.len() - 1, 0));
+    }
+
+    #[test]
+    fn the_cheapest_go_and_the_best_come() {
+        let grid = Grid { size: [300, 200], half: 64, margin: 64 };
+        let mut mosaic = Mosaic::new(&grid, &look);
+        (0..10).for_each(|i| mosaic.insert(at(29.0 * i as f32, 7.0, (i / 2) as f32)));
+        mosaic.remove_cheapest(3);
+        assert_eq!(costs(&mosaic), [1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0]);
+        let others = || [0.5, 9.0, 2.5, 8.0].map(|gain| at(5.0, 5.0, gain)).to_vec();
+        mosaic.balance(others(), 8, 0);
+        assert_eq!(costs(&mosaic), [1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0, 9.0]);
+        // One is added, and one more changes places: the next would bring less than it costs.
+        mosaic.balance(vec![at(5.0, 5.0, 2.5), at(5.0, 5.0, 1.5), at(5.0, 5.0, 7.0)], 9, 5);
+        assert_eq!(costs(&mosaic), [2.0, 2.0, 2.5, 3.0, 3.0, 4.0, 4.0, 7.0, 9.0]);
+        mosaic.balance(Vec::new(), 2, 5);
+        assert_eq!(costs(&mosaic), [7.0, 9.0]);
+        mosaic.remove_cheapest(7);
+        assert_eq!(mosaic.count(), 0);
+    }
+}

@@ -1,0 +1,120 @@
+//! What all tiles of a picture have in common: it is found out before any is fitted, so that they fit together.
+
+use super::grid::{Area, Window};
+use crate::bitstream::splats::{Metadata, PackedSplats};
+use crate::error::Result;
+use crate::fit::model::masking::{self, Means};
+use crate::fit::model::planes::Planes;
+use crate::fit::model::problem::Scene;
+use crate::fit::model::{sample, structure};
+use crate::fit::plan::Plan;
+use crate::options::Tune;
+use crate::pixel_source::PixelSource;
+
+/// What all tiles have in common.
+pub(super) struct Whole<'a> {
+    source: &'a dyn PixelSource,
+    pub scene: Scene,
+    pub plan: Plan,
+    /// Primitives.
+    pub count: usize,
+    /// The file, without primitives.
+    pub blank: PackedSplats,
+    /// Whether the number of primitives follows from a size.
+    pub is_priced: bool,
+    weights: Weights,
+    /// Detail of all tiles.
+    detail: f64,
+}
+
+/// How errors are weighted: by what is found of the whole picture.
+enum Weights {
+    Alike,
+    Structure(f64),
+    Masking(Means),
+}
+
+impl Whole<'_> {
+    /// Reads `tiles`, which make up the picture of `scene`, once. `show` is told the share that is done.
+    pub(super) fn survey<'a>(
+        source: &'a dyn PixelSource,
+        (scene, blank, is_priced): (Scene, PackedSplats, bool),
+        (plan, count, tune): (Plan, usize, Tune),
+        tiles: &[Window],
+        mut show: impl FnMut(f32) -> Result<()>,
+    ) -> Result<Whole<'a>> {
+        let area = f64::from(scene.width) * f64::from(scene.height);
+        let room = area / count.max(1) as f64;
+        let mut weights = match tune {
+            Tune::Psnr => Weights::Alike,
+            Tune::Ssim => Weights::Structure(0.0),
+            Tune::Iq => Weights::Masking(Means::default()),
+        };
+        let (mut mean, mut detail) = ([0.0f64; 4], 0.0);
+        for (i, tile) in tiles.iter().enumerate() {
+            show(i as f32 / tiles.len() as f32)?;
+            let planes = Planes::new(&source.part(tile.core.bounds())?);
+            let share = tile.core.pixels() / area;
+            mean.iter_mut().zip(planes.mean).for_each(|(m, v)| *m += share * f64::from(v));
+            detail += sample::detail(&planes, room);
+            match &mut weights {
+                Weights::Alike => {}
+                Weights::Structure(mean) => *mean += share * structure::mean_of_part(&planes, room as f32),
+                Weights::Masking(means) => {
+                    let of_part = masking::means_of_part(&planes, room as f32);
+                    means.iter_mut().zip(of_part).for_each(|(m, v)| *m += share * v);
+                }
+            }
+        }
+        let scene = Scene { background: mean.map(|v| v as f32), ..scene };
+        Ok(Whole { source, scene, plan, count, blank, is_priced, weights, detail })
+    }
+
+    /// Returns the picture's pixels to one primitive.
+    pub(super) fn room(&self) -> f64 {
+        f64::from(self.scene.width) * f64::from(self.scene.height) / self.count.max(1) as f64
+    }
+
+    /// Returns the pixels of a part, and how their errors count.
+    pub(super) fn planes(&self, area: &Area) -> Result<Planes> {
+        let mut planes = self.bare_planes(area)?;
+        let room = self.room() as f32;
+        planes.amplitude = match &self.weights {
+            Weights::Alike => Vec::new(),
+            Weights::Structure(mean) => structure::amplitudes_of_part(&planes, room, *mean),
+            Weights::Masking(means) => masking::amplitudes_of_part(&planes, room, means),
+        };
+        Ok(planes)
+    }
+
+    /// Returns the pixels of a part, whose errors count alike.
+    pub(super) fn bare_planes(&self, area: &Area) -> Result<Planes> {
+        Ok(Planes::new(&self.source.part(area.bounds())?))
+    }
+
+    /// Returns the scene of a part.
+    pub(super) fn scene(&self, area: &Area) -> Scene {
+        Scene { width: area.size[0], height: area.size[1], ..self.scene }
+    }
+
+    /// Returns the file of a part, without primitives.
+    pub(super) fn draft(&self, area: &Area) -> PackedSplats {
+        let metadata = Metadata::default();
+        PackedSplats { width: area.size[0], height: area.size[1], metadata, ..self.blank.clone() }
+    }
+
+    /// Returns how many of the primitives belong to a part, by its detail and its size.
+    pub(super) fn count_of(&self, planes: &Planes) -> usize {
+        let area = f64::from(planes.width) * f64::from(planes.height);
+        let whole = f64::from(self.scene.width) * f64::from(self.scene.height);
+        let busy = sample::detail(planes, self.room()) / self.detail;
+        let share = sample::DETAIL * busy + (1.0 - sample::DETAIL) * area / whole;
+        (self.count as f64 * share).round() as usize
+    }
+
+    /// Returns the plan of the work on a window: random numbers are its own.
+    pub(super) fn plan_of(&self, window: &Window) -> Plan {
+        let seed = self.plan.seed.wrapping_add((window.index + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+        Plan { seed, ..self.plan.clone() }
+    }
+}

@@ -1,0 +1,96 @@
+//! Pictures whose pixels are read a part at a time.
+
+use crate::error::{Error, Result};
+use crate::gaussian::Channels;
+use crate::pixels::{Depth, Pixels, Samples};
+
+/// A picture of which any part can be read: one in memory, or a file of samples that is larger than memory.
+pub trait PixelSource {
+    /// Width, pixels.
+    fn width(&self) -> u32;
+    /// Height, pixels.
+    fn height(&self) -> u32;
+    /// Channels.
+    fn channels(&self) -> Channels;
+    /// Bits a sample.
+    fn depth(&self) -> Depth;
+    /// Width and height, pixels.
+    fn size(&self) -> [u32; 2] {
+        [self.width(), self.height()]
+    }
+    /// Returns the pixels of a part: left, top, width and height, pixels.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] if the part does not lie in the picture; those of reading.
+    fn part(&self, area: [u32; 4]) -> Result<Pixels>;
+}
+
+impl PixelSource for Pixels {
+    fn width(&self) -> u32 {
+        Pixels::width(self)
+    }
+
+    fn height(&self) -> u32 {
+        Pixels::height(self)
+    }
+
+    fn channels(&self) -> Channels {
+        Pixels::channels(self)
+    }
+
+    fn depth(&self) -> Depth {
+        Pixels::depth(self)
+    }
+
+    fn part(&self, area: [u32; 4]) -> Result<Pixels> {
+        fn cut<T: Copy>(
+            samples: &[T],
+            row: usize,
+            rows: std::ops::Range<usize>,
+            columns: std::ops::Range<usize>,
+        ) -> Vec<T> {
+            rows.flat_map(|y| samples[y * row..][columns.clone()].iter().copied()).collect()
+        }
+        check_area(area, [self.width(), self.height()])?;
+        let [x, y, width, height] = area.map(|v| v as usize);
+        let count = self.channels().count();
+        let (row, rows, columns) =
+            (Pixels::width(self) as usize * count, y..y + height, x * count..(x + width) * count);
+        let samples = match self.samples() {
+            Samples::U8(v) => Samples::U8(cut(v, row, rows, columns)),
+            Samples::U16(v) => Samples::U16(cut(v, row, rows, columns)),
+        };
+        Pixels::new(area[2], area[3], self.channels(), samples)
+    }
+}
+
+/// Refuses a part that does not lie in a picture of `size`, or holds nothing.
+///
+/// # Errors
+/// [`Error::Parameter`]
+pub fn check_area([x, y, width, height]: [u32; 4], size: [u32; 2]) -> Result<()> {
+    let fits = |from: u32, length: u32, side: u32| length > 0 && u64::from(from) + u64::from(length) <= u64::from(side);
+    if fits(x, width, size[0]) && fits(y, height, size[1]) {
+        return Ok(());
+    }
+    let problem = format!("{width} × {height} at {x}, {y} is not a part of a picture of {} × {}", size[0], size[1]);
+    Err(Error::Parameter { name: "area", problem })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_has_the_samples_of_its_place() {
+        let samples: Vec<u16> = (0..5 * 4 * 3).collect();
+        let pixels = Pixels::new(5, 4, Channels::Rgb, Samples::U16(samples)).unwrap();
+        let part = pixels.part([3, 1, 2, 2]).unwrap();
+        assert_eq!((part.width(), part.height(), part.depth()), (2, 2, Depth::Sixteen));
+        assert_eq!(part.samples(), &Samples::U16(vec![24, 25, 26, 27, 28, 29, 39, 40, 41, 42, 43, 44]));
+        assert_eq!(pixels.part([0, 0, 5, 4]).unwrap(), pixels);
+        for area in [[0, 0, 6, 1], [0, 0, 0, 1], [4, 0, u32::MAX, 1], [0, 4, 1, 1]] {
+            assert!(matches!(pixels.part(area), Err(Error::Parameter { name: "area", .. })), "{area:?}");
+        }
+    }
+}

@@ -1,0 +1,200 @@
+//! A picture that is fitted in tiles: no seams, the size that was asked for, the same bytes on any machine.
+
+use std::ops::ControlFlow;
+
+use ssplat::bitstream::splats::Layout;
+use ssplat::{
+    Backend, Blend, Channels, DecodeOptions, EncodeOptions, Encoded, Error, Pixels, Recipe, Samples, Target, Thumbnail,
+    Trace, Tune,
+};
+
+/// Waves and edges of many sizes, all over.
+fn picture(width: u32, height: u32, channels: Channels) -> Pixels {
+    let count = channels.count();
+    let samples = (0..width as usize * height as usize * count).map(|i| {
+        let (k, x, y) = (i % count, (i / count % width as usize) as f32, (i / count / width as usize) as f32);
+        let waves = 40.0 * (x / 9.0 + (y / 31.0).sin()).sin() + 30.0 * (y / 7.0 + (x / 23.0).cos()).sin();
+        let discs = if ((x * 0.061).sin() + (y * 0.049).cos()).abs() < 0.3 { 50.0 } else { 0.0 };
+        if channels.alpha() == Some(k) { 200 } else { (110.0 + waves + discs + 9.0 * k as f32).clamp(0.0, 255.0) as u8 }
+    });
+    Pixels::new(width, height, channels, Samples::U8(samples.collect())).unwrap()
+}
+
+fn options(target: Target, tiles: Option<u32>) -> EncodeOptions {
+    let mut options = EncodeOptions::default();
+    (options.target, options.tiles, options.effort, options.backend) = (target, tiles, 2, Backend::Cpu);
+    options
+}
+
+/// Mean squared errors within 16 pixels of the seams between tiles of `side` pixels, and elsewhere.
+fn errors(original: &Pixels, encoded: &Encoded, side: u32) -> [f64; 2] {
+    let decoded = ssplat::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
+    let (Samples::U8(a), Samples::U8(b)) = (original.samples(), decoded.samples()) else { panic!("8 bits") };
+    let (width, count) = (original.width(), original.channels().count() as u32);
+    let is_near = |v: u32, length: u32| {
+        let seam = (v + side / 2) / side * side;
+        seam > 0 && seam < length && v + 16 >= seam && v < seam + 16
+    };
+    let mut sums = [[0.0f64; 2]; 2];
+    for (i, (a, b)) in a.iter().zip(b).enumerate() {
+        let (x, y) = (i as u32 / count % width, i as u32 / count / width);
+        let sum = &mut sums[usize::from(!is_near(x, width) && !is_near(y, original.height()))];
+        *sum = [sum[0] + (f64::from(*a) - f64::from(*b)).powi(2), sum[1] + 1.0];
+    }
+    sums.map(|[error, samples]| error / samples)
+}
+
+#[test]
+fn seams_are_no_worse_than_elsewhere() {
+    let pixels = picture(512, 448, Channels::Rgb);
+    let mut options = options(Target::Ratio(60.0), None);
+    options.tune = Some(Tune::Psnr);
+    let whole = errors(&pixels, &ssplat::encode(&pixels, &options).unwrap(), 256);
+    options.tiles = Some(256);
+    let encoded = ssplat::encode(&pixels, &options).unwrap();
+    let tiles = errors(&pixels, &encoded, 256);
+    let excess = tiles[0] / whole[0] / (tiles[1] / whole[1]);
+    // `examples/seams.rs` measures .98 to 1.06 on photographs in tiles this small.
+    assert!(excess < 1.1, "{excess}: {tiles:?} of {whole:?}");
+}
+
+#[test]
+fn files_of_tiles_fill_their_size_and_never_exceed_it() {
+    for (channels, most) in [(Channels::Grey, 2000), (Channels::GreyAlpha, 700), (Channels::Rgba, 5000)] {
+        let pixels = picture(300, 200, channels);
+        for (levels, blend) in [(1, Blend::Normalized), (3, Blend::Sum)] {
+            let mut options = options(Target::Bytes(most), Some(128));
+            (options.levels, options.blend) = (levels, Some(blend));
+            let encoded = ssplat::encode(&pixels, &options).unwrap();
+            let bytes = encoded.bytes.len() as u64;
+            assert!(bytes <= most && bytes >= most * 97 / 100, "{channels:?} {blend:?}: {bytes} of {most}");
+            let decoded = ssplat::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
+            let psnr = ssplat::metrics::compare(&pixels, &decoded).unwrap().psnr;
+            // Colours count by their opacity in the report.
+            let is_opaque = channels.alpha().is_none();
+            assert!(
+                !is_opaque || (psnr - encoded.report.psnr).abs() < 0.05,
+                "{psnr}, said to be {}",
+                encoded.report.psnr
+            );
+        }
+    }
+    // Next to nothing, and more than the picture needs.
+    for most in [40, 60, 200_000] {
+        let encoded =
+            ssplat::encode(&picture(300, 200, Channels::Grey), &options(Target::Bytes(most), Some(128))).unwrap();
+        assert!(encoded.bytes.len() as u64 <= most, "{} of {most}", encoded.bytes.len());
+    }
+}
+
+#[test]
+fn the_number_of_primitives_is_about_as_asked_in_tiles() {
+    let encoded =
+        ssplat::encode(&picture(300, 200, Channels::Rgb), &options(Target::Primitives(600), Some(128))).unwrap();
+    assert!((590..=610).contains(&encoded.report.primitives), "{}", encoded.report.primitives);
+}
+
+#[test]
+fn a_picture_of_one_colour_comes_back_from_tiles() {
+    let pixels = Pixels::new(300, 140, Channels::Rgb, Samples::U8([200, 90, 30].repeat(300 * 140))).unwrap();
+    let encoded = ssplat::encode(&pixels, &options(Target::Auto, Some(128))).unwrap();
+    assert!(encoded.report.psnr > 48.0, "{}", encoded.report.psnr);
+}
+
+#[cfg(feature = "rayon")]
+#[test]
+fn bytes_of_tiles_do_not_depend_on_the_thread_count() {
+    let pixels = picture(400, 260, Channels::Rgb);
+    let options = options(Target::Ratio(60.0), Some(128));
+    let with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| ssplat::encode(&pixels, &options).unwrap().bytes)
+    };
+    assert!(with(1) == with(3));
+}
+
+#[test]
+fn a_picture_no_larger_than_a_tile_is_fitted_as_a_whole() {
+    let pixels = picture(128, 100, Channels::Rgb);
+    let bytes = |tiles| ssplat::encode(&pixels, &options(Target::Ratio(50.0), tiles)).unwrap().bytes;
+    assert!(bytes(Some(128)) == bytes(None));
+}
+
+#[test]
+fn what_tiles_cannot_do_is_a_parameter_error() {
+    let pixels = picture(300, 200, Channels::Grey);
+    let refused = |name: &str, change: &dyn Fn(&mut EncodeOptions)| {
+        let mut options = options(Target::Ratio(50.0), Some(128));
+        change(&mut options);
+        match ssplat::encode(&pixels, &options) {
+            Err(Error::Parameter { name: found, .. }) if found == name => {}
+            other => panic!("{name}: {:?}", other.map(|e| e.bytes.len())),
+        }
+    };
+    refused("tiles", &|o| o.tiles = Some(0));
+    refused("tiles", &|o| o.tiles = Some(100));
+    refused("tiles", &|o| o.target = Target::Psnr(30.0));
+    refused("tiles", &|o| o.time = Some(std::time::Duration::from_secs(1)));
+    refused("tiles", &|o| o.layout = Layout::Planes);
+    refused("tiles", &|o| o.recipe = Recipe::SmartSplat(Default::default()));
+    refused("tiles", &|o| o.backend = Backend::Gpu);
+    refused("tiles", &|o| o.trace = Trace::On);
+    refused("tiles", &|o| o.thumbnail = Thumbnail::Bytes(500));
+    refused("bytes", &|o| o.target = Target::Bytes(3));
+}
+
+#[test]
+fn progress_of_tiles_goes_forward_and_can_stop_the_work() {
+    let pixels = picture(300, 200, Channels::Grey);
+    let options = options(Target::Ratio(60.0), Some(128));
+    let mut shown: Vec<(&str, f32)> = Vec::new();
+    ssplat::encode::encode_with_progress(&pixels, &options, &mut |p| {
+        shown.push((p.stage, p.done));
+        ControlFlow::Continue(())
+    })
+    .unwrap();
+    let mut stages: Vec<&str> = shown.iter().map(|s| s.0).collect();
+    stages.dedup();
+    assert_eq!(stages, ["survey", "fit", "join", "finish", "measure"]);
+    assert!(shown.windows(2).all(|p| p[0].0 != p[1].0 || p[0].1 <= p[1].1), "{shown:?}");
+    assert!(shown.iter().all(|s| (0.0..=1.0).contains(&s.1)));
+    for stop in stages {
+        let stopped = ssplat::encode::encode_with_progress(&pixels, &options, &mut |p| {
+            if p.stage == stop { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        assert!(matches!(stopped, Err(Error::Cancelled)), "{stop}");
+    }
+}
+
+/// The program reads a PNG and a PNM part by part; what comes of it is what the library makes of the pixels.
+#[cfg(feature = "cli")]
+#[test]
+fn files_that_are_read_in_parts_give_the_bytes_of_the_picture_in_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let pixels = picture(300, 200, Channels::Rgb);
+    let Samples::U8(samples) = pixels.samples() else { panic!("8 bits") };
+    let expected = ssplat::encode(&pixels, &options(Target::Bytes(3000), Some(128))).unwrap().bytes;
+    let [ppm, png, out] = ["a.ppm", "a.png", "a.ssplat"].map(|name| folder.path().join(name));
+    std::fs::write(&ppm, [b"P6 # a picture\n300 200\n255\n", &samples[..]].concat()).unwrap();
+    image::RgbImage::from_raw(300, 200, samples.clone()).unwrap().save(&png).unwrap();
+    for input in [&ppm, &png] {
+        let encode = |extra: &[&str]| {
+            let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_ssplat"));
+            let arguments = ["--tiles=128", "--bytes", "3000", "--effort", "2", "--backend", "cpu", "--quiet"];
+            command.arg("encode").arg(input).arg(&out).args(arguments).args(extra).output().unwrap()
+        };
+        let run = encode(&[]);
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        assert!(std::fs::read(&out).unwrap() == expected, "{}", input.display());
+        // With a preview the picture is in memory.
+        let preview = folder.path().join("preview.png");
+        assert!(encode(&["--preview", preview.to_str().unwrap()]).status.success());
+        assert!(std::fs::read(&out).unwrap() == expected, "{}", input.display());
+    }
+    for (broken, status) in [(&b"P6\n300 200\n255\n12"[..], 4), (b"P6\n", 4), (b"P5 99999999999 1 255\n", 4)] {
+        std::fs::write(&ppm, broken).unwrap();
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_ssplat"));
+        let run = command.arg("encode").arg(&ppm).arg(&out).args(["--tiles=128"]).output().unwrap();
+        assert_eq!(run.status.code(), Some(status), "{}", String::from_utf8_lossy(&run.stderr));
+    }
+}
