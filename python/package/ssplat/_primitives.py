@@ -69,7 +69,7 @@ def from_gaussians(
         width, height: of the picture, pixels. Every mean must lie within.
         background: (channels,); by default 0.
         blend: how the Gaussians blend; see :func:`gaussians`.
-        bytes: largest size of the file: it gets the finest of nine sets of steps that fit.
+        bytes: largest size of the file: it gets the finest of ten sets of steps that fit.
         ratio: the same as width × height × channels over the size. By default the steps are those of the encoder's best
             pictures, whatever the size.
         bits: of a sample of the decoded picture.
