@@ -5,7 +5,7 @@ use std::time::Duration;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyBytes;
-use ssplat::{EncodeOptions, Target};
+use ssplat::{EncodeOptions, Target, Thumbnail};
 
 use crate::failure::{integer, parameter};
 use crate::{array, names, work};
@@ -28,8 +28,17 @@ pub struct Options {
     needs: String,
     backend: String,
     levels: i128,
+    tiles: Option<i128>,
+    thumbnail: Option<Carried>,
     icc_profile: Option<PyBackedBytes>,
     exif: Option<PyBackedBytes>,
+}
+
+/// `"auto"`, or the most bytes of a thumbnail.
+#[derive(FromPyObject)]
+enum Carried {
+    Bytes(i128),
+    Name(String),
 }
 
 impl Options {
@@ -50,6 +59,18 @@ impl Options {
         o.effort = integer("effort", self.effort)?;
         o.seed = integer("seed", self.seed)?;
         o.levels = integer("levels", self.levels)?;
+        o.tiles = self.tiles.map(|side| integer("tiles", side)).transpose()?;
+        o.thumbnail = match &self.thumbnail {
+            None => Thumbnail::Never,
+            Some(Carried::Bytes(most)) => Thumbnail::Bytes(integer("thumbnail", *most)?),
+            Some(Carried::Name(name)) if name == "auto" => Thumbnail::Auto,
+            Some(Carried::Name(name)) => {
+                return Err(parameter(
+                    "thumbnail",
+                    format!("{name:?} is neither 'auto' nor a number of bytes nor None"),
+                ));
+            }
+        };
         o.time = match self.time {
             Some(s) => Some(Duration::try_from_secs_f64(s).map_err(|e| parameter("time", format!("{s}: {e}")))?),
             None => None,

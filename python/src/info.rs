@@ -58,6 +58,7 @@ pub fn info<'py>(py: Python<'py>, data: PyBackedBytes) -> PyResult<Bound<'py, Py
     let bytes = |v: &Option<Vec<u8>>| v.as_ref().map(|v| PyBytes::new(py, v));
     d.set_item("icc_profile", bytes(&splats.metadata.icc))?;
     d.set_item("exif", bytes(&splats.metadata.exif))?;
+    d.set_item("thumbnail", bytes(&splats.metadata.thumbnail))?;
     Ok(d)
 }
 

@@ -152,3 +152,20 @@ def test_every_layout_and_blend_holds_the_picture():
             told = ssplat.info(io.BytesIO(data).getvalue())
             assert (told["layout"], told["blend"]) == (layout, blend)
             assert ssplat.metrics.psnr(ssplat.decode(data), PICTURE) > 15
+
+
+def test_a_thumbnail_is_a_file_of_its_own_within_the_size():
+    data = ssplat.encode(KODIM05, effort=1, bytes=3000, thumbnail=500)
+    small = ssplat.info(data)["thumbnail"]
+    assert len(data) <= 3000 and len(small) <= 500
+    assert ssplat.decode(small).shape == (171, 256, 3)
+    assert ssplat.info(ssplat.encode(KODIM05, effort=1, bytes=3000))["thumbnail"] is None
+
+
+def test_tiles_make_one_file_of_the_asked_size():
+    data = ssplat.encode(KODIM05, effort=1, bytes=6000, tiles=256)
+    assert len(data) <= 6000
+    whole = ssplat.encode(KODIM05, effort=1, bytes=6000)
+    # Tiles of a quarter of a megapixel and less lose some tenths of a decibel.
+    loss = [ssplat.metrics.psnr(KODIM05, ssplat.decode(d)) for d in (whole, data)]
+    assert 0.0 < loss[0] - loss[1] < 1.0 or loss[1] > loss[0]

@@ -161,6 +161,11 @@ fn check(options: &EncodeOptions) -> Result<()> {
     if !(1..=8).contains(&options.levels) || (options.levels > 1 && options.layout != Layout::Coded) {
         return bad("levels", format!("{} is outside 1..=8, or above 1 without the coded layout", options.levels));
     }
+    if let Some(side) = options.tiles.filter(|s| !tiles::SIDES.contains(s) || !s.is_multiple_of(*tiles::SIDES.start()))
+    {
+        let (least, most) = tiles::SIDES.into_inner();
+        return bad("tiles", format!("{side} is not a multiple of {least} within {least}..={most}"));
+    }
     match options.target {
         Target::Ratio(r) if !(r.is_finite() && r > 0.0) => bad("ratio", format!("{r} is not a positive number")),
         Target::Psnr(p) if !(p.is_finite() && p > 0.0) => bad("psnr", format!("{p} is not a positive number")),

@@ -31,6 +31,8 @@ def encode(
     seed: int = 0,
     threads: int | None = None,
     levels: int = 1,
+    tiles: int | None = None,
+    thumbnail: Literal["auto"] | int | None = "auto",
     tune: Literal["psnr", "ssim", "iq"] | None = None,
     layout: Literal["coded", "planes", "packed"] = "coded",
     blend: Literal["normalized", "sum"] | None = None,
@@ -57,6 +59,10 @@ def encode(
         seed: of everything random.
         threads: how many to use; None: one for each core.
         levels: 1 to 8 progressive levels; a file that is cut after one is a coarser picture.
+        tiles: side of the tiles that the picture is fitted in, pixels: a multiple of 128. It bounds the memory of a large
+            one. None: only pictures above 268 megapixels are, in tiles of 2048.
+        thumbnail: the most bytes that a small version of the picture may take in the file. ``"auto"``: a hundredth of
+            files of 100 000 bytes and more, at most 4000. None: there is none.
         tune: the measure to favour: PSNR, SSIM, or ``iq``, what eyes see. None: ``iq``, but ``psnr`` with ``psnr=``.
         layout: how the integers become bytes.
         blend: how primitives blend; None: normalized.
@@ -81,6 +87,8 @@ def encode(
         "seed": seed,
         "threads": threads,
         "levels": levels,
+        "tiles": tiles,
+        "thumbnail": thumbnail,
         "tune": tune,
         "layout": layout,
         "blend": blend,
@@ -147,7 +155,7 @@ def info(data: Data) -> dict[str, Any]:
         ``width`` and ``height`` in pixels, ``channels`` (1 to 4), ``bits`` of a sample (8 or 16), ``bytes`` of the
         file, ``primitives``, ``layout``, ``blend``, ``levels`` (primitives in each), ``groups``, ``codebook`` (colours
         in it, or None), ``steps`` (the indices of specification §4.1), ``parts`` (bytes of each part of the file),
-        ``icc_profile`` and ``exif`` (bytes, or None).
+        ``icc_profile``, ``exif`` and ``thumbnail`` (bytes, or None; the last is a file that :func:`decode` takes).
 
     Raises:
         FormatError, UnsupportedVersionError, LimitExceededError: as for :func:`decode`.

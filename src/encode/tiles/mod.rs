@@ -59,7 +59,7 @@ pub(super) fn encode(
     side: u32,
     journal: Journal<'_>,
 ) -> Result<Encoded> {
-    check(options, side)?;
+    check(options)?;
     let blend = options.blend.unwrap_or(Blend::Normalized);
     let blank = subject::empty(source.size(), (source.channels(), source.depth()), blend, options);
     let samples = blank_samples(&blank);
@@ -86,24 +86,16 @@ pub(super) fn encode(
     course.finish(&whole, floats, error, options.levels)
 }
 
-fn check(options: &EncodeOptions, side: u32) -> Result<()> {
-    let bad = |problem: String| Err(Error::Parameter { name: "tiles", problem });
-    if !SIDES.contains(&side) || !side.is_multiple_of(*SIDES.start()) {
-        return bad(format!(
-            "{side} is not a multiple of {} within {}..={}",
-            SIDES.start(),
-            SIDES.start(),
-            SIDES.end()
-        ));
-    }
+fn check(options: &EncodeOptions) -> Result<()> {
+    let bad = |problem: &str| Err(Error::Parameter { name: "tiles", problem: problem.into() });
     match options {
-        o if o.recipe != Recipe::Ssplat => bad("another method's recipe cannot be fitted in tiles".into()),
-        o if o.layout != Layout::Coded => bad("only the coded layout is written in tiles".into()),
-        o if matches!(o.target, Target::Psnr(_)) => bad("a PSNR cannot be aimed at in tiles".into()),
-        o if o.time.is_some() => bad("a budget of time cannot be kept in tiles".into()),
-        o if o.backend == Backend::Gpu => bad("tiles are fitted on the CPU".into()),
-        o if matches!(o.thumbnail, Thumbnail::Bytes(_)) => bad("a file of tiles carries no thumbnail".into()),
-        o if o.trace == Trace::On => bad("a fit in tiles cannot be traced".into()),
+        o if o.recipe != Recipe::Ssplat => bad("another method's recipe cannot be fitted in tiles"),
+        o if o.layout != Layout::Coded => bad("only the coded layout is written in tiles"),
+        o if matches!(o.target, Target::Psnr(_)) => bad("a PSNR cannot be aimed at in tiles"),
+        o if o.time.is_some() => bad("a budget of time cannot be kept in tiles"),
+        o if o.backend == Backend::Gpu => bad("tiles are fitted on the CPU"),
+        o if matches!(o.thumbnail, Thumbnail::Bytes(_)) => bad("a file of tiles carries no thumbnail"),
+        o if o.trace == Trace::On => bad("a fit in tiles cannot be traced"),
         _ => Ok(()),
     }
 }
