@@ -93,7 +93,8 @@ mod simd;
 
 pub use decode::{Decoded, Opened, Opening, decode, decode_into, thumbnail};
 pub use encode::{
-    Chosen, EncodeReport, Encoded, LeftOut, Omission, Progress, TracePoint, encode, encode_source, encode_with_progress,
+    Chosen, EncodeReport, Encoded, LeftOut, Omission, Progress, TracePoint, Workers, encode, encode_divided,
+    encode_source, encode_with_progress, work_on_tile,
 };
 pub use error::{Error, FormatError, GpuError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};

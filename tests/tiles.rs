@@ -1,11 +1,12 @@
 //! A picture that is fitted in tiles: no seams, the size that was asked for, the same bytes on any machine.
 
+use std::collections::VecDeque;
 use std::ops::ControlFlow;
 
 use ssplat::bitstream::splats::Layout;
 use ssplat::{
     Backend, Blend, Channels, DecodeOptions, EncodeOptions, Encoded, Error, Pixels, Recipe, Samples, Target, Thumbnail,
-    Trace, Tune,
+    Trace, Tune, Workers,
 };
 
 /// Waves and edges of many sizes, all over.
@@ -111,6 +112,208 @@ fn bytes_of_tiles_do_not_depend_on_the_thread_count() {
         pool.install(|| ssplat::encode(&pixels, &options).unwrap().bytes)
     };
     assert!(with(1) == with(3));
+}
+
+/// What becomes of an answer on its way.
+type Change<'a> = &'a dyn Fn(Vec<u8>) -> Vec<u8>;
+
+/// Workers who do every task when its answer is asked for, twice if need be, and change the answers of some.
+struct Elsewhere<'a> {
+    at_once: usize,
+    out: VecDeque<Vec<u8>>,
+    given: Vec<Vec<u8>>,
+    change: &'a dyn Fn(usize, Vec<u8>) -> Vec<u8>,
+    taken: usize,
+}
+
+impl<'a> Elsewhere<'a> {
+    fn new(at_once: usize, change: &'a dyn Fn(usize, Vec<u8>) -> Vec<u8>) -> Self {
+        Elsewhere { at_once, out: VecDeque::new(), given: Vec::new(), change, taken: 0 }
+    }
+}
+
+fn work_on(task: &[u8]) -> ssplat::Result<Vec<u8>> {
+    ssplat::work_on_tile(task, &mut |_| ControlFlow::Continue(()))
+}
+
+impl Workers for Elsewhere<'_> {
+    fn give(&mut self, task: Vec<u8>) -> ssplat::Result<()> {
+        self.given.push(task.clone());
+        self.out.push_back(task);
+        assert!(self.out.len() <= self.at_once);
+        Ok(())
+    }
+
+    fn take(&mut self) -> ssplat::Result<Vec<u8>> {
+        let answer = work_on(&self.out.pop_front().unwrap())?;
+        self.taken += 1;
+        Ok((self.change)(self.taken - 1, answer))
+    }
+
+    fn at_once(&self) -> usize {
+        self.at_once
+    }
+}
+
+fn encode_by(pixels: &Pixels, options: &EncodeOptions, workers: &mut Elsewhere<'_>) -> ssplat::Result<Vec<u8>> {
+    let encoded = ssplat::encode_divided(pixels, options, workers, &mut |_| ControlFlow::Continue(()))?;
+    Ok(encoded.bytes)
+}
+
+#[test]
+fn a_picture_that_is_divided_among_workers_becomes_the_same_file() {
+    for (channels, tune, blend, levels) in [
+        (Channels::Rgb, Tune::Iq, Blend::Normalized, 1),
+        (Channels::GreyAlpha, Tune::Ssim, Blend::Sum, 2),
+        (Channels::Rgba, Tune::Psnr, Blend::Normalized, 1),
+    ] {
+        let pixels = picture(260, 150, channels);
+        let mut options = options(Target::Bytes(1500), Some(128));
+        (options.tune, options.blend, options.levels) = (Some(tune), Some(blend), levels);
+        options.icc = Some(vec![7; 60]);
+        let here = ssplat::encode(&pixels, &options).unwrap().bytes;
+        for at_once in [1, 3] {
+            let mut workers = Elsewhere::new(at_once, &|_, answer| answer);
+            assert!(encode_by(&pixels, &options, &mut workers).unwrap() == here, "{channels:?}, {at_once} at once");
+            // Six tiles by themselves, and all passes after that.
+            assert!(workers.given.len() > 6 * 5, "{}", workers.given.len());
+        }
+    }
+    let deep: Vec<u16> = (0..200 * 140u32).map(|i| (i * 7919 % 65_521) as u16).collect();
+    let deep = Pixels::new(200, 140, Channels::Grey, Samples::U16(deep)).unwrap();
+    let options = options(Target::Primitives(300), Some(128));
+    let there = encode_by(&deep, &options, &mut Elsewhere::new(2, &|_, answer| answer)).unwrap();
+    assert!(there == ssplat::encode(&deep, &options).unwrap().bytes);
+}
+
+#[test]
+fn a_tile_that_is_worked_on_twice_becomes_the_same() {
+    let pixels = picture(200, 140, Channels::Rgb);
+    let mut workers = Elsewhere::new(2, &|_, answer| answer);
+    encode_by(&pixels, &options(Target::Bytes(1000), Some(128)), &mut workers).unwrap();
+    for task in &workers.given {
+        assert!(work_on(task).unwrap() == work_on(task).unwrap());
+    }
+}
+
+#[test]
+fn an_answer_that_is_none_names_its_tile() {
+    let pixels = picture(300, 200, Channels::Grey);
+    let options = options(Target::Bytes(700), Some(128));
+    let mut workers = Elsewhere::new(1, &|_, answer| answer);
+    encode_by(&pixels, &options, &mut workers).unwrap();
+    // The second tile that is given: those of a turn have another between them.
+    let place = "128 × 128 at 128, 0";
+    let foreign = work_on(&workers.given[0]).unwrap();
+    let changes: [(&str, Change<'_>); 6] = [
+        ("0 bytes", &|_| Vec::new()),
+        ("cut", &|answer| answer[..answer.len() - 1].to_vec()),
+        ("answers task", &|_| foreign.clone()),
+        ("begin with", &|_| workers.given[1].clone()),
+        ("checksum", &|mut answer| {
+            answer[60] ^= 1;
+            answer
+        }),
+        ("version", &|mut answer| {
+            answer[18] = b'x';
+            answer
+        }),
+    ];
+    let at = workers.given.iter().position(|task| task_core(task) == [128, 0]).unwrap();
+    for (expected, change) in changes {
+        let wrong = |n, answer| if n == at { change(answer) } else { answer };
+        match encode_by(&pixels, &options, &mut Elsewhere::new(1, &wrong)) {
+            Err(Error::Parameter { name: "answer", problem }) => {
+                assert!(problem.contains(place), "{problem}");
+                assert!(problem.contains(expected) || expected == "cut" && problem.contains("checksum"), "{problem}");
+            }
+            other => panic!("{expected}: {:?}", other.map(|bytes| bytes.len())),
+        }
+    }
+}
+
+/// Where the contents of a task begin: behind the line that names the version.
+fn contents(task: &[u8]) -> usize {
+    task.iter().position(|&b| b == b'\n').unwrap() + 1
+}
+
+/// The corner of a task's tile.
+fn task_core(task: &[u8]) -> [u32; 2] {
+    let number = |at: usize| u32::from_le_bytes(task[at..at + 4].try_into().unwrap());
+    let start = contents(task);
+    let at = start + 4 + number(start) as usize;
+    [number(at), number(at + 4)]
+}
+
+/// The same bytes with a checksum that is right.
+fn signed(mut bytes: Vec<u8>) -> Vec<u8> {
+    let end = bytes.len() - 4;
+    let checksum = crc32fast::hash(&bytes[..end]);
+    bytes[end..].copy_from_slice(&checksum.to_le_bytes());
+    bytes
+}
+
+#[test]
+fn bytes_that_are_no_task_or_answer_are_refused_without_a_panic() {
+    let pixels = picture(200, 140, Channels::Grey);
+    let options = options(Target::Bytes(300), Some(128));
+    let mut workers = Elsewhere::new(1, &|_, answer| answer);
+    encode_by(&pixels, &options, &mut workers).unwrap();
+    // Of one tile: by itself, joined, weighed, swept and measured.
+    let tasks: Vec<&Vec<u8>> = workers.given.iter().filter(|task| task_core(task) == [0, 0]).collect();
+    let samples = 192 * 140;
+    for task in tasks.iter().take(2).chain(&tasks[tasks.len() - 3..]) {
+        let stopped = |task: &[u8]| {
+            ssplat::work_on_tile(task, &mut |p| {
+                if p.done > 0.0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            })
+        };
+        let is_refused = |bytes: &[u8], what: &str| match stopped(bytes) {
+            Err(Error::Parameter { name: "task", .. }) => {}
+            other => panic!("{what}: {:?}", other.map(|bytes| bytes.len())),
+        };
+        for end in (0..task.len() - 4).step_by(997).chain(task.len() - 9..task.len() - 4) {
+            is_refused(&task[..end], "a cut task");
+            is_refused(&signed([&task[..end], &[0; 4]].concat()), "a cut task with a checksum");
+        }
+        is_refused(&signed([&task[..], &[0; 9]].concat()), "more than a task");
+        let start = contents(task);
+        // All fields, and some of the samples and primitives between.
+        let some = (start..task.len() - 4).filter(|at| {
+            let before = start + 200;
+            let after = task.len().saturating_sub(120);
+            *at < before || *at > after || at % 4999 == 0 || (*at > before + samples && at % 31 == 0)
+        });
+        for (i, at) in some.enumerate() {
+            let mut wrong = task.to_vec();
+            wrong[at] ^= [1, 0x80, 0xff, 0x40][i % 4];
+            is_refused(&wrong, "a changed task");
+            // With a checksum it is a task of another picture, or none.
+            match stopped(&signed(wrong)) {
+                Ok(_) | Err(Error::Cancelled | Error::Parameter { name: "task", .. }) => {}
+                Err(other) => panic!("byte {at}: {other}"),
+            }
+        }
+    }
+    // Answers alike: each of these is signed, and for the task that was given.
+    let at = workers.given.iter().position(|task| task_core(task) == [0, 0]).unwrap();
+    let last = workers.given.iter().rposition(|task| task_core(task) == [0, 0]).unwrap();
+    for (k, i) in [at, last - 4].into_iter().flat_map(|k| (0..10).map(move |i| (k, i))) {
+        let wrong = |n, mut answer: Vec<u8>| {
+            if n == k {
+                let start = contents(&answer) + 4;
+                let at = start + (i * 19) % (answer.len() - start - 4);
+                answer[at] ^= [0x80, 1, 0xff, 0x40][i % 4];
+                answer = signed(answer);
+            }
+            answer
+        };
+        match encode_by(&pixels, &options, &mut Elsewhere::new(1, &wrong)) {
+            Ok(bytes) => assert!(bytes.len() <= 300),
+            Err(Error::Parameter { name: "answer", .. }) => {}
+            Err(other) => panic!("answer {k}, {i}: {other}"),
+        }
+    }
 }
 
 #[test]

@@ -3,8 +3,8 @@
 mod attributes;
 mod bits;
 mod broken;
-mod bytes;
-mod checksum;
+pub(crate) mod bytes;
+pub(crate) mod checksum;
 mod coded;
 pub(crate) mod expect;
 mod frame;

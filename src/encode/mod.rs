@@ -16,6 +16,7 @@ mod subject;
 mod thumbnail;
 mod tiles;
 mod trace;
+mod workers;
 
 use std::ops::ControlFlow;
 
@@ -35,8 +36,11 @@ pub use left_out::{LeftOut, Omission};
 use report::Journal;
 pub use report::Progress;
 use subject::{Subject, may_leave_out};
+pub use tiles::work_on_tile;
 pub use trace::TracePoint;
 use trace::Tracer;
+use workers::Hands;
+pub use workers::Workers;
 
 /// An encoded picture.
 #[derive(Debug, Clone)]
@@ -88,7 +92,7 @@ pub fn encode_with_progress(
 ) -> Result<Encoded> {
     check(options)?;
     if let Some(side) = side(pixels, options) {
-        return tiles::encode(pixels, options, side, Journal::new(progress, Tracer::new(Trace::Off)));
+        return tiles::encode(pixels, options, side, Hands::Own, Journal::new(progress, Tracer::new(Trace::Off)));
     }
     let tracer = Tracer::new(options.trace);
     let narrow = if may_leave_out(options) { channels::narrow(pixels) } else { None };
@@ -134,9 +138,33 @@ pub fn encode_source(
     options: &EncodeOptions,
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
+    encode_by(source, options, Hands::Own, progress)
+}
+
+/// As [`encode_source`], but `workers` work on the tiles: fits, joins and sweeps, all but the first look at the picture and the
+/// writing of the file. The bytes are the same. A picture that is not in tiles is encoded here.
+///
+/// # Errors
+/// As [`encode_source`], those of `workers`, and [`Error::Parameter`] naming `answer` and the tile for an answer that is no
+/// answer to its task.
+pub fn encode_divided(
+    source: &dyn PixelSource,
+    options: &EncodeOptions,
+    workers: &mut dyn Workers,
+    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Encoded> {
+    encode_by(source, options, Hands::Others(workers), progress)
+}
+
+fn encode_by(
+    source: &dyn PixelSource,
+    options: &EncodeOptions,
+    hands: Hands<'_>,
+    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Encoded> {
     check(options)?;
     match side(source, options) {
-        Some(side) => tiles::encode(source, options, side, Journal::new(progress, Tracer::new(Trace::Off))),
+        Some(side) => tiles::encode(source, options, side, hands, Journal::new(progress, Tracer::new(Trace::Off))),
         None => encode_with_progress(&source.part([0, 0, source.width(), source.height()])?, options, progress),
     }
 }

@@ -1,7 +1,7 @@
 //! The float fit of a tile: by itself at first, then with what lies around it.
 
-use super::grid::{Area, Shift, Window};
-use super::mosaic::Placed;
+use super::grid::{Shift, Window};
+use super::mosaic::{Around, Became, Placed};
 use super::whole::Whole;
 use crate::bitstream;
 use crate::bitstream::splats::PackedSplats;
@@ -12,9 +12,9 @@ use crate::fit::draft::{self, Start};
 use crate::fit::engine::{Engine, Sight, Watcher};
 use crate::fit::job::Job;
 use crate::fit::model::adam::Bounds;
-use crate::fit::model::field::{Field, Output, error_within, float_error};
+use crate::fit::model::field::{Field, Output, error_within};
 use crate::fit::model::peaks::{at_peak, peaks};
-use crate::fit::model::problem::{Problem, Scene};
+use crate::fit::model::problem::Problem;
 use crate::fit::model::project::{self, Primitive};
 use crate::fit::model::removal;
 use crate::fit::model::rows::RowSet;
@@ -30,18 +30,11 @@ pub(super) const JOINED: [(f32, Shift); 3] = [(0.7, Shift::Half), (0.85, Shift::
 /// Places for other primitives that are looked for in a tile, as a share of those that it has.
 const OTHERS: f32 = 0.25;
 
-/// What became of a tile that was fitted by itself.
-pub(super) struct Begun {
-    /// The primitives, in the picture's coordinates.
-    pub own: Vec<Placed<Primitive>>,
-    /// Others that would help; the cost is what they bring.
-    pub others: Vec<Placed<Primitive>>,
-    /// Squared error of the tile.
-    pub error: f64,
-}
+/// Is told the share of a work that is done; an error stops it.
+pub(super) type Show<'a> = &'a mut dyn FnMut(f32) -> Result<()>;
 
 /// Fits a tile by itself.
-pub(super) fn begin(whole: &Whole<'_>, window: &Window, show: &mut dyn FnMut(f32) -> Result<()>) -> Result<Begun> {
+pub(super) fn begin(whole: &Whole<'_>, window: &Window, show: Show<'_>) -> Result<Became<Primitive>> {
     let target = whole.planes(&window.seen)?;
     let problem = Problem { scene: whole.scene(&window.seen), target: &target };
     let (count, plan) = (whole.count_of(&target), whole.plan_of(window));
@@ -62,7 +55,7 @@ fn share(of: f32, iterations: u32) -> u32 {
 }
 
 /// Tells what the primitives of a window are worth, and what others would be.
-fn appraise(problem: &Problem<'_>, primitives: &[Primitive], window: &Window) -> Begun {
+fn appraise(problem: &Problem<'_>, primitives: &[Primitive], window: &Window) -> Became<Primitive> {
     let projected = project::all(primitives, problem.scene.height);
     let mut field = Field::default();
     field.draw(problem, &projected, RowSet::ALL, Output::Picture);
@@ -71,7 +64,7 @@ fn appraise(problem: &Problem<'_>, primitives: &[Primitive], window: &Window) ->
     let others = peaks(problem, &field, RowSet::ALL, count, primitives.len());
     let placed = |p: Primitive, cost: f32| Placed { what: moved(p, window.seen.origin()), cost };
     let is_own = |p: &Placed<Primitive>| window.core.holds(p.what.mean);
-    Begun {
+    Became {
         own: primitives.iter().zip(costs).map(|(p, cost)| placed(*p, cost)).filter(is_own).collect(),
         others: others.iter().map(|peak| placed(at_peak(peak, problem), peak.gain)).filter(is_own).collect(),
         error: error_within(problem, &projected, window.own(), Output::Picture),
@@ -82,9 +75,9 @@ fn appraise(problem: &Problem<'_>, primitives: &[Primitive], window: &Window) ->
 pub(super) fn join(
     whole: &Whole<'_>,
     (pass, window): (usize, &Window),
-    (own, others): (Vec<Primitive>, Vec<Primitive>),
-    show: &mut dyn FnMut(f32) -> Result<()>,
-) -> Result<(Vec<Placed<Primitive>>, f64)> {
+    Around { own, others }: Around<Primitive>,
+    show: Show<'_>,
+) -> Result<Became<Primitive>> {
     let target = whole.planes(&window.seen)?;
     let problem = Problem { scene: whole.scene(&window.seen), target: &target };
     let plan = whole.plan_of(window);
@@ -103,24 +96,17 @@ pub(super) fn join(
     let seen = [&state.primitives[..], &state.still].concat();
     let error = error_within(&problem, &project::all(&seen, problem.scene.height), window.own(), Output::Picture);
     let placed = |p: &Primitive| Placed { what: moved(*p, window.seen.origin()), cost: 0.0 };
-    Ok((state.primitives.iter().map(placed).collect(), error))
+    Ok(Became { own: state.primitives.iter().map(placed).collect(), others: Vec::new(), error })
 }
 
-fn moved(p: Primitive, by: [f32; 2]) -> Primitive {
+/// Moves a primitive.
+pub(super) fn moved(p: Primitive, by: [f32; 2]) -> Primitive {
     Primitive { mean: [p.mean[0] + by[0], p.mean[1] + by[1]], ..p }
-}
-
-/// Returns the squared error of what is stored of a tile, from all that reaches into it.
-pub(super) fn plain_error(whole: &Whole<'_>, area: &Area, background: [f32; 4], seen: Vec<Primitive>) -> Result<f64> {
-    let target = whole.bare_planes(area)?;
-    let problem = Problem { scene: Scene { background, ..whole.scene(area) }, target: &target };
-    let local: Vec<Primitive> = seen.into_iter().map(|p| moved(p, area.origin().map(|v| -v))).collect();
-    Ok(float_error(&problem, &local))
 }
 
 /// Tells how far the fit of a tile is.
 struct Shown<'a> {
-    show: &'a mut dyn FnMut(f32) -> Result<()>,
+    show: Show<'a>,
     /// The part of the schedule that is run through.
     from: f32,
     to: f32,

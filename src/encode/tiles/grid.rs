@@ -22,6 +22,13 @@ impl Area {
         self.corner.map(|v| v as f32)
     }
 
+    /// Returns left, top, width and height of a part of the picture in coordinates of this one; beyond any picture where it
+    /// begins before this one.
+    pub(super) fn inward(&self, [x, y, width, height]: [u32; 4]) -> [u32; 4] {
+        let local = |v: u32, k: usize| v.checked_sub(self.corner[k]).unwrap_or(u32::MAX);
+        [local(x, 0), local(y, 1), width, height]
+    }
+
     pub(super) fn holds(&self, point: [f32; 2]) -> bool {
         (0..2).all(|k| {
             let low = self.corner[k] as f32;
@@ -94,6 +101,11 @@ impl Grid {
             turns[i % 2 + 2 * (j % 2)].push(Window { core, seen: self.around(&core), index });
         }
         turns
+    }
+
+    /// Returns the windows of an unshifted pass, in the order of its turns.
+    pub(super) fn windows(&self) -> Vec<Window> {
+        self.turns(Shift::None).concat()
     }
 
     fn around(&self, core: &Area) -> Area {

@@ -1,14 +1,15 @@
 //! The integers of a tile: a sweep of descent among those around it, which stay as they are.
 
-use super::grid::Window;
-use super::mosaic::Placed;
+use super::floats;
+use super::grid::{Area, Window};
+use super::mosaic::{Around, Became, Placed};
 use super::whole::Whole;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::encode::file;
 use crate::error::Result;
-use crate::fit::model::field::{Field, Output, error_within};
+use crate::fit::model::field::{Field, Output, error_within, float_error};
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::project::Projected;
+use crate::fit::model::project::{Primitive, Projected};
 use crate::quantize::Quantizer;
 use crate::round::descend::{Descent, Objective};
 use crate::round::size;
@@ -26,26 +27,15 @@ pub(super) struct Part<'a> {
     still: Vec<Projected>,
 }
 
-/// What became of a tile.
-pub(super) struct Swept {
-    /// The primitives, in the picture's coordinates.
-    pub own: Vec<Placed<PackedGaussian>>,
-    /// Others that would help; the cost is what they bring.
-    pub others: Vec<Placed<PackedGaussian>>,
-    /// Squared error of the tile, weighted as it is fitted.
-    pub error: f64,
-}
-
 impl<'a> Part<'a> {
-    /// Cuts a window out of the picture whose file without primitives is `blank`.
+    /// Cuts a window out of the picture.
     pub(super) fn new(
         whole: &'a Whole<'a>,
         window: &'a Window,
-        blank: &PackedSplats,
-        (own, others): (Vec<PackedGaussian>, Vec<PackedGaussian>),
+        Around { own, others }: Around<PackedGaussian>,
     ) -> Self {
-        let of_whole = blank.quantizer();
-        let [width, height] = window.seen.size;
+        let of_whole = whole.blank.quantizer();
+        let height = window.seen.size[1];
         let gaussians = own.iter().map(|p| moved(p, &of_whole, window.seen.corner, Move::In)).collect();
         let origin = window.seen.origin();
         let still = others.iter().map(|p| {
@@ -54,7 +44,7 @@ impl<'a> Part<'a> {
             Projected::from_gaussian(&g, height)
         });
         let still = still.collect();
-        let splats = PackedSplats { width, height, gaussians, ..blank.clone() };
+        let splats = PackedSplats { gaussians, ..whole.draft(&window.seen) };
         Part { whole, window, quantizer: splats.quantizer(), splats, still }
     }
 
@@ -71,8 +61,9 @@ impl<'a> Part<'a> {
         Ok(error_within(&problem, &descent.seen(&self.splats.gaussians), self.window.own(), Output::Gradient))
     }
 
-    /// Sweeps once over the integers, where a bit must save `lambda` of the squared error.
-    pub(super) fn sweep(mut self, lambda: f64) -> Result<Swept> {
+    /// Sweeps once over the integers, where a bit must save `lambda` of the squared error. The error that is returned is weighted
+    /// as it is fitted.
+    pub(super) fn sweep(mut self, lambda: f64) -> Result<Became<PackedGaussian>> {
         let target = self.whole.planes(&self.window.seen)?;
         let problem = Problem { scene: self.scene(), target: &target };
         let expected = file::expected(&mut self.splats, 1)?;
@@ -81,7 +72,7 @@ impl<'a> Part<'a> {
         let mut own = self.splats.gaussians;
         descent.sweep(&mut own, &expected, &objective);
         let error = error_within(&problem, &descent.seen(&own), self.window.own(), Output::Gradient);
-        let worth = size::worth(&mut descent, &own, (own.len() as f32 * OTHERS.0) as usize + OTHERS.1);
+        let worth = size::worth(&mut descent, &own, others(own.len()));
         let whole = |p: &PackedGaussian| moved(p, &self.quantizer, self.window.seen.corner, Move::Out);
         let placed = |(p, cost): (&PackedGaussian, f32)| Placed { what: whole(p), cost };
         let is_own = |p: &PackedGaussian| {
@@ -89,12 +80,29 @@ impl<'a> Part<'a> {
             let origin = self.window.seen.origin();
             self.window.core.holds([x + origin[0], y + origin[1]])
         };
-        Ok(Swept {
+        Ok(Became {
             own: own.iter().zip(worth.costs).map(placed).collect(),
             others: worth.others.iter().filter(|(p, _)| is_own(p)).map(|(p, gain)| placed((p, *gain))).collect(),
             error,
         })
     }
+}
+
+/// Returns for how many other primitives places are looked for in a tile of so many.
+pub(super) fn others(own: usize) -> usize {
+    (own as f32 * OTHERS.0) as usize + OTHERS.1
+}
+
+/// Returns the squared error of what is stored of a tile, from all that reaches into it.
+pub(super) fn plain_error(whole: &Whole<'_>, area: &Area, around: Around<PackedGaussian>) -> Result<f64> {
+    let target = whole.bare_planes(area)?;
+    let quantizer = whole.blank.quantizer();
+    let background = quantizer.dequantize_color(whole.blank.background);
+    let problem = Problem { scene: Scene { background, ..whole.scene(area) }, target: &target };
+    let away = area.origin().map(|v| -v);
+    let local = |p: &PackedGaussian| floats::moved(Primitive::from_gaussian(&quantizer.dequantize(p)), away);
+    let local: Vec<Primitive> = around.own.iter().chain(&around.others).map(local).collect();
+    Ok(float_error(&problem, &local))
 }
 
 /// Into a part, or out of it.
@@ -104,14 +112,16 @@ enum Move {
     Out,
 }
 
+/// Returns how many steps of `2^exponent` pixels a corner is from the picture's.
+pub(super) fn steps(corner: u32, exponent: i32) -> u32 {
+    if exponent >= 0 { corner >> exponent } else { corner << -exponent }
+}
+
 /// Moves a position between the picture and its part at `corner`: by whole steps, which are no longer than a
 /// [`UNIT`](super::grid::UNIT).
 fn moved(p: &PackedGaussian, quantizer: &Quantizer, corner: [u32; 2], way: Move) -> PackedGaussian {
     let exponents = quantizer.lattice().exponents(p.major, p.minor, p.angle);
-    let steps = |k: usize| match exponents[k] {
-        e if e >= 0 => corner[k] >> e,
-        e => corner[k] << -e,
-    };
+    let steps = |k: usize| steps(corner[k], exponents[k]);
     match way {
         Move::In => PackedGaussian { x: p.x - steps(0), y: p.y - steps(1), ..*p },
         Move::Out => PackedGaussian { x: p.x + steps(0), y: p.y + steps(1), ..*p },

@@ -9,20 +9,24 @@ mod floats;
 mod grid;
 mod integers;
 mod mosaic;
+mod parcel;
+mod task;
 mod whole;
+
+use std::collections::VecDeque;
 
 use super::aim;
 use super::file;
 use super::job::{decibels, enough, excess};
 use super::report::Journal;
 use super::subject;
+use super::workers::Hands;
 use super::{EncodeReport, Encoded};
 use crate::bitstream;
-use crate::bitstream::splats::{Layout, PackedGaussian, PackedSplats};
+use crate::bitstream::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
 use crate::error::{Error, Result};
 use crate::fit::model::problem::Scene;
 use crate::fit::model::project::Primitive;
-use crate::fit::plan::Plan;
 use crate::gaussian::Blend;
 use crate::options::{Backend, EncodeOptions, Recipe, Target, Thumbnail, Trace};
 use crate::pixel_source::PixelSource;
@@ -31,8 +35,10 @@ use crate::round::finish::SLOPE;
 use crate::round::rounded;
 use crate::round::size::Size;
 use grid::{Grid, Shift, UNIT, Window};
-use integers::Part;
-use mosaic::{Mosaic, Placed};
+use mosaic::{Became, Mosaic, Placed};
+pub use parcel::work_on_tile;
+use parcel::{Parceled, Sent};
+use task::{FloatWork, IntegerWork};
 use whole::Whole;
 
 /// Sides that a tile may have, pixels; a multiple of the least.
@@ -57,33 +63,32 @@ pub(super) fn encode(
     source: &dyn PixelSource,
     options: &EncodeOptions,
     side: u32,
-    journal: Journal<'_>,
+    hands: Hands<'_>,
+    mut journal: Journal<'_>,
 ) -> Result<Encoded> {
     check(options)?;
     let blend = options.blend.unwrap_or(Blend::Normalized);
-    let blank = subject::empty(source.size(), (source.channels(), source.depth()), blend, options);
+    let mut blank = subject::empty(source.size(), (source.channels(), source.depth()), blend, options);
     let samples = blank_samples(&blank);
     let fixed = bitstream::to_bytes(&blank)?.len() as u64;
+    let metadata = std::mem::take(&mut blank.metadata);
     let (size, count) = aimed(options, samples, fixed)?;
     let scene = Scene { width: blank.width, height: blank.height, blend, background: [0.0; 4] };
-    let area = u64::from(blank.width) * u64::from(blank.height);
-    let mut plan = Plan::new(options.effort, count, area, None, options.seed);
+    let mut plan = whole::plan(options.effort, count, [blank.width, blank.height], options.seed);
     plan.enough = enough(options.target, blank.depth);
     let typical = f64::from(scene.typical_scale(count));
     let margin = ((MARGIN * typical) as u32).next_multiple_of(UNIT).clamp(UNIT, side.max(UNIT));
     let grid = Grid { size: [blank.width, blank.height], half: side / 2, margin };
-    let mut course = Course { grid, journal, blank, size, fixed, samples };
-    let clock = course.journal.seconds();
-    let tiles: Vec<Window> = grid.turns(Shift::None).concat();
-    let file = (scene, course.blank.clone(), matches!(size, Size::Bytes(_)));
-    let whole = Whole::survey(source, file, (plan, count, options.favoured()), &tiles, |done| {
-        course.journal.show("survey", done)
-    })?;
-    course.journal.stage("survey", clock);
+    let clock = journal.seconds();
+    let file = (scene, blank, matches!(size, Size::Bytes(_)));
+    let work = (options.effort, plan, count, options.favoured());
+    let whole = Whole::survey(source, file, work, &grid.windows(), |done| journal.show("survey", done))?;
+    journal.stage("survey", clock);
+    let mut course = Course { grid, journal, whole, hands, metadata, size, fixed, samples };
     let look = |p: &Primitive| p.to_gaussian();
     let mut floats = Mosaic::new(&grid, &look);
-    let error = course.fit(&whole, &mut floats)?;
-    course.finish(&whole, floats, error, options.levels)
+    let error = course.fit(&mut floats)?;
+    course.finish(floats, error, options.levels)
 }
 
 fn check(options: &EncodeOptions) -> Result<()> {
@@ -125,138 +130,182 @@ fn aimed(options: &EncodeOptions, samples: f64, fixed: u64) -> Result<(Size, usi
 }
 
 /// An encode in tiles on its way.
-struct Course<'a> {
+struct Course<'a, 'b, 'c> {
     grid: Grid,
     journal: Journal<'a>,
-    /// The file without primitives.
-    blank: PackedSplats,
+    whole: Whole<'b>,
+    hands: Hands<'c>,
+    metadata: Metadata,
     size: Size,
-    /// Bytes of that file.
+    /// Bytes of the file without primitives.
     fixed: u64,
     samples: f64,
 }
 
-impl Course<'_> {
-    /// Does `work` for every window of a pass, which is the part `span` of a stage, in turns; `done` takes what came of a turn. Tiles of a turn do not wait for
-    /// each other: whoever has several machines can share them.
-    fn pass<T>(
+/// A stage of an encode, and the part of it that is worked on.
+#[derive(Clone, Copy)]
+struct Stretch {
+    stage: &'static str,
+    from: f32,
+    to: f32,
+}
+
+impl Stretch {
+    /// The `part`th of `parts` that are as long.
+    fn part(stage: &'static str, part: usize, parts: usize) -> Self {
+        let [from, to] = [part, part + 1].map(|k| k as f32 / parts as f32);
+        Stretch { stage, from, to }
+    }
+
+    fn at(&self, done: f32) -> f32 {
+        self.from + (self.to - self.from) * done
+    }
+}
+
+impl Course<'_, '_, '_> {
+    /// Has `work` done for every window of a pass in turns. Returns others that would help, and the squared error of all tiles.
+    fn pass<T: Parceled>(
         &mut self,
-        (stage, shift, span): (&'static str, Shift, [f32; 2]),
-        mut work: impl FnMut(&Window, &Mosaic<'_, T>, &mut dyn FnMut(f32) -> Result<()>) -> Result<Vec<Placed<T>>>,
+        (stretch, shift): (Stretch, Shift),
+        work: T::Work,
         mosaic: &mut Mosaic<'_, T>,
-    ) -> Result<()>
-    where
-        T: Copy,
-    {
+    ) -> Result<(Vec<Placed<T>>, f64)> {
         let turns = self.grid.turns(shift);
-        let count = turns.iter().map(Vec::len).sum::<usize>();
-        let mut through = 0;
+        let count = turns.iter().map(Vec::len).sum::<usize>() as f32;
+        let (mut others, mut error, mut through) = (Vec::new(), 0.0, 0);
         for turn in turns {
-            let mut became = Vec::with_capacity(turn.len());
-            for window in &turn {
-                let mut show = |done: f32| {
-                    let done = (through as f32 + done) / count as f32;
-                    self.journal.show(stage, span[0] + (span[1] - span[0]) * done)
-                };
-                show(0.0)?;
-                became.push((window.core, work(window, mosaic, &mut show)?));
-                through += 1;
+            let [from, to] = [through, through + turn.len()].map(|n| stretch.at(n as f32 / count));
+            through += turn.len();
+            let became = self.turn(Stretch { from, to, ..stretch }, &turn, work, mosaic)?;
+            let mut placed = Vec::with_capacity(turn.len());
+            for (window, of_tile) in turn.iter().zip(became) {
+                others.extend(of_tile.others);
+                error += of_tile.error;
+                placed.push((window.core, of_tile.own));
             }
-            mosaic.replace(became);
+            mosaic.replace(placed);
         }
-        Ok(())
+        Ok((others, error))
+    }
+
+    /// Has `work` done for windows that do not wait for each other; returns what came of it.
+    fn turn<T: Parceled>(
+        &mut self,
+        stretch: Stretch,
+        windows: &[Window],
+        work: T::Work,
+        mosaic: &Mosaic<'_, T>,
+    ) -> Result<Vec<Became<T>>> {
+        let Course { journal, whole, hands, .. } = self;
+        let mut show = |done: f32| journal.show(stretch.stage, stretch.at(done / windows.len().max(1) as f32));
+        show(0.0)?;
+        let mut became = Vec::with_capacity(windows.len());
+        match hands {
+            Hands::Own => {
+                for (i, window) in windows.iter().enumerate() {
+                    let mut show = |done: f32| show(i as f32 + done);
+                    let around = T::around(mosaic, window, work);
+                    became.push(T::work(whole, (window, work), around, &mut show)?);
+                    show(1.0)?;
+                }
+            }
+            Hands::Others(workers) => {
+                let most = workers.at_once().max(1);
+                let mut left = windows.iter();
+                let mut out = VecDeque::new();
+                loop {
+                    for window in left.by_ref().take(most - out.len()) {
+                        let around = T::around(mosaic, window, work);
+                        let task = parcel::task(whole, (window, work), &around)?;
+                        out.push_back(Sent::new(&task, window, T::most(work, around.own.len())));
+                        workers.give(task)?;
+                    }
+                    let Some(sent) = out.pop_front() else { break };
+                    became.push(sent.answer(whole, &workers.take()?)?);
+                    show(became.len() as f32)?;
+                }
+            }
+        }
+        Ok(became)
     }
 
     /// Fits floats and puts them into `mosaic`; returns their squared error.
-    fn fit(&mut self, whole: &Whole<'_>, mosaic: &mut Mosaic<'_, Primitive>) -> Result<f64> {
+    fn fit(&mut self, mosaic: &mut Mosaic<'_, Primitive>) -> Result<f64> {
         let clock = self.journal.seconds();
-        let (mut others, mut error) = (Vec::new(), 0.0);
-        let begin = |window: &Window, _: &Mosaic<'_, Primitive>, show: &mut dyn FnMut(f32) -> Result<()>| {
-            let begun = floats::begin(whole, window, show)?;
-            others.extend(begun.others);
-            error += begun.error;
-            Ok(begun.own)
-        };
-        self.pass(("fit", Shift::None, [0.0, 1.0]), begin, mosaic)?;
+        let windows = self.grid.windows();
+        // By itself no tile waits for another.
+        let begun = self.turn(Stretch::part("fit", 0, 1), &windows, FloatWork::Begin, mosaic)?;
+        let mut error = begun.iter().map(|b| b.error).sum();
+        let mut others = Vec::new();
+        let mut placed = Vec::with_capacity(windows.len());
+        for (window, of_tile) in windows.iter().zip(begun) {
+            others.extend(of_tile.others);
+            placed.push((window.core, of_tile.own));
+        }
+        mosaic.replace(placed);
         let have = mosaic.count();
         let wanted = match self.size {
-            Size::Free => whole.count,
+            Size::Free => self.whole.count,
             Size::Bytes(most) => {
-                let each = self.price(whole, mosaic, error)?;
+                let each = self.price(mosaic, error)?;
                 let room = most as f64 * excess(have) - self.fixed as f64;
-                ((room / each).max(0.0) as usize).min(2 * whole.count)
+                ((room / each).max(0.0) as usize).min(2 * self.whole.count)
             }
         };
         mosaic.balance(others, wanted, (SWAPPED * have as f64) as usize);
         for (pass, (_, shift)) in floats::JOINED.iter().enumerate() {
-            error = 0.0;
-            let join = |window: &Window, mosaic: &Mosaic<'_, Primitive>, show: &mut dyn FnMut(f32) -> Result<()>| {
-                let around = (mosaic.own(&window.core), mosaic.others(&window.core, &window.seen));
-                let (own, of_tile) = floats::join(whole, (pass, window), around, show)?;
-                error += of_tile;
-                Ok(own)
-            };
-            let span = [pass, pass + 1].map(|p| p as f32 / floats::JOINED.len() as f32);
-            self.pass(("join", *shift, span), join, mosaic)?;
+            let stretch = Stretch::part("join", pass, floats::JOINED.len());
+            (_, error) = self.pass((stretch, *shift), FloatWork::Join(pass), mosaic)?;
         }
         self.journal.stage("fit", clock);
         Ok(error)
     }
 
     /// Returns the bytes that a primitive takes.
-    fn price(&mut self, whole: &Whole<'_>, mosaic: &Mosaic<'_, Primitive>, error: f64) -> Result<f64> {
-        let quantizer = self.set_steps(whole, mosaic, error);
-        self.blank.gaussians = mosaic.all().map(|p| quantizer.quantize(&p.what.to_gaussian())).collect();
-        let bytes = bitstream::to_bytes(&self.blank)?.len() as u64;
-        self.blank.gaussians = Vec::new();
+    fn price(&mut self, mosaic: &Mosaic<'_, Primitive>, error: f64) -> Result<f64> {
+        let quantizer = self.set_steps(mosaic, error);
+        self.whole.blank.gaussians = mosaic.all().map(|p| quantizer.quantize(&p.what.to_gaussian())).collect();
+        let bytes = bitstream::to_bytes(&self.whole.blank)?.len() as u64;
+        self.whole.blank.gaussians = Vec::new();
         Ok((bytes.saturating_sub(self.fixed) as f64 / mosaic.count().max(1) as f64).max(0.5))
     }
 
     /// Chooses the steps of the file.
-    fn set_steps(&mut self, whole: &Whole<'_>, mosaic: &Mosaic<'_, Primitive>, error: f64) -> Quantizer {
+    fn set_steps(&mut self, mosaic: &Mosaic<'_, Primitive>, error: f64) -> Quantizer {
         let every = mosaic.count() / SAMPLED + 1;
         let some: Vec<Primitive> = mosaic.all().step_by(every).map(|p| p.what).collect();
-        let mut steps = rounded::steps(&some, self.blank.layout, decibels(error, self.samples));
+        let mut steps = rounded::steps(&some, self.whole.blank.layout, decibels(error, self.samples));
         // Parts begin at whole steps.
         let too_coarse = steps.coarsest - UNIT.ilog2() as i8;
         if too_coarse > 0 {
             (steps.coarsest, steps.range) = (steps.coarsest - too_coarse, steps.range - too_coarse as u8);
         }
-        self.blank.steps = steps;
-        let quantizer = self.blank.quantizer();
-        self.blank.background = quantizer.quantize_color(whole.scene.background);
+        self.whole.blank.steps = steps;
+        let quantizer = self.whole.blank.quantizer();
+        self.whole.blank.background = quantizer.quantize_color(self.whole.scene.background);
         quantizer
     }
 
     /// Rounds `floats`, whose squared error is `error`, and brings them to the size that is asked for.
-    fn finish(mut self, whole: &Whole<'_>, floats: Mosaic<'_, Primitive>, error: f64, levels: u8) -> Result<Encoded> {
+    fn finish(mut self, floats: Mosaic<'_, Primitive>, error: f64, levels: u8) -> Result<Encoded> {
         let clock = self.journal.seconds();
         let float_psnr = decibels(error, self.samples);
-        let quantizer = self.set_steps(whole, &floats, error);
+        let quantizer = self.set_steps(&floats, error);
         let look = |p: &PackedGaussian| quantizer.dequantize(p);
         let mut mosaic = Mosaic::new(&self.grid, &look);
         for p in floats.all() {
             mosaic.insert(Placed { what: quantizer.quantize(&p.what.to_gaussian()), cost: 0.0 });
         }
         drop(floats);
-        let sweeps = whole.plan.sweeps.max(2);
+        let sweeps = self.whole.plan.sweeps.max(2);
         let mut bytes = self.write(&mosaic, levels)?;
-        let mut error = self.weighted_error(whole, &mosaic)?;
+        let mut error = self.weighted_error(&mosaic)?;
         for round in 0..sweeps + MORE_SWEEPS {
             let lambda = SLOPE * error / (8.0 * bytes.len() as f64);
             let shift = if round.is_multiple_of(2) { Shift::None } else { Shift::Half };
-            let blank = self.blank.clone();
-            let mut others = Vec::new();
-            error = 0.0;
-            let sweep = |window: &Window, mosaic: &Mosaic<'_, PackedGaussian>, _: &mut dyn FnMut(f32) -> Result<()>| {
-                let around = (mosaic.own(&window.core), mosaic.others(&window.core, &window.seen));
-                let swept = Part::new(whole, window, &blank, around).sweep(lambda)?;
-                others.extend(swept.others);
-                error += swept.error;
-                Ok(swept.own)
-            };
-            let span = [round, round + 1].map(|r| r as f32 / (sweeps + MORE_SWEEPS) as f32);
-            self.pass(("finish", shift, span), sweep, &mut mosaic)?;
+            let stretch = Stretch::part("finish", round as usize, (sweeps + MORE_SWEEPS) as usize);
+            let others;
+            (others, error) = self.pass((stretch, shift), IntegerWork::Sweep(lambda), &mut mosaic)?;
             bytes = self.write(&mosaic, levels)?;
             let Size::Bytes(most) = self.size else {
                 if round + 1 == sweeps {
@@ -282,13 +331,14 @@ impl Course<'_> {
         }
         bytes = self.within(&mut mosaic, bytes, levels)?;
         self.journal.stage("finish", clock);
-        self.report(whole, &mosaic, bytes, float_psnr)
+        self.report(&mosaic, bytes, float_psnr)
     }
 
     /// Writes the file.
     fn write(&self, mosaic: &Mosaic<'_, PackedGaussian>, levels: u8) -> Result<Vec<u8>> {
         let gaussians = mosaic.all().map(|p| p.what).collect();
-        file::smallest(&mut PackedSplats { gaussians, ..self.blank.clone() }, levels)
+        let metadata = self.metadata.clone();
+        file::smallest(&mut PackedSplats { gaussians, metadata, ..self.whole.blank.clone() }, levels)
     }
 
     /// Takes away what is too much.
@@ -307,33 +357,16 @@ impl Course<'_> {
         Ok(bytes)
     }
 
-    fn weighted_error(&mut self, whole: &Whole<'_>, mosaic: &Mosaic<'_, PackedGaussian>) -> Result<f64> {
-        let mut error = 0.0;
-        for window in self.grid.turns(Shift::None).concat() {
-            self.journal.show("finish", 0.0)?;
-            let around = (mosaic.own(&window.core), mosaic.others(&window.core, &window.seen));
-            error += Part::new(whole, &window, &self.blank, around).error()?;
-        }
-        Ok(error)
+    fn weighted_error(&mut self, mosaic: &Mosaic<'_, PackedGaussian>) -> Result<f64> {
+        let stretch = Stretch { stage: "finish", from: 0.0, to: 0.0 };
+        Ok(self.turn(stretch, &self.grid.windows(), IntegerWork::Weigh, mosaic)?.iter().map(|b| b.error).sum())
     }
 
-    fn report(
-        mut self,
-        whole: &Whole<'_>,
-        mosaic: &Mosaic<'_, PackedGaussian>,
-        bytes: Vec<u8>,
-        float_psnr: f64,
-    ) -> Result<Encoded> {
+    fn report(mut self, mosaic: &Mosaic<'_, PackedGaussian>, bytes: Vec<u8>, float_psnr: f64) -> Result<Encoded> {
         let clock = self.journal.seconds();
-        let mut error = 0.0;
-        let quantizer = self.blank.quantizer();
-        let background = quantizer.dequantize_color(self.blank.background);
-        for window in self.grid.turns(Shift::None).concat() {
-            self.journal.show("measure", 0.0)?;
-            let seen = [mosaic.own(&window.core), mosaic.others(&window.core, &window.core)].concat();
-            let seen = seen.iter().map(|p| Primitive::from_gaussian(&quantizer.dequantize(p))).collect();
-            error += floats::plain_error(whole, &window.core, background, seen)?;
-        }
+        let stretch = Stretch::part("measure", 0, 1);
+        let measured = self.turn(stretch, &self.grid.windows(), IntegerWork::Measure, mosaic)?;
+        let error = measured.iter().map(|b| b.error).sum();
         self.journal.stage("measure", clock);
         let report = EncodeReport {
             primitives: mosaic.count(),

@@ -10,6 +10,29 @@ pub(super) struct Placed<T> {
     pub cost: f32,
 }
 
+/// Primitives of a tile, and others that reach into what is seen of it.
+pub(super) struct Around<T> {
+    pub own: Vec<T>,
+    pub others: Vec<T>,
+}
+
+/// What came of the work on a tile.
+pub(super) struct Became<T> {
+    /// Its primitives, in the picture's coordinates.
+    pub own: Vec<Placed<T>>,
+    /// Others that would help; the cost is what they bring.
+    pub others: Vec<Placed<T>>,
+    /// Squared error of the tile.
+    pub error: f64,
+}
+
+impl<T> Became<T> {
+    /// Of a tile that was only looked at.
+    pub(super) fn seen(error: f64) -> Self {
+        Became { own: Vec::new(), others: Vec::new(), error }
+    }
+}
+
 /// Primitives in squares of half a tile: any tile, shifted or not, is made of whole squares.
 pub(super) struct Mosaic<'a, T> {
     half: u32,
@@ -65,12 +88,12 @@ impl<'a, T: Copy> Mosaic<'a, T> {
     }
 
     /// Returns the primitives of a tile.
-    pub(super) fn own(&self, core: &Area) -> Vec<T> {
+    fn own(&self, core: &Area) -> Vec<T> {
         self.indices(core).into_iter().flat_map(|i| self.squares[i].placed.iter().map(|p| p.what)).collect()
     }
 
     /// Returns the other primitives that reach into `seen`.
-    pub(super) fn others(&self, core: &Area, seen: &Area) -> Vec<T> {
+    fn others(&self, core: &Area, seen: &Area) -> Vec<T> {
         let own = self.indices(core);
         let touches = |low: [f32; 2], high: [f32; 2]| {
             (0..2).all(|k| low[k] < (seen.corner[k] + seen.size[k]) as f32 && high[k] > seen.corner[k] as f32)
@@ -89,6 +112,11 @@ impl<'a, T: Copy> Mosaic<'a, T> {
             }));
         }
         out
+    }
+
+    /// Returns the primitives of a tile, and the others that reach into `seen`.
+    pub(super) fn around(&self, core: &Area, seen: &Area) -> Around<T> {
+        Around { own: self.own(core), others: self.others(core, seen) }
     }
 
     /// Puts what became of tiles in their place.

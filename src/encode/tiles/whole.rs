@@ -13,25 +13,33 @@ use crate::pixel_source::PixelSource;
 
 /// What all tiles have in common.
 pub(super) struct Whole<'a> {
-    source: &'a dyn PixelSource,
+    pub source: &'a dyn PixelSource,
     pub scene: Scene,
     pub plan: Plan,
+    /// What the plan was made for.
+    pub effort: u8,
     /// Primitives.
     pub count: usize,
     /// The file, without primitives.
     pub blank: PackedSplats,
     /// Whether the number of primitives follows from a size.
     pub is_priced: bool,
-    weights: Weights,
+    pub weights: Weights,
     /// Detail of all tiles.
-    detail: f64,
+    pub detail: f64,
 }
 
 /// How errors are weighted: by what is found of the whole picture.
-enum Weights {
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Weights {
     Alike,
     Structure(f64),
     Masking(Means),
+}
+
+/// Returns the schedule of so many primitives on a picture of `size`.
+pub(super) fn plan(effort: u8, count: usize, size: [u32; 2], seed: u64) -> Plan {
+    Plan::new(effort, count, u64::from(size[0]) * u64::from(size[1]), None, seed)
 }
 
 impl Whole<'_> {
@@ -39,7 +47,7 @@ impl Whole<'_> {
     pub(super) fn survey<'a>(
         source: &'a dyn PixelSource,
         (scene, blank, is_priced): (Scene, PackedSplats, bool),
-        (plan, count, tune): (Plan, usize, Tune),
+        (effort, plan, count, tune): (u8, Plan, usize, Tune),
         tiles: &[Window],
         mut show: impl FnMut(f32) -> Result<()>,
     ) -> Result<Whole<'a>> {
@@ -67,7 +75,7 @@ impl Whole<'_> {
             }
         }
         let scene = Scene { background: mean.map(|v| v as f32), ..scene };
-        Ok(Whole { source, scene, plan, count, blank, is_priced, weights, detail })
+        Ok(Whole { source, scene, plan, effort, count, blank, is_priced, weights, detail })
     }
 
     /// Returns the picture's pixels to one primitive.
@@ -109,7 +117,8 @@ impl Whole<'_> {
         let whole = f64::from(self.scene.width) * f64::from(self.scene.height);
         let busy = sample::detail(planes, self.room()) / self.detail;
         let share = sample::DETAIL * busy + (1.0 - sample::DETAIL) * area / whole;
-        (self.count as f64 * share).round() as usize
+        // No more than there are pixels, whatever is said of the whole.
+        ((self.count as f64 * share).round() as usize).min(area as usize)
     }
 
     /// Returns the plan of the work on a window: random numbers are its own.

@@ -1,0 +1,521 @@
+//! The work on a tile as bytes, and what came of it as bytes: for workers elsewhere. Little-endian; of one version of the
+//! crate, whose number both name.
+//!
+//! Bytes may come from strangers: a task holds no more than its own length backs, and what an answer says is checked like a
+//! file's contents.
+
+use std::ops::ControlFlow;
+
+use super::floats::{JOINED, Show};
+use super::grid::{Area, UNIT, Window};
+use super::integers;
+use super::mosaic::{Around, Became, Placed};
+use super::task::{FloatWork, IntegerWork, Worked};
+use super::whole::{self, Weights, Whole};
+use crate::bitstream;
+use crate::bitstream::bytes::Bytes;
+use crate::bitstream::checksum::hash;
+use crate::bitstream::rules::Rules;
+use crate::bitstream::splats::{PackedGaussian, PackedSplats};
+use crate::encode::aim::MAX_PRIMITIVES;
+use crate::encode::report::Progress;
+use crate::error::{Error, FormatError, Result};
+use crate::fit::model::masking::Means;
+use crate::fit::model::problem::Scene;
+use crate::fit::model::project::Primitive;
+use crate::gaussian::{Channels, MAX_SCALE, MIN_SCALE};
+use crate::limits::Limits;
+use crate::pixel_source::{PixelSource, check_area};
+use crate::pixels::{Depth, Pixels, Samples};
+
+/// What a task begins with, and the number of its layout.
+const TASK: &[u8] = b"ssplat task 1, ";
+/// What an answer begins with.
+const ANSWER: &[u8] = b"ssplat answer 1, ";
+/// The version that wrote the bytes.
+const VERSION: &[u8] = env!("CARGO_PKG_VERSION").as_bytes();
+/// Largest magnitude of anything in a primitive: beyond the longest side, and far beyond a colour.
+const FAR: f32 = 2_097_152.0;
+
+/// Does the work of `task`, which [`Workers`](crate::encode::Workers) were given; returns the answer. Equal tasks have equal
+/// answers. `progress` is called on the way.
+///
+/// # Errors
+/// [`Error::Parameter`] naming `task` when these bytes are no task, or one of another version of this crate;
+/// [`Error::Cancelled`] when `progress` returns [`ControlFlow::Break`].
+pub fn work_on_tile(task: &[u8], progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>) -> Result<Vec<u8>> {
+    let mut show = |done: f32| match progress(&Progress { stage: "tile", done, psnr: None }) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(Error::Cancelled),
+    };
+    show(0.0)?;
+    done(task, &mut show).map_err(|e| bad("task", e))
+}
+
+fn done(task: &[u8], show: Show<'_>) -> Result<Vec<u8>> {
+    let mut bytes = opened(task, TASK)?;
+    let blank = blank_of(&mut bytes)?;
+    let window = window_of(&mut bytes, [blank.width, blank.height])?;
+    let of_work = (name_of(task), &window);
+    match bytes.array("work")? {
+        [0] => worked::<Primitive>(bytes, blank, FloatWork::Begin, of_work, show),
+        [1] => match bytes.u32("pass")? {
+            pass if (pass as usize) < JOINED.len() => {
+                worked::<Primitive>(bytes, blank, FloatWork::Join(pass as usize), of_work, show)
+            }
+            pass => Err(refused("pass", pass.into())),
+        },
+        [2] => worked::<PackedGaussian>(bytes, blank, IntegerWork::Weigh, of_work, show),
+        [3] => {
+            let lambda = f64_of(&mut bytes, "lambda")?;
+            worked::<PackedGaussian>(bytes, blank, IntegerWork::Sweep(lambda), of_work, show)
+        }
+        [4] => worked::<PackedGaussian>(bytes, blank, IntegerWork::Measure, of_work, show),
+        [other] => Err(refused("work", other.into())),
+    }
+}
+
+/// Reads what else a task says, does its work and writes the answer.
+fn worked<T: Parceled>(
+    mut bytes: Bytes<'_>,
+    blank: PackedSplats,
+    work: T::Work,
+    (name, window): (u32, &Window),
+    show: Show<'_>,
+) -> Result<Vec<u8>> {
+    let cut = cut_of(&mut bytes, &blank, T::pixels(window, work))?;
+    let whole = whole_of(&mut bytes, blank, &cut)?;
+    let bars = Bars::new(&whole, window);
+    let counts = [bytes.u32("primitives")?, bytes.u32("other primitives")?];
+    let mut own = Vec::new();
+    for _ in 0..counts[0] {
+        let what = T::read(&mut bytes, &bars)?;
+        what.check_inside(&bars)?;
+        own.push(what);
+    }
+    let others = (0..counts[1]).map(|_| T::read(&mut bytes, &bars)).collect::<Result<_>>()?;
+    bytes.finish()?;
+    answer(name, &T::work(&whole, (window, work), Around { own, others }, show)?)
+}
+
+/// Says what is wrong with the bytes `name`.
+fn bad(name: &'static str, error: Error) -> Error {
+    let problem = match error {
+        Error::Format(e) => e.to_string(),
+        Error::Parameter { problem, .. } => problem,
+        e @ (Error::LimitExceeded { .. } | Error::UnsupportedVersion { .. }) => e.to_string(),
+        e => return e,
+    };
+    Error::Parameter { name, problem }
+}
+
+fn refused(field: &'static str, value: u64) -> Error {
+    FormatError::BadValue { field, value }.into()
+}
+
+/// A task that was sent off.
+pub(super) struct Sent {
+    name: u32,
+    window: Window,
+    most: usize,
+}
+
+impl Sent {
+    /// Of the bytes of a `task`; its answer has at most `most` primitives of either kind.
+    pub(super) fn new(task: &[u8], window: &Window, most: usize) -> Self {
+        Sent { name: name_of(task), window: *window, most }
+    }
+
+    /// Reads the answer to the task.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] naming `answer` and the tile.
+    pub(super) fn answer<T: Parceled>(&self, whole: &Whole<'_>, bytes: &[u8]) -> Result<Became<T>> {
+        self.read(whole, bytes).map_err(|e| match bad("answer", e) {
+            Error::Parameter { name, problem } => {
+                let [x, y, width, height] = self.window.core.bounds();
+                let problem = format!("that of the tile of {width} × {height} at {x}, {y}: {problem}");
+                Error::Parameter { name, problem }
+            }
+            e => e,
+        })
+    }
+
+    fn read<T: Parceled>(&self, whole: &Whole<'_>, bytes: &[u8]) -> Result<Became<T>> {
+        let mut bytes = opened(bytes, ANSWER)?;
+        let name = bytes.u32("name of the task")?;
+        if name != self.name {
+            let problem = format!("it answers task {name:08x}, not {:08x}", self.name);
+            return Err(Error::Parameter { name: "answer", problem });
+        }
+        let error = f64_of(&mut bytes, "error")?;
+        let counts = [bytes.u32("primitives")?, bytes.u32("other primitives")?];
+        let bars = Bars::new(whole, &self.window);
+        let mut placed = [Vec::new(), Vec::new()];
+        for (placed, count) in placed.iter_mut().zip(counts) {
+            if count as usize > self.most {
+                return Err(refused("number of primitives", count.into()));
+            }
+            for _ in 0..count {
+                let cost = f32::from_le_bytes(bytes.array("cost")?);
+                if cost.is_nan() {
+                    return Err(refused("cost", cost.to_bits().into()));
+                }
+                placed.push(Placed { what: T::read(&mut bytes, &bars)?, cost });
+            }
+        }
+        bytes.finish()?;
+        let [own, others] = placed;
+        Ok(Became { own, others, error })
+    }
+}
+
+/// Writes an answer.
+fn answer<T: Parceled>(name: u32, became: &Became<T>) -> Result<Vec<u8>> {
+    let mut out = begun(ANSWER);
+    out.extend(name.to_le_bytes());
+    out.extend(became.error.to_le_bytes());
+    put_counts(&mut out, [became.own.len(), became.others.len()])?;
+    for placed in became.own.iter().chain(&became.others) {
+        out.extend(placed.cost.to_le_bytes());
+        placed.what.put(&mut out);
+    }
+    Ok(closed(out))
+}
+
+/// Writes the task of a window.
+pub(super) fn task<T: Parceled>(
+    whole: &Whole<'_>,
+    (window, work): (&Window, T::Work),
+    around: &Around<T>,
+) -> Result<Vec<u8>> {
+    let mut out = begun(TASK);
+    let blank = bitstream::to_bytes(&whole.blank)?;
+    out.extend((blank.len() as u32).to_le_bytes());
+    out.extend(blank);
+    for v in window.core.bounds().into_iter().chain(window.seen.bounds()) {
+        out.extend(v.to_le_bytes());
+    }
+    out.extend(window.index.to_le_bytes());
+    T::put_work(work, &mut out);
+    match whole.source.part(T::pixels(window, work).bounds())?.into_samples() {
+        Samples::U8(v) => out.extend(v),
+        Samples::U16(v) => v.iter().for_each(|v| out.extend(v.to_le_bytes())),
+    }
+    whole.scene.background.iter().for_each(|v| out.extend(v.to_le_bytes()));
+    out.push(whole.effort);
+    out.extend((whole.count as u64).to_le_bytes());
+    out.extend(whole.plan.seed.to_le_bytes());
+    out.extend(whole.plan.enough.to_le_bytes());
+    out.push(u8::from(whole.is_priced));
+    let (tag, means) = match &whole.weights {
+        Weights::Alike => (0, &[][..]),
+        Weights::Structure(mean) => (1, std::slice::from_ref(mean)),
+        Weights::Masking(means) => (2, &means[..]),
+    };
+    out.push(tag);
+    means.iter().chain([&whole.detail]).for_each(|v| out.extend(v.to_le_bytes()));
+    put_counts(&mut out, [around.own.len(), around.others.len()])?;
+    around.own.iter().chain(&around.others).for_each(|p| p.put(&mut out));
+    Ok(closed(out))
+}
+
+fn put_counts(out: &mut Vec<u8>, counts: [usize; 2]) -> Result<()> {
+    for count in counts {
+        let count = u32::try_from(count).map_err(|_| refused("primitives", count as u64))?;
+        out.extend(count.to_le_bytes());
+    }
+    Ok(())
+}
+
+fn begun(kind: &[u8]) -> Vec<u8> {
+    [kind, VERSION, b"\n"].concat()
+}
+
+fn closed(mut out: Vec<u8>) -> Vec<u8> {
+    let checksum = hash(&out);
+    out.extend(checksum.to_le_bytes());
+    out
+}
+
+/// The name of a task: its checksum.
+fn name_of(task: &[u8]) -> u32 {
+    task.last_chunk().map_or(0, |c| u32::from_le_bytes(*c))
+}
+
+/// Checks what stands around the contents of a task or an answer, and returns these.
+fn opened<'a>(bytes: &'a [u8], kind: &'static [u8]) -> Result<Bytes<'a>> {
+    let wrong = |problem: String| Err(Error::Parameter { name: "bytes", problem });
+    let Some(rest) = bytes.strip_prefix(kind) else {
+        let kind = String::from_utf8_lossy(kind);
+        let found = String::from_utf8_lossy(&bytes[..bytes.len().min(kind.len())]);
+        return wrong(format!("{} bytes that begin with {found:?}, not with {kind:?}", bytes.len()));
+    };
+    let version = rest.iter().take(64).position(|&b| b == b'\n').map_or(rest, |end| &rest[..end]);
+    if version != VERSION {
+        let [found, own] = [version, VERSION].map(|v| String::from_utf8_lossy(&v[..v.len().min(64)]).into_owned());
+        return wrong(format!("made by version {found:?}, this is {own:?}"));
+    }
+    let start = kind.len() + version.len() + 1;
+    let Some((contents, stored)) = bytes[start..].split_last_chunk() else {
+        return Err(FormatError::Truncated { what: "checksum", offset: bytes.len() as u64 }.into());
+    };
+    let (stored, computed) = (u32::from_le_bytes(*stored), hash(&bytes[..bytes.len() - 4]));
+    if stored != computed {
+        return Err(FormatError::Checksum { what: "the bytes", stored, computed }.into());
+    }
+    Ok(Bytes::new(contents, start as u64))
+}
+
+/// Reads a number that is no less than 0 and not infinite.
+fn f64_of(bytes: &mut Bytes<'_>, field: &'static str) -> Result<f64> {
+    let value = f64::from_le_bytes(bytes.array(field)?);
+    if value.is_finite() && value >= 0.0 { Ok(value) } else { Err(refused(field, value.to_bits())) }
+}
+
+fn f32_of(bytes: &mut Bytes<'_>, field: &'static str) -> Result<f32> {
+    let value = f32::from_le_bytes(bytes.array(field)?);
+    if value.abs() <= FAR { Ok(value) } else { Err(refused(field, value.to_bits().into())) }
+}
+
+/// The pixels that a task brings, in their place in the picture.
+struct Cut {
+    size: [u32; 2],
+    area: Area,
+    pixels: Pixels,
+}
+
+impl PixelSource for Cut {
+    fn width(&self) -> u32 {
+        self.size[0]
+    }
+
+    fn height(&self) -> u32 {
+        self.size[1]
+    }
+
+    fn channels(&self) -> Channels {
+        self.pixels.channels()
+    }
+
+    fn depth(&self) -> Depth {
+        self.pixels.depth()
+    }
+
+    fn part(&self, area: [u32; 4]) -> Result<Pixels> {
+        self.pixels.part(self.area.inward(area))
+    }
+}
+
+fn cut_of(bytes: &mut Bytes<'_>, blank: &PackedSplats, area: Area) -> Result<Cut> {
+    let [width, height] = area.size;
+    let samples = u64::from(width) * u64::from(height) * blank.channels.count() as u64;
+    let samples = bytes.take(samples * blank.depth.bytes() as u64, "samples")?;
+    let samples = match blank.depth {
+        Depth::Eight => Samples::U8(samples.to_vec()),
+        Depth::Sixteen => Samples::U16(samples.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect()),
+    };
+    let pixels = Pixels::new(width, height, blank.channels, samples)?;
+    Ok(Cut { size: [blank.width, blank.height], area, pixels })
+}
+
+fn blank_of(bytes: &mut Bytes<'_>) -> Result<PackedSplats> {
+    let length = bytes.u32("file without primitives")?;
+    let blank = bitstream::read(bytes.take(length.into(), "file without primitives")?, &Limits::default())?;
+    if !blank.gaussians.is_empty() {
+        return Err(refused("number of primitives", blank.gaussians.len() as u64));
+    }
+    // Positions keep their places in a part.
+    if blank.steps.coarsest > UNIT.ilog2() as i8 {
+        return Err(refused("coarsest step", blank.steps.coarsest as u64));
+    }
+    Ok(blank)
+}
+
+fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Result<Whole<'a>> {
+    let mut background = [0.0; 4];
+    for v in &mut background {
+        *v = f32_of(bytes, "background")?;
+    }
+    let [effort] = bytes.array("effort")?;
+    if !(1..=9).contains(&effort) {
+        return Err(refused("effort", effort.into()));
+    }
+    let count = u64::from_le_bytes(bytes.array("number of primitives")?);
+    if count > MAX_PRIMITIVES {
+        return Err(refused("number of primitives", count));
+    }
+    let count = count as usize;
+    let seed = u64::from_le_bytes(bytes.array("seed")?);
+    let mut plan = whole::plan(effort, count, [blank.width, blank.height], seed);
+    plan.enough = f64_of(bytes, "enough")?;
+    let is_priced = match bytes.array("price")? {
+        [flag @ 0..=1] => flag == 1,
+        [other] => return Err(refused("price", other.into())),
+    };
+    let weights = match bytes.array("weights")? {
+        [0] => Weights::Alike,
+        [1] => Weights::Structure(f64_of(bytes, "weights")?),
+        [2] => {
+            let mut means = Means::default();
+            for mean in &mut means {
+                *mean = f64_of(bytes, "weights")?;
+            }
+            Weights::Masking(means)
+        }
+        [other] => return Err(refused("weights", other.into())),
+    };
+    let detail = f64_of(bytes, "detail")?;
+    let scene = Scene { width: blank.width, height: blank.height, blend: blank.blend, background };
+    Ok(Whole { source: cut, scene, plan, effort, count, blank, is_priced, weights, detail })
+}
+
+fn window_of(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {
+    let mut areas = [[0; 4]; 2];
+    for (area, field) in areas.iter_mut().zip(["tile", "pixels around the tile"]) {
+        for v in area.iter_mut() {
+            *v = bytes.u32(field)?;
+        }
+        check_area(*area, size)?;
+    }
+    let [core, seen] = areas.map(|[x, y, width, height]| Area { corner: [x, y], size: [width, height] });
+    check_area(seen.inward(core.bounds()), seen.size)?;
+    if let Some(&corner) = seen.corner.iter().find(|&v| v % UNIT != 0) {
+        return Err(refused("corner", corner.into()));
+    }
+    Ok(Window { core, seen, index: u64::from_le_bytes(bytes.array("number of the tile")?) })
+}
+
+/// What primitives are held against.
+pub(super) struct Bars {
+    size: [u32; 2],
+    whole: Rules,
+    /// Those of what is seen of a tile.
+    part: Rules,
+    corner: [u32; 2],
+}
+
+impl Bars {
+    fn new(whole: &Whole<'_>, window: &Window) -> Self {
+        Bars {
+            size: [whole.blank.width, whole.blank.height],
+            whole: Rules::of(&whole.blank),
+            part: Rules::of(&whole.draft(&window.seen)),
+            corner: window.seen.corner,
+        }
+    }
+}
+
+/// Primitives that go out to workers.
+pub(super) trait Parceled: Worked {
+    /// Writes which work is to be done.
+    fn put_work(work: Self::Work, out: &mut Vec<u8>);
+    fn put(&self, out: &mut Vec<u8>);
+    /// Reads one, and refuses what no encode makes.
+    fn read(bytes: &mut Bytes<'_>, bars: &Bars) -> Result<Self>;
+    /// Refuses one that does not lie in what is seen of a tile.
+    fn check_inside(&self, bars: &Bars) -> Result<()>;
+    /// Returns how many primitives of either kind there can be in an answer to work on `own` primitives.
+    fn most(work: Self::Work, own: usize) -> usize;
+}
+
+impl Parceled for Primitive {
+    fn put_work(work: FloatWork, out: &mut Vec<u8>) {
+        match work {
+            FloatWork::Begin => out.push(0),
+            FloatWork::Join(pass) => {
+                out.push(1);
+                out.extend((pass as u32).to_le_bytes());
+            }
+        }
+    }
+
+    fn put(&self, out: &mut Vec<u8>) {
+        let Primitive { mean, log_scale, rotation, color } = self;
+        let all = mean.iter().chain(log_scale).chain([rotation]).chain(color);
+        all.for_each(|v| out.extend(v.to_le_bytes()));
+    }
+
+    fn read(bytes: &mut Bytes<'_>, bars: &Bars) -> Result<Self> {
+        let mut next = |field| f32_of(bytes, field);
+        let mean = [next("x")?, next("y")?];
+        let log_scale = [next("scale")?, next("scale")?];
+        let rotation = next("angle")?;
+        let mut color = [0.0; 4];
+        for v in &mut color {
+            *v = next("colour")?;
+        }
+        for k in 0..2 {
+            // A mean on the edge may be rounded to beyond it.
+            if !(-1.0..=bars.size[k] as f32 + 1.0).contains(&mean[k]) {
+                return Err(refused(["x", "y"][k], mean[k].to_bits().into()));
+            }
+            if !(MIN_SCALE.ln()..=MAX_SCALE.ln()).contains(&log_scale[k]) {
+                return Err(refused("scale", log_scale[k].to_bits().into()));
+            }
+        }
+        Ok(Primitive { mean, log_scale, rotation, color })
+    }
+
+    /// The fit brings them there.
+    fn check_inside(&self, _: &Bars) -> Result<()> {
+        Ok(())
+    }
+
+    fn most(work: FloatWork, own: usize) -> usize {
+        match work {
+            FloatWork::Begin => MAX_PRIMITIVES as usize,
+            FloatWork::Join(_) => own,
+        }
+    }
+}
+
+impl Parceled for PackedGaussian {
+    fn put_work(work: IntegerWork, out: &mut Vec<u8>) {
+        match work {
+            IntegerWork::Weigh => out.push(2),
+            IntegerWork::Sweep(lambda) => {
+                out.push(3);
+                out.extend(lambda.to_le_bytes());
+            }
+            IntegerWork::Measure => out.push(4),
+        }
+    }
+
+    fn put(&self, out: &mut Vec<u8>) {
+        let PackedGaussian { x, y, major, minor, angle, color } = self;
+        [x, y].into_iter().for_each(|v| out.extend(v.to_le_bytes()));
+        out.extend([*major, *minor]);
+        out.extend(angle.to_le_bytes());
+        color.iter().for_each(|v| out.extend(v.to_le_bytes()));
+    }
+
+    fn read(bytes: &mut Bytes<'_>, bars: &Bars) -> Result<Self> {
+        let [x, y] = [bytes.u32("x")?, bytes.u32("y")?];
+        let [major, minor] = bytes.array("scales")?;
+        let angle = u16::from_le_bytes(bytes.array("angle")?);
+        let mut color = [0; 4];
+        for v in &mut color {
+            *v = i16::from_le_bytes(bytes.array("colour")?);
+        }
+        let p = PackedGaussian { x, y, major, minor, angle, color };
+        bars.whole.primitive(&p)?;
+        Ok(p)
+    }
+
+    fn check_inside(&self, bars: &Bars) -> Result<()> {
+        let exponents = bars.whole.lattice.exponents(self.major, self.minor, self.angle);
+        let inside = |v: u32, k: usize| v.checked_sub(integers::steps(bars.corner[k], exponents[k]));
+        let (Some(x), Some(y)) = (inside(self.x, 0), inside(self.y, 1)) else {
+            return Err(refused("position", self.x.into()));
+        };
+        Ok(bars.part.position([x, y], exponents)?)
+    }
+
+    fn most(work: IntegerWork, own: usize) -> usize {
+        match work {
+            IntegerWork::Sweep(_) => own.max(integers::others(own)),
+            _ => 0,
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! The work on a tile: what can be done with it, and with which primitives around it.
+
+use super::floats::{self, Show};
+use super::grid::{Area, Window};
+use super::integers::{self, Part};
+use super::mosaic::{Around, Became, Mosaic};
+use super::whole::Whole;
+use crate::bitstream::splats::PackedGaussian;
+use crate::error::Result;
+use crate::fit::model::project::Primitive;
+
+/// Work on the floats of a tile.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum FloatWork {
+    /// The fit of a tile by itself.
+    Begin,
+    /// The fit goes on, in so-and-so many of [`floats::JOINED`].
+    Join(usize),
+}
+
+/// Work on the integers of a tile.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum IntegerWork {
+    /// Look at the error, weighted as it is fitted.
+    Weigh,
+    /// A sweep, in which a bit must save so much of the squared error.
+    Sweep(f64),
+    /// Look at the error that is stored.
+    Measure,
+}
+
+/// Primitives that can be worked on. What comes of it follows from the whole, the window, the work and the primitives alone,
+/// wherever it is done.
+pub(super) trait Worked: Copy {
+    /// What can be done with them.
+    type Work: Copy;
+
+    /// Returns the pixels that the work takes.
+    fn pixels(window: &Window, work: Self::Work) -> Area;
+
+    /// Does the work.
+    fn work(
+        whole: &Whole<'_>,
+        what: (&Window, Self::Work),
+        around: Around<Self>,
+        show: Show<'_>,
+    ) -> Result<Became<Self>>;
+
+    /// Returns the primitives that the work takes.
+    fn around(mosaic: &Mosaic<'_, Self>, window: &Window, work: Self::Work) -> Around<Self> {
+        mosaic.around(&window.core, &Self::pixels(window, work))
+    }
+}
+
+impl Worked for Primitive {
+    type Work = FloatWork;
+
+    fn pixels(window: &Window, _: FloatWork) -> Area {
+        window.seen
+    }
+
+    fn work(
+        whole: &Whole<'_>,
+        (window, work): (&Window, FloatWork),
+        around: Around<Self>,
+        show: Show<'_>,
+    ) -> Result<Became<Self>> {
+        match work {
+            FloatWork::Begin => floats::begin(whole, window, show),
+            FloatWork::Join(pass) => floats::join(whole, (pass, window), around, show),
+        }
+    }
+}
+
+impl Worked for PackedGaussian {
+    type Work = IntegerWork;
+
+    fn pixels(window: &Window, work: IntegerWork) -> Area {
+        match work {
+            IntegerWork::Measure => window.core,
+            _ => window.seen,
+        }
+    }
+
+    fn work(
+        whole: &Whole<'_>,
+        (window, work): (&Window, IntegerWork),
+        around: Around<Self>,
+        _: Show<'_>,
+    ) -> Result<Became<Self>> {
+        match work {
+            IntegerWork::Weigh => Ok(Became::seen(Part::new(whole, window, around).error()?)),
+            IntegerWork::Sweep(lambda) => Part::new(whole, window, around).sweep(lambda),
+            IntegerWork::Measure => Ok(Became::seen(integers::plain_error(whole, &window.core, around)?)),
+        }
+    }
+}
