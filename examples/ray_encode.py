@@ -13,15 +13,26 @@ Paths are handed out and read inside the task: one broken file must not end the 
 writes its rows when it is through, under a name that is the same when Ray runs it again after a worker died. So every
 picture has one row, and at most the work of a block is done twice.
 
+One picture that is too large for one machine's patience is divided among the workers, tile by tile:
+
+    python examples/ray_encode.py huge.ppm huge.ssplat --split --ratio 100
+
+The file is the one that `ssplat encode --tiles` writes. A task holds the pixels of its tile: workers need not see the
+picture. A binary PNM is read a part at a time; what else Pillow opens is in this machine's memory. With `--keep FOLDER`
+the answers stay there, and a run that was stopped is gone on with by the same command.
+
 With Dask, `client.map(functools.partial(encode_one, source=..., out=..., options=...), paths)` gives the same rows;
 with Spark, `mapInPandas`.
 """
 
 import argparse
+import functools
+import hashlib
 import io
 import json
 import os
 import posixpath
+import re
 import sys
 import time
 
@@ -130,6 +141,64 @@ def run(source, out, options, *, block=16, again=False, encode=encode_one):
     return len(paths)
 
 
+def open_whole(path):
+    """What `ssplat.encode` takes: a binary PNM as a memory map, else the path."""
+    import numpy as np
+    from PIL import Image
+
+    with open(path, "rb") as file:
+        start = file.read(1 << 12)
+    header = re.match(rb"P([56])(?:\s+#.*)*\s+(\d+)(?:\s+#.*)*\s+(\d+)(?:\s+#.*)*\s+255\s", start)
+    if header:
+        width, height = int(header[2]), int(header[3])
+        shape = (height, width) if header[1] == b"5" else (height, width, 3)
+        return np.memmap(path, np.uint8, "r", header.end(), shape)
+    # Whoever asks for this knows that the picture is large.
+    Image.MAX_IMAGE_PIXELS = None
+    return path
+
+
+def work_on(task):
+    """Works on a tile."""
+    import ssplat
+
+    return ssplat.work_on_tile(task, threads=1)
+
+
+def split(path, out, options, *, side=2048, at_once=None, keep=None, work=work_on, progress=None):
+    """Encodes one picture on the Ray cluster that is connected, in tiles of `side` pixels; returns the file's bytes."""
+    import ray
+    import ssplat
+
+    @ray.remote(num_cpus=1)
+    def on_tile(task):
+        return work(task)
+
+    def start(task):
+        if keep is None:
+            return functools.partial(ray.get, on_tile.remote(task))
+        # Equal tasks have equal answers: their name is what they hold.
+        name = hashlib.sha256(task).hexdigest()
+        fs, root = fsspec.url_to_fs(keep)
+        if fs.exists(posixpath.join(root, name)):
+            return functools.partial(fs.cat_file, posixpath.join(root, name))
+        answer = on_tile.remote(task)
+
+        def wait():
+            found = ray.get(answer)
+            write_whole(keep, name, found)
+            return found
+
+        return wait
+
+    # One task for each worker, and one that waits for it.
+    at_once = at_once or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
+    data = ssplat.encode(open_whole(path), tiles=side, start=start, at_once=at_once, progress=progress, **options)
+    folder, name = posixpath.split(out)
+    write_whole(folder or ".", name, data)
+    return data
+
+
 def main(arguments=None):
     parser = argparse.ArgumentParser(description="Encodes pictures on a Ray cluster.")
     parser.add_argument("source", help="folder or fsspec URL of the pictures")
@@ -141,6 +210,8 @@ def main(arguments=None):
     parser.add_argument("--effort", type=int, default=5)
     parser.add_argument("--block", type=int, default=16, help="pictures in a task (default 16)")
     parser.add_argument("--again", action="store_true", help="try pictures with errors once more")
+    parser.add_argument("--split", type=int, nargs="?", const=2048, metavar="SIDE", help="divide one picture into tiles")
+    parser.add_argument("--keep", help="with --split: folder or fsspec URL for the answers, to go on from")
     parser.add_argument("--address", help="the cluster's; by default one on this machine")
     a = parser.parse_args(arguments)
     import ray
@@ -150,6 +221,10 @@ def main(arguments=None):
     local = [p if "://" in p else os.path.abspath(p) for p in (a.source, a.out)]
     ray.init(address=a.address)
     start = time.perf_counter()
+    if a.split:
+        data = split(*local, options, side=a.split, keep=a.keep)
+        print(f"{len(data)} bytes in {time.perf_counter() - start:.1f} s")
+        return 0
     count = run(*local, options, block=a.block, again=a.again)
     seconds = time.perf_counter() - start
     table = read_manifest(local[1])

@@ -1,8 +1,9 @@
 //! NumPy arrays to pixels and back: rows × columns, or rows × columns × channels.
 
-use numpy::{IntoPyArray, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
+use numpy::{IntoPyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use ssplat::{Channels, Pixels, Samples};
+use pyo3::types::PySlice;
+use ssplat::{Channels, Depth, PixelSource, Pixels, Samples};
 
 use crate::failure::{exception, parameter};
 
@@ -16,6 +17,12 @@ pub fn pixels(name: &'static str, array: &Bound<'_, PyAny>) -> PyResult<Pixels> 
         return Err(parameter(name, "an array of uint8 or uint16 in native byte order is needed"));
     };
     let samples = samples.map_err(|e| parameter(name, e.to_string()))?;
+    let ([width, height], channels) = form(name, &shape)?;
+    Pixels::new(width, height, channels, samples).map_err(exception)
+}
+
+/// Width, height and channels of an array of this shape.
+fn form(name: &'static str, shape: &[usize]) -> PyResult<([u32; 2], Channels)> {
     let channels = match shape[..] {
         [_, _] => Some(Channels::Grey),
         [_, _, n] => Channels::from_count(n),
@@ -25,7 +32,64 @@ pub fn pixels(name: &'static str, array: &Bound<'_, PyAny>) -> PyResult<Pixels> 
         parameter(name, format!("shape {shape:?} is neither (height, width) nor (height, width, 1 to 4)"))
     })?;
     let side = |v: usize| u32::try_from(v).unwrap_or(u32::MAX);
-    Pixels::new(side(shape[1]), side(shape[0]), channels, samples).map_err(exception)
+    Ok(([side(shape[1]), side(shape[0])], channels))
+}
+
+/// A memory map, of which only the parts that are asked for are read.
+pub struct Mapped {
+    name: &'static str,
+    array: Py<PyAny>,
+    size: [u32; 2],
+    channels: Channels,
+    depth: Depth,
+}
+
+impl Mapped {
+    /// Takes an array of 8 or 16 bits in native byte order.
+    pub fn new(name: &'static str, array: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let (shape, depth) = if let Ok(a) = array.cast::<PyArrayDyn<u8>>() {
+            (a.shape().to_vec(), Depth::Eight)
+        } else if let Ok(a) = array.cast::<PyArrayDyn<u16>>() {
+            (a.shape().to_vec(), Depth::Sixteen)
+        } else {
+            return Err(parameter(name, "an array of uint8 or uint16 in native byte order is needed"));
+        };
+        let (size, channels) = form(name, &shape)?;
+        // The rules for sides are those of pictures in memory.
+        if let Some(side) = size.iter().find(|side| !(1..=1 << 20).contains(*side)) {
+            return Err(parameter(name, format!("shape {shape:?}: a side of {side} is outside 1..=1048576")));
+        }
+        Ok(Mapped { name, array: array.clone().unbind(), size, channels, depth })
+    }
+}
+
+impl PixelSource for Mapped {
+    fn width(&self) -> u32 {
+        self.size[0]
+    }
+
+    fn height(&self) -> u32 {
+        self.size[1]
+    }
+
+    fn channels(&self) -> Channels {
+        self.channels
+    }
+
+    fn depth(&self) -> Depth {
+        self.depth
+    }
+
+    fn part(&self, area: [u32; 4]) -> ssplat::Result<Pixels> {
+        ssplat::pixel_source::check_area(area, self.size)?;
+        let [x, y, width, height] = area.map(|v| v as isize);
+        let read = |py: Python<'_>| {
+            let [rows, columns] = [(y, height), (x, width)].map(|(from, n)| PySlice::new(py, from, from + n, 1));
+            let part = self.array.bind(py).get_item((rows, columns))?;
+            pixels(self.name, &py.import("numpy")?.call_method1("ascontiguousarray", (part,))?)
+        };
+        Python::attach(|py| read(py).map_err(|e| ssplat::Error::Io(std::io::Error::other(e.to_string()))))
+    }
 }
 
 /// The array that takes the samples over: rows × columns for grey, else rows × columns × channels.

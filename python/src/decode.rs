@@ -104,6 +104,6 @@ pub fn decode<'py>(
     let job = Job::new(&data, &options)?;
     let pixels = u64::from(job.view.width()) * u64::from(job.view.height());
     let threads = work::threads(options.threads, usize::try_from(pixels / PIXELS_A_THREAD).unwrap_or(usize::MAX))?;
-    let (pixels, missing) = work::run(py, threads, None, move |_| job.run(&data))?;
+    let (pixels, missing) = work::run(py, threads, &work::Calls::default(), move |_| job.run(&data))?;
     Ok((array::array(py, pixels)?, (missing.primitives, missing.groups, missing.of_groups)))
 }

@@ -5,10 +5,14 @@ use std::time::Duration;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyBytes;
-use ssplat::{EncodeOptions, Target, Thumbnail};
+use ssplat::{EncodeOptions, PixelSource, Progress, Target, Thumbnail, Workers};
 
 use crate::failure::{integer, parameter};
+use crate::work::{Calls, Reporter};
 use crate::{array, names, work};
+
+/// Most tasks that may be out at a time.
+const MOST_TASKS: i128 = 1 << 16;
 
 /// The options of `ssplat.encode`, all of them.
 #[derive(FromPyObject)]
@@ -86,19 +90,80 @@ impl Options {
     }
 }
 
-/// The file of a contiguous array of uint8 or uint16.
+/// The file of a contiguous array of uint8 or uint16, or of a memory map. `workers` is what starts a task for others, and how
+/// many of these are to be out at a time.
 #[pyfunction]
 pub fn encode<'py>(
     py: Python<'py>,
     image: &Bound<'py, PyAny>,
     options: Options,
     progress: Option<&Bound<'py, PyAny>>,
+    workers: Option<(Bound<'py, PyAny>, i128)>,
 ) -> PyResult<Bound<'py, PyBytes>> {
     let threads = work::threads(options.threads, usize::MAX)?;
     let parsed = options.parse()?;
-    let pixels = array::pixels("image", image)?;
-    let encoded = work::run(py, threads, progress, move |reporter| {
-        ssplat::encode_with_progress(&pixels, &parsed, &mut |p| reporter.step(p))
+    let (start, at_once) = workers.unzip();
+    let at_once = match at_once {
+        Some(n @ 1..=MOST_TASKS) => Some(n as usize),
+        Some(n) => return Err(parameter("at_once", format!("{n} is outside 1..={MOST_TASKS}"))),
+        None => None,
+    };
+    let source = source(image)?;
+    let calls = Calls { progress, start: start.as_ref() };
+    let encoded = work::run(py, threads, &calls, move |reporter| {
+        let mut progress = |p: &Progress| reporter.step(p);
+        match at_once {
+            Some(at_once) => {
+                let mut others = Others { reporter, at_once };
+                ssplat::encode_divided(&*source, &parsed, &mut others, &mut progress)
+            }
+            None => ssplat::encode_source(&*source, &parsed, &mut progress),
+        }
     })?;
     Ok(PyBytes::new(py, &encoded.bytes))
+}
+
+/// The answer to a task.
+#[pyfunction]
+pub fn work_on_tile<'py>(
+    py: Python<'py>,
+    task: PyBackedBytes,
+    threads: Option<i128>,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyBytes>> {
+    let threads = work::threads(threads, usize::MAX)?;
+    let calls = Calls { progress, start: None };
+    let answer =
+        work::run(py, threads, &calls, move |reporter| ssplat::work_on_tile(&task, &mut |p| reporter.step(p)))?;
+    Ok(PyBytes::new(py, &answer))
+}
+
+/// The pixels of an array: those of a memory map are read as they are needed, others are copied.
+fn source(image: &Bound<'_, PyAny>) -> PyResult<Box<dyn PixelSource + Send>> {
+    let is_mapped = image.is_instance(&image.py().import("numpy")?.getattr("memmap")?)?;
+    Ok(match is_mapped {
+        true => Box::new(array::Mapped::new("image", image)?),
+        false => Box::new(array::pixels("image", image)?),
+    })
+}
+
+/// Workers behind the calling thread.
+struct Others<'a> {
+    reporter: &'a Reporter,
+    at_once: usize,
+}
+
+impl Workers for Others<'_> {
+    fn give(&mut self, task: Vec<u8>) -> ssplat::Result<()> {
+        self.reporter.start(task);
+        Ok(())
+    }
+
+    fn take(&mut self) -> ssplat::Result<Vec<u8>> {
+        self.reporter.wait()
+    }
+
+    fn at_once(&self) -> usize {
+        self.at_once
+    }
 }

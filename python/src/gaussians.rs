@@ -13,7 +13,7 @@ use crate::{info, names, work};
 /// The primitives of `data`, level by level, and all that [`from_gaussians`] takes.
 #[pyfunction]
 pub fn gaussians<'py>(py: Python<'py>, data: PyBackedBytes) -> PyResult<Bound<'py, PyDict>> {
-    let (splats, floats) = work::run(py, 1, None, move |_| {
+    let (splats, floats) = work::run(py, 1, &work::Calls::default(), move |_| {
         let splats = bitstream::read(&data[..], &Limits::default())?;
         let floats = Floats::of(&splats);
         Ok((splats, floats))
@@ -164,7 +164,7 @@ pub fn from_gaussians<'py>(
     let picture = options.picture(gaussians.collect(), channels)?;
     let how = options.parse()?;
     let most = options.bytes.unwrap_or(i128::MAX);
-    let file = work::run(py, 1, None, move |_| bitstream::to_bytes(&ssplat::pack(&picture, &how)?))?;
+    let file = work::run(py, 1, &work::Calls::default(), move |_| bitstream::to_bytes(&ssplat::pack(&picture, &how)?))?;
     // With steps of the caller's own there is nothing to choose.
     if file.len() as i128 > most {
         return Err(parameter("bytes", format!("{most} cannot hold {n} primitives: {} are needed", file.len())));

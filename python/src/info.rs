@@ -23,7 +23,7 @@ type Section = Option<Py<PyBytes>>;
 /// `(ICC profile, EXIF block)`, reading as little of the file as its layout allows.
 #[pyfunction]
 pub fn metadata(py: Python<'_>, data: PyBackedBytes) -> PyResult<(Section, Section)> {
-    let Metadata { icc, exif, .. } = work::run(py, 1, None, move |_| {
+    let Metadata { icc, exif, .. } = work::run(py, 1, &work::Calls::default(), move |_| {
         let opening = Opening::new(&data, &Limits::default())?;
         let corner = opening.view().crop(0, 0, 1, 1)?;
         Ok(opening.read_for(&corner, Damage::Refuse)?.into_metadata())
@@ -35,7 +35,8 @@ pub fn metadata(py: Python<'_>, data: PyBackedBytes) -> PyResult<(Section, Secti
 /// Everything but the primitives.
 #[pyfunction]
 pub fn info<'py>(py: Python<'py>, data: PyBackedBytes) -> PyResult<Bound<'py, PyDict>> {
-    let (splats, report) = work::run(py, 1, None, move |_| bitstream::inspect(&data, &Limits::default()))?;
+    let (splats, report) =
+        work::run(py, 1, &work::Calls::default(), move |_| bitstream::inspect(&data, &Limits::default()))?;
     let h = &report.header;
     let d = PyDict::new(py);
     d.set_item("width", h.width)?;

@@ -1,6 +1,7 @@
 //! The codec as the Python module `ssplat._ssplat`; `package/ssplat` dresses it for people.
 //!
-//! Arrays come in by one copy, so that other threads may change them meanwhile, and go out by none. Everything runs
+//! Arrays come in by one copy, so that other threads may change them meanwhile, but memory maps are read as they are needed;
+//! arrays go out by none. Everything runs
 //! without the interpreter's lock on threads of its own; see [`work`].
 
 mod array;
@@ -22,6 +23,7 @@ fn _ssplat(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add("FORMAT_VERSION", ssplat::bitstream::header::VERSION)?;
     m.add("MAGIC", pyo3::types::PyBytes::new(m.py(), &ssplat::bitstream::header::MAGIC))?;
     m.add_function(wrap_pyfunction!(encode::encode, m)?)?;
+    m.add_function(wrap_pyfunction!(encode::work_on_tile, m)?)?;
     m.add_function(wrap_pyfunction!(decode::decode, m)?)?;
     m.add_function(wrap_pyfunction!(info::header, m)?)?;
     m.add_function(wrap_pyfunction!(info::info, m)?)?;

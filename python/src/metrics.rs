@@ -14,7 +14,8 @@ pub fn compare<'py>(
     threads: Option<i128>,
 ) -> PyResult<(f64, Option<f64>, Option<f64>)> {
     let (a, b) = (array::pixels("a", a)?, array::pixels("b", b)?);
-    let found = work::run(py, work::threads(threads, usize::MAX)?, None, move |_| metrics::compare(&a, &b))?;
+    let found =
+        work::run(py, work::threads(threads, usize::MAX)?, &work::Calls::default(), move |_| metrics::compare(&a, &b))?;
     Ok((found.psnr, found.ssim, found.ms_ssim))
 }
 
@@ -27,5 +28,5 @@ pub fn psnr<'py>(
     threads: Option<i128>,
 ) -> PyResult<f64> {
     let (a, b) = (array::pixels("a", a)?, array::pixels("b", b)?);
-    work::run(py, work::threads(threads, usize::MAX)?, None, move |_| metrics::psnr(&a, &b))
+    work::run(py, work::threads(threads, usize::MAX)?, &work::Calls::default(), move |_| metrics::psnr(&a, &b))
 }

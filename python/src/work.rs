@@ -4,6 +4,7 @@
 //! works like any other, which a pool of the whole process would not. The calling thread only listens, so that a
 //! signal is answered at once wherever the work is; the work itself ends at its next step.
 
+use std::collections::VecDeque;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -12,6 +13,8 @@ use std::thread::available_parallelism;
 use std::time::Duration;
 
 use pyo3::prelude::*;
+use pyo3::pybacked::PyBackedBytes;
+use pyo3::types::PyBytes;
 use rayon::ThreadPoolBuilder;
 use ssplat::{Error, Progress, Result};
 
@@ -23,15 +26,19 @@ const LISTEN: Duration = Duration::from_millis(20);
 /// Most threads of a call.
 const MOST: i128 = 1024;
 
-/// What the work tells the calling thread.
+/// What the work tells the calling thread, or asks of it.
 enum Message<T> {
     Step { stage: &'static str, done: f32 },
+    Start { task: Vec<u8> },
+    Wait { answer: Sender<Vec<u8>> },
     End(Result<T>),
 }
 
 /// The work's end of the line.
 pub struct Reporter {
     step: Box<dyn Fn(&'static str, f32) + Send>,
+    start: Box<dyn Fn(Vec<u8>) + Send>,
+    wait: Box<dyn Fn(Sender<Vec<u8>>) + Send>,
     stopped: Arc<AtomicBool>,
 }
 
@@ -41,6 +48,28 @@ impl Reporter {
         (self.step)(progress.stage, progress.done);
         if self.stopped.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
+
+    /// Has a task for others started.
+    pub fn start(&self, task: Vec<u8>) {
+        (self.start)(task);
+    }
+
+    /// Waits for the answer to the task that was started first of those still unanswered.
+    pub fn wait(&self) -> Result<Vec<u8>> {
+        let (sender, receiver) = channel();
+        (self.wait)(sender);
+        // The calling thread has left.
+        receiver.recv().map_err(|_| Error::Cancelled)
+    }
+}
+
+/// The calls that the work makes in the calling thread.
+#[derive(Default)]
+pub struct Calls<'a, 'py> {
+    /// Takes a stage and the share of it that is done.
+    pub progress: Option<&'a Bound<'py, PyAny>>,
+    /// Starts a task, and returns what waits for its answer.
+    pub start: Option<&'a Bound<'py, PyAny>>,
 }
 
 /// How many threads to use: what was asked for, else one for each core but no more than `useful`.
@@ -52,12 +81,12 @@ pub fn threads(asked: Option<i128>, useful: usize) -> PyResult<usize> {
     }
 }
 
-/// Runs `work` on `threads` threads; `progress`, if any, is called in the calling thread with a stage and the share of
-/// it that is done, and stops the work by raising or by returning `False`.
+/// Runs `work` on `threads` threads; `calls` are made in the calling thread, and stop the work by raising; `progress` also
+/// by returning `False`.
 pub fn run<T: Send + 'static>(
     py: Python<'_>,
     threads: usize,
-    progress: Option<&Bound<'_, PyAny>>,
+    calls: &Calls<'_, '_>,
     work: impl FnOnce(&Reporter) -> Result<T> + Send + 'static,
 ) -> PyResult<T> {
     // A panic drops the sender, which the listener notices.
@@ -69,24 +98,28 @@ pub fn run<T: Send + 'static>(
     pool.spawn(move || {
         let _ = sender.send(Message::End(work(&reporter)));
     });
-    let result = listen(py, &Mutex::new(receiver), progress);
+    let result = listen(py, &Mutex::new(receiver), calls);
     // Whoever leaves early takes the work with him.
     stopped.store(true, Ordering::Relaxed);
     result
 }
 
 fn reporter<T: Send + 'static>(sender: Sender<Message<T>>, stopped: Arc<AtomicBool>) -> Reporter {
+    let [to_start, to_wait] = [sender.clone(), sender.clone()];
     let step = Box::new(move |stage, done| {
         let _ = sender.send(Message::Step { stage, done });
     });
-    Reporter { step, stopped }
+    let start = Box::new(move |task| {
+        let _ = to_start.send(Message::Start { task });
+    });
+    let wait = Box::new(move |answer| {
+        let _ = to_wait.send(Message::Wait { answer });
+    });
+    Reporter { step, start, wait, stopped }
 }
 
-fn listen<T: Send>(
-    py: Python<'_>,
-    receiver: &Mutex<Receiver<Message<T>>>,
-    progress: Option<&Bound<'_, PyAny>>,
-) -> PyResult<T> {
+fn listen<T: Send>(py: Python<'_>, receiver: &Mutex<Receiver<Message<T>>>, calls: &Calls<'_, '_>) -> PyResult<T> {
+    let mut started = VecDeque::new();
     loop {
         let message = py.detach(|| {
             let receiver = receiver.lock().unwrap_or_else(PoisonError::into_inner);
@@ -95,11 +128,26 @@ fn listen<T: Send>(
         match message {
             Ok(Message::End(result)) => return result.map_err(exception),
             Ok(Message::Step { stage, done }) => {
-                if let Some(progress) = progress {
+                if let Some(progress) = calls.progress {
                     let answer = progress.call1((stage, done))?;
                     if answer.extract::<bool>().is_ok_and(|go_on| !go_on) {
                         return Err(exception(Error::Cancelled));
                     }
+                }
+            }
+            Ok(Message::Start { task }) => {
+                if let Some(start) = calls.start {
+                    started.push_back(start.call1((PyBytes::new(py, &task),))?);
+                }
+            }
+            Ok(Message::Wait { answer }) => {
+                if let Some(task) = started.pop_front() {
+                    let found = task.call0()?;
+                    let found = found.extract::<PyBackedBytes>().map_err(|_| {
+                        let kind = found.get_type();
+                        parameter("start", format!("a task was answered by {kind}, not by bytes"))
+                    })?;
+                    let _ = answer.send(found.to_vec());
                 }
             }
             Err(RecvTimeoutError::Timeout) => {}

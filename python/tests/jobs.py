@@ -30,3 +30,16 @@ class DiesOnce:
         import ray_encode
 
         return ray_encode.encode_one(path, *arguments)
+
+
+class TileDiesOnce:
+    """Works on tiles; kills its own worker the first time."""
+
+    def __init__(self, marker):
+        self.marker = marker
+
+    def __call__(self, task):
+        if not os.path.exists(self.marker):
+            pathlib.Path(self.marker).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return ssplat.work_on_tile(task, threads=1)

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 import ssplat
-from jobs import DiesOnce
+from jobs import DiesOnce, TileDiesOnce
 from pictures import ROOT, waves
 from PIL import Image
 
@@ -107,3 +107,32 @@ def test_a_folder_of_other_options_is_refused(cluster, folders):
     ray_encode.run(source, out, OPTIONS)
     with pytest.raises(SystemExit, match=json.dumps({"bytes": 300, "effort": 1})):
         ray_encode.run(source, out, OPTIONS | {"effort": 2})
+
+
+def test_one_picture_is_divided_and_becomes_the_file_of_one_machine(cluster, tmp_path):
+    options = {"bytes": 900, "effort": 1}
+    path, out, marker = tmp_path / "in.ppm", tmp_path / "out" / "out.ssplat", tmp_path / "died"
+    Image.fromarray(waves(200, 270)).save(path)
+    here = ssplat.encode(path, tiles=128, **options)
+    data = ray_encode.split(str(path), str(out), options, side=128, work=TileDiesOnce(str(marker)))
+    assert data == here == out.read_bytes()
+    assert marker.exists()
+
+
+def test_a_divided_picture_is_gone_on_with_where_it_was_stopped(cluster, tmp_path):
+    options = {"bytes": 900, "effort": 1}
+    path, out, keep = tmp_path / "in.png", tmp_path / "out.ssplat", tmp_path / "answers"
+    Image.fromarray(waves(200, 270)).save(path)
+
+    def stop(stage, done):
+        if stage == "finish":
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        ray_encode.split(str(path), str(out), options, side=128, keep=str(keep), progress=stop)
+    assert not out.exists()
+    before = {name: (keep / name).stat().st_mtime_ns for name in os.listdir(keep)}
+    assert len(before) > 20
+    ray_encode.split(str(path), str(out), options, side=128, keep=str(keep))
+    assert out.read_bytes() == ssplat.encode(path, tiles=128, **options)
+    assert all((keep / name).stat().st_mtime_ns == at for name, at in before.items())

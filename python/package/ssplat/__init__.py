@@ -12,7 +12,7 @@ processes. What goes wrong is a subclass of :class:`Error`; see :mod:`ssplat.err
 from __future__ import annotations
 
 from . import metrics
-from ._codec import decode, encode, info
+from ._codec import decode, encode, info, work_on_tile
 from ._primitives import from_gaussians, gaussians
 from ._ssplat import FORMAT_VERSION, __version__
 from .errors import (
@@ -45,6 +45,7 @@ __all__ = [
     "gaussians",
     "info",
     "metrics",
+    "work_on_tile",
 ]
 
 try:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from . import _ssplat
-from ._input import content, exif_of, pixels
+from ._input import content, exif_of, source
 from .errors import PartialWarning
 
 if TYPE_CHECKING:
@@ -40,6 +40,8 @@ def encode(
     backend: Literal["auto", "cpu", "gpu"] = "auto",
     icc_profile: bytes | None = _KEEP,
     exif: bytes | None = _KEEP,
+    start: Callable[[bytes], Callable[[], bytes]] | None = None,
+    at_once: int = 4,
 ) -> bytes:
     """Encodes a picture and returns the bytes of a file. Equal arguments give equal bytes on any number of threads.
 
@@ -47,7 +49,8 @@ def encode(
         image: an array of uint8 or uint16 with shape (height, width) or (height, width, 1 to 4 channels: grey, grey and
             alpha, RGB, RGBA); a Pillow image; or the path of a picture that Pillow can open. The samples are copied
             once, so the array may change meanwhile. An array that is not contiguous or not in native byte order is
-            copied once more. Other types are a ParameterError.
+            copied once more. Other types are a ParameterError. Of a ``numpy.memmap`` with ``tiles`` only the parts at work
+            are in memory.
         ratio: bytes of the samples with 8 bits each over bytes of the file. 50 when nothing else is asked for.
         bytes: largest size of the file.
         psnr: PSNR to reach, dB; the smallest file found that does.
@@ -70,13 +73,19 @@ def encode(
         backend: the device; only a build with the feature ``gpu`` has another than the CPU.
         icc_profile: profile to carry. By default that of the picture, if it has one.
         exif: EXIF block to carry, with or without ``Exif\\0\\0`` before it. By default that of the picture.
+        start: has others work on the tiles. It is called in this thread with the bytes of a task, hands them to a worker who
+            calls :func:`work_on_tile` on them, and returns a function that waits for the answer: with a pool of
+            ``concurrent.futures``, ``lambda task: pool.submit(ssplat.work_on_tile, task).result``. The file is the same
+            as without. What it raises stops the encode.
+        at_once: how many tasks may be out, each with the pixels of a tile: enough to keep all workers busy.
 
     Raises:
-        ParameterError: an argument is out of range, or the size cannot hold the picture.
+        ParameterError: an argument is out of range, the size cannot hold the picture, or an answer to a task is none; then
+            the text names the tile.
         CancelledError: ``progress`` returned False.
         KeyboardInterrupt: at once; the work ends at its next step.
     """
-    array, own_profile, own_exif = pixels("image", image)
+    array, own_profile, own_exif = source("image", image)
     options = {
         "ratio": ratio,
         "bytes": bytes,
@@ -97,7 +106,27 @@ def encode(
         "icc_profile": own_profile if icc_profile is _KEEP else icc_profile,
         "exif": own_exif if exif is _KEEP else exif_of(exif),
     }
-    return _ssplat.encode(array, options, progress)
+    return _ssplat.encode(array, options, progress, None if start is None else (start, at_once))
+
+
+def work_on_tile(
+    task: bytes, *, threads: int | None = None, progress: Callable[[str, float], object] | None = None
+) -> bytes:
+    """Works on a tile for an :func:`encode` elsewhere that gave ``start`` a task. Equal tasks have equal answers.
+
+    Args:
+        task: the bytes that ``start`` was called with. They hold all that is needed, the pixels too.
+        threads: how many to use; None: one for each core.
+        progress: as for :func:`encode`; the stage is ``tile``.
+
+    Returns:
+        The answer, for the encode.
+
+    Raises:
+        ParameterError: these bytes are no task, or one of another version of this package.
+        CancelledError: ``progress`` returned False.
+    """
+    return _ssplat.work_on_tile(task, threads, progress)
 
 
 def decode(

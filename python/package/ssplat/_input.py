@@ -70,6 +70,13 @@ def pixels(name: str, image: ImageLike) -> tuple[np.ndarray, bytes | None, bytes
     return contiguous(name, image), None, None
 
 
+def source(name: str, image: ImageLike) -> tuple[np.ndarray, bytes | None, bytes | None]:
+    """As :func:`pixels`, but a memory map stays what it is: its parts are read when they are needed."""
+    if isinstance(image, np.memmap) and image.dtype.isnative:
+        return image, None, None
+    return pixels(name, image)
+
+
 def exif_of(block: Any) -> bytes | None:
     """An EXIF block as files hold it: from its TIFF header on."""
     if block is None:

@@ -19,13 +19,20 @@ __all__ = [
     "info",
     "metadata",
     "psnr",
+    "work_on_tile",
 ]
 
 __version__: str
 FORMAT_VERSION: int
 MAGIC: bytes
 
-def encode(image: np.ndarray, options: Mapping[str, Any], progress: Callable[[str, float], object] | None) -> bytes: ...
+def encode(
+    image: np.ndarray,
+    options: Mapping[str, Any],
+    progress: Callable[[str, float], object] | None,
+    workers: tuple[Callable[[bytes], Callable[[], bytes]], int] | None,
+) -> bytes: ...
+def work_on_tile(task: bytes, threads: int | None, progress: Callable[[str, float], object] | None) -> bytes: ...
 def decode(data: bytes, options: Mapping[str, Any]) -> tuple[np.ndarray, tuple[int, int, int]]: ...
 def header(data: bytes) -> tuple[int, int, int, int, bool]: ...
 def info(data: bytes) -> dict[str, Any]: ...
