@@ -122,7 +122,7 @@ def left_to_do(source, out, options, again=False):
     return [path for path in list_pictures(source) if path not in done]
 
 
-def run(source, out, options, *, block=16, again=False, encode=encode_one):
+def run(source, out, options, *, block=None, again=False, encode=encode_one):
     """Encodes what is left to do on the Ray cluster that is connected, and returns how many pictures that were."""
     import ray
 
@@ -134,7 +134,9 @@ def run(source, out, options, *, block=16, again=False, encode=encode_one):
         rows = [encode(path, source, out, options) for path in batch["path"].to_pylist()]
         return pa.Table.from_pylist(rows, schema=SCHEMA)
 
-    blocks = -(-len(paths) // block)
+    # Few pictures in a task leave no worker idle at the end; sixteen make its start cheap.
+    cores = max(1, int(ray.cluster_resources().get("CPU", 1)))
+    blocks = -(-len(paths) // (block or min(16, max(1, len(paths) // (8 * cores)))))
     ray.data.from_items([{"path": path} for path in paths], override_num_blocks=blocks).map_batches(
         encode_block, batch_size=None, batch_format="pyarrow", num_cpus=1
     ).write_parquet(out.rstrip("/") + "/" + MANIFEST)
@@ -208,9 +210,9 @@ def main(arguments=None):
     size.add_argument("--bytes", type=int)
     size.add_argument("--psnr", type=float)
     parser.add_argument("--effort", type=int, default=5)
-    parser.add_argument("--block", type=int, default=16, help="pictures in a task (default 16)")
+    parser.add_argument("--block", type=int, help="pictures in a task (by default 1 to 16)")
     parser.add_argument("--again", action="store_true", help="try pictures with errors once more")
-    parser.add_argument("--split", type=int, nargs="?", const=2048, metavar="SIDE", help="divide one picture into tiles")
+    parser.add_argument("--split", type=int, nargs="?", const=2048, metavar="SIDE", help="divide one picture in tiles")
     parser.add_argument("--keep", help="with --split: folder or fsspec URL for the answers, to go on from")
     parser.add_argument("--address", help="the cluster's; by default one on this machine")
     a = parser.parse_args(arguments)

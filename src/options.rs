@@ -143,7 +143,7 @@ pub struct EncodeOptions {
     /// 2²⁸ pixels are fitted in tiles of 2048, others as a whole. A picture no larger than a tile is fitted as a whole.
     ///
     /// Tiles bound the memory that a fit takes. They are fitted on the CPU, in the coded layout, for a size or a number of
-    /// primitives, and their file carries no thumbnail.
+    /// primitives.
     pub tiles: Option<u32>,
     /// Whether to measure quality along the way.
     pub trace: Trace,

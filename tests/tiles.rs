@@ -5,8 +5,8 @@ use std::ops::ControlFlow;
 
 use ssplat::bitstream::splats::Layout;
 use ssplat::{
-    Backend, Blend, Channels, DecodeOptions, EncodeOptions, Encoded, Error, Pixels, Recipe, Samples, Target, Thumbnail,
-    Trace, Tune, Workers,
+    Backend, Blend, Channels, DecodeOptions, EncodeOptions, Encoded, Error, Limits, Needs, Omission, Pixels, Recipe,
+    Samples, Target, Thumbnail, Trace, Tune, Workers,
 };
 
 /// Waves and edges of many sizes, all over.
@@ -95,6 +95,56 @@ fn the_number_of_primitives_is_about_as_asked_in_tiles() {
     assert!((590..=610).contains(&encoded.report.primitives), "{}", encoded.report.primitives);
 }
 
+/// The thumbnail of a file.
+fn carried(bytes: &[u8]) -> Option<Vec<u8>> {
+    ssplat::bitstream::read(bytes, &Limits::default()).unwrap().metadata.thumbnail
+}
+
+#[test]
+fn a_file_of_tiles_carries_a_thumbnail_within_its_size() {
+    let pixels = picture(300, 200, Channels::Rgb);
+    for (target, most) in [(Target::Bytes(3000), 3000), (Target::Primitives(300), u64::MAX)] {
+        let mut options = options(target, Some(128));
+        (options.thumbnail, options.levels) = (Thumbnail::Bytes(400), 2);
+        let encoded = ssplat::encode(&pixels, &options).unwrap();
+        assert!(encoded.bytes.len() as u64 <= most, "{} of {most}", encoded.bytes.len());
+        let small = carried(&encoded.bytes).expect("a thumbnail");
+        assert!((200..=400).contains(&small.len()), "{}", small.len());
+        let small = ssplat::decode(&small, &DecodeOptions::default()).unwrap().pixels;
+        let mut reduced = DecodeOptions::default();
+        reduced.size = Some([small.width(), small.height()]);
+        let drawn = ssplat::decode(&encoded.bytes, &reduced).unwrap().pixels;
+        let psnr = ssplat::metrics::compare(&drawn, &small).unwrap().psnr;
+        assert!(psnr > 12.0, "{psnr}");
+    }
+    let plain = ssplat::encode(&pixels, &options(Target::Bytes(3000), Some(128))).unwrap().bytes;
+    assert_eq!(carried(&plain), None);
+}
+
+#[test]
+fn channels_that_say_nothing_are_left_out_of_tiles() {
+    let grey = picture(300, 200, Channels::Grey);
+    let Samples::U8(samples) = grey.samples() else { panic!("8 bits") };
+    let samples = samples.iter().flat_map(|&v| [v, v, v, 255]).collect();
+    let pixels = Pixels::new(300, 200, Channels::Rgba, Samples::U8(samples)).unwrap();
+    let mut options = options(Target::Bytes(2000), Some(128));
+    let alone = ssplat::encode(&grey, &options).unwrap();
+    let encoded = ssplat::encode(&pixels, &options).unwrap();
+    assert_eq!(encoded.report.left_out.iter().map(|l| &l.what).collect::<Vec<_>>(), [&Omission::ColorAndAlpha]);
+    assert!((1940..=2000).contains(&encoded.bytes.len()), "{}", encoded.bytes.len());
+    let decoded = ssplat::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
+    let Samples::U8(samples) = decoded.samples() else { panic!("8 bits") };
+    assert!(samples.chunks_exact(4).all(|p| p[0] == p[1] && p[1] == p[2] && p[3] == 255));
+    // A quarter of the samples is always right.
+    let (psnr, of_grey) = (encoded.report.psnr - 10.0 * (4f64 / 3.0).log10(), alone.report.psnr);
+    assert!((psnr - of_grey).abs() < 0.2, "{psnr} and {of_grey}");
+    assert!((encoded.report.float_psnr - encoded.report.psnr).abs() < 3.0, "{:?}", encoded.report);
+    let there = encode_by(&pixels, &options, &mut Elsewhere::new(2, &|_, answer| answer)).unwrap();
+    assert!(there == encoded.bytes);
+    options.needs = Needs::Everything;
+    assert!(ssplat::encode(&pixels, &options).unwrap().report.left_out.is_empty());
+}
+
 #[test]
 fn a_picture_of_one_colour_comes_back_from_tiles() {
     let pixels = Pixels::new(300, 140, Channels::Rgb, Samples::U8([200, 90, 30].repeat(300 * 140))).unwrap();
@@ -162,22 +212,20 @@ fn encode_by(pixels: &Pixels, options: &EncodeOptions, workers: &mut Elsewhere<'
 
 #[test]
 fn a_picture_that_is_divided_among_workers_becomes_the_same_file() {
-    for (channels, tune, blend, levels) in [
-        (Channels::Rgb, Tune::Iq, Blend::Normalized, 1),
-        (Channels::GreyAlpha, Tune::Ssim, Blend::Sum, 2),
-        (Channels::Rgba, Tune::Psnr, Blend::Normalized, 1),
+    for (channels, tune, (blend, levels), at_once) in [
+        (Channels::Rgb, Tune::Iq, (Blend::Normalized, 1), 1),
+        (Channels::GreyAlpha, Tune::Ssim, (Blend::Sum, 2), 2),
+        (Channels::Rgba, Tune::Psnr, (Blend::Normalized, 1), 4),
     ] {
         let pixels = picture(260, 150, channels);
         let mut options = options(Target::Bytes(1500), Some(128));
         (options.tune, options.blend, options.levels) = (Some(tune), Some(blend), levels);
         options.icc = Some(vec![7; 60]);
         let here = ssplat::encode(&pixels, &options).unwrap().bytes;
-        for at_once in [1, 3] {
-            let mut workers = Elsewhere::new(at_once, &|_, answer| answer);
-            assert!(encode_by(&pixels, &options, &mut workers).unwrap() == here, "{channels:?}, {at_once} at once");
-            // Six tiles by themselves, and all passes after that.
-            assert!(workers.given.len() > 6 * 5, "{}", workers.given.len());
-        }
+        let mut workers = Elsewhere::new(at_once, &|_, answer| answer);
+        assert!(encode_by(&pixels, &options, &mut workers).unwrap() == here, "{channels:?}, {at_once} at once");
+        // Six tiles by themselves, and all passes after that.
+        assert!(workers.given.len() > 6 * 5, "{}", workers.given.len());
     }
     let deep: Vec<u16> = (0..200 * 140u32).map(|i| (i * 7919 % 65_521) as u16).collect();
     let deep = Pixels::new(200, 140, Channels::Grey, Samples::U16(deep)).unwrap();
@@ -191,7 +239,7 @@ fn a_tile_that_is_worked_on_twice_becomes_the_same() {
     let pixels = picture(200, 140, Channels::Rgb);
     let mut workers = Elsewhere::new(2, &|_, answer| answer);
     encode_by(&pixels, &options(Target::Bytes(1000), Some(128)), &mut workers).unwrap();
-    for task in &workers.given {
+    for task in workers.given.iter().step_by(3) {
         assert!(work_on(task).unwrap() == work_on(task).unwrap());
     }
 }
@@ -342,7 +390,6 @@ fn what_tiles_cannot_do_is_a_parameter_error() {
     refused("tiles", &|o| o.recipe = Recipe::SmartSplat(Default::default()));
     refused("tiles", &|o| o.backend = Backend::Gpu);
     refused("tiles", &|o| o.trace = Trace::On);
-    refused("tiles", &|o| o.thumbnail = Thumbnail::Bytes(500));
     refused("bytes", &|o| o.target = Target::Bytes(3));
 }
 

@@ -14,29 +14,57 @@ pub(super) struct Narrow {
     pub what: Omission,
 }
 
+/// What channels say nothing.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Silent {
+    grey: bool,
+    opaque: bool,
+}
+
+impl Silent {
+    /// Looks at `pixels`.
+    pub(super) fn of(pixels: &Pixels) -> Self {
+        let channels = pixels.channels();
+        let (grey, opaque) = match pixels.samples() {
+            Samples::U8(v) => (is_grey(v, channels), is_opaque(v, channels, u8::MAX)),
+            Samples::U16(v) => (is_grey(v, channels), is_opaque(v, channels, u16::MAX)),
+        };
+        Silent { grey, opaque }
+    }
+
+    /// What is silent in both of two parts.
+    pub(super) fn and(self, other: Self) -> Self {
+        Silent { grey: self.grey && other.grey, opaque: self.opaque && other.opaque }
+    }
+
+    /// Returns the channels of a picture of `channels` that say something, and names the others; `None` where all do.
+    pub(super) fn rest(self, channels: Channels) -> Option<(Channels, Omission)> {
+        let color = channels.count() >= 3 && !self.grey;
+        let alpha = channels.alpha().is_some() && !self.opaque;
+        match (color, alpha) {
+            (true, false) if channels == Channels::Rgba => Some((Channels::Rgb, Omission::Alpha)),
+            (false, true) if channels == Channels::Rgba => Some((Channels::GreyAlpha, Omission::Color)),
+            (false, false) if channels == Channels::Rgba => Some((Channels::Grey, Omission::ColorAndAlpha)),
+            (false, false) if channels == Channels::Rgb => Some((Channels::Grey, Omission::Color)),
+            (false, false) if channels == Channels::GreyAlpha => Some((Channels::Grey, Omission::Alpha)),
+            _ => None,
+        }
+    }
+}
+
 /// Returns `pixels` without alpha where all is opaque and without colour where all is grey; `None` where all channels count.
 pub(super) fn narrow(pixels: &Pixels) -> Option<Narrow> {
-    let channels = pixels.channels();
-    let (grey, opaque) = match pixels.samples() {
-        Samples::U8(v) => (is_grey(v, channels), is_opaque(v, channels, u8::MAX)),
-        Samples::U16(v) => (is_grey(v, channels), is_opaque(v, channels, u16::MAX)),
-    };
-    let color = channels.count() >= 3 && !grey;
-    let alpha = channels.alpha().is_some() && !opaque;
-    let (to, what) = match (color, alpha) {
-        (true, false) if channels == Channels::Rgba => (Channels::Rgb, Omission::Alpha),
-        (false, true) if channels == Channels::Rgba => (Channels::GreyAlpha, Omission::Color),
-        (false, false) if channels == Channels::Rgba => (Channels::Grey, Omission::ColorAndAlpha),
-        (false, false) if channels == Channels::Rgb => (Channels::Grey, Omission::Color),
-        (false, false) if channels == Channels::GreyAlpha => (Channels::Grey, Omission::Alpha),
-        _ => return None,
-    };
+    let (to, what) = Silent::of(pixels).rest(pixels.channels())?;
+    Some(Narrow { pixels: narrowed(pixels, to), what })
+}
+
+/// Returns `pixels` with only the channels of `to`.
+pub(super) fn narrowed(pixels: &Pixels, to: Channels) -> Pixels {
     let samples = match pixels.samples() {
-        Samples::U8(v) => Samples::U8(kept(v, channels, to)),
-        Samples::U16(v) => Samples::U16(kept(v, channels, to)),
+        Samples::U8(v) => Samples::U8(kept(v, pixels.channels(), to)),
+        Samples::U16(v) => Samples::U16(kept(v, pixels.channels(), to)),
     };
-    let pixels = Pixels::new(pixels.width(), pixels.height(), to, samples).expect("as many samples as the size says");
-    Some(Narrow { pixels, what })
+    Pixels::new(pixels.width(), pixels.height(), to, samples).expect("as many samples as the size says")
 }
 
 fn is_grey<T: PartialEq>(samples: &[T], channels: Channels) -> bool {

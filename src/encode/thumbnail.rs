@@ -1,8 +1,11 @@
 //! The thumbnail that a large file carries: the coded picture drawn small, and encoded as a file of its own.
 
+use std::ops::ControlFlow;
+
 use super::channels::widen;
 use super::job::{Encoding, Outcome};
 use super::{Encoded, Progress, encode_with_progress};
+use crate::bitstream::splats::PackedSplats;
 use crate::error::{Error, Result};
 use crate::limits::Limits;
 use crate::options::{Backend, EncodeOptions, Target, Thumbnail};
@@ -24,27 +27,67 @@ const EFFORT: u8 = 2;
 /// The part of a time budget that is kept for it.
 const TIME: u32 = 20;
 
+/// Returns the bytes that the thumbnail of a picture of `size` pixels may take in a file of `bytes`, 0 without one.
+pub(super) fn room(options: &EncodeOptions, size: [u32; 2], bytes: u64) -> u64 {
+    match options.thumbnail {
+        Thumbnail::Never => 0,
+        Thumbnail::Bytes(most) => most.into(),
+        Thumbnail::Auto if bytes < LARGE || size[0].max(size[1]) <= SIDE => 0,
+        Thumbnail::Auto => (bytes / SHARE).min(MOST),
+    }
+}
+
+/// Returns what of `size` is left for the picture beside a thumbnail of `room` bytes.
+pub(super) fn beside(size: Size, room: u64) -> Size {
+    match size {
+        Size::Bytes(most) if room > 0 => Size::Bytes(most.saturating_sub(room + HEAD)),
+        size => size,
+    }
+}
+
+/// Returns a thumbnail of at most `most` bytes: `splats`, drawn small. `show` is told the share that is done.
+pub(super) fn of(
+    splats: &PackedSplats,
+    most: u64,
+    options: &EncodeOptions,
+    show: &mut dyn FnMut(f32) -> ControlFlow<()>,
+) -> Result<Vec<u8>> {
+    let whole = View::of_size(splats.width, splats.height);
+    // What the encoder made is no stranger's file.
+    let limits = Limits { tile_pairs: u64::MAX, work: u64::MAX, overlap: u64::MAX, ..Limits::default() };
+    let small = splats.renderer(&whole.fitted([SIDE; 2])?, &limits)?.render(splats.depth)?;
+    let options = EncodeOptions {
+        target: Target::Bytes(most),
+        effort: options.effort.min(EFFORT),
+        time: options.time.map(|t| t / TIME),
+        seed: options.seed,
+        tune: options.tune,
+        backend: Backend::Cpu,
+        thumbnail: Thumbnail::Never,
+        ..EncodeOptions::default()
+    };
+    let made = encode_with_progress(&small, &options, &mut |p| show(p.done));
+    let Encoded { bytes, .. } = made.map_err(|e| match e {
+        Error::Parameter { name: "bytes", problem } => Error::Parameter { name: "thumbnail", problem },
+        e => e,
+    })?;
+    Ok(bytes)
+}
+
 impl Encoding<'_> {
-    /// Returns the bytes that the thumbnail may take in a file of `bytes`, 0 without one.
     fn thumbnail_bytes(&self, bytes: u64) -> u64 {
         let pixels = self.subject.pixels;
-        match self.subject.options.thumbnail {
-            Thumbnail::Never => 0,
-            Thumbnail::Bytes(most) => most.into(),
-            Thumbnail::Auto if bytes < LARGE || pixels.width().max(pixels.height()) <= SIDE => 0,
-            Thumbnail::Auto => (bytes / SHARE).min(MOST),
-        }
+        room(self.subject.options, [pixels.width(), pixels.height()], bytes)
     }
 
     /// Returns what of `size` is left for the picture, and keeps time for the thumbnail.
     pub(super) fn beside_thumbnail(&mut self, size: Size) -> Size {
         let Size::Bytes(most) = size else { return size };
-        let bytes = self.thumbnail_bytes(most);
-        if bytes == 0 {
-            return size;
+        let room = self.thumbnail_bytes(most);
+        if room > 0 {
+            self.time = self.time.map(|t| t - t / TIME);
         }
-        self.time = self.time.map(|t| t - t / TIME);
-        Size::Bytes(most.saturating_sub(bytes + HEAD))
+        beside(size, room)
     }
 
     /// Puts the thumbnail into a file that was made for `size`, where it is to have one.
@@ -60,27 +103,9 @@ impl Encoding<'_> {
         let channels = self.subject.channels();
         let wide = (!self.subject.is_whole()).then(|| widen(&outcome.splats, channels));
         let splats = wide.as_ref().unwrap_or(&outcome.splats);
-        let whole = View::of_size(splats.width, splats.height);
-        // What the encoder made is no stranger's file.
-        let limits = Limits { tile_pairs: u64::MAX, work: u64::MAX, overlap: u64::MAX, ..Limits::default() };
-        let small = splats.renderer(&whole.fitted([SIDE; 2])?, &limits)?.render(splats.depth)?;
-        let options = EncodeOptions {
-            target: Target::Bytes(most),
-            effort: self.subject.options.effort.min(EFFORT),
-            time: self.subject.options.time.map(|t| t / TIME),
-            seed: self.subject.options.seed,
-            tune: self.subject.options.tune,
-            backend: Backend::Cpu,
-            thumbnail: Thumbnail::Never,
-            ..EncodeOptions::default()
-        };
         let journal = &mut self.journal;
-        let made = encode_with_progress(&small, &options, &mut |p| {
-            (journal.progress)(&Progress { stage: "thumbnail", done: p.done, psnr: None })
-        });
-        let Encoded { bytes, .. } = made.map_err(|e| match e {
-            Error::Parameter { name: "bytes", problem } => Error::Parameter { name: "thumbnail", problem },
-            e => e,
+        let bytes = of(splats, most, self.subject.options, &mut |done| {
+            (journal.progress)(&Progress { stage: "thumbnail", done, psnr: None })
         })?;
         outcome.splats.metadata.thumbnail = Some(bytes);
         outcome.bytes = self.subject.file(&outcome.splats)?;

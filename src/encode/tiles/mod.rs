@@ -9,6 +9,7 @@ mod floats;
 mod grid;
 mod integers;
 mod mosaic;
+mod narrow;
 mod parcel;
 mod task;
 mod whole;
@@ -16,10 +17,12 @@ mod whole;
 use std::collections::VecDeque;
 
 use super::aim;
+use super::channels::widen;
 use super::file;
 use super::job::{decibels, enough, excess};
-use super::report::Journal;
-use super::subject;
+use super::report::{Journal, Progress};
+use super::subject::{self, may_leave_out};
+use super::thumbnail;
 use super::workers::Hands;
 use super::{EncodeReport, Encoded};
 use crate::bitstream;
@@ -28,7 +31,7 @@ use crate::error::{Error, Result};
 use crate::fit::model::problem::Scene;
 use crate::fit::model::project::Primitive;
 use crate::gaussian::Blend;
-use crate::options::{Backend, EncodeOptions, Recipe, Target, Thumbnail, Trace};
+use crate::options::{Backend, EncodeOptions, Recipe, Target, Trace};
 use crate::pixel_source::PixelSource;
 use crate::quantize::Quantizer;
 use crate::round::finish::SLOPE;
@@ -36,6 +39,7 @@ use crate::round::rounded;
 use crate::round::size::Size;
 use grid::{Grid, Shift, UNIT, Window};
 use mosaic::{Became, Mosaic, Placed};
+use narrow::Narrowed;
 pub use parcel::work_on_tile;
 use parcel::{Parceled, Sent};
 use task::{FloatWork, IntegerWork};
@@ -68,27 +72,41 @@ pub(super) fn encode(
 ) -> Result<Encoded> {
     check(options)?;
     let blend = options.blend.unwrap_or(Blend::Normalized);
-    let mut blank = subject::empty(source.size(), (source.channels(), source.depth()), blend, options);
-    let samples = blank_samples(&blank);
-    let fixed = bitstream::to_bytes(&blank)?.len() as u64;
-    let metadata = std::mem::take(&mut blank.metadata);
-    let (size, count) = aimed(options, samples, fixed)?;
-    let scene = Scene { width: blank.width, height: blank.height, blend, background: [0.0; 4] };
-    let mut plan = whole::plan(options.effort, count, [blank.width, blank.height], options.seed);
-    plan.enough = enough(options.target, blank.depth);
-    let typical = f64::from(scene.typical_scale(count));
+    let wide = subject::empty(source.size(), (source.channels(), source.depth()), blend, options);
+    let samples = samples_of(&wide);
+    let fixed = bitstream::to_bytes(&wide)?.len() as u64;
+    let asked = aimed(options, samples, fixed);
+    let room = match asked {
+        Size::Bytes(most) => thumbnail::room(options, source.size(), most),
+        Size::Free => 0,
+    };
+    let size = thumbnail::beside(asked, room);
+    let count = begun(options, size, (samples, fixed))?;
+    let typical =
+        f64::from(Scene { width: wide.width, height: wide.height, blend, background: [0.0; 4] }.typical_scale(count));
     let margin = ((MARGIN * typical) as u32).next_multiple_of(UNIT).clamp(UNIT, side.max(UNIT));
-    let grid = Grid { size: [blank.width, blank.height], half: side / 2, margin };
+    let grid = Grid { size: source.size(), half: side / 2, margin };
+    let looked_at = if may_leave_out(options) { grid.windows() } else { Vec::new() };
+    let (narrowed, left_out) = Narrowed::new(source, &looked_at, || journal.show("survey", 0.0))?;
+    if let Some(what) = left_out {
+        journal.note(what, 0, 0.0);
+    }
+    let metadata = wide.metadata;
+    let blank = PackedSplats { channels: narrowed.channels(), metadata: Metadata::default(), ..wide };
+    let scene = Scene { width: blank.width, height: blank.height, blend, background: [0.0; 4] };
+    let mut plan = whole::plan(options.effort, count, source.size(), options.seed);
+    plan.enough = enough(options.target, blank.depth);
+    let samples = samples_of(&blank);
     let clock = journal.seconds();
     let file = (scene, blank, matches!(size, Size::Bytes(_)));
     let work = (options.effort, plan, count, options.favoured());
-    let whole = Whole::survey(source, file, work, &grid.windows(), |done| journal.show("survey", done))?;
+    let whole = Whole::survey(&narrowed, file, work, &grid.windows(), |done| journal.show("survey", done))?;
     journal.stage("survey", clock);
-    let mut course = Course { grid, journal, whole, hands, metadata, size, fixed, samples };
+    let mut course = Course { options, source, grid, journal, whole, hands, metadata, asked, size, fixed, samples };
     let look = |p: &Primitive| p.to_gaussian();
     let mut floats = Mosaic::new(&grid, &look);
     let error = course.fit(&mut floats)?;
-    course.finish(floats, error, options.levels)
+    course.finish(floats, error)
 }
 
 fn check(options: &EncodeOptions) -> Result<()> {
@@ -99,20 +117,19 @@ fn check(options: &EncodeOptions) -> Result<()> {
         o if matches!(o.target, Target::Psnr(_)) => bad("a PSNR cannot be aimed at in tiles"),
         o if o.time.is_some() => bad("a budget of time cannot be kept in tiles"),
         o if o.backend == Backend::Gpu => bad("tiles are fitted on the CPU"),
-        o if matches!(o.thumbnail, Thumbnail::Bytes(_)) => bad("a file of tiles carries no thumbnail"),
         o if o.trace == Trace::On => bad("a fit in tiles cannot be traced"),
         _ => Ok(()),
     }
 }
 
-fn blank_samples(blank: &PackedSplats) -> f64 {
+fn samples_of(blank: &PackedSplats) -> f64 {
     f64::from(blank.width) * f64::from(blank.height) * blank.channels.count() as f64
 }
 
-/// Returns the size of the file that is asked for, and with how many primitives the fit begins.
-fn aimed(options: &EncodeOptions, samples: f64, fixed: u64) -> Result<(Size, usize)> {
-    let bytes = match options.target {
-        Target::Primitives(count) => return Ok((Size::Free, count as usize)),
+/// Returns the size of the file that is asked for.
+fn aimed(options: &EncodeOptions, samples: f64, fixed: u64) -> Size {
+    Size::Bytes(match options.target {
+        Target::Primitives(_) => return Size::Free,
         Target::Bytes(bytes) => bytes,
         Target::Ratio(ratio) => (samples / ratio).floor() as u64,
         _ => {
@@ -120,13 +137,22 @@ fn aimed(options: &EncodeOptions, samples: f64, fixed: u64) -> Result<(Size, usi
             let metadata = length(options.icc.as_ref()) + length(options.exif.as_ref());
             ((samples / aim::RATIO) as u64 + metadata).max(fixed + aim::LEAST)
         }
+    })
+}
+
+/// Returns with how many primitives the fit begins, for a file of `size` that takes `fixed` bytes without any.
+fn begun(options: &EncodeOptions, size: Size, (samples, fixed): (f64, u64)) -> Result<usize> {
+    let bytes = match (size, options.target) {
+        (Size::Bytes(bytes), _) => bytes,
+        (Size::Free, Target::Primitives(count)) => return Ok(count as usize),
+        (Size::Free, _) => 0,
     };
     if bytes < fixed {
         let problem = format!("{bytes} bytes cannot hold the picture: {fixed} are needed without any primitive");
         return Err(Error::Parameter { name: "bytes", problem });
     }
     let count = ((bytes - fixed) as f64 * 8.0 / aim::CODED_BITS) as u64;
-    Ok((Size::Bytes(bytes), count.min(aim::MAX_PRIMITIVES).min(samples as u64) as usize))
+    Ok(count.min(aim::MAX_PRIMITIVES).min(samples as u64) as usize)
 }
 
 /// An encode in tiles on its way.
@@ -136,9 +162,16 @@ struct Course<'a, 'b, 'c> {
     whole: Whole<'b>,
     hands: Hands<'c>,
     metadata: Metadata,
+    options: &'b EncodeOptions,
+    /// The picture with all its channels.
+    source: &'b dyn PixelSource,
+    /// What is asked for.
+    asked: Size,
+    /// That without a thumbnail.
     size: Size,
     /// Bytes of the file without primitives.
     fixed: u64,
+    /// Samples of what is fitted.
     samples: f64,
 }
 
@@ -264,10 +297,12 @@ impl Course<'_, '_, '_> {
     /// Returns the bytes that a primitive takes.
     fn price(&mut self, mosaic: &Mosaic<'_, Primitive>, error: f64) -> Result<f64> {
         let quantizer = self.set_steps(mosaic, error);
-        self.whole.blank.gaussians = mosaic.all().map(|p| quantizer.quantize(&p.what.to_gaussian())).collect();
-        let bytes = bitstream::to_bytes(&self.whole.blank)?.len() as u64;
-        self.whole.blank.gaussians = Vec::new();
-        Ok((bytes.saturating_sub(self.fixed) as f64 / mosaic.count().max(1) as f64).max(0.5))
+        let blank = &mut self.whole.blank;
+        let fixed = bitstream::to_bytes(blank)?.len();
+        blank.gaussians = mosaic.all().map(|p| quantizer.quantize(&p.what.to_gaussian())).collect();
+        let bytes = bitstream::to_bytes(blank)?.len();
+        blank.gaussians = Vec::new();
+        Ok((bytes.saturating_sub(fixed) as f64 / mosaic.count().max(1) as f64).max(0.5))
     }
 
     /// Chooses the steps of the file.
@@ -287,9 +322,9 @@ impl Course<'_, '_, '_> {
     }
 
     /// Rounds `floats`, whose squared error is `error`, and brings them to the size that is asked for.
-    fn finish(mut self, floats: Mosaic<'_, Primitive>, error: f64, levels: u8) -> Result<Encoded> {
+    fn finish(mut self, floats: Mosaic<'_, Primitive>, error: f64) -> Result<Encoded> {
         let clock = self.journal.seconds();
-        let float_psnr = decibels(error, self.samples);
+        let float_error = error;
         let quantizer = self.set_steps(&floats, error);
         let look = |p: &PackedGaussian| quantizer.dequantize(p);
         let mut mosaic = Mosaic::new(&self.grid, &look);
@@ -298,7 +333,7 @@ impl Course<'_, '_, '_> {
         }
         drop(floats);
         let sweeps = self.whole.plan.sweeps.max(2);
-        let mut bytes = self.write(&mosaic, levels)?;
+        let mut bytes = self.write(&mosaic)?;
         let mut error = self.weighted_error(&mosaic)?;
         for round in 0..sweeps + MORE_SWEEPS {
             let lambda = SLOPE * error / (8.0 * bytes.len() as f64);
@@ -306,7 +341,7 @@ impl Course<'_, '_, '_> {
             let stretch = Stretch::part("finish", round as usize, (sweeps + MORE_SWEEPS) as usize);
             let others;
             (others, error) = self.pass((stretch, shift), IntegerWork::Sweep(lambda), &mut mosaic)?;
-            bytes = self.write(&mosaic, levels)?;
+            bytes = self.write(&mosaic)?;
             let Size::Bytes(most) = self.size else {
                 if round + 1 == sweeps {
                     break;
@@ -326,23 +361,54 @@ impl Course<'_, '_, '_> {
                     false => count + ((most - length) as f64 / each * FILLED) as usize,
                 };
                 mosaic.balance(others, wanted, 0);
-                bytes = self.write(&mosaic, levels)?;
+                bytes = self.write(&mosaic)?;
             }
         }
-        bytes = self.within(&mut mosaic, bytes, levels)?;
+        bytes = self.within(&mut mosaic, bytes)?;
         self.journal.stage("finish", clock);
-        self.report(&mosaic, bytes, float_psnr)
+        bytes = self.with_thumbnail(&mosaic, bytes)?;
+        self.report(&mosaic, bytes, float_error)
     }
 
     /// Writes the file.
-    fn write(&self, mosaic: &Mosaic<'_, PackedGaussian>, levels: u8) -> Result<Vec<u8>> {
+    fn write(&self, mosaic: &Mosaic<'_, PackedGaussian>) -> Result<Vec<u8>> {
+        let mut splats = self.splats(mosaic);
+        let bytes = file::smallest(&mut splats, self.options.levels)?;
+        match self.source.channels() {
+            all if all == splats.channels => Ok(bytes),
+            all => bitstream::to_bytes(&widen(&splats, all)),
+        }
+    }
+
+    /// Returns what is fitted.
+    fn splats(&self, mosaic: &Mosaic<'_, PackedGaussian>) -> PackedSplats {
         let gaussians = mosaic.all().map(|p| p.what).collect();
-        let metadata = self.metadata.clone();
-        file::smallest(&mut PackedSplats { gaussians, metadata, ..self.whole.blank.clone() }, levels)
+        PackedSplats { gaussians, metadata: self.metadata.clone(), ..self.whole.blank.clone() }
+    }
+
+    /// Returns the file with its thumbnail, where it is to have one; `bytes` is that without.
+    fn with_thumbnail(&mut self, mosaic: &Mosaic<'_, PackedGaussian>, bytes: Vec<u8>) -> Result<Vec<u8>> {
+        let length = match self.asked {
+            Size::Bytes(most) => most,
+            Size::Free => bytes.len() as u64,
+        };
+        let most = thumbnail::room(self.options, self.source.size(), length);
+        if most == 0 {
+            return Ok(bytes);
+        }
+        let clock = self.journal.seconds();
+        let splats = widen(&self.splats(mosaic), self.source.channels());
+        let progress = &mut *self.journal.progress;
+        let small = thumbnail::of(&splats, most, self.options, &mut |done| {
+            progress(&Progress { stage: "thumbnail", done, psnr: None })
+        })?;
+        self.metadata.thumbnail = Some(small);
+        self.journal.stage("thumbnail", clock);
+        self.write(mosaic)
     }
 
     /// Takes away what is too much.
-    fn within(&self, mosaic: &mut Mosaic<'_, PackedGaussian>, mut bytes: Vec<u8>, levels: u8) -> Result<Vec<u8>> {
+    fn within(&self, mosaic: &mut Mosaic<'_, PackedGaussian>, mut bytes: Vec<u8>) -> Result<Vec<u8>> {
         let Size::Bytes(most) = self.size else { return Ok(bytes) };
         while bytes.len() as u64 > most {
             let count = mosaic.count();
@@ -352,7 +418,7 @@ impl Course<'_, '_, '_> {
             }
             let each = (bytes.len() as f64 / count as f64).max(1.0);
             mosaic.remove_cheapest(((bytes.len() as u64 - most) as f64 / each).ceil() as usize);
-            bytes = self.write(mosaic, levels)?;
+            bytes = self.write(mosaic)?;
         }
         Ok(bytes)
     }
@@ -362,21 +428,41 @@ impl Course<'_, '_, '_> {
         Ok(self.turn(stretch, &self.grid.windows(), IntegerWork::Weigh, mosaic)?.iter().map(|b| b.error).sum())
     }
 
-    fn report(mut self, mosaic: &Mosaic<'_, PackedGaussian>, bytes: Vec<u8>, float_psnr: f64) -> Result<Encoded> {
+    fn report(mut self, mosaic: &Mosaic<'_, PackedGaussian>, bytes: Vec<u8>, float_error: f64) -> Result<Encoded> {
         let clock = self.journal.seconds();
-        let stretch = Stretch::part("measure", 0, 1);
-        let measured = self.turn(stretch, &self.grid.windows(), IntegerWork::Measure, mosaic)?;
-        let error = measured.iter().map(|b| b.error).sum();
+        let is_whole = self.source.channels() == self.whole.blank.channels;
+        let parts = if is_whole { 1 } else { 2 };
+        let mut error = self.measured(Stretch::part("measure", 0, parts), mosaic)?;
+        let mut float_error = float_error;
+        if !is_whole {
+            // The channels that were left out weigh as they do in the file.
+            let wide = widen(&self.splats(mosaic), self.source.channels());
+            (self.whole.source, self.whole.blank) =
+                (self.source, PackedSplats { gaussians: Vec::new(), ..wide.clone() });
+            let quantizer = self.whole.blank.quantizer();
+            let look = |p: &PackedGaussian| quantizer.dequantize(p);
+            let mut all = Mosaic::new(&self.grid, &look);
+            wide.gaussians.into_iter().for_each(|what| all.insert(Placed { what, cost: 0.0 }));
+            let fitted = std::mem::replace(&mut error, self.measured(Stretch::part("measure", 1, parts), &all)?);
+            float_error *= if fitted > 0.0 { error / fitted } else { 1.0 };
+        }
+        let samples = samples_of(&self.whole.blank);
         self.journal.stage("measure", clock);
         let report = EncodeReport {
             primitives: mosaic.count(),
-            psnr: decibels(error, self.samples),
-            float_psnr,
+            psnr: decibels(error, samples),
+            float_psnr: decibels(float_error, samples),
             seconds: self.journal.seconds(),
             stages: self.journal.stages,
             left_out: self.journal.left_out,
             ..EncodeReport::default()
         };
         Ok(Encoded { bytes, report })
+    }
+
+    /// Returns the squared error of what is stored.
+    fn measured(&mut self, stretch: Stretch, mosaic: &Mosaic<'_, PackedGaussian>) -> Result<f64> {
+        let measured = self.turn(stretch, &self.grid.windows(), IntegerWork::Measure, mosaic)?;
+        Ok(measured.iter().map(|b| b.error).sum())
     }
 }
