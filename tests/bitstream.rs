@@ -79,6 +79,21 @@ fn report_adds_up_to_the_file() {
 }
 
 #[test]
+fn bits_of_primitives_add_up_to_those_of_the_fields() {
+    for count in [300, 40_000] {
+        let splats = scene(&Scene { count, size: [1500, 1000], ..Scene::default() });
+        let (read, report) = inspect(&to_bytes(&splats).unwrap(), &Limits::default()).unwrap();
+        assert_eq!(report.each.len(), read.gaussians.len());
+        let each: f64 = report.each.iter().copied().map(f64::from).sum();
+        let fields: f64 = report.fields.iter().map(|f| f.bits).sum();
+        assert!((each / fields - 1.0).abs() < 1e-4, "{each} and {fields} bits");
+        // They are not all the same.
+        let most = report.each.iter().copied().fold(0.0, f32::max);
+        assert!(f64::from(most) > 1.2 * each / count as f64, "{most}");
+    }
+}
+
+#[test]
 fn a_plain_colour_picture_spends_at_most_20_bytes_beside_its_payload() {
     let splats = scene(&Scene { count: 200, layout: Layout::Packed, ..Scene::default() });
     let (_, report) = inspect(&to_bytes(&splats).unwrap(), &Limits::default()).unwrap();

@@ -57,7 +57,7 @@ export class Machine {
       const piece = k => new Uint8Array(wasm.memory.buffer, wasm.piece(k), wasm.piece_length(k)).slice()
       if (kind) throw new SsplatError(kinds[kind], new TextDecoder().decode(piece(0)))
       const numbers = Array.from({ length: 7 }, (_, k) => wasm.number(k) >>> 0)
-      return [[0, 1, 2].map(piece), numbers]
+      return [[0, 1, 2, 3].map(piece), numbers]
     } catch (error) {
       if (error instanceof SsplatError) throw error
       // A trap leaves the machine in an unknown state. The likeliest is that memory ran out.
@@ -70,8 +70,8 @@ export class Machine {
   }
 
   header(bytes, options = {}) {
-    const [[, icc, exif], [width, height, channels, depth, primitives, orientation]] = this.#ask(bytes, options, "header")
-    return { width, height, channels, depth, primitives, orientation, icc, exif }
+    const [[thumbnail, icc, exif], [width, height, channels, depth, primitives, orientation]] = this.#ask(bytes, options, "header")
+    return { width, height, channels, depth, primitives, orientation, thumbnail, icc, exif }
   }
 
   decode(bytes, options = {}) {
@@ -91,8 +91,8 @@ export class Machine {
   }
 
   info(bytes, options = {}) {
-    const [[json, icc, exif], numbers] = this.#ask(bytes, options, "info")
+    const [[json, icc, exif, each], numbers] = this.#ask(bytes, options, "info")
     const facts = JSON.parse(new TextDecoder().decode(json)), fields = facts.fields.map(({ name, thousandths }) => ({ name, bits: thousandths / 1000 }))
-    return { ...facts, fields, orientation: numbers[5], icc, exif }
+    return { ...facts, fields, each: new Float32Array(each.buffer), orientation: numbers[5], icc, exif }
   }
 }

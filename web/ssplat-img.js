@@ -1,7 +1,7 @@
 // <ssplat-img src alt placeholder loading width height>: an <img> for .ssplat files, drawn at the size at which it is shown.
 // Other pictures are shown as <img> shows them. `placeholder` is a small file, as base64 or data URI, seen until then.
 import { decode as drawPlaceholder, read as readPlaceholder } from "./placeholder.js"
-import { Decoder } from "./ssplat.js"
+import { Decoder, colorSpace } from "./ssplat.js"
 
 // One worker for all elements of a page.
 let shared
@@ -186,7 +186,7 @@ export class SsplatImg extends HTMLElement {
     }
   }
 
-  // The bytes of a response. A file with groups shows what is there each time that half as much again has come.
+  // The bytes of a response. A file with groups or a thumbnail shows what is there each time that half as much again has come.
   async #read({ body }, signal) {
     if (!body) return new Uint8Array
     const reader = body.getReader()
@@ -201,7 +201,7 @@ export class SsplatImg extends HTMLElement {
       }
       bytes.set(value, length)
       length += value.length
-      if (drawing || length < next || !magic.every((v, i) => bytes[i] == v) || (bytes[5] & 3) != 3) continue
+      if (drawing || length < next || !magic.every((v, i) => bytes[i] == v) || (bytes[5] & 3) != 3 && bytes[5] < 128) continue
       drawing = true
       next = 1.5 * length
       this.#glimpse(bytes.slice(0, length), signal).finally(() => drawing = false)
@@ -211,12 +211,18 @@ export class SsplatImg extends HTMLElement {
   // Draws what is there of a file that is still coming.
   async #glimpse(bytes, signal) {
     // With too little of it there is nothing to draw, and what is wrong with it is told when it is all there.
-    const { width, height, orientation } = await decoder().header(bytes).catch(() => ({}))
+    const { width, height, orientation, thumbnail, icc, ...kind } = await decoder().header(bytes).catch(() => ({}))
     if (!width || signal.aborted || this.#file) return
     this.#size = orientation > 4 ? [height, width] : [width, height]
     this.#shape()
-    const image = await decoder().decode(bytes, { width: this.#wanted(orientation)[1], partial: true }).catch(() => undefined)
-    if (!image || signal.aborted || this.#file || image.missing == image.primitives) return
+    const wanted = this.#wanted(orientation)[1], draw = (file, options) => decoder().decode(file, { width: wanted, ...options }).catch(() => undefined)
+    let image = await draw(bytes, { partial: true })
+    if (thumbnail.length && (!image || image.missing == image.primitives)) {
+      const small = await draw(thumbnail, { height: Math.max(1, Math.round(wanted * height / width)) })
+      // Its profile is the picture's.
+      image = small?.channels == kind.channels && small.depth == kind.depth ? new ImageData(small.data, small.width, small.height, { colorSpace: colorSpace(icc) }) : undefined
+    }
+    if (!image || signal.aborted || this.#file || image.primitives && image.missing == image.primitives) return
     paint(this.#canvas, image, orientation)
     this.#show(this.#canvas)
   }

@@ -43,6 +43,8 @@ export interface Header {
   primitives: number
   /** 1 to 8 as EXIF counts them; `decode` does not turn. */
   orientation: number
+  /** The picture as a smaller file; empty if there is none. */
+  thumbnail: Uint8Array
   /** Empty if there is none. */
   icc: Uint8Array
   /** Empty if there is none. */
@@ -99,6 +101,8 @@ export interface Info {
   sections: { name: string; bytes: number }[]
   /** Bits of each field over all primitives. */
   fields: { name: string; bits: number }[]
+  /** Bits of each Gaussian, in the order of `gaussians`; empty in layouts that give all as many. */
+  each: Float32Array
   orientation: number
   icc: Uint8Array
   exif: Uint8Array

@@ -32,21 +32,29 @@ pub(crate) fn put(splats: &PackedSplats, out: &mut Vec<u8>) -> Result<()> {
 /// Reads the payload of a file without groups into `splats`.
 pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSplats, tally: &mut Tally) -> Result<()> {
     let payload = bytes.rest();
-    match tally.detail {
-        Detail::Parts => {
-            let mut decoder = Decoder::new(payload)?;
-            read_stream(&mut decoder, header, splats)?;
-            decoder.finish()?;
-        }
-        Detail::Fields => {
-            let mut meter = Meter::new(Decoder::new(payload)?);
-            read_stream(&mut meter, header, splats)?;
-            meter.coder.finish()?;
-            tally.add(meter.fields);
-        }
+    if tally.detail == Detail::Parts && !ONE_READER {
+        let mut decoder = Decoder::new(payload)?;
+        read_stream(&mut decoder, header, splats)?;
+        decoder.finish()?;
+    } else {
+        let mut meter = metered(Decoder::new(payload)?, tally.detail);
+        read_stream(&mut meter, header, splats)?;
+        meter.coder.finish()?;
+        tally.add(meter);
     }
     tally.part("coded stream", payload.len());
     Ok(())
+}
+
+/// In WebAssembly one reader gives primitives and reports, for the module's size.
+pub(crate) const ONE_READER: bool = cfg!(target_family = "wasm");
+
+/// Counts what `detail` asks for.
+pub(crate) fn metered(decoder: Decoder<'_>, detail: Detail) -> Meter<Decoder<'_>> {
+    match detail {
+        Detail::Parts => Meter::silent(decoder),
+        Detail::Fields => Meter::new(decoder),
+    }
 }
 
 fn read_stream<C: Coder>(coder: &mut C, header: &Header, splats: &mut PackedSplats) -> Result<()> {
@@ -103,6 +111,7 @@ impl<'a> Group<'a> {
         let spacing = cells + 16 * i64::from(finest);
         let squares = squares(coder, &mut Counts::new(), &extent, &given, count)?;
         coder.account("position");
+        coder.primitive();
         let mut buckets = Buckets::new(count, region.corner, side);
         let scene = GroupContext { rules, palette: self.palette, steps: self.steps, grid, spacing };
         let mut attributes = Attributes::new(&scene);
@@ -111,6 +120,7 @@ impl<'a> Group<'a> {
         for (i, square) in squares.iter().enumerate() {
             let given = sorted.map_or_else(PackedGaussian::default, |s| s[i]);
             let p = attributes.code(coder, &scene, &mut buckets, square, &given)?;
+            coder.primitive();
             // Squares ascend by construction; in one the order is checked.
             if last == Some(square) && out.last().is_some_and(|before| order(before) > order(&p)) {
                 return Err(Broken { field: "order of primitives", value: i as u64 });

@@ -5,10 +5,10 @@ use std::ops::Range;
 use super::broken::Broken;
 use super::bytes::{Bytes, put_varint};
 use super::checksum::{Hasher, hash};
-use super::coded::{Group, sort};
+use super::coded::{Group, ONE_READER, metered, sort};
 use super::header::{Coloring, Grouping, Header};
 use super::palette::{put_codebook, put_color, read_codebook, read_color, sorted_codebook};
-use super::range::{Decoder, Encoder, Meter};
+use super::range::{Decoder, Encoder};
 use super::region::Region;
 use super::report::{Detail, Tally};
 use super::rules::{Area, MAX_LEVELS, Rules, most_primitives};
@@ -279,21 +279,17 @@ fn read_group(stream: &[u8], entry: &Entry, group: &Group<'_>, detail: Detail) -
         return Err(FormatError::Checksum { what: "group", stored: entry.checksum, computed }.into());
     }
     let mut tally = Tally { detail, ..Tally::default() };
-    let gaussians = match detail {
-        Detail::Parts => {
-            let mut decoder = Decoder::new(stream)?;
-            let gaussians = group.code(&mut decoder, entry.region, None, entry.count)?;
-            decoder.finish()?;
-            gaussians
-        }
-        Detail::Fields => {
-            let mut meter = Meter::new(Decoder::new(stream)?);
-            let gaussians = group.code(&mut meter, entry.region, None, entry.count)?;
-            meter.coder.finish()?;
-            tally.add(meter.fields);
-            gaussians
-        }
-    };
+    let gaussians;
+    if detail == Detail::Parts && !ONE_READER {
+        let mut decoder = Decoder::new(stream)?;
+        gaussians = group.code(&mut decoder, entry.region, None, entry.count)?;
+        decoder.finish()?;
+    } else {
+        let mut meter = metered(Decoder::new(stream)?, detail);
+        gaussians = group.code(&mut meter, entry.region, None, entry.count)?;
+        meter.coder.finish()?;
+        tally.add(meter);
+    }
     if largest(&gaussians) != entry.largest {
         return Err(Broken { field: "largest scale of a group", value: entry.largest.into() }.into());
     }
@@ -323,8 +319,9 @@ pub(crate) fn read(
         wanted.then(|| read_group(stream, e, &group, tally.detail)).transpose()
     });
     let parts = parts.into_iter().collect::<Result<Vec<_>>>()?;
-    for (_, fields) in parts.iter().flatten() {
-        fields.fields.iter().for_each(|f| tally.field(f.name, f.bits));
+    for (_, found) in parts.iter().flatten() {
+        found.fields.iter().for_each(|f| tally.field(f.name, f.bits));
+        tally.each.extend_from_slice(&found.each);
     }
     gather(&entries, parts.into_iter().map(|part| part.map(|(gaussians, _)| gaussians)), splats);
     Ok(())

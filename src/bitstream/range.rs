@@ -71,6 +71,9 @@ pub(crate) trait Coder {
     /// Ends the account of `field`; only a meter keeps one.
     fn account(&mut self, _field: &'static str) {}
 
+    /// Ends the account of what all primitives share, and then of each of them; only a meter keeps one.
+    fn primitive(&mut self) {}
+
     /// Tells what is expected of the next value; only a recorder listens.
     #[inline(always)]
     fn expect(&mut self, _forecast: Forecast) {}
@@ -269,42 +272,73 @@ impl Coder for Decoder<'_> {
 #[derive(Debug)]
 pub(crate) struct Meter<C> {
     pub coder: C,
-    /// Bits since the last account.
-    bits: f64,
+    /// Bits since the last account of a field, and since that of a primitive; none where nothing is counted.
+    bits: Option<[f64; 2]>,
     pub fields: Vec<(&'static str, f64)>,
+    /// Bits of what all primitives share, and of each of them.
+    pub each: Vec<f32>,
 }
 
 impl<C> Meter<C> {
     pub fn new(coder: C) -> Self {
-        Meter { coder, bits: 0.0, fields: Vec::new() }
+        Meter { coder, bits: Some([0.0; 2]), fields: Vec::new(), each: Vec::new() }
+    }
+
+    /// One that counts nothing: for programs that shall have one reader and not two.
+    pub fn silent(coder: C) -> Self {
+        Meter { bits: None, ..Meter::new(coder) }
     }
 }
 
+/// Adds what one of `total` equal parts costs of which `share` are taken.
+#[cold]
+#[inline(never)]
+fn count(bits: &mut [f64; 2], total: u32, share: u32) {
+    let cost = f64::from(total).log2() - f64::from(share).log2();
+    bits.iter_mut().for_each(|bits| *bits += cost);
+}
+
 impl<C: Coder> Coder for Meter<C> {
+    #[inline]
     fn bit(&mut self, one: u32, bit: u32) -> u32 {
         let bit = self.coder.bit(one, bit);
-        let chance = if bit != 0 { one } else { 65536 - one };
-        self.bits += 16.0 - f64::from(chance).log2();
+        if let Some(bits) = &mut self.bits {
+            count(bits, 1 << 16, if bit != 0 { one } else { 65536 - one });
+        }
         bit
     }
 
+    #[inline]
     fn uniform(&mut self, total: u32, value: u32) -> u32 {
-        self.bits += f64::from(total).log2();
+        if let Some(bits) = &mut self.bits {
+            count(bits, total, 1);
+        }
         self.coder.uniform(total, value)
     }
 
+    #[inline(always)]
     fn share(&mut self, frequencies: &impl Cumulative, value: i32) -> (i32, [u32; 2]) {
         let (value, [low, high]) = self.coder.share(frequencies, value);
-        self.bits += f64::from(frequencies.total()).log2() - f64::from(high - low).log2();
+        if let Some(bits) = &mut self.bits {
+            count(bits, frequencies.total(), high - low);
+        }
         (value, [low, high])
     }
 
+    #[inline]
     fn account(&mut self, field: &'static str) {
+        let Some([bits, _]) = &mut self.bits else { return };
+        let bits = std::mem::take(bits);
         match self.fields.iter_mut().find(|f| f.0 == field) {
-            Some(f) => f.1 += self.bits,
-            None => self.fields.push((field, self.bits)),
+            Some(f) => f.1 += bits,
+            None => self.fields.push((field, bits)),
         }
-        self.bits = 0.0;
+    }
+
+    #[inline]
+    fn primitive(&mut self) {
+        let Some([_, bits]) = &mut self.bits else { return };
+        self.each.push(std::mem::take(bits) as f32);
     }
 }
 

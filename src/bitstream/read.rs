@@ -71,8 +71,9 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Report)> 
     let (splats, sections) = reading.whole(&header, rest, None, &mut tally)?;
     tally.part("checksum", CHECKSUM);
     let levels = splats.levels.clone();
-    let Tally { parts, fields, groups, .. } = tally;
-    let report = Report { header, bytes: bytes.len() as u64, parts, sections, fields, levels, groups: groups.max(1) };
+    let Tally { parts, fields, each, groups, .. } = tally;
+    let groups = groups.max(1);
+    let report = Report { header, bytes: bytes.len() as u64, parts, sections, fields, each, levels, groups };
     Ok((splats, report))
 }
 

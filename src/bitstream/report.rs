@@ -1,6 +1,7 @@
 //! Where a file's bytes go: by part and, for the primitives, by field.
 
 use super::header::Header;
+use super::range::Meter;
 use super::sections::SectionInfo;
 
 /// Bytes of one part of a file.
@@ -35,6 +36,9 @@ pub struct Report {
     pub sections: Vec<SectionInfo>,
     /// Fields of the primitives.
     pub fields: Vec<Field>,
+    /// Bits of each primitive, in the order in which they are read; those that code the positions of all, or of a group, are
+    /// shared out equally. Nothing in layouts that give all primitives as many.
+    pub each: Vec<f32>,
     /// Primitives of each progressive level.
     pub levels: Vec<u32>,
     /// Number of separately coded groups; 1 without a directory.
@@ -57,6 +61,7 @@ pub(crate) struct Tally {
     pub detail: Detail,
     pub parts: Vec<Part>,
     pub fields: Vec<Field>,
+    pub each: Vec<f32>,
     pub groups: u32,
 }
 
@@ -73,8 +78,11 @@ impl Tally {
         }
     }
 
-    /// Adds the accounts of a meter.
-    pub fn add(&mut self, fields: Vec<(&'static str, f64)>) {
-        fields.into_iter().for_each(|(name, bits)| self.field(name, bits));
+    /// Adds the accounts of a meter that has read one stream.
+    pub fn add<C>(&mut self, meter: Meter<C>) {
+        meter.fields.into_iter().for_each(|(name, bits)| self.field(name, bits));
+        if let Some((all, each)) = meter.each.split_first() {
+            self.each.extend(each.iter().map(|bits| bits + all / each.len() as f32));
+        }
     }
 }

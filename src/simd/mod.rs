@@ -5,9 +5,16 @@
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
+#[cfg(not(all(target_family = "wasm", target_feature = "simd128")))]
+mod plain;
+#[cfg(all(target_family = "wasm", target_feature = "simd128"))]
+mod wasm;
 
 #[cfg(target_arch = "x86_64")]
 use std::sync::OnceLock;
+
+#[cfg(test)]
+pub(crate) use self::plain::Plain;
 
 /// Floats side by side.
 pub(crate) const LANES: usize = 8;
@@ -47,10 +54,14 @@ pub(crate) fn dispatch<T: Task>(task: T) -> T::Output {
     {
         return simd.vectorize(avx2::OnAvx2(simd, task));
     }
-    task.run(Plain)
+    #[cfg(all(target_family = "wasm", target_feature = "simd128"))]
+    return task.run(wasm::Simd128);
+    #[cfg(not(all(target_family = "wasm", target_feature = "simd128")))]
+    task.run(plain::Plain)
 }
 
-/// The instructions that fit and draw on the CPU: `"avx2"`, or `"plain"` for those that the crate is compiled for.
+/// The instructions that fit and draw on the CPU: `"avx2"`; `"simd128"` in WebAssembly that is compiled for it; or `"plain"` for
+/// those that the crate is compiled for.
 ///
 /// Files and pixels are the same with either. With the environment variable `SSPLAT_SIMD=plain`, read once in a process,
 /// the plain ones are taken everywhere: to compare the two, or to rule one out when a result is doubted.
@@ -152,101 +163,6 @@ pub(crate) trait Simd: Copy {
     }
 }
 
-/// Plain arrays, in loops that compilers may turn into vectors: the twin of every other instruction set.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Plain;
-
-#[inline(always)]
-fn zip(a: [f32; LANES], b: [f32; LANES], f: impl Fn(f32, f32) -> f32) -> [f32; LANES] {
-    std::array::from_fn(|i| f(a[i], b[i]))
-}
-
-impl Simd for Plain {
-    const NAME: &'static str = "plain";
-
-    type Vector = [f32; LANES];
-
-    #[inline(always)]
-    fn vector(self, values: [f32; LANES]) -> Self::Vector {
-        values
-    }
-
-    #[inline(always)]
-    fn to_array(self, v: Self::Vector) -> [f32; LANES] {
-        v
-    }
-
-    #[inline(always)]
-    fn splat(self, value: f32) -> Self::Vector {
-        [value; LANES]
-    }
-
-    #[inline(always)]
-    fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-        zip(a, b, |a, b| a + b)
-    }
-
-    #[inline(always)]
-    fn sub(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-        zip(a, b, |a, b| a - b)
-    }
-
-    #[inline(always)]
-    fn mul(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-        zip(a, b, |a, b| a * b)
-    }
-
-    #[inline(always)]
-    fn div(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-        zip(a, b, |a, b| a / b)
-    }
-
-    #[inline(always)]
-    fn sqrt(self, a: Self::Vector) -> Self::Vector {
-        a.map(f32::sqrt)
-    }
-
-    #[inline(always)]
-    fn max(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-        zip(a, b, |a, b| if a > b { a } else { b })
-    }
-
-    #[inline(always)]
-    fn min(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-        zip(a, b, |a, b| if a < b { a } else { b })
-    }
-
-    #[inline(always)]
-    fn keep_above(self, v: Self::Vector, a: Self::Vector, b: Self::Vector) -> Self::Vector {
-        std::array::from_fn(|i| if a[i] > b[i] { v[i] } else { 0.0 })
-    }
-
-    #[inline(always)]
-    fn scale(self, p: Self::Vector, shifted: Self::Vector) -> Self::Vector {
-        zip(p, shifted, |p, s| f32::from_bits((s.to_bits() << 23).wrapping_add(p.to_bits())))
-    }
-
-    #[inline(always)]
-    fn floor(self, v: Self::Vector) -> [u32; LANES] {
-        // Not a cast: those saturate, and the checks keep compilers from using vectors.
-        const MAGIC: f32 = 8_388_608.0;
-        v.map(|v| {
-            let shifted = v + MAGIC;
-            (shifted.to_bits() & 0x7F_FFFF).wrapping_sub(u32::from(shifted - MAGIC > v))
-        })
-    }
-
-    #[inline(always)]
-    fn store_rgb(self, to: &mut [u8; 3 * LANES], v: [Self::Vector; 3]) {
-        let codes = v.map(|v| self.floor(v));
-        for i in 0..LANES {
-            for c in 0..3 {
-                to[3 * i + c] = codes[c][i] as u8;
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
@@ -291,10 +207,5 @@ pub(crate) mod tests {
         assert_eq!(out(simd.read(&floats[3..])), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 9.0]);
         assert_eq!(out(simd.max(nan, simd.splat(0.0))), [0.0; LANES]);
         assert_eq!(out(simd.min(nan, simd.splat(1.0))), [1.0; LANES]);
-    }
-
-    #[test]
-    fn plain_lanes_keep_their_promises() {
-        keeps_its_promises(Plain);
     }
 }

@@ -54,6 +54,9 @@ export async function run(cases, load, decoder) {
     const info = await attempt("info", bytes), header = await attempt("header", bytes), all = await attempt("gaussians", bytes)
     check(info.parts?.reduce((sum, p) => sum + p.bytes, 0) == bytes.length, `${path}: info ${info} ${JSON.stringify(info.parts)}`)
     check(info.primitives == all.count && header.primitives == all.count && all.mean?.length == 2 * all.count, `${path}: ${all.count} of ${info.primitives} Gaussians`)
+    // What the Gaussians take is what the fields take.
+    const each = info.each?.reduce((sum, bits) => sum + bits, 0), fields = info.fields?.reduce((sum, field) => sum + field.bits, 0)
+    check(info.layout == "coded" ? info.each?.length == all.count && (!all.count || Math.abs(each - fields) < .01 * fields + 1) : info.each?.length == 0, `${path}: ${each} bits of ${info.each?.length} Gaussians, ${fields} of all fields`)
     // The middle alone is the middle of the whole.
     if (!width && columns > 2 && rows > 2 && columns * rows < 1e6) {
       const [left, top] = [columns >> 2, rows >> 2], part = await attempt("decode", bytes, { region: [left, top, 2, 2] })

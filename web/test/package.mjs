@@ -31,8 +31,8 @@ for (const folder of ["valid", "reduced", "invalid", "limits"])
   }
 rmSync(home, { recursive: true })
 
-// Most bytes as brotli, 90 KiB, of the WebAssembly and the modules that it needs.
-const budget = 90 << 10
+// Most bytes as brotli of the WebAssembly and the modules that it needs.
+const budget = 90_000
 
 let failed = false
 function tell(where, { problems, words }) {

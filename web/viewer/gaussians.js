@@ -1,18 +1,18 @@
-// Gaussians as ellipses over the picture, and how far the picture is from its original at each of them.
+// Gaussians as ellipses over the picture, coloured by what they cost or by how far the picture is from its original there.
 
 // More ellipses than these are no longer seen apart.
 const most = 20000
 
-// Draws the ellipses at one standard deviation: `place` is [zoom, left, top] in the canvas's pixels, `errors` colours them by
-// the error where they are, from blue by yellow to red; without it they have their own colours. Gives how many there are.
-export function ellipses(context, all, [zoom, left, top], scale, errors) {
+// Draws the ellipses at one standard deviation: `place` is [zoom, left, top] in the canvas's pixels, `tones`, from 0
+// to 1, colour them from blue by yellow to red; without these they have their own colours. Gives how many there are.
+export function ellipses(context, all, [zoom, left, top], scale, tones) {
   let count = 0
   for (let i = 0; i < all.count && count < most; i++) {
     const x = left + all.mean[2 * i] * zoom, y = top + all.mean[2 * i + 1] * zoom
     const [major, minor] = [all.scale[2 * i] * zoom, all.scale[2 * i + 1] * zoom]
     if (x + major < 0 || y + major < 0 || x - major > context.canvas.width || y - major > context.canvas.height) continue
     // In its colour, between two that keep it apart from the picture.
-    const [r, g, b] = errors ? heat(errors[i]) : own(all, i)
+    const [r, g, b] = tones ? heat(tones[i]) : own(all, i)
     context.beginPath()
     context.ellipse(x, y, Math.max(major, .5), Math.max(minor, .5), all.rotation[i], 0, 2 * Math.PI)
     context.strokeStyle = r + g + b > 380 ? "#000a" : "#fffa"
@@ -28,10 +28,18 @@ export function ellipses(context, all, [zoom, left, top], scale, errors) {
 
 const own = (all, i) => [0, all.channels > 2 ? 1 : 0, all.channels > 2 ? 2 : 0].map(k => Math.round(255 * Math.min(Math.max(all.color[4 * i + k], 0), 1)))
 
-// An error of 32 code values and more is red.
-function heat(error) {
-  const t = Math.min(error / 32, 1)
+function heat(tone) {
+  const t = Math.min(Math.max(tone, 0), 1)
   return [255 * Math.min(2 * t, 1), 255 * (t < .5 ? .4 + 1.2 * t : 2 - 2 * t), 255 * Math.max(0, 1 - 2 * t)].map(Math.round)
+}
+
+// An error of 32 code values and more is red.
+export const tonesOfErrors = errors => errors.map(e => e / 32)
+
+// Of the bits that each takes, blue is what 5 % stay below, red what 5 % exceed.
+export function tonesOfBits(bits) {
+  const sorted = bits.slice().sort(), [low, high] = [.05, .95].map(part => sorted[Math.floor(part * (bits.length - 1))])
+  return bits.map(b => (b - low) / (high - low || 1))
 }
 
 // The mean difference of two pictures of one size, in code values, within one deviation's box around each Gaussian. The

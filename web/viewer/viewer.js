@@ -2,7 +2,7 @@
 // What is seen is drawn at the screen's pixels: by WebGL2 where it can, else by the decoder (always with ?draw=decoder).
 import { Decoder, colorSpace } from "../ssplat.js"
 import { Splatting } from "./splatting.js"
-import { ellipses as drawEllipses, errorsOf } from "./gaussians.js"
+import { ellipses as drawEllipses, errorsOf, tonesOfBits, tonesOfErrors } from "./gaussians.js"
 
 const get = id => document.getElementById(id)
 // What a page of one file holds in itself (`ssplat view --html`).
@@ -12,7 +12,9 @@ const asked = new URLSearchParams(location.search)
 const decoder = get("held-module") ? new Decoder({ module: held("held-module") }) : new Decoder({ worker: true })
 const say = words => get("status").textContent = words
 const number = v => v.toLocaleString("en")
-let file, info, all, original, errors
+let file, info, all, original
+// What colours the Gaussians, for each choice that there is.
+let tones = {}
 // Draws on the graphics device; nothing where there is none that can.
 const device = asked.get("draw") == "decoder" ? undefined : Splatting.create()
 // CSS pixels a pixel of the picture, and where the picture's corner is on the stage.
@@ -47,6 +49,8 @@ async function open(bytes, name) {
   try {
     const read = await decoder.info(bytes), gaussians = await decoder.gaussians(bytes)
     ;[file, info, all, drawn] = [bytes, read, gaussians, undefined]
+    tones = info.each.length ? { bits: tonesOfBits(info.each) } : {}
+    get("colours").value = "own"
     compareWith(undefined)
     device?.load(all, info.blend, colorSpace(info.icc))
     get("name").textContent = document.title = name
@@ -81,12 +85,19 @@ function move(dx, dy) {
   show()
 }
 
+// What the Gaussians can be coloured by.
+function offer() {
+  for (const choice of get("colours").options) choice.disabled = choice.value != "own" && !tones[choice.value]
+  if (get("colours").selectedOptions[0].disabled) get("colours").value = "own"
+}
+
 // Takes a picture to compare with, or none.
 async function compareWith(picture) {
-  ;[original, errors] = [picture, undefined]
-  get("comparing").hidden = get("colours").lastElementChild.disabled = !picture
-  if (!picture) return get("colours").value = "own"
-  get("colours").lastElementChild.disabled = false
+  original = picture
+  delete tones.error
+  offer()
+  get("comparing").hidden = !picture
+  if (!picture) return
   show()
   // Errors are seen as well in a picture of this width.
   const from = file, width = Math.min(info.width, 1024), decoded = await decoder.decode(file, { width }).catch(error => say(error.message))
@@ -94,7 +105,8 @@ async function compareWith(picture) {
   const canvas = new OffscreenCanvas(decoded.width, decoded.height), context = canvas.getContext("2d", { colorSpace: decoded.colorSpace })
   context.imageSmoothingQuality = "high"
   context.drawImage(picture, 0, 0, canvas.width, canvas.height)
-  errors = errorsOf(all, decoded, context.getImageData(0, 0, canvas.width, canvas.height, { colorSpace: decoded.colorSpace }))
+  tones.error = tonesOfErrors(errorsOf(all, decoded, context.getImageData(0, 0, canvas.width, canvas.height, { colorSpace: decoded.colorSpace })))
+  offer()
   ellipses()
 }
 
@@ -200,7 +212,7 @@ async function redraw() {
 function ellipses() {
   const context = overlay.getContext("2d")
   context.clearRect(0, 0, overlay.width, overlay.height)
-  if (get("ellipses").checked && all) drawEllipses(context, all, place(), devicePixelRatio, get("colours").value == "error" ? errors : undefined)
+  if (get("ellipses").checked && all) drawEllipses(context, all, place(), devicePixelRatio, tones[get("colours").value])
 }
 
 const pointers = new Map
@@ -230,11 +242,17 @@ function toggle() {
   get("ellipses").checked = !get("ellipses").checked
   ellipses()
 }
+// The next of the colours that there are.
+function recolour() {
+  const choices = [...get("colours").options].filter(choice => !choice.disabled), at = choices.findIndex(choice => choice.selected)
+  get("colours").value = choices[(at + 1) % choices.length].value
+  ellipses()
+}
 function split(by) {
   get("split").value = Number(get("split").value) + by
   show()
 }
-const keys = { ArrowLeft: () => move(64, 0), ArrowRight: () => move(-64, 0), ArrowUp: () => move(0, 64), ArrowDown: () => move(0, -64), "+": () => zoomBy(1.25), "=": () => zoomBy(1.25), "-": () => zoomBy(.8), 0: fit, 1: actual, g: toggle, "[": () => split(-5), "]": () => split(5) }
+const keys = { ArrowLeft: () => move(64, 0), ArrowRight: () => move(-64, 0), ArrowUp: () => move(0, 64), ArrowDown: () => move(0, -64), "+": () => zoomBy(1.25), "=": () => zoomBy(1.25), "-": () => zoomBy(.8), 0: fit, 1: actual, g: toggle, c: recolour, "[": () => split(-5), "]": () => split(5) }
 stage.addEventListener("keydown", event => {
   if (event.ctrlKey || event.metaKey || event.altKey || !keys[event.key]) return
   event.preventDefault()

@@ -130,19 +130,23 @@ export async function test() {
   }
 
   // What has come of a file with groups is seen before the rest is there.
-  const groups = new Uint8Array(await (await fetch(vector("groups-divided"))).arrayBuffer()), fetches = window.fetch
-  let go
-  const rest = new Promise(resolve => go = resolve)
-  window.fetch = async () => new Response(new ReadableStream({
-    async start(stream) {
-      stream.enqueue(groups.slice(0, 3000))
-      await rest
-      stream.enqueue(groups.slice(3000))
-      stream.close()
-    },
-  }))
-  const streamed = add({ src: "/slow.ssplat" }), loaded = event(streamed, ["load", "error"])
-  window.fetch = fetches
+  const inTwo = async (name, first) => {
+    const bytes = new Uint8Array(await (await fetch(vector(name))).arrayBuffer()), fetches = window.fetch
+    let go
+    const rest = new Promise(resolve => go = resolve)
+    window.fetch = async () => new Response(new ReadableStream({
+      async start(stream) {
+        stream.enqueue(bytes.slice(0, first))
+        await rest
+        stream.enqueue(bytes.slice(first))
+        stream.close()
+      },
+    }))
+    const element = add({ src: "/slow.ssplat" }), loaded = event(element, ["load", "error"])
+    window.fetch = fetches
+    return { element, loaded, go }
+  }
+  const { element: streamed, loaded, go } = await inTwo("groups-divided", 3000)
   for (let i = 0; i < patience / 50 && !seen(streamed); i++) await new Promise(r => setTimeout(r, 50))
   check(seen(streamed) && !streamed.complete, "half of a file shows nothing")
   const half = pixels(streamed)
@@ -152,6 +156,14 @@ export async function test() {
   await event(once, ["load", "error"])
   const now = pixels(streamed)
   check(pixels(once).every((v, i) => v == now[i]) && half.some((v, i) => v != now[i]), "a file in two parts is not drawn whole")
+
+  // Of a file with a thumbnail that is seen, in the size of the picture.
+  const early = await inTwo("sections-thumbnail", -8)
+  for (let i = 0; i < patience / 50 && !seen(early.element); i++) await new Promise(r => setTimeout(r, 50))
+  check(seen(early.element) && !early.element.complete, "a thumbnail is not seen")
+  const before = pixels(early.element)
+  early.go()
+  check((await early.loaded).type == "load" && pixels(early.element).length == before.length && pixels(early.element).some((v, i) => v != before[i]), "the picture does not follow its thumbnail")
 
   // What is far away waits until it is near.
   add({}, "display: block; height: 20000px")

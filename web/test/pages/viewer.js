@@ -39,6 +39,11 @@ export async function test() {
   check(percent() == before, "0 does not fit")
   key("g")
   check(get("ellipses").checked && pixels("overlay").some(v => v > 0), "no ellipses")
+  const own = pixels("overlay").join()
+  key("c")
+  check(get("colours").value == "bits" && pixels("overlay").join() != own, `C colours Gaussians by ${get("colours").value}`)
+  key("c")
+  check(get("colours").value == "own" && pixels("overlay").join() == own, "they do not have their own colours again")
   key("g")
   check(pixels("overlay").every(v => v == 0), "the ellipses stay")
   const drawn = new Promise(resolve => stage.addEventListener("drawn", resolve, { once: true }))
@@ -65,7 +70,13 @@ export async function test() {
     check(element.ariaLabel || element.labels?.[0]?.textContent.trim() || element.textContent.trim(), `#${element.id} has no name`)
   check(get("status").getAttribute("aria-live") == "polite", "changes are not read aloud")
   check(page.getComputedStyle(page.document.documentElement).colorScheme == "light dark", "there is no dark mode")
-  check([...page.document.styleSheets].some(s => [...s.cssRules].some(r => r.style?.background.toLowerCase() == "canvas")), "the page has a colour of its own")
+  const light = v => v.match(/\d+/g).slice(0, 3).reduce((sum, v) => sum + Number(v), 0) / 3
+  for (const [scheme, dark] of [["dark", true], ["light", false]]) {
+    page.document.documentElement.style.colorScheme = scheme
+    const { backgroundColor, color } = page.getComputedStyle(page.document.body)
+    check(light(backgroundColor) < 64 == dark && light(color) > 192 == dark, `${scheme}: ${color} on ${backgroundColor}`)
+  }
+  page.document.documentElement.style.colorScheme = ""
 
   // The decoder draws the same where there is no graphics device.
   const cpu = await open("/spec/vectors/valid/coded-rgb/file.ssplat", undefined, "&draw=decoder"), picture = cpu.document.getElementById("picture")
@@ -85,13 +96,13 @@ export async function test() {
   for (let i = 0; i < 10; i++) $("stage").dispatchEvent(new compared.KeyboardEvent("keydown", { key: "[" }))
   check($("split").value == 50, `the border is at ${$("split").value} % after ten steps`)
   check(await until(() => at(far) != whole), "behind the border is no original")
-  check(await until(() => !$("colours").lastElementChild.disabled), "no errors to colour Gaussians by")
+  check(await until(() => !$("colours").querySelector("[value=error]").disabled), "no errors to colour Gaussians by")
   $("ellipses").checked = true
   $("colours").value = "own"
   $("colours").onchange()
-  const own = drew($("overlay")).join()
+  const colours = drew($("overlay")).join()
   $("colours").value = "error"
-  check(await until(() => ($("colours").onchange(), drew($("overlay")).join() != own)), "the error colours no Gaussian")
+  check(await until(() => ($("colours").onchange(), drew($("overlay")).join() != colours)), "the error colours no Gaussian")
 
   const other = await open("/spec/vectors/invalid/checksum/file.ssplat")
   check(await until(() => /checksum/.test(other.document.getElementById("status").textContent)), "a broken file is not told")

@@ -13,7 +13,7 @@ use image::metadata::Orientation;
 use ssplat::bitstream::header::{Sections, VERSION};
 use ssplat::bitstream::splats::{Layout, Metadata};
 use ssplat::raster::SamplesMut;
-use ssplat::{Blend, Damage, Error, Limits, Opened, Opening, Result};
+use ssplat::{Blend, Damage, Error, Limits, Opening, Result};
 
 /// What lies between two calls.
 #[derive(Default)]
@@ -23,11 +23,11 @@ struct Desk {
     answer: Answer,
 }
 
-/// What is answered: pixels, Gaussians, JSON or words; ICC profile; EXIF block. And width, height, channels, depth in
+/// What is answered: pixels, Gaussians, JSON, a thumbnail or words; ICC profile; EXIF block; bits of each Gaussian. And width, height, channels, depth in
 /// bits, primitives, orientation as EXIF counts them, and missing primitives.
 #[derive(Default)]
 struct Answer {
-    pieces: [Vec<u8>; 3],
+    pieces: [Vec<u8>; 4],
     numbers: [u32; 7],
 }
 
@@ -86,7 +86,7 @@ pub extern "C" fn number(which: usize) -> u32 {
     DESK.with_borrow(|desk| desk.answer.numbers.get(which).copied().unwrap_or(0))
 }
 
-/// Reads the header, and ICC profile and EXIF block if there are any.
+/// Reads the header, and thumbnail, ICC profile and EXIF block if there are any; of the file nothing more need be there.
 #[unsafe(no_mangle)]
 pub extern "C" fn header() -> u32 {
     answer(|input, limits| {
@@ -97,7 +97,9 @@ pub extern "C" fn header() -> u32 {
         let [channels, depth] = [header.channels.count(), 8 * header.depth.bytes()].map(|v| v as u32);
         answer.numbers = [width, height, channels, depth, header.primitives, 1, 0];
         if sections == Sections::Present {
-            describe(read(opening, Damage::Accept)?.into_metadata(), &mut answer);
+            let mut metadata = opening.metadata()?;
+            answer.pieces[0] = metadata.thumbnail.take().unwrap_or_default();
+            describe(metadata, &mut answer);
         }
         Ok(answer)
     })
@@ -143,16 +145,13 @@ pub extern "C" fn decode(
         let missing = opened.missing().primitives;
         let mut answer = Answer::default();
         describe(opened.into_metadata(), &mut answer);
-        let mut rgba = zeros(pixels as usize * 4)?;
-        for (to, from) in rgba.chunks_exact_mut(4).zip(samples.chunks_exact(channels)) {
-            to.copy_from_slice(&match *from {
-                [grey] => [grey, grey, grey, 255],
-                [grey, alpha] => [grey, grey, grey, alpha],
-                [red, green, blue] => [red, green, blue, 255],
-                _ => [from[0], from[1], from[2], from[3]],
-            });
-        }
-        answer.pieces[0] = rgba;
+        let rgba = match channels {
+            1 => spread(&samples, |&[grey]: &[u8; 1]| [[grey, grey, grey, 255]]),
+            2 => spread(&samples, |&[grey, alpha]: &[u8; 2]| [[grey, grey, grey, alpha]]),
+            3 => spread(&samples, opaque),
+            _ => Ok(std::mem::take(&mut samples)),
+        };
+        answer.pieces[0] = rgba?;
         let orientation = answer.numbers[ORIENTATION];
         let bits = 8 * depth.bytes() as u32;
         answer.numbers = [view.width(), view.height(), channels as u32, bits, primitives, orientation, missing];
@@ -169,7 +168,7 @@ pub extern "C" fn gaussians() -> u32 {
         let header = opening.header();
         let (width, height, primitives) = (header.width, header.height, header.primitives);
         let [channels, depth] = [header.channels.count(), 8 * header.depth.bytes()].map(|v| v as u32);
-        let opened = read(opening, Damage::Refuse)?;
+        let opened = opening.read(Damage::Refuse)?;
         let (splats, mut bytes) = (opened.splats(), zeros(36 * opened.splats().gaussians.len() + 16)?);
         let quantizer = splats.quantizer();
         let (rows, background) = bytes.split_at_mut(36 * splats.gaussians.len());
@@ -234,6 +233,9 @@ pub extern "C" fn info() -> u32 {
         let mut answer = Answer::default();
         describe(splats.metadata, &mut answer);
         answer.pieces[0] = json.into_bytes();
+        let mut bits = zeros(4 * report.each.len())?;
+        write(&mut bits, &report.each);
+        answer.pieces[3] = bits;
         Ok(answer)
     })
 }
@@ -242,12 +244,6 @@ pub extern "C" fn info() -> u32 {
 #[inline(never)]
 fn open<'a>(input: &'a [u8], limits: &Limits) -> Result<Opening<'a>> {
     Opening::new(input, limits)
-}
-
-/// All of a file, or what is there of it.
-#[inline(never)]
-fn read(opening: Opening<'_>, damage: Damage) -> Result<Opened> {
-    opening.read(damage)
 }
 
 /// Place of the orientation among an answer's numbers.
@@ -265,6 +261,32 @@ fn describe(Metadata { icc, exif, .. }: Metadata, answer: &mut Answer) {
 #[inline(never)]
 fn item(json: &mut String, k: usize, name: &str, unit: &str, value: u64) {
     let _ = write!(json, r#"{}{{"name":"{name}","{unit}":{value}}}"#, if k > 0 { "," } else { "" });
+}
+
+/// Makes RGBA of the samples of so many pixels at a time.
+fn spread<const S: usize, const P: usize>(
+    samples: &[u8],
+    pixels: impl Fn(&[u8; S]) -> [[u8; 4]; P],
+) -> Result<Vec<u8>> {
+    let (whole, rest) = samples.as_chunks::<S>();
+    let mut rgba = Vec::new();
+    let length = (whole.len() + 1) * 4 * P;
+    let full = |_| Error::LimitExceeded { what: "alloc", requested: length as u64, allowed: 0 };
+    rgba.try_reserve_exact(whole.len() + 1).map_err(full)?;
+    rgba.extend(whole.iter().map(&pixels));
+    let mut last = [0; S];
+    last[..rest.len()].copy_from_slice(rest);
+    rgba.push(pixels(&last));
+    let mut rgba = rgba.into_flattened().into_flattened();
+    rgba.truncate(samples.len() * P / S * 4);
+    Ok(rgba)
+}
+
+/// Four pixels of three samples, in words: bytes would take several times as long.
+fn opaque(samples: &[u8; 12]) -> [[u8; 4]; 4] {
+    let word = |k: usize| u32::from_le_bytes([samples[k], samples[k + 1], samples[k + 2], samples[k + 3]]);
+    let (a, b, c) = (word(0), word(4), word(8));
+    [a, a >> 24 | b << 8, b >> 16 | c << 16, c >> 8].map(|v| (v | 255 << 24).to_le_bytes())
 }
 
 /// Writes floats in JavaScript's order of bytes.

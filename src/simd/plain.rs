@@ -1,0 +1,109 @@
+//! Eight lanes in arrays: the twin of every other instruction set, and all that there is where nothing else is known.
+
+use super::{LANES, Simd};
+
+/// Plain arrays, in loops that compilers may turn into vectors: the twin of every other instruction set.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Plain;
+
+#[inline(always)]
+fn zip(a: [f32; LANES], b: [f32; LANES], f: impl Fn(f32, f32) -> f32) -> [f32; LANES] {
+    std::array::from_fn(|i| f(a[i], b[i]))
+}
+
+impl Simd for Plain {
+    const NAME: &'static str = "plain";
+
+    type Vector = [f32; LANES];
+
+    #[inline(always)]
+    fn vector(self, values: [f32; LANES]) -> Self::Vector {
+        values
+    }
+
+    #[inline(always)]
+    fn to_array(self, v: Self::Vector) -> [f32; LANES] {
+        v
+    }
+
+    #[inline(always)]
+    fn splat(self, value: f32) -> Self::Vector {
+        [value; LANES]
+    }
+
+    #[inline(always)]
+    fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
+        zip(a, b, |a, b| a + b)
+    }
+
+    #[inline(always)]
+    fn sub(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
+        zip(a, b, |a, b| a - b)
+    }
+
+    #[inline(always)]
+    fn mul(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
+        zip(a, b, |a, b| a * b)
+    }
+
+    #[inline(always)]
+    fn div(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
+        zip(a, b, |a, b| a / b)
+    }
+
+    #[inline(always)]
+    fn sqrt(self, a: Self::Vector) -> Self::Vector {
+        a.map(f32::sqrt)
+    }
+
+    #[inline(always)]
+    fn max(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
+        zip(a, b, |a, b| if a > b { a } else { b })
+    }
+
+    #[inline(always)]
+    fn min(self, a: Self::Vector, b: Self::Vector) -> Self::Vector {
+        zip(a, b, |a, b| if a < b { a } else { b })
+    }
+
+    #[inline(always)]
+    fn keep_above(self, v: Self::Vector, a: Self::Vector, b: Self::Vector) -> Self::Vector {
+        std::array::from_fn(|i| if a[i] > b[i] { v[i] } else { 0.0 })
+    }
+
+    #[inline(always)]
+    fn scale(self, p: Self::Vector, shifted: Self::Vector) -> Self::Vector {
+        zip(p, shifted, |p, s| f32::from_bits((s.to_bits() << 23).wrapping_add(p.to_bits())))
+    }
+
+    #[inline(always)]
+    fn floor(self, v: Self::Vector) -> [u32; LANES] {
+        // Not a cast: those saturate, and the checks keep compilers from using vectors.
+        const MAGIC: f32 = 8_388_608.0;
+        v.map(|v| {
+            let shifted = v + MAGIC;
+            (shifted.to_bits() & 0x7F_FFFF).wrapping_sub(u32::from(shifted - MAGIC > v))
+        })
+    }
+
+    #[inline(always)]
+    fn store_rgb(self, to: &mut [u8; 3 * LANES], v: [Self::Vector; 3]) {
+        let codes = v.map(|v| self.floor(v));
+        for i in 0..LANES {
+            for c in 0..3 {
+                to[3 * i + c] = codes[c][i] as u8;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::keeps_its_promises;
+    use super::Plain;
+
+    #[test]
+    fn plain_lanes_keep_their_promises() {
+        keeps_its_promises(Plain);
+    }
+}
