@@ -82,10 +82,11 @@ pub(super) fn encode(
     };
     let size = thumbnail::beside(asked, room);
     let count = begun(options, size, (samples, fixed))?;
-    let typical =
-        f64::from(Scene { width: wide.width, height: wide.height, blend, background: [0.0; 4] }.typical_scale(count));
-    let margin = ((MARGIN * typical) as u32).next_multiple_of(UNIT).clamp(UNIT, side.max(UNIT));
+    let scene = Scene { width: wide.width, height: wide.height, blend, background: [0.0; 4] };
+    let margin =
+        ((MARGIN * f64::from(scene.typical_scale(count))) as u32).next_multiple_of(UNIT).clamp(UNIT, side.max(UNIT));
     let grid = Grid { size: source.size(), half: side / 2, margin };
+    let clock = journal.seconds();
     let looked_at = if may_leave_out(options) { grid.windows() } else { Vec::new() };
     let (narrowed, left_out) = Narrowed::new(source, &looked_at, || journal.show("survey", 0.0))?;
     if let Some(what) = left_out {
@@ -93,11 +94,9 @@ pub(super) fn encode(
     }
     let metadata = wide.metadata;
     let blank = PackedSplats { channels: narrowed.channels(), metadata: Metadata::default(), ..wide };
-    let scene = Scene { width: blank.width, height: blank.height, blend, background: [0.0; 4] };
     let mut plan = whole::plan(options.effort, count, source.size(), options.seed);
     plan.enough = enough(options.target, blank.depth);
     let samples = samples_of(&blank);
-    let clock = journal.seconds();
     let file = (scene, blank, matches!(size, Size::Bytes(_)));
     let work = (options.effort, plan, count, options.favoured());
     let whole = Whole::survey(&narrowed, file, work, &grid.windows(), |done| journal.show("survey", done))?;
