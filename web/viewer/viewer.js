@@ -129,7 +129,7 @@ const place = () => [zoom, left, top_].map(v => v * devicePixelRatio)
 let waiting = false
 function show() {
   if (!info) return
-  say(`${info.width} × ${info.height}, ${number(info.primitives)} Gaussians in ${number(info.bytes)} bytes, shown at ${(100 * zoom).toPrecision(3)} %`)
+  say(`${info.width} × ${info.height}, ${number(info.primitives)} Gaussians in ${number(info.bytes)} bytes, shown at ${(100 * zoom).toPrecision(3)} %${legend()}`)
   if (!waiting) requestAnimationFrame(paint)
   waiting = true
 }
@@ -172,6 +172,9 @@ function paint() {
   if (byDevice) stage.dispatchEvent(new Event("drawn"))
   else redraw()
 }
+
+const legends = { bits: "; blue Gaussians take few bits, red ones many", error: "; the error is small at blue Gaussians, large at red ones" }
+const legend = () => get("ellipses").checked && legends[get("colours").value] || ""
 
 // The part that is seen, in whole pixels of the picture: left, top, width, height.
 function visible() {
@@ -240,13 +243,17 @@ stage.addEventListener("wheel", event => {
 const actual = () => zoomBy(1 / zoom / devicePixelRatio)
 function toggle() {
   get("ellipses").checked = !get("ellipses").checked
+  mark()
+}
+function mark() {
   ellipses()
+  show()
 }
 // The next of the colours that there are.
 function recolour() {
   const choices = [...get("colours").options].filter(choice => !choice.disabled), at = choices.findIndex(choice => choice.selected)
   get("colours").value = choices[(at + 1) % choices.length].value
-  ellipses()
+  mark()
 }
 function split(by) {
   get("split").value = Number(get("split").value) + by
@@ -262,7 +269,7 @@ get("fit").onclick = fit
 get("actual").onclick = actual
 get("in").onclick = () => zoomBy(1.5)
 get("out").onclick = () => zoomBy(1 / 1.5)
-get("ellipses").onchange = get("colours").onchange = ellipses
+get("ellipses").onchange = get("colours").onchange = mark
 get("split").oninput = show
 get("facts").onchange = event => get("panel").hidden = !event.target.checked
 for (const id of ["file", "original"]) get(id).onchange = async event => {

@@ -42,6 +42,7 @@ export async function test() {
   const own = pixels("overlay").join()
   key("c")
   check(get("colours").value == "bits" && pixels("overlay").join() != own, `C colours Gaussians by ${get("colours").value}`)
+  check(/red ones many/.test(get("status").textContent), "what the colours mean is not told")
   key("c")
   check(get("colours").value == "own" && pixels("overlay").join() == own, "they do not have their own colours again")
   key("g")
