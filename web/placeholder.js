@@ -1,5 +1,5 @@
 // Reads small .ssplat files without WebAssembly: one coded stream (spec §8), no codebook, no sections, at most 16 KiB.
-// decode(bytes, width, height) gives {width, height, rgba}; whatever is broken or not of this kind throws a SsplatError.
+// decode(bytes, width, height) gives {width, height, rgba, picture}; whatever is broken or not of this kind throws a SsplatError.
 export class SsplatError extends Error {
   constructor(kind, words) {
     super(words)
@@ -415,5 +415,5 @@ export function decode(bytes, width, height) {
     })
     rgba.set(channels < 3 ? [v[0], v[0], v[0], v[1] ?? 255] : [v[0], v[1], v[2], v[3] ?? 255], 4 * i)
   }
-  return { width, height, rgba }
+  return { width, height, rgba, picture }
 }

@@ -1,6 +1,6 @@
 // <ssplat-img src alt placeholder loading width height>: an <img> for .ssplat files, drawn at the size at which it is shown.
 // Other pictures are shown as <img> shows them. `placeholder` is a small file, as base64 or data URI, seen until then.
-import { decode as drawPlaceholder, read as readPlaceholder } from "./placeholder.js"
+import { decode as drawPlaceholder } from "./placeholder.js"
 import { Decoder, colorSpace } from "./ssplat.js"
 
 // One worker for all elements of a page.
@@ -124,11 +124,10 @@ export class SsplatImg extends HTMLElement {
     const placeholder = this.getAttribute("placeholder")
     if (placeholder) {
       try {
-        const bytes = bytesOf(placeholder), { width, height, rgba } = drawPlaceholder(bytes, 64)
+        const { width, height, rgba, picture } = drawPlaceholder(bytesOf(placeholder), 64)
         paint(this.#canvas, new ImageData(rgba, width, height))
         // It has the size of the picture that it stands for.
-        const file = readPlaceholder(bytes)
-        this.#shape([file.width, file.height])
+        this.#shape([picture.width, picture.height])
         this.#show(this.#canvas)
       } catch (error) {
         console.warn("ssplat-img: the placeholder is not shown:", error.message, this)
