@@ -5,6 +5,8 @@ mod contender;
 mod page;
 mod plot;
 
+use std::fs::File;
+use std::io::Write;
 use std::path::Path;
 
 use image::DynamicImage;
@@ -33,6 +35,10 @@ pub fn run(args: &args::BenchMethods) -> Result<(), Failure> {
     let contenders = args.contenders();
     let sizes = if args.counts.is_empty() { args.ratios.len() } else { args.counts.len() };
     let all = args.images.len() * sizes * args.seeds.len() * contenders.len();
+    // Rows are written as they come: a run that is cut off leaves them.
+    let rows = args.out.join("methods.csv");
+    let mut file = File::create(&rows).map_err(|e| Failure::io(&rows, &e))?;
+    writeln!(file, "{}", page::HEAD).map_err(|e| Failure::io(&rows, &e))?;
     let bar = Bar::new();
     let (mut cells, mut sides) = (Vec::new(), Vec::new());
     for path in &args.images {
@@ -51,16 +57,14 @@ pub fn run(args: &args::BenchMethods) -> Result<(), Failure> {
                     bar.show(cells.len() as f32 / all as f32, format!("{picture} {count} {}", contender.name()));
                     let setup = Setup { count, bytes, seed, iterations: args.iterations, effort: args.effort };
                     let measured = contender.measure(&pixels, &setup);
-                    cells.push(Cell { picture: picture.clone(), contender, setup, measured });
+                    let cell = Cell { picture: picture.clone(), contender, setup, measured };
+                    writeln!(file, "{}", page::row(&cell)).map_err(|e| Failure::io(&rows, &e))?;
+                    cells.push(cell);
                 }
             }
         }
     }
-    for (name, text) in [
-        ("methods.csv", page::csv(&cells)),
-        ("methods.md", page::markdown(&cells, args, &sides)),
-        ("convergence.svg", plot::svg(&cells)),
-    ] {
+    for (name, text) in [("methods.md", page::markdown(&cells, args, &sides)), ("convergence.svg", plot::svg(&cells))] {
         Sink::create(&args.out.join(name), &[])?.finish_with(text.as_bytes())?;
     }
     Ok(())

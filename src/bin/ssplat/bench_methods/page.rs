@@ -6,37 +6,34 @@ use std::path::Path;
 use super::args::BenchMethods;
 use super::{Cell, Contender, Measured};
 
-/// Every fit, one a row.
-pub fn csv(cells: &[Cell]) -> String {
-    let mut out = String::from(
-        "picture,gaussians,method,seed,iterations,float_psnr,ms_ssim,seconds,file_bytes,file_psnr,published_bytes,problem\n",
-    );
+/// The names of a row's columns.
+pub const HEAD: &str =
+    "picture,gaussians,method,seed,iterations,float_psnr,ms_ssim,seconds,file_bytes,file_psnr,published_bytes,problem";
+
+/// One fit as a line without its end.
+pub fn row(cell: &Cell) -> String {
     let number = |v: Option<f64>, digits: usize| v.map_or(String::new(), |v| format!("{v:.digits$}"));
     let whole = |v: Option<u64>| v.map_or(String::new(), |v| v.to_string());
-    for cell in cells {
-        let m = &cell.measured;
-        let iterations = match cell.contender {
-            Contender::Published { .. } => cell.setup.iterations.to_string(),
-            Contender::Ssplat | Contender::SmartSplat => format!("effort {}", cell.setup.effort),
-        };
-        let _ = writeln!(
-            out,
-            "{},{},{},{},{iterations},{},{},{:.2},{},{},{},{}",
-            cell.picture,
-            cell.setup.count,
-            // A comma is the table's own.
-            cell.contender.name().replace(',', ""),
-            cell.setup.seed,
-            number(m.float_psnr, 3),
-            number(m.ms_ssim, 5),
-            m.seconds,
-            whole(m.bytes),
-            number(m.file_psnr, 3),
-            whole(m.published_bytes),
-            m.problem.as_deref().unwrap_or("").replace(',', ";"),
-        );
-    }
-    out
+    let m = &cell.measured;
+    let iterations = match cell.contender {
+        Contender::Published { .. } => cell.setup.iterations.to_string(),
+        Contender::Ssplat | Contender::SmartSplat => format!("effort {}", cell.setup.effort),
+    };
+    format!(
+        "{},{},{},{},{iterations},{},{},{:.2},{},{},{},{}",
+        cell.picture,
+        cell.setup.count,
+        // A comma is the table's own.
+        cell.contender.name().replace(',', ""),
+        cell.setup.seed,
+        number(m.float_psnr, 3),
+        number(m.ms_ssim, 5),
+        m.seconds,
+        whole(m.bytes),
+        number(m.file_psnr, 3),
+        whole(m.published_bytes),
+        m.problem.as_deref().unwrap_or("").replace(',', ";"),
+    )
 }
 
 /// The command that made the page, without the folders of its files.
