@@ -4,6 +4,8 @@ struct Scene {
     background: vec4f,
     // Step sizes: mean, log-scale, rotation, colour.
     rates: vec4f,
+    // Factors of the errors of each channel.
+    channel_amplitude: vec4f,
     // Where the drawn grid starts in the picture, pixels, as a sum of two floats.
     origin_high: vec2f,
     origin_low: vec2f,

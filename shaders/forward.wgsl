@@ -29,8 +29,8 @@ fn forward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups:
             value = sums.color + scene.background;
         }
         // The error of a picture is looked at as it is.
-        var a = 1.0;
-        if (scene.mode == GRADIENT) { a = amplitude(x, y); }
+        var a = vec4f(1.0);
+        if (scene.mode == GRADIENT) { a = amplitude(x, y) * scene.channel_amplitude; }
         let e = (clamp(value, vec4f(0.0), vec4f(1.0)) - wanted) * (importance_of_channels(wanted) * a);
         error = dot(e, e);
         let at = row * scene.width + x;

@@ -17,7 +17,7 @@ fn residual(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups
     for (var x = left; x < min(left + scene.cell, scene.width); x++) {
         let wanted = source_pixel(x, y);
         let value = clamp(planes[row * scene.width + x], vec4f(0.0), vec4f(1.0));
-        sum += (wanted - value) * (importance_of_channels(wanted) * amplitude(x, y) / f32(scene.cell));
+        sum += (wanted - value) * (importance_of_channels(wanted) * scene.channel_amplitude * amplitude(x, y) / f32(scene.cell));
     }
     cells[(scene.band_first + row) * scene.cells_x + i % scene.cells_x] = sum;
 }

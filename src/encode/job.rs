@@ -66,6 +66,9 @@ impl Encoding<'_> {
             Tune::Ssim => structure::amplitudes(&self.planes, count),
             Tune::Iq => masking::amplitudes(&self.planes, count),
         };
+        if options.favoured() == Tune::Iq {
+            self.planes.channel_amplitude = masking::channel_amplitude(self.planes.channels);
+        }
         let is_weighted = !self.planes.amplitude.is_empty();
         if is_weighted && options.needs == Needs::Measured && self.planes.is_even() {
             self.planes.amplitude.clear();

@@ -119,8 +119,12 @@ impl Fitter {
         let Problem { scene, target } = problem;
         let words = words(target, pixels.depth());
         let weighted = !target.amplitude.is_empty();
-        let base =
-            Uniforms { source_words: words, weighted: weighted.into(), ..base(scene, pixels.channels(), bounds) };
+        let base = Uniforms {
+            source_words: words,
+            weighted: weighted.into(),
+            channel_amplitude: target.channel_amplitude,
+            ..base(scene, pixels.channels(), bounds)
+        };
         let size = [scene.width, scene.height];
         let [slab_rows, band_rows] = rows_at_a_time(size[0], size[1], words, binding)?;
         let source = Source::new(device, size, slab_rows, |first, end| pack(pixels, target, first, end))?;
@@ -199,10 +203,10 @@ impl Fitter {
 
     /// Takes up `scene`, of the size of the source; buffers of another size go.
     fn see(&mut self, scene: &Scene) -> Result<()> {
-        let Uniforms { source_words, weighted, .. } = self.base;
+        let Uniforms { source_words, weighted, channel_amplitude, .. } = self.base;
         [_, self.band_rows] = rows_at_a_time(scene.width, scene.height, source_words, self.binding)?;
         let bounds = Bounds::new(scene.width, scene.height);
-        self.base = Uniforms { source_words, weighted, ..base(scene, self.channels, &bounds) };
+        self.base = Uniforms { source_words, weighted, channel_amplitude, ..base(scene, self.channels, &bounds) };
         self.workspace = None;
         self.peaks = None;
         Ok(())

@@ -14,6 +14,7 @@ pub(super) const TILE: u32 = 16;
 pub(super) struct Uniforms {
     pub background: [f32; 4],
     pub rates: [f32; 4],
+    pub channel_amplitude: [f32; 4],
     pub origin_high: [f32; 2],
     pub origin_low: [f32; 2],
     pub step: [f32; 2],
@@ -74,6 +75,7 @@ impl Uniforms {
         let high = origin.map(|v| v as f32);
         Uniforms {
             background,
+            channel_amplitude: [1.0; 4],
             origin_high: high,
             origin_low: std::array::from_fn(|k| (origin[k] - f64::from(high[k])) as f32),
             step: step.map(|v| v as f32),

@@ -60,7 +60,7 @@ fn structs_are_laid_out_alike_on_both_sides() {
     }
     let module = parsed(&Kernels::SPECS[0]);
     let (scene, size) = members(&module, "Scene");
-    let rust = offsets!(Uniforms: background, rates, origin_high, origin_low, step, size, widening, decay, min_log_scale,
+    let rust = offsets!(Uniforms: background, rates, channel_amplitude, origin_high, origin_low, step, size, widening, decay, min_log_scale,
         max_log_scale, max_log_aspect, correction_first, correction_second, least_gain, variance, longest, primitives, capacity,
         width, height, across, down, row_step, row_phase, band_first, band_rows, tiles_x, tiles_y, tile_base, blend,
         channels, alpha, source_words, source_first, mode, cells_x, cells_y, cell, stride, level, price, weighted,
@@ -241,6 +241,7 @@ mod stages {
         let mut target = Planes::new(pixels);
         if weighted {
             target.amplitude = masking::amplitudes(&target, 90);
+            target.channel_amplitude = [0.9, 1.2, 0.7, 1.0];
         }
         target
     }
@@ -516,6 +517,7 @@ mod stages {
                         weighted: weighted.into(),
                         cells_x: scene.width.div_ceil(2),
                         cells_y: rows.count(scene.height) as u32,
+                        channel_amplitude: target.channel_amplitude,
                         ..Uniforms::new(&view, blend, Channels::Rgb, background, 0)
                     }
                     .band(0, rows.count(scene.height) as u32);

@@ -426,11 +426,15 @@ impl<const C: usize> BandTask<'_, C> {
         }
         let alpha = if C == 4 { (axes[3] / steps[3] + 0.5).floor().clamp(-30000.0, 30000.0) as i16 } else { 0 };
         let (co0, cg0) = (at(1, axes[1]), at(2, axes[2]));
+        let counts = self.problem.target.channel_amplitude.map(|a| a * a);
+        let share = 1.0 / (counts[0] + counts[1] + counts[2]);
+        // What the best luma moves by for each unit that Co and Cg are off: they are not orthogonal to it in RGB.
+        let (by_co, by_cg) =
+            (0.5 * share * (counts[2] - counts[0]), share * (0.5 * (counts[0] + counts[2]) - 0.5 * counts[1]));
         for co in co0..=co0 + 1 {
             for cg in cg0..=cg0 + 1 {
-                // Luma and Cg are not orthogonal in RGB: the rest of Cg's rounding moves the best luma by a sixth.
-                let left = f32::from(cg) * steps[2] - axes[2];
-                let luma = at(0, axes[0] + left / 6.0);
+                let left = [f32::from(co) * steps[1] - axes[1], f32::from(cg) * steps[2] - axes[2]];
+                let luma = at(0, axes[0] + by_co * left[0] + by_cg * left[1]);
                 for y in luma..=luma + 1 {
                     let c = [y, co, cg, alpha];
                     let e = value(c);

@@ -35,6 +35,8 @@ pub(super) struct Parabola {
     rest: f32,
     cross: [f32; 4],
     square: [f32; 2],
+    /// How much the squared error in each channel counts.
+    counts: [f32; 4],
 }
 
 impl<'a> Patch<'a> {
@@ -122,6 +124,7 @@ impl<'a> Patch<'a> {
                     if let Some(a) = amplitude {
                         d = simd.mul(d, simd.read(&a[x..]));
                     }
+                    d = simd.mul(d, simd.splat(target.channel_amplitude[k]));
                     error = simd.add(error, simd.mul(d, d));
                     simd.write(&mut out[k * width + o..], n);
                     simd.write(&mut out[(C + 1 + k) * width + o..], t);
@@ -154,17 +157,24 @@ impl<'a> Patch<'a> {
     #[inline(always)]
     pub(super) fn parabola<S: Simd, const C: usize>(&self, simd: S, q: &Projected) -> Parabola {
         let (zero, range) = (simd.splat(0.0), self.range(q.rows));
-        let mut errors =
-            Errors::<S, C> { pixels: self.pixels::<C>(&range), rest: zero, cross: [zero; C], square: [zero; 2] };
+        let counts = self.problem.target.channel_amplitude.map(|a| a * a);
+        let mut errors = Errors::<S, C> {
+            pixels: self.pixels::<C>(&range),
+            rest: zero,
+            cross: [zero; C],
+            square: [zero; 2],
+            counts,
+        };
         self.walk(simd, q, range, &mut errors);
         let scale = self.step as f32;
         let mut out = Parabola {
             rest: simd.sum(errors.rest) * scale,
             cross: [0.0; 4],
             square: [simd.sum(errors.square[0]), simd.sum(errors.square[1])].map(|s| s * scale),
+            counts,
         };
         for k in 0..C {
-            out.cross[k] = simd.sum(errors.cross[k]) * scale;
+            out.cross[k] = simd.sum(errors.cross[k]) * scale * out.counts[k];
         }
         out
     }
@@ -257,7 +267,7 @@ impl Parabola {
     /// `Σ r²` of channel `k`; alpha is weighted differently from colour.
     #[inline(always)]
     fn square(&self, k: usize, channels: usize) -> f32 {
-        self.square[usize::from(channels.is_multiple_of(2) && k + 1 == channels)]
+        self.square[usize::from(channels.is_multiple_of(2) && k + 1 == channels)] * self.counts[k]
     }
 
     /// The colour of the least error, unless nearly all are as good.
@@ -346,6 +356,8 @@ struct Errors<'a, S: Simd, const C: usize> {
     rest: S::Vector,
     cross: [S::Vector; C],
     square: [S::Vector; 2],
+    /// How much the squared error in each channel counts.
+    counts: [f32; 4],
 }
 
 impl<S: Simd, const C: usize> Visit<S> for Errors<'_, S, C> {
@@ -361,7 +373,8 @@ impl<S: Simd, const C: usize> Visit<S> for Errors<'_, S, C> {
             let a = simd.sub(simd.mul(at.plane(simd, k), share), at.plane(simd, C + 1 + k));
             let a = at.weighted::<S, C>(simd, k, a);
             let r = at.weighted::<S, C>(simd, k, part);
-            error = simd.add(error, simd.mul(a, a));
+            let counted = simd.mul(a, simd.splat(self.counts[k]));
+            error = simd.add(error, simd.mul(counted, a));
             self.cross[k] = simd.add(self.cross[k], simd.mul(a, r));
             if k == 0 || at.alpha == Some(k) {
                 let s = usize::from(k != 0);
@@ -409,11 +422,13 @@ impl<S: Simd, const C: usize> Visit<S> for Slopes<'_, S, C> {
                 Blend::Normalized => simd.mul(simd.mul(simd.sub(color, value), share), e),
                 Blend::Sum => simd.mul(color, e),
             };
-            let own = at.weighted::<S, C>(simd, k, own);
+            let counts = simd.splat(self.pixels.target.channel_amplitude[k]);
+            let own = simd.mul(at.weighted::<S, C>(simd, k, own), counts);
             let error = at.weighted::<S, C>(simd, k, simd.sub(value, at.plane(simd, C + 1 + k)));
+            let error = simd.mul(error, counts);
             t = simd.add(t, simd.mul(error, own));
             square = simd.add(square, simd.mul(own, own));
-            let shown = at.weighted::<S, C>(simd, k, simd.mul(simd.mul(own, w), share));
+            let shown = at.weighted::<S, C>(simd, k, simd.mul(simd.mul(simd.mul(own, w), share), counts));
             for (sum, f) in self.mixed[k].iter_mut().zip(features) {
                 *sum = simd.add(*sum, simd.mul(shown, f));
             }

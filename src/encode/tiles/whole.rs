@@ -90,7 +90,10 @@ impl Whole<'_> {
         planes.amplitude = match &self.weights {
             Weights::Alike => Vec::new(),
             Weights::Structure(mean) => structure::amplitudes_of_part(&planes, room, *mean),
-            Weights::Masking(means) => masking::amplitudes_of_part(&planes, room, means),
+            Weights::Masking(means) => {
+                planes.channel_amplitude = masking::channel_amplitude(planes.channels);
+                masking::amplitudes_of_part(&planes, room, means)
+            }
         };
         Ok(planes)
     }

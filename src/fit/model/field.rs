@@ -4,6 +4,7 @@
 //! time and of the memory.
 
 use crate::fit::model::kernel;
+use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::project::{self, Primitive, Projected};
 use crate::fit::model::rows::RowSet;
@@ -174,13 +175,13 @@ pub(crate) fn error_within(
     let errors = parallel::map(lines.len(), |i| {
         let y = lines.start + i as u32;
         let (drawn, wanted) = (field.row(y as usize, count), target.row(y));
-        let amplitude = if output == Output::Picture { None } else { target.amplitude(y) };
+        let (amplitude, channels) = amplitudes(target, y, output);
         let mut error = 0.0;
         for k in 0..count {
             let of = |x: usize| {
                 let at = k * target.stride + x;
                 let opacity = alpha.filter(|&a| a != k).map_or(1.0, |a| wanted[a * target.stride + x]);
-                let weight = opacity * amplitude.map_or(1.0, |a| a[x]);
+                let weight = opacity * amplitude.map_or(1.0, |a| a[x]) * channels[k];
                 f64::from((drawn[at].clamp(0.0, 1.0) - wanted[at]) * weight).powi(2)
             };
             error += columns.clone().map(of).sum::<f64>();
@@ -229,10 +230,20 @@ impl<const C: usize> Task for BandTask<'_, C> {
             let y = rows.row(first + i);
             let row = &mut band[i * row_size..][..row_size];
             let alpha = target.channels.alpha();
-            let amplitude = if output == Output::Picture { None } else { target.amplitude(y) };
-            error += resolve_row::<S, C>(simd, scene, (target.row(y), alpha, amplitude), (row, stride), output);
+            let amplitudes = amplitudes(target, y, output);
+            error += resolve_row::<S, C>(simd, scene, (target.row(y), alpha, amplitudes), (row, stride), output);
         }
         error
+    }
+}
+
+/// Returns the factors of the errors in row `y` before they are squared, of each pixel and of each channel: 1 for
+/// [`Output::Picture`].
+#[inline(always)]
+fn amplitudes(target: &Planes, y: u32, output: Output) -> (Option<&[f32]>, [f32; 4]) {
+    match output {
+        Output::Picture => (None, [1.0; 4]),
+        Output::Gradient | Output::Sums => (target.amplitude(y), target.channel_amplitude),
     }
 }
 
@@ -241,7 +252,7 @@ impl<const C: usize> Task for BandTask<'_, C> {
 fn resolve_row<S: Simd, const C: usize>(
     simd: S,
     scene: &Scene,
-    (target, alpha, amplitude): (&[f32], Option<usize>, Option<&[f32]>),
+    (target, alpha, (amplitude, channels)): (&[f32], Option<usize>, (Option<&[f32]>, [f32; 4])),
     (row, stride): (&mut [f32], usize),
     output: Output,
 ) -> f64 {
@@ -265,7 +276,8 @@ fn resolve_row<S: Simd, const C: usize>(
             };
             let v = simd.mul(simd.add(simd.read(colors), simd.splat(b)), inv);
             let clamped = simd.min(simd.max(v, zero), one);
-            let mut e = simd.sub(clamped, simd.read(&target[k * stride + x..]));
+            let counts = simd.splat(channels[k]);
+            let mut e = simd.mul(simd.sub(clamped, simd.read(&target[k * stride + x..])), counts);
             if let Some(a) = alpha.filter(|&a| a != k) {
                 e = simd.mul(e, simd.read(&target[a * stride + x..]));
             }
@@ -279,7 +291,7 @@ fn resolve_row<S: Simd, const C: usize>(
             }
             let left = match output {
                 Output::Picture | Output::Sums => v,
-                Output::Gradient => simd.mul(e, inv),
+                Output::Gradient => simd.mul(simd.mul(e, counts), inv),
             };
             simd.write(colors, left);
             if scene.blend == Blend::Normalized {

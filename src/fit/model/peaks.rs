@@ -162,6 +162,7 @@ fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet) -> Cells {
         let opaque = target.channels.alpha().map(|a| (a, &wanted[a * target.stride..][..length]));
         let found = field.row(i, channels);
         for k in 0..channels {
+            let share = share * target.channel_amplitude[k];
             let t = &wanted[k * target.stride..][..length];
             let v = &found[k * field.stride..][..length];
             let opacity = opaque.filter(|&(a, _)| a != k).map(|(_, plane)| plane);
@@ -332,7 +333,10 @@ pub(crate) fn at_peak(peak: &Peak, problem: &Problem<'_>) -> Primitive {
     let color = match scene.blend {
         Blend::Normalized => target.at(peak.mean),
         // The residual was weighted to find the peak.
-        Blend::Sum => peak.residual.map(|r| r / target.amplitude_at(peak.mean)),
+        Blend::Sum => {
+            let amplitude = target.amplitude_at(peak.mean);
+            std::array::from_fn(|k| peak.residual[k] / (amplitude * target.channel_amplitude[k]))
+        }
     };
     Primitive { mean: peak.mean, log_scale: peak.scale.map(|s| s.max(0.5).ln()), rotation: peak.rotation, color }
 }

@@ -15,6 +15,8 @@ pub(crate) struct Planes {
     planes: Vec<f32>,
     /// Square root of how much a pixel's squared error counts, `stride` floats a row; empty when all count 1.
     pub amplitude: Vec<f32>,
+    /// Square root of how much a squared error in each channel counts.
+    pub channel_amplitude: [f32; 4],
     /// Mean colour; colours of transparent pixels do not count.
     pub mean: [f32; 4],
 }
@@ -54,7 +56,7 @@ impl Planes {
             let weight = if channels.alpha() == Some(k) { area } else { sum[4] };
             if weight > 0.0 { (sum[k] / weight) as f32 } else { 0.0 }
         });
-        Planes { width, height, channels, stride, planes, amplitude: Vec::new(), mean }
+        Planes { width, height, channels, stride, planes, amplitude: Vec::new(), channel_amplitude: [1.0; 4], mean }
     }
 
     /// The planes of row `y`.

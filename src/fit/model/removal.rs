@@ -86,6 +86,7 @@ impl<S: Simd, const C: usize> Visit<S> for Cost<'_, S, C> {
                 Blend::Normalized => simd.sub(self.color[k], simd.read(&row[k * self.field.stride..])),
                 Blend::Sum => self.color[k],
             };
+            let d = simd.mul(d, simd.splat(self.problem.target.channel_amplitude[k]));
             distance = simd.add(distance, simd.mul(d, d));
         }
         self.sum = simd.add(self.sum, simd.mul(simd.mul(share, share), distance));

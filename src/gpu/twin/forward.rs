@@ -66,12 +66,15 @@ pub(in crate::gpu) fn forward(
                 value = std::array::from_fn(|k| sums.color[k] + scene.background[k]);
             }
             let share = importance_of_channels(scene, wanted);
-            let a = if scene.mode == 0 { amplitude(scene, source, x, y) } else { 1.0 };
-            let e: [f32; 4] = std::array::from_fn(|k| (value[k].clamp(0.0, 1.0) - wanted[k]) * (share[k] * a));
+            let a = match scene.mode {
+                0 => scene.channel_amplitude.map(|c| c * amplitude(scene, source, x, y)),
+                _ => [1.0; 4],
+            };
+            let e: [f32; 4] = std::array::from_fn(|k| (value[k].clamp(0.0, 1.0) - wanted[k]) * (share[k] * a[k]));
             out.errors[scene.tile_base as usize + tile] += dot(e, e);
             let at = (row * scene.width + x) as usize;
             if scene.mode == 0 {
-                let left = e.map(|v| v * (a * inverse));
+                let left = std::array::from_fn(|k| e[k] * (a[k] * inverse));
                 out.planes[at] = left;
                 out.tails[at] = if scene.blend == 0 { dot(left, value) } else { 0.0 };
             } else {

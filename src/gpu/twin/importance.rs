@@ -17,8 +17,9 @@ pub(in crate::gpu) fn importance(
     for pair in 0..starts[scene.tiles() as usize] {
         let splat = &splats[sorted[pair as usize] as usize];
         let area = area_of(scene, tile_of(scene, starts, pair));
-        let used =
-            |v: [f32; 4]| -> [f32; 4] { std::array::from_fn(|k| if (k as u32) < scene.channels { v[k] } else { 0.0 }) };
+        let used = |v: [f32; 4]| -> [f32; 4] {
+            std::array::from_fn(|k| if (k as u32) < scene.channels { v[k] * scene.channel_amplitude[k] } else { 0.0 })
+        };
         let mut cost = 0.0;
         for row in area[2]..area[3] {
             let y = sampled_row(scene, scene.band_first + row);

@@ -16,7 +16,7 @@ pub(in crate::gpu) fn residual(scene: &Uniforms, planes: &[[f32; 4]], source: &[
             let share = importance_of_channels(scene, wanted);
             let a = amplitude(scene, source, x, y);
             for k in 0..4 {
-                sum[k] += (wanted[k] - value[k]) * (share[k] * a / scene.cell as f32);
+                sum[k] += (wanted[k] - value[k]) * (share[k] * scene.channel_amplitude[k] * a / scene.cell as f32);
             }
         }
         cells[((scene.band_first + row) * scene.cells_x + i % scene.cells_x) as usize] = sum;
