@@ -480,3 +480,57 @@ fn neighbor(old: &PackedGaussian, step: i16, quantizer: &Quantizer) -> Option<Pa
     }
     Some(p)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bitstream::splats::Layout;
+    use crate::fit::model::masking;
+    use crate::fit::model::planes::Planes;
+    use crate::fit::model::problem::Scene;
+    use crate::fit::model::project::Primitive;
+    use crate::gaussian::{Blend, Channels};
+    use crate::pixels::{Pixels, Samples};
+    use crate::round::rounded::{Rounded, quantizer};
+
+    #[test]
+    fn what_a_sweep_gains_is_the_fall_of_the_weighted_error() {
+        // Smooth and busy, and within black and white by so much that nothing is clamped.
+        let (width, height) = (96u32, 80u32);
+        for channels in [Channels::Grey, Channels::Rgb, Channels::Rgba] {
+            let value = |x: u32, y: u32, k: u32| 128.0 + 50.0 * (0.1 * (x + k) as f32).sin() + (x * y % 23) as f32;
+            let count = channels.count() as u32;
+            let samples = (0..width * height * count)
+                .map(|i| value(i / count % width, i / count / width, i % count) as u8)
+                .collect();
+            let mut target = Planes::new(&Pixels::new(width, height, channels, Samples::U8(samples)).unwrap());
+            target.amplitude = masking::amplitudes(&target, 120);
+            target.channel_amplitude = [0.9, 1.3, 0.6, 1.1];
+            for blend in [Blend::Normalized, Blend::Sum] {
+                let scene = Scene { width, height, blend, background: target.mean };
+                let problem = Problem { scene, target: &target };
+                let primitives: Vec<Primitive> = (0..120u32)
+                    .map(|i| {
+                        let f = |k: u32| (f64::from(i) * f64::from(k).sqrt()).fract() as f32;
+                        let color = match blend {
+                            Blend::Normalized => [f(7), f(11), f(13), f(17)].map(|v| 0.3 + 0.4 * v),
+                            Blend::Sum => [f(7), f(11), f(13), f(17)].map(|v| 0.1 * v - 0.05),
+                        };
+                        let mean = [96.0 * f(2), 80.0 * f(3)];
+                        Primitive { mean, log_scale: [1.5 + f(5), 1.0 + f(19)], rotation: 3.0 * f(23), color }
+                    })
+                    .collect();
+                let Rounded { steps, mut gaussians, .. } = Rounded::nearest(&problem, Layout::Coded, &primitives);
+                let quantizer = quantizer(&problem, Layout::Coded, &steps);
+                let mut descent = Descent::new(problem, &quantizer, Field::default());
+                let before = descent.error(&gaussians);
+                let free = Objective { lambda: 0.0, position_bits: f32::NEG_INFINITY };
+                let swept = descent.sweep(&mut gaussians, &[], &free);
+                let fall = before - descent.error(&gaussians);
+                // Sums of some thousand pixels in f32, and few of them at a time.
+                assert!((swept.gain / fall - 1.0).abs() < 1e-3, "{channels:?} {blend:?} {} {fall}", swept.gain);
+                assert!(fall > 0.1 * before, "{fall} {before}");
+            }
+        }
+    }
+}
