@@ -100,6 +100,9 @@ pub use error::{Error, FormatError, GpuError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
 pub use image_crate::{EXTENSION, SsplatDecoder, SsplatEncoder, register, save};
 pub use limits::Limits;
+#[cfg(feature = "recipes")]
+#[doc(hidden)]
+pub use options::Rung;
 pub use options::{
     Ablation, Backend, Damage, DecodeOptions, EncodeOptions, Needs, Recipe, Target, Thumbnail, Trace, Tune,
 };

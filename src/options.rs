@@ -50,6 +50,29 @@ pub enum Ablation {
     Colors,
 }
 
+/// How far an encode goes from SmartSplat's pipeline to ours: each rung has what those below it have. The first two belong to
+/// [`Recipe::SmartSplat`], the others to [`Recipe::Ssplat`]; what is no ablation stands on the last one.
+#[doc(hidden)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Hash)]
+pub enum Rung {
+    /// A fit that is rounded to the nearest integers.
+    #[cfg_attr(not(feature = "recipes"), allow(dead_code, reason = "only an ablation stops here"))]
+    Fit,
+    /// Descent over the integers.
+    Descent,
+    /// Squared error, step sizes in each Gaussian's own frame, and moments that forget sooner.
+    Optimizer,
+    /// Steps that see some of the rows.
+    Sampling,
+    /// A start by detail, along edges.
+    Start,
+    /// Relocation of the least useful primitives.
+    Relocation,
+    /// A price for size.
+    #[default]
+    Price,
+}
+
 /// Which measure the fit favours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Tune {
@@ -147,6 +170,10 @@ pub struct EncodeOptions {
     pub tiles: Option<u32>,
     /// Whether to measure quality along the way.
     pub trace: Trace,
+    /// Where an ablation stops.
+    #[cfg(feature = "recipes")]
+    #[doc(hidden)]
+    pub rung: Rung,
     /// ICC profile to carry.
     pub icc: Option<Vec<u8>>,
     /// EXIF block to carry.
@@ -179,6 +206,8 @@ impl Default for EncodeOptions {
             thumbnail: Thumbnail::Auto,
             tiles: None,
             trace: Trace::Off,
+            #[cfg(feature = "recipes")]
+            rung: Rung::default(),
             icc: None,
             exif: None,
         }

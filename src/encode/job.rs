@@ -83,6 +83,10 @@ impl Encoding<'_> {
         let options = subject.options;
         let area = u64::from(subject.pixels.width()) * u64::from(subject.pixels.height());
         let mut plan = Plan::new(options.effort, count, area, self.time, options.seed);
+        #[cfg(feature = "recipes")]
+        {
+            plan.rung = options.rung;
+        }
         if options.needs == Needs::Measured {
             plan.enough = enough(options.target, subject.pixels.depth());
         }

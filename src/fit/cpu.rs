@@ -96,7 +96,8 @@ impl Engine for State {
             && self.latest > CLEARLY_WORSE * error
         {
             let still = std::mem::take(&mut self.still);
-            *self = State { price: self.price, still, ..State::new(primitives, self.bounds) };
+            let (price, is_priced) = (self.price, self.is_priced);
+            *self = State { price, is_priced, still, ..State::new(primitives, self.bounds) };
         }
         Ok(())
     }
@@ -106,8 +107,8 @@ impl Engine for State {
         let bounds = Bounds::new(problem.scene.width, problem.scene.height);
         let zoomed = State::new(project::zoomed(std::mem::take(&mut self.primitives), by), bounds);
         let still = project::zoomed(std::mem::take(&mut self.still), by);
-        let (iteration, price, scale) = (self.iteration, self.price, self.scale * by);
-        *self = State { iteration, price, scale, still, field: std::mem::take(&mut self.field), ..zoomed };
+        let (iteration, price, is_priced, scale) = (self.iteration, self.price, self.is_priced, self.scale * by);
+        *self = State { iteration, price, is_priced, scale, still, field: std::mem::take(&mut self.field), ..zoomed };
         Ok(())
     }
 

@@ -19,7 +19,9 @@ use crate::fit::model::reduced::{Coarse, Reduced};
 use crate::fit::model::sample;
 use crate::fit::plan::Plan;
 use crate::fit::schedule::{self, Part};
+use crate::fit::smartsplat;
 use crate::fit::state::State;
+use crate::options::{Ablation, Rung};
 
 /// From so many primitives on the small ones among them need all pixels: 260 lose .1 dB to a copy of half the size.
 const FEW: usize = 120;
@@ -63,6 +65,12 @@ fn halvings(scene: &Scene, count: usize) -> u32 {
 /// Returns where the fit of `job` starts. `watcher` may correct the number on the way.
 pub(crate) fn start(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<Start> {
     let Job { problem, count, plan } = *job;
+    if plan.rung < Rung::Start {
+        let mut rng = random(plan);
+        let primitives = smartsplat::initial(problem.target, count, Ablation::Colors, &mut rng);
+        let bounds = Bounds::new(problem.target.width, problem.target.height);
+        return Ok(Start { state: State::new(primitives, bounds), rng, from: 0 });
+    }
     let halvings = halvings(&problem.scene, count);
     // A budget of time is better spent on one fit.
     if !(1..FEW).contains(&count) || halvings == 0 || plan.fit_deadline.is_some() {

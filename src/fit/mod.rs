@@ -18,6 +18,7 @@ mod stability;
 pub(crate) mod state;
 
 use crate::error::Result;
+use crate::options::Rung;
 use engine::{Ending, Engine, Watcher};
 use job::Job;
 use state::State;
@@ -31,7 +32,8 @@ pub(crate) fn fit<E: Engine>(
     open: impl FnOnce(State) -> Result<E>,
     watcher: &mut dyn Watcher,
 ) -> Result<(E, Ending)> {
-    let start = draft::start(job, watcher)?;
+    let mut start = draft::start(job, watcher)?;
+    start.state.is_priced = job.plan.rung >= Rung::Price;
     let mut engine = open(start.state)?;
     let ending = schedule::run(job, &mut engine, (start.rng, start.from..job.plan.iterations), watcher)?;
     engine.keep_best()?;

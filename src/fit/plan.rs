@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::fit::model::problem::LARGE;
+use crate::options::Rung;
 
 /// Share of a time budget that the float fit may take.
 const FIT_SHARE: f64 = 0.75;
@@ -33,6 +34,8 @@ pub(crate) struct Plan {
     pub rate: f32,
     /// Seed of everything random.
     pub seed: u64,
+    /// Where an ablation stops.
+    pub rung: Rung,
 }
 
 /// Primitives from which on a fit goes at a brisk pace.
@@ -98,6 +101,7 @@ impl Plan {
             enough: 0.0,
             rate: 1.0,
             seed,
+            rung: Rung::default(),
         }
     }
 

@@ -14,6 +14,7 @@ use crate::fit::model::problem::Problem;
 use crate::fit::model::reduced::{Coarse, Reduced};
 use crate::fit::model::rows::RowSet;
 use crate::fit::plan::Pace;
+use crate::options::Rung;
 
 /// Step sizes at the start, in each Gaussian's own frame and units. What others would win or lose is measured by
 /// `cargo run --release --features cli --example rate_distortion -- PICTURES`.
@@ -186,7 +187,11 @@ impl<'a> Course<'a> {
             let wanted = watcher.recount(&self.running(engine).primitives()?)?;
             engine.resize(&seen, surveyed, wanted)?;
             self.row_step = scene.row_step(engine.count());
-        } else if iteration > 0 && iteration.is_multiple_of(plan.relocate_every) && done < relocated(plan.pace) {
+        } else if plan.rung >= Rung::Relocation
+            && iteration > 0
+            && iteration.is_multiple_of(plan.relocate_every)
+            && done < relocated(plan.pace)
+        {
             let share = match plan.pace {
                 Pace::Steady => MOVED_STEADILY,
                 Pace::Brisk => MOVED * (1.0 - done / RELOCATED),
@@ -200,7 +205,8 @@ impl<'a> Course<'a> {
     /// Takes one step of the optimizer; returns whether the error is small enough.
     fn step<E: Engine>(&mut self, iteration: u32, done: f32, engine: &mut E) -> Result<bool> {
         let (plan, whole) = (self.job.plan, &self.job.problem);
-        let sampled = self.rows.next(sampling(self.row_step, done), &mut self.rng);
+        let step = if plan.rung >= Rung::Sampling { sampling(self.row_step, done) } else { 1 };
+        let sampled = self.rows.next(step, &mut self.rng);
         let sampled = self.seen_rows(sampled);
         let cosine = 0.5 * (1.0 + (std::f32::consts::PI * done).cos());
         // With a time budget there may be fewer than planned.

@@ -189,7 +189,7 @@ fn update(p: &mut Primitive, m: &mut Memory, g: &Gradient, halves: [f32; 2], cor
 }
 
 /// Where the fit starts, with the parts of the initialization that `parts` has.
-fn initial(target: &Planes, count: usize, parts: Ablation, rng: &mut Pcg64Mcg) -> Vec<Primitive> {
+pub(super) fn initial(target: &Planes, count: usize, parts: Ablation, rng: &mut Pcg64Mcg) -> Vec<Primitive> {
     let area = f64::from(target.width) * f64::from(target.height);
     // A third of the radius at which as many circles would cover the picture: three scales reach that far.
     let base = ((area / (std::f64::consts::PI * count.max(1) as f64)).sqrt() / 3.0) as f32;

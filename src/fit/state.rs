@@ -24,6 +24,8 @@ pub(crate) struct State {
     pub field: Field,
     /// The price of size, by the error that was seen last: see [`adam::price`].
     pub price: f32,
+    /// Whether size has a price at all.
+    pub(super) is_priced: bool,
     pub(super) iteration: u32,
     /// The size of the picture that the steps see, over its own.
     pub(super) scale: f32,
@@ -47,6 +49,7 @@ impl State {
             bounds,
             field: Field::default(),
             price: 0.0,
+            is_priced: true,
             iteration: 0,
             scale: 1.0,
             best: None,
@@ -116,7 +119,9 @@ impl State {
         let scene = &problem.scene;
         let projected = self.projected(scene.height);
         let error = self.field.draw(problem, &projected, rows, Output::Picture);
-        self.price = adam::price(error, [scene.width, scene.height], rows, projected.len());
+        if self.is_priced {
+            self.price = adam::price(error, [scene.width, scene.height], rows, projected.len());
+        }
         removal::costs(problem, &self.field, rows, &projected[..self.primitives.len()])
     }
 }

@@ -8,6 +8,7 @@ use crate::fit::model::field::float_error;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::plan::Plan;
 use crate::fit::state::State;
+use crate::options::Rung;
 use crate::quantize::Quantizer;
 use crate::round::descend::{Descent, Objective};
 use crate::round::freeze;
@@ -86,7 +87,8 @@ pub(crate) fn finish(task: &Rounding<'_>, mut state: State, client: &mut dyn Cli
     // From here on the background is the one that the file will have.
     let background = quantizer.dequantize_color(rounded.background);
     let problem = Problem { scene: Scene { background, ..problem.scene }, ..problem };
-    if plan.freezing > 0 && !plan.is_fit_over() {
+    let descends = plan.rung >= Rung::Descent;
+    if descends && plan.freezing > 0 && !plan.is_fit_over() {
         freeze::freeze(&problem, &mut state, &quantizer, plan, &mut |done, now| client.step(0.5 * done, now))?;
         rounded.round(&quantizer, &state.primitives);
     }
@@ -140,7 +142,7 @@ impl Rounds<'_> {
                 break;
             }
             // When the time is over only the size is still brought right.
-            if !is_late {
+            if !is_late && plan.rung >= Rung::Descent {
                 let expected = client.expected(&mut self.rounded)?;
                 self.sweep(&expected, error, bytes);
             }

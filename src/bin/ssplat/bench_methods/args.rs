@@ -12,6 +12,7 @@ const EXAMPLES: &str = "\
 Examples:
   ssplat bench-methods kodim*.png --out methods --ratios 20,50 --seeds 0,1,2
   ssplat bench-methods photo.png --out methods --counts 1000 --side 256 --iterations 500
+  ssplat bench-methods kodim*.png --out methods --ablation --ratios 50 --effort 3
 
 Each method fits the same number of Gaussians: that of the ratio at 7 bytes for each, as SmartSplat's
 paper counts. Then each gets a file of as many bytes as the ratio has: ours and SmartSplat by the encoder, the others
@@ -44,6 +45,9 @@ pub struct BenchMethods {
     /// Effort of ours and SmartSplat
     #[arg(long, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
     pub effort: u8,
+    /// Goes from SmartSplat's pipeline to ours one change at a time instead; writes ablation.md and ablation.csv
+    #[arg(long, conflicts_with_all = ["counts", "iterations", "rates"])]
+    pub ablation: bool,
     /// Shrinks pictures whose longer side has more pixels
     #[arg(long, value_name = "PIXELS")]
     pub side: Option<u32>,

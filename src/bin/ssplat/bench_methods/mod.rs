@@ -1,5 +1,6 @@
 //! `ssplat bench-methods`: published methods beside ours, at the same number of Gaussians and at the same size of file.
 
+mod ablation;
 pub mod args;
 mod contender;
 mod page;
@@ -32,6 +33,9 @@ struct Cell {
 
 pub fn run(args: &args::BenchMethods) -> Result<(), Failure> {
     std::fs::create_dir_all(&args.out).map_err(|e| Failure::io(&args.out, &e))?;
+    if args.ablation {
+        return ablation::run(args);
+    }
     let contenders = args.contenders();
     let sizes = if args.counts.is_empty() { args.ratios.len() } else { args.counts.len() };
     let all = args.images.len() * sizes * args.seeds.len() * contenders.len();

@@ -37,7 +37,7 @@ pub fn row(cell: &Cell) -> String {
 }
 
 /// The command that made the page, without the folders of its files.
-fn command(arguments: impl Iterator<Item = String>) -> String {
+pub fn command(arguments: impl Iterator<Item = String>) -> String {
     let plain = |argument: String| match Path::new(&argument).file_name().and_then(|n| n.to_str()) {
         Some(name) if argument.contains(std::path::MAIN_SEPARATOR) => name.to_owned(),
         _ => argument,
