@@ -237,10 +237,13 @@ impl<const C: usize> Task for BandTask<'_, C> {
     }
 }
 
+/// Factors of errors before they are squared: of each pixel of a row, and of each channel.
+type Amplitudes<'a> = (Option<&'a [f32]>, [f32; 4]);
+
 /// Returns the factors of the errors in row `y` before they are squared, of each pixel and of each channel: 1 for
 /// [`Output::Picture`].
 #[inline(always)]
-fn amplitudes(target: &Planes, y: u32, output: Output) -> (Option<&[f32]>, [f32; 4]) {
+fn amplitudes(target: &Planes, y: u32, output: Output) -> Amplitudes<'_> {
     match output {
         Output::Picture => (None, [1.0; 4]),
         Output::Gradient | Output::Sums => (target.amplitude(y), target.channel_amplitude),
@@ -252,7 +255,7 @@ fn amplitudes(target: &Planes, y: u32, output: Output) -> (Option<&[f32]>, [f32;
 fn resolve_row<S: Simd, const C: usize>(
     simd: S,
     scene: &Scene,
-    (target, alpha, (amplitude, channels)): (&[f32], Option<usize>, (Option<&[f32]>, [f32; 4])),
+    (target, alpha, (amplitude, channels)): (&[f32], Option<usize>, Amplitudes<'_>),
     (row, stride): (&mut [f32], usize),
     output: Output,
 ) -> f64 {
