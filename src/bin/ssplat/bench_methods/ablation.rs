@@ -162,9 +162,10 @@ fn markdown(args: &BenchMethods, pictures: &[String], steps: &[Step], found: &[V
             let missing = of_pictures.iter().flatten().filter(|o| o.is_none()).count();
             let mean = |of: &dyn Fn(&Outcome) -> f64| all.iter().map(|o| of(o)).sum::<f64>() / all.len() as f64;
             let psnr = mean(&|o| o.psnr);
-            let spread = of_pictures.iter().map(|seeds| half_spread(seeds)).fold(0.0, f64::max);
+            let psnrs = |seeds: &[Option<Outcome>]| seeds.iter().flatten().map(|o| o.psnr).collect::<Vec<_>>();
+            let spread = of_pictures.iter().map(|seeds| page::half_spread(&psnrs(seeds))).fold(0.0, f64::max);
             let gain = before.map_or(String::from("–"), |before: f64| format!("{:+.2}", psnr - before));
-            if i + 1 < LADDER || i == LADDER - 1 {
+            if i < LADDER {
                 before = Some(psnr);
             }
             let ms_ssim = match all.iter().all(|o| o.ms_ssim.is_some()) {
@@ -182,12 +183,6 @@ fn markdown(args: &BenchMethods, pictures: &[String], steps: &[Step], found: &[V
         }
     }
     out
-}
-
-fn half_spread(seeds: &[Option<Outcome>]) -> f64 {
-    let psnrs = seeds.iter().flatten().map(|o| o.psnr);
-    let (least, most) = psnrs.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), v| (l.min(v), m.max(v)));
-    if least <= most { 0.5 * (most - least) } else { 0.0 }
 }
 
 #[cfg(test)]

@@ -106,6 +106,12 @@ pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String
     out + "\n![PSNR along the seconds of the fits](convergence.svg)\n"
 }
 
+/// Half of what lies between the least and the largest, 0 where there are none.
+pub fn half_spread(values: &[f64]) -> f64 {
+    let range = values.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |r, &v| [r[0].min(v), r[1].max(v)]);
+    (0.5 * (range[1] - range[0])).max(0.0)
+}
+
 /// The mean, and half of what lies between the least and the largest.
 fn summary(values: &[f64], digits: usize) -> String {
     if values.is_empty() {
@@ -115,11 +121,10 @@ fn summary(values: &[f64], digits: usize) -> String {
     if !mean.is_finite() {
         return "not a number".into();
     }
-    let range = values.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |r, &v| [r[0].min(v), r[1].max(v)]);
     if values.len() == 1 {
         format!("{mean:.digits$}")
     } else {
-        format!("{mean:.digits$} ± {:.digits$}", 0.5 * (range[1] - range[0]))
+        format!("{mean:.digits$} ± {:.digits$}", half_spread(values))
     }
 }
 
