@@ -32,7 +32,7 @@ pub(crate) struct Buckets {
     log: [u32; 2],
     corner: [u32; 2],
     shape: [usize; 2],
-    /// By row, with an empty one before each row and behind the last.
+    /// By row, with an empty bucket before each row and behind the last, and an empty row above and below.
     sums: Vec<[i32; LANES]>,
 }
 
@@ -52,7 +52,7 @@ impl Buckets {
             log[usize::from(log[0] > log[1])] += 1;
         }
         let shape = shape_of(log).map(|s| s as usize);
-        Buckets { log, corner, shape, sums: vec![[0; LANES]; (shape[0] + 1) * shape[1] + 1] }
+        Buckets { log, corner, shape, sums: vec![[0; LANES]; (shape[0] + 1) * (shape[1] + 2) + 1] }
     }
 
     /// Where the middle of a square lies.
@@ -71,7 +71,7 @@ impl Buckets {
     #[inline]
     pub fn add(&mut self, spot: &Spot, lanes: &[i32; LANES]) {
         let [x, y] = spot.bucket;
-        let sums = &mut self.sums[y * (self.shape[0] + 1) + x + 1];
+        let sums = &mut self.sums[(y + 1) * (self.shape[0] + 1) + x + 1];
         sums.iter_mut().zip(lanes).for_each(|(sum, lane)| *sum += lane);
         if sums[COUNT] >= MANY {
             sums.iter_mut().for_each(|sum| *sum >>= 1);
@@ -85,9 +85,9 @@ impl Buckets {
         let [x, y] = spot.bucket;
         let shifts = &SHIFTS[spot.eighths[1]][spot.eighths[0]];
         let mut out = [0; LANES];
-        for row in y.saturating_sub(1)..(y + 2).min(self.shape[1]) {
-            let three = &self.sums[row * (self.shape[0] + 1) + x..][..3];
-            for (sums, shift) in three.iter().zip(shifts[row + 1 - y]) {
+        for (down, shifts) in shifts.iter().enumerate() {
+            let three = &self.sums[(y + down) * (self.shape[0] + 1) + x..][..3];
+            for (sums, shift) in three.iter().zip(shifts) {
                 out.iter_mut().zip(sums).for_each(|(out, sum)| *out += sum << shift);
             }
         }

@@ -100,7 +100,7 @@ fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_
     let kept = if batches == 1 { 1 } else { STRIPS };
     sums.resize(kept * TILE_HEIGHT * P, Lanes([0.0; LANES]));
     // Finishing a strip visits all of its sums and leaves them as the next strip is to find them.
-    let renewed = kept == 1 && scene.parts == [1, 1] && window.rows.start == 0;
+    let renewed = kept == 1 && window.rows.start == 0;
     let mut start = [0.0; P];
     for (k, value) in start.iter_mut().enumerate() {
         let b = if k < C { scene.background[k] } else { 1.0 };
@@ -120,22 +120,14 @@ fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_
                     fill(simd, row, start);
                 }
             }
-            for segment in &lists[s] {
-                segment.draw::<S, C, P>(simd, sums);
-            }
+            add::<S, C, P>(simd, &lists[s], sums);
             if batch + 1 == batches {
-                let codes = codes[first_row * TILE_WIDTH * C..].chunks_exact_mut(TILE_WIDTH * C);
+                let codes = &mut codes[first_row * TILE_WIDTH * C..];
                 let shown = &mut sums[window.rows.start..];
                 if scene.parts == [1, 1] {
-                    for (row, codes) in shown.iter_mut().zip(codes) {
-                        finish::<S, T, C, P>(simd, row, &mut codes[s * LANES * C..(s + 1) * LANES * C]);
-                        fill(simd, row, start);
-                    }
+                    finish::<S, T, C, P>(simd, shown, start, &mut codes[s * LANES * C..]);
                 } else {
-                    let width = LANES / across * C;
-                    for (rows, codes) in shown.chunks_exact(down).zip(codes) {
-                        average::<S, T, C, P>(simd, rows, across, &mut codes[s * width..(s + 1) * width]);
-                    }
+                    reduce::<S, T, C, P>(simd, shown, (scene.parts, start), &mut codes[s * LANES / across * C..]);
                 }
             }
         }
@@ -167,25 +159,50 @@ fn shade<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, row: &[Lan
     values
 }
 
-/// The sums of one row of a strip as code values.
-#[inline(always)]
-fn finish<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, row: &[Lanes; P], codes: &mut [T]) {
-    let mut values = shade::<S, T, C, P>(simd, row);
-    for value in &mut values {
-        *value = simd.add(*value, simd.splat(0.5));
+/// The sums of a strip as code values, from the strip's place in the first row of `codes` on; they are left at `start`.
+#[cfg_attr(target_family = "wasm", inline(never))]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
+fn finish<S: Simd, T: Sample, const C: usize, const P: usize>(
+    simd: S,
+    strip: &mut [[Lanes; P]],
+    start: [f32; P],
+    codes: &mut [T],
+) {
+    for (row, codes) in strip.iter_mut().zip(codes.chunks_mut(TILE_WIDTH * C)) {
+        let mut values = shade::<S, T, C, P>(simd, row);
+        for value in &mut values {
+            *value = simd.add(*value, simd.splat(0.5));
+        }
+        T::store::<S, C>(simd, &mut codes[..LANES * C], values);
+        fill(simd, row, start);
     }
-    T::store::<S, C>(simd, codes, values);
 }
 
-/// The mean of each `across` columns of all `rows` of a strip as code values. Colours count by their alpha: what hides
-/// where a picture is transparent shall not show where it is not.
+/// The means of each `across` columns and `down` rows of a strip as code values, from the strip's place in the first row of
+/// `codes` on; the sums are left at `start`.
+#[cfg_attr(target_family = "wasm", inline(never))]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
+fn reduce<S: Simd, T: Sample, const C: usize, const P: usize>(
+    simd: S,
+    strip: &mut [[Lanes; P]],
+    ([across, down], start): ([usize; 2], [f32; P]),
+    codes: &mut [T],
+) {
+    for (rows, codes) in strip.chunks_exact_mut(down).zip(codes.chunks_mut(TILE_WIDTH * C)) {
+        average::<S, T, C, P>(simd, rows, (across, start), &mut codes[..LANES / across * C]);
+    }
+}
+
+/// The mean of each `across` columns of all `rows` of a strip as code values; the rows are left at `start`. Colours count by
+/// their alpha: what hides where a picture is transparent shall not show where it is not.
 #[inline(always)]
 fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
     simd: S,
-    rows: &[[Lanes; P]],
-    across: usize,
+    rows: &mut [[Lanes; P]],
+    (across, start): (usize, [f32; P]),
     codes: &mut [T],
 ) {
+    let down = rows.len();
     // Grey and alpha, or three colours and alpha.
     let has_alpha = C == 2 || C == 4;
     let hidden = simd.splat(HIDDEN * T::WHITE);
@@ -202,6 +219,7 @@ fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
         for (sum, value) in sums.iter_mut().zip(values) {
             *sum = simd.add(*sum, value);
         }
+        fill(simd, row, start);
     }
     let mut columns = [Lanes([0.0; LANES]); C];
     for (columns, sum) in columns.iter_mut().zip(sums) {
@@ -210,7 +228,7 @@ fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
     let mut weight_columns = Lanes([0.0; LANES]);
     simd.store(&mut weight_columns, weights);
     // A power of two: the mean is as exact as the sum.
-    let share = 1.0 / (across * rows.len()) as f32;
+    let share = 1.0 / (across * down) as f32;
     means(&columns, has_alpha.then_some(&weight_columns), across, share, codes);
 }
 
@@ -221,18 +239,19 @@ fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn means<T: Sample>(columns: &[Lanes], weights: Option<&Lanes>, across: usize, share: f32, codes: &mut [T]) {
-    let of_pixel = |columns: &Lanes, i: usize| {
-        let mut sum = 0.0;
-        for value in &columns.0[i * across..(i + 1) * across] {
-            sum += value;
-        }
-        sum
-    };
     for (i, pixel) in codes.chunks_exact_mut(columns.len()).enumerate() {
-        let color_share = weights.map_or(share, |weights| 1.0 / of_pixel(weights, i));
-        for (k, (code, column)) in pixel.iter_mut().zip(columns).enumerate() {
+        // Side by side: a sum waits for the one before it.
+        let (mut sums, mut weight) = ([0.0; 4], 0.0);
+        for column in i * across..(i + 1) * across {
+            for (sum, lanes) in sums.iter_mut().zip(columns) {
+                *sum += lanes.0[column];
+            }
+            weight += weights.map_or(0.0, |lanes| lanes.0[column]);
+        }
+        let color_share = weights.map_or(share, |_| 1.0 / weight);
+        for (k, (code, sum)) in pixel.iter_mut().zip(sums).enumerate() {
             let share = if weights.is_some() && k == columns.len() - 1 { share } else { color_share };
-            *code = T::floor(of_pixel(column, i) * share + 0.5);
+            *code = T::floor(sum * share + 0.5);
         }
     }
 }
@@ -427,6 +446,17 @@ impl Segment {
                 }
             }
         }
+    }
+}
+
+/// Adds segments to their strip.
+///
+/// In WebAssembly this loop is a function of its own: browsers keep what it needs in registers only where little else is around.
+#[cfg_attr(target_family = "wasm", inline(never))]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
+fn add<S: Simd, const C: usize, const P: usize>(simd: S, segments: &[Segment], strip: &mut [[Lanes; P]]) {
+    for segment in segments {
+        segment.draw::<S, C, P>(simd, strip);
     }
 }
 
