@@ -185,25 +185,48 @@ export class SsplatImg extends HTMLElement {
     }
   }
 
-  // The bytes of a response. A file with groups or a thumbnail shows what is there each time that half as much again has come.
+  // The bytes of a response. A file with groups or a thumbnail shows what is there each time that half as much again has come,
+  // and whenever nothing comes for a moment: a level that is whole is seen though the next one keeps everybody waiting.
   async #read({ body }, signal) {
     if (!body) return new Uint8Array
     const reader = body.getReader()
-    let bytes = new Uint8Array(4096), length = 0, next = 64, drawing = false
-    for (;;) {
-      const { done, value } = await reader.read()
-      if (done) return bytes.subarray(0, length)
-      if (length + value.length > bytes.length) {
-        const longer = new Uint8Array(Math.max(2 * bytes.length, length + value.length))
-        longer.set(bytes)
-        bytes = longer
+    let bytes = new Uint8Array(4096), length = 0, looked = 42, looking = false, ended = false, pause = 50, timer
+    const soon = () => {
+      clearTimeout(timer)
+      if (looking || ended || length <= looked) return
+      if (length < 1.5 * looked) timer = setTimeout(look, pause)
+      else look()
+    }
+    const look = async () => {
+      looking = true
+      looked = length
+      const start = performance.now()
+      try {
+        await this.#glimpse(bytes.slice(0, length), signal)
+      } finally {
+        // Where bytes trickle in, half of the time at most goes into them.
+        pause = Math.max(50, performance.now() - start)
+        looking = false
+        soon()
       }
-      bytes.set(value, length)
-      length += value.length
-      if (drawing || length < next || !magic.every((v, i) => bytes[i] == v) || (bytes[5] & 3) != 3 && bytes[5] < 128) continue
-      drawing = true
-      next = 1.5 * length
-      this.#glimpse(bytes.slice(0, length), signal).finally(() => drawing = false)
+    }
+    try {
+      for (;;) {
+        const { done, value } = await reader.read()
+        if (done) return bytes.subarray(0, length)
+        if (length + value.length > bytes.length) {
+          const longer = new Uint8Array(Math.max(2 * bytes.length, length + value.length))
+          longer.set(bytes)
+          bytes = longer
+        }
+        bytes.set(value, length)
+        length += value.length
+        if (length > 63 && magic.every((v, i) => bytes[i] == v) && ((bytes[5] & 3) == 3 || bytes[5] > 127)) soon()
+      }
+    } finally {
+      // All is there, or nobody waits for it any more.
+      clearTimeout(timer)
+      ended = true
     }
   }
 

@@ -1,5 +1,6 @@
 // What <ssplat-img> promises.
 import "/web/dist/ssplat-img.js"
+import { decode, info } from "/web/dist/ssplat.js"
 import { crc32 } from "/web/test/files.js"
 
 const vector = name => `/spec/vectors/valid/${name}/file.ssplat`
@@ -129,41 +130,56 @@ export async function test() {
     check(space == colorSpace && pixels(coloured, { colorSpace }).every((v, i) => v == stored[i]), `a file in ${colorSpace} is drawn in ${space}`)
   }
 
-  // What has come of a file with groups is seen before the rest is there.
-  const inTwo = async (name, first) => {
+  // A file that comes in pieces which end at these bytes: the next one comes at each `more()`.
+  const inPieces = async (name, ends) => {
     const bytes = new Uint8Array(await (await fetch(vector(name))).arrayBuffer()), fetches = window.fetch
-    let go
-    const rest = new Promise(resolve => go = resolve)
-    window.fetch = async () => new Response(new ReadableStream({
-      async start(stream) {
-        stream.enqueue(bytes.slice(0, first))
-        await rest
-        stream.enqueue(bytes.slice(first))
-        stream.close()
-      },
-    }))
+    let stream, at = 0
+    window.fetch = async () => new Response(new ReadableStream({ start: s => stream = s }))
     const element = add({ src: "/slow.ssplat" }), loaded = event(element, ["load", "error"])
     window.fetch = fetches
-    return { element, loaded, go }
+    const more = () => {
+      const end = ends.shift()
+      stream.enqueue(bytes.slice(at, end))
+      if (end == undefined) stream.close()
+      at = end
+    }
+    more()
+    return { bytes, element, loaded, more }
   }
-  const { element: streamed, loaded, go } = await inTwo("groups-divided", 3000)
-  for (let i = 0; i < patience / 50 && !seen(streamed); i++) await new Promise(r => setTimeout(r, 50))
-  check(seen(streamed) && !streamed.complete, "half of a file shows nothing")
-  const half = pixels(streamed)
-  go()
-  check((await loaded).type == "load" && streamed.complete, "a file in two parts does not load")
+  const until = async good => {
+    for (let i = 0; i < patience / 50 && !good(); i++) await new Promise(r => setTimeout(r, 50))
+    return good()
+  }
+  const same = (a, b) => a.length == b.length && a.every((v, i) => v == b[i])
+
+  // What has come of a file with groups is seen before the rest is there.
+  const streamed = await inPieces("groups-divided", [3000])
+  check(await until(() => seen(streamed.element)) && !streamed.element.complete, "half of a file shows nothing")
+  const half = pixels(streamed.element)
+  streamed.more()
+  check((await streamed.loaded).type == "load" && streamed.element.complete, "a file in two parts does not load")
   const once = add({ src: vector("groups-divided") })
   await event(once, ["load", "error"])
-  const now = pixels(streamed)
-  check(pixels(once).every((v, i) => v == now[i]) && half.some((v, i) => v != now[i]), "a file in two parts is not drawn whole")
+  check(same(pixels(once), pixels(streamed.element)) && !same(half, pixels(once)), "a file in two parts is not drawn whole")
+
+  // Its levels are seen as soon as they are whole, the coarse one first, though only three bytes have come since the last look,
+  // and nothing comes after them.
+  const levels = await inPieces("groups-levels", [180, 183]), { levels: [coarse, finer], primitives } = await info(levels.bytes)
+  for (const [end, there] of [[180, coarse], [183, coarse + finer]]) {
+    const expected = await decode(levels.bytes.slice(0, end), { partial: true })
+    check(expected.missing == primitives - there, `of ${end} bytes ${expected.missing} primitives are missing`)
+    check(await until(() => seen(levels.element) && same(pixels(levels.element), expected.data)), `a level of ${there} primitives is not seen`)
+    check(!levels.element.complete, "a level is the whole file")
+    levels.more()
+  }
+  check((await levels.loaded).type == "load" && same(pixels(levels.element), (await decode(levels.bytes)).data), "a file with levels is not drawn whole")
 
   // Of a file with a thumbnail that is seen, in the size of the picture.
-  const early = await inTwo("sections-thumbnail", -8)
-  for (let i = 0; i < patience / 50 && !seen(early.element); i++) await new Promise(r => setTimeout(r, 50))
-  check(seen(early.element) && !early.element.complete, "a thumbnail is not seen")
+  const early = await inPieces("sections-thumbnail", [-8])
+  check(await until(() => seen(early.element)) && !early.element.complete, "a thumbnail is not seen")
   const before = pixels(early.element)
-  early.go()
-  check((await early.loaded).type == "load" && pixels(early.element).length == before.length && pixels(early.element).some((v, i) => v != before[i]), "the picture does not follow its thumbnail")
+  early.more()
+  check((await early.loaded).type == "load" && pixels(early.element).length == before.length && !same(pixels(early.element), before), "the picture does not follow its thumbnail")
 
   // What is far away waits until it is near.
   add({}, "display: block; height: 20000px")
