@@ -19,8 +19,18 @@ fn stand_in() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     fs::create_dir(folder.path().join("viewer")).unwrap();
     fs::write(folder.path().join("viewer/index.html"), PAGE).unwrap();
-    let modules =
-        ["error", "icc", "machine", "ssplat", "worker", "viewer/gaussians", "viewer/splatting", "viewer/viewer"];
+    let modules = [
+        "error",
+        "icc",
+        "machine",
+        "ssplat",
+        "worker",
+        "viewer/gaussians",
+        "viewer/scene",
+        "viewer/splatting",
+        "viewer/viewer",
+        "viewer/webgpu",
+    ];
     for name in modules {
         let text = format!("import {{ x }} from \"../machine.js\" // {name}\n");
         fs::write(folder.path().join(format!("{name}.js")), text).unwrap();

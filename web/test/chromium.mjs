@@ -9,7 +9,8 @@ const types = { html: "text/html", js: "text/javascript", wasm: "application/was
 // Not a matter of speed: a page that never answers is a failure.
 const patience = 240_000
 
-export async function inChromium(root, module, given) {
+// Without an adapter for WebGPU unless it is asked for one.
+export async function inChromium(root, module, given, webgpu = false) {
   const home = mkdtempSync(join(tmpdir(), "ssplat-chromium-"))
   let finish
   const answer = new Promise(resolve => finish = resolve)
@@ -45,7 +46,9 @@ try {
     }
   })
   await new Promise(resolve => server.listen(0, "127.0.0.1", resolve))
-  const options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage", "--no-first-run", "--window-size=1000,800", `--user-data-dir=${home}`]
+  const software = ["--use-vulkan=swiftshader", "--enable-features=Vulkan", "--use-angle=swiftshader", "--use-webgpu-adapter=swiftshader"]
+  const graphics = webgpu ? [...software, "--enable-unsafe-webgpu", "--ignore-gpu-blocklist"] : ["--disable-gpu"]
+  const options = ["--headless=new", "--no-sandbox", ...graphics, "--enable-unsafe-swiftshader", "--disable-dev-shm-usage", "--no-first-run", "--window-size=1000,800", `--user-data-dir=${home}`]
   const browser = spawn(process.env.CHROMIUM ?? "chromium", [...options, `http://127.0.0.1:${server.address().port}/`], { stdio: "ignore", detached: true })
   const ended = new Promise(resolve => browser.on("exit", resolve).on("error", resolve))
   browser.on("error", () => finish(undefined))

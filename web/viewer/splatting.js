@@ -1,12 +1,5 @@
 // Draws Gaussians by WebGL2 with float blending, as sections 5.2 to 5.5 of the specification say, at the pixels of a canvas.
-
-// Beyond so many deviations a Gaussian is nothing; what is left of it there; and the weight of the background.
-const K = 3.5, cut = Math.exp(-K * K / 2), epsilon = 1 / 128
-// The largest step for which a pixel is one sample. Wider views are means of several.
-const widest = 1.5
-// Most pixels under Gaussians in one drawing: a graphics driver that is busy for seconds is taken for hung.
-const mostWork = 2e9
-const mostSide = 4096
+import { Scene, K, cut, epsilon, growth } from "./scene.js"
 
 const vertices = `#version 300 es
 precision highp float;
@@ -84,6 +77,7 @@ void main() {
 }`
 
 export class Splatting {
+  name = "WebGL2"
   #gl
   #arrays
   #framebuffer
@@ -91,7 +85,8 @@ export class Splatting {
   #size = []
   #splats
   #resolve
-  #held
+  #scene
+  #buffers = []
 
   // Nothing where there is no WebGL2 that adds floats up.
   static create() {
@@ -126,21 +121,13 @@ export class Splatting {
 
   // Takes the Gaussians of a file, as `gaussians` gives them, with the blend that `info` tells and the canvas's colour space.
   load(all, blend, colorSpace = "srgb") {
-    const gl = this.#gl, alpha = all.channels % 2 == 0, { count } = all
-    const rgba = (v, i) => all.channels > 2 ? v.subarray(4 * i, 4 * i + 4) : [v[4 * i], v[4 * i], v[4 * i], v[4 * i + 1]]
-    const axis = new Float32Array(2 * count), color = new Float32Array(4 * count), reach = new Float32Array(2 * count)
-    for (let i = 0; i < count; i++) {
-      const [c, s] = [Math.cos(all.rotation[i]), Math.sin(all.rotation[i])], [major, minor] = [all.scale[2 * i], all.scale[2 * i + 1]]
-      axis.set([c, s], 2 * i)
-      color.set(rgba(all.color, i), 4 * i)
-      reach.set([K * Math.hypot(major * c, minor * s), K * Math.hypot(major * s, minor * c)], 2 * i)
-    }
+    const gl = this.#gl, scene = this.#scene = new Scene(all, blend)
     for (const program of [this.#splats, this.#resolve]) gl.deleteProgram(program)
-    this.#splats = this.#program(vertices, weights(alpha))
-    this.#resolve = this.#program(corners, samples(alpha, blend == "normalized"))
-    this.#held?.buffers.forEach(b => gl.deleteBuffer(b))
+    this.#splats = this.#program(vertices, weights(scene.alpha))
+    this.#resolve = this.#program(corners, samples(scene.alpha, scene.normalized))
+    this.#buffers.forEach(b => gl.deleteBuffer(b))
     gl.bindVertexArray(this.#arrays[0])
-    const buffers = [all.mean, all.scale, axis, color].map((values, place) => {
+    this.#buffers = [scene.mean, scene.scale, scene.axis, scene.color].map((values, place) => {
       const buffer = gl.createBuffer()
       gl.bindBuffer(gl.ARRAY_BUFFER, buffer)
       gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW)
@@ -150,17 +137,12 @@ export class Splatting {
       return buffer
     })
     if ("drawingBufferColorSpace" in gl) gl.drawingBufferColorSpace = colorSpace
-    this.#held = { count, alpha, mean: all.mean, reach, sides: [all.width, all.height], background: rgba(all.background, 0), buffers }
     this.#size = []
   }
 
   // Whether a view can be drawn: `step` pixels of the picture are a pixel of the canvas, whose corner lies at (left, top).
-  can({ left, top, step, width, height }) {
-    if (!this.#held || this.lost || !(step <= widest) || Math.min(width, height) < 1 || Math.max(width, height) > Math.min(mostSide, this.#gl.getParameter(this.#gl.MAX_TEXTURE_SIZE))) return false
-    const { count, mean, reach } = this.#held, under = (at, far, start, length) => Math.max(0, Math.min((at + far - start) / step + 2, length) - Math.max((at - far - start) / step - 2, 0))
-    let work = 0
-    for (let i = 0; i < 2 * count && work <= mostWork; i += 2) work += under(mean[i], reach[i], left, width) * under(mean[i + 1], reach[i + 1], top, height)
-    return work <= mostWork
+  can(view) {
+    return !!this.#scene && !this.lost && this.#scene.allows(view, this.#gl.getParameter(this.#gl.MAX_TEXTURE_SIZE))
   }
 
   #resize(width, height) {
@@ -169,7 +151,7 @@ export class Splatting {
     ;[this.canvas.width, this.canvas.height] = this.#size = [width, height]
     this.#textures.forEach(t => gl.deleteTexture(t))
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.#framebuffer)
-    const targets = [gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1].slice(0, this.#held.alpha ? 2 : 1)
+    const targets = [gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1].slice(0, this.#scene.alpha ? 2 : 1)
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT1, gl.TEXTURE_2D, null, 0)
     this.#textures = targets.map(target => {
       const texture = gl.createTexture()
@@ -184,7 +166,7 @@ export class Splatting {
 
   // Draws a view for which `can` is true to the canvas.
   draw({ left, top, step, width, height }) {
-    const gl = this.#gl, { count, sides, background } = this.#held
+    const gl = this.#gl, { count, sides, background } = this.#scene
     this.#resize(width, height)
     const use = program => {
       gl.useProgram(program)
@@ -201,7 +183,7 @@ export class Splatting {
     gl.enable(gl.BLEND)
     gl.blendFunc(gl.ONE, gl.ONE)
     const splat = use(this.#splats)
-    gl.uniform1f(splat("growth"), Math.max(0, step * step - 1) / 12)
+    gl.uniform1f(splat("growth"), growth(step))
     gl.bindVertexArray(this.#arrays[0])
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, count)
     gl.disable(gl.BLEND)

@@ -1,7 +1,9 @@
 // The viewer: shows a file, given by drop, dialogue or ?file=URL, at any zoom, beside its original (?original=URL).
-// What is seen is drawn at the screen's pixels: by WebGL2 where it can, else by the decoder (always with ?draw=decoder).
+// What is seen is drawn at the screen's pixels: by WebGPU or WebGL2 where they can, else by the decoder. With ?draw=webgpu, webgl or
+// decoder it is that one, or the decoder.
 import { Decoder, colorSpace } from "../ssplat.js"
 import { Splatting } from "./splatting.js"
+import { WebGpuSplatting } from "./webgpu.js"
 import { ellipses as drawEllipses, errorsOf, tonesOfBits, tonesOfErrors } from "./gaussians.js"
 
 const get = id => document.getElementById(id)
@@ -15,8 +17,8 @@ const number = v => v.toLocaleString("en")
 let file, info, all, original
 // What colours the Gaussians, for each choice that there is.
 let tones = {}
-// Draws on the graphics device; nothing where there is none that can.
-const device = asked.get("draw") == "decoder" ? undefined : Splatting.create()
+// Draws on the graphics device; nothing where there is none that can, and until one is found.
+let device
 // CSS pixels a pixel of the picture, and where the picture's corner is on the stage.
 let zoom = 1, left = 0, top_ = 0
 // What was decoded last: a canvas and the part of the picture that it shows.
@@ -144,7 +146,7 @@ function paint() {
   context.clearRect(0, 0, width, height)
   const view = { left: -x / k, top: -y / k, step: 1 / k, width, height }
   const byDevice = device?.can(view) ?? false
-  stage.dataset.drawn = byDevice ? "WebGL2" : "decoder"
+  stage.dataset.drawn = byDevice ? device.name : "decoder"
   if (byDevice) {
     device.draw(view)
     context.drawImage(device.canvas, 0, 0)
@@ -301,6 +303,15 @@ async function fetched(url) {
   if (response.ok) return take(await response.arrayBuffer(), url.split("/").pop())
   say(`${url}: ${response.statusText || response.status}`)
 }
+const draw = asked.get("draw"), takes = name => !draw || draw == name
+// Takes a device, for the file that may be there already.
+function use(next) {
+  device = next || takes("webgl") && Splatting.create() || undefined
+  if (next) next.onlost = () => use()
+  if (all) device?.load(all, info.blend, colorSpace(info.icc))
+  show()
+}
+use(takes("webgpu") && await WebGpuSplatting.create(draw == "webgpu"))
 for (const id of ["file", "original"]) {
   const inside = held(`held-${id}`)
   if (inside) await take(inside.buffer, get(`held-${id}`).dataset.name)

@@ -3,15 +3,20 @@ import { Decoder } from "/web/dist/ssplat.js"
 import { Splatting } from "/web/dist/viewer/splatting.js"
 
 export async function test(cases) {
-  const problems = [], decoder = new Decoder, device = Splatting.create()
-  if (!device) return { problems: ["no WebGL2 with float blending"], words: "nothing drawn" }
+  const device = Splatting.create()
+  return device ? within(cases, device) : { problems: ["no WebGL2 with float blending"], words: "nothing drawn" }
+}
+
+// What any device must do.
+export async function within(cases, device) {
+  const problems = [], decoder = new Decoder
   let views = 0, left = 0, worst = 0
   const draw = async (path, bytes, [x, y, w, h], width, height, step) => {
     const view = { left: x, top: y, step, width, height }
     if (!device.can(view)) return left++
     const expected = await decoder.decode(bytes, { region: [x, y, w, h], width, height })
     device.draw(view)
-    const pixels = device.pixels()
+    const pixels = await device.pixels()
     let most = 0
     pixels.forEach((v, i) => most = Math.max(most, Math.abs(v - expected.data[i])))
     if (!(most <= 2)) problems.push(`${path}, ${width} × ${height} of ${w} × ${h} at ${x}, ${y}: off by ${most}`)
@@ -31,5 +36,5 @@ export async function test(cases) {
   }
   if (views < 60) problems.push(`only ${views} views were drawn`)
   if (device.can({ left: 0, top: 0, step: 1.6, width: 8, height: 8 })) problems.push("a view is claimed whose pixels are several samples")
-  return { problems, words: `${views} views by WebGL2, at most ${worst} off, ${left} left to the decoder` }
+  return { problems, words: `${views} views by ${device.name}, at most ${worst} off, ${left} left to the decoder` }
 }

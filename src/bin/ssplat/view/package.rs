@@ -9,15 +9,17 @@ use crate::failure::{Failure, Kind};
 /// The page; the program asks for nothing else where it looks for a viewer.
 pub const PAGE: &str = "viewer/index.html";
 /// The modules of the page. Their names without folders differ.
-pub const MODULES: [&str; 8] = [
+pub const MODULES: [&str; 10] = [
     "error.js",
     "icc.js",
     "machine.js",
     "ssplat.js",
     "worker.js",
     "viewer/gaussians.js",
+    "viewer/scene.js",
     "viewer/splatting.js",
     "viewer/viewer.js",
+    "viewer/webgpu.js",
 ];
 /// The WebAssembly that every browser can run.
 pub const SCALAR: &str = "ssplat-scalar.wasm";
