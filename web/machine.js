@@ -54,10 +54,16 @@ export class Machine {
         wasm.limit(limits.indexOf(name), value)
       }
       const kind = wasm[question](...values)
-      const piece = k => new Uint8Array(wasm.memory.buffer, wasm.piece(k), wasm.piece_length(k)).slice()
+      const piece = (k, into) => {
+        const from = new Uint8Array(wasm.memory.buffer, wasm.piece(k), wasm.piece_length(k))
+        if (!(into?.byteLength >= from.length)) return from.slice()
+        const to = new Uint8Array(into, 0, from.length)
+        to.set(from)
+        return to
+      }
       if (kind) throw new SsplatError(kinds[kind], new TextDecoder().decode(piece(0)))
       const numbers = Array.from({ length: 7 }, (_, k) => wasm.number(k) >>> 0)
-      return [[0, 1, 2, 3].map(piece), numbers]
+      return [[piece(0, options.into), piece(1), piece(2), piece(3)], numbers]
     } catch (error) {
       if (error instanceof SsplatError) throw error
       // A trap leaves the machine in an unknown state. The likeliest is that memory ran out.
@@ -75,13 +81,14 @@ export class Machine {
   }
 
   decode(bytes, options = {}) {
-    const { region, width = 0, height = 0, partial = false } = options
+    const { region, width = 0, height = 0, partial = false, into } = options
+    if (into && !(into instanceof ArrayBuffer)) throw new SsplatError("parameter", "into is no ArrayBuffer")
     const part = region ? ["left", "top", "width", "height"].map((name, k) => whole(region[k] ?? region[name], `region's ${name}`, k > 1 ? 1 : 0)) : [0, 0, 0, 0]
     if (height && !width) throw new SsplatError("parameter", "a height needs a width")
     const out = [whole(width, "width"), whole(height, "height")]
     const [[data, icc, exif], numbers] = this.#ask(bytes, options, "decode", ...part, ...out, partial ? 1 : 0)
     const [columns, rows, channels, depth, primitives, orientation, missing] = numbers
-    return { width: columns, height: rows, data: new Uint8ClampedArray(data.buffer), channels, depth, primitives, orientation, missing, icc, exif }
+    return { width: columns, height: rows, data: new Uint8ClampedArray(data.buffer, 0, data.length), channels, depth, primitives, orientation, missing, icc, exif }
   }
 
   gaussians(bytes, options = {}) {

@@ -29,6 +29,11 @@ export interface DecodeOptions {
   height?: number
   /** Draws what is there of a damaged or cut file that has groups. */
   partial?: boolean
+  /**
+   * Memory of a former answer (`image.data.buffer`) that the pixels go into if they fit: new memory takes a part of the time of a large
+   * picture. A worker takes it away (it is detached) and gives it back with its answer.
+   */
+  into?: ArrayBuffer
   limits?: Limits
 }
 

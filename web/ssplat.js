@@ -51,14 +51,14 @@ export class Decoder {
     const id = ++this.#count
     return new Promise((resolve, reject) => {
       this.#waiting.set(id, { resolve, reject })
-      this.#worker.postMessage({ id, question, bytes, options })
+      this.#worker.postMessage({ id, question, bytes, options }, options.into instanceof ArrayBuffer ? [options.into] : [])
     })
   }
 
-  // Pixels, of all or of a `region` [left, top, width, height], `width` and `height` pixels large.
+  // Pixels, of all or of a `region` [left, top, width, height], `width` and `height` pixels large, in the ArrayBuffer `into` if they fit.
   async decode(bytes, options = {}) {
-    const { region, width, height, partial, limits } = options
-    return asImage(await this.#ask("decode", bytes, { region, width, height, partial, limits }))
+    const { region, width, height, partial, limits, into } = options
+    return asImage(await this.#ask("decode", bytes, { region, width, height, partial, limits, into }))
   }
 
   // Size, channels, depth, number of primitives, orientation, ICC profile and EXIF block.

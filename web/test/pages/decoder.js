@@ -11,6 +11,15 @@ export async function test(cases) {
     words.push(answer.words)
     const image = await decoder.decode(await load(cases[0].path))
     if (!(image instanceof ImageData)) problems.push(`${image} is not ImageData`)
+    // A picture takes the memory of another one if that is enough, and its own if not.
+    const [expected, ...others] = await Promise.all([0, 0, 0].map(async () => decoder.decode(await load(cases[0].path))))
+    for (const [into, fits] of [[others[0].data.buffer, true], [others[1].data.buffer.slice(1), false]]) {
+      const size = into.byteLength, again = await decoder.decode(await load(cases[0].path), { into })
+      if (again.data.length != expected.data.length || !again.data.every((v, i) => v == expected.data[i])) problems.push(`other samples in ${size} bytes of memory`)
+      if (fits ? again.data.buffer.byteLength != size : again.data.buffer == into) problems.push(`memory of ${size} bytes`)
+      if (fits && (worker ? into.byteLength > 0 : again.data.buffer != into)) problems.push("the memory is not taken")
+    }
+    if ((await decoder.decode(await load(cases[0].path), { into: 7 }).catch(e => e)).kind != "parameter") problems.push("7 is taken for memory")
     decoder.close()
     if ((await decoder.decode(await load(cases[0].path)).catch(e => e)).kind != "internal") problems.push("a closed decoder answers")
   }
