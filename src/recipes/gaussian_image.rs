@@ -9,7 +9,7 @@
 //! Adan with a rate of 0.001, halved after 40 % and 80 % of the iterations (20 000 of 50 000); the last state counts.
 //!
 //! Otherwise than there: a Gaussian fades to nothing at 3.5 scales, as in all of this crate, where theirs is cut off below
-//! 1/255. The codec's second stage, which fits on with quantizers in the loop, is not here.
+//! 1/255. The codec's second stage is in `quantized.rs`.
 
 use std::time::Instant;
 
@@ -18,7 +18,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::moments::{self, Slope};
 use super::optimizer::{Adan, NUMBERS};
-use super::{Fit, Options, Point, drawn};
+use super::{Fit, Options, Point, drawn, quantized};
 use crate::fit::model::field::{Field, Output};
 use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
@@ -27,7 +27,7 @@ use crate::fit::model::rows::RowSet;
 use crate::gaussian::{Blend, Picture};
 use crate::parallel;
 
-const RATE: f32 = 1e-3;
+pub(super) const RATE: f32 = 1e-3;
 /// Share of the iterations after which the rate is halved, again and again.
 const HALVED: f32 = 0.4;
 /// What is added to the factor's diagonal and to the scales.
@@ -42,11 +42,64 @@ pub(super) enum Covariance {
     RotationScale,
 }
 
+/// Factor of the rate after `iteration` of so many.
+pub(super) fn halved(iteration: u32, iterations: u32) -> f32 {
+    0.5f32.powi((iteration as f32 / (HALVED * iterations as f32)) as i32)
+}
+
+/// What draws numbers and takes gradients.
+pub(super) struct Stage<'a> {
+    pub target: &'a Planes,
+    pub covariance: Covariance,
+    field: Field,
+}
+
+impl Stage<'_> {
+    pub(super) fn channels(&self) -> usize {
+        self.target.channels.count()
+    }
+
+    fn problem(&self) -> Problem<'_> {
+        let (width, height) = (self.target.width, self.target.height);
+        let scene = Scene { width, height, blend: Blend::Sum, background: [0.0; 4] };
+        Problem { scene, target: self.target }
+    }
+
+    fn size(&self) -> [f32; 2] {
+        [self.target.width as f32, self.target.height as f32]
+    }
+
+    fn project(&self, numbers: &[[f32; NUMBERS]]) -> Vec<Projected> {
+        let (size, covariance) = (self.size(), self.covariance);
+        numbers.iter().map(|n| Projected::new(&primitive(n, size, covariance), self.target.height)).collect()
+    }
+
+    /// Draws; returns the squared error.
+    pub(super) fn draw(&mut self, numbers: &[[f32; NUMBERS]]) -> f64 {
+        let projected = self.project(numbers);
+        let mut field = std::mem::take(&mut self.field);
+        let error = field.draw(&self.problem(), &projected, RowSet::ALL, Output::Picture);
+        self.field = field;
+        error
+    }
+
+    /// The gradients with respect to the numbers that were drawn last.
+    fn gradients_of_drawn(&mut self, numbers: &[[f32; NUMBERS]]) -> Vec<[f32; NUMBERS]> {
+        loss_gradient(self.target, &mut self.field);
+        let slopes = moments::slopes(&self.field, self.channels(), self.target.width, &self.project(numbers));
+        let (size, covariance) = (self.size(), self.covariance);
+        numbers.iter().zip(&slopes).map(|(n, slope)| gradient(n, slope, size, covariance)).collect()
+    }
+
+    /// Draws; returns the gradients.
+    pub(super) fn gradients(&mut self, numbers: &[[f32; NUMBERS]]) -> Vec<[f32; NUMBERS]> {
+        self.draw(numbers);
+        self.gradients_of_drawn(numbers)
+    }
+}
+
 pub(super) fn fit(target: &Planes, covariance: Covariance, options: &Options) -> Fit {
-    let scene = Scene { width: target.width, height: target.height, blend: Blend::Sum, background: [0.0; 4] };
-    let problem = Problem { scene, target };
-    let size = [target.width as f32, target.height as f32];
-    let channels = target.channels.count();
+    let mut stage = Stage { target, covariance, field: Field::default() };
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
     let mut numbers: Vec<[f32; NUMBERS]> = (0..options.count)
         .map(|_| {
@@ -58,42 +111,35 @@ pub(super) fn fit(target: &Planes, covariance: Covariance, options: &Options) ->
         })
         .collect();
     let mut adan = Adan::new(options.count);
-    let mut field = Field::default();
     let (mut trace, mut watching) = (Vec::new(), 0.0);
     let start = Instant::now();
-    let project = |numbers: &[[f32; NUMBERS]]| -> Vec<Projected> {
-        numbers.iter().map(|n| Projected::new(&primitive(n, size, covariance), scene.height)).collect()
-    };
     for iteration in 0..options.iterations {
-        let projected = project(&numbers);
-        let error = field.draw(&problem, &projected, RowSet::ALL, Output::Picture);
+        let error = stage.draw(&numbers);
         if options.trace > 0 && iteration.is_multiple_of(options.iterations.div_ceil(options.trace)) {
             let now = Instant::now();
             let seconds = start.elapsed().as_secs_f64() - watching;
             trace.push(Point { iteration, seconds, psnr: drawn::psnr(target, error) });
             watching += now.elapsed().as_secs_f64();
         }
-        loss_gradient(target, &mut field);
-        let slopes = moments::slopes(&field, channels, scene.width, &projected);
-        let gradients: Vec<_> =
-            numbers.iter().zip(&slopes).map(|(n, slope)| gradient(n, slope, size, covariance)).collect();
-        let halvings = (iteration as f32 / (HALVED * options.iterations as f32)) as i32;
-        adan.step(&mut numbers, &gradients, options.rate * RATE * 0.5f32.powi(halvings));
+        let gradients = stage.gradients_of_drawn(&numbers);
+        adan.step(&mut numbers, &gradients, options.rate * RATE * halved(iteration, options.iterations));
     }
-    let error = field.draw(&problem, &project(&numbers), RowSet::ALL, Output::Picture);
+    let error = stage.draw(&numbers);
     let seconds = start.elapsed().as_secs_f64() - watching;
     let psnr = drawn::psnr(target, error);
     trace.extend((options.trace > 0).then_some(Point { iteration: options.iterations, seconds, psnr }));
-    let gaussians = numbers.iter().map(|n| primitive(n, size, covariance).to_gaussian()).collect();
+    let pixels = drawn::pixels(target, &stage.field.planes);
+    let size = stage.size();
     let picture = Picture {
         width: target.width,
         height: target.height,
         channels: target.channels,
         blend: Blend::Sum,
         background: [0.0; 4],
-        gaussians,
+        gaussians: numbers.iter().map(|n| primitive(n, size, covariance).to_gaussian()).collect(),
     };
-    Fit { pixels: drawn::pixels(target, &field.planes), psnr, picture, seconds, trace }
+    let counted = quantized::counted(&mut stage, numbers, options, &mut rng);
+    Fit { pixels, psnr, picture, seconds, trace, counted, estimate: None }
 }
 
 /// The Gaussian of its numbers.

@@ -17,11 +17,17 @@
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 
+mod blended;
 mod drawn;
+mod estimate;
 mod gaussian_image;
 mod image_gs;
+mod lig;
 mod moments;
 mod optimizer;
+mod quantized;
+mod splatting_3d;
+mod tiles;
 mod top_k;
 
 use crate::error::{Error, Result};
@@ -39,11 +45,16 @@ pub enum Method {
     GaussianImageRs,
     /// Image-GS (Zhang et al., SIGGRAPH 2025).
     ImageGs,
+    /// LIG (Zhu et al., AAAI 2025): a coarse level and what it leaves.
+    Lig,
+    /// 3D Gaussian Splatting (Kerbl et al., SIGGRAPH 2023) in the plane: blended from front to back, with opacity.
+    Splatting3d,
 }
 
 impl Method {
     /// All methods.
-    pub const ALL: [Method; 3] = [Method::GaussianImageCholesky, Method::GaussianImageRs, Method::ImageGs];
+    pub const ALL: [Method; 5] =
+        [Method::GaussianImageCholesky, Method::GaussianImageRs, Method::ImageGs, Method::Lig, Method::Splatting3d];
 
     /// A short name.
     #[must_use]
@@ -52,6 +63,8 @@ impl Method {
             Method::GaussianImageCholesky => "gaussianimage-cholesky",
             Method::GaussianImageRs => "gaussianimage-rs",
             Method::ImageGs => "image-gs",
+            Method::Lig => "lig",
+            Method::Splatting3d => "3dgs",
         }
     }
 
@@ -61,24 +74,7 @@ impl Method {
         match self {
             Method::GaussianImageCholesky | Method::GaussianImageRs => 50_000,
             Method::ImageGs => 10_000,
-        }
-    }
-
-    /// Bytes of `count` Gaussians by the bits that its program counts; neither writes a file.
-    ///
-    /// GaussianImage counts 16 bits a coordinate, 6 bits for each of three numbers of the covariance, two indices of 3 bits
-    /// for the colour, two codebooks of eight colours and a scale and an offset for each number of the covariance, all in
-    /// 32 bits (`analysis_wo_ec`). Image-GS counts 16 bits a number.
-    #[must_use]
-    pub fn published_bytes(self, count: usize, channels: usize) -> u64 {
-        let count = count as u64;
-        match self {
-            Method::GaussianImageCholesky | Method::GaussianImageRs => {
-                let each = 2 * 16 + 3 * 6 + 2 * 3;
-                let fixed = 32 * (2 * 8 * channels as u64 + 2 * 3);
-                (count * each + fixed).div_ceil(8)
-            }
-            Method::ImageGs => count * 2 * (5 + channels as u64),
+            Method::Lig | Method::Splatting3d => 30_000,
         }
     }
 }
@@ -97,13 +93,17 @@ pub struct Options {
     pub seed: u64,
     /// How many points the trace has at most.
     pub trace: u32,
+    /// Size of the estimate of a blend that no file holds; `None`: no estimate.
+    pub bytes: Option<u64>,
+    /// Iterations of GaussianImage's second stage, with quantizers in the loop; 0: numbers are only rounded.
+    pub second_stage: u32,
 }
 
 impl Options {
     /// A thousand iterations at the published rates.
     #[must_use]
     pub fn new(count: usize) -> Self {
-        Options { count, iterations: 1000, rate: 1.0, seed: 0, trace: 0 }
+        Options { count, iterations: 1000, rate: 1.0, seed: 0, trace: 0, bytes: None, second_stage: 0 }
     }
 }
 
@@ -121,6 +121,21 @@ pub struct Fit {
     pub seconds: f64,
     /// PSNR along the way.
     pub trace: Vec<Point>,
+    /// The same Gaussians as the method's own program rounds and counts them, which writes no file; `None` if it does not.
+    pub counted: Option<Counted>,
+    /// The same Gaussians on even grids, at the entropy of their codes: an estimate for [`Method::Splatting3d`], whose blend no
+    /// file of ours has, in at most [`Options::bytes`].
+    pub estimate: Option<Counted>,
+}
+
+/// Bytes that are counted and not written, and what they would show.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Counted {
+    /// Bytes.
+    pub bytes: u64,
+    /// PSNR of the picture that the method draws of the rounded numbers, before rounding to code values, dB.
+    pub psnr: f64,
 }
 
 /// A point of a trace.
@@ -153,6 +168,8 @@ pub fn fit(pixels: &Pixels, method: Method, options: &Options) -> Result<Fit> {
         Method::GaussianImageCholesky => gaussian_image::fit(&target, gaussian_image::Covariance::Cholesky, options),
         Method::GaussianImageRs => gaussian_image::fit(&target, gaussian_image::Covariance::RotationScale, options),
         Method::ImageGs => image_gs::fit(&target, options),
+        Method::Lig => lig::fit(&target, options),
+        Method::Splatting3d => splatting_3d::fit(&target, options),
     })
 }
 
@@ -227,10 +244,43 @@ mod tests {
         assert!(refused(Channels::Grey, 40 * 32 + 1).to_string().contains("1281"));
     }
 
-    /// What the papers' own tables say of 50 000 and 10 000 Gaussians on RGB.
+    /// What the papers' own tables say of 50 000 Gaussians on RGB, and of numbers in 16 and 32 bits.
     #[test]
-    fn published_bytes_are_seven_and_sixteen_for_each() {
-        assert_eq!(Method::GaussianImageCholesky.published_bytes(50_000, 3), 50_000 * 7 + 4 * (48 + 6));
-        assert_eq!(Method::ImageGs.published_bytes(10_000, 3), 160_000);
+    fn bytes_are_counted_as_the_programs_count_them() {
+        assert_eq!(quantized::bytes(50_000, 3), 50_000 * 7 + 4 * (48 + 6));
+        let counted = |method| {
+            let mut options = Options::new(100);
+            options.iterations = 4;
+            fit(&pixels(Channels::Rgb), method, &options).unwrap().counted.map(|c| c.bytes)
+        };
+        assert_eq!(counted(Method::GaussianImageRs), Some(quantized::bytes(100, 3)));
+        assert_eq!(counted(Method::ImageGs), Some(1600));
+        assert_eq!(counted(Method::Lig), Some(3208));
+        assert_eq!(counted(Method::Splatting3d), None);
+    }
+
+    #[test]
+    fn fitting_on_with_quantizers_wins_back_what_rounding_costs() {
+        for method in [Method::GaussianImageCholesky, Method::GaussianImageRs] {
+            let mut options = Options::new(120);
+            (options.iterations, options.rate) = (300, 10.0);
+            let fit = |options: &Options| super::fit(&pixels(Channels::Rgb), method, options).unwrap();
+            let plain = fit(&options);
+            options.second_stage = 300;
+            let second = fit(&options);
+            let [plain_psnr, second_psnr] = [&plain, &second].map(|f| f.counted.unwrap().psnr);
+            assert!(plain_psnr < plain.psnr - 0.5, "{method:?}: {plain_psnr} {}", plain.psnr);
+            assert!(second_psnr > plain_psnr + 1.0, "{method:?}: {plain_psnr} {second_psnr}");
+            assert_eq!(plain.picture, second.picture, "{method:?}");
+        }
+    }
+
+    #[test]
+    fn an_estimate_is_within_its_bytes_and_near_the_floats() {
+        let mut options = Options::new(60);
+        (options.iterations, options.bytes) = (200, Some(60 * 9));
+        let fit = fit(&pixels(Channels::Rgb), Method::Splatting3d, &options).unwrap();
+        let estimate = fit.estimate.unwrap();
+        assert!(estimate.bytes <= 540 && estimate.psnr > fit.psnr - 3.0, "{estimate:?} {}", fit.psnr);
     }
 }

@@ -3,13 +3,12 @@
 //! `I = Σ cₖ aₖ / (Σ aₖ + ε)` with `aₖ = exp(−σₖ)`. Which Gaussians a pixel looks at is decided by tiles of 16 × 16 pixels: those
 //! whose circle of three times the larger scale meets the tile.
 
+use super::tiles::{Reach, TILE, Tiles};
 use crate::fit::model::project::Projected;
 use crate::parallel;
 
 /// How many count.
 pub(super) const K: usize = 10;
-/// Side of a tile, pixels.
-const TILE: usize = 16;
 /// Added to the sum of the weights.
 const EPSILON: f32 = 1e-4;
 
@@ -81,7 +80,8 @@ impl Drawing {
         planes.resize(height * row_size, 0.0);
         self.picks.clear();
         self.picks.resize(width * height, Pick::NONE);
-        let tiles = Tiles::new(circles, width, height);
+        let reach = |c: &Circle| Reach { center: c.projected.center, half: [c.radius; 2] };
+        let tiles = Tiles::new(circles.iter().map(reach), [width, height]);
         parallel::map_chunk_pairs((&mut self.picks, TILE * width), (planes, TILE * row_size), |band, picks, planes| {
             for column in 0..tiles.columns {
                 let members = tiles.members(band, column);
@@ -168,48 +168,6 @@ fn exponent(p: &Projected, x: f32, y: f32) -> f32 {
     let (dx, dy) = (x - p.center[0], y - p.center[1]);
     let [a, b, c] = p.conic;
     -0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy
-}
-
-/// Which Gaussians each tile looks at, in order.
-struct Tiles {
-    columns: usize,
-    starts: Vec<u32>,
-    ids: Vec<u32>,
-}
-
-impl Tiles {
-    fn new(circles: &[Circle], width: usize, height: usize) -> Self {
-        let [columns, rows] = [width, height].map(|side| side.div_ceil(TILE));
-        let range = |circle: &Circle, k: usize, last: usize| {
-            let (center, radius) = (circle.projected.center[k] / TILE as f32, circle.radius / TILE as f32);
-            // Casts to integers cut towards 0, as there.
-            let first = (center - radius).max(0.0) as usize;
-            first.min(last)..((center + radius + 1.0).max(0.0) as usize).min(last)
-        };
-        let all = |circle: &Circle| {
-            let (x, y) = (range(circle, 0, columns), range(circle, 1, rows));
-            y.flat_map(move |y| x.clone().map(move |x| y * columns + x))
-        };
-        let mut starts = vec![0u32; columns * rows + 1];
-        circles.iter().flat_map(all).for_each(|tile| starts[tile + 1] += 1);
-        for tile in 0..columns * rows {
-            starts[tile + 1] += starts[tile];
-        }
-        let mut next = starts.clone();
-        let mut ids = vec![0u32; starts[columns * rows] as usize];
-        for (id, circle) in circles.iter().enumerate() {
-            for tile in all(circle) {
-                ids[next[tile] as usize] = id as u32;
-                next[tile] += 1;
-            }
-        }
-        Tiles { columns, starts, ids }
-    }
-
-    fn members(&self, row: usize, column: usize) -> &[u32] {
-        let tile = row * self.columns + column;
-        &self.ids[self.starts[tile] as usize..self.starts[tile + 1] as usize]
-    }
 }
 
 #[cfg(test)]

@@ -33,23 +33,39 @@ pub struct Setup {
 pub struct Measured {
     /// PSNR of the floats before rounding to code values, dB.
     pub float_psnr: Option<f64>,
-    /// MS-SSIM of the picture that the method itself draws.
+    /// MS-SSIM of the picture that the method itself draws of its floats; the encoder of ours and SmartSplat keeps no such picture.
     pub ms_ssim: Option<f64>,
     /// Seconds of the fit.
     pub seconds: f64,
-    /// PSNR of the decoded file of the asked size, dB.
+    /// PSNR of the decoded file of the asked size, dB; where there is no file, of the estimate of that size.
     pub file_psnr: Option<f64>,
+    /// MS-SSIM of the decoded file.
+    pub file_ms_ssim: Option<f64>,
     /// Bytes of that file.
     pub bytes: Option<u64>,
-    /// Bytes of the same Gaussians by the method's own count.
-    pub published_bytes: Option<u64>,
+    /// Bytes of the same Gaussians by the method's own count, and PSNR of the picture of the numbers as it rounds them.
+    pub counted: Option<(u64, f64)>,
     /// Why something is missing.
     pub problem: Option<String>,
     /// PSNR of the fit along its seconds.
     pub trace: Vec<(f64, f64)>,
 }
 
+impl Measured {
+    /// Looks at the file that came of it.
+    fn filed(&mut self, pixels: &Pixels, file: &[u8]) -> Result<()> {
+        let found = metrics::compare(pixels, &ssplat::decode(file, &DecodeOptions::default())?.pixels)?;
+        (self.bytes, self.file_psnr, self.file_ms_ssim) = (Some(file.len() as u64), Some(found.psnr), found.ms_ssim);
+        Ok(())
+    }
+}
+
 impl Contender {
+    /// Whether its sizes are estimates: no file holds its blend.
+    pub fn is_estimated(self) -> bool {
+        matches!(self, Contender::Published { method: Method::Splatting3d, .. })
+    }
+
     pub fn name(self) -> String {
         match self {
             Contender::Ssplat => "ssplat".into(),
@@ -85,35 +101,31 @@ fn own(pixels: &Pixels, setup: &Setup, recipe: Recipe, measured: &mut Measured) 
     let encoded = ssplat::encode(pixels, &options)?;
     measured.float_psnr = Some(encoded.report.float_psnr);
     measured.seconds = encoded.report.stages.iter().filter(|s| s.0 == "fit").map(|s| s.1).sum();
-    // The floats are not kept: this is the file of as many Gaussians, a little below them.
-    let decoded = ssplat::decode(&encoded.bytes, &DecodeOptions::default())?.pixels;
-    measured.ms_ssim = metrics::compare(pixels, &decoded)?.ms_ssim;
     let fitted = encoded.report.trace.iter().filter(|p| p.stage == "fit");
     measured.trace = fitted.map(|p| (p.seconds, p.psnr)).collect();
     options.target = Target::Bytes(setup.bytes);
     options.trace = Trace::Off;
     let encoded = ssplat::encode(pixels, &options)?;
-    (measured.file_psnr, measured.bytes) = (Some(encoded.report.psnr), Some(encoded.bytes.len() as u64));
-    Ok(())
+    measured.filed(pixels, &encoded.bytes)
 }
 
 /// By the method, and by import of what it found.
 fn published(pixels: &Pixels, setup: &Setup, method: Method, rate: f32, measured: &mut Measured) -> Result<()> {
     let mut options = recipes::Options::new(setup.count as usize);
     (options.iterations, options.rate, options.seed) = (setup.iterations, rate, setup.seed);
-    options.trace = 30;
+    (options.trace, options.bytes, options.second_stage) = (30, Some(setup.bytes), setup.iterations);
     let fit = recipes::fit(pixels, method, &options)?;
     measured.float_psnr = Some(fit.psnr);
     measured.ms_ssim = metrics::compare(pixels, &fit.pixels)?.ms_ssim;
     measured.seconds = fit.seconds;
     measured.trace = fit.trace.iter().map(|p| (p.seconds, p.psnr)).collect();
-    measured.published_bytes = Some(method.published_bytes(setup.count as usize, pixels.channels().count()));
+    measured.counted = fit.counted.map(|c| (c.bytes, c.psnr));
+    if method == Method::Splatting3d {
+        (measured.bytes, measured.file_psnr) = fit.estimate.map_or((None, None), |e| (Some(e.bytes), Some(e.psnr)));
+        return Ok(());
+    }
     let mut options = PackOptions::default();
     // Pixel centres are at whole numbers there: the last column is half a pixel outside.
     (options.precision, options.outside) = (Precision::Bytes(setup.bytes), Outside::Crop);
-    let file = ssplat::bitstream::to_bytes(&ssplat::pack(&fit.picture, &options)?)?;
-    measured.bytes = Some(file.len() as u64);
-    let decoded = ssplat::decode(&file, &DecodeOptions::default())?.pixels;
-    measured.file_psnr = Some(metrics::psnr(pixels, &decoded)?);
-    Ok(())
+    measured.filed(pixels, &ssplat::bitstream::to_bytes(&ssplat::pack(&fit.picture, &options)?)?)
 }

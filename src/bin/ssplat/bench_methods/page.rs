@@ -7,8 +7,7 @@ use super::args::BenchMethods;
 use super::{Cell, Contender, Measured};
 
 /// The names of a row's columns.
-pub const HEAD: &str =
-    "picture,gaussians,method,seed,iterations,float_psnr,ms_ssim,seconds,file_bytes,file_psnr,published_bytes,problem";
+pub const HEAD: &str = "picture,gaussians,method,seed,iterations,float_psnr,ms_ssim,seconds,file_bytes,file_psnr,file_ms_ssim,counted_bytes,counted_psnr,problem";
 
 /// One fit as a line without its end.
 pub fn row(cell: &Cell) -> String {
@@ -20,7 +19,7 @@ pub fn row(cell: &Cell) -> String {
         Contender::Ssplat | Contender::SmartSplat => format!("effort {}", cell.setup.effort),
     };
     format!(
-        "{},{},{},{},{iterations},{},{},{:.2},{},{},{},{}",
+        "{},{},{},{},{iterations},{},{},{:.2},{},{},{},{},{},{}",
         cell.picture,
         cell.setup.count,
         // A comma is the table's own.
@@ -31,7 +30,9 @@ pub fn row(cell: &Cell) -> String {
         m.seconds,
         whole(m.bytes),
         number(m.file_psnr, 3),
-        whole(m.published_bytes),
+        number(m.file_ms_ssim, 5),
+        whole(m.counted.map(|c| c.0)),
+        number(m.counted.map(|c| c.1), 3),
         m.problem.as_deref().unwrap_or("").replace(',', ";"),
     )
 }
@@ -53,11 +54,13 @@ pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String
     let _ = writeln!(
         out,
         "Pictures: {}. Seeds {}: means, and after ± half the spread from the least to the largest. The other methods run {} \
-         iterations on the CPU, ours and SmartSplat at effort {}. Float PSNR is of the method's own picture before rounding; MS-SSIM \
-         of its 8 bits (of the rounded file for ours and SmartSplat). Files have as many bytes as the column says at most: ours \
-         and SmartSplat's by the encoder, with as many Gaussians as it finds best; the others' by import of the Gaussians of the \
-         row, at the finest steps that fit. Bytes by the method's own count are never written by its program. Every fit is in \
-         `methods.csv`.\n",
+         iterations on the CPU (LIG so many for each level, GaussianImage as many again for its second stage, which is not in the \
+         seconds), ours and SmartSplat run at effort {}. Float PSNR and float MS-SSIM are of the method's own picture of its \
+         floats; our encoder keeps no such picture, only its PSNR. Files have as many bytes as the heading says at most: ours and \
+         SmartSplat's by the encoder, with as many Gaussians as it finds best; the others' by import of the Gaussians of the row, at \
+         the finest steps that fit. What is marked *est.* is no file: rounded numbers at the entropy of their codes, drawn by the \
+         method. The last figures are the bytes that the method's own program counts for its rounded numbers, and the PSNR of the \
+         picture that it draws of them; no file is written there either. Every fit is in `methods.csv`.\n",
         joined(sides),
         joined(&seeds),
         args.iterations,
@@ -77,8 +80,8 @@ pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String
             let _ = writeln!(
                 out,
                 "\n## {}, {} Gaussians, files of {} bytes\n\n\
-                 | method | float PSNR, dB | MS-SSIM | fit, s | file PSNR, dB | bytes by its own count | failures |\n\
-                 |---|---|---|---|---|---|---|",
+                 | method | float PSNR, dB | float MS-SSIM | fit, s | file PSNR, dB | file MS-SSIM | own count: bytes | own count: PSNR, dB | failures |\n\
+                 |---|---|---|---|---|---|---|---|---|",
                 first.picture, first.setup.count, first.setup.bytes
             );
             heading = Some(of);
@@ -93,13 +96,16 @@ pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String
             .collect();
         let _ = writeln!(
             out,
-            "| {} | {} | {} | {} | {} | {} | {} |",
+            "| {} | {} | {} | {} | {}{} | {} | {} | {} | {} |",
             first.contender.name(),
             column(2, &|m| m.float_psnr),
             column(4, &|m| m.ms_ssim),
             column(1, &|m| Some(m.seconds)),
             column(2, &|m| m.file_psnr),
-            first.measured.published_bytes.map_or("—".into(), |b| b.to_string()),
+            if first.contender.is_estimated() && first.measured.file_psnr.is_some() { " *est.*" } else { "" },
+            column(4, &|m| m.file_ms_ssim),
+            first.measured.counted.map_or("—".into(), |c| c.0.to_string()),
+            column(2, &|m| m.counted.map(|c| c.1)),
             if problems.is_empty() { "none".into() } else { problems.join("; ") }
         );
     }

@@ -8,7 +8,10 @@ const WIDTH: f64 = 640.0;
 const HEIGHT: f64 = 400.0;
 /// Left, right, top, bottom.
 const MARGIN: [f64; 4] = [48.0, 210.0, 16.0, 44.0];
-const COLORS: [&str; 8] = ["#d62728", "#1f77b4", "#2ca02c", "#98df8a", "#ff7f0e", "#ffbb78", "#9467bd", "#c5b0d5"];
+const COLORS: [&str; 12] = [
+    "#d62728", "#1f77b4", "#2ca02c", "#98df8a", "#ff7f0e", "#ffbb78", "#9467bd", "#c5b0d5", "#8c564b", "#c49c94",
+    "#17becf", "#9edae5",
+];
 
 /// The drawing.
 pub fn svg(cells: &[Cell]) -> String {
