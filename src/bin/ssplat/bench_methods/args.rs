@@ -12,11 +12,16 @@ const EXAMPLES: &str = "\
 Examples:
   ssplat bench-methods kodim*.png --out methods --ratios 20,50 --seeds 0,1,2
   ssplat bench-methods photo.png --out methods --counts 1000 --side 256 --iterations 500
+  ssplat bench-methods photo.png --out methods --methods ssplat,lig --iterations 5000 --rates 1
   ssplat bench-methods kodim*.png --out methods --ablation --ratios 50 --effort 3
 
 Each method fits the same number of Gaussians: that of the ratio at 7 bytes for each, as SmartSplat's
 paper counts. Then each gets a file of as many bytes as the ratio has: ours and SmartSplat by the encoder, the others
 by import of their Gaussians. Writes methods.md, methods.csv and convergence.svg into the folder.";
+
+/// Who can be measured.
+const NAMES: [&str; 7] =
+    ["ssplat", "smartsplat", "gaussianimage-cholesky", "gaussianimage-rs", "image-gs", "lig", "3dgs"];
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = EXAMPLES)]
@@ -42,11 +47,14 @@ pub struct BenchMethods {
     /// Factors of the other methods' step sizes, which are made for ten to fifty times as many iterations
     #[arg(long, value_name = "F,...", value_delimiter = ',', value_parser = positive, default_values_t = [1.0, 10.0])]
     pub rates: Vec<f64>,
+    /// Measures these alone: ssplat, smartsplat, or a name of the table
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',', value_parser = NAMES)]
+    pub methods: Vec<String>,
     /// Effort of ours and SmartSplat
     #[arg(long, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
     pub effort: u8,
     /// Goes from SmartSplat's pipeline to ours one change at a time instead; writes ablation.md and ablation.csv
-    #[arg(long, conflicts_with_all = ["counts", "iterations", "rates"])]
+    #[arg(long, conflicts_with_all = ["counts", "iterations", "rates", "methods"])]
     pub ablation: bool,
     /// Shrinks pictures whose longer side has more pixels
     #[arg(long, value_name = "PIXELS")]
@@ -60,6 +68,19 @@ impl BenchMethods {
         for method in Method::ALL {
             all.extend(self.rates.iter().map(|&rate| Contender::Published { method, rate: rate as f32 }));
         }
+        let is_asked = |c: &Contender| self.methods.is_empty() || self.methods.iter().any(|name| name == c.method());
+        all.retain(is_asked);
         all
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_method_can_be_asked_for_by_its_name() {
+        let names: Vec<&str> = [Contender::Ssplat, Contender::SmartSplat].iter().map(|c| c.method()).collect();
+        assert_eq!([names, Method::ALL.map(Method::name).to_vec()].concat(), NAMES);
     }
 }

@@ -66,12 +66,19 @@ impl Contender {
         matches!(self, Contender::Published { method: Method::Splatting3d, .. })
     }
 
+    /// The method's name alone.
+    pub fn method(self) -> &'static str {
+        match self {
+            Contender::Ssplat => "ssplat",
+            Contender::SmartSplat => "smartsplat",
+            Contender::Published { method, .. } => method.name(),
+        }
+    }
+
     pub fn name(self) -> String {
         match self {
-            Contender::Ssplat => "ssplat".into(),
-            Contender::SmartSplat => "smartsplat".into(),
-            Contender::Published { method, rate: 1.0 } => method.name().into(),
-            Contender::Published { method, rate } => format!("{}, rates × {rate}", method.name()),
+            Contender::Published { rate, .. } if rate != 1.0 => format!("{}, rates × {rate}", self.method()),
+            _ => self.method().into(),
         }
     }
 
