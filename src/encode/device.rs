@@ -5,7 +5,8 @@ use std::fmt;
 use super::constant::is_constant;
 use crate::error::{Error, GpuError, Result};
 use crate::fit;
-use crate::fit::engine::{Ending, Watcher};
+use crate::fit::Fitted;
+use crate::fit::engine::Watcher;
 use crate::fit::job::Job;
 use crate::fit::state::State;
 use crate::options::{Backend, EncodeOptions};
@@ -92,7 +93,7 @@ impl Choice {
 
     /// Does `job`, whose picture is `pixels`, on the chosen device; where that is a GPU that fails and nobody asked for it,
     /// once more on the CPU.
-    pub(super) fn fit(&mut self, job: &Job<'_>, pixels: &Pixels, watcher: &mut dyn Watcher) -> Result<(State, Ending)> {
+    pub(super) fn fit(&mut self, job: &Job<'_>, pixels: &Pixels, watcher: &mut dyn Watcher) -> Result<Fitted<State>> {
         if let Some(device) = &self.gpu {
             match fit_on(device, job, pixels, watcher) {
                 Err(Error::Gpu(e)) if self.asked == Backend::Auto => {
@@ -129,15 +130,13 @@ fn open(_: Backend, _: &EncodeOptions) -> Result<(Option<Device>, Chosen), GpuEr
 }
 
 #[cfg(feature = "gpu")]
-fn fit_on(device: &Device, job: &Job<'_>, pixels: &Pixels, watcher: &mut dyn Watcher) -> Result<(State, Ending)> {
-    use crate::fit::engine::Engine;
+fn fit_on(device: &Device, job: &Job<'_>, pixels: &Pixels, watcher: &mut dyn Watcher) -> Result<Fitted<State>> {
     let open = |start: State| Fitter::new(device, &job.problem, pixels, &start.primitives, &start.bounds);
-    let (fitter, ending) = fit::fit(job, open, watcher)?;
-    Ok((fitter.finish()?, ending))
+    fit::fit(job, open, watcher)?.finished()
 }
 
 #[cfg(not(feature = "gpu"))]
-fn fit_on(device: &Device, _: &Job<'_>, _: &Pixels, _: &mut dyn Watcher) -> Result<(State, Ending)> {
+fn fit_on(device: &Device, _: &Job<'_>, _: &Pixels, _: &mut dyn Watcher) -> Result<Fitted<State>> {
     match *device {}
 }
 
@@ -160,14 +159,14 @@ mod gpu_tests {
         let scene = Scene { width: 40, height: 30, blend: Blend::Normalized, background: target.mean };
         let plan = Plan::steps(20, 0);
         let job = Job { problem: Problem { scene, target: &target }, count: 30, plan: &plan };
-        let (on_cpu, _) = fit::fit_on_cpu(&job, &mut Unwatched).unwrap();
+        let on_cpu = fit::fit_on_cpu(&job, &mut Unwatched).unwrap().by;
         device.wgpu().0.destroy();
         for asked in [Backend::Auto, Backend::Gpu] {
             let chosen = Chosen { backend: Backend::Gpu, device: "the GPU".to_owned(), reason: String::new() };
             let mut choice = Choice { chosen, asked, gpu: Some(device.clone()) };
             let fitted = choice.fit(&job, &pixels, &mut Unwatched);
             if asked == Backend::Auto {
-                assert_eq!(fitted.unwrap().0.primitives, on_cpu.primitives);
+                assert_eq!(fitted.unwrap().by.primitives, on_cpu.primitives);
                 assert!(choice.chosen.to_string().starts_with("CPU: the GPU failed: device lost"), "{}", choice.chosen);
                 assert!(choice.passed_over().is_some());
             } else {

@@ -10,6 +10,7 @@ use super::subject::{Subject, stored_scene};
 use crate::bitstream::expect::Expected;
 use crate::bitstream::{self, splats::PackedSplats};
 use crate::error::Result;
+use crate::fit::Fitted;
 use crate::fit::engine::{Ending, Sight, Still, Watcher};
 use crate::fit::job::Job;
 use crate::fit::model::field::squared_error;
@@ -24,6 +25,9 @@ use crate::pixels::Depth;
 use crate::round::finish::{self, Client, Rounding};
 use crate::round::rounded::{Rounded, projected};
 use crate::round::size::Size;
+
+/// Pixels of the largest pictures that are weighed anew on the way: it takes six floats for each.
+const REWEIGHED: u64 = 1 << 26;
 
 /// An encode on its way.
 pub(super) struct Encoding<'a> {
@@ -90,17 +94,28 @@ impl Encoding<'_> {
         if options.needs == Needs::Measured {
             plan.enough = enough(options.target, subject.pixels.depth());
         }
-        let problem = Problem { scene: subject.scene(planes.mean), target: planes };
+        let is_reweighed = options.favoured() == Tune::Iq && options.recipe == Recipe::Ssplat && area <= REWEIGHED;
+        plan.reweighs = is_reweighed && !planes.amplitude.is_empty();
+        let scene = subject.scene(planes.mean);
+        let problem = Problem { scene, target: planes };
         let job = Job { problem, count, plan: &plan };
 
         let clock = self.journal.seconds();
         let stage = Stage { name: "fit", journal: &mut self.journal, subject, planes };
         let mut fitting = Fitting { stage, job, size, draft: subject.empty(), steps: 0 };
-        let (state, ending) = match options.recipe {
+        let Fitted { by: state, ending, amplitude } = match options.recipe {
             Recipe::Ssplat => self.device.fit(&job, subject.pixels, &mut fitting)?,
-            Recipe::SmartSplat(parts) => (smartsplat::fit(&job, parts, &mut fitting)?, Ending::Scheduled),
+            Recipe::SmartSplat(parts) => {
+                let by = smartsplat::fit(&job, parts, &mut fitting)?;
+                Fitted { by, ending: Ending::Scheduled, amplitude: None }
+            }
         };
         let steps = fitting.steps;
+        if let Some(amplitude) = amplitude {
+            self.planes.amplitude = amplitude;
+        }
+        let planes = &self.planes;
+        let problem = Problem { scene, target: planes };
         let seconds = self.journal.stage("fit", clock);
         if let Ending::Enough { left } = ending {
             self.journal.note(Omission::Iterations, 0, seconds / f64::from(steps) * f64::from(left));

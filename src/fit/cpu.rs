@@ -112,6 +112,11 @@ impl Engine for State {
         Ok(())
     }
 
+    fn reweigh(&mut self, _: &Problem<'_>) -> Result<()> {
+        self.best = None;
+        Ok(())
+    }
+
     fn finish(self) -> Result<State> {
         Ok(self)
     }

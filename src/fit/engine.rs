@@ -34,6 +34,8 @@ pub(crate) trait Engine {
     fn keep_best(&mut self) -> Result<()>;
     /// Goes on with `problem`, the picture at `by` times the size before.
     fn zoom(&mut self, problem: &Problem<'_>, by: f32) -> Result<()>;
+    /// Goes on with `problem`, whose pixels are weighed anew; errors from before do not compare.
+    fn reweigh(&mut self, problem: &Problem<'_>) -> Result<()>;
     /// Ends the fit and returns what it came to, for the CPU.
     fn finish(self) -> Result<State>
     where

@@ -11,6 +11,7 @@ pub(crate) mod engine;
 pub(crate) mod job;
 pub(crate) mod model;
 pub(crate) mod plan;
+mod rehearsal;
 pub(crate) mod schedule;
 pub(crate) mod smartsplat;
 #[cfg(test)]
@@ -21,7 +22,29 @@ use crate::error::Result;
 use crate::options::Rung;
 use engine::{Ending, Engine, Watcher};
 use job::Job;
+use model::problem::Problem;
+use rehearsal::Rehearsed;
 use state::State;
+
+/// What a fit came to.
+#[derive(Debug)]
+pub(crate) struct Fitted<E> {
+    /// The engine that took the steps, or its state on the CPU.
+    pub by: E,
+    pub ending: Ending,
+    /// The amplitudes of the target in the last steps, where the pixels were weighed anew.
+    pub amplitude: Option<Vec<f32>>,
+}
+
+impl<E: Engine> Fitted<E> {
+    /// Brings it to the CPU.
+    ///
+    /// # Errors
+    /// Those of the engine.
+    pub(crate) fn finished(self) -> Result<Fitted<State>> {
+        Ok(Fitted { by: self.by.finish()?, ending: self.ending, amplitude: self.amplitude })
+    }
+}
 
 /// Fits as `job` says, on the engine that `open` makes of where the fit starts. `watcher` corrects the number on the way.
 ///
@@ -31,20 +54,32 @@ pub(crate) fn fit<E: Engine>(
     job: &Job<'_>,
     open: impl FnOnce(State) -> Result<E>,
     watcher: &mut dyn Watcher,
-) -> Result<(E, Ending)> {
+) -> Result<Fitted<E>> {
     let mut start = draft::start(job, watcher)?;
     start.state.is_priced = job.plan.rung >= Rung::Price;
     let mut engine = open(start.state)?;
-    let ending = schedule::run(job, &mut engine, (start.rng, start.from..job.plan.iterations), watcher)?;
+    let end = job.plan.iterations;
+    // Those that start from a draft are few, and their pixels weigh nearly alike.
+    if !job.plan.reweighs || start.from > 0 {
+        let ending = schedule::run(job, &mut engine, (start.rng, start.from..end), watcher)?;
+        engine.keep_best()?;
+        return Ok(Fitted { by: engine, ending, amplitude: None });
+    }
+    let (target, from) = match rehearsal::rehearse(job, &mut engine, watcher)? {
+        Rehearsed::Weighed { target, steps } => (target, steps),
+        Rehearsed::Ended(ending) => return Ok(Fitted { by: engine, ending, amplitude: None }),
+    };
+    let job = Job { problem: Problem { target: &target, ..job.problem }, ..*job };
+    engine.reweigh(&job.problem)?;
+    let ending = schedule::run(&job, &mut engine, (start.rng, from..end), watcher)?;
     engine.keep_best()?;
-    Ok((engine, ending))
+    Ok(Fitted { by: engine, ending, amplitude: Some(target.amplitude) })
 }
 
 /// Fits as `job` says on the CPU.
 ///
 /// # Errors
 /// Those of the watcher.
-pub(crate) fn fit_on_cpu(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<(State, Ending)> {
-    let (state, ending) = fit(job, Ok, watcher)?;
-    Ok((state.finish()?, ending))
+pub(crate) fn fit_on_cpu(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<Fitted<State>> {
+    fit(job, Ok, watcher)?.finished()
 }

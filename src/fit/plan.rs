@@ -32,6 +32,8 @@ pub(crate) struct Plan {
     pub enough: f64,
     /// Factor of the optimizer's steps; other than 1 only in tests of stability.
     pub rate: f32,
+    /// Whether the pixels are weighed anew on the way, by what the picture lacks.
+    pub reweighs: bool,
     /// Seed of everything random.
     pub seed: u64,
     /// Where an ablation stops.
@@ -100,9 +102,18 @@ impl Plan {
             deadline: None,
             enough: 0.0,
             rate: 1.0,
+            reweighs: false,
             seed,
             rung: Rung::default(),
         }
+    }
+
+    /// Returns the schedule of a float fit that takes such a part of the steps, and of the time that is left for them.
+    pub(crate) fn part(&self, share: f32) -> Self {
+        let now = Instant::now();
+        let fit_deadline = self.fit_deadline.map(|end| now + end.saturating_duration_since(now).mul_f32(share));
+        let steps = Plan::steps((self.iterations as f32 * share) as u32, self.seed);
+        Plan { fit_deadline, relocate_every: steps.relocate_every, iterations: steps.iterations, ..self.clone() }
     }
 
     /// Returns the share of the time budget that is gone, 0 without one.

@@ -268,7 +268,7 @@ fn watched(pixels: &Pixels, blend: Blend, count: usize, plan: &Plan) -> Watched 
     let problem = Problem { scene: scene(pixels, blend, target.mean), target: &target };
     let constant = decibels(squared_error(&problem, &[]), pixels);
     let mut every = Every { pixels: pixels.clone(), finite: true, best: f64::NEG_INFINITY };
-    let (state, _) = fit_on_cpu(&Job { problem, count, plan }, &mut every).expect("nothing stops it");
+    let state = fit_on_cpu(&Job { problem, count, plan }, &mut every).expect("nothing stops it").by;
     let Every { finite, best, .. } = every;
     let end = decibels(float_error(&problem, &state.primitives), pixels);
     let known = |v: f64| if finite { v } else { f64::NAN };
@@ -332,7 +332,7 @@ fn a_hundred_thousand_iterations_do_not_drift() {
         let plan = short(500);
         let problem = Problem { scene, target: &target };
         let fitted = fit_on_cpu(&Job { problem, count: 6, plan: &plan }, &mut Unwatched);
-        let mut state = State::new(fitted.expect("nothing stops it").0.primitives, Bounds::new(12, 11));
+        let mut state = State::new(fitted.expect("nothing stops it").by.primitives, Bounds::new(12, 11));
         let (mut early, mut late) = (0.0, 0.0);
         for i in 0..100_000 {
             let error = state.descend(&problem, RowSet::ALL, RATES.scaled(LAST_RATE));
@@ -406,7 +406,7 @@ fn the_condition_of_a_joint_colour_solve_is_known_and_nothing_depends_on_it() {
         let problem = Problem { scene: scene(&pixels, blend, target.mean), target: &target };
         for (name, count) in [("12 fitted", 12), ("60 fitted, crowded", 60)] {
             let fitted = fit_on_cpu(&Job { problem, count, plan: &short(120) }, &mut Unwatched);
-            add(name, blend, &fitted.expect("nothing stops it").0.primitives);
+            add(name, blend, &fitted.expect("nothing stops it").by.primitives);
         }
         let coincident = vec![primitive([16.0, 13.0], [5.0, 3.0], 0.4, 1.0); 3];
         add("3 coincident", blend, &coincident);

@@ -615,6 +615,17 @@ impl Engine for Fitter {
         self.see(scene)
     }
 
+    fn reweigh(&mut self, problem: &Problem<'_>) -> Result<()> {
+        self.flush()?;
+        (self.best, self.whole) = (None, None);
+        let Problem { scene, target } = problem;
+        let size = [scene.width, scene.height];
+        let [slab_rows, _] = rows_at_a_time(size[0], size[1], self.base.source_words, self.binding)?;
+        self.source =
+            Source::new(&self.device, size, slab_rows, |first, end| pack_target(target, self.depth, first, end))?;
+        Ok(())
+    }
+
     fn finish(mut self) -> Result<State> {
         let bounds = Bounds::new(self.base.width, self.base.height);
         Ok(State::new(self.primitives()?, bounds))

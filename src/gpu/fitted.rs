@@ -127,7 +127,8 @@ pub fn fit(
         fitter.settle()?;
         Ok(fitter)
     };
-    let (mut fitter, _) = fit::fit(&Job { problem, count: count as usize, plan: &plan }, open, &mut looking)?;
+    let fitted = fit::fit(&Job { problem, count: count as usize, plan: &plan }, open, &mut looking)?;
+    let mut fitter = fitted.by;
     fitter.settle()?;
     let end = Instant::now();
     let start = looking.start.unwrap_or(end);

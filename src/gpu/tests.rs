@@ -452,6 +452,34 @@ mod stages {
     }
 
     #[test]
+    fn pixels_weighed_anew_weigh_as_if_from_the_start() {
+        let Some(device) = device() else { return };
+        let (width, height, bounds) = (75, 61, Bounds::new(75, 61));
+        for sixteen in [false, true] {
+            let pixels = pixels(width, height, Channels::Rgb, sixteen);
+            let before = planes(&pixels, true);
+            let backwards = before.amplitude.chunks_exact(before.stride).rev().flatten().copied().collect();
+            let after = before.weighed(backwards);
+            let scene = Scene { width, height, blend: Blend::Normalized, background: before.mean };
+            let [old, new] = [&before, &after].map(|target| Problem { scene, target });
+            let free = primitives(width, height, 90);
+            let stepped = |first: &Problem<'_>| {
+                let mut gpu = Fitter::new(&device, first, &pixels, &free, &bounds).unwrap();
+                gpu.reweigh(&new).unwrap();
+                // Adam makes the first step of signs alone, the second tells sizes.
+                gpu.descend(&new, RowSet::ALL, RATES).unwrap();
+                gpu.descend(&new, RowSet { step: 2, phase: 1 }, RATES).unwrap();
+                gpu.primitives().unwrap()
+            };
+            let mut only = Fitter::new(&device, &old, &pixels, &free, &bounds).unwrap();
+            only.descend(&old, RowSet::ALL, RATES).unwrap();
+            only.descend(&old, RowSet { step: 2, phase: 1 }, RATES).unwrap();
+            assert_eq!(stepped(&old), stepped(&new), "{sixteen}");
+            assert_ne!(stepped(&old), only.primitives().unwrap(), "{sixteen}");
+        }
+    }
+
+    #[test]
     fn slabs_and_bands_add_up_to_the_whole() {
         let Some(device) = device() else { return };
         let (width, height) = (75, 61);

@@ -21,7 +21,7 @@ const DENSE: f32 = 400.0;
 /// Sizes that are looked at, from the picture's own on, each half of the one before; they count alike.
 pub(crate) const SIZES: usize = 3;
 /// Luma of red, green and blue: about the share of each in what eyes see as lightness.
-const LUMA: [f32; 3] = [0.25, 0.6, 0.15];
+pub(crate) const LUMA: [f32; 3] = [0.25, 0.6, 0.15];
 
 /// How much squared errors in red, green and blue count, 1 in the mean. An error in green changes what SSIMULACRA2 says ten
 /// times as much as the same one in blue, and three times as much as in red; weights as far apart as that would lose .15 dB
@@ -31,10 +31,14 @@ const CHANNELS: [f32; 3] = [0.8, 1.6, 0.6];
 /// Mean weights at each size, before they are brought to a mean of 1.
 pub(crate) type Means = [f64; SIZES];
 
+/// Returns the pixels per primitive.
+pub(crate) fn room(target: &Planes, count: usize) -> f32 {
+    (target.width as usize * target.height as usize) as f32 / count.max(1) as f32
+}
+
 /// Amplitudes for [`Planes::amplitude`] of `count` primitives.
 pub(crate) fn amplitudes(target: &Planes, count: usize) -> Vec<f32> {
-    let room = (target.width as usize * target.height as usize) as f32 / count.max(1) as f32;
-    normalized(target, &weights(target, room, None).0, None)
+    normalized(target, &weights(target, room(target, count), None).0, None)
 }
 
 /// [`Planes::channel_amplitude`] of colours; other channels count as they do without weights.
@@ -114,7 +118,7 @@ fn weights_at(plane: &[f32], [width, height]: [usize; 2], power: f32) -> (Vec<f3
 }
 
 /// A plane at twice its size, or one less in either direction: linear between the middles of its pixels.
-fn doubled(plane: &[f32], [w, h]: [usize; 2], [width, height]: [usize; 2]) -> Vec<f32> {
+pub(crate) fn doubled(plane: &[f32], [w, h]: [usize; 2], [width, height]: [usize; 2]) -> Vec<f32> {
     /// The nearer and the farther of two neighbours.
     fn near(i: usize, count: usize) -> [usize; 2] {
         let nearer = i / 2;

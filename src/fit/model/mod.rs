@@ -12,6 +12,7 @@ pub(crate) mod problem;
 pub(crate) mod project;
 pub(crate) mod reduced;
 pub(crate) mod removal;
+pub(crate) mod reweigh;
 pub(crate) mod ridge;
 pub(crate) mod rows;
 pub(crate) mod sample;

@@ -1,5 +1,7 @@
 //! The picture to fit, as padded planes of floats.
 
+use std::sync::Arc;
+
 use crate::gaussian::Channels;
 use crate::parallel;
 use crate::pixels::Pixels;
@@ -12,7 +14,7 @@ pub(crate) struct Planes {
     pub height: u32,
     pub channels: Channels,
     pub stride: usize,
-    planes: Vec<f32>,
+    planes: Arc<Vec<f32>>,
     /// Square root of how much a pixel's squared error counts, `stride` floats a row; empty when all count 1.
     pub amplitude: Vec<f32>,
     /// Square root of how much a squared error in each channel counts.
@@ -56,6 +58,7 @@ impl Planes {
             let weight = if channels.alpha() == Some(k) { area } else { sum[4] };
             if weight > 0.0 { (sum[k] / weight) as f32 } else { 0.0 }
         });
+        let planes = Arc::new(planes);
         Planes { width, height, channels, stride, planes, amplitude: Vec::new(), channel_amplitude: [1.0; 4], mean }
     }
 
@@ -113,7 +116,12 @@ impl Planes {
                 }
             });
         }
-        Planes { width, height, stride, planes, amplitude, ..*self }
+        Planes { width, height, stride, planes: Arc::new(planes), amplitude, ..*self }
+    }
+
+    /// Returns the same picture, in the same memory, with other amplitudes.
+    pub(crate) fn weighed(&self, amplitude: Vec<f32>) -> Planes {
+        Planes { planes: Arc::clone(&self.planes), amplitude, ..*self }
     }
 
     /// Returns the factors of the errors in row `y` before they are squared; `None`: 1.

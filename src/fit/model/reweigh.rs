@@ -1,0 +1,299 @@
+//! Weights anew, by what a picture lacks so far: errors count more where structure is lost that costs little to keep.
+//!
+//! Weights by the picture alone ([`masking`]) cannot know where the primitives fail. SSIMULACRA2 takes most of its score from
+//! the fourth norm of what is lost at the picture's own size, and from the mean of what is lost at a quarter and an
+//! eighth of it. Each pixel's share in that score, over its share in the weighted squared error, says how much a lower
+//! error there is worth; places differ by a factor of ten. Equal worth everywhere would be the score's own optimum, and
+//! would cost too many decibels; [`POWER`] goes a part of the way.
+//!
+//! [`masking`]: crate::fit::model::masking
+
+use crate::fit::model::blur::blur;
+use crate::fit::model::field::Field;
+use crate::fit::model::masking::{LUMA, doubled, room};
+use crate::fit::model::planes::Planes;
+use crate::fit::model::sample::halve;
+use crate::fit::model::structure::normalized;
+use crate::parallel;
+
+/// Power of the worth where primitives are dense. It is raised as far as the decibels last that the rehearsal itself wins at
+/// a ratio of 50.
+const POWER: f32 = 0.8;
+/// Pixels per primitive from which on the power falls with their square root: with few primitives Butteraugli, which looks
+/// for the worst place, loses more and more by it.
+const DENSE: f32 = 65.0;
+/// Least worth before that: where it is lower errors would grow that nothing else sees.
+const LEAST: f32 = 1.0;
+/// Largest worth before that.
+const MOST: f32 = 6.0;
+/// What each size brings to the score, from the picture's own on, each half of the one before: of the mean of what is lost
+/// there, and of its fourth norm. They are SSIMULACRA2's own for luma.
+const SIZES: [[f32; 2]; 4] = [[0.0, 7.47], [0.0, 6.68], [225.2, 19.2], [176.4, 24.4]];
+/// Keeps the loss finite where there is no structure: SSIM's `C₂` of .0009 is for a luma of a somewhat smaller range.
+const C2: f32 = 0.0015;
+/// How often the picture is halved until worth is one number a cell: cells of 8 × 8 pixels.
+const HALVINGS: usize = 3;
+/// Rows that are worked on at a time.
+const CHUNK: usize = 32;
+/// Planes that are softened for what is lost: both means, both squares, the product.
+const SOFTENED: usize = 5;
+
+/// Amplitudes for [`Planes::amplitude`] in place of those that `target` has, where `field` holds the picture so far, which
+/// is of `count` primitives.
+pub(crate) fn amplitudes(target: &Planes, field: &Field, count: usize) -> Vec<f32> {
+    let size = [target.width as usize, target.height as usize];
+    let power = POWER * (DENSE / room(target, count)).min(1.0).sqrt();
+    let [wanted, drawn] = lumas(target, field);
+    let errors = cells(errors(target, [&wanted, &drawn]), size);
+    let shares = cells(shares([wanted, drawn], size), size);
+    let all = |v: &[f32]| v.iter().map(|&v| f64::from(v)).sum::<f64>();
+    let (share, error) = (all(&shares), all(&errors));
+    let scale = (error / share.max(f64::MIN_POSITIVE)) as f32;
+    let least = (1e-6 * error / errors.len() as f64) as f32 + f32::MIN_POSITIVE;
+    let worth = shares.iter().zip(&errors).map(|(s, e)| (scale * s / (e + least)).clamp(LEAST, MOST).powf(power));
+    let mut worth: Vec<f32> = worth.collect();
+    for pair in sizes(size, HALVINGS).windows(2).rev() {
+        worth = doubled(&worth, pair[1], pair[0]);
+    }
+    for (y, row) in worth.chunks_exact_mut(size[0]).enumerate() {
+        if let Some(amplitude) = target.amplitude(y as u32) {
+            row.iter_mut().zip(amplitude).for_each(|(w, a)| *w *= a * a);
+        }
+    }
+    normalized(target, &worth, None)
+}
+
+/// The picture's size, and each half of the one before.
+fn sizes(size: [usize; 2], halvings: usize) -> Vec<[usize; 2]> {
+    std::iter::successors(Some(size), |s| Some(s.map(|v| v.div_ceil(2)))).take(halvings + 1).collect()
+}
+
+/// Means over softened cells.
+fn cells(mut plane: Vec<f32>, size: [usize; 2]) -> Vec<f32> {
+    let sizes = sizes(size, HALVINGS);
+    for [w, h] in &sizes[..HALVINGS] {
+        plane = halve(&plane, *w, *h);
+    }
+    let [w, h] = sizes[HALVINGS];
+    blur(&blur(&plane, w, h), w, h)
+}
+
+/// Squared errors in luma of the pixels, as the fit weighs pixels.
+fn errors(target: &Planes, [wanted, drawn]: [&[f32]; 2]) -> Vec<f32> {
+    let width = target.width as usize;
+    let mut errors = vec![0.0f32; width * target.height as usize];
+    parallel::map_chunks(&mut errors, width, |y, out| {
+        let amplitude = target.amplitude(y as u32);
+        for (x, o) in out.iter_mut().enumerate() {
+            let e = drawn[y * width + x] - wanted[y * width + x];
+            *o = (e * amplitude.map_or(1.0, |a| a[x])).powi(2);
+        }
+    });
+    errors
+}
+
+/// Each pixel's share in the score.
+fn shares([mut wanted, mut drawn]: [Vec<f32>; 2], size: [usize; 2]) -> Vec<f32> {
+    let sizes = sizes(size, SIZES.len() - 1);
+    let mut lost = Vec::new();
+    for (&[w, h], [of_mean, of_norm]) in sizes.iter().zip(SIZES) {
+        let (mut at_size, fourth) = lost_structure([&wanted, &drawn], [w, h]);
+        // The slope of the norm along each loss, times the loss.
+        let of_norm = of_norm / (fourth as f32).powf(0.75).max(1e-20);
+        at_size.iter_mut().for_each(|l| *l *= of_mean + of_norm * *l * *l * *l);
+        lost.push(at_size);
+        (wanted, drawn) = (halve(&wanted, w, h), halve(&drawn, w, h));
+    }
+    let mut shares = lost.pop().expect("several sizes");
+    for (pair, of_size) in sizes.windows(2).zip(lost).rev() {
+        shares = doubled(&shares, pair[1], pair[0]);
+        shares.iter_mut().zip(of_size).for_each(|(s, l)| *s += l);
+    }
+    shares
+}
+
+/// Luma, or grey, of the target and of the picture so far, each times the target's opacity.
+fn lumas(target: &Planes, field: &Field) -> [Vec<f32>; 2] {
+    let (width, count) = (target.width as usize, target.channels.count());
+    let luma: &[f32] = if count < 3 { &[1.0] } else { &LUMA };
+    [false, true].map(|is_drawn| {
+        let mut plane = vec![0.0f32; width * target.height as usize];
+        parallel::map_chunks(&mut plane, width, |y, out| {
+            let wanted = target.row(y as u32);
+            let row = if is_drawn { field.row(y, count) } else { wanted };
+            for (x, o) in out.iter_mut().enumerate() {
+                let sum =
+                    luma.iter().enumerate().map(|(k, l)| l * row[k * target.stride + x].clamp(0.0, 1.0)).sum::<f32>();
+                // Colours count by the target's opacity.
+                *o = sum * target.channels.alpha().map_or(1.0, |a| wanted[a * target.stride + x]);
+            }
+        });
+        plane
+    })
+}
+
+/// One less SSIM, with the change that SSIMULACRA2 makes to its first factor, of two planes; and the mean of its fourth
+/// powers.
+fn lost_structure([a, b]: [&[f32]; 2], [width, height]: [usize; 2]) -> (Vec<f32>, f64) {
+    let mut lost = vec![0.0f32; width * height];
+    let sums = parallel::map_chunks(&mut lost, CHUNK * width, |c, out| {
+        let first = c * CHUNK;
+        // The rows around, each softened along itself: five planes a row.
+        let rows = out.len() / width + 4;
+        let mut across = vec![0.0f32; rows * SOFTENED * width];
+        let mut padded = vec![0.0f32; width + 4];
+        for (i, row) in across.chunks_exact_mut(SOFTENED * width).enumerate() {
+            let y = (first + i).saturating_sub(2).min(height - 1);
+            let (a, b) = (&a[y * width..][..width], &b[y * width..][..width]);
+            for (k, out) in row.chunks_exact_mut(width).enumerate() {
+                let of = |x: usize| match k {
+                    0 => a[x],
+                    1 => b[x],
+                    2 => a[x] * a[x],
+                    3 => b[x] * b[x],
+                    _ => a[x] * b[x],
+                };
+                for (x, v) in padded[2..width + 2].iter_mut().enumerate() {
+                    *v = of(x);
+                }
+                padded[..2].fill(of(0));
+                padded[width + 2..].fill(of(width - 1));
+                for (o, v) in out.iter_mut().zip(padded.windows(5)) {
+                    *o = binomial([v[0], v[1], v[2], v[3], v[4]]);
+                }
+            }
+        }
+        let mut fourth = 0.0f64;
+        for (i, out) in out.chunks_exact_mut(width).enumerate() {
+            let mut sum = 0.0f32;
+            for (x, o) in out.iter_mut().enumerate() {
+                let soft: [f32; SOFTENED] = std::array::from_fn(|k| {
+                    binomial(std::array::from_fn(|j| across[((i + j) * SOFTENED + k) * width + x]))
+                });
+                let [ma, mb, aa, bb, ab] = soft;
+                let variances = (aa - ma * ma).max(0.0) + (bb - mb * mb).max(0.0);
+                let structure = (2.0 * (ab - ma * mb) + C2) / (variances + C2);
+                *o = (1.0 - (1.0 - (ma - mb) * (ma - mb)) * structure).max(0.0);
+                sum += (*o * *o) * (*o * *o);
+            }
+            fourth += f64::from(sum);
+        }
+        fourth
+    });
+    (lost, sums.iter().sum::<f64>() / (width * height) as f64)
+}
+
+/// (1 4 6 4 1)/16.
+fn binomial(v: [f32; 5]) -> f32 {
+    0.0625 * (v[0] + v[4]) + 0.25 * (v[1] + v[3]) + 0.375 * v[2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::model::field::Output;
+    use crate::fit::model::problem::{Problem, Scene};
+    use crate::fit::model::project::{Primitive, Projected};
+    use crate::fit::model::rows::RowSet;
+    use crate::gaussian::{Blend, Channels};
+    use crate::{Pixels, Samples};
+
+    fn noise(i: usize) -> f32 {
+        (i as f32 * 0.618_034).fract()
+    }
+
+    #[test]
+    fn what_is_lost_is_what_its_formula_says_in_double_precision() {
+        // More rows than are worked on at a time, and fewer than the window has.
+        for (w, h) in [(1, 1), (3, 2), (17, 9), (9, 71)] {
+            let a: Vec<f32> = (0..w * h).map(noise).collect();
+            let b: Vec<f32> = (0..w * h).map(|i| 0.5 * noise(i) + 0.4 * noise(3 * i + 7)).collect();
+            let (lost, fourth) = lost_structure([&a, &b], [w, h]);
+            let taps = [1.0, 4.0, 6.0, 4.0, 1.0].map(|t| t / 16.0);
+            let soft = |x: usize, y: usize, of: &dyn Fn(usize) -> f64| -> f64 {
+                let near = |v: usize, d: usize, n: usize| (v + d).saturating_sub(2).min(n - 1);
+                (0..25).map(|k| taps[k / 5] * taps[k % 5] * of(near(y, k / 5, h) * w + near(x, k % 5, w))).sum()
+            };
+            let (p, q) = (|i: usize| f64::from(a[i]), |i: usize| f64::from(b[i]));
+            let mut sum = 0.0;
+            for y in 0..h {
+                for x in 0..w {
+                    let (m, n) = (soft(x, y, &p), soft(x, y, &q));
+                    let [aa, bb] = [soft(x, y, &|i| p(i) * p(i)) - m * m, soft(x, y, &|i| q(i) * q(i)) - n * n];
+                    let ab = soft(x, y, &|i| p(i) * q(i)) - m * n;
+                    let c2 = f64::from(C2);
+                    let want = (1.0 - (1.0 - (m - n) * (m - n)) * (2.0 * ab + c2) / (aa + bb + c2)).max(0.0);
+                    sum += want.powi(4);
+                    // Variances are differences of numbers near 1 in f32, over C₂ at the least.
+                    let got = f64::from(lost[y * w + x]);
+                    assert!((got - want).abs() < 1e-3, "{w} × {h}, {x}, {y}: {got}, not {want}");
+                }
+            }
+            let want = sum / (w * h) as f64;
+            assert!((fourth - want).abs() <= 5e-3 * want + 1e-9, "{w} × {h}: {fourth}, not {want}");
+        }
+    }
+
+    #[test]
+    fn where_structure_is_lost_errors_weigh_more_and_the_mean_weight_is_one() {
+        let (width, height) = (128u32, 64u32);
+        for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
+            let count = channels.count();
+            // A strong pattern on the left, a faint one on the right; opaque.
+            let side = |x: usize, y: usize| if (x / 2 + y / 2).is_multiple_of(2) { -1.0 } else { 1.0 };
+            let value = |x: usize, y: usize| (140.0 + side(x, y) * if x < 64 { 60.0 } else { 20.0 }) as u8;
+            let samples = (0..(width * height) as usize * count).map(|i| {
+                let (x, y) = (i / count % width as usize, i / count / width as usize);
+                if channels.alpha() == Some(i % count) { 255 } else { value(x, y) }
+            });
+            let pixels = Pixels::new(width, height, channels, Samples::U8(samples.collect())).unwrap();
+            let mut target = Planes::new(&pixels);
+            // The picture is flat on the right, and as far from the target on the left, where it keeps the pattern.
+            let scene = Scene { width, height, blend: Blend::Normalized, background: [0.5; 4] };
+            let flat = Primitive { mean: [64.0, 32.0], log_scale: [4.0; 2], rotation: 0.0, color: [140.0 / 255.0; 4] };
+            let mut field = Field::default();
+            let problem = Problem { scene, target: &target };
+            field.draw(&problem, &[Projected::new(&flat, height)], RowSet::ALL, Output::Picture);
+            let size = (count + 1) * field.stride;
+            for (y, row) in field.planes.chunks_exact_mut(size).enumerate() {
+                for k in 0..count {
+                    for x in 0..width as usize / 2 {
+                        row[k * target.stride + x] = (140.0 + side(x, y) * 40.0) / 255.0;
+                    }
+                }
+            }
+            let amplitudes = amplitudes(&target, &field, 500);
+            target.amplitude = amplitudes;
+            let mean = |columns: std::ops::Range<usize>| {
+                let rows = (0..height).map(|y| &target.amplitude(y).unwrap()[columns.clone()]);
+                let (n, sum) = rows.flatten().fold((0.0, 0.0), |(n, s), a| (n + 1.0, s + a * a));
+                sum / n
+            };
+            assert!((mean(0..128) - 1.0).abs() < 1e-3, "{channels:?} {}", mean(0..128));
+            assert!(mean(80..128) > 1.5 * mean(0..48), "{channels:?} {} {}", mean(0..48), mean(80..128));
+        }
+    }
+
+    #[test]
+    fn a_picture_that_lacks_nothing_or_everything_has_finite_weights() {
+        for (width, height) in [(1, 1), (2, 9), (33, 20)] {
+            let samples = (0..width * height * 3).map(|i| (i * 7 % 251) as u8).collect();
+            let target = Planes::new(&Pixels::new(width, height, Channels::Rgb, Samples::U8(samples)).unwrap());
+            let scene = Scene { width, height, blend: Blend::Sum, background: [0.0; 4] };
+            let mut field = Field::default();
+            field.draw(&Problem { scene, target: &target }, &[], RowSet::ALL, Output::Picture);
+            for is_perfect in [false, true] {
+                if is_perfect {
+                    for y in 0..height {
+                        let at = y as usize * 4 * field.stride;
+                        field.planes[at..at + 3 * target.stride].copy_from_slice(target.row(y));
+                    }
+                }
+                for row in amplitudes(&target, &field, 5).chunks_exact(target.stride) {
+                    let row = &row[..width as usize];
+                    assert!(row.iter().all(|a| a.is_finite() && *a > 0.2), "{width} × {height} {is_perfect} {row:?}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! A short fit before the long one, to its end, so that what the picture will lack is known while there is time to act on it.
+//!
+//! Only a fit whose steps have become small shows that: in the middle of one, the noise of long steps hides it. The long fit
+//! goes on from where the short one ended, with so many steps fewer, and loses nothing by it.
+
+use crate::error::Result;
+use crate::fit::draft;
+use crate::fit::engine::{Ending, Engine, Sight, Watcher};
+use crate::fit::job::Job;
+use crate::fit::model::field::{Field, Output};
+use crate::fit::model::planes::Planes;
+use crate::fit::model::project::{self, Primitive};
+use crate::fit::model::reweigh;
+use crate::fit::model::rows::RowSet;
+use crate::fit::plan::Plan;
+use crate::fit::schedule;
+
+/// Share of the steps, and of a budget of time, that the short fit takes. `.15` shows less; `.5` leaves too little for the rest.
+const SHARE: f32 = 0.3;
+
+/// What a rehearsal came to.
+pub(super) enum Rehearsed {
+    /// The target with its pixels weighed anew, and the steps that were taken.
+    Weighed { target: Planes, steps: u32 },
+    /// Nothing is left to do.
+    Ended(Ending),
+}
+
+/// Fits shortly, and weighs the pixels anew.
+pub(super) fn rehearse<E: Engine>(job: &Job<'_>, engine: &mut E, watcher: &mut dyn Watcher) -> Result<Rehearsed> {
+    let all = job.plan.iterations;
+    let plan = job.plan.part(SHARE);
+    let steps = plan.iterations;
+    let rng = draft::random(&Plan { seed: plan.seed.wrapping_add(1), ..plan.clone() });
+    let ending = schedule::run(&Job { plan: &plan, ..*job }, engine, (rng, 0..steps), &mut First { watcher })?;
+    if let Ending::Enough { left } = ending {
+        return Ok(Rehearsed::Ended(Ending::Enough { left: left + all - steps }));
+    }
+    let problem = job.problem;
+    let primitives = engine.primitives()?;
+    let mut field = Field::default();
+    field.draw(&problem, &project::all(&primitives, problem.scene.height), RowSet::ALL, Output::Picture);
+    let amplitude = reweigh::amplitudes(problem.target, &field, primitives.len());
+    Ok(Rehearsed::Weighed { target: problem.target.weighed(amplitude), steps })
+}
+
+/// Watches the first part of a fit for who watches the whole.
+struct First<'a> {
+    watcher: &'a mut dyn Watcher,
+}
+
+impl Watcher for First<'_> {
+    fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()> {
+        self.watcher.step(SHARE * done, now)
+    }
+
+    fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {
+        self.watcher.recount(primitives)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::fit_on_cpu;
+    use crate::fit::model::masking;
+    use crate::fit::model::problem::{Problem, Scene};
+    use crate::gaussian::{Blend, Channels};
+    use crate::{Pixels, Samples};
+
+    /// Notes how far the work is.
+    #[derive(Default)]
+    struct Noting(Vec<f32>);
+
+    impl Watcher for Noting {
+        fn step(&mut self, done: f32, _: &mut dyn Sight) -> Result<()> {
+            self.0.push(done);
+            Ok(())
+        }
+
+        fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {
+            Ok(primitives.len())
+        }
+    }
+
+    #[test]
+    fn a_rehearsal_takes_no_steps_more_and_the_work_goes_forward() {
+        let samples = (0..96 * 64 * 3).map(|i| (i / 3 % 96 * 2 + i * 7919 % 31) as u8).collect();
+        let mut target = Planes::new(&Pixels::new(96, 64, Channels::Rgb, Samples::U8(samples)).unwrap());
+        target.amplitude = masking::amplitudes(&target, 150);
+        let scene = Scene { width: 96, height: 64, blend: Blend::Normalized, background: target.mean };
+        let problem = Problem { scene, target: &target };
+        for (reweighs, deadline) in [(false, None), (true, None), (true, Some(std::time::Duration::from_secs(3600)))] {
+            let fit_deadline = deadline.map(|d| std::time::Instant::now() + d);
+            let plan = Plan { reweighs, fit_deadline, ..Plan::steps(50, 1) };
+            let mut noting = Noting::default();
+            let fitted = fit_on_cpu(&Job { problem, count: 150, plan: &plan }, &mut noting).unwrap();
+            assert_eq!(noting.0.len(), 50);
+            assert!(noting.0.is_sorted() && noting.0[49] < 1.0, "{:?}", noting.0);
+            let amplitude = fitted.amplitude.unwrap_or_else(|| target.amplitude.clone());
+            assert_eq!(amplitude != target.amplitude, reweighs);
+            assert_eq!(amplitude.len(), target.amplitude.len());
+        }
+    }
+
+    #[test]
+    fn a_rehearsal_that_is_good_enough_ends_the_fit() {
+        let target = Planes::new(&Pixels::new(40, 30, Channels::Grey, Samples::U8(vec![77; 1200])).unwrap());
+        let scene = Scene { width: 40, height: 30, blend: Blend::Normalized, background: target.mean };
+        let plan = Plan { reweighs: true, enough: 1e-4, ..Plan::steps(100, 0) };
+        let job = Job { problem: Problem { scene, target: &target }, count: 130, plan: &plan };
+        let fitted = fit_on_cpu(&job, &mut Noting::default()).unwrap();
+        let Ending::Enough { left } = fitted.ending else { panic!("{:?}", fitted.ending) };
+        assert!((71..100).contains(&left), "{left}");
+        assert_eq!(fitted.amplitude, None);
+    }
+}
