@@ -14,6 +14,7 @@ use crate::error::{GpuError, Result};
 use crate::fit::engine::Engine;
 use crate::fit::model::adam::{self, Bounds, Rates};
 use crate::fit::model::peaks::{self, Peak};
+use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::project;
 use crate::fit::model::removal;
@@ -199,6 +200,13 @@ impl Fitter {
     #[cfg(test)]
     pub(super) fn limit_lists(&mut self, capacity: u32) {
         self.capacity = capacity;
+    }
+
+    /// Brings a target to the device.
+    fn source_of(&self, target: &Planes) -> Result<Source> {
+        let size = [target.width, target.height];
+        let [slab_rows, _] = rows_at_a_time(size[0], size[1], self.base.source_words, self.binding)?;
+        Source::new(&self.device, size, slab_rows, |first, end| pack_target(target, self.depth, first, end))
     }
 
     /// Takes up `scene`, of the size of the source; buffers of another size go.
@@ -601,10 +609,7 @@ impl Engine for Fitter {
         let size = [scene.width, scene.height];
         let source = match self.whole.take().filter(|s| s.size == size) {
             Some(whole) => whole,
-            None => {
-                let [slab_rows, _] = rows_at_a_time(size[0], size[1], self.base.source_words, self.binding)?;
-                Source::new(&self.device, size, slab_rows, |first, end| pack_target(target, self.depth, first, end))?
-            }
+            None => self.source_of(target)?,
         };
         let before = std::mem::replace(&mut self.source, source);
         self.whole = (by < 1.0).then_some(before);
@@ -618,11 +623,7 @@ impl Engine for Fitter {
     fn reweigh(&mut self, problem: &Problem<'_>) -> Result<()> {
         self.flush()?;
         (self.best, self.whole) = (None, None);
-        let Problem { scene, target } = problem;
-        let size = [scene.width, scene.height];
-        let [slab_rows, _] = rows_at_a_time(size[0], size[1], self.base.source_words, self.binding)?;
-        self.source =
-            Source::new(&self.device, size, slab_rows, |first, end| pack_target(target, self.depth, first, end))?;
+        self.source = self.source_of(problem.target)?;
         Ok(())
     }
 

@@ -207,3 +207,40 @@ pub(super) fn squared_error(truth: &[[f32; 4]], pixels: &[[f32; 4]]) -> f64 {
         |(t, p): (&[f32; 4], &[f32; 4])| (0..4).map(|k| f64::from(p[k].clamp(0.0, 1.0) - t[k]).powi(2)).sum::<f64>();
     truth.iter().zip(pixels).map(of).sum()
 }
+
+/// Gradients beside differences, for the tests of the methods that blend so.
+#[cfg(test)]
+pub(super) mod differences {
+    use crate::recipes::optimizer::NUMBERS;
+
+    /// The slopes of a mixture `by` of the samples.
+    pub(in crate::recipes) fn slopes(size: [usize; 2], by: impl Fn(usize, usize, usize) -> f64) -> Vec<[f32; 4]> {
+        (0..size[0] * size[1])
+            .map(|i| {
+                let at = |k| by(i % size[0], i / size[0], k) as f32;
+                [at(0), at(1), at(2), 0.0]
+            })
+            .collect()
+    }
+
+    /// Compares the gradient `found` with respect to the numbers of Gaussian `i` with differences of `mixture`.
+    #[track_caller]
+    pub(in crate::recipes) fn assert_near(
+        found: &[f32],
+        numbers: &[[f64; NUMBERS]],
+        i: usize,
+        mixture: impl Fn(&[[f64; NUMBERS]]) -> f64,
+    ) {
+        let largest = found.iter().fold(0.0f32, |a, b| a.max(b.abs()));
+        for (k, found) in found.iter().enumerate() {
+            let at = |step: f64| {
+                let mut moved = numbers.to_vec();
+                moved[i][k] += step;
+                mixture(&moved)
+            };
+            let want = ((at(1e-7) - at(-1e-7)) / 2e-7) as f32;
+            let near = (found - want).abs() < 2e-3 * want.abs() + 2e-3 * largest;
+            assert!(near, "{i} {k}: {found} {want}");
+        }
+    }
+}

@@ -1,6 +1,7 @@
-//! A drawn picture in planes as code values.
+//! What a method found: the drawn planes as code values, their PSNR, and the Gaussians as a picture.
 
 use crate::fit::model::planes::Planes;
+use crate::gaussian::{Blend, Gaussian, Picture};
 use crate::pixels::{Pixels, Samples};
 
 /// The planes of `target`'s size and layout as 8-bit pixels; what is no number becomes 0.
@@ -13,6 +14,12 @@ pub(super) fn pixels(target: &Planes, planes: &[f32]) -> Pixels {
         }
     }
     Pixels::new(target.width, target.height, target.channels, Samples::U8(samples)).expect("as many samples as it says")
+}
+
+/// A picture of `target`'s size with nothing behind the Gaussians.
+pub(super) fn picture(target: &Planes, blend: Blend, gaussians: Vec<Gaussian>) -> Picture {
+    let Planes { width, height, channels, .. } = *target;
+    Picture { width, height, channels, blend, background: [0.0; 4], gaussians }
 }
 
 /// PSNR of a squared error over all samples, dB.

@@ -24,7 +24,7 @@ use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::project::{Primitive, Projected};
 use crate::fit::model::rows::RowSet;
-use crate::gaussian::{Blend, Picture};
+use crate::gaussian::Blend;
 use crate::parallel;
 
 pub(super) const RATE: f32 = 1e-3;
@@ -130,14 +130,8 @@ pub(super) fn fit(target: &Planes, covariance: Covariance, options: &Options) ->
     trace.extend((options.trace > 0).then_some(Point { iteration: options.iterations, seconds, psnr }));
     let pixels = drawn::pixels(target, &stage.field.planes);
     let size = stage.size();
-    let picture = Picture {
-        width: target.width,
-        height: target.height,
-        channels: target.channels,
-        blend: Blend::Sum,
-        background: [0.0; 4],
-        gaussians: numbers.iter().map(|n| primitive(n, size, covariance).to_gaussian()).collect(),
-    };
+    let gaussians = numbers.iter().map(|n| primitive(n, size, covariance).to_gaussian()).collect();
+    let picture = drawn::picture(target, Blend::Sum, gaussians);
     let counted = quantized::counted(&mut stage, numbers, options, &mut rng);
     Fit { pixels, psnr, picture, seconds, trace, counted, estimate: None }
 }

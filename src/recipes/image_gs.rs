@@ -27,7 +27,7 @@ use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::project::{Primitive, Projected};
 use crate::fit::model::structure::Loss;
-use crate::gaussian::{Blend, Picture};
+use crate::gaussian::Blend;
 use crate::metrics;
 use crate::pixels::Pixels;
 
@@ -81,14 +81,8 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
     run.draw();
     let (seconds, psnr) = (start.elapsed().as_secs_f64() - watching, run.psnr());
     trace.extend((options.trace > 0).then_some(Point { iteration, seconds, psnr }));
-    let picture = Picture {
-        width: target.width,
-        height: target.height,
-        channels: target.channels,
-        blend: Blend::Normalized,
-        background: [0.0; 4],
-        gaussians: run.numbers.iter().map(|n| primitive(n, run.size()).to_gaussian()).collect(),
-    };
+    let gaussians = run.numbers.iter().map(|n| primitive(n, run.size()).to_gaussian()).collect();
+    let picture = drawn::picture(target, Blend::Normalized, gaussians);
     let pixels = drawn::pixels(target, &run.drawn);
     run.round();
     run.draw();

@@ -24,7 +24,7 @@ use super::optimizer::{Adam, NUMBERS};
 use super::tiles::Reach;
 use super::{Counted, Fit, Options, Point, drawn};
 use crate::fit::model::planes::Planes;
-use crate::gaussian::{Blend, Gaussian, Picture};
+use crate::gaussian::{Blend, Gaussian};
 
 const RATE: f32 = 0.018;
 /// Share of all Gaussians, had it as many pixels, that the first level gets.
@@ -105,10 +105,8 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
     let zoom = [0, 1].map(|k| truth.size[k] as f32 / small.size[k] as f32);
     let mut gaussians: Vec<Gaussian> = coarse.iter().map(|n| gaussian(n, zoom, 1.0)).collect();
     gaussians.extend(fine.iter().map(|n| gaussian(n, [1.0; 2], range)));
-    let mut background = [0.0; 4];
-    background[..channels].fill(least);
-    let (width, height) = (target.width, target.height);
-    let picture = Picture { width, height, channels: target.channels, blend: Blend::Sum, background, gaussians };
+    let mut picture = drawn::picture(target, Blend::Sum, gaussians);
+    picture.background[..channels].fill(least);
     let pixels = drawn::pixels(target, &blended::field(target, &image.pixels).planes);
     // Its numbers and the two of the stretch, as its program keeps them.
     let counted = Some(Counted { bytes: 4 * (options.count * (5 + channels) + 2) as u64, psnr });
@@ -233,6 +231,7 @@ impl Image {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::recipes::blended::differences;
 
     const SIZE: [usize; 2] = [24, 20];
 
@@ -274,26 +273,10 @@ mod tests {
         };
         let splats: Vec<Splat> = numbers.iter().map(splat).collect();
         let drawing = Drawing::new(&splats, SIZE, Rule::Sum);
-        let slopes: Vec<[f32; 4]> = (0..SIZE[0] * SIZE[1])
-            .map(|i| {
-                let at = |k| by(i % SIZE[0], i / SIZE[0], k) as f32;
-                [at(0), at(1), at(2), 0.0]
-            })
-            .collect();
+        let slopes = differences::slopes(SIZE, by);
         let found = drawing.gradients(&splats, SIZE[0], Rule::Sum, &slopes);
         for (i, g) in found.iter().enumerate() {
-            let found = gradient(g);
-            let largest = found.iter().fold(0.0f32, |a, b| a.max(b.abs()));
-            for k in 0..8 {
-                let at = |step: f64| {
-                    let mut moved = doubles;
-                    moved[i][k] += step;
-                    mixture(&moved, by)
-                };
-                let want = ((at(1e-7) - at(-1e-7)) / 2e-7) as f32;
-                let near = (found[k] - want).abs() < 2e-3 * want.abs() + 2e-3 * largest;
-                assert!(near, "{i} {k}: {} {want}", found[k]);
-            }
+            differences::assert_near(&gradient(g)[..8], &doubles, i, |moved| mixture(moved, by));
         }
     }
 

@@ -26,7 +26,7 @@ use super::{Counted, Fit, Options, Point, drawn};
 use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::structure::Loss;
-use crate::gaussian::{Blend, Gaussian, Picture};
+use crate::gaussian::{Blend, Gaussian};
 
 const PLACE_RATES: [f32; 2] = [1.6e-4, 1.6e-6];
 const SCALE_RATE: f32 = 5e-3;
@@ -90,14 +90,7 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
         let (bytes, rounded) = estimate::rounded(&numbers, &STEPS, &used, bytes)?;
         Some(Counted { bytes, psnr: psnr(&draw(&rounded)) })
     });
-    let picture = Picture {
-        width: target.width,
-        height: target.height,
-        channels: target.channels,
-        blend: Blend::Normalized,
-        background: [0.0; 4],
-        gaussians: numbers.iter().map(gaussian).collect(),
-    };
+    let picture = drawn::picture(target, Blend::Normalized, numbers.iter().map(gaussian).collect());
     let field = blended::field(target, &drawing.pixels);
     let pixels = drawn::pixels(target, &field.planes);
     Fit { pixels, psnr: psnr_of_floats, picture, seconds, trace, counted: None, estimate }
@@ -197,6 +190,7 @@ fn gradient(n: &[f32; NUMBERS], found: &blended::Gradient, channels: usize) -> [
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::recipes::blended::differences;
 
     const SIZE: [usize; 2] = [24, 20];
 
@@ -247,12 +241,7 @@ mod tests {
         let by = |x: usize, y: usize, k: usize| ((x * 7 + y * 13 + k * 5) % 11) as f64 / 5.0 - 1.0;
         let splats: Vec<Splat> = numbers.iter().map(splat).collect();
         let drawing = Drawing::new(&splats, SIZE, Rule::FrontToBack);
-        let slopes: Vec<[f32; 4]> = (0..SIZE[0] * SIZE[1])
-            .map(|i| {
-                let at = |k| by(i % SIZE[0], i / SIZE[0], k) as f32;
-                [at(0), at(1), at(2), 0.0]
-            })
-            .collect();
+        let slopes = differences::slopes(SIZE, by);
         let doubles: Vec<_> = numbers.iter().map(|n| n.map(f64::from)).collect();
         let drawn: f64 = (drawing.pixels.iter().zip(&slopes))
             .map(|(p, s)| (0..3).map(|k| f64::from(p[k]) * f64::from(s[k])).sum::<f64>())
@@ -261,18 +250,7 @@ mod tests {
         assert!((drawn - want).abs() < 1e-3 * want.abs().max(1.0), "{drawn} {want}");
         let found = drawing.gradients(&splats, SIZE[0], Rule::FrontToBack, &slopes);
         for (i, g) in found.iter().enumerate() {
-            let found = gradient(&numbers[i], g, 3);
-            let largest = found.iter().fold(0.0f32, |a, b| a.max(b.abs()));
-            for k in 0..NUMBERS {
-                let at = |step: f64| {
-                    let mut moved = doubles.clone();
-                    moved[i][k] += step;
-                    mixture(&moved, by)
-                };
-                let want = ((at(1e-7) - at(-1e-7)) / 2e-7) as f32;
-                let near = (found[k] - want).abs() < 2e-3 * want.abs() + 2e-3 * largest;
-                assert!(near, "{i} {k}: {} {want}", found[k]);
-            }
+            differences::assert_near(&gradient(&numbers[i], g, 3)[..NUMBERS], &doubles, i, |moved| mixture(moved, by));
         }
     }
 

@@ -33,10 +33,6 @@ const SIZES: [[f32; 2]; 4] = [[0.0, 7.47], [0.0, 6.68], [225.2, 19.2], [176.4, 2
 const C2: f32 = 0.0015;
 /// How often the picture is halved until worth is one number a cell: cells of 8 × 8 pixels.
 const HALVINGS: usize = 3;
-/// Rows that are worked on at a time.
-const CHUNK: usize = 32;
-/// Planes that are softened for what is lost: both means, both squares, the product.
-const SOFTENED: usize = 5;
 
 /// Amplitudes for [`Planes::amplitude`] in place of those that `target` has, where `field` holds the picture so far, which
 /// is of `count` primitives.
@@ -135,57 +131,23 @@ fn lumas(target: &Planes, field: &Field) -> [Vec<f32>; 2] {
 /// One less SSIM, with the change that SSIMULACRA2 makes to its first factor, of two planes; and the mean of its fourth
 /// powers.
 fn lost_structure([a, b]: [&[f32]; 2], [width, height]: [usize; 2]) -> (Vec<f32>, f64) {
+    let soft = |plane: &[f32]| blur(plane, width, height);
+    let product = |a: &[f32], b: &[f32]| soft(&a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<_>>());
+    let (means, squares, products) = ([soft(a), soft(b)], [product(a, a), product(b, b)], product(a, b));
     let mut lost = vec![0.0f32; width * height];
-    let sums = parallel::map_chunks(&mut lost, CHUNK * width, |c, out| {
-        let first = c * CHUNK;
-        // The rows around, each softened along itself: five planes a row.
-        let rows = out.len() / width + 4;
-        let mut across = vec![0.0f32; rows * SOFTENED * width];
-        let mut padded = vec![0.0f32; width + 4];
-        for (i, row) in across.chunks_exact_mut(SOFTENED * width).enumerate() {
-            let y = (first + i).saturating_sub(2).min(height - 1);
-            let (a, b) = (&a[y * width..][..width], &b[y * width..][..width]);
-            for (k, out) in row.chunks_exact_mut(width).enumerate() {
-                let of = |x: usize| match k {
-                    0 => a[x],
-                    1 => b[x],
-                    2 => a[x] * a[x],
-                    3 => b[x] * b[x],
-                    _ => a[x] * b[x],
-                };
-                for (x, v) in padded[2..width + 2].iter_mut().enumerate() {
-                    *v = of(x);
-                }
-                padded[..2].fill(of(0));
-                padded[width + 2..].fill(of(width - 1));
-                for (o, v) in out.iter_mut().zip(padded.windows(5)) {
-                    *o = binomial([v[0], v[1], v[2], v[3], v[4]]);
-                }
-            }
+    let sums = parallel::map_chunks(&mut lost, width, |y, out| {
+        let mut sum = 0.0f32;
+        for (x, o) in out.iter_mut().enumerate() {
+            let i = y * width + x;
+            let ([ma, mb], [aa, bb]) = ([means[0][i], means[1][i]], [squares[0][i], squares[1][i]]);
+            let variances = (aa - ma * ma).max(0.0) + (bb - mb * mb).max(0.0);
+            let structure = (2.0 * (products[i] - ma * mb) + C2) / (variances + C2);
+            *o = (1.0 - (1.0 - (ma - mb) * (ma - mb)) * structure).max(0.0);
+            sum += (*o * *o) * (*o * *o);
         }
-        let mut fourth = 0.0f64;
-        for (i, out) in out.chunks_exact_mut(width).enumerate() {
-            let mut sum = 0.0f32;
-            for (x, o) in out.iter_mut().enumerate() {
-                let soft: [f32; SOFTENED] = std::array::from_fn(|k| {
-                    binomial(std::array::from_fn(|j| across[((i + j) * SOFTENED + k) * width + x]))
-                });
-                let [ma, mb, aa, bb, ab] = soft;
-                let variances = (aa - ma * ma).max(0.0) + (bb - mb * mb).max(0.0);
-                let structure = (2.0 * (ab - ma * mb) + C2) / (variances + C2);
-                *o = (1.0 - (1.0 - (ma - mb) * (ma - mb)) * structure).max(0.0);
-                sum += (*o * *o) * (*o * *o);
-            }
-            fourth += f64::from(sum);
-        }
-        fourth
+        f64::from(sum)
     });
     (lost, sums.iter().sum::<f64>() / (width * height) as f64)
-}
-
-/// (1 4 6 4 1)/16.
-fn binomial(v: [f32; 5]) -> f32 {
-    0.0625 * (v[0] + v[4]) + 0.25 * (v[1] + v[3]) + 0.375 * v[2]
 }
 
 #[cfg(test)]
@@ -204,7 +166,7 @@ mod tests {
 
     #[test]
     fn what_is_lost_is_what_its_formula_says_in_double_precision() {
-        // More rows than are worked on at a time, and fewer than the window has.
+        // More rows than are softened at a time, and fewer than the window has.
         for (w, h) in [(1, 1), (3, 2), (17, 9), (9, 71)] {
             let a: Vec<f32> = (0..w * h).map(noise).collect();
             let b: Vec<f32> = (0..w * h).map(|i| 0.5 * noise(i) + 0.4 * noise(3 * i + 7)).collect();
