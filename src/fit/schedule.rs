@@ -27,6 +27,8 @@ pub(crate) const SAMPLED: f32 = 0.8;
 const SETTLED: f32 = 0.95;
 /// Iterations between looks at the error over all rows when few are seen in the last steps.
 pub(crate) const REMEMBERED: u32 = 20;
+/// Pixels of a picture that is looked at in each of those steps: a few primitives can lose tenths of a decibel in one.
+const STAMP: u64 = 1 << 14;
 /// Share of the iterations after which nothing is relocated any more.
 const RELOCATED: f32 = 0.6;
 /// The same at a steady pace.
@@ -217,7 +219,8 @@ impl<'a> Course<'a> {
         };
         let rates = rates.scaled(plan.rate).scaled(LAST_RATE + (1.0 - LAST_RATE) * cosine);
         // A step on all rows tells the error by itself.
-        let is_due = iteration.is_multiple_of(REMEMBERED) || iteration + 1 == plan.iterations;
+        let each = if whole.scene.pixels() <= STAMP { 1 } else { REMEMBERED };
+        let is_due = iteration.is_multiple_of(each) || iteration + 1 == plan.iterations;
         if done >= SAMPLED && sampled.step > 1 && self.small.is_none() && is_due {
             engine.remember(whole)?;
         }

@@ -1,18 +1,24 @@
 //! The inner loops of the fit: forward (weights into planes) and backward (planes into moments), eight columns at a time
 //! down runs of rows as the decoder draws, by recurrence. Rows are padded by as much, since the last strip may overhang.
 
-use crate::fit::model::project::Projected;
+use crate::fit::model::project::{Lines, Projected};
 use crate::fit::model::rows::RowSet;
 use crate::gaussian::CUTOFF_WEIGHT;
 use crate::simd::{self, Simd};
 
 /// Sampled rows at most that the recurrence walks down before it starts afresh, which bounds its drift: relative errors
 /// of 2⁻²⁴ in the ratio of rows grow to 7·10⁻⁵ in the last one at most.
-const RUN: usize = 32;
+const RUN: u32 = 32;
 
 /// Largest `−log₂` of a Gaussian that the recurrence may start from, and of the ratio between rows: beyond it f32 would
 /// underflow.
 const REACH: f32 = 110.0;
+
+/// Least factor between the ratios of neighbouring rows: below it f32 would underflow, too.
+const LEAST_BEND: f32 = 1e-9;
+
+/// From the first of eight columns to their middle.
+const MIDDLE: f32 = 0.5 * (simd::LANES - 1) as f32;
 
 /// A primitive on rows `step` from each other, `2^((a·dx + b·dy)·dx + c·dy²)`.
 #[derive(Clone, Copy)]
@@ -53,15 +59,20 @@ impl Rows {
         let last = dx + (simd::LANES - 1) as f32;
         self.exponent(dx, dy).min(self.exponent(last, dy)) > -REACH
             && self.growth(dx, dy).abs().max(self.growth(last, dy).abs()) < REACH
-            && self.bend > 1e-9
+            && self.bend > LEAST_BEND
     }
 
-    /// The Gaussian on the row at `dy` and the ratio of the next to it.
+    /// The ratio of the next row to the one at `dy`.
     #[inline(always)]
-    fn start<S: Simd>(&self, simd: S, dx: S::Vector, dy: f32) -> (S::Vector, S::Vector) {
-        let growth = simd
-            .add(simd.mul(simd.splat(self.step * self.b), dx), simd.splat(self.step * self.c * (2.0 * dy + self.step)));
-        (self.at(simd, dx, dy), simd.exp2(growth))
+    fn ratio<S: Simd>(&self, simd: S, dx: S::Vector, dy: f32) -> S::Vector {
+        let growth = self.step * self.c * (2.0 * dy + self.step);
+        simd.exp2(simd.add(simd.mul(simd.splat(self.step * self.b), dx), simd.splat(growth)))
+    }
+
+    /// How the ratio of rows differs in eight columns from that in their middle.
+    #[inline(always)]
+    fn tilt<S: Simd>(&self, simd: S) -> S::Vector {
+        simd.exp2(simd.mul(simd.splat(self.step * self.b), simd.sub(simd.index(), simd.splat(MIDDLE))))
     }
 
     /// The Gaussian at distance `dy` from the centre.
@@ -101,6 +112,59 @@ pub(crate) trait Visit<S: Simd> {
     fn leave(&mut self, _simd: S, _strip: &Strip<S>, _dy: f32, _step: f32) {}
 }
 
+/// Eight strips side by side, where the support may lie on them: one at a time, finding its rows would take longer than
+/// visiting them.
+struct Cut {
+    /// The first row of each strip that the support reaches, and the one after the last.
+    first: [u32; simd::LANES],
+    end: [u32; simd::LANES],
+    /// The distance of the first from the centre.
+    start: [f32; simd::LANES],
+    /// Above 0 where the first row may start a recurrence.
+    mildness: [f32; simd::LANES],
+    /// The ratio of the second row to the first, in the middle of each strip.
+    ratios: [f32; simd::LANES],
+}
+
+impl Cut {
+    /// Strips from `dx` on, in `count` rows, the first of them at `dy`.
+    #[inline(always)]
+    fn new<S: Simd>(simd: S, rows: &Rows, lines: &Lines, dx: f32, (dy, count): (f32, usize)) -> Self {
+        let (zero, all) = (simd.splat(0.0), simd.splat(count as f32));
+        let left = simd.add(simd.mul(simd.index(), simd.splat(simd::LANES as f32)), simd.splat(dx));
+        let right = simd.add(left, simd.splat((simd::LANES - 1) as f32));
+        let (steps, shift) = (simd.splat(1.0 / rows.step), simd.splat(dy));
+        // The first row is counted from below, as rounding down then rounds it up.
+        let top = simd.mul(simd.sub(lines.edge(simd, [left, right], -1.0), shift), steps);
+        let above = simd.floor(simd.sub(all, simd.min(simd.max(top, zero), all)));
+        let bottom = simd.mul(simd.sub(lines.edge(simd, [left, right], 1.0), shift), steps);
+        let end = simd.floor(simd.min(simd.max(simd.add(bottom, simd.splat(1.0)), zero), all));
+        let (mut first, mut start) = ([0; simd::LANES], [0.0; simd::LANES]);
+        for k in 0..simd::LANES {
+            first[k] = count as u32 - above[k];
+            start[k] = dy + rows.step * first[k] as f32;
+        }
+        // As `exponent`, `growth` and `are_mild` have it.
+        let y = simd.vector(start);
+        let (a, b, slope) = (simd.splat(rows.a), simd.splat(rows.b), simd.mul(simd.splat(rows.b), y));
+        let square = simd.mul(simd.mul(simd.splat(rows.c), y), y);
+        let (step, twice) = (simd.splat(rows.step), simd.add(y, y));
+        let bend = simd.mul(simd.splat(rows.c), simd.add(twice, step));
+        let (mut least, mut most) = (simd.splat(f32::INFINITY), zero);
+        for dx in [left, right] {
+            let exponent = simd.add(simd.mul(simd.add(simd.mul(a, dx), slope), dx), square);
+            let growth = simd.mul(step, simd.add(simd.mul(b, dx), bend));
+            least = simd.min(exponent, least);
+            most = simd.max(simd.max(growth, simd.sub(zero, growth)), most);
+        }
+        let reach = simd.splat(REACH);
+        let mildness = simd.min(simd.add(least, reach), simd.sub(reach, most));
+        let middle = simd.add(left, simd.splat(MIDDLE));
+        let growth = simd.mul(step, simd.add(simd.mul(b, middle), bend));
+        Cut { first, end, start, mildness: simd.to_array(mildness), ratios: simd.to_array(simd.exp2(growth)) }
+    }
+}
+
 /// Visits the pixels of `p` in `count` rows, the first of them `dy` from the centre, the others `step` from each other. Of
 /// those outside `columns` the last strip may hold some, with an edge that nothing exceeds.
 #[inline(always)]
@@ -114,46 +178,53 @@ pub(crate) fn walk<S: Simd>(
     if count == 0 {
         return;
     }
-    let (rows, lines, steps) = (Rows::new(p, step), p.lines(), 1.0 / step);
+    let (rows, lines) = (Rows::new(p, step), p.lines());
     let (left, right) = p.columns(dy, dy + step * (count - 1) as f32);
     let right = right.min(columns.end);
     let mut x = left.max(columns.start);
+    let (tilt, bend) = (rows.tilt(simd), simd.splat(rows.bend));
     while x < right {
-        let start = x as f32 - p.center[0];
-        let mut edge = simd.splat(CUTOFF_WEIGHT);
-        if x + simd::LANES > columns.end {
-            let beyond = simd.sub(simd.index(), simd.splat((columns.end - x) as f32 - 0.5));
-            edge = simd.max(edge, simd.mul(beyond, simd.splat(1e9)));
-        }
-        let strip = Strip { x, dx: simd.add(simd.index(), simd.splat(start)), edge };
-        // Only the rows that the support reaches in these columns. Casts saturate, also from below.
-        let (top, bottom) = lines.between(start, start + (simd::LANES - 1) as f32);
-        let mut first = ((top - dy) * steps).ceil() as usize;
-        let end = count.min((((bottom - dy) * steps).floor() + 1.0) as usize);
-        while first < end {
-            let last = end.min(first + RUN);
-            let dy = dy + step * first as f32;
-            let (mut y, down) = (simd.splat(dy), simd.splat(step));
-            if rows.are_mild(start, dy) {
-                let (mut g, mut ratio) = rows.start(simd, strip.dx, dy);
-                let bend = simd.splat(rows.bend);
-                for i in first..last {
-                    visitor.pixels(simd, &strip, i, g, y);
-                    g = simd.mul(g, ratio);
-                    ratio = simd.mul(ratio, bend);
-                    y = simd.add(y, down);
+        let cut = Cut::new(simd, &rows, &lines, x as f32 - p.center[0], (dy, count));
+        let strips = simd::LANES.min((right - x).div_ceil(simd::LANES));
+        for k in 0..strips {
+            let (mut first, end) = (cut.first[k], cut.end[k]);
+            let x = x + k * simd::LANES;
+            let start = x as f32 - p.center[0];
+            let mut edge = simd.splat(CUTOFF_WEIGHT);
+            if x + simd::LANES > columns.end {
+                let beyond = simd.sub(simd.index(), simd.splat((columns.end - x) as f32 - 0.5));
+                edge = simd.max(edge, simd.mul(beyond, simd.splat(1e9)));
+            }
+            let strip = Strip { x, dx: simd.add(simd.index(), simd.splat(start)), edge };
+            let (mut dy, mut is_mild) = (cut.start[k], cut.mildness[k] > 0.0 && rows.bend > LEAST_BEND);
+            let (mut g, mut ratio) = (rows.at(simd, strip.dx, dy), simd.mul(tilt, simd.splat(cut.ratios[k])));
+            while first < end {
+                let last = end.min(first + RUN);
+                let (mut y, down) = (simd.splat(dy), simd.splat(step));
+                if is_mild {
+                    for i in first..last {
+                        visitor.pixels(simd, &strip, i as usize, g, y);
+                        g = simd.mul(g, ratio);
+                        ratio = simd.mul(ratio, bend);
+                        y = simd.add(y, down);
+                    }
+                } else {
+                    for i in first..last {
+                        let g = rows.at(simd, strip.dx, dy + step * (i - first) as f32);
+                        visitor.pixels(simd, &strip, i as usize, g, y);
+                        y = simd.add(y, down);
+                    }
                 }
-            } else {
-                for i in first..last {
-                    let g = rows.at(simd, strip.dx, dy + step * (i - first) as f32);
-                    visitor.pixels(simd, &strip, i, g, y);
-                    y = simd.add(y, down);
+                dy += step * (last - first) as f32;
+                visitor.leave(simd, &strip, dy, step);
+                first = last;
+                if first < end {
+                    is_mild = rows.are_mild(start, dy);
+                    (g, ratio) = (rows.at(simd, strip.dx, dy), rows.ratio(simd, strip.dx, dy));
                 }
             }
-            visitor.leave(simd, &strip, dy + step * (last - first) as f32, step);
-            first = last;
         }
-        x += simd::LANES;
+        x += simd::LANES * simd::LANES;
     }
 }
 
@@ -254,8 +325,15 @@ pub(crate) fn gather<S: Simd, const C: usize>(
     let zero = simd.splat(0.0);
     let (from, end) = (rows.index(p.rows[0]), rows.index(p.rows[1]));
     let planes = &planes[from * (C + 1) * stride..];
-    let mut gather =
-        Gather { color: colors(simd, p), planes, stride, colors: [zero; C], geometry: [zero; 5], sums: [zero; 3] };
+    let mut gather = Gather {
+        color: colors(simd, p),
+        planes,
+        stride,
+        colors: [zero; C],
+        geometry: [zero; 5],
+        shades: [zero; C],
+        sums: [zero; 3],
+    };
     walk_rows(simd, p, (rows, from..end), width, &mut gather);
     let mut moments = Moments { color: [0.0; C], geometry: [0.0; 5] };
     for (sum, v) in moments.color.iter_mut().zip(gather.colors) {
@@ -274,6 +352,8 @@ struct Gather<'a, S: Simd, const C: usize> {
     stride: usize,
     colors: [S::Vector; C],
     geometry: [S::Vector; 5],
+    /// Of `w g` over a run of rows, as registers hold sums that begin and end with it.
+    shades: [S::Vector; C],
     /// Of `e v` over a run of rows: its sum up to the present row, the sum of those sums, and the sum of these. They are
     /// its moments along `dy` in the end, and three additions a row.
     sums: [S::Vector; 3],
@@ -289,7 +369,7 @@ impl<S: Simd, const C: usize> Visit<S> for Gather<'_, S, C> {
         let mut v = simd.splat(0.0);
         for k in 0..C {
             let gradient = simd.read(&row[k * self.stride..]);
-            self.colors[k] = simd.add(self.colors[k], simd.mul(w, gradient));
+            self.shades[k] = simd.add(self.shades[k], simd.mul(w, gradient));
             let part = simd.mul(gradient, self.color[k]);
             v = if k == 0 { part } else { simd.add(v, part) };
         }
@@ -301,6 +381,10 @@ impl<S: Simd, const C: usize> Visit<S> for Gather<'_, S, C> {
 
     #[inline(always)]
     fn leave(&mut self, simd: S, strip: &Strip<S>, dy: f32, step: f32) {
+        for k in 0..C {
+            self.colors[k] = simd.add(self.colors[k], self.shades[k]);
+            self.shades[k] = simd.splat(0.0);
+        }
         // Row `j` of `n`, at `dy − (n − j)·step`, is in `n − j` of the second sums and in half of `(n − j)(n − j + 1)` of the
         // third ones.
         let [t, linear, triangular] = std::mem::replace(&mut self.sums, [simd.splat(0.0); 3]);
@@ -390,9 +474,9 @@ mod tests {
                     let found = planes[(r * 4 + 3) * STRIDE + x];
                     // The exponent's terms cancel: up to `(dx² + dy²)/s₂²` in units of f32's last place.
                     let size = ((dx * dx + dy * dy) / (s2 * s2)).min(400.0 * f64::from(CUTOFF).powi(2));
-                    // `exp2` is off by 2·10⁻⁷ in the first ratio, and each row rounds the ratio and its bend by 2⁻²⁴.
+                    // `exp2` is off by 2·10⁻⁷ in either factor of the first ratio, and each row rounds the ratio and its bend by 2⁻²⁴.
                     let rounding = f64::from(f32::EPSILON) / 2.0;
-                    let drift = RUN as f64 * (2e-7 + rounding) + (RUN * RUN) as f64 * rounding;
+                    let drift = f64::from(RUN) * (4e-7 + 2.0 * rounding) + f64::from(RUN * RUN) * rounding;
                     let tolerance = drift + 1e-6 + 3e-7 * size;
                     assert!((f64::from(found) - want).abs() < tolerance, "{p:?} {x} {r}: {found} for {want}");
                     let color = planes[(r * 4) * STRIDE + x];

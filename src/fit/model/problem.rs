@@ -19,7 +19,12 @@ pub(crate) struct Scene {
 impl Scene {
     /// Tells whether the picture is so large that looks at it leave rows out.
     pub(crate) fn is_large(&self) -> bool {
-        u64::from(self.width) * u64::from(self.height) >= LARGE
+        self.pixels() >= LARGE
+    }
+
+    /// Returns the number of pixels.
+    pub(crate) fn pixels(&self) -> u64 {
+        u64::from(self.width) * u64::from(self.height)
     }
 
     /// Returns about the scale of `count` Gaussians, pixels.

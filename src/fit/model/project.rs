@@ -2,6 +2,7 @@
 
 use crate::gaussian::{CUTOFF, Gaussian};
 use crate::parallel;
+use crate::simd::Simd;
 
 /// A primitive while it is fitted: as [`Gaussian`], with the scales as natural logarithms and in no order.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -146,14 +147,14 @@ pub(crate) struct Lines {
 }
 
 impl Lines {
-    /// The distances from the centre between which the support reaches somewhere between the columns `left` and `right`
-    /// of it; a little more, as rounding must lose none.
+    /// How far from the centre the support ends, below it with a `sign` of 1 and above with −1, somewhere between the columns
+    /// `left` and `right` of it; a little more, as rounding must lose none.
     #[inline(always)]
-    pub(crate) fn between(&self, left: f32, right: f32) -> (f32, f32) {
-        let edge = |dx: f32, sign: f32| {
-            let half = ((CUTOFF * CUTOFF - self.rest * dx * dx).max(0.0) * self.inv_c).sqrt();
-            sign * (half + 0.01) - self.shear * dx
-        };
-        (edge((-self.tip).max(left).min(right), -1.0), edge(self.tip.max(left).min(right), 1.0))
+    pub(crate) fn edge<S: Simd>(&self, simd: S, [left, right]: [S::Vector; 2], sign: f32) -> S::Vector {
+        let dx = simd.min(simd.max(simd.splat(sign * self.tip), left), right);
+        let rest = simd.mul(simd.mul(simd.splat(self.rest), dx), dx);
+        let square = simd.max(simd.sub(simd.splat(CUTOFF * CUTOFF), rest), simd.splat(0.0));
+        let half = simd.add(simd.sqrt(simd.mul(square, simd.splat(self.inv_c))), simd.splat(0.01));
+        simd.sub(simd.mul(half, simd.splat(sign)), simd.mul(simd.splat(self.shear), dx))
     }
 }
