@@ -133,7 +133,7 @@ pub(super) fn fit(target: &Planes, covariance: Covariance, options: &Options) ->
     let gaussians = numbers.iter().map(|n| primitive(n, size, covariance).to_gaussian()).collect();
     let picture = drawn::picture(target, Blend::Sum, gaussians);
     let counted = quantized::counted(&mut stage, numbers, options, &mut rng);
-    Fit { pixels, psnr, picture, seconds, trace, counted, estimate: None }
+    Fit { pixels, psnr, picture, seconds, iterations: options.iterations, trace, counted, estimate: None }
 }
 
 /// The Gaussian of its numbers.

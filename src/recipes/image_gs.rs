@@ -88,7 +88,7 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
     run.draw();
     let bytes = (run.numbers.len() * 2 * (5 + target.channels.count())) as u64;
     let counted = Some(Counted { bytes, psnr: run.psnr() });
-    Fit { pixels, psnr, picture, seconds, trace, counted, estimate: None }
+    Fit { pixels, psnr, picture, seconds, iterations: iteration, trace, counted, estimate: None }
 }
 
 /// When rates fall and the fit ends.

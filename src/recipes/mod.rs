@@ -119,6 +119,8 @@ pub struct Fit {
     pub picture: Picture,
     /// Wall-clock seconds, the trace not counted.
     pub seconds: f64,
+    /// Iterations that were run (of each level of [`Method::Lig`]); [`Method::ImageGs`] ends when it gets no better.
+    pub iterations: u32,
     /// PSNR along the way.
     pub trace: Vec<Point>,
     /// The same Gaussians as the method's own program rounds and counts them, which writes no file; `None` if it does not.

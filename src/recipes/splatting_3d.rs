@@ -93,7 +93,16 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
     let picture = drawn::picture(target, Blend::Normalized, numbers.iter().map(gaussian).collect());
     let field = blended::field(target, &drawing.pixels);
     let pixels = drawn::pixels(target, &field.planes);
-    Fit { pixels, psnr: psnr_of_floats, picture, seconds, trace, counted: None, estimate }
+    Fit {
+        pixels,
+        psnr: psnr_of_floats,
+        picture,
+        seconds,
+        iterations: options.iterations,
+        trace,
+        counted: None,
+        estimate,
+    }
 }
 
 /// Random places in pixels, colours of the picture there, and scales by the three nearest.

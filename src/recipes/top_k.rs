@@ -6,47 +6,63 @@
 use super::tiles::{Reach, TILE, Tiles};
 use crate::fit::model::project::Projected;
 use crate::parallel;
+use crate::simd::{self, LANES, Lanes, Simd, Task};
 
 /// How many count.
 pub(super) const K: usize = 10;
+/// Groups of pixels side by side in a row of a tile.
+const GROUPS: usize = TILE / LANES;
 /// Added to the sum of the weights.
 const EPSILON: f32 = 1e-4;
 
-/// What a pixel shows.
+/// What eight pixels side by side show, `used` Gaussians each.
 #[derive(Debug, Clone, Copy)]
-struct Pick {
-    /// Their numbers.
-    ids: [u32; K],
-    values: [f32; K],
-    used: usize,
+struct Picks {
+    /// Their places among the members of the tile.
+    ranks: [[u32; LANES]; K],
+    /// Their values, 0 where there is none.
+    values: [Lanes; K],
+    used: [u32; LANES],
 }
 
-impl Pick {
-    const NONE: Pick = Pick { ids: [0; K], values: [0.0; K], used: 0 };
+impl Picks {
+    const NONE: Picks =
+        Picks { ranks: [[0; LANES]; K], values: [Lanes([f32::NEG_INFINITY; LANES]); K], used: [0; LANES] };
 
-    /// Takes a Gaussian where there is room, or in the place of the smallest if it is larger. Values are exponents as yet;
-    /// `least` is that of the smallest, once there is no room.
-    #[inline]
-    fn offer(&mut self, id: u32, exponent: f32, least: &mut (usize, f32)) {
-        if self.used < K {
-            (self.ids[self.used], self.values[self.used]) = (id, exponent);
-            self.used += 1;
+    /// Takes a Gaussian at one pixel where there is room, or in the place of the smallest. Values are exponents as yet. Returns
+    /// that of the smallest then, once there is no room.
+    #[inline(always)]
+    fn offer(&mut self, lane: usize, rank: u32, exponent: f32) -> f32 {
+        let mut place = self.used[lane] as usize;
+        if place == K {
+            place = self.smallest(lane);
         } else {
-            (self.ids[least.0], self.values[least.0]) = (id, exponent);
+            self.used[lane] += 1;
         }
-        if self.used == K {
-            *least = (0, self.values[0]);
-            for k in 1..K {
-                if self.values[k] < least.1 {
-                    *least = (k, self.values[k]);
-                }
-            }
-        }
+        self.ranks[place][lane] = rank;
+        self.values[place].0[lane] = exponent;
+        if self.used[lane] as usize == K { self.values[self.smallest(lane)].0[lane] } else { f32::NEG_INFINITY }
     }
 
-    /// The inverse of what the values are divided by.
-    fn inverse(&self) -> f32 {
-        1.0 / (self.values[..self.used].iter().sum::<f32>() + EPSILON)
+    #[inline(always)]
+    fn smallest(&self, lane: usize) -> usize {
+        let mut smallest = 0;
+        for k in 1..K {
+            if self.values[k].0[lane] < self.values[smallest].0[lane] {
+                smallest = k;
+            }
+        }
+        smallest
+    }
+
+    /// The inverses of what the values are divided by.
+    #[inline(always)]
+    fn inverses<S: Simd>(&self, simd: S) -> S::Vector {
+        let mut sum = simd.splat(EPSILON);
+        for values in &self.values {
+            sum = simd.add(sum, simd.load(values));
+        }
+        simd.div(simd.splat(1.0), sum)
     }
 }
 
@@ -60,10 +76,120 @@ pub(super) struct Circle {
 /// The sums of [`Slope::from_moments`](super::moments::Slope::from_moments) for one Gaussian, then those of its colour.
 pub(super) type Sums = [f32; 9];
 
+/// A circle with its place among the members of a tile, and more than its exponent is anywhere there.
+type Ranked<'a> = (&'a Circle, u32, f32);
+
 /// The pixels of one drawing.
 #[derive(Debug, Default)]
 pub(super) struct Drawing {
-    picks: Vec<Pick>,
+    tiles: Tiles,
+    /// Of each row, padded to whole tiles.
+    picks: Vec<Picks>,
+}
+
+/// Draws a row of tiles into planes.
+struct Paint<'a> {
+    circles: &'a [Circle],
+    tiles: &'a Tiles,
+    band: usize,
+    picks: &'a mut [Picks],
+    planes: &'a mut [f32],
+    width: usize,
+    stride: usize,
+    channels: usize,
+}
+
+impl Task for Paint<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let (row_size, groups) = ((self.channels + 1) * self.stride, self.tiles.columns * GROUPS);
+        let mut ranked = Vec::new();
+        for column in 0..self.tiles.columns {
+            let members = self.tiles.members(self.band, column);
+            rank(self.circles, members, [column, self.band], &mut ranked);
+            for y in 0..self.picks.len() / groups {
+                let py = (self.band * TILE + y) as f32;
+                for group in column * GROUPS..(column + 1) * GROUPS {
+                    let picks = &mut self.picks[y * groups + group];
+                    choose(simd, &ranked, [(group * LANES) as f32, py], picks);
+                    let inverses = picks.inverses(simd);
+                    for k in 0..K {
+                        let mut weights = Lanes([0.0; LANES]);
+                        simd.store(&mut weights, simd.mul(simd.load(&picks.values[k]), inverses));
+                        for lane in 0..LANES.min(self.width.saturating_sub(group * LANES)) {
+                            if picks.used[lane] as usize > k {
+                                let id = members[picks.ranks[k][lane] as usize];
+                                let color = &self.circles[id as usize].projected.color;
+                                for c in 0..self.channels {
+                                    let at = y * row_size + c * self.stride + group * LANES + lane;
+                                    self.planes[at] += weights.0[lane] * color[c];
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The members of a tile, the largest that any can be first.
+fn rank<'a>(circles: &'a [Circle], members: &[u32], tile: [usize; 2], out: &mut Vec<Ranked<'a>>) {
+    out.clear();
+    for (i, &id) in members.iter().enumerate() {
+        let circle = &circles[id as usize];
+        let outside = |k: usize| {
+            let (first, center) = ((tile[k] * TILE) as f32, circle.projected.center[k]);
+            (first - center).max(center - (first + (TILE - 1) as f32)).max(0.0)
+        };
+        // The radius is three of the larger scale or more.
+        let most = -4.5 * (outside(0).powi(2) + outside(1).powi(2)) / (circle.radius * circle.radius);
+        out.push((circle, i as u32, if most.is_nan() { 0.0 } else { most }));
+    }
+    out.sort_by(|a, b| b.2.total_cmp(&a.2));
+}
+
+/// The ten largest at eight pixels, and their values.
+#[inline(always)]
+fn choose<S: Simd>(simd: S, ranked: &[Ranked<'_>], [x, y]: [f32; 2], picks: &mut Picks) {
+    *picks = Picks::NONE;
+    let mut least = Lanes([f32::NEG_INFINITY; LANES]);
+    let mut lowest = f32::NEG_INFINITY;
+    for &(circle, rank, most) in ranked {
+        // What comes now is smaller than all that are there.
+        if most < lowest {
+            break;
+        }
+        let p = &circle.projected;
+        let (dx, dy) = (simd.add(simd.index(), simd.splat(x - p.center[0])), y - p.center[1]);
+        let [a, b, c] = p.conic;
+        let slope = simd.add(simd.mul(simd.splat(-0.5 * a), dx), simd.splat(-b * dy));
+        let mut exponents = Lanes([0.0; LANES]);
+        simd.store(&mut exponents, simd.add(simd.mul(slope, dx), simd.splat(-0.5 * c * dy * dy)));
+        let mut has_changed = false;
+        for lane in 0..LANES {
+            // As there: what is no number is passed over. The largest exponents are the largest values.
+            let exponent = exponents.0[lane];
+            if exponent > least.0[lane] && exponent <= 0.0 {
+                least.0[lane] = picks.offer(lane, rank, exponent);
+                has_changed = true;
+            }
+        }
+        if has_changed {
+            lowest = least.0[0];
+            for lane in 1..LANES {
+                lowest = lowest.min(least.0[lane]);
+            }
+        }
+    }
+    for values in &mut picks.values {
+        let exponents = simd.mul(simd.load(values), simd.splat(std::f32::consts::LOG2_E));
+        // Where there is none the exponent is below all that is kept.
+        let value = simd.keep_above(simd.exp2(exponents), exponents, simd.splat(-125.0));
+        simd.store(values, value);
+    }
 }
 
 impl Drawing {
@@ -78,38 +204,17 @@ impl Drawing {
         let row_size = (channels + 1) * stride;
         planes.clear();
         planes.resize(height * row_size, 0.0);
-        self.picks.clear();
-        self.picks.resize(width * height, Pick::NONE);
         let reach = |c: &Circle| Reach { center: c.projected.center, half: [c.radius; 2] };
-        let tiles = Tiles::new(circles.iter().map(reach), [width, height]);
-        parallel::map_chunk_pairs((&mut self.picks, TILE * width), (planes, TILE * row_size), |band, picks, planes| {
-            for column in 0..tiles.columns {
-                let members = tiles.members(band, column);
-                for (y, row) in picks.chunks_exact_mut(width).enumerate() {
-                    let py = (band * TILE + y) as f32;
-                    for x in column * TILE..width.min((column + 1) * TILE) {
-                        let pick = &mut row[x];
-                        let mut least = (0, f32::NEG_INFINITY);
-                        for &id in members {
-                            let exponent = exponent(&circles[id as usize].projected, x as f32, py);
-                            // As there: what is no number is passed over. The largest exponents are the largest values.
-                            if exponent > least.1 && exponent <= 0.0 {
-                                pick.offer(id, exponent, &mut least);
-                            }
-                        }
-                        pick.values[..pick.used].iter_mut().for_each(|v| *v = v.exp());
-                        let inverse = pick.inverse();
-                        for k in 0..pick.used {
-                            let weight = pick.values[k] * inverse;
-                            let color = &circles[pick.ids[k] as usize].projected.color;
-                            for c in 0..channels {
-                                planes[y * row_size + c * stride + x] += weight * color[c];
-                            }
-                        }
-                    }
-                }
-            }
-        });
+        self.tiles = Tiles::new(circles.iter().map(reach), [width, height]);
+        let (tiles, groups) = (&self.tiles, self.tiles.columns * GROUPS);
+        self.picks.resize(groups * height, Picks::NONE);
+        parallel::map_chunk_pairs(
+            (&mut self.picks, TILE * groups),
+            (planes, TILE * row_size),
+            |band, picks, planes| {
+                simd::dispatch(Paint { circles, tiles, band, picks, planes, width, stride, channels });
+            },
+        );
     }
 
     /// What each of `circles` gets of the gradient `slopes` with respect to the picture `drawn`, both as planes.
@@ -120,35 +225,36 @@ impl Drawing {
         channels: usize,
         (slopes, drawn, stride): (&[f32], &[f32], usize),
     ) -> Vec<Sums> {
-        let row_size = (channels + 1) * stride;
+        let (row_size, groups) = ((channels + 1) * stride, self.tiles.columns * GROUPS);
         // Bands do not depend on the number of threads, and neither does the order of sums.
         let bands = parallel::map(height.div_ceil(TILE), |band| {
-            let mut places = vec![u32::MAX; circles.len()];
             let mut found: Vec<(u32, Sums)> = Vec::new();
-            for y in band * TILE..height.min((band + 1) * TILE) {
-                for x in 0..width {
-                    let pick = &self.picks[y * width + x];
-                    let inverse = pick.inverse();
-                    for k in 0..pick.used {
-                        let id = pick.ids[k];
-                        let p = &circles[id as usize].projected;
-                        let weight = pick.values[k] * inverse;
-                        let place = &mut places[id as usize];
-                        if *place == u32::MAX {
-                            *place = found.len() as u32;
-                            found.push((id, [0.0; 9]));
-                        }
-                        let sums = &mut found[*place as usize].1;
-                        let mut by_value = 0.0;
-                        for c in 0..channels {
-                            let at = y * row_size + c * stride + x;
-                            by_value += slopes[at] * (p.color[c] - drawn[at]);
-                            sums[5 + c] += weight * slopes[at];
-                        }
-                        let t = weight * by_value;
-                        let (dx, dy) = (x as f32 - p.center[0], y as f32 - p.center[1]);
-                        for (sum, v) in sums.iter_mut().zip([dx, dy, dx * dx, dx * dy, dy * dy]) {
-                            *sum += t * v;
+            for column in 0..self.tiles.columns {
+                let members = self.tiles.members(band, column);
+                let first = found.len();
+                found.extend(members.iter().map(|&id| (id, [0.0; 9])));
+                let found = &mut found[first..];
+                for y in band * TILE..height.min((band + 1) * TILE) {
+                    for x in column * TILE..width.min((column + 1) * TILE) {
+                        let (picks, lane) = (&self.picks[y * groups + x / LANES], x % LANES);
+                        let used = picks.used[lane] as usize;
+                        let inverse = 1.0 / (EPSILON + (0..used).map(|k| picks.values[k].0[lane]).sum::<f32>());
+                        let at = y * row_size + x;
+                        for k in 0..used {
+                            let (id, sums) = &mut found[picks.ranks[k][lane] as usize];
+                            let p = &circles[*id as usize].projected;
+                            let weight = picks.values[k].0[lane] * inverse;
+                            let mut by_value = 0.0;
+                            for c in 0..channels {
+                                let slope = slopes[at + c * stride];
+                                by_value += slope * (p.color[c] - drawn[at + c * stride]);
+                                sums[5 + c] += weight * slope;
+                            }
+                            let t = weight * by_value;
+                            let (dx, dy) = (x as f32 - p.center[0], y as f32 - p.center[1]);
+                            for (sum, v) in sums.iter_mut().zip([dx, dy, dx * dx, dx * dy, dy * dy]) {
+                                *sum += t * v;
+                            }
                         }
                     }
                 }
@@ -164,6 +270,7 @@ impl Drawing {
 }
 
 /// `−½ xᵀ C x` at a pixel.
+#[cfg(test)]
 fn exponent(p: &Projected, x: f32, y: f32) -> f32 {
     let (dx, dy) = (x - p.center[0], y - p.center[1]);
     let [a, b, c] = p.conic;

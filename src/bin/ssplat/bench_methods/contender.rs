@@ -24,6 +24,7 @@ pub struct Setup {
     /// Size of the file.
     pub bytes: u64,
     pub seed: u64,
+    /// Of a published method.
     pub iterations: u32,
     pub effort: u8,
 }
@@ -37,6 +38,8 @@ pub struct Measured {
     pub ms_ssim: Option<f64>,
     /// Seconds of the fit.
     pub seconds: f64,
+    /// Iterations that were run of a published method, which may end before those that were asked for.
+    pub iterations: Option<u32>,
     /// PSNR of the decoded file of the asked size, dB; where there is no file, of the estimate of that size.
     pub file_psnr: Option<f64>,
     /// MS-SSIM of the decoded file.
@@ -72,6 +75,14 @@ impl Contender {
             Contender::Ssplat => "ssplat",
             Contender::SmartSplat => "smartsplat",
             Contender::Published { method, .. } => method.name(),
+        }
+    }
+
+    /// The published method, if it is one.
+    pub fn published_as(self) -> Option<Method> {
+        match self {
+            Contender::Published { method, .. } => Some(method),
+            Contender::Ssplat | Contender::SmartSplat => None,
         }
     }
 
@@ -124,7 +135,7 @@ fn published(pixels: &Pixels, setup: &Setup, method: Method, rate: f32, measured
     let fit = recipes::fit(pixels, method, &options)?;
     measured.float_psnr = Some(fit.psnr);
     measured.ms_ssim = metrics::compare(pixels, &fit.pixels)?.ms_ssim;
-    measured.seconds = fit.seconds;
+    (measured.seconds, measured.iterations) = (fit.seconds, Some(fit.iterations));
     measured.trace = fit.trace.iter().map(|p| (p.seconds, p.psnr)).collect();
     measured.counted = fit.counted.map(|c| (c.bytes, c.psnr));
     if method == Method::Splatting3d {

@@ -59,7 +59,8 @@ pub fn run(args: &args::BenchMethods) -> Result<(), Failure> {
             for &contender in &contenders {
                 for &seed in &args.seeds {
                     bar.show(cells.len() as f32 / all as f32, format!("{picture} {count} {}", contender.name()));
-                    let setup = Setup { count, bytes, seed, iterations: args.iterations, effort: args.effort };
+                    let iterations = contender.published_as().map_or(0, |method| args.iterations_of(method));
+                    let setup = Setup { count, bytes, seed, iterations, effort: args.effort };
                     let measured = contender.measure(&pixels, &setup);
                     let cell = Cell { picture: picture.clone(), contender, setup, measured };
                     writeln!(file, "{}", page::row(&cell)).map_err(|e| Failure::io(&rows, &e))?;

@@ -7,7 +7,7 @@ use super::args::BenchMethods;
 use super::{Cell, Contender, Measured};
 
 /// The names of a row's columns.
-pub const HEAD: &str = "picture,gaussians,method,seed,iterations,float_psnr,ms_ssim,seconds,file_bytes,file_psnr,file_ms_ssim,counted_bytes,counted_psnr,problem";
+pub const HEAD: &str = "picture,gaussians,method,seed,iterations,published_iterations,float_psnr,ms_ssim,seconds,file_bytes,file_psnr,file_ms_ssim,counted_bytes,counted_psnr,problem";
 
 /// One fit as a line without its end.
 pub fn row(cell: &Cell) -> String {
@@ -15,8 +15,10 @@ pub fn row(cell: &Cell) -> String {
     let whole = |v: Option<u64>| v.map_or(String::new(), |v| v.to_string());
     let m = &cell.measured;
     let iterations = match cell.contender {
-        Contender::Published { .. } => cell.setup.iterations.to_string(),
-        Contender::Ssplat | Contender::SmartSplat => format!("effort {}", cell.setup.effort),
+        Contender::Published { method, .. } => {
+            format!("{},{}", m.iterations.map_or(String::new(), |n| n.to_string()), method.published_iterations())
+        }
+        Contender::Ssplat | Contender::SmartSplat => format!("effort {},", cell.setup.effort),
     };
     format!(
         "{},{},{},{},{iterations},{},{},{:.2},{},{},{},{},{},{}",
@@ -53,9 +55,9 @@ pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String
     let seeds: Vec<String> = args.seeds.iter().map(u64::to_string).collect();
     let _ = writeln!(
         out,
-        "Pictures: {}. Seeds {}: means, and after ± half the spread from the least to the largest. The other methods run {} \
-         iterations on the CPU (LIG so many for each level, GaussianImage as many again for its second stage, which is not in the \
-         seconds), ours and SmartSplat run at effort {}. Float PSNR and float MS-SSIM are of the method's own picture of its \
+        "Pictures: {}. Seeds {}: means, and after ± half the spread from the least to the largest. Iterations \
+         of the other methods, on the CPU, are beside those that are published (LIG has so many for each level, GaussianImage as many \
+         again for its second stage, which is not in the seconds); ours and SmartSplat run at effort {}. Float PSNR and float MS-SSIM are of the method's own picture of its \
          floats; our encoder keeps no such picture, only its PSNR. Files have as many bytes as the heading says at most: ours and \
          SmartSplat's by the encoder, with as many Gaussians as it finds best; the others' by import of the Gaussians of the row, at \
          the finest steps that fit. What is marked *est.* is no file: rounded numbers at the entropy of their codes, drawn by the \
@@ -63,7 +65,6 @@ pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String
          picture that it draws of them; no file is written there either. Every fit is in `methods.csv`.\n",
         joined(sides),
         joined(&seeds),
-        args.iterations,
         args.effort
     );
     let mut rest = cells;
@@ -80,8 +81,8 @@ pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String
             let _ = writeln!(
                 out,
                 "\n## {}, {} Gaussians, files of {} bytes\n\n\
-                 | method | float PSNR, dB | float MS-SSIM | fit, s | file PSNR, dB | file MS-SSIM | own count: bytes | own count: PSNR, dB | failures |\n\
-                 |---|---|---|---|---|---|---|---|---|",
+                 | method | iterations | float PSNR, dB | float MS-SSIM | fit, s | file PSNR, dB | file MS-SSIM | own count: bytes | own count: PSNR, dB | failures |\n\
+                 |---|---|---|---|---|---|---|---|---|---|",
                 first.picture, first.setup.count, first.setup.bytes
             );
             heading = Some(of);
@@ -96,8 +97,9 @@ pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String
             .collect();
         let _ = writeln!(
             out,
-            "| {} | {} | {} | {} | {}{} | {} | {} | {} | {} |",
+            "| {} | {} | {} | {} | {} | {}{} | {} | {} | {} | {} |",
             first.contender.name(),
+            iterations(group),
             column(2, &|m| m.float_psnr),
             column(4, &|m| m.ms_ssim),
             column(1, &|m| Some(m.seconds)),
@@ -110,6 +112,18 @@ pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String
         );
     }
     out + "\n![PSNR along the seconds of the fits](convergence.svg)\n"
+}
+
+/// Iterations of the same method with several seeds, and how many are published.
+fn iterations(group: &[Cell]) -> String {
+    let Some(method) = group.first().and_then(|c| c.contender.published_as()) else { return "—".into() };
+    let ran = || group.iter().filter_map(|c| c.measured.iterations);
+    let ran = match (ran().min(), ran().max()) {
+        (Some(least), Some(most)) if least < most => format!("{least} to {most}"),
+        (Some(all), _) => all.to_string(),
+        (None, _) => "none".into(),
+    };
+    format!("{ran} of {}", method.published_iterations())
 }
 
 /// Half of what lies between the least and the largest, 0 where there are none.
