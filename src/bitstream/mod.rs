@@ -18,7 +18,7 @@ mod neighbours;
 mod packed;
 mod palette;
 mod planes;
-mod range;
+pub(crate) mod range;
 mod read;
 mod region;
 pub mod report;

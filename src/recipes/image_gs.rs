@@ -87,7 +87,7 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
     run.round();
     run.draw();
     let bytes = (run.numbers.len() * 2 * (5 + target.channels.count())) as u64;
-    let counted = Some(Counted { bytes, psnr: run.psnr() });
+    let counted = Some(Counted { bytes, coded: None, psnr: run.psnr() });
     Fit { pixels, psnr, picture, seconds, iterations: iteration, trace, counted, estimate: None }
 }
 

@@ -109,7 +109,7 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
     picture.background[..channels].fill(least);
     let pixels = drawn::pixels(target, &blended::field(target, &image.pixels).planes);
     // Its numbers and the two of the stretch, as its program keeps them.
-    let counted = Some(Counted { bytes: 4 * (options.count * (5 + channels) + 2) as u64, psnr });
+    let counted = Some(Counted { bytes: 4 * (options.count * (5 + channels) + 2) as u64, coded: None, psnr });
     Fit { pixels, psnr, picture, seconds, iterations: options.iterations, trace, counted, estimate: None }
 }
 

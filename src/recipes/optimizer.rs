@@ -18,6 +18,22 @@ impl Adam {
         Adam { memory: vec![[[0.0; 2]; NUMBERS]; count], steps: 0 }
     }
 
+    /// Forgets those that are not `kept`.
+    pub(super) fn keep(&mut self, kept: &[bool]) {
+        let mut each = kept.iter();
+        self.memory.retain(|_| each.next().is_some_and(|k| *k));
+    }
+
+    /// Makes room for new ones, of which it knows nothing.
+    pub(super) fn add(&mut self, count: usize) {
+        self.memory.resize(self.memory.len() + count, [[0.0; 2]; NUMBERS]);
+    }
+
+    /// Forgets what it knows of one of the numbers.
+    pub(super) fn forget(&mut self, number: usize) {
+        self.memory.iter_mut().for_each(|m| m[number] = [0.0; 2]);
+    }
+
     /// Moves every Gaussian by its gradient; `rates` are those of the nine numbers.
     pub(super) fn step(&mut self, numbers: &mut [[f32; NUMBERS]], gradients: &[[f32; NUMBERS]], rates: [f32; NUMBERS]) {
         const BETAS: [f32; 2] = [0.9, 0.999];

@@ -10,8 +10,9 @@
 //! for quaternions, which is 0.002 for an angle. 30 000 iterations are published.
 //!
 //! Otherwise than there: all Gaussians lie at the same distance, and the scene's extent, the unit of places, is half the
-//! picture's longer side. They start at random places with the picture's colours, as no reconstruction gives points. Their
-//! number stays as it is: nothing is split, cloned or pruned, and opacities are not reset. The loss is taken behind a clamp.
+//! picture's longer side. They start at random places with the picture's colours, as no reconstruction gives points: half of the
+//! number that is asked for, to which growth and pruning (`densify.rs`) lead at most. [`Number::Stays`] starts with all of them
+//! instead and keeps them. The loss is taken behind a clamp.
 
 use std::time::Instant;
 
@@ -19,6 +20,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::blended::{self, Drawing, Rule, Splat};
+use super::densify::{Crowd, Due, Growth, logit};
 use super::estimate;
 use super::optimizer::{Adam, NUMBERS};
 use super::tiles::Reach;
@@ -43,19 +45,31 @@ const LOW_PASS: f32 = 0.3;
 /// units of `1 / HARMONIC`, and what the sigmoid is taken of.
 const STEPS: [f32; NUMBERS] = [0.25, 0.25, 0.1, 0.1, 0.1, 0.07, 0.07, 0.07, 0.2];
 
-pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
+/// Whether Gaussians come and go.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Number {
+    /// As published.
+    Grows,
+    Stays,
+}
+
+pub(super) fn fit(target: &Planes, number: Number, options: &Options) -> Fit {
     let (width, channels) = (target.width as usize, target.channels.count());
     let size = [target.width, target.height];
     let unit = 0.5 * target.width.max(target.height) as f32;
     let scene = Scene { width: target.width, height: target.height, blend: Blend::Sum, background: [0.0; 4] };
     let (truth, mut loss) = (blended::pixels_of(target), Loss::new(target, ABSOLUTE));
-    let mut numbers = start(target, options);
-    let mut adam = Adam::new(numbers.len());
+    let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
+    let first = if number == Number::Grows { options.count.div_ceil(2) } else { options.count };
+    let numbers = start(target, first, &mut rng);
+    let mut crowd = Crowd { adam: Adam::new(numbers.len()), numbers };
+    let samples = (width * target.height as usize * channels) as f32;
+    let mut growth = Growth::new(rng, size.map(|s| s as f32), samples, (unit, options.count));
     let (mut trace, mut watching) = (Vec::new(), 0.0);
     let clock = Instant::now();
     let psnr = |drawing: &Drawing| drawn::psnr(target, blended::squared_error(&truth, &drawing.pixels));
     for iteration in 0..options.iterations {
-        let splats: Vec<Splat> = numbers.iter().map(splat).collect();
+        let splats: Vec<Splat> = crowd.numbers.iter().map(splat).collect();
         let drawing = Drawing::new(&splats, size.map(|v| v as usize), Rule::FrontToBack);
         if options.trace > 0 && iteration.is_multiple_of(options.iterations.div_ceil(options.trace)) {
             let now = Instant::now();
@@ -69,13 +83,18 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
         loss.gradient(&Problem { scene, target }, &mut field);
         let slopes = blended::from_field(target, &field);
         let found = drawing.gradients(&splats, width, Rule::FrontToBack, &slopes);
-        let gradients: Vec<_> = numbers.iter().zip(&found).map(|(n, g)| gradient(n, g, channels)).collect();
+        let gradients: Vec<_> = crowd.numbers.iter().zip(&found).map(|(n, g)| gradient(n, g, channels)).collect();
         let done = iteration as f32 / options.iterations as f32;
         let place = unit * PLACE_RATES[0] * (PLACE_RATES[1] / PLACE_RATES[0]).powf(done);
         let [scale, color] = [SCALE_RATE, COLOR_RATE];
         let rates = [place, place, scale, scale, ANGLE_RATE, color, color, color, OPACITY_RATE];
-        adam.step(&mut numbers, &gradients, rates.map(|r| r * options.rate));
+        let seen = found.iter().zip(&splats).map(|(g, s)| (g.slope.mean, s.reach.meets(size)));
+        let due = Due::after(iteration + 1, options.iterations);
+        if number == Number::Stays || growth.passes(&mut crowd, seen, due) {
+            crowd.adam.step(&mut crowd.numbers, &gradients, rates.map(|r| r * options.rate));
+        }
     }
+    let numbers = crowd.numbers;
     let draw = |numbers: &[[f32; NUMBERS]]| {
         let splats: Vec<Splat> = numbers.iter().map(splat).collect();
         Drawing::new(&splats, size.map(|v| v as usize), Rule::FrontToBack)
@@ -88,7 +107,7 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
         // The fourth colour holds the opacity: a grey picture has no use for the second and the third.
         let used: Vec<usize> = (0..5 + channels).chain([8]).collect();
         let (bytes, rounded) = estimate::rounded(&numbers, &STEPS, &used, bytes)?;
-        Some(Counted { bytes, psnr: psnr(&draw(&rounded)) })
+        Some(Counted { bytes, coded: None, psnr: psnr(&draw(&rounded)) })
     });
     let picture = drawn::picture(target, Blend::Normalized, numbers.iter().map(gaussian).collect());
     let field = blended::field(target, &drawing.pixels);
@@ -106,11 +125,10 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
 }
 
 /// Random places in pixels, colours of the picture there, and scales by the three nearest.
-fn start(target: &Planes, options: &Options) -> Vec<[f32; NUMBERS]> {
-    let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
+fn start(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Vec<[f32; NUMBERS]> {
     let size = [target.width as f32, target.height as f32];
-    let places: Vec<[f32; 2]> = (0..options.count).map(|_| size.map(|s| s * rng.random::<f32>())).collect();
-    let opacity = (OPACITY / (1.0 - OPACITY)).ln();
+    let places: Vec<[f32; 2]> = (0..count).map(|_| size.map(|s| s * rng.random::<f32>())).collect();
+    let opacity = logit(OPACITY);
     let distances = nearest(&places);
     (places.iter().zip(distances))
         .map(|(place, square)| {

@@ -10,6 +10,13 @@ pub(super) struct Reach {
     pub half: [f32; 2],
 }
 
+impl Reach {
+    /// Whether a picture of this size shows some of the box.
+    pub(super) fn meets(&self, size: [u32; 2]) -> bool {
+        (0..2).all(|k| self.center[k] + self.half[k] >= 0.0 && self.center[k] - self.half[k] < size[k] as f32)
+    }
+}
+
 /// The Gaussians of all tiles.
 #[derive(Debug, Default)]
 pub(super) struct Tiles {

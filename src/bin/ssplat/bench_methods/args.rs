@@ -20,8 +20,8 @@ paper counts. Then each gets a file of as many bytes as the ratio has: ours and 
 by import of their Gaussians. Writes methods.md, methods.csv and convergence.svg into the folder.";
 
 /// Who can be measured.
-const NAMES: [&str; 7] =
-    ["ssplat", "smartsplat", "gaussianimage-cholesky", "gaussianimage-rs", "image-gs", "lig", "3dgs"];
+const NAMES: [&str; 8] =
+    ["ssplat", "smartsplat", "gaussianimage-cholesky", "gaussianimage-rs", "image-gs", "lig", "3dgs", "3dgs-fixed"];
 
 /// How long the other methods run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,6 +1,6 @@
 //! One method at work on one picture: its floats, and its file.
 
-use ssplat::recipes::{self, Method};
+use ssplat::recipes::{self, Counted, Method};
 use ssplat::{
     Ablation, DecodeOptions, EncodeOptions, Needs, Outside, PackOptions, Pixels, Precision, Recipe, Result, Target,
     Trace, metrics,
@@ -47,7 +47,7 @@ pub struct Measured {
     /// Bytes of that file.
     pub bytes: Option<u64>,
     /// Bytes of the same Gaussians by the method's own count, and PSNR of the picture of the numbers as it rounds them.
-    pub counted: Option<(u64, f64)>,
+    pub counted: Option<Counted>,
     /// Why something is missing.
     pub problem: Option<String>,
     /// PSNR of the fit along its seconds.
@@ -66,7 +66,7 @@ impl Measured {
 impl Contender {
     /// Whether its sizes are estimates: no file holds its blend.
     pub fn is_estimated(self) -> bool {
-        matches!(self, Contender::Published { method: Method::Splatting3d, .. })
+        self.published_as().is_some_and(Method::is_estimated)
     }
 
     /// The method's name alone.
@@ -137,8 +137,8 @@ fn published(pixels: &Pixels, setup: &Setup, method: Method, rate: f32, measured
     measured.ms_ssim = metrics::compare(pixels, &fit.pixels)?.ms_ssim;
     (measured.seconds, measured.iterations) = (fit.seconds, Some(fit.iterations));
     measured.trace = fit.trace.iter().map(|p| (p.seconds, p.psnr)).collect();
-    measured.counted = fit.counted.map(|c| (c.bytes, c.psnr));
-    if method == Method::Splatting3d {
+    measured.counted = fit.counted;
+    if method.is_estimated() {
         (measured.bytes, measured.file_psnr) = fit.estimate.map_or((None, None), |e| (Some(e.bytes), Some(e.psnr)));
         return Ok(());
     }

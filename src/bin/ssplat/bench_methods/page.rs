@@ -7,7 +7,7 @@ use super::args::BenchMethods;
 use super::{Cell, Contender, Measured};
 
 /// The names of a row's columns.
-pub const HEAD: &str = "picture,gaussians,method,seed,iterations,published_iterations,float_psnr,ms_ssim,seconds,file_bytes,file_psnr,file_ms_ssim,counted_bytes,counted_psnr,problem";
+pub const HEAD: &str = "picture,gaussians,method,seed,iterations,published_iterations,float_psnr,ms_ssim,seconds,file_bytes,file_psnr,file_ms_ssim,counted_bytes,coded_bytes,counted_psnr,problem";
 
 /// One fit as a line without its end.
 pub fn row(cell: &Cell) -> String {
@@ -21,7 +21,7 @@ pub fn row(cell: &Cell) -> String {
         Contender::Ssplat | Contender::SmartSplat => format!("effort {},", cell.setup.effort),
     };
     format!(
-        "{},{},{},{},{iterations},{},{},{:.2},{},{},{},{},{},{}",
+        "{},{},{},{},{iterations},{},{},{:.2},{},{},{},{},{},{},{}",
         cell.picture,
         cell.setup.count,
         // A comma is the table's own.
@@ -33,8 +33,9 @@ pub fn row(cell: &Cell) -> String {
         whole(m.bytes),
         number(m.file_psnr, 3),
         number(m.file_ms_ssim, 5),
-        whole(m.counted.map(|c| c.0)),
-        number(m.counted.map(|c| c.1), 3),
+        whole(m.counted.map(|c| c.bytes)),
+        whole(m.counted.and_then(|c| c.coded)),
+        number(m.counted.map(|c| c.psnr), 3),
         m.problem.as_deref().unwrap_or("").replace(',', ";"),
     )
 }
@@ -62,7 +63,8 @@ pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String
          SmartSplat's by the encoder, with as many Gaussians as it finds best; the others' by import of the Gaussians of the row, at \
          the finest steps that fit. What is marked *est.* is no file: rounded numbers at the entropy of their codes, drawn by the \
          method. The last figures are the bytes that the method's own program counts for its rounded numbers, and the PSNR of the \
-         picture that it draws of them; no file is written there either. Every fit is in `methods.csv`.\n",
+         picture that it draws of them; no file is written there either. *Coded* is with GaussianImage's codes through an entropy \
+         coder and its tables, which its program can do and its published sizes have not. Every fit is in `methods.csv`.\n",
         joined(sides),
         joined(&seeds),
         args.effort
@@ -106,12 +108,20 @@ pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String
             column(2, &|m| m.file_psnr),
             if first.contender.is_estimated() && first.measured.file_psnr.is_some() { " *est.*" } else { "" },
             column(4, &|m| m.file_ms_ssim),
-            first.measured.counted.map_or("—".into(), |c| c.0.to_string()),
-            column(2, &|m| m.counted.map(|c| c.1)),
+            own_count(group),
+            column(2, &|m| m.counted.map(|c| c.psnr)),
             if problems.is_empty() { "none".into() } else { problems.join("; ") }
         );
     }
     out + "\n![PSNR along the seconds of the fits](convergence.svg)\n"
+}
+
+/// Bytes by the method's own count, and with an entropy coder where its program has one.
+fn own_count(group: &[Cell]) -> String {
+    let counted = || group.iter().filter_map(|c| c.measured.counted);
+    let Some(first) = counted().next() else { return "—".into() };
+    let coded: Vec<f64> = counted().filter_map(|c| Some(c.coded? as f64)).collect();
+    if coded.is_empty() { first.bytes.to_string() } else { format!("{}; coded {}", first.bytes, summary(&coded, 0)) }
 }
 
 /// Iterations of the same method with several seeds, and how many are published.

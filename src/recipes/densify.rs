@@ -1,0 +1,308 @@
+//! Growth and pruning of 3D Gaussian Splatting (Kerbl et al. 2023, section 5.2), after `densify_and_prune`, `reset_opacity` and
+//! `train.py` of github.com/graphdeco-inria/gaussian-splatting.
+//!
+//! Up to iteration 15 000 of 30 000 the norms of the gradients with respect to places are averaged, in units of half the
+//! picture's sides and of the mean loss. After iteration 500, every 100, each Gaussian whose average is 0.0002 or more is
+//! cloned where its larger scale is at most 0.01 of the scene's extent, and otherwise split: two take its place, drawn from it,
+//! with 1/1.6 of its scales. Then those with an opacity below 0.005 go, and, once opacities have been reset, those with a
+//! scale above 0.1 of the extent. Every 3000 iterations opacities are lowered to 0.01 at most. New Gaussians come last in the
+//! order, with empty moments of the optimizer, which takes no step in such an iteration. Radii in the picture prune nothing: the
+//! program looks at them when it has just cleared them.
+//!
+//! Otherwise than there: there are never more than the number that was asked for. Where more would grow, those with the largest
+//! averages do. One always stays.
+
+use rand::RngExt;
+use rand_pcg::Pcg64Mcg;
+
+use super::optimizer::{Adam, NUMBERS};
+
+/// Iterations of the published program: all that counts iterations is in units of these.
+const ITERATIONS: u32 = 30_000;
+const FROM: u32 = 500;
+const UNTIL: u32 = 15_000;
+const EVERY: u32 = 100;
+const RESET: u32 = 3000;
+const THRESHOLD: f32 = 2e-4;
+const FAINTEST: f32 = 5e-3;
+const LOWERED: f32 = 0.01;
+/// Shares of the extent: above the first a Gaussian is split, above the second it is pruned.
+const LARGE: f32 = 0.01;
+const TOO_LARGE: f32 = 0.1;
+/// What the scales of the two parts are divided by.
+const SHRINK: f32 = 1.6;
+
+/// The Gaussians, with what the optimizer knows of them.
+pub(super) struct Crowd {
+    pub numbers: Vec<[f32; NUMBERS]>,
+    pub adam: Adam,
+}
+
+/// What is due after an iteration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Due {
+    watches: bool,
+    grows: bool,
+    resets: bool,
+    /// Whether opacities have been reset before.
+    was_reset: bool,
+}
+
+impl Due {
+    /// After `iteration` of so many, the first of which is 1.
+    pub(super) fn after(iteration: u32, iterations: u32) -> Self {
+        let steps = |published: u32| {
+            (f64::from(published) * f64::from(iterations) / f64::from(ITERATIONS)).ceil().max(1.0) as u32
+        };
+        let watches = iteration < steps(UNTIL);
+        Due {
+            watches,
+            grows: watches && iteration > steps(FROM) && iteration.is_multiple_of(steps(EVERY)),
+            resets: watches && iteration.is_multiple_of(steps(RESET)),
+            was_reset: iteration > steps(RESET),
+        }
+    }
+}
+
+/// Averages of the gradients, and the rules.
+pub(super) struct Growth {
+    rng: Pcg64Mcg,
+    /// The scene's extent, pixels.
+    extent: f32,
+    /// Half the sides, pixels, over the samples of the loss.
+    units: [f32; 2],
+    most: usize,
+    /// Sums of the norms, and how often each was seen.
+    seen: Vec<(f32, u32)>,
+}
+
+impl Growth {
+    /// For a picture of `size` with so many samples, and `most` Gaussians at the end.
+    pub(super) fn new(rng: Pcg64Mcg, size: [f32; 2], samples: f32, (extent, most): (f32, usize)) -> Self {
+        Growth { rng, extent, units: size.map(|s| 0.5 * s / samples), most, seen: Vec::new() }
+    }
+
+    /// Takes the gradients of an iteration, those of a sum over all samples and of pixels, with whether each Gaussian was in the
+    /// picture; grows and prunes where it is time. Returns whether the optimizer takes its step.
+    pub(super) fn passes(
+        &mut self,
+        crowd: &mut Crowd,
+        found: impl Iterator<Item = ([f32; 2], bool)>,
+        due: Due,
+    ) -> bool {
+        if due.watches {
+            self.seen.resize(crowd.numbers.len(), (0.0, 0));
+            for ((sum, times), (gradient, is_inside)) in self.seen.iter_mut().zip(found) {
+                let norm = (gradient[0] * self.units[0]).hypot(gradient[1] * self.units[1]);
+                if is_inside && norm.is_finite() {
+                    (*sum, *times) = (*sum + norm, *times + 1);
+                }
+            }
+        }
+        if due.grows {
+            self.grow(crowd);
+            self.prune(crowd, due);
+            self.seen.clear();
+        }
+        if due.resets {
+            let lowered = logit(LOWERED);
+            crowd.numbers.iter_mut().for_each(|n| n[8] = n[8].min(lowered));
+            crowd.adam.forget(8);
+        }
+        !due.grows
+    }
+
+    /// Clones and splits.
+    fn grow(&mut self, crowd: &mut Crowd) {
+        let mean = |&(sum, times): &(f32, u32)| if times > 0 { sum / times as f32 } else { 0.0 };
+        let means: Vec<f32> = self.seen.iter().map(mean).collect();
+        let mut chosen: Vec<usize> = (0..means.len()).filter(|&i| means[i] >= THRESHOLD).collect();
+        chosen.sort_by(|&a, &b| means[b].total_cmp(&means[a]).then(a.cmp(&b)));
+        chosen.truncate(self.most.saturating_sub(crowd.numbers.len()));
+        chosen.sort_unstable();
+        let (mut clones, mut parts, mut kept) = (Vec::new(), Vec::new(), vec![true; crowd.numbers.len()]);
+        for i in chosen {
+            let n = crowd.numbers[i];
+            if n[2].max(n[3]).exp() <= LARGE * self.extent {
+                clones.push(n);
+            } else {
+                kept[i] = false;
+                parts.extend([self.part(&n), self.part(&n)]);
+            }
+        }
+        clones.append(&mut parts);
+        crowd.keep(&kept);
+        crowd.adam.add(clones.len());
+        crowd.numbers.append(&mut clones);
+    }
+
+    /// One of the two that a Gaussian is split into.
+    fn part(&mut self, n: &[f32; NUMBERS]) -> [f32; NUMBERS] {
+        // Two normal numbers at once (Box and Muller, 1958).
+        let (radius, turn) = ((-2.0 * (1.0 - self.rng.random::<f32>()).ln()).sqrt(), self.rng.random::<f32>());
+        let (v, u) = (std::f32::consts::TAU * turn).sin_cos();
+        let [u, v] = [u * radius * n[2].exp(), v * radius * n[3].exp()];
+        let (sin, cos) = n[4].sin_cos();
+        let mut part = *n;
+        (part[0], part[1]) = (n[0] + cos * u - sin * v, n[1] + sin * u + cos * v);
+        (part[2], part[3]) = (n[2] - SHRINK.ln(), n[3] - SHRINK.ln());
+        part
+    }
+
+    fn prune(&self, crowd: &mut Crowd, due: Due) {
+        let is_wanted = |n: &[f32; NUMBERS]| {
+            n[8] >= logit(FAINTEST) && !(due.was_reset && n[2].max(n[3]).exp() > TOO_LARGE * self.extent)
+        };
+        let mut kept: Vec<bool> = crowd.numbers.iter().map(is_wanted).collect();
+        if !kept.contains(&true) {
+            kept[0] = true;
+        }
+        crowd.keep(&kept);
+    }
+}
+
+impl Crowd {
+    fn keep(&mut self, kept: &[bool]) {
+        let mut each = kept.iter();
+        self.numbers.retain(|_| each.next().is_some_and(|k| *k));
+        self.adam.keep(kept);
+    }
+}
+
+/// What the sigmoid makes `v` of.
+pub(super) fn logit(v: f32) -> f32 {
+    (v / (1.0 - v)).ln()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+
+    use super::*;
+
+    const EXTENT: f32 = 384.0;
+
+    fn gaussian(scale: f32, opacity: f32) -> [f32; NUMBERS] {
+        [100.0, 80.0, scale.ln(), (0.25 * scale).ln(), 0.6, 0.1, 0.2, 0.3, logit(opacity)]
+    }
+
+    fn crowd(numbers: Vec<[f32; NUMBERS]>) -> Crowd {
+        Crowd { adam: Adam::new(numbers.len()), numbers }
+    }
+
+    /// A picture of 768 × 512 in colour.
+    fn growth(most: usize) -> Growth {
+        let rng = Pcg64Mcg::seed_from_u64(5);
+        Growth::new(rng, [768.0, 512.0], 3.0 * 768.0 * 512.0, (EXTENT, most))
+    }
+
+    const GROWS: Due = Due { watches: true, grows: true, resets: false, was_reset: false };
+
+    /// A gradient along x or y whose norm is `norm` in the published units: of the mean loss, and of half a side.
+    fn along(k: usize, norm: f32) -> [f32; 2] {
+        let mut g = [0.0; 2];
+        g[k] = norm * 3.0 * 768.0 * 512.0 / [384.0, 256.0][k];
+        g
+    }
+
+    #[test]
+    fn small_ones_are_cloned_and_large_ones_split_where_gradients_are_large() {
+        // A hundredth of the extent is 3.84 pixels.
+        let [small, large] = [gaussian(3.8, 0.5), gaussian(3.9, 0.5)];
+        let mut crowd = crowd(vec![small, large, small, large]);
+        let gradients = [along(0, 2.1e-4), along(1, 2.1e-4), along(1, 1.9e-4), along(0, 1.9e-4)];
+        assert!(!growth(100).passes(&mut crowd, gradients.map(|g| (g, true)).into_iter(), GROWS));
+        let n = &crowd.numbers;
+        assert_eq!(n.len(), 6);
+        assert_eq!(n[..4], [small, small, large, small]);
+        for part in &n[4..] {
+            assert_eq!(part[4..], large[4..]);
+            assert!((0..2).all(|k| (part[2 + k] - (large[2 + k] - 1.6f32.ln())).abs() < 1e-6), "{part:?}");
+            assert!(part[..2] != large[..2]);
+        }
+    }
+
+    #[test]
+    fn parts_are_drawn_from_what_is_split() {
+        let (mut growth, n) = (growth(1), gaussian(8.0, 0.5));
+        let offsets: Vec<[f32; 2]> = (0..4000)
+            .map(|_| {
+                let part = growth.part(&n);
+                let [dx, dy] = [part[0] - n[0], part[1] - n[1]];
+                let (sin, cos) = n[4].sin_cos();
+                [cos * dx + sin * dy, cos * dy - sin * dx]
+            })
+            .collect();
+        for (k, scale) in [8.0f32, 2.0].into_iter().enumerate() {
+            let mean = offsets.iter().map(|o| o[k]).sum::<f32>() / 4000.0;
+            let deviation = (offsets.iter().map(|o| o[k] * o[k]).sum::<f32>() / 4000.0).sqrt();
+            assert!(mean.abs() < 0.06 * scale && (deviation / scale - 1.0).abs() < 0.05, "{k}: {mean} {deviation}");
+        }
+    }
+
+    #[test]
+    fn averages_are_over_the_iterations_in_which_a_gaussian_was_in_the_picture() {
+        let watches = Due { grows: false, ..GROWS };
+        let small = gaussian(2.0, 0.5);
+        for (is_inside, count) in [(true, 1), (false, 2)] {
+            let (mut growth, mut crowd) = (growth(100), crowd(vec![small]));
+            assert!(growth.passes(&mut crowd, [(along(0, 0.0), is_inside)].into_iter(), watches));
+            growth.passes(&mut crowd, [(along(0, 3e-4), true)].into_iter(), GROWS);
+            assert_eq!(crowd.numbers.len(), count, "{is_inside}");
+        }
+    }
+
+    #[test]
+    fn there_are_never_more_than_asked_for_and_the_largest_gradients_come_first() {
+        let all: Vec<_> = (0..5).map(|i| gaussian(1.0 + i as f32 * 0.1, 0.5)).collect();
+        let mut crowd = crowd(all.clone());
+        let gradients = [3e-4, 9e-4, 4e-4, 8e-4, 5e-4].map(|g| (along(0, g), true));
+        growth(7).passes(&mut crowd, gradients.into_iter(), GROWS);
+        assert_eq!(crowd.numbers, [&all[..], &[all[1], all[3]]].concat());
+    }
+
+    #[test]
+    fn the_faint_are_pruned_and_after_a_reset_the_large() {
+        let all = vec![gaussian(2.0, 0.0051), gaussian(2.0, 0.0049), gaussian(38.0, 0.5), gaussian(39.0, 0.5)];
+        let none = || [(along(0, 0.0), true); 4].into_iter();
+        let mut young = crowd(all.clone());
+        growth(100).passes(&mut young, none(), GROWS);
+        assert_eq!(young.numbers, [all[0], all[2], all[3]]);
+        let mut old = crowd(all.clone());
+        growth(100).passes(&mut old, none(), Due { was_reset: true, ..GROWS });
+        assert_eq!(old.numbers, [all[0], all[2]]);
+        let mut faint = crowd(vec![all[1]; 3]);
+        growth(100).passes(&mut faint, none(), GROWS);
+        assert_eq!(faint.numbers.len(), 1);
+    }
+
+    #[test]
+    fn a_reset_lowers_opacities_to_a_hundredth_and_forgets_their_moments() {
+        let mut crowd = crowd(vec![gaussian(2.0, 0.7), gaussian(2.0, 0.006)]);
+        let mut pushed = crowd.numbers.clone();
+        crowd.adam.step(&mut pushed, &[[1.0; NUMBERS]; 2], [0.1; NUMBERS]);
+        let resets = Due { grows: false, resets: true, ..GROWS };
+        assert!(growth(100).passes(&mut crowd, [(along(0, 0.0), true); 2].into_iter(), resets));
+        let opacity = |n: &[f32; NUMBERS]| 1.0 / (1.0 + (-n[8]).exp());
+        assert!((opacity(&crowd.numbers[0]) - 0.01).abs() < 1e-6 && (opacity(&crowd.numbers[1]) - 0.006).abs() < 1e-6);
+        // Without a gradient only what has moments moves.
+        let before = crowd.numbers.clone();
+        crowd.adam.step(&mut crowd.numbers, &[[0.0; NUMBERS]; 2], [0.1; NUMBERS]);
+        for (n, b) in crowd.numbers.iter().zip(&before) {
+            assert!(n[8] == b[8] && n[0] < b[0], "{n:?} {b:?}");
+        }
+    }
+
+    #[test]
+    fn everything_is_due_when_the_program_does_it_or_at_the_same_share() {
+        let when = |iterations: u32, is: fn(&Due) -> bool| -> Vec<u32> {
+            (1..=iterations).filter(|&i| is(&Due::after(i, iterations))).collect()
+        };
+        let grows = when(30_000, |d| d.grows);
+        assert_eq!((grows[0], grows[1], grows.len(), grows[143]), (600, 700, 144, 14_900));
+        assert_eq!(when(30_000, |d| d.resets), [3000, 6000, 9000, 12_000]);
+        assert_eq!(when(30_000, |d| d.was_reset)[0], 3001);
+        assert_eq!(when(3000, |d| d.grows)[..2], [60, 70]);
+        assert_eq!(when(3000, |d| d.resets), [300, 600, 900, 1200]);
+    }
+}
