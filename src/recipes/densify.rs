@@ -4,12 +4,12 @@
 //! Up to iteration 15 000 of 30 000 the norms of the gradients with respect to places are averaged, in units of half the
 //! picture's sides and of the mean loss. After iteration 500, every 100, each Gaussian whose average is 0.0002 or more is
 //! cloned where its larger scale is at most 0.01 of the scene's extent, and otherwise split: two take its place, drawn from it,
-//! with 1/1.6 of its scales. Then those with an opacity below 0.005 go, and, once opacities have been reset, those with a
-//! scale above 0.1 of the extent. Every 3000 iterations opacities are lowered to 0.01 at most. New Gaussians come last in the
+//! with 1/1.6 of its scales. Then those with an opacity below 0.005 go. Every 3000 iterations opacities are lowered to 0.01 at most. New Gaussians come last in the
 //! order, with empty moments of the optimizer, which takes no step in such an iteration. Radii in the picture prune nothing: the
 //! program looks at them when it has just cleared them.
 //!
-//! Otherwise than there: there are never more than the number that was asked for. Where more would grow, those with the largest
+//! Otherwise than there: nothing is pruned for its size. There, once opacities have been reset, what has a scale above 0.1 of the
+//! extent goes: among some hundred Gaussians that is the distance to the next, and hardly any would stay. There are never more than the number that was asked for. Where more would grow, those with the largest
 //! averages do. One always stays.
 
 use rand::RngExt;
@@ -26,9 +26,8 @@ const RESET: u32 = 3000;
 const THRESHOLD: f32 = 2e-4;
 const FAINTEST: f32 = 5e-3;
 const LOWERED: f32 = 0.01;
-/// Shares of the extent: above the first a Gaussian is split, above the second it is pruned.
+/// Share of the extent above which a Gaussian is split.
 const LARGE: f32 = 0.01;
-const TOO_LARGE: f32 = 0.1;
 /// What the scales of the two parts are divided by.
 const SHRINK: f32 = 1.6;
 
@@ -44,8 +43,6 @@ pub(super) struct Due {
     watches: bool,
     grows: bool,
     resets: bool,
-    /// Whether opacities have been reset before.
-    was_reset: bool,
 }
 
 impl Due {
@@ -59,7 +56,6 @@ impl Due {
             watches,
             grows: watches && iteration > steps(FROM) && iteration.is_multiple_of(steps(EVERY)),
             resets: watches && iteration.is_multiple_of(steps(RESET)),
-            was_reset: iteration > steps(RESET),
         }
     }
 }
@@ -101,7 +97,7 @@ impl Growth {
         }
         if due.grows {
             self.grow(crowd);
-            self.prune(crowd, due);
+            prune(crowd);
             self.seen.clear();
         }
         if due.resets {
@@ -148,17 +144,16 @@ impl Growth {
         (part[2], part[3]) = (n[2] - SHRINK.ln(), n[3] - SHRINK.ln());
         part
     }
+}
 
-    fn prune(&self, crowd: &mut Crowd, due: Due) {
-        let is_wanted = |n: &[f32; NUMBERS]| {
-            n[8] >= logit(FAINTEST) && !(due.was_reset && n[2].max(n[3]).exp() > TOO_LARGE * self.extent)
-        };
-        let mut kept: Vec<bool> = crowd.numbers.iter().map(is_wanted).collect();
-        if !kept.contains(&true) {
-            kept[0] = true;
-        }
-        crowd.keep(&kept);
+/// Takes away what is hardly seen.
+fn prune(crowd: &mut Crowd) {
+    let least = logit(FAINTEST);
+    let mut kept: Vec<bool> = crowd.numbers.iter().map(|n| n[8] >= least).collect();
+    if !kept.contains(&true) {
+        kept[0] = true;
     }
+    crowd.keep(&kept);
 }
 
 impl Crowd {
@@ -196,7 +191,7 @@ mod tests {
         Growth::new(rng, [768.0, 512.0], 3.0 * 768.0 * 512.0, (EXTENT, most))
     }
 
-    const GROWS: Due = Due { watches: true, grows: true, resets: false, was_reset: false };
+    const GROWS: Due = Due { watches: true, grows: true, resets: false };
 
     /// A gradient along x or y whose norm is `norm` in the published units: of the mean loss, and of half a side.
     fn along(k: usize, norm: f32) -> [f32; 2] {
@@ -262,15 +257,12 @@ mod tests {
     }
 
     #[test]
-    fn the_faint_are_pruned_and_after_a_reset_the_large() {
-        let all = vec![gaussian(2.0, 0.0051), gaussian(2.0, 0.0049), gaussian(38.0, 0.5), gaussian(39.0, 0.5)];
-        let none = || [(along(0, 0.0), true); 4].into_iter();
-        let mut young = crowd(all.clone());
-        growth(100).passes(&mut young, none(), GROWS);
-        assert_eq!(young.numbers, [all[0], all[2], all[3]]);
-        let mut old = crowd(all.clone());
-        growth(100).passes(&mut old, none(), Due { was_reset: true, ..GROWS });
-        assert_eq!(old.numbers, [all[0], all[2]]);
+    fn the_faint_are_pruned_but_never_all() {
+        let all = vec![gaussian(2.0, 0.0051), gaussian(2.0, 0.0049), gaussian(60.0, 0.5)];
+        let none = || [(along(0, 0.0), true); 3].into_iter();
+        let mut some = crowd(all.clone());
+        growth(100).passes(&mut some, none(), GROWS);
+        assert_eq!(some.numbers, [all[0], all[2]]);
         let mut faint = crowd(vec![all[1]; 3]);
         growth(100).passes(&mut faint, none(), GROWS);
         assert_eq!(faint.numbers.len(), 1);
@@ -301,7 +293,6 @@ mod tests {
         let grows = when(30_000, |d| d.grows);
         assert_eq!((grows[0], grows[1], grows.len(), grows[143]), (600, 700, 144, 14_900));
         assert_eq!(when(30_000, |d| d.resets), [3000, 6000, 9000, 12_000]);
-        assert_eq!(when(30_000, |d| d.was_reset)[0], 3001);
         assert_eq!(when(3000, |d| d.grows)[..2], [60, 70]);
         assert_eq!(when(3000, |d| d.resets), [300, 600, 900, 1200]);
     }
