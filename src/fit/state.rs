@@ -88,7 +88,8 @@ impl State {
             let mut gradients = field.gather(channels, rows, width, projected, primitives);
             for (j, (p, m)) in primitives.iter_mut().zip(memory).enumerate() {
                 let free = freedom.get(start + j).copied().unwrap_or_default();
-                let growth = price * p.log_scale[0].exp() * p.log_scale[1].exp();
+                let [a, b] = gradients[j].frame.scale;
+                let growth = price * a * b;
                 gradients[j].log_scale = gradients[j].log_scale.map(|g| g + growth);
                 adam::update(p, m, &gradients[j], free, bounds, rates, corrections);
             }

@@ -1,6 +1,6 @@
 //! Adam in the whitened local frame of each Gaussian.
 
-use crate::fit::model::field::Gradient;
+use crate::fit::model::field::{Frame, Gradient};
 use crate::fit::model::project::Primitive;
 use crate::fit::model::rows::RowSet;
 use crate::gaussian::CUTOFF;
@@ -111,7 +111,7 @@ pub(crate) fn corrections(decay: [f32; 2], iteration: u32) -> [f32; 2] {
     decay.map(|d| 1.0 - d.powi(iteration as i32 + 1))
 }
 
-/// Moves a primitive one step against its gradient `g`.
+/// Moves a primitive one step against its gradient `g`, in the frame that it has before.
 pub(crate) fn update(
     p: &mut Primitive,
     m: &mut Memory,
@@ -121,6 +121,7 @@ pub(crate) fn update(
     rates: Rates,
     [c1, c2]: [f32; 2],
 ) {
+    let Frame { scale: [sx, sy], turn: (sin, cos) } = g.frame;
     let g = [
         g.mean[0],
         g.mean[1],
@@ -146,8 +147,6 @@ pub(crate) fn update(
     if free == Freedom::Color {
         return;
     }
-    let [sx, sy] = p.log_scale.map(f32::exp);
-    let (sin, cos) = p.rotation.sin_cos();
     let (u, v) = (rates.mean * d[0] * sx, rates.mean * d[1] * sy);
     p.mean[0] += cos * u - sin * v;
     p.mean[1] += sin * u + cos * v;

@@ -326,7 +326,7 @@ fn gather<S: Simd, const C: usize>(
     rotation: f32,
 ) -> Gradient {
     let m = kernel::gather::<S, C>(simd, p, rows, width, (&field.planes, field.stride));
-    let mut gradient = Gradient::from_moments(m.geometry, log_scale.map(f32::exp), rotation);
+    let mut gradient = Gradient::from_moments(m.geometry, Frame::of(log_scale, rotation));
     gradient.color[..C].copy_from_slice(&m.color);
     gradient
 }
@@ -360,13 +360,31 @@ pub(crate) struct Gradient {
     pub log_scale: [f32; 2],
     pub rotation: f32,
     pub color: [f32; 4],
+    /// That frame.
+    pub frame: Frame,
+}
+
+/// The frame of a primitive.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Frame {
+    /// Its scales.
+    pub scale: [f32; 2],
+    /// Sine and cosine of its rotation.
+    pub turn: (f32, f32),
+}
+
+impl Frame {
+    #[inline(always)]
+    pub(crate) fn of(log_scale: [f32; 2], rotation: f32) -> Self {
+        Frame { scale: log_scale.map(f32::exp), turn: rotation.sin_cos() }
+    }
 }
 
 impl Gradient {
     /// From `Σ t` times `dx`, `dy`, `dx²`, `dx dy` and `dy²`, where `t` is the gradient with respect to the exponent.
     #[inline(always)]
-    pub(crate) fn from_moments([m10, m01, m20, m11, m02]: [f32; 5], [sx, sy]: [f32; 2], rotation: f32) -> Self {
-        let (sin, cos) = rotation.sin_cos();
+    pub(crate) fn from_moments([m10, m01, m20, m11, m02]: [f32; 5], frame: Frame) -> Self {
+        let Frame { scale: [sx, sy], turn: (sin, cos) } = frame;
         let (ix, iy) = (1.0 / (sx * sx), 1.0 / (sy * sy));
         let uu = cos * cos * m20 + 2.0 * cos * sin * m11 + sin * sin * m02;
         let vv = sin * sin * m20 - 2.0 * cos * sin * m11 + cos * cos * m02;
@@ -376,6 +394,7 @@ impl Gradient {
             log_scale: [uu * ix, vv * iy],
             rotation: -uv * (ix - iy),
             color: [0.0; 4],
+            frame,
         }
     }
 }
