@@ -38,7 +38,12 @@ fn opaque_and_grey_pictures_come_back_opaque_grey_and_in_their_own_channels() {
         let Samples::U8(v) = back.samples() else { panic!("8 bits") };
         assert!(v.chunks_exact(4).all(|p| p[0] == p[1] && p[1] == p[2] && p[3] == 255));
         let found = ssplat::metrics::psnr(&pixels, &back).unwrap();
-        assert!((found - encoded.report.psnr).abs() < 1.0, "{found} {}", encoded.report.psnr);
+        // The report is of what is drawn before it is rounded to code values. Where that is as good as noise it adds 1/12 of a squared
+        // code value; where errors are below half of one it takes some away. Half a decibel is for 1200 pixels being few.
+        let drawn = encoded.report.psnr;
+        let rounding = 1.0 / (12.0 * 255.0 * 255.0);
+        let least = -10.0 * (10f64.powf(-0.1 * drawn) + rounding).log10();
+        assert!((least - 0.5..drawn + 0.5).contains(&found), "{found}, {drawn} before it is rounded");
     }
 }
 
