@@ -87,6 +87,7 @@ fn worst(side: u32, kind: &str) -> PackedSplats {
             codebook: None,
             gaussians: gaussians.collect(),
             levels: Vec::new(),
+            detail: None,
             metadata: Default::default(),
         }
     };
@@ -132,6 +133,7 @@ fn tiny_groups(side: u32, colors: u32) -> PackedSplats {
         codebook: Some((0..colors).map(|i| [(i as u16) as i16, 0, 0, 0]).collect()),
         gaussians: gaussians.collect(),
         levels: Vec::new(),
+        detail: None,
         metadata: Default::default(),
     }
 }

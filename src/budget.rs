@@ -84,6 +84,14 @@ impl Reservation {
         Ok(())
     }
 
+    /// Takes `bytes` out of the same budget, for something else.
+    ///
+    /// # Errors
+    /// As [`Budget::check`].
+    pub fn beside(&self, bytes: u64) -> Result<Reservation> {
+        self.budget.reserve(bytes)
+    }
+
     /// Gives back all but `bytes`, which must not be more than there are.
     pub fn shrink(&mut self, bytes: u64) {
         debug_assert!(bytes <= self.bytes, "{bytes} of {}", self.bytes);

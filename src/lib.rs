@@ -70,6 +70,7 @@ extern crate self as ssplat;
 pub mod bitstream;
 mod budget;
 pub mod decode;
+mod detail;
 pub mod encode;
 pub mod error;
 mod fit;
@@ -104,7 +105,7 @@ pub use limits::Limits;
 #[doc(hidden)]
 pub use options::Rung;
 pub use options::{
-    Ablation, Backend, Damage, DecodeOptions, EncodeOptions, Needs, Recipe, Target, Thumbnail, Trace, Tune,
+    Ablation, Backend, Damage, DecodeOptions, EncodeOptions, Layers, Needs, Recipe, Target, Thumbnail, Trace, Tune,
 };
 pub use pack::{Outside, PackOptions, Precision, pack};
 pub use pixel_source::PixelSource;

@@ -224,6 +224,19 @@ pub enum Damage {
     Accept,
 }
 
+/// Which layers of a file are drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[non_exhaustive]
+pub enum Layers {
+    /// The Gaussians and the detail layer, if there is one: the picture.
+    #[default]
+    Both,
+    /// The Gaussians alone: the detail layer is not read.
+    Gaussians,
+    /// What the detail layer adds, on grey; nothing but grey where a file has none.
+    Detail,
+}
+
 /// Options of [`decode`](crate::decode()).
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
@@ -237,4 +250,6 @@ pub struct DecodeOptions {
     pub size: Option<[u32; 2]>,
     /// What to do with a truncated or damaged file.
     pub damage: Damage,
+    /// Which layers to draw.
+    pub layers: Layers,
 }

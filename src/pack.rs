@@ -181,6 +181,7 @@ fn packed(picture: &Picture, options: &PackOptions, steps: Steps) -> Result<(Pac
         codebook: None,
         gaussians: Vec::new(),
         levels: Vec::new(),
+        detail: None,
         metadata,
     };
     // Sides and steps: what follows computes with them.

@@ -36,6 +36,7 @@ fn splats(channels: Channels, depth: Depth, metadata: Metadata) -> PackedSplats 
         codebook: None,
         gaussians: (0..25).map(|i| q.quantize(&gaussian(i))).collect(),
         levels: Vec::new(),
+        detail: None,
         metadata,
     }
 }

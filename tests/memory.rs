@@ -46,6 +46,7 @@ fn worst() -> Vec<(String, Vec<u8>)> {
             codebook: None,
             gaussians: vec![p; 7000],
             levels: Vec::new(),
+            detail: None,
             metadata: Default::default(),
         };
         // As many as the format allows for these bytes.

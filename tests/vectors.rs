@@ -157,6 +157,7 @@ fn two(layout: Layout) -> PackedSplats {
             PackedGaussian { x: 12, y: 3, major: 8, minor: 8, angle: 0, color: [4, 0, 0, 0] },
         ],
         levels: Vec::new(),
+        detail: None,
         metadata: Default::default(),
     }
 }

@@ -85,6 +85,7 @@ impl<'a> Arbitrary<'a> for Head {
             codebook: colors,
             gaussians: Vec::new(),
             levels: Vec::new(),
+            detail: None,
             metadata: Default::default(),
         }))
     }

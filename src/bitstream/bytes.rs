@@ -16,6 +16,11 @@ impl<'a> Bytes<'a> {
         Bytes { data, at: 0, base }
     }
 
+    /// Where in the file the next byte is.
+    pub fn offset(&self) -> u64 {
+        self.base + self.at as u64
+    }
+
     pub fn left(&self) -> usize {
         self.data.len() - self.at
     }
@@ -45,6 +50,12 @@ impl<'a> Bytes<'a> {
 
     pub fn varint(&mut self, what: &'static str) -> Result<u64> {
         varint(what, || Ok(self.array::<1>(what)?[0]))
+    }
+
+    /// The next `count` bytes, to be read by themselves.
+    pub fn part(&mut self, count: u64, what: &'static str) -> Result<Bytes<'a>> {
+        let base = self.offset();
+        Ok(Bytes::new(self.take(count, what)?, base))
     }
 
     /// Everything that is left.

@@ -239,6 +239,7 @@ mod tests {
             codebook: None,
             gaussians: Vec::new(),
             levels: Vec::new(),
+            detail: None,
             metadata: Metadata::default(),
         };
         let rules = Rules::of(&splats);

@@ -74,6 +74,10 @@ pub struct Missing {
     pub groups: u32,
     /// Groups that the file should have.
     pub of_groups: u32,
+    /// Tiles of the detail layer.
+    pub tiles: u32,
+    /// Tiles that the picture has.
+    pub of_tiles: u32,
 }
 
 /// Appends the payload; `header` is the header's checksum.

@@ -168,6 +168,7 @@ impl Header {
             codebook: None,
             gaussians: Vec::new(),
             levels: Vec::new(),
+            detail: None,
             metadata,
         }
     }

@@ -6,6 +6,7 @@ mod broken;
 pub(crate) mod bytes;
 pub(crate) mod checksum;
 mod coded;
+pub(crate) mod detail;
 pub(crate) mod expect;
 mod frame;
 mod groups;
@@ -28,6 +29,7 @@ pub mod splats;
 mod spread;
 mod write;
 
+pub use self::detail::{DetailHead, DetailLayer};
 pub use self::groups::Missing;
 pub(crate) use self::read::{Reading, read_rest};
 pub use self::read::{inspect, read, read_area, read_partial};

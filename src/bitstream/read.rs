@@ -1,19 +1,25 @@
 //! Bytes of a file to integers, whole or in part, with every length held against limits and bytes first (spec §2, §9).
 
 use std::io::Read;
+use std::sync::Arc;
 
 use super::bytes::Bytes;
+use super::broken::Broken;
 use super::checksum::Hasher;
+use super::detail::head::{DetailHead, Spans};
+use super::detail::index::{self, Wanted};
 use super::groups::Missing;
 use super::header::{Grouping, Header, Sections};
 use super::report::{Detail, Report, Tally};
 use super::rules::{Area, most_primitives};
-use super::sections::{SectionInfo, read_sections};
+use super::sections::{SectionInfo, SectionsRead, read_sections};
+use super::write::base_checksum;
 use super::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
 use super::{CHECKSUM, coded, groups, packed, planes};
 use crate::budget::{Budget, Reservation};
 use crate::error::{FormatError, Result};
 use crate::limits::Limits;
+use crate::options::Layers;
 
 /// How often the bytes of a file are counted against the memory limit: reading grows its buffer to twice the size while
 /// the old one is there; later, metadata are copied out of it.
@@ -41,7 +47,7 @@ fn working_bytes(layout: Layout) -> u64 {
 pub fn read<R: Read>(mut reader: R, limits: &Limits) -> Result<PackedSplats> {
     let header = Header::read(&mut reader, limits)?;
     let rest = read_rest(reader, limits)?;
-    Reading { limits, budget: &Budget::of(limits) }
+    Reading::all(limits, &Budget::of(limits))
         .whole(&header, &rest, None, &mut Tally::default())
         .map(|(splats, _)| splats)
 }
@@ -54,8 +60,8 @@ pub fn read<R: Read>(mut reader: R, limits: &Limits) -> Result<PackedSplats> {
 pub fn read_area(bytes: &[u8], area: &Area, limits: &Limits) -> Result<PackedSplats> {
     let mut rest = bytes;
     let header = Header::read(&mut rest, limits)?;
-    let reading = Reading { limits, budget: &Budget::of(limits) };
-    reading.whole(&header, rest, Some(area), &mut Tally::default()).map(|(splats, _)| splats)
+    let budget = Budget::of(limits);
+    Reading::all(limits, &budget).whole(&header, rest, Some(area), &mut Tally::default()).map(|(splats, _)| splats)
 }
 
 /// Reads a file and reports where its bytes go.
@@ -67,8 +73,8 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Report)> 
     let header = Header::read(&mut rest, limits)?;
     let mut tally = Tally { detail: Detail::Fields, ..Tally::default() };
     tally.part("header", header.bytes().len());
-    let reading = Reading { limits, budget: &Budget::of(limits) };
-    let (splats, sections) = reading.whole(&header, rest, None, &mut tally)?;
+    let budget = Budget::of(limits);
+    let (splats, sections) = Reading::all(limits, &budget).whole(&header, rest, None, &mut tally)?;
     tally.part("checksum", CHECKSUM);
     let levels = splats.levels.clone();
     let Tally { parts, fields, each, groups, .. } = tally;
@@ -86,7 +92,7 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Report)> 
 pub fn read_partial(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Missing)> {
     let mut rest = bytes;
     let header = Header::read(&mut rest, limits)?;
-    Reading { limits, budget: &Budget::of(limits) }.intact(&header, rest)
+    Reading::all(limits, &Budget::of(limits)).intact(&header, rest)
 }
 
 /// Everything that `reader` still has, or a byte more than may be read into memory.
@@ -105,6 +111,15 @@ pub(crate) fn read_rest<R: Read>(reader: R, limits: &Limits) -> Result<Vec<u8>> 
 pub(crate) struct Reading<'a> {
     pub limits: &'a Limits,
     pub budget: &'a Budget,
+    /// Which layers are read; checksums are held against all.
+    pub layers: Layers,
+}
+
+impl<'a> Reading<'a> {
+    /// A reading of everything.
+    fn all(limits: &'a Limits, budget: &'a Budget) -> Self {
+        Reading { limits, budget, layers: Layers::Both }
+    }
 }
 
 impl Reading<'_> {
@@ -125,48 +140,97 @@ impl Reading<'_> {
         let mut bytes = Bytes::new(&rest[..end], base);
         let mut checksum = Hasher::new();
         checksum.update(header.bytes());
-        let (metadata, sections) = self.sections(header, &mut bytes, (&mut checksum, &mut working), tally)?;
-        let payload = &rest[bytes.taken().len()..end];
-        checksum.update(payload);
+        let SectionsRead { metadata, detail, infos } =
+            self.sections(header, &mut bytes, (&mut checksum, &mut working), tally)?;
+        let behind = &rest[bytes.taken().len()..end];
+        checksum.update(behind);
         let computed = checksum.finalize();
         let stored = Bytes::new(&rest[end..], 0).u32("checksum")?;
         if stored != computed {
             return Err(FormatError::Checksum { what: "file", stored, computed }.into());
         }
-        if u64::from(header.primitives) > most_primitives(payload.len() as u64) {
+        let mut payload = payload(header, &mut bytes, detail.as_ref())?;
+        if u64::from(header.primitives) > most_primitives(payload.left() as u64) {
             return Err(FormatError::BadValue { field: "primitive count", value: header.primitives.into() }.into());
         }
         let mut splats = header.empty(metadata);
         match (header.layout, header.grouping) {
-            (Layout::Packed, _) => packed::read(&mut bytes, header, &mut splats, tally)?,
-            (Layout::Planes, _) => planes::read(&mut bytes, header, &mut splats, tally)?,
-            (Layout::Coded, Grouping::Single) => coded::read(&mut bytes, header, &mut splats, tally)?,
-            (Layout::Coded, Grouping::Groups) => groups::read(&mut bytes, header, area, &mut splats, tally)?,
+            (Layout::Packed, _) => packed::read(&mut payload, header, &mut splats, tally)?,
+            (Layout::Planes, _) => planes::read(&mut payload, header, &mut splats, tally)?,
+            (Layout::Coded, Grouping::Single) => coded::read(&mut payload, header, &mut splats, tally)?,
+            (Layout::Coded, Grouping::Groups) => groups::read(&mut payload, header, area, &mut splats, tally)?,
+        }
+        payload.finish()?;
+        if let Some((head, _)) = detail {
+            if self.layers == Layers::Gaussians {
+                bytes.rest();
+                return Ok((splats, infos));
+            }
+            let start = bytes.left();
+            let wanted = self.wanted(header, area, tally.detail == Detail::Fields);
+            let found = index::read(&mut bytes, head, &wanted, &mut working)?;
+            tally.part("index of the detail layer", found.index);
+            tally.part("detail layer", start - bytes.left() - found.index);
+            tally.layer_bits = found.bits;
+            splats.detail = Some(Arc::new(found.layer));
         }
         bytes.finish()?;
-        Ok((splats, sections))
+        Ok((splats, infos))
     }
+
+    /// What is to be read of a detail layer.
+    fn wanted<'w>(&'w self, header: &Header, area: Option<&Area>, counts: bool) -> Wanted<'w> {
+        let size = [header.width, header.height];
+        Wanted { size, channels: header.channels, area: area.copied(), limits: self.limits, passes_over: false, counts }
+    }
+
 
     /// Parses what is intact of the bytes behind the header, and says what is missing.
     pub fn intact(self, header: &Header, rest: &[u8]) -> Result<(PackedSplats, Missing)> {
-        if header.grouping == Grouping::Single {
-            let (splats, _) = self.whole(header, rest, None, &mut Tally::default())?;
-            return Ok((splats, Missing::default()));
-        }
         let mut working = self.reserve(header, rest)?;
-        // What is trusted is covered by the directory's checksum and the groups' own. That of the file, which may be cut off or
-        // be a part of the last group of a file that is cut, only tells whether all is well.
+        // What is trusted is covered by the directory's checksum and the groups' own, or by that of the Gaussians' bytes. That of
+        // the file, which may be cut off or be a part of the last group of a file that is cut, only tells whether all is well.
         let mut bytes = Bytes::new(rest, header.bytes().len() as u64);
         let mut checksum = Hasher::new();
         checksum.update(header.bytes());
-        let (metadata, _) = self.sections(header, &mut bytes, (&mut checksum, &mut working), &mut Tally::default())?;
-        let payload = bytes.taken().len();
+        let SectionsRead { metadata, detail, .. } =
+            self.sections(header, &mut bytes, (&mut checksum, &mut working), &mut Tally::default())?;
+        if header.grouping == Grouping::Single && detail.is_none() {
+            let (splats, _) = self.whole(header, rest, None, &mut Tally::default())?;
+            return Ok((splats, Missing::default()));
+        }
+        let behind = bytes.taken().len();
         let mut splats = header.empty(metadata);
-        let missing = groups::read_intact(&mut bytes, header, &mut splats)?;
-        checksum.update(&bytes.taken()[payload..]);
+        let mut missing = Missing::default();
+        match (header.grouping, detail.as_ref()) {
+            (Grouping::Groups, None) => missing = groups::read_intact(&mut bytes, header, &mut splats)?,
+            (Grouping::Groups, Some((_, spans))) => {
+                let mut payload = bytes.part(spans.payload.min(bytes.left() as u64), "payload")?;
+                missing = groups::read_intact(&mut payload, header, &mut splats)?;
+            }
+            (Grouping::Single, _) => {
+                let mut payload = payload(header, &mut bytes, detail.as_ref())?;
+                if u64::from(header.primitives) > most_primitives(payload.left() as u64) {
+                    let value = header.primitives.into();
+                    return Err(FormatError::BadValue { field: "primitive count", value }.into());
+                }
+                coded::read(&mut payload, header, &mut splats, &mut Tally::default())?;
+                payload.finish()?;
+            }
+        }
+        if let Some((head, _)) = detail.filter(|_| self.layers != Layers::Gaussians) {
+            // The checksum at the end is no stream's.
+            let mut layer = bytes.part(bytes.left().saturating_sub(CHECKSUM) as u64, "detail layer")?;
+            let wanted = Wanted { passes_over: true, ..self.wanted(header, None, false) };
+            let found = index::read(&mut layer, head, &wanted, &mut working)?;
+            missing.tiles = found.missing;
+            missing.of_tiles = found.layer.tiles.len() as u32;
+            splats.detail = Some(Arc::new(found.layer));
+        }
+        checksum.update(&bytes.taken()[behind..]);
         let computed = checksum.finalize();
         let is_sealed = bytes.u32("checksum").is_ok_and(|stored| stored == computed);
-        let is_whole = is_sealed && bytes.left() == 0 && missing.groups == 0;
+        let is_whole = is_sealed && bytes.left() == 0 && missing.groups == 0 && missing.tiles == 0;
         Ok((splats, if is_whole { Missing::default() } else { missing }))
     }
 
@@ -175,7 +239,7 @@ impl Reading<'_> {
         let mut working = self.budget.reserve(FILE_COPIES * rest.len() as u64)?;
         let mut bytes = Bytes::new(rest, header.bytes().len() as u64);
         let read = self.sections(header, &mut bytes, (&mut Hasher::new(), &mut working), &mut Tally::default())?;
-        Ok(read.0)
+        Ok(read.metadata)
     }
 
     /// What parsing `rest` takes at most, but for what is said of many sections.
@@ -191,7 +255,7 @@ impl Reading<'_> {
         bytes: &mut Bytes<'_>,
         (checksum, working): (&mut Hasher, &mut Reservation),
         tally: &mut Tally,
-    ) -> Result<(Metadata, Vec<SectionInfo>)> {
+    ) -> Result<SectionsRead> {
         if header.sections == Sections::Absent {
             return Ok(Default::default());
         }
@@ -199,4 +263,20 @@ impl Reading<'_> {
         tally.part("sections", bytes.taken().len());
         Ok(read)
     }
+}
+
+/// The Gaussians' bytes: all that is left, or those before the detail layer, which have a checksum of their own then.
+fn payload<'a>(header: &Header, bytes: &mut Bytes<'a>, detail: Option<&(DetailHead, Spans)>) -> Result<Bytes<'a>> {
+    let Some((_, spans)) = detail else {
+        return bytes.part(bytes.left() as u64, "payload");
+    };
+    if header.layout != Layout::Coded {
+        return Err(Broken { field: "layout of a file with a detail layer", value: header.layout as u64 }.into());
+    }
+    let payload = bytes.part(spans.payload, "payload")?;
+    let (stored, computed) = (spans.checksum, base_checksum(header.bytes(), payload.clone().rest()));
+    if stored != computed {
+        return Err(FormatError::Checksum { what: "payload", stored, computed }.into());
+    }
+    Ok(payload)
 }

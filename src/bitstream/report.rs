@@ -63,6 +63,8 @@ pub(crate) struct Tally {
     pub fields: Vec<Field>,
     pub each: Vec<f32>,
     pub groups: u32,
+    /// Bits of the detail layer's levels, where fields are told.
+    pub layer_bits: f64,
 }
 
 impl Tally {

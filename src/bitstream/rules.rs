@@ -204,6 +204,10 @@ fn check_all(splats: &PackedSplats) -> Result<(), Broken> {
     ] {
         in_range(field, value <= last, value.into())?;
     }
+    if let Some(layer) = &splats.detail {
+        in_range("layout of a file with a detail layer", splats.layout == Layout::Coded, splats.layout as u64)?;
+        super::detail::head::check(&layer.head)?;
+    }
     in_range("coarsest step", (-6..=9).contains(&s.coarsest), s.coarsest as u64)?;
     in_range("position range", i32::from(s.coarsest) - i32::from(s.range) >= MIN_EXPONENT, s.range.into())?;
     in_range("primitive count", u32::try_from(splats.gaussians.len()).is_ok(), splats.gaussians.len() as u64)?;

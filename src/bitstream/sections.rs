@@ -2,6 +2,7 @@
 
 use super::bytes::{Bytes, put_varint};
 use super::checksum::Hasher;
+use super::detail::head::{self as detail_head, DetailHead, Spans};
 use super::report::Detail;
 use super::splats::Metadata;
 use crate::budget::Reservation;
@@ -12,11 +13,22 @@ use crate::limits::Limits;
 pub const ICC: [u8; 4] = *b"iccp";
 /// Name of the EXIF block's section.
 pub const EXIF: [u8; 4] = *b"exif";
+/// Name of the section that says what the detail layer behind the payload means; critical.
+pub const DETAIL: [u8; 4] = *b"Dtal";
 /// Name of the thumbnail's section.
 pub const THUMBNAIL: [u8; 4] = *b"thmb";
 
 /// A list that grows has room for twice its elements while the old one is still there.
 const GROWING: u64 = 3;
+
+/// What the sections of a file say.
+#[derive(Debug, Default)]
+pub(crate) struct SectionsRead {
+    pub metadata: Metadata,
+    /// The detail layer's head, and where the Gaussians' bytes end.
+    pub detail: Option<(DetailHead, Spans)>,
+    pub infos: Vec<SectionInfo>,
+}
 
 /// A section's place and size, for reports.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -50,8 +62,8 @@ pub(crate) fn read_sections(
     limits: &Limits,
     (checksum, working): (&mut Hasher, &mut Reservation),
     detail: Detail,
-) -> Result<(Metadata, Vec<SectionInfo>)> {
-    let (mut metadata, mut infos) = (Metadata::default(), Vec::new());
+) -> Result<SectionsRead> {
+    let (mut metadata, mut layer, mut infos) = (Metadata::default(), None, Vec::new());
     let mut head = bytes.taken().len();
     let count = bytes.varint("section count")?;
     if count == 0 {
@@ -79,6 +91,13 @@ pub(crate) fn read_sections(
             ICC => Some(&mut metadata.icc),
             EXIF => Some(&mut metadata.exif),
             THUMBNAIL => Some(&mut metadata.thumbnail),
+            DETAIL if stored != computed => {
+                return Err(FormatError::Checksum { what: "section of the detail layer", stored, computed }.into());
+            }
+            DETAIL => {
+                layer = Some(detail_head::read(contents, bytes.offset() - length)?);
+                None
+            }
             _ if name[0].is_ascii_uppercase() => return Err(FormatError::UnknownCriticalSection { name }.into()),
             _ => None,
         };
@@ -88,6 +107,7 @@ pub(crate) fn read_sections(
                 metadata.damaged.push(name);
                 SectionFate::Damaged
             }
+            None if name == DETAIL => SectionFate::Kept,
             None => SectionFate::Skipped,
             Some(slot) => {
                 *slot = Some(contents.to_vec());
@@ -101,14 +121,16 @@ pub(crate) fn read_sections(
         infos.push(SectionInfo { name, bytes: (before - bytes.left()) as u64, fate });
     }
     checksum.update(&bytes.taken()[head..]);
-    Ok((metadata, infos))
+    Ok(SectionsRead { metadata, detail: layer, infos })
 }
 
-/// Appends the sections of `metadata` and feeds the file's checksum.
-pub(crate) fn put_sections(metadata: &Metadata, out: &mut Vec<u8>, checksum: &mut Hasher) {
+/// Appends the sections of `metadata`, and that of the detail layer with such contents, and feeds the file's checksum.
+pub(crate) fn put_sections(metadata: &Metadata, layer: Option<&[u8]>, out: &mut Vec<u8>, checksum: &mut Hasher) {
     let mut head = out.len();
-    put_varint(metadata.sections().count() as u64, out);
-    for (name, contents) in metadata.sections() {
+    // Capital letters come first.
+    let sections = || layer.map(|contents| (DETAIL, contents)).into_iter().chain(metadata.sections());
+    put_varint(sections().count() as u64, out);
+    for (name, contents) in sections() {
         out.extend_from_slice(&name);
         put_varint(contents.len() as u64, out);
         out.extend_from_slice(&contents_checksum(name, contents).to_le_bytes());

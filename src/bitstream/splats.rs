@@ -1,5 +1,8 @@
 //! The integers of a picture: what every layout carries, exactly (spec §4).
 
+use std::sync::Arc;
+
+use super::detail::DetailLayer;
 use super::sections::{EXIF, ICC, THUMBNAIL};
 use crate::gaussian::{Blend, Channels};
 use crate::pixels::Depth;
@@ -101,6 +104,8 @@ pub struct PackedSplats {
     /// How many primitives each progressive level has, coarse levels first, at most 8; empty: one level. Only the coded
     /// layout has several; a file cut after a level still shows a whole, coarser picture.
     pub levels: Vec<u32>,
+    /// What is added to the Gaussians' picture; only the coded layout has it.
+    pub detail: Option<Arc<DetailLayer>>,
     /// ICC profile and EXIF block.
     pub metadata: Metadata,
 }

@@ -3,6 +3,8 @@
 use std::io::Write;
 
 use super::checksum::{Hasher, hash};
+use super::detail::head::{self, Spans};
+use super::detail::index;
 use super::header::{Grouping, Sections, put_header};
 use super::rules::{self, most_primitives};
 use super::sections::put_sections;
@@ -25,28 +27,45 @@ pub fn write<W: Write>(splats: &PackedSplats, writer: &mut W) -> Result<()> {
 /// [`Error::Parameter`] if the integers break spec §4.
 pub fn to_bytes(splats: &PackedSplats) -> Result<Vec<u8>> {
     rules::check(splats)?;
-    let has_sections = splats.metadata.sections().next().is_some();
+    let has_sections = splats.metadata.sections().next().is_some() || splats.detail.is_some();
     let sections = if has_sections { Sections::Present } else { Sections::Absent };
     let (mut out, mut checksum) = (Vec::new(), Hasher::new());
     let grouping = groups::grouping(splats);
     put_header(splats, grouping, sections, &mut out);
     checksum.update(&out);
     let header = hash(&out);
-    if has_sections {
-        put_sections(&splats.metadata, &mut out, &mut checksum);
-    }
-    let payload = out.len();
+    let mut payload = Vec::new();
     match (splats.layout, grouping) {
-        (Layout::Packed, _) => packed::put(splats, &mut out)?,
-        (Layout::Planes, _) => planes::put(splats, &mut out)?,
-        (Layout::Coded, Grouping::Single) => coded::put(splats, &mut out)?,
-        (Layout::Coded, Grouping::Groups) => groups::put(splats, header, &mut out)?,
+        (Layout::Packed, _) => packed::put(splats, &mut payload)?,
+        (Layout::Planes, _) => planes::put(splats, &mut payload)?,
+        (Layout::Coded, Grouping::Single) => coded::put(splats, &mut payload)?,
+        (Layout::Coded, Grouping::Groups) => groups::put(splats, header, &mut payload)?,
     }
-    checksum.update(&out[payload..]);
-    if splats.gaussians.len() as u64 > most_primitives((out.len() - payload) as u64) {
+    if has_sections {
+        let contents = splats.detail.as_ref().map(|layer| {
+            let spans = Spans { payload: payload.len() as u64, checksum: base_checksum(&out, &payload) };
+            head::contents(&layer.head, spans)
+        });
+        put_sections(&splats.metadata, contents.as_deref(), &mut out, &mut checksum);
+    }
+    let behind = out.len();
+    out.extend_from_slice(&payload);
+    if let Some(layer) = &splats.detail {
+        index::put(layer, [splats.width, splats.height], splats.channels, &mut out);
+    }
+    checksum.update(&out[behind..]);
+    if splats.gaussians.len() as u64 > most_primitives(payload.len() as u64) {
         let problem = format!("{} are more than 1024 and 8 a byte", splats.gaussians.len());
         return Err(Error::Parameter { name: "primitive count", problem });
     }
     out.extend_from_slice(&checksum.finalize().to_le_bytes());
     Ok(out)
+}
+
+/// The checksum of what shows the Gaussians: header and payload.
+pub(super) fn base_checksum(header: &[u8], payload: &[u8]) -> u32 {
+    let mut hasher = Hasher::new();
+    hasher.update(header);
+    hasher.update(payload);
+    hasher.finalize()
 }

@@ -47,7 +47,7 @@ pub struct Decoded {
 /// what cannot be read, [`Error::LimitExceeded`](crate::Error::LimitExceeded) for what is too large,
 /// [`Error::Parameter`](crate::Error::Parameter) for a region outside the picture or an empty one.
 pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
-    let opening = Opening::new(bytes, &options.limits)?;
+    let opening = Opening::new(bytes, &options.limits)?.showing(options.layers);
     let view = options.view(&opening.view())?;
     let opened = opening.read_for(&view, options.damage)?;
     let (depth, missing) = (opened.splats().depth, opened.missing());
@@ -66,7 +66,7 @@ pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
 /// # Panics
 /// If `out` has not exactly as many samples as what `options` ask for: width × height × channels.
 pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -> Result<(Metadata, Missing)> {
-    let opening = Opening::new(bytes, &options.limits)?;
+    let opening = Opening::new(bytes, &options.limits)?.showing(options.layers);
     let view = options.view(&opening.view())?;
     let opened = opening.read_for(&view, options.damage)?;
     opened.draw_into(&view, out)?;

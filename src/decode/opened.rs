@@ -1,5 +1,7 @@
 //! An opened file: its integers and metadata, from which any view is drawn, any number of times.
 
+use std::sync::Arc;
+
 use crate::bitstream::header::Header;
 use crate::bitstream::report::Tally;
 use crate::bitstream::rules::Area;
@@ -8,9 +10,9 @@ use crate::bitstream::{Missing, Reading};
 use crate::budget::{Budget, Reservation};
 use crate::error::{Error, Result};
 use crate::limits::Limits;
-use crate::options::Damage;
+use crate::options::{Damage, Layers};
 use crate::pixels::Pixels;
-use crate::raster::{Canvas, Renderer, SamplesMut, View};
+use crate::raster::{Canvas, Overlay, Renderer, SamplesMut, View};
 
 /// A file whose header has been read and nothing else: what picture it is, before anything is spent on it.
 ///
@@ -34,6 +36,7 @@ pub struct Opening<'a> {
     rest: &'a [u8],
     limits: Limits,
     budget: Budget,
+    layers: Layers,
 }
 
 /// A file that has been read, ready to be drawn any number of times.
@@ -82,6 +85,7 @@ pub struct Opened {
     area: Option<Area>,
     limits: Limits,
     budget: Budget,
+    layers: Layers,
     /// For the integers.
     #[expect(dead_code, reason = "held until the integers are gone")]
     integers: Reservation,
@@ -102,7 +106,13 @@ impl<'a> Opening<'a> {
 
     /// A file whose header has been read, and the bytes that follow it.
     pub(crate) fn behind(header: Header, rest: &'a [u8], limits: &Limits) -> Self {
-        Opening { header, rest, limits: limits.clone(), budget: Budget::of(limits) }
+        Opening { header, rest, limits: limits.clone(), budget: Budget::of(limits), layers: Layers::default() }
+    }
+
+    /// The same, of which only some layers are read and drawn.
+    #[must_use]
+    pub fn showing(self, layers: Layers) -> Self {
+        Opening { layers, ..self }
     }
 
     /// Size, channels, depth, and how the picture is stored.
@@ -123,7 +133,7 @@ impl<'a> Opening<'a> {
     /// # Errors
     /// [`Error::Format`] for sections that cannot be read, [`Error::LimitExceeded`] for more than [`Limits`] allow.
     pub fn metadata(&self) -> Result<Metadata> {
-        Reading { limits: &self.limits, budget: &self.budget }.described(&self.header, self.rest)
+        Reading { limits: &self.limits, budget: &self.budget, layers: self.layers }.described(&self.header, self.rest)
     }
 
     /// Reads all of the picture.
@@ -148,8 +158,8 @@ impl<'a> Opening<'a> {
     }
 
     fn read_area(self, area: Option<Area>, damage: Damage) -> Result<Opened> {
-        let Opening { header, rest, limits, budget } = self;
-        let reading = Reading { limits: &limits, budget: &budget };
+        let Opening { header, rest, limits, budget, layers } = self;
+        let reading = Reading { limits: &limits, budget: &budget, layers };
         let (splats, missing, area) = match damage {
             Damage::Accept => {
                 let (splats, missing) = reading.intact(&header, rest)?;
@@ -161,11 +171,12 @@ impl<'a> Opening<'a> {
             }
         };
         let book = splats.codebook.as_ref().map_or(0, |book| size_of_val(&book[..]));
-        let integers = budget.reserve((size_of::<PackedGaussian>() * splats.gaussians.len() + book) as u64)?;
+        let layer = splats.detail.as_ref().map_or(0, |layer| layer.memory());
+        let integers = budget.reserve((size_of::<PackedGaussian>() * splats.gaussians.len() + book) as u64 + layer)?;
         let Metadata { damaged, .. } = &splats.metadata;
         let carried: usize = splats.metadata.sections().map(|(_, contents)| contents.len()).sum();
         let described = budget.reserve((carried + size_of_val(&damaged[..])) as u64)?;
-        Ok(Opened { splats, missing, area, limits, budget, integers, described })
+        Ok(Opened { splats, missing, area, limits, budget, layers, integers, described })
     }
 }
 
@@ -211,7 +222,7 @@ impl Opened {
             let problem = format!("{view:?} shows more than the part of the picture that was read");
             return Err(Error::Parameter { name: "view", problem });
         }
-        self.splats.renderer_within(view, &self.limits, &self.budget)
+        self.splats.renderer_within(view, (&self.limits, &self.budget), self.layers)
     }
 
     /// Draws `view` with the channels and the depth of the file.
@@ -236,6 +247,11 @@ impl Opened {
         Ok(())
     }
 
+    /// Draws some layers from now on, of those that were read.
+    pub fn show(&mut self, layers: Layers) {
+        self.layers = layers;
+    }
+
     /// Keeps the metadata and drops the integers.
     #[must_use]
     pub fn into_metadata(self) -> Metadata {
@@ -258,6 +274,9 @@ impl Opened {
     }
 }
 
+/// What the detail layer is shown on by itself.
+const GREY: f32 = 0.5;
+
 impl PackedSplats {
     /// What draws `view`. The Gaussians are made on the way: they need not all be there at once, as they would be with
     /// [`to_picture`](PackedSplats::to_picture).
@@ -265,14 +284,33 @@ impl PackedSplats {
     /// # Errors
     /// As [`Renderer::new`].
     pub fn renderer(&self, view: &View, limits: &Limits) -> Result<Renderer> {
-        self.renderer_within(view, limits, &Budget::of(limits))
+        self.renderer_within(view, (limits, &Budget::of(limits)), Layers::Both)
     }
 
-    fn renderer_within(&self, view: &View, limits: &Limits, budget: &Budget) -> Result<Renderer> {
+    /// The same with memory from `budget`, and with what a detail layer adds.
+    fn renderer_within(
+        &self,
+        view: &View,
+        (limits, budget): (&Limits, &Budget),
+        layers: Layers,
+    ) -> Result<Renderer> {
         let quantizer = self.quantizer();
-        let background = quantizer.dequantize_color(self.background);
+        let mut background = quantizer.dequantize_color(self.background);
+        let mut count = self.gaussians.len();
+        if layers == Layers::Detail {
+            (background, count) = ([GREY; 4], 0);
+            if let Some(alpha) = self.channels.alpha() {
+                background[alpha] = 1.0;
+            }
+        }
         let canvas = Canvas { channels: self.channels, blend: self.blend, background };
         let gaussian = |i: usize| quantizer.dequantize(&self.gaussians[i]);
-        Renderer::of(&canvas, (self.gaussians.len(), gaussian), view, limits, budget)
+        let renderer = Renderer::of(&canvas, (count, gaussian), view, limits, budget)?;
+        match &self.detail {
+            Some(layer) if layers != Layers::Gaussians => {
+                renderer.with(Overlay::new(Arc::clone(layer), self.channels, [self.width, self.height]), limits)
+            }
+            _ => Ok(renderer),
+        }
     }
 }

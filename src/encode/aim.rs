@@ -39,7 +39,7 @@ impl Encoding<'_> {
         let mut outcome = match self.subject.options.target {
             Target::Auto | Target::Ratio(_) | Target::Bytes(_) => {
                 let size = self.beside_thumbnail(size);
-                self.at_size(size)?
+                self.layered(size)?
             }
             Target::Primitives(count) => self.at_count(count as usize, size)?,
             Target::Psnr(psnr) => self.at_psnr(psnr)?,
@@ -76,6 +76,17 @@ impl Encoding<'_> {
         Ok(Some(Outcome { bytes, splats, float_error }))
     }
 
+    /// A file of `size` with the Gaussians and the detail layer that share it.
+    fn layered(&mut self, size: Size) -> Result<Outcome> {
+        let share: Option<f64> = std::env::var("SSPLAT_SHARE").ok().and_then(|s| s.parse().ok());
+        let (Size::Bytes(most), Some(share)) = (size, share) else { return self.at_size(size) };
+        let base = (most as f64 * share) as u64;
+        let mut outcome = self.at_size(Size::Bytes(base))?;
+        let rounds = std::env::var("SSPLAT_ROUNDS").ok().and_then(|s| s.parse().ok()).unwrap_or(2);
+        self.add_detail(&mut outcome, most, rounds)?;
+        Ok(outcome)
+    }
+
     fn at_size(&mut self, size: Size) -> Result<Outcome> {
         let Size::Bytes(most) = size else { return self.at_count(0, size) };
         let fixed = self.subject.file(&self.subject.empty())?.len() as u64;
@@ -101,7 +112,7 @@ impl Encoding<'_> {
             true => self.fitted_error(splats),
             false => {
                 let wide = widen(splats, self.subject.channels());
-                stored_error(&wide, &Planes::new(self.subject.original))
+                stored_error(&wide, &Planes::new(self.subject.original), self.subject.channels())
             }
         }
     }

@@ -70,6 +70,7 @@ mod tests {
             codebook: None,
             gaussians: gaussians.collect(),
             levels: Vec::new(),
+            detail: None,
             metadata: Metadata::default(),
         }
     }

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use super::detail::error::{self, Counted};
 use super::device::Choice;
 use super::file;
 use super::left_out::Omission;
@@ -21,6 +22,7 @@ use crate::fit::model::{masking, structure};
 use crate::fit::plan::Plan;
 use crate::fit::smartsplat;
 use crate::options::{Needs, Recipe, Target, Tune};
+use crate::gaussian::Channels;
 use crate::pixels::Depth;
 use crate::round::finish::{self, Client, Rounding};
 use crate::round::rounded::{Rounded, projected};
@@ -51,7 +53,7 @@ pub(super) struct Outcome {
 impl Encoding<'_> {
     /// Returns the squared error of the stored picture over the samples that were fitted.
     pub(super) fn fitted_error(&self, splats: &PackedSplats) -> f64 {
-        stored_error(splats, &self.planes)
+        stored_error(splats, &self.planes, self.subject.channels())
     }
 
     /// Makes the stored picture the trace's last point.
@@ -143,9 +145,12 @@ pub(super) fn decibels(error: f64, samples: f64) -> f64 {
     -10.0 * (error / samples).log10()
 }
 
-/// Returns the squared error of a stored picture over the samples of `planes`.
-pub(super) fn stored_error(splats: &PackedSplats, planes: &Planes) -> f64 {
+/// Returns the squared error of a stored picture over the samples of `planes`; the file has `channels`.
+pub(super) fn stored_error(splats: &PackedSplats, planes: &Planes, channels: Channels) -> f64 {
     let projected = projected(&splats.quantizer(), &splats.gaussians, splats.height);
+    if let Some(layer) = &splats.detail {
+        return error::squared_error((stored_scene(splats), planes), &projected, (layer, channels), Counted::Alike);
+    }
     squared_error(&Problem { scene: stored_scene(splats), target: planes }, &projected)
 }
 

@@ -6,6 +6,7 @@
 mod aim;
 mod channels;
 mod constant;
+mod detail;
 mod device;
 mod file;
 mod job;

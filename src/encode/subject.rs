@@ -97,6 +97,7 @@ pub(super) fn empty(
         codebook: None,
         gaussians: Vec::new(),
         levels: Vec::new(),
+        detail: None,
         metadata,
     }
 }

@@ -5,6 +5,7 @@
 //! Large Gaussians are drawn at every pixel, too: sums of fewer samples, interpolated, miss the kink at a support's edge, which
 //! shows by several code values where a Gaussian lies alone and ε is all that it is divided by.
 
+use super::overlay::Additions;
 use super::project::{SUPPORT, Splat, Splats};
 use super::samples::{Codes, Sample};
 use crate::gaussian::{Blend, EPSILON, HIDDEN};
@@ -54,6 +55,15 @@ pub(super) struct Drawing<'a> {
     pub parts: [usize; 2],
 }
 
+/// What is added to the pixels of a tile, in parts of white.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Added<'a> {
+    pub additions: &'a Additions,
+    /// The first row of the output that is shown, and the tile's first column, counted as the additions are.
+    pub row: u32,
+    pub column: usize,
+}
+
 /// One tile to draw.
 pub(super) struct Job<'a, 'b, T> {
     pub scene: Drawing<'a>,
@@ -63,6 +73,7 @@ pub(super) struct Job<'a, 'b, T> {
     pub scratch: &'a mut Scratch,
     /// A slice for each row of the output that is shown.
     pub out: &'a mut [&'b mut [T]],
+    pub added: Option<Added<'a>>,
 }
 
 impl<T: Sample> Task for Job<'_, '_, T> {
@@ -87,7 +98,7 @@ impl<T: Sample> Task for Job<'_, '_, T> {
 /// `C` channels; `P` planes are summed: the channels and, where the blend divides by it, the weight.
 #[inline(always)]
 fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_, '_, T>) {
-    let Job { scene, members, window, scratch, out } = job;
+    let Job { scene, members, window, scratch, out, added } = job;
     let Scratch { batch: near, lists, sums, codes } = scratch;
     let codes = T::codes(codes);
     codes.resize(TILE_HEIGHT * TILE_WIDTH * C, T::default());
@@ -124,10 +135,12 @@ fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_
             if batch + 1 == batches {
                 let codes = &mut codes[first_row * TILE_WIDTH * C..];
                 let shown = &mut sums[window.rows.start..];
+                let added = added.map(|a| Added { column: a.column + s * LANES / across, ..a });
                 if scene.parts == [1, 1] {
-                    finish::<S, T, C, P>(simd, shown, start, &mut codes[s * LANES * C..]);
+                    finish::<S, T, C, P>(simd, shown, (start, added), &mut codes[s * LANES * C..]);
                 } else {
-                    reduce::<S, T, C, P>(simd, shown, (scene.parts, start), &mut codes[s * LANES / across * C..]);
+                    let codes = &mut codes[s * LANES / across * C..];
+                    reduce::<S, T, C, P>(simd, shown, (scene.parts, start, added), codes);
                 }
             }
         }
@@ -165,11 +178,19 @@ fn shade<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, row: &[Lan
 fn finish<S: Simd, T: Sample, const C: usize, const P: usize>(
     simd: S,
     strip: &mut [[Lanes; P]],
-    start: [f32; P],
+    (start, added): ([f32; P], Option<Added<'_>>),
     codes: &mut [T],
 ) {
-    for (row, codes) in strip.iter_mut().zip(codes.chunks_mut(TILE_WIDTH * C)) {
+    let white = simd.splat(T::WHITE);
+    for (i, (row, codes)) in strip.iter_mut().zip(codes.chunks_mut(TILE_WIDTH * C)).enumerate() {
         let mut values = shade::<S, T, C, P>(simd, row);
+        if let Some(Added { additions, row, column }) = added {
+            let more = additions.row(row + i as u32);
+            for (c, value) in values.iter_mut().enumerate() {
+                let v = simd.add(*value, simd.mul(simd.read(&more[c * additions.stride + column..]), white));
+                *value = simd.min(simd.max(v, simd.splat(0.0)), white);
+            }
+        }
         for value in &mut values {
             *value = simd.add(*value, simd.splat(0.5));
         }
@@ -185,11 +206,12 @@ fn finish<S: Simd, T: Sample, const C: usize, const P: usize>(
 fn reduce<S: Simd, T: Sample, const C: usize, const P: usize>(
     simd: S,
     strip: &mut [[Lanes; P]],
-    ([across, down], start): ([usize; 2], [f32; P]),
+    ([across, down], start, added): ([usize; 2], [f32; P], Option<Added<'_>>),
     codes: &mut [T],
 ) {
-    for (rows, codes) in strip.chunks_exact_mut(down).zip(codes.chunks_mut(TILE_WIDTH * C)) {
-        average::<S, T, C, P>(simd, rows, (across, start), &mut codes[..LANES / across * C]);
+    for (i, (rows, codes)) in strip.chunks_exact_mut(down).zip(codes.chunks_mut(TILE_WIDTH * C)).enumerate() {
+        let added = added.map(|a| Added { row: a.row + i as u32, ..a });
+        average::<S, T, C, P>(simd, rows, (across, start, added), &mut codes[..LANES / across * C]);
     }
 }
 
@@ -199,7 +221,7 @@ fn reduce<S: Simd, T: Sample, const C: usize, const P: usize>(
 fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
     simd: S,
     rows: &mut [[Lanes; P]],
-    (across, start): (usize, [f32; P]),
+    (across, start, added): (usize, [f32; P], Option<Added<'_>>),
     codes: &mut [T],
 ) {
     let down = rows.len();
@@ -229,7 +251,7 @@ fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
     simd.store(&mut weight_columns, weights);
     // A power of two: the mean is as exact as the sum.
     let share = 1.0 / (across * down) as f32;
-    means(&columns, has_alpha.then_some(&weight_columns), across, share, codes);
+    means(&columns, has_alpha.then_some(&weight_columns), (across, share, added), codes);
 }
 
 /// The sums of each `across` columns, times `share`, as code values; those of colours over the sums of `weights`, where
@@ -238,7 +260,12 @@ fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
 /// In WebAssembly all numbers of channels share one, for the module's size.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
-fn means<T: Sample>(columns: &[Lanes], weights: Option<&Lanes>, across: usize, share: f32, codes: &mut [T]) {
+fn means<T: Sample>(
+    columns: &[Lanes],
+    weights: Option<&Lanes>,
+    (across, share, added): (usize, f32, Option<Added<'_>>),
+    codes: &mut [T],
+) {
     for (i, pixel) in codes.chunks_exact_mut(columns.len()).enumerate() {
         // Side by side: a sum waits for the one before it.
         let (mut sums, mut weight) = ([0.0; 4], 0.0);
@@ -251,7 +278,10 @@ fn means<T: Sample>(columns: &[Lanes], weights: Option<&Lanes>, across: usize, s
         let color_share = weights.map_or(share, |_| 1.0 / weight);
         for (k, (code, sum)) in pixel.iter_mut().zip(sums).enumerate() {
             let share = if weights.is_some() && k == columns.len() - 1 { share } else { color_share };
-            *code = T::floor(sum * share + 0.5);
+            let more = added.map_or(0.0, |Added { additions, row, column }| {
+                additions.row(row)[k * additions.stride + column + i] * T::WHITE
+            });
+            *code = T::floor((sum * share + more).clamp(0.0, T::WHITE) + 0.5);
         }
     }
 }

@@ -26,12 +26,14 @@
 
 mod bins;
 mod kernel;
+mod overlay;
 mod project;
 pub mod reference;
 mod renderer;
 mod samples;
 mod view;
 
+pub(crate) use overlay::Overlay;
 pub(crate) use renderer::Canvas;
 pub use renderer::Renderer;
 pub use samples::SamplesMut;

@@ -1,7 +1,8 @@
 //! Draws a view, whole or band by band, on as many threads as there are.
 
 use super::bins::Bins;
-use super::kernel::{Drawing, Job, Scratch, TILE_HEIGHT, TILE_WIDTH, Window};
+use super::kernel::{Added, Drawing, Job, Scratch, TILE_HEIGHT, TILE_WIDTH, Window};
+use super::overlay::{Additions, Overlay};
 use super::project::{Splats, project};
 use super::samples::{Sample, SamplesMut};
 use super::view::{Filter, MAX_SIDE, View};
@@ -25,6 +26,8 @@ pub struct Renderer {
     background: [f32; 4],
     splats: Splats,
     bins: Bins,
+    /// What is added to the Gaussians' picture.
+    overlay: Option<Overlay>,
     /// What pixels may be allocated from.
     budget: Budget,
     backend: Dispatch,
@@ -96,10 +99,23 @@ impl Renderer {
             background: canvas.background,
             splats,
             bins,
+            overlay: None,
             budget: budget.clone(),
             backend: Dispatch::Detected,
             pool: Mutex::new(Vec::new()),
         })
+    }
+
+    /// The same, with what a detail layer adds.
+    ///
+    /// # Errors
+    /// [`Error::LimitExceeded`] when that would be too much memory or work.
+    pub(crate) fn with(mut self, overlay: Overlay, limits: &Limits) -> Result<Self> {
+        Limits::check("work", overlay.work(&self.view), limits.work)?;
+        let rows = (0..self.bands()).map(|band| self.band_rows(band).len() as u32).max().unwrap_or(0);
+        overlay.check(&self.view, rows.max(overlay.rows_at_once(&self.view).min(self.view.height)), &self.budget)?;
+        self.overlay = Some(overlay);
+        Ok(self)
     }
 
     /// What is drawn.
@@ -202,16 +218,41 @@ impl Renderer {
             parts.push((band, part));
             out = rest;
         }
+        let Some(overlay) = &self.overlay else {
+            self.draw_bands(parts, None);
+            return;
+        };
+        // As many bands at a time as their additions may be held for.
+        let most = overlay.rows_at_once(&self.view);
+        let mut parts = parts.into_iter().peekable();
+        while let Some(first) = parts.next() {
+            let mut rows = self.band_rows(first.0);
+            let mut some = vec![first];
+            while let Some(&(band, _)) = parts.peek()
+                && self.band_rows(band).end - rows.start <= most
+            {
+                rows.end = self.band_rows(band).end;
+                some.extend(parts.next());
+            }
+            // From the first tile's first column to the last one's last, so that strips of eight begin anywhere.
+            let width = self.tile()[0];
+            let left = i64::from(self.bins.tiles.first[0] * width) - i64::from(self.view.offset[0]);
+            let stride = (self.bins.tiles.count[0] * width) as usize;
+            self.draw_bands(some, Some(&overlay.additions(&self.view, left, stride, rows)));
+        }
+    }
+
+    fn draw_bands<T: Sample>(&self, parts: Vec<(u32, &mut [T])>, additions: Option<&Additions>) {
         #[cfg(feature = "rayon")]
         parts.into_par_iter().for_each(|(band, part)| {
             self.split(part).into_par_iter().for_each(|(column, mut rows)| {
-                self.draw_tile(band, column, &mut rows);
+                self.draw_tile((band, column), additions, &mut rows);
             });
         });
         #[cfg(not(feature = "rayon"))]
         for (band, part) in parts {
             for (column, mut rows) in self.split(part) {
-                self.draw_tile(band, column, &mut rows);
+                self.draw_tile((band, column), additions, &mut rows);
             }
         }
     }
@@ -240,7 +281,7 @@ impl Renderer {
         tiles
     }
 
-    fn draw_tile<T: Sample>(&self, band: u32, column: u32, out: &mut [&mut [T]]) {
+    fn draw_tile<T: Sample>(&self, (band, column): (u32, u32), additions: Option<&Additions>, out: &mut [&mut [T]]) {
         let (columns, rows) = (self.columns(column), self.band_rows(band));
         let [across, down] = self.filter.parts.map(|k| k as usize);
         let top = (self.bins.tiles.first[1] + band) * self.tile()[1];
@@ -260,9 +301,13 @@ impl Renderer {
             channels: self.channels.count(),
             parts: [across, down],
         };
+        let added = additions.map(|additions| {
+            let column = (column * self.tile()[0]) as usize;
+            Added { additions, row: rows.start, column }
+        });
         let members = self.bins.members(column, band);
         let mut scratch = self.pool.lock().expect("no tile panics").pop().unwrap_or_default();
-        let job = Job { scene, members, window, scratch: &mut scratch, out };
+        let job = Job { scene, members, window, scratch: &mut scratch, out, added };
         match self.backend {
             Dispatch::Detected => simd::dispatch(job),
             #[cfg(test)]

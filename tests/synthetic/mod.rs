@@ -114,6 +114,7 @@ pub fn scene(scene: &Scene) -> PackedSplats {
         codebook,
         gaussians,
         levels: Vec::new(),
+        detail: None,
         metadata: Default::default(),
     }
 }

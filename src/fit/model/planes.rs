@@ -124,6 +124,13 @@ impl Planes {
         Planes { planes: Arc::clone(&self.planes), amplitude, ..*self }
     }
 
+    /// Returns a picture that `change` makes of this one, row by row: the planes of row `y`, [`Planes::stride`] floats each.
+    pub(crate) fn changed(&self, change: impl Fn(usize, &mut [f32]) + Sync + Send) -> Planes {
+        let mut planes = self.planes.as_ref().clone();
+        parallel::map_chunks(&mut planes, self.channels.count() * self.stride, |y, row| change(y, row));
+        Planes { planes: Arc::new(planes), amplitude: self.amplitude.clone(), ..*self }
+    }
+
     /// Returns the factors of the errors in row `y` before they are squared; `None`: 1.
     #[inline(always)]
     pub(crate) fn amplitude(&self, y: u32) -> Option<&[f32]> {

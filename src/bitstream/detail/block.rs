@@ -1,0 +1,174 @@
+//! The levels of one block: whether there are any, how many, where, and how large (spec §9.4).
+
+use super::decisions::Decisions;
+use super::model::{BUCKETS, EXPONENTS, KindModels, LEFT, NEAR, UNARY};
+use super::scan::{ROOM, STRIDE, scan};
+use crate::bitstream::broken::Broken;
+
+/// Largest level.
+pub(crate) const MAX_LEVEL: u32 = 32_767;
+/// Sizes of levels that are coded in unary.
+const PLAIN: u32 = UNARY as u32 - 1;
+/// What of a level counts for its neighbours: beyond, they cannot tell.
+const HEARD: u32 = 5;
+
+/// The levels of a block, by place.
+#[derive(Debug)]
+pub(crate) struct Block {
+    pub levels: [i16; ROOM],
+    /// Weighted sum of the levels before each place.
+    near: [u8; ROOM],
+    /// The places that have levels, in order.
+    pub found: Vec<u16>,
+}
+
+impl Default for Block {
+    fn default() -> Self {
+        Block { levels: [0; ROOM], near: [0; ROOM], found: Vec::with_capacity(256) }
+    }
+}
+
+impl Block {
+    /// Tells the neighbours to come of a level of such size.
+    #[inline(always)]
+    fn hear(&mut self, at: usize, size: u32) {
+        let m = size.min(HEARD) as u8;
+        for (step, weight) in [(1, 2), (STRIDE, 2), (STRIDE + 1, 1), (2, 1), (2 * STRIDE, 1)] {
+            if let Some(near) = self.near.get_mut(at + step) {
+                *near = near.wrapping_add(weight * m);
+            }
+        }
+    }
+
+    /// Forgets what was heard of the levels that were found.
+    #[inline(always)]
+    fn hush(&mut self) {
+        for &at in &self.found {
+            for step in [1, STRIDE, STRIDE + 1, 2, 2 * STRIDE] {
+                if let Some(near) = self.near.get_mut(usize::from(at) + step) {
+                    *near = 0;
+                }
+            }
+        }
+    }
+
+    /// Takes away the levels that were found.
+    pub fn clear(&mut self) {
+        for &at in &self.found {
+            self.levels[usize::from(at)] = 0;
+        }
+        self.found.clear();
+    }
+}
+
+/// What a block is coded by, beside the models of its kind.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Context {
+    pub size: usize,
+    /// How many levels are expected.
+    pub bucket: usize,
+}
+
+impl Context {
+    pub fn new(size: usize, bucket: usize) -> Self {
+        debug_assert!(bucket < BUCKETS);
+        Context { size, bucket }
+    }
+}
+
+/// Codes the levels of `block` after the decision that there are some. A writer passes how many there are.
+#[inline(always)]
+pub(crate) fn code<D: Decisions>(
+    d: &mut D,
+    models: &mut KindModels,
+    block: &mut Block,
+    context: Context,
+    given: u32,
+) -> Result<u32, Broken> {
+    let Context { size, bucket } = context;
+    let places = 16u32 << (2 * size);
+    let count = count(d, models, bucket, places.ilog2(), given);
+    if count > places {
+        return Err(Broken { field: "levels of a block", value: count.into() });
+    }
+    block.found.clear();
+    let many = usize::from(count > 4);
+    let mut left = count;
+    let mut class = class_of(left);
+    let mut result = Ok(count);
+    let zones = &mut models.place[size];
+    for (k, place) in scan(size).iter().enumerate() {
+        let at = usize::from(place.at);
+        let near = usize::from(block.near[at]).div_ceil(2).min(NEAR - 1);
+        let zone = usize::from(place.zone);
+        let has = places - k as u32 == left || d.bit(&mut zones[zone][class][near], block.levels[at] != 0);
+        if !has {
+            continue;
+        }
+        let given = block.levels[at];
+        let more = &mut models.more[(zone / 3).min(4)][near][many];
+        let mut magnitude = 1;
+        if d.bit(more, given.unsigned_abs() > 1) {
+            magnitude = larger(d, &mut models.larger, given.unsigned_abs().into());
+            if magnitude > MAX_LEVEL {
+                result = Err(Broken { field: "level", value: magnitude.into() });
+                break;
+            }
+        }
+        let negative = d.even(given < 0);
+        block.levels[at] = if negative { -(magnitude as i16) } else { magnitude as i16 };
+        block.found.push(place.at);
+        block.hear(at, magnitude);
+        left -= 1;
+        if left == 0 {
+            break;
+        }
+        class = class_of(left);
+    }
+    block.hush();
+    result
+}
+
+#[inline(always)]
+fn class_of(left: u32) -> usize {
+    ((32 - (left - 1).leading_zeros()) as usize).min(LEFT - 1)
+}
+
+/// How many levels a block has: the place of the highest bit in unary, then the bits below it.
+#[inline(always)]
+fn count<D: Decisions>(d: &mut D, models: &mut KindModels, bucket: usize, most: u32, given: u32) -> u32 {
+    let goal = given.max(1).ilog2();
+    let mut exponent = 0;
+    while exponent < most && d.bit(&mut models.exponent[bucket][exponent as usize % EXPONENTS], exponent < goal) {
+        exponent += 1;
+    }
+    let mut count = 1;
+    for i in 0..exponent {
+        let bit = given >> (exponent - 1 - i) & 1 == 1;
+        let read = match i {
+            0 => d.bit(&mut models.mantissa[exponent as usize][0], bit),
+            1 => d.bit(&mut models.mantissa[exponent as usize][1 + (count & 1) as usize], bit),
+            _ => d.even(bit),
+        };
+        count = count << 1 | u32::from(read);
+    }
+    count
+}
+
+/// The size of a level above 1: in unary, and from 15 on by an Exp-Golomb code.
+#[inline(always)]
+fn larger<D: Decisions>(d: &mut D, models: &mut [super::decisions::Adaptive; UNARY], given: u32) -> u32 {
+    let mut size = 2;
+    while size < PLAIN && d.bit(&mut models[size as usize], given > size) {
+        size += 1;
+    }
+    if size < PLAIN {
+        return size;
+    }
+    let over = given.saturating_sub(PLAIN) + 1;
+    let mut exponent = 0;
+    while exponent < PLAIN && d.even(exponent < over.ilog2()) {
+        exponent += 1;
+    }
+    PLAIN - 1 + (1 << exponent | d.raw(exponent, over & ((1 << exponent) - 1)))
+}

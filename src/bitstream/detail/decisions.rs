@@ -1,0 +1,161 @@
+//! Binary decisions of the layer, written, read or priced by the same code (spec §9.3).
+
+use crate::bitstream::range::{Coder, Decoder, Encoder};
+
+/// A probability of a 1 that adapts: the mean of a quick and a slow estimate, in 1/65536.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Adaptive {
+    quick: u16,
+    slow: u16,
+    /// Decisions that the estimates stand on, up to [`MOST`].
+    seen: u8,
+}
+
+/// Decisions after which the estimates forget at their final pace.
+const MOST: usize = 127;
+
+/// How far each estimate moves towards a decision after so many, in 1/65536.
+const fn paces(least: i32) -> [i32; MOST + 1] {
+    let mut paces = [0; MOST + 1];
+    let mut n = 0;
+    while n <= MOST {
+        let pace = 131_072 / (2 * n as i32 + 3);
+        let pace = if pace > least { pace } else { least };
+        paces[n] = if pace > 32_767 { 32_767 } else { pace };
+        n += 1;
+    }
+    paces
+}
+const QUICK: [i32; MOST + 1] = paces(65_536 / 24);
+const SLOW: [i32; MOST + 1] = paces(65_536 / 128);
+
+impl Adaptive {
+    /// A probability of `(256·one + 128) / 65536` that counts as much as `seen` decisions.
+    pub const fn new(one: u8, seen: u8) -> Self {
+        let p = (one as u16) << 8 | 128;
+        Adaptive { quick: p, slow: p, seen }
+    }
+
+    /// The probability of a 1, in 1/65536.
+    #[inline(always)]
+    pub fn one(self) -> u32 {
+        ((u32::from(self.quick) + u32::from(self.slow)) >> 1).clamp(32, 65_504)
+    }
+
+    #[inline(always)]
+    pub fn learn(&mut self, bit: bool) {
+        let n = usize::from(self.seen) & MOST;
+        let target = if bit { 65_535 } else { 0 };
+        let moved = |p: u16, pace: i32| (i32::from(p) + (((target - i32::from(p)) * pace) >> 16)) as u16;
+        self.quick = moved(self.quick, QUICK[n]);
+        self.slow = moved(self.slow, SLOW[n]);
+        self.seen = (n + 1).min(MOST) as u8;
+    }
+
+    /// The slow estimate and the decisions that it stands on, to learn starts from.
+    pub fn learnt(self) -> (u16, u8) {
+        (self.slow, self.seen)
+    }
+}
+
+/// Whoever takes decisions: a writer passes them, a reader finds them and ignores what is passed.
+pub(crate) trait Decisions {
+    /// A decision with a model.
+    fn bit(&mut self, model: &mut Adaptive, bit: bool) -> bool;
+
+    /// A decision with equal odds.
+    fn even(&mut self, bit: bool) -> bool;
+
+    /// `count` decisions with equal odds, the highest bit first.
+    #[inline]
+    fn raw(&mut self, count: u32, value: u32) -> u32 {
+        (0..count).rev().fold(0, |read, i| read << 1 | u32::from(self.even(value >> i & 1 == 1)))
+    }
+}
+
+const HALF: u32 = 32_768;
+
+impl Decisions for Encoder {
+    #[inline]
+    fn bit(&mut self, model: &mut Adaptive, bit: bool) -> bool {
+        Coder::bit(self, model.one(), u32::from(bit));
+        model.learn(bit);
+        bit
+    }
+
+    #[inline]
+    fn even(&mut self, bit: bool) -> bool {
+        Coder::bit(self, HALF, u32::from(bit)) != 0
+    }
+}
+
+impl Decisions for Decoder<'_> {
+    #[inline(always)]
+    fn bit(&mut self, model: &mut Adaptive, _bit: bool) -> bool {
+        let bit = Coder::bit(self, model.one(), 0) != 0;
+        model.learn(bit);
+        bit
+    }
+
+    #[inline(always)]
+    fn even(&mut self, _bit: bool) -> bool {
+        Coder::bit(self, HALF, 0) != 0
+    }
+}
+
+/// Adds up what decisions would cost with the models as they stand, bits; teaches them nothing.
+#[derive(Debug, Default)]
+pub(crate) struct Price {
+    pub bits: f32,
+}
+
+/// Probabilities that [`Price`] tells apart.
+const PRICES: usize = 4096;
+
+/// What a decision of each probability costs, bits.
+fn prices() -> &'static [f32; PRICES] {
+    static PRICE: std::sync::OnceLock<[f32; PRICES]> = std::sync::OnceLock::new();
+    PRICE.get_or_init(|| std::array::from_fn(|i| -((i as f32 + 0.5) / PRICES as f32).log2()))
+}
+
+impl Decisions for Price {
+    #[inline(always)]
+    fn bit(&mut self, model: &mut Adaptive, bit: bool) -> bool {
+        let p = if bit { model.one() } else { 65_536 - model.one() };
+        self.bits += prices()[(p >> 4) as usize & (PRICES - 1)];
+        bit
+    }
+
+    #[inline(always)]
+    fn even(&mut self, bit: bool) -> bool {
+        self.bits += 1.0;
+        bit
+    }
+
+    #[inline(always)]
+    fn raw(&mut self, count: u32, value: u32) -> u32 {
+        self.bits += count as f32;
+        value
+    }
+}
+
+/// Reads from another source and adds up what that cost, bits, by kinds.
+#[derive(Debug)]
+pub(crate) struct Counted<D> {
+    pub source: D,
+    pub bits: f64,
+}
+
+impl<D: Decisions> Decisions for Counted<D> {
+    fn bit(&mut self, model: &mut Adaptive, bit: bool) -> bool {
+        let one = f64::from(model.one()) / 65_536.0;
+        let bit = self.source.bit(model, bit);
+        self.bits -= if bit { one } else { 1.0 - one }.log2();
+        bit
+    }
+
+    fn even(&mut self, bit: bool) -> bool {
+        self.bits += 1.0;
+        self.source.even(bit)
+    }
+}

@@ -1,0 +1,201 @@
+//! What the levels of the layer mean: the contents of its section (spec §9.1).
+
+use super::model::CLASSES;
+use crate::bitstream::broken::Broken;
+use crate::bitstream::bytes::{Bytes, put_varint};
+use crate::error::Result;
+
+/// Numbers from which the values of levels follow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub struct DetailHead {
+    /// `1..=65535`: the quantizer step of luma, grey and alpha at frequency 0, in 1/64 of an 8-bit code value.
+    pub step: u16,
+    /// `1..=255`: the steps of orange and green chroma over that of luma, in sixteenths.
+    pub chroma: [u8; 2],
+    /// How steps grow with frequency: of luma, grey and alpha, and of chroma.
+    pub slopes: [u8; 2],
+    /// Sizes of the smallest and the largest block, `0..=3` for sides of 4 to 32: of luma, grey and alpha, and of chroma.
+    pub sizes: [[u8; 2]; 2],
+    /// `0..=15`: by how many 1/32 of a step values of level 1, and of higher ones, are nearer to 0.
+    pub biases: [u8; 2],
+    /// `1..=8`: step classes that superblocks choose from; 1: all have the same steps.
+    pub classes: u8,
+    /// Whether alpha has a plane of its own; if not, the layer leaves it as it is.
+    pub alpha: bool,
+}
+
+/// What the layer's section says of the Gaussians' bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Spans {
+    /// Bytes of the payload, behind which the layer begins.
+    pub payload: u64,
+    /// CRC-32 of header and payload: the Gaussians can be shown before the rest is there.
+    pub checksum: u32,
+}
+
+impl DetailHead {
+    /// The preset for the least squared error.
+    pub const PLAIN: DetailHead = DetailHead {
+        step: 640,
+        chroma: [39, 32],
+        slopes: [0, 0],
+        sizes: [[0, 3], [2, 3]],
+        biases: [2, 4],
+        classes: 1,
+        alpha: false,
+    };
+    /// The preset for eyes.
+    pub const SEEN: DetailHead = DetailHead {
+        chroma: [64, 32],
+        slopes: [48, 48],
+        biases: [0, 2],
+        classes: 4,
+        ..DetailHead::PLAIN
+    };
+
+    /// Sizes of the smallest and the largest block of a kind of planes.
+    pub(crate) fn sizes(&self, kind: usize) -> [usize; 2] {
+        self.sizes[usize::from(kind == 1)].map(usize::from)
+    }
+}
+
+// Bits of the flags.
+const CHROMA: u8 = 1;
+const SLOPES: u8 = 2;
+const SIZES: u8 = 4;
+const BIASES: u8 = 8;
+const CLASS_COUNT: u8 = 16;
+const ALPHA: u8 = 32;
+const PRESET: u8 = 64;
+const RESERVED: u8 = 128;
+
+fn broken(field: &'static str, value: u64) -> Broken {
+    Broken { field, value }
+}
+
+/// Reads the contents of the section.
+pub(crate) fn read(contents: &[u8], offset: u64) -> Result<(DetailHead, Spans)> {
+    let mut bytes = Bytes::new(contents, offset);
+    let spans = Spans { payload: bytes.varint("payload length")?, checksum: bytes.u32("payload checksum")? };
+    let step = u16::from_le_bytes(bytes.array("detail step")?);
+    let [flags] = bytes.array("detail flags")?;
+    if flags & RESERVED != 0 {
+        return Err(broken("detail flags", flags.into()).into());
+    }
+    let mut head = if flags & PRESET == 0 { DetailHead::PLAIN } else { DetailHead::SEEN };
+    (head.step, head.alpha) = (step, flags & ALPHA != 0);
+    if flags & CHROMA != 0 {
+        head.chroma = bytes.array("chroma steps")?;
+    }
+    if flags & SLOPES != 0 {
+        head.slopes = bytes.array("step slopes")?;
+    }
+    if flags & SIZES != 0 {
+        let [sizes] = bytes.array("block sizes")?;
+        head.sizes = [[sizes & 3, sizes >> 2 & 3], [sizes >> 4 & 3, sizes >> 6]];
+    }
+    if flags & BIASES != 0 {
+        let [biases] = bytes.array("biases")?;
+        head.biases = [biases & 15, biases >> 4];
+    }
+    if flags & CLASS_COUNT != 0 {
+        [head.classes] = bytes.array("step classes")?;
+    }
+    check(&head)?;
+    bytes.finish()?;
+    Ok((head, spans))
+}
+
+/// Checks what is said against the format.
+pub(crate) fn check(head: &DetailHead) -> Result<(), Broken> {
+    if head.step == 0 {
+        return Err(broken("detail step", 0));
+    }
+    if let Some(&ratio) = head.chroma.iter().find(|&&ratio| ratio == 0) {
+        return Err(broken("chroma steps", ratio.into()));
+    }
+    if let Some(sizes) = head.sizes.iter().find(|sizes| sizes[0] > sizes[1] || sizes[1] > 3) {
+        return Err(broken("block sizes", sizes[0].into()));
+    }
+    if let Some(&bias) = head.biases.iter().find(|&&bias| bias > 15) {
+        return Err(broken("biases", bias.into()));
+    }
+    if !(1..=CLASSES as u8).contains(&head.classes) {
+        return Err(broken("step classes", head.classes.into()));
+    }
+    Ok(())
+}
+
+/// The contents of the section, as short as they can be.
+pub(crate) fn contents(head: &DetailHead, spans: Spans) -> Vec<u8> {
+    [(DetailHead::PLAIN, 0), (DetailHead::SEEN, PRESET)]
+        .map(|(preset, flag)| beside(head, spans, &preset, flag))
+        .into_iter()
+        .min_by_key(Vec::len)
+        .expect("two presets")
+}
+
+fn beside(head: &DetailHead, spans: Spans, preset: &DetailHead, mut flags: u8) -> Vec<u8> {
+    let mut fields = Vec::new();
+    if head.chroma != preset.chroma {
+        flags |= CHROMA;
+        fields.extend(head.chroma);
+    }
+    if head.slopes != preset.slopes {
+        flags |= SLOPES;
+        fields.extend(head.slopes);
+    }
+    if head.sizes != preset.sizes {
+        flags |= SIZES;
+        let [[a, b], [c, d]] = head.sizes;
+        fields.push(a | b << 2 | c << 4 | d << 6);
+    }
+    if head.biases != preset.biases {
+        flags |= BIASES;
+        fields.push(head.biases[0] | head.biases[1] << 4);
+    }
+    if head.classes != preset.classes {
+        flags |= CLASS_COUNT;
+        fields.push(head.classes);
+    }
+    if head.alpha {
+        flags |= ALPHA;
+    }
+    let mut out = Vec::new();
+    put_varint(spans.payload, &mut out);
+    out.extend(spans.checksum.to_le_bytes());
+    out.extend(head.step.to_le_bytes());
+    out.push(flags);
+    out.extend(fields);
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heads_round_trip_and_a_reserved_flag_is_refused() {
+        let spans = Spans { payload: 300, checksum: 0xdead_beef };
+        let odd = DetailHead { chroma: [1, 255], sizes: [[1, 1], [0, 2]], classes: 8, alpha: true, ..DetailHead::SEEN };
+        for head in [DetailHead::PLAIN, DetailHead::SEEN, odd, DetailHead { step: 65_535, ..odd }] {
+            let bytes = contents(&head, spans);
+            assert_eq!(read(&bytes, 0).unwrap(), (head, spans));
+            let mut reserved = bytes.clone();
+            reserved[8] |= RESERVED;
+            assert!(read(&reserved, 0).is_err());
+            assert!(read(&bytes[..bytes.len() - 1], 0).is_err() && read(&[&bytes[..], &[0]].concat(), 0).is_err());
+        }
+        assert_eq!(contents(&DetailHead::SEEN, spans).len(), 9);
+        for broken in [
+            DetailHead { step: 0, ..odd },
+            DetailHead { chroma: [0, 3], ..odd },
+            DetailHead { sizes: [[2, 1], [0, 0]], ..odd },
+            DetailHead { classes: 0, ..odd },
+            DetailHead { classes: 9, ..odd },
+        ] {
+            assert!(read(&contents(&broken, spans), 0).is_err(), "{broken:?}");
+        }
+    }
+}

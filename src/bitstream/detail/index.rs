@@ -1,0 +1,210 @@
+//! The layer's bytes: an index of its tiles, then their streams (spec §9.2).
+
+use super::decisions::Counted;
+use super::head::DetailHead;
+use super::levels::{TILE, TileLevels, tile_area, tile_counts};
+use super::tile;
+use crate::bitstream::broken::Broken;
+use crate::bitstream::bytes::{Bytes, put_varint};
+use crate::bitstream::checksum::hash;
+use crate::bitstream::range::Decoder;
+use crate::bitstream::rules::Area;
+use crate::budget::Reservation;
+use crate::error::{FormatError, Result};
+use crate::gaussian::Channels;
+use crate::limits::Limits;
+use crate::parallel;
+
+/// The detail layer of a picture: the levels of its tiles.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DetailLayer {
+    /// What the levels mean.
+    pub head: DetailHead,
+    /// The tiles, row by row; nothing where a tile has no levels, or was not read.
+    pub(crate) tiles: Vec<Option<TileLevels>>,
+}
+
+impl DetailLayer {
+    /// Levels other than 0.
+    #[must_use]
+    pub fn levels(&self) -> usize {
+        self.tiles.iter().flatten().map(|tile| tile.levels.len()).sum()
+    }
+
+    /// Bytes that the levels take.
+    pub(crate) fn memory(&self) -> u64 {
+        let lists: u64 = self.tiles.iter().flatten().map(TileLevels::memory).sum();
+        lists + (self.tiles.len() * size_of::<Option<TileLevels>>()) as u64
+    }
+
+    /// Tiles that have levels.
+    #[must_use]
+    pub fn tiles(&self) -> usize {
+        self.tiles.iter().flatten().count()
+    }
+}
+
+/// A tile in the index.
+#[derive(Debug, Clone, Copy, Default)]
+struct Entry {
+    length: u64,
+    /// The lower half of the stream's CRC-32.
+    check: u16,
+}
+
+/// Streams that are read side by side before what they cost is counted.
+const BATCH: usize = 64;
+/// Work that a pixel of a tile's plane counts as, whatever it holds: its place in a tree, and its share of the transform.
+const PIXEL_WORK: u64 = 16;
+/// Work that reading a level counts as, and its share of the transform.
+const LEVEL_WORK: u64 = 600;
+
+/// What is wanted of a layer, and what it may cost.
+#[derive(Debug)]
+pub(crate) struct Wanted<'a> {
+    pub size: [u32; 2],
+    pub channels: Channels,
+    /// `None`: everything.
+    pub area: Option<Area>,
+    pub limits: &'a Limits,
+    /// Whether damaged tiles are passed over.
+    pub passes_over: bool,
+    /// Whether bits are counted.
+    pub counts: bool,
+}
+
+/// What was read.
+#[derive(Debug)]
+pub(crate) struct Found {
+    pub layer: DetailLayer,
+    /// Tiles that are missing or damaged.
+    pub missing: u32,
+    /// Bytes of the index.
+    pub index: usize,
+    /// Bits of the levels, where they were asked for.
+    pub bits: f64,
+}
+
+/// Appends the layer to a file.
+pub(crate) fn put(layer: &DetailLayer, size: [u32; 2], channels: Channels, out: &mut Vec<u8>) {
+    let streams: Vec<Vec<u8>> = parallel::map(layer.tiles.len(), |i| {
+        let [_, _, width, height] = tile_area(size, i);
+        let write = |levels| tile::write(&mut super::given::Given::new(levels), &layer.head, channels, [width, height]).0;
+        layer.tiles[i].as_ref().map_or_else(Vec::new, write)
+    });
+    put_streams(&streams, out);
+}
+
+/// Appends index and streams; a tile without levels has an empty stream.
+pub(crate) fn put_streams(streams: &[Vec<u8>], out: &mut Vec<u8>) {
+    for stream in streams {
+        put_varint(stream.len() as u64, out);
+        if !stream.is_empty() {
+            out.extend((hash(stream) as u16).to_le_bytes());
+        }
+    }
+    streams.iter().for_each(|stream| out.extend(stream));
+}
+
+/// Reads the layer, or the tiles of it that reach into an area, and grows `held` by what they take.
+pub(crate) fn read(bytes: &mut Bytes<'_>, head: DetailHead, wanted: &Wanted<'_>, held: &mut Reservation) -> Result<Found> {
+    let [across, down] = tile_counts(wanted.size);
+    let count = across as u64 * down as u64;
+    // A tile takes a byte of the index at least: nothing is allocated for tiles that cannot be there.
+    if count > bytes.left() as u64 && !wanted.passes_over {
+        return Err(Broken { field: "tiles of the detail layer", value: count }.into());
+    }
+    held.grow((size_of::<Entry>() + size_of::<Option<TileLevels>>()) as u64 * count)?;
+    let start = bytes.left();
+    let mut entries = vec![Entry::default(); count as usize];
+    let mut whole = true;
+    for entry in &mut entries {
+        match read_entry(bytes) {
+            Ok(found) => *entry = found,
+            Err(_) if wanted.passes_over => {
+                whole = false;
+                break;
+            }
+            Err(e) => return Err(e),
+        }
+    }
+    if !whole {
+        // Where the streams lie is not known.
+        entries.fill(Entry::default());
+        bytes.rest();
+    }
+    let index = start - bytes.left();
+    let mut streams: Vec<Option<&[u8]>> = Vec::with_capacity(entries.len());
+    for entry in &entries {
+        match bytes.take(entry.length, "tile of the detail layer") {
+            Ok(stream) => streams.push(Some(stream)),
+            Err(_) if wanted.passes_over => {
+                bytes.rest();
+                streams.push(None);
+            }
+            Err(e) => return Err(e),
+        }
+    }
+    let planes: u64 = tile::kinds(wanted.channels, head.alpha).map(|(_, planes)| planes.len() as u64).sum();
+    let is_wanted = |i: usize| entries[i].length > 0 && wanted.area.is_none_or(|area| reaches(wanted.size, i, area));
+    let chosen: Vec<usize> = (0..entries.len()).filter(|&i| is_wanted(i)).collect();
+    let tiles_work = (TILE * TILE) as u64 * planes * PIXEL_WORK;
+    let mut work = tiles_work.saturating_mul(chosen.len() as u64);
+    Limits::check("work", work, wanted.limits.work)?;
+    let mut tiles: Vec<Option<TileLevels>> = Vec::new();
+    tiles.resize_with(entries.len(), || None);
+    let (mut missing, mut bits) = (if whole { 0 } else { count as u32 }, 0.0);
+    for batch in chosen.chunks(BATCH) {
+        // What a batch may take at most while it is read.
+        let most = batch.len() as u64 * (TILE * TILE) as u64 * planes * size_of::<super::levels::Level>() as u64 / 8;
+        let mut working = held.beside(most)?;
+        let read = parallel::map(batch.len(), |k| {
+            let i = batch[k];
+            let [_, _, width, height] = tile_area(wanted.size, i);
+            let stream = streams[i].ok_or(FormatError::Truncated { what: "tile of the detail layer", offset: 0 })?;
+            let computed = hash(stream) as u16;
+            if computed != entries[i].check {
+                let stored = entries[i].check.into();
+                return Err(FormatError::Checksum { what: "tile of the detail layer", stored, computed: computed.into() }.into());
+            }
+            if !wanted.counts {
+                return Ok((tile::read(stream, &head, wanted.channels, [width, height])?, 0.0));
+            }
+            let mut counted = Counted { source: Decoder::new(stream)?, bits: 0.0 };
+            let levels = tile::read_with(&mut counted, &head, wanted.channels, [width, height])?;
+            counted.source.finish()?;
+            Ok::<_, crate::error::Error>((levels, counted.bits))
+        });
+        for (&i, read) in batch.iter().zip(read) {
+            match read {
+                Ok((levels, cost)) => {
+                    held.grow(levels.memory())?;
+                    work = work.saturating_add(LEVEL_WORK * levels.levels.len() as u64);
+                    bits += cost;
+                    tiles[i] = Some(levels);
+                }
+                Err(_) if wanted.passes_over => missing += 1,
+                Err(e) => return Err(e),
+            }
+        }
+        working.shrink(0);
+        Limits::check("work", work, wanted.limits.work)?;
+    }
+    Ok(Found { layer: DetailLayer { head, tiles }, missing, index, bits })
+}
+
+fn read_entry(bytes: &mut Bytes<'_>) -> Result<Entry> {
+    let length = bytes.varint("length of a detail tile")?;
+    let check = if length > 0 { u16::from_le_bytes(bytes.array("check of a detail tile")?) } else { 0 };
+    Ok(Entry { length, check })
+}
+
+/// Whether tile `i` lies within a pixel of `area`: enlarged views interpolate from that far.
+fn reaches(size: [u32; 2], i: usize, area: Area) -> bool {
+    let [x, y, width, height] = tile_area(size, i).map(|v| v as u64);
+    let meets = |start: u64, side: u64, k: usize| {
+        let (from, length) = (u64::from(area.corner[k]), u64::from(area.size[k]));
+        start <= from + length && from <= start + side
+    };
+    meets(x, width, 0) && meets(y, height, 1)
+}

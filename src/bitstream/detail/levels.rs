@@ -1,0 +1,68 @@
+//! The levels of a tile in integers, as they are kept between reading and drawing (spec §9.2).
+
+use super::model::KINDS;
+
+/// Side of a tile, pixels.
+pub(crate) const TILE: usize = 256;
+/// Side of a superblock, pixels: trees begin there, and so do step classes.
+pub(crate) const SUPER: usize = 32;
+/// Side of a cell, pixels: the smallest block.
+pub(crate) const CELL: usize = 4;
+/// Cells in a row of a tile, whatever its width.
+pub(crate) const CELLS: usize = TILE / CELL;
+/// Superblocks in a row of a tile, whatever its width.
+pub(crate) const SUPERS: usize = TILE / SUPER;
+
+/// A level other than 0.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Level {
+    /// Horizontal and vertical frequency in the block.
+    pub u: u8,
+    pub v: u8,
+    pub value: i16,
+}
+
+/// A block that has levels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct CodedBlock {
+    /// Column and row of its first cell.
+    pub cell: [u8; 2],
+    pub plane: u8,
+    /// Its side is `4 << size`.
+    pub size: u8,
+    /// The end of its levels in the list.
+    pub end: u32,
+}
+
+/// The levels of a tile.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(crate) struct TileLevels {
+    /// Sizes of the blocks that each cell lies in, [`CELLS`] to a row, by kind of planes; nothing for kinds that are not there.
+    pub sizes: [Vec<u8>; KINDS],
+    /// Step classes of the superblocks, [`SUPERS`] to a row.
+    pub classes: Vec<u8>,
+    pub blocks: Vec<CodedBlock>,
+    pub levels: Vec<Level>,
+}
+
+impl TileLevels {
+    /// Bytes that it takes.
+    pub fn memory(&self) -> u64 {
+        let sizes: usize = self.sizes.iter().map(Vec::capacity).sum();
+        let lists = self.blocks.capacity() * size_of::<CodedBlock>() + self.levels.capacity() * size_of::<Level>();
+        (sizes + self.classes.capacity() + lists + size_of::<Self>()) as u64
+    }
+}
+
+/// Where tile `index` lies: left, top, width and height, pixels.
+pub(crate) fn tile_area(size: [u32; 2], index: usize) -> [usize; 4] {
+    let [width, height] = size.map(|side| side as usize);
+    let across = width.div_ceil(TILE);
+    let [x, y] = [index % across * TILE, index / across * TILE];
+    [x, y, TILE.min(width - x), TILE.min(height - y)]
+}
+
+/// Number of tiles along x and y.
+pub(crate) fn tile_counts(size: [u32; 2]) -> [usize; 2] {
+    size.map(|side| (side as usize).div_ceil(TILE))
+}

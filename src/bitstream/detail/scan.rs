@@ -1,0 +1,76 @@
+//! The order in which the places of a block are visited, from low frequencies to high ones (spec §9.4).
+
+use std::sync::OnceLock;
+
+/// Side of the largest block.
+pub(crate) const LARGEST: usize = 32;
+/// Sizes of blocks: 4, 8, 16 and 32 a side.
+pub(crate) const SIZES: usize = 4;
+/// Zones that frequencies are told apart by.
+pub(crate) const ZONES: usize = 15;
+
+/// A row of a block in memory: what a level says of its neighbours may reach two places beyond.
+pub(crate) const STRIDE: usize = LARGEST + 2;
+/// Levels of a block in memory.
+pub(crate) const ROOM: usize = STRIDE * STRIDE;
+
+/// Where the level of column `u` and row `v` is in such memory.
+#[inline(always)]
+pub(crate) fn at(u: usize, v: usize) -> usize {
+    v * STRIDE + u
+}
+
+/// A place in the order.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Place {
+    /// As [`at`] says.
+    pub at: u16,
+    /// Column and row: horizontal and vertical frequency.
+    pub u: u8,
+    pub v: u8,
+    pub zone: u8,
+}
+
+/// The places of blocks of side `4 << size`, in order.
+pub(crate) fn scan(size: usize) -> &'static [Place] {
+    static SCANS: OnceLock<[Vec<Place>; SIZES]> = OnceLock::new();
+    &SCANS.get_or_init(|| std::array::from_fn(places))[size]
+}
+
+fn places(size: usize) -> Vec<Place> {
+    let side = 4usize << size;
+    let mut places: Vec<[usize; 2]> = (0..side * side).map(|i| [i % side, i / side]).collect();
+    // Diagonals, every other one the other way round.
+    places.sort_by_key(|&[u, v]| (u + v, if (u + v) % 2 == 1 { u } else { v }));
+    let zone = |k: usize| half_octave(k >> [0, 0, 1, 2][size]) as u8;
+    let place = |(k, [u, v]): (usize, [usize; 2])| Place { at: at(u, v) as u16, u: u as u8, v: v as u8, zone: zone(k) };
+    places.into_iter().enumerate().map(place).collect()
+}
+
+fn half_octave(k: usize) -> usize {
+    match k {
+        0..4 => [0, 1, 2, 2][k],
+        _ => {
+            let octave = k.ilog2() as usize;
+            3 + (octave - 2) * 2 + (k >> (octave - 1) & 1)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_place_is_visited_once_and_zones_ascend() {
+        for size in 0..SIZES {
+            let places = scan(size);
+            let mut seen: Vec<u16> = places.iter().map(|p| p.at).collect();
+            seen.sort_unstable();
+            seen.dedup();
+            assert_eq!(seen.len(), 16 << (2 * size));
+            assert!(places.windows(2).all(|p| p[0].zone <= p[1].zone));
+            assert!(usize::from(places.last().unwrap().zone) < ZONES);
+        }
+    }
+}

@@ -1,0 +1,318 @@
+//! One tile: step classes, trees of blocks, and the blocks, in superblocks row by row (spec §9.4).
+
+use super::block::{self, Block, Context};
+use super::decisions::{Adaptive, Decisions};
+use super::head::DetailHead;
+use super::levels::{CELL, CELLS, CodedBlock, Level, SUPER, SUPERS, TileLevels};
+use super::model::{BUCKETS, CLASSES, KINDS, Models, PLANES};
+use super::scan::{SIZES, STRIDE};
+use crate::bitstream::broken::Broken;
+use crate::bitstream::range::{Decoder, Encoder};
+use crate::gaussian::Channels;
+
+/// Levels of a block count as 1024 where all of its places have one.
+const FULL: u32 = 1024;
+/// Size of a superblock as a block.
+pub(crate) const ROOT: usize = SIZES - 1;
+
+/// The kinds of planes that a layer codes, and the planes of each.
+pub(crate) fn kinds(channels: Channels, has_alpha_plane: bool) -> impl Iterator<Item = (usize, std::ops::Range<usize>)> {
+    let color = channels.count() >= 3;
+    [(0, 0..1, true), (1, 1..3, color), (2, 3..4, has_alpha_plane)]
+        .into_iter()
+        .filter(|k| k.2)
+        .map(|(kind, planes, _)| (kind, planes))
+}
+
+/// What is known of a tile while it is coded: the contexts of what follows.
+#[derive(Debug)]
+pub(crate) struct TileState {
+    /// Width and height in cells, whole superblocks.
+    pub cells: [usize; 2],
+    /// The size of the block that each cell lies in, by kind.
+    pub sizes: [Vec<u8>; KINDS],
+    /// How densely the block that each cell lies in is filled, by plane: levels · 1024 / places.
+    density: [Vec<u16>; PLANES],
+    pub classes: Vec<u8>,
+}
+
+impl TileState {
+    /// A tile of `width × height` pixels.
+    pub fn new([width, height]: [usize; 2]) -> Self {
+        let cells = [width, height].map(|side| side.div_ceil(SUPER) * (SUPER / CELL));
+        TileState {
+            cells,
+            sizes: std::array::from_fn(|_| vec![0; CELLS * CELLS]),
+            density: std::array::from_fn(|_| vec![0; CELLS * CELLS]),
+            classes: vec![0; SUPERS * SUPERS],
+        }
+    }
+
+    /// Forgets how the blocks of a plane were filled.
+    pub fn forget(&mut self) {
+        self.density.iter_mut().for_each(|d| d.fill(0));
+    }
+
+    /// How many levels a block is expected to have, by those above and to the left: the bits of four times that number.
+    pub fn bucket(&self, plane: usize, [x, y]: [usize; 2], size: usize) -> usize {
+        let (density, n) = (&self.density[plane], 1usize << size);
+        let (mut sum, mut count) = (0u32, 0u32);
+        if y > 0 {
+            sum += density[(y - 1) * CELLS + x..][..n].iter().map(|&d| u32::from(d)).sum::<u32>();
+            count += n as u32;
+        }
+        if x > 0 {
+            sum += (0..n).map(|j| u32::from(density[(y + j) * CELLS + x - 1])).sum::<u32>();
+            count += n as u32;
+        }
+        if count == 0 {
+            return 2;
+        }
+        let quarters = (u64::from(sum) * (64 << (2 * size))).div_ceil(u64::from(FULL * count)) as u32;
+        ((32 - quarters.leading_zeros()) as usize).min(BUCKETS - 1)
+    }
+
+    /// What the planes before have at a block: whether it has levels depends on that.
+    pub fn others(&self, plane: usize, [x, y]: [usize; 2], size: usize) -> usize {
+        if plane == 0 || plane == 3 {
+            return 0;
+        }
+        let n = 1usize << size;
+        let sum: u32 = (0..n).flat_map(|j| &self.density[0][(y + j) * CELLS + x..][..n]).map(|&d| u32::from(d)).sum();
+        let luma = sum * 16 / FULL;
+        match plane {
+            1 => ((32 - luma.leading_zeros()) as usize).min(3),
+            _ => usize::from(luma > 1) + 2 * usize::from(self.density[1][y * CELLS + x] > 0),
+        }
+    }
+
+    /// Notes that a block of a plane has `count` levels.
+    pub fn fill(&mut self, plane: usize, [x, y]: [usize; 2], size: usize, count: u32) {
+        let (n, density) = (1usize << size, (count * FULL / (16 << (2 * size))) as u16);
+        for j in 0..n {
+            self.density[plane][(y + j) * CELLS + x..][..n].fill(density);
+        }
+    }
+
+    /// Notes the size of a block.
+    pub fn set_size(&mut self, kind: usize, [x, y]: [usize; 2], size: usize) {
+        let n = 1usize << size;
+        for j in 0..n {
+            self.sizes[kind][(y + j) * CELLS + x..][..n].fill(size as u8);
+        }
+    }
+
+    /// Smaller blocks next to the place of one: what dividing it depends on.
+    pub fn smaller(&self, kind: usize, [x, y]: [usize; 2], size: usize) -> usize {
+        let sizes = &self.sizes[kind];
+        let is_smaller = |at: usize| usize::from(usize::from(sizes[at]) < size);
+        let above = if y > 0 { is_smaller((y - 1) * CELLS + x) } else { 0 };
+        above + if x > 0 { is_smaller(y * CELLS + x - 1) } else { 0 }
+    }
+
+    /// The classes next to that of a superblock, added up.
+    fn classes_near(&self, [x, y]: [usize; 2]) -> usize {
+        let left = (x > 0).then(|| self.classes[y * SUPERS + x - 1]);
+        let above = (y > 0).then(|| self.classes[(y - 1) * SUPERS + x]);
+        let (a, b) = (above.or(left).unwrap_or(1), left.or(above).unwrap_or(1));
+        usize::from(a) + usize::from(b)
+    }
+
+    /// The superblocks of the tile, in the order of coding, in cells.
+    pub fn superblocks(&self) -> impl Iterator<Item = [usize; 2]> + use<> {
+        let step = SUPER / CELL;
+        let [width, height] = self.cells;
+        (0..height).step_by(step).flat_map(move |y| (0..width).step_by(step).map(move |x| [x, y]))
+    }
+}
+
+/// The other side of a tile that is coded: whoever has its levels, or takes them.
+pub(crate) trait Content {
+    /// Whether the block is divided; readers are not asked.
+    fn is_divided(&self, kind: usize, cell: [usize; 2], size: usize) -> bool;
+    /// Brings the levels of a block, and says how many there are.
+    fn bring(&self, plane: usize, cell: [usize; 2], size: usize, block: &mut Block) -> u32;
+    /// Takes the levels of a block that has some.
+    fn take(&mut self, plane: usize, cell: [usize; 2], size: usize, block: &Block);
+    /// The step class of a superblock.
+    fn class(&self, superblock: [usize; 2]) -> u8;
+}
+
+/// A tile on its way through a coder.
+pub(crate) struct TileCoder<'a, D> {
+    pub decisions: &'a mut D,
+    pub models: &'a mut Models,
+    pub state: &'a mut TileState,
+    pub head: &'a DetailHead,
+    pub channels: Channels,
+    pub block: &'a mut Block,
+}
+
+impl<D: Decisions> TileCoder<'_, D> {
+    /// Codes all superblocks.
+    pub fn tile(&mut self, content: &mut impl Content) -> Result<(), Broken> {
+        self.state.superblocks().try_for_each(|at| self.superblock(at, content))
+    }
+
+    /// Codes one superblock.
+    pub fn superblock(&mut self, at: [usize; 2], content: &mut impl Content) -> Result<(), Broken> {
+        if self.head.classes > 1 {
+            let place = at.map(|c| c / (SUPER / CELL));
+            let near = self.state.classes_near(place);
+            let class = code_class(self.decisions, &mut self.models.class[near], self.head.classes, content.class(place));
+            self.state.classes[place[1] * SUPERS + place[0]] = class;
+        }
+        kinds(self.channels, self.head.alpha)
+            .try_for_each(|(kind, planes)| self.tree(kind, planes, at, ROOT, content))
+    }
+
+    fn tree(
+        &mut self,
+        kind: usize,
+        planes: std::ops::Range<usize>,
+        cell: [usize; 2],
+        size: usize,
+        content: &mut impl Content,
+    ) -> Result<(), Broken> {
+        let [least, most] = self.head.sizes(kind);
+        let is_divided = size > most || {
+            size > least && {
+                let near = self.state.smaller(kind, cell, size);
+                let given = content.is_divided(kind, cell, size);
+                self.decisions.bit(&mut self.models.kinds[kind].divide[size][near], given)
+            }
+        };
+        if is_divided {
+            let half = 1 << (size - 1);
+            for [i, j] in [[0, 0], [1, 0], [0, 1], [1, 1]] {
+                self.tree(kind, planes.clone(), [cell[0] + i * half, cell[1] + j * half], size - 1, content)?;
+            }
+            return Ok(());
+        }
+        self.state.set_size(kind, cell, size);
+        for plane in planes {
+            self.leaf(kind, plane, cell, size, content)?;
+        }
+        Ok(())
+    }
+
+    fn leaf(
+        &mut self,
+        kind: usize,
+        plane: usize,
+        cell: [usize; 2],
+        size: usize,
+        content: &mut impl Content,
+    ) -> Result<(), Broken> {
+        let bucket = self.state.bucket(plane, cell, size);
+        let others = self.state.others(plane, cell, size);
+        let given = content.bring(plane, cell, size, self.block);
+        let filled = &mut self.models.filled[plane][size][bucket][others];
+        let mut count = 0;
+        if self.decisions.bit(filled, given > 0) {
+            let context = Context::new(size, bucket);
+            count = block::code(self.decisions, &mut self.models.kinds[kind], self.block, context, given)?;
+            content.take(plane, cell, size, self.block);
+            self.block.clear();
+        }
+        self.state.fill(plane, cell, size, count);
+        Ok(())
+    }
+}
+
+/// A step class in unary.
+pub(crate) fn code_class<D: Decisions>(d: &mut D, models: &mut [Adaptive; CLASSES], classes: u8, given: u8) -> u8 {
+    let mut class = 0;
+    while class + 1 < classes && d.bit(&mut models[usize::from(class)], given > class) {
+        class += 1;
+    }
+    class
+}
+
+/// Takes what a reader finds.
+struct Reading(TileLevels);
+
+impl Content for Reading {
+    fn is_divided(&self, _kind: usize, _cell: [usize; 2], _size: usize) -> bool {
+        false
+    }
+
+    #[inline(always)]
+    fn bring(&self, _plane: usize, _cell: [usize; 2], _size: usize, _block: &mut Block) -> u32 {
+        0
+    }
+
+    #[inline(always)]
+    fn take(&mut self, plane: usize, cell: [usize; 2], size: usize, block: &Block) {
+        let levels = block.found.iter().map(|&at| {
+            let at = usize::from(at);
+            Level { u: (at % STRIDE) as u8, v: (at / STRIDE) as u8, value: block.levels[at] }
+        });
+        self.0.levels.extend(levels);
+        let end = self.0.levels.len() as u32;
+        let cell = cell.map(|c| c as u8);
+        self.0.blocks.push(CodedBlock { cell, plane: plane as u8, size: size as u8, end });
+    }
+
+    fn class(&self, _superblock: [usize; 2]) -> u8 {
+        0
+    }
+}
+
+/// Reads the stream of a tile of so many pixels. `watch` sees the decisions.
+pub(crate) fn read_with<D: Decisions>(
+    decisions: &mut D,
+    head: &DetailHead,
+    channels: Channels,
+    size: [usize; 2],
+) -> Result<TileLevels, Broken> {
+    let mut state = TileState::new(size);
+    let (mut models, mut block, mut reading) = (Models::start(), Block::default(), Reading(TileLevels::default()));
+    let (models, block) = (&mut models, &mut block);
+    TileCoder { decisions, models, state: &mut state, head, channels, block }.tile(&mut reading)?;
+    let Reading(mut tile) = reading;
+    if tile.levels.is_empty() {
+        // Such a tile has no stream.
+        return Err(Broken { field: "levels of a tile", value: 0 });
+    }
+    for (kind, _) in kinds(channels, head.alpha) {
+        tile.sizes[kind] = std::mem::take(&mut state.sizes[kind]);
+    }
+    if head.classes > 1 {
+        tile.classes = state.classes;
+    }
+    tile.levels.shrink_to_fit();
+    tile.blocks.shrink_to_fit();
+    Ok(tile)
+}
+
+/// Reads the stream of a tile of so many pixels.
+pub(crate) fn read(stream: &[u8], head: &DetailHead, channels: Channels, size: [usize; 2]) -> Result<TileLevels, Broken> {
+    let mut decoder = Decoder::new(stream)?;
+    let tile = read_with(&mut decoder, head, channels, size)?;
+    decoder.finish()?;
+    Ok(tile)
+}
+
+/// Writes the stream of a tile of so many pixels, and says what its models have learnt.
+pub(crate) fn write(
+    content: &mut impl Content,
+    head: &DetailHead,
+    channels: Channels,
+    size: [usize; 2],
+) -> (Vec<u8>, Models) {
+    let mut encoder = Encoder::new();
+    let (mut models, mut block) = (Models::start(), Block::default());
+    let mut state = TileState::new(size);
+    TileCoder {
+        decisions: &mut encoder,
+        models: &mut models,
+        state: &mut state,
+        head,
+        channels,
+        block: &mut block,
+    }
+    .tile(content)
+    .expect("what is written is within the format");
+    (encoder.finish(), models)
+}

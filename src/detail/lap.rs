@@ -1,0 +1,167 @@
+//! Lapping: a filter across each edge of blocks, two samples on either side, which makes their edges vanish (spec §9.5).
+//!
+//! Forward, in floats, before the transform in the encoder; inverse, in integers, after it.
+
+use crate::bitstream::detail::levels::{CELL, CELLS, TILE};
+
+/// How differences across an edge are mixed, 1/4096: `V[j][i]` for the distances `j` and `i` from the edge.
+pub(crate) const MIX: [[i32; 2]; 2] = [[MIX_00, MIX_01], [MIX_10, MIX_11]];
+const MIX_00: i32 = 3784;
+const MIX_01: i32 = 1567;
+const MIX_10: i32 = -1567;
+const MIX_11: i32 = 3784;
+
+/// Samples that a filter sees on either side of an edge.
+const REACH: usize = 2;
+
+/// Filters four samples across an edge, the second and the third next to it.
+#[inline(always)]
+fn inverse([x0, x1, x2, x3]: [i32; 4]) -> [i32; 4] {
+    let (e0, e1) = (x1.wrapping_add(x2), x0.wrapping_add(x3));
+    let (d0, d1) = (x1.wrapping_sub(x2), x0.wrapping_sub(x3));
+    let mix = |i: usize| {
+        d0.wrapping_mul(MIX[0][i]).wrapping_add(d1.wrapping_mul(MIX[1][i])).wrapping_add(2048) >> 12
+    };
+    let (m0, m1) = (mix(0), mix(1));
+    let half = |v: i32| v.wrapping_add(1) >> 1;
+    [
+        half(e1.wrapping_add(m1)),
+        half(e0.wrapping_add(m0)),
+        half(e0.wrapping_sub(m0)),
+        half(e1.wrapping_sub(m1)),
+    ]
+}
+
+/// The filter whose inverse [`inverse`] is.
+#[inline(always)]
+fn forward([x0, x1, x2, x3]: [f32; 4]) -> [f32; 4] {
+    let (e0, e1, d0, d1) = (x1 + x2, x0 + x3, x1 - x2, x0 - x3);
+    let mix = |i: usize| (d0 * MIX[i][0] as f32 + d1 * MIX[i][1] as f32) / 4096.0;
+    let (m0, m1) = (mix(0), mix(1));
+    [0.5 * (e1 + m1), 0.5 * (e0 + m0), 0.5 * (e0 - m0), 0.5 * (e1 - m1)]
+}
+
+/// Whether a cell begins a block along an axis where its block has such a size.
+#[inline(always)]
+fn begins(at: usize, size: u8) -> bool {
+    at % (1 << size) == 0
+}
+
+/// Filters `x`, a plane whose rows are [`TILE`] apart, across the edges of blocks beside which one has levels: `is_filled` of a
+/// cell. `sizes` are those of the cells' blocks, `cells` the plane's size in cells.
+#[inline(always)]
+pub(crate) fn invert(x: &mut [i32], cells: [usize; 2], sizes: &[u8], filled: &[bool]) {
+    let [across, down] = cells;
+    for cy in 1..down {
+        let (above, here) = ((cy - 1) * CELLS, cy * CELLS);
+        let mut cx = 0;
+        while cx < across {
+            let is_edge = |c: usize| begins(cy, sizes[here + c]) && (filled[here + c] || filled[above + c]);
+            if !is_edge(cx) {
+                cx += 1;
+                continue;
+            }
+            let start = cx;
+            while cx < across && is_edge(cx) {
+                cx += 1;
+            }
+            let rows = &mut x[(cy * CELL - REACH) * TILE..][..2 * REACH * TILE];
+            let (a, rest) = rows.split_at_mut(TILE);
+            let (b, rest) = rest.split_at_mut(TILE);
+            let (c, d) = rest.split_at_mut(TILE);
+            let span = start * CELL..cx * CELL;
+            let (a, b, c, d) = (&mut a[span.clone()], &mut b[span.clone()], &mut c[span.clone()], &mut d[span]);
+            for i in 0..a.len().min(b.len()).min(c.len()).min(d.len()) {
+                [a[i], b[i], c[i], d[i]] = inverse([a[i], b[i], c[i], d[i]]);
+            }
+        }
+    }
+    for cy in 0..down {
+        for cx in 1..across {
+            let at = cy * CELLS + cx;
+            if !begins(cx, sizes[at]) {
+                continue;
+            }
+            // What the other pass has spread reaches no further than the next cell.
+            let near = |at: usize| {
+                filled[at] || (cy > 0 && filled[at - CELLS]) || (cy + 1 < down && filled[at + CELLS])
+            };
+            if !near(at - 1) && !near(at) {
+                continue;
+            }
+            for y in 0..CELL {
+                let four = &mut x[(cy * CELL + y) * TILE + cx * CELL - REACH..][..2 * REACH];
+                let [a, b, c, d] = inverse([four[0], four[1], four[2], four[3]]);
+                four.copy_from_slice(&[a, b, c, d]);
+            }
+        }
+    }
+}
+
+/// Filters `x` across all edges of blocks, as an encoder does before it transforms them.
+pub(crate) fn apply(x: &mut [f32], cells: [usize; 2], size: impl Fn(usize) -> u8) {
+    let [across, down] = cells;
+    for cy in 0..down {
+        for cx in 1..across {
+            if !begins(cx, size(cy * CELLS + cx)) {
+                continue;
+            }
+            for y in 0..CELL {
+                let four = &mut x[(cy * CELL + y) * TILE + cx * CELL - REACH..][..2 * REACH];
+                let filtered = forward([four[0], four[1], four[2], four[3]]);
+                four.copy_from_slice(&filtered);
+            }
+        }
+    }
+    for cy in 1..down {
+        for cx in 0..across {
+            if !begins(cy, size(cy * CELLS + cx)) {
+                continue;
+            }
+            for i in cx * CELL..(cx + 1) * CELL {
+                let at: [usize; 4] = std::array::from_fn(|k| (cy * CELL - REACH + k) * TILE + i);
+                let filtered = forward(at.map(|at| x[at]));
+                at.iter().zip(filtered).for_each(|(&at, value)| x[at] = value);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_mix_is_the_rotation_that_the_specification_gives() {
+        // V = J·C2ᵀ·C4·J for two samples a side.
+        let pi = std::f64::consts::PI;
+        let c2 = |k: usize, i: usize| {
+            ((if k == 0 { 1.0 } else { 2.0 }) / 2.0f64).sqrt() * ((2 * i + 1) as f64 * k as f64 * pi / 4.0).cos()
+        };
+        let c4 = |k: usize, i: usize| ((2 * i + 1) as f64 * (2 * k + 1) as f64 * pi / 8.0).cos();
+        for i in 0..2 {
+            for j in 0..2 {
+                let v: f64 = (0..2).map(|k| c2(k, 1 - i) * c4(k, 1 - j)).sum();
+                assert_eq!((v * 4096.0).round() as i32, MIX[i][j], "{i} {j}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_was_lapped_comes_back() {
+        let sizes: Vec<u8> = (0..CELLS * CELLS).map(|i| if i % CELLS < 8 { 3 } else if i % CELLS < 12 { 0 } else { 2 }).collect();
+        let cells = [16, 16];
+        let x: Vec<i32> = (0..TILE * TILE).map(|i| ((i * 7919) % 4001) as i32 - 2000).collect();
+        let mut lapped: Vec<f32> = x.iter().map(|&v| v as f32).collect();
+        apply(&mut lapped, cells, |i| sizes[i]);
+        let mut back: Vec<i32> = lapped.iter().map(|&v| v.round() as i32).collect();
+        invert(&mut back, cells, &sizes, &vec![true; CELLS * CELLS]);
+        for y in 0..64 {
+            for x_ in 0..64 {
+                let at = y * TILE + x_;
+                // Rounding to integers between, and in each of two passes.
+                assert!((back[at] - x[at]).abs() <= 4, "{x_} {y}: {} for {}", back[at], x[at]);
+            }
+        }
+    }
+}

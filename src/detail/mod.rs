@@ -1,0 +1,8 @@
+//! Levels of the detail layer to what they add to a picture; exact, in integers modulo 2³² (spec §9.5).
+//!
+//! `steps` gives levels their values, `transform` makes planes of them, `lap` joins the blocks, `tile` does all of it for a tile.
+
+pub(crate) mod lap;
+pub(crate) mod steps;
+pub(crate) mod tile;
+pub(crate) mod transform;

@@ -1,0 +1,173 @@
+//! The inverse of the cosine transform in integers (spec §9.5).
+
+use std::sync::OnceLock;
+
+use crate::bitstream::detail::scan::LARGEST;
+
+/// Row `k` of the matrix of side `N`: `round(2048·cos(…))`.
+pub(crate) type Matrix = [[i32; LARGEST]; LARGEST];
+
+/// The matrices of blocks of 4, 8, 16 and 32 a side.
+pub(crate) fn matrices() -> &'static [Matrix; 4] {
+    static MATRICES: OnceLock<[Matrix; 4]> = OnceLock::new();
+    MATRICES.get_or_init(|| {
+        let cosine = |j: usize| ((j as f64 * std::f64::consts::PI / 64.0).cos() * 2048.0).round() as i32;
+        std::array::from_fn(|size| {
+            let side = 4usize << size;
+            let mut matrix = [[0; LARGEST]; LARGEST];
+            for (k, row) in matrix.iter_mut().enumerate().take(side) {
+                for (i, entry) in row.iter_mut().enumerate().take(side) {
+                    *entry = cosine(if k == 0 { 16 } else { (2 * i + 1) * k * (32 / side) % 128 });
+                }
+            }
+            matrix
+        })
+    })
+}
+
+/// A coefficient at its place.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Coefficient {
+    pub u: u8,
+    pub v: u8,
+    pub value: i32,
+}
+
+/// The first sum's bits that go, half of the scale of both matrices.
+const FIRST: u32 = 11;
+
+/// Writes the block of side `N` that `coefficients` make to `out`, whose rows are `stride` apart.
+#[inline(always)]
+fn sided<const N: usize>(matrix: &Matrix, coefficients: &[Coefficient], out: &mut [i32], stride: usize) {
+    // First down the columns that have coefficients.
+    let mut columns = [[0i32; N]; N];
+    let mut used = 0u32;
+    for c in coefficients {
+        let (u, v) = (usize::from(c.u) % N, usize::from(c.v) % N);
+        used |= 1 << u;
+        let (column, row) = (&mut columns[u], &matrix[v]);
+        for i in 0..N {
+            column[i] = column[i].wrapping_add(c.value.wrapping_mul(row[i]));
+        }
+    }
+    let shift = FIRST - 1 + N.trailing_zeros();
+    let half = 1i32 << (shift - 1);
+    for i in 0..N {
+        let mut sums = [half; N];
+        let mut left = used;
+        while left != 0 {
+            let u = left.trailing_zeros() as usize % N;
+            left &= left - 1;
+            let c = columns[u][i].wrapping_add(1 << (FIRST - 1)) >> FIRST;
+            let row = &matrix[u];
+            for j in 0..N {
+                sums[j] = sums[j].wrapping_add(c.wrapping_mul(row[j]));
+            }
+        }
+        let row = &mut out[i * stride..i * stride + N];
+        for j in 0..N {
+            row[j] = sums[j] >> shift;
+        }
+    }
+}
+
+/// Writes the block of side `4 << size` that `coefficients` make to `out`, whose rows are `stride` apart.
+#[inline(always)]
+pub(crate) fn inverse(size: usize, coefficients: &[Coefficient], out: &mut [i32], stride: usize) {
+    let matrix = &matrices()[size];
+    match size {
+        0 => sided::<4>(matrix, coefficients, out, stride),
+        1 => sided::<8>(matrix, coefficients, out, stride),
+        2 => sided::<16>(matrix, coefficients, out, stride),
+        _ => sided::<32>(matrix, coefficients, out, stride),
+    }
+}
+
+/// Writes the orthonormal transform of the block of side `N` at the start of `from`, whose rows are `stride` apart, over it.
+#[inline(always)]
+fn analysed<const N: usize>(matrix: &FloatMatrix, block: &mut [f32], stride: usize) {
+    // Along the rows: sums of columns of the matrix, so that all frequencies go side by side.
+    let mut rows = [[0f32; N]; N];
+    for (i, row) in rows.iter_mut().enumerate() {
+        let samples = &block[i * stride..i * stride + N];
+        for j in 0..N {
+            let (sample, column) = (samples[j], &matrix.columns[j]);
+            for u in 0..N {
+                row[u] += sample * column[u];
+            }
+        }
+    }
+    for v in 0..N {
+        let mut sums = [0f32; N];
+        for i in 0..N {
+            let (weight, row) = (matrix.columns[i][v], &rows[i]);
+            for u in 0..N {
+                sums[u] += weight * row[u];
+            }
+        }
+        block[v * stride..v * stride + N].copy_from_slice(&sums);
+    }
+}
+
+/// The matrix of a block size in floats, orthonormal; `columns[i][k]` for sample `i` and frequency `k`.
+#[derive(Debug)]
+struct FloatMatrix {
+    columns: [[f32; LARGEST]; LARGEST],
+}
+
+fn float_matrices() -> &'static [FloatMatrix; 4] {
+    static MATRICES: OnceLock<[FloatMatrix; 4]> = OnceLock::new();
+    MATRICES.get_or_init(|| {
+        std::array::from_fn(|size| {
+            let side = 4usize << size;
+            let scale = (2.0 / side as f32).sqrt() / 2048.0;
+            let mut columns = [[0.0; LARGEST]; LARGEST];
+            for k in 0..side {
+                for (i, column) in columns.iter_mut().enumerate().take(side) {
+                    column[k] = matrices()[size][k][i] as f32 * scale;
+                }
+            }
+            FloatMatrix { columns }
+        })
+    })
+}
+
+/// Transforms the block of side `4 << size` at the start of `block`, whose rows are `stride` apart, in its place: what [`inverse`]
+/// undoes, in floats.
+#[inline(always)]
+pub(crate) fn forward(size: usize, block: &mut [f32], stride: usize) {
+    let matrix = &float_matrices()[size];
+    match size {
+        0 => analysed::<4>(matrix, block, stride),
+        1 => analysed::<8>(matrix, block, stride),
+        2 => analysed::<16>(matrix, block, stride),
+        _ => analysed::<32>(matrix, block, stride),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_inverse_is_the_cosine_transform_within_its_rounding() {
+        for size in 0..4 {
+            let n = 4usize << size;
+            for (u, v, value) in [(0, 0, 4000), (1, 0, -3000), (n - 1, n - 1, 2000), (2, 3, 1600)] {
+                let mut out = vec![0; n * n];
+                let c = Coefficient { u: u as u8, v: v as u8, value };
+                inverse(size, &[c], &mut out, n);
+                let basis = |k: usize, i: usize| {
+                    let scale = if k == 0 { 1.0 / n as f64 } else { 2.0 / n as f64 }.sqrt();
+                    scale * ((2 * i + 1) as f64 * k as f64 * std::f64::consts::PI / (2 * n) as f64).cos()
+                };
+                for (i, &got) in out.iter().enumerate() {
+                    let want = f64::from(value) * basis(u, i % n) * basis(v, i / n);
+                    // Half from each of the two roundings, and 1/4096 of the value from those of the cosines.
+                    let most = 1.0 + f64::from(value.abs()) / 2048.0;
+                    assert!((f64::from(got) - want).abs() <= most, "{size} {u} {v} {i}: {got} for {want}");
+                }
+            }
+        }
+    }
+}

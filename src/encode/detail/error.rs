@@ -1,0 +1,93 @@
+//! The error of a picture of two layers.
+
+use crate::bitstream::detail::DetailLayer;
+use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
+use crate::detail::tile::{Scratch, TilePlanes, UNIT, reconstruct};
+use crate::fit::model::field::{Field, Output};
+use crate::fit::model::planes::Planes;
+use crate::fit::model::problem::{Problem, Scene};
+use crate::fit::model::project::Projected;
+use crate::fit::model::rows::RowSet;
+use crate::gaussian::Channels;
+use crate::parallel;
+
+/// What a layer adds to a picture, in parts of white: planes as those of `target`, whose channels may be fewer than the layer's.
+#[derive(Debug)]
+pub(super) struct Added {
+    tiles: Vec<Option<TilePlanes>>,
+    across: usize,
+    /// Which channel of the layer each channel of the target is.
+    of: [usize; 4],
+}
+
+impl Added {
+    pub fn new(layer: &DetailLayer, channels: Channels, target: &Planes) -> Self {
+        let size = [target.width, target.height];
+        let tiles = parallel::map(layer.tiles.len(), |i| {
+            let levels = layer.tiles[i].as_ref()?;
+            let [_, _, width, height] = tile_area(size, i);
+            let (mut scratch, mut planes) = (Scratch::default(), TilePlanes::default());
+            reconstruct(levels, (&layer.head, channels, [width, height]), &mut scratch, &mut planes);
+            Some(planes)
+        });
+        let of = std::array::from_fn(|k| match (target.channels.alpha(), channels.alpha()) {
+            (Some(a), Some(alpha)) if a == k => alpha,
+            _ => k,
+        });
+        Added { tiles, across: tile_counts(size)[0], of }
+    }
+
+    /// Writes what row `y` of channel `k` gets to `row`.
+    pub fn row(&self, y: usize, k: usize, row: &mut [f32]) {
+        row.fill(0.0);
+        for (x, part) in row.chunks_mut(TILE).enumerate() {
+            let Some(planes) = self.tiles.get(y / TILE * self.across + x).and_then(Option::as_ref) else { continue };
+            let Some(channel) = planes.channels.get(self.of[k]) else { continue };
+            for (out, &v) in part.iter_mut().zip(&channel[y % TILE * TILE..][..TILE]) {
+                *out = f32::from(v) * (UNIT / 255.0);
+            }
+        }
+    }
+}
+
+/// How errors count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::encode) enum Counted {
+    /// All alike.
+    Alike,
+    /// As the target weighs them.
+    AsTheyWeigh,
+}
+
+/// Returns the squared error of the picture of `projected` with `layer` over it, whose channels are `channels`.
+pub(in crate::encode) fn squared_error(
+    (scene, target): (Scene, &Planes),
+    projected: &[Projected],
+    (layer, channels): (&DetailLayer, Channels),
+    counted: Counted,
+) -> f64 {
+    let added = Added::new(layer, channels, target);
+    let problem = Problem { scene, target };
+    let mut field = Field::default();
+    field.draw(&problem, projected, RowSet::ALL, Output::Picture);
+    let (count, alpha) = (target.channels.count(), target.channels.alpha());
+    let errors = parallel::map(target.height as usize, |y| {
+        let (wanted, drawn) = (target.row(y as u32), field.row(y, count));
+        let mut more = vec![0.0; target.width as usize];
+        let mut error = 0.0;
+        let amplitude = target.amplitude(y as u32).filter(|_| counted == Counted::AsTheyWeigh);
+        for k in 0..count {
+            let channel = if counted == Counted::AsTheyWeigh { target.channel_amplitude[k] } else { 1.0 };
+            added.row(y, k, &mut more);
+            for (x, more) in more.iter().enumerate() {
+                let at = k * target.stride + x;
+                let opacity = alpha.filter(|&a| a != k).map_or(1.0, |a| wanted[a * target.stride + x]);
+                let value = (drawn[at].clamp(0.0, 1.0) + more).clamp(0.0, 1.0);
+                let weight = opacity * channel * amplitude.map_or(1.0, |a| a[x]);
+                error += f64::from((value - wanted[at]) * weight).powi(2);
+            }
+        }
+        error
+    });
+    errors.iter().sum()
+}

@@ -1,0 +1,67 @@
+//! Descent over the Gaussians' integers once more, now that the layer stands for a part of the picture.
+
+
+use super::error::Added;
+use super::search::Coded;
+use crate::bitstream::splats::PackedSplats;
+use crate::encode::file;
+use crate::encode::subject::stored_scene;
+use crate::error::Result;
+use crate::fit::model::field::{Field, Output};
+use crate::fit::model::planes::Planes;
+use crate::fit::model::problem::Problem;
+use crate::fit::model::rows::RowSet;
+use crate::gaussian::Channels;
+use crate::round::descend::{Descent, Objective};
+use crate::round::rounded::projected;
+
+/// Sweeps of a round: the first finds most.
+const SWEEPS: usize = 2;
+
+/// Returns what the Gaussians of `splats` are to make when `layer` is laid over them: the picture without the layer.
+fn rest(target: &Planes, splats: &PackedSplats, layer: &Coded, channels: Channels) -> Planes {
+    let added = Added::new(&layer.layer, channels, target);
+    let scene = stored_scene(splats);
+    let mut field = Field::default();
+    let drawn = projected(&splats.quantizer(), &splats.gaussians, splats.height);
+    field.draw(&Problem { scene, target }, &drawn, RowSet::ALL, Output::Picture);
+    let (count, stride, width) = (target.channels.count(), target.stride, target.width as usize);
+    target.changed(|y, row| {
+        let drawn = field.row(y, count);
+        let mut more = vec![0.0; width];
+        for k in 0..count {
+            added.row(y, k, &mut more);
+            for (x, more) in more.iter().enumerate() {
+                let at = k * stride + x;
+                // What is beyond black or white is cut off before the layer is added: there it is no error.
+                let beyond = drawn[at] - drawn[at].clamp(0.0, 1.0);
+                row[at] += beyond - more;
+            }
+        }
+    })
+}
+
+/// Changes the integers of `splats` to what costs least beside `layer`, whose bits cost `lambda` of squared error, parts of white
+/// squared. The file's length is free.
+pub(super) fn descend(
+    splats: &mut PackedSplats,
+    target: &Planes,
+    (layer, channels): (&Coded, Channels),
+    lambda: f32,
+    levels: u8,
+) -> Result<()> {
+    let rest = rest(target, splats, layer, channels);
+    let problem = Problem { scene: stored_scene(splats), target: &rest };
+    let quantizer = splats.quantizer();
+    let mut descent = Descent::new(problem, &quantizer, Field::default());
+    let objective = Objective { lambda, position_bits: f32::NEG_INFINITY };
+    let mut bare = PackedSplats { detail: None, codebook: None, ..splats.clone() };
+    for _ in 0..SWEEPS {
+        let expected = file::expected(&mut bare, levels)?;
+        descent.sweep(&mut bare.gaussians, &expected, &objective);
+    }
+    file::smallest(&mut bare, levels)?;
+    (splats.gaussians, splats.codebook, splats.levels) = (bare.gaussians, bare.codebook, bare.levels);
+    splats.detail = None;
+    Ok(())
+}

@@ -1,0 +1,70 @@
+//! What the Gaussians leave of a picture, tile by tile, as planes of luma and chroma (spec §9.5).
+
+use crate::bitstream::detail::levels::{SUPER, TILE, tile_area, tile_counts};
+use crate::bitstream::detail::model::PLANES;
+use crate::fit::model::field::{Field, Output};
+use crate::fit::model::planes::Planes;
+use crate::fit::model::problem::{Problem, Scene};
+use crate::fit::model::project::Projected;
+use crate::fit::model::rows::RowSet;
+use crate::parallel;
+
+/// The layer's planes count in this part of an 8-bit code value.
+const PARTS: f32 = 16.0 * 255.0;
+
+/// The residual of one tile: planes whose rows are [`TILE`] apart, padded to whole superblocks; empty ones are 0.
+#[derive(Debug, Clone)]
+pub(super) struct TileResidual {
+    /// Width and height of the picture's part, pixels.
+    pub size: [usize; 2],
+    pub planes: [Vec<f32>; PLANES],
+    /// Luma of the original, 8-bit code values: what masks an error.
+    pub luma: Vec<f32>,
+}
+
+/// Returns what is left of `target` by the picture of `projected`, tile by tile.
+pub(super) fn residuals(scene: Scene, target: &Planes, projected: &[Projected]) -> Vec<TileResidual> {
+    let problem = Problem { scene, target };
+    let mut field = Field::default();
+    field.draw(&problem, projected, RowSet::ALL, Output::Picture);
+    let size = [target.width, target.height];
+    let [across, down] = tile_counts(size);
+    parallel::map(across * down, |i| residual(target, &field, tile_area(size, i)))
+}
+
+fn residual(target: &Planes, field: &Field, [left, top, width, height]: [usize; 4]) -> TileResidual {
+    let (count, alpha) = (target.channels.count(), target.channels.alpha());
+    let colors = count - usize::from(alpha.is_some());
+    let padded = [width, height].map(|side| side.next_multiple_of(SUPER));
+    let mut planes: [Vec<f32>; PLANES] = std::array::from_fn(|_| Vec::new());
+    let used: &[usize] = if colors == 3 { &[0, 1, 2] } else { &[0] };
+    used.iter().chain(alpha.map(|_| &3)).for_each(|&k| planes[k] = vec![0.0; TILE * TILE]);
+    let mut luma = vec![0.0; TILE * TILE];
+    // Beyond the picture's edge it is reflected.
+    let reflected = |i: usize, n: usize| if i < n { i } else { (2 * n - 1).saturating_sub(i) };
+    for y in 0..padded[1] {
+        let row = (top + reflected(y, height)) as u32;
+        let (wanted, drawn) = (target.row(row), field.row(row as usize, count));
+        for x in 0..padded[0] {
+            let column = left + reflected(x, width);
+            let value = |k: usize| wanted[k * target.stride + column];
+            let rest = |k: usize| PARTS * (value(k) - drawn[k * target.stride + column].clamp(0.0, 1.0));
+            let at = y * TILE + x;
+            // Colours that nobody sees cost nothing.
+            let is_seen = alpha.is_none_or(|a| value(a) > 0.0);
+            if is_seen && colors == 3 {
+                let [r, g, b] = [rest(0), rest(1), rest(2)];
+                planes[0][at] = 0.25 * (r + 2.0 * g + b);
+                planes[1][at] = r - b;
+                planes[2][at] = g - 0.5 * (r + b);
+            } else if is_seen {
+                planes[0][at] = rest(0);
+            }
+            if let Some(a) = alpha {
+                planes[3][at] = rest(a);
+            }
+            luma[at] = 255.0 * if colors == 3 { 0.25 * (value(0) + 2.0 * value(1) + value(2)) } else { value(0) };
+        }
+    }
+    TileResidual { size: [width, height], planes, luma }
+}

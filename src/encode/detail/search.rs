@@ -1,0 +1,165 @@
+//! The quantizer step with which a layer takes the bytes that it may.
+
+use super::choose::{Chosen, Setting, choose};
+use super::classes::{activity, classes};
+use super::coefficients::{self, AllSizes, Division};
+use super::residual::TileResidual;
+use crate::bitstream::detail::DetailLayer;
+use crate::bitstream::detail::levels::{CELL, SUPER, TILE};
+use crate::bitstream::detail::model::{KINDS, PLANES};
+use crate::detail::steps::PlaneSteps;
+use crate::parallel;
+
+/// A layer and its bytes in the file, those of its section not counted.
+#[derive(Debug, Clone)]
+pub(super) struct Coded {
+    pub layer: DetailLayer,
+    pub bytes: u64,
+    /// Sizes of the blocks of each tile, by kind.
+    pub sizes: Vec<[Vec<u8>; KINDS]>,
+}
+
+/// How a layer is to be coded.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Aim {
+    pub setting: Setting,
+    /// Power of the variance with which steps grow, where there are classes.
+    pub power: f32,
+    /// Most bytes of index and streams.
+    pub most: u64,
+    /// Most runs of the coder.
+    pub runs: u32,
+}
+
+/// A layer that falls short of its bytes by at most this part is near enough.
+const NEAR: f64 = 0.006;
+/// What is aimed at below the bytes that there are, as a part of them.
+const BELOW: f64 = 0.002;
+/// How bytes fall with the logarithm of the step, before two runs have shown it.
+const FALL: f64 = 1.4;
+/// Bits of a level, before anything is known.
+const LEVEL_BITS: f64 = 5.0;
+/// Magnitude in steps from which on a coefficient is likely to have a level.
+const LIKELY: f32 = 0.8;
+
+/// Returns the layer of `tiles` with the smallest step that fits; `None` if none does. With `near`, a layer of nearly the same
+/// tiles, the search begins at its step and keeps its blocks.
+pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) -> Option<Coded> {
+    let activity: Vec<Vec<f32>> = match aim.setting.head.classes {
+        1 => vec![Vec::new(); tiles.len()],
+        _ => parallel::map(tiles.len(), |i| activity(&tiles[i])),
+    };
+    let count = activity.iter().map(Vec::len).sum::<usize>().max(1);
+    let mean = activity.iter().flatten().sum::<f32>() / count as f32;
+    let classes: Vec<Vec<u8>> =
+        activity.iter().map(|a| classes(a, mean, aim.power, aim.setting.head.classes)).collect();
+    let mut sizes = near.map(|near| near.sizes.clone());
+    let mut step = near.map_or_else(|| guess(tiles, aim), |near| f64::from(near.layer.head.step));
+    let (mut over, mut under): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
+    let mut best: Option<Coded> = None;
+    let goal = (aim.most as f64 * (1.0 - BELOW)).max(1.0).ln();
+    for run in 0..aim.runs {
+        let rounded = step.round().clamp(1.0, 65_535.0);
+        let coded = code(tiles, &classes, aim, rounded as u16, sizes.as_deref());
+        sizes.get_or_insert_with(|| coded.sizes.clone());
+        let at = [rounded.ln(), (coded.bytes as f64).max(1.0).ln()];
+        let short = aim.most as f64 - coded.bytes as f64;
+        if short >= 0.0 {
+            under = Some(at);
+            if best.as_ref().is_none_or(|best| best.bytes <= coded.bytes) {
+                best = Some(coded);
+            }
+            if short <= aim.most as f64 * NEAR || rounded <= 1.0 {
+                break;
+            }
+        } else {
+            over = Some(at);
+            if rounded >= 65_535.0 {
+                break;
+            }
+        }
+        let next = match (over, under) {
+            (Some(a), Some(b)) if (b[0] - a[0]).abs() < 2e-3 => break,
+            (Some(a), Some(b)) => {
+                let share = ((goal - a[1]) / (b[1] - a[1])).clamp(0.05, 0.95);
+                // Late runs halve what is left, if the curve is too crooked for a chord.
+                if run > 3 { 0.5 * (a[0] + b[0]) } else { a[0] + share * (b[0] - a[0]) }
+            }
+            (Some(a), None) => a[0] + ((a[1] - goal) / FALL).max(0.003),
+            (None, Some(b)) => b[0] - ((goal - b[1]) / FALL).clamp(0.001, 3.0),
+            (None, None) => break,
+        };
+        step = next.exp();
+    }
+    best
+}
+
+/// Codes the layer with a step.
+fn code(tiles: &[TileResidual], classes: &[Vec<u8>], aim: &Aim, step: u16, sizes: Option<&[[Vec<u8>; KINDS]]>) -> Coded {
+    let mut setting = aim.setting;
+    setting.head.step = step;
+    let chosen: Vec<Chosen> = parallel::map(tiles.len(), |i| match sizes {
+        Some(sizes) => choose(&tiles[i], &classes[i], &setting, None, Some(&sizes[i])),
+        None => {
+            let all = AllSizes::new(&tiles[i], |plane| setting.head.sizes([0, 1, 1, 2][plane]));
+            choose(&tiles[i], &classes[i], &setting, Some(&all), None)
+        }
+    });
+    let length = |stream: &[u8]| match stream.len() as u64 {
+        0 => 1,
+        bytes => bytes + 2 + u64::from((bytes.ilog2()) / 7 + 1),
+    };
+    let bytes = chosen.iter().map(|tile| length(&tile.stream)).sum();
+    let (mut levels, mut sizes) = (Vec::new(), Vec::new());
+    for tile in chosen {
+        levels.push(tile.levels);
+        sizes.push(tile.sizes);
+    }
+    Coded { layer: DetailLayer { head: setting.head, tiles: levels }, bytes, sizes }
+}
+
+/// Returns about the step that fits: so many coefficients of blocks of 8 and 16 are of some size then.
+fn guess(tiles: &[TileResidual], aim: &Aim) -> f64 {
+    /// Bins of an octave.
+    const FINE: f32 = 4.0;
+    const BINS: usize = 128;
+    /// The step that coefficients are counted in.
+    const UNIT: u16 = 1024;
+    let mut head = aim.setting.head;
+    (head.step, head.classes) = (UNIT, 1);
+    let bins = parallel::map(tiles.len(), |i| {
+        let tile = &tiles[i];
+        let mut bins = vec![0u32; BINS];
+        let cells = tile.size.map(|side| side.div_ceil(SUPER) * (SUPER / CELL));
+        for plane in 0..PLANES {
+            let size = if plane == 1 || plane == 2 { 2 } else { 1 };
+            let values = coefficients::plane(tile, plane, Division::Even(size));
+            if values.is_empty() {
+                continue;
+            }
+            let steps = PlaneSteps::new(&head, plane, 0);
+            let n = CELL << size;
+            for y in 0..cells[1] * CELL {
+                for x in 0..cells[0] * CELL {
+                    let step = steps.step(size.into(), x % n, y % n);
+                    let value = values[y * TILE + x].abs() * 4.0 / step as f32;
+                    let bin = (value.max(1e-9).log2() * FINE + BINS as f32 / 2.0).clamp(0.0, (BINS - 1) as f32);
+                    bins[bin as usize] += 1;
+                }
+            }
+        }
+        bins
+    });
+    let wanted = aim.most as f64 * 8.0 / LEVEL_BITS;
+    let mut count = 0.0;
+    let mut bin = BINS - 1;
+    while bin > 0 {
+        count += f64::from(bins.iter().map(|b| b[bin]).sum::<u32>());
+        if count > wanted {
+            break;
+        }
+        bin -= 1;
+    }
+    let value = ((bin as f32 + 1.0 - BINS as f32 / 2.0) / FINE).exp2();
+    (f64::from(value / LIKELY) * f64::from(UNIT)).clamp(8.0, 60_000.0)
+}
