@@ -132,6 +132,19 @@ pub enum Thumbnail {
     Bytes(u32),
 }
 
+/// Whether a file has a detail layer, a coded transform of what the Gaussians leave (spec §9).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
+pub enum Detail {
+    /// Where it pays; the encoder finds how the bytes are best divided.
+    #[default]
+    Auto,
+    /// No layer: Gaussians alone.
+    Off,
+    /// The Gaussians get this share of the bytes, above 0 and below 1, and the layer the rest.
+    Share(f64),
+}
+
 /// Options of [`encode`](crate::encode()).
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -157,6 +170,9 @@ pub struct EncodeOptions {
     pub backend: Backend,
     /// What to look for that can be left out.
     pub needs: Needs,
+    /// Whether the file has a detail layer. Files of an asked size, ratio or quality have one, in the coded layout; files of a
+    /// number of primitives have none.
+    pub detail: Detail,
     /// `1..=8`: progressive levels, large primitives first, so that a file cut after a level is a whole, coarser
     /// picture. Each costs 1 to 2 % of the bytes. Only the coded layout has more than one.
     pub levels: u8,
@@ -202,6 +218,7 @@ impl Default for EncodeOptions {
             tune: None,
             backend: Backend::Auto,
             needs: Needs::Measured,
+            detail: Detail::default(),
             levels: 1,
             thumbnail: Thumbnail::Auto,
             tiles: None,

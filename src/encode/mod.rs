@@ -24,7 +24,7 @@ use std::ops::ControlFlow;
 use crate::bitstream::splats::Layout;
 use crate::error::{Error, Result};
 use crate::fit::model::planes::Planes;
-use crate::options::{EncodeOptions, Target, Trace};
+use crate::options::{Detail, EncodeOptions, Target, Trace};
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
 use aim::MAX_PRIMITIVES;
@@ -194,6 +194,18 @@ fn check(options: &EncodeOptions) -> Result<()> {
     {
         let (least, most) = tiles::SIDES.into_inner();
         return bad("tiles", format!("{side} is not a multiple of {least} within {least}..={most}"));
+    }
+    match options.detail {
+        Detail::Share(share) if !(share > 0.0 && share < 1.0) => {
+            return bad("detail", format!("a share of {share} is not between 0 and 1"));
+        }
+        Detail::Share(_) if options.layout != Layout::Coded => {
+            return bad("detail", "only the coded layout has a detail layer".into());
+        }
+        Detail::Share(_) if matches!(options.target, Target::Primitives(_)) => {
+            return bad("detail", "a file of a number of primitives has no detail layer".into());
+        }
+        _ => {}
     }
     match options.target {
         Target::Ratio(r) if !(r.is_finite() && r > 0.0) => bad("ratio", format!("{r} is not a positive number")),

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::{Args as ClapArgs, Parser, Subcommand};
 use ssplat::bitstream::splats::Layout;
-use ssplat::{Backend, Blend, EncodeOptions, Recipe, Target, Thumbnail, Tune};
+use ssplat::{Backend, Blend, Detail, EncodeOptions, Recipe, Target, Thumbnail, Tune};
 
 use crate::exchange::format::{ExportFormat, ImportFormat};
 use crate::exchange::{csv, foreign};
@@ -139,6 +139,10 @@ pub struct Encode {
     /// recipes]
     #[arg(long, value_parser = names::tune())]
     pub tune: Option<Tune>,
+    /// Whether the file has a detail layer, a transform of what the Gaussians leave: auto (where it pays), off, or the share of
+    /// the bytes that the Gaussians get, above 0 and below 1
+    #[arg(long, value_name = "WHICH", default_value = "auto", value_parser = detail)]
+    pub detail: Detail,
     /// Progressive levels, each 1 to 2 % of the bytes: a file cut after one decodes with --partial
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
     pub levels: u8,
@@ -251,7 +255,7 @@ impl Encode {
         o.blend = self.blend;
         o.recipe = self.recipe;
         o.tune = self.tune;
-        (o.levels, o.tiles) = (self.levels, self.tiles);
+        (o.detail, o.levels, o.tiles) = (self.detail, self.levels, self.tiles);
         o.thumbnail = self.thumbnail;
         o.backend = self.backend;
         o
@@ -528,6 +532,17 @@ fn thumbnail(text: &str) -> Result<Thumbnail, String> {
         "auto" => Ok(Thumbnail::Auto),
         "none" => Ok(Thumbnail::Never),
         bytes => bytes.parse().map(Thumbnail::Bytes).map_err(|_| "neither auto nor none nor a number of bytes".into()),
+    }
+}
+
+fn detail(text: &str) -> Result<Detail, String> {
+    match text {
+        "auto" => Ok(Detail::Auto),
+        "off" => Ok(Detail::Off),
+        share => match share.parse() {
+            Ok(share) if share > 0.0 && share < 1.0 => Ok(Detail::Share(share)),
+            _ => Err("neither auto nor off nor a share above 0 and below 1".into()),
+        },
     }
 }
 

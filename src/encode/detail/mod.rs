@@ -3,6 +3,7 @@
 mod choose;
 mod classes;
 mod coefficients;
+mod divide;
 pub(super) mod error;
 mod join;
 mod residual;
