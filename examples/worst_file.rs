@@ -112,7 +112,7 @@ fn tiny_groups(side: u32, colors: u32) -> PackedSplats {
     let log = side.ilog2();
     let gaussians = (0..64 * 64).flat_map(|cluster| {
         let corner = [cluster % 64, cluster / 64].map(|c| c << log);
-        let color = |i: u32| [((cluster * 541 + i) % colors) as i16, 0, 0, 0];
+        let color = |i: u32| color_of((cluster * 541 + i) % colors);
         let at = move |x: u32, y: u32, i: u32| {
             let [x, y] = [corner[0] + x, corner[1] + y];
             PackedGaussian { x, y, major: 0, minor: 0, angle: 0, color: color(i) }
@@ -124,18 +124,23 @@ fn tiny_groups(side: u32, colors: u32) -> PackedSplats {
     PackedSplats {
         width: side,
         height: side,
-        channels: Channels::Grey,
+        channels: Channels::GreyAlpha,
         depth: Depth::Eight,
         blend: Blend::Normalized,
         layout: Layout::Coded,
         steps: Steps { scale: 0, angle: 0, position: 0, coarsest: -6, range: 0, luma: 6, chroma: 2 },
         background: [0; 4],
-        codebook: Some((0..colors).map(|i| [(i as u16) as i16, 0, 0, 0]).collect()),
+        codebook: Some((0..colors).map(color_of).collect()),
         gaussians: gaussians.collect(),
         levels: Vec::new(),
         detail: None,
         metadata: Default::default(),
     }
+}
+
+/// One of 65 536 colours of two channels.
+fn color_of(i: u32) -> [i16; 4] {
+    [(i >> 8) as i16 - 128, (i & 255) as i16 - 128, 0, 0]
 }
 
 /// Decodes once and prints two columns.
