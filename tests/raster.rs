@@ -3,6 +3,8 @@
 mod scenes;
 mod synthetic;
 
+use std::f32::consts::FRAC_PI_2;
+
 use scenes::{Random, codes, scene};
 use ssplat::bitstream::splats::Steps;
 use ssplat::raster::{Renderer, SamplesMut, View, reference};
@@ -521,6 +523,25 @@ fn work_is_limited_in_proportion_to_pixels_and_primitives() {
     let p = picture(1000, 1000, Channels::Rgb, Blend::Normalized, giants);
     let error = Renderer::new(&p, &View::full(&p), &Limits::default()).unwrap_err();
     assert!(matches!(error, Error::LimitExceeded { what: "work", .. }));
+}
+
+#[test]
+fn narrow_gaussians_count_as_the_exponentials_that_they_take() {
+    // Two strips of 8 columns are drawn of each.
+    let of = |scale: [f32; 2]| {
+        let p = picture(400, 1000, Channels::Rgb, Blend::Normalized, vec![one([200.0, 500.0], scale, FRAC_PI_2)]);
+        let mut limits = Limits::default();
+        limits.work = 0;
+        match Renderer::new(&p, &View::full(&p), &limits) {
+            Err(Error::LimitExceeded { what: "work", requested, .. }) => requested,
+            other => panic!("{other:?}"),
+        }
+    };
+    let (needle, bar) = (of([1e4, 0.25]), of([1e4, 2.0]));
+    // Eight tiles at an edge between columns of them.
+    let pairs = 8 * 1024;
+    assert!((4 * 16_000..4 * 20_000).contains(&(needle - pairs)), "{needle}");
+    assert!((16_000..32_000).contains(&(bar - pairs)), "{bar}");
 }
 
 #[test]

@@ -25,11 +25,14 @@ use crate::options::Layers;
 /// the old one is there; later, metadata are copied out of it.
 const FILE_COPIES: u64 = 3;
 
+/// Most bytes that the account of a primitive's bits takes: two lists that grow to twice their size while the old ones are there.
+const ACCOUNT: u64 = 2 * 3 * size_of::<f32>() as u64;
+
 /// Most bytes that reading a primitive of a layout takes at any time.
 fn working_bytes(layout: Layout) -> u64 {
     let extra = match layout {
         Layout::Packed => 0,
-        // A row of ten fields, and planes on their way into rows.
+        // A row of ten fields, a plane on its way into rows, and the window of its frame.
         Layout::Planes => 100,
         // Places by size, growing, then in order; later places and buckets.
         Layout::Coded => 240,
@@ -132,6 +135,9 @@ impl Reading<'_> {
         tally: &mut Tally,
     ) -> Result<(PackedSplats, Vec<SectionInfo>)> {
         let mut working = self.reserve(header, rest)?;
+        if tally.detail == Detail::Fields {
+            working.grow(u64::from(header.primitives) * ACCOUNT)?;
+        }
         let base = header.bytes().len() as u64;
         let end = rest
             .len()
