@@ -1,5 +1,6 @@
 //! The files that cost the most to decode for their size: for pictures of several sizes, as many Gaussians of a costly
-//! kind as the default limits let through, and as many groups. Prints CPU seconds and peak memory of a decode on one thread.
+//! kind as the default limits let through, and as many groups. Prints CPU seconds of a decode on one thread with the widest
+//! instructions and with plain ones, and the peak of its memory.
 //!
 //! ```sh
 //! cargo run --release --example worst_file -- [SIDE...]
@@ -29,10 +30,10 @@ fn main() -> Result<()> {
     }
     let sides = if args.is_empty() { vec!["64".into(), "1024".into(), "16384".into()] } else { args };
     let file = tempfile::NamedTempFile::new()?;
-    println!("| picture | Gaussians | how many | file, bytes | CPU s | peak MB |");
-    println!("|---|---|--:|--:|--:|--:|");
+    println!("| picture | Gaussians | how many | file, bytes | CPU s | plain, CPU s | peak MB |");
+    println!("|---|---|--:|--:|--:|--:|--:|");
     for side in sides {
-        for kind in ["wide", "corner", "upright", "tiny groups", "tiny groups, large codebook"] {
+        for kind in ["wide", "corner", "upright", "edge", "level", "tiny groups", "tiny groups, large codebook"] {
             let splats = match kind {
                 "tiny groups" => tiny_groups(side.parse()?, 1),
                 "tiny groups, large codebook" => tiny_groups(side.parse()?, 1 << 16),
@@ -40,18 +41,20 @@ fn main() -> Result<()> {
             };
             let bytes = to_bytes(&splats)?;
             fs::write(file.path(), &bytes)?;
-            let mut decode = Command::new(std::env::current_exe()?);
-            let output = decode.arg("--decode").arg(file.path()).env("RAYON_NUM_THREADS", "1").output()?;
-            if !output.status.success() {
-                return Err(String::from_utf8_lossy(&output.stderr).into());
-            }
-            let figures = String::from_utf8(output.stdout)?;
-            println!(
-                "| {side} × {side} | {kind} | {} | {} | {} |",
-                splats.gaussians.len(),
-                bytes.len(),
-                figures.trim()
-            );
+            let figures = |instructions: &[(&str, &str)]| -> Result<[String; 2]> {
+                let mut decode = Command::new(std::env::current_exe()?);
+                decode.arg("--decode").arg(file.path()).env("RAYON_NUM_THREADS", "1");
+                let output = decode.envs(instructions.iter().copied()).output()?;
+                if !output.status.success() {
+                    return Err(String::from_utf8_lossy(&output.stderr).into());
+                }
+                let text = String::from_utf8(output.stdout)?;
+                let (seconds, peak) = text.trim().split_once(' ').ok_or("no figures")?;
+                Ok([seconds.into(), peak.into()])
+            };
+            let ([seconds, peak], [plain, _]) = (figures(&[])?, figures(&[("SSPLAT_SIMD", "plain")])?);
+            let (count, length) = (splats.gaussians.len(), bytes.len());
+            println!("| {side} × {side} | {kind} | {count} | {length} | {seconds} | {plain} | {peak} |");
         }
     }
     Ok(())
@@ -59,7 +62,9 @@ fn main() -> Result<()> {
 
 /// As many Gaussians of a kind as may be drawn, within 3 % and up to two million.
 fn worst(side: u32, kind: &str) -> PackedSplats {
-    let (cells, tiles) = (side.div_ceil(8), side.div_ceil(128));
+    // Cells of 16 pixels have their centres on the edges of strips, those of 8 in the middle of one.
+    let log = if kind == "edge" { 4 } else { 3 };
+    let (cells, tiles) = (side.div_ceil(1 << log), side.div_ceil(128));
     let picture = |count: u32| {
         let gaussians = (0..count).map(|i| {
             let (x, y, major, minor, angle) = match kind {
@@ -67,6 +72,8 @@ fn worst(side: u32, kind: &str) -> PackedSplats {
                 "wide" => (cells / 2, cells / 2, 120, 120, 0),
                 // Lie around a corner of four tiles.
                 "corner" => (i % tiles * 16, i / tiles % tiles * 16, 32, 32, 0),
+                // Lie along a row of all strips.
+                "level" => (cells / 2, i % cells, 120, 0, 0),
                 // Are so thin that each row takes an exponential.
                 _ => (i % cells, cells / 2, 120, 0, MAX_ANGLES_CODED / 2),
             };
@@ -81,8 +88,8 @@ fn worst(side: u32, kind: &str) -> PackedSplats {
             depth: Depth::Eight,
             blend: Blend::Normalized,
             layout: Layout::Coded,
-            // Eighths of an octave above ¼ pixel; cells of 8 × 8 pixels.
-            steps: Steps { scale: 0, angle: 0, position: 0, coarsest: 3, range: 0, luma: 6, chroma: 2 },
+            // Eighths of an octave above ¼ pixel.
+            steps: Steps { scale: 0, angle: 0, position: 0, coarsest: log as i8, range: 0, luma: 6, chroma: 2 },
             background: [0; 4],
             codebook: None,
             gaussians: gaussians.collect(),
@@ -112,7 +119,7 @@ fn tiny_groups(side: u32, colors: u32) -> PackedSplats {
     let log = side.ilog2();
     let gaussians = (0..64 * 64).flat_map(|cluster| {
         let corner = [cluster % 64, cluster / 64].map(|c| c << log);
-        let color = |i: u32| [((cluster * 541 + i) % colors) as i16, 0, 0, 0];
+        let color = |i: u32| color_of((cluster * 541 + i) % colors);
         let at = move |x: u32, y: u32, i: u32| {
             let [x, y] = [corner[0] + x, corner[1] + y];
             PackedGaussian { x, y, major: 0, minor: 0, angle: 0, color: color(i) }
@@ -124,13 +131,13 @@ fn tiny_groups(side: u32, colors: u32) -> PackedSplats {
     PackedSplats {
         width: side,
         height: side,
-        channels: Channels::Grey,
+        channels: Channels::GreyAlpha,
         depth: Depth::Eight,
         blend: Blend::Normalized,
         layout: Layout::Coded,
         steps: Steps { scale: 0, angle: 0, position: 0, coarsest: -6, range: 0, luma: 6, chroma: 2 },
         background: [0; 4],
-        codebook: Some((0..colors).map(|i| [(i as u16) as i16, 0, 0, 0]).collect()),
+        codebook: Some((0..colors).map(color_of).collect()),
         gaussians: gaussians.collect(),
         levels: Vec::new(),
         detail: None,
@@ -138,7 +145,12 @@ fn tiny_groups(side: u32, colors: u32) -> PackedSplats {
     }
 }
 
-/// Decodes once and prints two columns.
+/// One of 65 536 colours of two channels.
+fn color_of(i: u32) -> [i16; 4] {
+    [(i >> 8) as i16 - 128, (i & 255) as i16 - 128, 0, 0]
+}
+
+/// Decodes once and prints seconds and megabytes.
 fn measure(bytes: &[u8]) -> Result<()> {
     let before = cpu_time()?;
     decode(bytes, &DecodeOptions::default())?;
@@ -146,7 +158,7 @@ fn measure(bytes: &[u8]) -> Result<()> {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:")?.split_whitespace().next()?.parse::<f64>().ok());
     let peak = peak.map_or("?".into(), |kilobytes| format!("{:.0}", kilobytes / 1024.0));
-    println!("{seconds:.1} | {peak}");
+    println!("{seconds:.1} {peak}");
     Ok(())
 }
 

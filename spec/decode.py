@@ -106,7 +106,7 @@ class Header:
         demand(data[:4] == SIGNATURE, "not an ssplat file")
         b.at = 4
         version = b.byte("version")
-        if version != 5:
+        if version != 6:
             raise Unsupported(f"format version {version}")
         flags = b.byte("flags")
         self.layout = flags & 3
@@ -136,6 +136,8 @@ class Header:
         self.top = min(255, 704 // self.D)
         self.cap = 128 if self.layout < 2 else 4096
         self.grid = [self.positions(s, self.finest) for s in self.size]
+        halves = [2, 3, 4, 6][first >> 6] if self.channels > 2 else 2
+        self.most = [most_color(h, second >> 4) for h in (2, halves, halves, 2)][: self.channels]
         self.angle_counts = [self.angle_count(d) for d in range(256)]
         self.steps_of = {}
 
@@ -180,14 +182,22 @@ class Header:
         self.check_shape(major, minor, angle)
         for v, side, log in zip((x, y), self.size, self.logs(major, minor, angle)):
             demand(v < self.positions(side, self.finest + log), "position out of range")
-        demand(all(-32768 <= c <= 32767 for c in color), "colour out of range")
+        self.check_color(color, "colour")
+
+    def check_color(self, color, what):
+        demand(all(abs(c) <= most for c, most in zip(color, self.most)), f"{what} out of range")
 
 
-def read_sections(b, damaged):
+def most_color(halves, luma):
+    """The largest colour integer whose step is so many half luma steps (§4)."""
+    return max(n for n in range(1, 1025) if (n * halves) ** 3 << luma <= 1 << 33)
+
+
+def read_sections(b, header, damaged):
     """Skips the sections; gives back the bytes that the file's checksum covers."""
     start, covered, last = b.at, b"", b""
     count = b.varint("section count")
-    demand(count > 0, "no section")
+    demand(1 <= count <= 64, "number of sections")
     for _ in range(count):
         name = b.take(4, "section name")
         demand(all(65 <= c <= 90 or 97 <= c <= 122 for c in name), "section name is not made of letters")
@@ -200,7 +210,7 @@ def read_sections(b, damaged):
         start = b.at
         if name[0] < 97:
             raise Illegal(f"unknown critical section {name.decode()}")
-        if zlib.crc32(name + contents) != stored:
+        if zlib.crc32(zlib.crc32(header.bytes).to_bytes(4, "little") + name + contents) != stored:
             damaged.append(name.decode())
     return covered
 
@@ -209,8 +219,12 @@ def read_sections(b, damaged):
 
 
 def read_color(b, channels, what):
-    color = tuple(b.signed(what) for _ in range(channels))
-    demand(all(-32768 <= c <= 32767 for c in color), f"{what} out of range")
+    return tuple(b.signed(what) for _ in range(channels))
+
+
+def read_background(b, header):
+    color = read_color(b, header.channels, "background")
+    header.check_color(color, "background")
     return color
 
 
@@ -222,8 +236,8 @@ def read_codebook(b, header):
     book, first = [], -32768
     for _ in range(size):
         first += b.varint("codebook")
-        demand(first <= 32767, "codebook out of range")
         color = (first,) + read_color(b, header.channels - 1, "codebook")
+        header.check_color(color, "codebook")
         demand(not book or book[-1] < color, "codebook order")
         book.append(color)
     return book
@@ -262,7 +276,7 @@ def hilbert_point(order, distance):
 
 
 def read_packed(b, header):
-    background = read_color(b, header.channels, "background")
+    background = read_background(b, header)
     book = read_codebook(b, header)
     count = header.count
     if count == 0:
@@ -273,6 +287,7 @@ def read_packed(b, header):
     offsets = [0, 0, b.byte("record format")] + [0] * (fields - 3)
     if not book:
         offsets[5:] = read_color(b, header.channels, "record format")
+        demand(all(-32768 <= c <= 32767 for c in offsets[5:]), "record format")
     size = -(-sum(widths) // 8)
 
     def tiles(k, width):
@@ -336,7 +351,47 @@ def zstd_library():
     raise Unsupported("the zstd library is not installed")
 
 
+def check_frame(frame, count):
+    """What a frame shall look like, beside what RFC 8878 says of it."""
+    b = Bytes(frame)
+    demand(b.take(5, "zstd frame") == b"\x28\xb5\x2f\xfd\0", "start of a zstd frame")
+    window = b.byte("zstd frame")
+    window = (1 << 10 + (window >> 3)) // 8 * (8 + (window & 7))
+    demand(count <= window <= max(1024, 2 * count), "window of a zstd frame")
+    plain, last = 0, False
+    while not last:
+        head = int.from_bytes(b.take(3, "zstd block"), "little")
+        last, kind, size = head & 1, head >> 1 & 3, head >> 3
+        demand(kind < 3 and size <= min(window, 1 << 17), "head of a zstd block")
+        block = Bytes(b.take(1 if kind == 1 else size, "zstd block"))
+        if kind < 2:
+            plain += size
+            demand(plain <= count, "length of a zstd frame")
+            continue
+        # Literals: raw, one that repeats, or compressed.
+        first = block.byte("literals")
+        block.at = 0
+        kind, form = first & 3, first >> 2 & 3
+        if kind < 2:
+            head, shift = [(1, 3), (2, 4), (1, 3), (3, 4)][form]
+            size = int.from_bytes(block.take(head, "literals"), "little") >> shift
+            size = size if kind == 0 else 1
+        else:
+            head, width = [(3, 10), (3, 10), (4, 14), (5, 18)][form]
+            size = int.from_bytes(block.take(head, "literals"), "little") >> 4 + width & (1 << width) - 1
+        block.take(size, "literals")
+        # Sequences: their number, and modes of which two bits are reserved.
+        first = block.byte("sequences")
+        if first == 0:
+            demand(block.at == len(block.data), "bytes behind a zstd block")
+            continue
+        block.take(0 if first < 128 else 1 if first < 255 else 2, "sequences")
+        demand(block.byte("sequences") & 3 == 0, "modes of a zstd block")
+    demand(b.at == len(frame), "bytes behind a zstd frame")
+
+
 def decompress(frame, count):
+    check_frame(frame, count)
     library = zstd_library()
     demand(library.ZSTD_findFrameCompressedSize(frame, len(frame)) == len(frame), "zstd frame is broken")
     plane = ctypes.create_string_buffer(max(1, count))
@@ -345,11 +400,11 @@ def decompress(frame, count):
 
 
 def read_planes(b, header):
-    background = read_color(b, header.channels, "background")
+    background = read_background(b, header)
     book = read_codebook(b, header)
     count = header.count
     most = [8, 2, 2, 1, 1, 1] + [3] * (1 if book else header.channels)
-    fields = []
+    fields, computed = [], 0
     for limit in most:
         width = b.byte("bytes of a field")
         demand(width <= limit, "bytes of a field")
@@ -359,9 +414,11 @@ def read_planes(b, header):
             plane = b.take(length or count, "plane")
             if length:
                 plane = decompress(plane, count)
+            computed = zlib.crc32(plane, computed)
             values |= np.frombuffer(plane, np.uint8).astype(np.uint64) << np.uint64(8 * i)
         demand(width == 0 or count > 0 and int(values.max()) >> 8 * (width - 1) > 0, "bytes of a field")
         fields.append(values.tolist())
+    demand(b.u32("checksum of the planes") == computed, "checksum of the planes")
     cells = [(g - 1 >> header.range) + 1 for g in header.grid]
     order = bits(max(cells) - 1)
     out, last, position = [], None, 0
@@ -857,7 +914,7 @@ def read_group(coder, header, background, book, corner, log, count):
                 classes = (z, before, a)
                 around = Near(coder, p, log16(max(1, expected)) + 32 + gains_colors[k].sum(classes))
                 value = around.open()
-                demand(-32768 <= value <= 32767, "colour out of range")
+                demand(abs(value) <= header.most[k], "colour out of range")
                 color.append(value)
                 gains_colors[k].learn(classes, around.distance(value))
                 errors[k] = min(65536, abs(FINE * value - p) >> 2)
@@ -893,13 +950,13 @@ def read_coded(b, header):
     coder = RangeDecoder(b.take(len(b.data) - b.at, "stream"))
     field = Field(coder, 72, 6, 60)
     background = tuple(field.signed(min(k, 1)) for k in range(header.channels))
-    demand(all(-32768 <= c <= 32767 for c in background), "background out of range")
+    header.check_color(background, "background")
     book = None
     if header.codebook:
         book, color = [], background
         for _ in range(coder.raw(16) + 1):
             color = tuple(c + field.signed(2 + k) for k, c in enumerate(color))
-            demand(all(-32768 <= c <= 32767 for c in color), "codebook out of range")
+            header.check_color(color, "codebook")
             demand(not book or book[-1] < color, "codebook order")
             book.append(color)
     out = read_group(coder, header, background, book, *whole_region(header), header.count)
@@ -937,7 +994,7 @@ def read_divisions(b, header, corner, log, count, groups):
 def read_groups(b, header, lost=None):
     """Background and primitives; with a list `lost`, groups that are not intact leave their counts there."""
     start = b.at
-    background = read_color(b, header.channels, "background")
+    background = read_background(b, header)
     book = read_codebook(b, header)
     levels = b.varint("level count")
     demand(1 <= levels <= 8, "level count")
@@ -1076,7 +1133,7 @@ def read(data, header, notes):
     """Background and primitives of a whole file."""
     b, damaged = Bytes(data[:-4], len(header.bytes)), []
     demand(len(b.data) >= b.at, "checksum is cut off")
-    covered = header.bytes + (read_sections(b, damaged) if header.sections else b"")
+    covered = header.bytes + (read_sections(b, header, damaged) if header.sections else b"")
     demand(zlib.crc32(covered + b.data[b.at :]) == int.from_bytes(data[-4:], "little"), "checksum of the file")
     notes += [f"section {name} is damaged" for name in damaged]
     demand(header.count <= 8 * (len(b.data) - b.at) + 1024, "count is too large for the payload")
@@ -1098,7 +1155,7 @@ def decode(data, partial=False, size=None):
             raise
         b, lost = Bytes(data, len(header.bytes)), []
         if header.sections:
-            read_sections(b, [])
+            read_sections(b, header, [])
         background, primitives = read_groups(b, header, lost)
         notes.append(f"{e}; {sum(lost)} of {header.count} primitives in {len(lost)} groups are missing")
     return header, draw(header, background, primitives, size), notes

@@ -14,8 +14,8 @@ pub struct Limits {
     pub primitives: u64,
     /// Most (Gaussian, tile) pairs that rasterizing one view may visit.
     pub tile_pairs: u64,
-    /// Most work of rasterizing one view. On the CPU: the pixels that its Gaussians cover, and 1024 for each (Gaussian, tile)
-    /// pair; on a GPU the 256 pixels of each of its smaller tiles.
+    /// Most work of rasterizing one view. On the CPU: the pixels that its Gaussians cover, four times those of narrow ones, and 1024 for
+    /// each (Gaussian, tile) pair; on a GPU the 256 pixels of each of its smaller tiles.
     pub work: u64,
     /// Most Gaussians over a pixel of a view on average: keeps the work in proportion to output pixels and primitives.
     /// Work of 2³² in all and of 4096 for each primitive is free of it, so that small pictures may be dense.
@@ -37,7 +37,7 @@ impl Default for Limits {
             height: 1 << 20,
             primitives: 16 << 20,
             tile_pairs: 256 << 20,
-            work: 1 << 37,
+            work: 7 << 33,
             overlap: 256,
             // What can be had of an address space of 32 bits.
             alloc: if usize::BITS < 64 { 1 << 30 } else { 4 << 30 },

@@ -16,7 +16,7 @@
 //! ```
 
 use crate::bitstream::lattice::Lattice;
-use crate::bitstream::rules;
+use crate::bitstream::rules::{self, MAX_COLOR};
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
 use crate::encode::smallest;
 use crate::error::{Error, Result};
@@ -98,7 +98,8 @@ impl Default for PackOptions {
 /// outside the picture.
 ///
 /// # Errors
-/// [`Error::Parameter`] if a value is not finite, a scale is not positive, the picture's sides or the steps are out of
+/// [`Error::Parameter`] if a value is not finite, a scale is not positive, a colour is larger than a file can hold (8 times white in
+/// luma, chroma or alpha), the picture's sides or the steps are out of
 /// range, or the file cannot be as small as asked for; [`Error::LimitExceeded`] if there are more Gaussians than
 /// [`Limits`] let decoders read.
 pub fn pack(picture: &Picture, options: &PackOptions) -> Result<PackedSplats> {
@@ -187,7 +188,15 @@ fn packed(picture: &Picture, options: &PackOptions, steps: Steps) -> Result<(Pac
     // Sides and steps: what follows computes with them.
     rules::check(&splats)?;
     let quantizer = splats.quantizer();
-    splats.background = quantizer.quantize_color(picture.background);
+    let color = |of: &dyn Fn() -> String, color: [f32; 4]| {
+        let axes = quantizer.transform_color(color);
+        if axes[..picture.channels.count()].iter().all(|v| v.abs() <= MAX_COLOR) {
+            return Ok(quantizer.quantize_color(color));
+        }
+        let problem = format!("{color:?} of {} is more than {MAX_COLOR} in luma, chroma or alpha", of());
+        Err(Error::Parameter { name: "color", problem })
+    };
+    splats.background = color(&|| "the background".into(), picture.background)?;
     let size = [picture.width, picture.height];
     let asked = matches!(options.precision, Precision::Steps(_));
     for (i, g) in picture.gaussians.iter().enumerate() {
@@ -197,6 +206,7 @@ fn packed(picture: &Picture, options: &PackOptions, steps: Steps) -> Result<(Pac
             let problem = format!("{:?} of Gaussian {i} lies outside the picture", g.mean);
             return Err(Error::Parameter { name: "mean", problem });
         }
+        color(&|| format!("Gaussian {i}"), g.color)?;
         if is_inside || reaches(g, size) {
             splats.gaussians.push(quantizer.quantize(g));
         }
@@ -252,6 +262,29 @@ mod tests {
             let color = (0..3).map(|k| (a.color[k] - b.color[k]).abs()).fold(0.0, f32::max);
             [worst[0].max(mean), worst[1].max(octaves), worst[2].max(color)]
         })
+    }
+
+    #[test]
+    fn colours_that_no_file_can_hold_are_refused_and_the_largest_are_not() {
+        for (color, holds) in
+            [([8.0, 8.0, 8.0, 0.0], true), ([8.1, 8.1, 8.1, 0.0], false), ([0.0, -9.0, 0.0, 0.0], false)]
+        {
+            let mut picture = picture(Blend::Sum);
+            picture.gaussians[3].color = color;
+            for level in 0..=FINEST {
+                let options = PackOptions { precision: Precision::Level(level), ..PackOptions::default() };
+                match pack(&picture, &options) {
+                    Ok(splats) => assert!(holds && bitstream::to_bytes(&splats).is_ok(), "{color:?}"),
+                    Err(Error::Parameter { name: "color", problem }) => {
+                        assert!(!holds && problem.contains("Gaussian 3"), "{color:?} {problem}");
+                    }
+                    other => panic!("{other:?}"),
+                }
+            }
+            picture.gaussians.clear();
+            picture.background = color;
+            assert_eq!(pack(&picture, &PackOptions::default()).is_ok(), holds, "{color:?}");
+        }
     }
 
     #[test]

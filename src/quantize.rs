@@ -3,6 +3,7 @@
 use glam::Vec2;
 
 use crate::bitstream::lattice::Lattice;
+use crate::bitstream::rules::most_color;
 use crate::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use crate::gaussian::{Channels, Gaussian, Picture};
 use crate::parallel;
@@ -20,6 +21,8 @@ pub struct Quantizer {
     delta: f64,
     luma: f32,
     chroma: f32,
+    /// Largest magnitude of the colour integers.
+    most_color: [i16; 4],
     scales: Vec<f32>,
 }
 
@@ -31,7 +34,8 @@ impl Quantizer {
         let luma = (f64::from(steps.luma) / 3.0 - 7.0).exp2() as f32;
         let scales = (0..256).map(|i| (f64::from(i) * delta - 2.0).min(20.0).exp2() as f32).collect();
         let chroma = luma * CHROMA_RATIOS[usize::from(steps.chroma & 3)];
-        Quantizer { lattice: Lattice::new(steps, layout), size, channels, delta, luma, chroma, scales }
+        let most_color = most_color(steps, channels);
+        Quantizer { lattice: Lattice::new(steps, layout), size, channels, delta, luma, chroma, most_color, scales }
     }
 
     /// The angle counts and position exponents that go with these steps.
@@ -82,13 +86,20 @@ impl Quantizer {
         }
     }
 
-    /// The nearest colour integers.
+    /// The largest magnitude of each of the four colour integers (spec §4).
+    #[must_use]
+    pub fn most_color(&self) -> [i16; 4] {
+        self.most_color
+    }
+
+    /// The nearest legal colour integers.
     #[must_use]
     pub fn quantize_color(&self, color: [f32; 4]) -> [i16; 4] {
         let (axes, steps) = (self.transform_color(color), self.color_steps());
         std::array::from_fn(|k| {
             if k < self.channels.count() {
-                (axes[k] / steps[k] + 0.5).floor().clamp(-32768.0, 32767.0) as i16
+                let most = f32::from(self.most_color[k]);
+                (axes[k] / steps[k] + 0.5).floor().clamp(-most, most) as i16
             } else {
                 0
             }

@@ -44,6 +44,44 @@ fn every_find_is_refused_or_canonical() {
     }
 }
 
+/// What makes a find illegal.
+fn reason(name: &str) -> FormatError {
+    let (_, bytes) = finds().into_iter().find(|f| f.0 == name).unwrap_or_else(|| panic!("{name}"));
+    match read(&bytes[..], &Limits::default()) {
+        Err(Error::Format(e)) => e,
+        other => panic!("{name}: {other:?}"),
+    }
+}
+
+#[test]
+fn frames_that_libraries_read_in_their_own_ways_are_refused() {
+    for name in ["reserved-bits-of-zstd", "a-window-of-96-mib", "a-window-that-another-library-refuses"] {
+        let reason = reason(&format!("planes-with-{name}"));
+        assert!(matches!(reason, FormatError::Compression { .. }), "{name}: {reason}");
+    }
+}
+
+#[test]
+fn colours_beyond_what_single_precision_bears_are_refused() {
+    for i in 1..=4 {
+        let reason = reason(&format!("colours-beyond-single-precision-{i}"));
+        assert!(matches!(reason, FormatError::BadValue { field: "background", .. }), "{i}: {reason}");
+    }
+}
+
+#[test]
+fn planes_that_two_libraries_read_as_two_pictures_are_one() {
+    // A broken frame, with the checksum of what one library makes of it and with that of the other. Not sealed.
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/finds");
+    let read_as = |library| {
+        let bytes = fs::read(folder.join(format!("planes-with-two-pictures-as-{library}-reads.bin"))).unwrap();
+        read(&bytes[..], &Limits::default())
+    };
+    assert!(read_as("zstd").is_ok());
+    let refused = read_as("ruzstd");
+    assert!(matches!(refused, Err(Error::Format(FormatError::Checksum { what: "planes", .. }))), "{refused:?}");
+}
+
 #[test]
 fn a_coded_stream_that_starts_above_its_interval_is_refused() {
     let (_, bytes) = finds().into_iter().find(|f| f.0 == "coded-stream-starts-above-its-interval").unwrap();

@@ -9,7 +9,7 @@ use std::path::Path;
 use image::ImageReader;
 use peak_alloc::PeakAlloc;
 use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
-use ssplat::bitstream::to_bytes;
+use ssplat::bitstream::{inspect, to_bytes};
 use ssplat::{Blend, Channels, DecodeOptions, Depth, Limits, Opened};
 use synthetic::{Scene, scene};
 
@@ -117,6 +117,7 @@ fn decoding_keeps_to_the_memory_that_it_is_granted() {
     through_image(&files);
     directly(&files);
     again_and_again(&files);
+    inspected(&files);
 }
 
 /// Pixels are part of what is granted.
@@ -125,6 +126,15 @@ fn directly(files: &[(String, Vec<u8>)]) {
         let mut options = DecodeOptions::default();
         options.limits.alloc = granted;
         ssplat::decode(bytes, &options).is_ok()
+    });
+}
+
+/// The account of where the bytes go.
+fn inspected(files: &[(String, Vec<u8>)]) {
+    keeps("inspected", files, |bytes, granted| {
+        let mut limits = Limits::default();
+        limits.alloc = granted;
+        inspect(bytes, &limits).is_ok()
     });
 }
 

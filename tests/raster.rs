@@ -1,8 +1,12 @@
 //! The rasterizer against its definition in f64, and against itself cut differently.
 
 mod scenes;
+mod synthetic;
+
+use std::f32::consts::FRAC_PI_2;
 
 use scenes::{Random, codes, scene};
+use ssplat::bitstream::splats::Steps;
 use ssplat::raster::{Renderer, SamplesMut, View, reference};
 use ssplat::{Blend, Channels, Depth, Error, Gaussian, Limits, Picture, Samples};
 
@@ -151,6 +155,60 @@ fn sparse_pictures_where_epsilon_conditions_the_division_are_within_one_code_val
         }
         assert!(worst(&p, &View::full(&p), Depth::Eight) <= 1, "seed {seed}");
     }
+}
+
+/// A picture of any legal integers: needles, huge and tiny Gaussians, colours up to the ends of their range.
+fn legal(seed: u64, count: usize, blend: Blend, channels: Channels) -> Picture {
+    let mut random = synthetic::Random(seed);
+    let steps = Steps {
+        scale: random.below(16) as u8,
+        angle: random.below(4) as u8,
+        position: random.below(16) as u8,
+        coarsest: random.below(6) as i8,
+        range: random.below(10) as u8,
+        luma: random.below(16) as u8,
+        chroma: random.below(4) as u8,
+    };
+    let mut splats =
+        synthetic::scene(&synthetic::Scene { channels, size: [41, 131], count: 0, seed, steps, ..Default::default() });
+    splats.blend = blend;
+    let most = splats.quantizer().most_color();
+    splats.gaussians = (0..count).map(|_| synthetic::any_primitive(&splats, &mut random)).collect();
+    for p in &mut splats.gaussians {
+        // Most are of a size that several overlap, and at the ends of the colours.
+        if random.below(4) > 0 {
+            for (c, most) in p.color.iter_mut().zip(most).take(channels.count()) {
+                *c = if *c < 0 { -most } else { most };
+            }
+        }
+    }
+    splats.to_picture()
+}
+
+#[test]
+fn colours_as_large_as_a_file_may_hold_stay_within_tolerance_at_16_bits() {
+    let mut worst = [0.0f64; 2];
+    for seed in 0..400 {
+        for (k, blend) in [Blend::Normalized, Blend::Sum].into_iter().enumerate() {
+            let channels = [Channels::Rgb, Channels::Grey, Channels::Rgba, Channels::GreyAlpha][seed as usize % 4];
+            let p = legal(seed, 2 + seed as usize % 60, blend, channels);
+            let view = View::full(&p);
+            let drawn = render(&p, &view, Depth::Sixteen);
+            let want = reference::filtered(&p, &view);
+            // What the sum blend adds up, without signs.
+            let mut amounts = p.clone();
+            amounts.background = p.background.map(f32::abs);
+            amounts.gaussians.iter_mut().for_each(|g| g.color = g.color.map(f32::abs));
+            let amounts = reference::sample(&amounts, &view);
+            for ((got, want), amount) in drawn.into_iter().zip(want).zip(amounts) {
+                let most = if blend == Blend::Sum { (amount / 16.0).max(1.0) } else { 1.0 };
+                let off = f64::from(got.abs_diff(reference::code(want, Depth::Sixteen)));
+                worst[k] = worst[k].max(off / most);
+            }
+        }
+    }
+    println!("{worst:?}");
+    assert!(worst.iter().all(|&off| off <= 257.0), "{worst:?}");
 }
 
 #[test]
@@ -465,6 +523,25 @@ fn work_is_limited_in_proportion_to_pixels_and_primitives() {
     let p = picture(1000, 1000, Channels::Rgb, Blend::Normalized, giants);
     let error = Renderer::new(&p, &View::full(&p), &Limits::default()).unwrap_err();
     assert!(matches!(error, Error::LimitExceeded { what: "work", .. }));
+}
+
+#[test]
+fn narrow_gaussians_count_as_the_exponentials_that_they_take() {
+    // Two strips of 8 columns are drawn of each.
+    let of = |scale: [f32; 2]| {
+        let p = picture(400, 1000, Channels::Rgb, Blend::Normalized, vec![one([200.0, 500.0], scale, FRAC_PI_2)]);
+        let mut limits = Limits::default();
+        limits.work = 0;
+        match Renderer::new(&p, &View::full(&p), &limits) {
+            Err(Error::LimitExceeded { what: "work", requested, .. }) => requested,
+            other => panic!("{other:?}"),
+        }
+    };
+    let (needle, bar) = (of([1e4, 0.25]), of([1e4, 2.0]));
+    // Eight tiles at an edge between columns of them.
+    let pairs = 8 * 1024;
+    assert!((4 * 16_000..4 * 20_000).contains(&(needle - pairs)), "{needle}");
+    assert!((16_000..32_000).contains(&(bar - pairs)), "{bar}");
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! What a thumbnail promises: a file keeps its size with one, a reader gets it or the picture, and nothing else is asked of it.
 
+use ssplat::bitstream::header::Header;
 use ssplat::bitstream::{inspect, read, to_bytes};
 use ssplat::metrics::psnr;
 use ssplat::{
@@ -151,4 +152,21 @@ fn what_cannot_be_asked_for_is_refused() {
     limits.alloc = 100;
     assert!(matches!(thumbnail(&bytes, [100; 2], &limits), Err(Error::LimitExceeded { what: "alloc", .. })));
     assert!(matches!(thumbnail(b"GIF89a", [100; 2], &limits), Err(Error::Format(_))));
+}
+
+#[test]
+fn no_bit_of_a_damaged_header_gets_a_thumbnail_drawn() {
+    let pixels = picture(300, 200, Channels::Rgb);
+    let bytes = encode(&pixels, &options(2500, Thumbnail::Bytes(300))).unwrap().bytes;
+    let rest = {
+        let mut rest = &bytes[..];
+        Header::read(&mut rest, &Limits::default()).unwrap();
+        rest.len()
+    };
+    for bit in 0..8 * (bytes.len() - rest) {
+        let mut hurt = bytes.clone();
+        hurt[bit / 8] ^= 1 << (bit % 8);
+        let shown = thumbnail(&hurt, [100; 2], &Limits::default());
+        assert!(shown.is_err(), "bit {bit}: {:?}", shown.map(|s| [s.pixels.width(), s.pixels.height()]));
+    }
 }

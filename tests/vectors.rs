@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 
 use seal::seal;
 use sha256::sha256;
+use ssplat::bitstream::header::Header;
 use ssplat::bitstream::lattice::Lattice;
 use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use ssplat::bitstream::{read, to_bytes};
@@ -232,6 +233,9 @@ fn valid() -> Vec<Vector> {
     add("coded-many", "700 primitives: long runs of every model", {
         bytes(&scene(&Scene { size: [48, 32], count: 700, seed: 8, ..Scene::default() }))
     });
+    add("planes-many", "700 primitives: zstd frames with literals and sequences", {
+        bytes(&scene(&Scene { layout: Planes, size: [48, 32], count: 700, seed: 8, ..Scene::default() }))
+    });
     let mut sparse = small(Coded, Channels::Rgb, 9, false, 9);
     for p in &mut sparse.gaussians {
         (p.major, p.minor, p.angle) = (16, 16, 0);
@@ -253,8 +257,11 @@ fn valid() -> Vec<Vector> {
     divided.levels = vec![20, 2280];
     add("groups-divided", "two levels, the second in two groups and one of what stays undivided", bytes(&divided));
     let mut vivid = small(Coded, Channels::Rgba, 50, false, 14);
+    let most = vivid.quantizer().most_color();
     for (k, p) in vivid.gaussians.iter_mut().enumerate() {
-        p.color = p.color.map(|c| if k % 3 == 0 { c.saturating_mul(1 << (k % 15)) } else { c });
+        p.color = std::array::from_fn(|i| {
+            if k % 3 == 0 { p.color[i].saturating_mul(1 << (k % 15)).clamp(-most[i], most[i]) } else { p.color[i] }
+        });
     }
     add("coded-vivid", "colours far from what is expected, up to the ends of their range", bytes(&vivid));
     let mut with = two(Packed);
@@ -275,7 +282,37 @@ fn valid() -> Vec<Vector> {
     with.metadata.thumbnail = Some(bytes(&small));
     add("sections-thumbnail", "a thumbnail of half the sides, a file of its own", bytes(&with));
     add("sections-unknown", "an optional section that this version does not know", renamed(&carried, b"iccp", b"zzzz"));
+    add("sections-most", "64 sections, the most", with_sections(&bytes(&two(Packed)), 64));
     out
+}
+
+/// A file without sections, with so many empty ones.
+fn with_sections(bytes: &[u8], count: u8) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    bytes[5] |= 0x80;
+    let mut sections = vec![count];
+    let at = header_length(&bytes);
+    for i in 0..count {
+        let name = [b'a', b'A' + i / 26, b'a', b'a' + i % 26];
+        sections.extend(name);
+        sections.push(0);
+        sections.extend(section_checksum(&bytes, name, &[]));
+    }
+    bytes.splice(at..at, sections);
+    seal(&mut bytes);
+    bytes
+}
+
+/// The checksum of a section of the file `bytes`, whose header it covers.
+fn section_checksum(bytes: &[u8], name: [u8; 4], contents: &[u8]) -> [u8; 4] {
+    let header = crc32fast::hash(&bytes[..header_length(bytes)]).to_le_bytes();
+    crc32fast::hash(&[&header[..], &name, contents].concat()).to_le_bytes()
+}
+
+fn header_length(bytes: &[u8]) -> usize {
+    let mut rest = bytes;
+    Header::read(&mut rest, &Limits::default()).unwrap();
+    bytes.len() - rest.len()
 }
 
 /// A file with a section of another name.
@@ -284,8 +321,8 @@ fn renamed(bytes: &[u8], from: &[u8; 4], to: &[u8; 4]) -> Vec<u8> {
     let at = bytes.windows(4).position(|w| w == from).unwrap();
     bytes[at..at + 4].copy_from_slice(to);
     let length = usize::from(bytes[at + 4]);
-    let contents = [&to[..], &bytes[at + 9..at + 9 + length]].concat();
-    bytes[at + 5..at + 9].copy_from_slice(&crc32fast::hash(&contents).to_le_bytes());
+    let checksum = section_checksum(&bytes, *to, &bytes[at + 9..at + 9 + length]);
+    bytes[at + 5..at + 9].copy_from_slice(&checksum);
     seal(&mut bytes);
     bytes
 }
@@ -333,8 +370,8 @@ fn invalid() -> Vec<Vector> {
     };
     add("empty-file", "no byte at all", Vec::new());
     add("signature-seven-bits", "the signature after a transfer with 7 bits", changed(&packed, 0, 9));
-    add("version-6", "a newer version", changed(&packed, 4, 6));
-    add("version-4", "a version from before the first release", changed(&packed, 4, 4));
+    add("version-7", "a newer version", changed(&packed, 4, 7));
+    add("version-5", "a version from before the first release", changed(&packed, 4, 5));
     add("width-0", "no pixels", changed(&packed, 6, 0));
     add("height-huge", "a height of 2^20 + 1", spliced(&packed, 7, 1, &[0x81, 0x80, 0x40]));
     add("width-long", "a width in more bytes than it needs", spliced(&packed, 6, 1, &[0x88, 0]));
@@ -368,6 +405,7 @@ fn invalid() -> Vec<Vector> {
         seal(&mut bytes);
         bytes
     });
+    add("section-count", "65 sections: more than a file may have", with_sections(&packed, 65));
     add("section-cut", "a section that is longer than the file", changed(&sections, 17, 0x7f));
 
     let coarse = Steps { scale: 2, angle: 2, position: 7, coarsest: 4, range: 10, luma: 15, chroma: 1 };
@@ -394,6 +432,26 @@ fn invalid() -> Vec<Vector> {
         bytes[body..].copy_from_slice(&checksum);
         bytes
     });
+    let book = vec![[4, 0, 0, 0], [24, 4, -2, 0]];
+    let book = to_bytes(&PackedSplats { codebook: Some(book), ..two(Packed) }).unwrap();
+    add("packed-codebook-colour", "a codebook's colour beyond 8", spliced(&book, 16, 3, &[0xcc, 0x88, 0x02]));
+    // What every decoder checks of zstd frames, whatever its library forgives.
+    let equal_planes = PackedSplats { layout: Planes, gaussians: vec![two(Planes).gaussians[0]; 300], ..two(Planes) };
+    let frames = to_bytes(&equal_planes).unwrap();
+    let frame = frames.windows(5).position(|w| w == [0x28, 0xb5, 0x2f, 0xfd, 0]).unwrap();
+    add("planes-checksum", "planes that are not those of their checksum", {
+        let mut bytes = planes.clone();
+        let at = bytes.len() - 9;
+        bytes[at] ^= 1;
+        let body = bytes.len() - 4;
+        let checksum = crc32fast::hash(&bytes[..body]).to_le_bytes();
+        bytes[body..].copy_from_slice(&checksum);
+        bytes
+    });
+    add("planes-frame-checksum", "a zstd frame whose head names a checksum", changed(&frames, frame + 4, 4));
+    add("planes-frame-window", "a zstd frame with a window of 96 MiB", changed(&frames, frame + 5, 0x84));
+    add("planes-frame-block", "a zstd frame with a block of a reserved kind", changed(&frames, frame + 6, 7));
+
     for (name, base, reasons) in [
         (
             "packed",
@@ -407,10 +465,15 @@ fn invalid() -> Vec<Vector> {
                 "minor scale",
                 "angle",
                 "background",
+                "colour",
             ][..],
         ),
         ("packed", codebook(Packed), &["codebook size", "codebook order", "codebook index"]),
-        ("planes", scene(Planes), &["bytes of a field", "position", "aspect", "compressed stream of", "x", "angle"]),
+        (
+            "planes",
+            scene(Planes),
+            &["bytes of a field", "position", "aspect", "compressed stream of", "x", "angle", "colour"],
+        ),
         ("coded", scene(Coded), &["end of the coded stream"]),
         ("coded", to_bytes(&extreme(Coded, coarse, 30)).unwrap(), &["x", "y", "colour"]),
         ("coded", to_bytes(&extreme(Coded, sparse, 30)).unwrap(), &["square without a scale"]),

@@ -145,7 +145,7 @@ export function read(bytes) {
   let at = 6
   if (end > 16384) stop("limit", `file is ${bytes.length}, at most 16388 is allowed`)
   if ([0x89, 0x53, 0x53, 0x50].some((v, i) => bytes[i] != v)) stop("format", "not an ssplat file")
-  if (bytes[4] != 5) stop("version", `version ${bytes[4]} is not known`)
+  if (bytes[4] != 6) stop("version", `version ${bytes[4]} is not known`)
   const flags = bytes[5]
   if ((flags & 3) != 2 || flags & 192) stop("unsupported", "not one coded stream without codebook and sections")
   const byte = () => at < end ? bytes[at++] : broken("end of the header")
@@ -172,6 +172,9 @@ export function read(bytes) {
     const r = power(d * delta)
     return d ? clamp(ceil(PI * (r - 1 / r) / (Math.SQRT2 * delta * Math.LN2 * tau)), 1, 4096) : 1
   })
+  const luma = power((steps[1] >> 4) / 3 - 7), chroma = channels > 2 ? luma * [1, 1.5, 2, 3][steps[0] >> 6] : luma
+  // Of the colour integers; and what is beyond 8, but for the rounding of 8 itself.
+  const units = [luma, chroma, chroma, luma], vivid = (v, k) => abs(v * units[k]) > 8.000001
   const logs = (major, minor, angle) => {
     if (!range) return [0, 0]
     const r = power((major - minor) * delta), s = sin(PI * angle / angles[major - minor])
@@ -191,7 +194,7 @@ export function read(bytes) {
     if (length > 1) m = 2 * m + bit(21 + 3 * length + (m & 1))
     if (length > 2) m = m * power(length - 2) + coder.raw(length - 2)
     m = negative ? -m : m
-    return m < -32768 || m > 32767 ? broken("background") : m
+    return vivid(m, k) ? broken("background") : m
   })
 
   // Positions (spec §8.4): squares as [log of the side, x, y].
@@ -288,9 +291,8 @@ export function read(bytes) {
   }
   const minorGains = gains(40, 9, 9), angleGains = gains(8, 6, 16), colorGains = background.map(() => gains(16, 9, 8))
   const shift = Array(40).fill(0), seen = Array(40).fill(0), within = (v, c) => clamp(v, -c, c) + c
-  const luma = power((steps[1] >> 4) / 3 - 7), chroma = [1, 1.5, 2, 3][steps[0] >> 6]
   const colour = integers => {
-    const c = integers.map((v, k) => v * luma * (channels > 2 && (k == 1 || k == 2) ? chroma : 1)), [Y, co, cg] = c
+    const c = integers.map((v, k) => v * units[k]), [Y, co, cg] = c
     return channels > 2 ? [Y - cg / 2 + co / 2, Y + cg / 2, Y - cg / 2 - co / 2, ...c.slice(3)] : c
   }
   let before = []
@@ -346,7 +348,7 @@ export function read(bytes) {
       const p = clamp(known.reduce((sum, s, j) => sum + times(s, surprise[j]), mean[2 + k] + F), -524288, 524272)
       const error = floor((16 * total[6 + k] + 512 * errors[k].value) * trust(512) / 16777216), classes = [z, apart, a]
       const values = near(coder, p, log16(max(1, error)) + 32 + colorGains[k].sum(classes)), v = values.open()
-      if (v < -32768 || v > 32767) broken("colour")
+      if (vivid(v, k)) broken("colour")
       integers.push(v)
       colorGains[k].learn(classes, values.distance(v))
       off[k] = min(65536, abs(16 * v - p) >> 2)

@@ -6,6 +6,7 @@ use std::io::Read;
 
 use arbitrary::{Arbitrary, Unstructured};
 use ssplat::bitstream::lattice::Lattice;
+use ssplat::bitstream::rules::most_color;
 use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use ssplat::{Blend, Channels, Depth, Limits};
 
@@ -67,7 +68,7 @@ impl<'a> Arbitrary<'a> for Head {
             luma: u.int_in_range(0..=15)?,
             chroma: u.int_in_range(0..=3)?,
         };
-        let wide = u.arbitrary()?;
+        let wide = wide_colors(u, &steps, channels)?;
         let colors = if u.arbitrary()? {
             Some((0..=u.int_in_range(0..=20)?).map(|_| color(u, channels, wide)).collect::<Result<Vec<_>, _>>()?)
         } else {
@@ -100,7 +101,7 @@ impl<'a> Arbitrary<'a> for Legal {
         let mut splats = Head::arbitrary(u)?.0;
         let PackedSplats { steps, width, height, channels, .. } = splats;
         let lattice = Lattice::new(&steps, splats.layout);
-        let wide = u.arbitrary()?;
+        let wide = wide_colors(u, &steps, channels)?;
         if u.arbitrary()? {
             splats.metadata.icc = Some(u.arbitrary()?);
         }
@@ -132,11 +133,17 @@ impl<'a> Arbitrary<'a> for Legal {
     }
 }
 
-/// A colour: any, or of moderate size as real ones are.
-fn color(u: &mut Unstructured<'_>, channels: Channels, wide: bool) -> arbitrary::Result<[i16; 4]> {
+/// The largest magnitudes of colour integers: those that are legal, or moderate ones as real pictures have.
+fn wide_colors(u: &mut Unstructured<'_>, steps: &Steps, channels: Channels) -> arbitrary::Result<[i16; 4]> {
+    let most = most_color(steps, channels);
+    Ok(if u.arbitrary()? { most } else { most.map(|m| m / 8 + 1) })
+}
+
+/// A colour of magnitudes up to `most`.
+fn color(u: &mut Unstructured<'_>, channels: Channels, most: [i16; 4]) -> arbitrary::Result<[i16; 4]> {
     let mut color = [0; 4];
-    for c in &mut color[..channels.count()] {
-        *c = if wide { u.arbitrary()? } else { u.int_in_range(-200..=400)? };
+    for (c, most) in color[..channels.count()].iter_mut().zip(most) {
+        *c = u.int_in_range(-most..=most)?;
     }
     Ok(color)
 }

@@ -54,13 +54,14 @@ fn seal_sections(bytes: &mut [u8]) {
         _ => return,
     }
     let mut at = bytes.len() - rest.len();
+    let header = crc32fast::hash(&bytes[..at]).to_le_bytes();
     let Some(count) = varint(bytes, &mut at) else { return };
     for _ in 0..count {
         let name = at;
         at += 4;
         let Some(length) = varint(bytes, &mut at) else { return };
         let Some(contents) = bytes.get(at + 4..).and_then(|b| b.get(..usize::try_from(length).ok()?)) else { return };
-        let checksum = crc32fast::hash(&[&bytes[name..name + 4], contents].concat());
+        let checksum = crc32fast::hash(&[&header, &bytes[name..name + 4], contents].concat());
         let end = at + 4 + contents.len();
         bytes[at..at + 4].copy_from_slice(&checksum.to_le_bytes());
         at = end;

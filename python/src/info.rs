@@ -1,5 +1,7 @@
 //! What a file says about itself.
 
+use std::collections::BTreeMap;
+
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyDict};
@@ -8,7 +10,7 @@ use ssplat::bitstream::splats::{Metadata, Steps};
 use ssplat::{Damage, Limits, Opening, bitstream};
 
 use crate::failure::exception;
-use crate::{names, work};
+use crate::{decode, names, work};
 
 /// `(width, height, channels, bits, whether there is metadata)` from the first bytes of a file; 32 are enough.
 #[pyfunction]
@@ -22,9 +24,15 @@ type Section = Option<Py<PyBytes>>;
 
 /// `(ICC profile, EXIF block)`, reading as little of the file as its layout allows.
 #[pyfunction]
-pub fn metadata(py: Python<'_>, data: PyBackedBytes) -> PyResult<(Section, Section)> {
+#[pyo3(signature = (data, limits = None))]
+pub fn metadata(
+    py: Python<'_>,
+    data: PyBackedBytes,
+    limits: Option<BTreeMap<String, i128>>,
+) -> PyResult<(Section, Section)> {
+    let limits = decode::limits(limits.as_ref())?;
     let Metadata { icc, exif, .. } = work::run(py, 1, &work::Calls::default(), move |_| {
-        let opening = Opening::new(&data, &Limits::default())?;
+        let opening = Opening::new(&data, &limits)?;
         let corner = opening.view().crop(0, 0, 1, 1)?;
         Ok(opening.read_for(&corner, Damage::Refuse)?.into_metadata())
     })?;
@@ -34,9 +42,15 @@ pub fn metadata(py: Python<'_>, data: PyBackedBytes) -> PyResult<(Section, Secti
 
 /// Everything but the primitives.
 #[pyfunction]
-pub fn info<'py>(py: Python<'py>, data: PyBackedBytes) -> PyResult<Bound<'py, PyDict>> {
+#[pyo3(signature = (data, limits = None))]
+pub fn info<'py>(
+    py: Python<'py>,
+    data: PyBackedBytes,
+    limits: Option<BTreeMap<String, i128>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let limits = decode::limits(limits.as_ref())?;
     let (splats, report) =
-        work::run(py, 1, &work::Calls::default(), move |_| bitstream::inspect(&data, &Limits::default()))?;
+        work::run(py, 1, &work::Calls::default(), move |_| bitstream::inspect(&data, &limits))?;
     let h = &report.header;
     let d = PyDict::new(py);
     d.set_item("width", h.width)?;

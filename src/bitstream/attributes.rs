@@ -177,6 +177,8 @@ const REFRESH_EACH: u32 = 8;
 /// The model of one channel.
 #[derive(Debug)]
 struct Color {
+    /// Largest magnitude of the integer.
+    most: u64,
     gains: Gains<3>,
     mean: Mean,
     /// Running mean of the errors, 64ths.
@@ -311,6 +313,7 @@ impl Attributes {
         let octave = 32 * FINE / scene.delta();
         let spacing = scene.scale_of(scene.spacing);
         let colors = (0..palette.channels.count()).map(|k| Color {
+            most: scene.rules.most_color[k].unsigned_abs().into(),
             gains: Gains::new(),
             mean: Mean::new(i64::from(palette.background[k]) * FINE, 4),
             error: Mean::new(ERRORS[k], 4),
@@ -498,7 +501,10 @@ impl Attributes {
             coder.expect(Forecast::Color { channel: k, place: mean + follow, cross, spread: log });
             let near = Near::new(guess, log);
             let value = Open::new(near).code(coder, color[k].into());
-            out[k] = i16::try_from(value).map_err(|_| Broken { field: "colour", value: value as u64 })?;
+            if value.unsigned_abs() > model.most {
+                return Err(Broken { field: "colour", value: value.unsigned_abs() });
+            }
+            out[k] = value as i16;
             model.gains.learn(&classes, near.distance(value));
             let actual = value * FINE;
             errors[k] = ((actual - guess).abs() >> 2).min(1 << 16) as i32;

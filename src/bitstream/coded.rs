@@ -60,6 +60,7 @@ pub(crate) fn metered(decoder: Decoder<'_>, detail: Detail) -> Meter<Decoder<'_>
 fn read_stream<C: Coder>(coder: &mut C, header: &Header, splats: &mut PackedSplats) -> Result<()> {
     (splats.background, splats.codebook) = read_palette(coder, header)?;
     let group = Group::new(splats, splats.codebook.as_deref())?;
+    group.rules.palette(splats)?;
     splats.gaussians = group.code(coder, group.rules.region(), None, header.primitives)?;
     Ok(())
 }

@@ -231,6 +231,7 @@ fn read_directory(
     if header.coloring == Coloring::Codebook {
         splats.codebook = Some(read_codebook(bytes, channels)?);
     }
+    rules.palette(splats)?;
     let count = bytes.varint("level count")?;
     if !(1..=MAX_LEVELS as u64).contains(&count) {
         return Err(Broken { field: "level count", value: count }.into());

@@ -15,7 +15,7 @@ use crate::pixels::Depth;
 pub const MAGIC: [u8; 4] = [0x89, b'S', b'S', b'P'];
 
 /// The format version that this crate reads and writes.
-pub const VERSION: u8 = 5;
+pub const VERSION: u8 = 6;
 
 /// Largest side of a picture, pixels.
 pub const MAX_SIDE: u32 = 1 << 20;

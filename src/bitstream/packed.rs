@@ -141,6 +141,7 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
         splats.codebook = Some(read_codebook(bytes, channels)?);
         tally.part("codebook", start - bytes.left());
     }
+    rules.palette(splats)?;
     let count = header.primitives as usize;
     if count == 0 {
         return Ok(());

@@ -2,6 +2,7 @@
 
 use super::broken::Broken;
 use super::bytes::{Bytes, put_varint, unzigzag, zigzag};
+use super::checksum::Hasher;
 use super::frame;
 use super::header::{Coloring, Header};
 use super::hilbert::{hilbert, hilbert_point};
@@ -80,6 +81,7 @@ pub(crate) fn put(splats: &PackedSplats, out: &mut Vec<u8>) -> Result<()> {
         (row[0], last) = (row[0] - last, row[0]);
     }
     let count = 6 + colors(book.is_some(), channels);
+    let mut checksum = Hasher::new();
     for (k, &(_, most)) in FIELDS.iter().enumerate().take(count) {
         let widest = rows.iter().map(|r| r[k]).max().unwrap_or(0);
         let bytes = (64 - widest.leading_zeros()).div_ceil(8) as usize;
@@ -87,9 +89,11 @@ pub(crate) fn put(splats: &PackedSplats, out: &mut Vec<u8>) -> Result<()> {
         out.push(bytes as u8);
         for byte in 0..bytes {
             let plane: Vec<u8> = rows.iter().map(|r| (r[k] >> (8 * byte)) as u8).collect();
+            checksum.update(&plane);
             put_plane(&plane, out)?;
         }
     }
+    out.extend_from_slice(&checksum.finalize().to_le_bytes());
     Ok(())
 }
 
@@ -117,6 +121,7 @@ fn read_plane(bytes: &mut Bytes<'_>, count: usize, what: &'static str) -> Result
     }
     let frame = bytes.take(length, what)?;
     let broken = || Error::from(FormatError::Compression { what });
+    frame::outline(frame, count).ok_or_else(broken)?;
     let mut plane = Vec::new();
     plane.try_reserve_exact(count).map_err(|_| broken())?;
     plane.resize(count, 0);
@@ -133,7 +138,9 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
         splats.codebook = Some(read_codebook(bytes, channels)?);
     }
     tally.part("palette", start - bytes.left());
+    rules.palette(splats)?;
     let count = header.primitives as usize;
+    let mut checksum = Hasher::new();
     let mut rows = vec![[0u64; 10]; count];
     let streams = 6 + colors(splats.codebook.is_some(), channels);
     for (k, &(name, most)) in FIELDS.iter().enumerate().take(streams) {
@@ -145,6 +152,7 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
         let mut widest = 0;
         for byte in 0..width {
             let plane = read_plane(bytes, count, name)?;
+            checksum.update(&plane);
             for (row, value) in rows.iter_mut().zip(plane) {
                 row[k] |= u64::from(value) << (8 * byte);
                 widest |= row[k];
@@ -156,6 +164,13 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
         tally.part(name, start - bytes.left());
         tally.field(name, 8.0 * (start - bytes.left()) as f64);
     }
+    // What two libraries make of a broken frame need not be the same: this is what the writer meant.
+    let computed = checksum.finalize();
+    let stored = bytes.u32("checksum of the planes")?;
+    if stored != computed {
+        return Err(FormatError::Checksum { what: "planes", stored, computed }.into());
+    }
+    tally.part("checksum of the planes", size_of_val(&stored));
     let curve = Curve::new(&rules);
     splats.gaussians.reserve_exact(count);
     let mut last: Option<[u64; 10]> = None;

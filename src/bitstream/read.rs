@@ -3,8 +3,8 @@
 use std::io::Read;
 use std::sync::Arc;
 
-use super::bytes::Bytes;
 use super::broken::Broken;
+use super::bytes::Bytes;
 use super::checksum::Hasher;
 use super::detail::head::{DetailHead, Spans};
 use super::detail::index::{self, Wanted};
@@ -13,8 +13,8 @@ use super::header::{Grouping, Header, Sections};
 use super::report::{Detail, Report, Tally};
 use super::rules::{Area, most_primitives};
 use super::sections::{SectionInfo, SectionsRead, read_sections};
-use super::write::base_checksum;
 use super::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
+use super::write::base_checksum;
 use super::{CHECKSUM, coded, groups, packed, planes};
 use crate::budget::{Budget, Reservation};
 use crate::error::{FormatError, Result};
@@ -25,11 +25,14 @@ use crate::options::Layers;
 /// the old one is there; later, metadata are copied out of it.
 const FILE_COPIES: u64 = 3;
 
+/// Most bytes that the account of a primitive's bits takes: two lists that grow to twice their size while the old ones are there.
+const ACCOUNT: u64 = 2 * 3 * size_of::<f32>() as u64;
+
 /// Most bytes that reading a primitive of a layout takes at any time.
 fn working_bytes(layout: Layout) -> u64 {
     let extra = match layout {
         Layout::Packed => 0,
-        // A row of ten fields, and planes on their way into rows.
+        // A row of ten fields, a plane on its way into rows, and the window of its frame.
         Layout::Planes => 100,
         // Places by size, growing, then in order; later places and buckets.
         Layout::Coded => 240,
@@ -132,6 +135,9 @@ impl Reading<'_> {
         tally: &mut Tally,
     ) -> Result<(PackedSplats, Vec<SectionInfo>)> {
         let mut working = self.reserve(header, rest)?;
+        if tally.detail == Detail::Fields {
+            working.grow(u64::from(header.primitives) * ACCOUNT)?;
+        }
         let base = header.bytes().len() as u64;
         let end = rest
             .len()
@@ -140,8 +146,7 @@ impl Reading<'_> {
         let mut bytes = Bytes::new(&rest[..end], base);
         let mut checksum = Hasher::new();
         checksum.update(header.bytes());
-        let SectionsRead { metadata, detail, infos } =
-            self.sections(header, &mut bytes, (&mut checksum, &mut working), tally)?;
+        let SectionsRead { metadata, detail, infos } = self.sections(header, &mut bytes, &mut checksum, tally)?;
         let behind = &rest[bytes.taken().len()..end];
         checksum.update(behind);
         let computed = checksum.finalize();
@@ -184,7 +189,6 @@ impl Reading<'_> {
         Wanted { size, channels: header.channels, area: area.copied(), limits: self.limits, passes_over: false, counts }
     }
 
-
     /// Parses what is intact of the bytes behind the header, and says what is missing.
     pub fn intact(self, header: &Header, rest: &[u8]) -> Result<(PackedSplats, Missing)> {
         let mut working = self.reserve(header, rest)?;
@@ -194,7 +198,7 @@ impl Reading<'_> {
         let mut checksum = Hasher::new();
         checksum.update(header.bytes());
         let SectionsRead { metadata, detail, .. } =
-            self.sections(header, &mut bytes, (&mut checksum, &mut working), &mut Tally::default())?;
+            self.sections(header, &mut bytes, &mut checksum, &mut Tally::default())?;
         if header.grouping == Grouping::Single && detail.is_none() {
             let (splats, _) = self.whole(header, rest, None, &mut Tally::default())?;
             return Ok((splats, Missing::default()));
@@ -236,13 +240,13 @@ impl Reading<'_> {
 
     /// Parses the sections and nothing behind them.
     pub fn described(self, header: &Header, rest: &[u8]) -> Result<Metadata> {
-        let mut working = self.budget.reserve(FILE_COPIES * rest.len() as u64)?;
+        let _working = self.budget.reserve(FILE_COPIES * rest.len() as u64)?;
         let mut bytes = Bytes::new(rest, header.bytes().len() as u64);
-        let read = self.sections(header, &mut bytes, (&mut Hasher::new(), &mut working), &mut Tally::default())?;
+        let read = self.sections(header, &mut bytes, &mut Hasher::new(), &mut Tally::default())?;
         Ok(read.metadata)
     }
 
-    /// What parsing `rest` takes at most, but for what is said of many sections.
+    /// What parsing `rest` takes at most.
     fn reserve(self, header: &Header, rest: &[u8]) -> Result<Reservation> {
         let primitives = u64::from(header.primitives) * working_bytes(header.layout);
         self.budget.reserve(FILE_COPIES * rest.len() as u64 + primitives)
@@ -253,13 +257,13 @@ impl Reading<'_> {
         self,
         header: &Header,
         bytes: &mut Bytes<'_>,
-        (checksum, working): (&mut Hasher, &mut Reservation),
+        checksum: &mut Hasher,
         tally: &mut Tally,
     ) -> Result<SectionsRead> {
         if header.sections == Sections::Absent {
             return Ok(Default::default());
         }
-        let read = read_sections(bytes, self.limits, (checksum, working), tally.detail)?;
+        let read = read_sections(bytes, self.limits, header.checksum(), checksum)?;
         tally.part("sections", bytes.taken().len());
         Ok(read)
     }

@@ -14,6 +14,31 @@ pub const MAX_CODEBOOK: usize = 1 << 16;
 /// Most progressive levels.
 pub const MAX_LEVELS: usize = 8;
 
+/// Largest grey, luma, chroma and alpha, 1 is white: no colour is further from what can be seen than single precision can bear
+/// (spec §4). Red, green and blue are twice as large at most.
+pub const MAX_COLOR: f32 = 8.0;
+
+/// Chroma steps in units of half a luma step (spec §4.1).
+const CHROMA_HALVES: [u64; 4] = [2, 3, 4, 6];
+
+/// The largest magnitude of each of the four colour integers with these steps: that of [`MAX_COLOR`]. `1..=1024`.
+#[must_use]
+pub fn most_color(steps: &Steps, channels: Channels) -> [i16; 4] {
+    // n · ratio · 2^(luma/3 − 7) ≤ 8, its third power in integers.
+    let most = |halves: u64| {
+        let cubed = |n: i16| (n as u64 * halves).pow(3) << steps.luma;
+        (1..=1024).rev().find(|&n| cubed(n) <= 1 << 33).expect("the least is 3")
+    };
+    let luma = most(CHROMA_HALVES[0]);
+    match channels {
+        Channels::Grey | Channels::GreyAlpha => [luma; 4],
+        Channels::Rgb | Channels::Rgba => {
+            let chroma = most(CHROMA_HALVES[usize::from(steps.chroma & 3)]);
+            [luma, chroma, chroma, luma]
+        }
+    }
+}
+
 /// How many primitives a payload of `bytes` bytes may hold: real ones take 20 bits or more, and a file that claims
 /// millions in a few bytes must not cost the work of millions.
 pub(crate) fn most_primitives(bytes: u64) -> u64 {
@@ -57,6 +82,8 @@ pub(crate) struct Rules {
     /// Highest legal scale index.
     pub top: u8,
     pub channels: usize,
+    /// Largest magnitude of the colour integers.
+    pub most_color: [i16; 4],
     /// The first and the last major scale for each square; none where the first is the larger.
     majors: [(u8, u8); 16],
 }
@@ -73,6 +100,7 @@ impl Rules {
             // i·δ − 2 ≤ 20 with δ = (scale + 4)/32.
             top: (22 * 32 / (u32::from(steps.scale) + 4)).min(255) as u8,
             channels: channels.count(),
+            most_color: most_color(steps, channels),
             majors: [(u8::MAX, 0); 16],
         };
         for major in 0..=rules.top {
@@ -156,10 +184,24 @@ impl Rules {
     }
 
     pub fn color(&self, color: [i16; 4]) -> Result<(), Broken> {
-        match color[self.channels..].iter().find(|&&c| c != 0) {
-            Some(&c) => Err(Broken { field: "colour of an absent channel", value: u64::from(c.unsigned_abs()) }),
-            None => Ok(()),
+        let broken = |field, value: i16| Err(Broken { field, value: value.unsigned_abs().into() });
+        for (k, (&c, most)) in color.iter().zip(self.most_color).enumerate() {
+            if k >= self.channels && c != 0 {
+                return broken("colour of an absent channel", c);
+            }
+            if c.unsigned_abs() > most.unsigned_abs() {
+                return broken("colour", c);
+            }
         }
+        Ok(())
+    }
+
+    /// The colours of a palette: background and codebook.
+    pub fn palette(&self, splats: &PackedSplats) -> Result<(), Broken> {
+        let named = |field| move |Broken { value, .. }: Broken| Broken { field, value };
+        self.color(splats.background).map_err(named("background"))?;
+        let mut book = splats.codebook.iter().flatten();
+        book.try_for_each(|&c| self.color(c)).map_err(named("codebook"))
     }
 
     pub fn primitive(&self, p: &PackedGaussian) -> Result<(), Broken> {
@@ -217,17 +259,35 @@ fn check_all(splats: &PackedSplats) -> Result<(), Broken> {
     in_range("levels", splats.levels.len() <= MAX_LEVELS, splats.levels.len() as u64)?;
     in_range("levels", splats.levels.len() <= 1 || splats.layout == Layout::Coded, splats.levels.len() as u64)?;
     let rules = Rules::of(splats);
-    rules.color(splats.background)?;
     if let Some(codebook) = &splats.codebook {
         in_range("codebook size", (1..=MAX_CODEBOOK).contains(&codebook.len()), codebook.len() as u64)?;
-        codebook.iter().try_for_each(|&c| rules.color(c))?;
     }
+    rules.palette(splats)?;
     splats.gaussians.iter().try_for_each(|p| rules.primitive(p))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn colour_integers_end_where_the_largest_colour_is() {
+        for luma in 0..16u8 {
+            for (chroma, ratio) in [1.0, 1.5, 2.0, 3.0].into_iter().enumerate() {
+                let chroma = chroma as u8;
+                let steps = Steps { scale: 0, angle: 1, position: 5, coarsest: 2, range: 4, luma, chroma };
+                let step = (f64::from(luma) / 3.0 - 7.0).exp2();
+                let [y, co, cg, a] = most_color(&steps, Channels::Rgba);
+                assert_eq!((y, co), (a, cg));
+                for (most, step) in [(y, step), (co, step * ratio)] {
+                    // Some hit the bound exactly.
+                    let bound = f64::from(MAX_COLOR) * (1.0 + 1e-12);
+                    assert!(f64::from(most) * step <= bound && f64::from(most + 1) * step > bound, "{luma} {chroma}");
+                }
+                assert_eq!(most_color(&steps, Channels::GreyAlpha), [y; 4]);
+            }
+        }
+    }
 
     #[test]
     fn top_is_the_last_index_below_the_largest_scale() {

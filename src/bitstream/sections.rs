@@ -3,9 +3,7 @@
 use super::bytes::{Bytes, put_varint};
 use super::checksum::Hasher;
 use super::detail::head::{self as detail_head, DetailHead, Spans};
-use super::report::Detail;
 use super::splats::Metadata;
-use crate::budget::Reservation;
 use crate::error::{FormatError, Result};
 use crate::limits::Limits;
 
@@ -18,8 +16,8 @@ pub const DETAIL: [u8; 4] = *b"Dtal";
 /// Name of the thumbnail's section.
 pub const THUMBNAIL: [u8; 4] = *b"thmb";
 
-/// A list that grows has room for twice its elements while the old one is still there.
-const GROWING: u64 = 3;
+/// Most sections of a file.
+pub const MAX_SECTIONS: usize = 64;
 
 /// What the sections of a file say.
 #[derive(Debug, Default)]
@@ -55,19 +53,18 @@ pub enum SectionFate {
 /// Reads the sections. The file's checksum, which `checksum` gathers, covers their heads; each head holds the checksum
 /// of its contents, so that a damaged profile cannot hide the picture.
 ///
-/// There can be millions of empty ones: what is noted of each grows `working`, and what only a report needs is noted
-/// where its fields are asked for.
+/// `header` is the checksum of the header, which each of the sections' covers as well: what they tell is of this picture.
 pub(crate) fn read_sections(
     bytes: &mut Bytes<'_>,
     limits: &Limits,
-    (checksum, working): (&mut Hasher, &mut Reservation),
-    detail: Detail,
+    header: u32,
+    checksum: &mut Hasher,
 ) -> Result<SectionsRead> {
     let (mut metadata, mut layer, mut infos) = (Metadata::default(), None, Vec::new());
     let mut head = bytes.taken().len();
     let count = bytes.varint("section count")?;
-    if count == 0 {
-        return Err(FormatError::BadValue { field: "section count", value: 0 }.into());
+    if !(1..=MAX_SECTIONS as u64).contains(&count) {
+        return Err(FormatError::BadValue { field: "section count", value: count }.into());
     }
     let mut total = 0u64;
     let mut last = None;
@@ -86,7 +83,7 @@ pub(crate) fn read_sections(
         head = bytes.taken().len();
         total = total.saturating_add(length);
         Limits::check("metadata", total, limits.metadata)?;
-        let computed = contents_checksum(name, contents);
+        let computed = contents_checksum(header, name, contents);
         let known = match name {
             ICC => Some(&mut metadata.icc),
             EXIF => Some(&mut metadata.exif),
@@ -103,7 +100,6 @@ pub(crate) fn read_sections(
         };
         let fate = match known {
             _ if stored != computed => {
-                working.grow(GROWING * size_of_val(&name) as u64)?;
                 metadata.damaged.push(name);
                 SectionFate::Damaged
             }
@@ -114,18 +110,21 @@ pub(crate) fn read_sections(
                 SectionFate::Kept
             }
         };
-        if detail == Detail::Parts {
-            continue;
-        }
-        working.grow(GROWING * size_of::<SectionInfo>() as u64)?;
         infos.push(SectionInfo { name, bytes: (before - bytes.left()) as u64, fate });
     }
     checksum.update(&bytes.taken()[head..]);
     Ok(SectionsRead { metadata, detail: layer, infos })
 }
 
-/// Appends the sections of `metadata`, and that of the detail layer with such contents, and feeds the file's checksum.
-pub(crate) fn put_sections(metadata: &Metadata, layer: Option<&[u8]>, out: &mut Vec<u8>, checksum: &mut Hasher) {
+/// Appends the sections of `metadata`, and that of the detail layer with such contents, and feeds the file's checksum. The sections'
+/// checksums begin with that of the `header`.
+pub(crate) fn put_sections(
+    metadata: &Metadata,
+    layer: Option<&[u8]>,
+    header: u32,
+    out: &mut Vec<u8>,
+    checksum: &mut Hasher,
+) {
     let mut head = out.len();
     // Capital letters come first.
     let sections = || layer.map(|contents| (DETAIL, contents)).into_iter().chain(metadata.sections());
@@ -133,7 +132,7 @@ pub(crate) fn put_sections(metadata: &Metadata, layer: Option<&[u8]>, out: &mut 
     for (name, contents) in sections() {
         out.extend_from_slice(&name);
         put_varint(contents.len() as u64, out);
-        out.extend_from_slice(&contents_checksum(name, contents).to_le_bytes());
+        out.extend_from_slice(&contents_checksum(header, name, contents).to_le_bytes());
         checksum.update(&out[head..]);
         out.extend_from_slice(contents);
         head = out.len();
@@ -141,8 +140,9 @@ pub(crate) fn put_sections(metadata: &Metadata, layer: Option<&[u8]>, out: &mut 
     checksum.update(&out[head..]);
 }
 
-fn contents_checksum(name: [u8; 4], contents: &[u8]) -> u32 {
+fn contents_checksum(header: u32, name: [u8; 4], contents: &[u8]) -> u32 {
     let mut hasher = Hasher::new();
+    hasher.update(&header.to_le_bytes());
     hasher.update(&name);
     hasher.update(contents);
     hasher.finalize()

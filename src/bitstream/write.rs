@@ -46,7 +46,7 @@ pub fn to_bytes(splats: &PackedSplats) -> Result<Vec<u8>> {
             let spans = Spans { payload: payload.len() as u64, checksum: base_checksum(&out, &payload) };
             head::contents(&layer.head, spans)
         });
-        put_sections(&splats.metadata, contents.as_deref(), &mut out, &mut checksum);
+        put_sections(&splats.metadata, contents.as_deref(), header, &mut out, &mut checksum);
     }
     let behind = out.len();
     out.extend_from_slice(&payload);

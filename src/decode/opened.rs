@@ -288,12 +288,7 @@ impl PackedSplats {
     }
 
     /// The same with memory from `budget`, and with what a detail layer adds.
-    fn renderer_within(
-        &self,
-        view: &View,
-        (limits, budget): (&Limits, &Budget),
-        layers: Layers,
-    ) -> Result<Renderer> {
+    fn renderer_within(&self, view: &View, (limits, budget): (&Limits, &Budget), layers: Layers) -> Result<Renderer> {
         let quantizer = self.quantizer();
         let mut background = quantizer.dequantize_color(self.background);
         let mut count = self.gaussians.len();

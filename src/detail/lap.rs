@@ -19,17 +19,10 @@ const REACH: usize = 2;
 fn inverse([x0, x1, x2, x3]: [i32; 4]) -> [i32; 4] {
     let (e0, e1) = (x1.wrapping_add(x2), x0.wrapping_add(x3));
     let (d0, d1) = (x1.wrapping_sub(x2), x0.wrapping_sub(x3));
-    let mix = |i: usize| {
-        d0.wrapping_mul(MIX[0][i]).wrapping_add(d1.wrapping_mul(MIX[1][i])).wrapping_add(2048) >> 12
-    };
+    let mix = |i: usize| d0.wrapping_mul(MIX[0][i]).wrapping_add(d1.wrapping_mul(MIX[1][i])).wrapping_add(2048) >> 12;
     let (m0, m1) = (mix(0), mix(1));
     let half = |v: i32| v.wrapping_add(1) >> 1;
-    [
-        half(e1.wrapping_add(m1)),
-        half(e0.wrapping_add(m0)),
-        half(e0.wrapping_sub(m0)),
-        half(e1.wrapping_sub(m1)),
-    ]
+    [half(e1.wrapping_add(m1)), half(e0.wrapping_add(m0)), half(e0.wrapping_sub(m0)), half(e1.wrapping_sub(m1))]
 }
 
 /// The filter whose inverse [`inverse`] is.
@@ -83,9 +76,8 @@ pub(crate) fn invert(x: &mut [i32], cells: [usize; 2], sizes: &[u8], filled: &[b
                 continue;
             }
             // What the other pass has spread reaches no further than the next cell.
-            let near = |at: usize| {
-                filled[at] || (cy > 0 && filled[at - CELLS]) || (cy + 1 < down && filled[at + CELLS])
-            };
+            let near =
+                |at: usize| filled[at] || (cy > 0 && filled[at - CELLS]) || (cy + 1 < down && filled[at + CELLS]);
             if !near(at - 1) && !near(at) {
                 continue;
             }
@@ -149,7 +141,17 @@ mod tests {
 
     #[test]
     fn what_was_lapped_comes_back() {
-        let sizes: Vec<u8> = (0..CELLS * CELLS).map(|i| if i % CELLS < 8 { 3 } else if i % CELLS < 12 { 0 } else { 2 }).collect();
+        let sizes: Vec<u8> = (0..CELLS * CELLS)
+            .map(|i| {
+                if i % CELLS < 8 {
+                    3
+                } else if i % CELLS < 12 {
+                    0
+                } else {
+                    2
+                }
+            })
+            .collect();
         let cells = [16, 16];
         let x: Vec<i32> = (0..TILE * TILE).map(|i| ((i * 7919) % 4001) as i32 - 2000).collect();
         let mut lapped: Vec<f32> = x.iter().map(|&v| v as f32).collect();

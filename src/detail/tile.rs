@@ -1,8 +1,8 @@
 //! A tile's levels to what it adds to the samples of its pixels (spec §9.5).
 
+use super::lap;
 use super::steps::PlaneSteps;
 use super::transform::{self, Coefficient};
-use super::lap;
 use crate::bitstream::detail::head::DetailHead;
 use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, SUPERS, TILE, TileLevels};
 use crate::bitstream::detail::model::{CLASSES, PLANES};

@@ -65,7 +65,7 @@ mod tests {
             depth: Depth::Eight,
             blend: Blend::Normalized,
             layout: Layout::Packed,
-            steps: Steps { scale: 2, angle: 1, position: 5, coarsest: 0, range: 0, luma: 8, chroma: 2 },
+            steps: Steps { scale: 2, angle: 1, position: 5, coarsest: 0, range: 0, luma: 0, chroma: 0 },
             background: [0; 4],
             codebook: None,
             gaussians: gaussians.collect(),

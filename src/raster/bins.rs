@@ -156,7 +156,7 @@ impl Tiles {
                     new.pairs <= left
                 });
                 let pairs = new.pairs - before;
-                new.work += pairs * PAIR_WORK + splat.covered(view).min(pairs * TILE);
+                new.work += pairs * PAIR_WORK + splat.covered(view).min(pairs * TILE) * splat.toll();
                 if new.pairs > untold {
                     left = most.spend(&mut new, spent)?;
                 }

@@ -20,6 +20,13 @@ const RECURRENCE_REACH: f64 = 120.0;
 /// Largest rise of the recurrence: its ratios stay within f32's range, as `|u| ≤ √120`.
 const RECURRENCE_RISE: f64 = 4.0;
 
+/// Largest change of `u` or `v` from column to column for which every strip that the support touches is within the recurrence's
+/// reach: beyond an edge of `u² + v² = 8.9` lie up to seven columns and the row that the support ends in.
+const RECURRENCE_RUN: f64 = 1.0;
+
+/// How many times as long a row takes with an exponential: 4.1 with AVX2, less on plain instructions.
+const EXPONENTIAL: u64 = 4;
+
 /// A Gaussian on the grid of a view.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Splat {
@@ -131,6 +138,13 @@ impl Splat {
         let ends = 2.0 * LANES as f64;
         // The cast saturates.
         (ellipse + ends * high).min((wide + ends) * high) as u64
+    }
+
+    /// What a pixel of it costs, in those of a wide Gaussian: more where rows take an exponential each. A few that do not are counted as
+    /// if they did.
+    pub fn toll(&self) -> u64 {
+        let is_narrow = self.rise > RECURRENCE_RISE || self.run.abs().max(self.shear.abs()) > RECURRENCE_RUN;
+        if is_narrow { EXPONENTIAL } else { 1 }
     }
 
     /// Whether the support reaches a pixel centre's column and row within the view.

@@ -409,7 +409,9 @@ impl<const C: usize> BandTask<'_, C> {
         let Some(minimum) = minimum else { return best };
         let axes = self.quantizer.transform_color(minimum);
         let steps = self.quantizer.color_steps();
-        let at = |k: usize, v: f32| (v / steps[k]).floor().clamp(-30000.0, 30000.0) as i16;
+        let most = self.quantizer.most_color().map(f32::from);
+        // The one above is legal, too.
+        let at = |k: usize, v: f32| (v / steps[k]).floor().clamp(-most[k], most[k] - 1.0) as i16;
         if C < 3 {
             for k in 0..C {
                 let start = best.0;
@@ -424,7 +426,7 @@ impl<const C: usize> BandTask<'_, C> {
             }
             return best;
         }
-        let alpha = if C == 4 { (axes[3] / steps[3] + 0.5).floor().clamp(-30000.0, 30000.0) as i16 } else { 0 };
+        let alpha = if C == 4 { (axes[3] / steps[3] + 0.5).floor().clamp(-most[3], most[3]) as i16 } else { 0 };
         let (co0, cg0) = (at(1, axes[1]), at(2, axes[2]));
         let counts = self.problem.target.channel_amplitude.map(|a| a * a);
         let share = 1.0 / (counts[0] + counts[1] + counts[2]);

@@ -119,7 +119,7 @@ pub fn scene(scene: &Scene) -> PackedSplats {
     }
 }
 
-/// Any legal primitive: uniform over the integers.
+/// Any legal primitive: uniform over its integers.
 pub fn any_primitive(splats: &PackedSplats, random: &mut Random) -> PackedGaussian {
     let lattice = Lattice::new(&splats.steps, splats.layout);
     let top = (22.0 * 32.0 / (f64::from(splats.steps.scale) + 4.0)).floor().min(255.0) as u64;
@@ -128,7 +128,10 @@ pub fn any_primitive(splats: &PackedSplats, random: &mut Random) -> PackedGaussi
     let angle = random.below(lattice.angles(major, minor).into()) as u16;
     let [ex, ey] = lattice.exponents(major, minor, angle);
     let mut color = [0i16; 4];
-    color[..splats.channels.count()].iter_mut().for_each(|c| *c = random.next() as i16);
+    let most = splats.quantizer().most_color();
+    for (c, most) in color[..splats.channels.count()].iter_mut().zip(most) {
+        *c = random.below(2 * most as u64 + 1) as i16 - most;
+    }
     PackedGaussian {
         x: random.below(Lattice::positions(splats.width, ex).into()) as u32,
         y: random.below(Lattice::positions(splats.height, ey).into()) as u32,

@@ -177,8 +177,12 @@ def decode(
     return array
 
 
-def info(data: Data) -> dict[str, Any]:
+def info(data: Data, *, limits: Mapping[str, int] | None = None) -> dict[str, Any]:
     """What a file says about itself: all but the primitives.
+
+    Args:
+        data: the file.
+        limits: what the file may ask for, as for :func:`decode`.
 
     Returns:
         ``width`` and ``height`` in pixels, ``channels`` (1 to 4), ``bits`` of a sample (8 or 16), ``bytes`` of the
@@ -189,4 +193,4 @@ def info(data: Data) -> dict[str, Any]:
     Raises:
         FormatError, UnsupportedVersionError, LimitExceededError: as for :func:`decode`.
     """
-    return _ssplat.info(content(data))
+    return _ssplat.info(content(data), None if limits is None else dict(limits))

@@ -11,6 +11,10 @@ pub struct Absent {
     pub saved: Option<u64>,
 }
 
+/// Most primitives that are written again to tell what a file would be otherwise: of more, which take seconds, only what is not there is
+/// told.
+const MOST_WRITTEN: usize = 1 << 20;
+
 /// What `splats`, a file of which `report` tells, leave out.
 pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
     let mut list = Vec::new();
@@ -25,13 +29,13 @@ pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
     match &splats.codebook {
         Some(book) => add(
             format!("a colour of its own for each primitive: {} colours do", book.len()),
-            Some(PackedSplats { codebook: None, ..splats.clone() }),
+            small(splats).map(|s| PackedSplats { codebook: None, ..s.clone() }),
         ),
         None if splats.gaussians.is_empty() => {}
-        None => add("codebook of colours: too few occur twice".into(), with_codebook(splats)),
+        None => add("codebook of colours: too few occur twice".into(), small(splats).and_then(with_codebook)),
     }
     if splats.layout == Layout::Coded && splats.levels.len() < 2 && splats.gaussians.len() > 2 {
-        add("progressive levels: 3 of them".into(), Some(with_levels(splats)));
+        add("progressive levels: 3 of them".into(), small(splats).map(with_levels));
     }
     let count = splats.gaussians.len();
     let round = splats.gaussians.iter().filter(|g| g.major == g.minor).count();
@@ -53,6 +57,11 @@ pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
         add("sections: no ICC profile, no EXIF block, no thumbnail, not even a table of them".into(), None);
     }
     list
+}
+
+/// `splats`, if they are few enough to be written again.
+fn small(splats: &PackedSplats) -> Option<&PackedSplats> {
+    (splats.gaussians.len() <= MOST_WRITTEN).then_some(splats)
 }
 
 /// The list as lines of text.

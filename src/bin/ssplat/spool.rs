@@ -15,6 +15,10 @@ use ssplat::{Channels, Depth, Error, PixelSource, Pixels, Samples, pixel_source}
 use crate::failure::{Failure, Kind};
 use crate::{source, structure};
 
+/// Bytes on disk that any PNG may take, and how many for each of its own beyond that: photographs take 2 to 5, drawings up to 200.
+const FREE_SPOOL: u64 = 1 << 30;
+const MOST_UNPACKED: u64 = 1000;
+
 /// Samples in a file, row by row with interleaved channels, those of 16 bits with the high byte first.
 pub struct Spooled {
     file: Mutex<File>,
@@ -122,6 +126,19 @@ fn check_size(path: &Path, width: u32, height: u32) -> Result<(), Failure> {
     Err(Failure { kind: Kind::Limit, message })
 }
 
+/// Refuses a PNG of so many bytes of samples in a file of `packed` bytes when it would fill a disk by little.
+fn check_spooled(path: &Path, samples: u64, packed: u64) -> Result<(), Failure> {
+    let most = packed.saturating_mul(MOST_UNPACKED).max(FREE_SPOOL);
+    if samples <= most {
+        return Ok(());
+    }
+    let message = format!(
+        "{}: would take {samples} bytes of disk, where {most} are allowed for a file of {packed}",
+        path.display()
+    );
+    Err(Failure { kind: Kind::Limit, message })
+}
+
 /// Reads a number of a PNM header and the space behind it; `None` where there is none.
 fn number_of(reader: &mut impl BufRead) -> std::io::Result<Option<u32>> {
     let mut number: Option<u32> = None;
@@ -155,6 +172,7 @@ fn png(path: &Path, mut reader: BufReader<File>) -> Result<Option<Spooled>, Fail
         png::DecodingError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Failure::io(path, &e),
         e => Failure { kind: Kind::Format, message: format!("{}: {e}", path.display()) },
     };
+    let packed = reader.get_ref().metadata().map_err(io)?.len();
     let found = structure::look(&mut reader, ImageFormat::Png).map_err(io)?;
     reader.rewind().map_err(io)?;
     let mut decoder = png::Decoder::new(reader);
@@ -184,6 +202,7 @@ fn png(path: &Path, mut reader: BufReader<File>) -> Result<Option<Spooled>, Fail
         ColorType::Indexed => return Ok(None),
     };
     let depth = if bits == BitDepth::Sixteen { Depth::Sixteen } else { Depth::Eight };
+    check_spooled(path, u64::from(width) * u64::from(height) * (channels.count() * depth.bytes()) as u64, packed)?;
     source::keep_fitting(&mut icc, channels, &mut notes);
     let mut file = tempfile::tempfile().map_err(io)?;
     let mut rows = BufWriter::new(&mut file);

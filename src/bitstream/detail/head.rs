@@ -46,13 +46,8 @@ impl DetailHead {
         alpha: false,
     };
     /// The preset for eyes.
-    pub const SEEN: DetailHead = DetailHead {
-        chroma: [64, 32],
-        slopes: [48, 48],
-        biases: [0, 2],
-        classes: 4,
-        ..DetailHead::PLAIN
-    };
+    pub const SEEN: DetailHead =
+        DetailHead { chroma: [64, 32], slopes: [48, 48], biases: [0, 2], classes: 4, ..DetailHead::PLAIN };
 
     /// Sizes of the smallest and the largest block of a kind of planes.
     pub(crate) fn sizes(&self, kind: usize) -> [usize; 2] {

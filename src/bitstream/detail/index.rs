@@ -89,7 +89,8 @@ pub(crate) struct Found {
 pub(crate) fn put(layer: &DetailLayer, size: [u32; 2], channels: Channels, out: &mut Vec<u8>) {
     let streams: Vec<Vec<u8>> = parallel::map(layer.tiles.len(), |i| {
         let [_, _, width, height] = tile_area(size, i);
-        let write = |levels| tile::write(&mut super::given::Given::new(levels), &layer.head, channels, [width, height]).0;
+        let write =
+            |levels| tile::write(&mut super::given::Given::new(levels), &layer.head, channels, [width, height]).0;
         layer.tiles[i].as_ref().map_or_else(Vec::new, write)
     });
     put_streams(&streams, out);
@@ -107,7 +108,12 @@ pub(crate) fn put_streams(streams: &[Vec<u8>], out: &mut Vec<u8>) {
 }
 
 /// Reads the layer, or the tiles of it that reach into an area, and grows `held` by what they take.
-pub(crate) fn read(bytes: &mut Bytes<'_>, head: DetailHead, wanted: &Wanted<'_>, held: &mut Reservation) -> Result<Found> {
+pub(crate) fn read(
+    bytes: &mut Bytes<'_>,
+    head: DetailHead,
+    wanted: &Wanted<'_>,
+    held: &mut Reservation,
+) -> Result<Found> {
     let [across, down] = tile_counts(wanted.size);
     let count = across as u64 * down as u64;
     // A tile takes a byte of the index at least: nothing is allocated for tiles that cannot be there.
@@ -165,7 +171,12 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, head: DetailHead, wanted: &Wanted<'_>,
             let computed = hash(stream) as u16;
             if computed != entries[i].check {
                 let stored = entries[i].check.into();
-                return Err(FormatError::Checksum { what: "tile of the detail layer", stored, computed: computed.into() }.into());
+                return Err(FormatError::Checksum {
+                    what: "tile of the detail layer",
+                    stored,
+                    computed: computed.into(),
+                }
+                .into());
             }
             if !wanted.counts {
                 return Ok((tile::read(stream, &head, wanted.channels, [width, height])?, 0.0));

@@ -4,8 +4,8 @@
 //! the models of `model`.
 
 pub(crate) mod block;
-pub(crate) mod given;
 pub(crate) mod decisions;
+pub(crate) mod given;
 pub(crate) mod head;
 pub(crate) mod index;
 pub(crate) mod levels;

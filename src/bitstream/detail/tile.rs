@@ -16,7 +16,10 @@ const FULL: u32 = 1024;
 pub(crate) const ROOT: usize = SIZES - 1;
 
 /// The kinds of planes that a layer codes, and the planes of each.
-pub(crate) fn kinds(channels: Channels, has_alpha_plane: bool) -> impl Iterator<Item = (usize, std::ops::Range<usize>)> {
+pub(crate) fn kinds(
+    channels: Channels,
+    has_alpha_plane: bool,
+) -> impl Iterator<Item = (usize, std::ops::Range<usize>)> {
     let color = channels.count() >= 3;
     [(0, 0..1, true), (1, 1..3, color), (2, 3..4, has_alpha_plane)]
         .into_iter()
@@ -159,11 +162,11 @@ impl<D: Decisions> TileCoder<'_, D> {
         if self.head.classes > 1 {
             let place = at.map(|c| c / (SUPER / CELL));
             let near = self.state.classes_near(place);
-            let class = code_class(self.decisions, &mut self.models.class[near], self.head.classes, content.class(place));
+            let class =
+                code_class(self.decisions, &mut self.models.class[near], self.head.classes, content.class(place));
             self.state.classes[place[1] * SUPERS + place[0]] = class;
         }
-        kinds(self.channels, self.head.alpha)
-            .try_for_each(|(kind, planes)| self.tree(kind, planes, at, ROOT, content))
+        kinds(self.channels, self.head.alpha).try_for_each(|(kind, planes)| self.tree(kind, planes, at, ROOT, content))
     }
 
     fn tree(
@@ -287,7 +290,12 @@ pub(crate) fn read_with<D: Decisions>(
 }
 
 /// Reads the stream of a tile of so many pixels.
-pub(crate) fn read(stream: &[u8], head: &DetailHead, channels: Channels, size: [usize; 2]) -> Result<TileLevels, Broken> {
+pub(crate) fn read(
+    stream: &[u8],
+    head: &DetailHead,
+    channels: Channels,
+    size: [usize; 2],
+) -> Result<TileLevels, Broken> {
     let mut decoder = Decoder::new(stream)?;
     let tile = read_with(&mut decoder, head, channels, size)?;
     decoder.finish()?;
@@ -304,15 +312,8 @@ pub(crate) fn write(
     let mut encoder = Encoder::new();
     let (mut models, mut block) = (Models::start(), Block::default());
     let mut state = TileState::new(size);
-    TileCoder {
-        decisions: &mut encoder,
-        models: &mut models,
-        state: &mut state,
-        head,
-        channels,
-        block: &mut block,
-    }
-    .tile(content)
-    .expect("what is written is within the format");
+    TileCoder { decisions: &mut encoder, models: &mut models, state: &mut state, head, channels, block: &mut block }
+        .tile(content)
+        .expect("what is written is within the format");
     (encoder.finish(), models)
 }

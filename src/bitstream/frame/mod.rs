@@ -3,6 +3,7 @@
 
 #[cfg(not(target_family = "wasm"))]
 mod native;
+mod outline;
 #[cfg(target_family = "wasm")]
 mod wasm;
 
@@ -10,3 +11,5 @@ mod wasm;
 pub(super) use native::{compress, decompress};
 #[cfg(target_family = "wasm")]
 pub(super) use wasm::{compress, decompress};
+
+pub(super) use outline::outline;

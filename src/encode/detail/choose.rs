@@ -340,7 +340,13 @@ impl<'a> Chooser<'a> {
             distortion += error(c.value, level) - error(c.value, 0);
         }
         let mut count = self.candidates.len() as u32;
-        let mut trial = Trial { models: &mut self.models, block: &mut self.block, kind, context: Context::new(size, bucket), filled };
+        let mut trial = Trial {
+            models: &mut self.models,
+            block: &mut self.block,
+            kind,
+            context: Context::new(size, bucket),
+            filled,
+        };
         let mut cost = distortion + lambda * trial.price(count);
         let passes = if care == Care::Thorough { 2 } else { 1 };
         for _ in 0..passes {

@@ -1,6 +1,5 @@
 //! Descent over the Gaussians' integers once more, now that the layer stands for a part of the picture.
 
-
 use super::error::Added;
 use super::search::Coded;
 use crate::bitstream::splats::PackedSplats;

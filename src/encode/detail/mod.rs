@@ -13,14 +13,14 @@ use std::sync::Arc;
 
 use super::job::{Encoding, Outcome};
 use super::subject::stored_scene;
-use crate::bitstream::detail::{DetailHead, DetailLayer};
 use crate::bitstream::detail::levels::tile_counts;
+use crate::bitstream::detail::{DetailHead, DetailLayer};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
 use crate::options::Tune;
 use crate::round::rounded::projected;
-use error::Counted;
 use choose::{Care, Setting};
+use error::Counted;
 use search::{Aim, Coded, search};
 
 /// Runs of the coder that a search may take.
@@ -30,7 +30,9 @@ const RUNS: u32 = 7;
 fn preset(tune: Tune) -> (DetailHead, f32, f32) {
     match tune {
         Tune::Psnr => (DetailHead::PLAIN, 0.10, 0.0),
-        Tune::Ssim => (DetailHead { chroma: [48, 32], slopes: [16, 16], biases: [2, 4], ..DetailHead::SEEN }, 0.09, 0.08),
+        Tune::Ssim => {
+            (DetailHead { chroma: [48, 32], slopes: [16, 16], biases: [2, 4], ..DetailHead::SEEN }, 0.09, 0.08)
+        }
         Tune::Iq => (DetailHead::SEEN, 0.07, 0.15),
     }
 }

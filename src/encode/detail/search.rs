@@ -95,7 +95,13 @@ pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) ->
 }
 
 /// Codes the layer with a step.
-fn code(tiles: &[TileResidual], classes: &[Vec<u8>], aim: &Aim, step: u16, sizes: Option<&[[Vec<u8>; KINDS]]>) -> Coded {
+fn code(
+    tiles: &[TileResidual],
+    classes: &[Vec<u8>],
+    aim: &Aim,
+    step: u16,
+    sizes: Option<&[[Vec<u8>; KINDS]]>,
+) -> Coded {
     let mut setting = aim.setting;
     setting.head.step = step;
     let chosen: Vec<Chosen> = parallel::map(tiles.len(), |i| match sizes {

@@ -215,7 +215,8 @@ impl Index<usize> for Rows<'_> {
 pub fn rows<'a>(arrays: &'a BTreeMap<String, Array>, name: &str, width: Option<usize>) -> Result<Rows<'a>, Problem> {
     let array = arrays.get(name).ok_or_else(|| format!("there is no array {name}"))?;
     let Values::Numbers(values) = &array.values else { return Err(format!("array {name} is a text").into()) };
-    let each: usize = array.shape.iter().skip(1).product();
+    // An array without rows may claim rows of any length.
+    let each = array.shape.iter().skip(1).try_fold(1usize, |n, &side| n.checked_mul(side)).unwrap_or(0);
     if array.shape.is_empty() || width.is_some_and(|w| w != each) || each == 0 {
         return Err(format!("array {name} has the shape {:?}", array.shape).into());
     }
@@ -299,6 +300,15 @@ pub fn steps_of(values: &[f64]) -> Result<Steps, Problem> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rows_of_no_length_that_can_be_are_refused() {
+        for shape in [vec![0, usize::MAX, 3], vec![0, 1 << (usize::BITS / 2), 1 << (usize::BITS / 2)], vec![0, 0]] {
+            let array = Array { shape, values: Values::Numbers(Vec::new()) };
+            let arrays = BTreeMap::from([("colors".to_owned(), array)]);
+            assert!(rows(&arrays, "colors", None).is_err());
+        }
+    }
 
     #[test]
     fn scales_and_rotation_come_back_from_their_covariance() {
