@@ -132,7 +132,7 @@ pub enum Thumbnail {
     Bytes(u32),
 }
 
-/// Whether a file has a detail layer, a coded transform of what the Gaussians leave (spec §9).
+/// Whether a file has a detail layer, a coded transform of what the Gaussians leave (spec §11).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub enum Detail {

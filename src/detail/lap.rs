@@ -1,4 +1,4 @@
-//! Lapping: a filter across each edge of blocks, two samples on either side, which makes their edges vanish (spec §9.5).
+//! Lapping: a filter across each edge of blocks, two samples on either side, which makes their edges vanish (spec §11.5).
 //!
 //! Forward, in floats, before the transform in the encoder; inverse, in integers, after it.
 

@@ -1,4 +1,4 @@
-//! Levels of the detail layer to what they add to a picture; exact, in integers modulo 2³² (spec §9.5).
+//! Levels of the detail layer to what they add to a picture; exact, in integers modulo 2³² (spec §11.5).
 //!
 //! `steps` gives levels their values, `transform` makes planes of them, `lap` joins the blocks, `tile` does all of it for a tile.
 

@@ -1,4 +1,4 @@
-//! Quantizer steps and the values of levels (spec §9.5).
+//! Quantizer steps and the values of levels (spec §11.5).
 
 use crate::bitstream::detail::head::DetailHead;
 use crate::bitstream::detail::model::CLASSES;

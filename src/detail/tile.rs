@@ -1,4 +1,4 @@
-//! A tile's levels to what it adds to the samples of its pixels (spec §9.5).
+//! A tile's levels to what it adds to the samples of its pixels (spec §11.5).
 
 use super::lap;
 use super::steps::PlaneSteps;

@@ -1,4 +1,4 @@
-//! The inverse of the cosine transform in integers (spec §9.5).
+//! The inverse of the cosine transform in integers (spec §11.5).
 
 use std::sync::OnceLock;
 

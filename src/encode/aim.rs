@@ -76,33 +76,7 @@ impl Encoding<'_> {
         Ok(Some(Outcome { bytes, splats, float_error }))
     }
 
-    /// A file of `size` with the Gaussians and the detail layer that share it.
-    fn layered(&mut self, size: Size) -> Result<Outcome> {
-        let share: Option<f64> = std::env::var("SSPLAT_SHARE").ok().and_then(|s| s.parse().ok());
-        if let Ok(steps) = std::env::var("SSPLAT_SCOUT") {
-            let steps: u32 = steps.parse().unwrap();
-            let mut line = String::new();
-            for count in [1000, 2000, 4000] {
-                let t = std::time::Instant::now();
-                let e = self.scout(count, steps)?;
-                line += &format!("{count}: {:.2} dB {:.2} s  ", decibels(e, self.subject.samples()), t.elapsed().as_secs_f64());
-            }
-            eprintln!("{line}");
-        }
-        let (Size::Bytes(most), Some(share)) = (size, share) else { return self.at_size(size) };
-        let base = (most as f64 * share) as u64;
-        let mut outcome = self.at_size(Size::Bytes(base))?;
-        if std::env::var("SSPLAT_PROMISE").is_ok() {
-            let t = std::time::Instant::now();
-            let (e, g) = self.promise(&outcome.splats);
-            eprintln!("promise {:.4} {:.2} dB {:.2} s", g / e, decibels(e, self.subject.samples()), t.elapsed().as_secs_f64());
-        }
-        let rounds = std::env::var("SSPLAT_ROUNDS").ok().and_then(|s| s.parse().ok()).unwrap_or(2);
-        self.add_detail(&mut outcome, most, rounds)?;
-        Ok(outcome)
-    }
-
-    fn at_size(&mut self, size: Size) -> Result<Outcome> {
+    pub(super) fn at_size(&mut self, size: Size) -> Result<Outcome> {
         let Size::Bytes(most) = size else { return self.at_count(0, size) };
         let fixed = self.subject.file(&self.subject.empty())?.len() as u64;
         if most < fixed {

@@ -40,6 +40,8 @@ pub(super) struct Encoding<'a> {
     /// Wall-clock budget of a fit.
     pub time: Option<Duration>,
     pub device: Choice,
+    /// Whether a detail layer is laid over what is fitted: it mends what a short fit leaves.
+    pub is_base: bool,
     pub journal: Journal<'a>,
 }
 
@@ -90,6 +92,9 @@ impl Encoding<'_> {
         let options = subject.options;
         let area = u64::from(subject.pixels.width()) * u64::from(subject.pixels.height());
         let mut plan = Plan::new(options.effort, count, area, self.time, options.seed);
+        if self.is_base {
+            plan = plan.for_base();
+        }
         #[cfg(feature = "recipes")]
         {
             plan.rung = options.rung;

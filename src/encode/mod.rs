@@ -102,6 +102,7 @@ pub fn encode_with_progress(
         subject: Subject { original: pixels, pixels: fitted, options },
         planes: Planes::new(fitted),
         time: options.time,
+        is_base: false,
         device: Choice::new(options, fitted)?,
         journal: Journal::new(progress, tracer),
     };

@@ -8,6 +8,9 @@ use crate::options::Rung;
 /// Share of a time budget that the float fit may take.
 const FIT_SHARE: f64 = 0.75;
 
+/// Share of the steps that primitives get which a detail layer is laid over: twice as many win .06 dB at ratio 20 and .1 at 50.
+const BASE_STEPS: f32 = 0.45;
+
 /// Primitives of the largest pictures.
 const HUGE: usize = 300_000;
 
@@ -88,6 +91,13 @@ impl Plan {
         let fit_deadline = time.map(|t| Instant::now() + t.mul_f64(FIT_SHARE));
         let pace = if is_dense { Pace::Brisk } else { Pace::Steady };
         Plan { freezing, sweeps, pace, fit_deadline, deadline, ..Plan::steps(iterations, seed) }
+    }
+
+    /// Returns the schedule for primitives that a detail layer is laid over.
+    pub(crate) fn for_base(self) -> Self {
+        let iterations = (self.iterations as f32 * BASE_STEPS) as u32;
+        let Plan { relocate_every, .. } = Plan::steps(iterations, self.seed);
+        Plan { iterations, relocate_every, sweeps: self.sweeps.min(2), freezing: 0, ..self }
     }
 
     /// Returns the schedule of a float fit of `iterations` steps, and nothing after it.

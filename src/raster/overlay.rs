@@ -1,4 +1,4 @@
-//! What the detail layer adds to the pixels of a view (spec §9.6).
+//! What the detail layer adds to the pixels of a view (spec §11.6).
 //!
 //! At full size an output pixel takes what its own pixel has. An enlarged view interpolates between pixels, a reduced one takes
 //! the mean over what a pixel of it covers; either axis by itself. Rows are added up from the top whatever the view shows, so

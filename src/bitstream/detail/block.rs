@@ -1,4 +1,4 @@
-//! The levels of one block: whether there are any, how many, where, and how large (spec §9.4).
+//! The levels of one block: whether there are any, how many, where, and how large (spec §11.4).
 
 use super::decisions::Decisions;
 use super::model::{BUCKETS, EXPONENTS, KindModels, LEFT, NEAR, UNARY};

@@ -1,4 +1,4 @@
-//! Binary decisions of the layer, written, read or priced by the same code (spec §9.3).
+//! Binary decisions of the layer, written, read or priced by the same code (spec §11.3).
 
 use crate::bitstream::range::{Coder, Decoder, Encoder};
 

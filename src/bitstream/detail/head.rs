@@ -1,4 +1,4 @@
-//! What the levels of the layer mean: the contents of its section (spec §9.1).
+//! What the levels of the layer mean: the contents of its section (spec §11.1).
 
 use super::model::CLASSES;
 use crate::bitstream::broken::Broken;

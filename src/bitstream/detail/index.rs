@@ -1,4 +1,4 @@
-//! The layer's bytes: an index of its tiles, then their streams (spec §9.2).
+//! The layer's bytes: an index of its tiles, then their streams (spec §11.2).
 
 use super::decisions::Counted;
 use super::head::DetailHead;

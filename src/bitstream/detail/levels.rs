@@ -1,4 +1,4 @@
-//! The levels of a tile in integers, as they are kept between reading and drawing (spec §9.2).
+//! The levels of a tile in integers, as they are kept between reading and drawing (spec §11.2).
 
 use super::model::KINDS;
 

@@ -1,4 +1,4 @@
-//! The detail layer: levels of a lapped transform of what the Gaussians leave, tile by tile (spec §9).
+//! The detail layer: levels of a lapped transform of what the Gaussians leave, tile by tile (spec §11).
 //!
 //! `head` says how the levels are meant, `index` where each tile's stream lies, `tile` codes one tile, `block` one block of it by
 //! the models of `model`.

@@ -1,4 +1,4 @@
-//! The models of a tile, and how they begin (spec §9.3).
+//! The models of a tile, and how they begin (spec §11.3).
 
 use super::decisions::Adaptive;
 use super::scan::{SIZES, ZONES};

@@ -1,4 +1,4 @@
-//! The order in which the places of a block are visited, from low frequencies to high ones (spec §9.4).
+//! The order in which the places of a block are visited, from low frequencies to high ones (spec §11.4).
 
 use std::sync::OnceLock;
 

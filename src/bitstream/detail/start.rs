@@ -1,4 +1,4 @@
-//! Where the models of a tile begin: learnt by `examples/learn_detail.rs` (spec §9.3).
+//! Where the models of a tile begin: learnt by `examples/learn_detail.rs` (spec §11.3).
 
 #[rustfmt::skip]
 /// Probabilities of a 1, in 1/256.
@@ -325,3 +325,13 @@ pub(super) static SEEN: [u8; 3792] = [
     0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
     0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
 ];
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_specification_has_the_same_table() {
+        let table: Vec<u8> =
+            include_str!("../../../spec/detail-models.txt").split_whitespace().map(|n| n.parse().unwrap()).collect();
+        assert_eq!(table, [super::ONE, super::SEEN].concat());
+    }
+}

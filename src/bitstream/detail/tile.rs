@@ -1,4 +1,4 @@
-//! One tile: step classes, trees of blocks, and the blocks, in superblocks row by row (spec §9.4).
+//! One tile: step classes, trees of blocks, and the blocks, in superblocks row by row (spec §11.4).
 
 use super::block::{self, Block, Context};
 use super::decisions::{Adaptive, Decisions};

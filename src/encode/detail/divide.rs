@@ -1,35 +1,140 @@
 //! How the bytes of a file are divided between the Gaussians and the layer.
+//!
+//! The best number of Gaussians belongs to the picture and hardly to the asked bytes: they make its large shapes and its
+//! edges, and from there on the layer is cheaper. That is some 8 kB for photographs of .4 megapixels, and more for pictures that are sharp and
+//! drawn-like, on which Gaussians still gain fast. Which they are is seen when the smaller base has been fitted.
 
-use crate::encode::job::Encoding;
+use super::{Base, Layered};
+use crate::bitstream::splats::{Layout, PackedSplats};
+use crate::encode::job::{Encoding, Outcome};
+use crate::encode::subject::stored_scene;
 use crate::error::Result;
-use crate::fit::engine::Unwatched;
-use crate::fit::job::Job;
-use crate::fit::model::field::float_error;
+use crate::fit::model::field::{Field, Output};
+use crate::fit::model::peaks;
 use crate::fit::model::problem::Problem;
-use crate::fit::plan::Plan;
+use crate::fit::model::rows::RowSet;
+use crate::options::{Detail, Recipe, Tune};
+use crate::round::rounded::projected;
+use crate::round::size::Size;
+
+/// Pixels of the pictures that the numbers below were found on; they go with powers of how much larger a picture is.
+const PIXELS: f64 = 393_216.0;
+/// Bytes of a base that serves most photographs. `examples/division.rs` measures other ones.
+const BASE: f64 = 8_200.0;
+const BASE_POWER: f64 = 0.35;
+/// The same where errors count as eyes see them: less is needed of what the layer does better.
+const SEEN: f64 = 0.75;
+/// Most of the bytes that such a base may take.
+const MOST: f64 = 0.7;
+/// Ratio above which photographs have no layer.
+const RATIO: f64 = 120.0;
+const RATIO_POWER: f64 = 0.85;
+/// Files of fewer bytes have none.
+const LEAST: u64 = 2_500;
+/// A picture is sharp when as many Gaussians again, set where the error is largest, promise to take away this share of the error
+/// for each decibel that doubling the bytes of the layer wins.
+const SHARP: f64 = 0.122;
+/// Share of the bytes that the Gaussians of a sharp picture get at a ratio of 20, and what each doubling of the ratio adds.
+const SHARP_SHARE: f64 = 0.6;
+const SHARP_MORE: f64 = 0.15;
 
 impl Encoding<'_> {
-    /// Returns the squared error of a short fit of `count` primitives.
-    pub(in crate::encode) fn scout(&mut self, count: usize, steps: u32) -> Result<f64> {
-        let plan = Plan::steps(steps, self.subject.options.seed);
-        let problem = Problem { scene: self.subject.scene(self.planes.mean), target: &self.planes };
-        let job = Job { problem, count, plan: &plan };
-        let fitted = self.device.fit(&job, self.subject.pixels, &mut Unwatched)?;
-        Ok(float_error(&problem, &fitted.by.primitives))
+    /// A file of `size` with the Gaussians and the detail layer that share it.
+    pub(in crate::encode) fn layered(&mut self, size: Size) -> Result<Outcome> {
+        let options = self.subject.options;
+        let Size::Bytes(most) = size else { return self.at_size(size) };
+        let may_have = options.layout == Layout::Coded && options.recipe == Recipe::Ssplat;
+        let rounds = self.rounds();
+        match options.detail {
+            Detail::Share(share) => {
+                let base = self.base((most as f64 * share) as u64)?;
+                let clock = self.journal.seconds();
+                let layered = self.layer(base, most)?;
+                let outcome = self.joined(layered, most, rounds)?;
+                self.journal.stage("detail", clock);
+                Ok(outcome)
+            }
+            Detail::Auto if may_have && self.is_worth_a_layer(most) => self.divided(most, rounds),
+            _ => self.at_size(size),
+        }
     }
-}
 
-impl Encoding<'_> {
-    /// Peaks.
-    pub(in crate::encode) fn promise(&self, splats: &crate::bitstream::splats::PackedSplats) -> (f64, f64) {
-        use crate::fit::model::field::{Field, Output};
-        use crate::fit::model::{peaks, rows::RowSet};
-        let problem = Problem { scene: crate::encode::subject::stored_scene(splats), target: &self.planes };
-        let drawn = crate::round::rounded::projected(&splats.quantizer(), &splats.gaussians, splats.height);
+    /// Rounds of descent beside the layer.
+    fn rounds(&self) -> u32 {
+        match self.subject.options.effort {
+            1 => 0,
+            2 | 3 => 1,
+            _ => 2,
+        }
+    }
+
+    /// How much larger the picture is than those that the numbers are for.
+    fn larger(&self) -> f64 {
+        f64::from(self.planes.width) * f64::from(self.planes.height) / PIXELS
+    }
+
+    fn is_worth_a_layer(&self, most: u64) -> bool {
+        let ratio = self.subject.samples() / most as f64;
+        most >= LEAST && ratio <= RATIO * self.larger().powf(RATIO_POWER)
+    }
+
+    /// A fit of so many bytes for a layer to be laid over.
+    fn base(&mut self, bytes: u64) -> Result<Base> {
+        self.is_base = true;
+        let outcome = self.at_size(Size::Bytes(bytes));
+        self.is_base = false;
+        Ok(Base { outcome: outcome? })
+    }
+
+    /// Finds the division, and makes the file.
+    fn divided(&mut self, most: u64, rounds: u32) -> Result<Outcome> {
+        let all = most as f64;
+        let seen = if self.subject.options.favoured() == Tune::Psnr { 1.0 } else { SEEN };
+        let few = (BASE * seen * self.larger().powf(BASE_POWER)).min(MOST * all);
+        let base = self.base(few as u64)?;
+        let clock = self.journal.seconds();
+        let mut layered = self.layer(base, most)?;
+        let ratio = (self.subject.samples() / all).max(20.0);
+        let many = ((SHARP_SHARE + SHARP_MORE * (ratio / 20.0).log2()).min(0.9) * all * seen.sqrt()).max(few);
+        if many > 1.2 * few && self.sharpness(&layered)?.is_some_and(|sharpness| sharpness > SHARP) {
+            self.journal.stage("detail", clock);
+            let base = self.base(many as u64)?;
+            let other = self.layer(base, most)?;
+            if other.error < layered.error {
+                layered = other;
+            }
+        }
+        let clock = self.journal.seconds();
+        let outcome = self.joined(layered, most, rounds)?;
+        self.journal.stage("detail", clock);
+        Ok(outcome)
+    }
+
+    /// How much more Gaussians promise, beside more bytes for the layer; `None` where there is no layer.
+    fn sharpness(&self, layered: &Layered) -> Result<Option<f64>> {
+        let Some(coded) = &layered.coded else { return Ok(None) };
+        let splats = &layered.base.outcome.splats;
+        // All errors count alike here: that tells pictures apart best, whatever is favoured.
+        let Some([bytes, more]) = self.coarser(splats, coded)? else { return Ok(None) };
+        let error = self.plain_error(splats, &coded.layer);
+        let decibels = 10.0 * (more / error).log10() / (coded.bytes as f64 / bytes).log2();
+        let promise = self.promise(splats);
+        if std::env::var("SSPLAT_DEBUG").is_ok() {
+            eprintln!("promise {promise:.3} slope {decibels:.2} sharpness {:.4}", promise / decibels);
+        }
+        Ok(Some(promise / decibels.max(0.1)))
+    }
+
+    /// The share of the error of `splats` that as many Gaussians again are estimated to take away.
+    fn promise(&self, splats: &PackedSplats) -> f64 {
+        let mut plain = self.planes.weighed(Vec::new());
+        plain.channel_amplitude = [1.0; 4];
+        let problem = Problem { scene: stored_scene(splats), target: &plain };
+        let drawn = projected(&splats.quantizer(), &splats.gaussians, splats.height);
         let mut field = Field::default();
         let error = field.draw(&problem, &drawn, RowSet::ALL, Output::Picture);
-        let n = splats.gaussians.len();
-        let found = peaks::peaks(&problem, &field, RowSet::ALL, n, n);
-        (error, found.iter().map(|p| f64::from(p.gain)).sum())
+        let count = splats.gaussians.len();
+        let peaks = peaks::peaks(&problem, &field, RowSet::ALL, count, count);
+        peaks.iter().map(|peak| f64::from(peak.gain)).sum::<f64>() / error.max(f64::MIN_POSITIVE)
     }
 }

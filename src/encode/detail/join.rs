@@ -1,7 +1,7 @@
 //! Descent over the Gaussians' integers once more, now that the layer stands for a part of the picture.
 
 use super::error::Added;
-use super::search::Coded;
+use crate::bitstream::DetailLayer;
 use crate::bitstream::splats::PackedSplats;
 use crate::encode::file;
 use crate::encode::subject::stored_scene;
@@ -18,8 +18,8 @@ use crate::round::rounded::projected;
 const SWEEPS: usize = 2;
 
 /// Returns what the Gaussians of `splats` are to make when `layer` is laid over them: the picture without the layer.
-fn rest(target: &Planes, splats: &PackedSplats, layer: &Coded, channels: Channels) -> Planes {
-    let added = Added::new(&layer.layer, channels, target);
+fn rest(target: &Planes, splats: &PackedSplats, layer: &DetailLayer, channels: Channels) -> Planes {
+    let added = Added::new(layer, channels, target);
     let scene = stored_scene(splats);
     let mut field = Field::default();
     let drawn = projected(&splats.quantizer(), &splats.gaussians, splats.height);
@@ -45,7 +45,7 @@ fn rest(target: &Planes, splats: &PackedSplats, layer: &Coded, channels: Channel
 pub(super) fn descend(
     splats: &mut PackedSplats,
     target: &Planes,
-    (layer, channels): (&Coded, Channels),
+    (layer, channels): (&DetailLayer, Channels),
     lambda: f32,
     levels: u8,
 ) -> Result<()> {

@@ -21,73 +21,128 @@ use crate::options::Tune;
 use crate::round::rounded::projected;
 use choose::{Care, Setting};
 use error::Counted;
+use residual::TileResidual;
 use search::{Aim, Coded, search};
 
 /// Runs of the coder that a search may take.
 const RUNS: u32 = 7;
 
 /// How a layer is coded to favour a measure.
-fn preset(tune: Tune) -> (DetailHead, f32, f32) {
+fn preset(tune: Tune) -> Preset {
+    let between = DetailHead { chroma: [48, 32], slopes: [16, 16], biases: [2, 4], ..DetailHead::SEEN };
     match tune {
-        Tune::Psnr => (DetailHead::PLAIN, 0.10, 0.0),
-        Tune::Ssim => {
-            (DetailHead { chroma: [48, 32], slopes: [16, 16], biases: [2, 4], ..DetailHead::SEEN }, 0.09, 0.08)
-        }
-        Tune::Iq => (DetailHead::SEEN, 0.07, 0.15),
+        Tune::Psnr => Preset { head: DetailHead::PLAIN, lambda: 0.10, power: 0.0 },
+        Tune::Ssim => Preset { head: between, lambda: 0.09, power: 0.08 },
+        Tune::Iq => Preset { head: DetailHead::SEEN, lambda: 0.07, power: 0.15 },
     }
 }
 
+/// How a layer is coded.
+struct Preset {
+    head: DetailHead,
+    /// What a bit costs, in squared steps.
+    lambda: f32,
+    /// Power of the luma's variance with which steps grow.
+    power: f32,
+}
+
+/// Factor of the step that shows what the layer's bytes are worth.
+const COARSER: f32 = 1.5;
+
+/// Gaussians for a layer to be laid over.
+pub(super) struct Base {
+    pub outcome: Outcome,
+}
+
+/// Gaussians with a layer over them, if it found room.
+pub(super) struct Layered {
+    base: Base,
+    coded: Option<Coded>,
+    /// Squared error, as the fit weighs it.
+    error: f64,
+}
+
 impl Encoding<'_> {
-    /// Adds a detail layer to a file of Gaussians, in what is left of `most` bytes; nothing where that is too little. The integers
-    /// of the Gaussians are then fitted to it in `rounds` rounds.
-    pub(super) fn add_detail(&mut self, outcome: &mut Outcome, most: u64, rounds: u32) -> Result<()> {
-        let clock = self.journal.seconds();
-        if let Some(mut coded) = self.coded(&outcome.splats, most, None)? {
-            let mut error = self.layered_error(&outcome.splats, &coded);
-            for _ in 0..rounds {
-                let (_, lambda, _) = preset(self.subject.options.favoured());
-                let mut splats = outcome.splats.clone();
-                let step = f32::from(coded.layer.head.step) / 64.0 / 255.0;
-                // An error of luma is one in each of the colours.
-                let colors = if self.planes.channels.count() >= 3 { 3.0 } else { 1.0 };
-                let price = colors * lambda * step * step;
-                let layer = (&coded, self.subject.channels());
-                join::descend(&mut splats, &self.planes, layer, price, self.subject.options.levels)?;
-                let Some(next) = self.coded(&splats, most, Some(&coded))? else { break };
-                let next_error = self.layered_error(&splats, &next);
-                if next_error >= error {
-                    break;
-                }
-                (error, coded, outcome.splats) = (next_error, next, splats);
+    /// Codes a layer over `base` in what is left of `most` bytes.
+    fn layer(&self, base: Base, most: u64) -> Result<Layered> {
+        let splats = &base.outcome.splats;
+        let coded = self.coded(splats, most, None)?;
+        let error = coded.as_ref().map_or(f64::INFINITY, |coded| self.layered_error(splats, &coded.layer));
+        Ok(Layered { base, coded, error })
+    }
+
+    /// Fits the integers of the Gaussians to the layer and the layer to them, in `rounds` rounds, and makes the file.
+    fn joined(&mut self, layered: Layered, most: u64, rounds: u32) -> Result<Outcome> {
+        let Layered { base: Base { mut outcome }, coded, mut error } = layered;
+        let Some(mut coded) = coded else { return Ok(outcome) };
+        for round in 0..rounds {
+            self.journal.show("detail", round as f32 / rounds as f32)?;
+            let Preset { lambda, .. } = preset(self.subject.options.favoured());
+            let mut splats = outcome.splats.clone();
+            let step = f32::from(coded.layer.head.step) / 64.0 / 255.0;
+            // An error of luma is one in each of the colours.
+            let colors = if self.planes.channels.count() >= 3 { 3.0 } else { 1.0 };
+            let price = colors * lambda * step * step;
+            let layer = (&coded.layer, self.subject.channels());
+            join::descend(&mut splats, &self.planes, layer, price, self.subject.options.levels)?;
+            let Some(next) = self.coded(&splats, most, Some(&coded))? else { break };
+            let next_error = self.layered_error(&splats, &next.layer);
+            if next_error >= error {
+                break;
             }
-            outcome.splats.detail = Some(Arc::new(coded.layer));
-            outcome.bytes = self.subject.file(&outcome.splats)?;
+            (error, coded, outcome.splats) = (next_error, next, splats);
         }
-        self.journal.stage("detail", clock);
-        Ok(())
+        outcome.splats.detail = Some(Arc::new(coded.layer));
+        outcome.bytes = self.subject.file(&outcome.splats)?;
+        Ok(outcome)
+    }
+
+    /// Bytes and error of a layer like `coded` with a larger step.
+    fn coarser(&self, splats: &PackedSplats, coded: &Coded) -> Result<Option<[f64; 2]>> {
+        let tiles = self.residuals(splats);
+        let mut aim = self.aim_of_layer(coded.bytes);
+        aim.setting.head.step = (f32::from(coded.layer.head.step) * COARSER).min(65_535.0) as u16;
+        let other = search::once(&tiles, &aim, coded);
+        Ok(Some([other.bytes as f64, self.plain_error(splats, &other.layer)]).filter(|_| other.bytes < coded.bytes))
     }
 
     /// The error that is to be small, as the fit weighs it.
-    fn layered_error(&self, splats: &PackedSplats, coded: &Coded) -> f64 {
+    fn layered_error(&self, splats: &PackedSplats, layer: &DetailLayer) -> f64 {
+        self.error_counted(splats, layer, Counted::AsTheyWeigh)
+    }
+
+    /// The error where all count alike.
+    fn plain_error(&self, splats: &PackedSplats, layer: &DetailLayer) -> f64 {
+        self.error_counted(splats, layer, Counted::Alike)
+    }
+
+    fn error_counted(&self, splats: &PackedSplats, layer: &DetailLayer, counted: Counted) -> f64 {
         let drawn = projected(&splats.quantizer(), &splats.gaussians, splats.height);
-        let layer = (&coded.layer, self.subject.channels());
-        error::squared_error((stored_scene(splats), &self.planes), &drawn, layer, Counted::AsTheyWeigh)
+        let layer = (layer, self.subject.channels());
+        error::squared_error((stored_scene(splats), &self.planes), &drawn, layer, counted)
+    }
+
+    fn residuals(&self, splats: &PackedSplats) -> Vec<TileResidual> {
+        let drawn = projected(&splats.quantizer(), &splats.gaussians, splats.height);
+        residual::residuals(stored_scene(splats), &self.planes, &drawn)
+    }
+
+    fn aim_of_layer(&self, most: u64) -> Aim {
+        let Preset { mut head, lambda, power } = preset(self.subject.options.favoured());
+        head.alpha = self.planes.channels.alpha().is_some();
+        let setting = Setting { head, channels: self.subject.channels(), lambda, care: Care::Thorough };
+        Aim { setting, power, most, runs: RUNS }
     }
 
     /// Codes what the Gaussians of `splats` leave, for a file of at most `most` bytes.
     fn coded(&self, splats: &PackedSplats, most: u64, near: Option<&Coded>) -> Result<Option<Coded>> {
-        let (mut head, lambda, power) = preset(self.subject.options.favoured());
-        head.alpha = self.planes.channels.alpha().is_some();
-        let size = [self.planes.width, self.planes.height];
-        let [across, down] = tile_counts(size);
+        let [across, down] = tile_counts([self.planes.width, self.planes.height]);
         let count = across * down;
+        let aim = self.aim_of_layer(0);
         let mut empty = splats.clone();
-        empty.detail = Some(Arc::new(DetailLayer { head, tiles: vec![None; count] }));
+        empty.detail = Some(Arc::new(DetailLayer { head: aim.setting.head, tiles: vec![None; count] }));
         let fixed = self.subject.file(&empty)?.len() as u64 - count as u64;
         let Some(left) = most.checked_sub(fixed).filter(|&left| left > 2 * count as u64) else { return Ok(None) };
-        let drawn = projected(&splats.quantizer(), &splats.gaussians, splats.height);
-        let tiles = residual::residuals(stored_scene(splats), &self.planes, &drawn);
-        let setting = Setting { head, channels: self.subject.channels(), lambda, care: Care::Thorough };
-        Ok(search(&tiles, &Aim { setting, power, most: left, runs: RUNS }, near))
+        Ok(search(&self.residuals(splats), &Aim { most: left, ..aim }, near))
     }
 }

@@ -45,14 +45,7 @@ const LIKELY: f32 = 0.8;
 /// Returns the layer of `tiles` with the smallest step that fits; `None` if none does. With `near`, a layer of nearly the same
 /// tiles, the search begins at its step and keeps its blocks.
 pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) -> Option<Coded> {
-    let activity: Vec<Vec<f32>> = match aim.setting.head.classes {
-        1 => vec![Vec::new(); tiles.len()],
-        _ => parallel::map(tiles.len(), |i| activity(&tiles[i])),
-    };
-    let count = activity.iter().map(Vec::len).sum::<usize>().max(1);
-    let mean = activity.iter().flatten().sum::<f32>() / count as f32;
-    let classes: Vec<Vec<u8>> =
-        activity.iter().map(|a| classes(a, mean, aim.power, aim.setting.head.classes)).collect();
+    let classes = classes_of(tiles, aim);
     let mut sizes = near.map(|near| near.sizes.clone());
     let mut step = near.map_or_else(|| guess(tiles, aim), |near| f64::from(near.layer.head.step));
     let (mut over, mut under): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
@@ -92,6 +85,23 @@ pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) ->
         step = next.exp();
     }
     best
+}
+
+/// The step classes of each tile's superblocks; nothing where there is but one.
+fn classes_of(tiles: &[TileResidual], aim: &Aim) -> Vec<Vec<u8>> {
+    if aim.setting.head.classes == 1 {
+        return vec![Vec::new(); tiles.len()];
+    }
+    let activity = parallel::map(tiles.len(), |i| activity(&tiles[i]));
+    // Superblocks that a tile does not have have none.
+    let there = || activity.iter().flatten().filter(|a| **a > 0.0);
+    let mean = there().sum::<f32>() / there().count().max(1) as f32;
+    activity.iter().map(|a| classes(a, mean, aim.power, aim.setting.head.classes)).collect()
+}
+
+/// Returns the layer of `tiles` with the step of the setting, in the blocks of `near`.
+pub(super) fn once(tiles: &[TileResidual], aim: &Aim, near: &Coded) -> Coded {
+    code(tiles, &classes_of(tiles, aim), aim, aim.setting.head.step, Some(&near.sizes))
 }
 
 /// Codes the layer with a step.
