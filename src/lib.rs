@@ -105,7 +105,8 @@ pub use limits::Limits;
 #[doc(hidden)]
 pub use options::Rung;
 pub use options::{
-    Ablation, Backend, Damage, DecodeOptions, Detail, EncodeOptions, Layers, Needs, Recipe, Target, Thumbnail, Trace, Tune,
+    Ablation, Backend, Damage, DecodeOptions, Detail, EncodeOptions, Layers, Needs, Recipe, Target, Thumbnail, Trace,
+    Tune,
 };
 pub use pack::{Outside, PackOptions, Precision, pack};
 pub use pixel_source::PixelSource;

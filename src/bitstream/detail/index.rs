@@ -3,6 +3,7 @@
 use super::decisions::Counted;
 use super::head::DetailHead;
 use super::levels::{TILE, TileLevels, tile_area, tile_counts};
+use super::model::Models;
 use super::tile;
 use crate::bitstream::broken::Broken;
 use crate::bitstream::bytes::{Bytes, put_varint};
@@ -96,6 +97,18 @@ pub(crate) fn put(layer: &DetailLayer, size: [u32; 2], channels: Channels, out: 
     put_streams(&streams, out);
 }
 
+/// The streams of the tiles that have levels, and the tiles' sizes, pixels.
+#[cfg(test)]
+pub(crate) fn streams(layer: &DetailLayer, size: [u32; 2], channels: Channels) -> Vec<(Vec<u8>, [usize; 2])> {
+    let tiles = layer.tiles.iter().enumerate();
+    let write = |(i, levels): (usize, &Option<TileLevels>)| {
+        let [_, _, width, height] = tile_area(size, i);
+        let levels = &mut super::given::Given::new(levels.as_ref()?);
+        Some((tile::write(levels, &layer.head, channels, [width, height]).0, [width, height]))
+    };
+    tiles.filter_map(write).collect()
+}
+
 /// Appends index and streams; a tile without levels has an empty stream.
 pub(crate) fn put_streams(streams: &[Vec<u8>], out: &mut Vec<u8>) {
     for stream in streams {
@@ -182,7 +195,7 @@ pub(crate) fn read(
                 return Ok((tile::read(stream, &head, wanted.channels, [width, height])?, 0.0));
             }
             let mut counted = Counted { source: Decoder::new(stream)?, bits: 0.0 };
-            let levels = tile::read_with(&mut counted, &head, wanted.channels, [width, height])?;
+            let levels = tile::read_with(&mut counted, &mut Models::start(), &head, wanted.channels, [width, height])?;
             counted.source.finish()?;
             Ok::<_, crate::error::Error>((levels, counted.bits))
         });

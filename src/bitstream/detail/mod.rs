@@ -8,6 +8,8 @@ pub(crate) mod decisions;
 pub(crate) mod given;
 pub(crate) mod head;
 pub(crate) mod index;
+#[cfg(test)]
+mod learn;
 pub(crate) mod levels;
 pub(crate) mod model;
 pub(crate) mod scan;

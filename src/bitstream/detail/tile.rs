@@ -262,16 +262,17 @@ impl Content for Reading {
     }
 }
 
-/// Reads the stream of a tile of so many pixels. `watch` sees the decisions.
+/// Reads a tile of so many pixels by models that are at their beginning.
 pub(crate) fn read_with<D: Decisions>(
     decisions: &mut D,
+    models: &mut Models,
     head: &DetailHead,
     channels: Channels,
     size: [usize; 2],
 ) -> Result<TileLevels, Broken> {
     let mut state = TileState::new(size);
-    let (mut models, mut block, mut reading) = (Models::start(), Block::default(), Reading(TileLevels::default()));
-    let (models, block) = (&mut models, &mut block);
+    let (mut block, mut reading) = (Block::default(), Reading(TileLevels::default()));
+    let block = &mut block;
     TileCoder { decisions, models, state: &mut state, head, channels, block }.tile(&mut reading)?;
     let Reading(mut tile) = reading;
     if tile.levels.is_empty() {
@@ -297,7 +298,7 @@ pub(crate) fn read(
     size: [usize; 2],
 ) -> Result<TileLevels, Broken> {
     let mut decoder = Decoder::new(stream)?;
-    let tile = read_with(&mut decoder, head, channels, size)?;
+    let tile = read_with(&mut decoder, &mut Models::start(), head, channels, size)?;
     decoder.finish()?;
     Ok(tile)
 }

@@ -1,0 +1,73 @@
+//! Finds where the models of a tile begin: from what they have learnt at the end of the tiles of many files.
+//!
+//! `SSPLAT_LEARN="a.ssplat b.ssplat …" cargo test --release --lib learn_where_models_begin -- --ignored` writes the table of this
+//! folder and that of the specification anew. `examples/python/learn_detail.py` makes such files and runs it.
+
+use super::model::Models;
+use super::tile::read_with;
+use crate::bitstream::detail::index::streams;
+use crate::bitstream::range::Decoder;
+use crate::bitstream::read;
+use crate::limits::Limits;
+
+/// Decisions that a beginning counts as, by how many were seen of its model.
+const TRUST: [(f64, u8); 4] = [(2.0, 0), (30.0, 2), (150.0, 5), (f64::INFINITY, 8)];
+
+#[test]
+#[ignore = "writes the tables"]
+fn learn_where_models_begin() {
+    let files = std::env::var("SSPLAT_LEARN").expect("SSPLAT_LEARN names files");
+    // For each model, the weights of zeros and of ones.
+    let mut seen: Vec<[f64; 2]> = Vec::new();
+    for file in files.split_whitespace() {
+        let bytes = std::fs::read(file).unwrap();
+        let splats = read(&bytes[..], &Limits::default()).unwrap();
+        let Some(layer) = &splats.detail else { continue };
+        let size = [splats.width, splats.height];
+        for (stream, [width, height]) in streams(layer, size, splats.channels) {
+            let mut models = Models::start();
+            let mut decoder = Decoder::new(&stream).unwrap();
+            read_with(&mut decoder, &mut models, &layer.head, splats.channels, [width, height]).unwrap();
+            let mut begun = Vec::new();
+            Models::start().each(|model| begun.push(*model));
+            let mut i = 0;
+            models.each(|model| {
+                seen.resize(seen.len().max(i + 1), [0.0; 2]);
+                let (slow, count) = model.learnt();
+                let more = f64::from(count) - f64::from(begun[i].learnt().1);
+                if *model != begun[i] && more > 0.0 {
+                    let one = f64::from(slow) / 65_536.0;
+                    seen[i] = [seen[i][0] + more * (1.0 - one), seen[i][1] + more * one];
+                }
+                i += 1;
+            });
+        }
+    }
+    let one = |s: &[f64; 2]| ((s[1] + 0.4) / (s[0] + s[1] + 0.8) * 256.0) as u8;
+    let trust = |s: &[f64; 2]| TRUST.iter().find(|t| s[0] + s[1] < t.0).expect("the last is infinite").1;
+    let tables = [
+        ("ONE", "Probabilities of a 1, in 1/256.", seen.iter().map(one).collect::<Vec<u8>>()),
+        ("SEEN", "Decisions that each of them counts as.", seen.iter().map(trust).collect()),
+    ];
+    let root = env!("CARGO_MANIFEST_DIR");
+    let lines = |values: &[u8], each: usize, between: &str| {
+        values
+            .chunks(each)
+            .map(|row| row.iter().map(u8::to_string).collect::<Vec<_>>().join(between))
+            .collect::<Vec<_>>()
+    };
+    let plain: Vec<String> = tables.iter().map(|(_, _, values)| lines(values, 32, " ").join("\n")).collect();
+    std::fs::write(format!("{root}/spec/detail-models.txt"), plain.join("\n\n") + "\n").unwrap();
+    let path = format!("{root}/src/bitstream/detail/start.rs");
+    let old = std::fs::read_to_string(&path).unwrap();
+    let mut new = old[..old.find("\n#[rustfmt::skip]").unwrap()].to_owned();
+    for (name, what, values) in &tables {
+        let rows = lines(values, 24, ", ").join(",\n    ");
+        new += &format!(
+            "\n#[rustfmt::skip]\n/// {what}\npub(super) static {name}: [u8; {}] = [\n    {rows},\n];\n",
+            values.len()
+        );
+    }
+    new += &old[old.find("\n#[cfg(test)]").unwrap()..];
+    std::fs::write(path, new).unwrap();
+}
