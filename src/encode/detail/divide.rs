@@ -23,7 +23,7 @@ const PIXELS: f64 = 393_216.0;
 const BASE: f64 = 8_200.0;
 const BASE_POWER: f64 = 0.35;
 /// The same where errors count as eyes see them: less is needed of what the layer does better.
-const SEEN: f64 = 0.75;
+const SEEN: f64 = 1.0;
 /// Most of the bytes that such a base may take.
 const MOST: f64 = 0.7;
 /// Ratio above which photographs have no layer.
