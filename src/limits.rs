@@ -37,7 +37,7 @@ impl Default for Limits {
             height: 1 << 20,
             primitives: 16 << 20,
             tile_pairs: 256 << 20,
-            work: 7 << 33,
+            work: 3 << 34,
             overlap: 256,
             // What can be had of an address space of 32 bits.
             alloc: if usize::BITS < 64 { 1 << 30 } else { 4 << 30 },

@@ -5,7 +5,9 @@
 use arbitrary::{Arbitrary, Unstructured};
 use libfuzzer_sys::fuzz_target;
 use ssplat::bitstream::splats::Layout;
-use ssplat::{Ablation, Blend, Channels, EncodeOptions, Error, Limits, Pixels, Recipe, Samples, Target, Tune};
+use ssplat::{
+    Ablation, Blend, Channels, EncodeOptions, Error, Limits, Needs, Pixels, Recipe, Samples, Target, Thumbnail, Tune,
+};
 
 #[derive(Debug)]
 struct Input {
@@ -30,8 +32,25 @@ impl<'a> Arbitrary<'a> for Input {
             *u.choose(&[Recipe::Ssplat, Recipe::SmartSplat(Ablation::Colors), Recipe::SmartSplat(Ablation::Random)])?;
         options.tune = *u.choose(&[None, Some(Tune::Psnr), Some(Tune::Ssim), Some(Tune::Iq)])?;
         options.backend = ssplat::Backend::Cpu;
+        options.needs = *u.choose(&[Needs::Measured, Needs::Everything])?;
+        options.levels = u.int_in_range(1..=8)?;
+        options.thumbnail = match u.int_in_range(0..=2u8)? {
+            0 => Thumbnail::Auto,
+            1 => Thumbnail::Never,
+            _ => Thumbnail::Bytes(u.int_in_range(0..=200)?),
+        };
+        for block in [&mut options.icc, &mut options.exif] {
+            if u.ratio(1, 4)? {
+                *block = Some(vec![u.arbitrary()?; u.int_in_range(0..=40)?]);
+            }
+        }
+        // No fit of so small a picture takes that long, so that two runs are still the same.
+        options.time = if u.ratio(1, 8)? { Some(std::time::Duration::from_secs(60)) } else { None };
+        // Wide enough for two tiles, seldom: that takes longer.
+        let is_tiled = u.ratio(1, 32)?;
+        options.tiles = if is_tiled { Some(128) } else { None };
         let channels = *u.choose(&[Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba])?;
-        let (width, height) = (u.int_in_range(1..=24)?, u.int_in_range(1..=24)?);
+        let (width, height) = (u.int_in_range(1..=24)? + if is_tiled { 128 } else { 0 }, u.int_in_range(1..=24)?);
         let count = (width * height) as usize * channels.count();
         // Few fuzzed bytes make a picture: they repeat.
         let seed: Vec<u16> = (0..u.int_in_range(1..=32)?).map(|_| u.arbitrary()).collect::<Result<_, _>>()?;
