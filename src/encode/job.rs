@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use super::clock::Clock;
 use super::detail::error::{self, Counted};
 use super::device::Choice;
 use super::file;
@@ -37,8 +38,10 @@ pub(super) struct Encoding<'a> {
     pub subject: Subject<'a>,
     /// The picture that is fitted, as planes; their amplitudes depend on the number of primitives.
     pub planes: Planes,
-    /// Wall-clock budget of a fit.
-    pub time: Option<Duration>,
+    /// The budget of time.
+    pub clock: Clock,
+    /// The part of it that a fit may take; `None`: all that is left.
+    pub share: Option<Duration>,
     pub device: Choice,
     pub journal: Journal<'a>,
 }
@@ -48,6 +51,8 @@ pub(super) struct Outcome {
     pub bytes: Vec<u8>,
     pub splats: PackedSplats,
     pub float_error: f64,
+    /// SSIMULACRA2 of the decoded file, where it was measured.
+    pub quality: Option<f64>,
 }
 
 impl Encoding<'_> {
@@ -89,7 +94,8 @@ impl Encoding<'_> {
         let (subject, planes) = (self.subject, &self.planes);
         let options = subject.options;
         let area = u64::from(subject.pixels.width()) * u64::from(subject.pixels.height());
-        let mut plan = Plan::new(options.effort, count, area, self.time, options.seed);
+        let time = self.clock.left().map(|left| self.share.map_or(left, |share| share.min(left)));
+        let mut plan = Plan::new(options.effort, count, area, time, options.seed);
         #[cfg(feature = "recipes")]
         {
             plan.rung = options.rung;
@@ -136,7 +142,7 @@ impl Encoding<'_> {
         let Making { mut splats, .. } = making;
         splats.gaussians = finished.rounded.gaussians;
         self.journal.stage("finish", clock);
-        Ok(Outcome { bytes, splats, float_error: finished.float_error })
+        Ok(Outcome { bytes, splats, float_error: finished.float_error, quality: None })
     }
 }
 
