@@ -5,7 +5,8 @@
     python examples/ray_encode.py photos/ encoded/ --ratio 50
     python examples/ray_encode.py s3://bucket/photos s3://bucket/encoded --address auto
 
-Each picture is one row of OUT/manifest/*.parquet: path, output, bytes, psnr, ms_ssim, seconds, error. A picture that
+Files are named as `ssplat encode --out-dir` does: photo.jpg becomes photo.ssplat, but photo.jpg.ssplat where there is a
+photo.png, too. Each picture is one row of OUT/manifest/*.parquet: path, output, bytes, psnr, ms_ssim, seconds, error. A picture that
 cannot be read or encoded is a row with its error and no output; the others go on. What the manifest has is skipped, so
 a run that was stopped is gone on with by the same command. `--again` tries those with errors once more.
 
@@ -26,6 +27,7 @@ with Spark, `mapInPandas`.
 """
 
 import argparse
+import collections
 import functools
 import hashlib
 import io
@@ -55,8 +57,20 @@ SCHEMA = pa.schema(
 MANIFEST = "manifest"
 
 
-def encode_one(path, source, out, options):
-    """Encodes the picture `path` under `source` to a file under `out`: a row of the manifest, never an exception."""
+def output_names(paths):
+    """The output of each path: its extension replaced, or kept before the new one where several share all else."""
+    names = {path: posixpath.splitext(path)[0] + ".ssplat" for path in paths}
+    while True:
+        times = collections.Counter(names.values())
+        longer = {path: path + ".ssplat" for path, name in names.items() if times[name] > 1}
+        if longer.items() <= names.items():
+            return names
+        names |= longer
+
+
+def encode_one(path, source, out, options, output=None):
+    """Encodes the picture `path` under `source` to the file `output` under `out`, by default the path with another
+    extension: a row of the manifest, never an exception."""
     import ssplat
     from PIL import Image
 
@@ -69,7 +83,7 @@ def encode_one(path, source, out, options):
             stored = ssplat.decode(data, threads=1)
             row["psnr"] = ssplat.metrics.psnr(image, stored, threads=1)
             row["ms_ssim"] = ssplat.metrics.ms_ssim(image, stored, threads=1)
-        output = path + ".ssplat"
+        output = output or output_names([path])[path]
         write_whole(out, output, data)
         row |= {"output": output, "bytes": len(data)}
     except Exception as e:
@@ -129,15 +143,17 @@ def run(source, out, options, *, block=None, again=False, encode=encode_one):
     paths = left_to_do(source, out, options, again)
     if not paths:
         return 0
+    outputs = output_names(list_pictures(source))
 
     def encode_block(batch):
-        rows = [encode(path, source, out, options) for path in batch["path"].to_pylist()]
+        rows = [encode(row["path"], source, out, options, row["output"]) for row in batch.to_pylist()]
         return pa.Table.from_pylist(rows, schema=SCHEMA)
 
     # Few pictures in a task leave no worker idle at the end; sixteen make its start cheap.
     cores = max(1, int(ray.cluster_resources().get("CPU", 1)))
     blocks = -(-len(paths) // (block or min(16, max(1, len(paths) // (8 * cores)))))
-    ray.data.from_items([{"path": path} for path in paths], override_num_blocks=blocks).map_batches(
+    items = [{"path": path, "output": outputs[path]} for path in paths]
+    ray.data.from_items(items, override_num_blocks=blocks).map_batches(
         encode_block, batch_size=None, batch_format="pyarrow", num_cpus=1
     ).write_parquet(out.rstrip("/") + "/" + MANIFEST)
     return len(paths)

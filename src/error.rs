@@ -1,6 +1,9 @@
 //! The crate's error type: who is at fault, and with which value.
 
 use std::fmt;
+use std::path::{Path, PathBuf};
+
+use crate::options::Target;
 
 /// Shorthand for results of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
@@ -33,6 +36,26 @@ pub enum Error {
         name: &'static str,
         /// The offending value and what would be right.
         problem: String,
+    },
+    /// The caller: a file as small as that cannot hold the picture and what it is to carry.
+    TooSmall {
+        /// What was asked for.
+        asked: Target,
+        /// Bytes that the file may have by that.
+        allowed: u64,
+        /// Bytes that it takes without any primitive.
+        needed: u64,
+        /// Bytes of the ICC profile, which are among those.
+        icc: u64,
+        /// Bytes of the EXIF block, which are among those.
+        exif: u64,
+    },
+    /// The source: a picture in another format cannot be read.
+    Source {
+        /// Where it is, as far as that is known.
+        path: Option<PathBuf>,
+        /// What the `image` crate says.
+        error: image::ImageError,
     },
     /// The encoder stopped because the progress callback asked for it.
     Cancelled,
@@ -138,6 +161,13 @@ pub enum FormatError {
     },
 }
 
+impl Error {
+    /// An error of the world at `path`, which its text names.
+    pub(crate) fn at(path: &Path, error: &std::io::Error) -> Self {
+        Error::Io(std::io::Error::new(error.kind(), format!("{}: {error}", path.display())))
+    }
+}
+
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -148,6 +178,21 @@ impl fmt::Display for Error {
                 write!(f, "limit exceeded: {what} {requested} over the allowed {allowed}")
             }
             Error::Parameter { name, problem } => write!(f, "bad parameter {name}: {problem}"),
+            Error::TooSmall { asked, allowed, needed, icc, exif } => {
+                match asked {
+                    Target::Ratio(ratio) => write!(f, "a ratio of {ratio} leaves {allowed} bytes, which cannot")?,
+                    _ => write!(f, "{allowed} bytes cannot")?,
+                }
+                write!(f, " hold the picture: {needed} are needed without any primitive")?;
+                match (icc, exif) {
+                    (0, 0) => Ok(()),
+                    (0, exif) => write!(f, ", {exif} of them for the EXIF block"),
+                    (icc, 0) => write!(f, ", {icc} of them for the ICC profile"),
+                    (icc, exif) => write!(f, ", {icc} of them for the ICC profile and {exif} for the EXIF block"),
+                }
+            }
+            Error::Source { path: Some(path), error } => write!(f, "{}: {error}", path.display()),
+            Error::Source { path: None, error } => write!(f, "the picture cannot be read: {error}"),
             Error::Cancelled => write!(f, "cancelled"),
             Error::Gpu(e) => write!(f, "GPU: {e}"),
         }
@@ -191,11 +236,13 @@ impl fmt::Display for FormatError {
 }
 
 impl std::error::Error for Error {
+    /// What lies behind the error that is wrapped: the text of that one is part of this one's, so that a chain of errors
+    /// says nothing twice.
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
-            Error::Io(e) => Some(e),
-            Error::Format(e) => Some(e),
-            Error::Gpu(e) => Some(e),
+            Error::Io(e) => e.source(),
+            Error::Format(e) => e.source(),
+            Error::Gpu(e) => e.source(),
             _ => None,
         }
     }
@@ -220,5 +267,49 @@ impl From<std::io::Error> for Error {
 impl From<FormatError> for Error {
     fn from(e: FormatError) -> Self {
         Error::Format(e)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::error::Error as _;
+
+    use super::*;
+
+    #[test]
+    fn a_chain_of_errors_says_nothing_twice() {
+        let inner = std::io::Error::other("the disk is on fire");
+        let errors = [
+            Error::Io(std::io::Error::other(inner)),
+            Error::Io(std::io::ErrorKind::NotFound.into()),
+            Error::Format(FormatError::TrailingBytes { count: 3 }),
+            Error::Gpu(GpuError::NoAdapter),
+        ];
+        for error in errors {
+            let mut said = error.to_string();
+            let mut source = error.source();
+            while let Some(e) = source {
+                let text = e.to_string();
+                assert!(!said.contains(&text), "{said:?} says {text:?} already");
+                said += &text;
+                source = e.source();
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_too_small_names_what_was_asked_for_and_what_takes_the_room() {
+        let too_small = |asked, icc, exif| Error::TooSmall { asked, allowed: 40, needed: 3000, icc, exif }.to_string();
+        assert_eq!(
+            too_small(Target::Bytes(40), 0, 0),
+            "40 bytes cannot hold the picture: 3000 are needed without any primitive"
+        );
+        assert_eq!(
+            too_small(Target::Ratio(50.0), 0, 2900),
+            "a ratio of 50 leaves 40 bytes, which cannot hold the picture: 3000 are needed without any primitive, 2900 of \
+             them for the EXIF block"
+        );
+        let both = too_small(Target::Ratio(50.0), 1000, 1900);
+        assert!(both.ends_with("1000 of them for the ICC profile and 1900 for the EXIF block"), "{both}");
     }
 }

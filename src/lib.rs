@@ -91,6 +91,8 @@ pub mod raster;
 pub mod recipes;
 mod round;
 mod simd;
+#[cfg(feature = "quality")]
+mod ssimulacra2;
 
 pub use decode::{Decoded, Opened, Opening, decode, decode_into, thumbnail};
 pub use encode::{
@@ -99,14 +101,14 @@ pub use encode::{
 };
 pub use error::{Error, FormatError, GpuError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
-pub use image_crate::{EXTENSION, SsplatDecoder, SsplatEncoder, register, save};
+pub use image_crate::{Carried, EXTENSION, SsplatDecoder, SsplatEncoder, encode_decoder, register, save, transcode};
 pub use limits::Limits;
 #[cfg(feature = "recipes")]
 #[doc(hidden)]
 pub use options::Rung;
 pub use options::{
-    Ablation, Backend, Damage, DecodeOptions, Detail, EncodeOptions, Layers, Needs, Recipe, Target, Thumbnail, Trace,
-    Tune,
+    Ablation, Backend, Carry, Damage, DecodeOptions, Detail, EncodeOptions, Layers, Needs, Recipe, Target, Thumbnail,
+    Trace, Tune,
 };
 pub use pack::{Outside, PackOptions, Precision, pack};
 pub use pixel_source::PixelSource;

@@ -36,6 +36,9 @@ const BAND: usize = 64;
 /// Output columns that are filtered together, so that a band's intermediate values stay in a core's cache.
 const BLOCK: usize = 256;
 
+#[cfg(feature = "quality")]
+pub use crate::ssimulacra2::{linear_light, ssimulacra2};
+
 /// What [`compare`] finds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
@@ -64,20 +67,25 @@ pub fn compare(a: &Pixels, b: &Pixels) -> Result<Comparison> {
 /// # Errors
 /// [`Error::Parameter`] when the two differ in width, height, channels or depth.
 pub fn psnr(a: &Pixels, b: &Pixels) -> Result<f64> {
-    same_shape(a, b)?;
+    check_alike(a, b)?;
     let mse = squared_error(a, b) / (a.width() as f64 * f64::from(a.height()) * a.channels().count() as f64);
     let peak = f64::from(a.depth().max());
     Ok(10.0 * (peak * peak / mse).log10())
 }
 
 /// Checks that samples correspond.
-fn same_shape(a: &Pixels, b: &Pixels) -> Result<()> {
-    let shape = |p: &Pixels| (p.width(), p.height(), p.channels(), p.depth());
-    if shape(a) == shape(b) {
-        return Ok(());
+pub(crate) fn check_alike(a: &Pixels, b: &Pixels) -> Result<()> {
+    let size = |p: &Pixels| format!("{}×{}", p.width(), p.height());
+    let channels = |p: &Pixels| format!("{:?}", p.channels());
+    let bits = |p: &Pixels| (8 * p.depth().bytes()).to_string();
+    for (what, of) in [("size", &size as &dyn Fn(&Pixels) -> String), ("channels", &channels), ("bits", &bits)] {
+        let [a, b] = [of(a), of(b)];
+        if a != b {
+            let problem = format!("the pictures differ in {what}: {a} and {b}");
+            return Err(Error::Parameter { name: "pixels", problem });
+        }
     }
-    let say = |p: &Pixels| format!("{}x{} {:?} {:?}", p.width(), p.height(), p.channels(), p.depth());
-    Err(Error::Parameter { name: "pixels", problem: format!("{} against {}", say(a), say(b)) })
+    Ok(())
 }
 
 /// Sum of squared sample differences, those of colours times the opacity of `a`. The integers are exact, so no order of
@@ -88,7 +96,7 @@ fn squared_error(a: &Pixels, b: &Pixels) -> f64 {
         return match (a.samples(), b.samples()) {
             (Samples::U8(a), Samples::U8(b)) => summed(a, b, 1, |p, q| square(p[0], q[0])),
             (Samples::U16(a), Samples::U16(b)) => summed(a, b, 1, |p, q| square(p[0], q[0])),
-            _ => unreachable!("same_shape compared the depths"),
+            _ => unreachable!("check_alike compared the depths"),
         };
     };
     let most = a.depth().max() as u64;
@@ -100,7 +108,7 @@ fn squared_error(a: &Pixels, b: &Pixels) -> f64 {
     let sum = match (a.samples(), b.samples()) {
         (Samples::U8(a), Samples::U8(b)) => summed(a, b, count, |p, q| pixel(p, q, alpha, most)),
         (Samples::U16(a), Samples::U16(b)) => summed(a, b, count, |p, q| pixel(p, q, alpha, most)),
-        _ => unreachable!("same_shape compared the depths"),
+        _ => unreachable!("check_alike compared the depths"),
     };
     sum / most as f64
 }

@@ -23,6 +23,11 @@ pub enum Target {
     Primitives(u32),
     /// PSNR against the source, dB: the smallest file found that reaches it.
     Psnr(f64),
+    /// A quality as eyes see it: the SSIMULACRA2 score that the file shall have, `0..=100`, within half a point; about 30, 50,
+    /// 70 and 90 for low, medium, high and very high quality. It takes up to three fits. Where the score is not met the best
+    /// file that was found is the result; [`EncodeReport::quality`](crate::EncodeReport::quality) says what it has.
+    #[cfg(feature = "quality")]
+    Quality(f64),
 }
 
 /// Where the fit starts and how it goes on.
@@ -145,6 +150,22 @@ pub enum Detail {
     Share(f64),
 }
 
+/// What a file carries of its source's metadata. ICC profile and EXIF block count as the file's bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[non_exhaustive]
+pub enum Carry {
+    /// What the picture needs to look as it should: the ICC profile, and of the EXIF block the orientation alone, in 26
+    /// bytes, where the picture is to be turned.
+    #[default]
+    Needed,
+    /// ICC profile and EXIF block, with all that a camera writes: its place, its time, its name.
+    All,
+    /// The ICC profile; a picture that is to be turned lies on its side.
+    Icc,
+    /// Neither.
+    None,
+}
+
 /// Options of [`encode`](crate::encode()).
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -153,9 +174,10 @@ pub struct EncodeOptions {
     pub target: Target,
     /// `1..=9`: how much work to spend; 5 is the default.
     pub effort: u8,
-    /// Wall-clock budget; the best state reached is written.
+    /// Wall-clock budget of the whole encode, however many fits the target takes; the best state reached is written.
     pub time: Option<Duration>,
-    /// Seed of everything random; equal seeds give equal bytes.
+    /// Seed of everything random; equal seeds give equal bytes from one version of this crate, and in the planes layout from
+    /// one version of zstd.
     pub seed: u64,
     /// How the integers become bytes.
     pub layout: Layout,
@@ -190,9 +212,12 @@ pub struct EncodeOptions {
     #[cfg(feature = "recipes")]
     #[doc(hidden)]
     pub rung: Rung,
-    /// ICC profile to carry.
+    /// What of a source's metadata [`transcode`](crate::transcode) and [`encode_decoder`](crate::encode_decoder) carry along;
+    /// pixels alone have none.
+    pub carry: Carry,
+    /// ICC profile to carry, whatever `carry` says.
     pub icc: Option<Vec<u8>>,
-    /// EXIF block to carry.
+    /// EXIF block to carry, from its TIFF header on, whatever `carry` says.
     pub exif: Option<Vec<u8>>,
 }
 
@@ -225,6 +250,7 @@ impl Default for EncodeOptions {
             trace: Trace::Off,
             #[cfg(feature = "recipes")]
             rung: Rung::default(),
+            carry: Carry::Needed,
             icc: None,
             exif: None,
         }

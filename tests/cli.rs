@@ -286,7 +286,8 @@ fn icc_profile_and_exif_pass_from_png_to_png() {
     let (source, file, out) = (folder.path("s.png"), folder.path("f.ssplat"), folder.path("o.png"));
     let (icc, exif) = (rgb_profile(), b"II*\0\x08\0\0\0\0\0\0\0\0\0".to_vec());
     tagged(&source, &icc, &exif);
-    succeeds(ssplat(&[&"encode", &source, &file, &"--primitives", &"10", &"--effort", &"1"]));
+    let all = ["--metadata", "all"];
+    succeeds(quick(&source, &file, &all));
     for extension in ["png", "webp", "jpg"] {
         let out = out.with_extension(extension);
         succeeds(ssplat(&[&"decode", &file, &out]));
@@ -296,10 +297,54 @@ fn icc_profile_and_exif_pass_from_png_to_png() {
     }
     // And from one ssplat file to another.
     let again = folder.path("again.ssplat");
-    succeeds(ssplat(&[&"encode", &file, &again, &"--primitives", &"10", &"--effort", &"1"]));
+    succeeds(quick(&file, &again, &all));
     let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &again, &"--json"]))).unwrap();
     assert_eq!(info["icc_bytes"].as_u64(), Some(500));
     assert_eq!(info["exif_bytes"].as_u64(), Some(exif.len() as u64));
+}
+
+/// The lengths of profile and EXIF block in a file.
+fn metadata_of(file: &Path) -> [u64; 2] {
+    let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &file, &"--json"]))).unwrap();
+    ["icc_bytes", "exif_bytes"].map(|key| info[key].as_u64().unwrap_or(0))
+}
+
+#[test]
+fn a_camera_s_notes_do_not_fill_a_file_and_the_orientation_stays() {
+    let folder = Folder::new();
+    let (source, file) = (folder.path("s.png"), folder.path("f.ssplat"));
+    // A block that says Rotate90 and much else.
+    let exif = [exif_of(6), vec![5; 20_000]].concat();
+    tagged(&source, &rgb_profile(), &exif);
+    // A size that could never hold the notes.
+    let asked = ["--bytes", "900", "--effort", "1"];
+    let encode = |more: &[&str]| command(&[&"encode", &source, &file]).args(asked).args(more).output().unwrap();
+    let said = told(encode(&[]));
+    assert!(said.contains("20026 bytes is left out but for the orientation; --metadata all"), "{said}");
+    assert_eq!(metadata_of(&file), [500, 26]);
+    let out = folder.path("o.png");
+    succeeds(ssplat(&[&"decode", &file, &out]));
+    assert_eq!(ImageReader::open(&out).unwrap().into_decoder().unwrap().orientation().unwrap().to_exif(), 6);
+    // The profile is more than half of the file, which is told.
+    assert!(said.contains("its ICC profile and EXIF block take 526 of"), "{said}");
+    assert!(told(encode(&["--metadata", "icc"])).contains("its orientation is left out; --auto-orient"));
+    assert_eq!(metadata_of(&file), [500, 0]);
+    let said = told(encode(&["--metadata", "none", "--auto-orient"]));
+    assert!(said.is_empty(), "{said}");
+    assert_eq!(metadata_of(&file), [0, 0]);
+    fails(encode(&["--metadata", "all"]), 2, "900 bytes cannot hold the picture");
+    fails(
+        encode(&["--metadata", "all"]),
+        2,
+        "500 of them for the ICC profile and 20026 for the EXIF block; --metadata",
+    );
+    // In tiles, and with no size asked for.
+    let tiled = quick(&source, &file, &["--tiles=128"]);
+    assert!(told(tiled).contains("--metadata all"));
+    let said =
+        told(command(&[&"encode", &source, &file, &"--effort", &"1"]).args(["--metadata", "all"]).output().unwrap());
+    assert!(said.contains("its ICC profile and EXIF block take 20526 of"), "{said}");
+    assert_eq!(metadata_of(&file), [500, 20026]);
 }
 
 #[test]
@@ -396,7 +441,7 @@ fn wrong_usage_exits_with_2() {
     for (options, message) in [
         (["--region", "1,2,3"], "1,2,3"),
         (["--region", "1,2,0,3"], "empty"),
-        (["--region", "50,0,20,20"], "50"),
+        (["--region", "50,0,20,20"], "--region 50,0,20,20 is not within the picture of 60×40"),
         (["--scale", "0"], "--scale"),
         (["--scale", "1e9"], "1048576"),
         (["--width", "0"], "--width"),
@@ -406,7 +451,7 @@ fn wrong_usage_exits_with_2() {
     }
     fails(ssplat(&[&"decode", &file, &folder.path("noextension")]), 2, "noextension");
     fails(ssplat(&[&"decode", &file, &folder.path("o.gif")]), 2, "gif");
-    fails(ssplat(&[&"compare", &file, &PHOTO]), 2, "60x40");
+    fails(ssplat(&[&"compare", &file, &PHOTO]), 2, "the pictures differ in size: 60×40 and 768×512");
     assert_eq!(folder.names(), ["a.png", "a.ssplat"]);
 }
 
@@ -513,6 +558,38 @@ fn an_interrupt_leaves_nothing_behind() {
     assert!(folder.names().is_empty(), "{:?}", folder.names());
 }
 
+/// What the program says on a terminal.
+#[cfg(unix)]
+fn on_a_terminal(args: &[&dyn AsRef<OsStr>]) -> String {
+    use std::io::Read;
+    let nix::pty::OpenptyResult { master, slave } = nix::pty::openpty(None, None).unwrap();
+    let reader = std::thread::spawn(move || {
+        let (mut file, mut said, mut part) = (fs::File::from(master), Vec::new(), [0; 4096]);
+        // The other side's end is an error here.
+        while let Ok(count @ 1..) = file.read(&mut part) {
+            said.extend_from_slice(&part[..count]);
+        }
+        String::from_utf8(said).unwrap()
+    });
+    let mut child = command(args).stdout(Stdio::null()).stderr(Stdio::from(slave)).spawn().unwrap();
+    assert!(child.wait().unwrap().success());
+    reader.join().unwrap()
+}
+
+#[test]
+#[cfg(unix)]
+fn a_quiet_run_draws_no_bar() {
+    let folder = Folder::new();
+    let source = folder.picture("a.png");
+    let (file, out) = (folder.path("a.ssplat"), folder.path("out"));
+    let one: [&dyn AsRef<OsStr>; 6] = [&"encode", &source, &file, &"--effort", &"1", &"--quiet"];
+    let many: [&dyn AsRef<OsStr>; 7] = [&"encode", &source, &"--out-dir", &out, &"--effort", &"1", &"--quiet"];
+    assert_eq!(on_a_terminal(&one), "");
+    assert_eq!(on_a_terminal(&many), "");
+    let many: [&dyn AsRef<OsStr>; 7] = [&"encode", &source, &"--out-dir", &out, &"--effort", &"1", &"--overwrite"];
+    assert!(on_a_terminal(&many).contains("a.png"), "there is a bar where it is not quiet");
+}
+
 #[test]
 #[cfg(unix)]
 fn outputs_have_ordinary_rights_and_links_and_devices_stay() {
@@ -524,10 +601,12 @@ fn outputs_have_ordinary_rights_and_links_and_devices_stay() {
     assert_eq!(fs::metadata(&file).unwrap().permissions().mode(), fs::metadata(&plain).unwrap().permissions().mode());
     let (link, target) = (folder.path("link.png"), folder.path("target.png"));
     fs::write(&target, "").unwrap();
+    fs::set_permissions(&target, fs::Permissions::from_mode(0o600)).unwrap();
     std::os::unix::fs::symlink(&target, &link).unwrap();
     succeeds(ssplat(&[&"decode", &file, &link]));
     assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
     assert_eq!(image::image_dimensions(&target).unwrap(), (60, 40));
+    assert_eq!(fs::metadata(&target).unwrap().permissions().mode() & 0o777, 0o600);
     succeeds(ssplat(&[&"decode", &file, &"/dev/null", &"--format", &"png"]));
     assert!(!fs::metadata("/dev/null").unwrap().is_file());
 }
@@ -635,7 +714,7 @@ fn a_profile_for_other_channels_is_left_out_and_named() {
     {
         jpeg(&source, Some(&profile(space)), &picture);
         let said = told(quick(&source, &out, &[]));
-        assert_eq!(said.contains("ICC profile"), !kept, "{said}");
+        assert_eq!(said.contains("ICC profile is for"), !kept, "{said}");
         let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &out, &"--json"]))).unwrap();
         assert_eq!(info["icc_bytes"].as_u64(), kept.then_some(120));
         assert!(told(quick(&source, &out, &["--quiet"])).is_empty());
@@ -661,7 +740,8 @@ fn what_is_lost_on_the_way_is_said() {
     let folder = Folder::new();
     let (source, file) = (folder.path("a.png"), folder.path("a.ssplat"));
     tagged(&source, &rgb_profile(), &exif_of(6));
-    assert!(told(quick(&source, &file, &[])).is_empty());
+    let said = told(quick(&source, &file, &[]));
+    assert!(!said.contains("left out;"), "{said}");
     for (extension, words) in [
         ("png", &[][..]),
         ("jpg", &[]),
@@ -714,6 +794,10 @@ fn auto_orient_turns_and_says_so_in_the_exif_block() {
     tagged(&source, &rgb_profile(), &exif_of(6));
     let kept = |path: &Path| ImageReader::open(path).unwrap().into_decoder().unwrap().exif_metadata().unwrap();
     told(quick(&source, &file, &["--auto-orient"]));
+    told(ssplat(&[&"decode", &file, &out]));
+    // What says that nothing is to be turned is not needed.
+    assert_eq!((image::image_dimensions(&out).unwrap(), kept(&out)), ((40, 60), None));
+    told(quick(&source, &file, &["--auto-orient", "--metadata", "all"]));
     told(ssplat(&[&"decode", &file, &out]));
     assert_eq!((image::image_dimensions(&out).unwrap(), kept(&out)), ((40, 60), Some(exif_of(1))));
     // And when decoding.
@@ -772,13 +856,105 @@ fn messages_speak_of_what_was_asked() {
     assert!(!String::from_utf8_lossy(&said.stderr).contains(".ssplat-"), "{said:?}");
     fails(said, 3, "no/such/o.ssplat");
     let out = folder.path("o.ssplat");
-    fails(ssplat(&[&"encode", &picture, &out, &"--ratio", &"1e9"]), 2, "--ratio 1000000000");
+    fails(ssplat(&[&"encode", &picture, &out, &"--ratio", &"1e9"]), 2, "a ratio of 1000000000 leaves 0 bytes");
     fails(fed(&[&"encode", &"-", &out], b""), 4, "standard input: is empty");
     let avif = folder.path("a.avif");
     fs::write(&avif, b"\0\0\0\x1cftypavif\0\0\0\0avifmif1miaf").unwrap();
     fails(ssplat(&[&"encode", &avif, &out]), 5, "avifdec");
     let file = folder.encoded("b.ssplat");
     fails(ssplat(&[&"decode", &file, &folder.path("o.png"), &"--scale", &"1e30"]), 2, "1048576 at most");
+}
+
+#[test]
+fn values_that_are_no_values_are_named_in_plain_words() {
+    let folder = Folder::new();
+    let (picture, out) = (folder.picture("a.png"), folder.path("o.ssplat"));
+    for (option, value, message) in [
+        ("--bytes", "twenty", "not a number of bytes, as 20000 or 20k or 1.5M"),
+        ("--bytes", "-5k", "not a number of bytes"),
+        ("--quality", "101", "not a number from 0 to 100"),
+        ("--threads", "0", "not a whole number from 1 on"),
+        ("--time", "0", "not a positive number"),
+    ] {
+        fails(ssplat(&[&"encode", &picture, &out, &format!("{option}={value}")]), 2, message);
+    }
+    fails(ssplat(&[&"encode", &folder.path("."), &out]), 3, "is a folder; --out-dir");
+    fails(ssplat(&[&"decode", &folder.path("."), &folder.path("o.png")]), 3, "is a folder; --out-dir");
+    // Thousands of bytes, and short names.
+    let short: [&dyn AsRef<OsStr>; 8] = [&"encode", &picture, &"-o", &out, &"-b", &".5k", &"-e", &"1"];
+    succeeds(ssplat(&short));
+    let bytes = fs::metadata(&out).unwrap().len();
+    assert!((450..=500).contains(&bytes), "{bytes}");
+    fails(ssplat(&[&"encode", &picture, &out, &"-o", &out]), 2, "several inputs need --out-dir");
+}
+
+#[test]
+fn a_quality_is_met_or_said_to_be_missed() {
+    let folder = Folder::new();
+    let (file, out) = (folder.path("k.ssplat"), folder.path("o.png"));
+    let (picture, noise) = (folder.path("k.png"), folder.path("n.png"));
+    image::open(PHOTO).unwrap().crop_imm(200, 100, 160, 120).save(&picture).unwrap();
+    let run = |input: &Path, quality: &str| {
+        ssplat(&[&"encode", &input, &file, &"--quality", &quality, &"--effort", &"1", &"--json", &"--preview", &out])
+    };
+    let met = run(&picture, "60");
+    assert!(told(met.clone()).is_empty(), "{met:?}");
+    let json = succeeds(met);
+    let measured: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let seen = measured["preview"]["ssimulacra2"].as_f64().unwrap();
+    assert!((seen - 60.0).abs() <= 0.5 && (number(&json, "quality") - seen).abs() < 1e-6, "{json}");
+    image::GrayImage::from_fn(24, 24, |x, y| image::Luma([(x * 7919 + y * 104_729) as u8])).save(&noise).unwrap();
+    assert!(told(run(&noise, "99")).contains("--quality 99 was not met: the file has "));
+    assert!(succeeds(ssplat(&[&"encode", &"--help"])).contains("30 low, 50 medium, 70 high"));
+}
+
+#[test]
+#[cfg(unix)]
+fn a_preview_that_cannot_be_written_leaves_no_file() {
+    let folder = Folder::new();
+    let (picture, file) = (folder.picture("a.png"), folder.path("a.ssplat"));
+    let full = folder.path("full.png");
+    std::os::unix::fs::symlink("/dev/full", &full).unwrap();
+    fails(quick(&picture, &file, &["--preview", full.to_str().unwrap()]), 3, "full.png");
+    assert_eq!(folder.names(), ["a.png", "full.png"]);
+}
+
+#[test]
+#[cfg(unix)]
+fn a_terminal_is_told_what_is_done_from_the_first_moment_on() {
+    let folder = Folder::new();
+    let file = folder.path("k.ssplat");
+    let said = on_a_terminal(&[&"encode", &PHOTO, &file, &"--ratio", &"100", &"--effort", &"1"]);
+    let place = |word: &str| said.find(word).unwrap_or_else(|| panic!("{said:?} lacks {word}"));
+    assert!(place("reading") < place("fit") && place("fit") < place("finish"), "{said:?}");
+    assert!(said.contains(" to go)"), "{said:?}");
+}
+
+#[test]
+fn a_budget_of_time_is_that_of_the_whole_command() {
+    let folder = Folder::new();
+    let file = folder.path("k.ssplat");
+    let start = std::time::Instant::now();
+    let json =
+        succeeds(ssplat(&[&"encode", &PHOTO, &file, &"--psnr", &"25", &"--effort", &"9", &"--time", &"3", &"--json"]));
+    let seconds = start.elapsed().as_secs_f64();
+    assert!(number(&json, "psnr") >= 25.0, "{json}");
+    // Effort 9 takes minutes for each of several tries; twice the budget is for a machine that is busy with other things.
+    assert!(seconds < 6.0, "{seconds}");
+    // A budget that no clock can tell the end of is none.
+    succeeds(ssplat(&[&"encode", &folder.picture("a.png"), &file, &"--time", &"1e19", &"--effort", &"1"]));
+}
+
+#[test]
+fn samples_that_a_format_cannot_hold_are_told() {
+    let folder = Folder::new();
+    let (source, file) = (folder.path("deep.png"), folder.path("deep.ssplat"));
+    small().to_luma16().save(&source).unwrap();
+    told(quick(&source, &file, &[]));
+    for (extension, is_lost) in [("jpg", true), ("bmp", true), ("webp", true), ("png", false), ("tiff", false)] {
+        let said = told(ssplat(&[&"decode", &file, &folder.path(&format!("o.{extension}"))]));
+        assert_eq!(said.contains("rounded to 8"), is_lost, "{extension}: {said}");
+    }
 }
 
 /// Starts `encode` of several inputs.
@@ -838,8 +1014,52 @@ fn several_inputs_need_a_folder_and_outputs_of_their_own() {
     let twin = folder.path("a.bmp");
     small().save(&twin).unwrap();
     let out = folder.path("out");
-    fails(many(&[&a, &twin], &out, &[]), 2, "would both become");
-    assert_eq!(folder.names(), ["a.bmp", "a.png", "b.png"]);
+    // Two of one stem keep their extension.
+    succeeds(many(&[&a, &twin, &b], &out, &[]));
+    let mut names: Vec<_> = fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["a.bmp.ssplat", "a.png.ssplat", "b.ssplat"]);
+    fs::remove_dir_all(&out).unwrap();
+    // What has no output of its own is told all at once, and nothing is done.
+    fs::create_dir(folder.path("deep")).unwrap();
+    let [c, d] = ["deep/a.png", "deep/b.png"].map(|name| folder.picture(name));
+    let all = [&a, &b, &c, &d, &a].map(|path| path.as_path());
+    let said = many(&all, &out, &[]);
+    for pair in [[&a, &c], [&b, &d]] {
+        fails(said.clone(), 2, &format!("{} and {} would both become", pair[0].display(), pair[1].display()));
+    }
+    fails(said, 2, &format!("{}: is named twice", a.display()));
+    assert_eq!(folder.names(), ["a.bmp", "a.png", "b.png", "deep"]);
+}
+
+#[test]
+fn what_of_a_folder_is_passed_over_is_told() {
+    let folder = Folder::new();
+    for deep in ["in/deep", "in/other"] {
+        fs::create_dir_all(folder.path(deep)).unwrap();
+    }
+    small().save(folder.path("in/a.png")).unwrap();
+    fs::rename(folder.path("in/a.png"), folder.path("in/without extension")).unwrap();
+    for name in ["in/notes.txt", "in/old.ssplat", "in/.hidden"] {
+        fs::write(folder.path(name), "no picture").unwrap();
+    }
+    let (input, out) = (folder.path("in"), folder.path("out"));
+    let run = many(&[&input], &out, &[]);
+    let said = String::from_utf8(run.stderr.clone()).unwrap();
+    assert!(said.contains("2 files are passed over: ") && said.contains("in/notes.txt"), "{said}");
+    assert!(
+        said.contains("2 folders are passed over, which --recursive takes: ") && said.contains("in/deep"),
+        "{said}"
+    );
+    assert!(!said.contains("hidden"), "{said}");
+    assert!(succeeds(run).contains("1 files done"));
+    // A picture is known by its content, too.
+    assert!(out.join("without extension.ssplat").exists());
+    assert!(told(many(&[&input], &out, &["--quiet", "--overwrite"])).is_empty());
+    // A folder that cannot be made is told once.
+    let said = many(&[&input], &folder.path("in/notes.txt/out"), &[]);
+    let lines = String::from_utf8_lossy(&said.stderr).lines().filter(|l| l.contains("notes.txt/out")).count();
+    assert_eq!((said.status.code(), lines), (Some(3), 1), "{said:?}");
 }
 
 #[test]
@@ -911,5 +1131,7 @@ fn completions_and_the_manual_know_the_options() {
     let man = succeeds(ssplat(&[&"man"]));
     assert!(man.starts_with(".ie") || man.contains(".TH"), "{man}");
     assert!(man.contains("auto\\-orient"), "{man}");
+    // It names no page that there is not.
+    assert!(!man.contains("encode(1)"), "{man}");
     assert!(succeeds(ssplat(&[&"--version"])).contains("features: rayon, cli"));
 }

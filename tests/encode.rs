@@ -229,6 +229,49 @@ fn a_psnr_is_reached_or_refused_with_what_can_be_had() {
 }
 
 #[test]
+fn a_psnr_is_reached_beside_metadata_of_any_size() {
+    let pixels = picture(64, 48, Channels::Rgb);
+    for wanted in [12.0, 24.0] {
+        let plain = run(&pixels, Target::Psnr(wanted));
+        let mut options = quick(Target::Psnr(wanted));
+        options.icc = Some((0..3000).map(|i| (i * 7 % 251) as u8).collect());
+        let tagged = encode(&pixels, &options).unwrap();
+        assert!(tagged.report.psnr >= wanted, "{wanted}: {}", tagged.report.psnr);
+        // The picture is searched for beside the profile; how much of a fit is rounded away still depends on both.
+        let [beside, alone] = [tagged.bytes.len() - 3000, plain.bytes.len()];
+        assert!(beside < alone + alone / 3, "{wanted}: {beside} and {alone}");
+    }
+}
+
+#[test]
+fn a_time_budget_is_that_of_all_tries() {
+    let pixels = picture(400, 300, Channels::Rgb);
+    let mut options = quick(Target::Psnr(20.0));
+    options.effort = 9;
+    options.time = Some(Duration::from_millis(1500));
+    let mut fits = 0;
+    let mut last = f32::INFINITY;
+    let encoded = encode_with_progress(&pixels, &options, &mut |p| {
+        fits += u32::from(p.stage == "fit" && p.done < last);
+        last = if p.stage == "fit" { p.done } else { f32::INFINITY };
+        ControlFlow::Continue(())
+    });
+    let encoded = encoded.unwrap();
+    assert!(fits > 1, "one try says nothing about several");
+    // Each try had all of the budget once; half of it is for a machine that is busy with other things.
+    assert!(encoded.report.seconds < 2.25, "{fits} tries in {} s", encoded.report.seconds);
+}
+
+#[test]
+fn a_time_budget_without_an_end_is_none() {
+    let pixels = picture(40, 30, Channels::Rgb);
+    let mut options = quick(Target::Bytes(300));
+    let without = encode(&pixels, &options).unwrap().bytes;
+    options.time = Some(Duration::MAX);
+    assert_eq!(encode(&pixels, &options).unwrap().bytes.len(), without.len());
+}
+
+#[test]
 fn a_time_budget_ends_the_work() {
     let pixels = picture(400, 300, Channels::Rgb);
     for recipe in [Recipe::Ssplat, Recipe::SmartSplat(Ablation::Colors)] {
@@ -333,14 +376,19 @@ fn sizes_that_cannot_hold_the_picture_are_parameter_errors() {
         let least = (0..64).find(|&most| refused(most).is_ok()).expect("64 bytes are enough");
         assert!((16..=48).contains(&least), "{layout:?}: {least}");
         for most in 0..least {
-            assert_refused(refused(most), "bytes");
+            assert!(matches!(refused(most), Err(Error::TooSmall { allowed, .. }) if allowed == most), "{most}");
         }
         assert!(refused(least).unwrap().bytes.len() as u64 <= least);
     }
-    assert_refused(encode(&pixels, &quick(Target::Ratio(1e9))), "bytes");
+    let asked = Target::Ratio(1e9);
+    assert!(matches!(encode(&pixels, &quick(asked)), Err(Error::TooSmall { asked: a, allowed: 0, .. }) if a == asked));
     let mut options = quick(Target::Bytes(300));
-    options.icc = Some(vec![7; 400]);
-    assert_refused(encode(&pixels, &options), "bytes");
+    (options.icc, options.exif) = (Some(vec![7; 400]), Some(vec![8; 90]));
+    let refused = encode(&pixels, &options);
+    assert!(
+        matches!(refused, Err(Error::TooSmall { allowed: 300, needed: 490.., icc: 400, exif: 90, .. })),
+        "{refused:?}"
+    );
 }
 
 #[test]

@@ -7,7 +7,9 @@ use image::{ColorType, DynamicImage, ExtendedColorType, ImageDecoder, ImageEncod
 use ssplat::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
 use ssplat::quantize::Quantizer;
 use ssplat::raster::{Renderer, View};
-use ssplat::{Blend, Channels, Depth, EncodeOptions, Gaussian, Limits, Pixels, SsplatDecoder, SsplatEncoder, Target};
+use ssplat::{
+    Blend, Carry, Channels, Depth, EncodeOptions, Error, Gaussian, Limits, Pixels, SsplatDecoder, SsplatEncoder, Target,
+};
 
 const WIDTH: u32 = 83;
 const HEIGHT: u32 = 150;
@@ -349,6 +351,75 @@ fn saved_pictures_open_again_with_their_metadata() {
     assert_eq!(decoder.exif_metadata().unwrap(), metadata().exif);
 }
 
+/// A PNG on its side, with a profile and a long EXIF block.
+fn photograph() -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+    encoder.set_icc_profile([&[7u8; 16][..], b"RGB ", &[7; 480]].concat()).unwrap();
+    encoder.set_exif_metadata([metadata().exif.unwrap(), vec![5; 20_000]].concat()).unwrap();
+    ramps(ColorType::Rgb8).write_with_encoder(encoder).unwrap();
+    bytes
+}
+
+#[test]
+fn transcode_keeps_profile_and_orientation_and_not_the_camera_s_notes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, output) = (folder.path().join("phone.png"), folder.path().join("phone.ssplat"));
+    std::fs::write(&input, photograph()).unwrap();
+    let carried = |path: &std::path::Path| {
+        let mut decoder = SsplatDecoder::new(std::fs::File::open(path).unwrap()).unwrap();
+        let orientation = decoder.orientation().unwrap();
+        let exif = decoder.exif_metadata().unwrap().map_or(0, |e| e.len());
+        (decoder.icc_profile().unwrap().map_or(0, |p| p.len()), exif, orientation)
+    };
+    use image::metadata::Orientation::{NoTransforms, Rotate90};
+    ssplat::transcode(&input, &output, &quick()).unwrap();
+    assert_eq!(carried(&output), (500, 26, Rotate90));
+    // From one ssplat file to another.
+    let again = folder.path().join("again.ssplat");
+    ssplat::transcode(&output, &again, &quick()).unwrap();
+    assert_eq!(carried(&again), (500, 26, Rotate90));
+    let mut options = quick();
+    for (carry, expected) in [
+        (Carry::All, (500, 20_000 + metadata().exif.unwrap().len(), Rotate90)),
+        (Carry::Icc, (500, 0, NoTransforms)),
+        (Carry::None, (0, 0, NoTransforms)),
+    ] {
+        options.carry = carry;
+        ssplat::transcode(&input, &output, &options).unwrap();
+        assert_eq!(carried(&output), expected, "{carry:?}");
+    }
+    // What the caller brings is carried.
+    options.icc = Some(vec![1; 10]);
+    ssplat::transcode(&input, &output, &options).unwrap();
+    assert_eq!(carried(&output), (10, 0, NoTransforms));
+}
+
+#[test]
+fn what_cannot_be_transcoded_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    std::fs::write(path("text.txt"), "no picture").unwrap();
+    std::fs::write(path("cut.png"), &photograph()[..60]).unwrap();
+    std::fs::write(path("good.png"), photograph()).unwrap();
+    let refused = |input: &str, output: &str| {
+        ssplat::transcode(path(input), path(output), &quick()).expect_err(input).to_string()
+    };
+    for (input, output, named) in [
+        ("missing.png", "o.ssplat", "missing.png"),
+        ("text.txt", "o.ssplat", "text.txt"),
+        ("cut.png", "o.ssplat", "cut.png"),
+        ("good.png", "o.png", "o.png has the extension of another format"),
+        ("good.png", "no/o.ssplat", "no/o.ssplat"),
+    ] {
+        let said = refused(input, output);
+        assert!(said.contains(named), "{said}");
+        assert!(!path(output).exists());
+    }
+    let saved = ssplat::save(&ramps(ColorType::Rgb8), path("z.png"), &quick());
+    assert!(matches!(saved, Err(Error::Parameter { name: "path", .. })), "{saved:?}");
+}
+
 #[test]
 fn a_failed_save_keeps_the_old_file() {
     let folder = tempfile::tempdir().unwrap();
@@ -358,6 +429,18 @@ fn a_failed_save_keeps_the_old_file() {
     options.target = Target::Bytes(1);
     assert!(ssplat::save(&ramps(ColorType::Rgb8), &path, &options).is_err());
     assert_eq!(std::fs::read(&path).unwrap(), b"before");
+}
+
+#[test]
+#[cfg(unix)]
+fn save_leaves_a_file_that_is_replaced_its_rights() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("secret.ssplat");
+    std::fs::write(&path, "before").unwrap();
+    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
+    ssplat::save(&ramps(ColorType::Rgb8), &path, &quick()).unwrap();
+    assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
 }
 
 #[test]

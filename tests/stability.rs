@@ -92,7 +92,7 @@ fn fit(case: &Fit) -> Result<Row, Error> {
     };
     let encoded = match encode(&case.pixels, &options) {
         // A size that holds not even a header is refused, and says so.
-        Err(Error::Parameter { name: "bytes", .. }) => {
+        Err(Error::TooSmall { .. }) => {
             return Ok(Row { guard: "refused with a typed error: too few bytes for any picture".into(), ..row(0.0) });
         }
         encoded => encoded?,

@@ -152,6 +152,39 @@ fn a_picture_of_one_colour_comes_back_from_tiles() {
     assert!(encoded.report.psnr > 48.0, "{}", encoded.report.psnr);
 }
 
+#[test]
+fn a_picture_of_one_colour_takes_as_few_bytes_in_tiles_as_without() {
+    let color = [200, 90, 30, 255, 77, 77, 77, 255];
+    for (channels, color) in
+        [(Channels::Rgb, &color[..3]), (Channels::Rgba, &color[4..]), (Channels::Grey, &color[5..6])]
+    {
+        let pixels = Pixels::new(300, 140, channels, Samples::U8(color.repeat(300 * 140))).unwrap();
+        let [whole, tiles] =
+            [None, Some(128)].map(|tiles| ssplat::encode(&pixels, &options(Target::Auto, tiles)).unwrap());
+        assert!(whole.bytes == tiles.bytes, "{channels:?}: {} and {}", whole.bytes.len(), tiles.bytes.len());
+        assert!(tiles.report.psnr > 70.0 && tiles.report.left_out.iter().any(|l| l.what == Omission::Fit));
+        assert!(ssplat::decode(&tiles.bytes, &DecodeOptions::default()).unwrap().pixels == pixels, "{channels:?}");
+        // One pixel that differs makes it a picture to be fitted.
+        let Samples::U8(mut samples) = pixels.into_samples() else { unreachable!() };
+        *samples.last_mut().unwrap() ^= 64;
+        let pixels = Pixels::new(300, 140, channels, Samples::U8(samples)).unwrap();
+        let spotted = ssplat::encode(&pixels, &options(Target::Bytes(300), Some(128))).unwrap();
+        assert!(spotted.report.left_out.iter().all(|l| l.what != Omission::Fit), "{channels:?}");
+    }
+}
+
+#[test]
+fn a_report_says_why_tiles_were_fitted_on_the_cpu() {
+    let pixels = picture(300, 140, Channels::Grey);
+    let reason = |backend| {
+        let mut options = options(Target::Bytes(300), Some(128));
+        options.backend = backend;
+        ssplat::encode(&pixels, &options).unwrap().report.chosen.reason
+    };
+    assert_eq!(reason(Backend::Cpu), "asked for");
+    assert_eq!(reason(Backend::Auto), "tiles are fitted on the CPU");
+}
+
 #[cfg(feature = "rayon")]
 #[test]
 fn bytes_of_tiles_do_not_depend_on_the_thread_count() {
@@ -390,7 +423,8 @@ fn what_tiles_cannot_do_is_a_parameter_error() {
     refused("tiles", &|o| o.recipe = Recipe::SmartSplat(Default::default()));
     refused("tiles", &|o| o.backend = Backend::Gpu);
     refused("tiles", &|o| o.trace = Trace::On);
-    refused("bytes", &|o| o.target = Target::Bytes(3));
+    let small = ssplat::encode(&pixels, &options(Target::Bytes(3), Some(128)));
+    assert!(matches!(small, Err(Error::TooSmall { allowed: 3, .. })), "{small:?}");
 }
 
 #[test]

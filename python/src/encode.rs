@@ -22,6 +22,7 @@ pub struct Options {
     bytes: Option<i128>,
     psnr: Option<f64>,
     primitives: Option<i128>,
+    quality: Option<f64>,
     effort: i128,
     time: Option<f64>,
     seed: i128,
@@ -47,13 +48,18 @@ enum Carried {
 
 impl Options {
     fn target(&self) -> PyResult<Target> {
-        match (self.ratio, self.bytes, self.psnr, self.primitives) {
-            (None, None, None, None) => Ok(Target::Auto),
-            (Some(ratio), None, None, None) => Ok(Target::Ratio(ratio)),
-            (None, Some(bytes), None, None) => Ok(Target::Bytes(integer("bytes", bytes)?)),
-            (None, None, Some(psnr), None) => Ok(Target::Psnr(psnr)),
-            (None, None, None, Some(count)) => Ok(Target::Primitives(integer("primitives", count)?)),
-            _ => Err(parameter("ratio", "only one of ratio, bytes, psnr and primitives can be asked for")),
+        let asked = [
+            self.ratio.map(|ratio| Ok(Target::Ratio(ratio))),
+            self.bytes.map(|bytes| integer("bytes", bytes).map(Target::Bytes)),
+            self.psnr.map(|psnr| Ok(Target::Psnr(psnr))),
+            self.primitives.map(|count| integer("primitives", count).map(Target::Primitives)),
+            self.quality.map(|quality| Ok(Target::Quality(quality))),
+        ];
+        let mut asked = asked.into_iter().flatten();
+        match (asked.next(), asked.next()) {
+            (None, _) => Ok(Target::Auto),
+            (Some(target), None) => target,
+            _ => Err(parameter("ratio", "only one of ratio, bytes, psnr, primitives and quality can be asked for")),
         }
     }
 
@@ -90,7 +96,7 @@ impl Options {
     }
 }
 
-/// The file of a contiguous array of uint8 or uint16, or of a memory map. `workers` is what starts a task for others, and how
+/// The file of a contiguous array of uint8 or uint16, or of a memory map, and the quality that it has, where one was asked for. `workers` is what starts a task for others, and how
 /// many of these are to be out at a time.
 #[pyfunction]
 pub fn encode<'py>(
@@ -99,7 +105,7 @@ pub fn encode<'py>(
     options: Options,
     progress: Option<&Bound<'py, PyAny>>,
     workers: Option<(Bound<'py, PyAny>, i128)>,
-) -> PyResult<Bound<'py, PyBytes>> {
+) -> PyResult<(Bound<'py, PyBytes>, Option<f64>)> {
     let threads = work::threads(options.threads, usize::MAX)?;
     let parsed = options.parse()?;
     let (start, at_once) = workers.unzip();
@@ -120,7 +126,7 @@ pub fn encode<'py>(
             None => ssplat::encode_source(&*source, &parsed, &mut progress),
         }
     })?;
-    Ok(PyBytes::new(py, &encoded.bytes))
+    Ok((PyBytes::new(py, &encoded.bytes), encoded.report.quality))
 }
 
 /// The answer to a task.

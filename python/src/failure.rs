@@ -1,7 +1,7 @@
 //! The library's errors as Python's exceptions, one class for each kind (`ssplat/errors.py`).
 
 use pyo3::PyErr;
-use ssplat::Error;
+use ssplat::{Error, Target};
 
 mod kinds {
     pyo3::import_exception!(ssplat.errors, CancelledError);
@@ -25,10 +25,16 @@ pub fn exception(error: Error) -> PyErr {
             kinds::LimitExceededError::new_err((text, what, requested, allowed))
         }
         Error::Parameter { name, .. } => kinds::ParameterError::new_err((text, name)),
+        Error::TooSmall { asked, .. } => kinds::ParameterError::new_err((text, asked_by(asked))),
         Error::Cancelled => kinds::CancelledError::new_err(text),
         Error::Gpu(_) => kinds::GpuError::new_err(text),
         _ => kinds::Error::new_err(text),
     }
+}
+
+/// The argument that asks for a size.
+fn asked_by(target: Target) -> &'static str {
+    if matches!(target, Target::Ratio(_)) { "ratio" } else { "bytes" }
 }
 
 /// The exception for an argument that is wrong before the library sees it.

@@ -7,7 +7,7 @@ use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyDict};
 use ssplat::bitstream::header::{Header, Sections};
 use ssplat::bitstream::splats::{Metadata, Steps};
-use ssplat::{Damage, Limits, Opening, bitstream};
+use ssplat::{Limits, Opening, bitstream};
 
 use crate::failure::exception;
 use crate::{decode, names, work};
@@ -22,7 +22,7 @@ pub fn header(data: &[u8]) -> PyResult<(u32, u32, usize, usize, bool)> {
 /// The bytes of a section, where there is one.
 type Section = Option<Py<PyBytes>>;
 
-/// `(ICC profile, EXIF block)`, reading as little of the file as its layout allows.
+/// `(ICC profile, EXIF block)`; nothing of the picture is read.
 #[pyfunction]
 #[pyo3(signature = (data, limits = None))]
 pub fn metadata(
@@ -32,9 +32,7 @@ pub fn metadata(
 ) -> PyResult<(Section, Section)> {
     let limits = decode::limits(limits.as_ref())?;
     let Metadata { icc, exif, .. } = work::run(py, 1, &work::Calls::default(), move |_| {
-        let opening = Opening::new(&data, &limits)?;
-        let corner = opening.view().crop(0, 0, 1, 1)?;
-        Ok(opening.read_for(&corner, Damage::Refuse)?.into_metadata())
+        Opening::new(&data, &limits)?.metadata()
     })?;
     let bytes = |v: Option<Vec<u8>>| v.map(|v| PyBytes::new(py, &v).unbind());
     Ok((bytes(icc), bytes(exif)))

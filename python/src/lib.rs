@@ -5,6 +5,7 @@
 //! without the interpreter's lock on threads of its own; see [`work`].
 
 mod array;
+mod carry;
 mod decode;
 mod encode;
 mod failure;
@@ -22,6 +23,7 @@ fn _ssplat(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add("__version__", env!("CARGO_PKG_VERSION"))?;
     m.add("FORMAT_VERSION", ssplat::bitstream::header::VERSION)?;
     m.add("MAGIC", pyo3::types::PyBytes::new(m.py(), &ssplat::bitstream::header::MAGIC))?;
+    m.add_function(wrap_pyfunction!(carry::carried, m)?)?;
     m.add_function(wrap_pyfunction!(encode::encode, m)?)?;
     m.add_function(wrap_pyfunction!(encode::work_on_tile, m)?)?;
     m.add_function(wrap_pyfunction!(decode::decode, m)?)?;
@@ -31,5 +33,6 @@ fn _ssplat(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(gaussians::gaussians, m)?)?;
     m.add_function(wrap_pyfunction!(gaussians::from_gaussians, m)?)?;
     m.add_function(wrap_pyfunction!(metrics::compare, m)?)?;
-    m.add_function(wrap_pyfunction!(metrics::psnr, m)?)
+    m.add_function(wrap_pyfunction!(metrics::psnr, m)?)?;
+    m.add_function(wrap_pyfunction!(metrics::ssimulacra2, m)?)
 }

@@ -1,6 +1,7 @@
 """Pictures to files and back: what is asked for is what comes."""
 
 import io
+import warnings
 
 import numpy as np
 import pytest
@@ -169,3 +170,26 @@ def test_tiles_make_one_file_of_the_asked_size():
     # Tiles of a quarter of a megapixel and less lose some tenths of a decibel.
     loss = [ssplat.metrics.psnr(KODIM05, ssplat.decode(d)) for d in (whole, data)]
     assert 0.0 < loss[0] - loss[1] < 1.0 or loss[1] > loss[0]
+
+
+def test_pictures_and_files_are_taken_as_bytes_and_as_open_files():
+    with Image.open(KODIM05) as image:
+        expected = ssplat.encode(image.crop((0, 0, 80, 60)), bytes=400, effort=1)
+        cropped = io.BytesIO()
+        image.crop((0, 0, 80, 60)).save(cropped, "PNG")
+    assert ssplat.encode(cropped.getvalue(), bytes=400, effort=1) == expected
+    cropped.seek(0)
+    assert ssplat.encode(cropped, bytes=400, effort=1) == expected
+    assert (ssplat.decode(io.BytesIO(expected)) == ssplat.decode(expected)).all()
+
+
+def test_a_quality_is_met_or_warned_about():
+    picture = waves(96, 128)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        data = ssplat.encode(picture, quality=60, effort=1)
+    found = ssplat.metrics.ssimulacra2(picture, ssplat.decode(data))
+    assert abs(found - 60) <= 0.5
+    noise = np.random.default_rng(0).integers(0, 256, (24, 24), np.uint8)
+    with pytest.warns(ssplat.QualityWarning, match="quality 99 was not met"):
+        ssplat.encode(noise, quality=99, effort=1)

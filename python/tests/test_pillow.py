@@ -114,13 +114,42 @@ def test_metadata_are_there_before_the_pixels_and_go_back_into_files():
     image = opened(saved(PICTURE, icc_profile=b"profile", exif=exif))
     assert image.info["icc_profile"] == b"profile"
     assert (image.getexif()[0x0112], image.getexif()[0x010E]) == (6, "waves")
-    again = opened(saved(image))
+    again = opened(saved(image, metadata="all"))
     assert again.info == image.info
     jpeg = io.BytesIO()
     again.save(jpeg, "JPEG", exif=again.info["exif"])
     assert Image.open(jpeg).getexif()[0x010E] == "waves"
     assert "icc_profile" not in opened(saved(image, icc_profile=None)).info
     assert "exif" not in opened(saved(image, exif=b"")).info
+
+
+def test_a_camera_s_notes_are_carried_only_when_they_are_asked_for():
+    exif = Image.Exif()
+    exif[0x0112], exif[0x010E] = 6, "notes" * 2000
+    camera = PICTURE.copy()
+    camera.info |= {"icc_profile": b"profile", "exif": exif.tobytes()}
+    # A size that could not hold the notes.
+    plain = opened(saved(camera, bytes=700))
+    assert plain.info["icc_profile"] == b"profile"
+    assert dict(plain.getexif()) == {0x0112: 6}
+    assert opened(saved(camera, bytes=700, metadata="icc")).info == {"icc_profile": b"profile"}
+    assert opened(saved(camera, bytes=700, metadata="none")).info == {}
+    assert opened(saved(camera, metadata="all")).getexif()[0x010E] == "notes" * 2000
+    with pytest.raises(ssplat.ParameterError, match="EXIF block"):
+        saved(camera, bytes=700, metadata="all")
+
+
+def test_metadata_are_there_though_the_picture_cannot_be_had():
+    data = saved(PICTURE, exif=b"MM" + bytes(30), icc_profile=b"p")
+    cut = opened(data[:-3])
+    assert cut.info["icc_profile"] == b"p" and len(cut.info["exif"]) == 38
+
+
+def test_verify_finds_what_is_broken():
+    opened(FILE).verify()
+    for broken in (FILE[:-1], FILE[:-1] + bytes([FILE[-1] ^ 1])):
+        with pytest.raises(OSError, match="checksum|cut off"):
+            opened(broken).verify()
 
 
 def test_thumbnails_are_drawn_small():

@@ -136,3 +136,16 @@ def test_a_divided_picture_is_gone_on_with_where_it_was_stopped(cluster, tmp_pat
     ray_encode.split(str(path), str(out), options, side=128, keep=str(keep))
     assert out.read_bytes() == ssplat.encode(path, tiles=128, **options)
     assert all((keep / name).stat().st_mtime_ns == at for name, at in before.items())
+
+
+def test_outputs_are_named_as_the_program_names_them():
+    names = ray_encode.output_names(["a.png", "x/b.v2.png", "anim.gif", "anim.webp", "c.gif", "c.png", "c.gif.png"])
+    assert names == {
+        "a.png": "a.ssplat",
+        "x/b.v2.png": "x/b.v2.ssplat",
+        "anim.gif": "anim.gif.ssplat",
+        "anim.webp": "anim.webp.ssplat",
+        "c.gif": "c.gif.ssplat",
+        "c.png": "c.png.ssplat",
+        "c.gif.png": "c.gif.png.ssplat",
+    }

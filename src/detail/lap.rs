@@ -37,7 +37,7 @@ fn forward([x0, x1, x2, x3]: [f32; 4]) -> [f32; 4] {
 /// Whether a cell begins a block along an axis where its block has such a size.
 #[inline(always)]
 fn begins(at: usize, size: u8) -> bool {
-    at % (1 << size) == 0
+    at.is_multiple_of(1 << size)
 }
 
 /// Filters `x`, a plane whose rows are [`TILE`] apart, across the edges of blocks beside which one has levels: `is_filled` of a

@@ -4,8 +4,9 @@ use super::channels::widen;
 use super::constant::{constant, is_constant};
 use super::job::{Encoding, Outcome, decibels, stored_error};
 use super::left_out::Omission;
-use super::subject::may_leave_out;
-use crate::bitstream::splats::{Layout, PackedSplats};
+use super::subject::{may_leave_out, too_small};
+use super::thumbnail;
+use crate::bitstream::splats::{Layout, Metadata, PackedSplats};
 use crate::error::{Error, Result};
 use crate::fit::model::planes::Planes;
 use crate::gaussian::Blend;
@@ -32,20 +33,32 @@ impl Encoding<'_> {
             Target::Ratio(ratio) => Size::Bytes((self.subject.samples() / ratio).floor() as u64),
             Target::Bytes(bytes) => Size::Bytes(bytes),
             Target::Primitives(_) | Target::Psnr(_) => Size::Free,
+            #[cfg(feature = "quality")]
+            Target::Quality(_) => Size::Free,
         };
         if let Some(constant) = self.constant(size)? {
             return Ok(constant);
         }
         let mut outcome = match self.subject.options.target {
             Target::Auto | Target::Ratio(_) | Target::Bytes(_) => {
-                let size = self.beside_thumbnail(size);
-                self.layered(size)?
+                let (beside, room) = self.beside_thumbnail(size);
+                self.layered(beside).map_err(|e| thumbnail::counted(e, size, room))?
             }
             Target::Primitives(count) => self.at_count(count as usize, size)?,
             Target::Psnr(psnr) => self.at_psnr(psnr)?,
+            #[cfg(feature = "quality")]
+            Target::Quality(quality) => self.at_quality(quality)?,
         };
         self.add_thumbnail(&mut outcome, size)?;
         Ok(outcome)
+    }
+
+    /// Returns the bytes that ICC profile and EXIF block take in the file.
+    pub(super) fn carried(&self) -> Result<u64> {
+        let mut file = self.subject.empty();
+        let all = self.subject.file(&file)?.len();
+        file.metadata = Metadata::default();
+        Ok((all - self.subject.file(&file)?.len()) as u64)
     }
 
     /// The size of a file when nobody asks for one.
@@ -73,15 +86,14 @@ impl Encoding<'_> {
         }
         self.journal.note(Omission::Fit, 0, 0.0);
         let float_error = self.fitted_error(&splats);
-        Ok(Some(Outcome { bytes, splats, float_error }))
+        Ok(Some(Outcome { bytes, splats, float_error, quality: None }))
     }
 
     pub(super) fn at_size(&mut self, size: Size) -> Result<Outcome> {
         let Size::Bytes(most) = size else { return self.at_count(0, size) };
         let fixed = self.subject.file(&self.subject.empty())?.len() as u64;
         if most < fixed {
-            let problem = format!("{most} bytes cannot hold the picture: {fixed} are needed without any primitive");
-            return Err(Error::Parameter { name: "bytes", problem });
+            return Err(too_small(self.subject.options, most, fixed));
         }
         // What a primitive costs before anything is known; the size is corrected while the integers settle.
         let bits = match self.subject.options.layout {
@@ -108,13 +120,22 @@ impl Encoding<'_> {
 
     fn at_psnr(&mut self, wanted: f64) -> Result<Outcome> {
         let raw = self.subject.samples();
+        // What is searched for are the bytes of the picture; those of its metadata come on top.
+        let carried = self.carried()?;
+        let share = self.clock.left().map(|time| time / TIMED_PARTS);
         let mut bytes = (raw / 50.0).max(LEAST_TRIED);
         let mut best: Option<Outcome> = None;
         let mut reached: f64 = 0.0;
         // What was tried last on either side: bytes and decibels.
         let (mut below, mut above): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
-        for _ in 0..6 {
-            let outcome = self.at_size(Size::Bytes(bytes as u64))?;
+        for _ in 0..TRIES {
+            // A budget of time is that of all tries: one that begins late would be a worse fit, and say little.
+            let left = self.clock.left();
+            if reached > 0.0 && left < share.map(|s| s + s / 2) {
+                break;
+            }
+            self.share = share;
+            let outcome = self.layered(Size::Bytes(carried + bytes as u64))?;
             let got = decibels(self.whole_error(&outcome.splats), raw);
             reached = reached.max(got);
             if got >= wanted {
@@ -141,7 +162,9 @@ impl Encoding<'_> {
             };
         }
         let Some(mut best) = best else {
-            let problem = format!("{wanted} dB cannot be reached: the best fit has {reached:.2} dB");
+            let within = self.subject.options.time.map(|t| format!(" within {} s", t.as_secs_f64()));
+            let within = within.unwrap_or_default();
+            let problem = format!("{wanted} dB cannot be reached{within}: the best fit has {reached:.2} dB");
             return Err(Error::Parameter { name: "psnr", problem });
         };
         // Where channels were left out, what they add to the error is not known here.
@@ -183,18 +206,22 @@ impl Encoding<'_> {
                 return Ok(outcome);
             }
             if outcome.splats.gaussians.is_empty() {
-                let (asked, needed) = (outcome.bytes.len() as u64 - over, outcome.bytes.len());
-                let problem = format!("{asked} bytes cannot hold the picture: {needed} are needed");
-                return Err(Error::Parameter { name: "bytes", problem });
+                let needed = outcome.bytes.len() as u64;
+                return Err(too_small(self.subject.options, needed - over, needed));
             }
             spare += over + 4;
         }
     }
 }
 
+/// Most tries of a search for a PSNR.
+const TRIES: u32 = 6;
+/// Parts of a budget of time: one for each of four tries, and one for taking out what is not needed. Most searches take no
+/// more tries.
+const TIMED_PARTS: u32 = 5;
 /// Decibels above the wanted ones at which the search ends.
 const CLOSE: f64 = 0.1;
-/// Fewest bytes that the search tries.
+/// Fewest bytes that the search tries, without those of metadata.
 const LEAST_TRIED: f64 = 64.0;
 
 /// Returns the bytes between two tries at which `wanted` decibels may be met, if these grow with the logarithm of bytes.

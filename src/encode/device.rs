@@ -36,6 +36,13 @@ pub struct Chosen {
     pub reason: String,
 }
 
+impl Chosen {
+    /// The CPU, which fits tiles whatever the choice.
+    pub(super) fn for_tiles(asked: Backend) -> Self {
+        Chosen::cpu(if asked == Backend::Cpu { "asked for" } else { "tiles are fitted on the CPU" })
+    }
+}
+
 impl Default for Chosen {
     fn default() -> Self {
         Chosen::cpu("asked for")

@@ -1,7 +1,8 @@
 //! One encode on its way, and a single fit of its picture with the rounding to a file.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use super::clock::Clock;
 use super::detail::error::{self, Counted};
 use super::device::Choice;
 use super::file;
@@ -37,8 +38,12 @@ pub(super) struct Encoding<'a> {
     pub subject: Subject<'a>,
     /// The picture that is fitted, as planes; their amplitudes depend on the number of primitives.
     pub planes: Planes,
-    /// Wall-clock budget of a fit.
-    pub time: Option<Duration>,
+    /// The budget of time.
+    pub clock: Clock,
+    /// The part of it that a fit may take; `None`: all that is left.
+    pub share: Option<Duration>,
+    /// When a file of two layers should be done.
+    pub until: Option<Instant>,
     pub device: Choice,
     /// Whether a detail layer is laid over what is fitted: it mends what a short fit leaves.
     pub is_base: bool,
@@ -50,6 +55,8 @@ pub(super) struct Outcome {
     pub bytes: Vec<u8>,
     pub splats: PackedSplats,
     pub float_error: f64,
+    /// SSIMULACRA2 of the decoded file, where it was measured.
+    pub quality: Option<f64>,
 }
 
 impl Encoding<'_> {
@@ -91,7 +98,8 @@ impl Encoding<'_> {
         let (subject, planes) = (self.subject, &self.planes);
         let options = subject.options;
         let area = u64::from(subject.pixels.width()) * u64::from(subject.pixels.height());
-        let mut plan = Plan::new(options.effort, count, area, self.time, options.seed);
+        let time = self.clock.left().map(|left| self.share.map_or(left, |share| share.min(left)));
+        let mut plan = Plan::new(options.effort, count, area, time, options.seed);
         if self.is_base {
             plan = plan.for_base();
         }
@@ -141,7 +149,7 @@ impl Encoding<'_> {
         let Making { mut splats, .. } = making;
         splats.gaussians = finished.rounded.gaussians;
         self.journal.stage("finish", clock);
-        Ok(Outcome { bytes, splats, float_error: finished.float_error })
+        Ok(Outcome { bytes, splats, float_error: finished.float_error, quality: None })
     }
 }
 

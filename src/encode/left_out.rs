@@ -48,7 +48,7 @@ impl fmt::Display for Omission {
             Omission::Alpha => "alpha: all is opaque",
             Omission::Color => "colour: all is grey",
             Omission::ColorAndAlpha => "colour and alpha: all is grey and opaque",
-            Omission::StructureWeights => "SSIM terms: the picture is so even that all pixels weigh the same",
+            Omission::StructureWeights => "weights of pixels: the picture is so even that all weigh the same",
             Omission::Fit => "the fit: the picture is one colour",
             Omission::Iterations => "iterations: the error is below that of rounding, or well below the target",
             Omission::Primitives => "primitives without which the error stays below that of rounding, or of the target",

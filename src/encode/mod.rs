@@ -5,6 +5,7 @@
 
 mod aim;
 mod channels;
+mod clock;
 mod constant;
 mod detail;
 mod device;
@@ -12,6 +13,8 @@ mod file;
 mod job;
 mod left_out;
 mod prune;
+#[cfg(feature = "quality")]
+mod quality;
 mod report;
 mod subject;
 mod thumbnail;
@@ -28,6 +31,7 @@ use crate::options::{Detail, EncodeOptions, Target, Trace};
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
 use aim::MAX_PRIMITIVES;
+use clock::Clock;
 use device::Choice;
 pub use device::Chosen;
 pub use file::divide;
@@ -62,6 +66,8 @@ pub struct EncodeReport {
     pub psnr: f64,
     /// PSNR before quantization, decibels.
     pub float_psnr: f64,
+    /// SSIMULACRA2 of the decoded file against the source; only with `Target::Quality`.
+    pub quality: Option<f64>,
     /// Wall-clock seconds, those that a trace takes not counted.
     pub seconds: f64,
     /// Seconds of each stage, in order.
@@ -95,13 +101,16 @@ pub fn encode_with_progress(
     if let Some(side) = side(pixels, options) {
         return tiles::encode(pixels, options, side, Hands::Own, Journal::new(progress, Tracer::new(Trace::Off)));
     }
+    let clock = Clock::new(options.time);
     let tracer = Tracer::new(options.trace);
     let narrow = if may_leave_out(options) { channels::narrow(pixels) } else { None };
     let fitted = narrow.as_ref().map_or(pixels, |n| &n.pixels);
     let mut job = Encoding {
         subject: Subject { original: pixels, pixels: fitted, options },
         planes: Planes::new(fitted),
-        time: options.time,
+        clock,
+        share: None,
+        until: None,
         is_base: false,
         device: Choice::new(options, fitted)?,
         journal: Journal::new(progress, tracer),
@@ -121,6 +130,7 @@ pub fn encode_with_progress(
         primitives: outcome.splats.gaussians.len(),
         psnr: decibels(error, samples),
         float_psnr: decibels(float_error, samples),
+        quality: outcome.quality,
         seconds,
         stages: job.journal.stages,
         left_out: job.journal.left_out,
@@ -211,6 +221,8 @@ fn check(options: &EncodeOptions) -> Result<()> {
     match options.target {
         Target::Ratio(r) if !(r.is_finite() && r > 0.0) => bad("ratio", format!("{r} is not a positive number")),
         Target::Psnr(p) if !(p.is_finite() && p > 0.0) => bad("psnr", format!("{p} is not a positive number")),
+        #[cfg(feature = "quality")]
+        Target::Quality(q) if !(0.0..=100.0).contains(&q) => bad("quality", format!("{q} is outside 0..=100")),
         Target::Primitives(n) if u64::from(n) > MAX_PRIMITIVES => {
             bad("primitives", format!("{n} is over {MAX_PRIMITIVES}"))
         }

@@ -16,9 +16,13 @@ use crate::round::rounded::projected;
 impl Encoding<'_> {
     /// Takes out the primitives without which the squared error of what was fitted stays within `enough`.
     pub(super) fn prune(&mut self, outcome: &mut Outcome, enough: f64) -> Result<()> {
+        if outcome.splats.detail.is_some() {
+            return Ok(());
+        }
         let clock = self.journal.seconds();
         let problem = Problem { scene: stored_scene(&outcome.splats), target: &self.planes };
-        let Some(pruned) = pruned(&problem, &outcome.splats, enough) else { return Ok(()) };
+        let time = self.clock;
+        let Some(pruned) = pruned(&problem, &outcome.splats, enough, &|| time.is_over()) else { return Ok(()) };
         let file = self.subject.file(&pruned)?;
         if file.len() < outcome.bytes.len() {
             self.journal.note(Omission::Primitives, (outcome.bytes.len() - file.len()) as u64, 0.0);
@@ -42,8 +46,14 @@ impl Encoding<'_> {
 /// Each of so few primitives is tried by itself: what the others are expected to cost is not exact.
 const FEW: usize = 64;
 
-/// Returns `splats` with as few primitives as keep the squared error within `enough`; `None` where all are needed.
-fn pruned(problem: &Problem<'_>, splats: &PackedSplats, enough: f64) -> Option<PackedSplats> {
+/// Returns `splats` with as few primitives as keep the squared error within `enough`, or as were found to be needed when
+/// `is_over` says that the time is; `None` where all are needed.
+fn pruned(
+    problem: &Problem<'_>,
+    splats: &PackedSplats,
+    enough: f64,
+    is_over: &dyn Fn() -> bool,
+) -> Option<PackedSplats> {
     // Each round takes out what is not needed; a sweep over the rest makes room for the next one.
     const ROUNDS: usize = 6;
     if !splats.levels.is_empty() {
@@ -54,6 +64,9 @@ fn pruned(problem: &Problem<'_>, splats: &PackedSplats, enough: f64) -> Option<P
     let mut field = Field::default();
     let mut best = splats.gaussians.clone();
     for _ in 0..ROUNDS {
+        if is_over() {
+            break;
+        }
         let mut trial = best.clone();
         if trial.len() < splats.gaussians.len() {
             let objective = Objective { lambda: 0.0, position_bits: f32::NEG_INFINITY };
@@ -72,7 +85,7 @@ fn pruned(problem: &Problem<'_>, splats: &PackedSplats, enough: f64) -> Option<P
             order[..count].iter().for_each(|&i| removed[i] = true);
             trial.iter().zip(&removed).filter(|(_, r)| !**r).map(|(g, _)| *g).collect()
         };
-        while over - sure > 1 {
+        while over - sure > 1 && !is_over() {
             let middle = (sure + over) / 2;
             let rest = project(&without(middle));
             match field.draw(problem, &rest, RowSet::ALL, Output::Picture) <= enough {
@@ -89,7 +102,7 @@ fn pruned(problem: &Problem<'_>, splats: &PackedSplats, enough: f64) -> Option<P
             break;
         }
     }
-    if best.len() <= FEW {
+    if best.len() <= FEW && !is_over() {
         let mut error =
             |gaussians: &[PackedGaussian]| field.draw(problem, &project(gaussians), RowSet::ALL, Output::Picture);
         let mut i = if error(&best) <= enough { 0 } else { best.len() };

@@ -2,7 +2,7 @@
 
 use super::channels::widen;
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::fit::model::problem::Scene;
 use crate::gaussian::{Blend, Channels};
 use crate::options::{EncodeOptions, Needs, Recipe};
@@ -100,6 +100,13 @@ pub(super) fn empty(
         detail: None,
         metadata,
     }
+}
+
+/// The error where a file of `allowed` bytes takes `needed` without any primitive.
+pub(super) fn too_small(options: &EncodeOptions, allowed: u64, needed: u64) -> Error {
+    let length = |metadata: Option<&Vec<u8>>| metadata.map_or(0, |m| m.len() as u64);
+    let (icc, exif) = (length(options.icc.as_ref()), length(options.exif.as_ref()));
+    Error::TooSmall { asked: options.target, allowed, needed, icc, exif }
 }
 
 /// Tells whether a caller with these options lets channels, a whole fit or primitives be left out of the file: only the

@@ -45,6 +45,16 @@ pub(super) fn beside(size: Size, room: u64) -> Size {
     }
 }
 
+/// Counts a thumbnail of `room` bytes in an error about the size of a file that was to be of the size `asked`.
+pub(super) fn counted(error: Error, asked: Size, room: u64) -> Error {
+    match (error, asked) {
+        (Error::TooSmall { asked, needed, icc, exif, .. }, Size::Bytes(allowed)) if room > 0 => {
+            Error::TooSmall { asked, allowed, needed: needed + room + HEAD, icc, exif }
+        }
+        (e, _) => e,
+    }
+}
+
 /// Returns a thumbnail of at most `most` bytes: `splats`, drawn small. `show` is told the share that is done.
 pub(super) fn of(
     splats: &PackedSplats,
@@ -68,7 +78,7 @@ pub(super) fn of(
     };
     let made = encode_with_progress(&small, &options, &mut |p| show(p.done));
     let Encoded { bytes, .. } = made.map_err(|e| match e {
-        Error::Parameter { name: "bytes", problem } => Error::Parameter { name: "thumbnail", problem },
+        Error::TooSmall { .. } => Error::Parameter { name: "thumbnail", problem: e.to_string() },
         e => e,
     })?;
     Ok(bytes)
@@ -80,14 +90,14 @@ impl Encoding<'_> {
         room(self.subject.options, [pixels.width(), pixels.height()], bytes)
     }
 
-    /// Returns what of `size` is left for the picture, and keeps time for the thumbnail.
-    pub(super) fn beside_thumbnail(&mut self, size: Size) -> Size {
-        let Size::Bytes(most) = size else { return size };
+    /// Returns what of `size` is left for the picture, and the bytes of the thumbnail; keeps time for it.
+    pub(super) fn beside_thumbnail(&mut self, size: Size) -> (Size, u64) {
+        let Size::Bytes(most) = size else { return (size, 0) };
         let room = self.thumbnail_bytes(most);
         if room > 0 {
-            self.time = self.time.map(|t| t - t / TIME);
+            self.clock.keep(self.subject.options.time.unwrap_or_default() / TIME);
         }
-        beside(size, room)
+        (beside(size, room), room)
     }
 
     /// Puts the thumbnail into a file that was made for `size`, where it is to have one.

@@ -122,8 +122,10 @@ impl Sight for Still<'_> {
 }
 
 /// Keeps the number of primitives and looks at nothing.
+#[cfg(test)]
 pub(crate) struct Unwatched;
 
+#[cfg(test)]
 impl Watcher for Unwatched {
     fn step(&mut self, _: f32, _: &mut dyn Sight) -> Result<()> {
         Ok(())

@@ -87,8 +87,9 @@ impl Plan {
             _ => [1, 1, 2, 2, 3, 4, 6, 8, 12][level],
         };
         let freezing = if effort >= 7 && count > 2000 { iterations / 4 } else { 0 };
-        let deadline = time.map(|t| Instant::now() + t);
-        let fit_deadline = time.map(|t| Instant::now() + t.mul_f64(FIT_SHARE));
+        let now = Instant::now();
+        let deadline = time.and_then(|t| now.checked_add(t));
+        let fit_deadline = time.and_then(|t| now.checked_add(t.mul_f64(FIT_SHARE)));
         let pace = if is_dense { Pace::Brisk } else { Pace::Steady };
         Plan { freezing, sweeps, pace, fit_deadline, deadline, ..Plan::steps(iterations, seed) }
     }
@@ -141,7 +142,8 @@ impl Plan {
         self.fit_deadline.is_some_and(|d| Instant::now() >= d)
     }
 
-    pub(crate) fn is_over(&self) -> bool {
-        self.deadline.is_some_and(|d| Instant::now() >= d)
+    /// Tells whether the time is over before work that takes `next` is through.
+    pub(crate) fn is_over(&self, next: Duration) -> bool {
+        self.deadline.is_some_and(|d| d.saturating_duration_since(Instant::now()) <= next)
     }
 }

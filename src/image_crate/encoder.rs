@@ -20,7 +20,7 @@ use std::path::Path;
 
 use image::error::{EncodingError, ImageFormatHint, ParameterError, ParameterErrorKind, UnsupportedError};
 use image::error::{LimitError, LimitErrorKind, UnsupportedErrorKind};
-use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageResult};
+use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageFormat, ImageResult};
 
 use super::convert::{Rejected, gather};
 use super::decoder::EXTENSION;
@@ -32,12 +32,31 @@ use crate::pixels::Pixels;
 
 /// Fits `picture` and writes the file to `path`, replacing what is there once all is written: under another name first.
 ///
+/// A [`DynamicImage`] has neither the ICC profile nor the orientation of the file that it came from: use
+/// [`transcode`](super::transcode()) to keep them, or hand them over in `options`.
+///
 /// # Errors
-/// [`Error::Io`] when the file cannot be written; otherwise as [`encode`].
+/// [`Error::Io`] when the file cannot be written, [`Error::Parameter`] when `path` has the extension of another format;
+/// otherwise as [`encode`].
 pub fn save(picture: &DynamicImage, path: impl AsRef<Path>, options: &EncodeOptions) -> Result<EncodeReport> {
+    check_extension(path.as_ref())?;
     let encoded = encode(&Pixels::try_from(picture)?, options)?;
-    replace(path.as_ref(), &encoded.bytes)?;
+    write(path.as_ref(), &encoded.bytes)?;
     Ok(encoded.report)
+}
+
+/// Refuses a path that programs would take for a picture of another format.
+pub(super) fn check_extension(path: &Path) -> Result<()> {
+    if ImageFormat::from_path(path).is_err() {
+        return Ok(());
+    }
+    let problem = format!("{} has the extension of another format", path.display());
+    Err(Error::Parameter { name: "path", problem })
+}
+
+/// Writes a whole file.
+pub(super) fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    replace(path, bytes).map_err(|e| Error::at(path, &e))
 }
 
 /// Writes pictures as ssplat files, for [`DynamicImage::write_with_encoder`].
@@ -98,9 +117,9 @@ fn encoding_error(e: Error) -> ImageError {
     match e {
         Error::Io(e) => ImageError::IoError(e),
         Error::LimitExceeded { .. } => ImageError::Limits(LimitError::from_kind(LimitErrorKind::InsufficientMemory)),
-        Error::Parameter { name, problem } => ImageError::Parameter(ParameterError::from_kind(
-            ParameterErrorKind::Generic(format!("bad parameter {name}: {problem}")),
-        )),
+        Error::Parameter { .. } | Error::TooSmall { .. } => {
+            ImageError::Parameter(ParameterError::from_kind(ParameterErrorKind::Generic(e.to_string())))
+        }
         e => ImageError::Encoding(EncodingError::new(hint(), e)),
     }
 }

@@ -13,7 +13,8 @@ static COUNT: AtomicU64 = AtomicU64::new(0);
 /// # Errors
 /// What the world says; no file is left behind then.
 pub(super) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let target = match fs::metadata(path) {
+    let found = fs::metadata(path);
+    let target = match &found {
         // Devices and pipes cannot be renamed over.
         Ok(found) if !found.is_file() => return fs::write(path, bytes),
         // The file behind a link is replaced, not the link.
@@ -26,7 +27,9 @@ pub(super) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let count = COUNT.fetch_add(1, Ordering::Relaxed);
     let beside = target.with_file_name(format!(".{}.{}-{count}", name.to_string_lossy(), std::process::id()));
     let mut file = File::create_new(&beside)?;
-    let written = file.write_all(bytes).and_then(|()| fs::rename(&beside, &target));
+    // What replaces a file may be read by the same people.
+    let rights = found.map_or(Ok(()), |found| file.set_permissions(found.permissions()));
+    let written = rights.and_then(|()| file.write_all(bytes)).and_then(|()| fs::rename(&beside, &target));
     if written.is_err() {
         let _ = fs::remove_file(&beside);
     }

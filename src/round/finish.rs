@@ -1,5 +1,7 @@
 //! From fitted floats to integers of an asked size: rounds of descent over the integers and corrections of their number.
 
+use std::time::{Duration, Instant};
+
 use crate::bitstream::expect::Expected;
 use crate::bitstream::splats::{Layout, PackedGaussian};
 use crate::error::Result;
@@ -130,10 +132,13 @@ impl Rounds<'_> {
         let mut bytes = client.bytes(&mut self.rounded)?;
         self.aimed = bytes as f64;
         let rounds = plan.sweeps.max(LEAST_SWEEPS) + EXTRA_ROUNDS;
+        // What a round takes, as far as that is known.
+        let mut takes = Duration::ZERO;
         for round in 0..rounds {
+            let begun = Instant::now();
             self.show(round as f32 / rounds as f32, client)?;
             let error = self.descent.error(&self.rounded.gaussians);
-            let is_late = plan.is_over();
+            let is_late = plan.is_over(takes);
             let is_through = match size {
                 Size::Bytes(most) => self.fits(round, error, (bytes, most), is_late),
                 Size::Free => is_late || round >= plan.sweeps || self.quiet >= QUIET_SWEEPS,
@@ -149,6 +154,9 @@ impl Rounds<'_> {
             bytes = client.bytes(&mut self.rounded)?;
             self.shrink = FADE * (1.0 - bytes as f64 / self.aimed).max(0.0);
             self.aimed = bytes as f64;
+            if !is_late {
+                takes = begun.elapsed();
+            }
         }
         match size {
             Size::Bytes(most) => self.within(bytes, most, client),

@@ -24,6 +24,7 @@ from .errors import (
     LimitExceededError,
     ParameterError,
     PartialWarning,
+    QualityWarning,
     UnsupportedVersionError,
 )
 
@@ -37,6 +38,7 @@ __all__ = [
     "LimitExceededError",
     "ParameterError",
     "PartialWarning",
+    "QualityWarning",
     "UnsupportedVersionError",
     "__version__",
     "decode",

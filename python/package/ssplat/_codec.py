@@ -7,14 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from . import _ssplat
-from ._input import content, exif_of, source
-from .errors import PartialWarning
+from ._input import content, exif_of, real, source, whole
+from .errors import PartialWarning, QualityWarning
 
 if TYPE_CHECKING:
     import numpy as np
 
     from ._input import Data, ImageLike
 
+#: Points by which a file may miss the quality that is asked for.
+_CLOSE = 0.5
 _KEEP: Any = type("_Keep", (), {"__repr__": lambda self: "KEEP"})()
 
 
@@ -25,6 +27,7 @@ def encode(
     bytes: int | None = None,
     psnr: float | None = None,
     primitives: int | None = None,
+    quality: float | None = None,
     effort: int = 5,
     time: float | None = None,
     progress: Callable[[str, float], object] | None = None,
@@ -38,6 +41,7 @@ def encode(
     blend: Literal["normalized", "sum"] | None = None,
     needs: Literal["measured", "everything"] = "measured",
     backend: Literal["auto", "cpu", "gpu"] = "auto",
+    metadata: Literal["needed", "all", "icc", "none"] = "needed",
     icc_profile: bytes | None = _KEEP,
     exif: bytes | None = _KEEP,
     start: Callable[[bytes], Callable[[], bytes]] | None = None,
@@ -47,14 +51,17 @@ def encode(
 
     Args:
         image: an array of uint8 or uint16 with shape (height, width) or (height, width, 1 to 4 channels: grey, grey and
-            alpha, RGB, RGBA); a Pillow image; or the path of a picture that Pillow can open. The samples are copied
+            alpha, RGB, RGBA); a Pillow image; or a picture that Pillow can open: its path, its bytes or a file. The samples are copied
             once, so the array may change meanwhile. An array that is not contiguous or not in native byte order is
             copied once more. Other types are a ParameterError. Of a ``numpy.memmap`` with ``tiles`` only the parts at work
             are in memory.
         ratio: bytes of the samples with 8 bits each over bytes of the file. 50 when nothing else is asked for.
         bytes: largest size of the file.
         psnr: PSNR to reach, dB; the smallest file found that does.
-        primitives: number of Gaussians. At most one of these four.
+        primitives: number of Gaussians.
+        quality: as eyes see it, 0 to 100: the SSIMULACRA2 score that the file shall have, within half a point; about 30, 50,
+            70 and 90 for low, medium, high and very high quality. It takes up to three fits. A QualityWarning says where it
+            is missed. At most one of these five.
         effort: 1 to 9.
         time: wall-clock budget, seconds; the best state reached by then is written.
         progress: called with a stage's name and the share of it that is done, 0 to 1, in this thread. It stops the
@@ -71,8 +78,10 @@ def encode(
         blend: how primitives blend; None: normalized.
         needs: whether to look for what can be left out of the fit.
         backend: the device; only a build with the feature ``gpu`` has another than the CPU.
-        icc_profile: profile to carry. By default that of the picture, if it has one.
-        exif: EXIF block to carry, with or without ``Exif\\0\\0`` before it. By default that of the picture.
+        metadata: what of the picture's own metadata the file carries: ``needed``, the ICC profile and the orientation;
+            ``all`` of the EXIF block, with time and place; ``icc``; or ``none``. They count as the file's bytes.
+        icc_profile: profile to carry whatever ``metadata`` says; None: none.
+        exif: EXIF block to carry whatever ``metadata`` says, with or without ``Exif\\0\\0`` before it; None: none.
         start: has others work on the tiles. It is called in this thread with the bytes of a task, hands them to a worker who
             calls :func:`work_on_tile` on them, and returns a function that waits for the answer: with a pool of
             ``concurrent.futures``, ``lambda task: pool.submit(ssplat.work_on_tile, task).result``. The file is the same
@@ -85,18 +94,20 @@ def encode(
         CancelledError: ``progress`` returned False.
         KeyboardInterrupt: at once; the work ends at its next step.
     """
-    array, own_profile, own_exif = source("image", image)
+    array, *own = source("image", image)
+    own_profile, own_exif = _ssplat.carried(metadata, *own)
     options = {
-        "ratio": ratio,
-        "bytes": bytes,
-        "psnr": psnr,
-        "primitives": primitives,
-        "effort": effort,
-        "time": time,
-        "seed": seed,
-        "threads": threads,
-        "levels": levels,
-        "tiles": tiles,
+        "ratio": real("ratio", ratio),
+        "bytes": whole("bytes", bytes),
+        "psnr": real("psnr", psnr),
+        "primitives": whole("primitives", primitives),
+        "quality": real("quality", quality),
+        "effort": whole("effort", effort),
+        "time": real("time", time),
+        "seed": whole("seed", seed),
+        "threads": whole("threads", threads),
+        "levels": whole("levels", levels),
+        "tiles": whole("tiles", tiles),
         "thumbnail": thumbnail,
         "tune": tune,
         "layout": layout,
@@ -106,7 +117,10 @@ def encode(
         "icc_profile": own_profile if icc_profile is _KEEP else icc_profile,
         "exif": own_exif if exif is _KEEP else exif_of(exif),
     }
-    return _ssplat.encode(array, options, progress, None if start is None else (start, at_once))
+    data, found = _ssplat.encode(array, options, progress, None if start is None else (start, at_once))
+    if quality is not None and found is not None and abs(found - quality) > _CLOSE:
+        warnings.warn(f"quality {quality} was not met: the file has {found:.1f}", QualityWarning, stacklevel=2)
+    return data
 
 
 def work_on_tile(
@@ -142,7 +156,7 @@ def decode(
     """Decodes a file, or the part of it that is asked for; of a large file little more than that part is read.
 
     Args:
-        data: the file as bytes, or its path. Other buffers are copied, since they may change.
+        data: the file as bytes, its path, or a file that is open. Other buffers are copied, since they may change.
         region: left, top, width and height of the part, pixels of the picture.
         size: width and height of the output, pixels. Larger ones sample the continuous picture, smaller ones are
             low-passed.

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import operator
 import os
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
+from numbers import Real
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias, TypeGuard
 
 import numpy as np
 
@@ -12,8 +15,8 @@ from .errors import ParameterError
 if TYPE_CHECKING:
     from PIL import Image
 
-    ImageLike: TypeAlias = np.ndarray | Image.Image | str | os.PathLike[str]
-    Data: TypeAlias = bytes | bytearray | memoryview | str | os.PathLike[str]
+    ImageLike: TypeAlias = np.ndarray | Image.Image | str | os.PathLike[str] | bytes | bytearray | BinaryIO
+    Data: TypeAlias = bytes | bytearray | memoryview | str | os.PathLike[str] | BinaryIO
 
 #: Modes of Pillow that hold what a file holds.
 MODES = ("L", "LA", "RGB", "RGBA", "I;16")
@@ -22,6 +25,21 @@ _ARRAYS = (*MODES, "I;16B", "I;16L")
 #: What shows the same as a mode that no file holds, and as one with a transparent colour beside its samples.
 _SAME = {"1": "L", "La": "LA", "RGBa": "RGBA", "RGBX": "RGB", "P": "RGB", "PA": "RGBA"}
 _TRANSPARENT = {"1": "LA", "L": "LA", "RGB": "RGBA", "P": "RGBA"}
+
+
+def whole(name: str, value: object) -> Any:
+    """A whole number, or None; a TypeError that names the argument for anything else."""
+    try:
+        return None if value is None else operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        raise TypeError(f"{name}: {value!r} is not a whole number") from None
+
+
+def real(name: str, value: object) -> Any:
+    """A number, or None; a TypeError that names the argument for anything else."""
+    if value is None or isinstance(value, Real):
+        return value
+    raise TypeError(f"{name}: {value!r} is not a number")
 
 
 def is_path(value: object) -> TypeGuard[str | os.PathLike[str]]:
@@ -48,7 +66,7 @@ def convert(image: Image.Image) -> Image.Image:
 def contiguous(name: str, array: Any) -> np.ndarray:
     """The array itself where its rows lie one after the other in native byte order, else a copy that does."""
     if not isinstance(array, np.ndarray):
-        raise ParameterError(f"bad parameter {name}: {type(array).__name__} is neither an array nor a picture", name)
+        raise ParameterError(f"bad parameter {name}: {type(array).__name__} is neither an array nor a picture nor a file", name)
     if array.dtype.kind != "u" or array.dtype.itemsize > 2:
         raise ParameterError(f"bad parameter {name}: dtype {array.dtype} is neither uint8 nor uint16", name)
     return np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
@@ -56,7 +74,9 @@ def contiguous(name: str, array: Any) -> np.ndarray:
 
 def pixels(name: str, image: ImageLike) -> tuple[np.ndarray, bytes | None, bytes | None]:
     """The samples of a picture, its ICC profile and its EXIF block."""
-    if is_path(image):
+    if isinstance(image, (bytes, bytearray)):
+        image = io.BytesIO(image)
+    if is_path(image) or hasattr(image, "read"):
         from PIL import Image
 
         with Image.open(image) as opened:
@@ -95,4 +115,6 @@ def content(data: Data) -> bytes:
             return file.read()
     if isinstance(data, (bytearray, memoryview)):
         return bytes(data)
-    raise ParameterError(f"bad parameter data: {type(data).__name__} is neither bytes nor a path", "data")
+    if hasattr(data, "read"):
+        return bytes(data.read())
+    raise ParameterError(f"bad parameter data: {type(data).__name__} is neither bytes nor a path nor a file", "data")

@@ -11,6 +11,7 @@ __all__ = [
     "LimitExceededError",
     "PartialWarning",
     "ParameterError",
+    "QualityWarning",
     "UnsupportedVersionError",
 ]
 
@@ -75,3 +76,7 @@ class GpuError(Error, RuntimeError):
 
 class PartialWarning(UserWarning):
     """A damaged file was decoded in part, as the caller allowed."""
+
+
+class QualityWarning(UserWarning):
+    """A file has not the quality that was asked for: it could not be had, or was not found."""

@@ -63,6 +63,18 @@ class SsplatImageFile(ImageFile.ImageFile):
         if exif:
             self.info["exif"] = b"Exif\0\0" + exif
 
+    def verify(self) -> None:
+        """Reads the whole file and checks all of it but the picture that it draws; an OSError says what is wrong."""
+        if self.fp is None:
+            raise RuntimeError("verify must be called directly after open")
+        self.fp.seek(0)
+        try:
+            _ssplat.info(self.fp.read())
+        except Error as e:
+            raise OSError(str(e)) from e
+        finally:
+            super().verify()
+
     def draft(self, mode: str | None, size: tuple[int, int] | None) -> tuple[str, tuple[int, int, float, float]] | None:
         """Has the picture drawn at the smallest size that is no smaller than ``size`` and of its shape."""
         if size is None or len(self.tile) != 1:
@@ -101,9 +113,8 @@ def _accept(prefix: bytes) -> bool:
 def _save(im: Image.Image, fp: IO[bytes], filename: str | bytes) -> None:
     wanted = im.encoderinfo
     options = {name: wanted[name] for name in _OPTIONS & wanted.keys()}
-    # As Pillow's other plugins: what is asked for, else the picture's own; an empty one is none.
-    options["icc_profile"] = wanted.get("icc_profile", im.info.get("icc_profile")) or None
-    options["exif"] = wanted.get("exif", im.info.get("exif")) or None
+    # What is asked for, else what ``metadata`` says of the picture's own; an empty one is none.
+    options |= {name: wanted[name] or None for name in ("icc_profile", "exif") if name in wanted}
     try:
         fp.write(encode(im, **options))
     except ParameterError as e:

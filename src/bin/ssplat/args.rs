@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::{Args as ClapArgs, Parser, Subcommand};
 use ssplat::bitstream::splats::Layout;
-use ssplat::{Backend, Blend, Detail, EncodeOptions, Recipe, Target, Thumbnail, Tune};
+use ssplat::{Backend, Blend, Carry, Detail, EncodeOptions, Recipe, Target, Thumbnail, Tune};
 
 use crate::exchange::format::{ExportFormat, ImportFormat};
 use crate::exchange::{csv, foreign};
@@ -20,7 +20,7 @@ pub struct Args {
     #[command(subcommand)]
     pub command: Command,
     /// Threads to work with; the result does not depend on it [default: one a core]
-    #[arg(long, global = true, value_name = "N")]
+    #[arg(long, global = true, value_name = "N", value_parser = count)]
     pub threads: Option<NonZeroUsize>,
 }
 
@@ -86,14 +86,14 @@ Examples:
 
 With --out-dir all paths are inputs, folders too: small pictures are encoded side by side,
 one that fails does not stop the others, and with --skip-existing a second run goes on where
-the first stopped.
+the first stopped. anim.gif becomes anim.ssplat, but anim.gif.ssplat where there is anim.webp, too.
 
-An orientation in the EXIF block is carried along, unless --auto-orient applies it. Samples
-in 32-bit floats are clamped to 0..1 and kept with 16 bits. What of the input is lost (XMP,
-further frames) is told on standard error.
+An orientation is carried along, unless --auto-orient applies it. Samples in 32-bit floats are
+clamped to 0..1 and kept with 16 bits. What of the input is lost (most of an EXIF block, XMP, further
+frames) is told on standard error.
 
-With no size asked for, the ratio is 50, but the primitives get 80 bytes at least, and ICC profile
-and EXIF block come on top: no picture is too small. A size that is asked for is kept or refused.";
+With no size asked for, the ratio is 50, but the primitives get 80 bytes at least, and metadata come
+on top: no picture is too small. A size that is asked for is kept or refused.";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = ENCODE_EXAMPLES, override_usage = ENCODE_USAGE)]
@@ -101,6 +101,9 @@ pub struct Encode {
     /// The picture, in any format known by its content, and the .ssplat file to write; - for standard input or output
     #[arg(required = true, value_name = "PATH")]
     pub paths: Vec<PathBuf>,
+    /// The file to write, as a second path would name it
+    #[arg(long, short, value_name = "FILE", conflicts_with = "out_dir")]
+    pub output: Option<PathBuf>,
     #[command(flatten)]
     pub many: Many,
     #[command(flatten)]
@@ -111,6 +114,10 @@ pub struct Encode {
     /// Turn the picture as its EXIF block says
     #[arg(long)]
     pub auto_orient: bool,
+    /// What of the input's metadata the file carries, within its size: needed (ICC profile and orientation), all (the whole EXIF
+    /// block too, with time and place), icc, or none
+    #[arg(help_heading = "What the file has, and how it is made", long, value_name = "WHICH", default_value = "needed", hide_possible_values = true, value_parser = names::carry())]
+    pub metadata: Carry,
     /// Write the file even under the extension of another format
     #[arg(long)]
     pub force: bool,
@@ -118,50 +125,50 @@ pub struct Encode {
     #[arg(long, short)]
     pub quiet: bool,
     /// How much work to spend, 1 to 9
-    #[arg(long, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
+    #[arg(long, short, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
     pub effort: u8,
-    /// Wall-clock budget; the best state reached is written
+    /// Wall-clock budget for the whole command; the best state reached is written
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     pub time: Option<Duration>,
     /// Seed of everything random
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(help_heading = "Research", long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
     /// How the file is laid out
-    #[arg(long, default_value = "coded", value_parser = names::layout())]
+    #[arg(help_heading = "Research", long, default_value = "coded", value_parser = names::layout())]
     pub layout: Layout,
     /// How primitives blend [default: as the recipe has it]
-    #[arg(long, value_parser = names::blend())]
+    #[arg(help_heading = "Research", long, value_parser = names::blend())]
     pub blend: Option<Blend>,
     /// The fitting recipe; the last four are the SmartSplat paper's and its ablation
-    #[arg(long, default_value = "ssplat", value_parser = names::recipe())]
+    #[arg(help_heading = "Research", long, default_value = "ssplat", value_parser = names::recipe())]
     pub recipe: Recipe,
     /// Which measure to favour: squared error, structure, or what eyes see [default: iq; psnr with --psnr and for the paper's
     /// recipes]
-    #[arg(long, value_parser = names::tune())]
+    #[arg(help_heading = "Research", long, value_parser = names::tune())]
     pub tune: Option<Tune>,
     /// Whether the file has a detail layer, a transform of what the Gaussians leave: auto (where it pays), off, or the share of
     /// the bytes that the Gaussians get, above 0 and below 1
     #[arg(long, value_name = "WHICH", default_value = "auto", value_parser = detail)]
     pub detail: Detail,
     /// Progressive levels, each 1 to 2 % of the bytes: a file cut after one decodes with --partial
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
+    #[arg(help_heading = "What the file has, and how it is made", long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
     pub levels: u8,
     /// Whether the file carries a small version of the picture, within its size: auto, none, or the most bytes that it may
     /// take; auto is for files of 100 kB and more, a hundredth of them, at most 4 kB
-    #[arg(long, value_name = "WHICH", default_value = "auto", value_parser = thumbnail)]
+    #[arg(help_heading = "What the file has, and how it is made", long, value_name = "WHICH", default_value = "auto", value_parser = thumbnail)]
     pub thumbnail: Thumbnail,
     /// Fit the picture in tiles of so many pixels a side, in memory that does not grow with it: a multiple of 128, 2048 where
     /// none is given [default: only above 268 megapixels]
-    #[arg(long, value_name = "SIDE", num_args = 0..=1, require_equals = true, default_missing_value = "2048")]
+    #[arg(help_heading = "What the file has, and how it is made", long, value_name = "SIDE", num_args = 0..=1, require_equals = true, default_missing_value = "2048")]
     pub tiles: Option<u32>,
     /// Which device fits
-    #[arg(long, default_value = "auto", value_parser = names::backend())]
+    #[arg(help_heading = "What the file has, and how it is made", long, default_value = "auto", value_parser = names::backend())]
     pub backend: Backend,
     /// Also decode the file, write the pixels here, and measure them
     #[arg(long, value_name = "PNG", conflicts_with = "out_dir")]
     pub preview: Option<PathBuf>,
     /// Say where the time and the bytes went
-    #[arg(long)]
+    #[arg(help_heading = "Research", long)]
     pub explain: bool,
     /// Print the result as JSON
     #[arg(long)]
@@ -180,22 +187,22 @@ pub enum Existing {
 #[derive(Debug, ClapArgs)]
 pub struct Many {
     /// Write into this folder: every path is an input, a folder stands for its files
-    #[arg(long, value_name = "DIR")]
+    #[arg(help_heading = "Several files", long, short = 'd', value_name = "DIR")]
     pub out_dir: Option<PathBuf>,
     /// Also take the folders in folders
-    #[arg(long, requires = "out_dir")]
+    #[arg(help_heading = "Several files", long, requires = "out_dir")]
     pub recursive: bool,
     /// How many small pictures to work on at a time [default: one a thread]
-    #[arg(long, value_name = "N", requires = "out_dir")]
+    #[arg(help_heading = "Several files", long, value_name = "N", requires = "out_dir", value_parser = count)]
     pub jobs: Option<NonZeroUsize>,
     /// Pass over inputs whose output is there
-    #[arg(long, requires = "out_dir", conflicts_with = "overwrite")]
+    #[arg(help_heading = "Several files", long, requires = "out_dir", conflicts_with = "overwrite")]
     pub skip_existing: bool,
     /// Replace outputs that are there
-    #[arg(long, requires = "out_dir")]
+    #[arg(help_heading = "Several files", long, requires = "out_dir")]
     pub overwrite: bool,
     /// Add a line of JSON for each file to this one
-    #[arg(long, value_name = "JSONL", requires = "out_dir")]
+    #[arg(help_heading = "Several files", long, value_name = "JSONL", requires = "out_dir")]
     pub manifest: Option<PathBuf>,
 }
 
@@ -210,10 +217,11 @@ impl Many {
 }
 
 /// The input and the output where there is one of each.
-pub fn pair(paths: &[PathBuf]) -> Result<(&Path, &Path), Failure> {
-    match paths {
-        [input, output] => Ok((input, output)),
-        [input] => Err(Failure::usage(format!("{}: where to? name an output, or --out-dir", input.display()))),
+pub fn pair<'a>(paths: &'a [PathBuf], output: Option<&'a Path>) -> Result<(&'a Path, &'a Path), Failure> {
+    match (paths, output) {
+        ([input], Some(output)) => Ok((input, output)),
+        ([input, output], None) => Ok((input, output)),
+        ([input], None) => Err(Failure::usage(format!("{}: where to? name an output, or --out-dir", input.display()))),
         _ => Err(Failure::usage(format!("{} paths: several inputs need --out-dir", paths.len()))),
     }
 }
@@ -223,16 +231,20 @@ pub fn pair(paths: &[PathBuf]) -> Result<(&Path, &Path), Failure> {
 #[group(multiple = false)]
 pub struct TargetArgs {
     /// Width x height x channels bytes over file bytes [default: 50, with 80 bytes at least for the primitives]
-    #[arg(long, value_name = "R", value_parser = positive)]
+    #[arg(help_heading = "Size or quality, at most one", long, short, value_name = "R", value_parser = positive)]
     pub ratio: Option<f64>,
-    /// File size, bytes; never exceeded
-    #[arg(long, value_name = "N")]
+    /// File size, bytes, or as 20k or 1.5M; never exceeded
+    #[arg(help_heading = "Size or quality, at most one", long, short, value_name = "N", value_parser = bytes)]
     pub bytes: Option<u64>,
     /// Number of primitives
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(help_heading = "Size or quality, at most one", long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub primitives: Option<u32>,
+    /// Quality as eyes see it, as SSIMULACRA2 measures it: 30 low, 50 medium, 70 high (hard to tell from the original side by
+    /// side), 90 very high (hard to tell even when flipping between them); within half a point, by up to three fits
+    #[arg(help_heading = "Size or quality, at most one", long, short = 'Q', value_name = "POINTS", value_parser = points)]
+    pub quality: Option<f64>,
     /// The smallest file that reaches this PSNR
-    #[arg(long, value_name = "DB", value_parser = positive)]
+    #[arg(help_heading = "Size or quality, at most one", long, value_name = "DB", value_parser = positive)]
     pub psnr: Option<f64>,
 }
 
@@ -246,6 +258,7 @@ impl Encode {
             t.bytes.map(Target::Bytes),
             t.primitives.map(Target::Primitives),
             t.psnr.map(Target::Psnr),
+            t.quality.map(Target::Quality),
         ];
         o.target = targets.into_iter().flatten().next().unwrap_or(o.target);
         o.effort = self.effort;
@@ -258,6 +271,7 @@ impl Encode {
         (o.detail, o.levels, o.tiles) = (self.detail, self.levels, self.tiles);
         o.thumbnail = self.thumbnail;
         o.backend = self.backend;
+        o.carry = self.metadata;
         o
     }
 }
@@ -282,6 +296,9 @@ pub struct Decode {
     pub paths: Vec<PathBuf>,
     #[command(flatten)]
     pub many: Many,
+    /// The file to write, as a second path would name it
+    #[arg(long, short, value_name = "FILE", conflicts_with = "out_dir")]
+    pub output: Option<PathBuf>,
     /// Output format, as an extension [default: that of OUTPUT, or png on standard output and in a folder]
     #[arg(long, value_name = "EXT")]
     pub format: Option<String>,
@@ -501,17 +518,42 @@ pub struct Import {
     #[arg(long, value_name = "LEVEL", conflicts_with = "bytes", value_parser = clap::value_parser!(u8).range(0..=i64::from(ssplat::pack::FINEST)))]
     pub precision: Option<u8>,
     /// The finest integers whose file has at most so many bytes
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = bytes)]
     pub bytes: Option<u64>,
     /// How the file is laid out [default: as it was stored, else coded]
     #[arg(long, value_parser = names::layout())]
     pub layout: Option<Layout>,
 }
 
+/// A whole number from 1 on.
+fn count(text: &str) -> Result<NonZeroUsize, String> {
+    text.parse().map_err(|_| "not a whole number from 1 on".into())
+}
+
+/// A number of bytes, or of thousands or millions of them.
+fn bytes(text: &str) -> Result<u64, String> {
+    let (number, unit) = match text.strip_suffix(['k', 'K']) {
+        Some(number) => (number, 1e3),
+        None => text.strip_suffix('M').map_or((text, 1.0), |number| (number, 1e6)),
+    };
+    let found = match unit {
+        1.0 => number.parse().ok(),
+        _ => number.parse::<f64>().ok().map(|n| n * unit).filter(|n| (0.0..1e18).contains(n)).map(|n| n as u64),
+    };
+    found.ok_or_else(|| "not a number of bytes, as 20000 or 20k or 1.5M".into())
+}
+
 pub fn positive(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(v) if v > 0.0 && f64::is_finite(v) => Ok(v),
         _ => Err("not a positive number".into()),
+    }
+}
+
+fn points(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(v) if (0.0..=100.0).contains(&v) => Ok(v),
+        _ => Err("not a number from 0 to 100".into()),
     }
 }
 

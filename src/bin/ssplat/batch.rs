@@ -1,4 +1,4 @@
-//! Many files in one run: which inputs become which outputs, several small ones at a time, one bar, and a manifest.
+//! Many files in one run: several small ones at a time, one bar, and a manifest.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 
 use crate::args::{Existing, Many};
 use crate::failure::{Failure, Kind};
+use crate::inputs::{self, Found, Rules, Task};
 use crate::progress::Bar;
 use crate::sink::say;
 
@@ -64,14 +65,15 @@ impl Voice {
     }
 }
 
-struct Task {
-    input: PathBuf,
-    output: PathBuf,
-}
-
 /// Works on all inputs. What fails is told, and does not stop the others.
 pub fn run(inputs: &[PathBuf], folder: &Path, many: &Many, voice: Voice, command: &Command) -> Result<(), Failure> {
-    let tasks = tasks(inputs, folder, many, command)?;
+    let rules = Rules { takes: command.takes, extension: command.extension, is_recursive: many.recursive };
+    let Found { tasks, notes } = inputs::find(inputs, folder, &rules)?;
+    if voice != Voice::Quiet {
+        notes.iter().for_each(|note| eprintln!("ssplat: {note}"));
+    }
+    // That there can be no outputs at all is told once.
+    std::fs::create_dir_all(folder).map_err(|e| Failure::io(folder, &e))?;
     let manifest = many.manifest.as_deref().map(Manifest::open).transpose()?;
     let all = tasks.len();
     let waiting = tasks.into_iter().filter(|t| many.existing() != Existing::Skip || !t.output.exists());
@@ -79,7 +81,8 @@ pub fn run(inputs: &[PathBuf], folder: &Path, many: &Many, voice: Voice, command
     let threads = rayon::current_num_threads();
     let jobs = many.jobs.map_or(threads, |n| n.get().min(crate::most_threads())).min(small.len()).max(1);
     let total = small.len() + large.len();
-    let shift = Shift { command, many, voice, manifest, total, board: Mutex::default(), bar: Bar::new() };
+    let bar = Bar::of(voice);
+    let shift = Shift { command, many, voice, manifest, total, board: Mutex::default(), bar };
     let next = AtomicUsize::new(0);
     let of_small = || {
         let work = || {
@@ -203,54 +206,4 @@ impl Manifest {
         let mut file = self.file.lock().unwrap_or_else(|e| e.into_inner());
         file.write_all(format!("{entry}\n").as_bytes()).map_err(|e| Failure::io(&self.path, &e))
     }
-}
-
-/// Every input with its output; no two have the same one.
-fn tasks(inputs: &[PathBuf], folder: &Path, many: &Many, command: &Command) -> Result<Vec<Task>, Failure> {
-    let mut tasks = Vec::new();
-    let mut taken: HashMap<PathBuf, PathBuf> = HashMap::new();
-    for input in inputs {
-        let mut files = Vec::new();
-        if input.is_dir() {
-            list(input, Path::new(""), many, command, &mut files)?;
-            files.sort();
-        } else if input == Path::new("-") {
-            return Err(Failure::usage("standard input cannot be one of several inputs"));
-        } else {
-            files.push((input.clone(), PathBuf::from(input.file_name().unwrap_or(input.as_os_str()))));
-        }
-        for (input, name) in files {
-            let output = folder.join(name.with_extension(command.extension));
-            if let Some(other) = taken.insert(output.clone(), input.clone()) {
-                let both = format!("{} and {}", other.display(), input.display());
-                return Err(Failure::usage(format!("{both} would both become {}", output.display())));
-            }
-            tasks.push(Task { input, output });
-        }
-    }
-    Ok(tasks)
-}
-
-/// Adds the files of `folder` that the command takes, each with its path below the folder that was named.
-fn list(
-    folder: &Path,
-    below: &Path,
-    many: &Many,
-    command: &Command,
-    files: &mut Vec<(PathBuf, PathBuf)>,
-) -> Result<(), Failure> {
-    let io = |e| Failure::io(folder, &e);
-    for entry in std::fs::read_dir(folder).map_err(io)? {
-        let entry = entry.map_err(io)?;
-        let (path, name) = (entry.path(), below.join(entry.file_name()));
-        // Links to folders are not followed: they may lead in a circle.
-        if entry.file_type().map_err(io)?.is_dir() {
-            if many.recursive {
-                list(&path, &name, many, command, files)?;
-            }
-        } else if (command.takes)(&path) {
-            files.push((path, name));
-        }
-    }
-    Ok(())
 }

@@ -39,13 +39,13 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
         };
         return batch::run(&args.paths, folder, &args.many, voice, &command);
     }
-    let (input, output) = args::pair(&args.paths)?;
+    let (input, output) = args::pair(&args.paths, args.output.as_deref())?;
     let format = match named {
         Some(format) => format,
         None if output == Path::new("-") => Format::Png,
         None => Format::of_path(output)?,
     };
-    let bar = if voice == Voice::Quiet { Bar::hidden() } else { Bar::new() };
+    let bar = Bar::of(voice);
     let done = one(args, input, output, format, &|share, stage| bar.show(share, stage))?;
     drop(bar);
     if voice != Voice::Quiet {
@@ -81,7 +81,7 @@ fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &
     drop(bytes);
     let (depth, missing, channels) = (opened.splats().depth, opened.missing(), opened.splats().channels);
     let mut notes = losses(opened.metadata(), missing, of);
-    notes.extend(format.losses(opened.metadata()));
+    notes.extend(format.losses(depth, opened.metadata()));
     let orientation = orientation(args, opened.metadata());
     let background = background(args, channels, format, &mut notes);
     let mut shape = (view.width(), view.height());
@@ -128,7 +128,7 @@ fn thumbnail(
     let ssplat::Decoded { pixels, metadata, .. } =
         ssplat::thumbnail(bytes, [side; 2], &Limits::default()).map_err(failed)?;
     let mut notes = losses(&metadata, Missing::default(), 0);
-    notes.extend(format.losses(&metadata));
+    notes.extend(format.losses(pixels.depth(), &metadata));
     let orientation = orientation(args, &metadata);
     let background = background(args, pixels.channels(), format, &mut notes);
     let source = shown(pixels, metadata, background, orientation).map_err(failed)?;
@@ -143,8 +143,8 @@ fn thumbnail(
 
 /// How the picture is to be turned, if it is.
 fn orientation(args: &args::Decode, metadata: &Metadata) -> Option<Orientation> {
-    let orientation = metadata.exif.as_deref().and_then(Orientation::from_exif_chunk);
-    orientation.filter(|&o| args.auto_orient && o != Orientation::NoTransforms)
+    let orientation = source::orientation_in(metadata.exif.as_deref());
+    (args.auto_orient && orientation != Orientation::NoTransforms).then_some(orientation)
 }
 
 /// The picture over its background and turned upright, where that is asked for, and what goes with it.
@@ -165,7 +165,8 @@ fn shown(
             let _ = Orientation::remove_from_exif_chunk(exif);
         }
     }
-    Ok(Source { pixels, icc: metadata.icc, exif: metadata.exif, is_cut_off: false, notes: Vec::new() })
+    let orientation = source::orientation_in(metadata.exif.as_deref());
+    Ok(Source { pixels, icc: metadata.icc, exif: metadata.exif, orientation, is_cut_off: false, notes: Vec::new() })
 }
 
 /// The colour under a picture that loses its alpha.
@@ -234,7 +235,14 @@ fn view(args: &args::Decode, input: &Path, whole: View) -> Result<View, Failure>
     let failed = |e| Failure::library(input, &e);
     let mut view = whole;
     if let Some([x, y, width, height]) = args.region {
-        view = view.crop(x, y, width, height).map_err(failed)?;
+        view = view.crop(x, y, width, height).map_err(|_| {
+            Failure::usage(format!(
+                "{}: --region {x},{y},{width},{height} is not within the picture of {}×{}",
+                Failure::input(input),
+                whole.width(),
+                whole.height()
+            ))
+        })?;
     }
     let [width, height] = [view.width(), view.height()].map(f64::from);
     let [wide, tall] = match (args.width, args.height, args.scale) {

@@ -1,39 +1,44 @@
 //! `ssplat encode`: a picture to a file, with progress, and what it measured.
 
+use std::fs::File;
+use std::io::Read;
 use std::ops::ControlFlow;
 use std::path::Path;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use image::{ImageFormat, ImageReader};
 use serde_json::{Value, json};
 use ssplat::bitstream::splats::Metadata;
 use ssplat::raster::SamplesMut;
-use ssplat::{EncodeReport, Encoded, Error, Limits, PixelSource, Pixels, Samples, Target};
+use ssplat::{EncodeOptions, EncodeReport, Encoded, Error, Limits, PixelSource, Pixels, Samples, Target};
 
 use crate::batch::{self, Command, Done, Show, Voice};
 use crate::failure::Failure;
-use crate::progress::Bar;
+use crate::progress::{Bar, Course};
 use crate::rows::{Format, RowWriter, Shape};
 use crate::sink::{Sink, say};
 use crate::source::{self, Source, Turn};
 use crate::spool::{self, Spooled};
-use crate::{args, compare, left_out};
+use crate::{args, carried, compare, left_out};
 
 /// Extensions of picture formats that `image` does not know or that are not read.
 const OTHERS: [&str; 5] = ["heic", "heif", "jxl", "jp2", "svg"];
+
+/// Bytes at the beginning of a file by which formats are told apart, at most.
+const LONGEST_MAGIC: u64 = 32;
 
 pub fn run(args: &args::Encode) -> Result<(), Failure> {
     let voice = Voice::new(args.json, args.quiet);
     if let Some(folder) = &args.many.out_dir {
         let command = Command {
-            takes: &|path| ImageFormat::from_path(path).is_ok() || path.extension().is_some_and(|e| e == "pam"),
+            takes: &is_picture,
             extension: ssplat::EXTENSION,
             pixels: &pixels,
             run: &|input, output, show| one(args, input, output, show),
         };
         return batch::run(&args.paths, folder, &args.many, voice, &command);
     }
-    let (input, output) = args::pair(&args.paths)?;
+    let (input, output) = args::pair(&args.paths, args.output.as_deref())?;
     if args.json && output == Path::new("-") {
         return Err(Failure::usage("--json and the file cannot both go to standard output"));
     }
@@ -43,7 +48,7 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
             "{path}: has the extension of another format; --force writes it all the same"
         )));
     }
-    let bar = if voice == Voice::Quiet { Bar::hidden() } else { Bar::new() };
+    let bar = Bar::of(voice);
     let done = one(args, input, output, &|share, stage| bar.show(share, stage))?;
     drop(bar);
     if voice != Voice::Quiet {
@@ -64,14 +69,40 @@ fn is_of_another_format(path: &Path) -> bool {
     extension.is_some_and(|e| ImageFormat::from_extension(&e).is_some() || OTHERS.contains(&e.as_str()))
 }
 
+/// Whether a file of a folder is taken for a picture: by its extension, or else by how it begins.
+fn is_picture(path: &Path) -> bool {
+    if ImageFormat::from_path(path).is_ok() || path.extension().is_some_and(|e| e == "pam") {
+        return true;
+    }
+    let mut start = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(LONGEST_MAGIC).read_to_end(&mut start));
+    read.is_ok() && image::guess_format(&start).is_ok()
+}
+
 /// Width times height of the picture at `path`; 0 where it cannot be told.
 fn pixels(path: &Path) -> u64 {
     let size = ImageReader::open(path).and_then(|r| r.with_guessed_format()).map(|r| r.into_dimensions());
     size.ok().and_then(Result::ok).map_or(0, |(width, height)| u64::from(width) * u64::from(height))
 }
 
+/// Fits that a target takes at most.
+fn tries(target: Target) -> u32 {
+    match target {
+        Target::Psnr(_) | Target::Quality(_) => 3,
+        _ => 1,
+    }
+}
+
+/// What is left of a budget of time that began with `start`: reading is part of the work. Something is always left, so that
+/// there is a file in the end.
+fn left(time: Option<Duration>, start: Instant) -> Option<Duration> {
+    time.map(|t| t.saturating_sub(start.elapsed()).max(Duration::from_millis(1)))
+}
+
 /// Encodes one file.
 fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<Done, Failure> {
+    let start = Instant::now();
+    show(0.0, "reading");
     if args.preview.as_deref() == Some(output) {
         return Err(Failure::usage(format!("{}: cannot hold both the file and its preview", output.display())));
     }
@@ -90,9 +121,9 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
     } else {
         source = source.whole(input)?;
     }
-    let Source { pixels, icc, exif, mut notes, .. } = source;
+    let Source { pixels, icc, exif, orientation, mut notes, .. } = source;
     let mut options = args.options();
-    (options.icc, options.exif) = (icc, exif);
+    carried::carry(&mut options, (icc, exif), orientation, &mut notes);
     let samples = u64::from(pixels.width()) * u64::from(pixels.height()) * pixels.channels().count() as u64;
     if let Target::Primitives(asked) = options.target
         && u64::from(asked) > samples
@@ -103,13 +134,18 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
     // That a file cannot be written is found out before the work is done, not after.
     let sink = Sink::create(output, &[input])?;
     let preview = args.preview.as_deref().map(|path| Preview::prepare(path, input)).transpose()?;
+    show(0.0, "preparing");
+    let mut course = Course::new(tries(options.target), false);
+    options.time = left(options.time, start);
     let encoded = ssplat::encode_with_progress(&pixels, &options, &mut |p| {
-        show(p.done, p.stage);
+        show(course.at(p.stage, p.done), p.stage);
         ControlFlow::Continue(())
     });
-    let encoded = encoded.map_err(|e| refusal(args, input, &e))?;
-    sink.finish_with(&encoded.bytes)?;
-
+    let encoded = encoded.map_err(|e| refusal(input, &e))?;
+    notes.extend(carried::dominating(&options, encoded.bytes.len()));
+    notes.extend(missed(&options, &encoded.report));
+    // Both files are there, or none is.
+    sink.write(&encoded.bytes)?;
     let mut result = summary(&pixels, encoded.bytes.len(), &encoded.report);
     let mut text = told(output, &pixels, &encoded);
     if let Some(preview) = preview {
@@ -119,6 +155,7 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
         result["preview"] = compare::as_json(&found);
         result["preview"]["seconds"] = seconds.into();
     }
+    sink.finish()?;
     if args.explain {
         text += &explained(output, &encoded)?;
     }
@@ -134,42 +171,59 @@ fn in_parts(
     mut picture: Spooled,
 ) -> Result<Done, Failure> {
     let mut options = args.options();
-    (options.icc, options.exif) = (picture.icc.take(), picture.exif.take());
+    let (icc, exif, mut notes) = (picture.icc.take(), picture.exif.take(), std::mem::take(&mut picture.notes));
+    let orientation = source::orientation_in(exif.as_deref());
+    carried::carry(&mut options, (icc, exif), orientation, &mut notes);
     let sink = Sink::create(output, &[input])?;
+    let mut course = Course::new(1, true);
     let encoded = ssplat::encode_source(&picture, &options, &mut |p| {
-        show(p.done, p.stage);
+        show(course.at(p.stage, p.done), p.stage);
         ControlFlow::Continue(())
     });
-    let encoded = encoded.map_err(|e| refusal(args, input, &e))?;
+    let encoded = encoded.map_err(|e| refusal(input, &e))?;
+    notes.extend(carried::dominating(&options, encoded.bytes.len()));
+    notes.extend(missed(&options, &encoded.report));
     sink.finish_with(&encoded.bytes)?;
     let mut text = told(output, &picture, &encoded);
     if args.explain {
         text += &explained(output, &encoded)?;
     }
     let result = summary(&picture, encoded.bytes.len(), &encoded.report);
-    Ok(Done { text, result, notes: picture.notes })
+    Ok(Done { text, result, notes })
 }
 
-/// Why a picture was not encoded.
-fn refusal(args: &args::Encode, input: &Path, error: &Error) -> Failure {
-    match (error, args.target.ratio) {
-        // The bytes are the program's own words for the ratio.
-        (Error::Parameter { name: "bytes", problem }, Some(ratio)) => {
-            Failure::usage(format!("{}: --ratio {ratio}: {problem}", Failure::input(input)))
-        }
-        _ => Failure::library(input, error),
-    }
+/// Why a picture was not encoded, and what can be done about it.
+fn refusal(input: &Path, error: &Error) -> Failure {
+    let mut failure = Failure::library(input, error);
+    failure.message += carried::advice(error);
+    failure
+}
+
+/// What is said of a file that has not the quality that was asked for.
+fn missed(options: &EncodeOptions, report: &EncodeReport) -> Option<String> {
+    // Files are within half a point where they can be.
+    const CLOSE: f64 = 0.5;
+    let (Target::Quality(asked), Some(found)) = (options.target, report.quality) else { return None };
+    let is_missed = (found - asked).abs() > CLOSE;
+    is_missed.then(|| format!("--quality {asked} was not met: the file has {found:.1}"))
+}
+
+/// A PSNR in words. That of the encoder is before rounding to code values: above some value all of these are equal.
+fn psnr(psnr: f64) -> String {
+    if psnr < compare::IDENTICAL { format!("PSNR {psnr:.2} dB") } else { "identical samples".into() }
 }
 
 /// The result in a line.
 fn told(output: &Path, picture: &dyn PixelSource, encoded: &Encoded) -> String {
+    let quality = encoded.report.quality.map_or(String::new(), |q| format!(", SSIMULACRA2 {q:.1}"));
     let line = format!(
-        "{}: {} bytes, ratio {:.1}, {} primitives, PSNR {:.2} dB, encoded in {:.2} s\n",
+        "{}: {} bytes, ratio {:.1}, {} primitive{}, {}{quality}, encoded in {:.2} s\n",
         output.display(),
         encoded.bytes.len(),
         ratio(picture, encoded.bytes.len()),
         encoded.report.primitives,
-        encoded.report.psnr,
+        if encoded.report.primitives == 1 { "" } else { "s" },
+        psnr(encoded.report.psnr),
         encoded.report.seconds
     );
     // Where there is a choice, it is told.
@@ -247,6 +301,7 @@ fn summary(pixels: &dyn PixelSource, bytes: usize, report: &EncodeReport) -> Val
         "primitives": report.primitives,
         "float_psnr": report.float_psnr.min(compare::IDENTICAL),
         "psnr": report.psnr.min(compare::IDENTICAL),
+        "quality": report.quality,
         "seconds": report.seconds,
         "stages": stages,
         "left_out": left_out,

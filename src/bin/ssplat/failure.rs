@@ -55,7 +55,8 @@ impl Failure {
             Error::Format(_) => Kind::Format,
             Error::UnsupportedVersion { .. } => Kind::Unsupported,
             Error::LimitExceeded { .. } => Kind::Limit,
-            Error::Parameter { .. } => Kind::Usage,
+            Error::Parameter { .. } | Error::TooSmall { .. } => Kind::Usage,
+            Error::Source { error, .. } => return Failure::image(path, error),
             _ => Kind::Other,
         };
         Failure { kind, message: format!("{}: {error}", Failure::input(path)) }

@@ -5,6 +5,7 @@ mod args;
 mod batch;
 #[cfg(feature = "recipes")]
 mod bench_methods;
+mod carried;
 mod compare;
 mod decode;
 mod encode;
@@ -13,6 +14,7 @@ mod export;
 mod failure;
 mod import;
 mod info;
+mod inputs;
 mod left_out;
 mod manual;
 mod names;

@@ -19,7 +19,14 @@ pub fn man() -> Result<(), Failure> {
     let mut program = Args::command();
     program.build();
     let io = |e| Failure::io(&sink::named("-".as_ref()), &e);
-    clap_mangen::Man::new(program.clone()).render(&mut text).map_err(io)?;
+    let page = clap_mangen::Man::new(program.clone());
+    page.render_title(&mut text).map_err(io)?;
+    page.render_name_section(&mut text).map_err(io)?;
+    page.render_synopsis_section(&mut text).map_err(io)?;
+    page.render_description_section(&mut text).map_err(io)?;
+    // The commands follow on this page: there are no others, which the section of mangen would name.
+    page.render_options_section(&mut text).map_err(io)?;
+    page.render_extra_section(&mut text).map_err(io)?;
     for command in program.get_subcommands().filter(|c| c.get_name() != "help") {
         let man = clap_mangen::Man::new(command.clone());
         man.render_name_section(&mut text).map_err(io)?;

@@ -2,7 +2,7 @@
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use ssplat::bitstream::splats::Layout;
-use ssplat::{Ablation, Backend, Blend, Recipe, Tune};
+use ssplat::{Ablation, Backend, Blend, Carry, Recipe, Tune};
 
 static LAYOUTS: [(&str, Layout); 3] =
     [("packed", Layout::Packed), ("planes", Layout::Planes), ("coded", Layout::Coded)];
@@ -64,6 +64,10 @@ pub fn tune() -> impl TypedValueParser<Value = Tune> {
 
 pub fn backend() -> impl TypedValueParser<Value = Backend> {
     named(&[("auto", Backend::Auto), ("cpu", Backend::Cpu), ("gpu", Backend::Gpu)])
+}
+
+pub fn carry() -> impl TypedValueParser<Value = Carry> {
+    named(&[("needed", Carry::Needed), ("all", Carry::All), ("icc", Carry::Icc), ("none", Carry::None)])
 }
 
 pub fn drawing_backend() -> impl TypedValueParser<Value = Backend> {

@@ -4,17 +4,12 @@
 //! background, and the worse counts. Shared with the measuring programs in `examples/`.
 
 use butteraugli::{ButteraugliParams, Img, RGB, butteraugli_linear};
-use fast_ssim2::{PixelDescriptor, PixelSlice, Ssimulacra2Config, compute_ssimulacra2_with_config};
-use ssplat::{Pixels, Samples};
+use ssplat::{Pixels, metrics};
 
 /// Least side of a picture that is measured, pixels: Butteraugli takes no smaller one.
 const LEAST: u32 = 8;
 /// Most pixels that Butteraugli is asked for: it keeps about 250 bytes of each in memory.
 const MOST: u64 = 1 << 24;
-/// Pixels from which on SSIMULACRA2 goes over strips of the picture, which takes less memory and moves its last digits.
-const LARGE: u64 = 1 << 22;
-/// Rows of such a strip.
-const STRIP: usize = 256;
 /// What pictures with alpha are laid over, as sRGB values: those that SSIMULACRA2 takes.
 const BACKGROUNDS: [f32; 2] = [0.1, 0.9];
 
@@ -37,60 +32,15 @@ pub fn measure(reference: &Pixels, test: &Pixels) -> Perceived {
     }
     let backgrounds = if reference.channels().alpha().is_some() { &BACKGROUNDS[..] } else { &BACKGROUNDS[..1] };
     let found = backgrounds.iter().map(|&background| {
-        let (a, b) = (light(reference, background), light(test, background));
-        Perceived { ssimulacra2: similarity(&a, &b, [width, height]), butteraugli: distance(&a, &b, [width, height]) }
+        let [a, b] = [reference, test].map(|pixels| {
+            let light = metrics::linear_light(pixels, background);
+            light.into_iter().map(|[r, g, b]| RGB::new(r, g, b)).collect::<Vec<_>>()
+        });
+        distance(&a, &b, [width, height])
     });
-    let worst = |a: Option<f64>, b: Option<f64>, of: fn(f64, f64) -> f64| a.zip(b).map(|(a, b)| of(a, b));
-    found
-        .reduce(|a, b| Perceived {
-            ssimulacra2: worst(a.ssimulacra2, b.ssimulacra2, f64::min),
-            butteraugli: worst(a.butteraugli, b.butteraugli, f64::max),
-        })
-        .expect("one background at least")
-}
-
-/// The picture over a grey background, in linear light.
-fn light(pixels: &Pixels, background: f32) -> Vec<RGB<f32>> {
-    match pixels.samples() {
-        Samples::U8(v) => {
-            let values: [f32; 256] = std::array::from_fn(|i| i as f32 / 255.0);
-            over(v.iter().map(|&v| values[usize::from(v)]), pixels, background)
-        }
-        Samples::U16(v) => over(v.iter().map(|&v| f32::from(v) / 65535.0), pixels, background),
-    }
-}
-
-/// The same from sRGB values in `0..=1`.
-fn over(values: impl Iterator<Item = f32>, pixels: &Pixels, background: f32) -> Vec<RGB<f32>> {
-    let (count, alpha) = (pixels.channels().count(), pixels.channels().alpha());
-    let mut values = values;
-    let mut out = Vec::with_capacity(pixels.width() as usize * pixels.height() as usize);
-    let mut pixel = [0.0f32; 4];
-    'all: loop {
-        for v in &mut pixel[..count] {
-            let Some(next) = values.next() else { break 'all };
-            *v = next;
-        }
-        let opacity = alpha.map_or(1.0, |a| pixel[a]);
-        let shown = |k: usize| linear(background + opacity * (pixel[if count < 3 { 0 } else { k }] - background));
-        out.push(RGB::new(shown(0), shown(1), shown(2)));
-    }
-    out
-}
-
-/// Linear light of an sRGB value.
-fn linear(v: f32) -> f32 {
-    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
-}
-
-fn similarity(a: &[RGB<f32>], b: &[RGB<f32>], [width, height]: [u32; 2]) -> Option<f64> {
-    let slice = |p| {
-        let row = width as usize * size_of::<RGB<f32>>();
-        PixelSlice::new(bytemuck::cast_slice(p), width, height, row, PixelDescriptor::RGBF32_LINEAR).ok()
-    };
-    let is_large = u64::from(width) * u64::from(height) > LARGE;
-    let config = if is_large { Ssimulacra2Config::strips(STRIP) } else { Ssimulacra2Config::default() };
-    compute_ssimulacra2_with_config(&slice(a)?, &slice(b)?, &config).ok()
+    // The worse of two counts, and none where one is missing.
+    let butteraugli = found.reduce(|a, b| a.zip(b).map(|(a, b)| a.max(b))).flatten();
+    Perceived { ssimulacra2: metrics::ssimulacra2(reference, test).ok().flatten(), butteraugli }
 }
 
 fn distance(a: &[RGB<f32>], b: &[RGB<f32>], [width, height]: [u32; 2]) -> Option<f64> {
@@ -104,7 +54,7 @@ fn distance(a: &[RGB<f32>], b: &[RGB<f32>], [width, height]: [u32; 2]) -> Option
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ssplat::Channels;
+    use ssplat::{Channels, Samples};
 
     fn noise(width: u32, height: u32, channels: Channels, most: u8) -> Pixels {
         let samples = width as usize * height as usize * channels.count();

@@ -71,14 +71,23 @@ impl Format {
         self != Format::Whole(ImageFormat::Jpeg)
     }
 
-    /// What of `metadata` files of the format do not carry, in words.
-    pub fn losses(self, metadata: &Metadata) -> Vec<String> {
+    /// What of samples of `depth` and of `metadata` files of the format do not carry, in words.
+    pub fn losses(self, depth: Depth, metadata: &Metadata) -> Vec<String> {
         let (icc, exif) = match self {
             Format::Png | Format::Whole(ImageFormat::Jpeg | ImageFormat::WebP) => (true, true),
             Format::Whole(ImageFormat::Tiff) => (true, false),
             _ => (false, false),
         };
         let mut notes = Vec::new();
+        let is_deep = !matches!(
+            self,
+            Format::Whole(
+                ImageFormat::Bmp | ImageFormat::Jpeg | ImageFormat::Qoi | ImageFormat::Tga | ImageFormat::WebP
+            )
+        );
+        if depth == Depth::Sixteen && !is_deep {
+            notes.push("samples of 16 bits are rounded to 8: the format has no more".into());
+        }
         if !icc && metadata.icc.is_some() {
             notes.push("the ICC profile is left out: the format has no place for it".into());
         }

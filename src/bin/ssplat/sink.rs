@@ -88,6 +88,10 @@ impl Sink {
         };
         let mut unfinished = UNFINISHED.lock().unwrap_or_else(|e| e.into_inner());
         let file = temporary().tempfile_in(folder).map_err(|e| io(plain(&e, folder)))?;
+        // What replaces a file may be read by the same people.
+        if let Ok(there) = std::fs::metadata(&target) {
+            file.as_file().set_permissions(there.permissions()).map_err(io)?;
+        }
         unfinished.push(file.path().to_path_buf());
         Ok(Sink { path: path_buf, out: Out::Temporary { file, target } })
     }
@@ -106,10 +110,15 @@ impl Sink {
         })
     }
 
+    /// Writes `bytes`.
+    pub fn write(&self, bytes: &[u8]) -> Result<(), Failure> {
+        let written = self.writer().and_then(|mut w| w.write_all(bytes).and_then(|()| w.flush()));
+        written.map_err(|e| Failure::io(&self.path, &e))
+    }
+
     /// Writes `bytes` as the whole file and puts it in its place.
     pub fn finish_with(self, bytes: &[u8]) -> Result<(), Failure> {
-        let written = self.writer().and_then(|mut w| w.write_all(bytes).and_then(|()| w.flush()));
-        written.map_err(|e| Failure::io(&self.path, &e))?;
+        self.write(bytes)?;
         self.finish()
     }
 

@@ -28,6 +28,8 @@ pub struct Source {
     pub pixels: Pixels,
     pub icc: Option<Vec<u8>>,
     pub exif: Option<Vec<u8>>,
+    /// How the picture is still to be turned.
+    pub orientation: Orientation,
     /// The file ends before its picture does.
     pub is_cut_off: bool,
     /// What of the file is not in here, in words.
@@ -60,6 +62,9 @@ pub fn read_at_most(path: &Path, most: u64) -> Result<Vec<u8>, Failure> {
 
 /// Reads on behind `start` where the file begins with it.
 fn read(path: &Path, start: &[u8], most: u64) -> Result<Vec<u8>, Failure> {
+    if path.is_dir() {
+        return Err(is_folder(path));
+    }
     let mut bytes = Vec::new();
     let mut read = |reader: &mut dyn Read| {
         reader.take(start.len() as u64).read_to_end(&mut bytes)?;
@@ -81,11 +86,19 @@ fn read(path: &Path, start: &[u8], most: u64) -> Result<Vec<u8>, Failure> {
     Ok(bytes)
 }
 
+/// The failure where a folder is named for a file.
+fn is_folder(path: &Path) -> Failure {
+    let message = format!("{}: is a folder; --out-dir DIR takes the files in it", path.display());
+    Failure { kind: Kind::Io, message }
+}
+
 /// Decodes `path`, or standard input for `-`.
 pub fn open(path: &Path, turn: Turn) -> Result<Source, Failure> {
     let io = |e| Failure::io(path, &e);
     let mut reader: Box<dyn ReadSeek> = if path == Path::new("-") {
         Box::new(Cursor::new(read_at_most(path, Limits::default().alloc)?))
+    } else if path.is_dir() {
+        return Err(is_folder(path));
     } else {
         Box::new(BufReader::new(File::open(path).map_err(io)?))
     };
@@ -132,27 +145,32 @@ pub fn open(path: &Path, turn: Turn) -> Result<Source, Failure> {
     if decoder.xmp_metadata().is_ok_and(|xmp| xmp.is_some()) {
         notes.push("its XMP block is left out".into());
     }
-    let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+    let mut orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
     let mut picture = DynamicImage::from_decoder(decoder).map_err(failed)?;
     if turn == Turn::Upright {
         picture.apply_orientation(orientation);
         if let Some(exif) = &mut exif {
             let _ = Orientation::remove_from_exif_chunk(exif);
         }
-    } else if orientation != Orientation::NoTransforms && exif.is_none() {
-        notes.push("its orientation is left out; --auto-orient turns the picture".into());
+        orientation = Orientation::NoTransforms;
     }
     let pixels = Pixels::try_from(picture).map_err(|e| Failure::library(path, &e))?;
     let mut icc = icc;
     keep_fitting(&mut icc, pixels.channels(), &mut notes);
-    Ok(Source { pixels, icc, exif, is_cut_off, notes })
+    Ok(Source { pixels, icc, exif, orientation, is_cut_off, notes })
 }
 
 /// Decodes the ssplat file `bytes`, which came from `path`.
 pub fn decode(path: &Path, bytes: &[u8]) -> Result<Source, Failure> {
     let decoded = ssplat::decode(bytes, &DecodeOptions::default()).map_err(|e| Failure::library(path, &e))?;
     let (icc, exif) = (decoded.metadata.icc, decoded.metadata.exif);
-    Ok(Source { pixels: decoded.pixels, icc, exif, is_cut_off: false, notes: Vec::new() })
+    let orientation = orientation_in(exif.as_deref());
+    Ok(Source { pixels: decoded.pixels, icc, exif, orientation, is_cut_off: false, notes: Vec::new() })
+}
+
+/// What an EXIF block says of how its picture is to be turned.
+pub fn orientation_in(exif: Option<&[u8]>) -> Orientation {
+    exif.and_then(Orientation::from_exif_chunk).unwrap_or(Orientation::NoTransforms)
 }
 
 /// Leaves a profile out that is not for `channels`, and notes it.

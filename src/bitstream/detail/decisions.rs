@@ -53,6 +53,7 @@ impl Adaptive {
     }
 
     /// The slow estimate and the decisions that it stands on, to learn starts from.
+    #[cfg(test)]
     pub fn learnt(self) -> (u16, u8) {
         (self.slow, self.seen)
     }

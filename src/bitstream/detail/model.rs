@@ -82,6 +82,7 @@ impl Models {
     }
 
     /// Visits the models whose starts are in the table, in its order.
+    #[cfg(test)]
     pub fn each(&mut self, mut visit: impl FnMut(&mut Adaptive)) {
         self.filled.iter_mut().take(3).flatten().flatten().flatten().for_each(&mut visit);
         self.kinds[0].each(&mut visit);

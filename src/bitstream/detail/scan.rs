@@ -25,9 +25,6 @@ pub(crate) fn at(u: usize, v: usize) -> usize {
 pub(crate) struct Place {
     /// As [`at`] says.
     pub at: u16,
-    /// Column and row: horizontal and vertical frequency.
-    pub u: u8,
-    pub v: u8,
     pub zone: u8,
 }
 
@@ -43,7 +40,7 @@ fn places(size: usize) -> Vec<Place> {
     // Diagonals, every other one the other way round.
     places.sort_by_key(|&[u, v]| (u + v, if (u + v) % 2 == 1 { u } else { v }));
     let zone = |k: usize| half_octave(k >> [0, 0, 1, 2][size]) as u8;
-    let place = |(k, [u, v]): (usize, [usize; 2])| Place { at: at(u, v) as u16, u: u as u8, v: v as u8, zone: zone(k) };
+    let place = |(k, [u, v]): (usize, [usize; 2])| Place { at: at(u, v) as u16, zone: zone(k) };
     places.into_iter().enumerate().map(place).collect()
 }
 

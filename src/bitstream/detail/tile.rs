@@ -51,11 +51,6 @@ impl TileState {
         }
     }
 
-    /// Forgets how the blocks of a plane were filled.
-    pub fn forget(&mut self) {
-        self.density.iter_mut().for_each(|d| d.fill(0));
-    }
-
     /// How many levels a block is expected to have, by those above and to the left: the bits of four times that number.
     pub fn bucket(&self, plane: usize, [x, y]: [usize; 2], size: usize) -> usize {
         let (density, n) = (&self.density[plane], 1usize << size);

@@ -42,7 +42,6 @@ const CROWDED: [u32; SIZES] = [u32::MAX, u32::MAX, 40, 48];
 pub(super) struct Chosen {
     pub stream: Vec<u8>,
     pub levels: Option<TileLevels>,
-    pub models: Models,
     /// Sizes of the blocks that cells lie in, by kind.
     pub sizes: [Vec<u8>; KINDS],
 }
@@ -178,7 +177,7 @@ impl<'a> Chooser<'a> {
         }
         let Dense { sizes, mut written, classes, .. } = self.dense;
         if written.levels.is_empty() {
-            return Chosen { stream: Vec::new(), levels: None, models: self.models, sizes };
+            return Chosen { stream: Vec::new(), levels: None, sizes };
         }
         for (kind, _) in kinds(self.setting.channels, self.setting.head.alpha) {
             written.sizes[kind].clone_from(&sizes[kind]);
@@ -186,7 +185,7 @@ impl<'a> Chooser<'a> {
         if self.setting.head.classes > 1 {
             written.classes = classes;
         }
-        Chosen { stream: encoder.finish(), levels: Some(written), models: self.models, sizes }
+        Chosen { stream: encoder.finish(), levels: Some(written), sizes }
     }
 
     fn set_size(&mut self, kind: usize, cell: [usize; 2], size: usize) {

@@ -4,6 +4,8 @@
 //! edges, and from there on the layer is cheaper. That is some 8 kB for photographs of .4 megapixels, and more for pictures that are sharp and
 //! drawn-like, on which Gaussians still gain fast. Which they are is seen when the smaller base has been fitted.
 
+use std::time::Instant;
+
 use super::{Base, Layered};
 use crate::bitstream::splats::{Layout, PackedSplats};
 use crate::encode::job::{Encoding, Outcome};
@@ -34,6 +36,8 @@ const LEAST: u64 = 2_500;
 /// A picture is sharp when as many Gaussians again, set where the error is largest, promise to take away this share of the error
 /// for each decibel that doubling the bytes of the layer wins.
 const SHARP: f64 = 0.122;
+/// Share of a budget of time that the Gaussians get.
+const BASE_TIME: f64 = 0.6;
 /// Share of the bytes that the Gaussians of a sharp picture get at a ratio of 20, and what each doubling of the ratio adds.
 const SHARP_SHARE: f64 = 0.6;
 const SHARP_MORE: f64 = 0.15;
@@ -45,6 +49,8 @@ impl Encoding<'_> {
         let Size::Bytes(most) = size else { return self.at_size(size) };
         let may_have = options.layout == Layout::Coded && options.recipe == Recipe::Ssplat;
         let rounds = self.rounds();
+        let time = self.clock.left().map(|left| self.share.map_or(left, |share| share.min(left)));
+        self.until = time.and_then(|time| Instant::now().checked_add(time));
         match options.detail {
             Detail::Share(share) => {
                 let base = self.base((most as f64 * share) as u64)?;
@@ -80,9 +86,11 @@ impl Encoding<'_> {
 
     /// A fit of so many bytes for a layer to be laid over.
     fn base(&mut self, bytes: u64) -> Result<Base> {
+        let share = self.share;
+        self.share = self.until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(BASE_TIME)).or(share);
         self.is_base = true;
         let outcome = self.at_size(Size::Bytes(bytes));
-        self.is_base = false;
+        (self.is_base, self.share) = (false, share);
         Ok(Base { outcome: outcome? })
     }
 
@@ -96,7 +104,11 @@ impl Encoding<'_> {
         let mut layered = self.layer(base, most)?;
         let ratio = (self.subject.samples() / all).max(20.0);
         let many = ((SHARP_SHARE + SHARP_MORE * (ratio / 20.0).log2()).min(0.9) * all * seen.sqrt()).max(few);
-        if many > 1.2 * few && self.sharpness(&layered)?.is_some_and(|sharpness| sharpness > SHARP) {
+        // A budget of time is not enough for two fits.
+        if many > 1.2 * few
+            && self.until.is_none()
+            && self.sharpness(&layered)?.is_some_and(|sharpness| sharpness > SHARP)
+        {
             self.journal.stage("detail", clock);
             let base = self.base(many as u64)?;
             let other = self.layer(base, most)?;
@@ -119,9 +131,6 @@ impl Encoding<'_> {
         let error = self.plain_error(splats, &coded.layer);
         let decibels = 10.0 * (more / error).log10() / (coded.bytes as f64 / bytes).log2();
         let promise = self.promise(splats);
-        if std::env::var("SSPLAT_DEBUG").is_ok() {
-            eprintln!("promise {promise:.3} slope {decibels:.2} sharpness {:.4}", promise / decibels);
-        }
         Ok(Some(promise / decibels.max(0.1)))
     }
 

@@ -10,6 +10,7 @@ mod residual;
 mod search;
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use super::job::{Encoding, Outcome};
 use super::subject::stored_scene;
@@ -77,8 +78,14 @@ impl Encoding<'_> {
     fn joined(&mut self, layered: Layered, most: u64, rounds: u32) -> Result<Outcome> {
         let Layered { base: Base { mut outcome }, coded, mut error } = layered;
         let Some(mut coded) = coded else { return Ok(outcome) };
+        let mut took = Duration::ZERO;
         for round in 0..rounds {
             self.journal.show("detail", round as f32 / rounds as f32)?;
+            let begun = Instant::now();
+            // Another round takes as long as the one before.
+            if self.until.is_some_and(|end| begun + took > end) {
+                break;
+            }
             let Preset { lambda, .. } = preset(self.subject.options.favoured());
             let mut splats = outcome.splats.clone();
             let step = f32::from(coded.layer.head.step) / 64.0 / 255.0;
@@ -93,6 +100,7 @@ impl Encoding<'_> {
                 break;
             }
             (error, coded, outcome.splats) = (next_error, next, splats);
+            took = begun.elapsed();
         }
         outcome.splats.detail = Some(Arc::new(coded.layer));
         outcome.bytes = self.subject.file(&outcome.splats)?;

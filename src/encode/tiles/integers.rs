@@ -8,6 +8,7 @@ use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::encode::file;
 use crate::error::Result;
 use crate::fit::model::field::{Field, Output, error_within, float_error};
+use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::project::{Primitive, Projected};
 use crate::quantize::Quantizer;
@@ -95,14 +96,23 @@ pub(super) fn others(own: usize) -> usize {
 
 /// Returns the squared error of what is stored of a tile, from all that reaches into it.
 pub(super) fn plain_error(whole: &Whole<'_>, area: &Area, around: Around<PackedGaussian>) -> Result<f64> {
-    let target = whole.bare_planes(area)?;
-    let quantizer = whole.blank.quantizer();
-    let background = quantizer.dequantize_color(whole.blank.background);
-    let problem = Problem { scene: Scene { background, ..whole.scene(area) }, target: &target };
+    Ok(error_of_part(&whole.bare_planes(area)?, area, &whole.blank, around.own.iter().chain(&around.others)))
+}
+
+/// Returns the squared error of `gaussians`, which are integers of the file of `blank`, over a part of the picture.
+pub(super) fn error_of_part<'a>(
+    target: &Planes,
+    area: &Area,
+    blank: &PackedSplats,
+    gaussians: impl Iterator<Item = &'a PackedGaussian>,
+) -> f64 {
+    let quantizer = blank.quantizer();
+    let background = quantizer.dequantize_color(blank.background);
+    let scene = Scene { width: area.size[0], height: area.size[1], blend: blank.blend, background };
     let away = area.origin().map(|v| -v);
     let local = |p: &PackedGaussian| floats::moved(Primitive::from_gaussian(&quantizer.dequantize(p)), away);
-    let local: Vec<Primitive> = around.own.iter().chain(&around.others).map(local).collect();
-    Ok(float_error(&problem, &local))
+    let local: Vec<Primitive> = gaussians.map(local).collect();
+    float_error(&Problem { scene, target }, &local)
 }
 
 /// Into a part, or out of it.

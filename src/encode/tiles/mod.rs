@@ -5,6 +5,7 @@
 //! with a margin whose primitives are dropped; those of a second pass, half a tile further, go on with the same schedule
 //! among what lies around them, and sweeps over the integers take turns with both.
 
+mod constant;
 mod floats;
 mod grid;
 mod integers;
@@ -18,10 +19,12 @@ use std::collections::VecDeque;
 
 use super::aim;
 use super::channels::widen;
+use super::device::Chosen;
 use super::file;
 use super::job::{decibels, enough, excess};
+use super::left_out::Omission;
 use super::report::{Journal, Progress};
-use super::subject::{self, may_leave_out};
+use super::subject::{self, may_leave_out, too_small};
 use super::thumbnail;
 use super::workers::Hands;
 use super::{EncodeReport, Encoded};
@@ -81,7 +84,7 @@ pub(super) fn encode(
         Size::Free => 0,
     };
     let size = thumbnail::beside(asked, room);
-    let count = begun(options, size, (samples, fixed))?;
+    let count = begun(options, size, (samples, fixed)).map_err(|e| thumbnail::counted(e, asked, room))?;
     let scene = Scene { width: wide.width, height: wide.height, blend, background: [0.0; 4] };
     let margin =
         ((MARGIN * f64::from(scene.typical_scale(count))) as u32).next_multiple_of(UNIT).clamp(UNIT, side.max(UNIT));
@@ -91,6 +94,11 @@ pub(super) fn encode(
     let (narrowed, left_out) = Narrowed::new(source, &looked_at, || journal.show("survey", 0.0))?;
     if let Some(what) = left_out {
         journal.note(what, 0, 0.0);
+    }
+    if !looked_at.is_empty()
+        && let Some(encoded) = of_one_color((source, &narrowed), (options, asked), &wide, &looked_at, &mut journal)?
+    {
+        return Ok(encoded);
     }
     let metadata = wide.metadata;
     let blank = PackedSplats { channels: narrowed.channels(), metadata: Metadata::default(), ..wide };
@@ -108,12 +116,47 @@ pub(super) fn encode(
     course.finish(floats, error)
 }
 
+/// Returns the file of a picture of one colour, where that is what there is and the file may be as large; `wide` is the file
+/// without primitives.
+fn of_one_color(
+    (source, narrowed): (&dyn PixelSource, &Narrowed<'_>),
+    (options, asked): (&EncodeOptions, Size),
+    wide: &PackedSplats,
+    tiles: &[Window],
+    journal: &mut Journal<'_>,
+) -> Result<Option<Encoded>> {
+    if wide.blend != Blend::Normalized || options.target == Target::Primitives(0) {
+        return Ok(None);
+    }
+    let Some(color) = constant::color(narrowed, tiles, |done| journal.show("survey", done))? else { return Ok(None) };
+    let blank = PackedSplats { channels: narrowed.channels(), ..wide.clone() };
+    let (splats, error) = constant::stored(narrowed, &blank, color, tiles)?;
+    let bytes = bitstream::to_bytes(&widen(&splats, source.channels()))?;
+    if matches!(asked, Size::Bytes(most) if bytes.len() as u64 > most) {
+        return Ok(None);
+    }
+    journal.note(Omission::Fit, 0, 0.0);
+    let psnr = decibels(error, samples_of(&blank));
+    let report = EncodeReport {
+        primitives: splats.gaussians.len(),
+        psnr,
+        float_psnr: psnr,
+        seconds: journal.seconds(),
+        left_out: std::mem::take(&mut journal.left_out),
+        chosen: Chosen::for_tiles(options.backend),
+        ..EncodeReport::default()
+    };
+    Ok(Some(Encoded { bytes, report }))
+}
+
 fn check(options: &EncodeOptions) -> Result<()> {
     let bad = |problem: &str| Err(Error::Parameter { name: "tiles", problem: problem.into() });
     match options {
         o if o.recipe != Recipe::Ssplat => bad("another method's recipe cannot be fitted in tiles"),
         o if o.layout != Layout::Coded => bad("only the coded layout is written in tiles"),
         o if matches!(o.target, Target::Psnr(_)) => bad("a PSNR cannot be aimed at in tiles"),
+        #[cfg(feature = "quality")]
+        o if matches!(o.target, Target::Quality(_)) => bad("a quality cannot be aimed at in tiles"),
         o if o.time.is_some() => bad("a budget of time cannot be kept in tiles"),
         o if o.backend == Backend::Gpu => bad("tiles are fitted on the CPU"),
         o if o.trace == Trace::On => bad("a fit in tiles cannot be traced"),
@@ -147,8 +190,7 @@ fn begun(options: &EncodeOptions, size: Size, (samples, fixed): (f64, u64)) -> R
         (Size::Free, _) => 0,
     };
     if bytes < fixed {
-        let problem = format!("{bytes} bytes cannot hold the picture: {fixed} are needed without any primitive");
-        return Err(Error::Parameter { name: "bytes", problem });
+        return Err(too_small(options, bytes, fixed));
     }
     let count = ((bytes - fixed) as f64 * 8.0 / aim::CODED_BITS) as u64;
     Ok(count.min(aim::MAX_PRIMITIVES).min(samples as u64) as usize)
@@ -412,8 +454,7 @@ impl Course<'_, '_, '_> {
         while bytes.len() as u64 > most {
             let count = mosaic.count();
             if count == 0 {
-                let problem = format!("{most} bytes cannot hold the picture: {} are needed", bytes.len());
-                return Err(Error::Parameter { name: "bytes", problem });
+                return Err(too_small(self.options, most, bytes.len() as u64));
             }
             let each = (bytes.len() as f64 / count as f64).max(1.0);
             mosaic.remove_cheapest(((bytes.len() as u64 - most) as f64 / each).ceil() as usize);
@@ -454,6 +495,7 @@ impl Course<'_, '_, '_> {
             seconds: self.journal.seconds(),
             stages: self.journal.stages,
             left_out: self.journal.left_out,
+            chosen: Chosen::for_tiles(self.options.backend),
             ..EncodeReport::default()
         };
         Ok(Encoded { bytes, report })

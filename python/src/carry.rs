@@ -1,0 +1,22 @@
+//! What of a picture's metadata its file carries.
+
+use image::metadata::Orientation;
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+
+use crate::names;
+
+/// `(ICC profile, EXIF block)` that a file carries by the rule `which` of what its picture has.
+#[pyfunction]
+pub fn carried<'py>(
+    py: Python<'py>,
+    which: &str,
+    icc: Option<Vec<u8>>,
+    exif: Option<Vec<u8>>,
+) -> PyResult<(Option<Bound<'py, PyBytes>>, Option<Bound<'py, PyBytes>>)> {
+    let which = names::value("metadata", &names::CARRIES, which)?;
+    let orientation = exif.as_deref().and_then(Orientation::from_exif_chunk).unwrap_or(Orientation::NoTransforms);
+    let carried = which.of(icc, exif, orientation);
+    let bytes = |block: Option<Vec<u8>>| block.map(|block| PyBytes::new(py, &block));
+    Ok((bytes(carried.icc), bytes(carried.exif)))
+}

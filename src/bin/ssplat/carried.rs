@@ -1,0 +1,47 @@
+//! What of a picture's metadata goes into its file, and what is said of that.
+
+use image::metadata::Orientation;
+use ssplat::{Carry, EncodeOptions, Error};
+
+/// Puts into `options` what `--metadata` says of a picture's profile and EXIF block, and notes what is left out.
+pub fn carry(
+    options: &mut EncodeOptions,
+    (icc, exif): (Option<Vec<u8>>, Option<Vec<u8>>),
+    orientation: Orientation,
+    notes: &mut Vec<String>,
+) {
+    let carried = options.carry.of(icc, exif, orientation);
+    // What was asked for in as many words is no news.
+    if options.carry == Carry::Needed && carried.exif_left_out > 0 {
+        let but = if carried.exif.is_some() { " but for the orientation" } else { "" };
+        let bytes = carried.exif_left_out;
+        notes.push(format!("its EXIF block of {bytes} bytes is left out{but}; --metadata all keeps it"));
+    }
+    if carried.is_orientation_left_out {
+        notes.push("its orientation is left out; --auto-orient turns the picture".into());
+    }
+    (options.icc, options.exif) = (carried.icc, carried.exif);
+}
+
+/// What is said of a file of so many bytes that is metadata for the most part.
+pub fn dominating(options: &EncodeOptions, bytes: usize) -> Option<String> {
+    let length = |block: &Option<Vec<u8>>| block.as_ref().map_or(0, Vec::len);
+    let (icc, exif) = (length(&options.icc), length(&options.exif));
+    let what = match (icc, exif) {
+        (_, 0) => "its ICC profile takes",
+        (0, _) => "its EXIF block takes",
+        _ => "its ICC profile and EXIF block take",
+    };
+    let both = icc + exif;
+    (2 * both > bytes).then(|| format!("{what} {both} of {bytes} bytes; --metadata none leaves metadata out"))
+}
+
+/// What can be done about an error of the library, where that is to carry less.
+pub fn advice(error: &Error) -> &'static str {
+    match error {
+        Error::TooSmall { icc: 0, exif: 0, .. } => "",
+        Error::TooSmall { icc: 0, .. } => "; --metadata icc leaves it out",
+        Error::TooSmall { .. } => "; --metadata none leaves metadata out",
+        _ => "",
+    }
+}

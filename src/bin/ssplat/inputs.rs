@@ -1,0 +1,192 @@
+//! Which inputs become which outputs: files and folders to tasks, each with an output of its own.
+
+use std::collections::{HashMap, HashSet};
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use crate::failure::Failure;
+
+/// A file to work on, and the one that comes of it.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Task {
+    pub input: PathBuf,
+    pub output: PathBuf,
+}
+
+/// What is in the inputs.
+#[derive(Debug, Default)]
+pub struct Found {
+    pub tasks: Vec<Task>,
+    /// What of the inputs is not worked on, in words.
+    pub notes: Vec<String>,
+}
+
+/// Which files of a folder are taken, and how their outputs are named.
+pub struct Rules<'a> {
+    pub takes: &'a (dyn Fn(&Path) -> bool + Sync),
+    /// The extension of an output.
+    pub extension: &'a str,
+    /// Also the folders in folders.
+    pub is_recursive: bool,
+}
+
+/// Problems and names that are told one by one; of more only the number.
+const TOLD: usize = 10;
+
+/// Returns a task for each file of `inputs`, with its output in `folder`. An output has its input's name with another extension.
+/// Where several would have the same one, each keeps its own extension before that.
+pub fn find(inputs: &[PathBuf], folder: &Path, rules: &Rules) -> Result<Found, Failure> {
+    let mut named = Vec::new();
+    let mut passed = PassedOver::default();
+    let mut problems = Vec::new();
+    for input in inputs {
+        let mut files = Vec::new();
+        if input == Path::new("-") {
+            problems.push("standard input cannot be one of several inputs".to_owned());
+        } else if input.is_dir() {
+            list(input, Path::new(""), rules, &mut files, &mut passed)?;
+            files.sort();
+        } else {
+            files.push((input.clone(), PathBuf::from(input.file_name().unwrap_or(input.as_os_str()))));
+        }
+        named.extend(files);
+    }
+    let outputs = outputs(&named, rules.extension);
+    let mut taken: HashMap<&Path, &Path> = HashMap::new();
+    let mut seen = HashSet::new();
+    for ((input, _), output) in named.iter().zip(&outputs) {
+        if !seen.insert(input) {
+            problems.push(format!("{}: is named twice", input.display()));
+            continue;
+        }
+        match taken.insert(output, input) {
+            Some(other) => problems.push(format!(
+                "{} and {} would both become {}; give them a folder each",
+                other.display(),
+                input.display(),
+                folder.join(output).display()
+            )),
+            None => {}
+        }
+    }
+    if !problems.is_empty() {
+        let more = problems.len().saturating_sub(TOLD);
+        problems.truncate(TOLD);
+        if more > 0 {
+            problems.push(format!("and {more} more of the kind"));
+        }
+        return Err(Failure::usage(problems.join("\nssplat: ")));
+    }
+    let tasks = named.into_iter().zip(outputs);
+    let tasks = tasks.map(|((input, _), output)| Task { input, output: folder.join(output) }).collect();
+    Ok(Found { tasks, notes: passed.notes() })
+}
+
+/// Returns the output of each named file: with another extension, or behind its own where that is several files' output.
+fn outputs(named: &[(PathBuf, PathBuf)], extension: &str) -> Vec<PathBuf> {
+    let short = |name: &Path| name.with_extension(extension);
+    let long = |name: &Path| {
+        let mut whole = OsString::from(name.as_os_str());
+        whole.push(".");
+        whole.push(extension);
+        PathBuf::from(whole)
+    };
+    let mut outputs: Vec<PathBuf> = named.iter().map(|(_, name)| short(name)).collect();
+    // A longer name may be another file's short one: `a.gif.ssplat` is made of `a.gif` and of `a.gif.png`.
+    loop {
+        let mut times: HashMap<&Path, usize> = HashMap::new();
+        outputs.iter().for_each(|output| *times.entry(output).or_default() += 1);
+        let is_shared: Vec<bool> = outputs.iter().map(|output| times[output.as_path()] > 1).collect();
+        let mut has_changed = false;
+        for ((output, (_, name)), is_shared) in outputs.iter_mut().zip(named).zip(is_shared) {
+            if is_shared && *output != long(name) {
+                *output = long(name);
+                has_changed = true;
+            }
+        }
+        if !has_changed {
+            return outputs;
+        }
+    }
+}
+
+/// What of folders is not taken.
+#[derive(Default)]
+struct PassedOver {
+    files: Vec<PathBuf>,
+    folders: Vec<PathBuf>,
+}
+
+impl PassedOver {
+    fn notes(&self) -> Vec<String> {
+        let of = |paths: &[PathBuf], what: &str, why: &str| {
+            (!paths.is_empty()).then(|| format!("{} {what} passed over{why}: {}", paths.len(), some(paths)))
+        };
+        let files = if self.files.len() == 1 { "file is" } else { "files are" };
+        let folders = if self.folders.len() == 1 { "folder is" } else { "folders are" };
+        let files = of(&self.files, files, "");
+        files.into_iter().chain(of(&self.folders, folders, ", which --recursive takes")).collect()
+    }
+}
+
+/// The first of `paths`.
+fn some(paths: &[PathBuf]) -> String {
+    let mut names: Vec<String> = paths.iter().take(TOLD).map(|path| path.display().to_string()).collect();
+    if paths.len() > TOLD {
+        names.push("…".into());
+    }
+    names.join(", ")
+}
+
+/// Adds the files of `folder` that are taken, each with its path below the folder that was named.
+fn list(
+    folder: &Path,
+    below: &Path,
+    rules: &Rules,
+    files: &mut Vec<(PathBuf, PathBuf)>,
+    passed: &mut PassedOver,
+) -> Result<(), Failure> {
+    let io = |e| Failure::io(folder, &e);
+    let mut entries = std::fs::read_dir(folder).map_err(io)?.collect::<Result<Vec<_>, _>>().map_err(io)?;
+    entries.sort_by_key(std::fs::DirEntry::file_name);
+    for entry in entries {
+        let (path, name) = (entry.path(), below.join(entry.file_name()));
+        // Links to folders are not followed: they may lead in a circle.
+        if entry.file_type().map_err(io)?.is_dir() {
+            match rules.is_recursive {
+                true => list(&path, &name, rules, files, passed)?,
+                false => passed.folders.push(path),
+            }
+        } else if (rules.takes)(&path) {
+            files.push((path, name));
+        } else if !entry.file_name().as_encoded_bytes().starts_with(b".") {
+            passed.files.push(path);
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(names: &[&str]) -> Vec<String> {
+        let named: Vec<_> = names.iter().map(|n| (Path::new("in").join(n), PathBuf::from(n))).collect();
+        outputs(&named, "ssplat").iter().map(|o| o.display().to_string()).collect()
+    }
+
+    #[test]
+    fn files_of_one_stem_keep_their_extension_and_others_do_not() {
+        assert_eq!(of(&["a.png", "b.v2.png", "c"]), ["a.ssplat", "b.v2.ssplat", "c.ssplat"]);
+        assert_eq!(
+            of(&["anim.gif", "anim.webp", "x/anim.gif"]),
+            ["anim.gif.ssplat", "anim.webp.ssplat", "x/anim.ssplat"]
+        );
+        assert_eq!(of(&["IMG_1.JPG", "IMG_1.png", "IMG_1"]), ["IMG_1.JPG.ssplat", "IMG_1.png.ssplat", "IMG_1.ssplat"]);
+    }
+
+    #[test]
+    fn a_longer_name_that_is_taken_gets_longer_too() {
+        assert_eq!(of(&["a.gif", "a.png", "a.gif.png"]), ["a.gif.ssplat", "a.png.ssplat", "a.gif.png.ssplat"]);
+    }
+}

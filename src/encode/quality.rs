@@ -1,0 +1,241 @@
+//! A file of a quality that is asked for: the size is found by trying, and what is too good is taken out.
+
+use super::channels::widen;
+use super::file;
+use super::job::{Encoding, Outcome};
+use super::left_out::Omission;
+use super::subject::stored_scene;
+use crate::bitstream::splats::PackedSplats;
+use crate::error::{Error, Result};
+use crate::fit::model::field::{Field, Output};
+use crate::fit::model::problem::Problem;
+use crate::fit::model::removal;
+use crate::fit::model::rows::RowSet;
+use crate::limits::Limits;
+use crate::raster::View;
+use crate::round::rounded::projected;
+use crate::round::size::Size;
+use crate::ssimulacra2::{LEAST, ssimulacra2};
+
+/// Fits at most.
+const TRIES: u32 = 3;
+/// Parts of a budget of time: one for each try, and one for taking out what is too good.
+const TIMED_PARTS: u32 = TRIES + 1;
+/// Points by which a file may miss what is asked for.
+const CLOSE: f64 = 0.5;
+/// Points above it that a try aims at: what is better can be made worse without another fit, not the other way round.
+const ABOVE: f64 = 0.25;
+/// A try this far above is near enough to be made worse: a fit of fewer primitives would be better by less than .1 point.
+const NEAR: f64 = 1.5;
+/// Fewest bytes that are tried, without those of metadata.
+const LEAST_TRIED: f64 = 64.0;
+/// Share of the raw bytes that are tried at most.
+const MOST_TRIED: f64 = 1.0;
+
+/// The curve that pictures are taken to have until theirs is known: halvings of the raw bytes, and points. Kodak, the means of
+/// twelve pictures from 20 on; pictures differ by a shift along the first axis for the most part.
+/// `cargo run --release --features cli --example rate_distortion -- KODAK` measures it.
+const CURVE: [[f64; 2]; 10] = [
+    [0.5, 100.0],
+    [1.5, 97.0],
+    [2.3, 94.5],
+    [3.0, 90.5],
+    [3.9, 82.0],
+    [4.32, 76.1],
+    [5.64, 56.1],
+    [6.64, 36.7],
+    [7.64, 12.7],
+    [8.97, -23.9],
+];
+
+/// Returns the halvings at which that curve has so many points.
+fn halvings(points: f64) -> f64 {
+    let next = CURVE.iter().position(|c| c[1] <= points).unwrap_or(CURVE.len() - 1).max(1);
+    let [[from, high], [to, low]] = [CURVE[next - 1], CURVE[next]];
+    from + (to - from) * (high - points) / (high - low)
+}
+
+/// A try: halvings of the raw bytes that it took, and points.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Try {
+    halvings: f64,
+    points: f64,
+}
+
+/// Returns the halvings at which `wanted` points are expected after `tries`, the last of which say most.
+fn expected(tries: &[Try], wanted: f64) -> f64 {
+    let at = halvings(wanted);
+    match tries {
+        [] => at,
+        [one] => one.halvings + at - halvings(one.points),
+        [.., a, b] => {
+            // Two tries on the curve's own scale: a straight line through both.
+            let [from, to] = [halvings(a.points), halvings(b.points)];
+            let slope = (b.halvings - a.halvings) / (to - from);
+            // Tries that are close together, or scatter, say nothing of the slope.
+            let slope = if slope.is_finite() { slope.clamp(0.5, 2.0) } else { 1.0 };
+            b.halvings + slope * (at - to)
+        }
+    }
+}
+
+impl Encoding<'_> {
+    /// Fits the picture for `wanted` points of SSIMULACRA2.
+    pub(super) fn at_quality(&mut self, wanted: f64) -> Result<Outcome> {
+        let pixels = self.subject.original;
+        if pixels.width().min(pixels.height()) < LEAST {
+            let problem = format!(
+                "SSIMULACRA2 takes no picture of {} × {}: a side has to have {LEAST} pixels at least",
+                pixels.width(),
+                pixels.height()
+            );
+            return Err(Error::Parameter { name: "quality", problem });
+        }
+        let raw = self.subject.samples();
+        let carried = self.carried()?;
+        let share = self.clock.left().map(|time| time / TIMED_PARTS);
+        let mut best: Option<(f64, Outcome)> = None;
+        let mut tries: Vec<Try> = Vec::new();
+        while (tries.len() as u32) < TRIES {
+            if !tries.is_empty() && self.clock.left() < share {
+                break;
+            }
+            self.share = share;
+            let bytes =
+                (raw / expected(&tries, wanted + ABOVE).exp2()).clamp(LEAST_TRIED, (MOST_TRIED * raw).max(LEAST_TRIED));
+            let outcome = self.layered(Size::Bytes(carried + bytes as u64))?;
+            let points = self.points(&outcome.splats)?;
+            tries.push(Try { halvings: (raw / bytes).log2(), points });
+            let is_better = best.as_ref().is_none_or(|(found, _)| is_better(points, *found, wanted));
+            if is_better {
+                best = Some((points, outcome));
+            }
+            if (-CLOSE..NEAR).contains(&(points - wanted)) {
+                break;
+            }
+            // Neither end can be passed.
+            if (points < wanted && bytes >= MOST_TRIED * raw) || (points > wanted && bytes <= LEAST_TRIED) {
+                break;
+            }
+        }
+        let (points, mut outcome) = best.expect("one try at least");
+        outcome.quality = Some(points);
+        if points > wanted + ABOVE {
+            self.worsen(&mut outcome, wanted)?;
+        }
+        Ok(outcome)
+    }
+
+    /// Returns the points of a file with these integers of what was fitted.
+    fn points(&self, splats: &PackedSplats) -> Result<f64> {
+        let wide = (!self.subject.is_whole()).then(|| widen(splats, self.subject.channels()));
+        let splats = wide.as_ref().unwrap_or(splats);
+        // What the encoder made is no stranger's file.
+        let limits = Limits { tile_pairs: u64::MAX, work: u64::MAX, overlap: u64::MAX, ..Limits::default() };
+        let drawn = splats.renderer(&View::of_size(splats.width, splats.height), &limits)?.render(splats.depth)?;
+        Ok(ssimulacra2(self.subject.original, &drawn)?.expect("the sides were looked at"))
+    }
+
+    /// Takes out the primitives that are missed least, as long as `wanted` points are left.
+    fn worsen(&mut self, outcome: &mut Outcome, wanted: f64) -> Result<()> {
+        // What primitives are worth beside a layer is not known here.
+        if !outcome.splats.levels.is_empty() || outcome.splats.detail.is_some() {
+            return Ok(());
+        }
+        let clock = self.journal.seconds();
+        let splats = &outcome.splats;
+        let problem = Problem { scene: stored_scene(splats), target: &self.planes };
+        let drawn = projected(&splats.quantizer(), &splats.gaussians, splats.height);
+        let mut field = Field::default();
+        field.draw(&problem, &drawn, RowSet::ALL, Output::Picture);
+        let order = removal::cheapest_first(&removal::costs(&problem, &field, RowSet::ALL, &drawn));
+        let without = |count: usize| {
+            let mut is_out = vec![false; order.len()];
+            order[..count].iter().for_each(|&i| is_out[i] = true);
+            let left = splats.gaussians.iter().zip(&is_out).filter(|(_, out)| !**out).map(|(g, _)| *g);
+            PackedSplats { gaussians: left.collect(), codebook: None, ..splats.clone() }
+        };
+        // Between `sure`, without which there are points enough, and `over`, without which there are not.
+        let (mut sure, mut over, mut points) = (0, order.len() + 1, outcome.quality);
+        // The first guess is small: a point is a part of a hundred or so.
+        let mut next = order.len() / 64 + 1;
+        let enough = (order.len() / 1000).max(1);
+        while over - sure > enough && !self.clock.is_over() {
+            let count = next.clamp(sure + 1, over - 1);
+            let found = self.points(&without(count))?;
+            if found >= wanted {
+                (sure, points) = (count, Some(found));
+                if found - wanted < ABOVE {
+                    break;
+                }
+            } else {
+                over = count;
+            }
+            next = if over > order.len() { sure * 2 } else { (sure + over) / 2 };
+        }
+        if sure > 0 {
+            let mut fewer = without(sure);
+            let narrow = file::smallest(&mut fewer, 1)?;
+            let bytes = if self.subject.is_whole() { narrow } else { self.subject.file(&fewer)? };
+            if bytes.len() < outcome.bytes.len() {
+                self.journal.note(Omission::Primitives, (outcome.bytes.len() - bytes.len()) as u64, 0.0);
+                (outcome.bytes, outcome.splats, outcome.quality) = (bytes, fewer, points);
+            }
+        }
+        self.journal.stage("prune", clock);
+        Ok(())
+    }
+}
+
+/// Tells whether a file of `points` is more of what is wanted than one that has `found`: of two that are good enough the worse
+/// one, which is the smaller; else the better one.
+fn is_better(points: f64, found: f64, wanted: f64) -> bool {
+    let is_enough = |points: f64| points >= wanted - CLOSE;
+    match (is_enough(points), is_enough(found)) {
+        (true, true) => points < found,
+        (true, false) => true,
+        (false, true) => false,
+        (false, false) => points > found,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_curve_falls_and_is_met_at_its_knots() {
+        assert!(CURVE.windows(2).all(|c| c[0][0] < c[1][0] && c[0][1] > c[1][1]));
+        for [at, points] in CURVE {
+            assert!((halvings(points) - at).abs() < 1e-9, "{points}");
+        }
+        let all: Vec<f64> = (0..=100).map(|q| halvings(f64::from(q))).collect();
+        assert!(all.is_sorted_by(|a, b| a > b) && all[100] < 1.0 && all[0] < 9.0, "{all:?}");
+    }
+
+    #[test]
+    fn two_tries_find_a_picture_whose_curve_is_another() {
+        // kodim15 at effort 3: halvings of the raw bytes, and points.
+        let known = [[3.0, 87.97], [3.907, 80.33], [4.907, 69.39], [5.907, 58.49], [6.907, 44.26], [7.907, 26.3]];
+        let measured = |at: f64| {
+            let next = known.iter().position(|k| k[0] >= at).unwrap_or(known.len() - 1).max(1);
+            let [[a, p], [b, q]] = [known[next - 1], known[next]];
+            p + (q - p) * (at - a) / (b - a)
+        };
+        for wanted in [30.0, 50.0, 70.0, 85.0] {
+            let mut tries = Vec::new();
+            for _ in 0..TRIES {
+                let halvings = expected(&tries, wanted);
+                tries.push(Try { halvings, points: measured(halvings) });
+            }
+            assert!((tries[2].points - wanted).abs() < CLOSE, "{wanted}: {tries:?}");
+        }
+    }
+
+    #[test]
+    fn the_smallest_file_that_is_good_enough_is_taken() {
+        assert!(is_better(70.2, 74.0, 70.0) && !is_better(74.0, 70.2, 70.0));
+        assert!(is_better(70.2, 69.0, 70.0) && !is_better(69.0, 70.2, 70.0));
+        assert!(is_better(69.0, 60.0, 70.0) && !is_better(60.0, 69.0, 70.0));
+    }
+}

@@ -1,0 +1,49 @@
+//! Pictures of one colour that are read in tiles: no fit is needed for them here either.
+
+use super::grid::Window;
+use super::integers::error_of_part;
+use crate::bitstream::splats::PackedSplats;
+use crate::encode::constant::{constant, is_constant};
+use crate::error::Result;
+use crate::fit::model::planes::Planes;
+use crate::pixel_source::PixelSource;
+
+/// Returns the colour of a picture whose pixels are all the same. Reads `tiles`, which make up the picture of `source`, until
+/// two pixels differ. `show` is told the share that is done.
+pub(super) fn color(
+    source: &dyn PixelSource,
+    tiles: &[Window],
+    mut show: impl FnMut(f32) -> Result<()>,
+) -> Result<Option<[f32; 4]>> {
+    let mut color = None;
+    for (i, tile) in tiles.iter().enumerate() {
+        show(i as f32 / tiles.len() as f32)?;
+        let part = source.part(tile.core.bounds())?;
+        if !is_constant(&part) {
+            return Ok(None);
+        }
+        // The mean of so many equal pixels is theirs but for what adding them up loses: a single one has it exactly.
+        let own = Planes::new(&part.part([0, 0, 1, 1])?).mean;
+        if *color.get_or_insert(own) != own {
+            return Ok(None);
+        }
+    }
+    Ok(color)
+}
+
+/// Returns the integers of a picture of the one `color`, with all else as in `blank`, and their squared error.
+pub(super) fn stored(
+    source: &dyn PixelSource,
+    blank: &PackedSplats,
+    color: [f32; 4],
+    tiles: &[Window],
+) -> Result<(PackedSplats, f64)> {
+    let mut splats = blank.clone();
+    constant(&mut splats, color);
+    let mut error = 0.0;
+    for tile in tiles {
+        let target = Planes::new(&source.part(tile.core.bounds())?);
+        error += error_of_part(&target, &tile.core, &splats, splats.gaussians.iter());
+    }
+    Ok((splats, error))
+}

@@ -1,0 +1,126 @@
+//! What of a picture's metadata its file carries.
+
+use image::metadata::Orientation;
+
+use crate::options::Carry;
+
+/// What a file carries of a picture's metadata, and what it goes without.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct Carried {
+    /// The ICC profile, for [`EncodeOptions::icc`](crate::EncodeOptions::icc).
+    pub icc: Option<Vec<u8>>,
+    /// The EXIF block, for [`EncodeOptions::exif`](crate::EncodeOptions::exif).
+    pub exif: Option<Vec<u8>>,
+    /// Bytes of the profile that is left out, 0 where none is.
+    pub icc_left_out: usize,
+    /// Bytes of the EXIF block that is left out, be it for a block of the orientation alone; 0 where none is.
+    pub exif_left_out: usize,
+    /// Whether the picture was to be turned and nothing in the file says so.
+    pub is_orientation_left_out: bool,
+}
+
+impl Carry {
+    /// Returns what is carried of a picture with this ICC profile, this EXIF block and this orientation. Where the orientation
+    /// does not come from the EXIF block, as in TIFF, it is put into one.
+    ///
+    /// ```
+    /// use image::metadata::Orientation;
+    /// use ssplat::Carry;
+    ///
+    /// let carried = Carry::Needed.of(None, Some(vec![0; 20_000]), Orientation::Rotate90);
+    /// assert_eq!((carried.exif.map(|exif| exif.len()), carried.exif_left_out), (Some(26), 20_000));
+    /// ```
+    #[must_use]
+    pub fn of(self, icc: Option<Vec<u8>>, exif: Option<Vec<u8>>, orientation: Orientation) -> Carried {
+        let is_turned = orientation != Orientation::NoTransforms;
+        let alone = || is_turned.then(|| oriented(orientation));
+        let length = |block: &Option<Vec<u8>>| block.as_ref().map_or(0, Vec::len);
+        let (all_icc, all_exif) = (length(&icc), length(&exif));
+        let (icc, exif) = match self {
+            Carry::All => (icc, exif.or_else(alone)),
+            // A block with no more than the orientation stays what it is.
+            Carry::Needed if exif.as_ref().is_some_and(|exif| is_turned && exif.len() <= BLOCK) => (icc, exif),
+            Carry::Needed => (icc, alone()),
+            Carry::Icc => (icc, None),
+            Carry::None => (None, None),
+        };
+        Carried {
+            icc_left_out: if icc.is_some() { 0 } else { all_icc },
+            // A block that can hold no more than an orientation is no loss.
+            exif_left_out: if length(&exif) < all_exif && all_exif > BLOCK { all_exif } else { 0 },
+            is_orientation_left_out: is_turned && exif.is_none(),
+            icc,
+            exif,
+        }
+    }
+}
+
+/// Bytes of a block with nothing but an orientation.
+const BLOCK: usize = 26;
+
+/// Returns an EXIF block that says `orientation` and nothing else: a TIFF header, and a directory of one entry.
+fn oriented(orientation: Orientation) -> Vec<u8> {
+    let mut block = b"II*\0\x08\0\0\0\x01\0".to_vec();
+    // Tag 0x0112, type SHORT, one value; no further directory.
+    block.extend([0x12, 1, 3, 0, 1, 0, 0, 0, orientation.to_exif(), 0, 0, 0, 0, 0, 0, 0]);
+    debug_assert_eq!(block.len(), BLOCK);
+    block
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ALL: [Orientation; 8] = [
+        Orientation::NoTransforms,
+        Orientation::Rotate90,
+        Orientation::Rotate180,
+        Orientation::Rotate270,
+        Orientation::FlipHorizontal,
+        Orientation::FlipVertical,
+        Orientation::Rotate90FlipH,
+        Orientation::Rotate270FlipH,
+    ];
+
+    #[test]
+    fn what_is_needed_is_the_profile_and_the_orientation() {
+        for orientation in ALL {
+            let carried = Carry::Needed.of(Some(vec![1; 500]), Some(vec![0; 3000]), orientation);
+            assert_eq!((carried.icc, carried.icc_left_out), (Some(vec![1; 500]), 0));
+            assert_eq!((carried.exif_left_out, carried.is_orientation_left_out), (3000, false));
+            let said = carried.exif.as_deref().and_then(Orientation::from_exif_chunk);
+            assert_eq!(said, (orientation != Orientation::NoTransforms).then_some(orientation));
+            // What was carried once is carried again as it is.
+            let again = Carry::Needed.of(None, carried.exif.clone(), orientation);
+            assert_eq!((&again.exif, again.exif_left_out), (&carried.exif, 0));
+        }
+    }
+
+    #[test]
+    fn what_is_left_out_is_told() {
+        let of = |carry: Carry, exif: Option<Vec<u8>>| carry.of(Some(vec![1; 500]), exif, Orientation::Rotate180);
+        let all = of(Carry::All, Some(vec![2; 90]));
+        assert_eq!((all.icc_left_out, all.exif_left_out, all.is_orientation_left_out), (0, 0, false));
+        assert_eq!(all.exif, Some(vec![2; 90]));
+        let icc = of(Carry::Icc, Some(vec![2; 90]));
+        assert_eq!(
+            (icc.icc.is_some(), icc.exif, icc.exif_left_out, icc.is_orientation_left_out),
+            (true, None, 90, true)
+        );
+        let none = of(Carry::None, None);
+        assert_eq!(
+            (none.icc, none.icc_left_out, none.exif_left_out, none.is_orientation_left_out),
+            (None, 500, 0, true)
+        );
+    }
+
+    #[test]
+    fn an_orientation_that_no_block_says_gets_one() {
+        for carry in [Carry::All, Carry::Needed] {
+            let exif = carry.of(None, None, Orientation::Rotate270).exif;
+            assert_eq!(exif.as_deref().and_then(Orientation::from_exif_chunk), Some(Orientation::Rotate270));
+            assert_eq!(carry.of(None, None, Orientation::NoTransforms), Carried::default());
+        }
+    }
+}
