@@ -75,7 +75,7 @@ export async function run(cases, load, decoder) {
     }
   }
   const [first] = cases, bytes = await load(first.path)
-  for (const [options, kind] of [[{ region: [0, 0, 1 << 20, 1] }, "parameter"], [{ width: 1.5 }, "parameter"], [{ limits: { alloc: 1 } }, "limit"], [{ limits: { nonsense: 1 } }, "parameter"]])
+  for (const [options, kind] of [[{ region: [0, 0, 1 << 20, 1] }, "parameter"], [{ width: 1.5 }, "parameter"], [{ limits: { alloc: 1 } }, "limit"], [{ limits: { nonsense: 1 } }, "parameter"], [{ width: 0 }, "parameter"], [{ width: 8, height: 0 }, "parameter"], [{ height: 8 }, "parameter"], [{ widht: 8 }, "parameter"]])
     check((await attempt("decode", bytes, options)).kind == kind, `${JSON.stringify(options)} is not refused as ${kind}`)
   check((await attempt("decode", "text")).kind == "parameter", "text is not refused")
   check(same > 30 && refused > 40, `only ${same} files were drawn and ${refused} refused`)

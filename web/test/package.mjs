@@ -7,7 +7,7 @@ import { tmpdir } from "node:os"
 import { join } from "node:path"
 import { brotliCompressSync, constants } from "node:zlib"
 import { inChromium } from "./chromium.mjs"
-import { Machine, compile } from "../dist/machine.js"
+import { Decoder } from "../dist/ssplat.js"
 import { run, crc32, rgbaOfPam } from "./files.js"
 
 const root = new URL("../../", import.meta.url), vectors = new URL("spec/vectors/", root)
@@ -42,12 +42,12 @@ function tell(where, { problems, words }) {
 }
 
 for (const kind of ["simd", "scalar"]) {
-  const machine = new Machine(await compile(new URL(`../dist/ssplat-${kind}.wasm`, import.meta.url)))
-  tell(`Node.js, ${kind}`, await run(cases, load, machine))
+  const module = readFileSync(new URL(`../dist/ssplat-${kind}.wasm`, import.meta.url))
+  tell(`Node.js, ${kind}`, await run(cases, load, new Decoder({ module })))
 }
 const dist = new URL("../dist/", import.meta.url)
 const brotli = files => brotliCompressSync(Buffer.concat(files.map(f => readFileSync(new URL(f, dist)))), { params: { [constants.BROTLI_PARAM_LGWIN]: 24 } }).length
-const modules = ["error.js", "icc.js", "machine.js", "ssplat.js"]
+const modules = ["error.js", "icc.js", "machine.js", "source.js", "ssplat.js"]
 for (const kind of ["simd", "scalar"]) {
   const wasm = `ssplat-${kind}.wasm`, size = brotli([wasm]) + brotli(modules)
   console.log(`${wasm}: ${statSync(new URL(wasm, dist)).size} bytes, ${brotli([wasm])} as brotli, ${size} with the modules`)
@@ -62,7 +62,7 @@ execFileSync(program, ["view", shown, ...viewer, "--original", photo, "--html", 
 const told = cases.map(({ rgba, ...one }) => ({ ...one, checksum: rgba && crc32(rgba) }))
 const pages = readdirSync(new URL("pages/", import.meta.url)).filter(f => f.endsWith(".js"))
 for (const page of pages) {
-  const answer = await inChromium(root, `/web/test/pages/${page}`, told, page == "webgpu.js")
+  const answer = await inChromium(root, `/web/test/pages/${page}`, told, { webgpu: page == "webgpu.js" })
   if (answer) tell(`Chromium, ${page}`, answer)
   else if (process.env.SSPLAT_REQUIRE_BROWSER == "1") tell("Chromium", { problems: ["it is not installed"], words: page })
   else console.log(`Chromium, ${page}: skipped, it is not installed`)
