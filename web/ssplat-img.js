@@ -97,7 +97,7 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
 
   attributeChangedCallback(name) {
     if (name == "alt") this.#words.textContent = this.ariaLabel = this.alt
-    if (name == "width" || name == "height") this.#shape()
+    if (/^(width|height|loading)$/.test(name)) this.#shape()
     if (this.isConnected && /^(src|placeholder|loading)$/.test(name)) this.#load()
   }
 
@@ -105,6 +105,8 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
   #shape([w, h] = this.#size) {
     const [width, height] = ["width", "height"].map(name => Number(this.getAttribute(name)) || 0)
     const rules = [width && `width: ${width}px`, height && `height: ${height}px`, !width && !height && w && `width: ${w}px`, w && h ? `aspect-ratio: ${w} / ${h}` : width && height && `aspect-ratio: ${width} / ${height}`]
+    // Without a height all pictures of a long page would be near, and none would wait: until one is known, that of a photograph.
+    if (width && !height && !h && this.loading == "lazy") rules.push("aspect-ratio: 3 / 2")
     this.#sheet.deleteRule(this.#sheet.cssRules.length - 1)
     this.#sheet.insertRule(`:host { ${rules.filter(Boolean).join("; ")} }`, this.#sheet.cssRules.length)
   }

@@ -40,11 +40,13 @@ fn shrunk(pixels: Pixels) -> Pixels {
     Pixels::try_from(picture).expect("a picture of samples that were pixels before")
 }
 
-/// The element of `web/ssplat-img.js`, which draws the placeholder until the source is there.
+/// The element of `web/ssplat-img.js`, which draws the placeholder until the source is there. Its style keeps the picture's place
+/// free before that module is there, so that nothing moves when it comes.
 fn html(args: &args::Placeholder, [width, height]: [u32; 2], text: &str) -> String {
     let src = args.src.clone().unwrap_or_else(|| name(&args.input));
     format!(
-        "<ssplat-img src=\"{}\" alt=\"{}\" width=\"{width}\" height=\"{height}\" placeholder=\"{text}\"></ssplat-img>\n",
+        "<ssplat-img src=\"{}\" alt=\"{}\" width=\"{width}\" height=\"{height}\" style=\"display: inline-block; width: {width}px; \
+         max-width: 100%; height: auto; aspect-ratio: {width} / {height}; vertical-align: bottom\" placeholder=\"{text}\"></ssplat-img>\n",
         escaped(&src),
         escaped(args.alt.as_deref().unwrap_or_default())
     )

@@ -189,6 +189,14 @@ export async function test() {
   lazy.scrollIntoView()
   check((await event(lazy, ["load", "error"])).type == "load", "lazy never loads")
 
+  // So do those of a long page of which only a width is known.
+  const many = Array.from({ length: 60 }, () => add({ src: vector("coded-rgb"), loading: "lazy", width: 300 }, "display: block"))
+  many[0].scrollIntoView()
+  await event(many[0], ["load", "error"])
+  await new Promise(r => setTimeout(r, 500))
+  const there = many.filter(m => m.complete).length
+  check(there > 0 && there < 20, `${there} of 60 pictures are loaded at once`)
+
   // A removed element says nothing.
   const gone = add({ src: vector("coded-many") })
   gone.remove()
