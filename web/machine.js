@@ -3,6 +3,8 @@ import { SsplatError } from "./error.js"
 
 const kinds = [, "format", "version", "limit", "parameter", "internal"]
 const limits = ["width", "height", "primitives", "tilePairs", "work", "overlap", "alloc", "metadata"]
+// In the order in which the module counts them.
+const layers = ["on", "off", "alone"]
 // The memory of a module never shrinks: after a larger picture it is given back with its machine.
 const kept = 64 << 20
 const whole = (v, what, least = 0) => {
@@ -62,13 +64,14 @@ export class Machine {
   }
 
   decode(bytes, options = {}) {
-    const { region, width, height, partial = false, into } = options
+    const { region, width, height, partial = false, into, detail = "on" } = options
     if (into && !(into instanceof ArrayBuffer)) throw new SsplatError("parameter", "into is no ArrayBuffer")
+    if (!layers.includes(detail)) throw new SsplatError("parameter", `detail is ${detail}, not one of ${layers.join(", ")}`)
     const part = region ? ["left", "top", "width", "height"].map((name, k) => whole(region[k] ?? region[name], `region's ${name}`, k > 1 ? 1 : 0)) : [0, 0, 0, 0]
     if (height !== undefined && width === undefined) throw new SsplatError("parameter", "a height needs a width")
     // The module takes 0 for a side that is not asked for.
     const out = [[width, "width"], [height, "height"]].map(([v, what]) => v === undefined ? 0 : whole(v, what, 1))
-    const [[data, icc, exif], numbers] = this.#ask(bytes, options, "decode", ...part, ...out, partial ? 1 : 0)
+    const [[data, icc, exif], numbers] = this.#ask(bytes, options, "decode", ...part, ...out, partial ? 1 : 0, layers.indexOf(detail))
     const [columns, rows, channels, depth, primitives, orientation, missing] = numbers
     return { width: columns, height: rows, data: new Uint8ClampedArray(data.buffer, 0, data.length), channels, depth, primitives, orientation, missing, icc, exif }
   }
@@ -82,6 +85,7 @@ export class Machine {
   info(bytes, options = {}) {
     const [[json, icc, exif, each], numbers] = this.#ask(bytes, options, "info")
     const facts = JSON.parse(new TextDecoder().decode(json)), fields = facts.fields.map(({ name, thousandths }) => ({ name, bits: thousandths / 1000 }))
-    return { ...facts, fields, each: new Float32Array(each.buffer), orientation: numbers[5], icc, exif }
+    const detail = facts.parts.reduce((sum, { name, bytes }) => /detail layer/.test(name) ? sum + bytes : sum, 0)
+    return { ...facts, detail, fields, each: new Float32Array(each.buffer), orientation: numbers[5], icc, exif }
   }
 }

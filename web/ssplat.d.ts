@@ -32,6 +32,8 @@ export interface DecodeOptions {
   height?: number
   /** Draws what is there of a damaged or cut file that has groups. */
   partial?: boolean
+  /** Whether the detail layer is drawn: with the Gaussians, not at all, or on grey without them. */
+  detail?: "on" | "off" | "alone"
   /**
    * Memory of a former answer (`image.data.buffer`) that the pixels go into if they fit: new memory takes a part of the time of a large
    * picture. A worker takes it away (it is detached) and gives it back with its answer.
@@ -102,6 +104,8 @@ export interface Info {
   bytes: number
   layout: "packed" | "planes" | "coded"
   blend: "sum" | "normalized"
+  /** Bytes of the detail layer; 0 without one. */
+  detail: number
   /** Primitives of each progressive level. */
   levels: number[]
   /** Bytes of each part of the file. */

@@ -91,7 +91,7 @@ export class Decoder {
 
   // Pixels, of all or of a `region` [left, top, width, height], `width` and `height` pixels large, in the ArrayBuffer `into` if they fit.
   async decode(bytes, options) {
-    return asImage(await this.#ask("decode", bytes, { ...only(["region", "width", "height", "partial", "limits", "into"], options) }))
+    return asImage(await this.#ask("decode", bytes, { ...only(["region", "width", "height", "partial", "limits", "into", "detail"], options) }))
   }
 
   // Size, channels, depth, number of primitives, orientation, ICC profile and EXIF block.

@@ -32,6 +32,8 @@ const chosen = name => document.querySelector(`input[name=${name}]:checked`).val
 function choose(name, value) {
   document.querySelector(`input[name=${name}][value=${value}]`).checked = true
 }
+// What is drawn of the detail layer; "off" where there is none.
+const layer = () => info?.detail ? chosen("layers") : "off"
 const pressed = id => get(id).ariaPressed == "true"
 
 // Words in the middle of the page: what is wrong, and what was found instead. `code` is set in letters of one width.
@@ -121,6 +123,7 @@ function offer() {
   get("comparing").hidden = !original
   get("compare").ariaPressed = String(!!original)
   get("tones").hidden = !pressed("ellipses")
+  get("layers").hidden = !info?.detail
   const ends = { bits: ["few bits", "many"], error: ["small error", "large"] }[chosen("colours")]
   get("legend").hidden = !ends
   ;[get("least").textContent, get("most").textContent] = ends ?? ["", ""]
@@ -184,7 +187,8 @@ function paint() {
   const context = picture.getContext("2d"), [k, x, y] = place(), { width, height } = picture
   context.clearRect(0, 0, width, height)
   const view = { left: -x / k, top: -y / k, step: 1 / k, width, height }
-  const byDevice = device?.can(view) ?? false
+  // A device draws Gaussians, not the detail layer.
+  const byDevice = layer() == "off" && (device?.can(view) ?? false)
   stage.dataset.drawn = byDevice ? device.name : "decoder"
   if (byDevice) {
     device.draw(view)
@@ -226,11 +230,11 @@ async function redraw() {
   if (!region) return
   // At a high zoom a pixel of the picture is wider than the stage: its samples are bounded, the browser enlarges the rest.
   const width = Math.max(1, Math.min(Math.round(region[2] * scale), 4096)), height = Math.max(1, Math.min(Math.round(region[3] * scale), 4096))
-  const key = [...region, width, height].join()
+  const detail = layer(), key = [...region, width, height, detail].join()
   if (drawn?.key == key) return
   busy = true
   try {
-    const image = await decoder.decode(from, { region, width, height }), canvas = new OffscreenCanvas(width, height)
+    const image = await decoder.decode(from, { region, width, height, detail }), canvas = new OffscreenCanvas(width, height)
     canvas.getContext("2d", { colorSpace: image.colorSpace }).putImageData(image, 0, 0)
     if (from == file) drawn = { canvas, region, key }
   } catch (error) {
@@ -285,6 +289,7 @@ const keys = [
   [["0"], "fit the window", { 0: () => camera.fit() }],
   [["1"], "pixel for pixel", { 1: () => camera.actual() }],
   [["G"], "Gaussians as ellipses", { g: toggle }],
+  [["L"], "the picture, its Gaussians, its detail in turn", { l: () => info.detail && next("layers") }],
   [["C"], "their colours: own, bits, error", { c: () => pressed("ellipses") && next("colours") }],
   [["X"], "flip between the file and its original", { x: flip }],
   [["S"], "side by side, file, original in turn", { s: () => original && next("sides") }],

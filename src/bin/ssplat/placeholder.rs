@@ -5,7 +5,7 @@ use std::path::Path;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use image::DynamicImage;
-use ssplat::{EncodeOptions, Pixels, Target};
+use ssplat::{Detail, EncodeOptions, Pixels, Target};
 
 use crate::args::{self, PlaceholderFormat};
 use crate::failure::Failure;
@@ -22,6 +22,8 @@ pub fn run(args: &args::Placeholder) -> Result<(), Failure> {
     let size = [source.pixels.width(), source.pixels.height()];
     let mut options = EncodeOptions::default();
     (options.target, options.effort) = (Target::Bytes(args.bytes), args.effort);
+    // What reads placeholders without WebAssembly knows Gaussians alone.
+    options.detail = Detail::Off;
     let encoded = ssplat::encode(&shrunk(source.pixels), &options).map_err(|e| Failure::library(&args.input, &e))?;
     let text = STANDARD.encode(encoded.bytes);
     say(&match args.format {
