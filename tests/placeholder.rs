@@ -33,7 +33,11 @@ fn all_forms_hold_the_same_file_of_the_asked_size() {
     assert_eq!(uri, format!("data:image/x-ssplat;base64,{base64}"));
     let html = text(&placeholder(photo, &["--bytes", "250", "--format", "html", "--alt", "A \"girl\" & <paint>"]));
     let alt = "A &quot;girl&quot; &amp; &lt;paint>";
-    let start = format!("<ssplat-img src=\"kodim15.png\" alt=\"{alt}\" width=\"768\" height=\"512\" placeholder=\"");
+    // What that style does to a page is measured in a browser (web/test/pages/shifts.js).
+    let style = "display: inline-block; width: 768px; max-width: 100%; height: auto; aspect-ratio: 768 / 512; vertical-align: bottom";
+    let start = format!(
+        "<ssplat-img src=\"kodim15.png\" alt=\"{alt}\" width=\"768\" height=\"512\" style=\"{style}\" placeholder=\""
+    );
     assert_eq!(html, format!("{start}{}\"></ssplat-img>\n", base64.trim_end()));
 }
 

@@ -4,7 +4,7 @@
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
 use base64::Engine;
@@ -12,39 +12,16 @@ use base64::engine::general_purpose::STANDARD;
 
 const FILE: &str = "spec/vectors/valid/coded-rgb/file.ssplat";
 const PHOTO: &str = "tests/images/kodim15.png";
-const PAGE: &str = "<!doctype html><title>v</title>\n<script type=\"module\" src=\"viewer.js\"></script>\n</html>\n";
 
-/// A folder with files of the viewer's names. What they do is tried in a browser (web/test).
-fn stand_in() -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    fs::create_dir(folder.path().join("viewer")).unwrap();
-    fs::write(folder.path().join("viewer/index.html"), PAGE).unwrap();
-    let modules = [
-        "error",
-        "icc",
-        "machine",
-        "ssplat",
-        "worker",
-        "viewer/gaussians",
-        "viewer/scene",
-        "viewer/splatting",
-        "viewer/viewer",
-        "viewer/webgpu",
-    ];
-    for name in modules {
-        let text = format!("import {{ x }} from \"../machine.js\" // {name}\n");
-        fs::write(folder.path().join(format!("{name}.js")), text).unwrap();
-    }
-    for kind in ["simd", "scalar"] {
-        fs::write(folder.path().join(format!("ssplat-{kind}.wasm")), kind).unwrap();
-    }
-    folder
+fn view(input: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ssplat"));
+    command.arg("view").arg(input);
+    command
 }
 
-fn view(viewer: &Path, input: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_ssplat"));
-    command.arg("view").arg(input).env_remove("SSPLAT_VIEWER").arg("--viewer").arg(viewer);
-    command
+/// A file of the viewer's source, which the program holds. What it does is tried in a browser (web/test).
+fn source(name: &str) -> Vec<u8> {
+    fs::read(Path::new("web").join(name)).unwrap()
 }
 
 /// A server that is ended with the test.
@@ -96,12 +73,11 @@ fn status(answer: &[u8]) -> u16 {
 
 #[test]
 fn the_viewer_and_the_named_files_are_served() {
-    let viewer = stand_in();
-    let served = Serving::start(view(viewer.path(), Path::new(FILE)).args(["--original", PHOTO]));
+    let served = Serving::start(view(Path::new(FILE)).args(["--original", PHOTO]));
     assert!(served.host.starts_with("127.0.0.1:"), "{}", served.host);
     assert_eq!(served.path, "/viewer/?file=/file/file.ssplat&original=/original/kodim15.png");
     let (status, head, body) = served.get(&served.path);
-    assert_eq!((status, body.as_slice()), (200, PAGE.as_bytes()));
+    assert_eq!((status, body.as_slice()), (200, source("viewer/index.html").as_slice()));
     for line in
         ["Content-Type: text/html", "X-Content-Type-Options: nosniff", "Content-Security-Policy: default-src 'none'"]
     {
@@ -110,23 +86,43 @@ fn the_viewer_and_the_named_files_are_served() {
     assert_eq!(served.get("/file/file.ssplat").2, fs::read(FILE).unwrap());
     assert_eq!(served.get("/original/kodim15.png").2, fs::read(PHOTO).unwrap());
     let (status, head, body) = served.get("/ssplat-simd.wasm");
-    assert_eq!((status, body.as_slice()), (200, &b"simd"[..]));
+    assert_eq!((status, body.as_slice()), (200, source("ssplat-simd.wasm").as_slice()));
     assert!(head.contains("Content-Type: application/wasm"), "{head}");
+    // Every module that a module names is there.
+    let mut names = vec!["/viewer/viewer.js".to_string(), "/worker.js".to_string()];
+    let mut seen = 0;
+    while let Some(name) = names.get(seen).cloned() {
+        let (status, _, body) = served.get(&name);
+        assert_eq!((status, &body), (200, &source(name.trim_start_matches('/'))), "{name}");
+        let folder = &name[..=name.rfind('/').unwrap()];
+        for rest in String::from_utf8(body).unwrap().split("from \"").skip(1) {
+            let named = rest.split('"').next().unwrap();
+            let named = match named.strip_prefix("../") {
+                Some(above) => format!("/{above}"),
+                None => format!("{folder}{}", named.trim_start_matches("./")),
+            };
+            if !names.contains(&named) {
+                names.push(named);
+            }
+        }
+        seen += 1;
+    }
+    assert!(seen > 10, "{names:?}");
     let (status, head, _) = served.get("/");
     assert!(status == 302 && head.contains(&format!("Location: {}", served.path)), "{head}");
 }
 
 #[test]
 fn nothing_else_is_served_to_nobody_else() {
-    let viewer = stand_in();
-    fs::write(viewer.path().join("secret.js"), "secret").unwrap();
-    let served = Serving::start(&mut view(viewer.path(), Path::new(FILE)));
+    let served = Serving::start(&mut view(Path::new(FILE)));
     for path in [
-        "/secret.js",
+        "/build",
+        "/package.json",
+        "/Cargo.toml",
         "/file/",
         "/file/other.ssplat",
-        "/viewer/../secret.js",
-        "/viewer/..%2fsecret.js",
+        "/viewer/../error.js",
+        "/viewer/..%2ferror.js",
         "//etc/passwd",
         "/../../../../etc/passwd",
         "/%2e%2e/Cargo.toml",
@@ -153,11 +149,10 @@ fn nothing_else_is_served_to_nobody_else() {
 
 #[test]
 fn a_file_is_read_once() {
-    let viewer = stand_in();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a picture.ssplat");
     fs::copy(FILE, &path).unwrap();
-    let served = Serving::start(&mut view(viewer.path(), &path));
+    let served = Serving::start(&mut view(&path));
     fs::remove_file(&path).unwrap();
     assert_eq!(served.path, "/viewer/?file=/file/a_picture.ssplat");
     assert_eq!(served.get("/file/a_picture.ssplat").2, fs::read(FILE).unwrap());
@@ -166,8 +161,7 @@ fn a_file_is_read_once() {
 #[cfg(unix)]
 #[test]
 fn an_interrupt_ends_the_server() {
-    let viewer = stand_in();
-    let mut served = Serving::start(&mut view(viewer.path(), Path::new(FILE)));
+    let mut served = Serving::start(&mut view(Path::new(FILE)));
     nix::sys::signal::kill(nix::unistd::Pid::from_raw(served.child.id() as i32), nix::sys::signal::Signal::SIGINT)
         .unwrap();
     assert_eq!(served.child.wait().unwrap().code(), Some(130));
@@ -175,14 +169,13 @@ fn an_interrupt_ends_the_server() {
 
 #[test]
 fn one_page_holds_everything() {
-    let viewer = stand_in();
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("page.html");
-    let done = view(viewer.path(), Path::new(FILE)).args(["--original", PHOTO, "--html"]).arg(&out).output().unwrap();
+    let done = view(Path::new(FILE)).args(["--original", PHOTO, "--html"]).arg(&out).output().unwrap();
     assert!(done.status.success(), "{done:?}");
     let page = fs::read_to_string(&out).unwrap();
     for (id, name, bytes) in [
-        ("held-module", "ssplat-scalar.wasm", b"scalar".to_vec()),
+        ("held-module", "ssplat-simd.wasm", source("ssplat-simd.wasm")),
         ("held-file", "file.ssplat", fs::read(FILE).unwrap()),
         ("held-original", "kodim15.png", fs::read(PHOTO).unwrap()),
     ] {
@@ -191,10 +184,12 @@ fn one_page_holds_everything() {
             page.split(&start).nth(1).and_then(|rest| rest.split('<').next()).unwrap_or_else(|| panic!("no {start}"));
         assert_eq!(STANDARD.decode(text).unwrap(), bytes, "{id}");
     }
-    let module = STANDARD.encode("import { x } from \"ssplat/machine.js\" // viewer/viewer\n");
+    // Modules name each other as the page's import map does.
+    let viewer = String::from_utf8(source("viewer/viewer.js")).unwrap();
+    let module = STANDARD.encode(viewer.replace("from \"./", "from \"ssplat/").replace("from \"../", "from \"ssplat/"));
     assert!(page.contains(&format!("\"ssplat/viewer.js\":\"data:text/javascript;base64,{module}\"")));
     assert!(!page.contains("src="), "the page asks for more");
-    assert!(page.starts_with("<!doctype html><title>v</title>\n") && page.ends_with("\n</html>\n"));
+    assert!(page.starts_with("<!doctype html>\n") && page.ends_with("\n</html>\n"));
 }
 
 #[track_caller]
@@ -209,39 +204,22 @@ fn refused(output: Output, status: i32, words: &[&str]) {
 
 #[test]
 fn what_cannot_be_shown_is_refused_before_a_browser_is_asked() {
-    let viewer = stand_in();
     let broken = "spec/vectors/invalid/checksum/file.ssplat";
     for (input, status) in [("nowhere.ssplat", 3), (broken, 4), (PHOTO, 4)] {
-        refused(view(viewer.path(), Path::new(input)).args(["--html", "-"]).output().unwrap(), status, &[input]);
+        refused(view(Path::new(input)).args(["--html", "-"]).output().unwrap(), status, &[input]);
     }
-    let nowhere =
-        view(viewer.path(), Path::new(FILE)).args(["--html", "-", "--original", "nowhere.png"]).output().unwrap();
+    let nowhere = view(Path::new(FILE)).args(["--html", "-", "--original", "nowhere.png"]).output().unwrap();
     refused(nowhere, 3, &["nowhere.png"]);
-    fs::write(viewer.path().join("viewer/index.html"), "<p>another page").unwrap();
-    let page = viewer.path().join("page.html");
-    refused(view(viewer.path(), Path::new(FILE)).arg("--html").arg(&page).output().unwrap(), 4, &["index.html"]);
-    assert!(!page.exists());
-    fs::remove_file(viewer.path().join("ssplat.js")).unwrap();
-    refused(view(viewer.path(), Path::new(FILE)).args(["--html", "-"]).output().unwrap(), 3, &["ssplat.js"]);
 }
 
 #[test]
-fn without_a_viewer_the_program_says_how_to_get_one() {
+fn the_program_alone_has_the_viewer() {
     let folder = tempfile::tempdir().unwrap();
-    let program: PathBuf = folder.path().join("bin").join("ssplat");
-    fs::create_dir(program.parent().unwrap()).unwrap();
+    let [program, file] = ["ssplat", "picture.ssplat"].map(|name| folder.path().join(name));
     fs::copy(env!("CARGO_BIN_EXE_ssplat"), &program).unwrap();
-    let run = || {
-        let mut command = Command::new(&program);
-        command.args(["view", FILE, "--html", "-"]).env_remove("SSPLAT_VIEWER");
-        command
-    };
-    refused(run().output().unwrap(), 3, &["web/build", "--viewer", "SSPLAT_VIEWER"]);
-    // A variable names the folder; a viewer that is installed beside the program needs none.
-    let viewer = stand_in();
-    assert!(run().env("SSPLAT_VIEWER", viewer.path()).output().unwrap().status.success());
-    fs::create_dir(folder.path().join("share")).unwrap();
-    fs::create_dir(folder.path().join("share/ssplat")).unwrap();
-    fs::rename(viewer.path(), folder.path().join("share/ssplat/web")).unwrap();
-    assert!(run().output().unwrap().status.success());
+    fs::copy(FILE, &file).unwrap();
+    let mut command = Command::new(&program);
+    command.current_dir(folder.path()).args(["view", "picture.ssplat", "--html", "-"]);
+    let done = command.output().unwrap();
+    assert!(done.status.success() && done.stdout.len() > 300_000, "{:?}", done.status);
 }

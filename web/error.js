@@ -1,4 +1,5 @@
-// What went wrong, in the decoder's words. `kind` is format, version, limit or parameter; internal if the decoder itself failed.
+// What went wrong, in the decoder's words. `kind` is format, version, limit or parameter; network if something cannot be
+// fetched; internal if the decoder itself failed.
 export class SsplatError extends Error {
   constructor(kind, words) {
     super(words)

@@ -1,29 +1,12 @@
-// The WebAssembly module and how it is called (wasm/src/lib.rs is the other side). A machine does one thing at a time.
+// How the WebAssembly module is called (wasm/src/lib.rs is the other side). A machine does one thing at a time.
 import { SsplatError } from "./error.js"
 
 const kinds = [, "format", "version", "limit", "parameter", "internal"]
 const limits = ["width", "height", "primitives", "tilePairs", "work", "overlap", "alloc", "metadata"]
+// In the order in which the module counts them.
+const layers = ["on", "off", "alone"]
 // The memory of a module never shrinks: after a larger picture it is given back with its machine.
 const kept = 64 << 20
-// A function that needs vector instructions: `i32.const 0; i8x16.splat; i8x16.popcnt`.
-const vectors = Uint8Array.of(0, 97, 115, 109, 1, 0, 0, 0, 1, 5, 1, 96, 0, 1, 123, 3, 2, 1, 0, 10, 10, 1, 8, 0, 65, 0, 253, 15, 253, 98, 11)
-
-// The file of the module that this machine can run.
-export const moduleUrl = () => new URL(`./ssplat-${WebAssembly.validate(vectors) ? "simd" : "scalar"}.wasm`, import.meta.url)
-
-async function bytesOf(source) {
-  if (source instanceof URL && source.protocol == "file:") return (await import("node:fs/promises")).readFile(source)
-  const response = source instanceof Response ? source : await fetch(source)
-  if (!response.ok) throw new SsplatError("internal", `${response.url}: ${response.status} ${response.statusText}`)
-  return response.arrayBuffer()
-}
-
-// The compiled module of a URL, a Response, bytes or a module; without any of them, of the file beside this one.
-export async function compile(source = moduleUrl()) {
-  if (source instanceof WebAssembly.Module) return source
-  return WebAssembly.compile(source instanceof ArrayBuffer || ArrayBuffer.isView(source) ? source : await bytesOf(source))
-}
-
 const whole = (v, what, least = 0) => {
   if (Number.isInteger(v) && v >= least && v < 2 ** 32) return v
   throw new SsplatError("parameter", `${what} is ${v}, not an integer of at least ${least}`)
@@ -81,12 +64,14 @@ export class Machine {
   }
 
   decode(bytes, options = {}) {
-    const { region, width = 0, height = 0, partial = false, into } = options
+    const { region, width, height, partial = false, into, detail = "on" } = options
     if (into && !(into instanceof ArrayBuffer)) throw new SsplatError("parameter", "into is no ArrayBuffer")
+    if (!layers.includes(detail)) throw new SsplatError("parameter", `detail is ${detail}, not one of ${layers.join(", ")}`)
     const part = region ? ["left", "top", "width", "height"].map((name, k) => whole(region[k] ?? region[name], `region's ${name}`, k > 1 ? 1 : 0)) : [0, 0, 0, 0]
-    if (height && !width) throw new SsplatError("parameter", "a height needs a width")
-    const out = [whole(width, "width"), whole(height, "height")]
-    const [[data, icc, exif], numbers] = this.#ask(bytes, options, "decode", ...part, ...out, partial ? 1 : 0)
+    if (height !== undefined && width === undefined) throw new SsplatError("parameter", "a height needs a width")
+    // The module takes 0 for a side that is not asked for.
+    const out = [[width, "width"], [height, "height"]].map(([v, what]) => v === undefined ? 0 : whole(v, what, 1))
+    const [[data, icc, exif], numbers] = this.#ask(bytes, options, "decode", ...part, ...out, partial ? 1 : 0, layers.indexOf(detail))
     const [columns, rows, channels, depth, primitives, orientation, missing] = numbers
     return { width: columns, height: rows, data: new Uint8ClampedArray(data.buffer, 0, data.length), channels, depth, primitives, orientation, missing, icc, exif }
   }
@@ -100,6 +85,7 @@ export class Machine {
   info(bytes, options = {}) {
     const [[json, icc, exif, each], numbers] = this.#ask(bytes, options, "info")
     const facts = JSON.parse(new TextDecoder().decode(json)), fields = facts.fields.map(({ name, thousandths }) => ({ name, bits: thousandths / 1000 }))
-    return { ...facts, fields, each: new Float32Array(each.buffer), orientation: numbers[5], icc, exif }
+    const detail = facts.parts.reduce((sum, { name, bytes }) => /detail layer/.test(name) ? sum + bytes : sum, 0)
+    return { ...facts, detail, fields, each: new Float32Array(each.buffer), orientation: numbers[5], icc, exif }
   }
 }

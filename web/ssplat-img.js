@@ -1,7 +1,8 @@
 // <ssplat-img src alt placeholder loading width height>: an <img> for .ssplat files, drawn at the size at which it is shown.
 // Other pictures are shown as <img> shows them. `placeholder` is a small file, as base64 or data URI, seen until then.
 import { decode as drawPlaceholder } from "./placeholder.js"
-import { Decoder, colorSpace } from "./ssplat.js"
+import { Decoder, SsplatError, colorSpace } from "./ssplat.js"
+import { fetched } from "./source.js"
 
 // One worker for all elements of a page.
 let shared
@@ -35,7 +36,8 @@ img, canvas { display: block; width: 100%; height: 100%; object-fit: inherit; ob
 [hidden] { display: none }
 span { font: inherit; overflow: hidden }`
 
-export class SsplatImg extends HTMLElement {
+// A server that renders pages imports this module as well, and has no elements.
+export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
   static observedAttributes = ["src", "alt", "placeholder", "loading", "width", "height"]
   #canvas = document.createElement("canvas")
   #img = document.createElement("img")
@@ -49,6 +51,7 @@ export class SsplatImg extends HTMLElement {
   #turn = 0
   #complete = true
   #started = ""
+  #current = ""
   #stop
 
   constructor() {
@@ -69,6 +72,7 @@ export class SsplatImg extends HTMLElement {
   set loading(v) { this.setAttribute("loading", v) }
   get naturalWidth() { return this.#size[0] }
   get naturalHeight() { return this.#size[1] }
+  get currentSrc() { return this.#current }
   get complete() { return this.#complete }
   decode() {
     return new Promise((resolve, reject) => {
@@ -93,7 +97,7 @@ export class SsplatImg extends HTMLElement {
 
   attributeChangedCallback(name) {
     if (name == "alt") this.#words.textContent = this.ariaLabel = this.alt
-    if (name == "width" || name == "height") this.#shape()
+    if (/^(width|height|loading)$/.test(name)) this.#shape()
     if (this.isConnected && /^(src|placeholder|loading)$/.test(name)) this.#load()
   }
 
@@ -101,6 +105,8 @@ export class SsplatImg extends HTMLElement {
   #shape([w, h] = this.#size) {
     const [width, height] = ["width", "height"].map(name => Number(this.getAttribute(name)) || 0)
     const rules = [width && `width: ${width}px`, height && `height: ${height}px`, !width && !height && w && `width: ${w}px`, w && h ? `aspect-ratio: ${w} / ${h}` : width && height && `aspect-ratio: ${width} / ${height}`]
+    // Without a height all pictures of a long page would be near, and none would wait: until one is known, that of a photograph.
+    if (width && !height && !h && this.loading == "lazy") rules.push("aspect-ratio: 3 / 2")
     this.#sheet.deleteRule(this.#sheet.cssRules.length - 1)
     this.#sheet.insertRule(`:host { ${rules.filter(Boolean).join("; ")} }`, this.#sheet.cssRules.length)
   }
@@ -121,6 +127,7 @@ export class SsplatImg extends HTMLElement {
     this.#seen.disconnect()
     this.#file = undefined
     this.#complete = !this.src
+    this.#current = ""
     const placeholder = this.getAttribute("placeholder")
     if (placeholder) {
       try {
@@ -142,9 +149,9 @@ export class SsplatImg extends HTMLElement {
     if (this.#stop) return
     this.#seen.disconnect()
     const stop = this.#stop = new AbortController, { src } = this
+    this.#current = src
     try {
-      const response = await fetch(src, { signal: stop.signal })
-      if (!response.ok) throw new Error(`${response.status} ${response.statusText}`)
+      const response = await fetched(src, { signal: stop.signal })
       const bytes = await this.#read(response, stop.signal)
       if (stop.signal.aborted) return
       const type = response.headers.get("content-type") ?? ""
@@ -160,7 +167,7 @@ export class SsplatImg extends HTMLElement {
         const url = URL.createObjectURL(new Blob([bytes], { type }))
         try {
           this.#img.src = url
-          await this.#img.decode()
+          await this.#img.decode().catch(() => { throw new SsplatError("format", `no picture of the type ${type} that this browser knows`) })
         } finally {
           URL.revokeObjectURL(url)
         }
@@ -180,8 +187,9 @@ export class SsplatImg extends HTMLElement {
       this.#words.textContent = this.alt
       // What the placeholder shows is more than words are.
       if (this.#canvas.hidden) this.#show(this.#words)
-      console.error(`ssplat-img: ${src}: ${error.message}`)
-      this.dispatchEvent(new ErrorEvent("error", { error, message: `${src}: ${error.message}` }))
+      const message = error.message.startsWith(src) ? error.message : `${src}: ${error.message}`
+      console.error(`ssplat-img: ${message}`)
+      this.dispatchEvent(new ErrorEvent("error", { error, message }))
     }
   }
 
@@ -212,7 +220,7 @@ export class SsplatImg extends HTMLElement {
     }
     try {
       for (;;) {
-        const { done, value } = await reader.read()
+        const { done, value } = await reader.read().catch(({ message }) => { throw new SsplatError("network", `the file ends early: ${message}`) })
         if (done) return bytes.subarray(0, length)
         if (length + value.length > bytes.length) {
           const longer = new Uint8Array(Math.max(2 * bytes.length, length + value.length))
@@ -276,4 +284,5 @@ export class SsplatImg extends HTMLElement {
   }
 }
 
-customElements.define("ssplat-img", SsplatImg)
+// Two copies of the package on one page, or one that is loaded anew while it is worked on, share the name.
+if (globalThis.customElements && !customElements.get("ssplat-img")) customElements.define("ssplat-img", SsplatImg)

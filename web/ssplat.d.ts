@@ -1,7 +1,10 @@
 /** What went wrong, in the decoder's words. */
 export class SsplatError extends Error {
-  /** format: a broken file; version: a newer file; limit: sound but too large; parameter: a wrong argument; internal: the decoder failed. */
-  readonly kind: "format" | "version" | "limit" | "parameter" | "internal"
+  /**
+   * format: a broken file; version: a newer file; limit: sound but too large; parameter: a wrong argument; network: a file could not
+   * be fetched; internal: the decoder failed.
+   */
+  readonly kind: "format" | "version" | "limit" | "parameter" | "network" | "internal"
 }
 
 /** What a file may ask for; the defaults are the Rust crate's. */
@@ -23,12 +26,14 @@ export interface Limits {
 export interface DecodeOptions {
   /** Part of the picture in its own pixels: left, top, width, height. */
   region?: [number, number, number, number] | { left: number; top: number; width: number; height: number }
-  /** Columns of the output; without it one for each of the part. */
+  /** Columns of the output, at least 1; without it one for each of the part. */
   width?: number
-  /** Rows of the output; without it the part's shape is kept. */
+  /** Rows of the output, at least 1, beside a width; without it the part's shape is kept. */
   height?: number
   /** Draws what is there of a damaged or cut file that has groups. */
   partial?: boolean
+  /** Whether the detail layer is drawn: with the Gaussians, not at all, or on grey without them. */
+  detail?: "on" | "off" | "alone"
   /**
    * Memory of a former answer (`image.data.buffer`) that the pixels go into if they fit: new memory takes a part of the time of a large
    * picture. A worker takes it away (it is detached) and gives it back with its answer.
@@ -99,6 +104,8 @@ export interface Info {
   bytes: number
   layout: "packed" | "planes" | "coded"
   blend: "sum" | "normalized"
+  /** Bytes of the detail layer; 0 without one. */
+  detail: number
   /** Primitives of each progressive level. */
   levels: number[]
   /** Bytes of each part of the file. */
@@ -118,14 +125,15 @@ type Bytes = Uint8Array | ArrayBuffer
 type Source = URL | string | Response | ArrayBuffer | Uint8Array | WebAssembly.Module
 
 export interface DecoderOptions {
-  /** Decode beside the page, where there are workers. */
+  /** Decode beside the page. Where there are no workers, or none may start, the calling thread decodes. */
   worker?: boolean
-  /** The WebAssembly, if it is not the file beside this one. With `worker` not a Response. */
+  /** The WebAssembly, if it is not that of the package. */
   module?: Source
 }
 
 /** Draws and describes files. */
 export class Decoder {
+  /** Throws a SsplatError of the kind "parameter" for an option that there is not. */
   constructor(options?: DecoderOptions)
   /** Rejects with a SsplatError, as all of these do. */
   decode(bytes: Bytes, options?: DecodeOptions): Promise<Pixels>

@@ -1,6 +1,7 @@
 // .ssplat files in the browser and in Node.js: decode, header, gaussians and info by WebAssembly, here or in a worker.
 import { SsplatError } from "./error.js"
-import { Machine, compile } from "./machine.js"
+import { Machine } from "./machine.js"
+import { compile, workers } from "./source.js"
 import { colorSpace } from "./icc.js"
 
 export { SsplatError, compile, colorSpace }
@@ -11,68 +12,102 @@ function asImage({ data, width, height, ...facts }) {
   return Object.assign(new ImageData(data, width, height, { colorSpace: colorSpace(facts.icc) }), facts)
 }
 
+// Options of these names. Another name is a slip of whoever calls.
+function only(names, options = {}) {
+  for (const name of Object.keys(options)) if (!names.includes(name)) throw new SsplatError("parameter", `no option is called ${name}; there are ${names.join(", ")}`)
+  return options
+}
+
+// A worker that holds the module; nothing where its script does not start.
+async function begun(start, module) {
+  let worker
+  try {
+    worker = await start()
+    const ready = new Promise((resolve, reject) => Object.assign(worker, { onmessage: resolve, onerror: reject }))
+    // It may fail before the module is there.
+    ready.catch(() => {})
+    worker.postMessage({ module: await module })
+    await ready
+    return worker
+  } catch {
+    worker?.terminate()
+  }
+}
+
 // Draws and describes files. `worker: true` does so beside the page, where there are workers; `module` is the WebAssembly
-// as a URL, a Response, bytes or a compiled module, if it is not the file beside this one.
+// as a URL, a Response, bytes or a compiled module, if it is not that of the package.
 export class Decoder {
+  #module
   #machine
   #worker
   #waiting = new Map
   #count = 0
+  #closed = false
 
-  constructor({ worker = false, module } = {}) {
-    if (!worker || typeof Worker == "undefined") {
-      this.#machine = compile(module).then(module => new Machine(module))
-      // Whoever asks first is told.
-      this.#machine.catch(() => {})
-      return
-    }
-    this.#worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" })
-    this.#worker.onmessage = ({ data: { id, answer, kind, message } }) => {
-      const { resolve, reject } = this.#waiting.get(id)
-      this.#waiting.delete(id)
-      if (kind) reject(new SsplatError(kind, message))
-      else resolve(answer)
-    }
-    this.#worker.onerror = event => this.#stop(`the worker failed: ${event.message}`)
-    this.#worker.postMessage({ question: "start", source: module instanceof URL ? module.href : module })
+  constructor(options) {
+    const { worker = false, module } = only(["worker", "module"], options)
+    this.#module = compile(module)
+    // Whoever asks first is told.
+    this.#module.catch(() => {})
+    if (worker && typeof Worker != "undefined") (this.#worker = this.#hire()).catch(() => {})
   }
 
-  #stop(words) {
+  // Takes the first worker that starts; nothing if none does, as where the page's policy forbids it.
+  async #hire() {
+    for (const start of workers()) {
+      const worker = await begun(start, this.#module)
+      await this.#module
+      if (!worker) continue
+      worker.onmessage = ({ data: { id, answer, kind, message } }) => {
+        const { resolve, reject } = this.#waiting.get(id)
+        this.#waiting.delete(id)
+        if (kind) reject(new SsplatError(kind, message))
+        else resolve(answer)
+      }
+      worker.onerror = event => this.#stop(`the worker failed: ${event.message}`, worker)
+      if (this.#closed) worker.terminate()
+      return worker
+    }
+    console.warn("ssplat: no worker starts here, the page's thread decodes")
+  }
+
+  #stop(words, worker) {
+    worker?.terminate()
     for (const { reject } of this.#waiting.values()) reject(new SsplatError("internal", words))
     this.#waiting.clear()
-    this.#worker?.terminate()
-    this.#worker = undefined
-    this.#machine = Promise.reject(new SsplatError("internal", words))
-    this.#machine.catch(() => {})
+    this.#closed = words
   }
 
   async #ask(question, bytes, options) {
-    if (!this.#worker) return (await this.#machine)[question](bytes, options)
+    const worker = await this.#worker, module = await this.#module
+    if (this.#closed) throw new SsplatError("internal", this.#closed)
+    if (!worker) return (this.#machine ??= new Machine(module))[question](bytes, options)
     const id = ++this.#count
     return new Promise((resolve, reject) => {
       this.#waiting.set(id, { resolve, reject })
-      this.#worker.postMessage({ id, question, bytes, options }, options.into instanceof ArrayBuffer ? [options.into] : [])
+      worker.postMessage({ id, question, bytes, options }, options.into instanceof ArrayBuffer ? [options.into] : [])
     })
   }
 
   // Pixels, of all or of a `region` [left, top, width, height], `width` and `height` pixels large, in the ArrayBuffer `into` if they fit.
-  async decode(bytes, options = {}) {
-    const { region, width, height, partial, limits, into } = options
-    return asImage(await this.#ask("decode", bytes, { region, width, height, partial, limits, into }))
+  async decode(bytes, options) {
+    return asImage(await this.#ask("decode", bytes, { ...only(["region", "width", "height", "partial", "limits", "into", "detail"], options) }))
   }
 
   // Size, channels, depth, number of primitives, orientation, ICC profile and EXIF block.
-  header = (bytes, { limits } = {}) => this.#ask("header", bytes, { limits })
+  header = async (bytes, options) => this.#ask("header", bytes, { ...only(["limits"], options) })
 
   // Typed arrays of all Gaussians.
-  gaussians = (bytes, { limits } = {}) => this.#ask("gaussians", bytes, { limits })
+  gaussians = async (bytes, options) => this.#ask("gaussians", bytes, { ...only(["limits"], options) })
 
   // Everything of the header, and where the bytes go.
-  info = (bytes, { limits } = {}) => this.#ask("info", bytes, { limits })
+  info = async (bytes, options) => this.#ask("info", bytes, { ...only(["limits"], options) })
 
   // Ends the worker; what was asked and not answered fails.
   close() {
-    this.#stop("the decoder was closed")
+    const words = "the decoder was closed"
+    this.#stop(words)
+    this.#worker?.then(worker => worker?.terminate(), () => {})
   }
 }
 

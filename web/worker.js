@@ -1,11 +1,14 @@
-// A machine in a thread of its own: questions in, answers out.
-import { Machine, compile } from "./machine.js"
+// A machine in a thread of its own: a module first, then questions in, answers out.
+import { Machine } from "./machine.js"
 
 let machine
-onmessage = async ({ data: { id, source, question, bytes, options } }) => {
+onmessage = ({ data: { id, module, question, bytes, options } }) => {
   try {
-    if (question == "start") return machine = compile(source).then(module => new Machine(module))
-    const answer = (await machine)[question](bytes, options)
+    if (module) {
+      machine = new Machine(module)
+      return postMessage({ ready: true })
+    }
+    const answer = machine[question](bytes, options)
     const buffers = Object.values(answer).filter(ArrayBuffer.isView).map(v => v.buffer)
     postMessage({ id, answer }, { transfer: [...new Set(buffers)] })
   } catch ({ kind = "internal", message }) {

@@ -70,6 +70,8 @@ export async function run(names, load) {
       if (name.startsWith("coded-") && !name.includes("codebook")) check(result.kind == "format", `${folder}/${name}: ${result.kind}, ${result.message}`)
       refused++
     }
+  const whole = await load(`valid/${names.valid.find(name => name == "coded-rgb")}/file.ssplat`)
+  for (const size of [[0], [8, 0], [1.5], [-1]]) check(attempt(b => decode(b, ...size), whole).kind == "parameter", `a size of ${size} is not refused`)
   check(drawn > 10, `only ${drawn} vectors were drawn`)
   return { problems, words: `${drawn} vectors drawn, ${refused} refused, ${damaged} broken on purpose` }
 }

@@ -5,12 +5,14 @@ import { createServer } from "node:http"
 import { tmpdir } from "node:os"
 import { join } from "node:path"
 
-const types = { html: "text/html", js: "text/javascript", wasm: "application/wasm", png: "image/png", css: "text/css" }
+const types = { html: "text/html", js: "text/javascript", mjs: "text/javascript", wasm: "application/wasm", png: "image/png", css: "text/css" }
 // Not a matter of speed: a page that never answers is a failure.
 const patience = 240_000
 
-// Without an adapter for WebGPU unless it is asked for one.
-export async function inChromium(root, module, given, webgpu = false) {
+export const typeOf = path => types[path.split(".").pop()] ?? "application/octet-stream"
+
+// Without an adapter for WebGPU unless `webgpu`. `serve` answers paths that are not the repository's: {body, headers}, or nothing.
+export async function inChromium(root, module, given, { webgpu = false, serve = () => {} } = {}) {
   const home = mkdtempSync(join(tmpdir(), "ssplat-chromium-"))
   let finish
   const answer = new Promise(resolve => finish = resolve)
@@ -24,7 +26,7 @@ try {
   await say({ problems: [String(error.stack)], words: "stopped" })
 }
 </script>`
-  const server = createServer((request, response) => {
+  const server = createServer(async (request, response) => {
     const path = new URL(request.url, "http://localhost").pathname
     if (path == "/answer") {
       const chunks = []
@@ -36,11 +38,12 @@ try {
     }
     try {
       if (path == "/") return response.writeHead(200, { "content-type": "text/html" }).end(page)
+      const served = await serve(request.url)
+      if (served) return response.writeHead(200, { "content-type": typeOf(path), ...served.headers }).end(served.body)
       // Only the repository's own.
       if (!/^\/(web|spec|tests\/images)\//.test(path)) throw new Error(path)
-      const type = types[path.split(".").pop()] ?? "application/octet-stream"
       const body = readFileSync(new URL(`.${path}`, root))
-      response.writeHead(200, { "content-type": type }).end(body)
+      response.writeHead(200, { "content-type": typeOf(path) }).end(body)
     } catch {
       response.writeHead(404).end()
     }

@@ -75,8 +75,12 @@ export async function run(cases, load, decoder) {
     }
   }
   const [first] = cases, bytes = await load(first.path)
-  for (const [options, kind] of [[{ region: [0, 0, 1 << 20, 1] }, "parameter"], [{ width: 1.5 }, "parameter"], [{ limits: { alloc: 1 } }, "limit"], [{ limits: { nonsense: 1 } }, "parameter"]])
+  for (const [options, kind] of [[{ region: [0, 0, 1 << 20, 1] }, "parameter"], [{ width: 1.5 }, "parameter"], [{ limits: { alloc: 1 } }, "limit"], [{ limits: { nonsense: 1 } }, "parameter"], [{ width: 0 }, "parameter"], [{ width: 8, height: 0 }, "parameter"], [{ height: 8 }, "parameter"], [{ widht: 8 }, "parameter"], [{ detail: "none" }, "parameter"]])
     check((await attempt("decode", bytes, options)).kind == kind, `${JSON.stringify(options)} is not refused as ${kind}`)
+  // Of a file without a detail layer nothing is left out, and nothing but grey is that layer.
+  const [on, off, alone] = await Promise.all(["on", "off", "alone"].map(detail => attempt("decode", bytes, { detail })))
+  check(on.data?.every((v, i) => v == off.data?.[i]), "without a detail layer more than the Gaussians is drawn")
+  check(alone.data?.every((v, i) => i % 4 == 3 || v == alone.data[0]), "a detail layer is drawn where there is none")
   check((await attempt("decode", "text")).kind == "parameter", "text is not refused")
   check(same > 30 && refused > 40, `only ${same} files were drawn and ${refused} refused`)
   return { problems, words: `${same} files with the native samples, ${refused} refused, ${broken} broken on purpose` }

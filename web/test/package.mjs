@@ -2,12 +2,12 @@
 // PROGRAM is the native `ssplat`, whose samples the package must give; without it, target/release/ssplat.
 // With SSPLAT_REQUIRE_BROWSER=1 a missing Chromium is a failure, otherwise the browser is named as skipped.
 import { execFileSync } from "node:child_process"
-import { mkdtempSync, readFileSync, readdirSync, rmSync, statSync } from "node:fs"
+import { mkdtempSync, readFileSync, readdirSync, rmSync, statSync, writeFileSync } from "node:fs"
 import { tmpdir } from "node:os"
 import { join } from "node:path"
 import { brotliCompressSync, constants } from "node:zlib"
 import { inChromium } from "./chromium.mjs"
-import { Machine, compile } from "../dist/machine.js"
+import { Decoder } from "../dist/ssplat.js"
 import { run, crc32, rgbaOfPam } from "./files.js"
 
 const root = new URL("../../", import.meta.url), vectors = new URL("spec/vectors/", root)
@@ -41,28 +41,32 @@ function tell(where, { problems, words }) {
   failed ||= problems.length > 0
 }
 
-for (const kind of ["simd", "scalar"]) {
-  const machine = new Machine(await compile(new URL(`../dist/ssplat-${kind}.wasm`, import.meta.url)))
-  tell(`Node.js, ${kind}`, await run(cases, load, machine))
+// The last is what the program holds.
+for (const path of ["dist/ssplat-simd.wasm", "dist/ssplat-scalar.wasm", "ssplat-simd.wasm"]) {
+  const module = readFileSync(new URL(`../${path}`, import.meta.url))
+  tell(`Node.js, ${path}`, await run(cases, load, new Decoder({ module })))
 }
 const dist = new URL("../dist/", import.meta.url)
 const brotli = files => brotliCompressSync(Buffer.concat(files.map(f => readFileSync(new URL(f, dist)))), { params: { [constants.BROTLI_PARAM_LGWIN]: 24 } }).length
-const modules = ["error.js", "icc.js", "machine.js", "ssplat.js"]
+const modules = ["error.js", "icc.js", "machine.js", "source.js", "ssplat.js"]
 for (const kind of ["simd", "scalar"]) {
   const wasm = `ssplat-${kind}.wasm`, size = brotli([wasm]) + brotli(modules)
   console.log(`${wasm}: ${statSync(new URL(wasm, dist)).size} bytes, ${brotli([wasm])} as brotli, ${size} with the modules`)
   if (size > budget) tell("size", { problems: [`${size} bytes as brotli are more than ${budget}`], words: wasm })
 }
 
-const photo = new URL("tests/images/kodim05.png", root).pathname, shown = new URL("valid/coded-rgb/file.ssplat", vectors).pathname, viewer = ["--viewer", dist.pathname]
-execFileSync(program, ["view", shown, ...viewer, "--html", new URL("packed.html", dist).pathname])
-execFileSync(program, ["view", shown, ...viewer, "--original", photo, "--html", new URL("packed-original.html", dist).pathname])
+const photo = new URL("tests/images/kodim05.png", root).pathname, shown = new URL("valid/coded-rgb/file.ssplat", vectors).pathname
+execFileSync(program, ["view", shown, "--html", new URL("packed.html", dist).pathname])
+execFileSync(program, ["view", shown, "--original", photo, "--html", new URL("packed-original.html", dist).pathname])
+// The element as a page has it, showing a file of this repository.
+const element = execFileSync(program, ["placeholder", photo, "--format", "html", "--effort", "1", "--src", "/web/viewer/samples/motocross.ssplat"])
+writeFileSync(new URL("placeholder.html", dist), element)
 
 // Browsers are told the checksums, not the samples.
 const told = cases.map(({ rgba, ...one }) => ({ ...one, checksum: rgba && crc32(rgba) }))
 const pages = readdirSync(new URL("pages/", import.meta.url)).filter(f => f.endsWith(".js"))
 for (const page of pages) {
-  const answer = await inChromium(root, `/web/test/pages/${page}`, told, page == "webgpu.js")
+  const answer = await inChromium(root, `/web/test/pages/${page}`, told, { webgpu: page == "webgpu.js" })
   if (answer) tell(`Chromium, ${page}`, answer)
   else if (process.env.SSPLAT_REQUIRE_BROWSER == "1") tell("Chromium", { problems: ["it is not installed"], words: page })
   else console.log(`Chromium, ${page}: skipped, it is not installed`)

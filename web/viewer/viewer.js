@@ -2,9 +2,12 @@
 // What is seen is drawn at the screen's pixels: by WebGPU or WebGL2 where they can, else by the decoder. With ?draw=webgpu, webgl or
 // decoder it is that one, or the decoder.
 import { Decoder, colorSpace } from "../ssplat.js"
+import { Camera, times } from "./camera.js"
+import { facts, size, summary } from "./facts.js"
+import { found, isOurs, isPicture } from "./found.js"
+import { ellipses as drawEllipses, errorsOf, tonesOfBits, tonesOfErrors } from "./gaussians.js"
 import { Splatting } from "./splatting.js"
 import { WebGpuSplatting } from "./webgpu.js"
-import { ellipses as drawEllipses, errorsOf, tonesOfBits, tonesOfErrors } from "./gaussians.js"
 
 const get = id => document.getElementById(id)
 // What a page of one file holds in itself (`ssplat view --html`).
@@ -12,128 +15,167 @@ const held = id => get(id) && Uint8Array.from(atob(get(id).textContent), c => c.
 const stage = get("stage"), picture = get("picture"), overlay = get("overlay")
 const asked = new URLSearchParams(location.search)
 const decoder = get("held-module") ? new Decoder({ module: held("held-module") }) : new Decoder({ worker: true })
-const say = words => get("status").textContent = words
-const number = v => v.toLocaleString("en")
+const samples = [["parrots", "Parrots"], ["motocross", "Motocross"], ["portrait", "Portrait"]]
 let file, info, all, original
 // What colours the Gaussians, for each choice that there is.
 let tones = {}
 // Draws on the graphics device; nothing where there is none that can, and until one is found.
 let device
-// CSS pixels a pixel of the picture, and where the picture's corner is on the stage.
-let zoom = 1, left = 0, top_ = 0
 // What was decoded last: a canvas and the part of the picture that it shows.
 let drawn
 let busy = false, stale = false
+// Where the border to the original is, in hundredths of the stage.
+let border = 50
+const camera = new Camera(stage, () => show())
 
-function table(caption, rows) {
-  const element = document.createElement("table")
-  element.createCaption().textContent = caption
-  for (const row of rows) {
-    const line = element.insertRow()
-    for (const cell of row) line.insertCell().textContent = cell
-  }
-  return element
+const chosen = name => document.querySelector(`input[name=${name}]:checked`).value
+function choose(name, value) {
+  document.querySelector(`input[name=${name}][value=${value}]`).checked = true
+}
+// What is drawn of the detail layer; "off" where there is none.
+const layer = () => info?.detail ? chosen("layers") : "off"
+const pressed = id => get(id).ariaPressed == "true"
+
+// Words in the middle of the page: what is wrong, and what was found instead. `code` is set in letters of one width.
+function tell(title, words, code = "") {
+  const [first, second] = get("message").querySelectorAll("p")
+  get("message").querySelector("h2").textContent = title
+  first.textContent = words
+  second.hidden = !code
+  second.replaceChildren(Object.assign(document.createElement("code"), { textContent: code }))
+  get("empty").hidden = true
+  get("message").hidden = false
+  get("another").focus()
 }
 
-function describe() {
-  const kinds = ["", "grey", "grey and alpha", "colour", "colour and alpha"], each = bits => info.primitives ? (bits / info.primitives).toFixed(2) : "–"
-  get("panel").replaceChildren(
-    table("Picture", [["size", `${info.width} × ${info.height}`], ["channels", kinds[info.channels]], ["depth", `${info.depth} bits`], ["orientation", info.orientation], ["ICC profile", `${info.icc.length} bytes`], ["EXIF", `${info.exif.length} bytes`]]),
-    table("File", [["bytes", number(info.bytes)], ["layout", info.layout], ["blend", info.blend], ["Gaussians", number(info.primitives)], ["levels", Math.max(1, info.levels.length)], ["groups", info.groups], ["codebook", info.codebook || "none"]]),
-    table("Parts, bytes", info.parts.map(p => [p.name, number(p.bytes)])),
-    ...info.sections.length ? [table("Sections, bytes", info.sections.map(s => [s.name, number(s.bytes)]))] : [],
-    table("Bits a Gaussian", info.fields.map(f => [f.name, each(f.bits)])),
-  )
+function dismiss() {
+  get("message").hidden = true
+  if (!info) welcome()
+}
+
+// The page before there is a file: what this is, and three to try.
+async function welcome() {
+  get("empty").hidden = false
+  if (get("samples").children.length > 1) return
+  try {
+    const cards = await Promise.all(samples.map(async ([name, title]) => {
+      const response = await fetch(`samples/${name}.ssplat`)
+      if (!response.ok) throw new Error(response.statusText)
+      const bytes = new Uint8Array(await response.arrayBuffer()), card = Object.assign(document.createElement("button"), { className: "sample" })
+      const canvas = document.createElement("canvas"), line = document.createElement("span"), image = await decoder.decode(bytes, { width: 420 })
+      Object.assign(canvas, { width: image.width, height: image.height }).getContext("2d", { colorSpace: image.colorSpace }).putImageData(image, 0, 0)
+      line.append(title, Object.assign(document.createElement("small"), { textContent: size(bytes.length) }))
+      card.append(canvas, line)
+      card.onclick = () => take(bytes, `${name}.ssplat`)
+      return card
+    }))
+    if (get("samples").children.length > 1) return
+    get("samples").append(...cards)
+    get("samples").hidden = false
+  } catch {
+    // A server of the viewer need not have them.
+  }
 }
 
 async function open(bytes, name) {
-  say(`Reading ${name}`)
+  get("wait").hidden = false
   try {
     const read = await decoder.info(bytes), gaussians = await decoder.gaussians(bytes)
     ;[file, info, all, drawn] = [bytes, read, gaussians, undefined]
     tones = info.each.length ? { bits: tonesOfBits(info.each) } : {}
-    get("colours").value = "own"
     compareWith(undefined)
     device?.load(all, info.blend, colorSpace(info.icc))
     get("name").textContent = document.title = name
-    get("hint").hidden = true
-    describe()
-    fit()
+    get("summary").textContent = summary(info)
+    get("described").replaceChildren(...facts(info))
+    for (const id of ["empty", "message"]) get(id).hidden = true
+    get("tools").hidden = false
+    stage.classList.remove("vacant")
+    camera.take(info.width, info.height)
+    stage.focus()
   } catch (error) {
-    say(`${name}: ${error.message}`)
+    const titles = { format: `${name} is broken`, version: `${name} is of a newer version`, limit: `${name} is too large` }
+    tell(titles[error.kind] ?? `${name} cannot be shown`, `The decoder says: ${error.message}.`, error.kind == "format" ? `${size(bytes.length)}, beginning with ${found(bytes).start}` : "")
     console.error(error)
+  } finally {
+    get("wait").hidden = true
   }
 }
 
-function fit() {
-  if (!info) return
-  const { clientWidth: w, clientHeight: h } = stage
-  zoom = Math.min(w / info.width, h / info.height)
-  ;[left, top_] = [(w - info.width * zoom) / 2, (h - info.height * zoom) / 2]
-  show()
+// A file that was dropped, chosen or asked for: a .ssplat file is shown, another picture is its original.
+async function take(buffer, name) {
+  const bytes = new Uint8Array(buffer)
+  if (isOurs(bytes)) return open(bytes, name)
+  const { kind, start } = found(bytes)
+  if (info) {
+    const image = await createImageBitmap(new Blob([bytes])).catch(() => undefined)
+    if (image) return compareWith(image)
+    return tell(`${name} cannot be compared with`, `It is ${kind ?? "of a kind that is not known here"}. The original is a picture that this browser can show.`, start && `It begins with ${start}`)
+  }
+  const advice = isPicture(bytes) ? ` The program makes one of it: ssplat encode ${name} ${name.replace(/\.[^.]*$/, "")}.ssplat` : ""
+  tell(`${name} is not an .ssplat file`, `It is ${kind ?? "of a kind that is not known here"}.${advice}`, start && `It begins with ${start}; an .ssplat file with 89 53 53 50`)
 }
 
-// Zooms by `factor` and keeps the point (x, y) of the stage where it is.
-function zoomBy(factor, x = stage.clientWidth / 2, y = stage.clientHeight / 2) {
-  if (!info) return
-  const next = Math.min(Math.max(zoom * factor, 1 / 256), 4096), k = next / zoom
-  ;[zoom, left, top_] = [next, x - (x - left) * k, y - (y - top_) * k]
-  show()
-}
-
-function move(dx, dy) {
-  left += dx
-  top_ += dy
-  show()
-}
-
-// What the Gaussians can be coloured by.
+// What the Gaussians can be coloured by, and what is seen beside the picture.
 function offer() {
-  for (const choice of get("colours").options) choice.disabled = choice.value != "own" && !tones[choice.value]
-  if (get("colours").selectedOptions[0].disabled) get("colours").value = "own"
+  for (const choice of document.querySelectorAll("input[name=colours]")) choice.disabled = choice.value != "own" && !tones[choice.value]
+  if (chosen("colours") != "own" && !tones[chosen("colours")]) choose("colours", "own")
+  get("comparing").hidden = !original
+  get("compare").ariaPressed = String(!!original)
+  get("tones").hidden = !pressed("ellipses")
+  get("layers").hidden = !info?.detail
+  const ends = { bits: ["few bits", "many"], error: ["small error", "large"] }[chosen("colours")]
+  get("legend").hidden = !ends
+  ;[get("least").textContent, get("most").textContent] = ends ?? ["", ""]
+  show()
 }
 
 // Takes a picture to compare with, or none.
 async function compareWith(picture) {
   original = picture
   delete tones.error
+  choose("sides", "both")
   offer()
-  get("comparing").hidden = !picture
   if (!picture) return
-  show()
   // Errors are seen as well in a picture of this width.
-  const from = file, width = Math.min(info.width, 1024), decoded = await decoder.decode(file, { width }).catch(error => say(error.message))
+  const from = file, width = Math.min(info.width, 1024), decoded = await decoder.decode(file, { width }).catch(error => console.error(error))
   if (!decoded || from != file || original != picture) return
   const canvas = new OffscreenCanvas(decoded.width, decoded.height), context = canvas.getContext("2d", { colorSpace: decoded.colorSpace })
   context.imageSmoothingQuality = "high"
   context.drawImage(picture, 0, 0, canvas.width, canvas.height)
   tones.error = tonesOfErrors(errorsOf(all, decoded, context.getImageData(0, 0, canvas.width, canvas.height, { colorSpace: decoded.colorSpace })))
   offer()
-  ellipses()
-}
-
-// A file that was dropped, chosen or asked for: a .ssplat file is shown, another picture is its original.
-async function take(bytes, name) {
-  const start = new Uint8Array(bytes, 0, Math.min(4, bytes.byteLength)), ours = [0x89, 0x53, 0x53, 0x50].every((v, i) => start[i] == v)
-  if (ours || !info) return open(bytes, name)
-  try {
-    await compareWith(await createImageBitmap(new Blob([bytes])))
-  } catch (error) {
-    say(`${name}: neither a .ssplat file nor a picture that this browser knows`)
-    console.error(error)
-  }
 }
 
 // Where the picture is in the canvas: pixels of the canvas a pixel of the picture, and its corner.
-const place = () => [zoom, left, top_].map(v => v * devicePixelRatio)
+const place = () => [camera.zoom, camera.left, camera.top].map(v => v * devicePixelRatio)
 
-// Says what is seen, and has it drawn with the screen's next picture.
+// Has what is seen drawn with the screen's next picture, and says it.
 let waiting = false
 function show() {
   if (!info) return
-  say(`${info.width} × ${info.height}, ${number(info.primitives)} Gaussians in ${number(info.bytes)} bytes, shown at ${(100 * zoom).toPrecision(3)} %${legend()}`)
+  get("zoom").textContent = times(camera.zoom)
+  const part = { file: "the file", both: "the file beside its original", original: "the original" }[original ? chosen("sides") : "file"]
+  get("status").textContent = `${get("name").textContent}, ${part} at ${times(camera.zoom)}${pressed("ellipses") ? ", with Gaussians" : ""}`
+  get("border").hidden = !original || chosen("sides") != "both"
+  get("border").style.left = `${border}%`
+  get("border").ariaValueNow = String(Math.round(border))
   if (!waiting) requestAnimationFrame(paint)
   waiting = true
+}
+
+// Squares under what can be seen through.
+let board
+function pattern(context) {
+  if (!board) {
+    const tile = new OffscreenCanvas(24, 24), squares = tile.getContext("2d")
+    squares.fillStyle = "#c8c8c8"
+    squares.fillRect(0, 0, 24, 24)
+    squares.fillStyle = "#f2f2f2"
+    for (const at of [0, 12]) squares.fillRect(at, at, 12, 12)
+    board = context.createPattern(tile, "repeat")
+  }
+  return board
 }
 
 function paint() {
@@ -145,7 +187,8 @@ function paint() {
   const context = picture.getContext("2d"), [k, x, y] = place(), { width, height } = picture
   context.clearRect(0, 0, width, height)
   const view = { left: -x / k, top: -y / k, step: 1 / k, width, height }
-  const byDevice = device?.can(view) ?? false
+  // A device draws Gaussians, not the detail layer.
+  const byDevice = layer() == "off" && (device?.can(view) ?? false)
   stage.dataset.drawn = byDevice ? device.name : "decoder"
   if (byDevice) {
     device.draw(view)
@@ -154,53 +197,48 @@ function paint() {
     const [left, top, w, h] = drawn.region, [x0, y0, x1, y1] = [x + left * k, y + top * k, x + (left + w) * k, y + (top + h) * k].map(Math.round)
     context.drawImage(drawn.canvas, x0, y0, x1 - x0, y1 - y0)
   }
-  if (original) {
-    const border = Math.round(width * get("split").value / 100)
+  if (original && chosen("sides") != "file") {
+    const from = chosen("sides") == "both" ? Math.round(width * border / 100) : 0
     context.save()
     context.beginPath()
-    context.rect(border, 0, width - border, height)
+    context.rect(from, 0, width - from, height)
     context.clip()
     // Its pixels are seen where they are enlarged.
     context.imageSmoothingEnabled = k * info.width < original.width
     context.clearRect(0, 0, width, height)
     context.drawImage(original, x, y, info.width * k, info.height * k)
     context.restore()
-    context.fillStyle = "#fff"
-    context.fillRect(border - 1, 0, 2, height)
-    context.fillStyle = "#000"
-    context.fillRect(border + 1, 0, 1, height)
   }
-  ellipses()
+  if (info.channels % 2 == 0) {
+    context.save()
+    context.globalCompositeOperation = "destination-over"
+    context.fillStyle = pattern(context)
+    context.fillRect(x, y, info.width * k, info.height * k)
+    context.restore()
+  }
+  const marks = overlay.getContext("2d")
+  marks.clearRect(0, 0, overlay.width, overlay.height)
+  if (pressed("ellipses")) drawEllipses(marks, all, place(), devicePixelRatio, tones[chosen("colours")])
   if (byDevice) stage.dispatchEvent(new Event("drawn"))
   else redraw()
-}
-
-const legends = { bits: "; blue Gaussians take few bits, red ones many", error: "; the error is small at blue Gaussians, large at red ones" }
-const legend = () => get("ellipses").checked && legends[get("colours").value] || ""
-
-// The part that is seen, in whole pixels of the picture: left, top, width, height.
-function visible() {
-  const ends = (start, side, length) => [Math.max(0, Math.floor(-start / zoom)), Math.min(length, Math.ceil((side - start) / zoom))]
-  const [x0, x1] = ends(left, stage.clientWidth, info.width), [y0, y1] = ends(top_, stage.clientHeight, info.height)
-  return x1 > x0 && y1 > y0 ? [x0, y0, x1 - x0, y1 - y0] : undefined
 }
 
 // One decoding at a time; when it is done, the next of what is seen by then.
 async function redraw() {
   if (busy) return stale = true
-  const region = visible(), from = file, scale = zoom * devicePixelRatio
+  const region = camera.visible(), from = file, scale = camera.zoom * devicePixelRatio
   if (!region) return
   // At a high zoom a pixel of the picture is wider than the stage: its samples are bounded, the browser enlarges the rest.
   const width = Math.max(1, Math.min(Math.round(region[2] * scale), 4096)), height = Math.max(1, Math.min(Math.round(region[3] * scale), 4096))
-  const key = [...region, width, height].join()
+  const detail = layer(), key = [...region, width, height, detail].join()
   if (drawn?.key == key) return
   busy = true
   try {
-    const image = await decoder.decode(from, { region, width, height }), canvas = new OffscreenCanvas(width, height)
+    const image = await decoder.decode(from, { region, width, height, detail }), canvas = new OffscreenCanvas(width, height)
     canvas.getContext("2d", { colorSpace: image.colorSpace }).putImageData(image, 0, 0)
     if (from == file) drawn = { canvas, region, key }
   } catch (error) {
-    say(error.message)
+    tell("This view cannot be drawn", `The decoder says: ${error.message}.`)
     console.error(error)
     return
   } finally {
@@ -214,94 +252,128 @@ async function redraw() {
   }
 }
 
-function ellipses() {
-  const context = overlay.getContext("2d")
-  context.clearRect(0, 0, overlay.width, overlay.height)
-  if (get("ellipses").checked && all) drawEllipses(context, all, place(), devicePixelRatio, tones[get("colours").value])
-}
-
-const pointers = new Map
-stage.addEventListener("pointerdown", event => {
-  stage.setPointerCapture(event.pointerId)
-  pointers.set(event.pointerId, [event.offsetX, event.offsetY])
-})
-stage.addEventListener("pointermove", event => {
-  const before = pointers.get(event.pointerId)
-  if (!before) return
-  const now = [event.offsetX, event.offsetY], [other] = [...pointers].filter(([id]) => id != event.pointerId).map(([, at]) => at)
-  pointers.set(event.pointerId, now)
-  if (!other) return move(now[0] - before[0], now[1] - before[1])
-  // Two fingers: their distance zooms about their middle, which moves.
-  const distance = at => Math.hypot(at[0] - other[0], at[1] - other[1])
-  move((now[0] - before[0]) / 2, (now[1] - before[1]) / 2)
-  if (distance(before) > 1) zoomBy(distance(now) / distance(before), (now[0] + other[0]) / 2, (now[1] + other[1]) / 2)
-})
-for (const name of ["pointerup", "pointercancel"]) stage.addEventListener(name, event => pointers.delete(event.pointerId))
-stage.addEventListener("wheel", event => {
-  event.preventDefault()
-  zoomBy(2 ** (-event.deltaY / (event.deltaMode ? 8 : 240)), event.offsetX, event.offsetY)
-}, { passive: false })
-
-const actual = () => zoomBy(1 / zoom / devicePixelRatio)
 function toggle() {
-  get("ellipses").checked = !get("ellipses").checked
-  mark()
+  get("ellipses").ariaPressed = String(!pressed("ellipses"))
+  offer()
 }
-function mark() {
-  ellipses()
+// The next of the choices that there are.
+function next(name) {
+  const choices = [...document.querySelectorAll(`input[name=${name}]:enabled`)].map(choice => choice.value)
+  choose(name, choices[(choices.indexOf(chosen(name)) + 1) % choices.length])
+  offer()
+}
+function moveBorder(to) {
+  border = Math.min(Math.max(to, 0), 100)
   show()
 }
-// The next of the colours that there are.
-function recolour() {
-  const choices = [...get("colours").options].filter(choice => !choice.disabled), at = choices.findIndex(choice => choice.selected)
-  get("colours").value = choices[(at + 1) % choices.length].value
-  mark()
+// The original alone, and the file alone again.
+function flip() {
+  if (!original) return
+  choose("sides", chosen("sides") == "original" ? "file" : "original")
+  offer()
 }
-function split(by) {
-  get("split").value = Number(get("split").value) + by
-  show()
+function panel(open = get("panel").hidden) {
+  get("panel").hidden = !open
+  get("panel").style.translate = ""
+  get("facts").ariaExpanded = String(open)
 }
-const keys = { ArrowLeft: () => move(64, 0), ArrowRight: () => move(-64, 0), ArrowUp: () => move(0, 64), ArrowDown: () => move(0, -64), "+": () => zoomBy(1.25), "=": () => zoomBy(1.25), "-": () => zoomBy(.8), 0: fit, 1: actual, g: toggle, c: recolour, "[": () => split(-5), "]": () => split(5) }
-stage.addEventListener("keydown", event => {
-  if (event.ctrlKey || event.metaKey || event.altKey || !keys[event.key]) return
+function back() {
+  if (!get("message").hidden) dismiss()
+  else panel(false)
+}
+
+// What each key does, in the order in which they are shown, and whether that needs a file.
+const keys = [
+  [["+", "-"], "larger, smaller", { "+": () => camera.zoomBy(1.25), "=": () => camera.zoomBy(1.25), "-": () => camera.zoomBy(.8) }],
+  [["←", "→", "↑", "↓"], "move", { ArrowLeft: () => camera.move(64, 0), ArrowRight: () => camera.move(-64, 0), ArrowUp: () => camera.move(0, 64), ArrowDown: () => camera.move(0, -64) }],
+  [["0"], "fit the window", { 0: () => camera.fit() }],
+  [["1"], "pixel for pixel", { 1: () => camera.actual() }],
+  [["G"], "Gaussians as ellipses", { g: toggle }],
+  [["L"], "the picture, its Gaussians, its detail in turn", { l: () => info.detail && next("layers") }],
+  [["C"], "their colours: own, bits, error", { c: () => pressed("ellipses") && next("colours") }],
+  [["X"], "flip between the file and its original", { x: flip }],
+  [["S"], "side by side, file, original in turn", { s: () => original && next("sides") }],
+  [["[", "]"], "move the border to the original", { "[": () => moveBorder(border - 5), "]": () => moveBorder(border + 5) }],
+  [["I"], "facts about the file", { i: () => panel() }],
+  [["O"], "open a file", { o: () => get("file").click() }, true],
+  [["Esc"], "close", { Escape: back }, true],
+  [["?"], "these keys", { "?": () => get("help").showModal() }, true],
+]
+const deeds = Object.assign({}, ...keys.map(([, , deeds]) => deeds)), always = Object.assign({}, ...keys.filter(row => row[3]).map(([, , deeds]) => deeds))
+for (const [names, words] of keys) {
+  const row = get("help").querySelector("table").insertRow()
+  row.insertCell().append(...names.map(name => Object.assign(document.createElement("kbd"), { textContent: name })))
+  row.insertCell().textContent = words
+}
+addEventListener("keydown", event => {
+  const name = event.key.length == 1 ? event.key.toLowerCase() : event.key, deed = (info ? deeds : always)[name]
+  if (event.ctrlKey || event.metaKey || event.altKey || !deed || get("help").open) return
+  // Arrows that choose, scroll or move the border are not the picture's.
+  if (/^Arrow/.test(name) && event.target.closest?.("input, aside, .middle")) return
   event.preventDefault()
-  keys[event.key]()
+  if (event.target == get("border") && /^Arrow(Left|Right)$/.test(name)) return moveBorder(border + (name == "ArrowLeft" ? -2 : 2))
+  deed()
 })
-get("fit").onclick = fit
-get("actual").onclick = actual
-get("in").onclick = () => zoomBy(1.5)
-get("out").onclick = () => zoomBy(1 / 1.5)
-get("ellipses").onchange = get("colours").onchange = mark
-get("split").oninput = show
-get("facts").onchange = event => get("panel").hidden = !event.target.checked
+
+for (const [id, deed] of Object.entries({ open: () => get("file").click(), choose: () => get("file").click(), another: () => get("file").click(), dismiss, ellipses: toggle, fit: () => camera.fit(), in: () => camera.zoomBy(1.5), out: () => camera.zoomBy(1 / 1.5), facts: () => panel(), "help-button": () => get("help").showModal() })) get(id).onclick = deed
+get("compare").onclick = () => original ? compareWith(undefined) : get("original").click()
+get("zoom").onclick = () => camera.fitted ? camera.actual() : camera.fit()
+for (const choice of document.querySelectorAll(".choices input")) choice.onchange = offer
 for (const id of ["file", "original"]) get(id).onchange = async event => {
   const [chosen] = event.target.files
-  if (chosen) take(await chosen.arrayBuffer(), chosen.name)
+  if (chosen) await take(await chosen.arrayBuffer(), chosen.name)
+  // So that the same one can be chosen again.
+  event.target.value = ""
 }
+get("help").onclick = event => event.target == get("help") && get("help").close()
+
+const handle = get("border")
+handle.addEventListener("pointerdown", event => handle.setPointerCapture(event.pointerId))
+handle.addEventListener("pointermove", event => {
+  const { left, width } = stage.getBoundingClientRect()
+  if (event.buttons) moveBorder(100 * (event.clientX - left) / width)
+})
+
+// On a phone the facts are a sheet, which is drawn down.
+let pulled
+get("grip").addEventListener("pointerdown", event => {
+  get("grip").setPointerCapture(event.pointerId)
+  pulled = event.clientY
+})
+get("grip").addEventListener("pointermove", event => {
+  if (pulled != undefined) get("panel").style.translate = `0 ${Math.max(0, event.clientY - pulled)}px`
+})
+for (const name of ["pointerup", "pointercancel"]) get("grip").addEventListener(name, event => {
+  if (event.clientY - pulled > 60) panel(false)
+  else get("panel").style.translate = ""
+  pulled = undefined
+})
+get("grip").onclick = () => panel(false)
+
 addEventListener("dragover", event => {
   event.preventDefault()
-  stage.classList.add("drop")
+  get("drop").hidden = false
 })
-addEventListener("dragleave", () => stage.classList.remove("drop"))
+addEventListener("dragleave", event => get("drop").hidden = !event.relatedTarget)
 addEventListener("drop", async event => {
   event.preventDefault()
-  stage.classList.remove("drop")
+  get("drop").hidden = true
   const files = await Promise.all([...event.dataTransfer.files].map(async f => [await f.arrayBuffer(), f.name]))
   // Of two at once, the .ssplat file comes first.
   files.sort(([, a], [, b]) => b.endsWith(".ssplat") - a.endsWith(".ssplat"))
   for (const [bytes, name] of files.slice(0, 2)) await take(bytes, name)
 })
-let size = ""
+let side = ""
 new ResizeObserver(() => {
   const now = `${stage.clientWidth} ${stage.clientHeight}`
-  if (now != size) show()
-  size = now
+  if (now != side) camera.fitted ? camera.fit() : show()
+  side = now
 }).observe(stage)
 
 async function fetched(url) {
-  const response = await fetch(url).catch(error => ({ statusText: error.message }))
-  if (response.ok) return take(await response.arrayBuffer(), url.split("/").pop())
-  say(`${url}: ${response.statusText || response.status}`)
+  const name = url.split("/").pop(), response = await fetch(url).catch(error => ({ statusText: error.message }))
+  if (response.ok) return take(await response.arrayBuffer(), name)
+  tell(`${name} is not there`, `The server says: ${response.status ?? ""} ${response.statusText}.`, url)
 }
 const draw = asked.get("draw"), takes = name => !draw || draw == name
 // Takes a device, for the file that may be there already.
@@ -311,9 +383,10 @@ function use(next) {
   if (all) device?.load(all, info.blend, colorSpace(info.icc))
   show()
 }
+if (!get("held-file") && !asked.get("file")) welcome()
 use(takes("webgpu") && await WebGpuSplatting.create(draw == "webgpu"))
 for (const id of ["file", "original"]) {
   const inside = held(`held-${id}`)
-  if (inside) await take(inside.buffer, get(`held-${id}`).dataset.name)
+  if (inside) await take(inside, get(`held-${id}`).dataset.name)
   else if (asked.get(id)) await fetched(asked.get(id))
 }

@@ -401,11 +401,6 @@ Examples:
   ssplat view photo.ssplat --original photo.png  with a slider between the two
   ssplat view photo.ssplat --html photo.html     one page that needs nothing else, to send to someone
 
-The viewer is WebAssembly and JavaScript, which the program does not hold: `web/build` in the
-source writes them to web/dist. They are looked for in --viewer, in the folder that the
-variable SSPLAT_VIEWER names, in ../share/ssplat/web beside the program's folder, and, for a
-program in the source's target folder, in web/dist there.
-
 The page is served to this machine alone, at a free port, with nothing but the viewer and
 the files that are named here. They are read once; a change shows when the command is run anew.";
 
@@ -420,9 +415,6 @@ pub struct View {
     /// Write the viewer with the file in it as one page instead of serving it; - for standard output
     #[arg(long, value_name = "OUT")]
     pub html: Option<PathBuf>,
-    /// Folder of the viewer, as web/build writes it [default: see below]
-    #[arg(long, value_name = "DIR")]
-    pub viewer: Option<PathBuf>,
     /// Print the page's address without opening a browser
     #[arg(long, conflicts_with = "html")]
     pub no_open: bool,

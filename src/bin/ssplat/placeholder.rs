@@ -5,7 +5,7 @@ use std::path::Path;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use image::DynamicImage;
-use ssplat::{EncodeOptions, Pixels, Target};
+use ssplat::{Detail, EncodeOptions, Pixels, Target};
 
 use crate::args::{self, PlaceholderFormat};
 use crate::failure::Failure;
@@ -22,6 +22,8 @@ pub fn run(args: &args::Placeholder) -> Result<(), Failure> {
     let size = [source.pixels.width(), source.pixels.height()];
     let mut options = EncodeOptions::default();
     (options.target, options.effort) = (Target::Bytes(args.bytes), args.effort);
+    // What reads placeholders without WebAssembly knows Gaussians alone.
+    options.detail = Detail::Off;
     let encoded = ssplat::encode(&shrunk(source.pixels), &options).map_err(|e| Failure::library(&args.input, &e))?;
     let text = STANDARD.encode(encoded.bytes);
     say(&match args.format {
@@ -40,11 +42,13 @@ fn shrunk(pixels: Pixels) -> Pixels {
     Pixels::try_from(picture).expect("a picture of samples that were pixels before")
 }
 
-/// The element of `web/ssplat-img.js`, which draws the placeholder until the source is there.
+/// The element of `web/ssplat-img.js`, which draws the placeholder until the source is there. Its style keeps the picture's place
+/// free before that module is there, so that nothing moves when it comes.
 fn html(args: &args::Placeholder, [width, height]: [u32; 2], text: &str) -> String {
     let src = args.src.clone().unwrap_or_else(|| name(&args.input));
     format!(
-        "<ssplat-img src=\"{}\" alt=\"{}\" width=\"{width}\" height=\"{height}\" placeholder=\"{text}\"></ssplat-img>\n",
+        "<ssplat-img src=\"{}\" alt=\"{}\" width=\"{width}\" height=\"{height}\" style=\"display: inline-block; width: {width}px; \
+         max-width: 100%; height: auto; aspect-ratio: {width} / {height}; vertical-align: bottom\" placeholder=\"{text}\"></ssplat-img>\n",
         escaped(&src),
         escaped(args.alt.as_deref().unwrap_or_default())
     )

@@ -44,17 +44,11 @@ pub fn run(args: &args::View) -> Result<(), Failure> {
         Some(path) => Some(Shown::new(path, source::read_at_most(path, limits.alloc)?)),
         None => None,
     };
-    let package = package::Package::find(args.viewer.as_deref())?;
     match &args.html {
         Some(out) => {
             let inputs: Vec<&Path> = [&args.input].into_iter().chain(&args.original).map(|p| p.as_path()).collect();
-            Sink::create(out, &inputs)?.finish_with(page::packed(&package, &file, original.as_ref())?.as_bytes())
+            Sink::create(out, &inputs)?.finish_with(page::packed(&file, original.as_ref()).as_bytes())
         }
-        None => server::run(
-            package,
-            file,
-            original,
-            if args.no_open { server::Opens::Nothing } else { server::Opens::Browser },
-        ),
+        None => server::run(file, original, if args.no_open { server::Opens::Nothing } else { server::Opens::Browser }),
     }
 }

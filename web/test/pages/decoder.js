@@ -23,5 +23,13 @@ export async function test(cases) {
     decoder.close()
     if ((await decoder.decode(await load(cases[0].path)).catch(e => e)).kind != "internal") problems.push("a closed decoder answers")
   }
+  try {
+    new Decoder({ wroker: true })
+    problems.push("an option that there is not is taken")
+  } catch ({ kind, message }) {
+    if (kind != "parameter" || !message.includes("wroker")) problems.push(`${kind}: ${message}`)
+  }
+  const nowhere = await new Decoder({ module: "/web/no-such-file.wasm", worker: true }).decode(await load(cases[0].path)).catch(e => e)
+  if (nowhere.kind != "network" || !nowhere.message.includes("404")) problems.push(`a module that is not there: ${nowhere.kind}, ${nowhere.message}`)
   return { problems, words: words.join("; in a worker ") }
 }

@@ -82,7 +82,7 @@ export async function test() {
   check(canvas(small).width == Math.ceil(200 * devicePixelRatio), `200 px are drawn as ${canvas(small).width}`)
 
   // A broken or missing file is an error with the reason, and hurts nothing else.
-  for (const [src, kind] of [["/spec/vectors/invalid/checksum/file.ssplat", "format"], ["/spec/vectors/limits/many-primitives/file.ssplat", "limit"], ["/web/no-such-file.ssplat", undefined]]) {
+  for (const [src, kind] of [["/spec/vectors/invalid/checksum/file.ssplat", "format"], ["/spec/vectors/limits/many-primitives/file.ssplat", "limit"], ["/web/no-such-file.ssplat", "network"], ["http://127.0.0.1:1/refused.ssplat", "network"]]) {
     const broken = add({ src, alt: "what it would be" }), answer = await event(broken, ["load", "error"])
     check(answer.type == "error" && answer.error.kind == kind && answer.message.includes(src), `${src}: ${answer.type}, ${answer.error?.kind}`)
     check(broken.shadowRoot.querySelector("span").textContent == "what it would be" && !broken.shadowRoot.querySelector("span").hidden, `${src}: alt is not shown`)
@@ -105,6 +105,7 @@ export async function test() {
   // Pictures of other formats are shown, too.
   const other = add({ src: "/tests/images/kodim15.png", placeholder: inline, width: 96 })
   check((await event(other, ["load", "error"])).type == "load" && other.naturalWidth > 96 && canvas(other).hidden, "a PNG is not shown")
+  check(other.currentSrc == new URL("/tests/images/kodim15.png", location).href && add({}).currentSrc == "", `currentSrc is ${other.currentSrc}`)
 
   // It is turned as its EXIF block says.
   const file = new Uint8Array(await (await fetch(vector("coded-rgb"))).arrayBuffer()), url = bytes => URL.createObjectURL(new Blob([bytes]))
@@ -187,6 +188,14 @@ export async function test() {
   check((await event(lazy, ["load", "error"], 500)).type == "nothing" && !lazy.complete, "lazy does not wait")
   lazy.scrollIntoView()
   check((await event(lazy, ["load", "error"])).type == "load", "lazy never loads")
+
+  // So do those of a long page of which only a width is known.
+  const many = Array.from({ length: 60 }, () => add({ src: vector("coded-rgb"), loading: "lazy", width: 300 }, "display: block"))
+  many[0].scrollIntoView()
+  await event(many[0], ["load", "error"])
+  await new Promise(r => setTimeout(r, 500))
+  const there = many.filter(m => m.complete).length
+  check(there > 0 && there < 20, `${there} of 60 pictures are loaded at once`)
 
   // A removed element says nothing.
   const gone = add({ src: vector("coded-many") })

@@ -25,32 +25,58 @@ export async function test() {
   }
   const page = await open("/spec/vectors/valid/coded-rgb/file.ssplat"), get = id => page.document.getElementById(id)
   const stage = get("stage"), pixels = id => get(id).getContext("2d").getImageData(0, 0, get(id).width, get(id).height).data
-  const percent = () => parseFloat(/at (\S+) %/.exec(get("status").textContent)?.[1])
+  const zoom = () => parseFloat(get("zoom").textContent.replace(",", "")), frame = () => new Promise(r => page.requestAnimationFrame(() => page.requestAnimationFrame(r)))
   check(await until(() => pixels("picture").some(v => v > 0 && v < 255)), "nothing is drawn")
-  check(get("panel").textContent.includes("coded") && get("panel").querySelectorAll("table").length >= 4, "no facts are told")
-  check(get("hint").hidden, "the hint stays")
+  check(/Where the bytes go/.test(get("panel").textContent) && get("panel").querySelectorAll("table").length >= 4, "no facts are told")
+  check(get("panel").hidden && get("empty").hidden && get("message").hidden && !get("tools").hidden, "something lies over the picture")
 
-  // Keys zoom, and what is drawn then is as fine as the screen.
-  const before = percent(), key = name => stage.dispatchEvent(new page.KeyboardEvent("keydown", { key: name }))
-  for (let i = 0; i < 8; i++) key("+")
-  check(Math.abs(percent() / before - 1.25 ** 8) < .05 * 1.25 ** 8, `8 steps of 1.25 lead from ${before} to ${percent()} %`)
-  check(await until(() => stage.dataset.drawn == "WebGL2"), `at ${percent()} % the ${stage.dataset.drawn} draws`)
+  // Keys work at once, wherever the focus is; the question mark tells them all.
+  const key = (name, at = page.document.body) => at.dispatchEvent(new page.KeyboardEvent("keydown", { key: name, bubbles: true, cancelable: true }))
+  key("1")
+  check(get("zoom").textContent == "1×", `pixel for pixel is called ${get("zoom").textContent}`)
+  for (let i = 0; i < 12; i++) key("+")
+  check(/^1[45]×$/.test(get("zoom").textContent), `12 steps of 1.25 lead from 1× to ${get("zoom").textContent}`)
+  check(await until(() => stage.dataset.drawn == "WebGL2"), `at ${get("zoom").textContent} the ${stage.dataset.drawn} draws`)
+  key("?")
+  check(get("help").open && get("help").querySelectorAll("tr").length > 10, "? shows no keys")
+  key("1")
+  check(get("zoom").textContent != "1×", "keys go through the help")
+  get("help").close()
+  key("i", get("out"))
+  check(!get("panel").hidden && get("facts").ariaExpanded == "true", "I shows no facts")
+  key("Escape")
+  check(get("panel").hidden, "Escape leaves the facts")
+  // The stage has its size again when the facts are gone.
+  await frame()
   key("0")
-  check(percent() == before, "0 does not fit")
+  const before = zoom()
+  check(before > 1, `fitted it is ${get("zoom").textContent}`)
   key("g")
-  check(get("ellipses").checked && pixels("overlay").some(v => v > 0), "no ellipses")
-  const own = pixels("overlay").join()
+  await frame()
+  check(!get("tones").hidden && pixels("overlay").some(v => v > 0), "no ellipses")
+  const own = pixels("overlay").join(), colours = () => page.document.querySelector("input[name=colours]:checked").value
   key("c")
-  check(get("colours").value == "bits" && pixels("overlay").join() != own, `C colours Gaussians by ${get("colours").value}`)
-  check(/red ones many/.test(get("status").textContent), "what the colours mean is not told")
+  await frame()
+  check(colours() == "bits" && pixels("overlay").join() != own, `C colours Gaussians by ${colours()}`)
+  check(/few bits/.test(get("legend").textContent) && !get("legend").hidden, "what the colours mean is not told")
   key("c")
-  check(get("colours").value == "own" && pixels("overlay").join() == own, "they do not have their own colours again")
+  await frame()
+  check(colours() == "own" && pixels("overlay").join() == own && get("legend").hidden, "they do not have their own colours again")
   key("g")
+  await frame()
   check(pixels("overlay").every(v => v == 0), "the ellipses stay")
   const drawn = new Promise(resolve => stage.addEventListener("drawn", resolve, { once: true }))
-  stage.dispatchEvent(new page.WheelEvent("wheel", { deltaY: -480, cancelable: true }))
-  check(percent() > 3.9 * before, "the wheel does not zoom")
+  stage.dispatchEvent(new page.WheelEvent("wheel", { deltaY: -480, clientX: 400, clientY: 300, cancelable: true }))
+  check(zoom() > 3.8 * before, "the wheel does not zoom")
   check(await Promise.race([drawn, new Promise(r => setTimeout(r, patience))]), "it is not drawn anew")
+  stage.dispatchEvent(new page.MouseEvent("dblclick", { clientX: 400, clientY: 300 }))
+  check(zoom() == before, "a double click does not fit it")
+
+  // However far it is moved, a part of it stays.
+  for (let i = 0; i < 100; i++) key("ArrowRight")
+  await frame()
+  await frame()
+  check(await until(() => pixels("picture").some(v => v > 0)), "the picture can be lost")
 
   // Two fingers that go apart zoom as much, about their middle; one moves. Events of a script cannot be captured.
   stage.setPointerCapture = () => {}
@@ -58,16 +84,16 @@ export async function test() {
     const { left, top } = stage.getBoundingClientRect()
     stage.dispatchEvent(new page.PointerEvent(type, { pointerId, pointerType: "touch", clientX: left + x, clientY: top + y, bubbles: true }))
   }
-  key("0")
+  key("1")
   touch("pointerdown", 1, 200, 200)
   touch("pointerdown", 2, 300, 200)
   touch("pointermove", 1, 150, 200)
   touch("pointermove", 2, 350, 200)
   for (const id of [1, 2]) touch("pointerup", id, 0, 0)
-  check(Math.abs(percent() / before - 2) < .01, `fingers twice as far apart lead from ${before} to ${percent()} %`)
+  check(Math.abs(zoom() - 2) < .06, `fingers twice as far apart lead from 1× to ${get("zoom").textContent}`)
 
   // Whoever does not see the page is told what everything on it is; colours follow the system's.
-  for (const element of page.document.querySelectorAll("input, button, select, main, aside"))
+  for (const element of page.document.querySelectorAll("input, button, main, aside, [role=slider]"))
     check(element.ariaLabel || element.labels?.[0]?.textContent.trim() || element.textContent.trim(), `#${element.id} has no name`)
   check(get("status").getAttribute("aria-live") == "polite", "changes are not read aloud")
   check(page.getComputedStyle(page.document.documentElement).colorScheme == "light dark", "there is no dark mode")
@@ -84,35 +110,80 @@ export async function test() {
   const drew = frame => frame.getContext("2d").getImageData(0, 0, frame.width, frame.height).data
   check(await until(() => drew(picture).some(v => v > 0 && v < 255)) && cpu.document.getElementById("stage").dataset.drawn == "decoder", "without WebGL2 nothing is drawn")
 
-  // An original lies behind a border that keys and a slider move.
+  // An original lies behind a border that keys and a handle move; or is seen alone.
   const compared = await open("/spec/vectors/valid/coded-rgb/file.ssplat", undefined, "&original=/tests/images/kodim05.png"), $ = id => compared.document.getElementById(id)
   check(await until(() => !$("comparing").hidden), `an original is not shown: ${$("status").textContent}`)
-  const at = x => drew($("picture")).slice(4 * ($("picture").width * ($("picture").height >> 1) + x), 4 * ($("picture").width * ($("picture").height >> 1) + x + 4)).join()
-  const far = $("picture").width * 3 >> 2
-  $("split").value = 100
-  $("split").dispatchEvent(new compared.Event("input"))
-  await until(() => at(far) != at(far + 8))
-  await new Promise(r => compared.requestAnimationFrame(() => compared.requestAnimationFrame(r)))
-  const whole = at(far)
-  for (let i = 0; i < 10; i++) $("stage").dispatchEvent(new compared.KeyboardEvent("keydown", { key: "[" }))
-  check($("split").value == 50, `the border is at ${$("split").value} % after ten steps`)
-  check(await until(() => at(far) != whole), "behind the border is no original")
-  check(await until(() => !$("colours").querySelector("[value=error]").disabled), "no errors to colour Gaussians by")
-  $("ellipses").checked = true
-  $("colours").value = "own"
-  $("colours").onchange()
-  const colours = drew($("overlay")).join()
-  $("colours").value = "error"
-  check(await until(() => ($("colours").onchange(), drew($("overlay")).join() != colours)), "the error colours no Gaussian")
+  const settled = () => new Promise(r => compared.requestAnimationFrame(() => compared.requestAnimationFrame(r)))
+  const press = name => compared.document.body.dispatchEvent(new compared.KeyboardEvent("keydown", { key: name, bubbles: true, cancelable: true }))
+  const at = part => drew($("picture")).slice(4 * ($("picture").width * ($("picture").height >> 1) + Math.floor($("picture").width * part)), 4 * ($("picture").width * ($("picture").height >> 1) + Math.floor($("picture").width * part)) + 400).join()
+  const side = async value => {
+    const choice = compared.document.querySelector(`input[name=sides][value=${value}]`)
+    choice.click()
+    await settled()
+    return [at(.3), at(.6)]
+  }
+  const ours = await side("file")
+  check($("border").hidden, "there is a border in one picture")
+  const theirs = await side("original")
+  check(ours[0] != theirs[0] && ours[1] != theirs[1], "the original is the file")
+  const both = await side("both")
+  check(both[0] == ours[0] && both[1] == theirs[1] && !$("border").hidden && $("border").style.left == "50%", "they are not side by side")
+  for (let i = 0; i < 5; i++) press("[")
+  await settled()
+  check($("border").ariaValueNow == "25" && at(.3) == theirs[0], `the border is at ${$("border").ariaValueNow} % after five steps`)
+  const { left, width } = $("stage").getBoundingClientRect()
+  $("border").dispatchEvent(new compared.PointerEvent("pointermove", { buttons: 1, clientX: left + .8 * width }))
+  await settled()
+  check($("border").ariaValueNow == "80" && at(.6) == ours[1], `the border is at ${$("border").ariaValueNow} % after it was drawn to 80 %`)
+  press("x")
+  await settled()
+  check(at(.3) == theirs[0], "X does not show the original")
+  press("x")
+  check(await until(() => !compared.document.querySelector("input[name=colours][value=error]").disabled), "no errors to colour Gaussians by")
+  press("g")
+  await settled()
+  const plain = drew($("overlay")).join()
+  compared.document.querySelector("input[name=colours][value=error]").click()
+  await settled()
+  check(drew($("overlay")).join() != plain, "the error colours no Gaussian")
 
-  const other = await open("/spec/vectors/invalid/checksum/file.ssplat")
-  check(await until(() => /checksum/.test(other.document.getElementById("status").textContent)), "a broken file is not told")
+  // What cannot be shown is told in the middle, with what was found; then another file can be.
+  for (const [url, words] of [["/spec/vectors/invalid/checksum/file.ssplat", /broken.*checksum.*89 53 53 50/s], ["/tests/images/kodim05.png", /not an \.ssplat file.*PNG picture.*89 50 4e 47/s], ["/web/nowhere.ssplat", /nowhere.ssplat is not there.*404/s]]) {
+    const other = await open(url), message = other.document.getElementById("message")
+    check(await until(() => !message.hidden && words.test(message.textContent)), `${url}: ${message.textContent}`)
+    other.document.getElementById("dismiss").click()
+    check(message.hidden && !other.document.getElementById("empty").hidden, `${url}: closing it does not lead to the start`)
+  }
+
+  // Without a file it says what this is, and has three to try.
+  const empty = await open(""), cards = () => empty.document.querySelectorAll(".sample")
+  check(await until(() => cards().length == 3), `${cards().length} pictures to try`)
+  check(!empty.document.getElementById("empty").hidden && /Gaussians/.test(empty.document.getElementById("empty").textContent), "the page does not say what it is")
+  cards()[1]?.click()
+  check(await until(() => empty.document.title == "motocross.ssplat" && empty.document.getElementById("empty").hidden), "a picture to try is not shown")
+
+  // On a phone nothing is wider than the screen, fingers find what they press, and the facts are a sheet below the picture.
+  const phone = await open("/spec/vectors/valid/coded-rgb/file.ssplat", undefined, "&original=/tests/images/kodim05.png"), the = id => phone.document.getElementById(id)
+  phone.frameElement.style = "width: 390px; height: 844px; border: 0"
+  check(await until(() => !the("tools").hidden && !the("comparing").hidden && phone.innerWidth == 390), "a phone shows nothing")
+  the("ellipses").click()
+  the("facts").click()
+  await new Promise(r => phone.requestAnimationFrame(() => phone.requestAnimationFrame(r)))
+  for (const element of phone.document.querySelectorAll("button, .pill, .choices label, #panel, #stage")) {
+    const { left, right, width, height } = element.getBoundingClientRect()
+    if (width && element.checkVisibility()) check(left >= 0 && right <= 390.5, `#${element.id} ${element.className} reaches from ${left} to ${right}`)
+    if (height && element.matches("header button, .pill button, .choices label")) check(Math.min(width, height) >= 44, `#${element.id}: ${width} × ${height} is small for a finger`)
+  }
+  const sheet = the("panel").getBoundingClientRect(), seen = the("stage").getBoundingClientRect()
+  check(sheet.top >= seen.bottom - 1 && sheet.bottom <= 844.5 && seen.height > 250, `the sheet is at ${sheet.top}, the picture ends at ${seen.bottom}`)
+  the("grip").click()
+  check(the("panel").hidden, "the sheet cannot be closed")
 
   // The same page with a file in it, which asks for nothing else.
-  const packed = await open("", "/web/dist/packed.html"), packedDrew = () => packed.document.getElementById("picture").getContext("2d").getImageData(0, 0, 300, 150).data.some(v => v > 0)
+  const packed = await open("", "/web/dist/packed.html"), packedDrew = () => drew(packed.document.getElementById("picture")).some(v => v > 0)
   check(await until(() => packed.document.title == "file.ssplat" && packedDrew()), `the packed page shows nothing: ${packed.document.getElementById("status").textContent}`)
   check(!packed.performance.getEntriesByType("resource").some(e => e.name.startsWith("http")), "the packed page asks for more")
-  const both = await open("", "/web/dist/packed-original.html")
-  check(await until(() => !both.document.getElementById("comparing").hidden), "the packed page has no original")
+  const pair = await open("", "/web/dist/packed-original.html")
+  check(await until(() => !pair.document.getElementById("comparing").hidden), "the packed page has no original")
   return { problems, words: `${checks} promises` }
 }

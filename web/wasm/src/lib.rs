@@ -13,7 +13,7 @@ use image::metadata::Orientation;
 use ssplat::bitstream::header::{Sections, VERSION};
 use ssplat::bitstream::splats::{Layout, Metadata};
 use ssplat::raster::SamplesMut;
-use ssplat::{Blend, Damage, Error, Limits, Opening, Result};
+use ssplat::{Blend, Damage, Error, Layers, Limits, Opening, Result};
 
 /// What lies between two calls.
 #[derive(Default)]
@@ -107,7 +107,7 @@ pub extern "C" fn header() -> u32 {
 
 /// Decodes the part of the picture at (`left`, `top`) to RGBA with 8 bits; a part of width 0 is the whole picture, and an
 /// output of width 0 has a pixel for each of the part's. An output of height 0 keeps the part's shape. `partial` other than
-/// 0 draws what is there of a damaged file.
+/// 0 draws what is there of a damaged file. Of the layers 1 draws the Gaussians alone, 2 the detail alone, all else both.
 #[unsafe(no_mangle)]
 pub extern "C" fn decode(
     left: u32,
@@ -117,7 +117,13 @@ pub extern "C" fn decode(
     out_width: u32,
     out_height: u32,
     partial: u32,
+    layers: u32,
 ) -> u32 {
+    let layers = match layers {
+        1 => Layers::Gaussians,
+        2 => Layers::Detail,
+        _ => Layers::Both,
+    };
     answer(|input, limits| {
         let opening = open(input, limits)?;
         let header = opening.header();
@@ -137,7 +143,7 @@ pub extern "C" fn decode(
         let mut rest = limits.clone();
         rest.alloc =
             allowed.checked_sub(needed).ok_or(Error::LimitExceeded { what: "alloc", requested: needed, allowed })?;
-        let opening = open(input, &rest)?;
+        let opening = open(input, &rest)?.showing(layers);
         let primitives = opening.header().primitives;
         let opened = opening.read_for(&view, if partial == 0 { Damage::Refuse } else { Damage::Accept })?;
         let mut samples = zeros(pixels as usize * channels)?;

@@ -6,7 +6,7 @@ use std::thread;
 use tiny_http::{Header, Method, Request, Response, Server};
 
 use super::Shown;
-use super::package::{PAGE, Package};
+use super::package::{self, PAGE};
 use crate::failure::{Failure, Kind};
 use crate::sink::say;
 
@@ -15,7 +15,7 @@ const THREADS: usize = 4;
 
 /// What the page may do: run its own scripts and WebAssembly, and ask this server.
 const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self'; connect-src 'self'; \
-                      style-src 'unsafe-inline'; img-src 'self' blob:; frame-ancestors 'none'; base-uri 'none'";
+                      style-src 'unsafe-inline'; img-src 'self' blob: data:; frame-ancestors 'none'; base-uri 'none'";
 
 /// Whether a browser is opened at the page.
 pub enum Opens {
@@ -25,7 +25,6 @@ pub enum Opens {
 
 /// Everything that can be asked for.
 struct Served {
-    package: Package,
     file: (String, Vec<u8>),
     original: Option<(String, Vec<u8>)>,
     /// What requests for this server name as their host. Another page's script that reaches this address by a name of its own
@@ -36,7 +35,7 @@ struct Served {
 }
 
 /// Serves until the program is ended.
-pub fn run(package: Package, file: Shown, original: Option<Shown>, opens: Opens) -> Result<(), Failure> {
+pub fn run(file: Shown, original: Option<Shown>, opens: Opens) -> Result<(), Failure> {
     let failed = |message: String| Failure { kind: Kind::Other, message };
     let server = Server::http((Ipv4Addr::LOCALHOST, 0)).map_err(|e| failed(format!("server: {e}")))?;
     let port = server.server_addr().to_ip().map(|a| a.port()).ok_or_else(|| failed("server: no port".into()))?;
@@ -48,7 +47,7 @@ pub fn run(package: Package, file: Shown, original: Option<Shown>, opens: Opens)
     }
     let hosts = [format!("127.0.0.1:{port}"), format!("localhost:{port}")];
     let url = format!("http://{}{start}", hosts[0]);
-    let served = Served { package, file, original, hosts, start };
+    let served = Served { file, original, hosts, start };
     say(&format!("{url}\n"))?;
     eprintln!("ssplat: the page is there until this program ends, by Ctrl-C");
     if let Opens::Browser = opens {
@@ -101,7 +100,7 @@ impl Served {
         let path = request.url().split('?').next().unwrap_or_default();
         match path {
             "/" => return Err(302),
-            "/viewer/" => return self.package.file(PAGE).map(|page| (kind(PAGE), page)).ok_or(404),
+            "/viewer/" => return package::file(PAGE).map(|page| (kind(PAGE), page)).ok_or(404),
             _ => {}
         }
         for (known, bytes) in [&self.file].into_iter().chain(&self.original) {
@@ -110,7 +109,7 @@ impl Served {
             }
         }
         let name = path.strip_prefix('/').unwrap_or_default();
-        self.package.file(name).map(|bytes| (kind(name), bytes)).ok_or(404)
+        package::file(name).map(|bytes| (kind(name), bytes)).ok_or(404)
     }
 }
 

@@ -1,0 +1,19 @@
+// What the types say: this file compiles (npm run types).
+import { Decoder, SsplatError, decode, header, type Pixels } from "ssplat"
+import { SsplatImg } from "ssplat/ssplat-img.js"
+import { decode as placeholder, read } from "ssplat/placeholder.js"
+
+const element: SsplatImg = document.createElement("ssplat-img")
+element.src = "photo.ssplat"
+element.addEventListener("error", event => console.log(((event as ErrorEvent).error as SsplatError).kind === "network"))
+const found = document.querySelector("ssplat-img")?.currentSrc satisfies string | undefined
+
+const bytes = new Uint8Array(8)
+const pixels: Pixels = await new Decoder({ worker: true }).decode(bytes, { width: 64, region: [0, 0, 8, 8] })
+const icc: Uint8Array = (await header(bytes)).icc
+const image = new ImageData(placeholder(bytes, 64).rgba, 64)
+const [x, , major, , , color] = read(bytes).gaussians[0]
+console.log(found, pixels.data, icc, image, x + major, color.length)
+
+// @ts-expect-error: a slip of the pen is told.
+await decode(bytes, { widht: 64 })
