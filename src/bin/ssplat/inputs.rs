@@ -59,14 +59,13 @@ pub fn find(inputs: &[PathBuf], folder: &Path, rules: &Rules) -> Result<Found, F
             problems.push(format!("{}: is named twice", input.display()));
             continue;
         }
-        match taken.insert(output, input) {
-            Some(other) => problems.push(format!(
+        if let Some(other) = taken.insert(output, input) {
+            problems.push(format!(
                 "{} and {} would both become {}; give them a folder each",
                 other.display(),
                 input.display(),
                 folder.join(output).display()
-            )),
-            None => {}
+            ));
         }
     }
     if !problems.is_empty() {
