@@ -8,7 +8,7 @@ use super::{Encoded, Progress, encode_with_progress};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::{Error, Result};
 use crate::limits::Limits;
-use crate::options::{Backend, EncodeOptions, Target, Thumbnail};
+use crate::options::{Backend, Detail, EncodeOptions, Target, Thumbnail};
 use crate::raster::View;
 use crate::round::size::Size;
 
@@ -74,6 +74,8 @@ pub(super) fn of(
         tune: options.tune,
         backend: Backend::Cpu,
         thumbnail: Thumbnail::Never,
+        // Readers of placeholders know Gaussians alone.
+        detail: Detail::Off,
         ..EncodeOptions::default()
     };
     let made = encode_with_progress(&small, &options, &mut |p| show(p.done));

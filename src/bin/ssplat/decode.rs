@@ -87,9 +87,13 @@ fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &
     let mut shape = (view.width(), view.height());
     let mut device = String::from("CPU");
     let sink;
-    if args.backend == Backend::Gpu || orientation.is_some() || background.is_some() {
+    let on_the_gpu = args.backend == Backend::Gpu && opened.splats().detail.is_none();
+    if args.backend == Backend::Gpu && !on_the_gpu {
+        notes.push("drawn on the CPU: the GPU draws no detail layer yet".to_owned());
+    }
+    if on_the_gpu || orientation.is_some() || background.is_some() {
         // What turns or covers a picture sees all of it.
-        let pixels = if args.backend == Backend::Gpu {
+        let pixels = if on_the_gpu {
             let pixels;
             (pixels, device) = on_gpu(&opened.splats().to_picture(), &view, depth, &limits).map_err(failed)?;
             pixels

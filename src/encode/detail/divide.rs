@@ -31,6 +31,8 @@ const MOST: f64 = 0.7;
 /// Ratio above which photographs have no layer.
 const RATIO: f64 = 120.0;
 const RATIO_POWER: f64 = 0.85;
+/// Pixels of the largest pictures that have one unasked: their residual is held as a whole, some 30 bytes a pixel.
+const LARGEST: u64 = 1 << 26;
 /// Files of fewer bytes have none.
 const LEAST: u64 = 2_500;
 /// A picture is sharp when as many Gaussians again, set where the error is largest, promise to take away this share of the error
@@ -81,7 +83,8 @@ impl Encoding<'_> {
 
     fn is_worth_a_layer(&self, most: u64) -> bool {
         let ratio = self.subject.samples() / most as f64;
-        most >= LEAST && ratio <= RATIO * self.larger().powf(RATIO_POWER)
+        let pixels = u64::from(self.planes.width) * u64::from(self.planes.height);
+        most >= LEAST && pixels <= LARGEST && ratio <= RATIO * self.larger().powf(RATIO_POWER)
     }
 
     /// A fit of so many bytes for a layer to be laid over.
