@@ -50,7 +50,7 @@ struct Preset {
 }
 
 /// Factor of the step that shows what the layer's bytes are worth.
-const COARSER: f32 = 1.5;
+const COARSER: f64 = 1.5;
 
 /// Gaussians for a layer to be laid over.
 pub(super) struct Base {
@@ -107,13 +107,18 @@ impl Encoding<'_> {
         Ok(outcome)
     }
 
-    /// Bytes and error of a layer like `coded` with a larger step.
-    fn coarser(&self, splats: &PackedSplats, coded: &Coded) -> Result<Option<[f64; 2]>> {
+    /// Bytes and plain error of two layers in the blocks of `coded`: one of about `bytes`, or as many as that has, and a coarser one.
+    fn two_steps(&self, splats: &PackedSplats, coded: &Coded, bytes: f64) -> [[f64; 2]; 2] {
         let tiles = self.residuals(splats);
-        let mut aim = self.aim_of_layer(coded.bytes);
-        aim.setting.head.step = (f32::from(coded.layer.head.step) * COARSER).min(65_535.0) as u16;
-        let other = search::once(&tiles, &aim, coded);
-        Ok(Some([other.bytes as f64, self.plain_error(splats, &other.layer)]).filter(|_| other.bytes < coded.bytes))
+        let factor = (coded.bytes as f64 / bytes).max(1.0).powf(1.0 / search::FALL);
+        [factor, factor * COARSER].map(|factor| {
+            let mut aim = self.aim_of_layer(coded.bytes);
+            let step = f64::from(coded.layer.head.step) * factor;
+            aim.setting.head.step = step.min(65_535.0) as u16;
+            aim.setting.care = Care::Quick;
+            let other = search::once(&tiles, &aim, coded);
+            [other.bytes as f64, self.plain_error(splats, &other.layer)]
+        })
     }
 
     /// The error that is to be small, as the fit weighs it.

@@ -36,7 +36,7 @@ const NEAR: f64 = 0.006;
 /// What is aimed at below the bytes that there are, as a part of them.
 const BELOW: f64 = 0.002;
 /// How bytes fall with the logarithm of the step, before two runs have shown it.
-const FALL: f64 = 1.4;
+pub(super) const FALL: f64 = 1.4;
 /// Bits of a level, before anything is known.
 const LEVEL_BITS: f64 = 5.0;
 /// Magnitude in steps from which on a coefficient is likely to have a level.
