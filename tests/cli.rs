@@ -881,10 +881,10 @@ fn values_that_are_no_values_are_named_in_plain_words() {
     fails(ssplat(&[&"encode", &folder.path("."), &out]), 3, "is a folder; --out-dir");
     fails(ssplat(&[&"decode", &folder.path("."), &folder.path("o.png")]), 3, "is a folder; --out-dir");
     // Thousands of bytes, and short names.
-    let short: [&dyn AsRef<OsStr>; 8] = [&"encode", &picture, &"-o", &out, &"-b", &".5k", &"-e", &"1"];
+    let short: [&dyn AsRef<OsStr>; 8] = [&"encode", &picture, &"-o", &out, &"-b", &".3k", &"-e", &"1"];
     succeeds(ssplat(&short));
     let bytes = fs::metadata(&out).unwrap().len();
-    assert!((450..=500).contains(&bytes), "{bytes}");
+    assert!((250..=300).contains(&bytes), "{bytes}");
     fails(ssplat(&[&"encode", &picture, &out, &"-o", &out]), 2, "several inputs need --out-dir");
 }
 
@@ -905,7 +905,9 @@ fn a_quality_is_met_or_said_to_be_missed() {
     assert!((seen - 60.0).abs() <= 0.5 && (number(&json, "quality") - seen).abs() < 1e-6, "{json}");
     image::GrayImage::from_fn(24, 24, |x, y| image::Luma([(x * 7919 + y * 104_729) as u8])).save(&noise).unwrap();
     assert!(told(run(&noise, "99")).contains("--quality 99 was not met: the file has "));
-    assert!(succeeds(ssplat(&[&"encode", &"--help"])).contains("30 low, 50 medium, 70 high"));
+    let help = succeeds(ssplat(&[&"encode", &"--help"]));
+    let words: Vec<&str> = help.split_whitespace().collect();
+    assert!(words.join(" ").contains("30 low, 50 medium, 70 high"), "{help}");
 }
 
 #[test]
@@ -936,13 +938,32 @@ fn a_budget_of_time_is_that_of_the_whole_command() {
     let file = folder.path("k.ssplat");
     let start = std::time::Instant::now();
     let json =
-        succeeds(ssplat(&[&"encode", &PHOTO, &file, &"--psnr", &"25", &"--effort", &"9", &"--time", &"3", &"--json"]));
+        succeeds(ssplat(&[&"encode", &PHOTO, &file, &"--psnr", &"20", &"--effort", &"9", &"--time", &"3", &"--json"]));
     let seconds = start.elapsed().as_secs_f64();
-    assert!(number(&json, "psnr") >= 25.0, "{json}");
+    assert!(number(&json, "psnr") >= 20.0, "{json}");
     // Effort 9 takes minutes for each of several tries; twice the budget is for a machine that is busy with other things.
     assert!(seconds < 6.0, "{seconds}");
     // A budget that no clock can tell the end of is none.
     succeeds(ssplat(&[&"encode", &folder.picture("a.png"), &file, &"--time", &"1e19", &"--effort", &"1"]));
+}
+
+#[test]
+fn info_of_several_files_tells_each_and_fails_for_those_that_are_broken() {
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    let copy = folder.path("b.ssplat");
+    fs::copy(&file, &copy).unwrap();
+    let lines = succeeds(ssplat(&[&"info", &file, &copy, &"--json"]));
+    let named: Vec<String> = lines
+        .lines()
+        .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap()["file"].as_str().unwrap().to_owned())
+        .collect();
+    assert_eq!(named, [file.display().to_string(), copy.display().to_string()]);
+    fs::write(&file, "broken").unwrap();
+    let said = ssplat(&[&"info", &file, &copy]);
+    assert_eq!(said.status.code(), Some(4), "{said:?}");
+    assert!(String::from_utf8_lossy(&said.stderr).contains("a.ssplat"));
+    assert!(String::from_utf8_lossy(&said.stdout).contains("b.ssplat:"));
 }
 
 #[test]

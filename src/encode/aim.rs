@@ -162,7 +162,7 @@ impl Encoding<'_> {
             };
         }
         let Some(mut best) = best else {
-            let within = self.subject.options.time.map(|t| format!(" within {} s", t.as_secs_f64()));
+            let within = self.subject.options.time.map(|t| format!(" within {:.1} s", t.as_secs_f64()));
             let within = within.unwrap_or_default();
             let problem = format!("{wanted} dB cannot be reached{within}: the best fit has {reached:.2} dB");
             return Err(Error::Parameter { name: "psnr", problem });

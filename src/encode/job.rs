@@ -214,7 +214,12 @@ impl Fitting<'_, '_> {
         self.draft.gaussians.clear();
         let fixed = bitstream::to_bytes(&self.draft)?.len() as f64;
         let each = ((all - fixed) / primitives.len().max(1) as f64).max(LEAST_PRICE);
-        Ok(((most as f64 * excess(primitives.len()) - fixed) / each).max(0.0) as usize)
+        // Metadata take their bytes whatever becomes of the primitives.
+        let metadata = &self.draft.metadata;
+        let carried =
+            [&metadata.icc, &metadata.exif].map(|block| block.as_ref().map_or(0, Vec::len)).iter().sum::<usize>();
+        let (most, fixed) = (most.saturating_sub(carried as u64) as f64, (fixed - carried as f64).max(0.0));
+        Ok(((most * excess(primitives.len()) - fixed) / each).max(0.0) as usize)
     }
 }
 

@@ -25,8 +25,10 @@ const TIMED_PARTS: u32 = TRIES + 1;
 const CLOSE: f64 = 0.5;
 /// Points above it that a try aims at: what is better can be made worse without another fit, not the other way round.
 const ABOVE: f64 = 0.25;
-/// A try this far above is near enough to be made worse: a fit of fewer primitives would be better by less than .1 point.
+/// A try this far above is near enough to be made worse instead of trying again.
 const NEAR: f64 = 1.5;
+/// Primitives that are taken out one by one where some at a time are too many.
+const SINGLE: usize = 24;
 /// Fewest bytes that are tried, without those of metadata.
 const LEAST_TRIED: f64 = 64.0;
 /// Share of the raw bytes that are tried at most.
@@ -149,9 +151,9 @@ impl Encoding<'_> {
         let mut field = Field::default();
         field.draw(&problem, &drawn, RowSet::ALL, Output::Picture);
         let order = removal::cheapest_first(&removal::costs(&problem, &field, RowSet::ALL, &drawn));
-        let without = |count: usize| {
+        let without = |out: &[usize]| {
             let mut is_out = vec![false; order.len()];
-            order[..count].iter().for_each(|&i| is_out[i] = true);
+            out.iter().for_each(|&i| is_out[i] = true);
             let left = splats.gaussians.iter().zip(&is_out).filter(|(_, out)| !**out).map(|(g, _)| *g);
             PackedSplats { gaussians: left.collect(), codebook: None, ..splats.clone() }
         };
@@ -162,7 +164,7 @@ impl Encoding<'_> {
         let enough = (order.len() / 1000).max(1);
         while over - sure > enough && !self.clock.is_over() {
             let count = next.clamp(sure + 1, over - 1);
-            let found = self.points(&without(count))?;
+            let found = self.points(&without(&order[..count]))?;
             if found >= wanted {
                 (sure, points) = (count, Some(found));
                 if found - wanted < ABOVE {
@@ -173,8 +175,18 @@ impl Encoding<'_> {
             }
             next = if over > order.len() { sure * 2 } else { (sure + over) / 2 };
         }
-        if sure > 0 {
-            let mut fewer = without(sure);
+        // What the squared error takes for little is not always little to the eye: the next ones are looked at by themselves.
+        let mut out = order[..sure].to_vec();
+        for &i in order[sure..].iter().take(SINGLE) {
+            if points.is_none_or(|p| p - wanted < ABOVE) || self.clock.is_over() {
+                break;
+            }
+            out.push(i);
+            let found = self.points(&without(&out))?;
+            if found >= wanted { points = Some(found) } else { drop(out.pop()) }
+        }
+        if !out.is_empty() {
+            let mut fewer = without(&out);
             let narrow = file::smallest(&mut fewer, 1)?;
             let bytes = if self.subject.is_whole() { narrow } else { self.subject.file(&fewer)? };
             if bytes.len() < outcome.bytes.len() {

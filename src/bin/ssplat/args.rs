@@ -341,14 +341,16 @@ pub struct Decode {
 const INFO_EXAMPLES: &str = "\
 Examples:
   ssplat info photo.ssplat
-  ssplat info photo.ssplat --json";
+  ssplat info photo.ssplat --json
+  ssplat info small/*.ssplat";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = INFO_EXAMPLES)]
 pub struct Info {
-    /// The .ssplat file; - for standard input
-    pub input: PathBuf,
-    /// Print as JSON
+    /// The .ssplat files; - for standard input
+    #[arg(required = true, value_name = "INPUT")]
+    pub inputs: Vec<PathBuf>,
+    /// Print as JSON; of several files an object for each, with its name as `file`
     #[arg(long)]
     pub json: bool,
 }

@@ -1,5 +1,7 @@
 //! `ssplat info`: the header, where the bytes go, and bits per primitive and field.
 
+use std::path::Path;
+
 use serde_json::{Value, json};
 use ssplat::bitstream::header::VERSION;
 use ssplat::bitstream::report::Report;
@@ -14,10 +16,40 @@ use crate::source;
 use crate::{args, left_out};
 
 pub fn run(args: &args::Info) -> Result<(), Failure> {
-    let bytes = source::read_splats(&args.input)?;
-    let (splats, report) =
-        ssplat::bitstream::inspect(&bytes, &Limits::default()).map_err(|e| Failure::library(&args.input, &e))?;
+    let [input] = &args.inputs[..] else { return several(args) };
+    let (splats, report) = inspected(input)?;
     say(&if args.json { format!("{:#}\n", as_json(&splats, &report)) } else { as_text(&splats, &report) })
+}
+
+/// Says it of each file. One that fails is told and does not stop the others; its failure is the command's.
+fn several(args: &args::Info) -> Result<(), Failure> {
+    let mut failed = None;
+    for (i, input) in args.inputs.iter().enumerate() {
+        let (splats, report) = match inspected(input) {
+            Ok(found) => found,
+            Err(failure) => {
+                if let Some(Failure { message, .. }) = failed.replace(failure) {
+                    eprintln!("ssplat: {message}");
+                }
+                continue;
+            }
+        };
+        let name = Failure::input(input);
+        if args.json {
+            let mut value = as_json(&splats, &report);
+            value["file"] = name.into();
+            say(&format!("{value}\n"))?;
+        } else {
+            let between = if i > 0 { "\n" } else { "" };
+            say(&format!("{between}{name}:\n{}", as_text(&splats, &report)))?;
+        }
+    }
+    failed.map_or(Ok(()), Err)
+}
+
+fn inspected(input: &Path) -> Result<(PackedSplats, Report), Failure> {
+    let bytes = source::read_splats(input)?;
+    ssplat::bitstream::inspect(&bytes, &Limits::default()).map_err(|e| Failure::library(input, &e))
 }
 
 fn as_json(splats: &PackedSplats, report: &Report) -> Value {
