@@ -183,7 +183,11 @@ impl Encoding<'_> {
             }
             out.push(i);
             let found = self.points(&without(&out))?;
-            if found >= wanted { points = Some(found) } else { drop(out.pop()) }
+            if found >= wanted {
+                points = Some(found);
+            } else {
+                out.pop();
+            }
         }
         if !out.is_empty() {
             let mut fewer = without(&out);

@@ -55,20 +55,23 @@ impl Encoding<'_> {
     pub(in crate::encode) fn layered(&mut self, size: Size) -> Result<Outcome> {
         let options = self.subject.options;
         let Size::Bytes(most) = size else { return self.at_size(size) };
+        // Header and metadata are there whatever the division is.
+        let fixed = self.subject.file(&self.subject.empty())?.len() as u64;
+        let Some(shared) = most.checked_sub(fixed) else { return self.at_size(size) };
         let may_have = options.layout == Layout::Coded && options.recipe == Recipe::Ssplat;
         let rounds = self.rounds();
         let time = self.clock.left().map(|left| self.share.map_or(left, |share| share.min(left)));
         self.until = time.and_then(|time| Instant::now().checked_add(time));
         match options.detail {
             Detail::Share(share) => {
-                let base = self.base((most as f64 * share) as u64)?;
+                let base = self.base(fixed + (shared as f64 * share) as u64)?;
                 let clock = self.journal.seconds();
                 let layered = self.layer(base, most)?;
                 let outcome = self.joined(layered, most, rounds)?;
                 self.journal.stage("detail", clock);
                 Ok(outcome)
             }
-            Detail::Auto if may_have && self.is_worth_a_layer(most) => self.divided(most, rounds),
+            Detail::Auto if may_have && self.is_worth_a_layer(shared) => self.divided([fixed, shared], rounds),
             _ => self.at_size(size),
         }
     }
@@ -103,12 +106,12 @@ impl Encoding<'_> {
         Ok(Base { outcome: outcome? })
     }
 
-    /// Finds the division, and makes the file.
-    fn divided(&mut self, most: u64, rounds: u32) -> Result<Outcome> {
-        let all = most as f64;
+    /// Finds the division of `shared` bytes, beside those of header and metadata, and makes the file.
+    fn divided(&mut self, [fixed, shared]: [u64; 2], rounds: u32) -> Result<Outcome> {
+        let (most, all) = (fixed + shared, shared as f64);
         let seen = if self.subject.options.favoured() == Tune::Psnr { 1.0 } else { SEEN };
         let few = (BASE * seen * self.larger().powf(BASE_POWER)).min(MOST * all);
-        let base = self.base(few as u64)?;
+        let base = self.base(fixed + few as u64)?;
         let clock = self.journal.seconds();
         let mut layered = self.layer(base, most)?;
         let ratio = (self.subject.samples() / all).max(20.0);
@@ -124,7 +127,7 @@ impl Encoding<'_> {
         .min(most_for_base);
         if many > WORTH * few {
             self.journal.stage("detail", clock);
-            let base = self.base(many as u64)?;
+            let base = self.base(fixed + many as u64)?;
             let other = self.layer(base, most)?;
             if other.error < layered.error {
                 layered = other;
