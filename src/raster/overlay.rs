@@ -5,7 +5,7 @@
 //! that parts of a view have the bits of the whole.
 
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use super::view::View;
 use crate::bitstream::DetailLayer;
@@ -23,6 +23,16 @@ pub(crate) struct Overlay {
     channels: Channels,
     /// Width and height of the picture, pixels.
     size: [u32; 2],
+    /// Memory that was used before: asking the system for it anew takes longer than the transforms.
+    pool: Mutex<Pool>,
+}
+
+/// Memory to work in.
+#[derive(Debug, Default)]
+struct Pool {
+    scratch: Vec<Scratch>,
+    planes: Vec<TilePlanes>,
+    values: Vec<Vec<f32>>,
 }
 
 /// What some rows of a view get added, in parts of white.
@@ -36,8 +46,8 @@ pub(super) struct Additions {
     values: Vec<f32>,
 }
 
-/// Bytes of additions that are held at a time, if a band does not need more.
-const HELD: u64 = 64 << 20;
+/// Bytes of additions that are held at a time, if a row of tiles does not need more.
+const HELD: u64 = 4 << 20;
 
 impl Additions {
     /// The row `row` of the view, channel after channel.
@@ -75,13 +85,13 @@ fn taps(origin: f64, step: f64, index: f64, side: usize) -> Taps {
 
 impl Overlay {
     pub fn new(layer: Arc<DetailLayer>, channels: Channels, size: [u32; 2]) -> Self {
-        Overlay { layer, channels, size }
+        Overlay { layer, channels, size, pool: Mutex::default() }
     }
 
     /// Rows of a view, in bands of at most so many, for which additions are made at once.
     pub fn rows_at_once(&self, view: &View) -> u32 {
         let row = u64::from(view.width) * self.channels.count() as u64 * size_of::<f32>() as u64;
-        u32::try_from(HELD / row.max(1)).unwrap_or(u32::MAX).max(1)
+        u32::try_from(HELD / row.max(1)).unwrap_or(u32::MAX).max(TILE as u32)
     }
 
     /// What it costs to make the tiles that `view` shows, in the units of [`Limits::work`](crate::Limits::work).
@@ -105,7 +115,9 @@ impl Overlay {
     pub(super) fn additions(&self, view: &View, left: i64, stride: usize, rows: Range<u32>) -> Additions {
         let channels = self.channels.count();
         let length = stride * channels;
-        let mut values = vec![0.0f32; rows.len() * length];
+        let mut values = self.pool().values.pop().unwrap_or_default();
+        values.clear();
+        values.resize(rows.len() * length, 0.0f32);
         let side = self.size.map(|side| side as usize);
         let grid = |k: usize, i: i64| f64::from(view.offset[k]) + i as f64;
         let is_exact = view.step == [1.0; 2] && view.origin.iter().all(|origin| origin.fract() == 0.0);
@@ -137,6 +149,7 @@ impl Overlay {
         for row in first / TILE..end.div_ceil(TILE).min(counts[1]) {
             let planes = self.tile_row(row, tiles.clone());
             if planes.iter().all(Option::is_none) {
+                self.keep(planes);
                 continue;
             }
             let scale = UNIT / 255.0;
@@ -175,8 +188,23 @@ impl Overlay {
                     }
                 }
             });
+            self.keep(planes);
         }
         Additions { top: rows.start, stride, channels, values }
+    }
+
+    fn pool(&self) -> MutexGuard<'_, Pool> {
+        self.pool.lock().expect("no holder panics")
+    }
+
+    /// Takes back the planes of tiles.
+    fn keep(&self, planes: Vec<Option<TilePlanes>>) {
+        self.pool().planes.extend(planes.into_iter().flatten());
+    }
+
+    /// Takes back additions that were made.
+    pub(super) fn used(&self, additions: Additions) {
+        self.pool().values.push(additions.values);
     }
 
     /// The planes of some tiles of a row of tiles.
@@ -186,8 +214,13 @@ impl Overlay {
             let index = row * across + tiles.start + i;
             let levels = self.layer.tiles[index].as_ref()?;
             let [_, _, width, height] = tile_area(self.size, index);
-            let (mut scratch, mut planes) = (Scratch::default(), TilePlanes::default());
+            let (scratch, planes) = {
+                let mut pool = self.pool();
+                (pool.scratch.pop(), pool.planes.pop())
+            };
+            let (mut scratch, mut planes) = (scratch.unwrap_or_default(), planes.unwrap_or_default());
             reconstruct(levels, (&self.layer.head, self.channels, [width, height]), &mut scratch, &mut planes);
+            self.pool().scratch.push(scratch);
             Some(planes)
         })
     }

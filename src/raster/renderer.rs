@@ -238,7 +238,9 @@ impl Renderer {
             let width = self.tile()[0];
             let left = i64::from(self.bins.tiles.first[0] * width) - i64::from(self.view.offset[0]);
             let stride = (self.bins.tiles.count[0] * width) as usize;
-            self.draw_bands(some, Some(&overlay.additions(&self.view, left, stride, rows)));
+            let additions = overlay.additions(&self.view, left, stride, rows);
+            self.draw_bands(some, Some(&additions));
+            overlay.used(additions);
         }
     }
 

@@ -69,7 +69,7 @@ impl View {
     /// the smallest of 1, 2, 4 and 8 with `step / k ≤ 1.5`, else 8. Where that leaves samples more than one picture
     /// pixel apart, the Gaussians' variance along the axis grows by `((step / k)² − 1) / 12`, their integral being kept:
     /// the variance of the pixels that each sample stands for. Either axis has its own `k`. Halves, quarters and eighths
-    /// are the averages of the full view's pixels. In a picture with alpha colours count by their alpha in the mean, so that
+    /// are the averages of the full view's pixels, but for what a detail layer would add beyond black or white. In a picture with alpha colours count by their alpha in the mean, so that
     /// what hides under alpha 0 shows nowhere (spec §5.5). The work is at most that of `8 × 8` times the output pixels.
     ///
     /// # Errors
