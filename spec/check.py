@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""Runs a decoder over the conformance vectors: python3 check.py [--reduced] [COMMAND...]
+"""Runs a decoder over the conformance vectors: python3 check.py [--reduced] [--partial] [COMMAND...]
 
 COMMAND is called with two more arguments, a .ssplat file and the picture to write (PAM, or PGM or PPM with raw samples).
 It shall write the picture and exit with 0, or write nothing and exit with another status. With --reduced, it is also asked
-for smaller pictures, which decoders need not offer: by `--width W --height H` behind the two. Without COMMAND, decode.py
-beside this file is checked, --reduced included. `check.py --control` checks the checker: decoders that are wrong on purpose shall fail.
+for pictures of other sizes, which decoders need not offer: by `--width W --height H` behind the two; with --partial, for what
+is left of damaged files: by `--partial` behind the two. Without COMMAND, decode.py
+beside this file is checked, with both. `check.py --control` checks the checker: decoders that are wrong on purpose shall fail.
 
 Each vector is a folder with file.ssplat, case.txt (what it shows, its SHA-256, what to expect) and, where a picture is
 expected, picture.pam.
@@ -53,7 +54,8 @@ def worst_of(got, want, top, reduced):
 def problem_of(run, case, folder, out):
     """What the decoder did wrong, or None."""
     width, height = case.get("size", " ").split(" ")
-    status = run(folder / "file.ssplat", out, *(["--width", width, "--height", height] if width else []))
+    options = ["--width", width, "--height", height] if width else ["--partial"] if "partial" in case else []
+    status = run(folder / "file.ssplat", out, *options)
     if status is None:
         return f"took more than {SECONDS} s"
     if status < 0 or status >= 128:
@@ -73,10 +75,10 @@ def problem_of(run, case, folder, out):
     return f"differs by {worst:g}" if worst > int(case["tolerance"]) else None
 
 
-def check(run, reduced=True, show=True):
+def check(run, optional=("reduced", "partial"), show=True):
     """Runs the vectors; gives back how many there are and what went wrong."""
     folders = sorted(p.parent for p in (HERE / "vectors").glob("*/*/case.txt"))
-    folders = [f for f in folders if reduced or f.parent.name != "reduced"]
+    folders = [f for f in folders if f.parent.name in ("valid", "invalid", "limits", *optional)]
     problems = []
     with tempfile.TemporaryDirectory() as temporary:
         for folder in folders:
@@ -96,26 +98,39 @@ def check(run, reduced=True, show=True):
 
 
 def by_command(command):
-    def run(file, out, *size):
+    def run(file, out, *options):
         try:
-            return subprocess.run([*command, file, out, *size], capture_output=True, timeout=SECONDS).returncode
+            return subprocess.run([*command, file, out, *options], capture_output=True, timeout=SECONDS).returncode
         except subprocess.TimeoutExpired:
             return None
 
     return run
 
 
-def by_decode(file, out, *size):
+def by_decode(file, out, *options):
     with contextlib.redirect_stderr(io.StringIO()):
-        return decode.main([str(file), str(out), *size])
+        return decode.main([str(file), str(out), *options])
+
+
+# Parts of the detail layer that a decoder might forget: where they are, and what is there without them.
+LEFT_OUT_FROM = {
+    "the detail layer": (decode, "additions"),
+    "lapping": (decode, "lap"),
+    "slopes": (decode.DetailHead, "steps"),
+}
+LEFT_OUT = {
+    "the detail layer": lambda header, tiles, size: np.zeros((size[1], size[0], header.channels)),
+    "lapping": lambda plane, sizes: None,
+    "slopes": lambda head, plane, step_class, size: np.full((4 << size, 4 << size), max(1, head.step * head.ratio[plane] // 16)),
+}
 
 
 def control():
     """Decoders that are wrong in one way each, and the vectors that shall find them out."""
 
     def off_by(amount):
-        def run(file, out, *size):
-            status = by_decode(file, out, *size)
+        def run(file, out, *options):
+            status = by_decode(file, out, *options)
             if status == 0:
                 data = bytearray(out.read_bytes())
                 data[-1] = (data[-1] + amount) % 256
@@ -124,30 +139,42 @@ def control():
 
         return run
 
-    def accepts_all(file, out, *size):
-        status = by_decode(file, out, *size)
+    def accepts_all(file, out, *options):
+        status = by_decode(file, out, *options)
         if status != 0:
             out.write_bytes(b"P5 1 1 255 \0")
         return 0
 
-    def crashes(file, out, *size):
-        return by_decode(file, out, *size) and -11
+    def crashes(file, out, *options):
+        return by_decode(file, out, *options) and -11
 
-    def leaves_half(file, out, *size):
-        status = by_decode(file, out, *size)
+    def leaves_half(file, out, *options):
+        status = by_decode(file, out, *options)
         out.touch()
         return status
 
-    def cuts_a_row(file, out, *size):
-        status = by_decode(file, out, *size)
+    def cuts_a_row(file, out, *options):
+        status = by_decode(file, out, *options)
         if status == 0:
             samples, top = read_picture(out)
             head = f"P7\nWIDTH {samples.shape[1]}\nHEIGHT {samples.shape[0] - 1}\nDEPTH {samples.shape[2]}\nMAXVAL {top}\nENDHDR\n"
             out.write_bytes(head.encode() + samples[1:].astype(">u2" if top > 255 else "u1").tobytes())
         return status
 
+    def without(name, put):
+        def run(file, out, *options):
+            there = getattr(*LEFT_OUT_FROM[name])
+            setattr(*LEFT_OUT_FROM[name], put)
+            try:
+                return by_decode(file, out, *options)
+            finally:
+                setattr(*LEFT_OUT_FROM[name], there)
+
+        return run
+
     expected = {"off by 100": off_by(100), "accepts all": accepts_all, "crashes": crashes}
-    expected |= {"ignores the size": lambda file, out, *size: by_decode(file, out), "refuses all": lambda file, out, *size: 1, "leaves half a file": leaves_half, "cuts a row": cuts_a_row}
+    expected |= {"ignores the size": lambda file, out, *options: by_decode(file, out), "refuses all": lambda file, out, *options: 1, "leaves half a file": leaves_half, "cuts a row": cuts_a_row}
+    expected |= {f"leaves out {name}": without(name, put) for name, put in LEFT_OUT.items()}
     unseen = 0
     for name, run in expected.items():
         count, problems = check(run, show=False)
@@ -159,8 +186,10 @@ def control():
 def main(arguments):
     if arguments == ["--control"]:
         return 1 if control() else 0
-    reduced, command = "--reduced" in arguments[:1], [a for k, a in enumerate(arguments) if k or a != "--reduced"]
-    count, problems = check(by_command(command), reduced) if command else check(by_decode)
+    command, optional = list(arguments), []
+    while command and command[0] in ("--reduced", "--partial"):
+        optional.append(command.pop(0)[2:])
+    count, problems = check(by_command(command), optional) if command else check(by_decode)
     print(f"{count - len(problems)} of {count} vectors pass")
     return 1 if problems or count == 0 else 0
 

@@ -140,6 +140,7 @@ class Header:
         self.most = [most_color(h, second >> 4) for h in (2, halves, halves, 2)][: self.channels]
         self.angle_counts = [self.angle_count(d) for d in range(256)]
         self.steps_of = {}
+        self.detail = None
 
     def angle_count(self, d):  # §4.2
         if d == 0:
@@ -194,7 +195,7 @@ def most_color(halves, luma):
 
 
 def read_sections(b, header, damaged):
-    """Skips the sections; gives back the bytes that the file's checksum covers."""
+    """Skips the sections but for `Dtal`, whose contents it leaves in the header; gives back the bytes that the file's checksum covers."""
     start, covered, last = b.at, b"", b""
     count = b.varint("section count")
     demand(1 <= count <= 64, "number of sections")
@@ -208,9 +209,13 @@ def read_sections(b, header, damaged):
         covered += b.data[start : b.at]
         contents = b.take(length, "section")
         start = b.at
-        if name[0] < 97:
+        is_right = zlib.crc32(zlib.crc32(header.bytes).to_bytes(4, "little") + name + contents) == stored
+        if name == b"Dtal":
+            demand(is_right, "checksum of section Dtal")
+            header.detail = DetailHead(contents, header)
+        elif name[0] < 97:
             raise Illegal(f"unknown critical section {name.decode()}")
-        if zlib.crc32(zlib.crc32(header.bytes).to_bytes(4, "little") + name + contents) != stored:
+        elif not is_right:
             damaged.append(name.decode())
     return covered
 
@@ -1030,6 +1035,352 @@ def read_groups(b, header, lost=None):
     return background, out
 
 
+# §11 The detail layer
+
+TILE = 256
+SIZES = 4
+
+
+class DetailHead:
+    """§11.1"""
+
+    def __init__(self, contents, header):
+        demand(header.layout >= 2, "layout of a file with a detail layer")
+        b = Bytes(contents)
+        self.payload, self.checksum = b.varint("payload length"), b.u32("payload checksum")
+        self.step = int.from_bytes(b.take(2, "step"), "little")
+        flags = b.byte("detail flags")
+        demand(flags < 128, "detail flags")
+        seen, start = flags >> 6 & 1, b.at
+        # The fields by their bits: what the flags of both presets stand for, and what is said.
+        presets = ([39, 32], [0, 0], [0b11_10_11_00], [0x42], [1]), ([64, 32], [48, 48], [0b11_10_11_00], [0x20], [4])
+        fields = [list(b.take(len(p), "field")) if flags >> k & 1 else p for k, p in enumerate(presets[seen])]
+        demand(b.at == len(contents), "bytes behind the detail head")
+        lengths = [sum(len(f) for f, p in zip(fields, preset) if f != p) for preset in presets]
+        shortest = 1 if lengths[1] < lengths[0] else 0
+        demand(seen == shortest and len(contents) - start == lengths[seen], "contents of section Dtal are not the shortest")
+        (orange, green), (luma, chroma), (sizes,), (biases,), (self.classes,) = fields
+        demand(self.step > 0, "step")
+        demand(orange > 0 and green > 0, "chroma steps")
+        demand(1 <= self.classes <= 8, "step classes")
+        self.ratio, self.slope = [16, orange, green, 16], [luma, chroma, chroma, luma]
+        self.sizes = [(sizes & 3, sizes >> 2 & 3), (sizes >> 4 & 3, sizes >> 6), (sizes & 3, sizes >> 2 & 3)]
+        demand(all(least <= most for least, most in self.sizes), "block sizes")
+        self.bias = [biases & 15, biases >> 4]
+        has_plane = flags >> 5 & 1
+        demand(not has_plane or header.channels in (2, 4), "a plane of alpha without alpha")
+        self.kinds = [(0, [0])] + [(1, [1, 2])] * (header.channels >= 3) + [(2, [3])] * has_plane
+
+    def steps(self, plane, step_class, size):
+        """The steps of all frequencies of a block, rows × columns (§11.5)."""
+        base = self.step * self.ratio[plane] // 16
+        if self.classes > 1:
+            base = base * (38, 54, 76, 108, 152, 215, 304, 430)[step_class] // 64
+        f = np.arange(4 << size, dtype=np.int64) ** 2
+        frequency = (f + f[:, None]) * 1024 >> 4 + 2 * size
+        return np.maximum(1, base + (base * self.slope[plane] * frequency >> 14))
+
+
+def wrapped(values):
+    """Modulo 2³², with a sign."""
+    return np.asarray(values).astype(np.int64).astype(np.int32)
+
+
+# §11.2
+
+
+def tiles_of(header):
+    """Left, top, width and height of each."""
+    width, height = header.size
+    corners = [(x, y) for y in range(0, height, TILE) for x in range(0, width, TILE)]
+    return [(x, y, min(TILE, width - x), min(TILE, height - y)) for x, y in corners]
+
+
+def read_tiles(b, header, lost=None):
+    """What each tile adds, with where it lies; with a list `lost`, tiles that are not intact are named there."""
+    places, entries = tiles_of(header), []
+    try:
+        demand(lost is not None or len(places) <= len(b.data) - b.at, "index of the detail layer is cut off")
+        for _ in places:
+            length = b.varint("length of a tile")
+            entries.append((length, int.from_bytes(b.take(2, "check of a tile"), "little") if length else 0))
+    except Illegal:
+        if lost is None:
+            raise
+        lost += places
+        return [(place, None) for place in places]
+    tiles, at = [], b.at
+    for place, (length, check) in zip(places, entries):
+        b.at, at = min(at, len(b.data)), at + length
+        tiles.append((place, None))
+        if length == 0:
+            continue
+        try:
+            stream = b.take(length, "tile")
+            demand(zlib.crc32(stream) & 0xFFFF == check, "check of a tile")
+            tiles[-1] = place, Tile(stream, header, place[2:]).additions()
+        except Illegal:
+            if lost is None:
+                raise
+            lost.append(place)
+    return tiles
+
+
+# §11.3
+
+
+class Models:
+    """Adaptive bits that begin alike for each tile."""
+
+    STARTS = None
+
+    def __init__(self):
+        if Models.STARTS is None:
+            path = os.path.join(os.path.dirname(os.path.abspath(__file__)), "detail-models.txt")
+            with open(path) as f:
+                table = np.array(f.read().split(), int).reshape(2, -1)
+            at, starts = 0, {}
+
+            def take(name, *shape):
+                nonlocal at
+                count = math.prod(shape)
+                starts[name] = table[:, at : at + count].reshape(2, *shape)
+                at += count
+
+            take("filled", 3, SIZES, 8, 4)
+            for kind in (0, 1):
+                take(f"exponent{kind}", 8, 12)
+                take(f"mantissa{kind}", 12, 3)
+                take(f"place{kind}", SIZES, 15, 6, 4)
+                take(f"more{kind}", 5, 4, 2)
+                take(f"larger{kind}", 16)
+                take(f"divide{kind}", SIZES, 3)
+            take("class", 16, 8)
+            assert at == table.shape[1]
+            for name in ("exponent", "mantissa", "place", "more", "larger", "divide"):
+                starts[name + "2"] = starts[name + "0"]
+            starts["filled"] = np.concatenate([starts["filled"], starts["filled"][:, :1]], 1)
+            Models.STARTS = starts
+        self.of = {}
+
+    def code(self, coder, name, *index):
+        key = (name, *index)
+        model = self.of.get(key)
+        if model is None:
+            one, seen = Models.STARTS[name][(slice(None), *index)].tolist()
+            model = self.of[key] = [256 * one + 128, 256 * one + 128, seen]
+        quick, slow, n = model
+        bit = coder.bit(clamp(quick + slow >> 1, 32, 65504))
+        target, pace = 65535 if bit else 0, 131072 // (2 * n + 3)
+        quick += (target - quick) * min(32767, max(2730, pace)) >> 16
+        slow += (target - slow) * min(32767, max(512, pace)) >> 16
+        model[:] = quick, slow, min(127, n + 1)
+        return bit
+
+
+# §11.4
+
+
+def scan_of(size):
+    """The places (u, v) of a block, in order, with the zone of each."""
+    side = range(4 << size)
+    places = sorted(((u, v) for v in side for u in side), key=lambda p: (sum(p), p[1 - sum(p) % 2]))
+
+    def zone(k):
+        return (0, 1, 2, 2)[k] if k < 4 else 3 + 2 * (ilog2(k) - 2) + (k >> ilog2(k) - 1 & 1)
+
+    return [(u, v, zone(k >> (0, 0, 1, 2)[size])) for k, (u, v) in enumerate(places)]
+
+
+SCANS = [scan_of(size) for size in range(SIZES)]
+
+
+class Tile:
+    """The levels of a tile of so many pixels; rows and columns are those of cells."""
+
+    def __init__(self, stream, header, size):
+        self.head, self.channels, self.pixels = header.detail, header.channels, size
+        self.coder, self.models = RangeDecoder(stream), Models()
+        across, down = self.cells = [8 * -(-side // 32) for side in size]
+        self.sizes = np.zeros((3, down, across), int)
+        self.dense = np.zeros((4, down, across), int)
+        self.classes = np.zeros((down // 8, across // 8), int)
+        self.blocks = []  # plane, column, row, size, class, levels
+        for y in range(0, down, 8):
+            for x in range(0, across, 8):
+                self.superblock(x, y)
+        demand(self.blocks, "a tile without levels")
+        self.coder.finish()
+
+    def bit(self, *model):
+        return self.models.code(self.coder, *model)
+
+    def superblock(self, x, y):
+        i, j = x // 8, y // 8
+        if self.head.classes > 1:
+            near = [self.classes[j, i - 1]] * (i > 0) + [self.classes[j - 1, i]] * (j > 0) or [1]
+            near, value = int(near[0] + near[-1]), 0
+            while value < self.head.classes - 1 and self.bit("class", near, value):
+                value += 1
+            self.classes[j, i] = value
+        for kind, planes in self.head.kinds:
+            self.square(kind, planes, x, y, 3)
+
+    def square(self, kind, planes, x, y, size):
+        least, most = self.head.sizes[kind]
+        n = 1 << size
+        divided = size > most
+        if least < size <= most:
+            sizes = self.sizes[kind]
+            smaller = int(y > 0 and sizes[y - 1, x] < size) + int(x > 0 and sizes[y, x - 1] < size)
+            divided = self.bit(f"divide{kind}", size, smaller)
+        if divided:
+            half = n // 2
+            for cx, cy in ((x, y), (x + half, y), (x, y + half), (x + half, y + half)):
+                self.square(kind, planes, cx, cy, size - 1)
+            return
+        self.sizes[kind, y : y + n, x : x + n] = size
+        for plane in planes:
+            levels = self.block(kind, plane, x, y, size)
+            if levels:
+                step_class = int(self.classes[y // 8, x // 8])
+                self.blocks.append((plane, x, y, size, step_class, levels))
+            self.dense[plane, y : y + n, x : x + n] = len(levels) * 1024 // (4 * n) ** 2
+
+    def block(self, kind, plane, x, y, size):
+        """The levels of a block by their places (u, v)."""
+        n, dense = 1 << size, self.dense[plane]
+        near = list(dense[y - 1, x : x + n]) * (y > 0) + list(dense[y : y + n, x - 1]) * (x > 0)
+        bucket = min(7, bits(-(-int(sum(near)) * 4 * (4 * n) ** 2 // (1024 * len(near))))) if near else 2
+        others = 0
+        if plane in (1, 2):
+            luma = 16 * int(self.dense[0, y : y + n, x : x + n].sum()) // 1024
+            others = min(3, bits(luma)) if plane == 1 else int(luma > 1) + 2 * int(self.dense[1, y, x] != 0)
+        if not self.bit("filled", plane, size, bucket, others):
+            return {}
+        # Their number.
+        e, count = 0, 1
+        while e < 4 + 2 * size and self.bit(f"exponent{kind}", bucket, e):
+            e += 1
+        if e > 0:
+            count = 2 + self.bit(f"mantissa{kind}", e, 0)
+        if e > 1:
+            count = 2 * count + self.bit(f"mantissa{kind}", e, 1 + (count & 1))
+        for _ in range(e - 2):
+            count = 2 * count + self.coder.bit(32768)
+        places = len(SCANS[size])
+        demand(count <= places, "levels of a block")
+        # Their places, and the levels.
+        levels, left = {}, count
+        size_at = lambda u, v: abs(levels.get((u, v), 0))
+        for k, (u, v, zone) in enumerate(SCANS[size]):
+            w = 2 * (size_at(u - 1, v) + size_at(u, v - 1)) + size_at(u - 1, v - 1) + size_at(u - 2, v) + size_at(u, v - 2)
+            near = min(3, (w + 1) // 2)
+            if left < places - k and not self.bit(f"place{kind}", size, zone, min(5, bits(left - 1)), near):
+                continue
+            magnitude = 1
+            if self.bit(f"more{kind}", min(4, zone // 3), near, int(count > 4)):
+                magnitude = self.larger(kind)
+            levels[u, v] = -magnitude if self.coder.bit(32768) else magnitude
+            left -= 1
+            if left == 0:
+                break
+        return levels
+
+    def larger(self, kind):
+        a = 2
+        while a < 15:
+            if not self.bit(f"larger{kind}", a):
+                return a
+            a += 1
+        e, rest = 0, 0
+        while e < 15 and self.coder.bit(32768):
+            e += 1
+        for _ in range(e):
+            rest = 2 * rest + self.coder.bit(32768)
+        magnitude = 14 + (1 << e) + rest
+        demand(magnitude <= 32767, "level")
+        return magnitude
+
+    # §11.5
+
+    def additions(self):
+        """What the pixels get, rows × columns × channels, in 1/32 of an 8-bit code value."""
+        across, down = self.cells
+        planes = np.zeros((4, 4 * down, 4 * across), np.int32)
+        for plane, x, y, size, step_class, levels in self.blocks:
+            n, steps = 4 << size, self.head.steps(plane, step_class, size)
+            coefficients = np.zeros((n, n), np.int32)
+            for (u, v), level in levels.items():
+                units = 32 * abs(level) - self.head.bias[abs(level) > 1]
+                value = int(wrapped(units * int(steps[v, u]) + 64)) >> 7
+                coefficients[v, u] = -value if level < 0 else value
+            planes[plane, 4 * y : 4 * y + n, 4 * x : 4 * x + n] = inverse_transform(coefficients)
+        for kind, of_kind in self.head.kinds:
+            for plane in of_kind:
+                lap(planes[plane], self.sizes[kind])
+                lap(planes[plane].T, self.sizes[kind].T)
+        width, height = self.pixels
+        y, o, g, a = planes[:, :height, :width]
+        y = y + y
+        colors = [y - g + o, y + g, y - g - o] if self.channels >= 3 else [y]
+        alphas = [a + a] if self.channels in (2, 4) else []
+        return np.stack([np.clip(c, -32768, 32767) for c in colors + alphas], -1)
+
+
+def inverse_transform(x):
+    n = len(x)
+    cosine = lambda j: math.floor(2048 * math.cos(j * math.pi / 64) + 0.5)
+    rows = [[cosine(16 if k == 0 else (2 * i + 1) * k * 32 // n % 128) for i in range(n)] for k in range(n)]
+    T, log = np.array(rows, np.int32), ilog2(n)
+    down = T.T @ x + np.int32(1024) >> 11
+    return down @ T + np.int32(1 << 9 + log) >> 10 + log
+
+
+def lap(plane, sizes):
+    """Joins blocks across the edges between rows, in place."""
+    for y in range(1, len(sizes)):
+        edge = np.repeat(sizes[y], 4)
+        at = y % (1 << edge) == 0
+        x0, x1, x2, x3 = plane[4 * y - 2 : 4 * y + 2, at]
+        e0, e1, d0, d1 = x1 + x2, x0 + x3, x1 - x2, x0 - x3
+        m0 = 3784 * d0 - 1567 * d1 + 2048 >> 12
+        m1 = 1567 * d0 + 3784 * d1 + 2048 >> 12
+        plane[4 * y - 2 : 4 * y + 2, at] = [e1 + m1 + 1 >> 1, e0 + m0 + 1 >> 1, e0 - m0 + 1 >> 1, e1 - m1 + 1 >> 1]
+
+
+# §11.6
+
+
+def shares(side, pixels):
+    """What each of so many output pixels takes of each pixel along an axis, as a matrix."""
+    step, out = side / pixels, np.zeros((pixels, side))
+    for i in range(pixels):
+        if step <= 1:
+            at = clamp((i + 0.5) * step - 0.5, 0, side - 1)
+            first = min(int(at), side - 1)
+            out[i, first] = 1 - (at - first)
+            if at > first:
+                out[i, first + 1] = at - first
+        else:
+            for x in range(int(i * step), min(side, math.ceil((i + 1) * step))):
+                out[i, x] = (min(x + 1, (i + 1) * step) - max(x, i * step)) / step
+    return out
+
+
+def additions(header, tiles, size):
+    """What the samples of the whole picture get, in this size: rows × columns × channels, in parts of white."""
+    width, height = header.size
+    whole = np.zeros((height, width, header.channels))
+    for (x, y, across, down), added in tiles:
+        if added is not None:
+            whole[y : y + down, x : x + across] = added / (32 * 255)
+    if tuple(size) == (width, height):
+        return whole
+    whole = np.tensordot(shares(height, size[1]), whole, 1)
+    return np.moveaxis(np.tensordot(shares(width, size[0]), np.moveaxis(whole, 1, 0), 1), 0, 1)
+
+
 # §5. The picture
 
 
@@ -1082,8 +1433,8 @@ class Shape:
         return self.s1 * self.s2 / math.sqrt(self.det) * np.maximum(0, np.exp(-squared / 2) - edge)
 
 
-def draw(header, background, primitives, size=None):
-    """The samples, rows × columns × channels, of the whole picture in its own size or another."""
+def draw(header, background, primitives, tiles, size=None):
+    """The samples, rows × columns × channels, of the whole picture in its own size or another; with what the tiles of a detail layer add."""
     width, height = size or header.size
     grid = low_pass(header.size[0], width), low_pass(header.size[1], height)
     (across, dx, _), (down, dy, _) = grid
@@ -1099,6 +1450,7 @@ def draw(header, background, primitives, size=None):
     if weights > MOST_WEIGHTS:
         raise TooMuch(f"{weights} weights to draw")
     out = np.empty((height, width, channels), dtype)
+    added = additions(header, tiles, (width, height)) if tiles else np.zeros((height, 1, 1))
     rows = max(1, (1 << 22) // (width * across * down))
     for first in range(0, height, rows):
         last = min(height, first + rows)
@@ -1125,21 +1477,62 @@ def draw(header, background, primitives, size=None):
                 values = np.concatenate([mean(values[:-1] * share) / mean(share), mean(alpha)])
             else:
                 values = mean(values)
+        values = np.clip(values + np.moveaxis(added[first:last], -1, 0), 0, 1)
         out[first:last] = np.moveaxis(np.floor(values * top + 0.5), 0, -1)
     return out
 
 
+def payload(b, header):
+    """The bytes of the Gaussians: all that are left, or those before a detail layer, which have a checksum of their own (§11.1)."""
+    if header.detail is None:
+        return Bytes(b.data, b.at)
+    start = b.at
+    taken = b.take(header.detail.payload, "payload")
+    demand(zlib.crc32(header.bytes + taken) == header.detail.checksum, "checksum of the payload")
+    return Bytes(b.data[: b.at], start)
+
+
+def read_primitives(b, header):
+    demand(header.count <= 8 * (len(b.data) - b.at) + 1024, "count is too large for the payload")
+    picture = [read_packed, read_planes, read_coded, read_groups][header.layout](b, header)
+    demand(b.at == len(b.data), "bytes left over")
+    return picture
+
+
 def read(data, header, notes):
-    """Background and primitives of a whole file."""
+    """Background, primitives and tiles of a whole file."""
     b, damaged = Bytes(data[:-4], len(header.bytes)), []
     demand(len(b.data) >= b.at, "checksum is cut off")
     covered = header.bytes + (read_sections(b, header, damaged) if header.sections else b"")
     demand(zlib.crc32(covered + b.data[b.at :]) == int.from_bytes(data[-4:], "little"), "checksum of the file")
     notes += [f"section {name} is damaged" for name in damaged]
-    demand(header.count <= 8 * (len(b.data) - b.at) + 1024, "count is too large for the payload")
-    picture = [read_packed, read_planes, read_coded, read_groups][header.layout](b, header)
+    part = payload(b, header)
+    background, primitives = read_primitives(part, header)
+    b.at, tiles = part.at, []
+    if header.detail:
+        tiles = read_tiles(b, header)
     demand(b.at == len(b.data), "bytes left over")
-    return picture
+    return background, primitives, tiles
+
+
+def read_what_is_left(data, header, notes):
+    """The same of a damaged file (§9, §11.7)."""
+    b, lost, tiles, gone = Bytes(data, len(header.bytes)), [], [], []
+    if header.sections:
+        read_sections(b, header, [])
+    if header.layout == 3:
+        end = len(data) if header.detail is None else min(len(data), b.at + header.detail.payload)
+        background, primitives = read_groups(Bytes(data[:end], b.at), header, lost)
+        b.at = end
+        notes.append(f"{sum(lost)} of {header.count} primitives in {len(lost)} groups are missing")
+    else:
+        part = payload(b, header)
+        background, primitives = read_primitives(part, header)
+        b.at = part.at
+    if header.detail:
+        tiles = read_tiles(b, header, gone)
+        notes.append(f"{len(gone)} of {len(tiles)} tiles of the detail layer are missing")
+    return background, primitives, tiles
 
 
 def decode(data, partial=False, size=None):
@@ -1149,16 +1542,13 @@ def decode(data, partial=False, size=None):
         width, height = size or header.size
         raise TooMuch(f"{width} × {height} pixels, {header.count} primitives")
     try:
-        background, primitives = read(data, header, notes)
+        picture = read(data, header, notes)
     except Illegal as e:
-        if not partial or header.layout != 3:
+        if not partial or header.layout != 3 and header.detail is None:
             raise
-        b, lost = Bytes(data, len(header.bytes)), []
-        if header.sections:
-            read_sections(b, header, [])
-        background, primitives = read_groups(b, header, lost)
-        notes.append(f"{e}; {sum(lost)} of {header.count} primitives in {len(lost)} groups are missing")
-    return header, draw(header, background, primitives, size), notes
+        notes.append(str(e))
+        picture = read_what_is_left(data, header, notes)
+    return header, draw(header, *picture, size), notes
 
 
 def write_pam(path, header, samples):

@@ -11,7 +11,7 @@ use std::path::Path;
 use seal::seal;
 use ssplat::bitstream::splats::Layout;
 use ssplat::bitstream::{Missing, inspect, read, read_partial, to_bytes};
-use ssplat::raster::{Renderer, View};
+use ssplat::raster::View;
 use ssplat::{Error, Limits};
 use synthetic::Random;
 
@@ -83,10 +83,10 @@ fn outcome(bytes: &[u8]) -> &'static str {
         // zstd has many streams for the same bytes.
         assert!(to_bytes(&splats).unwrap() == bytes, "bytes are not canonical");
     }
-    let picture = splats.to_picture();
     // The whole of a large picture takes long to draw: a corner says as much.
-    let view = View::full(&picture).crop(0, 0, picture.width.min(48), picture.height.min(48)).unwrap();
-    match Renderer::new(&picture, &view, &limits).and_then(|r| r.render(splats.depth)) {
+    let (width, height) = (splats.width, splats.height);
+    let view = View::of_size(width, height).crop(0, 0, width.min(48), height.min(48)).unwrap();
+    match splats.renderer(&view, &limits).and_then(|r| r.render(splats.depth)) {
         Ok(_) if !splats.metadata.damaged.is_empty() => "picture without a damaged section",
         Ok(_) => "picture",
         Err(e) => kind(&e),

@@ -9,9 +9,9 @@ use std::path::Path;
 use image::ImageReader;
 use peak_alloc::PeakAlloc;
 use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
-use ssplat::bitstream::{inspect, to_bytes};
+use ssplat::bitstream::{DetailHead, inspect, to_bytes};
 use ssplat::{Blend, Channels, DecodeOptions, Depth, Limits, Opened};
-use synthetic::{Scene, scene};
+use synthetic::{Levels, Scene, scene, with_layer};
 
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;
@@ -59,11 +59,21 @@ fn worst() -> Vec<(String, Vec<u8>)> {
         equal.metadata.icc = Some(vec![1; 6 << 20]);
         files.push((format!("{kind} with metadata"), to_bytes(&equal).unwrap()));
     }
+    // Levels nearly everywhere, and many tiles with hardly any.
+    let mut full = DetailHead::PLAIN;
+    full.sizes = [[3, 3], [3, 3]];
+    let ground = |size, channels| scene(&Scene { size, channels, count: 50, ..Scene::default() });
+    let everywhere = Levels { filled: 1, most: 3000, ..Levels::new(1) };
+    let dense = with_layer(ground([1024, 768], Channels::Rgb), full, everywhere);
+    files.push(("a dense detail layer".into(), to_bytes(&dense).unwrap()));
+    let here_and_there = Levels { filled: 500, most: 1, ..Levels::new(2) };
+    let sparse = with_layer(ground([4096, 2048], Channels::Grey), full, here_and_there);
+    files.push(("a sparse detail layer".into(), to_bytes(&sparse).unwrap()));
     for checksums in [Checksums::Right, Checksums::Wrong] {
         files.push((format!("a million empty sections with {checksums:?} checksums"), empty_sections(checksums)));
     }
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("spec/vectors");
-    for kind in ["valid", "invalid", "limits"] {
+    for kind in ["valid", "invalid", "limits", "partial"] {
         for entry in fs::read_dir(folder.join(kind)).unwrap() {
             let path = entry.unwrap().path();
             let name = path.file_name().unwrap().to_string_lossy().into_owned();

@@ -56,3 +56,28 @@ fn a_damaged_section_is_named_and_the_picture_drawn() {
     let said = String::from_utf8(drawn.stderr).unwrap();
     assert!(said.contains("section iccp is damaged and left out"), "{said}");
 }
+
+#[test]
+fn missing_tiles_of_a_detail_layer_are_counted_and_the_rest_is_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = vector("detail-tiles-row");
+    let (whole, _) = decode(&folder, &bytes, &["--partial", "--json"]);
+    assert!(whole.status.success() && whole.stderr.is_empty());
+    let json = String::from_utf8(whole.stdout).unwrap();
+    assert!(!json.contains("of_tiles"), "{json}");
+    let mut hurt = bytes.clone();
+    let at = hurt.len() - 9;
+    hurt[at] ^= 1;
+    let (refused, none) = decode(&folder, &hurt, &[]);
+    assert_eq!((refused.status.code(), none), (Some(4), None));
+    let (drawn, picture) = decode(&folder, &hurt, &["--partial", "--json"]);
+    assert!(drawn.status.success() && picture.is_some());
+    let said = String::from_utf8(drawn.stderr).unwrap();
+    assert!(said.contains("1 of 4 tiles of the detail layer are missing") && !said.contains("primitives"), "{said}");
+    let json = String::from_utf8(drawn.stdout).unwrap();
+    assert!(json.contains("\"of_tiles\":4") && json.contains("\"tiles\":1"), "{json}");
+    // Cut in the checksum, nothing of the picture is lost.
+    let (drawn, _) = decode(&folder, &bytes[..bytes.len() - 1], &["--partial"]);
+    let said = String::from_utf8(drawn.stderr).unwrap();
+    assert!(drawn.status.success() && said.contains("all of the picture"), "{said}");
+}

@@ -5,9 +5,9 @@ mod synthetic;
 use std::process::Command;
 
 use ssplat::bitstream::splats::Layout;
-use ssplat::bitstream::to_bytes;
+use ssplat::bitstream::{DetailHead, to_bytes};
 use ssplat::{Blend, Channels, DecodeOptions, Depth, EncodeOptions, Pixels, Samples, Target, Tune, decode, encode};
-use synthetic::{Random, Scene, scene};
+use synthetic::{Levels, Random, Scene, scene, with_layer};
 
 /// CRC-32 of a picture's samples.
 fn checksum(pixels: &Pixels) -> u32 {
@@ -33,6 +33,16 @@ fn results() -> String {
                 lines += &format!("drawn {channels:?} {blend:?} {size:?} {drawn:08x}\n");
             }
         }
+    }
+    let mut head = DetailHead::SEEN;
+    head.step = 600;
+    let layered = scene(&Scene { count: 300, size: [300, 200], ..Scene::default() });
+    let layered = to_bytes(&with_layer(layered, head, Levels::new(71))).unwrap();
+    for size in [[300, 200], [140, 33], [400, 250]] {
+        let mut options = DecodeOptions::default();
+        options.size = Some(size);
+        let drawn = checksum(&decode(&layered, &options).unwrap().pixels);
+        lines += &format!("drawn with a detail layer {size:?} {drawn:08x}\n");
     }
     let mut random = Random(5);
     let samples = (0..60 * 44 * 3u64).map(|i| (i / 3 % 60 * 3 + i / 180 * 2 + random.below(40)) as u8).collect();
@@ -72,6 +82,6 @@ fn plain_and_best_instructions_give_the_same_files_and_pixels() {
     if best[0] == plain[0] {
         println!("this machine has nothing better than plain instructions");
     }
-    assert_eq!(plain.len(), 1 + 4 * 2 * 4 + 3);
+    assert_eq!(plain.len(), 1 + 4 * 2 * 4 + 3 + 3);
     assert_eq!(plain[1..], best[1..]);
 }

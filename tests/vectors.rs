@@ -9,18 +9,18 @@ mod synthetic;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use seal::seal;
+use seal::{layer, seal};
 use sha256::sha256;
 use ssplat::bitstream::header::Header;
 use ssplat::bitstream::lattice::Lattice;
 use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
-use ssplat::bitstream::{read, to_bytes};
-use ssplat::raster::{Renderer, View, reference};
-use ssplat::{Blend, Channels, Depth, Error, Limits, Picture, Pixels, Samples};
-use synthetic::{Random, Scene, any_primitive, scene};
+use ssplat::bitstream::{DetailHead, read, read_partial, to_bytes};
+use ssplat::raster::{View, reference};
+use ssplat::{Blend, Channels, Depth, Error, Limits, Pixels, Result, Samples};
+use synthetic::{Levels, Random, Scene, any_primitive, scene, with_layer};
 
 /// The folders of the vectors.
-const FOLDERS: [&str; 4] = ["valid", "invalid", "limits", "reduced"];
+const FOLDERS: [&str; 5] = ["valid", "invalid", "limits", "reduced", "partial"];
 
 /// A file and what it shows.
 struct Vector {
@@ -43,19 +43,22 @@ fn root() -> PathBuf {
 }
 
 /// The whole of a picture in its own size or another.
-fn view(picture: &Picture, size: Option<[u32; 2]>) -> View {
-    let full = View::full(picture);
+fn view(splats: &PackedSplats, size: Option<[u32; 2]>) -> View {
+    let full = View::of_size(splats.width, splats.height);
     size.map_or(full, |[width, height]| full.resized(width, height).unwrap())
 }
 
-fn decode(bytes: &[u8], size: Option<[u32; 2]>) -> Outcome {
+/// What is there of a file, for a vector of the folder `partial` what is left of it.
+fn splats_of(bytes: &[u8], folder: &str, limits: &Limits) -> Result<PackedSplats> {
+    if folder == "partial" { read_partial(bytes, limits).map(|read| read.0) } else { read(bytes, limits) }
+}
+
+fn decode(bytes: &[u8], folder: &str, size: Option<[u32; 2]>) -> Outcome {
     let mut limits = Limits::default();
     // The same wherever this runs.
     limits.alloc = 1 << 30;
-    let drawn = read(bytes, &limits).and_then(|splats| {
-        let picture = splats.to_picture();
-        Renderer::new(&picture, &view(&picture, size), &limits)?.render(splats.depth)
-    });
+    let drawn = splats_of(bytes, folder, &limits)
+        .and_then(|splats| splats.renderer(&view(&splats, size), &limits)?.render(splats.depth));
     match drawn {
         Ok(pixels) => Outcome::Picture(pixels),
         Err(e) => {
@@ -71,11 +74,10 @@ fn decode(bytes: &[u8], size: Option<[u32; 2]>) -> Outcome {
 }
 
 /// The picture by its definition in double precision.
-fn reference_pixels(bytes: &[u8], size: Option<[u32; 2]>) -> Pixels {
-    let splats = read(bytes, &Limits::default()).unwrap();
-    let picture = splats.to_picture();
-    let view = view(&picture, size);
-    let values = reference::filtered(&picture, &view);
+fn reference_pixels(bytes: &[u8], folder: &str, size: Option<[u32; 2]>) -> Pixels {
+    let splats = splats_of(bytes, folder, &Limits::default()).unwrap();
+    let view = view(&splats, size);
+    let values = reference::detailed(&splats, &view);
     let codes = values.into_iter().map(|v| reference::code(v, splats.depth));
     let samples = match splats.depth {
         Depth::Eight => Samples::U8(codes.map(|c| c as u8).collect()),
@@ -337,7 +339,7 @@ fn refused_for(base: &[u8], reason: &str) -> Vec<u8> {
             bytes[at] = random.next() as u8;
         }
         seal(&mut bytes);
-        if let Outcome::Refused("format", text) = decode(&bytes, None)
+        if let Outcome::Refused("format", text) = decode(&bytes, "invalid", None)
             && text.contains(&format!("file: {reason} "))
         {
             return bytes;
@@ -519,6 +521,304 @@ fn limits() -> Vec<Vector> {
     out
 }
 
+/// A few Gaussians to lay a layer on.
+fn ground(channels: Channels, size: [u32; 2], seed: u64) -> PackedSplats {
+    scene(&Scene { channels, size, count: 6, seed, ..Scene::default() })
+}
+
+/// The plain preset with such a step.
+fn plain(step: u16) -> DetailHead {
+    let mut head = DetailHead::PLAIN;
+    head.step = step;
+    head
+}
+
+/// Four tiles in a row, of which the second has no levels.
+fn row_of_tiles() -> PackedSplats {
+    let levels = Levels { filled: 6, empty: Some(1), ..Levels::new(31) };
+    with_layer(ground(Channels::Grey, [770, 4], 31), plain(800), levels)
+}
+
+/// Levels of primitives in groups, with a layer.
+fn groups_with_layer() -> PackedSplats {
+    let mut splats = small(Layout::Coded, Channels::Rgb, 60, false, 11);
+    splats.gaussians.sort_by_key(|p| std::cmp::Reverse(p.major));
+    splats.levels = vec![10, 20, 30];
+    with_layer(splats, plain(700), Levels::new(32))
+}
+
+/// Files with a detail layer.
+fn layered() -> Vec<Vector> {
+    let mut out = Vec::new();
+    let mut add = |name: &str, shows: &str, splats: &PackedSplats| {
+        let bytes = to_bytes(splats).unwrap();
+        out.push(Vector { folder: "valid", name: format!("detail-{name}"), shows: shows.into(), bytes, size: None });
+    };
+    let seen = |step| {
+        let mut head = DetailHead::SEEN;
+        head.step = step;
+        head
+    };
+    let rgb = |seed| ground(Channels::Rgb, [40, 24], seed);
+    let grey = |size| ground(Channels::Grey, size, 21);
+    let levels = Levels::new;
+    add("rgb", "a detail layer on colour: the first preset", &with_layer(rgb(21), plain(700), levels(21)));
+    add("seen", "the second preset: slopes and four step classes", &with_layer(rgb(22), seen(500), levels(22)));
+    add("grey", "a detail layer on grey", &with_layer(grey([40, 24]), plain(900), levels(23)));
+    let mut alpha = plain(800);
+    alpha.alpha = true;
+    let deep = |channels| PackedSplats { depth: Depth::Sixteen, ..ground(channels, [33, 17], 24) };
+    add("grey-16", "grey with 16 bits", &with_layer(deep(Channels::Grey), plain(800), levels(24)));
+    add(
+        "grey-alpha",
+        "grey and alpha with 16 bits, a plane each",
+        &with_layer(deep(Channels::GreyAlpha), alpha, levels(25)),
+    );
+    let rgba = ground(Channels::Rgba, [33, 17], 26);
+    add(
+        "rgba",
+        "alpha without a plane stays as the Gaussians have it",
+        &with_layer(rgba.clone(), plain(800), levels(26)),
+    );
+    add("rgba-plane", "alpha with a plane", &with_layer(rgba, alpha, levels(27)));
+    let sum = PackedSplats { blend: Blend::Sum, ..rgb(28) };
+    add("sum", "a layer on the sum blend", &with_layer(sum, plain(700), levels(28)));
+    for size in 0..4u8 {
+        let mut head = plain(700);
+        head.sizes = [[size; 2]; 2];
+        let dense = Levels { filled: 1, most: 12 << (2 * size), largest: 3, ..levels(29) };
+        let shows = format!("blocks of {} pixels a side alone, densely filled", 4 << size);
+        add(&format!("blocks-{}", 4 << size), &shows, &with_layer(grey([35, 33]), head, dense));
+    }
+    let mut mixed = plain(700);
+    mixed.sizes = [[1, 2], [0, 3]];
+    let sparse = Levels { filled: 8, most: 3, ..levels(30) };
+    add("blocks-mixed", "blocks of 8 and 16 for luma, of 4 to 32 for chroma", &with_layer(rgb(30), mixed, sparse));
+    for classes in 2..=8u8 {
+        let mut head = seen(400);
+        head.classes = classes;
+        let few = Levels { filled: 6, most: 5, ..levels(u64::from(classes)) };
+        let shows = format!("{classes} step classes, in a row");
+        add(&format!("classes-{classes}"), &shows, &with_layer(grey([256, 2]), head, few));
+    }
+    let mut eight = plain(700);
+    eight.classes = 8;
+    let few = Levels { filled: 25, most: 4, ..levels(9) };
+    add("classes", "8 step classes, in rows and columns", &with_layer(grey([66, 65]), eight, few));
+    let mut odd = plain(300);
+    (odd.chroma, odd.slopes, odd.biases) = ([255, 1], [255, 9], [15, 11]);
+    add("odd", "ratios, slopes and biases at their ends", &with_layer(rgb(33), odd, levels(33)));
+    let mut huge = plain(65_535);
+    (huge.chroma, huge.slopes, huge.classes) = ([255, 255], [255, 255], 8);
+    let wide = Levels { filled: 3, most: 6, largest: 32_767, ..levels(34) };
+    add("largest", "largest steps and levels: sums beyond 32 bits wrap", &with_layer(rgb(34), huge, wide));
+    let large = Levels { filled: 4, most: 9, largest: 32_767, ..levels(35) };
+    add("large-levels", "large levels of the smallest step", &with_layer(rgb(35), plain(1), large));
+    let middling = Levels { filled: 4, most: 30, largest: 60, ..levels(36) };
+    add("middling-levels", "levels around 15, where the code changes", &with_layer(rgb(36), plain(40), middling));
+    let none = Levels { filled: 0, ..levels(37) };
+    add("empty", "a layer without levels", &with_layer(rgb(37), plain(640), none));
+    add("tiles-row", "four tiles in a row, the second empty", &row_of_tiles());
+    let column = Levels { filled: 6, ..levels(38) };
+    add(
+        "tiles-column",
+        "three tiles in a column",
+        &with_layer(ground(Channels::Grey, [3, 520], 38), plain(800), column),
+    );
+    let dot = Levels { filled: 1, ..levels(39) };
+    add(
+        "dot",
+        "a picture of one pixel",
+        &with_layer(PackedSplats { width: 1, height: 1, ..no_primitives() }, plain(640), dot),
+    );
+    add("groups", "a layer behind groups", &groups_with_layer());
+    let mut carried = with_layer(rgb(40), plain(700), levels(40));
+    carried.metadata.icc = Some(b"not a real profile".to_vec());
+    add("sections", "a layer and an ICC profile", &carried);
+    out
+}
+
+/// A background and nothing else.
+fn no_primitives() -> PackedSplats {
+    PackedSplats { gaussians: Vec::new(), ..two(Layout::Coded) }
+}
+
+/// Sets the file's checksum, and no other.
+fn seal_file(bytes: &mut [u8]) {
+    for _ in 0..2 {
+        let Err(Error::Format(ssplat::FormatError::Checksum { what: "file", stored, computed })) =
+            read(&*bytes, &Limits::default())
+        else {
+            return;
+        };
+        let at = bytes.windows(4).rposition(|w| w == stored.to_le_bytes()).unwrap();
+        bytes[at..at + 4].copy_from_slice(&computed.to_le_bytes());
+    }
+}
+
+/// A file whose section `Dtal` has been changed, with checksums of section and file that fit.
+fn headed(base: &[u8], change: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
+    let at = layer::layout(base).unwrap();
+    let mut contents = base[at.contents.clone()].to_vec();
+    change(&mut contents);
+    let mut section = b"Dtal".to_vec();
+    section.push(contents.len() as u8);
+    section.extend(section_checksum(base, *b"Dtal", &contents));
+    section.extend(contents);
+    let mut bytes = base.to_vec();
+    bytes.splice(at.section, section);
+    seal_file(&mut bytes);
+    bytes
+}
+
+/// Files whose layer is illegal.
+fn broken_layers() -> Vec<Vector> {
+    let mut out = Vec::new();
+    let mut add = |name: &str, shows: &str, bytes: Vec<u8>| {
+        out.push(Vector { folder: "invalid", name: format!("detail-{name}"), shows: shows.into(), bytes, size: None });
+    };
+    let ground = || small(Layout::Coded, Channels::Rgb, 6, false, 51);
+    let base = to_bytes(&with_layer(ground(), plain(700), Levels::new(51))).unwrap();
+    // In the contents: a byte of length, four of checksum, two of step, the flags.
+    const STEP: usize = 5;
+    const FLAGS: usize = 7;
+    let flagged = |bit: u8, fields: &[u8]| {
+        headed(&base, |c| {
+            c[FLAGS] |= bit;
+            c.extend(fields);
+        })
+    };
+    add("step", "a step of 0", headed(&base, |c| c[STEP..STEP + 2].fill(0)));
+    add("flag", "the reserved flag", flagged(128, &[]));
+    add("chroma", "a chroma step of 0", flagged(1, &[39, 0]));
+    add("sizes", "a smallest block that is larger than the largest", flagged(4, &[0b11_10_01_10]));
+    add("classes-0", "no step class", flagged(16, &[0]));
+    add("classes-9", "nine step classes", flagged(16, &[9]));
+    add("said-twice", "slopes that the preset has already", flagged(2, &[0, 0]));
+    add("other-preset", "the preset that takes more bytes", flagged(64 | 1 | 2 | 8 | 16, &[39, 32, 0, 0, 0x42, 1]));
+    add("alpha", "a plane of alpha in a picture without", flagged(32, &[]));
+    add("section-cut", "a section that ends before its flags", headed(&base, |c| c.truncate(FLAGS)));
+    add("section-long", "a byte too many in the section", headed(&base, |c| c.push(0)));
+    add("payload-short", "a payload that is a byte longer", headed(&base, |c| c[0] -= 1));
+    add("payload-long", "a payload that is a byte shorter", headed(&base, |c| c[0] += 1));
+    add(
+        "payload-beyond",
+        "a payload that is longer than the file",
+        headed(&base, |c| drop(c.splice(0..1, [255, 127]))),
+    );
+    add("payload-checksum", "a wrong checksum of the payload", headed(&base, |c| c[1] ^= 1));
+    let at = layer::layout(&base).unwrap();
+    let file = |change: &dyn Fn(&mut Vec<u8>)| {
+        let mut bytes = base.clone();
+        change(&mut bytes);
+        seal_file(&mut bytes);
+        bytes
+    };
+    add("section-checksum", "a wrong bit in the section", {
+        let mut bytes = base.clone();
+        bytes[at.contents.start + STEP] ^= 1;
+        bytes
+    });
+    let (check, stream) = at.tiles[0].clone();
+    add("check", "a wrong check of a tile", file(&|b| b[check.start] ^= 1));
+    add("tile", "a wrong bit in a tile", file(&|b| b[stream.start + 3] ^= 1));
+    let end = base.len() - 4;
+    add("index", "no index", file(&|b| drop(b.drain(at.payload.end..end))));
+    add("index-cut", "an index that ends before the check", file(&|b| drop(b.drain(at.payload.end + 1..end))));
+    add(
+        "tile-beyond",
+        "a tile that is longer than the file",
+        file(&|b| drop(b.splice(at.payload.end..check.start, [255, 127]))),
+    );
+    add("trailing", "a byte behind the last tile", file(&|b| b.insert(end, 7)));
+    let longer = |byte: u8| {
+        let mut bytes = base.clone();
+        bytes.insert(end, byte);
+        // The length of a single tile, in one byte or two.
+        let mut length = (stream.end - stream.start + 1) as u64;
+        let place = at.payload.end..check.start;
+        let mut varint = Vec::new();
+        while length >= 128 {
+            varint.push(length as u8 | 128);
+            length >>= 7;
+        }
+        varint.push(length as u8);
+        bytes.splice(place, varint);
+        seal(&mut bytes);
+        bytes
+    };
+    add("stream-trailing", "a byte too many in a tile's stream", longer(1));
+    add("stream-trailing-zero", "a zero byte too many in a tile's stream", longer(0));
+    let mut packed = to_bytes(&two(Layout::Packed)).unwrap();
+    let payload = packed[12..packed.len() - 4].to_vec();
+    packed[5] |= 0x80;
+    let mut contents = vec![payload.len() as u8];
+    contents.extend(crc32fast::hash(&[&packed[..12], &payload].concat()).to_le_bytes());
+    contents.extend([64, 1, 0]);
+    let mut sections = vec![1];
+    sections.extend(b"Dtal");
+    sections.push(contents.len() as u8);
+    sections.extend(section_checksum(&packed, *b"Dtal", &contents));
+    sections.extend(contents);
+    packed.splice(12..12, sections);
+    packed.insert(packed.len() - 4, 0);
+    seal_file(&mut packed);
+    add("packed", "a layer behind the packed layout", packed);
+
+    let mut small = plain(700);
+    small.sizes = [[0, 0], [0, 0]];
+    let dense = Levels { filled: 1, most: 60, largest: 2, ..Levels::new(52) };
+    let dense = to_bytes(&with_layer(ground(), small, dense)).unwrap();
+    let wide = Levels { filled: 2, most: 9, largest: 32_767, ..Levels::new(53) };
+    let wide = to_bytes(&with_layer(ground(), plain(700), wide)).unwrap();
+    let mut single = plain(700);
+    single.sizes = [[3, 3], [3, 3]];
+    let dot = PackedSplats { width: 9, height: 9, channels: Channels::Grey, ..no_primitives() };
+    let single = to_bytes(&with_layer(dot, single, Levels { filled: 1, most: 2, ..Levels::new(54) })).unwrap();
+    for (reason, base) in
+        [("levels of a block", dense), ("level", wide), ("levels of a tile", single), ("end of the coded stream", base)]
+    {
+        add(&reason.replace(' ', "-"), &format!("refused for: {reason}"), refused_for(&base, reason));
+    }
+    out
+}
+
+/// Damaged files, of which a part is left.
+fn partial() -> Vec<Vector> {
+    let mut out = Vec::new();
+    let mut add = |name: &str, shows: &str, bytes: Vec<u8>| {
+        out.push(Vector { folder: "partial", name: name.into(), shows: shows.into(), bytes, size: None });
+    };
+    let hurt = |bytes: &[u8], at: usize| {
+        let mut bytes = bytes.to_vec();
+        bytes[at] ^= 4;
+        bytes
+    };
+    let mut levels = small(Layout::Coded, Channels::Rgb, 60, false, 11);
+    levels.gaussians.sort_by_key(|p| std::cmp::Reverse(p.major));
+    levels.levels = vec![10, 20, 30];
+    let groups = to_bytes(&levels).unwrap();
+    add("groups-cut", "cut in the last of three groups", groups[..groups.len() - 20].to_vec());
+    let row = to_bytes(&row_of_tiles()).unwrap();
+    let at = layer::layout(&row).unwrap();
+    let (check, second) = at.tiles[1].clone();
+    add("detail-tile", "a wrong bit in the third of four tiles: it adds nothing", hurt(&row, second.start + 2));
+    add("detail-check", "a wrong check of the third tile", hurt(&row, check.start));
+    add("detail-cut", "cut in the third tile: it and the last add nothing", row[..second.end - 1].to_vec());
+    add("detail-cut-checksum", "cut in the file's checksum: all is there", row[..row.len() - 2].to_vec());
+    add("detail-cut-index", "cut in the index: the Gaussians alone", row[..at.payload.end + 2].to_vec());
+    add("detail-cut-layer", "cut behind the payload", row[..at.payload.end].to_vec());
+    let both = to_bytes(&groups_with_layer()).unwrap();
+    let at = layer::layout(&both).unwrap();
+    add(
+        "detail-groups",
+        "a wrong bit in the last group: the layer is added to what is left",
+        hurt(&both, at.payload.end - 9),
+    );
+    add("detail-groups-cut", "cut in the last group", both[..at.payload.end - 9].to_vec());
+    out
+}
+
 /// Pictures to be drawn smaller.
 fn reduced() -> Vec<Vector> {
     let mut out = Vec::new();
@@ -551,24 +851,40 @@ fn reduced() -> Vec<Vector> {
     let mut grey = small(Layout::Coded, Channels::GreyAlpha, 40, false, 2);
     grey.depth = Depth::Sixteen;
     add("grey-alpha", "grey and alpha with 16 bits", &grey, [9, 5]);
+    let layer = |channels| with_layer(ground(channels, [40, 24], 41), plain(900), Levels::new(41));
+    add("detail-halves", "a detail layer: means of four pixels", &layer(Channels::Rgb), [20, 12]);
+    add("detail-odd", "means over parts of pixels", &layer(Channels::Grey), [13, 7]);
+    add("detail-larger", "a detail layer between the pixels", &layer(Channels::Rgb), [50, 31]);
+    add("detail-one-axis", "reduced along x, enlarged along y", &layer(Channels::Grey), [9, 60]);
+    add("detail-pixel", "all of a picture in one pixel", &layer(Channels::Rgb), [1, 1]);
+    let mut alpha = plain(900);
+    alpha.alpha = true;
+    let alpha = with_layer(ground(Channels::Rgba, [40, 24], 42), alpha, Levels::new(42));
+    add("detail-alpha", "additions to colours do not count by alpha", &alpha, [17, 10]);
+    let tiles =
+        with_layer(ground(Channels::Grey, [300, 290], 43), plain(1200), Levels { filled: 60, ..Levels::new(43) });
+    add("detail-tiles", "four tiles, drawn small", &tiles, [21, 19]);
     out
 }
 
 fn all() -> Vec<Vector> {
-    [valid(), invalid(), limits(), reduced()].into_iter().flatten().collect()
+    [valid(), layered(), invalid(), broken_layers(), limits(), reduced(), partial()].into_iter().flatten().collect()
 }
 
 /// The case file of a vector, and its picture if it has one.
 fn case(vector: &Vector) -> (String, Option<Vec<u8>>) {
     let mut text = format!("shows: {}\nsha256: {}\n", vector.shows, sha256(&vector.bytes));
+    if vector.folder == "partial" {
+        text += "partial: yes\n";
+    }
     if let Some([width, height]) = vector.size {
         text += &format!("size: {width} {height}\n");
     }
-    let picture = match (vector.folder, decode(&vector.bytes, vector.size)) {
-        ("valid" | "reduced", Outcome::Picture(pixels)) => {
+    let picture = match (vector.folder, decode(&vector.bytes, vector.folder, vector.size)) {
+        ("valid" | "reduced" | "partial", Outcome::Picture(pixels)) => {
             let tolerance = if matches!(pixels.samples(), Samples::U8(_)) { 1 } else { 257 };
             text += &format!("expect: picture\ntolerance: {tolerance}\n");
-            Some(pam(&reference_pixels(&vector.bytes, vector.size)))
+            Some(pam(&reference_pixels(&vector.bytes, vector.folder, vector.size)))
         }
         ("invalid" | "limits", Outcome::Refused(kind, reason)) => {
             text += &format!("expect: error\nkind: {kind}\nreason: {reason}\n");
@@ -639,9 +955,13 @@ fn library_meets_every_vector() {
         let mut sides = field("size").split(' ').filter_map(|side| side.parse().ok());
         let size = sides.next().zip(sides.next()).map(|(width, height)| [width, height]);
         assert_eq!(size.is_some(), name.starts_with("reduced"), "{name}");
-        match decode(&file, size) {
+        let folder = name.split('/').next().unwrap();
+        if folder == "partial" {
+            assert!(read(&file[..], &Limits::default()).is_err(), "{name} is whole");
+        }
+        match decode(&file, folder, size) {
             Outcome::Picture(pixels) if size.is_some() => {
-                let want = reference_pixels(&file, size);
+                let want = reference_pixels(&file, folder, size);
                 assert_eq!(Some(pam(&want)), picture, "{name}");
                 let excess = excess(&pixels, &want, field("tolerance").parse().unwrap());
                 assert!(excess <= 1.0, "{name}: {excess} times the tolerance");
@@ -666,7 +986,7 @@ fn library_meets_every_vector() {
 
 #[test]
 fn the_comparison_of_pictures_sees_a_code_value() {
-    let pixels = reference_pixels(&to_bytes(&two(Layout::Packed)).unwrap(), None);
+    let pixels = reference_pixels(&to_bytes(&two(Layout::Packed)).unwrap(), "valid", None);
     let right = pam(&pixels);
     let mut wrong = right.clone();
     *wrong.last_mut().unwrap() ^= 2;

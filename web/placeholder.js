@@ -147,7 +147,7 @@ export function read(bytes) {
   if ([0x89, 0x53, 0x53, 0x50].some((v, i) => bytes[i] != v)) stop("format", "not an ssplat file")
   if (bytes[4] != 6) stop("version", `version ${bytes[4]} is not known`)
   const flags = bytes[5]
-  if ((flags & 3) != 2 || flags & 192) stop("unsupported", "not one coded stream without codebook and sections")
+  if ((flags & 3) != 2 || flags & 192) stop("unsupported", flags & 128 ? "a file with sections: a detail layer, a profile or a thumbnail" : "not one coded stream without codebook")
   const byte = () => at < end ? bytes[at++] : broken("end of the header")
   const varint = (what, low, high) => {
     let v = 0, place = 1, b

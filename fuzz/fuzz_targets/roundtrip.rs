@@ -27,5 +27,6 @@ fuzz_target!(|legal: Legal| {
     let head = |s: &PackedSplats| (s.width, s.height, s.channels, s.depth, s.blend, s.layout, s.steps, s.background);
     assert_eq!(head(&again), head(&splats));
     assert_eq!(again.metadata, splats.metadata);
+    assert_eq!(again.detail, splats.detail);
     assert!(to_bytes(&again).expect("what was read can be written") == bytes, "bytes are not canonical");
 });

@@ -1,11 +1,15 @@
 //! What the fuzz targets share: readers that slice, pictures from fuzzed bytes, tight limits, and mutations that know the format.
 
+#[path = "../../tests/seal/layer.rs"]
+mod layer;
 pub mod mutate;
 
 use std::io::Read;
+use std::sync::Arc;
 
 use arbitrary::{Arbitrary, Unstructured};
 use ssplat::bitstream::lattice::Lattice;
+use ssplat::bitstream::{DetailHead, DetailLayer, Maker};
 use ssplat::bitstream::rules::most_color;
 use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use ssplat::{Blend, Channels, Depth, Limits};
@@ -111,6 +115,9 @@ impl<'a> Arbitrary<'a> for Legal {
         if u.arbitrary()? {
             splats.metadata.thumbnail = Some(u.arbitrary()?);
         }
+        if splats.layout == Layout::Coded && u.arbitrary()? {
+            splats.detail = Levels::layer(u.arbitrary()?, [width, height], channels);
+        }
         let top = (22 * 32 / (u32::from(steps.scale) + 4)).min(255) as u8;
         while !u.is_empty() && splats.gaussians.len() < 300 {
             let major = u.int_in_range(0..=top)?;
@@ -146,4 +153,59 @@ fn color(u: &mut Unstructured<'_>, channels: Channels, most: [i16; 4]) -> arbitr
         *c = u.int_in_range(-most..=most)?;
     }
     Ok(color)
+}
+
+/// Made-up levels of a detail layer.
+pub struct Levels {
+    random: mutate::Random,
+    /// Of so many blocks one has levels.
+    filled: usize,
+    classes: u8,
+    largest: i16,
+}
+
+impl Levels {
+    /// A layer for a picture of such size and channels; nothing for the kinds of heads that are illegal.
+    pub fn layer(seed: u64, size: [u32; 2], channels: Channels) -> Option<Arc<DetailLayer>> {
+        let mut random = mutate::Random::new(seed);
+        let mut head = if random.below(2) == 0 { DetailHead::PLAIN } else { DetailHead::SEEN };
+        head.step = random.next() as u16;
+        match random.below(8) {
+            0 => head.chroma = [random.next() as u8, random.next() as u8],
+            1 => head.slopes = [random.next() as u8, random.next() as u8],
+            2 => head.sizes = [[random.below(4) as u8, 3], [0, random.below(4) as u8]],
+            3 => head.biases = [random.below(16) as u8, random.below(16) as u8],
+            4 => head.classes = 1 + random.below(8) as u8,
+            5 => head.alpha = channels.alpha().is_some(),
+            _ => {}
+        }
+        let filled = 1 + random.below(40);
+        let largest = [1, 3, 20, 32_767][random.below(4)];
+        let mut levels = Levels { random, filled, classes: head.classes, largest };
+        DetailLayer::made(head, channels, size, &mut levels).ok().map(Arc::new)
+    }
+}
+
+impl Maker for Levels {
+    fn class(&mut self, _tile: usize, _superblock: [usize; 2]) -> u8 {
+        self.random.below(self.classes.into()) as u8
+    }
+
+    fn is_divided(&mut self, _tile: usize, _kind: usize, _cell: [usize; 2], _size: usize) -> bool {
+        self.random.below(3) == 0
+    }
+
+    fn levels(&mut self, _tile: usize, _plane: usize, _cell: [usize; 2], size: usize) -> Vec<(u8, u8, i16)> {
+        let random = &mut self.random;
+        if random.below(self.filled) > 0 {
+            return Vec::new();
+        }
+        let mut levels = std::collections::BTreeMap::new();
+        for _ in 0..1 + random.below(6) {
+            let place = (random.below(4 << size) as u8, random.below(4 << size) as u8);
+            let magnitude = 1 + random.below(self.largest as usize) as i16;
+            levels.insert(place, if random.below(2) == 0 { magnitude } else { -magnitude });
+        }
+        levels.into_iter().map(|((u, v), level)| (u, v, level)).collect()
+    }
 }

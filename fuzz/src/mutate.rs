@@ -7,7 +7,7 @@ use ssplat::bitstream::splats::{Layout, PackedSplats};
 use ssplat::bitstream::{read, to_bytes};
 use ssplat::{Error, FormatError};
 
-use crate::tight_limits;
+use crate::{Levels, layer, tight_limits};
 
 /// Most checksums that are set right in a file: one for each group, and those of the directory and the file each time.
 const MOST_SEALS: usize = 64;
@@ -34,8 +34,9 @@ pub fn mutate(data: &mut [u8], size: usize, max: usize, seed: u32) -> usize {
     size
 }
 
-/// Sets the checksums of sections, file, directory and groups to the ones that a reader computes.
+/// Sets the checksums of sections, detail layer, file, directory and groups to the ones that a reader computes.
 pub fn seal(bytes: &mut [u8]) {
+    layer::mend(bytes);
     seal_sections(bytes);
     for _ in 0..MOST_SEALS {
         let Err(Error::Format(FormatError::Checksum { stored, computed, .. })) = read(&*bytes, &tight_limits()) else {
@@ -85,7 +86,7 @@ fn varint(bytes: &[u8], at: &mut usize) -> Option<u64> {
 fn change(splats: &mut PackedSplats, random: &mut Random) {
     for _ in 0..1 + random.below(3) {
         let count = splats.gaussians.len();
-        match random.below(8) {
+        match random.below(9) {
             0 => splats.layout = [Layout::Packed, Layout::Planes, Layout::Coded][random.below(3)],
             1 => splats.metadata.icc = Some(vec![random.next() as u8; random.below(40)]),
             2 if count > 0 => {
@@ -103,6 +104,7 @@ fn change(splats: &mut PackedSplats, random: &mut Random) {
             }
             5 => splats.background[random.below(splats.channels.count())] = random.next() as i16,
             6 => splats.codebook = None,
+            7 => splats.detail = Levels::layer(random.next(), [splats.width, splats.height], splats.channels),
             _ if count > 0 => {
                 let at = random.below(count);
                 let p = &mut splats.gaussians[at];
@@ -119,10 +121,14 @@ fn change(splats: &mut PackedSplats, random: &mut Random) {
 }
 
 /// Splitmix64.
-struct Random(u64);
+pub struct Random(u64);
 
 impl Random {
-    fn next(&mut self) -> u64 {
+    pub fn new(seed: u64) -> Self {
+        Random(seed)
+    }
+
+    pub fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -131,7 +137,7 @@ impl Random {
     }
 
     /// Below `n`, which must not be 0.
-    fn below(&mut self, n: usize) -> usize {
+    pub fn below(&mut self, n: usize) -> usize {
         (self.next() % n as u64) as usize
     }
 }

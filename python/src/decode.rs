@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use ssplat::bitstream::Missing;
 use ssplat::raster::View;
-use ssplat::{Damage, Depth, Limits, Opening, Pixels, Result};
+use ssplat::{Damage, Depth, Layers, Limits, Opening, Pixels, Result};
 
 use crate::failure::{exception, integer, parameter};
 use crate::{array, work};
@@ -22,6 +22,7 @@ pub struct Options {
     size: Option<[i128; 2]>,
     bits: Option<i128>,
     partial: bool,
+    detail: bool,
     threads: Option<i128>,
     limits: Option<BTreeMap<String, i128>>,
 }
@@ -31,6 +32,7 @@ struct Job {
     view: View,
     depth: Depth,
     damage: Damage,
+    layers: Layers,
     limits: Limits,
 }
 
@@ -54,11 +56,12 @@ impl Job {
             Some(bits) => return Err(parameter("bits", format!("{bits} is neither 8 nor 16"))),
         };
         let damage = if options.partial { Damage::Accept } else { Damage::Refuse };
-        Ok(Job { view, depth, damage, limits })
+        let layers = if options.detail { Layers::Both } else { Layers::Gaussians };
+        Ok(Job { view, depth, damage, layers, limits })
     }
 
     fn run(&self, data: &[u8]) -> Result<(Pixels, Missing)> {
-        let opened = Opening::new(data, &self.limits)?.read_for(&self.view, self.damage)?;
+        let opened = Opening::new(data, &self.limits)?.showing(self.layers).read_for(&self.view, self.damage)?;
         let missing = opened.missing();
         let renderer = opened.renderer(&self.view)?;
         // The integers make room for the pixels.
@@ -94,16 +97,20 @@ pub fn limits(changes: Option<&BTreeMap<String, i128>>) -> PyResult<Limits> {
     Ok(limits)
 }
 
-/// The array, and of how many groups how many are missing, with how many primitives: `(primitives, groups, of_groups)`.
+/// What is missing: primitives, groups, of so many groups; tiles of the detail layer, of so many tiles.
+type Lost = (u32, u32, u32, u32, u32);
+
+/// The array, and what is missing.
 #[pyfunction]
 pub fn decode<'py>(
     py: Python<'py>,
     data: PyBackedBytes,
     options: Options,
-) -> PyResult<(Bound<'py, PyAny>, (u32, u32, u32))> {
+) -> PyResult<(Bound<'py, PyAny>, Lost)> {
     let job = Job::new(&data, &options)?;
     let pixels = u64::from(job.view.width()) * u64::from(job.view.height());
     let threads = work::threads(options.threads, usize::try_from(pixels / PIXELS_A_THREAD).unwrap_or(usize::MAX))?;
     let (pixels, missing) = work::run(py, threads, &work::Calls::default(), move |_| job.run(&data))?;
-    Ok((array::array(py, pixels)?, (missing.primitives, missing.groups, missing.of_groups)))
+    let Missing { primitives, groups, of_groups, tiles, of_tiles, .. } = missing;
+    Ok((array::array(py, pixels)?, (primitives, groups, of_groups, tiles, of_tiles)))
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyBytes;
-use ssplat::{EncodeOptions, PixelSource, Progress, Target, Thumbnail, Workers};
+use ssplat::{Detail, EncodeOptions, PixelSource, Progress, Target, Thumbnail, Workers};
 
 use crate::failure::{integer, parameter};
 use crate::work::{Calls, Reporter};
@@ -32,6 +32,7 @@ pub struct Options {
     tune: Option<String>,
     needs: String,
     backend: String,
+    detail: Division,
     levels: i128,
     tiles: Option<i128>,
     thumbnail: Option<Carried>,
@@ -44,6 +45,23 @@ pub struct Options {
 enum Carried {
     Bytes(i128),
     Name(String),
+}
+
+/// `"auto"`, `"off"`, or the share of the bytes that the Gaussians get.
+#[derive(FromPyObject)]
+enum Division {
+    Share(f64),
+    Name(String),
+}
+
+impl Division {
+    fn parse(&self) -> PyResult<Detail> {
+        match self {
+            Division::Share(share) if *share > 0.0 && *share < 1.0 => Ok(Detail::Share(*share)),
+            Division::Share(share) => Err(parameter("detail", format!("{share} is not above 0 and below 1"))),
+            Division::Name(name) => names::value("detail", &names::DETAILS, name),
+        }
+    }
 }
 
 impl Options {
@@ -88,6 +106,7 @@ impl Options {
         o.layout = names::value("layout", &names::LAYOUTS, &self.layout)?;
         o.blend = self.blend.as_deref().map(|b| names::value("blend", &names::BLENDS, b)).transpose()?;
         o.tune = self.tune.as_deref().map(|t| names::value("tune", &names::TUNES, t)).transpose()?;
+        o.detail = self.detail.parse()?;
         o.needs = names::value("needs", &names::NEEDS, &self.needs)?;
         o.backend = names::value("backend", &names::BACKENDS, &self.backend)?;
         o.icc = self.icc_profile.as_ref().map(|b| b.to_vec());

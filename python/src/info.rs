@@ -6,7 +6,8 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyDict};
 use ssplat::bitstream::header::{Header, Sections};
-use ssplat::bitstream::splats::{Metadata, Steps};
+use ssplat::bitstream::report::Report;
+use ssplat::bitstream::splats::{Metadata, PackedSplats, Steps};
 use ssplat::{Limits, Opening, bitstream};
 
 use crate::failure::exception;
@@ -62,6 +63,7 @@ pub fn info<'py>(
     d.set_item("levels", if report.levels.is_empty() { vec![h.primitives] } else { report.levels.clone() })?;
     d.set_item("groups", report.groups)?;
     d.set_item("codebook", splats.codebook.as_ref().map(Vec::len))?;
+    d.set_item("detail", detail(py, &splats, &report)?)?;
     d.set_item("steps", steps(py, &h.steps)?)?;
     let parts = PyDict::new(py);
     for part in &report.parts {
@@ -73,6 +75,18 @@ pub fn info<'py>(
     d.set_item("exif", bytes(&splats.metadata.exif))?;
     d.set_item("thumbnail", bytes(&splats.metadata.thumbnail))?;
     Ok(d)
+}
+
+/// What is told of the detail layer, if there is one.
+fn detail<'py>(py: Python<'py>, splats: &PackedSplats, report: &Report) -> PyResult<Option<Bound<'py, PyDict>>> {
+    let Some(layer) = &splats.detail else { return Ok(None) };
+    let d = PyDict::new(py);
+    d.set_item("bytes", report.layer_bytes())?;
+    d.set_item("bits", report.layer_bits)?;
+    d.set_item("levels", layer.levels())?;
+    d.set_item("tiles", layer.tiles())?;
+    d.set_item("of_tiles", layer.of_tiles())?;
+    Ok(Some(d))
 }
 
 /// The step indices of the header.

@@ -2,7 +2,7 @@
 
 use pyo3::PyErr;
 use ssplat::bitstream::splats::Layout;
-use ssplat::{Backend, Blend, Carry, Needs, Tune};
+use ssplat::{Backend, Blend, Carry, Detail, Needs, Tune};
 
 use crate::failure::parameter;
 
@@ -12,6 +12,7 @@ pub const BLENDS: [(&str, Blend); 2] = [("normalized", Blend::Normalized), ("sum
 pub const TUNES: [(&str, Tune); 3] = [("psnr", Tune::Psnr), ("ssim", Tune::Ssim), ("iq", Tune::Iq)];
 pub const NEEDS: [(&str, Needs); 2] = [("measured", Needs::Measured), ("everything", Needs::Everything)];
 pub const BACKENDS: [(&str, Backend); 3] = [("auto", Backend::Auto), ("cpu", Backend::Cpu), ("gpu", Backend::Gpu)];
+pub const DETAILS: [(&str, Detail); 2] = [("auto", Detail::Auto), ("off", Detail::Off)];
 pub const CARRIES: [(&str, Carry); 4] =
     [("needed", Carry::Needed), ("all", Carry::All), ("icc", Carry::Icc), ("none", Carry::None)];
 

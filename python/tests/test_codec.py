@@ -194,3 +194,18 @@ def test_a_quality_is_met_or_warned_about():
     noise = np.random.default_rng(0).integers(0, 256, (24, 24), np.uint8)
     with pytest.warns(ssplat.QualityWarning, match="quality 99 was not met"):
         ssplat.encode(noise, quality=99, effort=1)
+
+
+def test_the_detail_layer_is_told_drawn_and_left_out():
+    picture = np.asarray(Image.open(KODIM05))[100:228, 200:328]
+    data = ssplat.encode(picture, bytes=3000, detail=0.5, effort=1, thumbnail=None)
+    told = ssplat.info(data)["detail"]
+    assert told["levels"] > 0 and told["tiles"] == told["of_tiles"] == 1
+    assert 0 < told["bits"] / 8 <= told["bytes"] < len(data)
+    both, gaussians = ssplat.decode(data), ssplat.decode(data, detail=False)
+    assert ssplat.metrics.psnr(picture, both) > ssplat.metrics.psnr(picture, gaussians) + 0.5
+    assert ssplat.info(ssplat.encode(picture, bytes=3000, detail="off", effort=1))["detail"] is None
+    for wrong in (0, 1.0, "always"):
+        with pytest.raises(ssplat.ParameterError) as caught:
+            ssplat.encode(picture, detail=wrong)
+        assert caught.value.name == "detail"

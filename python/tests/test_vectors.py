@@ -1,6 +1,7 @@
 """The conformance vectors of the specification, through Python."""
 
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ def picture_of(folder):
 
 
 def test_there_are_vectors_of_every_kind():
-    assert {folder.parent.name for folder in FOLDERS} >= {"valid", "reduced", "invalid", "limits"}
+    assert {folder.parent.name for folder in FOLDERS} >= {"valid", "reduced", "partial", "invalid", "limits"}
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f"{f.parent.name}/{f.name}")
@@ -42,11 +43,22 @@ def test_a_vector_gives_its_picture_or_an_error(folder):
         return
     size = [int(side) for side in case["size"].split(" ")] if "size" in case else None
     want, most = picture_of(folder), int(case["tolerance"])
-    check(ssplat.decode(data, size=size), want, most, size)
+    partial = "partial" in case
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ssplat.PartialWarning)
+        check(ssplat.decode(data, size=size, partial=partial), want, most, size)
+    if partial:
+        with pytest.raises(ssplat.FormatError):
+            ssplat.decode(data)
+        return
     told = ssplat.info(data)
     assert size or (told["height"], told["width"]) == want.shape[:2]
     # The same Gaussians again: the way through floats loses nothing but their order.
-    check(ssplat.decode(ssplat.from_gaussians(**ssplat.gaussians(data)), size=size), want, most, size)
+    again = ssplat.decode(ssplat.from_gaussians(**ssplat.gaussians(data)), size=size)
+    if told["detail"]:
+        # A layer is no Gaussians'.
+        want = ssplat.decode(data, size=size, detail=False)
+    check(again, want, most, size)
 
 
 def check(pixels, want, most, size):

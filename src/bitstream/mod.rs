@@ -29,6 +29,8 @@ pub mod splats;
 mod spread;
 mod write;
 
+#[doc(hidden)]
+pub use self::detail::Maker;
 pub use self::detail::{DetailHead, DetailLayer};
 pub use self::groups::Missing;
 pub(crate) use self::read::{Reading, read_rest};

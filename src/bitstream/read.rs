@@ -6,11 +6,11 @@ use std::sync::Arc;
 use super::broken::Broken;
 use super::bytes::Bytes;
 use super::checksum::Hasher;
-use super::detail::head::{DetailHead, Spans};
+use super::detail::head::{DetailHead, Spans, check_alpha};
 use super::detail::index::{self, Wanted};
 use super::groups::Missing;
 use super::header::{Grouping, Header, Sections};
-use super::report::{Detail, Report, Tally};
+use super::report::{Detail, INDEX, Report, STREAMS, Tally};
 use super::rules::{Area, most_primitives};
 use super::sections::{SectionInfo, SectionsRead, read_sections};
 use super::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
@@ -80,9 +80,10 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Report)> 
     let (splats, sections) = Reading::all(limits, &budget).whole(&header, rest, None, &mut tally)?;
     tally.part("checksum", CHECKSUM);
     let levels = splats.levels.clone();
-    let Tally { parts, fields, each, groups, .. } = tally;
+    let Tally { parts, fields, each, groups, layer_bits, .. } = tally;
     let groups = groups.max(1);
-    let report = Report { header, bytes: bytes.len() as u64, parts, sections, fields, each, levels, groups };
+    let report =
+        Report { header, bytes: bytes.len() as u64, parts, sections, fields, each, levels, groups, layer_bits };
     Ok((splats, report))
 }
 
@@ -174,8 +175,8 @@ impl Reading<'_> {
             let start = bytes.left();
             let wanted = self.wanted(header, area, tally.detail == Detail::Fields);
             let found = index::read(&mut bytes, head, &wanted, &mut working)?;
-            tally.part("index of the detail layer", found.index);
-            tally.part("detail layer", start - bytes.left() - found.index);
+            tally.part(INDEX, found.index);
+            tally.part(STREAMS, start - bytes.left() - found.index);
             tally.layer_bits = found.bits;
             splats.detail = Some(Arc::new(found.layer));
         }
@@ -222,11 +223,13 @@ impl Reading<'_> {
                 payload.finish()?;
             }
         }
-        if let Some((head, _)) = detail.filter(|_| self.layers != Layers::Gaussians) {
-            // The checksum at the end is no stream's.
-            let mut layer = bytes.part(bytes.left().saturating_sub(CHECKSUM) as u64, "detail layer")?;
+        if detail.is_some() && self.layers == Layers::Gaussians {
+            // Only the checksum of the file looks at the layer.
+            bytes.take(bytes.left().saturating_sub(CHECKSUM) as u64, "detail layer")?;
+        } else if let Some((head, _)) = detail {
+            // The checksum at the end may be cut off; what would take it for a part of a stream fails its check.
             let wanted = Wanted { passes_over: true, ..self.wanted(header, None, false) };
-            let found = index::read(&mut layer, head, &wanted, &mut working)?;
+            let found = index::read(&mut bytes, head, &wanted, &mut working)?;
             missing.tiles = found.missing;
             missing.of_tiles = found.layer.tiles.len() as u32;
             splats.detail = Some(Arc::new(found.layer));
@@ -264,12 +267,15 @@ impl Reading<'_> {
             return Ok(Default::default());
         }
         let read = read_sections(bytes, self.limits, header.checksum(), checksum)?;
+        if let Some((head, _)) = &read.detail {
+            check_alpha(head, header.channels)?;
+        }
         tally.part("sections", bytes.taken().len());
         Ok(read)
     }
 }
 
-/// The Gaussians' bytes: all that is left, or those before the detail layer, which have a checksum of their own then.
+/// The Gaussians' bytes: all that are left, or those before the detail layer, which have a checksum of their own then.
 fn payload<'a>(header: &Header, bytes: &mut Bytes<'a>, detail: Option<&(DetailHead, Spans)>) -> Result<Bytes<'a>> {
     let Some((_, spans)) = detail else {
         return bytes.part(bytes.left() as u64, "payload");

@@ -43,6 +43,20 @@ pub struct Report {
     pub levels: Vec<u32>,
     /// Number of separately coded groups; 1 without a directory.
     pub groups: u32,
+    /// Bits of the detail layer's levels, all of them together; 0 without a layer.
+    pub layer_bits: f64,
+}
+
+/// The parts of the detail layer.
+pub(super) const INDEX: &str = "index of the detail layer";
+pub(super) const STREAMS: &str = "detail layer";
+
+impl Report {
+    /// Bytes of the detail layer's index and streams; 0 without a layer.
+    #[must_use]
+    pub fn layer_bytes(&self) -> u64 {
+        self.parts.iter().filter(|part| [INDEX, STREAMS].contains(&part.name)).map(|part| part.bytes).sum()
+    }
 }
 
 /// How much a report tells.

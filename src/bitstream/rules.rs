@@ -249,6 +249,9 @@ fn check_all(splats: &PackedSplats) -> Result<(), Broken> {
     if let Some(layer) = &splats.detail {
         in_range("layout of a file with a detail layer", splats.layout == Layout::Coded, splats.layout as u64)?;
         super::detail::head::check(&layer.head)?;
+        super::detail::head::check_alpha(&layer.head, splats.channels)?;
+        let fits = layer.fits([splats.width, splats.height], splats.channels);
+        in_range("tiles of the detail layer", fits, layer.tiles.len() as u64)?;
     }
     in_range("coarsest step", (-6..=9).contains(&s.coarsest), s.coarsest as u64)?;
     in_range("position range", i32::from(s.coarsest) - i32::from(s.range) >= MIN_EXPONENT, s.range.into())?;

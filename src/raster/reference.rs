@@ -1,6 +1,10 @@
-//! The picture's definition in plain f64 (spec §5.2, §5.3): slow, short, and what everything else is tested against.
+//! The picture's definition in plain f64 (spec §5.2, §5.3, §11.6): slow, short, and what everything else is tested against.
 
 use super::view::{Filter, View};
+use crate::bitstream::DetailLayer;
+use crate::bitstream::detail::levels::{TILE, tile_area};
+use crate::bitstream::splats::PackedSplats;
+use crate::detail::tile::{Scratch, TilePlanes, reconstruct};
 use crate::gaussian::{Blend, CUTOFF, EPSILON, Gaussian, HIDDEN, Picture};
 use crate::pixels::Depth;
 
@@ -105,4 +109,66 @@ pub fn filtered(picture: &Picture, view: &View) -> Vec<f64> {
         }
     }
     out
+}
+
+/// Colour values of every pixel of `view` as [`filtered`] gives them, with what a detail layer adds (spec §11.6).
+#[must_use]
+pub fn detailed(splats: &PackedSplats, view: &View) -> Vec<f64> {
+    let mut values = filtered(&splats.to_picture(), view);
+    let Some(layer) = &splats.detail else { return values };
+    let (size, channels) = ([splats.width, splats.height], splats.channels.count());
+    let added = additions(layer, splats);
+    let (columns, rows) = (shares(view, 0, size[0]), shares(view, 1, size[1]));
+    let mut out = values.iter_mut();
+    for (row, column) in rows.iter().flat_map(|row| columns.iter().map(move |column| (row, column))) {
+        for k in 0..channels {
+            let mut sum = 0.0;
+            for &(y, down) in row {
+                for &(x, across) in column {
+                    sum += down * across * f64::from(added[(y * size[0] as usize + x) * channels + k]);
+                }
+            }
+            let value = out.next().expect("as many values as samples");
+            *value = (value.clamp(0.0, 1.0) + sum / (32.0 * 255.0)).clamp(0.0, 1.0);
+        }
+    }
+    values
+}
+
+/// What the layer adds to the samples of the whole picture, row by row with interleaved channels, 1/32 of an 8-bit code value.
+fn additions(layer: &DetailLayer, splats: &PackedSplats) -> Vec<i16> {
+    let (size, channels) = ([splats.width, splats.height], splats.channels.count());
+    let mut out = vec![0; size[0] as usize * size[1] as usize * channels];
+    let (mut scratch, mut planes) = (Scratch::default(), TilePlanes::default());
+    for (i, tile) in layer.tiles.iter().enumerate() {
+        let Some(tile) = tile else { continue };
+        let [left, top, width, height] = tile_area(size, i);
+        reconstruct(tile, (&layer.head, splats.channels, [width, height]), &mut scratch, &mut planes);
+        for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+            for (k, plane) in planes.channels.iter().enumerate() {
+                out[((top + y) * size[0] as usize + left + x) * channels + k] = plane[y * TILE + x];
+            }
+        }
+    }
+    out
+}
+
+/// What each output pixel along an axis takes of the picture's pixels, of which there are `side`.
+fn shares(view: &View, axis: usize, side: u32) -> Vec<Vec<(usize, f64)>> {
+    let (step, last) = (view.step[axis], f64::from(side - 1));
+    let length = [view.width, view.height][axis];
+    let grid = (0..length).map(|i| f64::from(view.offset[axis]) + f64::from(i));
+    let share = |i: f64| {
+        let start = view.origin[axis] + i * step;
+        if step <= 1.0 {
+            let at = (start + 0.5 * step - 0.5).clamp(0.0, last);
+            let more = at - at.floor();
+            let next = (at as usize + 1).min(last as usize);
+            return vec![(at as usize, 1.0 - more), (next, more)];
+        }
+        let end = start + step;
+        let covered = |x: usize| (end.min(x as f64 + 1.0) - start.max(x as f64)).max(0.0);
+        (0..side as usize).map(|x| (x, covered(x) / step)).filter(|part| part.1 > 0.0).collect()
+    };
+    grid.map(share).collect()
 }

@@ -2,8 +2,12 @@
 
 #![allow(dead_code)] // Each test crate uses its own part.
 
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
 use ssplat::bitstream::lattice::Lattice;
 use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
+use ssplat::bitstream::{DetailHead, DetailLayer, Maker};
 use ssplat::quantize::Quantizer;
 use ssplat::{Blend, Channels, Depth, Gaussian};
 
@@ -140,4 +144,60 @@ pub fn any_primitive(splats: &PackedSplats, random: &mut Random) -> PackedGaussi
         angle,
         color,
     }
+}
+
+/// Made-up levels of a detail layer: many at low frequencies, few at high ones.
+pub struct Levels {
+    pub random: Random,
+    /// Step classes to choose from.
+    pub classes: u8,
+    /// Of so many blocks one has levels; 0: none has.
+    pub filled: u64,
+    /// Levels of a filled block at most.
+    pub most: u64,
+    /// The largest level.
+    pub largest: i16,
+    /// A tile without levels.
+    pub empty: Option<usize>,
+}
+
+impl Levels {
+    pub fn new(seed: u64) -> Self {
+        Levels { random: Random(seed), classes: 1, filled: 2, most: 12, largest: 6, empty: None }
+    }
+}
+
+impl Maker for Levels {
+    fn class(&mut self, _tile: usize, _superblock: [usize; 2]) -> u8 {
+        self.random.below(self.classes.into()) as u8
+    }
+
+    fn is_divided(&mut self, _tile: usize, _kind: usize, _cell: [usize; 2], _size: usize) -> bool {
+        self.random.below(2) == 0
+    }
+
+    fn levels(&mut self, tile: usize, _plane: usize, _cell: [usize; 2], size: usize) -> Vec<(u8, u8, i16)> {
+        let random = &mut self.random;
+        if self.empty == Some(tile) || self.filled == 0 || random.below(self.filled) > 0 {
+            return Vec::new();
+        }
+        let mut levels = BTreeMap::new();
+        for _ in 0..1 + random.below(self.most) {
+            // The least of two is low more often.
+            let mut frequency = || random.below(4 << size).min(random.below(4 << size)) as u8;
+            let place = (frequency(), frequency());
+            let size = 1 + random.below(self.largest as u64).min(random.below(self.largest as u64)) as i16;
+            levels.insert(place, if random.below(2) == 0 { size } else { -size });
+        }
+        levels.into_iter().map(|((u, v), level)| (u, v, level)).collect()
+    }
+}
+
+/// `splats` with a layer of made-up levels.
+pub fn with_layer(mut splats: PackedSplats, head: DetailHead, mut levels: Levels) -> PackedSplats {
+    levels.classes = head.classes;
+    let size = [splats.width, splats.height];
+    let layer = DetailLayer::made(head, splats.channels, size, &mut levels).unwrap();
+    splats.detail = Some(Arc::new(layer));
+    splats
 }

@@ -44,6 +44,7 @@ export async function run(names, load) {
     const bytes = await load(`valid/${name}/file.ssplat`), result = attempt(decode, bytes)
     if (!claimed(bytes)) {
       check(result instanceof SsplatError && /^(unsupported|limit)$/.test(result.kind), `${name}: should be refused as another kind of file: ${result}`)
+      if (name.startsWith("detail-")) check(result.message.includes("detail layer"), `${name}: the reason is not named: ${result.message}`)
       refused++
       continue
     }

@@ -36,6 +36,7 @@ def encode(
     levels: int = 1,
     tiles: int | None = None,
     thumbnail: Literal["auto"] | int | None = "auto",
+    detail: Literal["auto", "off"] | float = "auto",
     tune: Literal["psnr", "ssim", "iq"] | None = None,
     layout: Literal["coded", "planes", "packed"] = "coded",
     blend: Literal["normalized", "sum"] | None = None,
@@ -73,6 +74,8 @@ def encode(
             one. None: only pictures above 268 megapixels are, in tiles of 2048.
         thumbnail: the most bytes that a small version of the picture may take in the file. ``"auto"``: a hundredth of
             files of 100 000 bytes and more, at most 4000. None: there is none.
+        detail: whether the file has a detail layer, a transform of what the Gaussians leave: ``auto``, where it pays; ``off``; or the
+            share of the bytes that the Gaussians get, above 0 and below 1.
         tune: the measure to favour: PSNR, SSIM, or ``iq``, what eyes see. None: ``iq``, but ``psnr`` with ``psnr=``.
         layout: how the integers become bytes.
         blend: how primitives blend; None: normalized.
@@ -109,6 +112,7 @@ def encode(
         "levels": whole("levels", levels),
         "tiles": whole("tiles", tiles),
         "thumbnail": thumbnail,
+        "detail": detail,
         "tune": tune,
         "layout": layout,
         "blend": blend,
@@ -149,6 +153,7 @@ def decode(
     region: Sequence[int] | None = None,
     size: Sequence[int] | None = None,
     partial: bool = False,
+    detail: bool = True,
     bits: Literal[8, 16] | None = None,
     threads: int | None = None,
     limits: Mapping[str, int] | None = None,
@@ -160,8 +165,9 @@ def decode(
         region: left, top, width and height of the part, pixels of the picture.
         size: width and height of the output, pixels. Larger ones sample the continuous picture, smaller ones are
             low-passed.
-        partial: of a damaged file, draw what is intact and warn with a PartialWarning. Only files in groups, those of
-            large pictures or with several levels, have parts that stand alone.
+        partial: of a damaged file, draw what is intact and warn with a PartialWarning. Files in groups, those of large pictures or
+            with several levels, and those with a detail layer have parts that stand alone.
+        detail: draw the detail layer, if the file has one; False: the Gaussians alone.
         bits: bits of a sample; None: those of the source.
         threads: how many to use; None: as many as are worth it.
         limits: what the file may ask for, in place of the defaults: any of ``width``, ``height``, ``primitives``,
@@ -181,13 +187,15 @@ def decode(
         "size": None if size is None else list(size),
         "bits": bits,
         "partial": bool(partial),
+        "detail": bool(detail),
         "threads": threads,
         "limits": None if limits is None else dict(limits),
     }
-    array, (primitives, groups, of_groups) = _ssplat.decode(content(data), options)
-    if groups:
-        text = f"{groups} of {of_groups} groups with {primitives} primitives are missing"
-        warnings.warn(text, PartialWarning, stacklevel=2)
+    array, (primitives, groups, of_groups, tiles, of_tiles) = _ssplat.decode(content(data), options)
+    lost = [f"{groups} of {of_groups} groups with {primitives} primitives"] if groups else []
+    lost += [f"{tiles} of {of_tiles} tiles of the detail layer"] if tiles else []
+    if lost:
+        warnings.warn(f"{' and '.join(lost)} are missing", PartialWarning, stacklevel=2)
     return array
 
 
@@ -201,7 +209,8 @@ def info(data: Data, *, limits: Mapping[str, int] | None = None) -> dict[str, An
     Returns:
         ``width`` and ``height`` in pixels, ``channels`` (1 to 4), ``bits`` of a sample (8 or 16), ``bytes`` of the
         file, ``primitives``, ``layout``, ``blend``, ``levels`` (primitives in each), ``groups``, ``codebook`` (colours
-        in it, or None), ``steps`` (the indices of specification §4.1), ``parts`` (bytes of each part of the file),
+        in it, or None), ``detail`` (None, or of the detail layer ``bytes``, ``bits`` and ``levels``, and ``tiles`` with levels of
+        ``of_tiles``), ``steps`` (the indices of specification §4.1), ``parts`` (bytes of each part of the file),
         ``icc_profile``, ``exif`` and ``thumbnail`` (bytes, or None; the last is a file that :func:`decode` takes).
 
     Raises:

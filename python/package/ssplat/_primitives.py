@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def gaussians(data: Data) -> dict[str, Any]:
-    """The Gaussians of a file, n of them, and what is needed to draw them.
+    """The Gaussians of a file, n of them, and what is needed to draw them. A detail layer is left out.
 
     With d the vector from a mean to a point, in the frame of the Gaussian (turned back by its rotation, divided by its
     scales), its weight there is ``w = max(0, exp(-d·d / 2) - exp(-3.5² / 2))``. A picture blends either ``normalized``,

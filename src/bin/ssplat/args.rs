@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::{Args as ClapArgs, Parser, Subcommand};
 use ssplat::bitstream::splats::Layout;
-use ssplat::{Backend, Blend, Carry, Detail, EncodeOptions, Recipe, Target, Thumbnail, Tune};
+use ssplat::{Backend, Blend, Carry, Detail, EncodeOptions, Layers, Recipe, Target, Thumbnail, Tune};
 
 use crate::exchange::format::{ExportFormat, ImportFormat};
 use crate::exchange::{csv, foreign};
@@ -322,11 +322,14 @@ pub struct Decode {
     pub height: Option<u32>,
     /// Draw the picture as it fits into a square of so many pixels, from the thumbnail that the file carries where that is
     /// large enough: at once, and less exactly
-    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20), conflicts_with_all = ["region", "width", "height", "scale", "backend", "partial"])]
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20), conflicts_with_all = ["region", "width", "height", "scale", "backend", "partial", "layers"])]
     pub thumbnail: Option<u32>,
     /// Output pixels per pixel of the picture; below 1 the picture is low-passed
     #[arg(long, value_name = "FACTOR", value_parser = positive)]
     pub scale: Option<f64>,
+    /// What is drawn: both layers, the Gaussians alone, or the detail layer alone, on grey
+    #[arg(long, value_name = "WHICH", default_value = "both", value_parser = names::layers())]
+    pub layers: Layers,
     /// Which device draws; a file from a stranger is best drawn on the CPU
     #[arg(long, default_value = "cpu", value_parser = names::drawing_backend())]
     pub backend: Backend,

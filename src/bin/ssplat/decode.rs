@@ -10,7 +10,7 @@ use ssplat::bitstream::Missing;
 use ssplat::bitstream::header::Header;
 use ssplat::bitstream::splats::Metadata;
 use ssplat::raster::{Renderer, SamplesMut, View};
-use ssplat::{Backend, Channels, Damage, Depth, Limits, Opening, Picture, Pixels, Samples};
+use ssplat::{Backend, Channels, Damage, Depth, Layers, Limits, Opening, Picture, Pixels, Samples};
 
 use crate::batch::{self, Command, Done, Show, Voice};
 use crate::failure::Failure;
@@ -73,7 +73,7 @@ fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &
     }
     let failed = |e| Failure::library(input, &e);
     let limits = Limits::default();
-    let opening = Opening::new(&bytes, &limits).map_err(failed)?;
+    let opening = Opening::new(&bytes, &limits).map_err(failed)?.showing(args.layers);
     let of = opening.header().primitives;
     let view = view(args, input, opening.view())?;
     let damage = if args.partial { Damage::Accept } else { Damage::Refuse };
@@ -82,6 +82,12 @@ fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &
     let (depth, missing, channels) = (opened.splats().depth, opened.missing(), opened.splats().channels);
     let mut notes = losses(opened.metadata(), missing, of);
     notes.extend(format.losses(depth, opened.metadata()));
+    if args.backend == Backend::Gpu && opened.splats().detail.is_some() {
+        if args.layers == Layers::Detail {
+            return Err(Failure::usage("--layers detail: only the CPU draws the detail layer"));
+        }
+        notes.push("the GPU draws the Gaussians alone; the detail layer is left out".into());
+    }
     let orientation = orientation(args, opened.metadata());
     let background = background(args, channels, format, &mut notes);
     let mut shape = (view.width(), view.height());
@@ -114,7 +120,10 @@ fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &
     }
     sink.finish()?;
     let seconds = start.elapsed().as_secs_f64();
-    let loss = json!({ "primitives": missing.primitives, "of": of });
+    let mut loss = json!({ "primitives": missing.primitives, "of": of });
+    if missing.of_tiles > 0 {
+        (loss["tiles"], loss["of_tiles"]) = (missing.tiles.into(), missing.of_tiles.into());
+    }
     let (width, height) = shape;
     let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": device });
     Ok(Done { text: String::new(), result, notes })
@@ -214,8 +223,16 @@ fn losses(metadata: &Metadata, missing: Missing, of: u32) -> Vec<String> {
     let section = |name| format!("section {} is damaged and left out", String::from_utf8_lossy(name));
     let mut notes: Vec<String> = metadata.damaged.iter().map(|name| section(&name[..])).collect();
     if missing != Missing::default() {
-        let Missing { primitives, groups, of_groups, .. } = missing;
-        notes.push(format!("{primitives} of {of} primitives in {groups} of {of_groups} groups are missing"));
+        let Missing { primitives, groups, of_groups, tiles, of_tiles, .. } = missing;
+        if groups > 0 {
+            notes.push(format!("{primitives} of {of} primitives in {groups} of {of_groups} groups are missing"));
+        }
+        if tiles > 0 {
+            notes.push(format!("{tiles} of {of_tiles} tiles of the detail layer are missing"));
+        }
+        if groups == 0 && tiles == 0 {
+            notes.push("the file is damaged or cut off; all of the picture that was asked for is there".into());
+        }
     }
     notes
 }

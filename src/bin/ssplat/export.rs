@@ -19,6 +19,12 @@ pub fn run(args: &args::Export) -> Result<(), Failure> {
     let bytes = source::read_splats(&args.input)?;
     let splats =
         ssplat::bitstream::read(&bytes[..], &Limits::default()).map_err(|e| Failure::library(&args.input, &e))?;
+    if splats.detail.is_some() {
+        eprintln!(
+            "ssplat: {}: the detail layer is left out: this is what the Gaussians show",
+            Failure::input(&args.input)
+        );
+    }
     let parameters = Parameters::from(&splats);
     let file = match format {
         ExportFormat::Npz => parameters.to_npz().map_err(|e| failed(&args.output, &e))?,

@@ -91,6 +91,7 @@ fn as_json(splats: &PackedSplats, report: &Report) -> Value {
         "icc_bytes": splats.metadata.icc.as_ref().map(Vec::len),
         "exif_bytes": splats.metadata.exif.as_ref().map(Vec::len),
         "thumbnail_bytes": splats.metadata.thumbnail.as_ref().map(Vec::len),
+        "detail": detail(splats, report),
         "bytes": report.bytes,
         "ratio": ratio(report),
         "bits_per_primitive": per_primitive(8.0 * report.bytes as f64, splats),
@@ -99,6 +100,23 @@ fn as_json(splats: &PackedSplats, report: &Report) -> Value {
         "fields": fields,
         "left_out": left_out,
     })
+}
+
+/// What is told of the detail layer, if there is one.
+fn detail(splats: &PackedSplats, report: &Report) -> Option<Value> {
+    let layer = splats.detail.as_ref()?;
+    let head = &layer.head;
+    Some(json!({
+        "bytes": report.layer_bytes(),
+        "bits": report.layer_bits,
+        "levels": layer.levels(),
+        "bits_per_level": (layer.levels() > 0).then(|| report.layer_bits / layer.levels() as f64),
+        "tiles": layer.tiles(),
+        "of_tiles": layer.of_tiles(),
+        "step": f64::from(head.step) / 64.0,
+        "classes": head.classes,
+        "alpha": head.alpha,
+    }))
 }
 
 fn as_text(splats: &PackedSplats, report: &Report) -> String {
@@ -126,6 +144,16 @@ fn as_text(splats: &PackedSplats, report: &Report) -> String {
     }
     if report.groups > 1 {
         text += &format!("groups      {}\n", report.groups);
+    }
+    if let Some(layer) = &splats.detail {
+        text += &format!(
+            "detail      {} bytes, {} levels in {} of {} tiles, {:.2} bits a level\n",
+            report.layer_bytes(),
+            layer.levels(),
+            layer.tiles(),
+            layer.of_tiles(),
+            report.layer_bits / layer.levels().max(1) as f64,
+        );
     }
     text += "parts\n";
     for part in &report.parts {

@@ -2,7 +2,7 @@
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use ssplat::bitstream::splats::Layout;
-use ssplat::{Ablation, Backend, Blend, Carry, Recipe, Tune};
+use ssplat::{Ablation, Backend, Blend, Carry, Layers, Recipe, Tune};
 
 static LAYOUTS: [(&str, Layout); 3] =
     [("packed", Layout::Packed), ("planes", Layout::Planes), ("coded", Layout::Coded)];
@@ -72,4 +72,8 @@ pub fn carry() -> impl TypedValueParser<Value = Carry> {
 
 pub fn drawing_backend() -> impl TypedValueParser<Value = Backend> {
     named(&[("cpu", Backend::Cpu), ("gpu", Backend::Gpu)])
+}
+
+pub fn layers() -> impl TypedValueParser<Value = Layers> {
+    named(&[("both", Layers::Both), ("gaussians", Layers::Gaussians), ("detail", Layers::Detail)])
 }

@@ -4,6 +4,7 @@ use super::model::CLASSES;
 use crate::bitstream::broken::Broken;
 use crate::bitstream::bytes::{Bytes, put_varint};
 use crate::error::Result;
+use crate::gaussian::Channels;
 
 /// Numbers from which the values of levels follow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -99,6 +100,10 @@ pub(crate) fn read(contents: &[u8], offset: u64) -> Result<(DetailHead, Spans)> 
     }
     check(&head)?;
     bytes.finish()?;
+    // One way to say it: otherwise a file could not be told by its integers.
+    if self::contents(&head, spans) != contents {
+        return Err(broken("detail flags", flags.into()).into());
+    }
     Ok((head, spans))
 }
 
@@ -118,6 +123,14 @@ pub(crate) fn check(head: &DetailHead) -> Result<(), Broken> {
     }
     if !(1..=CLASSES as u8).contains(&head.classes) {
         return Err(broken("step classes", head.classes.into()));
+    }
+    Ok(())
+}
+
+/// Checks that a plane of alpha belongs to a picture with alpha.
+pub(crate) fn check_alpha(head: &DetailHead, channels: Channels) -> Result<(), Broken> {
+    if head.alpha && channels.alpha().is_none() {
+        return Err(broken("alpha plane of a picture without alpha", channels.count() as u64));
     }
     Ok(())
 }
@@ -183,6 +196,13 @@ mod tests {
             assert!(read(&bytes[..bytes.len() - 1], 0).is_err() && read(&[&bytes[..], &[0]].concat(), 0).is_err());
         }
         assert_eq!(contents(&DetailHead::SEEN, spans).len(), 9);
+        // What the preset says already, and the preset that needs more bytes.
+        let mut said_twice = contents(&DetailHead::PLAIN, spans);
+        said_twice[8] |= CLASS_COUNT;
+        said_twice.push(1);
+        assert!(
+            read(&said_twice, 0).is_err() && read(&beside(&DetailHead::SEEN, spans, &DetailHead::PLAIN, 0), 0).is_err()
+        );
         for broken in [
             DetailHead { step: 0, ..odd },
             DetailHead { chroma: [0, 3], ..odd },

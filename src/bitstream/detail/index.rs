@@ -2,9 +2,9 @@
 
 use super::decisions::Counted;
 use super::head::DetailHead;
-use super::levels::{TILE, TileLevels, tile_area, tile_counts};
-use super::model::Models;
-use super::tile;
+use super::levels::{CELLS, SUPERS, TILE, TileLevels, tile_area, tile_counts};
+use super::model::{KINDS, Models};
+use super::tile::{self, kinds};
 use crate::bitstream::broken::Broken;
 use crate::bitstream::bytes::{Bytes, put_varint};
 use crate::bitstream::checksum::hash;
@@ -32,10 +32,29 @@ impl DetailLayer {
         self.tiles.iter().flatten().map(|tile| tile.levels.len()).sum()
     }
 
+    /// Tiles that the picture has.
+    #[must_use]
+    pub fn of_tiles(&self) -> usize {
+        self.tiles.len()
+    }
+
     /// Bytes that the levels take.
     pub(crate) fn memory(&self) -> u64 {
         let lists: u64 = self.tiles.iter().flatten().map(TileLevels::memory).sum();
         lists + (self.tiles.len() * size_of::<Option<TileLevels>>()) as u64
+    }
+
+    /// Whether the layer belongs to a picture of such size and channels.
+    pub(crate) fn fits(&self, size: [u32; 2], channels: Channels) -> bool {
+        let [across, down] = tile_counts(size);
+        let mut cells = [0; KINDS];
+        kinds(channels, self.head.alpha).for_each(|(kind, _)| cells[kind] = CELLS * CELLS);
+        let classes = if self.head.classes > 1 { SUPERS * SUPERS } else { 0 };
+        let is_whole = |tile: &TileLevels| {
+            let sizes: [usize; KINDS] = std::array::from_fn(|kind| tile.sizes[kind].len());
+            sizes == cells && tile.classes.len() == classes
+        };
+        self.tiles.len() == across * down && self.tiles.iter().flatten().all(is_whole)
     }
 
     /// Tiles that have levels.
@@ -164,7 +183,7 @@ pub(crate) fn read(
             Err(e) => return Err(e),
         }
     }
-    let planes: u64 = tile::kinds(wanted.channels, head.alpha).map(|(_, planes)| planes.len() as u64).sum();
+    let planes: u64 = kinds(wanted.channels, head.alpha).map(|(_, planes)| planes.len() as u64).sum();
     let is_wanted = |i: usize| entries[i].length > 0 && wanted.area.is_none_or(|area| reaches(wanted.size, i, area));
     let chosen: Vec<usize> = (0..entries.len()).filter(|&i| is_wanted(i)).collect();
     let tiles_work = (TILE * TILE) as u64 * planes * PIXEL_WORK;

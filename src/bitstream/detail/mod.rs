@@ -11,6 +11,7 @@ pub(crate) mod index;
 #[cfg(test)]
 mod learn;
 pub(crate) mod levels;
+mod made;
 pub(crate) mod model;
 pub(crate) mod scan;
 mod start;
@@ -18,3 +19,5 @@ pub(crate) mod tile;
 
 pub use head::DetailHead;
 pub use index::DetailLayer;
+#[doc(hidden)]
+pub use made::Maker;

@@ -1,0 +1,100 @@
+//! Layers of levels that somebody makes up: for vectors and tests, which must not change with the encoder.
+
+use super::head::{self, DetailHead};
+use super::index::DetailLayer;
+use super::levels::{CELL, CELLS, CodedBlock, Level, SUPER, SUPERS, TileLevels, tile_area, tile_counts};
+use super::scan::{at, scan};
+use super::tile::{ROOT, kinds};
+use crate::error::Result;
+use crate::gaussian::Channels;
+
+/// Whoever makes levels up. Tiles, superblocks, blocks and planes come in the order of the file.
+#[doc(hidden)]
+pub trait Maker {
+    /// The step class of a superblock, below the number of classes; not asked if there is one class.
+    fn class(&mut self, tile: usize, superblock: [usize; 2]) -> u8;
+
+    /// Whether a square of side `4 << size` at a cell is divided, where that is free.
+    fn is_divided(&mut self, tile: usize, kind: usize, cell: [usize; 2], size: usize) -> bool;
+
+    /// The levels of a block: horizontal and vertical frequency, and the level; levels of 0 are left out.
+    fn levels(&mut self, tile: usize, plane: usize, cell: [usize; 2], size: usize) -> Vec<(u8, u8, i16)>;
+}
+
+impl DetailLayer {
+    /// A layer for a picture of such channels and size, pixels.
+    ///
+    /// # Errors
+    /// [`Error::Format`](crate::Error::Format) if `head` breaks the format.
+    ///
+    /// # Panics
+    /// If a level lies outside of its block.
+    #[doc(hidden)]
+    pub fn made(head: DetailHead, channels: Channels, size: [u32; 2], maker: &mut impl Maker) -> Result<Self> {
+        head::check(&head)?;
+        let [across, down] = tile_counts(size);
+        let tiles = (0..across * down).map(|i| {
+            let [_, _, width, height] = tile_area(size, i);
+            let mut made = Making { head: &head, index: i, tile: TileLevels::default(), maker };
+            made.run(channels, [width, height]);
+            (!made.tile.levels.is_empty()).then_some(made.tile)
+        });
+        Ok(DetailLayer { head, tiles: tiles.collect() })
+    }
+}
+
+struct Making<'a, M> {
+    head: &'a DetailHead,
+    index: usize,
+    tile: TileLevels,
+    maker: &'a mut M,
+}
+
+impl<M: Maker> Making<'_, M> {
+    fn run(&mut self, channels: Channels, size: [usize; 2]) {
+        let [across, down] = size.map(|side| side.div_ceil(SUPER));
+        if self.head.classes > 1 {
+            self.tile.classes = vec![0; SUPERS * SUPERS];
+        }
+        for (kind, _) in kinds(channels, self.head.alpha) {
+            self.tile.sizes[kind] = vec![0; CELLS * CELLS];
+        }
+        for (y, x) in (0..down).flat_map(|y| (0..across).map(move |x| (y, x))) {
+            if self.head.classes > 1 {
+                self.tile.classes[y * SUPERS + x] = self.maker.class(self.index, [x, y]);
+            }
+            for (kind, planes) in kinds(channels, self.head.alpha) {
+                self.square(kind, planes, [x, y].map(|c| c * (SUPER / CELL)), ROOT);
+            }
+        }
+    }
+
+    fn square(&mut self, kind: usize, planes: std::ops::Range<usize>, [x, y]: [usize; 2], size: usize) {
+        let [least, most] = self.head.sizes(kind);
+        if size > most || (size > least && self.maker.is_divided(self.index, kind, [x, y], size)) {
+            let half = 1 << (size - 1);
+            for [i, j] in [[0, 0], [1, 0], [0, 1], [1, 1]] {
+                self.square(kind, planes.clone(), [x + i * half, y + j * half], size - 1);
+            }
+            return;
+        }
+        for row in y..y + (1 << size) {
+            self.tile.sizes[kind][row * CELLS + x..][..1 << size].fill(size as u8);
+        }
+        for plane in planes {
+            let mut levels = self.maker.levels(self.index, plane, [x, y], size);
+            levels.retain(|level| level.2 != 0);
+            if levels.is_empty() {
+                continue;
+            }
+            levels.sort_by_key(|level| {
+                let (u, v) = (usize::from(level.0), usize::from(level.1));
+                let place = scan(size).iter().position(|place| usize::from(place.at) == at(u, v));
+                place.expect("a place of the block")
+            });
+            self.tile.levels.extend(levels.into_iter().map(|(u, v, value)| Level { u, v, value }));
+            let (cell, end) = ([x as u8, y as u8], self.tile.levels.len() as u32);
+            self.tile.blocks.push(CodedBlock { cell, plane: plane as u8, size: size as u8, end });
+        }
+    }
+}

@@ -1,0 +1,244 @@
+//! What the detail layer promises its readers: parts are those of the whole, either layer can be drawn alone, threads change
+//! nothing, and a damaged tile is missing and nothing else.
+
+mod seal;
+mod synthetic;
+
+use seal::layer;
+use ssplat::bitstream::splats::PackedSplats;
+use ssplat::bitstream::{DetailHead, Missing, inspect, read, read_partial, to_bytes};
+use ssplat::raster::View;
+use ssplat::{Channels, Damage, DecodeOptions, Depth, Error, Layers, Limits, Opening, Pixels, Samples, decode};
+use synthetic::{Levels, Scene, scene, with_layer};
+
+/// A picture of six tiles with levels in most blocks.
+fn large(channels: Channels) -> PackedSplats {
+    let mut head = DetailHead::SEEN;
+    (head.step, head.alpha) = (700, channels.alpha().is_some());
+    let ground = scene(&Scene { channels, size: [530, 300], count: 400, seed: 61, ..Scene::default() });
+    with_layer(ground, head, Levels::new(61))
+}
+
+/// A small file of three tiles.
+fn small() -> Vec<u8> {
+    let mut head = DetailHead::PLAIN;
+    head.step = 900;
+    let ground = scene(&Scene { channels: Channels::Grey, size: [515, 6], count: 4, seed: 62, ..Scene::default() });
+    to_bytes(&with_layer(ground, head, Levels { filled: 6, ..Levels::new(62) })).unwrap()
+}
+
+fn draw(bytes: &[u8], view: &View, layers: Layers) -> Pixels {
+    let opening = Opening::new(bytes, &Limits::default()).unwrap().showing(layers);
+    opening.read_for(view, Damage::Refuse).unwrap().draw(view).unwrap()
+}
+
+fn samples(pixels: &Pixels) -> Vec<u16> {
+    match pixels.samples() {
+        Samples::U8(v) => v.iter().map(|&v| v.into()).collect(),
+        Samples::U16(v) => v.clone(),
+    }
+}
+
+/// The samples of a rectangle.
+fn cut(pixels: &Pixels, [x, y, width, height]: [u32; 4]) -> Vec<u16> {
+    let (all, count) = (samples(pixels), pixels.channels().count());
+    let row = |y: u32| ((y * pixels.width() + x) as usize * count)..((y * pixels.width() + x + width) as usize * count);
+    (y..y + height).flat_map(|y| all[row(y)].to_vec()).collect()
+}
+
+#[test]
+fn parts_have_the_samples_of_the_whole_at_any_size() {
+    for (channels, depth) in [(Channels::Rgb, Depth::Eight), (Channels::GreyAlpha, Depth::Sixteen)] {
+        let mut splats = large(channels);
+        splats.depth = depth;
+        let bytes = to_bytes(&splats).unwrap();
+        let full = View::of_size(530, 300);
+        for view in
+            [full, full.resized(200, 110).unwrap(), full.resized(61, 700).unwrap(), full.resized(777, 431).unwrap()]
+        {
+            let whole = draw(&bytes, &view, Layers::Both);
+            let [w, h] = [view.width(), view.height()];
+            // Corners, a pixel, across edges of tiles, and a row.
+            for part in [
+                [0, 0, 9, 7],
+                [w - 5, h - 9, 5, 9],
+                [w / 2 - 3, h / 2, 1, 1],
+                [w / 3, h / 4, w / 2, h / 2],
+                [0, h / 2, w, 1],
+            ] {
+                let [x, y, width, height] = part;
+                let drawn = draw(&bytes, &view.crop(x, y, width, height).unwrap(), Layers::Both);
+                assert!(samples(&drawn) == cut(&whole, part), "{channels:?}: {part:?} of {w} × {h}");
+            }
+        }
+    }
+}
+
+#[test]
+fn threads_change_no_sample() {
+    let bytes = to_bytes(&large(Channels::Rgba)).unwrap();
+    let with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            [[530, 300], [170, 90], [600, 400]].map(|[width, height]| {
+                draw(&bytes, &View::of_size(530, 300).resized(width, height).unwrap(), Layers::Both)
+            })
+        })
+    };
+    assert!(with(1) == with(7));
+}
+
+#[test]
+fn either_layer_can_be_drawn_alone() {
+    let splats = large(Channels::Rgb);
+    let bytes = to_bytes(&splats).unwrap();
+    let view = View::of_size(530, 300);
+    let [both, gaussians, detail] = [Layers::Both, Layers::Gaussians, Layers::Detail].map(|l| draw(&bytes, &view, l));
+    let without = to_bytes(&PackedSplats { detail: None, ..splats.clone() }).unwrap();
+    assert_eq!(gaussians, draw(&without, &view, Layers::Both));
+    assert!(samples(&draw(&without, &view, Layers::Detail)).iter().all(|&v| v == 128), "grey where there is no layer");
+    let mut changed = 0;
+    for ((both, gaussians), detail) in samples(&both).into_iter().zip(samples(&gaussians)).zip(samples(&detail)) {
+        let [both, gaussians, detail] = [both, gaussians, detail].map(f64::from);
+        changed += u32::from(both != gaussians);
+        if [both, gaussians, detail].iter().all(|v| (1.0..255.0).contains(v)) {
+            // Grey is 127.5. Half a code value for the rounding of each.
+            assert!((both - gaussians - (detail - 127.5)).abs() <= 1.5, "{both} {gaussians} {detail}");
+        }
+    }
+    assert!(changed > 100_000, "{changed}: the layer shows nothing");
+    let mut options = DecodeOptions::default();
+    options.layers = Layers::Gaussians;
+    assert_eq!(decode(&bytes, &options).unwrap().pixels, gaussians);
+}
+
+#[test]
+fn what_is_read_writes_the_same_bytes() {
+    for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
+        let splats = large(channels);
+        let bytes = to_bytes(&splats).unwrap();
+        let (again, report) = inspect(&bytes, &Limits::default()).unwrap();
+        assert_eq!(again.detail, splats.detail);
+        assert!(to_bytes(&again).unwrap() == bytes);
+        assert_eq!(report.parts.iter().map(|p| p.bytes).sum::<u64>(), bytes.len() as u64);
+        // Bits are those of the streams, whose index has some bytes a tile.
+        let bits = report.layer_bits / 8.0;
+        let bytes = report.layer_bytes() as f64;
+        assert!(bits < bytes && bits > bytes - 6.0 * 6.0 - 6.0 * 4.0, "{bits} of {bytes}");
+    }
+}
+
+#[test]
+fn a_layer_of_another_picture_is_not_written() {
+    let splats = large(Channels::Rgb);
+    for other in [
+        PackedSplats { width: 100, ..splats.clone() },
+        PackedSplats { channels: Channels::Grey, ..splats.clone() },
+        PackedSplats { layout: ssplat::bitstream::splats::Layout::Planes, ..splats.clone() },
+    ] {
+        assert!(matches!(to_bytes(&other), Err(Error::Parameter { .. })), "{} {:?}", other.width, other.channels);
+    }
+    let grey = large(Channels::Grey);
+    let wider = PackedSplats { channels: Channels::Rgb, ..grey };
+    assert!(matches!(to_bytes(&wider), Err(Error::Parameter { .. })));
+}
+
+#[test]
+fn every_cut_leaves_the_tiles_that_are_there() {
+    let bytes = small();
+    let whole = read(&bytes[..], &Limits::default()).unwrap();
+    let at = layer::layout(&bytes).unwrap();
+    let ends: Vec<usize> = at.tiles.iter().map(|tile| tile.1.end).collect();
+    let index = at.tiles[0].1.start;
+    assert_eq!(ends.len(), 3);
+    let view = View::of_size(515, 6);
+    let base = draw(&bytes, &view, Layers::Gaussians);
+    for end in 0..bytes.len() {
+        assert!(matches!(read(&bytes[..end], &Limits::default()), Err(Error::Format(_))), "cut at {end}");
+        let part = read_partial(&bytes[..end], &Limits::default());
+        let Ok((part, missing)) = part else {
+            assert!(end < at.payload.end, "cut at {end}: {:?}", part.err());
+            continue;
+        };
+        assert!(end >= at.payload.end, "cut at {end}");
+        let lost = if end < index { 3 } else { ends.iter().filter(|&&e| e > end).count() as u32 };
+        assert_eq!((missing.tiles, missing.of_tiles, missing.primitives), (lost, 3, 0), "cut at {end}");
+        assert_eq!(part.gaussians, whole.gaussians);
+        assert_ne!(missing, Missing::default());
+        if ends.contains(&end) || end == at.payload.end {
+            // What is missing shows the Gaussians, what is there the picture.
+            let drawn = part.renderer(&view, &Limits::default()).unwrap().render(Depth::Eight).unwrap();
+            let picture = draw(&bytes, &view, Layers::Both);
+            let there = 256 * (3 - lost).min(2) + if lost == 0 { 3 } else { 0 };
+            for (area, like) in [([0, 0, there, 6], &picture), ([there, 0, 515 - there, 6], &base)] {
+                assert!(cut(&drawn, area) == cut(like, area), "cut at {end}: {area:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_flipped_bit_costs_a_tile_at_most() {
+    let bytes = small();
+    let whole = read(&bytes[..], &Limits::default()).unwrap();
+    let at = layer::layout(&bytes).unwrap();
+    for bit in 0..8 * bytes.len() {
+        let mut hurt = bytes.clone();
+        hurt[bit / 8] ^= 1 << (bit % 8);
+        assert!(
+            matches!(
+                read(&hurt[..], &Limits::default()),
+                Err(Error::Format(_) | Error::UnsupportedVersion { .. } | Error::LimitExceeded { .. })
+            ),
+            "bit {bit}"
+        );
+        let streams = at.tiles[0].1.start..at.tiles[2].1.end;
+        match read_partial(&hurt, &Limits::default()) {
+            Ok((part, missing)) => {
+                assert_eq!(part.gaussians, whole.gaussians, "bit {bit}");
+                let lost = if streams.contains(&(bit / 8)) { 1 } else { missing.tiles };
+                assert_eq!(missing.tiles, lost, "bit {bit}");
+                let (some, all) = (part.detail.unwrap(), whole.detail.as_ref().unwrap());
+                assert_eq!(some.tiles() as u32, 3 - missing.tiles, "bit {bit}");
+                assert!(missing.tiles > 0 || *some == **all, "bit {bit}");
+            }
+            Err(e) => assert!(bit / 8 < at.payload.end, "bit {bit}: {e}"),
+        }
+    }
+}
+
+#[test]
+fn the_gaussians_of_a_whole_file_are_read_with_nothing_missing() {
+    let bytes = small();
+    let opening = Opening::new(&bytes, &Limits::default()).unwrap().showing(Layers::Gaussians);
+    assert_eq!(opening.read(Damage::Accept).unwrap().missing(), Missing::default());
+}
+
+#[test]
+fn an_empty_layer_of_a_huge_picture_costs_nothing_before_it_is_refused() {
+    // 2²⁴ tiles in a file of some bytes: the index would have a byte for each.
+    let mut head = DetailHead::PLAIN;
+    head.step = 64;
+    let ground = scene(&Scene { size: [300, 1], count: 1, ..Scene::default() });
+    let mut bytes = to_bytes(&with_layer(ground, head, Levels { filled: 0, ..Levels::new(1) })).unwrap();
+    // The width, a varint of two bytes, becomes 2²⁰ and the height as much.
+    bytes.splice(6..9, [0x80, 0x80, 0x40, 0x80, 0x80, 0x40]);
+    seal::seal(&mut bytes);
+    match read(&bytes[..], &Limits::default()) {
+        Err(Error::Format(ssplat::FormatError::BadValue { field: "tiles of the detail layer", value })) => {
+            assert_eq!(value, 1 << 24);
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn work_of_the_layer_is_counted_before_it_is_done() {
+    let bytes = to_bytes(&large(Channels::Rgb)).unwrap();
+    let mut limits = Limits::default();
+    limits.work = 1 << 20;
+    assert!(matches!(read(&bytes[..], &limits), Err(Error::LimitExceeded { what: "work", .. })));
+    // The Gaussians alone are within it.
+    let opening = Opening::new(&bytes, &limits).unwrap().showing(Layers::Gaussians);
+    assert!(opening.read(Damage::Refuse).is_ok());
+}
