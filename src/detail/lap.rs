@@ -42,7 +42,8 @@ fn begins(at: usize, size: u8) -> bool {
 
 /// Filters `x`, a plane whose rows are [`TILE`] apart, across the edges of blocks beside which one has levels: `is_filled` of a
 /// cell. `sizes` are those of the cells' blocks, `cells` the plane's size in cells.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline(never))]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(crate) fn invert(x: &mut [i32], cells: [usize; 2], sizes: &[u8], filled: &[bool]) {
     let [across, down] = cells;
     for cy in 1..down {

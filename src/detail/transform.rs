@@ -37,6 +37,7 @@ pub(crate) struct Coefficient {
 const FIRST: u32 = 11;
 
 /// Writes the block of side `N` that `coefficients` make to `out`, whose rows are `stride` apart.
+#[cfg(not(target_family = "wasm"))]
 #[inline(always)]
 fn sided<const N: usize>(matrix: &Matrix, coefficients: &[Coefficient], out: &mut [i32], stride: usize) {
     // First down the columns that have coefficients.
@@ -71,10 +72,44 @@ fn sided<const N: usize>(matrix: &Matrix, coefficients: &[Coefficient], out: &mu
     }
 }
 
+/// The same for a side that is not known beforehand: in WebAssembly all sizes share one, for the module's size.
+#[cfg(target_family = "wasm")]
+#[inline(never)]
+fn of_any_side(side: usize, matrix: &Matrix, coefficients: &[Coefficient], out: &mut [i32], stride: usize) {
+    let mut columns = [[0i32; LARGEST]; LARGEST];
+    let mut used = 0u32;
+    for c in coefficients {
+        let (u, v) = (usize::from(c.u) % LARGEST, usize::from(c.v) % LARGEST);
+        used |= 1 << u;
+        for (sum, &entry) in columns[u].iter_mut().zip(&matrix[v]) {
+            *sum = sum.wrapping_add(c.value.wrapping_mul(entry));
+        }
+    }
+    let shift = FIRST - 1 + side.trailing_zeros();
+    for i in 0..side {
+        let mut sums = [1i32 << (shift - 1); LARGEST];
+        let mut left = used;
+        while left != 0 {
+            let u = left.trailing_zeros() as usize % LARGEST;
+            left &= left - 1;
+            let c = columns[u][i % LARGEST].wrapping_add(1 << (FIRST - 1)) >> FIRST;
+            for (sum, &entry) in sums.iter_mut().zip(&matrix[u]) {
+                *sum = sum.wrapping_add(c.wrapping_mul(entry));
+            }
+        }
+        for (out, sum) in out[i * stride..i * stride + side].iter_mut().zip(sums) {
+            *out = sum >> shift;
+        }
+    }
+}
+
 /// Writes the block of side `4 << size` that `coefficients` make to `out`, whose rows are `stride` apart.
 #[inline(always)]
 pub(crate) fn inverse(size: usize, coefficients: &[Coefficient], out: &mut [i32], stride: usize) {
     let matrix = &matrices()[size];
+    #[cfg(target_family = "wasm")]
+    of_any_side(4 << size, matrix, coefficients, out, stride);
+    #[cfg(not(target_family = "wasm"))]
     match size {
         0 => sided::<4>(matrix, coefficients, out, stride),
         1 => sided::<8>(matrix, coefficients, out, stride),

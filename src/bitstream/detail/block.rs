@@ -77,7 +77,8 @@ impl Context {
 }
 
 /// Codes the levels of `block` after the decision that there are some. A writer passes how many there are.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline(never))]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(crate) fn code<D: Decisions>(
     d: &mut D,
     models: &mut KindModels,

@@ -8,6 +8,7 @@ use super::tile::{self, kinds};
 use crate::bitstream::broken::Broken;
 use crate::bitstream::bytes::{Bytes, put_varint};
 use crate::bitstream::checksum::hash;
+use crate::bitstream::coded::ONE_READER;
 use crate::bitstream::range::Decoder;
 use crate::bitstream::rules::Area;
 use crate::budget::Reservation;
@@ -210,8 +211,10 @@ pub(crate) fn read(
                 }
                 .into());
             }
-            if !wanted.counts {
-                return Ok((tile::read(stream, &head, wanted.channels, [width, height])?, 0.0));
+            if !wanted.counts || ONE_READER {
+                // Where there is but one reader, bits are those of the bytes.
+                let bits = 8.0 * stream.len() as f64;
+                return Ok((tile::read(stream, &head, wanted.channels, [width, height])?, bits));
             }
             let mut counted = Counted { source: Decoder::new(stream)?, bits: 0.0 };
             let levels = tile::read_with(&mut counted, &mut Models::start(), &head, wanted.channels, [width, height])?;
