@@ -64,7 +64,7 @@ fn learn_where_models_begin() {
     for (name, what, values) in &tables {
         let rows = lines(values, 24, ", ").join(",\n    ");
         new += &format!(
-            "\n#[rustfmt::skip]\n/// {what}\npub(super) static {name}: [u8; {}] = [\n    {rows},\n];\n",
+            "\n#[rustfmt::skip]\n/// {what}\npub(super) const {name}: [u8; {}] = [\n    {rows},\n];\n",
             values.len()
         );
     }

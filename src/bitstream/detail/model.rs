@@ -48,37 +48,103 @@ pub(crate) struct Models {
     pub class: [[Adaptive; CLASSES]; 2 * CLASSES],
 }
 
-/// Hands out starts in the order of the table.
-struct Starts(usize);
+/// The models as a tile begins with them: made by the compiler, since code that makes them is larger than they are.
+static START: Models = begun();
 
-impl Starts {
-    fn next(&mut self) -> Adaptive {
-        let i = self.0;
-        self.0 += 1;
-        Adaptive::new(start::ONE[i], start::SEEN[i])
-    }
+/// Puts the starts of the table into an array, from the `i`-th on.
+macro_rules! put {
+    ($i:ident, $array:expr) => {
+        $array = Adaptive::new(start::ONE[$i], start::SEEN[$i]);
+        $i += 1;
+    };
+}
+
+/// Runs a block for all values of an index.
+macro_rules! each {
+    ($k:ident < $end:expr, $body:block) => {
+        let mut $k = 0;
+        while $k < $end {
+            $body
+            $k += 1;
+        }
+    };
+}
+
+const fn begun() -> Models {
+    let m = Adaptive::new(128, 0);
+    let blank = KindModels {
+        exponent: [[m; EXPONENTS]; BUCKETS],
+        mantissa: [[m; 3]; EXPONENTS],
+        place: [[[[m; NEAR]; LEFT]; ZONES]; SIZES],
+        more: [[[m; 2]; NEAR]; 5],
+        larger: [m; UNARY],
+        divide: [[m; 3]; SIZES],
+    };
+    let mut filled = [[[[m; 4]; BUCKETS]; SIZES]; PLANES];
+    let mut kinds = [blank; KINDS];
+    let mut class = [[m; CLASSES]; 2 * CLASSES];
+    let mut i = 0;
+    each!(a < 3, {
+        each!(b < SIZES, {
+            each!(c < BUCKETS, {
+                each!(d < 4, {
+                    put!(i, filled[a][b][c][d]);
+                });
+            });
+        });
+    });
+    each!(k < 2, {
+        each!(a < BUCKETS, {
+            each!(b < EXPONENTS, {
+                put!(i, kinds[k].exponent[a][b]);
+            });
+        });
+        each!(a < EXPONENTS, {
+            each!(b < 3, {
+                put!(i, kinds[k].mantissa[a][b]);
+            });
+        });
+        each!(a < SIZES, {
+            each!(b < ZONES, {
+                each!(c < LEFT, {
+                    each!(d < NEAR, {
+                        put!(i, kinds[k].place[a][b][c][d]);
+                    });
+                });
+            });
+        });
+        each!(a < 5, {
+            each!(b < NEAR, {
+                each!(c < 2, {
+                    put!(i, kinds[k].more[a][b][c]);
+                });
+            });
+        });
+        each!(a < UNARY, {
+            put!(i, kinds[k].larger[a]);
+        });
+        each!(a < SIZES, {
+            each!(b < 3, {
+                put!(i, kinds[k].divide[a][b]);
+            });
+        });
+    });
+    each!(a < 2 * CLASSES, {
+        each!(b < CLASSES, {
+            put!(i, class[a][b]);
+        });
+    });
+    assert!(i == start::ONE.len(), "the table has as many starts");
+    // Alpha is rare, and begins as luma does.
+    filled[3] = filled[0];
+    kinds[2] = kinds[0];
+    Models { filled, kinds, class }
 }
 
 impl Models {
     /// The models as a tile begins with them.
     pub fn start() -> Self {
-        static START: std::sync::OnceLock<Models> = std::sync::OnceLock::new();
-        *START.get_or_init(|| {
-            let mut s = Starts(0);
-            let mut filled = [[[[Adaptive::new(0, 0); 4]; BUCKETS]; SIZES]; PLANES];
-            filled.iter_mut().take(3).flatten().flatten().flatten().for_each(|m| *m = s.next());
-            let mut kind = || {
-                let mut k = KindModels::blank();
-                k.each(|m| *m = s.next());
-                k
-            };
-            let [luma, chroma] = [kind(), kind()];
-            let mut class = [[Adaptive::new(128, 0); CLASSES]; 2 * CLASSES];
-            class.iter_mut().flatten().for_each(|m| *m = s.next());
-            // Alpha is rare, and begins as luma does.
-            filled[3] = filled[0];
-            Models { filled, kinds: [luma, chroma, luma], class }
-        })
+        START
     }
 
     /// Visits the models whose starts are in the table, in its order.
@@ -92,18 +158,7 @@ impl Models {
 }
 
 impl KindModels {
-    fn blank() -> Self {
-        let m = Adaptive::new(128, 0);
-        KindModels {
-            exponent: [[m; EXPONENTS]; BUCKETS],
-            mantissa: [[m; 3]; EXPONENTS],
-            place: [[[[m; NEAR]; LEFT]; ZONES]; SIZES],
-            more: [[[m; 2]; NEAR]; 5],
-            larger: [m; UNARY],
-            divide: [[m; 3]; SIZES],
-        }
-    }
-
+    #[cfg(test)]
     fn each(&mut self, mut visit: impl FnMut(&mut Adaptive)) {
         self.exponent.iter_mut().flatten().for_each(&mut visit);
         self.mantissa.iter_mut().flatten().for_each(&mut visit);
