@@ -82,18 +82,13 @@ fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &
     let (depth, missing, channels) = (opened.splats().depth, opened.missing(), opened.splats().channels);
     let mut notes = losses(opened.metadata(), missing, of);
     notes.extend(format.losses(depth, opened.metadata()));
-    if args.backend == Backend::Gpu && opened.splats().detail.is_some() {
-        if args.layers == Layers::Detail {
-            return Err(Failure::usage("--layers detail: only the CPU draws the detail layer"));
-        }
-        notes.push("the GPU draws the Gaussians alone; the detail layer is left out".into());
-    }
     let orientation = orientation(args, opened.metadata());
     let background = background(args, channels, format, &mut notes);
     let mut shape = (view.width(), view.height());
     let mut device = String::from("CPU");
     let sink;
-    let on_the_gpu = args.backend == Backend::Gpu && opened.splats().detail.is_none();
+    let has_layer = opened.splats().detail.is_some() || args.layers == Layers::Detail;
+    let on_the_gpu = args.backend == Backend::Gpu && !has_layer;
     if args.backend == Backend::Gpu && !on_the_gpu {
         notes.push("drawn on the CPU: the GPU draws no detail layer yet".to_owned());
     }
