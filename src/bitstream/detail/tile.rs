@@ -227,6 +227,18 @@ pub(crate) fn code_class<D: Decisions>(d: &mut D, models: &mut [Adaptive; CLASSE
     class
 }
 
+/// Appends a block and its levels to a tile.
+#[inline(always)]
+pub(crate) fn push(tile: &mut TileLevels, plane: usize, cell: [usize; 2], size: usize, block: &Block) {
+    tile.levels.extend(block.found.iter().map(|&at| {
+        let at = usize::from(at);
+        Level { u: (at % STRIDE) as u8, v: (at / STRIDE) as u8, value: block.levels[at] }
+    }));
+    let end = tile.levels.len() as u32;
+    let cell = cell.map(|c| c as u8);
+    tile.blocks.push(CodedBlock { cell, plane: plane as u8, size: size as u8, end });
+}
+
 /// Takes what a reader finds.
 struct Reading(TileLevels);
 
@@ -242,14 +254,7 @@ impl Content for Reading {
 
     #[inline(always)]
     fn take(&mut self, plane: usize, cell: [usize; 2], size: usize, block: &Block) {
-        let levels = block.found.iter().map(|&at| {
-            let at = usize::from(at);
-            Level { u: (at % STRIDE) as u8, v: (at / STRIDE) as u8, value: block.levels[at] }
-        });
-        self.0.levels.extend(levels);
-        let end = self.0.levels.len() as u32;
-        let cell = cell.map(|c| c as u8);
-        self.0.blocks.push(CodedBlock { cell, plane: plane as u8, size: size as u8, end });
+        push(&mut self.0, plane, cell, size, block);
     }
 
     fn class(&self, _superblock: [usize; 2]) -> u8 {

@@ -5,10 +5,10 @@ use super::residual::TileResidual;
 use crate::bitstream::detail::block::{self, Block, Context, MAX_LEVEL};
 use crate::bitstream::detail::decisions::{Decisions, Price};
 use crate::bitstream::detail::head::DetailHead;
-use crate::bitstream::detail::levels::{CELL, CELLS, CodedBlock, Level, SUPER, SUPERS, TILE, TileLevels};
+use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, SUPERS, TILE, TileLevels};
 use crate::bitstream::detail::model::{KINDS, Models, PLANES};
 use crate::bitstream::detail::scan::{SIZES, STRIDE, at, scan};
-use crate::bitstream::detail::tile::{Content, ROOT, TileCoder, TileState, kinds};
+use crate::bitstream::detail::tile::{Content, ROOT, TileCoder, TileState, kinds, push};
 use crate::bitstream::range::Encoder;
 use crate::detail::steps::PlaneSteps;
 use crate::gaussian::Channels;
@@ -70,13 +70,7 @@ impl Content for Dense {
     }
 
     fn take(&mut self, plane: usize, cell: [usize; 2], size: usize, block: &Block) {
-        self.written.levels.extend(block.found.iter().map(|&at| {
-            let at = usize::from(at);
-            Level { u: (at % STRIDE) as u8, v: (at / STRIDE) as u8, value: block.levels[at] }
-        }));
-        let end = self.written.levels.len() as u32;
-        let cell = cell.map(|c| c as u8);
-        self.written.blocks.push(CodedBlock { cell, plane: plane as u8, size: size as u8, end });
+        push(&mut self.written, plane, cell, size, block);
     }
 
     fn class(&self, [x, y]: [usize; 2]) -> u8 {

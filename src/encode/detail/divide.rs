@@ -6,7 +6,7 @@
 
 use std::time::Instant;
 
-use super::{Base, Layered};
+use super::Layered;
 use crate::bitstream::splats::{Layout, PackedSplats};
 use crate::encode::job::{Encoding, Outcome};
 use crate::encode::subject::stored_scene;
@@ -15,17 +15,15 @@ use crate::fit::model::field::{Field, Output};
 use crate::fit::model::peaks;
 use crate::fit::model::problem::Problem;
 use crate::fit::model::rows::RowSet;
-use crate::options::{Detail, Recipe, Tune};
+use crate::options::{Detail, Recipe};
 use crate::round::rounded::projected;
 use crate::round::size::Size;
 
 /// Pixels of the pictures that the numbers below were found on; they go with powers of how much larger a picture is.
 const PIXELS: f64 = 393_216.0;
-/// Bytes of a base that serves most photographs. `examples/division.rs` measures other ones.
+/// Bytes of a base that serves most photographs; `--detail SHARE` tries other ones.
 const BASE: f64 = 8_200.0;
 const BASE_POWER: f64 = 0.35;
-/// The same where errors count as eyes see them: less is needed of what the layer does better.
-const SEEN: f64 = 1.0;
 /// Most of the bytes that such a base may take.
 const MOST: f64 = 0.7;
 /// Ratio above which photographs have no layer.
@@ -97,20 +95,19 @@ impl Encoding<'_> {
     }
 
     /// A fit of so many bytes for a layer to be laid over.
-    fn base(&mut self, bytes: u64) -> Result<Base> {
+    fn base(&mut self, bytes: u64) -> Result<Outcome> {
         let share = self.share;
         self.share = self.until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(BASE_TIME)).or(share);
         self.is_base = true;
         let outcome = self.at_size(Size::Bytes(bytes));
         (self.is_base, self.share) = (false, share);
-        Ok(Base { outcome: outcome? })
+        outcome
     }
 
     /// Finds the division of `shared` bytes, beside those of header and metadata, and makes the file.
     fn divided(&mut self, [fixed, shared]: [u64; 2], rounds: u32) -> Result<Outcome> {
         let (most, all) = (fixed + shared, shared as f64);
-        let seen = if self.subject.options.favoured() == Tune::Psnr { 1.0 } else { SEEN };
-        let few = (BASE * seen * self.larger().powf(BASE_POWER)).min(MOST * all);
+        let few = (BASE * self.larger().powf(BASE_POWER)).min(MOST * all);
         let base = self.base(fixed + few as u64)?;
         let clock = self.journal.seconds();
         let mut layered = self.layer(base, most)?;
@@ -142,7 +139,7 @@ impl Encoding<'_> {
     /// How much more Gaussians promise, beside more bytes for the layer; `None` where there is no layer.
     fn sharpness(&self, layered: &Layered, bytes: f64) -> Result<Option<f64>> {
         let Some(coded) = &layered.coded else { return Ok(None) };
-        let splats = &layered.base.outcome.splats;
+        let splats = &layered.base.splats;
         // All errors count alike here: that tells pictures apart best, whatever is favoured.
         let [finer, coarser] = self.two_steps(splats, coded, bytes);
         let decibels = 10.0 * (coarser[1] / finer[1]).log10() / (finer[0] / coarser[0]).log2();

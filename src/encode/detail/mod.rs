@@ -52,14 +52,9 @@ struct Preset {
 /// Factor of the step that shows what the layer's bytes are worth.
 const COARSER: f64 = 1.5;
 
-/// Gaussians for a layer to be laid over.
-pub(super) struct Base {
-    pub outcome: Outcome,
-}
-
 /// Gaussians with a layer over them, if it found room.
 pub(super) struct Layered {
-    base: Base,
+    base: Outcome,
     coded: Option<Coded>,
     /// Squared error, as the fit weighs it.
     error: f64,
@@ -67,8 +62,8 @@ pub(super) struct Layered {
 
 impl Encoding<'_> {
     /// Codes a layer over `base` in what is left of `most` bytes.
-    fn layer(&self, base: Base, most: u64) -> Result<Layered> {
-        let splats = &base.outcome.splats;
+    fn layer(&self, base: Outcome, most: u64) -> Result<Layered> {
+        let splats = &base.splats;
         let coded = self.coded(splats, most, None)?;
         let error = coded.as_ref().map_or(f64::INFINITY, |coded| self.layered_error(splats, &coded.layer));
         Ok(Layered { base, coded, error })
@@ -76,7 +71,7 @@ impl Encoding<'_> {
 
     /// Fits the integers of the Gaussians to the layer and the layer to them, in `rounds` rounds, and makes the file.
     fn joined(&mut self, layered: Layered, most: u64, rounds: u32) -> Result<Outcome> {
-        let Layered { base: Base { mut outcome }, coded, mut error } = layered;
+        let Layered { base: mut outcome, coded, mut error } = layered;
         let Some(mut coded) = coded else { return Ok(outcome) };
         let mut took = Duration::ZERO;
         for round in 0..rounds {
