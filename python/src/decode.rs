@@ -102,11 +102,7 @@ type Lost = (u32, u32, u32, u32, u32);
 
 /// The array, and what is missing.
 #[pyfunction]
-pub fn decode<'py>(
-    py: Python<'py>,
-    data: PyBackedBytes,
-    options: Options,
-) -> PyResult<(Bound<'py, PyAny>, Lost)> {
+pub fn decode<'py>(py: Python<'py>, data: PyBackedBytes, options: Options) -> PyResult<(Bound<'py, PyAny>, Lost)> {
     let job = Job::new(&data, &options)?;
     let pixels = u64::from(job.view.width()) * u64::from(job.view.height());
     let threads = work::threads(options.threads, usize::try_from(pixels / PIXELS_A_THREAD).unwrap_or(usize::MAX))?;

@@ -32,9 +32,8 @@ pub fn metadata(
     limits: Option<BTreeMap<String, i128>>,
 ) -> PyResult<(Section, Section)> {
     let limits = decode::limits(limits.as_ref())?;
-    let Metadata { icc, exif, .. } = work::run(py, 1, &work::Calls::default(), move |_| {
-        Opening::new(&data, &limits)?.metadata()
-    })?;
+    let Metadata { icc, exif, .. } =
+        work::run(py, 1, &work::Calls::default(), move |_| Opening::new(&data, &limits)?.metadata())?;
     let bytes = |v: Option<Vec<u8>>| v.map(|v| PyBytes::new(py, &v).unbind());
     Ok((bytes(icc), bytes(exif)))
 }
@@ -48,8 +47,7 @@ pub fn info<'py>(
     limits: Option<BTreeMap<String, i128>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let limits = decode::limits(limits.as_ref())?;
-    let (splats, report) =
-        work::run(py, 1, &work::Calls::default(), move |_| bitstream::inspect(&data, &limits))?;
+    let (splats, report) = work::run(py, 1, &work::Calls::default(), move |_| bitstream::inspect(&data, &limits))?;
     let h = &report.header;
     let d = PyDict::new(py);
     d.set_item("width", h.width)?;

@@ -6,7 +6,7 @@ import io
 import operator
 import os
 from numbers import Real
-from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias, TypeGuard
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias, TypeGuard, cast
 
 import numpy as np
 
@@ -77,10 +77,13 @@ def pixels(name: str, image: ImageLike) -> tuple[np.ndarray, bytes | None, bytes
     if isinstance(image, (bytes, bytearray)):
         image = io.BytesIO(image)
     if is_path(image) or hasattr(image, "read"):
-        from PIL import Image
+        from PIL import Image, UnidentifiedImageError
 
-        with Image.open(image) as opened:
-            return pixels(name, opened)
+        try:
+            with Image.open(cast("str | BinaryIO", image)) as opened:
+                return pixels(name, opened)
+        except UnidentifiedImageError as e:
+            raise ParameterError(f"bad parameter {name}: {e}", name) from None
     if is_pillow(image):
         return (
             contiguous(name, np.asarray(convert(image))),
