@@ -949,6 +949,27 @@ fn a_budget_of_time_is_that_of_the_whole_command() {
 }
 
 #[test]
+fn a_budget_of_time_ends_the_reading_of_a_huge_picture() {
+    let folder = Folder::new();
+    let (source, file) = (folder.path("huge.png"), folder.path("k.ssplat"));
+    // A few thousand bytes with a bit a pixel, which take hundreds of megabytes of disk.
+    let bits = |side: u32| {
+        let mut encoder = png::Encoder::new(fs::File::create(&source).unwrap(), side, side);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::One);
+        let mut writer = encoder.write_header().unwrap();
+        writer.write_image_data(&vec![0; (side as usize / 8) * side as usize]).unwrap();
+    };
+    bits(16_000);
+    let late = ssplat(&[&"encode", &source, &file, &"--tiles=2048", &"--effort", &"1", &"--time", &"0.02"]);
+    fails(late, 6, "--time is over after");
+    // A larger one is fitted in tiles anyway, which keep no budget: that is told before it is read.
+    bits(16_800);
+    fails(ssplat(&[&"encode", &source, &file, &"--time", &"100"]), 2, "in which --time cannot be kept");
+    assert_eq!(folder.names(), ["huge.png"]);
+}
+
+#[test]
 fn info_of_several_files_tells_each_and_fails_for_those_that_are_broken() {
     let folder = Folder::new();
     let file = folder.encoded("a.ssplat");

@@ -6,6 +6,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -222,4 +223,45 @@ fn the_program_alone_has_the_viewer() {
     command.current_dir(folder.path()).args(["view", "picture.ssplat", "--html", "-"]);
     let done = command.output().unwrap();
     assert!(done.status.success() && done.stdout.len() > 300_000, "{:?}", done.status);
+}
+
+#[test]
+fn hostile_requests_neither_block_others_nor_are_held() {
+    let folder = tempfile::tempdir().unwrap();
+    let original = folder.path().join("large.png");
+    fs::write(&original, vec![7; 64 << 20]).unwrap();
+    let served = Serving::start(view(Path::new(FILE)).arg("--original").arg(&original));
+    let connect = || TcpStream::connect(&served.host).unwrap();
+    // More readers that take nothing than there were threads, and as many that say nothing.
+    let mut open = Vec::new();
+    for i in 0..16 {
+        let mut stream = connect();
+        if i % 2 == 0 {
+            write!(stream, "GET /original/large.png HTTP/1.1\r\nHost: {}\r\n\r\n", served.host).unwrap();
+        }
+        open.push(stream);
+    }
+    let start = Instant::now();
+    assert_eq!(served.get("/file/file.ssplat").0, 200);
+    // A body that never comes is not waited for.
+    let mut stream = connect();
+    write!(stream, "POST / HTTP/1.1\r\nHost: {}\r\nContent-Length: 1000\r\n\r\n", served.host).unwrap();
+    let mut answer = [0; 12];
+    stream.read_exact(&mut answer).unwrap();
+    assert_eq!(status(&answer), 405);
+    // A line without an end is not read to its end.
+    let mut stream = connect();
+    write!(stream, "GET /{} ", "a".repeat(40_000)).unwrap();
+    stream.read_exact(&mut answer).unwrap();
+    assert_eq!(status(&answer), 431);
+    assert!(start.elapsed() < Duration::from_secs(4), "{:?}", start.elapsed());
+    // Connections beyond those that are served wait, without a thread each, until the idle ones are over.
+    open.extend((0..40).map(|_| connect()));
+    assert_eq!(served.get("/file/file.ssplat").0, 200);
+    #[cfg(target_os = "linux")]
+    {
+        let said = fs::read_to_string(format!("/proc/{}/status", served.child.id())).unwrap();
+        let threads = said.lines().find_map(|line| line.strip_prefix("Threads:")).unwrap();
+        assert!(threads.trim().parse::<u32>().unwrap() < 60, "{threads}");
+    }
 }

@@ -1,6 +1,9 @@
 //! Damaged files with checksums that fit them again, so that what lies behind the checksums is tested.
 
+#![allow(dead_code)] // Each test crate uses its own part.
+
 pub mod layer;
+pub mod mutations;
 
 use ssplat::bitstream::read;
 use ssplat::{Error, FormatError, Limits};

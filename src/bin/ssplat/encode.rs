@@ -107,13 +107,19 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
         return Err(Failure::usage(format!("{}: cannot hold both the file and its preview", output.display())));
     }
     // A preview is compared with the whole picture, and turning needs it, too.
-    let is_tiled = args.tiles.is_some() || pixels(input) > ssplat::encode::LARGEST;
+    let is_huge = pixels(input) > ssplat::encode::LARGEST;
+    // Told before minutes are spent on reading, and a disk filled.
+    if is_huge && args.time.is_some() {
+        let input = Failure::input(input);
+        return Err(Failure::usage(format!("{input}: is fitted in tiles, in which --time cannot be kept")));
+    }
+    let is_tiled = args.tiles.is_some() || is_huge;
     if is_tiled
         && args.preview.is_none()
         && !args.auto_orient
-        && let Some(spooled) = spool::open(input)?
+        && let Some(spooled) = spool::open(input, args.time.and_then(|time| start.checked_add(time)))?
     {
-        return in_parts(args, input, output, show, spooled);
+        return in_parts(args, input, output, show, spooled, left(args.time, start));
     }
     let mut source = source::open(input, if args.auto_orient { Turn::Upright } else { Turn::Keep })?;
     if args.partial && source.is_cut_off {
@@ -162,15 +168,17 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
     Ok(Done { text, result, notes })
 }
 
-/// Encodes a picture that stays in its file.
+/// Encodes a picture that stays in its file, in such a budget of time.
 fn in_parts(
     args: &args::Encode,
     input: &Path,
     output: &Path,
     show: &Show,
     mut picture: Spooled,
+    time: Option<Duration>,
 ) -> Result<Done, Failure> {
     let mut options = args.options();
+    options.time = time;
     let (icc, exif, mut notes) = (picture.icc.take(), picture.exif.take(), std::mem::take(&mut picture.notes));
     let orientation = source::orientation_in(exif.as_deref());
     carried::carry(&mut options, (icc, exif), orientation, &mut notes);

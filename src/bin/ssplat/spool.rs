@@ -7,6 +7,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::sync::Mutex;
+use std::time::Instant;
 
 use image::ImageFormat;
 use png::{BitDepth, ColorType, Transformations};
@@ -69,8 +70,8 @@ impl PixelSource for Spooled {
     }
 }
 
-/// Opens `path` without reading it into memory; `None` where its format has to be read as a whole.
-pub fn open(path: &Path) -> Result<Option<Spooled>, Failure> {
+/// Opens `path` without reading it into memory, before `end` if there is one; `None` where its format has to be read as a whole.
+pub fn open(path: &Path, end: Option<Instant>) -> Result<Option<Spooled>, Failure> {
     let io = |e| Failure::io(path, &e);
     if path == Path::new("-") {
         return Ok(None);
@@ -79,7 +80,7 @@ pub fn open(path: &Path) -> Result<Option<Spooled>, Failure> {
     let start = reader.fill_buf().map_err(io)?;
     match start {
         [b'P', b'5' | b'6', ..] => pnm(path, reader),
-        [0x89, b'P', b'N', b'G', ..] => png(path, reader),
+        [0x89, b'P', b'N', b'G', ..] => png(path, reader, end),
         _ => Ok(None),
     }
 }
@@ -166,7 +167,7 @@ fn number_of(reader: &mut impl BufRead) -> std::io::Result<Option<u32>> {
     }
 }
 
-fn png(path: &Path, mut reader: BufReader<File>) -> Result<Option<Spooled>, Failure> {
+fn png(path: &Path, mut reader: BufReader<File>, end: Option<Instant>) -> Result<Option<Spooled>, Failure> {
     let io = |e| Failure::io(path, &e);
     let broken = |e: png::DecodingError| match e {
         png::DecodingError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Failure::io(path, &e),
@@ -206,7 +207,11 @@ fn png(path: &Path, mut reader: BufReader<File>) -> Result<Option<Spooled>, Fail
     source::keep_fitting(&mut icc, channels, &mut notes);
     let mut file = tempfile::tempfile().map_err(io)?;
     let mut rows = BufWriter::new(&mut file);
-    for _ in 0..height {
+    for y in 0..height {
+        if end.is_some_and(|end| Instant::now() >= end) {
+            let message = format!("{}: --time is over after {y} of {height} rows", path.display());
+            return Err(Failure { kind: Kind::Limit, message });
+        }
         let row = decoder.next_row().map_err(broken)?;
         let row = row
             .ok_or_else(|| Failure { kind: Kind::Format, message: format!("{}: has too few rows", path.display()) })?;

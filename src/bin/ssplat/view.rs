@@ -1,5 +1,6 @@
 //! `ssplat view`: a file in the viewer of `web/`, in the browser or as one page.
 
+mod http;
 mod package;
 mod page;
 mod server;

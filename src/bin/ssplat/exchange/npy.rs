@@ -144,7 +144,11 @@ fn numbers<const SIZE: usize, T>(
         let elements = (count - numbers.len() as u64).min(CHUNK as u64) as usize;
         let chunk = &mut chunk[..elements * SIZE];
         fill(&mut file, chunk).map_err(|e| format!("of {count} elements: {e}"))?;
-        numbers.try_reserve(elements).map_err(|e| format!("of {count} elements: {e}"))?;
+        if numbers.capacity() - numbers.len() < elements {
+            // Twice as many, but never room for more than there should be.
+            let more = (numbers.len().max(elements) as u64).min(count - numbers.len() as u64);
+            numbers.try_reserve_exact(more as usize).map_err(|e| format!("of {count} elements: {e}"))?;
+        }
         numbers.extend(chunk.chunks_exact(SIZE).map(|c| widen(read(std::array::from_fn(|k| c[k])))));
     }
     end(&mut file)?;

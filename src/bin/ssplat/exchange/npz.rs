@@ -10,6 +10,11 @@ use zip::{CompressionMethod, ZipArchive, ZipWriter};
 use super::npy::{self, Array};
 use super::problem::Problem;
 
+/// Memory that the arrays of any archive may take, and for each of its own bytes beyond that: numbers take twice as much as they are
+/// long in single precision, and compressed ones of real pictures up to ten times.
+const FREE: u64 = 64 << 20;
+const MOST_UNPACKED: u64 = 64;
+
 /// The archive of `.npy` files.
 pub fn write(arrays: &[(&str, Vec<u8>)]) -> Result<Vec<u8>, String> {
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
@@ -22,11 +27,11 @@ pub fn write(arrays: &[(&str, Vec<u8>)]) -> Result<Vec<u8>, String> {
 }
 
 /// Those arrays of an archive that have one of the names. They are held to `limits` before memory is taken: an archive may
-/// unpack to far more than it is long.
+/// unpack to a thousand times its length.
 pub fn read(bytes: &[u8], names: &[&str], limits: &Limits) -> Result<BTreeMap<String, Array>, Problem> {
     let mut zip = ZipArchive::new(Cursor::new(bytes)).map_err(|e| format!("not an .npz archive: {e}"))?;
     let mut arrays = BTreeMap::new();
-    let mut left = limits.alloc;
+    let mut left = limits.alloc.min((bytes.len() as u64).saturating_mul(MOST_UNPACKED).max(FREE));
     for &name in names {
         let Some(index) = zip.index_for_name(&format!("{name}.npy")) else { continue };
         let entry = zip.by_index(index).map_err(|e| format!("array {name}: {e}"))?;
@@ -34,4 +39,28 @@ pub fn read(bytes: &[u8], names: &[&str], limits: &Limits) -> Result<BTreeMap<St
         arrays.insert(name.to_owned(), array);
     }
     Ok(arrays)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_archive_that_unpacks_to_a_thousand_times_its_length_is_refused() {
+        // 32 MiB of zeros, for which eight times as much would be needed.
+        let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+        let options = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);
+        zip.start_file("means.npy", options).unwrap();
+        let shape = "{'descr': '|u1', 'fortran_order': False, 'shape': (16777216, 2), }";
+        zip.write_all(b"\x93NUMPY\x01\x00\x76\x00").unwrap();
+        zip.write_all(format!("{shape:<117}\n").as_bytes()).unwrap();
+        zip.write_all(&vec![0; 32 << 20]).unwrap();
+        let bytes = zip.finish().unwrap().into_inner();
+        assert!(bytes.len() < 100_000, "{}", bytes.len());
+        match read(&bytes, &["means"], &Limits::default()) {
+            Err(Problem::TooMuch { requested, allowed, .. }) => assert_eq!((requested, allowed), (256 << 20, FREE)),
+            other => panic!("{other:?}"),
+        }
+        assert!(read(&bytes, &["means"], &Limits::default()).is_err_and(|p| p.to_string().contains("array means")));
+    }
 }

@@ -1,17 +1,22 @@
 //! Serves the viewer and what it shows to this machine alone, until the program is ended.
 
-use std::net::Ipv4Addr;
+use std::io;
+use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::thread;
-
-use tiny_http::{Header, Method, Request, Response, Server};
+use std::time::Duration;
 
 use super::Shown;
+use super::http::{self, Request};
 use super::package::{self, PAGE};
 use crate::failure::{Failure, Kind};
 use crate::sink::say;
 
-/// Requests that are answered at once; a browser asks for several.
-const THREADS: usize = 4;
+/// Connections that are served at once, a thread each; a browser opens up to six. The others wait, and none lasts longer than
+/// `http` lets it, so that slow or idle ones neither take more threads than these nor keep them.
+const THREADS: usize = 32;
+
+/// How long to wait where no connection can be had, which is so when there are too many of them.
+const PAUSE: Duration = Duration::from_millis(50);
 
 /// What the page may do: run its own scripts and WebAssembly, and ask this server.
 const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self'; connect-src 'self'; \
@@ -36,9 +41,9 @@ struct Served {
 
 /// Serves until the program is ended.
 pub fn run(file: Shown, original: Option<Shown>, opens: Opens) -> Result<(), Failure> {
-    let failed = |message: String| Failure { kind: Kind::Other, message };
-    let server = Server::http((Ipv4Addr::LOCALHOST, 0)).map_err(|e| failed(format!("server: {e}")))?;
-    let port = server.server_addr().to_ip().map(|a| a.port()).ok_or_else(|| failed("server: no port".into()))?;
+    let failed = |e: io::Error| Failure { kind: Kind::Other, message: format!("server: {e}") };
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map_err(failed)?;
+    let port = listener.local_addr().map_err(failed)?.port();
     let place = |folder: &str, shown: Shown| (format!("/{folder}/{}", shown.name), shown.bytes);
     let (file, original) = (place("file", file), original.map(|o| place("original", o)));
     let mut start = format!("/viewer/?file={}", file.0);
@@ -61,8 +66,12 @@ pub fn run(file: Shown, original: Option<Shown>, opens: Opens) -> Result<(), Fai
     thread::scope(|scope| {
         for _ in 0..THREADS {
             scope.spawn(|| {
-                while let Ok(request) = server.recv() {
-                    served.answer(request);
+                loop {
+                    match listener.accept() {
+                        // Whoever does not wait for the answer does not need it.
+                        Ok((mut stream, _)) => drop(served.answer(&mut stream)),
+                        Err(_) => thread::sleep(PAUSE),
+                    }
                 }
             });
         }
@@ -71,33 +80,28 @@ pub fn run(file: Shown, original: Option<Shown>, opens: Opens) -> Result<(), Fai
 }
 
 impl Served {
-    fn answer(&self, request: Request) {
-        // Whoever does not wait for the answer does not need it.
-        let _ = match self.found(&request) {
-            Ok((kind, bytes)) => {
-                let (head, length) = (headers(&[("Content-Type", kind)]), bytes.len());
-                let response = Response::new(200.into(), head, bytes, Some(length), None);
-                // Bytes that are all there have a length.
-                request.respond(response.with_chunked_threshold(usize::MAX))
-            }
-            Err(302) => request.respond(plain(302, &[("Location", &self.start)])),
-            Err(405) => request.respond(plain(405, &[("Allow", "GET")])),
-            Err(status) => request.respond(plain(status, &[])),
-        };
+    fn answer(&self, stream: &mut TcpStream) -> io::Result<()> {
+        let found = http::request(stream)?.and_then(|request| self.found(&request));
+        match found {
+            Ok((kind, bytes)) => http::answer(stream, 200, &headers(("Content-Type", kind)), bytes),
+            Err(302) => http::answer(stream, 302, &headers(("Location", &self.start)), &[]),
+            Err(405) => http::answer(stream, 405, &headers(("Allow", "GET")), &[]),
+            Err(status) => http::answer(stream, status, &HEADERS, &[]),
+        }
     }
 
     /// The media type and the bytes of what is asked for, or the status that says why there is nothing.
     fn found(&self, request: &Request) -> Result<(&'static str, &[u8]), u16> {
-        let mut hosts = request.headers().iter().filter(|h| h.field.equiv("Host"));
-        match (hosts.next(), hosts.next()) {
-            (Some(host), None) if self.hosts.iter().any(|known| host.value.as_str().eq_ignore_ascii_case(known)) => {}
+        match &request.hosts[..] {
+            [host] if self.hosts.iter().any(|known| host.eq_ignore_ascii_case(known)) => {}
             _ => return Err(403),
         }
-        if *request.method() != Method::Get {
+        // A body is not waited for: nothing that is served has a use for one.
+        if request.method != "GET" {
             return Err(405);
         }
         // Paths are names in a list, never those of files.
-        let path = request.url().split('?').next().unwrap_or_default();
+        let path = request.target.split('?').next().unwrap_or_default();
         match path {
             "/" => return Err(302),
             "/viewer/" => return package::file(PAGE).map(|page| (kind(PAGE), page)).ok_or(404),
@@ -123,20 +127,17 @@ fn kind(name: &str) -> &'static str {
     }
 }
 
-/// The answer without a body.
-fn plain(status: u16, more: &[(&str, &str)]) -> Response<std::io::Empty> {
-    Response::new(status.into(), headers(more), std::io::empty(), Some(0), None)
-}
+/// Headers of all answers.
+const HEADERS: [(&str, &str); 5] = [
+    ("Cache-Control", "no-store"),
+    ("Content-Security-Policy", POLICY),
+    ("Cross-Origin-Resource-Policy", "same-origin"),
+    ("Referrer-Policy", "no-referrer"),
+    ("X-Content-Type-Options", "nosniff"),
+];
 
-/// Headers of all answers, and `more`.
-fn headers(more: &[(&str, &str)]) -> Vec<Header> {
-    let all = [
-        ("Cache-Control", "no-store"),
-        ("Content-Security-Policy", POLICY),
-        ("Cross-Origin-Resource-Policy", "same-origin"),
-        ("Referrer-Policy", "no-referrer"),
-        ("X-Content-Type-Options", "nosniff"),
-    ];
-    let header = |(name, value): &(&str, &str)| Header::from_bytes(*name, *value).expect("letters of headers");
-    all.iter().chain(more).map(header).collect()
+/// Those, and one more.
+fn headers<'a>(more: (&'a str, &'a str)) -> [(&'a str, &'a str); 6] {
+    let [a, b, c, d, e] = HEADERS;
+    [a, b, c, d, e, more]
 }
