@@ -9,7 +9,7 @@ use crate::options::Rung;
 const FIT_SHARE: f64 = 0.75;
 
 /// Share of the steps that primitives get which a detail layer is laid over: twice as many win .06 dB at ratio 20 and .1 at 50.
-const BASE_STEPS: f32 = 0.45;
+const BASE_STEPS: f32 = 0.6;
 
 /// Primitives of the largest pictures.
 const HUGE: usize = 300_000;
@@ -98,7 +98,7 @@ impl Plan {
     pub(crate) fn for_base(self) -> Self {
         let iterations = (self.iterations as f32 * BASE_STEPS) as u32;
         let Plan { relocate_every, .. } = Plan::steps(iterations, self.seed);
-        Plan { iterations, relocate_every, sweeps: self.sweeps.min(2), freezing: 0, ..self }
+        Plan { iterations, relocate_every, sweeps: self.sweeps.min(3), freezing: 0, ..self }
     }
 
     /// Returns the schedule of a float fit of `iterations` steps, and nothing after it.

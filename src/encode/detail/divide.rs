@@ -24,6 +24,8 @@ const PIXELS: f64 = 393_216.0;
 /// Bytes of a base that serves most photographs; `--detail SHARE` tries other ones.
 const BASE: f64 = 8_200.0;
 const BASE_POWER: f64 = 0.35;
+/// Power of the ratio, over 50, with which it grows towards 20.
+const BASE_FALL: f64 = 0.37;
 /// Most of the bytes that such a base may take.
 const MOST: f64 = 0.7;
 /// Ratio above which photographs have no layer.
@@ -36,10 +38,10 @@ const LEAST: u64 = 2_500;
 /// A picture's sharpness is the share of the error that as many Gaussians again, set where it is largest, promise to take away, for each
 /// decibel that doubling the bytes of the layer wins. Up to here a small base is best.
 const SHARP: f64 = 0.105;
-/// How often the base doubles for a sharpness of 1 more.
-const DOUBLING: f64 = 90.0;
 /// A base that is larger by less than this is not worth another fit.
 const WORTH: f64 = 1.5;
+/// Decibels from which on a larger base has won enough for the largest one to be tried.
+const GAIN: f64 = 0.3;
 /// Bytes of the layer that sharpness is measured with, over those of the base: what was found at a ratio of 50 holds at others.
 const MEASURED: f64 = 1.9;
 /// Share of a budget of time that the Gaussians get.
@@ -107,27 +109,29 @@ impl Encoding<'_> {
     /// Finds the division of `shared` bytes, beside those of header and metadata, and makes the file.
     fn divided(&mut self, [fixed, shared]: [u64; 2], rounds: u32) -> Result<Outcome> {
         let (most, all) = (fixed + shared, shared as f64);
-        let few = (BASE * self.larger().powf(BASE_POWER)).min(MOST * all);
+        let ratio = (self.subject.samples() / all).max(20.0);
+        let few = (BASE * self.larger().powf(BASE_POWER) * (ratio.min(50.0) / 50.0).powf(-BASE_FALL)).min(MOST * all);
         let base = self.base(fixed + few as u64)?;
         let clock = self.journal.seconds();
         let mut layered = self.layer(base, most)?;
-        let ratio = (self.subject.samples() / all).max(20.0);
         let most_for_base = (SHARP_SHARE + SHARP_MORE * (ratio / 20.0).log2()).min(0.9) * all;
-        let many = match self.until {
-            None if most_for_base > WORTH * few => {
-                let sharpness = self.sharpness(&layered, few * MEASURED)?;
-                few * (DOUBLING * (sharpness.unwrap_or(0.0) - SHARP)).exp2()
-            }
-            // A budget of time is not enough for two fits.
-            _ => few,
-        }
-        .min(most_for_base);
-        if many > WORTH * few {
-            self.journal.stage("detail", clock);
-            let base = self.base(fixed + many as u64)?;
-            let other = self.layer(base, most)?;
-            if other.error < layered.error {
-                layered = other;
+        self.journal.stage("detail", clock);
+        // A budget of time is not enough for several fits.
+        let may_be_larger = self.until.is_none() && most_for_base > WORTH * few;
+        let sharpness = if may_be_larger { self.sharpness(&layered, few * MEASURED)? } else { Some(0.0) };
+        if sharpness.is_none_or(|sharpness| sharpness > SHARP) {
+            for bytes in [(few * most_for_base).sqrt(), most_for_base] {
+                let base = self.base(fixed + bytes as u64)?;
+                let clock = self.journal.seconds();
+                let other = self.layer(base, most)?;
+                self.journal.stage("detail", clock);
+                let gain = 10.0 * (layered.error / other.error).log10();
+                if gain > 0.0 {
+                    layered = other;
+                }
+                if gain.is_nan() || gain < GAIN {
+                    break;
+                }
             }
         }
         let clock = self.journal.seconds();

@@ -32,9 +32,9 @@ pub(super) struct Aim {
 }
 
 /// A layer that falls short of its bytes by at most this part is near enough.
-const NEAR: f64 = 0.006;
+const NEAR: f64 = 0.004;
 /// What is aimed at below the bytes that there are, as a part of them.
-const BELOW: f64 = 0.002;
+const BELOW: f64 = 0.0015;
 /// How bytes fall with the logarithm of the step, before two runs have shown it.
 pub(super) const FALL: f64 = 1.4;
 /// Bits of a level, before anything is known.
