@@ -201,26 +201,24 @@ impl<'a> Decoder<'a> {
         (self.window >> 32) as u32
     }
 
-    /// Fills the window's lower half.
+    /// Fills the window's lower half, which is empty.
     #[inline(always)]
     fn refill(&mut self) {
-        self.window |= u64::from(four(self.bytes, self.at) >> self.ahead);
-        self.at += (32 - self.ahead as usize) / 8;
+        self.window |= u64::from(four(self.bytes, self.at));
+        self.at += 4;
         self.ahead = 32;
     }
 
     #[inline(always)]
     fn normalize(&mut self) {
-        // Seldom so: the next decision need not wait for a shift.
-        if self.range < TOP {
-            // 8, 16 or 24 bits.
-            let shift = self.range.leading_zeros() & 24;
-            if self.ahead < shift {
+        // Seldom so, and hardly ever twice: what is guessed need not be waited for.
+        while self.range < TOP {
+            if self.ahead == 0 {
                 self.refill();
             }
-            self.range <<= shift;
-            self.window <<= shift;
-            self.ahead -= shift;
+            self.range <<= 8;
+            self.window <<= 8;
+            self.ahead -= 8;
         }
     }
 

@@ -33,6 +33,9 @@ const fn pace(n: u32, least: u32) -> u16 {
 }
 
 impl Adaptive {
+    /// What is there before models begin.
+    pub const NONE: Adaptive = Adaptive { estimates: 0, seen: 0 };
+
     /// A probability of `(256·one + 128) / 65536` that counts as much as `seen` decisions.
     pub const fn new(one: u8, seen: u8) -> Self {
         let p = (one as u32) << 8 | 128;
@@ -111,6 +114,12 @@ impl Decisions for Decoder<'_> {
     #[inline(always)]
     fn bit(&mut self, model: &mut Adaptive, _bit: bool) -> bool {
         let (bound, bit) = self.look(model.one());
+        // In WebAssembly once, for the module's size.
+        if cfg!(target_family = "wasm") {
+            self.take(bit, bound);
+            model.learn(bit);
+            return bit;
+        }
         // What follows depends on the bit as well: one branch for all of it.
         if bit {
             self.take(true, bound);

@@ -196,24 +196,7 @@ pub(crate) fn read(
     tiles.resize_with(entries.len(), || None);
     let (mut missing, mut bits) = (if whole { 0 } else { count as u32 }, 0.0);
     let samples = (TILE * TILE) as u64 * planes;
-    let one = |i: usize, most: u64| {
-        let [_, _, width, height] = tile_area(wanted.size, i);
-        let shape = (&head, wanted.channels, [width, height]);
-        let stream = streams[i].ok_or(FormatError::Truncated { what: "tile of the detail layer", offset: 0 })?;
-        let computed = hash(stream) as u16;
-        if computed != entries[i].check {
-            let (stored, computed) = (entries[i].check.into(), computed.into());
-            return Err(FormatError::Checksum { what: "tile of the detail layer", stored, computed }.into());
-        }
-        if !wanted.counts || ONE_READER {
-            // Where there is but one reader, bits are those of the bytes.
-            return Ok((tile::read(stream, shape, most as usize)?, 8.0 * stream.len() as f64));
-        }
-        let mut counted = Counted { source: Decoder::new(stream)?, bits: 0.0 };
-        let levels = tile::read_with(&mut counted, &mut Models::start(), shape, most as usize)?;
-        counted.source.finish()?;
-        Ok::<_, crate::error::Error>((levels, counted.bits))
-    };
+    let listed = Listed { entries: &entries, streams: &streams, head: &head, wanted };
     let likely = |i: usize| likely_levels(entries[i].length, samples);
     let mut rest = &chosen[..];
     while !rest.is_empty() {
@@ -229,7 +212,7 @@ pub(crate) fn read(
         let batch;
         (batch, rest) = rest.split_at(count);
         let mut working = held.beside(most)?;
-        let read = parallel::map(count, |k| one(batch[k], likely(batch[k])));
+        let read = parallel::map(count, |k| listed.tile(batch[k], likely(batch[k])));
         for (&i, read) in batch.iter().zip(read) {
             match read {
                 Ok((levels, cost)) => {
@@ -238,7 +221,7 @@ pub(crate) fn read(
                         // Hardly ever so, unless somebody has made it so.
                         None => {
                             let _working = held.beside(memory_of(samples, samples))?;
-                            one(i, samples)?.0.expect("no more levels than samples")
+                            listed.tile(i, samples)?.0.expect("no more levels than samples")
                         }
                     };
                     held.grow(levels.memory())?;
@@ -254,6 +237,38 @@ pub(crate) fn read(
         Limits::check("work", work, wanted.limits.work)?;
     }
     Ok(Found { layer: DetailLayer { head, tiles }, missing, index, bits })
+}
+
+/// The tiles of a layer as the index lists them.
+struct Listed<'a> {
+    entries: &'a [Entry],
+    streams: &'a [Option<&'a [u8]>],
+    head: &'a DetailHead,
+    wanted: &'a Wanted<'a>,
+}
+
+impl Listed<'_> {
+    /// Reads a tile, unless it has more than `most` levels, and says what it took, bits.
+    #[inline(never)]
+    fn tile(&self, i: usize, most: u64) -> Result<(Option<TileLevels>, f64)> {
+        const WHAT: &str = "tile of the detail layer";
+        let Wanted { size, channels, counts, .. } = *self.wanted;
+        let [_, _, width, height] = tile_area(size, i);
+        let shape = (self.head, channels, [width, height]);
+        let stream = self.streams[i].ok_or(FormatError::Truncated { what: WHAT, offset: 0 })?;
+        let (stored, computed) = (self.entries[i].check.into(), u32::from(hash(stream) as u16));
+        if computed != stored {
+            return Err(FormatError::Checksum { what: WHAT, stored, computed }.into());
+        }
+        if !counts || ONE_READER {
+            // Where there is but one reader, bits are those of the bytes.
+            return Ok((tile::read(stream, shape, most as usize)?, 8.0 * stream.len() as f64));
+        }
+        let mut counted = Counted { source: Decoder::new(stream)?, bits: 0.0 };
+        let levels = tile::read_with(&mut counted, &mut Models::start(), shape, most as usize)?;
+        counted.source.finish()?;
+        Ok((levels, counted.bits))
+    }
 }
 
 /// More levels than a stream of so many bytes has but for a few: two bits for each. There is no bound by the bytes, since zeros

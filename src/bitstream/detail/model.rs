@@ -70,7 +70,8 @@ impl Models {
     }
 
     const BLANK: Models = {
-        let m = Adaptive::new(128, 0);
+        // All zeros: no bytes of the program.
+        let m = Adaptive::NONE;
         let kind = KindModels {
             exponent: [[m; EXPONENTS]; BUCKETS],
             mantissa: [[m; 3]; EXPONENTS],
