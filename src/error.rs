@@ -180,7 +180,9 @@ impl fmt::Display for Error {
             Error::Parameter { name, problem } => write!(f, "bad parameter {name}: {problem}"),
             Error::TooSmall { asked, allowed, needed, icc, exif } => {
                 match asked {
-                    Target::Ratio(ratio) => write!(f, "a ratio of {ratio} leaves {allowed} bytes, which cannot")?,
+                    Target::Ratio(ratio) => {
+                        write!(f, "a ratio of {} leaves {allowed} bytes, which cannot", Thousandths(ratio))?;
+                    }
                     _ => write!(f, "{allowed} bytes cannot")?,
                 }
                 write!(f, " hold the picture: {needed} are needed without any primitive")?;
@@ -232,6 +234,26 @@ impl fmt::Display for FormatError {
             FormatError::TrailingBytes { count } => write!(f, "{count} bytes left over after the picture"),
             FormatError::Compression { what } => write!(f, "compressed stream of {what} is broken"),
         }
+    }
+}
+
+/// Prints a number that is not negative with at most three digits behind the point, in integers: what prints floats would be a
+/// fifteenth of the WebAssembly.
+struct Thousandths<'a>(&'a f64);
+
+impl fmt::Display for Thousandths<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // Casts end at the type's bounds.
+        let thousandths = (self.0 * 1000.0).round() as u64;
+        write!(f, "{}", thousandths / 1000)?;
+        let (mut part, mut digits) = (thousandths % 1000, 3);
+        if part == 0 {
+            return Ok(());
+        }
+        while part % 10 == 0 {
+            (part, digits) = (part / 10, digits - 1);
+        }
+        write!(f, ".{part:0digits$}")
     }
 }
 
@@ -309,6 +331,9 @@ mod tests {
             "a ratio of 50 leaves 40 bytes, which cannot hold the picture: 3000 are needed without any primitive, 2900 of \
              them for the EXIF block"
         );
+        for (ratio, said) in [(12.5, "a ratio of 12.5 "), (2000.0, "a ratio of 2000 "), (0.05, "a ratio of 0.05 ")] {
+            assert!(too_small(Target::Ratio(ratio), 0, 0).starts_with(said), "{ratio}");
+        }
         let both = too_small(Target::Ratio(50.0), 1000, 1900);
         assert!(both.ends_with("1000 of them for the ICC profile and 1900 for the EXIF block"), "{both}");
     }

@@ -172,11 +172,13 @@ impl Coder for Encoder {
 /// Reads decisions.
 #[derive(Debug, Clone)]
 pub(crate) struct Decoder<'a> {
-    /// The value of the bytes less the lower end of the interval.
-    code: u32,
+    /// In the upper half the value of the bytes less the lower end of the interval; below it, bytes that come next.
+    window: u64,
     range: u32,
+    /// Bits of the window's lower half that are there.
+    ahead: u32,
     bytes: &'a [u8],
-    /// How many bytes have been shifted in.
+    /// How many bytes have been taken into the window.
     at: usize,
 }
 
@@ -184,32 +186,77 @@ impl<'a> Decoder<'a> {
     /// # Errors
     /// [`Broken`] for a value above the first interval, which no writer reaches: 2³² − 1 in the first four bytes.
     pub fn new(bytes: &'a [u8]) -> Result<Self, Broken> {
-        let mut decoder = Decoder { code: 0, range: u32::MAX, bytes, at: 0 };
-        (0..4).for_each(|_| decoder.shift());
-        if decoder.code >= decoder.range {
-            return Err(Broken { field: "start of the coded stream", value: decoder.code.into() });
+        let mut decoder = Decoder { window: 0, range: u32::MAX, ahead: 0, bytes, at: 0 };
+        decoder.refill();
+        (decoder.window, decoder.ahead) = (decoder.window << 32, 0);
+        if decoder.code() >= decoder.range {
+            return Err(Broken { field: "start of the coded stream", value: decoder.code().into() });
         }
         Ok(decoder)
     }
 
-    #[inline]
-    fn shift(&mut self) {
-        self.code = self.code << 8 | u32::from(self.bytes.get(self.at).copied().unwrap_or(0));
-        self.at += 1;
+    /// The value of the bytes less the lower end of the interval.
+    #[inline(always)]
+    fn code(&self) -> u32 {
+        (self.window >> 32) as u32
     }
 
-    #[inline]
+    /// Fills the window's lower half, which is empty.
+    #[inline(always)]
+    fn refill(&mut self) {
+        self.window |= u64::from(four(self.bytes, self.at));
+        self.at += 4;
+        self.ahead = 32;
+    }
+
+    #[inline(always)]
     fn normalize(&mut self) {
+        // Seldom so, and hardly ever twice: what is guessed need not be waited for.
         while self.range < TOP {
+            if self.ahead == 0 {
+                self.refill();
+            }
             self.range <<= 8;
-            self.shift();
+            self.window <<= 8;
+            self.ahead -= 8;
         }
+    }
+
+    /// How long the part of a 1 is, and whether the value lies in it.
+    #[inline(always)]
+    pub fn look(&self, one: u32) -> (u32, bool) {
+        let bound = (self.range >> 16) * one;
+        (bound, self.code() < bound)
+    }
+
+    /// Takes the part of a 1, which is `bound` long, or that of a 0.
+    #[inline(always)]
+    pub fn take(&mut self, bit: bool, bound: u32) {
+        if bit {
+            self.range = bound;
+        } else {
+            self.window -= u64::from(bound) << 32;
+            self.range -= bound;
+        }
+        self.normalize();
+    }
+
+    /// Reads a decision with equal odds. Nobody can guess it, the processor neither: so there is nothing to guess.
+    #[inline(always)]
+    pub fn even(&mut self) -> bool {
+        let bound = (self.range >> 16) << 15;
+        let is_one = self.code() < bound;
+        let zero = u32::from(is_one).wrapping_sub(1);
+        self.window -= u64::from(bound & zero) << 32;
+        self.range = bound + (self.range.wrapping_sub(2 * bound) & zero);
+        self.normalize();
+        is_one
     }
 
     /// Takes the part from `low` to `high` of `total`, each of them `unit` long.
     #[inline]
     fn narrow(&mut self, unit: u32, total: u32, low: u32, high: u32) {
-        self.code -= unit * low;
+        self.window -= u64::from(unit * low) << 32;
         self.range = if high == total { self.range - unit * low } else { unit * (high - low) };
         self.normalize();
     }
@@ -219,41 +266,46 @@ impl<'a> Decoder<'a> {
         let length = self.bytes.len();
         let broken = Err(Broken { field: "end of the coded stream", value: length as u64 });
         let Some(&last) = self.bytes.last() else { return Ok(()) };
-        if length > self.at || last == 0 {
+        // Bytes that have been shifted in.
+        let at = self.at - self.ahead as usize / 8;
+        if length > at || last == 0 {
             return broken;
         }
         // Shorter or smaller strings in the interval exist where the last byte's unit fits below or its next multiple
         // above; a last byte that has left the window weighs more than the whole interval.
-        let place = 8 * (self.at - length) as u32;
+        let place = 8 * (at - length) as u32;
         if place >= 32 {
             return Ok(());
         }
-        let (code, range, unit) = (u64::from(self.code), u64::from(self.range), 1u64 << place);
+        let (code, range, unit) = (u64::from(self.code()), u64::from(self.range), 1u64 << place);
         let (below, above) = (u64::from(last) * unit, (256 - u64::from(last)) * unit);
         if below <= code || code + above < range || unit <= code { broken } else { Ok(()) }
     }
 }
 
+/// The four bytes from `at` on; those past the end are 0. Apart, and not told of the decoder, so that this one stays in registers.
+#[cold]
+#[inline(never)]
+fn four(bytes: &[u8], at: usize) -> u32 {
+    let some = bytes.get(at..).unwrap_or_default();
+    u32::from_be_bytes(match some.first_chunk() {
+        Some(four) => *four,
+        None => std::array::from_fn(|i| some.get(i).copied().unwrap_or(0)),
+    })
+}
+
 impl Coder for Decoder<'_> {
     #[inline]
     fn bit(&mut self, one: u32, _bit: u32) -> u32 {
-        let bound = (self.range >> 16) * one;
-        let bit = if self.code < bound {
-            self.range = bound;
-            1
-        } else {
-            self.code -= bound;
-            self.range -= bound;
-            0
-        };
-        self.normalize();
-        bit
+        let (bound, bit) = self.look(one);
+        self.take(bit, bound);
+        bit.into()
     }
 
     #[inline]
     fn uniform(&mut self, total: u32, _value: u32) -> u32 {
         let unit = self.range / total;
-        let value = (self.code / unit).min(total - 1);
+        let value = (self.code() / unit).min(total - 1);
         self.narrow(unit, total, value, value + 1);
         value
     }
@@ -262,7 +314,7 @@ impl Coder for Decoder<'_> {
     fn share(&mut self, frequencies: &impl Cumulative, _value: i32) -> (i32, [u32; 2]) {
         let total = frequencies.total();
         let unit = self.range / total;
-        let (value, [low, high]) = frequencies.find((self.code / unit).min(total - 1));
+        let (value, [low, high]) = frequencies.find((self.code() / unit).min(total - 1));
         self.narrow(unit, total, low, high);
         (value, [low, high])
     }

@@ -12,7 +12,7 @@ const MIX_10: i32 = -1567;
 const MIX_11: i32 = 3784;
 
 /// Samples that a filter sees on either side of an edge.
-const REACH: usize = 2;
+pub(super) const REACH: usize = 2;
 
 /// Filters four samples across an edge, the second and the third next to it.
 #[inline(always)]
@@ -40,53 +40,93 @@ fn begins(at: usize, size: u8) -> bool {
     at.is_multiple_of(1 << size)
 }
 
-/// Filters `x`, a plane whose rows are [`TILE`] apart, across the edges of blocks beside which one has levels: `is_filled` of a
-/// cell. `sizes` are those of the cells' blocks, `cells` the plane's size in cells.
-#[cfg_attr(target_family = "wasm", inline(never))]
-#[cfg_attr(not(target_family = "wasm"), inline(always))]
-pub(crate) fn invert(x: &mut [i32], cells: [usize; 2], sizes: &[u8], filled: &[bool]) {
-    let [across, down] = cells;
-    for cy in 1..down {
-        let (above, here) = ((cy - 1) * CELLS, cy * CELLS);
-        let mut cx = 0;
-        while cx < across {
-            let is_edge = |c: usize| begins(cy, sizes[here + c]) && (filled[here + c] || filled[above + c]);
-            if !is_edge(cx) {
-                cx += 1;
-                continue;
-            }
-            let start = cx;
-            while cx < across && is_edge(cx) {
-                cx += 1;
-            }
-            let rows = &mut x[(cy * CELL - REACH) * TILE..][..2 * REACH * TILE];
-            let (a, rest) = rows.split_at_mut(TILE);
-            let (b, rest) = rest.split_at_mut(TILE);
-            let (c, d) = rest.split_at_mut(TILE);
-            let span = start * CELL..cx * CELL;
+/// The edges of blocks that have levels: only there is something to filter. Cells are bits of the words of their rows.
+#[derive(Debug)]
+pub(crate) struct Edges {
+    /// Cells whose upper edge is one.
+    above: [u64; CELLS],
+    /// Cells that hold something after the filter between rows.
+    held: [u64; CELLS],
+}
+
+impl Edges {
+    pub const NONE: Edges = Edges { above: [0; CELLS], held: [0; CELLS] };
+
+    /// Notes a block that has levels, `1 << size` cells a side.
+    pub fn note(&mut self, [x, y]: [usize; 2], size: u8) {
+        let n = 1usize << size;
+        let span = ((1u64 << n) - 1) << x;
+        self.above[y] |= span;
+        if let Some(below) = self.above.get_mut(y + n) {
+            *below |= span;
+        }
+        // What the filter between rows spreads reaches no further than the next cell.
+        for held in &mut self.held[y.saturating_sub(1)..(y + n + 1).min(CELLS)] {
+            *held |= span;
+        }
+    }
+
+    /// Whether there are edges above the cells of row `cy`.
+    pub fn has(&self, cy: usize) -> bool {
+        self.above[cy] != 0
+    }
+
+    /// Filters across the edges above the cells of row `cy`, of two rows of samples above them and two below.
+    #[cfg_attr(target_family = "wasm", inline(never))]
+    #[cfg_attr(not(target_family = "wasm"), inline(always))]
+    pub fn between_rows(&self, cy: usize, above: &mut [i32], below: &mut [i32]) {
+        let ((a, b), (c, d)) = (above.split_at_mut(TILE), below.split_at_mut(TILE));
+        let mut left = self.above[cy];
+        while left != 0 {
+            // A run of cells side by side.
+            let start = left.trailing_zeros() as usize;
+            let end = start + (!(left >> start)).trailing_zeros() as usize;
+            left &= u64::MAX.checked_shl(end as u32).unwrap_or(0);
+            let span = start * CELL..end * CELL;
             let (a, b, c, d) = (&mut a[span.clone()], &mut b[span.clone()], &mut c[span.clone()], &mut d[span]);
             for i in 0..a.len().min(b.len()).min(c.len()).min(d.len()) {
                 [a[i], b[i], c[i], d[i]] = inverse([a[i], b[i], c[i], d[i]]);
             }
         }
     }
-    for cy in 0..down {
-        for cx in 1..across {
-            let at = cy * CELLS + cx;
-            if !begins(cx, sizes[at]) {
-                continue;
+
+    /// Filters `rows`, those of the cells of row `cy`, across the edges between columns. `sizes` are those of the cells' blocks,
+    /// `across` the cells that there are.
+    #[cfg_attr(target_family = "wasm", inline(never))]
+    #[cfg_attr(not(target_family = "wasm"), inline(always))]
+    pub fn between_columns(&self, cy: usize, rows: &mut [i32], sizes: &[u8], across: usize) {
+        let held = self.held[cy];
+        let mut left = (held | held << 1) & (u64::MAX >> (CELLS - across)) & !1;
+        let (sizes, rows) = (&sizes[cy * CELLS..][..CELLS], &mut rows[..CELL * TILE]);
+        while left != 0 {
+            let cx = left.trailing_zeros() as usize;
+            left &= left - 1;
+            if begins(cx, sizes[cx]) {
+                beside(rows, cx * CELL - REACH);
             }
-            // What the other pass has spread reaches no further than the next cell.
-            let near =
-                |at: usize| filled[at] || (cy > 0 && filled[at - CELLS]) || (cy + 1 < down && filled[at + CELLS]);
-            if !near(at - 1) && !near(at) {
-                continue;
-            }
-            for y in 0..CELL {
-                let four = &mut x[(cy * CELL + y) * TILE + cx * CELL - REACH..][..2 * REACH];
-                let [a, b, c, d] = inverse([four[0], four[1], four[2], four[3]]);
-                four.copy_from_slice(&[a, b, c, d]);
-            }
+        }
+    }
+}
+
+/// Filters the rows of a cell across the edge between the second and the third column from `at` on.
+#[inline(always)]
+fn beside(rows: &mut [i32], at: usize) {
+    // The rows side by side.
+    let mut columns = [[0; CELL]; 2 * REACH];
+    for y in 0..CELL {
+        for k in 0..2 * REACH {
+            columns[k][y] = rows[y * TILE + at + k];
+        }
+    }
+    for y in 0..CELL {
+        let filtered = inverse([columns[0][y], columns[1][y], columns[2][y], columns[3][y]]);
+        for k in 0..2 * REACH {
+            columns[k][y] = filtered[k];
+        }
+    }
+    for y in 0..CELL {
+        for k in 0..2 * REACH {
+            rows[y * TILE + at + k] = columns[k][y];
         }
     }
 }
@@ -158,7 +198,20 @@ mod tests {
         let mut lapped: Vec<f32> = x.iter().map(|&v| v as f32).collect();
         apply(&mut lapped, cells, |i| sizes[i]);
         let mut back: Vec<i32> = lapped.iter().map(|&v| v.round() as i32).collect();
-        invert(&mut back, cells, &sizes, &vec![true; CELLS * CELLS]);
+        let mut edges = Edges::NONE;
+        for (i, &size) in sizes.iter().enumerate() {
+            let cell = [i % CELLS, i / CELLS];
+            if cell.iter().all(|&c| begins(c, size)) {
+                edges.note(cell, size);
+            }
+        }
+        for cy in 1..cells[1] {
+            let (above, below) = back.split_at_mut(cy * CELL * TILE);
+            edges.between_rows(cy, &mut above[(cy * CELL - REACH) * TILE..], below);
+        }
+        for cy in 0..cells[1] {
+            edges.between_columns(cy, &mut back[cy * CELL * TILE..], &sizes, cells[0]);
+        }
         for y in 0..64 {
             for x_ in 0..64 {
                 let at = y * TILE + x_;

@@ -1,10 +1,11 @@
 //! A tile's levels to what it adds to the samples of its pixels (spec §11.5).
 
-use super::lap;
+use super::lap::{self, Edges};
 use super::steps::PlaneSteps;
+use super::supers::Supers;
 use super::transform::{self, Coefficient};
 use crate::bitstream::detail::head::DetailHead;
-use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, SUPERS, TILE, TileLevels};
+use crate::bitstream::detail::levels::{CELL, SUPER, SUPERS, TILE, TileLevels};
 use crate::bitstream::detail::model::{CLASSES, PLANES};
 use crate::gaussian::Channels;
 use crate::simd::{self, Simd, Task};
@@ -16,14 +17,37 @@ pub(crate) const UNIT: f32 = 1.0 / 32.0;
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TilePlanes {
     pub channels: Vec<Vec<i16>>,
+    /// The superblocks that hold something.
+    filled: Supers,
 }
 
-/// Planes to work in, to be reused.
+/// What to work in, to be reused.
 #[derive(Debug, Default)]
 pub(crate) struct Scratch {
-    planes: [Vec<i32>; PLANES],
-    filled: Vec<bool>,
+    /// Two rows of superblocks of each plane: of no more is anything needed, so that all of it stays in the cache.
+    strips: [[Vec<i32>; 2]; PLANES],
     coefficients: Vec<Coefficient>,
+}
+
+impl TilePlanes {
+    /// Whether something is added to the superblock in which the pixel of column `x` and row `y` lies.
+    #[inline(always)]
+    pub fn has(&self, x: usize, y: usize) -> bool {
+        self.filled.has([x / SUPER, y / SUPER])
+    }
+
+    /// Makes room for channels that hold something in such superblocks, which are to be written.
+    fn begin(&mut self, filled: Supers, channels: Channels) {
+        self.channels.resize_with(channels.count(), Vec::new);
+        for channel in &mut self.channels {
+            make(channel, TILE * TILE);
+            // What was there before, and is not now.
+            for y in 0..SUPERS {
+                self.filled.without(filled).row(y).for_each(|x| clear(&mut channel[(y * TILE + x) * SUPER..]));
+            }
+        }
+        self.filled = filled;
+    }
 }
 
 struct Reconstruct<'a> {
@@ -32,6 +56,7 @@ struct Reconstruct<'a> {
     channels: Channels,
     /// Width and height, pixels.
     size: [usize; 2],
+    wanted: Supers,
     scratch: &'a mut Scratch,
     out: &'a mut TilePlanes,
 }
@@ -39,99 +64,211 @@ struct Reconstruct<'a> {
 /// Makes the planes of a tile of so many pixels.
 pub(crate) fn reconstruct(
     tile: &TileLevels,
-    (head, channels, size): (&DetailHead, Channels, [usize; 2]),
+    layer: (&DetailHead, Channels, [usize; 2]),
     scratch: &mut Scratch,
     out: &mut TilePlanes,
 ) {
-    simd::dispatch(Reconstruct { tile, head, channels, size, scratch, out });
+    reconstruct_some(tile, layer, Supers::ALL, scratch, out);
 }
+
+/// The same for some superblocks; the others hold anything.
+pub(crate) fn reconstruct_some(
+    tile: &TileLevels,
+    (head, channels, size): (&DetailHead, Channels, [usize; 2]),
+    wanted: Supers,
+    scratch: &mut Scratch,
+    out: &mut TilePlanes,
+) {
+    simd::dispatch(Reconstruct { tile, head, channels, size, wanted, scratch, out });
+}
+
+/// Cells along the side of a superblock.
+const STEP: usize = SUPER / CELL;
+
+/// A row of a superblock in which a plane has nothing.
+const NOTHING: [i32; SUPER] = [0; SUPER];
 
 impl Task for Reconstruct<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        let Reconstruct { tile, head, channels, size, scratch, out } = self;
-        let cells = size.map(|side| side.div_ceil(SUPER) * (SUPER / CELL));
-        let has = [true, channels.count() >= 3, channels.count() >= 3, head.alpha];
-        let mut start = 0;
-        let mut is_empty = [true; PLANES];
-        for (plane, values) in scratch.planes.iter_mut().enumerate() {
-            if has[plane] {
-                values.clear();
-                values.resize(TILE * TILE, 0);
+        let Reconstruct { tile, head, channels, size, wanted, scratch, out } = self;
+        let [across, down] = size.map(|side| side.div_ceil(SUPER));
+        // What is wanted takes the blocks that reach there, and no other.
+        let mut filled = [Supers::NONE; PLANES];
+        for block in &tile.blocks {
+            let reached = Supers::reached(block);
+            if reached.meets(wanted) {
+                let filled = &mut filled[usize::from(block.plane) % PLANES];
+                *filled = filled.with(reached);
             }
         }
+        let all = filled.iter().fold(Supers::NONE, |all, &filled| all.with(filled));
+        out.begin(all, channels);
         let steps: [[PlaneSteps; CLASSES]; PLANES] =
             std::array::from_fn(|plane| std::array::from_fn(|class| PlaneSteps::new(head, plane, class as u8)));
-        for block in &tile.blocks {
-            let levels = &tile.levels[start..block.end as usize];
-            start = block.end as usize;
-            let [x, y] = block.cell.map(usize::from);
-            let place = y / (SUPER / CELL) * SUPERS + x / (SUPER / CELL);
-            let class = tile.classes.get(place).map_or(0, |&class| usize::from(class) % CLASSES);
-            let (plane, side) = (usize::from(block.plane) % PLANES, usize::from(block.size));
-            let steps = &steps[plane][class];
-            scratch.coefficients.clear();
-            for level in levels {
-                let value = steps.value(side, level.u.into(), level.v.into(), level.value);
-                scratch.coefficients.push(Coefficient { u: level.u, v: level.v, value });
+        let mut edges = [Edges::NONE; PLANES];
+        let mut blocks = Blocks { tile, wanted, next: 0, start: 0 };
+        for row in 0..down {
+            for (strips, filled) in scratch.strips.iter_mut().zip(filled) {
+                for x in filled.row(row) {
+                    make(&mut strips[row % 2], SUPER * TILE);
+                    clear(&mut strips[row % 2][x * SUPER..]);
+                }
             }
-            let values = &mut scratch.planes[plane][y * CELL * TILE + x * CELL..];
-            transform::inverse(side, &scratch.coefficients, values, TILE);
-            is_empty[plane] = false;
+            blocks.transform(row, &steps, &mut edges, scratch);
+            for plane in 0..PLANES {
+                if filled[plane].row(row).next().is_some() {
+                    join_rows(row, &edges[plane], &mut scratch.strips[plane]);
+                }
+            }
+            // A row of superblocks is ready when the one below is joined to it.
+            if row > 0 {
+                finish(row - 1, across, (tile, &filled, &edges), scratch, out);
+            }
         }
-        for plane in 0..PLANES {
-            if !has[plane] || is_empty[plane] {
+        finish(down - 1, across, (tile, &filled, &edges), scratch, out);
+    }
+}
+
+/// The blocks of a tile, row by row of superblocks.
+struct Blocks<'a> {
+    tile: &'a TileLevels,
+    wanted: Supers,
+    /// The next block, and its first level.
+    next: usize,
+    start: usize,
+}
+
+impl Blocks<'_> {
+    /// Transforms the blocks of a row of superblocks into its strips.
+    #[inline(always)]
+    fn transform(
+        &mut self,
+        row: usize,
+        steps: &[[PlaneSteps; CLASSES]; PLANES],
+        edges: &mut [Edges; PLANES],
+        Scratch { strips, coefficients }: &mut Scratch,
+    ) {
+        let tile = self.tile;
+        while let Some(block) = tile.blocks.get(self.next)
+            && usize::from(block.cell[1]) / STEP == row
+        {
+            let levels = &tile.levels[self.start..block.end as usize];
+            (self.next, self.start) = (self.next + 1, block.end as usize);
+            if !Supers::reached(block).meets(self.wanted) {
                 continue;
             }
-            scratch.filled.clear();
-            scratch.filled.resize(CELLS * CELLS, false);
-            for block in tile.blocks.iter().filter(|block| usize::from(block.plane) == plane) {
-                let ([x, y], n) = (block.cell.map(usize::from), 1usize << block.size);
-                for row in y..y + n {
-                    scratch.filled[row * CELLS + x..][..n].fill(true);
-                }
+            let [x, y] = block.cell.map(usize::from);
+            let class = tile.classes.get(row * SUPERS + x / STEP).map_or(0, |&class| usize::from(class) % CLASSES);
+            let (plane, side) = (usize::from(block.plane) % PLANES, usize::from(block.size));
+            let steps = &steps[plane][class];
+            coefficients.clear();
+            for level in levels {
+                let value = steps.value(side, level.u.into(), level.v.into(), level.value);
+                coefficients.push(Coefficient { u: level.u, v: level.v, value });
             }
-            let kind = [0, 1, 1, 2][plane];
-            lap::invert(&mut scratch.planes[plane], cells, &tile.sizes[kind], &scratch.filled);
+            edges[plane].note([x, y], block.size);
+            let strip = &mut strips[plane][row % 2];
+            transform::inverse(side, coefficients, &mut strip[y % STEP * CELL * TILE + x * CELL..], TILE);
         }
-        out.channels.resize_with(channels.count(), Vec::new);
-        out.channels.iter_mut().for_each(|channel| channel.resize(TILE * TILE, 0));
-        let [y, orange, green, alpha] = &scratch.planes;
-        let rows = size[1] * TILE;
-        match &mut out.channels[..] {
-            [r, g, b, rest @ ..] => {
-                for i in 0..rows {
-                    let (y, o, n) = (y[i].wrapping_mul(2), orange[i], green[i]);
-                    let low = y.wrapping_sub(n);
-                    r[i] = narrow(low.wrapping_add(o));
-                    g[i] = narrow(y.wrapping_add(n));
-                    b[i] = narrow(low.wrapping_sub(o));
-                }
-                rest.iter_mut().for_each(|a| double(a, alpha, rows, head.alpha));
-            }
-            [grey, rest @ ..] => {
-                double(grey, y, rows, true);
-                rest.iter_mut().for_each(|a| double(a, alpha, rows, head.alpha));
-            }
-            [] => {}
+    }
+}
+
+/// Filters across the edges between rows, in a row of superblocks and above it.
+#[inline(always)]
+fn join_rows(row: usize, edges: &Edges, [even, odd]: &mut [Vec<i32>; 2]) {
+    let (above, strip) = if row.is_multiple_of(2) { (odd, even) } else { (even, odd) };
+    if row > 0 && edges.has(row * STEP) {
+        edges.between_rows(row * STEP, &mut above[(SUPER - lap::REACH) * TILE..], strip);
+    }
+    for cy in 1..STEP {
+        let (above, below) = strip.split_at_mut(cy * CELL * TILE);
+        edges.between_rows(row * STEP + cy, &mut above[(cy * CELL - lap::REACH) * TILE..], below);
+    }
+}
+
+/// Filters a row of superblocks across the edges between columns, and makes channels of its planes.
+#[inline(always)]
+fn finish(
+    row: usize,
+    across: usize,
+    (tile, filled, edges): (&TileLevels, &[Supers; PLANES], &[Edges; PLANES]),
+    scratch: &mut Scratch,
+    out: &mut TilePlanes,
+) {
+    for plane in 0..PLANES {
+        if filled[plane].row(row).next().is_none() {
+            continue;
         }
+        let sizes = &tile.sizes[[0, 1, 1, 2][plane]];
+        for (cy, rows) in scratch.strips[plane][row % 2].chunks_exact_mut(CELL * TILE).enumerate() {
+            edges[plane].between_columns(row * STEP + cy, rows, sizes, across * STEP);
+        }
+    }
+    for x in out.filled.row(row) {
+        let mut from = [&[] as &[i32]; PLANES];
+        for plane in 0..PLANES {
+            if filled[plane].has([x, row]) {
+                from[plane] = &scratch.strips[plane][row % 2][x * SUPER..];
+            }
+        }
+        for i in 0..SUPER {
+            let line = |plane: usize| from[plane].get(i * TILE..).and_then(<[i32]>::first_chunk).unwrap_or(&NOTHING);
+            mix([line(0), line(1), line(2), line(3)], &mut out.channels, (row * SUPER + i) * TILE + x * SUPER);
+        }
+    }
+}
+
+/// Makes a plane if it is not there yet: the system gives memory of zeros, and pages of it only where something is written.
+fn make<T: Copy + Default>(plane: &mut Vec<T>, length: usize) {
+    if plane.is_empty() {
+        *plane = vec![T::default(); length];
+    }
+}
+
+/// Sets the superblock at the beginning of a part of a plane to 0.
+fn clear<T: Copy + Default>(plane: &mut [T]) {
+    for row in plane.chunks_mut(TILE).take(SUPER) {
+        row[..SUPER].fill(T::default());
+    }
+}
+
+/// What the channels get at a row of a superblock that begins at `at`, from those of the planes.
+#[inline(always)]
+fn mix([y, orange, green, alpha]: [&[i32; SUPER]; PLANES], channels: &mut [Vec<i16>], at: usize) {
+    let rest = match channels {
+        [r, g, b, rest @ ..] => {
+            let (r, g, b) = (&mut r[at..at + SUPER], &mut g[at..at + SUPER], &mut b[at..at + SUPER]);
+            for i in 0..SUPER {
+                let (y, o, n) = (y[i].wrapping_mul(2), orange[i], green[i]);
+                let low = y.wrapping_sub(n);
+                r[i] = narrow(low.wrapping_add(o));
+                g[i] = narrow(y.wrapping_add(n));
+                b[i] = narrow(low.wrapping_sub(o));
+            }
+            rest
+        }
+        [grey, rest @ ..] => {
+            double(&mut grey[at..at + SUPER], y);
+            rest
+        }
+        [] => return,
+    };
+    if let [out] = rest {
+        double(&mut out[at..at + SUPER], alpha);
+    }
+}
+
+#[inline(always)]
+fn double(out: &mut [i16], plane: &[i32; SUPER]) {
+    for (out, &v) in out.iter_mut().zip(plane) {
+        *out = narrow(v.wrapping_mul(2));
     }
 }
 
 #[inline(always)]
 fn narrow(v: i32) -> i16 {
     v.clamp(i16::MIN.into(), i16::MAX.into()) as i16
-}
-
-#[inline(always)]
-fn double(out: &mut [i16], plane: &[i32], rows: usize, is_there: bool) {
-    if !is_there {
-        out.fill(0);
-        return;
-    }
-    for (out, &v) in out[..rows].iter_mut().zip(plane) {
-        *out = narrow(v.wrapping_mul(2));
-    }
 }

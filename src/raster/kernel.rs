@@ -5,9 +5,11 @@
 //! Large Gaussians are drawn at every pixel, too: sums of fewer samples, interpolated, miss the kink at a support's edge, which
 //! shows by several code values where a Gaussian lies alone and ε is all that it is divided by.
 
-use super::overlay::Additions;
+use super::overlay::{Additions, SCALE};
 use super::project::{SUPPORT, Splat, Splats};
 use super::samples::{Codes, Sample};
+use crate::bitstream::detail::levels::TILE;
+use crate::detail::tile::TilePlanes;
 use crate::gaussian::{Blend, EPSILON, HIDDEN};
 use crate::simd::{LANES, Lanes, Simd, Task};
 
@@ -55,12 +57,21 @@ pub(super) struct Drawing<'a> {
     pub parts: [usize; 2],
 }
 
-/// What is added to the pixels of a tile, in parts of white.
+/// Where it stands what is added to pixels.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Source<'a> {
+    /// Rows of the view.
+    Rows(&'a Additions),
+    /// The tile of the layer in which the pixels lie.
+    Tile(&'a TilePlanes),
+}
+
+/// What is added to the pixels of a tile.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Added<'a> {
-    pub additions: &'a Additions,
-    /// The first row of the output that is shown, and the tile's first column, counted as the additions are.
-    pub row: u32,
+    pub source: Source<'a>,
+    /// The first row that is shown and the first column of the tile, counted as the source counts them.
+    pub row: usize,
     pub column: usize,
 }
 
@@ -181,21 +192,36 @@ fn finish<S: Simd, T: Sample, const C: usize, const P: usize>(
     (start, added): ([f32; P], Option<Added<'_>>),
     codes: &mut [T],
 ) {
-    let white = simd.splat(T::WHITE);
     for (i, (row, codes)) in strip.iter_mut().zip(codes.chunks_mut(TILE_WIDTH * C)).enumerate() {
         let mut values = shade::<S, T, C, P>(simd, row);
-        if let Some(Added { additions, row, column }) = added {
-            let more = additions.row(row + i as u32);
-            for (c, value) in values.iter_mut().enumerate() {
-                let v = simd.add(*value, simd.mul(simd.read(&more[c * additions.stride + column..]), white));
-                *value = simd.min(simd.max(v, simd.splat(0.0)), white);
-            }
+        if let Some(added) = added {
+            enrich::<S, T>(simd, &mut values, Added { row: added.row + i, ..added });
         }
         for value in &mut values {
             *value = simd.add(*value, simd.splat(0.5));
         }
         T::store::<S, C>(simd, &mut codes[..LANES * C], values);
         fill(simd, row, start);
+    }
+}
+
+/// Adds to a row of a strip.
+///
+/// In WebAssembly all numbers of channels share one, for the module's size.
+#[cfg_attr(target_family = "wasm", inline(never))]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
+fn enrich<S: Simd, T: Sample>(simd: S, values: &mut [S::Vector], Added { source, row, column }: Added<'_>) {
+    let white = simd.splat(T::WHITE);
+    for (c, value) in values.iter_mut().enumerate() {
+        let more = match source {
+            Source::Rows(additions) => simd.read(&additions.row(row)[c * additions.stride + column..]),
+            Source::Tile(planes) if planes.has(column, row) => {
+                simd.mul(simd.widen(&planes.channels[c][row * TILE + column..]), simd.splat(SCALE))
+            }
+            Source::Tile(_) => return,
+        };
+        let v = simd.add(*value, simd.mul(more, white));
+        *value = simd.min(simd.max(v, simd.splat(0.0)), white);
     }
 }
 
@@ -210,7 +236,7 @@ fn reduce<S: Simd, T: Sample, const C: usize, const P: usize>(
     codes: &mut [T],
 ) {
     for (i, (rows, codes)) in strip.chunks_exact_mut(down).zip(codes.chunks_mut(TILE_WIDTH * C)).enumerate() {
-        let added = added.map(|a| Added { row: a.row + i as u32, ..a });
+        let added = added.map(|a| Added { row: a.row + i, ..a });
         average::<S, T, C, P>(simd, rows, (across, start, added), &mut codes[..LANES / across * C]);
     }
 }
@@ -278,9 +304,13 @@ fn means<T: Sample>(
         let color_share = weights.map_or(share, |_| 1.0 / weight);
         for (k, (code, sum)) in pixel.iter_mut().zip(sums).enumerate() {
             let share = if weights.is_some() && k == columns.len() - 1 { share } else { color_share };
-            let more = added.map_or(0.0, |Added { additions, row, column }| {
-                additions.row(row)[k * additions.stride + column + i] * T::WHITE
-            });
+            let more = match added {
+                Some(Added { source: Source::Rows(additions), row, column }) => {
+                    additions.row(row)[k * additions.stride + column + i] * T::WHITE
+                }
+                // Tiles are for pixels of the picture's size.
+                _ => 0.0,
+            };
             *code = T::floor((sum * share + more).clamp(0.0, T::WHITE) + 0.5);
         }
     }

@@ -1,17 +1,18 @@
 //! What the detail layer adds to the pixels of a view (spec §11.6).
 //!
-//! At full size an output pixel takes what its own pixel has. An enlarged view interpolates between pixels, a reduced one takes
-//! the mean over what a pixel of it covers; either axis by itself. Rows are added up from the top whatever the view shows, so
-//! that parts of a view have the bits of the whole.
+//! At full size an output pixel takes what its own pixel has, from the tile that the kernel is given. An enlarged view interpolates
+//! between pixels, a reduced one takes the mean over what a pixel of it covers; either axis by itself. Rows are added up from the
+//! top whatever the view shows, so that parts of a view have the bits of the whole.
 
 use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use super::view::View;
 use crate::bitstream::DetailLayer;
-use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
+use crate::bitstream::detail::levels::{TILE, TileLevels, tile_area, tile_counts};
 use crate::budget::Budget;
-use crate::detail::tile::{Scratch, TilePlanes, UNIT, reconstruct};
+use crate::detail::supers::Supers;
+use crate::detail::tile::{Scratch, TilePlanes, UNIT, reconstruct_some};
 use crate::error::Result;
 use crate::gaussian::Channels;
 use crate::parallel;
@@ -46,14 +47,17 @@ pub(super) struct Additions {
     values: Vec<f32>,
 }
 
-/// Bytes of additions that are held at a time, if a row of tiles does not need more.
+/// Bytes of additions or tiles that are held at a time, if a row of tiles does not need more.
 const HELD: u64 = 4 << 20;
+
+/// What a tile's unit is in parts of white.
+pub(super) const SCALE: f32 = UNIT / 255.0;
 
 impl Additions {
     /// The row `row` of the view, channel after channel.
-    pub fn row(&self, row: u32) -> &[f32] {
+    pub fn row(&self, row: usize) -> &[f32] {
         let length = self.stride * self.channels;
-        &self.values[(row - self.top) as usize * length..][..length]
+        &self.values[(row - self.top as usize) * length..][..length]
     }
 }
 
@@ -88,6 +92,24 @@ impl Overlay {
         Overlay { layer, channels, size, pool: Mutex::default() }
     }
 
+    /// Whether the pixels of `view` are the picture's own, so that tiles are what it gets added.
+    pub fn is_direct(&self, view: &View) -> bool {
+        let sides = [view.width, view.height];
+        let is_inside = (0..2).all(|k| u64::from(view.offset[k]) + u64::from(sides[k]) <= self.size[k].into());
+        view.step == [1.0; 2] && view.origin == [0.0; 2] && is_inside
+    }
+
+    /// Rows of tiles that are held at once.
+    pub fn tile_rows_at_once(&self, view: &View) -> u32 {
+        u32::try_from(HELD / self.tile_row_memory(view)).unwrap_or(u32::MAX).max(1)
+    }
+
+    /// Bytes that a row of the tiles that a direct view shows takes.
+    fn tile_row_memory(&self, view: &View) -> u64 {
+        let tiles = (view.offset[0] + view.width).div_ceil(TILE as u32) - view.offset[0] / TILE as u32;
+        u64::from(tiles) * (TILE * TILE * self.channels.count() * size_of::<i16>()) as u64
+    }
+
     /// Rows of a view, in bands of at most so many, for which additions are made at once.
     pub fn rows_at_once(&self, view: &View) -> u32 {
         let row = u64::from(view.width) * self.channels.count() as u64 * size_of::<f32>() as u64;
@@ -102,8 +124,14 @@ impl Overlay {
         width.saturating_mul(height).saturating_mul(self.channels.count() as u64 * SAMPLE_WORK)
     }
 
-    /// Checks that additions for `rows` rows of `view`, and what they are made from, can be held.
+    /// Checks that what is added to `rows` rows of `view`, and what it is made from, can be held.
     pub fn check(&self, view: &View, rows: u32, budget: &Budget) -> Result<()> {
+        if self.is_direct(view) {
+            // Rows of tiles that are shown, in part or all.
+            let shown = (view.offset[1] + view.height).div_ceil(TILE as u32) - view.offset[1] / TILE as u32;
+            let held = u64::from(self.tile_rows_at_once(view).min(shown)) * self.tile_row_memory(view);
+            return budget.check(held + size_of::<[i32; TILE * TILE]>() as u64);
+        }
         let channels = self.channels.count() as u64;
         let additions = u64::from(view.width) * u64::from(rows) * channels * size_of::<f32>() as u64;
         let [across, _] = tile_counts(self.size);
@@ -119,76 +147,32 @@ impl Overlay {
         values.clear();
         values.resize(rows.len() * length, 0.0f32);
         let side = self.size.map(|side| side as usize);
-        let grid = |k: usize, i: i64| f64::from(view.offset[k]) + i as f64;
-        let is_exact = view.step == [1.0; 2] && view.origin.iter().all(|origin| origin.fract() == 0.0);
-        let columns: Vec<Taps> = if is_exact {
-            Vec::new()
-        } else {
-            let tap = |x: usize| taps(view.origin[0], view.step[0], grid(0, left + x as i64), side[0]);
-            (0..stride).map(tap).collect()
-        };
-        let downs: Vec<Taps> =
-            rows.clone().map(|y| taps(view.origin[1], view.step[1], grid(1, i64::from(y)), side[1])).collect();
-        let Some(first) = downs.iter().map(|t| t.first).min() else {
-            return Additions { top: rows.start, stride, channels, values };
-        };
-        let end = downs.iter().map(|t| t.first + t.weights.len()).max().expect("a row");
-        // Pixels of the picture that are needed.
-        let across = match is_exact {
-            true => {
-                let start = view.origin[0] as i64 + i64::from(view.offset[0]) + left;
-                start.clamp(0, side[0] as i64 - 1) as usize..(start + stride as i64).clamp(1, side[0] as i64) as usize
-            }
-            false => {
-                let start = columns.iter().map(|t| t.first).min().unwrap_or(0);
-                start..columns.iter().map(|t| t.first + t.weights.len()).max().unwrap_or(1)
-            }
-        };
-        let counts = tile_counts(self.size);
-        let tiles = across.start / TILE..across.end.div_ceil(TILE).min(counts[0]);
-        for row in first / TILE..end.div_ceil(TILE).min(counts[1]) {
-            let planes = self.tile_row(row, tiles.clone());
-            if planes.iter().all(Option::is_none) {
-                self.keep(planes);
-                continue;
-            }
-            let scale = UNIT / 255.0;
+        let tap = |k: usize, i: i64| taps(view.origin[k], view.step[k], f64::from(view.offset[k]) + i as f64, side[k]);
+        let columns: Vec<Taps> = (0..stride).map(|x| tap(0, left + x as i64)).collect();
+        let downs: Vec<Taps> = rows.clone().map(|y| tap(1, i64::from(y))).collect();
+        // Tiles that are needed.
+        let (across, down) = (tiles_of(&columns), tiles_of(&downs));
+        for row in down {
+            let planes = self.tile_row(row, across.clone());
             let within = row * TILE..(row + 1) * TILE;
             parallel::map_chunks(&mut values, length, |k, out| {
                 let down = &downs[k];
                 for (y, &weight) in (down.first..).zip(&down.weights).filter(|(y, _)| within.contains(y)) {
-                    let inside = y - within.start;
-                    for c in 0..channels {
-                        let out = &mut out[c * stride..(c + 1) * stride];
-                        let line = |tile: usize| {
-                            planes[tile - tiles.start].as_ref().map(|p| &p.channels[c][inside * TILE..][..TILE])
-                        };
-                        if is_exact {
-                            let origin = view.origin[0] as i64 + i64::from(view.offset[0]) + left;
-                            for tile in tiles.clone() {
-                                let Some(line) = line(tile) else { continue };
-                                let from = (tile * TILE).max(across.start);
-                                let to = ((tile + 1) * TILE).min(across.end);
-                                let out = &mut out[(from as i64 - origin) as usize..][..to - from];
-                                for (out, &v) in out.iter_mut().zip(&line[from - tile * TILE..]) {
-                                    *out = f32::from(v) * scale;
-                                }
-                            }
-                            continue;
-                        }
+                    let line = (y - within.start) * TILE;
+                    for (c, out) in out.chunks_exact_mut(stride).enumerate() {
                         for (out, taps) in out.iter_mut().zip(&columns) {
                             let mut sum = 0.0;
                             for (x, &share) in (taps.first..).zip(&taps.weights) {
-                                if let Some(line) = line(x / TILE) {
-                                    sum += f32::from(line[x % TILE]) * share;
+                                if let Some(planes) = &planes[x / TILE - across.start] {
+                                    sum += f32::from(planes.channels[c][line + x % TILE]) * share;
                                 }
                             }
-                            *out += sum * (weight * scale);
+                            *out += sum * (weight * SCALE);
                         }
                     }
                 }
             });
-            self.keep(planes);
+            planes.into_iter().flatten().for_each(|planes| self.keep(planes));
         }
         Additions { top: rows.start, stride, channels, values }
     }
@@ -197,9 +181,9 @@ impl Overlay {
         self.pool.lock().expect("no holder panics")
     }
 
-    /// Takes back the planes of tiles.
-    fn keep(&self, planes: Vec<Option<TilePlanes>>) {
-        self.pool().planes.extend(planes.into_iter().flatten());
+    /// Takes back the planes of a tile.
+    pub(super) fn keep(&self, planes: TilePlanes) {
+        self.pool().planes.push(planes);
     }
 
     /// Takes back additions that were made.
@@ -209,19 +193,29 @@ impl Overlay {
 
     /// The planes of some tiles of a row of tiles.
     fn tile_row(&self, row: usize, tiles: Range<usize>) -> Vec<Option<TilePlanes>> {
-        let [across, _] = tile_counts(self.size);
-        parallel::map(tiles.len(), |i| {
-            let index = row * across + tiles.start + i;
-            let levels = self.layer.tiles[index].as_ref()?;
-            let [_, _, width, height] = tile_area(self.size, index);
-            let (scratch, planes) = {
-                let mut pool = self.pool();
-                (pool.scratch.pop(), pool.planes.pop())
-            };
-            let (mut scratch, mut planes) = (scratch.unwrap_or_default(), planes.unwrap_or_default());
-            reconstruct(levels, (&self.layer.head, self.channels, [width, height]), &mut scratch, &mut planes);
-            self.pool().scratch.push(scratch);
-            Some(planes)
-        })
+        parallel::map(tiles.len(), |i| self.tile([tiles.start + i, row], Supers::ALL))
     }
+
+    /// What the tile of such a column and row adds in some of its superblocks.
+    pub(super) fn tile(&self, [column, row]: [usize; 2], wanted: Supers) -> Option<TilePlanes> {
+        let index = row * tile_counts(self.size)[0] + column;
+        let levels: &TileLevels = self.layer.tiles[index].as_ref()?;
+        let [_, _, width, height] = tile_area(self.size, index);
+        let (scratch, planes) = {
+            let mut pool = self.pool();
+            (pool.scratch.pop(), pool.planes.pop())
+        };
+        let (mut scratch, mut planes) = (scratch.unwrap_or_default(), planes.unwrap_or_default());
+        let layer = (&self.layer.head, self.channels, [width, height]);
+        reconstruct_some(levels, layer, wanted, &mut scratch, &mut planes);
+        self.pool().scratch.push(scratch);
+        Some(planes)
+    }
+}
+
+/// The tiles, along an axis, that some pixels take something from.
+fn tiles_of(taps: &[Taps]) -> Range<usize> {
+    let start = taps.iter().map(|t| t.first).min().unwrap_or(0);
+    let end = taps.iter().map(|t| t.first + t.weights.len()).max().unwrap_or(0);
+    start / TILE..end.div_ceil(TILE)
 }

@@ -1,12 +1,14 @@
 //! Draws a view, whole or band by band, on as many threads as there are.
 
 use super::bins::Bins;
-use super::kernel::{Added, Drawing, Job, Scratch, TILE_HEIGHT, TILE_WIDTH, Window};
-use super::overlay::{Additions, Overlay};
+use super::kernel::{Added, Drawing, Job, Scratch, Source, TILE_HEIGHT, TILE_WIDTH, Window};
+use super::overlay::Overlay;
 use super::project::{Splats, project};
 use super::samples::{Sample, SamplesMut};
 use super::view::{Filter, MAX_SIDE, View};
+use crate::bitstream::detail::levels::TILE;
 use crate::budget::Budget;
+use crate::detail::supers::Supers;
 use crate::error::{Error, Result};
 use crate::gaussian::{Blend, Channels, Gaussian, Picture};
 use crate::limits::Limits;
@@ -54,8 +56,12 @@ enum Dispatch {
     Compiled,
 }
 
-/// A tile of a band: its column and the slices of the rows it shows.
-type TileRows<'a, T> = Vec<(u32, Vec<&'a mut [T]>)>;
+/// A tile to draw: its band and column, and the slices of the rows that it shows.
+type Piece<'a, T> = (u32, u32, Vec<&'a mut [T]>);
+
+/// A tile of the layer is made once for the four tiles of the view that lie in it.
+const LAYER_TILE: u32 = (TILE / TILE_WIDTH) as u32;
+const _: () = assert!(TILE.is_multiple_of(TILE_WIDTH) && TILE_WIDTH == TILE_HEIGHT);
 
 impl Renderer {
     /// Projects what `view` shows of `picture` and sorts it into tiles.
@@ -218,45 +224,85 @@ impl Renderer {
             parts.push((band, part));
             out = rest;
         }
+        let mut parts = parts.into_iter().peekable();
         let Some(overlay) = &self.overlay else {
-            self.draw_bands(parts, None);
+            self.draw_groups(parts.map(|part| self.split(part)).collect(), &|group| self.draw_group(group, None));
             return;
         };
+        if overlay.is_direct(&self.view) {
+            let most = overlay.tile_rows_at_once(&self.view);
+            let [first, count] = [self.bins.tiles.first, self.bins.tiles.count];
+            let layer_row = |band: u32| (first[1] + band) / LAYER_TILE;
+            let left = first[0] / LAYER_TILE;
+            let columns = (first[0] + count[0]).div_ceil(LAYER_TILE) - left;
+            while let Some(&(band, _)) = parts.peek() {
+                let start = layer_row(band);
+                let mut groups = Vec::new();
+                while let Some(&(band, _)) = parts.peek()
+                    && layer_row(band) - start < most
+                {
+                    // By the tiles of the layer.
+                    let mut row: Vec<Vec<Piece<'_, T>>> = (0..columns).map(|_| Vec::new()).collect();
+                    while let Some(part) = parts.next_if(|part| layer_row(part.0) == layer_row(band)) {
+                        for piece in self.split(part) {
+                            row[((first[0] + piece.1) / LAYER_TILE - left) as usize].push(piece);
+                        }
+                    }
+                    groups.extend(row);
+                }
+                self.draw_groups(groups, &|group| self.draw_within(group, overlay));
+            }
+            return;
+        }
         // As many bands at a time as their additions may be held for.
         let most = overlay.rows_at_once(&self.view);
-        let mut parts = parts.into_iter().peekable();
         while let Some(first) = parts.next() {
             let mut rows = self.band_rows(first.0);
-            let mut some = vec![first];
-            while let Some(&(band, _)) = parts.peek()
-                && self.band_rows(band).end - rows.start <= most
-            {
-                rows.end = self.band_rows(band).end;
-                some.extend(parts.next());
+            let mut groups = vec![self.split(first)];
+            while let Some(part) = parts.next_if(|&(band, _)| self.band_rows(band).end - rows.start <= most) {
+                rows.end = self.band_rows(part.0).end;
+                groups.push(self.split(part));
             }
             // From the first tile's first column to the last one's last, so that strips of eight begin anywhere.
             let width = self.tile()[0];
             let left = i64::from(self.bins.tiles.first[0] * width) - i64::from(self.view.offset[0]);
             let stride = (self.bins.tiles.count[0] * width) as usize;
             let additions = overlay.additions(&self.view, left, stride, rows);
-            self.draw_bands(some, Some(&additions));
+            let source = Some(Source::Rows(&additions));
+            self.draw_groups(groups, &|group| self.draw_group(group, source));
             overlay.used(additions);
         }
     }
 
-    fn draw_bands<T: Sample>(&self, parts: Vec<(u32, &mut [T])>, additions: Option<&Additions>) {
+    fn draw_groups<'a, T: Sample>(&self, groups: Vec<Vec<Piece<'a, T>>>, draw: &(impl Fn(Vec<Piece<'a, T>>) + Sync)) {
         #[cfg(feature = "rayon")]
-        parts.into_par_iter().for_each(|(band, part)| {
-            self.split(part).into_par_iter().for_each(|(column, mut rows)| {
-                self.draw_tile((band, column), additions, &mut rows);
-            });
-        });
+        groups.into_par_iter().for_each(draw);
         #[cfg(not(feature = "rayon"))]
-        for (band, part) in parts {
-            for (column, mut rows) in self.split(part) {
-                self.draw_tile((band, column), additions, &mut rows);
-            }
-        }
+        groups.into_iter().for_each(draw);
+    }
+
+    /// Draws tiles that lie in one of the layer.
+    fn draw_within<T: Sample>(&self, group: Vec<Piece<'_, T>>, overlay: &Overlay) {
+        let (Some(first), Some(last)) = (group.first(), group.last()) else { return };
+        let [column, row] = [first.1, first.0];
+        let tile = [0, 1].map(|k| (self.bins.tiles.first[k] + [column, row][k]) / LAYER_TILE);
+        let [left, top] = tile.map(|at| at * TILE as u32);
+        let offset = self.view.offset;
+        let (start, end) = (self.band_rows(first.0).start, self.band_rows(last.0).end);
+        let rows = (offset[1] + start - top) as usize..(offset[1] + end - top) as usize;
+        let columns =
+            offset[0].saturating_sub(left) as usize..(offset[0] + self.view.width - left).min(TILE as u32) as usize;
+        let planes = overlay.tile(tile.map(|at| at as usize), Supers::of(columns, rows));
+        self.draw_group(group, planes.as_ref().map(Source::Tile));
+        planes.into_iter().for_each(|planes| overlay.keep(planes));
+    }
+
+    fn draw_group<T: Sample>(&self, group: Vec<Piece<'_, T>>, source: Option<Source<'_>>) {
+        #[cfg(feature = "rayon")]
+        let pieces = group.into_par_iter();
+        #[cfg(not(feature = "rayon"))]
+        let pieces = group.into_iter();
+        pieces.for_each(|(band, column, mut rows)| self.draw_tile((band, column), source, &mut rows));
     }
 
     /// The columns of the output's part in a tile that the view shows.
@@ -269,12 +315,12 @@ impl Renderer {
     }
 
     /// Cuts the rows of a band into those of its tiles.
-    fn split<'a, T>(&self, band: &'a mut [T]) -> TileRows<'a, T> {
-        let rows = band.len() / self.row_len();
-        let mut tiles: TileRows<'a, T> =
-            (0..self.bins.tiles.count[0]).map(|column| (column, Vec::with_capacity(rows))).collect();
-        for mut row in band.chunks_exact_mut(self.row_len()) {
-            for (column, tile) in &mut tiles {
+    fn split<'a, T>(&self, (band, part): (u32, &'a mut [T])) -> Vec<Piece<'a, T>> {
+        let rows = part.len() / self.row_len();
+        let mut tiles: Vec<Piece<'a, T>> =
+            (0..self.bins.tiles.count[0]).map(|column| (band, column, Vec::with_capacity(rows))).collect();
+        for mut row in part.chunks_exact_mut(self.row_len()) {
+            for (_, column, tile) in &mut tiles {
                 let (part, rest) = row.split_at_mut(self.columns(*column).len() * self.channels.count());
                 tile.push(part);
                 row = rest;
@@ -283,7 +329,7 @@ impl Renderer {
         tiles
     }
 
-    fn draw_tile<T: Sample>(&self, (band, column): (u32, u32), additions: Option<&Additions>, out: &mut [&mut [T]]) {
+    fn draw_tile<T: Sample>(&self, (band, column): (u32, u32), source: Option<Source<'_>>, out: &mut [&mut [T]]) {
         let (columns, rows) = (self.columns(column), self.band_rows(band));
         let [across, down] = self.filter.parts.map(|k| k as usize);
         let top = (self.bins.tiles.first[1] + band) * self.tile()[1];
@@ -303,9 +349,13 @@ impl Renderer {
             channels: self.channels.count(),
             parts: [across, down],
         };
-        let added = additions.map(|additions| {
-            let column = (column * self.tile()[0]) as usize;
-            Added { additions, row: rows.start, column }
+        let added = source.map(|source| match source {
+            Source::Rows(_) => Added { source, row: rows.start as usize, column: (column * self.tile()[0]) as usize },
+            Source::Tile(_) => Added {
+                source,
+                row: (rows.start + self.view.offset[1]) as usize % TILE,
+                column: (self.bins.tiles.first[0] + column) as usize * TILE_WIDTH % TILE,
+            },
         });
         let members = self.bins.members(column, band);
         let mut scratch = self.pool.lock().expect("no tile panics").pop().unwrap_or_default();

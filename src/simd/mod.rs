@@ -126,6 +126,16 @@ pub(crate) trait Simd: Copy {
         self.vector(*from.first_chunk().expect("eight floats"))
     }
 
+    /// The first eight of `from` as floats.
+    #[inline(always)]
+    fn widen(self, from: &[i16]) -> Self::Vector {
+        let (from, mut to) = (from.first_chunk::<LANES>().expect("eight integers"), [0.0; LANES]);
+        for k in 0..LANES {
+            to[k] = f32::from(from[k]);
+        }
+        self.vector(to)
+    }
+
     /// Over the first eight of `to`.
     #[inline(always)]
     fn write(self, to: &mut [f32], v: Self::Vector) {

@@ -20,8 +20,10 @@ use crate::sink::{self, Sink, say};
 use crate::source::{self, Source};
 use crate::{args, encode};
 
-/// Bytes of output that are drawn before they are written, unless one band takes more.
+/// Bytes of output that are drawn before they are written, unless two bands take more, and those for each thread: memory that is
+/// used again need not be asked for.
 const BATCH: usize = 8 << 20;
+const SHARE: usize = 1 << 20;
 
 /// Longest side of an output, pixels.
 const LONGEST: u32 = 1 << 20;
@@ -295,15 +297,17 @@ fn start_rows<'a>(
 fn draw(renderer: &Renderer, depth: Depth, rows: &mut RowWriter, path: &Path, show: &Show) -> Result<(), Failure> {
     let io = |e| Failure::io(&sink::named(path), &e);
     let (mut bytes, mut words) = (Vec::new(), Vec::new());
+    let most = (SHARE * rayon::current_num_threads()).min(BATCH);
     let mut first = 0;
     while first < renderer.bands() {
-        let mut last = first + 1;
+        // Two by two: a tile of the detail layer has two bands.
+        let mut last = (first + 2).min(renderer.bands());
         let samples = |last| {
             let rows = renderer.band_rows(last - 1).end - renderer.band_rows(first).start;
             rows as usize * renderer.row_len()
         };
-        while last < renderer.bands() && samples(last + 1) * depth.bytes() <= BATCH {
-            last += 1;
+        while last < renderer.bands() && samples((last + 2).min(renderer.bands())) * depth.bytes() <= most {
+            last = (last + 2).min(renderer.bands());
         }
         match depth {
             Depth::Eight => {

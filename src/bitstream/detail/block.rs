@@ -34,9 +34,8 @@ impl Block {
     fn hear(&mut self, at: usize, size: u32) {
         let m = size.min(HEARD) as u8;
         for (step, weight) in [(1, 2), (STRIDE, 2), (STRIDE + 1, 1), (2, 1), (2 * STRIDE, 1)] {
-            if let Some(near) = self.near.get_mut(at + step) {
-                *near = near.wrapping_add(weight * m);
-            }
+            let near = &mut self.near[(at + step) % ROOM];
+            *near = near.wrapping_add(weight * m);
         }
     }
 
@@ -45,9 +44,7 @@ impl Block {
     fn hush(&mut self) {
         for &at in &self.found {
             for step in [1, STRIDE, STRIDE + 1, 2, 2 * STRIDE] {
-                if let Some(near) = self.near.get_mut(usize::from(at) + step) {
-                    *near = 0;
-                }
+                self.near[(usize::from(at) + step) % ROOM] = 0;
             }
         }
     }
@@ -55,7 +52,7 @@ impl Block {
     /// Takes away the levels that were found.
     pub fn clear(&mut self) {
         for &at in &self.found {
-            self.levels[usize::from(at)] = 0;
+            self.levels[usize::from(at) % ROOM] = 0;
         }
         self.found.clear();
     }
@@ -86,6 +83,17 @@ pub(crate) fn code<D: Decisions>(
     context: Context,
     given: u32,
 ) -> Result<u32, Broken> {
+    d.apart(|d| levels(d, models, block, context, given))
+}
+
+#[inline(always)]
+fn levels<D: Decisions>(
+    d: &mut D,
+    models: &mut KindModels,
+    block: &mut Block,
+    context: Context,
+    given: u32,
+) -> Result<u32, Broken> {
     let Context { size, bucket } = context;
     let places = 16u32 << (2 * size);
     let count = count(d, models, bucket, places.ilog2(), given);
@@ -99,7 +107,7 @@ pub(crate) fn code<D: Decisions>(
     let mut result = Ok(count);
     let zones = &mut models.place[size];
     for (k, place) in scan(size).iter().enumerate() {
-        let at = usize::from(place.at);
+        let at = usize::from(place.at) % ROOM;
         let near = usize::from(block.near[at]).div_ceil(2).min(NEAR - 1);
         let zone = usize::from(place.zone);
         let has = places - k as u32 == left || d.bit(&mut zones[zone][class][near], block.levels[at] != 0);
@@ -117,7 +125,9 @@ pub(crate) fn code<D: Decisions>(
             }
         }
         let negative = d.even(given < 0);
-        block.levels[at] = if negative { -(magnitude as i16) } else { magnitude as i16 };
+        // Without a branch: half of them would be guessed wrongly.
+        let sign = -i16::from(negative);
+        block.levels[at] = (magnitude as i16 ^ sign) - sign;
         block.found.push(place.at);
         block.hear(at, magnitude);
         left -= 1;

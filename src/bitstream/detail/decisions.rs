@@ -5,8 +5,9 @@ use crate::bitstream::range::{Coder, Decoder, Encoder};
 /// A probability of a 1 that adapts: the mean of a quick and a slow estimate, in 1/65536.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Adaptive {
-    quick: u16,
-    slow: u16,
+    /// The quick estimate in the lower half, the slow one in the upper: written as one, as they are read. A processor waits
+    /// where it reads at once what was just written in two parts.
+    estimates: u32,
     /// Decisions that the estimates stand on, up to [`MOST`].
     seen: u8,
 }
@@ -14,48 +15,61 @@ pub(crate) struct Adaptive {
 /// Decisions after which the estimates forget at their final pace.
 const MOST: usize = 127;
 
-/// How far each estimate moves towards a decision after so many, in 1/65536.
-const fn paces(least: i32) -> [i32; MOST + 1] {
-    let mut paces = [0; MOST + 1];
+/// How far the quick and the slow estimate move towards a decision after so many, in 1/65536.
+static PACES: [[u16; 2]; MOST + 1] = {
+    let mut paces = [[0; 2]; MOST + 1];
     let mut n = 0;
     while n <= MOST {
-        let pace = 131_072 / (2 * n as i32 + 3);
-        let pace = if pace > least { pace } else { least };
-        paces[n] = if pace > 32_767 { 32_767 } else { pace };
+        paces[n] = [pace(n as u32, 65_536 / 24), pace(n as u32, 65_536 / 128)];
         n += 1;
     }
     paces
+};
+
+const fn pace(n: u32, least: u32) -> u16 {
+    let pace = 131_072 / (2 * n + 3);
+    let pace = if pace > least { pace } else { least };
+    if pace > 32_767 { 32_767 } else { pace as u16 }
 }
-const QUICK: [i32; MOST + 1] = paces(65_536 / 24);
-const SLOW: [i32; MOST + 1] = paces(65_536 / 128);
 
 impl Adaptive {
+    /// What is there before models begin.
+    pub const NONE: Adaptive = Adaptive { estimates: 0, seen: 0 };
+
     /// A probability of `(256·one + 128) / 65536` that counts as much as `seen` decisions.
     pub const fn new(one: u8, seen: u8) -> Self {
-        let p = (one as u16) << 8 | 128;
-        Adaptive { quick: p, slow: p, seen }
+        let p = (one as u32) << 8 | 128;
+        Adaptive { estimates: p << 16 | p, seen }
+    }
+
+    /// The quick and the slow estimate.
+    #[inline(always)]
+    fn estimates(self) -> [u32; 2] {
+        [self.estimates & 0xffff, self.estimates >> 16]
     }
 
     /// The probability of a 1, in 1/65536.
     #[inline(always)]
     pub fn one(self) -> u32 {
-        ((u32::from(self.quick) + u32::from(self.slow)) >> 1).clamp(32, 65_504)
+        let [quick, slow] = self.estimates();
+        ((quick + slow) >> 1).clamp(32, 65_504)
     }
 
     #[inline(always)]
     pub fn learn(&mut self, bit: bool) {
         let n = usize::from(self.seen) & MOST;
         let target = if bit { 65_535 } else { 0 };
-        let moved = |p: u16, pace: i32| (i32::from(p) + (((target - i32::from(p)) * pace) >> 16)) as u16;
-        self.quick = moved(self.quick, QUICK[n]);
-        self.slow = moved(self.slow, SLOW[n]);
+        let moved = |p: u32, pace: u16| (p as i32 + (((target - p as i32) * i32::from(pace)) >> 16)) as u32;
+        let ([quick, slow], [quick_pace, slow_pace]) = (self.estimates(), PACES[n]);
+        // Neither leaves its half.
+        self.estimates = moved(slow, slow_pace) << 16 | moved(quick, quick_pace);
         self.seen = (n + 1).min(MOST) as u8;
     }
 
     /// The slow estimate and the decisions that it stands on, to learn starts from.
     #[cfg(test)]
     pub fn learnt(self) -> (u16, u8) {
-        (self.slow, self.seen)
+        (self.estimates()[1] as u16, self.seen)
     }
 }
 
@@ -66,6 +80,12 @@ pub(crate) trait Decisions {
 
     /// A decision with equal odds.
     fn even(&mut self, bit: bool) -> bool;
+
+    /// Does `work` with decisions, on a copy where that is what keeps them in registers.
+    #[inline(always)]
+    fn apart<T>(&mut self, work: impl FnOnce(&mut Self) -> T) -> T {
+        work(self)
+    }
 
     /// `count` decisions with equal odds, the highest bit first.
     #[inline]
@@ -93,14 +113,35 @@ impl Decisions for Encoder {
 impl Decisions for Decoder<'_> {
     #[inline(always)]
     fn bit(&mut self, model: &mut Adaptive, _bit: bool) -> bool {
-        let bit = Coder::bit(self, model.one(), 0) != 0;
-        model.learn(bit);
-        bit
+        let (bound, bit) = self.look(model.one());
+        // In WebAssembly once, for the module's size.
+        if cfg!(target_family = "wasm") {
+            self.take(bit, bound);
+            model.learn(bit);
+            return bit;
+        }
+        // What follows depends on the bit as well: one branch for all of it.
+        if bit {
+            self.take(true, bound);
+            model.learn(true);
+            return true;
+        }
+        self.take(false, bound);
+        model.learn(false);
+        false
     }
 
     #[inline(always)]
     fn even(&mut self, _bit: bool) -> bool {
-        Coder::bit(self, HALF, 0) != 0
+        Decoder::even(self)
+    }
+
+    #[inline(always)]
+    fn apart<T>(&mut self, work: impl FnOnce(&mut Self) -> T) -> T {
+        let mut copy = self.clone();
+        let done = work(&mut copy);
+        *self = copy;
+        done
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::decisions::Counted;
 use super::head::DetailHead;
-use super::levels::{CELLS, SUPERS, TILE, TileLevels, tile_area, tile_counts};
+use super::levels::{CELL, CELLS, CodedBlock, Level, SUPERS, TILE, TileLevels, tile_area, tile_counts};
 use super::model::{KINDS, Models};
 use super::tile::{self, kinds};
 use crate::bitstream::broken::Broken;
@@ -75,6 +75,8 @@ struct Entry {
 
 /// Streams that are read side by side before what they cost is counted.
 const BATCH: usize = 64;
+/// Bytes that these may take while they are read, if one does not take more.
+const BATCH_MEMORY: u64 = 32 << 20;
 /// Work that a pixel of a tile's plane counts as, whatever it holds: its place in a tree, and its share of the transform.
 const PIXEL_WORK: u64 = 16;
 /// Work that reading a level counts as, and its share of the transform.
@@ -193,37 +195,35 @@ pub(crate) fn read(
     let mut tiles: Vec<Option<TileLevels>> = Vec::new();
     tiles.resize_with(entries.len(), || None);
     let (mut missing, mut bits) = (if whole { 0 } else { count as u32 }, 0.0);
-    for batch in chosen.chunks(BATCH) {
-        // What a batch may take at most while it is read.
-        let most = batch.len() as u64 * (TILE * TILE) as u64 * planes * size_of::<super::levels::Level>() as u64 / 8;
+    let samples = (TILE * TILE) as u64 * planes;
+    let listed = Listed { entries: &entries, streams: &streams, head: &head, wanted };
+    let likely = |i: usize| likely_levels(entries[i].length, samples);
+    let mut rest = &chosen[..];
+    while !rest.is_empty() {
+        // What the batch takes at most while it is read.
+        let (mut most, mut count) = (0, 0);
+        for &i in rest.iter().take(BATCH) {
+            let more = memory_of(likely(i), samples);
+            if count > 0 && most + more > BATCH_MEMORY {
+                break;
+            }
+            (most, count) = (most + more, count + 1);
+        }
+        let batch;
+        (batch, rest) = rest.split_at(count);
         let mut working = held.beside(most)?;
-        let read = parallel::map(batch.len(), |k| {
-            let i = batch[k];
-            let [_, _, width, height] = tile_area(wanted.size, i);
-            let stream = streams[i].ok_or(FormatError::Truncated { what: "tile of the detail layer", offset: 0 })?;
-            let computed = hash(stream) as u16;
-            if computed != entries[i].check {
-                let stored = entries[i].check.into();
-                return Err(FormatError::Checksum {
-                    what: "tile of the detail layer",
-                    stored,
-                    computed: computed.into(),
-                }
-                .into());
-            }
-            if !wanted.counts || ONE_READER {
-                // Where there is but one reader, bits are those of the bytes.
-                let bits = 8.0 * stream.len() as f64;
-                return Ok((tile::read(stream, &head, wanted.channels, [width, height])?, bits));
-            }
-            let mut counted = Counted { source: Decoder::new(stream)?, bits: 0.0 };
-            let levels = tile::read_with(&mut counted, &mut Models::start(), &head, wanted.channels, [width, height])?;
-            counted.source.finish()?;
-            Ok::<_, crate::error::Error>((levels, counted.bits))
-        });
+        let read = parallel::map(count, |k| listed.tile(batch[k], likely(batch[k])));
         for (&i, read) in batch.iter().zip(read) {
             match read {
                 Ok((levels, cost)) => {
+                    let levels = match levels {
+                        Some(levels) => levels,
+                        // Hardly ever so, unless somebody has made it so.
+                        None => {
+                            let _working = held.beside(memory_of(samples, samples))?;
+                            listed.tile(i, samples)?.0.expect("no more levels than samples")
+                        }
+                    };
                     held.grow(levels.memory())?;
                     work = work.saturating_add(LEVEL_WORK * levels.levels.len() as u64);
                     bits += cost;
@@ -237,6 +237,52 @@ pub(crate) fn read(
         Limits::check("work", work, wanted.limits.work)?;
     }
     Ok(Found { layer: DetailLayer { head, tiles }, missing, index, bits })
+}
+
+/// The tiles of a layer as the index lists them.
+struct Listed<'a> {
+    entries: &'a [Entry],
+    streams: &'a [Option<&'a [u8]>],
+    head: &'a DetailHead,
+    wanted: &'a Wanted<'a>,
+}
+
+impl Listed<'_> {
+    /// Reads a tile, unless it has more than `most` levels, and says what it took, bits.
+    #[inline(never)]
+    fn tile(&self, i: usize, most: u64) -> Result<(Option<TileLevels>, f64)> {
+        const WHAT: &str = "tile of the detail layer";
+        let Wanted { size, channels, counts, .. } = *self.wanted;
+        let [_, _, width, height] = tile_area(size, i);
+        let shape = (self.head, channels, [width, height]);
+        let stream = self.streams[i].ok_or(FormatError::Truncated { what: WHAT, offset: 0 })?;
+        let (stored, computed) = (self.entries[i].check.into(), u32::from(hash(stream) as u16));
+        if computed != stored {
+            return Err(FormatError::Checksum { what: WHAT, stored, computed }.into());
+        }
+        if !counts || ONE_READER {
+            // Where there is but one reader, bits are those of the bytes.
+            return Ok((tile::read(stream, shape, most as usize)?, 8.0 * stream.len() as f64));
+        }
+        let mut counted = Counted { source: Decoder::new(stream)?, bits: 0.0 };
+        let levels = tile::read_with(&mut counted, &mut Models::start(), shape, most as usize)?;
+        counted.source.finish()?;
+        Ok((levels, counted.bits))
+    }
+}
+
+/// More levels than a stream of so many bytes has but for a few: two bits for each. There is no bound by the bytes, since zeros
+/// at the end of a stream are not written.
+fn likely_levels(length: u64, samples: u64) -> u64 {
+    length.saturating_add(4).saturating_mul(4).min(samples)
+}
+
+/// Bytes that a tile of so many samples takes at most while it is read, if it has no more than so many levels.
+fn memory_of(levels: u64, samples: u64) -> u64 {
+    let blocks = levels.min(samples / (CELL * CELL) as u64);
+    let lists = levels * size_of::<Level>() as u64 + blocks * size_of::<CodedBlock>() as u64;
+    // A list grows to twice of what is in it, and while it moves the old one is there as well.
+    3 * lists + (KINDS * CELLS * CELLS + SUPERS * SUPERS) as u64
 }
 
 fn read_entry(bytes: &mut Bytes<'_>) -> Result<Entry> {
@@ -253,4 +299,34 @@ fn reaches(size: [u32; 2], i: usize, area: Area) -> bool {
         start <= from + length && from <= start + side
     };
     meets(x, width, 0) && meets(y, height, 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn streams_of_more_levels_than_there_is_memory_for_are_left() {
+        let head = DetailHead::PLAIN;
+        let shape = (&head, Channels::Rgb, [TILE, TILE]);
+        // Whatever bytes mean.
+        let (mut state, mut whole, mut dense) = (1u64, 0, 0);
+        for _ in 0..2000 {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            let stream = &state.to_le_bytes()[2..];
+            let all = tile::read(stream, shape, usize::MAX);
+            let likely = likely_levels(stream.len() as u64, 1 << 20);
+            let some = tile::read(stream, shape, likely as usize);
+            match (all, some) {
+                (Ok(Some(all)), Ok(some)) => {
+                    whole += 1;
+                    let fits = all.levels.len() as u64 <= likely;
+                    dense += usize::from(!fits);
+                    assert_eq!(some, fits.then_some(all));
+                }
+                (all, some) => assert_eq!(all, some),
+            }
+        }
+        assert!(whole > 0 && dense > 0, "{whole} {dense}");
+    }
 }

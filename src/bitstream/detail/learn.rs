@@ -27,20 +27,20 @@ fn learn_where_models_begin() {
         for (stream, [width, height]) in streams(layer, size, splats.channels) {
             let mut models = Models::start();
             let mut decoder = Decoder::new(&stream).unwrap();
-            read_with(&mut decoder, &mut models, &layer.head, splats.channels, [width, height]).unwrap();
+            read_with(&mut decoder, &mut models, (&layer.head, splats.channels, [width, height]), usize::MAX).unwrap();
             let mut begun = Vec::new();
-            Models::start().each(|model| begun.push(*model));
-            let mut i = 0;
-            models.each(|model| {
-                seen.resize(seen.len().max(i + 1), [0.0; 2]);
+            Models::start().each(&mut |models| begun.extend_from_slice(models));
+            let mut ended = Vec::new();
+            models.each(&mut |models| ended.extend_from_slice(models));
+            seen.resize(ended.len(), [0.0; 2]);
+            for ((model, begun), seen) in ended.iter().zip(&begun).zip(&mut seen) {
                 let (slow, count) = model.learnt();
-                let more = f64::from(count) - f64::from(begun[i].learnt().1);
-                if *model != begun[i] && more > 0.0 {
+                let more = f64::from(count) - f64::from(begun.learnt().1);
+                if model != begun && more > 0.0 {
                     let one = f64::from(slow) / 65_536.0;
-                    seen[i] = [seen[i][0] + more * (1.0 - one), seen[i][1] + more * one];
+                    *seen = [seen[0] + more * (1.0 - one), seen[1] + more * one];
                 }
-                i += 1;
-            });
+            }
         }
     }
     let one = |s: &[f64; 2]| ((s[1] + 0.4) / (s[0] + s[1] + 0.8) * 256.0) as u8;

@@ -1,5 +1,7 @@
 //! The models of a tile, and how they begin (spec §11.3).
 
+use std::sync::OnceLock;
+
 use super::decisions::Adaptive;
 use super::scan::{SIZES, ZONES};
 use super::start;
@@ -48,123 +50,54 @@ pub(crate) struct Models {
     pub class: [[Adaptive; CLASSES]; 2 * CLASSES],
 }
 
-/// The models as a tile begins with them: made by the compiler, since code that makes them is larger than they are.
-static START: Models = begun();
-
-/// Puts the starts of the table into an array, from the `i`-th on.
-macro_rules! put {
-    ($i:ident, $array:expr) => {
-        $array = Adaptive::new(start::ONE[$i], start::SEEN[$i]);
-        $i += 1;
-    };
-}
-
-/// Runs a block for all values of an index.
-macro_rules! each {
-    ($k:ident < $end:expr, $body:block) => {
-        let mut $k = 0;
-        while $k < $end {
-            $body
-            $k += 1;
-        }
-    };
-}
-
-const fn begun() -> Models {
-    let m = Adaptive::new(128, 0);
-    let blank = KindModels {
-        exponent: [[m; EXPONENTS]; BUCKETS],
-        mantissa: [[m; 3]; EXPONENTS],
-        place: [[[[m; NEAR]; LEFT]; ZONES]; SIZES],
-        more: [[[m; 2]; NEAR]; 5],
-        larger: [m; UNARY],
-        divide: [[m; 3]; SIZES],
-    };
-    let mut filled = [[[[m; 4]; BUCKETS]; SIZES]; PLANES];
-    let mut kinds = [blank; KINDS];
-    let mut class = [[m; CLASSES]; 2 * CLASSES];
-    let mut i = 0;
-    each!(a < 3, {
-        each!(b < SIZES, {
-            each!(c < BUCKETS, {
-                each!(d < 4, {
-                    put!(i, filled[a][b][c][d]);
-                });
-            });
-        });
-    });
-    each!(k < 2, {
-        each!(a < BUCKETS, {
-            each!(b < EXPONENTS, {
-                put!(i, kinds[k].exponent[a][b]);
-            });
-        });
-        each!(a < EXPONENTS, {
-            each!(b < 3, {
-                put!(i, kinds[k].mantissa[a][b]);
-            });
-        });
-        each!(a < SIZES, {
-            each!(b < ZONES, {
-                each!(c < LEFT, {
-                    each!(d < NEAR, {
-                        put!(i, kinds[k].place[a][b][c][d]);
-                    });
-                });
-            });
-        });
-        each!(a < 5, {
-            each!(b < NEAR, {
-                each!(c < 2, {
-                    put!(i, kinds[k].more[a][b][c]);
-                });
-            });
-        });
-        each!(a < UNARY, {
-            put!(i, kinds[k].larger[a]);
-        });
-        each!(a < SIZES, {
-            each!(b < 3, {
-                put!(i, kinds[k].divide[a][b]);
-            });
-        });
-    });
-    each!(a < 2 * CLASSES, {
-        each!(b < CLASSES, {
-            put!(i, class[a][b]);
-        });
-    });
-    assert!(i == start::ONE.len(), "the table has as many starts");
-    // Alpha is rare, and begins as luma does.
-    filled[3] = filled[0];
-    kinds[2] = kinds[0];
-    Models { filled, kinds, class }
-}
-
 impl Models {
     /// The models as a tile begins with them.
     pub fn start() -> Self {
-        START
+        static START: OnceLock<Models> = OnceLock::new();
+        *START.get_or_init(Models::of_the_table)
     }
 
-    /// Visits the models whose starts are in the table, in its order.
-    #[cfg(test)]
-    pub fn each(&mut self, mut visit: impl FnMut(&mut Adaptive)) {
-        self.filled.iter_mut().take(3).flatten().flatten().flatten().for_each(&mut visit);
-        self.kinds[0].each(&mut visit);
-        self.kinds[1].each(&mut visit);
-        self.class.iter_mut().flatten().for_each(&mut visit);
+    /// A loop at the first use, not what the compiler makes of the table: that is four times as large.
+    fn of_the_table() -> Self {
+        let mut models = Models::BLANK;
+        let mut starts = start::ONE.iter().zip(&start::SEEN).map(|(&one, &seen)| Adaptive::new(one, seen));
+        models.each(&mut |models| models.iter_mut().zip(&mut starts).for_each(|(model, start)| *model = start));
+        debug_assert!(starts.next().is_none(), "the table has as many starts");
+        // Alpha is rare, and begins as luma does.
+        models.filled[3] = models.filled[0];
+        models.kinds[2] = models.kinds[0];
+        models
     }
-}
 
-impl KindModels {
-    #[cfg(test)]
-    fn each(&mut self, mut visit: impl FnMut(&mut Adaptive)) {
-        self.exponent.iter_mut().flatten().for_each(&mut visit);
-        self.mantissa.iter_mut().flatten().for_each(&mut visit);
-        self.place.iter_mut().flatten().flatten().flatten().for_each(&mut visit);
-        self.more.iter_mut().flatten().flatten().for_each(&mut visit);
-        self.larger.iter_mut().for_each(&mut visit);
-        self.divide.iter_mut().flatten().for_each(&mut visit);
+    const BLANK: Models = {
+        // All zeros: no bytes of the program.
+        let m = Adaptive::NONE;
+        let kind = KindModels {
+            exponent: [[m; EXPONENTS]; BUCKETS],
+            mantissa: [[m; 3]; EXPONENTS],
+            place: [[[[m; NEAR]; LEFT]; ZONES]; SIZES],
+            more: [[[m; 2]; NEAR]; 5],
+            larger: [m; UNARY],
+            divide: [[m; 3]; SIZES],
+        };
+        Models {
+            filled: [[[[m; 4]; BUCKETS]; SIZES]; PLANES],
+            kinds: [kind; KINDS],
+            class: [[m; CLASSES]; 2 * CLASSES],
+        }
+    };
+
+    /// Visits the models whose starts are in the table, some at a time, in its order.
+    pub fn each(&mut self, visit: &mut dyn FnMut(&mut [Adaptive])) {
+        visit(self.filled[..3].as_flattened_mut().as_flattened_mut().as_flattened_mut());
+        for kind in &mut self.kinds[..2] {
+            visit(kind.exponent.as_flattened_mut());
+            visit(kind.mantissa.as_flattened_mut());
+            visit(kind.place.as_flattened_mut().as_flattened_mut().as_flattened_mut());
+            visit(kind.more.as_flattened_mut().as_flattened_mut());
+            visit(&mut kind.larger);
+            visit(kind.divide.as_flattened_mut());
+        }
+        visit(self.class.as_flattened_mut());
     }
 }

@@ -11,8 +11,8 @@ pub(crate) const ZONES: usize = 15;
 
 /// A row of a block in memory: what a level says of its neighbours may reach two places beyond.
 pub(crate) const STRIDE: usize = LARGEST + 2;
-/// Levels of a block in memory.
-pub(crate) const ROOM: usize = STRIDE * STRIDE;
+/// Levels of a block in memory: a power of two, so that places need no check but a mask.
+pub(crate) const ROOM: usize = (STRIDE * STRIDE).next_power_of_two();
 
 /// Where the level of column `u` and row `v` is in such memory.
 #[inline(always)]
@@ -36,12 +36,16 @@ pub(crate) fn scan(size: usize) -> &'static [Place] {
 
 fn places(size: usize) -> Vec<Place> {
     let side = 4usize << size;
-    let mut places: Vec<[usize; 2]> = (0..side * side).map(|i| [i % side, i / side]).collect();
+    let mut places = Vec::with_capacity(side * side);
     // Diagonals, every other one the other way round.
-    places.sort_by_key(|&[u, v]| (u + v, if (u + v) % 2 == 1 { u } else { v }));
-    let zone = |k: usize| half_octave(k >> [0, 0, 1, 2][size]) as u8;
-    let place = |(k, [u, v]): (usize, [usize; 2])| Place { at: at(u, v) as u16, zone: zone(k) };
-    places.into_iter().enumerate().map(place).collect()
+    for sum in 0..2 * side - 1 {
+        for i in (sum + 1).saturating_sub(side)..=sum.min(side - 1) {
+            let [u, v] = if sum % 2 == 1 { [i, sum - i] } else { [sum - i, i] };
+            let zone = half_octave(places.len() >> [0, 0, 1, 2][size]) as u8;
+            places.push(Place { at: at(u, v) as u16, zone });
+        }
+    }
+    places
 }
 
 fn half_octave(k: usize) -> usize {

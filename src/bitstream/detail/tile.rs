@@ -240,7 +240,13 @@ pub(crate) fn push(tile: &mut TileLevels, plane: usize, cell: [usize; 2], size: 
 }
 
 /// Takes what a reader finds.
-struct Reading(TileLevels);
+struct Reading {
+    tile: TileLevels,
+    /// Levels that there is memory for.
+    most: usize,
+    /// Whether there are more.
+    is_more: bool,
+}
 
 impl Content for Reading {
     fn is_divided(&self, _kind: usize, _cell: [usize; 2], _size: usize) -> bool {
@@ -254,7 +260,11 @@ impl Content for Reading {
 
     #[inline(always)]
     fn take(&mut self, plane: usize, cell: [usize; 2], size: usize, block: &Block) {
-        push(&mut self.0, plane, cell, size, block);
+        if self.tile.levels.len() + block.found.len() > self.most {
+            self.is_more = true;
+            return;
+        }
+        push(&mut self.tile, plane, cell, size, block);
     }
 
     fn class(&self, _superblock: [usize; 2]) -> u8 {
@@ -262,19 +272,25 @@ impl Content for Reading {
     }
 }
 
-/// Reads a tile of so many pixels by models that are at their beginning.
+/// A tile that is read: what its levels mean, its channels, and its size in pixels.
+pub(crate) type Shape<'a> = (&'a DetailHead, Channels, [usize; 2]);
+
+/// Reads a tile by models that are at their beginning; nothing if it has more than `most` levels.
 pub(crate) fn read_with<D: Decisions>(
     decisions: &mut D,
     models: &mut Models,
-    head: &DetailHead,
-    channels: Channels,
-    size: [usize; 2],
-) -> Result<TileLevels, Broken> {
+    (head, channels, size): Shape<'_>,
+    most: usize,
+) -> Result<Option<TileLevels>, Broken> {
     let mut state = TileState::new(size);
-    let (mut block, mut reading) = (Block::default(), Reading(TileLevels::default()));
+    let mut block = Block::default();
+    let mut reading = Reading { tile: TileLevels::default(), most, is_more: false };
     let block = &mut block;
     TileCoder { decisions, models, state: &mut state, head, channels, block }.tile(&mut reading)?;
-    let Reading(mut tile) = reading;
+    let Reading { mut tile, is_more, .. } = reading;
+    if is_more {
+        return Ok(None);
+    }
     if tile.levels.is_empty() {
         // Such a tile has no stream.
         return Err(Broken { field: "levels of a tile", value: 0 });
@@ -287,18 +303,13 @@ pub(crate) fn read_with<D: Decisions>(
     }
     tile.levels.shrink_to_fit();
     tile.blocks.shrink_to_fit();
-    Ok(tile)
+    Ok(Some(tile))
 }
 
-/// Reads the stream of a tile of so many pixels.
-pub(crate) fn read(
-    stream: &[u8],
-    head: &DetailHead,
-    channels: Channels,
-    size: [usize; 2],
-) -> Result<TileLevels, Broken> {
+/// Reads the stream of a tile; nothing if it has more than `most` levels.
+pub(crate) fn read(stream: &[u8], shape: Shape<'_>, most: usize) -> Result<Option<TileLevels>, Broken> {
     let mut decoder = Decoder::new(stream)?;
-    let tile = read_with(&mut decoder, &mut Models::start(), head, channels, size)?;
+    let tile = read_with(&mut decoder, &mut Models::start(), shape, most)?;
     decoder.finish()?;
     Ok(tile)
 }
