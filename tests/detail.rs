@@ -242,3 +242,27 @@ fn work_of_the_layer_is_counted_before_it_is_done() {
     let opening = Opening::new(&bytes, &limits).unwrap().showing(Layers::Gaussians);
     assert!(opening.read(Damage::Refuse).is_ok());
 }
+
+#[test]
+fn work_of_both_layers_is_counted_together() {
+    let mut splats = large(Channels::Rgb);
+    // So that Gaussians cost about as much as the layer.
+    splats.gaussians = splats.gaussians.repeat(120);
+    splats.levels.clear();
+    let bytes = to_bytes(&splats).unwrap();
+    // The least work, within an eighth, that lets some layers be drawn.
+    let least = |layers: Layers| {
+        let is_drawn = |work: u64| {
+            let mut limits = Limits::default();
+            limits.work = work;
+            let opening = Opening::new(&bytes, &limits).unwrap().showing(layers);
+            opening.read(Damage::Refuse).and_then(|o| o.renderer(&View::of_size(530, 300))).is_ok()
+        };
+        (8 * 24..8 * 36)
+            .map(|eighth: u32| (1 << (eighth / 8)) / 8 * u64::from(8 + eighth % 8))
+            .find(|&work| is_drawn(work))
+            .unwrap()
+    };
+    let [both, gaussians, detail] = [Layers::Both, Layers::Gaussians, Layers::Detail].map(least);
+    assert!(both > gaussians.max(detail) && both <= 2 * (gaussians + detail), "{both} {gaussians} {detail}");
+}

@@ -71,14 +71,15 @@ fn colours_beyond_what_single_precision_bears_are_refused() {
 
 #[test]
 fn planes_that_two_libraries_read_as_two_pictures_are_one() {
-    // A broken frame, with the checksum of what one library makes of it and with that of the other. Not sealed.
+    // A broken frame, with the checksum of what one library makes of it and with that of the other. Not sealed. Here and in WebAssembly
+    // the same library reads it.
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/finds");
     let read_as = |library| {
         let bytes = fs::read(folder.join(format!("planes-with-two-pictures-as-{library}-reads.bin"))).unwrap();
         read(&bytes[..], &Limits::default())
     };
-    assert!(read_as("zstd").is_ok());
-    let refused = read_as("ruzstd");
+    assert!(read_as("ruzstd").is_ok());
+    let refused = read_as("zstd");
     assert!(matches!(refused, Err(Error::Format(FormatError::Checksum { what: "planes", .. }))), "{refused:?}");
 }
 

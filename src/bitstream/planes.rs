@@ -113,7 +113,7 @@ fn put_plane(plane: &[u8], out: &mut Vec<u8>) -> Result<()> {
     Ok(())
 }
 
-/// Reads a plane of `count` bytes. Decompression goes straight into a buffer of that size: no window is allocated.
+/// Reads a plane of `count` bytes. Beside them a frame takes its window, which is at most twice as large.
 fn read_plane(bytes: &mut Bytes<'_>, count: usize, what: &'static str) -> Result<Vec<u8>> {
     let length = bytes.varint(what)?;
     if length == 0 {

@@ -303,7 +303,8 @@ impl PackedSplats {
         let renderer = Renderer::of(&canvas, (count, gaussian), view, limits, budget)?;
         match &self.detail {
             Some(layer) if layers != Layers::Gaussians => {
-                renderer.with(Overlay::new(Arc::clone(layer), self.channels, [self.width, self.height]), limits)
+                let overlay = Overlay::new(Arc::clone(layer), self.channels, [self.width, self.height]);
+                renderer.with(overlay, layer.levels(), limits)
             }
             _ => Ok(renderer),
         }

@@ -38,6 +38,8 @@ pub(super) struct Bins {
     /// Where each tile's list starts in `members`; one more than there are tiles.
     starts: Vec<u32>,
     members: Vec<u32>,
+    /// What drawing them costs, in the units of [`Limits::work`].
+    pub work: u64,
     #[expect(dead_code, reason = "held until the lists are gone")]
     memory: Reservation,
 }
@@ -85,7 +87,7 @@ impl Bins {
             // How much the groups have come to when they stop depends on how they took turns; the error must not.
             Err(error) => return Err(tiles.counts(&runs, view, most, &nothing(), 0).err().unwrap_or(error)),
         };
-        let pairs = spent.into_inner().expect("no group panics").pairs;
+        let Cost { pairs, work } = spent.into_inner().expect("no group panics");
         memory.grow(pairs * 4)?;
         let mut starts = Vec::with_capacity(number as usize + 1);
         let mut next = 0;
@@ -114,7 +116,7 @@ impl Bins {
         let members: Vec<u32> = members.into_iter().map(AtomicU32::into_inner).collect();
         drop(slots);
         memory.shrink(((starts.len() + members.len()) * size_of::<u32>()) as u64);
-        Ok(Bins { tiles, starts, members, memory })
+        Ok(Bins { tiles, starts, members, work, memory })
     }
 
     /// The Gaussians that touch the tile `(column, row)`, counted from the view's first.

@@ -1,15 +1,12 @@
-//! One zstd frame of a plane, made and read (spec §7): by zstd itself, or in WebAssembly, where no C is compiled, by a
-//! reader in Rust.
+//! One zstd frame of a plane, made and read (spec §7).
+//!
+//! It is read by one library on every machine. Libraries differ in what they make of a broken frame: with zstd itself here and another
+//! one in WebAssembly, where no C is compiled, a file could be accepted here and refused there.
 
-#[cfg(not(target_family = "wasm"))]
-mod native;
+mod compress;
+mod decompress;
 mod outline;
-#[cfg(target_family = "wasm")]
-mod wasm;
 
-#[cfg(not(target_family = "wasm"))]
-pub(super) use native::{compress, decompress};
-#[cfg(target_family = "wasm")]
-pub(super) use wasm::{compress, decompress};
-
+pub(super) use compress::compress;
+pub(super) use decompress::decompress;
 pub(super) use outline::outline;

@@ -82,7 +82,7 @@ fn block_outline(block: &[u8]) -> Option<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bitstream::frame::compress;
+    use crate::bitstream::frame::{compress, decompress};
 
     /// Planes of the kinds that occur: noise, runs, slopes, text that repeats; around the sizes of blocks and windows.
     fn planes() -> Vec<Vec<u8>> {
@@ -99,10 +99,12 @@ mod tests {
 
     #[test]
     #[cfg_attr(miri, ignore = "zstd is C, which miri does not run")]
-    fn what_the_compressor_writes_has_the_outline() {
+    fn what_the_compressor_writes_has_the_outline_and_is_read() {
         for plane in planes() {
             let frame = compress(&plane).unwrap().unwrap();
             assert!(outline(&frame, plane.len()).is_some(), "{} bytes: {:02x?}", plane.len(), &frame[..8]);
+            let mut read = vec![0; plane.len()];
+            assert!(decompress(&frame, &mut read).is_some() && read == plane);
         }
     }
 
@@ -141,6 +143,10 @@ mod tests {
         let framed =
             |block: &[u8]| [&START[..], &[0x18], &(block.len() as u32 * 8 + 5).to_le_bytes()[..3], block].concat();
         assert!(outline(&framed(&block), 5000).is_some());
+        // Even so this sequence does not end where it should; a frame without one is read.
+        let mut plane = [0; 1];
+        assert!(decompress(&framed(&block), &mut plane).is_none());
+        assert!(decompress(&framed(&[0b0000_1001, 9, 0]), &mut plane).is_some() && plane == [9]);
         for reserved in [1, 2] {
             let mut block = block;
             block[3] |= reserved;

@@ -1,22 +1,16 @@
-//! Frames by ruzstd, which reads only: planes are written as they are.
+//! Frames by ruzstd.
 
 use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
-
-use crate::error::Result;
 
 /// Blocks are drained when so many bytes of them wait.
 const DRAINED: usize = 1 << 17;
 
-/// Never a frame: every plane is stored as it is, which is legal.
-#[expect(clippy::unnecessary_wraps, reason = "the twin of a compressor that can fail")]
-pub fn compress(_plane: &[u8]) -> Result<Option<Vec<u8>>> {
-    Ok(None)
-}
-
-/// Fills `plane` from the one frame that `frame` is; `None` if it is anything else. Its window is refused by ruzstd
-/// above 100 MiB.
+/// Fills `plane` from the one frame that `frame` is; `None` if it is anything else. Its outline has been checked, which bounds the
+/// window that is kept beside the plane.
 pub fn decompress(mut frame: &[u8], plane: &mut [u8]) -> Option<()> {
     let mut decoder = FrameDecoder::new();
+    // By itself it refuses some that are legal.
+    decoder.set_max_window_size(u64::MAX);
     decoder.init(&mut frame).ok()?;
     let mut filled = 0;
     loop {

@@ -1,14 +1,17 @@
-//! Frames by zstd.
+//! Frames by zstd; in WebAssembly planes are written as they are.
 
 use crate::error::Result;
 
 /// zstd's level; the layout is for reading fast, so writing may take its time.
+#[cfg(not(target_family = "wasm"))]
 const LEVEL: i32 = 19;
 
 /// Binary logarithm of the largest window that zstd has on every machine.
+#[cfg(not(target_family = "wasm"))]
 const MOST_WINDOW: u32 = 30;
 
 /// The frame of `plane`, without its size and without a checksum, in a window that just holds it; none where there is no such window.
+#[cfg(not(target_family = "wasm"))]
 pub fn compress(plane: &[u8]) -> Result<Option<Vec<u8>>> {
     let window = plane.len().next_power_of_two().ilog2().max(10);
     if window > MOST_WINDOW {
@@ -21,12 +24,9 @@ pub fn compress(plane: &[u8]) -> Result<Option<Vec<u8>>> {
     Ok(Some(compressor.compress(plane)?))
 }
 
-/// Fills `plane` from the one frame that `frame` is, straight and without a window; `None` if it is anything else.
-pub fn decompress(frame: &[u8], plane: &mut [u8]) -> Option<()> {
-    // One frame and nothing behind it.
-    if zstd::zstd_safe::find_frame_compressed_size(frame).ok() != Some(frame.len()) {
-        return None;
-    }
-    let written = zstd::bulk::Decompressor::new().ok()?.decompress_to_buffer(frame, plane).ok()?;
-    (written == plane.len()).then_some(())
+/// Never a frame: every plane is stored as it is, which is legal.
+#[cfg(target_family = "wasm")]
+#[expect(clippy::unnecessary_wraps, reason = "the twin of a compressor that can fail")]
+pub fn compress(_plane: &[u8]) -> Result<Option<Vec<u8>>> {
+    Ok(None)
 }
