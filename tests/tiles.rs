@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 
 use ssplat::bitstream::splats::Layout;
 use ssplat::{
-    Backend, Blend, Channels, DecodeOptions, EncodeOptions, Encoded, Error, Limits, Needs, Omission, Pixels, Recipe,
+    Backend, Blend, Channels, DecodeOptions, Detail, EncodeOptions, Encoded, Error, Limits, Needs, Omission, Pixels, Recipe,
     Samples, Target, Thumbnail, Trace, Tune, Workers,
 };
 
@@ -89,6 +89,37 @@ fn files_of_tiles_fill_their_size_and_never_exceed_it() {
 }
 
 #[test]
+fn a_detail_layer_lies_over_the_gaussians_of_all_tiles() {
+    for (channels, is_grey) in [(Channels::Rgb, false), (Channels::Rgba, true)] {
+        let pixels = match is_grey {
+            false => picture(700, 520, channels),
+            // Grey in four channels: the fit leaves chroma and alpha out, the file has them.
+            true => grey_in_colour(700, 520),
+        };
+        let mut options = options(Target::Ratio(25.0), Some(256));
+        options.tune = Some(Tune::Psnr);
+        let with = ssplat::encode(&pixels, &options).unwrap();
+        options.detail = Detail::Off;
+        let without = ssplat::encode(&pixels, &options).unwrap();
+        let most = 700 * 520 * channels.count() / 25;
+        assert!(with.bytes.len() <= most && with.bytes.len() >= most * 97 / 100, "{} of {most}", with.bytes.len());
+        let layer = |encoded: &Encoded| ssplat::bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap().detail;
+        assert!(layer(&with).is_some_and(|l| l.tiles() == l.of_tiles()) && layer(&without).is_none());
+        assert!(with.report.psnr > without.report.psnr, "{} after {}", with.report.psnr, without.report.psnr);
+        let decoded = ssplat::decode(&with.bytes, &DecodeOptions::default()).unwrap().pixels;
+        let psnr = ssplat::metrics::compare(&pixels, &decoded).unwrap().psnr;
+        assert!((psnr - with.report.psnr).abs() < 0.05, "{psnr}, said to be {}", with.report.psnr);
+    }
+}
+
+fn grey_in_colour(width: u32, height: u32) -> Pixels {
+    let grey = picture(width, height, Channels::Grey);
+    let Samples::U8(samples) = grey.samples() else { panic!("8 bits") };
+    let samples = samples.iter().flat_map(|&v| [v, v, v, 255]).collect();
+    Pixels::new(width, height, Channels::Rgba, Samples::U8(samples)).unwrap()
+}
+
+#[test]
 fn the_number_of_primitives_is_about_as_asked_in_tiles() {
     let encoded =
         ssplat::encode(&picture(300, 200, Channels::Rgb), &options(Target::Primitives(600), Some(128))).unwrap();
@@ -124,9 +155,7 @@ fn a_file_of_tiles_carries_a_thumbnail_within_its_size() {
 #[test]
 fn channels_that_say_nothing_are_left_out_of_tiles() {
     let grey = picture(300, 200, Channels::Grey);
-    let Samples::U8(samples) = grey.samples() else { panic!("8 bits") };
-    let samples = samples.iter().flat_map(|&v| [v, v, v, 255]).collect();
-    let pixels = Pixels::new(300, 200, Channels::Rgba, Samples::U8(samples)).unwrap();
+    let pixels = grey_in_colour(300, 200);
     let mut options = options(Target::Bytes(2000), Some(128));
     let alone = ssplat::encode(&grey, &options).unwrap();
     let encoded = ssplat::encode(&pixels, &options).unwrap();
@@ -189,7 +218,8 @@ fn a_report_says_why_tiles_were_fitted_on_the_cpu() {
 #[test]
 fn bytes_of_tiles_do_not_depend_on_the_thread_count() {
     let pixels = picture(400, 260, Channels::Rgb);
-    let options = options(Target::Ratio(60.0), Some(128));
+    // With a detail layer.
+    let options = options(Target::Ratio(30.0), Some(128));
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| ssplat::encode(&pixels, &options).unwrap().bytes)

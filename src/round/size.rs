@@ -7,7 +7,7 @@ use crate::fit::model::{peaks, removal};
 use crate::round::descend::Descent;
 
 /// The size that a file may have.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Size {
     /// At most this many bytes, and as close to it as can be.
     Bytes(u64),

@@ -31,7 +31,8 @@ const MOST: f64 = 0.7;
 /// Ratio above which photographs have no layer.
 const RATIO: f64 = 120.0;
 const RATIO_POWER: f64 = 0.85;
-/// Pixels of the largest pictures that have one unasked: their residual is held as a whole, some 30 bytes a pixel.
+/// Pixels of the largest pictures whose residual is held as a whole, in some 30 bytes a pixel; that of larger ones is made a part at a
+/// time, and their Gaussians are fitted once.
 const LARGEST: u64 = 1 << 26;
 /// Files of fewer bytes have none.
 const LEAST: u64 = 2_500;
@@ -65,13 +66,18 @@ impl Encoding<'_> {
         match options.detail {
             Detail::Share(share) => {
                 let base = self.base(fixed + (shared as f64 * share) as u64)?;
+                if self.pixels() > LARGEST {
+                    return self.layered_in_parts(base, most);
+                }
                 let clock = self.journal.seconds();
                 let layered = self.layer(base, most)?;
                 let outcome = self.joined(layered, most, rounds)?;
                 self.journal.stage("detail", clock);
                 Ok(outcome)
             }
-            Detail::Auto if may_have && self.is_worth_a_layer(shared) => self.divided([fixed, shared], rounds),
+            Detail::Auto if may_have && is_worth_a_layer(self.pixels(), self.subject.samples(), shared) => {
+                self.divided([fixed, shared], rounds)
+            }
             _ => self.at_size(size),
         }
     }
@@ -85,15 +91,8 @@ impl Encoding<'_> {
         }
     }
 
-    /// How much larger the picture is than those that the numbers are for.
-    fn larger(&self) -> f64 {
-        f64::from(self.planes.width) * f64::from(self.planes.height) / PIXELS
-    }
-
-    fn is_worth_a_layer(&self, most: u64) -> bool {
-        let ratio = self.subject.samples() / most as f64;
-        let pixels = u64::from(self.planes.width) * u64::from(self.planes.height);
-        most >= LEAST && pixels <= LARGEST && ratio <= RATIO * self.larger().powf(RATIO_POWER)
+    fn pixels(&self) -> u64 {
+        u64::from(self.planes.width) * u64::from(self.planes.height)
     }
 
     /// A fit of so many bytes for a layer to be laid over.
@@ -110,8 +109,11 @@ impl Encoding<'_> {
     fn divided(&mut self, [fixed, shared]: [u64; 2], rounds: u32) -> Result<Outcome> {
         let (most, all) = (fixed + shared, shared as f64);
         let ratio = (self.subject.samples() / all).max(20.0);
-        let few = (BASE * self.larger().powf(BASE_POWER) * (ratio.min(50.0) / 50.0).powf(-BASE_FALL)).min(MOST * all);
+        let few = bytes_of_base(self.pixels(), ratio, all);
         let base = self.base(fixed + few as u64)?;
+        if self.pixels() > LARGEST {
+            return self.layered_in_parts(base, most);
+        }
         let clock = self.journal.seconds();
         let mut layered = self.layer(base, most)?;
         let most_for_base = (SHARP_SHARE + SHARP_MORE * (ratio / 20.0).log2()).min(0.9) * all;
@@ -165,5 +167,30 @@ impl Encoding<'_> {
         let count = splats.gaussians.len();
         let peaks = peaks::peaks(&problem, &field, RowSet::ALL, count, count);
         peaks.iter().map(|peak| f64::from(peak.gain)).sum::<f64>() / error.max(f64::MIN_POSITIVE)
+    }
+}
+
+/// Tells whether a picture of so many pixels and samples gains by a layer in a file of so many bytes.
+fn is_worth_a_layer(pixels: u64, samples: f64, bytes: u64) -> bool {
+    let ratio = samples / bytes as f64;
+    bytes >= LEAST && ratio <= RATIO * (pixels as f64 / PIXELS).powf(RATIO_POWER)
+}
+
+/// Returns the bytes of the Gaussians in a file of `all` bytes.
+fn bytes_of_base(pixels: u64, ratio: f64, all: f64) -> f64 {
+    let larger = pixels as f64 / PIXELS;
+    (BASE * larger.powf(BASE_POWER) * (ratio.min(50.0) / 50.0).powf(-BASE_FALL)).min(MOST * all)
+}
+
+/// Returns the bytes of the Gaussians of a picture that is fitted in tiles; `None` where it has no layer. `shared` are the bytes of the
+/// file but those of header and metadata.
+pub(in crate::encode) fn base_in_tiles(detail: Detail, pixels: u64, samples: f64, shared: u64) -> Option<u64> {
+    let all = shared as f64;
+    match detail {
+        Detail::Share(share) => Some((all * share) as u64),
+        Detail::Auto if is_worth_a_layer(pixels, samples, shared) => {
+            Some(bytes_of_base(pixels, (samples / all).max(20.0), all) as u64)
+        }
+        _ => None,
     }
 }

@@ -3,9 +3,10 @@
 mod choose;
 mod classes;
 mod coefficients;
-mod divide;
+pub(super) mod divide;
 pub(super) mod error;
 mod join;
+pub(super) mod parts;
 mod residual;
 mod search;
 
@@ -18,10 +19,12 @@ use crate::bitstream::detail::levels::tile_counts;
 use crate::bitstream::detail::{DetailHead, DetailLayer};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
+use crate::gaussian::Channels;
 use crate::options::Tune;
 use crate::round::rounded::projected;
 use choose::{Care, Setting};
 use error::Counted;
+use parts::Parts;
 use residual::TileResidual;
 use search::{Aim, Coded, search};
 
@@ -137,21 +140,64 @@ impl Encoding<'_> {
     }
 
     fn aim_of_layer(&self, most: u64) -> Aim {
-        let Preset { mut head, lambda, power } = preset(self.subject.options.favoured());
-        head.alpha = self.planes.channels.alpha().is_some();
-        let setting = Setting { head, channels: self.subject.channels(), lambda, care: Care::Thorough };
-        Aim { setting, power, most, runs: RUNS }
+        let has_alpha = self.planes.channels.alpha().is_some();
+        Aim { most, ..aim(self.subject.options.favoured(), self.subject.channels(), has_alpha) }
     }
 
     /// Codes what the Gaussians of `splats` leave, for a file of at most `most` bytes.
     fn coded(&self, splats: &PackedSplats, most: u64, near: Option<&Coded>) -> Result<Option<Coded>> {
-        let [across, down] = tile_counts([self.planes.width, self.planes.height]);
-        let count = across * down;
         let aim = self.aim_of_layer(0);
-        let mut empty = splats.clone();
-        empty.detail = Some(Arc::new(DetailLayer { head: aim.setting.head, tiles: vec![None; count] }));
-        let fixed = self.subject.file(&empty)?.len() as u64 - count as u64;
-        let Some(left) = most.checked_sub(fixed).filter(|&left| left > 2 * count as u64) else { return Ok(None) };
+        let Some(left) = left_for_layer(splats, &aim, most, |empty| self.subject.file(empty))? else { return Ok(None) };
         Ok(search(&self.residuals(splats), &Aim { most: left, ..aim }, near))
     }
+
+    /// Codes a layer over `base`, a part of the picture at a time, and makes the file: for pictures whose residual is too much to hold.
+    fn layered_in_parts(&mut self, base: Outcome, most: u64) -> Result<Outcome> {
+        let mut outcome = base;
+        let (subject, tune) = (self.subject, self.subject.options.favoured());
+        let parts = Parts { source: subject.pixels, splats: &outcome.splats, channels: subject.channels(), tune };
+        let mut show = |done| self.journal.show("detail", done);
+        let layer = layer_in_parts(parts, most, |empty| subject.file(empty), &mut show)?;
+        if layer.is_some() {
+            outcome.splats.detail = layer;
+            outcome.bytes = self.subject.file(&outcome.splats)?;
+        }
+        Ok(outcome)
+    }
+}
+
+/// How a layer for a file of such channels is coded, in bytes that are yet to be said.
+fn aim(tune: Tune, channels: Channels, has_alpha: bool) -> Aim {
+    let Preset { mut head, lambda, power } = preset(tune);
+    head.alpha = has_alpha;
+    let setting = Setting { head, channels, lambda, care: Care::Thorough };
+    Aim { setting, power, most: 0, runs: RUNS }
+}
+
+/// Returns what index and streams of a layer over `splats` may take in a file of `most` bytes, which `file` writes; `None` if that is
+/// no room for one.
+fn left_for_layer(
+    splats: &PackedSplats,
+    aim: &Aim,
+    most: u64,
+    file: impl Fn(&PackedSplats) -> Result<Vec<u8>>,
+) -> Result<Option<u64>> {
+    let [across, down] = tile_counts([splats.width, splats.height]);
+    let count = across * down;
+    let mut empty = splats.clone();
+    empty.detail = Some(Arc::new(DetailLayer { head: aim.setting.head, tiles: vec![None; count] }));
+    let fixed = file(&empty)?.len() as u64 - count as u64;
+    Ok(most.checked_sub(fixed).filter(|&left| left > 2 * count as u64))
+}
+
+/// Returns the layer over `parts` in a file of `most` bytes, which `file` writes.
+pub(super) fn layer_in_parts(
+    parts: Parts<'_>,
+    most: u64,
+    file: impl Fn(&PackedSplats) -> Result<Vec<u8>>,
+    show: &mut dyn FnMut(f32) -> Result<()>,
+) -> Result<Option<Arc<DetailLayer>>> {
+    let aim = aim(parts.tune, parts.channels, parts.source.channels().alpha().is_some());
+    let Some(left) = left_for_layer(parts.splats, &aim, most, file)? else { return Ok(None) };
+    Ok(parts.layer(left, show)?.map(Arc::new))
 }

@@ -29,10 +29,16 @@ pub(super) fn residuals(scene: Scene, target: &Planes, projected: &[Projected]) 
     field.draw(&problem, projected, RowSet::ALL, Output::Picture);
     let size = [target.width, target.height];
     let [across, down] = tile_counts(size);
-    parallel::map(across * down, |i| residual(target, &field, tile_area(size, i)))
+    let drawn = |row: usize| field.row(row, target.channels.count());
+    parallel::map(across * down, |i| residual(target, drawn, tile_area(size, i)))
 }
 
-fn residual(target: &Planes, field: &Field, [left, top, width, height]: [usize; 4]) -> TileResidual {
+/// Returns what is left in a part, left, top, width and height, of `target`, whose rows are drawn as `drawn` says.
+pub(super) fn residual<'a>(
+    target: &Planes,
+    drawn: impl Fn(usize) -> &'a [f32],
+    [left, top, width, height]: [usize; 4],
+) -> TileResidual {
     let (count, alpha) = (target.channels.count(), target.channels.alpha());
     let colors = count - usize::from(alpha.is_some());
     let padded = [width, height].map(|side| side.next_multiple_of(SUPER));
@@ -44,7 +50,7 @@ fn residual(target: &Planes, field: &Field, [left, top, width, height]: [usize; 
     let reflected = |i: usize, n: usize| if i < n { i } else { (2 * n - 1).saturating_sub(i) };
     for y in 0..padded[1] {
         let row = (top + reflected(y, height)) as u32;
-        let (wanted, drawn) = (target.row(row), field.row(row as usize, count));
+        let (wanted, drawn) = (target.row(row), drawn(row as usize));
         for x in 0..padded[0] {
             let column = left + reflected(x, width);
             let value = |k: usize| wanted[k * target.stride + column];

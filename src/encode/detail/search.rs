@@ -45,16 +45,32 @@ const LIKELY: f32 = 0.8;
 /// Returns the layer of `tiles` with the smallest step that fits; `None` if none does. With `near`, a layer of nearly the same
 /// tiles, the search begins at its step and keeps its blocks.
 pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) -> Option<Coded> {
-    let classes = classes_of(tiles, aim);
+    let classes = classes_of(tiles, aim, mean_activity(tiles, aim));
     let mut sizes = near.map(|near| near.sizes.clone());
-    let mut step = near.map_or_else(|| guess(tiles, aim), |near| f64::from(near.layer.head.step));
+    let step = near.map_or_else(|| guess(tiles, aim), |near| f64::from(near.layer.head.step));
+    let run = |step: u16| {
+        let coded = code(tiles, &classes, aim, step, sizes.as_deref());
+        sizes.get_or_insert_with(|| coded.sizes.clone());
+        Ok::<_, std::convert::Infallible>(coded)
+    };
+    let Ok(found) = smallest_step(aim, NEAR, step, run);
+    found
+}
+
+/// Returns what `run` makes with the smallest step whose bytes fit, beginning at `step`; `None` if none does. What falls short by at
+/// most the part `near` of the bytes is near enough.
+pub(super) fn smallest_step<E>(
+    aim: &Aim,
+    near: f64,
+    mut step: f64,
+    mut run: impl FnMut(u16) -> Result<Coded, E>,
+) -> Result<Option<Coded>, E> {
     let (mut over, mut under): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
     let mut best: Option<Coded> = None;
     let goal = (aim.most as f64 * (1.0 - BELOW)).max(1.0).ln();
-    for run in 0..aim.runs {
+    for i in 0..aim.runs {
         let rounded = step.round().clamp(1.0, 65_535.0);
-        let coded = code(tiles, &classes, aim, rounded as u16, sizes.as_deref());
-        sizes.get_or_insert_with(|| coded.sizes.clone());
+        let coded = run(rounded as u16)?;
         let at = [rounded.ln(), (coded.bytes as f64).max(1.0).ln()];
         let short = aim.most as f64 - coded.bytes as f64;
         if short >= 0.0 {
@@ -62,7 +78,7 @@ pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) ->
             if best.as_ref().is_none_or(|best| best.bytes <= coded.bytes) {
                 best = Some(coded);
             }
-            if short <= aim.most as f64 * NEAR || rounded <= 1.0 {
+            if short <= aim.most as f64 * near || rounded <= 1.0 {
                 break;
             }
         } else {
@@ -76,7 +92,7 @@ pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) ->
             (Some(a), Some(b)) => {
                 let share = ((goal - a[1]) / (b[1] - a[1])).clamp(0.05, 0.95);
                 // Late runs halve what is left, if the curve is too crooked for a chord.
-                if run > 3 { 0.5 * (a[0] + b[0]) } else { a[0] + share * (b[0] - a[0]) }
+                if i > 3 { 0.5 * (a[0] + b[0]) } else { a[0] + share * (b[0] - a[0]) }
             }
             (Some(a), None) => a[0] + ((a[1] - goal) / FALL).max(0.003),
             (None, Some(b)) => b[0] - ((goal - b[1]) / FALL).clamp(0.001, 3.0),
@@ -84,28 +100,36 @@ pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) ->
         };
         step = next.exp();
     }
-    best
+    Ok(best)
 }
 
-/// The step classes of each tile's superblocks; nothing where there is but one.
-fn classes_of(tiles: &[TileResidual], aim: &Aim) -> Vec<Vec<u8>> {
+/// The mean activity of `tiles`; 0 where there is but one class, and nobody asks.
+pub(super) fn mean_activity(tiles: &[TileResidual], aim: &Aim) -> f32 {
     if aim.setting.head.classes == 1 {
-        return vec![Vec::new(); tiles.len()];
+        return 0.0;
     }
     let activity = parallel::map(tiles.len(), |i| activity(&tiles[i]));
     // Superblocks that a tile does not have have none.
     let there = || activity.iter().flatten().filter(|a| **a > 0.0);
-    let mean = there().sum::<f32>() / there().count().max(1) as f32;
-    activity.iter().map(|a| classes(a, mean, aim.power, aim.setting.head.classes)).collect()
+    there().sum::<f32>() / there().count().max(1) as f32
+}
+
+/// The step classes of each tile's superblocks, in a picture of such a mean activity; nothing where there is but one.
+pub(super) fn classes_of(tiles: &[TileResidual], aim: &Aim, mean: f32) -> Vec<Vec<u8>> {
+    let Setting { head, .. } = aim.setting;
+    match head.classes {
+        1 => vec![Vec::new(); tiles.len()],
+        count => parallel::map(tiles.len(), |i| classes(&activity(&tiles[i]), mean, aim.power, count)),
+    }
 }
 
 /// Returns the layer of `tiles` with the step of the setting, in the blocks of `near`.
 pub(super) fn once(tiles: &[TileResidual], aim: &Aim, near: &Coded) -> Coded {
-    code(tiles, &classes_of(tiles, aim), aim, aim.setting.head.step, Some(&near.sizes))
+    code(tiles, &classes_of(tiles, aim, mean_activity(tiles, aim)), aim, aim.setting.head.step, Some(&near.sizes))
 }
 
 /// Codes the layer with a step.
-fn code(
+pub(super) fn code(
     tiles: &[TileResidual],
     classes: &[Vec<u8>],
     aim: &Aim,

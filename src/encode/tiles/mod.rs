@@ -16,9 +16,13 @@ mod task;
 mod whole;
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use super::aim;
 use super::channels::widen;
+use super::detail::divide::base_in_tiles;
+use super::detail::layer_in_parts;
+use super::detail::parts::Parts;
 use super::device::Chosen;
 use super::file;
 use super::job::{decibels, enough, excess};
@@ -29,11 +33,12 @@ use super::thumbnail;
 use super::workers::Hands;
 use super::{EncodeReport, Encoded};
 use crate::bitstream;
+use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
 use crate::error::{Error, Result};
 use crate::fit::model::problem::Scene;
 use crate::fit::model::project::Primitive;
-use crate::gaussian::Blend;
+use crate::gaussian::{Blend, Channels};
 use crate::options::{Backend, EncodeOptions, Recipe, Target, Trace};
 use crate::pixel_source::PixelSource;
 use crate::quantize::Quantizer;
@@ -83,7 +88,17 @@ pub(super) fn encode(
         Size::Bytes(most) => thumbnail::room(options, source.size(), most),
         Size::Free => 0,
     };
-    let size = thumbnail::beside(asked, room);
+    let both = thumbnail::beside(asked, room);
+    let size = match both {
+        Size::Bytes(most) => {
+            let [width, height] = source.size().map(u64::from);
+            let shared = most.saturating_sub(fixed);
+            base_in_tiles(options.detail, width * height, samples, shared)
+                .map_or(both, |base| Size::Bytes(fixed + base))
+        }
+        Size::Free => both,
+    };
+    let has_layer = size != both;
     let count = begun(options, size, (samples, fixed)).map_err(|e| thumbnail::counted(e, asked, room))?;
     let scene = Scene { width: wide.width, height: wide.height, blend, background: [0.0; 4] };
     let margin =
@@ -103,13 +118,32 @@ pub(super) fn encode(
     let metadata = wide.metadata;
     let blank = PackedSplats { channels: narrowed.channels(), metadata: Metadata::default(), ..wide };
     let mut plan = whole::plan(options.effort, count, source.size(), options.seed);
+    if has_layer {
+        plan = plan.for_base();
+    }
     plan.enough = enough(options.target, blank.depth);
     let samples = samples_of(&blank);
     let file = (scene, blank, matches!(size, Size::Bytes(_)));
     let work = (options.effort, plan, count, options.favoured());
     let whole = Whole::survey(&narrowed, file, work, &grid.windows(), |done| journal.show("survey", done))?;
     journal.stage("survey", clock);
-    let mut course = Course { options, source, grid, journal, whole, hands, metadata, asked, size, fixed, samples };
+    let seen: &dyn PixelSource = &narrowed;
+    let mut course = Course {
+        options,
+        source,
+        seen,
+        grid,
+        journal,
+        whole,
+        hands,
+        metadata,
+        asked,
+        both,
+        size,
+        layer: None,
+        fixed,
+        samples,
+    };
     let look = |p: &Primitive| p.to_gaussian();
     let mut floats = Mosaic::new(&grid, &look);
     let error = course.fit(&mut floats)?;
@@ -196,6 +230,14 @@ fn begun(options: &EncodeOptions, size: Size, (samples, fixed): (f64, u64)) -> R
     Ok(count.min(aim::MAX_PRIMITIVES).min(samples as u64) as usize)
 }
 
+/// Writes the file of what was fitted, with all `channels` of the picture.
+fn wide_file(splats: &PackedSplats, channels: Channels) -> Result<Vec<u8>> {
+    match channels {
+        all if all == splats.channels => bitstream::to_bytes(splats),
+        all => bitstream::to_bytes(&widen(splats, all)),
+    }
+}
+
 /// An encode in tiles on its way.
 struct Course<'a, 'b, 'c> {
     grid: Grid,
@@ -206,10 +248,16 @@ struct Course<'a, 'b, 'c> {
     options: &'b EncodeOptions,
     /// The picture with all its channels.
     source: &'b dyn PixelSource,
+    /// That without the channels that say nothing.
+    seen: &'b dyn PixelSource,
     /// What is asked for.
     asked: Size,
     /// That without a thumbnail.
+    both: Size,
+    /// That without a detail layer.
     size: Size,
+    /// What lies over the Gaussians, once they are settled.
+    layer: Option<Arc<DetailLayer>>,
     /// Bytes of the file without primitives.
     fixed: u64,
     /// Samples of what is fitted.
@@ -407,6 +455,7 @@ impl Course<'_, '_, '_> {
         }
         bytes = self.within(&mut mosaic, bytes)?;
         self.journal.stage("finish", clock);
+        bytes = self.with_layer(&mosaic, bytes)?;
         bytes = self.with_thumbnail(&mosaic, bytes)?;
         self.report(&mosaic, bytes, float_error)
     }
@@ -415,10 +464,30 @@ impl Course<'_, '_, '_> {
     fn write(&self, mosaic: &Mosaic<'_, PackedGaussian>) -> Result<Vec<u8>> {
         let mut splats = self.splats(mosaic);
         let bytes = file::smallest(&mut splats, self.options.levels)?;
-        match self.source.channels() {
-            all if all == splats.channels => Ok(bytes),
-            all => bitstream::to_bytes(&widen(&splats, all)),
+        match (&self.layer, self.source.channels()) {
+            (None, all) if all == splats.channels => Ok(bytes),
+            (layer, _) => {
+                splats.detail.clone_from(layer);
+                wide_file(&splats, self.source.channels())
+            }
         }
+    }
+
+    /// Lays a detail layer over the Gaussians, where they were fitted for one; `bytes` is the file without it.
+    fn with_layer(&mut self, mosaic: &Mosaic<'_, PackedGaussian>, bytes: Vec<u8>) -> Result<Vec<u8>> {
+        let Size::Bytes(most) = self.both else { return Ok(bytes) };
+        if self.both == self.size {
+            return Ok(bytes);
+        }
+        let clock = self.journal.seconds();
+        let mut splats = self.splats(mosaic);
+        file::smallest(&mut splats, self.options.levels)?;
+        let (source, channels, tune) = (self.seen, self.source.channels(), self.options.favoured());
+        let parts = Parts { source, splats: &splats, channels, tune };
+        let file = |empty: &PackedSplats| wide_file(empty, channels);
+        self.layer = layer_in_parts(parts, most, file, &mut |done| self.journal.show("detail", done))?;
+        self.journal.stage("detail", clock);
+        if self.layer.is_some() { self.write(mosaic) } else { Ok(bytes) }
     }
 
     /// Returns what is fitted.
@@ -470,6 +539,9 @@ impl Course<'_, '_, '_> {
 
     fn report(mut self, mosaic: &Mosaic<'_, PackedGaussian>, bytes: Vec<u8>, float_error: f64) -> Result<Encoded> {
         let clock = self.journal.seconds();
+        if let Some(layer) = self.layer.take() {
+            return self.report_of_layers(mosaic, bytes, layer, float_error);
+        }
         let is_whole = self.source.channels() == self.whole.blank.channels;
         let parts = if is_whole { 1 } else { 2 };
         let mut error = self.measured(Stretch::part("measure", 0, parts), mosaic)?;
@@ -492,6 +564,36 @@ impl Course<'_, '_, '_> {
             primitives: mosaic.count(),
             psnr: decibels(error, samples),
             float_psnr: decibels(float_error, samples),
+            seconds: self.journal.seconds(),
+            stages: self.journal.stages,
+            left_out: self.journal.left_out,
+            chosen: Chosen::for_tiles(self.options.backend),
+            ..EncodeReport::default()
+        };
+        Ok(Encoded { bytes, report })
+    }
+
+    /// The report of a file with a layer.
+    fn report_of_layers(
+        mut self,
+        mosaic: &Mosaic<'_, PackedGaussian>,
+        bytes: Vec<u8>,
+        layer: Arc<DetailLayer>,
+        float_error: f64,
+    ) -> Result<Encoded> {
+        let clock = self.journal.seconds();
+        let (source, channels, tune) = (self.source, self.source.channels(), self.options.favoured());
+        let mut splats = self.splats(mosaic);
+        let fitted = samples_of(&splats);
+        splats.detail = Some(layer);
+        let splats = if splats.channels == channels { splats } else { widen(&splats, channels) };
+        let parts = Parts { source, splats: &splats, channels, tune };
+        let error = parts.error(&mut |done| self.journal.show("measure", done))?;
+        self.journal.stage("measure", clock);
+        let report = EncodeReport {
+            primitives: mosaic.count(),
+            psnr: decibels(error, samples_of(&splats)),
+            float_psnr: decibels(float_error, fitted),
             seconds: self.journal.seconds(),
             stages: self.journal.stages,
             left_out: self.journal.left_out,

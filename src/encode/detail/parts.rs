@@ -1,0 +1,169 @@
+//! The layer of a picture that is read a part at a time: the step is found on some of its tiles, then all are coded with it.
+//!
+//! What is held is a part's residual, the levels, and the sizes of all blocks: some bytes for each byte of the file.
+
+use super::aim;
+use super::choose::Care;
+use super::residual::{TileResidual, residual};
+use super::search::{Aim, Coded, classes_of, code, mean_activity, search, smallest_step};
+use crate::bitstream::detail::DetailLayer;
+use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
+use crate::bitstream::splats::PackedSplats;
+use crate::error::Result;
+use crate::fit::model::planes::Planes;
+use crate::gaussian::Channels;
+use crate::limits::Limits;
+use crate::options::Tune;
+use crate::pixel_source::PixelSource;
+use crate::pixels::Depth;
+use crate::raster::View;
+
+/// Tiles on which the step is found.
+const SAMPLE: usize = 96;
+/// Tiles of a row that are coded at a time.
+const AT_ONCE: usize = 16;
+/// Times that the whole picture may be coded.
+const RUNS: u32 = 5;
+/// And how often it mostly is.
+const EXPECTED: f32 = 2.0;
+/// A layer that falls short of its bytes by at most this part is near enough: to code all of it once more costs more than that wins.
+const NEAR: f64 = 0.015;
+
+/// A picture that is read a part at a time, and its Gaussians.
+#[derive(Clone, Copy)]
+pub(in crate::encode) struct Parts<'a> {
+    /// The picture, without channels that say nothing.
+    pub source: &'a dyn PixelSource,
+    /// Gaussians of the same channels, and for the error the layer over them.
+    pub splats: &'a PackedSplats,
+    /// The channels of the file.
+    pub channels: Channels,
+    pub tune: Tune,
+}
+
+impl Parts<'_> {
+    /// Returns the layer that takes at most `most` bytes of index and streams; `None` if there is nothing to add, or no room. `show` is
+    /// told the share that is done.
+    pub fn layer(&self, most: u64, show: &mut dyn FnMut(f32) -> Result<()>) -> Result<Option<DetailLayer>> {
+        show(0.0)?;
+        let count = self.count();
+        let aim = Aim { most, runs: RUNS, ..aim(self.tune, self.channels, self.source.channels().alpha().is_some()) };
+        // Places that have nothing to do with rows and columns.
+        let place = |k: usize| ((k as u64 * 0x9e37_79b9 & 0xffff_ffff) * count as u64 >> 32) as usize;
+        let mut sampled: Vec<usize> =
+            if count > SAMPLE { (0..SAMPLE).map(place).collect() } else { (0..count).collect() };
+        sampled.sort_unstable();
+        sampled.dedup();
+        let (mut sample, mut area) = (Vec::new(), 0);
+        for index in sampled {
+            let [_, _, width, height] = tile_area(self.source.size(), index);
+            area += width * height;
+            sample.extend(self.residuals(index, 1)?);
+        }
+        let share = area as f64 / (f64::from(self.source.width()) * f64::from(self.source.height()));
+        let mean = mean_activity(&sample, &aim);
+        let of_sample = Aim { most: (most as f64 * share) as u64, ..aim };
+        let Some(begun) = search(&sample, &of_sample, None) else { return Ok(None) };
+        drop(sample);
+        let step = f64::from(begun.layer.head.step);
+        let (mut sizes, mut runs) = (None, 0.0);
+        let found = smallest_step(&aim, NEAR, step, |step| {
+            let mut show = |done: f32| show(((runs + done) / EXPECTED).min(1.0));
+            let coded = self.coded(&aim, (mean, step), sizes.as_deref(), &mut show)?;
+            sizes.get_or_insert_with(|| coded.sizes.clone());
+            runs += 1.0;
+            Ok::<_, crate::Error>(coded)
+        })?;
+        Ok(found.map(|coded| coded.layer).filter(|layer| layer.tiles() > 0))
+    }
+
+    /// Returns the squared error of the picture with its layer: colours count by their opacity.
+    pub fn error(&self, show: &mut dyn FnMut(f32) -> Result<()>) -> Result<f64> {
+        let alpha = self.source.channels().alpha();
+        let mut error = 0.0;
+        for (index, count) in self.parts() {
+            show(index as f32 / self.count() as f32)?;
+            let (_, wanted, drawn) = self.part(index, count)?;
+            for y in 0..wanted.height {
+                let (wanted_row, drawn) = (wanted.row(y), drawn.row(y));
+                for k in 0..wanted.channels.count() {
+                    for x in 0..wanted.width as usize {
+                        let at = k * wanted.stride + x;
+                        let opacity = alpha.filter(|&a| a != k).map_or(1.0, |a| wanted_row[a * wanted.stride + x]);
+                        error += f64::from((drawn[at] - wanted_row[at]) * opacity).powi(2);
+                    }
+                }
+            }
+        }
+        Ok(error)
+    }
+
+    fn count(&self) -> usize {
+        let [across, down] = tile_counts(self.source.size());
+        across * down
+    }
+
+    /// The first tile and the number of tiles of each part.
+    fn parts(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let [across, down] = tile_counts(self.source.size());
+        (0..down).flat_map(move |row| {
+            (0..across).step_by(AT_ONCE).map(move |left| (row * across + left, AT_ONCE.min(across - left)))
+        })
+    }
+
+    /// Codes all tiles with a step.
+    fn coded(
+        &self,
+        aim: &Aim,
+        (mean, step): (f32, u16),
+        sizes: Option<&[[Vec<u8>; 3]]>,
+        show: &mut dyn FnMut(f32) -> Result<()>,
+    ) -> Result<Coded> {
+        let mut aim = *aim;
+        aim.setting.head.step = step;
+        aim.setting.care = Care::Thorough;
+        let layer = DetailLayer { head: aim.setting.head, tiles: Vec::new() };
+        let mut all = Coded { layer, bytes: 0, sizes: Vec::new() };
+        for (index, count) in self.parts() {
+            show(index as f32 / self.count() as f32)?;
+            let tiles = self.residuals(index, count)?;
+            let classes = classes_of(&tiles, &aim, mean);
+            let part = code(&tiles, &classes, &aim, step, sizes.map(|sizes| &sizes[index..index + count]));
+            all.layer.tiles.extend(part.layer.tiles);
+            all.sizes.extend(part.sizes);
+            all.bytes += part.bytes;
+        }
+        Ok(all)
+    }
+
+    /// What is left of `count` tiles of a row, from tile `index` on.
+    fn residuals(&self, index: usize, count: usize) -> Result<Vec<TileResidual>> {
+        let (area, wanted, drawn) = self.part(index, count)?;
+        let tile = |i: usize| {
+            let left = i * TILE;
+            let width = TILE.min(area[2] as usize - left);
+            residual(&wanted, |row| drawn.row(row as u32), [left, 0, width, area[3] as usize])
+        };
+        Ok(crate::parallel::map(count, tile))
+    }
+
+    /// The place of so many tiles of a row, the picture there, and what is drawn there.
+    fn part(&self, index: usize, count: usize) -> Result<([u32; 4], Planes, Planes)> {
+        let [left, top, _, height] = tile_area(self.source.size(), index);
+        let [last, _, width, _] = tile_area(self.source.size(), index + count - 1);
+        let area = [left, top, last + width - left, height].map(|side| side as u32);
+        let wanted = Planes::new(&self.source.part(area)?);
+        let [x, y, width, height] = area;
+        let view = View::of_size(self.source.width(), self.source.height()).crop(x, y, width, height)?;
+        let limits = Limits {
+            tile_pairs: u64::MAX,
+            work: u64::MAX,
+            overlap: u64::MAX,
+            primitives: u64::MAX,
+            ..Limits::default()
+        };
+        // 16 bits are finer than any step.
+        let drawn = self.splats.renderer(&view, &limits)?.render(Depth::Sixteen)?;
+        Ok((area, wanted, Planes::new(&drawn)))
+    }
+}
