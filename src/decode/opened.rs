@@ -241,7 +241,8 @@ impl Opened {
     ///
     /// # Panics
     /// If `out` has not exactly width × height × channels samples.
-    #[inline]
+    // Always: a program that draws one depth need not carry the other's kernels.
+    #[inline(always)]
     pub fn draw_into(&self, view: &View, out: SamplesMut<'_>) -> Result<()> {
         self.renderer(view)?.render_into(out);
         Ok(())

@@ -6,7 +6,7 @@ use super::supers::Supers;
 use super::transform::{self, Coefficient};
 use crate::bitstream::detail::head::DetailHead;
 use crate::bitstream::detail::levels::{CELL, SUPER, SUPERS, TILE, TileLevels};
-use crate::bitstream::detail::model::{CLASSES, PLANES};
+use crate::bitstream::detail::model::PLANES;
 use crate::gaussian::Channels;
 use crate::simd::{self, Simd, Task};
 
@@ -106,34 +106,34 @@ impl Task for Reconstruct<'_> {
         }
         let all = filled.iter().fold(Supers::NONE, |all, &filled| all.with(filled));
         out.begin(all, channels);
-        let steps: [[PlaneSteps; CLASSES]; PLANES] =
-            std::array::from_fn(|plane| std::array::from_fn(|class| PlaneSteps::new(head, plane, class as u8)));
         let mut edges = [Edges::NONE; PLANES];
-        let mut blocks = Blocks { tile, wanted, next: 0, start: 0 };
-        for row in 0..down {
-            for (strips, filled) in scratch.strips.iter_mut().zip(filled) {
-                for x in filled.row(row) {
-                    make(&mut strips[row % 2], SUPER * TILE);
-                    clear(&mut strips[row % 2][x * SUPER..]);
+        let mut blocks = Blocks { head, tile, wanted, next: 0, start: 0 };
+        for row in 0..=down {
+            if row < down {
+                for (strips, filled) in scratch.strips.iter_mut().zip(filled) {
+                    for x in filled.row(row) {
+                        make(&mut strips[row % 2], SUPER * TILE);
+                        clear(&mut strips[row % 2][x * SUPER..]);
+                    }
                 }
-            }
-            blocks.transform(row, &steps, &mut edges, scratch);
-            for plane in 0..PLANES {
-                if filled[plane].row(row).next().is_some() {
-                    join_rows(row, &edges[plane], &mut scratch.strips[plane]);
+                blocks.transform(row, &mut edges, scratch);
+                for plane in 0..PLANES {
+                    if filled[plane].row(row).next().is_some() {
+                        join_rows(row, &edges[plane], &mut scratch.strips[plane]);
+                    }
                 }
             }
             // A row of superblocks is ready when the one below is joined to it.
-            if row > 0 {
-                finish(row - 1, across, (tile, &filled, &edges), scratch, out);
+            if let Some(row) = row.checked_sub(1) {
+                finish(row, across, (tile, &filled, &edges), scratch, out);
             }
         }
-        finish(down - 1, across, (tile, &filled, &edges), scratch, out);
     }
 }
 
 /// The blocks of a tile, row by row of superblocks.
 struct Blocks<'a> {
+    head: &'a DetailHead,
     tile: &'a TileLevels,
     wanted: Supers,
     /// The next block, and its first level.
@@ -144,13 +144,7 @@ struct Blocks<'a> {
 impl Blocks<'_> {
     /// Transforms the blocks of a row of superblocks into its strips.
     #[inline(always)]
-    fn transform(
-        &mut self,
-        row: usize,
-        steps: &[[PlaneSteps; CLASSES]; PLANES],
-        edges: &mut [Edges; PLANES],
-        Scratch { strips, coefficients }: &mut Scratch,
-    ) {
+    fn transform(&mut self, row: usize, edges: &mut [Edges; PLANES], Scratch { strips, coefficients }: &mut Scratch) {
         let tile = self.tile;
         while let Some(block) = tile.blocks.get(self.next)
             && usize::from(block.cell[1]) / STEP == row
@@ -161,9 +155,9 @@ impl Blocks<'_> {
                 continue;
             }
             let [x, y] = block.cell.map(usize::from);
-            let class = tile.classes.get(row * SUPERS + x / STEP).map_or(0, |&class| usize::from(class) % CLASSES);
+            let class = tile.classes.get(row * SUPERS + x / STEP).copied().unwrap_or(0);
             let (plane, side) = (usize::from(block.plane) % PLANES, usize::from(block.size));
-            let steps = &steps[plane][class];
+            let steps = PlaneSteps::new(self.head, plane, class);
             coefficients.clear();
             for level in levels {
                 let value = steps.value(side, level.u.into(), level.v.into(), level.value);
@@ -215,7 +209,7 @@ fn finish(
             }
         }
         for i in 0..SUPER {
-            let line = |plane: usize| from[plane].get(i * TILE..).and_then(<[i32]>::first_chunk).unwrap_or(&NOTHING);
+            let line = |plane: usize| from[plane].get(i * TILE..i * TILE + SUPER).unwrap_or(&NOTHING);
             mix([line(0), line(1), line(2), line(3)], &mut out.channels, (row * SUPER + i) * TILE + x * SUPER);
         }
     }
@@ -236,12 +230,14 @@ fn clear<T: Copy + Default>(plane: &mut [T]) {
 }
 
 /// What the channels get at a row of a superblock that begins at `at`, from those of the planes.
-#[inline(always)]
-fn mix([y, orange, green, alpha]: [&[i32; SUPER]; PLANES], channels: &mut [Vec<i16>], at: usize) {
+#[cfg_attr(target_family = "wasm", inline(never))]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
+fn mix([y, orange, green, alpha]: [&[i32]; PLANES], channels: &mut [Vec<i16>], at: usize) {
+    let side = y.len().min(orange.len()).min(green.len());
     let rest = match channels {
         [r, g, b, rest @ ..] => {
-            let (r, g, b) = (&mut r[at..at + SUPER], &mut g[at..at + SUPER], &mut b[at..at + SUPER]);
-            for i in 0..SUPER {
+            let (r, g, b) = (&mut r[at..][..side], &mut g[at..][..side], &mut b[at..][..side]);
+            for i in 0..side {
                 let (y, o, n) = (y[i].wrapping_mul(2), orange[i], green[i]);
                 let low = y.wrapping_sub(n);
                 r[i] = narrow(low.wrapping_add(o));
@@ -251,18 +247,18 @@ fn mix([y, orange, green, alpha]: [&[i32; SUPER]; PLANES], channels: &mut [Vec<i
             rest
         }
         [grey, rest @ ..] => {
-            double(&mut grey[at..at + SUPER], y);
+            double(&mut grey[at..], y);
             rest
         }
         [] => return,
     };
     if let [out] = rest {
-        double(&mut out[at..at + SUPER], alpha);
+        double(&mut out[at..], alpha);
     }
 }
 
 #[inline(always)]
-fn double(out: &mut [i16], plane: &[i32; SUPER]) {
+fn double(out: &mut [i16], plane: &[i32]) {
     for (out, &v) in out.iter_mut().zip(plane) {
         *out = narrow(v.wrapping_mul(2));
     }

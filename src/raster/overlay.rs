@@ -147,9 +147,8 @@ impl Overlay {
         values.clear();
         values.resize(rows.len() * length, 0.0f32);
         let side = self.size.map(|side| side as usize);
-        let tap = |k: usize, i: i64| taps(view.origin[k], view.step[k], f64::from(view.offset[k]) + i as f64, side[k]);
-        let columns: Vec<Taps> = (0..stride).map(|x| tap(0, left + x as i64)).collect();
-        let downs: Vec<Taps> = rows.clone().map(|y| tap(1, i64::from(y))).collect();
+        let columns = axis(view, 0, left..left + stride as i64, side[0]);
+        let downs = axis(view, 1, rows.start.into()..rows.end.into(), side[1]);
         // Tiles that are needed.
         let (across, down) = (tiles_of(&columns), tiles_of(&downs));
         for row in down {
@@ -211,6 +210,12 @@ impl Overlay {
         self.pool().scratch.push(scratch);
         Some(planes)
     }
+}
+
+/// What pixels of a view take along an axis, counted in the view, of as many of the picture's pixels as there are.
+#[inline(never)]
+fn axis(view: &View, k: usize, pixels: Range<i64>, side: usize) -> Vec<Taps> {
+    pixels.map(|i| taps(view.origin[k], view.step[k], f64::from(view.offset[k]) + i as f64, side)).collect()
 }
 
 /// The tiles, along an axis, that some pixels take something from.

@@ -179,7 +179,7 @@ impl Renderer {
     ///
     /// # Panics
     /// If `bands` is empty or reaches beyond [`Renderer::bands`], or `out` has not exactly that length.
-    #[inline]
+    #[inline(always)]
     pub fn render_bands(&self, bands: std::ops::Range<u32>, out: SamplesMut<'_>) {
         match out {
             SamplesMut::U8(out) => self.draw(bands, out),
@@ -214,7 +214,7 @@ impl Renderer {
     ///
     /// # Panics
     /// If `out` has not exactly [`Renderer::row_len`] × height samples.
-    #[inline]
+    #[inline(always)]
     pub fn render_into(&self, out: SamplesMut<'_>) {
         self.render_bands(0..self.bands(), out);
     }
