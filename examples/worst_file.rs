@@ -175,8 +175,8 @@ fn tiny_groups(side: u32, colors: u32) -> PackedSplats {
     }
 }
 
-/// Levels that reading a layer may come to, at 600 of [`Limits::work`] each.
-const DENSE: u64 = (3 << 34) / 600;
+/// Levels that reading a layer may come to, at 600 of [`Limits::work`] each, less a hundredth.
+const DENSE: u64 = (3 << 34) / 600 / 100 * 99;
 
 /// A picture of no Gaussians, or of as many needles as a `part`th of the limits lets through, with a layer whose tiles have a level each, and
 /// from the first one on all that they can have until there are a `part`th of `most`. Blocks have sizes within `sizes`.

@@ -19,10 +19,11 @@ function withSections(file, sections) {
   for (let i = 0; i < 3; i++) while (file[end++] > 127);
   const head = [...file.subarray(0, end + 3), Object.keys(sections).length]
   head[5] |= 128
-  // The file's checksum is over everything but what is in the sections.
+  // The file's checksum is over everything but what is in the sections; a section's begins with that of the header.
+  const header = long(Uint8Array.from(head.slice(0, -1)))
   const whole = [...head], bare = [...head]
   for (const [name, contents] of Object.entries(sections)) {
-    const letters = [...new TextEncoder().encode(name)], all = [...letters, ...varint(contents.length), ...long(Uint8Array.from([...letters, ...contents]))]
+    const letters = [...new TextEncoder().encode(name)], all = [...letters, ...varint(contents.length), ...long(Uint8Array.from([...header, ...letters, ...contents]))]
     whole.push(...all, ...contents)
     bare.push(...all)
   }
