@@ -69,9 +69,10 @@ struct Scene {
     price: f32,
     // 1: the last word of each pixel of the source is its amplitude, a float. 0: all count alike.
     weighted: u32,
+    // 1: a detail layer adds something to the pixels.
+    detail: u32,
     // To a multiple of 16 bytes.
     spare: u32,
-    spare_second: u32,
 }
 
 // A Gaussian on the drawn grid. With (dx, dy) from the centre, u = rise·dy − shear·dx and v = run·dx, it is

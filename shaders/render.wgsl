@@ -2,6 +2,8 @@
 // exchanged (mode 1), or 16 bits each in two words (mode 2). Joined behind tile.wgsl.
 
 @group(0) @binding(5) var<storage, read_write> codes: array<u32>;
+// What a detail layer adds to the band's rows, in parts of white: in each, channel after channel. Of one pixel if there is no layer.
+@group(0) @binding(6) var<storage, read> additions: array<f32>;
 
 @compute @workgroup_size(16, 16)
 fn render(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) local: u32) {
@@ -51,6 +53,12 @@ fn render(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: 
         size /= parts;
     }
     if (any(pixel >= size)) { return; }
+    if (scene.detail == 1u) {
+        for (var k = 0u; k < scene.channels; k++) {
+            value[k] += additions[(pixel.y * scene.channels + k) * size.x + pixel.x];
+        }
+        value = clamp(value, vec4f(0.0), vec4f(1.0));
+    }
     if (scene.channels == 1u) { value = vec4f(value.xxx, 1.0); }
     if (scene.channels == 2u) { value = vec4f(value.xxx, value.y); }
     if (scene.channels == 3u) { value.w = 1.0; }

@@ -15,7 +15,8 @@ pub struct Limits {
     /// Most (Gaussian, tile) pairs that rasterizing one view may visit.
     pub tile_pairs: u64,
     /// Most work of rasterizing one view. On the CPU: the pixels that its Gaussians cover, four times those of narrow ones, and 1024 for
-    /// each (Gaussian, tile) pair; and of a detail layer 16 for each sample and 200 for each level; on a GPU the 256 pixels of each of its smaller tiles.
+    /// each (Gaussian, tile) pair; and of a detail layer 16 for each sample and 200 for each level. On a GPU: the 256 pixels
+    /// of each pair with one of its smaller tiles, and the same for a detail layer.
     pub work: u64,
     /// Most Gaussians over a pixel of a view on average: keeps the work in proportion to output pixels and primitives.
     /// Work of 2³² in all and of 4096 for each primitive is free of it, so that small pictures may be dense.

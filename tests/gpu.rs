@@ -3,14 +3,16 @@
 //! Any adapter will do, software included. Without one these tests are ignored; with `SSPLAT_REQUIRE_GPU=1` they fail.
 
 mod scenes;
+mod synthetic;
 
 use libtest_mimic::{Arguments, Failed, Trial};
 use scenes::{codes, scene};
+use ssplat::bitstream::{DetailHead, to_bytes};
 use ssplat::gpu::{Adapters, Device, Renderer};
 use ssplat::raster::{View, reference};
 use ssplat::{
-    Backend, Blend, Channels, Depth, EncodeOptions, Error, Gaussian, GpuError, Limits, Picture, Pixels, Recipe,
-    Samples, Target, Tune,
+    Backend, Blend, Channels, Damage, Depth, EncodeOptions, Error, Gaussian, GpuError, Layers, Limits, Opened, Opening,
+    Picture, Pixels, Recipe, Samples, Target, Tune,
 };
 use std::ops::ControlFlow;
 
@@ -32,6 +34,9 @@ fn main() {
         ("needles_of_the_encoder_are_within_one_code_value", needles),
         ("regions_and_sizes_are_those_of_the_cpu", regions_and_sizes),
         ("reduced_views_are_low_passed_as_on_the_cpu", reduced),
+        ("files_of_two_layers_are_drawn_as_on_the_cpu", two_layers),
+        ("a_layer_costs_rows_of_memory_and_its_work", layers_within_limits),
+        ("a_part_that_was_read_is_all_that_is_drawn", parts),
         ("a_second_run_gives_the_same_bits", same_bits),
         ("bands_give_the_same_bits_as_one", bands),
         ("textures_and_buffers_hold_the_same_codes", textures_and_buffers),
@@ -43,6 +48,9 @@ fn main() {
         ("an_encoder_asked_for_the_gpu_uses_it_or_fails", encoder),
         #[cfg(feature = "cli")]
         ("the_program_fits_and_draws_on_the_gpu", program::fits_and_draws),
+        #[cfg(feature = "cli")]
+        #[cfg(feature = "cli")]
+        ("the_program_draws_the_detail_layer_on_the_gpu", program::draws_layers),
         #[cfg(feature = "cli")]
         ("auto_never_takes_software_and_says_why", program::auto),
         #[cfg(feature = "cli")]
@@ -130,6 +138,25 @@ mod program {
             drawn.push(image::open(folder.path().join("out.png")).unwrap().to_rgb8());
         }
         assert!(drawn[0].iter().zip(drawn[1].iter()).all(|(a, b)| a.abs_diff(*b) <= 1));
+    }
+
+    pub fn draws_layers(device: &Device) {
+        let folder = tempfile::tempdir().unwrap();
+        let file = super::layered(ssplat::Channels::Rgb, ssplat::Depth::Eight, ssplat::Blend::Normalized, [300, 200]);
+        std::fs::write(folder.path().join("in.ssplat"), file).unwrap();
+        for layers in ["both", "gaussians", "detail"] {
+            let mut drawn = Vec::new();
+            for backend in ["cpu", "gpu"] {
+                let args = ["decode", "in.ssplat", "out.png", "--json", "--layers", layers, "--backend", backend];
+                let output = ssplat(&folder, "", &args);
+                assert_eq!(said(&output)["device"], if backend == "gpu" { device.name() } else { "CPU" });
+                // No notes; drivers may have something to say.
+                assert!(!String::from_utf8_lossy(&output.stderr).contains("ssplat:"), "{output:?}");
+                drawn.push(image::open(folder.path().join("out.png")).unwrap().to_rgb8());
+                std::fs::remove_file(folder.path().join("out.png")).unwrap();
+            }
+            assert!(drawn[0].iter().zip(drawn[1].iter()).all(|(a, b)| a.abs_diff(*b) <= 1), "{layers}");
+        }
     }
 
     pub fn auto(device: &Device) {
@@ -268,6 +295,120 @@ fn reduced(device: &Device) {
             }
         }
     }
+}
+
+/// A file with levels in most blocks of its detail layer.
+fn layered(channels: Channels, depth: Depth, blend: Blend, size: [u32; 2]) -> Vec<u8> {
+    use synthetic::{Levels, Scene, scene, with_layer};
+    let mut head = DetailHead::SEEN;
+    (head.step, head.alpha) = (700, channels.alpha().is_some());
+    let mut ground = scene(&Scene { channels, size, count: 400, seed: 71, ..Scene::default() });
+    (ground.depth, ground.blend) = (depth, blend);
+    to_bytes(&with_layer(ground, head, Levels::new(71))).unwrap()
+}
+
+fn opened(bytes: &[u8], layers: Layers) -> Opened {
+    Opening::new(bytes, &Limits::default()).unwrap().showing(layers).read(Damage::Refuse).unwrap()
+}
+
+/// Largest difference between what the GPU and the CPU draw of `view`, code values; and whether the layer shows in it.
+fn apart(device: &Device, opened: &mut Opened, view: &View) -> (u16, bool) {
+    let draw = |opened: &Opened| codes(opened.draw(view).unwrap().into_samples());
+    let cpu = draw(opened);
+    let depth = opened.splats().depth;
+    let (count, alpha) = (opened.splats().channels.count(), opened.splats().channels.alpha());
+    let gpu = codes(Renderer::of(device, opened).unwrap().render(view, depth).unwrap().into_samples());
+    assert_eq!(cpu.len(), gpu.len());
+    opened.show(Layers::Gaussians);
+    let alone = draw(opened);
+    let is_reduced = view.step().iter().any(|&step| step > 1.0);
+    let off = |(i, (a, b)): (usize, (&u16, &u16))| {
+        // In a reduced view colours of the nearly transparent are the less certain.
+        let alpha = alpha.filter(|&k| is_reduced && k != i % count);
+        let share = alpha.map_or(1.0, |k| f64::from(alone[i - i % count + k]) / f64::from(depth.max()));
+        (f64::from(a.abs_diff(*b)) * (16.0 * share).min(1.0)).ceil() as u16
+    };
+    (cpu.iter().zip(&gpu).enumerate().map(off).max().unwrap(), alone != cpu)
+}
+
+fn two_layers(device: &Device) {
+    // 256 rows of additions at a time, from an edge of tiles to the next: the second is twice as wide as they are high.
+    let sizes = [[530, 300], [1100, 600]];
+    let full = View::of_size(530, 300);
+    let region = full.crop(201, 150, 300, 140).unwrap();
+    let resized = |view: View, width, height| view.resized(width, height).unwrap();
+    let views = [
+        (full, "whole"),
+        (region, "a region across edges of tiles"),
+        (resized(full, 265, 150), "half"),
+        (resized(full, 97, 41), "not a whole number of pixels"),
+        (resized(full, 11, 7), "samples far apart"),
+        (resized(full, 777, 431), "enlarged"),
+        (resized(full, 61, 700), "reduced along one axis, enlarged along the other"),
+        (resized(region, 500, 211).crop(100, 50, 300, 100).unwrap(), "a crop of a region"),
+    ];
+    for (channels, depth, blend) in [
+        (Channels::Rgb, Depth::Eight, Blend::Normalized),
+        (Channels::Rgba, Depth::Eight, Blend::Sum),
+        (Channels::Grey, Depth::Sixteen, Blend::Sum),
+        (Channels::GreyAlpha, Depth::Sixteen, Blend::Normalized),
+    ] {
+        let bytes = layered(channels, depth, blend, sizes[0]);
+        // Each is within so much of the definition.
+        let most = if depth == Depth::Eight { 1 } else { 2 * SIXTEEN };
+        for (view, of) in &views {
+            for layers in [Layers::Both, Layers::Detail] {
+                let (off, is_seen) = apart(device, &mut opened(&bytes, layers), view);
+                assert!(off <= most && is_seen, "{of}, {channels:?}, {depth:?}, {blend:?}, {layers:?}: {off}");
+            }
+            let (off, is_seen) = apart(device, &mut opened(&bytes, Layers::Gaussians), view);
+            assert!(off <= most && !is_seen, "{of}, Gaussians alone: {off}");
+        }
+    }
+    let bytes = layered(Channels::Rgba, Depth::Eight, Blend::Normalized, sizes[1]);
+    let full = View::of_size(1100, 600);
+    for view in [full, full.crop(30, 100, 1000, 480).unwrap(), resized(full, 1000, 700)] {
+        let (off, is_seen) = apart(device, &mut opened(&bytes, Layers::Both), &view);
+        assert!(off <= 1 && is_seen, "{view:?}: {off}");
+    }
+    let mut renderer = Renderer::of(device, &opened(&bytes, Layers::Both)).unwrap();
+    let whole = codes(renderer.render(&full, Depth::Eight).unwrap().into_samples());
+    assert_eq!(renderer.bands().0, 256, "rows of a band");
+    // One renderer draws one view after the other.
+    let part = codes(renderer.render(&full.crop(0, 250, 1100, 9).unwrap(), Depth::Eight).unwrap().into_samples());
+    assert!(part == whole[250 * 4400..259 * 4400]);
+}
+
+fn layers_within_limits(device: &Device) {
+    let bytes = layered(Channels::Rgb, Depth::Eight, Blend::Normalized, [530, 300]);
+    let view = View::of_size(530, 300);
+    for (layers, is_refused) in [(Layers::Both, true), (Layers::Gaussians, false)] {
+        let mut file = opened(&bytes, layers);
+        // Enough for the pixels and the integers, too little for additions to 300 rows beside them.
+        file.limit_alloc(2_500_000).unwrap();
+        let drawn = Renderer::of(device, &file).unwrap().render(&view, Depth::Eight);
+        let refused = matches!(drawn, Err(Error::LimitExceeded { what: "alloc", .. }));
+        assert!(refused == is_refused && drawn.is_ok() != is_refused, "{layers:?}: {drawn:?}");
+        // Less than the layer may take, more than the Gaussians do.
+        let mut limits = Limits::default();
+        limits.work = 1 << 27;
+        let opening = Opening::new(&bytes, &limits).unwrap().showing(layers);
+        let file = opening.read(Damage::Refuse).unwrap();
+        let drawn = Renderer::of(device, &file).unwrap().render(&view, Depth::Eight);
+        let refused = matches!(drawn, Err(Error::LimitExceeded { what: "work", .. }));
+        assert!(refused == is_refused && drawn.is_ok() != is_refused, "{layers:?}: {drawn:?}");
+    }
+}
+
+fn parts(device: &Device) {
+    let bytes = layered(Channels::Rgb, Depth::Eight, Blend::Normalized, [530, 300]);
+    let whole = View::of_size(530, 300);
+    let region = whole.crop(10, 20, 100, 50).unwrap();
+    let file = Opening::new(&bytes, &Limits::default()).unwrap().read_for(&region, Damage::Refuse).unwrap();
+    let mut renderer = Renderer::of(device, &file).unwrap();
+    renderer.render(&region, Depth::Eight).unwrap();
+    let refused = renderer.render(&whole, Depth::Eight);
+    assert!(matches!(refused, Err(Error::Parameter { name: "view", .. })), "{refused:?}");
 }
 
 fn same_bits(device: &Device) {

@@ -5,8 +5,8 @@ use std::ops::ControlFlow;
 
 use ssplat::bitstream::splats::Layout;
 use ssplat::{
-    Backend, Blend, Channels, DecodeOptions, Detail, EncodeOptions, Encoded, Error, Limits, Needs, Omission, Pixels, Recipe,
-    Samples, Target, Thumbnail, Trace, Tune, Workers,
+    Backend, Blend, Channels, DecodeOptions, Detail, EncodeOptions, Encoded, Error, Limits, Needs, Omission, Pixels,
+    Recipe, Samples, Target, Thumbnail, Trace, Tune, Workers,
 };
 
 /// Waves and edges of many sizes, all over.

@@ -5,7 +5,7 @@
 Each picture is encoded by each program at each ratio, with the defaults and with --tune psnr, one thread an encode. For each ratio and
 program a row has the means of PSNR (dB) for both, and of SSIMULACRA2, MS-SSIM, Butteraugli and CPU seconds for the defaults. Then come
 the pictures on which the last program is behind the first: by more than .05 dB with --tune psnr, or .3 points of SSIMULACRA2 without.
-The first program named measures all files.
+Each program measures its own files: formats may differ.
 """
 import argparse
 import concurrent.futures
@@ -19,8 +19,8 @@ import tempfile
 MEASURES = ("PSNR", "MS-SSIM", "SSIMULACRA2", "Butteraugli")
 
 
-def measured(judge, program, picture, ratio, options, folder):
-    """What `judge compare` says of an encode, and its CPU seconds and bytes."""
+def measured(program, picture, ratio, options, folder):
+    """What `compare` of the same program says of an encode, and its CPU seconds and bytes."""
     handle, file = tempfile.mkstemp(".ssplat", dir=folder)
     os.close(handle)
     os.remove(file)
@@ -30,7 +30,7 @@ def measured(judge, program, picture, ratio, options, folder):
     _, status, used = os.wait4(encode.pid, 0)
     if status:
         raise SystemExit(f"{program} encode {picture} --ratio {ratio} failed")
-    said = subprocess.run([judge, "compare", picture, file], env=environment, capture_output=True, text=True, check=True).stdout
+    said = subprocess.run([program, "compare", picture, file], env=environment, capture_output=True, text=True, check=True).stdout
     found = {name: float(re.search(rf"(?:^|, ){name} (-?[\d.]+|inf)", said)[1]) for name in MEASURES}
     return {**found, "seconds": used.ru_utime + used.ru_stime, "bytes": file.stat().st_size}
 
@@ -43,7 +43,6 @@ def main():
     arguments.add_argument("--jobs", type=int, default=2)
     arguments = arguments.parse_args()
     programs = [named.split("=", 1) for named in arguments.program]
-    judge = programs[0][1]
     behind = []
     print("| ratio | | PSNR, `--tune psnr` | PSNR | SSIMULACRA2 | MS-SSIM | Butteraugli | CPU s | bytes |")
     print("|--:|---|--:|--:|--:|--:|--:|--:|--:|")
@@ -52,7 +51,7 @@ def main():
             rows = {}
             for name, program in programs:
                 for tune, options in (("psnr", ["--tune", "psnr"]), ("default", [])):
-                    work = lambda picture: measured(judge, program, picture, ratio, options, pathlib.Path(folder))
+                    work = lambda picture: measured(program, picture, ratio, options, pathlib.Path(folder))
                     rows[name, tune] = list(pool.map(work, arguments.pictures))
             for name, _ in programs:
                 mean = lambda tune, measure: statistics.fmean(row[measure] for row in rows[name, tune])

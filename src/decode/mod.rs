@@ -17,6 +17,8 @@
 mod opened;
 mod thumbnail;
 
+#[cfg(feature = "gpu")]
+pub(crate) use opened::check_area;
 pub use opened::{Opened, Opening};
 pub use thumbnail::thumbnail;
 

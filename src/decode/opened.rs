@@ -218,11 +218,14 @@ impl Opened {
     /// # Errors
     /// As [`Renderer::new`], and [`Error::Parameter`] for a view that shows what was not read.
     pub fn renderer(&self, view: &View) -> Result<Renderer> {
-        if self.area.is_some_and(|area| !area.holds(&view.area().into())) {
-            let problem = format!("{view:?} shows more than the part of the picture that was read");
-            return Err(Error::Parameter { name: "view", problem });
-        }
+        check_area(self.area.as_ref(), view)?;
         self.splats.renderer_within(view, (&self.limits, &self.budget), self.layers)
+    }
+
+    /// What a renderer of any view needs to know beside the integers: which layers are drawn, what part can be, and what it may cost.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn terms(&self) -> (Layers, Option<Area>, &Limits, &Budget) {
+        (self.layers, self.area, &self.limits, &self.budget)
     }
 
     /// Draws `view` with the channels and the depth of the file.
@@ -275,6 +278,15 @@ impl Opened {
     }
 }
 
+/// Checks that `view` shows nothing beyond `area`, if that is all that was read.
+pub(crate) fn check_area(area: Option<&Area>, view: &View) -> Result<()> {
+    if area.is_some_and(|area| !area.holds(&view.area().into())) {
+        let problem = format!("{view:?} shows more than the part of the picture that was read");
+        return Err(Error::Parameter { name: "view", problem });
+    }
+    Ok(())
+}
+
 /// What the detail layer is shown on by itself.
 const GREY: f32 = 0.5;
 
@@ -290,8 +302,19 @@ impl PackedSplats {
 
     /// The same with memory from `budget`, and with what a detail layer adds.
     fn renderer_within(&self, view: &View, (limits, budget): (&Limits, &Budget), layers: Layers) -> Result<Renderer> {
+        let (canvas, count) = self.canvas(layers);
         let quantizer = self.quantizer();
-        let mut background = quantizer.dequantize_color(self.background);
+        let gaussian = |i: usize| quantizer.dequantize(&self.gaussians[i]);
+        let renderer = Renderer::of(&canvas, (count, gaussian), view, limits, budget)?;
+        match self.overlay(layers) {
+            Some(overlay) => renderer.with(overlay, limits),
+            None => Ok(renderer),
+        }
+    }
+
+    /// What Gaussians are drawn onto where such layers are shown, and how many of them.
+    pub(crate) fn canvas(&self, layers: Layers) -> (Canvas, usize) {
+        let mut background = self.quantizer().dequantize_color(self.background);
         let mut count = self.gaussians.len();
         if layers == Layers::Detail {
             (background, count) = ([GREY; 4], 0);
@@ -299,15 +322,12 @@ impl PackedSplats {
                 background[alpha] = 1.0;
             }
         }
-        let canvas = Canvas { channels: self.channels, blend: self.blend, background };
-        let gaussian = |i: usize| quantizer.dequantize(&self.gaussians[i]);
-        let renderer = Renderer::of(&canvas, (count, gaussian), view, limits, budget)?;
-        match &self.detail {
-            Some(layer) if layers != Layers::Gaussians => {
-                let overlay = Overlay::new(Arc::clone(layer), self.channels, [self.width, self.height]);
-                renderer.with(overlay, layer.levels(), limits)
-            }
-            _ => Ok(renderer),
-        }
+        (Canvas { channels: self.channels, blend: self.blend, background }, count)
+    }
+
+    /// What is added to them.
+    pub(crate) fn overlay(&self, layers: Layers) -> Option<Overlay> {
+        let layer = self.detail.as_ref().filter(|_| layers != Layers::Gaussians)?;
+        Some(Overlay::new(Arc::clone(layer), self.channels, [self.width, self.height]))
     }
 }

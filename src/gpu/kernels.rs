@@ -69,7 +69,7 @@ kernels! {
     scan_top: [SCAN], [Write, Write, Write, Write], 256;
     scan_spread: [SCAN], [Write, Write, Write, Write], 256;
     sort: [include_str!("../../shaders/sort.wgsl")], [Read, Read, Write, Read], 64;
-    render: [TILE, include_str!("../../shaders/render.wgsl")], [Read, Read, Read, Read, Write], 256;
+    render: [TILE, include_str!("../../shaders/render.wgsl")], [Read, Read, Read, Read, Write, Read], 256;
     forward: [TILE, PIXEL, include_str!("../../shaders/forward.wgsl")],
         [Read, Read, Read, Read, Read, Write, Write, Write], 256;
     backward: [PAIR, include_str!("../../shaders/backward.wgsl")], [Read, Read, Read, Read, Read, Read, Write], 64;

@@ -7,14 +7,12 @@
 //!
 //! ```no_run
 //! use ssplat::gpu::{Adapters, Device, Renderer};
-//! use ssplat::raster::View;
-//! use ssplat::{Depth, Limits};
+//! use ssplat::{Depth, Limits, Opened};
 //!
-//! let file = std::fs::File::open("photo.ssplat")?;
-//! let picture = ssplat::bitstream::read(file, &Limits::default())?.to_picture();
+//! let opened = Opened::from_bytes(&std::fs::read("photo.ssplat")?, &Limits::default())?;
 //! let device = Device::open(Adapters::Hardware)?;
-//! let mut renderer = Renderer::new(&device, &picture, &Limits::default())?;
-//! let pixels = renderer.render(&View::full(&picture), Depth::Eight)?;
+//! let mut renderer = Renderer::of(&device, &opened)?;
+//! let pixels = renderer.render(&opened.view(), Depth::Eight)?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -24,6 +22,7 @@ mod fitted;
 mod kernels;
 #[cfg(test)]
 mod large;
+mod layer;
 mod lists;
 mod peaks;
 mod renderer;

@@ -1,16 +1,20 @@
 //! Draws views of a picture that stays on the device.
 
 use super::device::Device;
+use super::layer::Layer;
 use super::lists::{Lists, MOST_BINDING, MOST_TILES, check_primitives};
 #[cfg(test)]
 use super::scene::Splat;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
+use crate::bitstream::rules::Area;
 use crate::budget::Budget;
+use crate::decode::{Opened, check_area};
 use crate::error::{Error, GpuError, Result};
-use crate::gaussian::{Blend, Channels, MAX_SCALE, Picture};
+use crate::gaussian::{Blend, Channels, Gaussian, MAX_SCALE, Picture};
 use crate::limits::Limits;
 use crate::pixels::{Depth, Pixels, Samples};
-use crate::raster::View;
+use crate::raster::{self, Overlay, View};
+use std::sync::Arc;
 
 /// Bytes that a row of a texture copy is aligned to.
 const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
@@ -27,6 +31,12 @@ pub struct Renderer {
     background: [f32; 4],
     count: u32,
     limits: Limits,
+    /// What pixels and additions may be allocated from.
+    budget: Budget,
+    /// What can be drawn, if that is not all of the picture.
+    area: Option<Area>,
+    /// What is added to the Gaussians' picture.
+    overlay: Option<Arc<Overlay>>,
     primitives: wgpu::Buffer,
     stage: Option<Canvas>,
     /// Rows of the output.
@@ -41,6 +51,7 @@ struct Canvas {
     shape: CanvasSize,
     uniforms: wgpu::Buffer,
     codes: wgpu::Buffer,
+    additions: wgpu::Buffer,
     lists: Lists,
     render: wgpu::BindGroup,
 }
@@ -63,6 +74,8 @@ struct Grid {
     down: u32,
     /// Words in a row of the codes.
     stride: u32,
+    /// Bytes of what a layer adds to a row; 0 without one.
+    added: u64,
 }
 
 /// How code values are laid out; the numbers are the modes of `render.wgsl`.
@@ -80,14 +93,44 @@ impl Renderer {
     /// [`Error::LimitExceeded`] when `limits` do not allow its primitives; [`Error::Parameter`] when one of them is not
     /// finite or has a scale outside 0..=2²⁰; [`Error::Gpu`] when the device fails or cannot hold them.
     pub fn new(device: &Device, picture: &Picture, limits: &Limits) -> Result<Self> {
-        let count = picture.gaussians.len() as u64;
+        let canvas =
+            raster::Canvas { channels: picture.channels, blend: picture.blend, background: picture.background };
+        let gaussians = (picture.gaussians.len(), |i: usize| picture.gaussians[i]);
+        Renderer::on(device, &canvas, gaussians, limits, &Budget::of(limits))
+    }
+
+    /// Brings the layers of an opened file that it [shows](Opened::show) to `device`. The file is not needed any more, but what
+    /// is drawn takes memory from what it may take. What a detail layer adds to a view is made on the CPU when the view is drawn.
+    ///
+    /// # Errors
+    /// As [`Renderer::new`], by the limits of `opened`.
+    pub fn of(device: &Device, opened: &Opened) -> Result<Self> {
+        let (layers, area, limits, budget) = opened.terms();
+        let splats = opened.splats();
+        let (canvas, count) = splats.canvas(layers);
+        let quantizer = splats.quantizer();
+        let gaussians = (count, |i: usize| quantizer.dequantize(&splats.gaussians[i]));
+        let overlay = splats.overlay(layers).map(Arc::new);
+        Ok(Renderer { area, overlay, ..Renderer::on(device, &canvas, gaussians, limits, budget)? })
+    }
+
+    fn on(
+        device: &Device,
+        canvas: &raster::Canvas,
+        (length, gaussian): (usize, impl Fn(usize) -> Gaussian),
+        limits: &Limits,
+        budget: &Budget,
+    ) -> Result<Self> {
+        let count = length as u64;
         Limits::check("primitives", count, limits.primitives)?;
         check_primitives(count)?;
-        if !picture.background.iter().all(|v| v.is_finite()) {
-            return Err(Error::Parameter { name: "background", problem: format!("{:?}", picture.background) });
+        if !canvas.background.iter().all(|v| v.is_finite()) {
+            return Err(Error::Parameter { name: "background", problem: format!("{:?}", canvas.background) });
         }
-        let mut primitives = Vec::with_capacity(picture.gaussians.len());
-        for (i, g) in picture.gaussians.iter().enumerate() {
+        let _held = budget.reserve(count * size_of::<Primitive>() as u64)?;
+        let mut primitives = Vec::with_capacity(length);
+        for i in 0..length {
+            let g = gaussian(i);
             let sound = g.mean.iter().chain([&g.rotation]).chain(&g.color).all(|v| v.is_finite())
                 && g.scale.iter().all(|&s| s > 0.0 && s <= MAX_SCALE);
             if !sound {
@@ -111,11 +154,14 @@ impl Renderer {
         })?;
         Ok(Renderer {
             device: device.clone(),
-            channels: picture.channels,
-            blend: picture.blend,
-            background: picture.background,
+            channels: canvas.channels,
+            blend: canvas.blend,
+            background: canvas.background,
             count: count as u32,
             limits: limits.clone(),
+            budget: budget.clone(),
+            area: None,
+            overlay: None,
             primitives: buffer,
             stage: None,
             band_rows: u32::MAX,
@@ -126,13 +172,13 @@ impl Renderer {
     /// Draws `view` and brings the pixels back.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] when the pixels, the (Gaussian, tile) pairs or their work go beyond the limits, before
-    /// the band in which they do is drawn; [`Error::Gpu`] when the device fails, or the Gaussians of a single row of
-    /// tiles do not fit into a list.
+    /// [`Error::LimitExceeded`] when the pixels, what a layer adds to them, the (Gaussian, tile) pairs or their work go beyond the
+    /// limits, before the band in which they do is drawn; [`Error::Parameter`] for a view that shows what was not read of a file;
+    /// [`Error::Gpu`] when the device fails, or the Gaussians of a single row of tiles do not fit into a list.
     pub fn render(&mut self, view: &View, depth: Depth) -> Result<Pixels> {
         let count = self.channels.count();
         let samples = u64::from(view.width()) * u64::from(view.height()) * count as u64;
-        Budget::of(&self.limits).check(samples * depth.bytes() as u64)?;
+        let _held = self.budget.reserve(samples * depth.bytes() as u64)?;
         // Of red, green, blue and alpha, those that the picture has.
         let picked: &[usize] = match self.channels {
             Channels::Grey => &[0],
@@ -248,6 +294,12 @@ impl Renderer {
         self.device.read_as(&lists.splats, self.count as usize)
     }
 
+    /// The same with a detail layer, and with lists that begin too short.
+    #[cfg(test)]
+    pub(super) fn adding(self, overlay: Arc<Overlay>) -> Self {
+        Renderer { overlay: Some(overlay), capacity: 100, ..self }
+    }
+
     /// Draws `view` band by band; `take` is given each band's codes, their number in words and the band's first row.
     /// Nothing is handed on before the band is known to be whole.
     fn draw(
@@ -257,30 +309,51 @@ impl Renderer {
         stride: u32,
         mut take: impl FnMut(&Device, &wgpu::Buffer, u64, u32) -> Result<()>,
     ) -> Result<()> {
-        let base = Uniforms { stride, ..Uniforms::new(view, self.blend, self.channels, self.background, self.count) };
-        // Rows of the output in one of tiles; whole rows of tiles whose codes fit into a binding.
+        check_area(self.area.as_ref(), view)?;
+        let mut layer = match &self.overlay {
+            Some(overlay) => Some(Layer::new(overlay, view, &self.limits)?),
+            None => None,
+        };
+        let base = Uniforms {
+            stride,
+            detail: layer.is_some().into(),
+            ..Uniforms::new(view, self.blend, self.channels, self.background, self.count)
+        };
+        // Rows of the output in one of tiles; whole rows of tiles whose codes fit into a binding, or as many as additions are held for.
         let tall = TILE / base.down;
         let row = u64::from(stride) * u64::from(tall) * 4;
-        let most = (MOST_BINDING / row).min(MOST_TILES / u64::from(base.tiles_x)) as u32 * tall;
+        let mut most = (MOST_BINDING / row).min(MOST_TILES / u64::from(base.tiles_x)) as u32 * tall;
         if most == 0 {
             let (what, requested) = ("bytes in a row of tiles", row);
             return Err(GpuError::Overflow { what, requested, allowed: MOST_BINDING }.into());
         }
-        let grid = Grid { width: base.width, height: base.height, down: base.down, stride };
+        let added = layer.as_ref().map_or(0, Layer::row_memory);
+        let grid = Grid { width: base.width, height: base.height, down: base.down, stride, added };
+        if let Some(layer) = &layer {
+            most = most.min(layer.most_rows()?);
+        }
         if self.stage.as_ref().is_none_or(|s| s.shape.grid != grid) {
             self.band_rows = most.min(view.height().next_multiple_of(tall));
         }
+        if let Some(layer) = &layer {
+            layer.check(self.band_rows, &self.budget)?;
+        }
+        let layer_work = layer.as_ref().map_or(0, Layer::work);
+        let all_work = self.limits.work;
         let most_work = self.limits.most_work(u64::from(base.width) * u64::from(base.height), self.count.into());
         let tile_pairs = self.limits.tile_pairs;
-        let most_pairs = tile_pairs.min(most_work / PAIR_WORK);
+        let most_pairs = tile_pairs.min(most_work.min(all_work - layer_work) / PAIR_WORK);
         let check = |pairs: u64| {
             Limits::check("tile_pairs", pairs, tile_pairs)?;
-            Limits::check("work", pairs.saturating_mul(PAIR_WORK), most_work)
+            let work = pairs.saturating_mul(PAIR_WORK);
+            Limits::check("work", work, most_work)?;
+            Limits::check("work", work.saturating_add(layer_work), all_work)
         };
         let mut first = 0;
         let mut pairs = 0u64;
         while first < view.height() {
-            let rows = self.band_rows.min(view.height() - first);
+            let most = self.band_rows.min(view.height() - first);
+            let rows = layer.as_ref().map_or(most, |layer| layer.rows(first, most));
             self.prepare(grid)?;
             let stage = self.stage.as_ref().expect("just prepared");
             // A band with more pairs than are left is not drawn.
@@ -291,6 +364,9 @@ impl Renderer {
                 let (d, queue) = self.device.wgpu();
                 let kernels = self.device.kernels();
                 self.device.write(&stage.uniforms, &spaced(&modes));
+                if let Some(layer) = &mut layer {
+                    self.device.write(&stage.additions, layer.additions(first..first + rows));
+                }
                 let mut encoder = d.create_command_encoder(&Default::default());
                 encoder.clear_buffer(&stage.lists.status, 0, None);
                 stage.lists.project(kernels, &mut encoder, 0, u64::from(self.count));
@@ -340,10 +416,11 @@ impl Renderer {
             use wgpu::BufferUsages as U;
             let uniforms = device.buffer("uniforms", 3 * u64::from(Uniforms::STRIDE), U::UNIFORM | U::COPY_DST);
             let codes = device.storage("codes", u64::from(grid.stride) * u64::from(shape.band_rows) * 4);
+            let additions = device.storage("additions", grid.added * u64::from(shape.band_rows));
             let lists = Lists::new(device, &uniforms, &self.primitives, self.count.into(), tiles, shape.capacity);
-            let buffers = [&lists.splats, &lists.starts, &lists.sorted, &lists.status, &codes];
+            let buffers = [&lists.splats, &lists.starts, &lists.sorted, &lists.status, &codes, &additions];
             let render = device.kernels().render.bind(device.wgpu().0, &uniforms, &buffers);
-            Canvas { shape, uniforms, codes, lists, render }
+            Canvas { shape, uniforms, codes, additions, lists, render }
         })?;
         self.stage = Some(stage);
         Ok(())

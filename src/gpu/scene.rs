@@ -55,9 +55,9 @@ pub(super) struct Uniforms {
     pub level: u32,
     pub price: f32,
     pub weighted: u32,
+    pub detail: u32,
     /// To a multiple of 16 bytes.
     pub spare: u32,
-    pub spare_second: u32,
 }
 
 impl Uniforms {

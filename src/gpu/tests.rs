@@ -64,7 +64,7 @@ fn structs_are_laid_out_alike_on_both_sides() {
         max_log_scale, max_log_aspect, correction_first, correction_second, least_gain, variance, longest, primitives, capacity,
         width, height, across, down, row_step, row_phase, band_first, band_rows, tiles_x, tiles_y, tile_base, blend,
         channels, alpha, source_words, source_first, mode, cells_x, cells_y, cell, stride, level, price, weighted,
-        spare, spare_second);
+        detail, spare);
     assert_eq!(scene, rust);
     assert_eq!(size as usize, size_of::<Uniforms>());
     assert!(size <= Uniforms::STRIDE);
@@ -155,6 +155,7 @@ mod stages {
     use super::super::source::pack;
     use super::super::twin;
     use super::super::workspace::Workspace;
+    use crate::bitstream::{DetailHead, DetailLayer, Maker};
     use crate::fit::engine::{Engine, Sight, Watcher};
     use crate::fit::job::Job;
     use crate::fit::model::adam::{Bounds, Rates};
@@ -169,10 +170,11 @@ mod stages {
     use crate::fit::state::State;
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::{Pixels, Samples};
+    use crate::raster::Overlay;
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64Mcg;
     use std::io::Write;
-    use std::sync::OnceLock;
+    use std::sync::{Arc, OnceLock};
 
     fn device() -> Option<Device> {
         static DEVICE: OnceLock<Result<Device, String>> = OnceLock::new();
@@ -665,6 +667,24 @@ mod stages {
         }
     }
 
+    /// A few levels in every block, so many so far.
+    struct Ripples(u8);
+
+    impl Maker for Ripples {
+        fn class(&mut self, _: usize, _: [usize; 2]) -> u8 {
+            0
+        }
+
+        fn is_divided(&mut self, _: usize, _: usize, _: [usize; 2], _: usize) -> bool {
+            true
+        }
+
+        fn levels(&mut self, _: usize, _: usize, _: [usize; 2], _: usize) -> Vec<(u8, u8, i16)> {
+            self.0 = (self.0 + 1) % 4;
+            vec![(0, 0, 9 - 5 * i16::from(self.0)), (self.0, 1, 7)]
+        }
+    }
+
     #[test]
     fn renders_agree_with_their_twin() {
         let Some(device) = device() else { return };
@@ -679,18 +699,23 @@ mod stages {
             background: [0.3; 4],
             gaussians,
         };
-        let mut renderer = Renderer::new(&device, &picture, &crate::Limits::default()).unwrap();
+        let new = || Renderer::new(&device, &picture, &crate::Limits::default()).unwrap();
+        let head = DetailHead { step: 900, alpha: true, ..DetailHead::PLAIN };
+        let layer = DetailLayer::made(head, picture.channels, [width, height], &mut Ripples(0)).unwrap();
+        let overlay = Arc::new(Overlay::new(Arc::new(layer), picture.channels, [width, height]));
         let p: Vec<Primitive> = picture
             .gaussians
             .iter()
             .map(|g| Primitive { mean: g.mean, log_scale: g.scale.map(f32::ln), rotation: g.rotation, color: g.color })
             .collect();
-        // Whole; 8 × 4 samples a pixel; samples 1.5 and 2.3 pixels apart.
-        for (width, height) in [(width, height), (6, 11), (4, 2)] {
+        // Whole; 8 × 4 samples a pixel; samples 1.5 and 2.3 pixels apart. Without a layer and with one.
+        let sizes = [(width, height), (6, 11), (4, 2)];
+        for ((width, height), detail) in sizes.into_iter().flat_map(|size| [(size, 0), (size, 1)]) {
             let view = crate::raster::View::full(&picture).resized(width, height).unwrap();
             let u = Uniforms {
                 stride: width,
                 capacity: 1 << 16,
+                detail,
                 ..Uniforms::new(&view, picture.blend, picture.channels, picture.background, 60)
             };
             let u = u.band(0, u.height);
@@ -701,7 +726,9 @@ mod stages {
             twin::scan::scan(&u, &mut cursors, &mut starts, &mut [0; 4]);
             twin::bin::bin(&Uniforms { mode: 1, ..u }, &splats, &mut cursors, &mut lists, &mut [0; 4]);
             let mut codes = vec![0u32; (width * height) as usize];
-            twin::render::render(&u, &splats, &starts, &lists, &mut codes);
+            let added = overlay.additions(&view, 0, width as usize, 0..height);
+            twin::render::render(&u, &splats, &starts, &lists, &mut codes, added.first(height));
+            let mut renderer = if detail == 1 { new().adding(Arc::clone(&overlay)) } else { new() };
             let drawn = renderer.render(&view, crate::Depth::Eight).unwrap().into_samples();
             let Samples::U8(drawn) = drawn else { panic!("8 bits") };
             let got = renderer.splats().unwrap();

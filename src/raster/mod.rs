@@ -33,6 +33,8 @@ mod renderer;
 mod samples;
 mod view;
 
+#[cfg(feature = "gpu")]
+pub(crate) use overlay::Additions;
 pub(crate) use overlay::Overlay;
 pub(crate) use renderer::Canvas;
 pub use renderer::Renderer;

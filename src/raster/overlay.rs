@@ -15,6 +15,7 @@ use crate::detail::supers::Supers;
 use crate::detail::tile::{Scratch, TilePlanes, UNIT, reconstruct_some};
 use crate::error::Result;
 use crate::gaussian::Channels;
+use crate::limits::Limits;
 use crate::parallel;
 
 /// A detail layer, ready to be added to a view.
@@ -38,7 +39,7 @@ struct Pool {
 
 /// What some rows of a view get added, in parts of white.
 #[derive(Debug)]
-pub(super) struct Additions {
+pub(crate) struct Additions {
     /// The first row, counted in the view.
     pub top: u32,
     /// Samples of a row of one channel.
@@ -50,6 +51,10 @@ pub(super) struct Additions {
 /// Bytes of additions or tiles that are held at a time, if a row of tiles does not need more.
 const HELD: u64 = 4 << 20;
 
+/// What a level of a detail layer has taken to read and to draw, in the units of [`Limits::work`]: 110 ns for a large one, where a unit is
+/// half a nanosecond on plain instructions.
+const LEVEL_WORK: u64 = 200;
+
 /// What a tile's unit is in parts of white.
 pub(super) const SCALE: f32 = UNIT / 255.0;
 
@@ -58,6 +63,12 @@ impl Additions {
     pub fn row(&self, row: usize) -> &[f32] {
         let length = self.stride * self.channels;
         &self.values[(row - self.top as usize) * length..][..length]
+    }
+
+    /// The first `rows` rows, one behind the other.
+    #[cfg(feature = "gpu")]
+    pub fn first(&self, rows: u32) -> &[f32] {
+        &self.values[..rows as usize * self.stride * self.channels]
     }
 }
 
@@ -112,16 +123,38 @@ impl Overlay {
 
     /// Rows of a view, in bands of at most so many, for which additions are made at once.
     pub fn rows_at_once(&self, view: &View) -> u32 {
-        let row = u64::from(view.width) * self.channels.count() as u64 * size_of::<f32>() as u64;
-        u32::try_from(HELD / row.max(1)).unwrap_or(u32::MAX).max(TILE as u32)
+        u32::try_from(HELD / self.row_memory(view).max(1)).unwrap_or(u32::MAX).max(TILE as u32)
     }
 
-    /// What it costs to make the tiles that `view` shows, in the units of [`Limits::work`](crate::Limits::work).
-    pub fn work(&self, view: &View) -> u64 {
+    /// Bytes that the additions of a row of a view take.
+    pub fn row_memory(&self, view: &View) -> u64 {
+        u64::from(view.width) * self.channels.count() as u64 * size_of::<f32>() as u64
+    }
+
+    /// Of at most `most` rows of a view from row `first` on, how many additions are best made for at once: where tiles are shown as
+    /// they are and more rows follow, those down to an edge of tiles, so that none is made twice.
+    #[cfg(feature = "gpu")]
+    pub fn rows_from(&self, view: &View, first: u32, most: u32) -> u32 {
+        if most >= view.height - first {
+            return most;
+        }
+        let top = u64::from(view.offset[1]) + u64::from(first);
+        let end = (top + u64::from(most)) / TILE as u64 * TILE as u64;
+        if self.is_direct(view) && end > top { (end - top) as u32 } else { most }
+    }
+
+    /// What it costs to make and to add what `view` shows of the layer, in the units of [`Limits::work`].
+    ///
+    /// # Errors
+    /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) when that alone could be too much.
+    pub fn work(&self, view: &View, limits: &Limits) -> Result<u64> {
         /// For each sample of a tile: its share of the densest transform.
         const SAMPLE_WORK: u64 = 64;
         let [_, _, width, height] = view.area().map(|side| (u64::from(side) / TILE as u64 + 2) * TILE as u64);
-        width.saturating_mul(height).saturating_mul(self.channels.count() as u64 * SAMPLE_WORK)
+        let samples = width.saturating_mul(height).saturating_mul(self.channels.count() as u64 * SAMPLE_WORK);
+        // By themselves, samples and levels are counted before they are known to be there, as if they took four and three times as long.
+        Limits::check("work", samples, limits.work)?;
+        Ok((samples / 4).saturating_add(LEVEL_WORK * self.layer.levels() as u64))
     }
 
     /// Checks that what is added to `rows` rows of `view`, and what it is made from, can be held.
@@ -132,15 +165,19 @@ impl Overlay {
             let held = u64::from(self.tile_rows_at_once(view).min(shown)) * self.tile_row_memory(view);
             return budget.check(held + size_of::<[i32; TILE * TILE]>() as u64);
         }
-        let channels = self.channels.count() as u64;
-        let additions = u64::from(view.width) * u64::from(rows) * channels * size_of::<f32>() as u64;
+        self.check_rows(view, rows, budget)
+    }
+
+    /// The same where the additions are made for whole rows, even if tiles are shown as they are.
+    pub fn check_rows(&self, view: &View, rows: u32, budget: &Budget) -> Result<()> {
+        let additions = self.row_memory(view).saturating_mul(rows.into());
         let [across, _] = tile_counts(self.size);
-        let tiles = across as u64 * (TILE * TILE) as u64 * (channels * 2 + 4);
+        let tiles = across as u64 * (TILE * TILE) as u64 * (self.channels.count() as u64 * 2 + 4);
         budget.check(additions.saturating_add(tiles))
     }
 
     /// What `rows` of the view get added, for columns from `left` of the view on (which may lie before its first one).
-    pub(super) fn additions(&self, view: &View, left: i64, stride: usize, rows: Range<u32>) -> Additions {
+    pub(crate) fn additions(&self, view: &View, left: i64, stride: usize, rows: Range<u32>) -> Additions {
         let channels = self.channels.count();
         let length = stride * channels;
         let mut values = self.pool().values.pop().unwrap_or_default();
@@ -149,6 +186,8 @@ impl Overlay {
         let side = self.size.map(|side| side as usize);
         let columns = axis(view, 0, left..left + stride as i64, side[0]);
         let downs = axis(view, 1, rows.start.into()..rows.end.into(), side[1]);
+        // The CPU draws such views without additions for whole rows.
+        let is_direct = cfg!(feature = "gpu") && left == 0 && stride == view.width as usize && self.is_direct(view);
         // Tiles that are needed.
         let (across, down) = (tiles_of(&columns), tiles_of(&downs));
         for row in down {
@@ -159,6 +198,10 @@ impl Overlay {
                 for (y, &weight) in (down.first..).zip(&down.weights).filter(|(y, _)| within.contains(y)) {
                     let line = (y - within.start) * TILE;
                     for (c, out) in out.chunks_exact_mut(stride).enumerate() {
+                        if is_direct {
+                            scale(&planes, (c, line), columns[0].first, out);
+                            continue;
+                        }
                         for (out, taps) in out.iter_mut().zip(&columns) {
                             let mut sum = 0.0;
                             for (x, &share) in (taps.first..).zip(&taps.weights) {
@@ -186,7 +229,7 @@ impl Overlay {
     }
 
     /// Takes back additions that were made.
-    pub(super) fn used(&self, additions: Additions) {
+    pub(crate) fn used(&self, additions: Additions) {
         self.pool().values.push(additions.values);
     }
 
@@ -216,6 +259,21 @@ impl Overlay {
 #[inline(never)]
 fn axis(view: &View, k: usize, pixels: Range<i64>, side: usize) -> Vec<Taps> {
     pixels.map(|i| taps(view.origin[k], view.step[k], f64::from(view.offset[k]) + i as f64, side)).collect()
+}
+
+/// The pixels of a row of tiles as they are, in parts of white: those of channel `c` in the line that begins at `line` in each tile, from
+/// column `first` of the row's first tile or its picture on.
+fn scale(tiles: &[Option<TilePlanes>], (c, line): (usize, usize), first: usize, mut out: &mut [f32]) {
+    let mut start = first % TILE;
+    for planes in tiles {
+        let (part, rest) = out.split_at_mut(out.len().min(TILE - start));
+        if let Some(planes) = planes {
+            for (out, &value) in part.iter_mut().zip(&planes.channels[c][line + start..]) {
+                *out = f32::from(value) * SCALE;
+            }
+        }
+        (start, out) = (0, rest);
+    }
 }
 
 /// The tiles, along an axis, that some pixels take something from.

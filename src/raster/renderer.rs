@@ -63,10 +63,6 @@ type Piece<'a, T> = (u32, u32, Vec<&'a mut [T]>);
 const LAYER_TILE: u32 = (TILE / TILE_WIDTH) as u32;
 const _: () = assert!(TILE.is_multiple_of(TILE_WIDTH) && TILE_WIDTH == TILE_HEIGHT);
 
-/// What a level of a detail layer has taken to read and to draw, in the units of [`Limits::work`]: 110 ns for a large one, where a unit is
-/// half a nanosecond on plain instructions.
-const LEVEL_WORK: u64 = 200;
-
 impl Renderer {
     /// Projects what `view` shows of `picture` and sorts it into tiles.
     ///
@@ -116,15 +112,12 @@ impl Renderer {
         })
     }
 
-    /// The same, with what a detail layer of so many levels adds.
+    /// The same, with what a detail layer adds.
     ///
     /// # Errors
     /// [`Error::LimitExceeded`] when that would be too much memory or work, beside what the Gaussians take.
-    pub(crate) fn with(mut self, overlay: Overlay, levels: usize, limits: &Limits) -> Result<Self> {
-        // By themselves, samples and levels are counted before they are known to be there, as if they took four and three times as long.
-        let layer = overlay.work(&self.view);
-        Limits::check("work", layer, limits.work)?;
-        let both = self.bins.work.saturating_add(layer / 4).saturating_add(LEVEL_WORK * levels as u64);
+    pub(crate) fn with(mut self, overlay: Overlay, limits: &Limits) -> Result<Self> {
+        let both = self.bins.work.saturating_add(overlay.work(&self.view, limits)?);
         Limits::check("work", both, limits.work)?;
         let rows = (0..self.bands()).map(|band| self.band_rows(band).len() as u32).max().unwrap_or(0);
         overlay.check(&self.view, rows.max(overlay.rows_at_once(&self.view).min(self.view.height)), &self.budget)?;

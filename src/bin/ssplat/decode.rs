@@ -10,7 +10,7 @@ use ssplat::bitstream::Missing;
 use ssplat::bitstream::header::Header;
 use ssplat::bitstream::splats::Metadata;
 use ssplat::raster::{Renderer, SamplesMut, View};
-use ssplat::{Backend, Channels, Damage, Depth, Layers, Limits, Opening, Picture, Pixels, Samples};
+use ssplat::{Backend, Channels, Damage, Depth, Limits, Opened, Opening, Pixels, Samples};
 
 use crate::batch::{self, Command, Done, Show, Voice};
 use crate::failure::Failure;
@@ -89,16 +89,12 @@ fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &
     let mut shape = (view.width(), view.height());
     let mut device = String::from("CPU");
     let sink;
-    let has_layer = opened.splats().detail.is_some() || args.layers == Layers::Detail;
-    let on_the_gpu = args.backend == Backend::Gpu && !has_layer;
-    if args.backend == Backend::Gpu && !on_the_gpu {
-        notes.push("drawn on the CPU: the GPU draws no detail layer yet".to_owned());
-    }
+    let on_the_gpu = args.backend == Backend::Gpu;
     if on_the_gpu || orientation.is_some() || background.is_some() {
         // What turns or covers a picture sees all of it.
         let pixels = if on_the_gpu {
             let pixels;
-            (pixels, device) = on_gpu(&opened.splats().to_picture(), &view, depth, &limits).map_err(failed)?;
+            (pixels, device) = on_gpu(&opened, &view).map_err(failed)?;
             pixels
         } else {
             opened.draw(&view).map_err(failed)?
@@ -236,15 +232,15 @@ fn losses(metadata: &Metadata, missing: Missing, of: u32) -> Vec<String> {
 
 /// Draws on a GPU, the whole view at once; also the GPU's name.
 #[cfg(feature = "gpu")]
-fn on_gpu(picture: &Picture, view: &View, depth: Depth, limits: &Limits) -> ssplat::Result<(Pixels, String)> {
+fn on_gpu(opened: &Opened, view: &View) -> ssplat::Result<(Pixels, String)> {
     use ssplat::gpu::{Adapters, Device, Renderer};
     let device = Device::open(Adapters::Any)?;
-    let pixels = Renderer::new(&device, picture, limits)?.render(view, depth)?;
+    let pixels = Renderer::of(&device, opened)?.render(view, opened.splats().depth)?;
     Ok((pixels, device.name().to_owned()))
 }
 
 #[cfg(not(feature = "gpu"))]
-fn on_gpu(_: &Picture, _: &View, _: Depth, _: &Limits) -> ssplat::Result<(Pixels, String)> {
+fn on_gpu(_: &Opened, _: &View) -> ssplat::Result<(Pixels, String)> {
     Err(ssplat::GpuError::NotBuilt.into())
 }
 

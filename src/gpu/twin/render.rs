@@ -4,12 +4,26 @@ use super::common::{EPSILON, HIDDEN};
 use super::tile::sum_tile;
 use crate::gpu::scene::{Splat, TILE, Uniforms};
 
-pub(in crate::gpu) fn render(scene: &Uniforms, splats: &[Splat], starts: &[u32], sorted: &[u32], codes: &mut [u32]) {
+pub(in crate::gpu) fn render(
+    scene: &Uniforms,
+    splats: &[Splat],
+    starts: &[u32],
+    sorted: &[u32],
+    codes: &mut [u32],
+    additions: &[f32],
+) {
     let parts = [scene.across, scene.down];
     for row in 0..scene.band_rows / parts[1] {
         for x in 0..scene.width / parts[0] {
             let sample = |x: u32, y: u32| sample(scene, splats, starts, sorted, x, y);
             let mut value = if parts == [1, 1] { sample(x, row) } else { average(scene, parts, x, row, sample) };
+            if scene.detail == 1 {
+                let size = scene.width / parts[0];
+                for k in 0..scene.channels {
+                    value[k as usize] += additions[((row * scene.channels + k) * size + x) as usize];
+                }
+                value = value.map(|v| v.clamp(0.0, 1.0));
+            }
             match scene.channels {
                 1 => value = [value[0], value[0], value[0], 1.0],
                 2 => value = [value[0], value[0], value[0], value[1]],
