@@ -3,12 +3,16 @@
 //! `cargo test --release --test stability -- --nocapture` prints the rows that `ssplat report --stability` shows.
 
 mod stiff;
+mod synthetic;
 
+use ssplat::bitstream::{DetailHead, read, to_bytes};
 use ssplat::raster::{Renderer, View, reference};
 use ssplat::{
-    Blend, Channels, Depth, EncodeOptions, Error, Gaussian, Limits, Picture, Pixels, Samples, Target, encode, metrics,
+    Blend, Channels, DecodeOptions, Depth, Detail, EncodeOptions, Error, Gaussian, Limits, Picture, Pixels, Samples,
+    Target, encode, metrics,
 };
 use stiff::{Bound, Fit, Row};
+use synthetic::{Levels, Scene, with_layer};
 
 /// Worst difference to the definition over the pixels of `picture`, in units of an 8-bit code value.
 fn render_error(picture: &Picture) -> f64 {
@@ -77,14 +81,87 @@ fn rendering() -> Vec<Row> {
     rows
 }
 
-/// Fits, writes, reads and draws one picture, and compares with the picture of its mean colour.
-fn fit(case: &Fit) -> Result<Row, Error> {
+/// Pictures of two layers against their definition: steps and levels at their ends, in the picture's size and in others.
+fn layers() -> Vec<Row> {
+    let head = |change: fn(&mut DetailHead)| {
+        let mut head = DetailHead::PLAIN;
+        change(&mut head);
+        head
+    };
+    let cases = [
+        ("step 1, levels to 9", head(|h| h.step = 1), 9),
+        ("step 1, levels to 32767", head(|h| h.step = 1), 32_767),
+        ("step 65535, levels to 2", head(|h| h.step = 65_535), 2),
+        ("step 65535, levels to 32767", head(|h| h.step = 65_535), 32_767),
+        (
+            "slopes 255, classes 8, ratios 255",
+            { head(|h| (h.step, h.slopes, h.classes, h.chroma) = (900, [255, 255], 8, [255, 255])) },
+            5,
+        ),
+        ("blocks of 4", head(|h| h.sizes = [[0, 0], [0, 0]]), 4),
+        ("blocks of 32", head(|h| h.sizes = [[3, 3], [3, 3]]), 4),
+    ];
+    let mut rows = Vec::new();
+    for (name, head, largest) in cases {
+        let mut worst = 0.0f64;
+        for (channels, depth, blend) in [
+            (Channels::Rgb, Depth::Eight, Blend::Normalized),
+            (Channels::Grey, Depth::Sixteen, Blend::Sum),
+            (Channels::Rgba, Depth::Eight, Blend::Normalized),
+        ] {
+            let mut splats =
+                synthetic::scene(&Scene { channels, size: [270, 61], count: 12, seed: 5, ..Scene::default() });
+            (splats.depth, splats.blend) = (depth, blend);
+            let levels = Levels { largest, filled: 1, ..Levels::new(7) };
+            let bytes = to_bytes(&with_layer(splats, head, levels)).expect("a legal file");
+            let splats = read(&bytes[..], &Limits::default()).expect("a legal file");
+            // Enlarged, reduced along one axis, and as it is. Where alpha is small, colours of reduced views have a wider bound (§5.5).
+            let sizes: &[[u32; 2]] =
+                if channels == Channels::Rgba { &[[270, 61]] } else { &[[270, 61], [611, 61], [89, 40]] };
+            for &[width, height] in sizes {
+                let view = View::of_size(270, 61).resized(width, height).expect("a legal view");
+                let drawn = splats.renderer(&view, &Limits::default()).and_then(|r| r.render(depth));
+                let want = reference::detailed(&splats, &view);
+                let Ok(drawn) = drawn else { return vec![row_of_layers(name, f64::INFINITY)] };
+                for (i, w) in want.iter().enumerate() {
+                    let difference = (value(&drawn, i) - w.clamp(0.0, 1.0)).abs() * 255.0;
+                    worst = if difference.is_nan() { f64::INFINITY } else { worst.max(difference) };
+                }
+            }
+        }
+        rows.push(row_of_layers(name, worst));
+    }
+    rows
+}
+
+/// Sample `i`, in parts of white.
+fn value(pixels: &Pixels, i: usize) -> f64 {
+    match pixels.samples() {
+        Samples::U8(v) => f64::from(v[i]) / 255.0,
+        Samples::U16(v) => f64::from(v[i]) / 65535.0,
+    }
+}
+
+fn row_of_layers(name: &str, worst: f64) -> Row {
+    let guard = "integers modulo 2³², clamped to 16 bits; sums in f32 after that";
+    Row { group: "two layers".into(), case: name.into(), worst, bound: Bound::Codes(1.0), guard: guard.into() }
+}
+
+/// Fits, writes, reads and draws one picture, and compares with the picture of its mean colour. With `has_layer`, half of the bytes
+/// are a detail layer's.
+fn fit(case: &Fit, has_layer: bool) -> Result<Row, Error> {
     let mut options = EncodeOptions::default();
     options.target = case.target;
+    if has_layer {
+        options.detail = Detail::Share(0.5);
+        if matches!(case.target, Target::Primitives(_)) {
+            options.target = Target::Bytes(400 + samples(&case.pixels).len() as u64 / 10);
+        }
+    }
     options.effort = if case.pixels.width().max(case.pixels.height()) < 3000 { 2 } else { 1 };
     let guard = "log-scales, bounded aspect, ε; best state kept";
     let row = |worst| Row {
-        group: "fit".into(),
+        group: if has_layer { "fit of two layers" } else { "fit" }.into(),
         case: case.name.clone(),
         worst,
         bound: Bound::Gain(-0.01),
@@ -97,18 +174,18 @@ fn fit(case: &Fit) -> Result<Row, Error> {
         }
         encoded => encoded?,
     };
-    let splats = ssplat::bitstream::read(&encoded.bytes[..], &Limits::default())?;
+    let splats = read(&encoded.bytes[..], &Limits::default())?;
     let picture = splats.to_picture();
     let finite = picture.gaussians.iter().all(|g| {
         let all = g.mean.iter().chain(&g.scale).chain(&g.color).chain([&g.rotation]);
         all.copied().all(f32::is_finite)
     });
-    let renderer = Renderer::new(&picture, &View::full(&picture), &Limits::default())?;
-    let drawn = renderer.render(splats.depth)?;
+    let drawn = ssplat::decode(&encoded.bytes, &DecodeOptions::default())?.pixels;
     let reached = metrics::psnr(&premultiplied(&case.pixels), &premultiplied(&drawn))?;
     let constant = metrics::psnr(&premultiplied(&case.pixels), &premultiplied(&mean(&case.pixels)))?;
     let limited = |v: f64| v.min(99.0);
-    let most = match case.target {
+    let most = match options.target {
+        Target::Bytes(most) => most as usize,
         Target::Ratio(ratio) => (samples(&case.pixels).len() as f64 / ratio) as usize,
         _ => usize::MAX,
     };
@@ -162,10 +239,18 @@ fn pictures_in_f32_stay_within_a_code_value_of_their_f64_definition() {
 }
 
 #[test]
+fn pictures_of_two_layers_stay_within_a_code_value_of_their_definition() {
+    let rows = layers();
+    rows.iter().for_each(|r| println!("{}", r.line()));
+    let failed: Vec<_> = rows.iter().filter(|r| !r.holds()).collect();
+    assert!(failed.is_empty(), "{failed:#?}");
+}
+
+#[test]
 fn fits_of_extreme_pictures_are_finite_and_no_worse_than_a_constant_colour() {
     let mut failed = Vec::new();
-    for case in stiff::fits() {
-        let row = fit(&case).unwrap_or_else(|e| panic!("{}: {e}", case.name));
+    for (case, has_layer) in stiff::fits().iter().flat_map(|case| [(case, false), (case, true)]) {
+        let row = fit(case, has_layer).unwrap_or_else(|e| panic!("{}: {e}", case.name));
         println!("{}", row.line());
         if !row.holds() {
             failed.push(row);
