@@ -624,6 +624,8 @@ impl Engine for Fitter {
         self.flush()?;
         (self.best, self.whole) = (None, None);
         self.source = self.source_of(problem.target)?;
+        // Both are bound to the source as it was.
+        (self.workspace, self.peaks) = (None, None);
         Ok(())
     }
 

@@ -478,6 +478,17 @@ mod stages {
             only.descend(&old, RowSet { step: 2, phase: 1 }, RATES).unwrap();
             assert_eq!(stepped(&old), stepped(&new), "{sixteen}");
             assert_ne!(stepped(&old), only.primitives().unwrap(), "{sixteen}");
+            // Buffers that are there already see the new weights, too.
+            let under_way = |then: Option<&Problem<'_>>| {
+                let mut gpu = Fitter::new(&device, &old, &pixels, &free, &bounds).unwrap();
+                gpu.descend(&old, RowSet::ALL, RATES).unwrap();
+                if let Some(new) = then {
+                    gpu.reweigh(new).unwrap();
+                }
+                gpu.descend(then.unwrap_or(&old), RowSet::ALL, RATES).unwrap();
+                gpu.primitives().unwrap()
+            };
+            assert_ne!(under_way(Some(&new)), under_way(None), "{sixteen}");
         }
     }
 

@@ -15,7 +15,7 @@ use crate::fit::model::field::{Field, Output};
 use crate::fit::model::peaks;
 use crate::fit::model::problem::Problem;
 use crate::fit::model::rows::RowSet;
-use crate::options::{Detail, Recipe};
+use crate::options::{Detail, Recipe, Tune};
 use crate::round::rounded::projected;
 use crate::round::size::Size;
 
@@ -39,6 +39,8 @@ const LEAST: u64 = 2_500;
 /// A picture's sharpness is the share of the error that as many Gaussians again, set where it is largest, promise to take away, for each
 /// decibel that doubling the bytes of the layer wins. Up to here a small base is best.
 const SHARP: f64 = 0.105;
+/// Power of the ratio over 20 with which that grows.
+const SHARP_POWER: f64 = 0.1;
 /// A base that is larger by less than this is not worth another fit.
 const WORTH: f64 = 1.5;
 /// Decibels from which on a larger base has won enough for the largest one to be tried.
@@ -71,6 +73,10 @@ impl Encoding<'_> {
                 }
                 let clock = self.journal.seconds();
                 let layered = self.layer(base, most)?;
+                if layered.coded.is_none() {
+                    // No room for a layer: all of it is the Gaussians'.
+                    return self.at_size(size);
+                }
                 let outcome = self.joined(layered, most, rounds)?;
                 self.journal.stage("detail", clock);
                 Ok(outcome)
@@ -118,10 +124,11 @@ impl Encoding<'_> {
         let mut layered = self.layer(base, most)?;
         let most_for_base = (SHARP_SHARE + SHARP_MORE * (ratio / 20.0).log2()).min(0.9) * all;
         self.journal.stage("detail", clock);
-        // A budget of time is not enough for several fits.
-        let may_be_larger = self.until.is_none() && most_for_base > WORTH * few;
+        // For eyes the smaller base is as good. And a budget of time is not enough for several fits.
+        let is_exact = self.subject.options.favoured() == Tune::Psnr;
+        let may_be_larger = is_exact && self.until.is_none() && most_for_base > WORTH * few;
         let sharpness = if may_be_larger { self.sharpness(&layered, few * MEASURED)? } else { Some(0.0) };
-        if sharpness.is_none_or(|sharpness| sharpness > SHARP) {
+        if sharpness.is_none_or(|sharpness| sharpness > SHARP * (ratio / 20.0).powf(SHARP_POWER)) {
             for bytes in [(few * most_for_base).sqrt(), most_for_base] {
                 let base = self.base(fixed + bytes as u64)?;
                 let clock = self.journal.seconds();
@@ -135,6 +142,9 @@ impl Encoding<'_> {
                     break;
                 }
             }
+        }
+        if layered.coded.is_none() {
+            return self.at_size(Size::Bytes(most));
         }
         let clock = self.journal.seconds();
         let outcome = self.joined(layered, most, rounds)?;

@@ -18,10 +18,10 @@ use crate::pixel_source::PixelSource;
 use crate::pixels::Depth;
 use crate::raster::View;
 
-/// Tiles on which the step is found.
-const SAMPLE: usize = 96;
+/// Tiles on which the step is found; each takes a megabyte.
+const SAMPLE: usize = 24;
 /// Tiles of a row that are coded at a time.
-const AT_ONCE: usize = 16;
+const AT_ONCE: usize = 4;
 /// Times that the whole picture may be coded.
 const RUNS: u32 = 5;
 /// And how often it mostly is.
