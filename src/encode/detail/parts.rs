@@ -19,7 +19,7 @@ use crate::pixels::Depth;
 use crate::raster::View;
 
 /// Tiles on which the step is found; each takes a megabyte.
-const SAMPLE: usize = 24;
+const SAMPLE: usize = 16;
 /// Tiles of a row that are coded at a time.
 const AT_ONCE: usize = 4;
 /// Times that the whole picture may be coded.
