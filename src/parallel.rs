@@ -4,6 +4,14 @@
 #[cfg(feature = "rayon")]
 use rayon::prelude::*;
 
+/// Threads that work at once.
+pub(crate) fn threads() -> usize {
+    #[cfg(feature = "rayon")]
+    return rayon::current_num_threads();
+    #[cfg(not(feature = "rayon"))]
+    1
+}
+
 /// `f(0), …, f(count − 1)`.
 pub(crate) fn map<T: Send>(count: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
     // Handing over a single piece of work costs more than a small one itself.

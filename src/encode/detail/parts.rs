@@ -14,14 +14,13 @@ use crate::fit::model::planes::Planes;
 use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::options::Tune;
+use crate::parallel;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Depth;
 use crate::raster::View;
 
 /// Tiles on which the step is found; each takes a megabyte.
 const SAMPLE: usize = 16;
-/// Tiles of a row that are coded at a time.
-const AT_ONCE: usize = 4;
 /// Times that the whole picture may be coded.
 const RUNS: u32 = 5;
 /// And how often it mostly is.
@@ -106,8 +105,10 @@ impl Parts<'_> {
     /// The first tile and the number of tiles of each part.
     fn parts(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
         let [across, down] = tile_counts(self.source.size());
+        // Each thread has a tile.
+        let at_once = parallel::threads();
         (0..down).flat_map(move |row| {
-            (0..across).step_by(AT_ONCE).map(move |left| (row * across + left, AT_ONCE.min(across - left)))
+            (0..across).step_by(at_once).map(move |left| (row * across + left, at_once.min(across - left)))
         })
     }
 
@@ -144,7 +145,7 @@ impl Parts<'_> {
             let width = TILE.min(area[2] as usize - left);
             residual(&wanted, |row| drawn.row(row as u32), [left, 0, width, area[3] as usize])
         };
-        Ok(crate::parallel::map(count, tile))
+        Ok(parallel::map(count, tile))
     }
 
     /// The place of so many tiles of a row, the picture there, and what is drawn there.
