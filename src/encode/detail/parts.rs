@@ -19,8 +19,8 @@ use crate::pixel_source::PixelSource;
 use crate::pixels::Depth;
 use crate::raster::View;
 
-/// Tiles on which the step is found; each takes a megabyte.
-const SAMPLE: usize = 16;
+/// Of so many tiles one is among those on which the step is found: at least 8, each of which takes a megabyte, and at most 64.
+const SAMPLED: usize = 16;
 /// Times that the whole picture may be coded.
 const RUNS: u32 = 5;
 /// And how often it mostly is.
@@ -47,10 +47,11 @@ impl Parts<'_> {
         show(0.0)?;
         let count = self.count();
         let aim = Aim { most, runs: RUNS, ..aim(self.tune, self.channels, self.source.channels().alpha().is_some()) };
+        let sample_size = (count / SAMPLED).clamp(8, 64);
         // Places that have nothing to do with rows and columns.
         let place = |k: usize| ((k as u64 * 0x9e37_79b9 & 0xffff_ffff) * count as u64 >> 32) as usize;
         let mut sampled: Vec<usize> =
-            if count > SAMPLE { (0..SAMPLE).map(place).collect() } else { (0..count).collect() };
+            if count > sample_size { (0..sample_size).map(place).collect() } else { (0..count).collect() };
         sampled.sort_unstable();
         sampled.dedup();
         let (mut sample, mut area) = (Vec::new(), 0);
