@@ -68,10 +68,15 @@ impl Subject<'_> {
 
     /// Writes the file of `splats`, with the channels that were left out put back.
     pub(super) fn file(&self, splats: &PackedSplats) -> Result<Vec<u8>> {
-        match self.is_whole() {
-            true => crate::bitstream::to_bytes(splats),
-            false => crate::bitstream::to_bytes(&widen(splats, self.channels())),
-        }
+        file(splats, self.channels())
+    }
+}
+
+/// Writes the file of what was fitted, with the channels that were left out of `channels` put back.
+pub(super) fn file(splats: &PackedSplats, channels: Channels) -> Result<Vec<u8>> {
+    match channels == splats.channels {
+        true => crate::bitstream::to_bytes(splats),
+        false => crate::bitstream::to_bytes(&widen(splats, channels)),
     }
 }
 

@@ -38,7 +38,7 @@ use crate::bitstream::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
 use crate::error::{Error, Result};
 use crate::fit::model::problem::Scene;
 use crate::fit::model::project::Primitive;
-use crate::gaussian::{Blend, Channels};
+use crate::gaussian::Blend;
 use crate::options::{Backend, EncodeOptions, Recipe, Target, Trace};
 use crate::pixel_source::PixelSource;
 use crate::quantize::Quantizer;
@@ -228,14 +228,6 @@ fn begun(options: &EncodeOptions, size: Size, (samples, fixed): (f64, u64)) -> R
     }
     let count = ((bytes - fixed) as f64 * 8.0 / aim::CODED_BITS) as u64;
     Ok(count.min(aim::MAX_PRIMITIVES).min(samples as u64) as usize)
-}
-
-/// Writes the file of what was fitted, with all `channels` of the picture.
-fn wide_file(splats: &PackedSplats, channels: Channels) -> Result<Vec<u8>> {
-    match channels {
-        all if all == splats.channels => bitstream::to_bytes(splats),
-        all => bitstream::to_bytes(&widen(splats, all)),
-    }
 }
 
 /// An encode in tiles on its way.
@@ -468,7 +460,7 @@ impl Course<'_, '_, '_> {
             (None, all) if all == splats.channels => Ok(bytes),
             (layer, _) => {
                 splats.detail.clone_from(layer);
-                wide_file(&splats, self.source.channels())
+                subject::file(&splats, self.source.channels())
             }
         }
     }
@@ -484,7 +476,7 @@ impl Course<'_, '_, '_> {
         file::smallest(&mut splats, self.options.levels)?;
         let (source, channels, tune) = (self.seen, self.source.channels(), self.options.favoured());
         let parts = Parts { source, splats: &splats, channels, tune };
-        let file = |empty: &PackedSplats| wide_file(empty, channels);
+        let file = |empty: &PackedSplats| subject::file(empty, channels);
         self.layer = layer_in_parts(parts, most, file, &mut |done| self.journal.show("detail", done))?;
         self.journal.stage("detail", clock);
         if self.layer.is_some() { self.write(mosaic) } else { Ok(bytes) }
@@ -560,17 +552,22 @@ impl Course<'_, '_, '_> {
         }
         let samples = samples_of(&self.whole.blank);
         self.journal.stage("measure", clock);
+        Ok(self.encoded(mosaic, bytes, [decibels(error, samples), decibels(float_error, samples)]))
+    }
+
+    /// The file and its report, with the PSNR of what is stored and of the floats.
+    fn encoded(self, mosaic: &Mosaic<'_, PackedGaussian>, bytes: Vec<u8>, [psnr, float_psnr]: [f64; 2]) -> Encoded {
         let report = EncodeReport {
             primitives: mosaic.count(),
-            psnr: decibels(error, samples),
-            float_psnr: decibels(float_error, samples),
+            psnr,
+            float_psnr,
             seconds: self.journal.seconds(),
             stages: self.journal.stages,
             left_out: self.journal.left_out,
             chosen: Chosen::for_tiles(self.options.backend),
             ..EncodeReport::default()
         };
-        Ok(Encoded { bytes, report })
+        Encoded { bytes, report }
     }
 
     /// The report of a file with a layer.
@@ -590,17 +587,7 @@ impl Course<'_, '_, '_> {
         let parts = Parts { source, splats: &splats, channels, tune };
         let error = parts.error(&mut |done| self.journal.show("measure", done))?;
         self.journal.stage("measure", clock);
-        let report = EncodeReport {
-            primitives: mosaic.count(),
-            psnr: decibels(error, samples_of(&splats)),
-            float_psnr: decibels(float_error, fitted),
-            seconds: self.journal.seconds(),
-            stages: self.journal.stages,
-            left_out: self.journal.left_out,
-            chosen: Chosen::for_tiles(self.options.backend),
-            ..EncodeReport::default()
-        };
-        Ok(Encoded { bytes, report })
+        Ok(self.encoded(mosaic, bytes, [decibels(error, samples_of(&splats)), decibels(float_error, fitted)]))
     }
 
     /// Returns the squared error of what is stored.
