@@ -6,6 +6,9 @@ use pyo3::types::PyBytes;
 
 use crate::names;
 
+/// A block of metadata, where there is one.
+type Block<'py> = Option<Bound<'py, PyBytes>>;
+
 /// `(ICC profile, EXIF block)` that a file carries by the rule `which` of what its picture has.
 #[pyfunction]
 pub fn carried<'py>(
@@ -13,7 +16,7 @@ pub fn carried<'py>(
     which: &str,
     icc: Option<Vec<u8>>,
     exif: Option<Vec<u8>>,
-) -> PyResult<(Option<Bound<'py, PyBytes>>, Option<Bound<'py, PyBytes>>)> {
+) -> PyResult<(Block<'py>, Block<'py>)> {
     let which = names::value("metadata", &names::CARRIES, which)?;
     let orientation = exif.as_deref().and_then(Orientation::from_exif_chunk).unwrap_or(Orientation::NoTransforms);
     let carried = which.of(icc, exif, orientation);
