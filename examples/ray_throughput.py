@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Measures `ray_encode.py` on this machine beside the program under `xargs -P`, on the same pictures by turns.
 
-    cargo build --release --features cli
+    cargo build --release
     python examples/ray_throughput.py photos/ --times 4 --rounds 3
 
 Both encode at the same effort and ratio with one thread a picture and one picture a core. Ray's side also decodes every

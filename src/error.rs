@@ -1,6 +1,7 @@
 //! The crate's error type: who is at fault, and with which value.
 
 use std::fmt;
+#[cfg(feature = "image")]
 use std::path::{Path, PathBuf};
 
 use crate::options::Target;
@@ -51,6 +52,7 @@ pub enum Error {
         exif: u64,
     },
     /// The source: a picture in another format cannot be read.
+    #[cfg(feature = "image")]
     Source {
         /// Where it is, as far as that is known.
         path: Option<PathBuf>,
@@ -163,6 +165,7 @@ pub enum FormatError {
 
 impl Error {
     /// An error of the world at `path`, which its text names.
+    #[cfg(feature = "image")]
     pub(crate) fn at(path: &Path, error: &std::io::Error) -> Self {
         Error::Io(std::io::Error::new(error.kind(), format!("{}: {error}", path.display())))
     }
@@ -193,7 +196,9 @@ impl fmt::Display for Error {
                     (icc, exif) => write!(f, ", {icc} of them for the ICC profile and {exif} for the EXIF block"),
                 }
             }
+            #[cfg(feature = "image")]
             Error::Source { path: Some(path), error } => write!(f, "{}: {error}", path.display()),
+            #[cfg(feature = "image")]
             Error::Source { path: None, error } => write!(f, "the picture cannot be read: {error}"),
             Error::Cancelled => write!(f, "cancelled"),
             Error::Gpu(e) => write!(f, "GPU: {e}"),

@@ -59,41 +59,50 @@
 //!
 //! # The way through the crate
 //!
-//! Bytes become integers exactly ([`bitstream`]), integers become Gaussians by the specification's formulas
-//! ([`quantize`]), Gaussians become pixels within a stated error ([`raster`]), and the `image` crate stands at the door.
+//! Bytes become integers exactly (`bitstream`), integers become Gaussians by the specification's formulas
+//! (`quantize`), Gaussians become pixels within a stated error (`raster`), and the `image` crate stands at the door.
 //! The repository's `docs/ARCHITECTURE.md` is the map, `spec/ssplat.md` the format.
+
+#![cfg_attr(not(feature = "unstable"), warn(missing_docs))]
+// What only the program and the lab use is dead without them.
+#![cfg_attr(not(any(test, feature = "unstable")), allow(dead_code))]
 
 // Tests inside share pictures with those outside, which name this crate.
 #[cfg(test)]
 extern crate self as ssplat;
 
-pub mod bitstream;
+mod angle;
+mod bitstream;
 mod budget;
-pub mod decode;
+mod decode;
 mod detail;
-pub mod encode;
-pub mod error;
+mod encode;
+mod error;
 mod fit;
-pub mod gaussian;
+mod gaussian;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+#[cfg(feature = "image")]
 mod image_crate;
-pub mod limits;
-pub mod metrics;
-pub mod options;
-pub mod pack;
+mod limits;
+mod metrics;
+mod options;
+mod pack;
 mod parallel;
-pub mod pixel_source;
-pub mod pixels;
-pub mod quantize;
-pub mod raster;
-#[cfg(feature = "recipes")]
-pub mod recipes;
+mod pixel_source;
+mod pixels;
+mod quantize;
+mod raster;
 mod round;
 mod simd;
 #[cfg(feature = "quality")]
 mod ssimulacra2;
+#[cfg(any(test, feature = "unstable"))]
+pub mod unstable;
 
+pub use bitstream::Missing;
+pub use bitstream::header::Header;
+pub use bitstream::splats::{Layout, Metadata};
 pub use decode::{Decoded, Opened, Opening, decode, decode_into, thumbnail};
 pub use encode::{
     Chosen, EncodeReport, Encoded, LeftOut, Omission, Progress, TracePoint, Workers, encode, encode_divided,
@@ -101,16 +110,10 @@ pub use encode::{
 };
 pub use error::{Error, FormatError, GpuError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
+#[cfg(feature = "image")]
 pub use image_crate::{Carried, EXTENSION, SsplatDecoder, SsplatEncoder, encode_decoder, register, save, transcode};
 pub use limits::Limits;
-#[cfg(feature = "recipes")]
-#[doc(hidden)]
-pub use options::Rung;
-pub use options::{
-    Ablation, Backend, Carry, Damage, DecodeOptions, Detail, EncodeOptions, Layers, Needs, Recipe, Target, Thumbnail,
-    Trace, Tune,
-};
-pub use pack::{Outside, PackOptions, Precision, pack};
+pub use options::{Backend, Carry, Damage, DecodeOptions, Detail, EncodeOptions, Layers, Target, Thumbnail, Tune};
 pub use pixel_source::PixelSource;
 pub use pixels::{Depth, Pixels, Samples};
-pub use simd::instruction_set;
+pub use raster::{Renderer, SamplesMut, View};

@@ -61,7 +61,6 @@ pub enum Ablation {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Hash)]
 pub enum Rung {
     /// A fit that is rounded to the nearest integers.
-    #[cfg_attr(not(feature = "recipes"), allow(dead_code, reason = "only an ablation stops here"))]
     Fit,
     /// Descent over the integers.
     Descent,
@@ -209,7 +208,6 @@ pub struct EncodeOptions {
     /// Whether to measure quality along the way.
     pub trace: Trace,
     /// Where an ablation stops.
-    #[cfg(feature = "recipes")]
     #[doc(hidden)]
     pub rung: Rung,
     /// What of a source's metadata [`transcode`](crate::transcode) and [`encode_decoder`](crate::encode_decoder) carry along;
@@ -248,7 +246,6 @@ impl Default for EncodeOptions {
             thumbnail: Thumbnail::Auto,
             tiles: None,
             trace: Trace::Off,
-            #[cfg(feature = "recipes")]
             rung: Rung::default(),
             carry: Carry::Needed,
             icc: None,

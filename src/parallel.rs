@@ -5,7 +5,7 @@
 use rayon::prelude::*;
 
 /// Threads that work at once.
-pub(crate) fn threads() -> usize {
+pub fn threads() -> usize {
     #[cfg(feature = "rayon")]
     return rayon::current_num_threads();
     #[cfg(not(feature = "rayon"))]
@@ -13,7 +13,7 @@ pub(crate) fn threads() -> usize {
 }
 
 /// `f(0), …, f(count − 1)`.
-pub(crate) fn map<T: Send>(count: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+pub fn map<T: Send>(count: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
     // Handing over a single piece of work costs more than a small one itself.
     #[cfg(feature = "rayon")]
     if count > 1 {
@@ -23,7 +23,7 @@ pub(crate) fn map<T: Send>(count: usize, f: impl Fn(usize) -> T + Sync + Send) -
 }
 
 /// `f(i, chunk i)` over chunks of `size` elements, the last one possibly shorter.
-pub(crate) fn map_chunks<A: Send, T: Send>(
+pub fn map_chunks<A: Send, T: Send>(
     data: &mut [A],
     size: usize,
     f: impl Fn(usize, &mut [A]) -> T + Sync + Send,
@@ -35,7 +35,7 @@ pub(crate) fn map_chunks<A: Send, T: Send>(
 }
 
 /// `f(i, chunk i of a, chunk i of b)` over chunks of `size_a` and `size_b` elements.
-pub(crate) fn map_chunk_pairs<A: Send, B: Send, T: Send>(
+pub fn map_chunk_pairs<A: Send, B: Send, T: Send>(
     (a, size_a): (&mut [A], usize),
     (b, size_b): (&mut [B], usize),
     f: impl Fn(usize, &mut [A], &mut [B]) -> T + Sync + Send,

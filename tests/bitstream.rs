@@ -1,12 +1,13 @@
 //! Promises of the bitstream: exact round trips, canonical bytes, typed errors for everything broken.
+#![cfg(feature = "unstable")]
 
 mod synthetic;
 
-use ssplat::bitstream::lattice::Lattice;
-use ssplat::bitstream::splats::{Layout, PackedSplats};
-use ssplat::bitstream::{inspect, read, read_area, read_partial, to_bytes};
-use ssplat::raster::{Renderer, View};
+use ssplat::unstable::bitstream::lattice::Lattice;
+use ssplat::unstable::bitstream::splats::{Layout, PackedSplats};
+use ssplat::unstable::bitstream::{inspect, read, read_area, read_partial, to_bytes};
 use ssplat::{Blend, Channels, Depth, Error, Limits};
+use ssplat::{Renderer, View};
 use synthetic::{Random, Scene, scene};
 
 const LAYOUTS: [Layout; 3] = [Layout::Packed, Layout::Planes, Layout::Coded];

@@ -1,10 +1,11 @@
 //! What the plain decoder promises: parts at any size, and what is left of a damaged file.
+#![cfg(feature = "unstable")]
 
 mod synthetic;
 
-use ssplat::bitstream::{read, to_bytes};
-use ssplat::raster::{Renderer, SamplesMut, View};
+use ssplat::unstable::bitstream::{read, to_bytes};
 use ssplat::{Channels, Damage, DecodeOptions, EncodeOptions, Error, Limits, Opened, Opening, Pixels, Samples, Target};
+use ssplat::{Renderer, SamplesMut, View};
 use ssplat::{decode, decode_into, encode};
 
 fn picture() -> Pixels {
@@ -111,7 +112,7 @@ fn a_progressive_file_cut_after_a_level_is_a_coarser_picture() {
         let Ok(part) = decode(&bytes[..end], &accept) else { continue };
         assert!(part.missing.groups <= missing, "at {end} bytes");
         if part.missing.groups < missing {
-            seen.push(ssplat::metrics::psnr(&pixels, &part.pixels).unwrap());
+            seen.push(ssplat::unstable::metrics::psnr(&pixels, &part.pixels).unwrap());
         }
         missing = part.missing.groups;
     }

@@ -1,13 +1,14 @@
 //! What the detail layer promises its readers: parts are those of the whole, either layer can be drawn alone, threads change
 //! nothing, and a damaged tile is missing and nothing else.
+#![cfg(feature = "unstable")]
 
 mod seal;
 mod synthetic;
 
 use seal::layer;
-use ssplat::bitstream::splats::PackedSplats;
-use ssplat::bitstream::{DetailHead, Missing, inspect, read, read_partial, to_bytes};
-use ssplat::raster::View;
+use ssplat::View;
+use ssplat::unstable::bitstream::splats::PackedSplats;
+use ssplat::unstable::bitstream::{DetailHead, Missing, inspect, read, read_partial, to_bytes};
 use ssplat::{Channels, Damage, DecodeOptions, Depth, Error, Layers, Limits, Opening, Pixels, Samples, decode};
 use synthetic::{Levels, Scene, scene, with_layer};
 
@@ -134,7 +135,7 @@ fn a_layer_of_another_picture_is_not_written() {
     for other in [
         PackedSplats { width: 100, ..splats.clone() },
         PackedSplats { channels: Channels::Grey, ..splats.clone() },
-        PackedSplats { layout: ssplat::bitstream::splats::Layout::Planes, ..splats.clone() },
+        PackedSplats { layout: ssplat::unstable::bitstream::splats::Layout::Planes, ..splats.clone() },
     ] {
         assert!(matches!(to_bytes(&other), Err(Error::Parameter { .. })), "{} {:?}", other.width, other.channels);
     }

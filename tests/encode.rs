@@ -1,14 +1,16 @@
 //! The encoder as a library: sizes, determinism, kinds of pictures, targets, budgets, recipes, and what it refuses.
+#![cfg(feature = "unstable")]
 
 use std::ops::ControlFlow;
 use std::time::Duration;
 
-use ssplat::bitstream::splats::Layout;
-use ssplat::raster::{Renderer, View};
+use ssplat::unstable::bitstream::splats::Layout;
+use ssplat::unstable::{Ablation, Recipe, bitstream, metrics};
 use ssplat::{
-    Ablation, Blend, Channels, Depth, EncodeOptions, Encoded, Error, Limits, Pixels, Recipe, Samples, Target, Tune,
-    bitstream, encode, encode_with_progress, metrics,
+    Blend, Channels, Depth, EncodeOptions, Encoded, Error, Limits, Pixels, Samples, Target, Tune, encode,
+    encode_with_progress,
 };
+use ssplat::{Renderer, View};
 
 const LAYOUTS: [Layout; 3] = [Layout::Packed, Layout::Planes, Layout::Coded];
 

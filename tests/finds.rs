@@ -1,5 +1,6 @@
 //! Files that fuzzing found: each is refused, or reads as integers that write the same bytes (the same integers, in groups and
 //! in the planes layout).
+#![cfg(feature = "unstable")]
 
 mod groups;
 mod seal;
@@ -8,8 +9,8 @@ use std::fs;
 use std::path::Path;
 
 use seal::seal;
-use ssplat::bitstream::splats::Layout;
-use ssplat::bitstream::{read, to_bytes};
+use ssplat::unstable::bitstream::splats::Layout;
+use ssplat::unstable::bitstream::{read, to_bytes};
 use ssplat::{Error, FormatError, Limits};
 
 /// The finds by name. Some come from when fuzzing did not check the checksum, so it is set right here.

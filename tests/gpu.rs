@@ -7,12 +7,14 @@ mod synthetic;
 
 use libtest_mimic::{Arguments, Failed, Trial};
 use scenes::{codes, scene};
-use ssplat::bitstream::{DetailHead, to_bytes};
+use ssplat::View;
 use ssplat::gpu::{Adapters, Device, Renderer};
-use ssplat::raster::{View, reference};
+use ssplat::unstable::Recipe;
+use ssplat::unstable::bitstream::{DetailHead, to_bytes};
+use ssplat::unstable::raster::reference;
 use ssplat::{
     Backend, Blend, Channels, Damage, Depth, EncodeOptions, Error, Gaussian, GpuError, Layers, Limits, Opened, Opening,
-    Picture, Pixels, Recipe, Samples, Target, Tune,
+    Picture, Pixels, Samples, Target, Tune,
 };
 use std::ops::ControlFlow;
 
@@ -46,15 +48,6 @@ fn main() {
         ("hardware_only_never_opens_software", hardware_only),
         ("a_lost_device_is_a_typed_error", lost),
         ("an_encoder_asked_for_the_gpu_uses_it_or_fails", encoder),
-        #[cfg(feature = "cli")]
-        ("the_program_fits_and_draws_on_the_gpu", program::fits_and_draws),
-        #[cfg(feature = "cli")]
-        #[cfg(feature = "cli")]
-        ("the_program_draws_the_detail_layer_on_the_gpu", program::draws_layers),
-        #[cfg(feature = "cli")]
-        ("auto_never_takes_software_and_says_why", program::auto),
-        #[cfg(feature = "cli")]
-        ("a_missing_adapter_is_said_and_auto_goes_on", program::missing),
     ];
     let trials = all
         .iter()
@@ -90,110 +83,6 @@ fn encoder(device: &Device) {
     options.recipe = Recipe::SmartSplat(Default::default());
     let refused = ssplat::encode(&pixels, &options);
     assert!(matches!(refused, Err(Error::Gpu(GpuError::Unsupported { .. }))), "{refused:?}");
-}
-
-/// Through the program: what it chooses, and what it says of that.
-#[cfg(feature = "cli")]
-mod program {
-    use super::Device;
-    use std::process::{Command, Output};
-
-    fn ssplat(folder: &tempfile::TempDir, backends: &str, args: &[&str]) -> Output {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_ssplat"));
-        command.current_dir(folder.path()).args(args);
-        // The variable of `wgpu` that hides adapters.
-        if !backends.is_empty() {
-            command.env("WGPU_BACKEND", backends);
-        }
-        command.output().unwrap()
-    }
-
-    #[track_caller]
-    fn said(output: &Output) -> serde_json::Value {
-        assert!(output.status.success(), "{output:?}");
-        serde_json::from_slice(&output.stdout).unwrap()
-    }
-
-    /// A folder with a picture of that size.
-    fn folder(width: u32, height: u32) -> tempfile::TempDir {
-        let folder = tempfile::tempdir().unwrap();
-        let picture = image::RgbImage::from_fn(width, height, |x, y| {
-            image::Rgb([(x * 255 / width) as u8, (y * 255 / height) as u8, ((x / 8 + y / 8) % 2 * 90) as u8])
-        });
-        picture.save(folder.path().join("in.png")).unwrap();
-        folder
-    }
-
-    const SMALL: [&str; 8] = ["encode", "in.png", "out.ssplat", "--primitives", "60", "--effort", "1", "--json"];
-
-    pub fn fits_and_draws(device: &Device) {
-        let folder = folder(64, 48);
-        let encoded = said(&ssplat(&folder, "", &[&SMALL[..], &["--backend", "gpu"]].concat()));
-        assert_eq!(encoded["device"], device.name());
-        let mut drawn = Vec::new();
-        for backend in ["cpu", "gpu"] {
-            let args = ["decode", "out.ssplat", "out.png", "--width", "100", "--json", "--backend", backend];
-            let decoded = said(&ssplat(&folder, "", &args));
-            assert_eq!(decoded["device"], if backend == "gpu" { device.name() } else { "CPU" });
-            drawn.push(image::open(folder.path().join("out.png")).unwrap().to_rgb8());
-        }
-        assert!(drawn[0].iter().zip(drawn[1].iter()).all(|(a, b)| a.abs_diff(*b) <= 1));
-    }
-
-    pub fn draws_layers(device: &Device) {
-        let folder = tempfile::tempdir().unwrap();
-        let file = super::layered(ssplat::Channels::Rgb, ssplat::Depth::Eight, ssplat::Blend::Normalized, [300, 200]);
-        std::fs::write(folder.path().join("in.ssplat"), file).unwrap();
-        for layers in ["both", "gaussians", "detail"] {
-            let mut drawn = Vec::new();
-            for backend in ["cpu", "gpu"] {
-                let args = ["decode", "in.ssplat", "out.png", "--json", "--layers", layers, "--backend", backend];
-                let output = ssplat(&folder, "", &args);
-                assert_eq!(said(&output)["device"], if backend == "gpu" { device.name() } else { "CPU" });
-                // No notes; drivers may have something to say.
-                assert!(!String::from_utf8_lossy(&output.stderr).contains("ssplat:"), "{output:?}");
-                drawn.push(image::open(folder.path().join("out.png")).unwrap().to_rgb8());
-                std::fs::remove_file(folder.path().join("out.png")).unwrap();
-            }
-            assert!(drawn[0].iter().zip(drawn[1].iter()).all(|(a, b)| a.abs_diff(*b) <= 1), "{layers}");
-        }
-    }
-
-    pub fn auto(device: &Device) {
-        // As many pixels as auto takes to a GPU.
-        let folder = folder(512, 512);
-        let encoded = said(&ssplat(&folder, "", &SMALL));
-        if device.is_software() {
-            assert_eq!(encoded["device"], "CPU");
-            let reason = encoded["device_reason"].as_str().unwrap();
-            assert!(reason.starts_with("no hardware adapter found, only"), "{reason}");
-            assert!(leaves_out(&encoded, &format!("the GPU: {reason}")), "{encoded}");
-        } else {
-            assert_eq!(encoded["device"], device.name());
-            assert!(!leaves_out(&encoded, "the GPU"), "{encoded}");
-        }
-    }
-
-    /// Whether something that begins with `what` was left out.
-    fn leaves_out(encoded: &serde_json::Value, what: &str) -> bool {
-        encoded["left_out"].as_array().unwrap().iter().any(|l| l["what"].as_str().unwrap().starts_with(what))
-    }
-
-    pub fn missing(_: &Device) {
-        let folder = folder(512, 512);
-        let none = if cfg!(windows) { "metal" } else { "dx12" };
-        let encoded = said(&ssplat(&folder, none, &SMALL));
-        assert_eq!([&encoded["device"], &encoded["device_reason"]], ["CPU", "no adapter found"]);
-        assert!(leaves_out(&encoded, "the GPU: no adapter found"), "{encoded}");
-        for args in
-            [&[&SMALL[..], &["--backend", "gpu"]].concat()[..], &["decode", "out.ssplat", "o.png", "--backend", "gpu"]]
-        {
-            let refused = ssplat(&folder, none, args);
-            let text = String::from_utf8_lossy(&refused.stderr).into_owned();
-            assert!(!refused.status.success() && text.contains("no adapter found"), "{text}");
-        }
-        assert!(!folder.path().join("o.png").exists());
-    }
 }
 
 fn render(device: &Device, picture: &Picture, view: &View, depth: Depth) -> Vec<u16> {
@@ -256,7 +145,7 @@ fn regions_and_sizes(device: &Device) {
     let views =
         [region, full.resized(333, 229).unwrap(), region.resized(400, 311).unwrap().crop(111, 99, 128, 65).unwrap()];
     for view in views {
-        let cpu = ssplat::raster::Renderer::new(&picture, &view, &Limits::default()).unwrap();
+        let cpu = ssplat::Renderer::new(&picture, &view, &Limits::default()).unwrap();
         let cpu = codes(cpu.render(Depth::Eight).unwrap().into_samples());
         let gpu = render(device, &picture, &view, Depth::Eight);
         // Each is within one of the definition.

@@ -1,15 +1,16 @@
 //! What the `image` crate's users are promised: opening by name and by content, limits, metadata, every colour type.
+#![cfg(all(feature = "unstable", feature = "image"))]
 
 use std::io::{self, Cursor, Read};
 
 use image::error::LimitErrorKind;
 use image::{ColorType, DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, ImageReader};
-use ssplat::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
-use ssplat::quantize::Quantizer;
-use ssplat::raster::{Renderer, View};
+use ssplat::unstable::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
+use ssplat::unstable::quantize::Quantizer;
 use ssplat::{
     Blend, Carry, Channels, Depth, EncodeOptions, Error, Gaussian, Limits, Pixels, SsplatDecoder, SsplatEncoder, Target,
 };
+use ssplat::{Renderer, View};
 
 const WIDTH: u32 = 83;
 const HEIGHT: u32 = 150;
@@ -44,13 +45,13 @@ fn splats(channels: Channels, depth: Depth, metadata: Metadata) -> PackedSplats 
 }
 
 fn file(channels: Channels, depth: Depth) -> Vec<u8> {
-    ssplat::bitstream::to_bytes(&splats(channels, depth, Metadata::default())).unwrap()
+    ssplat::unstable::bitstream::to_bytes(&splats(channels, depth, Metadata::default())).unwrap()
 }
 
 /// What the crate itself draws.
 fn expected(channels: Channels, depth: Depth) -> Pixels {
     let limits = Limits::default();
-    let picture = ssplat::bitstream::read(&file(channels, depth)[..], &limits).unwrap().to_picture();
+    let picture = ssplat::unstable::bitstream::read(&file(channels, depth)[..], &limits).unwrap().to_picture();
     Renderer::new(&picture, &View::full(&picture), &limits).unwrap().render(depth).unwrap()
 }
 
@@ -121,7 +122,7 @@ fn sixteen_bits_decode_into_a_buffer_at_an_odd_address() {
 
 #[test]
 fn icc_profile_and_exif_come_out_untouched() {
-    let bytes = ssplat::bitstream::to_bytes(&splats(Channels::Rgb, Depth::Eight, metadata())).unwrap();
+    let bytes = ssplat::unstable::bitstream::to_bytes(&splats(Channels::Rgb, Depth::Eight, metadata())).unwrap();
     let mut decoder = SsplatDecoder::new(&bytes[..]).unwrap();
     assert_eq!(decoder.icc_profile().unwrap(), metadata().icc);
     assert_eq!(decoder.exif_metadata().unwrap(), metadata().exif);
@@ -185,7 +186,7 @@ fn limits_hold() {
 fn limits_that_come_late_hold_for_what_has_been_read() {
     let mut splats = splats(Channels::Rgb, Depth::Eight, Metadata::default());
     splats.metadata.icc = Some(vec![7; 5000]);
-    let bytes = ssplat::bitstream::to_bytes(&splats).unwrap();
+    let bytes = ssplat::unstable::bitstream::to_bytes(&splats).unwrap();
     let output = u64::from(WIDTH * HEIGHT * 3);
     let late = |alloc| {
         let mut decoder = SsplatDecoder::new(&bytes[..])?;
@@ -299,7 +300,8 @@ fn every_colour_type_is_encoded() {
         assert!(bytes.len() <= 400, "{} bytes", bytes.len());
         let decoded = DynamicImage::from_decoder(SsplatDecoder::new(&bytes[..]).unwrap()).unwrap();
         assert_eq!(decoded.color(), stored);
-        let psnr = ssplat::metrics::psnr(&Pixels::try_from(picture).unwrap(), &Pixels::try_from(decoded).unwrap());
+        let psnr =
+            ssplat::unstable::metrics::psnr(&Pixels::try_from(picture).unwrap(), &Pixels::try_from(decoded).unwrap());
         assert!(psnr.as_ref().is_ok_and(|&p| p > 25.0), "{given:?}: {psnr:?}");
     }
 }
@@ -469,7 +471,7 @@ fn save_replaces_a_file_whole_and_leaves_nothing_beside_it() {
     std::io::Read::read_to_string(&mut reader, &mut before).unwrap();
     assert_eq!(before, "before");
     assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
-    assert!(std::fs::read(&path).unwrap().starts_with(&ssplat::bitstream::header::MAGIC));
+    assert!(std::fs::read(&path).unwrap().starts_with(&ssplat::unstable::bitstream::header::MAGIC));
     assert_eq!(names(), ["a.ssplat", "link.ssplat"]);
     std::fs::create_dir(folder.path().join("folder")).unwrap();
     assert!(ssplat::save(&ramps(ColorType::Rgb8), folder.path().join("folder"), &quick()).is_err());

@@ -1,4 +1,5 @@
 //! A process where another hook already holds the extension: it stays in place.
+#![cfg(all(feature = "unstable", feature = "image"))]
 
 use std::io::Cursor;
 
@@ -38,6 +39,7 @@ fn another_hook_is_never_displaced() {
     std::fs::write(&path, b"anything").unwrap();
     assert_eq!(image::open(path).unwrap().as_bytes(), [77]);
     // The content is not claimed either.
-    let reader = ImageReader::new(Cursor::new(ssplat::bitstream::header::MAGIC)).with_guessed_format().unwrap();
-    assert!(reader.decode().is_err() && image::load_from_memory(&ssplat::bitstream::header::MAGIC).is_err());
+    let reader =
+        ImageReader::new(Cursor::new(ssplat::unstable::bitstream::header::MAGIC)).with_guessed_format().unwrap();
+    assert!(reader.decode().is_err() && image::load_from_memory(&ssplat::unstable::bitstream::header::MAGIC).is_err());
 }

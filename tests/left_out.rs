@@ -1,8 +1,10 @@
 //! What an encode does without: the file keeps its size and the picture its channels, and the report says what it was.
+#![cfg(feature = "unstable")]
 
-use ssplat::bitstream;
-use ssplat::raster::{Renderer, View};
-use ssplat::{Backend, Blend, Channels, EncodeOptions, Limits, Needs, Omission, Pixels, Samples, Target, Tune};
+use ssplat::unstable::Needs;
+use ssplat::unstable::bitstream;
+use ssplat::{Backend, Blend, Channels, EncodeOptions, Limits, Omission, Pixels, Samples, Target, Tune};
+use ssplat::{Renderer, View};
 
 fn options(effort: u8, target: Target) -> EncodeOptions {
     let mut options = EncodeOptions::default();
@@ -37,7 +39,7 @@ fn opaque_and_grey_pictures_come_back_opaque_grey_and_in_their_own_channels() {
         assert_eq!(back.channels(), Channels::Rgba);
         let Samples::U8(v) = back.samples() else { panic!("8 bits") };
         assert!(v.chunks_exact(4).all(|p| p[0] == p[1] && p[1] == p[2] && p[3] == 255));
-        let found = ssplat::metrics::psnr(&pixels, &back).unwrap();
+        let found = ssplat::unstable::metrics::psnr(&pixels, &back).unwrap();
         // The report is of what is drawn before it is rounded to code values. Where that is as good as noise it adds 1/12 of a squared
         // code value; where errors are below half of one it takes some away. Half a decibel is for 1200 pixels being few.
         let drawn = encoded.report.psnr;
@@ -72,7 +74,7 @@ fn a_soft_picture_stops_early_loses_needless_primitives_and_stays_within_roundin
     assert!(iterations.seconds > 0.0 && primitives.bytes > 0);
     // 55.9 dB is the error of rounding twice.
     assert!(report.psnr > 55.9, "{}", report.psnr);
-    let found = ssplat::metrics::psnr(&pixels, &decoded(&encoded.bytes)).unwrap();
+    let found = ssplat::unstable::metrics::psnr(&pixels, &decoded(&encoded.bytes)).unwrap();
     assert!(found > 53.5, "{found}");
 }
 
@@ -87,7 +89,7 @@ fn a_target_in_decibels_is_met_with_no_more_primitives_than_it_takes() {
     for i in 0..splats.gaussians.len() {
         let mut fewer = splats.clone();
         fewer.gaussians.remove(i);
-        let found = ssplat::metrics::psnr(&pixels, &decoded(&bitstream::to_bytes(&fewer).unwrap())).unwrap();
+        let found = ssplat::unstable::metrics::psnr(&pixels, &decoded(&bitstream::to_bytes(&fewer).unwrap())).unwrap();
         assert!(found < 30.0, "{found} without {i} of {}", splats.gaussians.len());
     }
 }

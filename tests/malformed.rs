@@ -1,4 +1,5 @@
 //! Files that are cut, hurt or made up: a typed error or a legal picture, never a panic, and nothing damaged in silence.
+#![cfg(feature = "unstable")]
 
 mod groups;
 mod seal;
@@ -9,9 +10,9 @@ use std::path::Path;
 
 use seal::mutations::mutations;
 use seal::seal;
-use ssplat::bitstream::splats::Layout;
-use ssplat::bitstream::{Missing, inspect, read, read_partial, to_bytes};
-use ssplat::raster::View;
+use ssplat::View;
+use ssplat::unstable::bitstream::splats::Layout;
+use ssplat::unstable::bitstream::{Missing, inspect, read, read_partial, to_bytes};
 use ssplat::{Error, Limits};
 
 /// How often each outcome was seen.
@@ -75,7 +76,7 @@ fn outcome(bytes: &[u8]) -> &'static str {
         Err(e) => return kind(&e),
     };
     let (_, report) = inspect(bytes, &limits).unwrap();
-    let kept = report.sections.iter().all(|s| s.fate == ssplat::bitstream::sections::SectionFate::Kept);
+    let kept = report.sections.iter().all(|s| s.fate == ssplat::unstable::bitstream::sections::SectionFate::Kept);
     if kept && groups::is_grouped(bytes) {
         groups::assert_kept(&splats, &limits, "a file in groups");
     } else if kept && splats.layout != Layout::Planes {

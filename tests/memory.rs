@@ -1,4 +1,5 @@
 //! What reading and drawing takes at most, counted by the allocator, against what it was granted.
+#![cfg(all(feature = "unstable", feature = "image"))]
 
 mod synthetic;
 
@@ -8,8 +9,8 @@ use std::path::Path;
 
 use image::ImageReader;
 use peak_alloc::PeakAlloc;
-use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
-use ssplat::bitstream::{DetailHead, inspect, to_bytes};
+use ssplat::unstable::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
+use ssplat::unstable::bitstream::{DetailHead, inspect, to_bytes};
 use ssplat::{Blend, Channels, DecodeOptions, Depth, Limits, Opened};
 use synthetic::{Levels, Scene, scene, with_layer};
 

@@ -1,7 +1,9 @@
 //! PSNR, SSIM and MS-SSIM against figures of an independent implementation (numpy and OpenCV, in the manner of the
 //! PyTorch package pytorch-msssim), computed once on the same pictures.
+#![cfg(feature = "unstable")]
 
-use ssplat::{Channels, Pixels, Samples, metrics};
+use ssplat::unstable::metrics;
+use ssplat::{Channels, Pixels, Samples};
 
 /// f32 sums in another order: the reference itself filters in f32.
 const TOLERANCE: f64 = 2e-5;

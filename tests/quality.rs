@@ -1,7 +1,8 @@
 //! A quality that is asked for: met within half a point, or said to be missed.
-#![cfg(feature = "quality")]
+#![cfg(all(feature = "unstable", feature = "quality"))]
 
-use ssplat::{Channels, DecodeOptions, EncodeOptions, Encoded, Error, Pixels, Samples, Target, encode, metrics};
+use ssplat::unstable::metrics;
+use ssplat::{Channels, DecodeOptions, EncodeOptions, Encoded, Error, Pixels, Samples, Target, encode};
 
 /// A part of a photograph.
 fn picture(width: u32, height: u32, channels: Channels) -> Pixels {

@@ -1,4 +1,5 @@
 //! The rasterizer against its definition in f64, and against itself cut differently.
+#![cfg(feature = "unstable")]
 
 mod scenes;
 mod synthetic;
@@ -6,9 +7,10 @@ mod synthetic;
 use std::f32::consts::FRAC_PI_2;
 
 use scenes::{Random, codes, scene};
-use ssplat::bitstream::splats::Steps;
-use ssplat::raster::{Renderer, SamplesMut, View, reference};
+use ssplat::unstable::bitstream::splats::Steps;
+use ssplat::unstable::raster::reference;
 use ssplat::{Blend, Channels, Depth, Error, Gaussian, Limits, Picture, Samples};
+use ssplat::{Renderer, SamplesMut, View};
 
 fn picture(width: u32, height: u32, channels: Channels, blend: Blend, gaussians: Vec<Gaussian>) -> Picture {
     Picture { width, height, channels, blend, background: [0.4, 0.7, 0.2, 0.9], gaussians }

@@ -1,11 +1,12 @@
 //! Every instruction set gives the same bytes and the same pixels, compared from outside: a process for each.
+#![cfg(feature = "unstable")]
 
 mod synthetic;
 
 use std::process::Command;
 
-use ssplat::bitstream::splats::Layout;
-use ssplat::bitstream::{DetailHead, to_bytes};
+use ssplat::unstable::bitstream::splats::Layout;
+use ssplat::unstable::bitstream::{DetailHead, to_bytes};
 use ssplat::{Blend, Channels, DecodeOptions, Depth, EncodeOptions, Pixels, Samples, Target, Tune, decode, encode};
 use synthetic::{Levels, Random, Scene, scene, with_layer};
 
@@ -19,7 +20,7 @@ fn checksum(pixels: &Pixels) -> u32 {
 
 /// What one instruction set makes of pictures and files, a line for each.
 fn results() -> String {
-    let mut lines = format!("instructions {}\n", ssplat::instruction_set());
+    let mut lines = format!("instructions {}\n", ssplat::unstable::instruction_set());
     for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
         for (blend, depth) in [(Blend::Normalized, Depth::Eight), (Blend::Sum, Depth::Sixteen)] {
             let made = Scene { layout: Layout::Packed, channels, count: 3000, size: [300, 200], ..Scene::default() };

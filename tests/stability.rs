@@ -1,16 +1,19 @@
 //! Stiff and extreme cases: each picture is finite, near its definition, and no worse than one constant colour.
 //!
-//! `cargo test --release --test stability -- --nocapture` prints the rows that `ssplat report --stability` shows.
+//! `cargo test --release --test stability -- --nocapture` prints the rows that `ssplat-lab report --stability` shows.
+#![cfg(feature = "unstable")]
 
 mod stiff;
 mod synthetic;
 
-use ssplat::bitstream::{DetailHead, read, to_bytes};
-use ssplat::raster::{Renderer, View, reference};
+use ssplat::unstable::bitstream::{DetailHead, read, to_bytes};
+use ssplat::unstable::metrics;
+use ssplat::unstable::raster::reference;
 use ssplat::{
     Blend, Channels, DecodeOptions, Depth, Detail, EncodeOptions, Error, Gaussian, Limits, Picture, Pixels, Samples,
-    Target, encode, metrics,
+    Target, encode,
 };
+use ssplat::{Renderer, View};
 use stiff::{Bound, Fit, Row};
 use synthetic::{Levels, Scene, with_layer};
 

@@ -1,8 +1,9 @@
 //! What a thumbnail promises: a file keeps its size with one, a reader gets it or the picture, and nothing else is asked of it.
+#![cfg(feature = "unstable")]
 
-use ssplat::bitstream::header::Header;
-use ssplat::bitstream::{inspect, read, to_bytes};
-use ssplat::metrics::psnr;
+use ssplat::unstable::bitstream::header::Header;
+use ssplat::unstable::bitstream::{inspect, read, to_bytes};
+use ssplat::unstable::metrics::psnr;
 use ssplat::{
     Channels, DecodeOptions, Detail, EncodeOptions, Error, Limits, Opening, Pixels, Samples, Target, Thumbnail, Tune,
     decode, encode, thumbnail,

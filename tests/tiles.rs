@@ -1,12 +1,14 @@
 //! A picture that is fitted in tiles: no seams, the size that was asked for, the same bytes on any machine.
+#![cfg(feature = "unstable")]
 
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
 
-use ssplat::bitstream::splats::Layout;
+use ssplat::unstable::bitstream::splats::Layout;
+use ssplat::unstable::{Needs, Recipe, Trace};
 use ssplat::{
-    Backend, Blend, Channels, DecodeOptions, Detail, EncodeOptions, Encoded, Error, Limits, Needs, Omission, Pixels,
-    Recipe, Samples, Target, Thumbnail, Trace, Tune, Workers,
+    Backend, Blend, Channels, DecodeOptions, Detail, EncodeOptions, Encoded, Error, Limits, Omission, Pixels, Samples,
+    Target, Thumbnail, Tune, Workers,
 };
 
 /// Waves and edges of many sizes, all over.
@@ -70,7 +72,7 @@ fn files_of_tiles_fill_their_size_and_never_exceed_it() {
             let bytes = encoded.bytes.len() as u64;
             assert!(bytes <= most && bytes >= most * 97 / 100, "{channels:?} {blend:?}: {bytes} of {most}");
             let decoded = ssplat::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
-            let psnr = ssplat::metrics::compare(&pixels, &decoded).unwrap().psnr;
+            let psnr = ssplat::unstable::metrics::compare(&pixels, &decoded).unwrap().psnr;
             // Colours count by their opacity in the report.
             let is_opaque = channels.alpha().is_none();
             assert!(
@@ -103,11 +105,13 @@ fn a_detail_layer_lies_over_the_gaussians_of_all_tiles() {
         let without = ssplat::encode(&pixels, &options).unwrap();
         let most = 700 * 520 * channels.count() / 25;
         assert!(with.bytes.len() <= most && with.bytes.len() >= most * 97 / 100, "{} of {most}", with.bytes.len());
-        let layer = |encoded: &Encoded| ssplat::bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap().detail;
+        let layer = |encoded: &Encoded| {
+            ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap().detail
+        };
         assert!(layer(&with).is_some_and(|l| l.tiles() == l.of_tiles()) && layer(&without).is_none());
         assert!(with.report.psnr > without.report.psnr, "{} after {}", with.report.psnr, without.report.psnr);
         let decoded = ssplat::decode(&with.bytes, &DecodeOptions::default()).unwrap().pixels;
-        let psnr = ssplat::metrics::compare(&pixels, &decoded).unwrap().psnr;
+        let psnr = ssplat::unstable::metrics::compare(&pixels, &decoded).unwrap().psnr;
         // The report is of samples before they are rounded, which adds a twelfth of a squared code value.
         let rounded = -10.0 * (10f64.powf(-with.report.psnr / 10.0) + 1.0 / 12.0 / 255.0f64.powi(2)).log10();
         assert!(is_grey || (psnr - rounded).abs() < 0.05, "{psnr}, said to be {}", with.report.psnr);
@@ -130,7 +134,7 @@ fn the_number_of_primitives_is_about_as_asked_in_tiles() {
 
 /// The thumbnail of a file.
 fn carried(bytes: &[u8]) -> Option<Vec<u8>> {
-    ssplat::bitstream::read(bytes, &Limits::default()).unwrap().metadata.thumbnail
+    ssplat::unstable::bitstream::read(bytes, &Limits::default()).unwrap().metadata.thumbnail
 }
 
 #[test]
@@ -147,7 +151,7 @@ fn a_file_of_tiles_carries_a_thumbnail_within_its_size() {
         let mut reduced = DecodeOptions::default();
         reduced.size = Some([small.width(), small.height()]);
         let drawn = ssplat::decode(&encoded.bytes, &reduced).unwrap().pixels;
-        let psnr = ssplat::metrics::compare(&drawn, &small).unwrap().psnr;
+        let psnr = ssplat::unstable::metrics::compare(&drawn, &small).unwrap().psnr;
         assert!(psnr > 12.0, "{psnr}");
     }
     let plain = ssplat::encode(&pixels, &options(Target::Bytes(3000), Some(128))).unwrap().bytes;
@@ -464,7 +468,7 @@ fn progress_of_tiles_goes_forward_and_can_stop_the_work() {
     let pixels = picture(300, 200, Channels::Grey);
     let options = options(Target::Ratio(60.0), Some(128));
     let mut shown: Vec<(&str, f32)> = Vec::new();
-    ssplat::encode::encode_with_progress(&pixels, &options, &mut |p| {
+    ssplat::encode_with_progress(&pixels, &options, &mut |p| {
         shown.push((p.stage, p.done));
         ControlFlow::Continue(())
     })
@@ -475,42 +479,9 @@ fn progress_of_tiles_goes_forward_and_can_stop_the_work() {
     assert!(shown.windows(2).all(|p| p[0].0 != p[1].0 || p[0].1 <= p[1].1), "{shown:?}");
     assert!(shown.iter().all(|s| (0.0..=1.0).contains(&s.1)));
     for stop in stages {
-        let stopped = ssplat::encode::encode_with_progress(&pixels, &options, &mut |p| {
+        let stopped = ssplat::encode_with_progress(&pixels, &options, &mut |p| {
             if p.stage == stop { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
         assert!(matches!(stopped, Err(Error::Cancelled)), "{stop}");
-    }
-}
-
-/// The program reads a PNG and a PNM part by part; what comes of it is what the library makes of the pixels.
-#[cfg(feature = "cli")]
-#[test]
-fn files_that_are_read_in_parts_give_the_bytes_of_the_picture_in_memory() {
-    let folder = tempfile::tempdir().unwrap();
-    let pixels = picture(300, 200, Channels::Rgb);
-    let Samples::U8(samples) = pixels.samples() else { panic!("8 bits") };
-    let expected = ssplat::encode(&pixels, &options(Target::Bytes(3000), Some(128))).unwrap().bytes;
-    let [ppm, png, out] = ["a.ppm", "a.png", "a.ssplat"].map(|name| folder.path().join(name));
-    std::fs::write(&ppm, [b"P6 # a picture\n300 200\n255\n", &samples[..]].concat()).unwrap();
-    image::RgbImage::from_raw(300, 200, samples.clone()).unwrap().save(&png).unwrap();
-    for input in [&ppm, &png] {
-        let encode = |extra: &[&str]| {
-            let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_ssplat"));
-            let arguments = ["--tiles=128", "--bytes", "3000", "--effort", "2", "--backend", "cpu", "--quiet"];
-            command.arg("encode").arg(input).arg(&out).args(arguments).args(extra).output().unwrap()
-        };
-        let run = encode(&[]);
-        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-        assert!(std::fs::read(&out).unwrap() == expected, "{}", input.display());
-        // With a preview the picture is in memory.
-        let preview = folder.path().join("preview.png");
-        assert!(encode(&["--preview", preview.to_str().unwrap()]).status.success());
-        assert!(std::fs::read(&out).unwrap() == expected, "{}", input.display());
-    }
-    for (broken, status) in [(&b"P6\n300 200\n255\n12"[..], 4), (b"P6\n", 4), (b"P5 99999999999 1 255\n", 4)] {
-        std::fs::write(&ppm, broken).unwrap();
-        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_ssplat"));
-        let run = command.arg("encode").arg(&ppm).arg(&out).args(["--tiles=128"]).output().unwrap();
-        assert_eq!(run.status.code(), Some(status), "{}", String::from_utf8_lossy(&run.stderr));
     }
 }

@@ -1,6 +1,8 @@
 //! The trace of an encode: what it says, and that asking for it changes nothing else.
+#![cfg(feature = "unstable")]
 
-use ssplat::{Channels, EncodeOptions, Pixels, Samples, Target, Trace, encode};
+use ssplat::unstable::Trace;
+use ssplat::{Channels, EncodeOptions, Pixels, Samples, Target, encode};
 
 fn disc(side: u32) -> Pixels {
     let inside = |x: u32, y: u32| (x * 2).abs_diff(side).pow(2) + (y * 2).abs_diff(side).pow(2) < (side * side) / 2;

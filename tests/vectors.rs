@@ -1,6 +1,7 @@
 //! The conformance vectors in `spec/vectors`: small files, and what a decoder must make of them.
 //!
 //! `cargo test --release --test vectors -- --ignored` writes them anew; the other tests hold the library against them.
+#![cfg(feature = "unstable")]
 
 mod seal;
 mod sha256;
@@ -11,11 +12,12 @@ use std::path::{Path, PathBuf};
 
 use seal::{layer, seal};
 use sha256::sha256;
-use ssplat::bitstream::header::Header;
-use ssplat::bitstream::lattice::Lattice;
-use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
-use ssplat::bitstream::{DetailHead, read, read_partial, to_bytes};
-use ssplat::raster::{View, reference};
+use ssplat::View;
+use ssplat::unstable::bitstream::header::Header;
+use ssplat::unstable::bitstream::lattice::Lattice;
+use ssplat::unstable::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
+use ssplat::unstable::bitstream::{DetailHead, read, read_partial, to_bytes};
+use ssplat::unstable::raster::reference;
 use ssplat::{Blend, Channels, Depth, Error, Limits, Pixels, Result, Samples};
 use synthetic::{Levels, Random, Scene, any_primitive, scene, with_layer};
 

@@ -6,15 +6,19 @@ cd "$(dirname "$0")/../.."
 out=target/report
 mkdir -p "$out"
 # What fits on a GPU takes minutes to build: only where there may be one.
-features=report
+features=
 for device in /dev/dri/renderD* /dev/nvidia0 /dev/dxg; do
-    if [ -e "$device" ]; then features=report,gpu; fi
+    if [ -e "$device" ]; then features="--features gpu"; fi
 done
-if [ "$(uname)" = Darwin ]; then features=report,gpu; fi
-# The stiff cases are tests, inside and outside; the report shows the rows that they print. The first builds the program as well.
-cargo test -q --release --features "$features" --test stability -- --nocapture >"$out/tests.txt"
-cargo test -q --release --features "$features" --lib stability -- --nocapture >>"$out/tests.txt"
+if [ "$(uname)" = Darwin ]; then features="--features gpu"; fi
+# The stiff cases are tests, inside and outside; the report shows the rows that they print.
+# shellcheck disable=SC2086
+cargo test -q --release -p ssplat -p ssplat-lab $features --test stability -- --nocapture >"$out/tests.txt"
+# shellcheck disable=SC2086
+cargo test -q --release -p ssplat -p ssplat-lab $features --lib stability -- --nocapture >>"$out/tests.txt"
+# shellcheck disable=SC2086
+cargo build -q --release -p ssplat-lab $features
 # The steps of SmartSplat see every pixel and its structural similarity: one picture is enough.
-"${CARGO_TARGET_DIR:-target}/release/ssplat" report tests/images/kodim15.png tests/images/kodim05.png --out "$out" \
+"${CARGO_TARGET_DIR:-target}/release/ssplat-lab" report tests/images/kodim15.png tests/images/kodim05.png --out "$out" \
     --ratios 50,200,1000 --efforts 1,3,5 --smartsplat-images 1 --stability "$out/tests.txt"
 cp "$out/index.html" "$out/results.csv" "$out/results.json" "$out/anchors.csv" "$out/tables.md" docs/report/

@@ -3,9 +3,9 @@
 
 use arbitrary::Arbitrary;
 use libfuzzer_sys::fuzz_target;
-use ssplat::bitstream::header::Header;
-use ssplat::bitstream::splats::{Layout, PackedGaussian};
-use ssplat::bitstream::{read, to_bytes};
+use ssplat::unstable::bitstream::header::Header;
+use ssplat::unstable::bitstream::splats::{Layout, PackedGaussian};
+use ssplat::unstable::bitstream::{read, to_bytes};
 use ssplat_fuzz::{Head, tight_limits};
 
 /// The payload is what is left of the fuzzed bytes.

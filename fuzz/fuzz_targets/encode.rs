@@ -4,11 +4,9 @@
 
 use arbitrary::{Arbitrary, Unstructured};
 use libfuzzer_sys::fuzz_target;
-use ssplat::bitstream::splats::Layout;
-use ssplat::{
-    Ablation, Blend, Channels, Detail, EncodeOptions, Error, Limits, Needs, Pixels, Recipe, Samples, Target, Thumbnail,
-    Tune,
-};
+use ssplat::unstable::bitstream::splats::Layout;
+use ssplat::unstable::{Ablation, Needs, Recipe};
+use ssplat::{Blend, Channels, Detail, EncodeOptions, Error, Limits, Pixels, Samples, Target, Thumbnail, Tune};
 
 #[derive(Debug)]
 struct Input {
@@ -98,7 +96,8 @@ fuzz_target!(|input: Input| {
         let again = ssplat::encode(&pixels, &options).expect("it succeeded before");
         assert!(encoded.bytes == again.bytes, "two runs differ");
     }
-    let splats = ssplat::bitstream::read(&encoded.bytes[..], &Limits::default()).expect("what was encoded reads");
+    let splats =
+        ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default()).expect("what was encoded reads");
     let shape = (splats.width, splats.height, splats.channels, splats.depth);
     assert_eq!(shape, (pixels.width(), pixels.height(), pixels.channels(), pixels.depth()));
     assert_eq!(splats.gaussians.len(), encoded.report.primitives);

@@ -6,24 +6,25 @@ use std::collections::BTreeMap;
 
 use libfuzzer_sys::fuzz_target;
 use peak_alloc::PeakAlloc;
-use ssplat::bitstream::to_bytes;
-use ssplat::{Blend, Limits, PackOptions};
+use ssplat::unstable::PackOptions;
+use ssplat::unstable::bitstream::to_bytes;
+use ssplat::{Blend, Limits};
 
-#[path = "../../src/bin/ssplat/exchange/csv.rs"]
+#[path = "../../cli/src/exchange/csv.rs"]
 mod csv;
-#[path = "../../src/bin/ssplat/failure.rs"]
+#[path = "../../cli/src/failure.rs"]
 mod failure;
-#[path = "../../src/bin/ssplat/exchange/foreign.rs"]
+#[path = "../../cli/src/exchange/foreign.rs"]
 mod foreign;
-#[path = "../../src/bin/ssplat/names.rs"]
+#[path = "../../cli/src/names.rs"]
 mod names;
-#[path = "../../src/bin/ssplat/exchange/npy.rs"]
+#[path = "../../cli/src/exchange/npy.rs"]
 mod npy;
-#[path = "../../src/bin/ssplat/exchange/npz.rs"]
+#[path = "../../cli/src/exchange/npz.rs"]
 mod npz;
-#[path = "../../src/bin/ssplat/exchange/parameters.rs"]
+#[path = "../../cli/src/exchange/parameters.rs"]
 mod parameters;
-#[path = "../../src/bin/ssplat/exchange/problem.rs"]
+#[path = "../../cli/src/exchange/problem.rs"]
 mod problem;
 
 use npy::Array;
@@ -97,7 +98,7 @@ fuzz_target!(|data: &[u8]| {
     let peak = (ALLOCATOR.peak_usage() - before) as u64;
     assert!(peak <= 3 * limits().alloc + 64 * data.len() as u64, "{peak} bytes for {}", data.len());
     if let Some(found) = found
-        && let Ok(splats) = ssplat::pack(&found.picture, &PackOptions::default())
+        && let Ok(splats) = ssplat::unstable::pack(&found.picture, &PackOptions::default())
     {
         to_bytes(&splats).expect("what was packed can be written");
     }

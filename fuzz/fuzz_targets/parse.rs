@@ -7,9 +7,9 @@ mod groups;
 
 use libfuzzer_sys::{fuzz_mutator, fuzz_target};
 use peak_alloc::PeakAlloc;
-use ssplat::bitstream::sections::SectionFate;
-use ssplat::bitstream::splats::Layout;
-use ssplat::bitstream::{Missing, inspect, read, read_area, read_partial, to_bytes};
+use ssplat::unstable::bitstream::sections::SectionFate;
+use ssplat::unstable::bitstream::splats::Layout;
+use ssplat::unstable::bitstream::{Missing, inspect, read, read_area, read_partial, to_bytes};
 use ssplat_fuzz::mutate::mutate;
 use ssplat_fuzz::{SLACK, Sliced, tight_limits};
 

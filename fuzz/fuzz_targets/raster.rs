@@ -4,10 +4,11 @@
 
 use arbitrary::{Arbitrary, Unstructured};
 use libfuzzer_sys::fuzz_target;
-use ssplat::bitstream::rules::MAX_COLOR;
-use ssplat::gaussian::{MAX_SCALE, MIN_SCALE};
-use ssplat::raster::{Renderer, View, reference};
+use ssplat::unstable::bitstream::rules::MAX_COLOR;
+use ssplat::unstable::gaussian::{MAX_SCALE, MIN_SCALE};
+use ssplat::unstable::raster::reference;
 use ssplat::{Blend, Channels, Depth, Gaussian, Picture, Samples};
+use ssplat::{Renderer, View};
 use ssplat_fuzz::tight_limits;
 
 #[derive(Debug)]

@@ -3,8 +3,8 @@
 
 use libfuzzer_sys::fuzz_target;
 use ssplat::Limits;
-use ssplat::bitstream::splats::{PackedGaussian, PackedSplats};
-use ssplat::bitstream::{read, to_bytes};
+use ssplat::unstable::bitstream::splats::{PackedGaussian, PackedSplats};
+use ssplat::unstable::bitstream::{read, to_bytes};
 use ssplat_fuzz::Legal;
 
 /// The primitives in an order of their own: within a level the file's order is the layout's affair.

@@ -5,8 +5,8 @@
 use arbitrary::{Arbitrary, Unstructured};
 use libfuzzer_sys::fuzz_target;
 use peak_alloc::PeakAlloc;
-use ssplat::bitstream::splats::Layout;
-use ssplat::bitstream::to_bytes;
+use ssplat::unstable::bitstream::splats::Layout;
+use ssplat::unstable::bitstream::to_bytes;
 use ssplat::{Damage, DecodeOptions, Limits, Opened, PixelSource, decode, thumbnail};
 use ssplat_fuzz::{Legal, SLACK};
 

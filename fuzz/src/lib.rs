@@ -8,10 +8,10 @@ use std::io::Read;
 use std::sync::Arc;
 
 use arbitrary::{Arbitrary, Unstructured};
-use ssplat::bitstream::lattice::Lattice;
-use ssplat::bitstream::{DetailHead, DetailLayer, Maker};
-use ssplat::bitstream::rules::most_color;
-use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
+use ssplat::unstable::bitstream::lattice::Lattice;
+use ssplat::unstable::bitstream::rules::most_color;
+use ssplat::unstable::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
+use ssplat::unstable::bitstream::{DetailHead, DetailLayer, Maker};
 use ssplat::{Blend, Channels, Depth, Limits};
 
 /// What a fuzzed file may ask for.

@@ -2,9 +2,9 @@
 //! are changed and written anew.
 
 use libfuzzer_sys::fuzzer_mutate;
-use ssplat::bitstream::header::{Header, Sections};
-use ssplat::bitstream::splats::{Layout, PackedSplats};
-use ssplat::bitstream::{read, to_bytes};
+use ssplat::unstable::bitstream::header::{Header, Sections};
+use ssplat::unstable::bitstream::splats::{Layout, PackedSplats};
+use ssplat::unstable::bitstream::{read, to_bytes};
 use ssplat::{Error, FormatError};
 
 use crate::{Levels, layer, tight_limits};

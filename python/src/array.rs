@@ -81,7 +81,7 @@ impl PixelSource for Mapped {
     }
 
     fn part(&self, area: [u32; 4]) -> ssplat::Result<Pixels> {
-        ssplat::pixel_source::check_area(area, self.size)?;
+        ssplat::unstable::check_area(area, self.size)?;
         let [x, y, width, height] = area.map(|v| v as isize);
         let read = |py: Python<'_>| {
             let [rows, columns] = [(y, height), (x, width)].map(|(from, n)| PySlice::new(py, from, from + n, 1));

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
-use ssplat::bitstream::Missing;
-use ssplat::raster::View;
+use ssplat::View;
+use ssplat::unstable::bitstream::Missing;
 use ssplat::{Damage, Depth, Layers, Limits, Opening, Pixels, Result};
 
 use crate::failure::{exception, integer, parameter};

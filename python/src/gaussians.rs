@@ -4,8 +4,9 @@ use numpy::{IntoPyArray, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyDict};
-use ssplat::bitstream::splats::{PackedSplats, Steps};
-use ssplat::{Channels, Depth, Gaussian, Limits, PackOptions, Picture, Precision, bitstream};
+use ssplat::unstable::bitstream::splats::{PackedSplats, Steps};
+use ssplat::unstable::{PackOptions, Precision, bitstream};
+use ssplat::{Channels, Depth, Gaussian, Limits, Picture};
 
 use crate::failure::{integer, parameter};
 use crate::{info, names, work};
@@ -164,7 +165,9 @@ pub fn from_gaussians<'py>(
     let picture = options.picture(gaussians.collect(), channels)?;
     let how = options.parse()?;
     let most = options.bytes.unwrap_or(i128::MAX);
-    let file = work::run(py, 1, &work::Calls::default(), move |_| bitstream::to_bytes(&ssplat::pack(&picture, &how)?))?;
+    let file = work::run(py, 1, &work::Calls::default(), move |_| {
+        bitstream::to_bytes(&ssplat::unstable::pack(&picture, &how)?)
+    })?;
     // With steps of the caller's own there is nothing to choose.
     if file.len() as i128 > most {
         return Err(parameter("bytes", format!("{most} cannot hold {n} primitives: {} are needed", file.len())));

@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyDict};
-use ssplat::bitstream::header::{Header, Sections};
-use ssplat::bitstream::report::Report;
-use ssplat::bitstream::splats::{Metadata, PackedSplats, Steps};
-use ssplat::{Limits, Opening, bitstream};
+use ssplat::unstable::bitstream;
+use ssplat::unstable::bitstream::header::{Header, Sections};
+use ssplat::unstable::bitstream::report::Report;
+use ssplat::unstable::bitstream::splats::{Metadata, PackedSplats, Steps};
+use ssplat::{Limits, Opening};
 
 use crate::failure::exception;
 use crate::{decode, names, work};

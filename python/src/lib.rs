@@ -21,8 +21,8 @@ use pyo3::prelude::*;
 #[pymodule(gil_used = false)]
 fn _ssplat(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add("__version__", env!("CARGO_PKG_VERSION"))?;
-    m.add("FORMAT_VERSION", ssplat::bitstream::header::VERSION)?;
-    m.add("MAGIC", pyo3::types::PyBytes::new(m.py(), &ssplat::bitstream::header::MAGIC))?;
+    m.add("FORMAT_VERSION", ssplat::unstable::bitstream::header::VERSION)?;
+    m.add("MAGIC", pyo3::types::PyBytes::new(m.py(), &ssplat::unstable::bitstream::header::MAGIC))?;
     m.add_function(wrap_pyfunction!(carry::carried, m)?)?;
     m.add_function(wrap_pyfunction!(encode::encode, m)?)?;
     m.add_function(wrap_pyfunction!(encode::work_on_tile, m)?)?;

@@ -1,7 +1,7 @@
 //! How far two arrays are apart.
 
 use pyo3::prelude::*;
-use ssplat::metrics;
+use ssplat::unstable::metrics;
 
 use crate::{array, work};
 

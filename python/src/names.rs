@@ -1,8 +1,9 @@
 //! The words that stand for the library's choices.
 
 use pyo3::PyErr;
-use ssplat::bitstream::splats::Layout;
-use ssplat::{Backend, Blend, Carry, Detail, Needs, Tune};
+use ssplat::unstable::Needs;
+use ssplat::unstable::bitstream::splats::Layout;
+use ssplat::{Backend, Blend, Carry, Detail, Tune};
 
 use crate::failure::parameter;
 

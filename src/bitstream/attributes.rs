@@ -10,6 +10,7 @@ use super::region::Square;
 use super::rules::Rules;
 use super::splats::{PackedGaussian, Steps};
 use super::spread::{Bounded, FINE, Gains, MEAN, Near, Open, Shifts, log16};
+use crate::angle::sin_cos;
 use crate::gaussian::Channels;
 
 /// Quantities that are averaged over the neighbours: two scales and four colours.
@@ -230,11 +231,11 @@ impl GroupContext<'_> {
 
 /// `16·log₂` of the spacing, in cells, of `count` primitives on `size` cells.
 pub(crate) fn spacing(size: [u32; 2], count: u32) -> i64 {
-    let area = u128::from(size[0]) * u128::from(size[1]) * 256 / u128::from(count.max(1));
-    // An area of 60 bits and 8 more does not fit; only the highest five bits count.
-    let log = match u64::try_from(area) {
-        Ok(area) => log16(area.max(1)),
-        Err(_) => log16((area >> 16) as u64) + 16 * 16,
+    let (area, count) = (u64::from(size[0]) * u64::from(size[1]), u64::from(count.max(1)));
+    // 256 times the cells of a primitive. Where that does not fit, only the highest five bits count.
+    let log = match (area / count).checked_mul(256) {
+        Some(whole) => log16((whole + area % count * 256 / count).max(1)),
+        None => log16(area / count >> 8) + 16 * 16,
     };
     i64::from((log - 16 * 8).div_euclid(2))
 }
@@ -253,7 +254,8 @@ fn log_class(value: u32, last: u32) -> usize {
 static DIRECTIONS: LazyLock<[[i32; 2]; 64]> = LazyLock::new(|| {
     std::array::from_fn(|k| {
         let turn = std::f64::consts::TAU * k as f64 / 64.0;
-        [turn.cos(), turn.sin()].map(|c| (256.0 * c + 0.5).floor() as i32)
+        let (sin, cos) = sin_cos(turn);
+        [cos, sin].map(|c| (256.0 * c + 0.5).floor() as i32)
     })
 });
 

@@ -4,7 +4,7 @@ use crate::error::{Error, FormatError};
 
 /// A value that is against the rules.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Broken {
+pub struct Broken {
     pub field: &'static str,
     pub value: u64,
 }

@@ -19,7 +19,7 @@ use crate::error::Result;
 pub(crate) fn put(splats: &PackedSplats, out: &mut Vec<u8>) -> Result<()> {
     let book = sorted_codebook(splats);
     let group = Group::new(splats, book.as_deref())?;
-    let mut encoder = Encoder::new();
+    let mut encoder = Encoder::default();
     put_palette(&mut encoder, &group.palette);
     let region = group.rules.region();
     let mut sorted = splats.gaussians.clone();

@@ -97,7 +97,7 @@ pub(crate) fn put(splats: &PackedSplats, header: u32, out: &mut Vec<u8>) -> Resu
     let parts = parts(&mut sorted, &levels, &group.rules, out);
     let streams = parallel::map(parts.len(), |i| {
         let (region, part) = parts[i];
-        let mut encoder = Encoder::new();
+        let mut encoder = Encoder::default();
         group.code(&mut encoder, region, Some(part), part.len() as u32).map(|_| encoder.finish())
     });
     let streams = streams.into_iter().collect::<Result<Vec<_>, Broken>>()?;

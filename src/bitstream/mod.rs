@@ -19,7 +19,7 @@ mod neighbours;
 mod packed;
 mod palette;
 mod planes;
-pub(crate) mod range;
+pub mod range;
 mod read;
 mod region;
 pub mod report;

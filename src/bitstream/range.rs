@@ -9,7 +9,7 @@ use super::broken::Broken;
 const TOP: u32 = 1 << 24;
 
 /// Frequencies of consecutive integers, added up.
-pub(crate) trait Cumulative: std::fmt::Debug {
+pub trait Cumulative: std::fmt::Debug {
     /// Sum of the frequencies of the integers below `value`.
     fn below(&self, value: i32) -> u32;
 
@@ -22,7 +22,7 @@ pub(crate) trait Cumulative: std::fmt::Debug {
 
 /// What is expected of a value that is about to be coded. Places are in sixteenths, spreads in sixteenths of octaves.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Forecast {
+pub enum Forecast {
     /// Of `major − minor`.
     Aspect { major: u8, place: i64, spread: i32 },
     /// Of an angle: one of 64 directions, and the spread as a part of all angles.
@@ -33,7 +33,7 @@ pub(crate) enum Forecast {
 }
 
 /// One side of the coder. Writer and reader run the same code: the writer is given each decision, the reader gives it.
-pub(crate) trait Coder {
+pub trait Coder {
     /// Codes one decision whose probability of being 1 is `one / 2¹⁶`, `one` in `1..=65535`.
     fn bit(&mut self, one: u32, bit: u32) -> u32;
 
@@ -81,17 +81,19 @@ pub(crate) trait Coder {
 
 /// Writes decisions.
 #[derive(Debug)]
-pub(crate) struct Encoder {
+pub struct Encoder {
     low: u64,
     range: u32,
     bytes: Vec<u8>,
 }
 
-impl Encoder {
-    pub fn new() -> Self {
+impl Default for Encoder {
+    fn default() -> Self {
         Encoder { low: 0, range: u32::MAX, bytes: Vec::new() }
     }
+}
 
+impl Encoder {
     /// Adds the carry that has run out of `low`.
     fn carry(&mut self) {
         if self.low >> 32 != 0 {
@@ -171,7 +173,7 @@ impl Coder for Encoder {
 
 /// Reads decisions.
 #[derive(Debug, Clone)]
-pub(crate) struct Decoder<'a> {
+pub struct Decoder<'a> {
     /// In the upper half the value of the bytes less the lower end of the interval; below it, bytes that come next.
     window: u64,
     range: u32,
@@ -322,7 +324,7 @@ impl Coder for Decoder<'_> {
 
 /// Passes decisions on and adds up what they cost.
 #[derive(Debug)]
-pub(crate) struct Meter<C> {
+pub struct Meter<C> {
     pub coder: C,
     /// Bits since the last account of a field, and since that of a primitive; none where nothing is counted.
     bits: Option<[f64; 2]>,
@@ -421,7 +423,7 @@ mod tests {
     fn messages_round_trip_and_no_other_ending_is_accepted() {
         for seed in 0..400 {
             let message = decisions(seed, seed % 97);
-            let mut encoder = Encoder::new();
+            let mut encoder = Encoder::default();
             // Every decision is followed by a uniform value, the last one of its range included.
             let uniform = |one: u32| (1 + one % 977, (one / 7).min(one % 977));
             message.iter().for_each(|&(one, bit)| {
@@ -458,7 +460,7 @@ mod tests {
 
     #[test]
     fn carries_run_through_long_rows_of_ones() {
-        let mut encoder = Encoder::new();
+        let mut encoder = Encoder::default();
         for _ in 0..100 {
             encoder.bit(1, 0);
             encoder.bit(65535, 1);

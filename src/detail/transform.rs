@@ -2,6 +2,7 @@
 
 use std::sync::OnceLock;
 
+use crate::angle::sin_cos;
 use crate::bitstream::detail::scan::LARGEST;
 
 /// Row `k` of the matrix of side `N`: `round(2048·cos(…))`.
@@ -11,7 +12,7 @@ pub(crate) type Matrix = [[i32; LARGEST]; LARGEST];
 pub(crate) fn matrices() -> &'static [Matrix; 4] {
     static MATRICES: OnceLock<[Matrix; 4]> = OnceLock::new();
     MATRICES.get_or_init(|| {
-        let cosine = |j: usize| ((j as f64 * std::f64::consts::PI / 64.0).cos() * 2048.0).round() as i32;
+        let cosine = |j: usize| (sin_cos(j as f64 * std::f64::consts::PI / 64.0).1 * 2048.0).round() as i32;
         std::array::from_fn(|size| {
             let side = 4usize << size;
             let mut matrix = [[0; LARGEST]; LARGEST];

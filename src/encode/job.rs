@@ -103,10 +103,7 @@ impl Encoding<'_> {
         if self.is_base {
             plan = plan.for_base();
         }
-        #[cfg(feature = "recipes")]
-        {
-            plan.rung = options.rung;
-        }
+        plan.rung = options.rung;
         if options.needs == Needs::Measured {
             plan.enough = enough(options.target, subject.pixels.depth());
         }
@@ -230,7 +227,7 @@ const LEAST_PRICE: f64 = 0.5;
 /// still too much goes by its worth.
 pub(super) fn excess(primitives: usize) -> f64 {
     // Kodak, twelve pictures, against 1.008: .02 to .07 dB better at ratios from 50 to 1000. With 15 000 primitives at ratio
-    // 20 it won nothing and lost .0003 of MS-SSIM. `cargo run --release --features cli --example rate_distortion -- PICTURES`
+    // 20 it won nothing and lost .0003 of MS-SSIM. `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`
     // measures it.
     if primitives < 10_000 { 1.05 } else { 1.008 }
 }

@@ -36,7 +36,7 @@ const MOST_TRIED: f64 = 1.0;
 
 /// The curve that pictures are taken to have until theirs is known: halvings of the raw bytes, and points. Kodak, the means of
 /// twelve pictures from 20 on; pictures differ by a shift along the first axis for the most part.
-/// `cargo run --release --features cli --example rate_distortion -- KODAK` measures it.
+/// `cargo run --release -p ssplat-lab --example rate_distortion -- KODAK` measures it.
 const CURVE: [[f64; 2]; 10] = [
     [0.5, 100.0],
     [1.5, 97.0],

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! SSPLAT_PICTURE=photo.jpg RAYON_NUM_THREADS=1 \
-//!     cargo test --release --features cli --lib -- --ignored --nocapture coarse_to_fine_against
+//!     cargo test --release --lib -- --ignored --nocapture coarse_to_fine_against
 //! ```
 //!
 //! prints CPU seconds and PSNR of float fits of the picture, scaled to 6 megapixels, at a ratio of 200. Of a canyon,

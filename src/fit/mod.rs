@@ -9,7 +9,7 @@ mod cpu;
 pub(crate) mod draft;
 pub(crate) mod engine;
 pub(crate) mod job;
-pub(crate) mod model;
+pub mod model;
 pub(crate) mod plan;
 mod rehearsal;
 pub(crate) mod schedule;

@@ -17,7 +17,7 @@ use crate::fit::plan::Pace;
 use crate::options::Rung;
 
 /// Step sizes at the start, in each Gaussian's own frame and units. What others would win or lose is measured by
-/// `cargo run --release --features cli --example rate_distortion -- PICTURES`.
+/// `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`.
 pub(crate) const RATES: Rates = Rates { mean: 0.3, log_scale: 0.3, rotation: 0.15, color: 0.02, decay: [0.9, 0.95] };
 /// Step sizes at the end, in units of those at the start.
 pub(crate) const LAST_RATE: f32 = 0.02;

@@ -1,5 +1,5 @@
 //! Stiff and extreme cases seen from inside: gradients against f64, every iteration's state, rates, long runs, and how
-//! ill-conditioned a joint solve of the colours would be. Prints rows for the table of `ssplat report --stability`.
+//! ill-conditioned a joint solve of the colours would be. Prints rows for the table of `ssplat-lab report --stability`.
 
 // Shared with the tests of the whole way.
 #[path = "../../tests/stiff/mod.rs"]

@@ -2,7 +2,7 @@
 //! gigabytes, so only on request:
 //!
 //! ```text
-//! cargo test --release --features gpu --lib -- --ignored --nocapture --test-threads 1 largest_picture
+//! cargo test --release -p ssplat --features gpu --lib -- --ignored --nocapture --test-threads 1 largest_picture
 //! ```
 
 use std::time::Instant;

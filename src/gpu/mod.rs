@@ -1,7 +1,7 @@
 //! Drawing and fitting on a GPU, by way of `wgpu`: Vulkan, Metal, Direct3D 12 and the browser's WebGPU.
 //!
 //! Results are bit-identical from run to run on one device, and within one code value of
-//! [`raster::reference`](crate::raster::reference). Nothing here needs more than `wgpu::Limits::default()`; large
+//! the definition in `raster/reference.rs`. Nothing here needs more than `wgpu::Limits::default()`; large
 //! pictures are worked on in bands of rows. [`Limits`](crate::Limits) hold as on the CPU; files from strangers are
 //! best decoded there all the same: a driver is a large thing to expose to them.
 //!
@@ -38,3 +38,6 @@ pub use device::{Adapters, Device};
 pub(crate) use fit::Fitter;
 pub use fitted::{Fitted, Look, fit};
 pub use renderer::Renderer;
+/// The crate that drives the device, in the version that [`Device::from_wgpu`] takes. A new minor version of this crate may
+/// need a newer one.
+pub use wgpu;

@@ -5,6 +5,7 @@
 //! the Gaussian is `2^(level − u² − v²)`. Large offsets cancel in `u`, so these are f64 up to the corner of a strip.
 
 use super::view::View;
+use crate::angle::sin_cos;
 use crate::budget::{Budget, Reservation};
 use crate::error::{Error, Result};
 use crate::gaussian::{CUTOFF, CUTOFF_WEIGHT, Gaussian};
@@ -55,7 +56,7 @@ pub(super) struct Splat {
 
 impl Splat {
     fn new(g: &Gaussian, view: &View, variance: [f64; 2]) -> Self {
-        let (sin, cos) = f64::from(g.rotation).sin_cos();
+        let (sin, cos) = sin_cos(g.rotation.into());
         let [s1, s2] = g.scale.map(f64::from);
         let [tx, ty] = view.step.map(f64::recip);
         let (v1, v2) = (s1 * s1, s2 * s2);

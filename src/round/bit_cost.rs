@@ -7,7 +7,7 @@ use crate::bitstream::splats::PackedGaussian;
 
 /// What a colour's bits count for, where they are those that the coder takes: a colour near its neighbours' makes theirs
 /// cheaper, too. Of 1, 1.3 and 1.6 this was best on Kodak 05, 13, 15 and 23 at ratios of 50 and 200; what others would win
-/// is measured by `cargo run --release --features cli --example rate_distortion -- PICTURES`.
+/// is measured by `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`.
 const SHARED: f32 = 1.3;
 
 /// Bits of each symbol under order-0 statistics of one set of primitives, and what the coder expects of each of them.

@@ -18,7 +18,7 @@ use crate::round::rounded::{Rounded, projected, quantizer};
 use crate::round::size::{Size, resize};
 
 // What other values of these would win or lose is measured by
-// `cargo run --release --features cli --example rate_distortion -- PICTURES`, small files by the example `tiny_files`.
+// `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`, small files by the example `tiny_files`.
 
 /// Squared error that a bit must save, in units of the mean squared error per bit: the slope of the rate–distortion
 /// curve, where doubling the bytes wins two to three decibels.

@@ -63,7 +63,7 @@ pub(crate) fn steps(primitives: &[Primitive], layout: Layout, psnr: f64) -> Step
     match layout {
         Layout::Coded => {
             // Found by trying all neighbours on photographs at ratios from 20 to 1500; the optimum is flat. What others
-            // would win is measured by `cargo run --release --features cli --example rate_distortion -- PICTURES`.
+            // would win is measured by `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`.
             let (scale, position, luma) = match psnr {
                 ..24.0 => (5, 5, 6),
                 24.0..30.0 => (4, 6, 6),

@@ -17,18 +17,18 @@ use std::sync::OnceLock;
 pub(crate) use self::plain::Plain;
 
 /// Floats side by side.
-pub(crate) const LANES: usize = 8;
+pub const LANES: usize = 8;
 
 /// Eight floats in memory.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[repr(align(32))]
-pub(crate) struct Lanes(pub [f32; LANES]);
+pub struct Lanes(pub [f32; LANES]);
 
 /// Work that is compiled for each instruction set.
 ///
 /// A struct and not a closure: a closure's body would not be inlined into the function that is compiled for AVX2, and run
 /// without it.
-pub(crate) trait Task {
+pub trait Task {
     type Output;
 
     /// To be `#[inline(always)]`, as all that it calls in its inner loops.
@@ -47,7 +47,7 @@ fn is_plain_asked_for() -> bool {
 }
 
 /// Runs `task` with the best instructions that the machine has, or with the plain ones if those are asked for.
-pub(crate) fn dispatch<T: Task>(task: T) -> T::Output {
+pub fn dispatch<T: Task>(task: T) -> T::Output {
     #[cfg(target_arch = "x86_64")]
     if !is_plain_asked_for()
         && let Some(simd) = pulp::x86::V3::try_new()
@@ -81,7 +81,7 @@ pub fn instruction_set() -> &'static str {
 /// Operations on eight floats at once.
 ///
 /// Code that uses it must be inlined into the function that is compiled for the instruction set, so: no closures.
-pub(crate) trait Simd: Copy {
+pub trait Simd: Copy {
     /// What [`instruction_set`] calls it.
     const NAME: &'static str;
 

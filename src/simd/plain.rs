@@ -4,7 +4,7 @@ use super::{LANES, Simd};
 
 /// Plain arrays, in loops that compilers may turn into vectors: the twin of every other instruction set.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Plain;
+pub struct Plain;
 
 #[inline(always)]
 fn zip(a: [f32; LANES], b: [f32; LANES], f: impl Fn(f32, f32) -> f32) -> [f32; LANES] {

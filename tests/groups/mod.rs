@@ -1,8 +1,8 @@
 //! Files in groups, where the writer chooses what stays undivided: the same primitives, but not the same bytes.
 
 use ssplat::Limits;
-use ssplat::bitstream::splats::PackedSplats;
-use ssplat::bitstream::{read, to_bytes};
+use ssplat::unstable::bitstream::splats::PackedSplats;
+use ssplat::unstable::bitstream::{read, to_bytes};
 
 /// The byte with the layout in its lowest bits, and the value of groups.
 const FLAGS: usize = 5;

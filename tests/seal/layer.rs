@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use ssplat::Limits;
-use ssplat::bitstream::header::{Header, Sections};
+use ssplat::unstable::bitstream::header::{Header, Sections};
 
 /// The parts of a file with a detail layer.
 pub struct Layout {

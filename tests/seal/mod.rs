@@ -5,7 +5,7 @@
 pub mod layer;
 pub mod mutations;
 
-use ssplat::bitstream::read;
+use ssplat::unstable::bitstream::read;
 use ssplat::{Error, FormatError, Limits};
 
 /// Sets the checksums of detail layer, file, directory and groups to the ones that a reader computes.

@@ -5,10 +5,10 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use ssplat::bitstream::lattice::Lattice;
-use ssplat::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
-use ssplat::bitstream::{DetailHead, DetailLayer, Maker};
-use ssplat::quantize::Quantizer;
+use ssplat::unstable::bitstream::lattice::Lattice;
+use ssplat::unstable::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
+use ssplat::unstable::bitstream::{DetailHead, DetailLayer, Maker};
+use ssplat::unstable::quantize::Quantizer;
 use ssplat::{Blend, Channels, Depth, Gaussian};
 
 /// Splitmix64.

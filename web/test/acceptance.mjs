@@ -1,6 +1,6 @@
 // Whether the WebAssembly accepts and refuses what the native decoder does, and draws the same: of the finds of fuzzing, the
 // vectors, and mutations of them. The native decoder's list comes first:
-//   cargo run --release --example acceptance -- FOLDER && node web/test/acceptance.mjs FOLDER [MODULE...]
+//   cargo run --release -p ssplat-lab --example acceptance -- FOLDER && node web/test/acceptance.mjs FOLDER [MODULE...]
 // MODULE is web/ssplat-simd.wasm where none is named.
 import { readFileSync } from "node:fs"
 import { join } from "node:path"

@@ -32,8 +32,8 @@ for (const folder of ["valid", "reduced", "invalid", "limits"])
 rmSync(home, { recursive: true })
 
 // Most bytes as brotli of the WebAssembly and the modules that it needs.
-// 95 000 were asked for with the detail layer; it takes 101 000, and 108 000 without vectors, so this only keeps it from growing.
-const budget = 110_000
+// The scalar one, for browsers from before 2023, may take more: its loops over pixels are longer.
+const budgets = { simd: 95_000, scalar: 102_000 }
 
 let failed = false
 function tell(where, { problems, words }) {
@@ -53,7 +53,7 @@ const modules = ["error.js", "icc.js", "machine.js", "source.js", "ssplat.js"]
 for (const kind of ["simd", "scalar"]) {
   const wasm = `ssplat-${kind}.wasm`, size = brotli([wasm]) + brotli(modules)
   console.log(`${wasm}: ${statSync(new URL(wasm, dist)).size} bytes, ${brotli([wasm])} as brotli, ${size} with the modules`)
-  if (size > budget) tell("size", { problems: [`${size} bytes as brotli are more than ${budget}`], words: wasm })
+  if (size > budgets[kind]) tell("size", { problems: [`${size} bytes as brotli are more than ${budgets[kind]}`], words: wasm })
 }
 
 const photo = new URL("tests/images/kodim05.png", root).pathname, shown = new URL("valid/coded-rgb/file.ssplat", vectors).pathname

@@ -321,7 +321,7 @@ pub(crate) fn write(
     channels: Channels,
     size: [usize; 2],
 ) -> (Vec<u8>, Models) {
-    let mut encoder = Encoder::new();
+    let mut encoder = Encoder::default();
     let (mut models, mut block) = (Models::start(), Block::default());
     let mut state = TileState::new(size);
     TileCoder { decisions: &mut encoder, models: &mut models, state: &mut state, head, channels, block: &mut block }

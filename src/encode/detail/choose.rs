@@ -158,7 +158,7 @@ impl<'a> Chooser<'a> {
     }
 
     fn run(mut self) -> Chosen {
-        let mut encoder = Encoder::new();
+        let mut encoder = Encoder::default();
         for at in self.state.superblocks() {
             for (kind, _) in kinds(self.setting.channels, self.setting.head.alpha) {
                 self.tree(kind, at, ROOT);

@@ -17,7 +17,7 @@ const BAND: usize = 16;
 
 /// The planes.
 #[derive(Debug, Default)]
-pub(crate) struct Field {
+pub struct Field {
     pub planes: Vec<f32>,
     pub stride: usize,
     pub rows: Option<RowSet>,
@@ -25,7 +25,7 @@ pub(crate) struct Field {
 
 /// Says what a drawing leaves in the planes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Output {
+pub enum Output {
     /// `∂L/∂(Σwc)` for each channel and `h = Σ g I` (normalized) or 0 (sum), for the squared error.
     Gradient,
     /// The picture `I` for each channel and `Σ w`.
@@ -36,13 +36,13 @@ pub(crate) enum Output {
 
 /// For each band of sampled rows, the primitives that reach into it, in order.
 #[derive(Debug, Default)]
-pub(crate) struct Bands {
+pub struct Bands {
     starts: Vec<u32>,
     members: Vec<u32>,
 }
 
 impl Bands {
-    pub(crate) fn new(projected: &[Projected], rows: RowSet, height: u32) -> Self {
+    pub fn new(projected: &[Projected], rows: RowSet, height: u32) -> Self {
         let bands = rows.count(height).div_ceil(BAND);
         let range = |p: &Projected| {
             let (first, end) = (rows.index(p.rows[0]), rows.index(p.rows[1]));
@@ -78,7 +78,7 @@ impl Field {
     /// Sums `projected` over the rows of `rows` and leaves `output` in the planes. Returns the squared error of the
     /// clamped picture over those rows: weighted as the target has it for the gradients, plain for
     /// [`Output::Picture`], 0 for [`Output::Sums`].
-    pub(crate) fn draw(&mut self, problem: &Problem<'_>, projected: &[Projected], rows: RowSet, output: Output) -> f64 {
+    pub fn draw(&mut self, problem: &Problem<'_>, projected: &[Projected], rows: RowSet, output: Output) -> f64 {
         match problem.target.channels.count() {
             1 => self.draw_channels::<1>(problem, projected, rows, output),
             2 => self.draw_channels::<2>(problem, projected, rows, output),
@@ -108,7 +108,7 @@ impl Field {
     }
 
     /// The gradients of a run of primitives, gathered from gradient planes over `rows`.
-    pub(crate) fn gather(
+    pub fn gather(
         &self,
         channels: usize,
         rows: RowSet,
@@ -127,20 +127,20 @@ impl Field {
 
     /// The planes of sampled row `i`.
     #[inline(always)]
-    pub(crate) fn row(&self, i: usize, channels: usize) -> &[f32] {
+    pub fn row(&self, i: usize, channels: usize) -> &[f32] {
         let size = (channels + 1) * self.stride;
         &self.planes[i * size..][..size]
     }
 }
 
 /// Returns the squared error of the clamped picture of `projected` over all rows.
-pub(crate) fn squared_error(problem: &Problem<'_>, projected: &[Projected]) -> f64 {
+pub fn squared_error(problem: &Problem<'_>, projected: &[Projected]) -> f64 {
     error(problem, projected, Output::Picture)
 }
 
 /// Returns what [`Field::draw`] does, of all rows. What is drawn is not kept, a band at a time: the planes of a whole
 /// picture are several times as large as itself.
-pub(crate) fn error(problem: &Problem<'_>, projected: &[Projected], output: Output) -> f64 {
+pub fn error(problem: &Problem<'_>, projected: &[Projected], output: Output) -> f64 {
     match problem.target.channels.count() {
         1 => error_of::<1>(problem, projected, output),
         2 => error_of::<2>(problem, projected, output),
@@ -162,7 +162,7 @@ fn error_of<const C: usize>(problem: &Problem<'_>, projected: &[Projected], outp
 
 /// Returns the squared error of the clamped picture of `projected` over a part of the pixels, weighted or plain as
 /// [`Field::draw`] has it for `output`.
-pub(crate) fn error_within(
+pub fn error_within(
     problem: &Problem<'_>,
     projected: &[Projected],
     (columns, lines): (std::ops::Range<usize>, std::ops::Range<u32>),
@@ -192,7 +192,7 @@ pub(crate) fn error_within(
 }
 
 /// Returns the squared error of the clamped picture of `primitives` over all rows.
-pub(crate) fn float_error(problem: &Problem<'_>, primitives: &[Primitive]) -> f64 {
+pub fn float_error(problem: &Problem<'_>, primitives: &[Primitive]) -> f64 {
     squared_error(problem, &project::all(primitives, problem.scene.height))
 }
 
@@ -355,7 +355,7 @@ impl<const C: usize> Task for GatherTask<'_, C> {
 
 /// A gradient in the whitened frame of its primitive.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Gradient {
+pub struct Gradient {
     pub mean: [f32; 2],
     pub log_scale: [f32; 2],
     pub rotation: f32,
@@ -366,7 +366,7 @@ pub(crate) struct Gradient {
 
 /// The frame of a primitive.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Frame {
+pub struct Frame {
     /// Its scales.
     pub scale: [f32; 2],
     /// Sine and cosine of its rotation.
@@ -375,7 +375,7 @@ pub(crate) struct Frame {
 
 impl Frame {
     #[inline(always)]
-    pub(crate) fn of(log_scale: [f32; 2], rotation: f32) -> Self {
+    pub fn of(log_scale: [f32; 2], rotation: f32) -> Self {
         Frame { scale: log_scale.map(f32::exp), turn: rotation.sin_cos() }
     }
 }
@@ -383,7 +383,7 @@ impl Frame {
 impl Gradient {
     /// From `Σ t` times `dx`, `dy`, `dx²`, `dx dy` and `dy²`, where `t` is the gradient with respect to the exponent.
     #[inline(always)]
-    pub(crate) fn from_moments([m10, m01, m20, m11, m02]: [f32; 5], frame: Frame) -> Self {
+    pub fn from_moments([m10, m01, m20, m11, m02]: [f32; 5], frame: Frame) -> Self {
         let Frame { scale: [sx, sy], turn: (sin, cos) } = frame;
         let (ix, iy) = (1.0 / (sx * sx), 1.0 / (sy * sy));
         let uu = cos * cos * m20 + 2.0 * cos * sin * m11 + sin * sin * m02;

@@ -85,14 +85,14 @@ impl Rows {
 
 /// `p` itself at the eight pixels from `x` on, in a row that is `dy` from its centre.
 #[inline(always)]
-pub(crate) fn at<S: Simd>(simd: S, p: &Projected, x: usize, dy: f32) -> S::Vector {
+pub fn at<S: Simd>(simd: S, p: &Projected, x: usize, dy: f32) -> S::Vector {
     let dx = simd.add(simd.index(), simd.splat(x as f32 - p.center[0]));
     Rows::new(p, 1.0).at(simd, dx, dy)
 }
 
 /// Eight columns side by side.
 #[derive(Clone, Copy)]
-pub(crate) struct Strip<S: Simd> {
+pub struct Strip<S: Simd> {
     /// The first of them.
     pub x: usize,
     /// Their distances from the centre.
@@ -102,7 +102,7 @@ pub(crate) struct Strip<S: Simd> {
 }
 
 /// What is done with a primitive's pixels.
-pub(crate) trait Visit<S: Simd> {
+pub trait Visit<S: Simd> {
     /// Row `i` of those that are visited, at distance `dy` from the centre, where the Gaussian is `g`; it may be less than
     /// the edge.
     fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, dy: S::Vector);
@@ -168,7 +168,7 @@ impl Cut {
 /// Visits the pixels of `p` in `count` rows, the first of them `dy` from the centre, the others `step` from each other. Of
 /// those outside `columns` the last strip may hold some, with an edge that nothing exceeds.
 #[inline(always)]
-pub(crate) fn walk<S: Simd>(
+pub fn walk<S: Simd>(
     simd: S,
     p: &Projected,
     (dy, step, count): (f32, f32, usize),
@@ -230,7 +230,7 @@ pub(crate) fn walk<S: Simd>(
 
 /// Visits the pixels of `p` in the sampled rows with the indices `range`.
 #[inline(always)]
-pub(crate) fn walk_rows<S: Simd>(
+pub fn walk_rows<S: Simd>(
     simd: S,
     p: &Projected,
     (rows, range): (RowSet, std::ops::Range<usize>),
@@ -243,7 +243,7 @@ pub(crate) fn walk_rows<S: Simd>(
 
 /// The colour of `p`, each channel in all lanes.
 #[inline(always)]
-pub(crate) fn colors<S: Simd, const C: usize>(simd: S, p: &Projected) -> [S::Vector; C] {
+pub fn colors<S: Simd, const C: usize>(simd: S, p: &Projected) -> [S::Vector; C] {
     let mut colors = [simd.splat(0.0); C];
     for (color, value) in colors.iter_mut().zip(p.color) {
         *color = simd.splat(value);
@@ -256,7 +256,7 @@ pub(crate) fn colors<S: Simd, const C: usize>(simd: S, p: &Projected) -> [S::Vec
 /// `planes` holds the sampled rows from index `first` on, each `C + 1` planes of `stride` floats. Rows that are not there
 /// are left out.
 #[inline(always)]
-pub(crate) fn splat<S: Simd, const C: usize>(
+pub fn splat<S: Simd, const C: usize>(
     simd: S,
     p: &Projected,
     (rows, first): (RowSet, usize),
@@ -305,7 +305,7 @@ impl<S: Simd, const C: usize> Visit<S> for Deposit<'_, S, C> {
 
 /// Sums over the support that make up a primitive's gradient.
 #[derive(Clone, Copy)]
-pub(crate) struct Moments<const C: usize> {
+pub struct Moments<const C: usize> {
     /// `Σ w g` for each channel.
     pub color: [f32; C],
     /// `Σ e v` times `dx`, `dy`, `dx²`, `dx dy` and `dy²`, where `v = Σ g c − h`.
@@ -315,7 +315,7 @@ pub(crate) struct Moments<const C: usize> {
 /// The moments of `p` over the gradient planes of all its sampled rows: for each, `C` of `∂L/∂(Σwc)`, then `h`, `stride`
 /// floats each.
 #[inline(always)]
-pub(crate) fn gather<S: Simd, const C: usize>(
+pub fn gather<S: Simd, const C: usize>(
     simd: S,
     p: &Projected,
     rows: RowSet,

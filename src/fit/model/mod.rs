@@ -3,17 +3,17 @@
 
 pub(crate) mod adam;
 pub(crate) mod blur;
-pub(crate) mod field;
-pub(crate) mod kernel;
+pub mod field;
+pub mod kernel;
 pub(crate) mod masking;
 pub(crate) mod peaks;
-pub(crate) mod planes;
-pub(crate) mod problem;
-pub(crate) mod project;
+pub mod planes;
+pub mod problem;
+pub mod project;
 pub(crate) mod reduced;
 pub(crate) mod removal;
 pub(crate) mod reweigh;
 pub(crate) mod ridge;
-pub(crate) mod rows;
+pub mod rows;
 pub(crate) mod sample;
-pub(crate) mod structure;
+pub mod structure;

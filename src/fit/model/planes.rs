@@ -9,7 +9,7 @@ use crate::simd::LANES;
 
 /// Rows of `channels` planes, each `stride` floats long: `width` samples, then zeros.
 #[derive(Debug, Clone)]
-pub(crate) struct Planes {
+pub struct Planes {
     pub width: u32,
     pub height: u32,
     pub channels: Channels,
@@ -24,12 +24,12 @@ pub(crate) struct Planes {
 }
 
 /// Length of a plane's row: a strip may start at the last pixel.
-pub(crate) fn stride(width: u32) -> usize {
+pub fn stride(width: u32) -> usize {
     (width as usize).next_multiple_of(LANES) + LANES
 }
 
 impl Planes {
-    pub(crate) fn new(pixels: &Pixels) -> Self {
+    pub fn new(pixels: &Pixels) -> Self {
         let (width, height, channels) = (pixels.width(), pixels.height(), pixels.channels());
         let (count, stride, w) = (channels.count(), stride(width), width as usize);
         let mut planes = vec![0.0f32; height as usize * count * stride];
@@ -64,13 +64,13 @@ impl Planes {
 
     /// The planes of row `y`.
     #[inline(always)]
-    pub(crate) fn row(&self, y: u32) -> &[f32] {
+    pub fn row(&self, y: u32) -> &[f32] {
         let size = self.channels.count() * self.stride;
         &self.planes[y as usize * size..][..size]
     }
 
     /// Channel `k` without the padding.
-    pub(crate) fn plane(&self, k: usize) -> Vec<f32> {
+    pub fn plane(&self, k: usize) -> Vec<f32> {
         let width = self.width as usize;
         let mut plane = vec![0.0f32; width * self.height as usize];
         parallel::map_chunks(&mut plane, width, |y, out| {
@@ -80,7 +80,7 @@ impl Planes {
     }
 
     /// Returns the picture at half its size: means of 2 × 2 pixels, borders repeated. Colours count by their opacity.
-    pub(crate) fn halved(&self) -> Planes {
+    pub fn halved(&self) -> Planes {
         let (count, alpha) = (self.channels.count(), self.channels.alpha());
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let (stride, last) = (stride(width), self.width as usize - 1);
@@ -120,12 +120,12 @@ impl Planes {
     }
 
     /// Returns the same picture, in the same memory, with other amplitudes.
-    pub(crate) fn weighed(&self, amplitude: Vec<f32>) -> Planes {
+    pub fn weighed(&self, amplitude: Vec<f32>) -> Planes {
         Planes { planes: Arc::clone(&self.planes), amplitude, ..*self }
     }
 
     /// Returns a picture that `change` makes of this one, row by row: the planes of row `y`, [`Planes::stride`] floats each.
-    pub(crate) fn changed(&self, change: impl Fn(usize, &mut [f32]) + Sync + Send) -> Planes {
+    pub fn changed(&self, change: impl Fn(usize, &mut [f32]) + Sync + Send) -> Planes {
         let mut planes = self.planes.as_ref().clone();
         parallel::map_chunks(&mut planes, self.channels.count() * self.stride, |y, row| change(y, row));
         Planes { planes: Arc::new(planes), amplitude: self.amplitude.clone(), ..*self }
@@ -133,12 +133,12 @@ impl Planes {
 
     /// Returns the factors of the errors in row `y` before they are squared; `None`: 1.
     #[inline(always)]
-    pub(crate) fn amplitude(&self, y: u32) -> Option<&[f32]> {
+    pub fn amplitude(&self, y: u32) -> Option<&[f32]> {
         self.amplitude.get(y as usize * self.stride..)?.get(..self.stride)
     }
 
     /// Tells whether the errors of all pixels weigh the same within a hundredth, so that weighing them changes nothing.
-    pub(crate) fn is_even(&self) -> bool {
+    pub fn is_even(&self) -> bool {
         let rows = self.amplitude.chunks_exact(self.stride).map(|row| &row[..self.width as usize]);
         rows.flatten().all(|a| (a * a - 1.0).abs() < 0.01)
     }
@@ -150,13 +150,13 @@ impl Planes {
     }
 
     /// The amplitude at the pixel that holds the point (pixels).
-    pub(crate) fn amplitude_at(&self, point: [f32; 2]) -> f32 {
+    pub fn amplitude_at(&self, point: [f32; 2]) -> f32 {
         let (x, y) = self.pixel(point);
         self.amplitude(y).map_or(1.0, |a| a[x])
     }
 
     /// The colour at the pixel that holds the point (pixels), clamped into the picture.
-    pub(crate) fn at(&self, point: [f32; 2]) -> [f32; 4] {
+    pub fn at(&self, point: [f32; 2]) -> [f32; 4] {
         let (x, y) = self.pixel(point);
         let row = self.row(y);
         let mut color = [0.0; 4];

@@ -6,7 +6,7 @@ use crate::simd::Simd;
 
 /// A primitive while it is fitted: as [`Gaussian`], with the scales as natural logarithms and in no order.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct Primitive {
+pub struct Primitive {
     /// Centre, pixels.
     pub mean: [f32; 2],
     /// Natural logarithms of the scales along the rotated x and y axes.
@@ -18,20 +18,20 @@ pub(crate) struct Primitive {
 }
 
 impl Primitive {
-    pub(crate) fn to_gaussian(self) -> Gaussian {
+    pub fn to_gaussian(self) -> Gaussian {
         let [a, b] = self.log_scale.map(f32::exp);
         let turned = if a >= b { 0.0 } else { std::f32::consts::FRAC_PI_2 };
         let rotation = (self.rotation + turned).rem_euclid(std::f32::consts::PI);
         Gaussian { mean: self.mean, scale: [a.max(b), a.min(b)], rotation, color: self.color }
     }
 
-    pub(crate) fn from_gaussian(g: &Gaussian) -> Self {
+    pub fn from_gaussian(g: &Gaussian) -> Self {
         Primitive { mean: g.mean, log_scale: g.scale.map(f32::ln), rotation: g.rotation, color: g.color }
     }
 }
 
 /// Returns the same primitives in a picture `by` times as large.
-pub(crate) fn zoomed(mut primitives: Vec<Primitive>, by: f32) -> Vec<Primitive> {
+pub fn zoomed(mut primitives: Vec<Primitive>, by: f32) -> Vec<Primitive> {
     for p in &mut primitives {
         p.mean = p.mean.map(|v| v * by);
         p.log_scale = p.log_scale.map(|v| v + by.ln());
@@ -40,7 +40,7 @@ pub(crate) fn zoomed(mut primitives: Vec<Primitive>, by: f32) -> Vec<Primitive> 
 }
 
 /// Projects `primitives` into a picture of so many rows.
-pub(crate) fn all(primitives: &[Primitive], height: u32) -> Vec<Projected> {
+pub fn all(primitives: &[Primitive], height: u32) -> Vec<Projected> {
     const CHUNK: usize = 512;
     let chunks = primitives.len().div_ceil(CHUNK);
     parallel::map(chunks, |c| {
@@ -52,7 +52,7 @@ pub(crate) fn all(primitives: &[Primitive], height: u32) -> Vec<Projected> {
 
 /// One primitive as the pixel loops need it.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Projected {
+pub struct Projected {
     /// Mean in coordinates where pixel `i` has its centre at `i`.
     pub center: [f32; 2],
     /// The inverse covariance `[[a, b], [b, c]]`.
@@ -72,12 +72,12 @@ pub(crate) struct Projected {
 }
 
 impl Projected {
-    pub(crate) fn new(p: &Primitive, height: u32) -> Self {
+    pub fn new(p: &Primitive, height: u32) -> Self {
         let [ix, iy] = p.log_scale.map(|l| (-2.0 * l).exp());
         Self::from_parts(p.mean, [ix, iy], p.rotation, p.color, height)
     }
 
-    pub(crate) fn from_gaussian(g: &Gaussian, height: u32) -> Self {
+    pub fn from_gaussian(g: &Gaussian, height: u32) -> Self {
         Self::from_parts(g.mean, g.scale.map(|s| 1.0 / (s * s)), g.rotation, g.color, height)
     }
 
@@ -97,7 +97,7 @@ impl Projected {
 
     /// The pixels of row `y` inside the support, `first..end`, and the row's distance from the centre.
     #[inline(always)]
-    pub(crate) fn span(&self, y: u32, width: u32) -> Option<(usize, usize, f32)> {
+    pub fn span(&self, y: u32, width: u32) -> Option<(usize, usize, f32)> {
         let dy = y as f32 - self.center[1];
         let t = CUTOFF * CUTOFF - self.rest * dy * dy;
         if t <= 0.0 {
@@ -113,7 +113,7 @@ impl Projected {
     /// The pixels `first..end` of a row that the support reaches somewhere between the distances `top` and `bottom` from
     /// the centre; a little more, as rounding must lose none.
     #[inline(always)]
-    pub(crate) fn columns(&self, top: f32, bottom: f32) -> (usize, usize) {
+    pub fn columns(&self, top: f32, bottom: f32) -> (usize, usize) {
         let edge = |dy: f32, sign: f32| {
             let half = ((CUTOFF * CUTOFF - self.rest * dy * dy).max(0.0) * self.inv_a).sqrt();
             self.center[0] - self.shear * dy + sign * (half + 0.01)
@@ -126,7 +126,7 @@ impl Projected {
 
     /// The rows of each column's support.
     #[inline(always)]
-    pub(crate) fn lines(&self) -> Lines {
+    pub fn lines(&self) -> Lines {
         let [a, b, c] = self.conic;
         let (inv_c, determinant) = (1.0 / c, self.rest * a);
         Lines { shear: b * inv_c, rest: determinant * inv_c, inv_c, tip: -CUTOFF * b / (determinant * a).sqrt() }
@@ -135,7 +135,7 @@ impl Projected {
 
 /// Which rows of each column the support of a primitive has.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Lines {
+pub struct Lines {
     /// `b / c`: how far the column's maximum moves per column.
     shear: f32,
     /// `a − b²/c`.
@@ -150,7 +150,7 @@ impl Lines {
     /// How far from the centre the support ends, below it with a `sign` of 1 and above with −1, somewhere between the columns
     /// `left` and `right` of it; a little more, as rounding must lose none.
     #[inline(always)]
-    pub(crate) fn edge<S: Simd>(&self, simd: S, [left, right]: [S::Vector; 2], sign: f32) -> S::Vector {
+    pub fn edge<S: Simd>(&self, simd: S, [left, right]: [S::Vector; 2], sign: f32) -> S::Vector {
         let dx = simd.min(simd.max(simd.splat(sign * self.tip), left), right);
         let rest = simd.mul(simd.mul(simd.splat(self.rest), dx), dx);
         let square = simd.max(simd.sub(simd.splat(CUTOFF * CUTOFF), rest), simd.splat(0.0));

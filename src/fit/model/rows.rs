@@ -2,28 +2,28 @@
 
 /// Every `step`-th row from `phase` on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct RowSet {
+pub struct RowSet {
     pub step: u32,
     pub phase: u32,
 }
 
 impl RowSet {
-    pub(crate) const ALL: RowSet = RowSet { step: 1, phase: 0 };
+    pub const ALL: RowSet = RowSet { step: 1, phase: 0 };
 
     /// How many of `height` rows are in the set.
-    pub(crate) fn count(self, height: u32) -> usize {
+    pub fn count(self, height: u32) -> usize {
         (height.saturating_sub(self.phase)).div_ceil(self.step) as usize
     }
 
     /// Index of the first row of the set at or after `y`.
     #[inline(always)]
-    pub(crate) fn index(self, y: u32) -> usize {
+    pub fn index(self, y: u32) -> usize {
         y.saturating_sub(self.phase).div_ceil(self.step) as usize
     }
 
     /// Row number of index `i`.
     #[inline(always)]
-    pub(crate) fn row(self, i: usize) -> u32 {
+    pub fn row(self, i: usize) -> u32 {
         self.phase + i as u32 * self.step
     }
 }

@@ -9,7 +9,7 @@ use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
 
 /// What is added to twice the variance: above SSIM's own `C₂` of 0.0009, so that smooth areas do not take everything.
-pub(crate) const FLOOR: f32 = 0.005;
+pub const FLOOR: f32 = 0.005;
 /// Power of the inverse where primitives are dense: 1 would be SSIM's own slope, and would cost more decibels than
 /// [`Tune::Ssim`] may.
 ///
@@ -17,24 +17,24 @@ pub(crate) const FLOOR: f32 = 0.005;
 const POWER: f32 = 0.5;
 /// Pixels per primitive from which on the power falls with their square root: large primitives have little to do with
 /// a variance over a few pixels, and the same power costs more decibels the fewer they are.
-pub(crate) const DENSE: f32 = 160.0;
+pub const DENSE: f32 = 160.0;
 /// Largest weight, and the inverse of the smallest.
 const MOST: f32 = 20.0;
 
 /// Amplitudes for [`Planes::amplitude`]: errors count more where the picture varies little, as they do in SSIM, whose
 /// contrast term falls by about `e² / (2σ² + C₂)` for an error `e` over a local variance `σ²`; for `count` primitives.
-pub(crate) fn amplitudes(target: &Planes, count: usize) -> Vec<f32> {
+pub fn amplitudes(target: &Planes, count: usize) -> Vec<f32> {
     let room = (target.width as usize * target.height as usize) as f32 / count.max(1) as f32;
     normalized(target, &weights(target, room), None)
 }
 
 /// Amplitudes of a part of a picture which has one primitive to `room` pixels, and that mean weight.
-pub(crate) fn amplitudes_of_part(target: &Planes, room: f32, mean: f64) -> Vec<f32> {
+pub fn amplitudes_of_part(target: &Planes, room: f32, mean: f64) -> Vec<f32> {
     normalized(target, &weights(target, room), Some(mean as f32))
 }
 
 /// Returns the mean weight of a part of a picture which has one primitive to `room` pixels.
-pub(crate) fn mean_of_part(target: &Planes, room: f32) -> f64 {
+pub fn mean_of_part(target: &Planes, room: f32) -> f64 {
     let weights = weights(target, room);
     weights.iter().map(|&w| f64::from(w)).sum::<f64>() / weights.len() as f64
 }
@@ -60,7 +60,7 @@ fn weights(target: &Planes, room: f32) -> Vec<f32> {
 }
 
 /// Amplitudes of weights, one for each pixel: their square roots with a mean square of 1, where `mean` is the weights' own.
-pub(crate) fn normalized(target: &Planes, weights: &[f32], mean: Option<f32>) -> Vec<f32> {
+pub fn normalized(target: &Planes, weights: &[f32], mean: Option<f32>) -> Vec<f32> {
     let (width, height) = (target.width as usize, target.height as usize);
     let own = || {
         let sums = parallel::map(height, |y| weights[y * width..][..width].iter().map(|&w| f64::from(w)).sum::<f64>());
@@ -87,7 +87,7 @@ const C2: f32 = 0.0009;
 
 /// Absolute error and SSIM together: `a · Σ|e| + (1 − a) · Σ(1 − SSIM)` over all samples.
 #[derive(Debug)]
-pub(crate) struct Loss {
+pub struct Loss {
     absolute: f32,
     window: [f32; TAPS],
     width: usize,
@@ -114,7 +114,7 @@ struct Buffers {
 
 impl Loss {
     /// `absolute`: the share of the absolute error, `0..=1`.
-    pub(crate) fn new(target: &Planes, absolute: f32) -> Self {
+    pub fn new(target: &Planes, absolute: f32) -> Self {
         let raw: [f32; TAPS] = std::array::from_fn(|i| (-(i as f32 - 5.0).powi(2) / (2.0 * SIGMA * SIGMA)).exp());
         let sum: f32 = raw.iter().sum();
         let window = raw.map(|v| v / sum);
@@ -138,7 +138,7 @@ impl Loss {
     ///
     /// [`Output::Picture`]: crate::fit::model::field::Output::Picture
     /// [`Output::Gradient`]: crate::fit::model::field::Output::Gradient
-    pub(crate) fn gradient(&mut self, problem: &Problem<'_>, field: &mut Field) {
+    pub fn gradient(&mut self, problem: &Problem<'_>, field: &mut Field) {
         let Problem { scene, target } = *problem;
         let (channels, stride, width) = (target.channels.count(), field.stride, self.width);
         let size = (channels + 1) * stride;

@@ -10,9 +10,9 @@ use std::cell::RefCell;
 use std::fmt::Write;
 
 use image::metadata::Orientation;
-use ssplat::bitstream::header::{Sections, VERSION};
-use ssplat::bitstream::splats::{Layout, Metadata};
-use ssplat::raster::SamplesMut;
+use ssplat::SamplesMut;
+use ssplat::unstable::bitstream::header::{Sections, VERSION};
+use ssplat::unstable::bitstream::splats::{Layout, Metadata};
 use ssplat::{Blend, Damage, Error, Layers, Limits, Opening, Result};
 
 /// What lies between two calls.
@@ -195,7 +195,7 @@ pub extern "C" fn gaussians() -> u32 {
 #[unsafe(no_mangle)]
 pub extern "C" fn info() -> u32 {
     answer(|input, limits| {
-        let (splats, report) = ssplat::bitstream::inspect(input, limits)?;
+        let (splats, report) = ssplat::unstable::bitstream::inspect(input, limits)?;
         let header = &report.header;
         let layout = match header.layout {
             Layout::Packed => "packed",

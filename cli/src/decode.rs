@@ -1,0 +1,324 @@
+//! `ssplat decode`: a file, or a part of it at any size, to a picture, band by band.
+
+use std::path::Path;
+use std::time::Instant;
+
+use image::DynamicImage;
+use image::metadata::Orientation;
+use serde_json::json;
+use ssplat::unstable::bitstream::Missing;
+use ssplat::unstable::bitstream::header::Header;
+use ssplat::unstable::bitstream::splats::Metadata;
+use ssplat::{Backend, Channels, Damage, Depth, Limits, Opened, Opening, Pixels, Samples};
+use ssplat::{Renderer, SamplesMut, View};
+
+use crate::batch::{self, Command, Done, Show, Voice};
+use crate::failure::Failure;
+use crate::progress::Bar;
+use crate::rows::{Format, RowWriter, Shape};
+use crate::sink::{self, Sink, say};
+use crate::source::{self, Source};
+use crate::{args, encode};
+
+/// Bytes of output that are drawn before they are written, unless two bands take more, and those for each thread: memory that is
+/// used again need not be asked for.
+const BATCH: usize = 8 << 20;
+const SHARE: usize = 1 << 20;
+
+/// Longest side of an output, pixels.
+const LONGEST: u32 = 1 << 20;
+
+pub fn run(args: &args::Decode) -> Result<(), Failure> {
+    let voice = Voice::new(args.json, args.quiet);
+    let named = args.format.as_deref().map(Format::from_extension).transpose()?;
+    if let Some(folder) = &args.many.out_dir {
+        let format = named.unwrap_or(Format::Png);
+        let command = Command {
+            takes: &|path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ssplat::EXTENSION)),
+            extension: args.format.as_deref().unwrap_or("png"),
+            pixels: &pixels,
+            run: &|input, output, show| one(args, input, output, format, show),
+        };
+        return batch::run(&args.paths, folder, &args.many, voice, &command);
+    }
+    let (input, output) = args::pair(&args.paths, args.output.as_deref())?;
+    let format = match named {
+        Some(format) => format,
+        None if output == Path::new("-") => Format::Png,
+        None => Format::of_path(output)?,
+    };
+    let bar = Bar::of(voice);
+    let done = one(args, input, output, format, &|share, stage| bar.show(share, stage))?;
+    drop(bar);
+    if voice != Voice::Quiet {
+        done.notes.iter().for_each(|note| eprintln!("ssplat: {}: {note}", Failure::input(input)));
+    }
+    if args.json && output != Path::new("-") {
+        say(&format!("{}\n", done.result))?;
+    }
+    Ok(())
+}
+
+/// Width times height of the picture in the file at `path`; 0 where it cannot be told.
+fn pixels(path: &Path) -> u64 {
+    let mut reader = std::fs::File::open(path).map(std::io::BufReader::new);
+    let header = reader.as_mut().ok().and_then(|r| Header::read(r, &Limits::default()).ok());
+    header.map_or(0, |h| u64::from(h.width) * u64::from(h.height))
+}
+
+/// Decodes one file.
+fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &Show) -> Result<Done, Failure> {
+    let start = Instant::now();
+    let bytes = source::read_splats(input)?;
+    if let Some(side) = args.thumbnail {
+        return thumbnail(args, (input, output), format, (&bytes, side));
+    }
+    let failed = |e| Failure::library(input, &e);
+    let limits = Limits::default();
+    let opening = Opening::new(&bytes, &limits).map_err(failed)?.showing(args.layers);
+    let of = opening.header().primitives;
+    let view = view(args, input, opening.view())?;
+    let damage = if args.partial { Damage::Accept } else { Damage::Refuse };
+    let opened = opening.read_for(&view, damage).map_err(failed)?;
+    drop(bytes);
+    let (depth, missing, channels) = (opened.splats().depth, opened.missing(), opened.splats().channels);
+    let mut notes = losses(opened.metadata(), missing, of);
+    notes.extend(format.losses(depth, opened.metadata()));
+    let orientation = orientation(args, opened.metadata());
+    let background = background(args, channels, format, &mut notes);
+    let mut shape = (view.width(), view.height());
+    let mut device = String::from("CPU");
+    let sink;
+    let on_the_gpu = args.backend == Backend::Gpu;
+    if on_the_gpu || orientation.is_some() || background.is_some() {
+        // What turns or covers a picture sees all of it.
+        let pixels = if on_the_gpu {
+            let pixels;
+            (pixels, device) = on_gpu(&opened, &view).map_err(failed)?;
+            pixels
+        } else {
+            opened.draw(&view).map_err(failed)?
+        };
+        let source = shown(pixels, opened.into_metadata(), background, orientation).map_err(failed)?;
+        shape = (source.pixels.width(), source.pixels.height());
+        sink = Sink::create(output, &[input])?;
+        encode::write_pixels(source, format, &sink, &sink::named(output))?;
+    } else {
+        let renderer = opened.renderer(&view).map_err(failed)?;
+        let metadata = opened.into_metadata();
+        sink = Sink::create(output, &[input])?;
+        let mut rows = start_rows(&renderer, depth, &metadata, format, &sink)?;
+        draw(&renderer, depth, &mut rows, output, show)?;
+        rows.finish(&sink::named(output))?;
+    }
+    sink.finish()?;
+    let seconds = start.elapsed().as_secs_f64();
+    let mut loss = json!({ "primitives": missing.primitives, "of": of });
+    if missing.of_tiles > 0 {
+        (loss["tiles"], loss["of_tiles"]) = (missing.tiles.into(), missing.of_tiles.into());
+    }
+    let (width, height) = shape;
+    let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": device });
+    Ok(Done { text: String::new(), result, notes })
+}
+
+/// Draws the file `bytes` as it fits into a square, from its thumbnail where that is large enough.
+fn thumbnail(
+    args: &args::Decode,
+    (input, output): (&Path, &Path),
+    format: Format,
+    (bytes, side): (&[u8], u32),
+) -> Result<Done, Failure> {
+    let start = Instant::now();
+    let failed = |e| Failure::library(input, &e);
+    let ssplat::Decoded { pixels, metadata, .. } =
+        ssplat::thumbnail(bytes, [side; 2], &Limits::default()).map_err(failed)?;
+    let mut notes = losses(&metadata, Missing::default(), 0);
+    notes.extend(format.losses(pixels.depth(), &metadata));
+    let orientation = orientation(args, &metadata);
+    let background = background(args, pixels.channels(), format, &mut notes);
+    let source = shown(pixels, metadata, background, orientation).map_err(failed)?;
+    let (width, height) = (source.pixels.width(), source.pixels.height());
+    let sink = Sink::create(output, &[input])?;
+    encode::write_pixels(source, format, &sink, &sink::named(output))?;
+    sink.finish()?;
+    let (seconds, loss) = (start.elapsed().as_secs_f64(), json!({ "primitives": 0 }));
+    let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": "CPU" });
+    Ok(Done { text: String::new(), result, notes })
+}
+
+/// How the picture is to be turned, if it is.
+fn orientation(args: &args::Decode, metadata: &Metadata) -> Option<Orientation> {
+    let orientation = source::orientation_in(metadata.exif.as_deref());
+    (args.auto_orient && orientation != Orientation::NoTransforms).then_some(orientation)
+}
+
+/// The picture over its background and turned upright, where that is asked for, and what goes with it.
+fn shown(
+    mut pixels: Pixels,
+    mut metadata: Metadata,
+    background: Option<[u8; 3]>,
+    orientation: Option<Orientation>,
+) -> ssplat::Result<Source> {
+    if let Some(background) = background {
+        pixels = opaque(&pixels, background)?;
+    }
+    if let Some(orientation) = orientation {
+        let mut picture = DynamicImage::from(pixels);
+        picture.apply_orientation(orientation);
+        pixels = Pixels::try_from(picture)?;
+        if let Some(exif) = &mut metadata.exif {
+            let _ = Orientation::remove_from_exif_chunk(exif);
+        }
+    }
+    let orientation = source::orientation_in(metadata.exif.as_deref());
+    Ok(Source { pixels, icc: metadata.icc, exif: metadata.exif, orientation, is_cut_off: false, notes: Vec::new() })
+}
+
+/// The colour under a picture that loses its alpha.
+fn background(args: &args::Decode, channels: Channels, format: Format, notes: &mut Vec<String>) -> Option<[u8; 3]> {
+    channels.alpha()?;
+    if args.background.is_none() && !format.has_alpha() {
+        notes.push("the format has no alpha: the picture is laid over white; --background names another colour".into());
+        return Some([255; 3]);
+    }
+    args.background
+}
+
+/// The picture over a background, without alpha; the colour stays grey only if the background is.
+fn opaque(pixels: &Pixels, background: [u8; 3]) -> ssplat::Result<Pixels> {
+    let is_grey = pixels.channels().count() < 3 && background[1..] == [background[0]; 2];
+    let (count, alpha) = (pixels.channels().count(), pixels.channels().count() - 1);
+    let colors = if is_grey { 1 } else { 3 };
+    let channels = if is_grey { Channels::Grey } else { Channels::Rgb };
+    let most = f64::from(pixels.depth().max());
+    let share = |i: usize| match pixels.samples() {
+        Samples::U8(v) => f64::from(v[i]) / most,
+        Samples::U16(v) => f64::from(v[i]) / most,
+    };
+    let value = |i: usize, k: usize| {
+        let opacity = share(i * count + alpha);
+        let over = share(i * count + if count < 3 { 0 } else { k });
+        let under = f64::from(background[k]) / 255.0;
+        ((under + opacity * (over - under)) * most).round()
+    };
+    let all = pixels.width() as usize * pixels.height() as usize;
+    let values = (0..all).flat_map(|i| (0..colors).map(move |k| (i, k))).map(|(i, k)| value(i, k));
+    let samples = match pixels.depth() {
+        Depth::Eight => Samples::U8(values.map(|v| v as u8).collect()),
+        Depth::Sixteen => Samples::U16(values.map(|v| v as u16).collect()),
+    };
+    Pixels::new(pixels.width(), pixels.height(), channels, samples)
+}
+
+/// What a damaged file has lost, in words.
+fn losses(metadata: &Metadata, missing: Missing, of: u32) -> Vec<String> {
+    let section = |name| format!("section {} is damaged and left out", String::from_utf8_lossy(name));
+    let mut notes: Vec<String> = metadata.damaged.iter().map(|name| section(&name[..])).collect();
+    if missing != Missing::default() {
+        let Missing { primitives, groups, of_groups, tiles, of_tiles, .. } = missing;
+        if groups > 0 {
+            notes.push(format!("{primitives} of {of} primitives in {groups} of {of_groups} groups are missing"));
+        }
+        if tiles > 0 {
+            notes.push(format!("{tiles} of {of_tiles} tiles of the detail layer are missing"));
+        }
+        if groups == 0 && tiles == 0 {
+            notes.push("the file is damaged or cut off; all of the picture that was asked for is there".into());
+        }
+    }
+    notes
+}
+
+/// Draws on a GPU, the whole view at once; also the GPU's name.
+#[cfg(feature = "gpu")]
+fn on_gpu(opened: &Opened, view: &View) -> ssplat::Result<(Pixels, String)> {
+    use ssplat::gpu::{Adapters, Device, Renderer};
+    let device = Device::open(Adapters::Any)?;
+    let pixels = Renderer::of(&device, opened)?.render(view, opened.splats().depth)?;
+    Ok((pixels, device.name().to_owned()))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn on_gpu(_: &Opened, _: &View) -> ssplat::Result<(Pixels, String)> {
+    Err(ssplat::GpuError::NotBuilt.into())
+}
+
+/// What `--region` and the size options ask for of the `whole` picture.
+fn view(args: &args::Decode, input: &Path, whole: View) -> Result<View, Failure> {
+    let failed = |e| Failure::library(input, &e);
+    let mut view = whole;
+    if let Some([x, y, width, height]) = args.region {
+        view = view.crop(x, y, width, height).map_err(|_| {
+            Failure::usage(format!(
+                "{}: --region {x},{y},{width},{height} is not within the picture of {}×{}",
+                Failure::input(input),
+                whole.width(),
+                whole.height()
+            ))
+        })?;
+    }
+    let [width, height] = [view.width(), view.height()].map(f64::from);
+    let [wide, tall] = match (args.width, args.height, args.scale) {
+        (Some(w), Some(h), _) => [f64::from(w), f64::from(h)],
+        (Some(w), None, _) => [f64::from(w), height * f64::from(w) / width],
+        (None, Some(h), _) => [width * f64::from(h) / height, f64::from(h)],
+        (None, None, Some(scale)) => [width * scale, height * scale],
+        (None, None, None) => return Ok(view),
+    };
+    for (name, side) in [("wide", wide), ("high", tall)] {
+        if side.round() > f64::from(LONGEST) {
+            let path = Failure::input(input);
+            return Err(Failure::usage(format!("{path}: it would be {side:.0} pixels {name}; {LONGEST} at most")));
+        }
+    }
+    // A side that would vanish keeps one pixel.
+    view.resized(wide.round().max(1.0) as u32, tall.round().max(1.0) as u32).map_err(failed)
+}
+
+/// Starts the output of what `renderer` draws.
+fn start_rows<'a>(
+    renderer: &Renderer,
+    depth: Depth,
+    metadata: &'a Metadata,
+    format: Format,
+    sink: &Sink,
+) -> Result<RowWriter<'a>, Failure> {
+    let (width, height) = (renderer.view().width(), renderer.view().height());
+    let shape = Shape { width, height, channels: renderer.channels(), depth };
+    RowWriter::new(sink, format, shape, metadata).map_err(|e| Failure::io(sink.path(), &e))
+}
+
+/// Draws and writes everything, a few bands at a time.
+fn draw(renderer: &Renderer, depth: Depth, rows: &mut RowWriter, path: &Path, show: &Show) -> Result<(), Failure> {
+    let io = |e| Failure::io(&sink::named(path), &e);
+    let (mut bytes, mut words) = (Vec::new(), Vec::new());
+    let most = (SHARE * rayon::current_num_threads()).min(BATCH);
+    let mut first = 0;
+    while first < renderer.bands() {
+        // Two by two: a tile of the detail layer has two bands.
+        let mut last = (first + 2).min(renderer.bands());
+        let samples = |last| {
+            let rows = renderer.band_rows(last - 1).end - renderer.band_rows(first).start;
+            rows as usize * renderer.row_len()
+        };
+        while last < renderer.bands() && samples((last + 2).min(renderer.bands())) * depth.bytes() <= most {
+            last = (last + 2).min(renderer.bands());
+        }
+        match depth {
+            Depth::Eight => {
+                bytes.resize(samples(last), 0);
+                renderer.render_bands(first..last, SamplesMut::U8(&mut bytes));
+                rows.write(SamplesMut::U8(&mut bytes)).map_err(io)?;
+            }
+            Depth::Sixteen => {
+                words.resize(samples(last), 0);
+                renderer.render_bands(first..last, SamplesMut::U16(&mut words));
+                rows.write(SamplesMut::U16(&mut words)).map_err(io)?;
+            }
+        }
+        first = last;
+        show(first as f32 / renderer.bands() as f32, "drawing");
+    }
+    Ok(())
+}

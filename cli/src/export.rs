@@ -1,0 +1,40 @@
+//! `ssplat export`: the Gaussians of a file for other programs.
+
+use std::path::Path;
+
+use ssplat::Limits;
+
+use crate::exchange::format::ExportFormat;
+use crate::exchange::parameters::Parameters;
+use crate::exchange::{csv, ply, svg};
+use crate::failure::{Failure, Kind};
+use crate::sink::Sink;
+use crate::{args, source};
+
+pub fn run(args: &args::Export) -> Result<(), Failure> {
+    let format = match args.format {
+        Some(format) => format,
+        None => ExportFormat::of_path(&args.output)?,
+    };
+    let bytes = source::read_splats(&args.input)?;
+    let splats = ssplat::unstable::bitstream::read(&bytes[..], &Limits::default())
+        .map_err(|e| Failure::library(&args.input, &e))?;
+    if splats.detail.is_some() {
+        eprintln!(
+            "ssplat: {}: the detail layer is left out: this is what the Gaussians show",
+            Failure::input(&args.input)
+        );
+    }
+    let parameters = Parameters::from(&splats);
+    let file = match format {
+        ExportFormat::Npz => parameters.to_npz().map_err(|e| failed(&args.output, &e))?,
+        ExportFormat::Csv => csv::write(&parameters).into_bytes(),
+        ExportFormat::Ply => ply::write(&parameters.picture),
+        ExportFormat::Svg => svg::write(&parameters.picture).into_bytes(),
+    };
+    Sink::create(&args.output, &[&args.input])?.finish_with(&file)
+}
+
+fn failed(path: &Path, message: &str) -> Failure {
+    Failure { kind: Kind::Other, message: format!("{}: {message}", path.display()) }
+}

@@ -1,0 +1,84 @@
+//! `ssplat import`: Gaussians that were fitted elsewhere to a file.
+
+use std::path::Path;
+
+use ssplat::unstable::{Outside, PackOptions, Precision};
+use ssplat::{Error, Limits};
+
+use crate::exchange::format::ImportFormat;
+use crate::exchange::parameters::{self, Given, Parameters};
+use crate::exchange::problem::Problem;
+use crate::exchange::{csv, foreign, npz};
+use crate::failure::{Failure, Kind};
+use crate::sink::Sink;
+use crate::{args, source};
+
+pub fn run(args: &args::Import) -> Result<(), Failure> {
+    let format = match args.format {
+        Some(format) => format,
+        None => ImportFormat::of_path(&args.input)?,
+    };
+    let limits = Limits::default();
+    let bytes = source::read_at_most(&args.input, limits.alloc)?;
+    let failed = |problem: Problem| broken(&args.input, problem.kind(), &problem.to_string());
+    let given = Given { size: args.size, blend: args.blend };
+    let parameters = match format {
+        ImportFormat::Csv => {
+            let text = std::str::from_utf8(&bytes).map_err(|e| failed(format!("no text: {e}").into()))?;
+            csv::read(text, given, &limits).map_err(failed)?
+        }
+        ImportFormat::Npz => {
+            let names = [&parameters::ARRAYS[..], &foreign::ARRAYS[..]].concat();
+            let arrays = npz::read(&bytes, &names, &limits).map_err(failed)?;
+            if foreign::is_known(&arrays) {
+                let (parameters, caveat) = foreign::read(&arrays, given).map_err(failed)?;
+                eprintln!("ssplat: {}: {caveat}", Failure::input(&args.input));
+                parameters
+            } else {
+                Parameters::from_arrays(&arrays, given).map_err(failed)?
+            }
+        }
+    };
+    drop(bytes);
+    let splats = ssplat::unstable::pack(&parameters.picture, &options(args, &parameters)).map_err(|e| match e {
+        // All but the size comes from the input.
+        Error::Parameter { name, .. } if name != "bytes" => broken(&args.input, Kind::Format, &e.to_string()),
+        e => Failure::library(&args.input, &e),
+    })?;
+    let left_out = parameters.picture.gaussians.len() - splats.gaussians.len();
+    if left_out > 0 {
+        eprintln!(
+            "ssplat: {}: {left_out} Gaussians do not reach the picture and are left out",
+            Failure::input(&args.input)
+        );
+    }
+    let file = ssplat::unstable::bitstream::to_bytes(&splats).map_err(|e| Failure::library(&args.input, &e))?;
+    Sink::create(&args.output, &[&args.input])?.finish_with(&file)
+}
+
+/// What was asked for, else as the Gaussians were stored, else as [`PackOptions`] has it.
+fn options(args: &args::Import, parameters: &Parameters) -> PackOptions {
+    let mut options = PackOptions::default();
+    (options.depth, options.outside) = (parameters.depth, Outside::Crop);
+    if let Some((layout, steps)) = parameters.stored {
+        options.layout = layout;
+        options.precision = Precision::Steps(steps);
+    }
+    if let Some(layout) = args.layout {
+        // Steps are made for a layout.
+        if layout != options.layout {
+            options.precision = PackOptions::default().precision;
+        }
+        options.layout = layout;
+    }
+    match (args.precision, args.bytes) {
+        (Some(level), _) => options.precision = Precision::Level(level),
+        (None, Some(bytes)) => options.precision = Precision::Bytes(bytes),
+        (None, None) => {}
+    }
+    options
+}
+
+fn broken(path: &Path, kind: Kind, message: &str) -> Failure {
+    Failure { kind, message: format!("{}: {message}", Failure::input(path)) }
+}

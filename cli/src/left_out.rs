@@ -1,0 +1,97 @@
+//! What a file does not hold, and what holding it would take: measured by writing the file with it.
+
+use ssplat::unstable::bitstream::report::Report;
+use ssplat::unstable::bitstream::splats::{Layout, PackedSplats};
+
+/// Something that a file goes without.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Absent {
+    pub what: String,
+    /// Bytes by which the file would be larger, where it can be written with it.
+    pub saved: Option<u64>,
+}
+
+/// Most primitives that are written again to tell what a file would be otherwise: of more, which take seconds, only what is not there is
+/// told.
+const MOST_WRITTEN: usize = 1 << 20;
+
+/// What `splats`, a file of which `report` tells, leave out.
+pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
+    let mut list = Vec::new();
+    let mut add = |what: String, with: Option<PackedSplats>| {
+        let written = with.and_then(|w| ssplat::unstable::bitstream::to_bytes(&w).ok());
+        // What would make the file smaller was not left out for the scene's sake.
+        let saved = written.map(|w| w.len() as i64 - report.bytes as i64);
+        if saved.is_none_or(|s| s >= 0) {
+            list.push(Absent { what, saved: saved.map(|s| s as u64) });
+        }
+    };
+    match &splats.codebook {
+        Some(book) => add(
+            format!("a colour of its own for each primitive: {} colours do", book.len()),
+            small(splats).map(|s| PackedSplats { codebook: None, ..s.clone() }),
+        ),
+        None if splats.gaussians.is_empty() => {}
+        None => add("codebook of colours: too few occur twice".into(), small(splats).and_then(with_codebook)),
+    }
+    if splats.layout == Layout::Coded && splats.levels.len() < 2 && splats.gaussians.len() > 2 {
+        add("progressive levels: 3 of them".into(), small(splats).map(with_levels));
+    }
+    let count = splats.gaussians.len();
+    let round = splats.gaussians.iter().filter(|g| g.major == g.minor).count();
+    if round > 0 {
+        add(format!("angles: {round} of {count} primitives are round and have none"), None);
+    }
+    // Under a codebook no field is a channel's own.
+    let own = count > 0 && splats.codebook.is_none() && splats.layout == Layout::Coded;
+    let constant = |k: usize| own && splats.gaussians.iter().all(|g| g.color[k] == splats.gaussians[0].color[k]);
+    if splats.channels.count() >= 3 && constant(1) && constant(2) {
+        let bytes = bytes_of(report, &["colour 1", "colour 2"]);
+        add(format!("chroma: the same everywhere, {bytes} bytes in all"), None);
+    }
+    if let Some(a) = splats.channels.alpha().filter(|&a| constant(a)) {
+        let bytes = bytes_of(report, &["colour 0", "colour 1", "colour 2", "colour 3"][a..=a]);
+        add(format!("alpha: the same everywhere, {bytes} bytes in all"), None);
+    }
+    if report.sections.is_empty() {
+        add("sections: no ICC profile, no EXIF block, no thumbnail, not even a table of them".into(), None);
+    }
+    list
+}
+
+/// `splats`, if they are few enough to be written again.
+fn small(splats: &PackedSplats) -> Option<&PackedSplats> {
+    (splats.gaussians.len() <= MOST_WRITTEN).then_some(splats)
+}
+
+/// The list as lines of text.
+pub fn as_text(list: &[Absent]) -> String {
+    let mut text = String::new();
+    for a in list {
+        text += &match a.saved {
+            Some(saved) => format!("  {}: saves {saved} bytes\n", a.what),
+            None => format!("  {}\n", a.what),
+        };
+    }
+    text
+}
+
+/// Bytes of fields, rounded up.
+fn bytes_of(report: &Report, names: &[&str]) -> u64 {
+    let fields = report.fields.iter().filter(|f| names.contains(&f.name));
+    (fields.map(|f| f.bits).sum::<f64>() / 8.0).ceil() as u64
+}
+
+fn with_codebook(splats: &PackedSplats) -> Option<PackedSplats> {
+    let mut colors: Vec<[i16; 4]> = splats.gaussians.iter().map(|g| g.color).collect();
+    colors.sort_unstable();
+    colors.dedup();
+    (colors.len() <= 65536).then(|| PackedSplats { codebook: Some(colors), ..splats.clone() })
+}
+
+/// Three levels, as the encoder makes them.
+fn with_levels(splats: &PackedSplats) -> PackedSplats {
+    let mut with = splats.clone();
+    ssplat::unstable::divide(&mut with, 3);
+    with
+}

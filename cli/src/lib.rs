@@ -1,0 +1,76 @@
+//! What the program `ssplat` is made of. The lab reads pictures and writes files by it as well; it is not an interface for others.
+
+pub mod args;
+mod batch;
+mod carried;
+pub mod compare;
+mod decode;
+mod encode;
+mod exchange;
+mod export;
+pub mod failure;
+mod import;
+mod info;
+mod inputs;
+mod left_out;
+mod manual;
+pub mod names;
+pub mod perceived;
+mod placeholder;
+pub mod progress;
+mod rows;
+pub mod sink;
+pub mod source;
+mod spool;
+mod structure;
+mod view;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use args::{Args, Command};
+use failure::Failure;
+
+/// Does what the command line says.
+pub fn main() -> ExitCode {
+    let args = Args::parse();
+    match run(args) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("ssplat: {}", failure.message);
+            ExitCode::from(failure.kind.code())
+        }
+    }
+}
+
+fn run(args: Args) -> Result<(), Failure> {
+    sink::remove_on_interrupt()?;
+    if let Some(asked) = args.threads {
+        let threads = asked.get().min(most_threads());
+        if threads < asked.get() {
+            eprintln!("ssplat: --threads {asked}: {threads} are used, as more would only wait");
+        }
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build_global()
+            .map_err(|e| Failure::usage(format!("--threads {threads}: {e}")))?;
+    }
+    match args.command {
+        Command::Encode(args) => encode::run(&args),
+        Command::Decode(args) => decode::run(&args),
+        Command::Info(args) => info::run(&args),
+        Command::Compare(args) => compare::run(&args),
+        Command::Placeholder(args) => placeholder::run(&args),
+        Command::View(args) => view::run(&args),
+        Command::Export(args) => export::run(&args),
+        Command::Import(args) => import::run(&args),
+        Command::Completions(args) => manual::completions(&args),
+        Command::Man => manual::man(),
+    }
+}
+
+/// More threads than this wait for each other and take memory, on any machine.
+fn most_threads() -> usize {
+    8 * std::thread::available_parallelism().map_or(1, |n| n.get())
+}

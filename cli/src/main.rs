@@ -1,0 +1,7 @@
+//! The program `ssplat`.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    ssplat_cli::main()
+}

@@ -1,0 +1,80 @@
+//! The names that options have on the command line and in what is printed; shared with the measuring programs in `examples/`.
+
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use ssplat::unstable::bitstream::splats::Layout;
+use ssplat::unstable::{Ablation, Recipe};
+use ssplat::{Backend, Blend, Carry, Layers, Tune};
+
+static LAYOUTS: [(&str, Layout); 3] =
+    [("packed", Layout::Packed), ("planes", Layout::Planes), ("coded", Layout::Coded)];
+static BLENDS: [(&str, Blend); 2] = [("normalized", Blend::Normalized), ("sum", Blend::Sum)];
+
+/// The name of a value that has one.
+fn name_of<T: PartialEq>(values: &[(&'static str, T)], value: &T) -> &'static str {
+    values.iter().find(|v| v.1 == *value).map(|v| v.0).expect("a listed value")
+}
+
+/// The value of that name.
+fn value_of<T: Copy>(values: &[(&str, T)], name: &str) -> Option<T> {
+    values.iter().find(|v| v.0 == name).map(|v| v.1)
+}
+
+pub fn layout_name(layout: Layout) -> &'static str {
+    name_of(&LAYOUTS, &layout)
+}
+
+pub fn layout_of(name: &str) -> Option<Layout> {
+    value_of(&LAYOUTS, name)
+}
+
+pub fn blend_name(blend: Blend) -> &'static str {
+    name_of(&BLENDS, &blend)
+}
+
+pub fn blend_of(name: &str) -> Option<Blend> {
+    value_of(&BLENDS, name)
+}
+
+/// A parser of names for values.
+fn named<T: Copy + Send + Sync + 'static>(values: &'static [(&'static str, T)]) -> impl TypedValueParser<Value = T> {
+    let value = move |name: String| value_of(values, &name).expect("a listed name");
+    PossibleValuesParser::new(values.iter().map(|v| v.0)).map(value)
+}
+
+pub fn layout() -> impl TypedValueParser<Value = Layout> {
+    named(&LAYOUTS)
+}
+
+pub fn blend() -> impl TypedValueParser<Value = Blend> {
+    named(&BLENDS)
+}
+
+pub fn recipe() -> impl TypedValueParser<Value = Recipe> {
+    named(&[
+        ("ssplat", Recipe::Ssplat),
+        ("smartsplat", Recipe::SmartSplat(Ablation::Colors)),
+        ("smartsplat-random", Recipe::SmartSplat(Ablation::Random)),
+        ("smartsplat-means", Recipe::SmartSplat(Ablation::Means)),
+        ("smartsplat-scales", Recipe::SmartSplat(Ablation::Scales)),
+    ])
+}
+
+pub fn tune() -> impl TypedValueParser<Value = Tune> {
+    named(&[("psnr", Tune::Psnr), ("ssim", Tune::Ssim), ("iq", Tune::Iq)])
+}
+
+pub fn backend() -> impl TypedValueParser<Value = Backend> {
+    named(&[("auto", Backend::Auto), ("cpu", Backend::Cpu), ("gpu", Backend::Gpu)])
+}
+
+pub fn carry() -> impl TypedValueParser<Value = Carry> {
+    named(&[("needed", Carry::Needed), ("all", Carry::All), ("icc", Carry::Icc), ("none", Carry::None)])
+}
+
+pub fn drawing_backend() -> impl TypedValueParser<Value = Backend> {
+    named(&[("cpu", Backend::Cpu), ("gpu", Backend::Gpu)])
+}
+
+pub fn layers() -> impl TypedValueParser<Value = Layers> {
+    named(&[("both", Layers::Both), ("gaussians", Layers::Gaussians), ("detail", Layers::Detail)])
+}

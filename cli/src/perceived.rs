@@ -1,0 +1,107 @@
+//! How far two pictures are apart to the eye: SSIMULACRA2 and the 3-norm of Butteraugli, by the crates that have them.
+//!
+//! Both take samples as sRGB. Where a picture has alpha, both measures are taken over a dark and over a light
+//! background, and the worse counts. Shared with the measuring programs in `examples/`.
+
+use butteraugli::{ButteraugliParams, Img, RGB, butteraugli_linear};
+use ssplat::Pixels;
+use ssplat::unstable::metrics;
+
+/// Least side of a picture that is measured, pixels: Butteraugli takes no smaller one.
+const LEAST: u32 = 8;
+/// Most pixels that Butteraugli is asked for: it keeps about 250 bytes of each in memory.
+const MOST: u64 = 1 << 24;
+/// What pictures with alpha are laid over, as sRGB values: those that SSIMULACRA2 takes.
+const BACKGROUNDS: [f32; 2] = [0.1, 0.9];
+
+/// What is found.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Perceived {
+    /// At most 100, which stands for equal pictures; about 90, 70, 50 and 30 for what eyes call very high, high, medium
+    /// and low quality; below 0 for worse. `None` when a side is under 8 pixels.
+    pub ssimulacra2: Option<f64>,
+    /// From 0, which stands for equal pictures; the less, the better. `None` when a side is under 8 pixels, or there are
+    /// more than 2²⁴ of them.
+    pub butteraugli: Option<f64>,
+}
+
+/// Both measures of two pictures of one size, channels and depth.
+pub fn measure(reference: &Pixels, test: &Pixels) -> Perceived {
+    let (width, height) = (reference.width(), reference.height());
+    if width.min(height) < LEAST {
+        return Perceived::default();
+    }
+    let backgrounds = if reference.channels().alpha().is_some() { &BACKGROUNDS[..] } else { &BACKGROUNDS[..1] };
+    let found = backgrounds.iter().map(|&background| {
+        let [a, b] = [reference, test].map(|pixels| {
+            let light = metrics::linear_light(pixels, background);
+            light.into_iter().map(|[r, g, b]| RGB::new(r, g, b)).collect::<Vec<_>>()
+        });
+        distance(&a, &b, [width, height])
+    });
+    // The worse of two counts, and none where one is missing.
+    let butteraugli = found.reduce(|a, b| a.zip(b).map(|(a, b)| a.max(b))).flatten();
+    Perceived { ssimulacra2: metrics::ssimulacra2(reference, test).ok().flatten(), butteraugli }
+}
+
+fn distance(a: &[RGB<f32>], b: &[RGB<f32>], [width, height]: [u32; 2]) -> Option<f64> {
+    if u64::from(width) * u64::from(height) > MOST {
+        return None;
+    }
+    let picture = |p| Img::new(p, width as usize, height as usize);
+    butteraugli_linear(picture(a), picture(b), &ButteraugliParams::default()).ok().map(|found| found.pnorm_3)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ssplat::{Channels, Samples};
+
+    fn noise(width: u32, height: u32, channels: Channels, most: u8) -> Pixels {
+        let samples = width as usize * height as usize * channels.count();
+        let samples = (0..samples).map(|i| 100 + (i * 7919 % 251 % (usize::from(most) + 1)) as u8).collect();
+        Pixels::new(width, height, channels, Samples::U8(samples)).unwrap()
+    }
+
+    #[test]
+    fn equal_pictures_are_perfect_and_more_noise_is_worse() {
+        let smooth = noise(48, 40, Channels::Rgb, 0);
+        let found = [0, 4, 40].map(|most| measure(&smooth, &noise(48, 40, Channels::Rgb, most)));
+        let similarity = found.map(|f| f.ssimulacra2.unwrap());
+        let distance = found.map(|f| f.butteraugli.unwrap());
+        assert_eq!((similarity[0], distance[0]), (100.0, 0.0));
+        assert!(similarity.is_sorted_by(|a, b| a > b) && distance.is_sorted_by(|a, b| a < b), "{found:?}");
+    }
+
+    #[test]
+    fn sixteen_bits_measure_as_eight() {
+        let eight = [noise(32, 32, Channels::Rgb, 60), noise(32, 32, Channels::Rgb, 9)];
+        let sixteen = eight.each_ref().map(|p| {
+            let Samples::U8(v) = p.samples() else { unreachable!() };
+            Pixels::new(32, 32, Channels::Rgb, Samples::U16(v.iter().map(|&v| u16::from(v) * 257).collect())).unwrap()
+        });
+        let [a, b] = [measure(&eight[0], &eight[1]), measure(&sixteen[0], &sixteen[1])];
+        assert!((a.ssimulacra2.unwrap() - b.ssimulacra2.unwrap()).abs() < 1e-3, "{a:?} {b:?}");
+        assert!((a.butteraugli.unwrap() - b.butteraugli.unwrap()).abs() < 1e-3, "{a:?} {b:?}");
+    }
+
+    #[test]
+    fn the_colour_of_clear_pixels_does_not_count_and_alpha_does() {
+        let rgba = |color: u8, alpha: u8| {
+            let samples = [color, color, color, alpha].repeat(32 * 32);
+            Pixels::new(32, 32, Channels::Rgba, Samples::U8(samples)).unwrap()
+        };
+        let clear = measure(&rgba(10, 0), &rgba(250, 0));
+        assert_eq!((clear.ssimulacra2, clear.butteraugli), (Some(100.0), Some(0.0)));
+        // Seen only where the background is dark.
+        let light = measure(&rgba(229, 255), &rgba(229, 0));
+        assert!(light.ssimulacra2.unwrap() < 50.0 && light.butteraugli.unwrap() > 1.0, "{light:?}");
+    }
+
+    #[test]
+    fn too_small_a_picture_has_no_measure() {
+        let small = noise(7, 40, Channels::Grey, 3);
+        let found = measure(&small, &small);
+        assert!(found.ssimulacra2.is_none() && found.butteraugli.is_none());
+    }
+}

@@ -1,0 +1,155 @@
+//! The progress bar: on a terminal only, on standard error; how much of the work is done, and how long it will still take.
+
+use std::borrow::Cow;
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use crate::batch::Voice;
+
+/// Steps of the bar.
+const STEPS: u64 = 1000;
+/// The bar moves on at least so often, so that nobody takes a long step for a standstill.
+const TICK: Duration = Duration::from_millis(200);
+
+/// A bar; hidden where standard error is not a terminal.
+pub struct Bar {
+    bar: ProgressBar,
+    start: Instant,
+}
+
+impl Bar {
+    #[expect(clippy::new_without_default, reason = "a bar that appears is not a default")]
+    pub fn new() -> Bar {
+        if !std::io::stderr().is_terminal() {
+            return Bar::hidden();
+        }
+        let bar = Bar::on(ProgressDrawTarget::stderr_with_hz(10));
+        bar.bar.enable_steady_tick(TICK);
+        bar
+    }
+
+    /// A bar for who hears `voice`; one that nobody sees where nothing is to be said.
+    pub fn of(voice: Voice) -> Bar {
+        if voice == Voice::Quiet { Bar::hidden() } else { Bar::new() }
+    }
+
+    /// A bar that nobody sees.
+    fn hidden() -> Bar {
+        Bar::on(ProgressDrawTarget::hidden())
+    }
+
+    fn on(target: ProgressDrawTarget) -> Bar {
+        let style = ProgressStyle::with_template("{prefix:<28} {wide_bar} {percent:>3} % {elapsed} {msg}");
+        let style = style.expect("valid template");
+        Bar { bar: ProgressBar::with_draw_target(Some(STEPS), target).with_style(style), start: Instant::now() }
+    }
+
+    /// Shows what is being done, and how much of all is, in `0..=1`.
+    pub fn show(&self, done: f32, what: impl Into<Cow<'static, str>>) {
+        self.bar.set_prefix(what);
+        self.bar.set_position((f64::from(done) * STEPS as f64) as u64);
+        self.bar.set_message(left(self.start.elapsed(), done).map_or(String::new(), |text| format!("({text})")));
+    }
+
+    /// Prints without the bar in between.
+    pub fn aside(&self, print: impl FnOnce()) {
+        self.bar.suspend(print);
+    }
+}
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+/// How long the work will still take, in words, when `done` of it took `elapsed`; `None` while that is a mere guess.
+fn left(elapsed: Duration, done: f32) -> Option<String> {
+    const TOLD_FROM: f32 = 0.03;
+    if done < TOLD_FROM {
+        return None;
+    }
+    let seconds = elapsed.as_secs_f64() * f64::from((1.0 - done) / done);
+    Some(match seconds {
+        ..60.0 => format!("{:.0} s to go", seconds.ceil()),
+        ..3600.0 => format!("{:.0} min to go", (seconds / 60.0).ceil()),
+        _ => format!("{:.1} h to go", seconds / 3600.0),
+    })
+}
+
+/// The stages of an encode, in order, and the part of its time that each takes: on photographs of .4 to 14 megapixels, as
+/// `--explain` tells it.
+const WHOLE: [(&str, f32); 3] = [("fit", 0.6), ("finish", 0.36), ("thumbnail", 0.04)];
+/// The same of an encode in tiles.
+const TILED: [(&str, f32); 6] =
+    [("survey", 0.04), ("fit", 0.4), ("join", 0.2), ("finish", 0.3), ("thumbnail", 0.02), ("measure", 0.04)];
+
+/// How much of an encode is done, as its stages tell how much of themselves is.
+#[derive(Debug)]
+pub struct Course {
+    stages: &'static [(&'static str, f32)],
+    /// Fits that the target may take.
+    tries: u32,
+    tried: u32,
+    last: (&'static str, f32),
+    most: f32,
+}
+
+impl Course {
+    /// An encode that may take so many fits.
+    pub fn new(tries: u32, is_tiled: bool) -> Self {
+        let stages = if is_tiled { &TILED[..] } else { &WHOLE[..] };
+        Course { stages, tries, tried: 0, last: ("", 0.0), most: 0.0 }
+    }
+
+    /// Returns the share of all that is done when `done` of `stage` is; it never falls.
+    pub fn at(&mut self, stage: &'static str, done: f32) -> f32 {
+        let first = self.stages[0].0;
+        // A further try begins with the first stage again.
+        if stage == first && (self.last.0 != first || done < self.last.1) && !self.last.0.is_empty() {
+            self.tried = (self.tried + 1).min(self.tries - 1);
+        }
+        self.last = (stage, done);
+        let mut share = 0.0;
+        for &(name, part) in self.stages {
+            if name == stage {
+                share += part * done;
+                break;
+            }
+            share += part;
+        }
+        self.most = self.most.max((self.tried as f32 + share.min(1.0)) / self.tries as f32);
+        self.most
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_left_follows_from_what_is_done() {
+        assert_eq!(left(Duration::from_secs(10), 0.01), None);
+        assert_eq!(left(Duration::from_secs(10), 0.5).as_deref(), Some("10 s to go"));
+        assert_eq!(left(Duration::from_secs(100), 0.25).as_deref(), Some("5 min to go"));
+        assert_eq!(left(Duration::from_secs(3600), 0.2).as_deref(), Some("4.0 h to go"));
+    }
+
+    #[test]
+    fn the_share_goes_forward_through_stages_and_tries() {
+        for stages in [&WHOLE[..], &TILED[..]] {
+            assert!((stages.iter().map(|s| s.1).sum::<f32>() - 1.0).abs() < 1e-5);
+        }
+        let mut course = Course::new(1, false);
+        let shares = [("fit", 0.0), ("fit", 0.5), ("finish", 0.0), ("finish", 0.5), ("finish", 1.0)];
+        let shares = shares.map(|(stage, done)| course.at(stage, done));
+        assert!(shares.is_sorted() && (shares[2] - 0.6).abs() < 1e-5 && shares[4] <= 1.0, "{shares:?}");
+        let mut course = Course::new(3, false);
+        let tries =
+            [("fit", 1.0), ("finish", 1.0), ("fit", 0.0), ("fit", 0.5), ("finish", 1.0), ("fit", 0.1), ("fit", 0.0)];
+        let shares = tries.map(|(stage, done)| course.at(stage, done));
+        assert!(shares.is_sorted() && shares[2] >= 1.0 / 3.0 && shares[6] < 1.0, "{shares:?}");
+    }
+}

@@ -1,0 +1,266 @@
+//! Pictures out: PNG and PNM row by row in little memory, other formats by way of the `image` crate.
+
+use std::io::{self, Cursor, Write};
+use std::path::Path;
+
+use image::codecs::{jpeg::JpegEncoder, tiff::TiffEncoder, webp::WebPEncoder};
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageEncoder, ImageFormat, ImageResult};
+use ssplat::SamplesMut;
+use ssplat::unstable::bitstream::splats::Metadata;
+use ssplat::{Channels, Depth, Pixels, Samples};
+
+use crate::failure::Failure;
+use crate::sink::Sink;
+
+/// Bytes of one PNG chunk.
+const PNG_CHUNK: usize = 1 << 16;
+
+/// Quality of JPEG output, 1 to 100: high, so that what is seen is the ssplat picture and not the JPEG.
+const JPEG_QUALITY: u8 = 95;
+
+/// Formats that `image` writes and that hold a photograph without palette.
+const WHOLE: [ImageFormat; 7] = [
+    ImageFormat::Bmp,
+    ImageFormat::Farbfeld,
+    ImageFormat::Jpeg,
+    ImageFormat::Qoi,
+    ImageFormat::Tga,
+    ImageFormat::Tiff,
+    ImageFormat::WebP,
+];
+
+/// A format to write.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    Png,
+    /// `P5` or `P6`; `P7` where there is alpha.
+    Pnm,
+    /// Always `P7`.
+    Pam,
+    /// One that `image` writes from the whole picture.
+    Whole(ImageFormat),
+}
+
+impl Format {
+    /// The format of a file name extension.
+    pub fn from_extension(extension: &str) -> Result<Format, Failure> {
+        match extension.to_ascii_lowercase().as_str() {
+            "png" => Ok(Format::Png),
+            "pnm" | "ppm" | "pgm" => Ok(Format::Pnm),
+            "pam" => Ok(Format::Pam),
+            other => match ImageFormat::from_extension(other) {
+                Some(format) if WHOLE.contains(&format) => Ok(Format::Whole(format)),
+                _ => Err(Failure::usage(format!("{extension:?} is not an extension of a format that can be written"))),
+            },
+        }
+    }
+
+    /// The format of `path`.
+    pub fn of_path(path: &Path) -> Result<Format, Failure> {
+        let extension = path.extension().and_then(|e| e.to_str());
+        let extension =
+            extension.ok_or_else(|| Failure::usage(format!("{}: has no extension; name --format", path.display())))?;
+        Format::from_extension(extension)
+    }
+}
+
+impl Format {
+    /// Whether pictures in it may be transparent.
+    pub fn has_alpha(self) -> bool {
+        self != Format::Whole(ImageFormat::Jpeg)
+    }
+
+    /// What of samples of `depth` and of `metadata` files of the format do not carry, in words.
+    pub fn losses(self, depth: Depth, metadata: &Metadata) -> Vec<String> {
+        let (icc, exif) = match self {
+            Format::Png | Format::Whole(ImageFormat::Jpeg | ImageFormat::WebP) => (true, true),
+            Format::Whole(ImageFormat::Tiff) => (true, false),
+            _ => (false, false),
+        };
+        let mut notes = Vec::new();
+        let is_deep = !matches!(
+            self,
+            Format::Whole(
+                ImageFormat::Bmp | ImageFormat::Jpeg | ImageFormat::Qoi | ImageFormat::Tga | ImageFormat::WebP
+            )
+        );
+        if depth == Depth::Sixteen && !is_deep {
+            notes.push("samples of 16 bits are rounded to 8: the format has no more".into());
+        }
+        if !icc && metadata.icc.is_some() {
+            notes.push("the ICC profile is left out: the format has no place for it".into());
+        }
+        if let Some(exif) = metadata.exif.as_deref().filter(|_| !exif) {
+            let turned = Orientation::from_exif_chunk(exif).is_some_and(|o| o != Orientation::NoTransforms);
+            let orientation =
+                if turned { ", and with it the orientation; --auto-orient turns the picture" } else { "" };
+            notes.push(format!("the EXIF block is left out: the format has no place for it{orientation}"));
+        }
+        notes
+    }
+}
+
+/// Size and sample type of a picture.
+#[derive(Debug, Clone, Copy)]
+pub struct Shape {
+    pub width: u32,
+    pub height: u32,
+    pub channels: Channels,
+    pub depth: Depth,
+}
+
+/// Writes a picture from top to bottom.
+pub struct RowWriter<'a> {
+    shape: Shape,
+    out: Out<'a>,
+}
+
+enum Out<'a> {
+    Png(Box<png::StreamWriter<'static, Box<dyn Write>>>),
+    Pnm(Box<dyn Write>),
+    Whole { format: ImageFormat, samples: Samples, metadata: &'a Metadata, writer: Box<dyn Write> },
+}
+
+impl<'a> RowWriter<'a> {
+    /// Writes what comes before the first row.
+    pub fn new(sink: &Sink, format: Format, shape: Shape, metadata: &'a Metadata) -> io::Result<Self> {
+        let mut writer = sink.writer()?;
+        let out = match format {
+            Format::Png => Out::Png(Box::new(start_png(writer, shape, metadata)?)),
+            Format::Pnm | Format::Pam => {
+                writer.write_all(pnm_header(shape, format).as_bytes())?;
+                Out::Pnm(writer)
+            }
+            Format::Whole(format) => {
+                let count = u64::from(shape.width) * u64::from(shape.height) * shape.channels.count() as u64;
+                let mut samples = empty(shape.depth);
+                let count = usize::try_from(count).map_err(|_| io::ErrorKind::OutOfMemory)?;
+                match &mut samples {
+                    Samples::U8(v) => v.try_reserve_exact(count)?,
+                    Samples::U16(v) => v.try_reserve_exact(count)?,
+                }
+                Out::Whole { format, samples, metadata, writer }
+            }
+        };
+        Ok(RowWriter { shape, out })
+    }
+
+    /// Writes whole rows; the samples may change on the way.
+    pub fn write(&mut self, rows: SamplesMut<'_>) -> io::Result<()> {
+        let bytes: &[u8] = match (rows, &mut self.out) {
+            (SamplesMut::U8(rows), Out::Whole { samples: Samples::U8(all), .. }) => {
+                all.extend_from_slice(rows);
+                return Ok(());
+            }
+            (SamplesMut::U16(rows), Out::Whole { samples: Samples::U16(all), .. }) => {
+                all.extend_from_slice(rows);
+                return Ok(());
+            }
+            (SamplesMut::U8(rows), _) => rows,
+            (SamplesMut::U16(rows), _) => {
+                // PNG and PNM are big endian.
+                rows.iter_mut().for_each(|v| *v = v.to_be());
+                bytemuck::cast_slice(rows)
+            }
+        };
+        match &mut self.out {
+            Out::Png(out) => out.write_all(bytes),
+            Out::Pnm(out) => out.write_all(bytes),
+            Out::Whole { .. } => unreachable!("rows have the depth that the writer was made for"),
+        }
+    }
+
+    /// Writes what comes behind the last row.
+    pub fn finish(self, path: &Path) -> Result<(), Failure> {
+        let io = |e: io::Error| Failure::io(path, &e);
+        match self.out {
+            Out::Png(out) => out.finish().map_err(|e| io(e.into())),
+            Out::Pnm(mut out) => out.flush().map_err(io),
+            Out::Whole { format, samples, metadata, mut writer } => {
+                let Shape { width, height, channels, .. } = self.shape;
+                let pixels = Pixels::new(width, height, channels, samples).map_err(|e| Failure::library(path, &e))?;
+                let bytes = encode_whole(pixels.into(), format, metadata).map_err(|e| Failure::image(path, &e))?;
+                writer.write_all(&bytes).and_then(|()| writer.flush()).map_err(io)
+            }
+        }
+    }
+}
+
+/// Samples without any.
+fn empty(depth: Depth) -> Samples {
+    match depth {
+        Depth::Eight => Samples::U8(Vec::new()),
+        Depth::Sixteen => Samples::U16(Vec::new()),
+    }
+}
+
+/// A PNG up to its first row, with the ICC profile and the EXIF block.
+fn start_png(
+    writer: Box<dyn Write>,
+    shape: Shape,
+    metadata: &Metadata,
+) -> io::Result<png::StreamWriter<'static, Box<dyn Write>>> {
+    let mut info = png::Info::with_size(shape.width, shape.height);
+    info.icc_profile = metadata.icc.as_deref().map(Into::into);
+    info.exif_metadata = metadata.exif.as_deref().map(Into::into);
+    let mut encoder = png::Encoder::with_info(writer, info)?;
+    encoder.set_color(match shape.channels {
+        Channels::Grey => png::ColorType::Grayscale,
+        Channels::GreyAlpha => png::ColorType::GrayscaleAlpha,
+        Channels::Rgb => png::ColorType::Rgb,
+        Channels::Rgba => png::ColorType::Rgba,
+    });
+    encoder.set_depth(match shape.depth {
+        Depth::Eight => png::BitDepth::Eight,
+        Depth::Sixteen => png::BitDepth::Sixteen,
+    });
+    encoder.set_compression(png::Compression::Fast);
+    Ok(encoder.write_header()?.into_stream_writer_with_size(PNG_CHUNK)?)
+}
+
+/// The header of a PNM file; `P5` and `P6` know no alpha.
+fn pnm_header(shape: Shape, format: Format) -> String {
+    let Shape { width, height, channels, depth } = shape;
+    let max = depth.max();
+    let tuple = match (channels, format) {
+        (Channels::Grey, Format::Pnm) => return format!("P5\n{width} {height}\n{max}\n"),
+        (Channels::Rgb, Format::Pnm) => return format!("P6\n{width} {height}\n{max}\n"),
+        (Channels::Grey, _) => "GRAYSCALE",
+        (Channels::GreyAlpha, _) => "GRAYSCALE_ALPHA",
+        (Channels::Rgb, _) => "RGB",
+        (Channels::Rgba, _) => "RGB_ALPHA",
+    };
+    let count = channels.count();
+    format!("P7\nWIDTH {width}\nHEIGHT {height}\nDEPTH {count}\nMAXVAL {max}\nTUPLTYPE {tuple}\nENDHDR\n")
+}
+
+/// The file of a whole picture, with as much of the metadata as `image` writes for the format.
+fn encode_whole(picture: DynamicImage, format: ImageFormat, metadata: &Metadata) -> ImageResult<Vec<u8>> {
+    let mut out = Cursor::new(Vec::new());
+    match format {
+        ImageFormat::Jpeg => {
+            with_metadata(&picture, JpegEncoder::new_with_quality(&mut out, JPEG_QUALITY), metadata)?;
+        }
+        ImageFormat::WebP => with_metadata(&picture, WebPEncoder::new_lossless(&mut out), metadata)?,
+        ImageFormat::Tiff => with_metadata(&picture, TiffEncoder::new(&mut out), metadata)?,
+        ImageFormat::Farbfeld => DynamicImage::from(picture.into_rgba16()).write_to(&mut out, format)?,
+        ImageFormat::Qoi if picture.color().has_alpha() => {
+            DynamicImage::from(picture.into_rgba8()).write_to(&mut out, format)?;
+        }
+        ImageFormat::Qoi => DynamicImage::from(picture.into_rgb8()).write_to(&mut out, format)?,
+        _ => picture.write_to(&mut out, format)?,
+    }
+    Ok(out.into_inner())
+}
+
+fn with_metadata(picture: &DynamicImage, mut encoder: impl ImageEncoder, metadata: &Metadata) -> ImageResult<()> {
+    // What a format cannot carry is left out; `Format::losses` says so.
+    if let Some(icc) = &metadata.icc {
+        let _ = encoder.set_icc_profile(icc.clone());
+    }
+    if let Some(exif) = &metadata.exif {
+        let _ = encoder.set_exif_metadata(exif.clone());
+    }
+    picture.write_with_encoder(encoder)
+}

@@ -1,0 +1,224 @@
+//! Pictures that are larger than memory: their samples stay in a file, and are read a part at a time.
+//!
+//! A binary PNM of the two whole depths is read where it lies. The rows of a PNG go from its decoder to a temporary file as
+//! they come. Other formats, and interlaced PNG, come from their decoders as a whole.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::path::Path;
+use std::sync::Mutex;
+use std::time::Instant;
+
+use image::ImageFormat;
+use png::{BitDepth, ColorType, Transformations};
+use ssplat::unstable::check_area;
+use ssplat::{Channels, Depth, Error, PixelSource, Pixels, Samples};
+
+use crate::failure::{Failure, Kind};
+use crate::{source, structure};
+
+/// Bytes on disk that any PNG may take, and how many for each of its own beyond that: photographs take 2 to 5, drawings up to 200.
+const FREE_SPOOL: u64 = 1 << 30;
+const MOST_UNPACKED: u64 = 1000;
+
+/// Samples in a file, row by row with interleaved channels, those of 16 bits with the high byte first.
+pub struct Spooled {
+    file: Mutex<File>,
+    /// Where the first sample is.
+    start: u64,
+    width: u32,
+    height: u32,
+    channels: Channels,
+    depth: Depth,
+    pub icc: Option<Vec<u8>>,
+    pub exif: Option<Vec<u8>>,
+    /// What of the input is not in here, in words.
+    pub notes: Vec<String>,
+}
+
+impl PixelSource for Spooled {
+    fn width(&self) -> u32 {
+        self.width
+    }
+
+    fn height(&self) -> u32 {
+        self.height
+    }
+
+    fn channels(&self) -> Channels {
+        self.channels
+    }
+
+    fn depth(&self) -> Depth {
+        self.depth
+    }
+
+    fn part(&self, area: [u32; 4]) -> Result<Pixels, Error> {
+        check_area(area, self.size())?;
+        let [x, y, width, height] = area.map(u64::from);
+        let pixel = (self.channels.count() * self.depth.bytes()) as u64;
+        let mut bytes = vec![0; (width * height * pixel) as usize];
+        let mut file = self.file.lock().unwrap_or_else(|e| e.into_inner());
+        for (row, y) in bytes.chunks_exact_mut((width * pixel) as usize).zip(y..) {
+            file.seek(SeekFrom::Start(self.start + (y * u64::from(self.width) + x) * pixel)).map_err(Error::Io)?;
+            file.read_exact(row).map_err(Error::Io)?;
+        }
+        let samples = match self.depth {
+            Depth::Eight => Samples::U8(bytes),
+            Depth::Sixteen => Samples::U16(bytes.chunks_exact(2).map(|b| u16::from_be_bytes([b[0], b[1]])).collect()),
+        };
+        Pixels::new(area[2], area[3], self.channels, samples)
+    }
+}
+
+/// Opens `path` without reading it into memory, before `end` if there is one; `None` where its format has to be read as a whole.
+pub fn open(path: &Path, end: Option<Instant>) -> Result<Option<Spooled>, Failure> {
+    let io = |e| Failure::io(path, &e);
+    if path == Path::new("-") {
+        return Ok(None);
+    }
+    let mut reader = BufReader::new(File::open(path).map_err(io)?);
+    let start = reader.fill_buf().map_err(io)?;
+    match start {
+        [b'P', b'5' | b'6', ..] => pnm(path, reader),
+        [0x89, b'P', b'N', b'G', ..] => png(path, reader, end),
+        _ => Ok(None),
+    }
+}
+
+fn pnm(path: &Path, mut reader: BufReader<File>) -> Result<Option<Spooled>, Failure> {
+    let io = |e| Failure::io(path, &e);
+    let broken = |what: String| Failure { kind: Kind::Format, message: format!("{}: {what}", path.display()) };
+    let mut magic = [0; 2];
+    reader.read_exact(&mut magic).map_err(io)?;
+    let mut numbers = [0u32; 3];
+    for number in &mut numbers {
+        let found = number_of(&mut reader).or_else(|e| match e.kind() {
+            std::io::ErrorKind::UnexpectedEof => Ok(None),
+            _ => Err(io(e)),
+        });
+        *number = found?.ok_or_else(|| broken("its header has no numbers".into()))?;
+    }
+    let [width, height, white] = numbers;
+    let depth = match white {
+        255 => Depth::Eight,
+        65535 => Depth::Sixteen,
+        // Others are scaled by the decoder.
+        _ => return Ok(None),
+    };
+    let channels = if magic[1] == b'5' { Channels::Grey } else { Channels::Rgb };
+    let start = reader.stream_position().map_err(io)?;
+    let file = reader.into_inner();
+    let bytes = u64::from(width) * u64::from(height) * (channels.count() * depth.bytes()) as u64;
+    let length = file.metadata().map_err(io)?.len();
+    if start.checked_add(bytes).is_none_or(|end| end > length) {
+        return Err(broken(format!("{bytes} bytes of samples are needed where {} are", length.saturating_sub(start))));
+    }
+    check_size(path, width, height)?;
+    let file = Mutex::new(file);
+    Ok(Some(Spooled { file, start, width, height, channels, depth, icc: None, exif: None, notes: Vec::new() }))
+}
+
+/// The sides that a picture may have are those of [`Pixels`].
+fn check_size(path: &Path, width: u32, height: u32) -> Result<(), Failure> {
+    if [width, height].iter().all(|side| (1..=1 << 20).contains(side)) {
+        return Ok(());
+    }
+    let message = format!("{}: {width} × {height}: a side is outside 1..=1048576", path.display());
+    Err(Failure { kind: Kind::Limit, message })
+}
+
+/// Refuses a PNG of so many bytes of samples in a file of `packed` bytes when it would fill a disk by little.
+fn check_spooled(path: &Path, samples: u64, packed: u64) -> Result<(), Failure> {
+    let most = packed.saturating_mul(MOST_UNPACKED).max(FREE_SPOOL);
+    if samples <= most {
+        return Ok(());
+    }
+    let message = format!(
+        "{}: would take {samples} bytes of disk, where {most} are allowed for a file of {packed}",
+        path.display()
+    );
+    Err(Failure { kind: Kind::Limit, message })
+}
+
+/// Reads a number of a PNM header and the space behind it; `None` where there is none.
+fn number_of(reader: &mut impl BufRead) -> std::io::Result<Option<u32>> {
+    let mut number: Option<u32> = None;
+    loop {
+        let mut byte = [0];
+        reader.read_exact(&mut byte)?;
+        match byte[0] {
+            digit @ b'0'..=b'9' => {
+                let digit = u32::from(digit - b'0');
+                number = number.unwrap_or(0).checked_mul(10).and_then(|n| n.checked_add(digit));
+                if number.is_none() {
+                    return Ok(None);
+                }
+            }
+            b'#' if number.is_none() => {
+                reader.skip_until(b'\n')?;
+            }
+            space if space.is_ascii_whitespace() => {
+                if number.is_some() {
+                    return Ok(number);
+                }
+            }
+            _ => return Ok(None),
+        }
+    }
+}
+
+fn png(path: &Path, mut reader: BufReader<File>, end: Option<Instant>) -> Result<Option<Spooled>, Failure> {
+    let io = |e| Failure::io(path, &e);
+    let broken = |e: png::DecodingError| match e {
+        png::DecodingError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Failure::io(path, &e),
+        e => Failure { kind: Kind::Format, message: format!("{}: {e}", path.display()) },
+    };
+    let packed = reader.get_ref().metadata().map_err(io)?.len();
+    let found = structure::look(&mut reader, ImageFormat::Png).map_err(io)?;
+    reader.rewind().map_err(io)?;
+    let mut decoder = png::Decoder::new(reader);
+    decoder.set_transformations(Transformations::EXPAND);
+    let mut decoder = decoder.read_info().map_err(broken)?;
+    let info = decoder.info();
+    if info.interlaced {
+        return Ok(None);
+    }
+    let (width, height) = (info.width, info.height);
+    check_size(path, width, height)?;
+    let (mut icc, exif) =
+        (info.icc_profile.as_ref().map(|v| v.to_vec()), info.exif_metadata.as_ref().map(|v| v.to_vec()));
+    let mut notes = Vec::new();
+    if found.has_more {
+        notes.push("only the first of its frames or pages is taken".into());
+    }
+    if info.utf8_text.iter().any(|text| text.keyword == "XML:com.adobe.xmp") {
+        notes.push("its XMP block is left out".into());
+    }
+    let (color, bits) = decoder.output_color_type();
+    let channels = match color {
+        ColorType::Grayscale => Channels::Grey,
+        ColorType::GrayscaleAlpha => Channels::GreyAlpha,
+        ColorType::Rgb => Channels::Rgb,
+        ColorType::Rgba => Channels::Rgba,
+        ColorType::Indexed => return Ok(None),
+    };
+    let depth = if bits == BitDepth::Sixteen { Depth::Sixteen } else { Depth::Eight };
+    check_spooled(path, u64::from(width) * u64::from(height) * (channels.count() * depth.bytes()) as u64, packed)?;
+    source::keep_fitting(&mut icc, channels, &mut notes);
+    let mut file = tempfile::tempfile().map_err(io)?;
+    let mut rows = BufWriter::new(&mut file);
+    for y in 0..height {
+        if end.is_some_and(|end| Instant::now() >= end) {
+            let message = format!("{}: --time is over after {y} of {height} rows", path.display());
+            return Err(Failure { kind: Kind::Limit, message });
+        }
+        let row = decoder.next_row().map_err(broken)?;
+        let row = row
+            .ok_or_else(|| Failure { kind: Kind::Format, message: format!("{}: has too few rows", path.display()) })?;
+        rows.write_all(row.data()).map_err(io)?;
+    }
+    rows.flush().map_err(io)?;
+    drop(rows);
+    Ok(Some(Spooled { file: Mutex::new(file), start: 0, width, height, channels, depth, icc, exif, notes }))
+}

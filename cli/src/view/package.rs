@@ -1,0 +1,43 @@
+//! The viewer's files, which the program holds: the sources of `web/` and the WebAssembly that `web/build --commit` leaves beside them.
+//! WebAssembly for browsers without vector instructions is only in the package for browsers.
+
+/// The page.
+pub const PAGE: &str = "viewer/index.html";
+/// The WebAssembly.
+pub const MODULE: &str = "ssplat-simd.wasm";
+
+macro_rules! sources {
+    ($($name:literal),* $(,)?) => { &[$(($name, include_str!(concat!("../../web/", $name)))),*] };
+}
+
+/// The modules of the page. Their names without folders differ.
+pub const MODULES: &[(&str, &str)] = sources![
+    "error.js",
+    "icc.js",
+    "machine.js",
+    "source.js",
+    "ssplat.js",
+    "worker.js",
+    "viewer/camera.js",
+    "viewer/facts.js",
+    "viewer/found.js",
+    "viewer/gaussians.js",
+    "viewer/scene.js",
+    "viewer/splatting.js",
+    "viewer/viewer.js",
+    "viewer/webgpu.js",
+];
+
+/// The text of [`PAGE`].
+pub const PAGE_TEXT: &str = include_str!("../../web/viewer/index.html");
+/// The bytes of [`MODULE`].
+pub const MODULE_BYTES: &[u8] = include_bytes!("../../web/ssplat-simd.wasm");
+
+/// A file of the viewer, by its name below the viewer's folder; `None` for every other name.
+pub fn file(name: &str) -> Option<&'static [u8]> {
+    match name {
+        PAGE => Some(PAGE_TEXT.as_bytes()),
+        MODULE => Some(MODULE_BYTES),
+        _ => MODULES.iter().find(|(known, _)| *known == name).map(|(_, text)| text.as_bytes()),
+    }
+}

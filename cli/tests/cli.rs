@@ -1,0 +1,1179 @@
+//! What the command line promises: results, exit statuses, messages, and no half-written files.
+
+use std::ffi::OsStr;
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use image::{DynamicImage, ImageDecoder, ImageEncoder, ImageReader};
+use tempfile::TempDir;
+
+const PHOTO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/images/kodim05.png");
+
+/// A folder for one test.
+struct Folder(TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Folder(tempfile::tempdir().unwrap())
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// Names of all files, hidden ones too.
+    fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> =
+            fs::read_dir(self.0.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    /// A small picture of ramps as `name`.
+    fn picture(&self, name: &str) -> PathBuf {
+        let path = self.path(name);
+        small().save(&path).unwrap();
+        path
+    }
+
+    /// A file of a few primitives as `name`.
+    fn encoded(&self, name: &str) -> PathBuf {
+        let source = self.picture("source.png");
+        let path = self.path(name);
+        succeeds(ssplat(&[&"encode", &source, &path, &"--primitives", &"40", &"--effort", &"1"]));
+        fs::remove_file(source).unwrap();
+        path
+    }
+}
+
+fn small() -> DynamicImage {
+    image::RgbImage::from_fn(60, 40, |x, y| image::Rgb([x as u8 * 4, y as u8 * 6, (x * y / 10) as u8])).into()
+}
+
+fn command(args: &[&dyn AsRef<OsStr>]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ssplat"));
+    command.args(args.iter().map(|a| a.as_ref()));
+    command
+}
+
+fn ssplat(args: &[&dyn AsRef<OsStr>]) -> Output {
+    command(args).output().unwrap()
+}
+
+/// The program with `input` on standard input.
+fn fed(args: &[&dyn AsRef<OsStr>], input: &[u8]) -> Output {
+    let mut child = command(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    child.stdin.take().unwrap().write_all(input).unwrap();
+    child.wait_with_output().unwrap()
+}
+
+#[track_caller]
+fn succeeds(output: Output) -> String {
+    assert!(output.status.success(), "{output:?}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Checks the exit status and that one line names what is wrong.
+#[track_caller]
+fn fails(output: Output, status: i32, message: &str) {
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(status), "{said}");
+    assert!(said.contains(message), "{said:?} does not contain {message:?}");
+    assert!(output.stdout.is_empty() && !said.contains("panicked"), "{said}");
+}
+
+/// The number under `key` of a flat JSON text.
+fn number(json: &str, key: &str) -> f64 {
+    let value: serde_json::Value = serde_json::from_str(json).unwrap();
+    value[key].as_f64().unwrap_or_else(|| panic!("{key} in {json}"))
+}
+
+#[test]
+fn encode_decode_and_compare_agree_on_a_photograph() {
+    let folder = Folder::new();
+    let (file, preview, decoded) = (folder.path("k.ssplat"), folder.path("p.png"), folder.path("d.png"));
+    let json = succeeds(ssplat(&[
+        &"encode",
+        &PHOTO,
+        &file,
+        &"--ratio",
+        &"200",
+        &"--effort",
+        &"1",
+        &"--preview",
+        &preview,
+        &"--json",
+    ]));
+    let bytes = fs::metadata(&file).unwrap().len();
+    assert_eq!(number(&json, "bytes") as u64, bytes);
+    assert!(bytes as f64 <= 768.0 * 512.0 * 3.0 / 200.0, "{bytes} bytes are more than asked for");
+    succeeds(ssplat(&[&"decode", &file, &decoded]));
+    assert_eq!(fs::read(&preview).unwrap(), fs::read(&decoded).unwrap());
+    let measured = succeeds(ssplat(&[&"compare", &PHOTO, &file, &"--json"]));
+    assert_eq!(measured, succeeds(ssplat(&[&"compare", &PHOTO, &decoded, &"--json"])));
+    assert!((number(&measured, "psnr") - number(&json, "psnr")).abs() < 0.01, "{measured} {json}");
+    assert!(number(&measured, "ssim") > 0.0 && number(&measured, "ms_ssim") > 0.0);
+    assert!(number(&measured, "ssimulacra2") < 60.0 && number(&measured, "butteraugli") > 1.0, "{measured}");
+    assert_eq!(folder.names(), ["d.png", "k.ssplat", "p.png"]);
+}
+
+#[test]
+fn a_fit_for_the_eye_looks_better_and_costs_less_than_half_a_decibel() {
+    let folder = Folder::new();
+    let [psnr, iq] = ["psnr", "iq"].map(|tune| {
+        let file = folder.path(tune);
+        succeeds(ssplat(&[&"encode", &PHOTO, &file, &"--ratio", &"200", &"--effort", &"1", &"--tune", &tune]));
+        succeeds(ssplat(&[&"compare", &PHOTO, &file, &"--json"]))
+    });
+    let gain = |key| number(&iq, key) - number(&psnr, key);
+    assert!(gain("ssimulacra2") > 2.0 && gain("ms_ssim") > 0.0 && gain("psnr") > -0.5, "{psnr} {iq}");
+}
+
+#[test]
+fn the_file_does_not_depend_on_the_thread_count() {
+    let folder = Folder::new();
+    let file = |threads: &str| {
+        let path = folder.path(threads);
+        succeeds(ssplat(&[&"encode", &PHOTO, &path, &"--ratio", &"500", &"--effort", &"1", &"--threads", &threads]));
+        fs::read(path).unwrap()
+    };
+    assert!(file("1") == file("2"));
+}
+
+#[test]
+fn standard_input_and_output_serve_as_files() {
+    let folder = Folder::new();
+    let picture = fs::read(folder.picture("a.png")).unwrap();
+    let encoded = fed(&[&"encode", &"-", &"-", &"--primitives", &"20", &"--effort", &"1"], &picture);
+    assert!(encoded.status.success(), "{encoded:?}");
+    let png = fed(&[&"decode", &"-", &"-"], &encoded.stdout);
+    let decoded = image::load_from_memory(&png.stdout).unwrap();
+    assert_eq!((decoded.width(), decoded.height()), (60, 40));
+    let ppm = fed(&[&"decode", &"-", &"-", &"--format", &"ppm"], &encoded.stdout);
+    assert_eq!(ppm.stdout, [b"P6\n60 40\n255\n", decoded.as_bytes()].concat());
+    succeeds(fed(&[&"info", &"-"], &encoded.stdout));
+    succeeds(fed(&[&"compare", &"-", &folder.path("a.png")], &encoded.stdout));
+}
+
+#[test]
+#[cfg(not(feature = "gpu"))]
+fn a_gpu_is_refused_by_a_build_without() {
+    let folder = Folder::new();
+    let (source, file) = (folder.picture("a.png"), folder.encoded("a.ssplat"));
+    let (out, png) = (folder.path("b.ssplat"), folder.path("b.png"));
+    fails(ssplat(&[&"encode", &source, &out, &"--backend", &"gpu"]), 1, "this build has no GPU support");
+    fails(ssplat(&[&"decode", &file, &png, &"--backend", &"gpu"]), 1, "this build has no GPU support");
+    assert_eq!(folder.names(), ["a.png", "a.ssplat"]);
+}
+
+#[test]
+fn info_adds_up() {
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    let text = succeeds(ssplat(&[&"info", &file, &"--json"]));
+    let info: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let sum: u64 = info["parts"].as_array().unwrap().iter().map(|p| p["bytes"].as_u64().unwrap()).sum();
+    assert_eq!(sum, fs::metadata(&file).unwrap().len());
+    assert_eq!(info["bytes"].as_u64().unwrap(), sum);
+    assert_eq!((info["width"].as_u64(), info["height"].as_u64()), (Some(60), Some(40)));
+    assert!(info["primitives"].as_u64().unwrap() <= 40);
+    assert!(succeeds(ssplat(&[&"info", &file])).contains("60 x 40 pixels, rgb, 8 bits"));
+}
+
+#[test]
+fn encode_and_info_say_what_was_left_out() {
+    let folder = Folder::new();
+    let (picture, file) = (folder.path("grey.png"), folder.path("grey.ssplat"));
+    let grey = |x: u32, y: u32| (x * 3 + y) as u8 ^ (8 * (y as u8 % 2));
+    let opaque = |x, y| image::Rgba([grey(x, y), grey(x, y), grey(x, y), 255]);
+    image::RgbaImage::from_fn(60, 40, opaque).save(&picture).unwrap();
+    let text = succeeds(ssplat(&[&"encode", &picture, &file, &"--bytes", &"300", &"--effort", &"1", &"--explain"]));
+    assert!(text.contains("colour and alpha: all is grey and opaque"), "{text}");
+    assert!(text.contains("the GPU: the picture has fewer than 262144 pixels\n"), "{text}");
+    assert!(text.contains("sections: no ICC profile, no EXIF block, no thumbnail"), "{text}");
+    assert!(fs::metadata(&file).unwrap().len() <= 300);
+    let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &file, &"--json"]))).unwrap();
+    let left_out = info["left_out"].as_array().unwrap();
+    let levels = left_out.iter().find(|l| l["what"].as_str().unwrap().starts_with("progressive levels")).unwrap();
+    // Measured: the same primitives in a file with levels are as much larger.
+    assert!(levels["bytes_saved"].as_u64().unwrap() > 0, "{info}");
+    assert!(succeeds(ssplat(&[&"info", &file])).contains("left out\n"));
+}
+
+#[test]
+fn every_output_format_holds_the_same_pixels() {
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    for extension in ["png", "ppm", "pnm", "pam", "webp", "bmp", "tiff", "qoi", "tga", "ff"] {
+        let out = folder.path(&format!("out.{extension}"));
+        succeeds(ssplat(&[&"decode", &file, &out]));
+        assert_eq!(number(&succeeds(ssplat(&[&"compare", &file, &out, &"--json"])), "psnr"), 99.0, "{extension}");
+    }
+    let jpeg = folder.path("out.jpg");
+    succeeds(ssplat(&[&"decode", &file, &jpeg]));
+    assert!(number(&succeeds(ssplat(&[&"compare", &file, &jpeg, &"--json"])), "psnr") > 35.0);
+}
+
+#[test]
+fn a_region_is_the_same_as_cutting_the_whole() {
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    let (whole, part) = (folder.path("whole.png"), folder.path("part.png"));
+    succeeds(ssplat(&[&"decode", &file, &whole]));
+    succeeds(ssplat(&[&"decode", &file, &part, &"--region", &"13,7,31,22"]));
+    let cut = image::open(&whole).unwrap().crop_imm(13, 7, 31, 22);
+    assert!(image::open(&part).unwrap() == cut);
+}
+
+#[test]
+fn sizes_come_out_as_asked() {
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    let out = folder.path("out.png");
+    let cases: [(&[&str], _); 6] = [
+        (&["--width", "30"], (30, 20)),
+        (&["--height", "60"], (90, 60)),
+        (&["--width", "7", "--height", "90"], (7, 90)),
+        (&["--scale", "2.5"], (150, 100)),
+        (&["--scale", "0.001"], (1, 1)),
+        (&["--region", "0,0,10,40", "--scale", "3"], (30, 120)),
+    ];
+    for (options, size) in cases {
+        let mut args: Vec<&dyn AsRef<OsStr>> = vec![&"decode", &file, &out];
+        args.extend(options.iter().map(|o| o as &dyn AsRef<OsStr>));
+        succeeds(ssplat(&args));
+        assert_eq!(image::image_dimensions(&out).unwrap(), size, "{options:?}");
+    }
+}
+
+#[test]
+fn an_eighth_of_the_width_is_the_average_of_the_pixels() {
+    let folder = Folder::new();
+    let (file, whole, small) = (folder.path("photo.ssplat"), folder.path("whole.png"), folder.path("small.png"));
+    // What a detail layer adds beyond black or white is cut off at full size, and in the mean of a reduced view.
+    succeeds(ssplat(&[&"encode", &PHOTO, &file, &"--ratio", &"50", &"--effort", &"1", &"--detail", &"off"]));
+    succeeds(ssplat(&[&"decode", &file, &whole]));
+    succeeds(ssplat(&[&"decode", &file, &small, &"--width", &"96"]));
+    let (whole, small) = (image::open(whole).unwrap().to_rgb8(), image::open(small).unwrap().to_rgb8());
+    assert_eq!(small.dimensions(), (96, 64));
+    for (x, y, pixel) in small.enumerate_pixels() {
+        for c in 0..3 {
+            let block = (0..64).map(|k| f32::from(whole.get_pixel(8 * x + k % 8, 8 * y + k / 8)[c]));
+            // Half a code value for the rounding of either.
+            assert!((f32::from(pixel[c]) - block.sum::<f32>() / 64.0).abs() <= 1.0, "{x},{y}");
+        }
+    }
+}
+
+/// As much of an ICC profile as is looked at: 500 bytes that say they are for RGB.
+fn rgb_profile() -> Vec<u8> {
+    [&[7u8; 16][..], b"RGB ", &[7; 480]].concat()
+}
+
+/// A PNG with an ICC profile and an EXIF block.
+fn tagged(path: &Path, icc: &[u8], exif: &[u8]) {
+    let mut encoder = image::codecs::png::PngEncoder::new(fs::File::create(path).unwrap());
+    encoder.set_icc_profile(icc.to_vec()).unwrap();
+    encoder.set_exif_metadata(exif.to_vec()).unwrap();
+    small().write_with_encoder(encoder).unwrap();
+}
+
+#[test]
+fn icc_profile_and_exif_pass_from_png_to_png() {
+    let folder = Folder::new();
+    let (source, file, out) = (folder.path("s.png"), folder.path("f.ssplat"), folder.path("o.png"));
+    let (icc, exif) = (rgb_profile(), b"II*\0\x08\0\0\0\0\0\0\0\0\0".to_vec());
+    tagged(&source, &icc, &exif);
+    let all = ["--metadata", "all"];
+    succeeds(quick(&source, &file, &all));
+    for extension in ["png", "webp", "jpg"] {
+        let out = out.with_extension(extension);
+        succeeds(ssplat(&[&"decode", &file, &out]));
+        let mut decoder = ImageReader::open(&out).unwrap().into_decoder().unwrap();
+        assert_eq!(decoder.icc_profile().unwrap().as_ref(), Some(&icc), "{extension}");
+        assert_eq!(decoder.exif_metadata().unwrap().as_ref(), Some(&exif), "{extension}");
+    }
+    // And from one ssplat file to another.
+    let again = folder.path("again.ssplat");
+    succeeds(quick(&file, &again, &all));
+    let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &again, &"--json"]))).unwrap();
+    assert_eq!(info["icc_bytes"].as_u64(), Some(500));
+    assert_eq!(info["exif_bytes"].as_u64(), Some(exif.len() as u64));
+}
+
+/// The lengths of profile and EXIF block in a file.
+fn metadata_of(file: &Path) -> [u64; 2] {
+    let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &file, &"--json"]))).unwrap();
+    ["icc_bytes", "exif_bytes"].map(|key| info[key].as_u64().unwrap_or(0))
+}
+
+#[test]
+fn a_camera_s_notes_do_not_fill_a_file_and_the_orientation_stays() {
+    let folder = Folder::new();
+    let (source, file) = (folder.path("s.png"), folder.path("f.ssplat"));
+    // A block that says Rotate90 and much else.
+    let exif = [exif_of(6), vec![5; 20_000]].concat();
+    tagged(&source, &rgb_profile(), &exif);
+    // A size that could never hold the notes.
+    let asked = ["--bytes", "900", "--effort", "1"];
+    let encode = |more: &[&str]| command(&[&"encode", &source, &file]).args(asked).args(more).output().unwrap();
+    let said = told(encode(&[]));
+    assert!(said.contains("20026 bytes is left out but for the orientation; --metadata all"), "{said}");
+    assert_eq!(metadata_of(&file), [500, 26]);
+    let out = folder.path("o.png");
+    succeeds(ssplat(&[&"decode", &file, &out]));
+    assert_eq!(ImageReader::open(&out).unwrap().into_decoder().unwrap().orientation().unwrap().to_exif(), 6);
+    // The profile is more than half of the file, which is told.
+    assert!(said.contains("its ICC profile and EXIF block take 526 of"), "{said}");
+    assert!(told(encode(&["--metadata", "icc"])).contains("its orientation is left out; --auto-orient"));
+    assert_eq!(metadata_of(&file), [500, 0]);
+    let said = told(encode(&["--metadata", "none", "--auto-orient"]));
+    assert!(said.is_empty(), "{said}");
+    assert_eq!(metadata_of(&file), [0, 0]);
+    fails(encode(&["--metadata", "all"]), 2, "900 bytes cannot hold the picture");
+    fails(
+        encode(&["--metadata", "all"]),
+        2,
+        "500 of them for the ICC profile and 20026 for the EXIF block; --metadata",
+    );
+    // In tiles, and with no size asked for.
+    let tiled = quick(&source, &file, &["--tiles=128"]);
+    assert!(told(tiled).contains("--metadata all"));
+    let said =
+        told(command(&[&"encode", &source, &file, &"--effort", &"1"]).args(["--metadata", "all"]).output().unwrap());
+    assert!(said.contains("its ICC profile and EXIF block take 20526 of"), "{said}");
+    assert_eq!(metadata_of(&file), [500, 20026]);
+}
+
+#[test]
+fn grey_alpha_and_sixteen_bits_stay_what_they_are() {
+    let folder = Folder::new();
+    let pictures: [DynamicImage; 4] = [
+        small().to_luma8().into(),
+        small().to_luma_alpha16().into(),
+        small().to_rgba8().into(),
+        small().to_rgb16().into(),
+    ];
+    for picture in pictures {
+        let (source, file, out) = (folder.path("s.png"), folder.path("f.ssplat"), folder.path("o.png"));
+        picture.save(&source).unwrap();
+        succeeds(ssplat(&[&"encode", &source, &file, &"--primitives", &"30", &"--effort", &"1"]));
+        succeeds(ssplat(&[&"decode", &file, &out]));
+        assert_eq!(image::open(&out).unwrap().color(), picture.color());
+    }
+}
+
+#[test]
+fn odd_sizes_pass_through() {
+    let folder = Folder::new();
+    for (width, height) in [(1, 1), (1, 4000), (4000, 1), (3, 2)] {
+        let (source, file, out) = (folder.path("s.png"), folder.path("f.ssplat"), folder.path("o.png"));
+        image::RgbImage::from_fn(width, height, |x, y| image::Rgb([(x + y) as u8, 90, 10])).save(&source).unwrap();
+        succeeds(ssplat(&[&"encode", &source, &file, &"--bytes", &"120", &"--effort", &"1"]));
+        assert!(fs::metadata(&file).unwrap().len() <= 120);
+        succeeds(ssplat(&[&"decode", &file, &out]));
+        assert_eq!(image::image_dimensions(&out).unwrap(), (width, height));
+    }
+}
+
+#[test]
+fn no_picture_is_too_small_when_no_size_is_asked_for() {
+    let folder = Folder::new();
+    let (tiny, file, out) = (folder.path("tiny.png"), folder.path("tiny.ssplat"), folder.path("out.png"));
+    for (width, height) in [(1, 1), (8, 8), (1, 300)] {
+        let pixel = |x, y| image::Rgb([(37 * x) as u8, (91 * y + 5 * x) as u8, (11 * x * y) as u8]);
+        image::RgbImage::from_fn(width, height, pixel).save(&tiny).unwrap();
+        succeeds(ssplat(&[&"encode", &tiny, &file]));
+        assert!(fs::metadata(&file).unwrap().len() <= 120);
+        succeeds(ssplat(&[&"decode", &file, &out]));
+        assert_eq!(image::image_dimensions(&out).unwrap(), (width, height));
+        // A size that is asked for is kept or refused.
+        fails(ssplat(&[&"encode", &tiny, &file, &"--ratio", &"500"]), 2, "cannot hold the picture");
+    }
+}
+
+#[test]
+fn compare_joins_channels_and_depths() {
+    let folder = Folder::new();
+    let colour = folder.picture("a.png");
+    for (name, picture) in
+        [("alpha.png", DynamicImage::from(small().to_rgba8())), ("deep.png", small().to_rgba16().into())]
+    {
+        let other = folder.path(name);
+        picture.save(&other).unwrap();
+        let json = succeeds(ssplat(&[&"compare", &colour, &other, &"--json"]));
+        assert_eq!(number(&json, "psnr"), 99.0, "{name}");
+        assert_eq!((number(&json, "ssimulacra2"), number(&json, "butteraugli")), (100.0, 0.0), "{name}");
+        assert!(json.contains("\"ms_ssim\":null"), "{json}");
+    }
+    let grey = folder.path("grey.png");
+    small().to_luma8().save(&grey).unwrap();
+    assert!(number(&succeeds(ssplat(&[&"compare", &colour, &grey, &"--json"])), "psnr") < 40.0);
+}
+
+#[test]
+fn wrong_usage_exits_with_2() {
+    let folder = Folder::new();
+    let (picture, out) = (folder.picture("a.png"), folder.path("o.ssplat"));
+    for (options, message) in [
+        (["--ratio", "0"], "--ratio"),
+        (["--ratio", "-3"], "-3"),
+        (["--ratio", "nan"], "nan"),
+        (["--effort", "10"], "10"),
+        (["--time", "0"], "--time"),
+        (["--primitives", "0"], "--primitives"),
+        (["--layout", "zip"], "zip"),
+        (["--recipe", "none"], "none"),
+        (["--threads", "0"], "--threads"),
+        (["--bytes", "1"], "a.png"),
+    ] {
+        fails(ssplat(&[&"encode", &picture, &out, &options[0], &options[1]]), 2, message);
+    }
+    fails(ssplat(&[&"encode", &picture, &out, &"--ratio", &"9", &"--bytes", &"900"]), 2, "--bytes");
+    fails(ssplat(&[&"encode", &picture, &out, &"--preview", &out]), 2, "o.ssplat");
+    fails(ssplat(&[&"encode", &picture, &"-", &"--json"]), 2, "--json");
+    fails(ssplat(&[]), 2, "Usage");
+    assert_eq!(folder.names(), ["a.png"]);
+
+    let file = folder.encoded("a.ssplat");
+    for (options, message) in [
+        (["--region", "1,2,3"], "1,2,3"),
+        (["--region", "1,2,0,3"], "empty"),
+        (["--region", "50,0,20,20"], "--region 50,0,20,20 is not within the picture of 60×40"),
+        (["--scale", "0"], "--scale"),
+        (["--scale", "1e9"], "1048576"),
+        (["--width", "0"], "--width"),
+        (["--format", "xyz"], "xyz"),
+    ] {
+        fails(ssplat(&[&"decode", &file, &folder.path("o.png"), &options[0], &options[1]]), 2, message);
+    }
+    fails(ssplat(&[&"decode", &file, &folder.path("noextension")]), 2, "noextension");
+    fails(ssplat(&[&"decode", &file, &folder.path("o.gif")]), 2, "gif");
+    fails(ssplat(&[&"compare", &file, &PHOTO]), 2, "the pictures differ in size: 60×40 and 768×512");
+    assert_eq!(folder.names(), ["a.png", "a.ssplat"]);
+}
+
+#[test]
+fn missing_files_and_folders_exit_with_3() {
+    let folder = Folder::new();
+    let picture = folder.picture("a.png");
+    let (missing, out) = (folder.path("missing.ssplat"), folder.path("o.png"));
+    fails(ssplat(&[&"decode", &missing, &out]), 3, "missing.ssplat");
+    fails(ssplat(&[&"info", &missing]), 3, "missing.ssplat");
+    fails(ssplat(&[&"compare", &picture, &missing]), 3, "missing.ssplat");
+    fails(ssplat(&[&"encode", &missing, &folder.path("o.ssplat")]), 3, "missing.ssplat");
+    fails(ssplat(&[&"encode", &picture, &folder.path("no/such/o.ssplat"), &"--effort", &"1"]), 3, "o.ssplat");
+    assert_eq!(folder.names(), ["a.png"]);
+}
+
+#[test]
+fn broken_files_exit_with_4_and_leave_nothing() {
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    let bytes = fs::read(&file).unwrap();
+    let (bad, out) = (folder.path("bad.ssplat"), folder.path("o.png"));
+    let flipped = |i: usize| [&bytes[..i], &[bytes[i] ^ 1], &bytes[i + 1..]].concat();
+    for (broken, message) in [
+        (bytes[..bytes.len() - 1].to_vec(), ""),
+        (bytes[..30].to_vec(), ""),
+        (Vec::new(), "cut off"),
+        (flipped(bytes.len() - 10), "checksum"),
+        (b"not an ssplat file at all".to_vec(), "magic"),
+    ] {
+        fs::write(&bad, broken).unwrap();
+        fails(ssplat(&[&"decode", &bad, &out]), 4, "bad.ssplat");
+        fails(ssplat(&[&"info", &bad]), 4, message);
+    }
+    fs::write(&bad, &fs::read(PHOTO).unwrap()[..5000]).unwrap();
+    fails(ssplat(&[&"encode", &bad, &folder.path("o.ssplat")]), 4, "bad.ssplat");
+    assert_eq!(folder.names(), ["a.ssplat", "bad.ssplat"]);
+}
+
+#[test]
+fn unknown_formats_and_versions_exit_with_5() {
+    let folder = Folder::new();
+    let (text, out) = (folder.path("text.png"), folder.path("o.ssplat"));
+    fs::write(&text, "hello").unwrap();
+    fails(ssplat(&[&"compare", &text, &text]), 4, "text.png");
+    let unknown = folder.path("text.txt");
+    fs::write(&unknown, "hello").unwrap();
+    fails(ssplat(&[&"encode", &unknown, &out]), 5, "text.txt");
+    let file = folder.encoded("a.ssplat");
+    let mut bytes = fs::read(&file).unwrap();
+    bytes[4] = 99;
+    fs::write(&file, bytes).unwrap();
+    fails(ssplat(&[&"info", &file]), 5, "99");
+    assert_eq!(folder.names(), ["a.ssplat", "text.png", "text.txt"]);
+}
+
+#[test]
+fn the_input_is_never_overwritten() {
+    let folder = Folder::new();
+    let picture = folder.picture("a.png");
+    let before = fs::read(&picture).unwrap();
+    let roundabout = folder.0.path().join(".").join("a.png");
+    fails(ssplat(&[&"encode", &picture, &roundabout, &"--effort", &"1", &"--force"]), 2, "is the input");
+    let file = folder.encoded("a.ssplat");
+    fails(ssplat(&[&"encode", &file, &file, &"--effort", &"1"]), 2, "is the input");
+    fails(ssplat(&[&"encode", &picture, &folder.path("x"), &"--preview", &picture]), 2, "is the input");
+    assert_eq!(fs::read(&picture).unwrap(), before);
+    assert_eq!(folder.names(), ["a.png", "a.ssplat"]);
+}
+
+#[test]
+fn existing_outputs_are_replaced_whole_or_not_at_all() {
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    let out = folder.path("o.png");
+    fs::write(&out, "before").unwrap();
+    let bad = folder.path("bad.ssplat");
+    fs::write(&bad, &fs::read(&file).unwrap()[..40]).unwrap();
+    fails(ssplat(&[&"decode", &bad, &out]), 4, "bad.ssplat");
+    assert_eq!(fs::read(&out).unwrap(), b"before");
+    succeeds(ssplat(&[&"decode", &file, &out]));
+    assert_eq!(image::image_dimensions(&out).unwrap(), (60, 40));
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupt_leaves_nothing_behind() {
+    let folder = Folder::new();
+    let out = folder.path("o.ssplat");
+    let mut child = command(&[&"encode", &PHOTO, &out, &"--ratio", &"20", &"--effort", &"9"])
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    // The temporary file shows that the work has begun.
+    let start = std::time::Instant::now();
+    while folder.names().is_empty() {
+        assert!(start.elapsed().as_secs() < 60, "no file was begun");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert!(folder.names().is_empty(), "{:?}", folder.names());
+}
+
+/// What the program says on a terminal.
+#[cfg(unix)]
+fn on_a_terminal(args: &[&dyn AsRef<OsStr>]) -> String {
+    use std::io::Read;
+    let nix::pty::OpenptyResult { master, slave } = nix::pty::openpty(None, None).unwrap();
+    let reader = std::thread::spawn(move || {
+        let (mut file, mut said, mut part) = (fs::File::from(master), Vec::new(), [0; 4096]);
+        // The other side's end is an error here.
+        while let Ok(count @ 1..) = file.read(&mut part) {
+            said.extend_from_slice(&part[..count]);
+        }
+        String::from_utf8(said).unwrap()
+    });
+    let mut child = command(args).stdout(Stdio::null()).stderr(Stdio::from(slave)).spawn().unwrap();
+    assert!(child.wait().unwrap().success());
+    reader.join().unwrap()
+}
+
+#[test]
+#[cfg(unix)]
+fn a_quiet_run_draws_no_bar() {
+    let folder = Folder::new();
+    let source = folder.picture("a.png");
+    let (file, out) = (folder.path("a.ssplat"), folder.path("out"));
+    let one: [&dyn AsRef<OsStr>; 6] = [&"encode", &source, &file, &"--effort", &"1", &"--quiet"];
+    let many: [&dyn AsRef<OsStr>; 7] = [&"encode", &source, &"--out-dir", &out, &"--effort", &"1", &"--quiet"];
+    assert_eq!(on_a_terminal(&one), "");
+    assert_eq!(on_a_terminal(&many), "");
+    let many: [&dyn AsRef<OsStr>; 7] = [&"encode", &source, &"--out-dir", &out, &"--effort", &"1", &"--overwrite"];
+    assert!(on_a_terminal(&many).contains("a.png"), "there is a bar where it is not quiet");
+}
+
+#[test]
+#[cfg(unix)]
+fn outputs_have_ordinary_rights_and_links_and_devices_stay() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    let plain = folder.path("plain");
+    fs::write(&plain, "").unwrap();
+    assert_eq!(fs::metadata(&file).unwrap().permissions().mode(), fs::metadata(&plain).unwrap().permissions().mode());
+    let (link, target) = (folder.path("link.png"), folder.path("target.png"));
+    fs::write(&target, "").unwrap();
+    fs::set_permissions(&target, fs::Permissions::from_mode(0o600)).unwrap();
+    std::os::unix::fs::symlink(&target, &link).unwrap();
+    succeeds(ssplat(&[&"decode", &file, &link]));
+    assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+    assert_eq!(image::image_dimensions(&target).unwrap(), (60, 40));
+    assert_eq!(fs::metadata(&target).unwrap().permissions().mode() & 0o777, 0o600);
+    succeeds(ssplat(&[&"decode", &file, &"/dev/null", &"--format", &"png"]));
+    assert!(!fs::metadata("/dev/null").unwrap().is_file());
+}
+
+#[test]
+fn help_shows_examples() {
+    for name in ["encode", "decode", "info", "compare", "export", "import"] {
+        assert!(succeeds(ssplat(&[&name, &"--help"])).contains("Examples:"), "{name}");
+    }
+    assert!(succeeds(ssplat(&[&"--help"])).contains("Exit status"));
+}
+
+/// A JPEG of the photograph, with `icc` where there is one.
+fn jpeg(path: &Path, icc: Option<&[u8]>, picture: &DynamicImage) {
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new(fs::File::create(path).unwrap());
+    if let Some(icc) = icc {
+        encoder.set_icc_profile(icc.to_vec()).unwrap();
+    }
+    picture.write_with_encoder(encoder).unwrap();
+}
+
+/// An EXIF block that holds only an orientation.
+fn exif_of(orientation: u8) -> Vec<u8> {
+    let entry = [0x12, 0x01, 3, 0, 1, 0, 0, 0, orientation, 0, 0, 0];
+    [&b"II*\0\x08\0\0\0\x01\0"[..], &entry, &[0; 4]].concat()
+}
+
+/// What is said on standard error by a program that succeeds.
+#[track_caller]
+fn told(output: Output) -> String {
+    assert!(output.status.success(), "{output:?}");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+const QUICK: [&str; 4] = ["--primitives", "20", "--effort", "1"];
+
+/// `encode` of one file with few primitives.
+fn quick(input: &Path, output: &Path, more: &[&str]) -> Output {
+    let mut command = command(&[&"encode", &input, &output]);
+    command.args(QUICK).args(more).output().unwrap()
+}
+
+#[cfg(unix)]
+#[test]
+fn what_is_no_ssplat_file_is_refused_by_its_start_however_long_it_is() {
+    let folder = Folder::new();
+    let (endless, out) = (Path::new("/dev/zero"), folder.path("out.png"));
+    fails(ssplat(&[&"info", &endless]), 4, "/dev/zero");
+    fails(ssplat(&[&"decode", &endless, &out]), 4, "/dev/zero");
+    fails(ssplat(&[&"export", &endless, &folder.path("out.npz")]), 4, "/dev/zero");
+    assert!(!out.exists());
+    // Three bytes, the first of them right.
+    let short = folder.path("short.ssplat");
+    fs::write(&short, b"\x89SS").unwrap();
+    fails(ssplat(&[&"info", &short]), 4, "short.ssplat");
+}
+
+#[test]
+fn a_picture_that_was_cut_off_is_refused_in_every_format() {
+    let folder = Folder::new();
+    let out = folder.path("o.ssplat");
+    for extension in ["jpg", "png", "webp", "gif", "bmp", "tiff", "tga", "qoi", "ppm", "pam", "ff"] {
+        let (whole, cut) = (folder.path(&format!("whole.{extension}")), folder.path(&format!("cut.{extension}")));
+        match extension {
+            "ff" => DynamicImage::from(small().to_rgba16()).save(&whole).unwrap(),
+            _ => small().save(&whole).unwrap(),
+        }
+        told(quick(&whole, &out, &[]));
+        fs::remove_file(&out).unwrap();
+        let bytes = fs::read(&whole).unwrap();
+        for length in [bytes.len() / 2, bytes.len() * 9 / 10] {
+            fs::write(&cut, &bytes[..length]).unwrap();
+            fails(quick(&cut, &out, &[]), 4, "cut.");
+            assert!(!out.exists());
+        }
+    }
+    // What is there of a JPEG can be had.
+    let cut = folder.path("cut.jpg");
+    assert!(told(quick(&cut, &out, &["--partial"])).contains("cut off"));
+}
+
+#[test]
+fn a_jpeg_with_a_thumbnail_in_its_exif_block_still_has_to_reach_its_own_end() {
+    let folder = Folder::new();
+    let (plain, cut, out) = (folder.path("a.jpg"), folder.path("cut.jpg"), folder.path("o.ssplat"));
+    jpeg(&plain, None, &small());
+    let bytes = fs::read(&plain).unwrap();
+    // The segment holds the end mark of a thumbnail.
+    let thumbnail = [&[0xFF, 0xE1, 0, 12][..], b"Exif\0\0", &[0xFF, 0xD9, 1, 2]].concat();
+    let with = [&bytes[..2], &thumbnail, &bytes[2..]].concat();
+    fs::write(&plain, &with).unwrap();
+    told(quick(&plain, &out, &[]));
+    fs::write(&cut, &with[..with.len() - 30]).unwrap();
+    fails(quick(&cut, &out, &[]), 4, "cut.jpg");
+}
+
+#[test]
+fn a_profile_for_other_channels_is_left_out_and_named() {
+    let folder = Folder::new();
+    let (source, out) = (folder.path("a.jpg"), folder.path("o.ssplat"));
+    let profile = |space: &[u8; 4]| [&[7u8; 16][..], space, &[7; 100]].concat();
+    let grey = DynamicImage::from(small().to_luma8());
+    for (picture, space, kept) in
+        [(small(), b"RGB ", true), (small(), b"CMYK", false), (grey.clone(), b"RGB ", false), (grey, b"GRAY", true)]
+    {
+        jpeg(&source, Some(&profile(space)), &picture);
+        let said = told(quick(&source, &out, &[]));
+        assert_eq!(said.contains("ICC profile is for"), !kept, "{said}");
+        let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &out, &"--json"]))).unwrap();
+        assert_eq!(info["icc_bytes"].as_u64(), kept.then_some(120));
+        assert!(told(quick(&source, &out, &["--quiet"])).is_empty());
+    }
+}
+
+#[test]
+fn an_output_with_the_extension_of_another_format_needs_force() {
+    let folder = Folder::new();
+    let (a, b) = (folder.picture("a.png"), folder.picture("b.png"));
+    let before = fs::read(&b).unwrap();
+    for name in ["b.png", "c.jpg", "c.JPEG", "c.avif", "c.heic", "c.jxl", "c.webp"] {
+        fails(quick(&a, &folder.path(name), &[]), 2, "--force");
+    }
+    assert_eq!(fs::read(&b).unwrap(), before);
+    assert_eq!(folder.names(), ["a.png", "b.png"]);
+    told(quick(&a, &b, &["--force"]));
+    assert!(fs::read(&b).unwrap() != before);
+}
+
+#[test]
+fn what_is_lost_on_the_way_is_said() {
+    let folder = Folder::new();
+    let (source, file) = (folder.path("a.png"), folder.path("a.ssplat"));
+    tagged(&source, &rgb_profile(), &exif_of(6));
+    let said = told(quick(&source, &file, &[]));
+    assert!(!said.contains("left out;"), "{said}");
+    for (extension, words) in [
+        ("png", &[][..]),
+        ("jpg", &[]),
+        ("webp", &[]),
+        ("tiff", &["EXIF", "orientation"][..]),
+        ("bmp", &["ICC", "EXIF", "orientation"]),
+        ("qoi", &["ICC", "EXIF", "orientation"]),
+        ("tga", &["ICC", "EXIF", "orientation"]),
+        ("ppm", &["ICC", "EXIF", "orientation"]),
+    ] {
+        let said = told(ssplat(&[&"decode", &file, &folder.path(&format!("o.{extension}"))]));
+        assert_eq!(said.is_empty(), words.is_empty(), "{said}");
+        words.iter().for_each(|word| assert!(said.contains(word), "{said} lacks {word}"));
+    }
+    // More than one frame.
+    let frames = folder.path("frames.gif");
+    let mut gif = image::codecs::gif::GifEncoder::new(fs::File::create(&frames).unwrap());
+    gif.encode_frames((0..2).map(|_| image::Frame::new(small().to_rgba8()))).unwrap();
+    drop(gif);
+    assert!(told(quick(&frames, &file, &[])).contains("only the first"));
+}
+
+#[test]
+fn a_thumbnail_is_carried_and_drawn_where_it_is_asked_for() {
+    let folder = Folder::new();
+    let (with, out) = (folder.path("with.ssplat"), folder.path("small.png"));
+    succeeds(ssplat(&[&"encode", &PHOTO, &with, &"--bytes", &"2000", &"--thumbnail", &"600", &"--effort", &"1"]));
+    assert!(fs::metadata(&with).unwrap().len() <= 2000);
+    let bytes = number(&succeeds(ssplat(&[&"info", &with, &"--json"])), "thumbnail_bytes");
+    assert!((500.0..=600.0).contains(&bytes), "{bytes}");
+    let drawn = |option: &str| {
+        succeeds(ssplat(&[&"decode", &with, &out, &option, &"100"]));
+        let picture = image::open(&out).unwrap();
+        fs::remove_file(&out).unwrap();
+        picture
+    };
+    let (small, exact) = (drawn("--thumbnail"), drawn("--width"));
+    assert_eq!((small.width(), small.height()), (100, 67));
+    assert_ne!(small, exact);
+    fails(ssplat(&[&"decode", &with, &out, &"--thumbnail", &"100", &"--region", &"0,0,9,9"]), 2, "--region");
+    fails(ssplat(&[&"encode", &PHOTO, &out, &"--thumbnail", &"large"]), 2, "large");
+    fails(ssplat(&[&"encode", &PHOTO, &with, &"--bytes", &"2000", &"--thumbnail", &"9"]), 2, "9 bytes");
+    assert_eq!(folder.names(), ["with.ssplat"]);
+}
+
+#[test]
+fn auto_orient_turns_and_says_so_in_the_exif_block() {
+    let folder = Folder::new();
+    let (source, file, out) = (folder.path("a.png"), folder.path("a.ssplat"), folder.path("o.png"));
+    tagged(&source, &rgb_profile(), &exif_of(6));
+    let kept = |path: &Path| ImageReader::open(path).unwrap().into_decoder().unwrap().exif_metadata().unwrap();
+    told(quick(&source, &file, &["--auto-orient"]));
+    told(ssplat(&[&"decode", &file, &out]));
+    // What says that nothing is to be turned is not needed.
+    assert_eq!((image::image_dimensions(&out).unwrap(), kept(&out)), ((40, 60), None));
+    told(quick(&source, &file, &["--auto-orient", "--metadata", "all"]));
+    told(ssplat(&[&"decode", &file, &out]));
+    assert_eq!((image::image_dimensions(&out).unwrap(), kept(&out)), ((40, 60), Some(exif_of(1))));
+    // And when decoding.
+    told(quick(&source, &file, &[]));
+    told(ssplat(&[&"decode", &file, &out, &"--auto-orient"]));
+    assert_eq!((image::image_dimensions(&out).unwrap(), kept(&out)), ((40, 60), Some(exif_of(1))));
+    let plain = folder.path("plain.png");
+    told(ssplat(&[&"decode", &file, &plain]));
+    assert!(image::open(&plain).unwrap().rotate90() == image::open(&out).unwrap());
+}
+
+#[test]
+fn a_transparent_picture_is_laid_over_the_background() {
+    let folder = Folder::new();
+    let (source, file) = (folder.path("a.png"), folder.path("a.ssplat"));
+    // Red that nobody sees.
+    image::RgbaImage::from_pixel(16, 16, image::Rgba([255, 0, 0, 0])).save(&source).unwrap();
+    told(quick(&source, &file, &[]));
+    let jpeg = folder.path("o.jpg");
+    assert!(told(ssplat(&[&"decode", &file, &jpeg])).contains("--background"));
+    assert!(image::open(&jpeg).unwrap().to_rgb8().pixels().all(|p| p.0.iter().all(|&v| v > 250)));
+    let png = folder.path("o.png");
+    assert!(told(ssplat(&[&"decode", &file, &png, &"--background", &"102030"])).is_empty());
+    let covered = image::open(&png).unwrap();
+    assert_eq!(covered.color(), image::ColorType::Rgb8);
+    assert!(covered.to_rgb8().pixels().all(|p| p.0 == [0x10, 0x20, 0x30]));
+}
+
+#[test]
+#[cfg(unix)]
+fn a_link_that_leads_nowhere_yet_is_followed() {
+    let folder = Folder::new();
+    let source = folder.picture("a.png");
+    std::os::unix::fs::symlink("target.ssplat", folder.path("link.ssplat")).unwrap();
+    told(quick(&source, &folder.path("link.ssplat"), &[]));
+    assert_eq!(folder.names(), ["a.png", "link.ssplat", "target.ssplat"]);
+    assert!(fs::symlink_metadata(folder.path("link.ssplat")).unwrap().is_symlink());
+    assert!(fs::symlink_metadata(folder.path("target.ssplat")).unwrap().is_file());
+}
+
+#[test]
+fn more_threads_or_primitives_than_help_are_not_used() {
+    let folder = Folder::new();
+    let (source, out) = (folder.path("a.png"), folder.path("o.ssplat"));
+    image::GrayImage::from_fn(9, 7, |x, y| image::Luma([(x * 28 + y * 3) as u8])).save(&source).unwrap();
+    assert!(told(quick(&source, &out, &["--threads", "100000"])).contains("--threads 100000"));
+    let many = ssplat(&[&"encode", &source, &out, &"--primitives", &"16777216", &"--effort", &"1"]);
+    assert!(told(many).contains("63 are enough"));
+}
+
+#[test]
+fn messages_speak_of_what_was_asked() {
+    let folder = Folder::new();
+    let (picture, out) = (folder.picture("a.png"), folder.path("no/such/o.ssplat"));
+    let said = quick(&picture, &out, &[]);
+    assert!(!String::from_utf8_lossy(&said.stderr).contains(".ssplat-"), "{said:?}");
+    fails(said, 3, "no/such/o.ssplat");
+    let out = folder.path("o.ssplat");
+    fails(ssplat(&[&"encode", &picture, &out, &"--ratio", &"1e9"]), 2, "a ratio of 1000000000 leaves 0 bytes");
+    fails(fed(&[&"encode", &"-", &out], b""), 4, "standard input: is empty");
+    let avif = folder.path("a.avif");
+    fs::write(&avif, b"\0\0\0\x1cftypavif\0\0\0\0avifmif1miaf").unwrap();
+    fails(ssplat(&[&"encode", &avif, &out]), 5, "avifdec");
+    let file = folder.encoded("b.ssplat");
+    fails(ssplat(&[&"decode", &file, &folder.path("o.png"), &"--scale", &"1e30"]), 2, "1048576 at most");
+}
+
+#[test]
+fn values_that_are_no_values_are_named_in_plain_words() {
+    let folder = Folder::new();
+    let (picture, out) = (folder.picture("a.png"), folder.path("o.ssplat"));
+    for (option, value, message) in [
+        ("--bytes", "twenty", "not a number of bytes, as 20000 or 20k or 1.5M"),
+        ("--bytes", "-5k", "not a number of bytes"),
+        ("--quality", "101", "not a number from 0 to 100"),
+        ("--threads", "0", "not a whole number from 1 on"),
+        ("--time", "0", "not a positive number"),
+    ] {
+        fails(ssplat(&[&"encode", &picture, &out, &format!("{option}={value}")]), 2, message);
+    }
+    fails(ssplat(&[&"encode", &folder.path("."), &out]), 3, "is a folder; --out-dir");
+    fails(ssplat(&[&"decode", &folder.path("."), &folder.path("o.png")]), 3, "is a folder; --out-dir");
+    // Thousands of bytes, and short names.
+    let short: [&dyn AsRef<OsStr>; 8] = [&"encode", &picture, &"-o", &out, &"-b", &".3k", &"-e", &"1"];
+    succeeds(ssplat(&short));
+    let bytes = fs::metadata(&out).unwrap().len();
+    assert!((250..=300).contains(&bytes), "{bytes}");
+    fails(ssplat(&[&"encode", &picture, &out, &"-o", &out]), 2, "several inputs need --out-dir");
+}
+
+#[test]
+fn a_quality_is_met_or_said_to_be_missed() {
+    let folder = Folder::new();
+    let (file, out) = (folder.path("k.ssplat"), folder.path("o.png"));
+    let (picture, noise) = (folder.path("k.png"), folder.path("n.png"));
+    image::open(PHOTO).unwrap().crop_imm(200, 100, 160, 120).save(&picture).unwrap();
+    let run = |input: &Path, quality: &str| {
+        ssplat(&[&"encode", &input, &file, &"--quality", &quality, &"--effort", &"1", &"--json", &"--preview", &out])
+    };
+    let met = run(&picture, "60");
+    assert!(told(met.clone()).is_empty(), "{met:?}");
+    let json = succeeds(met);
+    let measured: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let seen = measured["preview"]["ssimulacra2"].as_f64().unwrap();
+    assert!((seen - 60.0).abs() <= 0.5 && (number(&json, "quality") - seen).abs() < 1e-6, "{json}");
+    image::GrayImage::from_fn(24, 24, |x, y| image::Luma([(x * 7919 + y * 104_729) as u8])).save(&noise).unwrap();
+    assert!(told(run(&noise, "99")).contains("--quality 99 was not met: the file has "));
+    let help = succeeds(ssplat(&[&"encode", &"--help"]));
+    let words: Vec<&str> = help.split_whitespace().collect();
+    assert!(words.join(" ").contains("30 low, 50 medium, 70 high"), "{help}");
+}
+
+#[test]
+#[cfg(unix)]
+fn a_preview_that_cannot_be_written_leaves_no_file() {
+    let folder = Folder::new();
+    let (picture, file) = (folder.picture("a.png"), folder.path("a.ssplat"));
+    let full = folder.path("full.png");
+    std::os::unix::fs::symlink("/dev/full", &full).unwrap();
+    fails(quick(&picture, &file, &["--preview", full.to_str().unwrap()]), 3, "full.png");
+    assert_eq!(folder.names(), ["a.png", "full.png"]);
+}
+
+#[test]
+#[cfg(unix)]
+fn a_terminal_is_told_what_is_done_from_the_first_moment_on() {
+    let folder = Folder::new();
+    let file = folder.path("k.ssplat");
+    let said = on_a_terminal(&[&"encode", &PHOTO, &file, &"--ratio", &"100", &"--effort", &"1"]);
+    let place = |word: &str| said.find(word).unwrap_or_else(|| panic!("{said:?} lacks {word}"));
+    assert!(place("reading") < place("fit") && place("fit") < place("finish"), "{said:?}");
+    assert!(said.contains(" to go)"), "{said:?}");
+}
+
+#[test]
+fn a_budget_of_time_is_that_of_the_whole_command() {
+    let folder = Folder::new();
+    let file = folder.path("k.ssplat");
+    let start = std::time::Instant::now();
+    let json =
+        succeeds(ssplat(&[&"encode", &PHOTO, &file, &"--psnr", &"20", &"--effort", &"9", &"--time", &"3", &"--json"]));
+    let seconds = start.elapsed().as_secs_f64();
+    assert!(number(&json, "psnr") >= 20.0, "{json}");
+    // Effort 9 takes minutes for each of several tries; twice the budget is for a machine that is busy with other things.
+    assert!(seconds < 6.0, "{seconds}");
+    // A budget that no clock can tell the end of is none.
+    succeeds(ssplat(&[&"encode", &folder.picture("a.png"), &file, &"--time", &"1e19", &"--effort", &"1"]));
+}
+
+#[test]
+fn a_budget_of_time_ends_the_reading_of_a_huge_picture() {
+    let folder = Folder::new();
+    let (source, file) = (folder.path("huge.png"), folder.path("k.ssplat"));
+    // A few thousand bytes with a bit a pixel, which take hundreds of megabytes of disk.
+    let bits = |side: u32| {
+        let mut encoder = png::Encoder::new(fs::File::create(&source).unwrap(), side, side);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::One);
+        let mut writer = encoder.write_header().unwrap();
+        writer.write_image_data(&vec![0; (side as usize / 8) * side as usize]).unwrap();
+    };
+    bits(16_000);
+    let late = ssplat(&[&"encode", &source, &file, &"--tiles=2048", &"--effort", &"1", &"--time", &"0.02"]);
+    fails(late, 6, "--time is over after");
+    // A larger one is fitted in tiles anyway, which keep no budget: that is told before it is read.
+    bits(16_800);
+    fails(ssplat(&[&"encode", &source, &file, &"--time", &"100"]), 2, "in which --time cannot be kept");
+    assert_eq!(folder.names(), ["huge.png"]);
+}
+
+#[test]
+fn info_of_several_files_tells_each_and_fails_for_those_that_are_broken() {
+    let folder = Folder::new();
+    let file = folder.encoded("a.ssplat");
+    let copy = folder.path("b.ssplat");
+    fs::copy(&file, &copy).unwrap();
+    let lines = succeeds(ssplat(&[&"info", &file, &copy, &"--json"]));
+    let named: Vec<String> = lines
+        .lines()
+        .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap()["file"].as_str().unwrap().to_owned())
+        .collect();
+    assert_eq!(named, [file.display().to_string(), copy.display().to_string()]);
+    fs::write(&file, "broken").unwrap();
+    let said = ssplat(&[&"info", &file, &copy]);
+    assert_eq!(said.status.code(), Some(4), "{said:?}");
+    assert!(String::from_utf8_lossy(&said.stderr).contains("a.ssplat"));
+    assert!(String::from_utf8_lossy(&said.stdout).contains("b.ssplat:"));
+}
+
+#[test]
+fn samples_that_a_format_cannot_hold_are_told() {
+    let folder = Folder::new();
+    let (source, file) = (folder.path("deep.png"), folder.path("deep.ssplat"));
+    small().to_luma16().save(&source).unwrap();
+    told(quick(&source, &file, &[]));
+    for (extension, is_lost) in [("jpg", true), ("bmp", true), ("webp", true), ("png", false), ("tiff", false)] {
+        let said = told(ssplat(&[&"decode", &file, &folder.path(&format!("o.{extension}"))]));
+        assert_eq!(said.contains("rounded to 8"), is_lost, "{extension}: {said}");
+    }
+}
+
+/// Starts `encode` of several inputs.
+fn many(inputs: &[&Path], folder: &Path, more: &[&str]) -> Output {
+    let mut command = command(&[&"encode"]);
+    command.args(inputs).arg("--out-dir").arg(folder).args(QUICK).args(more).output().unwrap()
+}
+
+#[test]
+fn many_files_become_what_each_becomes_alone_and_a_broken_one_stops_none() {
+    let folder = Folder::new();
+    fs::create_dir_all(folder.path("in/deep")).unwrap();
+    for name in ["in/a.png", "in/b.png", "in/deep/c.png"] {
+        small().save(folder.path(name)).unwrap();
+    }
+    fs::write(folder.path("in/bad.png"), "no picture").unwrap();
+    fs::write(folder.path("in/notes.txt"), "not asked for").unwrap();
+    let (input, out, manifest) = (folder.path("in"), folder.path("out"), folder.path("m.jsonl"));
+    let alone = folder.path("alone.ssplat");
+    told(quick(&folder.path("in/a.png"), &alone, &[]));
+    let options = ["--recursive", "--jobs", "3", "--skip-existing", "--manifest", manifest.to_str().unwrap()];
+    let first = many(&[&input], &out, &options);
+    assert_eq!(first.status.code(), Some(4), "{first:?}");
+    let said = String::from_utf8(first.stderr).unwrap();
+    assert!(said.contains("bad.png") && said.contains("1 of 4 files failed"), "{said}");
+    for name in ["a.ssplat", "b.ssplat", "deep/c.ssplat"] {
+        assert!(fs::read(out.join(name)).unwrap() == fs::read(&alone).unwrap(), "{name}");
+    }
+    assert!(!out.join("bad.ssplat").exists() && !out.join("notes.ssplat").exists());
+    // A second run goes on: only what failed is tried again.
+    small().save(folder.path("in/bad.png")).unwrap();
+    let time = fs::metadata(out.join("a.ssplat")).unwrap().modified().unwrap();
+    let second = many(&[&input], &out, &options);
+    assert!(succeeds(second).contains("1 files done, 3 skipped, 0 failed"));
+    assert_eq!(fs::metadata(out.join("a.ssplat")).unwrap().modified().unwrap(), time);
+    let lines: Vec<serde_json::Value> =
+        fs::read_to_string(&manifest).unwrap().lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert_eq!(lines.len(), 5);
+    assert_eq!(lines.iter().filter(|l| l["error"].is_string()).count(), 1);
+    // What is there is not replaced unless that is asked for.
+    fails(many(&[&folder.path("in/a.png")], &out, &["--quiet"]), 2, "--overwrite");
+    succeeds(many(&[&folder.path("in/a.png")], &out, &["--overwrite"]));
+    // And back.
+    let back = folder.path("back");
+    succeeds(ssplat(&[&"decode", &out, &"--out-dir", &back, &"--recursive", &"--format", &"ppm"]));
+    for name in ["a.ppm", "b.ppm", "bad.ppm", "deep/c.ppm"] {
+        assert_eq!(image::image_dimensions(back.join(name)).unwrap(), (60, 40));
+    }
+}
+
+#[test]
+fn several_inputs_need_a_folder_and_outputs_of_their_own() {
+    let folder = Folder::new();
+    let (a, b) = (folder.picture("a.png"), folder.picture("b.png"));
+    fails(ssplat(&[&"encode", &a, &b, &folder.path("c.ssplat")]), 2, "--out-dir");
+    fails(ssplat(&[&"encode", &a]), 2, "--out-dir");
+    let twin = folder.path("a.bmp");
+    small().save(&twin).unwrap();
+    let out = folder.path("out");
+    // Two of one stem keep their extension.
+    succeeds(many(&[&a, &twin, &b], &out, &[]));
+    let mut names: Vec<_> = fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["a.bmp.ssplat", "a.png.ssplat", "b.ssplat"]);
+    fs::remove_dir_all(&out).unwrap();
+    // What has no output of its own is told all at once, and nothing is done.
+    fs::create_dir(folder.path("deep")).unwrap();
+    let [c, d] = ["deep/a.png", "deep/b.png"].map(|name| folder.picture(name));
+    let all = [&a, &b, &c, &d, &a].map(|path| path.as_path());
+    let said = many(&all, &out, &[]);
+    for pair in [[&a, &c], [&b, &d]] {
+        fails(said.clone(), 2, &format!("{} and {} would both become", pair[0].display(), pair[1].display()));
+    }
+    fails(said, 2, &format!("{}: is named twice", a.display()));
+    assert_eq!(folder.names(), ["a.bmp", "a.png", "b.png", "deep"]);
+}
+
+#[test]
+fn what_of_a_folder_is_passed_over_is_told() {
+    let folder = Folder::new();
+    for deep in ["in/deep", "in/other"] {
+        fs::create_dir_all(folder.path(deep)).unwrap();
+    }
+    small().save(folder.path("in/a.png")).unwrap();
+    fs::rename(folder.path("in/a.png"), folder.path("in/without extension")).unwrap();
+    for name in ["in/notes.txt", "in/old.ssplat", "in/.hidden"] {
+        fs::write(folder.path(name), "no picture").unwrap();
+    }
+    let (input, out) = (folder.path("in"), folder.path("out"));
+    let run = many(&[&input], &out, &[]);
+    let said = String::from_utf8(run.stderr.clone()).unwrap();
+    assert!(said.contains("2 files are passed over: ") && said.contains("in/notes.txt"), "{said}");
+    assert!(
+        said.contains("2 folders are passed over, which --recursive takes: ") && said.contains("in/deep"),
+        "{said}"
+    );
+    assert!(!said.contains("hidden"), "{said}");
+    assert!(succeeds(run).contains("1 files done"));
+    // A picture is known by its content, too.
+    assert!(out.join("without extension.ssplat").exists());
+    assert!(told(many(&[&input], &out, &["--quiet", "--overwrite"])).is_empty());
+    // A folder that cannot be made is told once.
+    let said = many(&[&input], &folder.path("in/notes.txt/out"), &[]);
+    let lines = String::from_utf8_lossy(&said.stderr).lines().filter(|l| l.contains("notes.txt/out")).count();
+    assert_eq!((said.status.code(), lines), (Some(3), 1), "{said:?}");
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupt_leaves_whole_files_only() {
+    let folder = Folder::new();
+    fs::create_dir(folder.path("in")).unwrap();
+    small().save(folder.path("in/0.png")).unwrap();
+    for i in 1..3 {
+        fs::copy(PHOTO, folder.path(&format!("in/{i}.png"))).unwrap();
+    }
+    let out = folder.path("out");
+    let mut child = command(&[&"encode", &folder.path("in"), &"--out-dir", &out, &"--ratio", &"20", &"--effort", &"8"])
+        .args(["--jobs", "2"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let start = std::time::Instant::now();
+    while !out.join("0.ssplat").exists() {
+        assert!(start.elapsed().as_secs() < 60, "no file was written");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    let names: Vec<_> = fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(names, ["0.ssplat"]);
+    succeeds(ssplat(&[&"info", &out.join("0.ssplat")]));
+}
+
+#[test]
+fn info_prices_the_levels_that_the_encoder_writes() {
+    use ssplat::unstable::bitstream;
+    let folder = Folder::new();
+    let file = folder.path("a.ssplat");
+    succeeds(ssplat(&[&"encode", &PHOTO, &file, &"--primitives", &"600", &"--effort", &"1", &"--layout", &"coded"]));
+    let bytes = fs::read(&file).unwrap();
+    let mut splats = bitstream::read(&bytes[..], &ssplat::Limits::default()).unwrap();
+    ssplat::unstable::divide(&mut splats, 3);
+    let with = bitstream::to_bytes(&splats).unwrap();
+    let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &file, &"--json"]))).unwrap();
+    let levels = info["left_out"].as_array().unwrap().iter().find(|l| l["what"].as_str().unwrap().contains("levels"));
+    assert_eq!(levels.unwrap()["bytes_saved"].as_u64().unwrap(), (with.len() - bytes.len()) as u64);
+}
+
+#[test]
+fn encode_and_compare_agree_on_a_picture_with_alpha() {
+    let folder = Folder::new();
+    let (source, file) = (folder.path("logo.png"), folder.path("logo.ssplat"));
+    // A disc on red that nobody sees, with noise there.
+    let logo = image::RgbaImage::from_fn(96, 96, |x, y| {
+        let inside = (f64::from(x) - 47.5).hypot(f64::from(y) - 47.5) < 30.0;
+        let hidden = (x * 73 + y * 151) as u8;
+        if inside { image::Rgba([30, 90, 200, 255]) } else { image::Rgba([hidden, 255 - hidden, 7, 0]) }
+    });
+    logo.save(&source).unwrap();
+    let json = succeeds(ssplat(&[&"encode", &source, &file, &"--bytes", &"1500", &"--effort", &"1", &"--json"]));
+    let measured = succeeds(ssplat(&[&"compare", &source, &file, &"--json"]));
+    // Code values are rounded in one of them.
+    let (said, found) = (number(&json, "psnr"), number(&measured, "psnr"));
+    assert!((said - found).abs() < 0.2, "{said} {found}");
+}
+
+#[test]
+fn completions_and_the_manual_know_the_options() {
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        assert!(succeeds(ssplat(&[&"completions", &shell])).contains("skip-existing"), "{shell}");
+    }
+    let man = succeeds(ssplat(&[&"man"]));
+    assert!(man.starts_with(".ie") || man.contains(".TH"), "{man}");
+    assert!(man.contains("auto\\-orient"), "{man}");
+    // It names no page that there is not.
+    assert!(!man.contains("encode(1)"), "{man}");
+    assert!(succeeds(ssplat(&[&"--version"])).contains("features: rayon, cli"));
+}

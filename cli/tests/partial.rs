@@ -1,0 +1,82 @@
+//! What `ssplat decode --partial` promises: what is intact is drawn, and what is lost is named.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use tempfile::TempDir;
+
+/// The bytes of a vector of the specification.
+fn vector(name: &str) -> Vec<u8> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../spec/vectors/valid");
+    fs::read(folder.join(name).join("file.ssplat")).unwrap()
+}
+
+/// Decodes `bytes` in `folder`, and says where the picture is if there is one.
+fn decode(folder: &TempDir, bytes: &[u8], options: &[&str]) -> (Output, Option<PathBuf>) {
+    let (input, output) = (folder.path().join("in.ssplat"), folder.path().join("out.pam"));
+    fs::write(&input, bytes).unwrap();
+    let _ = fs::remove_file(&output);
+    let run = Command::new(env!("CARGO_BIN_EXE_ssplat")).arg("decode").args([&input, &output]).args(options).output();
+    let drawn = output.exists().then_some(output);
+    (run.unwrap(), drawn)
+}
+
+#[test]
+fn a_cut_file_is_drawn_on_request_and_its_loss_is_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = vector("groups-levels");
+    let cut = &bytes[..bytes.len() - 20];
+    let (refused, none) = decode(&folder, cut, &[]);
+    assert_eq!((refused.status.code(), none), (Some(4), None));
+    let (drawn, picture) = decode(&folder, cut, &["--partial", "--json"]);
+    assert!(drawn.status.success() && picture.is_some());
+    let said = String::from_utf8(drawn.stderr).unwrap();
+    assert!(said.contains("30 of 60 primitives in 1 of 3 groups are missing"), "{said}");
+    let json = String::from_utf8(drawn.stdout).unwrap();
+    assert!(json.contains("\"missing\":{\"of\":60,\"primitives\":30}"), "{json}");
+}
+
+#[test]
+fn a_file_without_groups_is_whole_or_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = vector("coded-rgb");
+    let (whole, _) = decode(&folder, &bytes, &["--partial"]);
+    assert!(whole.status.success() && whole.stderr.is_empty());
+    let (cut, none) = decode(&folder, &bytes[..bytes.len() - 1], &["--partial"]);
+    assert_eq!((cut.status.code(), none), (Some(4), None));
+}
+
+#[test]
+fn a_damaged_section_is_named_and_the_picture_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let (drawn, picture) = decode(&folder, &vector("sections-damaged"), &[]);
+    assert!(drawn.status.success() && picture.is_some());
+    let said = String::from_utf8(drawn.stderr).unwrap();
+    assert!(said.contains("section iccp is damaged and left out"), "{said}");
+}
+
+#[test]
+fn missing_tiles_of_a_detail_layer_are_counted_and_the_rest_is_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = vector("detail-tiles-row");
+    let (whole, _) = decode(&folder, &bytes, &["--partial", "--json"]);
+    assert!(whole.status.success() && whole.stderr.is_empty());
+    let json = String::from_utf8(whole.stdout).unwrap();
+    assert!(!json.contains("of_tiles"), "{json}");
+    let mut hurt = bytes.clone();
+    let at = hurt.len() - 9;
+    hurt[at] ^= 1;
+    let (refused, none) = decode(&folder, &hurt, &[]);
+    assert_eq!((refused.status.code(), none), (Some(4), None));
+    let (drawn, picture) = decode(&folder, &hurt, &["--partial", "--json"]);
+    assert!(drawn.status.success() && picture.is_some());
+    let said = String::from_utf8(drawn.stderr).unwrap();
+    assert!(said.contains("1 of 4 tiles of the detail layer are missing") && !said.contains("primitives"), "{said}");
+    let json = String::from_utf8(drawn.stdout).unwrap();
+    assert!(json.contains("\"of_tiles\":4") && json.contains("\"tiles\":1"), "{json}");
+    // Cut in the checksum, nothing of the picture is lost.
+    let (drawn, _) = decode(&folder, &bytes[..bytes.len() - 1], &["--partial"]);
+    let said = String::from_utf8(drawn.stderr).unwrap();
+    assert!(drawn.status.success() && said.contains("all of the picture"), "{said}");
+}

@@ -1,0 +1,50 @@
+//! The program fits a picture in tiles that it reads a part at a time.
+
+use ssplat::{Backend, Channels, EncodeOptions, Pixels, Samples, Target};
+
+/// Waves and discs.
+fn picture(width: u32, height: u32, channels: Channels) -> Pixels {
+    let count = channels.count();
+    let samples = (0..width as usize * height as usize * count).map(|i| {
+        let (k, x, y) = (i % count, (i / count % width as usize) as f32, (i / count / width as usize) as f32);
+        let waves = 40.0 * (x / 9.0 + (y / 31.0).sin()).sin() + 30.0 * (y / 7.0 + (x / 23.0).cos()).sin();
+        let discs = if ((x * 0.061).sin() + (y * 0.049).cos()).abs() < 0.3 { 50.0 } else { 0.0 };
+        if channels.alpha() == Some(k) { 200 } else { (110.0 + waves + discs + 9.0 * k as f32).clamp(0.0, 255.0) as u8 }
+    });
+    Pixels::new(width, height, channels, Samples::U8(samples.collect())).unwrap()
+}
+
+/// The program reads a PNG and a PNM part by part; what comes of it is what the library makes of the pixels.
+#[test]
+fn files_that_are_read_in_parts_give_the_bytes_of_the_picture_in_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let pixels = picture(300, 200, Channels::Rgb);
+    let mut options = EncodeOptions::default();
+    (options.target, options.tiles, options.effort, options.backend) =
+        (Target::Bytes(3000), Some(128), 2, Backend::Cpu);
+    let Samples::U8(samples) = pixels.samples() else { panic!("8 bits") };
+    let expected = ssplat::encode(&pixels, &options).unwrap().bytes;
+    let [ppm, png, out] = ["a.ppm", "a.png", "a.ssplat"].map(|name| folder.path().join(name));
+    std::fs::write(&ppm, [b"P6 # a picture\n300 200\n255\n", &samples[..]].concat()).unwrap();
+    image::RgbImage::from_raw(300, 200, samples.clone()).unwrap().save(&png).unwrap();
+    for input in [&ppm, &png] {
+        let encode = |extra: &[&str]| {
+            let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_ssplat"));
+            let arguments = ["--tiles=128", "--bytes", "3000", "--effort", "2", "--backend", "cpu", "--quiet"];
+            command.arg("encode").arg(input).arg(&out).args(arguments).args(extra).output().unwrap()
+        };
+        let run = encode(&[]);
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        assert!(std::fs::read(&out).unwrap() == expected, "{}", input.display());
+        // With a preview the picture is in memory.
+        let preview = folder.path().join("preview.png");
+        assert!(encode(&["--preview", preview.to_str().unwrap()]).status.success());
+        assert!(std::fs::read(&out).unwrap() == expected, "{}", input.display());
+    }
+    for (broken, status) in [(&b"P6\n300 200\n255\n12"[..], 4), (b"P6\n", 4), (b"P5 99999999999 1 255\n", 4)] {
+        std::fs::write(&ppm, broken).unwrap();
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_ssplat"));
+        let run = command.arg("encode").arg(&ppm).arg(&out).args(["--tiles=128"]).output().unwrap();
+        assert_eq!(run.status.code(), Some(status), "{}", String::from_utf8_lossy(&run.stderr));
+    }
+}

@@ -1,0 +1,179 @@
+//! The results as a table of means and spreads, and as rows.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use super::args::BenchMethods;
+use super::{Cell, Contender, Measured};
+
+/// The names of a row's columns.
+pub const HEAD: &str = "picture,gaussians,method,seed,iterations,published_iterations,float_psnr,ms_ssim,seconds,file_bytes,file_psnr,file_ms_ssim,counted_bytes,coded_bytes,counted_psnr,problem";
+
+/// One fit as a line without its end.
+pub fn row(cell: &Cell) -> String {
+    let number = |v: Option<f64>, digits: usize| v.map_or(String::new(), |v| format!("{v:.digits$}"));
+    let whole = |v: Option<u64>| v.map_or(String::new(), |v| v.to_string());
+    let m = &cell.measured;
+    let iterations = match cell.contender {
+        Contender::Published { method, .. } => {
+            format!("{},{}", m.iterations.map_or(String::new(), |n| n.to_string()), method.published_iterations())
+        }
+        Contender::Ssplat | Contender::SmartSplat => format!("effort {},", cell.setup.effort),
+    };
+    format!(
+        "{},{},{},{},{iterations},{},{},{:.2},{},{},{},{},{},{},{}",
+        cell.picture,
+        cell.setup.count,
+        // A comma is the table's own.
+        cell.contender.name().replace(',', ""),
+        cell.setup.seed,
+        number(m.float_psnr, 3),
+        number(m.ms_ssim, 5),
+        m.seconds,
+        whole(m.bytes),
+        number(m.file_psnr, 3),
+        number(m.file_ms_ssim, 5),
+        whole(m.counted.map(|c| c.bytes)),
+        whole(m.counted.and_then(|c| c.coded)),
+        number(m.counted.map(|c| c.psnr), 3),
+        m.problem.as_deref().unwrap_or("").replace(',', ";"),
+    )
+}
+
+/// The command that made the page, without the folders of its files.
+pub fn command(arguments: impl Iterator<Item = String>) -> String {
+    let plain = |argument: String| match Path::new(&argument).file_name().and_then(|n| n.to_str()) {
+        Some(name) if argument.contains(std::path::MAIN_SEPARATOR) => name.to_owned(),
+        _ => argument,
+    };
+    arguments.map(plain).collect::<Vec<_>>().join(" ")
+}
+
+/// The page.
+pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String {
+    let mut out = format!("# Methods side by side\n\n```sh\n{}\n```\n\n", command(std::env::args()));
+    let joined = |v: &[String]| v.join(", ");
+    let seeds: Vec<String> = args.seeds.iter().map(u64::to_string).collect();
+    let _ = writeln!(
+        out,
+        "Pictures: {}. Seeds {}: means, and after ± half the spread from the least to the largest. Iterations \
+         of the other methods, on the CPU, are beside those that are published (LIG has so many for each level, GaussianImage as many \
+         again for its second stage, which is not in the seconds); ours and SmartSplat run at effort {}. Float PSNR and float MS-SSIM are of the method's own picture of its \
+         floats; our encoder keeps no such picture, only its PSNR. Files have as many bytes as the heading says at most: ours and \
+         SmartSplat's by the encoder, with as many Gaussians as it finds best; the others' by import of the Gaussians of the row, at \
+         the finest steps that fit. What is marked *est.* is no file: rounded numbers at the entropy of their codes, drawn by the \
+         method. The last figures are the bytes that the method's own program counts for its rounded numbers, and the PSNR of the \
+         picture that it draws of them; no file is written there either. *Coded* is with GaussianImage's codes through an entropy \
+         coder and its tables, which its program can do and its published sizes have not. Every fit is in `methods.csv`.\n",
+        joined(sides),
+        joined(&seeds),
+        args.effort
+    );
+    let mut rest = cells;
+    let mut heading = None;
+    while let Some(first) = rest.first() {
+        let is_same = |c: &Cell| {
+            c.picture == first.picture && c.setup.count == first.setup.count && c.contender == first.contender
+        };
+        let end = rest.iter().position(|c| !is_same(c)).unwrap_or(rest.len());
+        let (group, others) = rest.split_at(end);
+        rest = others;
+        let of = (first.picture.clone(), first.setup.count);
+        if heading.as_ref() != Some(&of) {
+            let _ = writeln!(
+                out,
+                "\n## {}, {} Gaussians, files of {} bytes\n\n\
+                 | method | iterations | float PSNR, dB | float MS-SSIM | fit, s | file PSNR, dB | file MS-SSIM | own count: bytes | own count: PSNR, dB | failures |\n\
+                 |---|---|---|---|---|---|---|---|---|---|",
+                first.picture, first.setup.count, first.setup.bytes
+            );
+            heading = Some(of);
+        }
+        let column = |digits: usize, value: &dyn Fn(&Measured) -> Option<f64>| {
+            let values: Vec<f64> = group.iter().filter_map(|c| value(&c.measured)).collect();
+            summary(&values, digits)
+        };
+        let problems: Vec<String> = group
+            .iter()
+            .filter_map(|c| Some(format!("seed {}: {}", c.setup.seed, c.measured.problem.as_ref()?)))
+            .collect();
+        let _ = writeln!(
+            out,
+            "| {} | {} | {} | {} | {} | {}{} | {} | {} | {} | {} |",
+            first.contender.name(),
+            iterations(group),
+            column(2, &|m| m.float_psnr),
+            column(4, &|m| m.ms_ssim),
+            column(1, &|m| Some(m.seconds)),
+            column(2, &|m| m.file_psnr),
+            if first.contender.is_estimated() && first.measured.file_psnr.is_some() { " *est.*" } else { "" },
+            column(4, &|m| m.file_ms_ssim),
+            own_count(group),
+            column(2, &|m| m.counted.map(|c| c.psnr)),
+            if problems.is_empty() { "none".into() } else { problems.join("; ") }
+        );
+    }
+    out + "\n![PSNR along the seconds of the fits](convergence.svg)\n"
+}
+
+/// Bytes by the method's own count, and with an entropy coder where its program has one.
+fn own_count(group: &[Cell]) -> String {
+    let counted = || group.iter().filter_map(|c| c.measured.counted);
+    let Some(first) = counted().next() else { return "—".into() };
+    let coded: Vec<f64> = counted().filter_map(|c| Some(c.coded? as f64)).collect();
+    if coded.is_empty() { first.bytes.to_string() } else { format!("{}; coded {}", first.bytes, summary(&coded, 0)) }
+}
+
+/// Iterations of the same method with several seeds, and how many are published.
+fn iterations(group: &[Cell]) -> String {
+    let Some(method) = group.first().and_then(|c| c.contender.published_as()) else { return "—".into() };
+    let ran = || group.iter().filter_map(|c| c.measured.iterations);
+    let ran = match (ran().min(), ran().max()) {
+        (Some(least), Some(most)) if least < most => format!("{least} to {most}"),
+        (Some(all), _) => all.to_string(),
+        (None, _) => "none".into(),
+    };
+    format!("{ran} of {}", method.published_iterations())
+}
+
+/// Half of what lies between the least and the largest, 0 where there are none.
+pub fn half_spread(values: &[f64]) -> f64 {
+    let range = values.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |r, &v| [r[0].min(v), r[1].max(v)]);
+    (0.5 * (range[1] - range[0])).max(0.0)
+}
+
+/// The mean, and half of what lies between the least and the largest.
+fn summary(values: &[f64], digits: usize) -> String {
+    if values.is_empty() {
+        return "—".into();
+    }
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    if !mean.is_finite() {
+        return "not a number".into();
+    }
+    if values.len() == 1 {
+        format!("{mean:.digits$}")
+    } else {
+        format!("{mean:.digits$} ± {:.digits$}", half_spread(values))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_names_no_folders() {
+        let arguments = ["/home/me/bin/ssplat", "bench-methods", "a/b/kodim05.png", "--ratios", "20,50"];
+        let arguments = arguments.map(|a| a.replace('/', std::path::MAIN_SEPARATOR_STR));
+        assert_eq!(command(arguments.into_iter()), "ssplat-lab bench-methods kodim05.png --ratios 20,50");
+    }
+
+    #[test]
+    fn what_is_missing_or_no_number_is_said() {
+        assert_eq!(summary(&[], 2), "—");
+        assert_eq!(summary(&[30.0, 30.5, 31.0], 2), "30.50 ± 0.50");
+        assert_eq!(summary(&[30.0, f64::NAN], 2), "not a number");
+        assert_eq!(summary(&[2.25], 1), "2.2");
+    }
+}

@@ -1,0 +1,39 @@
+//! The lab measures the codec: encodes in many ways on one page, and other published methods beside it. Users do not need it.
+
+mod bench_methods;
+mod recipes;
+mod report;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Measures ssplat.
+#[derive(Debug, Parser)]
+#[command(name = "lab", max_term_width = 100)]
+struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Encode pictures in many ways and show what came of it on one HTML page
+    Report(report::args::Report),
+    /// Fit pictures by other published methods and set them beside ours
+    BenchMethods(bench_methods::args::BenchMethods),
+}
+
+fn main() -> ExitCode {
+    let done = ssplat_cli::sink::remove_on_interrupt().and_then(|()| match Args::parse().command {
+        Command::Report(args) => report::run(&args),
+        Command::BenchMethods(args) => bench_methods::run(&args),
+    });
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("lab: {}", failure.message);
+            ExitCode::from(failure.kind.code())
+        }
+    }
+}

@@ -1,0 +1,29 @@
+//! What a method found: the drawn planes as code values, their PSNR, and the Gaussians as a picture.
+
+use ssplat::unstable::fit::model::planes::Planes;
+use ssplat::unstable::gaussian::{Blend, Gaussian, Picture};
+use ssplat::{Pixels, Samples};
+
+/// The planes of `target`'s size and layout as 8-bit pixels; what is no number becomes 0.
+pub(super) fn pixels(target: &Planes, planes: &[f32]) -> Pixels {
+    let (channels, stride) = (target.channels.count(), target.stride);
+    let mut samples = Vec::with_capacity(target.width as usize * target.height as usize * channels);
+    for row in planes.chunks_exact((channels + 1) * stride).take(target.height as usize) {
+        for x in 0..target.width as usize {
+            samples.extend((0..channels).map(|k| (row[k * stride + x].clamp(0.0, 1.0) * 255.0 + 0.5) as u8));
+        }
+    }
+    Pixels::new(target.width, target.height, target.channels, Samples::U8(samples)).expect("as many samples as it says")
+}
+
+/// A picture of `target`'s size with nothing behind the Gaussians.
+pub(super) fn picture(target: &Planes, blend: Blend, gaussians: Vec<Gaussian>) -> Picture {
+    let Planes { width, height, channels, .. } = *target;
+    Picture { width, height, channels, blend, background: [0.0; 4], gaussians }
+}
+
+/// PSNR of a squared error over all samples, dB.
+pub(super) fn psnr(target: &Planes, error: f64) -> f64 {
+    let samples = f64::from(target.width) * f64::from(target.height) * target.channels.count() as f64;
+    -10.0 * (error / samples).log10()
+}

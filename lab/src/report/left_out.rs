@@ -1,0 +1,111 @@
+//! What scenes leave out: each encoded with everything and with only what it needs.
+
+use serde_json::{Value, json};
+use ssplat::unstable::{Needs, metrics};
+use ssplat::{EncodeOptions, Limits, Pixels, Target, Tune, encode};
+use ssplat::{Renderer, View};
+
+use super::scenes;
+
+/// Encodes whose means are shown: with few primitives chance weighs as much as what is left out.
+const SEEDS: u64 = 4;
+
+/// How much work each of them is: a small part of that of a report.
+const EFFORT: u8 = 1;
+
+/// How they are encoded, in words.
+pub fn settings() -> String {
+    format!("effort {EFFORT}, means over {SEEDS} seeds")
+}
+
+/// One scene, encoded both ways: with everything, and with what it needs; means over the seeds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Needless {
+    pub scene: String,
+    pub what: Vec<String>,
+    pub bytes: [u64; 2],
+    pub seconds: [f64; 2],
+    /// PSNR of the decoded samples, dB, 99 at most.
+    pub psnr: [f64; 2],
+}
+
+impl Needless {
+    /// What it leaves out but for what is `common` to all, in words.
+    pub fn own(&self, common: &[&str]) -> String {
+        let own: Vec<&str> = self.what.iter().map(String::as_str).filter(|w| !common.contains(w)).collect();
+        if own.is_empty() { "nothing".into() } else { own.join("; ") }
+    }
+
+    pub fn as_json(&self) -> Value {
+        json!({
+            "scene": self.scene, "left_out": self.what, "bytes": self.bytes, "seconds": self.seconds, "psnr": self.psnr,
+        })
+    }
+}
+
+/// What every scene leaves out, where there are several: it tells nothing about any of them.
+pub fn common(rows: &[Needless]) -> Vec<&str> {
+    let [first, rest @ ..] = rows else { return Vec::new() };
+    let everywhere = |what: &&String| !rest.is_empty() && rest.iter().all(|n| n.what.contains(what));
+    first.what.iter().filter(everywhere).map(String::as_str).collect()
+}
+
+/// Reads what [`Needless::as_json`] made.
+pub fn from_json(v: &Value) -> Option<Needless> {
+    let pair = |key: &str| Some([v[key][0].as_f64()?, v[key][1].as_f64()?]);
+    Some(Needless {
+        scene: v["scene"].as_str()?.into(),
+        what: v["left_out"].as_array()?.iter().filter_map(|w| Some(w.as_str()?.to_string())).collect(),
+        bytes: [v["bytes"][0].as_u64()?, v["bytes"][1].as_u64()?],
+        seconds: pair("seconds")?,
+        psnr: pair("psnr")?,
+    })
+}
+
+/// The scenes of the table; the photograph is a part of `photograph`.
+pub fn list(photograph: Option<Pixels>) -> Vec<(String, Pixels)> {
+    let mut list = vec![
+        ("flat icon, opaque alpha".to_string(), scenes::icon()),
+        ("grey scan stored as colour".into(), scenes::scan()),
+        ("gradient".into(), scenes::gradient()),
+        ("text page stored as colour".into(), scenes::text()),
+    ];
+    list.extend(photograph.map(|p| ("photograph".into(), p)));
+    list
+}
+
+/// Encodes a scene both ways.
+///
+/// # Errors
+/// What the encoder or the decoder says.
+pub fn measure(name: &str, pixels: &Pixels) -> ssplat::Result<Needless> {
+    let mut options = EncodeOptions::default();
+    options.target = Target::Primitives(400);
+    options.effort = EFFORT;
+    options.tune = Some(Tune::Psnr);
+    let mut out = Needless { scene: name.into(), what: Vec::new(), bytes: [0; 2], seconds: [0.0; 2], psnr: [0.0; 2] };
+    let both = [Needs::Everything, Needs::Measured].into_iter().enumerate();
+    let all = (0..SEEDS).flat_map(|seed| both.clone().map(move |(i, needs)| (seed, i, needs)));
+    for (seed, i, needs) in all {
+        (options.seed, options.needs) = (seed, needs);
+        let encoded = encode(pixels, &options)?;
+        let splats = ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default())?;
+        let picture = splats.to_picture();
+        let drawn = Renderer::new(&picture, &View::full(&picture), &Limits::default())?.render(splats.depth)?;
+        out.bytes[i] += encoded.bytes.len() as u64;
+        out.seconds[i] += encoded.report.seconds / SEEDS as f64;
+        out.psnr[i] += metrics::psnr(pixels, &drawn)?.min(99.0) / SEEDS as f64;
+        for l in &encoded.report.left_out {
+            let text = match l.bytes {
+                0 => l.what.to_string(),
+                bytes => format!("{} ({bytes} B)", l.what),
+            };
+            // The first seed's bytes stand for all.
+            if i == 1 && !out.what.iter().any(|w| w.starts_with(&l.what.to_string())) {
+                out.what.push(text);
+            }
+        }
+    }
+    out.bytes = out.bytes.map(|b| (b + SEEDS / 2) / SEEDS);
+    Ok(out)
+}
