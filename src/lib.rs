@@ -9,53 +9,58 @@
 //! Encode pixels, and decode them again:
 //!
 //! ```
-//! use ssplat::{Channels, DecodeOptions, EncodeOptions, Pixels, Samples, Target};
+//! use ssplat::{Channels, Decoder, Encoder, Pixels, Samples};
 //!
 //! // A grey ramp of 32 × 16 pixels, rows from the top, 8 bits a sample.
 //! let ramp = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
 //! let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(ramp))?;
 //!
-//! let mut options = EncodeOptions::default();
-//! options.target = Target::Bytes(120);
-//! options.effort = 1;
-//! let encoded = ssplat::encode(&pixels, &options)?;
+//! let encoded = Encoder::new().bytes(120).effort(1).encode(&pixels)?;
 //! assert!(encoded.bytes.len() <= 120);
 //!
-//! let decoded = ssplat::decode(&encoded.bytes, &DecodeOptions::default())?;
+//! let decoded = Decoder::new().decode(&encoded.bytes)?;
 //! assert_eq!((decoded.pixels.width(), decoded.pixels.height()), (32, 16));
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 //!
-//! Draw a part of a file at another size. What lies outside is not drawn, and in large files not even read:
+//! Open a file once and draw it many times, any part at any size. What lies outside is not drawn:
 //!
 //! ```
-//! # use ssplat::{Channels, DecodeOptions, EncodeOptions, Pixels, Samples};
+//! # use ssplat::{Channels, Encoder, Pixels, Samples};
 //! # let ramp = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
 //! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(ramp))?;
-//! # let mut options = EncodeOptions::default();
-//! # options.effort = 1;
-//! # let bytes = ssplat::encode(&pixels, &options)?.bytes;
-//! let mut options = DecodeOptions::default();
-//! options.region = Some([8, 4, 16, 8]); // left, top, width, height in pixels of the picture
-//! options.size = Some([64, 32]); // width and height of what is drawn
-//! let detail = ssplat::decode(&bytes, &options)?.pixels;
-//! assert_eq!(detail.width(), 64);
+//! # let bytes = Encoder::new().effort(1).encode(&pixels)?.bytes;
+//! use ssplat::{Damage, Limits, Reader};
+//!
+//! let reader = Reader::new(&bytes, &Limits::default())?; // the header and no more
+//! assert_eq!(reader.width(), 32);
+//! let image = reader.read(Damage::Refuse)?;
+//! let view = image.view().crop(8, 4, 16, 8)?; // left, top, width, height in pixels of the picture
+//! let part = image.draw(&view.resized(64, 32)?)?;
+//! assert_eq!(part.width(), 64);
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 //!
-//! Open files through the `image` crate, whose hooks know the format after one call:
+#![cfg_attr(
+    feature = "image",
+    doc = r#"
+Open files through the `image` crate, whose hooks know the format after one call:
+
+```
+ssplat::register();
+# let folder = tempfile::tempdir()?;
+# let path = folder.path().join("picture.ssplat");
+# ssplat::Encoder::new().effort(1).save(&image::DynamicImage::new_rgb8(8, 8), &path)?;
+let picture = image::open(path)?;
+assert_eq!(picture.width(), 8);
+# Ok::<(), Box<dyn std::error::Error>>(())
+```
+"#
+)]
+//! # What is promised
 //!
-//! ```
-//! ssplat::register();
-//! # let folder = tempfile::tempdir()?;
-//! # let path = folder.path().join("picture.ssplat");
-//! # let mut options = ssplat::EncodeOptions::default();
-//! # options.effort = 1;
-//! # ssplat::save(&image::DynamicImage::new_rgb8(8, 8), &path, &options)?;
-//! let picture = image::open(path)?;
-//! assert_eq!(picture.width(), 8);
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
+//! Every file that a 1.x version writes is read by all later ones. The names on this page follow semantic versioning; those
+//! of the feature `unstable` do not. `wgpu` and `image` are re-exported: a new minor version of this crate may need a newer one.
 //!
 //! # The way through the crate
 //!
@@ -65,7 +70,7 @@
 
 #![cfg_attr(not(feature = "unstable"), warn(missing_docs))]
 // What only the program and the lab use is dead without them.
-#![cfg_attr(not(any(test, feature = "unstable")), allow(dead_code))]
+#![cfg_attr(not(any(test, feature = "unstable")), allow(dead_code, unused_imports))]
 
 // Tests inside share pictures with those outside, which name this crate.
 #[cfg(test)]
@@ -101,19 +106,22 @@ mod ssimulacra2;
 pub mod unstable;
 
 pub use bitstream::Missing;
-pub use bitstream::header::Header;
 pub use bitstream::splats::{Layout, Metadata};
-pub use decode::{Decoded, Opened, Opening, decode, decode_into, thumbnail};
-pub use encode::{
-    Chosen, EncodeReport, Encoded, LeftOut, Omission, Progress, TracePoint, Workers, encode, encode_divided,
-    encode_source, encode_with_progress, work_on_tile,
-};
+pub use decode::{Decoded, Decoder, Image, Reader};
+pub use encode::{EncodeReport, Encoded, Encoder, Progress, Workers, work_on_tile};
 pub use error::{Error, FormatError, GpuError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
 #[cfg(feature = "image")]
-pub use image_crate::{Carried, EXTENSION, SsplatDecoder, SsplatEncoder, encode_decoder, register, save, transcode};
+pub use image;
+#[cfg(feature = "image")]
+pub use image_crate::{EXTENSION, SsplatDecoder, SsplatEncoder, register};
 pub use limits::Limits;
-pub use options::{Backend, Carry, Damage, DecodeOptions, Detail, EncodeOptions, Layers, Target, Thumbnail, Tune};
+pub use options::{Backend, Carry, Damage, Detail, Layers, Target, Thumbnail, Tune};
 pub use pixel_source::PixelSource;
 pub use pixels::{Depth, Pixels, Samples};
 pub use raster::{Renderer, SamplesMut, View};
+
+/// What an encode tells beside its bytes.
+pub mod report {
+    pub use crate::encode::{Chosen, LeftOut, Omission, StageTime};
+}

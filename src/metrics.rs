@@ -7,13 +7,16 @@
 //! channel alone, and the mean of the channels; MS-SSIM has five scales with 2×2 mean pooling between them.
 //!
 //! ```
-//! use ssplat::{Channels, Pixels, Samples, metrics};
+//! # #[cfg(feature = "unstable")] {
+//! use ssplat::unstable::metrics;
+//! use ssplat::{Channels, Pixels, Samples};
 //!
 //! let a = Pixels::new(16, 16, Channels::Grey, Samples::U8(vec![100; 256]))?;
 //! let b = Pixels::new(16, 16, Channels::Grey, Samples::U8(vec![110; 256]))?;
 //! let difference = metrics::compare(&a, &b)?;
 //! assert!((difference.psnr - 28.13).abs() < 0.01);
 //! assert!(difference.ssim.is_some() && difference.ms_ssim.is_none());
+//! # }
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 

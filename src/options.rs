@@ -79,6 +79,7 @@ pub enum Rung {
 
 /// Which measure the fit favours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Tune {
     /// Squared error.
     Psnr,
@@ -91,6 +92,7 @@ pub enum Tune {
 
 /// Which device fits the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[non_exhaustive]
 pub enum Backend {
     /// The GPU where a hardware adapter is found and the picture is worth it, else the CPU.
     #[default]
@@ -103,6 +105,7 @@ pub enum Backend {
 
 /// Which parts of a picture the encoder takes to be needed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[non_exhaustive]
 pub enum Needs {
     /// Those that a look at the samples finds to say something; the rest is left out of the fit. The decoded picture
     /// has the caller's channels all the same.
@@ -114,6 +117,7 @@ pub enum Needs {
 
 /// Whether an encode measures its own progress.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[non_exhaustive]
 pub enum Trace {
     /// Nothing is measured on the way.
     #[default]
@@ -165,7 +169,7 @@ pub enum Carry {
     None,
 }
 
-/// Options of [`encode`](crate::encode()).
+/// Options of [`Encoder`](crate::Encoder).
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct EncodeOptions {
@@ -210,7 +214,7 @@ pub struct EncodeOptions {
     /// Where an ablation stops.
     #[doc(hidden)]
     pub rung: Rung,
-    /// What of a source's metadata [`transcode`](crate::transcode) and [`encode_decoder`](crate::encode_decoder) carry along;
+    /// What of a source's metadata `transcode` and `encode_decoder` carry along;
     /// pixels alone have none.
     pub carry: Carry,
     /// ICC profile to carry, whatever `carry` says.
@@ -256,6 +260,7 @@ impl Default for EncodeOptions {
 
 /// What to do with a truncated or damaged file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[non_exhaustive]
 pub enum Damage {
     /// Fail.
     #[default]
@@ -277,7 +282,7 @@ pub enum Layers {
     Detail,
 }
 
-/// Options of [`decode`](crate::decode()).
+/// Options of [`Decoder`](crate::Decoder).
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct DecodeOptions {

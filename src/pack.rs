@@ -1,17 +1,20 @@
 //! Gaussians that were fitted elsewhere to the integers of a file: step sizes by precision or by size (spec §4.1).
 //!
-//! Nothing is fitted here: every Gaussian becomes the integers next to it. [`encode`](crate::encode()) does better at a
+//! Nothing is fitted here: every Gaussian becomes the integers next to it. [`Encoder`](crate::Encoder) does better at a
 //! given size, because it refines the integers against the picture.
 //!
 //! ```
-//! use ssplat::{Blend, Channels, Gaussian, PackOptions, Picture};
+//! # #[cfg(feature = "unstable")] {
+//! use ssplat::unstable::{PackOptions, bitstream, pack};
+//! use ssplat::{Blend, Channels, Gaussian, Picture};
 //!
 //! let gaussians = vec![Gaussian { mean: [8.0, 4.0], scale: [3.0, 1.5], rotation: 0.3, color: [0.9, 0.2, 0.1, 0.0] }];
 //! let picture =
 //!     Picture { width: 16, height: 8, channels: Channels::Rgb, blend: Blend::Sum, background: [0.0; 4], gaussians };
-//! let splats = ssplat::pack(&picture, &PackOptions::default())?;
-//! let file = ssplat::bitstream::to_bytes(&splats)?;
+//! let splats = pack(&picture, &PackOptions::default())?;
+//! let file = bitstream::to_bytes(&splats)?;
 //! # assert!(file.len() < 60);
+//! # }
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 

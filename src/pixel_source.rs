@@ -18,6 +18,10 @@ pub trait PixelSource {
     fn size(&self) -> [u32; 2] {
         [self.width(), self.height()]
     }
+    /// The pixels themselves, where they are in memory.
+    fn as_pixels(&self) -> Option<&Pixels> {
+        None
+    }
     /// Returns the pixels of a part: left, top, width and height, pixels.
     ///
     /// # Errors
@@ -40,6 +44,10 @@ impl PixelSource for Pixels {
 
     fn depth(&self) -> Depth {
         Pixels::depth(self)
+    }
+
+    fn as_pixels(&self) -> Option<&Pixels> {
+        Some(self)
     }
 
     fn part(&self, area: [u32; 4]) -> Result<Pixels> {

@@ -3,8 +3,12 @@
 //! Bytes become integers ([`bitstream`]), integers become Gaussians ([`quantize`]), Gaussians become pixels ([`raster`]);
 //! [`fit`] moves Gaussians to a picture, [`pack`] rounds those that came from elsewhere. `docs/ARCHITECTURE.md` is the map.
 
-pub use crate::encode::{LARGEST, divide};
-pub use crate::options::{Ablation, Needs, Recipe, Rung, Trace};
+pub use crate::bitstream::header::Header;
+pub use crate::decode::{decode, decode_into, thumbnail};
+pub use crate::encode::{LARGEST, TracePoint, divide, encode, encode_divided, encode_source, encode_with_progress};
+#[cfg(feature = "image")]
+pub use crate::image_crate::{Carried, encode_decoder, save, transcode};
+pub use crate::options::{Ablation, DecodeOptions, EncodeOptions, Needs, Recipe, Rung, Trace};
 pub use crate::pack::{FINEST, Outside, PackOptions, Precision, pack};
 pub use crate::pixel_source::check_area;
 pub use crate::simd::instruction_set;

@@ -4,9 +4,10 @@
 mod synthetic;
 
 use ssplat::unstable::bitstream::{read, to_bytes};
-use ssplat::{Channels, Damage, DecodeOptions, EncodeOptions, Error, Limits, Opened, Opening, Pixels, Samples, Target};
+use ssplat::unstable::{DecodeOptions, EncodeOptions};
+use ssplat::unstable::{decode, decode_into, encode};
+use ssplat::{Channels, Damage, Error, Image, Limits, Pixels, Reader, Samples, Target};
 use ssplat::{Renderer, SamplesMut, View};
-use ssplat::{decode, decode_into, encode};
 
 fn picture() -> Pixels {
     let samples = (0..96 * 64 * 3).map(|i| ((i / 3 % 96) * 2 + (i / 288) * (1 + i % 3)) as u8).collect();
@@ -133,7 +134,7 @@ fn levels_outside_their_range_are_the_callers_fault() {
 fn an_opened_file_draws_every_view_as_decode_does() {
     let made = synthetic::Scene { size: [1024, 768], count: 40_000, ..Default::default() };
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
-    let opened = Opened::from_bytes(&bytes, &Limits::default()).unwrap();
+    let opened = Image::from_bytes(&bytes, &Limits::default()).unwrap();
     let mut memory = Vec::new();
     for (region, size) in
         [([0, 0, 1024, 768], [1024, 768]), ([100, 200, 300, 400], [300, 400]), ([5, 9, 800, 700], [70, 33])]
@@ -158,7 +159,7 @@ fn an_opened_file_draws_every_view_as_decode_does() {
 fn what_was_read_for_a_part_draws_no_more_than_that_part() {
     let made = synthetic::Scene { size: [2048, 1536], count: 40_000, ..Default::default() };
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
-    let opening = Opening::new(&bytes, &Limits::default()).unwrap();
+    let opening = Reader::new(&bytes, &Limits::default()).unwrap();
     let whole = opening.view();
     let part = whole.crop(300, 400, 500, 600).unwrap();
     let opened = opening.read_for(&part, Damage::Refuse).unwrap();
@@ -176,7 +177,7 @@ fn what_was_read_for_a_part_draws_no_more_than_that_part() {
 fn views_that_are_held_together_share_one_limit() {
     let made = synthetic::Scene { size: [512, 512], count: 5000, ..Default::default() };
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
-    let mut opened = Opened::from_bytes(&bytes, &Limits::default()).unwrap();
+    let mut opened = Image::from_bytes(&bytes, &Limits::default()).unwrap();
     // Enough for the picture and one renderer, not for two.
     let mut alloc = 1 << 18;
     let one = loop {

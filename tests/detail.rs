@@ -9,7 +9,8 @@ use seal::layer;
 use ssplat::View;
 use ssplat::unstable::bitstream::splats::PackedSplats;
 use ssplat::unstable::bitstream::{DetailHead, Missing, inspect, read, read_partial, to_bytes};
-use ssplat::{Channels, Damage, DecodeOptions, Depth, Error, Layers, Limits, Opening, Pixels, Samples, decode};
+use ssplat::unstable::{DecodeOptions, decode};
+use ssplat::{Channels, Damage, Depth, Error, Layers, Limits, Pixels, Reader, Samples};
 use synthetic::{Levels, Scene, scene, with_layer};
 
 /// A picture of six tiles with levels in most blocks.
@@ -29,7 +30,7 @@ fn small() -> Vec<u8> {
 }
 
 fn draw(bytes: &[u8], view: &View, layers: Layers) -> Pixels {
-    let opening = Opening::new(bytes, &Limits::default()).unwrap().showing(layers);
+    let opening = Reader::new(bytes, &Limits::default()).unwrap().showing(layers);
     opening.read_for(view, Damage::Refuse).unwrap().draw(view).unwrap()
 }
 
@@ -211,7 +212,7 @@ fn every_flipped_bit_costs_a_tile_at_most() {
 #[test]
 fn the_gaussians_of_a_whole_file_are_read_with_nothing_missing() {
     let bytes = small();
-    let opening = Opening::new(&bytes, &Limits::default()).unwrap().showing(Layers::Gaussians);
+    let opening = Reader::new(&bytes, &Limits::default()).unwrap().showing(Layers::Gaussians);
     assert_eq!(opening.read(Damage::Accept).unwrap().missing(), Missing::default());
 }
 
@@ -240,7 +241,7 @@ fn work_of_the_layer_is_counted_before_it_is_done() {
     limits.work = 1 << 20;
     assert!(matches!(read(&bytes[..], &limits), Err(Error::LimitExceeded { what: "work", .. })));
     // The Gaussians alone are within it.
-    let opening = Opening::new(&bytes, &limits).unwrap().showing(Layers::Gaussians);
+    let opening = Reader::new(&bytes, &limits).unwrap().showing(Layers::Gaussians);
     assert!(opening.read(Damage::Refuse).is_ok());
 }
 
@@ -256,7 +257,7 @@ fn work_of_both_layers_is_counted_together() {
         let is_drawn = |work: u64| {
             let mut limits = Limits::default();
             limits.work = work;
-            let opening = Opening::new(&bytes, &limits).unwrap().showing(layers);
+            let opening = Reader::new(&bytes, &limits).unwrap().showing(layers);
             opening.read(Damage::Refuse).and_then(|o| o.renderer(&View::of_size(530, 300))).is_ok()
         };
         (8 * 24..8 * 36)

@@ -6,10 +6,8 @@ use std::time::Duration;
 
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{Ablation, Recipe, bitstream, metrics};
-use ssplat::{
-    Blend, Channels, Depth, EncodeOptions, Encoded, Error, Limits, Pixels, Samples, Target, Tune, encode,
-    encode_with_progress,
-};
+use ssplat::unstable::{EncodeOptions, encode, encode_with_progress};
+use ssplat::{Blend, Channels, Depth, Encoded, Error, Limits, Pixels, Samples, Target, Tune};
 use ssplat::{Renderer, View};
 
 const LAYOUTS: [Layout; 3] = [Layout::Packed, Layout::Planes, Layout::Coded];

@@ -9,12 +9,13 @@ use libtest_mimic::{Arguments, Failed, Trial};
 use scenes::{codes, scene};
 use ssplat::View;
 use ssplat::gpu::{Adapters, Device, Renderer};
+use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::Recipe;
 use ssplat::unstable::bitstream::{DetailHead, to_bytes};
 use ssplat::unstable::raster::reference;
 use ssplat::{
-    Backend, Blend, Channels, Damage, Depth, EncodeOptions, Error, Gaussian, GpuError, Layers, Limits, Opened, Opening,
-    Picture, Pixels, Samples, Target, Tune,
+    Backend, Blend, Channels, Damage, Depth, Error, Gaussian, GpuError, Image, Layers, Limits, Picture, Pixels, Reader,
+    Samples, Target, Tune,
 };
 use std::ops::ControlFlow;
 
@@ -68,20 +69,20 @@ fn encoder(device: &Device) {
     let pixels = Pixels::new(48, 40, Channels::Rgb, Samples::U8(pixels)).unwrap();
     let mut options = EncodeOptions::default();
     (options.target, options.effort, options.backend) = (Target::Primitives(40), 1, Backend::Gpu);
-    let encoded = ssplat::encode(&pixels, &options).unwrap();
+    let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
     let chosen = &encoded.report.chosen;
     assert_eq!((chosen.backend, &*chosen.device), (Backend::Gpu, device.name()), "{chosen}");
     assert!(encoded.report.primitives > 30 && encoded.report.psnr > 5.0, "{:?}", encoded.report);
-    assert_eq!(ssplat::encode(&pixels, &options).unwrap().bytes, encoded.bytes, "a second run");
+    assert_eq!(ssplat::unstable::encode(&pixels, &options).unwrap().bytes, encoded.bytes, "a second run");
     for tune in [Tune::Psnr, Tune::Ssim] {
         let mut options = options.clone();
         options.tune = Some(tune);
-        let tuned = ssplat::encode(&pixels, &options).unwrap();
+        let tuned = ssplat::unstable::encode(&pixels, &options).unwrap();
         assert_eq!(tuned.report.chosen.backend, Backend::Gpu, "{tune:?}");
         assert_ne!(tuned.bytes, encoded.bytes, "{tune:?} weighs as the default does");
     }
     options.recipe = Recipe::SmartSplat(Default::default());
-    let refused = ssplat::encode(&pixels, &options);
+    let refused = ssplat::unstable::encode(&pixels, &options);
     assert!(matches!(refused, Err(Error::Gpu(GpuError::Unsupported { .. }))), "{refused:?}");
 }
 
@@ -196,13 +197,13 @@ fn layered(channels: Channels, depth: Depth, blend: Blend, size: [u32; 2]) -> Ve
     to_bytes(&with_layer(ground, head, Levels::new(71))).unwrap()
 }
 
-fn opened(bytes: &[u8], layers: Layers) -> Opened {
-    Opening::new(bytes, &Limits::default()).unwrap().showing(layers).read(Damage::Refuse).unwrap()
+fn opened(bytes: &[u8], layers: Layers) -> Image {
+    Reader::new(bytes, &Limits::default()).unwrap().showing(layers).read(Damage::Refuse).unwrap()
 }
 
 /// Largest difference between what the GPU and the CPU draw of `view`, code values; and whether the layer shows in it.
-fn apart(device: &Device, opened: &mut Opened, view: &View) -> (u16, bool) {
-    let draw = |opened: &Opened| codes(opened.draw(view).unwrap().into_samples());
+fn apart(device: &Device, opened: &mut Image, view: &View) -> (u16, bool) {
+    let draw = |opened: &Image| codes(opened.draw(view).unwrap().into_samples());
     let cpu = draw(opened);
     let depth = opened.splats().depth;
     let (count, alpha) = (opened.splats().channels.count(), opened.splats().channels.alpha());
@@ -281,7 +282,7 @@ fn layers_within_limits(device: &Device) {
         // Less than the layer may take, more than the Gaussians do.
         let mut limits = Limits::default();
         limits.work = 1 << 27;
-        let opening = Opening::new(&bytes, &limits).unwrap().showing(layers);
+        let opening = Reader::new(&bytes, &limits).unwrap().showing(layers);
         let file = opening.read(Damage::Refuse).unwrap();
         let drawn = Renderer::of(device, &file).unwrap().render(&view, Depth::Eight);
         let refused = matches!(drawn, Err(Error::LimitExceeded { what: "work", .. }));
@@ -293,7 +294,7 @@ fn parts(device: &Device) {
     let bytes = layered(Channels::Rgb, Depth::Eight, Blend::Normalized, [530, 300]);
     let whole = View::of_size(530, 300);
     let region = whole.crop(10, 20, 100, 50).unwrap();
-    let file = Opening::new(&bytes, &Limits::default()).unwrap().read_for(&region, Damage::Refuse).unwrap();
+    let file = Reader::new(&bytes, &Limits::default()).unwrap().read_for(&region, Damage::Refuse).unwrap();
     let mut renderer = Renderer::of(device, &file).unwrap();
     renderer.render(&region, Depth::Eight).unwrap();
     let refused = renderer.render(&whole, Depth::Eight);

@@ -5,11 +5,10 @@ use std::io::{self, Cursor, Read};
 
 use image::error::LimitErrorKind;
 use image::{ColorType, DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, ImageReader};
+use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
 use ssplat::unstable::quantize::Quantizer;
-use ssplat::{
-    Blend, Carry, Channels, Depth, EncodeOptions, Error, Gaussian, Limits, Pixels, SsplatDecoder, SsplatEncoder, Target,
-};
+use ssplat::{Blend, Carry, Channels, Depth, Error, Gaussian, Limits, Pixels, SsplatDecoder, SsplatEncoder, Target};
 use ssplat::{Renderer, View};
 
 const WIDTH: u32 = 83;
@@ -339,7 +338,7 @@ fn saved_pictures_open_again_with_their_metadata() {
     assert!(ssplat::register());
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("saved.ssplat");
-    let report = ssplat::save(&ramps(ColorType::Rgb8), &path, &quick()).unwrap();
+    let report = ssplat::unstable::save(&ramps(ColorType::Rgb8), &path, &quick()).unwrap();
     assert!(report.primitives > 0);
     assert_eq!(image::open(&path).unwrap().color(), ColorType::Rgb8);
 
@@ -382,11 +381,11 @@ fn transcode_keeps_profile_and_orientation_and_not_the_camera_s_notes() {
         (decoder.icc_profile().unwrap().map_or(0, |p| p.len()), exif, orientation)
     };
     use image::metadata::Orientation::{NoTransforms, Rotate90};
-    ssplat::transcode(&input, &output, &roomy()).unwrap();
+    ssplat::unstable::transcode(&input, &output, &roomy()).unwrap();
     assert_eq!(carried(&output), (500, 26, Rotate90));
     // From one ssplat file to another.
     let again = folder.path().join("again.ssplat");
-    ssplat::transcode(&output, &again, &roomy()).unwrap();
+    ssplat::unstable::transcode(&output, &again, &roomy()).unwrap();
     assert_eq!(carried(&again), (500, 26, Rotate90));
     let mut options = roomy();
     for (carry, expected) in [
@@ -395,12 +394,12 @@ fn transcode_keeps_profile_and_orientation_and_not_the_camera_s_notes() {
         (Carry::None, (0, 0, NoTransforms)),
     ] {
         options.carry = carry;
-        ssplat::transcode(&input, &output, &options).unwrap();
+        ssplat::unstable::transcode(&input, &output, &options).unwrap();
         assert_eq!(carried(&output), expected, "{carry:?}");
     }
     // What the caller brings is carried.
     options.icc = Some(vec![1; 10]);
-    ssplat::transcode(&input, &output, &options).unwrap();
+    ssplat::unstable::transcode(&input, &output, &options).unwrap();
     assert_eq!(carried(&output), (10, 0, NoTransforms));
 }
 
@@ -412,7 +411,7 @@ fn what_cannot_be_transcoded_is_named() {
     std::fs::write(path("cut.png"), &photograph()[..60]).unwrap();
     std::fs::write(path("good.png"), photograph()).unwrap();
     let refused = |input: &str, output: &str| {
-        ssplat::transcode(path(input), path(output), &roomy()).expect_err(input).to_string()
+        ssplat::unstable::transcode(path(input), path(output), &roomy()).expect_err(input).to_string()
     };
     for (input, output, named) in [
         ("missing.png", "o.ssplat", "missing.png"),
@@ -425,7 +424,7 @@ fn what_cannot_be_transcoded_is_named() {
         assert!(said.contains(named), "{said}");
         assert!(!path(output).exists());
     }
-    let saved = ssplat::save(&ramps(ColorType::Rgb8), path("z.png"), &quick());
+    let saved = ssplat::unstable::save(&ramps(ColorType::Rgb8), path("z.png"), &quick());
     assert!(matches!(saved, Err(Error::Parameter { name: "path", .. })), "{saved:?}");
 }
 
@@ -436,7 +435,7 @@ fn a_failed_save_keeps_the_old_file() {
     std::fs::write(&path, "before").unwrap();
     let mut options = quick();
     options.target = Target::Bytes(1);
-    assert!(ssplat::save(&ramps(ColorType::Rgb8), &path, &options).is_err());
+    assert!(ssplat::unstable::save(&ramps(ColorType::Rgb8), &path, &options).is_err());
     assert_eq!(std::fs::read(&path).unwrap(), b"before");
 }
 
@@ -448,7 +447,7 @@ fn save_leaves_a_file_that_is_replaced_its_rights() {
     let path = folder.path().join("secret.ssplat");
     std::fs::write(&path, "before").unwrap();
     std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
-    ssplat::save(&ramps(ColorType::Rgb8), &path, &quick()).unwrap();
+    ssplat::unstable::save(&ramps(ColorType::Rgb8), &path, &quick()).unwrap();
     assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
 }
 
@@ -466,7 +465,7 @@ fn save_replaces_a_file_whole_and_leaves_nothing_beside_it() {
     // Whoever reads while the file is written goes on reading the old one.
     let mut reader = std::fs::File::open(&path).unwrap();
     std::os::unix::fs::symlink("a.ssplat", &link).unwrap();
-    ssplat::save(&ramps(ColorType::Rgb8), &link, &quick()).unwrap();
+    ssplat::unstable::save(&ramps(ColorType::Rgb8), &link, &quick()).unwrap();
     let mut before = String::new();
     std::io::Read::read_to_string(&mut reader, &mut before).unwrap();
     assert_eq!(before, "before");
@@ -474,6 +473,6 @@ fn save_replaces_a_file_whole_and_leaves_nothing_beside_it() {
     assert!(std::fs::read(&path).unwrap().starts_with(&ssplat::unstable::bitstream::header::MAGIC));
     assert_eq!(names(), ["a.ssplat", "link.ssplat"]);
     std::fs::create_dir(folder.path().join("folder")).unwrap();
-    assert!(ssplat::save(&ramps(ColorType::Rgb8), folder.path().join("folder"), &quick()).is_err());
+    assert!(ssplat::unstable::save(&ramps(ColorType::Rgb8), folder.path().join("folder"), &quick()).is_err());
     assert_eq!(names(), ["a.ssplat", "folder", "link.ssplat"]);
 }

@@ -1,9 +1,11 @@
 //! What an encode does without: the file keeps its size and the picture its channels, and the report says what it was.
 #![cfg(feature = "unstable")]
 
+use ssplat::report::Omission;
+use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::Needs;
 use ssplat::unstable::bitstream;
-use ssplat::{Backend, Blend, Channels, EncodeOptions, Limits, Omission, Pixels, Samples, Target, Tune};
+use ssplat::{Backend, Blend, Channels, Limits, Pixels, Samples, Target, Tune};
 use ssplat::{Renderer, View};
 
 fn options(effort: u8, target: Target) -> EncodeOptions {
@@ -32,7 +34,7 @@ fn opaque_and_grey_pictures_come_back_opaque_grey_and_in_their_own_channels() {
         let pixels = wave(Channels::Rgba, |x, y, k| if k == 3 { 255 } else { (3 * x + 2 * y) as u8 });
         let mut options = options(1, Target::Bytes(200));
         options.blend = Some(blend);
-        let encoded = ssplat::encode(&pixels, &options).unwrap();
+        let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
         assert!(encoded.bytes.len() <= 200, "{}", encoded.bytes.len());
         assert_eq!(encoded.report.left_out.first().map(|l| &l.what), Some(&Omission::ColorAndAlpha));
         let back = decoded(&encoded.bytes);
@@ -53,7 +55,7 @@ fn opaque_and_grey_pictures_come_back_opaque_grey_and_in_their_own_channels() {
 fn every_constant_grey_comes_back_exactly() {
     for v in 0..=255 {
         let pixels = wave(Channels::Rgb, |_, _, k| if k == 0 { v } else { 255 - v });
-        let encoded = ssplat::encode(&pixels, &EncodeOptions::default()).unwrap();
+        let encoded = ssplat::unstable::encode(&pixels, &EncodeOptions::default()).unwrap();
         assert_eq!(decoded(&encoded.bytes), pixels, "{v}");
         assert_eq!(encoded.report.primitives, 1);
     }
@@ -63,9 +65,9 @@ fn every_constant_grey_comes_back_exactly() {
 fn a_soft_picture_stops_early_loses_needless_primitives_and_stays_within_rounding() {
     let pixels = wave(Channels::Rgb, |x, y, k| 60 + (2 * x + (k as u32 + 1) * y) as u8);
     let mut options = options(5, Target::Primitives(300));
-    let encoded = ssplat::encode(&pixels, &options).unwrap();
+    let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
     options.needs = Needs::Everything;
-    let everything = ssplat::encode(&pixels, &options).unwrap();
+    let everything = ssplat::unstable::encode(&pixels, &options).unwrap();
     let report = &encoded.report;
     assert!(report.primitives < 300, "{}", report.primitives);
     assert!(encoded.bytes.len() < everything.bytes.len());
@@ -81,7 +83,7 @@ fn a_soft_picture_stops_early_loses_needless_primitives_and_stays_within_roundin
 #[test]
 fn a_target_in_decibels_is_met_with_no_more_primitives_than_it_takes() {
     let pixels = wave(Channels::Rgb, |x, y, k| (x * x / 7 + (k as u32 + 1) * y * 3) as u8);
-    let encoded = ssplat::encode(&pixels, &options(3, Target::Psnr(30.0))).unwrap();
+    let encoded = ssplat::unstable::encode(&pixels, &options(3, Target::Psnr(30.0))).unwrap();
     // The search ends with the smallest file of six tries. Here its 32 primitives win 11 dB for twice as many, half a
     // decibel each, and fits of as many scatter by more.
     assert!((30.0..30.6).contains(&encoded.report.psnr), "{}", encoded.report.psnr);
@@ -95,7 +97,7 @@ fn a_target_in_decibels_is_met_with_no_more_primitives_than_it_takes() {
 }
 
 fn left_out(pixels: &Pixels, options: &EncodeOptions) -> Vec<Omission> {
-    ssplat::encode(pixels, options).unwrap().report.left_out.into_iter().map(|l| l.what).collect()
+    ssplat::unstable::encode(pixels, options).unwrap().report.left_out.into_iter().map(|l| l.what).collect()
 }
 
 #[test]
@@ -114,7 +116,7 @@ fn ssim_terms_are_left_out_where_they_would_weigh_nothing() {
         let found = left_out(pixels, options);
         assert_eq!(found.contains(&Omission::StructureWeights), is_left_out, "{found:?}");
     }
-    let bytes = |options| ssplat::encode(&even, options).unwrap().bytes;
+    let bytes = |options| ssplat::unstable::encode(&even, options).unwrap().bytes;
     assert_eq!(bytes(&psnr), bytes(&ssim));
 }
 
@@ -144,7 +146,7 @@ fn a_gpu_that_was_free_to_be_taken_and_was_not_is_left_out_and_the_reason_is_tol
 fn the_seconds_that_drafts_save_are_fewer_than_those_that_the_fit_took_times_its_steps() {
     // Of few primitives, four drafts take more steps than the schedule of one fit has.
     let pixels = wave(Channels::Grey, |x, y, _| (100 + (x + y) / 2) as u8);
-    let encoded = ssplat::encode(&pixels, &options(5, Target::Primitives(40))).unwrap();
+    let encoded = ssplat::unstable::encode(&pixels, &options(5, Target::Primitives(40))).unwrap();
     let saved = encoded.report.left_out.iter().find(|l| l.what == Omission::Iterations).expect("it is soft").seconds;
     assert!((0.0..1000.0).contains(&saved), "{saved} s");
 }

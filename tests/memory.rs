@@ -9,9 +9,10 @@ use std::path::Path;
 
 use image::ImageReader;
 use peak_alloc::PeakAlloc;
+use ssplat::unstable::DecodeOptions;
 use ssplat::unstable::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use ssplat::unstable::bitstream::{DetailHead, inspect, to_bytes};
-use ssplat::{Blend, Channels, DecodeOptions, Depth, Limits, Opened};
+use ssplat::{Blend, Channels, Depth, Image, Limits};
 use synthetic::{Levels, Scene, scene, with_layer};
 
 #[global_allocator]
@@ -136,7 +137,7 @@ fn directly(files: &[(String, Vec<u8>)]) {
     keeps("directly", files, |bytes, granted| {
         let mut options = DecodeOptions::default();
         options.limits.alloc = granted;
-        ssplat::decode(bytes, &options).is_ok()
+        ssplat::unstable::decode(bytes, &options).is_ok()
     });
 }
 
@@ -154,7 +155,7 @@ fn again_and_again(files: &[(String, Vec<u8>)]) {
     keeps("again and again", files, |bytes, granted| {
         let mut limits = Limits::default();
         limits.alloc = granted;
-        let Ok(opened) = Opened::from_bytes(bytes, &limits) else { return false };
+        let Ok(opened) = Image::from_bytes(bytes, &limits) else { return false };
         let Ok(first) = opened.renderer(&opened.view()) else { return false };
         let Ok(second) = opened.renderer(&opened.view()) else { return false };
         let depth = opened.splats().depth;

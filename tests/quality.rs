@@ -2,7 +2,8 @@
 #![cfg(all(feature = "unstable", feature = "quality"))]
 
 use ssplat::unstable::metrics;
-use ssplat::{Channels, DecodeOptions, EncodeOptions, Encoded, Error, Pixels, Samples, Target, encode};
+use ssplat::unstable::{DecodeOptions, EncodeOptions, encode};
+use ssplat::{Channels, Encoded, Error, Pixels, Samples, Target};
 
 /// A part of a photograph.
 fn picture(width: u32, height: u32, channels: Channels) -> Pixels {
@@ -18,7 +19,7 @@ fn quick(wanted: f64) -> EncodeOptions {
 }
 
 fn measured(pixels: &Pixels, encoded: &Encoded) -> f64 {
-    let decoded = ssplat::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
+    let decoded = ssplat::unstable::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
     metrics::ssimulacra2(pixels, &decoded).unwrap().unwrap()
 }
 
@@ -29,7 +30,7 @@ fn a_quality_is_met_in_at_most_three_fits_and_reported_as_it_is() {
         let mut bytes = Vec::new();
         for wanted in [30.0, 50.0, 70.0] {
             let encoded = encode(&pixels, &quick(wanted)).unwrap();
-            let fits = encoded.report.stages.iter().filter(|(name, _)| *name == "fit").count();
+            let fits = encoded.report.stages.iter().filter(|s| s.name == "fit").count();
             let found = measured(&pixels, &encoded);
             assert!((found - wanted).abs() <= 0.5, "{wanted}: {found} after {fits} fits");
             assert_eq!(encoded.report.quality, Some(found));

@@ -7,7 +7,8 @@ use std::process::Command;
 
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::bitstream::{DetailHead, to_bytes};
-use ssplat::{Blend, Channels, DecodeOptions, Depth, EncodeOptions, Pixels, Samples, Target, Tune, decode, encode};
+use ssplat::unstable::{DecodeOptions, EncodeOptions, decode, encode};
+use ssplat::{Blend, Channels, Depth, Pixels, Samples, Target, Tune};
 use synthetic::{Levels, Random, Scene, scene, with_layer};
 
 /// CRC-32 of a picture's samples.

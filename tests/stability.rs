@@ -9,10 +9,8 @@ mod synthetic;
 use ssplat::unstable::bitstream::{DetailHead, read, to_bytes};
 use ssplat::unstable::metrics;
 use ssplat::unstable::raster::reference;
-use ssplat::{
-    Blend, Channels, DecodeOptions, Depth, Detail, EncodeOptions, Error, Gaussian, Limits, Picture, Pixels, Samples,
-    Target, encode,
-};
+use ssplat::unstable::{DecodeOptions, EncodeOptions, encode};
+use ssplat::{Blend, Channels, Depth, Detail, Error, Gaussian, Limits, Picture, Pixels, Samples, Target};
 use ssplat::{Renderer, View};
 use stiff::{Bound, Fit, Row};
 use synthetic::{Levels, Scene, with_layer};
@@ -183,7 +181,7 @@ fn fit(case: &Fit, has_layer: bool) -> Result<Row, Error> {
         let all = g.mean.iter().chain(&g.scale).chain(&g.color).chain([&g.rotation]);
         all.copied().all(f32::is_finite)
     });
-    let drawn = ssplat::decode(&encoded.bytes, &DecodeOptions::default())?.pixels;
+    let drawn = ssplat::unstable::decode(&encoded.bytes, &DecodeOptions::default())?.pixels;
     let reached = metrics::psnr(&premultiplied(&case.pixels), &premultiplied(&drawn))?;
     let constant = metrics::psnr(&premultiplied(&case.pixels), &premultiplied(&mean(&case.pixels)))?;
     let limited = |v: f64| v.min(99.0);

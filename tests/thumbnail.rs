@@ -4,10 +4,8 @@
 use ssplat::unstable::bitstream::header::Header;
 use ssplat::unstable::bitstream::{inspect, read, to_bytes};
 use ssplat::unstable::metrics::psnr;
-use ssplat::{
-    Channels, DecodeOptions, Detail, EncodeOptions, Error, Limits, Opening, Pixels, Samples, Target, Thumbnail, Tune,
-    decode, encode, thumbnail,
-};
+use ssplat::unstable::{DecodeOptions, EncodeOptions, decode, encode, thumbnail};
+use ssplat::{Channels, Detail, Error, Limits, Pixels, Reader, Samples, Target, Thumbnail, Tune};
 
 /// A picture whose halves differ, with some detail.
 fn picture(width: u32, height: u32, channels: Channels) -> Pixels {
@@ -53,7 +51,7 @@ fn a_file_with_a_thumbnail_has_the_asked_size_and_both_pictures() {
         (options.icc, options.exif) = (Some(vec![1; 40]), Some(b"II*\0".to_vec()));
         let bytes = encode(&pixels, &options).unwrap().bytes;
         assert!(bytes.len() <= 6000, "{}", bytes.len());
-        let carried = Opening::new(&bytes, &Limits::default()).unwrap().metadata().unwrap();
+        let carried = Reader::new(&bytes, &Limits::default()).unwrap().metadata().unwrap();
         assert_eq!((&carried.icc, &carried.exif), (&options.icc, &options.exif));
         let file = carried.thumbnail.unwrap();
         assert!(file.len() <= 500 && file.len() > 450, "{}", file.len());

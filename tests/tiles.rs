@@ -4,11 +4,12 @@
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
 
+use ssplat::report::Omission;
 use ssplat::unstable::bitstream::splats::Layout;
+use ssplat::unstable::{DecodeOptions, EncodeOptions};
 use ssplat::unstable::{Needs, Recipe, Trace};
 use ssplat::{
-    Backend, Blend, Channels, DecodeOptions, Detail, EncodeOptions, Encoded, Error, Limits, Omission, Pixels, Samples,
-    Target, Thumbnail, Tune, Workers,
+    Backend, Blend, Channels, Detail, Encoded, Error, Limits, Pixels, Samples, Target, Thumbnail, Tune, Workers,
 };
 
 /// Waves and edges of many sizes, all over.
@@ -31,7 +32,7 @@ fn options(target: Target, tiles: Option<u32>) -> EncodeOptions {
 
 /// Mean squared errors within 16 pixels of the seams between tiles of `side` pixels, and elsewhere.
 fn errors(original: &Pixels, encoded: &Encoded, side: u32) -> [f64; 2] {
-    let decoded = ssplat::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
+    let decoded = ssplat::unstable::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
     let (Samples::U8(a), Samples::U8(b)) = (original.samples(), decoded.samples()) else { panic!("8 bits") };
     let (width, count) = (original.width(), original.channels().count() as u32);
     let is_near = |v: u32, length: u32| {
@@ -52,9 +53,9 @@ fn seams_are_no_worse_than_elsewhere() {
     let pixels = picture(512, 448, Channels::Rgb);
     let mut options = options(Target::Ratio(60.0), None);
     options.tune = Some(Tune::Psnr);
-    let whole = errors(&pixels, &ssplat::encode(&pixels, &options).unwrap(), 256);
+    let whole = errors(&pixels, &ssplat::unstable::encode(&pixels, &options).unwrap(), 256);
     options.tiles = Some(256);
-    let encoded = ssplat::encode(&pixels, &options).unwrap();
+    let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
     let tiles = errors(&pixels, &encoded, 256);
     let excess = tiles[0] / whole[0] / (tiles[1] / whole[1]);
     // `examples/seams.rs` measures .98 to 1.06 on photographs in tiles this small.
@@ -68,10 +69,10 @@ fn files_of_tiles_fill_their_size_and_never_exceed_it() {
         for (levels, blend) in [(1, Blend::Normalized), (3, Blend::Sum)] {
             let mut options = options(Target::Bytes(most), Some(128));
             (options.levels, options.blend) = (levels, Some(blend));
-            let encoded = ssplat::encode(&pixels, &options).unwrap();
+            let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
             let bytes = encoded.bytes.len() as u64;
             assert!(bytes <= most && bytes >= most * 97 / 100, "{channels:?} {blend:?}: {bytes} of {most}");
-            let decoded = ssplat::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
+            let decoded = ssplat::unstable::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
             let psnr = ssplat::unstable::metrics::compare(&pixels, &decoded).unwrap().psnr;
             // Colours count by their opacity in the report.
             let is_opaque = channels.alpha().is_none();
@@ -85,7 +86,8 @@ fn files_of_tiles_fill_their_size_and_never_exceed_it() {
     // Next to nothing, and more than the picture needs.
     for most in [40, 60, 200_000] {
         let encoded =
-            ssplat::encode(&picture(300, 200, Channels::Grey), &options(Target::Bytes(most), Some(128))).unwrap();
+            ssplat::unstable::encode(&picture(300, 200, Channels::Grey), &options(Target::Bytes(most), Some(128)))
+                .unwrap();
         assert!(encoded.bytes.len() as u64 <= most, "{} of {most}", encoded.bytes.len());
     }
 }
@@ -100,9 +102,9 @@ fn a_detail_layer_lies_over_the_gaussians_of_all_tiles() {
         };
         let mut options = options(Target::Ratio(25.0), Some(256));
         options.tune = Some(Tune::Psnr);
-        let with = ssplat::encode(&pixels, &options).unwrap();
+        let with = ssplat::unstable::encode(&pixels, &options).unwrap();
         options.detail = Detail::Off;
-        let without = ssplat::encode(&pixels, &options).unwrap();
+        let without = ssplat::unstable::encode(&pixels, &options).unwrap();
         let most = 700 * 520 * channels.count() / 25;
         assert!(with.bytes.len() <= most && with.bytes.len() >= most * 97 / 100, "{} of {most}", with.bytes.len());
         let layer = |encoded: &Encoded| {
@@ -110,7 +112,7 @@ fn a_detail_layer_lies_over_the_gaussians_of_all_tiles() {
         };
         assert!(layer(&with).is_some_and(|l| l.tiles() == l.of_tiles()) && layer(&without).is_none());
         assert!(with.report.psnr > without.report.psnr, "{} after {}", with.report.psnr, without.report.psnr);
-        let decoded = ssplat::decode(&with.bytes, &DecodeOptions::default()).unwrap().pixels;
+        let decoded = ssplat::unstable::decode(&with.bytes, &DecodeOptions::default()).unwrap().pixels;
         let psnr = ssplat::unstable::metrics::compare(&pixels, &decoded).unwrap().psnr;
         // The report is of samples before they are rounded, which adds a twelfth of a squared code value.
         let rounded = -10.0 * (10f64.powf(-with.report.psnr / 10.0) + 1.0 / 12.0 / 255.0f64.powi(2)).log10();
@@ -128,7 +130,8 @@ fn grey_in_colour(width: u32, height: u32) -> Pixels {
 #[test]
 fn the_number_of_primitives_is_about_as_asked_in_tiles() {
     let encoded =
-        ssplat::encode(&picture(300, 200, Channels::Rgb), &options(Target::Primitives(600), Some(128))).unwrap();
+        ssplat::unstable::encode(&picture(300, 200, Channels::Rgb), &options(Target::Primitives(600), Some(128)))
+            .unwrap();
     assert!((590..=610).contains(&encoded.report.primitives), "{}", encoded.report.primitives);
 }
 
@@ -143,18 +146,18 @@ fn a_file_of_tiles_carries_a_thumbnail_within_its_size() {
     for (target, most) in [(Target::Bytes(3000), 3000), (Target::Primitives(300), u64::MAX)] {
         let mut options = options(target, Some(128));
         (options.thumbnail, options.levels) = (Thumbnail::Bytes(400), 2);
-        let encoded = ssplat::encode(&pixels, &options).unwrap();
+        let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
         assert!(encoded.bytes.len() as u64 <= most, "{} of {most}", encoded.bytes.len());
         let small = carried(&encoded.bytes).expect("a thumbnail");
         assert!((200..=400).contains(&small.len()), "{}", small.len());
-        let small = ssplat::decode(&small, &DecodeOptions::default()).unwrap().pixels;
+        let small = ssplat::unstable::decode(&small, &DecodeOptions::default()).unwrap().pixels;
         let mut reduced = DecodeOptions::default();
         reduced.size = Some([small.width(), small.height()]);
-        let drawn = ssplat::decode(&encoded.bytes, &reduced).unwrap().pixels;
+        let drawn = ssplat::unstable::decode(&encoded.bytes, &reduced).unwrap().pixels;
         let psnr = ssplat::unstable::metrics::compare(&drawn, &small).unwrap().psnr;
         assert!(psnr > 12.0, "{psnr}");
     }
-    let plain = ssplat::encode(&pixels, &options(Target::Bytes(3000), Some(128))).unwrap().bytes;
+    let plain = ssplat::unstable::encode(&pixels, &options(Target::Bytes(3000), Some(128))).unwrap().bytes;
     assert_eq!(carried(&plain), None);
 }
 
@@ -163,11 +166,11 @@ fn channels_that_say_nothing_are_left_out_of_tiles() {
     let grey = picture(300, 200, Channels::Grey);
     let pixels = grey_in_colour(300, 200);
     let mut options = options(Target::Bytes(2000), Some(128));
-    let alone = ssplat::encode(&grey, &options).unwrap();
-    let encoded = ssplat::encode(&pixels, &options).unwrap();
+    let alone = ssplat::unstable::encode(&grey, &options).unwrap();
+    let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
     assert_eq!(encoded.report.left_out.iter().map(|l| &l.what).collect::<Vec<_>>(), [&Omission::ColorAndAlpha]);
     assert!((1940..=2000).contains(&encoded.bytes.len()), "{}", encoded.bytes.len());
-    let decoded = ssplat::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
+    let decoded = ssplat::unstable::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
     let Samples::U8(samples) = decoded.samples() else { panic!("8 bits") };
     assert!(samples.chunks_exact(4).all(|p| p[0] == p[1] && p[1] == p[2] && p[3] == 255));
     // A quarter of the samples is always right.
@@ -177,13 +180,13 @@ fn channels_that_say_nothing_are_left_out_of_tiles() {
     let there = encode_by(&pixels, &options, &mut Elsewhere::new(2, &|_, answer| answer)).unwrap();
     assert!(there == encoded.bytes);
     options.needs = Needs::Everything;
-    assert!(ssplat::encode(&pixels, &options).unwrap().report.left_out.is_empty());
+    assert!(ssplat::unstable::encode(&pixels, &options).unwrap().report.left_out.is_empty());
 }
 
 #[test]
 fn a_picture_of_one_colour_comes_back_from_tiles() {
     let pixels = Pixels::new(300, 140, Channels::Rgb, Samples::U8([200, 90, 30].repeat(300 * 140))).unwrap();
-    let encoded = ssplat::encode(&pixels, &options(Target::Auto, Some(128))).unwrap();
+    let encoded = ssplat::unstable::encode(&pixels, &options(Target::Auto, Some(128))).unwrap();
     assert!(encoded.report.psnr > 48.0, "{}", encoded.report.psnr);
 }
 
@@ -195,15 +198,18 @@ fn a_picture_of_one_colour_takes_as_few_bytes_in_tiles_as_without() {
     {
         let pixels = Pixels::new(300, 140, channels, Samples::U8(color.repeat(300 * 140))).unwrap();
         let [whole, tiles] =
-            [None, Some(128)].map(|tiles| ssplat::encode(&pixels, &options(Target::Auto, tiles)).unwrap());
+            [None, Some(128)].map(|tiles| ssplat::unstable::encode(&pixels, &options(Target::Auto, tiles)).unwrap());
         assert!(whole.bytes == tiles.bytes, "{channels:?}: {} and {}", whole.bytes.len(), tiles.bytes.len());
         assert!(tiles.report.psnr > 70.0 && tiles.report.left_out.iter().any(|l| l.what == Omission::Fit));
-        assert!(ssplat::decode(&tiles.bytes, &DecodeOptions::default()).unwrap().pixels == pixels, "{channels:?}");
+        assert!(
+            ssplat::unstable::decode(&tiles.bytes, &DecodeOptions::default()).unwrap().pixels == pixels,
+            "{channels:?}"
+        );
         // One pixel that differs makes it a picture to be fitted.
         let Samples::U8(mut samples) = pixels.into_samples() else { unreachable!() };
         *samples.last_mut().unwrap() ^= 64;
         let pixels = Pixels::new(300, 140, channels, Samples::U8(samples)).unwrap();
-        let spotted = ssplat::encode(&pixels, &options(Target::Bytes(300), Some(128))).unwrap();
+        let spotted = ssplat::unstable::encode(&pixels, &options(Target::Bytes(300), Some(128))).unwrap();
         assert!(spotted.report.left_out.iter().all(|l| l.what != Omission::Fit), "{channels:?}");
     }
 }
@@ -214,7 +220,7 @@ fn a_report_says_why_tiles_were_fitted_on_the_cpu() {
     let reason = |backend| {
         let mut options = options(Target::Bytes(300), Some(128));
         options.backend = backend;
-        ssplat::encode(&pixels, &options).unwrap().report.chosen.reason
+        ssplat::unstable::encode(&pixels, &options).unwrap().report.chosen.reason
     };
     assert_eq!(reason(Backend::Cpu), "asked for");
     assert_eq!(reason(Backend::Auto), "tiles are fitted on the CPU");
@@ -228,7 +234,7 @@ fn bytes_of_tiles_do_not_depend_on_the_thread_count() {
     let options = options(Target::Ratio(30.0), Some(128));
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| ssplat::encode(&pixels, &options).unwrap().bytes)
+        pool.install(|| ssplat::unstable::encode(&pixels, &options).unwrap().bytes)
     };
     assert!(with(1) == with(3));
 }
@@ -275,7 +281,7 @@ impl Workers for Elsewhere<'_> {
 }
 
 fn encode_by(pixels: &Pixels, options: &EncodeOptions, workers: &mut Elsewhere<'_>) -> ssplat::Result<Vec<u8>> {
-    let encoded = ssplat::encode_divided(pixels, options, workers, &mut |_| ControlFlow::Continue(()))?;
+    let encoded = ssplat::unstable::encode_divided(pixels, options, workers, &mut |_| ControlFlow::Continue(()))?;
     Ok(encoded.bytes)
 }
 
@@ -290,7 +296,7 @@ fn a_picture_that_is_divided_among_workers_becomes_the_same_file() {
         let mut options = options(Target::Bytes(1500), Some(128));
         (options.tune, options.blend, options.levels) = (Some(tune), Some(blend), levels);
         options.icc = Some(vec![7; 60]);
-        let here = ssplat::encode(&pixels, &options).unwrap().bytes;
+        let here = ssplat::unstable::encode(&pixels, &options).unwrap().bytes;
         let mut workers = Elsewhere::new(at_once, &|_, answer| answer);
         assert!(encode_by(&pixels, &options, &mut workers).unwrap() == here, "{channels:?}, {at_once} at once");
         // Six tiles by themselves, and all passes after that.
@@ -300,7 +306,7 @@ fn a_picture_that_is_divided_among_workers_becomes_the_same_file() {
     let deep = Pixels::new(200, 140, Channels::Grey, Samples::U16(deep)).unwrap();
     let options = options(Target::Primitives(300), Some(128));
     let there = encode_by(&deep, &options, &mut Elsewhere::new(2, &|_, answer| answer)).unwrap();
-    assert!(there == ssplat::encode(&deep, &options).unwrap().bytes);
+    assert!(there == ssplat::unstable::encode(&deep, &options).unwrap().bytes);
 }
 
 #[test]
@@ -436,7 +442,7 @@ fn bytes_that_are_no_task_or_answer_are_refused_without_a_panic() {
 #[test]
 fn a_picture_no_larger_than_a_tile_is_fitted_as_a_whole() {
     let pixels = picture(128, 100, Channels::Rgb);
-    let bytes = |tiles| ssplat::encode(&pixels, &options(Target::Ratio(50.0), tiles)).unwrap().bytes;
+    let bytes = |tiles| ssplat::unstable::encode(&pixels, &options(Target::Ratio(50.0), tiles)).unwrap().bytes;
     assert!(bytes(Some(128)) == bytes(None));
 }
 
@@ -446,7 +452,7 @@ fn what_tiles_cannot_do_is_a_parameter_error() {
     let refused = |name: &str, change: &dyn Fn(&mut EncodeOptions)| {
         let mut options = options(Target::Ratio(50.0), Some(128));
         change(&mut options);
-        match ssplat::encode(&pixels, &options) {
+        match ssplat::unstable::encode(&pixels, &options) {
             Err(Error::Parameter { name: found, .. }) if found == name => {}
             other => panic!("{name}: {:?}", other.map(|e| e.bytes.len())),
         }
@@ -459,7 +465,7 @@ fn what_tiles_cannot_do_is_a_parameter_error() {
     refused("tiles", &|o| o.recipe = Recipe::SmartSplat(Default::default()));
     refused("tiles", &|o| o.backend = Backend::Gpu);
     refused("tiles", &|o| o.trace = Trace::On);
-    let small = ssplat::encode(&pixels, &options(Target::Bytes(3), Some(128)));
+    let small = ssplat::unstable::encode(&pixels, &options(Target::Bytes(3), Some(128)));
     assert!(matches!(small, Err(Error::TooSmall { allowed: 3, .. })), "{small:?}");
 }
 
@@ -468,7 +474,7 @@ fn progress_of_tiles_goes_forward_and_can_stop_the_work() {
     let pixels = picture(300, 200, Channels::Grey);
     let options = options(Target::Ratio(60.0), Some(128));
     let mut shown: Vec<(&str, f32)> = Vec::new();
-    ssplat::encode_with_progress(&pixels, &options, &mut |p| {
+    ssplat::unstable::encode_with_progress(&pixels, &options, &mut |p| {
         shown.push((p.stage, p.done));
         ControlFlow::Continue(())
     })
@@ -479,7 +485,7 @@ fn progress_of_tiles_goes_forward_and_can_stop_the_work() {
     assert!(shown.windows(2).all(|p| p[0].0 != p[1].0 || p[0].1 <= p[1].1), "{shown:?}");
     assert!(shown.iter().all(|s| (0.0..=1.0).contains(&s.1)));
     for stop in stages {
-        let stopped = ssplat::encode_with_progress(&pixels, &options, &mut |p| {
+        let stopped = ssplat::unstable::encode_with_progress(&pixels, &options, &mut |p| {
             if p.stage == stop { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
         assert!(matches!(stopped, Err(Error::Cancelled)), "{stop}");

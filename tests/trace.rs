@@ -2,7 +2,8 @@
 #![cfg(feature = "unstable")]
 
 use ssplat::unstable::Trace;
-use ssplat::{Channels, EncodeOptions, Pixels, Samples, Target, encode};
+use ssplat::unstable::{EncodeOptions, encode};
+use ssplat::{Channels, Pixels, Samples, Target};
 
 fn disc(side: u32) -> Pixels {
     let inside = |x: u32, y: u32| (x * 2).abs_diff(side).pow(2) + (y * 2).abs_diff(side).pow(2) < (side * side) / 2;

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::{Args as ClapArgs, Parser, Subcommand};
+use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::Recipe;
 use ssplat::unstable::bitstream::splats::Layout;
-use ssplat::{Backend, Blend, Carry, Detail, EncodeOptions, Layers, Target, Thumbnail, Tune};
+use ssplat::{Backend, Blend, Carry, Detail, Layers, Target, Thumbnail, Tune};
 
 use crate::exchange::format::{ExportFormat, ImportFormat};
 use crate::exchange::{csv, foreign};

@@ -1,7 +1,8 @@
 //! What of a picture's metadata goes into its file, and what is said of that.
 
 use image::metadata::Orientation;
-use ssplat::{Carry, EncodeOptions, Error};
+use ssplat::unstable::EncodeOptions;
+use ssplat::{Carry, Error};
 
 /// Puts into `options` what `--metadata` says of a picture's profile and EXIF block, and notes what is left out.
 pub fn carry(

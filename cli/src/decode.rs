@@ -9,7 +9,7 @@ use serde_json::json;
 use ssplat::unstable::bitstream::Missing;
 use ssplat::unstable::bitstream::header::Header;
 use ssplat::unstable::bitstream::splats::Metadata;
-use ssplat::{Backend, Channels, Damage, Depth, Limits, Opened, Opening, Pixels, Samples};
+use ssplat::{Backend, Channels, Damage, Depth, Image, Limits, Pixels, Reader, Samples};
 use ssplat::{Renderer, SamplesMut, View};
 
 use crate::batch::{self, Command, Done, Show, Voice};
@@ -75,7 +75,7 @@ fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &
     }
     let failed = |e| Failure::library(input, &e);
     let limits = Limits::default();
-    let opening = Opening::new(&bytes, &limits).map_err(failed)?.showing(args.layers);
+    let opening = Reader::new(&bytes, &limits).map_err(failed)?.showing(args.layers);
     let of = opening.header().primitives;
     let view = view(args, input, opening.view())?;
     let damage = if args.partial { Damage::Accept } else { Damage::Refuse };
@@ -132,7 +132,7 @@ fn thumbnail(
     let start = Instant::now();
     let failed = |e| Failure::library(input, &e);
     let ssplat::Decoded { pixels, metadata, .. } =
-        ssplat::thumbnail(bytes, [side; 2], &Limits::default()).map_err(failed)?;
+        ssplat::unstable::thumbnail(bytes, [side; 2], &Limits::default()).map_err(failed)?;
     let mut notes = losses(&metadata, Missing::default(), 0);
     notes.extend(format.losses(pixels.depth(), &metadata));
     let orientation = orientation(args, &metadata);
@@ -232,7 +232,7 @@ fn losses(metadata: &Metadata, missing: Missing, of: u32) -> Vec<String> {
 
 /// Draws on a GPU, the whole view at once; also the GPU's name.
 #[cfg(feature = "gpu")]
-fn on_gpu(opened: &Opened, view: &View) -> ssplat::Result<(Pixels, String)> {
+fn on_gpu(opened: &Image, view: &View) -> ssplat::Result<(Pixels, String)> {
     use ssplat::gpu::{Adapters, Device, Renderer};
     let device = Device::open(Adapters::Any)?;
     let pixels = Renderer::of(&device, opened)?.render(view, opened.splats().depth)?;
@@ -240,7 +240,7 @@ fn on_gpu(opened: &Opened, view: &View) -> ssplat::Result<(Pixels, String)> {
 }
 
 #[cfg(not(feature = "gpu"))]
-fn on_gpu(_: &Opened, _: &View) -> ssplat::Result<(Pixels, String)> {
+fn on_gpu(_: &Image, _: &View) -> ssplat::Result<(Pixels, String)> {
     Err(ssplat::GpuError::NotBuilt.into())
 }
 

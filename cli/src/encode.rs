@@ -9,8 +9,10 @@ use std::time::{Duration, Instant};
 use image::{ImageFormat, ImageReader};
 use serde_json::{Value, json};
 use ssplat::SamplesMut;
+use ssplat::report::StageTime;
+use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Metadata;
-use ssplat::{EncodeOptions, EncodeReport, Encoded, Error, Limits, PixelSource, Pixels, Samples, Target};
+use ssplat::{EncodeReport, Encoded, Error, Limits, PixelSource, Pixels, Samples, Target};
 
 use crate::batch::{self, Command, Done, Show, Voice};
 use crate::failure::Failure;
@@ -143,7 +145,7 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
     show(0.0, "preparing");
     let mut course = Course::new(tries(options.target), false);
     options.time = left(options.time, start);
-    let encoded = ssplat::encode_with_progress(&pixels, &options, &mut |p| {
+    let encoded = ssplat::unstable::encode_with_progress(&pixels, &options, &mut |p| {
         show(course.at(p.stage, p.done), p.stage);
         ControlFlow::Continue(())
     });
@@ -184,7 +186,7 @@ fn in_parts(
     carried::carry(&mut options, (icc, exif), orientation, &mut notes);
     let sink = Sink::create(output, &[input])?;
     let mut course = Course::new(1, true);
-    let encoded = ssplat::encode_source(&picture, &options, &mut |p| {
+    let encoded = ssplat::unstable::encode_source(&picture, &options, &mut |p| {
         show(course.at(p.stage, p.done), p.stage);
         ControlFlow::Continue(())
     });
@@ -295,7 +297,7 @@ pub fn write_pixels(source: Source, format: Format, sink: &Sink, path: &Path) ->
 
 /// The result for programs.
 fn summary(pixels: &dyn PixelSource, bytes: usize, report: &EncodeReport) -> Value {
-    let stages: Vec<Value> = report.stages.iter().map(|(name, s)| json!({ "name": name, "seconds": s })).collect();
+    let stages: Vec<Value> = report.stages.iter().map(|s| json!({ "name": s.name, "seconds": s.seconds })).collect();
     let left_out: Vec<Value> = report
         .left_out
         .iter()
@@ -321,7 +323,7 @@ fn summary(pixels: &dyn PixelSource, bytes: usize, report: &EncodeReport) -> Val
 /// Where the time and the bytes went.
 fn explain(report: &EncodeReport) -> String {
     let mut text = String::from("stages:\n");
-    for (name, seconds) in &report.stages {
+    for &StageTime { name, seconds, .. } in &report.stages {
         text += &format!("  {name:<24} {seconds:8.2} s\n");
     }
     if !report.left_out.is_empty() {

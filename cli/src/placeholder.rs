@@ -5,7 +5,8 @@ use std::path::Path;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use image::DynamicImage;
-use ssplat::{Detail, EncodeOptions, Pixels, Target};
+use ssplat::unstable::EncodeOptions;
+use ssplat::{Detail, Pixels, Target};
 
 use crate::args::{self, PlaceholderFormat};
 use crate::failure::Failure;
@@ -24,7 +25,8 @@ pub fn run(args: &args::Placeholder) -> Result<(), Failure> {
     (options.target, options.effort) = (Target::Bytes(args.bytes), args.effort);
     // What reads placeholders without WebAssembly knows Gaussians alone.
     options.detail = Detail::Off;
-    let encoded = ssplat::encode(&shrunk(source.pixels), &options).map_err(|e| Failure::library(&args.input, &e))?;
+    let encoded =
+        ssplat::unstable::encode(&shrunk(source.pixels), &options).map_err(|e| Failure::library(&args.input, &e))?;
     let text = STANDARD.encode(encoded.bytes);
     say(&match args.format {
         PlaceholderFormat::Base64 => format!("{text}\n"),

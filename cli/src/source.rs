@@ -6,8 +6,9 @@ use std::path::Path;
 
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageReader};
+use ssplat::unstable::DecodeOptions;
 use ssplat::unstable::bitstream::header::MAGIC;
-use ssplat::{Channels, DecodeOptions, Limits, Pixels};
+use ssplat::{Channels, Limits, Pixels};
 
 use crate::failure::{Failure, Kind};
 use crate::structure;
@@ -162,7 +163,7 @@ pub fn open(path: &Path, turn: Turn) -> Result<Source, Failure> {
 
 /// Decodes the ssplat file `bytes`, which came from `path`.
 pub fn decode(path: &Path, bytes: &[u8]) -> Result<Source, Failure> {
-    let decoded = ssplat::decode(bytes, &DecodeOptions::default()).map_err(|e| Failure::library(path, &e))?;
+    let decoded = ssplat::unstable::decode(bytes, &DecodeOptions::default()).map_err(|e| Failure::library(path, &e))?;
     let (icc, exif) = (decoded.metadata.icc, decoded.metadata.exif);
     let orientation = orientation_in(exif.as_deref());
     Ok(Source { pixels: decoded.pixels, icc, exif, orientation, is_cut_off: false, notes: Vec::new() })

@@ -7,7 +7,7 @@ mod server;
 
 use std::path::Path;
 
-use ssplat::{Damage, Limits, Opening};
+use ssplat::{Damage, Limits, Reader};
 
 use crate::args;
 use crate::failure::Failure;
@@ -37,9 +37,7 @@ pub fn run(args: &args::View) -> Result<(), Failure> {
     let bytes = source::read_splats(&args.input)?;
     let limits = Limits::default();
     // What is broken is told here, not in the browser.
-    Opening::new(&bytes, &limits)
-        .and_then(|o| o.read(Damage::Refuse))
-        .map_err(|e| Failure::library(&args.input, &e))?;
+    Reader::new(&bytes, &limits).and_then(|o| o.read(Damage::Refuse)).map_err(|e| Failure::library(&args.input, &e))?;
     let file = Shown::new(&args.input, bytes);
     let original = match &args.original {
         Some(path) => Some(Shown::new(path, source::read_at_most(path, limits.alloc)?)),

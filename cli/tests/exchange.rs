@@ -5,8 +5,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::{Layout, PackedSplats};
-use ssplat::{Blend, Channels, EncodeOptions, Gaussian, Limits, Pixels, Samples, Target};
+use ssplat::{Blend, Channels, Gaussian, Limits, Pixels, Samples, Target};
 
 fn ssplat(args: &[&str], paths: [&Path; 2]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_ssplat")).arg(args[0]).args(paths).args(&args[1..]).output().unwrap()
@@ -37,7 +38,7 @@ fn file(folder: &Path, channels: Channels, layout: Layout, blend: Blend) -> Path
     (options.target, options.effort) = (Target::Primitives(60), 1);
     (options.layout, options.blend) = (layout, Some(blend));
     let path = folder.join("fit.ssplat");
-    fs::write(&path, ssplat::encode(&pixels, &options).unwrap().bytes).unwrap();
+    fs::write(&path, ssplat::unstable::encode(&pixels, &options).unwrap().bytes).unwrap();
     path
 }
 

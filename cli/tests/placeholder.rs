@@ -25,7 +25,7 @@ fn all_forms_hold_the_same_file_of_the_asked_size() {
     let base64 = text(&placeholder(photo, &["--bytes", "250"]));
     let file = STANDARD.decode(base64.trim_end()).unwrap();
     assert!(file.len() <= 250 && file.len() > 240, "{} bytes", file.len());
-    let drawn = ssplat::decode(&file, &ssplat::DecodeOptions::default()).unwrap().pixels;
+    let drawn = ssplat::unstable::decode(&file, &ssplat::unstable::DecodeOptions::default()).unwrap().pixels;
     // The photograph has 768 × 512 pixels.
     assert_eq!([drawn.width(), drawn.height()], [512, 341]);
     let uri = text(&placeholder(photo, &["--bytes", "250", "--format", "uri"]));
@@ -48,7 +48,10 @@ fn pictures_with_alpha_and_small_ones_keep_their_size() {
         .save(&path)
         .unwrap();
     let file = STANDARD.decode(text(&placeholder(&path, &[])).trim_end()).unwrap();
-    assert_eq!(ssplat::decode(&file, &ssplat::DecodeOptions::default()).unwrap().pixels.width(), 600);
+    assert_eq!(
+        ssplat::unstable::decode(&file, &ssplat::unstable::DecodeOptions::default()).unwrap().pixels.width(),
+        600
+    );
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The program fits a picture in tiles that it reads a part at a time.
 
-use ssplat::{Backend, Channels, EncodeOptions, Pixels, Samples, Target};
+use ssplat::unstable::EncodeOptions;
+use ssplat::{Backend, Channels, Pixels, Samples, Target};
 
 /// Waves and discs.
 fn picture(width: u32, height: u32, channels: Channels) -> Pixels {
@@ -23,7 +24,7 @@ fn files_that_are_read_in_parts_give_the_bytes_of_the_picture_in_memory() {
     (options.target, options.tiles, options.effort, options.backend) =
         (Target::Bytes(3000), Some(128), 2, Backend::Cpu);
     let Samples::U8(samples) = pixels.samples() else { panic!("8 bits") };
-    let expected = ssplat::encode(&pixels, &options).unwrap().bytes;
+    let expected = ssplat::unstable::encode(&pixels, &options).unwrap().bytes;
     let [ppm, png, out] = ["a.ppm", "a.png", "a.ssplat"].map(|name| folder.path().join(name));
     std::fs::write(&ppm, [b"P6 # a picture\n300 200\n255\n", &samples[..]].concat()).unwrap();
     image::RgbImage::from_raw(300, 200, samples.clone()).unwrap().save(&png).unwrap();

@@ -37,7 +37,7 @@ fuzz_target!(|data: &[u8]| {
     (limits.width, limits.height, limits.alloc) = (SIDE, SIDE, ALLOC);
     ALLOCATOR.reset_peak_usage();
     let before = ALLOCATOR.current_usage();
-    let small = ssplat::thumbnail(data, [16, 16], &limits);
+    let small = ssplat::unstable::thumbnail(data, [16, 16], &limits);
     let peak = (ALLOCATOR.peak_usage() - before) as u64;
     assert!(peak <= ALLOC + SLACK, "{peak} bytes allocated for a thumbnail");
     if let Ok(small) = small {

@@ -6,7 +6,8 @@ use arbitrary::{Arbitrary, Unstructured};
 use libfuzzer_sys::fuzz_target;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{Ablation, Needs, Recipe};
-use ssplat::{Blend, Channels, Detail, EncodeOptions, Error, Limits, Pixels, Samples, Target, Thumbnail, Tune};
+use ssplat::{Blend, Channels, Detail, Error, Limits, Pixels, Samples, Target, Thumbnail, Tune};
+use ssplat::unstable::{EncodeOptions};
 
 #[derive(Debug)]
 struct Input {
@@ -80,7 +81,7 @@ impl<'a> Arbitrary<'a> for Input {
 
 fuzz_target!(|input: Input| {
     let Input { pixels, options } = input;
-    let encoded = match ssplat::encode(&pixels, &options) {
+    let encoded = match ssplat::unstable::encode(&pixels, &options) {
         Ok(encoded) => encoded,
         // These options can ask for too small a file or too good a picture, and for nothing else that is refused.
         Err(Error::TooSmall { .. }) if matches!(options.target, Target::Bytes(_) | Target::Ratio(_)) => return,
@@ -93,7 +94,7 @@ fuzz_target!(|input: Input| {
     }
     // How far a fit gets in its time is chance.
     if options.time.is_none() {
-        let again = ssplat::encode(&pixels, &options).expect("it succeeded before");
+        let again = ssplat::unstable::encode(&pixels, &options).expect("it succeeded before");
         assert!(encoded.bytes == again.bytes, "two runs differ");
     }
     let splats =

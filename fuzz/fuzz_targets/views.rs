@@ -7,7 +7,8 @@ use libfuzzer_sys::fuzz_target;
 use peak_alloc::PeakAlloc;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::bitstream::to_bytes;
-use ssplat::{Damage, DecodeOptions, Limits, Opened, PixelSource, decode, thumbnail};
+use ssplat::{Damage, Limits, Image, PixelSource};
+use ssplat::unstable::{DecodeOptions, decode, thumbnail};
 use ssplat_fuzz::{Legal, SLACK};
 
 #[global_allocator]
@@ -108,7 +109,7 @@ fuzz_target!(|input: Input| {
     options.damage = Damage::Accept;
     measured(|| drop(decode(&bytes, &options)));
     measured(|| {
-        let Ok(opened) = Opened::from_bytes(&bytes, &limits()) else { return };
+        let Ok(opened) = Image::from_bytes(&bytes, &limits()) else { return };
         let mut view = opened.view();
         for step in &input.steps {
             let next = match *step {

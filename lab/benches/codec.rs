@@ -2,7 +2,8 @@
 
 use divan::{Bencher, black_box};
 use ssplat::unstable::bitstream::{self, splats::PackedSplats};
-use ssplat::{EncodeOptions, Limits, Pixels, Target, encode};
+use ssplat::unstable::{EncodeOptions, encode};
+use ssplat::{Limits, Pixels, Target};
 use ssplat::{Renderer, View};
 
 fn main() {

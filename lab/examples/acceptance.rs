@@ -16,7 +16,7 @@ use seal::mutations::mutations;
 use seal::seal;
 use ssplat::SamplesMut;
 use ssplat::unstable::bitstream::inspect;
-use ssplat::{Damage, Limits, Opening};
+use ssplat::{Damage, Limits, Reader};
 
 #[path = "../../tests/seal/mod.rs"]
 mod seal;
@@ -97,7 +97,7 @@ fn said_of(file: &[u8]) -> (&'static str, [u32; 2], String) {
 
 /// RGBA with 8 bits of a corner of the picture, as the package for browsers has it.
 fn corner(file: &[u8], size: &mut [u32; 2]) -> ssplat::Result<Vec<u8>> {
-    let opening = Opening::new(file, &limits())?;
+    let opening = Reader::new(file, &limits())?;
     let (header, view) = (opening.header(), opening.view());
     *size = [header.width.min(SIDE), header.height.min(SIDE)];
     let count = header.channels.count();

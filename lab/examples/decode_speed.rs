@@ -27,7 +27,8 @@ use image::{DynamicImage, ImageDecoder, ImageReader};
 use nix::sys::resource::{UsageWho, getrusage};
 use ssplat::SamplesMut;
 use ssplat::unstable::bitstream::header::Header;
-use ssplat::{DecodeOptions, EncodeOptions, Limits, Pixels, Target};
+use ssplat::unstable::{DecodeOptions, EncodeOptions};
+use ssplat::{Limits, Pixels, Target};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -86,7 +87,7 @@ fn table(path: &Path, args: &Args, folder: &Path) -> Result<()> {
         let mut options = EncodeOptions::default();
         options.target = Target::Bytes(most);
         options.effort = args.effort;
-        fs::write(&ours, ssplat::encode(&Pixels::try_from(picture.clone())?, &options)?.bytes)?;
+        fs::write(&ours, ssplat::unstable::encode(&Pixels::try_from(picture.clone())?, &options)?.bytes)?;
     }
     let jpeg = file("jpg");
     search(1, 100, most, &jpeg, |quality| {
@@ -198,9 +199,9 @@ fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
             "dwebp" => program("dwebp", &["-quiet".as_ref(), "-ppm".as_ref(), file, "-o".as_ref(), output.path()])?,
             "avifdec" => program("avifdec", &["--png-compress".as_ref(), "0".as_ref(), file, png.path()])?,
             "djxl" => program("djxl", &[file, output.path()])?,
-            "ssplat" => drop(ssplat::decode(&bytes, &DecodeOptions::default())?),
+            "ssplat" => drop(ssplat::unstable::decode(&bytes, &DecodeOptions::default())?),
             "ssplat, reused" => {
-                drop(ssplat::decode_into(&bytes, &DecodeOptions::default(), SamplesMut::U8(&mut buffer))?);
+                drop(ssplat::unstable::decode_into(&bytes, &DecodeOptions::default(), SamplesMut::U8(&mut buffer))?);
             }
             _ if by.ends_with("reused") => reader(&bytes)?.read_image(&mut buffer)?,
             "ssplat, reading alone" => drop(ssplat::unstable::bitstream::read(&bytes[..], &Limits::default())?),
@@ -209,15 +210,15 @@ fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
                 let [w, h] = [size.width, size.height].map(|side| side.min(1024));
                 let mut options = DecodeOptions::default();
                 options.region = Some([(size.width - w) / 2, (size.height - h) / 2, w, h]);
-                drop(ssplat::decode(&bytes, &options)?);
+                drop(ssplat::unstable::decode(&bytes, &options)?);
             }
             "ssplat, 256 wide" => {
                 let size = Header::read(&mut &bytes[..], &Limits::default())?;
                 let mut options = DecodeOptions::default();
                 options.size = Some([256, (256 * size.height).div_ceil(size.width)]);
-                drop(ssplat::decode(&bytes, &options)?);
+                drop(ssplat::unstable::decode(&bytes, &options)?);
             }
-            "ssplat, its thumbnail" => drop(ssplat::thumbnail(&bytes, [256; 2], &Limits::default())?),
+            "ssplat, its thumbnail" => drop(ssplat::unstable::thumbnail(&bytes, [256; 2], &Limits::default())?),
             _ => drop(image::load_from_memory(&bytes)?),
         }
         let used = cpu_time(who)? - cpu;

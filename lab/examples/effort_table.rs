@@ -21,8 +21,9 @@ use std::process::Command;
 use clap::Parser;
 use nix::sys::resource::{UsageWho, getrusage};
 use nix::sys::time::TimeVal;
+use ssplat::Pixels;
+use ssplat::unstable::DecodeOptions;
 use ssplat::unstable::metrics;
-use ssplat::{DecodeOptions, Pixels};
 
 /// What each effort costs and brings
 #[derive(Debug, Parser)]
@@ -80,7 +81,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                         ];
                         let [user, system] = encode(program, [&path, &file], options.into_iter())?;
                         let bytes = fs::read(&file)?;
-                        let decoded = ssplat::decode(&bytes, &DecodeOptions::default())?;
+                        let decoded = ssplat::unstable::decode(&bytes, &DecodeOptions::default())?;
                         let found = metrics::compare(&pixels, &decoded.pixels)?;
                         sums.files += 1.0;
                         sums.user += user;

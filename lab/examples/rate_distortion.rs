@@ -20,9 +20,10 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::Parser;
+use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{Recipe, metrics};
-use ssplat::{Backend, EncodeOptions, Limits, Pixels, Target, Tune};
+use ssplat::{Backend, Limits, Pixels, Target, Tune};
 use ssplat::{Renderer, View};
 use ssplat_cli::{names, perceived};
 
@@ -125,7 +126,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let pixels = Pixels::try_from(image::open(&path)?)?;
         for &ratio in &args.ratios {
             let start = Instant::now();
-            let encoded = ssplat::encode(&pixels, &options(&args, ratio))?;
+            let encoded = ssplat::unstable::encode(&pixels, &options(&args, ratio))?;
             let encode_seconds = start.elapsed().as_secs_f64();
             let (decoded, decode_seconds) = decode(&encoded.bytes, args.repeat)?;
             let found = metrics::compare(&pixels, &decoded)?;

@@ -8,7 +8,8 @@
 use std::time::Instant;
 
 use image::ImageReader;
-use ssplat::{Channels, DecodeOptions, EncodeOptions, Encoded, Pixels, Samples, Target, Tune};
+use ssplat::unstable::{DecodeOptions, EncodeOptions};
+use ssplat::{Channels, Encoded, Pixels, Samples, Target, Tune};
 
 /// Pixels on either side of a seam.
 const NEAR: u32 = 16;
@@ -22,7 +23,8 @@ struct Found {
 
 impl Found {
     fn of(original: &Pixels, encoded: &Encoded, side: u32) -> Self {
-        let decoded = ssplat::decode(&encoded.bytes, &DecodeOptions::default()).expect("it was just written").pixels;
+        let decoded =
+            ssplat::unstable::decode(&encoded.bytes, &DecodeOptions::default()).expect("it was just written").pixels;
         let (Samples::U8(a), Samples::U8(b)) = (original.samples(), decoded.samples()) else { panic!("8 bits") };
         let (width, height) = (original.width(), original.height());
         let is_near = |v: u32, length: u32| {
@@ -76,7 +78,7 @@ fn main() {
         let mut encode = |tiles: Option<u32>| {
             let clock = Instant::now();
             options.tiles = tiles;
-            let encoded = ssplat::encode(&pixels, &options).expect("an encode");
+            let encoded = ssplat::unstable::encode(&pixels, &options).expect("an encode");
             seconds.push(clock.elapsed().as_secs_f64());
             (Found::of(&pixels, &encoded, side), encoded.bytes.len())
         };

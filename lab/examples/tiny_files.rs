@@ -21,7 +21,8 @@ use clap::Parser;
 use image::imageops::{self, FilterType};
 use image::{ImageReader, RgbImage, RgbaImage};
 use ssplat::unstable::metrics;
-use ssplat::{DecodeOptions, EncodeOptions, Pixels, Target, Tune};
+use ssplat::unstable::{DecodeOptions, EncodeOptions};
+use ssplat::{Pixels, Target, Tune};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -131,8 +132,8 @@ fn ours(picture: &RgbImage, most: u64, effort: u8) -> Result<RgbImage> {
     options.effort = effort;
     // What the table has of the others is PSNR, too.
     options.tune = Some(Tune::Psnr);
-    let bytes = ssplat::encode(&pixels(picture)?, &options)?.bytes;
-    let decoded = ssplat::decode(&bytes, &DecodeOptions::default())?.pixels;
+    let bytes = ssplat::unstable::encode(&pixels(picture)?, &options)?.bytes;
+    let decoded = ssplat::unstable::decode(&bytes, &DecodeOptions::default())?.pixels;
     let ssplat::Samples::U8(samples) = decoded.into_samples() else { return Err("not 8 bits".into()) };
     RgbImage::from_raw(picture.width(), picture.height(), samples).ok_or_else(|| "wrong size".into())
 }

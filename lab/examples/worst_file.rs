@@ -16,7 +16,8 @@ use nix::sys::resource::{UsageWho, getrusage};
 use ssplat::unstable::bitstream::lattice::MAX_ANGLES_CODED;
 use ssplat::unstable::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use ssplat::unstable::bitstream::{DetailHead, DetailLayer, Maker, to_bytes};
-use ssplat::{Blend, Channels, DecodeOptions, Depth, Limits, decode};
+use ssplat::unstable::{DecodeOptions, decode};
+use ssplat::{Blend, Channels, Depth, Limits};
 use ssplat::{Renderer, View};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;

@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use ssplat::View;
 use ssplat::unstable::bitstream::Missing;
-use ssplat::{Damage, Depth, Layers, Limits, Opening, Pixels, Result};
+use ssplat::{Damage, Depth, Layers, Limits, Reader, Pixels, Result};
 
 use crate::failure::{exception, integer, parameter};
 use crate::{array, work};
@@ -39,7 +39,7 @@ struct Job {
 impl Job {
     fn new(data: &[u8], options: &Options) -> PyResult<Self> {
         let limits = limits(options.limits.as_ref())?;
-        let opening = Opening::new(data, &limits).map_err(exception)?;
+        let opening = Reader::new(data, &limits).map_err(exception)?;
         let mut view = opening.view();
         if let Some(region) = options.region {
             let [x, y, width, height] = whole("region", region)?;
@@ -61,7 +61,7 @@ impl Job {
     }
 
     fn run(&self, data: &[u8]) -> Result<(Pixels, Missing)> {
-        let opened = Opening::new(data, &self.limits)?.showing(self.layers).read_for(&self.view, self.damage)?;
+        let opened = Reader::new(data, &self.limits)?.showing(self.layers).read_for(&self.view, self.damage)?;
         let missing = opened.missing();
         let renderer = opened.renderer(&self.view)?;
         // The integers make room for the pixels.

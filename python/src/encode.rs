@@ -5,7 +5,8 @@ use std::time::Duration;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyBytes;
-use ssplat::{Detail, EncodeOptions, PixelSource, Progress, Target, Thumbnail, Workers};
+use ssplat::{Detail, PixelSource, Progress, Target, Thumbnail, Workers};
+use ssplat::unstable::{EncodeOptions};
 
 use crate::failure::{integer, parameter};
 use crate::work::{Calls, Reporter};
@@ -140,9 +141,9 @@ pub fn encode<'py>(
         match at_once {
             Some(at_once) => {
                 let mut others = Others { reporter, at_once };
-                ssplat::encode_divided(&*source, &parsed, &mut others, &mut progress)
+                ssplat::unstable::encode_divided(&*source, &parsed, &mut others, &mut progress)
             }
-            None => ssplat::encode_source(&*source, &parsed, &mut progress),
+            None => ssplat::unstable::encode_source(&*source, &parsed, &mut progress),
         }
     })?;
     Ok((PyBytes::new(py, &encoded.bytes), encoded.report.quality))

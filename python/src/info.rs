@@ -9,7 +9,7 @@ use ssplat::unstable::bitstream;
 use ssplat::unstable::bitstream::header::{Header, Sections};
 use ssplat::unstable::bitstream::report::Report;
 use ssplat::unstable::bitstream::splats::{Metadata, PackedSplats, Steps};
-use ssplat::{Limits, Opening};
+use ssplat::{Limits, Reader};
 
 use crate::failure::exception;
 use crate::{decode, names, work};
@@ -34,7 +34,7 @@ pub fn metadata(
 ) -> PyResult<(Section, Section)> {
     let limits = decode::limits(limits.as_ref())?;
     let Metadata { icc, exif, .. } =
-        work::run(py, 1, &work::Calls::default(), move |_| Opening::new(&data, &limits)?.metadata())?;
+        work::run(py, 1, &work::Calls::default(), move |_| Reader::new(&data, &limits)?.metadata())?;
     let bytes = |v: Option<Vec<u8>>| v.map(|v| PyBytes::new(py, &v).unbind());
     Ok((bytes(icc), bytes(exif)))
 }

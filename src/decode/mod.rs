@@ -1,30 +1,18 @@
-//! Bytes to pixels: [`decode()`] for a picture at a time, [`Opened`] for a file that is drawn again and again.
-//!
-//! ```no_run
-//! use ssplat::{DecodeOptions, decode};
-//!
-//! let bytes = std::fs::read("photo.ssplat")?;
-//! let whole = decode(&bytes, &DecodeOptions::default())?.pixels;
-//!
-//! // The part of 640 × 480 pixels at (100, 50), at half the size.
-//! let mut options = DecodeOptions::default();
-//! options.region = Some([100, 50, 640, 480]);
-//! options.size = Some([320, 240]);
-//! let part = decode(&bytes, &options)?.pixels;
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
+//! Bytes to pixels: [`Decoder`] for a picture at a time, [`Image`] for a file that is drawn again and again.
 
-mod opened;
+mod decoder;
+mod reader;
 mod thumbnail;
 
+pub use decoder::Decoder;
 #[cfg(feature = "gpu")]
-pub(crate) use opened::check_area;
-pub use opened::{Opened, Opening};
+pub(crate) use reader::check_area;
+pub use reader::{Image, Reader};
 pub use thumbnail::thumbnail;
 
 use crate::bitstream::Missing;
 use crate::bitstream::splats::Metadata;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::options::DecodeOptions;
 use crate::pixels::Pixels;
 use crate::raster::{SamplesMut, View};
@@ -49,7 +37,7 @@ pub struct Decoded {
 /// what cannot be read, [`Error::LimitExceeded`](crate::Error::LimitExceeded) for what is too large,
 /// [`Error::Parameter`](crate::Error::Parameter) for a region outside the picture or an empty one.
 pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
-    let opening = Opening::new(bytes, &options.limits)?.showing(options.layers);
+    let opening = Reader::new(bytes, &options.limits)?.showing(options.layers);
     let view = options.view(&opening.view())?;
     let opened = opening.read_for(&view, options.damage)?;
     let (depth, missing) = (opened.splats().depth, opened.missing());
@@ -60,16 +48,20 @@ pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
 }
 
 /// Decodes the file `bytes` into `out`, as [`decode()`] does but with the depth of `out`: for one picture after the other in
-/// the same memory. [`Opening`] tells a picture's size beforehand.
+/// the same memory. [`Reader`] tells a picture's size beforehand.
 ///
 /// # Errors
-/// As [`decode()`].
-///
-/// # Panics
-/// If `out` has not exactly as many samples as what `options` ask for: width × height × channels.
+/// As [`decode()`], and [`Error::Parameter`] naming `out` if that has not exactly as many samples as what `options` ask for.
 pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -> Result<(Metadata, Missing)> {
-    let opening = Opening::new(bytes, &options.limits)?.showing(options.layers);
+    let opening = Reader::new(bytes, &options.limits)?.showing(options.layers);
     let view = options.view(&opening.view())?;
+    let samples = u64::from(view.width()) * u64::from(view.height()) * opening.header().channels.count() as u64;
+    if out.count() as u64 != samples {
+        return Err(Error::Parameter {
+            name: "out",
+            problem: format!("{} samples where {samples} are needed", out.count()),
+        });
+    }
     let opened = opening.read_for(&view, options.damage)?;
     opened.draw_into(&view, out)?;
     let missing = opened.missing();

@@ -1,7 +1,7 @@
 //! A picture drawn small, from the thumbnail that its file carries where that is large enough.
 
 use super::Decoded;
-use super::opened::Opening;
+use super::reader::Reader;
 use crate::bitstream::Missing;
 use crate::error::Result;
 use crate::limits::Limits;
@@ -18,7 +18,7 @@ use crate::options::Damage;
 /// # Errors
 /// As [`decode()`](super::decode()); [`Error::Parameter`](crate::Error::Parameter) when a side of `within` is 0.
 pub fn thumbnail(bytes: &[u8], within: [u32; 2], limits: &Limits) -> Result<Decoded> {
-    let opening = Opening::new(bytes, limits)?;
+    let opening = Reader::new(bytes, limits)?;
     let view = opening.view().fitted(within)?;
     if let Some(small) = from_thumbnail(&opening, [view.width(), view.height()], limits)? {
         return Ok(small);
@@ -30,14 +30,14 @@ pub fn thumbnail(bytes: &[u8], within: [u32; 2], limits: &Limits) -> Result<Deco
 
 /// Returns the file's thumbnail drawn in `size`, if it is one of this picture and large enough. One that is not, or cannot be
 /// read, is as if it were not there.
-fn from_thumbnail(opening: &Opening<'_>, [width, height]: [u32; 2], limits: &Limits) -> Result<Option<Decoded>> {
+fn from_thumbnail(opening: &Reader<'_>, [width, height]: [u32; 2], limits: &Limits) -> Result<Option<Decoded>> {
     let mut metadata = opening.metadata()?;
     // All of it is held beside what it takes to draw.
     let carried: usize = metadata.sections().map(|(_, contents)| contents.len()).sum();
     let limits = Limits { alloc: limits.alloc.saturating_sub(carried as u64), ..limits.clone() };
     let Some(file) = metadata.thumbnail.take() else { return Ok(None) };
     let draw = || {
-        let small = Opening::new(&file, &limits).ok()?;
+        let small = Reader::new(&file, &limits).ok()?;
         let (of, is) = (opening.header(), small.header());
         let is_alike = (is.channels, is.depth) == (of.channels, of.depth);
         if !is_alike || is.width < width || is.height < height {

@@ -39,7 +39,7 @@ pub(super) fn expected(splats: &mut PackedSplats, levels: u8) -> Result<Vec<Expe
 }
 
 /// Orders the primitives into `levels` progressive levels: large ones first, each level up to three times as many primitives
-/// as the levels before it reach. This is what [`EncodeOptions::levels`](crate::EncodeOptions::levels) writes.
+/// as the levels before it reach. This is what [`Encoder::levels`](crate::Encoder::levels) writes.
 pub fn divide(splats: &mut PackedSplats, levels: u8) {
     splats.gaussians.sort_by_key(|g| std::cmp::Reverse(u16::from(g.major) + u16::from(g.minor)));
     let count = splats.gaussians.len() as u32;

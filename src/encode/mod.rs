@@ -9,6 +9,7 @@ mod clock;
 mod constant;
 mod detail;
 mod device;
+mod encoder;
 mod file;
 mod job;
 mod left_out;
@@ -34,12 +35,13 @@ use aim::MAX_PRIMITIVES;
 use clock::Clock;
 use device::Choice;
 pub use device::Chosen;
+pub use encoder::Encoder;
 pub use file::divide;
 pub(crate) use file::smallest;
 use job::{Encoding, decibels};
 pub use left_out::{LeftOut, Omission};
 use report::Journal;
-pub use report::Progress;
+pub use report::{Progress, StageTime};
 use subject::{Subject, may_leave_out};
 pub use tiles::work_on_tile;
 pub use trace::TracePoint;
@@ -49,6 +51,7 @@ pub use workers::Workers;
 
 /// An encoded picture.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct Encoded {
     /// The file.
     pub bytes: Vec<u8>,
@@ -71,12 +74,13 @@ pub struct EncodeReport {
     /// Wall-clock seconds, those that a trace takes not counted.
     pub seconds: f64,
     /// Seconds of each stage, in order.
-    pub stages: Vec<(&'static str, f64)>,
+    pub stages: Vec<StageTime>,
     /// Everything that the encode went without.
     pub left_out: Vec<LeftOut>,
     /// The device that fitted the picture, and why that one.
     pub chosen: Chosen,
-    /// Quality along the way; empty unless [`EncodeOptions::trace`] asks for it.
+    /// Quality along the way, where an encode is traced.
+    #[doc(hidden)]
     pub trace: Vec<TracePoint>,
 }
 
@@ -177,7 +181,10 @@ fn encode_by(
     check(options)?;
     match side(source, options) {
         Some(side) => tiles::encode(source, options, side, hands, Journal::new(progress, Tracer::new(Trace::Off))),
-        None => encode_with_progress(&source.part([0, 0, source.width(), source.height()])?, options, progress),
+        None => match source.as_pixels() {
+            Some(pixels) => encode_with_progress(pixels, options, progress),
+            None => encode_with_progress(&source.part([0, 0, source.width(), source.height()])?, options, progress),
+        },
     }
 }
 

@@ -17,15 +17,26 @@ pub struct Progress {
     pub stage: &'static str,
     /// Share of the stage that is done, `0..=1`.
     pub done: f32,
-    /// PSNR when it was last measured, dB; only with [`EncodeOptions::trace`](crate::EncodeOptions::trace).
+    /// PSNR when it was last measured, dB, where an encode is traced.
+    #[doc(hidden)]
     pub psnr: Option<f64>,
+}
+
+/// How long a stage of an encode took.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct StageTime {
+    /// The stage's name, as in [`Progress`].
+    pub name: &'static str,
+    /// Wall-clock seconds, those that a trace takes not counted.
+    pub seconds: f64,
 }
 
 /// The account of an encode that goes on.
 pub(super) struct Journal<'a> {
     pub progress: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>,
     pub tracer: Tracer,
-    pub stages: Vec<(&'static str, f64)>,
+    pub stages: Vec<StageTime>,
     /// In the order in which it was found.
     pub left_out: Vec<LeftOut>,
 }
@@ -58,7 +69,7 @@ impl<'a> Journal<'a> {
     /// Notes that a stage, which began when [`seconds`](Self::seconds) were `since`, is over; returns how long it took.
     pub(super) fn stage(&mut self, name: &'static str, since: f64) -> f64 {
         let seconds = self.seconds() - since;
-        self.stages.push((name, seconds));
+        self.stages.push(StageTime { name, seconds });
         seconds
     }
 

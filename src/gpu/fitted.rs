@@ -98,7 +98,7 @@ impl Watcher for Looking<'_> {
     }
 }
 
-/// Fits `count` primitives to `pixels` in `steps` steps of the recipe that [`encode`](crate::encode()) follows.
+/// Fits `count` primitives to `pixels` in `steps` steps of the recipe that an encode follows.
 ///
 /// `look` is called before each step. The same arguments give the same bits on the same device.
 ///

@@ -7,9 +7,9 @@
 //!
 //! ```no_run
 //! use ssplat::gpu::{Adapters, Device, Renderer};
-//! use ssplat::{Depth, Limits, Opened};
+//! use ssplat::{Depth, Limits, Image};
 //!
-//! let opened = Opened::from_bytes(&std::fs::read("photo.ssplat")?, &Limits::default())?;
+//! let opened = Image::from_bytes(&std::fs::read("photo.ssplat")?, &Limits::default())?;
 //! let device = Device::open(Adapters::Hardware)?;
 //! let mut renderer = Renderer::of(&device, &opened)?;
 //! let pixels = renderer.render(&opened.view(), Depth::Eight)?;
@@ -36,6 +36,7 @@ mod workspace;
 
 pub use device::{Adapters, Device};
 pub(crate) use fit::Fitter;
+#[cfg(any(test, feature = "unstable"))]
 pub use fitted::{Fitted, Look, fit};
 pub use renderer::Renderer;
 /// The crate that drives the device, in the version that [`Device::from_wgpu`] takes. A new minor version of this crate may

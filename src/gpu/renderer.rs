@@ -8,7 +8,7 @@ use super::scene::Splat;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
 use crate::bitstream::rules::Area;
 use crate::budget::Budget;
-use crate::decode::{Opened, check_area};
+use crate::decode::{Image, check_area};
 use crate::error::{Error, GpuError, Result};
 use crate::gaussian::{Blend, Channels, Gaussian, MAX_SCALE, Picture};
 use crate::limits::Limits;
@@ -99,12 +99,12 @@ impl Renderer {
         Renderer::on(device, &canvas, gaussians, limits, &Budget::of(limits))
     }
 
-    /// Brings the layers of an opened file that it [shows](Opened::show) to `device`. The file is not needed any more, but what
+    /// Brings the layers of an opened file that it [shows](Image::show) to `device`. The file is not needed any more, but what
     /// is drawn takes memory from what it may take. What a detail layer adds to a view is made on the CPU when the view is drawn.
     ///
     /// # Errors
     /// As [`Renderer::new`], by the limits of `opened`.
-    pub fn of(device: &Device, opened: &Opened) -> Result<Self> {
+    pub fn of(device: &Device, opened: &Image) -> Result<Self> {
         let (layers, area, limits, budget) = opened.terms();
         let splats = opened.splats();
         let (canvas, count) = splats.canvas(layers);

@@ -8,9 +8,9 @@ use crate::options::Carry;
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Carried {
-    /// The ICC profile, for [`EncodeOptions::icc`](crate::EncodeOptions::icc).
+    /// The ICC profile, for [`Encoder::icc`](crate::Encoder::icc).
     pub icc: Option<Vec<u8>>,
-    /// The EXIF block, for [`EncodeOptions::exif`](crate::EncodeOptions::exif).
+    /// The EXIF block, for [`Encoder::exif`](crate::Encoder::exif).
     pub exif: Option<Vec<u8>>,
     /// Bytes of the profile that is left out, 0 where none is.
     pub icc_left_out: usize,
@@ -31,6 +31,7 @@ impl Carry {
     /// let carried = Carry::Needed.of(None, Some(vec![0; 20_000]), Orientation::Rotate90);
     /// assert_eq!((carried.exif.map(|exif| exif.len()), carried.exif_left_out), (Some(26), 20_000));
     /// ```
+    #[doc(hidden)]
     #[must_use]
     pub fn of(self, icc: Option<Vec<u8>>, exif: Option<Vec<u8>>, orientation: Orientation) -> Carried {
         let is_turned = orientation != Orientation::NoTransforms;

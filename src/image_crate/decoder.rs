@@ -16,7 +16,7 @@ use image::{ColorType, ImageDecoder, ImageError, ImageResult, LimitSupport};
 
 use crate::bitstream::header::{Header, MAGIC};
 use crate::bitstream::read_rest;
-use crate::decode::{Opened, Opening};
+use crate::decode::{Image, Reader};
 use crate::error::{Error, Result};
 use crate::gaussian::Channels;
 use crate::limits::Limits;
@@ -54,7 +54,7 @@ pub struct SsplatDecoder<R> {
     header: Header,
     limits: Limits,
     /// All of the file, once something behind the header has been asked for.
-    opened: Option<Opened>,
+    opened: Option<Image>,
 }
 
 impl<R: Read> SsplatDecoder<R> {
@@ -70,7 +70,7 @@ impl<R: Read> SsplatDecoder<R> {
     }
 
     /// The file, read on first use.
-    fn opened(&mut self) -> ImageResult<&mut Opened> {
+    fn opened(&mut self) -> ImageResult<&mut Image> {
         let opened = match self.opened.take() {
             Some(opened) => opened,
             None => self.read().map_err(decoding_error)?,
@@ -78,9 +78,9 @@ impl<R: Read> SsplatDecoder<R> {
         Ok(self.opened.insert(opened))
     }
 
-    fn read(&mut self) -> Result<Opened> {
+    fn read(&mut self) -> Result<Image> {
         let rest = read_rest(&mut self.reader, &self.limits)?;
-        Opening::behind(self.header.clone(), &rest, &self.limits).read(Damage::Refuse)
+        Reader::behind(self.header.clone(), &rest, &self.limits).read(Damage::Refuse)
     }
 
     /// The picture, ready to be drawn; the integers go.

@@ -1,17 +1,16 @@
-//! Pixels of the `image` crate to files: [`SsplatEncoder`] and [`save`].
+//! Pixels of the `image` crate to files: [`SsplatEncoder`] and [`Encoder::save`].
 //!
 //! `image` has no hook for saving, so `DynamicImage::save("x.ssplat")` cannot work; these two can:
 //!
 //! ```no_run
-//! use ssplat::{EncodeOptions, SsplatEncoder, Target};
+//! use ssplat::{Encoder, SsplatEncoder};
 //!
 //! let picture = image::open("photo.png")?;
-//! let mut options = EncodeOptions::default();
-//! options.target = Target::Ratio(100.0);
-//! ssplat::save(&picture, "photo.ssplat", &options)?;
+//! let encoder = Encoder::new().ratio(100.0);
+//! encoder.save(&picture, "photo.ssplat")?;
 //!
 //! let mut bytes = Vec::new();
-//! picture.write_with_encoder(SsplatEncoder::new(&mut bytes, options))?;
+//! picture.write_with_encoder(SsplatEncoder::new(&mut bytes, encoder))?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -25,15 +24,14 @@ use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageForm
 use super::convert::{Rejected, gather};
 use super::decoder::EXTENSION;
 use super::replace::replace;
-use crate::encode::{EncodeReport, encode};
+use crate::encode::{EncodeReport, Encoder, encode};
 use crate::error::{Error, Result};
 use crate::options::EncodeOptions;
 use crate::pixels::Pixels;
 
 /// Fits `picture` and writes the file to `path`, replacing what is there once all is written: under another name first.
 ///
-/// A [`DynamicImage`] has neither the ICC profile nor the orientation of the file that it came from: use
-/// [`transcode`](super::transcode()) to keep them, or hand them over in `options`.
+/// A [`DynamicImage`] has neither the ICC profile nor the orientation of the file that it came from.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be written, [`Error::Parameter`] when `path` has the extension of another format;
@@ -43,6 +41,20 @@ pub fn save(picture: &DynamicImage, path: impl AsRef<Path>, options: &EncodeOpti
     let encoded = encode(&Pixels::try_from(picture)?, options)?;
     write(path.as_ref(), &encoded.bytes)?;
     Ok(encoded.report)
+}
+
+impl Encoder {
+    /// Encodes `picture` and writes the file to `path`, replacing what is there once all is written: under another name first.
+    ///
+    /// A [`DynamicImage`] has neither the ICC profile nor the orientation of the file that it came from: use
+    /// [`transcode`](Encoder::transcode) to keep them, or hand them over to [`icc`](Encoder::icc) and [`exif`](Encoder::exif).
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be written, [`Error::Parameter`] when `path` has the extension of another format;
+    /// otherwise as [`Encoder::encode`].
+    pub fn save(&self, picture: &DynamicImage, path: impl AsRef<Path>) -> Result<EncodeReport> {
+        save(picture, path, self.options())
+    }
 }
 
 /// Refuses a path that programs would take for a picture of another format.
@@ -66,32 +78,32 @@ pub(super) fn write(path: &Path, bytes: &[u8]) -> Result<()> {
 #[derive(Debug)]
 pub struct SsplatEncoder<W> {
     writer: W,
-    options: EncodeOptions,
+    encoder: Encoder,
 }
 
 impl<W: Write> SsplatEncoder<W> {
     /// An encoder that writes one file to `writer`, in a single call.
-    pub fn new(writer: W, options: EncodeOptions) -> Self {
-        SsplatEncoder { writer, options }
+    pub fn new(writer: W, encoder: impl Into<Encoder>) -> Self {
+        SsplatEncoder { writer, encoder: encoder.into() }
     }
 }
 
 impl<W: Write> ImageEncoder for SsplatEncoder<W> {
     fn write_image(mut self, buf: &[u8], width: u32, height: u32, color_type: ExtendedColorType) -> ImageResult<()> {
         let pixels = gather(buf, width, height, color_type)?;
-        let encoded = encode(&pixels, &self.options).map_err(encoding_error)?;
+        let encoded = self.encoder.encode(&pixels).map_err(encoding_error)?;
         self.writer.write_all(&encoded.bytes)?;
         self.writer.flush()?;
         Ok(())
     }
 
     fn set_icc_profile(&mut self, icc_profile: Vec<u8>) -> Result<(), UnsupportedError> {
-        self.options.icc = Some(icc_profile);
+        self.encoder = std::mem::take(&mut self.encoder).icc(icc_profile);
         Ok(())
     }
 
     fn set_exif_metadata(&mut self, exif: Vec<u8>) -> Result<(), UnsupportedError> {
-        self.options.exif = Some(exif);
+        self.encoder = std::mem::take(&mut self.encoder).exif(exif);
         Ok(())
     }
 }

@@ -9,7 +9,7 @@ use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
 
 use super::decoder::register;
 use super::encoder::{check_extension, write};
-use crate::encode::{EncodeReport, Encoded, encode};
+use crate::encode::{EncodeReport, Encoded, Encoder, encode};
 use crate::error::{Error, Result};
 use crate::options::EncodeOptions;
 use crate::pixels::Pixels;
@@ -20,15 +20,6 @@ use crate::pixels::Pixels;
 /// The formats are those that `image` is built with, by content or extension, and ssplat. [`DynamicImage`] holds
 /// neither profile nor orientation, so [`image::open`] and [`save`](super::save) lose both; this does not. A profile that
 /// `options` brings takes the place of the picture's own, and so does an EXIF block.
-///
-/// ```no_run
-/// use ssplat::{EncodeOptions, Target};
-///
-/// let mut options = EncodeOptions::default();
-/// options.target = Target::Ratio(100.0);
-/// ssplat::transcode("phone.jpg", "phone.ssplat", &options)?;
-/// # Ok::<(), ssplat::Error>(())
-/// ```
 ///
 /// # Errors
 /// [`Error::Io`] when a file cannot be read or written, [`Error::Source`] when `input` is no picture that `image` knows,
@@ -61,17 +52,6 @@ pub fn transcode(input: impl AsRef<Path>, output: impl AsRef<Path>, options: &En
 
 /// Encodes the picture of a `decoder` of the `image` crate, with what [`EncodeOptions::carry`] says of its metadata.
 ///
-/// ```
-/// # let mut png = Vec::new();
-/// # image::DynamicImage::new_rgb8(8, 8).write_to(&mut std::io::Cursor::new(&mut png), image::ImageFormat::Png)?;
-/// # let mut options = ssplat::EncodeOptions::default();
-/// # options.effort = 1;
-/// let reader = image::ImageReader::new(std::io::Cursor::new(png)).with_guessed_format()?;
-/// let encoded = ssplat::encode_decoder(reader.into_decoder()?, &options)?;
-/// # assert!(encoded.bytes.len() < 100);
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-///
 /// # Errors
 /// [`Error::Source`] when the decoder fails; otherwise as [`encode`].
 pub fn encode_decoder(mut decoder: impl ImageDecoder, options: &EncodeOptions) -> Result<Encoded> {
@@ -86,6 +66,47 @@ pub fn encode_decoder(mut decoder: impl ImageDecoder, options: &EncodeOptions) -
     options.icc = options.icc.or(carried.icc);
     options.exif = options.exif.or(carried.exif);
     encode(&pixels, &options)
+}
+
+impl Encoder {
+    /// Encodes the picture in the file at `input` and writes it to `output`, with what [`carry`](Encoder::carry) says of its
+    /// metadata: by default the ICC profile and the orientation.
+    ///
+    /// The formats are those that `image` is built with, by content or extension, and ssplat. A
+    /// [`DynamicImage`](image::DynamicImage) holds neither profile nor orientation, so [`image::open`] and
+    /// [`save`](Encoder::save) lose both; this does not. A profile that was [set](Encoder::icc) takes the place of the
+    /// picture's own, and so does an EXIF block.
+    ///
+    /// ```no_run
+    /// use ssplat::Encoder;
+    ///
+    /// Encoder::new().ratio(100.0).transcode("phone.jpg", "phone.ssplat")?;
+    /// # Ok::<(), ssplat::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Io`] when a file cannot be read or written, [`Error::Source`] when `input` is no picture that `image` knows,
+    /// [`Error::Parameter`] when `output` has the extension of another format; otherwise as [`Encoder::encode`].
+    pub fn transcode(&self, input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<EncodeReport> {
+        transcode(input, output, self.options())
+    }
+
+    /// Encodes the picture of a `decoder` of the `image` crate, with what [`carry`](Encoder::carry) says of its metadata.
+    ///
+    /// ```
+    /// # let mut png = Vec::new();
+    /// # image::DynamicImage::new_rgb8(8, 8).write_to(&mut std::io::Cursor::new(&mut png), image::ImageFormat::Png)?;
+    /// let reader = image::ImageReader::new(std::io::Cursor::new(png)).with_guessed_format()?;
+    /// let encoded = ssplat::Encoder::new().effort(1).encode_decoder(reader.into_decoder()?)?;
+    /// # assert!(encoded.bytes.len() < 100);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Source`] when the decoder fails; otherwise as [`Encoder::encode`].
+    pub fn encode_decoder(&self, decoder: impl ImageDecoder) -> Result<Encoded> {
+        encode_decoder(decoder, self.options())
+    }
 }
 
 /// Tells whether a profile is for the colours of `pixels`: that of a CMYK picture is not for those that it becomes.

@@ -6,8 +6,7 @@
 //! around it.
 //!
 //! ```
-//! use ssplat::raster::{Renderer, View};
-//! use ssplat::{Blend, Channels, Depth, Gaussian, Limits, Picture};
+//! use ssplat::{Blend, Channels, Depth, Gaussian, Limits, Picture, Renderer, View};
 //!
 //! let picture = Picture {
 //!     width: 64,

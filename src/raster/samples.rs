@@ -21,6 +21,14 @@ impl SamplesMut<'_> {
             SamplesMut::U16(_) => Depth::Sixteen,
         }
     }
+
+    /// How many samples there are.
+    pub(crate) fn count(&self) -> usize {
+        match self {
+            SamplesMut::U8(samples) => samples.len(),
+            SamplesMut::U16(samples) => samples.len(),
+        }
+    }
 }
 
 /// Code values of either depth, to be reused.

@@ -7,7 +7,8 @@ use std::time::Instant;
 
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{Ablation, Needs, Recipe, Rung, metrics};
-use ssplat::{Backend, Blend, DecodeOptions, EncodeOptions, Pixels, Result, Target, Tune};
+use ssplat::unstable::{DecodeOptions, EncodeOptions};
+use ssplat::{Backend, Blend, Pixels, Result, Target, Tune};
 
 use super::args::BenchMethods;
 use super::{opened, page};
@@ -83,9 +84,9 @@ impl Step {
 
     fn run(&self, pixels: &Pixels, options: &EncodeOptions) -> Result<Outcome> {
         let start = Instant::now();
-        let encoded = ssplat::encode(pixels, options)?;
+        let encoded = ssplat::unstable::encode(pixels, options)?;
         let seconds = start.elapsed().as_secs_f64();
-        let decoded = ssplat::decode(&encoded.bytes, &DecodeOptions::default())?.pixels;
+        let decoded = ssplat::unstable::decode(&encoded.bytes, &DecodeOptions::default())?.pixels;
         let found = metrics::compare(pixels, &decoded)?;
         let primitives = encoded.report.primitives;
         Ok(Outcome { bytes: encoded.bytes.len() as u64, psnr: found.psnr, ms_ssim: found.ms_ssim, primitives, seconds })
@@ -200,8 +201,10 @@ mod tests {
         let samples = (0..width * height * 3).map(|i| value(i / 3 % width, i / 3 / width, i % 3)).collect();
         let pixels = Pixels::new(width, height, Channels::Rgb, Samples::U8(samples)).unwrap();
         let steps = steps();
-        let files: Vec<Vec<u8>> =
-            steps.iter().map(|step| ssplat::encode(&pixels, &step.options((1, 0), 1500)).unwrap().bytes).collect();
+        let files: Vec<Vec<u8>> = steps
+            .iter()
+            .map(|step| ssplat::unstable::encode(&pixels, &step.options((1, 0), 1500)).unwrap().bytes)
+            .collect();
         for (i, file) in files.iter().enumerate() {
             assert!((1400..=1500).contains(&file.len()), "{} {}", steps[i].name, file.len());
             assert!(!files[..i].contains(file), "{}", steps[i].name);
@@ -209,7 +212,7 @@ mod tests {
         let mut plain = EncodeOptions::default();
         (plain.effort, plain.target, plain.needs) = (1, Target::Bytes(1500), Needs::Everything);
         (plain.tune, plain.backend) = (Some(Tune::Psnr), Backend::Cpu);
-        let encoded = |options: &EncodeOptions| ssplat::encode(&pixels, options).unwrap().bytes;
+        let encoded = |options: &EncodeOptions| ssplat::unstable::encode(&pixels, options).unwrap().bytes;
         assert_eq!(encoded(&plain), files[LADDER - 1]);
         plain.recipe = Recipe::SmartSplat(Ablation::Colors);
         assert_eq!(encoded(&plain), files[2]);

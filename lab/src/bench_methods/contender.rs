@@ -2,7 +2,8 @@
 
 use crate::recipes::{self, Counted, Method};
 use ssplat::unstable::{Ablation, Needs, Outside, PackOptions, Precision, Recipe, Trace, metrics};
-use ssplat::{DecodeOptions, EncodeOptions, Pixels, Result, Target};
+use ssplat::unstable::{DecodeOptions, EncodeOptions};
+use ssplat::{Pixels, Result, Target};
 
 /// Who is measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -55,7 +56,7 @@ pub struct Measured {
 impl Measured {
     /// Looks at the file that came of it.
     fn filed(&mut self, pixels: &Pixels, file: &[u8]) -> Result<()> {
-        let found = metrics::compare(pixels, &ssplat::decode(file, &DecodeOptions::default())?.pixels)?;
+        let found = metrics::compare(pixels, &ssplat::unstable::decode(file, &DecodeOptions::default())?.pixels)?;
         (self.bytes, self.file_psnr, self.file_ms_ssim) = (Some(file.len() as u64), Some(found.psnr), found.ms_ssim);
         Ok(())
     }
@@ -114,14 +115,14 @@ fn own(pixels: &Pixels, setup: &Setup, recipe: Recipe, measured: &mut Measured) 
     (options.effort, options.seed, options.recipe) = (setup.effort, setup.seed, recipe);
     (options.needs, options.trace) = (Needs::Everything, Trace::On);
     options.target = Target::Primitives(setup.count);
-    let encoded = ssplat::encode(pixels, &options)?;
+    let encoded = ssplat::unstable::encode(pixels, &options)?;
     measured.float_psnr = Some(encoded.report.float_psnr);
-    measured.seconds = encoded.report.stages.iter().filter(|s| s.0 == "fit").map(|s| s.1).sum();
+    measured.seconds = encoded.report.stages.iter().filter(|s| s.name == "fit").map(|s| s.seconds).sum();
     let fitted = encoded.report.trace.iter().filter(|p| p.stage == "fit");
     measured.trace = fitted.map(|p| (p.seconds, p.psnr)).collect();
     options.target = Target::Bytes(setup.bytes);
     options.trace = Trace::Off;
-    let encoded = ssplat::encode(pixels, &options)?;
+    let encoded = ssplat::unstable::encode(pixels, &options)?;
     measured.filed(pixels, &encoded.bytes)
 }
 

@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use serde_json::{Value, json};
+use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{Ablation, Recipe, Trace};
-use ssplat::{Backend, Blend, EncodeOptions, Limits, Pixels, Target, Tune};
+use ssplat::{Backend, Blend, Limits, Pixels, Target, Tune};
 use ssplat::{Renderer, View};
 
 use ssplat_cli::compare;
@@ -155,7 +156,7 @@ pub fn load(path: &Path, job: Job) -> Option<Cell> {
 /// Does the job and keeps what came of it; `progress` hears the share that is done.
 pub fn run(path: &Path, job: Job, subject: &Subject, progress: &mut dyn FnMut(f32)) -> Result<Cell, Failure> {
     let options = job.setup.options();
-    let encoded = ssplat::encode_with_progress(&subject.pixels, &options, &mut |p| {
+    let encoded = ssplat::unstable::encode_with_progress(&subject.pixels, &options, &mut |p| {
         progress(if p.stage == "fit" { 0.8 * p.done } else { 0.8 + 0.2 * p.done });
         ControlFlow::Continue(())
     });
@@ -238,7 +239,7 @@ fn measure(encoded: &ssplat::Encoded, job: &Job, subject: &Subject) -> Result<Va
         "decode_ms_full": time(&full)?,
         "decode_ms_region": time(&region)?,
         "decode_ms_thumbnail": time(&thumbnail)?,
-        "stages": r.stages.iter().map(|(name, s)| json!([name, s])).collect::<Vec<_>>(),
+        "stages": r.stages.iter().map(|s| json!([s.name, s.seconds])).collect::<Vec<_>>(),
         "parts": parts,
         "fields": fields,
         "left_out": left_out,

@@ -1,8 +1,9 @@
 //! What scenes leave out: each encoded with everything and with only what it needs.
 
 use serde_json::{Value, json};
+use ssplat::unstable::{EncodeOptions, encode};
 use ssplat::unstable::{Needs, metrics};
-use ssplat::{EncodeOptions, Limits, Pixels, Target, Tune, encode};
+use ssplat::{Limits, Pixels, Target, Tune};
 use ssplat::{Renderer, View};
 
 use super::scenes;

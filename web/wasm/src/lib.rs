@@ -13,7 +13,7 @@ use image::metadata::Orientation;
 use ssplat::SamplesMut;
 use ssplat::unstable::bitstream::header::{Sections, VERSION};
 use ssplat::unstable::bitstream::splats::{Layout, Metadata};
-use ssplat::{Blend, Damage, Error, Layers, Limits, Opening, Result};
+use ssplat::{Blend, Damage, Error, Layers, Limits, Reader, Result};
 
 /// What lies between two calls.
 #[derive(Default)]
@@ -248,8 +248,8 @@ pub extern "C" fn info() -> u32 {
 
 /// All questions share the one reader of headers.
 #[inline(never)]
-fn open<'a>(input: &'a [u8], limits: &Limits) -> Result<Opening<'a>> {
-    Opening::new(input, limits)
+fn open<'a>(input: &'a [u8], limits: &Limits) -> Result<Reader<'a>> {
+    Reader::new(input, limits)
 }
 
 /// Place of the orientation among an answer's numbers.

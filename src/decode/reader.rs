@@ -9,19 +9,20 @@ use crate::bitstream::splats::{Metadata, PackedGaussian, PackedSplats};
 use crate::bitstream::{Missing, Reading};
 use crate::budget::{Budget, Reservation};
 use crate::error::{Error, Result};
+use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::options::{Damage, Layers};
-use crate::pixels::Pixels;
+use crate::pixels::{Depth, Pixels};
 use crate::raster::{Canvas, Overlay, Renderer, SamplesMut, View};
 
 /// A file whose header has been read and nothing else: what picture it is, before anything is spent on it.
 ///
 /// ```no_run
-/// use ssplat::{Damage, Limits, Opening};
+/// use ssplat::{Damage, Limits, Reader};
 ///
 /// // A thumbnail of at most 256 × 256 pixels, of which only what it needs is read.
 /// let bytes = std::fs::read("photo.ssplat")?;
-/// let opening = Opening::new(&bytes, &Limits::default())?;
+/// let opening = Reader::new(&bytes, &Limits::default())?;
 /// let whole = opening.view();
 /// let scale = 256.0 / f64::from(whole.width().max(whole.height()));
 /// let [width, height] = [whole.width(), whole.height()].map(|side| (f64::from(side) * scale).ceil() as u32);
@@ -30,7 +31,7 @@ use crate::raster::{Canvas, Overlay, Renderer, SamplesMut, View};
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
-pub struct Opening<'a> {
+pub struct Reader<'a> {
     header: Header,
     /// What follows the header.
     rest: &'a [u8],
@@ -45,15 +46,12 @@ pub struct Opening<'a> {
 /// drawn from it take at the same time.
 ///
 /// ```
-/// use ssplat::raster::SamplesMut;
-/// use ssplat::{Channels, EncodeOptions, Limits, Opened, Pixels, Samples, Target};
+/// use ssplat::{Channels, Encoder, Image, Limits, Pixels, Samples, SamplesMut};
 ///
 /// # let samples = (0..64 * 48 * 3).map(|i| (i / 3 % 64 * 2 + i / 192) as u8).collect();
 /// # let pixels = Pixels::new(64, 48, Channels::Rgb, Samples::U8(samples))?;
-/// # let mut options = EncodeOptions::default();
-/// # (options.target, options.effort) = (Target::Primitives(20), 1);
-/// # let bytes = ssplat::encode(&pixels, &options)?.bytes;
-/// let opened = Opened::from_bytes(&bytes, &Limits::default())?;
+/// # let bytes = Encoder::new().bytes(300).effort(1).encode(&pixels)?.bytes;
+/// let opened = Image::from_bytes(&bytes, &Limits::default())?;
 /// let whole = opened.view();
 /// let icc = opened.metadata().icc.as_deref();
 ///
@@ -78,7 +76,7 @@ pub struct Opening<'a> {
 /// # Ok::<(), ssplat::Error>(())
 /// ```
 #[derive(Debug)]
-pub struct Opened {
+pub struct Image {
     splats: PackedSplats,
     missing: Missing,
     /// What can be drawn, if that is not all of the picture.
@@ -93,29 +91,61 @@ pub struct Opened {
     described: Reservation,
 }
 
-impl<'a> Opening<'a> {
+impl<'a> Reader<'a> {
     /// Reads the header of the file `bytes`.
     ///
     /// # Errors
-    /// As [`Header::read`].
+    /// [`Error::Format`] and [`Error::UnsupportedVersion`] for what is no header, [`Error::LimitExceeded`] for a picture that is
+    /// too large.
     pub fn new(bytes: &'a [u8], limits: &Limits) -> Result<Self> {
         let mut rest = bytes;
         let header = Header::read(&mut rest, limits)?;
-        Ok(Opening::behind(header, rest, limits))
+        Ok(Reader::behind(header, rest, limits))
     }
 
     /// A file whose header has been read, and the bytes that follow it.
     pub(crate) fn behind(header: Header, rest: &'a [u8], limits: &Limits) -> Self {
-        Opening { header, rest, limits: limits.clone(), budget: Budget::of(limits), layers: Layers::default() }
+        Reader { header, rest, limits: limits.clone(), budget: Budget::of(limits), layers: Layers::default() }
     }
 
     /// The same, of which only some layers are read and drawn.
     #[must_use]
     pub fn showing(self, layers: Layers) -> Self {
-        Opening { layers, ..self }
+        Reader { layers, ..self }
     }
 
-    /// Size, channels, depth, and how the picture is stored.
+    /// Width of the picture, pixels.
+    #[must_use]
+    pub fn width(&self) -> u32 {
+        self.header.width
+    }
+
+    /// Height of the picture, pixels.
+    #[must_use]
+    pub fn height(&self) -> u32 {
+        self.header.height
+    }
+
+    /// Channels of the picture.
+    #[must_use]
+    pub fn channels(&self) -> Channels {
+        self.header.channels
+    }
+
+    /// Bits a sample of the picture.
+    #[must_use]
+    pub fn depth(&self) -> Depth {
+        self.header.depth
+    }
+
+    /// Number of Gaussians.
+    #[must_use]
+    pub fn gaussians(&self) -> u32 {
+        self.header.primitives
+    }
+
+    /// How the picture is stored.
+    #[doc(hidden)]
     #[must_use]
     pub fn header(&self) -> &Header {
         &self.header
@@ -141,7 +171,7 @@ impl<'a> Opening<'a> {
     /// # Errors
     /// [`Error::Format`] for what cannot be read, which [`Damage::Accept`] makes less, and [`Error::LimitExceeded`] for
     /// what takes too much memory.
-    pub fn read(self, damage: Damage) -> Result<Opened> {
+    pub fn read(self, damage: Damage) -> Result<Image> {
         self.read_area(None, damage)
     }
 
@@ -149,16 +179,16 @@ impl<'a> Opening<'a> {
     /// only draw this view and parts of it. Of a damaged file everything is read.
     ///
     /// # Errors
-    /// As [`Opening::read`], and [`Error::LimitExceeded`] if the pixels of `view` alone would take too much memory.
-    pub fn read_for(self, view: &View, damage: Damage) -> Result<Opened> {
+    /// As [`Reader::read`], and [`Error::LimitExceeded`] if the pixels of `view` alone would take too much memory.
+    pub fn read_for(self, view: &View, damage: Damage) -> Result<Image> {
         let samples = u64::from(view.width()) * u64::from(view.height()) * self.header.channels.count() as u64;
         // A picture too large to be had is not worth reading.
         self.budget.check(samples * self.header.depth.bytes() as u64)?;
         self.read_area(Some(view.area().into()), damage)
     }
 
-    fn read_area(self, area: Option<Area>, damage: Damage) -> Result<Opened> {
-        let Opening { header, rest, limits, budget, layers } = self;
+    fn read_area(self, area: Option<Area>, damage: Damage) -> Result<Image> {
+        let Reader { header, rest, limits, budget, layers } = self;
         let reading = Reading { limits: &limits, budget: &budget, layers };
         let (splats, missing, area) = match damage {
             Damage::Accept => {
@@ -176,17 +206,17 @@ impl<'a> Opening<'a> {
         let Metadata { damaged, .. } = &splats.metadata;
         let carried: usize = splats.metadata.sections().map(|(_, contents)| contents.len()).sum();
         let described = budget.reserve((carried + size_of_val(&damaged[..])) as u64)?;
-        Ok(Opened { splats, missing, area, limits, budget, layers, integers, described })
+        Ok(Image { splats, missing, area, limits, budget, layers, integers, described })
     }
 }
 
-impl Opened {
-    /// Reads the whole of the file `bytes`. [`Opening`] reads a part, or what is left of a damaged file.
+impl Image {
+    /// Reads the whole of the file `bytes`. [`Reader`] reads a part, or what is left of a damaged file.
     ///
     /// # Errors
-    /// As [`Opening::new`] and [`Opening::read`].
+    /// As [`Reader::new`] and [`Reader::read`].
     pub fn from_bytes(bytes: &[u8], limits: &Limits) -> Result<Self> {
-        Opening::new(bytes, limits)?.read(Damage::Refuse)
+        Reader::new(bytes, limits)?.read(Damage::Refuse)
     }
 
     /// The whole picture, one output pixel for each of its own.
@@ -196,6 +226,7 @@ impl Opened {
     }
 
     /// The integers that were read.
+    #[doc(hidden)]
     #[must_use]
     pub fn splats(&self) -> &PackedSplats {
         &self.splats
@@ -231,7 +262,7 @@ impl Opened {
     /// Draws `view` with the channels and the depth of the file.
     ///
     /// # Errors
-    /// As [`Opened::renderer`], and [`Error::LimitExceeded`] when the pixels would take too much memory.
+    /// As [`Image::renderer`], and [`Error::LimitExceeded`] when the pixels would take too much memory.
     pub fn draw(&self, view: &View) -> Result<Pixels> {
         self.renderer(view)?.render(self.splats.depth)
     }
@@ -240,7 +271,7 @@ impl Opened {
     /// other this spares asking the system for memory, which takes a part of the time of a large one.
     ///
     /// # Errors
-    /// As [`Opened::renderer`].
+    /// As [`Image::renderer`].
     ///
     /// # Panics
     /// If `out` has not exactly width × height × channels samples.
