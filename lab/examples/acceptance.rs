@@ -2,7 +2,7 @@
 //! fuzzing as they are and under checksums that fit, all vectors, and mutations of them.
 //!
 //! ```sh
-//! cargo run --release -p ssplat-lab --example acceptance -- FOLDER [MUTATIONS]
+//! cargo run --release -p ssplat-lab --example acceptance -- FOLDER [MUTATIONS [FILES]]
 //! ```
 //!
 //! writes `FOLDER/files.bin`, all files in a row, and `FOLDER/list.txt`, of each a line: name, length, what inspecting it gives, width and
@@ -28,13 +28,18 @@ const SIDE: u32 = 64;
 
 fn main() -> Result<()> {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    let (folder, count) = match &args[..] {
-        [folder] => (Path::new(folder), 10_000),
-        [folder, count] => (Path::new(folder), count.parse()?),
-        _ => return Err("acceptance FOLDER [MUTATIONS]".into()),
+    let (folder, count, more) = match &args[..] {
+        [folder] => (Path::new(folder), 10_000, None),
+        [folder, count] => (Path::new(folder), count.parse()?, None),
+        [folder, count, more] => (Path::new(folder), count.parse()?, Some(Path::new(more))),
+        _ => return Err("acceptance FOLDER [MUTATIONS [FILES]]".into()),
     };
+    let mut all = files(count)?;
+    for path in more.map(entries).transpose()?.unwrap_or_default() {
+        all.push((name_of(&path), fs::read(&path)?));
+    }
     let (mut bytes, mut list) = (Vec::new(), String::new());
-    for (name, file) in files(count)? {
+    for (name, file) in all {
         let (outcome, [width, height], drawn) = said_of(&file);
         list += &format!("{name} {} {outcome} {width} {height} {drawn}\n", file.len());
         bytes.extend(file);

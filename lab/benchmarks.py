@@ -1,0 +1,273 @@
+#!/usr/bin/env python3
+"""Measures the codec beside others and writes the tables of docs/BENCHMARKS.md, docs/benchmarks.csv and docs/quality.svg.
+
+    cargo build --release
+    python lab/benchmarks.py target/release/ssplat KODAK [--large PICTURE...] [--jobs N] [--only quality,efforts,tiny,large]
+
+It takes Pillow 11.3 or newer for JPEG, WebP and AVIF, and the package pillow-jxl-plugin for JPEG XL. VVC's rows, and AVIF's with
+tune=iq, come from docs/kodak-modern.csv, as their encoders cannot be installed by name. KODAK is a folder with kodim01.png to
+kodim23.png, of which the odd ones are measured. All files are measured by `ssplat compare`. What is done is kept in
+target/benchmarks: started again, the command goes on where it stopped. Seconds are CPU seconds of one thread.
+"""
+import argparse, concurrent.futures, csv, hashlib, io, json, os, pathlib, platform, re, resource, statistics, subprocess, sys, tempfile, time
+
+root = pathlib.Path(__file__).resolve().parent.parent
+page, chart, rows_file = root / "docs/BENCHMARKS.md", root / "docs/quality.svg", root / "docs/benchmarks.csv"
+RATIOS = [20, 50, 100, 200, 500]
+# Qualities of the others, from small files to large ones.
+QUALITIES = {"jpeg": [4, 8, 14, 22, 35, 55, 75, 88], "webp": [0, 5, 15, 30, 50, 70, 85, 93], "avif": [8, 18, 28, 38, 48, 60, 72, 84], "jxl": [4, 10, 20, 35, 50, 65, 80, 90]}
+MEASURES = ["psnr", "ms_ssim", "ssimulacra2", "butteraugli"]
+
+args = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+args.add_argument("program", type=pathlib.Path)
+args.add_argument("kodak", type=pathlib.Path)
+args.add_argument("--large", type=pathlib.Path, nargs="*", default=[])
+args.add_argument("--jobs", type=int, default=2)
+args.add_argument("--only", default="quality,efforts,decode,tiny,large")
+args = args.parse_args()
+args.program = args.program.resolve()
+only = args.only.split(",")
+cache = root / "target/benchmarks"
+cache.mkdir(parents=True, exist_ok=True)
+build = hashlib.sha256(args.program.read_bytes()).hexdigest()[:16]
+commit = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=root, capture_output=True, text=True).stdout.strip()
+pictures = [args.kodak / f"kodim{k:02}.png" for k in range(1, 24, 2)]
+environment = os.environ | {"RAYON_NUM_THREADS": "1"}
+
+
+def run(command):
+    """Output and CPU seconds of a command."""
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        child = subprocess.Popen([str(c) for c in command], stdout=out, stderr=err, env=environment)
+        _, status, used = os.wait4(child.pid, 0)
+        out.seek(0), err.seek(0)
+        if status:
+            sys.exit(f"{' '.join(map(str, command))}: {err.read().decode()}")
+        return out.read().decode(), used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+
+
+def kept(name, work):
+    """The result of `work`, from the last time if there is one."""
+    path = cache / (hashlib.sha256(name.encode()).hexdigest()[:24] + ".json")
+    if not path.exists():
+        path.write_text(json.dumps(work()))
+    return json.loads(path.read_text())
+
+
+def compared(original, made):
+    out, _, _ = run([args.program, "compare", original, made, "--json"])
+    return {key: value for key, value in json.loads(out).items() if key in MEASURES}
+
+
+def ours(picture, options, decodes=0):
+    def work():
+        with tempfile.TemporaryDirectory() as folder:
+            file, out = pathlib.Path(folder, "a.ssplat"), pathlib.Path(folder, "a.ppm")
+            _, seconds, memory = run([args.program, "encode", picture, file, "--quiet", *options])
+            row = {"bytes": file.stat().st_size, "encode_s": seconds, "encode_mb": memory} | compared(picture, file)
+            if decodes:
+                row["decode_s"] = min(run([args.program, "decode", file, out, "--quiet"])[1] for _ in range(decodes))
+                out.unlink()
+                row["decode_mb"] = run([args.program, "decode", file, out, "--quiet"])[2]
+            return row
+    return kept(f"{build} {picture.name} {options} {decodes}", work)
+
+
+def others(picture, codec, quality):
+    def work():
+        from PIL import Image
+        if codec == "jxl":
+            import pillow_jxl  # noqa: F401
+        image = Image.open(picture).convert("RGB")
+        options = {"jpeg": {"optimize": True, "progressive": True}, "webp": {"method": 6}, "avif": {"speed": 3, "subsampling": "4:2:0"}, "jxl": {"effort": 7}}[codec]
+        with tempfile.TemporaryDirectory() as folder:
+            file, back = pathlib.Path(folder, f"a.{codec}"), pathlib.Path(folder, "a.png")
+            start = time.process_time()
+            image.save(file, quality=quality, **options)
+            seconds = time.process_time() - start
+            start = time.process_time()
+            decoded = Image.open(file).convert("RGB")
+            decode = time.process_time() - start
+            decoded.save(back)
+            return {"bytes": file.stat().st_size, "encode_s": seconds, "decode_s": decode} | compared(picture, back)
+    return kept(f"{codec} {picture.name} {quality}", work)
+
+
+def each(jobs):
+    with concurrent.futures.ThreadPoolExecutor(args.jobs) as pool:
+        return list(pool.map(lambda job: job(), jobs))
+
+
+def mean(values):
+    values = [v for v in values if v is not None]
+    return statistics.fmean(values) if values else float("nan")
+
+
+def number(value, digits):
+    if value != value:
+        return "–"
+    text = f"{value:.{digits}f}"
+    return text.replace("-", "−").replace("−0.", "−.") if text.startswith("-0.") else text.replace("0.", ".", 1) if text.startswith("0.") else text.replace("-", "−")
+
+
+def table(head, rows, left=1):
+    lines = ["| " + " | ".join(head) + " |", "|" + "".join("---|" if i < left else "--:|" for i in range(len(head)))]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def at(points, size, key):
+    """A measure at a size in bytes, between the two files next to it, by the logarithm of the size; nothing outside."""
+    import math
+    points = sorted(points, key=lambda p: p["bytes"])
+    for a, b in zip(points, points[1:]):
+        if a["bytes"] <= size <= b["bytes"]:
+            t = math.log(size / a["bytes"]) / math.log(b["bytes"] / a["bytes"]) if b["bytes"] > a["bytes"] else 0
+            return a[key] + t * (b[key] - a[key])
+    return None
+
+
+tables, all_rows = {}, []
+
+
+def modern():
+    found = {}
+    with open(root / "docs/kodak-modern.csv") as file:
+        for row in csv.DictReader(file):
+            point = {"bytes": int(row["bytes"]), "psnr": float(row["psnr"]), "ms_ssim": float(row["msssim"]), "ssimulacra2": float(row["ssimulacra2"]), "butteraugli": float(row["butteraugli"])}
+            point["encode_s"] = float(row["enc_cpu_s"])
+            found.setdefault((row["codec"], row["image"], int(row["target_cr"])), point)
+            if row["ss2_at_target"]:
+                point["psnr_at"], point["ms_ssim_at"], point["ssimulacra2_at"] = (float(row[k] or "nan") for k in ("psnr_at_target", "msssim_at_target", "ss2_at_target"))
+    return found
+
+
+def quality():
+    jobs = []
+    for picture in pictures:
+        for ratio in RATIOS:
+            for tune in ("iq", "psnr"):
+                jobs.append((("ssplat" if tune == "iq" else "ssplat --tune psnr", picture, ratio), lambda p=picture, r=ratio, t=tune: ours(p, ["--ratio", str(r), "--tune", t], 5 if t == "iq" else 0)))
+        for codec, qualities in QUALITIES.items():
+            for q in qualities:
+                jobs.append(((codec, picture, q), lambda p=picture, c=codec, q=q: others(p, c, q)))
+    results = dict(zip([key for key, _ in jobs], each([job for _, job in jobs])))
+    for (codec, picture, setting), row in results.items():
+        all_rows.append({"image": picture.name, "codec": codec, "setting": setting} | row)
+    today = modern()
+    rows = []
+    for ratio in RATIOS:
+        base = [results["ssplat", p, ratio] for p in pictures]
+        for name in ("ssplat", "ssplat --tune psnr"):
+            of = [results[name, p, ratio] for p in pictures]
+            rows.append([str(ratio), name, f"{mean(r['bytes'] for r in of):.0f}", *(number(mean(r[k] for r in of), d) for k, d in zip(MEASURES, (2, 4, 1, 2))), number(mean(r["encode_s"] for r in of), 1), ""])
+        for name in ("jpeg", "webp", "avif", "jxl"):
+            sizes = [r["bytes"] for r in base]
+            points = [[results[name, p, q] for q in QUALITIES[name]] for p in pictures]
+            found = {k: [at(ps, s, k) for ps, s in zip(points, sizes)] for k in MEASURES}
+            if any(v is None for v in found["psnr"]):
+                rows.append([str(ratio), name, "no files as small" if ratio > 20 else "–", "", "", "", "", "", ""])
+                continue
+            ahead = sum(b["ssimulacra2"] > v for b, v in zip(base, found["ssimulacra2"]))
+            rows.append([str(ratio), name, "ours", *(number(mean(found[k]), d) for k, d in zip(MEASURES, (2, 4, 1, 2))), number(mean(r["encode_s"] for ps in points for r in ps), 2), f"{ahead} of 12"])
+        for name, label in (("avif-iq-420", "AVIF tune=iq, speed 3"), ("vvc-medium", "VVC, vvenc medium")):
+            of = [today.get((name, p.name, ratio)) for p in pictures]
+            if any(r is None for r in of):
+                continue
+            at_size = [r.get("ssimulacra2_at", r["ssimulacra2"]) for r in of]
+            ahead = sum(b["ssimulacra2"] > v for b, v in zip(base, at_size))
+            rows.append([str(ratio), label, f"{mean(r['bytes'] for r in of):.0f}", number(mean(r.get("psnr_at", r["psnr"]) for r in of), 2), number(mean(r.get("ms_ssim_at", r["ms_ssim"]) for r in of), 4), number(mean(at_size), 1), number(mean(r["butteraugli"] for r in of), 2), number(mean(r["encode_s"] for r in of), 1), f"{ahead} of 12"])
+    head = ["ratio", "codec", "bytes", "PSNR dB", "MS-SSIM", "SSIMULACRA2", "Butteraugli", "encode, CPU s", "pictures where ssplat's SSIMULACRA2 is higher"]
+    tables["quality"] = table(head, rows, 2)
+    # A line a codec: the measure over bits a pixel, both means over the pictures.
+    lines = {}
+    pixels = 768 * 512
+    for name in ("ssplat",):
+        lines[name] = [(8 * mean(results[name, p, r]["bytes"] for p in pictures) / pixels, mean(results[name, p, r]["ssimulacra2"] for p in pictures)) for r in RATIOS]
+    for name, label in (("jpeg", "JPEG"), ("webp", "WebP"), ("avif", "AVIF"), ("jxl", "JPEG XL")):
+        lines[label] = [(8 * mean(results[name, p, q]["bytes"] for p in pictures) / pixels, mean(results[name, p, q]["ssimulacra2"] for p in pictures)) for q in QUALITIES[name]]
+    for name, label in (("avif-iq-420", "AVIF tune=iq"), ("vvc-medium", "VVC")):
+        found = [[today.get((name, p.name, r)) for p in pictures] for r in RATIOS]
+        lines[label] = [(8 * mean(r["bytes"] for r in of) / pixels, mean(r["ssimulacra2"] for r in of)) for of in found if all(of)]
+    chart.write_text(svg(lines))
+    ratio_rows = []
+    for ratio in RATIOS:
+        of = [results["ssplat", p, ratio] for p in pictures]
+        ratio_rows.append([str(ratio), *(number(1000 * mean(r["decode_s"] for r in of), 1),), number(max(r["decode_mb"] for r in of), 0), number(max(r["encode_mb"] for r in of), 0)])
+    tables["decode"] = table(["ratio", "`ssplat decode` of 768 × 512, CPU ms, the program's start included", "MB at the peak", "MB at the peak of the encode"], ratio_rows, 0)
+
+
+def svg(lines):
+    """Curves over bits a pixel, on a logarithmic axis."""
+    import math
+    width, height, left, bottom, top, right = 760, 430, 56, 46, 14, 150
+    xs = [x for line in lines.values() for x, _ in line]
+    low, high, least, most = 0.04, 2.0, -30.0, 90.0
+    px = lambda x: left + (width - left - right) * math.log(x / low) / math.log(high / low)
+    py = lambda y: height - bottom - (height - bottom - top) * (y - least) / (most - least)
+    colors = {"ssplat": "#c2185b", "JPEG": "#9e9e9e", "WebP": "#7cb342", "AVIF": "#64b5f6", "AVIF tune=iq": "#1565c0", "JPEG XL": "#ff9800", "VVC": "#6a1b9a"}
+    out = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="13">', f'<rect width="{width}" height="{height}" fill="white"/>']
+    for y in range(-30, 91, 20):
+        out.append(f'<line x1="{left}" x2="{width - right}" y1="{py(y):.1f}" y2="{py(y):.1f}" stroke="#e0e0e0"/><text x="{left - 8}" y="{py(y) + 4:.1f}" text-anchor="end">{y}</text>')
+    for x in (0.05, 0.1, 0.2, 0.5, 1, 2):
+        out.append(f'<line x1="{px(x):.1f}" x2="{px(x):.1f}" y1="{top}" y2="{height - bottom}" stroke="#e0e0e0"/><text x="{px(x):.1f}" y="{height - bottom + 18}" text-anchor="middle">{x}</text>')
+    out.append(f'<text x="{(left + width - right) / 2}" y="{height - 8}" text-anchor="middle">bits a pixel (24 over the ratio)</text>')
+    out.append(f'<text transform="translate(14 {(top + height - bottom) / 2}) rotate(-90)" text-anchor="middle">SSIMULACRA2</text>')
+    ends = []
+    for name, line in lines.items():
+        inside = sorted((x, y) for x, y in line if low <= x <= high and y >= least)
+        thick = 3 if name == "ssplat" else 1.6
+        out.append(f'<polyline fill="none" stroke="{colors[name]}" stroke-width="{thick}" points="{" ".join(f"{px(x):.1f},{py(y):.1f}" for x, y in inside)}"/>')
+        out.extend(f'<circle cx="{px(x):.1f}" cy="{py(y):.1f}" r="{thick}" fill="{colors[name]}"/>' for x, y in inside)
+        ends.append(name)
+    for i, name in enumerate(ends):
+        y = top + 16 + 20 * i
+        out.append(f'<line x1="{width - right + 14}" x2="{width - right + 38}" y1="{y}" y2="{y}" stroke="{colors[name]}" stroke-width="{3 if name == "ssplat" else 1.6}"/><text x="{width - right + 44}" y="{y + 4}">{name}</text>')
+    return "\n".join(out + ["</svg>"]) + "\n"
+
+
+def efforts():
+    four = [args.kodak / f"kodim{k:02}.png" for k in (5, 13, 15, 23)]
+    settings = [(ratio, effort) for ratio in (20, 50, 200) for effort in (1, 3, 5, 7)]
+    keys = [(p, r, e) for p in four for r, e in settings]
+    results = dict(zip(keys, each([lambda p=p, r=r, e=e: ours(p, ["--ratio", str(r), "--effort", str(e)]) for p, r, e in keys])))
+    rows = []
+    for ratio, effort in settings:
+        of = [results[p, ratio, effort] for p in four]
+        rows.append([str(ratio), str(effort), *(number(mean(r[k] for r in of), d) for k, d in (("encode_s", 2), ("psnr", 2), ("ms_ssim", 4), ("ssimulacra2", 1), ("butteraugli", 2)))])
+    tables["efforts"] = table(["ratio", "effort", "CPU s", "PSNR dB", "MS-SSIM", "SSIMULACRA2", "Butteraugli"], rows, 0)
+
+
+def tiny():
+    rows = []
+    for size in (40, 100, 300, 1000):
+        of = each([lambda p=p, s=size: ours(p, ["--bytes", str(s)]) for p in pictures])
+        rows.append([str(size), *(number(mean(r[k] for r in of), d) for k, d in (("psnr", 2), ("ssimulacra2", 1), ("encode_s", 2)))])
+    tables["tiny"] = table(["bytes", "PSNR dB", "SSIMULACRA2", "CPU s"], rows, 0)
+
+
+def large():
+    rows = []
+    for picture in args.large:
+        for ratio in (50, 200):
+            row = ours(picture, ["--ratio", str(ratio), "--effort", "3"], 2)
+            rows.append([picture.stem, str(ratio), str(row["bytes"]), *(number(row[k] if row[k] is not None else float("nan"), d) for k, d in (("psnr", 2), ("ms_ssim", 4), ("ssimulacra2", 1), ("encode_s", 0), ("encode_mb", 0))), number(1000 * row["decode_s"], 0)])
+    tables["large"] = table(["picture", "ratio", "bytes", "PSNR dB", "MS-SSIM", "SSIMULACRA2", "encode, CPU s", "MB at the peak", "decode, CPU ms"], rows)
+
+
+for name, measure in (("quality", quality), ("efforts", efforts), ("tiny", tiny), ("large", large)):
+    if name in only and (name != "large" or args.large):
+        measure()
+        print(name, "done", flush=True)
+text = page.read_text()
+tables["when"] = f"Measured on {time.strftime('%d %B %Y').lstrip('0')} with commit {commit}, on {os.cpu_count()} cores of {next((l.split(':')[1].strip() for l in open('/proc/cpuinfo') if l.startswith('model name')), platform.machine())}."
+for name, made in tables.items():
+    text, count = re.subn(rf"(<!-- {name} -->\n).*?(\n<!-- end -->)", lambda m: m.group(1) + made + m.group(2), text, flags=re.S)
+    if not count:
+        print(f"no place for the table {name} in {page}", file=sys.stderr)
+page.write_text(text)
+if all_rows:
+    with open(rows_file, "w", newline="") as file:
+        writer = csv.DictWriter(file, ["image", "codec", "setting", "bytes", *MEASURES, "encode_s", "decode_s", "encode_mb", "decode_mb"])
+        writer.writeheader()
+        for row in all_rows:
+            writer.writerow({k: round(v, 5) if isinstance(v, float) else v for k, v in row.items()})
