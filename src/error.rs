@@ -4,7 +4,7 @@ use std::fmt;
 #[cfg(feature = "image")]
 use std::path::{Path, PathBuf};
 
-use crate::options::Target;
+use crate::target::Target;
 
 /// Shorthand for results of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;

@@ -102,6 +102,7 @@ mod round;
 mod simd;
 #[cfg(feature = "quality")]
 mod ssimulacra2;
+mod target;
 #[cfg(any(test, feature = "unstable"))]
 pub mod unstable;
 
@@ -116,10 +117,11 @@ pub use image;
 #[cfg(feature = "image")]
 pub use image_crate::{EXTENSION, SsplatDecoder, SsplatEncoder, register};
 pub use limits::Limits;
-pub use options::{Backend, Carry, Damage, Detail, Layers, Target, Thumbnail, Tune};
+pub use options::{Backend, Carry, Damage, Detail, Layers, Thumbnail, Tune};
 pub use pixel_source::PixelSource;
 pub use pixels::{Depth, Pixels, Samples};
 pub use raster::{Renderer, SamplesMut, View};
+pub use target::Target;
 
 /// What an encode tells beside its bytes.
 pub mod report {

@@ -8,11 +8,11 @@ use peak_alloc::PeakAlloc;
 mod error {
     pub use ssplat::Result;
 }
-#[path = "../../src/bitstream/frame/compress.rs"]
+#[path = "../../src/bitstream/uncoded/frame/compress.rs"]
 mod compress;
-#[path = "../../src/bitstream/frame/decompress.rs"]
+#[path = "../../src/bitstream/uncoded/frame/decompress.rs"]
 mod decompress;
-#[path = "../../src/bitstream/frame/outline.rs"]
+#[path = "../../src/bitstream/uncoded/frame/outline.rs"]
 mod outline;
 
 #[global_allocator]

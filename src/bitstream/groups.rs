@@ -2,16 +2,17 @@
 
 use std::ops::Range;
 
+use super::area::Area;
 use super::broken::Broken;
 use super::bytes::{Bytes, put_varint};
 use super::checksum::{Hasher, hash};
-use super::coded::{Group, ONE_READER, metered, sort};
+use super::coder::coded::{Group, metered, sort};
+use super::coder::range::{Decoder, Encoder};
 use super::header::{Coloring, Grouping, Header};
 use super::palette::{put_codebook, put_color, read_codebook, read_color, sorted_codebook};
-use super::range::{Decoder, Encoder};
 use super::region::Region;
-use super::report::{Detail, Tally};
-use super::rules::{Area, MAX_LEVELS, Rules, most_primitives};
+use super::report::{Detail, ONE_READER, Tally};
+use super::rules::{MAX_LEVELS, Rules, most_primitives};
 use super::splats::{Layout, PackedGaussian, PackedSplats};
 use crate::error::{FormatError, Result};
 use crate::parallel;

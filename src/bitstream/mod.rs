@@ -1,32 +1,22 @@
 //! Bytes to integers and back; exact. Knows no colour and no pixel (spec §2 to §8).
 
-mod attributes;
-mod bits;
+pub mod area;
 mod broken;
 pub(crate) mod bytes;
 pub(crate) mod checksum;
-mod coded;
+pub mod coder;
 pub(crate) mod detail;
-pub(crate) mod expect;
-mod frame;
 mod groups;
 pub mod header;
-mod hilbert;
-mod kd;
 pub mod lattice;
-mod model;
-mod neighbours;
-mod packed;
 mod palette;
-mod planes;
-pub mod range;
 mod read;
 mod region;
 pub mod report;
 pub mod rules;
 pub mod sections;
 pub mod splats;
-mod spread;
+mod uncoded;
 mod write;
 
 #[doc(hidden)]

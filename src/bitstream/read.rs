@@ -3,19 +3,22 @@
 use std::io::Read;
 use std::sync::Arc;
 
+use super::area::Area;
 use super::broken::Broken;
 use super::bytes::Bytes;
 use super::checksum::Hasher;
+use super::coder::coded;
 use super::detail::head::{DetailHead, Spans, check_alpha};
 use super::detail::index::{self, Wanted};
 use super::groups::Missing;
 use super::header::{Grouping, Header, Sections};
 use super::report::{Detail, INDEX, Report, STREAMS, Tally};
-use super::rules::{Area, most_primitives};
+use super::rules::most_primitives;
 use super::sections::{SectionInfo, SectionsRead, read_sections};
 use super::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
+use super::uncoded::{packed, planes};
 use super::write::base_checksum;
-use super::{CHECKSUM, coded, groups, packed, planes};
+use super::{CHECKSUM, groups};
 use crate::budget::{Budget, Reservation};
 use crate::error::{FormatError, Result};
 use crate::limits::Limits;

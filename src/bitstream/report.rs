@@ -1,8 +1,11 @@
 //! Where a file's bytes go: by part and, for the primitives, by field.
 
+use super::coder::range::Meter;
 use super::header::Header;
-use super::range::Meter;
 use super::sections::SectionInfo;
+
+/// In WebAssembly one reader gives primitives and reports, for the module's size.
+pub(crate) const ONE_READER: bool = cfg!(target_family = "wasm");
 
 /// Bytes of one part of a file.
 #[derive(Debug, Clone, PartialEq, Eq)]

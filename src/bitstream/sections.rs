@@ -3,18 +3,12 @@
 use super::bytes::{Bytes, put_varint};
 use super::checksum::Hasher;
 use super::detail::head::{self as detail_head, DetailHead, Spans};
-use super::splats::Metadata;
+use super::splats::{EXIF, ICC, Metadata, THUMBNAIL};
 use crate::error::{FormatError, Result};
 use crate::limits::Limits;
 
-/// Name of the ICC profile's section.
-pub const ICC: [u8; 4] = *b"iccp";
-/// Name of the EXIF block's section.
-pub const EXIF: [u8; 4] = *b"exif";
 /// Name of the section that says what the detail layer behind the payload means; critical.
 pub const DETAIL: [u8; 4] = *b"Dtal";
-/// Name of the thumbnail's section.
-pub const THUMBNAIL: [u8; 4] = *b"thmb";
 
 /// Most sections of a file.
 pub const MAX_SECTIONS: usize = 64;

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use super::detail::DetailLayer;
-use super::sections::{EXIF, ICC, THUMBNAIL};
 use crate::gaussian::{Blend, Channels};
 use crate::pixels::Depth;
 
@@ -54,6 +53,13 @@ pub enum Layout {
     #[default]
     Coded,
 }
+
+/// Name of the ICC profile's section.
+pub const ICC: [u8; 4] = *b"iccp";
+/// Name of the EXIF block's section.
+pub const EXIF: [u8; 4] = *b"exif";
+/// Name of the thumbnail's section.
+pub const THUMBNAIL: [u8; 4] = *b"thmb";
 
 /// What a file carries beside its picture, untouched.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]

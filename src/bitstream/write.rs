@@ -3,13 +3,15 @@
 use std::io::Write;
 
 use super::checksum::{Hasher, hash};
+use super::coder::coded;
 use super::detail::head::{self, Spans};
 use super::detail::index;
+use super::groups;
 use super::header::{Grouping, Sections, put_header};
 use super::rules::{self, most_primitives};
 use super::sections::put_sections;
 use super::splats::{Layout, PackedSplats};
-use super::{coded, groups, packed, planes};
+use super::uncoded::{packed, planes};
 use crate::error::{Error, Result};
 
 /// Writes `splats` in their layout. The primitives of a level are put into the layout's own order.

@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
+use crate::bitstream::area::Area;
 use crate::bitstream::header::Header;
 use crate::bitstream::report::Tally;
-use crate::bitstream::rules::Area;
 use crate::bitstream::splats::{Metadata, PackedGaussian, PackedSplats};
 use crate::bitstream::{Missing, Reading};
 use crate::budget::{Budget, Reservation};

@@ -10,8 +10,9 @@ use crate::bitstream::splats::{Layout, Metadata, PackedSplats};
 use crate::error::{Error, Result};
 use crate::fit::model::planes::Planes;
 use crate::gaussian::Blend;
-use crate::options::{Needs, Target};
+use crate::options::Needs;
 use crate::round::size::Size;
+use crate::target::Target;
 
 /// Most primitives that an encode will fit.
 pub(super) const MAX_PRIMITIVES: u64 = 16 << 20;

@@ -8,8 +8,9 @@ use super::workers::{Hands, Workers};
 use super::{Encoded, encode_by};
 use crate::bitstream::splats::Layout;
 use crate::error::Result;
-use crate::options::{Backend, Carry, Detail, EncodeOptions, Target, Thumbnail, Tune};
+use crate::options::{Backend, Carry, Detail, EncodeOptions, Thumbnail, Tune};
 use crate::pixel_source::PixelSource;
+use crate::target::Target;
 
 /// Encodes pictures. What is not set is as [`Encoder::new`] has it.
 ///

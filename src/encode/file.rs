@@ -1,7 +1,7 @@
 //! Integers to the smallest file of them: progressive levels, and a codebook of colours where it pays.
 
 use crate::bitstream;
-use crate::bitstream::expect::Expected;
+use crate::bitstream::coder::expect::Expected;
 use crate::bitstream::rules::MAX_CODEBOOK;
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
@@ -35,7 +35,7 @@ pub(super) fn expected(splats: &mut PackedSplats, levels: u8) -> Result<Vec<Expe
     if levels > 1 {
         divide(splats, levels);
     }
-    bitstream::expect::expected(splats)
+    bitstream::coder::expect::expected(splats)
 }
 
 /// Orders the primitives into `levels` progressive levels: large ones first, each level up to three times as many primitives

@@ -9,7 +9,7 @@ use super::file;
 use super::left_out::Omission;
 use super::report::{Journal, Stage};
 use super::subject::{Subject, stored_scene};
-use crate::bitstream::expect::Expected;
+use crate::bitstream::coder::expect::Expected;
 use crate::bitstream::{self, splats::PackedSplats};
 use crate::error::Result;
 use crate::fit::Fitted;
@@ -23,11 +23,12 @@ use crate::fit::model::{masking, structure};
 use crate::fit::plan::Plan;
 use crate::fit::smartsplat;
 use crate::gaussian::Channels;
-use crate::options::{Needs, Recipe, Target, Tune};
+use crate::options::{Needs, Recipe, Tune};
 use crate::pixels::Depth;
 use crate::round::finish::{self, Client, Rounding};
 use crate::round::rounded::{Rounded, projected};
 use crate::round::size::Size;
+use crate::target::Target;
 
 /// Steps of the shortest fits that are weighed anew on the way. The looks that this takes are half as much work again in a
 /// fit of some sixty steps of 14 megapixels, for .05 dB and a point of SSIMULACRA2; large pictures do without.

@@ -8,9 +8,10 @@ use super::{Encoded, Progress, encode_with_progress};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::{Error, Result};
 use crate::limits::Limits;
-use crate::options::{Backend, Detail, EncodeOptions, Target, Thumbnail};
+use crate::options::{Backend, Detail, EncodeOptions, Thumbnail};
 use crate::raster::View;
 use crate::round::size::Size;
+use crate::target::Target;
 
 /// Longest side of a thumbnail, pixels.
 const SIDE: u32 = 256;

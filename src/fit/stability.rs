@@ -20,9 +20,9 @@ use super::schedule::{LAST_RATE, RATES, SAMPLED};
 use super::state::State;
 use crate::error::Result;
 use crate::gaussian::{Blend, Channels, Picture};
-use crate::options::Target as Aim;
 use crate::pixels::Pixels;
 use crate::raster::reference;
+use crate::target::Target as Aim;
 use stiff::{Bound, Row};
 
 const BLENDS: [Blend; 2] = [Blend::Normalized, Blend::Sum];

@@ -6,7 +6,7 @@ use super::lists::{Lists, MOST_BINDING, MOST_TILES, check_primitives};
 #[cfg(test)]
 use super::scene::Splat;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
-use crate::bitstream::rules::Area;
+use crate::bitstream::area::Area;
 use crate::budget::Budget;
 use crate::decode::{Image, check_area};
 use crate::error::{Error, GpuError, Result};

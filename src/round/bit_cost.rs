@@ -1,7 +1,7 @@
 //! The bits that the integers of a primitive cost, for rate–distortion decisions: as the entropy coder expects them, and
 //! from how often they occur where it expects nothing.
 
-use crate::bitstream::expect::{Angles, Expected};
+use crate::bitstream::coder::expect::{Angles, Expected};
 use crate::bitstream::lattice::Lattice;
 use crate::bitstream::splats::PackedGaussian;
 

@@ -6,7 +6,7 @@
 //! and positions around, only those are drawn that promise something. Primitives in disjoint bands of rows run in
 //! parallel.
 
-use crate::bitstream::expect::Expected;
+use crate::bitstream::coder::expect::Expected;
 use crate::bitstream::splats::PackedGaussian;
 use crate::fit::model::field::{self, Field, Output};
 use crate::fit::model::kernel;

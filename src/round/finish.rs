@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::bitstream::expect::Expected;
+use crate::bitstream::coder::expect::Expected;
 use crate::bitstream::splats::{Layout, PackedGaussian};
 use crate::error::Result;
 use crate::fit::engine::{Sight, Still};

@@ -1,7 +1,7 @@
 //! Codes by how often each occurs, through our range coder, as `compress_matrix_flatten_categorical` of GaussianImage's program
 //! puts them through another one; with the table that its `analysis` counts.
 
-use ssplat::unstable::bitstream::range::{Coder, Cumulative, Encoder};
+use ssplat::unstable::bitstream::coder::range::{Coder, Cumulative, Encoder};
 
 /// Bytes of the table for each code that occurs: 64 bits of how often, and the code itself.
 const ENTRY: u64 = 9;
@@ -64,7 +64,7 @@ pub(super) fn bytes(codes: &[u8]) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ssplat::unstable::bitstream::range::Decoder;
+    use ssplat::unstable::bitstream::coder::range::Decoder;
 
     #[test]
     fn codes_come_back_and_take_their_entropy_and_the_table() {

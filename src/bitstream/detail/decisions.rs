@@ -1,6 +1,6 @@
 //! Binary decisions of the layer, written, read or priced by the same code (spec §11.3).
 
-use crate::bitstream::range::{Coder, Decoder, Encoder};
+use crate::bitstream::coder::range::{Coder, Decoder, Encoder};
 
 /// A probability of a 1 that adapts: the mean of a quick and a slow estimate, in 1/65536.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

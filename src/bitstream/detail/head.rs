@@ -74,7 +74,7 @@ fn broken(field: &'static str, value: u64) -> Broken {
 pub(crate) fn read(contents: &[u8], offset: u64) -> Result<(DetailHead, Spans)> {
     let mut bytes = Bytes::new(contents, offset);
     let spans = Spans { payload: bytes.varint("payload length")?, checksum: bytes.u32("payload checksum")? };
-    let step = u16::from_le_bytes(bytes.array("detail step")?);
+    let step = bytes.u16("detail step")?;
     let [flags] = bytes.array("detail flags")?;
     if flags & RESERVED != 0 {
         return Err(broken("detail flags", flags.into()).into());

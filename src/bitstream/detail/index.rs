@@ -5,12 +5,12 @@ use super::head::DetailHead;
 use super::levels::{CELL, CELLS, CodedBlock, Level, SUPERS, TILE, TileLevels, tile_area, tile_counts};
 use super::model::{KINDS, Models};
 use super::tile::{self, kinds};
+use crate::bitstream::area::Area;
 use crate::bitstream::broken::Broken;
 use crate::bitstream::bytes::{Bytes, put_varint};
 use crate::bitstream::checksum::hash;
-use crate::bitstream::coded::ONE_READER;
-use crate::bitstream::range::Decoder;
-use crate::bitstream::rules::Area;
+use crate::bitstream::coder::range::Decoder;
+use crate::bitstream::report::ONE_READER;
 use crate::budget::Reservation;
 use crate::error::{FormatError, Result};
 use crate::gaussian::Channels;
@@ -287,7 +287,7 @@ fn memory_of(levels: u64, samples: u64) -> u64 {
 
 fn read_entry(bytes: &mut Bytes<'_>) -> Result<Entry> {
     let length = bytes.varint("length of a detail tile")?;
-    let check = if length > 0 { u16::from_le_bytes(bytes.array("check of a detail tile")?) } else { 0 };
+    let check = if length > 0 { bytes.u16("check of a detail tile")? } else { 0 };
     Ok(Entry { length, check })
 }
 

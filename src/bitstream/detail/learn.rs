@@ -5,8 +5,8 @@
 
 use super::model::Models;
 use super::tile::read_with;
+use crate::bitstream::coder::range::Decoder;
 use crate::bitstream::detail::index::streams;
-use crate::bitstream::range::Decoder;
 use crate::bitstream::read;
 use crate::limits::Limits;
 

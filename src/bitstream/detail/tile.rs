@@ -7,7 +7,7 @@ use super::levels::{CELL, CELLS, CodedBlock, Level, SUPER, SUPERS, TileLevels};
 use super::model::{BUCKETS, CLASSES, KINDS, Models, PLANES};
 use super::scan::{SIZES, STRIDE};
 use crate::bitstream::broken::Broken;
-use crate::bitstream::range::{Decoder, Encoder};
+use crate::bitstream::coder::range::{Decoder, Encoder};
 use crate::gaussian::Channels;
 
 /// Levels of a block count as 1024 where all of its places have one.

@@ -2,6 +2,7 @@
 
 use super::coefficients::{self, AllSizes, Division};
 use super::residual::TileResidual;
+use crate::bitstream::coder::range::Encoder;
 use crate::bitstream::detail::block::{self, Block, Context, MAX_LEVEL};
 use crate::bitstream::detail::decisions::{Decisions, Price};
 use crate::bitstream::detail::head::DetailHead;
@@ -9,7 +10,6 @@ use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, SUPERS, TILE, TileLev
 use crate::bitstream::detail::model::{KINDS, Models, PLANES};
 use crate::bitstream::detail::scan::{SIZES, STRIDE, at, scan};
 use crate::bitstream::detail::tile::{Content, ROOT, TileCoder, TileState, kinds, push};
-use crate::bitstream::range::Encoder;
 use crate::detail::steps::PlaneSteps;
 use crate::gaussian::Channels;
 

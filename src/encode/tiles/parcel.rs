@@ -157,7 +157,7 @@ impl Sent {
                 return Err(refused("number of primitives", count.into()));
             }
             for _ in 0..count {
-                let cost = f32::from_le_bytes(bytes.array("cost")?);
+                let cost = bytes.f32("cost")?;
                 if cost.is_nan() {
                     return Err(refused("cost", cost.to_bits().into()));
                 }
@@ -269,7 +269,7 @@ fn opened<'a>(bytes: &'a [u8], kind: &'static [u8]) -> Result<Bytes<'a>> {
 
 /// Reads a number that is no less than 0 and not infinite.
 fn f64_of(bytes: &mut Bytes<'_>, field: &'static str) -> Result<f64> {
-    let value = f64::from_le_bytes(bytes.array(field)?);
+    let value = bytes.f64(field)?;
     if value.is_finite() && value >= 0.0 { Ok(value) } else { Err(refused(field, value.to_bits())) }
 }
 

@@ -5,12 +5,12 @@
 
 use super::attributes::{MINOR_GROWTH, angles, aspects, legal};
 use super::coded::{Group, sort};
-use super::groups;
-use super::header::Grouping;
 use super::range::{Coder, Cumulative, Forecast};
-use super::region::Region;
-use super::splats::{Layout, PackedGaussian, PackedSplats};
 use super::spread::{Bounded, FINE, Near, Open};
+use crate::bitstream::groups;
+use crate::bitstream::header::Grouping;
+use crate::bitstream::region::Region;
+use crate::bitstream::splats::{Layout, PackedGaussian, PackedSplats};
 use crate::error::Result;
 use crate::parallel;
 

@@ -3,11 +3,11 @@
 //! The grid is embedded in a rectangle of powers of two whose longer side is halved until the sides are equal, then x
 //! and y in turn. Few centres split as evenly as by chance, whatever lies beside them, so that fixed chances do.
 
-use super::broken::Broken;
 use super::model::Slot;
 use super::range::{Coder, Cumulative};
-use super::region::{Place, Region, Square};
 use super::spread::{Bounded, FINE, Gains, Near, log16};
+use crate::bitstream::broken::Broken;
+use crate::bitstream::region::{Place, Region, Square};
 
 /// Counts up to this many split by a table; larger ones are coded as a distance from the even split.
 const SMALL: u32 = 12;

@@ -1,15 +1,17 @@
 //! The planes layout: each field of all primitives as streams of bytes, compressed by zstd (spec §7).
 
-use super::broken::Broken;
-use super::bytes::{Bytes, put_varint, unzigzag, zigzag};
-use super::checksum::Hasher;
 use super::frame;
-use super::header::{Coloring, Header};
 use super::hilbert::{hilbert, hilbert_point};
-use super::palette::{index_of, put_codebook, put_color, read_codebook, read_color, sorted_codebook, to_i16};
-use super::report::Tally;
-use super::rules::Rules;
-use super::splats::{PackedGaussian, PackedSplats};
+use crate::bitstream::broken::Broken;
+use crate::bitstream::bytes::{Bytes, put_varint, unzigzag, zigzag};
+use crate::bitstream::checksum::Hasher;
+use crate::bitstream::header::{Coloring, Header};
+use crate::bitstream::palette::{
+    index_of, put_codebook, put_color, read_codebook, read_color, sorted_codebook, to_i16,
+};
+use crate::bitstream::report::Tally;
+use crate::bitstream::rules::Rules;
+use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::error::{Error, FormatError, Result};
 
 /// Streams in the order of the file, and how many bytes each primitive has in them.

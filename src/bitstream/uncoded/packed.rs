@@ -1,14 +1,16 @@
 //! The packed layout: records of one size, tile by tile, for readers that want primitives in place (spec §6).
 
 use super::bits::{BitReader, BitWriter, width_of};
-use super::broken::Broken;
-use super::bytes::{Bytes, put_varint};
-use super::header::{Coloring, Header};
 use super::hilbert::hilbert;
-use super::palette::{index_of, put_codebook, put_color, read_codebook, read_color, sorted_codebook, to_i16};
-use super::report::Tally;
-use super::rules::Rules;
-use super::splats::{PackedGaussian, PackedSplats};
+use crate::bitstream::broken::Broken;
+use crate::bitstream::bytes::{Bytes, put_varint};
+use crate::bitstream::header::{Coloring, Header};
+use crate::bitstream::palette::{
+    index_of, put_codebook, put_color, read_codebook, read_color, sorted_codebook, to_i16,
+};
+use crate::bitstream::report::Tally;
+use crate::bitstream::rules::Rules;
+use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::error::Result;
 
 /// Most bits of a tile-relative position.

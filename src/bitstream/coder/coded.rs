@@ -1,18 +1,18 @@
 //! The coded layout: adaptive entropy coding, in one piece or in groups (spec §8).
 
 use super::attributes::{Attributes, GroupContext, Palette, spacing};
-use super::broken::Broken;
-use super::bytes::Bytes;
-use super::header::{Coloring, Header};
 use super::kd::{Counts, Extent, by_key, squares};
 use super::model::{Field, SIGNED_NODES};
 use super::neighbours::Buckets;
-use super::palette::{index_of, push_ascending, sorted_codebook, to_i16};
 use super::range::{Coder, Decoder, Encoder, Meter};
-use super::region::{Place, Region};
-use super::report::{Detail, Tally};
-use super::rules::Rules;
-use super::splats::{PackedGaussian, PackedSplats, Steps};
+use crate::bitstream::broken::Broken;
+use crate::bitstream::bytes::Bytes;
+use crate::bitstream::header::{Coloring, Header};
+use crate::bitstream::palette::{index_of, push_ascending, sorted_codebook, to_i16};
+use crate::bitstream::region::{Place, Region};
+use crate::bitstream::report::{Detail, ONE_READER, Tally};
+use crate::bitstream::rules::Rules;
+use crate::bitstream::splats::{PackedGaussian, PackedSplats, Steps};
 use crate::error::Result;
 
 /// Appends the payload of a file without groups.
@@ -45,9 +45,6 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
     tally.part("coded stream", payload.len());
     Ok(())
 }
-
-/// In WebAssembly one reader gives primitives and reports, for the module's size.
-pub(crate) const ONE_READER: bool = cfg!(target_family = "wasm");
 
 /// Counts what `detail` asks for.
 pub(crate) fn metered(decoder: Decoder<'_>, detail: Detail) -> Meter<Decoder<'_>> {

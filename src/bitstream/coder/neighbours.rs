@@ -1,6 +1,6 @@
 //! What lies around: sums over the coded primitives of a group, by buckets (spec §8.5).
 
-use super::region::Square;
+use crate::bitstream::region::Square;
 
 /// What is summed over the primitives of a bucket: fourteen sums, and two that stay 0, so that they fill registers.
 pub(crate) const LANES: usize = 16;

@@ -2,15 +2,15 @@
 
 use std::sync::LazyLock;
 
-use super::broken::Broken;
 use super::model::Field;
 use super::neighbours::{Buckets, COUNT, LANES};
 use super::range::{Coder, Cumulative, Forecast};
-use super::region::Square;
-use super::rules::Rules;
-use super::splats::{PackedGaussian, Steps};
 use super::spread::{Bounded, FINE, Gains, MEAN, Near, Open, Shifts, log16};
 use crate::angle::sin_cos;
+use crate::bitstream::broken::Broken;
+use crate::bitstream::region::Square;
+use crate::bitstream::rules::Rules;
+use crate::bitstream::splats::{PackedGaussian, Steps};
 use crate::gaussian::Channels;
 
 /// Quantities that are averaged over the neighbours: two scales and four colours.
@@ -40,7 +40,7 @@ const SHARE: u32 = 1024;
 const ANGLE_SHARE: u32 = 16384;
 
 /// How much an expected minor scale grows with the major one, sixteenths.
-pub(super) const MINOR_GROWTH: i64 = 9;
+pub(in crate::bitstream) const MINOR_GROWTH: i64 = 9;
 
 /// Classes of expected aspects.
 const ASPECTS: usize = 40;
@@ -290,14 +290,14 @@ static TANGENTS: [i64; 16] =
 
 /// Returns the chances of `major − minor`.
 #[inline(always)]
-pub(super) fn aspects(near: Near, major: u8) -> Bounded {
+pub(in crate::bitstream) fn aspects(near: Near, major: u8) -> Bounded {
     Bounded::new(near, 0, i32::from(major) + 1, SHARE)
 }
 
 /// Returns the chances of `n` angles, half a turn around one of 64 directions, with a spread over half a turn; and the
 /// lowest of them.
 #[inline(always)]
-pub(super) fn angles(direction: u32, n: i64, spread: i32) -> (Bounded, i64) {
+pub(in crate::bitstream) fn angles(direction: u32, n: i64, spread: i32) -> (Bounded, i64) {
     let place = i64::from(direction) * n / 4;
     let low = (place - 8 * n + 15) >> 4;
     (Bounded::new(Near::new(place, log16(n as u64) + spread), low, n as i32, ANGLE_SHARE), low)
@@ -305,7 +305,7 @@ pub(super) fn angles(direction: u32, n: i64, spread: i32) -> (Bounded, i64) {
 
 /// Returns a colour's place, sixteenths, held to what colours can be.
 #[inline(always)]
-pub(super) fn legal(place: i64) -> i64 {
+pub(in crate::bitstream) fn legal(place: i64) -> i64 {
     place.clamp(i64::from(i16::MIN) * FINE, i64::from(i16::MAX) * FINE)
 }
 

@@ -3,7 +3,7 @@
 //! 32-bit range, carry propagation, 16-bit probabilities. Bytes past the end read as zero, and the writer ends with the
 //! shortest string that still decodes: a stream has no terminator, and one string only is legal for each message.
 
-use super::broken::Broken;
+use crate::bitstream::broken::Broken;
 
 /// Below this the range is scaled up by a byte.
 const TOP: u32 = 1 << 24;

@@ -82,7 +82,7 @@ fn block_outline(block: &[u8]) -> Option<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bitstream::frame::{compress, decompress};
+    use crate::bitstream::uncoded::frame::{compress, decompress};
 
     /// Planes of the kinds that occur: noise, runs, slopes, text that repeats; around the sizes of blocks and windows.
     fn planes() -> Vec<Vec<u8>> {
