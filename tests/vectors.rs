@@ -995,3 +995,15 @@ fn the_comparison_of_pictures_sees_a_code_value() {
     assert_eq!((difference(&right, &right), difference(&right, &wrong)), (Some(0), Some(2)));
     assert_eq!(difference(&right, &right[..right.len() - 1]), None);
 }
+
+/// What a release promises of all later ones begins with files that do not change.
+#[test]
+fn vectors_of_1_0_are_kept_for_ever() {
+    let list = fs::read_to_string(root().join("kept.sha256")).unwrap();
+    assert!(list.lines().count() > 300, "the list is cut off");
+    for line in list.lines() {
+        let (digest, name) = line.split_once("  ").unwrap();
+        let bytes = fs::read(root().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+        assert_eq!(sha256(&bytes), digest, "{name} has changed");
+    }
+}
