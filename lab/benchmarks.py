@@ -2,7 +2,7 @@
 """Measures the codec beside others and writes the tables of docs/BENCHMARKS.md, docs/benchmarks.csv and docs/quality.svg.
 
     cargo build --release
-    python lab/benchmarks.py target/release/ssplat KODAK [--large PICTURE...] [--jobs N] [--only quality,efforts,tiny,large]
+    python lab/benchmarks.py target/release/ssplat KODAK [--large PICTURE...] [--jobs N] [--only codecs,quality,efforts,tiny,large]
 
 It takes Pillow 12 or newer for JPEG, WebP and AVIF (tune=iq), and the package pillow-jxl-plugin for JPEG XL. VVC's rows come from
 docs/kodak-modern.csv, as its encoder cannot be installed by name. KODAK is a folder with kodim01.png to
@@ -23,7 +23,7 @@ args.add_argument("program", type=pathlib.Path)
 args.add_argument("kodak", type=pathlib.Path)
 args.add_argument("--large", type=pathlib.Path, nargs="*", default=[])
 args.add_argument("--jobs", type=int, default=2)
-args.add_argument("--only", default="quality,efforts,decode,tiny,large")
+args.add_argument("--only", default="quality,efforts,tiny,large")
 args = args.parse_args()
 args.program = args.program.resolve()
 only = args.only.split(",")
@@ -225,6 +225,11 @@ def svg(lines):
     return "\n".join(out + ["</svg>"]) + "\n"
 
 
+def codecs():
+    """The other codecs alone, which do not depend on the program."""
+    each([lambda p=p, c=c, q=q: others(p, c, q) for p in pictures for c, qualities in QUALITIES.items() for q in qualities])
+
+
 def efforts():
     four = [args.kodak / f"kodim{k:02}.png" for k in (5, 13, 15, 23)]
     settings = [(ratio, effort) for ratio in (20, 50, 200) for effort in (1, 3, 5, 7)]
@@ -254,10 +259,12 @@ def large():
     tables["large"] = table(["picture", "ratio", "bytes", "PSNR dB", "MS-SSIM", "SSIMULACRA2", "encode, CPU s", "MB at the peak", "decode, CPU ms"], rows)
 
 
-for name, measure in (("quality", quality), ("efforts", efforts), ("tiny", tiny), ("large", large)):
+for name, measure in (("codecs", codecs), ("quality", quality), ("efforts", efforts), ("tiny", tiny), ("large", large)):
     if name in only and (name != "large" or args.large):
         measure()
         print(name, "done", flush=True)
+if not tables:
+    sys.exit()
 text = page.read_text()
 tables["when"] = f"Measured on {time.strftime('%d %B %Y').lstrip('0')} with commit {commit}, on {os.cpu_count()} cores of {next((l.split(':')[1].strip() for l in open('/proc/cpuinfo') if l.startswith('model name')), platform.machine())}."
 for name, made in tables.items():
