@@ -121,7 +121,7 @@ pub use pixel_source::PixelSource;
 pub use pixels::{Depth, Pixels, Samples};
 pub use raster::{Renderer, SamplesMut, View};
 
-/// What an encode tells beside its bytes.
+/// Types of the account that an encode gives beside its bytes.
 pub mod report {
     pub use crate::encode::{Chosen, LeftOut, Omission, StageTime};
 }

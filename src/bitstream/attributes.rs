@@ -103,7 +103,7 @@ const ERROR_LANES: usize = QUANTITIES;
 const AXIS_LANES: usize = ERROR_LANES + 4;
 const ELONGATION_LANE: usize = AXIS_LANES + 2;
 
-/// What a colour is expected from.
+/// Inputs to the forecast of one colour.
 #[derive(Debug, Clone, Copy)]
 struct Outlook<'a> {
     around: &'a Around,
@@ -198,14 +198,14 @@ pub(crate) struct Attributes {
     angle: Gains<3>,
     colors: Vec<Color>,
     index: Field,
-    /// Of the major and the minor scales.
+    /// Running means of the major and of the minor scale, sixteenths of a scale step.
     means: [Mean; 2],
     seen: u32,
     /// Eighths of the scale index of the primitives' spacing.
     spacing: i64,
 }
 
-/// What all primitives of a group share.
+/// Parameters shared by all primitives of a group.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GroupContext<'a> {
     pub rules: &'a Rules,

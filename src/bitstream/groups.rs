@@ -64,7 +64,7 @@ impl Entry {
     }
 }
 
-/// What a reader could not get.
+/// Numbers of the parts of a file that could not be read. All are 0 for a file that is intact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Missing {

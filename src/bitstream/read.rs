@@ -110,7 +110,7 @@ pub(crate) fn read_rest<R: Read>(reader: R, limits: &Limits) -> Result<Vec<u8>> 
     Ok(rest)
 }
 
-/// What bounds the reading of one file.
+/// Limits on the reading of one file.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Reading<'a> {
     pub limits: &'a Limits,
@@ -184,7 +184,7 @@ impl Reading<'_> {
         Ok((splats, infos))
     }
 
-    /// What is to be read of a detail layer.
+    /// Returns the part of a detail layer to read, with its limits.
     fn wanted<'w>(&'w self, header: &Header, area: Option<&Area>, counts: bool) -> Wanted<'w> {
         let size = [header.width, header.height];
         Wanted { size, channels: header.channels, area: area.copied(), limits: self.limits, passes_over: false, counts }
@@ -249,7 +249,7 @@ impl Reading<'_> {
         Ok(read.metadata)
     }
 
-    /// What parsing `rest` takes at most.
+    /// Reserves the most memory that parsing `rest` can take.
     fn reserve(self, header: &Header, rest: &[u8]) -> Result<Reservation> {
         let primitives = u64::from(header.primitives) * working_bytes(header.layout);
         self.budget.reserve(FILE_COPIES * rest.len() as u64 + primitives)

@@ -19,7 +19,7 @@ pub const THUMBNAIL: [u8; 4] = *b"thmb";
 /// Most sections of a file.
 pub const MAX_SECTIONS: usize = 64;
 
-/// What the sections of a file say.
+/// Contents of a file's sections.
 #[derive(Debug, Default)]
 pub(crate) struct SectionsRead {
     pub metadata: Metadata,
@@ -35,11 +35,11 @@ pub struct SectionInfo {
     pub name: [u8; 4],
     /// Bytes of the section in the file, its head included.
     pub bytes: u64,
-    /// What became of it.
+    /// What the reader did with it.
     pub fate: SectionFate,
 }
 
-/// What a reader did with a section.
+/// Treatment of a section by a reader.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum SectionFate {
     /// Understood and kept.

@@ -55,7 +55,7 @@ pub enum Layout {
     Coded,
 }
 
-/// What a file carries beside its picture, untouched.
+/// Metadata of a file, unparsed: blocks that are carried beside the picture, byte for byte.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Metadata {
@@ -104,7 +104,7 @@ pub struct PackedSplats {
     /// How many primitives each progressive level has, coarse levels first, at most 8; empty: one level. Only the coded
     /// layout has several; a file cut after a level still shows a whole, coarser picture.
     pub levels: Vec<u32>,
-    /// What is added to the Gaussians' picture; only the coded layout has it.
+    /// The detail layer, which is added to the picture of the Gaussians. Only the coded layout can have one.
     pub detail: Option<Arc<DetailLayer>>,
     /// ICC profile and EXIF block.
     pub metadata: Metadata,

@@ -33,7 +33,7 @@ use crate::raster::{Canvas, Overlay, Renderer, SamplesMut, View};
 #[derive(Debug)]
 pub struct Reader<'a> {
     header: Header,
-    /// What follows the header.
+    /// Bytes that follow the header.
     rest: &'a [u8],
     limits: Limits,
     budget: Budget,
@@ -79,15 +79,15 @@ pub struct Reader<'a> {
 pub struct Image {
     splats: PackedSplats,
     missing: Missing,
-    /// What can be drawn, if that is not all of the picture.
+    /// The area that was read and can be drawn; `None`: the whole picture.
     area: Option<Area>,
     limits: Limits,
     budget: Budget,
     layers: Layers,
-    /// For the integers.
+    /// Memory reserved for the integers.
     #[expect(dead_code, reason = "held until the integers are gone")]
     integers: Reservation,
-    /// For the metadata.
+    /// Memory reserved for the metadata.
     described: Reservation,
 }
 
@@ -238,13 +238,13 @@ impl Image {
         &self.splats.metadata
     }
 
-    /// What could not be read; nothing unless [`Damage::Accept`] was asked for.
+    /// Returns the numbers of the parts that could not be read. All are 0 unless [`Damage::Accept`] was set.
     #[must_use]
     pub fn missing(&self) -> Missing {
         self.missing
     }
 
-    /// What draws `view`. It does not need the opened file any more.
+    /// Returns a renderer of `view`. It does not borrow the opened file.
     ///
     /// # Errors
     /// As [`Renderer::new`], and [`Error::Parameter`] for a view that shows what was not read.
@@ -253,7 +253,8 @@ impl Image {
         self.splats.renderer_within(view, (&self.limits, &self.budget), self.layers)
     }
 
-    /// What a renderer of any view needs to know beside the integers: which layers are drawn, what part can be, and what it may cost.
+    /// Returns everything that a renderer of any view needs beside the integers: the layers to draw, the area that was
+    /// read, the limits and the memory account.
     #[cfg(feature = "gpu")]
     pub(crate) fn terms(&self) -> (Layers, Option<Area>, &Limits, &Budget) {
         (self.layers, self.area, &self.limits, &self.budget)
@@ -318,12 +319,12 @@ pub(crate) fn check_area(area: Option<&Area>, view: &View) -> Result<()> {
     Ok(())
 }
 
-/// What the detail layer is shown on by itself.
+/// Colour under the detail layer when it is drawn alone: middle grey, encoded.
 const GREY: f32 = 0.5;
 
 impl PackedSplats {
-    /// What draws `view`. The Gaussians are made on the way: they need not all be there at once, as they would be with
-    /// [`to_picture`](PackedSplats::to_picture).
+    /// Returns a renderer of `view`. It computes the Gaussians one by one, where
+    /// [`to_picture`](PackedSplats::to_picture) would hold all of them in memory.
     ///
     /// # Errors
     /// As [`Renderer::new`].
@@ -331,7 +332,8 @@ impl PackedSplats {
         self.renderer_within(view, (limits, &Budget::of(limits)), Layers::Both)
     }
 
-    /// The same with memory from `budget`, and with what a detail layer adds.
+    /// Returns a renderer as [`renderer`](PackedSplats::renderer) does, of the given `layers` and with memory from
+    /// `budget`.
     fn renderer_within(&self, view: &View, (limits, budget): (&Limits, &Budget), layers: Layers) -> Result<Renderer> {
         let (canvas, count) = self.canvas(layers);
         let quantizer = self.quantizer();
@@ -343,7 +345,8 @@ impl PackedSplats {
         }
     }
 
-    /// What Gaussians are drawn onto where such layers are shown, and how many of them.
+    /// Returns the canvas that the Gaussians are drawn onto when `layers` are shown, and the number of Gaussians to
+    /// draw.
     pub(crate) fn canvas(&self, layers: Layers) -> (Canvas, usize) {
         let mut background = self.quantizer().dequantize_color(self.background);
         let mut count = self.gaussians.len();
@@ -356,7 +359,7 @@ impl PackedSplats {
         (Canvas { channels: self.channels, blend: self.blend, background }, count)
     }
 
-    /// What is added to them.
+    /// Returns the detail layer to add to the Gaussians, if `layers` include it and the file has one.
     pub(crate) fn overlay(&self, layers: Layers) -> Option<Overlay> {
         let layer = self.detail.as_ref().filter(|_| layers != Layers::Gaussians)?;
         Some(Overlay::new(Arc::clone(layer), self.channels, [self.width, self.height]))

@@ -13,7 +13,7 @@ use crate::simd::{self, Simd, Task};
 /// Additions are counted in this part of an 8-bit code value.
 pub(crate) const UNIT: f32 = 1.0 / 32.0;
 
-/// What a tile adds, channel by channel, 1/32 code value; rows are [`TILE`] apart.
+/// Values that a tile adds, by channel, in 1/32 of an 8-bit code value. Rows are [`TILE`] apart.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TilePlanes {
     pub channels: Vec<Vec<i16>>,
@@ -21,7 +21,7 @@ pub(crate) struct TilePlanes {
     filled: Supers,
 }
 
-/// What to work in, to be reused.
+/// Working memory for [`reconstruct`], to be reused.
 #[derive(Debug, Default)]
 pub(crate) struct Scratch {
     /// Two rows of superblocks of each plane: of no more is anything needed, so that all of it stays in the cache.
@@ -71,7 +71,7 @@ pub(crate) fn reconstruct(
     reconstruct_some(tile, layer, Supers::ALL, scratch, out);
 }
 
-/// The same for some superblocks; the others hold anything.
+/// Reconstructs the superblocks that are `wanted`; the others hold arbitrary values.
 pub(crate) fn reconstruct_some(
     tile: &TileLevels,
     (head, channels, size): (&DetailHead, Channels, [usize; 2]),
@@ -229,7 +229,7 @@ fn clear<T: Copy + Default>(plane: &mut [T]) {
     }
 }
 
-/// What the channels get at a row of a superblock that begins at `at`, from those of the planes.
+/// Converts a row of a superblock from planes to channels; `at` is its first index in `channels`.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn mix([y, orange, green, alpha]: [&[i32]; PLANES], channels: &mut [Vec<i16>], at: usize) {

@@ -1,4 +1,4 @@
-//! What the levels of the layer mean: the contents of its section (spec §11.1).
+//! Contents of the detail layer's section: the numbers that give its levels their values (spec §11.1).
 
 use super::model::CLASSES;
 use crate::bitstream::broken::Broken;
@@ -26,7 +26,7 @@ pub struct DetailHead {
     pub alpha: bool,
 }
 
-/// What the layer's section says of the Gaussians' bytes.
+/// Length and checksum of the Gaussians' bytes, as the detail layer's section states them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Spans {
     /// Bytes of the payload, behind which the layer begins.
