@@ -110,7 +110,7 @@ pub enum Backend {
 #[non_exhaustive]
 pub enum Needs {
     /// Skip constant channels (opaque alpha, grey stored as RGB). The decoded picture has the caller's channels all the
-    /// same.
+    /// same. Also stop the fit and drop primitives where the error is already below that of rounding or of the target.
     #[default]
     Measured,
     /// All.
@@ -196,7 +196,7 @@ pub struct EncodeOptions {
     pub tune: Option<Tune>,
     /// Device that fits the picture.
     pub backend: Backend,
-    /// Whether constant channels are skipped.
+    /// Whether parts that the picture does not need are skipped.
     pub needs: Needs,
     /// Whether the file has a detail layer. Files of an asked size, ratio or quality have one, in the coded layout; files of a
     /// number of primitives have none.

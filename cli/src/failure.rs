@@ -1,4 +1,4 @@
-//! What the program says when it fails, and the exit status that goes with it.
+//! Error messages of the program, and their exit statuses.
 
 use std::path::Path;
 

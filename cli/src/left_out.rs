@@ -1,9 +1,10 @@
-//! What a file does not hold, and what holding it would take: measured by writing the file with it.
+//! Things that a file does not hold, and the bytes that they would take, measured by writing the file with each of
+//! them.
 
 use ssplat::unstable::bitstream::report::Report;
 use ssplat::unstable::bitstream::splats::{Layout, PackedSplats};
 
-/// Something that a file goes without.
+/// Something that a file does not hold.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Absent {
     pub what: String,
@@ -15,7 +16,7 @@ pub struct Absent {
 /// told.
 const MOST_WRITTEN: usize = 1 << 20;
 
-/// What `splats`, a file of which `report` tells, leave out.
+/// Returns everything that `splats`, the file which `report` describes, does not hold.
 pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
     let mut list = Vec::new();
     let mut add = |what: String, with: Option<PackedSplats>| {

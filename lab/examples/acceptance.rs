@@ -1,5 +1,5 @@
-//! What this decoder says of many files, for other builds of it to be held against (`web/test/acceptance.mjs`): the finds of
-//! fuzzing as they are and under checksums that fit, all vectors, and mutations of them.
+//! Results of this decoder on many files, to compare other builds of it with (`web/test/acceptance.mjs`): the finds of
+//! fuzzing as they are and with matching checksums, all vectors, and mutations of them.
 //!
 //! ```sh
 //! cargo run --release -p ssplat-lab --example acceptance -- FOLDER [MUTATIONS]
@@ -58,7 +58,7 @@ fn files(count: usize) -> Result<Vec<(String, Vec<u8>)>> {
     for kind in ["valid", "reduced", "invalid", "limits"] {
         for path in entries(&root.join("spec/vectors").join(kind))? {
             let bytes = fs::read(path.join("file.ssplat"))?;
-            // The same that `tests/malformed.rs` changes.
+            // These are the files that `tests/malformed.rs` changes.
             if kind == "valid" && bytes.len() < 8192 {
                 sound.push(bytes.clone());
             }

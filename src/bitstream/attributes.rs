@@ -359,6 +359,7 @@ impl Attributes {
             self.refresh();
         }
         self.seen = self.seen.wrapping_add(1);
+        // Forecast of both scales: the group's mean, moved towards the neighbours as far as these are trusted.
         let log = square.log;
         let spot = buckets.spot(square);
         let around = Around(buckets.around(&spot));
@@ -366,13 +367,15 @@ impl Attributes {
         let means = [self.means[0].value, self.means[1].value];
         let dev = [around.dev(0, means[0], trust), around.dev(1, means[1], trust)];
 
-        // The square leaves about an octave open.
+        // The position is coded with a step that follows from the shape, and the size of the square is that step: it leaves
+        // about an octave open for the major scale.
         let (low, high) = scene.rules.majors(log)?;
         let near = Near::new(means[0] + dev[0], MAJOR_SPREAD);
         let choice = Bounded::new(near, low.into(), i32::from(high - low) + 1, SHARE);
         let major = low + coder.choose(&choice, i32::from(p.major) - i32::from(low)) as u8;
         coder.account("major scale");
 
+        // The aspect depends on the major scale and is coded instead of the minor one: it fixes the number of angles.
         let difference = self.aspect(coder, major, means, dev, p);
         let minor = major - difference;
         coder.account("minor scale");
@@ -382,7 +385,8 @@ impl Attributes {
         debug_assert!(scene.rules.shape(major, minor, angle).is_ok());
         coder.account("angle");
 
-        // The rest of the position.
+        // The tree of counts coded the square. The step along each axis is only known now that the shape is: the cell within the
+        // square is coded in plain bits.
         let exponents = scene.rules.lattice.exponents(major, minor, angle);
         let [lx, ly] = scene.rules.in_cells(exponents);
         let bits = [log - lx, log - ly];
@@ -406,6 +410,7 @@ impl Attributes {
                 *book.get(index as usize).ok_or(Broken { field: "codebook index", value: index.into() })?
             }
             None => {
+                // Large primitives follow their neighbours' colours, small ones are corrections: size and aspect are contexts.
                 let size = (i64::from(major) + i64::from(minor) - self.spacing) * scene.delta() / 32 + 8;
                 let outlook = Outlook {
                     around: &around,
@@ -419,8 +424,11 @@ impl Attributes {
         let p = PackedGaussian { x, y, major, minor, angle, color };
         let c = color.map(i32::from);
         let values = [major.into(), minor.into(), c[0], c[1], c[2], c[3]];
+        // The decoder knows the primitive now: the means and the buckets learn from it for the next ones.
         self.means[0].add(i64::from(major) * FINE);
         self.means[1].add(i64::from(minor) * FINE);
+        // Angles are those of axes, half a turn apart: the doubled angle as a vector can be summed. Rounder primitives say
+        // less about the direction, so that their vectors are shorter.
         let octaves = i32::from(difference) * (scene.delta() as i32);
         let elongation = 16 * octaves / (octaves + 32);
         let direction = (u32::from(angle) * 64 + u32::from(n) / 2) / u32::from(n) % 64;
@@ -486,7 +494,7 @@ impl Attributes {
         errors: &mut [i32; 4],
     ) -> Result<[i16; 4], Broken> {
         let mut out = [0i16; 4];
-        // Of the first two channels.
+        // Surprises of the first two channels; 0 until they are known.
         let mut surprises = [0i64; 2];
         let mut before = 8;
         for (k, model) in self.colors.iter_mut().enumerate() {

@@ -105,7 +105,7 @@ pub fn read_partial(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Miss
 /// [`Error::Io`](crate::Error::Io) from the reader.
 pub(crate) fn read_rest<R: Read>(reader: R, limits: &Limits) -> Result<Vec<u8>> {
     let mut rest = Vec::new();
-    // What is read is backed by bytes that somebody sent; the limit stops endless streams.
+    // Memory grows only with the bytes that arrive; the limit stops endless streams.
     reader.take(limits.alloc / FILE_COPIES + 1).read_to_end(&mut rest)?;
     Ok(rest)
 }
@@ -193,8 +193,9 @@ impl Reading<'_> {
     /// Parses what is intact of the bytes behind the header, and says what is missing.
     pub fn intact(self, header: &Header, rest: &[u8]) -> Result<(PackedSplats, Missing)> {
         let mut working = self.reserve(header, rest)?;
-        // What is trusted is covered by the directory's checksum and the groups' own, or by that of the Gaussians' bytes. That of
-        // the file, which may be cut off or be a part of the last group of a file that is cut, only tells whether all is well.
+        // Trust comes from the checksums of the directory and of each group, or from that of the Gaussians' bytes. The
+        // checksum of the file may be cut off, or be part of the last group of a file that is cut. It only tells
+        // whether the whole file is intact.
         let mut bytes = Bytes::new(rest, header.bytes().len() as u64);
         let mut checksum = Hasher::new();
         checksum.update(header.bytes());

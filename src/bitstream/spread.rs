@@ -271,7 +271,7 @@ impl Cumulative for Bounded {
             let about = self.near.about(target.saturating_sub(alike) + self.base) - self.low;
             about.clamp(0, i64::from(self.count) - 1) as i32
         };
-        // What all have alike takes its part below the value, too: half of it, or as much as a first guess tells.
+        // The floor of all values below counts as well: half of the total floor, or as much as a first guess tells.
         let alike = self.floor * self.count as u32;
         let below = match alike < self.total / 16 {
             true => alike / 2,

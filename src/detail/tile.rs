@@ -41,7 +41,7 @@ impl TilePlanes {
         self.channels.resize_with(channels.count(), Vec::new);
         for channel in &mut self.channels {
             make(channel, TILE * TILE);
-            // What was there before, and is not now.
+            // Clear the superblocks that held something before and do not now.
             for y in 0..SUPERS {
                 self.filled.without(filled).row(y).for_each(|x| clear(&mut channel[(y * TILE + x) * SUPER..]));
             }
@@ -95,7 +95,7 @@ impl Task for Reconstruct<'_> {
     fn run<S: Simd>(self, _: S) {
         let Reconstruct { tile, head, channels, size, wanted, scratch, out } = self;
         let [across, down] = size.map(|side| side.div_ceil(SUPER));
-        // What is wanted takes the blocks that reach there, and no other.
+        // Only blocks that reach into the wanted superblocks are transformed.
         let mut filled = [Supers::NONE; PLANES];
         for block in &tile.blocks {
             let reached = Supers::reached(block);

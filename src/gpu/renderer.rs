@@ -22,7 +22,7 @@ const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 /// Work of a (Gaussian, tile) pair, pixels: a tile is drawn as a whole.
 const PAIR_WORK: u64 = (TILE * TILE) as u64;
 
-/// A picture on a device, ready to be drawn in any view.
+/// A picture in the memory of a device, ready to be drawn in any view.
 #[derive(Debug)]
 pub struct Renderer {
     device: Device,
@@ -31,11 +31,11 @@ pub struct Renderer {
     background: [f32; 4],
     count: u32,
     limits: Limits,
-    /// What pixels and additions may be allocated from.
+    /// Memory account for pixels and additions.
     budget: Budget,
-    /// What can be drawn, if that is not all of the picture.
+    /// The area that was read and can be drawn; `None`: the whole picture.
     area: Option<Area>,
-    /// What is added to the Gaussians' picture.
+    /// Detail layer to add to the Gaussians.
     overlay: Option<Arc<Overlay>>,
     primitives: wgpu::Buffer,
     stage: Option<Canvas>,
@@ -56,7 +56,7 @@ struct Canvas {
     render: wgpu::BindGroup,
 }
 
-/// What the buffers depend on.
+/// Parameters that the sizes of the buffers depend on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct CanvasSize {
     grid: Grid,
@@ -64,7 +64,7 @@ struct CanvasSize {
     capacity: u32,
 }
 
-/// What is drawn, and what of it is kept.
+/// Size of a view in samples and in output words.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Grid {
     /// Columns and rows of samples.
@@ -87,7 +87,7 @@ enum Format {
 }
 
 impl Renderer {
-    /// Brings `picture` to `device`.
+    /// Copies `picture` to `device`.
     ///
     /// # Errors
     /// [`Error::LimitExceeded`] when `limits` do not allow its primitives; [`Error::Parameter`] when one of them is not
@@ -99,8 +99,9 @@ impl Renderer {
         Renderer::on(device, &canvas, gaussians, limits, &Budget::of(limits))
     }
 
-    /// Brings the layers of an opened file that it [shows](Image::show) to `device`. The file is not needed any more, but what
-    /// is drawn takes memory from what it may take. What a detail layer adds to a view is made on the CPU when the view is drawn.
+    /// Copies the layers of an opened file that it [shows](Image::show) to `device`. The file is not needed any more,
+    /// but drawing takes memory from its account ([`Limits::alloc`]). The additions of a detail layer are made on the
+    /// CPU when a view is drawn.
     ///
     /// # Errors
     /// As [`Renderer::new`], by the limits of `opened`.
@@ -169,7 +170,7 @@ impl Renderer {
         })
     }
 
-    /// Draws `view` and brings the pixels back.
+    /// Draws `view` and copies the pixels back to the host.
     ///
     /// # Errors
     /// [`Error::LimitExceeded`] when the pixels, what a layer adds to them, the (Gaussian, tile) pairs or their work go beyond the
@@ -281,7 +282,8 @@ impl Renderer {
         })
     }
 
-    /// Rows of the bands that the last view was drawn in, and the pairs that a band's lists hold.
+    /// Returns the height in output rows of the bands that the last view was drawn in, and the number of pairs that a
+    /// band's lists can hold.
     #[must_use]
     pub fn bands(&self) -> (u32, u32) {
         (self.band_rows, self.capacity)
@@ -294,7 +296,7 @@ impl Renderer {
         self.device.read_as(&lists.splats, self.count as usize)
     }
 
-    /// The same with a detail layer, and with lists that begin too short.
+    /// Adds a detail layer, and begins with lists that are too short.
     #[cfg(test)]
     pub(super) fn adding(self, overlay: Arc<Overlay>) -> Self {
         Renderer { overlay: Some(overlay), capacity: 100, ..self }

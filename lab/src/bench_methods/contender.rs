@@ -16,19 +16,19 @@ pub enum Contender {
     Published { method: Method, rate: f32 },
 }
 
-/// What all have in common.
+/// Settings shared by all contenders.
 #[derive(Debug, Clone, Copy)]
 pub struct Setup {
     pub count: u32,
     /// Size of the file.
     pub bytes: u64,
     pub seed: u64,
-    /// Of a published method.
+    /// Iterations of a published method.
     pub iterations: u32,
     pub effort: u8,
 }
 
-/// What came of it; `None` where there is no such number.
+/// Result of a contender; `None` where there is no such number.
 #[derive(Debug, Clone, Default)]
 pub struct Measured {
     /// PSNR of the floats before rounding to code values, dB.

@@ -120,7 +120,7 @@ impl Decisions for Decoder<'_> {
             model.learn(bit);
             return bit;
         }
-        // What follows depends on the bit as well: one branch for all of it.
+        // The caller branches on the bit as well: this way one branch does for both.
         if bit {
             self.take(true, bound);
             model.learn(true);

@@ -196,7 +196,7 @@ mod tests {
             assert!(read(&bytes[..bytes.len() - 1], 0).is_err() && read(&[&bytes[..], &[0]].concat(), 0).is_err());
         }
         assert_eq!(contents(&DetailHead::SEEN, spans).len(), 9);
-        // What the preset says already, and the preset that needs more bytes.
+        // A value that the preset has already, and a preset that needs more bytes than another.
         let mut said_twice = contents(&DetailHead::PLAIN, spans);
         said_twice[8] |= CLASS_COUNT;
         said_twice.push(1);

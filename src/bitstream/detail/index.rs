@@ -200,7 +200,7 @@ pub(crate) fn read(
     let likely = |i: usize| likely_levels(entries[i].length, samples);
     let mut rest = &chosen[..];
     while !rest.is_empty() {
-        // What the batch takes at most while it is read.
+        // Most memory that the batch takes while it is read.
         let (mut most, mut count) = (0, 0);
         for &i in rest.iter().take(BATCH) {
             let more = memory_of(likely(i), samples);

@@ -73,7 +73,7 @@ fn block_outline(block: &[u8]) -> Option<()> {
         // Without sequences the block ends.
         [0] => Some(()),
         [0, ..] => None,
-        // Of the modes two bits are reserved.
+        // Two bits of the modes are reserved.
         [1..=127, modes, ..] | [128..=254, _, modes, ..] | [255, _, _, modes, ..] => (modes & 3 == 0).then_some(()),
         _ => None,
     }

@@ -28,9 +28,9 @@ use crate::limits::Limits;
 use crate::pixel_source::{PixelSource, check_area};
 use crate::pixels::{Depth, Pixels, Samples};
 
-/// What a task begins with, and the number of its layout.
+/// First bytes of a task, with the version of its layout.
 const TASK: &[u8] = b"ssplat task 1, ";
-/// What an answer begins with.
+/// First bytes of an answer, with the version of its layout.
 const ANSWER: &[u8] = b"ssplat answer 1, ";
 /// The version that wrote the bytes.
 const VERSION: &[u8] = env!("CARGO_PKG_VERSION").as_bytes();
@@ -121,7 +121,7 @@ pub(super) struct Sent {
 }
 
 impl Sent {
-    /// Of the bytes of a `task`; its answer has at most `most` primitives of either kind.
+    /// Records the bytes of a `task`, whose answer has at most `most` primitives of either kind.
     pub(super) fn new(task: &[u8], window: &Window, most: usize) -> Self {
         Sent { name: name_of(task), window: *window, most }
     }
@@ -386,7 +386,7 @@ fn window_of(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {
     Ok(Window { core, seen, index: u64::from_le_bytes(bytes.array("number of the tile")?) })
 }
 
-/// What primitives are held against.
+/// Bounds that the primitives of a task or an answer are checked against.
 pub(super) struct Bars {
     size: [u32; 2],
     whole: Rules,
