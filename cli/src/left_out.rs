@@ -21,7 +21,7 @@ pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
     let mut list = Vec::new();
     let mut add = |what: String, with: Option<PackedSplats>| {
         let written = with.and_then(|w| ssplat::unstable::bitstream::to_bytes(&w).ok());
-        // What would make the file smaller was not left out for the scene's sake.
+        // A thing that would make the file smaller was not left out to save bytes.
         let saved = written.map(|w| w.len() as i64 - report.bytes as i64);
         if saved.is_none_or(|s| s >= 0) {
             list.push(Absent { what, saved: saved.map(|s| s as u64) });

@@ -359,23 +359,22 @@ impl Attributes {
             self.refresh();
         }
         self.seen = self.seen.wrapping_add(1);
-        // Forecast of both scales: the group's mean, moved towards the neighbours as far as these are trusted.
         let log = square.log;
         let spot = buckets.spot(square);
         let around = Around(buckets.around(&spot));
+        // Both scales are expected at the group's mean plus the neighbours' deviation, which counts less where few are near.
         let trust = around.trust(DOUBT);
         let means = [self.means[0].value, self.means[1].value];
         let dev = [around.dev(0, means[0], trust), around.dev(1, means[1], trust)];
 
-        // The position is coded with a step that follows from the shape, and the size of the square is that step: it leaves
-        // about an octave open for the major scale.
+        // The side of the square follows from the major scale, so that the square leaves about an octave of it open.
         let (low, high) = scene.rules.majors(log)?;
         let near = Near::new(means[0] + dev[0], MAJOR_SPREAD);
         let choice = Bounded::new(near, low.into(), i32::from(high - low) + 1, SHARE);
         let major = low + coder.choose(&choice, i32::from(p.major) - i32::from(low)) as u8;
         coder.account("major scale");
 
-        // The aspect depends on the major scale and is coded instead of the minor one: it fixes the number of angles.
+        // The difference of the scales is coded, not the minor one: it gives the number of angles, 1 for a circle.
         let difference = self.aspect(coder, major, means, dev, p);
         let minor = major - difference;
         coder.account("minor scale");
@@ -385,8 +384,8 @@ impl Attributes {
         debug_assert!(scene.rules.shape(major, minor, angle).is_ok());
         coder.account("angle");
 
-        // The tree of counts coded the square. The step along each axis is only known now that the shape is: the cell within the
-        // square is coded in plain bits.
+        // The position steps follow from the shape, and are finer than the square where that is narrow. All cells left in the
+        // square are about equally likely.
         let exponents = scene.rules.lattice.exponents(major, minor, angle);
         let [lx, ly] = scene.rules.in_cells(exponents);
         let bits = [log - lx, log - ly];
@@ -410,7 +409,7 @@ impl Attributes {
                 *book.get(index as usize).ok_or(Broken { field: "codebook index", value: index.into() })?
             }
             None => {
-                // Large primitives follow their neighbours' colours, small ones are corrections: size and aspect are contexts.
+                // How far colours scatter around their forecast depends on the primitive's size and aspect.
                 let size = (i64::from(major) + i64::from(minor) - self.spacing) * scene.delta() / 32 + 8;
                 let outlook = Outlook {
                     around: &around,
@@ -424,11 +423,11 @@ impl Attributes {
         let p = PackedGaussian { x, y, major, minor, angle, color };
         let c = color.map(i32::from);
         let values = [major.into(), minor.into(), c[0], c[1], c[2], c[3]];
-        // The decoder knows the primitive now: the means and the buckets learn from it for the next ones.
+        // Means and buckets learn only from what a reader knows by now.
         self.means[0].add(i64::from(major) * FINE);
         self.means[1].add(i64::from(minor) * FINE);
-        // Angles are those of axes, half a turn apart: the doubled angle as a vector can be summed. Rounder primitives say
-        // less about the direction, so that their vectors are shorter.
+        // An axis is the same after half a turn, so that directions are summed as vectors of twice the angle. Their length
+        // is near 0 for round primitives, whose angles mean little.
         let octaves = i32::from(difference) * (scene.delta() as i32);
         let elongation = 16 * octaves / (octaves + 32);
         let direction = (u32::from(angle) * 64 + u32::from(n) / 2) / u32::from(n) % 64;

@@ -35,7 +35,7 @@ pub struct SectionInfo {
     pub name: [u8; 4],
     /// Bytes of the section in the file, its head included.
     pub bytes: u64,
-    /// What the reader did with it.
+    /// Treatment by the reader.
     pub fate: SectionFate,
 }
 

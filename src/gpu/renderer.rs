@@ -180,7 +180,7 @@ impl Renderer {
         let count = self.channels.count();
         let samples = u64::from(view.width()) * u64::from(view.height()) * count as u64;
         let _held = self.budget.reserve(samples * depth.bytes() as u64)?;
-        // Of red, green, blue and alpha, those that the picture has.
+        // Indices of the picture's channels among red, green, blue and alpha.
         let picked: &[usize] = match self.channels {
             Channels::Grey => &[0],
             Channels::GreyAlpha => &[0, 3],

@@ -62,7 +62,7 @@ impl Splat {
         let [tx, ty] = view.step.map(f64::recip);
         let (v1, v2) = (s1 * s1, s2 * s2);
         let (xx, yy) = (v1 * cos * cos + v2 * sin * sin, v1 * sin * sin + v2 * cos * cos);
-        // Of the covariance, the root of the determinant. Not `√(xx·yy − xy²)`, which cancels for needles.
+        // Root of the covariance's determinant. Not `√(xx·yy − xy²)`, which cancels for needles.
         let (mut root, mut amplitude, mut level) = (s1 * s2, 1.0, 0.0);
         if variance != [0.0; 2] {
             root = (v1 * v2 + variance[0] * yy + variance[1] * xx + variance[0] * variance[1]).sqrt();
