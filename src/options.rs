@@ -14,9 +14,9 @@ pub enum Target {
     /// and an EXIF block are added on top.
     #[default]
     Auto,
-    /// Compression ratio, above 0: width × height × channels (one byte a sample, whatever the source's depth) divided
-    /// by the bytes of the file, which are never more. [`Error::TooSmall`](crate::Error::TooSmall) if the picture does
-    /// not fit into so few bytes.
+    /// Compression ratio, finite and above 0: width × height × channels bytes (one byte a sample, whatever the source's
+    /// depth) divided by the bytes of the file. The file is never larger than that.
+    /// [`Error::TooSmall`](crate::Error::TooSmall) if the picture does not fit.
     Ratio(f64),
     /// File size in bytes, never exceeded. [`Error::TooSmall`](crate::Error::TooSmall) if the picture does not fit.
     Bytes(u64),
@@ -164,7 +164,7 @@ pub enum Carry {
     /// bytes where the picture is to be turned. The rest of the EXIF block is left out.
     #[default]
     Needed,
-    /// The ICC profile and the whole EXIF block, which can tell the place, the time and the camera's owner.
+    /// The ICC profile and the whole EXIF block, with everything that a camera writes, such as place, time and model.
     All,
     /// The ICC profile alone; a picture that is to be turned is shown unturned.
     Icc,

@@ -98,8 +98,8 @@ impl Default for PackOptions {
 /// The integers next to the Gaussians of `picture`, ready to be written by [`to_bytes`](crate::bitstream::to_bytes), with
 /// a codebook of colours where that makes the file smaller.
 ///
-/// A scale below [`MIN_SCALE`](crate::gaussian::MIN_SCALE) becomes that; [`PackOptions::outside`] says what becomes of means
-/// outside the picture.
+/// Scales below [`MIN_SCALE`](crate::gaussian::MIN_SCALE) are raised to it. [`PackOptions::outside`] chooses the
+/// treatment of means outside the picture.
 ///
 /// # Errors
 /// [`Error::Parameter`] if a value is not finite, a scale is not positive, a colour is larger than a file can hold (8 times white in

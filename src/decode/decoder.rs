@@ -93,9 +93,9 @@ impl Decoder {
     /// Draws the picture of the file `bytes` as large as it fits into `within` (width and height in pixels) with its
     /// aspect ratio kept, and never larger than its own size.
     ///
-    /// If the file carries a thumbnail of at least this size, only that is read and drawn. This takes half a
-    /// millisecond whatever the picture's size; the thumbnail's error is larger than the picture's. Otherwise the
-    /// picture is drawn. The result has the picture's ICC profile and EXIF block in both cases. The region, size,
+    /// If the file carries a thumbnail of at least this size, only the thumbnail and the metadata are read. This takes
+    /// half a millisecond whatever the picture's size; the thumbnail's error is larger than the picture's. Otherwise
+    /// the picture is drawn. The result has the picture's ICC profile and EXIF block in both cases. The region, size,
     /// damage and layers set on this decoder have no effect here.
     ///
     /// # Errors

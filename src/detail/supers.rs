@@ -12,7 +12,7 @@ impl Supers {
     pub const NONE: Supers = Supers(0);
     pub const ALL: Supers = Supers(u64::MAX);
 
-    /// Those in which pixels of such columns and rows of a tile lie.
+    /// The superblocks in which pixels of these columns and rows of a tile lie.
     #[inline(always)]
     pub fn of(columns: Range<usize>, rows: Range<usize>) -> Self {
         let (start, end) = (columns.start / SUPER, columns.end.div_ceil(SUPER));

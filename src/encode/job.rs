@@ -223,7 +223,7 @@ impl Fitting<'_, '_> {
 /// Bytes that a primitive is taken to cost at least, so that a few alike ones do not promise room for any number.
 const LEAST_PRICE: f64 = 0.5;
 
-/// Over-allocation factor; descent shrinks them, pruning removes the rest.
+/// Returns the over-allocation factor of a fit with so many primitives; descent shrinks them, pruning removes the rest.
 pub(super) fn excess(primitives: usize) -> f64 {
     // Kodak, twelve pictures, against 1.008: .02 to .07 dB better at ratios from 50 to 1000. With 15 000 primitives at ratio
     // 20 it won nothing and lost .0003 of MS-SSIM. `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`

@@ -84,7 +84,7 @@ impl<R: Read> SsplatDecoder<R> {
         Reader::behind(self.header.clone(), &rest, &self.limits).read(Damage::Refuse)
     }
 
-    /// The picture, ready to be drawn; the integers go.
+    /// Returns a renderer of the picture and drops the integers.
     fn renderer(&mut self) -> ImageResult<Renderer> {
         let opened = self.opened()?;
         let renderer = opened.renderer(&opened.view()).map_err(decoding_error)?;

@@ -29,7 +29,7 @@ impl Default for Block {
 }
 
 impl Block {
-    /// Tells the neighbours to come of a level of such size.
+    /// Adds a level of this size to the contexts of the places that follow.
     #[inline(always)]
     fn hear(&mut self, at: usize, size: u32) {
         let m = size.min(HEARD) as u8;
