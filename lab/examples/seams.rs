@@ -1,5 +1,5 @@
-//! Loss of a fit in tiles against a fit of the whole picture, and the part of it at the seams: `cargo run --release -p
-//! ssplat-lab --example seams -- PICTURES [--tiles 512] [--ratio 50] [--effort 5] [--tune psnr]`.
+//! Loss of a fit in tiles against a fit of the whole picture, and the part of it at the seams:
+//! `cargo run --release -p ssplat-lab --example seams -- PICTURES [--tiles 512] [--ratio 50] [--effort 5] [--tune psnr]`.
 //!
 //! A seam is where two tiles of the first pass meet. Its error is that of the pixels within 16 of it; the whole picture's fit
 //! has its own error there, by what the picture shows. So `excess` is what the tiles' error at the seams is over the whole

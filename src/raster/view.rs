@@ -68,11 +68,11 @@ impl View {
     /// Enlarging samples the continuous picture. Reducing low-passes it, so that fine detail does not alias. An output
     /// pixel that is `step` picture pixels wide is the mean of `k` samples side by side, each clamped to `0..=1`. `k`
     /// is the smallest of 1, 2, 4 and 8 with `step / k ≤ 1.5`, else 8; either axis has its own. Where that leaves
-    /// samples more than one picture pixel apart, the Gaussians' variance along the axis grows by `((step / k)² − 1) /
-    /// 12`, the variance of the pixels that each sample stands for, and their integral is kept. Halves, quarters and
-    /// eighths are the means of the full view's pixels, except where a detail layer would go beyond black or white. In
-    /// a picture with alpha, colours are weighted by their alpha in the mean, so that colours under alpha 0 are not
-    /// seen (spec §5.5). The work is at most that of `8 × 8` times the output pixels.
+    /// samples more than one picture pixel apart, the Gaussians' variance along the axis grows by
+    /// `((step / k)² − 1) / 12`, the variance of the pixels that each sample stands for, and their integral is kept.
+    /// Halves, quarters and eighths are the means of the full view's pixels, except where a detail layer would go
+    /// beyond black or white. In a picture with alpha, colours are weighted by their alpha in the mean, so that colours
+    /// under alpha 0 are not seen (spec §5.5). The work is at most that of `8 × 8` times the output pixels.
     ///
     /// # Errors
     /// [`Error::Parameter`] if a side is 0 or over 2²⁰.
