@@ -89,7 +89,7 @@ impl Channels {
         [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba].into_iter().find(|c| c.count() == count)
     }
 
-    /// Index of the alpha channel, if there is one.
+    /// Returns the index of the alpha channel, if there is one.
     #[must_use]
     pub fn alpha(self) -> Option<usize> {
         match self {

@@ -23,7 +23,7 @@ pub enum Depth {
 }
 
 impl Depth {
-    /// The code value that stands for 1.0.
+    /// Returns the code value that stands for 1.0: 255 or 65535.
     #[must_use]
     pub fn max(self) -> f32 {
         match self {
@@ -38,7 +38,7 @@ impl Depth {
         2.0 / (12.0 * f64::from(self.max()).powi(2))
     }
 
-    /// Bytes a sample.
+    /// Returns the bytes of a sample: 1 or 2.
     #[must_use]
     pub fn bytes(self) -> usize {
         match self {

@@ -124,7 +124,7 @@ struct Shift<'a> {
     bar: Bar,
 }
 
-/// Who is at what.
+/// State of the files of a batch.
 #[derive(Default)]
 struct Board {
     finished: usize,

@@ -202,7 +202,7 @@ fn in_parts(
     Ok(Done { text, result, notes })
 }
 
-/// Why a picture was not encoded, and what can be done about it.
+/// Returns the failure of a picture that was not encoded, with advice.
 fn refusal(input: &Path, error: &Error) -> Failure {
     let mut failure = Failure::library(input, error);
     failure.message += carried::advice(error);

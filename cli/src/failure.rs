@@ -36,7 +36,7 @@ impl Kind {
     }
 }
 
-/// Why a command stopped.
+/// Reason why a command stopped.
 #[derive(Debug)]
 pub struct Failure {
     pub kind: Kind,

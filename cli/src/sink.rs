@@ -151,7 +151,7 @@ fn followed(path: &Path) -> io::Result<PathBuf> {
     Err(io::Error::other("too many links"))
 }
 
-/// Why no file can be made in `folder`, without a temporary file's name, which tells nobody anything.
+/// Returns the reason why no file can be made in `folder`, without the name of the temporary file.
 fn plain(e: &io::Error, folder: &Path) -> io::Error {
     std::fs::metadata(folder).err().unwrap_or_else(|| e.kind().into())
 }

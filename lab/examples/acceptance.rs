@@ -79,7 +79,8 @@ fn name_of(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Those of `web/test/acceptance.mjs`. Memory is no matter here, of which 32 bits take less.
+/// Returns the limits that `web/test/acceptance.mjs` uses. `alloc` is large enough never to decide, as 32-bit builds
+/// take less memory.
 fn limits() -> Limits {
     let mut limits = Limits::default();
     (limits.width, limits.height, limits.primitives) = (1 << 12, 1 << 12, 1 << 16);

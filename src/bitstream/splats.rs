@@ -43,14 +43,14 @@ pub struct PackedGaussian {
     pub color: [i16; 4],
 }
 
-/// How the integers become bytes (spec §6 to §8).
+/// Layout of the integers in a file (spec §6 to §8).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Layout {
     /// Fixed-size records, 7 bytes each for a colour picture.
     Packed,
     /// The records' fields as separate streams under zstd.
     Planes,
-    /// Adaptive entropy coding.
+    /// Adaptive entropy coding: the smallest files.
     #[default]
     Coded,
 }
@@ -63,7 +63,7 @@ pub struct Metadata {
     pub icc: Option<Vec<u8>>,
     /// EXIF block, starting at its TIFF header.
     pub exif: Option<Vec<u8>>,
-    /// The picture drawn smaller: a file of its own (spec §3).
+    /// Thumbnail: an ssplat file of its own with a smaller version of the picture (spec §3).
     pub thumbnail: Option<Vec<u8>>,
     /// Names of the sections that were dropped when reading because their checksums did not match; not written.
     pub damaged: Vec<[u8; 4]>,

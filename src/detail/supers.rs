@@ -24,7 +24,7 @@ impl Supers {
         Supers(some)
     }
 
-    /// Those that a block changes: its own, and those that it touches.
+    /// Returns the superblocks that a block changes: its own, and those that it touches.
     #[inline(always)]
     pub fn reached(block: &CodedBlock) -> Self {
         let [x, y] = block.cell.map(usize::from);

@@ -22,7 +22,7 @@ pub(super) struct Silent {
 }
 
 impl Silent {
-    /// Looks at `pixels`.
+    /// Finds the constant channels of `pixels`.
     pub(super) fn of(pixels: &Pixels) -> Self {
         let channels = pixels.channels();
         let (grey, opaque) = match pixels.samples() {

@@ -258,7 +258,7 @@ impl Making<'_, '_> {
         self.with(rounded, file::smallest)
     }
 
-    /// Looks at the integers as a file of so many levels.
+    /// Calls `look` with the integers as a file of so many levels.
     fn with<T>(&mut self, rounded: &mut Rounded, look: impl FnOnce(&mut PackedSplats, u8) -> T) -> T {
         let splats = &mut self.splats;
         (splats.steps, splats.background) = (rounded.steps, rounded.background);

@@ -29,7 +29,7 @@ struct Inner {
     name: String,
     reason: String,
     software: bool,
-    /// Why the device was lost, once it is.
+    /// Reason why the device was lost, once it is.
     lost: Arc<Mutex<Option<String>>>,
 }
 

@@ -16,7 +16,7 @@ pub(super) struct Layer {
     overlay: Arc<Overlay>,
     view: View,
     work: u64,
-    /// Those of the last band: it may have to be drawn again, with longer lists or fewer rows.
+    /// Additions of the last band, which may be drawn again with longer lists or fewer rows.
     made: Option<Additions>,
 }
 

@@ -90,8 +90,8 @@ impl Renderer {
     /// Copies `picture` to `device`.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] when `limits` do not allow its primitives; [`Error::Parameter`] when one of them is not
-    /// finite or has a scale outside 0..=2²⁰; [`Error::Gpu`] when the device fails or cannot hold them.
+    /// [`Error::LimitExceeded`] if `limits` do not allow its primitives; [`Error::Parameter`] if one of them is not
+    /// finite or has a scale outside `0..=2²⁰`; [`Error::Gpu`] if the device fails or cannot hold them.
     pub fn new(device: &Device, picture: &Picture, limits: &Limits) -> Result<Self> {
         let canvas =
             raster::Canvas { channels: picture.channels, blend: picture.blend, background: picture.background };
@@ -173,9 +173,10 @@ impl Renderer {
     /// Draws `view` and copies the pixels back to the host.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] when the pixels, what a layer adds to them, the (Gaussian, tile) pairs or their work go beyond the
-    /// limits, before the band in which they do is drawn; [`Error::Parameter`] for a view that shows what was not read of a file;
-    /// [`Error::Gpu`] when the device fails, or the Gaussians of a single row of tiles do not fit into a list.
+    /// [`Error::LimitExceeded`] if the pixels, the additions of a detail layer, the (Gaussian, tile) pairs or their
+    /// work exceed the limits; the band in which they do is not drawn. [`Error::Parameter`] for a view that shows parts
+    /// of the picture which were not read. [`Error::Gpu`] if the device fails, or if the Gaussians of a single row of
+    /// tiles do not fit into a list.
     pub fn render(&mut self, view: &View, depth: Depth) -> Result<Pixels> {
         let count = self.channels.count();
         let samples = u64::from(view.width()) * u64::from(view.height()) * count as u64;
@@ -218,7 +219,7 @@ impl Renderer {
     /// device.
     ///
     /// # Errors
-    /// As [`Renderer::render`]; [`GpuError::Validation`] when the buffer is shorter than four bytes a pixel, is of
+    /// As [`Renderer::render`]; [`GpuError::Validation`] if the buffer is shorter than four bytes a pixel, belongs to
     /// another device or cannot be copied to.
     pub fn render_to_buffer(&mut self, view: &View, buffer: &wgpu::Buffer) -> Result<()> {
         let width = view.width();
@@ -235,9 +236,9 @@ impl Renderer {
 
     /// Draws `view` into the top left corner of `texture`, with straight alpha. The pixels never leave the device.
     ///
-    /// The texture must be of the same `wgpu` device, can be copied to (`COPY_DST`) and has a format of four times 8
-    /// bits: `Rgba8Unorm`, `Rgba8UnormSrgb`, `Bgra8Unorm` or `Bgra8UnormSrgb`. Values are encoded sRGB, so that the
-    /// `Srgb` ones sample as linear light.
+    /// The texture must belong to the same `wgpu` device, allow copying to it (`COPY_DST`) and have a format of four
+    /// times 8 bits: `Rgba8Unorm`, `Rgba8UnormSrgb`, `Bgra8Unorm` or `Bgra8UnormSrgb`. Values are encoded sRGB, so that
+    /// the `Srgb` formats sample as linear light.
     ///
     /// # Errors
     /// As [`Renderer::render`]; [`Error::Parameter`] for another format or a texture smaller than the view.

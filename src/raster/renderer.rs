@@ -145,7 +145,7 @@ impl Renderer {
         self.view.width as usize * self.channels.count()
     }
 
-    /// Number of bands: rows of tiles that the view touches.
+    /// Returns the number of bands, which are rows of tiles that the view touches.
     #[must_use]
     pub fn bands(&self) -> u32 {
         self.bins.tiles.count[1]
@@ -156,8 +156,8 @@ impl Renderer {
         [TILE_WIDTH as u32 / self.filter.parts[0], TILE_HEIGHT as u32 / self.filter.parts[1]]
     }
 
-    /// The rows of the view that band `band` holds: 128, fewer where the view is reduced, but for the first and the
-    /// last band.
+    /// Returns the rows of the view that band `band` holds: 128, or fewer if the view is reduced. The first and the
+    /// last band may have fewer.
     ///
     /// # Panics
     /// If `band` is not below [`Renderer::bands`].
@@ -185,7 +185,7 @@ impl Renderer {
     /// Draws the whole view.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] when the output would take more memory than the limits allow.
+    /// [`Error::LimitExceeded`] if the output would take more memory than the limits allow.
     pub fn render(&self, depth: Depth) -> Result<Pixels> {
         let samples = self.row_len() as u64 * u64::from(self.view.height);
         self.budget.check(samples * depth.bytes() as u64)?;
@@ -214,7 +214,8 @@ impl Renderer {
         self.render_bands(0..self.bands(), out);
     }
 
-    /// Apart from the choice of the depth, so that a program which draws one depth need not carry the other's kernels.
+    /// Draws after the choice of the depth, so that a program which draws one depth need not contain the other's
+    /// kernels.
     #[inline(never)]
     fn draw<T: Sample>(&self, bands: std::ops::Range<u32>, mut out: &mut [T]) {
         assert!(bands.start < bands.end, "no bands in {bands:?}");

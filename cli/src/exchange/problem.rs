@@ -1,4 +1,4 @@
-//! Why parameters are refused: whose fault it is, and which value.
+//! Errors in exchanged parameters: who is at fault, and with which value.
 
 use std::fmt;
 

@@ -136,7 +136,7 @@ const HEADERS: [(&str, &str); 5] = [
     ("X-Content-Type-Options", "nosniff"),
 ];
 
-/// Those, and one more.
+/// Returns the headers of all answers, and one more.
 fn headers<'a>(more: (&'a str, &'a str)) -> [(&'a str, &'a str); 6] {
     let [a, b, c, d, e] = HEADERS;
     [a, b, c, d, e, more]

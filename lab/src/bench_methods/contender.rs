@@ -5,7 +5,7 @@ use ssplat::unstable::{Ablation, Needs, Outside, PackOptions, Precision, Recipe,
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
 use ssplat::{Pixels, Result, Target};
 
-/// Who is measured.
+/// Method that is measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Contender {
     /// This crate's own fit.
@@ -47,7 +47,7 @@ pub struct Measured {
     pub bytes: Option<u64>,
     /// Bytes of the same Gaussians by the method's own count, and PSNR of the picture of the numbers as it rounds them.
     pub counted: Option<Counted>,
-    /// Why something is missing.
+    /// Reason why something is missing.
     pub problem: Option<String>,
     /// PSNR of the fit along its seconds.
     pub trace: Vec<(f64, f64)>,

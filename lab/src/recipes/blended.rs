@@ -217,7 +217,7 @@ struct Gather<'a> {
     whole: &'a Block<[Lanes; COLORS]>,
     /// The gradient with respect to it.
     slopes: &'a Block<[Lanes; COLORS]>,
-    /// Those of the members, in their order.
+    /// Sums of the members, in their order.
     sums: &'a mut Vec<[f32; SUMS]>,
 }
 

@@ -37,12 +37,12 @@ const VERSION: &[u8] = env!("CARGO_PKG_VERSION").as_bytes();
 /// Largest magnitude of anything in a primitive: beyond the longest side, and far beyond a colour.
 const FAR: f32 = 2_097_152.0;
 
-/// Does the work of `task`, which [`Workers`](crate::encode::Workers) were given; returns the answer. Equal tasks have equal
-/// answers. `progress` is called on the way.
+/// Does the work of `task`, which [`Workers`](crate::encode::Workers) were given, and returns the answer. Equal tasks
+/// have equal answers. `progress` is called meanwhile.
 ///
 /// # Errors
-/// [`Error::Parameter`] naming `task` when these bytes are no task, or one of another version of this crate;
-/// [`Error::Cancelled`] when `progress` returns [`ControlFlow::Break`].
+/// [`Error::Parameter`] naming `task` if the bytes are not a task of this version of the crate; [`Error::Cancelled`] if
+/// `progress` returns [`ControlFlow::Break`].
 pub fn work_on_tile(task: &[u8], progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>) -> Result<Vec<u8>> {
     let mut show = |done: f32| match progress(&Progress { stage: "tile", done, psnr: None }) {
         ControlFlow::Continue(()) => Ok(()),
@@ -390,7 +390,7 @@ fn window_of(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {
 pub(super) struct Bars {
     size: [u32; 2],
     whole: Rules,
-    /// Those of what is seen of a tile.
+    /// Rules of the part of the picture that is seen around a tile.
     part: Rules,
     corner: [u32; 2],
 }

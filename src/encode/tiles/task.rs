@@ -14,7 +14,7 @@ use crate::fit::model::project::Primitive;
 pub(super) enum FloatWork {
     /// The fit of a tile by itself.
     Begin,
-    /// The fit goes on, in so-and-so many of [`floats::JOINED`].
+    /// Continuation of the fit, in the pass of [`floats::JOINED`] with this index.
     Join(usize),
 }
 
