@@ -1,4 +1,4 @@
-//! Memory that may still be taken: reserved before it is allocated, given back when what it was for is gone.
+//! Accounting of memory: it is reserved before it is allocated, and released when its owner is dropped.
 //!
 //! A [`Budget`] belongs to one opened file and to everything that is drawn from it. Reservations are made by the thread
 //! that the caller is on, never side by side, so that what is refused does not depend on the number of threads.
@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use crate::error::Result;
 use crate::limits::Limits;
 
-/// What may be allocated in all; clones share one account.
+/// Number of bytes that may be allocated in all. Clones share one account.
 #[derive(Debug, Clone)]
 pub(crate) struct Budget(Arc<Mutex<Account>>);
 

@@ -9,63 +9,63 @@ use crate::target::Target;
 /// Shorthand for results of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// Everything that can go wrong, sorted by who is at fault.
+/// Errors of this crate, by cause.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum Error {
-    /// The world: reading or writing failed.
+    /// Reading or writing failed.
     Io(std::io::Error),
-    /// The file: it breaks the specification.
+    /// The file breaks the specification.
     Format(FormatError),
-    /// A newer file: its format version is not known to this crate.
+    /// The file is of a newer format version, which this crate does not know.
     UnsupportedVersion {
-        /// The version that the file names.
+        /// Version stated in the file.
         found: u8,
     },
-    /// Policy: the file may be sound but asks for more than [`Limits`](crate::Limits) allow.
+    /// The file may be valid but exceeds one of the [`Limits`](crate::Limits).
     LimitExceeded {
-        /// What was limited, in the words of [`Limits`](crate::Limits)' fields.
+        /// Name of the limit: a field of [`Limits`](crate::Limits).
         what: &'static str,
-        /// What the file asked for.
+        /// Amount that the file needs.
         requested: u64,
-        /// What is allowed.
+        /// Amount that is allowed.
         allowed: u64,
     },
-    /// The caller: an option or argument is out of its documented range.
+    /// An option or argument is out of its documented range.
     Parameter {
         /// The parameter's name.
         name: &'static str,
-        /// The offending value and what would be right.
+        /// The offending value and the values allowed.
         problem: String,
     },
-    /// The caller: a file as small as that cannot hold the picture and what it is to carry.
+    /// A file of the size asked for cannot hold the picture and its metadata.
     TooSmall {
-        /// What was asked for.
+        /// Target that was asked for.
         asked: Target,
-        /// Bytes that the file may have by that.
+        /// Bytes that the target allows the file.
         allowed: u64,
-        /// Bytes that it takes without any primitive.
+        /// Bytes of the file without any primitive.
         needed: u64,
-        /// Bytes of the ICC profile, which are among those.
+        /// Bytes of the ICC profile, included in `needed`.
         icc: u64,
-        /// Bytes of the EXIF block, which are among those.
+        /// Bytes of the EXIF block, included in `needed`.
         exif: u64,
     },
-    /// The source: a picture in another format cannot be read.
+    /// A picture in another format cannot be read.
     #[cfg(feature = "image")]
     Source {
-        /// Where it is, as far as that is known.
+        /// Path of the picture, if it is known.
         path: Option<PathBuf>,
-        /// What the `image` crate says.
+        /// Error of the `image` crate.
         error: image::ImageError,
     },
-    /// The encoder stopped because the progress callback asked for it.
+    /// The progress callback stopped the encoder.
     Cancelled,
-    /// The device: a GPU is missing, failed or is too small.
+    /// The GPU is missing, failed or has too little memory.
     Gpu(GpuError),
 }
 
-/// What went wrong on the way to a GPU or on it.
+/// Errors of a GPU, from finding one to using it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum GpuError {
@@ -73,38 +73,38 @@ pub enum GpuError {
     NotBuilt,
     /// No adapter was found.
     NoAdapter,
-    /// The only adapters are programs, which were not asked for.
+    /// The only adapters are software renderers, which were not allowed.
     SoftwareOnly {
-        /// The best of them.
+        /// Name of the best of them.
         name: String,
     },
     /// The adapter could not be opened.
     Refused {
-        /// What the driver says.
+        /// Message of the driver.
         problem: String,
     },
-    /// The device is gone: unplugged, reset by its driver or destroyed by the program.
+    /// The device was unplugged, reset by its driver or destroyed by the program.
     Lost {
-        /// What the driver says.
+        /// Message of the driver.
         problem: String,
     },
-    /// The device has not enough memory.
+    /// The device does not have enough memory.
     OutOfMemory {
-        /// What the driver says.
+        /// Message of the driver.
         problem: String,
     },
     /// The device refused a call.
     Validation {
-        /// What the driver says.
+        /// Message of the driver.
         problem: String,
     },
-    /// A list on the device would have to be longer than a binding can be.
+    /// A list on the device is longer than a binding can be.
     Overflow {
-        /// What the list holds.
+        /// Name of the list's items.
         what: &'static str,
-        /// How many there are, or as many as were counted.
+        /// Number of items; a lower bound if counting stopped early.
         requested: u64,
-        /// How many it can hold.
+        /// Number of items that a list can hold.
         allowed: u64,
     },
     /// The GPU cannot do what an option asks for.
@@ -263,8 +263,8 @@ impl fmt::Display for Thousandths<'_> {
 }
 
 impl std::error::Error for Error {
-    /// What lies behind the error that is wrapped: the text of that one is part of this one's, so that a chain of errors
-    /// says nothing twice.
+    /// Returns the source of the wrapped error, not the wrapped error itself: its text is already part of this one's,
+    /// and a chain of errors should not repeat it.
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
             Error::Io(e) => e.source(),

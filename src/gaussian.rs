@@ -8,13 +8,13 @@ use bytemuck::{Pod, Zeroable};
 /// Radius of a primitive's support in units of its scales (spec §5.2).
 pub const CUTOFF: f32 = 3.5;
 
-/// What the support's edge subtracts so that the weight is continuous there: `exp(−CUTOFF²/2)`.
+/// Offset subtracted from a Gaussian's weight so that it is continuous at the edge of the support: `exp(−CUTOFF²/2)`.
 pub const CUTOFF_WEIGHT: f32 = 0.002_187_491_1;
 
-/// Conditions the division of the normalized blend: `ε` of spec §5.3.
+/// Regularizer of the division in the normalized blend: `ε` of spec §5.3.
 pub const EPSILON: f32 = 1.0 / 128.0;
 
-/// What a sample's colour counts beside its alpha in the mean of a reduced view: `η` of spec §5.5.
+/// Value added to a sample's alpha to give the weight of its colour in the mean of a reduced view: `η` of spec §5.5.
 pub const HIDDEN: f32 = 1.0 / 4096.0;
 
 /// Smallest legal scale, pixels.
@@ -47,7 +47,8 @@ impl Gaussian {
     }
 }
 
-/// How primitives become a colour (spec §5.3).
+/// Rule by which primitives are combined into a colour (spec §5.3). `wᵢ` and `cᵢ` are the weights and colours of the
+/// primitives, `b` is the background and `ε` is 1/128.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub enum Blend {
     /// `I(x) = (Σ wᵢ cᵢ + ε b) / (Σ wᵢ + ε)`.
@@ -82,13 +83,13 @@ impl Channels {
         }
     }
 
-    /// The channels that are `count` many.
+    /// Returns the channels of a picture with `count` of them, or `None` unless `count` is in `1..=4`.
     #[must_use]
     pub fn from_count(count: usize) -> Option<Self> {
         [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba].into_iter().find(|c| c.count() == count)
     }
 
-    /// Index of the alpha channel, if there is one.
+    /// Returns the index of the alpha channel, if there is one.
     #[must_use]
     pub fn alpha(self) -> Option<usize> {
         match self {
@@ -99,7 +100,7 @@ impl Channels {
     }
 }
 
-/// A whole picture in floats: what is rasterized.
+/// A picture as Gaussians with float parameters, ready to be rasterized.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
     /// Width, pixels.
@@ -108,10 +109,10 @@ pub struct Picture {
     pub height: u32,
     /// Channels of the colours.
     pub channels: Channels,
-    /// How the primitives blend.
+    /// Rule by which the primitives are combined.
     pub blend: Blend,
     /// Background colour `b`.
     pub background: [f32; 4],
-    /// The primitives; their order means nothing.
+    /// The primitives, in any order.
     pub gaussians: Vec<Gaussian>,
 }

@@ -69,7 +69,7 @@ assert_eq!(picture.width(), 8);
 //! The repository's `docs/ARCHITECTURE.md` is the map, `spec/ssplat.md` the format.
 
 #![cfg_attr(not(feature = "unstable"), warn(missing_docs))]
-// What only the program and the lab use is dead without them.
+// Items that only the program and the lab use are dead code without their feature.
 #![cfg_attr(not(any(test, feature = "unstable")), allow(dead_code, unused_imports))]
 
 // Tests inside share pictures with those outside, which name this crate.
@@ -123,7 +123,7 @@ pub use pixels::{Depth, Pixels, Samples};
 pub use raster::{Renderer, SamplesMut, View};
 pub use target::Target;
 
-/// What an encode tells beside its bytes.
+/// Types of the account that an encode gives beside its bytes.
 pub mod report {
     pub use crate::encode::{Chosen, LeftOut, Omission, StageTime};
 }

@@ -1,29 +1,32 @@
-//! What a file may ask for: memory and work are bounded before they are spent.
+//! Limits on the memory and work of decoding. They are checked before memory or time is spent.
 
 use crate::error::{Error, Result};
 
-/// Bounds on what decoding may cost. The defaults let a 16K picture with two million primitives through.
+/// Limits on the cost of decoding. The defaults allow a 16K picture with two million primitives.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Limits {
-    /// Largest width, pixels.
+    /// Largest width in pixels; by default 2²⁰, the most that the format allows.
     pub width: u32,
-    /// Largest height, pixels.
+    /// Largest height in pixels; by default 2²⁰.
     pub height: u32,
-    /// Most primitives.
+    /// Largest number of primitives; by default 2²⁴.
     pub primitives: u64,
-    /// Most (Gaussian, tile) pairs that rasterizing one view may visit.
+    /// Largest number of (Gaussian, tile) pairs that rasterizing one view may visit; by default 2²⁸.
     pub tile_pairs: u64,
-    /// Most work of rasterizing one view. On the CPU: the pixels that its Gaussians cover, four times those of narrow ones, and 1024 for
-    /// each (Gaussian, tile) pair; and of a detail layer 16 for each sample and 200 for each level. On a GPU: the 256 pixels
-    /// of each pair with one of its smaller tiles, and the same for a detail layer.
+    /// Largest work of rasterizing one view; by default 3·2³⁴. On the CPU it counts 1 for each pixel that a Gaussian
+    /// covers (4 for narrow Gaussians), 1024 for each (Gaussian, tile) pair, and for a detail layer 16 for each sample
+    /// and 200 for each level. On a GPU it counts 256 for each pair with one of the GPU's smaller tiles, and the same
+    /// for a detail layer.
     pub work: u64,
-    /// Most Gaussians over a pixel of a view on average: keeps the work in proportion to output pixels and primitives.
-    /// Work of 2³² in all and of 4096 for each primitive is free of it, so that small pictures may be dense.
+    /// Largest mean number of Gaussians over a pixel of a view; by default 256. It keeps the work in proportion to
+    /// output pixels and primitives. Work of up to 2³² + 4096 × primitives is exempt, so that small pictures may be
+    /// dense.
     pub overlap: u64,
-    /// Most bytes that decoding may allocate in all, output included; never more than `isize::MAX`.
+    /// Most bytes that decoding may allocate at the same time, the output included; by default 4 GiB, or 1 GiB on
+    /// 32-bit systems. Values over `isize::MAX` count as that.
     pub alloc: u64,
-    /// Most bytes of metadata (ICC profile, EXIF) kept.
+    /// Most bytes of metadata (ICC profile, EXIF block, thumbnail); by default 64 MiB.
     pub metadata: u64,
 }
 
@@ -40,7 +43,7 @@ impl Default for Limits {
             tile_pairs: 256 << 20,
             work: 3 << 34,
             overlap: 256,
-            // What can be had of an address space of 32 bits.
+            // Part of a 32-bit address space that can usually be allocated.
             alloc: if usize::BITS < 64 { 1 << 30 } else { 4 << 30 },
             metadata: 64 << 20,
         }
@@ -59,7 +62,7 @@ impl Limits {
         Ok(())
     }
 
-    /// Most work that a view of so many pixels of a picture of so many primitives may be.
+    /// Returns the largest work allowed for a view of `pixels` pixels of a picture of `primitives` primitives.
     pub(crate) fn most_work(&self, pixels: u64, primitives: u64) -> u64 {
         let free = FREE_WORK + FREE_WORK_EACH * primitives;
         self.work.min(self.overlap.saturating_mul(pixels).saturating_add(free))

@@ -42,7 +42,7 @@ const BLOCK: usize = 256;
 #[cfg(feature = "quality")]
 pub use crate::ssimulacra2::{linear_light, ssimulacra2};
 
-/// What [`compare`] finds.
+/// Result of [`compare`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Comparison {

@@ -1,4 +1,4 @@
-//! What a caller can ask of the encoder and the decoder.
+//! Options of the encoder and the decoder.
 
 use std::time::Duration;
 
@@ -32,8 +32,8 @@ pub enum Ablation {
     Colors,
 }
 
-/// How far an encode goes from SmartSplat's pipeline to ours: each rung has what those below it have. The first two belong to
-/// [`Recipe::SmartSplat`], the others to [`Recipe::Ssplat`]; what is no ablation stands on the last one.
+/// Steps of an ablation from SmartSplat's pipeline to ours. Each step adds to the previous ones; normal encodes use the
+/// last. The first two belong to [`Recipe::SmartSplat`], the others to [`Recipe::Ssplat`].
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Hash)]
 pub enum Rung {
@@ -54,38 +54,39 @@ pub enum Rung {
     Price,
 }
 
-/// Which measure the fit favours.
+/// Measure of quality that the fit optimizes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Tune {
     /// Squared error.
     Psnr,
-    /// Structural similarity, for at most half a decibel of PSNR.
+    /// Structural similarity, at a cost of at most 0.5 dB of PSNR.
     Ssim,
-    /// What eyes see from some way off, for at most .5 dB of PSNR, .1 to .3 dB in the mean: errors count by how busy the luma
-    /// and its surroundings are at several sizes. The names are those that AV1's encoder has for the same choice.
+    /// Perceived quality from some distance: errors are weighted by how busy the luma and its surroundings are at
+    /// several sizes. It costs at most 0.5 dB of PSNR, on average 0.1 to 0.3 dB. The names of these measures are those
+    /// that AV1's encoder uses.
     Iq,
 }
 
-/// Which device fits the picture.
+/// Device that fits the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Backend {
-    /// The GPU where a hardware adapter is found and the picture is worth it, else the CPU.
+    /// The GPU if there is a hardware adapter and the picture is large enough to gain from it, otherwise the CPU.
     #[default]
     Auto,
     /// The CPU.
     Cpu,
-    /// The GPU; an error when there is none.
+    /// The GPU; [`Error::Gpu`](crate::Error::Gpu) if there is none.
     Gpu,
 }
 
-/// Which parts of a picture the encoder takes to be needed.
+/// Parts of a picture that the encoder fits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Needs {
-    /// Those that a look at the samples finds to say something; the rest is left out of the fit. The decoded picture
-    /// has the caller's channels all the same.
+    /// Skip constant channels (opaque alpha, grey stored as RGB). The decoded picture has the caller's channels all the
+    /// same. Also stop the fit and drop primitives where the error is already below that of rounding or of the target.
     #[default]
     Measured,
     /// All.
@@ -104,45 +105,46 @@ pub enum Trace {
     On,
 }
 
-/// Whether a file carries a small version of its picture, which is drawn in a hundredth of the time (spec §3).
+/// Small version of the picture inside its file, which is drawn in a hundredth of the time (spec §3).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Thumbnail {
-    /// Files of 100 000 bytes and more, of pictures that are larger than it: a hundredth of the file, at most 4000 bytes.
+    /// A thumbnail of a hundredth of the file, at most 4000 bytes, in files of at least 100 000 bytes whose picture is
+    /// larger than the thumbnail.
     #[default]
     Auto,
-    /// None.
+    /// No thumbnail.
     Never,
-    /// Of at most so many bytes, in any file.
+    /// A thumbnail of at most this many bytes, in any file.
     Bytes(u32),
 }
 
-/// Whether a file has a detail layer, a coded transform of what the Gaussians leave (spec §11).
+/// Detail layer of a file: a coded transform of the difference that the Gaussians leave (spec §11).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub enum Detail {
-    /// Where it pays; the encoder finds how the bytes are best divided.
+    /// A detail layer where it improves the picture; the encoder finds the best division of the bytes.
     #[default]
     Auto,
-    /// No layer: Gaussians alone.
+    /// No detail layer: Gaussians alone.
     Off,
-    /// The Gaussians get this share of the bytes, above 0 and below 1, and the layer the rest.
+    /// Share of the bytes for the Gaussians, above 0 and below 1; the layer gets the rest.
     Share(f64),
 }
 
-/// What a file carries of its source's metadata. ICC profile and EXIF block count as the file's bytes.
+/// Metadata of the source that a file carries. ICC profile and EXIF block count as bytes of the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Carry {
-    /// What the picture needs to look as it should: the ICC profile, and of the EXIF block the orientation alone, in 26
-    /// bytes, where the picture is to be turned.
+    /// Everything needed to show the picture as intended: the ICC profile, and the orientation as an EXIF block of 26
+    /// bytes where the picture is to be turned. The rest of the EXIF block is left out.
     #[default]
     Needed,
-    /// ICC profile and EXIF block, with all that a camera writes: its place, its time, its name.
+    /// The ICC profile and the whole EXIF block, with everything that a camera writes, such as place, time and model.
     All,
-    /// The ICC profile; a picture that is to be turned lies on its side.
+    /// The ICC profile alone; a picture that is to be turned is shown unturned.
     Icc,
-    /// Neither.
+    /// No metadata.
     None,
 }
 
@@ -150,7 +152,7 @@ pub enum Carry {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct EncodeOptions {
-    /// What to aim at; [`Target::Auto`] is the default.
+    /// Aim of the encode; [`Target::Auto`] is the default.
     pub target: Target,
     /// `1..=9`: how much work to spend; 5 is the default.
     pub effort: u8,
@@ -168,9 +170,9 @@ pub struct EncodeOptions {
     /// Which measure to favour; `None`: [`Tune::Iq`], but [`Tune::Psnr`] where the target is a PSNR and for the recipes of
     /// others, which count all errors alike.
     pub tune: Option<Tune>,
-    /// Which device fits.
+    /// Device that fits the picture.
     pub backend: Backend,
-    /// What to look for that can be left out.
+    /// Whether parts that the picture does not need are skipped.
     pub needs: Needs,
     /// Whether the file has a detail layer. Files of an asked size, ratio or quality have one, in the coded layout; files of a
     /// number of primitives have none.
@@ -188,11 +190,10 @@ pub struct EncodeOptions {
     pub tiles: Option<u32>,
     /// Whether to measure quality along the way.
     pub trace: Trace,
-    /// Where an ablation stops.
+    /// Last step of an ablation.
     #[doc(hidden)]
     pub rung: Rung,
-    /// What of a source's metadata `transcode` and `encode_decoder` carry along;
-    /// pixels alone have none.
+    /// Metadata of the source that `transcode` and `encode_decoder` carry into the file. Pixels alone have none.
     pub carry: Carry,
     /// ICC profile to carry, whatever `carry` says.
     pub icc: Option<Vec<u8>>,
@@ -235,18 +236,18 @@ impl Default for EncodeOptions {
     }
 }
 
-/// What to do with a truncated or damaged file.
+/// Treatment of truncated and damaged files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Damage {
-    /// Fail.
+    /// Return an error.
     #[default]
     Refuse,
-    /// Draw the groups that are intact, if the file has any, and say what is missing.
+    /// Draw the groups that are intact, if the file has any, and report the numbers of missing parts.
     Accept,
 }
 
-/// Which layers of a file are drawn.
+/// Layers of a file to draw.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Layers {
@@ -255,7 +256,7 @@ pub enum Layers {
     Both,
     /// The Gaussians alone: the detail layer is not read.
     Gaussians,
-    /// What the detail layer adds, on grey; nothing but grey where a file has none.
+    /// The detail layer alone, on middle grey. A file without one gives plain grey.
     Detail,
 }
 
@@ -263,15 +264,15 @@ pub enum Layers {
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct DecodeOptions {
-    /// What the file may ask for.
+    /// Limits on size, memory and work.
     pub limits: Limits,
     /// The part to draw: left, top, width and height, pixels of the picture; `None`: all of it.
     pub region: Option<[u32; 4]>,
     /// Width and height of the output, pixels; `None`: those of the region. Larger ones sample the continuous picture,
     /// smaller ones are low-passed as [`View::resized`](crate::raster::View::resized) says.
     pub size: Option<[u32; 2]>,
-    /// What to do with a truncated or damaged file.
+    /// Treatment of truncated and damaged files.
     pub damage: Damage,
-    /// Which layers to draw.
+    /// Layers to draw.
     pub layers: Layers,
 }

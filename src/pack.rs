@@ -59,13 +59,14 @@ pub enum Precision {
     Steps(Steps),
 }
 
-/// What becomes of Gaussians whose mean lies outside the picture: the format has no place for them.
+/// Treatment of Gaussians whose mean lies outside the picture, where the format has no positions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Outside {
-    /// They are an error.
+    /// Return [`Error::Parameter`].
     Refuse,
-    /// Those whose support does not reach the picture are left out, the others' means move to the nearest place inside.
+    /// Leave out those whose support does not reach the picture, and move the means of the others to the nearest
+    /// position inside.
     Crop,
 }
 
@@ -75,7 +76,7 @@ pub enum Outside {
 pub struct PackOptions {
     /// How fine the integers are; level 6 is the default.
     pub precision: Precision,
-    /// What becomes of means outside the picture; [`Outside::Refuse`] is the default.
+    /// Treatment of means outside the picture; [`Outside::Refuse`] is the default.
     pub outside: Outside,
     /// How the integers become bytes.
     pub layout: Layout,
@@ -97,8 +98,8 @@ impl Default for PackOptions {
 /// The integers next to the Gaussians of `picture`, ready to be written by [`to_bytes`](crate::bitstream::to_bytes), with
 /// a codebook of colours where that makes the file smaller.
 ///
-/// A scale below [`MIN_SCALE`](crate::gaussian::MIN_SCALE) becomes that; [`PackOptions::outside`] says what becomes of means
-/// outside the picture.
+/// Scales below [`MIN_SCALE`](crate::gaussian::MIN_SCALE) are raised to it. [`PackOptions::outside`] chooses the
+/// treatment of means outside the picture.
 ///
 /// # Errors
 /// [`Error::Parameter`] if a value is not finite, a scale is not positive, a colour is larger than a file can hold (8 times white in

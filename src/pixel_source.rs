@@ -18,14 +18,14 @@ pub trait PixelSource {
     fn size(&self) -> [u32; 2] {
         [self.width(), self.height()]
     }
-    /// The pixels themselves, where they are in memory.
+    /// Returns the pixels if they are in memory as [`Pixels`].
     fn as_pixels(&self) -> Option<&Pixels> {
         None
     }
-    /// Returns the pixels of a part: left, top, width and height, pixels.
+    /// Returns the pixels of a part, given as left, top, width and height in pixels.
     ///
     /// # Errors
-    /// [`Error::Parameter`] if the part does not lie in the picture; those of reading.
+    /// [`Error::Parameter`] if the part is empty or not within the picture, and errors of reading.
     fn part(&self, area: [u32; 4]) -> Result<Pixels>;
 }
 

@@ -23,7 +23,7 @@ pub enum Depth {
 }
 
 impl Depth {
-    /// The code value that stands for 1.0.
+    /// Returns the code value that stands for 1.0: 255 or 65535.
     #[must_use]
     pub fn max(self) -> f32 {
         match self {
@@ -38,7 +38,7 @@ impl Depth {
         2.0 / (12.0 * f64::from(self.max()).powi(2))
     }
 
-    /// Bytes a sample.
+    /// Returns the bytes of a sample: 1 or 2.
     #[must_use]
     pub fn bytes(self) -> usize {
         match self {
@@ -48,7 +48,7 @@ impl Depth {
     }
 }
 
-/// A picture in pixels. Its length always matches `width × height × channels`.
+/// A picture in pixels. It always has exactly width × height × channels samples.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Pixels {
     width: u32,
@@ -58,10 +58,10 @@ pub struct Pixels {
 }
 
 impl Pixels {
-    /// Takes `samples`, row by row with interleaved channels.
+    /// Makes a picture of `samples`, row by row with interleaved channels.
     ///
     /// # Errors
-    /// [`Error::Parameter`] when a side is 0 or over 2²⁰, or the length is not `width × height × channels`.
+    /// [`Error::Parameter`] if a side is 0 or over 2²⁰, or the number of samples is not width × height × channels.
     pub fn new(width: u32, height: u32, channels: Channels, samples: Samples) -> Result<Self> {
         for (name, side) in [("width", width), ("height", height)] {
             if side == 0 || side > 1 << 20 {
@@ -115,7 +115,7 @@ impl Pixels {
         &self.samples
     }
 
-    /// Gives the samples back.
+    /// Returns the samples.
     #[must_use]
     pub fn into_samples(self) -> Samples {
         self.samples

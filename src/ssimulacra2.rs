@@ -11,7 +11,7 @@ pub(crate) const LEAST: u32 = 8;
 const LARGE: u64 = 1 << 22;
 /// Rows of such a strip.
 const STRIP: usize = 256;
-/// What pictures with alpha are laid over, as sRGB values: those that SSIMULACRA2 takes.
+/// Grey backgrounds for pictures with alpha, as sRGB values: those that SSIMULACRA2 uses.
 const BACKGROUNDS: [f32; 2] = [0.1, 0.9];
 
 /// SSIMULACRA2 of two pictures of one size, channels and depth, whose samples are taken as sRGB: at most 100, which stands

@@ -1,25 +1,26 @@
-//! What an encode aims at.
+//! Aim of an encode.
 
-/// What the encoder aims at.
+/// Aim of an encode: a size, a number of primitives, or a quality of the file.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub enum Target {
-    /// A ratio of 50, and at least 80 bytes for the primitives: no picture is too small for it. An ICC profile and an
-    /// EXIF block come on top.
+    /// A ratio of 50, but at least 80 bytes for the primitives, so that no picture is too small for it. An ICC profile
+    /// and an EXIF block are added on top.
     #[default]
     Auto,
-    /// Width × height × channels bytes (8 bits a sample whatever the source's depth) over file bytes; an error where that
-    /// is too little for the picture.
+    /// Compression ratio, finite and above 0: width × height × channels bytes (one byte a sample, whatever the source's
+    /// depth) divided by the bytes of the file. The file is never larger than that.
+    /// [`Error::TooSmall`](crate::Error::TooSmall) if the picture does not fit.
     Ratio(f64),
-    /// File size, bytes; never exceeded.
+    /// File size in bytes, never exceeded. [`Error::TooSmall`](crate::Error::TooSmall) if the picture does not fit.
     Bytes(u64),
     /// Number of primitives.
     Primitives(u32),
-    /// PSNR against the source, dB: the smallest file found that reaches it.
+    /// PSNR against the source in dB, above 0. The result is the smallest file found that reaches it.
     Psnr(f64),
-    /// A quality as eyes see it: the SSIMULACRA2 score that the file shall have, `0..=100`, within half a point; about 30, 50,
-    /// 70 and 90 for low, medium, high and very high quality. It takes up to three fits. Where the score is not met the best
-    /// file that was found is the result; [`EncodeReport::quality`](crate::EncodeReport::quality) says what it has.
+    /// Perceived quality: the SSIMULACRA2 score of the file, `0..=100`, met within half a point. About 30, 50, 70 and
+    /// 90 stand for low, medium, high and very high quality. It takes up to three fits. If none meets the score, the
+    /// result is the best file found; [`EncodeReport::quality`](crate::EncodeReport::quality) has its score.
     #[cfg(feature = "quality")]
     Quality(f64),
 }

@@ -107,8 +107,8 @@ pub struct Encode {
     /// Turn the picture as its EXIF block says
     #[arg(long)]
     pub auto_orient: bool,
-    /// What of the input's metadata the file carries, within its size: needed (ICC profile and orientation), all (the whole EXIF
-    /// block too, with time and place), icc, or none
+    /// Choose which of the input's metadata the file carries, within its size: needed (ICC profile and orientation),
+    /// all (the whole EXIF block too, with time and place), icc, or none
     #[arg(help_heading = "What the file has, and how it is made", long, value_name = "WHICH", default_value = "needed", hide_possible_values = true, value_parser = names::carry())]
     pub metadata: Carry,
     /// Write the file even under the extension of another format
@@ -168,7 +168,7 @@ pub struct Encode {
     pub json: bool,
 }
 
-/// What is done with outputs of several inputs that are there already.
+/// Treatment of outputs that exist already, when there are several inputs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Existing {
     Refuse,
@@ -219,7 +219,7 @@ pub fn pair<'a>(paths: &'a [PathBuf], output: Option<&'a Path>) -> Result<(&'a P
     }
 }
 
-/// What to aim at: at most one of these.
+/// Target of an encode: at most one of these.
 #[derive(Debug, ClapArgs)]
 #[group(multiple = false)]
 pub struct TargetArgs {
@@ -320,7 +320,7 @@ pub struct Decode {
     /// Output pixels per pixel of the picture; below 1 the picture is low-passed
     #[arg(long, value_name = "FACTOR", value_parser = positive)]
     pub scale: Option<f64>,
-    /// What is drawn: both layers, the Gaussians alone, or the detail layer alone, on grey
+    /// Choose the layers to draw: both, the Gaussians alone, or the detail layer alone, on grey
     #[arg(long, value_name = "WHICH", default_value = "both", value_parser = names::layers())]
     pub layers: Layers,
     /// Which device draws; a file from a stranger is best drawn on the CPU
@@ -360,12 +360,12 @@ Examples:
 web/placeholder.js draws such a file without WebAssembly; web/ssplat-img.js has the element <ssplat-img>. The
 picture is turned as its EXIF block says. Profile and EXIF block are left out.";
 
-/// What `ssplat placeholder` prints.
+/// Output format of `ssplat placeholder`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum PlaceholderFormat {
     /// The file in base64
     Base64,
-    /// The same as a data URI
+    /// The file as a data URI
     Uri,
     /// An element <ssplat-img>
     Html,
@@ -379,13 +379,13 @@ pub struct Placeholder {
     /// Size of the file, bytes, never exceeded; base64 makes four letters of three
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u64).range(..=16 << 10))]
     pub bytes: u64,
-    /// What to print
+    /// Choose the form of the output
     #[arg(long, value_enum, default_value = "base64")]
     pub format: PlaceholderFormat,
     /// The element's source [default: the input's name]
     #[arg(long, value_name = "URL")]
     pub src: Option<String>,
-    /// What the element says where the picture cannot be seen
+    /// Set the element's text for where the picture cannot be seen
     #[arg(long, value_name = "TEXT")]
     pub alt: Option<String>,
     /// How much work to spend, 1 to 9
@@ -447,7 +447,7 @@ million pixels).";
 pub struct Compare {
     /// The original: any picture, or a .ssplat file
     pub reference: PathBuf,
-    /// What became of it: any picture, or a .ssplat file
+    /// The picture to compare with it: any picture, or a .ssplat file
     pub test: PathBuf,
     /// Print as JSON
     #[arg(long)]

@@ -19,7 +19,7 @@ use crate::sink::say;
 /// Pixels up to which a picture is small: it is worked on with one thread, beside others.
 const SMALL: u64 = 1 << 22;
 
-/// What came of one file.
+/// Result of the work on one file.
 pub struct Done {
     /// For people; empty, or whole lines.
     pub text: String,
@@ -47,7 +47,7 @@ pub struct Command<'a> {
     pub run: &'a Work<'a>,
 }
 
-/// What is printed.
+/// Kind of output that is printed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Voice {
     Text,
@@ -113,7 +113,7 @@ pub fn run(inputs: &[PathBuf], folder: &Path, many: &Many, voice: Voice, command
     }
 }
 
-/// What all who work share.
+/// State shared by all threads of a batch.
 struct Shift<'a> {
     command: &'a Command<'a>,
     many: &'a Many,
@@ -124,7 +124,7 @@ struct Shift<'a> {
     bar: Bar,
 }
 
-/// Who is at what.
+/// State of the files of a batch.
 #[derive(Default)]
 struct Board {
     finished: usize,

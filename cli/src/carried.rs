@@ -1,10 +1,10 @@
-//! What of a picture's metadata goes into its file, and what is said of that.
+//! Choice of the metadata of a picture that goes into its file, and the notes about it.
 
 use image::metadata::Orientation;
 use ssplat::unstable::EncodeOptions;
 use ssplat::{Carry, Error};
 
-/// Puts into `options` what `--metadata` says of a picture's profile and EXIF block, and notes what is left out.
+/// Puts into `options` the profile and the EXIF block that `--metadata` asks for, and notes what is left out.
 pub fn carry(
     options: &mut EncodeOptions,
     (icc, exif): (Option<Vec<u8>>, Option<Vec<u8>>),
@@ -12,7 +12,7 @@ pub fn carry(
     notes: &mut Vec<String>,
 ) {
     let carried = options.carry.of(icc, exif, orientation);
-    // What was asked for in as many words is no news.
+    // No note about losses that the user asked for.
     if options.carry == Carry::Needed && carried.exif_left_out > 0 {
         let but = if carried.exif.is_some() { " but for the orientation" } else { "" };
         let bytes = carried.exif_left_out;
@@ -24,7 +24,7 @@ pub fn carry(
     (options.icc, options.exif) = (carried.icc, carried.exif);
 }
 
-/// What is said of a file of so many bytes that is metadata for the most part.
+/// Returns a note about a file of `bytes` bytes if more than half of it is metadata.
 pub fn dominating(options: &EncodeOptions, bytes: usize) -> Option<String> {
     let length = |block: &Option<Vec<u8>>| block.as_ref().map_or(0, Vec::len);
     let (icc, exif) = (length(&options.icc), length(&options.exif));
@@ -37,7 +37,7 @@ pub fn dominating(options: &EncodeOptions, bytes: usize) -> Option<String> {
     (2 * both > bytes).then(|| format!("{what} {both} of {bytes} bytes; --metadata none leaves metadata out"))
 }
 
-/// What can be done about an error of the library, where that is to carry less.
+/// Returns advice on an error of the library that carrying less metadata would avoid; empty for other errors.
 pub fn advice(error: &Error) -> &'static str {
     match error {
         Error::TooSmall { icc: 0, exif: 0, .. } => "",

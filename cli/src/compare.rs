@@ -10,7 +10,7 @@ use crate::perceived::{self, Perceived};
 use crate::sink::say;
 use crate::source::{self, Turn};
 
-/// What stands for the infinite PSNR of equal samples where a number is wanted, dB.
+/// Number that stands for the infinite PSNR of equal samples where a finite one is needed, dB.
 pub const IDENTICAL: f64 = 99.0;
 
 pub fn run(args: &args::Compare) -> Result<(), Failure> {
@@ -27,7 +27,7 @@ pub fn run(args: &args::Compare) -> Result<(), Failure> {
     say(&if args.json { format!("{}\n", as_json(&found)) } else { format!("{}\n", as_text(&found)) })
 }
 
-/// What is found between two pictures.
+/// Measures of the difference between two pictures.
 #[derive(Debug, Clone, Copy)]
 pub struct Found {
     /// dB; infinite where samples are equal.
@@ -64,7 +64,7 @@ fn join(a: Channels, b: Channels) -> Channels {
     }
 }
 
-/// The same picture with more channels or bits: grey as equal red, green and blue, and opaque where alpha was missing.
+/// Converts a picture to more channels or bits: grey to equal red, green and blue, and opaque where it has no alpha.
 fn converted(p: &Pixels, channels: Channels, depth: Depth) -> ssplat::Result<Pixels> {
     let samples = match (p.samples(), depth) {
         (Samples::U8(v), Depth::Eight) => Samples::U8(spread(v, p.channels(), channels, 255)),

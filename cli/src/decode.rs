@@ -91,7 +91,7 @@ fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &
     let sink;
     let on_the_gpu = args.backend == Backend::Gpu;
     if on_the_gpu || orientation.is_some() || background.is_some() {
-        // What turns or covers a picture sees all of it.
+        // Turning and covering need the whole picture in memory.
         let pixels = if on_the_gpu {
             let pixels;
             (pixels, device) = on_gpu(&opened, &view).map_err(failed)?;
@@ -211,7 +211,7 @@ fn opaque(pixels: &Pixels, background: [u8; 3]) -> ssplat::Result<Pixels> {
     Pixels::new(pixels.width(), pixels.height(), channels, samples)
 }
 
-/// What a damaged file has lost, in words.
+/// Returns notes about the parts that a damaged file has lost.
 fn losses(metadata: &Metadata, missing: Missing, of: u32) -> Vec<String> {
     let section = |name| format!("section {} is damaged and left out", String::from_utf8_lossy(name));
     let mut notes: Vec<String> = metadata.damaged.iter().map(|name| section(&name[..])).collect();
@@ -244,7 +244,7 @@ fn on_gpu(_: &Image, _: &View) -> ssplat::Result<(Pixels, String)> {
     Err(ssplat::GpuError::NotBuilt.into())
 }
 
-/// What `--region` and the size options ask for of the `whole` picture.
+/// Returns the view of the `whole` picture that `--region` and the size options ask for.
 fn view(args: &args::Decode, input: &Path, whole: View) -> Result<View, Failure> {
     let failed = |e| Failure::library(input, &e);
     let mut view = whole;

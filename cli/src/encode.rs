@@ -95,8 +95,8 @@ fn tries(target: Target) -> u32 {
     }
 }
 
-/// What is left of a budget of time that began with `start`: reading is part of the work. Something is always left, so that
-/// there is a file in the end.
+/// Returns the rest of a time budget that began at `start`, so that reading counts as work. It is at least a
+/// millisecond, so that a file is always made.
 fn left(time: Option<Duration>, start: Instant) -> Option<Duration> {
     time.map(|t| t.saturating_sub(start.elapsed()).max(Duration::from_millis(1)))
 }
@@ -202,14 +202,14 @@ fn in_parts(
     Ok(Done { text, result, notes })
 }
 
-/// Why a picture was not encoded, and what can be done about it.
+/// Returns the failure of a picture that was not encoded, with advice.
 fn refusal(input: &Path, error: &Error) -> Failure {
     let mut failure = Failure::library(input, error);
     failure.message += carried::advice(error);
     failure
 }
 
-/// What is said of a file that has not the quality that was asked for.
+/// Returns a note about a file that does not have the quality asked for.
 fn missed(options: &EncodeOptions, report: &EncodeReport) -> Option<String> {
     // Files are within half a point where they can be.
     const CLOSE: f64 = 0.5;

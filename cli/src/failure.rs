@@ -1,4 +1,4 @@
-//! What the program says when it fails, and the exit status that goes with it.
+//! Error messages of the program, and their exit statuses.
 
 use std::path::Path;
 
@@ -36,7 +36,7 @@ impl Kind {
     }
 }
 
-/// Why a command stopped.
+/// Reason why a command stopped.
 #[derive(Debug)]
 pub struct Failure {
     pub kind: Kind,

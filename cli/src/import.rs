@@ -56,7 +56,8 @@ pub fn run(args: &args::Import) -> Result<(), Failure> {
     Sink::create(&args.output, &[&args.input])?.finish_with(&file)
 }
 
-/// What was asked for, else as the Gaussians were stored, else as [`PackOptions`] has it.
+/// Returns the options of packing: those given as arguments, else those that the Gaussians were stored with, else the
+/// defaults of [`PackOptions`].
 fn options(args: &args::Import, parameters: &Parameters) -> PackOptions {
     let mut options = PackOptions::default();
     (options.depth, options.outside) = (parameters.depth, Outside::Crop);

@@ -102,7 +102,7 @@ fn as_json(splats: &PackedSplats, report: &Report) -> Value {
     })
 }
 
-/// What is told of the detail layer, if there is one.
+/// Returns the facts about the detail layer, if there is one.
 fn detail(splats: &PackedSplats, report: &Report) -> Option<Value> {
     let layer = splats.detail.as_ref()?;
     let head = &layer.head;

@@ -13,11 +13,11 @@ pub struct Task {
     pub output: PathBuf,
 }
 
-/// What is in the inputs.
+/// Tasks found in the inputs.
 #[derive(Debug, Default)]
 pub struct Found {
     pub tasks: Vec<Task>,
-    /// What of the inputs is not worked on, in words.
+    /// Notes about inputs that are skipped.
     pub notes: Vec<String>,
 }
 
@@ -109,7 +109,7 @@ fn outputs(named: &[(PathBuf, PathBuf)], extension: &str) -> Vec<PathBuf> {
     }
 }
 
-/// What of folders is not taken.
+/// Files and folders that are skipped within folders.
 #[derive(Default)]
 struct PassedOver {
     files: Vec<PathBuf>,

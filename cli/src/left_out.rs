@@ -1,9 +1,10 @@
-//! What a file does not hold, and what holding it would take: measured by writing the file with it.
+//! Things that a file does not hold, and the bytes that they would take, measured by writing the file with each of
+//! them.
 
 use ssplat::unstable::bitstream::report::Report;
 use ssplat::unstable::bitstream::splats::{Layout, PackedSplats};
 
-/// Something that a file goes without.
+/// Something that a file does not hold.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Absent {
     pub what: String,
@@ -15,12 +16,12 @@ pub struct Absent {
 /// told.
 const MOST_WRITTEN: usize = 1 << 20;
 
-/// What `splats`, a file of which `report` tells, leave out.
+/// Returns everything that `splats`, the file which `report` describes, does not hold.
 pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
     let mut list = Vec::new();
     let mut add = |what: String, with: Option<PackedSplats>| {
         let written = with.and_then(|w| ssplat::unstable::bitstream::to_bytes(&w).ok());
-        // What would make the file smaller was not left out for the scene's sake.
+        // A thing that would make the file smaller was not left out to save bytes.
         let saved = written.map(|w| w.len() as i64 - report.bytes as i64);
         if saved.is_none_or(|s| s >= 0) {
             list.push(Absent { what, saved: saved.map(|s| s as u64) });

@@ -1,4 +1,4 @@
-//! What the program `ssplat` is made of. The lab reads pictures and writes files by it as well; it is not an interface for others.
+//! Parts of the program `ssplat`. The lab uses them to read pictures and write files; they are not a public interface.
 
 pub mod args;
 mod batch;

@@ -11,10 +11,10 @@ use ssplat::unstable::metrics;
 const LEAST: u32 = 8;
 /// Most pixels that Butteraugli is asked for: it keeps about 250 bytes of each in memory.
 const MOST: u64 = 1 << 24;
-/// What pictures with alpha are laid over, as sRGB values: those that SSIMULACRA2 takes.
+/// Grey backgrounds for pictures with alpha, as sRGB values: those that SSIMULACRA2 uses.
 const BACKGROUNDS: [f32; 2] = [0.1, 0.9];
 
-/// What is found.
+/// Measures of perceived difference.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Perceived {
     /// At most 100, which stands for equal pictures; about 90, 70, 50 and 30 for what eyes call very high, high, medium

@@ -23,7 +23,7 @@ pub fn run(args: &args::Placeholder) -> Result<(), Failure> {
     let size = [source.pixels.width(), source.pixels.height()];
     let mut options = EncodeOptions::default();
     (options.target, options.effort) = (Target::Bytes(args.bytes), args.effort);
-    // What reads placeholders without WebAssembly knows Gaussians alone.
+    // Readers of placeholders without WebAssembly only know Gaussians.
     options.detail = Detail::Off;
     let encoded =
         ssplat::unstable::encode(&shrunk(source.pixels), &options).map_err(|e| Failure::library(&args.input, &e))?;

@@ -82,7 +82,7 @@ fn left(elapsed: Duration, done: f32) -> Option<String> {
 /// The stages of an encode, in order, and the part of its time that each takes: on photographs of .4 to 14 megapixels, as
 /// `--explain` tells it.
 const WHOLE: [(&str, f32); 3] = [("fit", 0.6), ("finish", 0.36), ("thumbnail", 0.04)];
-/// The same of an encode in tiles.
+/// Stages of an encode in tiles, with their shares of the time.
 const TILED: [(&str, f32); 6] =
     [("survey", 0.04), ("fit", 0.4), ("join", 0.2), ("finish", 0.3), ("thumbnail", 0.02), ("measure", 0.04)];
 

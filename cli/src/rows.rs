@@ -71,7 +71,7 @@ impl Format {
         self != Format::Whole(ImageFormat::Jpeg)
     }
 
-    /// What of samples of `depth` and of `metadata` files of the format do not carry, in words.
+    /// Returns notes about the bits of `depth` and the blocks of `metadata` that files of the format cannot hold.
     pub fn losses(self, depth: Depth, metadata: &Metadata) -> Vec<String> {
         let (icc, exif) = match self {
             Format::Png | Format::Whole(ImageFormat::Jpeg | ImageFormat::WebP) => (true, true),
@@ -255,7 +255,7 @@ fn encode_whole(picture: DynamicImage, format: ImageFormat, metadata: &Metadata)
 }
 
 fn with_metadata(picture: &DynamicImage, mut encoder: impl ImageEncoder, metadata: &Metadata) -> ImageResult<()> {
-    // What a format cannot carry is left out; `Format::losses` says so.
+    // Metadata that the format cannot carry are left out; `Format::losses` says so.
     if let Some(icc) = &metadata.icc {
         let _ = encoder.set_icc_profile(icc.clone());
     }

@@ -88,7 +88,7 @@ impl Sink {
         };
         let mut unfinished = UNFINISHED.lock().unwrap_or_else(|e| e.into_inner());
         let file = temporary().tempfile_in(folder).map_err(|e| io(plain(&e, folder)))?;
-        // What replaces a file may be read by the same people.
+        // The new file gets the permissions of the old one.
         if let Ok(there) = std::fs::metadata(&target) {
             file.as_file().set_permissions(there.permissions()).map_err(io)?;
         }
@@ -101,7 +101,7 @@ impl Sink {
         &self.path
     }
 
-    /// What to write to; all writers of a sink go on where the last one stopped.
+    /// Returns a writer. All writers of a sink continue where the last one stopped.
     pub fn writer(&self) -> io::Result<Box<dyn Write>> {
         Ok(match &self.out {
             Out::Temporary { file, .. } => Box::new(file.as_file().try_clone()?),
@@ -151,7 +151,7 @@ fn followed(path: &Path) -> io::Result<PathBuf> {
     Err(io::Error::other("too many links"))
 }
 
-/// Why no file can be made in `folder`, without a temporary file's name, which tells nobody anything.
+/// Returns the reason why no file can be made in `folder`, without the name of the temporary file.
 fn plain(e: &io::Error, folder: &Path) -> io::Error {
     std::fs::metadata(folder).err().unwrap_or_else(|| e.kind().into())
 }

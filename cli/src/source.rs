@@ -33,7 +33,7 @@ pub struct Source {
     pub orientation: Orientation,
     /// The file ends before its picture does.
     pub is_cut_off: bool,
-    /// What of the file is not in here, in words.
+    /// Notes about parts of the file that were not read.
     pub notes: Vec<String>,
 }
 
@@ -169,7 +169,7 @@ pub fn decode(path: &Path, bytes: &[u8]) -> Result<Source, Failure> {
     Ok(Source { pixels: decoded.pixels, icc, exif, orientation, is_cut_off: false, notes: Vec::new() })
 }
 
-/// What an EXIF block says of how its picture is to be turned.
+/// Returns the orientation stated in an EXIF block.
 pub fn orientation_in(exif: Option<&[u8]>) -> Orientation {
     exif.and_then(Orientation::from_exif_chunk).unwrap_or(Orientation::NoTransforms)
 }
@@ -190,7 +190,7 @@ fn misfit(icc: &[u8], channels: Channels) -> Option<String> {
     (space != wanted).then(|| String::from_utf8_lossy(space).trim().to_string())
 }
 
-/// What to do about formats that are not read, by the first bytes of a file.
+/// Returns advice for formats that are not read, by the first bytes of a file.
 fn advice(start: &[u8]) -> Option<&'static str> {
     match start.get(4..12) {
         Some(b"ftypavif" | b"ftypavis") => Some(" (an AVIF file: convert it first, with `avifdec IN.avif OUT.png`)"),

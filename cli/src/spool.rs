@@ -32,7 +32,7 @@ pub struct Spooled {
     depth: Depth,
     pub icc: Option<Vec<u8>>,
     pub exif: Option<Vec<u8>>,
-    /// What of the input is not in here, in words.
+    /// Notes about parts of the input that were not read.
     pub notes: Vec<String>,
 }
 

@@ -1,11 +1,11 @@
-//! What the structure of a picture file tells beside its first picture: whether its end is there, and whether more
-//! pictures follow. Decoders draw a JPEG that was cut off as if the rest were grey, and pass over further frames.
+//! Structure of a picture file beyond its first picture: whether the file has its end, and whether more pictures
+//! follow. Decoders draw a JPEG that was cut off as if the rest were grey, and ignore further frames.
 
 use std::io::{self, BufRead, ErrorKind, Read, Seek, SeekFrom};
 
 use image::ImageFormat;
 
-/// What was found.
+/// Properties of a file's structure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Structure {
     /// The mark at the end of the file is there.

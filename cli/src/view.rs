@@ -14,7 +14,7 @@ use crate::failure::Failure;
 use crate::sink::Sink;
 use crate::source;
 
-/// What is shown: the bytes of a file, and its name for the page.
+/// File to show: its bytes, and its name for the page.
 struct Shown {
     name: String,
     bytes: Vec<u8>,
@@ -36,7 +36,7 @@ impl Shown {
 pub fn run(args: &args::View) -> Result<(), Failure> {
     let bytes = source::read_splats(&args.input)?;
     let limits = Limits::default();
-    // What is broken is told here, not in the browser.
+    // Report a broken file here, not in the browser.
     Reader::new(&bytes, &limits).and_then(|o| o.read(Damage::Refuse)).map_err(|e| Failure::library(&args.input, &e))?;
     let file = Shown::new(&args.input, bytes);
     let original = match &args.original {

@@ -1,5 +1,5 @@
-//! What this decoder says of many files, for other builds of it to be held against (`web/test/acceptance.mjs`): the finds of
-//! fuzzing as they are and under checksums that fit, all vectors, and mutations of them.
+//! Results of this decoder on many files, to compare other builds of it with (`web/test/acceptance.mjs`): the finds of
+//! fuzzing as they are and with matching checksums, all vectors, and mutations of them.
 //!
 //! ```sh
 //! cargo run --release -p ssplat-lab --example acceptance -- FOLDER [MUTATIONS [FILES]]
@@ -63,7 +63,7 @@ fn files(count: usize) -> Result<Vec<(String, Vec<u8>)>> {
     for kind in ["valid", "reduced", "invalid", "limits"] {
         for path in entries(&root.join("spec/vectors").join(kind))? {
             let bytes = fs::read(path.join("file.ssplat"))?;
-            // The same that `tests/malformed.rs` changes.
+            // These are the files that `tests/malformed.rs` changes.
             if kind == "valid" && bytes.len() < 8192 {
                 sound.push(bytes.clone());
             }
@@ -84,7 +84,8 @@ fn name_of(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Those of `web/test/acceptance.mjs`. Memory is no matter here, of which 32 bits take less.
+/// Returns the limits that `web/test/acceptance.mjs` uses. `alloc` is large enough never to decide, as 32-bit builds
+/// take less memory.
 fn limits() -> Limits {
     let mut limits = Limits::default();
     (limits.width, limits.height, limits.primitives) = (1 << 12, 1 << 12, 1 << 16);

@@ -1,4 +1,4 @@
-//! What each effort costs and brings, for one or several builds of the program in turn.
+//! Time and quality of each effort, for one or several builds of the program in turn.
 //!
 //! ```sh
 //! cargo build --release
@@ -25,7 +25,7 @@ use ssplat::Pixels;
 use ssplat::unstable::DecodeOptions;
 use ssplat::unstable::metrics;
 
-/// What each effort costs and brings
+/// Measure the time and the quality of each effort
 #[derive(Debug, Parser)]
 struct Args {
     /// The folder of pictures
@@ -76,7 +76,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                             ("--ratio", ratio.to_string()),
                             ("--effort", effort.to_string()),
                             ("--seed", seed.to_string()),
-                            // What builds favour by default differs.
+                            // The default of `--tune` differs between builds.
                             ("--tune", "psnr".to_owned()),
                         ];
                         let [user, system] = encode(program, [&path, &file], options.into_iter())?;

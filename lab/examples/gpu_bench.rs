@@ -1,4 +1,4 @@
-//! What a GPU makes of the fit and of decoding: steps per second, seconds to a quality, frames per second, memory.
+//! Speed of a GPU in fitting and decoding: steps per second, seconds to a quality, frames per second, and memory.
 //!
 //! ```text
 //! cargo run --release -p ssplat-lab --features gpu --example gpu_bench -- [CASE...] [--steps N] [--looks N] [--cpu-adapter]
@@ -138,7 +138,7 @@ fn run(device: &Device, case: &Case, steps: u32, looks: u32) -> Result<String> {
     ))
 }
 
-/// What there is of something per second: three digits, where a large case has less than one.
+/// Formats a number per second: with three decimals below 1, else with one.
 fn rate(per_second: f64) -> String {
     if per_second < 1.0 { format!("{per_second:.3}") } else { format!("{per_second:.1}") }
 }

@@ -1,4 +1,4 @@
-//! What a fit in tiles loses to one of the whole picture, and what of that lies at the seams:
+//! Loss of a fit in tiles against a fit of the whole picture, and the part of it at the seams:
 //! `cargo run --release -p ssplat-lab --example seams -- PICTURES [--tiles 512] [--ratio 50] [--effort 5] [--tune psnr]`.
 //!
 //! A seam is where two tiles of the first pass meet. Its error is that of the pixels within 16 of it; the whole picture's fit

@@ -130,7 +130,7 @@ fn ours(picture: &RgbImage, most: u64, effort: u8) -> Result<RgbImage> {
     let mut options = EncodeOptions::default();
     options.target = Target::Bytes(most);
     options.effort = effort;
-    // What the table has of the others is PSNR, too.
+    // The table has PSNR for the other formats, too.
     options.tune = Some(Tune::Psnr);
     let bytes = ssplat::unstable::encode(&pixels(picture)?, &options)?.bytes;
     let decoded = ssplat::unstable::decode(&bytes, &DecodeOptions::default())?.pixels;
@@ -219,7 +219,7 @@ fn thumbhash(picture: &RgbImage, most: u64) -> Option<RgbImage> {
 fn best_blurhash(picture: &RgbImage, most: u64, psnr: &dyn Fn(RgbImage) -> Result<f64>) -> Result<Option<f64>> {
     let mut best: Option<f64> = None;
     let fits = |[x, y]: [u32; 2]| u64::from(4 + 2 * x * y) <= most;
-    // Of those that fit, only such that have no room for another row or column.
+    // Try only sizes that have no room for another row or column.
     for x in 1..=9 {
         let Some(y) = (1..=9).rev().find(|&y| fits([x, y])) else { break };
         if let Some(decoded) = blurhash(picture, [x, y]) {
@@ -229,7 +229,7 @@ fn best_blurhash(picture: &RgbImage, most: u64, psnr: &dyn Fn(RgbImage) -> Resul
     Ok(best)
 }
 
-/// What the BlurHash of so many components shows.
+/// Returns the picture that the BlurHash of so many components gives.
 fn blurhash(picture: &RgbImage, [x, y]: [u32; 2]) -> Option<RgbImage> {
     let [w, h] = [picture.width(), picture.height()].map(|v| v.div_ceil(4));
     let small = image::DynamicImage::ImageRgb8(imageops::resize(picture, w, h, FilterType::Lanczos3)).into_rgba8();

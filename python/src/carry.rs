@@ -1,4 +1,4 @@
-//! What of a picture's metadata its file carries.
+//! Choice of the metadata of a picture that its file carries.
 
 use image::metadata::Orientation;
 use pyo3::prelude::*;

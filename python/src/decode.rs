@@ -27,7 +27,7 @@ pub struct Options {
     limits: Option<BTreeMap<String, i128>>,
 }
 
-/// What is drawn of the file, and how.
+/// Part of the file to draw, and how to draw it.
 struct Job {
     view: View,
     depth: Depth,
@@ -97,7 +97,7 @@ pub fn limits(changes: Option<&BTreeMap<String, i128>>) -> PyResult<Limits> {
     Ok(limits)
 }
 
-/// What is missing: primitives, groups, of so many groups; tiles of the detail layer, of so many tiles.
+/// Numbers of missing parts: primitives, groups, groups in all, tiles of the detail layer, tiles in all.
 type Lost = (u32, u32, u32, u32, u32);
 
 /// The array, and what is missing.

@@ -1,4 +1,4 @@
-//! What a file says about itself.
+//! Facts about a file.
 
 use std::collections::BTreeMap;
 
@@ -76,7 +76,7 @@ pub fn info<'py>(
     Ok(d)
 }
 
-/// What is told of the detail layer, if there is one.
+/// Returns the facts about the detail layer, if there is one.
 fn detail<'py>(py: Python<'py>, splats: &PackedSplats, report: &Report) -> PyResult<Option<Bound<'py, PyDict>>> {
     let Some(layer) = &splats.detail else { return Ok(None) };
     let d = PyDict::new(py);

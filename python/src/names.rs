@@ -17,7 +17,7 @@ pub const DETAILS: [(&str, Detail); 2] = [("auto", Detail::Auto), ("off", Detail
 pub const CARRIES: [(&str, Carry); 4] =
     [("needed", Carry::Needed), ("all", Carry::All), ("icc", Carry::Icc), ("none", Carry::None)];
 
-/// What `word` stands for.
+/// Returns the value that `word` stands for.
 pub fn value<T: Copy>(name: &'static str, all: &[(&'static str, T)], word: &str) -> Result<T, PyErr> {
     all.iter().find(|(w, _)| *w == word).map(|&(_, v)| v).ok_or_else(|| {
         let words: Vec<_> = all.iter().map(|(w, _)| format!("{w:?}")).collect();

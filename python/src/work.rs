@@ -26,7 +26,7 @@ const LISTEN: Duration = Duration::from_millis(20);
 /// Most threads of a call.
 const MOST: i128 = 1024;
 
-/// What the work tells the calling thread, or asks of it.
+/// Messages from the work to the calling thread, and its requests.
 enum Message<T> {
     Step { stage: &'static str, done: f32 },
     Start { task: Vec<u8> },

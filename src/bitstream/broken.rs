@@ -1,4 +1,4 @@
-//! What a value says that is against the format.
+//! Values that break the rules of the format.
 
 use crate::error::{Error, FormatError};
 

@@ -7,7 +7,7 @@ pub(crate) use small::{Hasher, hash};
 
 #[cfg(any(test, target_family = "wasm"))]
 mod small {
-    /// What four zero bits in front of each four bits add.
+    /// CRC remainders of the sixteen values of four bits.
     const STEPS: [u32; 16] = {
         let mut steps = [0; 16];
         let mut i = 0;

@@ -65,19 +65,19 @@ impl Entry {
     }
 }
 
-/// What a reader could not get.
+/// Numbers of the parts of a file that could not be read. All are 0 for a file that is intact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Missing {
-    /// Primitives.
+    /// Primitives that are missing.
     pub primitives: u32,
-    /// Groups.
+    /// Groups that are missing.
     pub groups: u32,
-    /// Groups that the file should have.
+    /// Groups in the whole file.
     pub of_groups: u32,
-    /// Tiles of the detail layer.
+    /// Tiles of the detail layer that are missing.
     pub tiles: u32,
-    /// Tiles that the picture has.
+    /// Tiles of the whole detail layer.
     pub of_tiles: u32,
 }
 

@@ -108,12 +108,12 @@ pub fn read_partial(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Miss
 /// [`Error::Io`](crate::Error::Io) from the reader.
 pub(crate) fn read_rest<R: Read>(reader: R, limits: &Limits) -> Result<Vec<u8>> {
     let mut rest = Vec::new();
-    // What is read is backed by bytes that somebody sent; the limit stops endless streams.
+    // Memory grows only with the bytes that arrive; the limit stops endless streams.
     reader.take(limits.alloc / FILE_COPIES + 1).read_to_end(&mut rest)?;
     Ok(rest)
 }
 
-/// What bounds the reading of one file.
+/// Limits on the reading of one file.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Reading<'a> {
     pub limits: &'a Limits,
@@ -187,7 +187,7 @@ impl Reading<'_> {
         Ok((splats, infos))
     }
 
-    /// What is to be read of a detail layer.
+    /// Returns the part of a detail layer to read, with its limits.
     fn wanted<'w>(&'w self, header: &Header, area: Option<&Area>, counts: bool) -> Wanted<'w> {
         let size = [header.width, header.height];
         Wanted { size, channels: header.channels, area: area.copied(), limits: self.limits, passes_over: false, counts }
@@ -196,8 +196,9 @@ impl Reading<'_> {
     /// Parses what is intact of the bytes behind the header, and says what is missing.
     pub fn intact(self, header: &Header, rest: &[u8]) -> Result<(PackedSplats, Missing)> {
         let mut working = self.reserve(header, rest)?;
-        // What is trusted is covered by the directory's checksum and the groups' own, or by that of the Gaussians' bytes. That of
-        // the file, which may be cut off or be a part of the last group of a file that is cut, only tells whether all is well.
+        // Trust comes from the checksums of the directory and of each group, or from that of the Gaussians' bytes. The
+        // checksum of the file may be cut off, or be part of the last group of a file that is cut. It only tells
+        // whether the whole file is intact.
         let mut bytes = Bytes::new(rest, header.bytes().len() as u64);
         let mut checksum = Hasher::new();
         checksum.update(header.bytes());
@@ -252,7 +253,7 @@ impl Reading<'_> {
         Ok(read.metadata)
     }
 
-    /// What parsing `rest` takes at most.
+    /// Reserves the most memory that parsing `rest` can take.
     fn reserve(self, header: &Header, rest: &[u8]) -> Result<Reservation> {
         let primitives = u64::from(header.primitives) * working_bytes(header.layout);
         self.budget.reserve(FILE_COPIES * rest.len() as u64 + primitives)

@@ -64,7 +64,7 @@ pub(crate) struct Place {
     pub corner: [u32; 2],
 }
 
-/// The same without the way there, which readers do not need.
+/// A [`Place`] without its key, which readers do not need.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Square {
     pub log: u32,

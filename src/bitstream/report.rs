@@ -25,7 +25,7 @@ pub struct Field {
     pub bits: f64,
 }
 
-/// What [`inspect`](super::inspect) finds.
+/// Result of [`inspect`](super::inspect).
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Report {

@@ -1,4 +1,4 @@
-//! What the integers of a picture must obey, whether a file or a caller names them (spec §4).
+//! Rules that the integers of a picture must obey, whether they come from a file or from a caller (spec §4).
 
 use super::broken::Broken;
 use super::header::{MAX_SIDE, MIN_EXPONENT};

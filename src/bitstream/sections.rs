@@ -13,7 +13,7 @@ pub const DETAIL: [u8; 4] = *b"Dtal";
 /// Most sections of a file.
 pub const MAX_SECTIONS: usize = 64;
 
-/// What the sections of a file say.
+/// Contents of a file's sections.
 #[derive(Debug, Default)]
 pub(crate) struct SectionsRead {
     pub metadata: Metadata,
@@ -29,11 +29,11 @@ pub struct SectionInfo {
     pub name: [u8; 4],
     /// Bytes of the section in the file, its head included.
     pub bytes: u64,
-    /// What became of it.
+    /// Treatment by the reader.
     pub fate: SectionFate,
 }
 
-/// What a reader did with a section.
+/// Treatment of a section by a reader.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum SectionFate {
     /// Understood and kept.

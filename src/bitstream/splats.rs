@@ -42,14 +42,14 @@ pub struct PackedGaussian {
     pub color: [i16; 4],
 }
 
-/// How the integers become bytes (spec §6 to §8).
+/// Layout of the integers in a file (spec §6 to §8).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Layout {
     /// Fixed-size records, 7 bytes each for a colour picture.
     Packed,
     /// The records' fields as separate streams under zstd.
     Planes,
-    /// Adaptive entropy coding.
+    /// Adaptive entropy coding: the smallest files.
     #[default]
     Coded,
 }
@@ -61,7 +61,7 @@ pub const EXIF: [u8; 4] = *b"exif";
 /// Name of the thumbnail's section.
 pub const THUMBNAIL: [u8; 4] = *b"thmb";
 
-/// What a file carries beside its picture, untouched.
+/// Metadata of a file, unparsed: blocks that are carried beside the picture, byte for byte.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Metadata {
@@ -69,7 +69,7 @@ pub struct Metadata {
     pub icc: Option<Vec<u8>>,
     /// EXIF block, starting at its TIFF header.
     pub exif: Option<Vec<u8>>,
-    /// The picture drawn smaller: a file of its own (spec §3).
+    /// Thumbnail: an ssplat file of its own with a smaller version of the picture (spec §3).
     pub thumbnail: Option<Vec<u8>>,
     /// Names of the sections that were dropped when reading because their checksums did not match; not written.
     pub damaged: Vec<[u8; 4]>,
@@ -110,7 +110,7 @@ pub struct PackedSplats {
     /// How many primitives each progressive level has, coarse levels first, at most 8; empty: one level. Only the coded
     /// layout has several; a file cut after a level still shows a whole, coarser picture.
     pub levels: Vec<u32>,
-    /// What is added to the Gaussians' picture; only the coded layout has it.
+    /// The detail layer, which is added to the picture of the Gaussians. Only the coded layout can have one.
     pub detail: Option<Arc<DetailLayer>>,
     /// ICC profile and EXIF block.
     pub metadata: Metadata,

@@ -1,4 +1,4 @@
-//! The decoder as programs use it: what is asked for, by setters, and the files.
+//! The decoder's public interface: options as setters, then files to decode.
 
 use super::{Decoded, decode, decode_into, thumbnail};
 use crate::error::Result;
@@ -24,61 +24,64 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// A decoder of whole pictures, at their own size, with the default [`Limits`].
+    /// Returns a decoder that draws whole pictures at their own size, with the default [`Limits`].
     #[must_use]
     pub fn new() -> Self {
         Decoder::default()
     }
 
-    /// What a file may ask for.
+    /// Sets the limits on size, memory and work. A file that exceeds one is refused with
+    /// [`Error::LimitExceeded`](crate::Error::LimitExceeded).
     #[must_use]
     pub fn limits(mut self, limits: Limits) -> Self {
         self.options.limits = limits;
         self
     }
 
-    /// The part to draw: left, top, width and height, pixels of the picture. What lies outside is not drawn, and in large
-    /// files mostly not even read.
+    /// Sets the part to draw: left, top, width and height, in pixels of the picture. Parts of the file that cannot be
+    /// seen in it are not drawn, and in large files mostly not even read. The default is the whole picture.
     #[must_use]
     pub fn region(mut self, region: [u32; 4]) -> Self {
         self.options.region = Some(region);
         self
     }
 
-    /// Width and height of the output, pixels. Larger ones than the region's sample the continuous picture, smaller ones are
-    /// low-passed as [`View::resized`](crate::View::resized) says.
+    /// Sets the width and height of the output, in pixels, each in `1..=2²⁰`. An output larger than the region samples
+    /// the continuous picture, a smaller one is low-passed as described at [`View::resized`](crate::View::resized). The
+    /// default is the size of the region.
     #[must_use]
     pub fn size(mut self, size: [u32; 2]) -> Self {
         self.options.size = Some(size);
         self
     }
 
-    /// What to do with a truncated or damaged file; to fail, by default.
+    /// Sets the treatment of truncated or damaged files. The default is [`Damage::Refuse`].
     #[must_use]
     pub fn damage(mut self, damage: Damage) -> Self {
         self.options.damage = damage;
         self
     }
 
-    /// Which layers to draw; both, by default.
+    /// Sets the layers to draw. The default is [`Layers::Both`].
     #[must_use]
     pub fn layers(mut self, layers: Layers) -> Self {
         self.options.layers = layers;
         self
     }
 
-    /// Decodes the file `bytes`, or what is asked for of it.
+    /// Decodes the file `bytes`, with the region and the size that were set.
     ///
     /// # Errors
     /// [`Error::Format`](crate::Error::Format) and [`Error::UnsupportedVersion`](crate::Error::UnsupportedVersion) for
-    /// what cannot be read, [`Error::LimitExceeded`](crate::Error::LimitExceeded) for what is too large,
-    /// [`Error::Parameter`](crate::Error::Parameter) for a region outside the picture or an empty one.
+    /// files that cannot be read, [`Error::LimitExceeded`](crate::Error::LimitExceeded) for files that exceed the
+    /// [`Limits`], [`Error::Parameter`](crate::Error::Parameter) for a region that is empty or not within the picture
+    /// and for a size outside `1..=2²⁰`.
     pub fn decode(&self, bytes: &[u8]) -> Result<Decoded> {
         decode(bytes, &self.options)
     }
 
-    /// Decodes the file `bytes` into `out`, row by row with interleaved channels, with the depth of `out`: for one picture
-    /// after the other in the same memory. [`Reader`](crate::Reader) tells a picture's size beforehand.
+    /// Decodes the file `bytes` into `out`, row by row with interleaved channels, at the bit depth of `out`. Use it to
+    /// decode several pictures into the same memory. [`Reader`](crate::Reader) tells a picture's size beforehand.
     ///
     /// # Errors
     /// As [`decode`](Decoder::decode), and [`Error::Parameter`](crate::Error::Parameter) naming `out` if that has not exactly
@@ -87,12 +90,13 @@ impl Decoder {
         decode_into(bytes, &self.options, out).map(|_| ())
     }
 
-    /// Draws the picture of the file `bytes` as large as it fits into `within`, width and height in pixels, and never larger
-    /// than it is.
+    /// Draws the picture of the file `bytes` as large as it fits into `within` (width and height in pixels) with its
+    /// aspect ratio kept, and never larger than its own size.
     ///
-    /// Where the file carries a thumbnail of at least this size, that is drawn and nothing else is read: in half a millisecond
-    /// whatever the picture's size, and with its own error, which is larger than that of the picture. Else the picture is drawn.
-    /// The picture's ICC profile and EXIF block go with both. Region, size, damage and layers do not matter here.
+    /// If the file carries a thumbnail of at least this size, only the thumbnail and the metadata are read. This takes
+    /// half a millisecond whatever the picture's size; the thumbnail's error is larger than the picture's. Otherwise
+    /// the picture is drawn. The result has the picture's ICC profile and EXIF block in both cases. The region, size,
+    /// damage and layers set on this decoder have no effect here.
     ///
     /// # Errors
     /// As [`decode`](Decoder::decode); [`Error::Parameter`](crate::Error::Parameter) when a side of `within` is 0.

@@ -25,7 +25,7 @@ pub struct Decoded {
     pub pixels: Pixels,
     /// ICC profile and EXIF block.
     pub metadata: Metadata,
-    /// What could not be read; nothing unless [`Damage::Accept`](crate::Damage::Accept) was asked for.
+    /// Numbers of the parts that could not be read. All are 0 unless [`Damage::Accept`](crate::Damage::Accept) was set.
     pub missing: Missing,
 }
 

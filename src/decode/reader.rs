@@ -1,4 +1,4 @@
-//! An opened file: its integers and metadata, from which any view is drawn, any number of times.
+//! Opened files: their integers and metadata, from which any view can be drawn, any number of times.
 
 use std::sync::Arc;
 
@@ -15,7 +15,8 @@ use crate::options::{Damage, Layers};
 use crate::pixels::{Depth, Pixels};
 use crate::raster::{Canvas, Overlay, Renderer, SamplesMut, View};
 
-/// A file whose header has been read and nothing else: what picture it is, before anything is spent on it.
+/// A file of which only the header has been read. It tells the picture's size and channels before any memory is spent
+/// on it.
 ///
 /// ```no_run
 /// use ssplat::{Damage, Limits, Reader};
@@ -33,7 +34,7 @@ use crate::raster::{Canvas, Overlay, Renderer, SamplesMut, View};
 #[derive(Debug)]
 pub struct Reader<'a> {
     header: Header,
-    /// What follows the header.
+    /// Bytes that follow the header.
     rest: &'a [u8],
     limits: Limits,
     budget: Budget,
@@ -42,8 +43,8 @@ pub struct Reader<'a> {
 
 /// A file that has been read, ready to be drawn any number of times.
 ///
-/// It holds the integers of the picture, not the bytes of the file. [`Limits::alloc`] bounds what it and all that is
-/// drawn from it take at the same time.
+/// It holds the integers of the picture, not the bytes of the file. [`Limits::alloc`] bounds the memory of the integers
+/// and of everything drawn from them at the same time.
 ///
 /// ```
 /// use ssplat::{Channels, Encoder, Image, Limits, Pixels, Samples, SamplesMut};
@@ -79,15 +80,15 @@ pub struct Reader<'a> {
 pub struct Image {
     splats: PackedSplats,
     missing: Missing,
-    /// What can be drawn, if that is not all of the picture.
+    /// The area that was read and can be drawn; `None`: the whole picture.
     area: Option<Area>,
     limits: Limits,
     budget: Budget,
     layers: Layers,
-    /// For the integers.
+    /// Memory reserved for the integers.
     #[expect(dead_code, reason = "held until the integers are gone")]
     integers: Reservation,
-    /// For the metadata.
+    /// Memory reserved for the metadata.
     described: Reservation,
 }
 
@@ -95,20 +96,20 @@ impl<'a> Reader<'a> {
     /// Reads the header of the file `bytes`.
     ///
     /// # Errors
-    /// [`Error::Format`] and [`Error::UnsupportedVersion`] for what is no header, [`Error::LimitExceeded`] for a picture that is
-    /// too large.
+    /// [`Error::Format`] if the bytes do not begin with a header, [`Error::UnsupportedVersion`] for a newer format,
+    /// [`Error::LimitExceeded`] for a picture with more pixels a side or more primitives than `limits` allow.
     pub fn new(bytes: &'a [u8], limits: &Limits) -> Result<Self> {
         let mut rest = bytes;
         let header = Header::read(&mut rest, limits)?;
         Ok(Reader::behind(header, rest, limits))
     }
 
-    /// A file whose header has been read, and the bytes that follow it.
+    /// Returns a reader of a file whose header has been read; `rest` are the bytes that follow it.
     pub(crate) fn behind(header: Header, rest: &'a [u8], limits: &Limits) -> Self {
         Reader { header, rest, limits: limits.clone(), budget: Budget::of(limits), layers: Layers::default() }
     }
 
-    /// The same, of which only some layers are read and drawn.
+    /// Restricts the layers that are read and drawn. The default is [`Layers::Both`].
     #[must_use]
     pub fn showing(self, layers: Layers) -> Self {
         Reader { layers, ..self }
@@ -157,26 +158,28 @@ impl<'a> Reader<'a> {
         View::of_size(self.header.width, self.header.height)
     }
 
-    /// Reads ICC profile, EXIF block and thumbnail, and nothing of the picture. Each has a checksum of its own; what is
-    /// damaged is named in [`Metadata::damaged`].
+    /// Reads the ICC profile, the EXIF block and the thumbnail, and nothing of the picture. Each has its own checksum;
+    /// damaged ones are dropped and named in [`Metadata::damaged`].
     ///
     /// # Errors
-    /// [`Error::Format`] for sections that cannot be read, [`Error::LimitExceeded`] for more than [`Limits`] allow.
+    /// [`Error::Format`] for sections that cannot be read, [`Error::LimitExceeded`] for more metadata than [`Limits`]
+    /// allow.
     pub fn metadata(&self) -> Result<Metadata> {
         Reading { limits: &self.limits, budget: &self.budget, layers: self.layers }.described(&self.header, self.rest)
     }
 
-    /// Reads all of the picture.
+    /// Reads the whole picture.
     ///
     /// # Errors
-    /// [`Error::Format`] for what cannot be read, which [`Damage::Accept`] makes less, and [`Error::LimitExceeded`] for
-    /// what takes too much memory.
+    /// [`Error::Format`] for a file that cannot be read, and [`Error::LimitExceeded`] if reading would take too much
+    /// memory. With [`Damage::Accept`], truncated and damaged groups are not errors.
     pub fn read(self, damage: Damage) -> Result<Image> {
         self.read_area(None, damage)
     }
 
-    /// Reads what can be seen in `view`, which is much less than everything for a part of a large file; what is read can
-    /// only draw this view and parts of it. Of a damaged file everything is read.
+    /// Reads the part of the picture that can be seen in `view`, which is much less than everything for a small part of
+    /// a large file. The result can only draw this view and parts of it. With [`Damage::Accept`] the whole file is
+    /// read.
     ///
     /// # Errors
     /// As [`Reader::read`], and [`Error::LimitExceeded`] if the pixels of `view` alone would take too much memory.
@@ -211,7 +214,7 @@ impl<'a> Reader<'a> {
 }
 
 impl Image {
-    /// Reads the whole of the file `bytes`. [`Reader`] reads a part, or what is left of a damaged file.
+    /// Reads the whole file `bytes`. [`Reader`] reads parts of files and damaged files.
     ///
     /// # Errors
     /// As [`Reader::new`] and [`Reader::read`].
@@ -232,28 +235,29 @@ impl Image {
         &self.splats
     }
 
-    /// ICC profile, EXIF block, thumbnail, and which sections were damaged.
+    /// Returns the ICC profile, the EXIF block, the thumbnail, and the names of damaged sections.
     #[must_use]
     pub fn metadata(&self) -> &Metadata {
         &self.splats.metadata
     }
 
-    /// What could not be read; nothing unless [`Damage::Accept`] was asked for.
+    /// Returns the numbers of the parts that could not be read. All are 0 unless [`Damage::Accept`] was set.
     #[must_use]
     pub fn missing(&self) -> Missing {
         self.missing
     }
 
-    /// What draws `view`. It does not need the opened file any more.
+    /// Returns a renderer of `view`. It does not borrow the opened file.
     ///
     /// # Errors
-    /// As [`Renderer::new`], and [`Error::Parameter`] for a view that shows what was not read.
+    /// As [`Renderer::new`], and [`Error::Parameter`] for a view that shows parts of the picture which were not read.
     pub fn renderer(&self, view: &View) -> Result<Renderer> {
         check_area(self.area.as_ref(), view)?;
         self.splats.renderer_within(view, (&self.limits, &self.budget), self.layers)
     }
 
-    /// What a renderer of any view needs to know beside the integers: which layers are drawn, what part can be, and what it may cost.
+    /// Returns everything that a renderer of any view needs beside the integers: the layers to draw, the area that was
+    /// read, the limits and the memory account.
     #[cfg(feature = "gpu")]
     pub(crate) fn terms(&self) -> (Layers, Option<Area>, &Limits, &Budget) {
         (self.layers, self.area, &self.limits, &self.budget)
@@ -267,8 +271,8 @@ impl Image {
         self.renderer(view)?.render(self.splats.depth)
     }
 
-    /// Draws `view` into `out`, row by row with interleaved channels, with the depth of `out`. For a picture after the
-    /// other this spares asking the system for memory, which takes a part of the time of a large one.
+    /// Draws `view` into `out`, row by row with interleaved channels, at the bit depth of `out`. Drawing several
+    /// pictures into the same memory saves the time that allocating it takes.
     ///
     /// # Errors
     /// As [`Image::renderer`].
@@ -282,26 +286,26 @@ impl Image {
         Ok(())
     }
 
-    /// Draws some layers from now on, of those that were read.
+    /// Sets the layers to draw from now on. Layers that were not read cannot be shown.
     pub fn show(&mut self, layers: Layers) {
         self.layers = layers;
     }
 
-    /// Keeps the metadata and drops the integers.
+    /// Returns the metadata and drops the integers.
     #[must_use]
     pub fn into_metadata(self) -> Metadata {
         self.splats.metadata
     }
 
-    /// The metadata, and the memory that they take; the integers go.
+    /// Returns the metadata and their memory, and drops the integers.
     pub(crate) fn described(self) -> (Metadata, Reservation) {
         (self.splats.metadata, self.described)
     }
 
-    /// Allows `alloc` bytes in all, what is held included, in place of [`Limits::alloc`].
+    /// Replaces [`Limits::alloc`] by `alloc` bytes in all, which include the memory already held.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] when more is held already; the old limit stays then.
+    /// [`Error::LimitExceeded`] if more than `alloc` bytes are held already; the old limit stays then.
     pub fn limit_alloc(&mut self, alloc: u64) -> Result<()> {
         self.budget.allow(alloc)?;
         self.limits.alloc = alloc;
@@ -318,12 +322,12 @@ pub(crate) fn check_area(area: Option<&Area>, view: &View) -> Result<()> {
     Ok(())
 }
 
-/// What the detail layer is shown on by itself.
+/// Colour under the detail layer when it is drawn alone: middle grey, encoded.
 const GREY: f32 = 0.5;
 
 impl PackedSplats {
-    /// What draws `view`. The Gaussians are made on the way: they need not all be there at once, as they would be with
-    /// [`to_picture`](PackedSplats::to_picture).
+    /// Returns a renderer of `view`. It computes the Gaussians one by one, where
+    /// [`to_picture`](PackedSplats::to_picture) would hold all of them in memory.
     ///
     /// # Errors
     /// As [`Renderer::new`].
@@ -331,7 +335,8 @@ impl PackedSplats {
         self.renderer_within(view, (limits, &Budget::of(limits)), Layers::Both)
     }
 
-    /// The same with memory from `budget`, and with what a detail layer adds.
+    /// Returns a renderer as [`renderer`](PackedSplats::renderer) does, of the given `layers` and with memory from
+    /// `budget`.
     fn renderer_within(&self, view: &View, (limits, budget): (&Limits, &Budget), layers: Layers) -> Result<Renderer> {
         let (canvas, count) = self.canvas(layers);
         let quantizer = self.quantizer();
@@ -343,7 +348,8 @@ impl PackedSplats {
         }
     }
 
-    /// What Gaussians are drawn onto where such layers are shown, and how many of them.
+    /// Returns the canvas that the Gaussians are drawn onto when `layers` are shown, and the number of Gaussians to
+    /// draw.
     pub(crate) fn canvas(&self, layers: Layers) -> (Canvas, usize) {
         let mut background = self.quantizer().dequantize_color(self.background);
         let mut count = self.gaussians.len();
@@ -356,7 +362,7 @@ impl PackedSplats {
         (Canvas { channels: self.channels, blend: self.blend, background }, count)
     }
 
-    /// What is added to them.
+    /// Returns the detail layer to add to the Gaussians, if `layers` include it and the file has one.
     pub(crate) fn overlay(&self, layers: Layers) -> Option<Overlay> {
         let layer = self.detail.as_ref().filter(|_| layers != Layers::Gaussians)?;
         Some(Overlay::new(Arc::clone(layer), self.channels, [self.width, self.height]))

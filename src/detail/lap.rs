@@ -60,7 +60,7 @@ impl Edges {
         if let Some(below) = self.above.get_mut(y + n) {
             *below |= span;
         }
-        // What the filter between rows spreads reaches no further than the next cell.
+        // The filter between rows spreads values no further than the next cell.
         for held in &mut self.held[y.saturating_sub(1)..(y + n + 1).min(CELLS)] {
             *held |= span;
         }

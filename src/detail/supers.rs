@@ -12,7 +12,7 @@ impl Supers {
     pub const NONE: Supers = Supers(0);
     pub const ALL: Supers = Supers(u64::MAX);
 
-    /// Those in which pixels of such columns and rows of a tile lie.
+    /// The superblocks in which pixels of these columns and rows of a tile lie.
     #[inline(always)]
     pub fn of(columns: Range<usize>, rows: Range<usize>) -> Self {
         let (start, end) = (columns.start / SUPER, columns.end.div_ceil(SUPER));
@@ -24,7 +24,7 @@ impl Supers {
         Supers(some)
     }
 
-    /// Those that a block changes: its own, and those that it touches.
+    /// Returns the superblocks that a block changes: its own, and those that it touches.
     #[inline(always)]
     pub fn reached(block: &CodedBlock) -> Self {
         let [x, y] = block.cell.map(usize::from);

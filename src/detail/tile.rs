@@ -13,7 +13,7 @@ use crate::simd::{self, Simd, Task};
 /// Additions are counted in this part of an 8-bit code value.
 pub(crate) const UNIT: f32 = 1.0 / 32.0;
 
-/// What a tile adds, channel by channel, 1/32 code value; rows are [`TILE`] apart.
+/// Values that a tile adds, by channel, in 1/32 of an 8-bit code value. Rows are [`TILE`] apart.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TilePlanes {
     pub channels: Vec<Vec<i16>>,
@@ -21,7 +21,7 @@ pub(crate) struct TilePlanes {
     filled: Supers,
 }
 
-/// What to work in, to be reused.
+/// Working memory for [`reconstruct`], to be reused.
 #[derive(Debug, Default)]
 pub(crate) struct Scratch {
     /// Two rows of superblocks of each plane: of no more is anything needed, so that all of it stays in the cache.
@@ -41,7 +41,7 @@ impl TilePlanes {
         self.channels.resize_with(channels.count(), Vec::new);
         for channel in &mut self.channels {
             make(channel, TILE * TILE);
-            // What was there before, and is not now.
+            // Clear the superblocks that held something before and do not now.
             for y in 0..SUPERS {
                 self.filled.without(filled).row(y).for_each(|x| clear(&mut channel[(y * TILE + x) * SUPER..]));
             }
@@ -71,7 +71,7 @@ pub(crate) fn reconstruct(
     reconstruct_some(tile, layer, Supers::ALL, scratch, out);
 }
 
-/// The same for some superblocks; the others hold anything.
+/// Reconstructs the superblocks that are `wanted`; the others hold arbitrary values.
 pub(crate) fn reconstruct_some(
     tile: &TileLevels,
     (head, channels, size): (&DetailHead, Channels, [usize; 2]),
@@ -95,7 +95,7 @@ impl Task for Reconstruct<'_> {
     fn run<S: Simd>(self, _: S) {
         let Reconstruct { tile, head, channels, size, wanted, scratch, out } = self;
         let [across, down] = size.map(|side| side.div_ceil(SUPER));
-        // What is wanted takes the blocks that reach there, and no other.
+        // Only blocks that reach into the wanted superblocks are transformed.
         let mut filled = [Supers::NONE; PLANES];
         for block in &tile.blocks {
             let reached = Supers::reached(block);
@@ -229,7 +229,7 @@ fn clear<T: Copy + Default>(plane: &mut [T]) {
     }
 }
 
-/// What the channels get at a row of a superblock that begins at `at`, from those of the planes.
+/// Converts a row of a superblock from planes to channels; `at` is its first index in `channels`.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn mix([y, orange, green, alpha]: [&[i32]; PLANES], channels: &mut [Vec<i16>], at: usize) {

@@ -73,7 +73,8 @@ fn sided<const N: usize>(matrix: &Matrix, coefficients: &[Coefficient], out: &mu
     }
 }
 
-/// The same for a side that is not known beforehand: in WebAssembly all sizes share one, for the module's size.
+/// Inverse transform of a block whose side is known only at run time. In WebAssembly all sizes share this function,
+/// which keeps the module small.
 #[cfg(target_family = "wasm")]
 #[inline(never)]
 fn of_any_side(side: usize, matrix: &Matrix, coefficients: &[Coefficient], out: &mut [i32], stride: usize) {

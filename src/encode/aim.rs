@@ -20,7 +20,7 @@ pub(super) const MAX_PRIMITIVES: u64 = 16 << 20;
 /// Ratio of [`Target::Auto`].
 pub(super) const RATIO: f64 = 50.0;
 
-/// What a primitive of the coded layout costs before anything is known, bits.
+/// Estimated bits of a primitive in the coded layout, before any is coded.
 pub(super) const CODED_BITS: f64 = 34.5;
 
 /// Fewest bytes for primitives of [`Target::Auto`]: some twenty of them.
@@ -96,7 +96,7 @@ impl Encoding<'_> {
         if most < fixed {
             return Err(too_small(self.subject.options, most, fixed));
         }
-        // What a primitive costs before anything is known; the size is corrected while the integers settle.
+        // Estimated bits of a primitive; the size is corrected while the integers are rounded.
         let bits = match self.subject.options.layout {
             Layout::Packed => 56.0,
             Layout::Planes => 46.0,
@@ -121,13 +121,13 @@ impl Encoding<'_> {
 
     fn at_psnr(&mut self, wanted: f64) -> Result<Outcome> {
         let raw = self.subject.samples();
-        // What is searched for are the bytes of the picture; those of its metadata come on top.
+        // The search is over the bytes of the picture; those of the metadata are added.
         let carried = self.carried()?;
         let share = self.clock.left().map(|time| time / TIMED_PARTS);
         let mut bytes = (raw / 50.0).max(LEAST_TRIED);
         let mut best: Option<Outcome> = None;
         let mut reached: f64 = 0.0;
-        // What was tried last on either side: bytes and decibels.
+        // Last tries below and above the wanted PSNR: bytes and decibels.
         let (mut below, mut above): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
         for _ in 0..TRIES {
             // A budget of time is that of all tries: one that begins late would be a worse fit, and say little.
@@ -177,7 +177,7 @@ impl Encoding<'_> {
 
     /// Fits a picture of `size` with about `count` primitives to begin with, and puts back what was left out.
     fn at_count(&mut self, count: usize, size: Size) -> Result<Outcome> {
-        // What the constant channels may take; corrected where that is too little.
+        // Bytes that the constant channels may take; corrected if they are too few.
         let mut spare = match size {
             Size::Bytes(most) if !self.subject.is_whole() => 6 + most.min(1 << 30) / 400,
             _ => 0,

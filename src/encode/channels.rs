@@ -1,12 +1,12 @@
-//! Channels that say nothing: they are left out of the fit and put back into the integers, where the coded layout stores a
-//! constant in next to nothing. The file keeps the caller's channels.
+//! Constant channels (opaque alpha, grey stored as RGB). They are left out of the fit and put back into the integers,
+//! where the coded layout stores a constant in next to nothing. The file keeps the caller's channels.
 
 use super::left_out::Omission;
 use crate::bitstream::splats::PackedSplats;
 use crate::gaussian::{Blend, Channels};
 use crate::pixels::{Pixels, Samples};
 
-/// A picture with only the channels that say something.
+/// A picture without its constant channels.
 #[derive(Debug)]
 pub(super) struct Narrow {
     pub pixels: Pixels,
@@ -14,7 +14,7 @@ pub(super) struct Narrow {
     pub what: Omission,
 }
 
-/// What channels say nothing.
+/// Channels of a picture that are constant or follow from others.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Silent {
     grey: bool,
@@ -22,7 +22,7 @@ pub(super) struct Silent {
 }
 
 impl Silent {
-    /// Looks at `pixels`.
+    /// Finds the constant channels of `pixels`.
     pub(super) fn of(pixels: &Pixels) -> Self {
         let channels = pixels.channels();
         let (grey, opaque) = match pixels.samples() {
@@ -32,12 +32,13 @@ impl Silent {
         Silent { grey, opaque }
     }
 
-    /// What is silent in both of two parts.
+    /// Returns the channels that are constant in both of two parts.
     pub(super) fn and(self, other: Self) -> Self {
         Silent { grey: self.grey && other.grey, opaque: self.opaque && other.opaque }
     }
 
-    /// Returns the channels of a picture of `channels` that say something, and names the others; `None` where all do.
+    /// Returns the channels to fit of a picture of `channels`, and the name of the others; `None` if all are to be
+    /// fitted.
     pub(super) fn rest(self, channels: Channels) -> Option<(Channels, Omission)> {
         let color = channels.count() >= 3 && !self.grey;
         let alpha = channels.alpha().is_some() && !self.opaque;

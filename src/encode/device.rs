@@ -32,7 +32,7 @@ pub struct Chosen {
     pub backend: Backend,
     /// The device's name; that of the adapter on a GPU.
     pub device: String,
-    /// Why it was chosen.
+    /// Reason for the choice.
     pub reason: String,
 }
 

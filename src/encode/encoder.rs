@@ -1,4 +1,4 @@
-//! The encoder as programs use it: what is asked for, by setters, and the pictures.
+//! The encoder's public interface: options as setters, then pictures to encode.
 
 use std::ops::ControlFlow;
 use std::time::Duration;
@@ -12,7 +12,7 @@ use crate::options::{Backend, Carry, Detail, EncodeOptions, Thumbnail, Tune};
 use crate::pixel_source::PixelSource;
 use crate::target::Target;
 
-/// Encodes pictures. What is not set is as [`Encoder::new`] has it.
+/// Encodes pictures. Options that are not set have the defaults stated at their setters.
 ///
 /// ```
 /// use ssplat::{Channels, Encoder, Pixels, Samples};
@@ -31,150 +31,160 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    /// An encoder for files at a ratio of 50, at effort 5, tuned for eyes.
+    /// Returns an encoder with the defaults: target [`Target::Auto`] (a ratio of 50), effort 5, [`Tune::Iq`], one level
+    /// and seed 0.
     #[must_use]
     pub fn new() -> Self {
         Encoder::default()
     }
 
-    /// What to aim at; the last of `target`, `ratio`, `bytes`, `psnr` and `quality` counts.
+    /// Sets the target. [`ratio`](Encoder::ratio), [`bytes`](Encoder::bytes) and the other setters of a target replace
+    /// it; the last one called counts. The default is [`Target::Auto`].
     #[must_use]
     pub fn target(mut self, target: Target) -> Self {
         self.options.target = target;
         self
     }
 
-    /// Files of a ratio: width × height × channels over bytes ([`Target::Ratio`]).
+    /// Sets the target [`Target::Ratio`]: width × height × channels divided by the bytes of the file. It must be finite
+    /// and above 0.
     #[must_use]
     pub fn ratio(self, ratio: f64) -> Self {
         self.target(Target::Ratio(ratio))
     }
 
-    /// Files of at most so many bytes ([`Target::Bytes`]).
+    /// Sets the target [`Target::Bytes`]: the largest size of the file in bytes.
     #[must_use]
     pub fn bytes(self, bytes: u64) -> Self {
         self.target(Target::Bytes(bytes))
     }
 
-    /// The smallest files of a PSNR, dB ([`Target::Psnr`]).
+    /// Sets the target [`Target::Psnr`]: the PSNR in dB that the file reaches with as few bytes as possible. It must be
+    /// finite and above 0.
     #[must_use]
     pub fn psnr(self, psnr: f64) -> Self {
         self.target(Target::Psnr(psnr))
     }
 
-    /// Files of a quality as eyes see it, `0..=100` ([`Target::Quality`]).
+    /// Sets the target [`Target::Quality`]: a SSIMULACRA2 score, `0..=100`.
     #[cfg(feature = "quality")]
     #[must_use]
     pub fn quality(self, quality: f64) -> Self {
         self.target(Target::Quality(quality))
     }
 
-    /// `1..=9`: how much work to spend; 5 by default. Each step takes up to twice the time of the one below.
+    /// Sets the amount of work, `1..=9`. Each step takes up to twice the time of the one below. The default is 5.
     #[must_use]
     pub fn effort(mut self, effort: u8) -> Self {
         self.options.effort = effort;
         self
     }
 
-    /// Wall-clock budget of a whole encode, however many fits the target takes; the best state reached is written.
+    /// Sets the wall-clock budget of a whole encode, however many fits the target takes. The best state reached is
+    /// written. There is no budget by default.
     #[must_use]
     pub fn time(mut self, time: Duration) -> Self {
         self.options.time = Some(time);
         self
     }
 
-    /// Which measure to favour: by default [`Tune::Iq`], and [`Tune::Psnr`] where the target is a PSNR.
+    /// Sets the measure of quality to optimize. The default is [`Tune::Iq`], or [`Tune::Psnr`] if the target is a PSNR.
     #[must_use]
     pub fn tune(mut self, tune: Tune) -> Self {
         self.options.tune = Some(tune);
         self
     }
 
-    /// Whether files have a detail layer; by default where it pays.
+    /// Sets whether files have a detail layer, and its share of the bytes. The default is [`Detail::Auto`].
     #[must_use]
     pub fn detail(mut self, detail: Detail) -> Self {
         self.options.detail = detail;
         self
     }
 
-    /// Which device fits; by default a GPU where one is found and the picture is worth it.
+    /// Sets the device that fits pictures. The default is [`Backend::Auto`].
     #[must_use]
     pub fn backend(mut self, backend: Backend) -> Self {
         self.options.backend = backend;
         self
     }
 
-    /// Whether files carry a thumbnail; by default those of 100 000 bytes and more.
+    /// Sets whether files carry a thumbnail. The default is [`Thumbnail::Auto`].
     #[must_use]
     pub fn thumbnail(mut self, thumbnail: Thumbnail) -> Self {
         self.options.thumbnail = thumbnail;
         self
     }
 
-    /// `1..=8` progressive levels: a file cut after a level is a whole, coarser picture. Each costs 1 to 2 % of the bytes.
+    /// Sets the number of progressive levels, `1..=8`. A file cut off after a level still decodes as a whole, coarser
+    /// picture. Each level costs 1 to 2 % of the bytes. More than one needs [`Layout::Coded`]. The default is 1.
     #[must_use]
     pub fn levels(mut self, levels: u8) -> Self {
         self.options.levels = levels;
         self
     }
 
-    /// How integers become bytes; [`Layout::Coded`] by default, the smallest.
+    /// Sets the layout of the file. The default is [`Layout::Coded`], which gives the smallest files.
     #[must_use]
     pub fn layout(mut self, layout: Layout) -> Self {
         self.options.layout = layout;
         self
     }
 
-    /// The side of tiles to fit the picture in, pixels: a multiple of 128 up to 16384. It bounds the memory of an encode. By
-    /// default pictures of more than 2²⁸ pixels are fitted in tiles of 2048, others as a whole.
+    /// Sets the side in pixels of the tiles that a picture is fitted in: a multiple of 128 up to 16384. Tiles bound the
+    /// memory of an encode. By default pictures of more than 2²⁸ pixels are fitted in tiles of 2048, others as a whole.
     #[must_use]
     pub fn tiles(mut self, side: u32) -> Self {
         self.options.tiles = Some(side);
         self
     }
 
-    /// Seed of everything random; 0 by default. Equal seeds give equal bytes from one version of this crate, on any number
-    /// of threads.
+    /// Sets the seed of all random choices. Equal seeds give equal bytes with one version of this crate, on any number
+    /// of threads. The default is 0.
     #[must_use]
     pub fn seed(mut self, seed: u64) -> Self {
         self.options.seed = seed;
         self
     }
 
-    /// What files carry of a source's metadata, where it has some; by default the ICC profile and the orientation.
+    /// Sets which metadata of a source the files carry, where the source has any. The default is [`Carry::Needed`]: the
+    /// ICC profile and the orientation.
     #[must_use]
     pub fn carry(mut self, carry: Carry) -> Self {
         self.options.carry = carry;
         self
     }
 
-    /// ICC profile to carry, whatever [`carry`](Encoder::carry) says.
+    /// Sets the ICC profile of the files. It overrides [`carry`](Encoder::carry).
     #[must_use]
     pub fn icc(mut self, icc: Vec<u8>) -> Self {
         self.options.icc = Some(icc);
         self
     }
 
-    /// EXIF block to carry, from its TIFF header on, whatever [`carry`](Encoder::carry) says.
+    /// Sets the EXIF block of the files, from its TIFF header on. It overrides [`carry`](Encoder::carry).
     #[must_use]
     pub fn exif(mut self, exif: Vec<u8>) -> Self {
         self.options.exif = Some(exif);
         self
     }
 
-    /// Encodes a picture: [`Pixels`](crate::Pixels), or one that is read a part at a time if it is fitted in tiles.
+    /// Encodes a picture: [`Pixels`](crate::Pixels), or another source, which is read part by part if it is fitted in
+    /// tiles.
     ///
     /// # Errors
-    /// [`Error::Parameter`](crate::Error::Parameter) when something that was set is out of range,
-    /// [`Error::TooSmall`](crate::Error::TooSmall) when the asked size cannot hold the picture, and those of `source`.
+    /// [`Error::Parameter`](crate::Error::Parameter) if an option is out of range,
+    /// [`Error::TooSmall`](crate::Error::TooSmall) if a file of the size asked for cannot hold the picture,
+    /// [`Error::Gpu`](crate::Error::Gpu) if [`Backend::Gpu`] is set and the GPU is missing or fails, and the errors of
+    /// `source`.
     pub fn encode(&self, source: &dyn PixelSource) -> Result<Encoded> {
         self.encode_with_progress(source, &mut |_| ControlFlow::Continue(()))
     }
 
-    /// Encodes a picture and calls `progress` a few hundred times on the way.
+    /// Encodes a picture and calls `progress` a few hundred times meanwhile.
     ///
     /// # Errors
-    /// As [`encode`](Encoder::encode), and [`Error::Cancelled`](crate::Error::Cancelled) when `progress` returns
+    /// As [`encode`](Encoder::encode), and [`Error::Cancelled`](crate::Error::Cancelled) if `progress` returns
     /// [`ControlFlow::Break`].
     pub fn encode_with_progress(
         &self,
@@ -184,12 +194,13 @@ impl Encoder {
         encode_by(source, &self.options, Hands::Own, progress)
     }
 
-    /// Encodes a picture whose tiles `workers` work on, elsewhere: fits, joins and sweeps, all but the first look at the picture and
-    /// the writing of the file. The bytes are the same. A picture that is not in tiles is encoded here.
+    /// Encodes a picture in tiles with the help of `workers`, which may run elsewhere. They fit, join and sweep the
+    /// tiles; the first survey of the picture and the writing of the file stay here. The bytes of the file are the same
+    /// as without workers. A picture that is not in tiles is encoded here.
     ///
     /// # Errors
-    /// As [`encode_with_progress`](Encoder::encode_with_progress), those of `workers`, and
-    /// [`Error::Parameter`](crate::Error::Parameter) naming the tile for an answer that is no answer to its task.
+    /// As [`encode_with_progress`](Encoder::encode_with_progress), the errors of `workers`, and
+    /// [`Error::Parameter`](crate::Error::Parameter) naming the tile if an answer does not fit its task.
     pub fn encode_divided(
         &self,
         source: &dyn PixelSource,
@@ -199,7 +210,7 @@ impl Encoder {
         encode_by(source, &self.options, Hands::Others(workers), progress)
     }
 
-    /// What was set.
+    /// Returns the options that were set.
     pub(crate) fn options(&self) -> &EncodeOptions {
         &self.options
     }

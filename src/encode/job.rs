@@ -212,7 +212,7 @@ impl Fitting<'_, '_> {
         self.draft.gaussians.clear();
         let fixed = bitstream::to_bytes(&self.draft)?.len() as f64;
         let each = ((all - fixed) / primitives.len().max(1) as f64).max(LEAST_PRICE);
-        // Metadata take their bytes whatever becomes of the primitives.
+        // Metadata take the same bytes for any number of primitives.
         let metadata = &self.draft.metadata;
         let carried =
             [&metadata.icc, &metadata.exif].map(|block| block.as_ref().map_or(0, Vec::len)).iter().sum::<usize>();
@@ -224,8 +224,7 @@ impl Fitting<'_, '_> {
 /// Bytes that a primitive is taken to cost at least, so that a few alike ones do not promise room for any number.
 const LEAST_PRICE: f64 = 0.5;
 
-/// Returns by which factor the fit has more primitives than there is room for: the descent takes bits off them, and what is
-/// still too much goes by its worth.
+/// Returns the over-allocation factor of a fit with so many primitives; descent shrinks them, pruning removes the rest.
 pub(super) fn excess(primitives: usize) -> f64 {
     // Kodak, twelve pictures, against 1.008: .02 to .07 dB better at ratios from 50 to 1000. With 15 000 primitives at ratio
     // 20 it won nothing and lost .0003 of MS-SSIM. `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`
@@ -260,7 +259,7 @@ impl Making<'_, '_> {
         self.with(rounded, file::smallest)
     }
 
-    /// Looks at the integers as a file of so many levels.
+    /// Calls `look` with the integers as a file of so many levels.
     fn with<T>(&mut self, rounded: &mut Rounded, look: impl FnOnce(&mut PackedSplats, u8) -> T) -> T {
         let splats = &mut self.splats;
         (splats.steps, splats.background) = (rounded.steps, rounded.background);

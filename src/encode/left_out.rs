@@ -1,20 +1,21 @@
-//! Everything that an encode can go without.
+//! Things that an encode can leave out.
 
 use std::fmt;
 
-/// Something that the encoder did without, because the picture or the options do not need it or it was not to be had.
+/// Something that the encoder left out, because the picture or the options do not need it or because it was not
+/// available.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct LeftOut {
-    /// The thing, and why it was not needed.
+    /// Name of the thing and the reason.
     pub what: Omission,
-    /// Bytes saved; 0 where it saves only time, which then buys quality, or nothing that was measured.
+    /// Bytes saved; 0 if nothing was saved, if only time was (which then buys quality), or if it was not measured.
     pub bytes: u64,
     /// Seconds saved, estimated from the cost of one iteration; 0 where that is not known.
     pub seconds: f64,
 }
 
-/// Something that an encode can do without. As text it is the thing, a colon, and why it was not needed.
+/// Something that an encode can leave out. Its text is the thing, a colon, and the reason.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Omission {
@@ -35,9 +36,9 @@ pub enum Omission {
     Primitives,
     /// A colour of its own for each primitive, where a codebook is smaller.
     OwnColors,
-    /// The GPU, where one might have been taken.
+    /// The GPU, where the encoder might have used one.
     Gpu {
-        /// Why it was not.
+        /// Reason why it was not used.
         reason: String,
     },
 }

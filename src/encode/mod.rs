@@ -56,29 +56,29 @@ pub use workers::Workers;
 pub struct Encoded {
     /// The file.
     pub bytes: Vec<u8>,
-    /// An account of how it was made.
+    /// Account of the encode.
     pub report: EncodeReport,
 }
 
-/// An account of an encode: its result, its cost, and what it went without.
+/// Account of an encode: its result, its cost, and what it left out.
 #[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub struct EncodeReport {
-    /// Primitives in the file.
+    /// Number of primitives in the file.
     pub primitives: usize,
-    /// PSNR of the stored picture against the source, decibels, before rounding to code values; infinite when equal.
+    /// PSNR of the stored picture against the source in dB, before rounding to code values; infinite if they are equal.
     pub psnr: f64,
-    /// PSNR before quantization, decibels.
+    /// PSNR of the picture before quantization, in dB.
     pub float_psnr: f64,
-    /// SSIMULACRA2 of the decoded file against the source; only with `Target::Quality`.
+    /// SSIMULACRA2 score of the decoded file against the source; `None` unless the target was `Target::Quality`.
     pub quality: Option<f64>,
-    /// Wall-clock seconds, those that a trace takes not counted.
+    /// Wall-clock seconds of the encode, without the time for tracing.
     pub seconds: f64,
     /// Seconds of each stage, in order.
     pub stages: Vec<StageTime>,
-    /// Everything that the encode went without.
+    /// Everything that the encode left out, with the reasons.
     pub left_out: Vec<LeftOut>,
-    /// The device that fitted the picture, and why that one.
+    /// Device that fitted the picture, and the reason for the choice.
     pub chosen: Chosen,
     /// Quality along the way, where an encode is traced.
     #[doc(hidden)]
@@ -158,12 +158,13 @@ pub fn encode_source(
     encode_by(source, options, Hands::Own, progress)
 }
 
-/// As [`encode_source`], but `workers` work on the tiles: fits, joins and sweeps, all but the first look at the picture and the
-/// writing of the file. The bytes are the same. A picture that is not in tiles is encoded here.
+/// Encodes as [`encode_source`] does, with the help of `workers`, which may run elsewhere. They fit, join and sweep the
+/// tiles; the first survey of the picture and the writing of the file stay here. The bytes of the file are the same as
+/// without workers. A picture that is not in tiles is encoded here.
 ///
 /// # Errors
-/// As [`encode_source`], those of `workers`, and [`Error::Parameter`] naming `answer` and the tile for an answer that is no
-/// answer to its task.
+/// As [`encode_source`], the errors of `workers`, and [`Error::Parameter`] naming `answer` and the tile if an answer
+/// does not fit its task.
 pub fn encode_divided(
     source: &dyn PixelSource,
     options: &EncodeOptions,
@@ -206,8 +207,11 @@ fn check(options: &EncodeOptions) -> Result<()> {
     if !(1..=9).contains(&options.effort) {
         return bad("effort", format!("{} is outside 1..=9", options.effort));
     }
-    if !(1..=8).contains(&options.levels) || (options.levels > 1 && options.layout != Layout::Coded) {
-        return bad("levels", format!("{} is outside 1..=8, or above 1 without the coded layout", options.levels));
+    if !(1..=8).contains(&options.levels) {
+        return bad("levels", format!("{} is outside 1..=8", options.levels));
+    }
+    if options.levels > 1 && options.layout != Layout::Coded {
+        return bad("levels", "levels above 1 need the coded layout".into());
     }
     if let Some(side) = options.tiles.filter(|s| !tiles::SIDES.contains(s) || !s.is_multiple_of(*tiles::SIDES.start()))
     {

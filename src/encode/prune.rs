@@ -97,7 +97,7 @@ fn pruned(
             break;
         }
         best = without(sure);
-        // What is left to win would not be worth another round.
+        // The remaining gain would not be worth another round.
         if sure * 50 < best.len() {
             break;
         }

@@ -132,7 +132,7 @@ impl Encoding<'_> {
     fn points(&self, splats: &PackedSplats) -> Result<f64> {
         let wide = (!self.subject.is_whole()).then(|| widen(splats, self.subject.channels()));
         let splats = wide.as_ref().unwrap_or(splats);
-        // What the encoder made is no stranger's file.
+        // The encoder's own integers need no limits on work.
         let limits = Limits { tile_pairs: u64::MAX, work: u64::MAX, overlap: u64::MAX, ..Limits::default() };
         let drawn = splats.renderer(&View::of_size(splats.width, splats.height), &limits)?.render(splats.depth)?;
         Ok(ssimulacra2(self.subject.original, &drawn)?.expect("the sides were looked at"))
@@ -140,7 +140,7 @@ impl Encoding<'_> {
 
     /// Takes out the primitives that are missed least, as long as `wanted` points are left.
     fn worsen(&mut self, outcome: &mut Outcome, wanted: f64) -> Result<()> {
-        // What primitives are worth beside a layer is not known here.
+        // The value of a primitive is not known for files with levels or a detail layer.
         if !outcome.splats.levels.is_empty() || outcome.splats.detail.is_some() {
             return Ok(());
         }
@@ -175,7 +175,7 @@ impl Encoding<'_> {
             }
             next = if over > order.len() { sure * 2 } else { (sure + over) / 2 };
         }
-        // What the squared error takes for little is not always little to the eye: the next ones are looked at by themselves.
+        // Primitives of little squared error can still matter to the eye: try the next ones one by one.
         let mut out = order[..sure].to_vec();
         for &i in order[sure..].iter().take(SINGLE) {
             if points.is_none_or(|p| p - wanted < ABOVE) || self.clock.is_over() {

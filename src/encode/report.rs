@@ -1,4 +1,4 @@
-//! The account of an encode: progress, the time of its stages, and everything that it went without.
+//! Account of an encode: its progress, the time of its stages, and everything that it left out.
 
 use std::ops::ControlFlow;
 
@@ -9,7 +9,7 @@ use crate::error::{Error, Result};
 use crate::fit::engine::Sight;
 use crate::fit::model::planes::Planes;
 
-/// How far an encode is.
+/// Progress of an encode.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Progress {
@@ -22,13 +22,13 @@ pub struct Progress {
     pub psnr: Option<f64>,
 }
 
-/// How long a stage of an encode took.
+/// Time of one stage of an encode.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct StageTime {
     /// The stage's name, as in [`Progress`].
     pub name: &'static str,
-    /// Wall-clock seconds, those that a trace takes not counted.
+    /// Wall-clock seconds of the stage, without the time for tracing.
     pub seconds: f64,
 }
 

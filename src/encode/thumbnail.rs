@@ -64,7 +64,7 @@ pub(super) fn of(
     show: &mut dyn FnMut(f32) -> ControlFlow<()>,
 ) -> Result<Vec<u8>> {
     let whole = View::of_size(splats.width, splats.height);
-    // What the encoder made is no stranger's file.
+    // The encoder's own integers need no limits on work.
     let limits = Limits { tile_pairs: u64::MAX, work: u64::MAX, overlap: u64::MAX, ..Limits::default() };
     let small = splats.renderer(&whole.fitted([SIDE; 2])?, &limits)?.render(splats.depth)?;
     let options = EncodeOptions {

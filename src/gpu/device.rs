@@ -5,13 +5,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::kernels::Kernels;
 use crate::error::{Error, GpuError, Result};
 
-/// Which adapters may be chosen.
+/// Adapters that may be chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub enum Adapters {
-    /// Real GPUs only.
+    /// Hardware only.
     #[default]
     Hardware,
-    /// Software as well, where there is nothing better: slower than the CPU's own code, but the same shaders.
+    /// Hardware, or a software renderer if there is no hardware. Software is slower than this crate's code for the CPU.
     Any,
 }
 
@@ -29,17 +29,17 @@ struct Inner {
     name: String,
     reason: String,
     software: bool,
-    /// Why the device was lost, once it is.
+    /// Reason why the device was lost, once it is.
     lost: Arc<Mutex<Option<String>>>,
 }
 
 impl Device {
-    /// Opens the best adapter: discrete before integrated before virtual ones, software last and only if allowed. The
-    /// environment variables of `wgpu` (`WGPU_BACKEND`) narrow the choice.
+    /// Opens the best adapter: discrete before integrated before virtual GPUs, software last and only if allowed. The
+    /// environment variables of `wgpu` (such as `WGPU_BACKEND`) narrow the choice.
     ///
     /// # Errors
-    /// [`GpuError::NoAdapter`] when there is none, [`GpuError::SoftwareOnly`] when there are only adapters that
-    /// `adapters` excludes, [`GpuError::Refused`] when the driver will not open it.
+    /// [`GpuError::NoAdapter`] if there is none, [`GpuError::SoftwareOnly`] if `adapters` excludes all there are,
+    /// [`GpuError::Refused`] if the driver does not open the adapter.
     pub fn open(adapters: Adapters) -> Result<Self> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
         let mut found: Vec<(wgpu::Adapter, wgpu::AdapterInfo)> =
@@ -67,16 +67,16 @@ impl Device {
         let request = wgpu::DeviceDescriptor { label: Some("ssplat"), ..Default::default() };
         let (device, queue) = pollster::block_on(adapter.request_device(&request))
             .map_err(|e| GpuError::Refused { problem: e.to_string() })?;
-        // Failures that no scope was waiting for must not bring the program down; the next scope or wait meets them.
+        // Ignore uncaptured errors; the next scope or poll reports them.
         device.on_uncaptured_error(Arc::new(|_| ()));
         Device::with(device, queue, names.into_iter().next().unwrap_or_default(), reason, software)
     }
 
-    /// Takes a device that the program has opened already, so that a [`Renderer`](super::Renderer) can draw into its
-    /// textures. It needs no features and `wgpu::Limits::default()`.
+    /// Uses a device that the program has opened, so that a [`Renderer`](super::Renderer) can draw into the program's
+    /// textures. It needs no features and the limits `wgpu::Limits::default()`.
     ///
     /// # Errors
-    /// [`GpuError::Validation`] when a shader cannot be built on it.
+    /// [`GpuError::Validation`] if a shader cannot be built on it.
     pub fn from_wgpu(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let info = device.adapter_info();
         let software = info.device_type == wgpu::DeviceType::Cpu;
@@ -94,25 +94,25 @@ impl Device {
         Ok(Device { inner: Arc::new(Inner { device, queue, kernels, name, reason, software, lost }) })
     }
 
-    /// The adapter's name, its kind and the interface to it: `NVIDIA H100 (discrete, Vulkan)`.
+    /// Returns the adapter's name, its kind and its interface, such as `NVIDIA H100 (discrete, Vulkan)`.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.inner.name
     }
 
-    /// Why this adapter was chosen.
+    /// Returns the reason why this adapter was chosen.
     #[must_use]
     pub fn reason(&self) -> &str {
         &self.inner.reason
     }
 
-    /// Whether the adapter is a program and no GPU.
+    /// Returns whether the adapter is a software renderer.
     #[must_use]
     pub fn is_software(&self) -> bool {
         self.inner.software
     }
 
-    /// The device, for programs that make their own textures on it.
+    /// Returns the device and its queue, for programs that make their own textures.
     #[must_use]
     pub fn wgpu(&self) -> (&wgpu::Device, &wgpu::Queue) {
         (&self.inner.device, &self.inner.queue)
@@ -234,7 +234,7 @@ fn scoped<T>(device: &wgpu::Device, work: impl FnOnce() -> T) -> Result<T> {
     cause(errors).map_or(Ok(result), |e| Err(e.into()))
 }
 
-/// What is told of the errors of the scopes of one piece of work: validation, internal, memory.
+/// Returns the error of one piece of work, from those of its scopes: validation, internal, memory.
 pub(super) fn cause(errors: [Option<wgpu::Error>; 3]) -> Option<GpuError> {
     // Running out of memory makes later calls invalid: it is the cause.
     errors.into_iter().flatten().next_back().map(|error| match error {

@@ -71,7 +71,7 @@ struct Band {
     rows: u32,
 }
 
-/// What a look at the whole picture is for.
+/// Purpose of a pass over the whole picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Wanted {
     /// The error alone, over just the rows that are asked for.
@@ -80,7 +80,7 @@ enum Wanted {
     All,
 }
 
-/// What a look at the whole picture brings.
+/// Result of a pass over the whole picture.
 #[derive(Debug)]
 pub(super) struct Survey {
     /// Squared error over the rows that were looked at.
@@ -107,7 +107,7 @@ impl Fitter {
         Fitter::within(device, problem, pixels, primitives, bounds, MOST_BINDING)
     }
 
-    /// The same with bindings of at most `binding` bytes for whatever is as large as the picture.
+    /// Makes a fitter whose buffers of the picture's size are divided into bindings of at most `binding` bytes.
     pub(super) fn within(
         device: &Device,
         problem: &Problem<'_>,

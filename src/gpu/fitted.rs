@@ -19,7 +19,7 @@ use crate::fit::state::State;
 use crate::gaussian::{Blend, Picture};
 use crate::pixels::Pixels;
 
-/// What a fit came to.
+/// Result of a fit.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Fitted {
@@ -123,7 +123,7 @@ pub fn fit(
     let mut looking = Looking { look, samples, start: None, looked: 0.0, step: 0 };
     let open = |start: State| {
         let mut fitter = Fitter::new(device, &problem, pixels, &start.primitives, &start.bounds)?;
-        // What is brought to the device is part of the setup, not of the first step.
+        // Copying to the device counts as setup, not as part of the first step.
         fitter.settle()?;
         Ok(fitter)
     };

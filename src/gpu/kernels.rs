@@ -2,7 +2,7 @@
 
 use super::scene::Uniforms;
 
-/// What a shader does with a storage buffer.
+/// Access of a shader to a storage buffer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Access {
     Read,

@@ -1,4 +1,5 @@
-//! What a detail layer adds to a view that is drawn band by band: made on the CPU, for as many rows as may be held at once.
+//! Additions of a detail layer to a view that is drawn band by band. They are made on the CPU, for as many rows as may
+//! be held at once.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -15,7 +16,7 @@ pub(super) struct Layer {
     overlay: Arc<Overlay>,
     view: View,
     work: u64,
-    /// Those of the last band: it may have to be drawn again, with longer lists or fewer rows.
+    /// Additions of the last band, which may be drawn again with longer lists or fewer rows.
     made: Option<Additions>,
 }
 
@@ -28,7 +29,7 @@ impl Layer {
         Ok(Layer { overlay: Arc::clone(overlay), view: *view, work, made: None })
     }
 
-    /// What it costs to make them all, in the units of [`Limits::work`]; within the limit.
+    /// Returns the work of making all additions, in the units of [`Limits::work`]. It is within the limit.
     pub(super) fn work(&self) -> u64 {
         self.work
     }
@@ -65,7 +66,7 @@ impl Layer {
         self.overlay.rows_from(&self.view, first, most)
     }
 
-    /// What the rows `rows` get added: in each, channel after channel.
+    /// Returns the additions to the rows `rows` of the view: row by row, channel after channel within each.
     pub(super) fn additions(&mut self, rows: Range<u32>) -> &[f32] {
         // A band that is drawn again begins where it did, and has no more rows than before.
         let made = self.made.take().and_then(|made| {

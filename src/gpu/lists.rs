@@ -26,7 +26,7 @@ pub(super) struct Lists {
     bin: wgpu::BindGroup,
     scan: [wgpu::BindGroup; 3],
     sort: wgpu::BindGroup,
-    /// What a test looks at.
+    /// Pairs before sorting, for a test to read.
     #[cfg(test)]
     pub unsorted: wgpu::Buffer,
 }
@@ -86,7 +86,7 @@ impl Lists {
         kernels.sort.groups(&mut pass, &self.sort, slot, band.tiles());
     }
 
-    /// What the stages left in the status.
+    /// Reads the status words that the stages wrote.
     pub(super) fn status(&self, device: &Device) -> Result<[u32; STATUS]> {
         let words = device.read_as::<u32>(&self.status, STATUS)?;
         Ok(std::array::from_fn(|k| words[k]))

@@ -1,9 +1,9 @@
 //! Drawing and fitting on a GPU, by way of `wgpu`: Vulkan, Metal, Direct3D 12 and the browser's WebGPU.
 //!
-//! Results are bit-identical from run to run on one device, and within one code value of
-//! the definition in `raster/reference.rs`. Nothing here needs more than `wgpu::Limits::default()`; large
-//! pictures are worked on in bands of rows. [`Limits`](crate::Limits) hold as on the CPU; files from strangers are
-//! best decoded there all the same: a driver is a large thing to expose to them.
+//! Results are bit-identical from run to run on one device, and within one code value of the definition in
+//! `raster/reference.rs`. Nothing here needs more than `wgpu::Limits::default()`; large pictures are drawn and fitted
+//! in bands of rows. [`Limits`](crate::Limits) hold as on the CPU. Decode untrusted files on the CPU all the same: they
+//! should not reach a GPU driver.
 //!
 //! ```no_run
 //! use ssplat::gpu::{Adapters, Device, Renderer};

@@ -38,7 +38,7 @@ impl Found {
 /// The buffers, and the stages bound to them.
 #[derive(Debug)]
 pub(super) struct Peaks {
-    /// What fits in here.
+    /// Number of cells that the buffers can hold.
     room: u64,
     uniforms: wgpu::Buffer,
     found: wgpu::Buffer,
@@ -48,7 +48,7 @@ pub(super) struct Peaks {
     blur: [wgpu::BindGroup; 2],
     halve: [wgpu::BindGroup; 2],
     find: [wgpu::BindGroup; 2],
-    /// What a test looks at: cells, and room for their blurred or halved copies.
+    /// Cells, and their blurred or halved copies, for a test to read.
     #[cfg(test)]
     pub cells: [wgpu::Buffer; 2],
 }

@@ -22,7 +22,7 @@ const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 /// Work of a (Gaussian, tile) pair, pixels: a tile is drawn as a whole.
 const PAIR_WORK: u64 = (TILE * TILE) as u64;
 
-/// A picture on a device, ready to be drawn in any view.
+/// A picture in the memory of a device, ready to be drawn in any view.
 #[derive(Debug)]
 pub struct Renderer {
     device: Device,
@@ -31,11 +31,11 @@ pub struct Renderer {
     background: [f32; 4],
     count: u32,
     limits: Limits,
-    /// What pixels and additions may be allocated from.
+    /// Memory account for pixels and additions.
     budget: Budget,
-    /// What can be drawn, if that is not all of the picture.
+    /// The area that was read and can be drawn; `None`: the whole picture.
     area: Option<Area>,
-    /// What is added to the Gaussians' picture.
+    /// Detail layer to add to the Gaussians.
     overlay: Option<Arc<Overlay>>,
     primitives: wgpu::Buffer,
     stage: Option<Canvas>,
@@ -56,7 +56,7 @@ struct Canvas {
     render: wgpu::BindGroup,
 }
 
-/// What the buffers depend on.
+/// Parameters that the sizes of the buffers depend on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct CanvasSize {
     grid: Grid,
@@ -64,7 +64,7 @@ struct CanvasSize {
     capacity: u32,
 }
 
-/// What is drawn, and what of it is kept.
+/// Size of a view in samples and in output words.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Grid {
     /// Columns and rows of samples.
@@ -87,11 +87,11 @@ enum Format {
 }
 
 impl Renderer {
-    /// Brings `picture` to `device`.
+    /// Copies `picture` to `device`.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] when `limits` do not allow its primitives; [`Error::Parameter`] when one of them is not
-    /// finite or has a scale outside 0..=2²⁰; [`Error::Gpu`] when the device fails or cannot hold them.
+    /// [`Error::LimitExceeded`] if `limits` do not allow its primitives; [`Error::Parameter`] if one of them is not
+    /// finite or has a scale outside `0..=2²⁰`; [`Error::Gpu`] if the device fails or cannot hold them.
     pub fn new(device: &Device, picture: &Picture, limits: &Limits) -> Result<Self> {
         let canvas =
             raster::Canvas { channels: picture.channels, blend: picture.blend, background: picture.background };
@@ -99,8 +99,9 @@ impl Renderer {
         Renderer::on(device, &canvas, gaussians, limits, &Budget::of(limits))
     }
 
-    /// Brings the layers of an opened file that it [shows](Image::show) to `device`. The file is not needed any more, but what
-    /// is drawn takes memory from what it may take. What a detail layer adds to a view is made on the CPU when the view is drawn.
+    /// Copies the layers of an opened file that it [shows](Image::show) to `device`. The file is not needed any more,
+    /// but drawing takes memory from its account ([`Limits::alloc`]). The additions of a detail layer are made on the
+    /// CPU when a view is drawn.
     ///
     /// # Errors
     /// As [`Renderer::new`], by the limits of `opened`.
@@ -169,17 +170,18 @@ impl Renderer {
         })
     }
 
-    /// Draws `view` and brings the pixels back.
+    /// Draws `view` and copies the pixels back to the host.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] when the pixels, what a layer adds to them, the (Gaussian, tile) pairs or their work go beyond the
-    /// limits, before the band in which they do is drawn; [`Error::Parameter`] for a view that shows what was not read of a file;
-    /// [`Error::Gpu`] when the device fails, or the Gaussians of a single row of tiles do not fit into a list.
+    /// [`Error::LimitExceeded`] if the pixels, the additions of a detail layer, the (Gaussian, tile) pairs or their
+    /// work exceed the limits; the band in which they do is not drawn. [`Error::Parameter`] for a view that shows parts
+    /// of the picture which were not read. [`Error::Gpu`] if the device fails, or if the Gaussians of a single row of
+    /// tiles do not fit into a list.
     pub fn render(&mut self, view: &View, depth: Depth) -> Result<Pixels> {
         let count = self.channels.count();
         let samples = u64::from(view.width()) * u64::from(view.height()) * count as u64;
         let _held = self.budget.reserve(samples * depth.bytes() as u64)?;
-        // Of red, green, blue and alpha, those that the picture has.
+        // Indices of the picture's channels among red, green, blue and alpha.
         let picked: &[usize] = match self.channels {
             Channels::Grey => &[0],
             Channels::GreyAlpha => &[0, 3],
@@ -217,7 +219,7 @@ impl Renderer {
     /// device.
     ///
     /// # Errors
-    /// As [`Renderer::render`]; [`GpuError::Validation`] when the buffer is shorter than four bytes a pixel, is of
+    /// As [`Renderer::render`]; [`GpuError::Validation`] if the buffer is shorter than four bytes a pixel, belongs to
     /// another device or cannot be copied to.
     pub fn render_to_buffer(&mut self, view: &View, buffer: &wgpu::Buffer) -> Result<()> {
         let width = view.width();
@@ -234,9 +236,9 @@ impl Renderer {
 
     /// Draws `view` into the top left corner of `texture`, with straight alpha. The pixels never leave the device.
     ///
-    /// The texture must be of the same `wgpu` device, can be copied to (`COPY_DST`) and has a format of four times 8
-    /// bits: `Rgba8Unorm`, `Rgba8UnormSrgb`, `Bgra8Unorm` or `Bgra8UnormSrgb`. Values are encoded sRGB, so that the
-    /// `Srgb` ones sample as linear light.
+    /// The texture must belong to the same `wgpu` device, allow copying to it (`COPY_DST`) and have a format of four
+    /// times 8 bits: `Rgba8Unorm`, `Rgba8UnormSrgb`, `Bgra8Unorm` or `Bgra8UnormSrgb`. Values are encoded sRGB, so that
+    /// the `Srgb` formats sample as linear light.
     ///
     /// # Errors
     /// As [`Renderer::render`]; [`Error::Parameter`] for another format or a texture smaller than the view.
@@ -281,7 +283,8 @@ impl Renderer {
         })
     }
 
-    /// Rows of the bands that the last view was drawn in, and the pairs that a band's lists hold.
+    /// Returns the height in output rows of the bands that the last view was drawn in, and the number of pairs that a
+    /// band's lists can hold.
     #[must_use]
     pub fn bands(&self) -> (u32, u32) {
         (self.band_rows, self.capacity)
@@ -294,7 +297,7 @@ impl Renderer {
         self.device.read_as(&lists.splats, self.count as usize)
     }
 
-    /// The same with a detail layer, and with lists that begin too short.
+    /// Adds a detail layer, and begins with lists that are too short.
     #[cfg(test)]
     pub(super) fn adding(self, overlay: Arc<Overlay>) -> Self {
         Renderer { overlay: Some(overlay), capacity: 100, ..self }

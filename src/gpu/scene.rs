@@ -64,7 +64,8 @@ impl Uniforms {
     /// Bytes from one set of uniforms to the next in their buffer: what every device can align to.
     pub(super) const STRIDE: u32 = 256;
 
-    /// What is the same for all stages that draw `view`; in a reduced one, they draw the samples of its pixels.
+    /// Returns the uniforms that all stages of drawing `view` share. In a reduced view the stages draw the samples of
+    /// its pixels.
     pub(super) fn new(view: &View, blend: Blend, channels: Channels, background: [f32; 4], primitives: u32) -> Self {
         let filter = view.filter();
         let [across, down] = filter.parts;
@@ -99,7 +100,7 @@ impl Uniforms {
         }
     }
 
-    /// The same for the sampled rows `first .. first + rows`.
+    /// Returns the uniforms for the sampled rows `first .. first + rows`.
     pub(super) fn band(self, first: u32, rows: u32) -> Self {
         Uniforms { band_first: first, band_rows: rows, tiles_y: rows.div_ceil(TILE), ..self }
     }

@@ -1,4 +1,4 @@
-//! What integration tests cannot see: the shaders' text and layouts, and each stage beside its twin.
+//! Tests that need private access: the text and the layouts of the shaders, and each stage compared with its twin.
 
 use super::kernels::{Kernels, fold};
 use super::scene::{Primitive, Splat, Uniforms};
@@ -262,8 +262,8 @@ mod stages {
         Case { pixels, target, scene, free, fitter }
     }
 
-    /// What the design document asks of two implementations of one sum: nearly all values within 1e−4 of each other,
-    /// relative to the largest, and an r.m.s. difference below 1e−5 of it.
+    /// Asserts the design document's bound on two implementations of one sum: nearly all values within 1e−4 of each
+    /// other, relative to the largest, and an r.m.s. difference below 1e−5 of it.
     #[track_caller]
     fn assert_near(what: &str, a: &[f32], b: &[f32]) {
         assert_eq!(a.len(), b.len(), "{what}");
@@ -915,8 +915,8 @@ mod stages {
         }
     }
 
-    /// The same with so many seeds that the mean is known, beside what the same start with its means moved by 10⁻⁴
-    /// pixels does on the CPU alone.
+    /// Compares fits as above with so many seeds that the mean is known. For comparison it also runs the same start on
+    /// the CPU alone with its means moved by 10⁻⁴ pixels.
     #[test]
     #[ignore = "minutes on software Vulkan"]
     fn many_fits_differ_from_the_cpus_by_rounding_alone() {
@@ -965,7 +965,7 @@ mod stages {
         assert_ne!(fitter.primitives().unwrap(), best);
         fitter.keep_best().unwrap();
         assert_eq!(fitter.primitives().unwrap(), best);
-        // What is not clearly worse stays, and so does what nothing is known of.
+        // A state that is not clearly worse is kept, and so is one with nothing to compare it with.
         for remembers in [true, false] {
             if remembers {
                 fitter.remember(&problem).unwrap();

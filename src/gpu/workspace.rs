@@ -1,5 +1,5 @@
-//! What a step works with: buffers that depend on the number of primitives, the bands and the lists, and the passes bound to
-//! them.
+//! Working memory of a step: buffers that depend on the number of primitives, the bands and the lists, and the passes
+//! bound to them.
 
 use super::device::Device;
 use super::lists::Lists;
@@ -39,7 +39,7 @@ pub(super) struct Workspace {
     pub importance: Vec<wgpu::BindGroup>,
     pub gather: wgpu::BindGroup,
     pub adam: wgpu::BindGroup,
-    /// What a test looks at.
+    /// Buffer that a test reads.
     #[cfg(test)]
     pub tails: wgpu::Buffer,
     #[cfg(test)]

@@ -1,10 +1,10 @@
-//! What of a picture's metadata its file carries.
+//! Choice of the metadata of a picture that its file carries.
 
 use image::metadata::Orientation;
 
 use crate::options::Carry;
 
-/// What a file carries of a picture's metadata, and what it goes without.
+/// Metadata that a file carries of a picture, and the sizes of what is left out.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Carried {
@@ -21,8 +21,8 @@ pub struct Carried {
 }
 
 impl Carry {
-    /// Returns what is carried of a picture with this ICC profile, this EXIF block and this orientation. Where the orientation
-    /// does not come from the EXIF block, as in TIFF, it is put into one.
+    /// Returns the metadata to carry of a picture with this ICC profile, this EXIF block and this orientation. An
+    /// orientation from elsewhere than the EXIF block, as in TIFF, is put into one.
     ///
     /// ```
     /// use image::metadata::Orientation;
@@ -92,7 +92,7 @@ mod tests {
             assert_eq!((carried.exif_left_out, carried.is_orientation_left_out), (3000, false));
             let said = carried.exif.as_deref().and_then(Orientation::from_exif_chunk);
             assert_eq!(said, (orientation != Orientation::NoTransforms).then_some(orientation));
-            // What was carried once is carried again as it is.
+            // A block that was carried once is carried again unchanged.
             let again = Carry::Needed.of(None, carried.exif.clone(), orientation);
             assert_eq!((&again.exif, again.exif_left_out), (&carried.exif, 0));
         }

@@ -46,7 +46,7 @@ impl TryFrom<DynamicImage> for Pixels {
     }
 }
 
-/// Why samples of the `image` crate are not taken.
+/// Reason why samples of the `image` crate are not accepted.
 pub(crate) enum Rejected {
     Pixels(Error),
     Color(ExtendedColorType),

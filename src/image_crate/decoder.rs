@@ -24,13 +24,14 @@ use crate::options::Damage;
 use crate::pixels::Depth;
 use crate::raster::{Renderer, SamplesMut};
 
-/// File name extension.
+/// File name extension of ssplat files, without the dot.
 pub const EXTENSION: &str = "ssplat";
 
-/// Teaches the `image` crate to open ssplat files, by extension and by content, in the whole process.
+/// Registers this crate with the `image` crate for the whole process, so that it opens ssplat files by extension and by
+/// content.
 ///
-/// Returns whether `image` opens them with this crate. It is false when the extension was taken by another hook, which
-/// stays in place; nothing is registered then. Calling it again changes nothing and returns the same.
+/// Returns whether `image` opens ssplat files with this crate. It is false if another hook had taken the extension;
+/// that hook stays and nothing is registered. Further calls change nothing and return the same.
 pub fn register() -> bool {
     static ACCEPTED: OnceLock<bool> = OnceLock::new();
     *ACCEPTED.get_or_init(|| {
@@ -83,7 +84,7 @@ impl<R: Read> SsplatDecoder<R> {
         Reader::behind(self.header.clone(), &rest, &self.limits).read(Damage::Refuse)
     }
 
-    /// The picture, ready to be drawn; the integers go.
+    /// Returns a renderer of the picture and drops the integers.
     fn renderer(&mut self) -> ImageResult<Renderer> {
         let opened = self.opened()?;
         let renderer = opened.renderer(&opened.view()).map_err(decoding_error)?;

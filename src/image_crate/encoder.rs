@@ -44,10 +44,11 @@ pub fn save(picture: &DynamicImage, path: impl AsRef<Path>, options: &EncodeOpti
 }
 
 impl Encoder {
-    /// Encodes `picture` and writes the file to `path`, replacing what is there once all is written: under another name first.
+    /// Encodes `picture` and writes the file to `path`. An existing file is replaced only once the new one is complete.
     ///
-    /// A [`DynamicImage`] has neither the ICC profile nor the orientation of the file that it came from: use
-    /// [`transcode`](Encoder::transcode) to keep them, or hand them over to [`icc`](Encoder::icc) and [`exif`](Encoder::exif).
+    /// A [`DynamicImage`] has neither the ICC profile nor the orientation of its file. Use
+    /// [`transcode`](Encoder::transcode) to keep them, or set them with [`icc`](Encoder::icc) and
+    /// [`exif`](Encoder::exif).
     ///
     /// # Errors
     /// [`Error::Io`] when the file cannot be written, [`Error::Parameter`] when `path` has the extension of another format;
@@ -73,8 +74,8 @@ pub(super) fn write(path: &Path, bytes: &[u8]) -> Result<()> {
 
 /// Writes pictures as ssplat files, for [`DynamicImage::write_with_encoder`].
 ///
-/// Takes the colour types of [`DynamicImage`], and `Bgr8` and `Bgra8`. Samples in `f32` are read as encoded values where
-/// 1.0 is white, clamped to `0..=1` and kept with 16 bits; a sample that is not finite is an error.
+/// Accepts the colour types of [`DynamicImage`], and `Bgr8` and `Bgra8`. Samples in `f32` are encoded values where 1.0
+/// is white; they are clamped to `0..=1` and kept with 16 bits. A sample that is not finite is an error.
 #[derive(Debug)]
 pub struct SsplatEncoder<W> {
     writer: W,
@@ -82,7 +83,7 @@ pub struct SsplatEncoder<W> {
 }
 
 impl<W: Write> SsplatEncoder<W> {
-    /// An encoder that writes one file to `writer`, in a single call.
+    /// Returns an encoder that writes one file to `writer`, in a single call.
     pub fn new(writer: W, encoder: impl Into<Encoder>) -> Self {
         SsplatEncoder { writer, encoder: encoder.into() }
     }

@@ -8,10 +8,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Keeps apart the files that one process writes at a time.
 static COUNT: AtomicU64 = AtomicU64::new(0);
 
-/// Writes `bytes` to `path`. Nobody ever sees half of them, and what was there stays if it fails.
+/// Writes `bytes` to `path` atomically: if it fails, the old file stays. Devices and pipes are written directly.
 ///
 /// # Errors
-/// What the world says; no file is left behind then.
+/// Errors of the file system; no temporary file is left behind.
 pub(super) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let found = fs::metadata(path);
     let target = match &found {
@@ -27,7 +27,7 @@ pub(super) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let count = COUNT.fetch_add(1, Ordering::Relaxed);
     let beside = target.with_file_name(format!(".{}.{}-{count}", name.to_string_lossy(), std::process::id()));
     let mut file = File::create_new(&beside)?;
-    // What replaces a file may be read by the same people.
+    // The new file gets the permissions of the old one.
     let rights = found.map_or(Ok(()), |found| file.set_permissions(found.permissions()));
     let written = rights.and_then(|()| file.write_all(bytes)).and_then(|()| fs::rename(&beside, &target));
     if written.is_err() {

@@ -29,7 +29,7 @@ pub fn transcode(input: impl AsRef<Path>, output: impl AsRef<Path>, options: &En
     let (input, output) = (input.as_ref(), output.as_ref());
     check_extension(output)?;
     let failed = |error: ImageError| match error {
-        // What ends too soon shows as the world's error in `image`; the world is not at fault.
+        // `image` reports a picture that ends too soon as an IO error, but the picture is at fault.
         ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::at(input, &e),
         error => Error::Source { path: Some(input.into()), error },
     };

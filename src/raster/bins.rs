@@ -38,7 +38,7 @@ pub(super) struct Bins {
     /// Where each tile's list starts in `members`; one more than there are tiles.
     starts: Vec<u32>,
     members: Vec<u32>,
-    /// What drawing them costs, in the units of [`Limits::work`].
+    /// Work of drawing them, in the units of [`Limits::work`].
     pub work: u64,
     #[expect(dead_code, reason = "held until the lists are gone")]
     memory: Reservation,

@@ -22,7 +22,7 @@ pub(super) const TILE_HEIGHT: usize = 128;
 /// Strips of a tile.
 const STRIPS: usize = TILE_WIDTH / LANES;
 
-/// What tiles are drawn with, one at a time.
+/// Working memory for drawing one tile at a time.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
     /// The members of a batch side by side.
@@ -57,7 +57,7 @@ pub(super) struct Drawing<'a> {
     pub parts: [usize; 2],
 }
 
-/// Where it stands what is added to pixels.
+/// Where the additions to pixels are stored.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Source<'a> {
     /// Rows of the view.
@@ -66,7 +66,7 @@ pub(super) enum Source<'a> {
     Tile(&'a TilePlanes),
 }
 
-/// What is added to the pixels of a tile.
+/// Additions of a detail layer to the pixels of a tile.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Added<'a> {
     pub source: Source<'a>,
@@ -377,7 +377,7 @@ fn cut<S: Simd>(
             let u = simd.sub(simd.add(simd.mul(half, simd.splat(sign)), simd.mul(shear, lane)), u0);
             *edge = simd.mul(u, pitch);
         }
-        // Of the whole tile whatever is shown of it: bits must not depend on that.
+        // Rows are those of the whole tile, however much of it is shown: the bits must not depend on that.
         let height = simd.splat(TILE_HEIGHT as f32);
         let [low, high] = edges;
         // From above, so that rounding down rounds the first row up.
@@ -460,7 +460,7 @@ struct Segment {
     color: [f32; 4],
     /// Recurrence: the factor between ratios. Direct: `rise`.
     bend: f32,
-    /// What is subtracted from the Gaussian to give the weight.
+    /// Offset subtracted from the Gaussian to give the weight.
     edge: f32,
     walk: Walk,
     first: u8,

@@ -1,4 +1,4 @@
-//! What the detail layer adds to the pixels of a view (spec §11.6).
+//! Additions of the detail layer to the pixels of a view (spec §11.6).
 //!
 //! At full size an output pixel takes what its own pixel has, from the tile that the kernel is given. An enlarged view interpolates
 //! between pixels, a reduced one takes the mean over what a pixel of it covers; either axis by itself. Rows are added up from the
@@ -37,7 +37,7 @@ struct Pool {
     values: Vec<Vec<f32>>,
 }
 
-/// What some rows of a view get added, in parts of white.
+/// Additions to some rows of a view; 1 is white.
 #[derive(Debug)]
 pub(crate) struct Additions {
     /// The first row, counted in the view.
@@ -51,11 +51,11 @@ pub(crate) struct Additions {
 /// Bytes of additions or tiles that are held at a time, if a row of tiles does not need more.
 const HELD: u64 = 4 << 20;
 
-/// What a level of a detail layer has taken to read and to draw, in the units of [`Limits::work`]: 110 ns for a large one, where a unit is
-/// half a nanosecond on plain instructions.
+/// Work of reading and drawing a level of a detail layer, in the units of [`Limits::work`]: 110 ns for a large one,
+/// where a unit is half a nanosecond with plain instructions.
 const LEVEL_WORK: u64 = 200;
 
-/// What a tile's unit is in parts of white.
+/// Value of a tile's unit, where 1 is white.
 pub(super) const SCALE: f32 = UNIT / 255.0;
 
 impl Additions {
@@ -72,7 +72,8 @@ impl Additions {
     }
 }
 
-/// What an output pixel takes along one axis: the first pixel, and what it and those behind it count.
+/// Picture pixels that an output pixel is made of along one axis: the first one, and the weights of it and of those
+/// that follow.
 #[derive(Debug, Clone, Default)]
 struct Taps {
     first: usize,
@@ -131,8 +132,8 @@ impl Overlay {
         u64::from(view.width) * self.channels.count() as u64 * size_of::<f32>() as u64
     }
 
-    /// Of at most `most` rows of a view from row `first` on, how many additions are best made for at once: where tiles are shown as
-    /// they are and more rows follow, those down to an edge of tiles, so that none is made twice.
+    /// Returns for how many rows of a view, from row `first` on and at most `most`, additions are best made at once. If
+    /// tiles are shown unscaled and more rows follow, the rows end at an edge of tiles, so that no tile is made twice.
     #[cfg(feature = "gpu")]
     pub fn rows_from(&self, view: &View, first: u32, most: u32) -> u32 {
         if most >= view.height - first {
@@ -143,7 +144,7 @@ impl Overlay {
         if self.is_direct(view) && end > top { (end - top) as u32 } else { most }
     }
 
-    /// What it costs to make and to add what `view` shows of the layer, in the units of [`Limits::work`].
+    /// Returns the work of making and adding the part of the layer that `view` shows, in the units of [`Limits::work`].
     ///
     /// # Errors
     /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) when that alone could be too much.
@@ -157,7 +158,7 @@ impl Overlay {
         Ok((samples / 4).saturating_add(LEVEL_WORK * self.layer.levels() as u64))
     }
 
-    /// Checks that what is added to `rows` rows of `view`, and what it is made from, can be held.
+    /// Checks that the additions to `rows` rows of `view`, and their inputs, can be held within `budget`.
     pub fn check(&self, view: &View, rows: u32, budget: &Budget) -> Result<()> {
         if self.is_direct(view) {
             // Rows of tiles that are shown, in part or all.
@@ -168,7 +169,8 @@ impl Overlay {
         self.check_rows(view, rows, budget)
     }
 
-    /// The same where the additions are made for whole rows, even if tiles are shown as they are.
+    /// Checks that the additions to `rows` rows of `view` can be held when they are made for whole rows, even if tiles
+    /// are shown unscaled.
     pub fn check_rows(&self, view: &View, rows: u32, budget: &Budget) -> Result<()> {
         let additions = self.row_memory(view).saturating_mul(rows.into());
         let [across, _] = tile_counts(self.size);
@@ -176,7 +178,8 @@ impl Overlay {
         budget.check(additions.saturating_add(tiles))
     }
 
-    /// What `rows` of the view get added, for columns from `left` of the view on (which may lie before its first one).
+    /// Returns the additions to the rows `rows` of the view, for columns from `left` of the view on. `left` may be
+    /// negative.
     pub(crate) fn additions(&self, view: &View, left: i64, stride: usize, rows: Range<u32>) -> Additions {
         let channels = self.channels.count();
         let length = stride * channels;
@@ -238,7 +241,7 @@ impl Overlay {
         parallel::map(tiles.len(), |i| self.tile([tiles.start + i, row], Supers::ALL))
     }
 
-    /// What the tile of such a column and row adds in some of its superblocks.
+    /// Returns the additions of the tile at a column and row, in the superblocks `wanted`; `None` if it has no levels.
     pub(super) fn tile(&self, [column, row]: [usize; 2], wanted: Supers) -> Option<TilePlanes> {
         let index = row * tile_counts(self.size)[0] + column;
         let levels: &TileLevels = self.layer.tiles[index].as_ref()?;
@@ -255,7 +258,8 @@ impl Overlay {
     }
 }
 
-/// What pixels of a view take along an axis, counted in the view, of as many of the picture's pixels as there are.
+/// Returns the taps of some output pixels of a view along axis `k`, of a picture with `side` pixels along it. Pixels
+/// are counted in the view.
 #[inline(never)]
 fn axis(view: &View, k: usize, pixels: Range<i64>, side: usize) -> Vec<Taps> {
     pixels.map(|i| taps(view.origin[k], view.step[k], f64::from(view.offset[k]) + i as f64, side)).collect()

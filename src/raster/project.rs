@@ -45,11 +45,12 @@ pub(super) struct Splat {
     extent: [f32; 2],
     /// Factor between the ratios of neighbouring rows: `2^(−2·rise²)`.
     pub bend: f32,
-    /// What to add to the ratio's exponent for each row of a segment, against `bend`'s rounding: see [`Splat::new`].
+    /// Correction of the ratio's exponent for each row of a segment, against the rounding of `bend`: see
+    /// [`Splat::new`].
     pub drift: f32,
     /// Binary logarithm of the amplitude: 0 unless the filter widens the Gaussian.
     pub level: f32,
-    /// What the support's edge subtracts: the amplitude's share of [`CUTOFF_WEIGHT`].
+    /// Offset that makes the weight continuous at the edge of the support: the amplitude's share of [`CUTOFF_WEIGHT`].
     pub edge: f32,
     pub color: [f32; 4],
 }
@@ -61,7 +62,7 @@ impl Splat {
         let [tx, ty] = view.step.map(f64::recip);
         let (v1, v2) = (s1 * s1, s2 * s2);
         let (xx, yy) = (v1 * cos * cos + v2 * sin * sin, v1 * sin * sin + v2 * cos * cos);
-        // Of the covariance, the root of the determinant. Not `√(xx·yy − xy²)`, which cancels for needles.
+        // Root of the covariance's determinant. Not `√(xx·yy − xy²)`, which cancels for needles.
         let (mut root, mut amplitude, mut level) = (s1 * s2, 1.0, 0.0);
         if variance != [0.0; 2] {
             root = (v1 * v2 + variance[0] * yy + variance[1] * xx + variance[0] * variance[1]).sqrt();
@@ -141,8 +142,8 @@ impl Splat {
         (ellipse + ends * high).min((wide + ends) * high) as u64
     }
 
-    /// What a pixel of it costs, in those of a wide Gaussian: more where rows take an exponential each. A few that do not are counted as
-    /// if they did.
+    /// Returns the work of a pixel of the splat relative to a wide Gaussian. It is higher if each row takes an
+    /// exponential. A few Gaussians whose rows do not are counted as if they did.
     pub fn toll(&self) -> u64 {
         let is_narrow = self.rise > RECURRENCE_RISE || self.run.abs().max(self.shear.abs()) > RECURRENCE_RUN;
         if is_narrow { EXPONENTIAL } else { 1 }
@@ -190,11 +191,11 @@ impl Beyond {
 /// Gaussians that are projected in one go.
 const CHUNK: usize = 1024;
 
-/// What is visible in a view, in the picture's order.
+/// Splats that are visible in a view, in the picture's order.
 #[derive(Debug)]
 pub(super) struct Splats {
-    /// Of each [`CHUNK`] of the picture's Gaussians those that are visible: threads need not wait for each other to
-    /// know where theirs go.
+    /// Visible splats of each [`CHUNK`] of the picture's Gaussians. Threads fill their own chunks and need no common
+    /// index.
     chunks: Vec<Vec<Splat>>,
     #[expect(dead_code, reason = "held until the splats are gone")]
     memory: Reservation,

@@ -135,7 +135,8 @@ pub fn detailed(splats: &PackedSplats, view: &View) -> Vec<f64> {
     values
 }
 
-/// What the layer adds to the samples of the whole picture, row by row with interleaved channels, 1/32 of an 8-bit code value.
+/// Returns the additions of the layer to the samples of the whole picture, row by row with interleaved channels, in
+/// 1/32 of an 8-bit code value.
 fn additions(layer: &DetailLayer, splats: &PackedSplats) -> Vec<i16> {
     let (size, channels) = ([splats.width, splats.height], splats.channels.count());
     let mut out = vec![0; size[0] as usize * size[1] as usize * channels];
@@ -153,7 +154,8 @@ fn additions(layer: &DetailLayer, splats: &PackedSplats) -> Vec<i16> {
     out
 }
 
-/// What each output pixel along an axis takes of the picture's pixels, of which there are `side`.
+/// Returns the picture pixels along an axis that each output pixel is made of, with their weights. The picture has
+/// `side` pixels along it.
 fn shares(view: &View, axis: usize, side: u32) -> Vec<Vec<(usize, f64)>> {
     let (step, last) = (view.step[axis], f64::from(side - 1));
     let length = [view.width, view.height][axis];

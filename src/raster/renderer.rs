@@ -28,16 +28,16 @@ pub struct Renderer {
     background: [f32; 4],
     splats: Splats,
     bins: Bins,
-    /// What is added to the Gaussians' picture.
+    /// Detail layer to add to the Gaussians.
     overlay: Option<Overlay>,
-    /// What pixels may be allocated from.
+    /// Memory account for pixels.
     budget: Budget,
     backend: Dispatch,
-    /// What tiles are drawn with, for as many threads as have drawn at once.
+    /// Working memory of tiles, one for each thread that has drawn at the same time.
     pool: Mutex<Vec<Scratch>>,
 }
 
-/// What the Gaussians of a picture are drawn onto.
+/// Background and channels that the Gaussians of a picture are drawn onto, and their blend.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Canvas {
     pub channels: Channels,
@@ -49,9 +49,9 @@ pub(crate) struct Canvas {
 /// Which instruction set draws. The output is the same.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Dispatch {
-    /// The best that the machine has.
+    /// The best instruction set of the machine.
     Detected,
-    /// What the crate is compiled for: the twin that tests compare with.
+    /// The instruction set that the crate is compiled for; tests compare with it.
     #[cfg(test)]
     Compiled,
 }
@@ -64,18 +64,20 @@ const LAYER_TILE: u32 = (TILE / TILE_WIDTH) as u32;
 const _: () = assert!(TILE.is_multiple_of(TILE_WIDTH) && TILE_WIDTH == TILE_HEIGHT);
 
 impl Renderer {
-    /// Projects what `view` shows of `picture` and sorts it into tiles.
+    /// Projects the Gaussians of `picture` that `view` shows, and sorts them into tiles.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] when primitives, (Gaussian, tile) pairs, work or memory go beyond `limits`, before they
-    /// are spent; [`Error::Parameter`] when a primitive is not finite, has a scale of zero, or a side of the view is 0 or over 2²⁰.
+    /// [`Error::LimitExceeded`] if primitives, (Gaussian, tile) pairs, work or memory exceed `limits`; nothing is spent
+    /// then. [`Error::Parameter`] if a primitive is not finite or has a scale of zero, or a side of the view is 0 or
+    /// over 2²⁰.
     pub fn new(picture: &Picture, view: &View, limits: &Limits) -> Result<Self> {
         let canvas = Canvas { channels: picture.channels, blend: picture.blend, background: picture.background };
         let gaussians = (picture.gaussians.len(), |i| picture.gaussians[i]);
         Renderer::of(&canvas, gaussians, view, limits, &Budget::of(limits))
     }
 
-    /// The same for `count` Gaussians that are made when they are asked for, so that they need not all be there at once.
+    /// Makes a renderer of `count` Gaussians that are computed on demand, so that they need not be in memory at the
+    /// same time.
     pub(crate) fn of(
         canvas: &Canvas,
         (count, gaussian): (usize, impl Fn(usize) -> Gaussian + Sync + Send),
@@ -112,10 +114,10 @@ impl Renderer {
         })
     }
 
-    /// The same, with what a detail layer adds.
+    /// Adds a detail layer to the renderer.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] when that would be too much memory or work, beside what the Gaussians take.
+    /// [`Error::LimitExceeded`] if Gaussians and layer together take too much memory or work.
     pub(crate) fn with(mut self, overlay: Overlay, limits: &Limits) -> Result<Self> {
         let both = self.bins.work.saturating_add(overlay.work(&self.view, limits)?);
         Limits::check("work", both, limits.work)?;
@@ -125,7 +127,7 @@ impl Renderer {
         Ok(self)
     }
 
-    /// What is drawn.
+    /// Returns the view that is drawn.
     #[must_use]
     pub fn view(&self) -> &View {
         &self.view
@@ -143,7 +145,7 @@ impl Renderer {
         self.view.width as usize * self.channels.count()
     }
 
-    /// Number of bands: rows of tiles that the view touches.
+    /// Returns the number of bands, which are rows of tiles that the view touches.
     #[must_use]
     pub fn bands(&self) -> u32 {
         self.bins.tiles.count[1]
@@ -154,8 +156,8 @@ impl Renderer {
         [TILE_WIDTH as u32 / self.filter.parts[0], TILE_HEIGHT as u32 / self.filter.parts[1]]
     }
 
-    /// The rows of the view that band `band` holds: 128, fewer where the view is reduced, but for the first and the
-    /// last band.
+    /// Returns the rows of the view that band `band` holds: 128, or fewer if the view is reduced. The first and the
+    /// last band may have fewer.
     ///
     /// # Panics
     /// If `band` is not below [`Renderer::bands`].
@@ -171,7 +173,7 @@ impl Renderer {
     /// Draws the consecutive bands `bands` into `out`: all of their rows, [`Renderer::row_len`] samples each.
     ///
     /// # Panics
-    /// If `bands` is empty or reaches beyond [`Renderer::bands`], or `out` has not exactly that length.
+    /// If `bands` is empty or reaches beyond [`Renderer::bands`], or if `out` does not have exactly that length.
     #[inline(always)]
     pub fn render_bands(&self, bands: std::ops::Range<u32>, out: SamplesMut<'_>) {
         match out {
@@ -183,7 +185,7 @@ impl Renderer {
     /// Draws the whole view.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] when the output would take more memory than the limits allow.
+    /// [`Error::LimitExceeded`] if the output would take more memory than the limits allow.
     pub fn render(&self, depth: Depth) -> Result<Pixels> {
         let samples = self.row_len() as u64 * u64::from(self.view.height);
         self.budget.check(samples * depth.bytes() as u64)?;
@@ -206,13 +208,14 @@ impl Renderer {
     /// Draws the whole view into `out`, row by row with interleaved channels.
     ///
     /// # Panics
-    /// If `out` has not exactly [`Renderer::row_len`] × height samples.
+    /// If `out` does not have exactly [`Renderer::row_len`] × height samples.
     #[inline(always)]
     pub fn render_into(&self, out: SamplesMut<'_>) {
         self.render_bands(0..self.bands(), out);
     }
 
-    /// Apart from the choice of the depth, so that a program which draws one depth need not carry the other's kernels.
+    /// Draws after the choice of the depth, so that a program which draws one depth need not contain the other's
+    /// kernels.
     #[inline(never)]
     fn draw<T: Sample>(&self, bands: std::ops::Range<u32>, mut out: &mut [T]) {
         assert!(bands.start < bands.end, "no bands in {bands:?}");

@@ -3,7 +3,7 @@
 use crate::pixels::Depth;
 use crate::simd::{LANES, Simd};
 
-/// Where a band of pixels goes: rows one after the other, channels interleaved.
+/// Memory to draw into: rows one after the other, with interleaved channels.
 #[derive(Debug)]
 pub enum SamplesMut<'a> {
     /// 8 bits a sample.
@@ -22,7 +22,7 @@ impl SamplesMut<'_> {
         }
     }
 
-    /// How many samples there are.
+    /// Returns the number of samples.
     pub(crate) fn count(&self) -> usize {
         match self {
             SamplesMut::U8(samples) => samples.len(),

@@ -1,4 +1,4 @@
-//! Which part of the plane is drawn, and how finely.
+//! Views: the part of the plane to draw, and the size of the output.
 
 use crate::error::{Error, Result};
 use crate::gaussian::{CUTOFF, Picture};
@@ -13,12 +13,12 @@ const SAMPLING: f64 = 1.5;
 /// Most samples of an output pixel along an axis: the kernel averages within its strips of eight columns.
 const MOST_PARTS: u32 = 8;
 
-/// How a view is low-passed.
+/// Low-pass filter of a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Filter {
     /// Samples of which an output pixel is the mean, along x and y: 1, 2, 4 or 8.
     pub parts: [u32; 2],
-    /// What the Gaussians' variances grow by along x and y, picture pixels².
+    /// Increase of the Gaussians' variances along x and y, picture pixels².
     pub variance: [f64; 2],
 }
 
@@ -49,10 +49,11 @@ impl View {
         View { origin: [0.0; 2], step: [1.0; 2], offset: [0; 2], width, height }
     }
 
-    /// The rectangle of `width × height` output pixels whose first one is `(x, y)` of this view.
+    /// Returns the rectangle of `width × height` output pixels whose top left one is pixel `(x, y)` of this view. Its
+    /// pixels have the same bits as in this view.
     ///
     /// # Errors
-    /// [`Error::Parameter`] when the rectangle is empty or reaches beyond this view.
+    /// [`Error::Parameter`] if the rectangle is empty or not within this view.
     pub fn crop(&self, x: u32, y: u32, width: u32, height: u32) -> Result<Self> {
         for (name, start, length, side) in [("width", x, width, self.width), ("height", y, height, self.height)] {
             if length == 0 || u64::from(start) + u64::from(length) > u64::from(side) {
@@ -62,18 +63,19 @@ impl View {
         Ok(View { offset: [self.offset[0] + x, self.offset[1] + y], width, height, ..*self })
     }
 
-    /// The same area of the plane drawn at `width × height` output pixels.
+    /// Returns a view of the same area of the plane with `width × height` output pixels.
     ///
-    /// Enlarging samples the continuous picture. Reducing low-passes it, so that fine detail does not alias: an output
-    /// pixel that is `step` picture pixels wide is the mean of `k` samples (clamped to 0..=1) side by side, `k` being
-    /// the smallest of 1, 2, 4 and 8 with `step / k ≤ 1.5`, else 8. Where that leaves samples more than one picture
-    /// pixel apart, the Gaussians' variance along the axis grows by `((step / k)² − 1) / 12`, their integral being kept:
-    /// the variance of the pixels that each sample stands for. Either axis has its own `k`. Halves, quarters and eighths
-    /// are the averages of the full view's pixels, but for what a detail layer would add beyond black or white. In a picture with alpha colours count by their alpha in the mean, so that
-    /// what hides under alpha 0 shows nowhere (spec §5.5). The work is at most that of `8 × 8` times the output pixels.
+    /// Enlarging samples the continuous picture. Reducing low-passes it, so that fine detail does not alias. An output
+    /// pixel that is `step` picture pixels wide is the mean of `k` samples side by side, each clamped to `0..=1`. `k`
+    /// is the smallest of 1, 2, 4 and 8 with `step / k ≤ 1.5`, else 8; either axis has its own. Where that leaves
+    /// samples more than one picture pixel apart, the Gaussians' variance along the axis grows by
+    /// `((step / k)² − 1) / 12`, the variance of the pixels that each sample stands for, and their integral is kept.
+    /// Halves, quarters and eighths are the means of the full view's pixels, except where a detail layer would go
+    /// beyond black or white. In a picture with alpha, colours are weighted by their alpha in the mean, so that colours
+    /// under alpha 0 are not seen (spec §5.5). The work is at most that of `8 × 8` times the output pixels.
     ///
     /// # Errors
-    /// [`Error::Parameter`] when a side is 0 or over 2²⁰.
+    /// [`Error::Parameter`] if a side is 0 or over 2²⁰.
     pub fn resized(&self, width: u32, height: u32) -> Result<Self> {
         for (name, side) in [("width", width), ("height", height)] {
             if side == 0 || side > MAX_SIDE {
@@ -88,11 +90,11 @@ impl View {
         Ok(View { origin, step, offset: [0; 2], width, height })
     }
 
-    /// The same area of the plane as large as it fits into `within`, width and height in output pixels, and never larger than it
-    /// is. Sides that would vanish keep a pixel.
+    /// Returns a view of the same area of the plane, as large as fits into `within` (width and height in output pixels)
+    /// with the aspect ratio kept. It is never larger than this view. Each side is at least one pixel.
     ///
     /// # Errors
-    /// [`Error::Parameter`] when a side of `within` is 0.
+    /// [`Error::Parameter`] if a side of `within` is 0.
     pub fn fitted(&self, within: [u32; 2]) -> Result<Self> {
         for (name, side) in [("width", within[0]), ("height", within[1])] {
             if side == 0 {
@@ -117,14 +119,14 @@ impl View {
         self.height
     }
 
-    /// Picture pixels for each output pixel, along x and y; above 1 the view is reduced.
+    /// Returns the picture pixels per output pixel along x and y. The view is reduced where it is above 1.
     #[must_use]
     pub fn step(&self) -> [f64; 2] {
         self.step
     }
 
-    /// Left, top, width and height of the part of the picture, in its pixels, that a Gaussian's support must reach into to
-    /// be seen: more than what the view shows where the low-pass widens Gaussians.
+    /// Returns the left, top, width and height, in picture pixels, of the area that a Gaussian's support must reach to
+    /// be seen in this view. It is larger than the view where the low-pass filter widens Gaussians.
     #[must_use]
     pub fn area(&self) -> [u32; 4] {
         let Filter { variance, .. } = self.filter();
@@ -153,7 +155,7 @@ impl View {
         Filter { parts, variance }
     }
 
-    /// The same area with `parts` pixels for each along x and y, on the grid that is finer in the same way.
+    /// Returns the same area with `parts` pixels for each along x and y, on a grid that is as much finer.
     pub(crate) fn refined(&self, parts: [u32; 2]) -> View {
         View {
             origin: self.origin,
@@ -165,7 +167,7 @@ impl View {
         }
     }
 
-    /// Where in the picture, in pixels, the centre of output pixel `(i, j)` lies.
+    /// Returns the position of the centre of output pixel `(i, j)`, in picture pixels.
     #[must_use]
     pub fn position(&self, i: u32, j: u32) -> [f64; 2] {
         let index = [i, j];

@@ -82,7 +82,7 @@ pub fn instruction_set() -> &'static str {
 ///
 /// Code that uses it must be inlined into the function that is compiled for the instruction set, so: no closures.
 pub trait Simd: Copy {
-    /// What [`instruction_set`] calls it.
+    /// Name that [`instruction_set`] returns for it.
     const NAME: &'static str;
 
     /// Eight floats, in a register if there is one.
@@ -177,7 +177,7 @@ pub trait Simd: Copy {
 pub(crate) mod tests {
     use super::*;
 
-    /// What each instruction set promises.
+    /// Checks the properties that each instruction set must have.
     pub fn keeps_its_promises(simd: impl Simd) {
         let out = |v| {
             let mut lanes = Lanes([0.0; LANES]);

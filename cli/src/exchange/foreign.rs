@@ -25,7 +25,7 @@ torch.load('gaussian_model.pth.tar',map_location='cpu').items()})\"
 Image-GS:      python3 -c \"import torch,numpy as n; n.savez('fit.npz',**{k:v.cpu().numpy() for k,v in \
 torch.load('ckpt_step-10000.pt',map_location='cpu',weights_only=False)['state_dict'].items()})\"";
 
-/// What GaussianImage adds to the diagonal of the Cholesky factor, and to the scales.
+/// Offset that GaussianImage adds to the diagonal of the Cholesky factor, and to the scales.
 const BOUND: f64 = 0.5;
 
 /// Whether there are arrays of either program.

@@ -6,7 +6,7 @@ use clap::ValueEnum;
 
 use crate::failure::Failure;
 
-/// What export writes.
+/// File formats that export writes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ExportFormat {
     /// NumPy's archive of arrays
@@ -19,7 +19,7 @@ pub enum ExportFormat {
     Svg,
 }
 
-/// What import reads.
+/// File formats that import reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ImportFormat {
     /// NumPy's archive of arrays

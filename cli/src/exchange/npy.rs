@@ -7,7 +7,7 @@ use std::io::Read;
 
 use super::problem::{Problem, shown};
 
-/// What a `.npy` file starts with.
+/// First bytes of a `.npy` file.
 const MAGIC: &[u8] = b"\x93NUMPY";
 
 /// Longest header that is read; real ones take 118 bytes.

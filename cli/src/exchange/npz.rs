@@ -26,8 +26,8 @@ pub fn write(arrays: &[(&str, Vec<u8>)]) -> Result<Vec<u8>, String> {
     Ok(zip.finish().map_err(|e| e.to_string())?.into_inner())
 }
 
-/// Those arrays of an archive that have one of the names. They are held to `limits` before memory is taken: an archive may
-/// unpack to a thousand times its length.
+/// Returns the arrays of an archive that have one of the names. They are checked against `limits` before memory is
+/// taken: an archive may unpack to a thousand times its length.
 pub fn read(bytes: &[u8], names: &[&str], limits: &Limits) -> Result<BTreeMap<String, Array>, Problem> {
     let mut zip = ZipArchive::new(Cursor::new(bytes)).map_err(|e| format!("not an .npz archive: {e}"))?;
     let mut arrays = BTreeMap::new();

@@ -1,4 +1,5 @@
-//! What is exchanged: a picture's Gaussians, and how they were stored if they come from a file of ours. Also as an `.npz`.
+//! Exchanged data: a picture's Gaussians, and their layout and steps if they come from an ssplat file. They can be read
+//! from and written to `.npz` archives.
 //!
 //! Means, scales and covariances are in pixels with pixel centres at +0.5, rotations in radians from the x axis (right)
 //! towards the y axis (down), colours in encoded sRGB values from 0 to 1 that are not bounded to it.
@@ -42,7 +43,7 @@ pub struct Parameters {
     pub stored: Option<(Layout, Steps)>,
 }
 
-/// What a caller says about parameters that do not say it themselves.
+/// Properties that the caller states for parameters that lack them.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Given {
     pub size: Option<[u32; 2]>,

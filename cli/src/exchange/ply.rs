@@ -15,7 +15,7 @@ const OPAQUE: f32 = 0.999;
 /// Thickness in units of the minor scale.
 const THICKNESS: f32 = 1e-3;
 
-/// What a point has, in order.
+/// Properties of a point, in order.
 const PROPERTIES: [&str; 17] = [
     "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0",
     "rot_1", "rot_2", "rot_3",

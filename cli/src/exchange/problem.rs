@@ -1,10 +1,10 @@
-//! Why parameters are refused: whose fault it is, and which value.
+//! Errors in exchanged parameters: who is at fault, and with which value.
 
 use std::fmt;
 
 use crate::failure::Kind;
 
-/// What stops an import.
+/// Error that stops an import.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Problem {
     /// The input is not what it should be.
@@ -25,7 +25,7 @@ impl Problem {
         }
     }
 
-    /// The same of the array `name`.
+    /// Adds the array's `name` to the error.
     pub fn of(self, name: &str) -> Problem {
         match self {
             Problem::Broken(text) => Problem::Broken(format!("array {name} {text}")),

@@ -17,11 +17,12 @@ const ANSWER: Duration = Duration::from_secs(30);
 /// Bytes that are written at a time, so that time is looked at in between.
 const PIECE: usize = 1 << 16;
 
-/// What is left of a request when it is answered is read up to here: closing over unread bytes would take the answer back.
+/// Most bytes of a request that are read after the answer is ready. Closing a connection with unread bytes would
+/// discard the answer.
 const MOST_LEFT: usize = 1 << 18;
 const LEFT: Duration = Duration::from_millis(500);
 
-/// What is asked for.
+/// Head of a request.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Request {
     pub method: String,
@@ -39,7 +40,7 @@ impl Deadline {
         Deadline(Instant::now() + time)
     }
 
-    /// What is left of it.
+    /// Returns the time left, or an error of kind `TimedOut`.
     fn left(&self) -> io::Result<Duration> {
         let left = self.0.saturating_duration_since(Instant::now());
         if left.is_zero() { Err(io::ErrorKind::TimedOut.into()) } else { Ok(left) }

@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 use super::Shown;
 use super::package::{MODULE, MODULE_BYTES, MODULES, PAGE_TEXT};
 
-/// What the page of `web/` has where its module is loaded, which the page of one file replaces.
+/// Element of the page in `web/` that loads its module. The page of one file replaces it.
 const PLACE: &str = "<script type=\"module\" src=\"viewer.js\"></script>";
 
 /// Writes the page. Its modules find each other by name in an import map, as such a page has no place beside it.

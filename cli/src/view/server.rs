@@ -18,7 +18,7 @@ const THREADS: usize = 32;
 /// How long to wait where no connection can be had, which is so when there are too many of them.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// What the page may do: run its own scripts and WebAssembly, and ask this server.
+/// Content security policy of the page: it may run its own scripts and WebAssembly, and send requests to this server.
 const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self'; connect-src 'self'; \
                       style-src 'unsafe-inline'; img-src 'self' blob: data:; frame-ancestors 'none'; base-uri 'none'";
 
@@ -32,8 +32,8 @@ pub enum Opens {
 struct Served {
     file: (String, Vec<u8>),
     original: Option<(String, Vec<u8>)>,
-    /// What requests for this server name as their host. Another page's script that reaches this address by a name of its own
-    /// (DNS rebinding) names that.
+    /// Host names that legitimate requests use. A script of another page that reaches this address through its own name
+    /// (DNS rebinding) sends that name instead, and is refused.
     hosts: [String; 2],
     /// The page, with what it shows.
     start: String,
@@ -136,7 +136,7 @@ const HEADERS: [(&str, &str); 5] = [
     ("X-Content-Type-Options", "nosniff"),
 ];
 
-/// Those, and one more.
+/// Returns the headers of all answers, and one more.
 fn headers<'a>(more: (&'a str, &'a str)) -> [(&'a str, &'a str); 6] {
     let [a, b, c, d, e] = HEADERS;
     [a, b, c, d, e, more]

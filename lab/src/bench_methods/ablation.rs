@@ -59,7 +59,7 @@ fn steps() -> Vec<Step> {
 /// Rows of the ladder: the differences of those after them are to the last of these.
 const LADDER: usize = 9;
 
-/// What came of one encode.
+/// Result of one encode.
 #[derive(Debug, Clone)]
 struct Outcome {
     bytes: u64,

@@ -19,7 +19,7 @@ Each method fits the same number of Gaussians: that of the ratio at 7 bytes for 
 paper counts. Then each gets a file of as many bytes as the ratio has: ours and SmartSplat by the encoder, the others
 by import of their Gaussians. Writes methods.md, methods.csv and convergence.svg into the folder.";
 
-/// Who can be measured.
+/// Names of the contenders.
 const NAMES: [&str; 8] =
     ["ssplat", "smartsplat", "gaussianimage-cholesky", "gaussianimage-rs", "image-gs", "lig", "3dgs", "3dgs-fixed"];
 
@@ -94,7 +94,7 @@ impl BenchMethods {
         asked.min(self.at_most.unwrap_or(u32::MAX))
     }
 
-    /// Who is measured, in the order of the table.
+    /// Returns the contenders, in the order of the table.
     pub fn contenders(&self) -> Vec<Contender> {
         let mut all = vec![Contender::Ssplat, Contender::SmartSplat];
         for method in Method::ALL {

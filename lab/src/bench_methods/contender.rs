@@ -5,7 +5,7 @@ use ssplat::unstable::{Ablation, Needs, Outside, PackOptions, Precision, Recipe,
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
 use ssplat::{Pixels, Result, Target};
 
-/// Who is measured.
+/// Method that is measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Contender {
     /// This crate's own fit.
@@ -16,19 +16,19 @@ pub enum Contender {
     Published { method: Method, rate: f32 },
 }
 
-/// What all have in common.
+/// Settings shared by all contenders.
 #[derive(Debug, Clone, Copy)]
 pub struct Setup {
     pub count: u32,
     /// Size of the file.
     pub bytes: u64,
     pub seed: u64,
-    /// Of a published method.
+    /// Iterations of a published method.
     pub iterations: u32,
     pub effort: u8,
 }
 
-/// What came of it; `None` where there is no such number.
+/// Result of a contender; `None` where there is no such number.
 #[derive(Debug, Clone, Default)]
 pub struct Measured {
     /// PSNR of the floats before rounding to code values, dB.
@@ -47,7 +47,7 @@ pub struct Measured {
     pub bytes: Option<u64>,
     /// Bytes of the same Gaussians by the method's own count, and PSNR of the picture of the numbers as it rounds them.
     pub counted: Option<Counted>,
-    /// Why something is missing.
+    /// Reason why something is missing.
     pub problem: Option<String>,
     /// PSNR of the fit along its seconds.
     pub trace: Vec<(f64, f64)>,

@@ -15,7 +15,7 @@ use ssplat::unstable::fit::model::planes::Planes;
 use ssplat::unstable::parallel;
 use ssplat::unstable::simd::{self, LANES, Lanes, Simd, Task};
 
-/// What is below this is not drawn.
+/// Smallest alpha that is drawn.
 pub(super) const FAINTEST: f32 = 1.0 / 255.0;
 /// Light that is as good as none.
 const DARK: f32 = 1e-4;
@@ -40,7 +40,7 @@ pub(super) struct Splat {
     pub color: [f32; 4],
 }
 
-/// What a picture's gradient is with respect to a Gaussian.
+/// Gradient of the error with respect to the parameters of a Gaussian.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Gradient {
     pub slope: Slope,
@@ -87,7 +87,7 @@ impl Ready {
         } else if a > 0.0 && determinant > 0.0 {
             [c, a].map(|v| 1.001 * (2.0 * sigma * v / determinant).sqrt() + 0.01)
         } else {
-            // What is no ellipse has no end.
+            // Without an ellipse the Gaussian has no bounds.
             [f32::INFINITY; 2]
         };
         let mut color = [0.0; COLORS];
@@ -217,7 +217,7 @@ struct Gather<'a> {
     whole: &'a Block<[Lanes; COLORS]>,
     /// The gradient with respect to it.
     slopes: &'a Block<[Lanes; COLORS]>,
-    /// Those of the members, in their order.
+    /// Sums of the members, in their order.
     sums: &'a mut Vec<[f32; SUMS]>,
 }
 
@@ -252,7 +252,7 @@ impl Task for Gather<'_> {
                             let color = simd.splat(s.color[k]);
                             let front = simd.add(simd.load(&way.color[k]), simd.mul(weight, color));
                             simd.store(&mut way.color[k], front);
-                            // What lies behind is dimmed by it.
+                            // The Gaussian dims the light from behind it.
                             let rest = simd.mul(simd.sub(simd.load(&self.whole[y][group][k]), front), behind);
                             let by_color = simd.sub(simd.mul(light, color), rest);
                             by_alpha = simd.add(by_alpha, simd.mul(simd.load(&slopes[k]), by_color));

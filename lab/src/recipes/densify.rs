@@ -28,7 +28,7 @@ const FAINTEST: f32 = 5e-3;
 const LOWERED: f32 = 0.01;
 /// Share of the extent above which a Gaussian is split.
 const LARGE: f32 = 0.01;
-/// What the scales of the two parts are divided by.
+/// Divisor of the scales when a Gaussian is split into two.
 const SHRINK: f32 = 1.6;
 
 /// The Gaussians, with what the optimizer knows of them.
@@ -37,7 +37,7 @@ pub(super) struct Crowd {
     pub adam: Adam,
 }
 
-/// What is due after an iteration.
+/// Actions that are due after an iteration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Due {
     watches: bool,
@@ -164,7 +164,7 @@ impl Crowd {
     }
 }
 
-/// What the sigmoid makes `v` of.
+/// Returns the logit of `v`, the inverse of the sigmoid.
 pub(super) fn logit(v: f32) -> f32 {
     (v / (1.0 - v)).ln()
 }

@@ -1,4 +1,4 @@
-//! What a method found: the drawn planes as code values, their PSNR, and the Gaussians as a picture.
+//! Conversions of a method's result: the drawn planes to code values, their PSNR, and the Gaussians to a picture.
 
 use ssplat::unstable::fit::model::planes::Planes;
 use ssplat::unstable::gaussian::{Blend, Gaussian, Picture};

@@ -30,7 +30,7 @@ use ssplat::unstable::parallel;
 pub(super) const RATE: f32 = 1e-3;
 /// Share of the iterations after which the rate is halved, again and again.
 const HALVED: f32 = 0.4;
-/// What is added to the factor's diagonal and to the scales.
+/// Offset added to the factor's diagonal and to the scales.
 const BOUND: f32 = 0.5;
 /// Smallest scale that is drawn, pixels; a covariance without an inverse is not.
 const THINNEST: f32 = 0.02;
@@ -47,7 +47,7 @@ pub(super) fn halved(iteration: u32, iterations: u32) -> f32 {
     0.5f32.powi((iteration as f32 / (HALVED * iterations as f32)) as i32)
 }
 
-/// What draws numbers and takes gradients.
+/// Renderer of the method's numbers, which also computes gradients.
 pub(super) struct Stage<'a> {
     pub target: &'a Planes,
     pub covariance: Covariance,

@@ -168,7 +168,7 @@ impl<'a> Run<'a> {
         [self.target.width as usize, self.target.height as usize]
     }
 
-    /// What is fitted, with 8 bits.
+    /// Returns the target with 8 bits a sample.
     fn truth(&self) -> Pixels {
         let (channels, stride) = (self.target.channels.count(), self.target.stride);
         let mut planes = vec![0.0; self.target.height as usize * (channels + 1) * stride];
@@ -236,7 +236,7 @@ impl<'a> Run<'a> {
         self.adam.step(&mut self.numbers, &gradients, RATES.map(|r| r * rate));
     }
 
-    /// What a gradient with respect to the picture that was drawn last is with respect to the numbers.
+    /// Converts a gradient with respect to the picture drawn last to the gradient with respect to the numbers.
     fn gradients(&self, slopes: &[f32]) -> Vec<[f32; NUMBERS]> {
         let planes = (slopes, &self.drawn[..], self.target.stride);
         let sums = self.drawing.sums(&self.circles, self.sides(), self.target.channels.count(), planes);

@@ -39,7 +39,7 @@ struct Image {
     pixels: Vec<[f32; 4]>,
 }
 
-/// What has been fitted so far, for the trace.
+/// State of the trace: the target, the time, and the points so far.
 struct Watch<'a> {
     target: &'a Planes,
     options: &'a Options,
@@ -183,7 +183,7 @@ fn gaussian(n: &[f32; NUMBERS], zoom: [f32; 2], gain: f32) -> Gaussian {
     let (middle, spread) = (0.5 * (xx + yy), (0.5 * (xx - yy)).hypot(xy));
     let scale = [middle + spread, middle - spread].map(|v| v.max(THINNEST * THINNEST).sqrt());
     let rotation = (0.5 * (2.0 * xy).atan2(xx - yy)).rem_euclid(std::f32::consts::PI);
-    // What is not drawn there has no colour here.
+    // A Gaussian that is not drawn there has no colour here.
     let shown = if xx > 0.0 && yy > 0.0 { gain } else { 0.0 };
     Gaussian { mean: [n[0] * zoom[0], n[1] * zoom[1]], scale, rotation, color: [5, 6, 7, 8].map(|k| shown * n[k]) }
 }

@@ -53,7 +53,7 @@ pub enum Method {
     ///
     /// It grows to [`Options::count`] and prunes: there may be fewer at the end.
     Splatting3d,
-    /// The same with as many Gaussians from the start on as in the end.
+    /// The method `Splatting3d`, but with the final number of Gaussians from the start.
     Splatting3dFixed,
 }
 
@@ -142,9 +142,11 @@ pub struct Fit {
     pub iterations: u32,
     /// PSNR along the way.
     pub trace: Vec<Point>,
-    /// The same Gaussians as the method's own program rounds and counts them, which writes no file; `None` if it does not.
+    /// Result of rounding and counting these Gaussians as the method's own program does, which writes no file; `None`
+    /// if it does not count them.
     pub counted: Option<Counted>,
-    /// The same Gaussians on even grids, at the entropy of their codes: where [`Method::is_estimated`], in at most [`Options::bytes`].
+    /// Result of rounding these Gaussians to even grids, with the entropy of the codes as the size: at most
+    /// [`Options::bytes`] where [`Method::is_estimated`].
     pub estimate: Option<Counted>,
 }
 
@@ -269,7 +271,7 @@ mod tests {
         assert!(refused(Channels::Grey, 40 * 32 + 1).to_string().contains("1281"));
     }
 
-    /// What the papers' own tables say of 50 000 Gaussians on RGB, and of numbers in 16 and 32 bits.
+    /// Checks the counts against the papers' tables for 50 000 Gaussians on RGB, and for numbers of 16 and 32 bits.
     #[test]
     fn bytes_are_counted_as_the_programs_count_them() {
         assert_eq!(quantized::bytes(50_000, 3), 50_000 * 7 + 4 * (48 + 6));

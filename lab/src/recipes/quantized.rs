@@ -61,7 +61,7 @@ pub(super) fn counted(
             }
             let left = books.left(&colors(n));
             for k in 0..channels {
-                // Of the mean squares that both codebooks leave.
+                // Gradient of the mean squares that both codebooks leave.
                 g[5 + k] += 2.0 * (left[0][k] + left[1][k]) / (numbers.len() * channels) as f32;
             }
             gradients.push(if g.iter().all(|v| v.is_finite()) { g } else { [0.0; NUMBERS] });
@@ -79,7 +79,7 @@ pub(super) fn counted(
     Some(Counted { bytes: bytes(numbers.len(), channels), coded, psnr })
 }
 
-/// The same with the codes through an entropy coder, and with its two tables.
+/// Returns the bytes if the codes go through an entropy coder, its two tables included.
 fn coded_bytes(numbers: &[[f32; NUMBERS]], even: &Even, books: &Books, stage: &Stage<'_>) -> u64 {
     let shape = |n| shape(n, stage.covariance);
     let code = |(k, v)| even.code(v, k).round_ties_even() as u8;
@@ -101,7 +101,7 @@ fn colors(n: &[f32; NUMBERS]) -> Color {
     [n[5], n[6], n[7], n[8]]
 }
 
-/// What is rounded of the covariance.
+/// Returns the numbers of the covariance that are rounded.
 fn shape(n: &[f32; NUMBERS], covariance: Covariance) -> [f32; 3] {
     match covariance {
         Covariance::Cholesky => [n[2], n[3], n[4]],
@@ -259,7 +259,7 @@ impl Books {
         Books([first, second])
     }
 
-    /// What the first leaves of a colour, and what both do.
+    /// Returns the remainder of a colour after the first codebook, and after both.
     fn left(&self, color: &Color) -> [Color; 2] {
         let first = less(color, &self.0[0].vectors[self.0[0].nearest(color)]);
         [first, less(&first, &self.0[1].vectors[self.0[1].nearest(&first)])]

@@ -39,7 +39,7 @@ const ABSOLUTE: f32 = 0.8;
 const OPACITY: f32 = 0.1;
 /// Spherical harmonic of degree 0.
 const HARMONIC: f32 = 0.282_094_8;
-/// What is added to the covariance, pixels².
+/// Variance added to the diagonal of the covariance as a low-pass filter, pixels².
 const LOW_PASS: f32 = 0.3;
 /// Steps that go together when the numbers are rounded for the estimate of bytes: pixels, logarithms, radians, colours in
 /// units of `1 / HARMONIC`, and what the sigmoid is taken of.
@@ -210,7 +210,7 @@ fn gradient(n: &[f32; NUMBERS], found: &blended::Gradient, channels: usize) -> [
         all[5 + k] = if 0.5 + HARMONIC * n[5 + k] > 0.0 { HARMONIC * found.slope.color[k] } else { 0.0 };
     }
     all[8] = found.log_opacity * (1.0 - opacity);
-    // What has grown out of all numbers gets no gradient.
+    // A Gaussian whose gradient overflows gets none.
     if all.iter().all(|v| v.is_finite()) { all } else { [0.0; NUMBERS] }
 }
 

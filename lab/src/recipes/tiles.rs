@@ -58,7 +58,7 @@ impl Tiles {
         Tiles { columns, starts, ids }
     }
 
-    /// Those of one tile.
+    /// Returns the members of one tile.
     pub(super) fn members(&self, row: usize, column: usize) -> &[u32] {
         let tile = row * self.columns + column;
         &self.ids[self.starts[tile] as usize..self.starts[tile + 1] as usize]

@@ -15,7 +15,7 @@ const GROUPS: usize = TILE / LANES;
 /// Added to the sum of the weights.
 const EPSILON: f32 = 1e-4;
 
-/// What eight pixels side by side show, `used` Gaussians each.
+/// Largest Gaussians of eight pixels side by side, `used` for each pixel.
 #[derive(Debug, Clone, Copy)]
 struct Picks {
     /// Their places among the members of the tile.
@@ -83,7 +83,7 @@ type Ranked<'a> = (&'a Circle, u32, f32);
 #[derive(Debug, Default)]
 pub(super) struct Drawing {
     tiles: Tiles,
-    /// Of each row, padded to whole tiles.
+    /// Largest Gaussians of each row, padded to whole tiles.
     picks: Vec<Picks>,
 }
 
@@ -158,7 +158,7 @@ fn choose<S: Simd>(simd: S, ranked: &[Ranked<'_>], [x, y]: [f32; 2], picks: &mut
     let mut least = Lanes([f32::NEG_INFINITY; LANES]);
     let mut lowest = f32::NEG_INFINITY;
     for &(circle, rank, most) in ranked {
-        // What comes now is smaller than all that are there.
+        // All that follow are smaller than those found.
         if most < lowest {
             break;
         }
@@ -217,7 +217,8 @@ impl Drawing {
         );
     }
 
-    /// What each of `circles` gets of the gradient `slopes` with respect to the picture `drawn`, both as planes.
+    /// Returns the sums for each of `circles` of the gradient `slopes` with respect to the picture `drawn`, both as
+    /// planes.
     pub(super) fn sums(
         &self,
         circles: &[Circle],

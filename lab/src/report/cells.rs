@@ -29,7 +29,7 @@ pub struct Subject {
     pub pixels: Pixels,
 }
 
-/// What the command line calls `backend`.
+/// Returns the name of `backend` on the command line.
 pub fn backend_name(backend: Backend) -> &'static str {
     match backend {
         Backend::Cpu => "cpu",
@@ -38,7 +38,7 @@ pub fn backend_name(backend: Backend) -> &'static str {
     }
 }
 
-/// What a cell varies.
+/// Settings that differ between cells.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Setup {
     pub ratio: f64,
@@ -49,7 +49,7 @@ pub struct Setup {
 }
 
 impl Setup {
-    /// What names the setup in a chart and in the cache.
+    /// Returns the name of the setup in a chart and in the cache.
     pub fn recipe_name(&self) -> String {
         let recipe = match self.recipe {
             Recipe::SmartSplat(Ablation::Random) => "SmartSplat: random start",
@@ -95,7 +95,7 @@ pub struct Job {
     pub setup: Setup,
 }
 
-/// What came of a job.
+/// Result of a job.
 pub struct Cell {
     pub job: Job,
     /// The measurements; only `error` where the encoder refused.

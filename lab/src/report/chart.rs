@@ -103,7 +103,7 @@ impl Chart {
             HEIGHT - 6.0,
             escape(self.x.label)
         );
-        // What the chart is about is drawn last, on top.
+        // The main series is drawn last, on top.
         let mut order: Vec<&Series> = self.series.iter().collect();
         order.sort_by_key(|s| s.stroke == Stroke::Strong);
         for s in order {
@@ -147,7 +147,7 @@ pub struct Bars {
     pub length: Length,
 }
 
-/// What a bar's length says.
+/// Meaning of a bar's length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Length {
     /// Nothing: parts are shares of their row.

@@ -1,4 +1,4 @@
-//! What other codecs reach: from a CSV, or by running those that are installed.
+//! Results of other codecs: from a CSV file, or by running those that are installed.
 
 use std::path::Path;
 use std::process::{Command, Stdio};

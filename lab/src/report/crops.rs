@@ -6,7 +6,7 @@ use ssplat::Pixels;
 
 /// Side of a piece, pixels.
 pub const SIDE: u32 = 156;
-/// What the error is multiplied by to be seen.
+/// Factor by which the error is multiplied to make it visible.
 pub const GAIN: f32 = 4.0;
 
 /// A rectangle of a picture: left, top, width, height.

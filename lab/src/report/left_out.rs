@@ -1,4 +1,4 @@
-//! What scenes leave out: each encoded with everything and with only what it needs.
+//! Savings from what the encoder leaves out: each scene is encoded with everything and with only what it needs.
 
 use serde_json::{Value, json};
 use ssplat::unstable::{EncodeOptions, encode};
@@ -31,7 +31,7 @@ pub struct Needless {
 }
 
 impl Needless {
-    /// What it leaves out but for what is `common` to all, in words.
+    /// Returns the names of what this scene leaves out, except those that are `common` to all scenes.
     pub fn own(&self, common: &[&str]) -> String {
         let own: Vec<&str> = self.what.iter().map(String::as_str).filter(|w| !common.contains(w)).collect();
         if own.is_empty() { "nothing".into() } else { own.join("; ") }
@@ -44,7 +44,7 @@ impl Needless {
     }
 }
 
-/// What every scene leaves out, where there are several: it tells nothing about any of them.
+/// Returns what every scene leaves out, if there are several scenes: it tells nothing about any of them.
 pub fn common(rows: &[Needless]) -> Vec<&str> {
     let [first, rest @ ..] = rows else { return Vec::new() };
     let everywhere = |what: &&String| !rest.is_empty() && rest.iter().all(|n| n.what.contains(what));
@@ -78,7 +78,7 @@ pub fn list(photograph: Option<Pixels>) -> Vec<(String, Pixels)> {
 /// Encodes a scene both ways.
 ///
 /// # Errors
-/// What the encoder or the decoder says.
+/// Errors of the encoder and of the decoder.
 pub fn measure(name: &str, pixels: &Pixels) -> ssplat::Result<Needless> {
     let mut options = EncodeOptions::default();
     options.target = Target::Primitives(400);

@@ -96,7 +96,8 @@ fn middle<T: Copy>(list: &[T]) -> T {
     list[(list.len() - 1) / 2]
 }
 
-/// What is measured: ratios at the middle effort, efforts at the middle ratio, then recipes and backends at both.
+/// Returns the jobs to measure: ratios at the middle effort, efforts at the middle ratio, then recipes and backends at
+/// both.
 fn jobs(args: &args::Report, backends: &[Backend], subjects: usize, (ratio, effort): (f64, u8)) -> Vec<Job> {
     let own = Setup { ratio, effort, recipe: Recipe::Ssplat, blend: None, backend: Backend::Auto };
     let mut setups = vec![own];

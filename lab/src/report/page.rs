@@ -456,7 +456,7 @@ impl Contents<'_> {
     }
 }
 
-/// What a row saw and what it promises, in words.
+/// Returns the texts of a row's measured value and of its bound.
 pub fn figures(row: &Row) -> (String, String) {
     let small = |v: f64| if v != 0.0 && v.abs() < 1e-2 { format!("{v:.0e}") } else { number(v) };
     match row.bound {

@@ -14,7 +14,7 @@ fn picture(width: u32, height: u32, channels: Channels, value: impl Fn(u32, u32,
     Pixels::new(width, height, channels, Samples::U8(samples)).expect("as many samples as the size says")
 }
 
-/// The same noise everywhere: a hash of the place, in `0..1`.
+/// Returns noise in `0..1` for a place and a channel: a hash that gives the same value everywhere and every time.
 fn noise(x: u32, y: u32, k: usize) -> f64 {
     let mut h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA6B) ^ (k as u32).wrapping_mul(0xC2B2_AE35);
     for _ in 0..2 {

@@ -7,9 +7,9 @@ pub struct Row {
     pub case: String,
     /// The worst that was seen, in the unit of `bound`.
     pub worst: f64,
-    /// What it may be.
+    /// Bound on it.
     pub bound: Bound,
-    /// What keeps it there.
+    /// Part of the code that keeps it within the bound.
     pub guard: String,
 }
 

@@ -103,7 +103,7 @@ const ERROR_LANES: usize = QUANTITIES;
 const AXIS_LANES: usize = ERROR_LANES + 4;
 const ELONGATION_LANE: usize = AXIS_LANES + 2;
 
-/// What a colour is expected from.
+/// Inputs to the forecast of one colour.
 #[derive(Debug, Clone, Copy)]
 struct Outlook<'a> {
     around: &'a Around,
@@ -198,14 +198,14 @@ pub(crate) struct Attributes {
     angle: Gains<3>,
     colors: Vec<Color>,
     index: Field,
-    /// Of the major and the minor scales.
+    /// Running means of the major and of the minor scale, sixteenths of a scale step.
     means: [Mean; 2],
     seen: u32,
     /// Eighths of the scale index of the primitives' spacing.
     spacing: i64,
 }
 
-/// What all primitives of a group share.
+/// Parameters shared by all primitives of a group.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GroupContext<'a> {
     pub rules: &'a Rules,
@@ -362,17 +362,19 @@ impl Attributes {
         let log = square.log;
         let spot = buckets.spot(square);
         let around = Around(buckets.around(&spot));
+        // Both scales are expected at the group's mean plus the neighbours' deviation, which counts less where few are near.
         let trust = around.trust(DOUBT);
         let means = [self.means[0].value, self.means[1].value];
         let dev = [around.dev(0, means[0], trust), around.dev(1, means[1], trust)];
 
-        // The square leaves about an octave open.
+        // The side of the square follows from the major scale, so that the square leaves about an octave of it open.
         let (low, high) = scene.rules.majors(log)?;
         let near = Near::new(means[0] + dev[0], MAJOR_SPREAD);
         let choice = Bounded::new(near, low.into(), i32::from(high - low) + 1, SHARE);
         let major = low + coder.choose(&choice, i32::from(p.major) - i32::from(low)) as u8;
         coder.account("major scale");
 
+        // The difference of the scales is coded, not the minor one: it gives the number of angles, 1 for a circle.
         let difference = self.aspect(coder, major, means, dev, p);
         let minor = major - difference;
         coder.account("minor scale");
@@ -382,7 +384,8 @@ impl Attributes {
         debug_assert!(scene.rules.shape(major, minor, angle).is_ok());
         coder.account("angle");
 
-        // The rest of the position.
+        // The position steps follow from the shape, and are finer than the square where that is narrow. All cells left in the
+        // square are about equally likely.
         let exponents = scene.rules.lattice.exponents(major, minor, angle);
         let [lx, ly] = scene.rules.in_cells(exponents);
         let bits = [log - lx, log - ly];
@@ -406,6 +409,7 @@ impl Attributes {
                 *book.get(index as usize).ok_or(Broken { field: "codebook index", value: index.into() })?
             }
             None => {
+                // How far colours scatter around their forecast depends on the primitive's size and aspect.
                 let size = (i64::from(major) + i64::from(minor) - self.spacing) * scene.delta() / 32 + 8;
                 let outlook = Outlook {
                     around: &around,
@@ -419,8 +423,11 @@ impl Attributes {
         let p = PackedGaussian { x, y, major, minor, angle, color };
         let c = color.map(i32::from);
         let values = [major.into(), minor.into(), c[0], c[1], c[2], c[3]];
+        // Means and buckets learn only from what a reader knows by now.
         self.means[0].add(i64::from(major) * FINE);
         self.means[1].add(i64::from(minor) * FINE);
+        // An axis is the same after half a turn, so that directions are summed as vectors of twice the angle. Their length
+        // is near 0 for round primitives, whose angles mean little.
         let octaves = i32::from(difference) * (scene.delta() as i32);
         let elongation = 16 * octaves / (octaves + 32);
         let direction = (u32::from(angle) * 64 + u32::from(n) / 2) / u32::from(n) % 64;
@@ -486,7 +493,7 @@ impl Attributes {
         errors: &mut [i32; 4],
     ) -> Result<[i16; 4], Broken> {
         let mut out = [0i16; 4];
-        // Of the first two channels.
+        // Surprises of the first two channels; 0 until they are known.
         let mut surprises = [0i64; 2];
         let mut before = 8;
         for (k, model) in self.colors.iter_mut().enumerate() {

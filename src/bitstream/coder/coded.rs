@@ -72,7 +72,7 @@ fn order(p: &PackedGaussian) -> (u8, u8, u16, u32, u32, [i16; 4]) {
     (p.major, p.minor, p.angle, p.x, p.y, p.color)
 }
 
-/// What the groups of a picture have in common.
+/// Parameters shared by all groups of a picture.
 #[derive(Debug)]
 pub(crate) struct Group<'a> {
     pub rules: Rules,

@@ -1,4 +1,4 @@
-//! What the entropy coder expects of the integers of each primitive, and so what other integers would cost (spec §8.6).
+//! Forecasts of the entropy coder for each primitive, from which the cost of other integers follows (spec §8.6).
 //!
 //! The coder expects the aspect, the angle and the colour of a primitive from its neighbours, with spreads that it learns.
 //! A [`Recorder`] in its place notes both. What is noted is frozen: it holds as long as the neighbours stay as they are.
@@ -17,7 +17,7 @@ use crate::parallel;
 /// Spread of an angle over half a turn when nothing is known, sixteenths of octaves.
 const ANGLE_SPREAD: i32 = 112;
 
-/// What is expected of a channel's colour.
+/// Forecast of a channel's colour.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Color {
     place: i32,
@@ -26,7 +26,7 @@ struct Color {
     spread: i16,
 }
 
-/// What is expected of one primitive.
+/// Forecasts for one primitive.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Expected {
     /// The major scale that the aspect was expected with.
@@ -86,7 +86,7 @@ impl Expected {
     }
 }
 
-/// What is expected of one of several angles.
+/// Chances of the angles of a primitive that has more than one to choose from.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Angles {
     choice: Bounded,

@@ -124,7 +124,7 @@ impl Counts {
     }
 }
 
-/// What the counts of a group depend on.
+/// Parameters that the counts of a group depend on.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Extent {
     /// Cells of the finest position step in the picture.

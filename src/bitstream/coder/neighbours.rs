@@ -1,8 +1,8 @@
-//! What lies around: sums over the coded primitives of a group, by buckets (spec §8.5).
+//! Sums over the coded primitives around a place, by buckets of a group (spec §8.5).
 
 use crate::bitstream::region::Square;
 
-/// What is summed over the primitives of a bucket: fourteen sums, and two that stay 0, so that they fill registers.
+/// Number of sums over the primitives of a bucket: fourteen, and two that stay 0 and fill up vector registers.
 pub(crate) const LANES: usize = 16;
 
 /// Where [`LANES`] count primitives.

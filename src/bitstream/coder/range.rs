@@ -20,15 +20,15 @@ pub trait Cumulative: std::fmt::Debug {
     fn find(&self, target: u32) -> (i32, [u32; 2]);
 }
 
-/// What is expected of a value that is about to be coded. Places are in sixteenths, spreads in sixteenths of octaves.
+/// Forecast of a value that is about to be coded. Places are in sixteenths, spreads in sixteenths of octaves.
 #[derive(Debug, Clone, Copy)]
 pub enum Forecast {
-    /// Of `major − minor`.
+    /// Forecast of `major − minor`.
     Aspect { major: u8, place: i64, spread: i32 },
-    /// Of an angle: one of 64 directions, and the spread as a part of all angles.
+    /// Forecast of an angle: one of 64 directions, and the spread as a part of all angles.
     Angle { direction: u32, spread: i32 },
-    /// Of a channel's colour: its place before the surprises of the first two channels are known, and how much, in 256ths,
-    /// it follows them.
+    /// Forecast of a channel's colour: its place before the surprises of the first two channels are known, and the
+    /// weights of those surprises, in 256ths.
     Color { channel: usize, place: i64, cross: [i64; 2], spread: i32 },
 }
 

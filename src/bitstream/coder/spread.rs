@@ -158,7 +158,7 @@ impl Near {
 struct Chances {
     /// The argument below the first value, 65536ths, and [`LAST`] + 1 more, so that it indexes the table.
     first: i64,
-    /// What each value adds.
+    /// Growth of the argument from one value to the next, 65536ths.
     step: i64,
 }
 
@@ -238,7 +238,7 @@ pub(crate) struct Bounded {
     count: i32,
     /// Chance of values below the range.
     base: u32,
-    /// What each value has at least.
+    /// Least chance of each value.
     floor: u32,
     total: u32,
 }
@@ -271,7 +271,7 @@ impl Cumulative for Bounded {
             let about = self.near.about(target.saturating_sub(alike) + self.base) - self.low;
             about.clamp(0, i64::from(self.count) - 1) as i32
         };
-        // What all have alike takes its part below the value, too: half of it, or as much as a first guess tells.
+        // The floor of all values below counts as well: half of the total floor, or as much as a first guess tells.
         let alike = self.floor * self.count as u32;
         let below = match alike < self.total / 16 {
             true => alike / 2,
@@ -292,7 +292,7 @@ fn search<F: Cumulative + Copy>(frequencies: &F, target: u32, about: i32, range:
     }
 }
 
-/// The same where the first guess, which is nearly always right, is not.
+/// Continues [`search`] where its first guess was wrong, which is rare.
 #[cold]
 #[inline(never)]
 fn search_on(frequencies: impl Cumulative, target: u32, about: i32, [first, end]: [i32; 2]) -> (i32, [u32; 2]) {
@@ -322,7 +322,7 @@ fn search_on(frequencies: impl Cumulative, target: u32, about: i32, [first, end]
     (low, [frequencies.below(low), frequencies.below(high)])
 }
 
-/// What a class of values adds to the expected spread, 65536ths of a sixteenth of an octave.
+/// Learnt correction of a class of values to the expected spread, 65536ths of a sixteenth of an octave.
 #[derive(Debug, Clone, Copy, Default)]
 struct Gain {
     log: i32,

@@ -9,7 +9,7 @@ use crate::bitstream::broken::Broken;
 pub(crate) const MAX_LEVEL: u32 = 32_767;
 /// Sizes of levels that are coded in unary.
 const PLAIN: u32 = UNARY as u32 - 1;
-/// What of a level counts for its neighbours: beyond, they cannot tell.
+/// Largest level size that neighbours tell apart: larger ones count as this in their contexts.
 const HEARD: u32 = 5;
 
 /// The levels of a block, by place.
@@ -29,7 +29,7 @@ impl Default for Block {
 }
 
 impl Block {
-    /// Tells the neighbours to come of a level of such size.
+    /// Adds a level of this size to the contexts of the places that follow.
     #[inline(always)]
     fn hear(&mut self, at: usize, size: u32) {
         let m = size.min(HEARD) as u8;
@@ -58,7 +58,7 @@ impl Block {
     }
 }
 
-/// What a block is coded by, beside the models of its kind.
+/// Context of a block's coding, beside the models of its kind.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Context {
     pub size: usize,

@@ -33,7 +33,7 @@ const fn pace(n: u32, least: u32) -> u16 {
 }
 
 impl Adaptive {
-    /// What is there before models begin.
+    /// Placeholder for a model that has not been initialized.
     pub const NONE: Adaptive = Adaptive { estimates: 0, seen: 0 };
 
     /// A probability of `(256·one + 128) / 65536` that counts as much as `seen` decisions.
@@ -120,7 +120,7 @@ impl Decisions for Decoder<'_> {
             model.learn(bit);
             return bit;
         }
-        // What follows depends on the bit as well: one branch for all of it.
+        // The caller branches on the bit as well: this way one branch does for both.
         if bit {
             self.take(true, bound);
             model.learn(true);
@@ -154,7 +154,7 @@ pub(crate) struct Price {
 /// Probabilities that [`Price`] tells apart.
 const PRICES: usize = 4096;
 
-/// What a decision of each probability costs, bits.
+/// Returns the cost of a decision for each probability, in bits.
 fn prices() -> &'static [f32; PRICES] {
     static PRICE: std::sync::OnceLock<[f32; PRICES]> = std::sync::OnceLock::new();
     PRICE.get_or_init(|| std::array::from_fn(|i| -((i as f32 + 0.5) / PRICES as f32).log2()))

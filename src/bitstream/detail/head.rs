@@ -1,4 +1,4 @@
-//! What the levels of the layer mean: the contents of its section (spec §11.1).
+//! Contents of the detail layer's section: the numbers that give its levels their values (spec §11.1).
 
 use super::model::CLASSES;
 use crate::bitstream::broken::Broken;
@@ -26,7 +26,7 @@ pub struct DetailHead {
     pub alpha: bool,
 }
 
-/// What the layer's section says of the Gaussians' bytes.
+/// Length and checksum of the Gaussians' bytes, as the detail layer's section states them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Spans {
     /// Bytes of the payload, behind which the layer begins.
@@ -196,7 +196,7 @@ mod tests {
             assert!(read(&bytes[..bytes.len() - 1], 0).is_err() && read(&[&bytes[..], &[0]].concat(), 0).is_err());
         }
         assert_eq!(contents(&DetailHead::SEEN, spans).len(), 9);
-        // What the preset says already, and the preset that needs more bytes.
+        // A value that the preset has already, and a preset that needs more bytes than another.
         let mut said_twice = contents(&DetailHead::PLAIN, spans);
         said_twice[8] |= CLASS_COUNT;
         said_twice.push(1);

@@ -20,7 +20,7 @@ use crate::parallel;
 /// The detail layer of a picture: the levels of its tiles.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DetailLayer {
-    /// What the levels mean.
+    /// Numbers that turn levels into values.
     pub head: DetailHead,
     /// The tiles, row by row; nothing where a tile has no levels, or was not read.
     pub(crate) tiles: Vec<Option<TileLevels>>,
@@ -82,7 +82,7 @@ const PIXEL_WORK: u64 = 16;
 /// Work that reading a level counts as, and its share of the transform.
 const LEVEL_WORK: u64 = 600;
 
-/// What is wanted of a layer, and what it may cost.
+/// Part of a detail layer to read, and limits on reading it.
 #[derive(Debug)]
 pub(crate) struct Wanted<'a> {
     pub size: [u32; 2],
@@ -96,7 +96,7 @@ pub(crate) struct Wanted<'a> {
     pub counts: bool,
 }
 
-/// What was read.
+/// Result of reading a detail layer.
 #[derive(Debug)]
 pub(crate) struct Found {
     pub layer: DetailLayer,
@@ -200,7 +200,7 @@ pub(crate) fn read(
     let likely = |i: usize| likely_levels(entries[i].length, samples);
     let mut rest = &chosen[..];
     while !rest.is_empty() {
-        // What the batch takes at most while it is read.
+        // Most memory that the batch takes while it is read.
         let (mut most, mut count) = (0, 0);
         for &i in rest.iter().take(BATCH) {
             let more = memory_of(likely(i), samples);

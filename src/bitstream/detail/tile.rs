@@ -27,7 +27,7 @@ pub(crate) fn kinds(
         .map(|(kind, planes, _)| (kind, planes))
 }
 
-/// What is known of a tile while it is coded: the contexts of what follows.
+/// State of a tile while it is coded: the contexts of the blocks that follow.
 #[derive(Debug)]
 pub(crate) struct TileState {
     /// Width and height in cells, whole superblocks.
@@ -70,7 +70,8 @@ impl TileState {
         ((32 - quarters.leading_zeros()) as usize).min(BUCKETS - 1)
     }
 
-    /// What the planes before have at a block: whether it has levels depends on that.
+    /// Returns a class of how densely the planes coded before are filled at a block. It is the context of whether the
+    /// block has levels.
     pub fn others(&self, plane: usize, [x, y]: [usize; 2], size: usize) -> usize {
         if plane == 0 || plane == 3 {
             return 0;
@@ -124,7 +125,7 @@ impl TileState {
     }
 }
 
-/// The other side of a tile that is coded: whoever has its levels, or takes them.
+/// The reading or writing side of a tile's coder: it supplies the levels, or receives them.
 pub(crate) trait Content {
     /// Whether the block is divided; readers are not asked.
     fn is_divided(&self, kind: usize, cell: [usize; 2], size: usize) -> bool;

@@ -24,7 +24,7 @@ const FIELDS: [&str; 9] = ["x", "y", "major scale", "aspect", "angle", "colour 0
 struct Format {
     /// Bits of x, y, major, aspect, angle and of each colour field.
     widths: [u32; 9],
-    /// What to add to a field.
+    /// Offset to add to each field when it is read.
     offsets: [i32; 9],
     /// How many of the fields there are.
     fields: usize,

@@ -166,7 +166,7 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
         tally.part(name, start - bytes.left());
         tally.field(name, 8.0 * (start - bytes.left()) as f64);
     }
-    // What two libraries make of a broken frame need not be the same: this is what the writer meant.
+    // Libraries may decode a broken frame differently: this checksum is of the planes that the writer meant.
     let computed = checksum.finalize();
     let stored = bytes.u32("checksum of the planes")?;
     if stored != computed {

@@ -113,7 +113,7 @@ struct Shown<'a> {
     price: Option<Price<'a>>,
 }
 
-/// What the primitives of a tile take of the file, and what they may.
+/// Estimate of the bits per primitive of a tile, and the bits allowed.
 struct Price<'a> {
     problem: Problem<'a>,
     /// A file of the tile, without primitives.

@@ -65,7 +65,7 @@ impl Window {
 pub(super) enum Shift {
     /// The first begins in the picture's corner.
     None,
-    /// Half a tile to the left and up of that: the seams of the others are inside.
+    /// Half a tile to the left and up, so that the seams of the other pass are in the interiors.
     Half,
 }
 
@@ -78,7 +78,7 @@ pub(super) struct Grid {
     pub size: [u32; 2],
     /// Half the side of a tile.
     pub half: u32,
-    /// What is seen around a tile.
+    /// Width of the margin around a tile, pixels.
     pub margin: u32,
 }
 

@@ -1,9 +1,9 @@
 //! One picture in tiles: each is fitted by itself, in memory that its own size bounds, and all become one file.
 //!
-//! Background, steps, weights and the price of a bit are the whole picture's, so that the tiles fit together. What keeps
-//! seams away is that the tiles of one pass have the seams of the pass before inside: tiles begin their fit by themselves,
-//! with a margin whose primitives are dropped; those of a second pass, half a tile further, go on with the same schedule
-//! among what lies around them, and sweeps over the integers take turns with both.
+//! Background, steps, weights and the price of a bit are those of the whole picture, so that the tiles fit together.
+//! Each pass shifts tiles by half, so earlier seams fall in tile interiors. In the first pass each tile is fitted
+//! alone, with a margin whose primitives are dropped. Later passes continue the same schedule while the primitives
+//! around each tile stay fixed. Sweeps over the integers alternate between the two positions.
 
 mod constant;
 mod floats;
@@ -56,7 +56,7 @@ use whole::Whole;
 
 /// Sides that a tile may have, pixels; a multiple of the least.
 pub(super) const SIDES: std::ops::RangeInclusive<u32> = 2 * UNIT..=1 << 14;
-/// What is seen around a tile, in scales of a typical primitive.
+/// Width of the margin around a tile, in scales of a typical primitive.
 const MARGIN: f64 = 12.0;
 /// Share of the primitives that may change their tile at once.
 const SWAPPED: f64 = 0.2;
@@ -241,15 +241,15 @@ struct Course<'a, 'b, 'c> {
     options: &'b EncodeOptions,
     /// The picture with all its channels.
     source: &'b dyn PixelSource,
-    /// That without the channels that say nothing.
+    /// The picture without its constant channels.
     seen: &'b dyn PixelSource,
-    /// What is asked for.
+    /// Size asked for.
     asked: Size,
-    /// That without a thumbnail.
+    /// Size left without the thumbnail.
     both: Size,
-    /// That without a detail layer.
+    /// Size left without the thumbnail and the detail layer.
     size: Size,
-    /// What lies over the Gaussians, once they are settled.
+    /// Detail layer over the Gaussians, once they are final.
     layer: Option<Arc<DetailLayer>>,
     /// Bytes of the file without primitives.
     fixed: u64,

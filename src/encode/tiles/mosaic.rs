@@ -16,7 +16,7 @@ pub(super) struct Around<T> {
     pub others: Vec<T>,
 }
 
-/// What came of the work on a tile.
+/// Result of the work on a tile.
 pub(super) struct Became<T> {
     /// Its primitives, in the picture's coordinates.
     pub own: Vec<Placed<T>>,
@@ -27,7 +27,7 @@ pub(super) struct Became<T> {
 }
 
 impl<T> Became<T> {
-    /// Of a tile that was only looked at.
+    /// Returns the result for a tile whose error was only measured.
     pub(super) fn seen(error: f64) -> Self {
         Became { own: Vec::new(), others: Vec::new(), error }
     }
@@ -140,7 +140,7 @@ impl<'a, T: Copy> Mosaic<'a, T> {
             return;
         }
         let bar = *costs.select_nth_unstable_by(count, f32::total_cmp).1;
-        // Of those that cost the same, the first go.
+        // Of primitives with the same cost, take out the first ones.
         let mut left = count - costs[..count].iter().filter(|c| c.total_cmp(&bar).is_lt()).count();
         for square in &mut self.squares {
             square.placed.retain(|p| match p.cost.total_cmp(&bar) {

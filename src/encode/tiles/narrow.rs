@@ -15,8 +15,8 @@ pub(super) struct Narrowed<'a> {
 }
 
 impl<'a> Narrowed<'a> {
-    /// Looks at `tiles`, which make up the picture of `source`, until all channels have said something; names those that
-    /// never do. `show` is told that it goes on.
+    /// Reads `tiles`, which make up the picture of `source`, until no channel can be constant any more, and names the
+    /// channels that are. `show` is called for each tile.
     pub(super) fn new(
         source: &'a dyn PixelSource,
         tiles: &[Window],

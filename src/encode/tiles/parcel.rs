@@ -28,21 +28,21 @@ use crate::limits::Limits;
 use crate::pixel_source::{PixelSource, check_area};
 use crate::pixels::{Depth, Pixels, Samples};
 
-/// What a task begins with, and the number of its layout.
+/// First bytes of a task, with the version of its layout.
 const TASK: &[u8] = b"ssplat task 1, ";
-/// What an answer begins with.
+/// First bytes of an answer, with the version of its layout.
 const ANSWER: &[u8] = b"ssplat answer 1, ";
 /// The version that wrote the bytes.
 const VERSION: &[u8] = env!("CARGO_PKG_VERSION").as_bytes();
 /// Largest magnitude of anything in a primitive: beyond the longest side, and far beyond a colour.
 const FAR: f32 = 2_097_152.0;
 
-/// Does the work of `task`, which [`Workers`](crate::encode::Workers) were given; returns the answer. Equal tasks have equal
-/// answers. `progress` is called on the way.
+/// Does the work of `task`, which [`Workers`](crate::encode::Workers) were given, and returns the answer. Equal tasks
+/// have equal answers. `progress` is called meanwhile.
 ///
 /// # Errors
-/// [`Error::Parameter`] naming `task` when these bytes are no task, or one of another version of this crate;
-/// [`Error::Cancelled`] when `progress` returns [`ControlFlow::Break`].
+/// [`Error::Parameter`] naming `task` if the bytes are not a task of this version of the crate; [`Error::Cancelled`] if
+/// `progress` returns [`ControlFlow::Break`].
 pub fn work_on_tile(task: &[u8], progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>) -> Result<Vec<u8>> {
     let mut show = |done: f32| match progress(&Progress { stage: "tile", done, psnr: None }) {
         ControlFlow::Continue(()) => Ok(()),
@@ -121,7 +121,7 @@ pub(super) struct Sent {
 }
 
 impl Sent {
-    /// Of the bytes of a `task`; its answer has at most `most` primitives of either kind.
+    /// Records the bytes of a `task`, whose answer has at most `most` primitives of either kind.
     pub(super) fn new(task: &[u8], window: &Window, most: usize) -> Self {
         Sent { name: name_of(task), window: *window, most }
     }
@@ -386,11 +386,11 @@ fn window_of(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {
     Ok(Window { core, seen, index: u64::from_le_bytes(bytes.array("number of the tile")?) })
 }
 
-/// What primitives are held against.
+/// Bounds that the primitives of a task or an answer are checked against.
 pub(super) struct Bars {
     size: [u32; 2],
     whole: Rules,
-    /// Those of what is seen of a tile.
+    /// Rules of the part of the picture that is seen around a tile.
     part: Rules,
     corner: [u32; 2],
 }

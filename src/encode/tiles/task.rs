@@ -14,7 +14,7 @@ use crate::fit::model::project::Primitive;
 pub(super) enum FloatWork {
     /// The fit of a tile by itself.
     Begin,
-    /// The fit goes on, in so-and-so many of [`floats::JOINED`].
+    /// Continuation of the fit, in the pass of [`floats::JOINED`] with this index.
     Join(usize),
 }
 
@@ -32,7 +32,7 @@ pub(super) enum IntegerWork {
 /// Primitives that can be worked on. What comes of it follows from the whole, the window, the work and the primitives alone,
 /// wherever it is done.
 pub(super) trait Worked: Copy {
-    /// What can be done with them.
+    /// Kinds of work on these primitives.
     type Work: Copy;
 
     /// Returns the pixels that the work takes.

@@ -1,4 +1,5 @@
-//! What all tiles of a picture have in common: it is found out before any is fitted, so that they fit together.
+//! Properties of the whole picture that all tiles share. They are found before any tile is fitted, so that the tiles
+//! fit together.
 
 use super::grid::{Area, Window};
 use crate::bitstream::splats::{Metadata, PackedSplats};
@@ -11,12 +12,12 @@ use crate::fit::plan::Plan;
 use crate::options::Tune;
 use crate::pixel_source::PixelSource;
 
-/// What all tiles have in common.
+/// Properties of the picture that all tiles share.
 pub(super) struct Whole<'a> {
     pub source: &'a dyn PixelSource,
     pub scene: Scene,
     pub plan: Plan,
-    /// What the plan was made for.
+    /// Effort that the plan was made for.
     pub effort: u8,
     /// Primitives.
     pub count: usize,

@@ -1,4 +1,5 @@
-//! What JavaScript calls: bytes in; pixels, Gaussians, facts or an error's words out. `web/machine.js` is the other side.
+//! Functions for JavaScript: bytes in; pixels, Gaussians, facts or an error's text out. `web/machine.js` is the other
+//! side.
 //!
 //! A call fills what [`input`] gave, asks with [`header`], [`decode`], [`gaussians`] or [`info`], and reads the pieces and the
 //! numbers of the answer if it is 0. Otherwise the answer is the kind of the error, and the first piece its words in UTF-8.
@@ -15,7 +16,7 @@ use ssplat::unstable::bitstream::header::{Sections, VERSION};
 use ssplat::unstable::bitstream::splats::{Layout, Metadata};
 use ssplat::{Blend, Damage, Error, Layers, Limits, Reader, Result};
 
-/// What lies between two calls.
+/// State that is kept between two calls.
 #[derive(Default)]
 struct Desk {
     input: Vec<u8>,
@@ -23,8 +24,9 @@ struct Desk {
     answer: Answer,
 }
 
-/// What is answered: pixels, Gaussians, JSON, a thumbnail or words; ICC profile; EXIF block; bits of each Gaussian. And width, height, channels, depth in
-/// bits, primitives, orientation as EXIF counts them, and missing primitives.
+/// Answer of a call. The pieces are: pixels, Gaussians, JSON, a thumbnail or a text; the ICC profile; the EXIF block;
+/// the bits of each Gaussian. The numbers are: width, height, channels, depth in bits, primitives, orientation as EXIF
+/// counts it, and missing primitives.
 #[derive(Default)]
 struct Answer {
     pieces: [Vec<u8>; 4],
@@ -191,7 +193,7 @@ pub extern "C" fn gaussians() -> u32 {
     })
 }
 
-/// What the file holds, as JSON. Everything is read.
+/// Answers with the contents of the file as JSON. The whole file is read.
 #[unsafe(no_mangle)]
 pub extern "C" fn info() -> u32 {
     answer(|input, limits| {

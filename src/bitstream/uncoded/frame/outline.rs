@@ -1,5 +1,5 @@
-//! What a zstd frame must look like before a library sees it (spec §7, RFC 8878): libraries differ in what they forgive, and a
-//! frame names the memory that its reader takes.
+//! Checks of a zstd frame's structure before a library reads it (spec §7, RFC 8878). Libraries differ in the errors
+//! they tolerate, and a frame states the memory that its reader allocates.
 
 /// Signature, and a descriptor without a content size, a dictionary or a checksum.
 const START: [u8; 5] = [0x28, 0xB5, 0x2F, 0xFD, 0];
@@ -73,7 +73,7 @@ fn block_outline(block: &[u8]) -> Option<()> {
         // Without sequences the block ends.
         [0] => Some(()),
         [0, ..] => None,
-        // Of the modes two bits are reserved.
+        // Two bits of the modes are reserved.
         [1..=127, modes, ..] | [128..=254, _, modes, ..] | [255, _, _, modes, ..] => (modes & 3 == 0).then_some(()),
         _ => None,
     }
