@@ -262,20 +262,20 @@ fn work_on(task: &[u8]) -> ssplat::Result<Vec<u8>> {
 }
 
 impl Workers for Elsewhere<'_> {
-    fn give(&mut self, task: Vec<u8>) -> ssplat::Result<()> {
+    fn submit(&mut self, task: Vec<u8>) -> ssplat::Result<()> {
         self.given.push(task.clone());
         self.out.push_back(task);
         assert!(self.out.len() <= self.at_once);
         Ok(())
     }
 
-    fn take(&mut self) -> ssplat::Result<Vec<u8>> {
+    fn next(&mut self) -> ssplat::Result<Vec<u8>> {
         let answer = work_on(&self.out.pop_front().unwrap())?;
         self.taken += 1;
         Ok((self.change)(self.taken - 1, answer))
     }
 
-    fn at_once(&self) -> usize {
+    fn capacity(&self) -> usize {
         self.at_once
     }
 }

@@ -4,6 +4,7 @@ pub mod args;
 mod batch;
 mod carried;
 pub mod compare;
+mod completeness;
 mod decode;
 mod encode;
 mod exchange;
@@ -22,7 +23,6 @@ mod rows;
 pub mod sink;
 pub mod source;
 mod spool;
-mod structure;
 mod view;
 
 use std::process::ExitCode;

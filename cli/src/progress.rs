@@ -88,7 +88,7 @@ const TILED: [(&str, f32); 6] =
 
 /// How much of an encode is done, as its stages tell how much of themselves is.
 #[derive(Debug)]
-pub struct Course {
+pub struct Stages {
     stages: &'static [(&'static str, f32)],
     /// Fits that the target may take.
     tries: u32,
@@ -97,11 +97,11 @@ pub struct Course {
     most: f32,
 }
 
-impl Course {
+impl Stages {
     /// An encode that may take so many fits.
     pub fn new(tries: u32, is_tiled: bool) -> Self {
         let stages = if is_tiled { &TILED[..] } else { &WHOLE[..] };
-        Course { stages, tries, tried: 0, last: ("", 0.0), most: 0.0 }
+        Stages { stages, tries, tried: 0, last: ("", 0.0), most: 0.0 }
     }
 
     /// Returns the share of all that is done when `done` of `stage` is; it never falls.
@@ -142,11 +142,11 @@ mod tests {
         for stages in [&WHOLE[..], &TILED[..]] {
             assert!((stages.iter().map(|s| s.1).sum::<f32>() - 1.0).abs() < 1e-5);
         }
-        let mut course = Course::new(1, false);
+        let mut course = Stages::new(1, false);
         let shares = [("fit", 0.0), ("fit", 0.5), ("finish", 0.0), ("finish", 0.5), ("finish", 1.0)];
         let shares = shares.map(|(stage, done)| course.at(stage, done));
         assert!(shares.is_sorted() && (shares[2] - 0.6).abs() < 1e-5 && shares[4] <= 1.0, "{shares:?}");
-        let mut course = Course::new(3, false);
+        let mut course = Stages::new(3, false);
         let tries =
             [("fit", 1.0), ("finish", 1.0), ("fit", 0.0), ("fit", 0.5), ("finish", 1.0), ("fit", 0.1), ("fit", 0.0)];
         let shares = tries.map(|(stage, done)| course.at(stage, done));

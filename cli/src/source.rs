@@ -10,8 +10,8 @@ use ssplat::unstable::DecodeOptions;
 use ssplat::unstable::bitstream::header::MAGIC;
 use ssplat::{Channels, Limits, Pixels};
 
+use crate::completeness;
 use crate::failure::{Failure, Kind};
-use crate::structure;
 
 /// Most bytes that a decoder of `image` may allocate: a 177-megapixel picture takes 531 MB with 8 bits, twice that
 /// with 16.
@@ -129,7 +129,7 @@ pub fn open(path: &Path, turn: Turn) -> Result<Source, Failure> {
     let mut notes = Vec::new();
     if let Some(format) = image.format() {
         let mut reader = image.into_inner();
-        let found = structure::look(&mut reader, format).map_err(io)?;
+        let found = completeness::look(&mut reader, format).map_err(io)?;
         reader.rewind().map_err(io)?;
         is_cut_off = !found.is_whole;
         if found.has_more {

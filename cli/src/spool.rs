@@ -175,7 +175,7 @@ fn png(path: &Path, mut reader: BufReader<File>, end: Option<Instant>) -> Result
         e => Failure { kind: Kind::Format, message: format!("{}: {e}", path.display()) },
     };
     let packed = reader.get_ref().metadata().map_err(io)?.len();
-    let found = structure::look(&mut reader, ImageFormat::Png).map_err(io)?;
+    let found = completeness::look(&mut reader, ImageFormat::Png).map_err(io)?;
     reader.rewind().map_err(io)?;
     let mut decoder = png::Decoder::new(reader);
     decoder.set_transformations(Transformations::EXPAND);

@@ -30,7 +30,7 @@ pub fn tight_limits() -> Limits {
 /// Allocator overhead, error values and what a target itself holds, bytes.
 pub const SLACK: u64 = 1 << 20;
 
-/// Hands out its bytes in pieces of 1, 2, 3, … bytes.
+/// Executor out its bytes in pieces of 1, 2, 3, … bytes.
 pub struct Sliced<'a> {
     bytes: &'a [u8],
     piece: usize,

@@ -180,16 +180,16 @@ struct Others<'a> {
 }
 
 impl Workers for Others<'_> {
-    fn give(&mut self, task: Vec<u8>) -> ssplat::Result<()> {
+    fn submit(&mut self, task: Vec<u8>) -> ssplat::Result<()> {
         self.reporter.start(task);
         Ok(())
     }
 
-    fn take(&mut self) -> ssplat::Result<Vec<u8>> {
+    fn next(&mut self) -> ssplat::Result<Vec<u8>> {
         self.reporter.wait()
     }
 
-    fn at_once(&self) -> usize {
+    fn capacity(&self) -> usize {
         self.at_once
     }
 }

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::time::Duration;
 
 use super::report::Progress;
-use super::workers::{Hands, Workers};
+use super::workers::{Executor, Workers};
 use super::{Encoded, encode_by};
 use crate::bitstream::splats::Layout;
 use crate::error::Result;
@@ -191,7 +191,7 @@ impl Encoder {
         source: &dyn PixelSource,
         progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<Encoded> {
-        encode_by(source, &self.options, Hands::Own, progress)
+        encode_by(source, &self.options, Executor::Own, progress)
     }
 
     /// Encodes a picture in tiles with the help of `workers`, which may run elsewhere. They fit, join and sweep the
@@ -207,7 +207,7 @@ impl Encoder {
         workers: &mut dyn Workers,
         progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<Encoded> {
-        encode_by(source, &self.options, Hands::Others(workers), progress)
+        encode_by(source, &self.options, Executor::Others(workers), progress)
     }
 
     /// Returns the options that were set.

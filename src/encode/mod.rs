@@ -47,7 +47,7 @@ use subject::{Subject, may_leave_out};
 pub use tiles::work_on_tile;
 pub use trace::TracePoint;
 use trace::Tracer;
-use workers::Hands;
+use workers::Executor;
 pub use workers::Workers;
 
 /// An encoded picture.
@@ -104,7 +104,7 @@ pub fn encode_with_progress(
 ) -> Result<Encoded> {
     check(options)?;
     if let Some(side) = side(pixels, options) {
-        return tiles::encode(pixels, options, side, Hands::Own, Journal::new(progress, Tracer::new(Trace::Off)));
+        return tiles::encode(pixels, options, side, Executor::Own, Journal::new(progress, Tracer::new(Trace::Off)));
     }
     let clock = Clock::new(options.time);
     let tracer = Tracer::new(options.trace);
@@ -155,7 +155,7 @@ pub fn encode_source(
     options: &EncodeOptions,
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
-    encode_by(source, options, Hands::Own, progress)
+    encode_by(source, options, Executor::Own, progress)
 }
 
 /// Encodes as [`encode_source`] does, with the help of `workers`, which may run elsewhere. They fit, join and sweep the
@@ -171,18 +171,18 @@ pub fn encode_divided(
     workers: &mut dyn Workers,
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
-    encode_by(source, options, Hands::Others(workers), progress)
+    encode_by(source, options, Executor::Others(workers), progress)
 }
 
 fn encode_by(
     source: &dyn PixelSource,
     options: &EncodeOptions,
-    hands: Hands<'_>,
+    executor: Executor<'_>,
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
     check(options)?;
     match side(source, options) {
-        Some(side) => tiles::encode(source, options, side, hands, Journal::new(progress, Tracer::new(Trace::Off))),
+        Some(side) => tiles::encode(source, options, side, executor, Journal::new(progress, Tracer::new(Trace::Off))),
         None => match source.as_pixels() {
             Some(pixels) => encode_with_progress(pixels, options, progress),
             None => encode_with_progress(&source.part([0, 0, source.width(), source.height()])?, options, progress),

@@ -10,21 +10,21 @@ pub trait Workers {
     ///
     /// # Errors
     /// Whatever ends the encode.
-    fn give(&mut self, task: Vec<u8>) -> Result<()>;
+    fn submit(&mut self, task: Vec<u8>) -> Result<()>;
 
     /// Waits for the answer to the oldest task that is still unanswered, and returns it.
     ///
     /// # Errors
     /// Whatever ends the encode.
-    fn take(&mut self) -> Result<Vec<u8>>;
+    fn next(&mut self) -> Result<Vec<u8>>;
 
     /// Returns the number of tasks to have started at a time, enough to keep all workers busy. Each task holds the
     /// pixels of a tile.
-    fn at_once(&self) -> usize;
+    fn capacity(&self) -> usize;
 }
 
 /// Choice of who works on tiles.
-pub(super) enum Hands<'a> {
+pub(super) enum Executor<'a> {
     /// This thread and its pool.
     Own,
     /// Workers of the caller.

@@ -1,7 +1,7 @@
 //! The float fit of a tile: by itself at first, then with what lies around it.
 
 use super::grid::{Shift, Window};
-use super::mosaic::{Around, Became, Placed};
+use super::mosaic::{Around, Placed, TileResult};
 use super::whole::Whole;
 use crate::bitstream;
 use crate::bitstream::splats::PackedSplats;
@@ -34,7 +34,7 @@ const OTHERS: f32 = 0.25;
 pub(super) type Show<'a> = &'a mut dyn FnMut(f32) -> Result<()>;
 
 /// Fits a tile by itself.
-pub(super) fn begin(whole: &Whole<'_>, window: &Window, show: Show<'_>) -> Result<Became<Primitive>> {
+pub(super) fn begin(whole: &Whole<'_>, window: &Window, show: Show<'_>) -> Result<TileResult<Primitive>> {
     let target = whole.planes(&window.seen)?;
     let problem = Problem { scene: whole.scene(&window.seen), target: &target };
     let (count, plan) = (whole.count_of(&target), whole.plan_of(window));
@@ -55,7 +55,7 @@ fn share(of: f32, iterations: u32) -> u32 {
 }
 
 /// Tells what the primitives of a window are worth, and what others would be.
-fn appraise(problem: &Problem<'_>, primitives: &[Primitive], window: &Window) -> Became<Primitive> {
+fn appraise(problem: &Problem<'_>, primitives: &[Primitive], window: &Window) -> TileResult<Primitive> {
     let projected = project::all(primitives, problem.scene.height);
     let mut field = Field::default();
     field.draw(problem, &projected, RowSet::ALL, Output::Picture);
@@ -64,7 +64,7 @@ fn appraise(problem: &Problem<'_>, primitives: &[Primitive], window: &Window) ->
     let others = peaks(problem, &field, RowSet::ALL, count, primitives.len());
     let placed = |p: Primitive, cost: f32| Placed { what: moved(p, window.seen.origin()), cost };
     let is_own = |p: &Placed<Primitive>| window.core.holds(p.what.mean);
-    Became {
+    TileResult {
         own: primitives.iter().zip(costs).map(|(p, cost)| placed(*p, cost)).filter(is_own).collect(),
         others: others.iter().map(|peak| placed(at_peak(peak, problem), peak.gain)).filter(is_own).collect(),
         error: error_within(problem, &projected, window.own(), Output::Picture),
@@ -77,7 +77,7 @@ pub(super) fn join(
     (pass, window): (usize, &Window),
     Around { own, others }: Around<Primitive>,
     show: Show<'_>,
-) -> Result<Became<Primitive>> {
+) -> Result<TileResult<Primitive>> {
     let target = whole.planes(&window.seen)?;
     let problem = Problem { scene: whole.scene(&window.seen), target: &target };
     let plan = whole.plan_of(window);
@@ -96,7 +96,7 @@ pub(super) fn join(
     let seen = [&state.primitives[..], &state.still].concat();
     let error = error_within(&problem, &project::all(&seen, problem.scene.height), window.own(), Output::Picture);
     let placed = |p: &Primitive| Placed { what: moved(*p, window.seen.origin()), cost: 0.0 };
-    Ok(Became { own: state.primitives.iter().map(placed).collect(), others: Vec::new(), error })
+    Ok(TileResult { own: state.primitives.iter().map(placed).collect(), others: Vec::new(), error })
 }
 
 /// Moves a primitive.

@@ -2,7 +2,7 @@
 
 use super::floats;
 use super::grid::{Area, Window};
-use super::mosaic::{Around, Became, Placed};
+use super::mosaic::{Around, Placed, TileResult};
 use super::whole::Whole;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::encode::file;
@@ -64,7 +64,7 @@ impl<'a> Part<'a> {
 
     /// Sweeps once over the integers, where a bit must save `lambda` of the squared error. The error that is returned is weighted
     /// as it is fitted.
-    pub(super) fn sweep(mut self, lambda: f64) -> Result<Became<PackedGaussian>> {
+    pub(super) fn sweep(mut self, lambda: f64) -> Result<TileResult<PackedGaussian>> {
         let target = self.whole.planes(&self.window.seen)?;
         let problem = Problem { scene: self.scene(), target: &target };
         let expected = file::expected(&mut self.splats, 1)?;
@@ -81,7 +81,7 @@ impl<'a> Part<'a> {
             let origin = self.window.seen.origin();
             self.window.core.holds([x + origin[0], y + origin[1]])
         };
-        Ok(Became {
+        Ok(TileResult {
             own: own.iter().zip(worth.costs).map(placed).collect(),
             others: worth.others.iter().filter(|(p, _)| is_own(p)).map(|(p, gain)| placed((p, *gain))).collect(),
             error,

@@ -30,7 +30,7 @@ use super::left_out::Omission;
 use super::report::{Journal, Progress};
 use super::subject::{self, may_leave_out, too_small};
 use super::thumbnail;
-use super::workers::Hands;
+use super::workers::Executor;
 use super::{EncodeReport, Encoded};
 use crate::bitstream;
 use crate::bitstream::detail::DetailLayer;
@@ -47,7 +47,7 @@ use crate::round::rounded;
 use crate::round::size::Size;
 use crate::target::Target;
 use grid::{Grid, Shift, UNIT, Window};
-use mosaic::{Became, Mosaic, Placed};
+use mosaic::{Mosaic, Placed, TileResult};
 use narrow::Narrowed;
 pub use parcel::work_on_tile;
 use parcel::{Parceled, Sent};
@@ -76,7 +76,7 @@ pub(super) fn encode(
     source: &dyn PixelSource,
     options: &EncodeOptions,
     side: u32,
-    hands: Hands<'_>,
+    executor: Executor<'_>,
     mut journal: Journal<'_>,
 ) -> Result<Encoded> {
     check(options)?;
@@ -129,14 +129,14 @@ pub(super) fn encode(
     let whole = Whole::survey(&narrowed, file, work, &grid.windows(), |done| journal.show("survey", done))?;
     journal.stage("survey", clock);
     let seen: &dyn PixelSource = &narrowed;
-    let mut course = Course {
+    let mut course = TiledEncode {
         options,
         source,
         seen,
         grid,
         journal,
         whole,
-        hands,
+        executor,
         metadata,
         asked,
         both,
@@ -232,11 +232,11 @@ fn begun(options: &EncodeOptions, size: Size, (samples, fixed): (f64, u64)) -> R
 }
 
 /// An encode in tiles on its way.
-struct Course<'a, 'b, 'c> {
+struct TiledEncode<'a, 'b, 'c> {
     grid: Grid,
     journal: Journal<'a>,
     whole: Whole<'b>,
-    hands: Hands<'c>,
+    executor: Executor<'c>,
     metadata: Metadata,
     options: &'b EncodeOptions,
     /// The picture with all its channels.
@@ -259,17 +259,17 @@ struct Course<'a, 'b, 'c> {
 
 /// A stage of an encode, and the part of it that is worked on.
 #[derive(Clone, Copy)]
-struct Stretch {
+struct ProgressRange {
     stage: &'static str,
     from: f32,
     to: f32,
 }
 
-impl Stretch {
+impl ProgressRange {
     /// The `part`th of `parts` that are as long.
     fn part(stage: &'static str, part: usize, parts: usize) -> Self {
         let [from, to] = [part, part + 1].map(|k| k as f32 / parts as f32);
-        Stretch { stage, from, to }
+        ProgressRange { stage, from, to }
     }
 
     fn at(&self, done: f32) -> f32 {
@@ -277,11 +277,11 @@ impl Stretch {
     }
 }
 
-impl Course<'_, '_, '_> {
+impl TiledEncode<'_, '_, '_> {
     /// Has `work` done for every window of a pass in turns. Returns others that would help, and the squared error of all tiles.
     fn pass<T: Parceled>(
         &mut self,
-        (stretch, shift): (Stretch, Shift),
+        (stretch, shift): (ProgressRange, Shift),
         work: T::Work,
         mosaic: &mut Mosaic<'_, T>,
     ) -> Result<(Vec<Placed<T>>, f64)> {
@@ -291,7 +291,7 @@ impl Course<'_, '_, '_> {
         for turn in turns {
             let [from, to] = [through, through + turn.len()].map(|n| stretch.at(n as f32 / count));
             through += turn.len();
-            let became = self.turn(Stretch { from, to, ..stretch }, &turn, work, mosaic)?;
+            let became = self.turn(ProgressRange { from, to, ..stretch }, &turn, work, mosaic)?;
             let mut placed = Vec::with_capacity(turn.len());
             for (window, of_tile) in turn.iter().zip(became) {
                 others.extend(of_tile.others);
@@ -306,17 +306,17 @@ impl Course<'_, '_, '_> {
     /// Has `work` done for windows that do not wait for each other; returns what came of it.
     fn turn<T: Parceled>(
         &mut self,
-        stretch: Stretch,
+        stretch: ProgressRange,
         windows: &[Window],
         work: T::Work,
         mosaic: &Mosaic<'_, T>,
-    ) -> Result<Vec<Became<T>>> {
-        let Course { journal, whole, hands, .. } = self;
+    ) -> Result<Vec<TileResult<T>>> {
+        let TiledEncode { journal, whole, executor, .. } = self;
         let mut show = |done: f32| journal.show(stretch.stage, stretch.at(done / windows.len().max(1) as f32));
         show(0.0)?;
         let mut became = Vec::with_capacity(windows.len());
-        match hands {
-            Hands::Own => {
+        match executor {
+            Executor::Own => {
                 for (i, window) in windows.iter().enumerate() {
                     let mut show = |done: f32| show(i as f32 + done);
                     let around = T::around(mosaic, window, work);
@@ -324,8 +324,8 @@ impl Course<'_, '_, '_> {
                     show(1.0)?;
                 }
             }
-            Hands::Others(workers) => {
-                let most = workers.at_once().max(1);
+            Executor::Others(workers) => {
+                let most = workers.capacity().max(1);
                 let mut left = windows.iter();
                 let mut out = VecDeque::new();
                 loop {
@@ -333,10 +333,10 @@ impl Course<'_, '_, '_> {
                         let around = T::around(mosaic, window, work);
                         let task = parcel::task(whole, (window, work), &around)?;
                         out.push_back(Sent::new(&task, window, T::most(work, around.own.len())));
-                        workers.give(task)?;
+                        workers.submit(task)?;
                     }
                     let Some(sent) = out.pop_front() else { break };
-                    became.push(sent.answer(whole, &workers.take()?)?);
+                    became.push(sent.answer(whole, &workers.next()?)?);
                     show(became.len() as f32)?;
                 }
             }
@@ -349,7 +349,7 @@ impl Course<'_, '_, '_> {
         let clock = self.journal.seconds();
         let windows = self.grid.windows();
         // By itself no tile waits for another.
-        let begun = self.turn(Stretch::part("fit", 0, 1), &windows, FloatWork::Begin, mosaic)?;
+        let begun = self.turn(ProgressRange::part("fit", 0, 1), &windows, FloatWork::Begin, mosaic)?;
         let mut error = begun.iter().map(|b| b.error).sum();
         let mut others = Vec::new();
         let mut placed = Vec::with_capacity(windows.len());
@@ -369,7 +369,7 @@ impl Course<'_, '_, '_> {
         };
         mosaic.balance(others, wanted, (SWAPPED * have as f64) as usize);
         for (pass, (_, shift)) in floats::JOINED.iter().enumerate() {
-            let stretch = Stretch::part("join", pass, floats::JOINED.len());
+            let stretch = ProgressRange::part("join", pass, floats::JOINED.len());
             (_, error) = self.pass((stretch, *shift), FloatWork::Join(pass), mosaic)?;
         }
         self.journal.stage("fit", clock);
@@ -420,7 +420,7 @@ impl Course<'_, '_, '_> {
         for round in 0..sweeps + MORE_SWEEPS {
             let lambda = SLOPE * error / (8.0 * bytes.len() as f64);
             let shift = if round.is_multiple_of(2) { Shift::None } else { Shift::Half };
-            let stretch = Stretch::part("finish", round as usize, (sweeps + MORE_SWEEPS) as usize);
+            let stretch = ProgressRange::part("finish", round as usize, (sweeps + MORE_SWEEPS) as usize);
             let others;
             (others, error) = self.pass((stretch, shift), IntegerWork::Sweep(lambda), &mut mosaic)?;
             bytes = self.write(&mosaic)?;
@@ -526,7 +526,7 @@ impl Course<'_, '_, '_> {
     }
 
     fn weighted_error(&mut self, mosaic: &Mosaic<'_, PackedGaussian>) -> Result<f64> {
-        let stretch = Stretch { stage: "finish", from: 0.0, to: 0.0 };
+        let stretch = ProgressRange { stage: "finish", from: 0.0, to: 0.0 };
         Ok(self.turn(stretch, &self.grid.windows(), IntegerWork::Weigh, mosaic)?.iter().map(|b| b.error).sum())
     }
 
@@ -537,7 +537,7 @@ impl Course<'_, '_, '_> {
         }
         let is_whole = self.source.channels() == self.whole.blank.channels;
         let parts = if is_whole { 1 } else { 2 };
-        let mut error = self.measured(Stretch::part("measure", 0, parts), mosaic)?;
+        let mut error = self.measured(ProgressRange::part("measure", 0, parts), mosaic)?;
         let mut float_error = float_error;
         if !is_whole {
             // The channels that were left out weigh as they do in the file.
@@ -548,7 +548,7 @@ impl Course<'_, '_, '_> {
             let look = |p: &PackedGaussian| quantizer.dequantize(p);
             let mut all = Mosaic::new(&self.grid, &look);
             wide.gaussians.into_iter().for_each(|what| all.insert(Placed { what, cost: 0.0 }));
-            let fitted = std::mem::replace(&mut error, self.measured(Stretch::part("measure", 1, parts), &all)?);
+            let fitted = std::mem::replace(&mut error, self.measured(ProgressRange::part("measure", 1, parts), &all)?);
             float_error *= if fitted > 0.0 { error / fitted } else { 1.0 };
         }
         let samples = samples_of(&self.whole.blank);
@@ -592,7 +592,7 @@ impl Course<'_, '_, '_> {
     }
 
     /// Returns the squared error of what is stored.
-    fn measured(&mut self, stretch: Stretch, mosaic: &Mosaic<'_, PackedGaussian>) -> Result<f64> {
+    fn measured(&mut self, stretch: ProgressRange, mosaic: &Mosaic<'_, PackedGaussian>) -> Result<f64> {
         let measured = self.turn(stretch, &self.grid.windows(), IntegerWork::Measure, mosaic)?;
         Ok(measured.iter().map(|b| b.error).sum())
     }

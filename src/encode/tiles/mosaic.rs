@@ -17,7 +17,7 @@ pub(super) struct Around<T> {
 }
 
 /// Result of the work on a tile.
-pub(super) struct Became<T> {
+pub(super) struct TileResult<T> {
     /// Its primitives, in the picture's coordinates.
     pub own: Vec<Placed<T>>,
     /// Others that would help; the cost is what they bring.
@@ -26,10 +26,10 @@ pub(super) struct Became<T> {
     pub error: f64,
 }
 
-impl<T> Became<T> {
+impl<T> TileResult<T> {
     /// Returns the result for a tile whose error was only measured.
     pub(super) fn seen(error: f64) -> Self {
-        Became { own: Vec::new(), others: Vec::new(), error }
+        TileResult { own: Vec::new(), others: Vec::new(), error }
     }
 }
 

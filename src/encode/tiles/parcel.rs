@@ -9,7 +9,7 @@ use std::ops::ControlFlow;
 use super::floats::{JOINED, Show};
 use super::grid::{Area, UNIT, Window};
 use super::integers;
-use super::mosaic::{Around, Became, Placed};
+use super::mosaic::{Around, Placed, TileResult};
 use super::task::{FloatWork, IntegerWork, Worked};
 use super::whole::{self, Weights, Whole};
 use crate::bitstream;
@@ -130,7 +130,7 @@ impl Sent {
     ///
     /// # Errors
     /// [`Error::Parameter`] naming `answer` and the tile.
-    pub(super) fn answer<T: Parceled>(&self, whole: &Whole<'_>, bytes: &[u8]) -> Result<Became<T>> {
+    pub(super) fn answer<T: Parceled>(&self, whole: &Whole<'_>, bytes: &[u8]) -> Result<TileResult<T>> {
         self.read(whole, bytes).map_err(|e| match bad("answer", e) {
             Error::Parameter { name, problem } => {
                 let [x, y, width, height] = self.window.core.bounds();
@@ -141,7 +141,7 @@ impl Sent {
         })
     }
 
-    fn read<T: Parceled>(&self, whole: &Whole<'_>, bytes: &[u8]) -> Result<Became<T>> {
+    fn read<T: Parceled>(&self, whole: &Whole<'_>, bytes: &[u8]) -> Result<TileResult<T>> {
         let mut bytes = opened(bytes, ANSWER)?;
         let name = bytes.u32("name of the task")?;
         if name != self.name {
@@ -166,12 +166,12 @@ impl Sent {
         }
         bytes.finish()?;
         let [own, others] = placed;
-        Ok(Became { own, others, error })
+        Ok(TileResult { own, others, error })
     }
 }
 
 /// Writes an answer.
-fn answer<T: Parceled>(name: u32, became: &Became<T>) -> Result<Vec<u8>> {
+fn answer<T: Parceled>(name: u32, became: &TileResult<T>) -> Result<Vec<u8>> {
     let mut out = begun(ANSWER);
     out.extend(name.to_le_bytes());
     out.extend(became.error.to_le_bytes());

@@ -3,7 +3,7 @@
 use super::floats::{self, Show};
 use super::grid::{Area, Window};
 use super::integers::{self, Part};
-use super::mosaic::{Around, Became, Mosaic};
+use super::mosaic::{Around, Mosaic, TileResult};
 use super::whole::Whole;
 use crate::bitstream::splats::PackedGaussian;
 use crate::error::Result;
@@ -44,7 +44,7 @@ pub(super) trait Worked: Copy {
         what: (&Window, Self::Work),
         around: Around<Self>,
         show: Show<'_>,
-    ) -> Result<Became<Self>>;
+    ) -> Result<TileResult<Self>>;
 
     /// Returns the primitives that the work takes.
     fn around(mosaic: &Mosaic<'_, Self>, window: &Window, work: Self::Work) -> Around<Self> {
@@ -64,7 +64,7 @@ impl Worked for Primitive {
         (window, work): (&Window, FloatWork),
         around: Around<Self>,
         show: Show<'_>,
-    ) -> Result<Became<Self>> {
+    ) -> Result<TileResult<Self>> {
         match work {
             FloatWork::Begin => floats::begin(whole, window, show),
             FloatWork::Join(pass) => floats::join(whole, (pass, window), around, show),
@@ -87,11 +87,11 @@ impl Worked for PackedGaussian {
         (window, work): (&Window, IntegerWork),
         around: Around<Self>,
         _: Show<'_>,
-    ) -> Result<Became<Self>> {
+    ) -> Result<TileResult<Self>> {
         match work {
-            IntegerWork::Weigh => Ok(Became::seen(Part::new(whole, window, around).error()?)),
+            IntegerWork::Weigh => Ok(TileResult::seen(Part::new(whole, window, around).error()?)),
             IntegerWork::Sweep(lambda) => Part::new(whole, window, around).sweep(lambda),
-            IntegerWork::Measure => Ok(Became::seen(integers::plain_error(whole, &window.core, around)?)),
+            IntegerWork::Measure => Ok(TileResult::seen(integers::plain_error(whole, &window.core, around)?)),
         }
     }
 }
