@@ -15,7 +15,7 @@ use ssplat::unstable::check_area;
 use ssplat::{Channels, Depth, Error, PixelSource, Pixels, Samples};
 
 use crate::failure::{Failure, Kind};
-use crate::{source, structure};
+use crate::{completeness, source};
 
 /// Bytes on disk that any PNG may take, and how many for each of its own beyond that: photographs take 2 to 5, drawings up to 200.
 const FREE_SPOOL: u64 = 1 << 30;
