@@ -15,7 +15,7 @@ root = pathlib.Path(__file__).resolve().parent.parent
 page, chart, rows_file = root / "docs/BENCHMARKS.md", root / "docs/quality.svg", root / "docs/benchmarks.csv"
 RATIOS = [20, 50, 100, 200, 500]
 # Qualities of the others, from small files to large ones.
-QUALITIES = {"jpeg": [4, 8, 14, 22, 35, 55, 75, 88], "webp": [0, 5, 15, 30, 50, 70, 85, 93], "avif": [4, 10, 18, 28, 40, 52, 66, 80], "jxl": [4, 10, 20, 35, 50, 65, 80, 90]}
+QUALITIES = {"jpeg": [4, 8, 14, 35, 55, 88], "webp": [0, 5, 15, 50, 70, 93], "avif": [4, 10, 18, 40, 66, 80], "jxl": [4, 10, 20, 50, 65, 90]}
 MEASURES = ["psnr", "ms_ssim", "ssimulacra2", "butteraugli"]
 
 args = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
