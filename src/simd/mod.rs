@@ -88,6 +88,13 @@ pub(crate) trait Simd: Copy {
     /// Eight floats, in a register if there is one.
     type Vector: Copy;
 
+    /// Runs `task` as a function of its own, with registers of its own: inlined into a large one, the inner loops of several
+    /// tasks would spill each other's constants.
+    #[inline(always)]
+    fn call<T: Task>(self, task: T) -> T::Output {
+        task.run(self)
+    }
+
     fn vector(self, values: [f32; LANES]) -> Self::Vector;
     fn to_array(self, v: Self::Vector) -> [f32; LANES];
     fn splat(self, value: f32) -> Self::Vector;

@@ -16,4 +16,5 @@ pub(crate) mod reweigh;
 pub(crate) mod ridge;
 pub(crate) mod rows;
 pub(crate) mod sample;
+pub(crate) mod strips;
 pub(crate) mod structure;
