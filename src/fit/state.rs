@@ -75,7 +75,7 @@ impl State {
     /// Returns all that is seen in a picture of so many rows: first those that move, then those that are still.
     pub(super) fn projected(&self, height: u32) -> Vec<Projected> {
         let mut projected = project::all(&self.primitives, height);
-        projected.extend(self.still.iter().map(|p| Projected::new(p, height)));
+        projected.extend(project::all(&self.still, height));
         projected
     }
 

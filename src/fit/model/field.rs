@@ -6,7 +6,7 @@
 use crate::fit::model::kernel;
 use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::project::{self, Primitive, Projected};
+use crate::fit::model::project::{self, Frames, Primitive, Projected};
 use crate::fit::model::rows::RowSet;
 use crate::fit::model::strips::{Planned, Strips};
 use crate::gaussian::{Blend, EPSILON};
@@ -14,11 +14,7 @@ use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
 
 /// Sampled rows in one band: the unit of parallel work.
-const BAND: usize = 64;
-fn band_rows() -> usize {
-    static B: std::sync::OnceLock<usize> = std::sync::OnceLock::new();
-    *B.get_or_init(|| std::env::var("K_BAND").map_or(BAND, |v| v.parse().unwrap()))
-}
+const BAND: usize = 32;
 
 /// The planes.
 #[derive(Debug, Default)]
@@ -50,10 +46,10 @@ pub(crate) struct Bands {
 
 impl Bands {
     pub(crate) fn new(projected: &[Projected], rows: RowSet, height: u32) -> Self {
-        let bands = rows.count(height).div_ceil(band_rows());
+        let bands = rows.count(height).div_ceil(BAND);
         let range = |p: &Projected| {
             let (first, end) = (rows.index(p.rows[0]), rows.index(p.rows[1]));
-            if first < end { first / band_rows()..(end - 1) / band_rows() + 1 } else { 0..0 }
+            if first < end { first / BAND..(end - 1) / BAND + 1 } else { 0..0 }
         };
         let mut starts = vec![0u32; bands + 1];
         for p in projected {
@@ -109,7 +105,7 @@ impl Field {
         self.planes.resize(rows.count(scene.height) * row_size, 0.0);
         self.strips.plan(projected, rows, scene.width);
         let drawing = Drawing { problem, projected, strips: &self.strips, bands: &bands, rows, output };
-        let errors = parallel::map_chunks(&mut self.planes, band_rows() * row_size, |b, band| drawing.band::<C>(b, band));
+        let errors = parallel::map_chunks(&mut self.planes, BAND * row_size, |b, band| drawing.band::<C>(b, band));
         errors.iter().sum()
     }
 
@@ -128,8 +124,8 @@ impl Field {
         let (rows, scene) = (RowSet::ALL, problem.scene);
         let bands = Bands::new(projected, rows, scene.height);
         let row_size = (C + 1) * problem.target.stride;
-        let band_size = band_rows() * row_size;
-        let count = rows.count(scene.height).div_ceil(band_rows());
+        let band_size = BAND * row_size;
+        let count = rows.count(scene.height).div_ceil(BAND);
         let at_once = (self.planes.len() / band_size).max(parallel::threads()).clamp(1, count.max(1));
         self.rows = None;
         self.planes.resize(self.planes.len().max(at_once * band_size), 0.0);
@@ -137,7 +133,7 @@ impl Field {
         let drawing = Drawing { problem, projected, strips: &self.strips, bands: &bands, rows, output };
         let mut error = 0.0;
         for begin in (0..count).step_by(at_once) {
-            let lines = (scene.height as usize - begin * band_rows()).min(at_once * band_rows());
+            let lines = (scene.height as usize - begin * BAND).min(at_once * BAND);
             let planes = &mut self.planes[..lines * row_size];
             let errors = parallel::map_chunks(planes, band_size, |b, band| drawing.band::<C>(begin + b, band));
             error = errors.iter().fold(error, |sum, e| sum + e);
@@ -266,7 +262,7 @@ impl<const C: usize> Task for BandTask<'_, C> {
     fn run<S: Simd>(self, simd: S) -> f64 {
         let BandTask { drawing, b, band } = self;
         let Drawing { problem, projected, strips, bands, rows, output } = *drawing;
-        let first = b * band_rows();
+        let first = b * BAND;
         let Problem { scene, target } = problem;
         let stride = target.stride;
         let row_size = (C + 1) * stride;
@@ -370,9 +366,9 @@ fn resolve_row<S: Simd, const C: usize>(
 /// The gradient of half the squared error with respect to one primitive, gathered from gradient planes, in the
 /// primitive's whitened frame: mean along its own axes in units of its own scales, log-scales, rotation, colour.
 #[inline(always)]
-fn gather<S: Simd, const C: usize>(simd: S, one: MomentsTask<'_, C>, primitive: &Primitive) -> Gradient {
+fn gather<S: Simd, const C: usize>(simd: S, one: MomentsTask<'_, C>, frame: Frame) -> Gradient {
     let m = simd.call(one);
-    let mut gradient = Gradient::from_moments(m.geometry, Frame::of(primitive.log_scale, primitive.rotation));
+    let mut gradient = Gradient::from_moments(m.geometry, frame);
     gradient.color[..C].copy_from_slice(&m.color);
     gradient
 }
@@ -413,9 +409,14 @@ impl<const C: usize> Task for GatherTask<'_, C> {
     fn run<S: Simd>(self, simd: S) -> Vec<Gradient> {
         let GatherTask { field, rows, width, start, projected, primitives } = self;
         let mut out = Vec::with_capacity(projected.len());
-        for (i, (p, primitive)) in projected.iter().zip(primitives).enumerate() {
-            let strips = field.strips.of(start + i);
-            out.push(gather(simd, MomentsTask::<C> { field, rows, width, p, strips }, primitive));
+        for (eight, primitives) in primitives.chunks(LANES).enumerate() {
+            let Frames { scales: [major, minor], sin, cos } = project::frames(simd, primitives);
+            for k in 0..primitives.len() {
+                let i = eight * LANES + k;
+                let (p, strips) = (&projected[i], field.strips.of(start + i));
+                let frame = Frame { scale: [major[k], minor[k]], turn: (sin[k], cos[k]) };
+                out.push(gather(simd, MomentsTask::<C> { field, rows, width, p, strips }, frame));
+            }
         }
         out
     }
@@ -439,13 +440,6 @@ pub(crate) struct Frame {
     pub scale: [f32; 2],
     /// Sine and cosine of its rotation.
     pub turn: (f32, f32),
-}
-
-impl Frame {
-    #[inline(always)]
-    pub(crate) fn of(log_scale: [f32; 2], rotation: f32) -> Self {
-        Frame { scale: log_scale.map(f32::exp), turn: rotation.sin_cos() }
-    }
 }
 
 impl Gradient {

@@ -193,9 +193,8 @@ fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet, cells: &mut Cell
         let found = field.row(i, channels);
         let opacity = |k: usize| opaque.filter(|&(a, _)| a != k).map(|(_, plane)| plane);
         if (step, channels) == (1, 3) {
-            let planes = std::array::from_fn(|k| {
-                [&wanted[k * target.stride..][..length], &found[k * field.stride..][..length]]
-            });
+            let planes =
+                std::array::from_fn(|k| [&wanted[k * target.stride..][..length], &found[k * field.stride..][..length]]);
             let [r, g, b, _] = target.channel_amplitude;
             return simd::dispatch(Lacks { planes, shares: [r, g, b], amplitude, out });
         }
