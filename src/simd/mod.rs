@@ -209,7 +209,7 @@ pub(crate) trait Simd: Copy {
         for v in &mut out {
             let square = self.mul(*v, *v);
             let mut p = self.splat(2.608_316e-6);
-            for c in [-1.981_069_1e-4, 8.333_078_6e-3, -1.666_666e-1] {
+            for c in [-1.981_069e-4, 8.333_079e-3, -1.666_666e-1] {
                 p = self.add(self.mul(p, square), self.splat(c));
             }
             *v = self.mul(sign, self.add(*v, self.mul(self.mul(p, square), *v)));

@@ -45,7 +45,7 @@ const SHARP_POWER: f64 = 0.1;
 /// A base that is larger by less than this is not worth another fit.
 const WORTH: f64 = 1.5;
 /// Decibels from which on a larger base has won enough for the largest one to be tried.
-const GAIN: f64 = 0.3;
+const GAIN: f64 = 0.22;
 /// Bytes of the layer that sharpness is measured with, over those of the base: what was found at a ratio of 50 holds at others.
 const MEASURED: f64 = 1.9;
 /// Share of a budget of time that the Gaussians get.
