@@ -29,8 +29,6 @@ const SETTLED: f32 = 0.95;
 pub(crate) const REMEMBERED: u32 = 20;
 /// Pixels of a picture that is looked at in each of those steps: a few primitives can lose tenths of a decibel in one.
 const STAMP: u64 = 1 << 14;
-/// Fewer primitives than this are looked at as often in one of four times as many pixels.
-const FEW: usize = 64;
 /// Share of the iterations after which nothing is relocated any more.
 const RELOCATED: f32 = 0.6;
 /// The same at a steady pace.
@@ -152,6 +150,11 @@ impl<'a> Course<'a> {
             }
         }
         self.go_back(engine)?;
+        // Even the last step can lose something, and where it left rows out nobody has seen what it came to.
+        let is_whole = self.part.steps.end == plan.iterations && engine.count() > 0;
+        if is_whole && plan.rung >= Rung::Sampling && sampling(self.row_step, 1.0) > 1 {
+            engine.remember(&self.job.problem)?;
+        }
         Ok(Ending::Scheduled)
     }
 
@@ -226,9 +229,8 @@ impl<'a> Course<'a> {
         };
         let rates = rates.scaled(plan.rate).scaled(LAST_RATE + (1.0 - LAST_RATE) * cosine);
         // A step on all rows tells the error by itself.
-        let is_stamp = whole.scene.pixels() <= if engine.count() < FEW { 4 * STAMP } else { STAMP };
-        let each = if is_stamp { 1 } else { REMEMBERED };
-        let is_due = iteration.is_multiple_of(each) || iteration + 1 == plan.iterations;
+        let each = if whole.scene.pixels() <= STAMP { 1 } else { REMEMBERED };
+        let is_due = iteration.is_multiple_of(each);
         if done >= SAMPLED && sampled.step > 1 && self.small.is_none() && is_due {
             engine.remember(whole)?;
         }
