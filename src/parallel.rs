@@ -16,7 +16,7 @@ pub fn threads() -> usize {
 pub fn map<T: Send>(count: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
     // Handing over a single piece of work costs more than a small one itself.
     #[cfg(feature = "rayon")]
-    if count > 1 {
+    if count > 1 && threads() > 1 {
         return (0..count).into_par_iter().map(f).collect();
     }
     (0..count).map(f).collect()
@@ -29,9 +29,10 @@ pub fn map_chunks<A: Send, T: Send>(
     f: impl Fn(usize, &mut [A]) -> T + Sync + Send,
 ) -> Vec<T> {
     #[cfg(feature = "rayon")]
-    return data.par_chunks_mut(size).enumerate().map(|(i, c)| f(i, c)).collect();
-    #[cfg(not(feature = "rayon"))]
-    return data.chunks_mut(size).enumerate().map(|(i, c)| f(i, c)).collect();
+    if threads() > 1 {
+        return data.par_chunks_mut(size).enumerate().map(|(i, c)| f(i, c)).collect();
+    }
+    data.chunks_mut(size).enumerate().map(|(i, c)| f(i, c)).collect()
 }
 
 /// `f(i, chunk i of a, chunk i of b)` over chunks of `size_a` and `size_b` elements.
@@ -41,7 +42,9 @@ pub fn map_chunk_pairs<A: Send, B: Send, T: Send>(
     f: impl Fn(usize, &mut [A], &mut [B]) -> T + Sync + Send,
 ) -> Vec<T> {
     #[cfg(feature = "rayon")]
-    return a.par_chunks_mut(size_a).zip(b.par_chunks_mut(size_b)).enumerate().map(|(i, (a, b))| f(i, a, b)).collect();
-    #[cfg(not(feature = "rayon"))]
-    return a.chunks_mut(size_a).zip(b.chunks_mut(size_b)).enumerate().map(|(i, (a, b))| f(i, a, b)).collect();
+    if threads() > 1 {
+        let pairs = a.par_chunks_mut(size_a).zip(b.par_chunks_mut(size_b));
+        return pairs.enumerate().map(|(i, (a, b))| f(i, a, b)).collect();
+    }
+    a.chunks_mut(size_a).zip(b.chunks_mut(size_b)).enumerate().map(|(i, (a, b))| f(i, a, b)).collect()
 }

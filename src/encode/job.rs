@@ -48,6 +48,8 @@ pub(super) struct Encoding<'a> {
     pub device: Choice,
     /// Whether a detail layer is laid over what is fitted: it mends what a short fit leaves.
     pub is_base: bool,
+    /// Primitives of a fit of fewer that the next one goes on from.
+    pub begun: Vec<Primitive>,
     pub journal: Journal<'a>,
 }
 
@@ -104,6 +106,7 @@ impl Encoding<'_> {
         if self.is_base {
             plan = plan.for_base();
         }
+        plan.begun = std::mem::take(&mut self.begun);
         plan.rung = options.rung;
         if options.needs == Needs::Measured {
             plan.enough = enough(options.target, subject.pixels.depth());

@@ -3,8 +3,8 @@
 use crate::error::Result;
 use crate::fit::engine::Engine;
 use crate::fit::model::adam::{Bounds, Memory, Rates};
-use crate::fit::model::field::{float_error, squared_error};
-use crate::fit::model::peaks::{at_peak, peaks};
+use crate::fit::model::field::{Output, float_error};
+use crate::fit::model::peaks::at_peak;
 use crate::fit::model::problem::Problem;
 use crate::fit::model::project::{self, Primitive};
 use crate::fit::model::removal;
@@ -29,7 +29,8 @@ impl Engine for State {
             let seen = [&self.primitives[..], &self.still].concat();
             return Ok(float_error(whole, &project::zoomed(seen, self.scale.recip())));
         }
-        Ok(squared_error(whole, &self.projected(whole.scene.height)))
+        let projected = self.projected(whole.scene.height);
+        Ok(self.field.error(whole, &projected, Output::Picture))
     }
 
     fn descend(&mut self, problem: &Problem<'_>, rows: RowSet, rates: Rates) -> Result<Option<f64>> {
@@ -45,7 +46,7 @@ impl Engine for State {
     /// Moves primitives as long as the estimated gain exceeds the removal cost.
     fn relocate(&mut self, problem: &Problem<'_>, rows: RowSet, most: usize) -> Result<usize> {
         let costs = self.survey(problem, rows);
-        let peaks = peaks(problem, &self.field, rows, most, self.primitives.len());
+        let peaks = self.room.peaks(problem, &self.field, rows, [most, self.primitives.len()]);
         let mut moved = 0;
         for (peak, i) in peaks.iter().zip(removal::cheapest(&costs, most)) {
             if peak.gain < costs[i] {
@@ -72,7 +73,7 @@ impl Engine for State {
             let mut kept = keep.iter();
             self.memory.retain(|_| *kept.next().expect("one for each"));
         } else {
-            for peak in peaks(problem, &self.field, rows, wanted - have, wanted) {
+            for peak in self.room.peaks(problem, &self.field, rows, [wanted - have, wanted]) {
                 self.primitives.push(at_peak(&peak, problem));
                 self.memory.push(Memory::default());
             }
@@ -108,7 +109,8 @@ impl Engine for State {
         let zoomed = State::new(project::zoomed(std::mem::take(&mut self.primitives), by), bounds);
         let still = project::zoomed(std::mem::take(&mut self.still), by);
         let (iteration, price, is_priced, scale) = (self.iteration, self.price, self.is_priced, self.scale * by);
-        *self = State { iteration, price, is_priced, scale, still, field: std::mem::take(&mut self.field), ..zoomed };
+        let (field, room) = (std::mem::take(&mut self.field), std::mem::take(&mut self.room));
+        *self = State { iteration, price, is_priced, scale, still, field, room, ..zoomed };
         Ok(())
     }
 

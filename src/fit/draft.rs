@@ -34,6 +34,10 @@ const DRAFTED: f32 = 0.7;
 /// Fits that the best is chosen from, each from a start of its own.
 const DRAFTS: u16 = 4;
 
+/// Share of the iterations that are saved where a fit goes on from one of fewer primitives. Kodak at 50, where half of the pictures are
+/// fitted again: .03 dB better than from the start; with .5 these lose .1 dB, as what is added comes late.
+const BEGUN: f32 = 0.3;
+
 /// Where a fit starts.
 pub(crate) struct Start {
     pub state: State,
@@ -70,6 +74,11 @@ pub(crate) fn start(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<Start> {
         let primitives = smartsplat::initial(problem.target, count, Ablation::Colors, &mut rng);
         let bounds = Bounds::new(problem.target.width, problem.target.height);
         return Ok(Start { state: State::new(primitives, bounds), rng, from: 0 });
+    }
+    if !plan.begun.is_empty() {
+        let bounds = Bounds::new(problem.target.width, problem.target.height);
+        let from = (plan.iterations as f32 * BEGUN) as u32;
+        return Ok(Start { state: State::new(plan.begun.clone(), bounds), rng: random(plan), from });
     }
     let halvings = halvings(&problem.scene, count);
     // A budget of time is better spent on one fit.

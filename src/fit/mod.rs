@@ -59,6 +59,9 @@ pub(crate) fn fit<E: Engine>(
     start.state.is_priced = job.plan.rung >= Rung::Price;
     let mut engine = open(start.state)?;
     let end = job.plan.iterations;
+    if !job.plan.begun.is_empty() {
+        schedule::grow(job, &mut engine)?;
+    }
     // Those that start from a draft are few, and their pixels weigh nearly alike.
     if !job.plan.reweighs || start.from > 0 {
         let ending = schedule::run(job, &mut engine, (start.rng, start.from..end), watcher)?;

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::fit::model::problem::LARGE;
+use crate::fit::model::project::Primitive;
 use crate::options::Rung;
 
 /// Share of a time budget that the float fit may take.
@@ -39,6 +40,8 @@ pub(crate) struct Plan {
     pub reweighs: bool,
     /// Seed of everything random.
     pub seed: u64,
+    /// Primitives of a fit of fewer that this one goes on from; none: it starts by itself.
+    pub begun: Vec<Primitive>,
     /// Where an ablation stops.
     pub rung: Rung,
 }
@@ -115,6 +118,7 @@ impl Plan {
             rate: 1.0,
             reweighs: false,
             seed,
+            begun: Vec::new(),
             rung: Rung::default(),
         }
     }

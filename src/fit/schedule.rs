@@ -10,7 +10,7 @@ use crate::error::Result;
 use crate::fit::engine::{Ending, Engine, Running, Watcher};
 use crate::fit::job::Job;
 use crate::fit::model::adam::{self, Rates};
-use crate::fit::model::problem::Problem;
+use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::reduced::{Coarse, Reduced};
 use crate::fit::model::rows::RowSet;
 use crate::fit::plan::Pace;
@@ -65,6 +65,12 @@ pub(crate) fn run<E: Engine>(
     let half = pays.then(|| Reduced::new(&job.problem, 1));
     let coarse = half.as_ref().map(|reduced| Coarse { reduced, share: COARSE });
     run_part(job, Part { steps, coarse }, engine, rng, watcher)
+}
+
+/// Brings the number of primitives of `engine` to that of the job, as a correction on the way would.
+pub(super) fn grow<E: Engine>(job: &Job<'_>, engine: &mut E) -> Result<()> {
+    let rows = RowSet { step: surveyed(&job.problem.scene, job.problem.scene.row_step(engine.count())), phase: 0 };
+    engine.resize(&job.problem, rows, job.count)
 }
 
 /// A part of the iterations, of which the first may see a smaller picture.
@@ -144,6 +150,11 @@ impl<'a> Course<'a> {
             }
         }
         self.go_back(engine)?;
+        // Even the last step can lose something, and where it left rows out nobody has seen what it came to.
+        let is_whole = self.part.steps.end == plan.iterations && engine.count() > 0;
+        if is_whole && plan.rung >= Rung::Sampling && sampling(self.row_step, 1.0) > 1 {
+            engine.remember(&self.job.problem)?;
+        }
         Ok(Ending::Scheduled)
     }
 
@@ -180,14 +191,13 @@ impl<'a> Course<'a> {
         watcher: &mut dyn Watcher,
     ) -> Result<()> {
         let (plan, scene) = (self.job.plan, &self.job.problem.scene);
-        // Thin lines are lost on a survey that leaves rows out, but it is half of the work on a large picture.
-        let step = if scene.is_large() { self.row_step.div_ceil(2) } else { 1 };
-        let surveyed = self.seen_rows(RowSet { step, phase: 0 });
+        let step = surveyed(scene, self.row_step);
+        let rows = self.seen_rows(RowSet { step, phase: 0 });
         let (seen, _) = self.seen();
         if self.recounts.first().is_some_and(|&at| done >= at) {
             self.recounts = &self.recounts[1..];
             let wanted = watcher.recount(&self.running(engine).primitives()?)?;
-            engine.resize(&seen, surveyed, wanted)?;
+            engine.resize(&seen, rows, wanted)?;
             self.row_step = scene.row_step(engine.count());
         } else if plan.rung >= Rung::Relocation
             && iteration > 0
@@ -199,7 +209,7 @@ impl<'a> Course<'a> {
                 Pace::Brisk => MOVED * (1.0 - done / RELOCATED),
             };
             let most = ((engine.count() as f32 * share) as usize).max(1);
-            engine.relocate(&seen, surveyed, most)?;
+            engine.relocate(&seen, rows, most)?;
         }
         Ok(())
     }
@@ -220,7 +230,7 @@ impl<'a> Course<'a> {
         let rates = rates.scaled(plan.rate).scaled(LAST_RATE + (1.0 - LAST_RATE) * cosine);
         // A step on all rows tells the error by itself.
         let each = if whole.scene.pixels() <= STAMP { 1 } else { REMEMBERED };
-        let is_due = iteration.is_multiple_of(each) || iteration + 1 == plan.iterations;
+        let is_due = iteration.is_multiple_of(each);
         if done >= SAMPLED && sampled.step > 1 && self.small.is_none() && is_due {
             engine.remember(whole)?;
         }
@@ -236,6 +246,12 @@ impl<'a> Course<'a> {
         }
         Ok(iteration + 1 < plan.iterations && engine.error(whole)? <= plan.enough * whole.samples(RowSet::ALL))
     }
+}
+
+/// Returns the distance of the rows that a survey sees where those of steps are `row_step` from each other.
+fn surveyed(scene: &Scene, row_step: u32) -> u32 {
+    // Thin lines are lost on a survey that leaves rows out, but it is half of the work on a large picture.
+    if scene.is_large() { row_step.div_ceil(2) } else { 1 }
 }
 
 /// Which rows each iteration sees: every phase once in a shuffled cycle.

@@ -140,7 +140,8 @@ impl Run {
             (&mut self.memory, CHUNK),
             |c, primitives, memory| {
                 let projected = &projected[c * CHUNK..][..primitives.len()];
-                let gradients = field.gather(channels, RowSet::ALL, scene.width, projected, primitives);
+                let drawn = (c * CHUNK, projected);
+                let gradients = field.gather(channels, RowSet::ALL, scene.width, drawn, primitives);
                 for ((p, m), g) in primitives.iter_mut().zip(memory).zip(&gradients) {
                     update(p, m, g, halves, corrections);
                     bounds.apply(p);

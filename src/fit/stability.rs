@@ -127,7 +127,7 @@ fn gradient_errors(scene: &Scene, pixels: &Pixels, primitives: &[Primitive]) -> 
     let exacts: Vec<Exact> = primitives.iter().map(exact).collect();
     let (mut errors, mut largest) = ([0.0f64; 4], [1e-6f64; 4]);
     for (i, (p, q)) in primitives.iter().zip(&projected).enumerate() {
-        let g = gathered(&field, scene.width, q, p, count);
+        let g = gathered(&field, scene.width, (i, q), p, count);
         for j in 0..5 + count {
             let at = |step: f64| {
                 let mut all = exacts.clone();
@@ -145,8 +145,8 @@ fn gradient_errors(scene: &Scene, pixels: &Pixels, primitives: &[Primitive]) -> 
     std::array::from_fn(|k| errors[k] / if k < 3 { shape } else { largest[k] })
 }
 
-fn gathered(field: &Field, width: u32, q: &Projected, p: &Primitive, count: usize) -> [f32; 9] {
-    let g = field.gather(count, RowSet::ALL, width, &[*q], &[*p])[0];
+fn gathered(field: &Field, width: u32, (i, q): (usize, &Projected), p: &Primitive, count: usize) -> [f32; 9] {
+    let g = field.gather(count, RowSet::ALL, width, (i, &[*q]), &[*p])[0];
     let [c0, c1, c2, c3] = g.color;
     [g.mean[0], g.mean[1], g.log_scale[0], g.log_scale[1], g.rotation, c0, c1, c2, c3]
 }

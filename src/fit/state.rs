@@ -2,10 +2,12 @@
 
 use crate::fit::model::adam::{self, Bounds, Freedom, Memory, Rates};
 use crate::fit::model::field::{Field, Output};
+use crate::fit::model::peaks::Room;
 use crate::fit::model::problem::Problem;
 use crate::fit::model::project::{self, Primitive, Projected};
 use crate::fit::model::removal;
 use crate::fit::model::rows::RowSet;
+use crate::fit::model::strips;
 use crate::parallel;
 
 /// Restore the best state if the final error exceeds its error by this factor.
@@ -22,6 +24,8 @@ pub(crate) struct State {
     pub freedom: Vec<Freedom>,
     pub bounds: Bounds,
     pub field: Field,
+    /// Memory for looking where the error is largest.
+    pub(super) room: Room,
     /// The price of size, by the error that was seen last: see [`adam::price`].
     pub price: f32,
     /// Whether size has a price at all.
@@ -48,6 +52,7 @@ impl State {
             freedom: Vec::new(),
             bounds,
             field: Field::default(),
+            room: Room::default(),
             price: 0.0,
             is_priced: true,
             iteration: 0,
@@ -70,13 +75,13 @@ impl State {
     /// Returns all that is seen in a picture of so many rows: first those that move, then those that are still.
     pub(super) fn projected(&self, height: u32) -> Vec<Projected> {
         let mut projected = project::all(&self.primitives, height);
-        projected.extend(self.still.iter().map(|p| Projected::new(p, height)));
+        projected.extend(project::all(&self.still, height));
         projected
     }
 
     /// Gathers every primitive's gradient from the field, adds that of the [`adam::price`] and takes one step.
     fn step(&mut self, problem: &Problem<'_>, rows: RowSet, projected: &[Projected], rates: Rates) {
-        const CHUNK: usize = 64;
+        const CHUNK: usize = strips::TOGETHER;
         let (width, channels) = (problem.scene.width, problem.target.channels.count());
         let price = self.price / rows.step as f32;
         let corrections = adam::corrections(rates.decay, self.iteration);
@@ -85,7 +90,7 @@ impl State {
         parallel::map_chunk_pairs((primitives, CHUNK), (memory, CHUNK), |chunk, primitives, memory| {
             let start = chunk * CHUNK;
             let projected = &projected[start..][..primitives.len()];
-            let mut gradients = field.gather(channels, rows, width, projected, primitives);
+            let mut gradients = field.gather(channels, rows, width, (start, projected), primitives);
             for (j, (p, m)) in primitives.iter_mut().zip(memory).enumerate() {
                 let free = freedom.get(start + j).copied().unwrap_or_default();
                 let [a, b] = gradients[j].frame.scale;

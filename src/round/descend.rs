@@ -8,7 +8,7 @@
 
 use crate::bitstream::coder::expect::Expected;
 use crate::bitstream::splats::PackedGaussian;
-use crate::fit::model::field::{self, Field, Output};
+use crate::fit::model::field::{Field, Output};
 use crate::fit::model::kernel;
 use crate::fit::model::problem::Problem;
 use crate::fit::model::project::Projected;
@@ -140,9 +140,9 @@ impl<'a> Descent<'a> {
     }
 
     /// Returns the squared error of the picture of `gaussians`, clamped, weighted as the target has it.
-    pub(super) fn error(&self, gaussians: &[PackedGaussian]) -> f64 {
+    pub(super) fn error(&mut self, gaussians: &[PackedGaussian]) -> f64 {
         let projected = self.seen(gaussians);
-        field::error(&self.problem, &projected, Output::Gradient)
+        self.field.error(&self.problem, &projected, Output::Gradient)
     }
 }
 
@@ -280,6 +280,55 @@ impl<const C: usize> Task for BandTask<'_, C> {
     }
 }
 
+struct ParabolaTask<'a, 'b, const C: usize> {
+    patch: &'a Patch<'b>,
+    q: &'a Projected,
+}
+
+impl<const C: usize> Task for ParabolaTask<'_, '_, C> {
+    type Output = Parabola;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> Parabola {
+        self.patch.parabola::<S, C>(simd, self.q)
+    }
+}
+
+struct BowlTask<'a, 'b, const C: usize> {
+    patch: &'a Patch<'b>,
+    p: &'a Projected,
+    g: &'a Gaussian,
+    color: [f32; 4],
+    parabola: &'a Parabola,
+}
+
+impl<const C: usize> Task for BowlTask<'_, '_, C> {
+    type Output = Bowl;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> Bowl {
+        self.patch.bowl::<S, C>(simd, (self.p, self.g), self.color, self.parabola)
+    }
+}
+
+struct CutTask<'a, 'b, const C: usize> {
+    patch: &'a mut Patch<'b>,
+    p: &'a Projected,
+    rows: std::ops::Range<usize>,
+    columns: std::ops::Range<usize>,
+    planes: &'a [f32],
+    first: usize,
+}
+
+impl<const C: usize> Task for CutTask<'_, '_, C> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        self.patch.cut::<S, C>(simd, self.p, (self.rows, self.columns), (self.planes, self.first));
+    }
+}
+
 impl<const C: usize> BandTask<'_, C> {
     #[inline(always)]
     fn improve<S: Simd>(
@@ -304,11 +353,11 @@ impl<const C: usize> BandTask<'_, C> {
         if left >= right {
             return None;
         }
-        patch.cut::<S, C>(simd, &p, (rows, left..right), (self.planes, self.first));
+        simd.call(CutTask::<C> { patch, p: &p, rows, columns: left..right, planes: self.planes, first: self.first });
 
         let lambda = self.objective.lambda;
         let lattice = self.quantizer.lattice();
-        let now = patch.parabola::<S, C>(simd, &p);
+        let now = simd.call(ParabolaTask::<C> { patch, q: &p });
         let current = now.at(p.color, C) + lambda * (cost.geometry(&old, lattice) + cost.colors(old.color));
         let (mut best, mut best_value) = (old, current);
         let least = cost.least_colors();
@@ -326,7 +375,8 @@ impl<const C: usize> BandTask<'_, C> {
         };
         consider(self, old, &now);
         // By the envelope theorem the gradient is that of the least error over all colours.
-        let bowl = patch.bowl::<S, C>(simd, (&p, &before), now.minimum(C).unwrap_or(p.color), &now);
+        let color = now.minimum(C).unwrap_or(p.color);
+        let bowl = simd.call(BowlTask::<C> { patch, p: &p, g: &before, color, parabola: &now });
         for candidate in self.moves(&cost, (&old, &before), &bowl).iter() {
             let g = self.quantizer.dequantize(&candidate);
             let q = Projected::from_gaussian(&g, height);
@@ -337,7 +387,7 @@ impl<const C: usize> BandTask<'_, C> {
                 && q.center[0] + wide
                     <= if right == self.problem.scene.width as usize { f32::INFINITY } else { (right - 1) as f32 };
             if inside && q.rows[0] < q.rows[1] {
-                let parabola = patch.parabola::<S, C>(simd, &q);
+                let parabola = simd.call(ParabolaTask::<C> { patch, q: &q });
                 consider(self, candidate, &parabola);
             }
         }

@@ -23,6 +23,11 @@ impl Simd for V3 {
     type Vector = __m256;
 
     #[inline(always)]
+    fn call<T: Task>(self, task: T) -> T::Output {
+        self.vectorize(OnAvx2(self, task))
+    }
+
+    #[inline(always)]
     fn vector(self, values: [f32; LANES]) -> __m256 {
         bytemuck::cast(values)
     }

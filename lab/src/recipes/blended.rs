@@ -373,7 +373,7 @@ pub(super) fn field(target: &Planes, pixels: &[[f32; 4]]) -> Field {
             (0..channels).for_each(|k| row[k * stride + x] = pixel[k]);
         }
     }
-    Field { planes, stride, rows: None }
+    Field { planes, stride, ..Field::default() }
 }
 
 /// The pixels of planes in the layout of [`Field::planes`].

@@ -227,7 +227,7 @@ impl<'a> Run<'a> {
         // The loss takes the picture as a sum: its slope is then that of the picture itself.
         let [width, height] = [self.target.width, self.target.height];
         let scene = Scene { width, height, blend: Blend::Sum, background: [0.0; 4] };
-        let mut field = Field { planes: self.drawn.clone(), stride, rows: None };
+        let mut field = Field { planes: self.drawn.clone(), stride, ..Field::default() };
         self.loss.gradient(&Problem { scene, target: self.target }, &mut field);
         // As a mean, so that what keeps Adam's quotients finite is as small beside them as there.
         let samples = (width * height) as f32 * self.target.channels.count() as f32;

@@ -14,6 +14,7 @@ use crate::error::Result;
 use crate::fit::model::field::{Field, Output};
 use crate::fit::model::peaks;
 use crate::fit::model::problem::Problem;
+use crate::fit::model::project::Primitive;
 use crate::fit::model::rows::RowSet;
 use crate::options::{Detail, Recipe, Tune};
 use crate::round::rounded::projected;
@@ -44,7 +45,7 @@ const SHARP_POWER: f64 = 0.1;
 /// A base that is larger by less than this is not worth another fit.
 const WORTH: f64 = 1.5;
 /// Decibels from which on a larger base has won enough for the largest one to be tried.
-const GAIN: f64 = 0.3;
+const GAIN: f64 = 0.22;
 /// Bytes of the layer that sharpness is measured with, over those of the base: what was found at a ratio of 50 holds at others.
 const MEASURED: f64 = 1.9;
 /// Share of a budget of time that the Gaussians get.
@@ -130,6 +131,7 @@ impl Encoding<'_> {
         let sharpness = if may_be_larger { self.sharpness(&layered, few * MEASURED)? } else { Some(0.0) };
         if sharpness.is_none_or(|sharpness| sharpness > SHARP * (ratio / 20.0).powf(SHARP_POWER)) {
             for bytes in [(few * most_for_base).sqrt(), most_for_base] {
+                self.begun = primitives_of(&layered.base.splats);
                 let base = self.base(fixed + bytes as u64)?;
                 let clock = self.journal.seconds();
                 let other = self.layer(base, most)?;
@@ -178,6 +180,12 @@ impl Encoding<'_> {
         let peaks = peaks::peaks(&problem, &field, RowSet::ALL, count, count);
         peaks.iter().map(|peak| f64::from(peak.gain)).sum::<f64>() / error.max(f64::MIN_POSITIVE)
     }
+}
+
+/// Returns the Gaussians of `splats` as a fit has them.
+fn primitives_of(splats: &PackedSplats) -> Vec<Primitive> {
+    let quantizer = splats.quantizer();
+    splats.gaussians.iter().map(|g| Primitive::from_gaussian(&quantizer.dequantize(g))).collect()
 }
 
 /// Tells whether a picture of so many pixels and samples gains by a layer in a file of so many bytes.

@@ -51,11 +51,11 @@ impl Cells {
         std::mem::swap(&mut self.values, spare);
     }
 
-    /// Half the resolution: means of 2 × 2 cells, borders repeated.
-    pub(crate) fn halved(&self) -> Cells {
+    /// Half the resolution: means of 2 × 2 cells, borders repeated, by way of `spare`.
+    pub(crate) fn halve(&mut self, spare: &mut Vec<f32>) {
         let (width, height, each) = (self.width.div_ceil(2), self.height.div_ceil(2), self.each);
-        let mut values = vec![0.0; width * height * each];
-        parallel::map_chunks(&mut values, (width * each).max(1), |y, out| {
+        spare.resize(width * height * each, 0.0);
+        parallel::map_chunks(spare, (width * each).max(1), |y, out| {
             let (a, b) = (self.row(2 * y), self.row((2 * y + 1).min(self.height - 1)));
             for (x, out) in out.chunks_exact_mut(each).enumerate() {
                 let (l, r) = (2 * x * each, (2 * x + 1).min(self.width - 1) * each);
@@ -64,7 +64,8 @@ impl Cells {
                 }
             }
         });
-        Cells { width, height, each, values }
+        (self.width, self.height) = (width, height);
+        std::mem::swap(&mut self.values, spare);
     }
 }
 

@@ -6,14 +6,15 @@
 use crate::fit::model::kernel;
 use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::project::{self, Primitive, Projected};
+use crate::fit::model::project::{self, Frames, Primitive, Projected};
 use crate::fit::model::rows::RowSet;
+use crate::fit::model::strips::{Planned, Strips};
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
 
 /// Sampled rows in one band: the unit of parallel work.
-const BAND: usize = 16;
+const BAND: usize = 32;
 
 /// The planes.
 #[derive(Debug, Default)]
@@ -21,6 +22,8 @@ pub struct Field {
     pub planes: Vec<f32>,
     pub stride: usize,
     pub rows: Option<RowSet>,
+    /// Where the primitives are that were drawn last.
+    pub strips: Strips,
 }
 
 /// Says what a drawing leaves in the planes.
@@ -100,28 +103,60 @@ impl Field {
         self.stride = target.stride;
         self.rows = Some(rows);
         self.planes.resize(rows.count(scene.height) * row_size, 0.0);
-        let errors = parallel::map_chunks(&mut self.planes, BAND * row_size, |b, band| {
-            let (members, first) = (bands.members(b), b * BAND);
-            simd::dispatch(BandTask::<C> { problem, projected, members, rows, first, band, output })
-        });
+        self.strips.plan(projected, rows, scene.width);
+        let drawing = Drawing { problem, projected, strips: &self.strips, bands: &bands, rows, output };
+        let errors = parallel::map_chunks(&mut self.planes, BAND * row_size, |b, band| drawing.band::<C>(b, band));
         errors.iter().sum()
     }
 
-    /// The gradients of a run of primitives, gathered from gradient planes over `rows`.
+    /// Returns what [`Self::draw`] does, of all rows. What is drawn is not kept: as many bands at a time as there is memory for
+    /// already, or one for each thread. The planes of a whole picture are several times as large as itself.
+    pub fn error(&mut self, problem: &Problem<'_>, projected: &[Projected], output: Output) -> f64 {
+        match problem.target.channels.count() {
+            1 => self.error_of::<1>(problem, projected, output),
+            2 => self.error_of::<2>(problem, projected, output),
+            3 => self.error_of::<3>(problem, projected, output),
+            _ => self.error_of::<4>(problem, projected, output),
+        }
+    }
+
+    fn error_of<const C: usize>(&mut self, problem: &Problem<'_>, projected: &[Projected], output: Output) -> f64 {
+        let (rows, scene) = (RowSet::ALL, problem.scene);
+        let bands = Bands::new(projected, rows, scene.height);
+        let row_size = (C + 1) * problem.target.stride;
+        let band_size = BAND * row_size;
+        let count = rows.count(scene.height).div_ceil(BAND);
+        let at_once = (self.planes.len() / band_size).max(parallel::threads()).clamp(1, count.max(1));
+        self.rows = None;
+        self.planes.resize(self.planes.len().max(at_once * band_size), 0.0);
+        self.strips.plan(projected, rows, scene.width);
+        let drawing = Drawing { problem, projected, strips: &self.strips, bands: &bands, rows, output };
+        let mut error = 0.0;
+        for begin in (0..count).step_by(at_once) {
+            let lines = (scene.height as usize - begin * BAND).min(at_once * BAND);
+            let planes = &mut self.planes[..lines * row_size];
+            let errors = parallel::map_chunks(planes, band_size, |b, band| drawing.band::<C>(begin + b, band));
+            error = errors.iter().fold(error, |sum, e| sum + e);
+        }
+        error
+    }
+
+    /// The gradients of a run of the primitives that were drawn, those from index `start` on, gathered from gradient planes
+    /// over the rows `rows` that they were drawn on.
     pub fn gather(
         &self,
         channels: usize,
         rows: RowSet,
         width: u32,
-        projected: &[Projected],
+        (start, projected): (usize, &[Projected]),
         primitives: &[Primitive],
     ) -> Vec<Gradient> {
         let field = self;
         match channels {
-            1 => simd::dispatch(GatherTask::<1> { field, rows, width, projected, primitives }),
-            2 => simd::dispatch(GatherTask::<2> { field, rows, width, projected, primitives }),
-            3 => simd::dispatch(GatherTask::<3> { field, rows, width, projected, primitives }),
-            _ => simd::dispatch(GatherTask::<4> { field, rows, width, projected, primitives }),
+            1 => simd::dispatch(GatherTask::<1> { field, rows, width, start, projected, primitives }),
+            2 => simd::dispatch(GatherTask::<2> { field, rows, width, start, projected, primitives }),
+            3 => simd::dispatch(GatherTask::<3> { field, rows, width, start, projected, primitives }),
+            _ => simd::dispatch(GatherTask::<4> { field, rows, width, start, projected, primitives }),
         }
     }
 
@@ -135,29 +170,7 @@ impl Field {
 
 /// Returns the squared error of the clamped picture of `projected` over all rows.
 pub fn squared_error(problem: &Problem<'_>, projected: &[Projected]) -> f64 {
-    error(problem, projected, Output::Picture)
-}
-
-/// Returns what [`Field::draw`] does, of all rows. What is drawn is not kept, a band at a time: the planes of a whole
-/// picture are several times as large as itself.
-pub fn error(problem: &Problem<'_>, projected: &[Projected], output: Output) -> f64 {
-    match problem.target.channels.count() {
-        1 => error_of::<1>(problem, projected, output),
-        2 => error_of::<2>(problem, projected, output),
-        3 => error_of::<3>(problem, projected, output),
-        _ => error_of::<4>(problem, projected, output),
-    }
-}
-
-fn error_of<const C: usize>(problem: &Problem<'_>, projected: &[Projected], output: Output) -> f64 {
-    let (rows, height) = (RowSet::ALL, problem.scene.height as usize);
-    let bands = Bands::new(projected, rows, problem.scene.height);
-    let errors = parallel::map(height.div_ceil(BAND), |b| {
-        let (members, first) = (bands.members(b), b * BAND);
-        let mut band = vec![0.0; (height - first).min(BAND) * (C + 1) * problem.target.stride];
-        simd::dispatch(BandTask::<C> { problem, projected, members, rows, first, band: &mut band, output })
-    });
-    errors.iter().sum()
+    Field::default().error(problem, projected, Output::Picture)
 }
 
 /// Returns the squared error of the clamped picture of `projected` over a part of the pixels, weighted or plain as
@@ -196,15 +209,50 @@ pub fn float_error(problem: &Problem<'_>, primitives: &[Primitive]) -> f64 {
     squared_error(problem, &project::all(primitives, problem.scene.height))
 }
 
-/// One band to draw.
-struct BandTask<'a, const C: usize> {
+/// What is drawn, band by band.
+#[derive(Clone, Copy)]
+struct Drawing<'a> {
     problem: &'a Problem<'a>,
     projected: &'a [Projected],
-    members: &'a [u32],
+    strips: &'a Strips,
+    bands: &'a Bands,
+    rows: RowSet,
+    output: Output,
+}
+
+impl Drawing<'_> {
+    /// Draws band `b`; returns its squared error.
+    fn band<const C: usize>(&self, b: usize, band: &mut [f32]) -> f64 {
+        simd::dispatch(BandTask::<C> { drawing: self, b, band })
+    }
+}
+
+/// One band to draw.
+struct BandTask<'a, const C: usize> {
+    drawing: &'a Drawing<'a>,
+    b: usize,
+    band: &'a mut [f32],
+}
+
+/// A primitive to add to a band.
+struct SplatTask<'a, const C: usize> {
+    p: &'a Projected,
+    strips: &'a [Planned],
     rows: RowSet,
     first: usize,
-    band: &'a mut [f32],
-    output: Output,
+    width: u32,
+    planes: &'a mut [f32],
+    stride: usize,
+}
+
+impl<const C: usize> Task for SplatTask<'_, C> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let SplatTask { p, strips, rows, first, width, planes, stride } = self;
+        kernel::splat_planned::<S, C>(simd, (p, strips), (rows, first), width, (planes, stride));
+    }
 }
 
 impl<const C: usize> Task for BandTask<'_, C> {
@@ -212,15 +260,17 @@ impl<const C: usize> Task for BandTask<'_, C> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> f64 {
-        let BandTask { problem, projected, members, rows, first, band, output } = self;
+        let BandTask { drawing, b, band } = self;
+        let Drawing { problem, projected, strips, bands, rows, output } = *drawing;
+        let first = b * BAND;
         let Problem { scene, target } = problem;
         let stride = target.stride;
         let row_size = (C + 1) * stride;
         let count = band.len() / row_size;
         band.fill(0.0);
-        for &i in members {
-            let p = &projected[i as usize];
-            kernel::splat::<S, C>(simd, p, (rows, first), scene.width, (&mut *band, stride), 1.0);
+        for &i in bands.members(b) {
+            let (p, strips) = (&projected[i as usize], strips.of(i as usize));
+            simd.call(SplatTask::<C> { p, strips, rows, first, width: scene.width, planes: &mut *band, stride });
         }
         if output == Output::Sums {
             return 0.0;
@@ -316,19 +366,30 @@ fn resolve_row<S: Simd, const C: usize>(
 /// The gradient of half the squared error with respect to one primitive, gathered from gradient planes, in the
 /// primitive's whitened frame: mean along its own axes in units of its own scales, log-scales, rotation, colour.
 #[inline(always)]
-fn gather<S: Simd, const C: usize>(
-    simd: S,
-    field: &Field,
-    rows: RowSet,
-    width: u32,
-    p: &Projected,
-    log_scale: [f32; 2],
-    rotation: f32,
-) -> Gradient {
-    let m = kernel::gather::<S, C>(simd, p, rows, width, (&field.planes, field.stride));
-    let mut gradient = Gradient::from_moments(m.geometry, Frame::of(log_scale, rotation));
+fn gather<S: Simd, const C: usize>(simd: S, one: MomentsTask<'_, C>, frame: Frame) -> Gradient {
+    let m = simd.call(one);
+    let mut gradient = Gradient::from_moments(m.geometry, frame);
     gradient.color[..C].copy_from_slice(&m.color);
     gradient
+}
+
+/// The moments of a primitive.
+struct MomentsTask<'a, const C: usize> {
+    field: &'a Field,
+    rows: RowSet,
+    width: u32,
+    p: &'a Projected,
+    strips: &'a [Planned],
+}
+
+impl<const C: usize> Task for MomentsTask<'_, C> {
+    type Output = kernel::Moments<C>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> kernel::Moments<C> {
+        let MomentsTask { field, rows, width, p, strips } = self;
+        kernel::gather_planned::<S, C>(simd, (p, strips), rows, width, (&field.planes, field.stride))
+    }
 }
 
 /// The gradients of a run of primitives.
@@ -336,6 +397,7 @@ struct GatherTask<'a, const C: usize> {
     field: &'a Field,
     rows: RowSet,
     width: u32,
+    start: usize,
     projected: &'a [Projected],
     primitives: &'a [Primitive],
 }
@@ -345,9 +407,16 @@ impl<const C: usize> Task for GatherTask<'_, C> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> Vec<Gradient> {
-        let mut out = Vec::with_capacity(self.projected.len());
-        for (q, p) in self.projected.iter().zip(self.primitives) {
-            out.push(gather::<S, C>(simd, self.field, self.rows, self.width, q, p.log_scale, p.rotation));
+        let GatherTask { field, rows, width, start, projected, primitives } = self;
+        let mut out = Vec::with_capacity(projected.len());
+        for (eight, primitives) in primitives.chunks(LANES).enumerate() {
+            let Frames { scales: [major, minor], sin, cos } = project::frames(simd, primitives);
+            for k in 0..primitives.len() {
+                let i = eight * LANES + k;
+                let (p, strips) = (&projected[i], field.strips.of(start + i));
+                let frame = Frame { scale: [major[k], minor[k]], turn: (sin[k], cos[k]) };
+                out.push(gather(simd, MomentsTask::<C> { field, rows, width, p, strips }, frame));
+            }
         }
         out
     }
@@ -371,13 +440,6 @@ pub struct Frame {
     pub scale: [f32; 2],
     /// Sine and cosine of its rotation.
     pub turn: (f32, f32),
-}
-
-impl Frame {
-    #[inline(always)]
-    pub fn of(log_scale: [f32; 2], rotation: f32) -> Self {
-        Frame { scale: log_scale.map(f32::exp), turn: rotation.sin_cos() }
-    }
 }
 
 impl Gradient {
@@ -428,7 +490,7 @@ mod tests {
                 .collect();
             for output in [Output::Picture, Output::Gradient] {
                 let kept = Field::default().draw(&problem, &projected, RowSet::ALL, output);
-                assert_eq!(error(&problem, &projected, output), kept);
+                assert_eq!(Field::default().error(&problem, &projected, output), kept);
                 assert!(kept > 0.0);
             }
         }

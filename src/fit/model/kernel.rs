@@ -3,41 +3,50 @@
 
 use crate::fit::model::project::{Lines, Projected};
 use crate::fit::model::rows::RowSet;
+use crate::fit::model::strips::{self, Planned};
 use crate::gaussian::CUTOFF_WEIGHT;
 use crate::simd::{self, Simd};
 
 /// Sampled rows at most that the recurrence walks down before it starts afresh, which bounds its drift: relative errors
 /// of 2⁻²⁴ in the ratio of rows grow to 7·10⁻⁵ in the last one at most.
-const RUN: u32 = 32;
+pub(super) const RUN: u32 = 32;
 
 /// Largest `−log₂` of a Gaussian that the recurrence may start from, and of the ratio between rows: beyond it f32 would
 /// underflow.
 const REACH: f32 = 110.0;
 
 /// Least factor between the ratios of neighbouring rows: below it f32 would underflow, too.
-const LEAST_BEND: f32 = 1e-9;
+pub(super) const LEAST_BEND: f32 = 1e-9;
 
 /// From the first of eight columns to their middle.
 const MIDDLE: f32 = 0.5 * (simd::LANES - 1) as f32;
 
 /// A primitive on rows `step` from each other, `2^((a·dx + b·dy)·dx + c·dy²)`.
 #[derive(Clone, Copy)]
-struct Rows {
+pub(super) struct Rows {
     a: f32,
     b: f32,
     c: f32,
     step: f32,
     /// Factor between the ratios of neighbouring rows.
-    bend: f32,
+    pub bend: f32,
 }
 
 impl Rows {
     #[inline(always)]
-    fn new(p: &Projected, step: f32) -> Self {
+    pub fn new(p: &Projected, step: f32) -> Self {
+        const L2E: f32 = std::f32::consts::LOG2_E;
+        let [_, _, c] = p.conic;
+        let bend = (-L2E * c * step * step).max(-126.0).exp2();
+        Self::of(p, step, bend)
+    }
+
+    /// The same where the factor between ratios is known.
+    #[inline(always)]
+    pub fn of(p: &Projected, step: f32, bend: f32) -> Self {
         const L2E: f32 = std::f32::consts::LOG2_E;
         let [a, b, c] = p.conic;
-        let c = -0.5 * L2E * c;
-        Rows { a: -0.5 * L2E * a, b: -L2E * b, c, step, bend: (2.0 * c * step * step).max(-126.0).exp2() }
+        Rows { a: -0.5 * L2E * a, b: -L2E * b, c: -0.5 * L2E * c, step, bend }
     }
 
     /// The exponent on the row that is `dy` from the centre.
@@ -55,7 +64,7 @@ impl Rows {
     /// Whether eight columns from `dx` on may be walked down from `dy` on by recurrence. Exponents are concave along the
     /// row, so their least is at an end.
     #[inline(always)]
-    fn are_mild(&self, dx: f32, dy: f32) -> bool {
+    pub fn are_mild(&self, dx: f32, dy: f32) -> bool {
         let last = dx + (simd::LANES - 1) as f32;
         self.exponent(dx, dy).min(self.exponent(last, dy)) > -REACH
             && self.growth(dx, dy).abs().max(self.growth(last, dy).abs()) < REACH
@@ -64,20 +73,20 @@ impl Rows {
 
     /// The ratio of the next row to the one at `dy`.
     #[inline(always)]
-    fn ratio<S: Simd>(&self, simd: S, dx: S::Vector, dy: f32) -> S::Vector {
+    pub fn ratio<S: Simd>(&self, simd: S, dx: S::Vector, dy: f32) -> S::Vector {
         let growth = self.step * self.c * (2.0 * dy + self.step);
         simd.exp2(simd.add(simd.mul(simd.splat(self.step * self.b), dx), simd.splat(growth)))
     }
 
     /// How the ratio of rows differs in eight columns from that in their middle.
     #[inline(always)]
-    fn tilt<S: Simd>(&self, simd: S) -> S::Vector {
+    pub fn tilt<S: Simd>(&self, simd: S) -> S::Vector {
         simd.exp2(simd.mul(simd.splat(self.step * self.b), simd.sub(simd.index(), simd.splat(MIDDLE))))
     }
 
     /// The Gaussian at distance `dy` from the centre.
     #[inline(always)]
-    fn at<S: Simd>(&self, simd: S, dx: S::Vector, dy: f32) -> S::Vector {
+    pub fn at<S: Simd>(&self, simd: S, dx: S::Vector, dy: f32) -> S::Vector {
         let slope = simd.add(simd.mul(simd.splat(self.a), dx), simd.splat(self.b * dy));
         simd.exp2(simd.add(simd.mul(slope, dx), simd.splat(self.c * dy * dy)))
     }
@@ -101,6 +110,19 @@ pub struct Strip<S: Simd> {
     pub edge: S::Vector,
 }
 
+impl<S: Simd> Strip<S> {
+    /// The columns from `x` on, of which those from `end` on are not to be visited.
+    #[inline(always)]
+    pub(super) fn new(simd: S, p: &Projected, x: usize, end: usize) -> Self {
+        let mut edge = simd.splat(CUTOFF_WEIGHT);
+        if x + simd::LANES > end {
+            let beyond = simd.sub(simd.index(), simd.splat((end - x) as f32 - 0.5));
+            edge = simd.max(edge, simd.mul(beyond, simd.splat(1e9)));
+        }
+        Strip { x, dx: simd.add(simd.index(), simd.splat(x as f32 - p.center[0])), edge }
+    }
+}
+
 /// What is done with a primitive's pixels.
 pub trait Visit<S: Simd> {
     /// Row `i` of those that are visited, at distance `dy` from the centre, where the Gaussian is `g`; it may be less than
@@ -114,22 +136,22 @@ pub trait Visit<S: Simd> {
 
 /// Eight strips side by side, where the support may lie on them: one at a time, finding its rows would take longer than
 /// visiting them.
-struct Cut {
+pub(super) struct Cut {
     /// The first row of each strip that the support reaches, and the one after the last.
-    first: [u32; simd::LANES],
-    end: [u32; simd::LANES],
+    pub first: [u32; simd::LANES],
+    pub end: [u32; simd::LANES],
     /// The distance of the first from the centre.
-    start: [f32; simd::LANES],
+    pub start: [f32; simd::LANES],
     /// Above 0 where the first row may start a recurrence.
-    mildness: [f32; simd::LANES],
+    pub mildness: [f32; simd::LANES],
     /// The ratio of the second row to the first, in the middle of each strip.
-    ratios: [f32; simd::LANES],
+    pub ratios: [f32; simd::LANES],
 }
 
 impl Cut {
     /// Strips from `dx` on, in `count` rows, the first of them at `dy`.
     #[inline(always)]
-    fn new<S: Simd>(simd: S, rows: &Rows, lines: &Lines, dx: f32, (dy, count): (f32, usize)) -> Self {
+    pub fn new<S: Simd>(simd: S, rows: &Rows, lines: &Lines, dx: f32, (dy, count): (f32, usize)) -> Self {
         let (zero, all) = (simd.splat(0.0), simd.splat(count as f32));
         let left = simd.add(simd.mul(simd.index(), simd.splat(simd::LANES as f32)), simd.splat(dx));
         let right = simd.add(left, simd.splat((simd::LANES - 1) as f32));
@@ -190,12 +212,7 @@ pub fn walk<S: Simd>(
             let (mut first, end) = (cut.first[k], cut.end[k]);
             let x = x + k * simd::LANES;
             let start = x as f32 - p.center[0];
-            let mut edge = simd.splat(CUTOFF_WEIGHT);
-            if x + simd::LANES > columns.end {
-                let beyond = simd.sub(simd.index(), simd.splat((columns.end - x) as f32 - 0.5));
-                edge = simd.max(edge, simd.mul(beyond, simd.splat(1e9)));
-            }
-            let strip = Strip { x, dx: simd.add(simd.index(), simd.splat(start)), edge };
+            let strip = Strip::new(simd, p, x, columns.end);
             let (mut dy, mut is_mild) = (cut.start[k], cut.mildness[k] > 0.0 && rows.bend > LEAST_BEND);
             let (mut g, mut ratio) = (rows.at(simd, strip.dx, dy), simd.mul(tilt, simd.splat(cut.ratios[k])));
             while first < end {
@@ -280,6 +297,20 @@ pub fn splat<S: Simd, const C: usize>(
     walk_rows(simd, p, (rows, from..end), width, &mut deposit);
 }
 
+/// Adds the weights of a primitive, whose strips are known, to sums, as [`splat`] does with a sign of 1.
+#[inline(always)]
+pub(crate) fn splat_planned<S: Simd, const C: usize>(
+    simd: S,
+    (p, strips): (&Projected, &[Planned]),
+    (rows, first): (RowSet, usize),
+    width: u32,
+    (planes, stride): (&mut [f32], usize),
+) {
+    let end = first + planes.len() / ((C + 1) * stride);
+    let mut deposit = Deposit::<S, C> { color: colors(simd, p), sign: simd.splat(1.0), planes, stride };
+    strips::walk(simd, (p, strips), (rows, first..end), width, &mut deposit);
+}
+
 /// Adds weights to sums.
 struct Deposit<'a, S: Simd, const C: usize> {
     /// Times the sign.
@@ -314,6 +345,7 @@ pub struct Moments<const C: usize> {
 
 /// The moments of `p` over the gradient planes of all its sampled rows: for each, `C` of `∂L/∂(Σwc)`, then `h`, `stride`
 /// floats each.
+#[cfg(any(test, feature = "unstable"))]
 #[inline(always)]
 pub fn gather<S: Simd, const C: usize>(
     simd: S,
@@ -322,27 +354,25 @@ pub fn gather<S: Simd, const C: usize>(
     width: u32,
     (planes, stride): (&[f32], usize),
 ) -> Moments<C> {
-    let zero = simd.splat(0.0);
     let (from, end) = (rows.index(p.rows[0]), rows.index(p.rows[1]));
-    let planes = &planes[from * (C + 1) * stride..];
-    let mut gather = Gather {
-        color: colors(simd, p),
-        planes,
-        stride,
-        colors: [zero; C],
-        geometry: [zero; 5],
-        shades: [zero; C],
-        sums: [zero; 3],
-    };
+    let mut gather = Gather::<S, C>::new(simd, p, (&planes[from * (C + 1) * stride..], stride));
     walk_rows(simd, p, (rows, from..end), width, &mut gather);
-    let mut moments = Moments { color: [0.0; C], geometry: [0.0; 5] };
-    for (sum, v) in moments.color.iter_mut().zip(gather.colors) {
-        *sum = simd.sum(v);
-    }
-    for (sum, v) in moments.geometry.iter_mut().zip(gather.geometry) {
-        *sum = simd.sum(v);
-    }
-    moments
+    gather.moments(simd)
+}
+
+/// The same of a primitive whose strips are known.
+#[inline(always)]
+pub(crate) fn gather_planned<S: Simd, const C: usize>(
+    simd: S,
+    (p, strips): (&Projected, &[Planned]),
+    rows: RowSet,
+    width: u32,
+    (planes, stride): (&[f32], usize),
+) -> Moments<C> {
+    let count = planes.len() / ((C + 1) * stride);
+    let mut gather = Gather::<S, C>::new(simd, p, (planes, stride));
+    strips::walk(simd, (p, strips), (rows, 0..count), width, &mut gather);
+    gather.moments(simd)
 }
 
 /// Sums moments.
@@ -357,6 +387,27 @@ struct Gather<'a, S: Simd, const C: usize> {
     /// Of `e v` over a run of rows: its sum up to the present row, the sum of those sums, and the sum of these. They are
     /// its moments along `dy` in the end, and three additions a row.
     sums: [S::Vector; 3],
+}
+
+impl<'a, S: Simd, const C: usize> Gather<'a, S, C> {
+    #[inline(always)]
+    fn new(simd: S, p: &Projected, (planes, stride): (&'a [f32], usize)) -> Self {
+        let zero = simd.splat(0.0);
+        let (color, colors, geometry) = (colors(simd, p), [zero; C], [zero; 5]);
+        Gather { color, planes, stride, colors, geometry, shades: [zero; C], sums: [zero; 3] }
+    }
+
+    #[inline(always)]
+    fn moments(self, simd: S) -> Moments<C> {
+        let mut moments = Moments { color: [0.0; C], geometry: [0.0; 5] };
+        for (sum, v) in moments.color.iter_mut().zip(self.colors) {
+            *sum = simd.sum(v);
+        }
+        for (sum, v) in moments.geometry.iter_mut().zip(self.geometry) {
+            *sum = simd.sum(v);
+        }
+        moments
+    }
 }
 
 impl<S: Simd, const C: usize> Visit<S> for Gather<'_, S, C> {

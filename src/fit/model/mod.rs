@@ -16,4 +16,5 @@ pub(crate) mod reweigh;
 pub(crate) mod ridge;
 pub mod rows;
 pub(crate) mod sample;
+pub mod strips;
 pub mod structure;

@@ -53,21 +53,50 @@ pub(crate) fn spacing(scene: &Scene, count: usize, among: usize) -> f32 {
 /// The places where new primitives would help most, best first, at most `count`, for a picture of `among` primitives:
 /// peaks of the residual blurred at several scales, and where one is part of a ridge, an elongated peak along it.
 pub(crate) fn peaks(problem: &Problem<'_>, field: &Field, rows: RowSet, count: usize, among: usize) -> Vec<Peak> {
-    let scene = &problem.scene;
+    Room::default().peaks(problem, field, rows, [count, among])
+}
+
+/// Memory that is kept from one search to the next: fresh pages cost as much as the search.
+#[derive(Debug, Default)]
+pub(crate) struct Room {
+    cells: Cells,
+    spare: Vec<f32>,
+    score: Vec<f32>,
+}
+
+impl Room {
+    /// Returns what [`peaks`] does, `count` of them in a picture of `among` primitives.
+    pub(crate) fn peaks(
+        &mut self,
+        problem: &Problem<'_>,
+        field: &Field,
+        rows: RowSet,
+        [count, among]: [usize; 2],
+    ) -> Vec<Peak> {
+        let Room { cells, spare, score } = self;
+        // Work on cells of `rows.step` pixels: the field has no more rows than that.
+        residual(problem, field, rows, cells);
+        search(&problem.scene, (cells, spare, score), rows.step as f32, [count, among])
+    }
+}
+
+/// The peaks of the residual in `cells`, each `size` pixels a side; the other two are memory.
+fn search(
+    scene: &Scene,
+    (cells, spare, score): (&mut Cells, &mut Vec<f32>, &mut Vec<f32>),
+    mut size: f32,
+    [count, among]: [usize; 2],
+) -> Vec<Peak> {
     let spacing = spacing(scene, count, among);
-    // Work on cells of `rows.step` pixels: the field has no more rows than that.
-    let mut cells = residual(problem, field, rows);
-    let mut size = rows.step as f32;
     let ridges = ridge::all();
     let mut bar = Bar { count, gains: Vec::new() };
     let mut candidates: Vec<(Peak, u32)> = Vec::new();
-    let (mut spare, mut score) = (Vec::new(), Vec::new());
     // Variance of the blur so far, in pixels².
     let mut variance = 0.0f32;
     for level in 0..12u32 {
         let passes = if level == 0 { 2 } else { 1 };
         for _ in 0..passes {
-            cells.blur(&mut spare);
+            cells.blur(spare);
         }
         variance += passes as f32 * size * size;
         let sigma = variance.sqrt();
@@ -76,12 +105,12 @@ pub(crate) fn peaks(problem: &Problem<'_>, field: &Field, rows: RowSet, count: u
         }
         let gain_of = |score: f32| 4.0 * std::f32::consts::PI * variance * score;
         let longest = ridge::longest(spacing, sigma);
-        let tops = tops(&cells, &mut score);
+        let tops = tops(cells, score);
         let least = bar.raised(tops.iter().map(|top| gain_of(top.score))) / longest;
         let tops: Vec<_> = tops.into_iter().filter(|top| gain_of(top.score) >= least).collect();
         let shapes = parallel::map(tops.len().div_ceil(CHUNK), |c| {
             let tops = &tops[c * CHUNK..tops.len().min((c + 1) * CHUNK)];
-            tops.iter().map(|top| ridge::shape(&ridges, longest, &cells, top.cell)).collect::<Vec<_>>()
+            tops.iter().map(|top| ridge::shape(&ridges, longest, cells, top.cell)).collect::<Vec<_>>()
         })
         .concat();
         for (Top { cell: [x, y], .. }, shape) in tops.into_iter().zip(shapes) {
@@ -92,7 +121,7 @@ pub(crate) fn peaks(problem: &Problem<'_>, field: &Field, rows: RowSet, count: u
             break;
         }
         // The box adds a quarter of a pixel² of variance at the finer size.
-        cells = cells.halved();
+        cells.halve(spare);
         variance += 0.25 * size * size;
         size *= 2.0;
     }
@@ -147,8 +176,8 @@ pub(crate) fn best(mut candidates: Vec<(Peak, u32)>, count: usize, scene: &Scene
     spread(candidates, count, scene)
 }
 
-/// What the target has and the picture in `field` has not, in cells of `rows.step` pixels a side.
-fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet) -> Cells {
+/// Makes `cells` what the target has and the picture in `field` has not, in cells of `rows.step` pixels a side.
+fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet, cells: &mut Cells) {
     let Problem { scene, target } = *problem;
     let channels = target.channels.count();
     let (step, length) = (rows.step as usize, scene.width as usize);
@@ -156,16 +185,25 @@ fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet) -> Cells {
     // Four side by side are one step of a processor.
     let each = if channels == 1 { 1 } else { 4 };
     let share = 1.0 / step as f32;
-    let mut values = vec![0.0; width * height * each];
-    parallel::map_chunks(&mut values, (width * each).max(1), |i, out| {
+    (cells.width, cells.height, cells.each) = (width, height, each);
+    cells.values.resize(width * height * each, 0.0);
+    parallel::map_chunks(&mut cells.values, (width * each).max(1), |i, out| {
         let (wanted, amplitude) = (target.row(rows.row(i)), target.amplitude(rows.row(i)));
         let opaque = target.channels.alpha().map(|a| (a, &wanted[a * target.stride..][..length]));
         let found = field.row(i, channels);
+        let opacity = |k: usize| opaque.filter(|&(a, _)| a != k).map(|(_, plane)| plane);
+        if (step, channels) == (1, 3) {
+            let planes =
+                std::array::from_fn(|k| [&wanted[k * target.stride..][..length], &found[k * field.stride..][..length]]);
+            let [r, g, b, _] = target.channel_amplitude;
+            return simd::dispatch(Lacks { planes, shares: [r, g, b], amplitude, out });
+        }
+        out.fill(0.0);
         for k in 0..channels {
             let share = share * target.channel_amplitude[k];
             let t = &wanted[k * target.stride..][..length];
             let v = &found[k * field.stride..][..length];
-            let opacity = opaque.filter(|&(a, _)| a != k).map(|(_, plane)| plane);
+            let opacity = opacity(k);
             let parts = t.chunks(step).zip(v.chunks(step)).zip(out.chunks_exact_mut(each));
             for (cell, ((t, v), out)) in parts.enumerate() {
                 for (x, (t, v)) in t.iter().zip(v).enumerate() {
@@ -176,7 +214,39 @@ fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet) -> Cells {
             }
         }
     });
-    Cells { width, height, each, values }
+}
+
+/// What a row of three colours lacks, each pixel a cell. A loop that compilers turn into vectors of the instruction set.
+struct Lacks<'a> {
+    /// Of each colour what is wanted and what is there.
+    planes: [[&'a [f32]; 2]; 3],
+    shares: [f32; 3],
+    amplitude: Option<&'a [f32]>,
+    out: &'a mut [f32],
+}
+
+#[inline(always)]
+fn lacks([t, v]: [&[f32]; 2], x: usize) -> f32 {
+    t[x] - v[x].clamp(0.0, 1.0)
+}
+
+impl Task for Lacks<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        let Lacks { planes: [r, g, b], shares, amplitude, out } = self;
+        let (out, _) = out.as_chunks_mut::<4>();
+        for (x, out) in out.iter_mut().enumerate() {
+            let weight = amplitude.map_or(1.0, |a| a[x]);
+            *out = [
+                lacks(r, x) * (shares[0] * weight),
+                lacks(g, x) * (shares[1] * weight),
+                lacks(b, x) * (shares[2] * weight),
+                0.0,
+            ];
+        }
+    }
 }
 
 /// A cell whose square is larger than those around it.

@@ -2,7 +2,7 @@
 
 use crate::gaussian::{CUTOFF, Gaussian};
 use crate::parallel;
-use crate::simd::Simd;
+use crate::simd::{self, LANES, Simd, Task};
 
 /// A primitive while it is fitted: as [`Gaussian`], with the scales as natural logarithms and in no order.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -42,12 +42,99 @@ pub fn zoomed(mut primitives: Vec<Primitive>, by: f32) -> Vec<Primitive> {
 /// Projects `primitives` into a picture of so many rows.
 pub fn all(primitives: &[Primitive], height: u32) -> Vec<Projected> {
     const CHUNK: usize = 512;
-    let chunks = primitives.len().div_ceil(CHUNK);
-    parallel::map(chunks, |c| {
-        let part = &primitives[c * CHUNK..primitives.len().min((c + 1) * CHUNK)];
-        part.iter().map(|p| Projected::new(p, height)).collect::<Vec<_>>()
-    })
-    .concat()
+    let mut projected = vec![Projected::default(); primitives.len()];
+    parallel::map_chunks(&mut projected, CHUNK, |c, out| {
+        simd::dispatch(ProjectTask { primitives: &primitives[c * CHUNK..][..out.len()], height, out });
+    });
+    projected
+}
+
+/// Primitives to project.
+struct ProjectTask<'a> {
+    primitives: &'a [Primitive],
+    height: u32,
+    out: &'a mut [Projected],
+}
+
+impl Task for ProjectTask<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        for (primitives, out) in self.primitives.chunks(LANES).zip(self.out.chunks_mut(LANES)) {
+            project_eight(simd, primitives, self.height, out);
+        }
+    }
+}
+
+/// Scales along the axes, and sine and cosine of the rotation, of eight primitives.
+#[derive(Debug, Clone, Copy)]
+pub struct Frames {
+    pub scales: [[f32; LANES]; 2],
+    pub sin: [f32; LANES],
+    pub cos: [f32; LANES],
+}
+
+/// Logarithms of scales, and rotations, side by side.
+#[inline(always)]
+fn shapes(primitives: &[Primitive]) -> [[f32; LANES]; 3] {
+    let mut shapes = [[0.0; LANES]; 3];
+    for (k, p) in primitives.iter().enumerate() {
+        (shapes[0][k], shapes[1][k], shapes[2][k]) = (p.log_scale[0], p.log_scale[1], p.rotation);
+    }
+    shapes
+}
+
+/// The frames of at most eight primitives.
+#[inline(always)]
+pub fn frames<S: Simd>(simd: S, primitives: &[Primitive]) -> Frames {
+    let [major, minor, rotation] = shapes(primitives);
+    let [sin, cos] = simd.sin_cos(simd.vector(rotation));
+    let scales = [simd.to_array(simd.exp(simd.vector(major))), simd.to_array(simd.exp(simd.vector(minor)))];
+    Frames { scales, sin: simd.to_array(sin), cos: simd.to_array(cos) }
+}
+
+/// What [`Projected::from_parts`] does, of at most eight primitives at once.
+#[inline(always)]
+fn project_eight<S: Simd>(simd: S, primitives: &[Primitive], height: u32, out: &mut [Projected]) {
+    let [major, minor, rotation] = shapes(primitives);
+    let twice = simd.splat(-2.0);
+    let ix = simd.exp(simd.mul(simd.vector(major), twice));
+    let iy = simd.exp(simd.mul(simd.vector(minor), twice));
+    let [sin, cos] = simd.sin_cos(simd.vector(rotation));
+    let (ss, cc, one) = (simd.mul(sin, sin), simd.mul(cos, cos), simd.splat(1.0));
+    let a = simd.add(simd.mul(cc, ix), simd.mul(ss, iy));
+    let b = simd.mul(simd.mul(cos, sin), simd.sub(ix, iy));
+    let c = simd.add(simd.mul(ss, ix), simd.mul(cc, iy));
+    let cutoff = simd.splat(CUTOFF);
+    let half = simd.mul(cutoff, simd.sqrt(simd.add(simd.div(ss, ix), simd.div(cc, iy))));
+    let (inv_a, both) = (simd.div(one, a), simd.mul(ix, iy));
+    let tip = simd.div(simd.mul(simd.sub(simd.splat(0.0), cutoff), b), simd.sqrt(simd.mul(both, c)));
+    let [shear, rest] = [simd.div(b, a), simd.div(both, a)];
+    let (half, inv_a, tip) = (simd.to_array(half), simd.to_array(inv_a), simd.to_array(tip));
+    let (a, b, c) = (simd.to_array(a), simd.to_array(b), simd.to_array(c));
+    let (shear, rest) = (simd.to_array(shear), simd.to_array(rest));
+    for (k, (p, out)) in primitives.iter().zip(out).enumerate() {
+        let center = [p.mean[0] - 0.5, p.mean[1] - 0.5];
+        *out = Projected {
+            center,
+            conic: [a[k], b[k], c[k]],
+            shear: shear[k],
+            rest: rest[k],
+            inv_a: inv_a[k],
+            tip: tip[k],
+            rows: rows(center[1], half[k], height),
+            color: p.color,
+        };
+    }
+}
+
+/// The rows up to `half` from `center`, of so many.
+#[inline(always)]
+fn rows(center: f32, half: f32, height: u32) -> [u32; 2] {
+    let first = (center - half).ceil().max(0.0);
+    let end = ((center + half).floor() + 1.0).clamp(0.0, height as f32);
+    [first.min(end) as u32, end as u32]
 }
 
 /// One primitive as the pixel loops need it.
@@ -72,6 +159,7 @@ pub struct Projected {
 }
 
 impl Projected {
+    #[cfg(any(test, feature = "unstable"))]
     pub fn new(p: &Primitive, height: u32) -> Self {
         let [ix, iy] = p.log_scale.map(|l| (-2.0 * l).exp());
         Self::from_parts(p.mean, [ix, iy], p.rotation, p.color, height)
@@ -88,9 +176,7 @@ impl Projected {
         let c = sin * sin * ix + cos * cos * iy;
         let half = CUTOFF * (sin * sin / ix + cos * cos / iy).sqrt();
         let center = [mean[0] - 0.5, mean[1] - 0.5];
-        let first = (center[1] - half).ceil().max(0.0);
-        let end = ((center[1] + half).floor() + 1.0).clamp(0.0, height as f32);
-        let rows = [first.min(end) as u32, end as u32];
+        let rows = rows(center[1], half, height);
         let tip = -CUTOFF * b / (ix * iy * c).sqrt();
         Projected { center, conic: [a, b, c], shear: b / a, rest: ix * iy / a, inv_a: 1.0 / a, tip, rows, color }
     }

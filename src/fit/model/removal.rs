@@ -5,23 +5,25 @@ use crate::fit::model::kernel::{self, Strip, Visit};
 use crate::fit::model::problem::Problem;
 use crate::fit::model::project::Projected;
 use crate::fit::model::rows::RowSet;
+use crate::fit::model::strips;
 use crate::gaussian::Blend;
 use crate::parallel;
 use crate::simd::{self, Simd, Task};
 
 /// The rise of the squared error when each primitive is removed, estimated without refitting the others.
 ///
-/// `field` holds [`Output::Picture`](crate::fit::model::field::Output::Picture) over `rows`; the sums are scaled up by the rows left out.
+/// `field` holds [`Output::Picture`](crate::fit::model::field::Output::Picture) over `rows`, of these primitives first; the sums are scaled up by the rows left out.
 pub(crate) fn costs(problem: &Problem<'_>, field: &Field, rows: RowSet, projected: &[Projected]) -> Vec<f32> {
     const CHUNK: usize = 64;
     let chunks = projected.len().div_ceil(CHUNK);
     parallel::map(chunks, |chunk| {
-        let projected = &projected[chunk * CHUNK..projected.len().min((chunk + 1) * CHUNK)];
+        let start = chunk * CHUNK;
+        let projected = &projected[start..projected.len().min(start + CHUNK)];
         match problem.target.channels.count() {
-            1 => simd::dispatch(CostTask::<1> { problem, field, rows, projected }),
-            2 => simd::dispatch(CostTask::<2> { problem, field, rows, projected }),
-            3 => simd::dispatch(CostTask::<3> { problem, field, rows, projected }),
-            _ => simd::dispatch(CostTask::<4> { problem, field, rows, projected }),
+            1 => simd::dispatch(CostTask::<1> { problem, field, rows, start, projected }),
+            2 => simd::dispatch(CostTask::<2> { problem, field, rows, start, projected }),
+            3 => simd::dispatch(CostTask::<3> { problem, field, rows, start, projected }),
+            _ => simd::dispatch(CostTask::<4> { problem, field, rows, start, projected }),
         }
     })
     .concat()
@@ -32,6 +34,8 @@ struct CostTask<'a, const C: usize> {
     problem: &'a Problem<'a>,
     field: &'a Field,
     rows: RowSet,
+    /// Index of the first of them.
+    start: usize,
     projected: &'a [Projected],
 }
 
@@ -40,13 +44,14 @@ impl<const C: usize> Task for CostTask<'_, C> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> Vec<f32> {
-        let CostTask { problem, field, rows, projected } = self;
+        let CostTask { problem, field, rows, start, projected } = self;
+        let all = rows.count(problem.scene.height);
         let mut out = Vec::with_capacity(projected.len());
-        for p in projected {
-            let (first, end) = (rows.index(p.rows[0]), rows.index(p.rows[1]));
+        for (i, p) in projected.iter().enumerate() {
             let color = kernel::colors(simd, p);
-            let mut cost = Cost::<S, C> { problem, field, rows, first, color, sum: simd.splat(0.0) };
-            kernel::walk_rows(simd, p, (rows, first..end), problem.scene.width, &mut cost);
+            let mut cost = Cost::<S, C> { problem, field, rows, color, sum: simd.splat(0.0) };
+            let strips = field.strips.of(start + i);
+            strips::walk(simd, (p, strips), (rows, 0..all), problem.scene.width, &mut cost);
             out.push(simd.sum(cost.sum) * rows.step as f32);
         }
         out
@@ -58,8 +63,6 @@ struct Cost<'a, S: Simd, const C: usize> {
     problem: &'a Problem<'a>,
     field: &'a Field,
     rows: RowSet,
-    /// Index of the first row that is visited.
-    first: usize,
     color: [S::Vector; C],
     sum: S::Vector,
 }
@@ -68,7 +71,7 @@ impl<S: Simd, const C: usize> Visit<S> for Cost<'_, S, C> {
     #[inline(always)]
     fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, _dy: S::Vector) {
         let zero = simd.splat(0.0);
-        let row = &self.field.row(self.first + i, C)[strip.x..];
+        let row = &self.field.row(i, C)[strip.x..];
         let w = simd.max(simd.sub(g, strip.edge), zero);
         let mut share = match self.problem.scene.blend {
             Blend::Normalized => {
@@ -77,7 +80,7 @@ impl<S: Simd, const C: usize> Visit<S> for Cost<'_, S, C> {
             }
             Blend::Sum => w,
         };
-        if let Some(a) = self.problem.target.amplitude(self.rows.row(self.first + i)) {
+        if let Some(a) = self.problem.target.amplitude(self.rows.row(i)) {
             share = simd.mul(share, simd.read(&a[strip.x..]));
         }
         let mut distance = zero;
