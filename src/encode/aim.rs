@@ -10,7 +10,7 @@ use crate::bitstream::splats::{Layout, Metadata, PackedSplats};
 use crate::error::{Error, Result};
 use crate::fit::model::planes::Planes;
 use crate::gaussian::Blend;
-use crate::options::Needs;
+use crate::options::{EncodeOptions, Needs};
 use crate::round::size::Size;
 use crate::target::Target;
 
@@ -18,25 +18,54 @@ use crate::target::Target;
 pub(super) const MAX_PRIMITIVES: u64 = 16 << 20;
 
 /// Ratio of [`Target::Auto`].
-pub(super) const RATIO: f64 = 50.0;
+const RATIO: f64 = 50.0;
 
 /// Estimated bits of a primitive in the coded layout, before any is coded.
 pub(super) const CODED_BITS: f64 = 34.5;
 
 /// Fewest bytes for primitives of [`Target::Auto`]: some twenty of them.
-pub(super) const LEAST: u64 = 80;
+const LEAST: u64 = 80;
+
+/// Returns the size of the file that is asked for; a file takes `fixed` bytes without primitives.
+pub(super) fn size_asked(options: &EncodeOptions, samples: f64, fixed: u64) -> Size {
+    match options.target {
+        Target::Auto => {
+            let length = |metadata: Option<&Vec<u8>>| metadata.map_or(0, |m| m.len() as u64);
+            let metadata = length(options.icc.as_ref()) + length(options.exif.as_ref());
+            Size::Bytes(((samples / RATIO) as u64 + metadata).max(fixed + LEAST))
+        }
+        Target::Ratio(ratio) => Size::Bytes((samples / ratio).floor() as u64),
+        Target::Bytes(bytes) => Size::Bytes(bytes),
+        Target::Primitives(_) | Target::Psnr(_) => Size::Free,
+        #[cfg(feature = "quality")]
+        Target::Quality(_) => Size::Free,
+    }
+}
+
+/// Returns the number of primitives that a fit begins with, for a file of `most` bytes that takes `fixed` without any.
+///
+/// # Errors
+/// [`Error::TooSmall`] if there is no room for any.
+pub(super) fn count_for(options: &EncodeOptions, most: u64, fixed: u64, samples: f64) -> Result<usize> {
+    if most < fixed {
+        return Err(too_small(options, most, fixed));
+    }
+    // Estimated bits of a primitive; the size is corrected while the integers are rounded.
+    let bits = match options.layout {
+        Layout::Packed => 56.0,
+        Layout::Planes => 46.0,
+        Layout::Coded => CODED_BITS,
+    };
+    let count = ((most - fixed) as f64 * 8.0 / bits) as u64;
+    // More primitives than samples bring nothing.
+    Ok(count.min(MAX_PRIMITIVES).min(samples as u64) as usize)
+}
 
 impl Encoding<'_> {
     /// Fits the picture as the options ask.
     pub(super) fn aim(&mut self) -> Result<Outcome> {
-        let size = match self.subject.options.target {
-            Target::Auto => self.auto()?,
-            Target::Ratio(ratio) => Size::Bytes((self.subject.samples() / ratio).floor() as u64),
-            Target::Bytes(bytes) => Size::Bytes(bytes),
-            Target::Primitives(_) | Target::Psnr(_) => Size::Free,
-            #[cfg(feature = "quality")]
-            Target::Quality(_) => Size::Free,
-        };
+        let fixed = self.subject.file(&self.subject.empty())?.len() as u64;
+        let size = size_asked(self.subject.options, self.subject.samples(), fixed);
         if let Some(constant) = self.constant(size)? {
             return Ok(constant);
         }
@@ -62,14 +91,6 @@ impl Encoding<'_> {
         Ok((all - self.subject.file(&file)?.len()) as u64)
     }
 
-    /// The size of a file when nobody asks for one.
-    fn auto(&self) -> Result<Size> {
-        let length = |metadata: Option<&Vec<u8>>| metadata.map_or(0, |m| m.len() as u64);
-        let metadata = length(self.subject.options.icc.as_ref()) + length(self.subject.options.exif.as_ref());
-        let fixed = self.subject.file(&self.subject.empty())?.len() as u64;
-        Ok(Size::Bytes(((self.subject.samples() / RATIO) as u64 + metadata).max(fixed + LEAST)))
-    }
-
     /// The file of a picture of one colour, where that is what there is and the file may be as large.
     fn constant(&mut self, size: Size) -> Result<Option<Outcome>> {
         let options = self.subject.options;
@@ -93,19 +114,8 @@ impl Encoding<'_> {
     pub(super) fn at_size(&mut self, size: Size) -> Result<Outcome> {
         let Size::Bytes(most) = size else { return self.at_count(0, size) };
         let fixed = self.subject.file(&self.subject.empty())?.len() as u64;
-        if most < fixed {
-            return Err(too_small(self.subject.options, most, fixed));
-        }
-        // Estimated bits of a primitive; the size is corrected while the integers are rounded.
-        let bits = match self.subject.options.layout {
-            Layout::Packed => 56.0,
-            Layout::Planes => 46.0,
-            Layout::Coded => CODED_BITS,
-        };
-        // More primitives than samples bring nothing.
-        let count =
-            (((most - fixed) as f64 * 8.0 / bits) as u64).min(MAX_PRIMITIVES).min(self.subject.samples() as u64);
-        self.at_count(count as usize, size)
+        let count = count_for(self.subject.options, most, fixed, self.subject.samples())?;
+        self.at_count(count, size)
     }
 
     /// Returns the squared error of the stored picture over the samples of the caller's channels.

@@ -10,7 +10,7 @@ use crate::fit::model::field::{Field, Output};
 use crate::fit::model::problem::Problem;
 use crate::fit::model::removal;
 use crate::fit::model::rows::RowSet;
-use crate::round::descend::{Descent, Objective};
+use crate::round::descend::Descent;
 use crate::round::rounded::projected;
 
 impl Encoding<'_> {
@@ -69,8 +69,8 @@ fn pruned(
         }
         let mut trial = best.clone();
         if trial.len() < splats.gaussians.len() {
-            let objective = Objective { lambda: 0.0, position_bits: f32::NEG_INFINITY };
-            Descent::new(*problem, &quantizer, Field::default()).sweep(&mut trial, &[], &objective);
+            let lambda = 0.0;
+            Descent::new(*problem, &quantizer, Field::default()).sweep(&mut trial, &[], lambda);
         }
         let drawn = project(&trial);
         if field.draw(problem, &drawn, RowSet::ALL, Output::Picture) > enough {

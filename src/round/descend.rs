@@ -1,5 +1,5 @@
 //! Descent over the integers, block by block: each primitive in turn takes the lattice point around, with the best colour
-//! for it, that lowers `squared error + λ·bits` most, or goes away.
+//! for it, that lowers `squared error + λ·bits` most.
 //!
 //! For a given shape the picture is linear in the primitive's colour once its weight is fixed, so that one pass over
 //! the support gives the error for every colour. Another one tells how the error bends with the shape: of the shapes
@@ -31,15 +31,6 @@ const BLOCK: usize = 64;
 /// Bits by which a move may look worse than none and still be looked at: how well its colour can be rounded is not
 /// known before.
 const SLACK: f32 = 3.0;
-
-/// The result of one sweep.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Sweep {
-    pub changed: usize,
-    pub removed: usize,
-    /// Fall of the objective.
-    pub gain: f64,
-}
 
 /// Which parts of the picture changed lately: a primitive whose surroundings rest need not be tried again.
 #[derive(Debug)]
@@ -84,15 +75,6 @@ impl Activity {
     }
 }
 
-/// Settings of a sweep.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Objective {
-    /// Squared error per bit.
-    pub lambda: f32,
-    /// Bits of a primitive beyond those that [`BitCosts`] knows: its position at step 1. Minus infinity: never remove.
-    pub position_bits: f32,
-}
-
 /// A descent on its way: the problem, and the memory from one sweep to the next.
 #[derive(Debug)]
 pub(crate) struct Descent<'a> {
@@ -111,19 +93,15 @@ impl<'a> Descent<'a> {
         Descent { problem, quantizer, activity, field, still: Vec::new() }
     }
 
-    /// Sweeps over all primitives once. `gaussians` keeps its order; removed ones are taken out. What the coder expects of
+    /// Sweeps over all primitives once, where a bit must save `lambda` of the squared error; returns by how much
+    /// `error + λ·bits` fell. `gaussians` keeps its order. What the coder expects of
     /// each, if anything, holds for the whole sweep.
-    pub(crate) fn sweep(
-        &mut self,
-        gaussians: &mut Vec<PackedGaussian>,
-        expected: &[Expected],
-        objective: &Objective,
-    ) -> Sweep {
+    pub(crate) fn sweep(&mut self, gaussians: &mut Vec<PackedGaussian>, expected: &[Expected], lambda: f32) -> f64 {
         match self.problem.target.channels.count() {
-            1 => sweep_channels::<1>(self, gaussians, expected, objective),
-            2 => sweep_channels::<2>(self, gaussians, expected, objective),
-            3 => sweep_channels::<3>(self, gaussians, expected, objective),
-            _ => sweep_channels::<4>(self, gaussians, expected, objective),
+            1 => sweep_channels::<1>(self, gaussians, expected, lambda),
+            2 => sweep_channels::<2>(self, gaussians, expected, lambda),
+            3 => sweep_channels::<3>(self, gaussians, expected, lambda),
+            _ => sweep_channels::<4>(self, gaussians, expected, lambda),
         }
     }
 
@@ -148,10 +126,10 @@ impl<'a> Descent<'a> {
 
 fn sweep_channels<const C: usize>(
     descent: &mut Descent<'_>,
-    gaussians: &mut Vec<PackedGaussian>,
+    gaussians: &mut [PackedGaussian],
     expected: &[Expected],
-    objective: &Objective,
-) -> Sweep {
+    lambda: f32,
+) -> f64 {
     let (problem, quantizer) = (&descent.problem, descent.quantizer);
     let (activity, field) = (&mut descent.activity, &mut descent.field);
     let Problem { scene, target } = *problem;
@@ -165,8 +143,7 @@ fn sweep_channels<const C: usize>(
     let height = scene.height as usize;
     let mut waiting: Vec<u32> =
         (0..gaussians.len() as u32).filter(|&i| activity.stirred(&floats[i as usize])).collect();
-    let mut removed = vec![false; gaussians.len()];
-    let mut result = Sweep::default();
+    let mut gain = 0.0;
     let mut band = BAND;
     while !waiting.is_empty() {
         for offset in [0, band / 2] {
@@ -202,7 +179,7 @@ fn sweep_channels<const C: usize>(
                     problem,
                     quantizer,
                     costs: &costs,
-                    objective,
+                    lambda,
                     gaussians,
                     members: &members[b],
                     planes,
@@ -211,19 +188,10 @@ fn sweep_channels<const C: usize>(
                 simd::dispatch(task)
             });
             for change in changes.into_iter().flatten() {
-                result.gain += f64::from(change.gain);
+                gain += f64::from(change.gain);
                 activity.mark(&floats[change.index as usize]);
-                match change.to {
-                    Some(g) => {
-                        activity.mark(&quantizer.dequantize(&g));
-                        gaussians[change.index as usize] = g;
-                        result.changed += 1;
-                    }
-                    None => {
-                        removed[change.index as usize] = true;
-                        result.removed += 1;
-                    }
-                }
+                activity.mark(&quantizer.dequantize(&change.to));
+                gaussians[change.index as usize] = change.to;
             }
             if band >= height {
                 break;
@@ -231,12 +199,7 @@ fn sweep_channels<const C: usize>(
         }
         band *= 4;
     }
-    let mut i = 0;
-    gaussians.retain(|_| {
-        i += 1;
-        !removed[i - 1]
-    });
-    result
+    gain
 }
 
 /// The rows that a primitive and its neighbours on the lattice may touch.
@@ -248,7 +211,7 @@ fn reach(p: &Projected, height: usize) -> std::ops::Range<usize> {
 
 struct Change {
     index: u32,
-    to: Option<PackedGaussian>,
+    to: PackedGaussian,
     gain: f32,
 }
 
@@ -256,7 +219,7 @@ struct BandTask<'a, const C: usize> {
     problem: &'a Problem<'a>,
     quantizer: &'a Quantizer,
     costs: &'a BitCosts<'a>,
-    objective: &'a Objective,
+    lambda: f32,
     gaussians: &'a [PackedGaussian],
     members: &'a [u32],
     planes: &'a mut [f32],
@@ -331,12 +294,7 @@ impl<const C: usize> Task for CutTask<'_, '_, C> {
 
 impl<const C: usize> BandTask<'_, C> {
     #[inline(always)]
-    fn improve<S: Simd>(
-        &mut self,
-        simd: S,
-        index: usize,
-        patch: &mut Patch<'_>,
-    ) -> Option<(Option<PackedGaussian>, f32)> {
+    fn improve<S: Simd>(&mut self, simd: S, index: usize, patch: &mut Patch<'_>) -> Option<(PackedGaussian, f32)> {
         let (old, cost) = (self.gaussians[index], self.costs.of(index));
         let height = self.problem.scene.height;
         let before = self.quantizer.dequantize(&old);
@@ -355,7 +313,7 @@ impl<const C: usize> BandTask<'_, C> {
         }
         simd.call(CutTask::<C> { patch, p: &p, rows, columns: left..right, planes: self.planes, first: self.first });
 
-        let lambda = self.objective.lambda;
+        let lambda = self.lambda;
         let lattice = self.quantizer.lattice();
         let now = simd.call(ParabolaTask::<C> { patch, q: &p });
         let current = now.at(p.color, C) + lambda * (cost.geometry(&old, lattice) + cost.colors(old.color));
@@ -391,24 +349,18 @@ impl<const C: usize> BandTask<'_, C> {
                 consider(self, candidate, &parabola);
             }
         }
-        // Without it, the patch keeps its bare error, which is 0 in these units.
-        let removal = -lambda * self.objective.position_bits;
-        if removal < best_value {
-            self.paste(simd, &p, None);
-            return Some((None, current - removal));
-        }
         if best == old || best_value >= current - 1e-7 * patch.bare.abs() {
             return None;
         }
         let q = Projected::from_gaussian(&self.quantizer.dequantize(&best), height);
-        self.paste(simd, &p, Some(&q));
-        Some((Some(best), current - best_value))
+        self.paste(simd, &p, &q);
+        Some((best, current - best_value))
     }
 
     /// The lattice points around `old` that promise most: for each neighbouring shape the positions that suit it best.
     #[inline(always)]
     fn moves(&self, cost: &Cost<'_>, (old, before): (&PackedGaussian, &Gaussian), bowl: &Bowl) -> Moves {
-        let lambda = self.objective.lambda;
+        let lambda = self.lambda;
         let lattice = self.quantizer.lattice();
         let now = cost.geometry(old, lattice);
         let (sin, cos) = before.rotation.sin_cos();
@@ -453,7 +405,7 @@ impl<const C: usize> BandTask<'_, C> {
         (parabola, minimum): (&Parabola, Option<[f32; 4]>),
         old: [i16; 4],
     ) -> ([i16; 4], f32) {
-        let lambda = self.objective.lambda;
+        let lambda = self.lambda;
         let value = |c: [i16; 4]| parabola.at(self.quantizer.dequantize_color(c), C) + lambda * cost.colors(c);
         let mut best = (old, value(old));
         let Some(minimum) = minimum else { return best };
@@ -501,10 +453,9 @@ impl<const C: usize> BandTask<'_, C> {
 
     /// Replaces `old` by `new` in the sums.
     #[inline(always)]
-    fn paste<S: Simd>(&mut self, simd: S, old: &Projected, new: Option<&Projected>) {
+    fn paste<S: Simd>(&mut self, simd: S, old: &Projected, new: &Projected) {
         let stride = self.problem.target.stride;
-        for (p, sign) in [(Some(old), -1.0f32), (new, 1.0)] {
-            let Some(p) = p else { continue };
+        for (p, sign) in [(old, -1.0f32), (new, 1.0)] {
             let planes = (&mut *self.planes, stride);
             kernel::splat::<S, C>(simd, p, (RowSet::ALL, self.first), self.problem.scene.width, planes, sign);
         }
@@ -576,11 +527,10 @@ mod tests {
                 let quantizer = quantizer(&problem, Layout::Coded, &steps);
                 let mut descent = Descent::new(problem, &quantizer, Field::default());
                 let before = descent.error(&gaussians);
-                let free = Objective { lambda: 0.0, position_bits: f32::NEG_INFINITY };
-                let swept = descent.sweep(&mut gaussians, &[], &free);
+                let swept = descent.sweep(&mut gaussians, &[], 0.0);
                 let fall = before - descent.error(&gaussians);
                 // Sums of some thousand pixels in f32, and few of them at a time.
-                assert!((swept.gain / fall - 1.0).abs() < 1e-3, "{channels:?} {blend:?} {} {fall}", swept.gain);
+                assert!((swept / fall - 1.0).abs() < 1e-3, "{channels:?} {blend:?} {} {fall}", swept);
                 assert!(fall > 0.1 * before, "{fall} {before}");
             }
         }

@@ -12,10 +12,10 @@ use crate::fit::plan::Plan;
 use crate::fit::state::State;
 use crate::options::Rung;
 use crate::quantize::Quantizer;
-use crate::round::descend::{Descent, Objective};
+use crate::round::descend::Descent;
 use crate::round::freeze;
 use crate::round::rounded::{Rounded, projected, quantizer};
-use crate::round::size::{Size, resize};
+use crate::round::size::{Size, is_settled, resize};
 
 // What other values of these would win or lose is measured by
 // `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`, small files by the example `tiny_files`.
@@ -34,10 +34,8 @@ const CORRECTING: u32 = 3;
 const QUIET: f64 = 2e-4;
 /// So many quiet sweeps one after the other end the descent: one alone may be due to a correction of the size.
 const QUIET_SWEEPS: u32 = 2;
-/// A file is settled when it falls short of its size by at most this part of it, or by [`SETTLED_BYTES`].
+/// A file is settled when it falls short of its size by at most this part of it, or by some bytes.
 const SETTLED: u64 = 400;
-/// Bytes that a settled file may always be short: less than one primitive.
-const SETTLED_BYTES: u64 = 4;
 /// After the last planned sweep a file that is too long is cut to this part below its size: each sweep may make it longer
 /// by a little again.
 const MARGIN: u64 = 1000;
@@ -177,7 +175,7 @@ impl Rounds<'_> {
         if is_late && self.best.as_ref().is_some_and(|b| b.fills) {
             return true;
         }
-        let is_settled = bytes <= most && most - bytes <= (most / SETTLED).max(SETTLED_BYTES);
+        let is_settled = is_settled(bytes, most, SETTLED);
         if is_settled && (round >= plan.sweeps || self.quiet >= QUIET_SWEEPS) {
             return true;
         }
@@ -195,9 +193,9 @@ impl Rounds<'_> {
     /// Sweeps once over the integers of a file of so many bytes.
     fn sweep(&mut self, expected: &[Expected], error: f64, bytes: u64) {
         let bits = 8.0 * bytes as f64;
-        let objective = Objective { lambda: (SLOPE * error / bits) as f32, position_bits: f32::NEG_INFINITY };
-        let swept = self.descent.sweep(&mut self.rounded.gaussians, expected, &objective);
-        self.quiet = if swept.gain < QUIET * error { self.quiet + 1 } else { 0 };
+        let lambda = (SLOPE * error / bits) as f32;
+        let swept = self.descent.sweep(&mut self.rounded.gaussians, expected, lambda);
+        self.quiet = if swept < QUIET * error { self.quiet + 1 } else { 0 };
     }
 
     /// Returns the best integers whose file takes at most `most` bytes; those at hand take `bytes`.

@@ -22,34 +22,60 @@ const HEADER: u64 = 20;
 /// too long costs another round.
 const FILLED: f64 = 0.97;
 
+/// Bytes that a settled file may always be short: less than one primitive.
+const SETTLED_BYTES: u64 = 4;
+
+/// Returns whether a file is as large as it may be: short of `most` bytes by no more than one part in `part`.
+pub(crate) fn is_settled(bytes: u64, most: u64, part: u64) -> bool {
+    bytes <= most && most - bytes <= (most / part).max(SETTLED_BYTES)
+}
+
+/// Change of the number of primitives that brings a file to its size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Correction {
+    /// So many are too many.
+    Remove(usize),
+    /// There is room for so many more.
+    Add(usize),
+}
+
+/// Returns the correction of a file of `bytes`, in which `count` primitives take `primitives` bytes, to `most` bytes.
+pub(crate) fn correction(count: usize, primitives: u64, bytes: u64, most: u64) -> Correction {
+    let each = (primitives as f64 / count.max(1) as f64).max(1.0);
+    match bytes.checked_sub(most) {
+        Some(over @ 1..) => Correction::Remove((over as f64 / each).ceil() as usize),
+        _ => Correction::Add(((most - bytes) as f64 / each * FILLED) as usize),
+    }
+}
+
 /// Takes away the cheapest of `gaussians`, or adds some where the error is largest, by the bytes over or under `most`.
 pub(super) fn resize(descent: &mut Descent<'_>, gaussians: &mut Vec<PackedGaussian>, bytes: u64, most: u64) {
     let current = descent.seen(gaussians);
     let Descent { problem, quantizer, activity, field, .. } = descent;
-    let each = (bytes.saturating_sub(HEADER) as f64 / gaussians.len().max(1) as f64).max(1.0);
+    let correction = correction(gaussians.len(), bytes.saturating_sub(HEADER), bytes, most);
     field.draw(problem, &current, RowSet::ALL, Output::Picture);
-    if bytes > most {
-        if gaussians.is_empty() {
-            return;
+    match correction {
+        Correction::Remove(_) if gaussians.is_empty() => {}
+        Correction::Remove(count) => {
+            let count = count.clamp(1, gaussians.len());
+            let costs = removal::costs(problem, field, RowSet::ALL, &current[..gaussians.len()]);
+            let mut removed = vec![false; costs.len()];
+            for i in removal::cheapest(&costs, count) {
+                removed[i] = true;
+                activity.mark(&quantizer.dequantize(&gaussians[i]));
+            }
+            let mut i = 0;
+            gaussians.retain(|_| {
+                i += 1;
+                !removed[i - 1]
+            });
         }
-        let count = (((bytes - most) as f64 / each).ceil() as usize).clamp(1, gaussians.len());
-        let costs = removal::costs(problem, field, RowSet::ALL, &current[..gaussians.len()]);
-        let mut removed = vec![false; costs.len()];
-        for i in removal::cheapest(&costs, count) {
-            removed[i] = true;
-            activity.mark(&quantizer.dequantize(&gaussians[i]));
-        }
-        let mut i = 0;
-        gaussians.retain(|_| {
-            i += 1;
-            !removed[i - 1]
-        });
-    } else {
-        let count = ((most - bytes) as f64 / each * FILLED) as usize;
-        for peak in peaks::peaks(problem, field, RowSet::ALL, count, gaussians.len()) {
-            let added = quantizer.quantize(&peaks::at_peak(&peak, problem).to_gaussian());
-            activity.mark(&quantizer.dequantize(&added));
-            gaussians.push(added);
+        Correction::Add(count) => {
+            for peak in peaks::peaks(problem, field, RowSet::ALL, count, gaussians.len()) {
+                let added = quantizer.quantize(&peaks::at_peak(&peak, problem).to_gaussian());
+                activity.mark(&quantizer.dequantize(&added));
+                gaussians.push(added);
+            }
         }
     }
 }

@@ -11,7 +11,7 @@ use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::Problem;
 use crate::fit::model::rows::RowSet;
 use crate::gaussian::Channels;
-use crate::round::descend::{Descent, Objective};
+use crate::round::descend::Descent;
 use crate::round::rounded::projected;
 
 /// Sweeps of a round: the first finds most.
@@ -53,11 +53,10 @@ pub(super) fn descend(
     let problem = Problem { scene: stored_scene(splats), target: &rest };
     let quantizer = splats.quantizer();
     let mut descent = Descent::new(problem, &quantizer, Field::default());
-    let objective = Objective { lambda, position_bits: f32::NEG_INFINITY };
     let mut bare = PackedSplats { detail: None, codebook: None, ..splats.clone() };
     for _ in 0..SWEEPS {
         let expected = file::expected(&mut bare, levels)?;
-        descent.sweep(&mut bare.gaussians, &expected, &objective);
+        descent.sweep(&mut bare.gaussians, &expected, lambda);
     }
     file::smallest(&mut bare, levels)?;
     (splats.gaussians, splats.codebook, splats.levels) = (bare.gaussians, bare.codebook, bare.levels);

@@ -12,7 +12,7 @@ use crate::fit::model::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::project::{Primitive, Projected};
 use crate::quantize::Quantizer;
-use crate::round::descend::{Descent, Objective};
+use crate::round::descend::Descent;
 use crate::round::size;
 
 /// Places for other primitives that are looked for in a tile, as a share of those that it has, and more than that.
@@ -69,9 +69,9 @@ impl<'a> Part<'a> {
         let problem = Problem { scene: self.scene(), target: &target };
         let expected = file::expected(&mut self.splats, 1)?;
         let mut descent = Descent::new(problem, &self.quantizer, Field::default()).beside(self.still);
-        let objective = Objective { lambda: lambda as f32, position_bits: f32::NEG_INFINITY };
+        let lambda = lambda as f32;
         let mut own = self.splats.gaussians;
-        descent.sweep(&mut own, &expected, &objective);
+        descent.sweep(&mut own, &expected, lambda);
         let error = error_within(&problem, &descent.seen(&own), self.window.own(), Output::Gradient);
         let worth = size::worth(&mut descent, &own, others(own.len()));
         let whole = |p: &PackedGaussian| moved(p, &self.quantizer, self.window.seen.corner, Move::Out);

@@ -18,7 +18,7 @@ mod whole;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::aim;
+use super::aim::{count_for, size_asked};
 use super::channels::widen;
 use super::detail::divide::base_in_tiles;
 use super::detail::layer_in_parts;
@@ -44,7 +44,7 @@ use crate::pixel_source::PixelSource;
 use crate::quantize::Quantizer;
 use crate::round::finish::SLOPE;
 use crate::round::rounded;
-use crate::round::size::Size;
+use crate::round::size::{Correction, Size, correction, is_settled};
 use crate::target::Target;
 use grid::{Grid, Shift, UNIT, Window};
 use mosaic::{Mosaic, Placed, TileResult};
@@ -68,8 +68,6 @@ const MORE_SWEEPS: u32 = 2;
 const SETTLED: u64 = 200;
 /// The steps follow from so many of the primitives: more would not change them.
 const SAMPLED: usize = 1 << 20;
-/// Share of the room that is filled with new primitives.
-const FILLED: f64 = 0.97;
 
 /// Encodes the picture of `source` in tiles of `side` pixels.
 pub(super) fn encode(
@@ -84,7 +82,7 @@ pub(super) fn encode(
     let wide = subject::empty(source.size(), (source.channels(), source.depth()), blend, options);
     let samples = samples_of(&wide);
     let fixed = bitstream::to_bytes(&wide)?.len() as u64;
-    let asked = aimed(options, samples, fixed);
+    let asked = size_asked(options, samples, fixed);
     let room = match asked {
         Size::Bytes(most) => thumbnail::room(options, source.size(), most),
         Size::Free => 0,
@@ -203,32 +201,13 @@ fn samples_of(blank: &PackedSplats) -> f64 {
     f64::from(blank.width) * f64::from(blank.height) * blank.channels.count() as f64
 }
 
-/// Returns the size of the file that is asked for.
-fn aimed(options: &EncodeOptions, samples: f64, fixed: u64) -> Size {
-    Size::Bytes(match options.target {
-        Target::Primitives(_) => return Size::Free,
-        Target::Bytes(bytes) => bytes,
-        Target::Ratio(ratio) => (samples / ratio).floor() as u64,
-        _ => {
-            let length = |metadata: Option<&Vec<u8>>| metadata.map_or(0, |m| m.len() as u64);
-            let metadata = length(options.icc.as_ref()) + length(options.exif.as_ref());
-            ((samples / aim::RATIO) as u64 + metadata).max(fixed + aim::LEAST)
-        }
-    })
-}
-
-/// Returns with how many primitives the fit begins, for a file of `size` that takes `fixed` bytes without any.
+/// Returns the number of primitives that the fit begins with, for a file of `size` that takes `fixed` bytes without any.
 fn begun(options: &EncodeOptions, size: Size, (samples, fixed): (f64, u64)) -> Result<usize> {
-    let bytes = match (size, options.target) {
-        (Size::Bytes(bytes), _) => bytes,
-        (Size::Free, Target::Primitives(count)) => return Ok(count as usize),
-        (Size::Free, _) => 0,
-    };
-    if bytes < fixed {
-        return Err(too_small(options, bytes, fixed));
+    match (size, options.target) {
+        (Size::Bytes(most), _) => count_for(options, most, fixed, samples),
+        (Size::Free, Target::Primitives(count)) => Ok(count as usize),
+        (Size::Free, _) => Ok(0),
     }
-    let count = ((bytes - fixed) as f64 * 8.0 / aim::CODED_BITS) as u64;
-    Ok(count.min(aim::MAX_PRIMITIVES).min(samples as u64) as usize)
 }
 
 /// An encode in tiles on its way.
@@ -431,16 +410,15 @@ impl TiledEncode<'_, '_, '_> {
                 continue;
             };
             let length = bytes.len() as u64;
-            let is_settled = length <= most && most - length <= (most / SETTLED).max(4);
+            let is_settled = is_settled(length, most, SETTLED);
             if round + 1 >= sweeps && (is_settled || length > most || round + 1 == sweeps + MORE_SWEEPS) {
                 break;
             }
             if round + 1 + CORRECTED >= sweeps && !is_settled {
                 let count = mosaic.count();
-                let each = ((length - self.fixed.min(length)) as f64 / count.max(1) as f64).max(1.0);
-                let wanted = match length > most {
-                    true => count.saturating_sub(((length - most) as f64 / each).ceil() as usize),
-                    false => count + ((most - length) as f64 / each * FILLED) as usize,
+                let wanted = match correction(count, length.saturating_sub(self.fixed), length, most) {
+                    Correction::Remove(cheapest) => count.saturating_sub(cheapest),
+                    Correction::Add(more) => count + more,
                 };
                 mosaic.balance(others, wanted, 0);
                 bytes = self.write(&mosaic)?;
