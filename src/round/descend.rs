@@ -96,7 +96,7 @@ impl<'a> Descent<'a> {
     /// Sweeps over all primitives once, where a bit must save `lambda` of the squared error; returns by how much
     /// `error + λ·bits` fell. `gaussians` keeps its order. What the coder expects of
     /// each, if anything, holds for the whole sweep.
-    pub(crate) fn sweep(&mut self, gaussians: &mut Vec<PackedGaussian>, expected: &[Expected], lambda: f32) -> f64 {
+    pub(crate) fn sweep(&mut self, gaussians: &mut [PackedGaussian], expected: &[Expected], lambda: f32) -> f64 {
         match self.problem.target.channels.count() {
             1 => sweep_channels::<1>(self, gaussians, expected, lambda),
             2 => sweep_channels::<2>(self, gaussians, expected, lambda),
