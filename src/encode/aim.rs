@@ -8,7 +8,7 @@ use super::subject::{may_leave_out, too_small};
 use super::thumbnail;
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats};
 use crate::error::{Error, Result};
-use crate::fit::model::planes::Planes;
+use crate::fit::model::target::planes::Planes;
 use crate::gaussian::Blend;
 use crate::options::{EncodeOptions, Needs};
 use crate::round::size::Size;

@@ -151,8 +151,8 @@ fn fit_on(device: &Device, _: &Job<'_>, _: &Pixels, _: &mut dyn Watcher) -> Resu
 mod gpu_tests {
     use super::*;
     use crate::fit::engine::Unwatched;
-    use crate::fit::model::planes::Planes;
     use crate::fit::model::problem::{Problem, Scene};
+    use crate::fit::model::target::planes::Planes;
     use crate::fit::plan::Plan;
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::Samples;

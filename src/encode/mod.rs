@@ -27,7 +27,7 @@ use std::ops::ControlFlow;
 
 use crate::bitstream::splats::Layout;
 use crate::error::{Error, Result};
-use crate::fit::model::planes::Planes;
+use crate::fit::model::target::planes::Planes;
 use crate::options::{Detail, EncodeOptions, Trace};
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;

@@ -6,10 +6,10 @@ use super::left_out::Omission;
 use super::subject::stored_scene;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::error::Result;
-use crate::fit::model::field::{Field, Output};
+use crate::fit::model::drawing::field::{Field, Output};
+use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::removal;
-use crate::fit::model::rows::RowSet;
+use crate::fit::model::target::rows::RowSet;
 use crate::round::descend::Descent;
 use crate::round::rounded::projected;
 

@@ -7,7 +7,7 @@ use super::subject::Subject;
 use super::trace::Tracer;
 use crate::error::{Error, Result};
 use crate::fit::engine::Sight;
-use crate::fit::model::planes::Planes;
+use crate::fit::model::target::planes::Planes;
 
 /// Progress of an encode.
 #[derive(Debug, Clone, Copy, PartialEq)]

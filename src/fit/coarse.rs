@@ -24,12 +24,12 @@
 use super::draft::{Start, scattered};
 use super::engine::Unwatched;
 use super::job::Job;
-use super::model::field::float_error;
-use super::model::planes::Planes;
+use super::model::drawing::field::float_error;
+use super::model::drawing::project::Primitive;
 use super::model::problem::{Problem, Scene};
-use super::model::project::Primitive;
-use super::model::reduced::{Coarse, Reduced};
-use super::model::rows::RowSet;
+use super::model::target::planes::Planes;
+use super::model::target::reduced::{Coarse, Reduced};
+use super::model::target::rows::RowSet;
 use super::plan::Plan;
 use super::schedule::{Part, run_part};
 use crate::gaussian::{Blend, Channels};

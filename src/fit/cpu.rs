@@ -3,12 +3,12 @@
 use crate::error::Result;
 use crate::fit::engine::Engine;
 use crate::fit::model::adam::{Bounds, Memory, Rates};
-use crate::fit::model::field::{Output, float_error};
-use crate::fit::model::peaks::at_peak;
+use crate::fit::model::drawing::field::{Output, float_error};
+use crate::fit::model::drawing::project::{self, Primitive};
+use crate::fit::model::placing::peaks::at_peak;
+use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::project::{self, Primitive};
-use crate::fit::model::removal;
-use crate::fit::model::rows::RowSet;
+use crate::fit::model::target::rows::RowSet;
 use crate::fit::state::{CLEARLY_WORSE, State};
 
 impl Engine for State {

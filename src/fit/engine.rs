@@ -2,10 +2,10 @@
 
 use crate::error::Result;
 use crate::fit::model::adam::Rates;
-use crate::fit::model::field::squared_error;
+use crate::fit::model::drawing::field::squared_error;
+use crate::fit::model::drawing::project::{self, Primitive, Projected};
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::project::{self, Primitive, Projected};
-use crate::fit::model::rows::RowSet;
+use crate::fit::model::target::rows::RowSet;
 use crate::fit::state::State;
 
 /// Takes the steps of a fit: [`State`] does on the CPU, `gpu::Fitter` on a GPU.

@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
+use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::problem::LARGE;
-use crate::fit::model::project::Primitive;
 use crate::options::Rung;
 
 /// Share of a time budget that the float fit may take.

@@ -7,11 +7,11 @@ use crate::error::Result;
 use crate::fit::draft;
 use crate::fit::engine::{Ending, Engine, Sight, Watcher};
 use crate::fit::job::Job;
-use crate::fit::model::field::{Field, Output};
-use crate::fit::model::planes::Planes;
-use crate::fit::model::project::{self, Primitive};
-use crate::fit::model::reweigh;
-use crate::fit::model::rows::RowSet;
+use crate::fit::model::drawing::field::{Field, Output};
+use crate::fit::model::drawing::project::{self, Primitive};
+use crate::fit::model::target::planes::Planes;
+use crate::fit::model::target::reweigh;
+use crate::fit::model::target::rows::RowSet;
 use crate::fit::plan::Plan;
 use crate::fit::schedule;
 
@@ -63,8 +63,8 @@ impl Watcher for First<'_> {
 mod tests {
     use super::*;
     use crate::fit::fit_on_cpu;
-    use crate::fit::model::masking;
     use crate::fit::model::problem::{Problem, Scene};
+    use crate::fit::model::target::masking;
     use crate::gaussian::{Blend, Channels};
     use crate::{Pixels, Samples};
 

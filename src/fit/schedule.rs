@@ -11,8 +11,8 @@ use crate::fit::engine::{Ending, Engine, Running, Watcher};
 use crate::fit::job::Job;
 use crate::fit::model::adam::{self, Rates};
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::reduced::{Coarse, Reduced};
-use crate::fit::model::rows::RowSet;
+use crate::fit::model::target::reduced::{Coarse, Reduced};
+use crate::fit::model::target::rows::RowSet;
 use crate::fit::plan::Pace;
 use crate::options::Rung;
 

@@ -14,12 +14,12 @@ use crate::error::Result;
 use crate::fit::engine::{Still, Watcher};
 use crate::fit::job::Job;
 use crate::fit::model::adam::Bounds;
-use crate::fit::model::field::{Field, Gradient, Output};
-use crate::fit::model::planes::Planes;
+use crate::fit::model::drawing::field::{Field, Gradient, Output};
+use crate::fit::model::drawing::project::{self, Primitive};
 use crate::fit::model::problem::Problem;
-use crate::fit::model::project::{self, Primitive};
-use crate::fit::model::rows::RowSet;
-use crate::fit::model::structure::Loss;
+use crate::fit::model::target::planes::Planes;
+use crate::fit::model::target::rows::RowSet;
+use crate::fit::model::target::structure::Loss;
 use crate::fit::state::State;
 use crate::options::Ablation;
 use crate::parallel;
@@ -411,7 +411,7 @@ fn median_color(target: &Planes, place: &Place) -> [f32; 4] {
 mod tests {
     use super::*;
     use crate::fit::engine::Sight;
-    use crate::fit::model::field::float_error;
+    use crate::fit::model::drawing::field::float_error;
     use crate::fit::model::problem::Scene;
     use crate::fit::plan::Plan;
     use crate::gaussian::Blend;

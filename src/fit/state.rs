@@ -1,13 +1,13 @@
 //! Primitives on their way through a fit, with the optimizer's memory of each.
 
 use crate::fit::model::adam::{self, Bounds, Freedom, Memory, Rates};
-use crate::fit::model::field::{Field, Output};
-use crate::fit::model::peaks::Room;
+use crate::fit::model::drawing::field::{Field, Output};
+use crate::fit::model::drawing::project::{self, Primitive, Projected};
+use crate::fit::model::drawing::strips;
+use crate::fit::model::placing::peaks::Room;
+use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::project::{self, Primitive, Projected};
-use crate::fit::model::removal;
-use crate::fit::model::rows::RowSet;
-use crate::fit::model::strips;
+use crate::fit::model::target::rows::RowSet;
 use crate::parallel;
 
 /// Restore the best state if the final error exceeds its error by this factor.
@@ -136,8 +136,8 @@ impl State {
 mod tests {
     use super::*;
     use crate::fit::model::adam::price;
-    use crate::fit::model::planes::Planes;
     use crate::fit::model::problem::Scene;
+    use crate::fit::model::target::planes::Planes;
     use crate::fit::schedule::{LAST_RATE, RATES};
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::{Pixels, Samples};

@@ -5,9 +5,9 @@ use super::kernels::Kernels;
 use super::scene::{Uniforms, spaced};
 use super::workspace::Workspace;
 use crate::error::{GpuError, Result};
-use crate::fit::model::peaks::Peak;
-use crate::fit::model::ridge::{self, Shape};
-use crate::fit::model::rows::RowSet;
+use crate::fit::model::placing::peaks::Peak;
+use crate::fit::model::placing::ridge::{self, Shape};
+use crate::fit::model::target::rows::RowSet;
 use bytemuck::{Pod, Zeroable};
 
 /// Most levels.
@@ -194,7 +194,7 @@ fn most_peaks(cells: u64) -> u64 {
     cells / 2 + 64 * u64::from(LEVELS)
 }
 
-/// The levels of the search, as `fit::model::peaks::peaks` has them.
+/// The levels of the search, as `fit::model::placing::peaks::peaks` has them.
 fn levels(base: &Uniforms, rows: RowSet, spacing: f32) -> Vec<Level> {
     let mut size = [base.width.div_ceil(rows.step), rows.count(base.height) as u32];
     let mut cell = rows.step as f32;

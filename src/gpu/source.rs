@@ -4,7 +4,7 @@ use super::device::Device;
 use super::lists::MOST_TILES;
 use super::scene::TILE;
 use crate::error::{GpuError, Result};
-use crate::fit::model::planes::Planes;
+use crate::fit::model::target::planes::Planes;
 use crate::pixels::{Depth, Pixels, Samples};
 
 /// The target on the device.

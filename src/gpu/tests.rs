@@ -159,12 +159,13 @@ mod stages {
     use crate::fit::engine::{Engine, Sight, Watcher};
     use crate::fit::job::Job;
     use crate::fit::model::adam::{Bounds, Rates};
-    use crate::fit::model::field::{Field, Output, float_error};
-    use crate::fit::model::planes::Planes;
+    use crate::fit::model::drawing::field::{Field, Output, float_error};
+    use crate::fit::model::drawing::project::{self, Primitive as Free};
+    use crate::fit::model::placing::{peaks, removal, ridge, sample};
     use crate::fit::model::problem::{Problem, Scene};
-    use crate::fit::model::project::{self, Primitive as Free};
-    use crate::fit::model::rows::RowSet;
-    use crate::fit::model::{masking, peaks, removal, ridge, sample};
+    use crate::fit::model::target::masking;
+    use crate::fit::model::target::planes::Planes;
+    use crate::fit::model::target::rows::RowSet;
     use crate::fit::plan::Plan;
     use crate::fit::schedule;
     use crate::fit::state::State;

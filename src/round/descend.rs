@@ -8,11 +8,11 @@
 
 use crate::bitstream::coder::expect::Expected;
 use crate::bitstream::splats::PackedGaussian;
-use crate::fit::model::field::{Field, Output};
-use crate::fit::model::kernel;
+use crate::fit::model::drawing::field::{Field, Output};
+use crate::fit::model::drawing::kernel;
+use crate::fit::model::drawing::project::Projected;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::project::Projected;
-use crate::fit::model::rows::RowSet;
+use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::Gaussian;
 use crate::parallel;
 use crate::quantize::Quantizer;
@@ -488,10 +488,10 @@ fn neighbor(old: &PackedGaussian, step: i16, quantizer: &Quantizer) -> Option<Pa
 mod tests {
     use super::*;
     use crate::bitstream::splats::Layout;
-    use crate::fit::model::masking;
-    use crate::fit::model::planes::Planes;
+    use crate::fit::model::drawing::project::Primitive;
     use crate::fit::model::problem::Scene;
-    use crate::fit::model::project::Primitive;
+    use crate::fit::model::target::masking;
+    use crate::fit::model::target::planes::Planes;
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::{Pixels, Samples};
     use crate::round::rounded::{Rounded, quantizer};

@@ -6,7 +6,7 @@ use crate::bitstream::coder::expect::Expected;
 use crate::bitstream::splats::{Layout, PackedGaussian};
 use crate::error::Result;
 use crate::fit::engine::{Sight, Still};
-use crate::fit::model::field::float_error;
+use crate::fit::model::drawing::field::float_error;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::plan::Plan;
 use crate::fit::state::State;

@@ -1,10 +1,10 @@
 //! The pixels around one primitive, and how their error depends on what takes its place: on the colour of a given shape, and
 //! to second order on the shape itself.
 
-use crate::fit::model::kernel::{self, Strip, Visit};
-use crate::fit::model::planes::Planes;
+use crate::fit::model::drawing::kernel::{self, Strip, Visit};
+use crate::fit::model::drawing::project::Projected;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::project::Projected;
+use crate::fit::model::target::planes::Planes;
 use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON, Gaussian};
 use crate::round::bowl::Bowl;
 use crate::simd::{LANES, Simd};

@@ -1,10 +1,10 @@
 //! Primitives in integers: the steps that they count in, and how they are seen.
 
 use crate::bitstream::splats::{Layout, PackedGaussian, Steps};
-use crate::fit::model::field::float_error;
+use crate::fit::model::drawing::field::float_error;
+use crate::fit::model::drawing::project::{Primitive, Projected};
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::project::{Primitive, Projected};
-use crate::fit::model::rows::RowSet;
+use crate::fit::model::target::rows::RowSet;
 use crate::quantize::Quantizer;
 
 /// Primitives in integers.

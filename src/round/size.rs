@@ -1,9 +1,9 @@
 //! The number of integer primitives, corrected by the bytes that they are over or under.
 
 use crate::bitstream::splats::PackedGaussian;
-use crate::fit::model::field::Output;
-use crate::fit::model::rows::RowSet;
-use crate::fit::model::{peaks, removal};
+use crate::fit::model::drawing::field::Output;
+use crate::fit::model::placing::{peaks, removal};
+use crate::fit::model::target::rows::RowSet;
 use crate::round::descend::Descent;
 
 /// The size that a file may have.

@@ -19,11 +19,11 @@ use rand_pcg::Pcg64Mcg;
 use super::moments::{self, Slope};
 use super::optimizer::{Adan, NUMBERS};
 use super::{Fit, Options, Point, drawn, quantized};
-use ssplat::unstable::fit::model::field::{Field, Output};
-use ssplat::unstable::fit::model::planes::Planes;
+use ssplat::unstable::fit::model::drawing::field::{Field, Output};
+use ssplat::unstable::fit::model::drawing::project::{Primitive, Projected};
 use ssplat::unstable::fit::model::problem::{Problem, Scene};
-use ssplat::unstable::fit::model::project::{Primitive, Projected};
-use ssplat::unstable::fit::model::rows::RowSet;
+use ssplat::unstable::fit::model::target::planes::Planes;
+use ssplat::unstable::fit::model::target::rows::RowSet;
 use ssplat::unstable::gaussian::Blend;
 use ssplat::unstable::parallel;
 

@@ -23,11 +23,11 @@ use super::optimizer::{Adam, NUMBERS};
 use super::top_k::{Circle, Drawing};
 use super::{Counted, Fit, Options, Point, drawn};
 use ssplat::Pixels;
-use ssplat::unstable::fit::model::field::Field;
-use ssplat::unstable::fit::model::planes::Planes;
+use ssplat::unstable::fit::model::drawing::field::Field;
+use ssplat::unstable::fit::model::drawing::project::{Primitive, Projected};
 use ssplat::unstable::fit::model::problem::{Problem, Scene};
-use ssplat::unstable::fit::model::project::{Primitive, Projected};
-use ssplat::unstable::fit::model::structure::Loss;
+use ssplat::unstable::fit::model::target::planes::Planes;
+use ssplat::unstable::fit::model::target::structure::Loss;
 use ssplat::unstable::gaussian::Blend;
 use ssplat::unstable::metrics;
 

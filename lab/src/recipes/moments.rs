@@ -1,9 +1,9 @@
 //! Gradients with respect to places and covariances, from the sums over a Gaussian's pixels.
 
-use ssplat::unstable::fit::model::field::Field;
-use ssplat::unstable::fit::model::kernel;
-use ssplat::unstable::fit::model::project::Projected;
-use ssplat::unstable::fit::model::rows::RowSet;
+use ssplat::unstable::fit::model::drawing::field::Field;
+use ssplat::unstable::fit::model::drawing::kernel;
+use ssplat::unstable::fit::model::drawing::project::Projected;
+use ssplat::unstable::fit::model::target::rows::RowSet;
 use ssplat::unstable::parallel;
 use ssplat::unstable::simd::{self, Simd, Task};
 

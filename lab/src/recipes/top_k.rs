@@ -4,7 +4,7 @@
 //! whose circle of three times the larger scale meets the tile.
 
 use super::tiles::{Reach, TILE, Tiles};
-use ssplat::unstable::fit::model::project::Projected;
+use ssplat::unstable::fit::model::drawing::project::Projected;
 use ssplat::unstable::parallel;
 use ssplat::unstable::simd::{self, LANES, Lanes, Simd, Task};
 
@@ -281,7 +281,7 @@ fn exponent(p: &Projected, x: f32, y: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ssplat::unstable::fit::model::project::Primitive;
+    use ssplat::unstable::fit::model::drawing::project::Primitive;
 
     const SIZE: [usize; 2] = [37, 33];
     const STRIDE: usize = 40;

@@ -3,11 +3,11 @@
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
 use crate::detail::tile::{Scratch, TilePlanes, UNIT, reconstruct};
-use crate::fit::model::field::{Field, Output};
-use crate::fit::model::planes::Planes;
+use crate::fit::model::drawing::field::{Field, Output};
+use crate::fit::model::drawing::project::Projected;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::project::Projected;
-use crate::fit::model::rows::RowSet;
+use crate::fit::model::target::planes::Planes;
+use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::Channels;
 use crate::parallel;
 

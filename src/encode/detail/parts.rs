@@ -10,7 +10,7 @@ use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
-use crate::fit::model::planes::Planes;
+use crate::fit::model::target::planes::Planes;
 use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::options::Tune;

@@ -5,7 +5,7 @@ use super::integers::error_of_part;
 use crate::bitstream::splats::PackedSplats;
 use crate::encode::constant::{constant, is_constant};
 use crate::error::Result;
-use crate::fit::model::planes::Planes;
+use crate::fit::model::target::planes::Planes;
 use crate::pixel_source::PixelSource;
 
 /// Returns the colour of a picture whose pixels are all the same. Reads `tiles`, which make up the picture of `source`, until

@@ -7,7 +7,7 @@ use super::mosaic::{Around, Mosaic, TileResult};
 use super::whole::Whole;
 use crate::bitstream::splats::PackedGaussian;
 use crate::error::Result;
-use crate::fit::model::project::Primitive;
+use crate::fit::model::drawing::project::Primitive;
 
 /// Work on the floats of a tile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

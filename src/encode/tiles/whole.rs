@@ -4,10 +4,11 @@
 use super::grid::{Area, Window};
 use crate::bitstream::splats::{Metadata, PackedSplats};
 use crate::error::Result;
-use crate::fit::model::masking::{self, Means};
-use crate::fit::model::planes::Planes;
+use crate::fit::model::placing::sample;
 use crate::fit::model::problem::Scene;
-use crate::fit::model::{sample, structure};
+use crate::fit::model::target::masking::{self, Means};
+use crate::fit::model::target::planes::Planes;
+use crate::fit::model::target::structure;
 use crate::fit::plan::Plan;
 use crate::options::Tune;
 use crate::pixel_source::PixelSource;

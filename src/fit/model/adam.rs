@@ -1,8 +1,8 @@
 //! Adam in the whitened local frame of each Gaussian.
 
-use crate::fit::model::field::{Frame, Gradient};
-use crate::fit::model::project::Primitive;
-use crate::fit::model::rows::RowSet;
+use crate::fit::model::drawing::field::{Frame, Gradient};
+use crate::fit::model::drawing::project::Primitive;
+use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::CUTOFF;
 
 /// Bounds that every step respects.

@@ -1,7 +1,7 @@
 //! The problem that a fit solves: a picture, and how primitives are to make it.
 
-use crate::fit::model::planes::Planes;
-use crate::fit::model::rows::RowSet;
+use crate::fit::model::target::planes::Planes;
+use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::Blend;
 
 /// Pixels of a large picture: smaller ones are done soon enough.

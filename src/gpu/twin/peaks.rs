@@ -1,7 +1,7 @@
 //! Twin of `peaks.wgsl`.
 
 use super::forward::dot;
-use crate::fit::model::ridge::{RIDGES, TAPS, Tap};
+use crate::fit::model::placing::ridge::{RIDGES, TAPS, Tap};
 use crate::gpu::peaks::Found;
 use crate::gpu::scene::Uniforms;
 

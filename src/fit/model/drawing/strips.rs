@@ -1,9 +1,9 @@
 //! The strips that primitives are walked in, worked out once a drawing for all who walk them: finding their rows, and the
 //! Gaussian in the first of those, takes longer than a third of all walks.
 
-use crate::fit::model::kernel::{Cut, LEAST_BEND, RUN, Rows, Strip, Visit};
-use crate::fit::model::project::Projected;
-use crate::fit::model::rows::RowSet;
+use crate::fit::model::drawing::kernel::{Cut, LEAST_BEND, RUN, Rows, Strip, Visit};
+use crate::fit::model::drawing::project::Projected;
+use crate::fit::model::target::rows::RowSet;
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
 

@@ -1,11 +1,11 @@
 //! Where the error is largest, and what shape a new primitive should have there.
 
-use crate::fit::model::blur::Cells;
-use crate::fit::model::field::Field;
+use crate::fit::model::drawing::field::Field;
+use crate::fit::model::drawing::project::Primitive;
+use crate::fit::model::placing::ridge::{self, Shape};
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::project::Primitive;
-use crate::fit::model::ridge::{self, Shape};
-use crate::fit::model::rows::RowSet;
+use crate::fit::model::target::blur::Cells;
+use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::Blend;
 use crate::parallel;
 use crate::simd::{self, Simd, Task};

@@ -5,10 +5,10 @@
 //! quarter and an eighth of its size, where an error `e` over a variance `σ²` of its surroundings costs about
 //! `e² / (2σ² + C₂)`.
 
-use crate::fit::model::blur::blur;
-use crate::fit::model::planes::Planes;
-use crate::fit::model::sample::halve;
-use crate::fit::model::structure::{FLOOR, normalized};
+use crate::fit::model::placing::sample::halve;
+use crate::fit::model::target::blur::blur;
+use crate::fit::model::target::planes::Planes;
+use crate::fit::model::target::structure::{FLOOR, normalized};
 use crate::gaussian::Channels;
 use crate::parallel;
 

@@ -3,12 +3,12 @@
 //! Only the rows of a [`RowSet`] are kept, so that stochastic gradients over one row in `n` cost a fraction of the
 //! time and of the memory.
 
-use crate::fit::model::kernel;
-use crate::fit::model::planes::Planes;
+use crate::fit::model::drawing::kernel;
+use crate::fit::model::drawing::project::{self, Frames, Primitive, Projected};
+use crate::fit::model::drawing::strips::{Planned, Strips};
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::project::{self, Frames, Primitive, Projected};
-use crate::fit::model::rows::RowSet;
-use crate::fit::model::strips::{Planned, Strips};
+use crate::fit::model::target::planes::Planes;
+use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
@@ -464,7 +464,7 @@ impl Gradient {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::model::planes::Planes;
+    use crate::fit::model::target::planes::Planes;
     use crate::gaussian::Channels;
     use crate::pixels::{Pixels, Samples};
 

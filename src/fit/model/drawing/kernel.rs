@@ -1,29 +1,29 @@
 //! The inner loops of the fit: forward (weights into planes) and backward (planes into moments), eight columns at a time
 //! down runs of rows as the decoder draws, by recurrence. Rows are padded by as much, since the last strip may overhang.
 
-use crate::fit::model::project::{Lines, Projected};
-use crate::fit::model::rows::RowSet;
-use crate::fit::model::strips::{self, Planned};
+use crate::fit::model::drawing::project::{Lines, Projected};
+use crate::fit::model::drawing::strips::{self, Planned};
+use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::CUTOFF_WEIGHT;
 use crate::simd::{self, Simd};
 
 /// Sampled rows at most that the recurrence walks down before it starts afresh, which bounds its drift: relative errors
 /// of 2⁻²⁴ in the ratio of rows grow to 7·10⁻⁵ in the last one at most.
-pub(super) const RUN: u32 = 32;
+pub(in crate::fit::model) const RUN: u32 = 32;
 
 /// Largest `−log₂` of a Gaussian that the recurrence may start from, and of the ratio between rows: beyond it f32 would
 /// underflow.
 const REACH: f32 = 110.0;
 
 /// Least factor between the ratios of neighbouring rows: below it f32 would underflow, too.
-pub(super) const LEAST_BEND: f32 = 1e-9;
+pub(in crate::fit::model) const LEAST_BEND: f32 = 1e-9;
 
 /// From the first of eight columns to their middle.
 const MIDDLE: f32 = 0.5 * (simd::LANES - 1) as f32;
 
 /// A primitive on rows `step` from each other, `2^((a·dx + b·dy)·dx + c·dy²)`.
 #[derive(Clone, Copy)]
-pub(super) struct Rows {
+pub(in crate::fit::model) struct Rows {
     a: f32,
     b: f32,
     c: f32,
@@ -113,7 +113,7 @@ pub struct Strip<S: Simd> {
 impl<S: Simd> Strip<S> {
     /// The columns from `x` on, of which those from `end` on are not to be visited.
     #[inline(always)]
-    pub(super) fn new(simd: S, p: &Projected, x: usize, end: usize) -> Self {
+    pub(in crate::fit::model) fn new(simd: S, p: &Projected, x: usize, end: usize) -> Self {
         let mut edge = simd.splat(CUTOFF_WEIGHT);
         if x + simd::LANES > end {
             let beyond = simd.sub(simd.index(), simd.splat((end - x) as f32 - 0.5));
@@ -136,7 +136,7 @@ pub trait Visit<S: Simd> {
 
 /// Eight strips side by side, where the support may lie on them: one at a time, finding its rows would take longer than
 /// visiting them.
-pub(super) struct Cut {
+pub(in crate::fit::model) struct Cut {
     /// The first row of each strip that the support reaches, and the one after the last.
     pub first: [u32; simd::LANES],
     pub end: [u32; simd::LANES],
@@ -456,7 +456,7 @@ impl<S: Simd, const C: usize> Visit<S> for Gather<'_, S, C> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::model::project::Primitive;
+    use crate::fit::model::drawing::project::Primitive;
     use crate::gaussian::CUTOFF;
     use crate::simd::{Plain, Task};
 

@@ -3,9 +3,9 @@
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
-use crate::fit::model::blur::blur;
-use crate::fit::model::planes::Planes;
-use crate::fit::model::project::Primitive;
+use crate::fit::model::drawing::project::Primitive;
+use crate::fit::model::target::blur::blur;
+use crate::fit::model::target::planes::Planes;
 use crate::parallel;
 
 /// Share of the primitives that follow detail; the rest is spread evenly.

@@ -1,9 +1,9 @@
 //! Structural similarity for the fit: weights that make the squared error favour it, and its own gradient.
 
-use crate::fit::model::blur::blur;
-use crate::fit::model::field::Field;
-use crate::fit::model::planes::Planes;
+use crate::fit::model::drawing::field::Field;
 use crate::fit::model::problem::Problem;
+use crate::fit::model::target::blur::blur;
+use crate::fit::model::target::planes::Planes;
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
@@ -136,8 +136,8 @@ impl Loss {
     /// Turns the picture of all rows in `field` ([`Output::Picture`]) into the gradient, as [`Output::Gradient`] leaves
     /// it. Where the picture is outside `0..=1` the gradient is 0, as it is behind a clamp.
     ///
-    /// [`Output::Picture`]: crate::fit::model::field::Output::Picture
-    /// [`Output::Gradient`]: crate::fit::model::field::Output::Gradient
+    /// [`Output::Picture`]: crate::fit::model::drawing::field::Output::Picture
+    /// [`Output::Gradient`]: crate::fit::model::drawing::field::Output::Gradient
     pub fn gradient(&mut self, problem: &Problem<'_>, field: &mut Field) {
         let Problem { scene, target } = *problem;
         let (channels, stride, width) = (target.channels.count(), field.stride, self.width);

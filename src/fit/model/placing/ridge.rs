@@ -1,7 +1,7 @@
 //! Peaks of the residual that are part of a ridge: round primitives at thin lines seldom grow into needles, since the
 //! first of their steps gains nothing.
 
-use crate::fit::model::blur::Cells;
+use crate::fit::model::target::blur::Cells;
 
 /// Largest aspect that a new primitive gets; the fit stretches it further.
 const MOST_ASPECT: f32 = 4.0;

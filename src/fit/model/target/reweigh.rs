@@ -6,14 +6,14 @@
 //! error there is worth; places differ by a factor of ten. Equal worth everywhere would be the score's own optimum, and
 //! would cost too many decibels; [`POWER`] goes a part of the way.
 //!
-//! [`masking`]: crate::fit::model::masking
+//! [`masking`]: crate::fit::model::target::masking
 
-use crate::fit::model::blur::blur;
-use crate::fit::model::field::Field;
-use crate::fit::model::masking::{LUMA, doubled, room};
-use crate::fit::model::planes::Planes;
-use crate::fit::model::sample::halve;
-use crate::fit::model::structure::normalized;
+use crate::fit::model::drawing::field::Field;
+use crate::fit::model::placing::sample::halve;
+use crate::fit::model::target::blur::blur;
+use crate::fit::model::target::masking::{LUMA, doubled, room};
+use crate::fit::model::target::planes::Planes;
+use crate::fit::model::target::structure::normalized;
 use crate::parallel;
 
 /// Power of the worth where primitives are dense. It is raised as far as the decibels last that the rehearsal itself wins at
@@ -153,10 +153,10 @@ fn lost_structure([a, b]: [&[f32]; 2], [width, height]: [usize; 2]) -> (Vec<f32>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::model::field::Output;
+    use crate::fit::model::drawing::field::Output;
+    use crate::fit::model::drawing::project::{Primitive, Projected};
     use crate::fit::model::problem::{Problem, Scene};
-    use crate::fit::model::project::{Primitive, Projected};
-    use crate::fit::model::rows::RowSet;
+    use crate::fit::model::target::rows::RowSet;
     use crate::gaussian::{Blend, Channels};
     use crate::{Pixels, Samples};
 

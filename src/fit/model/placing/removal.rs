@@ -1,18 +1,18 @@
 //! The cost of removing a primitive, and the order in which they are least missed.
 
-use crate::fit::model::field::Field;
-use crate::fit::model::kernel::{self, Strip, Visit};
+use crate::fit::model::drawing::field::Field;
+use crate::fit::model::drawing::kernel::{self, Strip, Visit};
+use crate::fit::model::drawing::project::Projected;
+use crate::fit::model::drawing::strips;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::project::Projected;
-use crate::fit::model::rows::RowSet;
-use crate::fit::model::strips;
+use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::Blend;
 use crate::parallel;
 use crate::simd::{self, Simd, Task};
 
 /// The rise of the squared error when each primitive is removed, estimated without refitting the others.
 ///
-/// `field` holds [`Output::Picture`](crate::fit::model::field::Output::Picture) over `rows`, of these primitives first; the sums are scaled up by the rows left out.
+/// `field` holds [`Output::Picture`](crate::fit::model::drawing::field::Output::Picture) over `rows`, of these primitives first; the sums are scaled up by the rows left out.
 pub(crate) fn costs(problem: &Problem<'_>, field: &Field, rows: RowSet, projected: &[Projected]) -> Vec<f32> {
     const CHUNK: usize = 64;
     let chunks = projected.len().div_ceil(CHUNK);

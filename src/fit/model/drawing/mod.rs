@@ -1,0 +1,6 @@
+//! Primitives on the grid of pixels: their picture, its error and its gradients.
+
+pub mod field;
+pub mod kernel;
+pub mod project;
+pub mod strips;

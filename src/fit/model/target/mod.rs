@@ -1,0 +1,9 @@
+//! The target of a fit: the picture as planes, at several sizes, and the weight of each pixel.
+
+pub(crate) mod blur;
+pub(crate) mod masking;
+pub mod planes;
+pub(crate) mod reduced;
+pub(crate) mod reweigh;
+pub mod rows;
+pub mod structure;
