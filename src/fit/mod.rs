@@ -26,7 +26,7 @@ use model::problem::Problem;
 use rehearsal::Rehearsed;
 use state::State;
 
-/// What a fit came to.
+/// Result of a fit.
 #[derive(Debug)]
 pub(crate) struct Fitted<E> {
     /// The engine that took the steps, or its state on the CPU.
@@ -40,7 +40,7 @@ impl<E: Engine> Fitted<E> {
     /// Brings it to the CPU.
     ///
     /// # Errors
-    /// Those of the engine.
+    /// Returns an error of the engine.
     pub(crate) fn finished(self) -> Result<Fitted<State>> {
         Ok(Fitted { by: self.by.finish()?, ending: self.ending, amplitude: self.amplitude })
     }
@@ -49,7 +49,7 @@ impl<E: Engine> Fitted<E> {
 /// Fits as `job` says, on the engine that `open` makes of where the fit starts. `watcher` corrects the number on the way.
 ///
 /// # Errors
-/// Those of `open`, the engine and the watcher.
+/// Returns an error of `open`, of the engine or of the watcher.
 pub(crate) fn fit<E: Engine>(
     job: &Job<'_>,
     open: impl FnOnce(State) -> Result<E>,
@@ -82,7 +82,7 @@ pub(crate) fn fit<E: Engine>(
 /// Fits as `job` says on the CPU.
 ///
 /// # Errors
-/// Those of the watcher.
+/// Returns an error of the watcher.
 pub(crate) fn fit_on_cpu(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<Fitted<State>> {
     fit(job, Ok, watcher)?.finished()
 }

@@ -18,7 +18,7 @@ use crate::fit::schedule;
 /// Share of the steps, and of a budget of time, that the short fit takes. `.15` shows less; `.5` leaves too little for the rest.
 const SHARE: f32 = 0.3;
 
-/// What a rehearsal came to.
+/// Result of a rehearsal, the short fit before the long one.
 pub(super) enum Rehearsed {
     /// The target with its pixels weighed anew, and the steps that were taken.
     Weighed { target: Planes, steps: u32 },

@@ -29,9 +29,9 @@ const SETTLED: f32 = 0.95;
 pub(crate) const REMEMBERED: u32 = 20;
 /// Pixels of a picture that is looked at in each of those steps: a few primitives can lose tenths of a decibel in one.
 const STAMP: u64 = 1 << 14;
-/// Share of the iterations after which nothing is relocated any more.
+/// Share of the iterations after which nothing is relocated any more, at a brisk pace.
 const RELOCATED: f32 = 0.6;
-/// The same at a steady pace.
+/// Share of the iterations after which nothing is relocated any more, at a steady pace.
 const RELOCATED_STEADILY: f32 = 0.7;
 /// Share of the primitives that may be relocated at a time, at a steady pace.
 const MOVED_STEADILY: f32 = 0.1;

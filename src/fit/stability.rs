@@ -232,7 +232,7 @@ fn decibels(error: f64, pixels: &Pixels) -> f64 {
     (-10.0 * (error / samples).log10()).min(99.0)
 }
 
-/// What a fit came to, decibels; NaN when anything on the way was not finite.
+/// Quality that a fit won and kept, decibels; NaN when anything on the way was not finite.
 struct Watched {
     /// The end over the picture of the mean colour.
     gain: f64,

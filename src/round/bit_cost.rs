@@ -5,7 +5,7 @@ use crate::bitstream::coder::expect::{Angles, Expected};
 use crate::bitstream::lattice::Lattice;
 use crate::bitstream::splats::PackedGaussian;
 
-/// What a colour's bits count for, where they are those that the coder takes: a colour near its neighbours' makes theirs
+/// Factor on the bits of a colour where they are those that the coder takes: a colour near its neighbours' makes theirs
 /// cheaper, too. Of 1, 1.3 and 1.6 this was best on Kodak 05, 13, 15 and 23 at ratios of 50 and 200; what others would win
 /// is measured by `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`.
 const SHARED: f32 = 1.3;
@@ -59,7 +59,7 @@ impl<'a> BitCosts<'a> {
     }
 }
 
-/// What integers of one primitive cost.
+/// Cost in bits of the integers of one primitive.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cost<'a> {
     common: &'a BitCosts<'a>,
@@ -104,7 +104,7 @@ impl Cost<'_> {
     }
 }
 
-/// What geometry of given scales costs.
+/// Cost in bits of geometry with given scales.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GeometryCost {
     pub scales: [u8; 2],

@@ -17,7 +17,7 @@ pub(crate) struct Bowl {
     pub curvature: [[f32; 5]; 5],
 }
 
-/// What is left of a [`Bowl`] for moves of the mean, once scales and rotation are chosen.
+/// Change of the squared error with the mean alone, by a [`Bowl`] whose scales and rotation are chosen.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Valley {
     floor: f32,

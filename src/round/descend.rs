@@ -134,20 +134,27 @@ fn sweep_channels<const C: usize>(
     let (activity, field) = (&mut descent.activity, &mut descent.field);
     let Problem { scene, target } = *problem;
     activity.sweep += 1;
+    // Bits are priced once, so that all bands decide by the same prices.
     let costs = BitCosts::measure(gaussians, C, expected);
+    // Each primitive is tried at most once a sweep: these shapes stay valid until its turn.
     let floats: Vec<Gaussian> = gaussians.iter().map(|g| quantizer.dequantize(g)).collect();
     let mut projected: Vec<Projected> = floats.iter().map(|g| Projected::from_gaussian(g, scene.height)).collect();
     projected.extend_from_slice(&descent.still);
+    // Sums are not divided yet, so that one primitive can be taken out or put in by itself.
     field.draw(problem, &projected, RowSet::ALL, Output::Sums);
     let row_size = (C + 1) * target.stride;
     let height = scene.height as usize;
+    // Where nothing around changed since the last sweep, a primitive would hardly find anything new.
     let mut waiting: Vec<u32> =
         (0..gaussians.len() as u32).filter(|&i| activity.stirred(&floats[i as usize])).collect();
     let mut gain = 0.0;
+    // Each band belongs to one thread. A primitive is tried in a band that holds all rows it may touch, so that no two
+    // threads write to the same pixels. The last band is the whole picture, so that every primitive gets its turn.
     let mut band = BAND;
     while !waiting.is_empty() {
         for offset in [0, band / 2] {
-            // Whole bands first, the same ones shifted by half a band next, then larger ones.
+            // Bands shifted by half take the primitives that cross a border of the first ones; larger bands take the
+            // rest.
             let fits = |i: u32| -> Option<usize> {
                 let rows = reach(&projected[i as usize], height);
                 if rows.start < offset && band < height {
@@ -169,7 +176,8 @@ fn sweep_channels<const C: usize>(
                 }
                 None => true,
             });
-            // A few columns at a time, so that the rows under one primitive are still in the cache for the next.
+            // Each band is worked through a few columns at a time, so that the rows under one primitive are still in
+            // the cache for the next.
             for members in &mut members {
                 members.sort_by_key(|&i| projected[i as usize].center[0].max(0.0) as usize / BLOCK);
             }
@@ -187,8 +195,10 @@ fn sweep_channels<const C: usize>(
                 };
                 simd::dispatch(task)
             });
+            // Integers are replaced only now, since all threads read them.
             for change in changes.into_iter().flatten() {
                 gain += f64::from(change.gain);
+                // Pixels change both where the primitive was and where it is now.
                 activity.mark(&floats[change.index as usize]);
                 activity.mark(&quantizer.dequantize(&change.to));
                 gaussians[change.index as usize] = change.to;
@@ -299,9 +309,11 @@ impl<const C: usize> BandTask<'_, C> {
         let height = self.problem.scene.height;
         let before = self.quantizer.dequantize(&old);
         let p = Projected::from_gaussian(&before, height);
+        // A primitive that reaches no row of the picture has no pixels to judge it by.
         if p.rows[0] >= p.rows[1] {
             return None;
         }
+        // The patch has a margin for larger and shifted shapes, but no rows of other bands, which other threads change.
         let end = self.first + self.planes.len() / ((C + 1) * self.problem.target.stride);
         let rows = reach(&p, height as usize);
         let rows = rows.start.max(self.first)..rows.end.min(end);
@@ -315,6 +327,7 @@ impl<const C: usize> BandTask<'_, C> {
 
         let lambda = self.lambda;
         let lattice = self.quantizer.lattice();
+        // A candidate has to be better than the primitive as it is.
         let now = simd.call(ParabolaTask::<C> { patch, q: &p });
         let current = now.at(p.color, C) + lambda * (cost.geometry(&old, lattice) + cost.colors(old.color));
         let (mut best, mut best_value) = (old, current);
@@ -322,7 +335,7 @@ impl<const C: usize> BandTask<'_, C> {
         let mut consider = |task: &Self, candidate: PackedGaussian, parabola: &Parabola| {
             let geometry = lambda * cost.geometry(&candidate, lattice);
             let minimum = parabola.minimum(C);
-            // Some cannot win with any colour.
+            // Even the best colour before rounding, at the fewest bits, would not win: none needs to be tried.
             if minimum.is_some_and(|m| parabola.at(m, C) + geometry + lambda * least >= best_value) {
                 return;
             }
@@ -331,14 +344,18 @@ impl<const C: usize> BandTask<'_, C> {
                 (best, best_value) = (PackedGaussian { color, ..candidate }, value + geometry);
             }
         };
+        // Another colour for the shape as it is needs no further look at the pixels. A lower value found here rules out
+        // more of the shapes that follow.
         consider(self, old, &now);
-        // By the envelope theorem the gradient is that of the least error over all colours.
+        // Colours are chosen anew for each shape. At the best colour the gradient is that of the least error over all
+        // colours (envelope theorem), so that the bowl tells which shapes are worth a look at the pixels.
         let color = now.minimum(C).unwrap_or(p.color);
         let bowl = simd.call(BowlTask::<C> { patch, p: &p, g: &before, color, parabola: &now });
         for candidate in self.moves(&cost, (&old, &before), &bowl).iter() {
             let g = self.quantizer.dequantize(&candidate);
             let q = Projected::from_gaussian(&g, height);
             let wide = g.extent()[0];
+            // Outside the patch the error is not known, except beyond the picture's border, where nothing counts.
             let inside = q.rows[0] as usize >= patch.rows.start
                 && q.rows[1] as usize <= patch.rows.end
                 && q.center[0] - wide >= if left == 0 { f32::NEG_INFINITY } else { left as f32 }
@@ -349,9 +366,11 @@ impl<const C: usize> BandTask<'_, C> {
                 consider(self, candidate, &parabola);
             }
         }
+        // Smaller gains may be due to the rounding of sums alone.
         if best == old || best_value >= current - 1e-7 * patch.bare.abs() {
             return None;
         }
+        // The primitives of this band that follow have to see the change.
         let q = Projected::from_gaussian(&self.quantizer.dequantize(&best), height);
         self.paste(simd, &p, &q);
         Some((best, current - best_value))
@@ -383,7 +402,7 @@ impl<const C: usize> BandTask<'_, C> {
             let exponents = lattice.exponents(p.major, p.minor, p.angle);
             let bits = lambda * (of_scales.bits(p.angle, exponents) - now);
             let [ex, ey] = exponents.map(|e| (e as f32).exp2());
-            // What is nearest in the metric of the shape need not be lowest.
+            // The position nearest to the minimum need not have the least error: its neighbours are compared, too.
             for (x, y) in [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)] {
                 let (Some(x), Some(y)) = (p.x.checked_add_signed(x), p.y.checked_add_signed(y)) else { continue };
                 let to = PackedGaussian { x, y, ..p };
@@ -432,7 +451,7 @@ impl<const C: usize> BandTask<'_, C> {
         let (co0, cg0) = (at(1, axes[1]), at(2, axes[2]));
         let counts = self.problem.target.channel_amplitude.map(|a| a * a);
         let share = 1.0 / (counts[0] + counts[1] + counts[2]);
-        // What the best luma moves by for each unit that Co and Cg are off: they are not orthogonal to it in RGB.
+        // Shifts of the best luma for each unit that Co and Cg are off: they are not orthogonal to luma in RGB.
         let (by_co, by_cg) =
             (0.5 * share * (counts[2] - counts[0]), share * (0.5 * (counts[0] + counts[2]) - 0.5 * counts[1]));
         for co in co0..=co0 + 1 {

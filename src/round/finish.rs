@@ -57,7 +57,7 @@ pub(crate) struct Rounding<'a> {
     pub plan: &'a Plan,
 }
 
-/// Whoever makes the file that the integers are for.
+/// The side that makes a file of the integers, and knows its length.
 pub(crate) trait Client {
     /// Is called before every round with the share of the work that is done (0..=1). An error stops the rounding.
     fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()>;
@@ -78,7 +78,7 @@ pub(crate) struct Finished {
 /// Rounds the primitives of `state` and refines the integers until the file has its size.
 ///
 /// # Errors
-/// Those of the client.
+/// Returns an error of the client.
 pub(crate) fn finish(task: &Rounding<'_>, mut state: State, client: &mut dyn Client) -> Result<Finished> {
     let Rounding { problem, layout, plan, .. } = *task;
     let float_error = float_error(&problem, &state.primitives);

@@ -57,13 +57,14 @@ impl<'a> Patch<'a> {
     ) {
         let Problem { scene: Scene { width: picture, blend, .. }, target } = *self.problem;
         let (stride, colors) = (target.stride, p.color);
+        // Strips start at any column and are read as whole vectors: the last one may overhang.
         let width = columns.len().next_multiple_of(LANES) + LANES;
         let (left, right) = (columns.start, columns.end);
         self.stride = width;
         self.columns = columns;
         self.rows = rows.clone();
         self.step = self.row_step(p);
-        // Only ever grown: what is there is written over.
+        // The memory only grows and is not cleared, since everything up to `size` is overwritten.
         let size = (2 * C + 2) * width * rows.len().div_ceil(self.step);
         if self.planes.len() < size {
             self.planes.resize(size, 0.0);
@@ -80,15 +81,18 @@ impl<'a> Patch<'a> {
             let amplitude = target.amplitude(y as u32);
             for o in (0..width).step_by(LANES) {
                 let x = left + o;
-                // Past the right end of the patch nothing counts.
+                // Past the right end nothing counts: sums of 0 over a weight of 1 have no error, and divide safely.
                 if x >= right {
                     for k in 0..2 * C + 2 {
                         simd.write(&mut out[k * width + o..], if k == C { one } else { zero });
                     }
                     continue;
                 }
+                // The last vector may hold columns beyond the patch: lanes from `limit` on must not count.
                 let limit = simd.splat((right - x) as f32 - 0.5);
                 let all = simd.read(&row[C * stride + x..]);
+                // `own` is the primitive's weight, `with` the inverse of the divisor while it is there, and `without`
+                // the divisor once it is taken out. The exponential is needed under its support only.
                 let (own, with, without) = match (span, blend) {
                     (Some((start, end, dy)), _) if x + LANES > start && x < end => {
                         let e = kernel::at(simd, p, x, dy);
@@ -96,6 +100,7 @@ impl<'a> Patch<'a> {
                         let own = simd.keep_above(own, limit, simd.index());
                         match blend {
                             Blend::Normalized => {
+                                // Rounding may leave slightly less than 0.
                                 let without = simd.add(simd.max(simd.sub(all, own), zero), epsilon);
                                 (own, Some(simd.div(one, simd.add(all, epsilon))), without)
                             }
@@ -112,12 +117,14 @@ impl<'a> Patch<'a> {
                     let sum = simd.add(simd.read(&row[k * stride + x..]), simd.splat(shift[k]));
                     let n = simd.sub(sum, simd.mul(own, simd.splat(colors[k])));
                     let mut t = simd.read(&wanted[k * stride + x..]);
-                    // Overshoot of a saturated pixel is clamped away: as long as it stays, it is no error.
+                    // Decoders clamp values. Where a black or white pixel overshoots, the target moves to the present
+                    // value: as long as the overshoot stays, it is no error.
                     let beyond = simd.sub(simd.mul(sum, with), t);
                     let above = simd.keep_above(simd.max(beyond, zero), t, simd.splat(1.0f32.next_down()));
                     let below = simd.keep_above(simd.min(beyond, zero), simd.splat(f32::MIN_POSITIVE), t);
                     t = simd.add(simd.add(t, above), below);
                     let mut d = simd.sub(simd.mul(n, share), t);
+                    // Colours count by their opacity: errors in transparent pixels are not seen.
                     if let Some(a) = alpha.filter(|&a| a != k) {
                         d = simd.mul(d, simd.read(&wanted[a * stride + x..]));
                     }
@@ -126,15 +133,18 @@ impl<'a> Patch<'a> {
                     }
                     d = simd.mul(d, simd.splat(target.channel_amplitude[k]));
                     error = simd.add(error, simd.mul(d, d));
+                    // Both stay unweighted: weights are applied when a candidate is looked at.
                     simd.write(&mut out[k * width + o..], n);
                     simd.write(&mut out[(C + 1 + k) * width + o..], t);
                 }
+                // Each pixel's error is kept, since a candidate changes it only under its support.
                 let error = simd.keep_above(error, limit, simd.index());
                 simd.write(&mut out[C * width + o..], without);
                 simd.write(&mut out[(2 * C + 1) * width + o..], error);
                 bare = simd.add(bare, error);
             }
         }
+        // Rows that were skipped count as much as those that are there.
         self.bare = simd.sum(bare) * self.step as f32;
     }
 
@@ -144,7 +154,7 @@ impl<'a> Patch<'a> {
         if self.problem.scene.is_large() { (tall / TALL).clamp(1, MOST_ROWS) } else { 1 }
     }
 
-    /// What is added to `Σwc` of channel `k` before the division.
+    /// Returns the background's share in channel `k`, which is added to `Σwc` before the division.
     #[inline(always)]
     fn shift(&self, k: usize) -> f32 {
         match self.problem.scene.blend {
@@ -328,7 +338,7 @@ impl Eight<'_> {
         simd.read(&self.planes[k * self.stride..])
     }
 
-    /// What the sums are multiplied by if the weight `w` joins them.
+    /// Returns the factor that turns sums into values of the picture, if the weight `w` is added to the sums.
     #[inline(always)]
     fn share<S: Simd, const C: usize>(&self, simd: S, w: S::Vector) -> S::Vector {
         match self.blend {
@@ -390,11 +400,13 @@ impl<S: Simd, const C: usize> Visit<S> for Errors<'_, S, C> {
 struct Slopes<'a, S: Simd, const C: usize> {
     pixels: Pixels<'a>,
     color: [f32; 4],
-    /// Along the rotated x axis, in units of its scale, per pixel to the right and down.
+    /// Change of the coordinate `u` along the rotated x axis, in units of its scale, per pixel to the right and per
+    /// pixel down.
     across: [f32; 2],
-    /// The same along the rotated y axis.
+    /// Change of the coordinate `v` along the rotated y axis, in units of its scale, per pixel to the right and per
+    /// pixel down.
     along: [f32; 2],
-    /// What a rotation moves for each `u·v`.
+    /// Change of the Gaussian's exponent per radian of rotation and for each `u·v`.
     turn: f32,
     first: [S::Vector; 5],
     second: [S::Vector; 15],

@@ -80,10 +80,10 @@ pub(super) fn resize(descent: &mut Descent<'_>, gaussians: &mut Vec<PackedGaussi
     }
 }
 
-/// What the primitives of a part of a picture are worth, and what others would be.
+/// Worth of the primitives in a part of a picture, and of others that could be added.
 #[derive(Debug, Default)]
 pub(crate) struct Worth {
-    /// What each of them costs to remove, squared error.
+    /// Rise of the squared error if a primitive were removed, for each of them.
     pub costs: Vec<f32>,
     /// Others, with the drop of the squared error that each is estimated to bring; best first.
     pub others: Vec<(PackedGaussian, f32)>,

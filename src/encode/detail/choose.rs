@@ -13,12 +13,12 @@ use crate::bitstream::detail::tile::{Content, ROOT, TileCoder, TileState, kinds,
 use crate::detail::steps::PlaneSteps;
 use crate::gaussian::Channels;
 
-/// What a layer is coded with.
+/// Settings with which a layer is coded.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Setting {
     pub head: DetailHead,
     pub channels: Channels,
-    /// What a bit costs, in squared steps.
+    /// Squared error that a bit has to save, in squared steps.
     pub lambda: f32,
     pub care: Care,
 }

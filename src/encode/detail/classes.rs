@@ -10,7 +10,7 @@ const SQUARE: usize = 8;
 const FLOOR: f32 = 30.0;
 /// Weights of squares around one along an axis.
 const KERNEL: [f32; 5] = [1.0, 3.0, 4.0, 3.0, 1.0];
-/// What class steps are counted from, 1/64.
+/// Class step that leaves the layer's step as it is, 1/64.
 const MIDDLE: f32 = 64.0;
 
 /// Returns the mean logarithm of the luma's variance around each square, over all squares of `tile`, and of each superblock.

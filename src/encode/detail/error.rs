@@ -11,7 +11,8 @@ use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::Channels;
 use crate::parallel;
 
-/// What a layer adds to a picture, in parts of white: planes as those of `target`, whose channels may be fewer than the layer's.
+/// Values that a layer adds to the channels of a target, tile by tile. The target may have fewer channels than the
+/// layer.
 #[derive(Debug)]
 pub(super) struct Added {
     tiles: Vec<Option<TilePlanes>>,
@@ -37,7 +38,7 @@ impl Added {
         Added { tiles, across: tile_counts(size)[0], of }
     }
 
-    /// Writes what row `y` of channel `k` gets to `row`.
+    /// Writes to `row` the values that are added to row `y` of the target's channel `k`, in parts of white.
     pub fn row(&self, y: usize, k: usize, row: &mut [f32]) {
         row.fill(0.0);
         for (x, part) in row.chunks_mut(TILE).enumerate() {

@@ -45,7 +45,7 @@ fn preset(tune: Tune) -> Preset {
 /// How a layer is coded.
 struct Preset {
     head: DetailHead,
-    /// What a bit costs, in squared steps.
+    /// Squared error that a bit has to save, in squared steps.
     lambda: f32,
     /// Power of the luma's variance with which steps grow.
     power: f32,

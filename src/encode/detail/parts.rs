@@ -1,6 +1,7 @@
 //! The layer of a picture that is read a part at a time: the step is found on some of its tiles, then all are coded with it.
 //!
-//! What is held is a part's residual, the levels, and the sizes of all blocks: some bytes for each byte of the file.
+//! Memory holds the residual of one part, and the levels and block sizes of all tiles. These take some bytes for each
+//! byte of the file.
 
 use super::aim;
 use super::choose::Care;
@@ -19,7 +20,8 @@ use crate::pixel_source::PixelSource;
 use crate::pixels::Depth;
 use crate::raster::View;
 
-/// Of so many tiles one is among those on which the step is found: at least 8, each of which takes a megabyte, and at most 64.
+/// Number of tiles for each one on which the step is found. At least 8 are used, or all if there are fewer, and at most
+/// 64. Each takes a megabyte of memory.
 const SAMPLED: usize = 16;
 /// Times that the whole picture may be coded.
 const RUNS: u32 = 5;
@@ -138,7 +140,7 @@ impl Parts<'_> {
         Ok(all)
     }
 
-    /// What is left of `count` tiles of a row, from tile `index` on.
+    /// Returns the residuals of `count` tiles of a row, from tile `index` on.
     fn residuals(&self, index: usize, count: usize) -> Result<Vec<TileResidual>> {
         let (area, wanted, drawn) = self.part(index, count)?;
         let tile = |i: usize| {

@@ -1,4 +1,4 @@
-//! What the Gaussians leave of a picture, tile by tile, as planes of luma and chroma (spec §11.5).
+//! The difference between a picture and its Gaussians, tile by tile, as planes of luma and chroma (spec §11.5).
 
 use crate::bitstream::detail::levels::{SUPER, TILE, tile_area, tile_counts};
 use crate::bitstream::detail::model::PLANES;

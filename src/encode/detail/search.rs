@@ -33,7 +33,7 @@ pub(super) struct Aim {
 
 /// A layer that falls short of its bytes by at most this part is near enough.
 const NEAR: f64 = 0.004;
-/// What is aimed at below the bytes that there are, as a part of them.
+/// Share of the available bytes by which the search aims below them.
 const BELOW: f64 = 0.0015;
 /// How bytes fall with the logarithm of the step, before two runs have shown it.
 pub(super) const FALL: f64 = 1.4;

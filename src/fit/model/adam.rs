@@ -46,7 +46,7 @@ pub(crate) struct Rates {
     pub log_scale: f32,
     pub rotation: f32,
     pub color: f32,
-    /// What a step keeps of the first and second moments.
+    /// Shares of the first and second moments that a step keeps: Adam's `β₁` and `β₂`.
     pub decay: [f32; 2],
 }
 
@@ -62,8 +62,8 @@ impl Rates {
     }
 }
 
-/// Returns what a step of a fit of so many keeps of the first and second moments: where there are few, each has to go
-/// further, and what the first of them saw is out of date soon.
+/// Returns the shares of the first and second moments that a step keeps, in a fit of so many steps. In short fits each
+/// step goes further, so that gradients of earlier steps are out of date sooner.
 pub(crate) fn decay(steps: f32) -> [f32; 2] {
     match steps {
         ..150.0 => [0.7, 0.9],
@@ -72,9 +72,8 @@ pub(crate) fn decay(steps: f32) -> [f32; 2] {
     }
 }
 
-/// What a pixel more under a support costs, in squared errors of a mean pixel: all supports together may raise the error by as
-/// much a pixel as they overlap, and raise it by far less. Without a price Gaussians pile up where the picture is smooth and
-/// nothing tells one size from another, as in a sky.
+/// Regularizer on area: penalizes total support by 0.1 % of the mean squared error per covered pixel. Without it
+/// Gaussians pile up where the picture is smooth.
 const PRICE: f64 = 1e-3;
 
 /// Pixels for each primitive from which on the whole price is asked. Smaller ones cost what they cost by their number, and

@@ -71,7 +71,7 @@ impl Bands {
         Bands { starts, members }
     }
 
-    /// Those that reach into band `b`.
+    /// Returns the indices of the primitives that reach into band `b`.
     fn members(&self, b: usize) -> &[u32] {
         &self.members[self.starts[b] as usize..self.starts[b + 1] as usize]
     }
@@ -209,7 +209,7 @@ pub fn float_error(problem: &Problem<'_>, primitives: &[Primitive]) -> f64 {
     squared_error(problem, &project::all(primitives, problem.scene.height))
 }
 
-/// What is drawn, band by band.
+/// Primitives to draw band by band, and the output to leave.
 #[derive(Clone, Copy)]
 struct Drawing<'a> {
     problem: &'a Problem<'a>,

@@ -41,7 +41,7 @@ impl Rows {
         Self::of(p, step, bend)
     }
 
-    /// The same where the factor between ratios is known.
+    /// Returns `p` on rows `step` pixels from each other, where the factor `bend` between their ratios is known.
     #[inline(always)]
     pub fn of(p: &Projected, step: f32, bend: f32) -> Self {
         const L2E: f32 = std::f32::consts::LOG2_E;
@@ -106,7 +106,8 @@ pub struct Strip<S: Simd> {
     pub x: usize,
     /// Their distances from the centre.
     pub dx: S::Vector,
-    /// What the Gaussian has to exceed: [`CUTOFF_WEIGHT`], and more than it ever is in columns that are not to be visited.
+    /// Threshold that the Gaussian has to exceed to count: [`CUTOFF_WEIGHT`]. Columns that are not to be visited have
+    /// one that no Gaussian exceeds.
     pub edge: S::Vector,
 }
 
@@ -123,7 +124,7 @@ impl<S: Simd> Strip<S> {
     }
 }
 
-/// What is done with a primitive's pixels.
+/// An operation on the pixels of one primitive.
 pub trait Visit<S: Simd> {
     /// Row `i` of those that are visited, at distance `dy` from the centre, where the Gaussian is `g`; it may be less than
     /// the edge.
@@ -360,7 +361,8 @@ pub fn gather<S: Simd, const C: usize>(
     gather.moments(simd)
 }
 
-/// The same of a primitive whose strips are known.
+/// Returns the moments of `p` over the gradient planes of the sampled rows in `planes`, on strips that are known
+/// already.
 #[inline(always)]
 pub(crate) fn gather_planned<S: Simd, const C: usize>(
     simd: S,
@@ -382,10 +384,10 @@ struct Gather<'a, S: Simd, const C: usize> {
     stride: usize,
     colors: [S::Vector; C],
     geometry: [S::Vector; 5],
-    /// Of `w g` over a run of rows, as registers hold sums that begin and end with it.
+    /// Sums of `w g` over a run of rows. Sums that begin and end with a run are held in registers.
     shades: [S::Vector; C],
-    /// Of `e v` over a run of rows: its sum up to the present row, the sum of those sums, and the sum of these. They are
-    /// its moments along `dy` in the end, and three additions a row.
+    /// Sums of `e v` over a run of rows: its sum up to the present row, the sum of those sums, and the sum of these.
+    /// They take three additions a row. After the run its moments along `dy` follow from them.
     sums: [S::Vector; 3],
 }
 

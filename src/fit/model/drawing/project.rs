@@ -94,7 +94,7 @@ pub fn frames<S: Simd>(simd: S, primitives: &[Primitive]) -> Frames {
     Frames { scales, sin: simd.to_array(sin), cos: simd.to_array(cos) }
 }
 
-/// What [`Projected::from_parts`] does, of at most eight primitives at once.
+/// Projects at most eight primitives at once, as [`Projected::from_parts`] does with one.
 #[inline(always)]
 fn project_eight<S: Simd>(simd: S, primitives: &[Primitive], height: u32, out: &mut [Projected]) {
     let [major, minor, rotation] = shapes(primitives);

@@ -32,14 +32,14 @@ pub(crate) struct Planned {
 /// The strips of primitives over the rows of a set.
 #[derive(Debug, Default)]
 pub struct Strips {
-    /// Those of [`TOGETHER`] primitives each. Memory is kept from one drawing to the next.
+    /// Parts that hold the strips of [`TOGETHER`] primitives each. Memory is kept from one drawing to the next.
     parts: Vec<Part>,
 }
 
 #[derive(Debug, Default)]
 struct Part {
     strips: Vec<Planned>,
-    /// Where those of each primitive begin, and the end of all.
+    /// Index of the first strip of each primitive, and the number of all strips.
     starts: Vec<u32>,
 }
 
@@ -53,7 +53,7 @@ impl Strips {
         });
     }
 
-    /// Those of primitive `i`.
+    /// Returns the strips of primitive `i`.
     #[inline(always)]
     pub(crate) fn of(&self, i: usize) -> &[Planned] {
         let (part, i) = (&self.parts[i / TOGETHER], i % TOGETHER);

@@ -216,9 +216,10 @@ fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet, cells: &mut Cell
     });
 }
 
-/// What a row of three colours lacks, each pixel a cell. A loop that compilers turn into vectors of the instruction set.
+/// Weighted difference between the target and the drawn picture in a row of three colours, where each pixel is a cell.
+/// Compilers turn the loop over it into vectors of the instruction set.
 struct Lacks<'a> {
-    /// Of each colour what is wanted and what is there.
+    /// The row of the target and that of the drawn picture, for each colour.
     planes: [[&'a [f32]; 2]; 3],
     shares: [f32; 3],
     amplitude: Option<&'a [f32]>,

@@ -73,11 +73,11 @@ pub(crate) fn detail(target: &Planes, room: f64) -> f64 {
     detail.strength.iter().map(|d| f64::from(d.max(1e-6).sqrt())).sum()
 }
 
-/// What the colour gradient is like in each cell.
+/// Strength and direction of the colour gradient in each cell.
 struct Detail {
-    /// Its mean magnitude.
+    /// Mean magnitude of the gradient.
     strength: Vec<f32>,
-    /// Its structure tensor: means of `gₓ²`, `gₓ·g_y` and `g_y²`.
+    /// Structure tensor of the gradient: means of `gₓ²`, `gₓ·g_y` and `g_y²`.
     tensor: [Vec<f32>; 3],
 }
 

@@ -76,13 +76,13 @@ pub(crate) fn blur(plane: &[f32], width: usize, height: usize) -> Vec<f32> {
     cells.values
 }
 
-/// The weighted sum of five.
+/// Returns the weighted sum of five values.
 #[inline(always)]
 fn sum([a, b, c, d, e]: [f32; 5]) -> f32 {
     TAPS[0] * (a + e) + TAPS[1] * (b + d) + TAPS[2] * c
 }
 
-/// The same of eight at once.
+/// Returns the weighted sum of five vectors, lane by lane.
 #[inline(always)]
 fn sum_lanes<S: Simd>(simd: S, [a, b, c, d, e]: [S::Vector; 5]) -> S::Vector {
     let far = simd.mul(simd.splat(TAPS[0]), simd.add(a, e));

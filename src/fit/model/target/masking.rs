@@ -1,8 +1,8 @@
 //! How much an error counts to the eye: at each pixel, less where the picture is busy at its own size, half of it and a
 //! quarter; and in each channel.
 //!
-//! What eyes compare is seen from some way off: SSIMULACRA2 takes most of its score from the luma of the picture at a
-//! quarter and an eighth of its size, where an error `e` over a variance `σ²` of its surroundings costs about
+//! People look at a picture from some distance. SSIMULACRA2 takes most of its score from the luma of the picture at a
+//! quarter and an eighth of its size. There an error `e`, where the surroundings have the variance `σ²`, costs about
 //! `e² / (2σ² + C₂)`.
 
 use crate::fit::model::placing::sample::halve;

@@ -26,8 +26,8 @@ const DENSE: f32 = 65.0;
 const LEAST: f32 = 1.0;
 /// Largest worth before that.
 const MOST: f32 = 6.0;
-/// What each size brings to the score, from the picture's own on, each half of the one before: of the mean of what is lost
-/// there, and of its fourth norm. They are SSIMULACRA2's own for luma.
+/// Weights in the score of the mean and of the fourth norm of the loss, for each size of the picture: its own first,
+/// each further one half of the one before. They are SSIMULACRA2's own weights for luma.
 const SIZES: [[f32; 2]; 4] = [[0.0, 7.47], [0.0, 6.68], [225.2, 19.2], [176.4, 24.4]];
 /// Keeps the loss finite where there is no structure: SSIM's `C₂` of .0009 is for a luma of a somewhat smaller range.
 const C2: f32 = 0.0015;

@@ -8,7 +8,8 @@ use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
 
-/// What is added to twice the variance: above SSIM's own `C₂` of 0.0009, so that smooth areas do not take everything.
+/// Constant added to twice the variance of samples in `0..=1`. It is larger than SSIM's own `C₂` of 0.0009, so that
+/// smooth areas do not take nearly all of the weight.
 pub const FLOOR: f32 = 0.005;
 /// Power of the inverse where primitives are dense: 1 would be SSIM's own slope, and would cost more decibels than
 /// [`Tune::Ssim`] may.
@@ -104,11 +105,11 @@ pub struct Loss {
 #[derive(Debug)]
 struct Buffers {
     picture: Vec<f32>,
-    /// What has been summed along rows only.
+    /// Sums along rows, before they are summed along columns.
     across: Vec<f32>,
-    /// Windowed means, mean squares and mean products; then what is windowed of the slopes with respect to them.
+    /// Windowed means, mean squares and mean products; later the windowed slopes of SSIM with respect to these.
     windowed: [Vec<f32>; 3],
-    /// Those slopes, one after the other in each row.
+    /// Slopes of SSIM with respect to the means, mean squares and mean products, one after the other in each row.
     slopes: Vec<f32>,
 }
 
