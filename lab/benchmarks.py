@@ -15,7 +15,7 @@ root = pathlib.Path(__file__).resolve().parent.parent
 page, chart, rows_file = root / "docs/BENCHMARKS.md", root / "docs/quality.svg", root / "docs/benchmarks.csv"
 RATIOS = [20, 50, 100, 200, 500]
 # Qualities of the others, from small files to large ones.
-QUALITIES = {"jpeg": [4, 8, 14, 35, 55, 88], "webp": [0, 5, 15, 50, 70, 93], "avif": [4, 10, 18, 40, 66, 80], "jxl": [4, 10, 20, 50, 65, 90]}
+QUALITIES = {"jpeg": [4, 8, 14, 35, 55, 88], "webp": [0, 5, 15, 50, 70, 93], "avif": [0, 4, 10, 18, 40, 66, 80, 88, 94], "jxl": [1, 4, 10, 20, 50, 65, 90, 95]}
 MEASURES = ["psnr", "ms_ssim", "ssimulacra2", "butteraugli"]
 
 args = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -30,7 +30,7 @@ only = args.only.split(",")
 cache = root / "target/benchmarks"
 cache.mkdir(parents=True, exist_ok=True)
 build = hashlib.sha256(args.program.read_bytes()).hexdigest()[:16]
-commit = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=root, capture_output=True, text=True).stdout.strip()
+commit = subprocess.run(["git", "log", "-1", "--format=%h"], cwd=root, capture_output=True, text=True).stdout.strip()
 pictures = [args.kodak / f"kodim{k:02}.png" for k in range(1, 24, 2)]
 environment = os.environ | {"RAYON_NUM_THREADS": "1"}
 
@@ -133,11 +133,14 @@ def modern():
     found = {}
     with open(root / "docs/kodak-modern.csv") as file:
         for row in csv.DictReader(file):
+            # Some sizes are out of a codec's reach.
+            if not row["bytes"].isdigit():
+                continue
             point = {"bytes": int(row["bytes"]), "psnr": float(row["psnr"]), "ms_ssim": float(row["msssim"]), "ssimulacra2": float(row["ssimulacra2"]), "butteraugli": float(row["butteraugli"])}
             point["encode_s"] = float(row["enc_cpu_s"])
             found.setdefault((row["codec"], row["image"], int(row["target_cr"])), point)
             if row["ss2_at_target"]:
-                point["psnr_at"], point["ms_ssim_at"], point["ssimulacra2_at"] = (float(row[k] or "nan") for k in ("psnr_at_target", "msssim_at_target", "ss2_at_target"))
+                point["psnr_at"], point["ms_ssim_at"], point["ssimulacra2_at"] = (float(row[k]) if row[k] not in ("", "N/A") else float("nan") for k in ("psnr_at_target", "msssim_at_target", "ss2_at_target"))
     return found
 
 
@@ -268,7 +271,7 @@ if not tables:
 text = page.read_text()
 tables["when"] = f"Measured on {time.strftime('%d %B %Y').lstrip('0')} with commit {commit}, on {os.cpu_count()} cores of {next((l.split(':')[1].strip() for l in open('/proc/cpuinfo') if l.startswith('model name')), platform.machine())}."
 for name, made in tables.items():
-    text, count = re.subn(rf"(<!-- {name} -->\n).*?(\n<!-- end -->)", lambda m: m.group(1) + made + m.group(2), text, flags=re.S)
+    text, count = re.subn(rf"(<!-- {name} -->\n).*?(<!-- end -->)", lambda m: m.group(1) + made + "\n" + m.group(2), text, flags=re.S)
     if not count:
         print(f"no place for the table {name} in {page}", file=sys.stderr)
 page.write_text(text)
