@@ -6,7 +6,7 @@ mod synthetic;
 use ssplat::unstable::bitstream::lattice::Lattice;
 use ssplat::unstable::bitstream::splats::{Layout, PackedSplats};
 use ssplat::unstable::bitstream::{inspect, read, read_area, read_partial, to_bytes};
-use ssplat::{Blend, Channels, Depth, Error, Limits};
+use ssplat::{Blend, Channels, Depth, Error, FormatError, Limits};
 use ssplat::{Renderer, View};
 use synthetic::{Random, Scene, scene};
 
@@ -137,6 +137,36 @@ fn limits_are_kept_before_memory_is_spent() {
             other => panic!("{name}: {other:?}"),
         }
     }
+}
+
+/// Readers cannot meet these, since no bytes of the coded layout say them: a caller can.
+#[test]
+fn integers_that_no_picture_has_are_refused_before_a_byte_is_written() {
+    let sound = scene(&Scene { count: 5, ..Scene::default() });
+    let written = |change: &dyn Fn(&mut PackedSplats)| {
+        let mut splats = sound.clone();
+        change(&mut splats);
+        to_bytes(&splats)
+    };
+    assert!(written(&|_| {}).is_ok());
+    assert!(written(&|s| s.gaussians[2].minor = s.gaussians[2].major + 1).is_err(), "minor above major");
+    assert!(written(&|s| s.gaussians[2].color[3] = 1).is_err(), "alpha in a picture without");
+    assert!(written(&|s| s.gaussians[2].angle = u16::MAX).is_err(), "an angle that there is not");
+    assert!(written(&|s| s.gaussians[2].color[0] = i16::MIN).is_err(), "a colour beyond the largest");
+}
+
+/// What is left of a damaged file is bounded by its bytes as a whole file is.
+#[test]
+fn a_damaged_file_cannot_claim_more_primitives_than_its_bytes_can_code() {
+    let mut bytes = to_bytes(&scene(&Scene { count: 100, size: [100, 100], ..Scene::default() })).unwrap();
+    // Behind signature, version, flags and two sides of a byte each: the count, here of a hundred thousand.
+    assert_eq!(bytes[8], 100);
+    bytes.splice(8..9, [0xa0, 0x8d, 0x06]);
+    let refused = read_partial(&bytes, &Limits::default());
+    assert!(
+        matches!(refused, Err(Error::Format(FormatError::BadValue { field: "primitive count", value: 100_000 }))),
+        "{refused:?}"
+    );
 }
 
 #[test]
