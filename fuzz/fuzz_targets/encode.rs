@@ -4,10 +4,10 @@
 
 use arbitrary::{Arbitrary, Unstructured};
 use libfuzzer_sys::fuzz_target;
+use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{Ablation, Needs, Recipe};
 use ssplat::{Blend, Channels, Detail, Error, Limits, Pixels, Samples, Target, Thumbnail, Tune};
-use ssplat::unstable::{EncodeOptions};
 
 #[derive(Debug)]
 struct Input {

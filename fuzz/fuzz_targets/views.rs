@@ -7,8 +7,8 @@ use libfuzzer_sys::fuzz_target;
 use peak_alloc::PeakAlloc;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::bitstream::to_bytes;
-use ssplat::{Damage, Limits, Image, PixelSource};
 use ssplat::unstable::{DecodeOptions, decode, thumbnail};
+use ssplat::{Damage, Image, Limits, PixelSource};
 use ssplat_fuzz::{Legal, SLACK};
 
 #[global_allocator]

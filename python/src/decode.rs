@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use ssplat::View;
 use ssplat::unstable::bitstream::Missing;
-use ssplat::{Damage, Depth, Layers, Limits, Reader, Pixels, Result};
+use ssplat::{Damage, Depth, Layers, Limits, Pixels, Reader, Result};
 
 use crate::failure::{exception, integer, parameter};
 use crate::{array, work};

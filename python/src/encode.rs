@@ -5,8 +5,8 @@ use std::time::Duration;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyBytes;
+use ssplat::unstable::EncodeOptions;
 use ssplat::{Detail, PixelSource, Progress, Target, Thumbnail, Workers};
-use ssplat::unstable::{EncodeOptions};
 
 use crate::failure::{integer, parameter};
 use crate::work::{Calls, Reporter};
