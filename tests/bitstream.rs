@@ -1,6 +1,7 @@
 //! Promises of the bitstream: exact round trips, canonical bytes, typed errors for everything broken.
 #![cfg(feature = "unstable")]
 
+mod seal;
 mod synthetic;
 
 use ssplat::unstable::bitstream::lattice::Lattice;
@@ -155,13 +156,16 @@ fn integers_that_no_picture_has_are_refused_before_a_byte_is_written() {
     assert!(written(&|s| s.gaussians[2].color[0] = i16::MIN).is_err(), "a colour beyond the largest");
 }
 
-/// What is left of a damaged file is bounded by its bytes as a whole file is.
+/// The rest of a damaged file is bounded by its bytes as a whole file is.
 #[test]
 fn a_damaged_file_cannot_claim_more_primitives_than_its_bytes_can_code() {
-    let mut bytes = to_bytes(&scene(&Scene { count: 100, size: [100, 100], ..Scene::default() })).unwrap();
-    // Behind signature, version, flags and two sides of a byte each: the count, here of a hundred thousand.
-    assert_eq!(bytes[8], 100);
-    bytes.splice(8..9, [0xa0, 0x8d, 0x06]);
+    let mut bytes = std::fs::read("spec/vectors/valid/detail-rgb/file.ssplat").unwrap();
+    // Behind signature, version, flags and the varints of two sides: the count, from now on a hundred thousand.
+    let after = |at: usize| at + bytes[at..].iter().position(|b| b & 0x80 == 0).unwrap() + 1;
+    let count = after(after(6));
+    let end = after(count);
+    bytes.splice(count..end, [0xa0, 0x8d, 0x06]);
+    seal::seal(&mut bytes);
     let refused = read_partial(&bytes, &Limits::default());
     assert!(
         matches!(refused, Err(Error::Format(FormatError::BadValue { field: "primitive count", value: 100_000 }))),
