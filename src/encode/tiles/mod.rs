@@ -52,7 +52,7 @@ use narrow::Narrowed;
 pub use parcel::work_on_tile;
 use parcel::{Parceled, Sent};
 use task::{FloatWork, IntegerWork};
-use whole::Whole;
+use whole::{Survey, Whole};
 
 /// Sides that a tile may have, pixels; a multiple of the least.
 pub(super) const SIDES: std::ops::RangeInclusive<u32> = 2 * UNIT..=1 << 14;
@@ -122,9 +122,9 @@ pub(super) fn encode(
     }
     plan.enough = enough(options.target, blank.depth);
     let samples = samples_of(&blank);
-    let file = (scene, blank, matches!(size, Size::Bytes(_)));
-    let work = (options.effort, plan, count, options.favoured());
-    let whole = Whole::survey(&narrowed, file, work, &grid.windows(), |done| journal.show("survey", done))?;
+    let is_priced = matches!(size, Size::Bytes(_));
+    let survey = Survey { scene, blank, is_priced, effort: options.effort, plan, count, tune: options.favoured() };
+    let whole = survey.of(&narrowed, &grid.windows(), |done| journal.show("survey", done))?;
     journal.stage("survey", clock);
     let seen: &dyn PixelSource = &narrowed;
     let mut course = TiledEncode {

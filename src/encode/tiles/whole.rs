@@ -44,15 +44,31 @@ pub(super) fn plan(effort: u8, count: usize, size: [u32; 2], seed: u64) -> Plan 
     Plan::new(effort, count, u64::from(size[0]) * u64::from(size[1]), None, seed)
 }
 
-impl Whole<'_> {
-    /// Reads `tiles`, which make up the picture of `scene`, once. `show` is told the share that is done.
-    pub(super) fn survey<'a>(
+/// Facts of an encode before its picture is read.
+#[derive(Debug)]
+pub(super) struct Survey {
+    /// The picture; its background is found by the survey.
+    pub scene: Scene,
+    /// The file without primitives.
+    pub blank: PackedSplats,
+    /// True where bytes are aimed at, so that bits have a price.
+    pub is_priced: bool,
+    pub effort: u8,
+    pub plan: Plan,
+    /// Number of primitives that the fit begins with.
+    pub count: usize,
+    pub tune: Tune,
+}
+
+impl Survey {
+    /// Reads `tiles`, which make up the picture of `source`, once. `show` is told the share that is done.
+    pub(super) fn of<'a>(
+        self,
         source: &'a dyn PixelSource,
-        (scene, blank, is_priced): (Scene, PackedSplats, bool),
-        (effort, plan, count, tune): (u8, Plan, usize, Tune),
         tiles: &[Window],
         mut show: impl FnMut(f32) -> Result<()>,
     ) -> Result<Whole<'a>> {
+        let Survey { scene, blank, is_priced, effort, plan, count, tune } = self;
         let area = f64::from(scene.width) * f64::from(scene.height);
         let room = area / count.max(1) as f64;
         let mut weights = match tune {
@@ -79,7 +95,9 @@ impl Whole<'_> {
         let scene = Scene { background: mean.map(|v| v as f32), ..scene };
         Ok(Whole { source, scene, plan, effort, count, blank, is_priced, weights, detail })
     }
+}
 
+impl Whole<'_> {
     /// Returns the picture's pixels to one primitive.
     pub(super) fn room(&self) -> f64 {
         f64::from(self.scene.width) * f64::from(self.scene.height) / self.count.max(1) as f64
