@@ -71,6 +71,10 @@ fn worst() -> Vec<(String, Vec<u8>)> {
     let here_and_there = Levels { filled: 500, most: 1, ..Levels::new(2) };
     let sparse = with_layer(ground([4096, 2048], Channels::Grey), full, here_and_there);
     files.push(("a sparse detail layer".into(), to_bytes(&sparse).unwrap()));
+    // Fuzzing of views found that slices of rows took as much as the samples of pictures like this.
+    let narrow =
+        Scene { layout: Layout::Packed, channels: Channels::Grey, size: [8, 1 << 20], count: 1, ..Scene::default() };
+    files.push(("a narrow picture of a million rows".into(), to_bytes(&scene(&narrow)).unwrap()));
     for checksums in [Checksums::Right, Checksums::Wrong] {
         files.push((format!("a million empty sections with {checksums:?} checksums"), empty_sections(checksums)));
     }

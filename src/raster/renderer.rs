@@ -230,7 +230,7 @@ impl Renderer {
         }
         let mut parts = parts.into_iter().peekable();
         let Some(overlay) = &self.overlay else {
-            self.draw_groups(parts.map(|part| self.split(part)).collect(), &|group| self.draw_group(group, None));
+            self.draw_bands(parts.collect());
             return;
         };
         if overlay.is_direct(&self.view) {
@@ -276,6 +276,16 @@ impl Renderer {
             self.draw_groups(groups, &|group| self.draw_group(group, source));
             overlay.used(additions);
         }
+    }
+
+    /// Draws bands, each cut into the rows of its tiles by itself: of a narrow picture all of these slices together would take as
+    /// much memory as the samples.
+    fn draw_bands<T: Sample>(&self, bands: Vec<(u32, &mut [T])>) {
+        let draw = |band| self.draw_group(self.split(band), None);
+        #[cfg(feature = "rayon")]
+        bands.into_par_iter().for_each(draw);
+        #[cfg(not(feature = "rayon"))]
+        bands.into_iter().for_each(draw);
     }
 
     fn draw_groups<'a, T: Sample>(&self, groups: Vec<Vec<Piece<'a, T>>>, draw: &(impl Fn(Vec<Piece<'a, T>>) + Sync)) {
