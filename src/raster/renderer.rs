@@ -228,11 +228,11 @@ impl Renderer {
             parts.push((band, part));
             out = rest;
         }
-        let mut parts = parts.into_iter().peekable();
         let Some(overlay) = &self.overlay else {
-            self.draw_bands(parts.collect());
+            self.draw_bands(parts);
             return;
         };
+        let mut parts = parts.into_iter().peekable();
         if overlay.is_direct(&self.view) {
             let most = overlay.tile_rows_at_once(&self.view);
             let [first, count] = [self.bins.tiles.first, self.bins.tiles.count];
