@@ -5,7 +5,7 @@
 
 pub use crate::bitstream::header::Header;
 pub use crate::decode::{decode, decode_into, thumbnail};
-pub use crate::encode::{LARGEST, TracePoint, divide, encode, encode_divided, encode_source, encode_with_progress};
+pub use crate::encode::{LARGEST, TracePoint, divide, encode, encode_with_progress};
 #[cfg(feature = "image")]
 pub use crate::image_crate::{Carried, encode_decoder, save, transcode};
 pub use crate::options::{Ablation, DecodeOptions, EncodeOptions, Needs, Recipe, Rung, Trace};

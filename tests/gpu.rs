@@ -2,10 +2,10 @@
 //!
 //! Any adapter will do, software included. Without one these tests are ignored; with `SSPLAT_REQUIRE_GPU=1` they fail.
 
+mod adapter;
 mod scenes;
 mod synthetic;
 
-use libtest_mimic::{Arguments, Failed, Trial};
 use scenes::{codes, scene};
 use ssplat::View;
 use ssplat::gpu::{Adapters, Device, Renderer};
@@ -19,19 +19,8 @@ use ssplat::{
 };
 use std::ops::ControlFlow;
 
-/// A test of a device.
-type Test = fn(&Device);
-
 fn main() {
-    let arguments = Arguments::from_args();
-    let required = std::env::var("SSPLAT_REQUIRE_GPU").is_ok_and(|v| v == "1");
-    let opened = Device::open(Adapters::Any);
-    match &opened {
-        Ok(device) => eprintln!("adapter: {}; {}", device.name(), device.reason()),
-        Err(e) => eprintln!("{e}: tests on the GPU are ignored"),
-    }
-    let missing = matches!(&opened, Err(Error::Gpu(GpuError::NoAdapter)));
-    let all: &[(&str, Test)] = &[
+    adapter::run(&[
         ("renders_are_within_one_code_value_of_the_definition", renders_are_within_one_code_value),
         ("sixteen_bits_are_as_near_as_floats_are", sixteen_bits),
         ("needles_of_the_encoder_are_within_one_code_value", needles),
@@ -49,19 +38,7 @@ fn main() {
         ("hardware_only_never_opens_software", hardware_only),
         ("a_lost_device_is_a_typed_error", lost),
         ("an_encoder_asked_for_the_gpu_uses_it_or_fails", encoder),
-    ];
-    let trials = all
-        .iter()
-        .map(|&(name, test)| {
-            let opened = opened.as_ref().map(Device::clone).map_err(ToString::to_string);
-            let run = move || -> Result<(), Failed> {
-                test(&opened?);
-                Ok(())
-            };
-            Trial::test(format!("gpu::{name}"), run).with_ignored_flag(missing && !required)
-        })
-        .collect();
-    libtest_mimic::run(&arguments, trials).exit();
+    ]);
 }
 
 fn encoder(device: &Device) {

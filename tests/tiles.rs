@@ -1,6 +1,8 @@
 //! A picture that is fitted in tiles: no seams, the size that was asked for, the same bytes on any machine.
 #![cfg(feature = "unstable")]
 
+mod waves;
+
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
 
@@ -9,20 +11,10 @@ use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
 use ssplat::unstable::{Needs, Recipe, Trace};
 use ssplat::{
-    Backend, Blend, Channels, Detail, Encoded, Error, Limits, Pixels, Samples, Target, Thumbnail, Tune, Workers,
+    Backend, Blend, Channels, Detail, Encoded, Encoder, Error, Limits, Pixels, Samples, Target, Thumbnail, Tune,
+    Workers,
 };
-
-/// Waves and edges of many sizes, all over.
-fn picture(width: u32, height: u32, channels: Channels) -> Pixels {
-    let count = channels.count();
-    let samples = (0..width as usize * height as usize * count).map(|i| {
-        let (k, x, y) = (i % count, (i / count % width as usize) as f32, (i / count / width as usize) as f32);
-        let waves = 40.0 * (x / 9.0 + (y / 31.0).sin()).sin() + 30.0 * (y / 7.0 + (x / 23.0).cos()).sin();
-        let discs = if ((x * 0.061).sin() + (y * 0.049).cos()).abs() < 0.3 { 50.0 } else { 0.0 };
-        if channels.alpha() == Some(k) { 200 } else { (110.0 + waves + discs + 9.0 * k as f32).clamp(0.0, 255.0) as u8 }
-    });
-    Pixels::new(width, height, channels, Samples::U8(samples.collect())).unwrap()
-}
+use waves::picture;
 
 fn options(target: Target, tiles: Option<u32>) -> EncodeOptions {
     let mut options = EncodeOptions::default();
@@ -281,7 +273,7 @@ impl Workers for Elsewhere<'_> {
 }
 
 fn encode_by(pixels: &Pixels, options: &EncodeOptions, workers: &mut Elsewhere<'_>) -> ssplat::Result<Vec<u8>> {
-    let encoded = ssplat::unstable::encode_divided(pixels, options, workers, &mut |_| ControlFlow::Continue(()))?;
+    let encoded = Encoder::from(options.clone()).encode_divided(pixels, workers, &mut |_| ControlFlow::Continue(()))?;
     Ok(encoded.bytes)
 }
 

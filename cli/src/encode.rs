@@ -12,7 +12,7 @@ use ssplat::SamplesMut;
 use ssplat::report::StageTime;
 use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Metadata;
-use ssplat::{EncodeReport, Encoded, Error, Limits, PixelSource, Pixels, Samples, Target};
+use ssplat::{EncodeReport, Encoded, Encoder, Error, Limits, PixelSource, Pixels, Samples, Target};
 
 use crate::batch::{self, Command, Done, Show, Voice};
 use crate::failure::Failure;
@@ -186,7 +186,7 @@ fn in_parts(
     carried::carry(&mut options, (icc, exif), orientation, &mut notes);
     let sink = Sink::create(output, &[input])?;
     let mut course = Stages::new(1, true);
-    let encoded = ssplat::unstable::encode_source(&picture, &options, &mut |p| {
+    let encoded = Encoder::from(options.clone()).encode_with_progress(&picture, &mut |p| {
         show(course.at(p.stage, p.done), p.stage);
         ControlFlow::Continue(())
     });

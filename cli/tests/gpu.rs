@@ -2,38 +2,20 @@
 //!
 //! Any adapter will do, software included. Without one these tests are ignored; with `SSPLAT_REQUIRE_GPU=1` they fail.
 
+#[path = "../../tests/adapter/mod.rs"]
+mod adapter;
+
 use std::process::{Command, Output};
 
-use libtest_mimic::{Arguments, Failed, Trial};
-use ssplat::gpu::{Adapters, Device};
-use ssplat::{Error, GpuError};
-
-/// A test of a device.
-type Test = fn(&Device);
+use ssplat::gpu::Device;
 
 fn main() {
-    let arguments = Arguments::from_args();
-    let required = std::env::var("SSPLAT_REQUIRE_GPU").is_ok_and(|v| v == "1");
-    let opened = Device::open(Adapters::Any);
-    let missing = matches!(&opened, Err(Error::Gpu(GpuError::NoAdapter)));
-    let all: &[(&str, Test)] = &[
+    adapter::run(&[
         ("the_program_fits_and_draws_on_the_gpu", fits_and_draws),
         ("the_program_draws_the_detail_layer_on_the_gpu", draws_layers),
         ("auto_never_takes_software_and_says_why", auto),
         ("a_missing_adapter_is_said_and_auto_goes_on", without),
-    ];
-    let trials = all
-        .iter()
-        .map(|&(name, test)| {
-            let opened = opened.as_ref().map(Device::clone).map_err(ToString::to_string);
-            let run = move || -> Result<(), Failed> {
-                test(&opened?);
-                Ok(())
-            };
-            Trial::test(format!("gpu::{name}"), run).with_ignored_flag(missing && !required)
-        })
-        .collect();
-    libtest_mimic::run(&arguments, trials).exit();
+    ]);
 }
 
 fn ssplat(folder: &tempfile::TempDir, backends: &str, args: &[&str]) -> Output {

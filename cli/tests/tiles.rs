@@ -1,25 +1,16 @@
 //! The program fits a picture in tiles that it reads a part at a time.
 
-use ssplat::unstable::EncodeOptions;
-use ssplat::{Backend, Channels, Pixels, Samples, Target};
+#[path = "../../tests/waves/mod.rs"]
+mod waves;
 
-/// Waves and discs.
-fn picture(width: u32, height: u32, channels: Channels) -> Pixels {
-    let count = channels.count();
-    let samples = (0..width as usize * height as usize * count).map(|i| {
-        let (k, x, y) = (i % count, (i / count % width as usize) as f32, (i / count / width as usize) as f32);
-        let waves = 40.0 * (x / 9.0 + (y / 31.0).sin()).sin() + 30.0 * (y / 7.0 + (x / 23.0).cos()).sin();
-        let discs = if ((x * 0.061).sin() + (y * 0.049).cos()).abs() < 0.3 { 50.0 } else { 0.0 };
-        if channels.alpha() == Some(k) { 200 } else { (110.0 + waves + discs + 9.0 * k as f32).clamp(0.0, 255.0) as u8 }
-    });
-    Pixels::new(width, height, channels, Samples::U8(samples.collect())).unwrap()
-}
+use ssplat::unstable::EncodeOptions;
+use ssplat::{Backend, Channels, Samples, Target};
 
 /// The program reads a PNG and a PNM part by part; what comes of it is what the library makes of the pixels.
 #[test]
 fn files_that_are_read_in_parts_give_the_bytes_of_the_picture_in_memory() {
     let folder = tempfile::tempdir().unwrap();
-    let pixels = picture(300, 200, Channels::Rgb);
+    let pixels = waves::picture(300, 200, Channels::Rgb);
     let mut options = EncodeOptions::default();
     (options.target, options.tiles, options.effort, options.backend) =
         (Target::Bytes(3000), Some(128), 2, Backend::Cpu);

@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyBytes;
 use ssplat::unstable::EncodeOptions;
-use ssplat::{Detail, PixelSource, Progress, Target, Thumbnail, Workers};
+use ssplat::{Detail, Encoder, PixelSource, Progress, Target, Thumbnail, Workers};
 
 use crate::failure::{integer, parameter};
 use crate::work::{Calls, Reporter};
@@ -136,14 +136,15 @@ pub fn encode<'py>(
     };
     let source = source(image)?;
     let calls = Calls { progress, start: start.as_ref() };
+    let encoder = Encoder::from(parsed);
     let encoded = work::run(py, threads, &calls, move |reporter| {
         let mut progress = |p: &Progress| reporter.step(p);
         match at_once {
             Some(at_once) => {
                 let mut others = Others { reporter, at_once };
-                ssplat::unstable::encode_divided(&*source, &parsed, &mut others, &mut progress)
+                encoder.encode_divided(&*source, &mut others, &mut progress)
             }
-            None => ssplat::unstable::encode_source(&*source, &parsed, &mut progress),
+            None => encoder.encode_with_progress(&*source, &mut progress),
         }
     })?;
     Ok((PyBytes::new(py, &encoded.bytes), encoded.report.quality))

@@ -146,35 +146,6 @@ pub fn encode_with_progress(
     Ok(Encoded { bytes: outcome.bytes, report })
 }
 
-/// Encodes the picture of `source` in tiles, which are read as they are needed, and calls `progress` on the way. A picture
-/// that [`EncodeOptions::tiles`] leaves whole is read as a whole.
-///
-/// # Errors
-/// As [`encode_with_progress`], and those of `source`.
-pub fn encode_source(
-    source: &dyn PixelSource,
-    options: &EncodeOptions,
-    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
-) -> Result<Encoded> {
-    encode_by(source, options, Executor::Own, progress)
-}
-
-/// Encodes as [`encode_source`] does, with the help of `workers`, which may run elsewhere. They fit, join and sweep the
-/// tiles; the first survey of the picture and the writing of the file stay here. The bytes of the file are the same as
-/// without workers. A picture that is not in tiles is encoded here.
-///
-/// # Errors
-/// As [`encode_source`], the errors of `workers`, and [`Error::Parameter`] naming `answer` and the tile if an answer
-/// does not fit its task.
-pub fn encode_divided(
-    source: &dyn PixelSource,
-    options: &EncodeOptions,
-    workers: &mut dyn Workers,
-    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
-) -> Result<Encoded> {
-    encode_by(source, options, Executor::Others(workers), progress)
-}
-
 fn encode_by(
     source: &dyn PixelSource,
     options: &EncodeOptions,

@@ -1,54 +1,14 @@
 //! Stiff and extreme pictures, and the rows of the table that they fill; shared by the tests of the whole way and of the fit.
 
-use ssplat::{Channels, Pixels, Samples, Target};
+mod made;
+mod row;
 
-/// One row of the table.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Row {
-    pub group: String,
-    pub case: String,
-    /// The worst that was seen, in the unit of `bound`.
-    pub worst: f64,
-    /// What it may be.
-    pub bound: Bound,
-    /// What keeps it there.
-    pub guard: String,
-}
+use ssplat::{Channels, Pixels, Target};
 
-/// The promise of a row.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[allow(dead_code)] // Those outside and those inside promise different things.
-pub enum Bound {
-    /// At most this many 8-bit code values from the f64 definition.
-    Codes(f64),
-    /// At least this many decibels above the picture of one constant colour, or above an earlier state of the same fit.
-    Gain(f64),
-    /// A relative error of at most this.
-    Relative(f64),
-    /// Nothing: it is there to be known.
-    Reported,
-}
-
-impl Row {
-    pub fn holds(&self) -> bool {
-        match self.bound {
-            Bound::Codes(most) | Bound::Relative(most) => self.worst <= most,
-            Bound::Gain(least) => self.worst >= least,
-            Bound::Reported => true,
-        }
-    }
-
-    /// The row as one line of tab-separated text.
-    pub fn line(&self) -> String {
-        let (unit, bound) = match self.bound {
-            Bound::Codes(v) => ("codes", v),
-            Bound::Gain(v) => ("gain", v),
-            Bound::Relative(v) => ("relative", v),
-            Bound::Reported => ("reported", 0.0),
-        };
-        format!("stability\t{}\t{}\t{:.3e}\t{unit}\t{bound:e}\t{}", self.group, self.case, self.worst, self.guard)
-    }
-}
+#[allow(unused_imports)] // Not all who share this make pictures of their own.
+pub use made::picture;
+use made::{line, noise};
+pub use row::{Bound, Row};
 
 /// A picture to fit.
 pub struct Fit {
@@ -110,36 +70,6 @@ pub fn fits() -> Vec<Fit> {
     list.push(("N = 2".into(), wave(), Target::Primitives(2)));
     list.push(("N beyond the pixels".into(), grey(&|x, y| noise(x, y, 5)), Target::Primitives(4000)));
     list.into_iter().map(|(name, pixels, target)| Fit { name, pixels, target }).collect()
-}
-
-/// A picture of `channels` from values in `0..=1`, by pixel and channel.
-pub fn picture(width: u32, height: u32, channels: Channels, value: impl Fn(u32, u32, usize) -> f64) -> Pixels {
-    let count = channels.count();
-    let mut samples = Vec::with_capacity(width as usize * height as usize * count);
-    for y in 0..height {
-        for x in 0..width {
-            samples.extend((0..count).map(|k| (value(x, y, k).clamp(0.0, 1.0) * 255.0 + 0.5) as u8));
-        }
-    }
-    Pixels::new(width, height, channels, Samples::U8(samples)).expect("as many samples as the size says")
-}
-
-/// The same noise everywhere: a hash of the place, in `0..1`.
-fn noise(x: u32, y: u32, k: usize) -> f64 {
-    let mut h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA6B) ^ (k as u32).wrapping_mul(0xC2B2_AE35);
-    for _ in 0..2 {
-        h = (h ^ h >> 15).wrapping_mul(0x2C1B_3C6D);
-        h = (h ^ h >> 13).wrapping_mul(0x297A_2D39);
-    }
-    f64::from(h >> 8) / f64::from(1 << 24)
-}
-
-/// 1 within a line of `width` pixels through the middle of a picture of `side`, at `angle` radians, 0 elsewhere.
-fn line(side: u32, width: f64, angle: f64, x: u32, y: u32) -> f64 {
-    let middle = f64::from(side) / 2.0;
-    let (dx, dy) = (f64::from(x) + 0.5 - middle, f64::from(y) + 0.5 - middle);
-    let distance = (dy * angle.cos() - dx * angle.sin()).abs();
-    (width / 2.0 + 0.5 - distance).clamp(0.0, 1.0)
 }
 
 /// Rings whose frequency rises from the middle to the limit of the grid at the border.

@@ -1,40 +1,11 @@
-//! Rows of stiff and extreme cases: what each does to the worst error, and what guards it. The test suite prints them.
+//! The rows of stiff and extreme cases that the test suite prints, read again for the report.
 
-/// One row of the table.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Row {
-    pub group: String,
-    pub case: String,
-    /// The worst that was seen, in the unit of `bound`.
-    pub worst: f64,
-    /// Bound on it.
-    pub bound: Bound,
-    /// Part of the code that keeps it within the bound.
-    pub guard: String,
-}
+#[path = "../../../tests/stiff/row.rs"]
+mod row;
 
-/// The promise of a row.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Bound {
-    /// At most this many 8-bit code values from the f64 definition.
-    Codes(f64),
-    /// At least this many decibels above the picture of one constant colour, or above an earlier state of the same fit.
-    Gain(f64),
-    /// A relative error of at most this.
-    Relative(f64),
-    /// Nothing: it is there to be known.
-    Reported,
-}
+pub use row::{Bound, Row};
 
 impl Row {
-    pub fn holds(&self) -> bool {
-        match self.bound {
-            Bound::Codes(most) | Bound::Relative(most) => self.worst <= most,
-            Bound::Gain(least) => self.worst >= least,
-            Bound::Reported => true,
-        }
-    }
-
     /// How near its bound the row is, for finding the worst of several; NaN counts as the worst.
     pub fn badness(&self) -> f64 {
         let v = match self.bound {
