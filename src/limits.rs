@@ -15,8 +15,8 @@ pub struct Limits {
     /// Largest number of (Gaussian, tile) pairs that rasterizing one view may visit; by default 2²⁸.
     pub tile_pairs: u64,
     /// Largest work of rasterizing one view; by default 3·2³⁴. On the CPU it counts 1 for each pixel that a Gaussian
-    /// covers (4 for narrow Gaussians), 1024 for each (Gaussian, tile) pair, and for a detail layer 16 for each sample
-    /// and 200 for each level. On a GPU it counts 256 for each pair with one of the GPU's smaller tiles, and the same
+    /// covers (4 for narrow Gaussians), 1024 for each (Gaussian, tile) pair, and for a detail layer 16 for each sample,
+    /// 200 for each level, and in a view of another size 6 for each weight that pixels are sums by. On a GPU it counts 256 for each pair with one of the GPU's smaller tiles, and the same
     /// for a detail layer.
     pub work: u64,
     /// Largest mean number of Gaussians over a pixel of a view; by default 256. It keeps the work in proportion to

@@ -10,7 +10,7 @@ use ssplat::View;
 use ssplat::unstable::bitstream::splats::PackedSplats;
 use ssplat::unstable::bitstream::{DetailHead, Missing, inspect, read, read_partial, to_bytes};
 use ssplat::unstable::{DecodeOptions, decode};
-use ssplat::{Channels, Damage, Depth, Error, Layers, Limits, Pixels, Reader, Samples};
+use ssplat::{Channels, Damage, Depth, Error, Image, Layers, Limits, Pixels, Reader, Samples};
 use synthetic::{Levels, Scene, scene, with_layer};
 
 /// A picture of six tiles with levels in most blocks.
@@ -243,6 +243,20 @@ fn work_of_the_layer_is_counted_before_it_is_done() {
     // The Gaussians alone are within it.
     let opening = Reader::new(&bytes, &limits).unwrap().showing(Layers::Gaussians);
     assert!(opening.read(Damage::Refuse).is_ok());
+}
+
+/// Enlarged along one axis and reduced along the other, a picture is made of more weights than it has pixels or samples.
+#[test]
+fn work_of_a_distorted_view_is_counted() {
+    let bytes = to_bytes(&large(Channels::Rgb)).unwrap();
+    let mut limits = Limits::default();
+    limits.work = 1 << 31;
+    let opened = Image::from_bytes(&bytes, &limits).unwrap();
+    let drawn = |width, height| opened.renderer(&opened.view().resized(width, height).unwrap()).map(drop);
+    assert!(drawn(1, 1).is_ok() && drawn(2000, 1).is_ok() && drawn(1, 2000).is_ok());
+    for (width, height) in [(1, 1 << 20), (1 << 20, 1)] {
+        assert!(matches!(drawn(width, height), Err(Error::LimitExceeded { what: "work", .. })), "{width} × {height}");
+    }
 }
 
 #[test]

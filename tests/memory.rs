@@ -130,32 +130,68 @@ fn section_name(i: u32) -> [u8; 4] {
 fn decoding_keeps_to_the_memory_that_it_is_granted() {
     assert!(ssplat::register());
     let files = worst();
-    through_image(&files);
-    directly(&files);
-    again_and_again(&files);
-    inspected(&files);
+    for [decoded, refused] in
+        [through_image(&files), directly(&files), again_and_again(&files), inspected(&files), in_other_sizes()]
+    {
+        assert!(decoded > 100 && refused > 100);
+    }
 }
 
 /// Pixels are part of what is granted.
-fn directly(files: &[(String, Vec<u8>)]) {
+fn directly(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     keeps("directly", files, |bytes, granted| {
         let mut options = DecodeOptions::default();
         options.limits.alloc = granted;
         ssplat::unstable::decode(bytes, &options).is_ok()
-    });
+    })
 }
 
 /// The account of where the bytes go.
-fn inspected(files: &[(String, Vec<u8>)]) {
+fn inspected(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     keeps("inspected", files, |bytes, granted| {
         let mut limits = Limits::default();
         limits.alloc = granted;
         inspect(bytes, &limits).is_ok()
-    });
+    })
+}
+
+/// Sizes of which slices of rows or weights once took more than the samples.
+fn in_other_sizes() -> [u32; 2] {
+    let (mut plain, mut layered) = (Vec::new(), Vec::new());
+    for size in [[1 << 20, 8], [8, 1 << 20], [1 << 20, 1], [1, 1 << 20]] {
+        for depth in [Depth::Eight, Depth::Sixteen] {
+            let made = Scene { channels: Channels::Grey, size, count: 3, ..Scene::default() };
+            let mut scene = scene(&made);
+            scene.depth = depth;
+            plain.push((format!("{size:?} {depth:?}"), to_bytes(&scene).unwrap()));
+            let sparse = Levels { filled: 900, most: 1, ..Levels::new(2) };
+            let bytes = to_bytes(&with_layer(scene, DetailHead::PLAIN, sparse)).unwrap();
+            layered.push((format!("{size:?} {depth:?} with a layer"), bytes));
+        }
+    }
+    let drawn = |size: [u32; 2], files: &[_]| {
+        keeps(&format!("in {size:?}"), files, |bytes, granted| {
+            let mut limits = Limits::default();
+            limits.alloc = granted;
+            let Ok(opened) = Image::from_bytes(bytes, &limits) else { return false };
+            opened.view().resized(size[0], size[1]).is_ok_and(|view| opened.draw(&view).is_ok())
+        })
+    };
+    let mut sum = [0; 2];
+    let mut add = |counts: [u32; 2]| sum = [0, 1].map(|k| sum[k] + counts[k]);
+    for size in [[1 << 20, 9], [9, 1 << 20], [3, 4], [1 << 19, 2], [2, 1 << 19]] {
+        add(drawn(size, &plain));
+        add(drawn(size, &layered));
+    }
+    // Of files with a layer these take seconds.
+    for size in [[8192, 1024], [1024, 8192]] {
+        add(drawn(size, &plain));
+    }
+    sum
 }
 
 /// Two views of an opened file at the same time.
-fn again_and_again(files: &[(String, Vec<u8>)]) {
+fn again_and_again(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     keeps("again and again", files, |bytes, granted| {
         let mut limits = Limits::default();
         limits.alloc = granted;
@@ -164,21 +200,22 @@ fn again_and_again(files: &[(String, Vec<u8>)]) {
         let Ok(second) = opened.renderer(&opened.view()) else { return false };
         let depth = opened.splats().depth;
         first.render(depth).is_ok() && second.render(depth).is_ok()
-    });
+    })
 }
 
-fn through_image(files: &[(String, Vec<u8>)]) {
+fn through_image(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     keeps("through image", files, |bytes, granted| {
         let mut limits = image::Limits::default();
         limits.max_alloc = Some(granted);
         let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().unwrap();
         reader.limits(limits);
         reader.decode().is_ok()
-    });
+    })
 }
 
-/// `decode` tells whether there was a picture within the bytes that it is granted.
-fn keeps(way: &str, files: &[(String, Vec<u8>)], decode: impl Fn(&[u8], u64) -> bool) {
+/// Decodes `files` within several grants; `decode` tells whether there was a picture. Returns how often there was one and how often
+/// none.
+fn keeps(way: &str, files: &[(String, Vec<u8>)], decode: impl Fn(&[u8], u64) -> bool) -> [u32; 2] {
     let mut most = (i64::MIN, String::new());
     let (mut decoded, mut refused) = (0, 0);
     for granted in [256 << 10, 1 << 20, 4 << 20, 16 << 20, 29_000_000, 64 << 20] {
@@ -200,5 +237,5 @@ fn keeps(way: &str, files: &[(String, Vec<u8>)], decode: impl Fn(&[u8], u64) -> 
         }
     }
     println!("{way}: {decoded} decoded, {refused} refused; worst: {}", most.1);
-    assert!(decoded > 100 && refused > 100);
+    [decoded, refused]
 }

@@ -36,7 +36,7 @@ impl Layer {
 
     /// Bytes for a row.
     pub(super) fn row_memory(&self) -> u64 {
-        self.overlay.row_memory(&self.view)
+        self.overlay.row_memory(self.view.width() as usize)
     }
 
     /// Most rows of a band. They may be fewer than those of a tile, which is then drawn in part.
@@ -50,7 +50,7 @@ impl Layer {
             return Err(GpuError::Overflow { what, requested: row, allowed: MOST_BINDING }.into());
         }
         let bound = u32::try_from(MOST_BINDING / row.max(1)).unwrap_or(u32::MAX);
-        Ok(self.overlay.rows_at_once(&self.view).min(bound))
+        Ok(self.overlay.rows_at_once(self.view.width() as usize).min(bound))
     }
 
     /// Checks that the additions to bands of so many rows, and what they are made from, can be held.
@@ -58,7 +58,7 @@ impl Layer {
     /// # Errors
     /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) when they cannot.
     pub(super) fn check(&self, rows: u32, budget: &Budget) -> Result<()> {
-        self.overlay.check_rows(&self.view, rows.min(self.view.height()), budget)
+        self.overlay.check_rows(self.view.width() as usize, rows.min(self.view.height()), budget)
     }
 
     /// Rows of a band of at most `most` rows from row `first` on.

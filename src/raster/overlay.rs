@@ -7,6 +7,7 @@
 use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard};
 
+use super::kernel::TILE_WIDTH;
 use super::view::View;
 use crate::bitstream::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, TileLevels, tile_area, tile_counts};
@@ -51,6 +52,9 @@ pub(crate) struct Additions {
 /// Bytes of additions or tiles that are held at a time, if a row of tiles does not need more.
 const HELD: u64 = 4 << 20;
 
+/// Bytes that an output row or column takes beside its samples: its taps, and its share of slices.
+const LINE: u64 = 2 * size_of::<Taps>() as u64;
+
 /// Work of reading and drawing a level of a detail layer, in the units of [`Limits::work`]: 110 ns for a large one,
 /// where a unit is half a nanosecond with plain instructions.
 const LEVEL_WORK: u64 = 200;
@@ -72,12 +76,13 @@ impl Additions {
     }
 }
 
-/// Picture pixels that an output pixel is made of along one axis: the first one, and the weights of it and of those
-/// that follow.
-#[derive(Debug, Clone, Default)]
+/// Picture pixels that an output pixel is made of along one axis, `count` from `first` on.
+#[derive(Debug, Clone, Copy)]
 struct Taps {
     first: usize,
-    weights: Vec<f32>,
+    count: usize,
+    /// Weights of the first, of those between, and of the last. A single one has the first's.
+    weights: [f32; 3],
 }
 
 /// The taps of output pixel `index` of a grid that begins at `origin` with steps of `step`, on `side` pixels.
@@ -88,15 +93,37 @@ fn taps(origin: f64, step: f64, index: f64, side: usize) -> Taps {
         let at = (origin + (index + 0.5) * step - 0.5).clamp(0.0, last as f64);
         let first = (at as usize).min(last);
         let share = (at - first as f64) as f32;
-        let weights = if share == 0.0 || first == last { vec![1.0] } else { vec![1.0 - share, share] };
-        return Taps { first, weights };
+        if share == 0.0 || first == last {
+            return Taps { first, count: 1, weights: [1.0; 3] };
+        }
+        return Taps { first, count: 2, weights: [1.0 - share, 0.0, share] };
     }
     let start = (origin + index * step).clamp(0.0, side as f64);
     let end = (origin + (index + 1.0) * step).clamp(start, side as f64);
     let first = (start as usize).min(last);
-    let end_pixel = (end.ceil() as usize).clamp(first + 1, side);
+    let after = (end.ceil() as usize).clamp(first + 1, side);
     let covered = |i: usize| ((end.min((i + 1) as f64) - start.max(i as f64)) / step) as f32;
-    Taps { first, weights: (first..end_pixel).map(covered).collect() }
+    Taps { first, count: after - first, weights: [covered(first), (1.0 / step) as f32, covered(after - 1)] }
+}
+
+impl Taps {
+    fn end(&self) -> usize {
+        self.first + self.count
+    }
+
+    /// The pixels that lie in `within`, and their weights.
+    #[inline(always)]
+    fn pixels(&self, within: Range<usize>) -> impl Iterator<Item = (usize, f32)> {
+        let [first, middle, last] = self.weights;
+        (self.first.max(within.start)..self.end().min(within.end)).map(move |pixel| {
+            let weight = match pixel {
+                _ if pixel == self.first => first,
+                _ if pixel + 1 < self.end() => middle,
+                _ => last,
+            };
+            (pixel, weight)
+        })
+    }
 }
 
 impl Overlay {
@@ -116,20 +143,21 @@ impl Overlay {
         u32::try_from(HELD / self.tile_row_memory(view)).unwrap_or(u32::MAX).max(1)
     }
 
-    /// Bytes that a row of the tiles that a direct view shows takes.
+    /// Bytes that a row of the tiles that a direct view shows takes, with the slices of the rows that they are added to.
     fn tile_row_memory(&self, view: &View) -> u64 {
         let tiles = (view.offset[0] + view.width).div_ceil(TILE as u32) - view.offset[0] / TILE as u32;
-        u64::from(tiles) * (TILE * TILE * self.channels.count() * size_of::<i16>()) as u64
+        let slices = TILE / TILE_WIDTH * TILE * size_of::<&[u16]>();
+        u64::from(tiles) * (TILE * TILE * self.channels.count() * size_of::<i16>() + slices) as u64
     }
 
-    /// Rows of a view, in bands of at most so many, for which additions are made at once.
-    pub fn rows_at_once(&self, view: &View) -> u32 {
-        u32::try_from(HELD / self.row_memory(view).max(1)).unwrap_or(u32::MAX).max(TILE as u32)
+    /// Rows of `stride` samples in a channel, in bands of at most so many, for which additions are made at once.
+    pub fn rows_at_once(&self, stride: usize) -> u32 {
+        u32::try_from(HELD / self.row_memory(stride)).unwrap_or(u32::MAX).max(TILE as u32)
     }
 
-    /// Bytes that the additions of a row of a view take.
-    pub fn row_memory(&self, view: &View) -> u64 {
-        u64::from(view.width) * self.channels.count() as u64 * size_of::<f32>() as u64
+    /// Bytes that a row of additions takes, and what they are made by.
+    pub fn row_memory(&self, stride: usize) -> u64 {
+        stride as u64 * self.channels.count() as u64 * size_of::<f32>() as u64 + LINE
     }
 
     /// Returns for how many rows of a view, from row `first` on and at most `most`, additions are best made at once. If
@@ -151,31 +179,48 @@ impl Overlay {
     pub fn work(&self, view: &View, limits: &Limits) -> Result<u64> {
         /// For each sample of a tile: its share of the densest transform.
         const SAMPLE_WORK: u64 = 64;
-        let [_, _, width, height] = view.area().map(|side| (u64::from(side) / TILE as u64 + 2) * TILE as u64);
-        let samples = width.saturating_mul(height).saturating_mul(self.channels.count() as u64 * SAMPLE_WORK);
+        let area = view.area();
+        let tiles = [0, 1].map(|k| {
+            let end = area[k].saturating_add(area[k + 2]).min(self.size[k]).div_ceil(TILE as u32);
+            u64::from(end.saturating_sub(area[k] / TILE as u32))
+        });
+        let samples = tiles[0] * tiles[1] * (TILE * TILE * self.channels.count()) as u64 * SAMPLE_WORK;
         // By themselves, samples and levels are counted before they are known to be there, as if they took four and three times as long.
         Limits::check("work", samples, limits.work)?;
-        Ok((samples / 4).saturating_add(LEVEL_WORK * self.layer.levels() as u64))
+        Ok((samples / 4).saturating_add(LEVEL_WORK * self.layer.levels() as u64).saturating_add(self.tap_work(view)))
     }
 
-    /// Checks that the additions to `rows` rows of `view`, and their inputs, can be held within `budget`.
-    pub fn check(&self, view: &View, rows: u32, budget: &Budget) -> Result<()> {
+    /// Work of all weights that the additions to `view` are sums by. A picture that is enlarged along one axis and reduced along the other
+    /// has more of them than pixels or samples.
+    fn tap_work(&self, view: &View) -> u64 {
+        /// For each weight, which takes 3 ns.
+        const TAP_WORK: u64 = 6;
+        if self.is_direct(view) {
+            return 0;
+        }
+        let [_, _, width, height] = view.area().map(u64::from);
+        let taps = width.max(2 * u64::from(view.width)).saturating_mul(height.max(2 * u64::from(view.height)));
+        taps.saturating_mul(self.channels.count() as u64 * TAP_WORK)
+    }
+
+    /// Checks that the additions to `rows` rows of `view`, `stride` samples of a channel in each, and their inputs can be held within `budget`.
+    pub fn check(&self, view: &View, stride: usize, rows: u32, budget: &Budget) -> Result<()> {
         if self.is_direct(view) {
             // Rows of tiles that are shown, in part or all.
             let shown = (view.offset[1] + view.height).div_ceil(TILE as u32) - view.offset[1] / TILE as u32;
             let held = u64::from(self.tile_rows_at_once(view).min(shown)) * self.tile_row_memory(view);
             return budget.check(held + size_of::<[i32; TILE * TILE]>() as u64);
         }
-        self.check_rows(view, rows, budget)
+        self.check_rows(stride, rows, budget)
     }
 
-    /// Checks that the additions to `rows` rows of `view` can be held when they are made for whole rows, even if tiles
+    /// Checks that the additions to `rows` rows can be held when they are made for whole rows, even if tiles
     /// are shown unscaled.
-    pub fn check_rows(&self, view: &View, rows: u32, budget: &Budget) -> Result<()> {
-        let additions = self.row_memory(view).saturating_mul(rows.into());
+    pub fn check_rows(&self, stride: usize, rows: u32, budget: &Budget) -> Result<()> {
+        let additions = self.row_memory(stride).saturating_mul(rows.into());
         let [across, _] = tile_counts(self.size);
         let tiles = across as u64 * (TILE * TILE) as u64 * (self.channels.count() as u64 * 2 + 4);
-        budget.check(additions.saturating_add(tiles))
+        budget.check(additions.saturating_add(tiles).saturating_add(stride as u64 * LINE))
     }
 
     /// Returns the additions to the rows `rows` of the view, for columns from `left` of the view on. `left` may be
@@ -196,10 +241,13 @@ impl Overlay {
         for row in down {
             let planes = self.tile_row(row, across.clone());
             let within = row * TILE..(row + 1) * TILE;
-            parallel::map_chunks(&mut values, length, |k, out| {
-                let down = &downs[k];
-                for (y, &weight) in (down.first..).zip(&down.weights).filter(|(y, _)| within.contains(y)) {
-                    let line = (y - within.start) * TILE;
+            // The rows that take something from these tiles, of which there may be many thousands. Both ends of taps ascend.
+            let first = downs.partition_point(|taps| taps.end() <= within.start);
+            let some = first..downs.partition_point(|taps| taps.first < within.end);
+            parallel::map_chunks(&mut values[some.start * length..some.end * length], length, |k, out| {
+                let down = &downs[some.start + k];
+                for (y, weight) in down.pixels(within.clone()) {
+                    let line = y % TILE * TILE;
                     for (c, out) in out.chunks_exact_mut(stride).enumerate() {
                         if is_direct {
                             scale(&planes, (c, line), columns[0].first, out);
@@ -207,7 +255,7 @@ impl Overlay {
                         }
                         for (out, taps) in out.iter_mut().zip(&columns) {
                             let mut sum = 0.0;
-                            for (x, &share) in (taps.first..).zip(&taps.weights) {
+                            for (x, share) in taps.pixels(0..side[0]) {
                                 if let Some(planes) = &planes[x / TILE - across.start] {
                                     sum += f32::from(planes.channels[c][line + x % TILE]) * share;
                                 }
@@ -283,6 +331,6 @@ fn scale(tiles: &[Option<TilePlanes>], (c, line): (usize, usize), first: usize, 
 /// The tiles, along an axis, that some pixels take something from.
 fn tiles_of(taps: &[Taps]) -> Range<usize> {
     let start = taps.iter().map(|t| t.first).min().unwrap_or(0);
-    let end = taps.iter().map(|t| t.first + t.weights.len()).max().unwrap_or(0);
+    let end = taps.iter().map(Taps::end).max().unwrap_or(0);
     start / TILE..end.div_ceil(TILE)
 }

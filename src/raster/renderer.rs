@@ -61,6 +61,8 @@ type Piece<'a, T> = (u32, u32, Vec<&'a mut [T]>);
 
 /// A tile of the layer is made once for the four tiles of the view that lie in it.
 const LAYER_TILE: u32 = (TILE / TILE_WIDTH) as u32;
+/// Slices of rows that a band is cut into at a time.
+const SLICES: usize = 4096;
 const _: () = assert!(TILE.is_multiple_of(TILE_WIDTH) && TILE_WIDTH == TILE_HEIGHT);
 
 impl Renderer {
@@ -122,7 +124,8 @@ impl Renderer {
         let both = self.bins.work.saturating_add(overlay.work(&self.view, limits)?);
         Limits::check("work", both, limits.work)?;
         let rows = (0..self.bands()).map(|band| self.band_rows(band).len() as u32).max().unwrap_or(0);
-        overlay.check(&self.view, rows.max(overlay.rows_at_once(&self.view).min(self.view.height)), &self.budget)?;
+        let (stride, rows) = (self.stride(), rows.max(overlay.rows_at_once(self.stride()).min(self.view.height)));
+        overlay.check(&self.view, stride, rows, &self.budget)?;
         self.overlay = Some(overlay);
         Ok(self)
     }
@@ -154,6 +157,11 @@ impl Renderer {
     /// Columns and rows of the output that a tile holds.
     fn tile(&self) -> [u32; 2] {
         [TILE_WIDTH as u32 / self.filter.parts[0], TILE_HEIGHT as u32 / self.filter.parts[1]]
+    }
+
+    /// Columns of the output in all tiles of a band, those that the view does not show included.
+    fn stride(&self) -> usize {
+        self.bins.tiles.count[0] as usize * self.tile()[0] as usize
     }
 
     /// Returns the rows of the view that band `band` holds: 128, or fewer if the view is reduced. The first and the
@@ -229,7 +237,7 @@ impl Renderer {
             out = rest;
         }
         let Some(overlay) = &self.overlay else {
-            self.draw_bands(parts);
+            self.draw_bands(parts, None);
             return;
         };
         let mut parts = parts.into_iter().peekable();
@@ -247,8 +255,9 @@ impl Renderer {
                 {
                     // By the tiles of the layer.
                     let mut row: Vec<Vec<Piece<'_, T>>> = (0..columns).map(|_| Vec::new()).collect();
-                    while let Some(part) = parts.next_if(|part| layer_row(part.0) == layer_row(band)) {
-                        for piece in self.split(part) {
+                    while let Some((band, part)) = parts.next_if(|part| layer_row(part.0) == layer_row(band)) {
+                        let mut rows: Vec<&mut [T]> = part.chunks_exact_mut(self.row_len()).collect();
+                        for piece in self.split(band, 0..count[0], &mut rows) {
                             row[((first[0] + piece.1) / LAYER_TILE - left) as usize].push(piece);
                         }
                     }
@@ -259,33 +268,40 @@ impl Renderer {
             return;
         }
         // As many bands at a time as their additions may be held for.
-        let most = overlay.rows_at_once(&self.view);
+        let most = overlay.rows_at_once(self.stride());
         while let Some(first) = parts.next() {
             let mut rows = self.band_rows(first.0);
-            let mut groups = vec![self.split(first)];
+            let mut bands = vec![first];
             while let Some(part) = parts.next_if(|&(band, _)| self.band_rows(band).end - rows.start <= most) {
                 rows.end = self.band_rows(part.0).end;
-                groups.push(self.split(part));
+                bands.push(part);
             }
             // From the first tile's first column to the last one's last, so that strips of eight begin anywhere.
             let width = self.tile()[0];
             let left = i64::from(self.bins.tiles.first[0] * width) - i64::from(self.view.offset[0]);
-            let stride = (self.bins.tiles.count[0] * width) as usize;
-            let additions = overlay.additions(&self.view, left, stride, rows);
-            let source = Some(Source::Rows(&additions));
-            self.draw_groups(groups, &|group| self.draw_group(group, source));
+            let additions = overlay.additions(&self.view, left, self.stride(), rows);
+            self.draw_bands(bands, Some(Source::Rows(&additions)));
             overlay.used(additions);
         }
     }
 
-    /// Draws bands, each cut into the rows of its tiles by itself: of a narrow picture all of these slices together would take as
-    /// much memory as the samples.
-    fn draw_bands<T: Sample>(&self, bands: Vec<(u32, &mut [T])>) {
-        let draw = |band| self.draw_group(self.split(band), None);
+    fn draw_bands<T: Sample>(&self, bands: Vec<(u32, &mut [T])>, source: Option<Source<'_>>) {
+        let draw = |band| self.draw_band(band, source);
         #[cfg(feature = "rayon")]
         bands.into_par_iter().for_each(draw);
         #[cfg(not(feature = "rayon"))]
         bands.into_iter().for_each(draw);
+    }
+
+    /// Draws a band, some of its tiles at a time: of pictures with small tiles the slices of all their rows together would take as
+    /// much memory as the samples.
+    fn draw_band<T: Sample>(&self, (band, part): (u32, &mut [T]), source: Option<Source<'_>>) {
+        let mut rows: Vec<&mut [T]> = part.chunks_exact_mut(self.row_len()).collect();
+        let tiles = 0..self.bins.tiles.count[0];
+        for first in tiles.clone().step_by(SLICES / TILE_HEIGHT) {
+            let some = first..(first + (SLICES / TILE_HEIGHT) as u32).min(tiles.end);
+            self.draw_group(self.split(band, some, &mut rows), source);
+        }
     }
 
     fn draw_groups<'a, T: Sample>(&self, groups: Vec<Vec<Piece<'a, T>>>, draw: &(impl Fn(Vec<Piece<'a, T>>) + Sync)) {
@@ -328,19 +344,19 @@ impl Renderer {
         start as usize..end as usize
     }
 
-    /// Cuts the rows of a band into those of its tiles.
-    fn split<'a, T>(&self, (band, part): (u32, &'a mut [T])) -> Vec<Piece<'a, T>> {
-        let rows = part.len() / self.row_len();
-        let mut tiles: Vec<Piece<'a, T>> =
-            (0..self.bins.tiles.count[0]).map(|column| (band, column, Vec::with_capacity(rows))).collect();
-        for mut row in part.chunks_exact_mut(self.row_len()) {
-            for (_, column, tile) in &mut tiles {
-                let (part, rest) = row.split_at_mut(self.columns(*column).len() * self.channels.count());
-                tile.push(part);
-                row = rest;
+    /// Cuts what is left of the rows of a band into those of the next tiles, whose columns are `tiles`.
+    fn split<'a, T>(&self, band: u32, tiles: std::ops::Range<u32>, rows: &mut [&'a mut [T]]) -> Vec<Piece<'a, T>> {
+        let mut pieces: Vec<Piece<'a, T>> =
+            tiles.map(|column| (band, column, Vec::with_capacity(rows.len()))).collect();
+        for row in rows {
+            for (_, column, piece) in &mut pieces {
+                let (part, rest) =
+                    std::mem::take(row).split_at_mut(self.columns(*column).len() * self.channels.count());
+                piece.push(part);
+                *row = rest;
             }
         }
-        tiles
+        pieces
     }
 
     fn draw_tile<T: Sample>(&self, (band, column): (u32, u32), source: Option<Source<'_>>, out: &mut [&mut [T]]) {
