@@ -2,7 +2,12 @@
 //! them do not depend on the thread count.
 
 #[cfg(feature = "rayon")]
+use crate::error::Error;
+use crate::error::Result;
+#[cfg(feature = "rayon")]
 use rayon::prelude::*;
+#[cfg(feature = "rayon")]
+use std::sync::{Mutex, PoisonError, mpsc};
 
 /// Threads that work at once.
 pub fn threads() -> usize {
@@ -47,4 +52,157 @@ pub fn map_chunk_pairs<A: Send, B: Send, T: Send>(
         return pairs.enumerate().map(|(i, (a, b))| f(i, a, b)).collect();
     }
     a.chunks_mut(size_a).zip(b.chunks_mut(size_b)).enumerate().map(|(i, (a, b))| f(i, a, b)).collect()
+}
+
+/// Does `work(i, input i, tell)` for all `inputs`, up to `most` at a time. Each tells the share of it that is done, and `watch` is told the
+/// sum of all shares on the calling thread. What `watch` or any work fails with ends the others when they tell next.
+pub fn map_watched<I: Send, T: Send>(
+    most: usize,
+    inputs: Vec<I>,
+    work: impl Fn(usize, I, &mut dyn FnMut(f32) -> Result<()>) -> Result<T> + Sync,
+    watch: &mut dyn FnMut(f32) -> Result<()>,
+) -> Result<Vec<T>> {
+    // A thread of the pool that waited here would be missing there.
+    #[cfg(feature = "rayon")]
+    if most.min(inputs.len()).min(threads()) > 1 && rayon::current_thread_index().is_none() {
+        return map_side_by_side(most.min(inputs.len()).min(threads()), inputs, work, watch);
+    }
+    let _ = most;
+    let one = |(i, input)| work(i, input, &mut |done| watch(i as f32 + done));
+    inputs.into_iter().enumerate().map(one).collect()
+}
+
+#[cfg(feature = "rayon")]
+fn map_side_by_side<I: Send, T: Send>(
+    at_once: usize,
+    inputs: Vec<I>,
+    work: impl Fn(usize, I, &mut dyn FnMut(f32) -> Result<()>) -> Result<T> + Sync,
+    watch: &mut dyn FnMut(f32) -> Result<()>,
+) -> Result<Vec<T>> {
+    let count = inputs.len();
+    let left = Mutex::new(inputs.into_iter().enumerate());
+    let results = Mutex::new((0..count).map(|_| None).collect::<Vec<Option<Result<T>>>>());
+    // What ends everything: an error of `watch`, or nothing where another work has failed.
+    let ended = Mutex::new(None::<Option<Error>>);
+    let is_ended = || lock(&ended).is_some();
+    let (sender, receiver) = mpsc::channel();
+    rayon::in_place_scope(|scope| {
+        for _ in 0..at_once {
+            let sender = sender.clone();
+            let (left, results, ended, is_ended, work) = (&left, &results, &ended, &is_ended, &work);
+            scope.spawn(move |_| {
+                while !is_ended() {
+                    let Some((i, input)) = lock(left).next() else { break };
+                    let result = work(i, input, &mut |done| {
+                        if is_ended() {
+                            return Err(Error::Cancelled);
+                        }
+                        // Nobody listens only after a panic.
+                        let _ = sender.send((i, done));
+                        Ok(())
+                    });
+                    if result.is_err() {
+                        lock(ended).get_or_insert(None);
+                    }
+                    lock(results)[i] = Some(result);
+                }
+            });
+        }
+        drop(sender);
+        let mut shares = vec![0.0f32; count];
+        for (i, done) in receiver {
+            shares[i] = done;
+            if let (false, Err(error)) = (is_ended(), watch(shares.iter().sum())) {
+                *lock(&ended) = Some(Some(error));
+            }
+        }
+    });
+    let ended = ended.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if let Some(Some(error)) = ended {
+        return Err(error);
+    }
+    let results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let mut all = Vec::with_capacity(count);
+    let mut failed = None;
+    for result in results.into_iter().flatten() {
+        match result {
+            Ok(value) => all.push(value),
+            // Those that were ended say no more than that.
+            Err(error) if failed.is_none() || matches!(failed, Some(Error::Cancelled)) => failed = Some(error),
+            Err(_) => {}
+        }
+    }
+    failed.map_or(Ok(all), Err)
+}
+
+#[cfg(feature = "rayon")]
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::error::Error;
+
+    /// An error that says which work it came from.
+    fn failure(i: usize) -> Error {
+        Error::Parameter { name: "work", problem: i.to_string() }
+    }
+
+    #[test]
+    fn watched_work_comes_back_in_order_and_its_shares_add_up() {
+        for most in [1, 2, 7] {
+            let mut told = Vec::new();
+            let inputs: Vec<usize> = (0..20).map(|i| 3 * i).collect();
+            let work = |i: usize, input, tell: &mut dyn FnMut(f32) -> Result<()>| {
+                tell(0.5)?;
+                tell(1.0)?;
+                Ok((i, input))
+            };
+            let watch = &mut |done| {
+                told.push(done);
+                Ok(())
+            };
+            let results = map_watched(most, inputs, work, watch).unwrap();
+            assert_eq!(results, (0..20).map(|i| (i, 3 * i)).collect::<Vec<_>>());
+            assert!(told.is_sorted() && told.len() == 40 && told[39] == 20.0, "{told:?}");
+        }
+    }
+
+    #[test]
+    fn what_watched_work_fails_with_comes_back_and_ends_the_rest() {
+        for most in [1, 4] {
+            let work = |i: usize, (), tell: &mut dyn FnMut(f32) -> Result<()>| {
+                if i == 5 {
+                    return Err(failure(i));
+                }
+                // None of the later ones comes to an end by itself.
+                while i > 5 {
+                    tell(0.5)?;
+                }
+                Ok(())
+            };
+            let result = map_watched(most, vec![(); 12], work, &mut |_| Ok(()));
+            assert!(matches!(&result, Err(Error::Parameter { problem, .. }) if problem == "5"), "{result:?}");
+        }
+    }
+
+    #[test]
+    fn whoever_watches_can_end_the_work() {
+        for most in [1, 4] {
+            let work = |_: usize, (), tell: &mut dyn FnMut(f32) -> Result<()>| -> Result<()> {
+                loop {
+                    tell(0.0)?;
+                }
+            };
+            let mut left = 9;
+            let watch = &mut |_| {
+                left -= 1;
+                if left == 0 { Err(failure(77)) } else { Ok(()) }
+            };
+            let result = map_watched(most, vec![(); 6], work, watch);
+            assert!(matches!(&result, Err(Error::Parameter { problem, .. }) if problem == "77"), "{result:?}");
+        }
+    }
 }

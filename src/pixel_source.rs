@@ -4,8 +4,8 @@ use crate::error::{Error, Result};
 use crate::gaussian::Channels;
 use crate::pixels::{Depth, Pixels, Samples};
 
-/// A picture of which any part can be read: one in memory, or a file of samples that is larger than memory.
-pub trait PixelSource {
+/// A picture of which any part can be read, by several threads at a time: one in memory, or a file of samples that is larger than memory.
+pub trait PixelSource: Sync {
     /// Width, pixels.
     fn width(&self) -> u32;
     /// Height, pixels.

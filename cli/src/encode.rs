@@ -143,7 +143,7 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
     let sink = Sink::create(output, &[input])?;
     let preview = args.preview.as_deref().map(|path| Preview::prepare(path, input)).transpose()?;
     show(0.0, "preparing");
-    let mut course = Stages::new(tries(options.target), false);
+    let mut course = Stages::new(tries(options.target));
     options.time = left(options.time, start);
     let encoded = ssplat::unstable::encode_with_progress(&pixels, &options, &mut |p| {
         show(course.at(p.stage, p.done), p.stage);
@@ -185,7 +185,7 @@ fn in_parts(
     let orientation = source::orientation_in(exif.as_deref());
     carried::carry(&mut options, (icc, exif), orientation, &mut notes);
     let sink = Sink::create(output, &[input])?;
-    let mut course = Stages::new(1, true);
+    let mut course = Stages::new(1);
     let encoded = Encoder::from(options.clone()).encode_with_progress(&picture, &mut |p| {
         show(course.at(p.stage, p.done), p.stage);
         ControlFlow::Continue(())

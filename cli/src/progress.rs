@@ -99,13 +99,16 @@ pub struct Stages {
 
 impl Stages {
     /// An encode that may take so many fits.
-    pub fn new(tries: u32, is_tiled: bool) -> Self {
-        let stages = if is_tiled { &TILED[..] } else { &WHOLE[..] };
-        Stages { stages, tries, tried: 0, last: ("", 0.0), most: 0.0 }
+    pub fn new(tries: u32) -> Self {
+        Stages { stages: &WHOLE, tries, tried: 0, last: ("", 0.0), most: 0.0 }
     }
 
     /// Returns the share of all that is done when `done` of `stage` is; it never falls.
     pub fn at(&mut self, stage: &'static str, done: f32) -> f32 {
+        // Only tiles begin with a survey.
+        if stage == TILED[0].0 {
+            self.stages = &TILED;
+        }
         let first = self.stages[0].0;
         // A further try begins with the first stage again.
         if stage == first && (self.last.0 != first || done < self.last.1) && !self.last.0.is_empty() {
@@ -142,11 +145,11 @@ mod tests {
         for stages in [&WHOLE[..], &TILED[..]] {
             assert!((stages.iter().map(|s| s.1).sum::<f32>() - 1.0).abs() < 1e-5);
         }
-        let mut course = Stages::new(1, false);
+        let mut course = Stages::new(1);
         let shares = [("fit", 0.0), ("fit", 0.5), ("finish", 0.0), ("finish", 0.5), ("finish", 1.0)];
         let shares = shares.map(|(stage, done)| course.at(stage, done));
         assert!(shares.is_sorted() && (shares[2] - 0.6).abs() < 1e-5 && shares[4] <= 1.0, "{shares:?}");
-        let mut course = Stages::new(3, false);
+        let mut course = Stages::new(3);
         let tries =
             [("fit", 1.0), ("finish", 1.0), ("fit", 0.0), ("fit", 0.5), ("finish", 1.0), ("fit", 0.1), ("fit", 0.0)];
         let shares = tries.map(|(stage, done)| course.at(stage, done));

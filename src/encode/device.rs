@@ -114,6 +114,11 @@ impl Choice {
     }
 }
 
+/// Whether a GPU would fit a large picture.
+pub(super) fn takes_gpu(options: &EncodeOptions) -> bool {
+    options.backend != Backend::Cpu && open(options.backend, options).is_ok()
+}
+
 #[cfg(feature = "gpu")]
 fn open(asked: Backend, options: &EncodeOptions) -> Result<(Option<Device>, Chosen), GpuError> {
     if options.recipe != Recipe::Ssplat {

@@ -132,7 +132,8 @@ impl Encoder {
     }
 
     /// Sets the side in pixels of the tiles that a picture is fitted in: a multiple of 128 up to 16384. Tiles bound the
-    /// memory of an encode. By default pictures of more than 2²⁸ pixels are fitted in tiles of 2048, others as a whole.
+    /// memory of an encode. By default pictures of more than 2²⁵ pixels are fitted in tiles of 2048 where the other options can
+    /// be kept in tiles and no GPU fits, those of more than 2²⁸ always, and others as a whole.
     #[must_use]
     pub fn tiles(mut self, side: u32) -> Self {
         self.options.tiles = Some(side);

@@ -164,13 +164,17 @@ fn encode_by(
 
 /// Pictures of more pixels are fitted in tiles, unless [`EncodeOptions::tiles`] asks for tiles anyway.
 pub const LARGEST: u64 = 1 << 28;
+/// Pictures of more pixels are fitted in tiles where they can be: as well, in a fraction of the memory. A fit of the whole takes some 70
+/// bytes a pixel.
+const LARGE: u64 = 1 << 25;
 /// The side of those tiles, pixels.
 const SIDE: u32 = 2048;
 
 /// Returns the side of the tiles that a picture is fitted in, if it is.
 fn side(source: &dyn PixelSource, options: &EncodeOptions) -> Option<u32> {
     let [width, height] = source.size();
-    let is_huge = u64::from(width) * u64::from(height) > LARGEST;
+    let area = u64::from(width) * u64::from(height);
+    let is_huge = area > LARGEST || area > LARGE && tiles::check(options).is_ok() && !device::takes_gpu(options);
     options.tiles.or(is_huge.then_some(SIDE)).filter(|&side| width > side || height > side)
 }
 

@@ -40,12 +40,14 @@ use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::problem::Scene;
 use crate::gaussian::Blend;
 use crate::options::{Backend, EncodeOptions, Recipe, Trace};
+use crate::parallel;
 use crate::pixel_source::PixelSource;
 use crate::quantize::Quantizer;
 use crate::round::finish::SLOPE;
 use crate::round::rounded;
 use crate::round::size::{Correction, Size, correction, is_settled};
 use crate::target::Target;
+use floats::Show;
 use grid::{Grid, Shift, UNIT, Window};
 use mosaic::{Mosaic, Placed, TileResult};
 use narrow::Narrowed;
@@ -58,6 +60,8 @@ use whole::{Survey, Whole};
 pub(super) const SIDES: std::ops::RangeInclusive<u32> = 2 * UNIT..=1 << 14;
 /// Width of the margin around a tile, in scales of a typical primitive.
 const MARGIN: f64 = 12.0;
+/// Tiles that are worked on at a time, where there are as many threads. Each takes memory.
+const AT_ONCE: usize = 4;
 /// Share of the primitives that may change their tile at once.
 const SWAPPED: f64 = 0.2;
 /// Before so many sweeps the size is corrected.
@@ -182,7 +186,8 @@ fn of_one_color(
     Ok(Some(Encoded { bytes, report }))
 }
 
-fn check(options: &EncodeOptions) -> Result<()> {
+/// Checks that what `options` ask for can be kept in tiles.
+pub(super) fn check(options: &EncodeOptions) -> Result<()> {
     let bad = |problem: &str| Err(Error::Parameter { name: "tiles", problem: problem.into() });
     match options {
         o if o.recipe != Recipe::Ssplat => bad("another method's recipe cannot be fitted in tiles"),
@@ -293,15 +298,17 @@ impl TiledEncode<'_, '_, '_> {
         let TiledEncode { journal, whole, executor, .. } = self;
         let mut show = |done: f32| journal.show(stretch.stage, stretch.at(done / windows.len().max(1) as f32));
         show(0.0)?;
-        let mut became = Vec::with_capacity(windows.len());
+        let mut became = Vec::new();
         match executor {
             Executor::Own => {
-                for (i, window) in windows.iter().enumerate() {
-                    let mut show = |done: f32| show(i as f32 + done);
-                    let around = T::around(mosaic, window, work);
-                    became.push(T::work(whole, (window, work), around, &mut show)?);
-                    show(1.0)?;
-                }
+                let arounds = windows.iter().map(|window| T::around(mosaic, window, work)).collect();
+                let whole = &*whole;
+                let work = |i: usize, around, tell: Show<'_>| {
+                    let of_tile = T::work(whole, (&windows[i], work), around, tell)?;
+                    tell(1.0)?;
+                    Ok(of_tile)
+                };
+                became = parallel::map_watched(AT_ONCE, arounds, work, &mut show)?;
             }
             Executor::Others(workers) => {
                 let most = workers.capacity().max(1);

@@ -31,9 +31,9 @@ pub(super) enum IntegerWork {
 
 /// Primitives that can be worked on. What comes of it follows from the whole, the window, the work and the primitives alone,
 /// wherever it is done.
-pub(super) trait Worked: Copy {
+pub(super) trait Worked: Copy + Send {
     /// Kinds of work on these primitives.
-    type Work: Copy;
+    type Work: Copy + Sync;
 
     /// Returns the pixels that the work takes.
     fn pixels(window: &Window, work: Self::Work) -> Area;

@@ -109,18 +109,38 @@ impl Field {
         errors.iter().sum()
     }
 
-    /// Returns what [`Self::draw`] does, of all rows. What is drawn is not kept: as many bands at a time as there is memory for
-    /// already, or one for each thread. The planes of a whole picture are several times as large as itself.
+    /// Returns what [`Self::draw`] does, of all rows. What is drawn is not kept.
     pub fn error(&mut self, problem: &Problem<'_>, projected: &[Projected], output: Output) -> f64 {
+        self.sum_of_bands(problem, projected, output, 0..problem.scene.height, &|error, _, _| error)
+    }
+
+    /// Draws the bands that hold `lines`, and returns the sum of what `value` says of each, given its error, its first line and its planes.
+    /// They are drawn as many at a time as there is memory for already, or one for each thread: the planes of a whole picture are
+    /// several times as large as itself.
+    fn sum_of_bands(
+        &mut self,
+        problem: &Problem<'_>,
+        projected: &[Projected],
+        output: Output,
+        lines: std::ops::Range<u32>,
+        value: &(impl Fn(f64, usize, &[f32]) -> f64 + Sync),
+    ) -> f64 {
         match problem.target.channels.count() {
-            1 => self.error_of::<1>(problem, projected, output),
-            2 => self.error_of::<2>(problem, projected, output),
-            3 => self.error_of::<3>(problem, projected, output),
-            _ => self.error_of::<4>(problem, projected, output),
+            1 => self.sum_of_bands_of::<1>(problem, projected, output, lines, value),
+            2 => self.sum_of_bands_of::<2>(problem, projected, output, lines, value),
+            3 => self.sum_of_bands_of::<3>(problem, projected, output, lines, value),
+            _ => self.sum_of_bands_of::<4>(problem, projected, output, lines, value),
         }
     }
 
-    fn error_of<const C: usize>(&mut self, problem: &Problem<'_>, projected: &[Projected], output: Output) -> f64 {
+    fn sum_of_bands_of<const C: usize>(
+        &mut self,
+        problem: &Problem<'_>,
+        projected: &[Projected],
+        output: Output,
+        lines: std::ops::Range<u32>,
+        value: &(impl Fn(f64, usize, &[f32]) -> f64 + Sync),
+    ) -> f64 {
         let (rows, scene) = (RowSet::ALL, problem.scene);
         let bands = Bands::new(projected, rows, scene.height);
         let row_size = (C + 1) * problem.target.stride;
@@ -128,17 +148,21 @@ impl Field {
         let count = rows.count(scene.height).div_ceil(BAND);
         let at_once = (self.planes.len() / band_size).max(parallel::threads()).clamp(1, count.max(1));
         self.rows = None;
+        self.stride = problem.target.stride;
         self.planes.resize(self.planes.len().max(at_once * band_size), 0.0);
         self.strips.plan(projected, rows, scene.width);
         let drawing = Drawing { problem, projected, strips: &self.strips, bands: &bands, rows, output };
-        let mut error = 0.0;
-        for begin in (0..count).step_by(at_once) {
-            let lines = (scene.height as usize - begin * BAND).min(at_once * BAND);
-            let planes = &mut self.planes[..lines * row_size];
-            let errors = parallel::map_chunks(planes, band_size, |b, band| drawing.band::<C>(begin + b, band));
-            error = errors.iter().fold(error, |sum, e| sum + e);
+        let mut sum = 0.0;
+        for begin in (lines.start as usize / BAND..(lines.end as usize).div_ceil(BAND)).step_by(at_once) {
+            let end = (begin + at_once).min((lines.end as usize).div_ceil(BAND));
+            let planes = &mut self.planes[..((end * BAND).min(scene.height as usize) - begin * BAND) * row_size];
+            let values = parallel::map_chunks(planes, band_size, |b, band| {
+                let error = drawing.band::<C>(begin + b, band);
+                value(error, (begin + b) * BAND, band)
+            });
+            sum = values.iter().fold(sum, |sum, v| sum + v);
         }
-        error
+        sum
     }
 
     /// The gradients of a run of the primitives that were drawn, those from index `start` on, gathered from gradient planes
@@ -183,25 +207,24 @@ pub fn error_within(
 ) -> f64 {
     let Problem { target, .. } = *problem;
     let (count, alpha) = (target.channels.count(), target.channels.alpha());
-    let mut field = Field::default();
-    field.draw(problem, projected, RowSet::ALL, Output::Picture);
-    let errors = parallel::map(lines.len(), |i| {
-        let y = lines.start + i as u32;
-        let (drawn, wanted) = (field.row(y as usize, count), target.row(y));
-        let (amplitude, channels) = amplitudes(target, y, output);
+    let row_size = (count + 1) * target.stride;
+    Field::default().sum_of_bands(problem, projected, Output::Picture, lines.clone(), &|_, first, planes| {
         let mut error = 0.0;
-        for k in 0..count {
-            let of = |x: usize| {
-                let at = k * target.stride + x;
-                let opacity = alpha.filter(|&a| a != k).map_or(1.0, |a| wanted[a * target.stride + x]);
-                let weight = opacity * amplitude.map_or(1.0, |a| a[x]) * channels[k];
-                f64::from((drawn[at].clamp(0.0, 1.0) - wanted[at]) * weight).powi(2)
-            };
-            error += columns.clone().map(of).sum::<f64>();
+        for (y, drawn) in (first as u32..).zip(planes.chunks_exact(row_size)).filter(|(y, _)| lines.contains(y)) {
+            let wanted = target.row(y);
+            let (amplitude, channels) = amplitudes(target, y, output);
+            for k in 0..count {
+                let of = |x: usize| {
+                    let at = k * target.stride + x;
+                    let opacity = alpha.filter(|&a| a != k).map_or(1.0, |a| wanted[a * target.stride + x]);
+                    let weight = opacity * amplitude.map_or(1.0, |a| a[x]) * channels[k];
+                    f64::from((drawn[at].clamp(0.0, 1.0) - wanted[at]) * weight).powi(2)
+                };
+                error += columns.clone().map(of).sum::<f64>();
+            }
         }
         error
-    });
-    errors.iter().sum()
+    })
 }
 
 /// Returns the squared error of the clamped picture of `primitives` over all rows.

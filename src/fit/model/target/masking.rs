@@ -6,7 +6,7 @@
 //! `e² / (2σ² + C₂)`.
 
 use crate::fit::model::placing::sample::halve;
-use crate::fit::model::target::blur::blur;
+use crate::fit::model::target::blur::Cells;
 use crate::fit::model::target::planes::Planes;
 use crate::fit::model::target::structure::{FLOOR, normalized};
 use crate::gaussian::Channels;
@@ -68,9 +68,10 @@ fn weights(target: &Planes, room: f32, whole: Option<&Means>) -> (Vec<f32>, Mean
     let mut weights = vec![0.0f32; width * height];
     let mut sizes = vec![[width, height]];
     let mut plane = luma(target);
+    let mut room = Room::default();
     for (size, found) in means.iter_mut().enumerate() {
         let [w, h] = sizes[sizes.len() - 1];
-        let (mut at_size, mean) = weights_at(&plane, [w, h], power);
+        let (mut at_size, mean) = weights_at(&plane, [w, h], power, &mut room);
         *found = mean;
         let mean = whole.map_or(mean, |means| means[size]) as f32;
         at_size.iter_mut().for_each(|w| *w /= mean);
@@ -102,11 +103,26 @@ fn luma(target: &Planes) -> Vec<f32> {
     plane
 }
 
+/// Memory of blurs, used again at each size.
+#[derive(Default)]
+struct Room {
+    means: Vec<f32>,
+    spare: Vec<f32>,
+}
+
 /// Weights by the variance in a window of a few pixels, and their mean.
-fn weights_at(plane: &[f32], [width, height]: [usize; 2], power: f32) -> (Vec<f32>, f64) {
-    let soften = |p: &[f32]| blur(&blur(p, width, height), width, height);
-    let means = soften(plane);
-    let mut weights = soften(&plane.iter().map(|v| v * v).collect::<Vec<_>>());
+fn weights_at(plane: &[f32], [width, height]: [usize; 2], power: f32, room: &mut Room) -> (Vec<f32>, f64) {
+    let soften = |values: Vec<f32>, spare: &mut Vec<f32>| {
+        let mut cells = Cells { width, height, each: 1, values };
+        cells.blur(spare);
+        cells.blur(spare);
+        cells.values
+    };
+    let mut means = std::mem::take(&mut room.means);
+    means.clear();
+    means.extend_from_slice(plane);
+    let means = soften(means, &mut room.spare);
+    let mut weights = soften(plane.iter().map(|v| v * v).collect(), &mut room.spare);
     let sums = parallel::map_chunks(&mut weights, width, |y, out| {
         for (w, m) in out.iter_mut().zip(&means[y * width..]) {
             *w = (2.0 * (*w - m * m).max(0.0) + FLOOR).powf(-power);
@@ -114,6 +130,7 @@ fn weights_at(plane: &[f32], [width, height]: [usize; 2], power: f32) -> (Vec<f3
         out.iter().map(|&w| f64::from(w)).sum::<f64>()
     });
     let mean = sums.iter().sum::<f64>() / weights.len() as f64;
+    room.means = means;
     (weights, mean)
 }
 
