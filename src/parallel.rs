@@ -7,6 +7,8 @@ use crate::error::Result;
 #[cfg(feature = "rayon")]
 use rayon::prelude::*;
 #[cfg(feature = "rayon")]
+use std::sync::atomic::{AtomicBool, Ordering};
+#[cfg(feature = "rayon")]
 use std::sync::{Mutex, PoisonError, mpsc};
 
 /// Threads that work at once.
@@ -82,19 +84,17 @@ fn map_side_by_side<I: Send, T: Send>(
     let count = inputs.len();
     let left = Mutex::new(inputs.into_iter().enumerate());
     let results = Mutex::new((0..count).map(|_| None).collect::<Vec<Option<Result<T>>>>());
-    // What ends everything: an error of `watch`, or nothing where another work has failed.
-    let ended = Mutex::new(None::<Option<Error>>);
-    let is_ended = || lock(&ended).is_some();
+    let is_ended = AtomicBool::new(false);
     let (sender, receiver) = mpsc::channel();
-    rayon::in_place_scope(|scope| {
+    let watched = rayon::in_place_scope(|scope| {
         for _ in 0..at_once {
             let sender = sender.clone();
-            let (left, results, ended, is_ended, work) = (&left, &results, &ended, &is_ended, &work);
+            let (left, results, is_ended, work) = (&left, &results, &is_ended, &work);
             scope.spawn(move |_| {
-                while !is_ended() {
+                while !is_ended.load(Ordering::Relaxed) {
                     let Some((i, input)) = lock(left).next() else { break };
                     let result = work(i, input, &mut |done| {
-                        if is_ended() {
+                        if is_ended.load(Ordering::Relaxed) {
                             return Err(Error::Cancelled);
                         }
                         // Nobody listens only after a panic.
@@ -102,7 +102,7 @@ fn map_side_by_side<I: Send, T: Send>(
                         Ok(())
                     });
                     if result.is_err() {
-                        lock(ended).get_or_insert(None);
+                        is_ended.store(true, Ordering::Relaxed);
                     }
                     lock(results)[i] = Some(result);
                 }
@@ -112,27 +112,28 @@ fn map_side_by_side<I: Send, T: Send>(
         let mut shares = vec![0.0f32; count];
         for (i, done) in receiver {
             shares[i] = done;
-            if let (false, Err(error)) = (is_ended(), watch(shares.iter().sum())) {
-                *lock(&ended) = Some(Some(error));
+            if !is_ended.load(Ordering::Relaxed)
+                && let Err(error) = watch(shares.iter().sum())
+            {
+                is_ended.store(true, Ordering::Relaxed);
+                return Err(error);
             }
         }
+        Ok(())
     });
-    let ended = ended.into_inner().unwrap_or_else(PoisonError::into_inner);
-    if let Some(Some(error)) = ended {
-        return Err(error);
-    }
+    watched?;
     let results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
     let mut all = Vec::with_capacity(count);
-    let mut failed = None;
+    let mut cancelled = Ok(());
     for result in results.into_iter().flatten() {
         match result {
             Ok(value) => all.push(value),
             // Those that were ended say no more than that.
-            Err(error) if failed.is_none() || matches!(failed, Some(Error::Cancelled)) => failed = Some(error),
-            Err(_) => {}
+            Err(Error::Cancelled) => cancelled = Err(Error::Cancelled),
+            Err(error) => return Err(error),
         }
     }
-    failed.map_or(Ok(all), Err)
+    cancelled.map(|()| all)
 }
 
 #[cfg(feature = "rayon")]
@@ -178,8 +179,10 @@ mod tests {
                     return Err(failure(i));
                 }
                 // None of the later ones comes to an end by itself.
-                while i > 5 {
-                    tell(0.5)?;
+                if i > 5 {
+                    loop {
+                        tell(0.5)?;
+                    }
                 }
                 Ok(())
             };

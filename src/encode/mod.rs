@@ -174,8 +174,9 @@ const SIDE: u32 = 2048;
 fn side(source: &dyn PixelSource, options: &EncodeOptions) -> Option<u32> {
     let [width, height] = source.size();
     let area = u64::from(width) * u64::from(height);
-    let is_huge = area > LARGEST || area > LARGE && tiles::check(options).is_ok() && !device::takes_gpu(options);
-    options.tiles.or(is_huge.then_some(SIDE)).filter(|&side| width > side || height > side)
+    // Looking for a GPU takes time.
+    let by_default = || area > LARGEST || area > LARGE && tiles::check(options).is_ok() && !device::takes_gpu(options);
+    options.tiles.or_else(|| by_default().then_some(SIDE)).filter(|&side| width > side || height > side)
 }
 
 fn check(options: &EncodeOptions) -> Result<()> {

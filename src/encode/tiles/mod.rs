@@ -31,7 +31,7 @@ use super::report::{Journal, Progress};
 use super::subject::{self, may_leave_out, too_small};
 use super::thumbnail;
 use super::workers::Executor;
-use super::{EncodeReport, Encoded};
+use super::{EncodeReport, Encoded, SIDE};
 use crate::bitstream;
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
@@ -60,7 +60,8 @@ use whole::{Survey, Whole};
 pub(super) const SIDES: std::ops::RangeInclusive<u32> = 2 * UNIT..=1 << 14;
 /// Width of the margin around a tile, in scales of a typical primitive.
 const MARGIN: f64 = 12.0;
-/// Tiles that are worked on at a time, where there are as many threads. Each takes memory.
+/// Tiles that are worked on at a time, where there are as many threads. Each takes memory: tiles of a smaller side than the default's, which
+/// are asked for to save it, are worked on one by one.
 const AT_ONCE: usize = 4;
 /// Share of the primitives that may change their tile at once.
 const SWAPPED: f64 = 0.2;
@@ -295,6 +296,7 @@ impl TiledEncode<'_, '_, '_> {
         work: T::Work,
         mosaic: &Mosaic<'_, T>,
     ) -> Result<Vec<TileResult<T>>> {
+        let at_once = if 2 * self.grid.half < SIDE { 1 } else { AT_ONCE };
         let TiledEncode { journal, whole, executor, .. } = self;
         let mut show = |done: f32| journal.show(stretch.stage, stretch.at(done / windows.len().max(1) as f32));
         show(0.0)?;
@@ -308,7 +310,7 @@ impl TiledEncode<'_, '_, '_> {
                     tell(1.0)?;
                     Ok(of_tile)
                 };
-                became = parallel::map_watched(AT_ONCE, arounds, work, &mut show)?;
+                became = parallel::map_watched(at_once, arounds, work, &mut show)?;
             }
             Executor::Others(workers) => {
                 let most = workers.capacity().max(1);

@@ -82,30 +82,15 @@ impl Field {
     /// clamped picture over those rows: weighted as the target has it for the gradients, plain for
     /// [`Output::Picture`], 0 for [`Output::Sums`].
     pub fn draw(&mut self, problem: &Problem<'_>, projected: &[Projected], rows: RowSet, output: Output) -> f64 {
-        match problem.target.channels.count() {
-            1 => self.draw_channels::<1>(problem, projected, rows, output),
-            2 => self.draw_channels::<2>(problem, projected, rows, output),
-            3 => self.draw_channels::<3>(problem, projected, rows, output),
-            _ => self.draw_channels::<4>(problem, projected, rows, output),
-        }
-    }
-
-    fn draw_channels<const C: usize>(
-        &mut self,
-        problem: &Problem<'_>,
-        projected: &[Projected],
-        rows: RowSet,
-        output: Output,
-    ) -> f64 {
         let Problem { scene, target } = *problem;
         let bands = Bands::new(projected, rows, scene.height);
-        let row_size = (C + 1) * target.stride;
+        let row_size = (target.channels.count() + 1) * target.stride;
         self.stride = target.stride;
         self.rows = Some(rows);
         self.planes.resize(rows.count(scene.height) * row_size, 0.0);
         self.strips.plan(projected, rows, scene.width);
         let drawing = Drawing { problem, projected, strips: &self.strips, bands: &bands, rows, output };
-        let errors = parallel::map_chunks(&mut self.planes, BAND * row_size, |b, band| drawing.band::<C>(b, band));
+        let errors = parallel::map_chunks(&mut self.planes, BAND * row_size, |b, band| drawing.band(b, band));
         errors.iter().sum()
     }
 
@@ -125,25 +110,9 @@ impl Field {
         lines: std::ops::Range<u32>,
         value: &(impl Fn(f64, usize, &[f32]) -> f64 + Sync),
     ) -> f64 {
-        match problem.target.channels.count() {
-            1 => self.sum_of_bands_of::<1>(problem, projected, output, lines, value),
-            2 => self.sum_of_bands_of::<2>(problem, projected, output, lines, value),
-            3 => self.sum_of_bands_of::<3>(problem, projected, output, lines, value),
-            _ => self.sum_of_bands_of::<4>(problem, projected, output, lines, value),
-        }
-    }
-
-    fn sum_of_bands_of<const C: usize>(
-        &mut self,
-        problem: &Problem<'_>,
-        projected: &[Projected],
-        output: Output,
-        lines: std::ops::Range<u32>,
-        value: &(impl Fn(f64, usize, &[f32]) -> f64 + Sync),
-    ) -> f64 {
         let (rows, scene) = (RowSet::ALL, problem.scene);
         let bands = Bands::new(projected, rows, scene.height);
-        let row_size = (C + 1) * problem.target.stride;
+        let row_size = (problem.target.channels.count() + 1) * problem.target.stride;
         let band_size = BAND * row_size;
         let count = rows.count(scene.height).div_ceil(BAND);
         let at_once = (self.planes.len() / band_size).max(parallel::threads()).clamp(1, count.max(1));
@@ -157,7 +126,7 @@ impl Field {
             let end = (begin + at_once).min((lines.end as usize).div_ceil(BAND));
             let planes = &mut self.planes[..((end * BAND).min(scene.height as usize) - begin * BAND) * row_size];
             let values = parallel::map_chunks(planes, band_size, |b, band| {
-                let error = drawing.band::<C>(begin + b, band);
+                let error = drawing.band(begin + b, band);
                 value(error, (begin + b) * BAND, band)
             });
             sum = values.iter().fold(sum, |sum, v| sum + v);
@@ -245,8 +214,14 @@ struct Drawing<'a> {
 
 impl Drawing<'_> {
     /// Draws band `b`; returns its squared error.
-    fn band<const C: usize>(&self, b: usize, band: &mut [f32]) -> f64 {
-        simd::dispatch(BandTask::<C> { drawing: self, b, band })
+    fn band(&self, b: usize, band: &mut [f32]) -> f64 {
+        let drawing = self;
+        match self.problem.target.channels.count() {
+            1 => simd::dispatch(BandTask::<1> { drawing, b, band }),
+            2 => simd::dispatch(BandTask::<2> { drawing, b, band }),
+            3 => simd::dispatch(BandTask::<3> { drawing, b, band }),
+            _ => simd::dispatch(BandTask::<4> { drawing, b, band }),
+        }
     }
 }
 
