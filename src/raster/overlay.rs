@@ -179,12 +179,8 @@ impl Overlay {
     pub fn work(&self, view: &View, limits: &Limits) -> Result<u64> {
         /// For each sample of a tile: its share of the densest transform.
         const SAMPLE_WORK: u64 = 64;
-        let area = view.area();
-        let tiles = [0, 1].map(|k| {
-            let end = area[k].saturating_add(area[k + 2]).min(self.size[k]).div_ceil(TILE as u32);
-            u64::from(end.saturating_sub(area[k] / TILE as u32))
-        });
-        let samples = tiles[0] * tiles[1] * (TILE * TILE * self.channels.count()) as u64 * SAMPLE_WORK;
+        let [_, _, width, height] = view.area().map(|side| (u64::from(side) / TILE as u64 + 2) * TILE as u64);
+        let samples = width.saturating_mul(height).saturating_mul(self.channels.count() as u64 * SAMPLE_WORK);
         // By themselves, samples and levels are counted before they are known to be there, as if they took four and three times as long.
         Limits::check("work", samples, limits.work)?;
         Ok((samples / 4).saturating_add(LEVEL_WORK * self.layer.levels() as u64).saturating_add(self.tap_work(view)))
