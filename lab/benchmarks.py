@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Measures the codec beside others and writes the tables of docs/BENCHMARKS.md, docs/benchmarks.csv and docs/quality.svg.
+"""Measures the codec beside others and writes the tables of docs/BENCHMARKS.md, docs/benchmarks.csv, docs/quality.svg and docs/speed.svg.
 
     cargo build --release
-    python lab/benchmarks.py target/release/ssplat KODAK [--large PICTURE...] [--jobs N] [--only codecs,quality,efforts,tiny,large]
+    python lab/benchmarks.py target/release/ssplat KODAK [--large PICTURE...] [--jobs N] [--only codecs,quality,efforts,speeds,tiny,large]
 
 It takes Pillow 12 or newer for JPEG, WebP and AVIF (tune=iq), and the package pillow-jxl-plugin for JPEG XL. VVC's rows come from
 docs/kodak-modern.csv, as its encoder cannot be installed by name. KODAK is a folder with kodim01.png to
@@ -12,10 +12,13 @@ target/benchmarks: started again, the command goes on where it stopped. Seconds 
 import argparse, concurrent.futures, csv, hashlib, io, json, os, pathlib, platform, re, resource, statistics, subprocess, sys, tempfile, time
 
 root = pathlib.Path(__file__).resolve().parent.parent
-page, chart, rows_file = root / "docs/BENCHMARKS.md", root / "docs/quality.svg", root / "docs/benchmarks.csv"
+page, rows_file = root / "docs/BENCHMARKS.md", root / "docs/benchmarks.csv"
+chart, speed_chart = root / "docs/quality.svg", root / "docs/speed.svg"
 RATIOS = [20, 50, 100, 200, 500]
 # Qualities of the others, from small files to large ones.
 QUALITIES = {"jpeg": [4, 8, 14, 35, 55, 88], "webp": [0, 5, 15, 50, 70, 93], "avif": [0, 4, 10, 18, 40, 66, 80, 88, 94], "jxl": [1, 4, 10, 20, 50, 65, 90, 95]}
+# Qualities of AVIF between whose files those of ratio 50 lie, on each of the four pictures of the tables of efforts and speeds.
+AROUND_50 = {5: (31, 36), 13: (27, 34), 15: (48, 57), 23: (58, 67)}
 MEASURES = ["psnr", "ms_ssim", "ssimulacra2", "butteraugli"]
 
 args = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -23,7 +26,7 @@ args.add_argument("program", type=pathlib.Path)
 args.add_argument("kodak", type=pathlib.Path)
 args.add_argument("--large", type=pathlib.Path, nargs="*", default=[])
 args.add_argument("--jobs", type=int, default=2)
-args.add_argument("--only", default="quality,efforts,tiny,large")
+args.add_argument("--only", default="quality,efforts,speeds,tiny,large")
 args = args.parse_args()
 args.program = args.program.resolve()
 only = args.only.split(",")
@@ -73,24 +76,24 @@ def ours(picture, options, decodes=0):
     return kept(f"{build} {picture.name} {options} {decodes}", work)
 
 
-def others(picture, codec, quality):
+def others(picture, codec, quality, speed=3):
     def work():
         from PIL import Image
         if codec == "jxl":
             import pillow_jxl  # noqa: F401
         image = Image.open(picture).convert("RGB")
-        options = {"jpeg": {"optimize": True, "progressive": True}, "webp": {"method": 6}, "avif": {"speed": 3, "subsampling": "4:2:0", "advanced": {"tune": "iq"}}, "jxl": {"effort": 7}}[codec]
+        options = {"jpeg": {"optimize": True, "progressive": True}, "webp": {"method": 6}, "avif": {"speed": speed, "max_threads": 1, "subsampling": "4:2:0", "advanced": {"tune": "iq"}}, "jxl": {"effort": 7}}[codec]
         with tempfile.TemporaryDirectory() as folder:
             file, back = pathlib.Path(folder, f"a.{codec}"), pathlib.Path(folder, "a.png")
-            start = time.process_time()
+            start = time.thread_time()
             image.save(file, quality=quality, **options)
-            seconds = time.process_time() - start
-            start = time.process_time()
+            seconds = time.thread_time() - start
+            start = time.thread_time()
             decoded = Image.open(file).convert("RGB")
-            decode = time.process_time() - start
+            decode = time.thread_time() - start
             decoded.save(back)
             return {"bytes": file.stat().st_size, "encode_s": seconds, "decode_s": decode} | compared(picture, back)
-    return kept(f"{codec} {picture.name} {quality}", work)
+    return kept(f"{codec} {picture.name} {quality} {speed} on one thread", work)
 
 
 def each(jobs):
@@ -191,7 +194,7 @@ def quality():
     for name, label in (("vvc-medium", "VVC"),):
         found = [[today.get((name, p.name, r)) for p in pictures] for r in RATIOS]
         lines[label] = [(8 * mean(r["bytes"] for r in of) / pixels, mean(r["ssimulacra2"] for r in of)) for of in found if all(of)]
-    chart.write_text(svg(lines))
+    chart.write_text(svg(lines, (0.04, 2.0, (0.05, 0.1, 0.2, 0.5, 1, 2), "bits a pixel (24 over the ratio)"), (-30, 90, 20)))
     ratio_rows = []
     for ratio in RATIOS:
         of = [results["ssplat", p, ratio] for p in pictures]
@@ -199,21 +202,20 @@ def quality():
     tables["decode"] = table(["ratio", "`ssplat decode` of 768 × 512, CPU ms, the program's start included", "MB at the peak", "MB at the peak of the encode"], ratio_rows, 0)
 
 
-def svg(lines):
-    """Curves over bits a pixel, on a logarithmic axis."""
+def svg(lines, across, up):
+    """Curves over a logarithmic axis: its ends, its marks and what it is; the vertical one's ends, and how far its marks are from each other."""
     import math
     width, height, left, bottom, top, right = 760, 430, 56, 46, 14, 150
-    xs = [x for line in lines.values() for x, _ in line]
-    low, high, least, most = 0.04, 2.0, -30.0, 90.0
+    (low, high, marks, title), (least, most, apart) = across, up
     px = lambda x: left + (width - left - right) * math.log(x / low) / math.log(high / low)
     py = lambda y: height - bottom - (height - bottom - top) * (y - least) / (most - least)
     colors = {"ssplat": "#c2185b", "JPEG": "#9e9e9e", "WebP": "#7cb342", "AVIF tune=iq": "#1565c0", "JPEG XL": "#ff9800", "VVC": "#6a1b9a"}
     out = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="13">', f'<rect width="{width}" height="{height}" fill="white"/>']
-    for y in range(-30, 91, 20):
+    for y in range(int(least), int(most) + 1, apart):
         out.append(f'<line x1="{left}" x2="{width - right}" y1="{py(y):.1f}" y2="{py(y):.1f}" stroke="#e0e0e0"/><text x="{left - 8}" y="{py(y) + 4:.1f}" text-anchor="end">{y}</text>')
-    for x in (0.05, 0.1, 0.2, 0.5, 1, 2):
+    for x in marks:
         out.append(f'<line x1="{px(x):.1f}" x2="{px(x):.1f}" y1="{top}" y2="{height - bottom}" stroke="#e0e0e0"/><text x="{px(x):.1f}" y="{height - bottom + 18}" text-anchor="middle">{x}</text>')
-    out.append(f'<text x="{(left + width - right) / 2}" y="{height - 8}" text-anchor="middle">bits a pixel (24 over the ratio)</text>')
+    out.append(f'<text x="{(left + width - right) / 2}" y="{height - 8}" text-anchor="middle">{title}</text>')
     out.append(f'<text transform="translate(14 {(top + height - bottom) / 2}) rotate(-90)" text-anchor="middle">SSIMULACRA2</text>')
     ends = []
     for name, line in lines.items():
@@ -245,6 +247,33 @@ def efforts():
     tables["efforts"] = table(["ratio", "effort", "CPU s", "PSNR dB", "MS-SSIM", "SSIMULACRA2", "Butteraugli"], rows, 0)
 
 
+def speeds():
+    """SSIMULACRA2 against CPU seconds at a ratio of 50: our efforts, and aom's speeds at as many bytes as effort 5 takes."""
+    four = {k: args.kodak / f"kodim{k:02}.png" for k in AROUND_50}
+    efforts = (1, 2, 3, 4, 5, 6, 7, 9)
+    made = dict(zip([(k, e) for k in four for e in efforts], each([lambda p=p, e=e: ours(p, ["--ratio", "50", "--effort", str(e)]) for p in four.values() for e in efforts])))
+    keys = [(k, s, q) for k in four for s in range(7) for q in AROUND_50[k]]
+    found = dict(zip(keys, each([lambda k=k, s=s, q=q: others(four[k], "avif", q, s) for k, s, q in keys])))
+    rows, lines = [], {"ssplat": [], "AVIF tune=iq": []}
+    for effort in efforts:
+        of = [made[k, effort] for k in four]
+        values = [mean(r[key] for r in of) for key in ("encode_s", "ssimulacra2", "butteraugli", "ms_ssim")]
+        lines["ssplat"].append(values[:2])
+        rows.append([f"ssplat, effort {effort}", *(number(v, d) for v, d in zip(values, (2, 1, 2, 4)))])
+    for speed in range(7):
+        values = [mean(r["encode_s"] for key, r in found.items() if key[1] == speed)]
+        for key in ("ssimulacra2", "butteraugli", "ms_ssim"):
+            of = [at([found[k, speed, q] for q in AROUND_50[k]], made[k, 5]["bytes"], key) for k in four]
+            if None in of:
+                sys.exit(f"AVIF at speed {speed}: the qualities of AROUND_50 are not on both sides of the size, {of}")
+            values.append(mean(of))
+        lines["AVIF tune=iq"].append(values[:2])
+        rows.append([f"AVIF tune=iq, speed {speed}", *(number(v, d) for v, d in zip(values, (2, 1, 2, 4)))])
+    tables["speeds"] = table(["encoder", "CPU s", "SSIMULACRA2", "Butteraugli", "MS-SSIM"], rows)
+    every = [y for line in lines.values() for _, y in line]
+    speed_chart.write_text(svg(lines, (0.2, 100.0, (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100), "CPU seconds of an encode, one thread"), (min(every) // 5 * 5, max(every) // 5 * 5 + 5, 5)))
+
+
 def tiny():
     rows = []
     for size in (40, 100, 300, 1000):
@@ -262,7 +291,7 @@ def large():
     tables["large"] = table(["picture", "ratio", "bytes", "PSNR dB", "MS-SSIM", "SSIMULACRA2", "encode, CPU s", "MB at the peak", "decode, CPU ms"], rows)
 
 
-for name, measure in (("codecs", codecs), ("quality", quality), ("efforts", efforts), ("tiny", tiny), ("large", large)):
+for name, measure in (("codecs", codecs), ("quality", quality), ("efforts", efforts), ("speeds", speeds), ("tiny", tiny), ("large", large)):
     if name in only and (name != "large" or args.large):
         measure()
         print(name, "done", flush=True)

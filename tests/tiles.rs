@@ -302,6 +302,21 @@ fn a_picture_that_is_divided_among_workers_becomes_the_same_file() {
 }
 
 #[test]
+fn workers_know_that_a_detail_layer_comes_on_top() {
+    // Its Gaussians are fitted in fewer steps.
+    let pixels = picture(260, 150, Channels::Rgb);
+    for tune in [Tune::Psnr, Tune::Iq] {
+        let mut options = options(Target::Bytes(6000), Some(128));
+        options.tune = Some(tune);
+        let here = ssplat::unstable::encode(&pixels, &options).unwrap().bytes;
+        let layer = ssplat::unstable::bitstream::read(&here[..], &Limits::default()).unwrap().detail;
+        assert!(layer.is_some(), "{tune:?}");
+        let there = encode_by(&pixels, &options, &mut Elsewhere::new(2, &|_, answer| answer)).unwrap();
+        assert!(here == there, "{tune:?}: {} and {} bytes", here.len(), there.len());
+    }
+}
+
+#[test]
 fn a_tile_that_is_worked_on_twice_becomes_the_same() {
     let pixels = picture(200, 140, Channels::Rgb);
     let mut workers = Elsewhere::new(2, &|_, answer| answer);

@@ -22,7 +22,7 @@ use ssplat::{Renderer, View};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
-const KINDS: [&str; 12] = [
+const KINDS: [&str; 13] = [
     "wide",
     "corner",
     "upright",
@@ -35,15 +35,18 @@ const KINDS: [&str; 12] = [
     "layer of dense tiles, blocks of 32",
     "layer of dense tiles, large levels",
     "edge, layer of dense tiles",
+    DISTORTED,
 ];
+/// A third of the limits goes to a layer, so that the rest is there for a view that is as distorted as can be.
+const DISTORTED: &str = "layer of dense tiles, distorted view";
 
 fn main() -> Result<()> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     // Used by the program itself: a process for each decode has the memory of that alone.
-    if let [first, path] = &args[..]
+    if let [first, path, kind] = &args[..]
         && first == "--decode"
     {
-        return measure(&fs::read(path)?);
+        return measure(&fs::read(path)?, kind == DISTORTED);
     }
     let mut parts = args.split(|a| a == "--");
     let sides = parts
@@ -63,6 +66,7 @@ fn main() -> Result<()> {
                 "layer of dense tiles, blocks of 4" => layered(side.parse()?, 1, [0, 0], (DENSE, 1))?,
                 "layer of dense tiles, blocks of 32" => layered(side.parse()?, 1, [3, 3], (DENSE, 1))?,
                 "layer of dense tiles, large levels" => layered(side.parse()?, 1, [0, 0], (DENSE, i16::MAX))?,
+                DISTORTED => layered(side.parse()?, 3, [0, 0], (DENSE, i16::MAX))?,
                 "edge, layer of dense tiles" => layered(side.parse()?, 2, [0, 0], (DENSE, i16::MAX))?,
                 _ => worst(side.parse()?, kind, 1),
             };
@@ -70,7 +74,7 @@ fn main() -> Result<()> {
             fs::write(file.path(), &bytes)?;
             let figures = |instructions: &[(&str, &str)]| -> Result<[String; 2]> {
                 let mut decode = Command::new(std::env::current_exe()?);
-                decode.arg("--decode").arg(file.path()).env("RAYON_NUM_THREADS", "1");
+                decode.arg("--decode").arg(file.path()).arg(kind).env("RAYON_NUM_THREADS", "1");
                 let output = decode.envs(instructions.iter().copied()).output()?;
                 if !output.status.success() {
                     return Err(String::from_utf8_lossy(&output.stderr).into());
@@ -230,9 +234,23 @@ fn color_of(i: u32) -> [i16; 4] {
 }
 
 /// Decodes once and prints seconds and megabytes.
-fn measure(bytes: &[u8]) -> Result<()> {
+fn measure(bytes: &[u8], is_distorted: bool) -> Result<()> {
+    let mut options = DecodeOptions::default();
+    if is_distorted {
+        // As many pixels as the picture has, larger along one axis and smaller along the other by the most that is let through.
+        let reader = ssplat::Reader::new(bytes, &Limits::default())?;
+        let (width, height) = (reader.width(), reader.height());
+        let views = (0..12).rev().map(|k| [width.saturating_mul(1 << k), (height >> k).max(1)]);
+        for size in views {
+            options.size = Some(size);
+            if decode(bytes, &options).is_ok() {
+                break;
+            }
+        }
+        eprintln!("{:?}", options.size);
+    }
     let before = cpu_time()?;
-    decode(bytes, &DecodeOptions::default())?;
+    decode(bytes, &options)?;
     let seconds = (cpu_time()? - before).as_secs_f64();
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:")?.split_whitespace().next()?.parse::<f64>().ok());

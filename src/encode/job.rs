@@ -104,7 +104,7 @@ impl Encoding<'_> {
         let time = self.clock.left().map(|left| self.share.map_or(left, |share| share.min(left)));
         let mut plan = Plan::new(options.effort, count, area, time, options.seed);
         if self.is_base {
-            plan = plan.for_base();
+            plan = plan.for_base(options.effort, options.favoured());
         }
         plan.begun = std::mem::take(&mut self.begun);
         plan.rung = options.rung;
@@ -144,6 +144,8 @@ impl Encoding<'_> {
         let clock = self.journal.seconds();
         let stage = Stage { name: "finish", journal: &mut self.journal, subject, planes };
         let mut making = Making { stage, splats: subject.empty(), levels: options.levels };
+        // The layer takes what such Gaussians leave of the bytes, few or many.
+        let size = if self.is_base { Size::Free } else { size };
         let rounding = Rounding { problem, layout: options.layout, size, plan: &plan };
         let mut finished = finish::finish(&rounding, state, &mut making)?;
         let bytes = making.write(&mut finished.rounded)?;

@@ -50,6 +50,8 @@ const COARSE: f32 = 0.7;
 const MANY: usize = 1000;
 /// Rows in one sampled row from which on half the size loses nothing at first: Gaussians span several pixels.
 const SPARSE: u32 = 5;
+/// The same where it may lose a little.
+const SPARSE_ENOUGH: u32 = 3;
 /// When the number of primitives is corrected, as shares of the iterations.
 const RECOUNTED: [f32; 3] = [0.3, 0.6, 0.85];
 
@@ -61,7 +63,8 @@ pub(crate) fn run<E: Engine>(
     watcher: &mut dyn Watcher,
 ) -> Result<Ending> {
     let (scene, count) = (&job.problem.scene, engine.count());
-    let pays = scene.is_large() && count >= MANY && scene.row_step(count) >= SPARSE;
+    let step = scene.row_step(count);
+    let pays = scene.is_large() && count >= MANY && step >= SPARSE || job.plan.begins_small && step >= SPARSE_ENOUGH;
     let half = pays.then(|| Reduced::new(&job.problem, 1));
     let coarse = half.as_ref().map(|reduced| Coarse { reduced, share: COARSE });
     run_part(job, Part { steps, coarse }, engine, rng, watcher)

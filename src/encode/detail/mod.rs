@@ -19,6 +19,7 @@ use crate::bitstream::detail::levels::tile_counts;
 use crate::bitstream::detail::{DetailHead, DetailLayer};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
+use crate::fit::model::problem::LARGE;
 use crate::gaussian::Channels;
 use crate::options::Tune;
 use crate::round::rounded::projected;
@@ -35,7 +36,8 @@ const RUNS: u32 = 7;
 fn preset(tune: Tune) -> Preset {
     let between = DetailHead { chroma: [48, 32], slopes: [16, 16], biases: [2, 4], ..DetailHead::SEEN };
     match tune {
-        Tune::Psnr => Preset { head: DetailHead::PLAIN, lambda: 0.10, power: 0.0 },
+        // Those of the format have .02 dB less at 20, and as much at 50.
+        Tune::Psnr => Preset { head: DetailHead { biases: [1, 3], ..DetailHead::PLAIN }, lambda: 0.10, power: 0.0 },
         Tune::Ssim => Preset { head: between, lambda: 0.09, power: 0.08 },
         // On twelve Kodak pictures: slopes of 48 and a power of .12 have .1 dB less at 20 and at 50, and .3 points of SSIMULACRA2 more at 50.
         Tune::Iq => Preset { head: DetailHead { slopes: [40, 40], ..DetailHead::SEEN }, lambda: 0.1, power: 0.11 },
@@ -141,7 +143,9 @@ impl Encoding<'_> {
 
     fn aim_of_layer(&self, most: u64) -> Aim {
         let has_alpha = self.planes.channels.alpha().is_some();
-        Aim { most, ..aim(self.subject.options.favoured(), self.subject.channels(), has_alpha) }
+        // Blocks that are chosen with the right step win .02 dB on small pictures, and .006 on large ones, where that takes longest.
+        let keeps = self.pixels() >= LARGE;
+        Aim { most, keeps, ..aim(self.subject.options.favoured(), self.subject.channels(), has_alpha) }
     }
 
     /// Codes what the Gaussians of `splats` leave, for a file of at most `most` bytes.
@@ -171,7 +175,7 @@ fn aim(tune: Tune, channels: Channels, has_alpha: bool) -> Aim {
     let Preset { mut head, lambda, power } = preset(tune);
     head.alpha = has_alpha;
     let setting = Setting { head, channels, lambda, care: Care::Thorough };
-    Aim { setting, power, most: 0, runs: RUNS }
+    Aim { setting, power, most: 0, runs: RUNS, keeps: false }
 }
 
 /// Returns what index and streams of a layer over `splats` may take in a file of `most` bytes, which `file` writes; `None` if that is

@@ -29,6 +29,8 @@ pub(super) struct Aim {
     pub most: u64,
     /// Most runs of the coder.
     pub runs: u32,
+    /// Whether the blocks of a layer of nearly the same tiles are kept.
+    pub keeps: bool,
 }
 
 /// A layer that falls short of its bytes by at most this part is near enough.
@@ -43,10 +45,10 @@ const LEVEL_BITS: f64 = 5.0;
 const LIKELY: f32 = 0.8;
 
 /// Returns the layer of `tiles` with the smallest step that fits; `None` if none does. With `near`, a layer of nearly the same
-/// tiles, the search begins at its step and keeps its blocks.
+/// tiles, the search begins at its step, and keeps its blocks where `aim` says so.
 pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) -> Option<Coded> {
     let classes = classes_of(tiles, aim, mean_activity(tiles, aim));
-    let mut sizes = near.map(|near| near.sizes.clone());
+    let mut sizes = near.filter(|_| aim.keeps).map(|near| near.sizes.clone());
     let step = near.map_or_else(|| guess(tiles, aim), |near| f64::from(near.layer.head.step));
     let run = |step: u16| {
         let coded = code(tiles, &classes, aim, step, sizes.as_deref());

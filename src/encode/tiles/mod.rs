@@ -97,8 +97,7 @@ pub(super) fn encode(
         Size::Bytes(most) => {
             let [width, height] = source.size().map(u64::from);
             let shared = most.saturating_sub(fixed);
-            base_in_tiles(options.detail, width * height, samples, shared)
-                .map_or(both, |base| Size::Bytes(fixed + base))
+            base_in_tiles(options, width * height, samples, shared).map_or(both, |base| Size::Bytes(fixed + base))
         }
         Size::Free => both,
     };
@@ -121,14 +120,12 @@ pub(super) fn encode(
     }
     let metadata = wide.metadata;
     let blank = PackedSplats { channels: narrowed.channels(), metadata: Metadata::default(), ..wide };
-    let mut plan = whole::plan(options.effort, count, source.size(), options.seed);
-    if has_layer {
-        plan = plan.for_base();
-    }
+    let (effort, tune) = (options.effort, options.favoured());
+    let mut plan = whole::plan(effort, has_layer.then_some(tune), count, source.size(), options.seed);
     plan.enough = enough(options.target, blank.depth);
     let samples = samples_of(&blank);
     let is_priced = matches!(size, Size::Bytes(_));
-    let survey = Survey { scene, blank, is_priced, effort: options.effort, plan, count, tune: options.favoured() };
+    let survey = Survey { scene, blank, is_priced, is_base: has_layer, effort, plan, count, tune };
     let whole = survey.of(&narrowed, &grid.windows(), |done| journal.show("survey", done))?;
     journal.stage("survey", clock);
     let seen: &dyn PixelSource = &narrowed;

@@ -23,6 +23,7 @@ use crate::error::{Error, FormatError, Result};
 use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::problem::Scene;
 use crate::fit::model::target::masking::Means;
+use crate::fit::plan::Plan;
 use crate::gaussian::{Channels, MAX_SCALE, MIN_SCALE};
 use crate::limits::Limits;
 use crate::pixel_source::{PixelSource, check_area};
@@ -207,7 +208,7 @@ pub(super) fn task<T: Parceled>(
     out.extend((whole.count as u64).to_le_bytes());
     out.extend(whole.plan.seed.to_le_bytes());
     out.extend(whole.plan.enough.to_le_bytes());
-    out.push(u8::from(whole.is_priced));
+    out.push(u8::from(whole.is_priced) | u8::from(whole.is_base) << 1);
     let (tag, means) = match &whole.weights {
         Weights::Alike => (0, &[][..]),
         Weights::Structure(mean) => (1, std::slice::from_ref(mean)),
@@ -347,10 +348,10 @@ fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Res
     }
     let count = count as usize;
     let seed = u64::from_le_bytes(bytes.array("seed")?);
-    let mut plan = whole::plan(effort, count, [blank.width, blank.height], seed);
-    plan.enough = f64_of(bytes, "enough")?;
-    let is_priced = match bytes.array("price")? {
-        [flag @ 0..=1] => flag == 1,
+    let enough = f64_of(bytes, "enough")?;
+    // Whether bits have a price, and whether a layer comes on top.
+    let [is_priced, is_base] = match bytes.array("price")? {
+        [flags @ 0..=3] => [flags & 1 != 0, flags & 2 != 0],
         [other] => return Err(refused("price", other.into())),
     };
     let weights = match bytes.array("weights")? {
@@ -367,7 +368,9 @@ fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Res
     };
     let detail = f64_of(bytes, "detail")?;
     let scene = Scene { width: blank.width, height: blank.height, blend: blank.blend, background };
-    Ok(Whole { source: cut, scene, plan, effort, count, blank, is_priced, weights, detail })
+    let base = is_base.then(|| weights.tune());
+    let plan = Plan { enough, ..whole::plan(effort, base, count, [blank.width, blank.height], seed) };
+    Ok(Whole { source: cut, scene, plan, effort, count, blank, is_priced, is_base, weights, detail })
 }
 
 fn window_of(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {

@@ -26,6 +26,8 @@ pub(super) struct Whole<'a> {
     pub blank: PackedSplats,
     /// Whether the number of primitives follows from a size.
     pub is_priced: bool,
+    /// Whether a detail layer will be laid over them.
+    pub is_base: bool,
     pub weights: Weights,
     /// Detail of all tiles.
     pub detail: f64,
@@ -39,9 +41,24 @@ pub(super) enum Weights {
     Masking(Means),
 }
 
-/// Returns the schedule of so many primitives on a picture of `size`.
-pub(super) fn plan(effort: u8, count: usize, size: [u32; 2], seed: u64) -> Plan {
-    Plan::new(effort, count, u64::from(size[0]) * u64::from(size[1]), None, seed)
+/// Returns the schedule of so many primitives on a picture of `size`; `base` is what is favoured where a detail layer is laid over them.
+pub(super) fn plan(effort: u8, base: Option<Tune>, count: usize, size: [u32; 2], seed: u64) -> Plan {
+    let plan = Plan::new(effort, count, u64::from(size[0]) * u64::from(size[1]), None, seed);
+    match base {
+        Some(tune) => plan.for_base(effort, tune),
+        None => plan,
+    }
+}
+
+impl Weights {
+    /// What such weights favour.
+    pub(super) fn tune(&self) -> Tune {
+        match self {
+            Weights::Alike => Tune::Psnr,
+            Weights::Structure(_) => Tune::Ssim,
+            Weights::Masking(_) => Tune::Iq,
+        }
+    }
 }
 
 /// Facts of an encode before its picture is read.
@@ -53,6 +70,8 @@ pub(super) struct Survey {
     pub blank: PackedSplats,
     /// True where bytes are aimed at, so that bits have a price.
     pub is_priced: bool,
+    /// Whether a detail layer will be laid over the primitives.
+    pub is_base: bool,
     pub effort: u8,
     pub plan: Plan,
     /// Number of primitives that the fit begins with.
@@ -68,7 +87,7 @@ impl Survey {
         tiles: &[Window],
         mut show: impl FnMut(f32) -> Result<()>,
     ) -> Result<Whole<'a>> {
-        let Survey { scene, blank, is_priced, effort, plan, count, tune } = self;
+        let Survey { scene, blank, is_priced, is_base, effort, plan, count, tune } = self;
         let area = f64::from(scene.width) * f64::from(scene.height);
         let room = area / count.max(1) as f64;
         let mut weights = match tune {
@@ -93,7 +112,7 @@ impl Survey {
             }
         }
         let scene = Scene { background: mean.map(|v| v as f32), ..scene };
-        Ok(Whole { source, scene, plan, effort, count, blank, is_priced, weights, detail })
+        Ok(Whole { source, scene, plan, effort, count, blank, is_priced, is_base, weights, detail })
     }
 }
 
