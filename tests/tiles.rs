@@ -306,7 +306,7 @@ fn workers_know_that_a_detail_layer_comes_on_top() {
     // Its Gaussians are fitted in fewer steps.
     let pixels = picture(260, 150, Channels::Rgb);
     for tune in [Tune::Psnr, Tune::Iq] {
-        let mut options = options(Target::Bytes(6000), Some(128));
+        let mut options = options(Target::Bytes(9000), Some(128));
         options.tune = Some(tune);
         let here = ssplat::unstable::encode(&pixels, &options).unwrap().bytes;
         let layer = ssplat::unstable::bitstream::read(&here[..], &Limits::default()).unwrap().detail;
