@@ -119,9 +119,12 @@ def table(head, rows, left=1):
 
 
 def at(points, size, key):
-    """A measure at a size in bytes, between the two files next to it, by the logarithm of the size; nothing outside."""
+    """A measure at a size in bytes, between the two files next to it, by the logarithm of the size; that of the smallest file where it is larger by less
+    than 1 %, which favours it; nothing outside."""
     import math
     points = sorted(points, key=lambda p: p["bytes"])
+    if size < points[0]["bytes"] < 1.01 * size:
+        return points[0][key]
     for a, b in zip(points, points[1:]):
         if a["bytes"] <= size <= b["bytes"]:
             t = math.log(size / a["bytes"]) / math.log(b["bytes"] / a["bytes"]) if b["bytes"] > a["bytes"] else 0
