@@ -247,7 +247,6 @@ fn measure(bytes: &[u8], is_distorted: bool) -> Result<()> {
                 break;
             }
         }
-        eprintln!("{:?}", options.size);
     }
     let before = cpu_time()?;
     decode(bytes, &options)?;

@@ -120,10 +120,10 @@ impl Plan {
             (_, false) => BASE_STEPS[is_long],
         };
         let iterations = (self.iterations as f32 * share) as u32;
-        let Plan { mut relocate_every, .. } = Plan::steps(iterations, self.seed);
-        if !is_exact {
-            relocate_every = relocate_every.max((iterations / BASE_RELOCATIONS).clamp(BASE_RELOCATED, LONGEST_WAIT));
-        }
+        let relocate_every = match is_exact {
+            true => Plan::steps(iterations, self.seed).relocate_every,
+            false => (iterations / BASE_RELOCATIONS).clamp(BASE_RELOCATED, LONGEST_WAIT),
+        };
         let sweeps = self.sweeps.min([1, 2, 3][usize::from(effort > 1) + is_long]);
         Plan { iterations, relocate_every, sweeps, freezing: 0, begins_small: effort == 1, ..self }
     }
