@@ -13,7 +13,7 @@ use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::target::planes::Planes;
 use crate::quantize::Quantizer;
 use crate::round::descend::Descent;
-use crate::round::size;
+use crate::round::size::{self, Worth};
 
 /// Places for other primitives that are looked for in a tile, as a share of those that it has, and more than that.
 const OTHERS: (f32, usize) = (0.06, 8);
@@ -73,7 +73,11 @@ impl<'a> Part<'a> {
         let mut own = self.splats.gaussians;
         descent.sweep(&mut own, &expected, lambda);
         let error = error_within(&problem, &descent.seen(&own), self.window.own(), Output::Gradient);
-        let worth = size::worth(&mut descent, &own, others(own.len()));
+        // The number of primitives under a detail layer is never corrected.
+        let worth = match self.whole.is_base {
+            true => Worth { costs: vec![0.0; own.len()], others: Vec::new() },
+            false => size::worth(&mut descent, &own, others(own.len())),
+        };
         let whole = |p: &PackedGaussian| moved(p, &self.quantizer, self.window.seen.corner, Move::Out);
         let placed = |(p, cost): (&PackedGaussian, f32)| Placed { what: whole(p), cost };
         let is_own = |p: &PackedGaussian| {

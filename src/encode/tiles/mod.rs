@@ -12,6 +12,7 @@ mod integers;
 mod mosaic;
 mod narrow;
 mod parcel;
+mod shrunk;
 mod task;
 mod whole;
 
@@ -36,7 +37,7 @@ use crate::bitstream;
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
 use crate::error::{Error, Result};
-use crate::fit::model::drawing::project::Primitive;
+use crate::fit::model::drawing::project::{self, Primitive};
 use crate::fit::model::problem::Scene;
 use crate::gaussian::Blend;
 use crate::options::{Backend, EncodeOptions, Recipe, Trace};
@@ -53,6 +54,7 @@ use mosaic::{Mosaic, Placed, TileResult};
 use narrow::Narrowed;
 pub use parcel::work_on_tile;
 use parcel::{Parceled, Sent};
+use shrunk::Shrunk;
 use task::{FloatWork, IntegerWork};
 use whole::{Survey, Whole};
 
@@ -63,6 +65,10 @@ const MARGIN: f64 = 12.0;
 /// Tiles that are worked on at a time, where there are as many threads. Each takes memory: tiles of a smaller side than the default's, which
 /// are asked for to save it, are worked on one by one.
 const AT_ONCE: usize = 4;
+/// Pixels of a smaller picture for each primitive, at least, that primitives are fitted to which a detail layer is laid over.
+const ROOM: f64 = 600.0;
+/// How many times smaller that picture may be.
+const MOST_SHRUNK: u32 = 4;
 /// Share of the primitives that may change their tile at once.
 const SWAPPED: f64 = 0.2;
 /// Before so many sweeps the size is corrected.
@@ -104,9 +110,7 @@ pub(super) fn encode(
     let has_layer = size != both;
     let count = begun(options, size, (samples, fixed)).map_err(|e| thumbnail::counted(e, asked, room))?;
     let scene = Scene { width: wide.width, height: wide.height, blend, background: [0.0; 4] };
-    let margin =
-        ((MARGIN * f64::from(scene.typical_scale(count))) as u32).next_multiple_of(UNIT).clamp(UNIT, side.max(UNIT));
-    let grid = Grid { size: source.size(), half: side / 2, margin };
+    let grid = grid_of(&scene, count, side);
     let clock = journal.seconds();
     let looked_at = if may_leave_out(options) { grid.windows() } else { Vec::new() };
     let (narrowed, left_out) = Narrowed::new(source, &looked_at, || journal.show("survey", 0.0))?;
@@ -121,19 +125,24 @@ pub(super) fn encode(
     let metadata = wide.metadata;
     let blank = PackedSplats { channels: narrowed.channels(), metadata: Metadata::default(), ..wide };
     let (effort, tune) = (options.effort, options.favoured());
-    let mut plan = whole::plan(effort, has_layer.then_some(tune), count, source.size(), options.seed);
+    let by = if has_layer { fraction(source.size(), count) } else { 1 };
+    let small = Shrunk::new(&narrowed, by);
+    let [width, height] = small.size();
+    let scene = Scene { width, height, ..scene };
+    let blank = PackedSplats { width, height, ..blank };
+    let mut plan = whole::plan(effort, has_layer.then_some(tune), count, small.size(), options.seed);
     plan.enough = enough(options.target, blank.depth);
-    let samples = samples_of(&blank);
     let is_priced = matches!(size, Size::Bytes(_));
     let survey = Survey { scene, blank, is_priced, is_base: has_layer, effort, plan, count, tune };
-    let whole = survey.of(&narrowed, &grid.windows(), |done| journal.show("survey", done))?;
+    let fitted_grid = grid_of(&scene, count, side);
+    let whole = survey.of(&small, &fitted_grid.windows(), |done| journal.show("survey", done))?;
     journal.stage("survey", clock);
     let seen: &dyn PixelSource = &narrowed;
     let mut course = TiledEncode {
         options,
         source,
         seen,
-        grid,
+        grid: fitted_grid,
         journal,
         whole,
         executor,
@@ -143,12 +152,16 @@ pub(super) fn encode(
         size,
         layer: None,
         fixed,
-        samples,
     };
     let look = |p: &Primitive| p.to_gaussian();
-    let mut floats = Mosaic::new(&grid, &look);
+    let mut floats = Mosaic::new(&fitted_grid, &look);
     let error = course.fit(&mut floats)?;
-    course.finish(floats, error)
+    let mut floats: Vec<Primitive> = floats.all().map(|p| p.what).collect();
+    if by > 1 {
+        course.go_back(grid);
+        floats = project::zoomed(floats, by as f32);
+    }
+    course.finish(floats, error * f64::from(by).powi(2))
 }
 
 /// Returns the file of a picture of one colour, where that is what there is and the file may be as large; `wide` is the file
@@ -200,6 +213,23 @@ pub(super) fn check(options: &EncodeOptions) -> Result<()> {
     }
 }
 
+/// Returns the tiles of `side` pixels for a picture of `count` primitives.
+fn grid_of(scene: &Scene, count: usize, side: u32) -> Grid {
+    let margin = (MARGIN * f64::from(scene.typical_scale(count))) as u32;
+    let margin = margin.next_multiple_of(UNIT).clamp(UNIT, side.max(UNIT));
+    Grid { size: [scene.width, scene.height], half: side / 2, margin }
+}
+
+/// Returns how many times smaller a picture of `size` pixels is fitted by `count` primitives: a power of two.
+fn fraction(size: [u32; 2], count: usize) -> u32 {
+    let room = f64::from(size[0]) * f64::from(size[1]) / count.max(1) as f64;
+    let mut by = 1;
+    while by < MOST_SHRUNK && room / f64::from(4 * by * by) >= ROOM {
+        by *= 2;
+    }
+    by
+}
+
 fn samples_of(blank: &PackedSplats) -> f64 {
     f64::from(blank.width) * f64::from(blank.height) * blank.channels.count() as f64
 }
@@ -235,8 +265,6 @@ struct TiledEncode<'a, 'b, 'c> {
     layer: Option<Arc<DetailLayer>>,
     /// Bytes of the file without primitives.
     fixed: u64,
-    /// Samples of what is fitted.
-    samples: f64,
 }
 
 /// A stage of an encode, and the part of it that is worked on.
@@ -363,7 +391,9 @@ impl TiledEncode<'_, '_, '_> {
 
     /// Returns the bytes that a primitive takes.
     fn price(&mut self, mosaic: &Mosaic<'_, Primitive>, error: f64) -> Result<f64> {
-        let quantizer = self.set_steps(mosaic, error);
+        let every = mosaic.count() / SAMPLED + 1;
+        let some: Vec<Primitive> = mosaic.all().step_by(every).map(|p| p.what).collect();
+        let quantizer = self.set_steps(&some, error);
         let blank = &mut self.whole.blank;
         let fixed = bitstream::to_bytes(blank)?.len();
         blank.gaussians = mosaic.all().map(|p| quantizer.quantize(&p.what.to_gaussian())).collect();
@@ -372,11 +402,10 @@ impl TiledEncode<'_, '_, '_> {
         Ok((bytes.saturating_sub(fixed) as f64 / mosaic.count().max(1) as f64).max(0.5))
     }
 
-    /// Chooses the steps of the file.
-    fn set_steps(&mut self, mosaic: &Mosaic<'_, Primitive>, error: f64) -> Quantizer {
-        let every = mosaic.count() / SAMPLED + 1;
-        let some: Vec<Primitive> = mosaic.all().step_by(every).map(|p| p.what).collect();
-        let mut steps = rounded::steps(&some, self.whole.blank.layout, decibels(error, self.samples));
+    /// Chooses the steps of the file for `some` of its primitives, whose squared error is `error`.
+    fn set_steps(&mut self, some: &[Primitive], error: f64) -> Quantizer {
+        let blank = &self.whole.blank;
+        let mut steps = rounded::steps(some, blank.layout, decibels(error, samples_of(blank)));
         // Parts begin at whole steps.
         let too_coarse = steps.coarsest - UNIT.ilog2() as i8;
         if too_coarse > 0 {
@@ -388,15 +417,29 @@ impl TiledEncode<'_, '_, '_> {
         quantizer
     }
 
+    /// Goes on with the picture at its own size and the tiles of `grid`: the floats were fitted to a smaller one.
+    fn go_back(&mut self, grid: Grid) {
+        let [width, height] = grid.size;
+        let TiledEncode { whole, options, .. } = self;
+        (whole.scene.width, whole.scene.height) = (width, height);
+        (whole.blank.width, whole.blank.height) = (width, height);
+        let tune = whole.weights.tune();
+        let enough = whole.plan.enough;
+        whole.plan = whole::plan(whole.effort, whole.is_base.then_some(tune), whole.count, grid.size, options.seed);
+        whole.plan.enough = enough;
+        (whole.source, self.grid) = (self.seen, grid);
+    }
+
     /// Rounds `floats`, whose squared error is `error`, and brings them to the size that is asked for.
-    fn finish(mut self, floats: Mosaic<'_, Primitive>, error: f64) -> Result<Encoded> {
+    fn finish(mut self, floats: Vec<Primitive>, error: f64) -> Result<Encoded> {
         let clock = self.journal.seconds();
         let float_error = error;
-        let quantizer = self.set_steps(&floats, error);
+        let some: Vec<Primitive> = floats.iter().copied().step_by(floats.len() / SAMPLED + 1).collect();
+        let quantizer = self.set_steps(&some, error);
         let look = |p: &PackedGaussian| quantizer.dequantize(p);
         let mut mosaic = Mosaic::new(&self.grid, &look);
-        for p in floats.all() {
-            mosaic.insert(Placed { what: quantizer.quantize(&p.what.to_gaussian()), cost: 0.0 });
+        for p in &floats {
+            mosaic.insert(Placed { what: quantizer.quantize(&p.to_gaussian()), cost: 0.0 });
         }
         drop(floats);
         let sweeps = self.whole.plan.sweeps.max(2);
@@ -409,7 +452,8 @@ impl TiledEncode<'_, '_, '_> {
             let others;
             (others, error) = self.pass((stretch, shift), IntegerWork::Sweep(lambda), &mut mosaic)?;
             bytes = self.write(&mosaic)?;
-            let Size::Bytes(most) = self.size else {
+            // The layer takes what its base leaves of the bytes, few or many.
+            let (Size::Bytes(most), false) = (self.size, self.whole.is_base) else {
                 if round + 1 == sweeps {
                     break;
                 }
@@ -496,7 +540,7 @@ impl TiledEncode<'_, '_, '_> {
 
     /// Takes away what is too much.
     fn within(&self, mosaic: &mut Mosaic<'_, PackedGaussian>, mut bytes: Vec<u8>) -> Result<Vec<u8>> {
-        let Size::Bytes(most) = self.size else { return Ok(bytes) };
+        let Size::Bytes(most) = self.both else { return Ok(bytes) };
         while bytes.len() as u64 > most {
             let count = mosaic.count();
             if count == 0 {
