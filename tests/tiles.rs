@@ -112,6 +112,30 @@ fn a_detail_layer_lies_over_the_gaussians_of_all_tiles() {
     }
 }
 
+#[test]
+fn gaussians_under_a_layer_that_were_fitted_to_a_smaller_picture_are_as_good_at_its_own_size() {
+    // Odd sides, so that the squares at two borders are cut off.
+    let pixels = picture(1003, 701, Channels::Rgb);
+    for tiles in [None, Some(512)] {
+        let mut with_layer = options(Target::Ratio(30.0), tiles);
+        (with_layer.tune, with_layer.detail) = (Some(Tune::Psnr), Detail::Share(0.02));
+        let encoded = ssplat::unstable::encode(&pixels, &with_layer).unwrap();
+        let mut base = ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
+        base.detail = None;
+        let count = base.gaussians.len();
+        // Each has more than four times 300 pixels, so that half the size is fitted, and less than sixteen times as many.
+        assert!((160..580).contains(&count), "{count}");
+        let bytes = ssplat::unstable::bitstream::to_bytes(&base).unwrap();
+        let decoded = ssplat::unstable::decode(&bytes, &DecodeOptions::default()).unwrap().pixels;
+        let psnr = ssplat::unstable::metrics::compare(&pixels, &decoded).unwrap().psnr;
+        let mut alone = options(Target::Primitives(count as u32), tiles);
+        alone.tune = Some(Tune::Psnr);
+        let alone = ssplat::unstable::encode(&pixels, &alone).unwrap().report.psnr;
+        println!("{tiles:?}: {count} Gaussians, {psnr} dB, {alone} by a whole fit");
+        assert!(psnr > alone - 0.5, "{tiles:?}: {count} Gaussians, {psnr} dB, {alone} by a whole fit");
+    }
+}
+
 fn grey_in_colour(width: u32, height: u32) -> Pixels {
     let grey = picture(width, height, Channels::Grey);
     let Samples::U8(samples) = grey.samples() else { panic!("8 bits") };

@@ -20,7 +20,7 @@ use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::problem::Problem;
 use crate::fit::model::target::planes::Planes;
 use crate::fit::model::target::{masking, structure};
-use crate::fit::plan::Plan;
+use crate::fit::plan::{Plan, fraction};
 use crate::fit::smartsplat;
 use crate::gaussian::Channels;
 use crate::options::{Needs, Recipe, Tune};
@@ -105,6 +105,7 @@ impl Encoding<'_> {
         let mut plan = Plan::new(options.effort, count, area, time, options.seed);
         if self.is_base {
             plan = plan.for_base(options.effort, options.favoured());
+            plan.by = fraction(area, count);
         }
         plan.begun = std::mem::take(&mut self.begun);
         plan.rung = options.rung;

@@ -20,6 +20,11 @@ const HASTY_BASE_STEPS: f32 = 0.25;
 const BASE_RELOCATIONS: u32 = 16;
 const BASE_RELOCATED: u32 = 10;
 
+/// Pixels of a smaller picture for each primitive, at least, that primitives are fitted to which a detail layer is laid over.
+const ROOM: f64 = 300.0;
+/// How many times smaller that picture may be.
+const MOST_SHRUNK: u32 = 4;
+
 /// Steps between relocations at most.
 const LONGEST_WAIT: u32 = 25;
 
@@ -51,12 +56,25 @@ pub(crate) struct Plan {
     pub reweighs: bool,
     /// Whether a picture of any size is seen at half its size at first.
     pub begins_small: bool,
+    /// How many times smaller the picture is that all steps see: a power of two.
+    pub by: u32,
     /// Seed of everything random.
     pub seed: u64,
     /// Primitives of a fit of fewer that this one goes on from; none: it starts by itself.
     pub begun: Vec<Primitive>,
     /// Where an ablation stops.
     pub rung: Rung,
+}
+
+/// Returns how many times smaller a picture of so many pixels may be while `count` primitives are fitted to it, for a detail layer to be
+/// laid over them: a power of two.
+pub(crate) fn fraction(pixels: u64, count: usize) -> u32 {
+    let room = pixels as f64 / count.max(1) as f64;
+    let mut by = 1;
+    while by < MOST_SHRUNK && room / f64::from(4 * by * by) >= ROOM {
+        by *= 2;
+    }
+    by
 }
 
 /// Primitives from which on a fit goes at a brisk pace.
@@ -142,6 +160,7 @@ impl Plan {
             rate: 1.0,
             reweighs: false,
             begins_small: false,
+            by: 1,
             seed,
             begun: Vec::new(),
             rung: Rung::default(),
@@ -174,5 +193,19 @@ impl Plan {
     /// Tells whether the time is over before work that takes `next` is through.
     pub(crate) fn is_over(&self, next: Duration) -> bool {
         self.deadline.is_some_and(|d| d.saturating_duration_since(Instant::now()) <= next)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn few_primitives_are_fitted_to_a_picture_that_leaves_each_enough_pixels() {
+        let sizes =
+            [(393_216, 2000, 1), (2_400_000, 2000, 2), (9_599_999, 2000, 2), (9_600_000, 2000, 4), (1 << 40, 0, 4)];
+        for (pixels, count, by) in sizes {
+            assert_eq!(fraction(pixels, count), by, "{pixels} pixels, {count} primitives");
+        }
     }
 }

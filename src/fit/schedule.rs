@@ -64,6 +64,16 @@ pub(crate) fn run<E: Engine>(
 ) -> Result<Ending> {
     let (scene, count) = (&job.problem.scene, engine.count());
     let step = scene.row_step(count);
+    if job.plan.by > 1 {
+        let reduced = Reduced::new(&job.problem, job.plan.by.ilog2());
+        return run_part(
+            job,
+            Part { steps, coarse: Some(Coarse { reduced: &reduced, share: 1.0 }) },
+            engine,
+            rng,
+            watcher,
+        );
+    }
     let pays = scene.is_large() && count >= MANY && step >= SPARSE || job.plan.begins_small && step >= SPARSE_ENOUGH;
     let half = pays.then(|| Reduced::new(&job.problem, 1));
     let coarse = half.as_ref().map(|reduced| Coarse { reduced, share: COARSE });

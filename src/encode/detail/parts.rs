@@ -28,7 +28,7 @@ const RUNS: u32 = 5;
 /// And how often it mostly is.
 const EXPECTED: f32 = 2.0;
 /// A layer that falls short of its bytes by at most this part is near enough: to code all of it once more costs more than that wins.
-const NEAR: f64 = 0.015;
+const NEAR: f64 = 0.004;
 
 /// A picture that is read a part at a time, and its Gaussians.
 #[derive(Clone, Copy)]

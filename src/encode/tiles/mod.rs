@@ -39,6 +39,7 @@ use crate::bitstream::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
 use crate::error::{Error, Result};
 use crate::fit::model::drawing::project::{self, Primitive};
 use crate::fit::model::problem::Scene;
+use crate::fit::plan::fraction;
 use crate::gaussian::Blend;
 use crate::options::{Backend, EncodeOptions, Recipe, Trace};
 use crate::parallel;
@@ -65,10 +66,6 @@ const MARGIN: f64 = 12.0;
 /// Tiles that are worked on at a time, where there are as many threads. Each takes memory: tiles of a smaller side than the default's, which
 /// are asked for to save it, are worked on one by one.
 const AT_ONCE: usize = 4;
-/// Pixels of a smaller picture for each primitive, at least, that primitives are fitted to which a detail layer is laid over.
-const ROOM: f64 = 600.0;
-/// How many times smaller that picture may be.
-const MOST_SHRUNK: u32 = 4;
 /// Share of the primitives that may change their tile at once.
 const SWAPPED: f64 = 0.2;
 /// Before so many sweeps the size is corrected.
@@ -125,7 +122,7 @@ pub(super) fn encode(
     let metadata = wide.metadata;
     let blank = PackedSplats { channels: narrowed.channels(), metadata: Metadata::default(), ..wide };
     let (effort, tune) = (options.effort, options.favoured());
-    let by = if has_layer { fraction(source.size(), count) } else { 1 };
+    let by = if has_layer { fraction(scene.pixels(), count) } else { 1 };
     let small = Shrunk::new(&narrowed, by);
     let [width, height] = small.size();
     let scene = Scene { width, height, ..scene };
@@ -218,16 +215,6 @@ fn grid_of(scene: &Scene, count: usize, side: u32) -> Grid {
     let margin = (MARGIN * f64::from(scene.typical_scale(count))) as u32;
     let margin = margin.next_multiple_of(UNIT).clamp(UNIT, side.max(UNIT));
     Grid { size: [scene.width, scene.height], half: side / 2, margin }
-}
-
-/// Returns how many times smaller a picture of `size` pixels is fitted by `count` primitives: a power of two.
-fn fraction(size: [u32; 2], count: usize) -> u32 {
-    let room = f64::from(size[0]) * f64::from(size[1]) / count.max(1) as f64;
-    let mut by = 1;
-    while by < MOST_SHRUNK && room / f64::from(4 * by * by) >= ROOM {
-        by *= 2;
-    }
-    by
 }
 
 fn samples_of(blank: &PackedSplats) -> f64 {

@@ -91,7 +91,7 @@ fn means<T: Copy + Into<u64>>(samples: &[T], pixels: &Pixels, by: u32, sample: i
             let mean = |k: usize| {
                 let all = sum[if alpha == Some(k) { 5 } else { 4 }];
                 // Where all is clear, any colour will do.
-                if all == 0 { 0 } else { (sum[k] + all / 2) / all }
+                (sum[k] + all / 2).checked_div(all).unwrap_or(0)
             };
             out.extend((0..count).map(|k| sample(mean(k))));
         }
