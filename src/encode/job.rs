@@ -106,6 +106,8 @@ impl Encoding<'_> {
         if self.is_base {
             plan = plan.for_base(options.effort, options.favoured());
             plan.by = fraction(area, count);
+        } else {
+            plan = plan.alone(options.favoured());
         }
         plan.begun = std::mem::take(&mut self.begun);
         plan.rung = options.rung;

@@ -13,7 +13,7 @@ use crate::fit::model::adam::{self, Rates};
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::target::reduced::{Coarse, Reduced};
 use crate::fit::model::target::rows::RowSet;
-use crate::fit::plan::Pace;
+use crate::fit::plan::{HalfSize, Pace};
 use crate::options::Rung;
 
 /// Step sizes at the start, in each Gaussian's own frame and units. What others would win or lose is measured by
@@ -50,8 +50,6 @@ const COARSE: f32 = 0.7;
 const MANY: usize = 1000;
 /// Rows in one sampled row from which on half the size loses nothing at first: Gaussians span several pixels.
 const SPARSE: u32 = 5;
-/// The same where it may lose a little.
-const SPARSE_ENOUGH: u32 = 3;
 /// When the number of primitives is corrected, as shares of the iterations.
 const RECOUNTED: [f32; 3] = [0.3, 0.6, 0.85];
 
@@ -64,19 +62,15 @@ pub(crate) fn run<E: Engine>(
 ) -> Result<Ending> {
     let (scene, count) = (&job.problem.scene, engine.count());
     let step = scene.row_step(count);
-    if job.plan.by > 1 {
-        let reduced = Reduced::new(&job.problem, job.plan.by.ilog2());
-        return run_part(
-            job,
-            Part { steps, coarse: Some(Coarse { reduced: &reduced, share: 1.0 }) },
-            engine,
-            rng,
-            watcher,
-        );
-    }
-    let pays = scene.is_large() && count >= MANY && step >= SPARSE || job.plan.begins_small && step >= SPARSE_ENOUGH;
-    let half = pays.then(|| Reduced::new(&job.problem, 1));
-    let coarse = half.as_ref().map(|reduced| Coarse { reduced, share: COARSE });
+    let large = HalfSize { share: COARSE, row_step: SPARSE };
+    let half = if scene.is_large() && count >= MANY { Some(large) } else { job.plan.half };
+    // How often the picture is halved, and for which share of the steps.
+    let seen = match job.plan.by {
+        1 => half.filter(|half| step >= half.row_step).map(|half| (1, half.share)),
+        by => Some((by.ilog2(), 1.0)),
+    };
+    let reduced = seen.map(|(times, _)| Reduced::new(&job.problem, times));
+    let coarse = reduced.as_ref().zip(seen).map(|(reduced, (_, share))| Coarse { reduced, share });
     run_part(job, Part { steps, coarse }, engine, rng, watcher)
 }
 
