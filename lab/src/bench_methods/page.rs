@@ -164,7 +164,7 @@ mod tests {
 
     #[test]
     fn the_command_names_no_folders() {
-        let arguments = ["/home/me/bin/ssplat", "bench-methods", "a/b/kodim05.png", "--ratios", "20,50"];
+        let arguments = ["/home/me/bin/ssplat-lab", "bench-methods", "a/b/kodim05.png", "--ratios", "20,50"];
         let arguments = arguments.map(|a| a.replace('/', std::path::MAIN_SEPARATOR_STR));
         assert_eq!(command(arguments.into_iter()), "ssplat-lab bench-methods kodim05.png --ratios 20,50");
     }

@@ -1,0 +1,40 @@
+"""Makes a picture of any size out of others, row by row, to try encodes of very large ones with:
+
+    python lab/mosaic.py WIDTHxHEIGHT OUT.png PICTURE...
+
+Needs Pillow. Pictures are cut off at the right and the lower border, and begin anew when all are used.
+"""
+
+import itertools
+import sys
+
+from PIL import Image
+
+Image.MAX_IMAGE_PIXELS = None
+
+
+def main() -> None:
+    if len(sys.argv) < 4:
+        sys.exit(__doc__)
+    size, out, *pictures = sys.argv[1:]
+    try:
+        width, height = map(int, size.split("x"))
+    except ValueError:
+        sys.exit(f"mosaic.py: {size!r} is no size; 16384x10825 is one")
+    mosaic = Image.new("RGB", (width, height))
+    rest = itertools.cycle(pictures)
+    top = 0
+    while top < height:
+        left, lowest = 0, height
+        while left < width:
+            with Image.open(next(rest)) as picture:
+                mosaic.paste(picture.convert("RGB"), (left, top))
+                left += picture.width
+                lowest = min(lowest, top + picture.height)
+        # The next row covers what hangs below the lowest picture of this one.
+        top = lowest
+    mosaic.save(out, compress_level=1)
+
+
+if __name__ == "__main__":
+    main()
