@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::Read;
 use std::ops::ControlFlow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use image::{ImageFormat, ImageReader};
@@ -39,6 +39,15 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
             run: &|input, output, show| one(args, input, output, show),
         };
         return batch::run(&args.paths, folder, &args.many, voice, &command);
+    }
+    // --tiles may stand alone: what follows it without = is taken for a path.
+    let is_number = |path: &&PathBuf| {
+        args.tiles.is_some() && !path.exists() && path.to_str().is_some_and(|p| p.parse::<u32>().is_ok())
+    };
+    if let Some(side) = args.paths.iter().find(is_number).map(|path| path.display()) {
+        return Err(Failure::usage(format!(
+            "{side}: taken for a path; the side of tiles follows =, as in --tiles={side}"
+        )));
     }
     let (input, output) = args::pair(&args.paths, args.output.as_deref())?;
     if args.json && output == Path::new("-") {

@@ -886,6 +886,7 @@ fn values_that_are_no_values_are_named_in_plain_words() {
     let bytes = fs::metadata(&out).unwrap().len();
     assert!((250..=300).contains(&bytes), "{bytes}");
     fails(ssplat(&[&"encode", &picture, &out, &"-o", &out]), 2, "several inputs need --out-dir");
+    fails(ssplat(&[&"encode", &picture, &out, &"--tiles", &"512"]), 2, "--tiles=512");
 }
 
 #[test]

@@ -43,9 +43,9 @@ pub(super) fn begin(whole: &Whole<'_>, window: &Window, show: Show<'_>) -> Resul
     let price = Some(Price {
         problem,
         draft: whole.draft(&window.seen),
-        bits: count as f64 * CODED_BITS * excess(whole.count),
+        bits: count as f64 * CODED_BITS * excess(whole.brief.count),
     });
-    let mut watcher = Shown { show, from: 0.0, to: ALONE, price: price.filter(|_| whole.is_priced) };
+    let mut watcher = Shown { show, from: 0.0, to: ALONE, price: price.filter(|_| whole.brief.is_priced) };
     schedule::run(&job, &mut state, (rng, from..share(ALONE, plan.iterations)), &mut watcher)?;
     Ok(appraise(&problem, &state.primitives, window))
 }

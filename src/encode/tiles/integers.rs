@@ -74,7 +74,7 @@ impl<'a> Part<'a> {
         descent.sweep(&mut own, &expected, lambda);
         let error = error_within(&problem, &descent.seen(&own), self.window.own(), Output::Gradient);
         // The number of primitives under a detail layer is never corrected.
-        let worth = match self.whole.is_base {
+        let worth = match self.whole.brief.is_base {
             true => Worth { costs: vec![0.0; own.len()], others: Vec::new() },
             false => size::worth(&mut descent, &own, others(own.len())),
         };

@@ -57,7 +57,7 @@ pub use parcel::work_on_tile;
 use parcel::{Parceled, Sent};
 use shrunk::Shrunk;
 use task::{FloatWork, IntegerWork};
-use whole::{Survey, Whole};
+use whole::{Brief, Survey, Whole};
 
 /// Sides that a tile may have, pixels; a multiple of the least.
 pub(super) const SIDES: std::ops::RangeInclusive<u32> = 2 * UNIT..=1 << 14;
@@ -121,16 +121,20 @@ pub(super) fn encode(
     }
     let metadata = wide.metadata;
     let blank = PackedSplats { channels: narrowed.channels(), metadata: Metadata::default(), ..wide };
-    let (effort, tune) = (options.effort, options.favoured());
     let by = if has_layer { fraction(scene.pixels(), count) } else { 1 };
     let small = Shrunk::new(&narrowed, by);
     let [width, height] = small.size();
     let scene = Scene { width, height, ..scene };
     let blank = PackedSplats { width, height, ..blank };
-    let mut plan = whole::plan(effort, has_layer.then_some(tune), count, small.size(), options.seed);
-    plan.enough = enough(options.target, blank.depth);
-    let is_priced = matches!(size, Size::Bytes(_));
-    let survey = Survey { scene, blank, is_priced, is_base: has_layer, effort, plan, count, tune };
+    let brief = Brief {
+        effort: options.effort,
+        count,
+        is_priced: matches!(size, Size::Bytes(_)),
+        is_base: has_layer,
+        enough: enough(options.target, blank.depth),
+        seed: options.seed,
+    };
+    let survey = Survey { scene, blank, brief, tune: options.favoured() };
     let fitted_grid = grid_of(&scene, count, side);
     let whole = survey.of(&small, &fitted_grid.windows(), |done| journal.show("survey", done))?;
     journal.stage("survey", clock);
@@ -155,8 +159,8 @@ pub(super) fn encode(
     let error = course.fit(&mut floats)?;
     let mut floats: Vec<Primitive> = floats.all().map(|p| p.what).collect();
     if by > 1 {
-        course.go_back(grid);
         floats = project::zoomed(floats, by as f32);
+        course = TiledEncode { grid, whole: course.whole.at_size_of(seen), ..course };
     }
     course.finish(floats, error * f64::from(by).powi(2))
 }
@@ -360,11 +364,11 @@ impl TiledEncode<'_, '_, '_> {
         mosaic.replace(placed);
         let have = mosaic.count();
         let wanted = match self.size {
-            Size::Free => self.whole.count,
+            Size::Free => self.whole.brief.count,
             Size::Bytes(most) => {
                 let each = self.price(mosaic, error)?;
                 let room = most as f64 * excess(have) - self.fixed as f64;
-                ((room / each).max(0.0) as usize).min(2 * self.whole.count)
+                ((room / each).max(0.0) as usize).min(2 * self.whole.brief.count)
             }
         };
         mosaic.balance(others, wanted, (SWAPPED * have as f64) as usize);
@@ -404,19 +408,6 @@ impl TiledEncode<'_, '_, '_> {
         quantizer
     }
 
-    /// Goes on with the picture at its own size and the tiles of `grid`: the floats were fitted to a smaller one.
-    fn go_back(&mut self, grid: Grid) {
-        let [width, height] = grid.size;
-        let TiledEncode { whole, options, .. } = self;
-        (whole.scene.width, whole.scene.height) = (width, height);
-        (whole.blank.width, whole.blank.height) = (width, height);
-        let tune = whole.weights.tune();
-        let enough = whole.plan.enough;
-        whole.plan = whole::plan(whole.effort, whole.is_base.then_some(tune), whole.count, grid.size, options.seed);
-        whole.plan.enough = enough;
-        (whole.source, self.grid) = (self.seen, grid);
-    }
-
     /// Rounds `floats`, whose squared error is `error`, and brings them to the size that is asked for.
     fn finish(mut self, floats: Vec<Primitive>, error: f64) -> Result<Encoded> {
         let clock = self.journal.seconds();
@@ -429,7 +420,7 @@ impl TiledEncode<'_, '_, '_> {
             mosaic.insert(Placed { what: quantizer.quantize(&p.to_gaussian()), cost: 0.0 });
         }
         drop(floats);
-        let sweeps = self.whole.plan.sweeps.max(2);
+        let sweeps = self.whole.plan().sweeps.max(2);
         let mut bytes = self.write(&mosaic)?;
         let mut error = self.weighted_error(&mosaic)?;
         for round in 0..sweeps + MORE_SWEEPS {
@@ -440,7 +431,7 @@ impl TiledEncode<'_, '_, '_> {
             (others, error) = self.pass((stretch, shift), IntegerWork::Sweep(lambda), &mut mosaic)?;
             bytes = self.write(&mosaic)?;
             // The layer takes what its base leaves of the bytes, few or many.
-            let (Size::Bytes(most), false) = (self.size, self.whole.is_base) else {
+            let (Size::Bytes(most), false) = (self.size, self.whole.brief.is_base) else {
                 if round + 1 == sweeps {
                     break;
                 }

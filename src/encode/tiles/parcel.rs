@@ -11,7 +11,7 @@ use super::grid::{Area, UNIT, Window};
 use super::integers;
 use super::mosaic::{Around, Placed, TileResult};
 use super::task::{FloatWork, IntegerWork, Worked};
-use super::whole::{self, Weights, Whole};
+use super::whole::{Brief, Weights, Whole};
 use crate::bitstream;
 use crate::bitstream::bytes::Bytes;
 use crate::bitstream::checksum::hash;
@@ -23,7 +23,6 @@ use crate::error::{Error, FormatError, Result};
 use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::problem::Scene;
 use crate::fit::model::target::masking::Means;
-use crate::fit::plan::Plan;
 use crate::gaussian::{Channels, MAX_SCALE, MIN_SCALE};
 use crate::limits::Limits;
 use crate::pixel_source::{PixelSource, check_area};
@@ -204,11 +203,11 @@ pub(super) fn task<T: Parceled>(
         Samples::U16(v) => v.iter().for_each(|v| out.extend(v.to_le_bytes())),
     }
     whole.scene.background.iter().for_each(|v| out.extend(v.to_le_bytes()));
-    out.push(whole.effort);
-    out.extend((whole.count as u64).to_le_bytes());
-    out.extend(whole.plan.seed.to_le_bytes());
-    out.extend(whole.plan.enough.to_le_bytes());
-    out.push(u8::from(whole.is_priced) | u8::from(whole.is_base) << 1);
+    out.push(whole.brief.effort);
+    out.extend((whole.brief.count as u64).to_le_bytes());
+    out.extend(whole.brief.seed.to_le_bytes());
+    out.extend(whole.brief.enough.to_le_bytes());
+    out.push(u8::from(whole.brief.is_priced) | u8::from(whole.brief.is_base) << 1);
     let (tag, means) = match &whole.weights {
         Weights::Alike => (0, &[][..]),
         Weights::Structure(mean) => (1, std::slice::from_ref(mean)),
@@ -368,9 +367,8 @@ fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Res
     };
     let detail = f64_of(bytes, "detail")?;
     let scene = Scene { width: blank.width, height: blank.height, blend: blank.blend, background };
-    let base = is_base.then(|| weights.tune());
-    let plan = Plan { enough, ..whole::plan(effort, base, count, [blank.width, blank.height], seed) };
-    Ok(Whole { source: cut, scene, plan, effort, count, blank, is_priced, is_base, weights, detail })
+    let brief = Brief { effort, count, is_priced, is_base, enough, seed };
+    Ok(Whole { source: cut, scene, brief, blank, weights, detail })
 }
 
 fn window_of(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {

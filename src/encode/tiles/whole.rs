@@ -13,21 +13,29 @@ use crate::fit::plan::Plan;
 use crate::options::Tune;
 use crate::pixel_source::PixelSource;
 
+/// What is asked of the fit of all tiles.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Brief {
+    pub effort: u8,
+    /// Primitives that the fit begins with.
+    pub count: usize,
+    /// True where bytes are aimed at, so that bits have a price.
+    pub is_priced: bool,
+    /// Whether a detail layer will be laid over the primitives.
+    pub is_base: bool,
+    /// Mean squared error of a sample at which a fit is through.
+    pub enough: f64,
+    /// Seed of everything random.
+    pub seed: u64,
+}
+
 /// Properties of the picture that all tiles share.
 pub(super) struct Whole<'a> {
     pub source: &'a dyn PixelSource,
     pub scene: Scene,
-    pub plan: Plan,
-    /// Effort that the plan was made for.
-    pub effort: u8,
-    /// Primitives.
-    pub count: usize,
+    pub brief: Brief,
     /// The file, without primitives.
     pub blank: PackedSplats,
-    /// Whether the number of primitives follows from a size.
-    pub is_priced: bool,
-    /// Whether a detail layer will be laid over them.
-    pub is_base: bool,
     pub weights: Weights,
     /// Detail of all tiles.
     pub detail: f64,
@@ -39,15 +47,6 @@ pub(super) enum Weights {
     Alike,
     Structure(f64),
     Masking(Means),
-}
-
-/// Returns the schedule of so many primitives on a picture of `size`; `base` is what is favoured where a detail layer is laid over them.
-pub(super) fn plan(effort: u8, base: Option<Tune>, count: usize, size: [u32; 2], seed: u64) -> Plan {
-    let plan = Plan::new(effort, count, u64::from(size[0]) * u64::from(size[1]), None, seed);
-    match base {
-        Some(tune) => plan.for_base(effort, tune),
-        None => plan,
-    }
 }
 
 impl Weights {
@@ -68,14 +67,7 @@ pub(super) struct Survey {
     pub scene: Scene,
     /// The file without primitives.
     pub blank: PackedSplats,
-    /// True where bytes are aimed at, so that bits have a price.
-    pub is_priced: bool,
-    /// Whether a detail layer will be laid over the primitives.
-    pub is_base: bool,
-    pub effort: u8,
-    pub plan: Plan,
-    /// Number of primitives that the fit begins with.
-    pub count: usize,
+    pub brief: Brief,
     pub tune: Tune,
 }
 
@@ -87,9 +79,9 @@ impl Survey {
         tiles: &[Window],
         mut show: impl FnMut(f32) -> Result<()>,
     ) -> Result<Whole<'a>> {
-        let Survey { scene, blank, is_priced, is_base, effort, plan, count, tune } = self;
+        let Survey { scene, blank, brief, tune } = self;
         let area = f64::from(scene.width) * f64::from(scene.height);
-        let room = area / count.max(1) as f64;
+        let room = area / brief.count.max(1) as f64;
         let mut weights = match tune {
             Tune::Psnr => Weights::Alike,
             Tune::Ssim => Weights::Structure(0.0),
@@ -112,14 +104,14 @@ impl Survey {
             }
         }
         let scene = Scene { background: mean.map(|v| v as f32), ..scene };
-        Ok(Whole { source, scene, plan, effort, count, blank, is_priced, is_base, weights, detail })
+        Ok(Whole { source, scene, brief, blank, weights, detail })
     }
 }
 
-impl Whole<'_> {
+impl<'a> Whole<'a> {
     /// Returns the picture's pixels to one primitive.
     pub(super) fn room(&self) -> f64 {
-        f64::from(self.scene.width) * f64::from(self.scene.height) / self.count.max(1) as f64
+        f64::from(self.scene.width) * f64::from(self.scene.height) / self.brief.count.max(1) as f64
     }
 
     /// Returns the pixels of a part, and how their errors count.
@@ -160,12 +152,28 @@ impl Whole<'_> {
         let busy = sample::detail(planes, self.room()) / self.detail;
         let share = sample::DETAIL * busy + (1.0 - sample::DETAIL) * area / whole;
         // No more than there are pixels, whatever is said of the whole.
-        ((self.count as f64 * share).round() as usize).min(area as usize)
+        ((self.brief.count as f64 * share).round() as usize).min(area as usize)
+    }
+
+    /// Returns the plan of the work on all windows.
+    pub(super) fn plan(&self) -> Plan {
+        let Brief { effort, count, is_base, enough, seed, .. } = self.brief;
+        let plan = Plan { enough, ..Plan::new(effort, count, self.scene.pixels(), None, seed) };
+        if is_base { plan.for_base(effort, self.weights.tune()) } else { plan }
     }
 
     /// Returns the plan of the work on a window: random numbers are its own.
     pub(super) fn plan_of(&self, window: &Window) -> Plan {
-        let seed = self.plan.seed.wrapping_add((window.index + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
-        Plan { seed, ..self.plan.clone() }
+        let plan = self.plan();
+        let seed = plan.seed.wrapping_add((window.index + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+        Plan { seed, ..plan }
+    }
+
+    /// Goes on with the picture of `source`, which is this one at another size.
+    pub(super) fn at_size_of(self, source: &'a dyn PixelSource) -> Self {
+        let [width, height] = source.size();
+        let scene = Scene { width, height, ..self.scene };
+        let blank = PackedSplats { width, height, ..self.blank };
+        Whole { source, scene, blank, ..self }
     }
 }
