@@ -29,7 +29,7 @@ const HASTY_BASE_HALF: HalfSize = HalfSize { share: 0.7, row_step: 3 };
 /// The same of primitives that no layer is laid over, for eyes, and for the least squared error. Twelve pictures of Kodak at 200, for eyes: .92 of the
 /// CPU time, .2 points of SSIMULACRA2 more and .1 dB less; at 500 and 1000 .8 of the time and .5 and .3 points more. Eight of them for
 /// squared error: .7 of the time and .01 dB less at 500 and 1000; at 200, where it would lose .08 dB, they see the whole.
-const HALF: [HalfSize; 2] = [HalfSize { share: 0.5, row_step: 3 }, HalfSize { share: 0.5, row_step: 5 }];
+const HALF: [HalfSize; 2] = [HalfSize { share: 0.5, row_step: 3 }, HalfSize { share: 0.5, row_step: 6 }];
 
 /// Steps between relocations at most.
 const LONGEST_WAIT: u32 = 25;
