@@ -107,7 +107,7 @@ impl Encoding<'_> {
             plan = plan.for_base(options.effort, options.favoured());
             plan.by = fraction(area, count);
         } else {
-            plan = plan.alone(options.favoured());
+            plan = plan.alone(options.effort, options.favoured());
         }
         plan.begun = std::mem::take(&mut self.begun);
         plan.rung = options.rung;

@@ -30,6 +30,8 @@ const HASTY_BASE_HALF: HalfSize = HalfSize { share: 0.7, row_step: 3 };
 /// CPU time, .2 points of SSIMULACRA2 more and .1 dB less; at 500 and 1000 .8 of the time and .5 and .3 points more. Eight of them for
 /// squared error: .7 of the time and .01 dB less at 500 and 1000; at 200, where it would lose .08 dB, they see the whole.
 const HALF: [HalfSize; 2] = [HalfSize { share: 0.5, row_step: 3 }, HalfSize { share: 0.5, row_step: 6 }];
+/// The least effort at which the first of them holds: at effort 1 and 200 it would lose .8 points for nothing.
+const HALF_FOR_EYES: u8 = 3;
 
 /// Steps between relocations at most.
 const LONGEST_WAIT: u32 = 25;
@@ -161,9 +163,10 @@ impl Plan {
         Plan { iterations, relocate_every, sweeps, freezing: 0, half: (effort == 1).then_some(HASTY_BASE_HALF), ..self }
     }
 
-    /// Returns the schedule for primitives that nothing is laid over.
-    pub(crate) fn alone(self, tune: Tune) -> Self {
-        Plan { half: Some(HALF[usize::from(tune == Tune::Psnr)]), ..self }
+    /// Returns the schedule of `effort` for primitives that nothing is laid over.
+    pub(crate) fn alone(self, effort: u8, tune: Tune) -> Self {
+        let is_late = tune == Tune::Psnr || effort < HALF_FOR_EYES;
+        Plan { half: Some(HALF[usize::from(is_late)]), ..self }
     }
 
     /// Returns the schedule of a float fit of `iterations` steps, and nothing after it.
