@@ -27,9 +27,6 @@ const SAMPLED: usize = 16;
 const RUNS: u32 = 5;
 /// And how often it mostly is.
 const EXPECTED: f32 = 2.0;
-/// A layer that falls short of its bytes by at most this part is near enough: to code all of it once more costs more than that wins.
-const NEAR: f64 = 0.004;
-
 /// A picture that is read a part at a time, and its Gaussians.
 #[derive(Clone, Copy)]
 pub(in crate::encode) struct Parts<'a> {
@@ -69,7 +66,7 @@ impl Parts<'_> {
         drop(sample);
         let step = f64::from(begun.layer.head.step);
         let (mut sizes, mut runs) = (None, 0.0);
-        let found = smallest_step(&aim, NEAR, step, |step| {
+        let found = smallest_step(&aim, step, |step| {
             let mut show = |done: f32| show(((runs + done) / EXPECTED).min(1.0));
             let coded = self.coded(&aim, (mean, step), sizes.as_deref(), &mut show)?;
             sizes.get_or_insert_with(|| coded.sizes.clone());

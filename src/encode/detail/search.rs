@@ -57,15 +57,13 @@ pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) ->
         sizes.get_or_insert_with(|| coded.sizes.clone());
         Ok::<_, std::convert::Infallible>(coded)
     };
-    let Ok(found) = smallest_step(aim, NEAR, step, run);
+    let Ok(found) = smallest_step(aim, step, run);
     found
 }
 
-/// Returns what `run` makes with the smallest step whose bytes fit, beginning at `step`; `None` if none does. What falls short by at
-/// most the part `near` of the bytes is near enough.
+/// Returns what `run` makes with the smallest step whose bytes fit, beginning at `step`; `None` if none does.
 pub(super) fn smallest_step<E>(
     aim: &Aim,
-    near: f64,
     mut step: f64,
     mut run: impl FnMut(u16) -> Result<Coded, E>,
 ) -> Result<Option<Coded>, E> {
@@ -85,7 +83,7 @@ pub(super) fn smallest_step<E>(
             if best.as_ref().is_none_or(|best| best.bytes <= coded.bytes) {
                 best = Some(coded);
             }
-            if short <= aim.most as f64 * near || rounded <= 1.0 {
+            if short <= aim.most as f64 * NEAR || rounded <= 1.0 {
                 break;
             }
         } else {
@@ -228,7 +226,7 @@ mod tests {
                 let layer = DetailLayer { head: aim.setting.head, tiles: Vec::new() };
                 Ok::<_, std::convert::Infallible>(Coded { layer, bytes: bytes as u64, sizes: Vec::new() })
             };
-            let Ok(found) = smallest_step(&aim, NEAR, 20.0, run);
+            let Ok(found) = smallest_step(&aim, 20.0, run);
             assert!(found.is_some_and(|coded| coded.bytes == 700), "{last}");
         }
     }
