@@ -212,7 +212,7 @@ impl Encoding<'_> {
             if error.is_nan() || error > self.fitted_error(&alone) {
                 (outcome.bytes, outcome.splats) = (self.subject.file(&alone)?, alone);
             }
-            let over = if self.is_base { 0 } else { over(&outcome.bytes, size) };
+            let over = if self.base.is_some() { 0 } else { over(&outcome.bytes, size) };
             if over == 0 {
                 return Ok(outcome);
             }

@@ -46,11 +46,18 @@ pub(super) struct Encoding<'a> {
     /// When a file of two layers should be done.
     pub until: Option<Instant>,
     pub device: Choice,
-    /// Whether a detail layer is laid over what is fitted: it mends what a short fit leaves.
-    pub is_base: bool,
+    /// Set while Gaussians are fitted that a detail layer is laid over.
+    pub base: Option<Base>,
     /// Primitives of a fit of fewer that the next one goes on from.
     pub begun: Vec<Primitive>,
     pub journal: Journal<'a>,
+}
+
+/// Gaussians that a detail layer is laid over: it mends what a short fit leaves.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Base {
+    /// Ratio of the file of both layers.
+    pub ratio: f64,
 }
 
 /// A file, the integers that were fitted, and the squared error of the floats.
@@ -103,8 +110,8 @@ impl Encoding<'_> {
         let area = u64::from(subject.pixels.width()) * u64::from(subject.pixels.height());
         let time = self.clock.left().map(|left| self.share.map_or(left, |share| share.min(left)));
         let mut plan = Plan::new(options.effort, count, area, time, options.seed);
-        if self.is_base {
-            plan = plan.for_base(options.effort, options.favoured());
+        if let Some(Base { ratio }) = self.base {
+            plan = plan.for_base(options.effort, options.favoured(), Some(ratio));
             plan.by = fraction(area, count);
         } else {
             plan = plan.alone(options.effort, options.favoured());
@@ -148,7 +155,7 @@ impl Encoding<'_> {
         let stage = Stage { name: "finish", journal: &mut self.journal, subject, planes };
         let mut making = Making { stage, splats: subject.empty(), levels: options.levels };
         // The layer takes what such Gaussians leave of the bytes, few or many.
-        let size = if self.is_base { Size::Free } else { size };
+        let size = if self.base.is_some() { Size::Free } else { size };
         let rounding = Rounding { problem, layout: options.layout, size, plan: &plan };
         let mut finished = finish::finish(&rounding, state, &mut making)?;
         let bytes = making.write(&mut finished.rounded)?;

@@ -116,7 +116,7 @@ pub fn encode_with_progress(
         clock,
         share: None,
         until: None,
-        is_base: false,
+        base: None,
         begun: Vec::new(),
         device: Choice::new(options, fitted)?,
         journal: Journal::new(progress, tracer),

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use super::Layered;
 use crate::bitstream::splats::{Layout, PackedSplats};
-use crate::encode::job::{Encoding, Outcome};
+use crate::encode::job::{Base, Encoding, Outcome};
 use crate::encode::subject::stored_scene;
 use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output};
@@ -72,7 +72,7 @@ impl Encoding<'_> {
         self.until = time.and_then(|time| Instant::now().checked_add(time));
         match options.detail {
             Detail::Share(share) => {
-                let base = self.base(fixed + (shared as f64 * share) as u64)?;
+                let base = self.base(fixed + (shared as f64 * share) as u64, self.subject.samples() / shared as f64)?;
                 if self.pixels() > LARGEST {
                     return self.layered_in_parts(base, most);
                 }
@@ -98,6 +98,7 @@ impl Encoding<'_> {
         match self.subject.options.effort {
             1 => 0,
             2 | 3 => 1,
+            4..=6 if self.subject.options.favoured() == Tune::Psnr => 3,
             4..=6 => 2,
             _ => 4,
         }
@@ -107,13 +108,13 @@ impl Encoding<'_> {
         u64::from(self.planes.width) * u64::from(self.planes.height)
     }
 
-    /// A fit of so many bytes for a layer to be laid over.
-    fn base(&mut self, bytes: u64) -> Result<Outcome> {
+    /// A fit of so many bytes for a layer to be laid over, in a file of such a ratio.
+    fn base(&mut self, bytes: u64, ratio: f64) -> Result<Outcome> {
         let share = self.share;
         self.share = self.until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(BASE_TIME)).or(share);
-        self.is_base = true;
+        self.base = Some(Base { ratio });
         let outcome = self.at_size(Size::Bytes(bytes));
-        (self.is_base, self.share) = (false, share);
+        (self.base, self.share) = (None, share);
         outcome
     }
 
@@ -122,7 +123,7 @@ impl Encoding<'_> {
         let (most, all) = (fixed + shared, shared as f64);
         let ratio = (self.subject.samples() / all).max(20.0);
         let few = bytes_of_base(self.subject.options.effort, self.pixels(), ratio, all);
-        let base = self.base(fixed + few as u64)?;
+        let base = self.base(fixed + few as u64, ratio)?;
         if self.pixels() > LARGEST {
             return self.layered_in_parts(base, most);
         }
@@ -138,7 +139,7 @@ impl Encoding<'_> {
         if sharpness.is_none_or(|sharpness| sharpness > least * (ratio / 20.0).powf(SHARP_POWER)) {
             for bytes in [(few * most_for_base).sqrt(), most_for_base] {
                 self.begun = primitives_of(&layered.base.splats);
-                let base = self.base(fixed + bytes as u64)?;
+                let base = self.base(fixed + bytes as u64, ratio)?;
                 let clock = self.journal.seconds();
                 let other = self.layer(base, most)?;
                 self.journal.stage("detail", clock);

@@ -3,6 +3,7 @@
 mod choose;
 mod classes;
 mod coefficients;
+mod coupled;
 pub(super) mod divide;
 pub(super) mod error;
 mod join;
@@ -152,7 +153,11 @@ impl Encoding<'_> {
     fn coded(&self, splats: &PackedSplats, most: u64, near: Option<&Coded>) -> Result<Option<Coded>> {
         let aim = self.aim_of_layer(0);
         let Some(left) = left_for_layer(splats, &aim, most, |empty| self.subject.file(empty))? else { return Ok(None) };
-        Ok(search(&self.residuals(splats), &Aim { most: left, ..aim }, near))
+        let mut tiles = self.residuals(splats);
+        if let (Some(near), Tune::Psnr) = (near, self.subject.options.favoured()) {
+            coupled::couple(&mut tiles, &near.layer, self.subject.channels());
+        }
+        Ok(search(&tiles, &Aim { most: left, ..aim }, near))
     }
 
     /// Codes a layer over `base`, a part of the picture at a time, and makes the file: for pictures whose residual is too much to hold.

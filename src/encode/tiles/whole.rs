@@ -159,7 +159,7 @@ impl<'a> Whole<'a> {
     pub(super) fn plan(&self) -> Plan {
         let Brief { effort, count, is_base, enough, seed, .. } = self.brief;
         let plan = Plan { enough, ..Plan::new(effort, count, self.scene.pixels(), None, seed) };
-        if is_base { plan.for_base(effort, self.weights.tune()) } else { plan }
+        if is_base { plan.for_base(effort, self.weights.tune(), None) } else { plan }
     }
 
     /// Returns the plan of the work on a window: random numbers are its own.
