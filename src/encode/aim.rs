@@ -137,7 +137,7 @@ impl Encoding<'_> {
         let mut bytes = (raw / 50.0).max(LEAST_TRIED);
         let mut best: Option<Outcome> = None;
         let mut reached: f64 = 0.0;
-        // Last tries below and above the wanted PSNR: bytes and decibels.
+        // Last tries below and above the wanted PSNR: bytes a sample and decibels.
         let (mut below, mut above): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
         for _ in 0..TRIES {
             // A budget of time is that of all tries: one that begins late would be a worse fit, and say little.
@@ -150,7 +150,7 @@ impl Encoding<'_> {
             let got = decibels(self.whole_error(&outcome.splats), raw);
             reached = reached.max(got);
             if got >= wanted {
-                above = Some([bytes, got]);
+                above = Some([bytes / raw, got]);
                 if best.as_ref().is_none_or(|b| outcome.bytes.len() < b.bytes.len()) {
                     best = Some(outcome);
                 }
@@ -158,17 +158,16 @@ impl Encoding<'_> {
                     break;
                 }
             } else {
-                below = Some([bytes, got]);
+                below = Some([bytes / raw, got]);
             }
             bytes = match (below, above) {
                 (Some(low), Some(high)) if high[0] / low[0] < 1.01 => break,
-                (Some(low), Some(high)) => between(low, high, wanted + CLOSE / 2.0),
-                (Some(low), None) if low[0] >= raw => break,
-                (None, Some(high)) if high[0] <= LEAST_TRIED => break,
-                // Doubling the bytes wins about 2.5 dB.
+                (Some(low), Some(high)) => raw * between(low, high, wanted + CLOSE / 2.0),
+                (Some(_), None) if bytes >= raw => break,
+                (None, Some(_)) if bytes <= LEAST_TRIED => break,
                 _ => {
-                    let factor = ((wanted - got + CLOSE / 2.0) / 2.5).exp2().clamp(0.05, 20.0);
-                    (bytes * factor).min(raw).max(LEAST_TRIED)
+                    let at = raw * bytes_at(expected(bytes / raw) + wanted - got + CLOSE / 2.0);
+                    at.clamp(0.05 * bytes, 20.0 * bytes).min(raw).max(LEAST_TRIED)
                 }
             };
         }
@@ -235,11 +234,29 @@ const CLOSE: f64 = 0.1;
 /// Fewest bytes that the search tries, without those of metadata.
 const LEAST_TRIED: f64 = 64.0;
 
-/// Returns the bytes between two tries at which `wanted` decibels may be met, if these grow with the logarithm of bytes.
+/// Returns about the decibels that so many bytes a sample have beside those of other numbers. In small files doubling them wins 2.5 dB, and in large
+/// ones each further bit of a sample wins 6: Kodak has 2.8 dB more at a ratio of 50 than at 100, and 4.7 more at 20.
+fn expected(bytes: f64) -> f64 {
+    2.5 * bytes.log2() + 6.0 * 8.0 * bytes
+}
+
+/// Returns the bytes a sample, up to 1, that have so many of these decibels.
+fn bytes_at(decibels: f64) -> f64 {
+    // Halves of what is left of 64 doublings.
+    let (mut low, mut high) = (-64.0, 0.0f64);
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if expected(middle.exp2()) < decibels { low = middle } else { high = middle }
+    }
+    high.exp2()
+}
+
+/// Returns the bytes a sample between two tries at which `wanted` decibels may be met.
 fn between(low: [f64; 2], high: [f64; 2], wanted: f64) -> f64 {
     // Never next to either: decibels scatter by some tenths from fit to fit.
     let share = ((wanted - low[1]) / (high[1] - low[1])).clamp(0.1, 0.9);
-    low[0] * (high[0] / low[0]).powf(share)
+    let [from, to] = [low, high].map(|at| expected(at[0]));
+    bytes_at(from + share * (to - from))
 }
 
 /// Bytes by which a file is larger than it may be.
@@ -247,5 +264,20 @@ fn over(bytes: &[u8], size: Size) -> u64 {
     match size {
         Size::Bytes(most) => (bytes.len() as u64).saturating_sub(most),
         Size::Free => 0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bytes_are_found_by_their_decibels() {
+        for bytes in [1e-9, 0.003, 0.02, 0.1, 0.4, 1.0] {
+            assert!((bytes_at(expected(bytes)) / bytes - 1.0).abs() < 1e-6, "{bytes}");
+        }
+        assert_eq!(bytes_at(1e9), 1.0);
+        let found = between([0.02, 34.0], [0.05, 39.0], 36.0);
+        assert!(found > 0.02 && found < 0.05, "{found}");
     }
 }

@@ -48,6 +48,8 @@ pub(super) struct Encoding<'a> {
     pub device: Choice,
     /// Set while Gaussians are fitted that a detail layer is laid over.
     pub base: Option<Base>,
+    /// Gaussians under a layer that an earlier try of a search came to.
+    pub kept: Option<Kept>,
     /// Primitives of a fit of fewer that the next one goes on from.
     pub begun: Vec<Primitive>,
     pub journal: Journal<'a>,
@@ -56,11 +58,19 @@ pub(super) struct Encoding<'a> {
 /// Gaussians that a detail layer is laid over: it mends what a short fit leaves.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Base {
-    /// Ratio of the file of both layers.
-    pub ratio: f64,
+    /// Ratio of the file of both layers, where fits of large files are longer.
+    pub ratio: Option<f64>,
+}
+
+/// Gaussians that a search keeps from try to try: their best number belongs to the picture, and hardly to the bytes of the file.
+pub(super) struct Kept {
+    pub base: Outcome,
+    /// Bytes that they would have without a look at how sharp the picture is.
+    pub meant: f64,
 }
 
 /// A file, the integers that were fitted, and the squared error of the floats.
+#[derive(Clone)]
 pub(super) struct Outcome {
     pub bytes: Vec<u8>,
     pub splats: PackedSplats,
@@ -111,7 +121,7 @@ impl Encoding<'_> {
         let time = self.clock.left().map(|left| self.share.map_or(left, |share| share.min(left)));
         let mut plan = Plan::new(options.effort, count, area, time, options.seed);
         if let Some(Base { ratio }) = self.base {
-            plan = plan.for_base(options.effort, options.favoured(), Some(ratio));
+            plan = plan.for_base(options.effort, options.favoured(), ratio);
             plan.by = fraction(area, count);
         } else {
             plan = plan.alone(options.effort, options.favoured());

@@ -117,6 +117,7 @@ pub fn encode_with_progress(
         share: None,
         until: None,
         base: None,
+        kept: None,
         begun: Vec::new(),
         device: Choice::new(options, fitted)?,
         journal: Journal::new(progress, tracer),

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use super::Layered;
 use crate::bitstream::splats::{Layout, PackedSplats};
-use crate::encode::job::{Base, Encoding, Outcome};
+use crate::encode::job::{Base, Encoding, Kept, Outcome};
 use crate::encode::subject::stored_scene;
 use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output};
@@ -19,6 +19,7 @@ use crate::fit::model::target::rows::RowSet;
 use crate::options::{Detail, EncodeOptions, Recipe, Tune};
 use crate::round::rounded::projected;
 use crate::round::size::Size;
+use crate::target::Target;
 
 /// Pixels of the pictures that the numbers below were found on; they go with powers of how much larger a picture is.
 const PIXELS: f64 = 393_216.0;
@@ -98,8 +99,12 @@ impl Encoding<'_> {
         match self.subject.options.effort {
             1 => 0,
             2 | 3 => 1,
-            4..=6 if self.subject.options.favoured() == Tune::Psnr => 3,
-            4..=6 => 2,
+            4..=6 => match self.subject.options.favoured() {
+                // Each of the second and the third wins .01 dB: not worth it in every try.
+                Tune::Psnr if self.is_search() => 1,
+                Tune::Psnr => 3,
+                Tune::Ssim | Tune::Iq => 2,
+            },
             _ => 4,
         }
     }
@@ -112,7 +117,8 @@ impl Encoding<'_> {
     fn base(&mut self, bytes: u64, ratio: f64) -> Result<Outcome> {
         let share = self.share;
         self.share = self.until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(BASE_TIME)).or(share);
-        self.base = Some(Base { ratio });
+        // Fits of a search are not the longest: there are several.
+        self.base = Some(Base { ratio: (!self.is_search()).then_some(ratio) });
         let outcome = self.at_size(Size::Bytes(bytes));
         (self.base, self.share) = (None, share);
         outcome
@@ -123,8 +129,13 @@ impl Encoding<'_> {
         let (most, all) = (fixed + shared, shared as f64);
         let ratio = (self.subject.samples() / all).max(20.0);
         let few = bytes_of_base(self.subject.options.effort, self.pixels(), ratio, all);
-        let base = self.base(fixed + few as u64, ratio)?;
+        let kept = self.kept.as_ref().filter(|kept| is_near(few, kept.meant)).map(|kept| kept.base.clone());
+        let is_new = kept.is_none();
+        let base = kept.map_or_else(|| self.base(fixed + few as u64, ratio), Ok)?;
         if self.pixels() > LARGEST {
+            if is_new {
+                self.keep(&base, few);
+            }
             return self.layered_in_parts(base, most);
         }
         let clock = self.journal.seconds();
@@ -133,7 +144,7 @@ impl Encoding<'_> {
         self.journal.stage("detail", clock);
         // For eyes the smaller base is as good. And a budget of time is not enough for several fits.
         let is_exact = self.subject.options.favoured() == Tune::Psnr;
-        let may_be_larger = is_exact && self.until.is_none() && most_for_base > WORTH * few;
+        let may_be_larger = is_new && is_exact && self.until.is_none() && most_for_base > WORTH * few;
         let sharpness = if may_be_larger { self.sharpness(&layered, few * MEASURED)? } else { Some(0.0) };
         let least = if self.subject.options.effort >= 7 { SHARP_TRIED } else { SHARP };
         if sharpness.is_none_or(|sharpness| sharpness > least * (ratio / 20.0).powf(SHARP_POWER)) {
@@ -155,10 +166,30 @@ impl Encoding<'_> {
         if layered.coded.is_none() {
             return self.at_size(Size::Bytes(most));
         }
+        if is_new {
+            self.keep(&layered.base, few);
+        }
         let clock = self.journal.seconds();
         let outcome = self.joined(layered, most, rounds)?;
         self.journal.stage("detail", clock);
         Ok(outcome)
+    }
+
+    /// Keeps Gaussians for the next try, where there is one.
+    fn keep(&mut self, base: &Outcome, meant: f64) {
+        if self.is_search() {
+            self.kept = Some(Kept { base: base.clone(), meant });
+        }
+    }
+
+    /// Whether sizes are tried until a file is as good as was asked for.
+    fn is_search(&self) -> bool {
+        match self.subject.options.target {
+            Target::Auto | Target::Ratio(_) | Target::Bytes(_) | Target::Primitives(_) => false,
+            Target::Psnr(_) => true,
+            #[cfg(feature = "quality")]
+            Target::Quality(_) => true,
+        }
     }
 
     /// How much more Gaussians promise, beside more bytes for the layer; `None` where there is no layer.
@@ -199,6 +230,11 @@ fn primitives_of(splats: &PackedSplats) -> Vec<Primitive> {
 fn is_worth_a_layer(pixels: u64, samples: f64, bytes: u64) -> bool {
     let ratio = samples / bytes as f64;
     bytes >= LEAST && ratio <= RATIO * (pixels as f64 / PIXELS).powf(RATIO_POWER)
+}
+
+/// Tells whether a base of `meant` bytes is as good as one of `few`.
+fn is_near(few: f64, meant: f64) -> bool {
+    (few / meant).ln().abs() < WORTH.ln()
 }
 
 /// Returns the bytes of the Gaussians in a file of `all` bytes.
