@@ -229,6 +229,26 @@ fn a_psnr_is_reached_or_refused_with_what_can_be_had() {
 }
 
 #[test]
+fn a_search_for_a_psnr_keeps_its_gaussians_where_only_the_layer_grows() {
+    // Texture everywhere, which a detail layer is for.
+    let [width, height] = [320, 240u32];
+    let sample = |i: u32| {
+        let (x, y) = ((i / 3 % width) as f32, (i / 3 / width) as f32);
+        let grain = (i / 3).wrapping_mul(2_654_435_761) >> 27;
+        (90.0 + 0.2 * x + 40.0 * (0.11 * x).sin() * (0.07 * y).cos()) as u8 + grain as u8
+    };
+    let samples = Samples::U8((0..3 * width * height).map(sample).collect());
+    let pixels = Pixels::new(width, height, Channels::Rgb, samples).unwrap();
+    let encoded = run(&pixels, Target::Psnr(36.0));
+    assert!(encoded.report.psnr >= 36.0, "{}", encoded.report.psnr);
+    let stages = |name: &str| encoded.report.stages.iter().filter(|stage| stage.name == name).count();
+    // A try of two layers has two stages of detail: the first layer, and the rounds after it.
+    let (fits, tries) = (stages("fit"), stages("detail") / 2);
+    assert!(tries >= 2, "{tries} tries with a layer");
+    assert!(fits <= tries, "{fits} fits for {tries} tries with a layer, and one without at first");
+}
+
+#[test]
 fn a_psnr_is_reached_beside_metadata_of_any_size() {
     let pixels = picture(64, 48, Channels::Rgb);
     for wanted in [12.0, 24.0] {
