@@ -58,6 +58,10 @@ const BASE_TIME: f64 = 0.6;
 /// Share of the bytes that the Gaussians of a sharp picture get at a ratio of 20, and what each doubling of the ratio adds.
 const SHARP_SHARE: f64 = 0.6;
 const SHARP_MORE: f64 = 0.15;
+/// And at most.
+const MOST_SHARP: f64 = 0.9;
+/// How much larger than asked such Gaussians may come out.
+const SLACK: f64 = 1.1;
 
 impl Encoding<'_> {
     /// A file of `size` with the Gaussians and the detail layer that share it.
@@ -129,7 +133,11 @@ impl Encoding<'_> {
         let (most, all) = (fixed + shared, shared as f64);
         let ratio = (self.subject.samples() / all).max(20.0);
         let few = bytes_of_base(self.subject.options.effort, self.pixels(), ratio, all);
-        let kept = self.kept.as_ref().filter(|kept| is_near(few, kept.meant)).map(|kept| kept.base.clone());
+        let most_for_base = (SHARP_SHARE + SHARP_MORE * (ratio / 20.0).log2()).min(MOST_SHARP) * all;
+        // What was large enough for a sharp picture can be too large for a smaller file of it.
+        let room = fixed as f64 + (SLACK * most_for_base).min(MOST_SHARP * all);
+        let serves = |kept: &&Kept| is_near(few, kept.meant) && kept.base.bytes.len() as f64 <= room;
+        let kept = self.kept.as_ref().filter(serves).map(|kept| kept.base.clone());
         let is_new = kept.is_none();
         let base = kept.map_or_else(|| self.base(fixed + few as u64, ratio), Ok)?;
         if self.pixels() > LARGEST {
@@ -140,7 +148,6 @@ impl Encoding<'_> {
         }
         let clock = self.journal.seconds();
         let mut layered = self.layer(base, most)?;
-        let most_for_base = (SHARP_SHARE + SHARP_MORE * (ratio / 20.0).log2()).min(0.9) * all;
         self.journal.stage("detail", clock);
         // For eyes the smaller base is as good. And a budget of time is not enough for several fits.
         let is_exact = self.subject.options.favoured() == Tune::Psnr;
