@@ -4,7 +4,7 @@
 //! that stays, the best one of luma is `g / 6`. Most of `g` stays, since most coefficients of chroma are too small for a level. Beside an error `y`
 //! the best one of chroma is `2y / 3`; but most of `y` does not stay when the layer is coded anew.
 
-use super::residual::TileResidual;
+use super::residual::{TileResidual, luma_and_chroma};
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::TILE;
 use crate::detail::tile::{Scratch, TilePlanes, reconstruct};
@@ -46,8 +46,8 @@ fn errors(tile: &TileResidual, layer: &DetailLayer, index: usize, channels: Chan
                 [r, g, b, ..] if made.has(x, y) => [r, g, b].map(|channel| 0.5 * f32::from(channel[at])),
                 _ => [0.0; 3],
             };
-            let [r, g, b] = added;
-            errors[at] = [0.25 * (r + 2.0 * g + b) - tile.planes[0][at], g - 0.5 * (r + b) - tile.planes[2][at]];
+            let [luma, _, green] = luma_and_chroma(added);
+            errors[at] = [luma - tile.planes[0][at], green - tile.planes[2][at]];
         }
     }
     errors

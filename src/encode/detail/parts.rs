@@ -27,6 +27,7 @@ const SAMPLED: usize = 16;
 const RUNS: u32 = 5;
 /// And how often it mostly is.
 const EXPECTED: f32 = 2.0;
+
 /// A picture that is read a part at a time, and its Gaussians.
 #[derive(Clone, Copy)]
 pub(in crate::encode) struct Parts<'a> {

@@ -22,6 +22,11 @@ pub(super) struct TileResidual {
     pub luma: Vec<f32>,
 }
 
+/// Returns luma, orange and green chroma of red, green and blue: what the additions of spec §11.5 undo.
+pub(super) fn luma_and_chroma([r, g, b]: [f32; 3]) -> [f32; 3] {
+    [0.25 * (r + 2.0 * g + b), r - b, g - 0.5 * (r + b)]
+}
+
 /// Returns what is left of `target` by the picture of `projected`, tile by tile.
 pub(super) fn residuals(scene: Scene, target: &Planes, projected: &[Projected]) -> Vec<TileResidual> {
     let problem = Problem { scene, target };
@@ -59,10 +64,9 @@ pub(super) fn residual<'a>(
             // Colours that nobody sees cost nothing.
             let is_seen = alpha.is_none_or(|a| value(a) > 0.0);
             if is_seen && colors == 3 {
-                let [r, g, b] = [rest(0), rest(1), rest(2)];
-                planes[0][at] = 0.25 * (r + 2.0 * g + b);
-                planes[1][at] = r - b;
-                planes[2][at] = g - 0.5 * (r + b);
+                for (plane, value) in planes.iter_mut().zip(luma_and_chroma([rest(0), rest(1), rest(2)])) {
+                    plane[at] = value;
+                }
             } else if is_seen {
                 planes[0][at] = rest(0);
             }
