@@ -117,7 +117,7 @@ pub use image;
 #[cfg(feature = "image")]
 pub use image_crate::{EXTENSION, SsplatDecoder, SsplatEncoder, register};
 pub use limits::Limits;
-pub use options::{Backend, Carry, Damage, Detail, Layers, Thumbnail, Tune};
+pub use options::{Backend, Carry, Damage, Detail, HiddenColors, Layers, Thumbnail, Tune};
 pub use pixel_source::PixelSource;
 pub use pixels::{Depth, Pixels, Samples};
 pub use raster::{Renderer, SamplesMut, View};

@@ -1,10 +1,12 @@
 //! How far two pictures are apart: PSNR, SSIM and MS-SSIM, on sample values where 255 is white.
 //!
-//! PSNR takes one mean squared error over all pixels and channels. Where there is alpha, the squared error of a colour
-//! counts by the opacity of the first picture there: what is transparent may have any colour. Encoding reports the same
-//! measure. SSIM and MS-SSIM (Wang, Simoncelli and Bovik,
-//! 2003) use an 11-tap Gaussian window with σ = 1.5 pixels, its valid region only, K₁ = 0.01 and K₂ = 0.03, on each
-//! channel alone, and the mean of the channels; MS-SSIM has five scales with 2×2 mean pooling between them.
+//! No measure sees colours under alpha 0. PSNR takes one mean squared error over all pixels and channels; where there is alpha,
+//! the squared error of a colour counts by the opacity of the first picture there. Encoding reports the same measure. All other
+//! measures compare pictures with alpha as they look over a dark and over a light grey ([`BACKGROUNDS`]), and the worse counts.
+//!
+//! SSIM and MS-SSIM (Wang, Simoncelli and Bovik, 2003) use an 11-tap Gaussian window with σ = 1.5 pixels, its valid region only,
+//! K₁ = 0.01 and K₂ = 0.03, on each colour channel alone, and the mean of the channels; MS-SSIM has five scales with 2×2 mean
+//! pooling between them.
 //!
 //! ```
 //! # #[cfg(feature = "unstable")] {
@@ -23,6 +25,9 @@
 use crate::error::{Error, Result};
 use crate::parallel;
 use crate::pixels::{Pixels, Samples};
+
+/// Grey backgrounds for pictures with alpha, as sRGB values: those that SSIMULACRA2 uses.
+pub const BACKGROUNDS: [f32; 2] = [0.1, 0.9];
 
 /// Taps of the window.
 const TAPS: usize = 11;
@@ -137,12 +142,22 @@ fn part<T>(all: &[T], i: usize, length: usize) -> &[T] {
     &all[i * length..all.len().min((i + 1) * length)]
 }
 
-/// SSIM and MS-SSIM, means over the channels; `None` where a scale is smaller than the window.
+/// SSIM and MS-SSIM, means over the colours, of the background over which they are less; `None` where a scale is smaller than
+/// the window.
 fn similarities(a: &Pixels, b: &Pixels) -> [Option<f64>; 2] {
-    let count = a.channels().count();
+    let backgrounds = if a.channels().alpha().is_some() { &BACKGROUNDS[..] } else { &BACKGROUNDS[..1] };
+    let worse = |[a, b]: [[Option<f64>; 2]; 2]| std::array::from_fn(|k| a[k].zip(b[k]).map(|(a, b)| a.min(b)));
+    let found = backgrounds.iter().map(|&background| similarities_over(a, b, background));
+    found.reduce(|a, b| worse([a, b])).expect("one background at least")
+}
+
+/// SSIM and MS-SSIM over a grey of the value `background`, means over the colours.
+fn similarities_over(a: &Pixels, b: &Pixels, background: f32) -> [Option<f64>; 2] {
+    let count = a.channels().count() - usize::from(a.channels().alpha().is_some());
     let mut total = [Some(0.0); 2];
     for channel in 0..count {
-        let found = channel_similarities(Plane::channel(a, channel), Plane::channel(b, channel));
+        let found =
+            channel_similarities(Plane::channel(a, channel, background), Plane::channel(b, channel, background));
         for (total, found) in total.iter_mut().zip(found) {
             *total = total.zip(found).map(|(t, f)| t + f / count as f64);
         }
@@ -286,14 +301,15 @@ struct Plane<'a> {
 
 /// Where a plane's values are. The finest scale is read from the samples, so that a large picture is never copied whole.
 enum Values<'a> {
-    Channel { pixels: &'a Pixels, channel: usize },
+    Channel { pixels: &'a Pixels, channel: usize, background: f32 },
     Pooled(Vec<f32>),
 }
 
 impl<'a> Plane<'a> {
-    fn channel(pixels: &'a Pixels, channel: usize) -> Self {
+    /// A channel of `pixels` as it looks over a grey of the value `background`.
+    fn channel(pixels: &'a Pixels, channel: usize, background: f32) -> Self {
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
-        Plane { width, height, values: Values::Channel { pixels, channel } }
+        Plane { width, height, values: Values::Channel { pixels, channel, background } }
     }
 
     /// Copies the values from `(left, y)` on to the right.
@@ -301,7 +317,7 @@ impl<'a> Plane<'a> {
         let start = y * self.width + left;
         match &self.values {
             Values::Pooled(values) => out.copy_from_slice(&values[start..start + out.len()]),
-            Values::Channel { pixels, channel } => {
+            Values::Channel { pixels, channel, background } => {
                 let step = pixels.channels().count();
                 let first = start * step + channel;
                 match pixels.samples() {
@@ -314,6 +330,11 @@ impl<'a> Plane<'a> {
                         for (o, &v) in out.iter_mut().zip(v[first..].iter().step_by(step)) {
                             *o = f32::from(v) / 65535.0;
                         }
+                    }
+                }
+                if let Some(alpha) = pixels.channels().alpha() {
+                    for (x, o) in out.iter_mut().enumerate() {
+                        *o = background + pixels.value((start + x) * step + alpha) * (*o - background);
                     }
                 }
             }

@@ -132,6 +132,17 @@ pub enum Detail {
     Share(f64),
 }
 
+/// Treatment of colours under alpha 0, which no viewer shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[non_exhaustive]
+pub enum HiddenColors {
+    /// Replace them by a smooth continuation of the visible colours, so that they take no bytes and leave no fringes.
+    #[default]
+    Continue,
+    /// Fit them like visible colours, for programs that use them for something else. The errors of all pixels count alike.
+    Keep,
+}
+
 /// Metadata of the source that a file carries. ICC profile and EXIF block count as bytes of the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
@@ -189,6 +200,8 @@ pub struct EncodeOptions {
     /// Tiles bound the memory that a fit takes. They are fitted on the CPU, in the coded layout, for a size or a number of
     /// primitives.
     pub tiles: Option<u32>,
+    /// Treatment of colours under alpha 0.
+    pub hidden: HiddenColors,
     /// Whether to measure quality along the way.
     pub trace: Trace,
     /// Last step of an ablation.
@@ -228,6 +241,7 @@ impl Default for EncodeOptions {
             levels: 1,
             thumbnail: Thumbnail::Auto,
             tiles: None,
+            hidden: HiddenColors::default(),
             trace: Trace::Off,
             rung: Rung::default(),
             carry: Carry::Needed,

@@ -3,6 +3,7 @@
 use fast_ssim2::{PixelDescriptor, PixelSlice, Ssimulacra2Config, compute_ssimulacra2_with_config};
 
 use crate::error::{Error, Result};
+use crate::metrics::BACKGROUNDS;
 use crate::pixels::{Pixels, Samples};
 
 /// Least side of a picture that is measured, pixels.
@@ -11,8 +12,6 @@ pub(crate) const LEAST: u32 = 8;
 const LARGE: u64 = 1 << 22;
 /// Rows of such a strip.
 const STRIP: usize = 256;
-/// Grey backgrounds for pictures with alpha, as sRGB values: those that SSIMULACRA2 uses.
-const BACKGROUNDS: [f32; 2] = [0.1, 0.9];
 
 /// SSIMULACRA2 of two pictures of one size, channels and depth, whose samples are taken as sRGB: at most 100, which stands
 /// for equal pictures; about 90, 70, 50 and 30 for what eyes call very high, high, medium and low quality; below 0 for worse.

@@ -121,3 +121,24 @@ fn colours_count_by_the_opacity_of_the_original() {
     let alpha = metrics::psnr(&picture(100, 0), &picture(100, 10)).unwrap();
     assert!((alpha - whole).abs() < 1e-9, "{alpha} {whole}");
 }
+
+#[test]
+fn no_measure_sees_colors_under_alpha_0() {
+    let visible = synthetic(200, 180, Channels::Rgba, 9);
+    let Samples::U8(samples) = visible.samples() else { unreachable!() };
+    // A transparent half, once black and once white.
+    let [black, white] = [0, 255].map(|hidden| {
+        let mut samples = samples.clone();
+        for (i, pixel) in samples.chunks_exact_mut(4).enumerate() {
+            if i % 200 < 100 {
+                pixel.copy_from_slice(&[hidden, hidden, hidden, 0]);
+            }
+        }
+        Pixels::new(200, 180, Channels::Rgba, Samples::U8(samples)).unwrap()
+    });
+    let found = metrics::compare(&black, &white).unwrap();
+    assert_eq!(found.psnr, f64::INFINITY);
+    assert!((found.ssim.unwrap() - 1.0).abs() < 1e-6 && (found.ms_ssim.unwrap() - 1.0).abs() < 1e-6, "{found:?}");
+    // Where alpha is not 0, colours count.
+    assert!(metrics::compare(&visible, &black).unwrap().ssim.unwrap() < 0.9);
+}

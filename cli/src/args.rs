@@ -8,7 +8,7 @@ use clap::{Args as ClapArgs, Parser, Subcommand};
 use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::Recipe;
 use ssplat::unstable::bitstream::splats::Layout;
-use ssplat::{Backend, Blend, Carry, Detail, Layers, Target, Thumbnail, Tune};
+use ssplat::{Backend, Blend, Carry, Detail, HiddenColors, Layers, Target, Thumbnail, Tune};
 
 use crate::exchange::format::{ExportFormat, ImportFormat};
 use crate::exchange::{csv, foreign};
@@ -139,6 +139,9 @@ pub struct Encode {
     /// recipes]
     #[arg(help_heading = "Research", long, value_parser = names::tune())]
     pub tune: Option<Tune>,
+    /// Keep the colours of transparent pixels; by default they continue the visible ones, which takes fewer bytes
+    #[arg(help_heading = "What the file has, and how it is made", long)]
+    pub keep_hidden: bool,
     /// Whether the file has a detail layer, a transform of what the Gaussians leave: auto (where it pays), off, or the share of
     /// the bytes that the Gaussians get, above 0 and below 1
     #[arg(long, value_name = "WHICH", default_value = "auto", value_parser = detail)]
@@ -262,6 +265,7 @@ impl Encode {
         o.recipe = self.recipe;
         o.tune = self.tune;
         (o.detail, o.levels, o.tiles) = (self.detail, self.levels, self.tiles);
+        o.hidden = if self.keep_hidden { HiddenColors::Keep } else { HiddenColors::Continue };
         o.thumbnail = self.thumbnail;
         o.backend = self.backend;
         o.carry = self.metadata;

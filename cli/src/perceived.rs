@@ -5,14 +5,12 @@
 
 use butteraugli::{ButteraugliParams, Img, RGB, butteraugli_linear};
 use ssplat::Pixels;
-use ssplat::unstable::metrics;
+use ssplat::unstable::metrics::{self, BACKGROUNDS};
 
 /// Least side of a picture that is measured, pixels: Butteraugli takes no smaller one.
 const LEAST: u32 = 8;
 /// Most pixels that Butteraugli is asked for: it keeps about 250 bytes of each in memory.
 const MOST: u64 = 1 << 24;
-/// Grey backgrounds for pictures with alpha, as sRGB values: those that SSIMULACRA2 uses.
-const BACKGROUNDS: [f32; 2] = [0.1, 0.9];
 
 /// Measures of perceived difference.
 #[derive(Debug, Clone, Copy, Default)]

@@ -124,7 +124,11 @@ impl Encoding<'_> {
             true => self.fitted_error(splats),
             false => {
                 let wide = widen(splats, self.subject.channels());
-                stored_error(&wide, &Planes::new(self.subject.original), self.subject.channels())
+                stored_error(
+                    &wide,
+                    &Planes::with_hidden(self.subject.original, self.subject.options.hidden),
+                    self.subject.channels(),
+                )
             }
         }
     }

@@ -8,7 +8,7 @@ use super::workers::{Executor, Workers};
 use super::{Encoded, encode_by};
 use crate::bitstream::splats::Layout;
 use crate::error::Result;
-use crate::options::{Backend, Carry, Detail, EncodeOptions, Thumbnail, Tune};
+use crate::options::{Backend, Carry, Detail, EncodeOptions, HiddenColors, Thumbnail, Tune};
 use crate::pixel_source::PixelSource;
 use crate::target::Target;
 
@@ -137,6 +137,13 @@ impl Encoder {
     #[must_use]
     pub fn tiles(mut self, side: u32) -> Self {
         self.options.tiles = Some(side);
+        self
+    }
+
+    /// Sets what becomes of colours under alpha 0. The default is [`HiddenColors::Continue`].
+    #[must_use]
+    pub fn hidden_colors(mut self, hidden: HiddenColors) -> Self {
+        self.options.hidden = hidden;
         self
     }
 

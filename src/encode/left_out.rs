@@ -25,6 +25,8 @@ pub enum Omission {
     Color,
     /// Colour and alpha, where all is grey and opaque.
     ColorAndAlpha,
+    /// Colours under alpha 0, which continue the visible ones instead.
+    HiddenColors,
     /// The weights of [`Tune::Ssim`](crate::Tune::Ssim) and [`Tune::Iq`](crate::Tune::Iq), where the picture is so even
     /// that they are the same everywhere.
     StructureWeights,
@@ -49,6 +51,7 @@ impl fmt::Display for Omission {
             Omission::Alpha => "alpha: all is opaque",
             Omission::Color => "colour: all is grey",
             Omission::ColorAndAlpha => "colour and alpha: all is grey and opaque",
+            Omission::HiddenColors => "colours under alpha 0: nobody sees them",
             Omission::StructureWeights => "weights of pixels: the picture is so even that all weigh the same",
             Omission::Fit => "the fit: the picture is one colour",
             Omission::Iterations => "iterations: the error is below that of rounding, or well below the target",

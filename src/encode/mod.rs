@@ -11,6 +11,7 @@ mod detail;
 mod device;
 mod encoder;
 mod file;
+mod hidden;
 mod job;
 mod left_out;
 mod prune;
@@ -28,7 +29,7 @@ use std::ops::ControlFlow;
 use crate::bitstream::splats::Layout;
 use crate::error::{Error, Result};
 use crate::fit::model::target::planes::Planes;
-use crate::options::{Detail, EncodeOptions, Trace};
+use crate::options::{Detail, EncodeOptions, HiddenColors, Trace};
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
 use crate::target::Target;
@@ -108,11 +109,20 @@ pub fn encode_with_progress(
     }
     let clock = Clock::new(options.time);
     let tracer = Tracer::new(options.trace);
+    let mut journal = Journal::new(progress, tracer);
+    let continued = match options.hidden {
+        HiddenColors::Continue => hidden::continued(pixels, || journal.show("survey", 0.0))?,
+        HiddenColors::Keep => None,
+    };
+    if continued.is_some() {
+        journal.note(Omission::HiddenColors, 0, 0.0);
+    }
+    let pixels = continued.as_ref().unwrap_or(pixels);
     let narrow = if may_leave_out(options) { channels::narrow(pixels) } else { None };
     let fitted = narrow.as_ref().map_or(pixels, |n| &n.pixels);
     let mut job = Encoding {
         subject: Subject { original: pixels, pixels: fitted, options },
-        planes: Planes::new(fitted),
+        planes: Planes::with_hidden(fitted, options.hidden),
         clock,
         share: None,
         until: None,
@@ -120,7 +130,7 @@ pub fn encode_with_progress(
         kept: None,
         begun: Vec::new(),
         device: Choice::new(options, fitted)?,
-        journal: Journal::new(progress, tracer),
+        journal,
     };
     if let Some(narrow) = &narrow {
         job.journal.note(narrow.what.clone(), 0, 0.0);

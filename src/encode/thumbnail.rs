@@ -74,6 +74,7 @@ pub(super) fn of(
         seed: options.seed,
         tune: options.tune,
         backend: Backend::Cpu,
+        hidden: options.hidden,
         thumbnail: Thumbnail::Never,
         // Readers of placeholders know Gaussians alone.
         detail: Detail::Off,

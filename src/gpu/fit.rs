@@ -7,7 +7,7 @@
 use super::device::Device;
 use super::lists::{MOST_BINDING, check_primitives};
 use super::peaks::Peaks;
-use super::scene::{Primitive, TILE, Uniforms, spaced};
+use super::scene::{NO_ALPHA, Primitive, TILE, Uniforms, spaced};
 use super::source::{Source, pack, pack_target, rows_at_a_time, words};
 use super::workspace::{Room, SLOT, SLOTS, Workspace};
 use crate::error::{GpuError, Result};
@@ -124,6 +124,8 @@ impl Fitter {
             source_words: words,
             weighted: weighted.into(),
             channel_amplitude: target.channel_amplitude,
+            // The channel that weights the errors of colours.
+            alpha: target.opacity.map_or(NO_ALPHA, |a| a as u32),
             ..base(scene, pixels.channels(), bounds)
         };
         let size = [scene.width, scene.height];
@@ -211,10 +213,11 @@ impl Fitter {
 
     /// Takes up `scene`, of the size of the source; buffers of another size go.
     fn see(&mut self, scene: &Scene) -> Result<()> {
-        let Uniforms { source_words, weighted, channel_amplitude, .. } = self.base;
+        let Uniforms { source_words, weighted, channel_amplitude, alpha, .. } = self.base;
         [_, self.band_rows] = rows_at_a_time(scene.width, scene.height, source_words, self.binding)?;
         let bounds = Bounds::new(scene.width, scene.height);
-        self.base = Uniforms { source_words, weighted, channel_amplitude, ..base(scene, self.channels, &bounds) };
+        self.base =
+            Uniforms { source_words, weighted, channel_amplitude, alpha, ..base(scene, self.channels, &bounds) };
         self.workspace = None;
         self.peaks = None;
         Ok(())

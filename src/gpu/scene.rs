@@ -60,6 +60,9 @@ pub(super) struct Uniforms {
     pub spare: u32,
 }
 
+/// Value of [`Uniforms::alpha`] where there is none.
+pub(super) const NO_ALPHA: u32 = 4;
+
 impl Uniforms {
     /// Bytes from one set of uniforms to the next in their buffer: what every device can align to.
     pub(super) const STRIDE: u32 = 256;
@@ -94,7 +97,7 @@ impl Uniforms {
                 Blend::Sum => 1,
             },
             channels: channels.count() as u32,
-            alpha: channels.alpha().unwrap_or(4) as u32,
+            alpha: channels.alpha().map_or(NO_ALPHA, |a| a as u32),
             source_words: 1,
             ..Zeroable::zeroed()
         }

@@ -69,7 +69,7 @@ impl<'a> Patch<'a> {
         if self.planes.len() < size {
             self.planes.resize(size, 0.0);
         }
-        let alpha = target.channels.alpha();
+        let alpha = target.opacity;
         let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
         let epsilon = simd.splat(EPSILON);
         let shift: [f32; C] = std::array::from_fn(|k| self.shift(k));
@@ -199,7 +199,7 @@ impl<'a> Patch<'a> {
             row: self.rows.start + range.start * self.step,
             step: self.step,
             target: self.problem.target,
-            alpha: self.problem.target.channels.alpha(),
+            alpha: self.problem.target.opacity,
             blend: self.problem.scene.blend,
         }
     }

@@ -71,7 +71,7 @@ pub(in crate::encode) fn squared_error(
     let problem = Problem { scene, target };
     let mut field = Field::default();
     field.draw(&problem, projected, RowSet::ALL, Output::Picture);
-    let (count, alpha) = (target.channels.count(), target.channels.alpha());
+    let (count, alpha) = (target.channels.count(), target.opacity);
     let errors = parallel::map(target.height as usize, |y| {
         let (wanted, drawn) = (target.row(y as u32), field.row(y, count));
         let mut more = vec![0.0; target.width as usize];

@@ -164,7 +164,8 @@ impl Encoding<'_> {
     fn layered_in_parts(&mut self, base: Outcome, most: u64) -> Result<Outcome> {
         let mut outcome = base;
         let (subject, tune) = (self.subject, self.subject.options.favoured());
-        let parts = Parts { source: subject.pixels, splats: &outcome.splats, channels: subject.channels(), tune };
+        let (channels, hidden) = (subject.channels(), subject.options.hidden);
+        let parts = Parts { source: subject.pixels, splats: &outcome.splats, channels, tune, hidden };
         let mut show = |done| self.journal.show("detail", done);
         let layer = layer_in_parts(parts, most, |empty| subject.file(empty), &mut show)?;
         if layer.is_some() {

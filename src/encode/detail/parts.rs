@@ -14,7 +14,7 @@ use crate::error::Result;
 use crate::fit::model::target::planes::Planes;
 use crate::gaussian::Channels;
 use crate::limits::Limits;
-use crate::options::Tune;
+use crate::options::{HiddenColors, Tune};
 use crate::parallel;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Depth;
@@ -38,6 +38,7 @@ pub(in crate::encode) struct Parts<'a> {
     /// The channels of the file.
     pub channels: Channels,
     pub tune: Tune,
+    pub hidden: HiddenColors,
 }
 
 impl Parts<'_> {
@@ -79,7 +80,6 @@ impl Parts<'_> {
 
     /// Returns the squared error of the picture with its layer: colours count by their opacity.
     pub fn error(&self, show: &mut dyn FnMut(f32) -> Result<()>) -> Result<f64> {
-        let alpha = self.source.channels().alpha();
         let mut error = 0.0;
         for (index, count) in self.parts() {
             show(index as f32 / self.count() as f32)?;
@@ -89,7 +89,8 @@ impl Parts<'_> {
                 for k in 0..wanted.channels.count() {
                     for x in 0..wanted.width as usize {
                         let at = k * wanted.stride + x;
-                        let opacity = alpha.filter(|&a| a != k).map_or(1.0, |a| wanted_row[a * wanted.stride + x]);
+                        let opacity =
+                            wanted.opacity.filter(|&a| a != k).map_or(1.0, |a| wanted_row[a * wanted.stride + x]);
                         error += f64::from((drawn[at] - wanted_row[at]) * opacity).powi(2);
                     }
                 }
@@ -154,7 +155,7 @@ impl Parts<'_> {
         let [left, top, _, height] = tile_area(self.source.size(), index);
         let [last, _, width, _] = tile_area(self.source.size(), index + count - 1);
         let area = [left, top, last + width - left, height].map(|side| side as u32);
-        let wanted = Planes::new(&self.source.part(area)?);
+        let wanted = Planes::with_hidden(&self.source.part(area)?, self.hidden);
         let [x, y, width, height] = area;
         let view = View::of_size(self.source.width(), self.source.height()).crop(x, y, width, height)?;
         let limits = Limits {

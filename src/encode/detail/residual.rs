@@ -62,7 +62,7 @@ pub(super) fn residual<'a>(
             let rest = |k: usize| PARTS * (value(k) - drawn[k * target.stride + column].clamp(0.0, 1.0));
             let at = y * TILE + x;
             // Colours that nobody sees cost nothing.
-            let is_seen = alpha.is_none_or(|a| value(a) > 0.0);
+            let is_seen = target.opacity.is_none_or(|a| value(a) > 0.0);
             if is_seen && colors == 3 {
                 for (plane, value) in planes.iter_mut().zip(luma_and_chroma([rest(0), rest(1), rest(2)])) {
                     plane[at] = value;

@@ -6,6 +6,7 @@ use crate::bitstream::splats::PackedSplats;
 use crate::encode::constant::{constant, is_constant};
 use crate::error::Result;
 use crate::fit::model::target::planes::Planes;
+use crate::options::HiddenColors;
 use crate::pixel_source::PixelSource;
 
 /// Returns the colour of a picture whose pixels are all the same. Reads `tiles`, which make up the picture of `source`, until
@@ -35,14 +36,14 @@ pub(super) fn color(
 pub(super) fn stored(
     source: &dyn PixelSource,
     blank: &PackedSplats,
-    color: [f32; 4],
+    (color, hidden): ([f32; 4], HiddenColors),
     tiles: &[Window],
 ) -> Result<(PackedSplats, f64)> {
     let mut splats = blank.clone();
     constant(&mut splats, color);
     let mut error = 0.0;
     for tile in tiles {
-        let target = Planes::new(&source.part(tile.core.bounds())?);
+        let target = Planes::with_hidden(&source.part(tile.core.bounds())?, hidden);
         error += error_of_part(&target, &tile.core, &splats, splats.gaussians.iter());
     }
     Ok((splats, error))

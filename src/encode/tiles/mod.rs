@@ -26,6 +26,7 @@ use super::detail::layer_in_parts;
 use super::detail::parts::Parts;
 use super::device::Chosen;
 use super::file;
+use super::hidden::Continued;
 use super::job::{decibels, enough, excess};
 use super::left_out::Omission;
 use super::report::{Journal, Progress};
@@ -41,7 +42,7 @@ use crate::fit::model::drawing::project::{self, Primitive};
 use crate::fit::model::problem::Scene;
 use crate::fit::plan::fraction;
 use crate::gaussian::Blend;
-use crate::options::{Backend, EncodeOptions, Recipe, Trace};
+use crate::options::{Backend, EncodeOptions, HiddenColors, Recipe, Trace};
 use crate::parallel;
 use crate::pixel_source::PixelSource;
 use crate::quantize::Quantizer;
@@ -86,6 +87,14 @@ pub(super) fn encode(
     mut journal: Journal<'_>,
 ) -> Result<Encoded> {
     check(options)?;
+    let continued = match options.hidden {
+        HiddenColors::Continue => Continued::new(source, || journal.show("survey", 0.0))?,
+        HiddenColors::Keep => None,
+    };
+    if continued.is_some() {
+        journal.note(Omission::HiddenColors, 0, 0.0);
+    }
+    let source = continued.as_ref().map_or(source, |continued| continued as &dyn PixelSource);
     let blend = options.blend.unwrap_or(Blend::Normalized);
     let wide = subject::empty(source.size(), (source.channels(), source.depth()), blend, options);
     let samples = samples_of(&wide);
@@ -122,7 +131,7 @@ pub(super) fn encode(
     let metadata = wide.metadata;
     let blank = PackedSplats { channels: narrowed.channels(), metadata: Metadata::default(), ..wide };
     let by = if has_layer { fraction(scene.pixels(), count) } else { 1 };
-    let small = Shrunk::new(&narrowed, by);
+    let small = Shrunk::new(&narrowed, by, options.hidden);
     let [width, height] = small.size();
     let scene = Scene { width, height, ..scene };
     let blank = PackedSplats { width, height, ..blank };
@@ -133,6 +142,7 @@ pub(super) fn encode(
         is_base: has_layer,
         enough: enough(options.target, blank.depth),
         seed: options.seed,
+        hidden: options.hidden,
     };
     let survey = Survey { scene, blank, brief, tune: options.favoured() };
     let fitted_grid = grid_of(&scene, count, side);
@@ -179,7 +189,7 @@ fn of_one_color(
     }
     let Some(color) = constant::color(narrowed, tiles, |done| journal.show("survey", done))? else { return Ok(None) };
     let blank = PackedSplats { channels: narrowed.channels(), ..wide.clone() };
-    let (splats, error) = constant::stored(narrowed, &blank, color, tiles)?;
+    let (splats, error) = constant::stored(narrowed, &blank, (color, options.hidden), tiles)?;
     let bytes = bitstream::to_bytes(&widen(&splats, source.channels()))?;
     if matches!(asked, Size::Bytes(most) if bytes.len() as u64 > most) {
         return Ok(None);
@@ -482,7 +492,7 @@ impl TiledEncode<'_, '_, '_> {
         let mut splats = self.splats(mosaic);
         file::smallest(&mut splats, self.options.levels)?;
         let (source, channels, tune) = (self.seen, self.source.channels(), self.options.favoured());
-        let parts = Parts { source, splats: &splats, channels, tune };
+        let parts = Parts { source, splats: &splats, channels, tune, hidden: self.options.hidden };
         let file = |empty: &PackedSplats| subject::file(empty, channels);
         self.layer = layer_in_parts(parts, most, file, &mut |done| self.journal.show("detail", done))?;
         self.journal.stage("detail", clock);
@@ -591,7 +601,7 @@ impl TiledEncode<'_, '_, '_> {
         let fitted = samples_of(&splats);
         splats.detail = Some(layer);
         let splats = if splats.channels == channels { splats } else { widen(&splats, channels) };
-        let parts = Parts { source, splats: &splats, channels, tune };
+        let parts = Parts { source, splats: &splats, channels, tune, hidden: self.options.hidden };
         let error = parts.error(&mut |done| self.journal.show("measure", done))?;
         self.journal.stage("measure", clock);
         Ok(self.encoded(mosaic, bytes, [decibels(error, samples_of(&splats)), decibels(float_error, fitted)]))

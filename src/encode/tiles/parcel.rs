@@ -25,6 +25,7 @@ use crate::fit::model::problem::Scene;
 use crate::fit::model::target::masking::Means;
 use crate::gaussian::{Channels, MAX_SCALE, MIN_SCALE};
 use crate::limits::Limits;
+use crate::options::HiddenColors;
 use crate::pixel_source::{PixelSource, check_area};
 use crate::pixels::{Depth, Pixels, Samples};
 
@@ -207,7 +208,8 @@ pub(super) fn task<T: Parceled>(
     out.extend((whole.brief.count as u64).to_le_bytes());
     out.extend(whole.brief.seed.to_le_bytes());
     out.extend(whole.brief.enough.to_le_bytes());
-    out.push(u8::from(whole.brief.is_priced) | u8::from(whole.brief.is_base) << 1);
+    let keeps_hidden = whole.brief.hidden == HiddenColors::Keep;
+    out.push(u8::from(whole.brief.is_priced) | u8::from(whole.brief.is_base) << 1 | u8::from(keeps_hidden) << 2);
     let (tag, means) = match &whole.weights {
         Weights::Alike => (0, &[][..]),
         Weights::Structure(mean) => (1, std::slice::from_ref(mean)),
@@ -348,9 +350,9 @@ fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Res
     let count = count as usize;
     let seed = u64::from_le_bytes(bytes.array("seed")?);
     let enough = f64_of(bytes, "enough")?;
-    // Whether bits have a price, and whether a layer comes on top.
-    let [is_priced, is_base] = match bytes.array("price")? {
-        [flags @ 0..=3] => [flags & 1 != 0, flags & 2 != 0],
+    // Whether bits have a price, whether a layer comes on top, and whether hidden colours count.
+    let [is_priced, is_base, keeps_hidden] = match bytes.array("price")? {
+        [flags @ 0..=7] => [flags & 1 != 0, flags & 2 != 0, flags & 4 != 0],
         [other] => return Err(refused("price", other.into())),
     };
     let weights = match bytes.array("weights")? {
@@ -367,7 +369,8 @@ fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Res
     };
     let detail = f64_of(bytes, "detail")?;
     let scene = Scene { width: blank.width, height: blank.height, blend: blank.blend, background };
-    let brief = Brief { effort, count, is_priced, is_base, enough, seed };
+    let hidden = if keeps_hidden { HiddenColors::Keep } else { HiddenColors::Continue };
+    let brief = Brief { effort, count, is_priced, is_base, enough, seed, hidden };
     Ok(Whole { source: cut, scene, brief, blank, weights, detail })
 }
 

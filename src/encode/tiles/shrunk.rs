@@ -2,6 +2,7 @@
 
 use crate::error::Result;
 use crate::gaussian::Channels;
+use crate::options::HiddenColors;
 use crate::pixel_source::{PixelSource, check_area};
 use crate::pixels::{Depth, Pixels, Samples};
 
@@ -13,12 +14,13 @@ pub(super) struct Shrunk<'a> {
     source: &'a dyn PixelSource,
     /// Side of the squares, pixels.
     by: u32,
+    hidden: HiddenColors,
 }
 
 impl<'a> Shrunk<'a> {
     /// Makes squares of `by` pixels a side one pixel each; those at the right and the lower border may be cut off.
-    pub(super) fn new(source: &'a dyn PixelSource, by: u32) -> Self {
-        Shrunk { source, by }
+    pub(super) fn new(source: &'a dyn PixelSource, by: u32, hidden: HiddenColors) -> Self {
+        Shrunk { source, by, hidden }
     }
 }
 
@@ -56,8 +58,12 @@ impl PixelSource for Shrunk<'_> {
             let [top, bottom] = [at(rows, 1), at((rows + ROWS as u32).min(y + height), 1)];
             let pixels = self.source.part([left, top, right - left, bottom - top])?;
             match (pixels.samples(), &mut samples) {
-                (Samples::U8(v), Samples::U8(out)) => out.extend(means(v, &pixels, self.by, |v| v as u8)),
-                (Samples::U16(v), Samples::U16(out)) => out.extend(means(v, &pixels, self.by, |v| v as u16)),
+                (Samples::U8(v), Samples::U8(out)) => {
+                    out.extend(means(v, &pixels, (self.by, self.hidden), |v| v as u8))
+                }
+                (Samples::U16(v), Samples::U16(out)) => {
+                    out.extend(means(v, &pixels, (self.by, self.hidden), |v| v as u16))
+                }
                 _ => unreachable!("a part has the depth of its picture"),
             }
         }
@@ -65,11 +71,16 @@ impl PixelSource for Shrunk<'_> {
     }
 }
 
-/// Returns the means of squares of `by` pixels a side, rounded; colours count by their opacity.
-fn means<T: Copy + Into<u64>>(samples: &[T], pixels: &Pixels, by: u32, sample: impl Fn(u64) -> T) -> Vec<T> {
+/// Returns the means of squares of `by` pixels a side, rounded; colours count by their opacity, unless hidden ones are kept.
+fn means<T: Copy + Into<u64>>(
+    samples: &[T],
+    pixels: &Pixels,
+    (by, hidden): (u32, HiddenColors),
+    sample: impl Fn(u64) -> T,
+) -> Vec<T> {
     let (channels, by) = (pixels.channels(), by as usize);
     let [width, height] = [pixels.width(), pixels.height()].map(|v| v as usize);
-    let (count, alpha) = (channels.count(), channels.alpha());
+    let (count, alpha) = (channels.count(), channels.alpha().filter(|_| hidden == HiddenColors::Continue));
     let mut out = Vec::with_capacity(width.div_ceil(by) * height.div_ceil(by) * count);
     // For each column of squares: the sum of each channel times its weight, then the sums of the weights of colours and of pixels.
     let mut sums = vec![[0u64; 6]; width.div_ceil(by)];
@@ -107,7 +118,7 @@ mod tests {
     fn pixels_are_means_of_squares_and_colours_count_by_their_opacity() {
         let values = [200, 255, 100, 0, 50, 255, 10, 255, 30, 85, 90, 170];
         let picture = Pixels::new(3, 2, Channels::GreyAlpha, Samples::U8(values.to_vec())).unwrap();
-        let half = Shrunk::new(&picture, 2);
+        let half = Shrunk::new(&picture, 2, HiddenColors::Continue);
         assert_eq!(half.size(), [2, 1]);
         let all = half.part([0, 0, 2, 1]).unwrap();
         let rounded = |v: f64| (v + 0.5) as u8;
@@ -123,7 +134,7 @@ mod tests {
             let samples = (0..width * height * channels.count() as u32).map(|i| (i.wrapping_mul(40_503) >> 3) as u16);
             let picture = Pixels::new(width, height, channels, Samples::U16(samples.collect())).unwrap();
             for by in [1, 2, 4] {
-                let small = Shrunk::new(&picture, by);
+                let small = Shrunk::new(&picture, by, HiddenColors::Continue);
                 let [width, height] = small.size();
                 let all = small.part([0, 0, width, height]).unwrap();
                 for area in [[0, 0, 1, 1], [3, 2, 4, 3], [width - 2, height - 3, 2, 3]] {

@@ -10,7 +10,7 @@ use crate::fit::model::target::masking::{self, Means};
 use crate::fit::model::target::planes::Planes;
 use crate::fit::model::target::structure;
 use crate::fit::plan::Plan;
-use crate::options::Tune;
+use crate::options::{HiddenColors, Tune};
 use crate::pixel_source::PixelSource;
 
 /// What is asked of the fit of all tiles.
@@ -27,6 +27,8 @@ pub(super) struct Brief {
     pub enough: f64,
     /// Seed of everything random.
     pub seed: u64,
+    /// Whether colours under alpha 0 count.
+    pub hidden: HiddenColors,
 }
 
 /// Properties of the picture that all tiles share.
@@ -90,7 +92,7 @@ impl Survey {
         let (mut mean, mut detail) = ([0.0f64; 4], 0.0);
         for (i, tile) in tiles.iter().enumerate() {
             show(i as f32 / tiles.len() as f32)?;
-            let planes = Planes::new(&source.part(tile.core.bounds())?);
+            let planes = Planes::with_hidden(&source.part(tile.core.bounds())?, brief.hidden);
             let share = tile.core.pixels() / area;
             mean.iter_mut().zip(planes.mean).for_each(|(m, v)| *m += share * f64::from(v));
             detail += sample::detail(&planes, room);
@@ -131,7 +133,7 @@ impl<'a> Whole<'a> {
 
     /// Returns the pixels of a part, whose errors count alike.
     pub(super) fn bare_planes(&self, area: &Area) -> Result<Planes> {
-        Ok(Planes::new(&self.source.part(area.bounds())?))
+        Ok(Planes::with_hidden(&self.source.part(area.bounds())?, self.brief.hidden))
     }
 
     /// Returns the scene of a part.

@@ -175,7 +175,7 @@ pub fn error_within(
     output: Output,
 ) -> f64 {
     let Problem { target, .. } = *problem;
-    let (count, alpha) = (target.channels.count(), target.channels.alpha());
+    let (count, alpha) = (target.channels.count(), target.opacity);
     let row_size = (count + 1) * target.stride;
     Field::default().sum_of_bands(problem, projected, Output::Picture, lines.clone(), &|_, first, planes| {
         let mut error = 0.0;
@@ -277,7 +277,7 @@ impl<const C: usize> Task for BandTask<'_, C> {
         for i in 0..count {
             let y = rows.row(first + i);
             let row = &mut band[i * row_size..][..row_size];
-            let alpha = target.channels.alpha();
+            let alpha = target.opacity;
             let amplitudes = amplitudes(target, y, output);
             error += resolve_row::<S, C>(simd, scene, (target.row(y), alpha, amplitudes), (row, stride), output);
         }

@@ -189,7 +189,7 @@ fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet, cells: &mut Cell
     cells.values.resize(width * height * each, 0.0);
     parallel::map_chunks(&mut cells.values, (width * each).max(1), |i, out| {
         let (wanted, amplitude) = (target.row(rows.row(i)), target.amplitude(rows.row(i)));
-        let opaque = target.channels.alpha().map(|a| (a, &wanted[a * target.stride..][..length]));
+        let opaque = target.opacity.map(|a| (a, &wanted[a * target.stride..][..length]));
         let found = field.row(i, channels);
         let opacity = |k: usize| opaque.filter(|&(a, _)| a != k).map(|(_, plane)| plane);
         if (step, channels) == (1, 3) {

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use crate::gaussian::Channels;
+use crate::options::HiddenColors;
 use crate::parallel;
 use crate::pixels::Pixels;
 use crate::simd::LANES;
@@ -19,7 +20,9 @@ pub struct Planes {
     pub amplitude: Vec<f32>,
     /// Square root of how much a squared error in each channel counts.
     pub channel_amplitude: [f32; 4],
-    /// Mean colour; colours of transparent pixels do not count.
+    /// Channel by which the errors of colours are weighted: alpha, unless hidden colours are kept.
+    pub opacity: Option<usize>,
+    /// Mean colour; colours count by [`opacity`](Planes::opacity).
     pub mean: [f32; 4],
 }
 
@@ -29,7 +32,20 @@ pub fn stride(width: u32) -> usize {
 }
 
 impl Planes {
+    /// Returns the planes of `pixels`, whose colours count by their alpha.
     pub fn new(pixels: &Pixels) -> Self {
+        Planes::weighted_by(pixels, pixels.channels().alpha())
+    }
+
+    /// Returns the planes of `pixels`; what of colours under alpha 0 counts is as `hidden` says.
+    pub fn with_hidden(pixels: &Pixels, hidden: HiddenColors) -> Self {
+        match hidden {
+            HiddenColors::Continue => Planes::new(pixels),
+            HiddenColors::Keep => Planes::weighted_by(pixels, None),
+        }
+    }
+
+    fn weighted_by(pixels: &Pixels, opacity: Option<usize>) -> Self {
         let (width, height, channels) = (pixels.width(), pixels.height(), pixels.channels());
         let (count, stride, w) = (channels.count(), stride(width), width as usize);
         let mut planes = vec![0.0f32; height as usize * count * stride];
@@ -37,11 +53,11 @@ impl Planes {
             let mut sum = [0.0f64; 5];
             for x in 0..w {
                 let first = (y * w + x) * count;
-                let weight = channels.alpha().map_or(1.0, |a| f64::from(pixels.value(first + a)));
+                let weight = opacity.map_or(1.0, |a| f64::from(pixels.value(first + a)));
                 for k in 0..count {
                     let v = pixels.value(first + k);
                     row[k * stride + x] = v;
-                    sum[k] += f64::from(v) * if channels.alpha() == Some(k) { 1.0 } else { weight };
+                    sum[k] += f64::from(v) * if opacity == Some(k) { 1.0 } else { weight };
                 }
                 sum[4] += weight;
             }
@@ -55,11 +71,21 @@ impl Planes {
         }
         let area = f64::from(width) * f64::from(height);
         let mean = std::array::from_fn(|k| {
-            let weight = if channels.alpha() == Some(k) { area } else { sum[4] };
+            let weight = if opacity == Some(k) { area } else { sum[4] };
             if weight > 0.0 { (sum[k] / weight) as f32 } else { 0.0 }
         });
         let planes = Arc::new(planes);
-        Planes { width, height, channels, stride, planes, amplitude: Vec::new(), channel_amplitude: [1.0; 4], mean }
+        Planes {
+            width,
+            height,
+            channels,
+            stride,
+            planes,
+            amplitude: Vec::new(),
+            channel_amplitude: [1.0; 4],
+            opacity,
+            mean,
+        }
     }
 
     /// The planes of row `y`.
@@ -81,7 +107,7 @@ impl Planes {
 
     /// Returns the picture at half its size: means of 2 × 2 pixels, borders repeated. Colours count by their opacity.
     pub fn halved(&self) -> Planes {
-        let (count, alpha) = (self.channels.count(), self.channels.alpha());
+        let (count, alpha) = (self.channels.count(), self.opacity);
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let (stride, last) = (stride(width), self.width as usize - 1);
         let below = |y: usize| [2 * y as u32, (2 * y as u32 + 1).min(self.height - 1)];

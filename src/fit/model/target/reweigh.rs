@@ -121,7 +121,7 @@ fn lumas(target: &Planes, field: &Field) -> [Vec<f32>; 2] {
                 let sum =
                     luma.iter().enumerate().map(|(k, l)| l * row[k * target.stride + x].clamp(0.0, 1.0)).sum::<f32>();
                 // Colours count by the target's opacity.
-                *o = sum * target.channels.alpha().map_or(1.0, |a| wanted[a * target.stride + x]);
+                *o = sum * target.opacity.map_or(1.0, |a| wanted[a * target.stride + x]);
             }
         });
         plane

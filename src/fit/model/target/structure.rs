@@ -163,7 +163,7 @@ impl Loss {
                 let mut h = 0.0;
                 for k in 0..channels {
                     let (v, t) = (colors[k * stride + x], truth[k * stride + x]);
-                    let opacity = target.channels.alpha().filter(|&a| a != k).map_or(1.0, |a| truth[a * stride + x]);
+                    let opacity = target.opacity.filter(|&a| a != k).map_or(1.0, |a| truth[a * stride + x]);
                     let sign = if v == t { 0.0 } else { (v - t).signum() };
                     let slope = absolute * sign - (1.0 - absolute) * slopes[k][y * width + x];
                     let g = if (0.0..=1.0).contains(&v) { slope * opacity * inverse } else { 0.0 };
