@@ -3,7 +3,7 @@
     python3 examples/python/learn_detail.py target/release/ssplat PICTURES... --work FOLDER
 
 Each picture is encoded at three ratios, with both presets, as it is, at half its size and in grey; pictures of more than 2 megapixels
-are cut to their middle as well. Pillow is needed. What was learnt on is named in docs/STUDIES.md.
+are cut to their middle as well. Pillow is needed. docs/studies/detail-layer.md names the pictures.
 """
 import argparse
 import os

@@ -1,4 +1,4 @@
-"""Measures what the detail layer brings: the table "Two layers" of docs/STUDIES.md.
+"""Measures what the detail layer brings: the table of docs/studies/detail-layer.md.
 
     python3 examples/python/two_layers.py PICTURES... --program NAME=target/release/ssplat [--program NAME=OTHER] [--ratio 20 50 100 200]
 

@@ -143,10 +143,12 @@ fn markdown(args: &BenchMethods, pictures: &[String], steps: &[Step], found: &[V
         format!("# From SmartSplat's pipeline to ours\n\n```sh\n{}\n```\n\n", page::command(std::env::args()));
     let _ = writeln!(
         out,
-        "Pictures: {}. Seeds {}. Effort {}. Every file has as many bytes as its ratio at most, and as many Gaussians as the encoder \
-         finds best for them. Each row has what the rows above it have, and what it names; the last two change ours in one thing \
-         each. PSNR is the mean over pictures and seeds, ± half the spread of the seeds, at its largest of a picture. Iterations are \
-         the same in number for all. All are drawn with the format's kernel, which ends at 3.33 scales. Every file is in `ablation.csv`.",
+        "Pictures: {}. Seeds {}. Effort {}.\n\
+         \n\
+         Every file has at most the number of bytes of its ratio, and as many Gaussians as the encoder finds best. Each row\n\
+         adds the named change to the rows above it; each of the last two rows changes one thing in ssplat. PSNR is the mean\n\
+         over pictures and seeds, ± half the spread of the seeds for the picture where it is largest. All rows use the same\n\
+         number of iterations and the format's kernel, which ends at 3.33 scales. `ablation.csv` lists every file.",
         pictures.join(", "),
         seeds.join(", "),
         args.effort,

@@ -56,15 +56,23 @@ pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String
     let seeds: Vec<String> = args.seeds.iter().map(u64::to_string).collect();
     let _ = writeln!(
         out,
-        "Pictures: {}. Seeds {}: means, and after ± half the spread from the least to the largest. Iterations \
-         of the other methods, on the CPU, are beside those that are published (LIG has so many for each level, GaussianImage as many \
-         again for its second stage, which is not in the seconds); ours and SmartSplat run at effort {}. Float PSNR and float MS-SSIM are of the method's own picture of its \
-         floats; our encoder keeps no such picture, only its PSNR. Files have as many bytes as the heading says at most: ours and \
-         SmartSplat's by the encoder, with as many Gaussians as it finds best; the others' by import of the Gaussians of the row, at \
-         the finest steps that fit. What is marked *est.* is no file: rounded numbers at the entropy of their codes, drawn by the \
-         method. The last figures are the bytes that the method's own program counts for its rounded numbers, and the PSNR of the \
-         picture that it draws of them; no file is written there either. *Coded* is with GaussianImage's codes through an entropy \
-         coder and its tables, which its program can do and its published sizes have not. Every fit is in `methods.csv`.\n",
+        "Pictures: {}.\n\
+         Seeds {}: means, and after ± half the distance between the smallest and the largest value.\n\
+         \n\
+         - **Iterations.** For the other methods, which run on the CPU, the table shows the iterations that were run and those\n\
+         \x20\x20that are published. LIG runs this number on each level, and GaussianImage runs the same number again in its second\n\
+         \x20\x20stage, which is not included in the times. ssplat and SmartSplat run at effort {}.\n\
+         - **Float PSNR and float MS-SSIM** are those of the method's own picture before quantization. The encoder of ssplat\n\
+         \x20\x20does not keep such a picture, only its PSNR.\n\
+         - **Files** have at most the number of bytes in the heading. Those of ssplat and SmartSplat come from the encoder,\n\
+         \x20\x20with as many Gaussians as it finds best. Those of the other methods come from importing the Gaussians of the row, at\n\
+         \x20\x20the finest precision that fits.\n\
+         - ***est.*** marks an estimate, not a file: rounded values at the entropy of their codes, rendered by the method.\n\
+         - **Own count** is the number of bytes that the method's own program counts for its rounded values, and the PSNR of\n\
+         \x20\x20the picture that it renders from them. No file is written for it either. *Coded* stores GaussianImage's codes with\n\
+         \x20\x20an entropy coder and its tables. The program of GaussianImage can do this, but its published sizes do not.\n\
+         \n\
+         `methods.csv` has every fit.\n",
         joined(sides),
         joined(&seeds),
         args.effort
