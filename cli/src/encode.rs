@@ -222,9 +222,16 @@ fn refusal(input: &Path, error: &Error) -> Failure {
 fn missed(options: &EncodeOptions, report: &EncodeReport) -> Option<String> {
     // Files are within half a point where they can be.
     const CLOSE: f64 = 0.5;
-    let (Target::Quality(asked), Some(found)) = (options.target, report.quality) else { return None };
-    let is_missed = (found - asked).abs() > CLOSE;
-    is_missed.then(|| format!("--quality {asked} was not met: the file has {found:.1}"))
+    let within = options.time.map_or_else(String::new, |time| format!(" within {:.1} s", time.as_secs_f64()));
+    match (options.target, report.quality) {
+        (Target::Quality(asked), Some(found)) if (found - asked).abs() > CLOSE => {
+            Some(format!("--quality {asked} was not met{within}: the file has {found:.1}"))
+        }
+        (Target::Psnr(asked), _) if report.psnr < asked => {
+            Some(format!("--psnr {asked} was not met{within}: the file has {:.2} dB", report.psnr))
+        }
+        _ => None,
+    }
 }
 
 /// A PSNR in words. That of the encoder is before rounding to code values: above some value all of these are equal.

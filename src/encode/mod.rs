@@ -1,9 +1,8 @@
 //! Pixels to bytes: the whole encoder behind one function.
 //!
-//! `aim` says with how many primitives a fit begins and how often one is tried, `job` does a fit and has it rounded,
+//! `rate_control` says with how many primitives a fit begins and how often one is tried, `job` does a fit and has it rounded,
 //! `file` writes the smallest file of the integers.
 
-mod aim;
 mod channels;
 mod clock;
 mod constant;
@@ -15,8 +14,7 @@ mod hidden;
 mod job;
 mod left_out;
 mod prune;
-#[cfg(feature = "quality")]
-mod quality;
+mod rate_control;
 mod report;
 mod subject;
 mod thumbnail;
@@ -33,7 +31,6 @@ use crate::options::{Detail, EncodeOptions, HiddenColors, Trace};
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
 use crate::target::Target;
-use aim::MAX_PRIMITIVES;
 use clock::Clock;
 use device::Choice;
 pub use device::Chosen;
@@ -42,6 +39,7 @@ pub use file::divide;
 pub(crate) use file::smallest;
 use job::{Encoding, decibels};
 pub use left_out::{LeftOut, Omission};
+use rate_control::MAX_PRIMITIVES;
 use report::Journal;
 pub use report::{Progress, StageTime};
 use subject::{Subject, may_leave_out};

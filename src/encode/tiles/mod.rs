@@ -19,7 +19,6 @@ mod whole;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::aim::{count_for, size_asked};
 use super::channels::widen;
 use super::detail::divide::base_in_tiles;
 use super::detail::layer_in_parts;
@@ -29,6 +28,7 @@ use super::file;
 use super::hidden::Continued;
 use super::job::{decibels, enough, excess};
 use super::left_out::Omission;
+use super::rate_control::{count_for, size_asked};
 use super::report::{Journal, Progress};
 use super::subject::{self, may_leave_out, too_small};
 use super::thumbnail;

@@ -17,7 +17,7 @@ use crate::bitstream::bytes::Bytes;
 use crate::bitstream::checksum::hash;
 use crate::bitstream::rules::Rules;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
-use crate::encode::aim::MAX_PRIMITIVES;
+use crate::encode::rate_control::MAX_PRIMITIVES;
 use crate::encode::report::Progress;
 use crate::error::{Error, FormatError, Result};
 use crate::fit::model::drawing::project::Primitive;

@@ -1,11 +1,12 @@
 //! A file of a quality that is asked for: the size is found by trying, and what is too good is taken out.
 
-use super::channels::widen;
-use super::file;
-use super::job::{Encoding, Outcome};
-use super::left_out::Omission;
-use super::subject::stored_scene;
+use super::search::{Aim, Curve, Search, Try};
 use crate::bitstream::splats::PackedSplats;
+use crate::encode::channels::widen;
+use crate::encode::file;
+use crate::encode::job::{Encoding, Outcome};
+use crate::encode::left_out::Omission;
+use crate::encode::subject::stored_scene;
 use crate::error::{Error, Result};
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::placing::removal;
@@ -17,23 +18,18 @@ use crate::round::rounded::projected;
 use crate::round::size::Size;
 use crate::ssimulacra2::{LEAST, ssimulacra2};
 
-/// Fits at most.
-const TRIES: u32 = 3;
-/// Parts of a budget of time: one for each try, and one for taking out what is too good.
-const TIMED_PARTS: u32 = TRIES + 1;
+/// Most tries. Later ones mostly keep the Gaussians of the ones before.
+const MAX_TRIES: usize = 6;
+/// Parts of a budget of time: one for each of three tries, and one for taking out what is too good.
+const TIMED_PARTS: u32 = 4;
 /// Points by which a file may miss what is asked for.
 const CLOSE: f64 = 0.5;
 /// Points above it that a try aims at: what is better can be made worse without another fit, not the other way round.
 const ABOVE: f64 = 0.25;
 /// A try this far above is near enough to be made worse instead of trying again.
-const NEAR: f64 = 1.5;
+const NEAR: f64 = 2.5;
 /// Primitives that are taken out one by one where some at a time are too many.
 const SINGLE: usize = 24;
-/// Fewest bytes that are tried, without those of metadata.
-const LEAST_TRIED: f64 = 64.0;
-/// Share of the raw bytes that are tried at most.
-const MOST_TRIED: f64 = 1.0;
-
 /// The curve that pictures are taken to have until theirs is known: halvings of the raw bytes, and points. Kodak, the means of
 /// twelve pictures from 20 on; pictures differ by a shift along the first axis for the most part.
 /// `cargo run --release -p ssplat-lab --example rate_distortion -- KODAK` measures it.
@@ -57,27 +53,22 @@ fn halvings(points: f64) -> f64 {
     from + (to - from) * (high - points) / (high - low)
 }
 
-/// A try: halvings of the raw bytes that it took, and points.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Try {
-    halvings: f64,
-    points: f64,
-}
+/// Points of pictures, which differ from that curve by a shift along the sizes for the most part.
+struct Points;
 
-/// Returns the halvings at which `wanted` points are expected after `tries`, the last of which say most.
-fn expected(tries: &[Try], wanted: f64) -> f64 {
-    let at = halvings(wanted);
-    match tries {
-        [] => at,
-        [one] => one.halvings + at - halvings(one.points),
-        [.., a, b] => {
-            // Two tries on the curve's own scale: a straight line through both.
-            let [from, to] = [halvings(a.points), halvings(b.points)];
-            let slope = (b.halvings - a.halvings) / (to - from);
-            // Tries that are close together, or scatter, say nothing of the slope.
-            let slope = if slope.is_finite() { slope.clamp(0.5, 2.0) } else { 1.0 };
-            b.halvings + slope * (at - to)
-        }
+impl Curve for Points {
+    fn size(&self, score: f64) -> f64 {
+        -halvings(score)
+    }
+
+    fn beyond(&self, tried: Try, wanted: f64) -> f64 {
+        tried.size + halvings(tried.score) - halvings(wanted)
+    }
+
+    fn between(&self, low: Try, high: Try, wanted: f64) -> f64 {
+        // A straight line on the curve's own scale.
+        let [from, to, at] = [low.score, high.score, wanted].map(|score| -halvings(score));
+        low.size + (high.size - low.size) * (at - from) / (to - from)
     }
 }
 
@@ -96,27 +87,22 @@ impl Encoding<'_> {
         let raw = self.subject.samples();
         let carried = self.carried()?;
         let share = self.clock.left().map(|time| time / TIMED_PARTS);
+        let aim = Aim { enough: wanted - CLOSE, aim: wanted + ABOVE, sizes: super::sizes_tried(raw), tries: MAX_TRIES };
+        let mut search = Search::new(Points, aim);
         let mut best: Option<(f64, Outcome)> = None;
-        let mut tries: Vec<Try> = Vec::new();
-        while (tries.len() as u32) < TRIES {
-            if !tries.is_empty() && self.clock.left() < share {
+        while let Some(size) = search.next() {
+            if best.is_some() && self.clock.left() < share {
                 break;
             }
             self.share = share;
-            let bytes =
-                (raw / expected(&tries, wanted + ABOVE).exp2()).clamp(LEAST_TRIED, (MOST_TRIED * raw).max(LEAST_TRIED));
-            let outcome = self.layered(Size::Bytes(carried + bytes as u64))?;
+            let outcome = self.layered(Size::Bytes(carried + (raw * size.exp2()) as u64))?;
             let points = self.points(&outcome.splats)?;
-            tries.push(Try { halvings: (raw / bytes).log2(), points });
-            let is_better = best.as_ref().is_none_or(|(found, _)| is_better(points, *found, wanted));
-            if is_better {
+            search.note(size, points);
+            let near = if can_be_worsened(&outcome) { NEAR } else { CLOSE };
+            if best.as_ref().is_none_or(|(found, _)| is_better(points, *found, wanted)) {
                 best = Some((points, outcome));
             }
-            if (-CLOSE..NEAR).contains(&(points - wanted)) {
-                break;
-            }
-            // Neither end can be passed.
-            if (points < wanted && bytes >= MOST_TRIED * raw) || (points > wanted && bytes <= LEAST_TRIED) {
+            if (-CLOSE..=near).contains(&(points - wanted)) {
                 break;
             }
         }
@@ -140,8 +126,7 @@ impl Encoding<'_> {
 
     /// Takes out the primitives that are missed least, as long as `wanted` points are left.
     fn worsen(&mut self, outcome: &mut Outcome, wanted: f64) -> Result<()> {
-        // The value of a primitive is not known for files with levels or a detail layer.
-        if !outcome.splats.levels.is_empty() || outcome.splats.detail.is_some() {
+        if !can_be_worsened(outcome) {
             return Ok(());
         }
         let clock = self.journal.seconds();
@@ -203,6 +188,11 @@ impl Encoding<'_> {
     }
 }
 
+/// Tells whether primitives can be taken out of a file one by one: their value is not known for files with levels or a detail layer.
+fn can_be_worsened(outcome: &Outcome) -> bool {
+    outcome.splats.levels.is_empty() && outcome.splats.detail.is_none()
+}
+
 /// Tells whether a file of `points` is more of what is wanted than one that has `found`: of two that are good enough the worse
 /// one, which is the smaller; else the better one.
 fn is_better(points: f64, found: f64, wanted: f64) -> bool {
@@ -239,12 +229,18 @@ mod tests {
             p + (q - p) * (at - a) / (b - a)
         };
         for wanted in [30.0, 50.0, 70.0, 85.0] {
-            let mut tries = Vec::new();
-            for _ in 0..TRIES {
-                let halvings = expected(&tries, wanted);
-                tries.push(Try { halvings, points: measured(halvings) });
+            let aim = Aim { enough: wanted - CLOSE, aim: wanted, sizes: [-9.0, 0.0], tries: MAX_TRIES };
+            let mut search = Search::new(Points, aim);
+            let (mut tries, mut points) = (0, 0.0);
+            while let Some(size) = search.next() {
+                points = measured(-size);
+                search.note(size, points);
+                tries += 1;
+                if (points - wanted).abs() < CLOSE {
+                    break;
+                }
             }
-            assert!((tries[2].points - wanted).abs() < CLOSE, "{wanted}: {tries:?}");
+            assert!((points - wanted).abs() < CLOSE && tries <= 3, "{wanted}: {points} after {tries}");
         }
     }
 

@@ -1,13 +1,18 @@
-//! From what is asked for to a file of that kind: with how many primitives a fit begins, and how often one is tried.
+//! Rate control: from the target of an encode to the size of its file, the primitives that a fit begins with, and the number of tries.
+
+mod psnr;
+#[cfg(feature = "quality")]
+mod quality;
+mod search;
 
 use super::channels::widen;
 use super::constant::{constant, is_constant};
-use super::job::{Encoding, Outcome, decibels, stored_error};
+use super::job::{Encoding, Outcome, stored_error};
 use super::left_out::Omission;
 use super::subject::{may_leave_out, too_small};
 use super::thumbnail;
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::fit::model::target::planes::Planes;
 use crate::gaussian::Blend;
 use crate::options::{EncodeOptions, Needs};
@@ -133,61 +138,6 @@ impl Encoding<'_> {
         }
     }
 
-    fn at_psnr(&mut self, wanted: f64) -> Result<Outcome> {
-        let raw = self.subject.samples();
-        // The search is over the bytes of the picture; those of the metadata are added.
-        let carried = self.carried()?;
-        let share = self.clock.left().map(|time| time / TIMED_PARTS);
-        let mut bytes = (raw / 50.0).max(LEAST_TRIED);
-        let mut best: Option<Outcome> = None;
-        let mut reached: f64 = 0.0;
-        // Last tries below and above the wanted PSNR: bytes a sample and decibels.
-        let (mut below, mut above): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
-        for _ in 0..TRIES {
-            // A budget of time is that of all tries: one that begins late would be a worse fit, and say little.
-            let left = self.clock.left();
-            if reached > 0.0 && left < share.map(|s| s + s / 2) {
-                break;
-            }
-            self.share = share;
-            let outcome = self.layered(Size::Bytes(carried + bytes as u64))?;
-            let got = decibels(self.whole_error(&outcome.splats), raw);
-            reached = reached.max(got);
-            if got >= wanted {
-                above = Some([bytes / raw, got]);
-                if best.as_ref().is_none_or(|b| outcome.bytes.len() < b.bytes.len()) {
-                    best = Some(outcome);
-                }
-                if got - wanted < CLOSE {
-                    break;
-                }
-            } else {
-                below = Some([bytes / raw, got]);
-            }
-            bytes = match (below, above) {
-                (Some(low), Some(high)) if high[0] / low[0] < 1.01 => break,
-                (Some(low), Some(high)) => raw * between(low, high, wanted + CLOSE / 2.0),
-                (Some(_), None) if bytes >= raw => break,
-                (None, Some(_)) if bytes <= LEAST_TRIED => break,
-                _ => {
-                    let at = raw * bytes_at(expected(bytes / raw) + wanted - got + CLOSE / 2.0);
-                    at.clamp(0.05 * bytes, 20.0 * bytes).min(raw).max(LEAST_TRIED)
-                }
-            };
-        }
-        let Some(mut best) = best else {
-            let within = self.subject.options.time.map(|t| format!(" within {:.1} s", t.as_secs_f64()));
-            let within = within.unwrap_or_default();
-            let problem = format!("{wanted} dB cannot be reached{within}: the best fit has {reached:.2} dB");
-            return Err(Error::Parameter { name: "psnr", problem });
-        };
-        // Where channels were left out, what they add to the error is not known here.
-        if self.subject.options.needs == Needs::Measured && self.subject.is_whole() {
-            self.prune(&mut best, raw * 10f64.powf(-0.1 * wanted))?;
-        }
-        Ok(best)
-    }
-
     /// Fits a picture of `size` with about `count` primitives to begin with, and puts back what was left out.
     fn at_count(&mut self, count: usize, size: Size) -> Result<Outcome> {
         // Bytes that the constant channels may take; corrected if they are too few.
@@ -228,39 +178,17 @@ impl Encoding<'_> {
     }
 }
 
-/// Most tries of a search for a PSNR.
-const TRIES: u32 = 6;
-/// Parts of a budget of time: one for each of four tries, and one for taking out what is not needed. Most searches take no
-/// more tries.
-const TIMED_PARTS: u32 = 5;
-/// Decibels above the wanted ones at which the search ends.
-const CLOSE: f64 = 0.1;
-/// Fewest bytes that the search tries, without those of metadata.
-const LEAST_TRIED: f64 = 64.0;
+/// Fewest bytes that a search tries, without those of metadata.
+const MIN_TRIED_BYTES: f64 = 64.0;
+/// The most that a search tries, over the raw bytes: noise takes more than these.
+const MAX_TRIED: f64 = 2.0;
+/// The same for pictures of a few pixels, bytes.
+const MAX_TRIED_BYTES: f64 = 512.0;
 
-/// Returns about the decibels that so many bytes a sample have beside those of other numbers. In small files doubling them wins 2.5 dB, and in large
-/// ones each further bit of a sample wins 6: Kodak has 2.8 dB more at a ratio of 50 than at 100, and 4.7 more at 20.
-fn expected(bytes: f64) -> f64 {
-    2.5 * bytes.log2() + 6.0 * 8.0 * bytes
-}
-
-/// Returns the bytes a sample, up to 1, that have so many of these decibels.
-fn bytes_at(decibels: f64) -> f64 {
-    // Halves of what is left of 64 doublings.
-    let (mut low, mut high) = (-64.0, 0.0f64);
-    for _ in 0..40 {
-        let middle = 0.5 * (low + high);
-        if expected(middle.exp2()) < decibels { low = middle } else { high = middle }
-    }
-    high.exp2()
-}
-
-/// Returns the bytes a sample between two tries at which `wanted` decibels may be met.
-fn between(low: [f64; 2], high: [f64; 2], wanted: f64) -> f64 {
-    // Never next to either: decibels scatter by some tenths from fit to fit.
-    let share = ((wanted - low[1]) / (high[1] - low[1])).clamp(0.1, 0.9);
-    let [from, to] = [low, high].map(|at| expected(at[0]));
-    bytes_at(from + share * (to - from))
+/// Returns the smallest and the largest size that a search tries for a picture of `raw` samples: binary logarithms of bytes a
+/// sample.
+fn sizes_tried(raw: f64) -> [f64; 2] {
+    [MIN_TRIED_BYTES, (MAX_TRIED * raw).max(MAX_TRIED_BYTES)].map(|bytes| (bytes / raw).log2())
 }
 
 /// Bytes by which a file is larger than it may be.
@@ -268,20 +196,5 @@ fn over(bytes: &[u8], size: Size) -> u64 {
     match size {
         Size::Bytes(most) => (bytes.len() as u64).saturating_sub(most),
         Size::Free => 0,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn bytes_are_found_by_their_decibels() {
-        for bytes in [1e-9, 0.003, 0.02, 0.1, 0.4, 1.0] {
-            assert!((bytes_at(expected(bytes)) / bytes - 1.0).abs() < 1e-6, "{bytes}");
-        }
-        assert_eq!(bytes_at(1e9), 1.0);
-        let found = between([0.02, 34.0], [0.05, 39.0], 36.0);
-        assert!(found > 0.02 && found < 0.05, "{found}");
     }
 }

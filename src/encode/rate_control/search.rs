@@ -1,0 +1,185 @@
+//! The search for the smallest file that reaches a score: a bracket of two file sizes that narrows from try to try.
+//!
+//! It knows no pictures: sizes are binary logarithms of bytes per raw byte, and scores are decibels or points, which grow with the
+//! size but for some scatter from fit to fit. So the smallest file that reached the score and the largest below it that did not are
+//! the bracket, whatever other tries say.
+
+/// How the score of a typical picture grows with the size of its file.
+pub(super) trait Curve {
+    /// Returns the size at which a typical picture has this score.
+    fn size(&self, score: f64) -> f64;
+    /// Returns the size at which a picture that was tried once is expected to have the score `wanted`.
+    fn beyond(&self, tried: Try, wanted: f64) -> f64;
+    /// Returns the size between two tries at which the score `wanted` is expected.
+    fn between(&self, low: Try, high: Try, wanted: f64) -> f64;
+}
+
+/// One file that was made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Try {
+    /// Binary logarithm of its bytes per raw byte, as they were asked for.
+    pub size: f64,
+    /// Its decibels or points.
+    pub score: f64,
+}
+
+/// What a search looks for, and within which bounds.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Aim {
+    /// Score that a file must have at least.
+    pub enough: f64,
+    /// Score that tries aim at, at least `enough`.
+    pub aim: f64,
+    /// Smallest and largest size.
+    pub sizes: [f64; 2],
+    /// Most tries. The last ones are for the largest size, if no smaller one was enough.
+    pub tries: usize,
+}
+
+/// Tries without a file that is good enough after which the largest is tried.
+const SMALLER: usize = 5;
+/// A bracket of sizes that differ by less than this binary logarithm (1 %) is not narrowed any further.
+const NARROW: f64 = 0.014;
+/// Least growth or decrease of a size after the first try, and its factor for each further one that did not find the other side.
+const MIN_STEP: f64 = 0.05;
+const STEP_GROWTH: f64 = 3.0;
+/// Most of that.
+const MAX_STEP: f64 = 4.5;
+/// Share of a bracket that a try stays away from its ends: scores scatter from fit to fit.
+const INSIDE: f64 = 0.1;
+
+/// A search on its way.
+pub(super) struct Search<C> {
+    curve: C,
+    aim: Aim,
+    tries: Vec<Try>,
+}
+
+impl<C: Curve> Search<C> {
+    pub(super) fn new(curve: C, aim: Aim) -> Self {
+        Search { curve, aim, tries: Vec::new() }
+    }
+
+    /// Notes the score of a file of this size.
+    pub(super) fn note(&mut self, size: f64, score: f64) {
+        self.tries.push(Try { size, score });
+    }
+
+    /// Returns the size to try next; `None` if no other one can be better, or the tries are used up.
+    pub(super) fn next(&self) -> Option<f64> {
+        let [smallest, largest] = self.aim.sizes;
+        let inside = |size: f64| Some(size.clamp(smallest, largest));
+        match self.bracket() {
+            (None, None) => inside(self.curve.size(self.aim.aim)),
+            // The largest file is not good enough.
+            (Some(low), None) if low.size >= largest => None,
+            (Some(_), None) if self.tries.len() >= SMALLER => Some(largest),
+            (Some(low), None) => inside(low.size + self.step(self.curve.beyond(low, self.aim.aim) - low.size)),
+            // Whatever else was found, the file is good enough.
+            (_, Some(_)) if self.tries.len() >= self.aim.tries => None,
+            (None, Some(high)) if high.size <= smallest => None,
+            (None, Some(high)) => inside(high.size - self.step(high.size - self.curve.beyond(high, self.aim.aim))),
+            (Some(low), Some(high)) => {
+                let width = high.size - low.size;
+                let at = self.curve.between(low, high, self.aim.aim).max(low.size + INSIDE * width);
+                (width >= NARROW).then(|| at.min(high.size - INSIDE * width))
+            }
+        }
+    }
+
+    /// Returns how far to go from a try to the other side, where the curve says `expected`.
+    fn step(&self, expected: f64) -> f64 {
+        let least = MIN_STEP * STEP_GROWTH.powi(self.tries.len() as i32 - 1);
+        if expected.is_finite() { expected.clamp(least, MAX_STEP) } else { least }
+    }
+
+    /// Returns the largest size that was not enough, below the smallest that was.
+    fn bracket(&self) -> (Option<Try>, Option<Try>) {
+        let by_size = |a: &&Try, b: &&Try| a.size.total_cmp(&b.size);
+        let high = self.tries.iter().filter(|t| t.score >= self.aim.enough).min_by(by_size).copied();
+        let is_below = |t: &&Try| t.score < self.aim.enough && high.is_none_or(|high| t.size < high.size);
+        (self.tries.iter().filter(is_below).max_by(by_size).copied(), high)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Six points for each doubling.
+    struct Straight;
+
+    impl Curve for Straight {
+        fn size(&self, score: f64) -> f64 {
+            score / 6.0 - 8.0
+        }
+
+        fn beyond(&self, tried: Try, wanted: f64) -> f64 {
+            tried.size + (wanted - tried.score) / 6.0
+        }
+
+        fn between(&self, low: Try, high: Try, wanted: f64) -> f64 {
+            low.size + (wanted - low.score) / (high.score - low.score) * (high.size - low.size)
+        }
+    }
+
+    const SIZES: [f64; 2] = [-9.0, 1.0];
+
+    /// Searches pictures whose score is `score` of the size; returns the sizes that were tried, and the smallest good one.
+    fn search(wanted: f64, score: impl Fn(f64) -> f64) -> (Vec<f64>, Option<f64>) {
+        let mut search = Search::new(Straight, Aim { enough: wanted, aim: wanted + 0.05, sizes: SIZES, tries: 8 });
+        let mut tried = Vec::new();
+        while let Some(size) = search.next() {
+            assert!((SIZES[0]..=SIZES[1]).contains(&size), "{size}");
+            search.note(size, score(size));
+            tried.push(size);
+            assert!(tried.len() < 14, "{tried:?}");
+            if (0.0..0.1).contains(&(score(size) - wanted)) {
+                break;
+            }
+        }
+        let good = tried.iter().copied().filter(|&size| score(size) >= wanted).reduce(f64::min);
+        (tried, good)
+    }
+
+    #[test]
+    fn a_score_that_some_size_has_is_found_whatever_the_slope() {
+        for slope in [0.7, 3.0, 6.0, 25.0] {
+            for at in [-8.5, -4.0, 0.0, 0.95] {
+                let (tried, good) = search(30.0, |size| 30.0 + slope * (size - at));
+                let good = good.unwrap_or_else(|| panic!("slope {slope} at {at}: {tried:?}"));
+                assert!(slope * (good - at) < 1.0 || good - at < 0.2, "slope {slope} at {at}: {good} of {tried:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_step_is_found() {
+        // Nothing but a certain size makes the picture, as with a checkerboard of single pixels.
+        for at in [-6.0, -1.0, 0.9] {
+            for wanted in [18.0, 20.0, 22.0, 30.0, 40.0] {
+                let (tried, good) = search(wanted, |size| if size < at { 6.0 } else { 60.0 });
+                assert!(good.is_some_and(|good| good - at < 1.5), "{wanted} at {at}: {good:?} of {tried:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn only_the_largest_file_proves_that_a_score_cannot_be_reached() {
+        let (tried, good) = search(90.0, |size| 20.0 + size);
+        assert!(good.is_none() && tried.last() == Some(&SIZES[1]) && tried.len() <= SMALLER + 1, "{tried:?}");
+        // The smallest file is good enough.
+        let (tried, good) = search(10.0, |size| 90.0 + size);
+        assert!(good == Some(SIZES[0]) && tried.len() <= SMALLER + 3, "{tried:?}");
+    }
+
+    #[test]
+    fn scattered_scores_keep_the_bracket() {
+        // Up to 3 points up and down.
+        let score = |size: f64| 30.0 + 6.0 * (size + 3.0) + 3.0 * (size * 977.0).sin();
+        for wanted in [10.0, 28.0, 31.0, 45.0] {
+            let (tried, good) = search(wanted, score);
+            assert!(good.is_some(), "{wanted}: {tried:?}");
+        }
+    }
+}
