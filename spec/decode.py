@@ -1100,7 +1100,7 @@ def read_tiles(b, header, lost=None):
     """What each tile adds, with where it lies; with a list `lost`, tiles that are not intact are named there."""
     places, entries = tiles_of(header), []
     try:
-        demand(lost is not None or len(places) <= len(b.data) - b.at, "index of the detail layer is cut off")
+        demand(len(places) <= len(b.data) - b.at, "index of the detail layer is cut off")
         for _ in places:
             length = b.varint("length of a tile")
             entries.append((length, int.from_bytes(b.take(2, "check of a tile"), "little") if length else 0))
