@@ -1089,6 +1089,11 @@ def wrapped(values):
 # §11.2
 
 
+def tile_count(header):
+    width, height = header.size
+    return -(-width // TILE) * -(-height // TILE)
+
+
 def tiles_of(header):
     """Left, top, width and height of each."""
     width, height = header.size
@@ -1097,20 +1102,19 @@ def tiles_of(header):
 
 
 def read_tiles(b, header, lost=None):
-    """What each tile adds, with where it lies; with a list `lost`, tiles that are not intact are named there."""
-    places, entries = tiles_of(header), []
+    """What each tile adds, with where it lies; with a list `lost`, tiles that are not intact are named there, and None is given where the index is not."""
+    count, entries = tile_count(header), []
     try:
-        demand(lost is not None or len(places) <= len(b.data) - b.at, "index of the detail layer is cut off")
-        for _ in places:
+        demand(count <= len(b.data) - b.at, "index of the detail layer is cut off")
+        for _ in range(count):
             length = b.varint("length of a tile")
             entries.append((length, int.from_bytes(b.take(2, "check of a tile"), "little") if length else 0))
     except Illegal:
         if lost is None:
             raise
-        lost += places
-        return [(place, None) for place in places]
+        return None
     tiles, at = [], b.at
-    for place, (length, check) in zip(places, entries):
+    for place, (length, check) in zip(tiles_of(header), entries):
         b.at, at = min(at, len(b.data)), at + length
         tiles.append((place, None))
         if length == 0:
@@ -1530,9 +1534,9 @@ def read_what_is_left(data, header, notes):
         background, primitives = read_primitives(part, header)
         b.at = part.at
     if header.detail:
-        tiles = read_tiles(b, header, gone)
-        notes.append(f"{len(gone)} of {len(tiles)} tiles of the detail layer are missing")
-    return background, primitives, tiles
+        tiles, count = read_tiles(b, header, gone), tile_count(header)
+        notes.append(f"{count if tiles is None else len(gone)} of {count} tiles of the detail layer are missing")
+    return background, primitives, tiles or []
 
 
 def decode(data, partial=False, size=None):

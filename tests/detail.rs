@@ -200,9 +200,11 @@ fn every_flipped_bit_costs_a_tile_at_most() {
                 assert_eq!(part.gaussians, whole.gaussians, "bit {bit}");
                 let lost = if streams.contains(&(bit / 8)) { 1 } else { missing.tiles };
                 assert_eq!(missing.tiles, lost, "bit {bit}");
-                let (some, all) = (part.detail.unwrap(), whole.detail.as_ref().unwrap());
-                assert_eq!(some.tiles() as u32, 3 - missing.tiles, "bit {bit}");
-                assert!(missing.tiles > 0 || *some == **all, "bit {bit}");
+                let (some, all) = (part.detail, whole.detail.as_ref().unwrap());
+                let there = some.as_ref().map_or(0, |some| some.tiles() as u32);
+                assert_eq!(there, 3 - missing.tiles, "bit {bit}");
+                assert!(missing.tiles > 0 || some.as_ref() == Some(all), "bit {bit}");
+                assert!(missing.damaged, "bit {bit}");
             }
             Err(e) => assert!(bit / 8 < at.payload.end, "bit {bit}: {e}"),
         }
@@ -231,6 +233,71 @@ fn an_empty_layer_of_a_huge_picture_costs_nothing_before_it_is_refused() {
             assert_eq!(value, 1 << 24);
         }
         other => panic!("{other:?}"),
+    }
+    // Of the damaged file the Gaussians are left, within a memory that no list of the tiles would fit into.
+    let mut limits = Limits::default();
+    limits.alloc = 1 << 20;
+    let (part, missing) = read_partial(&bytes, &limits).unwrap();
+    assert_eq!((missing.tiles, missing.of_tiles, missing.damaged), (1 << 24, 1 << 24, true));
+    assert!(part.gaussians.len() == 1 && part.detail.is_none());
+    let opening = Reader::new(&bytes, &limits).unwrap();
+    let corner = opening.view().crop(0, 0, 10, 10).unwrap();
+    assert_eq!(opening.read_for(&corner, Damage::Accept).unwrap().draw(&corner).unwrap().width(), 10);
+}
+
+/// A stream that is illegal at its very end has been read by then.
+#[test]
+fn levels_of_illegal_tiles_are_work() {
+    let mut head = DetailHead::PLAIN;
+    head.sizes = [[3, 3], [3, 3]];
+    let ground = scene(&Scene { channels: Channels::Grey, size: [1024, 256], count: 1, ..Scene::default() });
+    let dense = Levels { filled: 1, most: 3000, ..Levels::new(5) };
+    let good = to_bytes(&with_layer(ground, head, dense)).unwrap();
+    let mut bad = good.clone();
+    for (_, stream) in layer::layout(&good).unwrap().tiles {
+        // A stream does not end in a zero (spec §8.1).
+        bad[stream.end - 1] = 0;
+    }
+    seal::seal(&mut bad);
+    let read = |bytes: &[u8], work| {
+        let mut limits = Limits::default();
+        limits.work = work;
+        read_partial(bytes, &limits)
+    };
+    let (mut less, mut enough) = (0, 1 << 40);
+    while enough - less > 1 {
+        let work = u64::midpoint(less, enough);
+        if read(&good, work).is_ok() { enough = work } else { less = work }
+    }
+    assert_eq!(read(&good, enough).unwrap().1.tiles, 0);
+    assert_eq!(read(&bad, enough).unwrap().1.tiles, 4);
+    // Hardly any of it is the tiles themselves, and the last level may be another one.
+    assert!(enough > 20_000_000, "{enough}");
+    let few = enough - enough / 1000;
+    for bytes in [&good, &bad] {
+        assert!(matches!(read(bytes, few), Err(Error::LimitExceeded { what: "work", .. })));
+    }
+}
+
+/// A view may be that of a larger picture: beside this one its first and last pixels go on.
+#[test]
+fn views_beside_the_picture_are_the_same_however_it_was_opened() {
+    for channels in [Channels::Rgb, Channels::GreyAlpha] {
+        let bytes = to_bytes(&large(channels)).unwrap();
+        let whole = Image::from_bytes(&bytes, &Limits::default()).unwrap();
+        let larger = View::of_size(4000, 3000);
+        let mut seen = 0;
+        for [x, y, width, height] in
+            [[900, 20, 40, 30], [30, 900, 40, 30], [1500, 1200, 30, 20], [500, 280, 60, 50], [3960, 100, 40, 90]]
+        {
+            let part = larger.crop(x, y, width, height).unwrap();
+            for view in [part, part.resized(13, 9).unwrap(), part.resized(70, 64).unwrap()] {
+                let (all, read) = (whole.draw(&view).unwrap(), draw(&bytes, &view, Layers::Both));
+                assert!(all == read, "{channels:?}: {x}, {y}, {view:?}");
+                seen += usize::from(all != draw(&bytes, &view, Layers::Gaussians));
+            }
+        }
+        assert!(seen > 4, "{channels:?}: the layer is not seen beside the picture");
     }
 }
 

@@ -1,6 +1,7 @@
 //! What reading and drawing takes at most, counted by the allocator, against what it was granted.
 #![cfg(all(feature = "unstable", feature = "image"))]
 
+mod seal;
 mod synthetic;
 
 use std::fs;
@@ -12,7 +13,7 @@ use peak_alloc::PeakAlloc;
 use ssplat::unstable::DecodeOptions;
 use ssplat::unstable::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use ssplat::unstable::bitstream::{DetailHead, inspect, to_bytes};
-use ssplat::{Blend, Channels, Depth, Image, Limits};
+use ssplat::{Blend, Channels, Damage, Depth, Image, Limits};
 use synthetic::{Levels, Scene, scene, with_layer};
 
 #[global_allocator]
@@ -129,10 +130,17 @@ fn section_name(i: u32) -> [u8; 4] {
 #[test]
 fn decoding_keeps_to_the_memory_that_it_is_granted() {
     assert!(ssplat::register());
-    let files = worst();
-    for [decoded, refused] in
-        [through_image(&files), directly(&files), again_and_again(&files), inspected(&files), in_other_sizes()]
-    {
+    layers_of_empty_tiles();
+    let mut files = worst();
+    files.push(("a layer of 2²⁴ tiles without an index".into(), empty_layer([20, 20], 0)));
+    for [decoded, refused] in [
+        through_image(&files),
+        directly(&files),
+        again_and_again(&files),
+        inspected(&files),
+        what_is_left(&files),
+        in_other_sizes(),
+    ] {
         assert!(decoded > 100 && refused > 100);
     }
 }
@@ -142,6 +150,48 @@ fn directly(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     keeps("directly", files, |bytes, granted| {
         let mut options = DecodeOptions::default();
         options.limits.alloc = granted;
+        ssplat::unstable::decode(bytes, &options).is_ok()
+    })
+}
+
+/// A file of `2^sides` pixels with a detail layer of empty tiles and `index` bytes of index.
+fn empty_layer(sides: [u32; 2], index: usize) -> Vec<u8> {
+    let ground = scene(&Scene { channels: Channels::Grey, size: [300, 1], count: 0, ..Scene::default() });
+    let mut bytes = to_bytes(&with_layer(ground, DetailHead::PLAIN, Levels { filled: 0, ..Levels::new(1) })).unwrap();
+    // Two sides in three bytes become two of three bytes, and two tiles as many as are asked for.
+    bytes.splice(6..9, sides.iter().flat_map(|side| [0x80, 0x80, 1 << (side - 14)]));
+    let end = bytes.len() - 4;
+    bytes.splice(end - 2..end, vec![0; index]);
+    seal::seal(&mut bytes);
+    bytes
+}
+
+/// Whole layers of half a million empty tiles, read with the least grant that is enough for them.
+fn layers_of_empty_tiles() {
+    let bytes = empty_layer([16, 19], 1 << 19);
+    let peak = |granted| {
+        let mut limits = Limits::default();
+        limits.alloc = granted;
+        ALLOCATOR.reset_peak_usage();
+        let before = ALLOCATOR.current_usage();
+        let is_read = Image::from_bytes(&bytes, &limits).is_ok();
+        (is_read, (ALLOCATOR.peak_usage() - before) as u64)
+    };
+    let (mut less, mut enough) = (0u64, 1u64 << 32);
+    while enough - less > 1 << 16 {
+        let granted = less.midpoint(enough);
+        if peak(granted).0 { enough = granted } else { less = granted }
+    }
+    let (is_read, taken) = peak(enough);
+    println!("{} empty tiles: {taken} bytes of {enough} granted", 1 << 19);
+    assert!(is_read && enough > 16 << 20 && taken <= enough + SLACK, "{taken} bytes of {enough}");
+}
+
+/// A corner of damaged files, of which nothing but the tiles that are there may take memory.
+fn what_is_left(files: &[(String, Vec<u8>)]) -> [u32; 2] {
+    keeps("what is left", files, |bytes, granted| {
+        let mut options = DecodeOptions::default();
+        (options.limits.alloc, options.damage, options.region) = (granted, Damage::Accept, Some([0, 0, 1, 1]));
         ssplat::unstable::decode(bytes, &options).is_ok()
     })
 }

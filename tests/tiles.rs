@@ -171,7 +171,8 @@ fn a_file_of_tiles_carries_a_thumbnail_within_its_size() {
         reduced.size = Some([small.width(), small.height()]);
         let drawn = ssplat::unstable::decode(&encoded.bytes, &reduced).unwrap().pixels;
         let psnr = ssplat::unstable::metrics::compare(&drawn, &small).unwrap().psnr;
-        assert!(psnr > 12.0, "{psnr}");
+        // Measured: 30.5 and 31.9 dB; 1.5 dB are left for the scatter of two fits.
+        assert!(psnr > 29.0, "{psnr}");
     }
     let plain = ssplat::unstable::encode(&pixels, &options(Target::Bytes(3000), Some(128))).unwrap().bytes;
     assert_eq!(carried(&plain), None);
@@ -359,11 +360,12 @@ fn an_answer_that_is_none_names_its_tile() {
     // The second tile that is given: those of a turn have another between them.
     let place = "128 × 128 at 128, 0";
     let foreign = work_on(&workers.given[0]).unwrap();
-    let changes: [(&str, Change<'_>); 6] = [
+    let changes: [(&str, Change<'_>); 7] = [
         ("0 bytes", &|_| Vec::new()),
         ("cut", &|answer| answer[..answer.len() - 1].to_vec()),
         ("answers task", &|_| foreign.clone()),
         ("begin with", &|_| workers.given[1].clone()),
+        ("cut off within the line", &|answer| answer[..contents(&answer) - 1].to_vec()),
         ("checksum", &|mut answer| {
             answer[60] ^= 1;
             answer
@@ -426,7 +428,9 @@ fn bytes_that_are_no_task_or_answer_are_refused_without_a_panic() {
             Err(Error::Parameter { name: "task", .. }) => {}
             other => panic!("{what}: {:?}", other.map(|bytes| bytes.len())),
         };
-        for end in (0..task.len() - 4).step_by(997).chain(task.len() - 9..task.len() - 4) {
+        // The head byte by byte: fuzzing once missed that the line of the version may end without its end.
+        for end in (0..contents(task) + 9).chain((0..task.len() - 4).step_by(997)).chain(task.len() - 9..task.len() - 4)
+        {
             is_refused(&task[..end], "a cut task");
             is_refused(&signed([&task[..end], &[0; 4]].concat()), "a cut task with a checksum");
         }
@@ -468,6 +472,42 @@ fn bytes_that_are_no_task_or_answer_are_refused_without_a_panic() {
             Err(other) => panic!("answer {k}, {i}: {other}"),
         }
     }
+}
+
+/// The numbers of an answer at the ends of what floats can be: each field by itself, in all primitives.
+#[test]
+fn answers_of_extreme_numbers_are_refused_or_lead_to_a_file() {
+    let pixels = picture(200, 140, Channels::Grey);
+    let options = options(Target::Bytes(300), Some(128));
+    let (mut files, mut refused) = (0, 0);
+    // Nothing: the error; then the cost, and the nine numbers of a primitive of floats.
+    for field in (0..10).map(Some).chain([None]) {
+        for value in [f32::INFINITY, f32::NEG_INFINITY, 2_097_152.0, -2_097_152.0, f32::NAN, 0.0] {
+            let extreme = |mut answer: Vec<u8>| {
+                let start = contents(&answer) + 4;
+                match field {
+                    None => answer[start..start + 8].copy_from_slice(&(f64::from(value) * 1e200).to_le_bytes()),
+                    Some(field) => {
+                        let end = answer.len() - 4;
+                        for record in answer[start + 16..end].chunks_exact_mut(40) {
+                            record[4 * field..4 * field + 4].copy_from_slice(&value.to_le_bytes());
+                        }
+                    }
+                }
+                signed(answer)
+            };
+            let change = |n, answer| if n == 0 { extreme(answer) } else { answer };
+            match encode_by(&pixels, &options, &mut Elsewhere::new(1, &change)) {
+                Ok(bytes) => {
+                    assert!(bytes.len() <= 300);
+                    files += 1;
+                }
+                Err(Error::Parameter { name: "answer", .. }) => refused += 1,
+                Err(other) => panic!("{field:?}, {value}: {other}"),
+            }
+        }
+    }
+    assert!(files >= 10 && refused >= 25, "{files} files, {refused} refused");
 }
 
 #[test]

@@ -29,5 +29,7 @@ fn a_trace_ends_with_the_written_picture_and_leaves_the_bytes_alone() {
     assert_eq!(last.stage, "written");
     // The trace has rounded code values, the report has not.
     assert!((last.psnr - traced.report.psnr).abs() < 0.1, "{} {}", last.psnr, traced.report.psnr);
-    assert!(last.psnr > points[0].psnr && last.ssim.is_some() && last.ms_ssim.is_none());
+    // Measured: 28.3 dB and an SSIM of .935, from 11.3 dB and .42 at the first point; 1 dB and .02 are left for scatter.
+    assert!(points[0].psnr < 20.0 && last.psnr > 27.3, "{points:?}");
+    assert!(last.ssim.is_some_and(|ssim| ssim > 0.915) && last.ms_ssim.is_none(), "{last:?}");
 }

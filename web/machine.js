@@ -45,7 +45,7 @@ export class Machine {
         return to
       }
       if (kind) throw new SsplatError(kinds[kind], new TextDecoder().decode(piece(0)))
-      const numbers = Array.from({ length: 7 }, (_, k) => wasm.number(k) >>> 0)
+      const numbers = Array.from({ length: 9 }, (_, k) => wasm.number(k) >>> 0)
       return [[piece(0, options.into), piece(1), piece(2), piece(3)], numbers]
     } catch (error) {
       if (error instanceof SsplatError) throw error
@@ -72,8 +72,9 @@ export class Machine {
     // The module takes 0 for a side that is not asked for.
     const out = [[width, "width"], [height, "height"]].map(([v, what]) => v === undefined ? 0 : whole(v, what, 1))
     const [[data, icc, exif], numbers] = this.#ask(bytes, options, "decode", ...part, ...out, partial ? 1 : 0, layers.indexOf(detail))
-    const [columns, rows, channels, depth, primitives, orientation, missing] = numbers
-    return { width: columns, height: rows, data: new Uint8ClampedArray(data.buffer, 0, data.length), channels, depth, primitives, orientation, missing, icc, exif }
+    const [columns, rows, channels, depth, primitives, orientation, missing, missingTiles, damaged] = numbers
+    const samples = new Uint8ClampedArray(data.buffer, 0, data.length)
+    return { width: columns, height: rows, data: samples, channels, depth, primitives, orientation, missing, missingTiles, damaged: damaged == 1, icc, exif }
   }
 
   gaussians(bytes, options = {}) {

@@ -31,5 +31,8 @@ export interface Drawn {
 
 /** The Gaussians of a file. Throws a SsplatError. */
 export function read(bytes: Uint8Array): Picture
-/** Draws a file, `width` and `height` pixels large, both at least 1: without a width in its own size, without a height in its shape. Throws a SsplatError. */
+/**
+ * Draws a file, `width` and `height` pixels large, both at least 1: without a width in its own size, without a height in its shape.
+ * At most 2²⁴ pixels are drawn, and 2²⁰ where the file has a say in the size. Throws a SsplatError.
+ */
 export function decode(bytes: Uint8Array, width?: number, height?: number): Drawn

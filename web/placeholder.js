@@ -384,10 +384,12 @@ export function read(bytes) {
 // Draws at the size of the picture, or at the one that is given: a smaller picture's Gaussians are wider by its pixels.
 export function decode(bytes, width, height) {
   const picture = read(bytes), { channels, background } = picture
+  // Sides that the file chooses may be those of a strip with a million rows.
+  const most = power(width && height ? 24 : 20)
   width ??= picture.width
   height ??= max(1, round(picture.height * width / picture.width))
   if (![width, height].every(v => Number.isInteger(v) && v > 0)) stop("parameter", `size is ${width} × ${height}, not two integers of at least 1`)
-  if (width * height > power(24)) stop("limit", `size is ${width * height}, at most ${power(24)} is allowed`)
+  if (width * height > most) stop("limit", `size is ${width * height}, at most ${most} is allowed`)
   const stride = channels + 1, sums = new Float64Array(width * height * stride), edge = exp(-6.125)
   const dx = picture.width / width, dy = picture.height / height, wider = [dx, dy].map(d => max(0, d * d - 1) / 12)
   const drawn = picture.gaussians.map(([cx, cy, s, t, phi, color]) => {

@@ -71,6 +71,10 @@ export type Pixels = ImageData & {
   exif: Uint8Array
   /** Primitives that `partial` could not read. */
   missing: number
+  /** Tiles of the detail layer that `partial` could not read. */
+  missingTiles: number
+  /** Whether the file is cut off or its checksum does not match; only `partial` decodes such a file. */
+  damaged: boolean
 }
 
 export interface Gaussians {

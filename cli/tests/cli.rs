@@ -114,8 +114,17 @@ fn encode_decode_and_compare_agree_on_a_photograph() {
     let measured = succeeds(ssplat(&[&"compare", &PHOTO, &file, &"--json"]));
     assert_eq!(measured, succeeds(ssplat(&[&"compare", &PHOTO, &decoded, &"--json"])));
     assert!((number(&measured, "psnr") - number(&json, "psnr")).abs() < 0.01, "{measured} {json}");
-    assert!(number(&measured, "ssim") > 0.0 && number(&measured, "ms_ssim") > 0.0);
-    assert!(number(&measured, "ssimulacra2") < 60.0 && number(&measured, "butteraugli") > 1.0, "{measured}");
+    // Measured: 22.99 dB, SSIM .618, MS-SSIM .882, SSIMULACRA2 -20.2, Butteraugli 7.2. A single fit scatters by .25 dB; the bounds
+    // leave twice that, and as much by the other measures. At this ratio no encoder comes near the upper ones.
+    for (measure, least, most) in [
+        ("psnr", 22.49, 30.0),
+        ("ssim", 0.59, 0.9),
+        ("ms_ssim", 0.86, 0.97),
+        ("ssimulacra2", -26.0, 60.0),
+        ("butteraugli", 1.0, 9.0),
+    ] {
+        assert!((least..most).contains(&number(&measured, measure)), "{measure}: {measured}");
+    }
     assert_eq!(folder.names(), ["d.png", "k.ssplat", "p.png"]);
 }
 

@@ -1,12 +1,14 @@
-//! Tasks for workers, changed and sealed again: refused, or worked on within bounded memory until the worker is stopped.
+//! Tasks for workers: any contents behind the head of a task of this version, sealed, and heads that are cut off. They are refused,
+//! or worked on within bounded memory until the worker is stopped.
 #![no_main]
 
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
-use libfuzzer_sys::{fuzz_mutator, fuzz_target, fuzzer_mutate};
+use libfuzzer_sys::fuzz_target;
 use peak_alloc::PeakAlloc;
 use ssplat::{Error, Progress};
+use ssplat_fuzz::task_head;
 
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;
@@ -19,24 +21,34 @@ const STOPPED: Duration = Duration::from_secs(12);
 const FIXED: usize = 64 << 20;
 const EACH: usize = 4000;
 
-fuzz_mutator!(|data: &mut [u8], size: usize, max: usize, _seed: u32| {
-    let size = fuzzer_mutate(data, size, max);
-    if let Some(body) = size.checked_sub(4) {
-        let checksum = crc32fast::hash(&data[..body]).to_le_bytes();
-        data[body..size].copy_from_slice(&checksum);
+/// A task: the first byte says whether the others are its contents, or all of it, or only follow the first bytes of the head.
+fn task(data: &[u8]) -> Vec<u8> {
+    let Some((&how, contents)) = data.split_first() else { return Vec::new() };
+    let mut task = task_head();
+    match how {
+        255 => task.clear(),
+        254 => task.truncate(contents.first().map_or(0, |&length| usize::from(length))),
+        _ => {}
     }
-    size
-});
+    task.extend(contents);
+    if how < 254 {
+        task.extend(crc32fast::hash(&task).to_le_bytes());
+    }
+    task
+}
 
 fuzz_target!(|data: &[u8]| {
+    let task = task(data);
     ALLOCATOR.reset_peak_usage();
     let (before, start) = (ALLOCATOR.current_usage(), Instant::now());
     let mut go_on =
         |_: &Progress| if start.elapsed() > STOP { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-    let answer = ssplat::work_on_tile(data, &mut go_on);
+    let answer = ssplat::work_on_tile(&task, &mut go_on);
     let peak = ALLOCATOR.peak_usage() - before;
-    assert!(peak < FIXED + EACH * data.len(), "{peak} bytes for a task of {}", data.len());
-    if let Err(Error::Cancelled) = answer {
-        assert!(start.elapsed() < STOPPED, "stopped only after {:?}", start.elapsed());
+    assert!(peak < FIXED + EACH * task.len(), "{peak} bytes for a task of {}", task.len());
+    match answer {
+        Ok(_) | Err(Error::Parameter { name: "task", .. }) => {}
+        Err(Error::Cancelled) => assert!(start.elapsed() < STOPPED, "stopped only after {:?}", start.elapsed()),
+        Err(other) => panic!("a task is refused by {other:?}"),
     }
 });

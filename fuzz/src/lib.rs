@@ -27,6 +27,13 @@ pub fn tight_limits() -> Limits {
     limits
 }
 
+/// The first bytes of a task for workers of the present version.
+pub fn task_head() -> Vec<u8> {
+    let manifest = include_str!("../../Cargo.toml");
+    let version = manifest.lines().find_map(|line| line.strip_prefix("version = \"")?.strip_suffix('"'));
+    format!("ssplat task 1, {}\n", version.expect("the package has a version")).into_bytes()
+}
+
 /// Allocator overhead, error values and what a target itself holds, bytes.
 pub const SLACK: u64 = 1 << 20;
 

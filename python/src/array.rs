@@ -7,21 +7,24 @@ use ssplat::{Channels, Depth, PixelSource, Pixels, Samples};
 
 use crate::failure::{exception, parameter};
 
+/// Longest side of a picture, pixels.
+const MAX_SIDE: usize = 1 << 20;
+
 /// The picture of a contiguous array of 8 or 16 bits; its samples are copied.
 pub fn pixels(name: &'static str, array: &Bound<'_, PyAny>) -> PyResult<Pixels> {
-    let (shape, samples) = if let Ok(a) = array.extract::<PyReadonlyArrayDyn<'_, u8>>() {
-        (a.shape().to_vec(), a.as_slice().map(|s| Samples::U8(s.to_vec())))
+    // The shape is checked before the samples are copied.
+    let (([width, height], channels), samples) = if let Ok(a) = array.extract::<PyReadonlyArrayDyn<'_, u8>>() {
+        (form(name, a.shape())?, a.as_slice().map(|s| Samples::U8(s.to_vec())))
     } else if let Ok(a) = array.extract::<PyReadonlyArrayDyn<'_, u16>>() {
-        (a.shape().to_vec(), a.as_slice().map(|s| Samples::U16(s.to_vec())))
+        (form(name, a.shape())?, a.as_slice().map(|s| Samples::U16(s.to_vec())))
     } else {
         return Err(parameter(name, "an array of uint8 or uint16 in native byte order is needed"));
     };
     let samples = samples.map_err(|e| parameter(name, e.to_string()))?;
-    let ([width, height], channels) = form(name, &shape)?;
     Pixels::new(width, height, channels, samples).map_err(exception)
 }
 
-/// Width, height and channels of an array of this shape.
+/// Width, height and channels of an array of this shape, if they are those of a picture.
 fn form(name: &'static str, shape: &[usize]) -> PyResult<([u32; 2], Channels)> {
     let channels = match shape[..] {
         [_, _] => Some(Channels::Grey),
@@ -31,8 +34,10 @@ fn form(name: &'static str, shape: &[usize]) -> PyResult<([u32; 2], Channels)> {
     let channels = channels.ok_or_else(|| {
         parameter(name, format!("shape {shape:?} is neither (height, width) nor (height, width, 1 to 4)"))
     })?;
-    let side = |v: usize| u32::try_from(v).unwrap_or(u32::MAX);
-    Ok(([side(shape[1]), side(shape[0])], channels))
+    if let Some(side) = shape[..2].iter().find(|side| !(1..=MAX_SIDE).contains(*side)) {
+        return Err(parameter(name, format!("shape {shape:?}: a side of {side} is outside 1..={MAX_SIDE}")));
+    }
+    Ok(([shape[1] as u32, shape[0] as u32], channels))
 }
 
 /// A memory map, of which only the parts that are asked for are read.
@@ -55,10 +60,6 @@ impl Mapped {
             return Err(parameter(name, "an array of uint8 or uint16 in native byte order is needed"));
         };
         let (size, channels) = form(name, &shape)?;
-        // The rules for sides are those of pictures in memory.
-        if let Some(side) = size.iter().find(|side| !(1..=1 << 20).contains(*side)) {
-            return Err(parameter(name, format!("shape {shape:?}: a side of {side} is outside 1..=1048576")));
-        }
         Ok(Mapped { name, array: array.clone().unbind(), size, channels, depth })
     }
 }

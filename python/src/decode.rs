@@ -97,8 +97,9 @@ pub fn limits(changes: Option<&BTreeMap<String, i128>>) -> PyResult<Limits> {
     Ok(limits)
 }
 
-/// Numbers of missing parts: primitives, groups, groups in all, tiles of the detail layer, tiles in all.
-type Lost = (u32, u32, u32, u32, u32);
+/// Numbers of missing parts: primitives, groups, groups in all, tiles of the detail layer, tiles in all; and whether the
+/// file is cut off or its checksum is wrong.
+type Lost = (u32, u32, u32, u32, u32, bool);
 
 /// The array, and what is missing.
 #[pyfunction]
@@ -107,6 +108,6 @@ pub fn decode<'py>(py: Python<'py>, data: PyBackedBytes, options: Options) -> Py
     let pixels = u64::from(job.view.width()) * u64::from(job.view.height());
     let threads = work::threads(options.threads, usize::try_from(pixels / PIXELS_A_THREAD).unwrap_or(usize::MAX))?;
     let (pixels, missing) = work::run(py, threads, &work::Calls::default(), move |_| job.run(&data))?;
-    let Missing { primitives, groups, of_groups, tiles, of_tiles, .. } = missing;
-    Ok((array::array(py, pixels)?, (primitives, groups, of_groups, tiles, of_tiles)))
+    let Missing { primitives, groups, of_groups, tiles, of_tiles, damaged, .. } = missing;
+    Ok((array::array(py, pixels)?, (primitives, groups, of_groups, tiles, of_tiles, damaged)))
 }

@@ -1,24 +1,40 @@
 //! The primitives of a file as arrays, and arrays of anyone's primitives as a file.
 
+use std::collections::BTreeMap;
+
 use numpy::{IntoPyArray, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyDict};
-use ssplat::unstable::bitstream::splats::{PackedSplats, Steps};
+use ssplat::unstable::bitstream::splats::{PackedGaussian, PackedSplats, Steps};
 use ssplat::unstable::{PackOptions, Precision, bitstream};
-use ssplat::{Channels, Depth, Gaussian, Limits, Picture};
+use ssplat::{Channels, Damage, Depth, Error, Gaussian, Layers, Picture, Reader};
 
 use crate::failure::{integer, parameter};
-use crate::{info, names, work};
+use crate::{decode, info, names, work};
 
 /// The primitives of `data`, level by level, and all that [`from_gaussians`] takes.
 #[pyfunction]
-pub fn gaussians<'py>(py: Python<'py>, data: PyBackedBytes) -> PyResult<Bound<'py, PyDict>> {
-    let (splats, floats) = work::run(py, 1, &work::Calls::default(), move |_| {
-        let splats = bitstream::read(&data[..], &Limits::default())?;
-        let floats = Floats::of(&splats);
-        Ok((splats, floats))
+#[pyo3(signature = (data, limits = None))]
+pub fn gaussians<'py>(
+    py: Python<'py>,
+    data: PyBackedBytes,
+    limits: Option<BTreeMap<String, i128>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let limits = decode::limits(limits.as_ref())?;
+    let (opened, floats) = work::run(py, 1, &work::Calls::default(), move |_| {
+        // The detail layer is no part of the result.
+        let opened = Reader::new(&data, &limits)?.showing(Layers::Gaussians).read(Damage::Refuse)?;
+        let splats = opened.splats();
+        let each = size_of::<[f32; 5]>() + splats.channels.count() * size_of::<f32>();
+        let requested = (splats.gaussians.len() * (size_of::<PackedGaussian>() + each)) as u64;
+        if requested > limits.alloc {
+            return Err(Error::LimitExceeded { what: "alloc", requested, allowed: limits.alloc });
+        }
+        let floats = Floats::of(splats);
+        Ok((opened, floats))
     })?;
+    let splats = opened.splats();
     let (n, c) = (splats.gaussians.len(), splats.channels.count());
     let background = splats.quantizer().dequantize_color(splats.background)[..c].to_vec();
     let d = PyDict::new(py);

@@ -134,6 +134,27 @@ def test_a_damaged_file_is_drawn_in_part_when_asked_for():
     assert 15 < ssplat.metrics.psnr(pixels, whole) < 60
 
 
+def test_a_wrong_checksum_is_told_where_nothing_is_missing():
+    levels = ssplat.encode(PICTURE, effort=1, primitives=60, levels=2)
+    wrong = levels[:-1] + bytes([levels[-1] ^ 1])
+    with pytest.raises(ssplat.FormatError):
+        ssplat.decode(wrong)
+    with pytest.warns(ssplat.PartialWarning, match="damaged or cut off; all of the picture"):
+        pixels = ssplat.decode(wrong, partial=True)
+    assert np.array_equal(pixels, ssplat.decode(levels))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ssplat.decode(levels, partial=True)
+
+
+def test_a_layer_without_an_index_takes_no_memory():
+    # 38 bytes that claim 2^24 tiles.
+    data = bytes.fromhex("89535350068280804080804000946468014474616c089ed572870098ecf3bf40000021f704d4")
+    with pytest.warns(ssplat.PartialWarning, match="16777216 of 16777216 tiles"):
+        pixels = ssplat.decode(data, partial=True, region=(0, 0, 10, 10), limits={"alloc": 1 << 20})
+    assert pixels.shape[:2] == (10, 10)
+
+
 def test_a_time_budget_gives_a_file():
     assert ssplat.decode(ssplat.encode(PICTURE, bytes=500, effort=9, time=0.2)).shape == PICTURE.shape
 

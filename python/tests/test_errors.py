@@ -40,6 +40,14 @@ def test_each_kind_has_its_class(kind, also, call):
     assert str(caught.value)
 
 
+@pytest.mark.parametrize("shape", [(1 << 21, 1 << 21), (1, (1 << 20) + 1, 3), (8, 0), (1 << 20, 1 << 20, 1 << 20), (1 << 30,), (2,) * 9])
+def test_the_shape_of_a_picture_is_checked_before_it_is_copied(shape):
+    # One sample that is seen everywhere: a copy would take up to 10^18 bytes.
+    with pytest.raises(ssplat.ParameterError) as caught:
+        ssplat.encode(np.broadcast_to(np.uint8(7), shape), effort=1)
+    assert caught.value.name == "image" and str(list(shape)) in str(caught.value)
+
+
 def test_a_version_and_a_limit_tell_their_values():
     with pytest.raises(ssplat.UnsupportedVersionError) as caught:
         ssplat.decode(changed(4, 200))

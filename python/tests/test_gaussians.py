@@ -34,6 +34,16 @@ def test_the_documented_formula_gives_the_decoded_picture(blend):
     assert abs(want - ssplat.decode(data)).max() <= 1.5
 
 
+def test_limits_hold_before_arrays_are_made():
+    data = ssplat.encode(waves(20, 30), effort=1, primitives=9)
+    count = len(ssplat.gaussians(data)["mean"])
+    assert len(ssplat.gaussians(data, limits={"primitives": count})["mean"]) == count
+    for name, value in [("primitives", count - 1), ("width", 10), ("alloc", 30 * count)]:
+        with pytest.raises(ssplat.LimitExceededError) as caught:
+            ssplat.gaussians(data, limits={name: value})
+        assert caught.value.what == name
+
+
 def test_shapes_and_types_are_those_documented():
     g = ssplat.gaussians(FILE)
     n = ssplat.info(FILE)["primitives"]

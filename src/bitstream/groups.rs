@@ -79,6 +79,8 @@ pub struct Missing {
     pub tiles: u32,
     /// Tiles of the whole detail layer.
     pub of_tiles: u32,
+    /// Whether the file is cut off or its checksum does not match, even where all of the picture could be read.
+    pub damaged: bool,
 }
 
 /// Appends the payload; `header` is the header's checksum.

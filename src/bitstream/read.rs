@@ -181,7 +181,7 @@ impl Reading<'_> {
             tally.part(INDEX, found.index);
             tally.part(STREAMS, start - bytes.left() - found.index);
             tally.layer_bits = found.bits;
-            splats.detail = Some(Arc::new(found.layer));
+            splats.detail = found.layer.map(Arc::new);
         }
         bytes.finish()?;
         Ok((splats, infos))
@@ -235,13 +235,14 @@ impl Reading<'_> {
             let wanted = Wanted { passes_over: true, ..self.wanted(header, None, false) };
             let found = index::read(&mut bytes, head, &wanted, &mut working)?;
             missing.tiles = found.missing;
-            missing.of_tiles = found.layer.tiles.len() as u32;
-            splats.detail = Some(Arc::new(found.layer));
+            missing.of_tiles = found.of;
+            splats.detail = found.layer.map(Arc::new);
         }
         checksum.update(&bytes.taken()[behind..]);
         let computed = checksum.finalize();
         let is_sealed = bytes.u32("checksum").is_ok_and(|stored| stored == computed);
-        let is_whole = is_sealed && bytes.left() == 0 && missing.groups == 0 && missing.tiles == 0;
+        missing.damaged = !(is_sealed && bytes.left() == 0);
+        let is_whole = !missing.damaged && missing.groups == 0 && missing.tiles == 0;
         Ok((splats, if is_whole { Missing::default() } else { missing }))
     }
 

@@ -69,10 +69,11 @@ fn a_start_at_half_the_size_ends_at_the_whole_one() {
         let plan = Plan::steps(80, seed);
         let end = |share| psnr(&problem(&target), &fitted(&target, 60, &plan, share));
         let without = end(0.0);
-        // Over eight seeds: the second half of the steps leaves 2.3 dB of what the first lost, at most. Half the size to the
-        // end, as when the time is over early, has 25 pixels for each primitive to learn from, and loses 3.7 dB at most. A
-        // picture that came back 2 % too large would lose 11.
-        for (share, most) in [(0.5, 3.0), (1.0, 5.0)] {
+        assert!(without > 51.0, "seed {seed}: {without} dB, where 51.5 to 51.9 were measured");
+        // These seeds lose .6 to 1.1 dB of what the first half of the steps cost; half the size to the end, as when the time
+        // is over early, has 25 pixels for each primitive to learn from, and loses 3.0 to 3.7 dB. .5 dB are left for
+        // scatter. A picture that came back 2 % too large would lose 11.
+        for (share, most) in [(0.5, 1.6), (1.0, 4.2)] {
             let half = end(share);
             assert!(half > without - most, "seed {seed}, {share}: {half} dB, {without} dB without");
         }

@@ -73,6 +73,10 @@ export async function run(names, load) {
     }
   const whole = await load(`valid/${names.valid.find(name => name == "coded-rgb")}/file.ssplat`)
   for (const size of [[0], [8, 0], [1.5], [-1]]) check(attempt(b => decode(b, ...size), whole).kind == "parameter", `a size of ${size} is not refused`)
+  // 64 columns of a picture of 1 × 4096 pixels are 262144 rows; with both sides the size is the caller's.
+  const strip = Uint8Array.from([0x89, 0x53, 0x53, 0x50, 6, 0x1a, 1, 0x80, 0x20, 0, 0x94, 0x64, 0x68, 8, 0xef, 0xa3, 0x64])
+  for (const size of [[64], [17]]) check(attempt(b => decode(b, ...size), strip).kind == "limit", `${size[0]} columns of a strip are not refused`)
+  for (const size of [[], [15], [64, 64]]) check(attempt(b => decode(b, ...size), strip).width == (size[0] ?? 1), `a strip is not drawn in ${size}`)
   check(drawn > 10, `only ${drawn} vectors were drawn`)
   return { problems, words: `${drawn} vectors drawn, ${refused} refused, ${damaged} broken on purpose` }
 }

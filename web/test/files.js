@@ -23,6 +23,8 @@ export function crc32(bytes) {
   return ~crc >>> 0
 }
 
+const bytesOf = base64 => Uint8Array.from(atob(base64), letter => letter.charCodeAt(0))
+
 const kindOf = { invalid: /^(format|version)$/, limits: /^limit$/ }
 
 // Draws every case with `decoder`, and holds it against what the native decoder drew.
@@ -82,6 +84,16 @@ export async function run(cases, load, decoder) {
   check(on.data?.every((v, i) => v == off.data?.[i]), "without a detail layer more than the Gaussians is drawn")
   check(alone.data?.every((v, i) => i % 4 == 3 || v == alone.data[0]), "a detail layer is drawn where there is none")
   check((await attempt("decode", "text")).kind == "parameter", "text is not refused")
+  // What is missing is told: a tile of a layer, and all tiles of a layer that has not arrived, for which no memory is taken.
+  const damaged = bytesOf("iVNTUAaSKBgGkGRoAUR0YWwId89qax39aYmsvAIAxehVgJ61qMS8G4VlvDZ/0UHZcebJzHSA74FaRvU7yY3sU0ORon5eCeIxL0LQN/TtRL8zVSN9fWqsCXkcy4klICJP2fKrFjR2zMDe5EYEa8/0OWdX1p8WfFfqDVWYr1Q=")
+  check((await attempt("decode", damaged)).kind == "format", "a damaged tile is not refused")
+  const left = await attempt("decode", damaged, { partial: true })
+  check(left.missing === 0 && left.missingTiles === 1 && left.damaged === true, `of a damaged tile is told ${left.missing}, ${left.missingTiles}, ${left.damaged}: ${left}`)
+  const arriving = bytesOf("iVNTUAaCgIAYgIBAAJRkaAFEdGFsCB1E2E0A6wQwOUAAAICAgICAgICAgICAgICAgICAgICAgICAgICAgICAgICAgICAgICAgIA=")
+  const glimpse = await attempt("decode", arriving, { partial: true, width: 10, limits: { alloc: 1 << 20 } })
+  check(glimpse.missingTiles === 1536 * 4096 && glimpse.damaged === true, `of a layer that has not arrived is told ${glimpse.missingTiles}, ${glimpse.damaged}: ${glimpse}`)
+  const whole = await attempt("decode", bytes)
+  check(whole.missing === 0 && whole.missingTiles === 0 && whole.damaged === false, "something of a whole file is missing")
   check(same > 30 && refused > 40, `only ${same} files were drawn and ${refused} refused`)
   return { problems, words: `${same} files with the native samples, ${refused} refused, ${broken} broken on purpose` }
 }

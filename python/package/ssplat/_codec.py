@@ -191,11 +191,14 @@ def decode(
         "threads": threads,
         "limits": None if limits is None else dict(limits),
     }
-    array, (primitives, groups, of_groups, tiles, of_tiles) = _ssplat.decode(content(data), options)
+    array, (primitives, groups, of_groups, tiles, of_tiles, damaged) = _ssplat.decode(content(data), options)
     lost = [f"{groups} of {of_groups} groups with {primitives} primitives"] if groups else []
     lost += [f"{tiles} of {of_tiles} tiles of the detail layer"] if tiles else []
     if lost:
         warnings.warn(f"{' and '.join(lost)} are missing", PartialWarning, stacklevel=2)
+    elif damaged:
+        text = "the file is damaged or cut off; all of the picture that was asked for is there"
+        warnings.warn(text, PartialWarning, stacklevel=2)
     return array
 
 

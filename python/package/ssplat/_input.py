@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     ImageLike: TypeAlias = np.ndarray | Image.Image | str | os.PathLike[str] | bytes | bytearray | BinaryIO
     Data: TypeAlias = bytes | bytearray | memoryview | str | os.PathLike[str] | BinaryIO
 
+#: Longest side of a picture, pixels.
+MAX_SIDE = 1 << 20
 #: Modes of Pillow that hold what a file holds.
 MODES = ("L", "LA", "RGB", "RGBA", "I;16")
 #: Modes of which the array is one that a file holds.
@@ -69,6 +71,15 @@ def contiguous(name: str, array: Any) -> np.ndarray:
         raise ParameterError(f"bad parameter {name}: {type(array).__name__} is neither an array nor a picture nor a file", name)
     if array.dtype.kind != "u" or array.dtype.itemsize > 2:
         raise ParameterError(f"bad parameter {name}: dtype {array.dtype} is neither uint8 nor uint16", name)
+    # Before the copy: an array that repeats its samples may claim any size.
+    shape = list(array.shape)
+    if len(shape) not in (2, 3) or len(shape) == 3 and not 1 <= shape[2] <= 4:
+        text = f"shape {shape} is neither (height, width) nor (height, width, 1 to 4)"
+        raise ParameterError(f"bad parameter {name}: {text}", name)
+    for side in shape[:2]:
+        if not 1 <= side <= MAX_SIDE:
+            text = f"shape {shape}: a side of {side} is outside 1..={MAX_SIDE}"
+            raise ParameterError(f"bad parameter {name}: {text}", name)
     return np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
 
 

@@ -17,12 +17,16 @@ if TYPE_CHECKING:
     from ._input import Data
 
 
-def gaussians(data: Data) -> dict[str, Any]:
+def gaussians(data: Data, *, limits: Mapping[str, int] | None = None) -> dict[str, Any]:
     """The Gaussians of a file, n of them, and what is needed to draw them. A detail layer is left out.
 
     With d the vector from a mean to a point, in the frame of the Gaussian (turned back by its rotation, divided by its
     scales), its weight there is ``w = max(0, exp(-d·d / 2) - exp(-3.5² / 2))``. A picture blends either ``normalized``,
     ``(Σ w c + b / 128) / (Σ w + 1 / 128)``, or as a ``sum``, ``b + Σ w c``, with the colours c and the background b.
+
+    Args:
+        data: the file.
+        limits: what the file may ask for, as for :func:`ssplat.decode`.
 
     Returns:
         ``mean``: float32, (n, 2): x and y in pixels; the centre of the first pixel is (0.5, 0.5).
@@ -37,7 +41,7 @@ def gaussians(data: Data) -> dict[str, Any]:
     Raises:
         FormatError, UnsupportedVersionError, LimitExceededError: as for :func:`ssplat.decode`.
     """
-    return _ssplat.gaussians(content(data))
+    return _ssplat.gaussians(content(data), None if limits is None else dict(limits))
 
 
 def from_gaussians(

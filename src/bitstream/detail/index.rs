@@ -4,7 +4,7 @@ use super::decisions::Counted;
 use super::head::DetailHead;
 use super::levels::{CELL, CELLS, CodedBlock, Level, SUPERS, TILE, TileLevels, tile_area, tile_counts};
 use super::model::{KINDS, Models};
-use super::tile::{self, kinds};
+use super::tile::{self, Count, kinds};
 use crate::bitstream::area::Area;
 use crate::bitstream::broken::Broken;
 use crate::bitstream::bytes::{Bytes, put_varint};
@@ -12,7 +12,7 @@ use crate::bitstream::checksum::hash;
 use crate::bitstream::coder::range::Decoder;
 use crate::bitstream::report::ONE_READER;
 use crate::budget::Reservation;
-use crate::error::{FormatError, Result};
+use crate::error::{Error, FormatError, Result};
 use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::parallel;
@@ -99,9 +99,12 @@ pub(crate) struct Wanted<'a> {
 /// Result of reading a detail layer.
 #[derive(Debug)]
 pub(crate) struct Found {
-    pub layer: DetailLayer,
+    /// Nothing if the index cannot be read.
+    pub layer: Option<DetailLayer>,
     /// Tiles that are missing or damaged.
     pub missing: u32,
+    /// Tiles that the picture has.
+    pub of: u32,
     /// Bytes of the index.
     pub index: usize,
     /// Bits of the levels, where they were asked for.
@@ -151,123 +154,192 @@ pub(crate) fn read(
 ) -> Result<Found> {
     let [across, down] = tile_counts(wanted.size);
     let count = across as u64 * down as u64;
-    // A tile takes a byte of the index at least: nothing is allocated for tiles that cannot be there.
-    if count > bytes.left() as u64 && !wanted.passes_over {
-        return Err(Broken { field: "tiles of the detail layer", value: count }.into());
-    }
-    held.grow((size_of::<Entry>() + size_of::<Option<TileLevels>>()) as u64 * count)?;
-    let start = bytes.left();
-    let mut entries = vec![Entry::default(); count as usize];
-    let mut whole = true;
-    for entry in &mut entries {
-        match read_entry(bytes) {
-            Ok(found) => *entry = found,
-            Err(_) if wanted.passes_over => {
-                whole = false;
-                break;
-            }
-            Err(e) => return Err(e),
+    let (start, mut index) = (bytes.left(), held.beside(0)?);
+    let entries = match read_index(bytes, count, &mut index) {
+        Ok(entries) => entries,
+        Err(Error::Format(_)) if wanted.passes_over => {
+            // Where the streams lie is not known, and nothing is allocated for them.
+            let index = start - bytes.left();
+            bytes.rest();
+            return Ok(Found { layer: None, missing: count as u32, of: count as u32, index, bits: 0.0 });
         }
-    }
-    if !whole {
-        // Where the streams lie is not known.
-        entries.fill(Entry::default());
-        bytes.rest();
-    }
+        Err(e) => return Err(e),
+    };
     let index = start - bytes.left();
-    let mut streams: Vec<Option<&[u8]>> = Vec::with_capacity(entries.len());
+    let listed = Listed { entries: &entries, streams: bytes.clone().rest(), head: &head, wanted };
     for entry in &entries {
-        match bytes.take(entry.length, "tile of the detail layer") {
-            Ok(stream) => streams.push(Some(stream)),
+        match bytes.take(entry.length, STREAM) {
+            Ok(_) => {}
             Err(_) if wanted.passes_over => {
                 bytes.rest();
-                streams.push(None);
             }
             Err(e) => return Err(e),
         }
     }
-    let planes: u64 = kinds(wanted.channels, head.alpha).map(|(_, planes)| planes.len() as u64).sum();
-    let is_wanted = |i: usize| entries[i].length > 0 && wanted.area.is_none_or(|area| reaches(wanted.size, i, area));
-    let chosen: Vec<usize> = (0..entries.len()).filter(|&i| is_wanted(i)).collect();
-    let tiles_work = (TILE * TILE) as u64 * planes * PIXEL_WORK;
-    let mut work = tiles_work.saturating_mul(chosen.len() as u64);
-    Limits::check("work", work, wanted.limits.work)?;
-    let mut tiles: Vec<Option<TileLevels>> = Vec::new();
-    tiles.resize_with(entries.len(), || None);
-    let (mut missing, mut bits) = (if whole { 0 } else { count as u32 }, 0.0);
-    let samples = (TILE * TILE) as u64 * planes;
-    let listed = Listed { entries: &entries, streams: &streams, head: &head, wanted };
-    let likely = |i: usize| likely_levels(entries[i].length, samples);
-    let mut rest = &chosen[..];
-    while !rest.is_empty() {
-        // Most memory that the batch takes while it is read.
-        let (mut most, mut count) = (0, 0);
-        for &i in rest.iter().take(BATCH) {
-            let more = memory_of(likely(i), samples);
-            if count > 0 && most + more > BATCH_MEMORY {
-                break;
-            }
-            (most, count) = (most + more, count + 1);
-        }
-        let batch;
-        (batch, rest) = rest.split_at(count);
-        let mut working = held.beside(most)?;
-        let read = parallel::map(count, |k| listed.tile(batch[k], likely(batch[k])));
-        for (&i, read) in batch.iter().zip(read) {
-            match read {
-                Ok((levels, cost)) => {
-                    let levels = match levels {
-                        Some(levels) => levels,
-                        // Hardly ever so, unless somebody has made it so.
-                        None => {
-                            let _working = held.beside(memory_of(samples, samples))?;
-                            listed.tile(i, samples)?.0.expect("no more levels than samples")
-                        }
-                    };
-                    held.grow(levels.memory())?;
-                    work = work.saturating_add(LEVEL_WORK * levels.levels.len() as u64);
-                    bits += cost;
-                    tiles[i] = Some(levels);
-                }
-                Err(_) if wanted.passes_over => missing += 1,
-                Err(e) => return Err(e),
-            }
-        }
-        working.shrink(0);
-        Limits::check("work", work, wanted.limits.work)?;
+    let (tiles, missing, bits) = listed.read(held)?;
+    Ok(Found { layer: Some(DetailLayer { head, tiles }), missing, of: count as u32, index, bits })
+}
+
+/// Reads the index of `count` tiles, and grows `held` by the memory of the result.
+fn read_index(bytes: &mut Bytes<'_>, count: u64, held: &mut Reservation) -> Result<Vec<Entry>> {
+    // A tile takes a byte of the index at least: nothing is allocated for tiles that cannot be there.
+    if count > bytes.left() as u64 {
+        return Err(Broken { field: "tiles of the detail layer", value: count }.into());
     }
-    Ok(Found { layer: DetailLayer { head, tiles }, missing, index, bits })
+    held.grow(size_of::<Entry>() as u64 * count)?;
+    let mut entries = Vec::with_capacity(count as usize);
+    for _ in 0..count {
+        let length = bytes.varint("length of a detail tile")?;
+        let check = if length > 0 { bytes.u16("check of a detail tile")? } else { 0 };
+        entries.push(Entry { length, check });
+    }
+    Ok(entries)
+}
+
+/// What a tile's stream is called in errors.
+const STREAM: &str = "tile of the detail layer";
+
+/// A stream to be read.
+#[derive(Debug, Clone, Copy)]
+struct Stream<'a> {
+    tile: usize,
+    /// Nothing if the file ends before the stream does.
+    bytes: Option<&'a [u8]>,
+}
+
+/// Place of the next stream.
+#[derive(Debug, Default)]
+struct Cursor {
+    tile: usize,
+    /// Bytes between the first stream and this one.
+    at: u64,
+}
+
+/// Result of reading a tile.
+struct Tile {
+    /// The levels, unless there are more than were asked for.
+    levels: Result<Option<TileLevels>>,
+    /// Levels read, those of an illegal stream included.
+    read: usize,
+    /// Bits of the stream.
+    bits: f64,
 }
 
 /// The tiles of a layer as the index lists them.
 struct Listed<'a> {
     entries: &'a [Entry],
-    streams: &'a [Option<&'a [u8]>],
+    /// The streams that follow the index, and whatever follows these.
+    streams: &'a [u8],
     head: &'a DetailHead,
     wanted: &'a Wanted<'a>,
 }
 
-impl Listed<'_> {
-    /// Reads a tile, unless it has more than `most` levels, and says what it took, bits.
+impl<'a> Listed<'a> {
+    /// Reads the tiles that are wanted, and grows `held` by what they take. Returns them with the number of tiles that
+    /// are missing or damaged and the bits of all others.
+    fn read(&self, held: &mut Reservation) -> Result<(Vec<Option<TileLevels>>, u32, f64)> {
+        let (samples, limit) = (self.samples(), self.wanted.limits.work);
+        let chosen = (0..self.entries.len()).filter(|&i| self.is_wanted(i)).count();
+        let mut work = (samples * PIXEL_WORK).saturating_mul(chosen as u64);
+        Limits::check("work", work, limit)?;
+        held.grow((size_of::<Option<TileLevels>>() * self.entries.len()) as u64)?;
+        let mut tiles: Vec<Option<TileLevels>> = Vec::new();
+        tiles.resize_with(self.entries.len(), || None);
+        let (mut missing, mut bits, mut cursor) = (0, 0.0, Cursor::default());
+        loop {
+            let (batch, most) = self.batch(&mut cursor);
+            if batch.is_empty() {
+                return Ok((tiles, missing, bits));
+            }
+            let mut working = held.beside(most)?;
+            let read = parallel::map(batch.len(), |k| self.tile(batch[k], self.likely(batch[k].tile)));
+            for (&stream, mut tile) in batch.iter().zip(read) {
+                if let Ok(None) = tile.levels {
+                    // Hardly ever so, unless somebody has made it so.
+                    let _working = held.beside(memory_of(samples, samples))?;
+                    tile = self.tile(stream, samples);
+                }
+                work = work.saturating_add(LEVEL_WORK * tile.read as u64);
+                match tile.levels {
+                    Ok(levels) => {
+                        let levels = levels.expect("no more levels than samples");
+                        held.grow(levels.memory())?;
+                        bits += tile.bits;
+                        tiles[stream.tile] = Some(levels);
+                    }
+                    Err(_) if self.wanted.passes_over => missing += 1,
+                    Err(e) => return Err(e),
+                }
+            }
+            working.shrink(0);
+            Limits::check("work", work, limit)?;
+        }
+    }
+
+    /// Samples of a tile in all planes.
+    fn samples(&self) -> u64 {
+        let planes: usize = kinds(self.wanted.channels, self.head.alpha).map(|(_, planes)| planes.len()).sum();
+        (TILE * TILE * planes) as u64
+    }
+
+    fn is_wanted(&self, tile: usize) -> bool {
+        let Wanted { size, area, .. } = *self.wanted;
+        self.entries[tile].length > 0 && area.is_none_or(|area| reaches(size, tile, area))
+    }
+
+    /// Levels that a tile hardly ever has more of.
+    fn likely(&self, tile: usize) -> u64 {
+        likely_levels(self.entries[tile].length, self.samples())
+    }
+
+    /// Returns the next streams to read side by side, and the most memory that they take meanwhile.
+    fn batch(&self, cursor: &mut Cursor) -> (Vec<Stream<'a>>, u64) {
+        let (mut batch, mut most) = (Vec::new(), 0);
+        while cursor.tile < self.entries.len() && batch.len() < BATCH {
+            let Cursor { tile, at } = *cursor;
+            let end = at.saturating_add(self.entries[tile].length);
+            if self.is_wanted(tile) {
+                let more = memory_of(self.likely(tile), self.samples());
+                if !batch.is_empty() && most + more > BATCH_MEMORY {
+                    break;
+                }
+                most += more;
+                let bytes = (end <= self.streams.len() as u64).then(|| &self.streams[at as usize..end as usize]);
+                batch.push(Stream { tile, bytes });
+            }
+            *cursor = Cursor { tile: tile + 1, at: end };
+        }
+        (batch, most)
+    }
+
+    /// Reads a tile, unless it has more than `most` levels.
     #[inline(never)]
-    fn tile(&self, i: usize, most: u64) -> Result<(Option<TileLevels>, f64)> {
-        const WHAT: &str = "tile of the detail layer";
+    fn tile(&self, stream: Stream<'_>, most: u64) -> Tile {
+        let mut count = Count::up_to(most as usize);
+        let mut bits = 0.0;
+        let levels = self.levels(stream, &mut count, &mut bits);
+        Tile { levels, read: count.read, bits }
+    }
+
+    fn levels(&self, stream: Stream<'_>, count: &mut Count, bits: &mut f64) -> Result<Option<TileLevels>> {
         let Wanted { size, channels, counts, .. } = *self.wanted;
-        let [_, _, width, height] = tile_area(size, i);
+        let [_, _, width, height] = tile_area(size, stream.tile);
         let shape = (self.head, channels, [width, height]);
-        let stream = self.streams[i].ok_or(FormatError::Truncated { what: WHAT, offset: 0 })?;
-        let (stored, computed) = (self.entries[i].check.into(), u32::from(hash(stream) as u16));
+        let bytes = stream.bytes.ok_or(FormatError::Truncated { what: STREAM, offset: 0 })?;
+        let (stored, computed) = (self.entries[stream.tile].check.into(), u32::from(hash(bytes) as u16));
         if computed != stored {
-            return Err(FormatError::Checksum { what: WHAT, stored, computed }.into());
+            return Err(FormatError::Checksum { what: STREAM, stored, computed }.into());
         }
         if !counts || ONE_READER {
             // Where there is but one reader, bits are those of the bytes.
-            return Ok((tile::read(stream, shape, most as usize)?, 8.0 * stream.len() as f64));
+            *bits = 8.0 * bytes.len() as f64;
+            return Ok(tile::read(bytes, shape, count)?);
         }
-        let mut counted = Counted { source: Decoder::new(stream)?, bits: 0.0 };
-        let levels = tile::read_with(&mut counted, &mut Models::start(), shape, most as usize)?;
+        let mut counted = Counted { source: Decoder::new(bytes)?, bits: 0.0 };
+        let levels = tile::read_with(&mut counted, &mut Models::start(), shape, count)?;
         counted.source.finish()?;
-        Ok((levels, counted.bits))
+        *bits = counted.bits;
+        Ok(levels)
     }
 }
 
@@ -285,18 +357,13 @@ fn memory_of(levels: u64, samples: u64) -> u64 {
     3 * lists + (KINDS * CELLS * CELLS + SUPERS * SUPERS) as u64
 }
 
-fn read_entry(bytes: &mut Bytes<'_>) -> Result<Entry> {
-    let length = bytes.varint("length of a detail tile")?;
-    let check = if length > 0 { bytes.u16("check of a detail tile")? } else { 0 };
-    Ok(Entry { length, check })
-}
-
-/// Whether tile `i` lies within a pixel of `area`: enlarged views interpolate from that far.
+/// Whether tile `i` lies within a pixel of `area`: enlarged views interpolate from that far. Beside the picture its first
+/// and last pixels go on (spec §11.6).
 fn reaches(size: [u32; 2], i: usize, area: Area) -> bool {
     let [x, y, width, height] = tile_area(size, i).map(|v| v as u64);
     let meets = |start: u64, side: u64, k: usize| {
         let (from, length) = (u64::from(area.corner[k]), u64::from(area.size[k]));
-        start <= from + length && from <= start + side
+        start <= from + length && from.min(size[k].into()) <= start + side
     };
     meets(x, width, 0) && meets(y, height, 1)
 }
@@ -314,9 +381,10 @@ mod tests {
         for _ in 0..2000 {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             let stream = &state.to_le_bytes()[2..];
-            let all = tile::read(stream, shape, usize::MAX);
+            let read = |most| tile::read(stream, shape, &mut Count::up_to(most));
+            let all = read(usize::MAX);
             let likely = likely_levels(stream.len() as u64, 1 << 20);
-            let some = tile::read(stream, shape, likely as usize);
+            let some = read(likely as usize);
             match (all, some) {
                 (Ok(Some(all)), Ok(some)) => {
                     whole += 1;

@@ -4,7 +4,7 @@
 //! folder and that of the specification anew. `examples/python/learn_detail.py` makes such files and runs it.
 
 use super::model::Models;
-use super::tile::read_with;
+use super::tile::{Count, read_with};
 use crate::bitstream::coder::range::Decoder;
 use crate::bitstream::detail::index::streams;
 use crate::bitstream::read;
@@ -27,7 +27,13 @@ fn learn_where_models_begin() {
         for (stream, [width, height]) in streams(layer, size, splats.channels) {
             let mut models = Models::start();
             let mut decoder = Decoder::new(&stream).unwrap();
-            read_with(&mut decoder, &mut models, (&layer.head, splats.channels, [width, height]), usize::MAX).unwrap();
+            read_with(
+                &mut decoder,
+                &mut models,
+                (&layer.head, splats.channels, [width, height]),
+                &mut Count::up_to(usize::MAX),
+            )
+            .unwrap();
             let mut begun = Vec::new();
             Models::start().each(&mut |models| begun.extend_from_slice(models));
             let mut ended = Vec::new();

@@ -243,6 +243,8 @@ pub(crate) fn push(tile: &mut TileLevels, plane: usize, cell: [usize; 2], size: 
 /// Takes what a reader finds.
 struct Reading {
     tile: TileLevels,
+    /// Levels found, whether they are kept or not.
+    found: usize,
     /// Levels that there is memory for.
     most: usize,
     /// Whether there are more.
@@ -261,6 +263,7 @@ impl Content for Reading {
 
     #[inline(always)]
     fn take(&mut self, plane: usize, cell: [usize; 2], size: usize, block: &Block) {
+        self.found += block.found.len();
         if self.tile.levels.len() + block.found.len() > self.most {
             self.is_more = true;
             return;
@@ -276,18 +279,37 @@ impl Content for Reading {
 /// A tile that is read: what its levels mean, its channels, and its size in pixels.
 pub(crate) type Shape<'a> = (&'a DetailHead, Channels, [usize; 2]);
 
-/// Reads a tile by models that are at their beginning; nothing if it has more than `most` levels.
+/// Bounds on reading a tile, and a count of what was read.
+#[derive(Debug)]
+pub(crate) struct Count {
+    /// Levels that there is memory for.
+    pub most: usize,
+    /// Levels read, those of an illegal stream included.
+    pub read: usize,
+}
+
+impl Count {
+    /// Allows `most` levels.
+    pub fn up_to(most: usize) -> Self {
+        Count { most, read: 0 }
+    }
+}
+
+/// Reads a tile by models that are at their beginning; nothing if it has more levels than `count` allows.
 pub(crate) fn read_with<D: Decisions>(
     decisions: &mut D,
     models: &mut Models,
     (head, channels, size): Shape<'_>,
-    most: usize,
+    count: &mut Count,
 ) -> Result<Option<TileLevels>, Broken> {
     let mut state = TileState::new(size);
     let mut block = Block::default();
-    let mut reading = Reading { tile: TileLevels::default(), most, is_more: false };
-    let block = &mut block;
-    TileCoder { decisions, models, state: &mut state, head, channels, block }.tile(&mut reading)?;
+    let mut reading = Reading { tile: TileLevels::default(), found: 0, most: count.most, is_more: false };
+    let coded =
+        TileCoder { decisions, models, state: &mut state, head, channels, block: &mut block }.tile(&mut reading);
+    // A block that turns out to be illegal is left with the levels before the illegal one.
+    count.read += reading.found + block.found.len();
+    coded?;
     let Reading { mut tile, is_more, .. } = reading;
     if is_more {
         return Ok(None);
@@ -307,10 +329,10 @@ pub(crate) fn read_with<D: Decisions>(
     Ok(Some(tile))
 }
 
-/// Reads the stream of a tile; nothing if it has more than `most` levels.
-pub(crate) fn read(stream: &[u8], shape: Shape<'_>, most: usize) -> Result<Option<TileLevels>, Broken> {
+/// Reads the stream of a tile; nothing if it has more levels than `count` allows.
+pub(crate) fn read(stream: &[u8], shape: Shape<'_>, count: &mut Count) -> Result<Option<TileLevels>, Broken> {
     let mut decoder = Decoder::new(stream)?;
-    let tile = read_with(&mut decoder, &mut Models::start(), shape, most)?;
+    let tile = read_with(&mut decoder, &mut Models::start(), shape, count)?;
     decoder.finish()?;
     Ok(tile)
 }

@@ -253,10 +253,13 @@ fn opened<'a>(bytes: &'a [u8], kind: &'static [u8]) -> Result<Bytes<'a>> {
         let found = String::from_utf8_lossy(&bytes[..bytes.len().min(kind.len())]);
         return wrong(format!("{} bytes that begin with {found:?}, not with {kind:?}", bytes.len()));
     };
-    let version = rest.iter().take(64).position(|&b| b == b'\n').map_or(rest, |end| &rest[..end]);
-    if version != VERSION {
-        let [found, own] = [version, VERSION].map(|v| String::from_utf8_lossy(&v[..v.len().min(64)]).into_owned());
-        return wrong(format!("made by version {found:?}, this is {own:?}"));
+    let head = &rest[..rest.len().min(64)];
+    let end = head.iter().position(|&b| b == b'\n');
+    let version = &head[..end.unwrap_or(head.len())];
+    if version != VERSION || end.is_none() {
+        let [found, own] = [version, VERSION].map(|v| String::from_utf8_lossy(v).into_owned());
+        let what = if end.is_none() { "cut off within the line of the version" } else { "made by version" };
+        return wrong(format!("{what} {found:?}, this is {own:?}"));
     }
     let start = kind.len() + version.len() + 1;
     let Some((contents, stored)) = bytes[start..].split_last_chunk() else {

@@ -26,11 +26,11 @@ struct Desk {
 
 /// Answer of a call. The pieces are: pixels, Gaussians, JSON, a thumbnail or a text; the ICC profile; the EXIF block;
 /// the bits of each Gaussian. The numbers are: width, height, channels, depth in bits, primitives, orientation as EXIF
-/// counts it, and missing primitives.
+/// counts it, missing primitives, missing tiles of the detail layer, and 1 if the file is cut off or its checksum is wrong.
 #[derive(Default)]
 struct Answer {
     pieces: [Vec<u8>; 4],
-    numbers: [u32; 7],
+    numbers: [u32; 9],
 }
 
 thread_local! {
@@ -97,7 +97,7 @@ pub extern "C" fn header() -> u32 {
         let (width, height, sections) = (header.width, header.height, header.sections);
         let mut answer = Answer::default();
         let [channels, depth] = [header.channels.count(), 8 * header.depth.bytes()].map(|v| v as u32);
-        answer.numbers = [width, height, channels, depth, header.primitives, 1, 0];
+        answer.numbers = [width, height, channels, depth, header.primitives, 1, 0, 0, 0];
         if sections == Sections::Present {
             let mut metadata = opening.metadata()?;
             answer.pieces[0] = metadata.thumbnail.take().unwrap_or_default();
@@ -150,7 +150,8 @@ pub extern "C" fn decode(
         let opened = opening.read_for(&view, if partial == 0 { Damage::Refuse } else { Damage::Accept })?;
         let mut samples = zeros(pixels as usize * channels)?;
         opened.draw_into(&view, SamplesMut::U8(&mut samples))?;
-        let missing = opened.missing().primitives;
+        let missing = opened.missing();
+        let lost = [missing.primitives, missing.tiles, u32::from(missing.damaged)];
         let mut answer = Answer::default();
         describe(opened.into_metadata(), &mut answer);
         let rgba = match channels {
@@ -162,7 +163,9 @@ pub extern "C" fn decode(
         answer.pieces[0] = rgba?;
         let orientation = answer.numbers[ORIENTATION];
         let bits = 8 * depth.bytes() as u32;
-        answer.numbers = [view.width(), view.height(), channels as u32, bits, primitives, orientation, missing];
+        let [gaussians, tiles, damaged] = lost;
+        let [columns, rows] = [view.width(), view.height()];
+        answer.numbers = [columns, rows, channels as u32, bits, primitives, orientation, gaussians, tiles, damaged];
         Ok(answer)
     })
 }
@@ -188,7 +191,7 @@ pub extern "C" fn gaussians() -> u32 {
         write(background, &quantizer.dequantize_color(splats.background));
         let mut answer = Answer::default();
         answer.pieces[0] = bytes;
-        answer.numbers = [width, height, channels, depth, primitives, 1, 0];
+        answer.numbers = [width, height, channels, depth, primitives, 1, 0, 0, 0];
         Ok(answer)
     })
 }
