@@ -69,6 +69,8 @@ assert_eq!(picture.width(), 8);
 //! The repository's `docs/ARCHITECTURE.md` is the map, `spec/ssplat.md` the format.
 
 #![cfg_attr(not(feature = "unstable"), warn(missing_docs))]
+// docs.rs builds with nightly; each item then shows the feature that it needs.
+#![cfg_attr(docsrs, feature(doc_cfg))]
 // Items that only the program and the lab use are dead code without their feature.
 #![cfg_attr(not(any(test, feature = "unstable")), allow(dead_code, unused_imports))]
 

@@ -30,12 +30,39 @@ pub struct Rules<'a> {
     pub is_recursive: bool,
 }
 
+/// How the file system of the outputs compares names.
+#[derive(Debug, Clone, Copy)]
+enum Names {
+    Exactly,
+    /// `A.ssplat` and `a.ssplat` are one file, as usual on Windows and macOS.
+    IgnoringCase,
+}
+
+impl Names {
+    fn of_this_system() -> Names {
+        if cfg!(any(windows, target_vendor = "apple")) { Names::IgnoringCase } else { Names::Exactly }
+    }
+
+    /// What is equal for two outputs that would be one file.
+    fn key(self, output: &Path) -> OsString {
+        match self {
+            Names::Exactly => output.as_os_str().to_owned(),
+            Names::IgnoringCase => output.to_string_lossy().to_lowercase().into(),
+        }
+    }
+}
+
 /// Problems and names that are told one by one; of more only the number.
 const TOLD: usize = 10;
 
 /// Returns a task for each file of `inputs`, with its output in `folder`. An output has its input's name with another extension.
 /// Where several would have the same one, each keeps its own extension before that.
 pub fn find(inputs: &[PathBuf], folder: &Path, rules: &Rules) -> Result<Found, Failure> {
+    find_on(Names::of_this_system(), inputs, folder, rules)
+}
+
+/// [`find`] on a system that compares names in this way.
+fn find_on(names: Names, inputs: &[PathBuf], folder: &Path, rules: &Rules) -> Result<Found, Failure> {
     let mut named = Vec::new();
     let mut passed = PassedOver::default();
     let mut problems = Vec::new();
@@ -51,15 +78,15 @@ pub fn find(inputs: &[PathBuf], folder: &Path, rules: &Rules) -> Result<Found, F
         }
         named.extend(files);
     }
-    let outputs = outputs(&named, rules.extension);
-    let mut taken: HashMap<&Path, &Path> = HashMap::new();
+    let outputs = outputs(&named, rules.extension, names);
+    let mut taken: HashMap<OsString, &Path> = HashMap::new();
     let mut seen = HashSet::new();
     for ((input, _), output) in named.iter().zip(&outputs) {
         if !seen.insert(input) {
             problems.push(format!("{}: is named twice", input.display()));
             continue;
         }
-        if let Some(other) = taken.insert(output, input) {
+        if let Some(other) = taken.insert(names.key(output), input) {
             problems.push(format!(
                 "{} and {} would both become {}; give them a folder each",
                 other.display(),
@@ -82,7 +109,7 @@ pub fn find(inputs: &[PathBuf], folder: &Path, rules: &Rules) -> Result<Found, F
 }
 
 /// Returns the output of each named file: with another extension, or behind its own where that is several files' output.
-fn outputs(named: &[(PathBuf, PathBuf)], extension: &str) -> Vec<PathBuf> {
+fn outputs(named: &[(PathBuf, PathBuf)], extension: &str, names: Names) -> Vec<PathBuf> {
     let short = |name: &Path| name.with_extension(extension);
     let long = |name: &Path| {
         let mut whole = OsString::from(name.as_os_str());
@@ -93,9 +120,10 @@ fn outputs(named: &[(PathBuf, PathBuf)], extension: &str) -> Vec<PathBuf> {
     let mut outputs: Vec<PathBuf> = named.iter().map(|(_, name)| short(name)).collect();
     // A longer name may be another file's short one: `a.gif.ssplat` is made of `a.gif` and of `a.gif.png`.
     loop {
-        let mut times: HashMap<&Path, usize> = HashMap::new();
-        outputs.iter().for_each(|output| *times.entry(output).or_default() += 1);
-        let is_shared: Vec<bool> = outputs.iter().map(|output| times[output.as_path()] > 1).collect();
+        let keys: Vec<OsString> = outputs.iter().map(|output| names.key(output)).collect();
+        let mut times: HashMap<&OsString, usize> = HashMap::new();
+        keys.iter().for_each(|key| *times.entry(key).or_default() += 1);
+        let is_shared: Vec<bool> = keys.iter().map(|key| times[key] > 1).collect();
         let mut has_changed = false;
         for ((output, (_, name)), is_shared) in outputs.iter_mut().zip(named).zip(is_shared) {
             if is_shared && *output != long(name) {
@@ -169,9 +197,13 @@ fn list(
 mod tests {
     use super::*;
 
-    fn of(names: &[&str]) -> Vec<String> {
-        let named: Vec<_> = names.iter().map(|n| (Path::new("in").join(n), PathBuf::from(n))).collect();
-        outputs(&named, "ssplat").iter().map(|o| o.display().to_string()).collect()
+    fn of(inputs: &[&str]) -> Vec<String> {
+        on(Names::Exactly, inputs)
+    }
+
+    fn on(names: Names, inputs: &[&str]) -> Vec<String> {
+        let named: Vec<_> = inputs.iter().map(|n| (Path::new("in").join(n), PathBuf::from(n))).collect();
+        outputs(&named, "ssplat", names).iter().map(|o| o.display().to_string()).collect()
     }
 
     #[test]
@@ -187,5 +219,17 @@ mod tests {
     #[test]
     fn a_longer_name_that_is_taken_gets_longer_too() {
         assert_eq!(of(&["a.gif", "a.png", "a.gif.png"]), ["a.gif.ssplat", "a.png.ssplat", "a.gif.png.ssplat"]);
+    }
+
+    #[test]
+    fn outputs_that_differ_in_case_alone_are_one_file_where_the_system_says_so() {
+        assert_eq!(of(&["A.png", "a.jpg"]), ["A.ssplat", "a.ssplat"]);
+        assert_eq!(on(Names::IgnoringCase, &["A.png", "a.jpg", "É.png"]), ["A.png.ssplat", "a.jpg.ssplat", "É.ssplat"]);
+        let rules = Rules { takes: &|_| true, extension: "ssplat", is_recursive: false };
+        let inputs = ["x/A.png", "y/a.png"].map(PathBuf::from);
+        let found = |names| find_on(names, &inputs, Path::new("out"), &rules);
+        assert_eq!(found(Names::Exactly).unwrap().tasks.len(), 2);
+        let refused = found(Names::IgnoringCase).unwrap_err().message;
+        assert!(refused.contains("x/A.png and y/a.png would both become"), "{refused}");
     }
 }

@@ -34,7 +34,8 @@ use failure::Failure;
 
 /// Does what the command line says.
 pub fn main() -> ExitCode {
-    let args = Args::parse();
+    // The shells of Windows leave patterns such as `*.png` to the program.
+    let args = Args::parse_from(wild::args_os());
     match run(args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {

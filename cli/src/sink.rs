@@ -63,6 +63,9 @@ impl Sink {
         if path == Path::new("-") {
             return Ok(Sink { path: path_buf, out: Out::Stdout });
         }
+        if cfg!(windows) && is_device_with_extension(path) {
+            return Err(Failure::usage(format!("{}: Windows reserves this name for a device", path.display())));
+        }
         let io = |e: io::Error| Failure::io(path, &e);
         let target = match std::fs::metadata(path) {
             Ok(m) if m.is_dir() => {
@@ -127,8 +130,25 @@ impl Sink {
         let Out::Temporary { file, target } = self.out else { return Ok(()) };
         let mut unfinished = UNFINISHED.lock().unwrap_or_else(|e| e.into_inner());
         unfinished.retain(|p| p != file.path());
-        file.persist(&target).map(drop).map_err(|e| Failure::io(&self.path, &e.error))
+        put(file, &target).map_err(|e| Failure::io(&self.path, &e))
     }
+}
+
+/// Closes `file` and renames it to `target`; removes it if that fails. Unlike `NamedTempFile::persist`, the standard
+/// library's rename also replaces a file on Windows that another program has open.
+fn put(file: NamedTempFile, target: &Path) -> io::Result<()> {
+    let path = file.into_temp_path().keep().map_err(|e| e.error)?;
+    std::fs::rename(&path, target).inspect_err(|_| drop(std::fs::remove_file(&path)))
+}
+
+/// Whether Windows takes `path` for a device because of its name, although it has an extension: `aux.png`, `con.ssplat`. What
+/// is written there would be lost. `NUL` and `CON` alone are devices on purpose.
+fn is_device_with_extension(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let Some((stem, _)) = name.split_once('.') else { return false };
+    let stem = stem.trim_end().to_ascii_uppercase();
+    let numbered = |port| stem.strip_prefix(port).is_some_and(|n| n.chars().count() == 1 && "0123456789¹²³".contains(n));
+    ["CON", "PRN", "AUX", "NUL", "CONIN$", "CONOUT$"].contains(&&*stem) || numbered("COM") || numbered("LPT")
 }
 
 /// An output's path for messages.
@@ -171,4 +191,45 @@ fn temporary() -> tempfile::Builder<'static, 'static> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(".ssplat-");
     builder
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_windows_reserves_are_known() {
+        for name in ["aux.png", "AUX.tar.png", "x/con.ssplat", "nul .png", "Com1.png", "lpt\u{b9}.png", "CONOUT$.ppm"] {
+            assert!(is_device_with_extension(Path::new(name)), "{name}");
+        }
+        for name in ["NUL", "con", "auxiliary.png", "x.aux", "com.png", "com10.png", "nul/x.png", "coma.png", ".aux", "-"] {
+            assert!(!is_device_with_extension(Path::new(name)), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_file_that_is_open_elsewhere_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        std::fs::write(&path, "old").unwrap();
+        let mut open = File::open(&path).unwrap();
+        Sink::create(&path, &[]).unwrap().finish_with(b"new").unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"new");
+        let mut old = String::new();
+        io::Read::read_to_string(&mut open, &mut old).unwrap();
+        assert_eq!(old, "old", "who reads the old file is not disturbed");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_file_that_cannot_take_its_place_is_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let sink = Sink::create(&path, &[]).unwrap();
+        // Meanwhile someone makes a folder of that name.
+        std::fs::create_dir(&path).unwrap();
+        std::fs::write(path.join("inside"), "").unwrap();
+        assert_eq!(sink.finish_with(b"new").unwrap_err().kind, Kind::Io);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
 }

@@ -567,6 +567,42 @@ fn an_interrupt_leaves_nothing_behind() {
     assert!(folder.names().is_empty(), "{:?}", folder.names());
 }
 
+/// The first thread has 1 MiB on Windows and 8 MiB on Linux.
+#[test]
+#[cfg(unix)]
+fn a_stack_as_small_as_on_windows_is_enough() {
+    let folder = Folder::new();
+    let (source, file, out) = (folder.picture("a.png"), folder.path("a.ssplat"), folder.path("out.png"));
+    let limited = |args: &[&dyn AsRef<OsStr>]| {
+        let mut shell = Command::new("sh");
+        shell.args(["-c", "ulimit -s 1024 && exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_ssplat")]);
+        succeeds(shell.args(args.iter().map(|a| a.as_ref())).output().unwrap());
+    };
+    limited(&[&"encode", &PHOTO, &file, &"--ratio", &"100", &"--effort", &"1", &"--threads", &"1"]);
+    limited(&[&"encode", &source, &file, &"--quality", &"60", &"--effort", &"2", &"--layout", &"planes"]);
+    limited(&[&"encode", &PHOTO, &file, &"--ratio", &"100", &"--effort", &"1", &"--tiles"]);
+    limited(&[&"decode", &file, &out]);
+    limited(&[&"compare", &PHOTO, &file]);
+    limited(&[&"info", &file]);
+    limited(&[&"export", &file, &folder.path("a.npz")]);
+    limited(&[&"import", &folder.path("a.npz"), &folder.path("b.ssplat")]);
+    limited(&[&"placeholder", &source]);
+    limited(&[&"view", &file, &"--html", &folder.path("a.html")]);
+    limited(&[&"man"]);
+}
+
+/// Shells of Unix expand patterns themselves.
+#[test]
+#[cfg(windows)]
+fn patterns_are_expanded() {
+    let folder = Folder::new();
+    folder.picture("a.png");
+    folder.picture("b.png");
+    let out = folder.path("out");
+    succeeds(ssplat(&[&"encode", &folder.path("*.png"), &"--out-dir", &out, &"--effort", &"1"]));
+    assert!(out.join("a.ssplat").is_file() && out.join("b.ssplat").is_file());
+}
+
 /// What the program says on a terminal.
 #[cfg(unix)]
 fn on_a_terminal(args: &[&dyn AsRef<OsStr>]) -> String {

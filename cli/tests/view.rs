@@ -21,7 +21,7 @@ fn view(input: &Path) -> Command {
 
 /// A file of the viewer's source, which the program holds. What it does is tried in a browser (web/test).
 fn source(name: &str) -> Vec<u8> {
-    fs::read(Path::new("web").join(name)).unwrap()
+    fs::read(Path::new("../web").join(name)).unwrap()
 }
 
 /// A server that is ended with the test.

@@ -7,7 +7,7 @@ pub const PAGE: &str = "viewer/index.html";
 pub const MODULE: &str = "ssplat-simd.wasm";
 
 macro_rules! sources {
-    ($($name:literal),* $(,)?) => { &[$(($name, include_str!(concat!("../../web/", $name)))),*] };
+    ($($name:literal),* $(,)?) => { &[$(($name, include_str!(concat!(env!("SSPLAT_WEB"), "/", $name)))),*] };
 }
 
 /// The modules of the page. Their names without folders differ.
@@ -29,9 +29,9 @@ pub const MODULES: &[(&str, &str)] = sources![
 ];
 
 /// The text of [`PAGE`].
-pub const PAGE_TEXT: &str = include_str!("../../web/viewer/index.html");
+pub const PAGE_TEXT: &str = include_str!(concat!(env!("SSPLAT_WEB"), "/viewer/index.html"));
 /// The bytes of [`MODULE`].
-pub const MODULE_BYTES: &[u8] = include_bytes!("../../web/ssplat-simd.wasm");
+pub const MODULE_BYTES: &[u8] = include_bytes!(concat!(env!("SSPLAT_WEB"), "/ssplat-simd.wasm"));
 
 /// A file of the viewer, by its name below the viewer's folder; `None` for every other name.
 pub fn file(name: &str) -> Option<&'static [u8]> {
