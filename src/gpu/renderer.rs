@@ -343,13 +343,13 @@ impl Renderer {
         }
         let layer_work = layer.as_ref().map_or(0, Layer::work);
         let all_work = self.limits.work;
-        let most_work = self.limits.most_work(u64::from(base.width) * u64::from(base.height), self.count.into());
+        let max_work = self.limits.max_work(u64::from(base.width) * u64::from(base.height), self.count.into());
         let tile_pairs = self.limits.tile_pairs;
-        let most_pairs = tile_pairs.min(most_work.min(all_work - layer_work) / PAIR_WORK);
+        let most_pairs = tile_pairs.min(max_work.min(all_work - layer_work) / PAIR_WORK);
         let check = |pairs: u64| {
             Limits::check("tile_pairs", pairs, tile_pairs)?;
             let work = pairs.saturating_mul(PAIR_WORK);
-            Limits::check("work", work, most_work)?;
+            Limits::check("work", work, max_work)?;
             Limits::check("work", work.saturating_add(layer_work), all_work)
         };
         let mut first = 0;
