@@ -1,4 +1,4 @@
-//! Where the error is largest, found on the device: cells of what is missing, blurred and halved level by level.
+//! Finds the largest errors on the device: cells of the residual, blurred and halved level by level.
 
 use super::device::Device;
 use super::kernels::Kernels;
@@ -10,20 +10,20 @@ use crate::fit::model::placing::ridge::{self, Shape};
 use crate::fit::model::target::rows::RowSet;
 use bytemuck::{Pod, Zeroable};
 
-/// Most levels.
+/// Maximum number of levels.
 const LEVELS: u32 = 12;
 
-/// Sets of uniforms: three a level and one more pass in the first.
+/// Sets of uniforms: three per level and an additional pass in the first.
 const SLOTS: u64 = 4 * LEVELS as u64;
 
-/// A peak as `peaks.wgsl` writes it.
+/// A peak as written by `peaks.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Found {
     /// Mean residual under its shape.
     pub residual: [f32; 4],
     pub level: u32,
-    /// Number of its ridge from 1 on, 0 where it is round.
+    /// Number of its ridge, from 1 on; 0 for a round peak.
     pub ridge: u32,
     pub x: u32,
     pub y: u32,
@@ -35,7 +35,7 @@ impl Found {
     }
 }
 
-/// The buffers, and the stages bound to them.
+/// The buffers, and the stages that are bound to them.
 #[derive(Debug)]
 pub(super) struct Peaks {
     /// Number of cells that the buffers can hold.
@@ -44,11 +44,11 @@ pub(super) struct Peaks {
     found: wgpu::Buffer,
     count: wgpu::Buffer,
     residual: Vec<wgpu::BindGroup>,
-    /// From the first cells to the second and back.
+    /// From the first cell buffer to the second and back.
     blur: [wgpu::BindGroup; 2],
     halve: [wgpu::BindGroup; 2],
     find: [wgpu::BindGroup; 2],
-    /// Cells, and their blurred or halved copies, for a test to read.
+    /// Cells, and their blurred or halved copies, which tests read.
     #[cfg(test)]
     pub cells: [wgpu::Buffer; 2],
 }
@@ -64,12 +64,12 @@ struct Level {
 }
 
 impl Peaks {
-    /// Cells of a picture whose sampled rows are `rows`.
+    /// Returns the number of cells of a picture whose sampled rows are `rows`.
     pub(super) fn cells(base: &Uniforms, rows: RowSet) -> u64 {
         u64::from(base.width.div_ceil(rows.step)) * rows.count(base.height) as u64
     }
 
-    /// Buffers for the cells of `rows`.
+    /// Creates the buffers for the cells of `rows`.
     pub(super) fn new(
         device: &Device,
         base: &Uniforms,
@@ -108,12 +108,12 @@ impl Peaks {
         })
     }
 
-    /// How many cells fit.
+    /// Returns the number of cells that fit.
     pub(super) fn room(&self) -> u64 {
         self.room
     }
 
-    /// Turns the planes of a band into cells.
+    /// Converts the planes of a band to cells.
     pub(super) fn residual(
         &self,
         kernels: &Kernels,
@@ -126,8 +126,8 @@ impl Peaks {
         kernels.residual.each(pass, &self.residual[slab], slot, cells);
     }
 
-    /// All peaks of the cells that are worth at least `least`, with their levels, at scales up to `spacing`. The cells
-    /// are used up.
+    /// Returns all peaks of the cells with a gain of at least `least`, with their levels, at scales up to `spacing`.
+    /// Overwrites the cells.
     pub(super) fn find(
         &self,
         device: &Device,
@@ -160,7 +160,7 @@ impl Peaks {
             encoder.clear_buffer(&self.count, 0, None);
             let mut pass = encoder.begin_compute_pass(&Default::default());
             for (i, level) in levels.iter().enumerate() {
-                // Halving takes the cells to the other buffer.
+                // Halving moves the cells to the other buffer.
                 let (from, slot) = (i % 2, 2 * i as u32);
                 let cells = u64::from(level.size[0]) * u64::from(level.size[1]);
                 for _ in 0..level.passes {
@@ -189,12 +189,13 @@ impl Peaks {
     }
 }
 
-/// No more peaks than this can be: two are never neighbours, and levels have a quarter of the cells each.
+/// Returns an upper bound of the number of peaks: peaks are never adjacent, and each level has a quarter of the cells
+/// of the previous one.
 fn most_peaks(cells: u64) -> u64 {
     cells / 2 + 64 * u64::from(LEVELS)
 }
 
-/// The levels of the search, as `fit::model::placing::peaks::peaks` has them.
+/// Returns the levels of the search, the same as in `fit::model::placing::peaks::peaks`.
 fn levels(base: &Uniforms, rows: RowSet, spacing: f32) -> Vec<Level> {
     let mut size = [base.width.div_ceil(rows.step), rows.count(base.height) as u32];
     let mut cell = rows.step as f32;
@@ -210,7 +211,7 @@ fn levels(base: &Uniforms, rows: RowSet, spacing: f32) -> Vec<Level> {
         if size[0] < 4 || size[1] < 4 {
             break;
         }
-        // The box of the halving adds a quarter of a cell.
+        // The box filter of the halving adds a quarter of a cell.
         variance += 0.25 * cell * cell;
         size = size.map(|s| s.div_ceil(2));
         cell *= 2.0;

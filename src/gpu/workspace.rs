@@ -1,5 +1,5 @@
-//! Working memory of a step: buffers that depend on the number of primitives, the bands and the lists, and the passes
-//! bound to them.
+//! Working memory of a step: buffers whose sizes depend on the number of primitives, the bands and the lists, and the
+//! passes bound to them.
 
 use super::device::Device;
 use super::lists::Lists;
@@ -7,17 +7,17 @@ use super::scene::Uniforms;
 use super::source::Source;
 use crate::error::Result;
 
-/// Sets of uniforms that are submitted at a time.
+/// Sets of uniforms per submission.
 pub(super) const SLOTS: usize = 1024;
 
-/// Bytes that a pair takes in the slots.
+/// Bytes per pair in the slots.
 pub(super) const SLOT: u64 = 48;
 
-/// How much the buffers are to hold.
+/// Sizes that the buffers must hold.
 #[derive(Debug)]
 pub(super) struct Room {
     pub primitives: u64,
-    /// Pairs of the lists.
+    /// Capacity of the lists in pairs.
     pub capacity: u32,
     /// Pixels of a band.
     pub pixels: u64,
@@ -39,7 +39,7 @@ pub(super) struct Workspace {
     pub importance: Vec<wgpu::BindGroup>,
     pub gather: wgpu::BindGroup,
     pub adam: wgpu::BindGroup,
-    /// Buffer that a test reads.
+    /// Buffer that tests read.
     #[cfg(test)]
     pub tails: wgpu::Buffer,
     #[cfg(test)]
@@ -47,10 +47,11 @@ pub(super) struct Workspace {
 }
 
 impl Workspace {
-    /// Makes them for the slabs of `source` and the `state` of a fit: its primitives, and the moments that Adam keeps of them.
+    /// Creates the buffers and passes for the slabs of `source` and the `state` of a fit: its primitives, and Adam's
+    /// moments of them.
     ///
     /// # Errors
-    /// [`Error::Gpu`](crate::Error::Gpu) when the device cannot hold them.
+    /// [`Error::Gpu`](crate::Error::Gpu) if the device does not have enough memory.
     pub(super) fn new(device: &Device, source: &Source, state: [&wgpu::Buffer; 3], room: &Room) -> Result<Self> {
         let [primitives, first, second] = state;
         device.scoped(|| {
@@ -94,7 +95,7 @@ impl Workspace {
         })
     }
 
-    /// The sum of what the last step or survey, of `tiles` tiles in all bands, left in the errors.
+    /// Returns the error of the last step or survey, summed over the `tiles` tiles of all bands.
     pub(super) fn error(&self, device: &Device, tiles: u64) -> Result<f64> {
         Ok(device.read_as::<f32>(&self.errors, tiles as usize)?.iter().map(|&e| f64::from(e)).sum())
     }
