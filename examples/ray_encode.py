@@ -149,7 +149,7 @@ def run(source, out, options, *, block=None, again=False, encode=encode_one):
         rows = [encode(row["path"], source, out, options, row["output"]) for row in batch.to_pylist()]
         return pa.Table.from_pylist(rows, schema=SCHEMA)
 
-    # Few pictures in a task leave no worker idle at the end; sixteen make its start cheap.
+    # Small tasks keep all workers busy until the end, and sixteen pictures make the overhead of a task small.
     cores = max(1, int(ray.cluster_resources().get("CPU", 1)))
     blocks = -(-len(paths) // (block or min(16, max(1, len(paths) // (8 * cores)))))
     items = [{"path": path, "output": outputs[path]} for path in paths]
@@ -171,7 +171,7 @@ def open_whole(path):
         width, height = int(header[2]), int(header[3])
         shape = (height, width) if header[1] == b"5" else (height, width, 3)
         return np.memmap(path, np.uint8, "r", header.end(), shape)
-    # Whoever asks for this knows that the picture is large.
+    # The caller knows that the picture is large.
     Image.MAX_IMAGE_PIXELS = None
     return path
 
@@ -195,7 +195,7 @@ def split(path, out, options, *, side=2048, at_once=None, keep=None, work=work_o
     def start(task):
         if keep is None:
             return functools.partial(ray.get, on_tile.remote(task))
-        # Equal tasks have equal answers: their name is what they hold.
+        # Equal tasks have equal results, so the name is a hash of the contents.
         name = hashlib.sha256(task).hexdigest()
         fs, root = fsspec.url_to_fs(keep)
         if fs.exists(posixpath.join(root, name)):
@@ -209,7 +209,7 @@ def split(path, out, options, *, side=2048, at_once=None, keep=None, work=work_o
 
         return wait
 
-    # One task for each worker, and one that waits for it.
+    # One task for each worker, and one in its queue.
     at_once = at_once or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
     data = ssplat.encode(open_whole(path), tiles=side, start=start, at_once=at_once, progress=progress, **options)
     folder, name = posixpath.split(out)
@@ -235,7 +235,7 @@ def main(arguments=None):
     import ray
 
     options = {k: v for k in ("ratio", "bytes", "psnr", "effort") if (v := getattr(a, k)) is not None}
-    # Ray's workers are elsewhere.
+    # Ray's workers run in other folders.
     local = [p if "://" in p else os.path.abspath(p) for p in (a.source, a.out)]
     ray.init(address=a.address)
     start = time.perf_counter()

@@ -15,9 +15,9 @@ root = pathlib.Path(__file__).resolve().parent.parent
 page, rows_file = root / "docs/BENCHMARKS.md", root / "docs/benchmarks.csv"
 chart, speed_chart = root / "docs/quality.svg", root / "docs/speed.svg"
 RATIOS = [20, 50, 100, 200, 500]
-# Qualities of the others, from small files to large ones.
+# Quality settings of the other codecs, from small files to large ones.
 QUALITIES = {"jpeg": [4, 8, 14, 35, 55, 88], "webp": [0, 5, 15, 50, 70, 93], "avif": [0, 4, 10, 18, 40, 66, 80, 88, 94], "jxl": [1, 4, 10, 20, 50, 65, 90, 95]}
-# Qualities of AVIF between whose files those of ratio 50 lie, on each of the four pictures of the tables of efforts and speeds.
+# Quality settings of AVIF around a ratio of 50, for each of the four pictures of the tables of efforts and speeds.
 AROUND_50 = {5: (31, 36), 13: (27, 34), 15: (48, 57), 23: (58, 67)}
 MEASURES = ["psnr", "ms_ssim", "ssimulacra2", "butteraugli"]
 
@@ -139,7 +139,7 @@ def modern():
     found = {}
     with open(root / "docs/kodak-modern.csv") as file:
         for row in csv.DictReader(file):
-            # Some sizes are out of a codec's reach.
+            # Some codecs do not reach some sizes.
             if not row["bytes"].isdigit():
                 continue
             point = {"bytes": int(row["bytes"]), "psnr": float(row["psnr"]), "ms_ssim": float(row["msssim"]), "ssimulacra2": float(row["ssimulacra2"]), "butteraugli": float(row["butteraugli"])}
@@ -187,7 +187,7 @@ def quality():
             rows.append([str(ratio), label, f"{mean(r['bytes'] for r in of):.0f}", number(mean(r.get("psnr_at", r["psnr"]) for r in of), 2), number(mean(r.get("ms_ssim_at", r["ms_ssim"]) for r in of), 4), number(mean(at_size), 1), number(mean(r["butteraugli"] for r in of), 2), number(mean(r["encode_s"] for r in of), 1), f"{ahead} of 12"])
     head = ["ratio", "codec", "bytes", "PSNR dB", "MS-SSIM", "SSIMULACRA2", "Butteraugli", "encode, CPU s", "pictures where ssplat's SSIMULACRA2 is higher"]
     tables["quality"] = table(head, rows, 2)
-    # A line a codec: the measure over bits a pixel, both means over the pictures.
+    # One line per codec: the measure against bits per pixel, each averaged over the pictures.
     lines = {}
     pixels = 768 * 512
     for name in ("ssplat",):

@@ -31,7 +31,7 @@ def main() -> None:
                 mosaic.paste(picture.convert("RGB"), (left, top))
                 left += picture.width
                 lowest = min(lowest, top + picture.height)
-        # The next row covers what hangs below the lowest picture of this one.
+        # The next row starts below the shortest picture of this one and covers the others.
         top = lowest
     mosaic.save(out, compress_level=1)
 

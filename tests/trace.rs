@@ -1,4 +1,4 @@
-//! The trace of an encode: what it says, and that asking for it changes nothing else.
+//! The trace of an encode: its contents, and that requesting it changes nothing else.
 #![cfg(feature = "unstable")]
 
 use ssplat::unstable::Trace;
@@ -27,7 +27,7 @@ fn a_trace_ends_with_the_written_picture_and_leaves_the_bytes_alone() {
     assert_eq!(points[0].stage, "fit");
     let last = points.last().unwrap();
     assert_eq!(last.stage, "written");
-    // The trace has rounded code values, the report has not.
+    // The trace is computed from rounded code values, the report is not.
     assert!((last.psnr - traced.report.psnr).abs() < 0.1, "{} {}", last.psnr, traced.report.psnr);
     assert!(last.psnr > points[0].psnr && last.ssim.is_some() && last.ms_ssim.is_none());
 }

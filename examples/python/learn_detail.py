@@ -29,7 +29,7 @@ def variants(path):
     yield "half", picture.resize([max(1, side // 2) for side in picture.size], Image.Resampling.LANCZOS)
     yield "grey", picture.convert("L")
     if path.stem.endswith("9"):
-        # A vignette as alpha, on a few.
+        # Some pictures get a vignette as alpha.
         alpha = Image.radial_gradient("L").resize(picture.size).point(lambda v: 255 - v)
         cut = picture.convert("RGB")
         cut.putalpha(alpha)

@@ -1,4 +1,5 @@
-//! Tasks for workers, changed and sealed again: refused, or worked on within bounded memory until the worker is stopped.
+//! Runs modified tasks with correct checksums on a worker: they are refused, or processed in bounded memory until the
+//! worker is stopped.
 #![no_main]
 
 use std::ops::ControlFlow;
@@ -11,11 +12,11 @@ use ssplat::{Error, Progress};
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;
 
-/// After this time the worker is asked to stop, and later than that it must have.
+/// Time after which the worker is asked to stop; it must stop soon after.
 const STOP: Duration = Duration::from_secs(5);
 const STOPPED: Duration = Duration::from_secs(12);
 
-/// What a fit takes beside what its task's bytes ask for, and for each of them, bytes.
+/// Memory of a fit beyond the bytes that its task requests: a constant, and an amount for each byte.
 const FIXED: usize = 64 << 20;
 const EACH: usize = 4000;
 

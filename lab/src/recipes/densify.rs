@@ -1,23 +1,25 @@
-//! Growth and pruning of 3D Gaussian Splatting (Kerbl et al. 2023, section 5.2), after `densify_and_prune`, `reset_opacity` and
-//! `train.py` of github.com/graphdeco-inria/gaussian-splatting.
+//! Growth and pruning of 3D Gaussian Splatting (Kerbl et al. 2023, section 5.2), after `densify_and_prune`,
+//! `reset_opacity` and `train.py` of github.com/graphdeco-inria/gaussian-splatting.
 //!
-//! Up to iteration 15 000 of 30 000 the norms of the gradients with respect to places are averaged, in units of half the
-//! picture's sides and of the mean loss. After iteration 500, every 100, each Gaussian whose average is 0.0002 or more is
-//! cloned where its larger scale is at most 0.01 of the scene's extent, and otherwise split: two take its place, drawn from it,
-//! with 1/1.6 of its scales. Then those with an opacity below 0.005 go. Every 3000 iterations opacities are lowered to 0.01 at most. New Gaussians come last in the
-//! order, with empty moments of the optimizer, which takes no step in such an iteration. Radii in the picture prune nothing: the
-//! program looks at them when it has just cleared them.
+//! Up to iteration 15 000 of 30 000, the norms of the gradients with respect to positions are averaged, in units of
+//! half the picture's sides and of the mean loss. After iteration 500, every 100 iterations, each Gaussian with an
+//! average of 0.0002 or more is cloned if its larger scale is at most 0.01 of the scene's extent, and split otherwise:
+//! it is replaced by two samples from it with 1/1.6 of its scales. Then Gaussians with an opacity below 0.005 are
+//! removed. Every 3000 iterations, opacities are reduced to at most 0.01. New Gaussians come last in the order, with
+//! empty moments of the optimizer, which takes no step in such an iteration. Radii in the picture do not prune
+//! anything, because the program reads them after it has cleared them.
 //!
-//! Otherwise than there: nothing is pruned for its size. There, once opacities have been reset, what has a scale above 0.1 of the
-//! extent goes: among some hundred Gaussians that is the distance to the next, and hardly any would stay. There are never more than the number that was asked for. Where more would grow, those with the largest
-//! averages do. One always stays.
+//! Differences from the published program: nothing is pruned for its size. There, once opacities have been reset,
+//! Gaussians with a scale above 0.1 of the extent are removed. With a few hundred Gaussians, that is the distance to
+//! the next one, and hardly any would remain. There are never more Gaussians than requested. If more would grow, those
+//! with the largest averages do. One always remains.
 
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
 use super::optimizer::{Adam, NUMBERS};
 
-/// Iterations of the published program: all that counts iterations is in units of these.
+/// Iterations of the published program; all iteration counts here are relative to these.
 const ITERATIONS: u32 = 30_000;
 const FROM: u32 = 500;
 const UNTIL: u32 = 15_000;
@@ -26,12 +28,12 @@ const RESET: u32 = 3000;
 const THRESHOLD: f32 = 2e-4;
 const FAINTEST: f32 = 5e-3;
 const LOWERED: f32 = 0.01;
-/// Share of the extent above which a Gaussian is split.
+/// Scale, relative to the extent, above which a Gaussian is split.
 const LARGE: f32 = 0.01;
 /// Divisor of the scales when a Gaussian is split into two.
 const SHRINK: f32 = 1.6;
 
-/// The Gaussians, with what the optimizer knows of them.
+/// The Gaussians and the optimizer's state of them.
 pub(super) struct Crowd {
     pub numbers: Vec<[f32; NUMBERS]>,
     pub adam: Adam,
@@ -46,7 +48,7 @@ pub(super) struct Due {
 }
 
 impl Due {
-    /// After `iteration` of so many, the first of which is 1.
+    /// Returns the actions after `iteration` (counted from 1) of `iterations`.
     pub(super) fn after(iteration: u32, iterations: u32) -> Self {
         let steps = |published: u32| {
             (f64::from(published) * f64::from(iterations) / f64::from(ITERATIONS)).ceil().max(1.0) as u32
@@ -68,18 +70,18 @@ pub(super) struct Growth {
     /// Half the sides, pixels, over the samples of the loss.
     units: [f32; 2],
     most: usize,
-    /// Sums of the norms, and how often each was seen.
+    /// Sums of the norms, and the number of norms in each.
     seen: Vec<(f32, u32)>,
 }
 
 impl Growth {
-    /// For a picture of `size` with so many samples, and `most` Gaussians at the end.
+    /// For a picture of `size` with this many samples, and `most` Gaussians at the end.
     pub(super) fn new(rng: Pcg64Mcg, size: [f32; 2], samples: f32, (extent, most): (f32, usize)) -> Self {
         Growth { rng, extent, units: size.map(|s| 0.5 * s / samples), most, seen: Vec::new() }
     }
 
-    /// Takes the gradients of an iteration, those of a sum over all samples and of pixels, with whether each Gaussian was in the
-    /// picture; grows and prunes where it is time. Returns whether the optimizer takes its step.
+    /// Processes the gradients of an iteration (of a sum over all samples, with respect to pixels) and whether each
+    /// Gaussian was visible. Grows and prunes when due. Returns whether the optimizer takes its step.
     pub(super) fn passes(
         &mut self,
         crowd: &mut Crowd,
@@ -132,9 +134,9 @@ impl Growth {
         crowd.numbers.append(&mut clones);
     }
 
-    /// One of the two that a Gaussian is split into.
+    /// Returns one of the two Gaussians into which a Gaussian is split.
     fn part(&mut self, n: &[f32; NUMBERS]) -> [f32; NUMBERS] {
-        // Two normal numbers at once (Box and Muller, 1958).
+        // Two normally distributed numbers at once (Box and Muller, 1958).
         let (radius, turn) = ((-2.0 * (1.0 - self.rng.random::<f32>()).ln()).sqrt(), self.rng.random::<f32>());
         let (v, u) = (std::f32::consts::TAU * turn).sin_cos();
         let [u, v] = [u * radius * n[2].exp(), v * radius * n[3].exp()];
@@ -146,7 +148,7 @@ impl Growth {
     }
 }
 
-/// Takes away what is hardly seen.
+/// Removes nearly transparent Gaussians.
 fn prune(crowd: &mut Crowd) {
     let least = logit(FAINTEST);
     let mut kept: Vec<bool> = crowd.numbers.iter().map(|n| n[8] >= least).collect();
@@ -193,7 +195,8 @@ mod tests {
 
     const GROWS: Due = Due { watches: true, grows: true, resets: false };
 
-    /// A gradient along x or y whose norm is `norm` in the published units: of the mean loss, and of half a side.
+    /// Returns a gradient along x or y whose norm is `norm` in the published units: of the mean loss, and of half a
+    /// side.
     fn along(k: usize, norm: f32) -> [f32; 2] {
         let mut g = [0.0; 2];
         g[k] = norm * 3.0 * 768.0 * 512.0 / [384.0, 256.0][k];
@@ -277,7 +280,7 @@ mod tests {
         assert!(growth(100).passes(&mut crowd, [(along(0, 0.0), true); 2].into_iter(), resets));
         let opacity = |n: &[f32; NUMBERS]| 1.0 / (1.0 + (-n[8]).exp());
         assert!((opacity(&crowd.numbers[0]) - 0.01).abs() < 1e-6 && (opacity(&crowd.numbers[1]) - 0.006).abs() < 1e-6);
-        // Without a gradient only what has moments moves.
+        // Without a gradient, only Gaussians with moments move.
         let before = crowd.numbers.clone();
         crowd.adam.step(&mut crowd.numbers, &[[0.0; NUMBERS]; 2], [0.1; NUMBERS]);
         for (n, b) in crowd.numbers.iter().zip(&before) {
