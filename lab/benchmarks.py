@@ -1,13 +1,16 @@
 #!/usr/bin/env python3
-"""Measures the codec beside others and writes the tables of docs/BENCHMARKS.md, docs/benchmarks.csv, docs/quality.svg and docs/speed.svg.
+"""Compares the codec with others and writes the tables of docs/BENCHMARKS.md, docs/benchmarks.csv, docs/quality.svg
+and docs/speed.svg.
 
     cargo build --release
-    python lab/benchmarks.py target/release/ssplat KODAK [--large PICTURE...] [--jobs N] [--only codecs,quality,efforts,speeds,tiny,large]
+    python lab/benchmarks.py target/release/ssplat KODAK [--large PICTURE...] [--jobs N]
+        [--only codecs,quality,efforts,speeds,tiny,large]
 
-It takes Pillow 12 or newer for JPEG, WebP and AVIF (tune=iq), and the package pillow-jxl-plugin for JPEG XL. VVC's rows come from
-docs/kodak-modern.csv, as its encoder cannot be installed by name. KODAK is a folder with kodim01.png to
-kodim23.png, of which the odd ones are measured. All files are measured by `ssplat compare`. What is done is kept in
-target/benchmarks: started again, the command goes on where it stopped. Seconds are CPU seconds of one thread.
+It needs Pillow 12 or newer for JPEG, WebP and AVIF (tune=iq), and the package pillow-jxl-plugin for JPEG XL. The rows
+of VVC come from docs/kodak-modern.csv, because its encoder cannot be installed from a package registry. KODAK is a
+folder with kodim01.png to kodim23.png, of which the odd-numbered ones are measured. All files are measured by
+`ssplat compare`. Results are cached in target/benchmarks, so that an interrupted run can be continued. Seconds are CPU
+seconds of one thread.
 """
 import argparse, concurrent.futures, csv, hashlib, io, json, os, pathlib, platform, re, resource, statistics, subprocess, sys, tempfile, time
 
@@ -39,7 +42,7 @@ environment = os.environ | {"RAYON_NUM_THREADS": "1"}
 
 
 def run(command):
-    """Output and CPU seconds of a command."""
+    """Runs a command and returns its output and CPU seconds."""
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         child = subprocess.Popen([str(c) for c in command], stdout=out, stderr=err, env=environment)
         _, status, used = os.wait4(child.pid, 0)
@@ -50,7 +53,7 @@ def run(command):
 
 
 def kept(name, work):
-    """The result of `work`, from the last time if there is one."""
+    """Returns the result of `work`, from the cache if it is there."""
     path = cache / (hashlib.sha256(name.encode()).hexdigest()[:24] + ".json")
     if not path.exists():
         path.write_text(json.dumps(work()))
@@ -119,8 +122,11 @@ def table(head, rows, left=1):
 
 
 def at(points, size, key):
-    """A measure at a size in bytes, between the two files next to it, by the logarithm of the size; that of the smallest file where it is larger by less
-    than 1 %, which favours it; nothing outside."""
+    """Interpolates a measure at a size in bytes between the two nearest files, over the logarithm of the size.
+
+    If the smallest file is larger by less than 1 %, its value is returned, which favours it. Outside the range of sizes,
+    the result is None.
+    """
     import math
     points = sorted(points, key=lambda p: p["bytes"])
     if size < points[0]["bytes"] < 1.01 * size:
@@ -206,7 +212,8 @@ def quality():
 
 
 def svg(lines, across, up):
-    """Curves over a logarithmic axis: its ends, its marks and what it is; the vertical one's ends, and how far its marks are from each other."""
+    """Plots curves over a logarithmic axis. Takes the ends, ticks and label of that axis, and the ends and tick distance
+    of the vertical one."""
     import math
     width, height, left, bottom, top, right = 760, 430, 56, 46, 14, 150
     (low, high, marks, title), (least, most, apart) = across, up
@@ -234,7 +241,7 @@ def svg(lines, across, up):
 
 
 def codecs():
-    """The other codecs alone, which do not depend on the program."""
+    """Measures the other codecs alone, which do not depend on the program."""
     each([lambda p=p, c=c, q=q: others(p, c, q) for p in pictures for c, qualities in QUALITIES.items() for q in qualities])
 
 
@@ -251,7 +258,8 @@ def efforts():
 
 
 def speeds():
-    """SSIMULACRA2 against CPU seconds at a ratio of 50: our efforts, and aom's speeds at as many bytes as effort 5 takes."""
+    """Measures SSIMULACRA2 against CPU seconds at a ratio of 50: for the efforts of ssplat, and for the speeds of aom at
+    the file size of effort 5."""
     four = {k: args.kodak / f"kodim{k:02}.png" for k in AROUND_50}
     efforts = (1, 2, 3, 4, 5, 6, 7, 9)
     made = dict(zip([(k, e) for k in four for e in efforts], each([lambda p=p, e=e: ours(p, ["--ratio", "50", "--effort", str(e)]) for p in four.values() for e in efforts])))

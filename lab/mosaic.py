@@ -1,8 +1,8 @@
-"""Makes a picture of any size out of others, row by row, to try encodes of very large ones with:
+"""Composes a picture of any size from others, row by row, for encoding very large pictures:
 
     python lab/mosaic.py WIDTHxHEIGHT OUT.png PICTURE...
 
-Needs Pillow. Pictures are cut off at the right and the lower border, and begin anew when all are used.
+Needs Pillow. Pictures are cropped at the right and the lower border, and repeated when all have been used.
 """
 
 import itertools

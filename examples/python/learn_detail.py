@@ -1,9 +1,10 @@
-"""Learns where the models of the detail layer begin (spec §11.3), and writes the tables of the crate and the specification.
+"""Learns the initial states of the detail layer's models (spec §11.3), and writes the tables of the crate and the
+specification.
 
     python3 examples/python/learn_detail.py target/release/ssplat PICTURES... --work FOLDER
 
-Each picture is encoded at three ratios, with both presets, as it is, at half its size and in grey; pictures of more than 2 megapixels
-are cut to their middle as well. Pillow is needed. docs/studies/detail-layer.md names the pictures.
+Each picture is encoded at three ratios with both presets: unchanged, at half its size, and in grey. Pictures of more
+than 2 megapixels are also cropped to their middle. Needs Pillow. docs/studies/detail-layer.md names the pictures.
 """
 import argparse
 import os
