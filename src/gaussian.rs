@@ -26,6 +26,7 @@ pub const MAX_SCALE: f32 = 1_048_576.0;
 /// One primitive: a 2D Gaussian with a constant colour.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 #[repr(C)]
+#[doc(alias("splat", "primitive"))]
 pub struct Gaussian {
     /// Centre `μ`, pixels.
     pub mean: [f32; 2],

@@ -19,6 +19,7 @@ use crate::error::{Error, Result};
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
+#[doc(alias("untrusted", "security", "dos"))]
 pub struct Limits {
     /// Maximum width in pixels; by default 2²⁰, the maximum of the format.
     pub width: u32,
@@ -32,6 +33,7 @@ pub struct Limits {
     /// (4 for narrow Gaussians), and each (Gaussian, tile) pair costs 1024. A detail layer costs 16 for each sample,
     /// 200 for each level and, for resized views, 6 per resampling tap. On a GPU, each pair with one of the GPU's
     /// smaller tiles costs 256, and a detail layer costs the same as on the CPU.
+    #[doc(alias = "time")]
     pub work: u64,
     /// Maximum mean number of Gaussians over a pixel of a view; by default 256. It bounds the work in proportion to
     /// output pixels and primitives. Work of up to 2³² + 4096 × primitives is exempt, so that small pictures may be
@@ -39,6 +41,7 @@ pub struct Limits {
     pub overlap: u64,
     /// Maximum number of bytes that decoding may have allocated at the same time, including the output; by default 4
     /// GiB, or 1 GiB on 32-bit systems. Values over `isize::MAX` are treated as `isize::MAX`.
+    #[doc(alias("memory", "max_alloc"))]
     pub alloc: u64,
     /// Maximum number of bytes of metadata (ICC profile, EXIF block, thumbnail); by default 64 MiB.
     pub metadata: u64,

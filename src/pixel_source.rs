@@ -6,6 +6,7 @@ use crate::pixels::{Depth, Pixels, Samples};
 
 /// A picture whose parts can be read by several threads at a time: a picture in memory, or a file of samples that is
 /// larger than memory.
+#[doc(alias("streaming", "tiles"))]
 pub trait PixelSource: Sync {
     /// Returns the width, pixels.
     fn width(&self) -> u32;

@@ -14,6 +14,7 @@ pub enum Samples {
 
 /// Bits per sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[doc(alias = "bit_depth")]
 pub enum Depth {
     /// 8 bits.
     #[default]
@@ -50,6 +51,7 @@ impl Depth {
 
 /// A picture of pixels. It always has exactly width × height × channels samples.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[doc(alias("bitmap", "image_buffer"))]
 pub struct Pixels {
     width: u32,
     height: u32,

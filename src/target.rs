@@ -3,6 +3,7 @@
 /// Target of an encode: the size, the number of primitives, or the quality of the file.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
+#[doc(alias("quality", "rate_control"))]
 pub enum Target {
     /// A ratio of 50, with at least 80 bytes for the primitives, so that no picture is too small for it. The bytes of
     /// an ICC profile and an EXIF block are not counted.
@@ -11,11 +12,14 @@ pub enum Target {
     /// Compression ratio, finite and above 0: width × height × channels (the raw size at one byte per sample, whatever
     /// the depth of the source) divided by the size of the file in bytes. The file is never larger than the ratio
     /// allows. Encoding fails with [`Error::TooSmall`](crate::Error::TooSmall) if the picture does not fit.
+    #[doc(alias("compression", "bpp"))]
     Ratio(f64),
     /// Maximum file size in bytes. Encoding fails with [`Error::TooSmall`](crate::Error::TooSmall) if the picture does
     /// not fit.
+    #[doc(alias("size", "filesize"))]
     Bytes(u64),
     /// Number of primitives.
+    #[doc(alias("gaussians", "splats"))]
     Primitives(u32),
     /// PSNR against the source in dB, above 0. The result is the smallest file found that reaches it.
     Psnr(f64),
@@ -23,5 +27,6 @@ pub enum Target {
     /// 90 mean low, medium, high and very high quality. Encoding takes up to three fits. If none meets the score, the
     /// result is the best file found, and [`EncodeReport::quality`](crate::EncodeReport::quality) has its score.
     #[cfg(feature = "quality")]
+    #[doc(alias("ssimulacra2", "perceptual"))]
     Quality(f64),
 }

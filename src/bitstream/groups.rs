@@ -69,6 +69,7 @@ impl Entry {
 /// Counts of the parts of a file that could not be read. All are 0 for an intact file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
+#[doc(alias("damage", "partial", "truncated"))]
 pub struct Missing {
     /// Number of missing primitives.
     pub primitives: u32,

@@ -64,6 +64,7 @@ pub const THUMBNAIL: [u8; 4] = *b"thmb";
 /// Metadata of a file as unparsed blocks, stored byte for byte.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
+#[doc(alias("icc", "exif", "orientation"))]
 pub struct Metadata {
     /// ICC colour profile.
     pub icc: Option<Vec<u8>>,

@@ -42,6 +42,7 @@ impl Decoder {
     /// not visible in the region are not rendered, and in large files mostly not even read. The default is the whole
     /// picture.
     #[must_use]
+    #[doc(alias("crop", "roi", "part"))]
     pub fn region(mut self, region: [u32; 4]) -> Self {
         self.options.region = Some(region);
         self
@@ -51,6 +52,7 @@ impl Decoder {
     /// An output larger than the region samples the continuous picture; a smaller one is low-pass filtered as
     /// described at [`View::resized`](crate::View::resized).
     #[must_use]
+    #[doc(alias("resize", "scale", "width", "height"))]
     pub fn size(mut self, size: [u32; 2]) -> Self {
         self.options.size = Some(size);
         self
@@ -58,6 +60,7 @@ impl Decoder {
 
     /// Sets the treatment of truncated or damaged files. The default is [`Damage::Refuse`].
     #[must_use]
+    #[doc(alias("truncated", "partial"))]
     pub fn damage(mut self, damage: Damage) -> Self {
         self.options.damage = damage;
         self
@@ -102,6 +105,7 @@ impl Decoder {
     ///
     /// # Errors
     /// As [`decode`](Decoder::decode); [`Error::Parameter`](crate::Error::Parameter) if a side of `within` is 0.
+    #[doc(alias = "preview")]
     pub fn thumbnail(&self, bytes: &[u8], within: [u32; 2]) -> Result<Decoded> {
         thumbnail(bytes, within, &self.options.limits)
     }

@@ -98,6 +98,7 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// [`Error::Format`] if the bytes do not begin with a header, [`Error::UnsupportedVersion`] for a newer format,
     /// [`Error::LimitExceeded`] if a side of the picture or the number of its primitives exceeds `limits`.
+    #[doc(alias("open", "parse"))]
     pub fn new(bytes: &'a [u8], limits: &Limits) -> Result<Self> {
         let mut rest = bytes;
         let header = Header::read(&mut rest, limits)?;
@@ -135,12 +136,14 @@ impl<'a> Reader<'a> {
 
     /// Returns the number of bits per sample of the picture.
     #[must_use]
+    #[doc(alias = "bit_depth")]
     pub fn depth(&self) -> Depth {
         self.header.depth
     }
 
     /// Returns the number of Gaussians.
     #[must_use]
+    #[doc(alias("primitives", "splats"))]
     pub fn gaussians(&self) -> u32 {
         self.header.primitives
     }
@@ -164,6 +167,7 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// [`Error::Format`] for sections that cannot be read, [`Error::LimitExceeded`] if the metadata exceed
     /// [`Limits::metadata`].
+    #[doc(alias("icc", "exif"))]
     pub fn metadata(&self) -> Result<Metadata> {
         Reading { limits: &self.limits, budget: &self.budget, layers: self.layers }.described(&self.header, self.rest)
     }
@@ -183,6 +187,7 @@ impl<'a> Reader<'a> {
     ///
     /// # Errors
     /// As [`Reader::read`], and [`Error::LimitExceeded`] if the pixels of `view` alone would take too much memory.
+    #[doc(alias("region", "crop"))]
     pub fn read_for(self, view: &View, damage: Damage) -> Result<Image> {
         let samples = u64::from(view.width()) * u64::from(view.height()) * self.header.channels.count() as u64;
         // Do not read a picture whose pixels do not fit into the limits.
@@ -218,6 +223,7 @@ impl Image {
     ///
     /// # Errors
     /// As [`Reader::new`] and [`Reader::read`].
+    #[doc(alias("open", "load"))]
     pub fn from_bytes(bytes: &[u8], limits: &Limits) -> Result<Self> {
         Reader::new(bytes, limits)?.read(Damage::Refuse)
     }
@@ -267,6 +273,7 @@ impl Image {
     ///
     /// # Errors
     /// As [`Image::renderer`], and [`Error::LimitExceeded`] if the pixels would take too much memory.
+    #[doc(alias("render", "rasterize", "decode"))]
     pub fn draw(&self, view: &View) -> Result<Pixels> {
         self.renderer(view)?.render(self.splats.depth)
     }
@@ -281,6 +288,7 @@ impl Image {
     /// If `out` does not have exactly width × height × channels samples.
     // Inlined, so that a program that uses one depth does not contain the kernels of the other.
     #[inline(always)]
+    #[doc(alias = "render_into")]
     pub fn draw_into(&self, view: &View, out: SamplesMut<'_>) -> Result<()> {
         self.renderer(view)?.render_into(out);
         Ok(())

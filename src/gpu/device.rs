@@ -41,6 +41,7 @@ impl Device {
     /// # Errors
     /// [`GpuError::NoAdapter`] if there is none, [`GpuError::SoftwareOnly`] if `adapters` excludes all of them,
     /// [`GpuError::Refused`] if the driver does not open the adapter.
+    #[doc(alias = "adapter")]
     pub fn open(adapters: Adapters) -> Result<Self> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
         let mut found: Vec<(wgpu::Adapter, wgpu::AdapterInfo)> =

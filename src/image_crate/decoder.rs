@@ -33,6 +33,7 @@ pub const EXTENSION: &str = "ssplat";
 ///
 /// Returns whether `image` opens ssplat files with this crate. The result is false if another hook is registered for
 /// the extension; that hook is kept and nothing is registered. Further calls change nothing and return the same value.
+#[doc(alias("hook", "plugin"))]
 pub fn register() -> bool {
     static ACCEPTED: OnceLock<bool> = OnceLock::new();
     *ACCEPTED.get_or_init(|| {

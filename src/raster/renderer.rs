@@ -20,6 +20,7 @@ use std::sync::Mutex;
 
 /// A view of a picture that can be rendered any number of times.
 #[derive(Debug)]
+#[doc(alias = "rasterizer")]
 pub struct Renderer {
     view: View,
     filter: Filter,

@@ -28,6 +28,7 @@ pub(crate) struct Filter {
 /// (i, j) + ½) · step`. Views that share a grid (those made by [`View::crop`]) give the same bits wherever they
 /// overlap.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[doc(alias("region", "viewport"))]
 pub struct View {
     pub(super) origin: [f64; 2],
     pub(super) step: [f64; 2],
@@ -54,6 +55,7 @@ impl View {
     ///
     /// # Errors
     /// [`Error::Parameter`] if the rectangle is empty or not within this view.
+    #[doc(alias("region", "part"))]
     pub fn crop(&self, x: u32, y: u32, width: u32, height: u32) -> Result<Self> {
         for (name, start, length, side) in [("width", x, width, self.width), ("height", y, height, self.height)] {
             if length == 0 || u64::from(start) + u64::from(length) > u64::from(side) {
@@ -77,6 +79,7 @@ impl View {
     ///
     /// # Errors
     /// [`Error::Parameter`] if a side is 0 or over 2²⁰.
+    #[doc(alias("resize", "scale", "zoom", "downscale"))]
     pub fn resized(&self, width: u32, height: u32) -> Result<Self> {
         for (name, side) in [("width", width), ("height", height)] {
             if side == 0 || side > MAX_SIDE {
@@ -96,6 +99,7 @@ impl View {
     ///
     /// # Errors
     /// [`Error::Parameter`] if a side of `within` is 0.
+    #[doc(alias("thumbnail", "preview"))]
     pub fn fitted(&self, within: [u32; 2]) -> Result<Self> {
         for (name, side) in [("width", within[0]), ("height", within[1])] {
             if side == 0 {
@@ -122,6 +126,7 @@ impl View {
 
     /// Returns the number of picture pixels per output pixel along x and y. The view is reduced where it is above 1.
     #[must_use]
+    #[doc(alias = "scale")]
     pub fn step(&self) -> [f64; 2] {
         self.step
     }
