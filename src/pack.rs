@@ -206,8 +206,8 @@ fn packed(picture: &Picture, options: &PackOptions, steps: Steps) -> Result<(Pac
     let size = [picture.width, picture.height];
     let asked = matches!(options.precision, Precision::Steps(_));
     for (i, g) in picture.gaussians.iter().enumerate() {
-        let ends = if asked { ends(&quantizer, g, size) } else { size.map(|side| side as f32) };
-        let is_inside = (0..2).all(|k| (0.0..=ends[k]).contains(&g.mean[k]));
+        let bounds = if asked { position_limits(&quantizer, g, size) } else { size.map(|side| side as f32) };
+        let is_inside = (0..2).all(|k| (0.0..=bounds[k]).contains(&g.mean[k]));
         if !is_inside && options.outside == Outside::Refuse {
             let problem = format!("{:?} of Gaussian {i} lies outside the picture", g.mean);
             return Err(Error::Parameter { name: "mean", problem });
@@ -223,7 +223,7 @@ fn packed(picture: &Picture, options: &PackOptions, steps: Steps) -> Result<(Pac
 
 /// Returns the limits of the positions of `g`. The last cell of a coarse step may have its centre outside the picture.
 /// With explicit steps, it is a valid position too.
-fn ends(quantizer: &Quantizer, g: &Gaussian, size: [u32; 2]) -> [f32; 2] {
+fn position_limits(quantizer: &Quantizer, g: &Gaussian, size: [u32; 2]) -> [f32; 2] {
     let (major, minor, angle) = quantizer.quantize_shape(g.scale, g.rotation);
     let exponents = quantizer.lattice().exponents(major, minor, angle);
     std::array::from_fn(|k| Lattice::positions(size[k], exponents[k]) as f32 * (exponents[k] as f32).exp2())

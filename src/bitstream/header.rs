@@ -96,10 +96,10 @@ impl Header {
     /// [`Error::Format`] if it breaks spec §2, [`Error::UnsupportedVersion`] for a newer file,
     /// [`Error::LimitExceeded`] if the picture exceeds `limits`, [`Error::Io`] from the reader.
     pub fn read<R: Read>(reader: &mut R, limits: &Limits) -> Result<Self> {
-        let mut tap = Tap { reader, bytes: Vec::with_capacity(MAX_HEADER_BYTES) };
+        let mut tee = Tee { reader, bytes: Vec::with_capacity(MAX_HEADER_BYTES) };
         let mut found = [0u8; 4];
         for i in 0..found.len() {
-            found[i] = match tap.byte("signature") {
+            found[i] = match tee.byte("signature") {
                 // For a short file of another kind, the wrong signature is a better error than truncation.
                 Err(Error::Format(FormatError::Truncated { .. })) if found[..i] != MAGIC[..i] => {
                     return Err(FormatError::BadMagic { found }.into());
@@ -110,15 +110,15 @@ impl Header {
         if found != MAGIC {
             return Err(FormatError::BadMagic { found }.into());
         }
-        let version = tap.byte("version")?;
+        let version = tee.byte("version")?;
         if version != VERSION {
             return Err(Error::UnsupportedVersion { found: version });
         }
-        let flags = tap.byte("flags")?;
-        let width = side("width", tap.varint("width")?)?;
-        let height = side("height", tap.varint("height")?)?;
-        let primitives = tap.varint("primitive count")?;
-        let steps = unpack_steps([tap.byte("steps")?, tap.byte("steps")?, tap.byte("steps")?])?;
+        let flags = tee.byte("flags")?;
+        let width = side("width", tee.varint("width")?)?;
+        let height = side("height", tee.varint("height")?)?;
+        let primitives = tee.varint("primitive count")?;
+        let steps = unpack_steps([tee.byte("steps")?, tee.byte("steps")?, tee.byte("steps")?])?;
         Limits::check("width", width.into(), limits.width.into())?;
         Limits::check("height", height.into(), limits.height.into())?;
         Limits::check("primitives", primitives, limits.primitives)?;
@@ -146,7 +146,7 @@ impl Header {
             coloring: if flags & CODEBOOK == 0 { Coloring::Direct } else { Coloring::Codebook },
             grouping,
             sections: if flags & SECTIONS == 0 { Sections::Absent } else { Sections::Present },
-            bytes: tap.bytes,
+            bytes: tee.bytes,
         })
     }
 
@@ -235,12 +235,12 @@ fn unpack_steps([a, b, c]: [u8; 3]) -> Result<Steps> {
 }
 
 /// Records the bytes that pass through a reader.
-struct Tap<'a, R> {
+struct Tee<'a, R> {
     reader: &'a mut R,
     bytes: Vec<u8>,
 }
 
-impl<R: Read> Tap<'_, R> {
+impl<R: Read> Tee<'_, R> {
     fn byte(&mut self, what: &'static str) -> Result<u8> {
         let mut byte = [0u8];
         match self.reader.read_exact(&mut byte) {

@@ -102,11 +102,11 @@ impl<'a> Reader<'a> {
     pub fn new(bytes: &'a [u8], limits: &Limits) -> Result<Self> {
         let mut rest = bytes;
         let header = Header::read(&mut rest, limits)?;
-        Ok(Reader::behind(header, rest, limits))
+        Ok(Reader::with_header(header, rest, limits))
     }
 
     /// Returns a reader of a file whose header has been read; `rest` are the bytes that follow it.
-    pub(crate) fn behind(header: Header, rest: &'a [u8], limits: &Limits) -> Self {
+    pub(crate) fn with_header(header: Header, rest: &'a [u8], limits: &Limits) -> Self {
         Reader { header, rest, limits: limits.clone(), budget: Budget::of(limits), layers: Layers::default() }
     }
 
@@ -265,7 +265,7 @@ impl Image {
     /// Returns what a renderer needs in addition to the integers: the layers to render, the area that was read, the
     /// limits and the memory account.
     #[cfg(feature = "gpu")]
-    pub(crate) fn terms(&self) -> (Layers, Option<Area>, &Limits, &Budget) {
+    pub(crate) fn render_context(&self) -> (Layers, Option<Area>, &Limits, &Budget) {
         (self.layers, self.area, &self.limits, &self.budget)
     }
 
@@ -306,7 +306,7 @@ impl Image {
     }
 
     /// Returns the metadata and the reservation of their memory, and drops the integers.
-    pub(crate) fn described(self) -> (Metadata, Reservation) {
+    pub(crate) fn into_metadata_and_memory(self) -> (Metadata, Reservation) {
         (self.splats.metadata, self.described)
     }
 

@@ -105,7 +105,7 @@ impl Edges {
             let cx = left.trailing_zeros() as usize;
             left &= left - 1;
             if begins(cx, sizes[cx]) {
-                beside(rows, cx * CELL - REACH);
+                filter_columns(rows, cx * CELL - REACH);
             }
         }
     }
@@ -113,7 +113,7 @@ impl Edges {
 
 /// Filters the rows of a cell across the edge between the second and the third column from `at` on.
 #[inline(always)]
-fn beside(rows: &mut [i32], at: usize) {
+fn filter_columns(rows: &mut [i32], at: usize) {
     // The rows in adjacent lanes.
     let mut columns = [[0; CELL]; 2 * REACH];
     for y in 0..CELL {

@@ -123,7 +123,7 @@ pub(crate) fn inverse(size: usize, coefficients: &[Coefficient], out: &mut [i32]
 /// Replaces the block of side `N` at the start of `block`, whose rows are `stride` apart, by its orthonormal
 /// transform.
 #[inline(always)]
-fn analysed<const N: usize>(matrix: &FloatMatrix, block: &mut [f32], stride: usize) {
+fn forward_block<const N: usize>(matrix: &FloatMatrix, block: &mut [f32], stride: usize) {
     // Along the rows: sums of columns of the matrix, so that all frequencies are computed in parallel lanes.
     let mut rows = [[0f32; N]; N];
     for (i, row) in rows.iter_mut().enumerate() {
@@ -176,10 +176,10 @@ fn float_matrices() -> &'static [FloatMatrix; 4] {
 pub(crate) fn forward(size: usize, block: &mut [f32], stride: usize) {
     let matrix = &float_matrices()[size];
     match size {
-        0 => analysed::<4>(matrix, block, stride),
-        1 => analysed::<8>(matrix, block, stride),
-        2 => analysed::<16>(matrix, block, stride),
-        _ => analysed::<32>(matrix, block, stride),
+        0 => forward_block::<4>(matrix, block, stride),
+        1 => forward_block::<8>(matrix, block, stride),
+        2 => forward_block::<16>(matrix, block, stride),
+        _ => forward_block::<32>(matrix, block, stride),
     }
 }
 

@@ -9,7 +9,7 @@ use super::lists::{MAX_BINDING, check_primitives};
 use super::peaks::Peaks;
 use super::scene::{NO_ALPHA, Primitive, TILE, Uniforms, spaced};
 use super::source::{Source, pack, pack_target, rows_at_a_time, words};
-use super::workspace::{Room, SLOT, SLOTS, Workspace};
+use super::workspace::{BufferSizes, SLOT, SLOTS, Workspace};
 use crate::error::{GpuError, Result};
 use crate::fit::engine::Engine;
 use crate::fit::model::adam::{self, Bounds, Rates};
@@ -212,7 +212,7 @@ impl Fitter {
     }
 
     /// Switches to `scene`, which has the size of the source. Buffers of another size are dropped.
-    fn see(&mut self, scene: &Scene) -> Result<()> {
+    fn set_scene(&mut self, scene: &Scene) -> Result<()> {
         let Uniforms { source_words, weighted, channel_amplitude, alpha, .. } = self.base;
         [_, self.band_rows] = rows_at_a_time(scene.width, scene.height, source_words, self.binding)?;
         let bounds = Bounds::new(scene.width, scene.height);
@@ -224,7 +224,7 @@ impl Fitter {
     }
 
     /// Stores the current state if its error over all rows is the lowest so far.
-    fn look_back(&mut self) -> Result<()> {
+    fn remember_if_best(&mut self) -> Result<()> {
         self.flush()?;
         self.unseen = 0;
         if self.count == 0 {
@@ -299,7 +299,7 @@ impl Fitter {
         }
         let tiles_x = u64::from(self.base.tiles_x);
         let tiles = |rows: u32| tiles_x * u64::from(rows.div_ceil(TILE));
-        let room = Room {
+        let sizes = BufferSizes {
             primitives: self.count.into(),
             capacity: self.capacity,
             pixels: u64::from(self.base.width) * u64::from(self.band_rows),
@@ -307,7 +307,7 @@ impl Fitter {
             all_tiles: self.bands(RowSet::ALL).iter().map(|b| tiles(b.rows)).sum(),
         };
         let workspace =
-            Workspace::new(&self.device, &self.source, [&self.primitives, &self.first, &self.second], &room)?;
+            Workspace::new(&self.device, &self.source, [&self.primitives, &self.first, &self.second], &sizes)?;
         self.workspace = Some(workspace);
         Ok(())
     }
@@ -333,7 +333,7 @@ impl Fitter {
             self.iteration += taken;
             self.pending.drain(..taken as usize);
             if missing > 0 {
-                self.make_room(missing)?;
+                self.grow_lists(missing)?;
             }
         }
         Ok(())
@@ -361,7 +361,7 @@ impl Fitter {
                     k.gather.each(&mut pass, &workspace.gather, slot + u32::from(slot > start), count);
                     drop(pass);
                     slot += 2;
-                    work.did(&u[0]);
+                    work.record_band(&u[0]);
                 }
                 let mut pass = work.encoder.begin_compute_pass(&Default::default());
                 k.adam.each(&mut pass, &workspace.adam, start, count);
@@ -372,7 +372,7 @@ impl Fitter {
 
     /// Makes the lists longer, or the bands lower if the lists have their maximum length. `missing` is the number of
     /// pairs of a band that did not fit, or a lower bound of it.
-    fn make_room(&mut self, missing: u32) -> Result<()> {
+    fn grow_lists(&mut self, missing: u32) -> Result<()> {
         let most = (MAX_BINDING / SLOT) as u32;
         if self.capacity < most {
             self.capacity = self.capacity.saturating_mul(2).max(missing).min(most);
@@ -397,7 +397,9 @@ impl Fitter {
         loop {
             self.prepare()?;
             let workspace = self.workspace.as_ref().expect("prepared");
-            if wanted == Wanted::All && self.peaks.as_ref().is_none_or(|p| p.room() < Peaks::cells(&self.base, rows)) {
+            if wanted == Wanted::All
+                && self.peaks.as_ref().is_none_or(|p| p.capacity() < Peaks::cells(&self.base, rows))
+            {
                 let sources: Vec<&wgpu::Buffer> = self.source.slabs.iter().map(|s| &s.source).collect();
                 self.peaks = Some(Peaks::new(&self.device, &self.base, rows, &sources, workspace)?);
             }
@@ -431,13 +433,13 @@ impl Fitter {
                     }
                     drop(pass);
                     slot += 2;
-                    work.did(&u[0]);
+                    work.record_band(&u[0]);
                 }
                 work.submit();
             })?;
             let [_, missing, ..] = workspace.lists.status(device)?;
             if missing > 0 {
-                self.make_room(missing)?;
+                self.grow_lists(missing)?;
                 continue;
             }
             let error = workspace.error(device, tiles)?;
@@ -495,10 +497,10 @@ impl Engine for Fitter {
         let [zoomed, ..] = upload(&self.device, &zoomed, None)?;
         let primitives = std::mem::replace(&mut self.primitives, zoomed);
         let small = std::mem::replace(&mut self.source, source);
-        let survey = self.see(&whole.scene).and_then(|()| self.survey(RowSet::ALL, Wanted::Error));
+        let survey = self.set_scene(&whole.scene).and_then(|()| self.survey(RowSet::ALL, Wanted::Error));
         self.primitives = primitives;
         self.whole = Some(std::mem::replace(&mut self.source, small));
-        self.see(&half)?;
+        self.set_scene(&half)?;
         Ok(survey?.error)
     }
 
@@ -507,7 +509,7 @@ impl Engine for Fitter {
         // Steps on all rows are not followed by a survey, and their own errors arrive too late to keep the state that
         // had them.
         if rows == RowSet::ALL && self.unseen > REMEMBERED {
-            self.look_back()?;
+            self.remember_if_best()?;
         }
         self.pending.push((rows, rates));
         if self.pending.len() < BATCH {
@@ -520,7 +522,7 @@ impl Engine for Fitter {
     }
 
     fn remember(&mut self, _: &Problem<'_>) -> Result<()> {
-        self.look_back()
+        self.remember_if_best()
     }
 
     fn relocate(&mut self, problem: &Problem<'_>, rows: RowSet, most: usize) -> Result<usize> {
@@ -622,7 +624,7 @@ impl Engine for Fitter {
         let mut primitives = project::zoomed(self.download()?, by);
         primitives.iter_mut().for_each(|p| bounds.apply(p));
         [self.primitives, self.first, self.second] = upload(&self.device, &primitives, None)?;
-        self.see(scene)
+        self.set_scene(scene)
     }
 
     fn reweigh(&mut self, problem: &Problem<'_>) -> Result<()> {
@@ -654,7 +656,7 @@ impl<'a> Work<'a> {
     }
 
     /// Records that the commands of a band are complete.
-    fn did(&mut self, band: &Uniforms) {
+    fn record_band(&mut self, band: &Uniforms) {
         self.pixels += u64::from(band.width) * u64::from(band.band_rows);
         if self.pixels > MAX_PIXELS {
             self.pixels = 0;

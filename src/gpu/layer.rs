@@ -74,11 +74,11 @@ impl Layer {
             if made.top == rows.start {
                 return Some(made);
             }
-            self.overlay.used(made);
+            self.overlay.recycle_additions(made);
             None
         });
         let width = self.view.width() as usize;
         let made = made.unwrap_or_else(|| self.overlay.additions(&self.view, 0, width, rows.clone()));
-        self.made.insert(made).first(rows.end - rows.start)
+        self.made.insert(made).first_rows(rows.end - rows.start)
     }
 }

@@ -39,7 +39,7 @@ impl Found {
 #[derive(Debug)]
 pub(super) struct Peaks {
     /// Number of cells that the buffers can hold.
-    room: u64,
+    capacity: u64,
     uniforms: wgpu::Buffer,
     found: wgpu::Buffer,
     count: wgpu::Buffer,
@@ -77,13 +77,13 @@ impl Peaks {
         sources: &[&wgpu::Buffer],
         workspace: &Workspace,
     ) -> Result<Self> {
-        let room = Self::cells(base, rows);
+        let capacity = Self::cells(base, rows);
         device.scoped(|| {
             use wgpu::BufferUsages as U;
             let (k, d) = (device.kernels(), device.wgpu().0);
             let uniforms = device.buffer("uniforms", SLOTS * u64::from(Uniforms::STRIDE), U::UNIFORM | U::COPY_DST);
-            let cells = ["cells", "blurred"].map(|name| device.storage(name, room * 16));
-            let found = device.storage("peaks", most_peaks(room) * size_of::<Found>() as u64);
+            let cells = ["cells", "blurred"].map(|name| device.storage(name, capacity * 16));
+            let found = device.storage("peaks", most_peaks(capacity) * size_of::<Found>() as u64);
             let count = device.storage("peak count", 4);
             let ridges = device.storage("ridges", size_of_val(&ridge::all()) as u64);
             device.write(&ridges, ridge::all().as_flattened());
@@ -94,7 +94,7 @@ impl Peaks {
                 .collect();
             let both = [[&cells[0], &cells[1]], [&cells[1], &cells[0]]];
             Peaks {
-                room,
+                capacity,
                 residual,
                 blur: both.map(|b| k.blur.bind(d, &uniforms, &b)),
                 halve: both.map(|b| k.halve.bind(d, &uniforms, &b)),
@@ -109,8 +109,8 @@ impl Peaks {
     }
 
     /// Returns the number of cells that fit.
-    pub(super) fn room(&self) -> u64 {
-        self.room
+    pub(super) fn capacity(&self) -> u64 {
+        self.capacity
     }
 
     /// Converts the planes of a band to cells.
@@ -145,7 +145,7 @@ impl Peaks {
             longest: ridge::longest(spacing, level.variance.sqrt()),
             least_gain: least,
             level: i as u32,
-            capacity: most_peaks(self.room) as u32,
+            capacity: most_peaks(self.capacity) as u32,
             ..*base
         };
         for (i, level) in levels.iter().enumerate() {
@@ -175,7 +175,7 @@ impl Peaks {
             queue.submit([encoder.finish()]);
         })?;
         let found: u64 = device.read_as::<u32>(&self.count, 1)?[0].into();
-        let allowed = most_peaks(self.room);
+        let allowed = most_peaks(self.capacity);
         if found > allowed {
             return Err(GpuError::Overflow { what: "peaks", requested: found, allowed }.into());
         }

@@ -106,7 +106,7 @@ impl Renderer {
     /// # Errors
     /// As [`Renderer::new`], with the limits of `opened`.
     pub fn of(device: &Device, opened: &Image) -> Result<Self> {
-        let (layers, area, limits, budget) = opened.terms();
+        let (layers, area, limits, budget) = opened.render_context();
         let splats = opened.splats();
         let (canvas, count) = splats.canvas(layers);
         let quantizer = splats.quantizer();
@@ -382,7 +382,7 @@ impl Renderer {
             let [found, missing, ..] = stage.lists.status(&self.device)?;
             if missing > 0 {
                 check(pairs + u64::from(missing))?;
-                self.make_room(missing, tall)?;
+                self.grow_lists(missing, tall)?;
                 continue;
             }
             pairs += u64::from(found);
@@ -394,7 +394,7 @@ impl Renderer {
 
     /// Makes the lists longer, or the bands lower if the lists have their maximum length. `tall` is the height of a
     /// tile in output rows. `missing` is the number of pairs of a band that did not fit, or a lower bound of it.
-    fn make_room(&mut self, missing: u32, tall: u32) -> Result<()> {
+    fn grow_lists(&mut self, missing: u32, tall: u32) -> Result<()> {
         let most = (MAX_BINDING / 4) as u32;
         if self.capacity < most {
             self.capacity = (self.capacity.saturating_mul(2)).max(missing).min(most);

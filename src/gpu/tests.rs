@@ -743,7 +743,7 @@ mod stages {
             twin::bin::bin(&Uniforms { mode: 1, ..u }, &splats, &mut cursors, &mut lists, &mut [0; 4]);
             let mut codes = vec![0u32; (width * height) as usize];
             let added = overlay.additions(&view, 0, width as usize, 0..height);
-            twin::render::render(&u, &splats, &starts, &lists, &mut codes, added.first(height));
+            twin::render::render(&u, &splats, &starts, &lists, &mut codes, added.first_rows(height));
             let mut renderer = if detail == 1 { new().adding(Arc::clone(&overlay)) } else { new() };
             let drawn = renderer.render(&view, crate::Depth::Eight).unwrap().into_samples();
             let Samples::U8(drawn) = drawn else { panic!("8 bits") };

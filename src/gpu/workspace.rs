@@ -15,7 +15,7 @@ pub(super) const SLOT: u64 = 48;
 
 /// Sizes that the buffers must hold.
 #[derive(Debug)]
-pub(super) struct Room {
+pub(super) struct BufferSizes {
     pub primitives: u64,
     /// Capacity of the lists in pairs.
     pub capacity: u32,
@@ -52,19 +52,24 @@ impl Workspace {
     ///
     /// # Errors
     /// [`Error::Gpu`](crate::Error::Gpu) if the device does not have enough memory.
-    pub(super) fn new(device: &Device, source: &Source, state: [&wgpu::Buffer; 3], room: &Room) -> Result<Self> {
+    pub(super) fn new(
+        device: &Device,
+        source: &Source,
+        state: [&wgpu::Buffer; 3],
+        sizes: &BufferSizes,
+    ) -> Result<Self> {
         let [primitives, first, second] = state;
         device.scoped(|| {
             use wgpu::BufferUsages as U;
             let (k, d) = (device.kernels(), device.wgpu().0);
             let uniforms =
                 device.buffer("uniforms", SLOTS as u64 * u64::from(Uniforms::STRIDE), U::UNIFORM | U::COPY_DST);
-            let lists = Lists::new(device, &uniforms, primitives, room.primitives, room.band_tiles, room.capacity);
-            let planes = device.storage("planes", room.pixels * 16);
-            let tails = device.storage("tails", room.pixels * 4);
-            let errors = device.storage("errors", room.all_tiles * 4);
-            let slots = device.storage("slots", u64::from(room.capacity) * SLOT);
-            let moments = device.storage("moments", room.primitives * 36);
+            let lists = Lists::new(device, &uniforms, primitives, sizes.primitives, sizes.band_tiles, sizes.capacity);
+            let planes = device.storage("planes", sizes.pixels * 16);
+            let tails = device.storage("tails", sizes.pixels * 4);
+            let errors = device.storage("errors", sizes.all_tiles * 4);
+            let slots = device.storage("slots", u64::from(sizes.capacity) * SLOT);
+            let moments = device.storage("moments", sizes.primitives * 36);
             let shared = [&lists.splats, &lists.starts, &lists.sorted, &lists.status];
             let forward = source.slabs.iter().map(|s| {
                 let buffers = [&shared[..], &[&s.source, &planes, &tails, &errors]].concat();

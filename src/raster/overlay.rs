@@ -72,7 +72,7 @@ impl Additions {
 
     /// Returns the first `rows` rows, one after the other.
     #[cfg(feature = "gpu")]
-    pub fn first(&self, rows: u32) -> &[f32] {
+    pub fn first_rows(&self, rows: u32) -> &[f32] {
         &self.values[..rows as usize * self.stride * self.channels]
     }
 }
@@ -265,7 +265,7 @@ impl Overlay {
                     }
                 }
             });
-            planes.into_iter().flatten().for_each(|planes| self.keep(planes));
+            planes.into_iter().flatten().for_each(|planes| self.recycle_planes(planes));
         }
         Additions { top: rows.start, stride, channels, values }
     }
@@ -275,12 +275,12 @@ impl Overlay {
     }
 
     /// Returns the planes of a tile to the pool.
-    pub(super) fn keep(&self, planes: TilePlanes) {
+    pub(super) fn recycle_planes(&self, planes: TilePlanes) {
         self.pool().planes.push(planes);
     }
 
     /// Returns additions to the pool.
-    pub(crate) fn used(&self, additions: Additions) {
+    pub(crate) fn recycle_additions(&self, additions: Additions) {
         self.pool().values.push(additions.values);
     }
 

@@ -283,7 +283,7 @@ impl Renderer {
             let left = i64::from(self.bins.tiles.first[0] * width) - i64::from(self.view.offset[0]);
             let additions = overlay.additions(&self.view, left, self.stride(), rows);
             self.draw_bands(bands, Some(Source::Rows(&additions)));
-            overlay.used(additions);
+            overlay.recycle_additions(additions);
         }
     }
 
@@ -326,7 +326,7 @@ impl Renderer {
             offset[0].saturating_sub(left) as usize..(offset[0] + self.view.width - left).min(TILE as u32) as usize;
         let planes = overlay.tile(tile.map(|at| at as usize), Supers::of(columns, rows));
         self.draw_group(group, planes.as_ref().map(Source::Tile));
-        planes.into_iter().for_each(|planes| overlay.keep(planes));
+        planes.into_iter().for_each(|planes| overlay.recycle_planes(planes));
     }
 
     fn draw_group<T: Sample>(&self, group: Vec<Piece<'_, T>>, source: Option<Source<'_>>) {

@@ -118,12 +118,12 @@ impl Simd for V3 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::keeps_its_promises;
+    use super::super::tests::check_properties;
 
     #[test]
     fn avx2_lanes_keep_their_promises() {
         match pulp::x86::V3::try_new() {
-            Some(simd) => keeps_its_promises(simd),
+            Some(simd) => check_properties(simd),
             None => eprintln!("skipped: this machine has no AVX2"),
         }
     }

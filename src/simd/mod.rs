@@ -225,7 +225,7 @@ pub(crate) mod tests {
     use super::*;
 
     /// Checks the properties that every instruction set must have.
-    pub fn keeps_its_promises(simd: impl Simd) {
+    pub fn check_properties(simd: impl Simd) {
         let out = |v| {
             let mut lanes = Lanes([0.0; LANES]);
             simd.store(&mut lanes, v);

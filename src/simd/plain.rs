@@ -99,11 +99,11 @@ impl Simd for Plain {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::keeps_its_promises;
+    use super::super::tests::check_properties;
     use super::Plain;
 
     #[test]
     fn plain_lanes_keep_their_promises() {
-        keeps_its_promises(Plain);
+        check_properties(Plain);
     }
 }

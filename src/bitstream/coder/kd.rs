@@ -187,7 +187,7 @@ impl<C: Coder> Walk<'_, C> {
     fn node(&mut self, mut region: Region, mut count: u32, mut given: &[Place]) -> Result<(), Broken> {
         while count > 1 {
             let stay = self.stay(&region, count, given);
-            (count, given) = (count - stay, parted(given, stay).1);
+            (count, given) = (count - stay, split_places(given, stay).1);
             let Some(axis) = region.axis().filter(|_| count > 0) else { return Ok(()) };
             let inside = region.inside(axis, self.extent.grid);
             region.log[axis] -= 1;
@@ -201,7 +201,7 @@ impl<C: Coder> Walk<'_, C> {
                 }
             }
             if lower < count {
-                let (of_lower, of_upper) = parted(given, lower);
+                let (of_lower, of_upper) = split_places(given, lower);
                 if lower > 0 {
                     self.node(region, lower, of_lower)?;
                 }
@@ -209,7 +209,7 @@ impl<C: Coder> Walk<'_, C> {
                 (count, given) = (count - lower, of_upper);
             }
         }
-        self.lone(&region, given.first())
+        self.single(&region, given.first())
     }
 
     /// Codes how many primitives of a region stay in it, if it is a square in which they can stay.
@@ -237,7 +237,7 @@ impl<C: Coder> Walk<'_, C> {
     }
 
     /// Codes the position of a primitive that is alone in its region: the size of its square, then which square.
-    fn lone(&mut self, region: &Region, given: Option<&Place>) -> Result<(), Broken> {
+    fn single(&mut self, region: &Region, given: Option<&Place>) -> Result<(), Broken> {
         let Region { mut corner, log: [x, y] } = *region;
         let mut log = x.min(y).min(self.extent.coarsest);
         while log > 0 {
@@ -261,6 +261,6 @@ impl<C: Coder> Walk<'_, C> {
 }
 
 /// Splits off the first `count` positions when writing; there are none when reading.
-fn parted(given: &[Place], count: u32) -> (&[Place], &[Place]) {
+fn split_places(given: &[Place], count: u32) -> (&[Place], &[Place]) {
     given.split_at(given.len().min(count as usize))
 }
