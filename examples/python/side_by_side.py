@@ -1,7 +1,9 @@
-"""Makes a contact sheet for visual comparison with AVIF: `python side_by_side.py PROGRAM PICTURE... --ratio 50 --sheet OUT.webp`.
+"""Makes a contact sheet for visual comparison with AVIF.
 
-Each row shows the same part of a picture four times: the original; PROGRAM's file for the best PSNR (`--tune psnr`); its
-file for the best perceptual quality (`--tune iq`, the default); and the largest AVIF file that is not larger, by
+    python side_by_side.py PROGRAM PICTURE... --ratio 50 --sheet OUT.webp
+
+Each row shows the same part of a picture four times: the original; PROGRAM's file for the best PSNR (`--tune psnr`);
+its file for the best perceptual quality (`--tune iq`, the default); and the largest AVIF file that is not larger, by
 libavif's tune=iq at speed 3. The part is the one with the median amount of detail, and is chosen from the original
 alone. Needs NumPy, and Pillow 12 or later with AVIF.
 """

@@ -52,8 +52,8 @@ impl Encoder {
     /// [`exif`](Encoder::exif).
     ///
     /// # Errors
-    /// [`Error::Io`] when the file cannot be written, [`Error::Parameter`] when `path` has the extension of another format;
-    /// otherwise as [`Encoder::encode`].
+    /// [`Error::Io`] if the file cannot be written, [`Error::Parameter`] if `path` has the extension of another
+    /// format; otherwise as [`Encoder::encode`].
     pub fn save(&self, picture: &DynamicImage, path: impl AsRef<Path>) -> Result<EncodeReport> {
         save(picture, path, self.options())
     }

@@ -139,8 +139,8 @@ impl Tiles {
         Tiles { first, count }
     }
 
-    /// Counts the Gaussians of `runs` that touch each tile. After each run and every `report_interval` pairs, the cost is added
-    /// to what all groups have `spent`. Fails if the total exceeds `most`.
+    /// Counts the Gaussians of `runs` that touch each tile. After each run and every `report_interval` pairs, the cost
+    /// is added to what all groups have `spent`. Fails if the total exceeds `most`.
     fn counts(
         &self,
         runs: &[(u32, &[Splat])],

@@ -1,5 +1,5 @@
-//! GaussianImage (Zhang et al., "GaussianImage: 1000 FPS Image Representation and Compression by 2D Gaussian Splatting",
-//! ECCV 2024, arXiv 2403.08551), after github.com/Xinjie-Q/GaussianImage: `gaussianimage_cholesky.py`,
+//! GaussianImage (Zhang et al., "GaussianImage: 1000 FPS Image Representation and Compression by 2D Gaussian
+//! Splatting", ECCV 2024, arXiv 2403.08551), after github.com/Xinjie-Q/GaussianImage: `gaussianimage_cholesky.py`,
 //! `gaussianimage_rs.py`, `train.py` and `optimizer.py`, and the kernels of its `gsplat`.
 //!
 //! The picture is the sum `I = Σ cₙ exp(−σₙ)`, without background, clamped; the colours include the opacity. Positions

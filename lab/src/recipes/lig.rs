@@ -1,6 +1,6 @@
 //! LIG (Zhu et al., "Large Images are Gaussians: High-Quality Large Image Representation with Levels of 2D Gaussian
-//! Splatting", AAAI 2025, arXiv 2502.09039), after github.com/HKU-MedAI/LIG: `gaussianlig.py`, `train.py` and the kernels of its
-//! `gsplat2d`.
+//! Splatting", AAAI 2025, arXiv 2502.09039), after github.com/HKU-MedAI/LIG: `gaussianlig.py`, `train.py` and the
+//! kernels of its `gsplat2d`.
 //!
 //! Two levels, each a clamped sum `I = Σ c exp(−σ)`. Positions are in pixels, and the three entries of the covariance
 //! `Σ` are fitted directly. The first level has an eighth of the Gaussians (½ · 4⁻¹) and is fitted to the picture at
