@@ -97,12 +97,12 @@ fn renders_are_within_one_code_value(device: &Device) {
 
 /// Tolerance for f32 in 16-bit code values: an eighth of an 8-bit code value. Where the weights vanish, the division
 /// amplifies errors of f32.
-const SIXTEEN: u16 = 32;
+const TOLERANCE_16_BIT: u16 = 32;
 
 fn sixteen_bits(device: &Device) {
     let picture = scene(61, 83, 200, Channels::Rgba, Blend::Normalized, 1);
     let worst = worst(device, &picture, &View::full(&picture), Depth::Sixteen);
-    assert!(worst <= SIXTEEN, "{worst}");
+    assert!(worst <= TOLERANCE_16_BIT, "{worst}");
 }
 
 fn needles(device: &Device) {
@@ -158,7 +158,7 @@ fn reduced(device: &Device) {
             [(Blend::Normalized, Channels::Rgb), (Blend::Sum, Channels::Rgb), (Blend::Normalized, Channels::Rgba)]
         {
             (picture.blend, picture.channels) = (blend, channels);
-            for (depth, most) in [(Depth::Eight, 1), (Depth::Sixteen, SIXTEEN)] {
+            for (depth, most) in [(Depth::Eight, 1), (Depth::Sixteen, TOLERANCE_16_BIT)] {
                 let worst = worst(device, &picture, &view, depth);
                 assert!(worst <= most, "{of}, {blend:?}, {channels:?}, {depth:?}: {worst}");
             }
@@ -225,7 +225,7 @@ fn two_layers(device: &Device) {
     ] {
         let bytes = layered(channels, depth, blend, sizes[0]);
         // Each is within so much of the definition.
-        let most = if depth == Depth::Eight { 1 } else { 2 * SIXTEEN };
+        let most = if depth == Depth::Eight { 1 } else { 2 * TOLERANCE_16_BIT };
         for (view, of) in &views {
             for layers in [Layers::Both, Layers::Detail] {
                 let (off, is_seen) = apart(device, &mut opened(&bytes, layers), view);

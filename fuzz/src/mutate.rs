@@ -11,7 +11,7 @@ use crate::{Levels, layer, tight_limits};
 
 /// Maximum number of checksums that are corrected in a file: one for each group, and each time those of the directory
 /// and the file.
-const MOST_SEALS: usize = 64;
+const MAX_SEALS: usize = 64;
 
 /// Changes the first `size` bytes of `data`, which has room for `max`, and returns the new size.
 pub fn mutate(data: &mut [u8], size: usize, max: usize, seed: u32) -> usize {
@@ -39,7 +39,7 @@ pub fn mutate(data: &mut [u8], size: usize, max: usize, seed: u32) -> usize {
 pub fn seal(bytes: &mut [u8]) {
     layer::mend(bytes);
     seal_sections(bytes);
-    for _ in 0..MOST_SEALS {
+    for _ in 0..MAX_SEALS {
         let Err(Error::Format(FormatError::Checksum { stored, computed, .. })) = read(&*bytes, &tight_limits()) else {
             return;
         };

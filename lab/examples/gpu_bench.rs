@@ -50,10 +50,10 @@ const CASES: [Case; 4] = [
 ];
 
 /// Minimum number of steps of a schedule whose end is considered converged.
-const CONVERGING: u32 = 50;
+const MIN_CONVERGING_STEPS: u32 = 50;
 
 /// Maximum buffer size of wgpu's default limits, bytes.
-const MOST_BUFFER: u64 = 256 << 20;
+const MAX_BUFFER: u64 = 256 << 20;
 
 fn main() -> Result<()> {
     let mut arguments = std::env::args().skip(1);
@@ -119,7 +119,7 @@ fn run(device: &Device, case: &Case, steps: u32, looks: u32) -> Result<String> {
     let frames = frames(device, &fitted.picture)?;
     memory = memory.max(held(device).unwrap_or(0));
     let megabytes = |bytes: u64| if bytes == 0 { "–".to_owned() } else { (bytes >> 20).to_string() };
-    let relative = |text: String| if steps < CONVERGING { "–".to_owned() } else { text };
+    let relative = |text: String| if steps < MIN_CONVERGING_STEPS { "–".to_owned() } else { text };
     let seconds_to = |below: f64| relative(format!("{:.1}", time_to(&points, fitted.psnr - below)));
     let [slab, band, _] = fitted.bands;
     Ok(format!(
@@ -156,7 +156,7 @@ fn frames(device: &Device, picture: &ssplat::Picture) -> Result<f64> {
     let mut renderer = Renderer::new(device, picture, &Limits::default())?;
     // Equal parts that fit into a buffer; a frame is all of them. They are equal so that all are rendered with the
     // same buffers.
-    let most = MOST_BUFFER / (4 * u64::from(width));
+    let most = MAX_BUFFER / (4 * u64::from(width));
     let parts = (1..=height).find(|n| height.is_multiple_of(*n) && u64::from(height / n) <= most).unwrap_or(height);
     let rows = height / parts;
     let full = View::full(picture);

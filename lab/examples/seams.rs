@@ -12,7 +12,7 @@ use ssplat::unstable::{DecodeOptions, EncodeOptions};
 use ssplat::{Channels, Encoded, Pixels, Samples, Target, Tune};
 
 /// Pixels on either side of a seam.
-const NEAR: u32 = 16;
+const SEAM_DISTANCE: u32 = 16;
 
 /// Squared errors and sample counts: near seams, and elsewhere.
 #[derive(Clone, Copy, Default)]
@@ -29,7 +29,7 @@ impl Found {
         let (width, height) = (original.width(), original.height());
         let is_near = |v: u32, length: u32| {
             let seam = (v + side / 2) / side * side;
-            seam > 0 && seam < length && v + NEAR >= seam && v < seam + NEAR
+            seam > 0 && seam < length && v + SEAM_DISTANCE >= seam && v < seam + SEAM_DISTANCE
         };
         let count = original.channels().count();
         let mut found = Found::default();

@@ -64,11 +64,11 @@ fn main() -> Result<()> {
                 "tiny groups" => tiny_groups(side.parse()?, 1),
                 "tiny groups, large codebook" => tiny_groups(side.parse()?, 1 << 16),
                 "layer of empty tiles" => layered(side.parse()?, 1, [0, 3], (0, 1))?,
-                "layer of dense tiles, blocks of 4" => layered(side.parse()?, 1, [0, 0], (DENSE, 1))?,
-                "layer of dense tiles, blocks of 32" => layered(side.parse()?, 1, [3, 3], (DENSE, 1))?,
-                "layer of dense tiles, large levels" => layered(side.parse()?, 1, [0, 0], (DENSE, i16::MAX))?,
-                DISTORTED => layered(side.parse()?, 3, [0, 0], (DENSE, i16::MAX))?,
-                "edge, layer of dense tiles" => layered(side.parse()?, 2, [0, 0], (DENSE, i16::MAX))?,
+                "layer of dense tiles, blocks of 4" => layered(side.parse()?, 1, [0, 0], (MAX_LEVELS, 1))?,
+                "layer of dense tiles, blocks of 32" => layered(side.parse()?, 1, [3, 3], (MAX_LEVELS, 1))?,
+                "layer of dense tiles, large levels" => layered(side.parse()?, 1, [0, 0], (MAX_LEVELS, i16::MAX))?,
+                DISTORTED => layered(side.parse()?, 3, [0, 0], (MAX_LEVELS, i16::MAX))?,
+                "edge, layer of dense tiles" => layered(side.parse()?, 2, [0, 0], (MAX_LEVELS, i16::MAX))?,
                 _ => worst(side.parse()?, kind, 1),
             };
             let bytes = to_bytes(&splats)?;
@@ -182,7 +182,7 @@ fn tiny_groups(side: u32, colors: u32) -> PackedSplats {
 }
 
 /// Maximum number of levels in a layer, at 600 of [`Limits::work`] each, minus one percent.
-const DENSE: u64 = (3 << 34) / 600 / 100 * 99;
+const MAX_LEVELS: u64 = (3 << 34) / 600 / 100 * 99;
 
 /// Returns a picture without Gaussians, or with as many narrow ones as a `part`th of the limits allows, and a layer.
 /// Each of its tiles has one level, and the first ones as many as possible, up to a `part`th of `most` in total. Block

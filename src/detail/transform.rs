@@ -35,7 +35,7 @@ pub(crate) struct Coefficient {
 }
 
 /// Bits dropped after the first pass: half of the scale of both matrices.
-const FIRST: u32 = 11;
+const FIRST_PASS_SHIFT: u32 = 11;
 
 /// Writes the block of side `N` with these `coefficients` to `out`, whose rows are `stride` apart.
 #[cfg(not(target_family = "wasm"))]
@@ -52,7 +52,7 @@ fn sided<const N: usize>(matrix: &Matrix, coefficients: &[Coefficient], out: &mu
             column[i] = column[i].wrapping_add(c.value.wrapping_mul(row[i]));
         }
     }
-    let shift = FIRST - 1 + N.trailing_zeros();
+    let shift = FIRST_PASS_SHIFT - 1 + N.trailing_zeros();
     let half = 1i32 << (shift - 1);
     for i in 0..N {
         let mut sums = [half; N];
@@ -60,7 +60,7 @@ fn sided<const N: usize>(matrix: &Matrix, coefficients: &[Coefficient], out: &mu
         while left != 0 {
             let u = left.trailing_zeros() as usize % N;
             left &= left - 1;
-            let c = columns[u][i].wrapping_add(1 << (FIRST - 1)) >> FIRST;
+            let c = columns[u][i].wrapping_add(1 << (FIRST_PASS_SHIFT - 1)) >> FIRST_PASS_SHIFT;
             let row = &matrix[u];
             for j in 0..N {
                 sums[j] = sums[j].wrapping_add(c.wrapping_mul(row[j]));
@@ -87,14 +87,14 @@ fn of_any_side(side: usize, matrix: &Matrix, coefficients: &[Coefficient], out: 
             *sum = sum.wrapping_add(c.value.wrapping_mul(entry));
         }
     }
-    let shift = FIRST - 1 + side.trailing_zeros();
+    let shift = FIRST_PASS_SHIFT - 1 + side.trailing_zeros();
     for i in 0..side {
         let mut sums = [1i32 << (shift - 1); LARGEST];
         let mut left = used;
         while left != 0 {
             let u = left.trailing_zeros() as usize % LARGEST;
             left &= left - 1;
-            let c = columns[u][i % LARGEST].wrapping_add(1 << (FIRST - 1)) >> FIRST;
+            let c = columns[u][i % LARGEST].wrapping_add(1 << (FIRST_PASS_SHIFT - 1)) >> FIRST_PASS_SHIFT;
             for (sum, &entry) in sums.iter_mut().zip(&matrix[u]) {
                 *sum = sum.wrapping_add(c.wrapping_mul(entry));
             }

@@ -22,7 +22,7 @@ use ssplat_cli::sink::Sink;
 use ssplat_cli::source::{self, Turn};
 
 /// Bytes per Gaussian in SmartSplat's paper, which relate a ratio to a number of Gaussians.
-const NOTIONAL: f64 = 7.0;
+const BYTES_PER_GAUSSIAN: f64 = 7.0;
 
 /// One fit with its file.
 struct Cell {
@@ -52,9 +52,9 @@ pub fn run(args: &args::BenchMethods) -> Result<(), Failure> {
         sides.push(format!("{picture} {} × {}", pixels.width(), pixels.height()));
         let raw = f64::from(pixels.width()) * f64::from(pixels.height()) * pixels.channels().count() as f64;
         let sizes: Vec<(u32, u64)> = if args.counts.is_empty() {
-            args.ratios.iter().map(|r| ((raw / r / NOTIONAL).max(1.0) as u32, (raw / r) as u64)).collect()
+            args.ratios.iter().map(|r| ((raw / r / BYTES_PER_GAUSSIAN).max(1.0) as u32, (raw / r) as u64)).collect()
         } else {
-            args.counts.iter().map(|&n| (n, (NOTIONAL * f64::from(n)) as u64)).collect()
+            args.counts.iter().map(|&n| (n, (BYTES_PER_GAUSSIAN * f64::from(n)) as u64)).collect()
         };
         for (count, bytes) in sizes {
             for &contender in &contenders {

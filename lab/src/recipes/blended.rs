@@ -17,9 +17,9 @@ use ssplat::unstable::parallel;
 use ssplat::unstable::simd::{self, LANES, Lanes, Simd, Task};
 
 /// Minimum alpha that is drawn.
-pub(super) const FAINTEST: f32 = 1.0 / 255.0;
+pub(super) const MIN_ALPHA: f32 = 1.0 / 255.0;
 /// Transmittance that counts as zero.
-const DARK: f32 = 1e-4;
+const MIN_TRANSMITTANCE: f32 = 1e-4;
 
 /// Rule that combines Gaussians.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,7 +82,7 @@ impl Ready {
         let [a, b, c] = s.conic;
         let determinant = a * c - b * b;
         // Distance at which `α` falls to the minimum.
-        let sigma = (s.opacity / FAINTEST).ln();
+        let sigma = (s.opacity / MIN_ALPHA).ln();
         let half = if sigma <= 0.0 {
             [-1.0; 2]
         } else if a > 0.0 && determinant > 0.0 {
@@ -118,29 +118,29 @@ impl Ready {
         let exponent = simd.add(simd.mul(slope, dx), simd.splat(c * dy * dy));
         let alpha = simd.min(simd.mul(simd.splat(self.opacity), simd.exp2(exponent)), simd.splat(limit));
         let alpha = simd.keep_above(alpha, simd.splat(f32::MIN_POSITIVE), exponent);
-        simd.keep_above(alpha, alpha, simd.splat(FAINTEST))
+        simd.keep_above(alpha, alpha, simd.splat(MIN_ALPHA))
     }
 }
 
 /// State of eight pixels from front to back.
 #[derive(Debug, Clone, Copy)]
-struct Way {
+struct PixelState {
     light: Lanes,
     /// 1, or 0 where no light is left.
     goes_on: Lanes,
     color: [Lanes; COLORS],
 }
 
-impl Way {
-    const START: Way =
-        Way { light: Lanes([1.0; LANES]), goes_on: Lanes([1.0; LANES]), color: [Lanes([0.0; LANES]); 3] };
+impl PixelState {
+    const START: PixelState =
+        PixelState { light: Lanes([1.0; LANES]), goes_on: Lanes([1.0; LANES]), color: [Lanes([0.0; LANES]); 3] };
 
     /// Passes a Gaussian. Returns its `α`, or 0 where no light reaches it, and the light that reaches it.
     #[inline(always)]
     fn pass<S: Simd>(&mut self, simd: S, alpha: S::Vector) -> (S::Vector, S::Vector) {
         let (one, light) = (simd.splat(1.0), simd.load(&self.light));
         let left = simd.mul(light, simd.sub(one, alpha));
-        let goes_on = simd.keep_above(simd.load(&self.goes_on), left, simd.splat(DARK.next_down()));
+        let goes_on = simd.keep_above(simd.load(&self.goes_on), left, simd.splat(MIN_TRANSMITTANCE.next_down()));
         let alpha = simd.keep_above(alpha, goes_on, simd.splat(0.5));
         simd.store(&mut self.goes_on, goes_on);
         simd.store(&mut self.light, simd.mul(light, simd.sub(one, alpha)));
@@ -153,14 +153,14 @@ type Block<T> = [[T; GROUPS]; TILE];
 
 /// The Gaussians of a tile, and the position of the tile.
 #[derive(Clone, Copy)]
-struct Crowd<'a> {
+struct TileGaussians<'a> {
     ready: &'a [Ready],
     members: &'a [u32],
     first: [f32; 2],
     rule: Rule,
 }
 
-impl Crowd<'_> {
+impl TileGaussians<'_> {
     fn limit(&self) -> f32 {
         if self.rule == Rule::Sum { 0.999 } else { 0.99 }
     }
@@ -174,8 +174,8 @@ impl Crowd<'_> {
 
 /// Renders a tile.
 struct Paint<'a> {
-    crowd: Crowd<'a>,
-    ways: &'a mut Block<Way>,
+    tile: TileGaussians<'a>,
+    ways: &'a mut Block<PixelState>,
 }
 
 impl Task for Paint<'_> {
@@ -183,19 +183,19 @@ impl Task for Paint<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let (crowd, limit) = (self.crowd, self.crowd.limit());
-        for &id in crowd.members {
-            let s = &crowd.ready[id as usize];
-            let (rows, columns) = (s.range(1, crowd.first[1]), s.range(0, crowd.first[0]));
+        let (tile, limit) = (self.tile, self.tile.limit());
+        for &id in tile.members {
+            let s = &tile.ready[id as usize];
+            let (rows, columns) = (s.range(1, tile.first[1]), s.range(0, tile.first[0]));
             if columns.is_empty() {
                 continue;
             }
             for y in rows {
-                let dy = crowd.first[1] + y as f32 - s.center[1];
+                let dy = tile.first[1] + y as f32 - s.center[1];
                 for group in columns.start / LANES..columns.end.div_ceil(LANES) {
                     let way = &mut self.ways[y][group];
-                    let mut alpha = s.alpha(simd, limit, crowd.dx(simd, s, group), dy);
-                    if crowd.rule == Rule::FrontToBack {
+                    let mut alpha = s.alpha(simd, limit, tile.dx(simd, s, group), dy);
+                    if tile.rule == Rule::FrontToBack {
                         let light;
                         (alpha, light) = way.pass(simd, alpha);
                         alpha = simd.mul(alpha, light);
@@ -212,8 +212,8 @@ impl Task for Paint<'_> {
 
 /// Second pass over a tile, which computes the sums of its Gaussians.
 struct Gather<'a> {
-    crowd: Crowd<'a>,
-    ways: &'a mut Block<Way>,
+    tile: TileGaussians<'a>,
+    ways: &'a mut Block<PixelState>,
     /// The rendered picture.
     whole: &'a Block<[Lanes; COLORS]>,
     /// The gradient with respect to the picture.
@@ -227,24 +227,24 @@ impl Task for Gather<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let (crowd, limit, zero) = (self.crowd, self.crowd.limit(), simd.splat(0.0));
-        for &id in crowd.members {
-            let s = &crowd.ready[id as usize];
-            let (rows, columns) = (s.range(1, crowd.first[1]), s.range(0, crowd.first[0]));
+        let (tile, limit, zero) = (self.tile, self.tile.limit(), simd.splat(0.0));
+        for &id in tile.members {
+            let s = &tile.ready[id as usize];
+            let (rows, columns) = (s.range(1, tile.first[1]), s.range(0, tile.first[0]));
             if columns.is_empty() || rows.is_empty() {
                 self.sums.push([0.0; SUMS]);
                 continue;
             }
             let mut sums = [zero; SUMS];
             for y in rows {
-                let dy = crowd.first[1] + y as f32 - s.center[1];
+                let dy = tile.first[1] + y as f32 - s.center[1];
                 let mut row = [zero; 3];
                 for group in columns.start / LANES..columns.end.div_ceil(LANES) {
                     let (way, slopes) = (&mut self.ways[y][group], &self.slopes[y][group]);
-                    let dx = crowd.dx(simd, s, group);
+                    let dx = tile.dx(simd, s, group);
                     let mut alpha = s.alpha(simd, limit, dx, dy);
                     let (mut weight, mut by_alpha) = (alpha, zero);
-                    if crowd.rule == Rule::FrontToBack {
+                    if tile.rule == Rule::FrontToBack {
                         let light;
                         (alpha, light) = way.pass(simd, alpha);
                         weight = simd.mul(alpha, light);
@@ -307,8 +307,8 @@ impl Drawing {
         let mut pixels = vec![[0.0; 4]; width * height];
         parallel::map_chunks(&mut pixels, TILE * width, |band, pixels| {
             for column in 0..drawing.tiles.columns {
-                let mut ways = [[Way::START; GROUPS]; TILE];
-                simd::dispatch(Paint { crowd: drawing.crowd(band, column, rule), ways: &mut ways });
+                let mut ways = [[PixelState::START; GROUPS]; TILE];
+                simd::dispatch(Paint { tile: drawing.tile(band, column, rule), ways: &mut ways });
                 for (row, ways) in pixels.chunks_exact_mut(width).zip(&ways) {
                     for (x, pixel) in row.iter_mut().skip(column * TILE).take(TILE).enumerate() {
                         (0..COLORS).for_each(|k| pixel[k] = ways[x / LANES].color[k].0[x % LANES]);
@@ -320,9 +320,9 @@ impl Drawing {
         drawing
     }
 
-    fn crowd(&self, band: usize, column: usize, rule: Rule) -> Crowd<'_> {
+    fn tile(&self, band: usize, column: usize, rule: Rule) -> TileGaussians<'_> {
         let first = [column, band].map(|i| (i * TILE) as f32);
-        Crowd { ready: &self.ready, members: self.tiles.members(band, column), first, rule }
+        TileGaussians { ready: &self.ready, members: self.tiles.members(band, column), first, rule }
     }
 
     /// Returns the gradients with respect to the Gaussians, for the gradient `slopes` with respect to the picture.
@@ -335,13 +335,13 @@ impl Drawing {
             let mut sums = Vec::new();
             let rows = band * TILE * width..height.min((band + 1) * TILE) * width;
             for column in 0..self.tiles.columns {
-                let mut ways = [[Way::START; GROUPS]; TILE];
-                let crowd = self.crowd(band, column, rule);
+                let mut ways = [[PixelState::START; GROUPS]; TILE];
+                let tile = self.tile(band, column, rule);
                 let [whole, slopes] = [&self.pixels, slopes].map(|p| block(&p[rows.clone()], width, column));
                 sums.clear();
                 let (whole, slopes) = (&whole, &slopes);
-                simd::dispatch(Gather { crowd, ways: &mut ways, whole, slopes, sums: &mut sums });
-                for (&id, sums) in crowd.members.iter().zip(&sums) {
+                simd::dispatch(Gather { tile, ways: &mut ways, whole, slopes, sums: &mut sums });
+                for (&id, sums) in tile.members.iter().zip(&sums) {
                     let place = &mut places[id as usize];
                     if *place == u32::MAX {
                         *place = found.len() as u32;

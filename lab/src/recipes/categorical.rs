@@ -4,9 +4,9 @@
 use ssplat::unstable::bitstream::coder::range::{Coder, Cumulative, Encoder};
 
 /// Bytes of the table for each symbol that occurs: 64 bits for the frequency, and the symbol itself.
-const ENTRY: u64 = 9;
+const ENTRY_BYTES: u64 = 9;
 /// Maximum sum of the frequencies.
-const MOST: u64 = 1 << 16;
+const MAX_SUM: u64 = 1 << 16;
 
 /// Cumulative frequencies of the symbols.
 #[derive(Debug)]
@@ -23,7 +23,7 @@ impl Shares {
         let mut below = vec![0];
         for times in times {
             // Large frequencies are scaled; symbols that occur keep a frequency of at least 1.
-            let share = if all > MOST / 2 { (times * (MOST / 2) / all).max(times.min(1)) } else { times };
+            let share = if all > MAX_SUM / 2 { (times * (MAX_SUM / 2) / all).max(times.min(1)) } else { times };
             below.push(below.last().copied().unwrap_or(0) + share as u32);
         }
         Shares { below }
@@ -58,7 +58,7 @@ fn coded(codes: &[u8], shares: &Shares) -> Vec<u8> {
 pub(super) fn bytes(codes: &[u8]) -> u64 {
     let shares = Shares::new(codes);
     let present = shares.below.windows(2).filter(|b| b[0] < b[1]).count() as u64;
-    coded(codes, &shares).len() as u64 + ENTRY * present
+    coded(codes, &shares).len() as u64 + ENTRY_BYTES * present
 }
 
 #[cfg(test)]

@@ -30,11 +30,11 @@ use ssplat::unstable::parallel;
 
 pub(super) const RATE: f32 = 1e-3;
 /// Fraction of the iterations after which the rate is halved, repeatedly.
-const HALVED: f32 = 0.4;
+const HALVING_INTERVAL: f32 = 0.4;
 /// Offset added to the factor's diagonal and to the scales.
 const BOUND: f32 = 0.5;
 /// Minimum scale that is drawn, pixels; covariances without an inverse are not drawn.
-const THINNEST: f32 = 0.02;
+const MIN_SCALE: f32 = 0.02;
 
 /// Parametrization of covariances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,7 +45,7 @@ pub(super) enum Covariance {
 
 /// Returns the factor of the rate after `iteration` of `iterations`.
 pub(super) fn halved(iteration: u32, iterations: u32) -> f32 {
-    0.5f32.powi((iteration as f32 / (HALVED * iterations as f32)) as i32)
+    0.5f32.powi((iteration as f32 / (HALVING_INTERVAL * iterations as f32)) as i32)
 }
 
 /// Renders the method's numbers and computes their gradients.
@@ -154,7 +154,7 @@ fn primitive(n: &[f32; NUMBERS], size: [f32; 2], covariance: Covariance) -> Prim
     };
     let mut color = [0.0; 4];
     color.copy_from_slice(&n[5..]);
-    Primitive { mean, log_scale: scale.map(|s| s.max(THINNEST).ln()), rotation, color }
+    Primitive { mean, log_scale: scale.map(|s| s.max(MIN_SCALE).ln()), rotation, color }
 }
 
 fn factor(n: &[f32; NUMBERS]) -> [f32; 3] {

@@ -21,7 +21,7 @@ use std::time::Instant;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-use super::blended::{self, Drawing, FAINTEST, Rule, Splat};
+use super::blended::{self, Drawing, MIN_ALPHA, Rule, Splat};
 use super::optimizer::{Adam, NUMBERS};
 use super::tiles::Reach;
 use super::{Counted, Fit, Options, Point, drawn};
@@ -30,9 +30,9 @@ use ssplat::unstable::gaussian::{Blend, Gaussian};
 
 const RATE: f32 = 0.018;
 /// Number of Gaussians of the first level relative to the total, before scaling with its number of pixels.
-const SHARE: f32 = 0.5;
+const FIRST_LEVEL_SHARE: f32 = 0.5;
 /// Minimum scale in a file, pixels.
-const THINNEST: f32 = 0.02;
+const MIN_SCALE: f32 = 0.02;
 
 /// A picture in floats.
 #[derive(Debug, Clone)]
@@ -75,7 +75,7 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
     let truth = Image { size: [target.width, target.height].map(|v| v as usize), pixels: blended::pixels_of(target) };
     let small = truth.by_areas(truth.size.map(|v| (v / 2).max(1)));
-    let first = (options.count as f32 * 0.25 * SHARE) as usize;
+    let first = (options.count as f32 * 0.25 * FIRST_LEVEL_SHARE) as usize;
     let (clock, trace) = (Instant::now(), Vec::with_capacity(options.trace as usize + 3));
     let mut watch = Watch { target, options, truth: &truth, clock, watching: 0.0, before: 0, trace };
     let coarse = level(&small, first, options, &mut rng, |iteration, drawn| {
@@ -164,7 +164,7 @@ fn splat(n: &[f32; NUMBERS]) -> Splat {
     let determinant = xx * yy - xy * xy;
     let conic = [yy / determinant, -xy / determinant, xx / determinant];
     // Distance at which the value falls to the minimum. The root of a negative number is NaN, which is drawn nowhere.
-    let half = [xx, yy].map(|v| (-2.0 * FAINTEST.ln() * v).sqrt().ceil());
+    let half = [xx, yy].map(|v| (-2.0 * MIN_ALPHA.ln() * v).sqrt().ceil());
     let half = if half.iter().all(|v| *v > 0.0) && determinant != 0.0 { half } else { [0.0; 2] };
     let reach = Reach { center: [n[0], n[1]], half };
     let color = [n[5], n[6], n[7], n[8]];
@@ -183,7 +183,7 @@ fn gradient(found: &blended::Gradient) -> [f32; NUMBERS] {
 fn gaussian(n: &[f32; NUMBERS], zoom: [f32; 2], gain: f32) -> Gaussian {
     let [xx, xy, yy] = [n[2] * zoom[0] * zoom[0], n[3] * zoom[0] * zoom[1], n[4] * zoom[1] * zoom[1]];
     let (middle, spread) = (0.5 * (xx + yy), (0.5 * (xx - yy)).hypot(xy));
-    let scale = [middle + spread, middle - spread].map(|v| v.max(THINNEST * THINNEST).sqrt());
+    let scale = [middle + spread, middle - spread].map(|v| v.max(MIN_SCALE * MIN_SCALE).sqrt());
     let rotation = (0.5 * (2.0 * xy).atan2(xx - yy)).rem_euclid(std::f32::consts::PI);
     // A Gaussian that is not drawn there gets no colour here.
     let shown = if xx > 0.0 && yy > 0.0 { gain } else { 0.0 };

@@ -24,7 +24,7 @@ use super::optimizer::{Adan, NUMBERS};
 use super::{Counted, Options, categorical, drawn};
 
 /// Maximum code of a number of the covariance.
-const LARGEST: f32 = 63.0;
+const MAX_CODE: f32 = 63.0;
 /// Vectors in a codebook.
 const VECTORS: usize = 8;
 const ROUNDS: usize = 5;
@@ -159,7 +159,7 @@ impl Even {
             }
         }
         // A single value has no range.
-        Even { steps: ranges.map(|r| ((r[1] - r[0]) / LARGEST).max(1e-8)), offsets: ranges.map(|r| r[0]) }
+        Even { steps: ranges.map(|r| ((r[1] - r[0]) / MAX_CODE).max(1e-8)), offsets: ranges.map(|r| r[0]) }
     }
 
     fn numbers(&self) -> [f32; NUMBERS] {
@@ -173,7 +173,7 @@ impl Even {
     }
 
     fn code(&self, v: f32, k: usize) -> f32 {
-        ((v - self.offsets[k]) / self.steps[k]).clamp(0.0, LARGEST)
+        ((v - self.offsets[k]) / self.steps[k]).clamp(0.0, MAX_CODE)
     }
 
     fn rounded(&self, v: f32, k: usize) -> f32 {

@@ -23,7 +23,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::blended::{self, Drawing, Rule, Splat};
-use super::densify::{Crowd, Due, Growth, logit};
+use super::densify::{Due, Growth, Population, logit};
 use super::estimate;
 use super::optimizer::{Adam, NUMBERS};
 use super::tiles::Reach;
@@ -65,14 +65,14 @@ pub(super) fn fit(target: &Planes, number: Number, options: &Options) -> Fit {
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
     let first = if number == Number::Grows { options.count.div_ceil(2) } else { options.count };
     let numbers = start(target, first, &mut rng);
-    let mut crowd = Crowd { adam: Adam::new(numbers.len()), numbers };
+    let mut population = Population { adam: Adam::new(numbers.len()), numbers };
     let samples = (width * target.height as usize * channels) as f32;
     let mut growth = Growth::new(rng, size.map(|s| s as f32), samples, (unit, options.count));
     let (mut trace, mut watching) = (Vec::new(), 0.0);
     let clock = Instant::now();
     let psnr = |drawing: &Drawing| drawn::psnr(target, blended::squared_error(&truth, &drawing.pixels));
     for iteration in 0..options.iterations {
-        let splats: Vec<Splat> = crowd.numbers.iter().map(splat).collect();
+        let splats: Vec<Splat> = population.numbers.iter().map(splat).collect();
         let drawing = Drawing::new(&splats, size.map(|v| v as usize), Rule::FrontToBack);
         if options.trace > 0 && iteration.is_multiple_of(options.iterations.div_ceil(options.trace)) {
             let now = Instant::now();
@@ -86,18 +86,18 @@ pub(super) fn fit(target: &Planes, number: Number, options: &Options) -> Fit {
         loss.gradient(&Problem { scene, target }, &mut field);
         let slopes = blended::from_field(target, &field);
         let found = drawing.gradients(&splats, width, Rule::FrontToBack, &slopes);
-        let gradients: Vec<_> = crowd.numbers.iter().zip(&found).map(|(n, g)| gradient(n, g, channels)).collect();
+        let gradients: Vec<_> = population.numbers.iter().zip(&found).map(|(n, g)| gradient(n, g, channels)).collect();
         let done = iteration as f32 / options.iterations as f32;
         let place = unit * PLACE_RATES[0] * (PLACE_RATES[1] / PLACE_RATES[0]).powf(done);
         let [scale, color] = [SCALE_RATE, COLOR_RATE];
         let rates = [place, place, scale, scale, ANGLE_RATE, color, color, color, OPACITY_RATE];
         let seen = found.iter().zip(&splats).map(|(g, s)| (g.slope.mean, s.reach.meets(size)));
         let due = Due::after(iteration + 1, options.iterations);
-        if number == Number::Stays || growth.passes(&mut crowd, seen, due) {
-            crowd.adam.step(&mut crowd.numbers, &gradients, rates.map(|r| r * options.rate));
+        if number == Number::Stays || growth.passes(&mut population, seen, due) {
+            population.adam.step(&mut population.numbers, &gradients, rates.map(|r| r * options.rate));
         }
     }
-    let numbers = crowd.numbers;
+    let numbers = population.numbers;
     let draw = |numbers: &[[f32; NUMBERS]]| {
         let splats: Vec<Splat> = numbers.iter().map(splat).collect();
         Drawing::new(&splats, size.map(|v| v as usize), Rule::FrontToBack)

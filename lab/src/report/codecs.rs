@@ -174,13 +174,13 @@ fn timed(program: &str, arguments: &[String]) -> Option<f64> {
 const COLUMNS: [&str; 9] = ["image", "codec", "bytes", "psnr", "msssim", "ssim", "enc_s", "dec_s", "setting"];
 
 /// Optional columns of a CSV.
-const FURTHER: [&str; 2] = ["ssimulacra2", "butteraugli"];
+const OPTIONAL_COLUMNS: [&str; 2] = ["ssimulacra2", "butteraugli"];
 
 /// Formats results as a CSV that [`parse`] reads.
 pub fn as_csv(anchors: &[Anchor]) -> String {
     let of = |v: Option<f64>| v.map_or_else(|| "N/A".into(), |v| format!("{v:.5}"));
     let [ms_ssim, rest] = [&COLUMNS[..5], &COLUMNS[5..]];
-    let mut text = [ms_ssim, &FURTHER, rest].concat().join(",") + "\n";
+    let mut text = [ms_ssim, &OPTIONAL_COLUMNS, rest].concat().join(",") + "\n";
     for a in anchors {
         text += &format!(
             "{},{},{},{:.3},{},{},{},{},{:.3},{:.3},{}\n",
@@ -213,7 +213,7 @@ pub fn parse(path: &Path) -> Result<Vec<Anchor>, Failure> {
             .position(|h| *h == name)
             .ok_or_else(|| Failure::usage(format!("{}: no column {name}", path.display())))?;
     }
-    let further = FURTHER.map(|name| header.iter().position(|h| *h == name));
+    let further = OPTIONAL_COLUMNS.map(|name| header.iter().position(|h| *h == name));
     let mut anchors = Vec::new();
     for line in lines {
         // Only the last column of such files is ever quoted, and no column after it is read.
