@@ -12,11 +12,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let paths: Vec<String> = std::env::args().skip(1).collect();
     let [picture, file, again] = &paths[..] else { return Err("three paths: PICTURE FILE AGAIN".into()) };
 
-    // The picture's ICC profile and orientation go along.
+    // Keeps the picture's ICC profile and orientation.
     let report = Encoder::new().ratio(100.0).transcode(picture, file)?;
     println!("{} Gaussians, {:.2} dB, {:.1} s", report.primitives, report.psnr, report.seconds);
 
-    // From now on `image` knows the format.
+    // From here on, the `image` crate supports the format.
     register();
     Ok::<(), Box<dyn Error>>(image::open(file)?.save(again)?)
 }

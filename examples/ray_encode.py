@@ -1,26 +1,27 @@
 #!/usr/bin/env python3
-"""Encodes a folder of pictures, or any fsspec URL, on a Ray cluster: files, and a manifest in Parquet.
+"""Encodes a folder of pictures, or any fsspec URL, on a Ray cluster, and writes a manifest in Parquet.
 
     pip install 'ssplat[ray]'
     python examples/ray_encode.py photos/ encoded/ --ratio 50
     python examples/ray_encode.py s3://bucket/photos s3://bucket/encoded --address auto
 
-Files are named as `ssplat encode --out-dir` does: photo.jpg becomes photo.ssplat, but photo.jpg.ssplat where there is a
-photo.png, too. Each picture is one row of OUT/manifest/*.parquet: path, output, bytes, psnr, ms_ssim, seconds, error. A picture that
-cannot be read or encoded is a row with its error and no output; the others go on. What the manifest has is skipped, so
-a run that was stopped is gone on with by the same command. `--again` tries those with errors once more.
+Files are named as by `ssplat encode --out-dir`: photo.jpg becomes photo.ssplat, or photo.jpg.ssplat if there is also a
+photo.png. Each picture is one row of OUT/manifest/*.parquet: path, output, bytes, psnr, ms_ssim, seconds, error. A
+picture that cannot be read or encoded gets a row with its error and no output, and the other pictures are still
+encoded. Pictures in the manifest are skipped, so the same command continues an interrupted run. `--again` retries
+pictures with errors.
 
-Paths are handed out and read inside the task: one broken file must not end the job. A task is a block of pictures; it
-writes its rows when it is through, under a name that is the same when Ray runs it again after a worker died. So every
-picture has one row, and at most the work of a block is done twice.
+Tasks receive paths and read the pictures themselves, so that a broken file does not end the job. A task is a block of
+pictures. It writes its rows at the end, under a name that is the same if Ray runs the task again after a worker died.
+So every picture has one row, and at most the work of one block is repeated.
 
-One picture that is too large for one machine's patience is divided among the workers, tile by tile:
+A single very large picture can be divided among the workers, tile by tile:
 
     python examples/ray_encode.py huge.ppm huge.ssplat --split --ratio 100
 
-The file is the one that `ssplat encode --tiles` writes. A task holds the pixels of its tile: workers need not see the
-picture. A binary PNM is read a part at a time; what else Pillow opens is in this machine's memory. With `--keep FOLDER`
-the answers stay there, and a run that was stopped is gone on with by the same command.
+The file is the same as that of `ssplat encode --tiles`. A task contains the pixels of its tile, so workers do not need
+access to the picture. A binary PNM is read in parts; other formats are loaded into this machine's memory. With
+`--keep FOLDER`, results are stored there, and the same command continues an interrupted run.
 
 With Dask, `client.map(functools.partial(encode_one, source=..., out=..., options=...), paths)` gives the same rows;
 with Spark, `mapInPandas`.
@@ -58,7 +59,7 @@ MANIFEST = "manifest"
 
 
 def output_names(paths):
-    """The output of each path: its extension replaced, or kept before the new one where several share all else."""
+    """Returns the output of each path: its extension is replaced, or kept before the new one if names would collide."""
     names = {path: posixpath.splitext(path)[0] + ".ssplat" for path in paths}
     while True:
         times = collections.Counter(names.values())
@@ -70,7 +71,7 @@ def output_names(paths):
 
 def encode_one(path, source, out, options, output=None):
     """Encodes the picture `path` under `source` to the file `output` under `out`, by default the path with another
-    extension: a row of the manifest, never an exception."""
+    extension. Returns a row of the manifest, and never raises an exception."""
     import ssplat
     from PIL import Image
 
@@ -93,7 +94,7 @@ def encode_one(path, source, out, options, output=None):
 
 
 def write_whole(root, name, data):
-    """Writes a file that is there as a whole or not at all. Object stores do so by themselves."""
+    """Writes a file atomically. Object stores do so by themselves."""
     fs, root = fsspec.url_to_fs(root)
     path = posixpath.join(root, name)
     if "file" not in fs.protocol:
@@ -107,7 +108,7 @@ def write_whole(root, name, data):
 
 
 def list_pictures(source):
-    """Paths below `source` of all files that Pillow may know by their names."""
+    """Returns the paths below `source` of all files with an extension that Pillow supports."""
     from PIL import Image
 
     fs, root = fsspec.url_to_fs(source)
@@ -117,7 +118,7 @@ def list_pictures(source):
 
 
 def read_manifest(out):
-    """The rows so far."""
+    """Returns the existing rows."""
     fs, root = fsspec.url_to_fs(out)
     files = [path for path in fs.find(posixpath.join(root, MANIFEST)) if path.endswith(".parquet")]
     if not files:
@@ -126,7 +127,7 @@ def read_manifest(out):
 
 
 def left_to_do(source, out, options, again=False):
-    """The pictures without a row; with `again`, also those whose last row is an error."""
+    """Returns the pictures without a row; with `again`, also those whose last row is an error."""
     done, text = set(), json.dumps(options, sort_keys=True)
     for row in read_manifest(out).select(["path", "error", "options"]).to_pylist():
         if row["options"] != text:
@@ -137,7 +138,7 @@ def left_to_do(source, out, options, again=False):
 
 
 def run(source, out, options, *, block=None, again=False, encode=encode_one):
-    """Encodes what is left to do on the Ray cluster that is connected, and returns how many pictures that were."""
+    """Encodes the remaining pictures on the connected Ray cluster, and returns their number."""
     import ray
 
     paths = left_to_do(source, out, options, again)
@@ -149,7 +150,7 @@ def run(source, out, options, *, block=None, again=False, encode=encode_one):
         rows = [encode(row["path"], source, out, options, row["output"]) for row in batch.to_pylist()]
         return pa.Table.from_pylist(rows, schema=SCHEMA)
 
-    # Few pictures in a task leave no worker idle at the end; sixteen make its start cheap.
+    # Small tasks keep all workers busy until the end, and sixteen pictures make the overhead of a task small.
     cores = max(1, int(ray.cluster_resources().get("CPU", 1)))
     blocks = -(-len(paths) // (block or min(16, max(1, len(paths) // (8 * cores)))))
     items = [{"path": path, "output": outputs[path]} for path in paths]
@@ -160,7 +161,7 @@ def run(source, out, options, *, block=None, again=False, encode=encode_one):
 
 
 def open_whole(path):
-    """What `ssplat.encode` takes: a binary PNM as a memory map, else the path."""
+    """Returns the input for `ssplat.encode`: a memory map of a binary PNM, otherwise the path."""
     import numpy as np
     from PIL import Image
 
@@ -171,20 +172,20 @@ def open_whole(path):
         width, height = int(header[2]), int(header[3])
         shape = (height, width) if header[1] == b"5" else (height, width, 3)
         return np.memmap(path, np.uint8, "r", header.end(), shape)
-    # Whoever asks for this knows that the picture is large.
+    # The caller knows that the picture is large.
     Image.MAX_IMAGE_PIXELS = None
     return path
 
 
 def work_on(task):
-    """Works on a tile."""
+    """Processes the task of a tile."""
     import ssplat
 
     return ssplat.work_on_tile(task, threads=1)
 
 
 def split(path, out, options, *, side=2048, at_once=None, keep=None, work=work_on, progress=None):
-    """Encodes one picture on the Ray cluster that is connected, in tiles of `side` pixels; returns the file's bytes."""
+    """Encodes one picture on the connected Ray cluster, in tiles of `side` pixels; returns the file's bytes."""
     import ray
     import ssplat
 
@@ -195,7 +196,7 @@ def split(path, out, options, *, side=2048, at_once=None, keep=None, work=work_o
     def start(task):
         if keep is None:
             return functools.partial(ray.get, on_tile.remote(task))
-        # Equal tasks have equal answers: their name is what they hold.
+        # Equal tasks have equal results, so the name is a hash of the contents.
         name = hashlib.sha256(task).hexdigest()
         fs, root = fsspec.url_to_fs(keep)
         if fs.exists(posixpath.join(root, name)):
@@ -209,7 +210,7 @@ def split(path, out, options, *, side=2048, at_once=None, keep=None, work=work_o
 
         return wait
 
-    # One task for each worker, and one that waits for it.
+    # One task for each worker, and one in its queue.
     at_once = at_once or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
     data = ssplat.encode(open_whole(path), tiles=side, start=start, at_once=at_once, progress=progress, **options)
     folder, name = posixpath.split(out)
@@ -235,7 +236,7 @@ def main(arguments=None):
     import ray
 
     options = {k: v for k in ("ratio", "bytes", "psnr", "effort") if (v := getattr(a, k)) is not None}
-    # Ray's workers are elsewhere.
+    # Ray's workers run in other folders.
     local = [p if "://" in p else os.path.abspath(p) for p in (a.source, a.out)]
     ray.init(address=a.address)
     start = time.perf_counter()

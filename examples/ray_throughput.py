@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Measures `ray_encode.py` on this machine beside the program under `xargs -P`, on the same pictures by turns.
+"""Compares the speed of `ray_encode.py` on this machine with the program under `xargs -P`, on the same pictures.
 
     cargo build --release
     python examples/ray_throughput.py photos/ --times 4 --rounds 3
 
-Both encode at the same effort and ratio with one thread a picture and one picture a core. Ray's side also decodes every
-file and measures PSNR and MS-SSIM for its manifest; so does xargs with `--compare`. Each round runs both, in
-alternating order. The start of the cluster is not counted: pictures by the million do not notice it. Loading the package
-in each worker is.
+Both encode at the same effort and ratio, with one thread per picture and one picture per core. `ray_encode.py` also
+decodes every file and measures PSNR and MS-SSIM for its manifest; with `--compare`, xargs does the same. Each round runs
+both, in alternating order. The time for starting the cluster is not included, because it is negligible for many
+pictures. The time for loading the package in each worker is included.
 """
 
 import argparse
@@ -24,7 +24,7 @@ import ray_encode
 
 
 def with_xargs(program, pictures, out, options, cores, compare):
-    """Seconds of the program, started once for each picture."""
+    """Returns the seconds of the program, started once for each picture."""
     script = f'"{program}" encode "$1" "$2/${{1##*/}}.ssplat" --threads 1 --quiet {options}'
     if compare:
         script += f' && "{program}" compare "$1" "$2/${{1##*/}}.ssplat" --threads 1 >/dev/null'
@@ -37,7 +37,7 @@ def with_xargs(program, pictures, out, options, cores, compare):
 
 
 def with_ray(source, out, options):
-    """Seconds of the example."""
+    """Returns the seconds of the example."""
     start = time.perf_counter()
     ray_encode.run(str(source), out, options)
     return time.perf_counter() - start

@@ -1,4 +1,4 @@
-//! A file is opened once, and parts of it are drawn at any size into the same memory:
+//! Opens a file once, and renders parts of it at any size into the same memory:
 //!
 //! ```text
 //! cargo run --release --example region -- photo.ssplat

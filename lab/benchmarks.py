@@ -1,13 +1,16 @@
 #!/usr/bin/env python3
-"""Measures the codec beside others and writes the tables of docs/BENCHMARKS.md, docs/benchmarks.csv, docs/quality.svg and docs/speed.svg.
+"""Compares the codec with others and writes the tables of docs/BENCHMARKS.md, docs/benchmarks.csv, docs/quality.svg
+and docs/speed.svg.
 
     cargo build --release
-    python lab/benchmarks.py target/release/ssplat KODAK [--large PICTURE...] [--jobs N] [--only codecs,quality,efforts,speeds,tiny,large]
+    python lab/benchmarks.py target/release/ssplat KODAK [--large PICTURE...] [--jobs N]
+        [--only codecs,quality,efforts,speeds,tiny,large]
 
-It takes Pillow 12 or newer for JPEG, WebP and AVIF (tune=iq), and the package pillow-jxl-plugin for JPEG XL. VVC's rows come from
-docs/kodak-modern.csv, as its encoder cannot be installed by name. KODAK is a folder with kodim01.png to
-kodim23.png, of which the odd ones are measured. All files are measured by `ssplat compare`. What is done is kept in
-target/benchmarks: started again, the command goes on where it stopped. Seconds are CPU seconds of one thread.
+It needs Pillow 12 or newer for JPEG, WebP and AVIF (tune=iq), and the package pillow-jxl-plugin for JPEG XL. The rows
+of VVC come from docs/kodak-modern.csv, because its encoder cannot be installed from a package registry. KODAK is a
+folder with kodim01.png to kodim23.png, of which the odd-numbered ones are measured. All files are measured by
+`ssplat compare`. Results are cached in target/benchmarks, so that an interrupted run can be continued. Seconds are CPU
+seconds of one thread.
 """
 import argparse, concurrent.futures, csv, hashlib, io, json, os, pathlib, platform, re, resource, statistics, subprocess, sys, tempfile, time
 
@@ -15,9 +18,9 @@ root = pathlib.Path(__file__).resolve().parent.parent
 page, rows_file = root / "docs/BENCHMARKS.md", root / "docs/benchmarks.csv"
 chart, speed_chart = root / "docs/quality.svg", root / "docs/speed.svg"
 RATIOS = [20, 50, 100, 200, 500]
-# Qualities of the others, from small files to large ones.
+# Quality settings of the other codecs, from small files to large ones.
 QUALITIES = {"jpeg": [4, 8, 14, 35, 55, 88], "webp": [0, 5, 15, 50, 70, 93], "avif": [0, 4, 10, 18, 40, 66, 80, 88, 94], "jxl": [1, 4, 10, 20, 50, 65, 90, 95]}
-# Qualities of AVIF between whose files those of ratio 50 lie, on each of the four pictures of the tables of efforts and speeds.
+# Quality settings of AVIF around a ratio of 50, for each of the four pictures of the tables of efforts and speeds.
 AROUND_50 = {5: (31, 36), 13: (27, 34), 15: (48, 57), 23: (58, 67)}
 MEASURES = ["psnr", "ms_ssim", "ssimulacra2", "butteraugli"]
 
@@ -39,7 +42,7 @@ environment = os.environ | {"RAYON_NUM_THREADS": "1"}
 
 
 def run(command):
-    """Output and CPU seconds of a command."""
+    """Runs a command and returns its output and CPU seconds."""
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         child = subprocess.Popen([str(c) for c in command], stdout=out, stderr=err, env=environment)
         _, status, used = os.wait4(child.pid, 0)
@@ -50,7 +53,7 @@ def run(command):
 
 
 def kept(name, work):
-    """The result of `work`, from the last time if there is one."""
+    """Returns the result of `work`, from the cache if it is there."""
     path = cache / (hashlib.sha256(name.encode()).hexdigest()[:24] + ".json")
     if not path.exists():
         path.write_text(json.dumps(work()))
@@ -119,8 +122,11 @@ def table(head, rows, left=1):
 
 
 def at(points, size, key):
-    """A measure at a size in bytes, between the two files next to it, by the logarithm of the size; that of the smallest file where it is larger by less
-    than 1 %, which favours it; nothing outside."""
+    """Interpolates a measure at a size in bytes between the two nearest files, over the logarithm of the size.
+
+    If the smallest file is larger by less than 1 %, its value is returned, which favours it. Outside the range of sizes,
+    the result is None.
+    """
     import math
     points = sorted(points, key=lambda p: p["bytes"])
     if size < points[0]["bytes"] < 1.01 * size:
@@ -139,7 +145,7 @@ def modern():
     found = {}
     with open(root / "docs/kodak-modern.csv") as file:
         for row in csv.DictReader(file):
-            # Some sizes are out of a codec's reach.
+            # Some codecs do not reach some sizes.
             if not row["bytes"].isdigit():
                 continue
             point = {"bytes": int(row["bytes"]), "psnr": float(row["psnr"]), "ms_ssim": float(row["msssim"]), "ssimulacra2": float(row["ssimulacra2"]), "butteraugli": float(row["butteraugli"])}
@@ -187,7 +193,7 @@ def quality():
             rows.append([str(ratio), label, f"{mean(r['bytes'] for r in of):.0f}", number(mean(r.get("psnr_at", r["psnr"]) for r in of), 2), number(mean(r.get("ms_ssim_at", r["ms_ssim"]) for r in of), 4), number(mean(at_size), 1), number(mean(r["butteraugli"] for r in of), 2), number(mean(r["encode_s"] for r in of), 1), f"{ahead} of 12"])
     head = ["ratio", "codec", "bytes", "PSNR dB", "MS-SSIM", "SSIMULACRA2", "Butteraugli", "encode, CPU s", "pictures where ssplat's SSIMULACRA2 is higher"]
     tables["quality"] = table(head, rows, 2)
-    # A line a codec: the measure over bits a pixel, both means over the pictures.
+    # One line per codec: the measure against bits per pixel, each averaged over the pictures.
     lines = {}
     pixels = 768 * 512
     for name in ("ssplat",):
@@ -206,7 +212,8 @@ def quality():
 
 
 def svg(lines, across, up):
-    """Curves over a logarithmic axis: its ends, its marks and what it is; the vertical one's ends, and how far its marks are from each other."""
+    """Plots curves over a logarithmic axis. Takes the ends, ticks and label of that axis, and the ends and tick distance
+    of the vertical one."""
     import math
     width, height, left, bottom, top, right = 760, 430, 56, 46, 14, 150
     (low, high, marks, title), (least, most, apart) = across, up
@@ -234,7 +241,7 @@ def svg(lines, across, up):
 
 
 def codecs():
-    """The other codecs alone, which do not depend on the program."""
+    """Measures the other codecs alone, which do not depend on the program."""
     each([lambda p=p, c=c, q=q: others(p, c, q) for p in pictures for c, qualities in QUALITIES.items() for q in qualities])
 
 
@@ -251,7 +258,8 @@ def efforts():
 
 
 def speeds():
-    """SSIMULACRA2 against CPU seconds at a ratio of 50: our efforts, and aom's speeds at as many bytes as effort 5 takes."""
+    """Measures SSIMULACRA2 against CPU seconds at a ratio of 50: for the efforts of ssplat, and for the speeds of aom at
+    the file size of effort 5."""
     four = {k: args.kodak / f"kodim{k:02}.png" for k in AROUND_50}
     efforts = (1, 2, 3, 4, 5, 6, 7, 9)
     made = dict(zip([(k, e) for k in four for e in efforts], each([lambda p=p, e=e: ours(p, ["--ratio", "50", "--effort", str(e)]) for p in four.values() for e in efforts])))

@@ -1,8 +1,8 @@
-"""Makes a picture of any size out of others, row by row, to try encodes of very large ones with:
+"""Composes a picture of any size from others, row by row, for encoding very large pictures:
 
     python lab/mosaic.py WIDTHxHEIGHT OUT.png PICTURE...
 
-Needs Pillow. Pictures are cut off at the right and the lower border, and begin anew when all are used.
+Needs Pillow. Pictures are cropped at the right and the lower border, and repeated when all have been used.
 """
 
 import itertools
@@ -31,7 +31,7 @@ def main() -> None:
                 mosaic.paste(picture.convert("RGB"), (left, top))
                 left += picture.width
                 lowest = min(lowest, top + picture.height)
-        # The next row covers what hangs below the lowest picture of this one.
+        # The next row starts below the shortest picture of this one and covers the others.
         top = lowest
     mosaic.save(out, compress_level=1)
 

@@ -1,8 +1,8 @@
-// Sums to a gradient in the Gaussian's own frame, and one step of Adam there.
+// Converts sums to the gradient in the Gaussian's own frame, and takes one step of Adam there.
 
 @group(0) @binding(1) var<storage, read_write> primitives: array<f32>;
 @group(0) @binding(2) var<storage, read> moments: array<f32>;
-// First and second moments of the gradient, nine for each primitive.
+// First and second moments of the gradient, nine per primitive.
 @group(0) @binding(3) var<storage, read_write> first: array<f32>;
 @group(0) @binding(4) var<storage, read_write> second: array<f32>;
 @group(0) @binding(5) var<storage, read_write> status: array<u32>;
@@ -18,7 +18,7 @@ fn adam(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     let turn = sin_cos(primitives[p + 4u]);
     let sin = turn.x;
     let cos = turn.y;
-    // (u, v) is the offset in the Gaussian's own frame and units, turned and scaled.
+    // (u, v) is the offset in the Gaussian's own frame and units, rotated and scaled.
     let sx = sqrt(s1 * s1 * cos * cos + s2 * s2 * sin * sin);
     let f = vec2f(s1 * cos, s2 * sin) / sx;
     let u = moments[i] / HALF;
@@ -42,7 +42,7 @@ fn adam(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     var move_by = array<f32, 9>();
     for (var k = 0u; k < 9u; k++) {
         var g = gradient[k];
-        // Neither infinite nor not a number.
+        // Replaces infinities and NaN.
         if (!(abs(g) < 3.0e38)) { g = 0.0; }
         let m = scene.decay.x * first[p + k] + (1.0 - scene.decay.x) * g;
         let s = scene.decay.y * second[p + k] + (1.0 - scene.decay.y) * g * g;

@@ -1,5 +1,5 @@
-// Planes of the gradient to each pair's share of its Gaussian's gradient: Σ t u, Σ t v, Σ t u², Σ t uv | Σ t v² | Σ w g
-// with t = e (Σ g c − h). Joined behind pair.wgsl.
+// Computes the contribution of each pair to its Gaussian's gradient from the planes of the gradient: Σ t u, Σ t v, Σ t
+// u², Σ t uv | Σ t v² | Σ w g with t = e (Σ g c − h). Follows pair.wgsl.
 
 @compute @workgroup_size(64)
 fn backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) local: u32) {

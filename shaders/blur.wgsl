@@ -1,4 +1,4 @@
-// Cells blurred by (1 4 6 4 1)/16 along x (mode 0) or y (mode 1), borders repeated.
+// Blurs cells by (1 4 6 4 1)/16 along x (mode 0) or y (mode 1); cells at the border are repeated.
 
 @group(0) @binding(1) var<storage, read> cells: array<vec4f>;
 @group(0) @binding(2) var<storage, read_write> blurred: array<vec4f>;

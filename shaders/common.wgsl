@@ -1,21 +1,21 @@
-// Shared by every stage, joined in front of it: the scene's numbers, the projected splat, and where it lies in tiles.
+// Precedes every stage: the uniforms of the scene, the projected splat, and the tiles that it touches.
 
 struct Scene {
     background: vec4f,
     // Step sizes: mean, log-scale, rotation, colour.
     rates: vec4f,
-    // Factors of the errors of each channel.
+    // Amplitude of the errors of each channel.
     channel_amplitude: vec4f,
-    // Where the drawn grid starts in the picture, pixels, as a sum of two floats.
+    // Origin of the grid in the picture, pixels, as a sum of two floats.
     origin_high: vec2f,
     origin_low: vec2f,
-    // Picture pixels for each drawn pixel.
+    // Picture pixels per pixel of the grid.
     step: vec2f,
     // Bounds of the means, pixels.
     size: vec2f,
-    // What the low-pass of a reduced view adds to the variances along x and y, picture pixels².
+    // Increase of the variances along x and y by the low-pass filter of a reduced view, picture pixels².
     widening: vec2f,
-    // β₁ and β₂: what a step keeps of the first and second moments.
+    // β₁ and β₂: the decay of the first and second moments.
     decay: vec2f,
     min_log_scale: f32,
     max_log_scale: f32,
@@ -23,21 +23,21 @@ struct Scene {
     // 1 − β₁ⁿ and 1 − β₂ⁿ.
     correction_first: f32,
     correction_second: f32,
-    // Peaks below this gain are of no use.
+    // Peaks below this gain are ignored.
     least_gain: f32,
     // Variance of the blur so far, pixels².
     variance: f32,
-    // Largest aspect of a new primitive.
+    // Maximum aspect of a new primitive.
     longest: f32,
     primitives: u32,
-    // Pairs that the lists can hold.
+    // Capacity of the lists in pairs.
     capacity: u32,
-    // Columns and rows that are drawn in all: `across` and `down` for each of the output, whose pixels are their means.
+    // Columns and rows of samples: `across` and `down` per output pixel, which is their mean.
     width: u32,
     height: u32,
     across: u32,
     down: u32,
-    // Row `i` of the sampled ones is `row_phase + i · row_step`.
+    // Sampled row `i` is row `row_phase + i · row_step` of the picture.
     row_step: u32,
     row_phase: u32,
     // The band: sampled rows `band_first .. band_first + band_rows`, and its tiles.
@@ -45,44 +45,45 @@ struct Scene {
     band_rows: u32,
     tiles_x: u32,
     tiles_y: u32,
-    // The band's first tile among those of all bands.
+    // Index of the band's first tile among those of all bands.
     tile_base: u32,
     // 0: normalized, 1: sum.
     blend: u32,
     channels: u32,
-    // Index of the alpha channel; 4 when there is none.
+    // Index of the alpha channel; 4 if there is none.
     alpha: u32,
-    // 32-bit words for each pixel of the source: 1 with 8 bits a sample, 2 with 16, and one more if they are weighted.
+    // 32-bit words per pixel of the source: 1 with 8 bits per sample, 2 with 16, and one more if pixels are weighted.
     source_words: u32,
-    // First row of the picture that the bound part of the source holds.
+    // First row of the picture in the bound part of the source.
     source_first: u32,
-    // What the stage is to do, where it can do two things.
+    // Selects between the two functions of a stage.
     mode: u32,
-    // Cells of the level that is worked on.
+    // Cells of the current level.
     cells_x: u32,
     cells_y: u32,
     // Cell size, pixels; words or pixels in an output row.
     cell: u32,
     stride: u32,
     level: u32,
-    // What size costs: half the squared error for each pixel² of the product of the scales.
+    // Penalty for size: half the squared error per pixel² of the product of the scales.
     price: f32,
-    // 1: the last word of each pixel of the source is its amplitude, a float. 0: all count alike.
+    // 1: the last word of each pixel of the source is its amplitude, a float. 0: all pixels have the same weight.
     weighted: u32,
-    // 1: a detail layer adds something to the pixels.
+    // 1: a detail layer adds to the pixels.
     detail: u32,
-    // To a multiple of 16 bytes.
+    // Padding to a multiple of 16 bytes.
     spare: u32,
 }
 
-// A Gaussian on the drawn grid. With (dx, dy) from the centre, u = rise·dy − shear·dx and v = run·dx, it is
-// amplitude · 2^−(u² + v²).
+// A Gaussian on the grid. With (dx, dy) from the centre, u = rise·dy − shear·dx and v = run·dx, it is amplitude ·
+// 2^−(u² + v²).
 struct Splat {
-    // Centre where pixel i has its centre at i; rise; shear.
+    // Centre, in coordinates where pixel i has its centre at i; rise; shear.
     place: vec4f,
-    // run; how far the row's middle moves per row; half width in the middle row; dy of the rightmost point.
+    // run; horizontal shift of a row's middle per row; half width in the middle row; dy of the rightmost point.
     shape: vec4f,
-    // Half width and half height of the support; the amplitude, 1 unless the low-pass widens: what is fitted has none.
+    // Half width and half height of the support; the amplitude, which is 1 unless the low-pass filter widens the
+    // Gaussian. Fits have no filter.
     extent: vec4f,
     color: vec4f,
 }
@@ -91,7 +92,7 @@ const CUTOFF: f32 = 3.5;
 const CUTOFF_WEIGHT: f32 = 0.0021874911;
 // u² + v² at the edge of the support.
 const SUPPORT: f32 = 8.836507;
-// √(½ log₂ e): from standard deviations to u and v.
+// √(½ log₂ e): converts standard deviations to u and v.
 const HALF: f32 = 0.8493218;
 const EPSILON: f32 = 0.0078125;
 const HIDDEN: f32 = 0.00024414063;
@@ -106,7 +107,7 @@ fn group_index(group: vec3u, groups: vec3u) -> u32 {
     return group.y * groups.x + group.x;
 }
 
-// Sine and cosine within 1e−7 for |x| < 100: the language promises no more than 2⁻¹¹.
+// Sine and cosine within 1e−7 for |x| < 100; WGSL guarantees only 2⁻¹¹.
 fn sin_cos(x: f32) -> vec2f {
     let k = floor(x * 0.63661977 + 0.5);
     let r = ((x - k * 1.5703125) - k * 4.837513e-4) - k * 7.54979e-8;
@@ -120,12 +121,12 @@ fn sin_cos(x: f32) -> vec2f {
     return vec2f(-c, s);
 }
 
-// The row of the picture that sampled row `index` is.
+// Returns the row of the picture of sampled row `index`.
 fn sampled_row(index: u32) -> u32 {
     return scene.row_phase + index * scene.row_step;
 }
 
-// Tile rows of the band that the splat may touch: first and end.
+// Returns the tile rows of the band that the splat may touch: first and end.
 fn tile_rows(splat: Splat) -> vec2u {
     let phase = f32(scene.row_phase);
     let step = f32(scene.row_step);
@@ -139,7 +140,8 @@ fn tile_rows(splat: Splat) -> vec2u {
     return vec2u((u32(first) - scene.band_first) / TILE, (u32(end) - 1u - scene.band_first) / TILE + 1u);
 }
 
-// Tile columns that the splat may touch in tile row `row`, with `slack` pixels on either side: first and end.
+// Returns the tile columns that the splat may touch in tile row `row`, with `slack` pixels on either side: first and
+// end.
 fn tile_columns(splat: Splat, row: u32, slack: f32) -> vec2u {
     let index = scene.band_first + row * TILE;
     let top = f32(sampled_row(index)) - splat.place.y - 0.5;

@@ -1,5 +1,5 @@
-// Tiles to planes: the gradient of half the squared error with respect to Σwc, and Σ g I (mode 0), or the picture
-// and Σw (mode 1). Joined behind tile.wgsl and pixel.wgsl.
+// Renders tiles to planes: the gradient of half the squared error with respect to Σwc, and Σ g I (mode 0), or the
+// picture and Σw (mode 1). Follows tile.wgsl and pixel.wgsl.
 
 @group(0) @binding(5) var<storage, read> source: array<u32>;
 @group(0) @binding(6) var<storage, read_write> planes: array<vec4f>;
@@ -28,7 +28,7 @@ fn forward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups:
         } else {
             value = sums.color + scene.background;
         }
-        // The error of a picture is looked at as it is.
+        // The error of the whole picture is not weighted.
         var a = vec4f(1.0);
         if (scene.mode == GRADIENT) { a = amplitude(x, y) * scene.channel_amplitude; }
         let e = (clamp(value, vec4f(0.0), vec4f(1.0)) - wanted) * (importance_of_channels(wanted) * a);

@@ -1,5 +1,5 @@
-// Slots of the pairs to sums for each Gaussian, tile by tile in a fixed order. Mode 0 starts the sums, mode 1 adds
-// to those of the bands before.
+// Sums the slots of the pairs for each Gaussian, tile by tile in a fixed order. Mode 0 starts the sums, mode 1 adds to
+// those of the previous bands.
 
 @group(0) @binding(1) var<storage, read> splats: array<Splat>;
 @group(0) @binding(2) var<storage, read> starts: array<u32>;
@@ -19,7 +19,8 @@ fn gather(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: 
     var c = vec4f(0.0);
     let rows = tile_rows(splat);
     for (var row = rows.x; row < rows.y; row++) {
-        // A pixel more than when the lists were made: a tile too many is not found in them, one too few would be lost.
+        // One pixel more than when the lists were made: an additional tile does not contain the pair, but a missing
+        // one would be lost.
         let columns = tile_columns(splat, row, 2.0);
         for (var column = columns.x; column < columns.y; column++) {
             let tile = row * scene.tiles_x + column;

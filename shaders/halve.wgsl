@@ -1,4 +1,4 @@
-// Means of 2 × 2 cells, borders repeated; `cells_x` and `cells_y` are those of the input.
+// Averages 2 × 2 cells; cells at the border are repeated. `cells_x` and `cells_y` are those of the input.
 
 @group(0) @binding(1) var<storage, read> cells: array<vec4f>;
 @group(0) @binding(2) var<storage, read_write> halved: array<vec4f>;

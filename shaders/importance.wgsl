@@ -1,4 +1,5 @@
-// The picture to what each pair's pixels would lose without its Gaussian. Joined behind pair.wgsl and pixel.wgsl.
+// Computes the increase of the error in each pair's pixels when its Gaussian is removed. Follows pair.wgsl and
+// pixel.wgsl.
 
 @group(0) @binding(8) var<storage, read> source: array<u32>;
 

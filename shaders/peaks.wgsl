@@ -1,11 +1,11 @@
-// Cells whose squared residual is the largest around them, appended to a list in any order, each with the best shape of
-// a new primitive there: round, or along one of the ridges.
+// Finds cells whose squared residual is a local maximum, and appends them to a list in any order, each with the best
+// shape of a new primitive there: round, or along one of the ridges.
 
 const RIDGES = 32u;
 const TAPS = 11u;
 
 @group(0) @binding(1) var<storage, read> cells: array<vec4f>;
-// Mean residual under the shape; the ridge counts from 1 on. The number of peaks is counted apart.
+// Mean residual under the shape; the ridge counts from 1 on. The number of peaks is stored separately.
 struct Peak {
     residual: vec4f,
     level: u32,
@@ -15,7 +15,7 @@ struct Peak {
 }
 @group(0) @binding(2) var<storage, read_write> peaks: array<Peak>;
 @group(0) @binding(3) var<storage, read_write> found: atomic<u32>;
-// A cell beside a peak, and its mirror image.
+// A cell next to a peak, and its mirror image.
 struct Tap {
     x: i32,
     y: i32,
@@ -29,7 +29,7 @@ fn score(x: u32, y: u32) -> f32 {
     return dot(v, v);
 }
 
-// Beyond the edges nothing is missing.
+// The residual is zero beyond the edges.
 fn missing(x: i32, y: i32) -> vec4f {
     if (x < 0 || y < 0 || u32(x) >= scene.cells_x || u32(y) >= scene.cells_y) { return vec4f(0.0); }
     return cells[u32(y) * scene.cells_x + u32(x)];
@@ -42,14 +42,14 @@ fn find_peaks(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) grou
     let x = i % scene.cells_x;
     let y = i / scene.cells_x;
     let own = score(x, y);
-    // Four times π times the variance: the squared error that a Gaussian as wide as the blur takes away. One along a
-    // ridge takes away at most as many times that as it is longer.
+    // 4π times the variance: the reduction of the squared error by a Gaussian as wide as the blur. The reduction by
+    // one along a ridge is larger by at most its aspect.
     let gain = 12.566371 * scene.variance * own;
     if (!(own > 0.0) || gain * scene.longest < scene.least_gain) { return; }
     for (var ny = max(y, 1u) - 1u; ny <= min(y + 1u, scene.cells_y - 1u); ny++) {
         for (var nx = max(x, 1u) - 1u; nx <= min(x + 1u, scene.cells_x - 1u); nx++) {
             let other = score(nx, ny);
-            // Of equals the first counts.
+            // Among equal cells, the first is the peak.
             if (other > own || (other == own && (ny < y || (ny == y && nx < x)))) { return; }
         }
     }

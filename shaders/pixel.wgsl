@@ -1,4 +1,4 @@
-// What forward, residual and importance share: the target's pixels, and how much they and each channel of them count.
+// Shared by forward, residual and importance: the pixels of the target, and the weights of pixels and channels.
 
 // Red, green, blue and alpha of the target's pixel in column `x` of picture row `y`.
 fn source_pixel(x: u32, y: u32) -> vec4f {
@@ -7,13 +7,13 @@ fn source_pixel(x: u32, y: u32) -> vec4f {
     return vec4f(unpack2x16unorm(source[at]), unpack2x16unorm(source[at + 1u]));
 }
 
-// By how much an error at that pixel counts before it is squared.
+// Returns the factor of the error at a pixel before it is squared.
 fn amplitude(x: u32, y: u32) -> f32 {
     if (scene.weighted == 0u) { return 1.0; }
     return bitcast<f32>(source[((y - scene.source_first) * scene.width + x + 1u) * scene.source_words - 1u]);
 }
 
-// 1 for used channels, times the opacity where there is one; 0 for unused ones.
+// Returns 1 for used channels, times the opacity if there is one; 0 for unused ones.
 fn importance_of_channels(wanted: vec4f) -> vec4f {
     var opacity = 1.0;
     if (scene.alpha == 1u) { opacity = wanted.y; }

@@ -1,4 +1,4 @@
-// Primitives to splats on the drawn grid.
+// Projects primitives to splats on the grid.
 
 struct Primitive {
     mean_x: f32, mean_y: f32,
@@ -26,7 +26,7 @@ fn project(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups:
     let ty = 1.0 / scene.step.y;
     let wide = v1 * cos * cos + v2 * sin * sin;
     let tall = v1 * sin * sin + v2 * cos * cos;
-    // Of the covariance, the root of the determinant. Not √(xx·yy − xy²), which cancels for needles.
+    // Square root of the covariance's determinant. √(xx·yy − xy²) would cancel for very narrow Gaussians.
     var root = s1 * s2;
     var amplitude = 1.0;
     let add = scene.widening;

@@ -1,4 +1,4 @@
-// Gives some primitives new places, and clears what Adam remembers of them.
+// Replaces some primitives, and clears Adam's moments of them.
 
 // Ten words each: index, then the nine parameters.
 @group(0) @binding(1) var<storage, read> moves: array<u32>;

@@ -1,15 +1,16 @@
-// Tiles to code values: red, green, blue and straight alpha, 8 bits each in a word (mode 0), the same with red and blue
-// exchanged (mode 1), or 16 bits each in two words (mode 2). Joined behind tile.wgsl.
+// Renders tiles to code values: red, green, blue and straight alpha, 8 bits each in a word (mode 0), the same with red
+// and blue exchanged (mode 1), or 16 bits each in two words (mode 2). Follows tile.wgsl.
 
 @group(0) @binding(5) var<storage, read_write> codes: array<u32>;
-// What a detail layer adds to the band's rows, in parts of white: in each, channel after channel. Of one pixel if there is no layer.
+// Additions of a detail layer to the band's rows, in parts of white: channel after channel in each row. One pixel if
+// there is no layer.
 @group(0) @binding(6) var<storage, read> additions: array<f32>;
 
 @compute @workgroup_size(16, 16)
 fn render(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) local: u32) {
     let tile = group_index(group, groups);
     if (tile >= scene.tiles_x * scene.tiles_y || status[1] != 0u) { return; }
-    // The sample's place in the tile and, below, that of a pixel.
+    // Position of the sample in the tile, and later of the pixel.
     var at = vec2u(local % TILE, local / TILE);
     let corner = vec2u(tile % scene.tiles_x, tile / scene.tiles_x) * TILE;
     let sums = sum_tile(tile, local, f32(corner.x + at.x), f32(scene.band_first + corner.y + at.y));
@@ -24,13 +25,14 @@ fn render(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: 
     var size = vec2u(scene.width, scene.band_rows);
     let parts = vec2u(scene.across, scene.down);
     if (any(parts != vec2u(1u))) {
-        // Tiles hold whole pixels: each is the mean of its samples. What was of the list is no longer needed.
+        // Tiles contain whole pixels, each of which is the mean of its samples. The memory of the list is no longer
+        // needed.
         colors[local] = value;
         workgroupBarrier();
         let pixels = TILE / parts;
         if (local >= pixels.x * pixels.y) { return; }
         at = vec2u(local % pixels.x, local / pixels.x);
-        // Colours count by their alpha: what hides where a picture is transparent shall not show where it is not.
+        // Colours are weighted by their alpha, so that colours under alpha 0 do not become visible.
         value = vec4f(0.0);
         var alpha = 0.0;
         var weights = 0.0;
@@ -46,7 +48,7 @@ fn render(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: 
                 weights += weight;
             }
         }
-        // A power of two without alpha: the mean is as exact as the sum.
+        // A power of two without alpha, so that the mean is as exact as the sum.
         value /= weights;
         if (scene.alpha < 4u) { value[scene.alpha] = alpha / f32(parts.x * parts.y); }
         pixel = corner / parts + at;

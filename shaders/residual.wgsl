@@ -1,5 +1,4 @@
-// The picture and the target to cells: what is missing, averaged over `cell` columns of each sampled row. Joined
-// behind pixel.wgsl.
+// Averages the difference of the target and the picture over `cell` columns of each sampled row. Follows pixel.wgsl.
 
 @group(0) @binding(1) var<storage, read> planes: array<vec4f>;
 @group(0) @binding(2) var<storage, read> source: array<u32>;

@@ -1,4 +1,5 @@
-// Counts of the tiles to where their lists start: sums of blocks of 1024, their running sums, and those within.
+// Converts the counts of the tiles to the starts of their lists: sums of blocks of 1024, their prefix sums, and those
+// within blocks.
 
 @group(0) @binding(1) var<storage, read_write> cursors: array<u32>;
 // One more than there are tiles.
@@ -8,7 +9,7 @@
 
 var<workgroup> sums: array<u32, 256>;
 
-// Running sum over the workgroup, this thread's value included.
+// Inclusive prefix sum over the workgroup.
 fn running(local: u32, value: u32) -> u32 {
     sums[local] = value;
     workgroupBarrier();

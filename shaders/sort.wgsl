@@ -1,5 +1,5 @@
-// Each tile's list into ascending order, so that sums do not depend on which thread came first. Ranks by counting:
-// lists are short.
+// Sorts each tile's list in ascending order, so that sums do not depend on the order of threads. Ranks are found by
+// counting, since lists are short.
 
 @group(0) @binding(1) var<storage, read> starts: array<u32>;
 @group(0) @binding(2) var<storage, read> lists: array<u32>;

@@ -1,4 +1,4 @@
-// What forward and render share: the sums Σwc and Σw of one sample of a tile.
+// Shared by forward and render: the sums Σwc and Σw of one sample of a tile.
 
 @group(0) @binding(1) var<storage, read> splats: array<Splat>;
 @group(0) @binding(2) var<storage, read> starts: array<u32>;

@@ -1,14 +1,15 @@
-//! Accounting of memory: it is reserved before it is allocated, and released when its owner is dropped.
+//! Accounting of memory: bytes are reserved before they are allocated, and released when their owner is dropped.
 //!
-//! A [`Budget`] belongs to one opened file and to everything that is drawn from it. Reservations are made by the thread
-//! that the caller is on, never side by side, so that what is refused does not depend on the number of threads.
+//! A [`Budget`] belongs to one opened file and to everything that is rendered from it. Reservations are made on the
+//! caller's thread, one after the other, so that whether a reservation succeeds does not depend on the number of
+//! threads.
 
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use crate::error::Result;
 use crate::limits::Limits;
 
-/// Number of bytes that may be allocated in all. Clones share one account.
+/// Number of bytes that may be allocated in total. Clones share one account.
 #[derive(Debug, Clone)]
 pub(crate) struct Budget(Arc<Mutex<Account>>);
 
@@ -26,7 +27,7 @@ pub(crate) struct Reservation {
 }
 
 impl Budget {
-    /// The account that `limits` open.
+    /// Opens an account with the allowance of `limits`.
     pub fn of(limits: &Limits) -> Self {
         Budget(Arc::new(Mutex::new(Account { allowed: most(limits.alloc), reserved: 0 })))
     }
@@ -35,7 +36,7 @@ impl Budget {
         self.0.lock().expect("no holder panics")
     }
 
-    /// Bytes that are free.
+    /// Returns the number of bytes that are free.
     pub fn left(&self) -> u64 {
         let account = self.account();
         account.allowed - account.reserved
@@ -44,12 +45,12 @@ impl Budget {
     /// Checks that `bytes` could be reserved.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) with what is free when they cannot.
+    /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) with the number of free bytes if they could not.
     pub fn check(&self, bytes: u64) -> Result<()> {
         Limits::check("alloc", bytes, self.left())
     }
 
-    /// Takes `bytes` out of what is free.
+    /// Reserves `bytes`.
     ///
     /// # Errors
     /// As [`Budget::check`].
@@ -59,10 +60,11 @@ impl Budget {
         Ok(reservation)
     }
 
-    /// Allows `alloc` bytes in all from now on.
+    /// Sets the total allowance to `alloc` bytes.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) when more is reserved already; nothing changes then.
+    /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) if more is already reserved; nothing changes in this
+    /// case.
     pub fn allow(&self, alloc: u64) -> Result<()> {
         let mut account = self.account();
         Limits::check("alloc", account.reserved, most(alloc))?;
@@ -72,10 +74,10 @@ impl Budget {
 }
 
 impl Reservation {
-    /// Takes `more` bytes.
+    /// Reserves `more` bytes in addition.
     ///
     /// # Errors
-    /// As [`Budget::check`]; what was reserved stays so.
+    /// As [`Budget::check`]; the existing reservation is kept.
     pub fn grow(&mut self, more: u64) -> Result<()> {
         let mut account = self.budget.account();
         Limits::check("alloc", more, account.allowed - account.reserved)?;
@@ -84,7 +86,7 @@ impl Reservation {
         Ok(())
     }
 
-    /// Takes `bytes` out of the same budget, for something else.
+    /// Makes another reservation of `bytes` in the same budget.
     ///
     /// # Errors
     /// As [`Budget::check`].
@@ -92,7 +94,7 @@ impl Reservation {
         self.budget.reserve(bytes)
     }
 
-    /// Gives back all but `bytes`, which must not be more than there are.
+    /// Releases all but `bytes`, which must not exceed the reservation.
     pub fn shrink(&mut self, bytes: u64) {
         debug_assert!(bytes <= self.bytes, "{bytes} of {}", self.bytes);
         let bytes = bytes.min(self.bytes);
@@ -107,7 +109,7 @@ impl Drop for Reservation {
     }
 }
 
-/// No allocation can be larger.
+/// Caps an allowance at the size of the largest possible allocation.
 fn most(alloc: u64) -> u64 {
     alloc.min(isize::MAX as u64)
 }

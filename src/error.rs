@@ -1,4 +1,4 @@
-//! The crate's error type: who is at fault, and with which value.
+//! The crate's error type. Each variant says what is at fault and carries the offending value.
 
 use std::fmt;
 #[cfg(feature = "image")]
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::target::Target;
 
-/// Shorthand for results of this crate.
+/// Result type of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// Errors of this crate, by cause.
@@ -17,7 +17,7 @@ pub enum Error {
     Io(std::io::Error),
     /// The file breaks the specification.
     Format(FormatError),
-    /// The file is of a newer format version, which this crate does not know.
+    /// The file has a newer format version, which this crate does not support.
     UnsupportedVersion {
         /// Version stated in the file.
         found: u8,
@@ -31,24 +31,24 @@ pub enum Error {
         /// Amount that is allowed.
         allowed: u64,
     },
-    /// An option or argument is out of its documented range.
+    /// An option or argument is outside its documented range.
     Parameter {
         /// The parameter's name.
         name: &'static str,
-        /// The offending value and the values allowed.
+        /// The offending value and the allowed values.
         problem: String,
     },
-    /// A file of the size asked for cannot hold the picture and its metadata.
+    /// A file of the requested size cannot hold the picture and its metadata.
     TooSmall {
-        /// Target that was asked for.
+        /// Target that was requested.
         asked: Target,
-        /// Bytes that the target allows the file.
+        /// File size that the target allows, bytes.
         allowed: u64,
-        /// Bytes of the file without any primitive.
+        /// File size without any primitive, bytes.
         needed: u64,
-        /// Bytes of the ICC profile, included in `needed`.
+        /// Size of the ICC profile, bytes; included in `needed`.
         icc: u64,
-        /// Bytes of the EXIF block, included in `needed`.
+        /// Size of the EXIF block, bytes; included in `needed`.
         exif: u64,
     },
     /// A picture in another format cannot be read.
@@ -65,7 +65,7 @@ pub enum Error {
     Gpu(GpuError),
 }
 
-/// Errors of a GPU, from finding one to using it.
+/// Errors of a GPU: finding, opening or using it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum GpuError {
@@ -73,9 +73,9 @@ pub enum GpuError {
     NotBuilt,
     /// No adapter was found.
     NoAdapter,
-    /// The only adapters are software renderers, which were not allowed.
+    /// The only adapters are software renderers, which the options do not allow.
     SoftwareOnly {
-        /// Name of the best of them.
+        /// Name of the preferred one among them.
         name: String,
     },
     /// The adapter could not be opened.
@@ -107,7 +107,7 @@ pub enum GpuError {
         /// Number of items that a list can hold.
         allowed: u64,
     },
-    /// The GPU cannot do what an option asks for.
+    /// The GPU does not support an option.
     Unsupported {
         /// The option.
         what: &'static str,
@@ -123,48 +123,48 @@ pub enum FormatError {
         /// The bytes found.
         found: [u8; 4],
     },
-    /// The file ends before what `what` needs.
+    /// The file ends before the end of `what`.
     Truncated {
-        /// The part that is cut.
+        /// The part that is truncated.
         what: &'static str,
-        /// Where the file ends.
+        /// Length of the file in bytes.
         offset: u64,
     },
-    /// The checksum over the file, or over a group, does not match.
+    /// The checksum of the file, or of a group, does not match.
     Checksum {
-        /// The part that is covered.
+        /// The part that the checksum covers.
         what: &'static str,
         /// Stored value.
         stored: u32,
-        /// Value computed over the bytes.
+        /// Value computed from the bytes.
         computed: u32,
     },
     /// A field holds a value that the specification does not allow.
     BadValue {
-        /// The field, in the specification's words.
+        /// Name of the field in the specification.
         field: &'static str,
         /// The value found.
         value: u64,
     },
-    /// A critical section is not known (spec §3).
+    /// A critical section is unknown (spec §3).
     UnknownCriticalSection {
         /// The section's four-byte name.
         name: [u8; 4],
     },
-    /// Bytes are left over after the last part.
+    /// Bytes follow the last part of the file.
     TrailingBytes {
-        /// How many.
+        /// Number of these bytes.
         count: u64,
     },
-    /// The zstd stream of a plane is broken.
+    /// The zstd stream of a plane is invalid.
     Compression {
-        /// The plane.
+        /// Name of the plane.
         what: &'static str,
     },
 }
 
 impl Error {
-    /// An error of the world at `path`, which its text names.
+    /// Returns an I/O error whose message names `path`.
     #[cfg(feature = "image")]
     pub(crate) fn at(path: &Path, error: &std::io::Error) -> Self {
         Error::Io(std::io::Error::new(error.kind(), format!("{}: {error}", path.display())))
@@ -242,13 +242,13 @@ impl fmt::Display for FormatError {
     }
 }
 
-/// Prints a number that is not negative with at most three digits behind the point, in integers: what prints floats would be a
-/// fifteenth of the WebAssembly.
+/// Prints a non-negative number with at most three decimals, using integer arithmetic. The standard formatting of
+/// floats would make up a fifteenth of the WebAssembly module.
 struct Thousandths<'a>(&'a f64);
 
 impl fmt::Display for Thousandths<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // Casts end at the type's bounds.
+        // Casts saturate.
         let thousandths = (self.0 * 1000.0).round() as u64;
         write!(f, "{}", thousandths / 1000)?;
         let (mut part, mut digits) = (thousandths % 1000, 3);
@@ -263,8 +263,8 @@ impl fmt::Display for Thousandths<'_> {
 }
 
 impl std::error::Error for Error {
-    /// Returns the source of the wrapped error, not the wrapped error itself: its text is already part of this one's,
-    /// and a chain of errors should not repeat it.
+    /// Returns the source of the wrapped error rather than the wrapped error itself, whose text is already part of
+    /// this error's message.
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
             Error::Io(e) => e.source(),

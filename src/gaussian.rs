@@ -1,7 +1,7 @@
-//! The picture as a function of the plane: 2D Gaussians, their blend and their background (spec §5).
+//! The picture as a continuous function of position: 2D Gaussians, blending and background (spec §5).
 //!
-//! Lengths are pixels of the picture's own grid with pixel centres at `+0.5`; angles are radians;
-//! colours are encoded sRGB values where 0 is black and 1 is white, not bounded to that range.
+//! Lengths are in pixels of the picture's own grid, and pixel centres are at `+0.5`. Angles are in radians. Colours
+//! are encoded sRGB values, where 0 is black and 1 is white; they may lie outside that range.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -14,18 +14,19 @@ pub const CUTOFF_WEIGHT: f32 = 0.002_187_491_1;
 /// Regularizer of the division in the normalized blend: `ε` of spec §5.3.
 pub const EPSILON: f32 = 1.0 / 128.0;
 
-/// Value added to a sample's alpha to give the weight of its colour in the mean of a reduced view: `η` of spec §5.5.
+/// Value added to the alpha of a sample when it weighs the sample's colour in a reduced view: `η` of spec §5.5.
 pub const HIDDEN: f32 = 1.0 / 4096.0;
 
-/// Smallest legal scale, pixels.
+/// Smallest scale that the format allows, pixels.
 pub const MIN_SCALE: f32 = 0.25;
 
-/// Largest legal scale, pixels.
+/// Largest scale that the format allows, pixels.
 pub const MAX_SCALE: f32 = 1_048_576.0;
 
 /// One primitive: a 2D Gaussian with a constant colour.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 #[repr(C)]
+#[doc(alias("splat", "primitive"))]
 pub struct Gaussian {
     /// Centre `μ`, pixels.
     pub mean: [f32; 2],
@@ -33,12 +34,12 @@ pub struct Gaussian {
     pub scale: [f32; 2],
     /// Direction of the major axis, radians, period π.
     pub rotation: f32,
-    /// Colour, one value per channel in the order of [`Channels`]; unused ones are 0.
+    /// Colour, one value per channel in the order of [`Channels`]. The values of unused channels are 0.
     pub color: [f32; 4],
 }
 
 impl Gaussian {
-    /// Half width and half height of the bounding box of the support, pixels.
+    /// Returns the half width and the half height of the bounding box of the support, pixels.
     #[must_use]
     pub fn extent(&self) -> [f32; 2] {
         let (sin, cos) = self.rotation.sin_cos();
@@ -47,8 +48,8 @@ impl Gaussian {
     }
 }
 
-/// Rule by which primitives are combined into a colour (spec §5.3). `wᵢ` and `cᵢ` are the weights and colours of the
-/// primitives, `b` is the background and `ε` is 1/128.
+/// Rule that combines the primitives of a picture into a colour (spec §5.3). `wᵢ` and `cᵢ` are the weights and colours
+/// of the primitives, `b` is the background and `ε` is 1/128.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub enum Blend {
     /// `I(x) = (Σ wᵢ cᵢ + ε b) / (Σ wᵢ + ε)`.
@@ -72,7 +73,7 @@ pub enum Channels {
 }
 
 impl Channels {
-    /// Number of channels, 1 to 4.
+    /// Returns the number of channels, 1 to 4.
     #[must_use]
     pub fn count(self) -> usize {
         match self {
@@ -89,7 +90,7 @@ impl Channels {
         [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba].into_iter().find(|c| c.count() == count)
     }
 
-    /// Returns the index of the alpha channel, if there is one.
+    /// Returns the index of the alpha channel, or `None` if there is none.
     #[must_use]
     pub fn alpha(self) -> Option<usize> {
         match self {
@@ -109,7 +110,7 @@ pub struct Picture {
     pub height: u32,
     /// Channels of the colours.
     pub channels: Channels,
-    /// Rule by which the primitives are combined.
+    /// Rule that combines the primitives.
     pub blend: Blend,
     /// Background colour `b`.
     pub background: [f32; 4],

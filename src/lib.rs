@@ -1,72 +1,179 @@
-//! ssplat: pictures stored as 2D Gaussians ("splats") instead of pixels.
+//! Lossy image compression with 2D Gaussians and a detail layer: encoder and decoder of the `.ssplat` format.
 //!
-//! An `.ssplat` file holds a picture as coloured, stretched and rotated Gaussians. It is a function of the plane, so any
-//! region can be drawn at any size. The crate encodes pixels to such files, decodes them, and opens them through the
-//! [`image`](https://docs.rs/image) crate.
+//! A file stores a picture as coloured, stretched and rotated Gaussians ("splats") instead of pixels, and where it
+//! pays, a second layer with texture. It describes a continuous image, so any region can be rendered at any size. The
+//! format is designed for high compression: a photograph of 768 × 512 pixels takes 1 to 20 kB, and a placeholder 100 to
+//! 1000 bytes. It is always lossy.
 //!
-//! # Three uses
+//! This page leads through the crate: [encoding](#encoding), [decoding](#decoding),
+//! [rendering regions](#rendering-regions), [the `image` crate](#the-image-crate),
+//! [limits and untrusted files](#limits-and-untrusted-files), [the GPU](#the-gpu) and the [features](#features).
 //!
-//! Encode pixels, and decode them again:
+//! # Encoding
+//!
+//! [`Encoder`] has a setter for each option. The target is a [ratio](Encoder::ratio) (raw size divided by file size),
+//! a size in [bytes](Encoder::bytes), a [PSNR](Encoder::psnr), a perceptual quality or a number of primitives; see
+//! [`Target`]. The default is a ratio of 50. [`effort`](Encoder::effort) and [`time`](Encoder::time) trade time for
+//! quality.
 //!
 //! ```
-//! use ssplat::{Channels, Decoder, Encoder, Pixels, Samples};
+//! use ssplat::{Channels, Encoder, Pixels, Samples};
 //!
-//! // A grey ramp of 32 × 16 pixels, rows from the top, 8 bits a sample.
-//! let ramp = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
-//! let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(ramp))?;
+//! // A grey gradient of 32 × 16 pixels: rows from the top, 8 bits per sample.
+//! let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
+//! let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
 //!
 //! let encoded = Encoder::new().bytes(120).effort(1).encode(&pixels)?;
 //! assert!(encoded.bytes.len() <= 120);
-//!
-//! let decoded = Decoder::new().decode(&encoded.bytes)?;
-//! assert_eq!((decoded.pixels.width(), decoded.pixels.height()), (32, 16));
+//! println!("{} primitives, {:.2} dB", encoded.report.primitives, encoded.report.psnr);
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 //!
-//! Open a file once and draw it many times, any part at any size. What lies outside is not drawn:
+//! [`Encoder::encode_with_progress`] reports progress and can be cancelled. A picture that is larger than memory is
+//! encoded from an implementation of [`PixelSource`], in [tiles](Encoder::tiles).
+//!
+//! # Decoding
+//!
+//! [`Decoder`] decodes a file in one call: the whole picture, a [region](Decoder::region), at any
+//! [size](Decoder::size). [`Decoder::thumbnail`] reads the thumbnail of a large file.
 //!
 //! ```
 //! # use ssplat::{Channels, Encoder, Pixels, Samples};
-//! # let ramp = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
-//! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(ramp))?;
-//! # let bytes = Encoder::new().effort(1).encode(&pixels)?.bytes;
-//! use ssplat::{Damage, Limits, Reader};
+//! # let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
+//! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
+//! # let bytes = Encoder::new().bytes(120).effort(1).encode(&pixels)?.bytes;
+//! use ssplat::Decoder;
 //!
-//! let reader = Reader::new(&bytes, &Limits::default())?; // the header and no more
-//! assert_eq!(reader.width(), 32);
-//! let image = reader.read(Damage::Refuse)?;
-//! let view = image.view().crop(8, 4, 16, 8)?; // left, top, width, height in pixels of the picture
-//! let part = image.draw(&view.resized(64, 32)?)?;
-//! assert_eq!(part.width(), 64);
+//! let decoded = Decoder::new().decode(&bytes)?;
+//! assert_eq!((decoded.pixels.width(), decoded.pixels.height()), (32, 16));
+//! assert!(decoded.metadata.icc.is_none());
+//!
+//! let small = Decoder::new().size([8, 4]).decode(&bytes)?.pixels; // low-pass filtered
+//! assert_eq!((small.width(), small.height()), (8, 4));
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 //!
+//! # Rendering regions
+//!
+//! A viewer renders a file many times. [`Reader`] reads the header, and [`Reader::read`] the file. The resulting
+//! [`Image`] renders any [`View`]: a region of the picture at a size. Only what is visible in the view is rendered.
+//! [`Reader::read_for`] reads only the data that a view needs, which is little for a small region of a large file.
+//!
+//! ```
+//! # use ssplat::{Channels, Encoder, Pixels, Samples};
+//! # let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
+//! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
+//! # let bytes = Encoder::new().effort(1).encode(&pixels)?.bytes;
+//! use ssplat::{Damage, Limits, Reader};
+//!
+//! let reader = Reader::new(&bytes, &Limits::default())?; // reads the header only
+//! assert_eq!((reader.width(), reader.height()), (32, 16));
+//!
+//! let image = reader.read(Damage::Refuse)?;
+//! let region = image.view().crop(8, 4, 16, 8)?; // left, top, width, height in pixels of the picture
+//! let enlarged = image.draw(&region.resized(64, 32)?)?;
+//! assert_eq!((enlarged.width(), enlarged.height()), (64, 32));
+//! # Ok::<(), ssplat::Error>(())
+//! ```
+//!
+//! [`Image::draw_into`] renders into the caller's memory, and [`Image::renderer`] returns a [`Renderer`] that renders a
+//! view band by band. The results have the same bits for any number of threads and any division into parts.
+//!
+//! # The `image` crate
+//!
+//! With the default feature `image`, the hooks of the [`image`](https://docs.rs/image) crate open `.ssplat` files, and
+//! [`Encoder`] encodes pictures of that crate.
 #![cfg_attr(
     feature = "image",
     doc = r#"
-Open files through the `image` crate, whose hooks know the format after one call:
-
 ```
-ssplat::register();
+use ssplat::Encoder;
 # let folder = tempfile::tempdir()?;
 # let path = folder.path().join("picture.ssplat");
-# ssplat::Encoder::new().effort(1).save(&image::DynamicImage::new_rgb8(8, 8), &path)?;
-let picture = image::open(path)?;
+
+let picture = image::DynamicImage::new_rgb8(8, 8);
+Encoder::new().effort(1).save(&picture, &path)?;
+
+ssplat::register(); // from here on, image::open, ImageReader and load_from_memory read .ssplat
+let picture = image::open(&path)?;
 assert_eq!(picture.width(), 8);
 # Ok::<(), Box<dyn std::error::Error>>(())
 ```
+
+`image` has no hook for saving, so use [`Encoder::save`], or [`SsplatEncoder`] where an `image::ImageEncoder` is needed.
+[`Encoder::transcode`] encodes a file and keeps its ICC profile and orientation.
 "#
 )]
-//! # What is promised
 //!
-//! Every file that a 1.x version writes is read by all later ones. The names on this page follow semantic versioning; those
-//! of the feature `unstable` do not. `wgpu` and `image` are re-exported: a new minor version of this crate may need a newer one.
+//! # Limits and untrusted files
 //!
-//! # The way through the crate
+//! Any input gives a picture or an [`Error`], without panics and without `unsafe` code in this crate. [`Limits`] bound
+//! the dimensions, the memory and the work of decoding, and are checked before memory or time is spent. The defaults
+//! allow large pictures; a service that decodes uploads should set its own:
 //!
-//! Bytes become integers exactly (`bitstream`), integers become Gaussians by the specification's formulas
-//! (`quantize`), Gaussians become pixels within a stated error (`raster`), and the `image` crate stands at the door.
-//! The repository's `docs/ARCHITECTURE.md` is the map, `spec/ssplat.md` the format.
+//! ```
+//! # use ssplat::{Channels, Encoder, Pixels, Samples};
+//! # let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
+//! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
+//! # let bytes = Encoder::new().bytes(120).effort(1).encode(&pixels)?.bytes;
+//! use ssplat::{Decoder, Error, Limits};
+//!
+//! let mut limits = Limits::default();
+//! limits.width = 16; // pixels
+//! limits.alloc = 64 << 20; // bytes, including the output
+//!
+//! match Decoder::new().limits(limits).decode(&bytes) {
+//!     Err(Error::LimitExceeded { what, requested, allowed }) => {
+//!         assert_eq!((what, requested, allowed), ("width", 32, 16));
+//!     }
+//!     other => panic!("{other:?}"),
+//! }
+//! # Ok::<(), ssplat::Error>(())
+//! ```
+//!
+//! Damaged and truncated files are refused by default. With [`Damage::Accept`], the intact parts of large files are
+//! decoded, and [`Missing`] counts the others. Decode untrusted files on the CPU.
+//!
+//! # The GPU
+//!
+//! With the feature `gpu`, [`Encoder::backend`] can select a GPU for fitting (Vulkan, Metal, Direct3D 12, WebGPU), and
+//! pictures can be rendered into buffers and textures of `wgpu`. Nothing uses a GPU for decoding unless the caller asks
+//! for it.
+#![cfg_attr(
+    feature = "gpu",
+    doc = r#"
+```no_run
+use ssplat::gpu::{Adapters, Device, Renderer};
+use ssplat::{Depth, Image, Limits};
+
+let image = Image::from_bytes(&std::fs::read("photo.ssplat")?, &Limits::default())?;
+let device = Device::open(Adapters::Hardware)?;
+let mut renderer = Renderer::of(&device, &image)?;
+let pixels = renderer.render(&image.view(), Depth::Eight)?;
+# Ok::<(), Box<dyn std::error::Error>>(())
+```
+
+See [`gpu`] for rendering into the textures of a program.
+"#
+)]
+//!
+//! # Features
+//!
+//! | feature | adds |
+//! |---|---|
+//! | `rayon` (default) | multithreading; results do not depend on the number of threads |
+//! | `image` (default) | the hooks of the `image` crate, and encoding of its pictures |
+//! | `quality` | `Target::Quality`: encoding to a perceptual quality (SSIMULACRA2) |
+//! | `gpu` | fitting and rendering on a GPU through `wgpu` |
+//! | `unstable` | internal modules for the tools of the repository; any release may change them |
+//!
+//! # Stability
+//!
+//! The file format is final: every later version reads every file that a 1.x version writes. The names on this page
+//! follow semantic versioning; those of the feature `unstable` do not. `wgpu` and `image` are re-exported, and a minor
+//! release of this crate may update them.
+//!
+//! The repository's `docs/ARCHITECTURE.md` is a map of the modules, and `spec/ssplat.md` defines the format.
 
 #![cfg_attr(not(feature = "unstable"), warn(missing_docs))]
 // docs.rs builds with nightly; each item then shows the feature that it needs.
@@ -74,7 +181,7 @@ assert_eq!(picture.width(), 8);
 // Items that only the program and the lab use are dead code without their feature.
 #![cfg_attr(not(any(test, feature = "unstable")), allow(dead_code, unused_imports))]
 
-// Tests inside share pictures with those outside, which name this crate.
+// Unit tests share pictures with the integration tests, which refer to this crate by its name.
 #[cfg(test)]
 extern crate self as ssplat;
 

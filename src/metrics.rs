@@ -1,12 +1,13 @@
-//! How far two pictures are apart: PSNR, SSIM and MS-SSIM, on sample values where 255 is white.
+//! Measures of the difference between two pictures: PSNR, SSIM and MS-SSIM, on sample values where 255 is white.
 //!
-//! No measure sees colours under alpha 0. PSNR takes one mean squared error over all pixels and channels; where there is alpha,
-//! the squared error of a colour counts by the opacity of the first picture there. Encoding reports the same measure. All other
-//! measures compare pictures with alpha as they look over a dark and over a light grey ([`BACKGROUNDS`]), and the worse counts.
+//! No measure takes account of colours under alpha 0. PSNR uses one mean squared error over all pixels and channels.
+//! In pictures with alpha, the squared error of a colour is weighted by the opacity of the first picture at that
+//! pixel. The encoder reports the same measure. All other measures compare pictures with alpha composited onto a dark
+//! and onto a light grey ([`BACKGROUNDS`]), and return the worse result.
 //!
-//! SSIM and MS-SSIM (Wang, Simoncelli and Bovik, 2003) use an 11-tap Gaussian window with σ = 1.5 pixels, its valid region only,
-//! K₁ = 0.01 and K₂ = 0.03, on each colour channel alone, and the mean of the channels; MS-SSIM has five scales with 2×2 mean
-//! pooling between them.
+//! SSIM and MS-SSIM (Wang, Simoncelli and Bovik, 2003) use an 11-tap Gaussian window with σ = 1.5 pixels, K₁ = 0.01
+//! and K₂ = 0.03. They are evaluated where the whole window lies inside the picture, on each colour channel
+//! separately, and averaged over the channels. MS-SSIM has five scales with 2×2 mean pooling between them.
 //!
 //! ```
 //! # #[cfg(feature = "unstable")] {
@@ -26,22 +27,22 @@ use crate::error::{Error, Result};
 use crate::parallel;
 use crate::pixels::{Pixels, Samples};
 
-/// Grey backgrounds for pictures with alpha, as sRGB values: those that SSIMULACRA2 uses.
+/// Grey backgrounds for pictures with alpha, as sRGB values. SSIMULACRA2 uses the same.
 pub const BACKGROUNDS: [f32; 2] = [0.1, 0.9];
 
 /// Taps of the window.
 const TAPS: usize = 11;
 /// Standard deviation of the window, pixels.
 const SIGMA: f64 = 1.5;
-/// Keeps the luminance term finite: `K₁²` for values in 0..=1.
+/// Constant that keeps the luminance term finite: `K₁²` for values in 0..=1.
 const C1: f32 = 0.0001;
-/// Keeps the contrast term finite: `K₂²` for values in 0..=1.
+/// Constant that keeps the contrast term finite: `K₂²` for values in 0..=1.
 const C2: f32 = 0.0009;
 /// Exponents of the five scales, finest first.
 const WEIGHTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
-/// Output rows of one unit of work; the sums are taken band by band, so it fixes the last bits of the result.
+/// Output rows of one unit of work. Sums are computed per band, so the last bits of the result depend on this value.
 const BAND: usize = 64;
-/// Output columns that are filtered together, so that a band's intermediate values stay in a core's cache.
+/// Output columns that are filtered together, so that the intermediate values of a band fit into the cache of a core.
 const BLOCK: usize = 256;
 
 #[cfg(feature = "quality")]
@@ -59,21 +60,21 @@ pub struct Comparison {
     pub ms_ssim: Option<f64>,
 }
 
-/// PSNR, SSIM and MS-SSIM of two pictures of one size, channels and depth.
+/// Returns the PSNR, SSIM and MS-SSIM of two pictures of the same size, channels and depth.
 ///
 /// # Errors
-/// [`Error::Parameter`] when the two differ in width, height, channels or depth.
+/// [`Error::Parameter`] if the two differ in width, height, channels or depth.
 pub fn compare(a: &Pixels, b: &Pixels) -> Result<Comparison> {
     let psnr = psnr(a, b)?;
     let [ssim, ms_ssim] = similarities(a, b);
     Ok(Comparison { psnr, ssim, ms_ssim })
 }
 
-/// Peak signal-to-noise ratio, dB, over all samples; infinite when they are equal. `a` is the original, whose opacity
-/// weighs the errors of colours.
+/// Returns the peak signal-to-noise ratio over all samples, dB; infinite if they are equal. `a` is the original, whose
+/// opacity weights the errors of colours.
 ///
 /// # Errors
-/// [`Error::Parameter`] when the two differ in width, height, channels or depth.
+/// [`Error::Parameter`] if the two differ in width, height, channels or depth.
 pub fn psnr(a: &Pixels, b: &Pixels) -> Result<f64> {
     check_alike(a, b)?;
     let mse = squared_error(a, b) / (a.width() as f64 * f64::from(a.height()) * a.channels().count() as f64);
@@ -81,7 +82,7 @@ pub fn psnr(a: &Pixels, b: &Pixels) -> Result<f64> {
     Ok(10.0 * (peak * peak / mse).log10())
 }
 
-/// Checks that samples correspond.
+/// Checks that both pictures have the same size, channels and depth.
 pub(crate) fn check_alike(a: &Pixels, b: &Pixels) -> Result<()> {
     let size = |p: &Pixels| format!("{}×{}", p.width(), p.height());
     let channels = |p: &Pixels| format!("{:?}", p.channels());
@@ -96,8 +97,8 @@ pub(crate) fn check_alike(a: &Pixels, b: &Pixels) -> Result<()> {
     Ok(())
 }
 
-/// Sum of squared sample differences, those of colours times the opacity of `a`. The integers are exact, so no order of
-/// summation changes it.
+/// Returns the sum of squared sample differences; those of colours are multiplied by the opacity of `a`. The integers
+/// are exact, so the result does not depend on the order of summation.
 fn squared_error(a: &Pixels, b: &Pixels) -> f64 {
     let (count, alpha) = (a.channels().count(), a.channels().alpha());
     let Some(alpha) = alpha else {
@@ -125,9 +126,9 @@ fn square<T: Into<u64>>(p: T, q: T) -> u64 {
     p.into().abs_diff(q.into()).pow(2)
 }
 
-/// The sum of `value` over every `count` samples of both.
+/// Returns the sum of `value` over every `count` samples of `a` and `b`.
 fn summed<T: Sync>(a: &[T], b: &[T], count: usize, value: impl Fn(&[T], &[T]) -> u64 + Sync) -> f64 {
-    /// Values of one unit of work; the largest, below 2⁵⁰, may not overflow their sum.
+    /// Values of one unit of work. The largest value is below 2⁵⁰, so that their sum does not overflow.
     const CHUNK: usize = 1 << 14;
     let length = CHUNK * count;
     let chunk = |i| {
@@ -137,13 +138,13 @@ fn summed<T: Sync>(a: &[T], b: &[T], count: usize, value: impl Fn(&[T], &[T]) ->
     parallel::map(a.len().div_ceil(length), chunk).into_iter().map(u128::from).sum::<u128>() as f64
 }
 
-/// The `i`-th piece of `length` items.
+/// Returns the `i`-th piece of `length` items.
 fn part<T>(all: &[T], i: usize, length: usize) -> &[T] {
     &all[i * length..all.len().min((i + 1) * length)]
 }
 
-/// SSIM and MS-SSIM, means over the colours, of the background over which they are less; `None` where a scale is smaller than
-/// the window.
+/// Returns SSIM and MS-SSIM, averaged over the colours, for the background that gives the lower values. `None` where a
+/// scale is smaller than the window.
 fn similarities(a: &Pixels, b: &Pixels) -> [Option<f64>; 2] {
     let backgrounds = if a.channels().alpha().is_some() { &BACKGROUNDS[..] } else { &BACKGROUNDS[..1] };
     let worse = |[a, b]: [[Option<f64>; 2]; 2]| std::array::from_fn(|k| a[k].zip(b[k]).map(|(a, b)| a.min(b)));
@@ -151,7 +152,7 @@ fn similarities(a: &Pixels, b: &Pixels) -> [Option<f64>; 2] {
     found.reduce(|a, b| worse([a, b])).expect("one background at least")
 }
 
-/// SSIM and MS-SSIM over a grey of the value `background`, means over the colours.
+/// Returns SSIM and MS-SSIM over a grey of the value `background`, averaged over the colours.
 fn similarities_over(a: &Pixels, b: &Pixels, background: f32) -> [Option<f64>; 2] {
     let count = a.channels().count() - usize::from(a.channels().alpha().is_some());
     let mut total = [Some(0.0); 2];
@@ -165,7 +166,7 @@ fn similarities_over(a: &Pixels, b: &Pixels, background: f32) -> [Option<f64>; 2
     total
 }
 
-/// SSIM and MS-SSIM of one channel.
+/// Returns SSIM and MS-SSIM of one channel.
 fn channel_similarities(mut a: Plane<'_>, mut b: Plane<'_>) -> [Option<f64>; 2] {
     let mut ssim = None;
     let mut product = 1.0;
@@ -186,7 +187,8 @@ fn channel_similarities(mut a: Plane<'_>, mut b: Plane<'_>) -> [Option<f64>; 2] 
     [ssim, Some(product)]
 }
 
-/// Means over the valid region of SSIM and of its contrast and structure part.
+/// Returns the means of SSIM and of its contrast and structure term over the positions where the window lies inside
+/// the plane.
 fn mean_similarity(a: &Plane<'_>, b: &Plane<'_>) -> (f64, f64) {
     let window = window();
     let (width, height) = (a.width - (TAPS - 1), a.height - (TAPS - 1));
@@ -217,7 +219,7 @@ struct Scratch {
 }
 
 impl Scratch {
-    /// Sums of SSIM and of its contrast part over the block of `size` outputs at `corner`.
+    /// Returns the sums of SSIM and of its contrast term over the block of `size` outputs at `corner`.
     fn block(
         &mut self,
         a: &Plane<'_>,
@@ -251,7 +253,7 @@ impl Scratch {
                 vertical(window, &rows[y * columns..], columns, &mut out[..columns]);
             }
             let [ma, mb, squares, products] = &filtered;
-            // A row of at most 256 values near 1 sums in f32 to about 1e-6 of its mean.
+            // A sum in f32 over a row of at most 256 values near 1 is exact to about 1e-6 of its mean.
             let (mut whole_row, mut contrast_row) = (0.0f32, 0.0f32);
             for x in 0..columns {
                 let (product, power) = (ma[x] * mb[x], ma[x] * ma[x] + mb[x] * mb[x]);
@@ -265,7 +267,7 @@ impl Scratch {
     }
 }
 
-/// The window's row pass: `out[x] = Σ window[k] · row[x + k]`.
+/// Horizontal filter pass: `out[x] = Σ window[k] · row[x + k]`.
 fn horizontal(window: &[f32; TAPS], row: &[f32], out: &mut [f32]) {
     out.fill(0.0);
     for (k, &w) in window.iter().enumerate() {
@@ -275,7 +277,7 @@ fn horizontal(window: &[f32; TAPS], row: &[f32], out: &mut [f32]) {
     }
 }
 
-/// The window's column pass over rows of `stride` values.
+/// Vertical filter pass over rows of `stride` values.
 fn vertical(window: &[f32; TAPS], rows: &[f32], stride: usize, out: &mut [f32]) {
     out.fill(0.0);
     for (&w, row) in window.iter().zip(rows.chunks_exact(stride)) {
@@ -285,34 +287,35 @@ fn vertical(window: &[f32; TAPS], rows: &[f32], stride: usize, out: &mut [f32]) 
     }
 }
 
-/// The normalized window.
+/// Returns the normalized window.
 fn window() -> [f32; TAPS] {
     let raw: [f64; TAPS] = std::array::from_fn(|i| (-(i as f64 - 5.0).powi(2) / (2.0 * SIGMA * SIGMA)).exp());
     let sum: f64 = raw.iter().sum();
     raw.map(|v| (v / sum) as f32)
 }
 
-/// One channel of a picture, or what pooling made of it; values in `0..=1`.
+/// One channel of a picture, or its pooled version; values in `0..=1`.
 struct Plane<'a> {
     width: usize,
     height: usize,
     values: Values<'a>,
 }
 
-/// Where a plane's values are. The finest scale is read from the samples, so that a large picture is never copied whole.
+/// Storage of a plane's values. The finest scale is read from the samples, so that a large picture is never copied as
+/// a whole.
 enum Values<'a> {
     Channel { pixels: &'a Pixels, channel: usize, background: f32 },
     Pooled(Vec<f32>),
 }
 
 impl<'a> Plane<'a> {
-    /// A channel of `pixels` as it looks over a grey of the value `background`.
+    /// Returns a channel of `pixels`, composited onto a grey of the value `background`.
     fn channel(pixels: &'a Pixels, channel: usize, background: f32) -> Self {
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
         Plane { width, height, values: Values::Channel { pixels, channel, background } }
     }
 
-    /// Copies the values from `(left, y)` on to the right.
+    /// Copies the values that start at `(left, y)` and lie to its right.
     fn read(&self, left: usize, y: usize, out: &mut [f32]) {
         let start = y * self.width + left;
         match &self.values {
@@ -341,8 +344,9 @@ impl<'a> Plane<'a> {
         }
     }
 
-    /// Means of 2×2 values. An odd side gets a leading row or column of zeros, as the reference implementations have it
-    /// (`avg_pool2d` with padding): the means at that edge are halved, in both pictures alike.
+    /// Returns the plane pooled by means of 2×2 values. A plane with an odd side gets a leading row or column of
+    /// zeros, as in the reference implementation (`avg_pool2d` with padding). This halves the means at that edge in
+    /// both pictures.
     fn pooled(&self) -> Plane<'static> {
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let (pad_x, pad_y) = (self.width % 2, self.height % 2);

@@ -1,7 +1,8 @@
-//! Gaussians that were fitted elsewhere to the integers of a file: step sizes by precision or by size (spec §4.1).
+//! Quantizes Gaussians that were fitted elsewhere to the integers of a file, with step sizes chosen by precision or by
+//! file size (spec §4.1).
 //!
-//! Nothing is fitted here: every Gaussian becomes the integers next to it. [`Encoder`](crate::Encoder) does better at a
-//! given size, because it refines the integers against the picture.
+//! Nothing is fitted here: every Gaussian gets the nearest integers. [`Encoder`](crate::Encoder) achieves better
+//! quality at a given size, because it refines the integers against the picture.
 //!
 //! ```
 //! # #[cfg(feature = "unstable")] {
@@ -28,8 +29,8 @@ use crate::limits::Limits;
 use crate::pixels::Depth;
 use crate::quantize::Quantizer;
 
-/// Step sizes from the coarsest to the finest: scale, angle, position, luma and chroma, as [`Steps`] has them. Those in the
-/// middle are what the encoder uses from 24 to 41 dB.
+/// Step sizes from the coarsest to the finest: scale, angle, position, luma and chroma, in the order of [`Steps`]. The
+/// encoder uses those in the middle for 24 to 41 dB.
 const LADDER: [[u8; 5]; 10] = [
     [9, 2, 3, 9, 2],
     [6, 1, 4, 7, 1],
@@ -46,16 +47,17 @@ const LADDER: [[u8; 5]; 10] = [
 /// The finest [`Precision::Level`].
 pub const FINEST: u8 = LADDER.len() as u8 - 1;
 
-/// How fine the integers are.
+/// Precision of the integers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Precision {
-    /// `0..=`[`FINEST`]: from coarse to fine. 0 to 5 are what the encoder works with; above 6 little changes but the size.
+    /// `0..=`[`FINEST`], from coarse to fine. The encoder uses 0 to 5. Levels above 6 enlarge the file and change
+    /// little else.
     Level(u8),
-    /// The finest level whose file has at most so many bytes; an error where the coarsest has more. No Gaussian is left
-    /// out for it.
+    /// The finest level whose file has at most this many bytes. It is an error if the coarsest level needs more. No
+    /// Gaussian is left out to reach the size.
     Bytes(u64),
-    /// These steps.
+    /// The given steps.
     Steps(Steps),
 }
 
@@ -65,7 +67,7 @@ pub enum Precision {
 pub enum Outside {
     /// Return [`Error::Parameter`].
     Refuse,
-    /// Leave out those whose support does not reach the picture, and move the means of the others to the nearest
+    /// Leave out Gaussians whose support does not reach the picture, and move the means of the others to the nearest
     /// position inside.
     Crop,
 }
@@ -74,17 +76,17 @@ pub enum Outside {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct PackOptions {
-    /// How fine the integers are; level 6 is the default.
+    /// Precision of the integers; the default is level 6.
     pub precision: Precision,
-    /// Treatment of means outside the picture; [`Outside::Refuse`] is the default.
+    /// Treatment of means outside the picture; the default is [`Outside::Refuse`].
     pub outside: Outside,
-    /// How the integers become bytes.
+    /// Layout of the file.
     pub layout: Layout,
-    /// Bits a sample of the picture that the file stands for.
+    /// Bits per sample of the picture that the file represents.
     pub depth: Depth,
-    /// ICC profile to carry.
+    /// ICC profile to store.
     pub icc: Option<Vec<u8>>,
-    /// EXIF block to carry.
+    /// EXIF block to store.
     pub exif: Option<Vec<u8>>,
 }
 
@@ -95,17 +97,17 @@ impl Default for PackOptions {
     }
 }
 
-/// The integers next to the Gaussians of `picture`, ready to be written by [`to_bytes`](crate::bitstream::to_bytes), with
-/// a codebook of colours where that makes the file smaller.
+/// Returns the nearest integers of the Gaussians of `picture`, ready to be written by
+/// [`to_bytes`](crate::bitstream::to_bytes). Colours are stored in a codebook if that makes the file smaller.
 ///
 /// Scales below [`MIN_SCALE`](crate::gaussian::MIN_SCALE) are raised to it. [`PackOptions::outside`] chooses the
 /// treatment of means outside the picture.
 ///
 /// # Errors
-/// [`Error::Parameter`] if a value is not finite, a scale is not positive, a colour is larger than a file can hold (8 times white in
-/// luma, chroma or alpha), the picture's sides or the steps are out of
-/// range, or the file cannot be as small as asked for; [`Error::LimitExceeded`] if there are more Gaussians than
-/// [`Limits`] let decoders read.
+/// [`Error::Parameter`] if a value is not finite, a scale is not positive, a colour exceeds the range of the format (8
+/// times white in luma, chroma or alpha), the picture's sides or the steps are out of range, or the file cannot be as
+/// small as requested; [`Error::LimitExceeded`] if there are more Gaussians than the default [`Limits`] allow decoders
+/// to read.
 pub fn pack(picture: &Picture, options: &PackOptions) -> Result<PackedSplats> {
     Limits::check("primitives", picture.gaussians.len() as u64, Limits::default().primitives)?;
     picture.gaussians.iter().enumerate().try_for_each(|(i, g)| check(i, g))?;
@@ -136,7 +138,7 @@ pub fn pack(picture: &Picture, options: &PackOptions) -> Result<PackedSplats> {
     }
 }
 
-/// Refuses what no file can hold.
+/// Checks that the format can represent `g`.
 fn check(index: usize, g: &Gaussian) -> Result<()> {
     let bad = |name, values: &[f32], what| {
         Err(Error::Parameter { name, problem: format!("{values:?} of Gaussian {index} is not {what}") })
@@ -150,7 +152,7 @@ fn check(index: usize, g: &Gaussian) -> Result<()> {
     if g.scale.iter().all(|&s| s > 0.0) { Ok(()) } else { bad("scale", &g.scale, "positive") }
 }
 
-/// The steps of a level for the scales of `picture`.
+/// Returns the steps of a level for the scales of `picture`.
 fn steps(picture: &Picture, layout: Layout, level: u8) -> Steps {
     let [scale, angle, position, luma, chroma] = LADDER[usize::from(level)];
     let mut sizes: Vec<f32> = picture.gaussians.iter().map(|g| g.scale[0].max(g.scale[1]).log2()).collect();
@@ -160,17 +162,17 @@ fn steps(picture: &Picture, layout: Layout, level: u8) -> Steps {
     let (coarsest, range) = match layout {
         Layout::Coded => {
             let coarsest = ((at(0.97) - fineness).ceil() as i8).clamp(-2, 9);
-            // Fine levels reach the smallest Gaussians as well.
+            // At fine levels, the range of exponents includes the smallest Gaussians.
             let finest = if position < 10 { -4 } else { -6 };
             (coarsest, (coarsest - finest).clamp(1, 15) as u8)
         }
-        // One step for all positions: fine enough for the small Gaussians.
+        // One step for all positions, fine enough for the small Gaussians.
         Layout::Packed | Layout::Planes => (((at(0.25) - fineness / 2.0).round() as i8).clamp(-4, 6), 0),
     };
     Steps { scale, angle, position, coarsest, range, luma, chroma }
 }
 
-/// The integers, and the length of their file.
+/// Returns the integers and the length of their file.
 fn packed(picture: &Picture, options: &PackOptions, steps: Steps) -> Result<(PackedSplats, u64)> {
     let mut metadata = Metadata::default();
     (metadata.icc, metadata.exif) = (options.icc.clone(), options.exif.clone());
@@ -189,7 +191,7 @@ fn packed(picture: &Picture, options: &PackOptions, steps: Steps) -> Result<(Pac
         detail: None,
         metadata,
     };
-    // Sides and steps: what follows computes with them.
+    // Checks the sides and the steps before they are used below.
     rules::check(&splats)?;
     let quantizer = splats.quantizer();
     let color = |of: &dyn Fn() -> String, color: [f32; 4]| {
@@ -204,8 +206,8 @@ fn packed(picture: &Picture, options: &PackOptions, steps: Steps) -> Result<(Pac
     let size = [picture.width, picture.height];
     let asked = matches!(options.precision, Precision::Steps(_));
     for (i, g) in picture.gaussians.iter().enumerate() {
-        let ends = if asked { ends(&quantizer, g, size) } else { size.map(|side| side as f32) };
-        let is_inside = (0..2).all(|k| (0.0..=ends[k]).contains(&g.mean[k]));
+        let bounds = if asked { position_limits(&quantizer, g, size) } else { size.map(|side| side as f32) };
+        let is_inside = (0..2).all(|k| (0.0..=bounds[k]).contains(&g.mean[k]));
         if !is_inside && options.outside == Outside::Refuse {
             let problem = format!("{:?} of Gaussian {i} lies outside the picture", g.mean);
             return Err(Error::Parameter { name: "mean", problem });
@@ -219,15 +221,15 @@ fn packed(picture: &Picture, options: &PackOptions, steps: Steps) -> Result<(Pac
     Ok((splats, bytes))
 }
 
-/// Where the places of `g` end. A coarse step's last cell may have its centre outside the picture: with steps that were
-/// asked for, that is a place too.
-fn ends(quantizer: &Quantizer, g: &Gaussian, size: [u32; 2]) -> [f32; 2] {
+/// Returns the limits of the positions of `g`. The last cell of a coarse step may have its centre outside the picture.
+/// With explicit steps, it is a valid position too.
+fn position_limits(quantizer: &Quantizer, g: &Gaussian, size: [u32; 2]) -> [f32; 2] {
     let (major, minor, angle) = quantizer.quantize_shape(g.scale, g.rotation);
     let exponents = quantizer.lattice().exponents(major, minor, angle);
     std::array::from_fn(|k| Lattice::positions(size[k], exponents[k]) as f32 * (exponents[k] as f32).exp2())
 }
 
-/// Whether the support of `g` meets a picture of `size` pixels.
+/// Tells whether the support of `g` reaches a picture of `size` pixels.
 fn reaches(g: &Gaussian, size: [u32; 2]) -> bool {
     let extent = g.extent();
     (0..2).all(|k| g.mean[k] + extent[k] > 0.0 && g.mean[k] - extent[k] < size[k] as f32)
@@ -254,7 +256,7 @@ mod tests {
         Picture { width: 96, height: 64, channels: Channels::Rgb, blend, background: [0.5, 0.4, 0.3, 0.0], gaussians }
     }
 
-    /// Largest distance of means in units of the Gaussian's scales, of scales in octaves, and of colours.
+    /// Returns the largest differences of means (in units of the Gaussian's scales), scales (octaves) and colours.
     fn differences(a: &Picture, b: &Picture) -> [f32; 3] {
         a.gaussians.iter().zip(&b.gaussians).fold([0.0f32; 3], |worst, (a, b)| {
             let mut scale = a.scale;
@@ -303,7 +305,7 @@ mod tests {
                 let [_, octaves, color] = differences(&picture, &splats.to_picture());
                 let delta = (f32::from(splats.steps.scale) + 4.0) / 32.0;
                 assert!(octaves <= 0.5 * delta + 1e-4, "{layout:?} {level}: {octaves} octaves");
-                // A channel is a sum of luma and half of either chroma.
+                // A channel is the sum of luma and half of each chroma component.
                 let steps = splats.quantizer().color_steps();
                 assert!(color <= 0.5 * steps[0] + 0.5 * steps[1] + 1e-5, "{layout:?} {level}: {color}");
             }

@@ -1,5 +1,5 @@
-//! Work over indices and chunks, on rayon where the feature is on. Results come back in order, so that sums over
-//! them do not depend on the thread count.
+//! Parallel maps over indices and chunks, on rayon if the feature is enabled. They return results in order, so that
+//! sums over the results do not depend on the number of threads.
 
 #[cfg(feature = "rayon")]
 use crate::error::Error;
@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 #[cfg(feature = "rayon")]
 use std::sync::{Mutex, PoisonError, mpsc};
 
-/// Threads that work at once.
+/// Returns the number of threads that run in parallel.
 pub fn threads() -> usize {
     #[cfg(feature = "rayon")]
     return rayon::current_num_threads();
@@ -19,9 +19,9 @@ pub fn threads() -> usize {
     1
 }
 
-/// `f(0), …, f(count − 1)`.
+/// Returns `f(0), …, f(count − 1)`.
 pub fn map<T: Send>(count: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
-    // Handing over a single piece of work costs more than a small one itself.
+    // Handing a single piece of work to another thread costs more than doing it here.
     #[cfg(feature = "rayon")]
     if count > 1 && threads() > 1 {
         return (0..count).into_par_iter().map(f).collect();
@@ -29,7 +29,7 @@ pub fn map<T: Send>(count: usize, f: impl Fn(usize) -> T + Sync + Send) -> Vec<T
     (0..count).map(f).collect()
 }
 
-/// `f(i, chunk i)` over chunks of `size` elements, the last one possibly shorter.
+/// Returns `f(i, chunk i)` for the chunks of `size` elements; the last chunk may be shorter.
 pub fn map_chunks<A: Send, T: Send>(
     data: &mut [A],
     size: usize,
@@ -42,7 +42,7 @@ pub fn map_chunks<A: Send, T: Send>(
     data.chunks_mut(size).enumerate().map(|(i, c)| f(i, c)).collect()
 }
 
-/// `f(i, chunk i of a, chunk i of b)` over chunks of `size_a` and `size_b` elements.
+/// Returns `f(i, chunk i of a, chunk i of b)` for the chunks of `size_a` and `size_b` elements.
 pub fn map_chunk_pairs<A: Send, B: Send, T: Send>(
     (a, size_a): (&mut [A], usize),
     (b, size_b): (&mut [B], usize),
@@ -56,15 +56,16 @@ pub fn map_chunk_pairs<A: Send, B: Send, T: Send>(
     a.chunks_mut(size_a).zip(b.chunks_mut(size_b)).enumerate().map(|(i, (a, b))| f(i, a, b)).collect()
 }
 
-/// Does `work(i, input i, tell)` for all `inputs`, up to `most` at a time. Each tells the share of it that is done, and `watch` is told the
-/// sum of all shares on the calling thread. What `watch` or any work fails with ends the others when they tell next.
+/// Runs `work(i, input i, report)` for all `inputs`, up to `most` at a time. Each job reports the fraction that it has
+/// done, and `watch` is called with the sum of all fractions on the calling thread. If `watch` or a job fails, the
+/// other jobs are cancelled when they next report.
 pub fn map_watched<I: Send, T: Send>(
     most: usize,
     inputs: Vec<I>,
     work: impl Fn(usize, I, &mut dyn FnMut(f32) -> Result<()>) -> Result<T> + Sync,
     watch: &mut dyn FnMut(f32) -> Result<()>,
 ) -> Result<Vec<T>> {
-    // A thread of the pool that waited here would be missing there.
+    // A pool thread that waits here could not run any of the jobs.
     #[cfg(feature = "rayon")]
     if most.min(inputs.len()).min(threads()) > 1 && rayon::current_thread_index().is_none() {
         return map_side_by_side(most.min(inputs.len()).min(threads()), inputs, work, watch);
@@ -97,7 +98,7 @@ fn map_side_by_side<I: Send, T: Send>(
                         if is_ended.load(Ordering::Relaxed) {
                             return Err(Error::Cancelled);
                         }
-                        // Nobody listens only after a panic.
+                        // The receiver is gone only after a panic.
                         let _ = sender.send((i, done));
                         Ok(())
                     });
@@ -128,7 +129,7 @@ fn map_side_by_side<I: Send, T: Send>(
     for result in results.into_iter().flatten() {
         match result {
             Ok(value) => all.push(value),
-            // Those that were ended say no more than that.
+            // Cancelled jobs return no other error.
             Err(Error::Cancelled) => cancelled = Err(Error::Cancelled),
             Err(error) => return Err(error),
         }
@@ -146,7 +147,7 @@ mod tests {
     use super::*;
     use crate::error::Error;
 
-    /// An error that says which work it came from.
+    /// Returns an error that names the job.
     fn failure(i: usize) -> Error {
         Error::Parameter { name: "work", problem: i.to_string() }
     }
@@ -178,7 +179,7 @@ mod tests {
                 if i == 5 {
                     return Err(failure(i));
                 }
-                // None of the later ones comes to an end by itself.
+                // The later jobs do not end by themselves.
                 if i > 5 {
                     loop {
                         tell(0.5)?;

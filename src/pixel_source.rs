@@ -1,20 +1,22 @@
-//! Pictures whose pixels are read a part at a time.
+//! Pictures whose pixels are read in parts.
 
 use crate::error::{Error, Result};
 use crate::gaussian::Channels;
 use crate::pixels::{Depth, Pixels, Samples};
 
-/// A picture of which any part can be read, by several threads at a time: one in memory, or a file of samples that is larger than memory.
+/// A picture whose parts can be read by several threads at a time: a picture in memory, or a file of samples that is
+/// larger than memory.
+#[doc(alias("streaming", "tiles"))]
 pub trait PixelSource: Sync {
-    /// Width, pixels.
+    /// Returns the width, pixels.
     fn width(&self) -> u32;
-    /// Height, pixels.
+    /// Returns the height, pixels.
     fn height(&self) -> u32;
-    /// Channels.
+    /// Returns the channels.
     fn channels(&self) -> Channels;
-    /// Bits a sample.
+    /// Returns the number of bits per sample.
     fn depth(&self) -> Depth;
-    /// Width and height, pixels.
+    /// Returns width and height, pixels.
     fn size(&self) -> [u32; 2] {
         [self.width(), self.height()]
     }
@@ -22,10 +24,11 @@ pub trait PixelSource: Sync {
     fn as_pixels(&self) -> Option<&Pixels> {
         None
     }
-    /// Returns the pixels of a part, given as left, top, width and height in pixels.
+    /// Returns the pixels of a part. `area` is left, top, width and height in pixels.
     ///
     /// # Errors
-    /// [`Error::Parameter`] if the part is empty or not within the picture, and errors of reading.
+    /// [`Error::Parameter`] if the part is empty or not within the picture, and errors of reading, such as
+    /// [`Error::Io`].
     fn part(&self, area: [u32; 4]) -> Result<Pixels>;
 }
 
@@ -72,10 +75,10 @@ impl PixelSource for Pixels {
     }
 }
 
-/// Refuses a part that does not lie in a picture of `size`, or holds nothing.
+/// Checks that a part is not empty and lies within a picture of `size`.
 ///
 /// # Errors
-/// [`Error::Parameter`]
+/// [`Error::Parameter`] if it does not.
 pub fn check_area([x, y, width, height]: [u32; 4], size: [u32; 2]) -> Result<()> {
     let fits = |from: u32, length: u32, side: u32| length > 0 && u64::from(from) + u64::from(length) <= u64::from(side);
     if fits(x, width, size[0]) && fits(y, height, size[1]) {

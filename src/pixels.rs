@@ -1,4 +1,4 @@
-//! Interleaved pixels with 8 or 16 bits a sample: what goes into the encoder and comes out of the decoder.
+//! Interleaved pixels with 8 or 16 bits per sample: the input of the encoder and the output of the decoder.
 
 use crate::error::{Error, Result};
 use crate::gaussian::Channels;
@@ -6,14 +6,15 @@ use crate::gaussian::Channels;
 /// The samples of a picture, row by row, channels interleaved.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Samples {
-    /// 8 bits a sample; 255 is 1.0.
+    /// 8 bits per sample; 255 is 1.0.
     U8(Vec<u8>),
-    /// 16 bits a sample, native endian; 65535 is 1.0.
+    /// 16 bits per sample, native endian; 65535 is 1.0.
     U16(Vec<u16>),
 }
 
-/// Bits a sample.
+/// Bits per sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[doc(alias = "bit_depth")]
 pub enum Depth {
     /// 8 bits.
     #[default]
@@ -23,7 +24,7 @@ pub enum Depth {
 }
 
 impl Depth {
-    /// Returns the code value that stands for 1.0: 255 or 65535.
+    /// Returns the code value that represents 1.0: 255 or 65535.
     #[must_use]
     pub fn max(self) -> f32 {
         match self {
@@ -32,13 +33,13 @@ impl Depth {
         }
     }
 
-    /// Returns the mean squared error of a sample, in units of the white one's square, that rounding to code values makes by
-    /// itself: once in the source, once when decoding.
+    /// Returns the mean squared error that rounding to code values causes by itself, once in the source and once in
+    /// decoding, where white is 1.0.
     pub(crate) fn rounding_error(self) -> f64 {
         2.0 / (12.0 * f64::from(self.max()).powi(2))
     }
 
-    /// Returns the bytes of a sample: 1 or 2.
+    /// Returns the size of a sample in bytes: 1 or 2.
     #[must_use]
     pub fn bytes(self) -> usize {
         match self {
@@ -48,8 +49,9 @@ impl Depth {
     }
 }
 
-/// A picture in pixels. It always has exactly width × height × channels samples.
+/// A picture of pixels. It always has exactly width × height × channels samples.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[doc(alias("bitmap", "image_buffer"))]
 pub struct Pixels {
     width: u32,
     height: u32,
@@ -58,10 +60,10 @@ pub struct Pixels {
 }
 
 impl Pixels {
-    /// Makes a picture of `samples`, row by row with interleaved channels.
+    /// Returns a picture with these `samples`: rows from the top, channels interleaved.
     ///
     /// # Errors
-    /// [`Error::Parameter`] if a side is 0 or over 2²⁰, or the number of samples is not width × height × channels.
+    /// [`Error::Parameter`] if a side is 0 or over 2²⁰, or if the number of samples is not width × height × channels.
     pub fn new(width: u32, height: u32, channels: Channels, samples: Samples) -> Result<Self> {
         for (name, side) in [("width", width), ("height", height)] {
             if side == 0 || side > 1 << 20 {
@@ -82,25 +84,25 @@ impl Pixels {
         Ok(Pixels { width, height, channels, samples })
     }
 
-    /// Width, pixels.
+    /// Returns the width, pixels.
     #[must_use]
     pub fn width(&self) -> u32 {
         self.width
     }
 
-    /// Height, pixels.
+    /// Returns the height, pixels.
     #[must_use]
     pub fn height(&self) -> u32 {
         self.height
     }
 
-    /// Channels.
+    /// Returns the channels.
     #[must_use]
     pub fn channels(&self) -> Channels {
         self.channels
     }
 
-    /// Bits a sample.
+    /// Returns the number of bits per sample.
     #[must_use]
     pub fn depth(&self) -> Depth {
         match self.samples {
@@ -109,19 +111,19 @@ impl Pixels {
         }
     }
 
-    /// The samples.
+    /// Returns the samples: rows from the top, channels interleaved.
     #[must_use]
     pub fn samples(&self) -> &Samples {
         &self.samples
     }
 
-    /// Returns the samples.
+    /// Returns the samples without copying them.
     #[must_use]
     pub fn into_samples(self) -> Samples {
         self.samples
     }
 
-    /// The sample at index `i` as a value where 1.0 is white.
+    /// Returns the sample at index `i` as a value where 1.0 is white.
     pub(crate) fn value(&self, i: usize) -> f32 {
         match &self.samples {
             Samples::U8(v) => f32::from(v[i]) / 255.0,

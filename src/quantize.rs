@@ -1,4 +1,4 @@
-//! Integers to Gaussians by the specification's formulas (spec §5.1), and Gaussians to the nearest integers.
+//! Converts integers to Gaussians by the specification's formulas (spec §5.1), and Gaussians to the nearest integers.
 
 use glam::Vec2;
 
@@ -11,7 +11,7 @@ use crate::parallel;
 /// Chroma steps in units of the luma step (spec §4.1).
 const CHROMA_RATIOS: [f32; 4] = [1.0, 1.5, 2.0, 3.0];
 
-/// The map between [`PackedGaussian`] and [`Gaussian`] for one file's step sizes.
+/// Conversion between [`PackedGaussian`] and [`Gaussian`] for the step sizes of one file.
 #[derive(Debug, Clone)]
 pub struct Quantizer {
     lattice: Lattice,
@@ -27,7 +27,7 @@ pub struct Quantizer {
 }
 
 impl Quantizer {
-    /// The map for a picture of `size` pixels (width, height).
+    /// Returns the conversion for a picture of `size` pixels (width, height).
     #[must_use]
     pub fn new(steps: &Steps, layout: Layout, size: [u32; 2], channels: Channels) -> Self {
         let delta = (f64::from(steps.scale) + 4.0) / 32.0;
@@ -38,19 +38,19 @@ impl Quantizer {
         Quantizer { lattice: Lattice::new(steps, layout), size, channels, delta, luma, chroma, most_color, scales }
     }
 
-    /// The angle counts and position exponents that go with these steps.
+    /// Returns the angle counts and position exponents for these steps.
     #[must_use]
     pub fn lattice(&self) -> &Lattice {
         &self.lattice
     }
 
-    /// Scale of index `i`, pixels.
+    /// Returns the scale of index `i`, pixels.
     #[must_use]
     pub fn scale(&self, index: u8) -> f32 {
         self.scales[usize::from(index)]
     }
 
-    /// Steps of the four colour integers, in the order of [`PackedGaussian::color`].
+    /// Returns the steps of the four colour integers, in the order of [`PackedGaussian::color`].
     #[must_use]
     pub fn color_steps(&self) -> [f32; 4] {
         match self.channels {
@@ -59,7 +59,7 @@ impl Quantizer {
         }
     }
 
-    /// Colour of the integers: grey and alpha directly, otherwise by the YCoCg transform (spec §5.1).
+    /// Returns the colour of the integers: grey and alpha directly, RGB by the YCoCg transform (spec §5.1).
     #[must_use]
     pub fn dequantize_color(&self, color: [i16; 4]) -> [f32; 4] {
         let steps = self.color_steps();
@@ -75,7 +75,8 @@ impl Quantizer {
         }
     }
 
-    /// A colour in the axes of [`PackedGaussian::color`], before rounding: the inverse of the transform.
+    /// Transforms a colour to the components of [`PackedGaussian::color`], without rounding: the inverse of the
+    /// transform of spec §5.1.
     #[must_use]
     pub fn transform_color(&self, c: [f32; 4]) -> [f32; 4] {
         match self.channels {
@@ -86,13 +87,13 @@ impl Quantizer {
         }
     }
 
-    /// The largest magnitude of each of the four colour integers (spec §4).
+    /// Returns the largest magnitude of each of the four colour integers (spec §4).
     #[must_use]
     pub fn most_color(&self) -> [i16; 4] {
         self.most_color
     }
 
-    /// The nearest legal colour integers.
+    /// Returns the nearest colour integers that the format allows.
     #[must_use]
     pub fn quantize_color(&self, color: [f32; 4]) -> [i16; 4] {
         let (axes, steps) = (self.transform_color(color), self.color_steps());
@@ -106,7 +107,7 @@ impl Quantizer {
         })
     }
 
-    /// The Gaussian of the integers.
+    /// Returns the Gaussian of the integers.
     #[must_use]
     pub fn dequantize(&self, p: &PackedGaussian) -> Gaussian {
         let [ex, ey] = self.lattice.exponents(p.major, p.minor, p.angle);
@@ -118,13 +119,13 @@ impl Quantizer {
         }
     }
 
-    /// The angle of the integers, radians.
+    /// Returns the angle of the integers, radians.
     #[must_use]
     pub fn rotation(&self, major: u8, minor: u8, angle: u16) -> f32 {
         (std::f64::consts::PI * f64::from(angle) / f64::from(self.lattice.angles(major, minor))) as f32
     }
 
-    /// The integers next to `g`: shape first, then the position that is nearest in the units of that shape.
+    /// Returns the integers nearest to `g`: first the shape, then the nearest position in units of that shape.
     #[must_use]
     pub fn quantize(&self, g: &Gaussian) -> PackedGaussian {
         let (major, minor, angle) = self.quantize_shape(g.scale, g.rotation);
@@ -133,7 +134,7 @@ impl Quantizer {
         p
     }
 
-    /// The nearest integers of scales (pixels) and rotation (radians).
+    /// Returns the nearest integers of the scales (pixels) and the rotation (radians).
     #[must_use]
     pub fn quantize_shape(&self, scale: [f32; 2], rotation: f32) -> (u8, u8, u16) {
         let index = |s: f32| ((f64::from(s).log2() + 2.0) / self.delta + 0.5).floor().clamp(0.0, self.top()) as u8;
@@ -171,48 +172,48 @@ impl Quantizer {
         }
     }
 
-    /// Whether the position of `p` lies in the picture.
+    /// Tells whether the position of `p` lies within the picture.
     #[must_use]
     pub fn holds(&self, p: &PackedGaussian) -> bool {
         let [ex, ey] = self.lattice.exponents(p.major, p.minor, p.angle);
         p.x < Lattice::positions(self.size[0], ex) && p.y < Lattice::positions(self.size[1], ey)
     }
 
-    /// Whether `index` is a legal scale.
+    /// Tells whether `index` is a scale that the format allows.
     #[must_use]
     pub fn holds_scale(&self, index: i16) -> bool {
         index >= 0 && f64::from(index) <= self.top()
     }
 
-    /// Highest legal scale index: `i·δ − 2 ≤ 20`.
+    /// Returns the highest scale index that the format allows: `i·δ − 2 ≤ 20`.
     fn top(&self) -> f64 {
         (22.0 / self.delta).floor().min(255.0)
     }
 }
 
-/// Centre of cell `i` at exponent `e`, pixels.
+/// Returns the centre of cell `i` at exponent `e`, pixels.
 fn center(i: u32, e: i32) -> f32 {
     ((f64::from(i) + 0.5) * power(e)) as f32
 }
 
-/// `2^e` of an exponent between −1022 and 1023.
+/// Returns `2^e` for an exponent between −1022 and 1023.
 fn power(e: i32) -> f64 {
     f64::from_bits(((1023 + i64::from(e)) as u64) << 52)
 }
 
-/// The cell that holds `v` pixels at exponent `e`, kept within `0..=last`.
+/// Returns the cell that contains the position `v` (pixels) at exponent `e`, clamped to `0..=last`.
 fn nearest(v: f32, e: i32, last: u32) -> u32 {
     (f64::from(v) * power(-e)).floor().clamp(0.0, f64::from(last)) as u32
 }
 
 impl PackedSplats {
-    /// The map between this file's integers and Gaussians.
+    /// Returns the conversion between the integers of this file and Gaussians.
     #[must_use]
     pub fn quantizer(&self) -> Quantizer {
         Quantizer::new(&self.steps, self.layout, [self.width, self.height], self.channels)
     }
 
-    /// The picture in floats.
+    /// Returns the picture with float parameters.
     #[must_use]
     pub fn to_picture(&self) -> Picture {
         let q = self.quantizer();

@@ -1,4 +1,4 @@
-//! How far two pictures are apart to the eye: SSIMULACRA2, by the crate that has it.
+//! SSIMULACRA2, a perceptual measure of the difference between two pictures, computed by the crate `fast-ssim2`.
 
 use fast_ssim2::{PixelDescriptor, PixelSlice, Ssimulacra2Config, compute_ssimulacra2_with_config};
 
@@ -6,20 +6,21 @@ use crate::error::{Error, Result};
 use crate::metrics::BACKGROUNDS;
 use crate::pixels::{Pixels, Samples};
 
-/// Least side of a picture that is measured, pixels.
+/// Smallest side of a picture that can be measured, pixels.
 pub(crate) const LEAST: u32 = 8;
-/// Pixels from which on the measure goes over strips of the picture, which takes less memory and moves its last digits.
-const LARGE: u64 = 1 << 22;
-/// Rows of such a strip.
-const STRIP: usize = 256;
+/// Number of pixels above which the measure is computed in strips. This takes less memory and changes the last digits
+/// of the score.
+const STRIPED_PIXELS: u64 = 1 << 22;
+/// Rows of a strip.
+const STRIP_ROWS: usize = 256;
 
-/// SSIMULACRA2 of two pictures of one size, channels and depth, whose samples are taken as sRGB: at most 100, which stands
-/// for equal pictures; about 90, 70, 50 and 30 for what eyes call very high, high, medium and low quality; below 0 for worse.
-/// `None` when a side is under 8 pixels. Where there is alpha, both are laid over a dark and over a light grey, and the worse
-/// counts.
+/// Returns the SSIMULACRA2 score of two pictures of the same size, channels and depth, whose samples are interpreted
+/// as sRGB. The score is at most 100, for identical pictures. About 90, 70, 50 and 30 mean very high, high, medium and
+/// low quality; scores can be negative. Returns `None` if a side is under 8 pixels. Pictures with alpha are composited
+/// onto a dark and onto a light grey, and the lower score is returned.
 ///
 /// # Errors
-/// [`Error::Parameter`] when the two differ in width, height, channels or depth.
+/// [`Error::Parameter`] if the two differ in width, height, channels or depth.
 pub fn ssimulacra2(reference: &Pixels, test: &Pixels) -> Result<Option<f64>> {
     crate::metrics::check_alike(reference, test)?;
     let size = [reference.width(), reference.height()];
@@ -41,14 +42,14 @@ fn similarity(a: &[[f32; 3]], b: &[[f32; 3]], [width, height]: [u32; 2]) -> Resu
         let row = width as usize * size_of::<[f32; 3]>();
         PixelSlice::new(bytemuck::cast_slice(p), width, height, row, PixelDescriptor::RGBF32_LINEAR)
     };
-    let is_large = u64::from(width) * u64::from(height) > LARGE;
-    let config = if is_large { Ssimulacra2Config::strips(STRIP) } else { Ssimulacra2Config::default() };
+    let is_large = u64::from(width) * u64::from(height) > STRIPED_PIXELS;
+    let config = if is_large { Ssimulacra2Config::strips(STRIP_ROWS) } else { Ssimulacra2Config::default() };
     let (a, b) = (slice(a).map_err(|e| failed(format!("{e:?}")))?, slice(b).map_err(|e| failed(format!("{e:?}")))?);
     compute_ssimulacra2_with_config(&a, &b, &config).map_err(|e| failed(e.to_string()))
 }
 
-/// Returns `pixels`, whose samples are taken as sRGB, over a grey of the sRGB value `background`, in linear light: red, green
-/// and blue of each pixel, where 1.0 is white.
+/// Returns `pixels`, interpreted as sRGB and composited onto a grey of the sRGB value `background`, in linear light:
+/// red, green and blue of each pixel, where 1.0 is white.
 #[must_use]
 pub fn linear_light(pixels: &Pixels, background: f32) -> Vec<[f32; 3]> {
     let (count, alpha) = (pixels.channels().count(), pixels.channels().alpha());
@@ -70,7 +71,7 @@ pub fn linear_light(pixels: &Pixels, background: f32) -> Vec<[f32; 3]> {
     }
 }
 
-/// Linear light of an sRGB value.
+/// Converts an sRGB value to linear light.
 fn linear(v: f32) -> f32 {
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }

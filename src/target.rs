@@ -1,20 +1,25 @@
-//! Aim of an encode.
+//! Target of an encode.
 
-/// Aim of an encode: a size, a number of primitives, or a quality of the file.
+/// Target of an encode: the size, the number of primitives, or the quality of the file.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
+#[doc(alias("quality", "rate_control"))]
 pub enum Target {
-    /// A ratio of 50, but at least 80 bytes for the primitives, so that no picture is too small for it. An ICC profile
-    /// and an EXIF block are added on top.
+    /// A ratio of 50, with at least 80 bytes for the primitives, so that no picture is too small for it. The bytes of
+    /// an ICC profile and an EXIF block are not counted.
     #[default]
     Auto,
-    /// Compression ratio, finite and above 0: width × height × channels bytes (one byte a sample, whatever the source's
-    /// depth) divided by the bytes of the file. The file is never larger than that.
-    /// [`Error::TooSmall`](crate::Error::TooSmall) if the picture does not fit.
+    /// Compression ratio, finite and above 0: width × height × channels (the raw size at one byte per sample, whatever
+    /// the depth of the source) divided by the size of the file in bytes. The file is never larger than the ratio
+    /// allows. Encoding fails with [`Error::TooSmall`](crate::Error::TooSmall) if the picture does not fit.
+    #[doc(alias("compression", "bpp"))]
     Ratio(f64),
-    /// File size in bytes, never exceeded. [`Error::TooSmall`](crate::Error::TooSmall) if the picture does not fit.
+    /// Maximum file size in bytes. Encoding fails with [`Error::TooSmall`](crate::Error::TooSmall) if the picture does
+    /// not fit.
+    #[doc(alias("size", "filesize"))]
     Bytes(u64),
     /// Number of primitives.
+    #[doc(alias("gaussians", "splats"))]
     Primitives(u32),
     /// PSNR against the source in dB, above 0. The result is the smallest file found that reaches it. If the largest file that is
     /// tried, of twice the raw bytes, does not, the encode ends with [`Error::Parameter`](crate::Error::Parameter); under a budget of
@@ -25,5 +30,6 @@ pub enum Target {
     /// the one before. If none meets the score, the
     /// result is the best file found; [`EncodeReport::quality`](crate::EncodeReport::quality) has its score.
     #[cfg(feature = "quality")]
+    #[doc(alias("ssimulacra2", "perceptual"))]
     Quality(f64),
 }

@@ -1,7 +1,8 @@
-//! The rooms inside, for the program, the lab, the fuzz targets and tools like them. **Every release may change them.**
+//! Internal modules for the program, the lab, the fuzz targets and similar tools. **Any release may change them.**
 //!
-//! Bytes become integers ([`bitstream`]), integers become Gaussians ([`quantize`]), Gaussians become pixels ([`raster`]);
-//! [`fit`] moves Gaussians to a picture, [`pack`] rounds those that came from elsewhere. `docs/ARCHITECTURE.md` is the map.
+//! Bytes become integers ([`bitstream`]), integers become Gaussians ([`quantize`]), and Gaussians become pixels
+//! ([`raster`]). [`fit`] fits Gaussians to a picture, and [`pack`] quantizes Gaussians that were fitted elsewhere.
+//! `docs/ARCHITECTURE.md` is a map of the modules.
 
 pub use crate::bitstream::header::Header;
 pub use crate::decode::{decode, decode_into, thumbnail};
@@ -13,35 +14,35 @@ pub use crate::pack::{FINEST, Outside, PackOptions, Precision, pack};
 pub use crate::pixel_source::check_area;
 pub use crate::simd::instruction_set;
 
-/// Bytes to integers and back.
+/// Converts bytes to integers and back.
 pub mod bitstream {
     pub use crate::bitstream::*;
 }
-/// Pixels to Gaussians.
+/// Fits Gaussians to pixels.
 pub mod fit {
     pub use crate::fit::*;
 }
-/// The picture as a function of the plane.
+/// The picture as a continuous function of position.
 pub mod gaussian {
     pub use crate::gaussian::*;
 }
-/// How far two pictures are apart.
+/// Measures of the difference between two pictures.
 pub mod metrics {
     pub use crate::metrics::*;
 }
-/// Work on several cores.
+/// Parallel maps.
 pub mod parallel {
     pub use crate::parallel::*;
 }
-/// Integers to Gaussians and back.
+/// Converts integers to Gaussians and back.
 pub mod quantize {
     pub use crate::quantize::*;
 }
-/// Gaussians to pixels.
+/// Renders Gaussians to pixels.
 pub mod raster {
     pub use crate::raster::*;
 }
-/// Eight lanes.
+/// Vectors of eight lanes.
 pub mod simd {
     pub use crate::simd::*;
 }

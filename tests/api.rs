@@ -1,4 +1,4 @@
-//! What a program that embeds the codec uses, by the names that will not change: nothing of `ssplat::unstable`.
+//! Uses the stable public names as a program that embeds the codec would, without `ssplat::unstable`.
 
 use std::ops::ControlFlow;
 
@@ -55,7 +55,7 @@ fn a_file_is_opened_once_and_drawn_many_times() {
     let image = reader.read(Damage::Refuse).unwrap();
     let whole = image.draw(&image.view()).unwrap();
     assert_eq!(Decoder::new().decode(&bytes).unwrap().pixels, whole);
-    // The same pixels, whoever draws them and into whatever memory.
+    // All ways of rendering give the same pixels, in any memory.
     let part = image.view().crop(16, 8, 40, 30).unwrap();
     let drawn = image.draw(&part).unwrap();
     assert_eq!(Decoder::new().region([16, 8, 40, 30]).decode(&bytes).unwrap().pixels, drawn);

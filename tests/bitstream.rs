@@ -1,4 +1,4 @@
-//! Promises of the bitstream: exact round trips, canonical bytes, typed errors for everything broken.
+//! Guarantees of the bitstream: exact round trips, canonical bytes, and typed errors for invalid input.
 #![cfg(feature = "unstable")]
 
 mod seal;
@@ -13,7 +13,7 @@ use synthetic::{Random, Scene, scene};
 
 const LAYOUTS: [Layout; 3] = [Layout::Packed, Layout::Planes, Layout::Coded];
 
-/// Writes, reads and writes again; gives back what was read.
+/// Writes, reads and writes again; returns what was read.
 fn round_trip(splats: &PackedSplats) -> PackedSplats {
     let bytes = to_bytes(splats).unwrap();
     let again = read(&bytes[..], &Limits::default()).unwrap();
@@ -21,7 +21,7 @@ fn round_trip(splats: &PackedSplats) -> PackedSplats {
     again
 }
 
-/// The primitives of each level in an order of their own.
+/// Sorts the primitives of each level: their order is up to the layout.
 fn sorted(splats: &PackedSplats) -> Vec<Vec<[i64; 9]>> {
     let mut rest = &splats.gaussians[..];
     let mut levels = splats.levels.clone();
@@ -140,7 +140,8 @@ fn limits_are_kept_before_memory_is_spent() {
     }
 }
 
-/// Readers cannot meet these, since no bytes of the coded layout say them: a caller can.
+/// Readers cannot encounter these integers, because no bytes of the coded layout represent them, but a caller can set
+/// them.
 #[test]
 fn integers_that_no_picture_has_are_refused_before_a_byte_is_written() {
     let sound = scene(&Scene { count: 5, ..Scene::default() });
@@ -156,11 +157,11 @@ fn integers_that_no_picture_has_are_refused_before_a_byte_is_written() {
     assert!(written(&|s| s.gaussians[2].color[0] = i16::MIN).is_err(), "a colour beyond the largest");
 }
 
-/// The rest of a damaged file is bounded by its bytes as a whole file is.
+/// The remainder of a damaged file is bounded by its bytes like a whole file.
 #[test]
 fn a_damaged_file_cannot_claim_more_primitives_than_its_bytes_can_code() {
     let mut bytes = std::fs::read("spec/vectors/valid/detail-rgb/file.ssplat").unwrap();
-    // Behind signature, version, flags and the varints of two sides: the count, from now on a hundred thousand.
+    // After signature, version, flags and the varints of two sides: the count, which becomes a hundred thousand.
     let after = |at: usize| at + bytes[at..].iter().position(|b| b & 0x80 == 0).unwrap() + 1;
     let count = after(after(6));
     let end = after(count);
@@ -205,7 +206,7 @@ fn a_part_of_a_large_file_is_drawn_from_a_part_of_its_groups() {
     }
     assert!(most < 30_000, "{most} of 40 000 primitives were read");
     assert!(read_area(&bytes, &[0, 0, 1500, 1000].into(), &limits).unwrap() == whole);
-    // A file in one piece is read whole, and a region that is nowhere needs nothing.
+    // A file in one piece is read as a whole, and an empty region needs nothing.
     let small = scene(&Scene::default());
     let read = read_area(&to_bytes(&small).unwrap(), &[0, 0, 1, 1].into(), &limits).unwrap();
     assert_eq!(read.gaussians.len(), small.gaussians.len());
@@ -221,7 +222,7 @@ fn a_few_wide_primitives_do_not_make_every_group_reach_everywhere() {
         read_area(&to_bytes(splats).unwrap(), &[0, 0, 50, 50].into(), &Limits::default()).unwrap().gaussians.len()
     };
     let before = read_for_a_corner(&splats);
-    // 100 pixels and more along the major axis: three times as far reaches into a third of the picture.
+    // 100 pixels and more along the major axis: three times that distance reaches into a third of the picture.
     for p in splats.gaussians.iter_mut().step_by(100) {
         let size = f64::from(splats.steps.scale + 4) / 32.0;
         let major = ((100f64.log2() + 2.0) / size).ceil() as u8;

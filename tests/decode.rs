@@ -1,4 +1,4 @@
-//! What the plain decoder promises: parts at any size, and what is left of a damaged file.
+//! Guarantees of the decoder: parts at any size, and the remainder of a damaged file.
 #![cfg(feature = "unstable")]
 
 mod synthetic;
@@ -39,7 +39,7 @@ fn a_region_is_the_part_of_the_whole() {
 
 #[test]
 fn an_eighth_of_the_size_is_the_average_of_the_pixels() {
-    // Gaussians of down to half a pixel.
+    // Gaussians as small as half a pixel.
     let made = synthetic::Scene { size: [96, 64], count: 3000, ..Default::default() };
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
     let mut options = DecodeOptions::default();
@@ -53,7 +53,7 @@ fn an_eighth_of_the_size_is_the_average_of_the_pixels() {
         let block = (0..64).map(|k| whole[((y + k / 8) * 96 + x + k % 8) * 3 + c]);
         let average = block.clone().map(f32::from).sum::<f32>() / 64.0;
         contrast = contrast.max(block.clone().max().unwrap() - block.min().unwrap());
-        // Half a code value for the rounding of either.
+        // Half a code value for each of two roundings.
         assert!((f32::from(value) - average).abs() <= 1.0, "sample {i}: {value} for {average}");
     }
     assert!(contrast > 100, "{contrast}: any sample would do");
@@ -65,7 +65,8 @@ fn a_reduced_region_of_a_file_in_groups_misses_nothing() {
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
     let mut options = DecodeOptions::default();
     let splats = read(&bytes[..], &options.limits).unwrap();
-    // Samples 12.5, 4, 32 and 1.07 pixels apart widen by a box as wide; 3.5 deviations of it are seen beyond each edge.
+    // Samples that are 12.5, 4, 32 and 1.07 pixels apart widen Gaussians by a box of that width, of which 3.5
+    // deviations are visible beyond each edge.
     let cases = [
         ([100, 200, 900, 800], [9, 8], [87, 187, 926, 826]),
         ([1000, 700, 256, 256], [8, 1], [996, 667, 264, 322]),
@@ -105,7 +106,7 @@ fn a_progressive_file_cut_after_a_level_is_a_coarser_picture() {
     accept.damage = Damage::Accept;
     let whole = decode(&bytes, &accept).unwrap();
     assert_eq!((whole.missing.groups, whole.missing.primitives), (0, 0));
-    // Every cut gives as many groups as are whole; more bytes never give fewer.
+    // Every truncated file gives all groups that are complete; more bytes never give fewer groups.
     let mut missing = u32::MAX;
     let mut seen = Vec::new();
     for end in 0..bytes.len() {
@@ -145,7 +146,7 @@ fn an_opened_file_draws_every_view_as_decode_does() {
         let view = opened.view().crop(region[0], region[1], region[2], region[3]).unwrap();
         let view = view.resized(size[0], size[1]).unwrap();
         assert!(opened.draw(&view).unwrap() == want, "{region:?}");
-        // Into memory that still holds the view before.
+        // Into memory that still holds the previous view.
         memory.resize((size[0] * size[1] * 3) as usize, 0);
         opened.draw_into(&view, SamplesMut::U8(&mut memory)).unwrap();
         assert!(Samples::U8(memory.clone()) == *want.samples(), "{region:?}");
@@ -178,7 +179,7 @@ fn views_that_are_held_together_share_one_limit() {
     let made = synthetic::Scene { size: [512, 512], count: 5000, ..Default::default() };
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
     let mut opened = Image::from_bytes(&bytes, &Limits::default()).unwrap();
-    // Enough for the picture and one renderer, not for two.
+    // Enough for the picture and one renderer, but not for two.
     let mut alloc = 1 << 18;
     let one = loop {
         opened.limit_alloc(alloc).unwrap();

@@ -1,5 +1,5 @@
-//! What the detail layer promises its readers: parts are those of the whole, either layer can be drawn alone, threads change
-//! nothing, and a damaged tile is missing and nothing else.
+//! Guarantees of the detail layer for readers: parts have the pixels of the whole, either layer can be rendered alone,
+//! results do not depend on threads, and a damaged tile affects nothing else.
 #![cfg(feature = "unstable")]
 
 mod seal;
@@ -41,7 +41,7 @@ fn samples(pixels: &Pixels) -> Vec<u16> {
     }
 }
 
-/// The samples of a rectangle.
+/// Returns the samples of a rectangle.
 fn cut(pixels: &Pixels, [x, y, width, height]: [u32; 4]) -> Vec<u16> {
     let (all, count) = (samples(pixels), pixels.channels().count());
     let row = |y: u32| ((y * pixels.width() + x) as usize * count)..((y * pixels.width() + x + width) as usize * count);
@@ -60,7 +60,7 @@ fn parts_have_the_samples_of_the_whole_at_any_size() {
         {
             let whole = draw(&bytes, &view, Layers::Both);
             let [w, h] = [view.width(), view.height()];
-            // Corners, a pixel, across edges of tiles, and a row.
+            // Corners, a single pixel, across edges of tiles, and a row.
             for part in [
                 [0, 0, 9, 7],
                 [w - 5, h - 9, 5, 9],
@@ -104,7 +104,7 @@ fn either_layer_can_be_drawn_alone() {
         let [both, gaussians, detail] = [both, gaussians, detail].map(f64::from);
         changed += u32::from(both != gaussians);
         if [both, gaussians, detail].iter().all(|v| (1.0..255.0).contains(v)) {
-            // Grey is 127.5. Half a code value for the rounding of each.
+            // Grey is 127.5. Half a code value for each of three roundings.
             assert!((both - gaussians - (detail - 127.5)).abs() <= 1.5, "{both} {gaussians} {detail}");
         }
     }
@@ -123,7 +123,7 @@ fn what_is_read_writes_the_same_bytes() {
         assert_eq!(again.detail, splats.detail);
         assert!(to_bytes(&again).unwrap() == bytes);
         assert_eq!(report.parts.iter().map(|p| p.bytes).sum::<u64>(), bytes.len() as u64);
-        // Bits are those of the streams, whose index has some bytes a tile.
+        // The bits are those of the streams; the index has a few bytes per tile.
         let bits = report.layer_bits / 8.0;
         let bytes = report.layer_bytes() as f64;
         assert!(bits < bytes && bits > bytes - 6.0 * 6.0 - 6.0 * 4.0, "{bits} of {bytes}");
@@ -168,7 +168,7 @@ fn every_cut_leaves_the_tiles_that_are_there() {
         assert_eq!(part.gaussians, whole.gaussians);
         assert_ne!(missing, Missing::default());
         if ends.contains(&end) || end == at.payload.end {
-            // What is missing shows the Gaussians, what is there the picture.
+            // Missing tiles show only the Gaussians; the others show the picture.
             let drawn = part.renderer(&view, &Limits::default()).unwrap().render(Depth::Eight).unwrap();
             let picture = draw(&bytes, &view, Layers::Both);
             let there = 256 * (3 - lost).min(2) + if lost == 0 { 3 } else { 0 };
@@ -220,12 +220,12 @@ fn the_gaussians_of_a_whole_file_are_read_with_nothing_missing() {
 
 #[test]
 fn an_empty_layer_of_a_huge_picture_costs_nothing_before_it_is_refused() {
-    // 2²⁴ tiles in a file of some bytes: the index would have a byte for each.
+    // 2²⁴ tiles in a file of a few bytes, although the index has at least a byte for each.
     let mut head = DetailHead::PLAIN;
     head.step = 64;
     let ground = scene(&Scene { size: [300, 1], count: 1, ..Scene::default() });
     let mut bytes = to_bytes(&with_layer(ground, head, Levels { filled: 0, ..Levels::new(1) })).unwrap();
-    // The width, a varint of two bytes, becomes 2²⁰ and the height as much.
+    // The width, a varint of two bytes, becomes 2²⁰, and so does the height.
     bytes.splice(6..9, [0x80, 0x80, 0x40, 0x80, 0x80, 0x40]);
     seal::seal(&mut bytes);
     match read(&bytes[..], &Limits::default()) {
@@ -307,12 +307,12 @@ fn work_of_the_layer_is_counted_before_it_is_done() {
     let mut limits = Limits::default();
     limits.work = 1 << 20;
     assert!(matches!(read(&bytes[..], &limits), Err(Error::LimitExceeded { what: "work", .. })));
-    // The Gaussians alone are within it.
+    // The Gaussians alone are within the limit.
     let opening = Reader::new(&bytes, &limits).unwrap().showing(Layers::Gaussians);
     assert!(opening.read(Damage::Refuse).is_ok());
 }
 
-/// Enlarged along one axis and reduced along the other, a picture is made of more weights than it has pixels or samples.
+/// A view that is enlarged along one axis and reduced along the other has more resampling taps than pixels or samples.
 #[test]
 fn work_of_a_distorted_view_is_counted() {
     let bytes = to_bytes(&large(Channels::Rgb)).unwrap();
@@ -329,11 +329,11 @@ fn work_of_a_distorted_view_is_counted() {
 #[test]
 fn work_of_both_layers_is_counted_together() {
     let mut splats = large(Channels::Rgb);
-    // So that Gaussians cost about as much as the layer.
+    // So that the Gaussians cost about as much as the layer.
     splats.gaussians = splats.gaussians.repeat(120);
     splats.levels.clear();
     let bytes = to_bytes(&splats).unwrap();
-    // The least work, within an eighth, that lets some layers be drawn.
+    // The smallest work limit, within an eighth, with which the layers can be rendered.
     let least = |layers: Layers| {
         let is_drawn = |work: u64| {
             let mut limits = Limits::default();

@@ -1,4 +1,4 @@
-//! The encoder as a library: sizes, determinism, kinds of pictures, targets, budgets, recipes, and what it refuses.
+//! Tests of the encoder: sizes, determinism, kinds of pictures, targets, time limits, recipes, and errors.
 #![cfg(feature = "unstable")]
 
 use std::ops::ControlFlow;
@@ -12,7 +12,7 @@ use ssplat::{Renderer, View};
 
 const LAYOUTS: [Layout; 3] = [Layout::Packed, Layout::Planes, Layout::Coded];
 
-/// A picture with slopes, edges and texture; 8 bits a sample.
+/// A picture with gradients, edges and texture; 8 bits per sample.
 fn picture(width: u32, height: u32, channels: Channels) -> Pixels {
     Pixels::new(
         width,
@@ -58,7 +58,7 @@ fn decoded(encoded: &Encoded) -> Pixels {
     Renderer::new(&picture, &View::full(&picture), &Limits::default()).unwrap().render(splats.depth).unwrap()
 }
 
-/// Asserts that the file is not over `most` bytes, and at most 2 % or 40 bytes under.
+/// Asserts that the file has at most `most` bytes, and is at most 2 % or 40 bytes smaller.
 fn assert_fills(encoded: &Encoded, most: u64, what: &str) {
     let bytes = encoded.bytes.len() as u64;
     assert!(bytes <= most, "{what}: {bytes} of {most}");
@@ -120,7 +120,7 @@ fn files_fill_their_size_at_every_effort_seed_blend_and_tune() {
         assert_fills(&encoded, most, &format!("{options:?}"));
         all.push(encoded.bytes);
     }
-    // None of these options is without effect.
+    // Every one of these options has an effect.
     all.sort();
     all.dedup();
     assert_eq!(all.len(), 7);
@@ -152,7 +152,7 @@ fn equal_options_give_equal_bytes() {
 #[test]
 fn bytes_do_not_depend_on_the_thread_count() {
     let pixels = picture(100, 150, Channels::Rgba);
-    // Effort 7 freezes as well, and 80 bytes start from drafts.
+    // Effort 7 freezes parameters as well, and 80 bytes use several starts.
     for (bytes, recipe, tune, effort) in [
         (500, Recipe::Ssplat, Tune::Psnr, 7),
         (500, Recipe::Ssplat, Tune::Ssim, 2),
@@ -182,8 +182,8 @@ fn pictures_of_every_kind_come_back_alike() {
                 let psnr = metrics::psnr(&pixels, &back).unwrap();
                 let what = format!("{width}x{height} {channels:?} {:?}: {psnr} dB", pixels.depth());
                 assert!(psnr > 24.0, "{what}");
-                // The report does not round to code values and weighs colours by opacity; and the fit's drawing and the
-                // decoder's differ by some 10⁻⁵, which is seen above 60 dB.
+                // The report is computed before rounding to code values and weights colours by opacity. The renderers
+                // of the fit and of the decoder differ by about 10⁻⁵, which is visible above 60 dB.
                 if channels.alpha().is_none() && pixels.depth() == Depth::Sixteen && psnr < 60.0 {
                     assert!((psnr - encoded.report.psnr).abs() < 0.05, "{what} {}", encoded.report.psnr);
                 }
@@ -194,12 +194,12 @@ fn pictures_of_every_kind_come_back_alike() {
 
 #[test]
 fn what_is_under_full_transparency_costs_nothing() {
-    // The colours under the transparent half are noise, those of the rest are flat.
+    // The colours under the transparent half are noise, and those of the rest are flat.
     let noise = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
     let samples =
         (0..64 * 64u32).flat_map(|i| if i % 64 < 32 { [noise(i), noise(i + 9), 80, 0] } else { [50, 90, 130, 255] });
     let pixels = Pixels::new(64, 64, Channels::Rgba, Samples::U8(samples.collect())).unwrap();
-    // With the few steps of effort 1 a primitive of the edge can end a few pixels beside it.
+    // With the few steps of effort 1, a primitive of the edge can end up a few pixels away from it.
     let mut options = quick(Target::Bytes(200));
     options.effort = 2;
     let encoded = encode(&pixels, &options).unwrap();
@@ -230,7 +230,7 @@ fn a_psnr_is_reached_or_refused_with_what_can_be_had() {
 
 #[test]
 fn a_search_for_a_psnr_keeps_its_gaussians_where_only_the_layer_grows() {
-    // Texture everywhere, which a detail layer is for.
+    // Texture everywhere, which suits a detail layer.
     let [width, height] = [320, 240u32];
     let sample = |i: u32| {
         let (x, y) = ((i / 3 % width) as f32, (i / 3 / width) as f32);
@@ -242,7 +242,7 @@ fn a_search_for_a_psnr_keeps_its_gaussians_where_only_the_layer_grows() {
     let encoded = run(&pixels, Target::Psnr(36.0));
     assert!(encoded.report.psnr >= 36.0, "{}", encoded.report.psnr);
     let stages = |name: &str| encoded.report.stages.iter().filter(|stage| stage.name == name).count();
-    // A try of two layers has two stages of detail: the first layer, and the rounds after it.
+    // A try with two layers has two stages of detail: the first layer, and the rounds after it.
     let (fits, tries) = (stages("fit"), stages("detail") / 2);
     assert!(tries >= 2, "{tries} tries with a layer");
     assert!(fits <= tries, "{fits} fits for {tries} tries with a layer, and one without at first");
@@ -257,7 +257,8 @@ fn a_psnr_is_reached_beside_metadata_of_any_size() {
         options.icc = Some((0..3000).map(|i| (i * 7 % 251) as u8).collect());
         let tagged = encode(&pixels, &options).unwrap();
         assert!(tagged.report.psnr >= wanted, "{wanted}: {}", tagged.report.psnr);
-        // The picture is searched for beside the profile; how much of a fit is rounded away still depends on both.
+        // The profile is not part of the size that the search uses, but the size of the file still affects how much of
+        // a fit is removed.
         let [beside, alone] = [tagged.bytes.len() - 3000, plain.bytes.len()];
         assert!(beside < alone + alone / 3 + 30, "{wanted}: {beside} and {alone}");
     }
@@ -271,8 +272,8 @@ fn a_time_budget_is_that_of_all_tries() {
     options.time = Some(Duration::from_secs(3));
     let encoded = encode(&pixels, &options).unwrap();
     assert!(encoded.report.psnr >= 20.0);
-    // Effort 9 takes half a minute, and the search two tries at least; each had the whole budget once. The rest is for a
-    // machine that is busy with other things.
+    // Effort 9 takes half a minute, and the search takes at least two tries, each of which once had the whole time
+    // limit. The margin is for a busy machine.
     assert!(encoded.report.seconds < 5.5, "{} s", encoded.report.seconds);
 }
 
@@ -293,7 +294,7 @@ fn a_time_budget_ends_the_work() {
         (options.recipe, options.effort) = (recipe, 9);
         options.time = Some(Duration::from_millis(600));
         let encoded = encode(&pixels, &options).unwrap();
-        // Effort 9 takes half a minute; the allowance is for a machine that is busy with other things.
+        // Effort 9 takes half a minute; the margin is for a busy machine.
         assert!(encoded.report.seconds < 12.0, "{recipe:?}: {} s", encoded.report.seconds);
         assert_fills(&encoded, 400 * 300 * 3 / 50, "600 ms");
         assert!(encoded.report.psnr.is_finite());

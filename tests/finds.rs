@@ -1,5 +1,5 @@
-//! Files that fuzzing found: each is refused, or reads as integers that write the same bytes (the same integers, in groups and
-//! in the planes layout).
+//! Files found by fuzzing: each is refused, or reads as integers that write the same bytes (the same integers for
+//! groups and the planes layout).
 #![cfg(feature = "unstable")]
 
 mod groups;
@@ -13,7 +13,7 @@ use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::bitstream::{read, to_bytes};
 use ssplat::{Error, FormatError, Limits};
 
-/// The finds by name. Some come from when fuzzing did not check the checksum, so it is set right here.
+/// Returns the finds by name. Some are from a time when fuzzing did not check the checksum, so it is corrected here.
 fn finds() -> Vec<(String, Vec<u8>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/finds");
     fs::read_dir(folder)
@@ -38,14 +38,14 @@ fn every_find_is_refused_or_canonical() {
                 continue;
             }
             let again = to_bytes(&splats).unwrap();
-            // zstd has many streams for the same bytes.
+            // Different zstd streams can have the same contents.
             assert!(again == bytes || splats.layout == Layout::Planes, "{name} is not canonical");
             assert_eq!(read(&again[..], &Limits::default()).unwrap(), splats, "{name}");
         }
     }
 }
 
-/// What makes a find illegal.
+/// Returns the reason why a find is invalid.
 fn reason(name: &str) -> FormatError {
     let (_, bytes) = finds().into_iter().find(|f| f.0 == name).unwrap_or_else(|| panic!("{name}"));
     match read(&bytes[..], &Limits::default()) {
@@ -72,8 +72,8 @@ fn colours_beyond_what_single_precision_bears_are_refused() {
 
 #[test]
 fn planes_that_two_libraries_read_as_two_pictures_are_one() {
-    // A broken frame, with the checksum of what one library makes of it and with that of the other. Not sealed. Here and in WebAssembly
-    // the same library reads it.
+    // A broken frame, with the checksum of its contents as each of two libraries reads it. The checksum is not
+    // corrected. Native machines and WebAssembly use the same library.
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/finds");
     let read_as = |library| {
         let bytes = fs::read(folder.join(format!("planes-with-two-pictures-as-{library}-reads.bin"))).unwrap();

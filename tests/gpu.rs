@@ -1,6 +1,7 @@
-//! The GPU against the definition and against the CPU, through the public interface only.
+//! Compares the GPU with the definition and with the CPU, through the public interface only.
 //!
-//! Any adapter will do, software included. Without one these tests are ignored; with `SSPLAT_REQUIRE_GPU=1` they fail.
+//! Any adapter is suitable, including software renderers. Without an adapter these tests are ignored, or fail with
+//! `SSPLAT_REQUIRE_GPU=1`.
 
 mod adapter;
 mod scenes;
@@ -69,7 +70,7 @@ fn render(device: &Device, picture: &Picture, view: &View, depth: Depth) -> Vec<
     codes(renderer.render(view, depth).unwrap().into_samples())
 }
 
-/// Largest difference to the definition, code values.
+/// Returns the largest difference to the definition, in code values.
 fn worst(device: &Device, picture: &Picture, view: &View, depth: Depth) -> u16 {
     let want = reference::filtered(picture, view);
     let drawn = render(device, picture, view, depth);
@@ -78,7 +79,7 @@ fn worst(device: &Device, picture: &Picture, view: &View, depth: Depth) -> u16 {
     let is_reduced = view.step().iter().any(|&step| step > 1.0);
     let off = |(i, &d): (usize, &u16)| {
         let off = d.abs_diff(reference::code(want[i], depth));
-        // In a reduced view colours of the nearly transparent are the less certain.
+        // In a reduced view, the tolerance for colours of nearly transparent pixels is larger.
         let alpha = alpha.filter(|&k| is_reduced && k != i % count).map_or(1.0, |k| want[i - i % count + k]);
         (f64::from(off) * (16.0 * alpha).min(1.0)).ceil() as u16
     };
@@ -95,21 +96,21 @@ fn renders_are_within_one_code_value(device: &Device) {
     }
 }
 
-/// Code values of 16 bits by which f32 may be off: an eighth of one of 8 bits. Where the weights vanish, the division
-/// amplifies its errors.
-const SIXTEEN: u16 = 32;
+/// Tolerance for f32 in 16-bit code values: an eighth of an 8-bit code value. Where the weights vanish, the division
+/// amplifies errors of f32.
+const TOLERANCE_16_BIT: u16 = 32;
 
 fn sixteen_bits(device: &Device) {
     let picture = scene(61, 83, 200, Channels::Rgba, Blend::Normalized, 1);
     let worst = worst(device, &picture, &View::full(&picture), Depth::Sixteen);
-    assert!(worst <= SIXTEEN, "{worst}");
+    assert!(worst <= TOLERANCE_16_BIT, "{worst}");
 }
 
 fn needles(device: &Device) {
     for blend in [Blend::Normalized, Blend::Sum] {
         let mut picture = scene(120, 90, 60, Channels::Rgb, blend, 1);
         for g in &mut picture.gaussians {
-            // The encoder's largest aspect.
+            // The maximum aspect of the encoder.
             g.scale = [60.0, 0.6];
         }
         let worst = worst(device, &picture, &View::full(&picture), Depth::Eight);
@@ -136,7 +137,8 @@ fn regions_and_sizes(device: &Device) {
 fn reduced(device: &Device) {
     let mut picture = scene(160, 110, 400, Channels::Rgb, Blend::Normalized, 1);
     for g in &mut picture.gaussians[..20] {
-        // The encoder's largest aspect: what the low-pass adds to one axis hides the other's last digits.
+        // The maximum aspect of the encoder; the variance that the low-pass filter adds to one axis hides the last
+        // digits of the other.
         g.scale = [60.0, 0.6];
     }
     let full = View::full(&picture);
@@ -146,7 +148,7 @@ fn reduced(device: &Device) {
         (reduced(full, 80, 55), "half"),
         (reduced(full, 97, 71), "not a whole number of pixels"),
         (reduced(full, 33, 21), "four samples and five pixels"),
-        // 8 samples a side, 2.5 pixels apart: they stand for what lies between them.
+        // 8 samples per side, 2.5 pixels apart, with a low-pass filter for the detail between them.
         (reduced(full, 8, 5), "a twentieth"),
         (reduced(full, 1, 1), "one pixel"),
         (reduced(full, 160, 6), "one axis"),
@@ -157,7 +159,7 @@ fn reduced(device: &Device) {
             [(Blend::Normalized, Channels::Rgb), (Blend::Sum, Channels::Rgb), (Blend::Normalized, Channels::Rgba)]
         {
             (picture.blend, picture.channels) = (blend, channels);
-            for (depth, most) in [(Depth::Eight, 1), (Depth::Sixteen, SIXTEEN)] {
+            for (depth, most) in [(Depth::Eight, 1), (Depth::Sixteen, TOLERANCE_16_BIT)] {
                 let worst = worst(device, &picture, &view, depth);
                 assert!(worst <= most, "{of}, {blend:?}, {channels:?}, {depth:?}: {worst}");
             }
@@ -179,7 +181,8 @@ fn opened(bytes: &[u8], layers: Layers) -> Image {
     Reader::new(bytes, &Limits::default()).unwrap().showing(layers).read(Damage::Refuse).unwrap()
 }
 
-/// Largest difference between what the GPU and the CPU draw of `view`, code values; and whether the layer shows in it.
+/// Returns the largest difference between the GPU's and the CPU's rendering of `view`, in code values, and whether the
+/// layer is visible in it.
 fn apart(device: &Device, opened: &mut Image, view: &View) -> (u16, bool) {
     let draw = |opened: &Image| codes(opened.draw(view).unwrap().into_samples());
     let cpu = draw(opened);
@@ -191,7 +194,7 @@ fn apart(device: &Device, opened: &mut Image, view: &View) -> (u16, bool) {
     let alone = draw(opened);
     let is_reduced = view.step().iter().any(|&step| step > 1.0);
     let off = |(i, (a, b)): (usize, (&u16, &u16))| {
-        // In a reduced view colours of the nearly transparent are the less certain.
+        // In a reduced view, the tolerance for colours of nearly transparent pixels is larger.
         let alpha = alpha.filter(|&k| is_reduced && k != i % count);
         let share = alpha.map_or(1.0, |k| f64::from(alone[i - i % count + k]) / f64::from(depth.max()));
         (f64::from(a.abs_diff(*b)) * (16.0 * share).min(1.0)).ceil() as u16
@@ -200,7 +203,7 @@ fn apart(device: &Device, opened: &mut Image, view: &View) -> (u16, bool) {
 }
 
 fn two_layers(device: &Device) {
-    // 256 rows of additions at a time, from an edge of tiles to the next: the second is twice as wide as they are high.
+    // 256 rows of additions at a time, between edges of tiles; the second picture is twice as wide as that.
     let sizes = [[530, 300], [1100, 600]];
     let full = View::of_size(530, 300);
     let region = full.crop(201, 150, 300, 140).unwrap();
@@ -223,7 +226,7 @@ fn two_layers(device: &Device) {
     ] {
         let bytes = layered(channels, depth, blend, sizes[0]);
         // Each is within so much of the definition.
-        let most = if depth == Depth::Eight { 1 } else { 2 * SIXTEEN };
+        let most = if depth == Depth::Eight { 1 } else { 2 * TOLERANCE_16_BIT };
         for (view, of) in &views {
             for layers in [Layers::Both, Layers::Detail] {
                 let (off, is_seen) = apart(device, &mut opened(&bytes, layers), view);
@@ -242,7 +245,7 @@ fn two_layers(device: &Device) {
     let mut renderer = Renderer::of(device, &opened(&bytes, Layers::Both)).unwrap();
     let whole = codes(renderer.render(&full, Depth::Eight).unwrap().into_samples());
     assert_eq!(renderer.bands().0, 256, "rows of a band");
-    // One renderer draws one view after the other.
+    // One renderer renders one view after the other.
     let part = codes(renderer.render(&full.crop(0, 250, 1100, 9).unwrap(), Depth::Eight).unwrap().into_samples());
     assert!(part == whole[250 * 4400..259 * 4400]);
 }
@@ -252,12 +255,12 @@ fn layers_within_limits(device: &Device) {
     let view = View::of_size(530, 300);
     for (layers, is_refused) in [(Layers::Both, true), (Layers::Gaussians, false)] {
         let mut file = opened(&bytes, layers);
-        // Enough for the pixels and the integers, too little for additions to 300 rows beside them.
+        // Enough for the pixels and the integers, but not for the additions to 300 rows.
         file.limit_alloc(2_500_000).unwrap();
         let drawn = Renderer::of(device, &file).unwrap().render(&view, Depth::Eight);
         let refused = matches!(drawn, Err(Error::LimitExceeded { what: "alloc", .. }));
         assert!(refused == is_refused && drawn.is_ok() != is_refused, "{layers:?}: {drawn:?}");
-        // Less than the layer may take, more than the Gaussians do.
+        // Less than the layer needs, but more than the Gaussians need.
         let mut limits = Limits::default();
         limits.work = 1 << 27;
         let opening = Reader::new(&bytes, &limits).unwrap().showing(layers);
@@ -291,8 +294,8 @@ fn same_bits(device: &Device) {
 }
 
 fn bands(device: &Device) {
-    // A row of 16-bit codes takes 8 bytes a pixel: 16 rows of a megapixel each fill a binding. As they are, and with
-    // two rows of samples for each.
+    // A row of 16-bit codes takes 8 bytes per pixel, so that 16 rows of a megapixel each fill a binding. Without and
+    // with two rows of samples per output row.
     for height in [20, 40] {
         let picture = scene(1 << 20, height, 40, Channels::Grey, Blend::Sum, 1);
         let view = View::full(&picture).resized(1 << 20, 20).unwrap();
@@ -355,7 +358,7 @@ fn textures_and_buffers(device: &Device) {
     }
     let small = buffer(16);
     assert!(matches!(renderer.render_to_buffer(&view, &small), Err(Error::Gpu(GpuError::Validation { .. }))));
-    // The device goes on after a refused call.
+    // The device still works after a refused call.
     renderer.render_to_buffer(&view, &plain).unwrap();
 }
 
@@ -400,7 +403,8 @@ fn limits(device: &Device) {
     limits.tile_pairs = 300;
     let drawn = Renderer::new(device, &picture, &limits).unwrap().render(&View::full(&picture), Depth::Eight);
     assert!(matches!(drawn, Err(Error::LimitExceeded { what: "tile_pairs", .. })), "{drawn:?}");
-    // The 256 pixels of each pair count, in all bands together: with one fewer than needed the last is not drawn.
+    // The 256 pixels of each pair count, in all bands together. With a limit one below the total, the last band is not
+    // rendered.
     let view = View::full(&picture);
     let within = |work: u64| {
         let mut limits = Limits::default();
@@ -439,14 +443,14 @@ fn hardware_only(device: &Device) {
 }
 
 fn lost(_: &Device) {
-    // One of its own: what is lost stays lost.
+    // A separate device, because a lost one cannot be recovered.
     let device = Device::open(Adapters::Any).unwrap();
     let picture = scene(32, 32, 30, Channels::Rgb, Blend::Normalized, 1);
     let mut renderer = Renderer::new(&device, &picture, &Limits::default()).unwrap();
     device.wgpu().0.destroy();
     let drawn = renderer.render(&View::full(&picture), Depth::Eight);
     assert!(matches!(drawn, Err(Error::Gpu(GpuError::Lost { .. }))), "{drawn:?}");
-    // In the middle of a fit.
+    // During a fit.
     let device = Device::open(Adapters::Any).unwrap();
     let pixels = Pixels::new(48, 40, Channels::Grey, Samples::U8((0..48 * 40).map(|i| (i % 251) as u8).collect()));
     let fitted = ssplat::gpu::fit(&device, &pixels.unwrap(), Blend::Normalized, 40, 60, 0, &mut |look| {

@@ -1,10 +1,10 @@
-//! Colours under alpha 0: they cost nothing and leave no fringes, unless the caller keeps them.
+//! Colours under alpha 0 cost no bytes and leave no fringes, unless the caller keeps them.
 #![cfg(feature = "unstable")]
 
 use ssplat::report::Omission;
 use ssplat::{Channels, Decoder, Encoder, HiddenColors, Pixels, Samples};
 
-/// A red disc with a white bar and soft edges on transparent ground, whose hidden colours are `hidden`.
+/// A red disc with a white bar and soft edges on a transparent background, with the hidden colours `hidden`.
 fn logo(side: u32, hidden: impl Fn(u32, u32) -> [u8; 3]) -> Pixels {
     let scale = side as f32 / 256.0;
     let sample = |i: u32| {
@@ -27,7 +27,7 @@ fn noise(x: u32, y: u32) -> [u8; 3] {
     [1, 2, 3].map(|k| ((x * 7919 + y * 104_729 + k * 13).wrapping_mul(2_654_435_761) >> 24) as u8)
 }
 
-/// PSNR in dB of two pictures laid over a grey of the value `ground`.
+/// PSNR in dB of two pictures composited onto a grey of the value `ground`.
 fn psnr_over(a: &Pixels, b: &Pixels, ground: f64) -> f64 {
     let (Samples::U8(a), Samples::U8(b)) = (a.samples(), b.samples()) else { panic!("8 bits") };
     let over = |p: &[u8], k: usize| ground + f64::from(p[3]) / 255.0 * (f64::from(p[k]) - ground);
@@ -67,7 +67,7 @@ fn hidden_colors_change_no_byte_in_tiles() {
 
 #[test]
 fn kept_hidden_colors_come_back() {
-    // A ramp hides where the logo is transparent.
+    // A gradient is hidden where the logo is transparent.
     let ramp = |x: u32, y: u32| [x, y, 128].map(|v| (v / 2 + 40) as u8);
     for (side, tiles) in [(256, None), (400, Some(256))] {
         let pixels = logo(side, ramp);

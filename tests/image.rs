@@ -1,4 +1,4 @@
-//! What the `image` crate's users are promised: opening by name and by content, limits, metadata, every colour type.
+//! Guarantees for users of the `image` crate: opening by name and by content, limits, metadata, all colour types.
 #![cfg(all(feature = "unstable", feature = "image"))]
 
 use std::io::{self, Cursor, Read};
@@ -47,7 +47,7 @@ fn file(channels: Channels, depth: Depth) -> Vec<u8> {
     ssplat::unstable::bitstream::to_bytes(&splats(channels, depth, Metadata::default())).unwrap()
 }
 
-/// What the crate itself draws.
+/// The picture as the crate itself renders it.
 fn expected(channels: Channels, depth: Depth) -> Pixels {
     let limits = Limits::default();
     let picture = ssplat::unstable::bitstream::read(&file(channels, depth)[..], &limits).unwrap().to_picture();
@@ -126,13 +126,13 @@ fn icc_profile_and_exif_come_out_untouched() {
     assert_eq!(decoder.icc_profile().unwrap(), metadata().icc);
     assert_eq!(decoder.exif_metadata().unwrap(), metadata().exif);
     assert_eq!(decoder.orientation().unwrap(), image::metadata::Orientation::Rotate90);
-    // Carried, not applied.
+    // The orientation is kept, not applied.
     assert!(DynamicImage::from_decoder(decoder).unwrap() == expected(Channels::Rgb, Depth::Eight).into());
     let mut plain = SsplatDecoder::new(Cursor::new(file(Channels::Rgb, Depth::Eight))).unwrap();
     assert_eq!((plain.icc_profile().unwrap(), plain.exif_metadata().unwrap()), (None, None));
 }
 
-/// Counts the bytes that were read.
+/// Counts the bytes that are read.
 struct Counting<'a>(Cursor<Vec<u8>>, &'a std::cell::Cell<usize>);
 
 impl Read for Counting<'_> {
@@ -175,7 +175,7 @@ fn limits_hold() {
     assert_eq!(limit_of(decode(Some(WIDTH - 1), None, None)), LimitErrorKind::DimensionError);
     assert_eq!(limit_of(decode(None, Some(HEIGHT - 1), None)), LimitErrorKind::DimensionError);
     assert_eq!(limit_of(decode(None, None, Some(output - 1))), LimitErrorKind::InsufficientMemory);
-    // The output fits, what it takes to draw it does not.
+    // The output fits, but not the memory for rendering it.
     assert_eq!(limit_of(decode(None, None, Some(output + 100))), LimitErrorKind::InsufficientMemory);
     decode(Some(WIDTH), Some(HEIGHT), Some(output + (1 << 20))).unwrap();
     decode(None, None, None).unwrap();
@@ -195,9 +195,9 @@ fn limits_that_come_late_hold_for_what_has_been_read() {
         decoder.set_limits(limits)?;
         decoder.read_image(&mut vec![0; output as usize])
     };
-    // The profile and the integers are there already.
+    // The profile and the integers are already in memory.
     assert_eq!(limit_of(late(5000)), LimitErrorKind::InsufficientMemory);
-    // What draws them is not.
+    // The renderer is not.
     assert_eq!(limit_of(late(6000)), LimitErrorKind::InsufficientMemory);
     late(1 << 20).unwrap();
 }
@@ -217,7 +217,7 @@ fn broken_files_are_decoding_errors() {
     assert!(image::load_from_memory(&bytes[..16]).is_err());
 }
 
-/// Cannot be read.
+/// A reader that fails.
 #[derive(Debug)]
 struct Failing;
 
@@ -257,7 +257,7 @@ fn quick() -> EncodeOptions {
     options
 }
 
-/// A small picture of ramps in `color`.
+/// A small picture of gradients in `color`.
 fn ramps(color: ColorType) -> DynamicImage {
     let rgba = image::Rgba32FImage::from_fn(40, 30, |x, y| {
         image::Rgba([x as f32 / 40.0, y as f32 / 30.0, 0.5, 1.0 - x as f32 / 80.0])
@@ -352,14 +352,14 @@ fn saved_pictures_open_again_with_their_metadata() {
     assert_eq!(decoder.exif_metadata().unwrap(), metadata().exif);
 }
 
-/// Little effort, and room for any metadata.
+/// Low effort, with room for any metadata.
 fn roomy() -> EncodeOptions {
     let mut options = quick();
     options.target = Target::Primitives(20);
     options
 }
 
-/// A PNG on its side, with a profile and a long EXIF block.
+/// A rotated PNG with a profile and a long EXIF block.
 fn photograph() -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut encoder = image::codecs::png::PngEncoder::new(&mut bytes);
@@ -397,7 +397,7 @@ fn transcode_keeps_profile_and_orientation_and_not_the_camera_s_notes() {
         ssplat::unstable::transcode(&input, &output, &options).unwrap();
         assert_eq!(carried(&output), expected, "{carry:?}");
     }
-    // What the caller brings is carried.
+    // Metadata of the caller are kept.
     options.icc = Some(vec![1; 10]);
     ssplat::unstable::transcode(&input, &output, &options).unwrap();
     assert_eq!(carried(&output), (10, 0, NoTransforms));
@@ -462,7 +462,7 @@ fn save_replaces_a_file_whole_and_leaves_nothing_beside_it() {
     };
     let (path, link) = (folder.path().join("a.ssplat"), folder.path().join("link.ssplat"));
     std::fs::write(&path, "before").unwrap();
-    // Whoever reads while the file is written goes on reading the old one.
+    // A reader that has opened the file before it is replaced still reads the old one.
     let mut reader = std::fs::File::open(&path).unwrap();
     std::os::unix::fs::symlink("a.ssplat", &link).unwrap();
     ssplat::unstable::save(&ramps(ColorType::Rgb8), &link, &quick()).unwrap();

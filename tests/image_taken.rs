@@ -1,4 +1,4 @@
-//! A process where another hook already holds the extension: it stays in place.
+//! A process in which another hook is registered for the extension: that hook is kept.
 #![cfg(all(feature = "unstable", feature = "image"))]
 
 use std::io::Cursor;
@@ -38,7 +38,7 @@ fn another_hook_is_never_displaced() {
     let path = folder.path().join("x.ssplat");
     std::fs::write(&path, b"anything").unwrap();
     assert_eq!(image::open(path).unwrap().as_bytes(), [77]);
-    // The content is not claimed either.
+    // The content is not registered either.
     let reader =
         ImageReader::new(Cursor::new(ssplat::unstable::bitstream::header::MAGIC)).with_guessed_format().unwrap();
     assert!(reader.decode().is_err() && image::load_from_memory(&ssplat::unstable::bitstream::header::MAGIC).is_err());

@@ -1,4 +1,5 @@
-//! What an encode does without: the file keeps its size and the picture its channels, and the report says what it was.
+//! Data that an encode leaves out: the file keeps its size and the picture its channels, and the report names the
+//! data.
 #![cfg(feature = "unstable")]
 
 use ssplat::report::Omission;
@@ -11,7 +12,7 @@ use ssplat::{Renderer, View};
 fn options(effort: u8, target: Target) -> EncodeOptions {
     let mut options = EncodeOptions::default();
     (options.effort, options.target) = (effort, target);
-    // Weights that count the same everywhere would be one thing more to leave out.
+    // Uniform weights would be left out as well.
     options.tune = Some(Tune::Psnr);
     options
 }
@@ -42,8 +43,9 @@ fn opaque_and_grey_pictures_come_back_opaque_grey_and_in_their_own_channels() {
         let Samples::U8(v) = back.samples() else { panic!("8 bits") };
         assert!(v.chunks_exact(4).all(|p| p[0] == p[1] && p[1] == p[2] && p[3] == 255));
         let found = ssplat::unstable::metrics::psnr(&pixels, &back).unwrap();
-        // The report is of what is drawn before it is rounded to code values. Where that is as good as noise it adds 1/12 of a squared
-        // code value; where errors are below half of one it takes some away. Half a decibel is for 1200 pixels being few.
+        // The report is computed before rounding to code values. Where rounding is like noise, it adds 1/12 of a
+        // squared code value; where errors are below half a code value, it removes some. The tolerance of half a
+        // decibel allows for the small number of pixels, 1200.
         let drawn = encoded.report.psnr;
         let rounding = 1.0 / (12.0 * 255.0 * 255.0);
         let least = -10.0 * (10f64.powf(-0.1 * drawn) + rounding).log10();
@@ -84,8 +86,8 @@ fn a_soft_picture_stops_early_loses_needless_primitives_and_stays_within_roundin
 fn a_target_in_decibels_is_met_with_no_more_primitives_than_it_takes() {
     let pixels = wave(Channels::Rgb, |x, y, k| (x * x / 7 + (k as u32 + 1) * y * 3) as u8);
     let encoded = ssplat::unstable::encode(&pixels, &options(3, Target::Psnr(30.0))).unwrap();
-    // The search ends with the smallest file of six tries. Here its 32 primitives win 11 dB for twice as many, half a
-    // decibel each, and fits of as many scatter by more.
+    // The search returns the smallest file of six tries. Here, twice as many as its 32 primitives gain 11 dB, or half
+    // a decibel for each, and fits with the same number differ by more.
     assert!((30.0..30.6).contains(&encoded.report.psnr), "{}", encoded.report.psnr);
     let splats = bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
     for i in 0..splats.gaussians.len() {
@@ -109,7 +111,7 @@ fn ssim_terms_are_left_out_where_they_would_weigh_nothing() {
     ssim.tune = Some(Tune::Ssim);
     let mut everything = ssim.clone();
     everything.needs = Needs::Everything;
-    // Who asks for PSNR goes without nothing: the report does not tell of it.
+    // With a PSNR target nothing is left out, and the report says nothing about it.
     for (pixels, options, is_left_out) in
         [(&even, &psnr, false), (&even, &ssim, true), (&even, &everything, false), (&rough, &ssim, false)]
     {
@@ -131,7 +133,7 @@ fn a_gpu_that_was_free_to_be_taken_and_was_not_is_left_out_and_the_reason_is_tol
     let why = gpu(&small, Backend::Auto);
     assert_eq!(why.as_deref(), Some("the GPU: the picture has fewer than 262144 pixels"));
     assert_eq!(gpu(&small, Backend::Cpu), None);
-    // Without a fit nothing is fitted on anything.
+    // Without a fit, no device is used.
     assert_eq!(gpu(&wave(Channels::Grey, |_, _, _| 9), Backend::Auto), None);
     #[cfg(not(feature = "gpu"))]
     {
@@ -144,7 +146,7 @@ fn a_gpu_that_was_free_to_be_taken_and_was_not_is_left_out_and_the_reason_is_tol
 
 #[test]
 fn the_seconds_that_drafts_save_are_fewer_than_those_that_the_fit_took_times_its_steps() {
-    // Of few primitives, four drafts take more steps than the schedule of one fit has.
+    // With few primitives, four starts take more steps than the schedule of one fit.
     let pixels = wave(Channels::Grey, |x, y, _| (100 + (x + y) / 2) as u8);
     let encoded = ssplat::unstable::encode(&pixels, &options(5, Target::Primitives(40))).unwrap();
     let saved = encoded.report.left_out.iter().find(|l| l.what == Omission::Iterations).expect("it is soft").seconds;

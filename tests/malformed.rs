@@ -1,4 +1,5 @@
-//! Files that are cut, hurt or made up: a typed error or a legal picture, never a panic, and nothing damaged in silence.
+//! Truncated, damaged and synthetic files: the result is a typed error or a valid picture, never a panic, and no
+//! damage goes unnoticed.
 #![cfg(feature = "unstable")]
 
 mod groups;
@@ -15,7 +16,7 @@ use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::bitstream::{Missing, inspect, read, read_partial, to_bytes};
 use ssplat::{Error, Limits};
 
-/// How often each outcome was seen.
+/// Number of times that each outcome occurred.
 #[derive(Default)]
 struct Outcomes(BTreeMap<&'static str, u64>);
 
@@ -33,8 +34,8 @@ impl Outcomes {
     }
 }
 
-/// The sound files among the vectors; without the one that is long enough for its groups to be divided, whose 90 000
-/// bits would take minutes and which has no kind of part that others have not.
+/// Returns the valid files among the vectors. It excludes the one that is long enough for its groups to be divided:
+/// its 90 000 bits would take minutes, and it has no kind of part that others lack.
 fn sound() -> Vec<(String, Vec<u8>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("spec/vectors/valid");
     let mut files: Vec<_> = fs::read_dir(folder)
@@ -50,7 +51,7 @@ fn sound() -> Vec<(String, Vec<u8>)> {
     files
 }
 
-/// Limits that every vector keeps.
+/// Limits that every vector satisfies.
 fn tight() -> Limits {
     let mut limits = Limits::default();
     (limits.width, limits.height, limits.primitives) = (1 << 12, 1 << 12, 1 << 16);
@@ -68,7 +69,7 @@ fn kind(e: &Error) -> &'static str {
     }
 }
 
-/// Reads and draws; what is accepted writes the same bytes again.
+/// Reads and renders. Accepted files write the same bytes again.
 fn outcome(bytes: &[u8]) -> &'static str {
     let limits = tight();
     let splats = match read(bytes, &limits) {
@@ -80,10 +81,10 @@ fn outcome(bytes: &[u8]) -> &'static str {
     if kept && groups::is_grouped(bytes) {
         groups::assert_kept(&splats, &limits, "a file in groups");
     } else if kept && splats.layout != Layout::Planes {
-        // zstd has many streams for the same bytes.
+        // Different zstd streams can have the same contents.
         assert!(to_bytes(&splats).unwrap() == bytes, "bytes are not canonical");
     }
-    // The whole of a large picture takes long to draw: a corner says as much.
+    // Rendering the whole of a large picture takes long, so only a corner is rendered.
     let (width, height) = (splats.width, splats.height);
     let view = View::of_size(width, height).crop(0, 0, width.min(48), height.min(48)).unwrap();
     match splats.renderer(&view, &limits).and_then(|r| r.render(splats.depth)) {
@@ -109,7 +110,7 @@ fn every_truncation_is_refused() {
 #[test]
 fn every_flipped_bit_is_found() {
     let mut outcomes = Outcomes::default();
-    // One bit of the damaged one makes it sound again.
+    // Changing one bit of the damaged file makes it valid again.
     for (name, bytes) in sound().into_iter().filter(|f| f.0 != "sections-damaged") {
         for bit in 0..8 * bytes.len() {
             let mut hurt = bytes.clone();
@@ -167,7 +168,7 @@ fn partial_reading_shows_the_intact_groups_and_counts_the_rest() {
                     if missing == Missing::default() { "whole" } else { "part" }
                 }
                 Err(e) => {
-                    // Only header, sections' heads and directory can hide groups.
+                    // Only damage to the header, the heads of sections and the directory can hide groups.
                     let intact = name.starts_with("groups") && bit / 8 > bytes.len() / 2;
                     assert!(!intact, "{name} with bit {bit} flipped: {e}");
                     kind(&e)

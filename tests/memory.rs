@@ -1,4 +1,4 @@
-//! What reading and drawing takes at most, counted by the allocator, against what it was granted.
+//! Peak memory of reading and rendering, as counted by the allocator, compared with the limit.
 #![cfg(all(feature = "unstable", feature = "image"))]
 
 mod seal;
@@ -19,10 +19,10 @@ use synthetic::{Levels, Scene, scene, with_layer};
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;
 
-/// The models of the coded layout for each thread, a tile for each thread, and error values: the same for every file.
+/// The models of the coded layout and a tile for each thread, and error values: the same for every file.
 const SLACK: u64 = 4 << 20;
 
-/// Files that ask for as much as they can for their size.
+/// Files that need as much memory as possible for their size.
 fn worst() -> Vec<(String, Vec<u8>)> {
     let mut files = Vec::new();
     let steps = Steps { scale: 0, angle: 0, position: 15, coarsest: 0, range: 10, luma: 6, chroma: 2 };
@@ -31,7 +31,7 @@ fn worst() -> Vec<(String, Vec<u8>)> {
             let made = Scene { layout, channels, codebook, count: 60_000, size: [1200, 900], ..Scene::default() };
             files.push((format!("{kind} {channels:?} {codebook}"), to_bytes(&scene(&made)).unwrap()));
         }
-        // Equal primitives: the most for the bytes, all in one place.
+        // Equal primitives: the largest number for the bytes, all at the same position.
         let mut steps = steps;
         if layout == Layout::Packed {
             (steps.coarsest, steps.range) = (-6, 0);
@@ -72,7 +72,7 @@ fn worst() -> Vec<(String, Vec<u8>)> {
     let here_and_there = Levels { filled: 500, most: 1, ..Levels::new(2) };
     let sparse = with_layer(ground([4096, 2048], Channels::Grey), full, here_and_there);
     files.push(("a sparse detail layer".into(), to_bytes(&sparse).unwrap()));
-    // Fuzzing of views found that slices of rows took as much as the samples of pictures like this.
+    // Fuzzing of views found that slices of rows took as much memory as the samples of pictures like this.
     let narrow =
         Scene { layout: Layout::Packed, channels: Channels::Grey, size: [8, 1 << 20], count: 1, ..Scene::default() };
     files.push(("a narrow picture of a million rows".into(), to_bytes(&scene(&narrow)).unwrap()));
@@ -96,12 +96,12 @@ enum Checksums {
     Wrong,
 }
 
-/// A file of one primitive behind 1 048 577 sections that no decoder knows and that hold nothing.
+/// A file of one primitive after 1 048 577 empty sections that no decoder knows.
 fn empty_sections(checksums: Checksums) -> Vec<u8> {
     let made = Scene { layout: Layout::Packed, count: 1, size: [8, 8], ..Scene::default() };
     let steps = Steps { coarsest: -1, range: 0, ..made.steps };
     let plain = to_bytes(&scene(&Scene { steps, ..made })).unwrap();
-    // Magic, version, flags, two sides, a count and three steps, one byte each but the magic.
+    // Magic, version, flags, two sides, a count and three steps; all have one byte except the magic.
     let (header, payload) = plain[..plain.len() - 4].split_at(12);
     let mut bytes = header.to_vec();
     bytes[5] |= 1 << 7;
@@ -118,7 +118,7 @@ fn empty_sections(checksums: Checksums) -> Vec<u8> {
     bytes
 }
 
-/// The name of the optional section number `i`; names ascend.
+/// Returns the name of optional section number `i`; names are in ascending order.
 fn section_name(i: u32) -> [u8; 4] {
     // Capital letters come before small ones; the first is a small one.
     let letter = |k: u32| if k < 26 { b'A' + k as u8 } else { b'a' + (k - 26) as u8 };
@@ -126,7 +126,7 @@ fn section_name(i: u32) -> [u8; 4] {
     [letter(26 + places[0]), letter(places[1]), letter(places[2]), letter(places[3])]
 }
 
-/// One test alone, so that no other's memory is counted.
+/// The only test of this program, so that it counts no other test's memory.
 #[test]
 fn decoding_keeps_to_the_memory_that_it_is_granted() {
     assert!(ssplat::register());
@@ -145,7 +145,7 @@ fn decoding_keeps_to_the_memory_that_it_is_granted() {
     }
 }
 
-/// Pixels are part of what is granted.
+/// Pixels count towards the limit.
 fn directly(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     keeps("directly", files, |bytes, granted| {
         let mut options = DecodeOptions::default();
@@ -205,7 +205,7 @@ fn inspected(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     })
 }
 
-/// Sizes of which slices of rows or weights once took more than the samples.
+/// Sizes for which slices of rows or weights once took more memory than the samples.
 fn in_other_sizes() -> [u32; 2] {
     let (mut plain, mut layered) = (Vec::new(), Vec::new());
     for size in [[1 << 20, 8], [8, 1 << 20], [1 << 20, 1], [1, 1 << 20]] {
@@ -233,7 +233,7 @@ fn in_other_sizes() -> [u32; 2] {
         add(drawn(size, &plain));
         add(drawn(size, &layered));
     }
-    // Of files with a layer these take seconds.
+    // These take seconds for files with a layer.
     for size in [[8192, 1024], [1024, 8192]] {
         add(drawn(size, &plain));
     }
@@ -263,8 +263,8 @@ fn through_image(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     })
 }
 
-/// Decodes `files` within several grants; `decode` tells whether there was a picture. Returns how often there was one and how often
-/// none.
+/// Decodes `files` with several limits; `decode` returns whether there was a picture. Returns the number of times with
+/// and without one.
 fn keeps(way: &str, files: &[(String, Vec<u8>)], decode: impl Fn(&[u8], u64) -> bool) -> [u32; 2] {
     let mut most = (i64::MIN, String::new());
     let (mut decoded, mut refused) = (0, 0);

@@ -1,14 +1,14 @@
-//! PSNR, SSIM and MS-SSIM against figures of an independent implementation (numpy and OpenCV, in the manner of the
-//! PyTorch package pytorch-msssim), computed once on the same pictures.
+//! Compares PSNR, SSIM and MS-SSIM with values of an independent implementation (numpy and OpenCV, following the
+//! PyTorch package pytorch-msssim), computed once for the same pictures.
 #![cfg(feature = "unstable")]
 
 use ssplat::unstable::metrics;
 use ssplat::{Channels, Pixels, Samples};
 
-/// f32 sums in another order: the reference itself filters in f32.
+/// f32 sums in another order; the reference also filters in f32.
 const TOLERANCE: f64 = 2e-5;
 
-/// A picture of ramps and seeded noise that any language can make.
+/// A picture of gradients and seeded noise that is easy to generate in any language.
 fn synthetic(width: u32, height: u32, channels: Channels, salt: u64) -> Pixels {
     let count = channels.count() as u64;
     let mut samples = Vec::new();
@@ -109,7 +109,7 @@ fn colours_count_by_the_opacity_of_the_original() {
     let picture = |color: u8, alpha: u8| {
         Pixels::new(12, 12, Channels::GreyAlpha, Samples::U8([color, alpha].repeat(144))).unwrap()
     };
-    // What nobody sees may have any colour.
+    // Invisible colours do not count.
     assert_eq!(metrics::psnr(&picture(0, 0), &picture(200, 0)).unwrap(), f64::INFINITY);
     let half = metrics::psnr(&picture(100, 51), &picture(110, 51)).unwrap();
     let whole = metrics::psnr(&picture(100, 255), &picture(110, 255)).unwrap();

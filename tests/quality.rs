@@ -1,4 +1,4 @@
-//! A quality that is asked for: met within half a point, or said to be missed.
+//! A requested quality is met within half a point, or reported as missed.
 #![cfg(all(feature = "unstable", feature = "quality"))]
 
 use ssplat::unstable::metrics;
@@ -34,7 +34,7 @@ fn a_quality_is_met_in_at_most_three_fits_and_reported_as_it_is() {
             let found = measured(&pixels, &encoded);
             assert!((found - wanted).abs() <= 0.5, "{wanted}: {found} after {fits} fits");
             assert_eq!(encoded.report.quality, Some(found));
-            // Where channels are left out a try may be repeated with more room for them.
+            // If channels are left out, a try may be repeated with more room for them.
             assert!(fits <= 3 || channels == Channels::Rgba, "{wanted}: {fits} fits");
             bytes.push(encoded.bytes.len());
         }
@@ -55,14 +55,14 @@ fn a_quality_beside_metadata_counts_the_picture_alone() {
 
 #[test]
 fn what_cannot_be_met_is_said() {
-    // Noise that no few primitives resemble.
+    // Noise that a few primitives cannot represent.
     let noise = (0..40 * 40u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
     let noise = Pixels::new(40, 40, Channels::Grey, Samples::U8(noise)).unwrap();
     let encoded = encode(&noise, &quick(99.0)).unwrap();
     let found = measured(&noise, &encoded);
     assert!(found < 98.5);
     assert_eq!(encoded.report.quality, Some(found));
-    // Pictures that have no such measure.
+    // Pictures that are too small for the measure.
     let thin = picture(7, 40, Channels::Rgb);
     assert!(matches!(encode(&thin, &quick(50.0)), Err(Error::Parameter { name: "quality", .. })));
     for wanted in [-1.0, 100.5, f64::NAN] {

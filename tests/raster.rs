@@ -1,4 +1,4 @@
-//! The rasterizer against its definition in f64, and against itself cut differently.
+//! Compares the rasterizer with its definition in f64, and parts of views with the whole.
 #![cfg(feature = "unstable")]
 
 mod scenes;
@@ -20,7 +20,7 @@ fn render(picture: &Picture, view: &View, depth: Depth) -> Vec<u16> {
     codes(Renderer::new(picture, view, &Limits::default()).unwrap().render(depth).unwrap().into_samples())
 }
 
-/// Largest difference to the reference at `depth`, code values.
+/// Returns the largest difference to the reference at `depth`, in code values.
 fn worst(picture: &Picture, view: &View, depth: Depth) -> u16 {
     let drawn = render(picture, view, depth);
     let want = reference::filtered(picture, view);
@@ -28,14 +28,14 @@ fn worst(picture: &Picture, view: &View, depth: Depth) -> u16 {
     drawn.iter().zip(want).map(|(&a, v)| a.abs_diff(reference::code(v, depth))).max().unwrap()
 }
 
-/// PSNR of what is drawn in `view`, the whole picture reduced, against the averages of the full view's pixels that each
+/// Returns the PSNR of a reduced `view` of the whole picture against the averages of the full view's pixels that each
 /// of its pixels covers, dB.
 fn psnr_to_averages(picture: &Picture, view: &View) -> f64 {
     let drawn = render(picture, view, Depth::Sixteen);
     let full = View::full(picture);
     let pixels = render(picture, &full, Depth::Sixteen);
     let (count, [across, down]) = (picture.channels.count(), view.step());
-    // How much of each pixel of the full view lies within output pixel `i`.
+    // The fraction of each pixel of the full view that lies within output pixel `i`.
     let covered = |i: u32, step: f64| {
         let (start, end) = (f64::from(i) * step, f64::from(i + 1) * step);
         let last = (end - 1e-9).floor() as u32;
@@ -76,7 +76,7 @@ fn fitted_scenes_are_within_one_code_value_for_all_channels_and_blends() {
 }
 
 #[test]
-// Near a quarter turn on purpose.
+// Includes angles near a quarter turn.
 #[allow(clippy::approx_constant)]
 fn single_gaussians_of_every_shape_are_within_one_code_value() {
     let scales = [0.25f32, 0.3, 0.5, 0.8, 1.0, 1.7, 3.0, 9.0, 40.0, 300.0, 1e4, 1_048_576.0];
@@ -107,7 +107,7 @@ fn single_gaussians_of_every_shape_are_within_one_code_value() {
 
 #[test]
 fn narrow_gaussians_are_exact_wherever_they_lie_in_a_strip() {
-    // Strips have eight columns; how far the narrow ones' exponents reach in one depends on the place.
+    // Strips have eight columns. The range of the narrow ones' exponents in a strip depends on the position.
     for scale in
         [[0.25f32, 0.25], [0.4, 0.3], [0.6, 0.5], [0.85, 0.85], [1.3, 0.25], [2.5, 0.5], [9.0, 0.3], [60.0, 0.7]]
     {
@@ -126,7 +126,7 @@ fn narrow_gaussians_are_exact_wherever_they_lie_in_a_strip() {
 
 #[test]
 fn shapes_that_end_far_from_their_mean_are_within_one_code_value() {
-    // The mean of a needle lies up to 2²⁰ pixels from the pixels that are drawn.
+    // The mean of a needle is up to 2²⁰ pixels away from the pixels that are rendered.
     let side = 1 << 20;
     let mut r = Random(7);
     for &(major, minor) in &[(2e5f32, 0.25), (2e5, 20.0), (1_048_576.0, 0.25), (1_048_576.0, 100.0), (3e5, 3e5)] {
@@ -149,7 +149,7 @@ fn shapes_that_end_far_from_their_mean_are_within_one_code_value() {
 
 #[test]
 fn sparse_pictures_where_epsilon_conditions_the_division_are_within_one_code_value() {
-    // One Gaussian in 40 × 40 pixels of scales that leave most pixels with Σw below .02.
+    // One Gaussian per 40 × 40 pixels, with scales that leave most pixels with Σw below 0.02.
     for seed in 0..20 {
         let mut p = scene(160, 120, 12, Channels::Rgb, Blend::Normalized, seed);
         for g in &mut p.gaussians {
@@ -159,7 +159,7 @@ fn sparse_pictures_where_epsilon_conditions_the_division_are_within_one_code_val
     }
 }
 
-/// A picture of any legal integers: needles, huge and tiny Gaussians, colours up to the ends of their range.
+/// A picture of any valid integers: narrow, huge and tiny Gaussians, colours up to the ends of their range.
 fn legal(seed: u64, count: usize, blend: Blend, channels: Channels) -> Picture {
     let mut random = synthetic::Random(seed);
     let steps = Steps {
@@ -177,7 +177,7 @@ fn legal(seed: u64, count: usize, blend: Blend, channels: Channels) -> Picture {
     let most = splats.quantizer().most_color();
     splats.gaussians = (0..count).map(|_| synthetic::any_primitive(&splats, &mut random)).collect();
     for p in &mut splats.gaussians {
-        // Most are of a size that several overlap, and at the ends of the colours.
+        // Most have a size at which several overlap, and extreme colours.
         if random.below(4) > 0 {
             for (c, most) in p.color.iter_mut().zip(most).take(channels.count()) {
                 *c = if *c < 0 { -most } else { most };
@@ -197,7 +197,7 @@ fn colours_as_large_as_a_file_may_hold_stay_within_tolerance_at_16_bits() {
             let view = View::full(&p);
             let drawn = render(&p, &view, Depth::Sixteen);
             let want = reference::filtered(&p, &view);
-            // What the sum blend adds up, without signs.
+            // The terms of the sum blend without their signs.
             let mut amounts = p.clone();
             amounts.background = p.background.map(f32::abs);
             amounts.gaussians.iter_mut().for_each(|g| g.color = g.color.map(f32::abs));
@@ -232,7 +232,8 @@ fn clamped(values: Vec<f64>) -> Vec<f64> {
 
 #[test]
 fn reduced_views_are_within_one_code_value_of_their_definition() {
-    // Steps along x and y that need each number of samples, widened or not, together with enlarging, and beyond the most.
+    // Steps along x and y that need each number of samples, with and without widening, combined with enlarging, and
+    // beyond the maximum.
     let sizes = [(109, 131), (64, 80), (50, 33), (20, 300), (19, 16), (5, 7), (1, 1)];
     for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
         for blend in [Blend::Normalized, Blend::Sum] {
@@ -247,7 +248,7 @@ fn reduced_views_are_within_one_code_value_of_their_definition() {
                     assert_eq!(drawn.len(), want.len());
                     for (i, (&got, &value)) in drawn.iter().zip(&want).enumerate() {
                         let off = f64::from(got.abs_diff(reference::code(value, depth)));
-                        // Colours of the nearly transparent are the less certain.
+                        // The tolerance for colours of nearly transparent pixels is larger.
                         let pixel = &want[i - i % channels.count()..][..channels.count()];
                         let alpha = channels.alpha().filter(|&k| k != i % channels.count()).map_or(1.0, |k| pixel[k]);
                         let most = f64::from(most) * (1.0 / (16.0 * alpha)).max(1.0);
@@ -260,7 +261,7 @@ fn reduced_views_are_within_one_code_value_of_their_definition() {
 }
 
 #[test]
-// Near a quarter turn on purpose.
+// Includes angles near a quarter turn.
 #[allow(clippy::approx_constant)]
 fn single_gaussians_of_every_shape_are_within_one_code_value_when_reduced() {
     let scales = [0.25f32, 0.8, 3.0, 40.0, 1e4, 1_048_576.0];
@@ -282,7 +283,7 @@ fn single_gaussians_of_every_shape_are_within_one_code_value_when_reduced() {
 
 #[test]
 fn reduced_views_are_close_to_the_averages_of_the_full_view() {
-    // Spaced by 7 pixels as at a ratio of 50, scales down to the smallest.
+    // Spaced by 7 pixels as at a ratio of 50, with scales down to the smallest.
     for (blend, seed) in [(Blend::Normalized, 12), (Blend::Sum, 13)] {
         let mut p = scene(768, 512, 8000, Channels::Rgb, blend, seed);
         for g in &mut p.gaussians {
@@ -296,8 +297,8 @@ fn reduced_views_are_close_to_the_averages_of_the_full_view() {
     }
 }
 
-/// A white disc, opaque, on what is transparent and red (or black): no fringe at full size, as the white goes on for a few
-/// pixels where the disc has ended.
+/// An opaque white disc on a transparent red (or black) background. It has no fringe at full size, because the white
+/// continues for a few pixels beyond the disc.
 fn logo(channels: Channels) -> Picture {
     let hidden = if channels == Channels::Rgba { [1.0, 0.0, 0.0, 0.0] } else { [0.0; 4] };
     let mut p = picture(96, 96, channels, Blend::Normalized, Vec::new());
@@ -335,7 +336,7 @@ fn what_hides_under_alpha_0_makes_no_fringe_when_reduced() {
 
 #[test]
 fn lines_of_one_pixel_do_not_alias_when_reduced() {
-    // Black and white columns in turn: grey from afar, whatever the step.
+    // Alternating black and white columns: grey at every reduced size.
     let lines = (0..640)
         .map(|x| Gaussian {
             mean: [x as f32 + 0.5, 30.0],
@@ -346,12 +347,12 @@ fn lines_of_one_pixel_do_not_alias_when_reduced() {
         .collect();
     let p = picture(640, 60, Channels::Grey, Blend::Normalized, lines);
     let range = |values: &[f64]| {
-        // Columns at the ends see half a line more of one kind.
+        // Columns at the ends include half a line more of one kind.
         let inner = &values[2..values.len() - 2];
         inner.iter().fold(0.0, |m: f64, &v| m.max(v)) - inner.iter().fold(1.0, |m: f64, &v| m.min(v))
     };
-    // From 4 to 16 pixels of the picture for each of the output. Averages over 9.14 pixels still know whether a tenth is
-    // black or white, and beyond 12 the samples lie further apart than the lines need.
+    // From 4 to 16 pixels of the picture per output pixel. Averages over 9.14 pixels still depend on whether a tenth
+    // is black or white, and beyond 12 the samples are further apart than the lines require.
     let most =
         [(162, 0.03), (158, 0.03), (107, 0.03), (82, 0.05), (80, 0.01), (78, 0.05), (70, 0.11), (53, 0.03), (39, 0.25)];
     for (width, most) in most {
@@ -359,7 +360,7 @@ fn lines_of_one_pixel_do_not_alias_when_reduced() {
         let drawn: Vec<f64> = render(&p, &view, Depth::Eight).into_iter().map(|v| f64::from(v) / 255.0).collect();
         let found = range(&drawn);
         assert!(found <= most, "{found} at {width}");
-        // What no filter would leave; at 80 each sample lies between two lines.
+        // The range without a filter; at 80, each sample lies between two lines.
         let sampled = range(&clamped(reference::sample(&p, &view)));
         assert!(sampled > 0.8 || width == 80, "{sampled} at {width}");
     }
@@ -367,7 +368,7 @@ fn lines_of_one_pixel_do_not_alias_when_reduced() {
 
 #[test]
 fn far_reductions_are_cheap() {
-    // A tile and a pair for each primitive, however large the picture.
+    // One tile and one pair per primitive, however large the picture.
     let side = 1 << 20;
     let mut r = Random(3);
     let gaussians = (0..2000)
@@ -498,7 +499,7 @@ fn giants_and_needles_over_many_tiles_are_within_one_code_value() {
     }
 }
 
-/// Fuzzing found the sum that overflows: a support wider than any integer.
+/// Fuzzing found a sum that overflowed for a support wider than any integer.
 #[test]
 fn the_largest_finite_scale_covers_the_picture() {
     let scene = picture(300, 200, Channels::Rgb, Blend::Sum, vec![one([150.0, 100.0], [f32::MAX; 2], 0.3)]);
@@ -529,7 +530,7 @@ fn work_is_limited_in_proportion_to_pixels_and_primitives() {
 
 #[test]
 fn narrow_gaussians_count_as_the_exponentials_that_they_take() {
-    // Two strips of 8 columns are drawn of each.
+    // Two strips of 8 columns are rendered for each.
     let of = |scale: [f32; 2]| {
         let p = picture(400, 1000, Channels::Rgb, Blend::Normalized, vec![one([200.0, 500.0], scale, FRAC_PI_2)]);
         let mut limits = Limits::default();
@@ -540,7 +541,7 @@ fn narrow_gaussians_count_as_the_exponentials_that_they_take() {
         }
     };
     let (needle, bar) = (of([1e4, 0.25]), of([1e4, 2.0]));
-    // Eight tiles at an edge between columns of them.
+    // Eight tiles at an edge between columns of tiles.
     let pairs = 8 * 1024;
     assert!((4 * 16_000..4 * 20_000).contains(&(needle - pairs)), "{needle}");
     assert!((16_000..32_000).contains(&(bar - pairs)), "{bar}");
@@ -548,8 +549,8 @@ fn narrow_gaussians_count_as_the_exponentials_that_they_take() {
 
 #[test]
 fn two_million_primitives_on_a_16k_picture_are_within_the_limits() {
-    // Each pixel lies under 40 Gaussians, more than twice what fits of photographs have (kodim05 and kodim15 at ratios
-    // from 20 to 1000: 4 to 16).
+    // Each pixel is covered by 40 Gaussians, more than twice as many as in fits of photographs (kodim05 and kodim15 at
+    // ratios from 20 to 1000: 4 to 16).
     for (width, height) in [(10848, 16320), (16384, 16384)] {
         let mut r = Random(9);
         let area = 40.0 * (width as f32 * height as f32) / 2e6 / (std::f32::consts::PI * 3.5 * 3.5);
@@ -564,7 +565,8 @@ fn two_million_primitives_on_a_16k_picture_are_within_the_limits() {
         let renderer = Renderer::new(&p, &View::full(&p), &Limits::default());
         assert!(renderer.is_ok(), "{renderer:?}");
         if usize::BITS == 64 {
-            // What is left holds the pixels, the primitives in integers and floats, and what reading them takes.
+            // The rest of the limit holds the pixels, the primitives as integers and floats, and the memory for
+            // reading them.
             let pixels = u64::from(width) * u64::from(height) * 8;
             let each = 200 + size_of::<Gaussian>() as u64 + 300;
             assert!(pixels + 2_000_000 * each < Limits::default().alloc);

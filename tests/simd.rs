@@ -1,4 +1,4 @@
-//! Every instruction set gives the same bytes and the same pixels, compared from outside: a process for each.
+//! Every instruction set gives the same bytes and the same pixels. Each runs in a process of its own.
 #![cfg(feature = "unstable")]
 
 mod synthetic;
@@ -19,7 +19,7 @@ fn checksum(pixels: &Pixels) -> u32 {
     }
 }
 
-/// What one instruction set makes of pictures and files, a line for each.
+/// Returns the results of one instruction set for pictures and files, one per line.
 fn results() -> String {
     let mut lines = format!("instructions {}\n", ssplat::unstable::instruction_set());
     for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
@@ -58,11 +58,11 @@ fn results() -> String {
     lines
 }
 
-/// Prints what the process that runs it gets; the test below starts such processes.
+/// Prints the results of the process that runs it; the test below starts such processes.
 #[test]
 #[ignore = "a part of the other test"]
 fn print_results() {
-    // The harness may have begun a line of its own.
+    // The test harness may have started a line.
     println!("\n{}", results());
 }
 

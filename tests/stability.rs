@@ -1,4 +1,4 @@
-//! Stiff and extreme cases: each picture is finite, near its definition, and no worse than one constant colour.
+//! Stiff and extreme cases: each picture is finite, close to its definition, and no worse than one constant colour.
 //!
 //! `cargo test --release --test stability -- --nocapture` prints the rows that `ssplat-lab report --stability` shows.
 #![cfg(feature = "unstable")]
@@ -38,7 +38,7 @@ fn gaussian(mean: [f32; 2], scale: [f32; 2], rotation: f32) -> Gaussian {
     Gaussian { mean, scale, rotation, color: [1.2, -0.3, 0.6, 0.0] }
 }
 
-/// f32 pictures against the f64 definition over scales, aspects, places and numbers.
+/// f32 pictures against the f64 definition, over scales, aspects, positions and numbers.
 fn rendering() -> Vec<Row> {
     let blends = [Blend::Normalized, Blend::Sum];
     let mut rows = Vec::new();
@@ -82,7 +82,7 @@ fn rendering() -> Vec<Row> {
     rows
 }
 
-/// Pictures of two layers against their definition: steps and levels at their ends, in the picture's size and in others.
+/// Pictures of two layers against their definition: extreme steps and levels, at the picture's size and at others.
 fn layers() -> Vec<Row> {
     let head = |change: fn(&mut DetailHead)| {
         let mut head = DetailHead::PLAIN;
@@ -116,7 +116,8 @@ fn layers() -> Vec<Row> {
             let levels = Levels { largest, filled: 1, ..Levels::new(7) };
             let bytes = to_bytes(&with_layer(splats, head, levels)).expect("a legal file");
             let splats = read(&bytes[..], &Limits::default()).expect("a legal file");
-            // Enlarged, reduced along one axis, and as it is. Where alpha is small, colours of reduced views have a wider bound (§5.5).
+            // Enlarged, reduced along one axis, and at its own size. Where alpha is small, colours of reduced views
+            // have a wider bound (§5.5).
             let sizes: &[[u32; 2]] =
                 if channels == Channels::Rgba { &[[270, 61]] } else { &[[270, 61], [611, 61], [89, 40]] };
             for &[width, height] in sizes {
@@ -135,7 +136,7 @@ fn layers() -> Vec<Row> {
     rows
 }
 
-/// Sample `i`, in parts of white.
+/// Returns sample `i`; white is 1.
 fn value(pixels: &Pixels, i: usize) -> f64 {
     match pixels.samples() {
         Samples::U8(v) => f64::from(v[i]) / 255.0,
@@ -148,8 +149,8 @@ fn row_of_layers(name: &str, worst: f64) -> Row {
     Row { group: "two layers".into(), case: name.into(), worst, bound: Bound::Codes(1.0), guard: guard.into() }
 }
 
-/// Fits, writes, reads and draws one picture, and compares with the picture of its mean colour. With `has_layer`, half of the bytes
-/// are a detail layer's.
+/// Fits, writes, reads and renders one picture, and compares it with a picture of its mean colour. With `has_layer`,
+/// half of the bytes are for a detail layer.
 fn fit(case: &Fit, has_layer: bool) -> Result<Row, Error> {
     let mut options = EncodeOptions::default();
     options.target = case.target;
@@ -169,7 +170,7 @@ fn fit(case: &Fit, has_layer: bool) -> Result<Row, Error> {
         guard: guard.into(),
     };
     let encoded = match encode(&case.pixels, &options) {
-        // A size that holds not even a header is refused, and says so.
+        // A size that does not even hold a header is refused with this error.
         Err(Error::TooSmall { .. }) => {
             return Ok(Row { guard: "refused with a typed error: too few bytes for any picture".into(), ..row(0.0) });
         }
@@ -202,7 +203,7 @@ fn samples(pixels: &Pixels) -> &[u8] {
     }
 }
 
-/// Colours times alpha, so that the colour of what nobody sees does not count.
+/// Multiplies colours by alpha, so that invisible colours do not count.
 fn premultiplied(pixels: &Pixels) -> Pixels {
     let count = pixels.channels().count();
     let mut v = samples(pixels).to_vec();
@@ -216,7 +217,7 @@ fn premultiplied(pixels: &Pixels) -> Pixels {
     Pixels::new(pixels.width(), pixels.height(), pixels.channels(), Samples::U8(v)).expect("the same size")
 }
 
-/// The picture of the mean colour; colours of transparent pixels do not count.
+/// Returns a picture of the mean colour; colours of transparent pixels do not count.
 fn mean(pixels: &Pixels) -> Pixels {
     let (count, alpha) = (pixels.channels().count(), pixels.channels().alpha());
     let (mut sum, mut weight) = ([0.0; 4], [0.0f64; 4]);

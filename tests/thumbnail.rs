@@ -1,4 +1,5 @@
-//! What a thumbnail promises: a file keeps its size with one, a reader gets it or the picture, and nothing else is asked of it.
+//! Guarantees of thumbnails: a file with one keeps its size, and a reader gets the thumbnail or the picture without
+//! reading anything else.
 #![cfg(feature = "unstable")]
 
 use ssplat::unstable::bitstream::header::Header;
@@ -25,7 +26,7 @@ fn options(bytes: u64, carried: Thumbnail) -> EncodeOptions {
     options
 }
 
-/// The picture itself, drawn in that size.
+/// Renders the picture itself at this size.
 fn drawn(bytes: &[u8], size: [u32; 2]) -> Pixels {
     let mut options = DecodeOptions::default();
     options.size = Some(size);
@@ -36,7 +37,7 @@ fn small(bytes: &[u8], side: u32) -> Pixels {
     thumbnail(bytes, [side; 2], &Limits::default()).unwrap().pixels
 }
 
-/// The file with other contents of its thumbnail's section.
+/// Returns the file with other contents in its thumbnail section.
 fn with(bytes: &[u8], contents: Vec<u8>) -> Vec<u8> {
     let mut splats = read(bytes, &Limits::default()).unwrap();
     splats.metadata.thumbnail = Some(contents);
@@ -57,7 +58,7 @@ fn a_file_with_a_thumbnail_has_the_asked_size_and_both_pictures() {
         assert!(file.len() <= 500 && file.len() > 450, "{}", file.len());
         let whole = decode(&file, &DecodeOptions::default()).unwrap().pixels;
         assert_eq!((whole.width(), whole.height(), whole.channels()), (256, 154, channels));
-        // It is what is drawn up to its size, and shows the picture.
+        // The thumbnail is used up to its size, and shows the picture.
         let shown = thumbnail(&bytes, [256; 2], &Limits::default()).unwrap();
         assert_eq!((shown.pixels, shown.metadata.icc, shown.metadata.exif), (whole, options.icc, options.exif));
         let half = small(&bytes, 128);
@@ -65,7 +66,7 @@ fn a_file_with_a_thumbnail_has_the_asked_size_and_both_pictures() {
         assert_ne!(half, drawn(&bytes, [128, 77]));
         let off = psnr(&half, &drawn(&bytes, [128, 77])).unwrap();
         assert!(off > 25.0, "{off} dB");
-        // What is larger is drawn from the picture.
+        // Larger sizes are rendered from the picture.
         assert_eq!(small(&bytes, 257), drawn(&bytes, [257, 154]));
         assert_eq!(small(&bytes, 2000), drawn(&bytes, [500, 300]));
     }
@@ -77,7 +78,7 @@ fn small_files_and_small_pictures_carry_none_unasked() {
     let pixels = picture(300, 200, Channels::Rgb);
     let without = encode(&pixels, &options(3000, Thumbnail::Never)).unwrap().bytes;
     assert_eq!(encode(&pixels, &options(3000, Thumbnail::Auto)).unwrap().bytes, without);
-    // As large as asked for, as files are from a hundred thousand bytes on.
+    // As large as requested, as for files of a hundred thousand bytes and more.
     let large = |side: u32, bytes: u64| {
         let mut options = options(bytes, Thumbnail::Auto);
         options.tune = Some(Tune::Psnr);
@@ -131,7 +132,7 @@ fn a_thumbnail_that_cannot_be_used_is_as_if_it_were_not_there() {
     ] {
         assert_eq!(small(&with(&bytes, contents), 100), expected, "{what}");
     }
-    // Files in files in files are not opened.
+    // Nested thumbnails are not opened.
     let nested = with(&bytes, with(&bytes, with(&bytes, file)));
     assert_eq!(small(&nested, 100), expected);
 }

@@ -1,4 +1,4 @@
-//! A picture that is fitted in tiles: no seams, the size that was asked for, the same bytes on any machine.
+//! Fits in tiles: no visible seams, the requested size, and the same bytes on every machine.
 #![cfg(feature = "unstable")]
 
 mod waves;
@@ -22,7 +22,7 @@ fn options(target: Target, tiles: Option<u32>) -> EncodeOptions {
     options
 }
 
-/// Mean squared errors within 16 pixels of the seams between tiles of `side` pixels, and elsewhere.
+/// Returns the mean squared errors within 16 pixels of the seams between tiles of `side` pixels, and elsewhere.
 fn errors(original: &Pixels, encoded: &Encoded, side: u32) -> [f64; 2] {
     let decoded = ssplat::unstable::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
     let (Samples::U8(a), Samples::U8(b)) = (original.samples(), decoded.samples()) else { panic!("8 bits") };
@@ -50,7 +50,7 @@ fn seams_are_no_worse_than_elsewhere() {
     let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
     let tiles = errors(&pixels, &encoded, 256);
     let excess = tiles[0] / whole[0] / (tiles[1] / whole[1]);
-    // `examples/seams.rs` measures .98 to 1.06 on photographs in tiles this small.
+    // `examples/seams.rs` measures 0.98 to 1.06 on photographs in tiles this small.
     assert!(excess < 1.1, "{excess}: {tiles:?} of {whole:?}");
 }
 
@@ -66,7 +66,7 @@ fn files_of_tiles_fill_their_size_and_never_exceed_it() {
             assert!(bytes <= most && bytes >= most * 97 / 100, "{channels:?} {blend:?}: {bytes} of {most}");
             let decoded = ssplat::unstable::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
             let psnr = ssplat::unstable::metrics::compare(&pixels, &decoded).unwrap().psnr;
-            // Colours count by their opacity in the report.
+            // The report weights colours by their opacity.
             let is_opaque = channels.alpha().is_none();
             assert!(
                 !is_opaque || (psnr - encoded.report.psnr).abs() < 0.05,
@@ -75,7 +75,7 @@ fn files_of_tiles_fill_their_size_and_never_exceed_it() {
             );
         }
     }
-    // Next to nothing, and more than the picture needs.
+    // Almost nothing, and more than the picture needs.
     for most in [40, 60, 200_000] {
         let encoded =
             ssplat::unstable::encode(&picture(300, 200, Channels::Grey), &options(Target::Bytes(most), Some(128)))
@@ -89,7 +89,7 @@ fn a_detail_layer_lies_over_the_gaussians_of_all_tiles() {
     for (channels, is_grey) in [(Channels::Rgb, false), (Channels::Rgba, true)] {
         let pixels = match is_grey {
             false => picture(700, 520, channels),
-            // Grey in four channels: the fit leaves chroma and alpha out, the file has them.
+            // Grey in four channels: the fit omits chroma and alpha, but the file has them.
             true => grey_in_colour(700, 520),
         };
         let mut options = options(Target::Ratio(25.0), Some(256));
@@ -106,7 +106,7 @@ fn a_detail_layer_lies_over_the_gaussians_of_all_tiles() {
         assert!(with.report.psnr > without.report.psnr, "{} after {}", with.report.psnr, without.report.psnr);
         let decoded = ssplat::unstable::decode(&with.bytes, &DecodeOptions::default()).unwrap().pixels;
         let psnr = ssplat::unstable::metrics::compare(&pixels, &decoded).unwrap().psnr;
-        // The report is of samples before they are rounded, which adds a twelfth of a squared code value.
+        // The report is computed before rounding, which adds a twelfth of a squared code value.
         let rounded = -10.0 * (10f64.powf(-with.report.psnr / 10.0) + 1.0 / 12.0 / 255.0f64.powi(2)).log10();
         assert!(is_grey || (psnr - rounded).abs() < 0.05, "{psnr}, said to be {}", with.report.psnr);
     }
@@ -123,7 +123,8 @@ fn gaussians_under_a_layer_that_were_fitted_to_a_smaller_picture_are_as_good_at_
         let mut base = ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
         base.detail = None;
         let count = base.gaussians.len();
-        // Each has more than four times 300 pixels, so that half the size is fitted, and less than sixteen times as many.
+        // Each has more than four times 300 pixels, so that half the size is fitted, and less than sixteen times as
+        // many.
         assert!((160..580).contains(&count), "{count}");
         let bytes = ssplat::unstable::bitstream::to_bytes(&base).unwrap();
         let decoded = ssplat::unstable::decode(&bytes, &DecodeOptions::default()).unwrap().pixels;
@@ -151,7 +152,7 @@ fn the_number_of_primitives_is_about_as_asked_in_tiles() {
     assert!((590..=610).contains(&encoded.report.primitives), "{}", encoded.report.primitives);
 }
 
-/// The thumbnail of a file.
+/// Returns the thumbnail of a file.
 fn carried(bytes: &[u8]) -> Option<Vec<u8>> {
     ssplat::unstable::bitstream::read(bytes, &Limits::default()).unwrap().metadata.thumbnail
 }
@@ -190,7 +191,7 @@ fn channels_that_say_nothing_are_left_out_of_tiles() {
     let decoded = ssplat::unstable::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
     let Samples::U8(samples) = decoded.samples() else { panic!("8 bits") };
     assert!(samples.chunks_exact(4).all(|p| p[0] == p[1] && p[1] == p[2] && p[3] == 255));
-    // A quarter of the samples is always right.
+    // A quarter of the samples is always exact.
     let (psnr, of_grey) = (encoded.report.psnr - 10.0 * (4f64 / 3.0).log10(), alone.report.psnr);
     assert!((psnr - of_grey).abs() < 0.2, "{psnr} and {of_grey}");
     assert!((encoded.report.float_psnr - encoded.report.psnr).abs() < 3.0, "{:?}", encoded.report);
@@ -222,7 +223,7 @@ fn a_picture_of_one_colour_takes_as_few_bytes_in_tiles_as_without() {
             ssplat::unstable::decode(&tiles.bytes, &DecodeOptions::default()).unwrap().pixels == pixels,
             "{channels:?}"
         );
-        // One pixel that differs makes it a picture to be fitted.
+        // With a single different pixel, the picture has to be fitted.
         let Samples::U8(mut samples) = pixels.into_samples() else { unreachable!() };
         *samples.last_mut().unwrap() ^= 64;
         let pixels = Pixels::new(300, 140, channels, Samples::U8(samples)).unwrap();
@@ -256,10 +257,10 @@ fn bytes_of_tiles_do_not_depend_on_the_thread_count() {
     assert!(with(1) == with(3));
 }
 
-/// What becomes of an answer on its way.
+/// Modification of a worker's result.
 type Change<'a> = &'a dyn Fn(Vec<u8>) -> Vec<u8>;
 
-/// Workers who do every task when its answer is asked for, twice if need be, and change the answers of some.
+/// Workers that run each task when its result is requested, twice if necessary, and modify some results.
 struct Elsewhere<'a> {
     at_once: usize,
     out: VecDeque<Vec<u8>>,
@@ -316,7 +317,7 @@ fn a_picture_that_is_divided_among_workers_becomes_the_same_file() {
         let here = ssplat::unstable::encode(&pixels, &options).unwrap().bytes;
         let mut workers = Elsewhere::new(at_once, &|_, answer| answer);
         assert!(encode_by(&pixels, &options, &mut workers).unwrap() == here, "{channels:?}, {at_once} at once");
-        // Six tiles by themselves, and all passes after that.
+        // Six tiles separately, and all following passes.
         assert!(workers.given.len() > 6 * 5, "{}", workers.given.len());
     }
     let deep: Vec<u16> = (0..200 * 140u32).map(|i| (i * 7919 % 65_521) as u16).collect();
@@ -328,7 +329,7 @@ fn a_picture_that_is_divided_among_workers_becomes_the_same_file() {
 
 #[test]
 fn workers_know_that_a_detail_layer_comes_on_top() {
-    // Its Gaussians are fitted in fewer steps.
+    // The Gaussians of a layer are fitted in fewer steps.
     let pixels = picture(260, 150, Channels::Rgb);
     for tune in [Tune::Psnr, Tune::Iq] {
         let mut options = options(Target::Bytes(9000), Some(128));
@@ -357,7 +358,7 @@ fn an_answer_that_is_none_names_its_tile() {
     let options = options(Target::Bytes(700), Some(128));
     let mut workers = Elsewhere::new(1, &|_, answer| answer);
     encode_by(&pixels, &options, &mut workers).unwrap();
-    // The second tile that is given: those of a turn have another between them.
+    // The second tile that is submitted: the tiles of a turn are not adjacent.
     let place = "128 × 128 at 128, 0";
     let foreign = work_on(&workers.given[0]).unwrap();
     let changes: [(&str, Change<'_>); 7] = [
@@ -388,12 +389,12 @@ fn an_answer_that_is_none_names_its_tile() {
     }
 }
 
-/// Where the contents of a task begin: behind the line that names the version.
+/// Returns the start of a task's contents, after the line with the version.
 fn contents(task: &[u8]) -> usize {
     task.iter().position(|&b| b == b'\n').unwrap() + 1
 }
 
-/// The corner of a task's tile.
+/// Returns the corner of a task's tile.
 fn task_core(task: &[u8]) -> [u32; 2] {
     let number = |at: usize| u32::from_le_bytes(task[at..at + 4].try_into().unwrap());
     let start = contents(task);
@@ -401,7 +402,7 @@ fn task_core(task: &[u8]) -> [u32; 2] {
     [number(at), number(at + 4)]
 }
 
-/// The same bytes with a checksum that is right.
+/// Returns the bytes with a correct checksum.
 fn signed(mut bytes: Vec<u8>) -> Vec<u8> {
     let end = bytes.len() - 4;
     let checksum = crc32fast::hash(&bytes[..end]);
@@ -415,7 +416,7 @@ fn bytes_that_are_no_task_or_answer_are_refused_without_a_panic() {
     let options = options(Target::Bytes(300), Some(128));
     let mut workers = Elsewhere::new(1, &|_, answer| answer);
     encode_by(&pixels, &options, &mut workers).unwrap();
-    // Of one tile: by itself, joined, weighed, swept and measured.
+    // The tasks of one tile: separate fit, joint fit, weighting, sweeps and measurement.
     let tasks: Vec<&Vec<u8>> = workers.given.iter().filter(|task| task_core(task) == [0, 0]).collect();
     let samples = 192 * 140;
     for task in tasks.iter().take(2).chain(&tasks[tasks.len() - 3..]) {
@@ -436,7 +437,7 @@ fn bytes_that_are_no_task_or_answer_are_refused_without_a_panic() {
         }
         is_refused(&signed([&task[..], &[0; 9]].concat()), "more than a task");
         let start = contents(task);
-        // All fields, and some of the samples and primitives between.
+        // All fields, and some of the samples and primitives between them.
         let some = (start..task.len() - 4).filter(|at| {
             let before = start + 200;
             let after = task.len().saturating_sub(120);
@@ -446,14 +447,14 @@ fn bytes_that_are_no_task_or_answer_are_refused_without_a_panic() {
             let mut wrong = task.to_vec();
             wrong[at] ^= [1, 0x80, 0xff, 0x40][i % 4];
             is_refused(&wrong, "a changed task");
-            // With a checksum it is a task of another picture, or none.
+            // With a correct checksum, it is a task of another picture, or invalid.
             match stopped(&signed(wrong)) {
                 Ok(_) | Err(Error::Cancelled | Error::Parameter { name: "task", .. }) => {}
                 Err(other) => panic!("byte {at}: {other}"),
             }
         }
     }
-    // Answers alike: each of these is signed, and for the task that was given.
+    // The same for results: each is signed, and belongs to the submitted task.
     let at = workers.given.iter().position(|task| task_core(task) == [0, 0]).unwrap();
     let last = workers.given.iter().rposition(|task| task_core(task) == [0, 0]).unwrap();
     for (k, i) in [at, last - 4].into_iter().flat_map(|k| (0..10).map(move |i| (k, i))) {

@@ -1,4 +1,4 @@
-//! The trace of an encode: what it says, and that asking for it changes nothing else.
+//! The trace of an encode: its contents, and that requesting it changes nothing else.
 #![cfg(feature = "unstable")]
 
 use ssplat::unstable::Trace;
@@ -27,7 +27,7 @@ fn a_trace_ends_with_the_written_picture_and_leaves_the_bytes_alone() {
     assert_eq!(points[0].stage, "fit");
     let last = points.last().unwrap();
     assert_eq!(last.stage, "written");
-    // The trace has rounded code values, the report has not.
+    // The trace is computed from rounded code values, the report is not.
     assert!((last.psnr - traced.report.psnr).abs() < 0.1, "{} {}", last.psnr, traced.report.psnr);
     // Measured: 28.3 dB and an SSIM of .935, from 11.3 dB and .42 at the first point; 1 dB and .02 are left for scatter.
     assert!(points[0].psnr < 20.0 && last.psnr > 27.3, "{points:?}");

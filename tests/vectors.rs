@@ -1,6 +1,7 @@
-//! The conformance vectors in `spec/vectors`: small files, and what a decoder must make of them.
+//! The conformance vectors in `spec/vectors`: small files with the results that a decoder must return.
 //!
-//! `cargo test --release --test vectors -- --ignored` writes them anew; the other tests hold the library against them.
+//! `cargo test --release --test vectors -- --ignored` writes them again; the other tests compare the library with
+//! them.
 #![cfg(feature = "unstable")]
 
 mod seal;
@@ -24,17 +25,17 @@ use synthetic::{Levels, Random, Scene, any_primitive, scene, with_layer};
 /// The folders of the vectors.
 const FOLDERS: [&str; 5] = ["valid", "invalid", "limits", "reduced", "partial"];
 
-/// A file and what it shows.
+/// A file and its expected result.
 struct Vector {
     folder: &'static str,
     name: String,
     shows: String,
     bytes: Vec<u8>,
-    /// The size to draw in, if that is not the picture's own.
+    /// The size to render at, if it is not the picture's own.
     size: Option<[u32; 2]>,
 }
 
-/// What decoding a vector gives: a picture, or a kind of error and its text.
+/// Result of decoding a vector: a picture, or a kind of error and its message.
 enum Outcome {
     Picture(Pixels),
     Refused(&'static str, String),
@@ -44,20 +45,20 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("spec/vectors")
 }
 
-/// The whole of a picture in its own size or another.
+/// Returns the view of the whole picture at its own size or another.
 fn view(splats: &PackedSplats, size: Option<[u32; 2]>) -> View {
     let full = View::of_size(splats.width, splats.height);
     size.map_or(full, |[width, height]| full.resized(width, height).unwrap())
 }
 
-/// What is there of a file, for a vector of the folder `partial` what is left of it.
+/// Reads a file; for a vector of the folder `partial`, its intact parts.
 fn splats_of(bytes: &[u8], folder: &str, limits: &Limits) -> Result<PackedSplats> {
     if folder == "partial" { read_partial(bytes, limits).map(|read| read.0) } else { read(bytes, limits) }
 }
 
 fn decode(bytes: &[u8], folder: &str, size: Option<[u32; 2]>) -> Outcome {
     let mut limits = Limits::default();
-    // The same wherever this runs.
+    // The same on every machine.
     limits.alloc = 1 << 30;
     let drawn = splats_of(bytes, folder, &limits)
         .and_then(|splats| splats.renderer(&view(&splats, size), &limits)?.render(splats.depth));
@@ -75,7 +76,7 @@ fn decode(bytes: &[u8], folder: &str, size: Option<[u32; 2]>) -> Outcome {
     }
 }
 
-/// The picture by its definition in double precision.
+/// Renders the picture by its definition in double precision.
 fn reference_pixels(bytes: &[u8], folder: &str, size: Option<[u32; 2]>) -> Pixels {
     let splats = splats_of(bytes, folder, &Limits::default()).unwrap();
     let view = view(&splats, size);
@@ -106,7 +107,7 @@ fn pam(pixels: &Pixels) -> Vec<u8> {
     out
 }
 
-/// The largest difference of two pictures in PAM, code values; `None` if they are not of the same kind.
+/// Returns the largest difference of two pictures in PAM, in code values; `None` if their sizes or formats differ.
 fn difference(a: &[u8], b: &[u8]) -> Option<u16> {
     let body = |pam: &[u8]| pam.windows(7).position(|w| w == b"ENDHDR\n").map(|at| at + 7);
     let (start, deep) = (body(a)?, a.windows(12).any(|w| w == b"MAXVAL 65535"));
@@ -124,8 +125,8 @@ fn difference(a: &[u8], b: &[u8]) -> Option<u16> {
     Some(codes(a).into_iter().zip(codes(b)).map(|(a, b)| a.abs_diff(b)).max().unwrap_or(0))
 }
 
-/// The same as if each colour had to be right the less the more transparent it is in `b` (spec §5.5): by how many
-/// times `tolerance` a sample is off at most.
+/// Returns the largest error of a sample as a multiple of `tolerance`, which for colours grows with their transparency
+/// in `b` (spec §5.5).
 fn excess(a: &Pixels, b: &Pixels, tolerance: f64) -> f64 {
     let codes = |p: &Pixels| -> Vec<f64> {
         match p.samples() {
@@ -171,7 +172,7 @@ fn small(layout: Layout, channels: Channels, count: usize, codebook: bool, seed:
     scene(&Scene { layout, channels, size: [24, 16], count, codebook, seed, ..Scene::default() })
 }
 
-/// Primitives from all over the integers, where the formulas are at their edges.
+/// Primitives from the whole range of the integers, including the extreme cases of the formulas.
 fn extreme(layout: Layout, steps: Steps, seed: u64) -> PackedSplats {
     let mut splats = two(layout);
     (splats.width, splats.height, splats.steps) = (19, 13, steps);
@@ -290,7 +291,7 @@ fn valid() -> Vec<Vector> {
     out
 }
 
-/// A file without sections, with so many empty ones.
+/// Adds `count` empty sections to a file without sections.
 fn with_sections(bytes: &[u8], count: u8) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     bytes[5] |= 0x80;
@@ -307,7 +308,7 @@ fn with_sections(bytes: &[u8], count: u8) -> Vec<u8> {
     bytes
 }
 
-/// The checksum of a section of the file `bytes`, whose header it covers.
+/// Returns the checksum of a section of the file `bytes`, which covers the header.
 fn section_checksum(bytes: &[u8], name: [u8; 4], contents: &[u8]) -> [u8; 4] {
     let header = crc32fast::hash(&bytes[..header_length(bytes)]).to_le_bytes();
     crc32fast::hash(&[&header[..], &name, contents].concat()).to_le_bytes()
@@ -319,7 +320,7 @@ fn header_length(bytes: &[u8]) -> usize {
     bytes.len() - rest.len()
 }
 
-/// A file with a section of another name.
+/// Renames a section of a file.
 fn renamed(bytes: &[u8], from: &[u8; 4], to: &[u8; 4]) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     let at = bytes.windows(4).position(|w| w == from).unwrap();
@@ -331,7 +332,7 @@ fn renamed(bytes: &[u8], from: &[u8; 4], to: &[u8; 4]) -> Vec<u8> {
     bytes
 }
 
-/// The first of a row of seeded changes to `base` that is refused for `reason`.
+/// Returns the first of a series of seeded changes to `base` that is refused for `reason`.
 fn refused_for(base: &[u8], reason: &str) -> Vec<u8> {
     let mut random = Random(17);
     for _ in 0..20_000 {
@@ -359,7 +360,7 @@ fn invalid() -> Vec<Vector> {
     let packed = to_bytes(&two(Packed)).unwrap();
     let planes = to_bytes(&two(Planes)).unwrap();
     let coded = to_bytes(&two(Coded)).unwrap();
-    // A change to a byte under a checksum that fits.
+    // Changes a byte and corrects the checksum.
     let changed = |base: &[u8], at: usize, value: u8| {
         let mut bytes = base.to_vec();
         bytes[at] = value;
@@ -413,7 +414,7 @@ fn invalid() -> Vec<Vector> {
     add("section-cut", "a section that is longer than the file", changed(&sections, 17, 0x7f));
 
     let coarse = Steps { scale: 2, angle: 2, position: 7, coarsest: 4, range: 10, luma: 15, chroma: 1 };
-    // The smallest scale sits four squares above the finest.
+    // The smallest scale is four squares above the finest.
     let sparse = Steps { scale: 4, angle: 1, position: 0, coarsest: 0, range: 6, luma: 4, chroma: 1 };
     let codebook = |layout| to_bytes(&small(layout, Channels::Rgb, 40, true, 5)).unwrap();
     let scene = |layout| to_bytes(&small(layout, Channels::Rgb, 40, false, 3)).unwrap();
@@ -439,7 +440,7 @@ fn invalid() -> Vec<Vector> {
     let book = vec![[4, 0, 0, 0], [24, 4, -2, 0]];
     let book = to_bytes(&PackedSplats { codebook: Some(book), ..two(Packed) }).unwrap();
     add("packed-codebook-colour", "a codebook's colour beyond 8", spliced(&book, 16, 3, &[0xcc, 0x88, 0x02]));
-    // What every decoder checks of zstd frames, whatever its library forgives.
+    // Checks of zstd frames that every decoder must make, whatever its library tolerates.
     let equal_planes = PackedSplats { layout: Planes, gaussians: vec![two(Planes).gaussians[0]; 300], ..two(Planes) };
     let frames = to_bytes(&equal_planes).unwrap();
     let frame = frames.windows(5).position(|w| w == [0x28, 0xb5, 0x2f, 0xfd, 0]).unwrap();
@@ -523,12 +524,12 @@ fn limits() -> Vec<Vector> {
     out
 }
 
-/// A few Gaussians to lay a layer on.
+/// A few Gaussians under a layer.
 fn ground(channels: Channels, size: [u32; 2], seed: u64) -> PackedSplats {
     scene(&Scene { channels, size, count: 6, seed, ..Scene::default() })
 }
 
-/// The plain preset with such a step.
+/// Returns the plain preset with the given step.
 fn plain(step: u16) -> DetailHead {
     let mut head = DetailHead::PLAIN;
     head.step = step;
@@ -640,12 +641,12 @@ fn layered() -> Vec<Vector> {
     out
 }
 
-/// A background and nothing else.
+/// A background without primitives.
 fn no_primitives() -> PackedSplats {
     PackedSplats { gaussians: Vec::new(), ..two(Layout::Coded) }
 }
 
-/// Sets the file's checksum, and no other.
+/// Sets the checksum of the file, and no other.
 fn seal_file(bytes: &mut [u8]) {
     for _ in 0..2 {
         let Err(Error::Format(ssplat::FormatError::Checksum { what: "file", stored, computed })) =
@@ -658,7 +659,7 @@ fn seal_file(bytes: &mut [u8]) {
     }
 }
 
-/// A file whose section `Dtal` has been changed, with checksums of section and file that fit.
+/// A file with a modified section `Dtal` and correct checksums of section and file.
 fn headed(base: &[u8], change: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
     let at = layer::layout(base).unwrap();
     let mut contents = base[at.contents.clone()].to_vec();
@@ -673,7 +674,7 @@ fn headed(base: &[u8], change: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
     bytes
 }
 
-/// Files whose layer is illegal.
+/// Files with an invalid layer.
 fn broken_layers() -> Vec<Vector> {
     let mut out = Vec::new();
     let mut add = |name: &str, shows: &str, bytes: Vec<u8>| {
@@ -681,7 +682,7 @@ fn broken_layers() -> Vec<Vector> {
     };
     let ground = || small(Layout::Coded, Channels::Rgb, 6, false, 51);
     let base = to_bytes(&with_layer(ground(), plain(700), Levels::new(51))).unwrap();
-    // In the contents: a byte of length, four of checksum, two of step, the flags.
+    // Offsets in the contents: a byte of length, four of checksum, two of step, the flags.
     const STEP: usize = 5;
     const FLAGS: usize = 7;
     let flagged = |bit: u8, fields: &[u8]| {
@@ -785,7 +786,7 @@ fn broken_layers() -> Vec<Vector> {
     out
 }
 
-/// Damaged files, of which a part is left.
+/// Damaged files with intact parts.
 fn partial() -> Vec<Vector> {
     let mut out = Vec::new();
     let mut add = |name: &str, shows: &str, bytes: Vec<u8>| {
@@ -821,7 +822,7 @@ fn partial() -> Vec<Vector> {
     out
 }
 
-/// Pictures to be drawn smaller.
+/// Pictures for reduced views.
 fn reduced() -> Vec<Vector> {
     let mut out = Vec::new();
     let mut add = |name: &str, shows: &str, splats: &PackedSplats, size: [u32; 2]| {
@@ -837,7 +838,7 @@ fn reduced() -> Vec<Vector> {
     add("sum", "the sum blend, 16 bits, 8 samples a side", &sum, [3, 2]);
     let mut logo = small(Layout::Coded, Channels::Rgba, 60, false, 4);
     logo.depth = Depth::Eight;
-    // Y, Co and Cg of red, which hides, and of white; alpha.
+    // Y, Co and Cg of red, which is hidden, and of white; alpha.
     for p in &mut logo.gaussians {
         (p.major, p.minor, p.angle) = (p.major.min(24), p.minor.min(24), 0);
         let lattice = Lattice::new(&logo.steps, logo.layout);
@@ -873,7 +874,7 @@ fn all() -> Vec<Vector> {
     [valid(), layered(), invalid(), broken_layers(), limits(), reduced(), partial()].into_iter().flatten().collect()
 }
 
-/// The case file of a vector, and its picture if it has one.
+/// Returns the case file of a vector, and its picture if it has one.
 fn case(vector: &Vector) -> (String, Option<Vec<u8>>) {
     let mut text = format!("shows: {}\nsha256: {}\n", vector.shows, sha256(&vector.bytes));
     if vector.folder == "partial" {
@@ -941,7 +942,7 @@ fn vectors_are_those_that_the_command_writes() {
     assert_eq!(on_disk().len(), vectors.len());
     for vector in vectors {
         let folder = root().join(vector.folder).join(&vector.name);
-        // zstd's own versions write other frames: those of the planes layout need not be the same.
+        // Versions of zstd write different frames, so the files of the planes layout may differ.
         if !vector.name.starts_with("planes") {
             assert!(fs::read(folder.join("file.ssplat")).unwrap() == vector.bytes, "{} has changed", vector.name);
         }
@@ -996,7 +997,7 @@ fn the_comparison_of_pictures_sees_a_code_value() {
     assert_eq!(difference(&right, &right[..right.len() - 1]), None);
 }
 
-/// What a release promises of all later ones begins with files that do not change.
+/// The compatibility of later releases depends on files that never change.
 #[test]
 fn vectors_of_1_0_are_kept_for_ever() {
     let list = fs::read_to_string(root().join("kept.sha256")).unwrap();

@@ -1,12 +1,12 @@
 # %% [markdown]
-# # A picture, its Gaussians, and what they cost
+# # A picture, its Gaussians, and its rate–distortion curve
 #
 # Run as a script, or open as a notebook (VS Code, Jupytext: each `# %%` is a cell).
 #
 #     pip install matplotlib pillow    # and the ssplat wheel, see python/README.md
 #     python examples/python/gaussians.py
 #
-# It writes `gaussians.png` and `rate_distortion.png` beside itself, or into the folder after `--out`.
+# It writes `gaussians.png` and `rate_distortion.png` to its own folder, or to the folder given with `--out`.
 
 # %%
 import io
@@ -27,7 +27,7 @@ OUT = pathlib.Path(sys.argv[2]) if sys.argv[1:2] == ["--out"] else HERE
 
 
 def save(figure, name):
-    """Saves a figure with a palette of 128 colours: small enough to be committed."""
+    """Saves a figure with a palette of 128 colours, which keeps the file small enough to commit."""
     out = io.BytesIO()
     figure.savefig(out, dpi=90)
     Image.open(out).convert("RGB").quantize(128).save(OUT / name, optimize=True)
@@ -38,8 +38,8 @@ PICTURE = Image.open(HERE.parents[1] / "tests" / "images" / "kodim15.png").conve
 # %% [markdown]
 # ## Gaussians as ellipses
 #
-# A part of the picture at a ratio of 200, beside the Gaussians of which it is made: each an ellipse at one and a half
-# standard deviations, in its own colour. They are dense and small where there is detail.
+# A part of the picture at a ratio of 200, next to its Gaussians. Each is drawn as an ellipse at 1.5 standard deviations
+# in its own colour. They are dense and small where there is detail.
 
 # %%
 part = PICTURE.crop((180, 20, 500, 260))
@@ -75,7 +75,7 @@ save(figure, "gaussians.png")
 # %% [markdown]
 # ## Rate and distortion
 #
-# The whole picture at several sizes, beside JPEG and WebP at theirs.
+# The whole picture at several file sizes, compared with JPEG and WebP.
 
 
 # %%

@@ -1,9 +1,10 @@
-"""Learns where the models of the detail layer begin (spec §11.3), and writes the tables of the crate and the specification.
+"""Learns the initial states of the detail layer's models (spec §11.3), and writes the tables of the crate and the
+specification.
 
     python3 examples/python/learn_detail.py target/release/ssplat PICTURES... --work FOLDER
 
-Each picture is encoded at three ratios, with both presets, as it is, at half its size and in grey; pictures of more than 2 megapixels
-are cut to their middle as well. Pillow is needed. docs/studies/detail-layer.md names the pictures.
+Each picture is encoded at three ratios with both presets: unchanged, at half its size, and in grey. Pictures of more
+than 2 megapixels are also cropped to their middle. Needs Pillow. docs/studies/detail-layer.md names the pictures.
 """
 import argparse
 import os
@@ -29,7 +30,7 @@ def variants(path):
     yield "half", picture.resize([max(1, side // 2) for side in picture.size], Image.Resampling.LANCZOS)
     yield "grey", picture.convert("L")
     if path.stem.endswith("9"):
-        # A vignette as alpha, on a few.
+        # Some pictures get a vignette as alpha.
         alpha = Image.radial_gradient("L").resize(picture.size).point(lambda v: 255 - v)
         cut = picture.convert("RGB")
         cut.putalpha(alpha)

@@ -1,9 +1,11 @@
-"""Files beside AVIF's, to be looked at: `python side_by_side.py PROGRAM PICTURE... --ratio 50 --sheet OUT.webp`.
+"""Makes a contact sheet for visual comparison with AVIF.
 
-A row a picture, the same part of it four times: the original; PROGRAM's file that favours PSNR (`--tune psnr`); the one that
-favours what eyes see (`--tune iq`, the default); and the largest AVIF file of no more bytes, by libavif's tune=iq at speed 3.
-The part shown is the one whose detail is in the middle of the picture's: it is chosen from the original alone. Needs NumPy, and
-Pillow 12 or later with AVIF.
+    python side_by_side.py PROGRAM PICTURE... --ratio 50 --sheet OUT.webp
+
+Each row shows the same part of a picture four times: the original; PROGRAM's file for the best PSNR (`--tune psnr`);
+its file for the best perceptual quality (`--tune iq`, the default); and the largest AVIF file that is not larger, by
+libavif's tune=iq at speed 3. The part is the one with the median amount of detail, and is chosen from the original
+alone. Needs NumPy, and Pillow 12 or later with AVIF.
 """
 
 import argparse
@@ -21,7 +23,7 @@ COLUMNS = ["original", "--tune psnr", "--tune iq", "AVIF tune=iq"]
 
 
 def part_of(picture):
-    """The corner of a part of middling detail."""
+    """Returns the corner of the part with the median amount of detail."""
     luma = np.asarray(picture.convert("L"), float)
     (width, height), corners = PART, {}
     for y in range(0, luma.shape[0] - height + 1, height // 2):
@@ -33,7 +35,7 @@ def part_of(picture):
 
 
 def avif(picture, most):
-    """The largest AVIF file of at most so many bytes, decoded; and its bytes."""
+    """Encodes the largest AVIF file of at most `most` bytes; returns the decoded picture and the size."""
     best = None
     low, high = 0, 100
     while low <= high:
@@ -47,7 +49,7 @@ def avif(picture, most):
 
 
 def ours(program, source, tune, ratio, folder):
-    """The file of a tune, decoded; and its bytes."""
+    """Encodes with a tune; returns the decoded picture and the size."""
     file, png = pathlib.Path(folder, "a.ssplat"), pathlib.Path(folder, "a.png")
     for old in (file, png):
         old.unlink(missing_ok=True)

@@ -1,9 +1,10 @@
-"""What noise in the place of lost texture is worth: `python texture.py PROGRAM PICTURE... [--sheet OUT.webp]`.
+"""Measures the effect of noise in place of lost texture: `python texture.py PROGRAM PICTURE... [--sheet OUT.webp]`.
 
-Each picture is coded at ratio 50. Noise as strong as what the file has lost, seen through a window of some pixels, times an
-amplitude, is added to the luma. The envelope is taken from the original and costs nothing here: a file that described the
-noise would do worse. Prints the mean change of PSNR, MS-SSIM, SSIMULACRA2 and Butteraugli's 3-norm, as `PROGRAM compare`
-tells them. Needs NumPy and Pillow. A sheet shows a crop of each picture: the original, the file, and the file with noise.
+Each picture is encoded at ratio 50. Noise is added to the luma, with the local strength of the lost texture within a
+window of a few pixels, times an amplitude. The strength is computed from the original and takes no bytes here; a file
+that stored it would do worse. Prints the mean change of PSNR, MS-SSIM, SSIMULACRA2 and Butteraugli's 3-norm, as
+`PROGRAM compare` reports them. Needs NumPy and Pillow. The sheet shows a crop of each picture: the original, the file,
+and the file with noise.
 """
 
 import argparse
@@ -19,14 +20,14 @@ from PIL import Image
 LUMA = np.array([0.25, 0.6, 0.15])
 #: Standard deviations of the blur that gives the noise its spectrum, pixels (0: white), and amplitudes.
 SPECTRA, AMPLITUDES = (0.0, 0.7, 1.2), (0.15, 0.3, 0.5)
-#: Standard deviation of the window that what is lost is seen through, pixels.
+#: Standard deviation of the window for the strength of the lost texture, pixels.
 WINDOW = 4.0
-#: What the sheet shows: side of the crops, pixels, and the noise.
+#: Side of the crops in the sheet, pixels, and the noise that it shows.
 CROP, SHOWN = 192, (0.7, 0.5)
 
 
 def blur(plane, sigma):
-    """A Gaussian blur of a plane, mirrored at its borders."""
+    """Applies a Gaussian blur to a plane, which is mirrored at its borders."""
     reach = int(3 * sigma + 1)
     taps = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * sigma**2))
     taps /= taps.sum()
@@ -38,7 +39,7 @@ def blur(plane, sigma):
 
 
 def noise(shape, sigma):
-    """Noise of variance 1, the same at each call."""
+    """Returns noise of variance 1, the same at each call."""
     plane = np.random.default_rng(1).standard_normal(shape)
     if sigma:
         plane = blur(plane, sigma)

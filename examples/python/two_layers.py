@@ -1,11 +1,12 @@
-"""Measures what the detail layer brings: the table of docs/studies/detail-layer.md.
+"""Measures the effect of the detail layer: the table of docs/studies/detail-layer.md.
 
-    python3 examples/python/two_layers.py PICTURES... --program NAME=target/release/ssplat [--program NAME=OTHER] [--ratio 20 50 100 200]
+    python3 examples/python/two_layers.py PICTURES... --program NAME=target/release/ssplat [--program NAME=OTHER]
+        [--ratio 20 50 100 200]
 
-Each picture is encoded by each program at each ratio, with the defaults and with --tune psnr, one thread an encode. For each ratio and
-program a row has the means of PSNR (dB) for both, and of SSIMULACRA2, MS-SSIM, Butteraugli and CPU seconds for the defaults. Then come
-the pictures on which the last program is behind the first: by more than .05 dB with --tune psnr, or .3 points of SSIMULACRA2 without.
-Each program measures its own files: formats may differ.
+Each picture is encoded by each program at each ratio, with the defaults and with --tune psnr, on one thread. For each
+ratio and program, a row has the means of PSNR (dB) for both, and of SSIMULACRA2, MS-SSIM, Butteraugli and CPU seconds
+for the defaults. A list of pictures follows on which the last program is worse than the first: by more than 0.05 dB with
+--tune psnr, or 0.3 points of SSIMULACRA2 without. Each program measures its own files, because formats may differ.
 """
 import argparse
 import concurrent.futures
@@ -20,7 +21,7 @@ MEASURES = ("PSNR", "MS-SSIM", "SSIMULACRA2", "Butteraugli")
 
 
 def measured(program, picture, ratio, options, folder):
-    """What `compare` of the same program says of an encode, and its CPU seconds and bytes."""
+    """Encodes, and returns the measures of the same program's `compare`, the CPU seconds and the size."""
     handle, file = tempfile.mkstemp(".ssplat", dir=folder)
     os.close(handle)
     os.remove(file)

@@ -1,4 +1,5 @@
-//! Any bytes as the payload of the coded layout behind a sound header: an error, or integers that code to the same bytes.
+//! Decodes any bytes as the payload of the coded layout after a valid header: the result is an error, or integers that
+//! encode to the same bytes.
 #![no_main]
 
 use arbitrary::Arbitrary;
@@ -8,7 +9,7 @@ use ssplat::unstable::bitstream::splats::{Layout, PackedGaussian};
 use ssplat::unstable::bitstream::{read, to_bytes};
 use ssplat_fuzz::{Head, tight_limits};
 
-/// The payload is what is left of the fuzzed bytes.
+/// The remaining fuzzed bytes are the payload.
 #[derive(Debug, Arbitrary)]
 struct Input<'a> {
     head: Head,
@@ -19,7 +20,7 @@ struct Input<'a> {
 fuzz_target!(|input: Input| {
     let (limits, mut splats) = (tight_limits(), input.head.0);
     splats.layout = Layout::Coded;
-    // Primitives only for the header to count them.
+    // The primitives only set the count in the header.
     let color = splats.codebook.as_ref().map_or([0; 4], |book| book[0]);
     splats.gaussians = vec![PackedGaussian { color, ..PackedGaussian::default() }; input.count.into()];
     let Ok(mut bytes) = to_bytes(&splats) else { return };

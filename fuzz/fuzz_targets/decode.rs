@@ -1,4 +1,5 @@
-//! Any bytes through the `image` hook with tight limits: an error or a picture, within the memory that was granted.
+//! Decodes any bytes through the `image` hook with tight limits: the result is an error or a picture, within the
+//! memory limit.
 #![no_main]
 
 use std::io::Cursor;

@@ -1,5 +1,5 @@
-//! Tiny pictures and any options that go together: a file no larger than asked that decodes to the same size, the same twice, or one
-//! of the few typed errors that such options can end in.
+//! Encodes tiny pictures with any valid options: the result is a file within the requested size that decodes to the
+//! same dimensions, is the same twice, or one of the few typed errors that the options allow.
 #![no_main]
 
 use arbitrary::{Arbitrary, Unstructured};
@@ -53,10 +53,10 @@ impl<'a> Arbitrary<'a> for Input {
                 *block = Some(vec![u.arbitrary()?; u.int_in_range(0..=40)?]);
             }
         }
-        // Often over before the fit is.
+        // Often shorter than the fit.
         options.time =
             if u.ratio(1, 8)? { Some(std::time::Duration::from_micros(u.arbitrary::<u16>()?.into())) } else { None };
-        // Wide enough for two tiles, seldom: that takes longer. What is not written in tiles is told by an error.
+        // Seldom wide enough for two tiles, which takes longer. Options that tiles do not support return an error.
         let may_be_tiled = options.layout == Layout::Coded
             && options.recipe == Recipe::Ssplat
             && options.time.is_none()
@@ -66,7 +66,7 @@ impl<'a> Arbitrary<'a> for Input {
         let channels = *u.choose(&[Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba])?;
         let (width, height) = (u.int_in_range(1..=24)? + if is_tiled { 128 } else { 0 }, u.int_in_range(1..=24)?);
         let count = (width * height) as usize * channels.count();
-        // Few fuzzed bytes make a picture: they repeat.
+        // The picture repeats a few fuzzed bytes.
         let seed: Vec<u16> = (0..u.int_in_range(1..=32)?).map(|_| u.arbitrary()).collect::<Result<_, _>>()?;
         let values = seed.iter().copied().cycle().take(count);
         let samples = if u.arbitrary()? {
@@ -83,7 +83,7 @@ fuzz_target!(|input: Input| {
     let Input { pixels, options } = input;
     let encoded = match ssplat::unstable::encode(&pixels, &options) {
         Ok(encoded) => encoded,
-        // These options can ask for too small a file or too good a picture, and for nothing else that is refused.
+        // These options can request too small a file or too high a quality; nothing else is refused.
         Err(Error::TooSmall { .. }) if matches!(options.target, Target::Bytes(_) | Target::Ratio(_)) => return,
         Err(Error::Parameter { name: "psnr", .. }) if matches!(options.target, Target::Psnr(_)) => return,
         Err(Error::Parameter { name: "thumbnail", .. }) if matches!(options.thumbnail, Thumbnail::Bytes(_)) => return,
@@ -92,7 +92,7 @@ fuzz_target!(|input: Input| {
     if let Target::Bytes(most) = options.target {
         assert!(encoded.bytes.len() as u64 <= most, "{} bytes of {most}", encoded.bytes.len());
     }
-    // How far a fit gets in its time is chance.
+    // With a time limit, the progress of a fit is not deterministic.
     if options.time.is_none() {
         let again = ssplat::unstable::encode(&pixels, &options).expect("it succeeded before");
         assert!(encoded.bytes == again.bytes, "two runs differ");

@@ -1,5 +1,5 @@
-//! A zstd frame: it is read or refused, in memory that the plane's length bounds; and what is compressed is read as it was, by
-//! zstd itself as well.
+//! Reads a zstd frame: it is read or refused, in memory that the plane's length bounds. Compresses a plane: it
+//! decompresses to the same bytes, also with zstd.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
@@ -18,7 +18,7 @@ mod outline;
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;
 
-/// Tables and one block of a reader, bytes, whatever the plane.
+/// Tables and one block of a decompressor, bytes, for any plane.
 const TABLES: usize = 3 << 20;
 
 fuzz_target!(|data: &[u8]| {

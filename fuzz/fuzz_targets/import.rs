@@ -1,4 +1,5 @@
-//! Gaussians of other programs, as archives, arrays and tables: refused, or packed into a file or a typed error; in bounded memory.
+//! Imports Gaussians of other programs, as archives, arrays and tables: they are refused, or packed to a file or a
+//! typed error, in bounded memory.
 #![no_main]
 #![allow(dead_code, reason = "the program's modules are used in part")]
 
@@ -33,7 +34,7 @@ use parameters::{Given, Parameters};
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;
 
-/// The names of arrays that mean something, ours and others'.
+/// Names of arrays that the import knows: those of ssplat and of other programs.
 const NAMES: [&str; 20] = [
     "means",
     "scales",
@@ -71,7 +72,7 @@ fn of_arrays(arrays: &BTreeMap<String, Array>, given: Given) -> Option<Parameter
     }
 }
 
-/// What the bytes are, by the lowest bits of the first.
+/// Reads the bytes in the format that the lowest bits of the first byte select.
 fn read(kind: u8, rest: &[u8], given: Given) -> Option<Parameters> {
     match kind & 6 {
         0 => {

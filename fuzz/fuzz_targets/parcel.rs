@@ -13,11 +13,11 @@ use ssplat_fuzz::task_head;
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;
 
-/// After this time the worker is asked to stop, and later than that it must have.
+/// Time after which the worker is asked to stop; it must stop soon after.
 const STOP: Duration = Duration::from_secs(5);
 const STOPPED: Duration = Duration::from_secs(12);
 
-/// What a fit takes beside what its task's bytes ask for, and for each of them, bytes.
+/// Memory of a fit beyond the bytes that its task requests: a constant, and an amount for each byte.
 const FIXED: usize = 64 << 20;
 const EACH: usize = 4000;
 

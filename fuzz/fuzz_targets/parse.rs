@@ -1,5 +1,5 @@
-//! Any bytes: typed error or integers that write the same bytes again, however the reader slices its input, in bounded
-//! memory.
+//! Parses any bytes: the result is a typed error, or integers that write the same bytes, however the reader splits its
+//! input, in bounded memory.
 #![no_main]
 
 #[path = "../../tests/groups/mod.rs"]
@@ -55,7 +55,7 @@ fuzz_target!(|data: &[u8]| {
         }
         let again = to_bytes(&splats).expect("what was read can be written");
         if splats.layout == Layout::Planes {
-            // zstd has many streams for the same bytes.
+            // Different zstd streams can have the same contents.
             let read = read(&again[..], &limits).expect("what was written reads back");
             assert!(read == splats, "what was written reads differently");
             return;

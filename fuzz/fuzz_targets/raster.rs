@@ -1,5 +1,5 @@
-//! Any floats as a picture: refused, or drawn within one code value of the f64 definition, the same in parts as whole,
-//! and so are reduced views.
+//! Renders any floats as a picture: they are refused, or rendered within one code value of the f64 definition, with
+//! the same result in parts and as a whole, also in reduced views.
 #![no_main]
 
 use arbitrary::{Arbitrary, Unstructured};
@@ -18,7 +18,7 @@ struct Input {
     part: [u32; 4],
     /// Width and height of a reduced view.
     reduced: [u32; 2],
-    /// Whether every value is one that a file can hold.
+    /// Whether a file can hold every value.
     is_legal: bool,
 }
 
@@ -41,9 +41,9 @@ impl<'a> Arbitrary<'a> for Input {
         let most_color = if u.arbitrary()? { 4.0 } else { 2.0 * MAX_COLOR };
         while !u.is_empty() && picture.gaussians.len() < 40 {
             let mut unit = || -> arbitrary::Result<f32> { Ok(f32::from(u.arbitrary::<u16>()?) / 65535.0) };
-            // Log-uniform from the smallest scale to far beyond the picture.
+            // Log-uniform, from the smallest scale to far beyond the picture.
             let log_scale = |t: f32| MIN_SCALE * (MAX_SCALE / MIN_SCALE).powf(t * t);
-            // As far as a file's colours go.
+            // Up to the maximum colour of a file.
             let vivid = |t: f32| most_color * (2.0 * t - 1.0);
             let (a, b) = (log_scale(unit()?), log_scale(unit()?));
             let gaussian = Gaussian {
@@ -88,7 +88,7 @@ fuzz_target!(|input: Input| {
     check(&picture, &small, [x, y, part[2].min(width - x), part[3].min(height - y)], is_legal);
 });
 
-/// Draws `view` and a part of it.
+/// Renders `view` and a part of it.
 fn check(picture: &Picture, view: &View, [x, y, width, height]: [u32; 4], is_legal: bool) {
     let limits = tight_limits();
     let renderer = match Renderer::new(picture, view, &limits) {
@@ -113,13 +113,13 @@ fn check(picture: &Picture, view: &View, [x, y, width, height]: [u32; 4], is_leg
     }
     if is_legal {
         let reference = reference::filtered(picture, view);
-        // With the sum blend the tolerance grows with what is added up (spec §5.4).
+        // With the sum blend, the tolerance grows with the sum of the terms (spec §5.4).
         let largest = picture.gaussians.iter().flat_map(|g| g.color).fold(1.0f32, |most, c| most.max(c.abs()));
         let added = if picture.blend == Blend::Sum { f64::from(largest) * picture.gaussians.len() as f64 } else { 0.0 };
         let cancelled = (added / 16.0).max(1.0);
         for (i, (&drawn, &value)) in bytes(whole.samples()).iter().zip(&reference).enumerate() {
             let want = reference::code(value, Depth::Eight);
-            // In a reduced view colours of the nearly transparent are the less certain.
+            // In a reduced view, the tolerance for colours of nearly transparent pixels is larger.
             let pixel = &reference[i - i % channels..][..channels];
             let alpha = picture.channels.alpha().filter(|&k| k != i % channels).map_or(1.0, |k| pixel[k]);
             let most = if view.step() == [1.0; 2] { 1.0 } else { (1.0 / (16.0 * alpha)).max(1.0) };

@@ -1,4 +1,4 @@
-//! Legal integers of every layout: what is written reads back, and writes the same bytes again.
+//! Writes valid integers in every layout, reads them back, and writes the same bytes again.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
@@ -7,7 +7,7 @@ use ssplat::unstable::bitstream::splats::{PackedGaussian, PackedSplats};
 use ssplat::unstable::bitstream::{read, to_bytes};
 use ssplat_fuzz::Legal;
 
-/// The primitives in an order of their own: within a level the file's order is the layout's affair.
+/// Sorts the primitives: their order within a level is up to the layout.
 fn sorted(splats: &PackedSplats) -> Vec<PackedGaussian> {
     let mut gaussians = splats.gaussians.clone();
     gaussians.sort_unstable_by_key(|g| (g.x, g.y, g.major, g.minor, g.angle, g.color));
@@ -18,7 +18,7 @@ fuzz_target!(|legal: Legal| {
     let splats = legal.0;
     let bytes = match to_bytes(&splats) {
         Ok(bytes) => bytes,
-        // A layout with fields of fixed width cannot hold every spread of values.
+        // A layout with fields of fixed width cannot hold every range of values.
         Err(ssplat::Error::Parameter { .. }) => return,
         Err(e) => panic!("{e}"),
     };

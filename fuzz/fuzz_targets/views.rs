@@ -1,5 +1,5 @@
-//! Views of legal files, any part in any size: drawn within the memory that was granted, or a typed error; and parts are those of
-//! the whole.
+//! Renders views of valid files, any part at any size: within the memory limit, or with a typed error. Parts have the
+//! pixels of the whole.
 #![no_main]
 
 use arbitrary::{Arbitrary, Unstructured};
@@ -14,7 +14,7 @@ use ssplat_fuzz::{Legal, SLACK};
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;
 
-/// One step from a view to the next.
+/// Derivation of a view from the previous one.
 #[derive(Debug)]
 enum Step {
     Crop([u32; 4]),
@@ -27,14 +27,14 @@ struct Input {
     size: Option<[u32; 2]>,
     steps: Vec<Step>,
     within: [u32; 2],
-    /// Primitives of the first of two levels.
+    /// Number of primitives of the first of two levels.
     level: Option<u8>,
-    /// Sides of the picture, in place of small ones.
+    /// Sides of the picture, if it is not a small one.
     large: Option<[u32; 2]>,
     legal: Legal,
 }
 
-/// Mostly small, sometimes anything.
+/// Returns a side: mostly small, sometimes any value.
 fn side(u: &mut Unstructured<'_>) -> arbitrary::Result<u32> {
     match u.int_in_range(0..=7u8)? {
         0 => u.arbitrary(),
@@ -78,7 +78,7 @@ fn limits() -> Limits {
     limits
 }
 
-/// Runs `f` and holds what it allocates against the grant.
+/// Runs `f` and checks its allocations against the limit.
 fn measured(f: impl FnOnce()) {
     ALLOCATOR.reset_peak_usage();
     let before = ALLOCATOR.current_usage();
@@ -90,7 +90,7 @@ fn measured(f: impl FnOnce()) {
 fuzz_target!(|input: Input| {
     let mut splats = input.legal.0;
     if let Some([width, height]) = input.large {
-        // Positions stay inside.
+        // Keeps positions inside.
         splats.width = splats.width.max(width.clamp(1, 1 << 20));
         splats.height = splats.height.max(height.clamp(1, 1 << 20));
     }

@@ -1,4 +1,5 @@
-//! What the fuzz targets share: readers that slice, pictures from fuzzed bytes, tight limits, and mutations that know the format.
+//! Shared code of the fuzz targets: readers that split their input, pictures from fuzzed bytes, tight limits, and
+//! format-aware mutations.
 
 #[path = "../../tests/seal/layer.rs"]
 mod layer;
@@ -14,7 +15,7 @@ use ssplat::unstable::bitstream::splats::{Layout, PackedGaussian, PackedSplats, 
 use ssplat::unstable::bitstream::{DetailHead, DetailLayer, Maker};
 use ssplat::{Blend, Channels, Depth, Limits};
 
-/// What a fuzzed file may ask for.
+/// Returns the limits for fuzzed files.
 pub fn tight_limits() -> Limits {
     let mut limits = Limits::default();
     limits.width = 1 << 12;
@@ -37,7 +38,7 @@ pub fn task_head() -> Vec<u8> {
 /// Allocator overhead, error values and what a target itself holds, bytes.
 pub const SLACK: u64 = 1 << 20;
 
-/// Executor out its bytes in pieces of 1, 2, 3, … bytes.
+/// A reader that returns its bytes in pieces of 1, 2, 3, … bytes.
 pub struct Sliced<'a> {
     bytes: &'a [u8],
     piece: usize,
@@ -59,7 +60,7 @@ impl Read for Sliced<'_> {
     }
 }
 
-/// A picture that obeys the format, without primitives.
+/// A valid picture without primitives.
 #[derive(Debug, Clone)]
 pub struct Head(pub PackedSplats);
 
@@ -103,7 +104,7 @@ impl<'a> Arbitrary<'a> for Head {
     }
 }
 
-/// Integers that obey the format.
+/// A picture with valid integers.
 #[derive(Debug, Clone)]
 pub struct Legal(pub PackedSplats);
 
@@ -147,13 +148,14 @@ impl<'a> Arbitrary<'a> for Legal {
     }
 }
 
-/// The largest magnitudes of colour integers: those that are legal, or moderate ones as real pictures have.
+/// Returns the maximum magnitudes of colour integers: those that the format allows, or moderate ones as in real
+/// pictures.
 fn wide_colors(u: &mut Unstructured<'_>, steps: &Steps, channels: Channels) -> arbitrary::Result<[i16; 4]> {
     let most = most_color(steps, channels);
     Ok(if u.arbitrary()? { most } else { most.map(|m| m / 8 + 1) })
 }
 
-/// A colour of magnitudes up to `most`.
+/// Returns a colour with magnitudes up to `most`.
 fn color(u: &mut Unstructured<'_>, channels: Channels, most: [i16; 4]) -> arbitrary::Result<[i16; 4]> {
     let mut color = [0; 4];
     for (c, most) in color[..channels.count()].iter_mut().zip(most) {
@@ -162,17 +164,17 @@ fn color(u: &mut Unstructured<'_>, channels: Channels, most: [i16; 4]) -> arbitr
     Ok(color)
 }
 
-/// Made-up levels of a detail layer.
+/// Random levels of a detail layer.
 pub struct Levels {
     random: mutate::Random,
-    /// Of so many blocks one has levels.
+    /// One of this many blocks has levels.
     filled: usize,
     classes: u8,
     largest: i16,
 }
 
 impl Levels {
-    /// A layer for a picture of such size and channels; nothing for the kinds of heads that are illegal.
+    /// Returns a layer for a picture of this size with these channels; `None` for invalid kinds of heads.
     pub fn layer(seed: u64, size: [u32; 2], channels: Channels) -> Option<Arc<DetailLayer>> {
         let mut random = mutate::Random::new(seed);
         let mut head = if random.below(2) == 0 { DetailHead::PLAIN } else { DetailHead::SEEN };

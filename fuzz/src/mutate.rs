@@ -1,5 +1,5 @@
-//! Mutations that get past checksums: bytes are changed as the fuzzer likes and sealed again, or the integers of a sound file
-//! are changed and written anew.
+//! Mutations that pass checksums: bytes are changed as the fuzzer likes and the checksums corrected, or the integers
+//! of a valid file are changed and written again.
 
 use libfuzzer_sys::fuzzer_mutate;
 use ssplat::unstable::bitstream::header::{Header, Sections};
@@ -9,10 +9,11 @@ use ssplat::{Error, FormatError};
 
 use crate::{Levels, layer, tight_limits};
 
-/// Most checksums that are set right in a file: one for each group, and those of the directory and the file each time.
-const MOST_SEALS: usize = 64;
+/// Maximum number of checksums that are corrected in a file: one for each group, and each time those of the directory
+/// and the file.
+const MAX_SEALS: usize = 64;
 
-/// Changes the first `size` of `data`, which has room for `max`, and returns the new size.
+/// Changes the first `size` bytes of `data`, which has room for `max`, and returns the new size.
 pub fn mutate(data: &mut [u8], size: usize, max: usize, seed: u32) -> usize {
     let mut random = Random(seed.into());
     if random.below(4) == 0
@@ -27,18 +28,18 @@ pub fn mutate(data: &mut [u8], size: usize, max: usize, seed: u32) -> usize {
         }
     }
     let size = fuzzer_mutate(data, size, max);
-    // A few stay broken: what a reader does about a wrong checksum is to be seen, too.
+    // A few stay wrong, to test how a reader handles wrong checksums.
     if random.below(16) > 0 {
         seal(&mut data[..size]);
     }
     size
 }
 
-/// Sets the checksums of sections, detail layer, file, directory and groups to the ones that a reader computes.
+/// Sets the checksums of sections, detail layer, file, directory and groups to the values that a reader computes.
 pub fn seal(bytes: &mut [u8]) {
     layer::mend(bytes);
     seal_sections(bytes);
-    for _ in 0..MOST_SEALS {
+    for _ in 0..MAX_SEALS {
         let Err(Error::Format(FormatError::Checksum { stored, computed, .. })) = read(&*bytes, &tight_limits()) else {
             return;
         };
@@ -47,7 +48,7 @@ pub fn seal(bytes: &mut [u8]) {
     }
 }
 
-/// Sections with a wrong checksum are left out by a reader without an error, so that their place must be found here.
+/// A reader skips sections with a wrong checksum without an error, so this function finds their positions itself.
 fn seal_sections(bytes: &mut [u8]) {
     let mut rest = &*bytes;
     match Header::read(&mut rest, &tight_limits()) {
@@ -82,7 +83,7 @@ fn varint(bytes: &[u8], at: &mut usize) -> Option<u64> {
     None
 }
 
-/// Changes some of the integers; what breaks a rule is refused by the writer.
+/// Changes some of the integers. The writer refuses those that violate a rule.
 fn change(splats: &mut PackedSplats, random: &mut Random) {
     for _ in 0..1 + random.below(3) {
         let count = splats.gaussians.len();
@@ -97,7 +98,7 @@ fn change(splats: &mut PackedSplats, random: &mut Random) {
                 splats.gaussians.extend_from_within(random.below(count)..);
                 splats.levels.clear();
             }
-            // Two levels make groups.
+            // Two levels require groups.
             4 if count > 1 => {
                 let first = 1 + random.below(count - 1);
                 splats.levels = vec![first as u32, (count - first) as u32];
@@ -136,7 +137,7 @@ impl Random {
         z ^ z >> 31
     }
 
-    /// Below `n`, which must not be 0.
+    /// Returns a number below `n`, which must not be 0.
     pub fn below(&mut self, n: usize) -> usize {
         (self.next() % n as u64) as usize
     }

@@ -1,4 +1,4 @@
-//! The stages of a decode and a small encode: `cargo bench -p ssplat-lab`.
+//! Benchmarks of the stages of a decode and of a small encode: `cargo bench -p ssplat-lab`.
 
 use divan::{Bencher, black_box};
 use ssplat::unstable::bitstream::{self, splats::PackedSplats};
@@ -18,7 +18,7 @@ fn photograph() -> Pixels {
     .expect("pixels")
 }
 
-/// The photograph at a ratio of 50, fitted quickly: the speed depends on the number of primitives, not on how good they are.
+/// The photograph at a ratio of 50, fitted quickly. Speed depends on the number of primitives, not on their quality.
 fn file() -> Vec<u8> {
     let mut options = EncodeOptions::default();
     options.target = Target::Ratio(50.0);
@@ -42,7 +42,7 @@ fn write(bencher: Bencher) {
     bencher.bench(|| bitstream::to_bytes(black_box(&splats)));
 }
 
-/// Output widths of the whole picture, 768 pixels wide.
+/// Output widths; the whole picture is 768 pixels wide.
 #[divan::bench(args = [96, 256, 768, 3072])]
 fn rasterize(bencher: Bencher, width: u32) {
     let splats = splats();

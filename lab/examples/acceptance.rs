@@ -1,12 +1,14 @@
-//! Results of this decoder on many files, to compare other builds of it with (`web/test/acceptance.mjs`): the finds of
-//! fuzzing as they are and with matching checksums, all vectors, and mutations of them.
+//! Results of this decoder on many files, for comparison with other builds of it (`web/test/acceptance.mjs`): the
+//! fuzzing finds as they are and with corrected checksums, all vectors, and mutations of them.
+//!
 //!
 //! ```sh
 //! cargo run --release -p ssplat-lab --example acceptance -- FOLDER [MUTATIONS [FILES]]
 //! ```
 //!
-//! writes `FOLDER/files.bin`, all files in a row, and `FOLDER/list.txt`, of each a line: name, length, what inspecting it gives, width and
-//! height of the corner that is drawn, and what drawing that gives. That is the kind of an error, or a checksum.
+//! writes `FOLDER/files.bin`, all files concatenated, and `FOLDER/list.txt`, with a line for each file: name, length,
+//! result of inspecting it, width and height of the corner that is rendered, and result of rendering it. A result is
+//! the kind of an error, or a checksum.
 
 use std::error::Error;
 use std::fs;
@@ -23,7 +25,7 @@ mod seal;
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
-/// The side of the corner that is drawn of a larger picture: the whole takes long and says no more.
+/// Side of the corner that is rendered of a larger picture. Rendering the whole takes long and shows nothing more.
 const SIDE: u32 = 64;
 
 fn main() -> Result<()> {
@@ -63,7 +65,7 @@ fn files(count: usize) -> Result<Vec<(String, Vec<u8>)>> {
     for kind in ["valid", "reduced", "invalid", "limits"] {
         for path in entries(&root.join("spec/vectors").join(kind))? {
             let bytes = fs::read(path.join("file.ssplat"))?;
-            // These are the files that `tests/malformed.rs` changes.
+            // The files that `tests/malformed.rs` mutates.
             if kind == "valid" && bytes.len() < 8192 {
                 sound.push(bytes.clone());
             }
@@ -84,8 +86,8 @@ fn name_of(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Returns the limits that `web/test/acceptance.mjs` uses. `alloc` is large enough never to decide, as 32-bit builds
-/// take less memory.
+/// Returns the limits that `web/test/acceptance.mjs` uses. `alloc` is large enough to be irrelevant, since 32-bit
+/// builds take less memory.
 fn limits() -> Limits {
     let mut limits = Limits::default();
     (limits.width, limits.height, limits.primitives) = (1 << 12, 1 << 12, 1 << 16);
@@ -101,7 +103,7 @@ fn said_of(file: &[u8]) -> (&'static str, [u32; 2], String) {
     (outcome, size, drawn)
 }
 
-/// RGBA with 8 bits of a corner of the picture, as the package for browsers has it.
+/// Returns a corner of the picture as RGBA with 8 bits, in the format of the package for browsers.
 fn corner(file: &[u8], size: &mut [u32; 2]) -> ssplat::Result<Vec<u8>> {
     let opening = Reader::new(file, &limits())?;
     let (header, view) = (opening.header(), opening.view());

@@ -1,18 +1,19 @@
-//! Decoding beside other codecs in one run: CPU time, wall time and peak memory on files of equal bytes.
+//! Compares decoding with other codecs in one run: CPU time, wall time and peak memory for files of equal size.
 //!
 //! ```sh
 //! cargo run --release -p ssplat-lab --example decode_speed -- PICTURE... --ratio 200
 //! ```
 //!
-//! Each picture is written at the ratio by ssplat, by `image`'s JPEG encoder (decoded by zune-jpeg, which `image` uses),
-//! losslessly as PNG, and by `cwebp`, `avifenc` and `cjxl` where they are installed; the qualities are searched so that
-//! no file is larger than asked, or the smallest is taken. Every decode is a process of its own that draws into memory
-//! and repeats; the fastest repetition counts, and the peak memory is that of the process. Programs (`djpeg`, `dwebp`,
-//! `avifdec`, `djxl`) are timed as a whole, with what they write to a temporary file. A region (the middle 1024² or less)
-//! and a thumbnail (256 pixels wide) are drawn directly by ssplat; the others decode everything for them.
+//! Each picture is encoded at the ratio by ssplat, by `image`'s JPEG encoder (decoded by zune-jpeg, which `image`
+//! uses), losslessly as PNG, and by `cwebp`, `avifenc` and `cjxl` if they are installed. The quality is the highest at
+//! which the file is no larger than requested, or the lowest available. Every decode runs in a process of its own that
+//! decodes into memory repeatedly. The time is that of the fastest repetition, and the peak memory that of the
+//! process. Programs (`djpeg`, `dwebp`, `avifdec`, `djxl`) are timed as a whole, including writing a temporary file.
+//! ssplat renders a region (the middle 1024² or less) and a thumbnail (256 pixels wide) directly; the other codecs
+//! decode the whole picture for them.
 //!
-//! A decode into fresh memory waits for the system to hand out each page of the picture. Rows that say "reused" decode into
-//! the buffer of the repetition before, as a viewer or a player would; programs cannot be asked for that.
+//! A decode into newly allocated memory waits for the system to map each page of the picture. Rows marked "reused"
+//! decode into the buffer of the previous repetition, as a viewer or a player would. Programs do not offer this.
 
 use std::error::Error;
 use std::fs;
@@ -32,7 +33,7 @@ use ssplat::{Limits, Pixels, Target};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
-/// Decoding beside other codecs in one run
+/// Compare decoding with other codecs in one run
 #[derive(Debug, Parser)]
 struct Args {
     /// The pictures
@@ -47,10 +48,10 @@ struct Args {
     /// Repetitions of each decode; the fastest counts
     #[arg(long, default_value_t = 5)]
     repeat: u32,
-    /// Also keep the files in this folder, and take the ssplat files that are there
+    /// Keep the files in this folder, and reuse the ssplat files that it contains
     #[arg(long)]
     keep: Option<PathBuf>,
-    /// Used by the program itself: decode the only file given by this codec and print the figures
+    /// For internal use: decode a single file with this codec and print the figures
     #[arg(long, hide = true)]
     by: Option<String>,
 }
@@ -160,7 +161,7 @@ fn table(path: &Path, args: &Args, folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Leaves the file of the best quality in `low..=high` that has at most `most` bytes, or of the lowest.
+/// Writes the file with the highest quality in `low..=high` that has at most `most` bytes, or with the lowest quality.
 fn search(low: u32, high: u32, most: u64, file: &Path, mut write: impl FnMut(u32) -> Result<()>) -> Result<()> {
     let (mut good, mut bad) = (low, high + 1);
     while bad - good > 1 {
@@ -175,7 +176,7 @@ fn installed(program: &str) -> bool {
     Command::new(program).arg("--help").output().is_ok()
 }
 
-/// CPU and wall milliseconds of the fastest repetition and the peak memory in MB.
+/// Returns CPU and wall milliseconds of the fastest repetition, and the peak memory in MB.
 fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
     let bytes = fs::read(file)?;
     let output = tempfile::Builder::new().suffix(".ppm").tempfile()?;
@@ -189,7 +190,7 @@ fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
     let mut buffer = Vec::new();
     if by.ends_with("reused") {
         let decoder = reader(&bytes)?;
-        // Written once, so that every page is there before the first repetition.
+        // Fill the buffer once, so that every page is mapped before the first repetition.
         buffer.resize(usize::try_from(decoder.total_bytes())?, 1);
     }
     for _ in 0..repeat {
@@ -224,7 +225,7 @@ fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
         let used = cpu_time(who)? - cpu;
         best = (best.0.min(used.as_secs_f64()), best.1.min(wall.elapsed().as_secs_f64()));
     }
-    // A process starts with the resident size of the one that it was forked from; only Linux tells its own peak.
+    // The reported peak includes the size of the parent process at the fork. Only Linux reports a process's own peak.
     let own = fs::read_to_string("/proc/self/status").ok().filter(|_| who == UsageWho::RUSAGE_SELF);
     let own = own.as_ref().and_then(|s| s.lines().find_map(|l| l.strip_prefix("VmHWM:")?.split_whitespace().next()));
     let peak = match own {
@@ -234,7 +235,7 @@ fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
     Ok(format!("{} {} {peak}", best.0 * 1e3, best.1 * 1e3))
 }
 
-/// A decoder of the `image` crate for a file of any kind.
+/// Returns a decoder of the `image` crate for a file of any format.
 fn reader(bytes: &[u8]) -> Result<impl ImageDecoder + '_> {
     ssplat::register();
     Ok(ImageReader::new(Cursor::new(bytes)).with_guessed_format()?.into_decoder()?)

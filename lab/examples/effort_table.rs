@@ -1,4 +1,4 @@
-//! Time and quality of each effort, for one or several builds of the program in turn.
+//! Measures time and quality of each effort, for one or more builds of the program in turn.
 //!
 //! ```sh
 //! cargo build --release
@@ -7,9 +7,9 @@
 //!     --efforts 1,3,5 --ratios 50,200 --seeds 0,1 --only kodim05.png,kodim13.png
 //! ```
 //!
-//! Every picture is encoded at every ratio and effort and with every seed, by one program after the other, on one thread.
-//! The table has the means over pictures and seeds: CPU seconds of the whole program, those of the system apart, as they
-//! grow with what else the machine does; and what the files hold, decoded.
+//! Every picture is encoded at every ratio and effort and with every seed, by one program after the other, on one
+//! thread. The table has the means over pictures and seeds: CPU seconds of the whole program, system time separately
+//! (because it depends on the load of the machine), and the quality of the decoded files.
 
 mod folder;
 
@@ -55,7 +55,7 @@ struct Sums {
     system: f64,
     bytes: f64,
     psnr: f64,
-    /// Not a number as soon as one picture is too small for it.
+    /// NaN as soon as one picture is too small for the measure.
     ms_ssim: f64,
 }
 
@@ -108,7 +108,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// CPU seconds, of the program and of the system for it, that encoding takes on one thread.
+/// Returns the CPU seconds in user and in system mode that encoding takes on one thread.
 fn encode(
     program: &Path,
     [from, to]: [&Path; 2],
@@ -128,7 +128,7 @@ fn encode(
     Ok([after[0] - before[0], after[1] - before[1]])
 }
 
-/// CPU seconds of all programs that were run so far, and of the system for them.
+/// Returns the CPU seconds in user and in system mode of all programs that have been run so far.
 fn children() -> Result<[f64; 2], Box<dyn Error>> {
     let usage = getrusage(UsageWho::RUSAGE_CHILDREN)?;
     let seconds = |t: TimeVal| t.tv_sec() as f64 + t.tv_usec() as f64 * 1e-6;

@@ -5,23 +5,23 @@
 //! ```
 //!
 //! Cases: `tiny` (64×48, for software adapters), `kodak` (768×512), `24mp` (6000×4000), `paper` (10848×16320, the
-//! largest picture of the SmartSplat paper), at ratio 50 (`tiny`: 20, `paper`: 200) with seven bytes counted for a
-//! primitive, as the paper counts. Without a case: `kodak`, `24mp` and `paper`; on software adapters, which are used
-//! only with `--cpu-adapter`, `tiny` and `kodak` with 100 steps. The pictures are drawn by the program: edges, texture
-//! and shading over all scales. A case that fails says why, and the others go on.
+//! largest picture of the SmartSplat paper), at ratio 50 (`tiny`: 20, `paper`: 200). As in the paper, a primitive
+//! counts as seven bytes. The default cases are `kodak`, `24mp` and `paper`; on software adapters, which are used only
+//! with `--cpu-adapter`, `tiny` and `kodak` with 100 steps. The pictures are synthetic: edges, texture and shading at
+//! all scales. If a case fails, its error is printed and the next one runs.
 //!
-//! `--steps 2 --looks 1` shows on any machine that a large case runs: in fewer than 50 steps nothing converges, and what
-//! is relative to that is left out. Pictures of two megapixels and more are seen at half their size in the first 70 % of
-//! the steps, so that few steps are faster ones.
+//! `--steps 2 --looks 1` checks on any machine that a large case runs. Nothing converges in fewer than 50 steps, and
+//! times relative to convergence are left out. Pictures of two megapixels and more are fitted at half their size in
+//! the first 70 % of the steps, so that the steps of a short run are faster.
 //!
-//! "Converged" is the end of the schedule; the paper's two marks, 30.5 and 31.9 dB, lie 1.4 dB apart, so that the
-//! times are those to converged − 1.4 dB and to converged − 0.1 dB (the picture differs, hence relative), read between
-//! `--looks` (40) looks at the whole picture. The times of the steps contain everything that happens between steps,
-//! relocation too, but neither the looks nor the setup: where the fit starts is found on the CPU, and the picture is
-//! brought to the device once. A frame is the whole picture in 8-bit RGBA in a buffer on the device.
+//! "Converged" is the end of the schedule. The paper's two marks, 30.5 and 31.9 dB, are 1.4 dB apart. Since the
+//! picture differs, the times given here are those to converged − 1.4 dB and to converged − 0.1 dB, interpolated
+//! between `--looks` (40) measurements of the whole picture. They include everything between steps, such as
+//! relocation, but neither the measurements nor the setup: initialization on the CPU and copying the picture to the
+//! device. A frame is the whole picture in 8-bit RGBA in a buffer on the device.
 //!
-//! Memory is what the driver holds for the device, in blocks of 64 MB and more, and the most that the program held on
-//! the host, all cases so far (`–`: not told). The host needs about 4.6 GB for `paper`.
+//! Memory on the device is what the driver reserves, in blocks of 64 MB and more. Memory on the host is the peak of
+//! the program, over all cases so far (`–`: unknown). The host needs about 4.6 GB for `paper`.
 
 use std::io::Write;
 use std::num::NonZero;
@@ -34,7 +34,7 @@ use ssplat::{Blend, Channels, Limits, Pixels, Samples};
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
-/// A picture and what it is fitted with.
+/// A picture and the parameters of its fit.
 struct Case {
     name: &'static str,
     size: [u32; 2],
@@ -49,11 +49,11 @@ const CASES: [Case; 4] = [
     Case { name: "paper", size: [10848, 16320], ratio: 200, steps: 1000 },
 ];
 
-/// Steps of the shortest schedule whose end says anything about convergence.
-const CONVERGING: u32 = 50;
+/// Minimum number of steps of a schedule whose end is considered converged.
+const MIN_CONVERGING_STEPS: u32 = 50;
 
-/// Bytes of the largest buffer of wgpu's default limits.
-const MOST_BUFFER: u64 = 256 << 20;
+/// Maximum buffer size of wgpu's default limits, bytes.
+const MAX_BUFFER: u64 = 256 << 20;
 
 fn main() -> Result<()> {
     let mut arguments = std::env::args().skip(1);
@@ -71,7 +71,7 @@ fn main() -> Result<()> {
         }
     }
     let device = Device::open(adapters)?;
-    // A program that acts as a GPU would take hours over the large cases.
+    // A software renderer would take hours for the large cases.
     let (usual, usual_steps) = if device.is_software() { (&CASES[..2], Some(100)) } else { (&CASES[1..], None) };
     if names.is_empty() {
         names = usual.iter().collect();
@@ -119,7 +119,7 @@ fn run(device: &Device, case: &Case, steps: u32, looks: u32) -> Result<String> {
     let frames = frames(device, &fitted.picture)?;
     memory = memory.max(held(device).unwrap_or(0));
     let megabytes = |bytes: u64| if bytes == 0 { "–".to_owned() } else { (bytes >> 20).to_string() };
-    let relative = |text: String| if steps < CONVERGING { "–".to_owned() } else { text };
+    let relative = |text: String| if steps < MIN_CONVERGING_STEPS { "–".to_owned() } else { text };
     let seconds_to = |below: f64| relative(format!("{:.1}", time_to(&points, fitted.psnr - below)));
     let [slab, band, _] = fitted.bands;
     Ok(format!(
@@ -143,7 +143,7 @@ fn rate(per_second: f64) -> String {
     if per_second < 1.0 { format!("{per_second:.3}") } else { format!("{per_second:.1}") }
 }
 
-/// When the quality was first reached, seconds, between two looks in proportion.
+/// Returns the time at which the quality was first reached, in seconds, interpolated between two measurements.
 fn time_to(points: &[(f64, f64)], psnr: f64) -> f64 {
     let Some(i) = points.iter().position(|p| p.0 >= psnr) else { return f64::NAN };
     let (after, before) = (points[i], points[i.saturating_sub(1)]);
@@ -154,8 +154,9 @@ fn time_to(points: &[(f64, f64)], psnr: f64) -> f64 {
 fn frames(device: &Device, picture: &ssplat::Picture) -> Result<f64> {
     let [width, height] = [picture.width, picture.height];
     let mut renderer = Renderer::new(device, picture, &Limits::default())?;
-    // Equal parts that a buffer holds; a frame is all of them. Equal, so that all are drawn with the same buffers.
-    let most = MOST_BUFFER / (4 * u64::from(width));
+    // Equal parts that fit into a buffer; a frame is all of them. They are equal so that all are rendered with the
+    // same buffers.
+    let most = MAX_BUFFER / (4 * u64::from(width));
     let parts = (1..=height).find(|n| height.is_multiple_of(*n) && u64::from(height / n) <= most).unwrap_or(height);
     let rows = height / parts;
     let full = View::full(picture);
@@ -176,7 +177,7 @@ fn frames(device: &Device, picture: &ssplat::Picture) -> Result<f64> {
         device.wgpu().0.poll(wgpu::PollType::wait_indefinitely())?;
         Ok(())
     };
-    // The first frame makes the buffers, and tells how many to take.
+    // The first frame creates the buffers, and its time determines the number of frames.
     frame()?;
     let (clock, mut done) = (Instant::now(), 0);
     while done == 0 || clock.elapsed().as_secs_f64() < 2.0 {
@@ -186,24 +187,24 @@ fn frames(device: &Device, picture: &ssplat::Picture) -> Result<f64> {
     Ok(f64::from(done) / clock.elapsed().as_secs_f64())
 }
 
-/// Bytes that the driver holds for the device, where it says so.
+/// Returns the bytes that the driver reserves for the device, if it reports them.
 fn held(device: &Device) -> Option<u64> {
     device.wgpu().0.generate_allocator_report().map(|r| r.total_reserved_bytes)
 }
 
-/// The most bytes that the program held so far; 0 where the system does not say.
+/// Returns the peak memory of the program so far, bytes; 0 if the system does not report it.
 fn host_peak() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let kilobytes = status.lines().find_map(|l| l.strip_prefix("VmHWM:")?.split_whitespace().next()?.parse().ok());
     kilobytes.unwrap_or(0u64) << 10
 }
 
-/// Shading, edges and texture of all scales.
+/// Shading, edges and texture at all scales.
 fn scene(width: u32, height: u32) -> Vec<u8> {
     let row_size = width as usize * 3;
     let mut out = vec![0; height as usize * row_size];
     let threads = std::thread::available_parallelism().map_or(1, NonZero::get);
-    // Few rows at a time, so that all threads have some of each part.
+    // Distribute single rows, so that all threads get a share of each part of the picture.
     let mut parts: Vec<Vec<(usize, &mut [u8])>> = (0..threads).map(|_| Vec::new()).collect();
     for (y, row) in out.chunks_exact_mut(row_size).enumerate() {
         parts[y % threads].push((y, row));
@@ -227,7 +228,7 @@ fn scene_row(width: u32, height: u32, y: u32, row: &mut [u8]) {
             texture += ((f * u + bend).sin() * (f * v - bend).cos()) / (octave as f32 + 2.0);
         }
         let edge = f32::from((13.0 * u + (9.0 * v).sin() * 3.0).fract() > 0.5);
-        // Texture lies in patches: pictures are smooth in most places.
+        // The texture is in patches, because pictures are smooth in most places.
         let patch = (0.5 + 0.5 * (5.0 * u + 3.0).sin() * (4.0 * v).cos()).powi(2);
         for (k, sample) in pixel.iter_mut().enumerate() {
             let shade = 0.5 + 0.25 * (3.0 * u + 2.0 * v + k as f32).sin();

@@ -1,16 +1,16 @@
-//! Rate and distortion of ssplat on a folder of pictures, in real file bytes, beside other codecs' figures from a CSV.
+//! Rate and distortion of ssplat on a folder of pictures, in actual file bytes, next to results of other codecs from a
+//! CSV.
 //!
 //! ```sh
 //! cargo run --release -p ssplat-lab --example rate_distortion -- DIR --anchors anchors.csv
 //! cargo run --release -p ssplat-lab --example rate_distortion -- DIR --ratios 50 --effort 9 --only kodim05.png
 //! ```
 //!
-//! Every picture is encoded at every ratio, decoded from the bytes, and compared with the original. The CSV has the
-//! columns `image,codec,target_cr,bytes,psnr,msssim` at least, `ssimulacra2` and `butteraugli` where it has them, and
-//! `N/A` where a codec does not reach a ratio. Codecs are given as PSNR / MS-SSIM / SSIMULACRA2 / Butteraugli. The first
+//! Every picture is encoded at every ratio, decoded from the bytes, and compared with the original. The CSV has at
+//! least the columns `image,codec,target_cr,bytes,psnr,msssim`, optionally `ssimulacra2` and `butteraugli`, and `N/A`
+//! where a codec does not reach a ratio. Results are listed as PSNR / MS-SSIM / SSIMULACRA2 / Butteraugli. The first
 //! table has a row for each picture and ratio; the second has the means.
 
-// The option names of the program; a binary's modules have no other way out.
 mod folder;
 
 use std::error::Error;
@@ -32,7 +32,7 @@ use ssplat_cli::{names, perceived};
 struct Args {
     /// The folder
     folder: PathBuf,
-    /// Figures of other codecs
+    /// Results of other codecs
     #[arg(long, value_name = "CSV")]
     anchors: Option<PathBuf>,
     /// Ratios of 8-bit sample bytes to file bytes
@@ -41,34 +41,34 @@ struct Args {
     /// Only these file names
     #[arg(long, value_delimiter = ',')]
     only: Vec<String>,
-    /// How much work to spend, 1 to 9
+    /// Amount of work, 1 to 9
     #[arg(long, default_value_t = 5)]
     effort: u8,
     /// Wall-clock budget of one fit, seconds
     #[arg(long)]
     time: Option<f64>,
-    /// Seed of everything random
+    /// Seed of the random numbers
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// How files are laid out
+    /// Layout of the files
     #[arg(long, default_value = "coded", value_parser = names::layout())]
     layout: Layout,
     /// The fitting recipe
     #[arg(long, default_value = "ssplat", value_parser = names::recipe())]
     recipe: Recipe,
-    /// Which measure to favour
+    /// Measure to optimize for
     #[arg(long, default_value = "psnr", value_parser = names::tune())]
     tune: Tune,
-    /// Which device fits
+    /// Device that fits
     #[arg(long, default_value = "auto", value_parser = names::backend())]
     backend: Backend,
-    /// Decode this many times; the fastest counts
+    /// Repetitions of each decode; the fastest counts
     #[arg(long, default_value_t = 3)]
     repeat: u32,
     /// Threads to work with
     #[arg(long)]
     threads: Option<usize>,
-    /// Also write our rows in the form of the CSV
+    /// Also write the rows of ssplat as a CSV of the same form
     #[arg(long, value_name = "CSV")]
     csv: Option<PathBuf>,
 }
@@ -87,7 +87,7 @@ struct Row {
     image: String,
     codec: String,
     ratio: u32,
-    /// `None` where the codec does not reach the ratio.
+    /// `None` if the codec does not reach the ratio.
     quality: Option<Quality>,
 }
 
@@ -95,11 +95,11 @@ struct Row {
 struct Quality {
     bytes: u64,
     psnr: f64,
-    /// `None` where the picture is too small for it.
+    /// `None` if the picture is too small for it.
     ms_ssim: Option<f64>,
-    /// `None` where the CSV has no such column, too.
+    /// `None` also if the CSV has no such column.
     ssimulacra2: Option<f64>,
-    /// 3-norm; `None` likewise.
+    /// 3-norm; `None` as above.
     butteraugli: Option<f64>,
 }
 
@@ -189,7 +189,7 @@ fn options(args: &Args, ratio: u32) -> EncodeOptions {
     options
 }
 
-/// Pixels from bytes, parsing included, and the seconds of the fastest of `repeat` runs.
+/// Decodes bytes to pixels, including parsing, and returns the seconds of the fastest of `repeat` runs.
 fn decode(bytes: &[u8], repeat: u32) -> ssplat::Result<(Pixels, f64)> {
     let limits = Limits::default();
     let run = || -> ssplat::Result<(Pixels, f64)> {
@@ -206,7 +206,7 @@ fn decode(bytes: &[u8], repeat: u32) -> ssplat::Result<(Pixels, f64)> {
     Ok(best)
 }
 
-/// Reads the rows of other codecs. Only the last column may hold a comma.
+/// Reads the results of other codecs. Only the last column may contain a comma.
 fn read_anchors(path: &Path) -> Result<Vec<Row>, Box<dyn Error>> {
     let text = fs::read_to_string(path)?;
     let mut lines = text.lines();
@@ -234,25 +234,25 @@ fn read_anchors(path: &Path) -> Result<Vec<Row>, Box<dyn Error>> {
     lines.filter(|l| !l.is_empty()).map(row).collect()
 }
 
-/// The head of a table: `columns` and one more for each codec.
+/// Returns the head of a table: `columns` and one more for each codec.
 fn header(columns: &[&str], codecs: &[String]) -> String {
     let names: Vec<&str> = columns.iter().copied().chain(codecs.iter().map(String::as_str)).collect();
     format!("| {} |\n|{}", names.join(" | "), "---|".repeat(names.len()))
 }
 
-/// A figure with `digits` decimals for the CSV.
+/// Formats a value with `digits` decimals for the CSV.
 fn or_none(v: Option<f64>, digits: usize) -> String {
     v.map_or("N/A".into(), |v| format!("{v:.digits$}"))
 }
 
 impl Quality {
-    /// The four measures, with `between` between them.
+    /// Formats the four measures, separated by `between`.
     fn cells(&self, between: &str) -> String {
         let of = |v: Option<f64>, digits: usize| v.map_or("-".into(), |v| format!("{v:.digits$}"));
         [of(Some(self.psnr), 2), of(self.ms_ssim, 4), of(self.ssimulacra2, 1), of(self.butteraugli, 2)].join(between)
     }
 
-    /// Means of each; `None` where one has none.
+    /// Returns the mean of each measure; `None` if one of the values is missing.
     fn mean(all: &[Quality]) -> Quality {
         let of =
             |v: fn(&Quality) -> Option<f64>| all.iter().map(v).collect::<Option<Vec<_>>>().map(|v| mean(v.into_iter()));
@@ -271,7 +271,7 @@ fn cell(quality: Option<Quality>) -> String {
     quality.map_or(" - |".into(), |q| format!(" {} |", q.cells(" / ")))
 }
 
-/// Prints, for each ratio, the means of ssplat and of the codecs over the pictures that were measured.
+/// Prints the means of ssplat and of the other codecs at each ratio, over the pictures that were measured.
 fn print_means(ratios: &[u32], rows: &[(Row, [f64; 2])], anchors: &[Row], codecs: &[String]) {
     println!(
         "\nMeans; in brackets over how many pictures where a codec does not reach all, and ssplat's lead there in dB.\n"

@@ -1,9 +1,9 @@
-//! Loss of a fit in tiles against a fit of the whole picture, and the part of it at the seams:
-//! `cargo run --release -p ssplat-lab --example seams -- PICTURES [--tiles 512] [--ratio 50] [--effort 5] [--tune psnr]`.
+//! Measures the loss of a fit in tiles relative to a fit of the whole picture, and the part of it at the seams: `cargo
+//! run --release -p ssplat-lab --example seams -- PICTURES [--tiles 512] [--ratio 50] [--effort 5] [--tune psnr]`.
 //!
-//! A seam is where two tiles of the first pass meet. Its error is that of the pixels within 16 of it; the whole picture's fit
-//! has its own error there, by what the picture shows. So `excess` is what the tiles' error at the seams is over the whole
-//! fit's, divided by the same of all other pixels.
+//! A seam is the border of two tiles of the first pass. Its error is that of the pixels within 16 pixels of it. The
+//! error of the whole picture's fit differs there, too, depending on the content. `excess` is therefore the ratio of
+//! the tiles' error to the whole fit's error at the seams, divided by the same ratio for all other pixels.
 
 use std::time::Instant;
 
@@ -12,9 +12,9 @@ use ssplat::unstable::{DecodeOptions, EncodeOptions};
 use ssplat::{Channels, Encoded, Pixels, Samples, Target, Tune};
 
 /// Pixels on either side of a seam.
-const NEAR: u32 = 16;
+const SEAM_DISTANCE: u32 = 16;
 
-/// Squared errors and samples: near seams, and elsewhere.
+/// Squared errors and sample counts: near seams, and elsewhere.
 #[derive(Clone, Copy, Default)]
 struct Found {
     errors: [f64; 2],
@@ -29,7 +29,7 @@ impl Found {
         let (width, height) = (original.width(), original.height());
         let is_near = |v: u32, length: u32| {
             let seam = (v + side / 2) / side * side;
-            seam > 0 && seam < length && v + NEAR >= seam && v < seam + NEAR
+            seam > 0 && seam < length && v + SEAM_DISTANCE >= seam && v < seam + SEAM_DISTANCE
         };
         let count = original.channels().count();
         let mut found = Found::default();
@@ -98,7 +98,7 @@ fn main() {
         );
         for (sum, found) in sums.iter_mut().zip([whole, tiles]) {
             for k in 0..2 {
-                // Every picture counts alike.
+                // Every picture has the same weight.
                 sum.errors[k] += found.mean(k) / whole.mean(k);
                 sum.samples[k] += 1.0;
             }

@@ -1,16 +1,18 @@
-//! Placeholders and previews: ssplat beside WebP and AVIF of a downscaled picture at the same total bytes, and ThumbHash and BlurHash.
+//! Compares placeholders and previews at the same total size: ssplat, WebP and AVIF of a downscaled picture, ThumbHash
+//! and BlurHash.
 //!
 //! ```sh
 //! cargo run --release -p ssplat-lab --example tiny_files -- PICTURE... --bytes 40,300,1000
 //! ```
 //!
-//! The picture is shrunk to a fraction of its sides, coded by `cwebp` and `avifenc` (where installed) at the best quality that
-//! fits, decoded and enlarged with a Lanczos filter; the best fraction counts. ThumbHash has a size of its own (21 to 28
-//! bytes) and takes part where it fits. A BlurHash is text, whose letters count as bytes: the best of those that fit counts,
-//! of 1 × 1 to 9 × 9 components. PSNR in decibels against the original.
+//! The picture is reduced to a fraction of its size, encoded by `cwebp` and `avifenc` (if installed) at the highest
+//! quality that fits, decoded and enlarged with a Lanczos filter. The best fraction is reported. ThumbHash has a size
+//! of its own (21 to 28 bytes) and is included where it fits. A BlurHash is text, whose letters count as bytes; the
+//! best of those that fit is reported, with 1 × 1 to 9 × 9 components. The measure is PSNR against the original in
+//! decibels.
 //!
-//! `--sheet FILE` draws a contact sheet as well: for each picture the original, ThumbHash, the BlurHash of 4 × 3 components, and
-//! ssplat at each size.
+//! `--sheet FILE` also writes a contact sheet: for each picture the original, ThumbHash, the BlurHash with 4 × 3
+//! components, and ssplat at each size.
 
 use std::error::Error;
 use std::fs;
@@ -26,10 +28,10 @@ use ssplat::{Pixels, Target, Tune};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
-/// Fractions of the sides that the other codecs are tried at.
+/// Reduction factors that are tried for the other codecs.
 const FRACTIONS: [u32; 10] = [2, 3, 4, 6, 8, 12, 16, 24, 32, 48];
 
-/// Tiny files beside those of other codecs
+/// Compare tiny files with those of other codecs
 #[derive(Debug, Parser)]
 struct Args {
     /// The pictures
@@ -41,14 +43,14 @@ struct Args {
     /// Effort of the ssplat encodes, 1 to 9
     #[arg(long, default_value_t = 5)]
     effort: u8,
-    /// Also draw a contact sheet, a PNG or JPEG
+    /// Also write a contact sheet, a PNG or JPEG
     #[arg(long, value_name = "FILE")]
     sheet: Option<PathBuf>,
 }
 
-/// Pixels of the longer side of a picture in the contact sheet.
+/// Longer side of a picture in the contact sheet, pixels.
 const TILE: u32 = 160;
-/// Pixels between two pictures there.
+/// Gap between two pictures in the contact sheet, pixels.
 const GAP: u32 = 4;
 
 fn main() -> Result<()> {
@@ -96,12 +98,12 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// A picture at the size that it has in the contact sheet.
+/// Scales a picture to its size in the contact sheet.
 fn tile(picture: &RgbImage) -> RgbImage {
     image::DynamicImage::ImageRgb8(picture.clone()).resize(TILE, TILE, FilterType::CatmullRom).into_rgb8()
 }
 
-/// The rows of the contact sheet under each other.
+/// Stacks the rows of the contact sheet.
 fn contact(rows: &[Vec<RgbImage>]) -> RgbImage {
     let height = |row: &[RgbImage]| row.iter().map(RgbImage::height).max().unwrap_or(0) + GAP;
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0) as u32;
@@ -130,7 +132,7 @@ fn ours(picture: &RgbImage, most: u64, effort: u8) -> Result<RgbImage> {
     let mut options = EncodeOptions::default();
     options.target = Target::Bytes(most);
     options.effort = effort;
-    // The table has PSNR for the other formats, too.
+    // The table has the PSNR of the other formats, too.
     options.tune = Some(Tune::Psnr);
     let bytes = ssplat::unstable::encode(&pixels(picture)?, &options)?.bytes;
     let decoded = ssplat::unstable::decode(&bytes, &DecodeOptions::default())?.pixels;
@@ -138,10 +140,11 @@ fn ours(picture: &RgbImage, most: u64, effort: u8) -> Result<RgbImage> {
     RgbImage::from_raw(picture.width(), picture.height(), samples).ok_or_else(|| "wrong size".into())
 }
 
-/// Writes a picture at a quality of 0 to 63 and returns the file's size and what it decodes to; `None`: not installed.
+/// Writes a picture at a quality of 0 to 63, and returns the size of the file and the decoded picture; `None` if the
+/// program is not installed.
 type Codec = fn(&RgbImage, u32, &Path) -> Result<Option<(u64, RgbImage)>>;
 
-/// The PSNR of the best fraction and quality within `most` bytes.
+/// Returns the PSNR of the best fraction and quality within `most` bytes.
 fn best(picture: &RgbImage, most: u64, codec: Codec, psnr: &dyn Fn(RgbImage) -> Result<f64>) -> Result<Option<f64>> {
     let folder = tempfile::tempdir()?;
     let mut best: Option<f64> = None;
@@ -190,7 +193,7 @@ fn avif(picture: &RgbImage, quality: u32, folder: &Path) -> Result<Option<(u64, 
     Ok(Some((fs::metadata(&file)?.len(), image::open(&decoded)?.into_rgb8())))
 }
 
-/// Runs `command`; false where there is no such program.
+/// Runs `command`; returns false if there is no such program.
 fn run(command: &mut Command) -> Result<bool> {
     match command.output() {
         Ok(output) if output.status.success() => Ok(true),
@@ -215,11 +218,11 @@ fn thumbhash(picture: &RgbImage, most: u64) -> Option<RgbImage> {
     Some(imageops::resize(&decoded, picture.width(), picture.height(), FilterType::Lanczos3))
 }
 
-/// The PSNR of the best BlurHash of at most so many letters.
+/// Returns the PSNR of the best BlurHash of at most `most` letters.
 fn best_blurhash(picture: &RgbImage, most: u64, psnr: &dyn Fn(RgbImage) -> Result<f64>) -> Result<Option<f64>> {
     let mut best: Option<f64> = None;
     let fits = |[x, y]: [u32; 2]| u64::from(4 + 2 * x * y) <= most;
-    // Try only sizes that have no room for another row or column.
+    // Try only sizes that leave no room for another row or column.
     for x in 1..=9 {
         let Some(y) = (1..=9).rev().find(|&y| fits([x, y])) else { break };
         if let Some(decoded) = blurhash(picture, [x, y]) {
@@ -229,7 +232,7 @@ fn best_blurhash(picture: &RgbImage, most: u64, psnr: &dyn Fn(RgbImage) -> Resul
     Ok(best)
 }
 
-/// Returns the picture that the BlurHash of so many components gives.
+/// Returns the picture of the BlurHash with this many components.
 fn blurhash(picture: &RgbImage, [x, y]: [u32; 2]) -> Option<RgbImage> {
     let [w, h] = [picture.width(), picture.height()].map(|v| v.div_ceil(4));
     let small = image::DynamicImage::ImageRgb8(imageops::resize(picture, w, h, FilterType::Lanczos3)).into_rgba8();

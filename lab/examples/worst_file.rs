@@ -1,6 +1,7 @@
-//! The files that cost the most to decode for their size: for pictures of several sizes, as many Gaussians of a costly
-//! kind as the default limits let through, as many groups, and detail layers of empty and of the densest tiles. Prints CPU seconds of a decode on one thread with the widest
-//! instructions and with plain ones, and the peak of its memory.
+//! Constructs the files that cost the most to decode for their size: for several picture sizes, as many Gaussians of
+//! an expensive kind as the default limits allow, as many groups, and detail layers of empty and of the densest tiles.
+//! Prints the CPU seconds of a decode on one thread, with the best and with plain instructions, and its peak memory.
+//!
 //!
 //! ```sh
 //! cargo run --release -p ssplat-lab --example worst_file -- [SIDE... [-- KIND...]]
@@ -37,12 +38,12 @@ const KINDS: [&str; 13] = [
     "edge, layer of dense tiles",
     DISTORTED,
 ];
-/// A third of the limits goes to a layer, so that the rest is there for a view that is as distorted as can be.
+/// The layer gets a third of the limits, so that the rest is left for an extremely distorted view.
 const DISTORTED: &str = "layer of dense tiles, distorted view";
 
 fn main() -> Result<()> {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    // Used by the program itself: a process for each decode has the memory of that alone.
+    // For internal use: a process for each decode, so that its memory can be measured.
     if let [first, path, kind] = &args[..]
         && first == "--decode"
     {
@@ -63,11 +64,11 @@ fn main() -> Result<()> {
                 "tiny groups" => tiny_groups(side.parse()?, 1),
                 "tiny groups, large codebook" => tiny_groups(side.parse()?, 1 << 16),
                 "layer of empty tiles" => layered(side.parse()?, 1, [0, 3], (0, 1))?,
-                "layer of dense tiles, blocks of 4" => layered(side.parse()?, 1, [0, 0], (DENSE, 1))?,
-                "layer of dense tiles, blocks of 32" => layered(side.parse()?, 1, [3, 3], (DENSE, 1))?,
-                "layer of dense tiles, large levels" => layered(side.parse()?, 1, [0, 0], (DENSE, i16::MAX))?,
-                DISTORTED => layered(side.parse()?, 3, [0, 0], (DENSE, i16::MAX))?,
-                "edge, layer of dense tiles" => layered(side.parse()?, 2, [0, 0], (DENSE, i16::MAX))?,
+                "layer of dense tiles, blocks of 4" => layered(side.parse()?, 1, [0, 0], (MAX_LEVELS, 1))?,
+                "layer of dense tiles, blocks of 32" => layered(side.parse()?, 1, [3, 3], (MAX_LEVELS, 1))?,
+                "layer of dense tiles, large levels" => layered(side.parse()?, 1, [0, 0], (MAX_LEVELS, i16::MAX))?,
+                DISTORTED => layered(side.parse()?, 3, [0, 0], (MAX_LEVELS, i16::MAX))?,
+                "edge, layer of dense tiles" => layered(side.parse()?, 2, [0, 0], (MAX_LEVELS, i16::MAX))?,
                 _ => worst(side.parse()?, kind, 1),
             };
             let bytes = to_bytes(&splats)?;
@@ -91,7 +92,7 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// As many Gaussians of a kind as may be drawn for a `part`th of the limits, within 3 % and up to two million.
+/// Returns as many Gaussians of a kind as a `part`th of the limits allows, within 3 % and up to two million.
 fn worst(side: u32, kind: &str, part: u64) -> PackedSplats {
     let mut limits = Limits::default();
     limits.work /= part;
@@ -108,23 +109,23 @@ fn worst(side: u32, kind: &str, part: u64) -> PackedSplats {
     picture(side, kind, good)
 }
 
-/// So many Gaussians of a kind.
+/// Returns `count` Gaussians of a kind.
 fn picture(side: u32, kind: &str, count: u32) -> PackedSplats {
-    // Cells of 16 pixels have their centres on the edges of strips, those of 8 in the middle of one.
+    // Cells of 16 pixels have their centres on the edges of strips, and those of 8 in the middle of one.
     let log = if kind == "edge" { 4 } else { 3 };
     let (cells, tiles) = (side.div_ceil(1 << log), side.div_ceil(128));
     let gaussians = (0..count).map(|i| {
         let (x, y, major, minor, angle) = match kind {
-            // Cover everything.
+            // Gaussians that cover everything.
             "wide" => (cells / 2, cells / 2, 120, 120, 0),
-            // Lie around a corner of four tiles.
+            // Gaussians around a corner of four tiles.
             "corner" => (i % tiles * 16, i / tiles % tiles * 16, 32, 32, 0),
-            // Lie along a row of all strips.
+            // Gaussians along a row of all strips.
             "level" => (cells / 2, i % cells, 120, 0, 0),
-            // Are so thin that each row takes an exponential.
+            // Gaussians so thin that each row takes an exponential.
             _ => (i % cells, cells / 2, 120, 0, MAX_ANGLES_CODED / 2),
         };
-        // Some entropy, without which the format does not allow for so many.
+        // Random values, because the format does not allow as many primitives in fewer bytes.
         let luma = (i.wrapping_mul(0x9e37_79b9) >> 29) as i16;
         PackedGaussian { x, y, major, minor, angle, color: [luma, 0, 0, 0] }
     });
@@ -146,11 +147,11 @@ fn picture(side: u32, kind: &str, count: u32) -> PackedSplats {
     }
 }
 
-/// Two million Gaussians in as many groups as there can be: 4096 clusters too large to be a group, each alone in a square of
-/// which one half after the other holds a single Gaussian. Each group begins with models of its own, and those of a
-/// codebook are the larger the more `colors` it has.
+/// Returns two million Gaussians in as many groups as possible: 4096 clusters that are too large for one group, each
+/// alone in a square that is halved repeatedly, with a single Gaussian in each half. Each group starts with new
+/// models, and those of a codebook are larger the more `colors` it has.
 fn tiny_groups(side: u32, colors: u32) -> PackedSplats {
-    // Cells of a 64th of a pixel, and the logarithm of a cluster's square.
+    // Cells of 1/64 pixel, and the binary logarithm of a cluster's square.
     let log = side.ilog2();
     let gaussians = (0..64 * 64).flat_map(|cluster| {
         let corner = [cluster % 64, cluster / 64].map(|c| c << log);
@@ -180,13 +181,14 @@ fn tiny_groups(side: u32, colors: u32) -> PackedSplats {
     }
 }
 
-/// Levels that reading a layer may come to, at 600 of [`Limits::work`] each, less a hundredth.
-const DENSE: u64 = (3 << 34) / 600 / 100 * 99;
+/// Maximum number of levels in a layer, at 600 of [`Limits::work`] each, minus one percent.
+const MAX_LEVELS: u64 = (3 << 34) / 600 / 100 * 99;
 
-/// A picture of no Gaussians, or of as many needles as a `part`th of the limits lets through, with a layer whose tiles have a level each, and
-/// from the first one on all that they can have until there are a `part`th of `most`. Blocks have sizes within `sizes`.
+/// Returns a picture without Gaussians, or with as many narrow ones as a `part`th of the limits allows, and a layer.
+/// Each of its tiles has one level, and the first ones as many as possible, up to a `part`th of `most` in total. Block
+/// sizes are within `sizes`.
 fn layered(side: u32, part: u64, sizes: [u8; 2], (most, level): (u64, i16)) -> Result<PackedSplats> {
-    // Grey where more channels would be over the limits.
+    // Grey if more channels would exceed the limits.
     let channels = if side > 8192 { Channels::Grey } else { Channels::Rgb };
     let mut splats = if part == 1 { picture(side, "edge", 0) } else { worst(side, "edge", part) };
     splats.channels = channels;
@@ -200,7 +202,7 @@ fn layered(side: u32, part: u64, sizes: [u8; 2], (most, level): (u64, i16)) -> R
     Ok(splats)
 }
 
-/// Levels of one magnitude as long as there are any `left`, but one in each tile.
+/// Levels of one magnitude while there are any `left`, then one in each tile.
 struct Levels {
     left: u64,
     tile: usize,
@@ -228,16 +230,17 @@ impl Maker for Levels {
     }
 }
 
-/// One of 65 536 colours of two channels.
+/// Returns one of 65 536 colours of two channels.
 fn color_of(i: u32) -> [i16; 4] {
     [(i >> 8) as i16 - 128, (i & 255) as i16 - 128, 0, 0]
 }
 
-/// Decodes once and prints seconds and megabytes.
+/// Decodes once, and prints seconds and megabytes.
 fn measure(bytes: &[u8], is_distorted: bool) -> Result<()> {
     let mut options = DecodeOptions::default();
     if is_distorted {
-        // As many pixels as the picture has, larger along one axis and smaller along the other by the most that is let through.
+        // A view with as many pixels as the picture, enlarged along one axis and reduced along the other by as much as
+        // the limits allow.
         let reader = ssplat::Reader::new(bytes, &Limits::default())?;
         let (width, height) = (reader.width(), reader.height());
         let views = (0..12).rev().map(|k| [width.saturating_mul(1 << k), (height >> k).max(1)]);

@@ -1,4 +1,5 @@
-//! The lab measures the codec: encodes in many ways on one page, and other published methods beside it. Users do not need it.
+//! Measures the codec: a report that encodes pictures in many ways, and a comparison with other published methods. A
+//! tool for developers.
 
 mod bench_methods;
 mod recipes;
@@ -18,9 +19,9 @@ struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Encode pictures in many ways and show what came of it on one HTML page
+    /// Encode pictures in many ways and write the results to one HTML page
     Report(report::args::Report),
-    /// Fit pictures by other published methods and set them beside ours
+    /// Fit pictures by other published methods and compare them with ours
     BenchMethods(bench_methods::args::BenchMethods),
 }
 

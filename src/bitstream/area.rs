@@ -1,6 +1,6 @@
-//! A part of a picture, in its pixels.
+//! A rectangular part of a picture.
 
-/// A rectangle of the picture.
+/// A rectangle of the picture, in its pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Area {
     /// Left and top, pixels.
@@ -10,7 +10,7 @@ pub struct Area {
 }
 
 impl Area {
-    /// Whether all of `other` lies in it.
+    /// Tells whether `other` lies completely within this area.
     pub(crate) fn holds(&self, other: &Area) -> bool {
         let end = |area: &Area, k: usize| u64::from(area.corner[k]) + u64::from(area.size[k]);
         (0..2).all(|k| self.corner[k] <= other.corner[k] && end(other, k) <= end(self, k))

@@ -1,8 +1,8 @@
-//! Values that break the rules of the format.
+//! Error for values that violate the format.
 
 use crate::error::{Error, FormatError};
 
-/// A value that is against the rules.
+/// A value that violates the format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Broken {
     pub field: &'static str,
@@ -10,7 +10,7 @@ pub struct Broken {
 }
 
 impl From<Broken> for Error {
-    /// The rule as a file breaks it.
+    /// Reports the violation as an error of the file.
     fn from(b: Broken) -> Self {
         FormatError::BadValue { field: b.field, value: b.value }.into()
     }

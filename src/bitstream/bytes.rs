@@ -1,15 +1,15 @@
-//! A cursor over bytes that never reads past their end, and the variable-length integers (spec §2.1).
+//! A bounds-checked cursor over bytes, and the variable-length integers (spec §2.1).
 
 use byteorder::{ByteOrder, LittleEndian};
 
 use crate::error::{FormatError, Result};
 
-/// Reads forward through `data`; offsets in errors count from the file's start.
+/// Reads forward through `data`. Offsets in errors count from the start of the file.
 #[derive(Debug, Clone)]
 pub(crate) struct Bytes<'a> {
     data: &'a [u8],
     at: usize,
-    /// Where `data` starts in the file.
+    /// Position of `data` in the file.
     base: u64,
 }
 
@@ -18,7 +18,7 @@ impl<'a> Bytes<'a> {
         Bytes { data, at: 0, base }
     }
 
-    /// Where in the file the next byte is.
+    /// Returns the position of the next byte in the file.
     pub fn offset(&self) -> u64 {
         self.base + self.at as u64
     }
@@ -27,7 +27,7 @@ impl<'a> Bytes<'a> {
         self.data.len() - self.at
     }
 
-    /// Bytes already taken.
+    /// Returns the bytes that have been read.
     pub fn taken(&self) -> &'a [u8] {
         &self.data[..self.at]
     }
@@ -66,20 +66,20 @@ impl<'a> Bytes<'a> {
         varint(what, || Ok(self.array::<1>(what)?[0]))
     }
 
-    /// The next `count` bytes, to be read by themselves.
+    /// Returns a cursor over the next `count` bytes.
     pub fn part(&mut self, count: u64, what: &'static str) -> Result<Bytes<'a>> {
         let base = self.offset();
         Ok(Bytes::new(self.take(count, what)?, base))
     }
 
-    /// Everything that is left.
+    /// Returns all remaining bytes.
     pub fn rest(&mut self) -> &'a [u8] {
         let start = self.at;
         self.at = self.data.len();
         &self.data[start..]
     }
 
-    /// Fails unless everything has been taken.
+    /// Fails unless all bytes have been read.
     pub fn finish(&self) -> Result<()> {
         match self.left() {
             0 => Ok(()),
@@ -88,10 +88,11 @@ impl<'a> Bytes<'a> {
     }
 }
 
-/// Decodes a canonical LEB128 integer below 2⁶³ from the bytes that `next` yields.
+/// Decodes a canonical LEB128 integer below 2⁶³ from the bytes that `next` returns.
 ///
 /// # Errors
-/// [`FormatError::BadValue`] for a longer form than needed or a value of more than 63 bits; whatever `next` raises.
+/// [`FormatError::BadValue`] if the encoding is longer than necessary or the value has more than 63 bits, and errors
+/// of `next`.
 pub(crate) fn varint(field: &'static str, mut next: impl FnMut() -> Result<u8>) -> Result<u64> {
     let mut value = 0u64;
     for shift in (0..63).step_by(7) {
@@ -116,7 +117,7 @@ pub(crate) fn put_varint(mut value: u64, out: &mut Vec<u8>) {
     out.push(value as u8);
 }
 
-/// `−1 → 1, 1 → 2, …`: signed integers whose small magnitudes stay small.
+/// Maps signed integers of small magnitude to small unsigned ones: `−1 → 1, 1 → 2, …`.
 pub(crate) fn zigzag(value: i64) -> u64 {
     ((value << 1) ^ (value >> 63)) as u64
 }

@@ -1,4 +1,4 @@
-//! The CRC-32 of a file and of its parts (spec §2): by a library, or in WebAssembly by one that needs no table of 16 KiB.
+//! CRC-32 of a file and of its parts (spec §2), by a library, or in WebAssembly by code that needs no table of 16 KiB.
 
 #[cfg(not(target_family = "wasm"))]
 pub(crate) use crc32fast::{Hasher, hash};
@@ -7,7 +7,7 @@ pub(crate) use small::{Hasher, hash};
 
 #[cfg(any(test, target_family = "wasm"))]
 mod small {
-    /// CRC remainders of the sixteen values of four bits.
+    /// CRC remainders of the sixteen 4-bit values.
     const STEPS: [u32; 16] = {
         let mut steps = [0; 16];
         let mut i = 0;
@@ -23,7 +23,7 @@ mod small {
         steps
     };
 
-    /// A checksum under way.
+    /// An incremental checksum.
     #[derive(Debug, Clone)]
     pub(crate) struct Hasher(u32);
 
@@ -45,7 +45,7 @@ mod small {
         }
     }
 
-    /// The checksum of `bytes`.
+    /// Returns the checksum of `bytes`.
     pub(crate) fn hash(bytes: &[u8]) -> u32 {
         let mut hasher = Hasher::new();
         hasher.update(bytes);

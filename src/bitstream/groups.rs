@@ -1,4 +1,4 @@
-//! The coded layout in groups: parts that decode alone, in a directory that says where they are (spec §8.7).
+//! The coded layout in groups: parts that can be decoded separately, listed in a directory (spec §8.7).
 
 use std::ops::Range;
 
@@ -17,33 +17,34 @@ use super::splats::{Layout, PackedGaussian, PackedSplats};
 use crate::error::{FormatError, Result};
 use crate::parallel;
 
-/// A file with more primitives than this is divided into groups.
-const MANY: u32 = 1 << 15;
+/// Number of primitives above which a file is divided into groups.
+const MAX_UNGROUPED: u32 = 1 << 15;
 
-/// A region with more primitives than this is halved. Small groups cost bytes, since each has its entry and learns anew (512
-/// instead of 2048: 1.5 %), and save work where only a part of the picture is wanted (reading a third to a half).
-const MOST: u32 = 1 << 9;
+/// Number of primitives above which a region is halved. Smaller groups cost bytes, since each has an entry and adapts
+/// from the start (512 instead of 2048: 1.5 %), but save work if only a part of the picture is read (a third to a
+/// half).
+const MAX_GROUP: u32 = 1 << 9;
 
-/// The writer keeps primitives that reach further than this part of their region out of its halves: a few wide ones
-/// would make every group reach into every area.
-const WIDE: f64 = 0.25;
+/// Maximum reach of a primitive relative to its region. The writer does not pass wider primitives down to the halves
+/// of the region, because a few of them would make every group reach into every area.
+const MAX_REACH: f64 = 0.25;
 
-/// Fewer wide primitives than this are not worth a group of their own.
-const FEW: usize = 16;
+/// Minimum number of wide primitives for a group of their own.
+const MIN_WIDE_GROUP: usize = 16;
 
-/// How the writer divides the primitives: not at all, if it can be helped.
+/// Returns how the writer divides the primitives: not at all, unless there are many.
 pub(crate) fn grouping(splats: &PackedSplats) -> Grouping {
-    let many = splats.levels.len() > 1 || splats.gaussians.len() > MANY as usize;
+    let many = splats.levels.len() > 1 || splats.gaussians.len() > MAX_UNGROUPED as usize;
     if splats.layout == Layout::Coded && many { Grouping::Groups } else { Grouping::Single }
 }
 
-/// A part that decodes alone.
+/// A part that can be decoded separately.
 #[derive(Debug, Clone)]
 struct Entry {
     level: usize,
     region: Region,
     count: u32,
-    /// Its bytes, from the end of the directory.
+    /// Range of its bytes, relative to the end of the directory.
     bytes: Range<u64>,
     /// Its largest major scale.
     largest: u8,
@@ -51,7 +52,7 @@ struct Entry {
 }
 
 impl Entry {
-    /// Whether a primitive of this group can reach into `area`.
+    /// Tells whether a primitive of this group can reach into `area`.
     fn reaches(&self, rules: &Rules, area: &Area) -> bool {
         let reach = rules.reach(self.largest);
         let pixels = |cells: u64| (cells as f64) * f64::from(rules.finest()).exp2();
@@ -65,25 +66,26 @@ impl Entry {
     }
 }
 
-/// Numbers of the parts of a file that could not be read. All are 0 for a file that is intact.
+/// Counts of the parts of a file that could not be read. All are 0 for an intact file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
+#[doc(alias("damage", "partial", "truncated"))]
 pub struct Missing {
-    /// Primitives that are missing.
+    /// Number of missing primitives.
     pub primitives: u32,
-    /// Groups that are missing.
+    /// Number of missing groups.
     pub groups: u32,
-    /// Groups in the whole file.
+    /// Number of groups in the whole file.
     pub of_groups: u32,
-    /// Tiles of the detail layer that are missing.
+    /// Number of missing tiles of the detail layer.
     pub tiles: u32,
-    /// Tiles of the whole detail layer.
+    /// Number of tiles of the whole detail layer.
     pub of_tiles: u32,
     /// Whether the file is cut off or its checksum does not match, even where all of the picture could be read.
     pub damaged: bool,
 }
 
-/// Appends the payload; `header` is the header's checksum.
+/// Appends the payload. `header` is the checksum of the header.
 pub(crate) fn put(splats: &PackedSplats, header: u32, out: &mut Vec<u8>) -> Result<()> {
     let channels = splats.channels.count();
     let start = out.len();
@@ -120,7 +122,7 @@ pub(super) fn levels(splats: &PackedSplats) -> Vec<u32> {
     if splats.levels.is_empty() { vec![splats.gaussians.len() as u32] } else { splats.levels.clone() }
 }
 
-/// Brings the primitives of `levels` into the order of the file and returns its groups; appends how they are divided.
+/// Sorts the primitives of `levels` into the order of the file and returns its groups. Appends the divisions.
 pub(super) fn parts<'a>(
     gaussians: &'a mut [PackedGaussian],
     levels: &[u32],
@@ -137,14 +139,14 @@ pub(super) fn parts<'a>(
     parts
 }
 
-/// The axis along which a region of `count` primitives is divided, if it is. Halves stay large enough for the coarsest
-/// squares.
+/// Returns the axis along which a region of `count` primitives is divided, if it is. Halves stay large enough for the
+/// coarsest squares.
 fn divided(rules: &Rules, region: &Region, count: u32) -> Option<usize> {
-    region.axis().filter(|&axis| count > MOST && region.log[axis] > rules.range())
+    region.axis().filter(|&axis| count > MAX_GROUP && region.log[axis] > rules.range())
 }
 
-/// Divides the primitives of a region, notes how many stay undivided and how many fall into the lower halves, and sorts
-/// what is left whole.
+/// Divides the primitives of a region, records how many stay undivided and how many fall into the lower halves, and
+/// sorts the undivided ones.
 fn divide<'a>(
     primitives: &'a mut [PackedGaussian],
     rules: &Rules,
@@ -162,7 +164,7 @@ fn divide<'a>(
     };
     let narrow = narrow(rules, &region);
     let mut wide = primitives.iter().filter(|p| p.major > narrow).count();
-    if wide < FEW || region.log[0] != region.log[1] {
+    if wide < MIN_WIDE_GROUP || region.log[0] != region.log[1] {
         wide = 0;
     }
     let halves = region.halves(axis);
@@ -182,10 +184,10 @@ fn divide<'a>(
     divide(high, rules, halves[1], out, parts);
 }
 
-/// The largest major scale that does not reach too far for the halves of a square region.
+/// Returns the largest major scale whose reach is within the limit for the halves of a square region.
 fn narrow(rules: &Rules, region: &Region) -> u8 {
     let side = f64::from(rules.finest()).exp2() * (1u64 << region.log[0]) as f64;
-    (0..rules.top).take_while(|&major| rules.reach(major + 1) <= WIDE * side).count() as u8
+    (0..rules.top).take_while(|&major| rules.reach(major + 1) <= MAX_REACH * side).count() as u8
 }
 
 fn largest(part: &[PackedGaussian]) -> u8 {
@@ -222,7 +224,7 @@ fn read_divisions(
     read_divisions(bytes, rules, halves[1], (level, count - lower), entries)
 }
 
-/// Reads all up to the groups themselves into `splats` and checks it.
+/// Reads everything before the groups into `splats` and checks it.
 fn read_directory(
     bytes: &mut Bytes<'_>,
     header: &Header,
@@ -246,7 +248,7 @@ fn read_directory(
         left -= n;
         splats.levels.push(n);
     }
-    if left > 0 || count == 1 && header.primitives <= MANY {
+    if left > 0 || count == 1 && header.primitives <= MAX_UNGROUPED {
         return Err(Broken { field: "level", value: left.into() }.into());
     }
     let mut entries = Vec::new();
@@ -272,7 +274,7 @@ fn read_directory(
     Ok(entries)
 }
 
-/// CRC-32 over the directory, begun with the header's.
+/// Returns the CRC-32 of the directory, continued from that of the header.
 fn directory_checksum(header: u32, directory: &[u8]) -> u32 {
     let mut hasher = Hasher::new();
     hasher.update(&header.to_le_bytes());
@@ -335,7 +337,7 @@ pub(crate) fn read(
     Ok(())
 }
 
-/// Reads the groups whose bytes are there and sound, and leaves `bytes` behind the last group or at their end.
+/// Reads the groups whose bytes are present and intact, and leaves `bytes` after the last group or at the end.
 pub(crate) fn read_intact(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSplats) -> Result<Missing> {
     let start = bytes.left();
     let entries = read_directory(bytes, header, header.checksum(), splats)?;
@@ -345,7 +347,8 @@ pub(crate) fn read_intact(bytes: &mut Bytes<'_>, header: &Header, splats: &mut P
         let range = usize::try_from(e.bytes.start).ok()?..usize::try_from(e.bytes.end).ok()?;
         streams.get(range)
     };
-    // The rule of the payload, for as much of it as there is: many tiny groups must not claim more together.
+    // The bound on primitives per payload, applied to the bytes that are present, so that many tiny groups cannot
+    // claim more in total.
     let there: u64 = entries.iter().filter(|e| stream(e).is_some()).map(|e| u64::from(e.count)).sum();
     if there > most_primitives((start - bytes.left()) as u64) {
         return Err(Broken { field: "primitive count", value: there }.into());
@@ -363,7 +366,7 @@ pub(crate) fn read_intact(bytes: &mut Bytes<'_>, header: &Header, splats: &mut P
     Ok(missing)
 }
 
-/// Puts the groups that were read into `splats`.
+/// Collects the primitives of the groups that were read in `splats`.
 fn gather(entries: &[Entry], parts: impl Iterator<Item = Option<Vec<PackedGaussian>>>, splats: &mut PackedSplats) {
     let mut levels = vec![0u32; MAX_LEVELS];
     let mut gaussians = Vec::new();

@@ -1,4 +1,4 @@
-//! The fixed head of a file: what picture it is, how fine its integers are, how they are laid out (spec §2).
+//! The fixed header of a file: size and kind of the picture, step sizes and layout (spec §2).
 
 use std::io::{ErrorKind, Read};
 
@@ -11,13 +11,13 @@ use crate::gaussian::{Blend, Channels};
 use crate::limits::Limits;
 use crate::pixels::Depth;
 
-/// The first four bytes of every file; no text begins with them.
+/// The first four bytes of every file. They are not valid text.
 pub const MAGIC: [u8; 4] = [0x89, b'S', b'S', b'P'];
 
 /// The format version that this crate reads and writes.
 pub const VERSION: u8 = 6;
 
-/// Largest side of a picture, pixels.
+/// Maximum side of a picture, pixels.
 pub const MAX_SIDE: u32 = 1 << 20;
 
 /// The finest position step is `2^MIN_EXPONENT` pixels, so that positions stay below 2³⁰.
@@ -28,7 +28,7 @@ const DEPTH_SIXTEEN: u8 = 1 << 5;
 const CODEBOOK: u8 = 1 << 6;
 const SECTIONS: u8 = 1 << 7;
 
-/// Whether each primitive stores its colour or an index.
+/// Whether each primitive stores its colour or a codebook index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Coloring {
     /// Colours are stored with the primitives.
@@ -37,7 +37,7 @@ pub enum Coloring {
     Codebook,
 }
 
-/// How the primitives are divided into separately coded parts (spec §8.7).
+/// Division of the primitives into separately coded parts (spec §8.7).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Grouping {
     /// One part that ends with the file.
@@ -51,14 +51,15 @@ pub enum Grouping {
 pub enum Sections {
     /// None.
     Absent,
-    /// A count and as many sections.
+    /// The number of sections, followed by the sections.
     Present,
 }
 
-/// Bytes of the longest legal header. Of an illegal one a few more are read, as a varint may have up to nine bytes.
-const LONGEST: usize = 20;
+/// Length of the longest valid header. A few more bytes may be read of an invalid one, because a varint may have up to
+/// nine bytes.
+const MAX_HEADER_BYTES: usize = 20;
 
-/// Everything that is known before the first section.
+/// Everything that a file states before its first section.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Header {
@@ -68,11 +69,11 @@ pub struct Header {
     pub height: u32,
     /// Channels of the colours.
     pub channels: Channels,
-    /// Bits a sample of the source.
+    /// Bits per sample of the source.
     pub depth: Depth,
-    /// How the primitives blend.
+    /// Rule that combines the primitives.
     pub blend: Blend,
-    /// How the integers become bytes.
+    /// Layout of the integers in the file.
     pub layout: Layout,
     /// Step sizes.
     pub steps: Steps,
@@ -89,17 +90,17 @@ pub struct Header {
 }
 
 impl Header {
-    /// Reads and checks the header and nothing behind it.
+    /// Reads and checks the header, and nothing after it.
     ///
     /// # Errors
-    /// [`Error::Format`] if it breaks spec §2, [`Error::UnsupportedVersion`] for a newer file, [`Error::LimitExceeded`]
-    /// if the picture is larger than `limits` allow, [`Error::Io`] from the reader.
+    /// [`Error::Format`] if it breaks spec §2, [`Error::UnsupportedVersion`] for a newer file,
+    /// [`Error::LimitExceeded`] if the picture exceeds `limits`, [`Error::Io`] from the reader.
     pub fn read<R: Read>(reader: &mut R, limits: &Limits) -> Result<Self> {
-        let mut tap = Tap { reader, bytes: Vec::with_capacity(LONGEST) };
+        let mut tee = Tee { reader, bytes: Vec::with_capacity(MAX_HEADER_BYTES) };
         let mut found = [0u8; 4];
         for i in 0..found.len() {
-            found[i] = match tap.byte("signature") {
-                // A short file of another kind is better told by its first bytes than by its length.
+            found[i] = match tee.byte("signature") {
+                // For a short file of another kind, the wrong signature is a better error than truncation.
                 Err(Error::Format(FormatError::Truncated { .. })) if found[..i] != MAGIC[..i] => {
                     return Err(FormatError::BadMagic { found }.into());
                 }
@@ -109,15 +110,15 @@ impl Header {
         if found != MAGIC {
             return Err(FormatError::BadMagic { found }.into());
         }
-        let version = tap.byte("version")?;
+        let version = tee.byte("version")?;
         if version != VERSION {
             return Err(Error::UnsupportedVersion { found: version });
         }
-        let flags = tap.byte("flags")?;
-        let width = side("width", tap.varint("width")?)?;
-        let height = side("height", tap.varint("height")?)?;
-        let primitives = tap.varint("primitive count")?;
-        let steps = unpack_steps([tap.byte("steps")?, tap.byte("steps")?, tap.byte("steps")?])?;
+        let flags = tee.byte("flags")?;
+        let width = side("width", tee.varint("width")?)?;
+        let height = side("height", tee.varint("height")?)?;
+        let primitives = tee.varint("primitive count")?;
+        let steps = unpack_steps([tee.byte("steps")?, tee.byte("steps")?, tee.byte("steps")?])?;
         Limits::check("width", width.into(), limits.width.into())?;
         Limits::check("height", height.into(), limits.height.into())?;
         Limits::check("primitives", primitives, limits.primitives)?;
@@ -145,16 +146,16 @@ impl Header {
             coloring: if flags & CODEBOOK == 0 { Coloring::Direct } else { Coloring::Codebook },
             grouping,
             sections: if flags & SECTIONS == 0 { Sections::Absent } else { Sections::Present },
-            bytes: tap.bytes,
+            bytes: tee.bytes,
         })
     }
 
-    /// CRC-32 of the header.
+    /// Returns the CRC-32 of the header.
     pub(crate) fn checksum(&self) -> u32 {
         hash(&self.bytes)
     }
 
-    /// The picture of this header without primitives.
+    /// Returns the picture of this header without primitives.
     pub(crate) fn empty(&self, metadata: Metadata) -> PackedSplats {
         PackedSplats {
             width: self.width,
@@ -173,13 +174,13 @@ impl Header {
         }
     }
 
-    /// The bytes as they were read.
+    /// Returns the bytes of the header as read.
     pub(crate) fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 }
 
-/// Appends the header of `splats`, whose rules have been checked.
+/// Appends the header of `splats`, which must have been checked.
 pub(crate) fn put_header(splats: &PackedSplats, grouping: Grouping, sections: Sections, out: &mut Vec<u8>) {
     out.extend_from_slice(&MAGIC);
     let mut flags = match (splats.layout, grouping) {
@@ -233,13 +234,13 @@ fn unpack_steps([a, b, c]: [u8; 3]) -> Result<Steps> {
     Ok(steps)
 }
 
-/// Keeps what passes through.
-struct Tap<'a, R> {
+/// Records the bytes that pass through a reader.
+struct Tee<'a, R> {
     reader: &'a mut R,
     bytes: Vec<u8>,
 }
 
-impl<R: Read> Tap<'_, R> {
+impl<R: Read> Tee<'_, R> {
     fn byte(&mut self, what: &'static str) -> Result<u8> {
         let mut byte = [0u8];
         match self.reader.read_exact(&mut byte) {

@@ -1,14 +1,14 @@
-//! Integers that follow from integers: angle counts and position exponents (spec §4.2, §4.3).
+//! Integers that are derived from other integers: angle counts and position exponents (spec §4.2, §4.3).
 //!
-//! Both are defined by real formulas and rounded once. `lattice_margins_hold` enumerates the domain
-//! and proves that no value comes close enough to a rounding boundary for f64, or a short polynomial for the sine, to decide
+//! Both are defined by real formulas and rounded once. `lattice_margins_hold` enumerates the domain and proves that no
+//! value is so close to a rounding boundary that f64, or the short polynomial for the sine, could round it
 //! differently.
 
 use super::splats::{Layout, Steps};
 
-/// Most angles in the coded layout.
+/// Maximum number of angles in the coded layout.
 pub const MAX_ANGLES_CODED: u16 = 4096;
-/// Most angles in the packed and the planes layout: 7 bits.
+/// Maximum number of angles in the packed and the planes layout, which have 7 bits.
 pub const MAX_ANGLES_PACKED: u16 = 128;
 
 /// The number of angles for each difference `major − minor` and the position exponents (spec §4.2, §4.3).
@@ -21,7 +21,7 @@ pub struct Lattice {
     shares: [f64; 256],
     /// `r² − 1` for the aspect `r` of each difference.
     stretches: [f64; 256],
-    /// `4^l` where `l + ½` is what a scale contributes to the exponent of its position step, for each scale.
+    /// `4^l` for each scale, where `l + ½` is the contribution of the scale to the exponent of its position step.
     powers: [f64; 256],
 }
 
@@ -51,15 +51,15 @@ impl Lattice {
         Lattice { coarsest, finest: coarsest - i32::from(steps.range), angles, shares, stretches, powers }
     }
 
-    /// The number `n` of angles at a given `major − minor`; angles are `π·t/n` for `t` in `0..n`.
+    /// Returns the number `n` of angles for a given `major − minor`; angles are `π·t/n` for `t` in `0..n`.
     #[must_use]
     pub fn angles(&self, major: u8, minor: u8) -> u16 {
         self.angles[usize::from(major.saturating_sub(minor))]
     }
 
-    /// Exponents `[ex, ey]` of the position steps `2^ex` and `2^ey`, pixels.
+    /// Returns the exponents `[ex, ey]` of the position steps `2^ex` and `2^ey`, pixels.
     ///
-    /// `2^ey` follows the standard deviation of the Gaussian's marginal in y, `2^ex` that of x given y.
+    /// `2^ey` follows the standard deviation of the Gaussian's marginal distribution in y, `2^ex` that of x given y.
     #[must_use]
     pub fn exponents(&self, major: u8, minor: u8, angle: u16) -> [i32; 2] {
         if self.finest == self.coarsest {
@@ -71,15 +71,15 @@ impl Lattice {
         [x, y].map(|square| (floor_log2(square) >> 1).clamp(self.finest, self.coarsest))
     }
 
-    /// The square of the marginal deviation of y over s₂, `r² sin² + cos²`, of a difference of scales.
+    /// Returns the squared marginal deviation in y relative to s₂, `r² sin² + cos²`, for a difference of scales.
     fn lift(&self, difference: usize, angle: u16) -> f64 {
-        // The sine of a turn is that of what the turn lacks to a half.
+        // The sine of an angle equals that of its supplement.
         let turns = angle.min(self.angles[difference].saturating_sub(angle));
         let sin = sin_pi(f64::from(turns) * self.shares[difference]);
         1.0 + self.stretches[difference] * (sin * sin)
     }
 
-    /// How many positions there are along a side of `pixels` at exponent `e`: `ceil(pixels / 2^e)`.
+    /// Returns the number of positions along a side of `pixels` at exponent `e`: `ceil(pixels / 2^e)`.
     #[must_use]
     pub fn positions(pixels: u32, exponent: i32) -> u32 {
         if exponent >= 0 {
@@ -90,7 +90,8 @@ impl Lattice {
     }
 }
 
-/// `sin(π·v)` for `v` in `0..=½`, within 3·10⁻¹¹ of itself: far cheaper than the function, and the same on every machine.
+/// Returns `sin(π·v)` for `v` in `0..=½`, within 3·10⁻¹¹. It is much faster than the library function and gives the
+/// same bits on every machine.
 fn sin_pi(v: f64) -> f64 {
     const C: [f64; 6] = [
         3.141_592_653_523_344,
@@ -102,11 +103,11 @@ fn sin_pi(v: f64) -> f64 {
     ];
     let x = v * v;
     let xx = x * x;
-    // In halves that do not wait for each other.
+    // Two independent halves.
     v * ((C[0] + C[1] * x) + xx * ((C[2] + C[3] * x) + xx * (C[4] + C[5] * x)))
 }
 
-/// `⌊log₂ v⌋` of a positive normal number.
+/// Returns `⌊log₂ v⌋` of a positive normal number.
 fn floor_log2(v: f64) -> i32 {
     (v.to_bits() >> 52) as i32 - 1023
 }
@@ -115,7 +116,7 @@ fn floor_log2(v: f64) -> i32 {
 mod tests {
     use super::*;
 
-    /// Runs over every step size and shape: no angle count and no exponent is near a rounding boundary.
+    /// Checks every step size and shape: no angle count and no exponent is near a rounding boundary.
     #[test]
     fn lattice_margins_hold() {
         let (mut of_counts, mut of_exponents, mut of_polynomial) = (1.0f64, 1.0f64, 0.0f64);
@@ -137,7 +138,7 @@ mod tests {
                 for t in 0..n {
                     let sin = (std::f64::consts::PI * f64::from(t) / f64::from(n)).sin();
                     let lift = 0.5 * (1.0 + (aspect * aspect - 1.0) * sin * sin).log2();
-                    // All else in an exponent is a multiple of 1/32 less 1/64.
+                    // Everything else in an exponent is a multiple of 1/32 minus 1/64.
                     let place = 32.0 * lift - 0.5;
                     of_exponents = of_exponents.min((place - place.round()).abs() / 32.0);
                     let octaves = 0.5 * lattice.lift(difference.into(), t).log2();
@@ -153,7 +154,7 @@ mod tests {
         );
     }
 
-    /// Runs over every shape of several step sizes.
+    /// Checks every shape for several step sizes.
     #[test]
     fn exponents_are_those_of_the_formula() {
         let mut seen = [0u64; 9];

@@ -1,4 +1,4 @@
-//! Bytes to integers and back; exact. Knows no colour and no pixel (spec §2 to §8).
+//! Converts bytes to integers and back, exactly. It does not interpret colours or pixels (spec §2 to §8).
 
 pub mod area;
 mod broken;

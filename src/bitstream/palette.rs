@@ -1,4 +1,4 @@
-//! Background and codebook as plain bytes, and the way from a colour to its index (spec §6.1).
+//! Background and codebook as plain bytes, and the index of a colour in the codebook (spec §6.1).
 
 use super::broken::Broken;
 use super::bytes::{Bytes, put_varint, unzigzag, zigzag};
@@ -6,7 +6,7 @@ use super::rules::MAX_CODEBOOK;
 use super::splats::PackedSplats;
 use crate::error::{Error, Result};
 
-/// The distinct colours of `splats`' codebook in the order of the file.
+/// Returns the distinct colours of `splats`' codebook in the order of the file.
 pub(crate) fn sorted_codebook(splats: &PackedSplats) -> Option<Vec<[i16; 4]>> {
     let mut book = splats.codebook.clone()?;
     book.sort_unstable();
@@ -14,10 +14,10 @@ pub(crate) fn sorted_codebook(splats: &PackedSplats) -> Option<Vec<[i16; 4]>> {
     Some(book)
 }
 
-/// The index of `color` in a sorted codebook.
+/// Returns the index of `color` in a sorted codebook.
 ///
 /// # Errors
-/// [`Error::Parameter`] when it is not there.
+/// [`Error::Parameter`] if it is not in the codebook.
 pub(crate) fn index_of(book: &[[i16; 4]], color: [i16; 4]) -> Result<u32> {
     book.binary_search(&color)
         .map(|i| i as u32)
@@ -38,7 +38,8 @@ pub(crate) fn read_color(bytes: &mut Bytes<'_>, channels: usize, field: &'static
     Ok(color)
 }
 
-/// Appends the count and the colours: the first channel as the step from the colour before.
+/// Appends the number of colours and the colours. The first channel is stored as the difference to the previous
+/// colour.
 pub(crate) fn put_codebook(book: &[[i16; 4]], channels: usize, out: &mut Vec<u8>) {
     put_varint(book.len() as u64, out);
     let mut last = i16::MIN;
@@ -64,7 +65,7 @@ pub(crate) fn read_codebook(bytes: &mut Bytes<'_>, channels: usize) -> Result<Ve
     Ok(book)
 }
 
-/// Adds a colour that must come after the last.
+/// Adds a colour, which must come after the last one in order.
 pub(crate) fn push_ascending(book: &mut Vec<[i16; 4]>, color: [i16; 4]) -> Result<()> {
     if book.last().is_some_and(|last| *last >= color) {
         return Err(Broken { field: "codebook order", value: book.len() as u64 }.into());

@@ -1,4 +1,5 @@
-//! Bytes of a file to integers, whole or in part, with every length held against limits and bytes first (spec §2, §9).
+//! Reads a file to integers, completely or in part. Every length is checked against limits and the bytes available
+//! (spec §2, §9).
 
 use std::io::Read;
 use std::sync::Arc;
@@ -24,32 +25,35 @@ use crate::error::{FormatError, Result};
 use crate::limits::Limits;
 use crate::options::Layers;
 
-/// How often the bytes of a file are counted against the memory limit: reading grows its buffer to twice the size while
-/// the old one is there; later, metadata are copied out of it.
+/// Number of times that the bytes of a file are counted against the memory limit: the read buffer grows to twice its
+/// size while the old one exists; later, metadata are copied out of it.
 const FILE_COPIES: u64 = 3;
 
-/// Most bytes that the account of a primitive's bits takes: two lists that grow to twice their size while the old ones are there.
+/// Maximum number of bytes for recording the bits of a primitive: two lists that grow to twice their size while the
+/// old ones exist.
 const ACCOUNT: u64 = 2 * 3 * size_of::<f32>() as u64;
 
-/// Most bytes that reading a primitive of a layout takes at any time.
+/// Returns the maximum number of bytes that reading a primitive of a layout takes at any time.
 fn working_bytes(layout: Layout) -> u64 {
     let extra = match layout {
         Layout::Packed => 0,
-        // A row of ten fields, a plane on its way into rows, and the window of its frame.
+        // A row of ten fields, a plane that is being distributed to rows, and the window of its frame.
         Layout::Planes => 100,
-        // Places by size, growing, then in order; later places and buckets.
+        // Growing lists of positions by size, then in order; later positions and buckets.
         Layout::Coded => 240,
     };
     size_of::<PackedGaussian>() as u64 + extra
 }
 
-/// Reads a file, holding every length against `limits` and against the bytes that are there before allocating.
+/// Reads a file. Every length is checked against `limits` and the bytes available before memory is allocated.
 ///
-/// A damaged optional section does not fail the file: it is left out and named in [`Metadata::damaged`].
+/// A damaged optional section is not an error: it is left out and named in [`Metadata::damaged`].
 ///
 /// # Errors
-/// [`Error::Format`](crate::Error::Format) if the file breaks the specification, [`Error::UnsupportedVersion`](crate::Error::UnsupportedVersion) if it is newer,
-/// [`Error::LimitExceeded`](crate::Error::LimitExceeded) if it is sound but too large, [`Error::Io`](crate::Error::Io) from the reader.
+/// [`Error::Format`](crate::Error::Format) if the file breaks the specification,
+/// [`Error::UnsupportedVersion`](crate::Error::UnsupportedVersion) if it is newer,
+/// [`Error::LimitExceeded`](crate::Error::LimitExceeded) if it exceeds `limits`, [`Error::Io`](crate::Error::Io) from
+/// the reader.
 pub fn read<R: Read>(mut reader: R, limits: &Limits) -> Result<PackedSplats> {
     let header = Header::read(&mut reader, limits)?;
     let rest = read_rest(reader, limits)?;
@@ -58,11 +62,11 @@ pub fn read<R: Read>(mut reader: R, limits: &Limits) -> Result<PackedSplats> {
         .map(|(splats, _)| splats)
 }
 
-/// Reads the primitives that can be seen in `area`, and perhaps others: groups that are out of its reach are not
-/// decoded. For the whole picture that is all of them, as [`read`] gives them.
+/// Reads the primitives that are visible in `area`, and possibly others: groups that cannot reach into it are not
+/// decoded. For the whole picture, the result is the same as that of [`read`].
 ///
 /// # Errors
-/// As [`read`], but what is wrong in a group that is left out goes unnoticed unless its checksum shows it.
+/// As [`read`], but errors in a group that is left out are detected only if its checksum does not match.
 pub fn read_area(bytes: &[u8], area: &Area, limits: &Limits) -> Result<PackedSplats> {
     let mut rest = bytes;
     let header = Header::read(&mut rest, limits)?;
@@ -90,19 +94,19 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Report)> 
     Ok((splats, report))
 }
 
-/// Reads what is intact of a damaged or truncated file, and says what is missing.
+/// Reads the intact parts of a damaged or truncated file, and returns counts of the missing parts.
 ///
-/// Only files in groups have parts that stand alone; any other file is read whole or not at all.
+/// Only files in groups have parts that can be decoded separately. Any other file is read as a whole or not at all.
 ///
 /// # Errors
-/// As [`read`] when header, sections or the directory of the groups are damaged, or when there are no groups.
+/// As [`read`] if header, sections or the directory of the groups are damaged, or if there are no groups.
 pub fn read_partial(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Missing)> {
     let mut rest = bytes;
     let header = Header::read(&mut rest, limits)?;
     Reading::all(limits, &Budget::of(limits)).intact(&header, rest)
 }
 
-/// Everything that `reader` still has, or a byte more than may be read into memory.
+/// Returns all remaining bytes of `reader`, or one byte more than may be read into memory.
 ///
 /// # Errors
 /// [`Error::Io`](crate::Error::Io) from the reader.
@@ -118,19 +122,19 @@ pub(crate) fn read_rest<R: Read>(reader: R, limits: &Limits) -> Result<Vec<u8>> 
 pub(crate) struct Reading<'a> {
     pub limits: &'a Limits,
     pub budget: &'a Budget,
-    /// Which layers are read; checksums are held against all.
+    /// The layers to read. Checksums are verified for all layers.
     pub layers: Layers,
 }
 
 impl<'a> Reading<'a> {
-    /// A reading of everything.
+    /// Settings that read everything.
     fn all(limits: &'a Limits, budget: &'a Budget) -> Self {
         Reading { limits, budget, layers: Layers::Both }
     }
 }
 
 impl Reading<'_> {
-    /// Parses the bytes behind the header; with an `area`, groups that cannot reach into it are left out.
+    /// Parses the bytes after the header. With an `area`, groups that cannot reach into it are left out.
     pub fn whole(
         self,
         header: &Header,
@@ -193,11 +197,11 @@ impl Reading<'_> {
         Wanted { size, channels: header.channels, area: area.copied(), limits: self.limits, passes_over: false, counts }
     }
 
-    /// Parses what is intact of the bytes behind the header, and says what is missing.
+    /// Parses the intact parts of the bytes after the header, and returns counts of the missing parts.
     pub fn intact(self, header: &Header, rest: &[u8]) -> Result<(PackedSplats, Missing)> {
         let mut working = self.reserve(header, rest)?;
-        // Trust comes from the checksums of the directory and of each group, or from that of the Gaussians' bytes. The
-        // checksum of the file may be cut off, or be part of the last group of a file that is cut. It only tells
+        // Parts are verified by the checksums of the directory and of each group, or by that of the Gaussians' bytes.
+        // The checksum of the file may be cut off, or may be inside the last group of a truncated file. It only tells
         // whether the whole file is intact.
         let mut bytes = Bytes::new(rest, header.bytes().len() as u64);
         let mut checksum = Hasher::new();
@@ -228,10 +232,11 @@ impl Reading<'_> {
             }
         }
         if detail.is_some() && self.layers == Layers::Gaussians {
-            // Only the checksum of the file looks at the layer.
+            // The layer is skipped; only the checksum of the file covers its bytes.
             bytes.take(bytes.left().saturating_sub(CHECKSUM) as u64, "detail layer")?;
         } else if let Some((head, _)) = detail {
-            // The checksum at the end may be cut off; what would take it for a part of a stream fails its check.
+            // The checksum at the end may be cut off. If it is read as a part of a stream, that stream fails its own
+            // check.
             let wanted = Wanted { passes_over: true, ..self.wanted(header, None, false) };
             let found = index::read(&mut bytes, head, &wanted, &mut working)?;
             missing.tiles = found.missing;
@@ -246,7 +251,7 @@ impl Reading<'_> {
         Ok((splats, if is_whole { Missing::default() } else { missing }))
     }
 
-    /// Parses the sections and nothing behind them.
+    /// Parses the sections, and nothing after them.
     pub fn described(self, header: &Header, rest: &[u8]) -> Result<Metadata> {
         let _working = self.budget.reserve(FILE_COPIES * rest.len() as u64)?;
         let mut bytes = Bytes::new(rest, header.bytes().len() as u64);
@@ -254,13 +259,13 @@ impl Reading<'_> {
         Ok(read.metadata)
     }
 
-    /// Reserves the most memory that parsing `rest` can take.
+    /// Reserves the maximum memory that parsing `rest` can take.
     fn reserve(self, header: &Header, rest: &[u8]) -> Result<Reservation> {
         let primitives = u64::from(header.primitives) * working_bytes(header.layout);
         self.budget.reserve(FILE_COPIES * rest.len() as u64 + primitives)
     }
 
-    /// The sections, if there are any.
+    /// Reads the sections, if there are any.
     fn sections(
         self,
         header: &Header,
@@ -280,7 +285,8 @@ impl Reading<'_> {
     }
 }
 
-/// The Gaussians' bytes: all that are left, or those before the detail layer, which have a checksum of their own then.
+/// Returns the Gaussians' bytes: all that remain, or those before the detail layer, which then have a checksum of
+/// their own.
 fn payload<'a>(header: &Header, bytes: &mut Bytes<'a>, detail: Option<&(DetailHead, Spans)>) -> Result<Bytes<'a>> {
     let Some((_, spans)) = detail else {
         return bytes.part(bytes.left() as u64, "payload");

@@ -1,6 +1,6 @@
-//! Parts of the grid of positions: regions that are halved, and the squares where primitives sit (spec §8.4).
+//! Regions of the grid of positions that are halved repeatedly, and the squares that contain primitives (spec §8.4).
 
-/// A part of the grid: corner and the logarithms of the sides, in cells.
+/// A region of the grid: its corner, and the binary logarithms of its sides, in cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Region {
     pub corner: [u32; 2],
@@ -8,12 +8,12 @@ pub(crate) struct Region {
 }
 
 impl Region {
-    /// The rectangle of powers of two around the whole grid, no side below `2^least`.
+    /// Returns the rectangle of powers of two around the whole grid; no side is below `2^least`.
     pub fn whole(grid: [u32; 2], least: u32) -> Self {
         Region { corner: [0, 0], log: grid.map(|g| (u32::BITS - (g - 1).leading_zeros()).max(least)) }
     }
 
-    /// The axis that is halved next, or `None` for a single cell.
+    /// Returns the axis that is halved next, or `None` for a single cell.
     pub fn axis(&self) -> Option<usize> {
         match self.log {
             [0, 0] => None,
@@ -21,7 +21,7 @@ impl Region {
         }
     }
 
-    /// The lower and the upper half.
+    /// Returns the lower and the upper half.
     pub fn halves(&self, axis: usize) -> [Region; 2] {
         let (mut low, mut high) = (*self, *self);
         low.log[axis] -= 1;
@@ -30,12 +30,12 @@ impl Region {
         [low, high]
     }
 
-    /// Bits that [`Region::key`] has.
+    /// Returns the number of bits of the key of [`Region::place`].
     pub fn key_bits(&self) -> u32 {
         self.log[0] + self.log[1]
     }
 
-    /// The place of a primitive in the square of `2^log` cells that holds `cell`.
+    /// Returns the place of a primitive in the square of `2^log` cells that contains `cell`.
     pub fn place(&self, cell: [u32; 2], log: u32) -> Place {
         let (mut region, mut key) = (*self, 0);
         while region.log != [log; 2] {
@@ -47,19 +47,19 @@ impl Region {
         Place { log: std::cmp::Reverse(log), key, corner: region.corner }
     }
 
-    /// Cells of the grid in each half along `axis`.
+    /// Returns the number of cells of the grid in each half along `axis`.
     pub fn inside(&self, axis: usize, grid: [u32; 2]) -> [u32; 2] {
         let (left, half) = (grid[axis].saturating_sub(self.corner[axis]), 1 << (self.log[axis] - 1));
         [left.min(half), left.saturating_sub(half).min(half)]
     }
 }
 
-/// Where a primitive sits: the square of `2^log` finest cells a side that is as coarse as its position step.
+/// Place of a primitive: the square, with a side of `2^log` finest cells, that is as coarse as its position step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Place {
-    /// Coarse squares first.
+    /// Binary logarithm of the side; coarse squares come first.
     pub log: std::cmp::Reverse<u32>,
-    /// The halves that lead there.
+    /// The sequence of halves that leads to the square.
     pub key: u64,
     pub corner: [u32; 2],
 }

@@ -1,10 +1,10 @@
-//! Where a file's bytes go: by part and, for the primitives, by field.
+//! Accounts for the bytes of a file: by part and, for the primitives, by field.
 
 use super::coder::range::Meter;
 use super::header::Header;
 use super::sections::SectionInfo;
 
-/// In WebAssembly one reader gives primitives and reports, for the module's size.
+/// WebAssembly uses one reader for primitives and reports, which keeps the module small.
 pub(crate) const ONE_READER: bool = cfg!(target_family = "wasm");
 
 /// Bytes of one part of a file.
@@ -21,7 +21,7 @@ pub struct Part {
 pub struct Field {
     /// Its name in the specification.
     pub name: &'static str,
-    /// Bits of all primitives together; fractional under entropy coding.
+    /// Bits of all primitives together; fractional with entropy coding.
     pub bits: f64,
 }
 
@@ -39,14 +39,14 @@ pub struct Report {
     pub sections: Vec<SectionInfo>,
     /// Fields of the primitives.
     pub fields: Vec<Field>,
-    /// Bits of each primitive, in the order in which they are read; those that code the positions of all, or of a group, are
-    /// shared out equally. Nothing in layouts that give all primitives as many.
+    /// Bits of each primitive, in the order in which they are read. Bits that code the positions of all primitives, or
+    /// of a group, are distributed equally. Empty for layouts in which all primitives have the same size.
     pub each: Vec<f32>,
     /// Primitives of each progressive level.
     pub levels: Vec<u32>,
     /// Number of separately coded groups; 1 without a directory.
     pub groups: u32,
-    /// Bits of the detail layer's levels, all of them together; 0 without a layer.
+    /// Total bits of the detail layer's levels; 0 without a layer.
     pub layer_bits: f64,
 }
 
@@ -55,24 +55,24 @@ pub(super) const INDEX: &str = "index of the detail layer";
 pub(super) const STREAMS: &str = "detail layer";
 
 impl Report {
-    /// Bytes of the detail layer's index and streams; 0 without a layer.
+    /// Returns the bytes of the detail layer's index and streams; 0 without a layer.
     #[must_use]
     pub fn layer_bytes(&self) -> u64 {
         self.parts.iter().filter(|part| [INDEX, STREAMS].contains(&part.name)).map(|part| part.bytes).sum()
     }
 }
 
-/// How much a report tells.
+/// Amount of detail in a report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Detail {
     /// The parts only.
     #[default]
     Parts,
-    /// The bits of each field as well, which costs time.
+    /// Also the bits of each field, which takes time.
     Fields,
 }
 
-/// Gathers a report while a file is read.
+/// Collects a report while a file is read.
 #[derive(Debug, Default)]
 pub(crate) struct Tally {
     pub detail: Detail,
@@ -80,7 +80,7 @@ pub(crate) struct Tally {
     pub fields: Vec<Field>,
     pub each: Vec<f32>,
     pub groups: u32,
-    /// Bits of the detail layer's levels, where fields are told.
+    /// Bits of the detail layer's levels, if fields are reported.
     pub layer_bits: f64,
 }
 
@@ -97,7 +97,7 @@ impl Tally {
         }
     }
 
-    /// Adds the accounts of a meter that has read one stream.
+    /// Adds the counts of a meter that has read one stream.
     pub fn add<C>(&mut self, meter: Meter<C>) {
         meter.fields.into_iter().for_each(|(name, bits)| self.field(name, bits));
         if let Some((all, each)) = meter.each.split_first() {

@@ -1,4 +1,4 @@
-//! Rules that the integers of a picture must obey, whether they come from a file or from a caller (spec §4).
+//! Rules for the integers of a picture, whether they come from a file or from a caller (spec §4).
 
 use super::broken::Broken;
 use super::header::{MAX_SIDE, MIN_EXPONENT};
@@ -8,23 +8,24 @@ use super::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use crate::error::{Error, Result};
 use crate::gaussian::{CUTOFF, Channels};
 
-/// Most colours of a codebook.
+/// Maximum number of colours in a codebook.
 pub const MAX_CODEBOOK: usize = 1 << 16;
 
-/// Most progressive levels.
+/// Maximum number of progressive levels.
 pub const MAX_LEVELS: usize = 8;
 
-/// Largest grey, luma, chroma and alpha, 1 is white: no colour is further from what can be seen than single precision can bear
-/// (spec §4). Red, green and blue are twice as large at most.
+/// Maximum grey, luma, chroma and alpha, where 1 is white. Within this range, single precision renders all visible
+/// colours exactly enough (spec §4). Red, green and blue can be at most twice as large.
 pub const MAX_COLOR: f32 = 8.0;
 
 /// Chroma steps in units of half a luma step (spec §4.1).
 const CHROMA_HALVES: [u64; 4] = [2, 3, 4, 6];
 
-/// The largest magnitude of each of the four colour integers with these steps: that of [`MAX_COLOR`]. `1..=1024`.
+/// Returns the maximum magnitude of each of the four colour integers with these steps: that of [`MAX_COLOR`].
+/// `1..=1024`.
 #[must_use]
 pub fn most_color(steps: &Steps, channels: Channels) -> [i16; 4] {
-    // n · ratio · 2^(luma/3 − 7) ≤ 8, its third power in integers.
+    // n · ratio · 2^(luma/3 − 7) ≤ 8, cubed so that it can be computed in integers.
     let most = |halves: u64| {
         let cubed = |n: i16| (n as u64 * halves).pow(3) << steps.luma;
         (1..=1024).rev().find(|&n| cubed(n) <= 1 << 33).expect("the least is 3")
@@ -39,8 +40,8 @@ pub fn most_color(steps: &Steps, channels: Channels) -> [i16; 4] {
     }
 }
 
-/// How many primitives a payload of `bytes` bytes may hold: real ones take 20 bits or more, and a file that claims
-/// millions in a few bytes must not cost the work of millions.
+/// Returns the maximum number of primitives in a payload of `bytes` bytes. Real primitives take 20 bits or more, and a
+/// file of a few bytes that claims millions must not cost the work of millions.
 pub(crate) fn most_primitives(bytes: u64) -> u64 {
     bytes.saturating_mul(8).saturating_add(1024)
 }
@@ -55,12 +56,12 @@ pub(crate) struct Rules {
     /// `32·δ`.
     delta: i32,
     position: i32,
-    /// Highest legal scale index.
+    /// Largest valid scale index.
     pub top: u8,
     pub channels: usize,
-    /// Largest magnitude of the colour integers.
+    /// Maximum magnitude of the colour integers.
     pub most_color: [i16; 4],
-    /// The first and the last major scale for each square; none where the first is the larger.
+    /// The first and the last major scale for each square; none if the first is larger.
     majors: [(u8, u8); 16],
 }
 
@@ -90,56 +91,57 @@ impl Rules {
         Rules::new(&splats.steps, splats.layout, [splats.width, splats.height], splats.channels)
     }
 
-    /// Exponent of the finest position step.
+    /// Returns the exponent of the finest position step.
     pub fn finest(&self) -> i32 {
         self.coarsest - self.range as i32
     }
 
-    /// How many octaves the coarsest position step is above the finest.
+    /// Returns the number of octaves between the finest and the coarsest position step.
     pub fn range(&self) -> u32 {
         self.range
     }
 
-    /// Number of cells of the finest step along each side.
+    /// Returns the number of cells of the finest step along each side.
     pub fn grid(&self) -> [u32; 2] {
         self.size.map(|side| Lattice::positions(side, self.finest()))
     }
 
-    /// The region that holds every primitive.
+    /// Returns the region that contains every primitive.
     pub fn region(&self) -> Region {
         Region::whole(self.grid(), self.range)
     }
 
-    /// Logarithms of the position steps of a shape, in finest cells.
+    /// Returns the binary logarithms of the position steps of a shape, in finest cells.
     pub fn logs(&self, major: u8, minor: u8, angle: u16) -> [u32; 2] {
         self.in_cells(self.lattice.exponents(major, minor, angle))
     }
 
-    /// Logarithms of position steps of `2^exponents` pixels, in finest cells.
+    /// Returns the binary logarithms, in finest cells, of position steps of `2^exponents` pixels.
     pub fn in_cells(&self, exponents: [i32; 2]) -> [u32; 2] {
         exponents.map(|e| (e - self.finest()) as u32)
     }
 
-    /// Logarithm of the side, in finest cells, of the square where a primitive of this major scale sits: the position
-    /// step that it would have along its major axis, which is the coarsest that its shape can have.
+    /// Returns the binary logarithm of the side, in finest cells, of the square that contains a primitive of this
+    /// major scale: the position step that it would have along its major axis, which is the coarsest that its shape
+    /// can have.
     pub fn seat(&self, major: u8) -> u32 {
         let log64 = 2 * (i32::from(major) * self.delta - 64 - 8 * self.position) - 1;
         ((log64 + 32).div_euclid(64).clamp(self.finest(), self.coarsest) - self.finest()) as u32
     }
 
-    /// The least and the largest major scale that sit in squares of side `2^log` cells.
+    /// Returns the smallest and the largest major scale of primitives in squares of side `2^log` cells.
     pub fn majors(&self, log: u32) -> Result<(u8, u8), Broken> {
         let (low, high) = self.majors[log as usize];
         if low > high { Err(Broken { field: "square without a scale", value: log.into() }) } else { Ok((low, high)) }
     }
 
-    /// Half of the longest axis of the support of a primitive of this major scale, pixels, and a little more.
+    /// Returns an upper bound of half the longest axis of the support of a primitive of this major scale, pixels.
     pub fn reach(&self, major: u8) -> f64 {
         let log2 = f64::from(i32::from(major) * self.delta) / 32.0 - 2.0;
         f64::from(CUTOFF) * log2.exp2() * (1.0 + 1e-6)
     }
 
-    /// The square where a primitive sits.
+    /// Returns the square that contains a primitive.
     pub fn place(&self, p: &PackedGaussian, region: Region) -> Place {
         let [lx, ly] = self.logs(p.major, p.minor, p.angle);
         region.place([p.x << lx, p.y << ly], self.seat(p.major))
@@ -172,7 +174,7 @@ impl Rules {
         Ok(())
     }
 
-    /// The colours of a palette: background and codebook.
+    /// Checks the colours of a palette: background and codebook.
     pub fn palette(&self, splats: &PackedSplats) -> Result<(), Broken> {
         let named = |field| move |Broken { value, .. }: Broken| Broken { field, value };
         self.color(splats.background).map_err(named("background"))?;
@@ -186,7 +188,7 @@ impl Rules {
         self.color(p.color)
     }
 
-    /// Whether positions in steps of `2^exponents` pixels lie in the picture.
+    /// Checks that a position in steps of `2^exponents` pixels lies in the picture.
     pub fn position(&self, position: [u32; 2], exponents: [i32; 2]) -> Result<(), Broken> {
         for (k, field) in ["x", "y"].into_iter().enumerate() {
             if position[k] >= Lattice::positions(self.size[k], exponents[k]) {
@@ -197,10 +199,10 @@ impl Rules {
     }
 }
 
-/// Checks all that a caller can get wrong in `splats`.
+/// Checks everything in `splats` that a caller can set.
 ///
 /// # Errors
-/// [`Error::Parameter`] with the field's name.
+/// [`Error::Parameter`] with the name of the field.
 pub(crate) fn check(splats: &PackedSplats) -> Result<()> {
     check_all(splats)
         .map_err(|b| Error::Parameter { name: b.field, problem: format!("{} is against the format", b.value) })
@@ -259,7 +261,7 @@ mod tests {
                 let [y, co, cg, a] = most_color(&steps, Channels::Rgba);
                 assert_eq!((y, co), (a, cg));
                 for (most, step) in [(y, step), (co, step * ratio)] {
-                    // Some hit the bound exactly.
+                    // Some values are exactly at the bound.
                     let bound = f64::from(MAX_COLOR) * (1.0 + 1e-12);
                     assert!(f64::from(most) * step <= bound && f64::from(most + 1) * step > bound, "{luma} {chroma}");
                 }

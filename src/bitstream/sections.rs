@@ -1,4 +1,4 @@
-//! Optional blocks behind the header: ICC profile, EXIF, thumbnail, and what later versions add (spec §3).
+//! Optional blocks after the header: ICC profile, EXIF, thumbnail, and additions of later versions (spec §3).
 
 use super::bytes::{Bytes, put_varint};
 use super::checksum::Hasher;
@@ -7,27 +7,27 @@ use super::splats::{EXIF, ICC, Metadata, THUMBNAIL};
 use crate::error::{FormatError, Result};
 use crate::limits::Limits;
 
-/// Name of the section that says what the detail layer behind the payload means; critical.
+/// Name of the critical section with the parameters of the detail layer that follows the payload.
 pub const DETAIL: [u8; 4] = *b"Dtal";
 
-/// Most sections of a file.
+/// Maximum number of sections in a file.
 pub const MAX_SECTIONS: usize = 64;
 
 /// Contents of a file's sections.
 #[derive(Debug, Default)]
 pub(crate) struct SectionsRead {
     pub metadata: Metadata,
-    /// The detail layer's head, and where the Gaussians' bytes end.
+    /// The detail layer's head, and the end of the Gaussians' bytes.
     pub detail: Option<(DetailHead, Spans)>,
     pub infos: Vec<SectionInfo>,
 }
 
-/// A section's place and size, for reports.
+/// Name, size and treatment of a section, for reports.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SectionInfo {
-    /// Four ASCII letters; a capital first letter means that a decoder which does not know it must refuse the file.
+    /// Four ASCII letters. If the first is a capital, a decoder that does not know the section must refuse the file.
     pub name: [u8; 4],
-    /// Bytes of the section in the file, its head included.
+    /// Bytes of the section in the file, including its head.
     pub bytes: u64,
     /// Treatment by the reader.
     pub fate: SectionFate,
@@ -38,16 +38,17 @@ pub struct SectionInfo {
 pub enum SectionFate {
     /// Understood and kept.
     Kept,
-    /// Optional and not known: skipped.
+    /// Optional and unknown: skipped.
     Skipped,
-    /// Optional and its checksum does not match: dropped.
+    /// Optional, with a checksum that does not match: dropped.
     Damaged,
 }
 
-/// Reads the sections. The file's checksum, which `checksum` gathers, covers their heads; each head holds the checksum
-/// of its contents, so that a damaged profile cannot hide the picture.
+/// Reads the sections. The checksum of the file, which `checksum` accumulates, covers their heads. Each head contains
+/// the checksum of its contents, so that a damaged profile does not make the picture unreadable.
 ///
-/// `header` is the checksum of the header, which each of the sections' covers as well: what they tell is of this picture.
+/// `header` is the checksum of the header. The checksum of each section covers it as well, which ties the section to
+/// this picture.
 pub(crate) fn read_sections(
     bytes: &mut Bytes<'_>,
     limits: &Limits,
@@ -110,8 +111,8 @@ pub(crate) fn read_sections(
     Ok(SectionsRead { metadata, detail: layer, infos })
 }
 
-/// Appends the sections of `metadata`, and that of the detail layer with such contents, and feeds the file's checksum. The sections'
-/// checksums begin with that of the `header`.
+/// Appends the sections of `metadata`, and that of the detail layer with the given contents, and updates the checksum
+/// of the file. The sections' checksums start from that of the `header`.
 pub(crate) fn put_sections(
     metadata: &Metadata,
     layer: Option<&[u8]>,
@@ -120,7 +121,7 @@ pub(crate) fn put_sections(
     checksum: &mut Hasher,
 ) {
     let mut head = out.len();
-    // Capital letters come first.
+    // Names with capital letters come first.
     let sections = || layer.map(|contents| (DETAIL, contents)).into_iter().chain(metadata.sections());
     put_varint(sections().count() as u64, out);
     for (name, contents) in sections() {

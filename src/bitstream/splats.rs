@@ -1,4 +1,4 @@
-//! The integers of a picture: what every layout carries, exactly (spec §4).
+//! The integers of a picture, which every layout stores exactly (spec §4).
 
 use std::sync::Arc;
 
@@ -11,13 +11,13 @@ use crate::pixels::Depth;
 pub struct Steps {
     /// `0..=15`: scales are `2^(i·δ − 2)` with `δ = (scale + 4)/32`.
     pub scale: u8,
-    /// `0..=3`: angles are coarser by `τ = 2^((angle − 1)/2)`.
+    /// `0..=3`: angle steps are coarser by a factor of `τ = 2^((angle − 1)/2)`.
     pub angle: u8,
     /// `0..=15`: position steps are about `2^(−position/4)` of the Gaussian's own extent.
     pub position: u8,
     /// `−6..=9`: the coarsest position step is `2^coarsest` pixels.
     pub coarsest: i8,
-    /// `0..=15`: position steps reach down to `2^(coarsest − range)` pixels.
+    /// `0..=15`: the finest position step is `2^(coarsest − range)` pixels.
     pub range: u8,
     /// `0..=15`: the step of luma, grey and alpha is `2^(luma/3 − 7)`.
     pub luma: u8,
@@ -28,9 +28,9 @@ pub struct Steps {
 /// One primitive in integers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub struct PackedGaussian {
-    /// Mean: `(x + ½)·2^ex` pixels, where `ex` follows from the scales and the angle (spec §4.3).
+    /// x of the mean: `(x + ½)·2^ex` pixels, where `ex` follows from the scales and the angle (spec §4.3).
     pub x: u32,
-    /// Mean: `(y + ½)·2^ey` pixels.
+    /// y of the mean: `(y + ½)·2^ey` pixels.
     pub y: u32,
     /// Index of the major scale; never below `minor`.
     pub major: u8,
@@ -38,7 +38,7 @@ pub struct PackedGaussian {
     pub minor: u8,
     /// Angle `π·angle/n`, where `n` follows from `major − minor` (spec §4.2).
     pub angle: u16,
-    /// Grey: `[Y]`; grey with alpha: `[Y, A]`; colour: `[Y, Co, Cg]`, then `A`; unused ones are 0.
+    /// Grey: `[Y]`; grey with alpha: `[Y, A]`; colour: `[Y, Co, Cg]`, then `A`; unused values are 0.
     pub color: [i16; 4],
 }
 
@@ -47,9 +47,9 @@ pub struct PackedGaussian {
 pub enum Layout {
     /// Fixed-size records, 7 bytes each for a colour picture.
     Packed,
-    /// The records' fields as separate streams under zstd.
+    /// The fields of the records as separate streams, compressed with zstd.
     Planes,
-    /// Adaptive entropy coding: the smallest files.
+    /// Adaptive entropy coding, which gives the smallest files.
     #[default]
     Coded,
 }
@@ -61,22 +61,24 @@ pub const EXIF: [u8; 4] = *b"exif";
 /// Name of the thumbnail's section.
 pub const THUMBNAIL: [u8; 4] = *b"thmb";
 
-/// Metadata of a file, unparsed: blocks that are carried beside the picture, byte for byte.
+/// Metadata of a file as unparsed blocks, stored byte for byte.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
+#[doc(alias("icc", "exif", "orientation"))]
 pub struct Metadata {
     /// ICC colour profile.
     pub icc: Option<Vec<u8>>,
     /// EXIF block, starting at its TIFF header.
     pub exif: Option<Vec<u8>>,
-    /// Thumbnail: an ssplat file of its own with a smaller version of the picture (spec §3).
+    /// Thumbnail: a separate ssplat file with a smaller version of the picture (spec §3).
     pub thumbnail: Option<Vec<u8>>,
-    /// Names of the sections that were dropped when reading because their checksums did not match; not written.
+    /// Names of the sections that were dropped when reading because their checksums did not match; ignored when
+    /// writing.
     pub damaged: Vec<[u8; 4]>,
 }
 
 impl Metadata {
-    /// The sections that are there, in the order of a file.
+    /// Returns the sections that are present, in the order of a file.
     pub(crate) fn sections(&self) -> impl Iterator<Item = ([u8; 4], &[u8])> {
         [(EXIF, &self.exif), (ICC, &self.icc), (THUMBNAIL, &self.thumbnail)]
             .into_iter()
@@ -93,25 +95,26 @@ pub struct PackedSplats {
     pub height: u32,
     /// Channels of the colours.
     pub channels: Channels,
-    /// Bits a sample of the source.
+    /// Bits per sample of the source.
     pub depth: Depth,
-    /// How the primitives blend.
+    /// Rule that combines the primitives.
     pub blend: Blend,
-    /// How the integers become bytes.
+    /// Layout of the integers in the file.
     pub layout: Layout,
     /// Step sizes.
     pub steps: Steps,
-    /// Background colour in the integers of [`PackedGaussian::color`].
+    /// Background colour as integers in the form of [`PackedGaussian::color`].
     pub background: [i16; 4],
-    /// The colours that occur, ascending, where each primitive stores an index instead of its colour; at most 65536.
+    /// The colours that occur, in ascending order, if each primitive stores an index instead of its colour; at most
+    /// 65536.
     pub codebook: Option<Vec<[i16; 4]>>,
     /// The primitives, level by level.
     pub gaussians: Vec<PackedGaussian>,
-    /// How many primitives each progressive level has, coarse levels first, at most 8; empty: one level. Only the coded
-    /// layout has several; a file cut after a level still shows a whole, coarser picture.
+    /// Number of primitives of each progressive level, coarse levels first, at most 8; empty for one level. Only the
+    /// coded layout can have several. A file that is truncated after a level still gives a whole, coarser picture.
     pub levels: Vec<u32>,
-    /// The detail layer, which is added to the picture of the Gaussians. Only the coded layout can have one.
+    /// The detail layer, which is added to the rendered Gaussians. Only the coded layout can have one.
     pub detail: Option<Arc<DetailLayer>>,
-    /// ICC profile and EXIF block.
+    /// ICC profile, EXIF block and thumbnail.
     pub metadata: Metadata,
 }

@@ -1,4 +1,4 @@
-//! Integers to the bytes of a file: header, sections, payload, checksum (spec §2).
+//! Writes integers as the bytes of a file: header, sections, payload, checksum (spec §2).
 
 use std::io::Write;
 
@@ -14,7 +14,7 @@ use super::splats::{Layout, PackedSplats};
 use super::uncoded::{packed, planes};
 use crate::error::{Error, Result};
 
-/// Writes `splats` in their layout. The primitives of a level are put into the layout's own order.
+/// Writes `splats` in their layout. The primitives of a level are sorted into the order of the layout.
 ///
 /// # Errors
 /// [`Error::Parameter`] if the integers break spec §4, [`Error::Io`] from the writer.
@@ -23,7 +23,7 @@ pub fn write<W: Write>(splats: &PackedSplats, writer: &mut W) -> Result<()> {
     Ok(())
 }
 
-/// The file of `splats`; see [`write()`].
+/// Returns the file of `splats`; see [`write()`].
 ///
 /// # Errors
 /// [`Error::Parameter`] if the integers break spec §4.
@@ -64,7 +64,7 @@ pub fn to_bytes(splats: &PackedSplats) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-/// The checksum of what shows the Gaussians: header and payload.
+/// Returns the checksum of the bytes that describe the Gaussians: header and payload.
 pub(super) fn base_checksum(header: &[u8], payload: &[u8]) -> u32 {
     let mut hasher = Hasher::new();
     hasher.update(header);

@@ -1,4 +1,4 @@
-//! The decoder's public interface: options as setters, then files to decode.
+//! The decoder's public interface: options as setters, and methods that decode files.
 
 use super::{Decoded, decode, decode_into, thumbnail};
 use crate::error::Result;
@@ -6,7 +6,7 @@ use crate::limits::Limits;
 use crate::options::{Damage, DecodeOptions, Layers};
 use crate::raster::SamplesMut;
 
-/// Decodes files. [`Reader`](crate::Reader) is for a file that is drawn more than once.
+/// Decodes files. Use [`Reader`](crate::Reader) for a file that is rendered more than once.
 ///
 /// ```no_run
 /// use ssplat::Decoder;
@@ -24,7 +24,7 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// Returns a decoder that draws whole pictures at their own size, with the default [`Limits`].
+    /// Returns a decoder that renders whole pictures at their own size, with the default [`Limits`].
     #[must_use]
     pub fn new() -> Self {
         Decoder::default()
@@ -38,18 +38,21 @@ impl Decoder {
         self
     }
 
-    /// Sets the part to draw: left, top, width and height, in pixels of the picture. Parts of the file that cannot be
-    /// seen in it are not drawn, and in large files mostly not even read. The default is the whole picture.
+    /// Sets the region to render: left, top, width and height, in pixels of the picture. Parts of the file that are
+    /// not visible in the region are not rendered, and in large files mostly not even read. The default is the whole
+    /// picture.
     #[must_use]
+    #[doc(alias("crop", "roi", "part"))]
     pub fn region(mut self, region: [u32; 4]) -> Self {
         self.options.region = Some(region);
         self
     }
 
-    /// Sets the width and height of the output, in pixels, each in `1..=2²⁰`. An output larger than the region samples
-    /// the continuous picture, a smaller one is low-passed as described at [`View::resized`](crate::View::resized). The
-    /// default is the size of the region.
+    /// Sets the width and height of the output, in pixels, each in `1..=2²⁰`. The default is the size of the region.
+    /// An output larger than the region samples the continuous picture; a smaller one is low-pass filtered as
+    /// described at [`View::resized`](crate::View::resized).
     #[must_use]
+    #[doc(alias("resize", "scale", "width", "height"))]
     pub fn size(mut self, size: [u32; 2]) -> Self {
         self.options.size = Some(size);
         self
@@ -57,12 +60,13 @@ impl Decoder {
 
     /// Sets the treatment of truncated or damaged files. The default is [`Damage::Refuse`].
     #[must_use]
+    #[doc(alias("truncated", "partial"))]
     pub fn damage(mut self, damage: Damage) -> Self {
         self.options.damage = damage;
         self
     }
 
-    /// Sets the layers to draw. The default is [`Layers::Both`].
+    /// Sets the layers to render. The default is [`Layers::Both`].
     #[must_use]
     pub fn layers(mut self, layers: Layers) -> Self {
         self.options.layers = layers;
@@ -80,26 +84,28 @@ impl Decoder {
         decode(bytes, &self.options)
     }
 
-    /// Decodes the file `bytes` into `out`, row by row with interleaved channels, at the bit depth of `out`. Use it to
-    /// decode several pictures into the same memory. [`Reader`](crate::Reader) tells a picture's size beforehand.
+    /// Decodes the file `bytes` into `out`, row by row with interleaved channels, at the bit depth of `out`. Use this
+    /// method to decode several pictures into the same memory. [`Reader`](crate::Reader) returns the size of a picture
+    /// beforehand.
     ///
     /// # Errors
-    /// As [`decode`](Decoder::decode), and [`Error::Parameter`](crate::Error::Parameter) naming `out` if that has not exactly
-    /// width × height × channels samples.
+    /// As [`decode`](Decoder::decode), and [`Error::Parameter`](crate::Error::Parameter) naming `out` if `out` does
+    /// not have exactly width × height × channels samples.
     pub fn decode_into(&self, bytes: &[u8], out: SamplesMut<'_>) -> Result<()> {
         decode_into(bytes, &self.options, out).map(|_| ())
     }
 
-    /// Draws the picture of the file `bytes` as large as it fits into `within` (width and height in pixels) with its
-    /// aspect ratio kept, and never larger than its own size.
+    /// Renders the picture of the file `bytes` at the largest size that fits into `within` (width and height in
+    /// pixels), keeping its aspect ratio. The picture is never enlarged.
     ///
-    /// If the file carries a thumbnail of at least this size, only the thumbnail and the metadata are read. This takes
-    /// half a millisecond whatever the picture's size; the thumbnail's error is larger than the picture's. Otherwise
-    /// the picture is drawn. The result has the picture's ICC profile and EXIF block in both cases. The region, size,
-    /// damage and layers set on this decoder have no effect here.
+    /// If the file contains a thumbnail of at least this size, only the thumbnail and the metadata are read. This
+    /// takes half a millisecond whatever the picture's size, but the thumbnail's error is larger than the picture's.
+    /// Otherwise the picture is rendered. The result has the picture's ICC profile and EXIF block in both cases. The
+    /// region, size, damage and layers set on this decoder have no effect on this method.
     ///
     /// # Errors
-    /// As [`decode`](Decoder::decode); [`Error::Parameter`](crate::Error::Parameter) when a side of `within` is 0.
+    /// As [`decode`](Decoder::decode); [`Error::Parameter`](crate::Error::Parameter) if a side of `within` is 0.
+    #[doc(alias = "preview")]
     pub fn thumbnail(&self, bytes: &[u8], within: [u32; 2]) -> Result<Decoded> {
         thumbnail(bytes, within, &self.options.limits)
     }

@@ -1,4 +1,4 @@
-//! Bytes to pixels: [`Decoder`] for a picture at a time, [`Image`] for a file that is drawn again and again.
+//! Bytes to pixels: [`Decoder`] decodes one picture at a time; [`Image`] is a file that can be rendered repeatedly.
 
 mod decoder;
 mod reader;
@@ -25,33 +25,34 @@ pub struct Decoded {
     pub pixels: Pixels,
     /// ICC profile and EXIF block.
     pub metadata: Metadata,
-    /// Numbers of the parts that could not be read. All are 0 unless [`Damage::Accept`](crate::Damage::Accept) was set.
+    /// Counts of the parts that could not be read. All are 0 unless [`Damage::Accept`](crate::Damage::Accept) was set.
     pub missing: Missing,
 }
 
-/// Decodes the file `bytes`, or the part of it that `options` ask for; what cannot be seen in that part
-/// is not drawn, and in a file with groups mostly not even read.
+/// Decodes the file `bytes`, or the part of it that `options` select. Parts of the file that are not visible in the
+/// region are not rendered, and in a file with groups mostly not even read.
 ///
 /// # Errors
 /// [`Error::Format`](crate::Error::Format) and [`Error::UnsupportedVersion`](crate::Error::UnsupportedVersion) for
-/// what cannot be read, [`Error::LimitExceeded`](crate::Error::LimitExceeded) for what is too large,
-/// [`Error::Parameter`](crate::Error::Parameter) for a region outside the picture or an empty one.
+/// files that cannot be read, [`Error::LimitExceeded`](crate::Error::LimitExceeded) for files that exceed the limits,
+/// [`Error::Parameter`](crate::Error::Parameter) for a region that is empty or not within the picture.
 pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
     let opening = Reader::new(bytes, &options.limits)?.showing(options.layers);
     let view = options.view(&opening.view())?;
     let opened = opening.read_for(&view, options.damage)?;
     let (depth, missing) = (opened.splats().depth, opened.missing());
     let renderer = opened.renderer(&view)?;
-    // The integers make room for the pixels.
-    let (metadata, _reserved) = opened.described();
+    // Release the memory of the integers before the pixels are allocated.
+    let (metadata, _reserved) = opened.into_metadata_and_memory();
     Ok(Decoded { pixels: renderer.render(depth)?, metadata, missing })
 }
 
-/// Decodes the file `bytes` into `out`, as [`decode()`] does but with the depth of `out`: for one picture after the other in
-/// the same memory. [`Reader`] tells a picture's size beforehand.
+/// Decodes the file `bytes` into `out`, as [`decode()`] does but with the depth of `out`. Use this function to decode
+/// several pictures into the same memory. [`Reader`] returns the size of a picture beforehand.
 ///
 /// # Errors
-/// As [`decode()`], and [`Error::Parameter`] naming `out` if that has not exactly as many samples as what `options` ask for.
+/// As [`decode()`], and [`Error::Parameter`] naming `out` if `out` does not have exactly as many samples as `options`
+/// require.
 pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -> Result<(Metadata, Missing)> {
     let opening = Reader::new(bytes, &options.limits)?.showing(options.layers);
     let view = options.view(&opening.view())?;
@@ -69,7 +70,7 @@ pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -
 }
 
 impl DecodeOptions {
-    /// The part and the size that are asked for of the `whole` picture.
+    /// Returns the view of the requested region and size of the `whole` picture.
     fn view(&self, whole: &View) -> Result<View> {
         let mut view = *whole;
         if let Some([x, y, width, height]) = self.region {

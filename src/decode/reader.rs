@@ -1,4 +1,4 @@
-//! Opened files: their integers and metadata, from which any view can be drawn, any number of times.
+//! Opened files: integers and metadata, from which any view can be rendered any number of times.
 
 use std::sync::Arc;
 
@@ -15,8 +15,8 @@ use crate::options::{Damage, Layers};
 use crate::pixels::{Depth, Pixels};
 use crate::raster::{Canvas, Overlay, Renderer, SamplesMut, View};
 
-/// A file of which only the header has been read. It tells the picture's size and channels before any memory is spent
-/// on it.
+/// A file of which only the header has been read. It returns the size and the channels of the picture before memory is
+/// allocated for them.
 ///
 /// ```no_run
 /// use ssplat::{Damage, Limits, Reader};
@@ -41,10 +41,10 @@ pub struct Reader<'a> {
     layers: Layers,
 }
 
-/// A file that has been read, ready to be drawn any number of times.
+/// A file that has been read and can be rendered any number of times.
 ///
-/// It holds the integers of the picture, not the bytes of the file. [`Limits::alloc`] bounds the memory of the integers
-/// and of everything drawn from them at the same time.
+/// It holds the integers of the picture, not the bytes of the file. [`Limits::alloc`] bounds the memory of the
+/// integers and of everything that is rendered from them at the same time.
 ///
 /// ```
 /// use ssplat::{Channels, Encoder, Image, Limits, Pixels, Samples, SamplesMut};
@@ -80,7 +80,7 @@ pub struct Reader<'a> {
 pub struct Image {
     splats: PackedSplats,
     missing: Missing,
-    /// The area that was read and can be drawn; `None`: the whole picture.
+    /// The area that was read and can be rendered; `None` is the whole picture.
     area: Option<Area>,
     limits: Limits,
     budget: Budget,
@@ -97,73 +97,77 @@ impl<'a> Reader<'a> {
     ///
     /// # Errors
     /// [`Error::Format`] if the bytes do not begin with a header, [`Error::UnsupportedVersion`] for a newer format,
-    /// [`Error::LimitExceeded`] for a picture with more pixels a side or more primitives than `limits` allow.
+    /// [`Error::LimitExceeded`] if a side of the picture or the number of its primitives exceeds `limits`.
+    #[doc(alias("open", "parse"))]
     pub fn new(bytes: &'a [u8], limits: &Limits) -> Result<Self> {
         let mut rest = bytes;
         let header = Header::read(&mut rest, limits)?;
-        Ok(Reader::behind(header, rest, limits))
+        Ok(Reader::with_header(header, rest, limits))
     }
 
     /// Returns a reader of a file whose header has been read; `rest` are the bytes that follow it.
-    pub(crate) fn behind(header: Header, rest: &'a [u8], limits: &Limits) -> Self {
+    pub(crate) fn with_header(header: Header, rest: &'a [u8], limits: &Limits) -> Self {
         Reader { header, rest, limits: limits.clone(), budget: Budget::of(limits), layers: Layers::default() }
     }
 
-    /// Restricts the layers that are read and drawn. The default is [`Layers::Both`].
+    /// Restricts the layers that are read and rendered. The default is [`Layers::Both`].
     #[must_use]
     pub fn showing(self, layers: Layers) -> Self {
         Reader { layers, ..self }
     }
 
-    /// Width of the picture, pixels.
+    /// Returns the width of the picture, pixels.
     #[must_use]
     pub fn width(&self) -> u32 {
         self.header.width
     }
 
-    /// Height of the picture, pixels.
+    /// Returns the height of the picture, pixels.
     #[must_use]
     pub fn height(&self) -> u32 {
         self.header.height
     }
 
-    /// Channels of the picture.
+    /// Returns the channels of the picture.
     #[must_use]
     pub fn channels(&self) -> Channels {
         self.header.channels
     }
 
-    /// Bits a sample of the picture.
+    /// Returns the number of bits per sample of the picture.
     #[must_use]
+    #[doc(alias = "bit_depth")]
     pub fn depth(&self) -> Depth {
         self.header.depth
     }
 
-    /// Number of Gaussians.
+    /// Returns the number of Gaussians.
     #[must_use]
+    #[doc(alias("primitives", "splats"))]
     pub fn gaussians(&self) -> u32 {
         self.header.primitives
     }
 
-    /// How the picture is stored.
+    /// Returns the layout in which the picture is stored.
     #[doc(hidden)]
     #[must_use]
     pub fn header(&self) -> &Header {
         &self.header
     }
 
-    /// The whole picture, one output pixel for each of its own.
+    /// Returns the view of the whole picture at its own size.
     #[must_use]
     pub fn view(&self) -> View {
         View::of_size(self.header.width, self.header.height)
     }
 
-    /// Reads the ICC profile, the EXIF block and the thumbnail, and nothing of the picture. Each has its own checksum;
-    /// damaged ones are dropped and named in [`Metadata::damaged`].
+    /// Reads the ICC profile, the EXIF block and the thumbnail, without reading the picture. Each has its own
+    /// checksum; damaged ones are dropped and named in [`Metadata::damaged`].
     ///
     /// # Errors
-    /// [`Error::Format`] for sections that cannot be read, [`Error::LimitExceeded`] for more metadata than [`Limits`]
-    /// allow.
+    /// [`Error::Format`] for sections that cannot be read, [`Error::LimitExceeded`] if the metadata exceed
+    /// [`Limits::metadata`].
+    #[doc(alias("icc", "exif"))]
     pub fn metadata(&self) -> Result<Metadata> {
         Reading { limits: &self.limits, budget: &self.budget, layers: self.layers }.described(&self.header, self.rest)
     }
@@ -177,15 +181,16 @@ impl<'a> Reader<'a> {
         self.read_area(None, damage)
     }
 
-    /// Reads the part of the picture that can be seen in `view`, which is much less than everything for a small part of
-    /// a large file. The result can only draw this view and parts of it. With [`Damage::Accept`] the whole file is
-    /// read.
+    /// Reads the part of the picture that is visible in `view`. For a small part of a large file, this is much less
+    /// than everything. The result can only render this view and parts of it. With [`Damage::Accept`], the whole file
+    /// is read.
     ///
     /// # Errors
     /// As [`Reader::read`], and [`Error::LimitExceeded`] if the pixels of `view` alone would take too much memory.
+    #[doc(alias("region", "crop"))]
     pub fn read_for(self, view: &View, damage: Damage) -> Result<Image> {
         let samples = u64::from(view.width()) * u64::from(view.height()) * self.header.channels.count() as u64;
-        // A picture too large to be had is not worth reading.
+        // Do not read a picture whose pixels do not fit into the limits.
         self.budget.check(samples * self.header.depth.bytes() as u64)?;
         self.read_area(Some(view.area().into()), damage)
     }
@@ -218,17 +223,18 @@ impl Image {
     ///
     /// # Errors
     /// As [`Reader::new`] and [`Reader::read`].
+    #[doc(alias("open", "load"))]
     pub fn from_bytes(bytes: &[u8], limits: &Limits) -> Result<Self> {
         Reader::new(bytes, limits)?.read(Damage::Refuse)
     }
 
-    /// The whole picture, one output pixel for each of its own.
+    /// Returns the view of the whole picture at its own size.
     #[must_use]
     pub fn view(&self) -> View {
         View::of_size(self.splats.width, self.splats.height)
     }
 
-    /// The integers that were read.
+    /// Returns the integers that were read.
     #[doc(hidden)]
     #[must_use]
     pub fn splats(&self) -> &PackedSplats {
@@ -241,7 +247,7 @@ impl Image {
         &self.splats.metadata
     }
 
-    /// Returns the numbers of the parts that could not be read. All are 0 unless [`Damage::Accept`] was set.
+    /// Returns counts of the parts that could not be read. All are 0 unless [`Damage::Accept`] was set.
     #[must_use]
     pub fn missing(&self) -> Missing {
         self.missing
@@ -250,43 +256,45 @@ impl Image {
     /// Returns a renderer of `view`. It does not borrow the opened file.
     ///
     /// # Errors
-    /// As [`Renderer::new`], and [`Error::Parameter`] for a view that shows parts of the picture which were not read.
+    /// As [`Renderer::new`], and [`Error::Parameter`] if the view shows parts of the picture that were not read.
     pub fn renderer(&self, view: &View) -> Result<Renderer> {
         check_area(self.area.as_ref(), view)?;
         self.splats.renderer_within(view, (&self.limits, &self.budget), self.layers)
     }
 
-    /// Returns everything that a renderer of any view needs beside the integers: the layers to draw, the area that was
-    /// read, the limits and the memory account.
+    /// Returns what a renderer needs in addition to the integers: the layers to render, the area that was read, the
+    /// limits and the memory account.
     #[cfg(feature = "gpu")]
-    pub(crate) fn terms(&self) -> (Layers, Option<Area>, &Limits, &Budget) {
+    pub(crate) fn render_context(&self) -> (Layers, Option<Area>, &Limits, &Budget) {
         (self.layers, self.area, &self.limits, &self.budget)
     }
 
-    /// Draws `view` with the channels and the depth of the file.
+    /// Renders `view` with the channels and the depth of the file.
     ///
     /// # Errors
-    /// As [`Image::renderer`], and [`Error::LimitExceeded`] when the pixels would take too much memory.
+    /// As [`Image::renderer`], and [`Error::LimitExceeded`] if the pixels would take too much memory.
+    #[doc(alias("render", "rasterize", "decode"))]
     pub fn draw(&self, view: &View) -> Result<Pixels> {
         self.renderer(view)?.render(self.splats.depth)
     }
 
-    /// Draws `view` into `out`, row by row with interleaved channels, at the bit depth of `out`. Drawing several
-    /// pictures into the same memory saves the time that allocating it takes.
+    /// Renders `view` into `out`, row by row with interleaved channels, at the bit depth of `out`. Reusing the memory
+    /// of `out` for several pictures saves the time of allocating it.
     ///
     /// # Errors
     /// As [`Image::renderer`].
     ///
     /// # Panics
-    /// If `out` has not exactly width × height × channels samples.
-    // Always: a program that draws one depth need not carry the other's kernels.
+    /// If `out` does not have exactly width × height × channels samples.
+    // Inlined, so that a program that uses one depth does not contain the kernels of the other.
     #[inline(always)]
+    #[doc(alias = "render_into")]
     pub fn draw_into(&self, view: &View, out: SamplesMut<'_>) -> Result<()> {
         self.renderer(view)?.render_into(out);
         Ok(())
     }
 
-    /// Sets the layers to draw from now on. Layers that were not read cannot be shown.
+    /// Sets the layers to render from now on. Layers that were not read cannot be shown.
     pub fn show(&mut self, layers: Layers) {
         self.layers = layers;
     }
@@ -297,15 +305,15 @@ impl Image {
         self.splats.metadata
     }
 
-    /// Returns the metadata and their memory, and drops the integers.
-    pub(crate) fn described(self) -> (Metadata, Reservation) {
+    /// Returns the metadata and the reservation of their memory, and drops the integers.
+    pub(crate) fn into_metadata_and_memory(self) -> (Metadata, Reservation) {
         (self.splats.metadata, self.described)
     }
 
-    /// Replaces [`Limits::alloc`] by `alloc` bytes in all, which include the memory already held.
+    /// Replaces [`Limits::alloc`] by a total of `alloc` bytes, which includes the memory already held.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] if more than `alloc` bytes are held already; the old limit stays then.
+    /// [`Error::LimitExceeded`] if more than `alloc` bytes are already held; the old limit is kept in this case.
     pub fn limit_alloc(&mut self, alloc: u64) -> Result<()> {
         self.budget.allow(alloc)?;
         self.limits.alloc = alloc;
@@ -313,7 +321,7 @@ impl Image {
     }
 }
 
-/// Checks that `view` shows nothing beyond `area`, if that is all that was read.
+/// Checks that `view` shows nothing outside `area`, if only that area was read.
 pub(crate) fn check_area(area: Option<&Area>, view: &View) -> Result<()> {
     if area.is_some_and(|area| !area.holds(&view.area().into())) {
         let problem = format!("{view:?} shows more than the part of the picture that was read");
@@ -322,12 +330,12 @@ pub(crate) fn check_area(area: Option<&Area>, view: &View) -> Result<()> {
     Ok(())
 }
 
-/// Colour under the detail layer when it is drawn alone: middle grey, encoded.
+/// Colour under the detail layer when it is rendered alone: middle grey, as an encoded value.
 const GREY: f32 = 0.5;
 
 impl PackedSplats {
-    /// Returns a renderer of `view`. It computes the Gaussians one by one, where
-    /// [`to_picture`](PackedSplats::to_picture) would hold all of them in memory.
+    /// Returns a renderer of `view`. Gaussians are computed one by one, whereas
+    /// [`to_picture`](PackedSplats::to_picture) holds all of them in memory.
     ///
     /// # Errors
     /// As [`Renderer::new`].
@@ -335,7 +343,7 @@ impl PackedSplats {
         self.renderer_within(view, (limits, &Budget::of(limits)), Layers::Both)
     }
 
-    /// Returns a renderer as [`renderer`](PackedSplats::renderer) does, of the given `layers` and with memory from
+    /// Returns a renderer of the given `layers`, as [`renderer`](PackedSplats::renderer) does, with memory from
     /// `budget`.
     fn renderer_within(&self, view: &View, (limits, budget): (&Limits, &Budget), layers: Layers) -> Result<Renderer> {
         let (canvas, count) = self.canvas(layers);
@@ -348,8 +356,8 @@ impl PackedSplats {
         }
     }
 
-    /// Returns the canvas that the Gaussians are drawn onto when `layers` are shown, and the number of Gaussians to
-    /// draw.
+    /// Returns the canvas onto which the Gaussians are rendered when `layers` are shown, and the number of Gaussians
+    /// to render.
     pub(crate) fn canvas(&self, layers: Layers) -> (Canvas, usize) {
         let mut background = self.quantizer().dequantize_color(self.background);
         let mut count = self.gaussians.len();

@@ -1,4 +1,4 @@
-//! A picture drawn small, from the thumbnail that its file carries where that is large enough.
+//! Renders a picture at a small size, from the thumbnail in its file if that is large enough.
 
 use super::Decoded;
 use super::reader::Reader;
@@ -7,16 +7,16 @@ use crate::error::Result;
 use crate::limits::Limits;
 use crate::options::Damage;
 
-/// Draws the picture of the file `bytes` as large as it fits into `within`, width and height in pixels, and never larger than
-/// it is.
+/// Renders the picture of the file `bytes` at the largest size that fits into `within` (width and height in pixels).
+/// The picture is never enlarged.
 ///
-/// Where the file carries a thumbnail of at least this size, that is drawn and nothing else is read: in half a millisecond
-/// whatever the picture's size, and with its own error, which is larger than that of the picture. Where it carries none that
-/// can be used, the picture is drawn as [`decode()`](super::decode()) does. The picture's ICC profile and EXIF block go with
-/// both.
+/// If the file contains a thumbnail of at least this size, only the thumbnail is read. This takes half a millisecond
+/// whatever the picture's size, but the thumbnail's error is larger than the picture's. If the file has no usable
+/// thumbnail, the picture is rendered as by [`decode()`](super::decode()). The result has the picture's ICC profile
+/// and EXIF block in both cases.
 ///
 /// # Errors
-/// As [`decode()`](super::decode()); [`Error::Parameter`](crate::Error::Parameter) when a side of `within` is 0.
+/// As [`decode()`](super::decode()); [`Error::Parameter`](crate::Error::Parameter) if a side of `within` is 0.
 pub fn thumbnail(bytes: &[u8], within: [u32; 2], limits: &Limits) -> Result<Decoded> {
     let opening = Reader::new(bytes, limits)?;
     let view = opening.view().fitted(within)?;
@@ -28,11 +28,11 @@ pub fn thumbnail(bytes: &[u8], within: [u32; 2], limits: &Limits) -> Result<Deco
     Ok(Decoded { pixels, metadata: opened.into_metadata(), missing })
 }
 
-/// Returns the file's thumbnail drawn in `size`, if it is one of this picture and large enough. One that is not, or cannot be
-/// read, is as if it were not there.
+/// Returns the file's thumbnail, rendered at `size`, if it belongs to this picture and is large enough. A thumbnail
+/// that does not belong to the picture or cannot be read is ignored.
 fn from_thumbnail(opening: &Reader<'_>, [width, height]: [u32; 2], limits: &Limits) -> Result<Option<Decoded>> {
     let mut metadata = opening.metadata()?;
-    // All of it is held beside what it takes to draw.
+    // All metadata stay in memory while the thumbnail is rendered.
     let carried: usize = metadata.sections().map(|(_, contents)| contents.len()).sum();
     let limits = Limits { alloc: limits.alloc.saturating_sub(carried as u64), ..limits.clone() };
     let Some(file) = metadata.thumbnail.take() else { return Ok(None) };

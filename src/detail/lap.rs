@@ -1,20 +1,22 @@
-//! Lapping: a filter across each edge of blocks, two samples on either side, which makes their edges vanish (spec §11.5).
+//! Lapping: a filter across each block edge, over two samples on either side, which removes visible block edges (spec
+//! §11.5).
 //!
-//! Forward, in floats, before the transform in the encoder; inverse, in integers, after it.
+//! The encoder applies the forward filter in floats before the transform; the decoder applies the inverse in integers
+//! after it.
 
 use crate::bitstream::detail::levels::{CELL, CELLS, TILE};
 
-/// How differences across an edge are mixed, 1/4096: `V[j][i]` for the distances `j` and `i` from the edge.
+/// Mixing of the differences across an edge, in 1/4096: `V[j][i]` for the distances `j` and `i` from the edge.
 pub(crate) const MIX: [[i32; 2]; 2] = [[MIX_00, MIX_01], [MIX_10, MIX_11]];
 const MIX_00: i32 = 3784;
 const MIX_01: i32 = 1567;
 const MIX_10: i32 = -1567;
 const MIX_11: i32 = 3784;
 
-/// Samples that a filter sees on either side of an edge.
+/// Samples on either side of an edge that a filter reads.
 pub(super) const REACH: usize = 2;
 
-/// Filters four samples across an edge, the second and the third next to it.
+/// Applies the inverse filter to four samples across an edge, which lies between the second and the third.
 #[inline(always)]
 fn inverse([x0, x1, x2, x3]: [i32; 4]) -> [i32; 4] {
     let (e0, e1) = (x1.wrapping_add(x2), x0.wrapping_add(x3));
@@ -25,7 +27,7 @@ fn inverse([x0, x1, x2, x3]: [i32; 4]) -> [i32; 4] {
     [half(e1.wrapping_add(m1)), half(e0.wrapping_add(m0)), half(e0.wrapping_sub(m0)), half(e1.wrapping_sub(m1))]
 }
 
-/// The filter whose inverse [`inverse`] is.
+/// Applies the forward filter, the inverse of [`inverse`].
 #[inline(always)]
 fn forward([x0, x1, x2, x3]: [f32; 4]) -> [f32; 4] {
     let (e0, e1, d0, d1) = (x1 + x2, x0 + x3, x1 - x2, x0 - x3);
@@ -34,25 +36,26 @@ fn forward([x0, x1, x2, x3]: [f32; 4]) -> [f32; 4] {
     [0.5 * (e1 + m1), 0.5 * (e0 + m0), 0.5 * (e0 - m0), 0.5 * (e1 - m1)]
 }
 
-/// Whether a cell begins a block along an axis where its block has such a size.
+/// Tells whether a block of size `size` starts at cell `at` along an axis.
 #[inline(always)]
 fn begins(at: usize, size: u8) -> bool {
     at.is_multiple_of(1 << size)
 }
 
-/// The edges of blocks that have levels: only there is something to filter. Cells are bits of the words of their rows.
+/// The edges of blocks that have levels; only these edges are filtered. Each row of cells is a word with one bit per
+/// cell.
 #[derive(Debug)]
 pub(crate) struct Edges {
-    /// Cells whose upper edge is one.
+    /// Cells whose upper edge is filtered.
     above: [u64; CELLS],
-    /// Cells that hold something after the filter between rows.
+    /// Cells that are nonzero after the vertical filter.
     held: [u64; CELLS],
 }
 
 impl Edges {
     pub const NONE: Edges = Edges { above: [0; CELLS], held: [0; CELLS] };
 
-    /// Notes a block that has levels, `1 << size` cells a side.
+    /// Records a block that has levels, `1 << size` cells wide.
     pub fn note(&mut self, [x, y]: [usize; 2], size: u8) {
         let n = 1usize << size;
         let span = ((1u64 << n) - 1) << x;
@@ -60,25 +63,25 @@ impl Edges {
         if let Some(below) = self.above.get_mut(y + n) {
             *below |= span;
         }
-        // The filter between rows spreads values no further than the next cell.
+        // The vertical filter spreads values at most into the next cell.
         for held in &mut self.held[y.saturating_sub(1)..(y + n + 1).min(CELLS)] {
             *held |= span;
         }
     }
 
-    /// Whether there are edges above the cells of row `cy`.
+    /// Tells whether there are edges above the cells of row `cy`.
     pub fn has(&self, cy: usize) -> bool {
         self.above[cy] != 0
     }
 
-    /// Filters across the edges above the cells of row `cy`, of two rows of samples above them and two below.
+    /// Filters across the edges above the cells of row `cy`: two rows of samples above them and two below.
     #[cfg_attr(target_family = "wasm", inline(never))]
     #[cfg_attr(not(target_family = "wasm"), inline(always))]
     pub fn between_rows(&self, cy: usize, above: &mut [i32], below: &mut [i32]) {
         let ((a, b), (c, d)) = (above.split_at_mut(TILE), below.split_at_mut(TILE));
         let mut left = self.above[cy];
         while left != 0 {
-            // A run of cells side by side.
+            // A run of adjacent cells.
             let start = left.trailing_zeros() as usize;
             let end = start + (!(left >> start)).trailing_zeros() as usize;
             left &= u64::MAX.checked_shl(end as u32).unwrap_or(0);
@@ -90,8 +93,8 @@ impl Edges {
         }
     }
 
-    /// Filters `rows`, those of the cells of row `cy`, across the edges between columns. `sizes` are those of the cells' blocks,
-    /// `across` the cells that there are.
+    /// Filters the sample `rows` of cell row `cy` across the vertical edges. `sizes` are the block sizes of the cells;
+    /// `across` is the number of cells.
     #[cfg_attr(target_family = "wasm", inline(never))]
     #[cfg_attr(not(target_family = "wasm"), inline(always))]
     pub fn between_columns(&self, cy: usize, rows: &mut [i32], sizes: &[u8], across: usize) {
@@ -102,7 +105,7 @@ impl Edges {
             let cx = left.trailing_zeros() as usize;
             left &= left - 1;
             if begins(cx, sizes[cx]) {
-                beside(rows, cx * CELL - REACH);
+                filter_columns(rows, cx * CELL - REACH);
             }
         }
     }
@@ -110,8 +113,8 @@ impl Edges {
 
 /// Filters the rows of a cell across the edge between the second and the third column from `at` on.
 #[inline(always)]
-fn beside(rows: &mut [i32], at: usize) {
-    // The rows side by side.
+fn filter_columns(rows: &mut [i32], at: usize) {
+    // The rows in adjacent lanes.
     let mut columns = [[0; CELL]; 2 * REACH];
     for y in 0..CELL {
         for k in 0..2 * REACH {
@@ -131,7 +134,7 @@ fn beside(rows: &mut [i32], at: usize) {
     }
 }
 
-/// Filters `x` across all edges of blocks, as an encoder does before it transforms them.
+/// Filters `x` across all block edges. The encoder does this before the transform.
 pub(crate) fn apply(x: &mut [f32], cells: [usize; 2], size: impl Fn(usize) -> u8) {
     let [across, down] = cells;
     for cy in 0..down {
@@ -166,7 +169,7 @@ mod tests {
 
     #[test]
     fn the_mix_is_the_rotation_that_the_specification_gives() {
-        // V = J·C2ᵀ·C4·J for two samples a side.
+        // V = J·C2ᵀ·C4·J for two samples on either side.
         let pi = std::f64::consts::PI;
         let c2 = |k: usize, i: usize| {
             ((if k == 0 { 1.0 } else { 2.0 }) / 2.0f64).sqrt() * ((2 * i + 1) as f64 * k as f64 * pi / 4.0).cos()
@@ -215,7 +218,7 @@ mod tests {
         for y in 0..64 {
             for x_ in 0..64 {
                 let at = y * TILE + x_;
-                // Rounding to integers between, and in each of two passes.
+                // Values are rounded to integers in between and in each of two passes.
                 assert!((back[at] - x[at]).abs() <= 4, "{x_} {y}: {} for {}", back[at], x[at]);
             }
         }

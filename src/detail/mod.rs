@@ -1,7 +1,7 @@
-//! Levels of the detail layer to what they add to a picture; exact, in integers modulo 2³² (spec §11.5).
+//! Converts levels of the detail layer to additions to a picture; exact, in integers modulo 2³² (spec §11.5).
 //!
-//! `steps` gives levels their values, `transform` makes planes of them, `lap` joins the blocks, `tile` does all of it for a tile,
-//! where `supers` says that there is something to do.
+//! `steps` dequantizes levels, `transform` applies the inverse transform, `lap` filters the block edges, and `tile`
+//! does all of it for a tile, in the superblocks that `supers` selects.
 
 pub(crate) mod lap;
 pub(crate) mod steps;

@@ -3,10 +3,10 @@
 use crate::bitstream::detail::head::DetailHead;
 use crate::bitstream::detail::model::CLASSES;
 
-/// Steps of the classes over that of a picture without, in 1/64.
+/// Step of each class relative to a picture without classes, in 1/64.
 pub(crate) const CLASS_STEPS: [u32; CLASSES] = [38, 54, 76, 108, 152, 215, 304, 430];
 
-/// The steps of one plane in blocks of one class.
+/// The steps of one plane for blocks of one class.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PlaneSteps {
     base: u32,
@@ -15,7 +15,7 @@ pub(crate) struct PlaneSteps {
 }
 
 impl PlaneSteps {
-    /// The steps of `plane` where superblocks have `class`.
+    /// Returns the steps of `plane` in superblocks of `class`.
     pub fn new(head: &DetailHead, plane: usize, class: u8) -> Self {
         let mut base = u32::from(head.step);
         if let 1 | 2 = plane {
@@ -28,7 +28,7 @@ impl PlaneSteps {
         PlaneSteps { base, slope, biases: head.biases.map(i32::from) }
     }
 
-    /// The step of a frequency in blocks of side `4 << size`, 1/64 code value.
+    /// Returns the step of a frequency in blocks of side `4 << size`, in 1/64 of a code value.
     #[inline(always)]
     pub fn step(&self, size: usize, u: usize, v: usize) -> u32 {
         let frequency = ((u * u + v * v) as u64) << (6 - 2 * size);
@@ -36,7 +36,7 @@ impl PlaneSteps {
         (self.base + more as u32).max(1)
     }
 
-    /// The coefficient of a level, 1/16 code value.
+    /// Returns the coefficient of a level, in 1/16 of a code value.
     #[inline(always)]
     pub fn value(&self, size: usize, u: usize, v: usize, level: i16) -> i32 {
         let magnitude = i32::from(level).abs();

@@ -1,10 +1,10 @@
-//! Sets of the superblocks of a tile: what is there, and what is wanted.
+//! Sets of superblocks of a tile.
 
 use std::ops::Range;
 
 use crate::bitstream::detail::levels::{CELL, CodedBlock, SUPER, SUPERS, TILE};
 
-/// Superblocks of a tile, each a bit.
+/// A set of superblocks of a tile, one bit each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Supers(u64);
 
@@ -12,7 +12,7 @@ impl Supers {
     pub const NONE: Supers = Supers(0);
     pub const ALL: Supers = Supers(u64::MAX);
 
-    /// The superblocks in which pixels of these columns and rows of a tile lie.
+    /// Returns the superblocks that contain the pixels of these columns and rows of a tile.
     #[inline(always)]
     pub fn of(columns: Range<usize>, rows: Range<usize>) -> Self {
         let (start, end) = (columns.start / SUPER, columns.end.div_ceil(SUPER));
@@ -24,7 +24,7 @@ impl Supers {
         Supers(some)
     }
 
-    /// Returns the superblocks that a block changes: its own, and those that it touches.
+    /// Returns the superblocks that a block changes: its own and those that it touches.
     #[inline(always)]
     pub fn reached(block: &CodedBlock) -> Self {
         let [x, y] = block.cell.map(usize::from);
@@ -35,13 +35,13 @@ impl Supers {
         )
     }
 
-    /// Whether the one of such column and row is among them.
+    /// Tells whether the set contains the superblock at this column and row.
     #[inline(always)]
     pub fn has(self, [x, y]: [usize; 2]) -> bool {
         self.0 >> (y * SUPERS + x) & 1 != 0
     }
 
-    /// Whether some are in both.
+    /// Tells whether the sets intersect.
     #[inline(always)]
     pub fn meets(self, other: Supers) -> bool {
         self.0 & other.0 != 0
@@ -57,7 +57,7 @@ impl Supers {
         Supers(self.0 & !other.0)
     }
 
-    /// The columns of those of a row.
+    /// Returns the columns of the superblocks of a row.
     #[inline(always)]
     pub fn row(self, y: usize) -> impl Iterator<Item = usize> {
         let row = self.0 >> (y * SUPERS);

@@ -1,4 +1,4 @@
-//! A tile's levels to what it adds to the samples of its pixels (spec §11.5).
+//! Converts the levels of a tile to additions to the samples of its pixels (spec §11.5).
 
 use super::lap::{self, Edges};
 use super::steps::PlaneSteps;
@@ -10,38 +10,38 @@ use crate::bitstream::detail::model::PLANES;
 use crate::gaussian::Channels;
 use crate::simd::{self, Simd, Task};
 
-/// Additions are counted in this part of an 8-bit code value.
+/// Unit of additions, as a part of an 8-bit code value.
 pub(crate) const UNIT: f32 = 1.0 / 32.0;
 
-/// Values that a tile adds, by channel, in 1/32 of an 8-bit code value. Rows are [`TILE`] apart.
+/// Additions of a tile by channel, in 1/32 of an 8-bit code value. Rows are [`TILE`] apart.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TilePlanes {
     pub channels: Vec<Vec<i16>>,
-    /// The superblocks that hold something.
+    /// The superblocks that have additions.
     filled: Supers,
 }
 
-/// Working memory for [`reconstruct`], to be reused.
+/// Reusable working memory of [`reconstruct`].
 #[derive(Debug, Default)]
 pub(crate) struct Scratch {
-    /// Two rows of superblocks of each plane: of no more is anything needed, so that all of it stays in the cache.
+    /// Two rows of superblocks of each plane. Nothing more is needed at a time, so the strips stay in the cache.
     strips: [[Vec<i32>; 2]; PLANES],
     coefficients: Vec<Coefficient>,
 }
 
 impl TilePlanes {
-    /// Whether something is added to the superblock in which the pixel of column `x` and row `y` lies.
+    /// Tells whether the superblock that contains the pixel at column `x` and row `y` has additions.
     #[inline(always)]
     pub fn has(&self, x: usize, y: usize) -> bool {
         self.filled.has([x / SUPER, y / SUPER])
     }
 
-    /// Makes room for channels that hold something in such superblocks, which are to be written.
+    /// Allocates the channels and records the superblocks that the caller is about to write.
     fn begin(&mut self, filled: Supers, channels: Channels) {
         self.channels.resize_with(channels.count(), Vec::new);
         for channel in &mut self.channels {
             make(channel, TILE * TILE);
-            // Clear the superblocks that held something before and do not now.
+            // Clear the superblocks that had additions before and have none now.
             for y in 0..SUPERS {
                 self.filled.without(filled).row(y).for_each(|x| clear(&mut channel[(y * TILE + x) * SUPER..]));
             }
@@ -61,7 +61,7 @@ struct Reconstruct<'a> {
     out: &'a mut TilePlanes,
 }
 
-/// Makes the planes of a tile of so many pixels.
+/// Computes the additions of a tile of this size.
 pub(crate) fn reconstruct(
     tile: &TileLevels,
     layer: (&DetailHead, Channels, [usize; 2]),
@@ -71,7 +71,7 @@ pub(crate) fn reconstruct(
     reconstruct_some(tile, layer, Supers::ALL, scratch, out);
 }
 
-/// Reconstructs the superblocks that are `wanted`; the others hold arbitrary values.
+/// Reconstructs the superblocks in `wanted`; the others hold arbitrary values.
 pub(crate) fn reconstruct_some(
     tile: &TileLevels,
     (head, channels, size): (&DetailHead, Channels, [usize; 2]),
@@ -85,7 +85,7 @@ pub(crate) fn reconstruct_some(
 /// Cells along the side of a superblock.
 const STEP: usize = SUPER / CELL;
 
-/// A row of a superblock in which a plane has nothing.
+/// Row of a superblock in which a plane is zero.
 const NOTHING: [i32; SUPER] = [0; SUPER];
 
 impl Task for Reconstruct<'_> {
@@ -123,7 +123,7 @@ impl Task for Reconstruct<'_> {
                     }
                 }
             }
-            // A row of superblocks is ready when the one below is joined to it.
+            // A row of superblocks is complete once it has been joined to the one below.
             if let Some(row) = row.checked_sub(1) {
                 finish(row, across, (tile, &filled, &edges), scratch, out);
             }
@@ -136,13 +136,13 @@ struct Blocks<'a> {
     head: &'a DetailHead,
     tile: &'a TileLevels,
     wanted: Supers,
-    /// The next block, and its first level.
+    /// Index of the next block, and of its first level.
     next: usize,
     start: usize,
 }
 
 impl Blocks<'_> {
-    /// Transforms the blocks of a row of superblocks into its strips.
+    /// Transforms the blocks of a row of superblocks into its strip.
     #[inline(always)]
     fn transform(&mut self, row: usize, edges: &mut [Edges; PLANES], Scratch { strips, coefficients }: &mut Scratch) {
         let tile = self.tile;
@@ -170,7 +170,7 @@ impl Blocks<'_> {
     }
 }
 
-/// Filters across the edges between rows, in a row of superblocks and above it.
+/// Filters across the horizontal edges in a row of superblocks and at its top.
 #[inline(always)]
 fn join_rows(row: usize, edges: &Edges, [even, odd]: &mut [Vec<i32>; 2]) {
     let (above, strip) = if row.is_multiple_of(2) { (odd, even) } else { (even, odd) };
@@ -183,7 +183,7 @@ fn join_rows(row: usize, edges: &Edges, [even, odd]: &mut [Vec<i32>; 2]) {
     }
 }
 
-/// Filters a row of superblocks across the edges between columns, and makes channels of its planes.
+/// Filters a row of superblocks across the vertical edges, and converts its planes to channels.
 #[inline(always)]
 fn finish(
     row: usize,
@@ -215,14 +215,15 @@ fn finish(
     }
 }
 
-/// Makes a plane if it is not there yet: the system gives memory of zeros, and pages of it only where something is written.
+/// Allocates a plane if it does not exist. The system provides zeroed memory, and maps only the pages that are
+/// written.
 fn make<T: Copy + Default>(plane: &mut Vec<T>, length: usize) {
     if plane.is_empty() {
         *plane = vec![T::default(); length];
     }
 }
 
-/// Sets the superblock at the beginning of a part of a plane to 0.
+/// Clears the superblock at the start of a part of a plane.
 fn clear<T: Copy + Default>(plane: &mut [T]) {
     for row in plane.chunks_mut(TILE).take(SUPER) {
         row[..SUPER].fill(T::default());

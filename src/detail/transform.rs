@@ -1,4 +1,4 @@
-//! The inverse of the cosine transform in integers (spec §11.5).
+//! Inverse cosine transform in integers (spec §11.5).
 
 use std::sync::OnceLock;
 
@@ -8,7 +8,7 @@ use crate::bitstream::detail::scan::LARGEST;
 /// Row `k` of the matrix of side `N`: `round(2048·cos(…))`.
 pub(crate) type Matrix = [[i32; LARGEST]; LARGEST];
 
-/// The matrices of blocks of 4, 8, 16 and 32 a side.
+/// Returns the matrices of blocks with sides of 4, 8, 16 and 32.
 pub(crate) fn matrices() -> &'static [Matrix; 4] {
     static MATRICES: OnceLock<[Matrix; 4]> = OnceLock::new();
     MATRICES.get_or_init(|| {
@@ -26,7 +26,7 @@ pub(crate) fn matrices() -> &'static [Matrix; 4] {
     })
 }
 
-/// A coefficient at its place.
+/// A coefficient and its position.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Coefficient {
     pub u: u8,
@@ -34,14 +34,14 @@ pub(crate) struct Coefficient {
     pub value: i32,
 }
 
-/// The first sum's bits that go, half of the scale of both matrices.
-const FIRST: u32 = 11;
+/// Bits dropped after the first pass: half of the scale of both matrices.
+const FIRST_PASS_SHIFT: u32 = 11;
 
-/// Writes the block of side `N` that `coefficients` make to `out`, whose rows are `stride` apart.
+/// Writes the block of side `N` with these `coefficients` to `out`, whose rows are `stride` apart.
 #[cfg(not(target_family = "wasm"))]
 #[inline(always)]
 fn sided<const N: usize>(matrix: &Matrix, coefficients: &[Coefficient], out: &mut [i32], stride: usize) {
-    // First down the columns that have coefficients.
+    // First pass: the columns that have coefficients.
     let mut columns = [[0i32; N]; N];
     let mut used = 0u32;
     for c in coefficients {
@@ -52,7 +52,7 @@ fn sided<const N: usize>(matrix: &Matrix, coefficients: &[Coefficient], out: &mu
             column[i] = column[i].wrapping_add(c.value.wrapping_mul(row[i]));
         }
     }
-    let shift = FIRST - 1 + N.trailing_zeros();
+    let shift = FIRST_PASS_SHIFT - 1 + N.trailing_zeros();
     let half = 1i32 << (shift - 1);
     for i in 0..N {
         let mut sums = [half; N];
@@ -60,7 +60,7 @@ fn sided<const N: usize>(matrix: &Matrix, coefficients: &[Coefficient], out: &mu
         while left != 0 {
             let u = left.trailing_zeros() as usize % N;
             left &= left - 1;
-            let c = columns[u][i].wrapping_add(1 << (FIRST - 1)) >> FIRST;
+            let c = columns[u][i].wrapping_add(1 << (FIRST_PASS_SHIFT - 1)) >> FIRST_PASS_SHIFT;
             let row = &matrix[u];
             for j in 0..N {
                 sums[j] = sums[j].wrapping_add(c.wrapping_mul(row[j]));
@@ -87,14 +87,14 @@ fn of_any_side(side: usize, matrix: &Matrix, coefficients: &[Coefficient], out: 
             *sum = sum.wrapping_add(c.value.wrapping_mul(entry));
         }
     }
-    let shift = FIRST - 1 + side.trailing_zeros();
+    let shift = FIRST_PASS_SHIFT - 1 + side.trailing_zeros();
     for i in 0..side {
         let mut sums = [1i32 << (shift - 1); LARGEST];
         let mut left = used;
         while left != 0 {
             let u = left.trailing_zeros() as usize % LARGEST;
             left &= left - 1;
-            let c = columns[u][i % LARGEST].wrapping_add(1 << (FIRST - 1)) >> FIRST;
+            let c = columns[u][i % LARGEST].wrapping_add(1 << (FIRST_PASS_SHIFT - 1)) >> FIRST_PASS_SHIFT;
             for (sum, &entry) in sums.iter_mut().zip(&matrix[u]) {
                 *sum = sum.wrapping_add(c.wrapping_mul(entry));
             }
@@ -105,7 +105,7 @@ fn of_any_side(side: usize, matrix: &Matrix, coefficients: &[Coefficient], out: 
     }
 }
 
-/// Writes the block of side `4 << size` that `coefficients` make to `out`, whose rows are `stride` apart.
+/// Writes the block of side `4 << size` with these `coefficients` to `out`, whose rows are `stride` apart.
 #[inline(always)]
 pub(crate) fn inverse(size: usize, coefficients: &[Coefficient], out: &mut [i32], stride: usize) {
     let matrix = &matrices()[size];
@@ -120,10 +120,11 @@ pub(crate) fn inverse(size: usize, coefficients: &[Coefficient], out: &mut [i32]
     }
 }
 
-/// Writes the orthonormal transform of the block of side `N` at the start of `from`, whose rows are `stride` apart, over it.
+/// Replaces the block of side `N` at the start of `block`, whose rows are `stride` apart, by its orthonormal
+/// transform.
 #[inline(always)]
-fn analysed<const N: usize>(matrix: &FloatMatrix, block: &mut [f32], stride: usize) {
-    // Along the rows: sums of columns of the matrix, so that all frequencies go side by side.
+fn forward_block<const N: usize>(matrix: &FloatMatrix, block: &mut [f32], stride: usize) {
+    // Along the rows: sums of columns of the matrix, so that all frequencies are computed in parallel lanes.
     let mut rows = [[0f32; N]; N];
     for (i, row) in rows.iter_mut().enumerate() {
         let samples = &block[i * stride..i * stride + N];
@@ -146,7 +147,7 @@ fn analysed<const N: usize>(matrix: &FloatMatrix, block: &mut [f32], stride: usi
     }
 }
 
-/// The matrix of a block size in floats, orthonormal; `columns[i][k]` for sample `i` and frequency `k`.
+/// Orthonormal float matrix of a block size; `columns[i][k]` for sample `i` and frequency `k`.
 #[derive(Debug)]
 struct FloatMatrix {
     columns: [[f32; LARGEST]; LARGEST],
@@ -169,16 +170,16 @@ fn float_matrices() -> &'static [FloatMatrix; 4] {
     })
 }
 
-/// Transforms the block of side `4 << size` at the start of `block`, whose rows are `stride` apart, in its place: what [`inverse`]
-/// undoes, in floats.
+/// Transforms the block of side `4 << size` at the start of `block`, whose rows are `stride` apart, in place. This is
+/// the float inverse of [`inverse`].
 #[inline(always)]
 pub(crate) fn forward(size: usize, block: &mut [f32], stride: usize) {
     let matrix = &float_matrices()[size];
     match size {
-        0 => analysed::<4>(matrix, block, stride),
-        1 => analysed::<8>(matrix, block, stride),
-        2 => analysed::<16>(matrix, block, stride),
-        _ => analysed::<32>(matrix, block, stride),
+        0 => forward_block::<4>(matrix, block, stride),
+        1 => forward_block::<8>(matrix, block, stride),
+        2 => forward_block::<16>(matrix, block, stride),
+        _ => forward_block::<32>(matrix, block, stride),
     }
 }
 
@@ -200,7 +201,7 @@ mod tests {
                 };
                 for (i, &got) in out.iter().enumerate() {
                     let want = f64::from(value) * basis(u, i % n) * basis(v, i / n);
-                    // Half from each of the two roundings, and 1/4096 of the value from those of the cosines.
+                    // Each of the two roundings contributes a half, and rounding of the cosines 1/4096 of the value.
                     let most = 1.0 + f64::from(value.abs()) / 2048.0;
                     assert!((f64::from(got) - want).abs() <= most, "{size} {u} {v} {i}: {got} for {want}");
                 }

@@ -1,21 +1,22 @@
-//! A GPU: how it is chosen, and how its failures become errors.
+//! Selection and use of a GPU, and conversion of its failures to errors.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::kernels::Kernels;
 use crate::error::{Error, GpuError, Result};
 
-/// Adapters that may be chosen.
+/// Adapters that may be selected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub enum Adapters {
     /// Hardware only.
     #[default]
     Hardware,
-    /// Hardware, or a software renderer if there is no hardware. Software is slower than this crate's code for the CPU.
+    /// Hardware, or a software renderer if there is no hardware. A software renderer is slower than this crate's CPU
+    /// code.
     Any,
 }
 
-/// An opened GPU. Clones share it.
+/// An opened GPU. Clones share the device.
 #[derive(Debug, Clone)]
 pub struct Device {
     inner: Arc<Inner>,
@@ -29,17 +30,18 @@ struct Inner {
     name: String,
     reason: String,
     software: bool,
-    /// Reason why the device was lost, once it is.
+    /// Reason for the loss of the device, once it is lost.
     lost: Arc<Mutex<Option<String>>>,
 }
 
 impl Device {
-    /// Opens the best adapter: discrete before integrated before virtual GPUs, software last and only if allowed. The
-    /// environment variables of `wgpu` (such as `WGPU_BACKEND`) narrow the choice.
+    /// Opens the best adapter: discrete GPUs before integrated before virtual ones, and software renderers last and
+    /// only if allowed. The environment variables of `wgpu` (such as `WGPU_BACKEND`) restrict the choice.
     ///
     /// # Errors
-    /// [`GpuError::NoAdapter`] if there is none, [`GpuError::SoftwareOnly`] if `adapters` excludes all there are,
+    /// [`GpuError::NoAdapter`] if there is none, [`GpuError::SoftwareOnly`] if `adapters` excludes all of them,
     /// [`GpuError::Refused`] if the driver does not open the adapter.
+    #[doc(alias = "adapter")]
     pub fn open(adapters: Adapters) -> Result<Self> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
         let mut found: Vec<(wgpu::Adapter, wgpu::AdapterInfo)> =
@@ -50,7 +52,7 @@ impl Device {
                     (a, info)
                 })
                 .collect();
-        // Equals keep the driver's order.
+        // Equally ranked adapters keep the driver's order.
         found.sort_by_key(|(_, info)| rank(info.device_type));
         let names: Vec<String> = found.iter().map(|(_, info)| describe(info)).collect();
         let Some((adapter, info)) = found.into_iter().next() else {
@@ -72,8 +74,8 @@ impl Device {
         Device::with(device, queue, names.into_iter().next().unwrap_or_default(), reason, software)
     }
 
-    /// Uses a device that the program has opened, so that a [`Renderer`](super::Renderer) can draw into the program's
-    /// textures. It needs no features and the limits `wgpu::Limits::default()`.
+    /// Uses a device that the program has opened, so that a [`Renderer`](super::Renderer) can render into the
+    /// program's textures. The device needs no features, and the limits `wgpu::Limits::default()`.
     ///
     /// # Errors
     /// [`GpuError::Validation`] if a shader cannot be built on it.
@@ -94,13 +96,13 @@ impl Device {
         Ok(Device { inner: Arc::new(Inner { device, queue, kernels, name, reason, software, lost }) })
     }
 
-    /// Returns the adapter's name, its kind and its interface, such as `NVIDIA H100 (discrete, Vulkan)`.
+    /// Returns the adapter's name, type and backend, such as `NVIDIA H100 (discrete, Vulkan)`.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.inner.name
     }
 
-    /// Returns the reason why this adapter was chosen.
+    /// Returns the reason for selecting this adapter.
     #[must_use]
     pub fn reason(&self) -> &str {
         &self.inner.reason
@@ -112,7 +114,7 @@ impl Device {
         self.inner.software
     }
 
-    /// Returns the device and its queue, for programs that make their own textures.
+    /// Returns the device and its queue, for programs that create their own textures.
     #[must_use]
     pub fn wgpu(&self) -> (&wgpu::Device, &wgpu::Queue) {
         (&self.inner.device, &self.inner.queue)
@@ -122,11 +124,11 @@ impl Device {
         &self.inner.kernels
     }
 
-    /// Runs `work`; what goes wrong on the device in it becomes an error.
+    /// Runs `work` and returns errors of the device during `work`.
     pub(super) fn scoped<T>(&self, work: impl FnOnce() -> T) -> Result<T> {
         let result = scoped(&self.inner.device, work);
         if result.is_err() {
-            // The loss is told when what was submitted before is done. Whatever else failed, failed because of that.
+            // A loss is reported once the work submitted before it is done. It causes all other failures.
             let _ = self.inner.device.poll(wgpu::PollType::wait_indefinitely());
         }
         self.check_lost()?;
@@ -140,16 +142,17 @@ impl Device {
         }
     }
 
-    /// Waits until everything submitted is done.
+    /// Waits until all submitted work is done.
     pub(super) fn wait(&self) -> Result<()> {
         let waited = self.inner.device.poll(wgpu::PollType::wait_indefinitely());
         self.check_lost()?;
         waited.map(|_| ()).map_err(|e| GpuError::Lost { problem: e.to_string() }.into())
     }
 
-    /// A buffer of `size` bytes, rounded up to 4 and to one item of any kind: nothing can bind an empty one.
+    /// Creates a buffer of `size` bytes, rounded up to a multiple of 4 and to one item of any type, because empty
+    /// buffers cannot be bound.
     ///
-    /// Call it in a scope: that is where running out of memory shows.
+    /// Call it within a scope, which reports running out of memory.
     pub(super) fn buffer(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
         let size = size.next_multiple_of(4).max(64);
         self.inner.device.create_buffer(&wgpu::BufferDescriptor {
@@ -160,20 +163,20 @@ impl Device {
         })
     }
 
-    /// A storage buffer that can be copied from and to.
+    /// Creates a storage buffer that supports copying from and to it.
     pub(super) fn storage(&self, label: &str, size: u64) -> wgpu::Buffer {
         use wgpu::BufferUsages as U;
         self.buffer(label, size, U::STORAGE | U::COPY_DST | U::COPY_SRC)
     }
 
-    /// Writes `data` to the start of `buffer` before what is submitted next.
+    /// Writes `data` to the start of `buffer`, before the next submission.
     pub(super) fn write<T: bytemuck::Pod>(&self, buffer: &wgpu::Buffer, data: &[T]) {
         if !data.is_empty() {
             self.inner.queue.write_buffer(buffer, 0, bytemuck::cast_slice(data));
         }
     }
 
-    /// The first `size` bytes of `buffer` (a multiple of 4), after everything submitted so far.
+    /// Reads the first `size` bytes of `buffer` (a multiple of 4), after all submitted work.
     pub(super) fn read(&self, buffer: &wgpu::Buffer, size: u64) -> Result<Vec<u8>> {
         if size == 0 {
             return Ok(Vec::new());
@@ -197,7 +200,7 @@ impl Device {
         Ok(view.to_vec())
     }
 
-    /// As [`Device::read`], as `T`.
+    /// Reads `count` values of type `T`, as [`Device::read`] does.
     pub(super) fn read_as<T: bytemuck::Pod>(&self, buffer: &wgpu::Buffer, count: usize) -> Result<Vec<T>> {
         Ok(bytemuck::pod_collect_to_vec(&self.read(buffer, (count * size_of::<T>()) as u64)?))
     }
@@ -224,7 +227,7 @@ fn describe(info: &wgpu::AdapterInfo) -> String {
     format!("{} ({kind}, {:?})", info.name, info.backend)
 }
 
-/// Runs `work` and turns the device's complaints into errors.
+/// Runs `work` and converts errors that the device reports.
 fn scoped<T>(device: &wgpu::Device, work: impl FnOnce() -> T) -> Result<T> {
     let memory = device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
     let internal = device.push_error_scope(wgpu::ErrorFilter::Internal);
@@ -234,9 +237,9 @@ fn scoped<T>(device: &wgpu::Device, work: impl FnOnce() -> T) -> Result<T> {
     cause(errors).map_or(Ok(result), |e| Err(e.into()))
 }
 
-/// Returns the error of one piece of work, from those of its scopes: validation, internal, memory.
+/// Returns the error of one unit of work, from the errors of its scopes: validation, internal, memory.
 pub(super) fn cause(errors: [Option<wgpu::Error>; 3]) -> Option<GpuError> {
-    // Running out of memory makes later calls invalid: it is the cause.
+    // Running out of memory makes later calls invalid, so it is the cause.
     errors.into_iter().flatten().next_back().map(|error| match error {
         wgpu::Error::OutOfMemory { source } => GpuError::OutOfMemory { problem: source.to_string() },
         wgpu::Error::Validation { description, .. } | wgpu::Error::Internal { description, .. } => {

@@ -1,15 +1,15 @@
-//! The fit on the device: the steps of `fit`, with everything that is as large as the picture kept there.
+//! The fit on the device: the steps of `fit`, with all data of the picture's size in the memory of the device.
 //!
-//! Rows are worked on in bands, so that no binding passes 128 MiB: the target lies in slabs of `slab_rows` rows, and
-//! the planes of a step hold `band_rows` sampled rows. Both are fixed by the picture's size, unless the lists of a
-//! band overflow: then nothing of that step is kept, the lists grow or the bands shrink, and it is taken again.
+//! Rows are processed in bands, so that no binding exceeds 128 MiB: the target is stored in slabs of `slab_rows` rows,
+//! and the planes of a step hold `band_rows` sampled rows. Both follow from the picture's size. If the lists of a band
+//! overflow, the step is discarded, the lists grow or the bands shrink, and the step is repeated.
 
 use super::device::Device;
-use super::lists::{MOST_BINDING, check_primitives};
+use super::lists::{MAX_BINDING, check_primitives};
 use super::peaks::Peaks;
 use super::scene::{NO_ALPHA, Primitive, TILE, Uniforms, spaced};
 use super::source::{Source, pack, pack_target, rows_at_a_time, words};
-use super::workspace::{Room, SLOT, SLOTS, Workspace};
+use super::workspace::{BufferSizes, SLOT, SLOTS, Workspace};
 use crate::error::{GpuError, Result};
 use crate::fit::engine::Engine;
 use crate::fit::model::adam::{self, Bounds, Rates};
@@ -25,11 +25,11 @@ use crate::gaussian::Channels;
 use crate::pixels::{Depth, Pixels};
 use crate::raster::View;
 
-/// Steps that are submitted at a time.
+/// Steps per submission.
 const BATCH: usize = 8;
 
-/// Sampled pixels after which the commands so far are submitted, so that no driver takes a slow device for hung.
-const MOST_PIXELS: u64 = 1 << 24;
+/// Number of sampled pixels after which the commands are submitted, so that no driver considers a slow device hung.
+const MAX_PIXELS: u64 = 1 << 24;
 
 /// A fit on a device.
 #[derive(Debug)]
@@ -37,9 +37,9 @@ pub(crate) struct Fitter {
     device: Device,
     base: Uniforms,
     source: Source,
-    /// The picture at its own size, while the steps see it at half its size.
+    /// The picture at its own size, while the fit runs at half its size.
     whole: Option<Source>,
-    /// Bytes that a binding of something as large as the picture may have.
+    /// Maximum size of a binding of picture-sized data, bytes.
     binding: u64,
     channels: Channels,
     depth: Depth,
@@ -51,19 +51,19 @@ pub(crate) struct Fitter {
     second: wgpu::Buffer,
     workspace: Option<Workspace>,
     peaks: Option<Peaks>,
-    /// Steps asked for and not yet taken.
+    /// Steps that are queued but not submitted yet.
     pending: Vec<(RowSet, Rates)>,
-    /// The price of size, by the error that was seen last: see [`adam::price`].
+    /// Penalty for the size of primitives, based on the last known error: see [`adam::price`].
     price: f32,
-    /// Steps taken.
+    /// Number of steps done.
     iteration: u32,
-    /// The least error over all rows that was seen with this many primitives at this size, and the primitives that had it.
+    /// The lowest error over all rows for the current number of primitives and size, and the primitives that had it.
     best: Option<(f64, wgpu::Buffer)>,
-    /// Steps asked for since all rows were looked at.
+    /// Number of steps since the error over all rows was last measured.
     unseen: u32,
 }
 
-/// Rows of a step that are worked on together: sampled rows `first .. first + rows`, all within one slab.
+/// Rows of a step that are processed together: sampled rows `first .. first + rows`, all within one slab.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Band {
     slab: usize,
@@ -74,29 +74,29 @@ struct Band {
 /// Purpose of a pass over the whole picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Wanted {
-    /// The error alone, over just the rows that are asked for.
+    /// Only the error, over exactly the requested rows.
     Error,
-    /// The costs of removal and the cells of what is missing, too.
+    /// Also the removal costs and the residual cells.
     All,
 }
 
 /// Result of a pass over the whole picture.
 #[derive(Debug)]
 pub(super) struct Survey {
-    /// Squared error over the rows that were looked at.
+    /// Squared error over the rows that were visited.
     pub error: f64,
-    /// The rise of the squared error when each primitive is removed.
+    /// Increase of the squared error when each primitive is removed.
     pub costs: Vec<f32>,
-    /// The rows that were looked at: perhaps fewer than were asked for.
+    /// The rows that were visited; they may be fewer than requested.
     rows: RowSet,
 }
 
 impl Fitter {
-    /// Brings the picture, the weights of its errors and where its fit starts to `device`; `pixels` are the samples of the
-    /// problem's target.
+    /// Copies the picture, the weights of its errors and the initial state of its fit to `device`. `pixels` are the
+    /// samples of the problem's target.
     ///
     /// # Errors
-    /// [`Error::Gpu`] when the device fails or cannot hold them.
+    /// [`Error::Gpu`] if the device fails or does not have enough memory.
     pub(crate) fn new(
         device: &Device,
         problem: &Problem<'_>,
@@ -104,10 +104,10 @@ impl Fitter {
         primitives: &[project::Primitive],
         bounds: &Bounds,
     ) -> Result<Self> {
-        Fitter::within(device, problem, pixels, primitives, bounds, MOST_BINDING)
+        Fitter::within(device, problem, pixels, primitives, bounds, MAX_BINDING)
     }
 
-    /// Makes a fitter whose buffers of the picture's size are divided into bindings of at most `binding` bytes.
+    /// Creates a fitter whose picture-sized buffers are divided into bindings of at most `binding` bytes.
     pub(super) fn within(
         device: &Device,
         problem: &Problem<'_>,
@@ -158,12 +158,12 @@ impl Fitter {
         })
     }
 
-    /// Returns the rows of the target's slabs and of the bands, and the pairs that the lists of a band hold.
+    /// Returns the number of rows of a slab and of a band, and the number of pairs that the lists of a band hold.
     pub(super) fn sizes(&self) -> [u32; 3] {
         [self.source.slab_rows, self.band_rows, self.capacity]
     }
 
-    /// Runs one step for tests and shows what it left behind.
+    /// Runs one step and returns its intermediate results, for tests.
     #[cfg(test)]
     pub(super) fn inspect<T>(
         &mut self,
@@ -180,7 +180,7 @@ impl Fitter {
         Ok(look(&self.device, workspace, &[&self.primitives, &self.first, &self.second], scene))
     }
 
-    /// Looks at the picture for tests.
+    /// Runs a survey and returns its intermediate results, for tests.
     #[cfg(test)]
     pub(super) fn inspect_survey<T>(
         &mut self,
@@ -192,27 +192,27 @@ impl Fitter {
         Ok(look(&self.device, workspace.expect("prepared"), &survey, peaks.expect("prepared")))
     }
 
-    /// Makes size cost what it would with such an error.
+    /// Sets the penalty for the size of primitives, for tests.
     #[cfg(test)]
     pub(super) fn set_price(&mut self, price: f32) {
         self.price = price;
     }
 
-    /// Makes the lists shorter than they would be.
+    /// Makes the lists shorter than necessary, for tests.
     #[cfg(test)]
     pub(super) fn limit_lists(&mut self, capacity: u32) {
         self.capacity = capacity;
     }
 
-    /// Brings a target to the device.
+    /// Copies a target to the device.
     fn source_of(&self, target: &Planes) -> Result<Source> {
         let size = [target.width, target.height];
         let [slab_rows, _] = rows_at_a_time(size[0], size[1], self.base.source_words, self.binding)?;
         Source::new(&self.device, size, slab_rows, |first, end| pack_target(target, self.depth, first, end))
     }
 
-    /// Takes up `scene`, of the size of the source; buffers of another size go.
-    fn see(&mut self, scene: &Scene) -> Result<()> {
+    /// Switches to `scene`, which has the size of the source. Buffers of another size are dropped.
+    fn set_scene(&mut self, scene: &Scene) -> Result<()> {
         let Uniforms { source_words, weighted, channel_amplitude, alpha, .. } = self.base;
         [_, self.band_rows] = rows_at_a_time(scene.width, scene.height, source_words, self.binding)?;
         let bounds = Bounds::new(scene.width, scene.height);
@@ -223,8 +223,8 @@ impl Fitter {
         Ok(())
     }
 
-    /// Remembers the present state if its error over all rows is the least so far.
-    fn look_back(&mut self) -> Result<()> {
+    /// Stores the current state if its error over all rows is the lowest so far.
+    fn remember_if_best(&mut self) -> Result<()> {
         self.flush()?;
         self.unseen = 0;
         if self.count == 0 {
@@ -247,7 +247,7 @@ impl Fitter {
         Ok(())
     }
 
-    /// The bands of a step over `rows`.
+    /// Returns the bands of a step over `rows`.
     fn bands(&self, rows: RowSet) -> Vec<Band> {
         let mut bands = Vec::new();
         for (slab, s) in self.source.slabs.iter().enumerate() {
@@ -261,7 +261,7 @@ impl Fitter {
         bands
     }
 
-    /// The uniforms of one band of the step after `ahead` others.
+    /// Returns the uniforms of one band of the step that follows `ahead` others.
     fn uniforms(&self, rows: RowSet, rates: Rates, ahead: u32, band: &Band, tile_base: u64) -> Uniforms {
         let [correction_first, correction_second] = adam::corrections(rates.decay, self.iteration + ahead);
         Uniforms {
@@ -280,7 +280,7 @@ impl Fitter {
         }
     }
 
-    /// The uniforms of all bands of a step, each with mode 0 and with mode 1.
+    /// Returns the uniforms of all bands of a step, each with mode 0 and with mode 1.
     fn slots(&self, rows: RowSet, rates: Rates, ahead: u32) -> Vec<Uniforms> {
         let mut tiles = 0;
         let mut slots = Vec::new();
@@ -292,14 +292,14 @@ impl Fitter {
         slots
     }
 
-    /// Makes the buffers, unless they are there.
+    /// Creates the buffers unless they exist.
     fn prepare(&mut self) -> Result<()> {
         if self.workspace.is_some() {
             return Ok(());
         }
         let tiles_x = u64::from(self.base.tiles_x);
         let tiles = |rows: u32| tiles_x * u64::from(rows.div_ceil(TILE));
-        let room = Room {
+        let sizes = BufferSizes {
             primitives: self.count.into(),
             capacity: self.capacity,
             pixels: u64::from(self.base.width) * u64::from(self.band_rows),
@@ -307,12 +307,12 @@ impl Fitter {
             all_tiles: self.bands(RowSet::ALL).iter().map(|b| tiles(b.rows)).sum(),
         };
         let workspace =
-            Workspace::new(&self.device, &self.source, [&self.primitives, &self.first, &self.second], &room)?;
+            Workspace::new(&self.device, &self.source, [&self.primitives, &self.first, &self.second], &sizes)?;
         self.workspace = Some(workspace);
         Ok(())
     }
 
-    /// Takes the pending steps.
+    /// Submits the pending steps.
     fn flush(&mut self) -> Result<()> {
         if self.count == 0 {
             self.pending.clear();
@@ -333,7 +333,7 @@ impl Fitter {
             self.iteration += taken;
             self.pending.drain(..taken as usize);
             if missing > 0 {
-                self.make_room(missing)?;
+                self.grow_lists(missing)?;
             }
         }
         Ok(())
@@ -361,7 +361,7 @@ impl Fitter {
                     k.gather.each(&mut pass, &workspace.gather, slot + u32::from(slot > start), count);
                     drop(pass);
                     slot += 2;
-                    work.did(&u[0]);
+                    work.record_band(&u[0]);
                 }
                 let mut pass = work.encoder.begin_compute_pass(&Default::default());
                 k.adam.each(&mut pass, &workspace.adam, start, count);
@@ -370,10 +370,10 @@ impl Fitter {
         })
     }
 
-    /// Makes the lists longer or, when they are as long as can be, the bands lower. `missing` is what a band asked for,
-    /// or as much of that as was counted.
-    fn make_room(&mut self, missing: u32) -> Result<()> {
-        let most = (MOST_BINDING / SLOT) as u32;
+    /// Makes the lists longer, or the bands lower if the lists have their maximum length. `missing` is the number of
+    /// pairs of a band that did not fit, or a lower bound of it.
+    fn grow_lists(&mut self, missing: u32) -> Result<()> {
+        let most = (MAX_BINDING / SLOT) as u32;
         if self.capacity < most {
             self.capacity = self.capacity.saturating_mul(2).max(missing).min(most);
         } else if self.band_rows > TILE {
@@ -387,9 +387,9 @@ impl Fitter {
         Ok(())
     }
 
-    /// Draws the picture over `rows`; leaves what is missing from it in the cells of `peaks`.
+    /// Renders the picture over `rows`, and leaves the residual in the cells of `peaks`.
     fn survey(&mut self, mut rows: RowSet, wanted: Wanted) -> Result<Survey> {
-        // Cells are as wide as the rows are apart; where they would not fit into a binding, look less closely.
+        // Cells are as wide as the distance of the rows. If they do not fit into a binding, use coarser ones.
         while wanted == Wanted::All && Peaks::cells(&self.base, rows) > self.binding / 16 {
             rows.step += 1;
         }
@@ -397,7 +397,9 @@ impl Fitter {
         loop {
             self.prepare()?;
             let workspace = self.workspace.as_ref().expect("prepared");
-            if wanted == Wanted::All && self.peaks.as_ref().is_none_or(|p| p.room() < Peaks::cells(&self.base, rows)) {
+            if wanted == Wanted::All
+                && self.peaks.as_ref().is_none_or(|p| p.capacity() < Peaks::cells(&self.base, rows))
+            {
                 let sources: Vec<&wgpu::Buffer> = self.source.slabs.iter().map(|s| &s.source).collect();
                 self.peaks = Some(Peaks::new(&self.device, &self.base, rows, &sources, workspace)?);
             }
@@ -431,13 +433,13 @@ impl Fitter {
                     }
                     drop(pass);
                     slot += 2;
-                    work.did(&u[0]);
+                    work.record_band(&u[0]);
                 }
                 work.submit();
             })?;
             let [_, missing, ..] = workspace.lists.status(device)?;
             if missing > 0 {
-                self.make_room(missing)?;
+                self.grow_lists(missing)?;
                 continue;
             }
             let error = workspace.error(device, tiles)?;
@@ -452,7 +454,8 @@ impl Fitter {
         }
     }
 
-    /// Returns the best `count` peaks after a survey, of those worth at least `least`, for a picture of `among` primitives.
+    /// Returns the best `count` peaks after a survey with a gain of at least `least`, for a picture of `among`
+    /// primitives.
     fn best_peaks(&self, scene: &Scene, survey: &Survey, count: usize, among: usize, least: f32) -> Result<Vec<Peak>> {
         let spacing = peaks::spacing(scene, count, among);
         let search = self.peaks.as_ref().expect("surveyed");
@@ -486,7 +489,7 @@ impl Engine for Fitter {
         let Some(source) = self.whole.take() else {
             return Ok(self.survey(RowSet::ALL, Wanted::Error)?.error);
         };
-        // The steps see a smaller picture: put the whole one in its place for one look.
+        // The steps use a smaller picture; replace it by the whole one for a single survey.
         let [width, height] = self.source.size;
         let half = Scene { width, height, ..whole.scene };
         let by = whole.scene.width.div_ceil(width) as f32;
@@ -494,18 +497,19 @@ impl Engine for Fitter {
         let [zoomed, ..] = upload(&self.device, &zoomed, None)?;
         let primitives = std::mem::replace(&mut self.primitives, zoomed);
         let small = std::mem::replace(&mut self.source, source);
-        let survey = self.see(&whole.scene).and_then(|()| self.survey(RowSet::ALL, Wanted::Error));
+        let survey = self.set_scene(&whole.scene).and_then(|()| self.survey(RowSet::ALL, Wanted::Error));
         self.primitives = primitives;
         self.whole = Some(std::mem::replace(&mut self.source, small));
-        self.see(&half)?;
+        self.set_scene(&half)?;
         Ok(survey?.error)
     }
 
     fn descend(&mut self, _: &Problem<'_>, rows: RowSet, rates: Rates) -> Result<Option<f64>> {
         self.unseen += 1;
-        // Steps on all rows are not followed by a look, and their own errors come too late to keep what had them.
+        // Steps on all rows are not followed by a survey, and their own errors arrive too late to keep the state that
+        // had them.
         if rows == RowSet::ALL && self.unseen > REMEMBERED {
-            self.look_back()?;
+            self.remember_if_best()?;
         }
         self.pending.push((rows, rates));
         if self.pending.len() < BATCH {
@@ -518,7 +522,7 @@ impl Engine for Fitter {
     }
 
     fn remember(&mut self, _: &Problem<'_>) -> Result<()> {
-        self.look_back()
+        self.remember_if_best()
     }
 
     fn relocate(&mut self, problem: &Problem<'_>, rows: RowSet, most: usize) -> Result<usize> {
@@ -620,14 +624,14 @@ impl Engine for Fitter {
         let mut primitives = project::zoomed(self.download()?, by);
         primitives.iter_mut().for_each(|p| bounds.apply(p));
         [self.primitives, self.first, self.second] = upload(&self.device, &primitives, None)?;
-        self.see(scene)
+        self.set_scene(scene)
     }
 
     fn reweigh(&mut self, problem: &Problem<'_>) -> Result<()> {
         self.flush()?;
         (self.best, self.whole) = (None, None);
         self.source = self.source_of(problem.target)?;
-        // Both are bound to the source as it was.
+        // Both are bound to the previous source.
         (self.workspace, self.peaks) = (None, None);
         Ok(())
     }
@@ -638,7 +642,7 @@ impl Engine for Fitter {
     }
 }
 
-/// Commands on their way, submitted in parts.
+/// Commands that are submitted in parts.
 struct Work<'a> {
     device: &'a Device,
     encoder: wgpu::CommandEncoder,
@@ -651,10 +655,10 @@ impl<'a> Work<'a> {
         Work { device, encoder, pixels: 0 }
     }
 
-    /// Notes that the commands of a band are complete.
-    fn did(&mut self, band: &Uniforms) {
+    /// Records that the commands of a band are complete.
+    fn record_band(&mut self, band: &Uniforms) {
         self.pixels += u64::from(band.width) * u64::from(band.band_rows);
-        if self.pixels > MOST_PIXELS {
+        if self.pixels > MAX_PIXELS {
             self.pixels = 0;
             let next = self.device.wgpu().0.create_command_encoder(&Default::default());
             self.device.wgpu().1.submit([std::mem::replace(&mut self.encoder, next).finish()]);
@@ -666,7 +670,7 @@ impl<'a> Work<'a> {
     }
 }
 
-/// The uniforms that are the same in all steps.
+/// Returns the uniforms that are the same in all steps.
 fn base(scene: &Scene, channels: Channels, bounds: &Bounds) -> Uniforms {
     let view = View::of_size(scene.width, scene.height);
     Uniforms {
@@ -677,16 +681,16 @@ fn base(scene: &Scene, channels: Channels, bounds: &Bounds) -> Uniforms {
     }
 }
 
-/// Pairs to make room for at first: what fitted pictures have, and some more.
+/// Returns the initial capacity of the lists in pairs: that of fitted pictures, with a margin.
 fn capacity_for(count: u32) -> u32 {
-    count.saturating_mul(24).max(1 << 14).min((MOST_BINDING / SLOT) as u32)
+    count.saturating_mul(24).max(1 << 14).min((MAX_BINDING / SLOT) as u32)
 }
 
 fn kept<T: Copy>(all: &[T], keep: &[bool]) -> Vec<T> {
     all.iter().zip(keep).filter(|(_, k)| **k).map(|(v, _)| *v).collect()
 }
 
-/// Primitives, and the first and second moments of their gradients.
+/// Copies the primitives to the device, with buffers for the first and second moments of their gradients.
 fn upload(
     device: &Device,
     primitives: &[project::Primitive],
@@ -695,7 +699,7 @@ fn upload(
     let bytes = primitives.len() as u64 * size_of::<Primitive>() as u64;
     let primitives: Vec<Primitive> = primitives.iter().map(packed).collect();
     device.scoped(|| {
-        // New buffers are zero.
+        // New buffers contain zeros.
         let buffers = ["primitives", "first moments", "second moments"].map(|name| device.storage(name, bytes));
         device.write(&buffers[0], &primitives);
         if let Some([first, second]) = memory {

@@ -1,4 +1,4 @@
-//! A fit without a file: pixels to a picture in floats, on a device.
+//! Fits pixels on a device and returns a picture in floats, without a file.
 
 use std::fmt;
 use std::ops::ControlFlow;
@@ -27,21 +27,21 @@ pub struct Fitted {
     pub picture: Picture,
     /// PSNR of its clamped values against the pixels, dB.
     pub psnr: f64,
-    /// Seconds before the first step: the start on the CPU, and bringing everything to the device.
+    /// Seconds before the first step: initialization on the CPU, and copying the data to the device.
     pub setup_seconds: f64,
-    /// Seconds of the steps, relocation included, looks not. Fits of few primitives begin with drafts on the CPU, whose
-    /// steps count.
+    /// Seconds of the steps, including relocation but not measurements. Fits of few primitives begin with several
+    /// starts on the CPU, whose steps count.
     pub seconds: f64,
-    /// Rows of the target that are bound at a time, sampled rows of a band, and pairs that a band's lists hold.
+    /// Rows of the target per slab, sampled rows per band, and capacity of a band's lists in pairs.
     pub bands: [u32; 3],
 }
 
-/// A fit on its way.
+/// Access to a running fit.
 pub struct Look<'a> {
     now: &'a mut dyn Sight,
     samples: f64,
     start: Instant,
-    /// Seconds that looks took.
+    /// Seconds spent in measurements.
     looked: &'a mut f64,
     step: u32,
 }
@@ -53,17 +53,18 @@ impl fmt::Debug for Look<'_> {
 }
 
 impl Look<'_> {
-    /// Steps asked for so far, those of drafts included; a few of them may not be taken yet.
+    /// Returns the number of steps so far, including those of the starts on the CPU. A few of them may not have been
+    /// submitted yet.
     #[must_use]
     pub fn step(&self) -> u32 {
         self.step
     }
 
-    /// Waits for all steps asked for; returns the PSNR of the clamped picture over all rows, dB, and the seconds that
-    /// the steps took so far, looks not counted.
+    /// Waits for all steps so far. Returns the PSNR of the clamped picture over all rows, dB, and the seconds that the
+    /// steps took, without measurements.
     ///
     /// # Errors
-    /// [`Error::Gpu`] when the device fails.
+    /// [`Error::Gpu`] if the device fails.
     pub fn psnr(&mut self) -> Result<(f64, f64)> {
         self.now.settle()?;
         let clock = Instant::now();
@@ -74,11 +75,11 @@ impl Look<'_> {
     }
 }
 
-/// Lets the caller look before each step.
+/// Calls the caller's closure before each step.
 struct Looking<'a> {
     look: &'a mut dyn FnMut(&mut Look<'_>) -> Result<ControlFlow<()>>,
     samples: f64,
-    /// When the first step began.
+    /// Start time of the first step.
     start: Option<Instant>,
     looked: f64,
     step: u32,
@@ -98,13 +99,13 @@ impl Watcher for Looking<'_> {
     }
 }
 
-/// Fits `count` primitives to `pixels` in `steps` steps of the recipe that an encode follows.
+/// Fits `count` primitives to `pixels` in `steps` steps, with the same recipe as the encoder.
 ///
 /// `look` is called before each step. The same arguments give the same bits on the same device.
 ///
 /// # Errors
-/// [`Error::Gpu`] when the device fails or cannot hold the picture, [`Error::Cancelled`] when `look` breaks, and the
-/// errors of `look`.
+/// [`Error::Gpu`] if the device fails or does not have enough memory for the picture, [`Error::Cancelled`] if `look`
+/// breaks, and the errors of `look`.
 pub fn fit(
     device: &Device,
     pixels: &Pixels,

@@ -1,4 +1,4 @@
-//! The shaders as pipelines: what each binds, and how it is dispatched.
+//! Builds the shaders as pipelines, with their bindings and their dispatch.
 
 use super::scene::Uniforms;
 
@@ -16,7 +16,7 @@ use Access::{Read, Write};
 pub(super) struct Spec {
     /// The entry point; the file is named after the stage.
     pub entry: &'static str,
-    /// Files that are joined, in order, behind `common.wgsl`.
+    /// Files that follow `common.wgsl`, in this order.
     pub parts: &'static [&'static str],
     /// Storage buffers at bindings 1, 2, …
     pub bindings: &'static [Access],
@@ -31,7 +31,7 @@ const PIXEL: &str = include_str!("../../shaders/pixel.wgsl");
 const PAIR: &str = include_str!("../../shaders/pair.wgsl");
 
 impl Spec {
-    /// The whole shader.
+    /// Returns the complete shader source.
     pub(super) fn source(&self) -> String {
         std::iter::once(&COMMON).chain(self.parts).copied().collect::<Vec<_>>().join("\n")
     }
@@ -53,7 +53,7 @@ macro_rules! kernels {
                 threads: $threads,
             },)+];
 
-            /// Builds them; call it in a scope.
+            /// Builds all pipelines; call it within a scope.
             pub(super) fn new(device: &wgpu::Device) -> Self {
                 let mut specs = Self::SPECS.iter();
                 Kernels { $($name: Kernel::new(device, specs.next().expect("one for each")),)+ }
@@ -93,8 +93,8 @@ pub(super) struct Kernel {
     threads: u32,
 }
 
-/// Most workgroups along one dimension that every device takes.
-const MOST_GROUPS: u64 = 65_535;
+/// Maximum number of workgroups along a dimension that every device supports.
+const MAX_GROUPS: u64 = 65_535;
 
 impl Kernel {
     fn new(device: &wgpu::Device, spec: &Spec) -> Self {
@@ -154,7 +154,7 @@ impl Kernel {
         })
     }
 
-    /// Runs it for `count` items, one thread each, with the uniforms at index `slot`.
+    /// Runs one thread for each of `count` items, with the uniforms at index `slot`.
     pub(super) fn each(&self, pass: &mut wgpu::ComputePass<'_>, bound: &wgpu::BindGroup, slot: u32, count: u64) {
         self.groups(pass, bound, slot, count.div_ceil(u64::from(self.threads)));
     }
@@ -171,8 +171,8 @@ impl Kernel {
     }
 }
 
-/// At least `groups` workgroups in two dimensions.
+/// Returns a two-dimensional dispatch of at least `groups` workgroups.
 pub(super) fn fold(groups: u64) -> [u32; 2] {
-    let rows = groups.div_ceil(MOST_GROUPS);
+    let rows = groups.div_ceil(MAX_GROUPS);
     [groups.div_ceil(rows) as u32, rows as u32]
 }

@@ -1,5 +1,5 @@
-//! Pictures of 177 megapixels within wgpu's default limits, for real. On software Vulkan that takes minutes and
-//! gigabytes, so only on request:
+//! Tests with pictures of 177 megapixels within wgpu's default limits. They take minutes and gigabytes on software
+//! Vulkan and therefore run only on request:
 //!
 //! ```text
 //! cargo test --release -p ssplat --features gpu --lib -- --ignored --nocapture --test-threads 1 largest_picture
@@ -31,7 +31,8 @@ use crate::{Limits, parallel};
 const WIDTH: u32 = 10_848;
 const HEIGHT: u32 = 16_320;
 
-/// Waves of many lengths and an edge, cheap for so many pixels: sums of what depends on the column and on the row.
+/// Waves of many lengths and an edge, as sums of a function of the column and one of the row, which are cheap to
+/// compute.
 fn pixels() -> Pixels {
     let waves = |length: u32, by: f32| -> Vec<f32> {
         let wave = |i: u32, period: f32| 0.08 * (i as f32 * by / period).sin();
@@ -52,7 +53,8 @@ fn pixels() -> Pixels {
     Pixels::new(WIDTH, HEIGHT, Channels::Rgb, Samples::U8(samples)).unwrap()
 }
 
-/// Fits `count` primitives for two steps and a relocation, and draws the first `rows` rows; every part is held against the CPU.
+/// Fits `count` primitives for two steps and a relocation, and renders the first `rows` rows. Every part is compared
+/// with the CPU.
 fn fit_and_draw(count: usize, rows: u32) {
     let device = Device::open(Adapters::Any).unwrap();
     let clock = Instant::now();
@@ -73,7 +75,7 @@ fn fit_and_draw(count: usize, rows: u32) {
     drop(pixels);
     note("bringing them to the device");
 
-    // A list that was cut off would show in the error and in the costs of what it left out.
+    // A truncated list would change the error, and the removal costs of the primitives that it lacks.
     let few = RowSet { step: 16, phase: 3 };
     let (error, costs) = fitter.inspect_survey(few, |_, _, survey, _| (survey.error, survey.costs.clone())).unwrap();
     note("survey of one row in 16");
@@ -97,7 +99,7 @@ fn fit_and_draw(count: usize, rows: u32) {
         note("the same, CPU");
     }
     let got = fitter.primitives().unwrap();
-    // Adam's first steps have the gradients' signs: where one is about zero, rounding decides.
+    // Adam's first steps depend on the gradients' signs. Where a gradient is about zero, rounding determines its sign.
     let off = |a: &Primitive, b: &Primitive| (0..2).any(|k| (a.mean[k] - b.mean[k]).abs() > 0.01);
     let far = got.iter().zip(&cpu.primitives).filter(|(a, b)| off(a, b)).count();
     eprintln!("{far} of {count} means are more than .01 pixels from those of the CPU");

@@ -1,20 +1,20 @@
-//! The tiles' lists of Gaussians on the device: projected, counted, scanned, scattered and sorted, band by band.
+//! The lists of Gaussians per tile on the device: projected, counted, scanned, scattered and sorted, band by band.
 
 use super::device::Device;
 use super::kernels::Kernels;
 use super::scene::{Primitive, Splat, Uniforms};
 use crate::error::{GpuError, Result};
 
-/// Largest binding that every device takes, bytes.
-pub(super) const MOST_BINDING: u64 = 128 << 20;
+/// Largest binding that every device supports, bytes.
+pub(super) const MAX_BINDING: u64 = 128 << 20;
 
-/// Most tiles of a band: what the scan's three levels of sums span.
-pub(super) const MOST_TILES: u64 = 1 << 20;
+/// Maximum number of tiles of a band, which the three levels of the scan can sum.
+pub(super) const MAX_TILES: u64 = 1 << 20;
 
-/// Words of the status: pairs of the band, most pairs that did not fit, steps taken, one spare.
+/// Words of the status: pairs of the band, maximum number of pairs that did not fit, steps done, and one unused word.
 pub(super) const STATUS: usize = 4;
 
-/// The buffers, and the stages bound to them.
+/// The buffers, and the stages that are bound to them.
 #[derive(Debug)]
 pub(super) struct Lists {
     pub splats: wgpu::Buffer,
@@ -26,13 +26,14 @@ pub(super) struct Lists {
     bin: wgpu::BindGroup,
     scan: [wgpu::BindGroup; 3],
     sort: wgpu::BindGroup,
-    /// Pairs before sorting, for a test to read.
+    /// Pairs before sorting, for tests.
     #[cfg(test)]
     pub unsorted: wgpu::Buffer,
 }
 
 impl Lists {
-    /// Buffers for `count` primitives, bands of `tiles` tiles and `capacity` pairs. Call it in a scope.
+    /// Creates the buffers for `count` primitives, bands of `tiles` tiles and `capacity` pairs. Call it within a
+    /// scope.
     pub(super) fn new(
         device: &Device,
         uniforms: &wgpu::Buffer,
@@ -65,13 +66,14 @@ impl Lists {
         }
     }
 
-    /// Projects all primitives; the uniforms at `slot` say how.
+    /// Projects all primitives with the uniforms at `slot`.
     pub(super) fn project(&self, kernels: &Kernels, encoder: &mut wgpu::CommandEncoder, slot: u32, count: u64) {
         let mut pass = encoder.begin_compute_pass(&Default::default());
         kernels.project.each(&mut pass, &self.project, slot, count);
     }
 
-    /// Fills the lists of one band. The uniforms at `slot` are the band's with mode 0, those at `slot + 1` with mode 1.
+    /// Fills the lists of one band. The uniforms at `slot` are those of the band with mode 0, and those at `slot + 1`
+    /// with mode 1.
     pub(super) fn fill(&self, kernels: &Kernels, encoder: &mut wgpu::CommandEncoder, slot: u32, band: &Uniforms) {
         encoder.clear_buffer(&self.cursors, 0, None);
         encoder.clear_buffer(&self.status, 0, Some(4));
@@ -86,16 +88,16 @@ impl Lists {
         kernels.sort.groups(&mut pass, &self.sort, slot, band.tiles());
     }
 
-    /// Reads the status words that the stages wrote.
+    /// Reads the status words.
     pub(super) fn status(&self, device: &Device) -> Result<[u32; STATUS]> {
         let words = device.read_as::<u32>(&self.status, STATUS)?;
         Ok(std::array::from_fn(|k| words[k]))
     }
 }
 
-/// Checks that a binding of `count` items of `size` bytes stays within what every device takes.
+/// Checks that a binding of `count` items of `size` bytes is within the limits of every device.
 pub(super) fn check_binding(what: &'static str, count: u64, size: usize) -> Result<()> {
-    let allowed = MOST_BINDING / size as u64;
+    let allowed = MAX_BINDING / size as u64;
     if count > allowed {
         return Err(GpuError::Overflow { what, requested: count, allowed }.into());
     }

@@ -1,9 +1,9 @@
-//! Drawing and fitting on a GPU, by way of `wgpu`: Vulkan, Metal, Direct3D 12 and the browser's WebGPU.
+//! Rendering and fitting on a GPU through `wgpu`: Vulkan, Metal, Direct3D 12 and the browser's WebGPU.
 //!
 //! Results are bit-identical from run to run on one device, and within one code value of the definition in
-//! `raster/reference.rs`. Nothing here needs more than `wgpu::Limits::default()`; large pictures are drawn and fitted
-//! in bands of rows. [`Limits`](crate::Limits) hold as on the CPU. Decode untrusted files on the CPU all the same: they
-//! should not reach a GPU driver.
+//! `raster/reference.rs`. The module needs no more than `wgpu::Limits::default()`; large pictures are rendered and
+//! fitted in bands of rows. [`Limits`](crate::Limits) apply as on the CPU. Decode files from untrusted sources on the
+//! CPU nevertheless, because they should not reach a GPU driver.
 //!
 //! ```no_run
 //! use ssplat::gpu::{Adapters, Device, Renderer};
@@ -39,6 +39,5 @@ pub(crate) use fit::Fitter;
 #[cfg(any(test, feature = "unstable"))]
 pub use fitted::{Fitted, Look, fit};
 pub use renderer::Renderer;
-/// The crate that drives the device, in the version that [`Device::from_wgpu`] takes. A new minor version of this crate may
-/// need a newer one.
+/// The `wgpu` crate in the version that [`Device::from_wgpu`] expects. A minor release of this crate may update it.
 pub use wgpu;

@@ -1,4 +1,4 @@
-//! Where the error is largest, found on the device: cells of what is missing, blurred and halved level by level.
+//! Finds the largest errors on the device: cells of the residual, blurred and halved level by level.
 
 use super::device::Device;
 use super::kernels::Kernels;
@@ -10,20 +10,20 @@ use crate::fit::model::placing::ridge::{self, Shape};
 use crate::fit::model::target::rows::RowSet;
 use bytemuck::{Pod, Zeroable};
 
-/// Most levels.
+/// Maximum number of levels.
 const LEVELS: u32 = 12;
 
-/// Sets of uniforms: three a level and one more pass in the first.
+/// Sets of uniforms: three per level and an additional pass in the first.
 const SLOTS: u64 = 4 * LEVELS as u64;
 
-/// A peak as `peaks.wgsl` writes it.
+/// A peak as written by `peaks.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Found {
     /// Mean residual under its shape.
     pub residual: [f32; 4],
     pub level: u32,
-    /// Number of its ridge from 1 on, 0 where it is round.
+    /// Number of its ridge, from 1 on; 0 for a round peak.
     pub ridge: u32,
     pub x: u32,
     pub y: u32,
@@ -35,20 +35,20 @@ impl Found {
     }
 }
 
-/// The buffers, and the stages bound to them.
+/// The buffers, and the stages that are bound to them.
 #[derive(Debug)]
 pub(super) struct Peaks {
     /// Number of cells that the buffers can hold.
-    room: u64,
+    capacity: u64,
     uniforms: wgpu::Buffer,
     found: wgpu::Buffer,
     count: wgpu::Buffer,
     residual: Vec<wgpu::BindGroup>,
-    /// From the first cells to the second and back.
+    /// From the first cell buffer to the second and back.
     blur: [wgpu::BindGroup; 2],
     halve: [wgpu::BindGroup; 2],
     find: [wgpu::BindGroup; 2],
-    /// Cells, and their blurred or halved copies, for a test to read.
+    /// Cells, and their blurred or halved copies, which tests read.
     #[cfg(test)]
     pub cells: [wgpu::Buffer; 2],
 }
@@ -64,12 +64,12 @@ struct Level {
 }
 
 impl Peaks {
-    /// Cells of a picture whose sampled rows are `rows`.
+    /// Returns the number of cells of a picture whose sampled rows are `rows`.
     pub(super) fn cells(base: &Uniforms, rows: RowSet) -> u64 {
         u64::from(base.width.div_ceil(rows.step)) * rows.count(base.height) as u64
     }
 
-    /// Buffers for the cells of `rows`.
+    /// Creates the buffers for the cells of `rows`.
     pub(super) fn new(
         device: &Device,
         base: &Uniforms,
@@ -77,13 +77,13 @@ impl Peaks {
         sources: &[&wgpu::Buffer],
         workspace: &Workspace,
     ) -> Result<Self> {
-        let room = Self::cells(base, rows);
+        let capacity = Self::cells(base, rows);
         device.scoped(|| {
             use wgpu::BufferUsages as U;
             let (k, d) = (device.kernels(), device.wgpu().0);
             let uniforms = device.buffer("uniforms", SLOTS * u64::from(Uniforms::STRIDE), U::UNIFORM | U::COPY_DST);
-            let cells = ["cells", "blurred"].map(|name| device.storage(name, room * 16));
-            let found = device.storage("peaks", most_peaks(room) * size_of::<Found>() as u64);
+            let cells = ["cells", "blurred"].map(|name| device.storage(name, capacity * 16));
+            let found = device.storage("peaks", most_peaks(capacity) * size_of::<Found>() as u64);
             let count = device.storage("peak count", 4);
             let ridges = device.storage("ridges", size_of_val(&ridge::all()) as u64);
             device.write(&ridges, ridge::all().as_flattened());
@@ -94,7 +94,7 @@ impl Peaks {
                 .collect();
             let both = [[&cells[0], &cells[1]], [&cells[1], &cells[0]]];
             Peaks {
-                room,
+                capacity,
                 residual,
                 blur: both.map(|b| k.blur.bind(d, &uniforms, &b)),
                 halve: both.map(|b| k.halve.bind(d, &uniforms, &b)),
@@ -108,12 +108,12 @@ impl Peaks {
         })
     }
 
-    /// How many cells fit.
-    pub(super) fn room(&self) -> u64 {
-        self.room
+    /// Returns the number of cells that fit.
+    pub(super) fn capacity(&self) -> u64 {
+        self.capacity
     }
 
-    /// Turns the planes of a band into cells.
+    /// Converts the planes of a band to cells.
     pub(super) fn residual(
         &self,
         kernels: &Kernels,
@@ -126,8 +126,8 @@ impl Peaks {
         kernels.residual.each(pass, &self.residual[slab], slot, cells);
     }
 
-    /// All peaks of the cells that are worth at least `least`, with their levels, at scales up to `spacing`. The cells
-    /// are used up.
+    /// Returns all peaks of the cells with a gain of at least `least`, with their levels, at scales up to `spacing`.
+    /// Overwrites the cells.
     pub(super) fn find(
         &self,
         device: &Device,
@@ -145,7 +145,7 @@ impl Peaks {
             longest: ridge::longest(spacing, level.variance.sqrt()),
             least_gain: least,
             level: i as u32,
-            capacity: most_peaks(self.room) as u32,
+            capacity: most_peaks(self.capacity) as u32,
             ..*base
         };
         for (i, level) in levels.iter().enumerate() {
@@ -160,7 +160,7 @@ impl Peaks {
             encoder.clear_buffer(&self.count, 0, None);
             let mut pass = encoder.begin_compute_pass(&Default::default());
             for (i, level) in levels.iter().enumerate() {
-                // Halving takes the cells to the other buffer.
+                // Halving moves the cells to the other buffer.
                 let (from, slot) = (i % 2, 2 * i as u32);
                 let cells = u64::from(level.size[0]) * u64::from(level.size[1]);
                 for _ in 0..level.passes {
@@ -175,7 +175,7 @@ impl Peaks {
             queue.submit([encoder.finish()]);
         })?;
         let found: u64 = device.read_as::<u32>(&self.count, 1)?[0].into();
-        let allowed = most_peaks(self.room);
+        let allowed = most_peaks(self.capacity);
         if found > allowed {
             return Err(GpuError::Overflow { what: "peaks", requested: found, allowed }.into());
         }
@@ -189,12 +189,13 @@ impl Peaks {
     }
 }
 
-/// No more peaks than this can be: two are never neighbours, and levels have a quarter of the cells each.
+/// Returns an upper bound of the number of peaks: peaks are never adjacent, and each level has a quarter of the cells
+/// of the previous one.
 fn most_peaks(cells: u64) -> u64 {
     cells / 2 + 64 * u64::from(LEVELS)
 }
 
-/// The levels of the search, as `fit::model::placing::peaks::peaks` has them.
+/// Returns the levels of the search, the same as in `fit::model::placing::peaks::peaks`.
 fn levels(base: &Uniforms, rows: RowSet, spacing: f32) -> Vec<Level> {
     let mut size = [base.width.div_ceil(rows.step), rows.count(base.height) as u32];
     let mut cell = rows.step as f32;
@@ -210,7 +211,7 @@ fn levels(base: &Uniforms, rows: RowSet, spacing: f32) -> Vec<Level> {
         if size[0] < 4 || size[1] < 4 {
             break;
         }
-        // The box of the halving adds a quarter of a cell.
+        // The box filter of the halving adds a quarter of a cell.
         variance += 0.25 * cell * cell;
         size = size.map(|s| s.div_ceil(2));
         cell *= 2.0;

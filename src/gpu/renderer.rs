@@ -1,8 +1,8 @@
-//! Draws views of a picture that stays on the device.
+//! Renders views of a picture whose Gaussians stay in the memory of the device.
 
 use super::device::Device;
 use super::layer::Layer;
-use super::lists::{Lists, MOST_BINDING, MOST_TILES, check_primitives};
+use super::lists::{Lists, MAX_BINDING, MAX_TILES, check_primitives};
 #[cfg(test)]
 use super::scene::Splat;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
@@ -16,13 +16,13 @@ use crate::pixels::{Depth, Pixels, Samples};
 use crate::raster::{self, Overlay, View};
 use std::sync::Arc;
 
-/// Bytes that a row of a texture copy is aligned to.
+/// Alignment of the rows of a texture copy, bytes.
 const ROW_ALIGNMENT: u32 = wgpu::COPY_BYTES_PER_ROW_ALIGNMENT;
 
-/// Work of a (Gaussian, tile) pair, pixels: a tile is drawn as a whole.
+/// Work of a (Gaussian, tile) pair in pixels: a tile is always rendered as a whole.
 const PAIR_WORK: u64 = (TILE * TILE) as u64;
 
-/// A picture in the memory of a device, ready to be drawn in any view.
+/// A picture in the memory of a device, of which any view can be rendered.
 #[derive(Debug)]
 pub struct Renderer {
     device: Device,
@@ -33,15 +33,15 @@ pub struct Renderer {
     limits: Limits,
     /// Memory account for pixels and additions.
     budget: Budget,
-    /// The area that was read and can be drawn; `None`: the whole picture.
+    /// The area that was read and can be rendered; `None` is the whole picture.
     area: Option<Area>,
     /// Detail layer to add to the Gaussians.
     overlay: Option<Arc<Overlay>>,
     primitives: wgpu::Buffer,
     stage: Option<Canvas>,
-    /// Rows of the output.
+    /// Rows of the output per band.
     band_rows: u32,
-    /// Pairs that a band may have before its lists must grow.
+    /// Number of pairs of a band above which its lists must grow.
     capacity: u32,
 }
 
@@ -56,7 +56,7 @@ struct Canvas {
     render: wgpu::BindGroup,
 }
 
-/// Parameters that the sizes of the buffers depend on.
+/// Parameters on which the sizes of the buffers depend.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct CanvasSize {
     grid: Grid,
@@ -70,15 +70,15 @@ struct Grid {
     /// Columns and rows of samples.
     width: u32,
     height: u32,
-    /// Rows of samples for each of the output.
+    /// Rows of samples per output row.
     down: u32,
     /// Words in a row of the codes.
     stride: u32,
-    /// Bytes of what a layer adds to a row; 0 without one.
+    /// Bytes of additions per row; 0 without a layer.
     added: u64,
 }
 
-/// How code values are laid out; the numbers are the modes of `render.wgsl`.
+/// Layout of code values; the numbers are the modes of `render.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Format {
     Rgba8 = 0,
@@ -91,7 +91,7 @@ impl Renderer {
     ///
     /// # Errors
     /// [`Error::LimitExceeded`] if `limits` do not allow its primitives; [`Error::Parameter`] if one of them is not
-    /// finite or has a scale outside `0..=2²⁰`; [`Error::Gpu`] if the device fails or cannot hold them.
+    /// finite or has a scale outside `0..=2²⁰`; [`Error::Gpu`] if the device fails or does not have enough memory.
     pub fn new(device: &Device, picture: &Picture, limits: &Limits) -> Result<Self> {
         let canvas =
             raster::Canvas { channels: picture.channels, blend: picture.blend, background: picture.background };
@@ -99,14 +99,14 @@ impl Renderer {
         Renderer::on(device, &canvas, gaussians, limits, &Budget::of(limits))
     }
 
-    /// Copies the layers of an opened file that it [shows](Image::show) to `device`. The file is not needed any more,
-    /// but drawing takes memory from its account ([`Limits::alloc`]). The additions of a detail layer are made on the
-    /// CPU when a view is drawn.
+    /// Copies the [shown](Image::show) layers of an opened file to `device`. The file may be dropped afterwards;
+    /// rendering reserves memory from its account ([`Limits::alloc`]). The additions of a detail layer are computed on
+    /// the CPU when a view is rendered.
     ///
     /// # Errors
-    /// As [`Renderer::new`], by the limits of `opened`.
+    /// As [`Renderer::new`], with the limits of `opened`.
     pub fn of(device: &Device, opened: &Image) -> Result<Self> {
-        let (layers, area, limits, budget) = opened.terms();
+        let (layers, area, limits, budget) = opened.render_context();
         let splats = opened.splats();
         let (canvas, count) = splats.canvas(layers);
         let quantizer = splats.quantizer();
@@ -143,7 +143,7 @@ impl Renderer {
             primitives.push(Primitive {
                 mean: g.mean,
                 log_scale: g.scale.map(f32::ln),
-                // The shader's sine is exact near 0.
+                // The shader's sine is most precise near 0.
                 rotation: g.rotation.rem_euclid(std::f32::consts::PI),
                 color: g.color,
             });
@@ -166,17 +166,17 @@ impl Renderer {
             primitives: buffer,
             stage: None,
             band_rows: u32::MAX,
-            capacity: (count as u32).saturating_mul(24).max(1 << 16).min((MOST_BINDING / 4) as u32),
+            capacity: (count as u32).saturating_mul(24).max(1 << 16).min((MAX_BINDING / 4) as u32),
         })
     }
 
-    /// Draws `view` and copies the pixels back to the host.
+    /// Renders `view` and copies the pixels back to the host.
     ///
     /// # Errors
     /// [`Error::LimitExceeded`] if the pixels, the additions of a detail layer, the (Gaussian, tile) pairs or their
-    /// work exceed the limits; the band in which they do is not drawn. [`Error::Parameter`] for a view that shows parts
-    /// of the picture which were not read. [`Error::Gpu`] if the device fails, or if the Gaussians of a single row of
-    /// tiles do not fit into a list.
+    /// work exceed the limits; rendering stops before the band that exceeds them. [`Error::Parameter`] if the view
+    /// shows parts of the picture that were not read. [`Error::Gpu`] if the device fails, or if the Gaussians of a
+    /// single row of tiles do not fit into a list.
     pub fn render(&mut self, view: &View, depth: Depth) -> Result<Pixels> {
         let count = self.channels.count();
         let samples = u64::from(view.width()) * u64::from(view.height()) * count as u64;
@@ -215,12 +215,12 @@ impl Renderer {
         Pixels::new(view.width(), view.height(), self.channels, samples)
     }
 
-    /// Draws `view` into `buffer` as red, green, blue and straight alpha, 8 bits each, row after row. It stays on the
-    /// device.
+    /// Renders `view` into `buffer` as red, green, blue and straight alpha, 8 bits each, row after row. The pixels
+    /// stay on the device.
     ///
     /// # Errors
-    /// As [`Renderer::render`]; [`GpuError::Validation`] if the buffer is shorter than four bytes a pixel, belongs to
-    /// another device or cannot be copied to.
+    /// As [`Renderer::render`]; [`GpuError::Validation`] if the buffer is shorter than four bytes per pixel, belongs
+    /// to another device or does not allow copying to it.
     pub fn render_to_buffer(&mut self, view: &View, buffer: &wgpu::Buffer) -> Result<()> {
         let width = view.width();
         self.draw(view, Format::Rgba8, width, |device, codes, words, first| {
@@ -234,11 +234,11 @@ impl Renderer {
         })
     }
 
-    /// Draws `view` into the top left corner of `texture`, with straight alpha. The pixels never leave the device.
+    /// Renders `view` into the top left corner of `texture`, with straight alpha. The pixels stay on the device.
     ///
-    /// The texture must belong to the same `wgpu` device, allow copying to it (`COPY_DST`) and have a format of four
-    /// times 8 bits: `Rgba8Unorm`, `Rgba8UnormSrgb`, `Bgra8Unorm` or `Bgra8UnormSrgb`. Values are encoded sRGB, so that
-    /// the `Srgb` formats sample as linear light.
+    /// The texture must belong to the same `wgpu` device, allow copying to it (`COPY_DST`) and have one of the formats
+    /// `Rgba8Unorm`, `Rgba8UnormSrgb`, `Bgra8Unorm` and `Bgra8UnormSrgb`. Values are encoded sRGB, so that sampling
+    /// the `Srgb` formats returns linear light.
     ///
     /// # Errors
     /// As [`Renderer::render`]; [`Error::Parameter`] for another format or a texture smaller than the view.
@@ -283,28 +283,27 @@ impl Renderer {
         })
     }
 
-    /// Returns the height in output rows of the bands that the last view was drawn in, and the number of pairs that a
-    /// band's lists can hold.
+    /// Returns the height of the last view's bands in output rows, and the capacity of a band's lists in pairs.
     #[must_use]
     pub fn bands(&self) -> (u32, u32) {
         (self.band_rows, self.capacity)
     }
 
-    /// The splats of the last view.
+    /// Returns the splats of the last view.
     #[cfg(test)]
     pub(super) fn splats(&self) -> Result<Vec<Splat>> {
         let lists = &self.stage.as_ref().expect("something was drawn").lists;
         self.device.read_as(&lists.splats, self.count as usize)
     }
 
-    /// Adds a detail layer, and begins with lists that are too short.
+    /// Adds a detail layer, and starts with lists that are too short.
     #[cfg(test)]
     pub(super) fn adding(self, overlay: Arc<Overlay>) -> Self {
         Renderer { overlay: Some(overlay), capacity: 100, ..self }
     }
 
-    /// Draws `view` band by band; `take` is given each band's codes, their number in words and the band's first row.
-    /// Nothing is handed on before the band is known to be whole.
+    /// Renders `view` band by band. `take` receives each complete band: its codes, their number in words and the
+    /// band's first row.
     fn draw(
         &mut self,
         view: &View,
@@ -322,13 +321,14 @@ impl Renderer {
             detail: layer.is_some().into(),
             ..Uniforms::new(view, self.blend, self.channels, self.background, self.count)
         };
-        // Rows of the output in one of tiles; whole rows of tiles whose codes fit into a binding, or as many as additions are held for.
+        // Output rows in a tile. A band has whole rows of tiles whose codes fit into a binding, or as many rows as
+        // additions are held for.
         let tall = TILE / base.down;
         let row = u64::from(stride) * u64::from(tall) * 4;
-        let mut most = (MOST_BINDING / row).min(MOST_TILES / u64::from(base.tiles_x)) as u32 * tall;
+        let mut most = (MAX_BINDING / row).min(MAX_TILES / u64::from(base.tiles_x)) as u32 * tall;
         if most == 0 {
             let (what, requested) = ("bytes in a row of tiles", row);
-            return Err(GpuError::Overflow { what, requested, allowed: MOST_BINDING }.into());
+            return Err(GpuError::Overflow { what, requested, allowed: MAX_BINDING }.into());
         }
         let added = layer.as_ref().map_or(0, Layer::row_memory);
         let grid = Grid { width: base.width, height: base.height, down: base.down, stride, added };
@@ -343,13 +343,13 @@ impl Renderer {
         }
         let layer_work = layer.as_ref().map_or(0, Layer::work);
         let all_work = self.limits.work;
-        let most_work = self.limits.most_work(u64::from(base.width) * u64::from(base.height), self.count.into());
+        let max_work = self.limits.max_work(u64::from(base.width) * u64::from(base.height), self.count.into());
         let tile_pairs = self.limits.tile_pairs;
-        let most_pairs = tile_pairs.min(most_work.min(all_work - layer_work) / PAIR_WORK);
+        let most_pairs = tile_pairs.min(max_work.min(all_work - layer_work) / PAIR_WORK);
         let check = |pairs: u64| {
             Limits::check("tile_pairs", pairs, tile_pairs)?;
             let work = pairs.saturating_mul(PAIR_WORK);
-            Limits::check("work", work, most_work)?;
+            Limits::check("work", work, max_work)?;
             Limits::check("work", work.saturating_add(layer_work), all_work)
         };
         let mut first = 0;
@@ -359,7 +359,7 @@ impl Renderer {
             let rows = layer.as_ref().map_or(most, |layer| layer.rows(first, most));
             self.prepare(grid)?;
             let stage = self.stage.as_ref().expect("just prepared");
-            // A band with more pairs than are left is not drawn.
+            // A band with more pairs than the limit allows is not rendered.
             let left = u32::try_from(most_pairs - pairs).unwrap_or(u32::MAX);
             let band = Uniforms { capacity: self.capacity.min(left), ..base }.band(first * base.down, rows * base.down);
             let modes = [0, 1, format as u32].map(|mode| Uniforms { mode, ..band });
@@ -382,7 +382,7 @@ impl Renderer {
             let [found, missing, ..] = stage.lists.status(&self.device)?;
             if missing > 0 {
                 check(pairs + u64::from(missing))?;
-                self.make_room(missing, tall)?;
+                self.grow_lists(missing, tall)?;
                 continue;
             }
             pairs += u64::from(found);
@@ -392,10 +392,10 @@ impl Renderer {
         Ok(())
     }
 
-    /// Makes the lists longer or, when they are as long as can be, the bands lower: `tall` is the height of a tile, rows
-    /// of the output. `missing` is what a band asked for, or as much of that as was counted.
-    fn make_room(&mut self, missing: u32, tall: u32) -> Result<()> {
-        let most = (MOST_BINDING / 4) as u32;
+    /// Makes the lists longer, or the bands lower if the lists have their maximum length. `tall` is the height of a
+    /// tile in output rows. `missing` is the number of pairs of a band that did not fit, or a lower bound of it.
+    fn grow_lists(&mut self, missing: u32, tall: u32) -> Result<()> {
+        let most = (MAX_BINDING / 4) as u32;
         if self.capacity < most {
             self.capacity = (self.capacity.saturating_mul(2)).max(missing).min(most);
         } else if self.band_rows > tall {
@@ -407,7 +407,7 @@ impl Renderer {
         Ok(())
     }
 
-    /// Makes the buffers, unless those of the last view do.
+    /// Creates the buffers, unless those of the last view fit.
     fn prepare(&mut self, grid: Grid) -> Result<()> {
         let shape = CanvasSize { grid, band_rows: self.band_rows, capacity: self.capacity };
         if self.stage.as_ref().is_some_and(|s| s.shape == shape) {

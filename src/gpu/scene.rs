@@ -1,4 +1,4 @@
-//! The uniforms of all stages: the Rust side of `Scene` in `common.wgsl`.
+//! Uniforms of all stages: the Rust equivalent of `Scene` in `common.wgsl`.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -8,7 +8,7 @@ use crate::raster::View;
 /// Columns and rows of a tile.
 pub(super) const TILE: u32 = 16;
 
-/// Field for field as in the shader; a test compares the layouts.
+/// The fields have the order of the shader; a test compares the layouts.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Uniforms {
@@ -56,19 +56,19 @@ pub(super) struct Uniforms {
     pub price: f32,
     pub weighted: u32,
     pub detail: u32,
-    /// To a multiple of 16 bytes.
+    /// Padding to a multiple of 16 bytes.
     pub spare: u32,
 }
 
-/// Value of [`Uniforms::alpha`] where there is none.
+/// Value of [`Uniforms::alpha`] for pictures without alpha.
 pub(super) const NO_ALPHA: u32 = 4;
 
 impl Uniforms {
-    /// Bytes from one set of uniforms to the next in their buffer: what every device can align to.
+    /// Distance of sets of uniforms in their buffer, bytes: an alignment that every device supports.
     pub(super) const STRIDE: u32 = 256;
 
-    /// Returns the uniforms that all stages of drawing `view` share. In a reduced view the stages draw the samples of
-    /// its pixels.
+    /// Returns the uniforms that all stages of rendering `view` share. For a reduced view, the stages render the
+    /// samples that are averaged to pixels.
     pub(super) fn new(view: &View, blend: Blend, channels: Channels, background: [f32; 4], primitives: u32) -> Self {
         let filter = view.filter();
         let [across, down] = filter.parts;
@@ -108,13 +108,13 @@ impl Uniforms {
         Uniforms { band_first: first, band_rows: rows, tiles_y: rows.div_ceil(TILE), ..self }
     }
 
-    /// Tiles of the band.
+    /// Returns the number of tiles of the band.
     pub(super) fn tiles(&self) -> u64 {
         u64::from(self.tiles_x) * u64::from(self.tiles_y)
     }
 }
 
-/// The bytes of `uniforms`, each at a multiple of [`Uniforms::STRIDE`].
+/// Returns the bytes of `uniforms`, each at a multiple of [`Uniforms::STRIDE`].
 pub(super) fn spaced(uniforms: &[Uniforms]) -> Vec<u8> {
     let mut bytes = vec![0; uniforms.len() * Uniforms::STRIDE as usize];
     for (space, u) in bytes.chunks_exact_mut(Uniforms::STRIDE as usize).zip(uniforms) {
@@ -123,12 +123,12 @@ pub(super) fn spaced(uniforms: &[Uniforms]) -> Vec<u8> {
     bytes
 }
 
-/// A Gaussian as the shaders keep it: `Primitive` in `project.wgsl`.
+/// A Gaussian as the shaders store it: `Primitive` in `project.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Primitive {
     pub mean: [f32; 2],
-    /// Natural logarithms.
+    /// Natural logarithms of the scales.
     pub log_scale: [f32; 2],
     pub rotation: f32,
     pub color: [f32; 4],

@@ -1,7 +1,7 @@
-//! The picture to fit on the device: in slabs of rows, each a binding.
+//! The target picture on the device, in slabs of rows with one binding each.
 
 use super::device::Device;
-use super::lists::MOST_TILES;
+use super::lists::MAX_TILES;
 use super::scene::TILE;
 use crate::error::{GpuError, Result};
 use crate::fit::model::target::planes::Planes;
@@ -24,7 +24,7 @@ pub(super) struct Slab {
 }
 
 impl Source {
-    /// Brings a picture of `words` words a pixel to the device; `packed` gives the words of rows `first..end`.
+    /// Copies a picture of `words` words per pixel to the device. `packed` returns the words of rows `first..end`.
     pub(super) fn new(
         device: &Device,
         size: [u32; 2],
@@ -41,7 +41,7 @@ impl Source {
                 device.wgpu().1.submit([]);
                 source
             })?;
-            // The copy on its way takes as much memory again: one slab at a time.
+            // A pending copy doubles the memory, so copy one slab at a time.
             device.wait()?;
             slabs.push(Slab { first, end, source });
         }
@@ -49,13 +49,13 @@ impl Source {
     }
 }
 
-/// Rows of a slab of the target and of a band of planes, of pixels of `words` words, so that no binding passes
-/// `binding` bytes.
+/// Returns the rows of a slab of the target and of a band of planes, for pixels of `words` words, so that no binding
+/// exceeds `binding` bytes.
 pub(super) fn rows_at_a_time(width: u32, height: u32, words: u32, binding: u64) -> Result<[u32; 2]> {
     let (wide, tile) = (u64::from(width), u64::from(TILE));
     let slab = (binding / (4 * u64::from(words) * wide)).min(u64::from(height)) as u32;
     let by_planes = binding / (16 * wide) / tile;
-    let by_tiles = MOST_TILES / wide.div_ceil(tile);
+    let by_tiles = MAX_TILES / wide.div_ceil(tile);
     let band = by_planes.min(by_tiles).min(u64::from(height.div_ceil(TILE))) as u32 * TILE;
     if slab == 0 || band == 0 {
         let what = "columns of a picture to fit";
@@ -64,12 +64,12 @@ pub(super) fn rows_at_a_time(width: u32, height: u32, words: u32, binding: u64) 
     Ok([slab, band])
 }
 
-/// Words that a pixel of `depth` takes: its samples, and the amplitude of its error where `target` has one.
+/// Returns the number of words per pixel of `depth`: its samples, and the amplitude of its error if `target` has one.
 pub(super) fn words(target: &Planes, depth: Depth) -> u32 {
     depth.bytes() as u32 + u32::from(!target.amplitude.is_empty())
 }
 
-/// Rows `first..end` of a target that is not of whole code values, as [`pack`] has them.
+/// Packs rows `first..end` of a target that does not consist of whole code values, in the format of [`pack`].
 pub(super) fn pack_target(target: &Planes, depth: Depth, first: u32, end: u32) -> Vec<u32> {
     let count = target.channels.count();
     let white = depth.max();
@@ -90,8 +90,8 @@ pub(super) fn pack_target(target: &Planes, depth: Depth, first: u32, end: u32) -
     out
 }
 
-/// Rows `first..end` of the target, whose samples are `pixels`: four channels a pixel in a word with 8 bits a sample or two
-/// with 16, and the amplitude of its error, where there is one, as a float in a word more.
+/// Packs rows `first..end` of the target, whose samples are `pixels`. A pixel has four channels, in one word with 8
+/// bits per sample and two with 16, and another word with the amplitude of its error as a float, if there is one.
 pub(super) fn pack(pixels: &Pixels, target: &Planes, first: u32, end: u32) -> Vec<u32> {
     let samples = pack_samples(pixels, first, end);
     if target.amplitude.is_empty() {
@@ -110,7 +110,7 @@ pub(super) fn pack(pixels: &Pixels, target: &Planes, first: u32, end: u32) -> Ve
     out
 }
 
-/// The words of the samples alone.
+/// Packs the samples alone.
 fn pack_samples(pixels: &Pixels, first: u32, end: u32) -> Vec<u32> {
     let count = pixels.channels().count();
     let row = pixels.width() as usize * count;

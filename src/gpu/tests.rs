@@ -1,4 +1,4 @@
-//! Tests that need private access: the text and the layouts of the shaders, and each stage compared with its twin.
+//! Tests that need private access: shader sources and layouts, and each stage compared with its twin.
 
 use super::kernels::{Kernels, fold};
 use super::scene::{Primitive, Splat, Uniforms};
@@ -44,7 +44,7 @@ fn every_shader_is_valid_and_within_default_limits() {
     }
 }
 
-/// Offsets and names of the members of the WGSL struct `name`, and its size.
+/// Returns the offsets and names of the members of the WGSL struct `name`, and its size.
 fn members(module: &naga::Module, name: &str) -> (Vec<(String, u32)>, u32) {
     let found = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name));
     let Some((_, naga::Type { inner: naga::TypeInner::Struct { members, span }, .. })) = found else {
@@ -105,17 +105,17 @@ fn sine_and_cosine_of_the_twin_are_within_two_ten_millionths() {
 
 #[test]
 fn sixteen_thousand_rows_fit_into_bindings() {
-    use super::lists::{MOST_BINDING, check_primitives};
+    use super::lists::{MAX_BINDING, check_primitives};
     use super::source::rows_at_a_time;
     use crate::error::{Error, GpuError};
     // The largest picture of the SmartSplat paper: six slabs, 768 sampled rows at a time.
-    assert_eq!(rows_at_a_time(10_848, 16_320, 1, MOST_BINDING).unwrap(), [3093, 768]);
-    assert_eq!(rows_at_a_time(10_848, 16_320, 2, MOST_BINDING).unwrap(), [1546, 768]);
+    assert_eq!(rows_at_a_time(10_848, 16_320, 1, MAX_BINDING).unwrap(), [3093, 768]);
+    assert_eq!(rows_at_a_time(10_848, 16_320, 2, MAX_BINDING).unwrap(), [1546, 768]);
     // Flat and small pictures.
-    assert_eq!(rows_at_a_time(1 << 19, 36, 2, MOST_BINDING).unwrap(), [32, 16]);
-    assert_eq!(rows_at_a_time(1, 1, 1, MOST_BINDING).unwrap(), [1, 16]);
-    assert!(rows_at_a_time((1 << 19) + 1, 36, 1, MOST_BINDING).is_err());
-    // 64 bytes a splat.
+    assert_eq!(rows_at_a_time(1 << 19, 36, 2, MAX_BINDING).unwrap(), [32, 16]);
+    assert_eq!(rows_at_a_time(1, 1, 1, MAX_BINDING).unwrap(), [1, 16]);
+    assert!(rows_at_a_time((1 << 19) + 1, 36, 1, MAX_BINDING).is_err());
+    // 64 bytes per splat.
     assert!(check_primitives(1_300_000).is_ok() && check_primitives(2 << 20).is_ok());
     let refused = check_primitives((2 << 20) + 1);
     assert!(matches!(refused, Err(Error::Gpu(GpuError::Overflow { what: "primitives", .. }))), "{refused:?}");
@@ -133,7 +133,8 @@ fn workgroups_fold_into_two_dimensions() {
 fn running_out_of_memory_is_told_before_what_it_makes_invalid() {
     use super::device::cause;
     use crate::error::GpuError;
-    // By hand: software devices hand out addresses and find memory behind them later, real ones are not to be filled.
+    // Constructed by hand: software devices return addresses before they allocate memory, and real ones should not be
+    // filled.
     let memory = || Some(wgpu::Error::OutOfMemory { source: "heap 0 is full".into() });
     let invalid =
         || Some(wgpu::Error::Validation { source: "text".into(), description: "buffer is invalid".to_owned() });
@@ -145,7 +146,8 @@ fn running_out_of_memory_is_told_before_what_it_makes_invalid() {
 }
 
 mod stages {
-    //! Each stage beside its twin, on any adapter. Without one they say so; with `SSPLAT_REQUIRE_GPU=1` they fail.
+    //! Compares each stage with its twin on any adapter. Without an adapter the tests print a message, or fail with
+    //! `SSPLAT_REQUIRE_GPU=1`.
 
     use super::super::device::{Adapters, Device};
     use super::super::fit::{Fitter, packed};
@@ -183,7 +185,7 @@ mod stages {
             Ok(device) => Some(device.clone()),
             Err(e) => {
                 assert!(std::env::var("SSPLAT_REQUIRE_GPU").as_deref() != Ok("1"), "{e}");
-                // Past the harness, which would keep it to itself.
+                // Written directly, because the test harness would capture it.
                 let name = std::thread::current().name().unwrap_or_default().to_owned();
                 let _ = writeln!(std::io::stderr(), "test {name} ... ignored, {e}");
                 None
@@ -191,7 +193,7 @@ mod stages {
         }
     }
 
-    /// A device that a test may lose.
+    /// Opens a device that a test may lose.
     pub(crate) fn own_device() -> Option<Device> {
         device()?;
         Some(Device::open(Adapters::Any).unwrap())
@@ -199,7 +201,7 @@ mod stages {
 
     const RATES: Rates = Rates { mean: 0.1, log_scale: 0.1, rotation: 0.1, color: 0.01, decay: [0.9, 0.95] };
 
-    /// Waves and an edge, so that there is something to fit at all scales.
+    /// Waves and an edge, which give detail at all scales.
     fn pixels(width: u32, height: u32, channels: Channels, sixteen: bool) -> Pixels {
         let mut values = Vec::new();
         for y in 0..height {
@@ -239,7 +241,7 @@ mod stages {
         fitter: Fitter,
     }
 
-    /// The target's planes, and weights of its errors if asked for: those for the eye, which differ everywhere.
+    /// Returns the target's planes, with perceptual weights of its errors if requested, which differ everywhere.
     fn planes(pixels: &Pixels, weighted: bool) -> Planes {
         let mut target = Planes::new(pixels);
         if weighted {
@@ -263,8 +265,8 @@ mod stages {
         Case { pixels, target, scene, free, fitter }
     }
 
-    /// Asserts the design document's bound on two implementations of one sum: nearly all values within 1e−4 of each
-    /// other, relative to the largest, and an r.m.s. difference below 1e−5 of it.
+    /// Asserts the bound of the design document for two implementations of a sum: nearly all values agree within 1e−4
+    /// relative to the largest, and the r.m.s. difference is below 1e−5 of it.
     #[track_caller]
     fn assert_near(what: &str, a: &[f32], b: &[f32]) {
         assert_eq!(a.len(), b.len(), "{what}");
@@ -338,7 +340,7 @@ mod stages {
             let splats = twin::project::project(&scene, &free);
             assert_near("splats", bytemuck::cast_slice(&got.splats), bytemuck::cast_slice(&splats));
 
-            // From here on each stage is given what the device's own stage was given.
+            // From here on, each twin gets the inputs that the stage on the device had.
             let splats = &got.splats;
             let (mut cursors, mut starts, mut status) = (vec![0; tiles], vec![0; tiles + 1], [0; 4]);
             let mut lists = vec![0; got.sorted.len()];
@@ -395,10 +397,10 @@ mod stages {
             }
             let mut cpu = State::new(free, bounds);
             let mut gpu = Fitter::new(&device, &problem, &pixels, &cpu.primitives, &bounds).unwrap();
-            // As high as the gradients.
+            // As large as the gradients.
             cpu.price = 1.0;
             gpu.set_price(cpu.price);
-            // Long steps, so that all bounds are met.
+            // Long steps, so that all bounds are reached.
             let rates = Rates { mean: 0.5, log_scale: 0.5, rotation: 0.2, color: 1.5, decay: [0.9, 0.95] };
             for phase in [1, 0, 1] {
                 let rows = RowSet { step: 2, phase };
@@ -409,7 +411,8 @@ mod stages {
             let want: Vec<f32> = cpu.primitives.iter().flat_map(flat).collect();
             let got: Vec<f32> = gpu.primitives().unwrap().iter().flat_map(flat).collect();
             assert!(want.iter().any(|v| v.abs() == 4.0), "no colour at its bound");
-            // Adam's first steps have the gradients' signs: where one is about zero, rounding decides.
+            // Adam's first steps depend on the gradients' signs. Where a gradient is about zero, rounding determines
+            // its sign.
             let far = got.iter().zip(&want).filter(|(a, b)| (*a - *b).abs() > 1e-3 * (1.0 + b.abs())).count();
             assert!(far * 50 <= got.len(), "{blend:?}, weighted {weighted}: {far} of {} far", got.len());
         }
@@ -432,7 +435,7 @@ mod stages {
         let mut cpu = State::new(free, bounds);
         let mut gpu = Fitter::new(&device, &problem, &pixels, &cpu.primitives, &bounds).unwrap();
         let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-3, "{a} {b}");
-        // The order of the two is the same as long as nothing is sorted anew in between.
+        // The order of both is the same as long as nothing is sorted in between.
         gpu.zoom(&half, 0.5).unwrap();
         cpu.zoom(&half, 0.5).unwrap();
         let halved = cpu.primitives.clone();
@@ -441,7 +444,7 @@ mod stages {
             cpu.descend(&half, rows, RATES);
             gpu.descend(&half, rows, RATES).unwrap();
         }
-        // Errors are those at the whole size all the while.
+        // Errors always refer to the whole size.
         let at_whole = float_error(&problem, &project::zoomed(cpu.primitives.clone(), 2.0));
         near(gpu.error(&problem).unwrap(), at_whole);
         near(cpu.error(&problem).unwrap(), at_whole);
@@ -469,7 +472,7 @@ mod stages {
             let stepped = |first: &Problem<'_>| {
                 let mut gpu = Fitter::new(&device, first, &pixels, &free, &bounds).unwrap();
                 gpu.reweigh(&new).unwrap();
-                // Adam makes the first step of signs alone, the second tells sizes.
+                // Adam's first step depends on the signs alone; the second depends on the magnitudes.
                 gpu.descend(&new, RowSet::ALL, RATES).unwrap();
                 gpu.descend(&new, RowSet { step: 2, phase: 1 }, RATES).unwrap();
                 gpu.primitives().unwrap()
@@ -479,7 +482,7 @@ mod stages {
             only.descend(&old, RowSet { step: 2, phase: 1 }, RATES).unwrap();
             assert_eq!(stepped(&old), stepped(&new), "{sixteen}");
             assert_ne!(stepped(&old), only.primitives().unwrap(), "{sixteen}");
-            // Buffers that are there already see the new weights, too.
+            // Existing buffers must get the new weights, too.
             let under_way = |then: Option<&Problem<'_>>| {
                 let mut gpu = Fitter::new(&device, &old, &pixels, &free, &bounds).unwrap();
                 gpu.descend(&old, RowSet::ALL, RATES).unwrap();
@@ -511,7 +514,7 @@ mod stages {
                 let mut gpu = Fitter::within(&device, &problem, &pixels, &state.primitives, &bounds, binding).unwrap();
                 assert_eq!(gpu.sizes()[..2], heights);
                 let error = gpu.error(&problem).unwrap();
-                // One step: Adam makes it of the sums' signs alone, the second tells their sizes.
+                // Adam's first step depends on the signs of the sums alone; the second depends on their magnitudes.
                 for _ in 0..2 {
                     gpu.descend(&problem, rows, RATES).unwrap();
                 }
@@ -520,7 +523,7 @@ mod stages {
             };
             let want = float_error(&problem, &state.primitives);
             let (error, high) = run(1 << 20, [61, 64]);
-            // A row of the target takes 900 bytes, one of the planes 1200.
+            // A row of the target takes 900 bytes, and one of the planes 1200.
             let (same, low) = run(16 * 1200, [21, 16]);
             assert!((error / want - 1.0).abs() < 1e-4 && (same / want - 1.0).abs() < 1e-4, "{error} {same} {want}");
             let far = low.iter().zip(&high).filter(|(a, b)| (*a - *b).abs() > 1e-3 * (1.0 + b.abs())).count();
@@ -536,7 +539,7 @@ mod stages {
             let rows = RowSet { step: 2, phase: 0 };
             let target = planes(&c.pixels, weighted);
             let count = c.free.len();
-            // The error over the same rows, the costs and the peaks of the CPU's own relocation.
+            // The error over the same rows, the costs and the peaks, as the CPU's relocation computes them.
             let problem = Problem { scene: c.scene, target: &target };
             let projected = project::all(&c.free, c.scene.height);
             let mut field = Field::default();
@@ -586,7 +589,7 @@ mod stages {
                     twin::residual::residual(&base, &planes, &source, &mut cells);
                     let got: Vec<[f32; 4]> = d.read_as(&p.cells[0], cells.len()).unwrap();
                     assert_near("residual", bytemuck::cast_slice(&got), bytemuck::cast_slice(&cells));
-                    // The first level of the search, stage by stage in the twins.
+                    // The first level of the search, stage by stage, with the twins.
                     let mut blurred = got;
                     for _ in 0..2 {
                         blurred = twin::blur::blur(&base, &blurred);
@@ -609,13 +612,14 @@ mod stages {
                     twins.sort_by(f32::total_cmp);
                     assert_near("peaks", &first, &twins);
                     let halved = twin::halve::halve(&base, &blurred);
-                    // Level 1 starts in the second buffer; whatever came later went back and forth.
+                    // Level 1 starts in the second buffer; later levels alternate.
                     assert_eq!(halved.len() as u32, base.cells_x.div_ceil(2) * base.cells_y.div_ceil(2));
                     peaks::best(all, 12, &scene)
                 })
                 .unwrap();
             assert_eq!(found.len(), want.len());
-            // The CPU does not look at peaks whose gain is far below the rest; the last of those that the GPU finds may be such.
+            // The CPU skips peaks whose gain is far below the others. The last of those that the GPU finds may be
+            // among them.
             for (a, b) in found.iter().zip(&want).take(10) {
                 assert_eq!((a.mean, a.rotation), (b.mean, b.rotation));
                 assert!(
@@ -679,7 +683,7 @@ mod stages {
         }
     }
 
-    /// A few levels in every block, so many so far.
+    /// A few levels in every block; the field is the number of levels so far.
     struct Ripples(u8);
 
     impl Maker for Ripples {
@@ -720,7 +724,7 @@ mod stages {
             .iter()
             .map(|g| Primitive { mean: g.mean, log_scale: g.scale.map(f32::ln), rotation: g.rotation, color: g.color })
             .collect();
-        // Whole; 8 × 4 samples a pixel; samples 1.5 and 2.3 pixels apart. Without a layer and with one.
+        // The whole picture; 8 × 4 samples per pixel; samples 1.5 and 2.3 pixels apart. Each with and without a layer.
         let sizes = [(width, height), (6, 11), (4, 2)];
         for ((width, height), detail) in sizes.into_iter().flat_map(|size| [(size, 0), (size, 1)]) {
             let view = crate::raster::View::full(&picture).resized(width, height).unwrap();
@@ -739,20 +743,20 @@ mod stages {
             twin::bin::bin(&Uniforms { mode: 1, ..u }, &splats, &mut cursors, &mut lists, &mut [0; 4]);
             let mut codes = vec![0u32; (width * height) as usize];
             let added = overlay.additions(&view, 0, width as usize, 0..height);
-            twin::render::render(&u, &splats, &starts, &lists, &mut codes, added.first(height));
+            twin::render::render(&u, &splats, &starts, &lists, &mut codes, added.first_rows(height));
             let mut renderer = if detail == 1 { new().adding(Arc::clone(&overlay)) } else { new() };
             let drawn = renderer.render(&view, crate::Depth::Eight).unwrap().into_samples();
             let Samples::U8(drawn) = drawn else { panic!("8 bits") };
             let got = renderer.splats().unwrap();
             assert_near("splats", bytemuck::cast_slice(&got), bytemuck::cast_slice(&splats));
             let codes: Vec<u8> = codes.iter().flat_map(|c| c.to_le_bytes()).collect();
-            // A value on the edge between two codes may fall to either side.
+            // A value at the boundary between two codes may be rounded to either.
             assert!(drawn.iter().zip(&codes).all(|(a, b)| a.abs_diff(*b) <= 1));
             assert!(drawn.iter().zip(&codes).filter(|(a, b)| a != b).count() * 1000 <= drawn.len());
         }
     }
 
-    /// Half the squared error in f64, unclamped where the picture is within 0..=1.
+    /// Half the squared error in f64, not clamped where the picture is within 0..=1.
     fn loss(c: &Case, free: &[Free]) -> f64 {
         let gaussians: Vec<_> = free.iter().map(|p| p.to_gaussian()).collect();
         let picture = crate::Picture {
@@ -777,11 +781,12 @@ mod stages {
             let scene = Scene { width, height, blend, background: [0.5; 4] };
             let mut free = primitives(width, height, 12);
             for p in &mut free {
-                // Within 0..=1 everywhere, where the straight-through clamp is no clamp.
+                // Within 0..=1 everywhere, where the straight-through clamp has no effect.
                 p.color =
                     if blend == Blend::Sum { p.color.map(|c| 0.1 * c - 0.06) } else { p.color.map(|c| 0.4 + 0.2 * c) };
                 p.color[3] = 0.0;
-                // Some weight everywhere: where it ends, the loss has kinks that differences see and gradients do not.
+                // Large supports: at the edge of a support, the loss has kinks, which finite differences include and
+                // gradients do not.
                 p.log_scale = p.log_scale.map(|l| l + 1.2);
             }
             let target = Planes::new(&pixels);
@@ -824,7 +829,7 @@ mod stages {
         }
     }
 
-    /// Has primitives taken away and added once, and their number as it was in the end.
+    /// Removes and adds primitives once, and records their final number.
     struct TakesAndAdds {
         count: usize,
         is_first: bool,
@@ -847,7 +852,7 @@ mod stages {
         schedule::run(&Job { problem, count, plan }, engine, (rng, 0..plan.iterations), &mut watcher).unwrap();
     }
 
-    /// Returns `count` primitives that are spread by detail.
+    /// Returns `count` primitives whose density follows the detail.
     fn scattered(target: &Planes, count: usize, seed: u64) -> State {
         let primitives = sample::by_detail(target, count, &mut Pcg64Mcg::seed_from_u64(seed));
         State::new(primitives, Bounds::new(target.width, target.height))
@@ -858,14 +863,15 @@ mod stages {
         -10.0 * (error / samples as f64).log10()
     }
 
-    /// A photograph: on smooth drawings the first steps of a fit are chaos, which tells nothing.
+    /// A photograph, because the first steps of fits to smooth drawings are chaotic and do not tell anything.
     fn photograph() -> Pixels {
         let photo = image::open(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/images/kodim05.png")).unwrap().to_rgb8();
         let part = image::imageops::crop_imm(&photo, 300, 200, 192, 128).to_image();
         Pixels::new(192, 128, Channels::Rgb, Samples::U8(part.into_raw())).unwrap()
     }
 
-    /// Fits of `count` primitives in `steps` steps: PSNR on the CPU, and what the GPU is above it, dB.
+    /// Fits `count` primitives in `steps` steps. Returns the PSNR on the CPU, and the difference of the GPU's to it,
+    /// dB.
     fn compared(device: &Device, (blend, weighted): (Blend, bool), count: usize, steps: u32, seed: u64) -> (f64, f64) {
         let pixels = photograph();
         let target = planes(&pixels, weighted);
@@ -893,7 +899,7 @@ mod stages {
         (want, got - want)
     }
 
-    /// Mean of `values`, and how well so many of them let one know it.
+    /// Returns the mean of `values` and its standard error.
     fn mean(values: &[f64]) -> (f64, f64) {
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n;
@@ -910,14 +916,14 @@ mod stages {
         ] {
             let one = |seed| compared(&device, (blend, weighted), count, 40, seed).1;
             let differences: Vec<f64> = seeds.map(one).collect();
-            // A tenth of a decibel, beyond twice what the scatter of so few seeds lets one know of the mean.
+            // A tenth of a decibel, plus twice the standard error of the mean over the few seeds.
             let (mean, scatter) = mean(&differences);
             assert!(mean.abs() < 0.1 + 2.0 * scatter && scatter < 0.2, "{blend:?}: {differences:?}");
         }
     }
 
-    /// Compares fits as above with so many seeds that the mean is known. For comparison it also runs the same start on
-    /// the CPU alone with its means moved by 10⁻⁴ pixels.
+    /// Compares fits as above, with enough seeds to determine the mean. For comparison, it also runs the CPU alone
+    /// with the means of the same start moved by 10⁻⁴ pixels.
     #[test]
     #[ignore = "minutes on software Vulkan"]
     fn many_fits_differ_from_the_cpus_by_rounding_alone() {
@@ -966,7 +972,7 @@ mod stages {
         assert_ne!(fitter.primitives().unwrap(), best);
         fitter.keep_best().unwrap();
         assert_eq!(fitter.primitives().unwrap(), best);
-        // A state that is not clearly worse is kept, and so is one with nothing to compare it with.
+        // A state that is not clearly worse is kept, and so is one without a predecessor.
         for remembers in [true, false] {
             if remembers {
                 fitter.remember(&problem).unwrap();

@@ -1,5 +1,5 @@
-//! Working memory of a step: buffers that depend on the number of primitives, the bands and the lists, and the passes
-//! bound to them.
+//! Working memory of a step: buffers whose sizes depend on the number of primitives, the bands and the lists, and the
+//! passes bound to them.
 
 use super::device::Device;
 use super::lists::Lists;
@@ -7,17 +7,17 @@ use super::scene::Uniforms;
 use super::source::Source;
 use crate::error::Result;
 
-/// Sets of uniforms that are submitted at a time.
+/// Sets of uniforms per submission.
 pub(super) const SLOTS: usize = 1024;
 
-/// Bytes that a pair takes in the slots.
+/// Bytes per pair in the slots.
 pub(super) const SLOT: u64 = 48;
 
-/// How much the buffers are to hold.
+/// Sizes that the buffers must hold.
 #[derive(Debug)]
-pub(super) struct Room {
+pub(super) struct BufferSizes {
     pub primitives: u64,
-    /// Pairs of the lists.
+    /// Capacity of the lists in pairs.
     pub capacity: u32,
     /// Pixels of a band.
     pub pixels: u64,
@@ -39,7 +39,7 @@ pub(super) struct Workspace {
     pub importance: Vec<wgpu::BindGroup>,
     pub gather: wgpu::BindGroup,
     pub adam: wgpu::BindGroup,
-    /// Buffer that a test reads.
+    /// Buffer that tests read.
     #[cfg(test)]
     pub tails: wgpu::Buffer,
     #[cfg(test)]
@@ -47,23 +47,29 @@ pub(super) struct Workspace {
 }
 
 impl Workspace {
-    /// Makes them for the slabs of `source` and the `state` of a fit: its primitives, and the moments that Adam keeps of them.
+    /// Creates the buffers and passes for the slabs of `source` and the `state` of a fit: its primitives, and Adam's
+    /// moments of them.
     ///
     /// # Errors
-    /// [`Error::Gpu`](crate::Error::Gpu) when the device cannot hold them.
-    pub(super) fn new(device: &Device, source: &Source, state: [&wgpu::Buffer; 3], room: &Room) -> Result<Self> {
+    /// [`Error::Gpu`](crate::Error::Gpu) if the device does not have enough memory.
+    pub(super) fn new(
+        device: &Device,
+        source: &Source,
+        state: [&wgpu::Buffer; 3],
+        sizes: &BufferSizes,
+    ) -> Result<Self> {
         let [primitives, first, second] = state;
         device.scoped(|| {
             use wgpu::BufferUsages as U;
             let (k, d) = (device.kernels(), device.wgpu().0);
             let uniforms =
                 device.buffer("uniforms", SLOTS as u64 * u64::from(Uniforms::STRIDE), U::UNIFORM | U::COPY_DST);
-            let lists = Lists::new(device, &uniforms, primitives, room.primitives, room.band_tiles, room.capacity);
-            let planes = device.storage("planes", room.pixels * 16);
-            let tails = device.storage("tails", room.pixels * 4);
-            let errors = device.storage("errors", room.all_tiles * 4);
-            let slots = device.storage("slots", u64::from(room.capacity) * SLOT);
-            let moments = device.storage("moments", room.primitives * 36);
+            let lists = Lists::new(device, &uniforms, primitives, sizes.primitives, sizes.band_tiles, sizes.capacity);
+            let planes = device.storage("planes", sizes.pixels * 16);
+            let tails = device.storage("tails", sizes.pixels * 4);
+            let errors = device.storage("errors", sizes.all_tiles * 4);
+            let slots = device.storage("slots", u64::from(sizes.capacity) * SLOT);
+            let moments = device.storage("moments", sizes.primitives * 36);
             let shared = [&lists.splats, &lists.starts, &lists.sorted, &lists.status];
             let forward = source.slabs.iter().map(|s| {
                 let buffers = [&shared[..], &[&s.source, &planes, &tails, &errors]].concat();
@@ -94,7 +100,7 @@ impl Workspace {
         })
     }
 
-    /// The sum of what the last step or survey, of `tiles` tiles in all bands, left in the errors.
+    /// Returns the error of the last step or survey, summed over the `tiles` tiles of all bands.
     pub(super) fn error(&self, device: &Device, tiles: u64) -> Result<f64> {
         Ok(device.read_as::<f32>(&self.errors, tiles as usize)?.iter().map(|&e| f64::from(e)).sum())
     }

@@ -1,10 +1,10 @@
-//! Choice of the metadata of a picture that its file carries.
+//! Selects the metadata of a source picture that a file stores.
 
 use image::metadata::Orientation;
 
 use crate::options::Carry;
 
-/// Metadata that a file carries of a picture, and the sizes of what is left out.
+/// Metadata to store in a file, and the sizes of the metadata that are left out.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Carried {
@@ -12,17 +12,18 @@ pub struct Carried {
     pub icc: Option<Vec<u8>>,
     /// The EXIF block, for [`Encoder::exif`](crate::Encoder::exif).
     pub exif: Option<Vec<u8>>,
-    /// Bytes of the profile that is left out, 0 where none is.
+    /// Size of the profile that is left out, bytes; 0 if none is.
     pub icc_left_out: usize,
-    /// Bytes of the EXIF block that is left out, be it for a block of the orientation alone; 0 where none is.
+    /// Size of the EXIF block that is left out, bytes, also if a block with only the orientation replaces it; 0 if
+    /// none is.
     pub exif_left_out: usize,
-    /// Whether the picture was to be turned and nothing in the file says so.
+    /// Whether the picture has an orientation that the file does not store.
     pub is_orientation_left_out: bool,
 }
 
 impl Carry {
-    /// Returns the metadata to carry of a picture with this ICC profile, this EXIF block and this orientation. An
-    /// orientation from elsewhere than the EXIF block, as in TIFF, is put into one.
+    /// Returns the metadata to store for a picture with this ICC profile, this EXIF block and this orientation. An
+    /// orientation that does not come from an EXIF block, as in TIFF, is stored in a new one.
     ///
     /// ```
     /// use image::metadata::Orientation;
@@ -40,7 +41,7 @@ impl Carry {
         let (all_icc, all_exif) = (length(&icc), length(&exif));
         let (icc, exif) = match self {
             Carry::All => (icc, exif.or_else(alone)),
-            // A block with no more than the orientation stays what it is.
+            // A block that contains only the orientation is kept unchanged.
             Carry::Needed if exif.as_ref().is_some_and(|exif| is_turned && exif.len() <= BLOCK) => (icc, exif),
             Carry::Needed => (icc, alone()),
             Carry::Icc => (icc, None),
@@ -48,7 +49,7 @@ impl Carry {
         };
         Carried {
             icc_left_out: if icc.is_some() { 0 } else { all_icc },
-            // A block that can hold no more than an orientation is no loss.
+            // Leaving out a block that can only hold an orientation loses nothing.
             exif_left_out: if length(&exif) < all_exif && all_exif > BLOCK { all_exif } else { 0 },
             is_orientation_left_out: is_turned && exif.is_none(),
             icc,
@@ -57,10 +58,10 @@ impl Carry {
     }
 }
 
-/// Bytes of a block with nothing but an orientation.
+/// Bytes of an EXIF block that contains only an orientation.
 const BLOCK: usize = 26;
 
-/// Returns an EXIF block that says `orientation` and nothing else: a TIFF header, and a directory of one entry.
+/// Returns an EXIF block that contains only `orientation`: a TIFF header and a directory of one entry.
 fn oriented(orientation: Orientation) -> Vec<u8> {
     let mut block = b"II*\0\x08\0\0\0\x01\0".to_vec();
     // Tag 0x0112, type SHORT, one value; no further directory.
@@ -92,7 +93,7 @@ mod tests {
             assert_eq!((carried.exif_left_out, carried.is_orientation_left_out), (3000, false));
             let said = carried.exif.as_deref().and_then(Orientation::from_exif_chunk);
             assert_eq!(said, (orientation != Orientation::NoTransforms).then_some(orientation));
-            // A block that was carried once is carried again unchanged.
+            // A block that was stored once is stored again unchanged.
             let again = Carry::Needed.of(None, carried.exif.clone(), orientation);
             assert_eq!((&again.exif, again.exif_left_out), (&carried.exif, 0));
         }

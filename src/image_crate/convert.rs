@@ -1,4 +1,4 @@
-//! Pixels of the `image` crate to [`Pixels`] and back.
+//! Conversion of pictures of the `image` crate to [`Pixels`] and back.
 
 use image::{DynamicImage, ExtendedColorType, ImageBuffer};
 
@@ -9,7 +9,7 @@ use crate::pixels::{Pixels, Samples};
 impl TryFrom<&DynamicImage> for Pixels {
     type Error = Error;
 
-    /// Copies the samples; `f32` ones are clamped to `0..=1` and kept with 16 bits.
+    /// Copies the samples. `f32` samples are clamped to `0..=1` and stored with 16 bits.
     ///
     /// # Errors
     /// [`Error::Parameter`] for a picture without pixels, with a side over 2²⁰, or with a sample that is not finite.
@@ -25,7 +25,8 @@ impl TryFrom<&DynamicImage> for Pixels {
 impl TryFrom<DynamicImage> for Pixels {
     type Error = Error;
 
-    /// Takes the samples; copies nothing but `f32` ones, which are clamped to `0..=1` and kept with 16 bits.
+    /// Takes the samples without copying them, except `f32` samples, which are clamped to `0..=1` and stored with 16
+    /// bits.
     ///
     /// # Errors
     /// As for a borrowed picture.
@@ -46,19 +47,19 @@ impl TryFrom<DynamicImage> for Pixels {
     }
 }
 
-/// Reason why samples of the `image` crate are not accepted.
+/// Reason for rejecting samples of the `image` crate.
 pub(crate) enum Rejected {
     Pixels(Error),
     Color(ExtendedColorType),
 }
 
-/// How one colour type's bytes become samples.
+/// Conversion of the bytes of one colour type to samples.
 type Conversion = fn(&[u8]) -> Result<Samples>;
 
-/// The samples of `buf` as [`Pixels`].
+/// Returns the samples of `buf` as [`Pixels`].
 ///
 /// # Panics
-/// When the length of `buf` is not that of `width × height` pixels, as [`ImageEncoder::write_image`] asks.
+/// If the length of `buf` does not match `width × height` pixels, as [`ImageEncoder::write_image`] specifies.
 pub(crate) fn gather(buf: &[u8], width: u32, height: u32, color: ExtendedColorType) -> Result<Pixels, Rejected> {
     use ExtendedColorType as C;
     let (channels, samples): (Channels, Conversion) = match color {
@@ -86,7 +87,7 @@ fn bytes(buf: &[u8]) -> Result<Samples> {
     Ok(Samples::U8(buf.to_vec()))
 }
 
-/// Bytes with the first and the third of every `N` exchanged.
+/// Returns the bytes with the first and the third of every `N` exchanged.
 fn swapped<const N: usize>(buf: &[u8]) -> Result<Samples> {
     let mut v = buf.to_vec();
     v.chunks_exact_mut(N).for_each(|pixel| pixel.swap(0, 2));
@@ -110,7 +111,7 @@ fn floats(buf: &[u8]) -> Result<Samples> {
 }
 
 impl From<Pixels> for DynamicImage {
-    /// Takes the samples; copies nothing.
+    /// Takes the samples without copying them.
     fn from(pixels: Pixels) -> Self {
         let (width, height, channels) = (pixels.width(), pixels.height(), pixels.channels());
         let picture = match (pixels.into_samples(), channels) {

@@ -1,4 +1,5 @@
-//! Files to pixels of the `image` crate: [`register`], which makes `image::open("x.ssplat")` work, and [`SsplatDecoder`].
+//! Decodes files for the `image` crate: [`register`], which makes `image::open("x.ssplat")` work, and
+//! [`SsplatDecoder`].
 //!
 //! ```no_run
 //! ssplat::register();
@@ -27,11 +28,12 @@ use crate::raster::{Renderer, SamplesMut};
 /// File name extension of ssplat files, without the dot.
 pub const EXTENSION: &str = "ssplat";
 
-/// Registers this crate with the `image` crate for the whole process, so that it opens ssplat files by extension and by
-/// content.
+/// Registers this crate with the `image` crate for the whole process, so that `image` opens ssplat files by extension
+/// and by content.
 ///
-/// Returns whether `image` opens ssplat files with this crate. It is false if another hook had taken the extension;
-/// that hook stays and nothing is registered. Further calls change nothing and return the same.
+/// Returns whether `image` opens ssplat files with this crate. The result is false if another hook is registered for
+/// the extension; that hook is kept and nothing is registered. Further calls change nothing and return the same value.
+#[doc(alias("hook", "plugin"))]
 pub fn register() -> bool {
     static ACCEPTED: OnceLock<bool> = OnceLock::new();
     *ACCEPTED.get_or_init(|| {
@@ -46,31 +48,32 @@ pub fn register() -> bool {
 
 /// Decodes one ssplat file for the `image` crate, on the CPU.
 ///
-/// The output has the file's own channels and depth. `max_image_width` and `max_image_height` of
-/// [`set_limits`](ImageDecoder::set_limits) are strict; `max_alloc` bounds all that the decoder allocates beside the
-/// caller's buffer. An orientation in the EXIF block is handed out, not applied.
+/// The output has the channels and the depth of the file. `max_image_width` and `max_image_height` of
+/// [`set_limits`](ImageDecoder::set_limits) are strict; `max_alloc` bounds all memory that the decoder allocates in
+/// addition to the caller's buffer. The orientation in the EXIF block is returned by
+/// [`orientation`](ImageDecoder::orientation), not applied.
 #[derive(Debug)]
 pub struct SsplatDecoder<R> {
     reader: R,
     header: Header,
     limits: Limits,
-    /// All of the file, once something behind the header has been asked for.
+    /// The whole file, once anything behind the header has been needed.
     opened: Option<Image>,
 }
 
 impl<R: Read> SsplatDecoder<R> {
-    /// Reads the header and nothing behind it.
+    /// Reads the header only.
     ///
     /// # Errors
-    /// [`ImageError::Decoding`] when it is broken, [`ImageError::Unsupported`] for a newer version,
-    /// [`ImageError::Limits`] when it asks for more than the default [`Limits`], [`ImageError::IoError`] from `reader`.
+    /// [`ImageError::Decoding`] if the header is broken, [`ImageError::Unsupported`] for a newer version,
+    /// [`ImageError::Limits`] if the file exceeds the default [`Limits`], [`ImageError::IoError`] from `reader`.
     pub fn new(mut reader: R) -> ImageResult<Self> {
         let limits = Limits::default();
         let header = Header::read(&mut reader, &limits).map_err(decoding_error)?;
         Ok(SsplatDecoder { reader, header, limits, opened: None })
     }
 
-    /// The file, read on first use.
+    /// Returns the file, which is read on first use.
     fn opened(&mut self) -> ImageResult<&mut Image> {
         let opened = match self.opened.take() {
             Some(opened) => opened,
@@ -81,7 +84,7 @@ impl<R: Read> SsplatDecoder<R> {
 
     fn read(&mut self) -> Result<Image> {
         let rest = read_rest(&mut self.reader, &self.limits)?;
-        Reader::behind(self.header.clone(), &rest, &self.limits).read(Damage::Refuse)
+        Reader::with_header(self.header.clone(), &rest, &self.limits).read(Damage::Refuse)
     }
 
     /// Returns a renderer of the picture and drops the integers.
@@ -148,7 +151,7 @@ impl<R: Read> ImageDecoder for SsplatDecoder<R> {
     }
 }
 
-/// Draws 16-bit samples into a buffer that starts at an odd address, by way of an aligned band.
+/// Renders 16-bit samples through an aligned band into a buffer that starts at an odd address.
 fn render_unaligned(renderer: &Renderer, mut buf: &mut [u8]) {
     let mut band = Vec::new();
     for i in 0..renderer.bands() {
@@ -160,7 +163,7 @@ fn render_unaligned(renderer: &Renderer, mut buf: &mut [u8]) {
     }
 }
 
-/// An error of decoding in the words of `image`; the original is the source where `image` keeps one.
+/// Converts a decoding error to an error of `image`, with the original as its source where `image` has one.
 fn decoding_error(e: Error) -> ImageError {
     match e {
         Error::Io(e) => ImageError::IoError(e),
@@ -179,7 +182,7 @@ fn decoding_error(e: Error) -> ImageError {
     }
 }
 
-/// The format as `image` names it in errors.
+/// Returns the name of the format for errors of `image`.
 fn hint() -> ImageFormatHint {
     ImageFormatHint::Name(EXTENSION.into())
 }

@@ -1,6 +1,6 @@
-//! Pixels of the `image` crate to files: [`SsplatEncoder`] and [`Encoder::save`].
+//! Encodes pictures of the `image` crate: [`SsplatEncoder`] and [`Encoder::save`].
 //!
-//! `image` has no hook for saving, so `DynamicImage::save("x.ssplat")` cannot work; these two can:
+//! `image` has no hook for saving, so `DynamicImage::save("x.ssplat")` cannot work. Use one of these instead:
 //!
 //! ```no_run
 //! use ssplat::{Encoder, SsplatEncoder};
@@ -29,12 +29,13 @@ use crate::error::{Error, Result};
 use crate::options::EncodeOptions;
 use crate::pixels::Pixels;
 
-/// Fits `picture` and writes the file to `path`, replacing what is there once all is written: under another name first.
+/// Encodes `picture` and writes the file to `path`. The file is first written under another name, so that an existing
+/// file is replaced only once the new one is complete.
 ///
-/// A [`DynamicImage`] has neither the ICC profile nor the orientation of the file that it came from.
+/// A [`DynamicImage`] has neither the ICC profile nor the orientation of its file.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be written, [`Error::Parameter`] when `path` has the extension of another format;
+/// [`Error::Io`] if the file cannot be written, [`Error::Parameter`] if `path` has the extension of another format;
 /// otherwise as [`encode`].
 pub fn save(picture: &DynamicImage, path: impl AsRef<Path>, options: &EncodeOptions) -> Result<EncodeReport> {
     check_extension(path.as_ref())?;
@@ -51,14 +52,14 @@ impl Encoder {
     /// [`exif`](Encoder::exif).
     ///
     /// # Errors
-    /// [`Error::Io`] when the file cannot be written, [`Error::Parameter`] when `path` has the extension of another format;
-    /// otherwise as [`Encoder::encode`].
+    /// [`Error::Io`] if the file cannot be written, [`Error::Parameter`] if `path` has the extension of another
+    /// format; otherwise as [`Encoder::encode`].
     pub fn save(&self, picture: &DynamicImage, path: impl AsRef<Path>) -> Result<EncodeReport> {
         save(picture, path, self.options())
     }
 }
 
-/// Refuses a path that programs would take for a picture of another format.
+/// Rejects a path whose extension belongs to another picture format.
 pub(super) fn check_extension(path: &Path) -> Result<()> {
     if ImageFormat::from_path(path).is_err() {
         return Ok(());
@@ -74,8 +75,8 @@ pub(super) fn write(path: &Path, bytes: &[u8]) -> Result<()> {
 
 /// Writes pictures as ssplat files, for [`DynamicImage::write_with_encoder`].
 ///
-/// Accepts the colour types of [`DynamicImage`], and `Bgr8` and `Bgra8`. Samples in `f32` are encoded values where 1.0
-/// is white; they are clamped to `0..=1` and kept with 16 bits. A sample that is not finite is an error.
+/// It accepts the colour types of [`DynamicImage`], and `Bgr8` and `Bgra8`. Samples in `f32` are encoded values where
+/// 1.0 is white; they are clamped to `0..=1` and stored with 16 bits. A sample that is not finite is an error.
 #[derive(Debug)]
 pub struct SsplatEncoder<W> {
     writer: W,
@@ -120,12 +121,12 @@ impl From<Rejected> for ImageError {
     }
 }
 
-/// The format as `image` names it in errors.
+/// Returns the name of the format for errors of `image`.
 fn hint() -> ImageFormatHint {
     ImageFormatHint::Name(EXTENSION.into())
 }
 
-/// An error of encoding in the words of `image`.
+/// Converts an encoding error to an error of `image`.
 fn encoding_error(e: Error) -> ImageError {
     match e {
         Error::Io(e) => ImageError::IoError(e),

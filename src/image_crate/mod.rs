@@ -1,4 +1,4 @@
-//! The door to the `image` crate: opening files through its hook, writing through its encoder trait, pixels both ways.
+//! Interface to the `image` crate: the decoding hook, the encoder trait and pixel conversions.
 
 mod carry;
 mod convert;

@@ -1,14 +1,15 @@
-//! Files are written whole or not at all: under a name of their own first, which is then changed.
+//! Atomic file replacement: files are written under a temporary name and renamed.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Keeps apart the files that one process writes at a time.
+/// Makes the temporary names within a process unique.
 static COUNT: AtomicU64 = AtomicU64::new(0);
 
-/// Writes `bytes` to `path` atomically: if it fails, the old file stays. Devices and pipes are written directly.
+/// Writes `bytes` to `path` atomically: if writing fails, the old file is kept. Devices and pipes are written
+/// directly.
 ///
 /// # Errors
 /// Errors of the file system; no temporary file is left behind.
@@ -19,7 +20,7 @@ pub(super) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
         Ok(found) if !found.is_file() => return fs::write(path, bytes),
         // The file behind a link is replaced, not the link.
         Ok(_) => fs::canonicalize(path)?,
-        // A link that leads nowhere yet: the system follows it.
+        // A dangling link: writing directly lets the system follow it.
         Err(_) if fs::symlink_metadata(path).is_ok() => return fs::write(path, bytes),
         Err(_) => path.to_path_buf(),
     };

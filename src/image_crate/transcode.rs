@@ -1,4 +1,4 @@
-//! Pictures of other formats to files, with their ICC profile and orientation: [`transcode`] and [`encode_decoder`].
+//! Encodes pictures of other formats, with their ICC profile and orientation: [`transcode`] and [`encode_decoder`].
 
 use std::fs::File;
 use std::io::BufReader;
@@ -14,22 +14,22 @@ use crate::error::{Error, Result};
 use crate::options::EncodeOptions;
 use crate::pixels::Pixels;
 
-/// Encodes the picture in the file at `input` and writes it to `output`, with what [`EncodeOptions::carry`] says of its
-/// metadata: by default the ICC profile and the orientation.
+/// Encodes the picture in the file at `input` and writes it to `output`. [`EncodeOptions::carry`] selects the metadata
+/// to keep: by default the ICC profile and the orientation.
 ///
-/// The formats are those that `image` is built with, by content or extension, and ssplat. [`DynamicImage`] holds
-/// neither profile nor orientation, so [`image::open`] and [`save`](super::save) lose both; this does not. A profile that
-/// `options` brings takes the place of the picture's own, and so does an EXIF block.
+/// It reads ssplat and all formats that `image` is built with, recognized by content or extension. [`DynamicImage`]
+/// has neither profile nor orientation, so [`image::open`] and [`save`](super::save) lose both; this function keeps
+/// them. An ICC profile or EXIF block in `options` replaces that of the picture.
 ///
 /// # Errors
-/// [`Error::Io`] when a file cannot be read or written, [`Error::Source`] when `input` is no picture that `image` knows,
-/// [`Error::Parameter`] when `output` has the extension of another format; otherwise as [`encode`].
+/// [`Error::Io`] if a file cannot be read or written, [`Error::Source`] if `image` cannot decode `input`,
+/// [`Error::Parameter`] if `output` has the extension of another format; otherwise as [`encode`].
 pub fn transcode(input: impl AsRef<Path>, output: impl AsRef<Path>, options: &EncodeOptions) -> Result<EncodeReport> {
     register();
     let (input, output) = (input.as_ref(), output.as_ref());
     check_extension(output)?;
     let failed = |error: ImageError| match error {
-        // `image` reports a picture that ends too soon as an IO error, but the picture is at fault.
+        // `image` reports a truncated picture as an I/O error, but the picture is at fault.
         ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::at(input, &e),
         error => Error::Source { path: Some(input.into()), error },
     };
@@ -50,10 +50,10 @@ pub fn transcode(input: impl AsRef<Path>, output: impl AsRef<Path>, options: &En
     Ok(encoded.report)
 }
 
-/// Encodes the picture of a `decoder` of the `image` crate, with what [`EncodeOptions::carry`] says of its metadata.
+/// Encodes the picture of a `decoder` of the `image` crate. [`EncodeOptions::carry`] selects the metadata to keep.
 ///
 /// # Errors
-/// [`Error::Source`] when the decoder fails; otherwise as [`encode`].
+/// [`Error::Source`] if the decoder fails; otherwise as [`encode`].
 pub fn encode_decoder(mut decoder: impl ImageDecoder, options: &EncodeOptions) -> Result<Encoded> {
     let failed = |error| Error::Source { path: None, error };
     let icc = decoder.icc_profile().map_err(failed)?;
@@ -69,13 +69,13 @@ pub fn encode_decoder(mut decoder: impl ImageDecoder, options: &EncodeOptions) -
 }
 
 impl Encoder {
-    /// Encodes the picture in the file at `input` and writes it to `output`, with what [`carry`](Encoder::carry) says of its
-    /// metadata: by default the ICC profile and the orientation.
+    /// Encodes the picture in the file at `input` and writes it to `output`. [`carry`](Encoder::carry) selects the
+    /// metadata to keep: by default the ICC profile and the orientation.
     ///
-    /// The formats are those that `image` is built with, by content or extension, and ssplat. A
-    /// [`DynamicImage`](image::DynamicImage) holds neither profile nor orientation, so [`image::open`] and
-    /// [`save`](Encoder::save) lose both; this does not. A profile that was [set](Encoder::icc) takes the place of the
-    /// picture's own, and so does an EXIF block.
+    /// It reads ssplat and all formats that `image` is built with, recognized by content or extension. A
+    /// [`DynamicImage`](image::DynamicImage) has neither profile nor orientation, so [`image::open`] and
+    /// [`save`](Encoder::save) lose both; this method keeps them. An ICC profile [set](Encoder::icc) on the encoder
+    /// replaces that of the picture, and so does an EXIF block.
     ///
     /// ```no_run
     /// use ssplat::Encoder;
@@ -85,13 +85,14 @@ impl Encoder {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Io`] when a file cannot be read or written, [`Error::Source`] when `input` is no picture that `image` knows,
-    /// [`Error::Parameter`] when `output` has the extension of another format; otherwise as [`Encoder::encode`].
+    /// [`Error::Io`] if a file cannot be read or written, [`Error::Source`] if `image` cannot decode `input`,
+    /// [`Error::Parameter`] if `output` has the extension of another format; otherwise as [`Encoder::encode`].
     pub fn transcode(&self, input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<EncodeReport> {
         transcode(input, output, self.options())
     }
 
-    /// Encodes the picture of a `decoder` of the `image` crate, with what [`carry`](Encoder::carry) says of its metadata.
+    /// Encodes the picture of a `decoder` of the `image` crate. [`carry`](Encoder::carry) selects the metadata to
+    /// keep.
     ///
     /// ```
     /// # let mut png = Vec::new();
@@ -109,7 +110,8 @@ impl Encoder {
     }
 }
 
-/// Tells whether a profile is for the colours of `pixels`: that of a CMYK picture is not for those that it becomes.
+/// Tells whether a profile matches the colours of `pixels`. The profile of a CMYK picture does not match the RGB
+/// pixels to which it is converted.
 fn is_for(icc: &[u8], pixels: &Pixels) -> bool {
     // ICC.1, header: data colour space.
     let wanted = if pixels.channels().count() < 3 { b"GRAY" } else { b"RGB " };

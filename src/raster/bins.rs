@@ -1,4 +1,5 @@
-//! Which Gaussians touch which tile: a counting sort of (Gaussian, tile) pairs, counted before it is done.
+//! Finds the Gaussians that touch each tile, by a counting sort of (Gaussian, tile) pairs. Pairs are counted before
+//! memory is allocated for them.
 
 use super::kernel::{TILE_HEIGHT, TILE_WIDTH};
 use super::project::{Splat, Splats};
@@ -11,16 +12,16 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Pixels of a tile.
-const TILE: u64 = (TILE_WIDTH * TILE_HEIGHT) as u64;
+const TILE_PIXELS: u64 = (TILE_WIDTH * TILE_HEIGHT) as u64;
 
-/// Pixels that take as long as cutting a Gaussian into the strips of a tile.
+/// Work of cutting a Gaussian into the strips of a tile, in pixels.
 const PAIR_WORK: u64 = 1024;
 
-/// Most groups of consecutive Gaussians that are counted and sorted side by side.
-const GROUPS: usize = 16;
+/// Maximum number of groups of consecutive Gaussians that are counted and sorted in parallel.
+const MAX_GROUPS: usize = 16;
 
-/// Pairs after which a group tells the others about them.
-const UNTOLD: u64 = 1 << 16;
+/// Number of pairs after which a group reports its cost to the others.
+const REPORT_INTERVAL: u64 = 1 << 16;
 
 /// The tiles that a view touches.
 #[derive(Debug, Clone, Copy)]
@@ -31,20 +32,20 @@ pub(super) struct Tiles {
     pub count: [u32; 2],
 }
 
-/// For each tile of a view, in rows from its top left, the Gaussians that touch it, in the picture's order.
+/// The Gaussians that touch each tile of a view, in the picture's order. Tiles are in rows from the top left.
 #[derive(Debug)]
 pub(super) struct Bins {
     pub tiles: Tiles,
-    /// Where each tile's list starts in `members`; one more than there are tiles.
+    /// Start of each tile's list in `members`; one entry more than there are tiles.
     starts: Vec<u32>,
     members: Vec<u32>,
-    /// Work of drawing them, in the units of [`Limits::work`].
+    /// Work of rendering them, in the units of [`Limits::work`].
     pub work: u64,
     #[expect(dead_code, reason = "held until the lists are gone")]
     memory: Reservation,
 }
 
-/// Pairs and work of a view: what there is so far, or the most that there may be.
+/// Pairs and work of a view: the current count, or the maximum.
 #[derive(Debug, Clone, Copy)]
 struct Cost {
     pairs: u64,
@@ -52,7 +53,7 @@ struct Cost {
 }
 
 impl Cost {
-    /// Adds `more` to what all groups have come to, checks it and returns how many pairs are left.
+    /// Adds `more` to the cost of all groups, checks the total and returns the number of pairs that are left.
     fn spend(self, more: &mut Cost, spent: &Mutex<Cost>) -> Result<u64> {
         let mut spent = spent.lock().expect("no group panics");
         spent.pairs += more.pairs;
@@ -69,22 +70,26 @@ impl Bins {
         let tiles = Tiles::of(view);
         let number = u64::from(tiles.count[0]) * u64::from(tiles.count[1]);
         let runs: Vec<(u32, &[Splat])> = splats.runs().collect();
-        // Counts of all groups take no more than the larger of one group's and the Gaussians'.
-        let groups = (splats.len() as u64 / number).clamp(1, GROUPS.min(runs.len()).max(1) as u64);
+        // The counts of all groups take no more memory than the counts of one group or the Gaussians, whichever is
+        // larger.
+        let groups = (splats.len() as u64 / number).clamp(1, MAX_GROUPS.min(runs.len()).max(1) as u64);
         let fixed = (groups + 1) * (number + 1) * 4;
         let mut memory = budget.reserve(fixed)?;
         let most = Cost {
             pairs: limits.tile_pairs.min(u64::from(u32::MAX)),
-            work: limits.most_work(u64::from(view.width) * u64::from(view.height), splats.len() as u64),
+            work: limits.max_work(u64::from(view.width) * u64::from(view.height), splats.len() as u64),
         };
         let nothing = || Mutex::new(Cost { pairs: 0, work: 0 });
         let spent = nothing();
         let groups: Vec<&[(u32, &[Splat])]> = runs.chunks(runs.len().div_ceil(groups as usize).max(1)).collect();
         let counts: Result<Vec<Vec<u32>>> =
-            parallel::map(groups.len(), |i| tiles.counts(groups[i], view, most, &spent, UNTOLD)).into_iter().collect();
+            parallel::map(groups.len(), |i| tiles.counts(groups[i], view, most, &spent, REPORT_INTERVAL))
+                .into_iter()
+                .collect();
         let mut slots = match counts {
             Ok(counts) => counts,
-            // How much the groups have come to when they stop depends on how they took turns; the error must not.
+            // The total at which the groups stop depends on their timing. The error must not, so count again
+            // sequentially.
             Err(error) => return Err(tiles.counts(&runs, view, most, &nothing(), 0).err().unwrap_or(error)),
         };
         let Cost { pairs, work } = spent.into_inner().expect("no group panics");
@@ -98,7 +103,7 @@ impl Bins {
             }
         }
         starts.push(next);
-        // Each slot is written once: atomic only so that threads may write side by side.
+        // Each slot is written once. The slots are atomic only so that threads can write in parallel.
         let members: Vec<AtomicU32> = (0..pairs).map(|_| AtomicU32::new(0)).collect();
         parallel::map_chunks(&mut slots, 1, |group, slots| {
             for (first, run) in groups[group] {
@@ -119,7 +124,7 @@ impl Bins {
         Ok(Bins { tiles, starts, members, work, memory })
     }
 
-    /// The Gaussians that touch the tile `(column, row)`, counted from the view's first.
+    /// Returns the Gaussians that touch the tile `(column, row)`, counted from the view's first tile.
     pub fn members(&self, column: u32, row: u32) -> &[u32] {
         let tile = row as usize * self.tiles.count[0] as usize + column as usize;
         &self.members[self.starts[tile] as usize..self.starts[tile + 1] as usize]
@@ -134,15 +139,15 @@ impl Tiles {
         Tiles { first, count }
     }
 
-    /// How many Gaussians of `runs` touch each tile. Adds to what all groups have `spent` after each run and each `untold`
-    /// pairs, and fails when that is more than `most`.
+    /// Counts the Gaussians of `runs` that touch each tile. After each run and every `report_interval` pairs, the cost
+    /// is added to what all groups have `spent`. Fails if the total exceeds `most`.
     fn counts(
         &self,
         runs: &[(u32, &[Splat])],
         view: &View,
         most: Cost,
         spent: &Mutex<Cost>,
-        untold: u64,
+        report_interval: u64,
     ) -> Result<Vec<u32>> {
         let mut counts = vec![0u32; self.count[0] as usize * self.count[1] as usize];
         let mut new = Cost { pairs: 0, work: 0 };
@@ -158,8 +163,8 @@ impl Tiles {
                     new.pairs <= left
                 });
                 let pairs = new.pairs - before;
-                new.work += pairs * PAIR_WORK + splat.covered(view).min(pairs * TILE) * splat.toll();
-                if new.pairs > untold {
+                new.work += pairs * PAIR_WORK + splat.covered(view).min(pairs * TILE_PIXELS) * splat.cost();
+                if new.pairs > report_interval {
                     left = most.spend(&mut new, spent)?;
                 }
             }
@@ -169,12 +174,12 @@ impl Tiles {
     }
 
     /// Calls `f` with the index of the first tile of each tile row that `splat` touches and the columns that it
-    /// touches there, until `f` has had enough.
+    /// touches there, until `f` returns that it is done.
     fn rows(&self, splat: &Splat, mut f: impl FnMut(usize, std::ops::Range<usize>) -> bool) {
         let size = [TILE_WIDTH as f64, TILE_HEIGHT as f64];
         let corner: [f64; 2] = std::array::from_fn(|k| f64::from(self.first[k]) * size[k]);
         let mean: [f64; 2] = std::array::from_fn(|k| splat.mean[k] - corner[k]);
-        // Casts saturate and round towards zero, which is down where it matters.
+        // Casts saturate and round towards zero, which is down for the values that matter.
         let tiles = |k: usize, low: f64, high: f64| {
             let start = (low * (1.0 / size[k])) as u32;
             let end = if high < 0.0 { 0 } else { ((high * (1.0 / size[k])) as u32).saturating_add(1) };
@@ -184,7 +189,7 @@ impl Tiles {
         let [ex, ey] = splat.extent();
         let columns = tiles(0, mean[0] - ex, mean[0] + ex);
         let rows = tiles(1, mean[1] - ey, mean[1] + ey);
-        // An extent beyond f32 is infinite: no tile within the box is ruled out.
+        // An extent beyond the range of f32 is infinite; every tile within the box is kept.
         if columns.len() <= 1 || rows.len() <= 1 || (ex + ey).is_infinite() {
             for row in rows {
                 if !f(row * self.count[0] as usize, columns.clone()) {
@@ -193,18 +198,18 @@ impl Tiles {
             }
             return;
         }
-        // In rows the support reaches from `lean·dy − half` to `lean·dy + half`, half = width·√(1 − dy²/extent²).
+        // In a row, the support reaches from `lean·dy − half` to `lean·dy + half`, half = width·√(1 − dy²/extent²).
         let deepest = splat.tip;
         let lean = deepest / ey;
         let width = (ex * ex - deepest * deepest).max(0.0).sqrt();
-        // The rightmost point lies where `x = ex`; by symmetry of the covariance its dy is `tip·ey/ex`.
+        // The rightmost point is at `x = ex`; by symmetry of the covariance, its dy is `tip·ey/ex`.
         let level = deepest * ey / ex;
         let inverse = ey.recip();
         let half = |dy: f64| width * (1.0 - (dy * inverse).powi(2)).max(0.0).sqrt();
         for row in rows {
             let (top, bottom) = (row as f64 * size[1] - mean[1], (row + 1) as f64 * size[1] - mean[1]);
             let (right, left) = (level.clamp(top, bottom), (-level).clamp(top, bottom));
-            // One pixel of slack: rounding here must never lose a tile that the kernel would draw in.
+            // One pixel of margin: rounding must not lose a tile in which the kernel would draw.
             let reach = tiles(0, mean[0] + lean * left - half(left) - 1.0, mean[0] + lean * right + half(right) + 1.0);
             if !f(row * self.count[0] as usize, reach) {
                 return;
@@ -220,7 +225,7 @@ mod tests {
     use crate::error::Error;
     use crate::gaussian::Gaussian;
 
-    /// Sorts within `limits` alone.
+    /// Sorts within the given `limits`, without other accounting.
     fn bins(splats: &Splats, view: &View, limits: &Limits) -> Result<Bins> {
         Bins::new(splats, view, limits, &Budget::of(limits))
     }
@@ -271,7 +276,7 @@ mod tests {
         let view = View::of_size(2100, 1300);
         let splats = splats(60_000, &view);
         let pairs = bins(&splats, &view, &Limits::default()).unwrap().members.len() as u64;
-        assert!(pairs > 2 * UNTOLD, "{pairs}");
+        assert!(pairs > 2 * REPORT_INTERVAL, "{pairs}");
         let mut limits = Limits::default();
         for _ in 0..20 {
             limits.tile_pairs = pairs;

@@ -1,9 +1,11 @@
-//! The hot loops: Gaussians into a strip of eight columns, and the strip into code values.
+//! The inner loops: they accumulate Gaussians in a strip of eight columns, and convert the strip to code values.
 //!
-//! A strip is as wide as one AVX register and, with its planes side by side, small enough for the first-level cache.
+//! A strip is as wide as one AVX register. With its planes next to each other, it is small enough for the first-level
+//! cache.
 //!
-//! Large Gaussians are drawn at every pixel, too: sums of fewer samples, interpolated, miss the kink at a support's edge, which
-//! shows by several code values where a Gaussian lies alone and ε is all that it is divided by.
+//! Large Gaussians are evaluated at every pixel, too. Interpolating sums of fewer samples would miss the kink at the
+//! edge of a support. The kink amounts to several code values where a Gaussian lies alone and its weight is divided by
+//! little more than ε.
 
 use super::overlay::{Additions, SCALE};
 use super::project::{SUPPORT, Splat, Splats};
@@ -16,18 +18,18 @@ use crate::simd::{LANES, Lanes, Simd, Task};
 /// Columns of a tile.
 pub(super) const TILE_WIDTH: usize = 128;
 
-/// Rows of a tile. The recurrence starts afresh in each, which bounds its drift.
+/// Rows of a tile. The recurrence restarts in each tile, which bounds its drift.
 pub(super) const TILE_HEIGHT: usize = 128;
 
 /// Strips of a tile.
 const STRIPS: usize = TILE_WIDTH / LANES;
 
-/// Working memory for drawing one tile at a time.
+/// Working memory for rendering one tile at a time.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    /// The members of a batch side by side.
+    /// The splats of a batch.
     batch: Vec<Splat>,
-    /// The members of a batch on each strip that they touch.
+    /// The segments of a batch in each strip that they touch.
     lists: [Vec<Segment>; STRIPS],
     /// Sums of the strips, row by row and plane by plane.
     sums: Vec<Lanes>,
@@ -35,7 +37,8 @@ pub(super) struct Scratch {
     codes: Codes,
 }
 
-/// The part of a tile that a view shows, in pixels of the grid that tiles lie on: [`Drawing::parts`] for each of the output.
+/// The part of a tile that a view shows, in pixels of the grid of the tiles, which has [`Drawing::parts`] pixels per
+/// output pixel.
 #[derive(Debug, Clone)]
 pub(super) struct Window {
     /// The tile's corner on the grid.
@@ -46,23 +49,23 @@ pub(super) struct Window {
     pub rows: std::ops::Range<usize>,
 }
 
-/// Everything that is the same for all tiles.
+/// Parameters that are the same for all tiles.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Drawing<'a> {
     pub splats: &'a Splats,
     pub blend: Blend,
     pub background: [f32; 4],
     pub channels: usize,
-    /// Columns and rows whose mean is a pixel of the output; divisors of [`LANES`].
+    /// Columns and rows that are averaged to a pixel of the output; divisors of [`LANES`].
     pub parts: [usize; 2],
 }
 
-/// Where the additions to pixels are stored.
+/// Storage of the additions to pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Source<'a> {
     /// Rows of the view.
     Rows(&'a Additions),
-    /// The tile of the layer in which the pixels lie.
+    /// The tile of the detail layer that contains the pixels.
     Tile(&'a TilePlanes),
 }
 
@@ -70,12 +73,12 @@ pub(super) enum Source<'a> {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Added<'a> {
     pub source: Source<'a>,
-    /// The first row that is shown and the first column of the tile, counted as the source counts them.
+    /// The first row that is shown and the first column of the tile, in the coordinates of the source.
     pub row: usize,
     pub column: usize,
 }
 
-/// One tile to draw.
+/// One tile to render.
 pub(super) struct Job<'a, 'b, T> {
     pub scene: Drawing<'a>,
     /// The splats that touch the tile.
@@ -90,7 +93,7 @@ pub(super) struct Job<'a, 'b, T> {
 impl<T: Sample> Task for Job<'_, '_, T> {
     type Output = ();
 
-    /// Draws the tile.
+    /// Renders the tile.
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         match (self.scene.blend, self.scene.channels) {
@@ -106,7 +109,8 @@ impl<T: Sample> Task for Job<'_, '_, T> {
     }
 }
 
-/// `C` channels; `P` planes are summed: the channels and, where the blend divides by it, the weight.
+/// Renders a tile with `C` channels. `P` planes are accumulated: the channels and, where the blend divides by the
+/// weight, the weight.
 #[inline(always)]
 fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_, '_, T>) {
     let Job { scene, members, window, scratch, out, added } = job;
@@ -117,11 +121,11 @@ fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_
     let rows = window.rows.end;
     let [across, down] = scene.parts;
     let first_row = window.rows.start / down;
-    let batches = members.len().div_ceil(BATCH).max(1);
-    // One batch, and one strip's sums serve all in turn and stay in the first-level cache.
+    let batches = members.len().div_ceil(MAX_BATCH).max(1);
+    // With a single batch, all strips use the sums of one strip in turn, which stay in the first-level cache.
     let kept = if batches == 1 { 1 } else { STRIPS };
     sums.resize(kept * TILE_HEIGHT * P, Lanes([0.0; LANES]));
-    // Finishing a strip visits all of its sums and leaves them as the next strip is to find them.
+    // Finishing a strip visits all of its sums and resets them for the next strip.
     let renewed = kept == 1 && window.rows.start == 0;
     let mut start = [0.0; P];
     for (k, value) in start.iter_mut().enumerate() {
@@ -129,8 +133,9 @@ fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_
         *value = if P > C { EPSILON * b } else { b };
     }
     for batch in 0..batches {
-        let members = &members[batch * BATCH..members.len().min((batch + 1) * BATCH)];
-        // Far apart in memory: fetched one after the other, they would each be waited for.
+        let members = &members[batch * MAX_BATCH..members.len().min((batch + 1) * MAX_BATCH)];
+        // The splats are far apart in memory. They are copied together, because the kernel would wait for each of
+        // them.
         near.clear();
         near.extend(members.iter().map(|&id| *scene.splats.get(id)));
         prepare(simd, near, window.corner, rows, lists);
@@ -170,7 +175,7 @@ fn fill<S: Simd, const P: usize>(simd: S, row: &mut [Lanes; P], values: [f32; P]
     }
 }
 
-/// The sums of one row of a strip as colours from 0 to white.
+/// Returns the sums of one row of a strip as colours from 0 to white.
 #[inline(always)]
 fn shade<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, row: &[Lanes; P]) -> [S::Vector; C] {
     let white = simd.splat(T::WHITE);
@@ -183,7 +188,8 @@ fn shade<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, row: &[Lan
     values
 }
 
-/// The sums of a strip as code values, from the strip's place in the first row of `codes` on; they are left at `start`.
+/// Converts the sums of a strip to code values, which start at the strip's position in the first row of `codes`.
+/// Resets the sums to `start`.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn finish<S: Simd, T: Sample, const C: usize, const P: usize>(
@@ -207,7 +213,7 @@ fn finish<S: Simd, T: Sample, const C: usize, const P: usize>(
 
 /// Adds to a row of a strip.
 ///
-/// In WebAssembly all numbers of channels share one, for the module's size.
+/// In WebAssembly, all numbers of channels share one function, which keeps the module small.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn enrich<S: Simd, T: Sample>(simd: S, values: &mut [S::Vector], Added { source, row, column }: Added<'_>) {
@@ -225,8 +231,8 @@ fn enrich<S: Simd, T: Sample>(simd: S, values: &mut [S::Vector], Added { source,
     }
 }
 
-/// The means of each `across` columns and `down` rows of a strip as code values, from the strip's place in the first row of
-/// `codes` on; the sums are left at `start`.
+/// Averages each `across` columns and `down` rows of a strip to code values, which start at the strip's position in
+/// the first row of `codes`. Resets the sums to `start`.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn reduce<S: Simd, T: Sample, const C: usize, const P: usize>(
@@ -241,8 +247,8 @@ fn reduce<S: Simd, T: Sample, const C: usize, const P: usize>(
     }
 }
 
-/// The mean of each `across` columns of all `rows` of a strip as code values; the rows are left at `start`. Colours count by
-/// their alpha: what hides where a picture is transparent shall not show where it is not.
+/// Averages each `across` columns of all `rows` of a strip to code values, and resets the rows to `start`. Colours are
+/// weighted by their alpha, so that colours under alpha 0 do not become visible.
 #[inline(always)]
 fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
     simd: S,
@@ -275,15 +281,15 @@ fn average<S: Simd, T: Sample, const C: usize, const P: usize>(
     }
     let mut weight_columns = Lanes([0.0; LANES]);
     simd.store(&mut weight_columns, weights);
-    // A power of two: the mean is as exact as the sum.
+    // A power of two, so that the mean is as exact as the sum.
     let share = 1.0 / (across * down) as f32;
     means(&columns, has_alpha.then_some(&weight_columns), (across, share, added), codes);
 }
 
-/// The sums of each `across` columns, times `share`, as code values; those of colours over the sums of `weights`, where
-/// there are any.
+/// Converts the sums of each `across` columns, times `share`, to code values. Sums of colours are divided by the sums
+/// of `weights`, if there are any.
 ///
-/// In WebAssembly all numbers of channels share one, for the module's size.
+/// In WebAssembly, all numbers of channels share one function, which keeps the module small.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn means<T: Sample>(
@@ -293,7 +299,7 @@ fn means<T: Sample>(
     codes: &mut [T],
 ) {
     for (i, pixel) in codes.chunks_exact_mut(columns.len()).enumerate() {
-        // Side by side: a sum waits for the one before it.
+        // Independent sums in parallel: each addition waits for the previous one of the same sum.
         let (mut sums, mut weight) = ([0.0; 4], 0.0);
         for column in i * across..(i + 1) * across {
             for (sum, lanes) in sums.iter_mut().zip(columns) {
@@ -308,7 +314,7 @@ fn means<T: Sample>(
                 Some(Added { source: Source::Rows(additions), row, column }) => {
                     additions.row(row)[k * additions.stride + column + i] * T::WHITE
                 }
-                // Tiles are for pixels of the picture's size.
+                // Tiles are used only for views at the picture's own size.
                 _ => 0.0,
             };
             *code = T::floor((sum * share + more).clamp(0.0, T::WHITE) + 0.5);
@@ -319,10 +325,10 @@ fn means<T: Sample>(
 /// Cuts each member into the segments of the strips that it touches, for the first `rows` rows of the tile at
 /// `corner`.
 ///
-/// All segments of a batch are prepared before any is drawn: preparations overlap in the processor, which none of
-/// them does with a loop over rows whose end it must wait for.
+/// All segments of a batch are prepared before any is drawn. Preparations overlap in the processor, but not with a
+/// loop over rows, whose end the processor must wait for.
 ///
-/// In WebAssembly, which is compiled for one instruction set, all kernels share one, for the module's size.
+/// WebAssembly is compiled for one instruction set, and all kernels share one function, which keeps the module small.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn prepare<S: Simd>(simd: S, members: &[Splat], corner: [f64; 2], rows: usize, lists: &mut [Vec<Segment>; STRIPS]) {
@@ -331,7 +337,7 @@ fn prepare<S: Simd>(simd: S, members: &[Splat], corner: [f64; 2], rows: usize, l
     }
     for splat in members {
         let (x, extent) = (splat.mean[0] - corner[0], splat.extent()[0]);
-        // Strips that hold a column whose centre may lie within the extent.
+        // Strips that contain a column whose centre may lie within the extent.
         let first = ((x - extent - 0.5).max(0.0) * (1.0 / LANES as f64)) as i32 as usize;
         let end = ((x + extent + 0.5).clamp(0.0, TILE_WIDTH as f64) * (1.0 / LANES as f64)).ceil() as i32 as usize;
         if first < end {
@@ -357,13 +363,13 @@ fn cut<S: Simd>(
     let u_corner = splat.rise * dy - splat.shear * dx;
     let (rise, shear, run) =
         (simd.splat(splat.rise as f32), simd.splat(splat.shear as f32), simd.splat(splat.run as f32));
-    // How the ratio of two rows changes from lane to lane, taken from the middle to stay within f32's range.
+    // Change of the ratio of two rows from lane to lane, relative to the middle lane to stay within the range of f32.
     let turn = (2.0 * splat.rise * splat.shear) as f32;
     let middle = simd.splat(0.5 * (LANES - 1) as f32);
     let tilt = simd.exp2(simd.mul(simd.splat(turn), simd.sub(simd.index(), middle)));
     let mut at = strips.start;
     while at < strips.end {
-        // Eight strips side by side: between which rows does the support lie?
+        // Find the rows of the support in eight strips at a time.
         let strip_dx = dx + (at * LANES) as f64;
         let offset = simd.mul(simd.index(), simd.splat(LANES as f32));
         let u0 = simd.sub(simd.splat((u_corner - splat.shear * (at * LANES) as f64) as f32), simd.mul(shear, offset));
@@ -377,10 +383,11 @@ fn cut<S: Simd>(
             let u = simd.sub(simd.add(simd.mul(half, simd.splat(sign)), simd.mul(shear, lane)), u0);
             *edge = simd.mul(u, pitch);
         }
-        // Rows are those of the whole tile, however much of it is shown: the bits must not depend on that.
+        // Rows are clamped to the whole tile, not to the part that is shown, because the bits must not depend on that
+        // part.
         let height = simd.splat(TILE_HEIGHT as f32);
         let [low, high] = edges;
-        // From above, so that rounding down rounds the first row up.
+        // Computed from the bottom, so that rounding down rounds the first row up.
         let above = simd.floor(simd.sub(height, simd.min(simd.max(low, zero), height)));
         let end = simd.floor(simd.min(simd.max(simd.add(high, simd.splat(1.0)), zero), height));
         let mut u_first = Lanes([0.0; LANES]);
@@ -400,7 +407,7 @@ fn cut<S: Simd>(
         simd.store(&mut ratios, simd.exp2(simd.sub(drift, simd.mul(rise, slope))));
         let mut v_first = Lanes([0.0; LANES]);
         simd.store(&mut v_first, v0);
-        // Along a row `u² + v²` is largest at an end of the strip.
+        // Along a row, `u² + v²` is largest at an end of the strip.
         let last = simd.splat((LANES - 1) as f32);
         let (u_last, v_last) =
             (simd.sub(simd.load(&u_first), simd.mul(shear, last)), simd.add(v0, simd.mul(run, last)));
@@ -437,28 +444,28 @@ fn cut<S: Simd>(
     }
 }
 
-/// Most Gaussians of a tile that are prepared before they are drawn: seldom exceeded, as sums of more than one batch leave
-/// the first-level cache.
-const BATCH: usize = 512;
+/// Maximum number of Gaussians of a tile that are prepared before they are drawn. Tiles seldom have more, and the sums
+/// of several batches would not stay in the first-level cache.
+const MAX_BATCH: usize = 512;
 
-/// How the kernel walks down a strip.
+/// How the kernel evaluates a Gaussian from row to row of a strip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Walk {
-    /// Two multiplications a row.
+    /// Two multiplications per row.
     Recurrence,
-    /// An exponential a row: where the recurrence would leave f32's range.
+    /// An exponential per row, for Gaussians for which the recurrence would leave the range of f32.
     Direct,
 }
 
-/// One Gaussian on the rows of a strip where its support lies.
+/// One Gaussian on the rows of a strip that its support covers.
 #[derive(Debug, Clone, Copy)]
 struct Segment {
     /// Recurrence: the Gaussian on the first row. Direct: `u` on the first row.
     value: Lanes,
-    /// Recurrence: what the first row is multiplied by to give the second. Direct: `level − v²`.
+    /// Recurrence: the ratio of the second row to the first. Direct: `level − v²`.
     ratio: Lanes,
     color: [f32; 4],
-    /// Recurrence: the factor between ratios. Direct: `rise`.
+    /// Recurrence: the ratio of successive ratios. Direct: `rise`.
     bend: f32,
     /// Offset subtracted from the Gaussian to give the weight.
     edge: f32,
@@ -511,7 +518,8 @@ impl Segment {
 
 /// Adds segments to their strip.
 ///
-/// In WebAssembly this loop is a function of its own: browsers keep what it needs in registers only where little else is around.
+/// In WebAssembly, this loop is a function of its own, because browsers keep its values in registers only in a small
+/// function.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn add<S: Simd, const C: usize, const P: usize>(simd: S, segments: &[Segment], strip: &mut [[Lanes; P]]) {
@@ -520,7 +528,7 @@ fn add<S: Simd, const C: usize, const P: usize>(simd: S, segments: &[Segment], s
     }
 }
 
-/// Adds the weights `above`, which are 0 where they would be negative, to one row of a strip.
+/// Adds the weights `above` to one row of a strip; negative ones count as 0.
 #[inline(always)]
 fn deposit<S: Simd, const C: usize, const P: usize>(
     simd: S,

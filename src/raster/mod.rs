@@ -1,9 +1,9 @@
-//! Gaussians to pixels, within one 8-bit code value of [`mod@reference`] (spec §5); knows no bytes.
+//! Renders Gaussians to pixels, within one 8-bit code value of [`mod@reference`] (spec §5). It does not know the file
+//! format.
 //!
-//! A [`View`] says which part of the plane is drawn at which step, a [`Renderer`] draws it. The output is
-//! bit-identical for any number of threads, any instruction set and any way of cutting a view into parts:
-//! tiles are anchored to the view's grid, and nothing that is computed for a tile depends on what is drawn
-//! around it.
+//! A [`View`] selects the area to render and the size of the output; a [`Renderer`] renders it. The output is
+//! bit-identical for any number of threads, any instruction set and any division of a view into parts: tiles are
+//! anchored to the view's grid, and nothing that is computed for a tile depends on what is rendered around it.
 //!
 //! ```
 //! use ssplat::{Blend, Channels, Depth, Gaussian, Limits, Picture, Renderer, View};

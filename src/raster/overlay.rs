@@ -1,8 +1,9 @@
-//! Additions of the detail layer to the pixels of a view (spec §11.6).
+//! Computes the additions of the detail layer to the pixels of a view (spec §11.6).
 //!
-//! At full size an output pixel takes what its own pixel has, from the tile that the kernel is given. An enlarged view interpolates
-//! between pixels, a reduced one takes the mean over what a pixel of it covers; either axis by itself. Rows are added up from the
-//! top whatever the view shows, so that parts of a view have the bits of the whole.
+//! At full size, an output pixel gets the additions of the same pixel of the picture, from the tile that is passed to
+//! the kernel. An enlarged view interpolates between pixels, and a reduced view averages the pixels that an output
+//! pixel covers; both axes are independent. Rows are always summed from the top, whatever the view shows, so that
+//! parts of a view have the same bits as the whole.
 
 use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -26,11 +27,11 @@ pub(crate) struct Overlay {
     channels: Channels,
     /// Width and height of the picture, pixels.
     size: [u32; 2],
-    /// Memory that was used before: asking the system for it anew takes longer than the transforms.
+    /// Memory for reuse. Allocating it from the system each time takes longer than the transforms.
     pool: Mutex<Pool>,
 }
 
-/// Memory to work in.
+/// Reusable working memory.
 #[derive(Debug, Default)]
 struct Pool {
     scratch: Vec<Scratch>,
@@ -41,7 +42,7 @@ struct Pool {
 /// Additions to some rows of a view; 1 is white.
 #[derive(Debug)]
 pub(crate) struct Additions {
-    /// The first row, counted in the view.
+    /// The first row, in rows of the view.
     pub top: u32,
     /// Samples of a row of one channel.
     pub stride: usize,
@@ -49,47 +50,47 @@ pub(crate) struct Additions {
     values: Vec<f32>,
 }
 
-/// Bytes of additions or tiles that are held at a time, if a row of tiles does not need more.
-const HELD: u64 = 4 << 20;
+/// Bytes of additions or tiles that are held at a time, unless one row of tiles needs more.
+const TARGET_BYTES: u64 = 4 << 20;
 
-/// Bytes that an output row or column takes beside its samples: its taps, and its share of slices.
-const LINE: u64 = 2 * size_of::<Taps>() as u64;
+/// Bytes that an output row or column needs in addition to its samples: its taps, and its part of the slices.
+const LINE_BYTES: u64 = 2 * size_of::<Taps>() as u64;
 
-/// Work of reading and drawing a level of a detail layer, in the units of [`Limits::work`]: 110 ns for a large one,
-/// where a unit is half a nanosecond with plain instructions.
+/// Work of reading and rendering a level of a detail layer, in the units of [`Limits::work`]. A large level takes 110
+/// ns, and a unit half a nanosecond with plain instructions.
 const LEVEL_WORK: u64 = 200;
 
 /// Value of a tile's unit, where 1 is white.
 pub(super) const SCALE: f32 = UNIT / 255.0;
 
 impl Additions {
-    /// The row `row` of the view, channel after channel.
+    /// Returns the row `row`, channel after channel.
     pub fn row(&self, row: usize) -> &[f32] {
         let length = self.stride * self.channels;
         &self.values[(row - self.top as usize) * length..][..length]
     }
 
-    /// The first `rows` rows, one behind the other.
+    /// Returns the first `rows` rows, one after the other.
     #[cfg(feature = "gpu")]
-    pub fn first(&self, rows: u32) -> &[f32] {
+    pub fn first_rows(&self, rows: u32) -> &[f32] {
         &self.values[..rows as usize * self.stride * self.channels]
     }
 }
 
-/// Picture pixels that an output pixel is made of along one axis, `count` from `first` on.
+/// The picture pixels that contribute to an output pixel along one axis: `count` pixels from `first` on.
 #[derive(Debug, Clone, Copy)]
 struct Taps {
     first: usize,
     count: usize,
-    /// Weights of the first, of those between, and of the last. A single one has the first's.
+    /// Weights of the first pixel, of those between, and of the last. If there is only one, its weight is the first.
     weights: [f32; 3],
 }
 
-/// The taps of output pixel `index` of a grid that begins at `origin` with steps of `step`, on `side` pixels.
+/// Returns the taps of output pixel `index` of a grid with origin `origin` and step `step`, on `side` pixels.
 fn taps(origin: f64, step: f64, index: f64, side: usize) -> Taps {
     let last = side - 1;
     if step <= 1.0 {
-        // Between the centres of two pixels.
+        // Position between the centres of two pixels.
         let at = (origin + (index + 0.5) * step - 0.5).clamp(0.0, last as f64);
         let first = (at as usize).min(last);
         let share = (at - first as f64) as f32;
@@ -111,7 +112,7 @@ impl Taps {
         self.first + self.count
     }
 
-    /// The pixels that lie in `within`, and their weights.
+    /// Returns the pixels that lie in `within`, and their weights.
     #[inline(always)]
     fn pixels(&self, within: Range<usize>) -> impl Iterator<Item = (usize, f32)> {
         let [first, middle, last] = self.weights;
@@ -131,37 +132,38 @@ impl Overlay {
         Overlay { layer, channels, size, pool: Mutex::default() }
     }
 
-    /// Whether the pixels of `view` are the picture's own, so that tiles are what it gets added.
+    /// Tells whether the pixels of `view` are the pixels of the picture, so that tiles are added without resampling.
     pub fn is_direct(&self, view: &View) -> bool {
         let sides = [view.width, view.height];
         let is_inside = (0..2).all(|k| u64::from(view.offset[k]) + u64::from(sides[k]) <= self.size[k].into());
         view.step == [1.0; 2] && view.origin == [0.0; 2] && is_inside
     }
 
-    /// Rows of tiles that are held at once.
+    /// Returns the number of rows of tiles that are held at once.
     pub fn tile_rows_at_once(&self, view: &View) -> u32 {
-        u32::try_from(HELD / self.tile_row_memory(view)).unwrap_or(u32::MAX).max(1)
+        u32::try_from(TARGET_BYTES / self.tile_row_memory(view)).unwrap_or(u32::MAX).max(1)
     }
 
-    /// Bytes that a row of the tiles that a direct view shows takes, with the slices of the rows that they are added to.
+    /// Returns the bytes that a row of tiles takes in a direct view, with the slices of the rows to which it is added.
     fn tile_row_memory(&self, view: &View) -> u64 {
         let tiles = (view.offset[0] + view.width).div_ceil(TILE as u32) - view.offset[0] / TILE as u32;
         let slices = TILE / TILE_WIDTH * TILE * size_of::<&[u16]>();
         u64::from(tiles) * (TILE * TILE * self.channels.count() * size_of::<i16>() + slices) as u64
     }
 
-    /// Rows of `stride` samples in a channel, in bands of at most so many, for which additions are made at once.
+    /// Returns the number of rows, of `stride` samples per channel, for which additions are computed at once.
     pub fn rows_at_once(&self, stride: usize) -> u32 {
-        u32::try_from(HELD / self.row_memory(stride)).unwrap_or(u32::MAX).max(TILE as u32)
+        u32::try_from(TARGET_BYTES / self.row_memory(stride)).unwrap_or(u32::MAX).max(TILE as u32)
     }
 
-    /// Bytes that a row of additions takes, and what they are made by.
+    /// Returns the bytes that a row of additions takes, including its taps.
     pub fn row_memory(&self, stride: usize) -> u64 {
-        stride as u64 * self.channels.count() as u64 * size_of::<f32>() as u64 + LINE
+        stride as u64 * self.channels.count() as u64 * size_of::<f32>() as u64 + LINE_BYTES
     }
 
-    /// Returns for how many rows of a view, from row `first` on and at most `most`, additions are best made at once. If
-    /// tiles are shown unscaled and more rows follow, the rows end at an edge of tiles, so that no tile is made twice.
+    /// Returns the best number of rows of a view, from row `first` on and at most `most`, for which additions are
+    /// computed at once. If tiles are shown unscaled and more rows follow, the rows end at an edge of tiles, so that
+    /// no tile is computed twice.
     #[cfg(feature = "gpu")]
     pub fn rows_from(&self, view: &View, first: u32, most: u32) -> u32 {
         if most >= view.height - first {
@@ -172,24 +174,25 @@ impl Overlay {
         if self.is_direct(view) && end > top { (end - top) as u32 } else { most }
     }
 
-    /// Returns the work of making and adding the part of the layer that `view` shows, in the units of [`Limits::work`].
+    /// Returns the work of computing and adding the part of the layer that `view` shows, in the units of
+    /// [`Limits::work`].
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) when that alone could be too much.
+    /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) if that work alone could exceed the limits.
     pub fn work(&self, view: &View, limits: &Limits) -> Result<u64> {
-        /// For each sample of a tile: its share of the densest transform.
+        /// Work per sample of a tile: its part of the densest transform.
         const SAMPLE_WORK: u64 = 64;
         let [_, _, width, height] = view.area().map(|side| (u64::from(side) / TILE as u64 + 2) * TILE as u64);
         let samples = width.saturating_mul(height).saturating_mul(self.channels.count() as u64 * SAMPLE_WORK);
-        // By themselves, samples and levels are counted before they are known to be there, as if they took four and three times as long.
+        // Samples and levels are checked separately before they are known to exist, at four and three times their cost.
         Limits::check("work", samples, limits.work)?;
         Ok((samples / 4).saturating_add(LEVEL_WORK * self.layer.levels() as u64).saturating_add(self.tap_work(view)))
     }
 
-    /// Work of all weights that the additions to `view` are sums by. A picture that is enlarged along one axis and reduced along the other
-    /// has more of them than pixels or samples.
+    /// Returns the work of all resampling taps of `view`. A picture that is enlarged along one axis and reduced along
+    /// the other has more taps than pixels or samples.
     fn tap_work(&self, view: &View) -> u64 {
-        /// For each weight, which takes 3 ns.
+        /// Work per tap, which takes 3 ns.
         const TAP_WORK: u64 = 6;
         if self.is_direct(view) {
             return 0;
@@ -199,10 +202,11 @@ impl Overlay {
         taps.saturating_mul(self.channels.count() as u64 * TAP_WORK)
     }
 
-    /// Checks that the additions to `rows` rows of `view`, `stride` samples of a channel in each, and their inputs can be held within `budget`.
+    /// Checks that the additions to `rows` rows of `view`, of `stride` samples per channel, and their inputs fit into
+    /// `budget`.
     pub fn check(&self, view: &View, stride: usize, rows: u32, budget: &Budget) -> Result<()> {
         if self.is_direct(view) {
-            // Rows of tiles that are shown, in part or all.
+            // Rows of tiles that are shown completely or in part.
             let shown = (view.offset[1] + view.height).div_ceil(TILE as u32) - view.offset[1] / TILE as u32;
             let held = u64::from(self.tile_rows_at_once(view).min(shown)) * self.tile_row_memory(view);
             return budget.check(held + size_of::<[i32; TILE * TILE]>() as u64);
@@ -210,17 +214,16 @@ impl Overlay {
         self.check_rows(stride, rows, budget)
     }
 
-    /// Checks that the additions to `rows` rows can be held when they are made for whole rows, even if tiles
+    /// Checks that the additions to `rows` rows fit into `budget` if they are computed for whole rows, even if tiles
     /// are shown unscaled.
     pub fn check_rows(&self, stride: usize, rows: u32, budget: &Budget) -> Result<()> {
         let additions = self.row_memory(stride).saturating_mul(rows.into());
         let [across, _] = tile_counts(self.size);
         let tiles = across as u64 * (TILE * TILE) as u64 * (self.channels.count() as u64 * 2 + 4);
-        budget.check(additions.saturating_add(tiles).saturating_add(stride as u64 * LINE))
+        budget.check(additions.saturating_add(tiles).saturating_add(stride as u64 * LINE_BYTES))
     }
 
-    /// Returns the additions to the rows `rows` of the view, for columns from `left` of the view on. `left` may be
-    /// negative.
+    /// Returns the additions to the rows `rows` of the view, for columns from `left` on. `left` may be negative.
     pub(crate) fn additions(&self, view: &View, left: i64, stride: usize, rows: Range<u32>) -> Additions {
         let channels = self.channels.count();
         let length = stride * channels;
@@ -230,14 +233,15 @@ impl Overlay {
         let side = self.size.map(|side| side as usize);
         let columns = axis(view, 0, left..left + stride as i64, side[0]);
         let downs = axis(view, 1, rows.start.into()..rows.end.into(), side[1]);
-        // The CPU draws such views without additions for whole rows.
+        // The CPU renders such views directly from tiles.
         let is_direct = cfg!(feature = "gpu") && left == 0 && stride == view.width as usize && self.is_direct(view);
         // Tiles that are needed.
         let (across, down) = (tiles_of(&columns), tiles_of(&downs));
         for row in down {
             let planes = self.tile_row(row, across.clone());
             let within = row * TILE..(row + 1) * TILE;
-            // The rows that take something from these tiles, of which there may be many thousands. Both ends of taps ascend.
+            // Rows to which these tiles contribute; there may be many thousands. Both ends of the taps are in
+            // ascending order.
             let first = downs.partition_point(|taps| taps.end() <= within.start);
             let some = first..downs.partition_point(|taps| taps.first < within.end);
             parallel::map_chunks(&mut values[some.start * length..some.end * length], length, |k, out| {
@@ -261,7 +265,7 @@ impl Overlay {
                     }
                 }
             });
-            planes.into_iter().flatten().for_each(|planes| self.keep(planes));
+            planes.into_iter().flatten().for_each(|planes| self.recycle_planes(planes));
         }
         Additions { top: rows.start, stride, channels, values }
     }
@@ -270,17 +274,17 @@ impl Overlay {
         self.pool.lock().expect("no holder panics")
     }
 
-    /// Takes back the planes of a tile.
-    pub(super) fn keep(&self, planes: TilePlanes) {
+    /// Returns the planes of a tile to the pool.
+    pub(super) fn recycle_planes(&self, planes: TilePlanes) {
         self.pool().planes.push(planes);
     }
 
-    /// Takes back additions that were made.
-    pub(crate) fn used(&self, additions: Additions) {
+    /// Returns additions to the pool.
+    pub(crate) fn recycle_additions(&self, additions: Additions) {
         self.pool().values.push(additions.values);
     }
 
-    /// The planes of some tiles of a row of tiles.
+    /// Returns the planes of some tiles of a row of tiles.
     fn tile_row(&self, row: usize, tiles: Range<usize>) -> Vec<Option<TilePlanes>> {
         parallel::map(tiles.len(), |i| self.tile([tiles.start + i, row], Supers::ALL))
     }
@@ -303,14 +307,14 @@ impl Overlay {
 }
 
 /// Returns the taps of some output pixels of a view along axis `k`, of a picture with `side` pixels along it. Pixels
-/// are counted in the view.
+/// are counted from the start of the view.
 #[inline(never)]
 fn axis(view: &View, k: usize, pixels: Range<i64>, side: usize) -> Vec<Taps> {
     pixels.map(|i| taps(view.origin[k], view.step[k], f64::from(view.offset[k]) + i as f64, side)).collect()
 }
 
-/// The pixels of a row of tiles as they are, in parts of white: those of channel `c` in the line that begins at `line` in each tile, from
-/// column `first` of the row's first tile or its picture on.
+/// Copies the additions of a row of tiles at their own size, scaled to parts of white: those of channel `c` in the
+/// line that starts at `line` in each tile, from column `first` of the row's first tile (or of its picture) on.
 fn scale(tiles: &[Option<TilePlanes>], (c, line): (usize, usize), first: usize, mut out: &mut [f32]) {
     let mut start = first % TILE;
     for planes in tiles {
@@ -324,7 +328,7 @@ fn scale(tiles: &[Option<TilePlanes>], (c, line): (usize, usize), first: usize, 
     }
 }
 
-/// The tiles, along an axis, that some pixels take something from.
+/// Returns the tiles along an axis to which some taps refer.
 fn tiles_of(taps: &[Taps]) -> Range<usize> {
     let start = taps.iter().map(|t| t.first).min().unwrap_or(0);
     let end = taps.iter().map(Taps::end).max().unwrap_or(0);

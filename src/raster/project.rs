@@ -1,8 +1,9 @@
-//! Gaussians of the picture as the kernel wants them on the grid that they are sampled at, which has several pixels for
-//! each of the output where a view is reduced.
+//! Projects Gaussians of the picture onto the sampling grid of a view. The grid has several pixels per output pixel if
+//! the view is reduced.
 //!
-//! With `u = rise·dy − shear·dx` and `v = run·dx`, where `(dx, dy)` is the offset from the mean in pixels of that grid,
-//! the Gaussian is `2^(level − u² − v²)`. Large offsets cancel in `u`, so these are f64 up to the corner of a strip.
+//! With `u = rise·dy − shear·dx` and `v = run·dx`, where `(dx, dy)` is the offset from the mean in pixels of that
+//! grid, the Gaussian is `2^(level − u² − v²)`. Large offsets cancel in `u`, so offsets are f64 up to the corner of a
+//! strip.
 
 use super::view::View;
 use crate::angle::sin_cos;
@@ -15,42 +16,42 @@ use crate::simd::LANES;
 /// `u² + v²` at the edge of the support: `K²/2 · log₂ e`.
 pub(super) const SUPPORT: f64 = 0.5 * (CUTOFF as f64) * (CUTOFF as f64) * std::f64::consts::LOG2_E;
 
-/// Largest `u² + v² − level` that the recurrence may start from: beyond it f32 would underflow.
+/// Largest `u² + v² − level` at which the recurrence may start; beyond it, f32 would underflow.
 const RECURRENCE_REACH: f64 = 120.0;
 
-/// Largest rise of the recurrence: its ratios stay within f32's range, as `|u| ≤ √120`.
+/// Largest rise of the recurrence. Its ratios stay within the range of f32, because `|u| ≤ √120`.
 const RECURRENCE_RISE: f64 = 4.0;
 
-/// Largest change of `u` or `v` from column to column for which every strip that the support touches is within the recurrence's
-/// reach: beyond an edge of `u² + v² = 8.9` lie up to seven columns and the row that the support ends in.
+/// Largest change of `u` or `v` from column to column for which every strip that the support touches is within reach
+/// of the recurrence. Up to seven columns and the row in which the support ends lie beyond the edge `u² + v² = 8.9`.
 const RECURRENCE_RUN: f64 = 1.0;
 
-/// How many times as long a row takes with an exponential: 4.1 with AVX2, less on plain instructions.
-const EXPONENTIAL: u64 = 4;
+/// Relative time of a row with an exponential: 4.1 with AVX2, less with plain instructions.
+const EXPONENTIAL_COST: u64 = 4;
 
 /// A Gaussian on the grid of a view.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Splat {
-    /// Centre, pixels from the grid's corner.
+    /// Centre, in pixels from the grid's corner.
     pub mean: [f64; 2],
-    /// `u` for each pixel down.
+    /// Increase of `u` per pixel down.
     pub rise: f64,
-    /// `−u` for each pixel to the right.
+    /// Decrease of `u` per pixel to the right.
     pub shear: f64,
-    /// `v` for each pixel to the right.
+    /// Increase of `v` per pixel to the right.
     pub run: f64,
-    /// How far to the right of the mean the support's lowest point (largest y) lies, pixels.
+    /// Horizontal offset of the support's lowest point (largest y) from the mean, pixels.
     pub tip: f64,
-    /// Half width and half height of the support's bounding box, pixels, rounded up, at most to infinity.
+    /// Half width and half height of the support's bounding box, pixels, rounded up; may be infinite.
     extent: [f32; 2],
-    /// Factor between the ratios of neighbouring rows: `2^(−2·rise²)`.
+    /// Ratio of the ratios of neighbouring rows: `2^(−2·rise²)`.
     pub bend: f32,
-    /// Correction of the ratio's exponent for each row of a segment, against the rounding of `bend`: see
+    /// Correction of the ratio's exponent for each row of a segment, which compensates the rounding of `bend`: see
     /// [`Splat::new`].
     pub drift: f32,
-    /// Binary logarithm of the amplitude: 0 unless the filter widens the Gaussian.
+    /// Binary logarithm of the amplitude; 0 unless the filter widens the Gaussian.
     pub level: f32,
-    /// Offset that makes the weight continuous at the edge of the support: the amplitude's share of [`CUTOFF_WEIGHT`].
+    /// Offset that makes the weight continuous at the edge of the support: [`CUTOFF_WEIGHT`] times the amplitude.
     pub edge: f32,
     pub color: [f32; 4],
 }
@@ -62,7 +63,7 @@ impl Splat {
         let [tx, ty] = view.step.map(f64::recip);
         let (v1, v2) = (s1 * s1, s2 * s2);
         let (xx, yy) = (v1 * cos * cos + v2 * sin * sin, v1 * sin * sin + v2 * cos * cos);
-        // Root of the covariance's determinant. Not `√(xx·yy − xy²)`, which cancels for needles.
+        // Square root of the covariance's determinant. `√(xx·yy − xy²)` would cancel for very narrow Gaussians.
         let (mut root, mut amplitude, mut level) = (s1 * s2, 1.0, 0.0);
         if variance != [0.0; 2] {
             root = (v1 * v2 + variance[0] * yy + variance[1] * xx + variance[0] * variance[1]).sqrt();
@@ -78,8 +79,8 @@ impl Splat {
         let rise = half * sx / det;
         let steep = rise > RECURRENCE_RISE;
         let cutoff = f64::from(CUTOFF);
-        // f32 holds `bend` within 2⁻²⁴, which after n rows is n²/2 times that in the Gaussian. Taking (√2 − 1)·N times
-        // the error off the first ratio of N rows leaves at most .086·N² times it: 8·10⁻⁵ at 128 rows.
+        // f32 represents `bend` within 2⁻²⁴; after n rows, the Gaussian has n²/2 times that error. Subtracting (√2 −
+        // 1)·N times the error from the first ratio of N rows leaves at most 0.086·N² times it: 8·10⁻⁵ at 128 rows.
         let bend = -2.0 * rise * rise;
         let (bend, drift) = match steep {
             true => (0.0, 0.0),
@@ -107,26 +108,28 @@ impl Splat {
         }
     }
 
-    /// Half width and half height of a box around the support, pixels: those of its bounding box but for rounding up.
+    /// Returns the half width and half height of a box around the support, pixels: its bounding box, slightly enlarged
+    /// by rounding.
     #[inline(always)]
     pub fn extent(&self) -> [f64; 2] {
         self.extent.map(f64::from)
     }
 
-    /// Pixels down for each unit of `u`.
+    /// Returns the pixels down per unit of `u`.
     #[inline(always)]
     pub fn pitch(&self) -> f32 {
         self.rise.recip() as f32
     }
 
-    /// Largest `u² + v²` on the first row of a segment that the recurrence may start from; none if negative.
+    /// Returns the largest `u² + v²` on the first row of a segment at which the recurrence may start; never if
+    /// negative.
     #[inline(always)]
     pub fn reach(&self) -> f32 {
         if self.rise > RECURRENCE_RISE { -1.0 } else { (RECURRENCE_REACH + f64::from(self.level)) as f32 }
     }
 
-    /// About how many pixels of `view` the kernel visits for it, and no fewer: those within the support's box and no further
-    /// than a strip's width from the support.
+    /// Returns an upper estimate of the pixels of `view` that the kernel visits for this splat: those within the
+    /// support's box and within a strip's width of the support.
     pub fn covered(&self, view: &View) -> u64 {
         let side = [view.width, view.height];
         let extent = self.extent();
@@ -135,21 +138,21 @@ impl Splat {
             (self.mean[k] + extent[k]).min(last) - (self.mean[k] - extent[k]).max(first) + 1.0
         });
         let [ex, ey] = extent;
-        // In each row the support is an interval; both of its ends lie in strips that are drawn whole.
+        // In each row, the support is an interval; the strips at both ends are drawn completely.
         let ellipse = std::f64::consts::PI * (ex * ex - self.tip * self.tip).max(0.0).sqrt() * ey;
         let ends = 2.0 * LANES as f64;
         // The cast saturates.
         (ellipse + ends * high).min((wide + ends) * high) as u64
     }
 
-    /// Returns the work of a pixel of the splat relative to a wide Gaussian. It is higher if each row takes an
-    /// exponential. A few Gaussians whose rows do not are counted as if they did.
-    pub fn toll(&self) -> u64 {
+    /// Returns the work per pixel of the splat, relative to a wide Gaussian. It is higher if each row takes an
+    /// exponential. The estimate may be too high for a few Gaussians.
+    pub fn cost(&self) -> u64 {
         let is_narrow = self.rise > RECURRENCE_RISE || self.run.abs().max(self.shear.abs()) > RECURRENCE_RUN;
-        if is_narrow { EXPONENTIAL } else { 1 }
+        if is_narrow { EXPONENTIAL_COST } else { 1 }
     }
 
-    /// Whether the support reaches a pixel centre's column and row within the view.
+    /// Tells whether the support contains a pixel centre's column and row within the view.
     fn touches(&self, view: &View) -> bool {
         let (side, extent) = ([view.width, view.height], self.extent());
         (0..2).all(|k| {
@@ -159,27 +162,29 @@ impl Splat {
     }
 }
 
-/// The rectangle of the picture that a view shows, and how far the filter reaches, pixels of the picture.
-struct Beyond {
+/// The rectangle of the picture that a view shows, and the reach of the filter, in pixels of the picture.
+struct ViewBounds {
     first: [f64; 2],
     last: [f64; 2],
     margin: [f64; 2],
 }
 
-impl Beyond {
+impl ViewBounds {
     fn new(view: &View, variance: [f64; 2]) -> Self {
         let side = [view.width, view.height];
         let corner = |k: usize, pixels: u32| view.origin[k] + f64::from(pixels) * view.step[k];
-        // The extents are those of sums of variances. Half a pixel more: rounding must never lose a Gaussian.
-        Beyond {
+        // Extents are computed from sums of variances. The margin of half a pixel ensures that rounding does not lose
+        // a Gaussian.
+        ViewBounds {
             first: std::array::from_fn(|k| corner(k, view.offset[k]) - 0.5),
             last: std::array::from_fn(|k| corner(k, view.offset[k]) + f64::from(side[k]) * view.step[k] + 0.5),
             margin: variance.map(|v| f64::from(CUTOFF) * v.sqrt()),
         }
     }
 
-    /// Whether even the circle around the support of `g` stays outside: far cheaper to tell than where the support lies.
-    fn sees_none_of(&self, g: &Gaussian) -> bool {
+    /// Tells whether even the circle around the support of `g` lies outside. This test is much cheaper than the
+    /// extent.
+    fn excludes(&self, g: &Gaussian) -> bool {
         let radius = f64::from(CUTOFF) * f64::from(g.scale[0].max(g.scale[1]));
         (0..2).any(|k| {
             let (mean, reach) = (f64::from(g.mean[k]), (radius + self.margin[k]) * (1.0 + 1e-9));
@@ -188,13 +193,13 @@ impl Beyond {
     }
 }
 
-/// Gaussians that are projected in one go.
+/// Gaussians that are projected as one unit of work.
 const CHUNK: usize = 1024;
 
 /// Splats that are visible in a view, in the picture's order.
 #[derive(Debug)]
 pub(super) struct Splats {
-    /// Visible splats of each [`CHUNK`] of the picture's Gaussians. Threads fill their own chunks and need no common
+    /// Visible splats of each [`CHUNK`] of the picture's Gaussians. Threads fill separate chunks and need no common
     /// index.
     chunks: Vec<Vec<Splat>>,
     #[expect(dead_code, reason = "held until the splats are gone")]
@@ -202,24 +207,25 @@ pub(super) struct Splats {
 }
 
 impl Splats {
-    /// How many there are.
+    /// Returns the number of splats.
     pub fn len(&self) -> usize {
         self.chunks.iter().map(Vec::len).sum()
     }
 
-    /// All of them in runs of consecutive numbers, each with its first number.
+    /// Returns all splats in runs of consecutive numbers, each with its first number.
     pub fn runs(&self) -> impl Iterator<Item = (u32, &[Splat])> {
         self.chunks.iter().enumerate().map(|(i, chunk)| ((i * CHUNK) as u32, &chunk[..]))
     }
 
-    /// The one with number `id`.
+    /// Returns the splat with number `id`.
     #[inline(always)]
     pub fn get(&self, id: u32) -> &Splat {
         &self.chunks[id as usize / CHUNK][id as usize % CHUNK]
     }
 }
 
-/// Projects what is visible in `view` of `count` Gaussians, widened by `variance` along x and y, picture pixels².
+/// Projects those of `count` Gaussians that are visible in `view`, widened by `variance` along x and y, in squared
+/// picture pixels.
 pub(super) fn project(
     (count, gaussian): (usize, impl Fn(usize) -> Gaussian + Sync + Send),
     view: &View,
@@ -227,7 +233,7 @@ pub(super) fn project(
     budget: &Budget,
 ) -> Result<Splats> {
     let mut memory = budget.reserve(count as u64 * size_of::<Splat>() as u64)?;
-    let beyond = Beyond::new(view, variance);
+    let bounds = ViewBounds::new(view, variance);
     let chunks = parallel::map(count.div_ceil(CHUNK), |i| {
         let range = i * CHUNK..count.min((i + 1) * CHUNK);
         let mut splats = Vec::with_capacity(range.len());
@@ -242,7 +248,7 @@ pub(super) fn project(
                     problem: format!("number {i} is not finite or has a scale of zero: {g:?}"),
                 });
             }
-            if beyond.sees_none_of(&g) {
+            if bounds.excludes(&g) {
                 continue;
             }
             let splat = Splat::new(&g, view, variance);
@@ -275,7 +281,7 @@ mod tests {
         for view in views {
             let filter = view.filter();
             let view = view.refined(filter.parts);
-            let beyond = Beyond::new(&view, filter.variance);
+            let bounds = ViewBounds::new(&view, filter.variance);
             for i in 0..20_000u32 {
                 let f = |k: u32| (f64::from(i) * f64::from(k).sqrt()).fract() as f32;
                 let g = Gaussian {
@@ -285,8 +291,8 @@ mod tests {
                     color: [0.0; 4],
                 };
                 let touches = Splat::new(&g, &view, filter.variance).touches(&view);
-                assert!(!(touches && beyond.sees_none_of(&g)), "{g:?} in {view:?}");
-                left_out += u32::from(!touches && beyond.sees_none_of(&g));
+                assert!(!(touches && bounds.excludes(&g)), "{g:?} in {view:?}");
+                left_out += u32::from(!touches && bounds.excludes(&g));
                 drawn += u32::from(touches);
             }
         }

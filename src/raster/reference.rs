@@ -1,4 +1,5 @@
-//! The picture's definition in plain f64 (spec §5.2, §5.3, §11.6): slow, short, and what everything else is tested against.
+//! The definition of the picture in plain f64 (spec §5.2, §5.3, §11.6): slow and short. All other renderers are tested
+//! against it.
 
 use super::view::{Filter, View};
 use crate::bitstream::DetailLayer;
@@ -8,7 +9,7 @@ use crate::detail::tile::{Scratch, TilePlanes, reconstruct};
 use crate::gaussian::{Blend, CUTOFF, EPSILON, Gaussian, HIDDEN, Picture};
 use crate::pixels::Depth;
 
-/// Weight `max(0, exp(−d²/2) − exp(−K²/2))` of `g` at `(x, y)`, pixels.
+/// Returns the weight `max(0, exp(−d²/2) − exp(−K²/2))` of `g` at `(x, y)`, pixels.
 #[must_use]
 pub fn weight(g: &Gaussian, x: f64, y: f64) -> f64 {
     let (sin, cos) = f64::from(g.rotation).sin_cos();
@@ -19,7 +20,7 @@ pub fn weight(g: &Gaussian, x: f64, y: f64) -> f64 {
     ((-0.5 * (u * u + v * v)).exp() - (-0.5 * cutoff * cutoff).exp()).max(0.0)
 }
 
-/// Weight at `(x, y)` of `g` with `variance` added along x and y, pixels², and its integral kept.
+/// Returns the weight at `(x, y)` of `g` with `variance` (pixels²) added along x and y, with its integral preserved.
 fn widened(g: &Gaussian, variance: [f64; 2], x: f64, y: f64) -> f64 {
     if variance == [0.0; 2] {
         return weight(g, x, y);
@@ -29,7 +30,7 @@ fn widened(g: &Gaussian, variance: [f64; 2], x: f64, y: f64) -> f64 {
     let [v1, v2] = g.scale.map(|s| f64::from(s).powi(2));
     let (xx, yy) = (v1 * cos * cos + v2 * sin * sin, v1 * sin * sin + v2 * cos * cos);
     let (wide, xy) = (xx + variance[0], (v1 - v2) * sin * cos);
-    // The determinant without what cancels in it.
+    // The determinant, expanded so that nothing cancels.
     let det = v1 * v2 + variance[0] * yy + variance[1] * xx + variance[0] * variance[1];
     let lean = dy - dx * xy / wide;
     let distance = dx * dx / wide + lean * lean * wide / det;
@@ -37,13 +38,15 @@ fn widened(g: &Gaussian, variance: [f64; 2], x: f64, y: f64) -> f64 {
     (v1 * v2 / det).sqrt() * ((-0.5 * distance).exp() - (-0.5 * cutoff * cutoff).exp()).max(0.0)
 }
 
-/// Colour of `picture` at `(x, y)`, pixels: 1.0 is white, not clamped; unused channels are those of the background.
+/// Returns the colour of `picture` at `(x, y)` (pixels), not clamped; 1.0 is white. Unused channels have the value of
+/// the background.
 #[must_use]
 pub fn color(picture: &Picture, x: f64, y: f64) -> [f64; 4] {
     blend(picture, [0.0; 2], x, y)
 }
 
-/// Colour of `picture` at `(x, y)` where the Gaussians' variances along x and y are greater by `variance`, pixels².
+/// Returns the colour of `picture` at `(x, y)` with `variance` (pixels²) added to the Gaussians' variances along x and
+/// y.
 fn blend(picture: &Picture, variance: [f64; 2], x: f64, y: f64) -> [f64; 4] {
     let background = picture.background.map(f64::from);
     let (mut sum, mut total) = ([0.0; 4], 0.0);
@@ -61,15 +64,14 @@ fn blend(picture: &Picture, variance: [f64; 2], x: f64, y: f64) -> [f64; 4] {
     })
 }
 
-/// The code value of a colour value at `depth`: `floor(clamp(v, 0, 1) · max + ½)` (spec §5.4).
+/// Returns the code value of a colour value at `depth`: `floor(clamp(v, 0, 1) · max + ½)` (spec §5.4).
 #[must_use]
 pub fn code(value: f64, depth: Depth) -> u16 {
     (value.clamp(0.0, 1.0) * f64::from(depth.max()) + 0.5).floor() as u16
 }
 
-/// Colour values of every pixel of `view`, row by row with interleaved channels: the picture sampled at the
-/// pixel centres, with no filter, so that for reduced views it is not what a [`Renderer`](super::Renderer) draws but
-/// [`filtered`] is.
+/// Returns the colour values of every pixel of `view`, row by row with interleaved channels, sampled at the pixel
+/// centres without a filter. For reduced views, a [`Renderer`](super::Renderer) does not return this but [`filtered`].
 #[must_use]
 pub fn sample(picture: &Picture, view: &View) -> Vec<f64> {
     let mut out = Vec::new();
@@ -82,8 +84,8 @@ pub fn sample(picture: &Picture, view: &View) -> Vec<f64> {
     out
 }
 
-/// Colour values of every pixel of `view` with the low-pass of [`View::resized`] (spec §5.5), row by row with interleaved
-/// channels: means of samples clamped to 0..=1, where colours count by their alpha.
+/// Returns the colour values of every pixel of `view` with the low-pass filter of [`View::resized`] (spec §5.5), row
+/// by row with interleaved channels: means of samples clamped to 0..=1, where colours are weighted by their alpha.
 #[must_use]
 pub fn filtered(picture: &Picture, view: &View) -> Vec<f64> {
     let Filter { parts, variance } = view.filter();
@@ -111,14 +113,15 @@ pub fn filtered(picture: &Picture, view: &View) -> Vec<f64> {
     out
 }
 
-/// Colour values of every pixel of `view` as [`filtered`] gives them, with what a detail layer adds (spec §11.6).
+/// Returns the colour values of every pixel of `view` as [`filtered`] does, with the additions of a detail layer (spec
+/// §11.6).
 #[must_use]
 pub fn detailed(splats: &PackedSplats, view: &View) -> Vec<f64> {
     let mut values = filtered(&splats.to_picture(), view);
     let Some(layer) = &splats.detail else { return values };
     let (size, channels) = ([splats.width, splats.height], splats.channels.count());
     let added = additions(layer, splats);
-    let (columns, rows) = (shares(view, 0, size[0]), shares(view, 1, size[1]));
+    let (columns, rows) = (taps(view, 0, size[0]), taps(view, 1, size[1]));
     let mut out = values.iter_mut();
     for (row, column) in rows.iter().flat_map(|row| columns.iter().map(move |column| (row, column))) {
         for k in 0..channels {
@@ -154,9 +157,9 @@ fn additions(layer: &DetailLayer, splats: &PackedSplats) -> Vec<i16> {
     out
 }
 
-/// Returns the picture pixels along an axis that each output pixel is made of, with their weights. The picture has
-/// `side` pixels along it.
-fn shares(view: &View, axis: usize, side: u32) -> Vec<Vec<(usize, f64)>> {
+/// Returns the picture pixels along an axis that contribute to each output pixel, with their weights. The picture has
+/// `side` pixels along the axis.
+fn taps(view: &View, axis: usize, side: u32) -> Vec<Vec<(usize, f64)>> {
     let (step, last) = (view.step[axis], f64::from(side - 1));
     let length = [view.width, view.height][axis];
     let grid = (0..length).map(|i| f64::from(view.offset[axis]) + f64::from(i));

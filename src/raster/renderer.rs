@@ -1,4 +1,4 @@
-//! Draws a view, whole or band by band, on as many threads as there are.
+//! Renders a view, at once or band by band, on all threads.
 
 use super::bins::Bins;
 use super::kernel::{Added, Drawing, Job, Scratch, Source, TILE_HEIGHT, TILE_WIDTH, Window};
@@ -18,8 +18,9 @@ use crate::simd;
 use rayon::prelude::*;
 use std::sync::Mutex;
 
-/// A view of a picture, ready to be drawn any number of times.
+/// A view of a picture that can be rendered any number of times.
 #[derive(Debug)]
+#[doc(alias = "rasterizer")]
 pub struct Renderer {
     view: View,
     filter: Filter,
@@ -33,11 +34,11 @@ pub struct Renderer {
     /// Memory account for pixels.
     budget: Budget,
     backend: Dispatch,
-    /// Working memory of tiles, one for each thread that has drawn at the same time.
+    /// Working memory of tiles, one for each thread that has rendered in parallel.
     pool: Mutex<Vec<Scratch>>,
 }
 
-/// Background and channels that the Gaussians of a picture are drawn onto, and their blend.
+/// Background, channels and blend onto which the Gaussians of a picture are rendered.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Canvas {
     pub channels: Channels,
@@ -46,40 +47,40 @@ pub(crate) struct Canvas {
     pub background: [f32; 4],
 }
 
-/// Which instruction set draws. The output is the same.
+/// Selects the instruction set; the output is the same for all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Dispatch {
     /// The best instruction set of the machine.
     Detected,
-    /// The instruction set that the crate is compiled for; tests compare with it.
+    /// The instruction set that the crate is compiled for; tests compare the two.
     #[cfg(test)]
     Compiled,
 }
 
-/// A tile to draw: its band and column, and the slices of the rows that it shows.
+/// A tile to render: its band and column, and slices of the rows that it shows.
 type Piece<'a, T> = (u32, u32, Vec<&'a mut [T]>);
 
-/// A tile of the layer is made once for the four tiles of the view that lie in it.
+/// Tiles of the view per tile of the layer along an axis. Each tile of the layer is computed once for the four tiles
+/// of the view inside it.
 const LAYER_TILE: u32 = (TILE / TILE_WIDTH) as u32;
-/// Slices of rows that a band is cut into at a time.
-const SLICES: usize = 4096;
+/// Maximum number of row slices into which a band is cut at a time.
+const MAX_SLICES: usize = 4096;
 const _: () = assert!(TILE.is_multiple_of(TILE_WIDTH) && TILE_WIDTH == TILE_HEIGHT);
 
 impl Renderer {
     /// Projects the Gaussians of `picture` that `view` shows, and sorts them into tiles.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] if primitives, (Gaussian, tile) pairs, work or memory exceed `limits`; nothing is spent
-    /// then. [`Error::Parameter`] if a primitive is not finite or has a scale of zero, or a side of the view is 0 or
-    /// over 2²⁰.
+    /// [`Error::LimitExceeded`] if primitives, (Gaussian, tile) pairs, work or memory exceed `limits`; this is checked
+    /// before memory is allocated. [`Error::Parameter`] if a primitive is not finite or has a scale of zero, or if a
+    /// side of the view is 0 or over 2²⁰.
     pub fn new(picture: &Picture, view: &View, limits: &Limits) -> Result<Self> {
         let canvas = Canvas { channels: picture.channels, blend: picture.blend, background: picture.background };
         let gaussians = (picture.gaussians.len(), |i| picture.gaussians[i]);
         Renderer::of(&canvas, gaussians, view, limits, &Budget::of(limits))
     }
 
-    /// Makes a renderer of `count` Gaussians that are computed on demand, so that they need not be in memory at the
-    /// same time.
+    /// Returns a renderer of `count` Gaussians that are computed on demand, so that they need not all be in memory.
     pub(crate) fn of(
         canvas: &Canvas,
         (count, gaussian): (usize, impl Fn(usize) -> Gaussian + Sync + Send),
@@ -130,42 +131,42 @@ impl Renderer {
         Ok(self)
     }
 
-    /// Returns the view that is drawn.
+    /// Returns the view to render.
     #[must_use]
     pub fn view(&self) -> &View {
         &self.view
     }
 
-    /// Channels of the output.
+    /// Returns the channels of the output.
     #[must_use]
     pub fn channels(&self) -> Channels {
         self.channels
     }
 
-    /// Samples in a row of the output.
+    /// Returns the number of samples in a row of the output.
     #[must_use]
     pub fn row_len(&self) -> usize {
         self.view.width as usize * self.channels.count()
     }
 
-    /// Returns the number of bands, which are rows of tiles that the view touches.
+    /// Returns the number of bands. A band is a row of tiles that the view touches.
     #[must_use]
     pub fn bands(&self) -> u32 {
         self.bins.tiles.count[1]
     }
 
-    /// Columns and rows of the output that a tile holds.
+    /// Returns the number of output columns and rows in a tile.
     fn tile(&self) -> [u32; 2] {
         [TILE_WIDTH as u32 / self.filter.parts[0], TILE_HEIGHT as u32 / self.filter.parts[1]]
     }
 
-    /// Columns of the output in all tiles of a band, those that the view does not show included.
+    /// Returns the number of output columns in all tiles of a band, including those that the view does not show.
     fn stride(&self) -> usize {
         self.bins.tiles.count[0] as usize * self.tile()[0] as usize
     }
 
-    /// Returns the rows of the view that band `band` holds: 128, or fewer if the view is reduced. The first and the
-    /// last band may have fewer.
+    /// Returns the rows of the view in band `band`: 128, or fewer if the view is reduced. The first and the last band
+    /// may have fewer.
     ///
     /// # Panics
     /// If `band` is not below [`Renderer::bands`].
@@ -178,10 +179,10 @@ impl Renderer {
         tile.max(self.view.offset[1]) - self.view.offset[1]..end - self.view.offset[1]
     }
 
-    /// Draws the consecutive bands `bands` into `out`: all of their rows, [`Renderer::row_len`] samples each.
+    /// Renders the consecutive bands `bands` into `out`: all of their rows, [`Renderer::row_len`] samples each.
     ///
     /// # Panics
-    /// If `bands` is empty or reaches beyond [`Renderer::bands`], or if `out` does not have exactly that length.
+    /// If `bands` is empty or exceeds [`Renderer::bands`], or if `out` does not have exactly that length.
     #[inline(always)]
     pub fn render_bands(&self, bands: std::ops::Range<u32>, out: SamplesMut<'_>) {
         match out {
@@ -190,7 +191,7 @@ impl Renderer {
         }
     }
 
-    /// Draws the whole view.
+    /// Renders the whole view.
     ///
     /// # Errors
     /// [`Error::LimitExceeded`] if the output would take more memory than the limits allow.
@@ -213,7 +214,7 @@ impl Renderer {
         Pixels::new(self.view.width, self.view.height, self.channels, samples)
     }
 
-    /// Draws the whole view into `out`, row by row with interleaved channels.
+    /// Renders the whole view into `out`, row by row with interleaved channels.
     ///
     /// # Panics
     /// If `out` does not have exactly [`Renderer::row_len`] × height samples.
@@ -222,8 +223,8 @@ impl Renderer {
         self.render_bands(0..self.bands(), out);
     }
 
-    /// Draws after the choice of the depth, so that a program which draws one depth need not contain the other's
-    /// kernels.
+    /// Renders at a depth that is chosen at compile time, so that a program that uses one depth does not contain the
+    /// kernels of the other.
     #[inline(never)]
     fn draw<T: Sample>(&self, bands: std::ops::Range<u32>, mut out: &mut [T]) {
         assert!(bands.start < bands.end, "no bands in {bands:?}");
@@ -253,7 +254,7 @@ impl Renderer {
                 while let Some(&(band, _)) = parts.peek()
                     && layer_row(band) - start < most
                 {
-                    // By the tiles of the layer.
+                    // Group the pieces by tile of the layer.
                     let mut row: Vec<Vec<Piece<'_, T>>> = (0..columns).map(|_| Vec::new()).collect();
                     while let Some((band, part)) = parts.next_if(|part| layer_row(part.0) == layer_row(band)) {
                         let mut rows: Vec<&mut [T]> = part.chunks_exact_mut(self.row_len()).collect();
@@ -267,7 +268,7 @@ impl Renderer {
             }
             return;
         }
-        // As many bands at a time as their additions may be held for.
+        // Process as many bands at a time as the budget for additions allows.
         let most = overlay.rows_at_once(self.stride());
         while let Some(first) = parts.next() {
             let mut rows = self.band_rows(first.0);
@@ -276,12 +277,13 @@ impl Renderer {
                 rows.end = self.band_rows(part.0).end;
                 bands.push(part);
             }
-            // From the first tile's first column to the last one's last, so that strips of eight begin anywhere.
+            // Additions cover the first tile's first column to the last tile's last column, so that strips of eight
+            // may start anywhere.
             let width = self.tile()[0];
             let left = i64::from(self.bins.tiles.first[0] * width) - i64::from(self.view.offset[0]);
             let additions = overlay.additions(&self.view, left, self.stride(), rows);
             self.draw_bands(bands, Some(Source::Rows(&additions)));
-            overlay.used(additions);
+            overlay.recycle_additions(additions);
         }
     }
 
@@ -293,13 +295,13 @@ impl Renderer {
         bands.into_iter().for_each(draw);
     }
 
-    /// Draws a band, some of its tiles at a time: of pictures with small tiles the slices of all their rows together would take as
-    /// much memory as the samples.
+    /// Renders a band, some of its tiles at a time. For pictures with small tiles, the slices of all their rows
+    /// together would take as much memory as the samples.
     fn draw_band<T: Sample>(&self, (band, part): (u32, &mut [T]), source: Option<Source<'_>>) {
         let mut rows: Vec<&mut [T]> = part.chunks_exact_mut(self.row_len()).collect();
         let tiles = 0..self.bins.tiles.count[0];
-        for first in tiles.clone().step_by(SLICES / TILE_HEIGHT) {
-            let some = first..(first + (SLICES / TILE_HEIGHT) as u32).min(tiles.end);
+        for first in tiles.clone().step_by(MAX_SLICES / TILE_HEIGHT) {
+            let some = first..(first + (MAX_SLICES / TILE_HEIGHT) as u32).min(tiles.end);
             self.draw_group(self.split(band, some, &mut rows), source);
         }
     }
@@ -311,7 +313,7 @@ impl Renderer {
         groups.into_iter().for_each(draw);
     }
 
-    /// Draws tiles that lie in one of the layer.
+    /// Renders tiles that lie in one tile of the layer.
     fn draw_within<T: Sample>(&self, group: Vec<Piece<'_, T>>, overlay: &Overlay) {
         let (Some(first), Some(last)) = (group.first(), group.last()) else { return };
         let [column, row] = [first.1, first.0];
@@ -324,7 +326,7 @@ impl Renderer {
             offset[0].saturating_sub(left) as usize..(offset[0] + self.view.width - left).min(TILE as u32) as usize;
         let planes = overlay.tile(tile.map(|at| at as usize), Supers::of(columns, rows));
         self.draw_group(group, planes.as_ref().map(Source::Tile));
-        planes.into_iter().for_each(|planes| overlay.keep(planes));
+        planes.into_iter().for_each(|planes| overlay.recycle_planes(planes));
     }
 
     fn draw_group<T: Sample>(&self, group: Vec<Piece<'_, T>>, source: Option<Source<'_>>) {
@@ -335,7 +337,7 @@ impl Renderer {
         pieces.for_each(|(band, column, mut rows)| self.draw_tile((band, column), source, &mut rows));
     }
 
-    /// The columns of the output's part in a tile that the view shows.
+    /// Returns the columns of the output within a tile that the view shows.
     fn columns(&self, column: u32) -> std::ops::Range<usize> {
         let width = self.tile()[0];
         let tile = (self.bins.tiles.first[0] + column) * width;
@@ -344,7 +346,7 @@ impl Renderer {
         start as usize..end as usize
     }
 
-    /// Cuts what is left of the rows of a band into those of the next tiles, whose columns are `tiles`.
+    /// Splits the slices of the next tiles, whose columns are `tiles`, off the remaining rows of a band.
     fn split<'a, T>(&self, band: u32, tiles: std::ops::Range<u32>, rows: &mut [&'a mut [T]]) -> Vec<Piece<'a, T>> {
         let mut pieces: Vec<Piece<'a, T>> =
             tiles.map(|column| (band, column, Vec::with_capacity(rows.len()))).collect();

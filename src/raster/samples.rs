@@ -3,17 +3,17 @@
 use crate::pixels::Depth;
 use crate::simd::{LANES, Simd};
 
-/// Memory to draw into: rows one after the other, with interleaved channels.
+/// Output buffer of a renderer: rows one after the other, from the top, with interleaved channels.
 #[derive(Debug)]
 pub enum SamplesMut<'a> {
-    /// 8 bits a sample.
+    /// 8 bits per sample; 255 is 1.0.
     U8(&'a mut [u8]),
-    /// 16 bits a sample, native endian.
+    /// 16 bits per sample, native endian; 65535 is 1.0.
     U16(&'a mut [u16]),
 }
 
 impl SamplesMut<'_> {
-    /// Bits a sample.
+    /// Returns the number of bits per sample.
     #[must_use]
     pub fn depth(&self) -> Depth {
         match self {
@@ -31,7 +31,7 @@ impl SamplesMut<'_> {
     }
 }
 
-/// Code values of either depth, to be reused.
+/// Reusable buffers for code values of either depth.
 #[derive(Debug, Default)]
 pub(super) struct Codes {
     eight: Vec<u8>,
@@ -43,13 +43,13 @@ pub(super) trait Sample: Copy + Default + Send + Sync {
     /// The code value of white.
     const WHITE: f32;
 
-    /// The code values of this depth.
+    /// Returns the buffer of this depth.
     fn codes(codes: &mut Codes) -> &mut Vec<Self>;
 
     /// `floor(v)` for `0 ≤ v < WHITE + 1`.
     fn floor(v: f32) -> Self;
 
-    /// Writes eight pixels, channels interleaved, from code values that are to be rounded down.
+    /// Writes eight pixels with interleaved channels from code values, which are rounded down.
     fn store<S: Simd, const C: usize>(simd: S, to: &mut [Self], v: [S::Vector; C]);
 }
 

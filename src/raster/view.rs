@@ -1,33 +1,34 @@
-//! Views: the part of the plane to draw, and the size of the output.
+//! Views: the area to render, and the size of the output.
 
 use crate::error::{Error, Result};
 use crate::gaussian::{CUTOFF, Picture};
 
-/// Longest side of a view, output pixels.
+/// Maximum side of a view, output pixels.
 pub(super) const MAX_SIDE: u32 = 1 << 20;
 
-/// Distance of samples that a reducing view goes below if it can, picture pixels. A lattice of 2 would see one phase
-/// only of detail of the finest period, 2 pixels.
-const SAMPLING: f64 = 1.5;
+/// Spacing of samples, in picture pixels, that a reduced view stays below if possible. At a spacing of 2, samples
+/// would see only one phase of detail with the finest period, 2 pixels.
+const MAX_SPACING: f64 = 1.5;
 
-/// Most samples of an output pixel along an axis: the kernel averages within its strips of eight columns.
-const MOST_PARTS: u32 = 8;
+/// Maximum number of samples per output pixel along an axis. The kernel averages within its strips of eight columns.
+const MAX_PARTS: u32 = 8;
 
 /// Low-pass filter of a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Filter {
-    /// Samples of which an output pixel is the mean, along x and y: 1, 2, 4 or 8.
+    /// Samples that are averaged to an output pixel, along x and y: 1, 2, 4 or 8.
     pub parts: [u32; 2],
-    /// Increase of the Gaussians' variances along x and y, picture pixels².
+    /// Increase of the Gaussians' variances along x and y, in squared picture pixels.
     pub variance: [f64; 2],
 }
 
-/// A rectangle of output pixels on a grid laid over the picture.
+/// A rectangle of output pixels on a grid over the picture: which area to render, and at which size.
 ///
-/// Pixel `(i, j)` of the view is pixel `offset + (i, j)` of the grid and samples the picture at
-/// `origin + (offset + (i, j) + ½) · step`. Views that share a grid (those made by [`View::crop`]) give the same
-/// bits wherever they overlap.
+/// Pixel `(i, j)` of the view is pixel `offset + (i, j)` of the grid and samples the picture at `origin + (offset +
+/// (i, j) + ½) · step`. Views that share a grid (those made by [`View::crop`]) give the same bits wherever they
+/// overlap.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[doc(alias("region", "viewport"))]
 pub struct View {
     pub(super) origin: [f64; 2],
     pub(super) step: [f64; 2],
@@ -37,23 +38,24 @@ pub struct View {
 }
 
 impl View {
-    /// The whole picture, one output pixel for each of its own.
+    /// Returns the view of the whole picture at its own size.
     #[must_use]
     pub fn full(picture: &Picture) -> Self {
         View::of_size(picture.width, picture.height)
     }
 
-    /// The whole of a picture of `width × height` pixels, one output pixel for each of its own.
+    /// Returns the view of a whole picture of `width × height` pixels at its own size.
     #[must_use]
     pub fn of_size(width: u32, height: u32) -> Self {
         View { origin: [0.0; 2], step: [1.0; 2], offset: [0; 2], width, height }
     }
 
-    /// Returns the rectangle of `width × height` output pixels whose top left one is pixel `(x, y)` of this view. Its
-    /// pixels have the same bits as in this view.
+    /// Returns the rectangle of `width × height` output pixels with its top left corner at pixel `(x, y)` of this
+    /// view. Its pixels have the same bits as in this view.
     ///
     /// # Errors
     /// [`Error::Parameter`] if the rectangle is empty or not within this view.
+    #[doc(alias("region", "part"))]
     pub fn crop(&self, x: u32, y: u32, width: u32, height: u32) -> Result<Self> {
         for (name, start, length, side) in [("width", x, width, self.width), ("height", y, height, self.height)] {
             if length == 0 || u64::from(start) + u64::from(length) > u64::from(side) {
@@ -63,19 +65,21 @@ impl View {
         Ok(View { offset: [self.offset[0] + x, self.offset[1] + y], width, height, ..*self })
     }
 
-    /// Returns a view of the same area of the plane with `width × height` output pixels.
+    /// Returns a view of the same area with `width × height` output pixels.
     ///
-    /// Enlarging samples the continuous picture. Reducing low-passes it, so that fine detail does not alias. An output
-    /// pixel that is `step` picture pixels wide is the mean of `k` samples side by side, each clamped to `0..=1`. `k`
-    /// is the smallest of 1, 2, 4 and 8 with `step / k ≤ 1.5`, else 8; either axis has its own. Where that leaves
-    /// samples more than one picture pixel apart, the Gaussians' variance along the axis grows by
-    /// `((step / k)² − 1) / 12`, the variance of the pixels that each sample stands for, and their integral is kept.
-    /// Halves, quarters and eighths are the means of the full view's pixels, except where a detail layer would go
-    /// beyond black or white. In a picture with alpha, colours are weighted by their alpha in the mean, so that colours
-    /// under alpha 0 are not seen (spec §5.5). The work is at most that of `8 × 8` times the output pixels.
+    /// Enlarging samples the continuous picture. Reducing applies a low-pass filter, so that fine detail does not
+    /// alias. An output pixel that is `step` picture pixels wide is the mean of `k` adjacent samples, each clamped to
+    /// `0..=1`. `k` is the smallest of 1, 2, 4 and 8 with `step / k ≤ 1.5`, else 8, for each axis separately. If the
+    /// samples are then still more than one picture pixel apart, the Gaussians' variance along the axis grows by
+    /// `((step / k)² − 1) / 12`, the variance of the pixels that each sample represents, and their integral is
+    /// preserved. Halves, quarters and eighths are the means of the full view's pixels, except where a detail layer
+    /// would exceed black or white. In a picture with alpha, colours are weighted by their alpha in the mean, so that
+    /// colours under alpha 0 do not become visible (spec §5.5). The work per output pixel is at most that of `8 × 8`
+    /// pixels.
     ///
     /// # Errors
     /// [`Error::Parameter`] if a side is 0 or over 2²⁰.
+    #[doc(alias("resize", "scale", "zoom", "downscale"))]
     pub fn resized(&self, width: u32, height: u32) -> Result<Self> {
         for (name, side) in [("width", width), ("height", height)] {
             if side == 0 || side > MAX_SIDE {
@@ -90,11 +94,12 @@ impl View {
         Ok(View { origin, step, offset: [0; 2], width, height })
     }
 
-    /// Returns a view of the same area of the plane, as large as fits into `within` (width and height in output pixels)
-    /// with the aspect ratio kept. It is never larger than this view. Each side is at least one pixel.
+    /// Returns a view of the same area at the largest size that fits into `within` (width and height in output
+    /// pixels), keeping the aspect ratio. It is never larger than this view. Each side is at least one pixel.
     ///
     /// # Errors
     /// [`Error::Parameter`] if a side of `within` is 0.
+    #[doc(alias("thumbnail", "preview"))]
     pub fn fitted(&self, within: [u32; 2]) -> Result<Self> {
         for (name, side) in [("width", within[0]), ("height", within[1])] {
             if side == 0 {
@@ -107,26 +112,27 @@ impl View {
         self.resized(width, height)
     }
 
-    /// Width, output pixels.
+    /// Returns the width, output pixels.
     #[must_use]
     pub fn width(&self) -> u32 {
         self.width
     }
 
-    /// Height, output pixels.
+    /// Returns the height, output pixels.
     #[must_use]
     pub fn height(&self) -> u32 {
         self.height
     }
 
-    /// Returns the picture pixels per output pixel along x and y. The view is reduced where it is above 1.
+    /// Returns the number of picture pixels per output pixel along x and y. The view is reduced where it is above 1.
     #[must_use]
+    #[doc(alias = "scale")]
     pub fn step(&self) -> [f64; 2] {
         self.step
     }
 
     /// Returns the left, top, width and height, in picture pixels, of the area that a Gaussian's support must reach to
-    /// be seen in this view. It is larger than the view where the low-pass filter widens Gaussians.
+    /// be visible in this view. It is larger than the view where the low-pass filter widens Gaussians.
     #[must_use]
     pub fn area(&self) -> [u32; 4] {
         let Filter { variance, .. } = self.filter();
@@ -142,11 +148,11 @@ impl View {
         [x[0], y[0], x[1], y[1]]
     }
 
-    /// The low-pass that the step asks for; crops have that of their view.
+    /// Returns the low-pass filter for the step. Crops have the filter of their view.
     pub(crate) fn filter(&self) -> Filter {
         let parts = self.step.map(|step| {
             let mut parts = 1;
-            while parts < MOST_PARTS && step > SAMPLING * f64::from(parts) {
+            while parts < MAX_PARTS && step > MAX_SPACING * f64::from(parts) {
                 parts *= 2;
             }
             parts
@@ -155,7 +161,7 @@ impl View {
         Filter { parts, variance }
     }
 
-    /// Returns the same area with `parts` pixels for each along x and y, on a grid that is as much finer.
+    /// Returns the same area on a finer grid, with `parts` pixels per pixel along x and y.
     pub(crate) fn refined(&self, parts: [u32; 2]) -> View {
         View {
             origin: self.origin,

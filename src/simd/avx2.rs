@@ -1,4 +1,4 @@
-//! Eight lanes in AVX2 registers, through `pulp`'s proof that the machine has them.
+//! Eight lanes in AVX2 registers, through `pulp`'s proof that the machine supports AVX2.
 
 use pulp::x86::V3;
 use std::arch::x86_64::{__m128i, __m256, _CMP_GT_OQ};
@@ -100,7 +100,7 @@ impl Simd for V3 {
         let b = self.avx._mm256_cvttps_epi32(v[2]);
         let gb = self.avx2._mm256_or_si256(self.avx2._mm256_slli_epi32::<8>(g), self.avx2._mm256_slli_epi32::<16>(b));
         let pixels = self.avx2._mm256_or_si256(r, gb);
-        // Three bytes of each pixel within the halves, then the halves' three words side by side.
+        // Pick three bytes of each pixel within each half, then join the three words of both halves.
         const DROP: [i8; 32] = [
             0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1, 0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1,
             -1,
@@ -118,12 +118,12 @@ impl Simd for V3 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::keeps_its_promises;
+    use super::super::tests::check_properties;
 
     #[test]
     fn avx2_lanes_keep_their_promises() {
         match pulp::x86::V3::try_new() {
-            Some(simd) => keeps_its_promises(simd),
+            Some(simd) => check_properties(simd),
             None => eprintln!("skipped: this machine has no AVX2"),
         }
     }

@@ -1,7 +1,7 @@
-//! Eight floats side by side on any instruction set, and the plain one that every machine has.
+//! Vectors of eight floats for any instruction set, with a plain implementation that runs on every machine.
 //!
-//! Each operation is one IEEE operation a lane and none is fused, so that every instruction set gives the same bits. Sixteen
-//! lanes of AVX-512, two rows of a strip, draw no faster or hardly so.
+//! Each operation is one IEEE operation per lane and none is fused, so that every instruction set gives the same bits.
+//! Sixteen lanes of AVX-512, two rows of a strip, are hardly faster.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -16,7 +16,7 @@ use std::sync::OnceLock;
 #[cfg(test)]
 pub(crate) use self::plain::Plain;
 
-/// Floats side by side.
+/// Lanes of a vector.
 pub const LANES: usize = 8;
 
 /// Eight floats in memory.
@@ -26,27 +26,28 @@ pub struct Lanes(pub [f32; LANES]);
 
 /// Work that is compiled for each instruction set.
 ///
-/// A struct and not a closure: a closure's body would not be inlined into the function that is compiled for AVX2, and run
-/// without it.
+/// A task is a struct rather than a closure, because the body of a closure would not be inlined into the function that
+/// is compiled for AVX2, and would run without AVX2.
 pub trait Task {
     type Output;
 
-    /// To be `#[inline(always)]`, as all that it calls in its inner loops.
+    /// Implementations must be `#[inline(always)]`, and so must everything that they call in their inner loops.
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
 
-/// The variable that chooses the plain instructions.
+/// Environment variable that selects the plain instructions.
 #[cfg(target_arch = "x86_64")]
 const VARIABLE: &str = "SSPLAT_SIMD";
 
-/// Whether [`VARIABLE`] was `plain` when it was first asked for.
+/// Tells whether [`VARIABLE`] was `plain` when this function was first called.
 #[cfg(target_arch = "x86_64")]
 fn is_plain_asked_for() -> bool {
     static ASKED: OnceLock<bool> = OnceLock::new();
     *ASKED.get_or_init(|| std::env::var_os(VARIABLE).is_some_and(|value| value == "plain"))
 }
 
-/// Runs `task` with the best instructions that the machine has, or with the plain ones if those are asked for.
+/// Runs `task` with the best instructions that the machine supports, or with the plain ones if the environment asks
+/// for them.
 pub fn dispatch<T: Task>(task: T) -> T::Output {
     #[cfg(target_arch = "x86_64")]
     if !is_plain_asked_for()
@@ -60,11 +61,11 @@ pub fn dispatch<T: Task>(task: T) -> T::Output {
     task.run(plain::Plain)
 }
 
-/// The instructions that fit and draw on the CPU: `"avx2"`; `"simd128"` in WebAssembly that is compiled for it; or `"plain"` for
-/// those that the crate is compiled for.
+/// Returns the instruction set for fitting and rendering on the CPU: `"avx2"`; `"simd128"` in WebAssembly compiled for
+/// it; or `"plain"`, the baseline for which the crate is compiled.
 ///
-/// Files and pixels are the same with either. With the environment variable `SSPLAT_SIMD=plain`, read once in a process,
-/// the plain ones are taken everywhere: to compare the two, or to rule one out when a result is doubted.
+/// Files and pixels are the same with all of them. The environment variable `SSPLAT_SIMD=plain`, read once per
+/// process, selects the plain instructions, to compare them or to rule out the others as the cause of a wrong result.
 #[must_use]
 pub fn instruction_set() -> &'static str {
     struct Name;
@@ -78,18 +79,19 @@ pub fn instruction_set() -> &'static str {
     dispatch(Name)
 }
 
-/// Operations on eight floats at once.
+/// Operations on vectors of eight floats.
 ///
-/// Code that uses it must be inlined into the function that is compiled for the instruction set, so: no closures.
+/// Code that uses them must be inlined into the function that is compiled for the instruction set, and therefore
+/// cannot use closures.
 pub trait Simd: Copy {
-    /// Name that [`instruction_set`] returns for it.
+    /// Name of the instruction set, as returned by [`instruction_set`].
     const NAME: &'static str;
 
     /// Eight floats, in a register if there is one.
     type Vector: Copy;
 
-    /// Runs `task` as a function of its own, with registers of its own: inlined into a large one, the inner loops of several
-    /// tasks would spill each other's constants.
+    /// Runs `task` as a separate function with its own registers. If several tasks were inlined into one large
+    /// function, their inner loops would spill each other's constants.
     #[inline(always)]
     fn call<T: Task>(self, task: T) -> T::Output {
         task.run(self)
@@ -127,13 +129,13 @@ pub trait Simd: Copy {
         to.0 = self.to_array(v);
     }
 
-    /// The first eight of `from`.
+    /// Loads the first eight values of `from`.
     #[inline(always)]
     fn read(self, from: &[f32]) -> Self::Vector {
         self.vector(*from.first_chunk().expect("eight floats"))
     }
 
-    /// The first eight of `from` as floats.
+    /// Loads the first eight values of `from` as floats.
     #[inline(always)]
     fn widen(self, from: &[i16]) -> Self::Vector {
         let (from, mut to) = (from.first_chunk::<LANES>().expect("eight integers"), [0.0; LANES]);
@@ -143,13 +145,13 @@ pub trait Simd: Copy {
         self.vector(to)
     }
 
-    /// Over the first eight of `to`.
+    /// Stores `v` to the first eight values of `to`.
     #[inline(always)]
     fn write(self, to: &mut [f32], v: Self::Vector) {
         *to.first_chunk_mut().expect("eight floats") = self.to_array(v);
     }
 
-    /// The sum of all, halves first.
+    /// Returns the sum of all lanes; the halves are added first.
     #[inline(always)]
     fn sum(self, v: Self::Vector) -> f32 {
         let v = self.to_array(v);
@@ -163,7 +165,7 @@ pub trait Simd: Copy {
         self.load(&Lanes([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]))
     }
 
-    /// `2^x` within 2·10⁻⁷ of its value for `−126 ≤ x ≤ 126`; below, `2^−126`.
+    /// `2^x` with a relative error of 2·10⁻⁷ for `−126 ≤ x ≤ 126`; below that range, `2^−126`.
     #[inline(always)]
     fn exp2(self, x: Self::Vector) -> Self::Vector {
         // Adding 1.5·2²³ leaves the nearest integer in the low bits.
@@ -171,7 +173,7 @@ pub trait Simd: Copy {
         let x = self.max(x, self.splat(-126.0));
         let shifted = self.add(x, magic);
         let f = self.sub(x, self.sub(shifted, magic));
-        // Minimax over |f| ≤ ½ with 1 and ln 2 kept, so that arguments near 0 are exact.
+        // Minimax polynomial over |f| ≤ ½ with the coefficients 1 and ln 2 fixed, so that results near 0 are exact.
         let mut p = self.splat(1.330_026_5e-3);
         for c in [9.669_709e-3, 5.550_56e-2, 2.402_228_1e-1, std::f32::consts::LN_2, 1.0] {
             p = self.add(self.mul(p, f), self.splat(c));
@@ -179,16 +181,16 @@ pub trait Simd: Copy {
         self.scale(p, shifted)
     }
 
-    /// `e^x` within 10⁻⁶ of its value for magnitudes up to 40.
+    /// `e^x` with a relative error of 10⁻⁶ for magnitudes up to 40.
     #[inline(always)]
     fn exp(self, x: Self::Vector) -> Self::Vector {
         self.exp2(self.mul(x, self.splat(std::f32::consts::LOG2_E)))
     }
 
-    /// Sine and cosine within 2·10⁻⁷, for some hundreds of turns at most.
+    /// Sine and cosine within 2·10⁻⁷, for up to a few hundred turns.
     #[inline(always)]
     fn sin_cos(self, x: Self::Vector) -> [Self::Vector; 2] {
-        // π in three parts, of which the first two have few digits: their multiples are exact.
+        // π in three parts. The first two have few digits, so that their multiples are exact.
         const PI: [f32; 3] = [3.140_625, 9.670_257_6e-4, 6.277_114e-7];
         const HALF_PI: [f32; 2] = [std::f32::consts::FRAC_PI_2, -4.371_139e-8];
         // Adding 1.5·2²³ rounds to the nearest integer.
@@ -222,8 +224,8 @@ pub trait Simd: Copy {
 pub(crate) mod tests {
     use super::*;
 
-    /// Checks the properties that each instruction set must have.
-    pub fn keeps_its_promises(simd: impl Simd) {
+    /// Checks the properties that every instruction set must have.
+    pub fn check_properties(simd: impl Simd) {
         let out = |v| {
             let mut lanes = Lanes([0.0; LANES]);
             simd.store(&mut lanes, v);

@@ -1,8 +1,8 @@
-//! Eight lanes in arrays: the twin of every other instruction set, and all that there is where nothing else is known.
+//! Eight lanes in plain arrays: the reference for the other instruction sets, and the fallback.
 
 use super::{LANES, Simd};
 
-/// Plain arrays, in loops that compilers may turn into vectors: the twin of every other instruction set.
+/// Plain arrays, in loops that compilers may vectorize: the reference for the other instruction sets.
 #[derive(Debug, Clone, Copy)]
 pub struct Plain;
 
@@ -78,7 +78,7 @@ impl Simd for Plain {
 
     #[inline(always)]
     fn floor(self, v: Self::Vector) -> [u32; LANES] {
-        // Not a cast: those saturate, and the checks keep compilers from using vectors.
+        // A cast saturates, and its range checks would prevent vectorization.
         const MAGIC: f32 = 8_388_608.0;
         v.map(|v| {
             let shifted = v + MAGIC;
@@ -99,11 +99,11 @@ impl Simd for Plain {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::keeps_its_promises;
+    use super::super::tests::check_properties;
     use super::Plain;
 
     #[test]
     fn plain_lanes_keep_their_promises() {
-        keeps_its_promises(Plain);
+        check_properties(Plain);
     }
 }

@@ -1,6 +1,6 @@
-//! Eight lanes in two registers of WebAssembly's vector instructions.
+//! Eight lanes in two vector registers of WebAssembly.
 //!
-//! Compilers turn the plain loops into these only here and there.
+//! Compilers vectorize the plain loops only in part.
 
 use std::arch::wasm32::{
     f32x4_add, f32x4_div, f32x4_gt, f32x4_mul, f32x4_pmax, f32x4_pmin, f32x4_splat, f32x4_sqrt, f32x4_sub,
@@ -9,22 +9,22 @@ use std::arch::wasm32::{
 
 use super::{LANES, Simd};
 
-/// The instructions that a module with `simd128` is compiled for.
+/// The `simd128` instructions.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Simd128;
 
-/// Lane by lane in both registers.
+/// Applies `f` to both registers.
 #[inline(always)]
 fn zip(a: [v128; 2], b: [v128; 2], f: impl Fn(v128, v128) -> v128) -> [v128; 2] {
     [f(a[0], b[0]), f(a[1], b[1])]
 }
 
-/// `floor(v)` for `0 ≤ v < 2²²` in each lane. A conversion would have to look for what is no number.
+/// `floor(v)` for `0 ≤ v < 2²²` in each lane. A conversion would have to handle NaN.
 #[inline(always)]
 fn floors(v: v128) -> v128 {
     let magic = f32x4_splat(8_388_608.0);
     let shifted = f32x4_add(v, magic);
-    // Rounded to the nearest integer; where that is above, the comparison is −1.
+    // Round to the nearest integer; where the result is larger than `v`, the comparison is −1.
     let above = f32x4_gt(f32x4_sub(shifted, magic), v);
     i32x4_add(v128_and(shifted, i32x4_splat(0x7F_FFFF)), above)
 }
@@ -106,7 +106,7 @@ impl Simd for Simd128 {
         let [r, g, b] = v.map(|v| v.map(floors));
         let pixels = zip(r, zip(g, b, |g, b| v128_or(i32x4_shl(g, 8), i32x4_shl(b, 16))), |r, gb| v128_or(r, gb));
         let [left, right] = pixels;
-        // Three bytes of each pixel.
+        // Pick three bytes of each pixel.
         let first = i8x16_shuffle::<0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, 16, 17, 18, 20>(left, right);
         let rest = i8x16_shuffle::<5, 6, 8, 9, 10, 12, 13, 14, 5, 6, 8, 9, 10, 12, 13, 14>(right, right);
         to[..16].copy_from_slice(&bytemuck::cast::<_, [u8; 16]>(first));

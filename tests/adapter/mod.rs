@@ -1,4 +1,5 @@
-//! Runs tests on any adapter, software included. Without one they are ignored; with `SSPLAT_REQUIRE_GPU=1` they fail.
+//! Runs tests on any adapter, including software renderers. Without an adapter they are ignored, or fail with
+//! `SSPLAT_REQUIRE_GPU=1`.
 
 use libtest_mimic::{Arguments, Failed, Trial};
 use ssplat::gpu::{Adapters, Device};
@@ -7,7 +8,7 @@ use ssplat::{Error, GpuError};
 /// A test of a device.
 pub type Test = fn(&Device);
 
-/// Runs the tests that the command line asks for, under names that begin with `gpu::`.
+/// Runs the tests that the command line selects, under names that begin with `gpu::`.
 pub fn run(all: &[(&str, Test)]) -> ! {
     let arguments = Arguments::from_args();
     let required = std::env::var("SSPLAT_REQUIRE_GPU").is_ok_and(|v| v == "1");

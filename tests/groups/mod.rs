@@ -1,19 +1,20 @@
-//! Files in groups, where the writer chooses what stays undivided: the same primitives, but not the same bytes.
+//! Round trips of files in groups: the writer chooses the groups, so that primitives are kept, but not bytes.
 
 use ssplat::Limits;
 use ssplat::unstable::bitstream::splats::PackedSplats;
 use ssplat::unstable::bitstream::{read, to_bytes};
 
-/// The byte with the layout in its lowest bits, and the value of groups.
+/// Position of the byte with the layout in its lowest bits, and the bit for groups.
 const FLAGS: usize = 5;
 const IN_GROUPS: u8 = 3;
 
-/// Whether a file of the coded layout is in groups.
+/// Tells whether a file of the coded layout is in groups.
 pub fn is_grouped(bytes: &[u8]) -> bool {
     bytes[FLAGS] & 3 == IN_GROUPS
 }
 
-/// Written and read again, each level has the same primitives and all else is the same; written again, so are the bytes.
+/// Asserts that writing and reading keeps each level's primitives and everything else, and that writing again gives
+/// the same bytes.
 pub fn assert_kept(splats: &PackedSplats, limits: &Limits, name: &str) {
     let again = to_bytes(splats).unwrap();
     let reread = read(&again[..], limits).unwrap();

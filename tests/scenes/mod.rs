@@ -1,8 +1,8 @@
-//! Pictures to draw, with the statistics of fitted ones, and the code values that were drawn.
+//! Synthetic pictures with the statistics of fitted ones, and their rendered code values.
 
 use ssplat::{Blend, Channels, Gaussian, Picture, Samples};
 
-/// xorshift64*: enough for scenes, and the same everywhere.
+/// xorshift64*: sufficient for scenes, and the same on every machine.
 pub struct Random(pub u64);
 
 impl Random {

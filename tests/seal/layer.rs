@@ -1,4 +1,4 @@
-//! Where a file with a detail layer has its checks, and what they should be.
+//! Finds and corrects the checksums in a file with a detail layer.
 
 use std::ops::Range;
 
@@ -14,11 +14,12 @@ pub struct Layout {
     /// The contents alone.
     pub contents: Range<usize>,
     pub payload: Range<usize>,
-    /// The checks of the tiles that have a stream, and the streams.
+    /// The checksums of the tiles that have a stream, and the streams.
     pub tiles: Vec<(Range<usize>, Range<usize>)>,
 }
 
-/// Finds the parts; nothing where the file ends before them or has no layer. A layer whose index is broken has no tiles.
+/// Finds the parts. Returns `None` if the file ends before them or has no layer. A layer whose index is broken has no
+/// tiles.
 pub fn layout(bytes: &[u8]) -> Option<Layout> {
     let mut rest = bytes;
     let head = Header::read(&mut rest, &Limits::default()).ok()?;
@@ -64,7 +65,8 @@ fn tiles(bytes: &[u8], mut at: usize, count: u64) -> Option<Vec<(Range<usize>, R
     Some(out)
 }
 
-/// Sets the checks of tiles, payload and section to what a reader computes; that of the file stays.
+/// Sets the checksums of tiles, payload and section to the values that a reader computes; that of the file is not
+/// changed.
 pub fn mend(bytes: &mut [u8]) {
     let Some(Layout { header, section, contents, payload, tiles }) = layout(bytes) else { return };
     for (check, stream) in tiles {

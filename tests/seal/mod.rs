@@ -1,4 +1,4 @@
-//! Damaged files with checksums that fit them again, so that what lies behind the checksums is tested.
+//! Corrects the checksums of damaged files, to test the code behind the checksums.
 
 #![allow(dead_code)] // Each test crate uses its own part.
 
@@ -8,7 +8,7 @@ pub mod mutations;
 use ssplat::unstable::bitstream::read;
 use ssplat::{Error, FormatError, Limits};
 
-/// Sets the checksums of detail layer, file, directory and groups to the ones that a reader computes.
+/// Sets the checksums of detail layer, file, directory and groups to the values that a reader computes.
 pub fn seal(bytes: &mut [u8]) {
     layer::mend(bytes);
     for _ in 0..16 {

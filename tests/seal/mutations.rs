@@ -1,4 +1,4 @@
-//! Sound files, changed as damage or malice would change them, under checksums that fit.
+//! Mutations of valid files, as by damage or attack, with correct checksums.
 
 use super::seal;
 
@@ -19,7 +19,7 @@ impl Random {
     }
 }
 
-/// So many of them, the same each time.
+/// Returns `count` mutations, the same each time.
 pub fn mutations(files: &[Vec<u8>], count: usize) -> impl Iterator<Item = Vec<u8>> {
     let mut random = Random(0x5eed);
     (0..count).map(move |i| {

@@ -1,9 +1,9 @@
-//! SHA-256 (FIPS 180-4), to name the vectors' files; `spec/check.py` holds it against another implementation.
+//! SHA-256 (FIPS 180-4), which identifies the vectors' files; `spec/check.py` compares it with another implementation.
 
-/// The digest in hexadecimal.
+/// Returns the digest in hexadecimal.
 pub fn sha256(data: &[u8]) -> String {
     let primes = || (2u64..).filter(|n| (2..).take_while(|d| d * d <= *n).all(|d| n % d != 0));
-    // The first 32 bits behind the binary point of a root of a prime.
+    // The first 32 bits after the binary point of a root of a prime.
     let fraction = |prime: u64, root: u32| {
         let (mut low, mut high) = (0u128, 1 << 40);
         while high - low > 1 {

@@ -1,8 +1,8 @@
-//! What pictures made by rule are made of.
+//! Building blocks of synthetic pictures.
 
 use ssplat::{Channels, Pixels, Samples};
 
-/// A picture of `channels` from values in `0..=1`, by pixel and channel.
+/// Returns a picture of `channels` from values in `0..=1`, by pixel and channel.
 pub fn picture(width: u32, height: u32, channels: Channels, value: impl Fn(u32, u32, usize) -> f64) -> Pixels {
     let count = channels.count();
     let mut samples = Vec::with_capacity(width as usize * height as usize * count);
@@ -14,7 +14,7 @@ pub fn picture(width: u32, height: u32, channels: Channels, value: impl Fn(u32, 
     Pixels::new(width, height, channels, Samples::U8(samples)).expect("as many samples as the size says")
 }
 
-/// Returns noise in `0..1` for a place and a channel: a hash that gives the same value everywhere and every time.
+/// Returns noise in `0..1` for a position and a channel: a hash that is the same everywhere and every time.
 pub fn noise(x: u32, y: u32, k: usize) -> f64 {
     let mut h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA6B) ^ (k as u32).wrapping_mul(0xC2B2_AE35);
     for _ in 0..2 {
@@ -24,7 +24,8 @@ pub fn noise(x: u32, y: u32, k: usize) -> f64 {
     f64::from(h >> 8) / f64::from(1 << 24)
 }
 
-/// 1 within a line of `width` pixels through the middle of a picture of `side`, at `angle` radians, 0 elsewhere.
+/// Returns 1 within a line of `width` pixels through the middle of a picture of `side`, at `angle` radians, and 0
+/// elsewhere.
 pub fn line(side: u32, width: f64, angle: f64, x: u32, y: u32) -> f64 {
     let middle = f64::from(side) / 2.0;
     let (dx, dy) = (f64::from(x) + 0.5 - middle, f64::from(y) + 0.5 - middle);

@@ -1,4 +1,4 @@
-//! Stiff and extreme pictures, and the rows of the table that they fill; shared by the tests of the whole way and of the fit.
+//! Stiff and extreme pictures, and the rows of their table; shared by the tests of the whole encoder and of the fit.
 
 mod made;
 mod row;
@@ -17,7 +17,7 @@ pub struct Fit {
     pub target: Target,
 }
 
-/// The pictures of the table.
+/// Returns the pictures of the table.
 pub fn fits() -> Vec<Fit> {
     use Channels::{Grey, GreyAlpha, Rgb, Rgba};
     const SIDE: u32 = 48;
@@ -55,11 +55,11 @@ pub fn fits() -> Vec<Fit> {
     add("primes 53 × 31", picture(53, 31, Rgb, |x, y, k| 0.5 + 0.5 * (f64::from(x * (k as u32 + 1) + y) / 7.0).sin()));
     let wave = || picture(96, 96, Rgb, |x, y, k| 0.5 + 0.4 * (f64::from(x * (k as u32 + 1) + 2 * y) / 9.0).sin());
     for ratio in [2.0, 10.0, 100.0, 1000.0] {
-        // As many primitives as a ratio of 2 asks for take their time even on a stamp.
+        // As many primitives as a ratio of 2 requires are slow even for a tiny picture.
         let pixels = if ratio < 5.0 { picture(40, 40, Rgb, noise) } else { wave() };
         list.push((format!("ratio {ratio}"), pixels, Target::Ratio(ratio)));
     }
-    // A ramp there and back: a file of a few dozen bytes for millions of samples.
+    // A symmetric gradient: a file of a few dozen bytes for millions of samples.
     let wide =
         |side: u32| picture(side, side, Rgb, |x, y, _| f64::from((x + y).min(2 * side - x - y)) / f64::from(side));
     for (side, ratio, name) in [(500, 1e4, "1e4"), (1300, 1e5, "1e5"), (3400, 1e6, "1e6"), (1300, 1e6, "1e6")] {

@@ -1,19 +1,19 @@
-//! Rows of the table of stiff and extreme cases: what each does to the worst error, and what guards it.
+//! Rows of the table of stiff and extreme cases: the worst error of each, and the measure that bounds it.
 
 /// One row of the table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Row {
     pub group: String,
     pub case: String,
-    /// The worst that was seen, in the unit of `bound`.
+    /// The worst value that occurred, in the unit of `bound`.
     pub worst: f64,
-    /// What it may be.
+    /// The bound on the worst value.
     pub bound: Bound,
-    /// What keeps it there.
+    /// The measure that bounds it.
     pub guard: String,
 }
 
-/// The promise of a row.
+/// The guarantee of a row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[allow(dead_code)] // Those outside and those inside promise different things.
 pub enum Bound {
@@ -23,7 +23,7 @@ pub enum Bound {
     Gain(f64),
     /// A relative error of at most this.
     Relative(f64),
-    /// Nothing: it is there to be known.
+    /// No bound: the value is only reported.
     Reported,
 }
 
@@ -37,7 +37,7 @@ impl Row {
     }
 
     #[allow(dead_code)] // The report only reads them.
-    /// The row as one line of tab-separated text.
+    /// Formats the row as one line of tab-separated text.
     pub fn line(&self) -> String {
         let (unit, bound) = match self.bound {
             Bound::Codes(v) => ("codes", v),

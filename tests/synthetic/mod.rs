@@ -1,4 +1,4 @@
-//! Made-up scenes with the statistics of fitted ones: clustered centres, neighbours alike in shape and colour.
+//! Synthetic scenes with the statistics of fitted ones: clustered centres, and neighbours of similar shape and colour.
 
 #![allow(dead_code)] // Each test crate uses its own part.
 
@@ -23,12 +23,12 @@ impl Random {
         z ^ z >> 31
     }
 
-    /// Uniform in `0..1`.
+    /// Returns a uniformly distributed number in `0..1`.
     pub fn unit(&mut self) -> f32 {
         (self.next() >> 40) as f32 / (1u64 << 24) as f32
     }
 
-    /// Roughly normal, deviation 1.
+    /// Returns an approximately normally distributed number with a standard deviation of 1.
     pub fn normal(&mut self) -> f32 {
         (0..12).map(|_| self.unit()).sum::<f32>() - 6.0
     }
@@ -38,7 +38,7 @@ impl Random {
     }
 }
 
-/// What to make up.
+/// Parameters of a scene.
 pub struct Scene {
     pub layout: Layout,
     pub channels: Channels,
@@ -63,7 +63,7 @@ impl Default for Scene {
     }
 }
 
-/// The scene's integers.
+/// Returns the scene's integers.
 pub fn scene(scene: &Scene) -> PackedSplats {
     let mut random = Random(scene.seed);
     let mut steps = scene.steps;
@@ -123,7 +123,7 @@ pub fn scene(scene: &Scene) -> PackedSplats {
     }
 }
 
-/// Any legal primitive: uniform over its integers.
+/// Returns any valid primitive: uniform over its integers.
 pub fn any_primitive(splats: &PackedSplats, random: &mut Random) -> PackedGaussian {
     let lattice = Lattice::new(&splats.steps, splats.layout);
     let top = (22.0 * 32.0 / (f64::from(splats.steps.scale) + 4.0)).floor().min(255.0) as u64;
@@ -146,18 +146,18 @@ pub fn any_primitive(splats: &PackedSplats, random: &mut Random) -> PackedGaussi
     }
 }
 
-/// Made-up levels of a detail layer: many at low frequencies, few at high ones.
+/// Random levels of a detail layer: many at low frequencies, few at high ones.
 pub struct Levels {
     pub random: Random,
-    /// Step classes to choose from.
+    /// Number of step classes to choose from.
     pub classes: u8,
-    /// Of so many blocks one has levels; 0: none has.
+    /// One of this many blocks has levels; 0: none has.
     pub filled: u64,
-    /// Levels of a filled block at most.
+    /// Maximum number of levels of a filled block.
     pub most: u64,
-    /// The largest level.
+    /// Maximum level.
     pub largest: i16,
-    /// A tile without levels.
+    /// Index of a tile without levels.
     pub empty: Option<usize>,
 }
 
@@ -183,7 +183,7 @@ impl Maker for Levels {
         }
         let mut levels = BTreeMap::new();
         for _ in 0..1 + random.below(self.most) {
-            // The least of two is low more often.
+            // The minimum of two, which prefers low frequencies.
             let mut frequency = || random.below(4 << size).min(random.below(4 << size)) as u8;
             let place = (frequency(), frequency());
             let size = 1 + random.below(self.largest as u64).min(random.below(self.largest as u64)) as i16;
@@ -193,7 +193,7 @@ impl Maker for Levels {
     }
 }
 
-/// `splats` with a layer of made-up levels.
+/// Returns `splats` with a layer of random levels.
 pub fn with_layer(mut splats: PackedSplats, head: DetailHead, mut levels: Levels) -> PackedSplats {
     levels.classes = head.classes;
     let size = [splats.width, splats.height];

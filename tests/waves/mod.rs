@@ -1,8 +1,8 @@
-//! A picture to fit in tiles: waves and discs, with all channels.
+//! A picture for fits in tiles: waves and discs, with all channels.
 
 use ssplat::{Channels, Pixels, Samples};
 
-/// Waves and edges of many sizes, all over.
+/// Waves and edges of many sizes everywhere.
 pub fn picture(width: u32, height: u32, channels: Channels) -> Pixels {
     let count = channels.count();
     let samples = (0..width as usize * height as usize * count).map(|i| {

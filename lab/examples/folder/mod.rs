@@ -1,9 +1,9 @@
-//! The pictures of a folder, for examples that measure them all.
+//! Lists the pictures of a folder, for examples that measure all of them.
 
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-/// The pictures in `folder`, by name; only those that `only` names, if it names any.
+/// Returns the pictures in `folder`, sorted by name. If `only` is not empty, only those that it names.
 pub fn pictures(folder: &Path, only: &[String]) -> io::Result<Vec<PathBuf>> {
     let mut paths: Vec<PathBuf> = fs::read_dir(folder)?.map(|e| Ok(e?.path())).collect::<io::Result<_>>()?;
     paths.retain(|p| {

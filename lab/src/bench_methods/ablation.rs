@@ -1,4 +1,4 @@
-//! From SmartSplat's pipeline to ours, one change at a time, in files of the same size.
+//! Ablation study: from SmartSplat's pipeline to ours, one change at a time, in files of the same size.
 
 use std::fmt::Write as _;
 use std::fs::File;
@@ -16,7 +16,7 @@ use ssplat_cli::failure::Failure;
 use ssplat_cli::progress::Bar;
 use ssplat_cli::sink::Sink;
 
-/// A pipeline, and what it has that the one before it has not.
+/// A pipeline, and its change from the previous one.
 struct Step {
     name: &'static str,
     recipe: Recipe,
@@ -26,7 +26,8 @@ struct Step {
     tune: Tune,
 }
 
-/// All, from the paper's to ours; the last two leave the ladder: they change ours in one thing each.
+/// Returns all steps, from the paper's pipeline to ours. The last two are not part of the sequence; each changes ours
+/// in one respect.
 fn steps() -> Vec<Step> {
     let paper = Recipe::SmartSplat(Ablation::Colors);
     let step = |name, recipe, rung| Step {
@@ -56,7 +57,7 @@ fn steps() -> Vec<Step> {
     ]
 }
 
-/// Rows of the ladder: the differences of those after them are to the last of these.
+/// Number of rows of the sequence. The differences of later rows are relative to the last of these.
 const LADDER: usize = 9;
 
 /// Result of one encode.
@@ -69,7 +70,7 @@ struct Outcome {
     seconds: f64,
 }
 
-/// For each picture what its seeds came to; `None` where one failed.
+/// Results of each picture's seeds; `None` if one failed.
 type OfPictures = Vec<Vec<Option<Outcome>>>;
 
 impl Step {
@@ -93,7 +94,7 @@ impl Step {
     }
 }
 
-/// Runs all steps; rows are written as they come, the page at the end.
+/// Runs all steps. Rows are written as they are measured, the page at the end.
 pub fn run(args: &BenchMethods) -> std::result::Result<(), Failure> {
     let rows = args.out.join("ablation.csv");
     let mut file = File::create(&rows).map_err(|e| Failure::io(&rows, &e))?;
@@ -136,7 +137,7 @@ pub fn run(args: &BenchMethods) -> std::result::Result<(), Failure> {
     Ok(())
 }
 
-/// The page: for each ratio a table of means over pictures and seeds.
+/// Returns the page: a table of means over pictures and seeds for each ratio.
 fn markdown(args: &BenchMethods, pictures: &[String], steps: &[Step], found: &[Vec<OfPictures>]) -> String {
     let seeds: Vec<String> = args.seeds.iter().map(u64::to_string).collect();
     let mut out =

@@ -19,16 +19,16 @@ Each method fits the same number of Gaussians: that of the ratio at 7 bytes for 
 paper counts. Then each gets a file of as many bytes as the ratio has: ours and SmartSplat by the encoder, the others
 by import of their Gaussians. Writes methods.md, methods.csv and convergence.svg into the folder.";
 
-/// Names of the contenders.
+/// Names of the methods.
 const NAMES: [&str; 8] =
     ["ssplat", "smartsplat", "gaussianimage-cholesky", "gaussianimage-rs", "image-gs", "lig", "3dgs", "3dgs-fixed"];
 
-/// How long the other methods run.
+/// Number of iterations of the other methods.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Iterations {
-    /// All as long.
+    /// The same for all.
     Each(u32),
-    /// Each as long as its own program.
+    /// The number of the published program.
     Published,
 }
 
@@ -45,7 +45,7 @@ impl Iterations {
 #[derive(Debug, ClapArgs)]
 #[command(after_help = EXAMPLES)]
 pub struct BenchMethods {
-    /// The pictures; alpha is left out
+    /// The pictures, without alpha
     #[arg(required = true)]
     pub images: Vec<PathBuf>,
     /// The folder to write
@@ -54,38 +54,38 @@ pub struct BenchMethods {
     /// Ratios of 8-bit sample bytes to file bytes
     #[arg(long, value_name = "R,...", value_delimiter = ',', value_parser = positive, default_values_t = [20.0, 50.0], conflicts_with = "counts")]
     pub ratios: Vec<f64>,
-    /// Numbers of Gaussians instead of ratios; files have 7 bytes for each
+    /// Numbers of Gaussians instead of ratios; files have 7 bytes per Gaussian
     #[arg(long, value_name = "N,...", value_delimiter = ',')]
     pub counts: Vec<u32>,
     /// Seeds
     #[arg(long, value_name = "N,...", value_delimiter = ',', default_values_t = [0, 1, 2])]
     pub seeds: Vec<u64>,
-    /// Iterations of the other methods, or `published`: as many as each one's own program runs; ours and SmartSplat run as long
-    /// as the effort says
+    /// Iterations of the other methods, or `published` for the number of each method's own program; ours and
+    /// SmartSplat run as the effort determines
     #[arg(long, value_name = "N|published", default_value = "1000", value_parser = Iterations::parse)]
     pub iterations: Iterations,
-    /// Iterations at most, where a published number is too many
+    /// Maximum number of iterations, for published numbers that are too large
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub at_most: Option<u32>,
-    /// Factors of the other methods' step sizes, which are made for ten to fifty times as many iterations
+    /// Factors of the other methods' step sizes, which are chosen for ten to fifty times as many iterations
     #[arg(long, value_name = "F,...", value_delimiter = ',', value_parser = positive, default_values_t = [1.0, 10.0])]
     pub rates: Vec<f64>,
-    /// Measures these alone: ssplat, smartsplat, or a name of the table
+    /// Measure only these methods: ssplat, smartsplat, or a name in the table
     #[arg(long, value_name = "NAME,...", value_delimiter = ',', value_parser = NAMES)]
     pub methods: Vec<String>,
     /// Effort of ours and SmartSplat
     #[arg(long, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
     pub effort: u8,
-    /// Goes from SmartSplat's pipeline to ours one change at a time instead; writes ablation.md and ablation.csv
+    /// Measure the ablation from SmartSplat's pipeline to ours instead; writes ablation.md and ablation.csv
     #[arg(long, conflicts_with_all = ["counts", "iterations", "at_most", "rates", "methods"])]
     pub ablation: bool,
-    /// Shrinks pictures whose longer side has more pixels
+    /// Reduce pictures whose longer side has more pixels
     #[arg(long, value_name = "PIXELS")]
     pub side: Option<u32>,
 }
 
 impl BenchMethods {
-    /// How long one of the other methods runs.
+    /// Returns the number of iterations of one of the other methods.
     pub fn iterations_of(&self, method: Method) -> u32 {
         let asked = match self.iterations {
             Iterations::Each(n) => n,
@@ -94,7 +94,7 @@ impl BenchMethods {
         asked.min(self.at_most.unwrap_or(u32::MAX))
     }
 
-    /// Returns the contenders, in the order of the table.
+    /// Returns the methods in the order of the table.
     pub fn contenders(&self) -> Vec<Contender> {
         let mut all = vec![Contender::Ssplat, Contender::SmartSplat];
         for method in Method::ALL {

@@ -1,4 +1,4 @@
-//! One method at work on one picture: its floats, and its file.
+//! One method on one picture: its float result and its file.
 
 use crate::recipes::{self, Counted, Method};
 use ssplat::unstable::{Ablation, Needs, Outside, PackOptions, Precision, Recipe, Trace, metrics};
@@ -12,11 +12,11 @@ pub enum Contender {
     Ssplat,
     /// SmartSplat's, with this crate's rounding and coder.
     SmartSplat,
-    /// A published method with its step sizes times a factor.
+    /// A published method, with its step sizes multiplied by a factor.
     Published { method: Method, rate: f32 },
 }
 
-/// Settings shared by all contenders.
+/// Settings shared by all methods.
 #[derive(Debug, Clone, Copy)]
 pub struct Setup {
     pub count: u32,
@@ -28,33 +28,33 @@ pub struct Setup {
     pub effort: u8,
 }
 
-/// Result of a contender; `None` where there is no such number.
+/// Result of a method; `None` for values that do not exist.
 #[derive(Debug, Clone, Default)]
 pub struct Measured {
     /// PSNR of the floats before rounding to code values, dB.
     pub float_psnr: Option<f64>,
-    /// MS-SSIM of the picture that the method itself draws of its floats; the encoder of ours and SmartSplat keeps no such picture.
+    /// MS-SSIM of the picture as the method itself renders it; not available for ours and SmartSplat.
     pub ms_ssim: Option<f64>,
     /// Seconds of the fit.
     pub seconds: f64,
-    /// Iterations that were run of a published method, which may end before those that were asked for.
+    /// Number of iterations of a published method, which may stop before the requested number.
     pub iterations: Option<u32>,
-    /// PSNR of the decoded file of the asked size, dB; where there is no file, of the estimate of that size.
+    /// PSNR of the decoded file of the requested size, dB; for methods without a file, of the estimate of that size.
     pub file_psnr: Option<f64>,
     /// MS-SSIM of the decoded file.
     pub file_ms_ssim: Option<f64>,
     /// Bytes of that file.
     pub bytes: Option<u64>,
-    /// Bytes of the same Gaussians by the method's own count, and PSNR of the picture of the numbers as it rounds them.
+    /// Size of the same Gaussians by the method's own count, and PSNR of the picture after the method's own rounding.
     pub counted: Option<Counted>,
-    /// Reason why something is missing.
+    /// Reason for missing values.
     pub problem: Option<String>,
-    /// PSNR of the fit along its seconds.
+    /// PSNR of the fit over its seconds.
     pub trace: Vec<(f64, f64)>,
 }
 
 impl Measured {
-    /// Looks at the file that came of it.
+    /// Measures the resulting file.
     fn filed(&mut self, pixels: &Pixels, file: &[u8]) -> Result<()> {
         let found = metrics::compare(pixels, &ssplat::unstable::decode(file, &DecodeOptions::default())?.pixels)?;
         (self.bytes, self.file_psnr, self.file_ms_ssim) = (Some(file.len() as u64), Some(found.psnr), found.ms_ssim);
@@ -63,12 +63,12 @@ impl Measured {
 }
 
 impl Contender {
-    /// Whether its sizes are estimates: no file holds its blend.
+    /// Tells whether the sizes are estimates, because no file supports the blend.
     pub fn is_estimated(self) -> bool {
         self.published_as().is_some_and(Method::is_estimated)
     }
 
-    /// The method's name alone.
+    /// Returns the method's name alone.
     pub fn method(self) -> &'static str {
         match self {
             Contender::Ssplat => "ssplat",
@@ -77,7 +77,7 @@ impl Contender {
         }
     }
 
-    /// The published method, if it is one.
+    /// Returns the published method, if it is one.
     pub fn published_as(self) -> Option<Method> {
         match self {
             Contender::Published { method, .. } => Some(method),
@@ -92,7 +92,7 @@ impl Contender {
         }
     }
 
-    /// Fits and writes; a failure is a result too.
+    /// Fits and writes. A failure is a result, too.
     pub fn measure(self, pixels: &Pixels, setup: &Setup) -> Measured {
         let mut measured = Measured::default();
         let done = match self {
@@ -109,7 +109,7 @@ impl Contender {
     }
 }
 
-/// By the encoder: once with the number of Gaussians, once with the size of the file.
+/// Measures the encoder: once with the number of Gaussians, once with the size of the file.
 fn own(pixels: &Pixels, setup: &Setup, recipe: Recipe, measured: &mut Measured) -> Result<()> {
     let mut options = EncodeOptions::default();
     (options.effort, options.seed, options.recipe) = (setup.effort, setup.seed, recipe);
@@ -126,7 +126,7 @@ fn own(pixels: &Pixels, setup: &Setup, recipe: Recipe, measured: &mut Measured) 
     measured.filed(pixels, &encoded.bytes)
 }
 
-/// By the method, and by import of what it found.
+/// Measures a published method, and the import of its result.
 fn published(pixels: &Pixels, setup: &Setup, method: Method, rate: f32, measured: &mut Measured) -> Result<()> {
     let mut options = recipes::Options::new(setup.count as usize);
     (options.iterations, options.rate, options.seed) = (setup.iterations, rate, setup.seed);
@@ -142,7 +142,7 @@ fn published(pixels: &Pixels, setup: &Setup, method: Method, rate: f32, measured
         return Ok(());
     }
     let mut options = PackOptions::default();
-    // Pixel centres are at whole numbers there: the last column is half a pixel outside.
+    // Pixel centres are at integers there, so the last column is half a pixel outside.
     (options.precision, options.outside) = (Precision::Bytes(setup.bytes), Outside::Crop);
     measured.filed(pixels, &ssplat::unstable::bitstream::to_bytes(&ssplat::unstable::pack(&fit.picture, &options)?)?)
 }

@@ -1,4 +1,5 @@
-//! `ssplat-lab bench-methods`: published methods beside ours, at the same number of Gaussians and at the same size of file.
+//! `ssplat-lab bench-methods`: compares published methods with ours, at the same number of Gaussians and at the same
+//! file size.
 
 mod ablation;
 pub mod args;
@@ -20,8 +21,8 @@ use ssplat_cli::progress::Bar;
 use ssplat_cli::sink::Sink;
 use ssplat_cli::source::{self, Turn};
 
-/// Bytes of a Gaussian in SmartSplat's paper, by which a ratio has a number of Gaussians.
-const NOTIONAL: f64 = 7.0;
+/// Bytes per Gaussian in SmartSplat's paper, which relate a ratio to a number of Gaussians.
+const BYTES_PER_GAUSSIAN: f64 = 7.0;
 
 /// One fit with its file.
 struct Cell {
@@ -39,7 +40,7 @@ pub fn run(args: &args::BenchMethods) -> Result<(), Failure> {
     let contenders = args.contenders();
     let sizes = if args.counts.is_empty() { args.ratios.len() } else { args.counts.len() };
     let all = args.images.len() * sizes * args.seeds.len() * contenders.len();
-    // Rows are written as they come: a run that is cut off leaves them.
+    // Rows are written as they are measured, so that an interrupted run keeps them.
     let rows = args.out.join("methods.csv");
     let mut file = File::create(&rows).map_err(|e| Failure::io(&rows, &e))?;
     writeln!(file, "{}", page::HEAD).map_err(|e| Failure::io(&rows, &e))?;
@@ -51,9 +52,9 @@ pub fn run(args: &args::BenchMethods) -> Result<(), Failure> {
         sides.push(format!("{picture} {} × {}", pixels.width(), pixels.height()));
         let raw = f64::from(pixels.width()) * f64::from(pixels.height()) * pixels.channels().count() as f64;
         let sizes: Vec<(u32, u64)> = if args.counts.is_empty() {
-            args.ratios.iter().map(|r| ((raw / r / NOTIONAL).max(1.0) as u32, (raw / r) as u64)).collect()
+            args.ratios.iter().map(|r| ((raw / r / BYTES_PER_GAUSSIAN).max(1.0) as u32, (raw / r) as u64)).collect()
         } else {
-            args.counts.iter().map(|&n| (n, (NOTIONAL * f64::from(n)) as u64)).collect()
+            args.counts.iter().map(|&n| (n, (BYTES_PER_GAUSSIAN * f64::from(n)) as u64)).collect()
         };
         for (count, bytes) in sizes {
             for &contender in &contenders {
@@ -75,7 +76,7 @@ pub fn run(args: &args::BenchMethods) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A picture without alpha in 8 bits, not longer than `side`.
+/// Opens a picture in 8 bits without alpha, reduced to `side` if its longer side is larger.
 fn opened(path: &Path, side: Option<u32>) -> Result<Pixels, Failure> {
     let pixels = source::open(path, Turn::Keep)?.pixels;
     let (width, height, channels) = (pixels.width(), pixels.height(), pixels.channels());

@@ -1,4 +1,4 @@
-//! The results as a table of means and spreads, and as rows.
+//! Formats the results as a table of means and spreads, and as CSV rows.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -9,7 +9,7 @@ use super::{Cell, Contender, Measured};
 /// The names of a row's columns.
 pub const HEAD: &str = "picture,gaussians,method,seed,iterations,published_iterations,float_psnr,ms_ssim,seconds,file_bytes,file_psnr,file_ms_ssim,counted_bytes,coded_bytes,counted_psnr,problem";
 
-/// One fit as a line without its end.
+/// Formats one fit as a line without a line break.
 pub fn row(cell: &Cell) -> String {
     let number = |v: Option<f64>, digits: usize| v.map_or(String::new(), |v| format!("{v:.digits$}"));
     let whole = |v: Option<u64>| v.map_or(String::new(), |v| v.to_string());
@@ -24,7 +24,7 @@ pub fn row(cell: &Cell) -> String {
         "{},{},{},{},{iterations},{},{},{:.2},{},{},{},{},{},{},{}",
         cell.picture,
         cell.setup.count,
-        // A comma is the table's own.
+        // Commas separate the columns.
         cell.contender.name().replace(',', ""),
         cell.setup.seed,
         number(m.float_psnr, 3),
@@ -40,7 +40,7 @@ pub fn row(cell: &Cell) -> String {
     )
 }
 
-/// The command that made the page, without the folders of its files.
+/// Returns the command that produced the page, without the folders of its files.
 pub fn command(arguments: impl Iterator<Item = String>) -> String {
     let plain = |argument: String| match Path::new(&argument).file_name().and_then(|n| n.to_str()) {
         Some(name) if argument.contains(std::path::MAIN_SEPARATOR) => name.to_owned(),
@@ -49,7 +49,7 @@ pub fn command(arguments: impl Iterator<Item = String>) -> String {
     arguments.map(plain).collect::<Vec<_>>().join(" ")
 }
 
-/// The page.
+/// Returns the page.
 pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String {
     let mut out = format!("# Methods side by side\n\n```sh\n{}\n```\n\n", command(std::env::args()));
     let joined = |v: &[String]| v.join(", ");
@@ -124,7 +124,7 @@ pub fn markdown(cells: &[Cell], args: &BenchMethods, sides: &[String]) -> String
     out + "\n![PSNR along the seconds of the fits](convergence.svg)\n"
 }
 
-/// Bytes by the method's own count, and with an entropy coder where its program has one.
+/// Formats the size by the method's own count, and with an entropy coder if its program has one.
 fn own_count(group: &[Cell]) -> String {
     let counted = || group.iter().filter_map(|c| c.measured.counted);
     let Some(first) = counted().next() else { return "—".into() };
@@ -132,7 +132,7 @@ fn own_count(group: &[Cell]) -> String {
     if coded.is_empty() { first.bytes.to_string() } else { format!("{}; coded {}", first.bytes, summary(&coded, 0)) }
 }
 
-/// Iterations of the same method with several seeds, and how many are published.
+/// Formats the iterations of a method with several seeds, and the published number.
 fn iterations(group: &[Cell]) -> String {
     let Some(method) = group.first().and_then(|c| c.contender.published_as()) else { return "—".into() };
     let ran = || group.iter().filter_map(|c| c.measured.iterations);
@@ -144,13 +144,13 @@ fn iterations(group: &[Cell]) -> String {
     format!("{ran} of {}", method.published_iterations())
 }
 
-/// Half of what lies between the least and the largest, 0 where there are none.
+/// Returns half the range of the values; 0 if there are none.
 pub fn half_spread(values: &[f64]) -> f64 {
     let range = values.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |r, &v| [r[0].min(v), r[1].max(v)]);
     (0.5 * (range[1] - range[0])).max(0.0)
 }
 
-/// The mean, and half of what lies between the least and the largest.
+/// Formats the mean and half the range.
 fn summary(values: &[f64], digits: usize) -> String {
     if values.is_empty() {
         return "—".into();

@@ -1,4 +1,4 @@
-//! PSNR along the seconds of each method's first fit of the first picture, as an SVG that stands alone.
+//! Plots PSNR over the seconds of each method's first fit of the first picture, as a self-contained SVG.
 
 use std::fmt::Write;
 
@@ -13,7 +13,7 @@ const COLORS: [&str; 12] = [
     "#17becf", "#9edae5",
 ];
 
-/// The drawing.
+/// Returns the plot.
 pub fn svg(cells: &[Cell]) -> String {
     let Some(first) = cells.first() else { return String::new() };
     let same =

@@ -1,10 +1,11 @@
-//! Blends of 2D Gaussians as the kernels of `gsplat` and of 3D Gaussian Splatting draw them, tile by tile: with opacity, from
-//! front to back or as a sum.
+//! Blending of 2D Gaussians as in the kernels of `gsplat` and of 3D Gaussian Splatting, tile by tile: with opacity
+//! from front to back, or as a sum.
 //!
-//! At a pixel `α = min(limit, o exp(−σ))` with `σ = ½ dᵀ Σ⁻¹ d`. What has a negative `σ` or an `α` below 1/255 is passed over.
-//! From front to back (Kerbl et al. 2023, equation 3): `I = Σ cᵢ αᵢ Π (1 − αⱼ)` over the `j` before `i`, with a limit of 0.99, up to
-//! the Gaussian behind which less than 1e-4 of the light would be left. As a sum: `I = Σ cᵢ αᵢ` with a limit of 0.999. Gradients
-//! pass through the limit, as there. Which Gaussians a pixel looks at is decided by tiles of 16 × 16 pixels.
+//! At a pixel, `α = min(limit, o exp(−σ))` with `σ = ½ dᵀ Σ⁻¹ d`. Gaussians with a negative `σ` or an `α` below 1/255
+//! are skipped. From front to back (Kerbl et al. 2023, equation 3): `I = Σ cᵢ αᵢ Π (1 − αⱼ)` over the `j` before `i`,
+//! with a limit of 0.99, up to the Gaussian after which less than 1e-4 of the light would remain. As a sum: `I = Σ cᵢ
+//! αᵢ` with a limit of 0.999. As in the original, gradients pass through the limit. The Gaussians at a pixel are those
+//! of its tile of 16 × 16 pixels.
 
 use std::ops::Range;
 
@@ -15,26 +16,26 @@ use ssplat::unstable::fit::model::target::planes::Planes;
 use ssplat::unstable::parallel;
 use ssplat::unstable::simd::{self, LANES, Lanes, Simd, Task};
 
-/// Smallest alpha that is drawn.
-pub(super) const FAINTEST: f32 = 1.0 / 255.0;
-/// Light that is as good as none.
-const DARK: f32 = 1e-4;
+/// Minimum alpha that is drawn.
+pub(super) const MIN_ALPHA: f32 = 1.0 / 255.0;
+/// Transmittance that counts as zero.
+const MIN_TRANSMITTANCE: f32 = 1e-4;
 
-/// How Gaussians add up.
+/// Rule that combines Gaussians.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Rule {
     FrontToBack,
     Sum,
 }
 
-/// A Gaussian as the pixel loops need it.
+/// A Gaussian in the form that the pixel loops use.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Splat {
-    /// Middle in coordinates where pixel `i` has its centre at `i`.
+    /// Centre in coordinates where pixel `i` has its centre at `i`.
     pub center: [f32; 2],
-    /// The inverse covariance `[[a, b], [b, c]]`; it may be that of no ellipse.
+    /// The inverse covariance `[[a, b], [b, c]]`; it need not be positive definite.
     pub conic: [f32; 3],
-    /// The box whose tiles look at it.
+    /// Bounding box, which determines its tiles.
     pub reach: Reach,
     pub opacity: f32,
     pub color: [f32; 4],
@@ -48,7 +49,7 @@ pub(super) struct Gradient {
     pub log_opacity: f32,
 }
 
-/// A picture and what drew it.
+/// A rendered picture and its inputs.
 #[derive(Debug, Default)]
 pub(super) struct Drawing {
     tiles: Tiles,
@@ -56,14 +57,14 @@ pub(super) struct Drawing {
     pub pixels: Vec<[f32; 4]>,
 }
 
-/// Colours that are blended; the fourth is 0 everywhere.
+/// Colours that are blended; the fourth is always 0.
 const COLORS: usize = 3;
-/// Groups of pixels side by side in a row of a tile.
+/// Groups of adjacent pixels in a row of a tile.
 const GROUPS: usize = TILE / LANES;
-/// Sums over the pixels of a Gaussian: its moments up to the second, the one of all, and those of its colour.
+/// Sums over the pixels of a Gaussian: its moments up to the second order, the total, and those of its colour.
 const SUMS: usize = 6 + COLORS;
 
-/// A Gaussian with what its pixels have in common.
+/// A Gaussian with everything that does not depend on the pixel.
 #[derive(Debug, Clone, Copy)]
 struct Ready {
     center: [f32; 2],
@@ -71,7 +72,7 @@ struct Ready {
     exponent: [f32; 3],
     opacity: f32,
     color: [f32; COLORS],
-    /// How far it may be drawn, pixels.
+    /// Half extent of the area where it may be drawn, pixels.
     half: [f32; 2],
 }
 
@@ -80,14 +81,14 @@ impl Ready {
         const L2E: f32 = std::f32::consts::LOG2_E;
         let [a, b, c] = s.conic;
         let determinant = a * c - b * b;
-        // Where `α` falls to the least that is drawn.
-        let sigma = (s.opacity / FAINTEST).ln();
+        // Distance at which `α` falls to the minimum.
+        let sigma = (s.opacity / MIN_ALPHA).ln();
         let half = if sigma <= 0.0 {
             [-1.0; 2]
         } else if a > 0.0 && determinant > 0.0 {
             [c, a].map(|v| 1.001 * (2.0 * sigma * v / determinant).sqrt() + 0.01)
         } else {
-            // Without an ellipse the Gaussian has no bounds.
+            // Without an ellipse, the Gaussian is unbounded.
             [f32::INFINITY; 2]
         };
         let mut color = [0.0; COLORS];
@@ -101,15 +102,15 @@ impl Ready {
         }
     }
 
-    /// The rows or columns of a tile from `first` on that it may be drawn in.
+    /// Returns the rows or columns of a tile, which starts at `first`, in which the Gaussian may be drawn.
     #[inline(always)]
     fn range(&self, k: usize, first: f32) -> Range<usize> {
         let at = self.center[k] - first;
-        // Casts saturate, and what is no number is nowhere.
+        // Casts saturate, and NaN is drawn nowhere.
         (at - self.half[k]).ceil() as usize..((at + self.half[k]).floor() + 1.0).min(TILE as f32) as usize
     }
 
-    /// `α` at eight pixels, 0 where it is not drawn.
+    /// Returns `α` at eight pixels; 0 where the Gaussian is not drawn.
     #[inline(always)]
     fn alpha<S: Simd>(&self, simd: S, limit: f32, dx: S::Vector, dy: f32) -> S::Vector {
         let [a, b, c] = self.exponent;
@@ -117,29 +118,29 @@ impl Ready {
         let exponent = simd.add(simd.mul(slope, dx), simd.splat(c * dy * dy));
         let alpha = simd.min(simd.mul(simd.splat(self.opacity), simd.exp2(exponent)), simd.splat(limit));
         let alpha = simd.keep_above(alpha, simd.splat(f32::MIN_POSITIVE), exponent);
-        simd.keep_above(alpha, alpha, simd.splat(FAINTEST))
+        simd.keep_above(alpha, alpha, simd.splat(MIN_ALPHA))
     }
 }
 
-/// Eight pixels on the way from front to back.
+/// State of eight pixels from front to back.
 #[derive(Debug, Clone, Copy)]
-struct Way {
+struct PixelState {
     light: Lanes,
     /// 1, or 0 where no light is left.
     goes_on: Lanes,
     color: [Lanes; COLORS],
 }
 
-impl Way {
-    const START: Way =
-        Way { light: Lanes([1.0; LANES]), goes_on: Lanes([1.0; LANES]), color: [Lanes([0.0; LANES]); 3] };
+impl PixelState {
+    const START: PixelState =
+        PixelState { light: Lanes([1.0; LANES]), goes_on: Lanes([1.0; LANES]), color: [Lanes([0.0; LANES]); 3] };
 
-    /// Passes a Gaussian; returns its `α`, 0 where no light reaches it, and the light that does.
+    /// Passes a Gaussian. Returns its `α`, or 0 where no light reaches it, and the light that reaches it.
     #[inline(always)]
     fn pass<S: Simd>(&mut self, simd: S, alpha: S::Vector) -> (S::Vector, S::Vector) {
         let (one, light) = (simd.splat(1.0), simd.load(&self.light));
         let left = simd.mul(light, simd.sub(one, alpha));
-        let goes_on = simd.keep_above(simd.load(&self.goes_on), left, simd.splat(DARK.next_down()));
+        let goes_on = simd.keep_above(simd.load(&self.goes_on), left, simd.splat(MIN_TRANSMITTANCE.next_down()));
         let alpha = simd.keep_above(alpha, goes_on, simd.splat(0.5));
         simd.store(&mut self.goes_on, goes_on);
         simd.store(&mut self.light, simd.mul(light, simd.sub(one, alpha)));
@@ -150,31 +151,31 @@ impl Way {
 /// The pixels of a tile, in rows of groups.
 type Block<T> = [[T; GROUPS]; TILE];
 
-/// The Gaussians of a tile and where it starts.
+/// The Gaussians of a tile, and the position of the tile.
 #[derive(Clone, Copy)]
-struct Crowd<'a> {
+struct TileGaussians<'a> {
     ready: &'a [Ready],
     members: &'a [u32],
     first: [f32; 2],
     rule: Rule,
 }
 
-impl Crowd<'_> {
+impl TileGaussians<'_> {
     fn limit(&self) -> f32 {
         if self.rule == Rule::Sum { 0.999 } else { 0.99 }
     }
 
-    /// Distances from the middle of `s` to the eight pixels of a group.
+    /// Returns the distances from the centre of `s` to the eight pixels of a group.
     #[inline(always)]
     fn dx<S: Simd>(&self, simd: S, s: &Ready, group: usize) -> S::Vector {
         simd.add(simd.index(), simd.splat(self.first[0] + (group * LANES) as f32 - s.center[0]))
     }
 }
 
-/// Draws a tile.
+/// Renders a tile.
 struct Paint<'a> {
-    crowd: Crowd<'a>,
-    ways: &'a mut Block<Way>,
+    tile: TileGaussians<'a>,
+    ways: &'a mut Block<PixelState>,
 }
 
 impl Task for Paint<'_> {
@@ -182,19 +183,19 @@ impl Task for Paint<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let (crowd, limit) = (self.crowd, self.crowd.limit());
-        for &id in crowd.members {
-            let s = &crowd.ready[id as usize];
-            let (rows, columns) = (s.range(1, crowd.first[1]), s.range(0, crowd.first[0]));
+        let (tile, limit) = (self.tile, self.tile.limit());
+        for &id in tile.members {
+            let s = &tile.ready[id as usize];
+            let (rows, columns) = (s.range(1, tile.first[1]), s.range(0, tile.first[0]));
             if columns.is_empty() {
                 continue;
             }
             for y in rows {
-                let dy = crowd.first[1] + y as f32 - s.center[1];
+                let dy = tile.first[1] + y as f32 - s.center[1];
                 for group in columns.start / LANES..columns.end.div_ceil(LANES) {
                     let way = &mut self.ways[y][group];
-                    let mut alpha = s.alpha(simd, limit, crowd.dx(simd, s, group), dy);
-                    if crowd.rule == Rule::FrontToBack {
+                    let mut alpha = s.alpha(simd, limit, tile.dx(simd, s, group), dy);
+                    if tile.rule == Rule::FrontToBack {
                         let light;
                         (alpha, light) = way.pass(simd, alpha);
                         alpha = simd.mul(alpha, light);
@@ -209,13 +210,13 @@ impl Task for Paint<'_> {
     }
 }
 
-/// Goes through a tile once more for the sums of its Gaussians.
+/// Second pass over a tile, which computes the sums of its Gaussians.
 struct Gather<'a> {
-    crowd: Crowd<'a>,
-    ways: &'a mut Block<Way>,
-    /// The picture.
+    tile: TileGaussians<'a>,
+    ways: &'a mut Block<PixelState>,
+    /// The rendered picture.
     whole: &'a Block<[Lanes; COLORS]>,
-    /// The gradient with respect to it.
+    /// The gradient with respect to the picture.
     slopes: &'a Block<[Lanes; COLORS]>,
     /// Sums of the members, in their order.
     sums: &'a mut Vec<[f32; SUMS]>,
@@ -226,24 +227,24 @@ impl Task for Gather<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let (crowd, limit, zero) = (self.crowd, self.crowd.limit(), simd.splat(0.0));
-        for &id in crowd.members {
-            let s = &crowd.ready[id as usize];
-            let (rows, columns) = (s.range(1, crowd.first[1]), s.range(0, crowd.first[0]));
+        let (tile, limit, zero) = (self.tile, self.tile.limit(), simd.splat(0.0));
+        for &id in tile.members {
+            let s = &tile.ready[id as usize];
+            let (rows, columns) = (s.range(1, tile.first[1]), s.range(0, tile.first[0]));
             if columns.is_empty() || rows.is_empty() {
                 self.sums.push([0.0; SUMS]);
                 continue;
             }
             let mut sums = [zero; SUMS];
             for y in rows {
-                let dy = crowd.first[1] + y as f32 - s.center[1];
+                let dy = tile.first[1] + y as f32 - s.center[1];
                 let mut row = [zero; 3];
                 for group in columns.start / LANES..columns.end.div_ceil(LANES) {
                     let (way, slopes) = (&mut self.ways[y][group], &self.slopes[y][group]);
-                    let dx = crowd.dx(simd, s, group);
+                    let dx = tile.dx(simd, s, group);
                     let mut alpha = s.alpha(simd, limit, dx, dy);
                     let (mut weight, mut by_alpha) = (alpha, zero);
-                    if crowd.rule == Rule::FrontToBack {
+                    if tile.rule == Rule::FrontToBack {
                         let light;
                         (alpha, light) = way.pass(simd, alpha);
                         weight = simd.mul(alpha, light);
@@ -252,7 +253,7 @@ impl Task for Gather<'_> {
                             let color = simd.splat(s.color[k]);
                             let front = simd.add(simd.load(&way.color[k]), simd.mul(weight, color));
                             simd.store(&mut way.color[k], front);
-                            // The Gaussian dims the light from behind it.
+                            // The Gaussian attenuates the light from behind it.
                             let rest = simd.mul(simd.sub(simd.load(&self.whole[y][group][k]), front), behind);
                             let by_color = simd.sub(simd.mul(light, color), rest);
                             by_alpha = simd.add(by_alpha, simd.mul(simd.load(&slopes[k]), by_color));
@@ -287,7 +288,7 @@ impl Task for Gather<'_> {
     }
 }
 
-/// A tile of `pixels`, which has `width` of them in a row; what is outside is 0.
+/// Returns a tile of `pixels`, with rows of `width` pixels; 0 outside.
 fn block(pixels: &[[f32; 4]], width: usize, column: usize) -> Block<[Lanes; COLORS]> {
     let mut block = [[[Lanes([0.0; LANES]); COLORS]; GROUPS]; TILE];
     for (row, pixels) in block.iter_mut().zip(pixels.chunks_exact(width)) {
@@ -306,8 +307,8 @@ impl Drawing {
         let mut pixels = vec![[0.0; 4]; width * height];
         parallel::map_chunks(&mut pixels, TILE * width, |band, pixels| {
             for column in 0..drawing.tiles.columns {
-                let mut ways = [[Way::START; GROUPS]; TILE];
-                simd::dispatch(Paint { crowd: drawing.crowd(band, column, rule), ways: &mut ways });
+                let mut ways = [[PixelState::START; GROUPS]; TILE];
+                simd::dispatch(Paint { tile: drawing.tile(band, column, rule), ways: &mut ways });
                 for (row, ways) in pixels.chunks_exact_mut(width).zip(&ways) {
                     for (x, pixel) in row.iter_mut().skip(column * TILE).take(TILE).enumerate() {
                         (0..COLORS).for_each(|k| pixel[k] = ways[x / LANES].color[k].0[x % LANES]);
@@ -319,28 +320,28 @@ impl Drawing {
         drawing
     }
 
-    fn crowd(&self, band: usize, column: usize, rule: Rule) -> Crowd<'_> {
+    fn tile(&self, band: usize, column: usize, rule: Rule) -> TileGaussians<'_> {
         let first = [column, band].map(|i| (i * TILE) as f32);
-        Crowd { ready: &self.ready, members: self.tiles.members(band, column), first, rule }
+        TileGaussians { ready: &self.ready, members: self.tiles.members(band, column), first, rule }
     }
 
-    /// The gradients of what has the gradient `slopes` with respect to the picture.
+    /// Returns the gradients with respect to the Gaussians, for the gradient `slopes` with respect to the picture.
     pub(super) fn gradients(&self, splats: &[Splat], width: usize, rule: Rule, slopes: &[[f32; 4]]) -> Vec<Gradient> {
         let height = self.pixels.len() / width;
-        // Bands do not depend on the number of threads, and neither does the order of sums.
+        // Neither the bands nor the order of summation depends on the number of threads.
         let bands = parallel::map(height.div_ceil(TILE), |band| {
             let mut places = vec![u32::MAX; splats.len()];
             let mut found: Vec<(u32, [f32; SUMS])> = Vec::new();
             let mut sums = Vec::new();
             let rows = band * TILE * width..height.min((band + 1) * TILE) * width;
             for column in 0..self.tiles.columns {
-                let mut ways = [[Way::START; GROUPS]; TILE];
-                let crowd = self.crowd(band, column, rule);
+                let mut ways = [[PixelState::START; GROUPS]; TILE];
+                let tile = self.tile(band, column, rule);
                 let [whole, slopes] = [&self.pixels, slopes].map(|p| block(&p[rows.clone()], width, column));
                 sums.clear();
                 let (whole, slopes) = (&whole, &slopes);
-                simd::dispatch(Gather { crowd, ways: &mut ways, whole, slopes, sums: &mut sums });
-                for (&id, sums) in crowd.members.iter().zip(&sums) {
+                simd::dispatch(Gather { tile, ways: &mut ways, whole, slopes, sums: &mut sums });
+                for (&id, sums) in tile.members.iter().zip(&sums) {
                     let place = &mut places[id as usize];
                     if *place == u32::MAX {
                         *place = found.len() as u32;
@@ -364,7 +365,7 @@ impl Drawing {
     }
 }
 
-/// The pixels in the layout of [`Field::planes`] for `target`.
+/// Converts the pixels to the layout of [`Field::planes`] for `target`.
 pub(super) fn field(target: &Planes, pixels: &[[f32; 4]]) -> Field {
     let (channels, stride, width) = (target.channels.count(), target.stride, target.width as usize);
     let mut planes = vec![0.0; target.height as usize * (channels + 1) * stride];
@@ -376,7 +377,7 @@ pub(super) fn field(target: &Planes, pixels: &[[f32; 4]]) -> Field {
     Field { planes, stride, ..Field::default() }
 }
 
-/// The pixels of planes in the layout of [`Field::planes`].
+/// Converts planes in the layout of [`Field::planes`] to pixels.
 pub(super) fn from_field(target: &Planes, field: &Field) -> Vec<[f32; 4]> {
     let (channels, stride) = (target.channels.count(), field.stride);
     let rows = field.planes.chunks_exact((channels + 1) * stride).take(target.height as usize);
@@ -387,7 +388,7 @@ pub(super) fn from_field(target: &Planes, field: &Field) -> Vec<[f32; 4]> {
     .collect()
 }
 
-/// The target's pixels.
+/// Returns the target's pixels.
 pub(super) fn pixels_of(target: &Planes) -> Vec<[f32; 4]> {
     let (channels, stride) = (target.channels.count(), target.stride);
     (0..target.height)
@@ -399,19 +400,19 @@ pub(super) fn pixels_of(target: &Planes) -> Vec<[f32; 4]> {
         .collect()
 }
 
-/// Squared error of the clamped pixels over all samples.
+/// Returns the squared error of the clamped pixels over all samples.
 pub(super) fn squared_error(truth: &[[f32; 4]], pixels: &[[f32; 4]]) -> f64 {
     let of =
         |(t, p): (&[f32; 4], &[f32; 4])| (0..4).map(|k| f64::from(p[k].clamp(0.0, 1.0) - t[k]).powi(2)).sum::<f64>();
     truth.iter().zip(pixels).map(of).sum()
 }
 
-/// Gradients beside differences, for the tests of the methods that blend so.
+/// Compares gradients with finite differences, for the tests of the methods that blend this way.
 #[cfg(test)]
 pub(super) mod differences {
     use crate::recipes::optimizer::NUMBERS;
 
-    /// The slopes of a mixture `by` of the samples.
+    /// Returns the gradient of a weighted sum, `by`, of the samples.
     pub(in crate::recipes) fn slopes(size: [usize; 2], by: impl Fn(usize, usize, usize) -> f64) -> Vec<[f32; 4]> {
         (0..size[0] * size[1])
             .map(|i| {
@@ -421,7 +422,7 @@ pub(super) mod differences {
             .collect()
     }
 
-    /// Compares the gradient `found` with respect to the numbers of Gaussian `i` with differences of `mixture`.
+    /// Compares the gradient `found` with respect to the numbers of Gaussian `i` with finite differences of `mixture`.
     #[track_caller]
     pub(in crate::recipes) fn assert_near(
         found: &[f32],

@@ -1,17 +1,17 @@
-//! Codes by how often each occurs, through our range coder, as `compress_matrix_flatten_categorical` of GaussianImage's program
-//! puts them through another one; with the table that its `analysis` counts.
+//! Codes symbols by their frequency with our range coder, in place of the one in `compress_matrix_flatten_categorical`
+//! of GaussianImage's program, and with the table that its `analysis` counts.
 
 use ssplat::unstable::bitstream::coder::range::{Coder, Cumulative, Encoder};
 
-/// Bytes of the table for each code that occurs: 64 bits of how often, and the code itself.
-const ENTRY: u64 = 9;
-/// Sum of the frequencies at most.
-const MOST: u64 = 1 << 16;
+/// Bytes of the table for each symbol that occurs: 64 bits for the frequency, and the symbol itself.
+const ENTRY_BYTES: u64 = 9;
+/// Maximum sum of the frequencies.
+const MAX_SUM: u64 = 1 << 16;
 
-/// How often each code occurs, added up.
+/// Cumulative frequencies of the symbols.
 #[derive(Debug)]
 struct Shares {
-    /// The sum below each code, and that of all.
+    /// The sum below each symbol, and the total.
     below: Vec<u32>,
 }
 
@@ -22,8 +22,8 @@ impl Shares {
         let all = codes.len() as u64;
         let mut below = vec![0];
         for times in times {
-            // Where there are too many they are scaled, and what occurs keeps a share.
-            let share = if all > MOST / 2 { (times * (MOST / 2) / all).max(times.min(1)) } else { times };
+            // Large frequencies are scaled; symbols that occur keep a frequency of at least 1.
+            let share = if all > MAX_SUM / 2 { (times * (MAX_SUM / 2) / all).max(times.min(1)) } else { times };
             below.push(below.last().copied().unwrap_or(0) + share as u32);
         }
         Shares { below }
@@ -45,7 +45,7 @@ impl Cumulative for Shares {
     }
 }
 
-/// The coded string.
+/// Returns the coded string.
 fn coded(codes: &[u8], shares: &Shares) -> Vec<u8> {
     let mut encoder = Encoder::default();
     for &code in codes {
@@ -54,11 +54,11 @@ fn coded(codes: &[u8], shares: &Shares) -> Vec<u8> {
     encoder.finish()
 }
 
-/// Bytes of `codes`, with their table.
+/// Returns the size of `codes` in bytes, including their table.
 pub(super) fn bytes(codes: &[u8]) -> u64 {
     let shares = Shares::new(codes);
     let present = shares.below.windows(2).filter(|b| b[0] < b[1]).count() as u64;
-    coded(codes, &shares).len() as u64 + ENTRY * present
+    coded(codes, &shares).len() as u64 + ENTRY_BYTES * present
 }
 
 #[cfg(test)]
@@ -69,7 +69,7 @@ mod tests {
     #[test]
     fn codes_come_back_and_take_their_entropy_and_the_table() {
         for count in [1usize, 900, 200_000] {
-            // Half of them 7, an eighth each of four others.
+            // Half of them are 7, an eighth is each of four others.
             let codes: Vec<u8> = (0..count).map(|i| if i % 2 == 0 { 7 } else { [0, 63, 20, 255][i / 2 % 4] }).collect();
             let shares = Shares::new(&codes);
             let string = coded(&codes, &shares);

@@ -1,10 +1,10 @@
-//! Conversions of a method's result: the drawn planes to code values, their PSNR, and the Gaussians to a picture.
+//! Conversions of a method's result: planes to code values, their PSNR, and the Gaussians to a picture.
 
 use ssplat::unstable::fit::model::target::planes::Planes;
 use ssplat::unstable::gaussian::{Blend, Gaussian, Picture};
 use ssplat::{Pixels, Samples};
 
-/// The planes of `target`'s size and layout as 8-bit pixels; what is no number becomes 0.
+/// Converts planes with the size and layout of `target` to 8-bit pixels; NaN becomes 0.
 pub(super) fn pixels(target: &Planes, planes: &[f32]) -> Pixels {
     let (channels, stride) = (target.channels.count(), target.stride);
     let mut samples = Vec::with_capacity(target.width as usize * target.height as usize * channels);
@@ -16,13 +16,13 @@ pub(super) fn pixels(target: &Planes, planes: &[f32]) -> Pixels {
     Pixels::new(target.width, target.height, target.channels, Samples::U8(samples)).expect("as many samples as it says")
 }
 
-/// A picture of `target`'s size with nothing behind the Gaussians.
+/// Returns a picture of `target`'s size without a background.
 pub(super) fn picture(target: &Planes, blend: Blend, gaussians: Vec<Gaussian>) -> Picture {
     let Planes { width, height, channels, .. } = *target;
     Picture { width, height, channels, blend, background: [0.0; 4], gaussians }
 }
 
-/// PSNR of a squared error over all samples, dB.
+/// Returns the PSNR of a squared error over all samples, dB.
 pub(super) fn psnr(target: &Planes, error: f64) -> f64 {
     let samples = f64::from(target.width) * f64::from(target.height) * target.channels.count() as f64;
     -10.0 * (error / samples).log10()

@@ -1,14 +1,16 @@
-//! An estimate of bytes for what no file of ours holds: numbers on even grids, at the entropy of their codes.
+//! Estimates the size of Gaussians that our files cannot store: numbers on uniform grids, at the entropy of their
+//! codes.
 //!
-//! It is a bound that no coder of this order reaches: neither the tables of the codes nor a header are in it. Places cost as
-//! many bits as their grid has points, as the order in which Gaussians are stored means something.
+//! It is a lower bound for coders of this order: neither the tables of the codes nor a header are included. Positions
+//! cost as many bits as their grid has points, because the order in which Gaussians are stored matters.
 
 use std::collections::HashMap;
 
 use super::optimizer::NUMBERS;
 
-/// Rounds the numbers `used` to multiples of `steps` times a common factor, the least at which the estimate is at most
-/// `bytes`; returns the estimate and the rounded numbers. `None` if no factor does, or a number is none.
+/// Rounds the numbers `used` to multiples of `steps` times a common factor, the smallest for which the estimate is at
+/// most `bytes`. Returns the estimate and the rounded numbers, or `None` if there is no such factor or a number is
+/// NaN.
 pub(super) fn rounded(
     numbers: &[[f32; NUMBERS]],
     steps: &[f32; NUMBERS],
@@ -19,7 +21,7 @@ pub(super) fn rounded(
         return None;
     }
     let size = |factor: f32| used.iter().map(|&k| bits(numbers, k, steps[k] * factor)).sum::<f64>() / 8.0;
-    // Factors of 2^-6 to 2^6 by halves of the interval.
+    // Factors of 2^-6 to 2^6, by bisection.
     let (mut low, mut high) = (-6.0f32, 6.0f32);
     if size(high.exp2()) > bytes as f64 {
         return None;
@@ -38,7 +40,7 @@ pub(super) fn rounded(
     Some((size(factor).ceil() as u64, out))
 }
 
-/// Bits of number `k` of all.
+/// Returns the bits of number `k` of all Gaussians.
 fn bits(numbers: &[[f32; NUMBERS]], k: usize, step: f32) -> f64 {
     let codes = numbers.iter().map(|n| (n[k] / step).round() as i64);
     if k < 2 {
@@ -48,7 +50,7 @@ fn bits(numbers: &[[f32; NUMBERS]], k: usize, step: f32) -> f64 {
     let mut times: HashMap<i64, u32> = HashMap::new();
     codes.for_each(|c| *times.entry(c).or_default() += 1);
     let mut times: Vec<u32> = times.into_values().collect();
-    // Sums do not depend on the order of a hash.
+    // Sorted, so that sums do not depend on the order of a hash table.
     times.sort_unstable();
     times.iter().map(|&t| f64::from(t) * (numbers.len() as f64 / f64::from(t)).log2()).sum()
 }
@@ -59,7 +61,7 @@ mod tests {
 
     #[test]
     fn codes_cost_their_entropy_and_places_their_grid() {
-        // Four codes as often as each other, then one code only.
+        // Four equally frequent codes, then a single code.
         let numbers: Vec<[f32; NUMBERS]> = (0..64)
             .map(|i| {
                 let mut n = [0.0; NUMBERS];

@@ -1,15 +1,16 @@
-//! GaussianImage (Zhang et al., "GaussianImage: 1000 FPS Image Representation and Compression by 2D Gaussian Splatting",
-//! ECCV 2024, arXiv 2403.08551), after github.com/Xinjie-Q/GaussianImage: `gaussianimage_cholesky.py`,
+//! GaussianImage (Zhang et al., "GaussianImage: 1000 FPS Image Representation and Compression by 2D Gaussian
+//! Splatting", ECCV 2024, arXiv 2403.08551), after github.com/Xinjie-Q/GaussianImage: `gaussianimage_cholesky.py`,
 //! `gaussianimage_rs.py`, `train.py` and `optimizer.py`, and the kernels of its `gsplat`.
 //!
-//! The picture is the sum `I = Σ cₙ exp(−σₙ)`, without background, clamped; opacity is in the colours. Places are
-//! `½·size·(1 + tanh p)`, so that they stay inside; pixel centres are at whole numbers. Covariances are `L Lᵀ` where the
-//! factor's diagonal is raised by ½, or rotation and scales where the scales are `|s + ½|` and the angle `2π·sigmoid(r)`.
-//! All numbers start at random in 0..1, places evenly. The loss is the mean squared error behind the clamp; the optimizer is
-//! Adan with a rate of 0.001, halved after 40 % and 80 % of the iterations (20 000 of 50 000); the last state counts.
+//! The picture is the sum `I = Σ cₙ exp(−σₙ)`, without background, clamped; the colours include the opacity. Positions
+//! are `½·size·(1 + tanh p)`, so that they stay inside; pixel centres are at integers. Covariances are `L Lᵀ` with ½
+//! added to the factor's diagonal, or rotation and scales, where the scales are `|s + ½|` and the angle is
+//! `2π·sigmoid(r)`. All numbers are initialized at random in 0..1, positions uniformly. The loss is the mean squared
+//! error after the clamp. The optimizer is Adan with a rate of 0.001, halved after 40 % and 80 % of the iterations (20
+//! 000 of 50 000). The result is the last state.
 //!
-//! Otherwise than there: a Gaussian fades to nothing at 3.5 scales, as in all of this crate, where theirs is cut off below
-//! 1/255. The codec's second stage is in `quantized.rs`.
+//! Differences from the published program: a Gaussian falls to 0 at 3.5 scales, as everywhere in this crate, whereas
+//! theirs is cut off below 1/255. The codec's second stage is in `quantized.rs`.
 
 use std::time::Instant;
 
@@ -28,26 +29,26 @@ use ssplat::unstable::gaussian::Blend;
 use ssplat::unstable::parallel;
 
 pub(super) const RATE: f32 = 1e-3;
-/// Share of the iterations after which the rate is halved, again and again.
-const HALVED: f32 = 0.4;
+/// Fraction of the iterations after which the rate is halved, repeatedly.
+const HALVING_INTERVAL: f32 = 0.4;
 /// Offset added to the factor's diagonal and to the scales.
 const BOUND: f32 = 0.5;
-/// Smallest scale that is drawn, pixels; a covariance without an inverse is not.
-const THINNEST: f32 = 0.02;
+/// Minimum scale that is drawn, pixels; covariances without an inverse are not drawn.
+const MIN_SCALE: f32 = 0.02;
 
-/// How covariances are parametrized.
+/// Parametrization of covariances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Covariance {
     Cholesky,
     RotationScale,
 }
 
-/// Factor of the rate after `iteration` of so many.
+/// Returns the factor of the rate after `iteration` of `iterations`.
 pub(super) fn halved(iteration: u32, iterations: u32) -> f32 {
-    0.5f32.powi((iteration as f32 / (HALVED * iterations as f32)) as i32)
+    0.5f32.powi((iteration as f32 / (HALVING_INTERVAL * iterations as f32)) as i32)
 }
 
-/// Renderer of the method's numbers, which also computes gradients.
+/// Renders the method's numbers and computes their gradients.
 pub(super) struct Stage<'a> {
     pub target: &'a Planes,
     pub covariance: Covariance,
@@ -74,7 +75,7 @@ impl Stage<'_> {
         numbers.iter().map(|n| Projected::new(&primitive(n, size, covariance), self.target.height)).collect()
     }
 
-    /// Draws; returns the squared error.
+    /// Renders, and returns the squared error.
     pub(super) fn draw(&mut self, numbers: &[[f32; NUMBERS]]) -> f64 {
         let projected = self.project(numbers);
         let mut field = std::mem::take(&mut self.field);
@@ -83,7 +84,7 @@ impl Stage<'_> {
         error
     }
 
-    /// The gradients with respect to the numbers that were drawn last.
+    /// Returns the gradients with respect to the numbers that were rendered last.
     fn gradients_of_drawn(&mut self, numbers: &[[f32; NUMBERS]]) -> Vec<[f32; NUMBERS]> {
         loss_gradient(self.target, &mut self.field);
         let slopes = moments::slopes(&self.field, self.channels(), self.target.width, &self.project(numbers));
@@ -91,7 +92,7 @@ impl Stage<'_> {
         numbers.iter().zip(&slopes).map(|(n, slope)| gradient(n, slope, size, covariance)).collect()
     }
 
-    /// Draws; returns the gradients.
+    /// Renders, and returns the gradients.
     pub(super) fn gradients(&mut self, numbers: &[[f32; NUMBERS]]) -> Vec<[f32; NUMBERS]> {
         self.draw(numbers);
         self.gradients_of_drawn(numbers)
@@ -104,7 +105,7 @@ pub(super) fn fit(target: &Planes, covariance: Covariance, options: &Options) ->
     let mut numbers: Vec<[f32; NUMBERS]> = (0..options.count)
         .map(|_| {
             let mut n: [f32; NUMBERS] = std::array::from_fn(|_| rng.random());
-            // The inverse of the activation: places are even in the picture.
+            // The inverse of the activation, so that positions are uniform in the picture.
             n[0] = (2.0 * n[0] - 1.0).atanh();
             n[1] = (2.0 * n[1] - 1.0).atanh();
             n
@@ -136,9 +137,9 @@ pub(super) fn fit(target: &Planes, covariance: Covariance, options: &Options) ->
     Fit { pixels, psnr, picture, seconds, iterations: options.iterations, trace, counted, estimate: None }
 }
 
-/// The Gaussian of its numbers.
+/// Returns the Gaussian of its numbers.
 fn primitive(n: &[f32; NUMBERS], size: [f32; 2], covariance: Covariance) -> Primitive {
-    // Ours are at +0.5 where theirs are at whole numbers.
+    // Pixel centres are at +0.5 here, and at integers there.
     let mean = [0, 1].map(|k| 0.5 * size[k] * (1.0 + n[k].tanh()) + 0.5);
     let (scale, rotation) = match covariance {
         Covariance::Cholesky => {
@@ -153,7 +154,7 @@ fn primitive(n: &[f32; NUMBERS], size: [f32; 2], covariance: Covariance) -> Prim
     };
     let mut color = [0.0; 4];
     color.copy_from_slice(&n[5..]);
-    Primitive { mean, log_scale: scale.map(|s| s.max(THINNEST).ln()), rotation, color }
+    Primitive { mean, log_scale: scale.map(|s| s.max(MIN_SCALE).ln()), rotation, color }
 }
 
 fn factor(n: &[f32; NUMBERS]) -> [f32; 3] {
@@ -168,7 +169,7 @@ fn angle(n: &[f32; NUMBERS]) -> f32 {
     std::f32::consts::TAU / (1.0 + (-n[4]).exp())
 }
 
-/// The gradient with respect to the numbers.
+/// Returns the gradient with respect to the numbers.
 fn gradient(n: &[f32; NUMBERS], slope: &Slope, size: [f32; 2], covariance: Covariance) -> [f32; NUMBERS] {
     let place = [0, 1].map(|k| {
         let t = n[k].tanh();
@@ -196,11 +197,11 @@ fn gradient(n: &[f32; NUMBERS], slope: &Slope, size: [f32; 2], covariance: Covar
     };
     let c = slope.color;
     let all = [place[0], place[1], shape[0], shape[1], shape[2], c[0], c[1], c[2], c[3]];
-    // Their kernel passes over what has no inverse: it gets no gradient.
+    // Their kernel skips covariances without an inverse, which get no gradient.
     if all.iter().all(|v| v.is_finite()) { all } else { [0.0; NUMBERS] }
 }
 
-/// Turns the picture in `field` into the gradient of the mean squared error behind a clamp.
+/// Replaces the picture in `field` by the gradient of the mean squared error after a clamp.
 fn loss_gradient(target: &Planes, field: &mut Field) {
     let (channels, stride, width) = (target.channels.count(), field.stride, target.width as usize);
     let samples = width as f32 * target.height as f32 * channels as f32;
@@ -225,8 +226,8 @@ mod tests {
 
     const SIZE: [usize; 2] = [24, 20];
 
-    /// Mean squared error in double precision, straight from the paper's equations: `Σ = L Lᵀ` or `Rᵀ S Sᵀ R`, `σ = ½ dᵀ Σ⁻¹ d`,
-    /// `I = Σ c exp(−σ)`, with pixel centres at whole numbers and this crate's support.
+    /// Returns the mean squared error in double precision, directly from the paper's equations: `Σ = L Lᵀ` or `Rᵀ S Sᵀ
+    /// R`, `σ = ½ dᵀ Σ⁻¹ d`, `I = Σ c exp(−σ)`, with pixel centres at integers and this crate's support.
     fn loss(truth: &[u8], numbers: &[[f64; NUMBERS]], covariance: Covariance) -> f64 {
         let edge = (-0.5 * f64::from(ssplat::unstable::gaussian::CUTOFF).powi(2)).exp();
         let mut sum = 0.0;
@@ -264,7 +265,7 @@ mod tests {
         let scene = Scene { width, height, blend: Blend::Sum, background: [0.0; 4] };
         let size = SIZE.map(|v| v as f32);
         for covariance in [Covariance::Cholesky, Covariance::RotationScale] {
-            // The second is turned over; the third is bright enough for the clamp.
+            // The second is rotated; the third is bright enough to be clamped.
             let numbers = [
                 [0.1, -0.3, 2.5, 1.2, 1.9, 0.3, 0.2, 0.25, 0.0],
                 [-0.4, 0.2, 1.0, 2.2, -1.8, 0.2, 0.3, 0.1, 0.0],

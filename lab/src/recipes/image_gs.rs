@@ -1,17 +1,19 @@
 //! Image-GS (Zhang et al., "Image-GS: Content-Adaptive Image Representation via 2D Gaussians", SIGGRAPH 2025, arXiv
 //! 2407.01866), after github.com/NYU-ICL/image-gs: `model.py`, `cfgs/default.yaml` and the kernels of its `gsplat`.
 //!
-//! Half of the Gaussians start at pixels drawn without replacement, 30 % of them evenly and the others by the square of the
-//! gradient's magnitude (Sobel), with 5 pixels of scale and the pixel's colour. Four times, every 500 of 10 000 iterations,
-//! an eighth of all is added at pixels drawn by the square of the mean absolute error, with the error there as colour, and
-//! the optimizer starts afresh. It is Adam on places in units of the picture's sides (rate 0.0005), inverse scales (0.002),
-//! angles (0.002) and colours (0.005). The loss is the mean absolute error and 0.1 · (1 − SSIM). When all are there, rates
-//! fall to a tenth after 1000 iterations without 0.1 dB and 0.001 of SSIM more, looked at every 100, and the second time
-//! the fit ends. The blend is in `top_k.rs`. Places are at pixel centres, but pixels are taken at whole numbers: a Gaussian
-//! starts half a pixel to the lower right of its pixel, as there.
+//! Half of the Gaussians are initialized at pixels drawn without replacement, 30 % of them uniformly and the others by
+//! the squared magnitude of the gradient (Sobel), with a scale of 5 pixels and the pixel's colour. Four times, every
+//! 500 of 10 000 iterations, an eighth of the total is added at pixels drawn by the square of the mean absolute error,
+//! with the error there as colour, and the optimizer is reset. It is Adam on positions in units of the picture's sides
+//! (rate 0.0005), inverse scales (0.002), angles (0.002) and colours (0.005). The loss is the mean absolute error plus
+//! 0.1 · (1 − SSIM). Once all Gaussians are present, the rates fall to a tenth after 1000 iterations without an
+//! improvement of 0.1 dB and 0.001 of SSIM, measured every 100 iterations; the second time, the fit ends. The blend is
+//! in `top_k.rs`. Positions are at pixel centres, but pixels are sampled at integers: as in the published program, a
+//! Gaussian starts half a pixel to the lower right of its pixel.
 //!
-//! Otherwise than there: the loss is taken behind a clamp to 0..1, and the SSIM that the schedule looks at has no border. The
-//! bits of its numbers are not reduced in the fit, as by default; its count of bytes has 16 for each.
+//! Differences from the published program: the loss is computed after a clamp to 0..1, and the SSIM of the schedule
+//! excludes the border. As by default there, numbers are not quantized during the fit; its size counts 16 bits for
+//! each.
 
 use std::time::Instant;
 
@@ -31,7 +33,7 @@ use ssplat::unstable::fit::model::target::structure::Loss;
 use ssplat::unstable::gaussian::Blend;
 use ssplat::unstable::metrics;
 
-/// Iterations of the published program: all that counts iterations is in units of these.
+/// Iterations of the published program; all iteration counts here are relative to these.
 const ITERATIONS: u32 = 10_000;
 const INITIAL_SHARE: f32 = 0.5;
 const RANDOM_SHARE: f32 = 0.3;
@@ -44,7 +46,7 @@ const DECAYS: u32 = 1;
 const DECAY: f32 = 0.1;
 const LEAST_GAIN: f64 = 1e-3;
 const RATES: [f32; NUMBERS] = [5e-4, 5e-4, 2e-3, 2e-3, 2e-3, 5e-3, 5e-3, 5e-3, 5e-3];
-/// The share of the absolute error where SSIM has 0.1 to its 1: steps do not depend on the sum.
+/// Weight of the absolute error relative to SSIM's 0.1; the steps do not depend on the sum of both.
 const ABSOLUTE: f32 = 1.0 / 1.1;
 
 pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
@@ -91,7 +93,7 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
     Fit { pixels, psnr, picture, seconds, iterations: iteration, trace, counted, estimate: None }
 }
 
-/// When rates fall and the fit ends.
+/// Decides when rates fall and when the fit ends.
 #[derive(Debug, Default)]
 struct Schedule {
     psnr: f64,
@@ -106,7 +108,7 @@ impl Schedule {
         DECAY.powi(self.decays as i32)
     }
 
-    /// Whether the fit ends, `since` iterations after the last look.
+    /// Tells whether the fit ends, `since` iterations after the last measurement.
     fn is_over(&mut self, psnr: f64, ssim: f64, since: u32) -> bool {
         let is_better = psnr > self.psnr + 100.0 * LEAST_GAIN && ssim > self.ssim + LEAST_GAIN;
         if is_better {
@@ -123,11 +125,11 @@ impl Schedule {
     }
 }
 
-/// The Gaussians so far.
+/// The current Gaussians.
 struct Run<'a> {
     target: &'a Planes,
     rng: Pcg64Mcg,
-    /// Place in units of the sides, inverse scales, angle, colour.
+    /// Position in units of the sides, inverse scales, angle, colour.
     numbers: Vec<[f32; NUMBERS]>,
     adam: Adam,
     loss: Loss,
@@ -135,7 +137,7 @@ struct Run<'a> {
     drawing: Drawing,
     /// The picture, in the layout of [`Field::planes`].
     drawn: Vec<f32>,
-    /// How many are added at a time.
+    /// Number of Gaussians that are added at a time.
     most: usize,
 }
 
@@ -168,7 +170,7 @@ impl<'a> Run<'a> {
         [self.target.width as usize, self.target.height as usize]
     }
 
-    /// Returns the target with 8 bits a sample.
+    /// Returns the target with 8 bits per sample.
     fn truth(&self) -> Pixels {
         let (channels, stride) = (self.target.channels.count(), self.target.stride);
         let mut planes = vec![0.0; self.target.height as usize * (channels + 1) * stride];
@@ -193,7 +195,7 @@ impl<'a> Run<'a> {
         self.drawing.draw(&self.circles, sides, channels, (&mut self.drawn, self.target.stride));
     }
 
-    /// PSNR of the clamped picture as it was drawn last.
+    /// Returns the PSNR of the clamped picture that was rendered last.
     fn psnr(&self) -> f64 {
         let (channels, stride) = (self.target.channels.count(), self.target.stride);
         let mut error = 0.0;
@@ -208,7 +210,8 @@ impl<'a> Run<'a> {
         drawn::psnr(self.target, error)
     }
 
-    /// Rounds all numbers to 65 536 even steps between the least and the largest of their kind, as `ste_quantize` does.
+    /// Rounds all numbers to 65 536 uniform steps between the minimum and maximum of their kind, as `ste_quantize`
+    /// does.
     fn round(&mut self) {
         for kind in [0..2, 2..4, 4..5, 5..5 + self.target.channels.count()] {
             let values = || self.numbers.iter().flat_map(|n| &n[kind.clone()]);
@@ -221,22 +224,22 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// One step from the picture that was drawn last.
+    /// Takes one step from the picture that was rendered last.
     fn step(&mut self, rate: f32) {
         let stride = self.target.stride;
-        // The loss takes the picture as a sum: its slope is then that of the picture itself.
+        // The loss takes the picture as a sum; its gradient is then that with respect to the picture itself.
         let [width, height] = [self.target.width, self.target.height];
         let scene = Scene { width, height, blend: Blend::Sum, background: [0.0; 4] };
         let mut field = Field { planes: self.drawn.clone(), stride, ..Field::default() };
         self.loss.gradient(&Problem { scene, target: self.target }, &mut field);
-        // As a mean, so that what keeps Adam's quotients finite is as small beside them as there.
+        // The mean, so that Adam's epsilon has the same relative size as in the published program.
         let samples = (width * height) as f32 * self.target.channels.count() as f32;
         let mut gradients = self.gradients(&field.planes);
         gradients.iter_mut().flatten().for_each(|v| *v /= samples);
         self.adam.step(&mut self.numbers, &gradients, RATES.map(|r| r * rate));
     }
 
-    /// Converts a gradient with respect to the picture drawn last to the gradient with respect to the numbers.
+    /// Converts a gradient with respect to the picture rendered last to the gradient with respect to the numbers.
     fn gradients(&self, slopes: &[f32]) -> Vec<[f32; NUMBERS]> {
         let planes = (slopes, &self.drawn[..], self.target.stride);
         let sums = self.drawing.sums(&self.circles, self.sides(), self.target.channels.count(), planes);
@@ -253,7 +256,7 @@ impl<'a> Run<'a> {
             .collect()
     }
 
-    /// Adds Gaussians where the error is large, in the picture that was drawn last.
+    /// Adds Gaussians where the error of the picture rendered last is large.
     fn grow(&mut self, count: usize) {
         let (channels, stride) = (self.target.channels.count(), self.target.stride);
         let [width, height] = self.sides();
@@ -277,7 +280,7 @@ impl<'a> Run<'a> {
     }
 }
 
-/// A Gaussian at a pixel.
+/// Returns a new Gaussian at a pixel.
 fn new_numbers(target: &Planes, place: usize, color: [f32; 4]) -> [f32; NUMBERS] {
     let (x, y) = (place % target.width as usize, place / target.width as usize);
     let inverse = 1.0 / INITIAL_SCALE;
@@ -286,13 +289,13 @@ fn new_numbers(target: &Planes, place: usize, color: [f32; 4]) -> [f32; NUMBERS]
 }
 
 fn primitive(n: &[f32; NUMBERS], size: [f32; 2]) -> Primitive {
-    // Ours are at +0.5 where theirs are at whole numbers.
+    // Pixel centres are at +0.5 here, and at integers there.
     let mean = [n[0] * size[0] + 0.5, n[1] * size[1] + 0.5];
     let log_scale = [n[2], n[3]].map(|inverse| -inverse.abs().max(1e-6).ln());
     Primitive { mean, log_scale, rotation: -n[4], color: [n[5], n[6], n[7], n[8]] }
 }
 
-/// The gradient with respect to inverse scales and angle.
+/// Returns the gradient with respect to inverse scales and angle.
 fn shape_gradient(n: &[f32; NUMBERS], [xx, xy, yy]: [f32; 3]) -> [f32; 3] {
     let (sin, cos) = (-n[4]).sin_cos();
     let uu = cos * cos * xx + 2.0 * cos * sin * xy + sin * sin * yy;
@@ -303,7 +306,7 @@ fn shape_gradient(n: &[f32; NUMBERS], [xx, xy, yy]: [f32; 3]) -> [f32; 3] {
     [-2.0 * uu / (a * a * a), -2.0 * vv / (b * b * b), -2.0 * uv * (1.0 / (a * a) - 1.0 / (b * b))]
 }
 
-/// Square of the gradient's magnitude after Sobel, over all channels; the border is reflected.
+/// Returns the squared magnitude of the Sobel gradient over all channels; the border is reflected.
 fn gradients(target: &Planes) -> Vec<f32> {
     let [width, height] = [target.width as usize, target.height as usize];
     let mut squares = vec![0.0f32; width * height];
@@ -325,14 +328,14 @@ fn gradients(target: &Planes) -> Vec<f32> {
     squares
 }
 
-/// The target as errors are taken from it: blurred where the picture's mean side is 400 pixels or more.
+/// Returns the target for computing errors, blurred if the picture's mean side is 400 pixels or more.
 fn softened(plane: &[f32], width: usize, height: usize) -> Vec<f32> {
     let reach = ((width as f32 * height as f32).sqrt() / 400.0).floor() as usize;
     if reach == 0 {
         return plane.to_vec();
     }
     let taps = if reach.max(3).is_multiple_of(2) { reach.max(3) + 1 } else { reach.max(3) };
-    // As torchvision chooses it for a kernel of so many taps.
+    // The default of torchvision for a kernel of this many taps.
     let sigma = 0.3 * ((taps as f32 - 1.0) * 0.5 - 1.0) + 0.8;
     let half = (taps / 2) as isize;
     let kernel: Vec<f32> = (-half..=half).map(|d| (-0.5 * (d as f32 / sigma).powi(2)).exp()).collect();
@@ -353,15 +356,15 @@ fn softened(plane: &[f32], width: usize, height: usize) -> Vec<f32> {
     pass(&pass(plane, true), false)
 }
 
-/// A coordinate mirrored at the border's samples.
+/// Mirrors a coordinate at the border samples.
 fn mirrored(v: isize, side: usize) -> usize {
     let last = side as isize - 1;
     let v = v.abs();
     (if v > last { (2 * last - v).max(0) } else { v }) as usize
 }
 
-/// Places drawn one after the other by their weights, each once (Efraimidis and Spirakis, 2006). Where fewer have a weight,
-/// the rest is drawn evenly.
+/// Draws positions without replacement by their weights (Efraimidis and Spirakis, 2006). If fewer have a weight, the
+/// others are drawn uniformly.
 fn draw_without_replacement(weights: &[f32], count: usize, rng: &mut Pcg64Mcg) -> Vec<usize> {
     let mut keys: Vec<(f32, usize)> = weights
         .iter()
@@ -384,7 +387,7 @@ mod tests {
     use ssplat::Samples;
     use ssplat::unstable::gaussian::Channels;
 
-    /// Left half flat, right half noise.
+    /// Returns a picture whose left half is flat and whose right half is noise.
     fn half_busy() -> Planes {
         let noise = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
         let at = |i: u32| if i % 64 < 32 { 100 } else { noise(i) };
@@ -398,7 +401,7 @@ mod tests {
         let run = Run::new(&target, &Options::new(400));
         assert_eq!(run.numbers.len(), 200);
         let right = run.numbers.iter().filter(|n| n[0] > 30.0 / 64.0).count();
-        // 140 by the gradient, and about half of 60 even ones.
+        // 140 by the gradient, and about half of the 60 uniform ones.
         assert!((155..=190).contains(&right), "{right}");
         assert!(
             run.numbers.iter().all(|n| n[2] == 0.2 && (n[5] * 255.0).fract().min(1.0 - (n[5] * 255.0).fract()) < 1e-3)
@@ -429,8 +432,9 @@ mod tests {
         assert_eq!(looks, [(false, 0), (false, 0), (false, 1), (false, 1), (false, 1), (true, 2)]);
     }
 
-    /// A fixed mixture of the samples in double precision, straight from the paper's equations: `Σ = Rᵀ diag(1/s²) R`,
-    /// `a = exp(−½ dᵀ Σ⁻¹ d)`, and at each pixel the ten largest `a`, weighted by them over their sum and 1e-4.
+    /// Returns a weighted sum of the samples in double precision, directly from the paper's equations: `Σ = Rᵀ
+    /// diag(1/s²) R`, `a = exp(−½ dᵀ Σ⁻¹ d)`, and at each pixel the ten largest `a`, normalized by their sum plus
+    /// 1e-4.
     fn mixture(size: [usize; 2], numbers: &[[f64; NUMBERS]], by: impl Fn(usize, usize, usize) -> f64) -> f64 {
         let mut sum = 0.0;
         for (x, y) in (0..size[1]).flat_map(|y| (0..size[0]).map(move |x| (x, y))) {
@@ -456,7 +460,7 @@ mod tests {
 
     #[test]
     fn gradients_are_the_differences_of_the_published_equations_in_double_precision() {
-        // One tile, so that all Gaussians are looked at everywhere, and more than ten of them.
+        // One tile, so that all Gaussians are considered everywhere, and more than ten of them.
         let size = [16usize, 12];
         let pixels = Pixels::new(16, 12, Channels::Rgb, Samples::U8(vec![90; 16 * 12 * 3])).unwrap();
         let target = Planes::new(&pixels);

@@ -1,25 +1,27 @@
 //! LIG (Zhu et al., "Large Images are Gaussians: High-Quality Large Image Representation with Levels of 2D Gaussian
-//! Splatting", AAAI 2025, arXiv 2502.09039), after github.com/HKU-MedAI/LIG: `gaussianlig.py`, `train.py` and the kernels of its
-//! `gsplat2d`.
+//! Splatting", AAAI 2025, arXiv 2502.09039), after github.com/HKU-MedAI/LIG: `gaussianlig.py`, `train.py` and the
+//! kernels of its `gsplat2d`.
 //!
-//! Two levels, each a sum `I = Σ c exp(−σ)` behind a clamp; places are in pixels, and of the covariance `Σ` the three entries
-//! themselves are fitted. The first level has an eighth of the Gaussians (½ · 4⁻¹) and is fitted to the picture at half its
-//! size, a mean over areas. Drawn and enlarged by bilinear interpolation, it is taken from the picture; what is left is
-//! stretched to 0..1 by its least and its largest value, and the second level is fitted to that. Places and entries of `Σ`
-//! start at random (the entries in 0..1), colours at 0. The loss is the mean squared error, the optimizer Adam with a rate of
-//! 0.018 for all numbers. Each level takes all iterations, 30 000 as published; the rate falls after 70 000 only.
+//! Two levels, each a clamped sum `I = Σ c exp(−σ)`. Positions are in pixels, and the three entries of the covariance
+//! `Σ` are fitted directly. The first level has an eighth of the Gaussians (½ · 4⁻¹) and is fitted to the picture at
+//! half its size, reduced by area means. The result is enlarged by bilinear interpolation and subtracted from the
+//! picture. The residual is normalized to 0..1 by its minimum and maximum, and the second level is fitted to it.
+//! Positions and entries of `Σ` are initialized at random (the entries in 0..1), colours with 0. The loss is the mean
+//! squared error, the optimizer Adam with a rate of 0.018 for all numbers. Each level takes all iterations, 30 000 as
+//! published; the rate would fall only after 70 000.
 //!
-//! A `Σ` may be that of no ellipse, and more than half of the random ones are not: as there, such a Gaussian is drawn where its
-//! `σ` is not negative (`blended.rs`). A file of ours cannot hold it; there its second axis is as thin as any.
+//! `Σ` need not be positive definite, and more than half of the random ones are not. As in the published program, such
+//! a Gaussian is drawn where its `σ` is not negative (`blended.rs`). Our files cannot store it; there, its second axis
+//! has the minimum scale.
 //!
-//! Otherwise than there: at the limit of 0.999, gradients see 0.999 and not 0.99.
+//! Difference from the published program: at the limit of 0.999, gradients use 0.999 and not 0.99.
 
 use std::time::Instant;
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-use super::blended::{self, Drawing, FAINTEST, Rule, Splat};
+use super::blended::{self, Drawing, MIN_ALPHA, Rule, Splat};
 use super::optimizer::{Adam, NUMBERS};
 use super::tiles::Reach;
 use super::{Counted, Fit, Options, Point, drawn};
@@ -27,10 +29,10 @@ use ssplat::unstable::fit::model::target::planes::Planes;
 use ssplat::unstable::gaussian::{Blend, Gaussian};
 
 const RATE: f32 = 0.018;
-/// Share of all Gaussians, had it as many pixels, that the first level gets.
-const SHARE: f32 = 0.5;
-/// Smallest scale in a file, pixels.
-const THINNEST: f32 = 0.02;
+/// Number of Gaussians of the first level relative to the total, before scaling with its number of pixels.
+const FIRST_LEVEL_SHARE: f32 = 0.5;
+/// Minimum scale in a file, pixels.
+const MIN_SCALE: f32 = 0.02;
 
 /// A picture in floats.
 #[derive(Debug, Clone)]
@@ -45,7 +47,7 @@ struct Watch<'a> {
     options: &'a Options,
     truth: &'a Image,
     clock: Instant,
-    /// Seconds that watching took.
+    /// Seconds spent on the trace.
     watching: f64,
     /// Iterations before this level.
     before: u32,
@@ -54,7 +56,7 @@ struct Watch<'a> {
 
 impl Watch<'_> {
     fn see(&mut self, iteration: u32, whole: impl Fn() -> Image) {
-        // Both levels share the points.
+        // Both levels share the points of the trace.
         if self.options.trace == 0
             || !iteration.is_multiple_of((2 * self.options.iterations).div_ceil(self.options.trace))
         {
@@ -73,7 +75,7 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
     let truth = Image { size: [target.width, target.height].map(|v| v as usize), pixels: blended::pixels_of(target) };
     let small = truth.by_areas(truth.size.map(|v| (v / 2).max(1)));
-    let first = (options.count as f32 * 0.25 * SHARE) as usize;
+    let first = (options.count as f32 * 0.25 * FIRST_LEVEL_SHARE) as usize;
     let (clock, trace) = (Instant::now(), Vec::with_capacity(options.trace as usize + 3));
     let mut watch = Watch { target, options, truth: &truth, clock, watching: 0.0, before: 0, trace };
     let coarse = level(&small, first, options, &mut rng, |iteration, drawn| {
@@ -84,7 +86,7 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
     rest.pixels.iter_mut().zip(&base.pixels).for_each(|(r, b)| (0..channels).for_each(|k| r[k] -= b[k]));
     let values = || rest.pixels.iter().flat_map(|p| &p[..channels]);
     let [least, largest] = values().fold([f32::INFINITY, f32::NEG_INFINITY], |r, &v| [r[0].min(v), r[1].max(v)]);
-    // A rest that is the same everywhere cannot be stretched: there the published program divides by zero.
+    // A constant residual cannot be normalized; the published program divides by zero.
     let range = if largest > least { largest - least } else { 1.0 };
     rest.pixels.iter_mut().for_each(|p| (0..channels).for_each(|k| p[k] = (p[k] - least) / range));
     let whole = |fine: &Image| {
@@ -108,12 +110,12 @@ pub(super) fn fit(target: &Planes, options: &Options) -> Fit {
     let mut picture = drawn::picture(target, Blend::Sum, gaussians);
     picture.background[..channels].fill(least);
     let pixels = drawn::pixels(target, &blended::field(target, &image.pixels).planes);
-    // Its numbers and the two of the stretch, as its program keeps them.
+    // Its numbers and the two of the normalization, as its program stores them.
     let counted = Some(Counted { bytes: 4 * (options.count * (5 + channels) + 2) as u64, coded: None, psnr });
     Fit { pixels, psnr, picture, seconds, iterations: options.iterations, trace, counted, estimate: None }
 }
 
-/// Fits one level; `see` gets each picture before its step.
+/// Fits one level. `see` is called with each picture before its step.
 fn level(
     target: &Image,
     count: usize,
@@ -132,7 +134,7 @@ fn level(
     for iteration in 0..options.iterations {
         let splats: Vec<Splat> = numbers.iter().map(splat).collect();
         let drawing = Drawing::new(&splats, target.size, Rule::Sum);
-        // As a mean over three channels of samples, as there: Adam's quotients see its size.
+        // The mean over three channels, as there, because Adam's quotients depend on its magnitude.
         let samples = (3 * target.pixels.len()) as f32;
         let slope = |(v, t): (&[f32; 4], &[f32; 4])| {
             std::array::from_fn(|k| if (0.0..=1.0).contains(&v[k]) { 2.0 * (v[k] - t[k]) / samples } else { 0.0 })
@@ -161,35 +163,35 @@ fn splat(n: &[f32; NUMBERS]) -> Splat {
     let [xx, xy, yy] = [n[2], n[3], n[4]];
     let determinant = xx * yy - xy * xy;
     let conic = [yy / determinant, -xy / determinant, xx / determinant];
-    // Where the value falls to the least that is drawn; the root of what is negative is no number, and is nowhere.
-    let half = [xx, yy].map(|v| (-2.0 * FAINTEST.ln() * v).sqrt().ceil());
+    // Distance at which the value falls to the minimum. The root of a negative number is NaN, which is drawn nowhere.
+    let half = [xx, yy].map(|v| (-2.0 * MIN_ALPHA.ln() * v).sqrt().ceil());
     let half = if half.iter().all(|v| *v > 0.0) && determinant != 0.0 { half } else { [0.0; 2] };
     let reach = Reach { center: [n[0], n[1]], half };
     let color = [n[5], n[6], n[7], n[8]];
     Splat { center: [n[0] - 0.5, n[1] - 0.5], conic, reach, opacity: 1.0, color }
 }
 
-/// The gradient with respect to the numbers.
+/// Returns the gradient with respect to the numbers.
 fn gradient(found: &blended::Gradient) -> [f32; NUMBERS] {
     let ([gx, gy], [xx, xy, yy], c) = (found.slope.mean, found.slope.covariance, found.slope.color);
-    // One number stands for two entries.
+    // One number represents two entries.
     let all = [gx, gy, xx, 2.0 * xy, yy, c[0], c[1], c[2], c[3]];
     if all.iter().all(|v| v.is_finite()) { all } else { [0.0; NUMBERS] }
 }
 
-/// The Gaussian in a picture `zoom` times as large, with colours times `gain`.
+/// Returns the Gaussian in a picture `zoom` times as large, with colours times `gain`.
 fn gaussian(n: &[f32; NUMBERS], zoom: [f32; 2], gain: f32) -> Gaussian {
     let [xx, xy, yy] = [n[2] * zoom[0] * zoom[0], n[3] * zoom[0] * zoom[1], n[4] * zoom[1] * zoom[1]];
     let (middle, spread) = (0.5 * (xx + yy), (0.5 * (xx - yy)).hypot(xy));
-    let scale = [middle + spread, middle - spread].map(|v| v.max(THINNEST * THINNEST).sqrt());
+    let scale = [middle + spread, middle - spread].map(|v| v.max(MIN_SCALE * MIN_SCALE).sqrt());
     let rotation = (0.5 * (2.0 * xy).atan2(xx - yy)).rem_euclid(std::f32::consts::PI);
-    // A Gaussian that is not drawn there has no colour here.
+    // A Gaussian that is not drawn there gets no colour here.
     let shown = if xx > 0.0 && yy > 0.0 { gain } else { 0.0 };
     Gaussian { mean: [n[0] * zoom[0], n[1] * zoom[1]], scale, rotation, color: [5, 6, 7, 8].map(|k| shown * n[k]) }
 }
 
 impl Image {
-    /// Smaller, as means over areas of whole pixels: from `floor(i s / n)` to `ceil((i + 1) s / n)`.
+    /// Reduces the picture by area means over whole pixels: from `floor(i s / n)` to `ceil((i + 1) s / n)`.
     fn by_areas(&self, size: [usize; 2]) -> Image {
         let range = |i: usize, k: usize| i * self.size[k] / size[k]..((i + 1) * self.size[k]).div_ceil(size[k]);
         let mut pixels = Vec::with_capacity(size[0] * size[1]);
@@ -205,7 +207,7 @@ impl Image {
         Image { size, pixels }
     }
 
-    /// Larger, by bilinear interpolation between pixel centres; the border is repeated.
+    /// Enlarges the picture by bilinear interpolation between pixel centres; the border is repeated.
     fn enlarged(&self, size: [usize; 2]) -> Image {
         let at = |i: usize, k: usize| {
             let place = ((i as f32 + 0.5) * self.size[k] as f32 / size[k] as f32 - 0.5).max(0.0);
@@ -235,14 +237,14 @@ mod tests {
 
     const SIZE: [usize; 2] = [24, 20];
 
-    /// `½ dᵀ Σ⁻¹ d` at a pixel.
+    /// Returns `½ dᵀ Σ⁻¹ d` at a pixel.
     fn sigma(n: &[f64; NUMBERS], x: usize, y: usize) -> f64 {
         let [dx, dy] = [x as f64 + 0.5 - n[0], y as f64 + 0.5 - n[1]];
         let [xx, xy, yy] = [n[2], n[3], n[4]];
         0.5 * (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy)
     }
 
-    /// A fixed mixture of the samples in double precision: `I = Σ c exp(−σ)` where `σ` is not negative.
+    /// Returns a weighted sum of the samples in double precision: `I = Σ c exp(−σ)` where `σ` is not negative.
     fn mixture(numbers: &[[f64; NUMBERS]], by: impl Fn(usize, usize, usize) -> f64) -> f64 {
         let mut sum = 0.0;
         for (x, y) in (0..SIZE[1]).flat_map(|y| (0..SIZE[0]).map(move |x| (x, y))) {
@@ -258,7 +260,7 @@ mod tests {
 
     #[test]
     fn gradients_are_the_differences_of_the_published_equations_in_double_precision() {
-        // The last two are of no ellipse.
+        // The last two are not ellipses.
         let numbers: [[f32; NUMBERS]; 4] = [
             [9.3, 8.1, 31.0, 6.0, 17.0, 0.3, -0.2, 0.4, 0.0],
             [14.2, 11.9, 15.0, -9.0, 41.0, -0.7, 0.2, 0.1, 0.0],
@@ -267,7 +269,7 @@ mod tests {
         ];
         let doubles = numbers.map(|n| n.map(f64::from));
         let by = |x: usize, y: usize, k: usize| {
-            // Gradients pass through the limit near 1, where the value is fixed: such pixels do not count.
+            // Gradients pass through the limit near 1, where the value is constant; such pixels are excluded.
             let is_free = doubles.iter().all(|n| !(-1e-6..2e-3).contains(&sigma(n, x, y)));
             if is_free { ((x * 7 + y * 13 + k * 5) % 11) as f64 / 5.0 - 1.0 } else { 0.0 }
         };

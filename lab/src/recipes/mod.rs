@@ -1,8 +1,8 @@
-//! Other methods that fit 2D Gaussians to pictures, to measure beside ours; behind the feature `recipes`.
+//! Other methods that fit 2D Gaussians to pictures, for comparison; behind the feature `recipes`.
 //!
-//! Each follows its published program: start, blend, loss, optimizer and growth, with the constants that it runs with. They
-//! share this crate's planes, gradients and measures, so that iterations and seconds can be compared. Where something is
-//! computed otherwise than there, the method's file says so.
+//! Each follows its published program: initialization, blend, loss, optimizer and growth, with the default constants
+//! of the program. All share this crate's planes, gradients and measures, so that iterations and seconds can be
+//! compared. The file of each method lists differences from the published program.
 //!
 //! ```
 //! use crate::recipes::{self, Method, Options};
@@ -47,13 +47,13 @@ pub enum Method {
     GaussianImageRs,
     /// Image-GS (Zhang et al., SIGGRAPH 2025).
     ImageGs,
-    /// LIG (Zhu et al., AAAI 2025): a coarse level and what it leaves.
+    /// LIG (Zhu et al., AAAI 2025): a coarse level, and a second level for its residual.
     Lig,
     /// 3D Gaussian Splatting (Kerbl et al., SIGGRAPH 2023) in the plane: blended from front to back, with opacity.
     ///
-    /// It grows to [`Options::count`] and prunes: there may be fewer at the end.
+    /// It grows to at most [`Options::count`] Gaussians, and prunes; the result may have fewer.
     Splatting3d,
-    /// The method `Splatting3d`, but with the final number of Gaussians from the start.
+    /// As `Splatting3d`, but with the final number of Gaussians from the start.
     Splatting3dFixed,
 }
 
@@ -68,13 +68,13 @@ impl Method {
         Method::Splatting3dFixed,
     ];
 
-    /// Whether its blend is one that no file of ours has: its bytes are an estimate.
+    /// Tells whether our files do not support its blend, so that its size is an estimate.
     #[must_use]
     pub fn is_estimated(self) -> bool {
         matches!(self, Method::Splatting3d | Method::Splatting3dFixed)
     }
 
-    /// A short name.
+    /// Returns a short name.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -87,7 +87,7 @@ impl Method {
         }
     }
 
-    /// Iterations that its program runs by default.
+    /// Returns the number of iterations that its program runs by default.
     #[must_use]
     pub fn published_iterations(self) -> u32 {
         match self {
@@ -102,63 +102,64 @@ impl Method {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Options {
-    /// Number of Gaussians at the end; with [`Method::Splatting3d`] at most.
+    /// Number of Gaussians at the end; with [`Method::Splatting3d`], the maximum.
     pub count: usize,
-    /// Iterations. Whatever a method does after so many of its own iterations happens after the same share of these.
+    /// Iterations. Events in a method's schedule happen after the same fraction of these iterations as of its own.
     pub iterations: u32,
-    /// Factor of all step sizes: the published ones are made for the published number of iterations.
+    /// Factor of all step sizes; the published ones are chosen for the published number of iterations.
     pub rate: f32,
-    /// Seed of everything random.
+    /// Seed of the random numbers.
     pub seed: u64,
-    /// How many points the trace has at most.
+    /// Maximum number of points in the trace.
     pub trace: u32,
-    /// Size of the estimate of a blend that no file holds; `None`: no estimate.
+    /// Size of the estimate for blends that our files do not support; `None` for no estimate.
     pub bytes: Option<u64>,
-    /// Iterations of GaussianImage's second stage, with quantizers in the loop; 0: numbers are only rounded.
+    /// Iterations of GaussianImage's second stage, with quantizers in the loop; 0 to only round the numbers.
     pub second_stage: u32,
 }
 
 impl Options {
-    /// A thousand iterations at the published rates.
+    /// Returns options for a thousand iterations at the published rates.
     #[must_use]
     pub fn new(count: usize) -> Self {
         Options { count, iterations: 1000, rate: 1.0, seed: 0, trace: 0, bytes: None, second_stage: 0 }
     }
 }
 
-/// A fit.
+/// Result of a fit.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Fit {
-    /// The picture as the method itself draws it.
+    /// The picture as the method itself renders it.
     pub pixels: Pixels,
-    /// PSNR of that before rounding to code values, dB; no number if the fit has diverged.
+    /// PSNR of that picture before rounding to code values, dB; NaN if the fit has diverged.
     pub psnr: f64,
-    /// The Gaussians with the blend of this crate that is nearest to the method's.
+    /// The Gaussians, with the blend of this crate that is closest to the method's.
     pub picture: Picture,
-    /// Wall-clock seconds, the trace not counted.
+    /// Wall-clock seconds without the trace.
     pub seconds: f64,
-    /// Iterations that were run (of each level of [`Method::Lig`]); [`Method::ImageGs`] ends when it gets no better.
+    /// Iterations (of each level of [`Method::Lig`]); [`Method::ImageGs`] ends when it no longer improves.
     pub iterations: u32,
-    /// PSNR along the way.
+    /// PSNR during the fit.
     pub trace: Vec<Point>,
     /// Result of rounding and counting these Gaussians as the method's own program does, which writes no file; `None`
     /// if it does not count them.
     pub counted: Option<Counted>,
-    /// Result of rounding these Gaussians to even grids, with the entropy of the codes as the size: at most
-    /// [`Options::bytes`] where [`Method::is_estimated`].
+    /// Result of rounding these Gaussians to uniform grids, with the entropy of the codes as the size: at most
+    /// [`Options::bytes`] for methods where [`Method::is_estimated`] holds.
     pub estimate: Option<Counted>,
 }
 
-/// Bytes that are counted and not written, and what they would show.
+/// A computed size, without a file, and the quality at that size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Counted {
     /// Bytes.
     pub bytes: u64,
-    /// Bytes where the program can also code its numbers, with its tables, by our coder; `None` where it cannot.
+    /// Size in bytes if the program can also code its numbers, including its tables, with our coder; `None` if it
+    /// cannot.
     pub coded: Option<u64>,
-    /// PSNR of the picture that the method draws of the rounded numbers, before rounding to code values, dB.
+    /// PSNR of the picture that the method renders from the rounded numbers, before rounding to code values, dB.
     pub psnr: f64,
 }
 
@@ -177,7 +178,8 @@ pub struct Point {
 /// Fits `pixels` by `method`.
 ///
 /// # Errors
-/// [`Error::Parameter`] when the picture has alpha, which none of them knows, or there are more Gaussians than pixels or none.
+/// [`Error::Parameter`] if the picture has alpha, which none of the methods supports, or if there are no Gaussians or
+/// more Gaussians than pixels.
 pub fn fit(pixels: &Pixels, method: Method, options: &Options) -> Result<Fit> {
     if pixels.channels().alpha().is_some() {
         return Err(Error::Parameter { name: "pixels", problem: format!("{:?} has alpha", pixels.channels()) });
@@ -299,7 +301,7 @@ mod tests {
             assert!(plain_psnr < plain.psnr - 0.5, "{method:?}: {plain_psnr} {}", plain.psnr);
             assert!(second_psnr > plain_psnr + 1.0, "{method:?}: {plain_psnr} {second_psnr}");
             assert_eq!(plain.picture, second.picture, "{method:?}");
-            // At most 24 bits of codes, and tables of 64 and 8 entries; less than 16 bits would be too good.
+            // At most 24 bits of codes, and tables of 64 and 8 entries; less than 16 bits would be impossibly good.
             let coded = second.counted.and_then(|c| c.coded).unwrap();
             let fixed = 120 * 4 + quantized::bytes(0, 3);
             assert!((fixed + 120 * 2..fixed + 120 * 3 + 9 * 72 + 8).contains(&coded), "{method:?}: {coded}");

@@ -1,4 +1,4 @@
-//! Gradients with respect to places and covariances, from the sums over a Gaussian's pixels.
+//! Gradients with respect to positions and covariances, from sums over a Gaussian's pixels.
 
 use ssplat::unstable::fit::model::drawing::field::Field;
 use ssplat::unstable::fit::model::drawing::kernel;
@@ -10,19 +10,20 @@ use ssplat::unstable::simd::{self, Simd, Task};
 /// Gaussians in one unit of parallel work.
 const CHUNK: usize = 64;
 
-/// The gradient with respect to a Gaussian as it stands in the picture.
+/// The gradient with respect to a Gaussian in the picture.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Slope {
-    /// Place, a pixel.
+    /// Gradient with respect to the position, per pixel.
     pub mean: [f32; 2],
-    /// Covariance `[xx, xy, yy]`: the entries of the symmetric matrix `∂L/∂Σ`, a pixel².
+    /// Gradient with respect to the covariance `[xx, xy, yy]`: the entries of the symmetric matrix `∂L/∂Σ`, per
+    /// pixel².
     pub covariance: [f32; 3],
     pub color: [f32; 4],
 }
 
 impl Slope {
-    /// From `Σ t` times `dx`, `dy`, `dx²`, `dx dy` and `dy²`, where `t` is the gradient with respect to the exponent
-    /// `−½ xᵀ C x`: `∂L/∂μ = C Σ t x` and `∂L/∂Σ = ½ C (Σ t x xᵀ) C`.
+    /// Computes the gradient from `Σ t` times `dx`, `dy`, `dx²`, `dx dy` and `dy²`, where `t` is the gradient with
+    /// respect to the exponent `−½ xᵀ C x`: `∂L/∂μ = C Σ t x` and `∂L/∂Σ = ½ C (Σ t x xᵀ) C`.
     pub(super) fn from_moments([m10, m01, m20, m11, m02]: [f32; 5], [a, b, c]: [f32; 3], color: [f32; 4]) -> Self {
         // M C by rows, then C (M C).
         let [p, q] = [m20 * a + m11 * b, m20 * b + m11 * c];
@@ -35,7 +36,7 @@ impl Slope {
     }
 }
 
-/// The slopes of all of `projected` from gradient planes over all rows.
+/// Returns the gradients of all of `projected` from gradient planes over all rows.
 pub(super) fn slopes(field: &Field, channels: usize, width: u32, projected: &[Projected]) -> Vec<Slope> {
     let chunks = projected.len().div_ceil(CHUNK);
     parallel::map(chunks, |c| {

@@ -1,9 +1,9 @@
-//! Adam and Adan, on the nine numbers of each Gaussian.
+//! The optimizers Adam and Adan, for the nine numbers of each Gaussian.
 
-/// Numbers of one Gaussian: two of its place, three of its shape, four of its colour.
+/// Numbers of one Gaussian: two of its position, three of its shape, four of its colour.
 pub(super) const NUMBERS: usize = 9;
 
-/// Keeps quotients finite, in both.
+/// Keeps quotients finite in both optimizers.
 const EPSILON: f32 = 1e-8;
 
 /// Adam (Kingma and Ba, 2015) with PyTorch's constants.
@@ -18,18 +18,18 @@ impl Adam {
         Adam { memory: vec![[[0.0; 2]; NUMBERS]; count], steps: 0 }
     }
 
-    /// Forgets those that are not `kept`.
+    /// Drops the state of Gaussians that are not `kept`.
     pub(super) fn keep(&mut self, kept: &[bool]) {
         let mut each = kept.iter();
         self.memory.retain(|_| each.next().is_some_and(|k| *k));
     }
 
-    /// Makes room for new ones, of which it knows nothing.
+    /// Adds empty state for new Gaussians.
     pub(super) fn add(&mut self, count: usize) {
         self.memory.resize(self.memory.len() + count, [[0.0; 2]; NUMBERS]);
     }
 
-    /// Forgets what it knows of one of the numbers.
+    /// Clears the state of one of the numbers.
     pub(super) fn forget(&mut self, number: usize) {
         self.memory.iter_mut().for_each(|m| m[number] = [0.0; 2]);
     }
@@ -53,7 +53,7 @@ impl Adam {
 /// Adan (Xie et al., 2022; arXiv 2208.06677) without weight decay.
 #[derive(Debug)]
 pub(super) struct Adan {
-    /// Means of the gradient, of its changes and of squares, and the gradient before.
+    /// Means of the gradient, of its changes and of the squares, and the previous gradient.
     memory: Vec<[[f32; 4]; NUMBERS]>,
     steps: i32,
 }
@@ -101,7 +101,7 @@ mod tests {
         }
     }
 
-    /// Gradients 1, 3: worked out by hand from the paper's equations.
+    /// Gradients 1, 3: computed by hand from the paper's equations.
     #[test]
     fn the_second_step_of_adan_sees_the_change_of_the_gradient() {
         let (mut adan, mut p) = (Adan::new(1), [[0.0f32; NUMBERS]]);

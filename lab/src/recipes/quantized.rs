@@ -1,18 +1,20 @@
-//! The second stage of GaussianImage's codec: it fits on with quantizers in the loop. After `quantize.py` and `train_quantize.py` of
-//! github.com/Xinjie-Q/GaussianImage.
+//! The second stage of GaussianImage's codec, which continues the fit with quantizers in the loop, after `quantize.py`
+//! and `train_quantize.py` of github.com/Xinjie-Q/GaussianImage.
 //!
-//! Places are kept in half precision before `tanh`. Each of the three numbers of the covariance (with rotation: the angle in
-//! radians) has 64 even steps between its least and its largest value; offset and step are learned (LSQ+, Bhalgat et al. 2020).
-//! Colours are two vectors, the second of what the first leaves, each from a codebook of eight that starts by k-means with five
-//! rounds and follows the means of its members at a decay of 0.8 (van den Oord et al. 2017). Gradients pass through the rounding,
-//! and 1 · the mean square of what each codebook leaves is added to the loss. Optimizer, rate and schedule are the first stage's.
+//! Positions are stored in half precision before `tanh`. Each of the three numbers of the covariance (with rotation:
+//! the angle in radians) has 64 uniform steps between its minimum and maximum; offset and step are learned (LSQ+,
+//! Bhalgat et al. 2020). A colour is the sum of two vectors, the second for the remainder of the first, each from a
+//! codebook of eight. Codebooks are initialized by k-means with five rounds and follow the means of their members with
+//! a decay of 0.8 (van den Oord et al. 2017). Gradients pass through the rounding, and the mean squared remainder of
+//! each codebook is added to the loss with a weight of 1. Optimizer, rate and schedule are those of the first stage.
 //!
-//! Otherwise than there: the last state counts and not the best; the gradient passes once to the colours and not through each
-//! codebook.
+//! Differences from the published program: the result is the last state and not the best; the gradient passes to the
+//! colours once and not through each codebook.
 //!
-//! Bytes are counted twice. The published measure has no entropy coder: `test_quantize.py`, which makes the paper's figures, calls
-//! `compress_wo_ec` and `analysis_wo_ec`, where each index counts 3 bits. The program has another (`compress`, `analysis`), which
-//! codes the covariances' codes by how often each occurs, and all indices likewise: [`coded_bytes`] codes them so.
+//! Bytes are counted twice. The published measure has no entropy coder: `test_quantize.py`, which computes the paper's
+//! figures, calls `compress_wo_ec` and `analysis_wo_ec`, where each index counts 3 bits. The program also has
+//! `compress` and `analysis`, which entropy-code the covariances' codes and all indices by their frequencies.
+//! [`coded_bytes`] does the same.
 
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
@@ -21,8 +23,8 @@ use super::gaussian_image::{Covariance, RATE, Stage, halved};
 use super::optimizer::{Adan, NUMBERS};
 use super::{Counted, Options, categorical, drawn};
 
-/// Largest code of a number of the covariance.
-const LARGEST: f32 = 63.0;
+/// Maximum code of a number of the covariance.
+const MAX_CODE: f32 = 63.0;
 /// Vectors in a codebook.
 const VECTORS: usize = 8;
 const ROUNDS: usize = 5;
@@ -32,7 +34,7 @@ const EPSILON: f32 = 1e-5;
 
 type Color = [f32; 4];
 
-/// Fits on for `options.second_stage` iterations and says what the numbers are worth when they are rounded.
+/// Continues the fit for `options.second_stage` iterations, and returns the size and quality of the rounded numbers.
 pub(super) fn counted(
     stage: &mut Stage<'_>,
     mut numbers: Vec<[f32; NUMBERS]>,
@@ -61,7 +63,7 @@ pub(super) fn counted(
             }
             let left = books.left(&colors(n));
             for k in 0..channels {
-                // Gradient of the mean squares that both codebooks leave.
+                // Gradient of the mean squared remainders of both codebooks.
                 g[5 + k] += 2.0 * (left[0][k] + left[1][k]) / (numbers.len() * channels) as f32;
             }
             gradients.push(if g.iter().all(|v| v.is_finite()) { g } else { [0.0; NUMBERS] });
@@ -79,7 +81,7 @@ pub(super) fn counted(
     Some(Counted { bytes: bytes(numbers.len(), channels), coded, psnr })
 }
 
-/// Returns the bytes if the codes go through an entropy coder, its two tables included.
+/// Returns the size in bytes if the codes are entropy-coded, including the two tables.
 fn coded_bytes(numbers: &[[f32; NUMBERS]], even: &Even, books: &Books, stage: &Stage<'_>) -> u64 {
     let shape = |n| shape(n, stage.covariance);
     let code = |(k, v)| even.code(v, k).round_ties_even() as u8;
@@ -89,8 +91,8 @@ fn coded_bytes(numbers: &[[f32; NUMBERS]], even: &Even, books: &Books, stage: &S
     fixed + categorical::bytes(&shapes) + categorical::bytes(&indices)
 }
 
-/// 16 bits a coordinate, 6 for each number of the covariance, two indices of 3 bits; two codebooks, and an offset and a step
-/// for each number of the covariance, in 32 bits.
+/// Returns the size in bytes: 16 bits per coordinate, 6 for each number of the covariance, two indices of 3 bits; two
+/// codebooks, and an offset and a step for each number of the covariance, in 32 bits.
 pub(super) fn bytes(count: usize, channels: usize) -> u64 {
     let each = 2 * 16 + 3 * 6 + 2 * 3;
     let fixed = 32 * (2 * VECTORS * channels + 2 * 3);
@@ -109,7 +111,7 @@ fn shape(n: &[f32; NUMBERS], covariance: Covariance) -> [f32; 3] {
     }
 }
 
-/// The slope of a number of [`shape`] with respect to what it is made of.
+/// Returns the derivative of a number of [`shape`] with respect to its parameter.
 fn slope_of_shape(n: &[f32; NUMBERS], k: usize, covariance: Covariance) -> f32 {
     if k < 2 || covariance == Covariance::Cholesky {
         return 1.0;
@@ -133,7 +135,7 @@ fn rounded(n: &[f32; NUMBERS], even: &Even, books: &Books, covariance: Covarianc
     out
 }
 
-/// The nearest number with 11 bits, or the nearest multiple of 2⁻²⁴ where numbers are below 2⁻¹⁴.
+/// Returns the nearest number with 11 bits, or the nearest multiple of 2⁻²⁴ below 2⁻¹⁴.
 fn half_precision(v: f32) -> f32 {
     if v.abs() < (-14.0f32).exp2() {
         return (v * 24.0f32.exp2()).round_ties_even() * (-24.0f32).exp2();
@@ -142,7 +144,7 @@ fn half_precision(v: f32) -> f32 {
     f32::from_bits(bits.wrapping_add(0xfff + (bits >> 13 & 1)) & !0x1fff)
 }
 
-/// Even steps for three numbers.
+/// Uniform quantizers for three numbers.
 struct Even {
     steps: [f32; 3],
     offsets: [f32; 3],
@@ -156,8 +158,8 @@ impl Even {
                 *range = [range[0].min(v), range[1].max(v)];
             }
         }
-        // One value alone has no range.
-        Even { steps: ranges.map(|r| ((r[1] - r[0]) / LARGEST).max(1e-8)), offsets: ranges.map(|r| r[0]) }
+        // A single value has no range.
+        Even { steps: ranges.map(|r| ((r[1] - r[0]) / MAX_CODE).max(1e-8)), offsets: ranges.map(|r| r[0]) }
     }
 
     fn numbers(&self) -> [f32; NUMBERS] {
@@ -171,14 +173,15 @@ impl Even {
     }
 
     fn code(&self, v: f32, k: usize) -> f32 {
-        ((v - self.offsets[k]) / self.steps[k]).clamp(0.0, LARGEST)
+        ((v - self.offsets[k]) / self.steps[k]).clamp(0.0, MAX_CODE)
     }
 
     fn rounded(&self, v: f32, k: usize) -> f32 {
         self.code(v, k).round_ties_even() * self.steps[k] + self.offsets[k]
     }
 
-    /// The slopes of the rounded number with respect to itself before, the step and the offset, passed through the rounding.
+    /// Returns the derivatives of the rounded number with respect to the number, the step and the offset, passed
+    /// through the rounding.
     fn slopes(&self, v: f32, k: usize) -> [f32; 3] {
         let code = self.code(v, k);
         let inside = (v - self.offsets[k]) / self.steps[k] == code;
@@ -187,7 +190,7 @@ impl Even {
     }
 }
 
-/// One codebook, with how many members each vector has had and their sum, both as running means.
+/// One codebook, with running means of the number of members of each vector and of their sum.
 struct Book {
     vectors: [Color; VECTORS],
     sizes: [f32; VECTORS],
@@ -321,13 +324,13 @@ mod tests {
                 values.dedup();
                 assert!((50..=64).contains(&values.len()), "{k}: {}", values.len());
             }
-            // Differences to the colour are rounded once more: what is left is compared by its millionths.
+            // Differences to the colour are rounded again, so remainders are compared in units of 1e−5.
             let mut values: Vec<[i64; 4]> = all.iter().map(|n| colors(n).map(|c| (c * 1e5).round() as i64)).collect();
             values.sort_unstable();
             values.dedup();
             assert!((30..=90).contains(&values.len()), "{}", values.len());
             let error: f32 = numbers.iter().zip(&all).map(|(a, b)| square(&colors(a), &colors(b))).sum::<f32>() / 400.0;
-            // Four numbers in 0..1 have a variance of 4/12.
+            // Four numbers in 0..1 have a total variance of 4/12.
             assert!(error < 0.12, "{error}");
         }
     }
@@ -336,7 +339,7 @@ mod tests {
     fn slopes_of_even_steps_are_those_of_what_is_rounded_beside_the_rounding() {
         let even = Even { steps: [0.1; 3], offsets: [0.5; 3] };
         let [by_input, by_step, by_offset] = even.slopes(0.83, 1);
-        // 3.3 steps become 3.
+        // 3.3 steps are rounded to 3.
         assert!((by_input - 1.0).abs() < 1e-6 && (by_step + 0.3).abs() < 1e-4 && by_offset == 0.0, "{by_step}");
         assert_eq!(even.slopes(99.0, 1), [0.0, 63.0, 1.0]);
         assert_eq!(even.slopes(-99.0, 1), [0.0, 0.0, 1.0]);

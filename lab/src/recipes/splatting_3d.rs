@@ -1,18 +1,21 @@
-//! 3D Gaussian Splatting (Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", SIGGRAPH 2023, arXiv
-//! 2308.04079) in the plane, as papers on pictures set it beside theirs: 2D Gaussians with opacity, blended from front to
-//! back in the order in which they are stored. After github.com/graphdeco-inria/gaussian-splatting: `arguments`,
-//! `gaussian_model.py`, `train.py`, and the kernels of its rasterizer.
+//! 3D Gaussian Splatting (Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", SIGGRAPH 2023,
+//! arXiv 2308.04079) in the plane, as papers on image representation use it for comparison: 2D Gaussians with opacity,
+//! blended from front to back in the order in which they are stored. After
+//! github.com/graphdeco-inria/gaussian-splatting: `arguments`, `gaussian_model.py`, `train.py`, and the kernels of its
+//! rasterizer.
 //!
-//! `α = o exp(−σ)`, `o = sigmoid(p)` and 0.1 at the start; `Σ = R S Sᵀ Rᵀ + 0.3` pixel²; colours are `½ + 0.282 f` and at least 0, as of
-//! spherical harmonics of degree 0; the background is black. Limits are in `blended.rs`. Scales start at the root mean square
-//! of the distances to the three nearest. The loss is 0.8 of the absolute error and 0.2 · (1 − SSIM). Adam has rates of
-//! 0.00016 falling to 0.0000016 for places, 0.0025 for colours, 0.05 for opacities, 0.005 for logarithms of scales, and 0.001
-//! for quaternions, which is 0.002 for an angle. 30 000 iterations are published.
+//! `α = o exp(−σ)`, with `o = sigmoid(p)`, initially 0.1; `Σ = R S Sᵀ Rᵀ + 0.3` pixel²; colours are `½ + 0.282 f` and
+//! at least 0, as for spherical harmonics of degree 0; the background is black. Limits are in `blended.rs`. Scales are
+//! initialized with the root mean square distance to the three nearest neighbours. The loss is 0.8 of the absolute
+//! error plus 0.2 · (1 − SSIM). Adam has rates of 0.00016 falling to 0.0000016 for positions, 0.0025 for colours, 0.05
+//! for opacities, 0.005 for logarithms of scales, and 0.001 for quaternions, which is 0.002 for an angle. The
+//! published number of iterations is 30 000.
 //!
-//! Otherwise than there: all Gaussians lie at the same distance, and the scene's extent, the unit of places, is half the
-//! picture's longer side. They start at random places with the picture's colours, as no reconstruction gives points: half of the
-//! number that is asked for, to which growth and pruning (`densify.rs`) lead at most. [`Number::Stays`] starts with all of them
-//! instead and keeps them. The loss is taken behind a clamp.
+//! Differences from the published program: all Gaussians lie at the same distance, and the scene's extent, the unit of
+//! positions, is half the picture's longer side. Gaussians are initialized at random positions with the picture's
+//! colours, because there is no reconstruction that provides points. Their initial number is half of the requested
+//! one, which growth and pruning (`densify.rs`) do not exceed. [`Number::Stays`] starts with all of them instead and
+//! keeps them. The loss is computed after a clamp.
 
 use std::time::Instant;
 
@@ -20,7 +23,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::blended::{self, Drawing, Rule, Splat};
-use super::densify::{Crowd, Due, Growth, logit};
+use super::densify::{Due, Growth, Population, logit};
 use super::estimate;
 use super::optimizer::{Adam, NUMBERS};
 use super::tiles::Reach;
@@ -41,11 +44,11 @@ const OPACITY: f32 = 0.1;
 const HARMONIC: f32 = 0.282_094_8;
 /// Variance added to the diagonal of the covariance as a low-pass filter, pixels².
 const LOW_PASS: f32 = 0.3;
-/// Steps that go together when the numbers are rounded for the estimate of bytes: pixels, logarithms, radians, colours in
-/// units of `1 / HARMONIC`, and what the sigmoid is taken of.
+/// Relative steps for rounding the numbers for the estimate of the size: pixels, logarithms, radians, colours in units
+/// of `1 / HARMONIC`, and the argument of the sigmoid.
 const STEPS: [f32; NUMBERS] = [0.25, 0.25, 0.1, 0.1, 0.1, 0.07, 0.07, 0.07, 0.2];
 
-/// Whether Gaussians come and go.
+/// Whether the number of Gaussians changes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Number {
     /// As published.
@@ -62,14 +65,14 @@ pub(super) fn fit(target: &Planes, number: Number, options: &Options) -> Fit {
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
     let first = if number == Number::Grows { options.count.div_ceil(2) } else { options.count };
     let numbers = start(target, first, &mut rng);
-    let mut crowd = Crowd { adam: Adam::new(numbers.len()), numbers };
+    let mut population = Population { adam: Adam::new(numbers.len()), numbers };
     let samples = (width * target.height as usize * channels) as f32;
     let mut growth = Growth::new(rng, size.map(|s| s as f32), samples, (unit, options.count));
     let (mut trace, mut watching) = (Vec::new(), 0.0);
     let clock = Instant::now();
     let psnr = |drawing: &Drawing| drawn::psnr(target, blended::squared_error(&truth, &drawing.pixels));
     for iteration in 0..options.iterations {
-        let splats: Vec<Splat> = crowd.numbers.iter().map(splat).collect();
+        let splats: Vec<Splat> = population.numbers.iter().map(splat).collect();
         let drawing = Drawing::new(&splats, size.map(|v| v as usize), Rule::FrontToBack);
         if options.trace > 0 && iteration.is_multiple_of(options.iterations.div_ceil(options.trace)) {
             let now = Instant::now();
@@ -78,23 +81,23 @@ pub(super) fn fit(target: &Planes, number: Number, options: &Options) -> Fit {
             watching += now.elapsed().as_secs_f64();
         }
         let mut field = blended::field(target, &drawing.pixels);
-        // A sum's slope is that of the picture itself; it is of a total and not of a mean, which keeps what Adam adds to
-        // its divisors far below them, as there.
+        // The gradient of a sum is that with respect to the picture itself. It is the gradient of a total and not of a
+        // mean, which keeps Adam's epsilon far below the divisors, as in the published program.
         loss.gradient(&Problem { scene, target }, &mut field);
         let slopes = blended::from_field(target, &field);
         let found = drawing.gradients(&splats, width, Rule::FrontToBack, &slopes);
-        let gradients: Vec<_> = crowd.numbers.iter().zip(&found).map(|(n, g)| gradient(n, g, channels)).collect();
+        let gradients: Vec<_> = population.numbers.iter().zip(&found).map(|(n, g)| gradient(n, g, channels)).collect();
         let done = iteration as f32 / options.iterations as f32;
         let place = unit * PLACE_RATES[0] * (PLACE_RATES[1] / PLACE_RATES[0]).powf(done);
         let [scale, color] = [SCALE_RATE, COLOR_RATE];
         let rates = [place, place, scale, scale, ANGLE_RATE, color, color, color, OPACITY_RATE];
         let seen = found.iter().zip(&splats).map(|(g, s)| (g.slope.mean, s.reach.meets(size)));
         let due = Due::after(iteration + 1, options.iterations);
-        if number == Number::Stays || growth.passes(&mut crowd, seen, due) {
-            crowd.adam.step(&mut crowd.numbers, &gradients, rates.map(|r| r * options.rate));
+        if number == Number::Stays || growth.passes(&mut population, seen, due) {
+            population.adam.step(&mut population.numbers, &gradients, rates.map(|r| r * options.rate));
         }
     }
-    let numbers = crowd.numbers;
+    let numbers = population.numbers;
     let draw = |numbers: &[[f32; NUMBERS]]| {
         let splats: Vec<Splat> = numbers.iter().map(splat).collect();
         Drawing::new(&splats, size.map(|v| v as usize), Rule::FrontToBack)
@@ -104,7 +107,7 @@ pub(super) fn fit(target: &Planes, number: Number, options: &Options) -> Fit {
     let last = Point { iteration: options.iterations, seconds, psnr: psnr_of_floats };
     trace.extend((options.trace > 0).then_some(last));
     let estimate = options.bytes.and_then(|bytes| {
-        // The fourth colour holds the opacity: a grey picture has no use for the second and the third.
+        // The fourth colour holds the opacity; a grey picture does not use the second and the third.
         let used: Vec<usize> = (0..5 + channels).chain([8]).collect();
         let (bytes, rounded) = estimate::rounded(&numbers, &STEPS, &used, bytes)?;
         Some(Counted { bytes, coded: None, psnr: psnr(&draw(&rounded)) })
@@ -124,7 +127,7 @@ pub(super) fn fit(target: &Planes, number: Number, options: &Options) -> Fit {
     }
 }
 
-/// Random places in pixels, colours of the picture there, and scales by the three nearest.
+/// Returns Gaussians at random positions in pixels, with the colours of the picture and scales by the three nearest.
 fn start(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Vec<[f32; NUMBERS]> {
     let size = [target.width as f32, target.height as f32];
     let places: Vec<[f32; 2]> = (0..count).map(|_| size.map(|s| s * rng.random::<f32>())).collect();
@@ -132,7 +135,7 @@ fn start(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Vec<[f32; NUMBERS
     let distances = nearest(&places);
     (places.iter().zip(distances))
         .map(|(place, square)| {
-            // One Gaussian alone has no neighbour: it takes the picture's size.
+            // A single Gaussian has no neighbour and gets the picture's size.
             let scale = if square.is_finite() { 0.5 * square.max(1e-7).ln() } else { size[0].max(size[1]).ln() };
             let color = target.at(*place).map(|c| (c - 0.5) / HARMONIC);
             [place[0], place[1], scale, scale, 0.0, color[0], color[1], color[2], opacity]
@@ -140,7 +143,7 @@ fn start(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Vec<[f32; NUMBERS
         .collect()
 }
 
-/// For each place the mean of the squares of the distances to the three nearest, or to all others where they are fewer.
+/// Returns the mean squared distance of each position to the three nearest ones, or to all others if there are fewer.
 fn nearest(places: &[[f32; 2]]) -> Vec<f32> {
     let mut order: Vec<usize> = (0..places.len()).collect();
     order.sort_by(|&a, &b| places[a][0].total_cmp(&places[b][0]));
@@ -159,7 +162,7 @@ fn nearest(places: &[[f32; 2]]) -> Vec<f32> {
             }
             true
         };
-        // Outwards along x until that alone is too far.
+        // Search outwards along x, until the distance along x alone is too large.
         let _ = order[rank + 1..].iter().all(|&j| see(j));
         let _ = order[..rank].iter().rev().all(|&j| see(j));
         let known: Vec<f32> = best.into_iter().filter(|v| v.is_finite()).collect();
@@ -170,7 +173,7 @@ fn nearest(places: &[[f32; 2]]) -> Vec<f32> {
     out
 }
 
-/// Variances along the axes, low-passed.
+/// Variances along the axes, after the low-pass filter.
 fn variances(n: &[f32; NUMBERS]) -> [f32; 2] {
     [n[2], n[3]].map(|l| (2.0 * l).exp() + LOW_PASS)
 }
@@ -196,7 +199,7 @@ fn gaussian(n: &[f32; NUMBERS]) -> Gaussian {
     Gaussian { mean: [n[0], n[1]], scale: [a.max(b), a.min(b)], rotation, color: color(n) }
 }
 
-/// The gradient with respect to the numbers.
+/// Returns the gradient with respect to the numbers.
 fn gradient(n: &[f32; NUMBERS], found: &blended::Gradient, channels: usize) -> [f32; NUMBERS] {
     let ([xx, xy, yy], [gx, gy]) = (found.slope.covariance, found.slope.mean);
     let (sin, cos) = n[4].sin_cos();
@@ -221,8 +224,8 @@ mod tests {
 
     const SIZE: [usize; 2] = [24, 20];
 
-    /// A fixed mixture of the samples in double precision, straight from the paper's equations: each pixel goes through all
-    /// Gaussians from the first to the last.
+    /// Returns a weighted sum of the samples in double precision, directly from the paper's equations: each pixel
+    /// visits all Gaussians from the first to the last.
     fn mixture(numbers: &[[f64; NUMBERS]], by: impl Fn(usize, usize, usize) -> f64) -> f64 {
         let mut sum = 0.0;
         for (x, y) in (0..SIZE[1]).flat_map(|y| (0..SIZE[0]).map(move |x| (x, y))) {
@@ -256,7 +259,8 @@ mod tests {
 
     #[test]
     fn gradients_are_the_differences_of_the_published_equations_in_double_precision() {
-        // Each reaches all tiles. The last is behind four that are nearly opaque in the middle: there no light is left.
+        // Each reaches all tiles. The last is behind four that are nearly opaque in the middle, where no light is
+        // left.
         let numbers: Vec<[f32; NUMBERS]> = vec![
             [9.3, 8.1, 2.1, 1.2, 0.7, 0.9, -0.3, 0.4, -0.5],
             [14.2, 11.9, 1.9, 2.4, 2.3, -0.7, 0.2, 1.4, 3.1],

@@ -1,9 +1,9 @@
-//! Which Gaussians each tile of 16 × 16 pixels looks at, in their order.
+//! Lists the Gaussians of each tile of 16 × 16 pixels in their order.
 
 /// Side of a tile, pixels.
 pub(super) const TILE: usize = 16;
 
-/// A box around a Gaussian: its middle and how far it reaches from there, pixels.
+/// Bounding box of a Gaussian: its centre and half extent, pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reach {
     pub center: [f32; 2],
@@ -11,7 +11,7 @@ pub(super) struct Reach {
 }
 
 impl Reach {
-    /// Whether a picture of this size shows some of the box.
+    /// Tells whether the box intersects a picture of this size.
     pub(super) fn meets(&self, size: [u32; 2]) -> bool {
         (0..2).all(|k| self.center[k] + self.half[k] >= 0.0 && self.center[k] - self.half[k] < size[k] as f32)
     }
@@ -26,7 +26,7 @@ pub(super) struct Tiles {
 }
 
 impl Tiles {
-    /// For boxes in their order; one that is no number is nowhere.
+    /// Sorts boxes into tiles, in their order; boxes with NaN are in no tile.
     pub(super) fn new(boxes: impl Iterator<Item = Reach> + Clone, [width, height]: [usize; 2]) -> Self {
         let [columns, rows] = [width, height].map(|side| side.div_ceil(TILE));
         let range = |reach: &Reach, k: usize, last: usize| {
@@ -34,7 +34,7 @@ impl Tiles {
             if !(half > 0.0 && center.is_finite()) {
                 return 0..0;
             }
-            // Casts to integers cut towards 0, as in the programs that this follows.
+            // Casts to integers round towards 0, as in the published programs.
             let first = (center - half).max(0.0) as usize;
             first.min(last)..((center + half + 1.0).max(0.0) as usize).min(last)
         };

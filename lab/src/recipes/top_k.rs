@@ -1,26 +1,27 @@
-//! The blend of Image-GS: at each pixel the ten Gaussians that are largest there, weighted by their values over their sum.
+//! The blend of Image-GS: at each pixel, the ten Gaussians with the largest values, weighted by their values over
+//! their sum.
 //!
-//! `I = Σ cₖ aₖ / (Σ aₖ + ε)` with `aₖ = exp(−σₖ)`. Which Gaussians a pixel looks at is decided by tiles of 16 × 16 pixels: those
-//! whose circle of three times the larger scale meets the tile.
+//! `I = Σ cₖ aₖ / (Σ aₖ + ε)` with `aₖ = exp(−σₖ)`. The candidates at a pixel are those of its tile of 16 × 16 pixels:
+//! the Gaussians whose circle with three times the larger scale meets the tile.
 
 use super::tiles::{Reach, TILE, Tiles};
 use ssplat::unstable::fit::model::drawing::project::Projected;
 use ssplat::unstable::parallel;
 use ssplat::unstable::simd::{self, LANES, Lanes, Simd, Task};
 
-/// How many count.
+/// Number of Gaussians per pixel.
 pub(super) const K: usize = 10;
-/// Groups of pixels side by side in a row of a tile.
+/// Groups of adjacent pixels in a row of a tile.
 const GROUPS: usize = TILE / LANES;
-/// Added to the sum of the weights.
+/// Constant added to the sum of the weights.
 const EPSILON: f32 = 1e-4;
 
-/// Largest Gaussians of eight pixels side by side, `used` for each pixel.
+/// The largest Gaussians of eight adjacent pixels; `used` is their number for each pixel.
 #[derive(Debug, Clone, Copy)]
 struct Picks {
-    /// Their places among the members of the tile.
+    /// Their indices among the members of the tile.
     ranks: [[u32; LANES]; K],
-    /// Their values, 0 where there is none.
+    /// Their values, 0 for unused entries.
     values: [Lanes; K],
     used: [u32; LANES],
 }
@@ -29,8 +30,8 @@ impl Picks {
     const NONE: Picks =
         Picks { ranks: [[0; LANES]; K], values: [Lanes([f32::NEG_INFINITY; LANES]); K], used: [0; LANES] };
 
-    /// Takes a Gaussian at one pixel where there is room, or in the place of the smallest. Values are exponents as yet. Returns
-    /// that of the smallest then, once there is no room.
+    /// Adds a Gaussian at one pixel if there is room, or replaces the smallest. Values are still exponents. Returns
+    /// the smallest exponent once there is no room.
     #[inline(always)]
     fn offer(&mut self, lane: usize, rank: u32, exponent: f32) -> f32 {
         let mut place = self.used[lane] as usize;
@@ -55,7 +56,7 @@ impl Picks {
         smallest
     }
 
-    /// The inverses of what the values are divided by.
+    /// Returns the inverses of the normalization.
     #[inline(always)]
     fn inverses<S: Simd>(&self, simd: S) -> S::Vector {
         let mut sum = simd.splat(EPSILON);
@@ -66,7 +67,7 @@ impl Picks {
     }
 }
 
-/// A Gaussian and how far its circle reaches, pixels.
+/// A Gaussian and the radius of its circle, pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Circle {
     pub projected: Projected,
@@ -76,18 +77,18 @@ pub(super) struct Circle {
 /// The sums of [`Slope::from_moments`](super::moments::Slope::from_moments) for one Gaussian, then those of its colour.
 pub(super) type Sums = [f32; 9];
 
-/// A circle with its place among the members of a tile, and more than its exponent is anywhere there.
+/// A circle with its index among the members of a tile, and an upper bound of its exponent in the tile.
 type Ranked<'a> = (&'a Circle, u32, f32);
 
 /// The pixels of one drawing.
 #[derive(Debug, Default)]
 pub(super) struct Drawing {
     tiles: Tiles,
-    /// Largest Gaussians of each row, padded to whole tiles.
+    /// The largest Gaussians of each row, padded to whole tiles.
     picks: Vec<Picks>,
 }
 
-/// Draws a row of tiles into planes.
+/// Renders a row of tiles into planes.
 struct Paint<'a> {
     circles: &'a [Circle],
     tiles: &'a Tiles,
@@ -135,7 +136,7 @@ impl Task for Paint<'_> {
     }
 }
 
-/// The members of a tile, the largest that any can be first.
+/// Lists the members of a tile in descending order of their upper bounds.
 fn rank<'a>(circles: &'a [Circle], members: &[u32], tile: [usize; 2], out: &mut Vec<Ranked<'a>>) {
     out.clear();
     for (i, &id) in members.iter().enumerate() {
@@ -144,21 +145,21 @@ fn rank<'a>(circles: &'a [Circle], members: &[u32], tile: [usize; 2], out: &mut 
             let (first, center) = ((tile[k] * TILE) as f32, circle.projected.center[k]);
             (first - center).max(center - (first + (TILE - 1) as f32)).max(0.0)
         };
-        // The radius is three of the larger scale or more.
+        // The radius is three times the larger scale or more.
         let most = -4.5 * (outside(0).powi(2) + outside(1).powi(2)) / (circle.radius * circle.radius);
         out.push((circle, i as u32, if most.is_nan() { 0.0 } else { most }));
     }
     out.sort_by(|a, b| b.2.total_cmp(&a.2));
 }
 
-/// The ten largest at eight pixels, and their values.
+/// Finds the ten largest at eight pixels, and their values.
 #[inline(always)]
 fn choose<S: Simd>(simd: S, ranked: &[Ranked<'_>], [x, y]: [f32; 2], picks: &mut Picks) {
     *picks = Picks::NONE;
     let mut least = Lanes([f32::NEG_INFINITY; LANES]);
     let mut lowest = f32::NEG_INFINITY;
     for &(circle, rank, most) in ranked {
-        // All that follow are smaller than those found.
+        // All following ones are smaller than those found.
         if most < lowest {
             break;
         }
@@ -170,7 +171,7 @@ fn choose<S: Simd>(simd: S, ranked: &[Ranked<'_>], [x, y]: [f32; 2], picks: &mut
         simd.store(&mut exponents, simd.add(simd.mul(slope, dx), simd.splat(-0.5 * c * dy * dy)));
         let mut has_changed = false;
         for lane in 0..LANES {
-            // As there: what is no number is passed over. The largest exponents are the largest values.
+            // As in the published program, NaN is skipped. The largest exponents have the largest values.
             let exponent = exponents.0[lane];
             if exponent > least.0[lane] && exponent <= 0.0 {
                 least.0[lane] = picks.offer(lane, rank, exponent);
@@ -186,14 +187,14 @@ fn choose<S: Simd>(simd: S, ranked: &[Ranked<'_>], [x, y]: [f32; 2], picks: &mut
     }
     for values in &mut picks.values {
         let exponents = simd.mul(simd.load(values), simd.splat(std::f32::consts::LOG2_E));
-        // Where there is none the exponent is below all that is kept.
+        // The exponent of unused entries is below all that are kept.
         let value = simd.keep_above(simd.exp2(exponents), exponents, simd.splat(-125.0));
         simd.store(values, value);
     }
 }
 
 impl Drawing {
-    /// Draws `circles` into `planes`: rows of `channels` planes of `stride` floats and one that is left alone.
+    /// Renders `circles` into `planes`: rows of `channels` planes of `stride` floats, and one that is not changed.
     pub(super) fn draw(
         &mut self,
         circles: &[Circle],
@@ -227,7 +228,7 @@ impl Drawing {
         (slopes, drawn, stride): (&[f32], &[f32], usize),
     ) -> Vec<Sums> {
         let (row_size, groups) = ((channels + 1) * stride, self.tiles.columns * GROUPS);
-        // Bands do not depend on the number of threads, and neither does the order of sums.
+        // Neither the bands nor the order of summation depends on the number of threads.
         let bands = parallel::map(height.div_ceil(TILE), |band| {
             let mut found: Vec<(u32, Sums)> = Vec::new();
             for column in 0..self.tiles.columns {
@@ -341,7 +342,7 @@ mod tests {
         use super::super::moments::Slope;
         let circles = circles(40);
         let (drawing, planes) = draw(&circles);
-        // The loss is a fixed mixture of all samples.
+        // The loss is a fixed weighted sum of all samples.
         let slopes: Vec<f32> = (0..planes.len()).map(|i| ((i * 37 % 101) as f32 - 50.0) / 50.0).collect();
         let loss = |circles: &[Circle]| {
             let planes = draw(circles).1;

@@ -34,22 +34,23 @@ pub struct Report {
     /// Efforts; ratios and recipes are compared at the middle one
     #[arg(long, value_name = "N,...", value_delimiter = ',', value_parser = clap::value_parser!(u8).range(1..=9), default_value = "3,5,7")]
     pub efforts: Vec<u8>,
-    /// Recipes to set beside ours
+    /// Recipes to compare with ours
     #[arg(long, value_enum, default_value_t = Recipes::All)]
     pub recipes: Recipes,
-    /// On how many of the pictures, from the first on, to run SmartSplat: its fits take by far the longest [default: all]
+    /// Number of pictures, from the first on, for which SmartSplat runs; its fits take by far the longest [default:
+    /// all]
     #[arg(long, value_name = "N")]
     pub smartsplat_images: Option<usize>,
-    /// Backends to set beside the default one [default: cpu,gpu where there is a GPU, none elsewhere]
+    /// Backends to compare with the default one [default: cpu,gpu if there is a GPU, none otherwise]
     #[arg(long, value_name = "NAME,...", value_delimiter = ',', value_parser = names::backend())]
     pub backends: Vec<Backend>,
-    /// Figures of other codecs
+    /// Results of other codecs
     #[arg(long, value_name = "CSV")]
     pub anchors: Option<PathBuf>,
-    /// Which other codecs to run: those of cjpeg, cwebp, avifenc and cjxl that are installed, or none
+    /// Other codecs to run: those of cjpeg, cwebp, avifenc and cjxl that are installed, or none
     #[arg(long, value_enum, default_value_t = Codecs::Installed)]
     pub codecs: Codecs,
-    /// The rows of the table of stiff cases, as the tests print them
+    /// Table of stiff cases, as the tests print it
     #[arg(long, value_name = "FILE")]
     pub stability: Option<PathBuf>,
 }

@@ -1,5 +1,5 @@
-//! One measurement: a picture encoded with one set of options, decoded, and everything that was seen on the way; kept
-//! as a JSON file, so that a report that was interrupted goes on where it stopped.
+//! One measurement: a picture encoded with one set of options and decoded, with all results. It is stored as a JSON
+//! file, so that an interrupted report can be continued.
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -16,11 +16,11 @@ use ssplat_cli::compare;
 use ssplat_cli::failure::Failure;
 use ssplat_cli::source;
 
-/// Longest side of the thumbnail that is timed, pixels.
+/// Longest side of the thumbnail whose decoding is timed, pixels.
 const THUMBNAIL: u32 = 160;
-/// Side of the region that is timed, pixels, where the picture has as many.
+/// Side of the region whose decoding is timed, pixels, if the picture is large enough.
 const REGION: u32 = 256;
-/// Decodings of which the fastest counts.
+/// Repetitions of a decode; the fastest counts.
 const REPEATS: usize = 7;
 
 /// A picture of the report.
@@ -98,14 +98,14 @@ pub struct Job {
 /// Result of a job.
 pub struct Cell {
     pub job: Job,
-    /// The measurements; only `error` where the encoder refused.
+    /// The measurements; only `error` if the encoder failed.
     pub values: Value,
-    /// The file; empty where the encoder refused.
+    /// The file; empty if the encoder failed.
     pub bytes: Vec<u8>,
 }
 
 impl Cell {
-    /// A number of the cell by its key; NaN where it has none.
+    /// Returns a value of the cell by its key; NaN if it has none.
     pub fn number(&self, key: &str) -> f64 {
         self.values[key].as_f64().unwrap_or(f64::NAN)
     }
@@ -114,20 +114,20 @@ impl Cell {
         self.values["error"].as_str()
     }
 
-    /// Pairs of a name and a number under `key`.
+    /// Returns the pairs of a name and a number under `key`.
     pub fn pairs(&self, key: &str) -> Vec<(String, f64)> {
         let list = self.values[key].as_array().map(Vec::as_slice).unwrap_or_default();
         list.iter().map(|p| (p[0].as_str().unwrap_or("").into(), p[1].as_f64().unwrap_or(0.0))).collect()
     }
 
-    /// `measure` along the encode, against its seconds.
+    /// Returns `measure` during the encode, against its seconds.
     pub fn trace(&self, measure: &str) -> Vec<(f64, f64)> {
         let list = self.values["trace"].as_array().map(Vec::as_slice).unwrap_or_default();
         list.iter().filter_map(|p| Some((p["seconds"].as_f64()?, p[measure].as_f64()?))).collect()
     }
 }
 
-/// Where a job's results are kept. The name depends on the samples, the setup and the program's version.
+/// Returns the path of a job's results. The name depends on the samples, the setup and the program's version.
 pub fn path(folder: &Path, subject: &Subject, setup: &Setup) -> PathBuf {
     let mut hash = crc32fast::Hasher::new();
     match subject.pixels.samples() {
@@ -153,7 +153,7 @@ pub fn load(path: &Path, job: Job) -> Option<Cell> {
     (values["bytes"].as_u64()? == bytes.len() as u64).then_some(Cell { job, values, bytes })
 }
 
-/// Does the job and keeps what came of it; `progress` hears the share that is done.
+/// Runs the job and stores its results. `progress` is called with the fraction that is done.
 pub fn run(path: &Path, job: Job, subject: &Subject, progress: &mut dyn FnMut(f32)) -> Result<Cell, Failure> {
     let options = job.setup.options();
     let encoded = ssplat::unstable::encode_with_progress(&subject.pixels, &options, &mut |p| {
@@ -167,7 +167,7 @@ pub fn run(path: &Path, job: Job, subject: &Subject, progress: &mut dyn FnMut(f3
         }
         Err(e) => Cell { job, values: json!({ "error": e.to_string() }), bytes: Vec::new() },
     };
-    // The JSON last: a job counts as done only when its file is there as well.
+    // The JSON is written last: a job is finished only if its file exists as well.
     let io = |e| Failure::io(path, &e);
     std::fs::write(path.with_extension("ssplat"), &cell.bytes).map_err(io)?;
     std::fs::write(path, cell.values.to_string()).map_err(io)?;

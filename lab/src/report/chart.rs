@@ -1,14 +1,15 @@
-//! Numbers to SVG: line charts and stacked bars, coloured by the page's style so that they follow light and dark.
+//! Renders numbers as SVG: line charts and stacked bars, coloured by the page's style, which supports light and dark
+//! mode.
 
 use std::fmt::Write;
 
-/// Size of a drawing, in the units of its text (11 units high), which a phone shows at nearly full size.
+/// Size of a chart, in units of which its text is 11 high. A phone shows it at nearly full size.
 const WIDTH: f64 = 420.0;
 const HEIGHT: f64 = 270.0;
 /// Space for the labels: left, right, top, bottom.
 const MARGIN: [f64; 4] = [46.0, 12.0, 10.0, 40.0];
 
-/// How values become places.
+/// Mapping of values to positions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
     Linear,
@@ -22,12 +23,12 @@ pub struct Axis {
     pub scale: Scale,
 }
 
-/// How a series is drawn.
+/// Style of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stroke {
-    /// A heavy line with dots: what the chart is about.
+    /// A thick line with dots: the main series.
     Strong,
-    /// A thin line with dots: what it is compared with.
+    /// A thin line with dots: a series for comparison.
     Plain,
     /// A line without dots, for many points.
     Bare,
@@ -53,7 +54,7 @@ pub struct Chart {
 }
 
 impl Chart {
-    /// The chart as an HTML figure with its legend.
+    /// Returns the chart as an HTML figure with its legend.
     pub fn html(&self) -> String {
         let points = || self.series.iter().flat_map(|s| s.points.iter().copied());
         if points().count() == 0 {
@@ -86,7 +87,7 @@ impl Chart {
             let half = text.len() as f64 * 3.2;
             let _ =
                 write!(svg, r#"<line class="grid" x1="{px:.1}" x2="{px:.1}" y1="{top}" y2="{}"/>"#, HEIGHT - bottom);
-            // A label that would touch its neighbour is left out; its line stays.
+            // A label that would touch its neighbour is omitted; its line is kept.
             if px - half > free && px + half < WIDTH {
                 let _ = write!(
                     svg,
@@ -136,7 +137,7 @@ impl Chart {
     }
 }
 
-/// Rows of stacked bars: each row a label and one value for each part.
+/// Rows of stacked bars: each row has a label and one value for each part.
 #[derive(Debug, Clone)]
 pub struct Bars {
     pub title: String,
@@ -150,14 +151,14 @@ pub struct Bars {
 /// Meaning of a bar's length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Length {
-    /// Nothing: parts are shares of their row.
+    /// No meaning: parts are fractions of their row.
     Share,
     /// The row's sum.
     Sum,
 }
 
 impl Bars {
-    /// The bars as an HTML figure with its legend.
+    /// Returns the bars as an HTML figure with its legend.
     pub fn html(&self) -> String {
         const ROW: f64 = 30.0;
         let (left, right) = (78.0, 62.0);
@@ -223,7 +224,7 @@ impl Span {
         match scale {
             Scale::Log => {
                 low = low.max(1e-6);
-                // Two round values at least, however few points there are.
+                // At least two round values, however few points there are.
                 let pad = (high / low).max(1.2).powf(0.04).max((2.6 / (high / low)).sqrt());
                 Span { low: low / pad, high: high.max(low) * pad, scale }
             }
@@ -242,7 +243,7 @@ impl Span {
         }
     }
 
-    /// A tick's label, with as many digits as tell it from the next one.
+    /// Returns a tick's label, with as many digits as distinguish it from the next one.
     fn text(&self, tick: f64) -> String {
         let span = self.high - self.low;
         if self.scale == Scale::Log || span > 5.0 || self.high.abs() >= 999.5 {
@@ -253,7 +254,7 @@ impl Span {
         if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
     }
 
-    /// About `count` round values within the span.
+    /// Returns about `count` round values within the span.
     fn ticks(&self, count: usize) -> Vec<f64> {
         if self.scale == Scale::Log {
             let decades = (self.high / self.low).log10();
@@ -271,7 +272,7 @@ impl Span {
     }
 }
 
-/// A value with about three digits.
+/// Formats a value with about three digits.
 pub fn number(v: f64) -> String {
     let a = v.abs();
     let short = |v: f64, unit: &str| {
@@ -290,7 +291,7 @@ pub fn number(v: f64) -> String {
     }
 }
 
-/// Text within HTML.
+/// Escapes text for HTML.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -27,7 +27,7 @@ pub struct Anchor {
     pub setting: String,
 }
 
-/// A codec's programs and the settings that span the ratios of a report.
+/// A codec's programs, and the settings that cover the ratios of a report.
 struct Codec {
     name: &'static str,
     encoder: &'static str,
@@ -103,7 +103,7 @@ const CODECS: [Codec; 4] = [
     },
 ];
 
-/// Names of the codecs that can be run here.
+/// Returns the names of the installed codecs.
 pub fn installed() -> Vec<&'static str> {
     let found = |program: &str| {
         let path = std::env::var_os("PATH").unwrap_or_default();
@@ -112,7 +112,7 @@ pub fn installed() -> Vec<&'static str> {
     CODECS.iter().filter(|c| found(c.encoder) && found(c.decoder)).map(|c| c.name).collect()
 }
 
-/// Runs one installed codec over its settings. A program that fails on a picture gives no point there.
+/// Runs one installed codec with all of its settings. If a program fails on a picture, the point is omitted.
 pub fn run(name: &str, image: &str, pixels: &Pixels) -> Result<Vec<Anchor>, Failure> {
     let codec = CODECS.iter().find(|c| c.name == name).expect("an installed codec");
     let folder = tempfile::tempdir().map_err(|e| Failure::io(&std::env::temp_dir(), &e))?;
@@ -158,7 +158,7 @@ pub fn run(name: &str, image: &str, pixels: &Pixels) -> Result<Vec<Anchor>, Fail
     Ok(anchors)
 }
 
-/// Seconds that a program took; `None` when it failed.
+/// Returns the seconds that a program took; `None` if it failed.
 fn timed(program: &str, arguments: &[String]) -> Option<f64> {
     let start = Instant::now();
     let status = Command::new(program)
@@ -173,14 +173,14 @@ fn timed(program: &str, arguments: &[String]) -> Option<f64> {
 
 const COLUMNS: [&str; 9] = ["image", "codec", "bytes", "psnr", "msssim", "ssim", "enc_s", "dec_s", "setting"];
 
-/// Columns that a CSV may have besides.
-const FURTHER: [&str; 2] = ["ssimulacra2", "butteraugli"];
+/// Optional columns of a CSV.
+const OPTIONAL_COLUMNS: [&str; 2] = ["ssimulacra2", "butteraugli"];
 
-/// Anchors as a CSV that [`parse`] reads.
+/// Formats results as a CSV that [`parse`] reads.
 pub fn as_csv(anchors: &[Anchor]) -> String {
     let of = |v: Option<f64>| v.map_or_else(|| "N/A".into(), |v| format!("{v:.5}"));
     let [ms_ssim, rest] = [&COLUMNS[..5], &COLUMNS[5..]];
-    let mut text = [ms_ssim, &FURTHER, rest].concat().join(",") + "\n";
+    let mut text = [ms_ssim, &OPTIONAL_COLUMNS, rest].concat().join(",") + "\n";
     for a in anchors {
         text += &format!(
             "{},{},{},{:.3},{},{},{},{},{:.3},{:.3},{}\n",
@@ -201,7 +201,7 @@ pub fn as_csv(anchors: &[Anchor]) -> String {
 }
 
 /// Reads a CSV with at least the columns `image, codec, bytes, psnr, msssim, ssim, enc_s, dec_s, setting`, in any
-/// order, and with `ssimulacra2` and `butteraugli` where it has them; rows without a size (`N/A`) are passed over.
+/// order, and optionally `ssimulacra2` and `butteraugli`. Rows without a size (`N/A`) are skipped.
 pub fn parse(path: &Path) -> Result<Vec<Anchor>, Failure> {
     let text = String::from_utf8_lossy(&source::read_at_most(path, 64 << 20)?).into_owned();
     let mut lines = text.lines();
@@ -213,10 +213,10 @@ pub fn parse(path: &Path) -> Result<Vec<Anchor>, Failure> {
             .position(|h| *h == name)
             .ok_or_else(|| Failure::usage(format!("{}: no column {name}", path.display())))?;
     }
-    let further = FURTHER.map(|name| header.iter().position(|h| *h == name));
+    let further = OPTIONAL_COLUMNS.map(|name| header.iter().position(|h| *h == name));
     let mut anchors = Vec::new();
     for line in lines {
-        // Only the last column of such files is ever quoted, and none behind it is read.
+        // Only the last column of such files is ever quoted, and no column after it is read.
         let cells: Vec<&str> = line.split(',').map(str::trim).collect();
         let cell = |i: usize| cells.get(columns[i]).copied().unwrap_or("");
         let value = |i: usize| cell(i).parse::<f64>().ok();
@@ -240,11 +240,11 @@ pub fn parse(path: &Path) -> Result<Vec<Anchor>, Failure> {
     Ok(anchors)
 }
 
-/// The value at `bytes` on a curve of (bytes, value) points, linear in log bytes; `None` beyond its ends.
+/// Interpolates a curve of (bytes, value) points at `bytes`, linearly in log bytes; `None` beyond its ends.
 pub fn at_bytes(curve: &[(f64, f64)], bytes: f64) -> Option<f64> {
     let mut sorted = curve.to_vec();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
-    // Room for the last few bytes that a size search leaves.
+    // Tolerance for the last few bytes that a size search leaves.
     let slack = 1.03;
     let (first, last) = (*sorted.first()?, *sorted.last()?);
     if bytes < first.0 / slack || bytes > last.0 * slack {

@@ -1,10 +1,10 @@
-//! Small pieces of pictures as data URIs: the original, what was decoded, and the error between them.
+//! Crops of pictures as data URIs: the original, the decoded picture, and the difference.
 
 use image::codecs::jpeg::JpegEncoder;
 use image::{DynamicImage, ImageEncoder, RgbImage};
 use ssplat::Pixels;
 
-/// Side of a piece, pixels.
+/// Side of a crop, pixels.
 pub const SIDE: u32 = 156;
 /// Factor by which the error is multiplied to make it visible.
 pub const GAIN: f32 = 4.0;
@@ -12,7 +12,7 @@ pub const GAIN: f32 = 4.0;
 /// A rectangle of a picture: left, top, width, height.
 pub type Place = [u32; 4];
 
-/// The busiest place of a picture: where neighbouring pixels differ most.
+/// Returns the crop with the most detail: where neighbouring pixels differ most.
 pub fn busiest(picture: &RgbImage) -> Place {
     let (width, height) = picture.dimensions();
     let (w, h) = (width.min(SIDE), height.min(SIDE));
@@ -35,7 +35,7 @@ pub fn busiest(picture: &RgbImage) -> Place {
     best.1
 }
 
-/// 8-bit red, green and blue.
+/// Converts pixels to 8-bit red, green and blue.
 pub fn rgb(pixels: &Pixels) -> RgbImage {
     DynamicImage::from(pixels.clone()).to_rgb8()
 }
@@ -44,7 +44,7 @@ pub fn cut(picture: &RgbImage, [x, y, w, h]: Place) -> RgbImage {
     image::imageops::crop_imm(picture, x, y, w, h).to_image()
 }
 
-/// The difference of two pieces around mid grey, times [`GAIN`].
+/// Returns the difference of two crops around middle grey, times [`GAIN`].
 pub fn error(a: &RgbImage, b: &RgbImage) -> RgbImage {
     RgbImage::from_fn(a.width(), a.height(), |x, y| {
         let (p, q) = (a.get_pixel(x, y).0, b.get_pixel(x, y).0);
@@ -54,7 +54,7 @@ pub fn error(a: &RgbImage, b: &RgbImage) -> RgbImage {
     })
 }
 
-/// The piece as a JPEG data URI, good enough to look at.
+/// Returns the crop as a JPEG data URI of good quality.
 pub fn data_uri(picture: &RgbImage) -> String {
     let mut bytes = Vec::new();
     JpegEncoder::new_with_quality(&mut bytes, 88)

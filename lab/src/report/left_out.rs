@@ -1,4 +1,5 @@
-//! Savings from what the encoder leaves out: each scene is encoded with everything and with only what it needs.
+//! Savings by the data that the encoder leaves out: each scene is encoded with everything and with only the necessary
+//! data.
 
 use serde_json::{Value, json};
 use ssplat::unstable::{EncodeOptions, encode};
@@ -8,30 +9,30 @@ use ssplat::{Renderer, View};
 
 use super::scenes;
 
-/// Encodes whose means are shown: with few primitives chance weighs as much as what is left out.
+/// Number of encodes that are averaged: with few primitives, chance has as much effect as the data left out.
 const SEEDS: u64 = 4;
 
-/// How much work each of them is: a small part of that of a report.
+/// Effort of each encode, a small part of the report's.
 const EFFORT: u8 = 1;
 
-/// How they are encoded, in words.
+/// Describes the settings of these encodes.
 pub fn settings() -> String {
     format!("effort {EFFORT}, means over {SEEDS} seeds")
 }
 
-/// One scene, encoded both ways: with everything, and with what it needs; means over the seeds.
+/// One scene, encoded both with everything and with only the necessary data; means over the seeds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Needless {
     pub scene: String,
     pub what: Vec<String>,
     pub bytes: [u64; 2],
     pub seconds: [f64; 2],
-    /// PSNR of the decoded samples, dB, 99 at most.
+    /// PSNR of the decoded samples, dB, at most 99.
     pub psnr: [f64; 2],
 }
 
 impl Needless {
-    /// Returns the names of what this scene leaves out, except those that are `common` to all scenes.
+    /// Returns the names of the data that this scene leaves out, except those that are `common` to all scenes.
     pub fn own(&self, common: &[&str]) -> String {
         let own: Vec<&str> = self.what.iter().map(String::as_str).filter(|w| !common.contains(w)).collect();
         if own.is_empty() { "nothing".into() } else { own.join("; ") }
@@ -44,14 +45,14 @@ impl Needless {
     }
 }
 
-/// Returns what every scene leaves out, if there are several scenes: it tells nothing about any of them.
+/// Returns the data that every scene leaves out, if there are several scenes.
 pub fn common(rows: &[Needless]) -> Vec<&str> {
     let [first, rest @ ..] = rows else { return Vec::new() };
     let everywhere = |what: &&String| !rest.is_empty() && rest.iter().all(|n| n.what.contains(what));
     first.what.iter().filter(everywhere).map(String::as_str).collect()
 }
 
-/// Reads what [`Needless::as_json`] made.
+/// Reads the result of [`Needless::as_json`].
 pub fn from_json(v: &Value) -> Option<Needless> {
     let pair = |key: &str| Some([v[key][0].as_f64()?, v[key][1].as_f64()?]);
     Some(Needless {
@@ -63,7 +64,7 @@ pub fn from_json(v: &Value) -> Option<Needless> {
     })
 }
 
-/// The scenes of the table; the photograph is a part of `photograph`.
+/// Returns the scenes of the table; the photograph is a crop of `photograph`.
 pub fn list(photograph: Option<Pixels>) -> Vec<(String, Pixels)> {
     let mut list = vec![
         ("flat icon, opaque alpha".to_string(), scenes::icon()),
@@ -101,7 +102,7 @@ pub fn measure(name: &str, pixels: &Pixels) -> ssplat::Result<Needless> {
                 0 => l.what.to_string(),
                 bytes => format!("{} ({bytes} B)", l.what),
             };
-            // The first seed's bytes stand for all.
+            // The first seed's bytes represent all.
             if i == 1 && !out.what.iter().any(|w| w.starts_with(&l.what.to_string())) {
                 out.what.push(text);
             }

@@ -1,4 +1,5 @@
-//! `ssplat-lab report`: pictures encoded over ratios, efforts, recipes and backends, on one page with its numbers.
+//! `ssplat-lab report`: encodes pictures with several ratios, efforts, recipes and backends, and writes one page and
+//! its numbers.
 
 pub mod args;
 mod cells;
@@ -27,7 +28,7 @@ use ssplat_cli::sink::{Sink, say};
 use ssplat_cli::source::{self, Turn};
 use stability::Row;
 
-/// Side of the piece of the first picture that stands for a photograph among the scenes, pixels.
+/// Side of the crop of the first picture that is the photograph among the scenes, pixels.
 const PHOTOGRAPH: u32 = 256;
 
 pub fn run(args: &args::Report) -> Result<(), Failure> {
@@ -123,7 +124,7 @@ fn jobs(args: &args::Report, backends: &[Backend], subjects: usize, (ratio, effo
     jobs
 }
 
-/// The name of the GPU that fits can run on, or why there is none, in words. Software adapters do not count.
+/// Returns the name of the GPU for fits, or the reason why there is none. Software adapters do not count.
 #[cfg(feature = "gpu")]
 fn gpu() -> Result<String, String> {
     use ssplat::gpu::{Adapters, Device};
@@ -139,7 +140,7 @@ fn gpu() -> Result<String, String> {
     Err(ssplat::GpuError::NotBuilt.to_string())
 }
 
-/// Other codecs' files: those of the CSV, and those of the programs that are installed.
+/// Returns the results of other codecs: those in the CSV, and those of the installed programs.
 fn anchors(args: &args::Report, kept: &Path, subjects: &[Subject]) -> Result<Vec<Anchor>, Failure> {
     let mut all = match &args.anchors {
         Some(path) => codecs::parse(path)?,
@@ -150,7 +151,7 @@ fn anchors(args: &args::Report, kept: &Path, subjects: &[Subject]) -> Result<Vec
         return Ok(all);
     }
     for codec in codecs::installed() {
-        // A codec that the CSV has already is not measured again.
+        // A codec that is in the CSV is not measured again.
         if all.iter().any(|a| a.codec == codec) {
             continue;
         }
@@ -170,7 +171,7 @@ fn anchors(args: &args::Report, kept: &Path, subjects: &[Subject]) -> Result<Vec
     Ok(all)
 }
 
-/// The scenes that leave something out; kept like the cells.
+/// Returns the scenes of the encoder's savings, stored like the cells.
 fn scenes(kept: &Path, photograph: &Subject) -> Result<Vec<Needless>, Failure> {
     let list = left_out::list(piece(&photograph.pixels));
     let mut rows = Vec::new();
@@ -189,7 +190,7 @@ fn scenes(kept: &Path, photograph: &Subject) -> Result<Vec<Needless>, Failure> {
     Ok(rows)
 }
 
-/// The middle of a picture, as large as a photograph among the scenes may be; `None` for other than 8 bits.
+/// Returns the middle of a picture, at most as large as the photograph among the scenes; `None` unless it has 8 bits.
 fn piece(pixels: &Pixels) -> Option<Pixels> {
     let Samples::U8(samples) = pixels.samples() else { return None };
     let (w, h) = (pixels.width().min(PHOTOGRAPH), pixels.height().min(PHOTOGRAPH));
@@ -203,13 +204,13 @@ fn piece(pixels: &Pixels) -> Option<Pixels> {
     Pixels::new(w, h, Channels::from_count(count)?, Samples::U8(out)).ok()
 }
 
-/// The stiff cases of the file that was named.
+/// Returns the stiff cases of the given file.
 fn stiff(args: &args::Report) -> Result<Vec<Row>, Failure> {
     let Some(path) = &args.stability else { return Ok(Vec::new()) };
     Ok(stability::parse(&String::from_utf8_lossy(&source::read_at_most(path, 64 << 20)?)))
 }
 
-/// The command line, without what only this machine has.
+/// Returns the command line, without what is specific to this machine.
 fn command(args: &args::Report) -> String {
     let list = |v: Vec<String>| v.join(",");
     let names: Vec<String> = args.images.iter().map(|p| p.display().to_string()).collect();

@@ -1,4 +1,4 @@
-//! The measurements as one HTML page that needs nothing else.
+//! Formats the measurements as one self-contained HTML page.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -22,7 +22,7 @@ pub struct Contents<'a> {
     pub left_out: &'a [Needless],
     /// The ratio and the effort at which the other is varied.
     pub middle: (f64, u8),
-    /// The GPU's name, or why none was found.
+    /// The GPU's name, or the reason why none was found.
     pub gpu: &'a Result<String, String>,
     pub threads: usize,
     /// The command line that makes the page.
@@ -31,7 +31,7 @@ pub struct Contents<'a> {
 
 const STYLE: &str = include_str!("page.css");
 
-/// Colours of the codecs, in the order in which they are met; 0 is ours.
+/// Colours of the codecs, in order of occurrence; 0 is ours.
 fn codec_colors(anchors: &[Anchor]) -> BTreeMap<&str, usize> {
     let mut colors = BTreeMap::new();
     for a in anchors {
@@ -42,7 +42,7 @@ fn codec_colors(anchors: &[Anchor]) -> BTreeMap<&str, usize> {
 }
 
 impl Contents<'_> {
-    /// The page.
+    /// Returns the page.
     pub fn html(&self) -> String {
         let mut html = format!(
             "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\
@@ -64,7 +64,7 @@ impl Contents<'_> {
         html + "</main></body></html>\n"
     }
 
-    /// Cells of a picture with our own recipe on the default backend.
+    /// Returns the cells of a picture with our own recipe on the default backend.
     fn ours(&self, subject: usize) -> impl Iterator<Item = &Cell> {
         self.cells.iter().filter(move |c| {
             let s = c.job.setup;
@@ -93,7 +93,7 @@ impl Contents<'_> {
         self.cells.iter().filter(same).collect()
     }
 
-    /// The best first table: at each ratio, our quality and that of the codecs at equal bytes.
+    /// Returns the first table: at each ratio, our quality and that of the codecs at the same size.
     fn headline(&self) -> String {
         let colors = codec_colors(self.anchors);
         let mut table = String::from(
@@ -137,12 +137,13 @@ impl Contents<'_> {
         table
     }
 
-    /// Names of the codecs beside ours.
+    /// Returns the names of the other codecs.
     pub fn codecs(&self) -> Vec<&str> {
         codec_colors(self.anchors).into_keys().collect()
     }
 
-    /// PSNR of `cell` over that of `codec` at the same bytes, dB; `None` where the codec has no files around that size.
+    /// Returns the difference of the PSNR of `cell` and of `codec` at the same size, dB; `None` if the codec has no
+    /// files of about that size.
     pub fn lead(&self, image: &str, codec: &str, cell: &Cell) -> Option<f64> {
         let curve = self.curve(image, codec, |a| Some(a.psnr));
         codecs::at_bytes(&curve, cell.number("bytes")).map(|other| cell.number("psnr") - other)
@@ -175,7 +176,7 @@ impl Contents<'_> {
         html + &self.crops(i, subject)
     }
 
-    /// Quality against bytes, the codecs beside it.
+    /// Quality against bytes, with the other codecs.
     fn quality(&self, i: usize, subject: &Subject) -> String {
         let cells = self.over_ratios(i);
         let sizes: Vec<f64> = cells.iter().map(|c| c.number("bytes")).collect();
@@ -267,7 +268,7 @@ impl Contents<'_> {
         Chart { title: "Decode time".into(), x, y, series: series.collect() }.html()
     }
 
-    /// Where the bytes went.
+    /// Bytes by part of the file.
     fn bytes(&self, i: usize) -> String {
         let cells = self.over_ratios(i);
         let mut parts: Vec<String> = Vec::new();
@@ -290,7 +291,7 @@ impl Contents<'_> {
         Bars { title: "Where the bytes went".into(), unit: "B", parts, rows, length: Length::Share }.html()
     }
 
-    /// Where the time went.
+    /// Time by stage.
     fn stages(&self, i: usize) -> String {
         let cells = self.over_efforts(i);
         let mut parts: Vec<String> = Vec::new();
@@ -310,7 +311,7 @@ impl Contents<'_> {
         Bars { title: "Where the time went".into(), unit: "s", parts, rows, length: Length::Sum }.html()
     }
 
-    /// Pieces of the decoded pictures and of their errors.
+    /// Crops of the decoded pictures and of their errors.
     fn crops(&self, i: usize, subject: &Subject) -> String {
         let original = crops::rgb(&subject.pixels);
         let place = crops::busiest(&original);
@@ -417,7 +418,7 @@ impl Contents<'_> {
         html
     }
 
-    /// Which devices fitted, and whether a GPU is among them, in words.
+    /// Describes the devices that fitted, and whether a GPU is among them.
     pub fn backends(&self) -> String {
         let mut devices: Vec<&str> = self.cells.iter().filter_map(|c| c.values["device"].as_str()).collect();
         devices.sort_unstable();
@@ -468,7 +469,7 @@ pub fn figures(row: &Row) -> (String, String) {
     }
 }
 
-/// A trace from its third point on: the first ones, of the bare start, would stretch the scale.
+/// Returns a trace from its third point on: the first ones, of the initial state, would dominate the scale.
 fn settled(trace: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
     let skip = trace.iter().position(|p| p.0 > 0.0).unwrap_or(0).max(2).min(trace.len().saturating_sub(2));
     trace[skip..].to_vec()

@@ -1,4 +1,4 @@
-//! Pictures made by rule that leave something out.
+//! Synthetic pictures with data that the encoder can leave out.
 
 #[path = "../../../tests/stiff/made.rs"]
 mod made;
@@ -37,7 +37,7 @@ pub fn gradient() -> Pixels {
     })
 }
 
-/// A page of made-up letters of 5 × 7 cells, black on white, in grey stored as colour.
+/// A page of random letters of 5 × 7 cells, black on white, in grey stored as colour.
 pub fn text() -> Pixels {
     picture(320, 256, Channels::Rgb, |x, y, _| {
         let (column, row) = (x / 12, y / 20);

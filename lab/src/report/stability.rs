@@ -1,4 +1,4 @@
-//! The rows of stiff and extreme cases that the test suite prints, read again for the report.
+//! Reads the rows of stiff and extreme cases that the test suite prints.
 
 #[path = "../../../tests/stiff/row.rs"]
 mod row;
@@ -6,7 +6,7 @@ mod row;
 pub use row::{Bound, Row};
 
 impl Row {
-    /// How near its bound the row is, for finding the worst of several; NaN counts as the worst.
+    /// Returns how close the row is to its bound, for finding the worst of several; NaN counts as the worst.
     pub fn badness(&self) -> f64 {
         let v = match self.bound {
             Bound::Codes(most) | Bound::Relative(most) => self.worst / most,
@@ -20,7 +20,7 @@ impl Row {
 /// Reads the rows that the tests print, tab-separated and marked, among other lines.
 pub fn parse(text: &str) -> Vec<Row> {
     let rows = text.lines().filter_map(|line| {
-        // The harness of tests may have begun the line.
+        // The test harness may have started the line.
         let line = &line[line.find("stability\t")?..];
         let cells: Vec<&str> = line.trim().split('\t').collect();
         let ["stability", group, case, worst, unit, bound, guard] = cells[..] else { return None };

@@ -1,4 +1,4 @@
-//! The tables of the page as Markdown, to be read where HTML is not shown.
+//! Formats the tables of the page as Markdown.
 
 use std::fmt::Write;
 
@@ -6,7 +6,7 @@ use super::chart::number;
 use super::left_out;
 use super::page::{Contents, figures};
 
-/// Headline, stiff cases and what scenes leave out.
+/// Formats the headline, the stiff cases and the savings of the scenes.
 pub fn markdown(contents: &Contents) -> String {
     let mut text = format!("# ssplat-lab report\n\nMade by `{}`. {}\n", contents.command, contents.backends());
     headline(contents, &mut text);

@@ -1,4 +1,4 @@
-//! Shape and colour of the primitives of a group, each coded knowing its neighbours (spec §8.5, §8.6).
+//! Codes shape and colour of the primitives of a group, in contexts of their neighbours (spec §8.5, §8.6).
 
 use std::sync::LazyLock;
 
@@ -13,39 +13,40 @@ use crate::bitstream::rules::Rules;
 use crate::bitstream::splats::{PackedGaussian, Steps};
 use crate::gaussian::Channels;
 
-/// Quantities that are averaged over the neighbours: two scales and four colours.
-const QUANTITIES: usize = 6;
+/// Number of quantities that are averaged over the neighbours: two scales and four colours.
+const AVERAGED: usize = 6;
 
-// The numbers from here to `ANGLE_SHARE` were learnt on the Kodak pictures of odd number by a study before the first release, which
-// is not in the repository: they are a part of the format (spec §8.6) and can only change with its version.
+// The values from here to `ANGLE_SHARE` were learnt on the odd-numbered Kodak pictures by a study before the first
+// release, which is not in the repository. They are part of the format (spec §8.6) and can only change with its
+// version.
 
-/// Weight of no neighbours: how far the neighbours' average is trusted, and how far their surprises.
-const DOUBT: i64 = 40;
+/// Weight of the prior against the neighbours: for their average, and for their prediction errors.
+const PRIOR_WEIGHT: i64 = 40;
 const DOUBT_OF_ERRORS: i64 = 512;
 
-/// First surprises of the four channels, 64ths.
-const ERRORS: [i64; 4] = [384, 192, 128, 384];
+/// Initial prediction errors of the four channels, 64ths.
+const INITIAL_ERRORS: [i64; 4] = [384, 192, 128, 384];
 
-/// Spread of the major scale within what its square leaves open.
+/// Spread of the major scale within the range that its square allows.
 const MAJOR_SPREAD: i32 = 165;
 
-/// Spread of the aspect before anything is learnt.
+/// Initial spread of the aspect.
 const ASPECT_SPREAD: i32 = 152;
 
-/// Spread of the angle over half a turn, by the neighbours' accord.
+/// Spread of the angle over half a turn, by the agreement of the neighbours' axes.
 const ANGLE_SPREADS: [i32; 6] = [112, 112, 86, 79, 72, 63];
 
-/// Part of the scales' chances, and of the angle's, that all values share alike, 65536ths.
-const SHARE: u32 = 1024;
+/// Part of the probability of scales, and of angles, that is distributed equally over all values, 65536ths.
+const UNIFORM_SHARE: u32 = 1024;
 const ANGLE_SHARE: u32 = 16384;
 
-/// How much an expected minor scale grows with the major one, sixteenths.
+/// Growth of the predicted minor scale with the major scale, sixteenths.
 pub(in crate::bitstream) const MINOR_GROWTH: i64 = 9;
 
-/// Classes of expected aspects.
+/// Classes of predicted aspects.
 const ASPECTS: usize = 40;
 
-/// Colours as the coder sees them.
+/// Colours in the form that the coder uses.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Palette<'a> {
     pub channels: Channels,
@@ -53,11 +54,11 @@ pub(crate) struct Palette<'a> {
     pub book: Option<&'a [[i16; 4]]>,
 }
 
-/// Sums over the primitives around, weighted by distance.
+/// Sums over the neighbouring primitives, weighted by distance.
 #[derive(Debug, Clone, Copy)]
-struct Around([i32; LANES]);
+struct NeighbourSums([i32; LANES]);
 
-impl Around {
+impl NeighbourSums {
     #[inline]
     fn weight(&self) -> i32 {
         self.0[COUNT]
@@ -68,13 +69,13 @@ impl Around {
         self.0[k].into()
     }
 
-    /// How far a colour was from what was expected, quarters.
+    /// Returns the prediction error of a colour, quarters.
     #[inline]
     fn error(&self, k: usize) -> i64 {
         self.0[ERROR_LANES + k].into()
     }
 
-    /// Direction of the doubled angle, as long as the primitives are elongated.
+    /// Returns the direction of the doubled angle; its length grows with the elongation of the primitives.
     #[inline]
     fn axis(&self) -> [i64; 2] {
         [self.0[AXIS_LANES].into(), self.0[AXIS_LANES + 1].into()]
@@ -85,37 +86,37 @@ impl Around {
         self.0[ELONGATION_LANE].into()
     }
 
-    /// Deviation of the average of a value from its mean, shrunk where few are near.
+    /// Returns the deviation of the neighbours' average from the mean of a value, reduced if there are few neighbours.
     #[inline]
     fn dev(&self, k: usize, mean: i64, trust: i64) -> i64 {
         (self.value(k) * FINE - mean * i64::from(self.weight())) * trust >> 24
     }
 
-    /// `2²⁴` over the weight and that of no neighbours.
+    /// Returns `2²⁴` over the sum of the neighbours' weight and the prior's.
     #[inline]
     fn trust(&self, doubt: i64) -> i64 {
         ((1 << 24) / (self.weight() + doubt as i32)).into()
     }
 }
 
-/// Where [`LANES`] hold the errors, the axis and the elongation; the values come first.
-const ERROR_LANES: usize = QUANTITIES;
+/// Positions in [`LANES`] of the errors, the axis and the elongation; the values come first.
+const ERROR_LANES: usize = AVERAGED;
 const AXIS_LANES: usize = ERROR_LANES + 4;
 const ELONGATION_LANE: usize = AXIS_LANES + 2;
 
-/// Inputs to the forecast of one colour.
+/// Inputs to the prediction of one colour.
 #[derive(Debug, Clone, Copy)]
-struct Outlook<'a> {
-    around: &'a Around,
-    /// How far the neighbours' average is trusted, and how far their surprises.
+struct ColorContext<'a> {
+    around: &'a NeighbourSums,
+    /// Weights of the neighbours' average and of their prediction errors.
     trust: [i64; 2],
-    /// `0..=15`: how large the primitive is for the primitives' spacing, in octaves of its area.
+    /// `0..=15`: the size of the primitive relative to the spacing of primitives, in octaves of its area.
     size: usize,
-    /// `0..=7`: octaves of its aspect.
+    /// `0..=7`: the aspect in octaves.
     aspect: usize,
 }
 
-/// A running mean that starts at a guess.
+/// A running mean with an initial estimate.
 #[derive(Debug, Clone, Copy)]
 struct Mean {
     sum: i64,
@@ -138,7 +139,7 @@ impl Mean {
     }
 }
 
-/// Running regression of one quantity on another: how much of `x` shows in `y`, in 1/256.
+/// Running linear regression of `y` on `x`, with the slope in 1/256.
 #[derive(Debug, Clone, Copy)]
 struct Slope {
     xy: i64,
@@ -158,8 +159,8 @@ impl Slope {
     fn add(&mut self, x: i64, y: i64) {
         self.xy += x * y;
         self.xx += x * x;
-        // No real picture comes near: this keeps `xy·256` within 64 bits. A term is below 2⁴⁸ and adds to `xx` no less
-        // than its root does to `xy`, so that `xx` stays above 0.
+        // Keeps `xy·256` within 64 bits; no real picture comes close. A term is below 2⁴⁸ and adds at least as much to
+        // `xx` as its square root adds to `xy`, so that `xx` stays above 0.
         if (self.xx | self.xy.abs()) >> 50 != 0 {
             (self.xx, self.xy) = (self.xx >> 1, self.xy >> 1);
         }
@@ -170,23 +171,23 @@ impl Slope {
     }
 }
 
-/// Up to this many primitives all statistics are refreshed at each, later at each of so many: a division costs more than
-/// it brings.
+/// Number of primitives after which statistics are no longer refreshed for every primitive, but once per this many
+/// primitives: a division costs more than the refresh gains.
 const REFRESH_ALL: u32 = 64;
 const REFRESH_EACH: u32 = 8;
 
 /// The model of one channel.
 #[derive(Debug)]
 struct Color {
-    /// Largest magnitude of the integer.
+    /// Maximum magnitude of the integer.
     most: u64,
     gains: Gains<3>,
     mean: Mean,
-    /// Running mean of the errors, 64ths.
+    /// Running mean of the prediction errors, 64ths.
     error: Mean,
-    /// How much a colour follows the average of its neighbours.
+    /// Regression of a colour on the average of its neighbours.
     follow: Slope,
-    /// How much its surprise follows the first and the second channel's.
+    /// Regressions of its prediction error on those of the first and the second channel.
     cross: [Slope; 2],
 }
 
@@ -201,7 +202,7 @@ pub(crate) struct Attributes {
     /// Running means of the major and of the minor scale, sixteenths of a scale step.
     means: [Mean; 2],
     seen: u32,
-    /// Eighths of the scale index of the primitives' spacing.
+    /// Scale index that corresponds to the spacing of primitives, eighths.
     spacing: i64,
 }
 
@@ -213,26 +214,26 @@ pub(crate) struct GroupContext<'a> {
     pub steps: Steps,
     /// Cells of the finest position step.
     pub grid: [u32; 2],
-    /// `16·log₂` of the primitives' spacing, pixels.
+    /// `16·log₂` of the spacing of primitives, pixels.
     pub spacing: i64,
 }
 
 impl GroupContext<'_> {
-    /// `32·δ`: 32nds of an octave between neighbouring scales.
+    /// Returns `32·δ`: the step between neighbouring scales in 32nds of an octave.
     fn delta(&self) -> i64 {
         i64::from(self.steps.scale) + 4
     }
 
-    /// Scale index, with fraction, of `log` sixteenths of an octave above a pixel.
+    /// Returns the fractional scale index of `log` sixteenths of an octave above one pixel.
     fn scale_of(&self, log: i64) -> i64 {
         (log + 32) * 2 * FINE / self.delta()
     }
 }
 
-/// `16·log₂` of the spacing, in cells, of `count` primitives on `size` cells.
+/// Returns `16·log₂` of the spacing, in cells, of `count` primitives on `size` cells.
 pub(crate) fn spacing(size: [u32; 2], count: u32) -> i64 {
     let (area, count) = (u64::from(size[0]) * u64::from(size[1]), u64::from(count.max(1)));
-    // 256 times the cells of a primitive. Where that does not fit, only the highest five bits count.
+    // 256 times the number of cells per primitive. If that overflows, only the highest five bits count.
     let log = match (area / count).checked_mul(256) {
         Some(whole) => log16((whole + area % count * 256 / count).max(1)),
         None => log16(area / count >> 8) + 16 * 16,
@@ -245,12 +246,12 @@ fn class(value: i64, last: i64) -> usize {
     (value.clamp(-last, last) + last) as usize
 }
 
-/// 0 for 0, then the number of bits.
+/// Returns 0 for 0, and the number of bits for other values.
 fn log_class(value: u32, last: u32) -> usize {
     (32 - value.leading_zeros()).min(last) as usize
 }
 
-/// The 64 directions `2π·k/64`, 256 long.
+/// The 64 directions `2π·k/64`, as vectors of length 256.
 static DIRECTIONS: LazyLock<[[i32; 2]; 64]> = LazyLock::new(|| {
     std::array::from_fn(|k| {
         let turn = std::f64::consts::TAU * k as f64 / 64.0;
@@ -259,8 +260,8 @@ static DIRECTIONS: LazyLock<[[i32; 2]; 64]> = LazyLock::new(|| {
     })
 });
 
-/// The nearest of the 64 directions to a sum of vectors of 256 times `total` length at most, and how well they agree: 0
-/// for no opinion, in which case the direction is 0, to 5.
+/// Returns the nearest of the 64 directions to a sum of vectors, whose length is at most 256 times `total`, and a
+/// class of their agreement: 0 (none; the direction is 0) to 5.
 fn consensus(axis: [i64; 2], total: i64) -> (u32, usize) {
     let [x, y] = axis.map(|a| a >> 8);
     let square = x * x + y * y;
@@ -268,7 +269,7 @@ fn consensus(axis: [i64; 2], total: i64) -> (u32, usize) {
     if total == 0 || fifths == 0 {
         return (0, usize::from(total != 0));
     }
-    // Turned into the first quadrant.
+    // Rotated into the first quadrant.
     let (quarter, x, y) = match (x > 0, y >= 0) {
         (true, true) => (0, x, y),
         (false, _) if y > 0 => (1, y, -x),
@@ -288,14 +289,14 @@ fn consensus(axis: [i64; 2], total: i64) -> (u32, usize) {
 static TANGENTS: [i64; 16] =
     [201, 608, 1026, 1466, 1937, 2455, 3038, 3712, 4519, 5523, 6834, 8660, 11448, 16352, 27613, 83376];
 
-/// Returns the chances of `major − minor`.
+/// Returns the distribution of `major − minor`.
 #[inline(always)]
 pub(in crate::bitstream) fn aspects(near: Near, major: u8) -> Bounded {
-    Bounded::new(near, 0, i32::from(major) + 1, SHARE)
+    Bounded::new(near, 0, i32::from(major) + 1, UNIFORM_SHARE)
 }
 
-/// Returns the chances of `n` angles, half a turn around one of 64 directions, with a spread over half a turn; and the
-/// lowest of them.
+/// Returns the distribution of `n` angles, half a turn around one of 64 directions, for a spread over half a turn; and
+/// the lowest of them.
 #[inline(always)]
 pub(in crate::bitstream) fn angles(direction: u32, n: i64, spread: i32) -> (Bounded, i64) {
     let place = i64::from(direction) * n / 4;
@@ -303,7 +304,7 @@ pub(in crate::bitstream) fn angles(direction: u32, n: i64, spread: i32) -> (Boun
     (Bounded::new(Near::new(place, log16(n as u64) + spread), low, n as i32, ANGLE_SHARE), low)
 }
 
-/// Returns a colour's place, sixteenths, held to what colours can be.
+/// Clamps a predicted colour, in sixteenths, to the range of colours.
 #[inline(always)]
 pub(in crate::bitstream) fn legal(place: i64) -> i64 {
     place.clamp(i64::from(i16::MIN) * FINE, i64::from(i16::MAX) * FINE)
@@ -318,7 +319,7 @@ impl Attributes {
             most: scene.rules.most_color[k].unsigned_abs().into(),
             gains: Gains::new(),
             mean: Mean::new(i64::from(palette.background[k]) * FINE, 4),
-            error: Mean::new(ERRORS[k], 4),
+            error: Mean::new(INITIAL_ERRORS[k], 4),
             follow: Slope::new(256, 16 * 256),
             cross: [Slope::new(0, 16 * 256); 2],
         });
@@ -334,7 +335,7 @@ impl Attributes {
         }
     }
 
-    /// Brings what is taken from the statistics up to date.
+    /// Refreshes the values that are derived from the statistics.
     #[inline(never)]
     fn refresh(&mut self) {
         self.means.iter_mut().for_each(Mean::refresh);
@@ -346,7 +347,8 @@ impl Attributes {
         }
     }
 
-    /// Codes the primitive in `square`; a reader's `p` is ignored, and the one that comes back obeys the rules.
+    /// Codes the primitive in `square`. When reading, `p` is ignored; the returned primitive obeys the rules of the
+    /// format.
     pub fn code<C: Coder>(
         &mut self,
         coder: &mut C,
@@ -361,20 +363,22 @@ impl Attributes {
         self.seen = self.seen.wrapping_add(1);
         let log = square.log;
         let spot = buckets.spot(square);
-        let around = Around(buckets.around(&spot));
-        // Both scales are expected at the group's mean plus the neighbours' deviation, which counts less where few are near.
-        let trust = around.trust(DOUBT);
+        let around = NeighbourSums(buckets.around(&spot));
+        // Both scales are predicted as the group's mean plus the neighbours' deviation, which has less weight if there
+        // are few neighbours.
+        let trust = around.trust(PRIOR_WEIGHT);
         let means = [self.means[0].value, self.means[1].value];
         let dev = [around.dev(0, means[0], trust), around.dev(1, means[1], trust)];
 
-        // The side of the square follows from the major scale, so that the square leaves about an octave of it open.
+        // The side of the square follows from the major scale, so the square leaves about an octave of scales.
         let (low, high) = scene.rules.majors(log)?;
         let near = Near::new(means[0] + dev[0], MAJOR_SPREAD);
-        let choice = Bounded::new(near, low.into(), i32::from(high - low) + 1, SHARE);
+        let choice = Bounded::new(near, low.into(), i32::from(high - low) + 1, UNIFORM_SHARE);
         let major = low + coder.choose(&choice, i32::from(p.major) - i32::from(low)) as u8;
         coder.account("major scale");
 
-        // The difference of the scales is coded, not the minor one: it gives the number of angles, 1 for a circle.
+        // The difference of the scales is coded instead of the minor scale, because it determines the number of
+        // angles, which is 1 for a circle.
         let difference = self.aspect(coder, major, means, dev, p);
         let minor = major - difference;
         coder.account("minor scale");
@@ -384,8 +388,8 @@ impl Attributes {
         debug_assert!(scene.rules.shape(major, minor, angle).is_ok());
         coder.account("angle");
 
-        // The position steps follow from the shape, and are finer than the square where that is narrow. All cells left in the
-        // square are about equally likely.
+        // The position steps follow from the shape, and are finer than the square in the direction in which the
+        // primitive is narrow. All cells within the square are about equally likely.
         let exponents = scene.rules.lattice.exponents(major, minor, angle);
         let [lx, ly] = scene.rules.in_cells(exponents);
         let bits = [log - lx, log - ly];
@@ -409,9 +413,9 @@ impl Attributes {
                 *book.get(index as usize).ok_or(Broken { field: "codebook index", value: index.into() })?
             }
             None => {
-                // How far colours scatter around their forecast depends on the primitive's size and aspect.
+                // The spread of colours around their prediction depends on the primitive's size and aspect.
                 let size = (i64::from(major) + i64::from(minor) - self.spacing) * scene.delta() / 32 + 8;
-                let outlook = Outlook {
+                let outlook = ColorContext {
                     around: &around,
                     trust: [trust, around.trust(DOUBT_OF_ERRORS)],
                     size: size.clamp(0, 15) as usize,
@@ -423,17 +427,17 @@ impl Attributes {
         let p = PackedGaussian { x, y, major, minor, angle, color };
         let c = color.map(i32::from);
         let values = [major.into(), minor.into(), c[0], c[1], c[2], c[3]];
-        // Means and buckets learn only from what a reader knows by now.
+        // Means and buckets are updated only with values that a reader knows at this point.
         self.means[0].add(i64::from(major) * FINE);
         self.means[1].add(i64::from(minor) * FINE);
-        // An axis is the same after half a turn, so that directions are summed as vectors of twice the angle. Their length
-        // is near 0 for round primitives, whose angles mean little.
+        // An axis is the same after half a turn, so directions are summed as vectors of twice the angle. The vectors
+        // of round primitives are short, because their angles are arbitrary.
         let octaves = i32::from(difference) * (scene.delta() as i32);
         let elongation = 16 * octaves / (octaves + 32);
         let direction = (u32::from(angle) * 64 + u32::from(n) / 2) / u32::from(n) % 64;
         let axis = DIRECTIONS[direction as usize].map(|c| c * elongation);
         let mut lanes = [0; LANES];
-        lanes[..QUANTITIES].copy_from_slice(&values);
+        lanes[..AVERAGED].copy_from_slice(&values);
         lanes[ERROR_LANES..AXIS_LANES].copy_from_slice(&errors);
         lanes[AXIS_LANES..ELONGATION_LANE].copy_from_slice(&axis);
         lanes[ELONGATION_LANE] = elongation;
@@ -442,7 +446,7 @@ impl Attributes {
         Ok(p)
     }
 
-    /// `major − minor`.
+    /// Codes `major − minor`.
     fn aspect<C: Coder>(&mut self, coder: &mut C, major: u8, means: [i64; 2], dev: [i64; 2], p: &PackedGaussian) -> u8 {
         let minor = means[1] + (MINOR_GROWTH * (i64::from(major) * FINE - means[0]) + 10 * dev[1]) / 16;
         let expected = i64::from(major) * FINE - minor;
@@ -459,7 +463,7 @@ impl Attributes {
         difference as u8
     }
 
-    fn angle<C: Coder>(&mut self, coder: &mut C, n: u16, angle: u16, around: &Around) -> u16 {
+    fn angle<C: Coder>(&mut self, coder: &mut C, n: u16, angle: u16, around: &NeighbourSums) -> u16 {
         if n <= 1 {
             return 0;
         }
@@ -470,11 +474,11 @@ impl Attributes {
         coder.expect(Forecast::Angle { direction, spread });
         let (choice, low) = angles(direction, n, spread);
         let (step, share) = coder.share(&choice, (i64::from(angle) - low).rem_euclid(n) as i32);
-        // On a circle distances end: what counts is how far from the middle of the chances the value lies. No total is
-        // above 2¹⁷: 32 bits suffice.
+        // Distances on a circle are bounded, so the distance is measured as the cumulative probability from the centre
+        // of the distribution. No total is above 2¹⁷: 32 bits suffice.
         let (total, middle) = (choice.total(), share[0] + share[1]);
         self.angle.learn(&classes, (2 * MEAN as u32 * middle.abs_diff(total) / total) as i32);
-        // From half a turn below 0 to half a turn above one.
+        // The range is from half a turn below 0 to half a turn above a full turn.
         let angle = low + i64::from(step);
         (if angle < 0 {
             angle + n
@@ -488,12 +492,12 @@ impl Attributes {
     fn color<C: Coder>(
         &mut self,
         coder: &mut C,
-        outlook: &Outlook<'_>,
+        outlook: &ColorContext<'_>,
         color: [i16; 4],
         errors: &mut [i32; 4],
     ) -> Result<[i16; 4], Broken> {
         let mut out = [0i16; 4];
-        // Surprises of the first two channels; 0 until they are known.
+        // Prediction errors of the first two channels; 0 until they are known.
         let mut surprises = [0i64; 2];
         let mut before = 8;
         for (k, model) in self.colors.iter_mut().enumerate() {
@@ -522,7 +526,7 @@ impl Attributes {
             model.error.add(i64::from(errors[k]) * FINE);
             model.follow.add(dev, actual - mean);
             let left = actual - mean - follow;
-            // Surprises that are still to come are 0 and teach nothing.
+            // Errors that are not yet known are 0 and do not change the regressions.
             let [first, second] = &mut model.cross;
             first.add(surprises[0], left);
             second.add(surprises[1], left - first.of(surprises[0]));
@@ -539,7 +543,7 @@ impl Attributes {
 mod tests {
     use super::*;
 
-    /// Further from a rounding boundary than any f64 library is from the true value.
+    /// Tells whether `v` is further from a rounding boundary than the error of any f64 library.
     fn clear(v: f64) -> bool {
         (v - v.floor() - 0.5).abs() > 1e-9
     }

@@ -46,7 +46,7 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
     Ok(())
 }
 
-/// Counts what `detail` asks for.
+/// Returns a decoder that counts bits as `detail` requires.
 pub(crate) fn metered(decoder: Decoder<'_>, detail: Detail) -> Meter<Decoder<'_>> {
     match detail {
         Detail::Parts => Meter::silent(decoder),
@@ -62,12 +62,13 @@ fn read_stream<C: Coder>(coder: &mut C, header: &Header, splats: &mut PackedSpla
     Ok(())
 }
 
-/// The order of a group: coarse squares first, along the halves, then by shape, position and colour.
+/// Sorts a group into the order of the file: coarse squares first, in the order of the halves, then by shape, position
+/// and colour.
 pub(crate) fn sort(gaussians: &mut [PackedGaussian], rules: &Rules, region: Region) {
     gaussians.sort_by_cached_key(|p| (rules.place(p, region), order(p)));
 }
 
-/// The order of the primitives of a square.
+/// Returns the sort key within a square.
 fn order(p: &PackedGaussian) -> (u8, u8, u16, u32, u32, [i16; 4]) {
     (p.major, p.minor, p.angle, p.x, p.y, p.color)
 }
@@ -82,7 +83,7 @@ pub(crate) struct Group<'a> {
 
 impl<'a> Group<'a> {
     /// # Errors
-    /// [`Error::Parameter`](crate::Error::Parameter) when a primitive's colour is not in the codebook.
+    /// [`Error::Parameter`](crate::Error::Parameter) if a primitive's colour is not in the codebook.
     pub fn new(splats: &PackedSplats, book: Option<&'a [[i16; 4]]>) -> Result<Self> {
         if let Some(book) = book {
             splats.gaussians.iter().try_for_each(|p| index_of(book, p.color).map(drop))?;
@@ -91,7 +92,7 @@ impl<'a> Group<'a> {
         Ok(Group { rules: Rules::of(splats), steps: splats.steps, palette })
     }
 
-    /// Codes `count` primitives of `region`; the writer passes them sorted.
+    /// Codes `count` primitives of `region`. When writing, they must be sorted.
     pub fn code<C: Coder>(
         &self,
         coder: &mut C,
@@ -119,7 +120,7 @@ impl<'a> Group<'a> {
             let given = sorted.map_or_else(PackedGaussian::default, |s| s[i]);
             let p = attributes.code(coder, &scene, &mut buckets, square, &given)?;
             coder.primitive();
-            // Squares ascend by construction; in one the order is checked.
+            // Squares are ascending by construction; the order within a square is checked.
             if last == Some(square) && out.last().is_some_and(|before| order(before) > order(&p)) {
                 return Err(Broken { field: "order of primitives", value: i as u64 });
             }
@@ -130,7 +131,7 @@ impl<'a> Group<'a> {
     }
 }
 
-/// Background and codebook in front of a single stream.
+/// Codes background and codebook before a single stream.
 fn put_palette(coder: &mut Encoder, palette: &Palette<'_>) {
     let mut field = palette_field();
     for k in 0..palette.channels.count() {

@@ -1,7 +1,9 @@
-//! Forecasts of the entropy coder for each primitive, from which the cost of other integers follows (spec §8.6).
+//! Estimates the cost in bits of other integers for a primitive, from the predictions of the entropy coder (spec
+//! §8.6).
 //!
-//! The coder expects the aspect, the angle and the colour of a primitive from its neighbours, with spreads that it learns.
-//! A [`Recorder`] in its place notes both. What is noted is frozen: it holds as long as the neighbours stay as they are.
+//! The coder predicts the aspect, the angle and the colour of a primitive from its neighbours, with adaptive spreads.
+//! A [`Recorder`] takes the coder's place and records both. The record is a snapshot: it is valid as long as the
+//! neighbours do not change.
 
 use super::attributes::{MINOR_GROWTH, angles, aspects, legal};
 use super::coded::{Group, sort};
@@ -14,22 +16,22 @@ use crate::bitstream::splats::{Layout, PackedGaussian, PackedSplats};
 use crate::error::Result;
 use crate::parallel;
 
-/// Spread of an angle over half a turn when nothing is known, sixteenths of octaves.
+/// Spread of an angle over half a turn without any prediction, in sixteenths of octaves.
 const ANGLE_SPREAD: i32 = 112;
 
-/// Forecast of a channel's colour.
+/// Prediction of a channel's colour.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Color {
     place: i32,
-    /// 256ths of the surprises of the first two channels.
+    /// Weights of the prediction errors of the first two channels, in 256ths.
     cross: [i16; 2],
     spread: i16,
 }
 
-/// Forecasts for one primitive.
+/// Predictions for one primitive.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Expected {
-    /// The major scale that the aspect was expected with.
+    /// The major scale for which the aspect was predicted.
     major: u8,
     direction: u8,
     aspect_spread: i16,
@@ -39,7 +41,7 @@ pub(crate) struct Expected {
 }
 
 impl Expected {
-    /// Returns the bits of `minor` after `major`.
+    /// Returns the cost in bits of `minor` after `major`.
     #[inline(always)]
     pub(crate) fn aspect(&self, major: u8, minor: u8) -> f32 {
         let place = i64::from(self.aspect) + (FINE - MINOR_GROWTH) * (i64::from(major) - i64::from(self.major));
@@ -49,7 +51,7 @@ impl Expected {
         price.bits
     }
 
-    /// Returns what is expected of one of `n` angles; nothing of a single one.
+    /// Returns the distribution of one of `n` angles; `None` if there is only one angle.
     #[inline(always)]
     pub(crate) fn angles(&self, n: u16) -> Option<Angles> {
         let several = n > 1;
@@ -59,7 +61,7 @@ impl Expected {
         })
     }
 
-    /// Returns the bits of a colour of so many channels.
+    /// Returns the cost in bits of a colour with this many channels.
     #[inline(always)]
     pub(crate) fn color(&self, color: [i16; 4], channels: usize) -> f32 {
         let mut surprises = [0i64; 2];
@@ -75,7 +77,7 @@ impl Expected {
         price.bits
     }
 
-    /// Returns the bits that no colour of so many channels is below.
+    /// Returns a lower bound of the cost in bits of any colour with this many channels.
     #[inline(always)]
     pub(crate) fn least_color(&self, channels: usize) -> f32 {
         let mut price = Price::default();
@@ -86,7 +88,7 @@ impl Expected {
     }
 }
 
-/// Chances of the angles of a primitive that has more than one to choose from.
+/// Distribution of the angles of a primitive that has more than one possible angle.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Angles {
     choice: Bounded,
@@ -95,7 +97,7 @@ pub(crate) struct Angles {
 }
 
 impl Angles {
-    /// Returns the bits of an angle.
+    /// Returns the cost in bits of an angle.
     #[inline(always)]
     pub(crate) fn bits(&self, angle: u16) -> f32 {
         let mut price = Price::default();
@@ -104,7 +106,7 @@ impl Angles {
     }
 }
 
-/// Adds up what values cost.
+/// Sums the cost of values.
 #[derive(Debug, Default)]
 struct Price {
     bits: f32,
@@ -130,7 +132,7 @@ impl Coder for Price {
     }
 }
 
-/// `log₂` of a positive number, by a cubic polynomial of its mantissa: within .0007, which no choice hangs on.
+/// Returns `log₂` of a positive number within 0.0007, by a cubic polynomial of its mantissa.
 #[inline(always)]
 fn log2(value: u32) -> f32 {
     let bits = (value as f32).to_bits();
@@ -139,7 +141,7 @@ fn log2(value: u32) -> f32 {
     exponent as f32 + ((0.158_248_7 * m - 1.051_875) * m + 3.047_884) * m - 2.153_620_7
 }
 
-/// Goes through the primitives as a writer does, and notes what is expected of each.
+/// Processes the primitives as a writer does, and records the prediction of each.
 #[derive(Debug, Default)]
 struct Recorder(Vec<Expected>);
 
@@ -158,7 +160,7 @@ impl Coder for Recorder {
 
     fn expect(&mut self, forecast: Forecast) {
         if let Forecast::Aspect { major, place, spread } = forecast {
-            // One angle only is expected without a forecast.
+            // A single possible angle is not predicted.
             self.0.push(Expected {
                 major,
                 direction: 0,
@@ -182,8 +184,8 @@ impl Coder for Recorder {
     }
 }
 
-/// Brings the primitives of `splats` into the order of the file, and returns what its coder expects of each; nothing where
-/// no coder expects anything of them: in other layouts, and of colours in a codebook.
+/// Sorts the primitives of `splats` into the order of the file, and returns the coder's predictions for each. Returns
+/// nothing for other layouts and for colours in a codebook, which are not predicted.
 ///
 /// # Errors
 /// [`Error::Parameter`](crate::Error::Parameter) if the integers break spec §4.
@@ -225,7 +227,7 @@ mod tests {
     use crate::limits::Limits;
     use crate::pixels::Depth;
 
-    /// Primitives whose colours and angles follow their places, with some that come from nowhere.
+    /// Returns primitives whose colours and angles depend on their position, with some random ones.
     fn made_up(count: usize, channels: Channels) -> PackedSplats {
         let mut splats = PackedSplats {
             width: 700,
@@ -254,7 +256,7 @@ mod tests {
             let [x, y] = [0, 1].map(|k| (at[k] * rules.grid()[k] as f32) as u32 >> logs[k]);
             let mut color = [0i16; 4];
             for (k, c) in color[..channels.count()].iter_mut().enumerate() {
-                // Some are further than an open range reaches.
+                // Some lie outside the range of an open distribution.
                 let far = if rng.random::<f32>() < 0.02 { 500.0 } else { 6.0 };
                 *c = (60.0 * at[k % 2] + far * (rng.random::<f32>() - 0.5)) as i16;
             }
@@ -297,7 +299,7 @@ mod tests {
             ];
             for (found, names) in fields {
                 let real = real(names);
-                // Up to the polynomial: two of them a value.
+                // The error of the polynomial, once per value.
                 assert!(real > 0.0 && (found - real).abs() < 0.0015 * 4.0 * count as f64, "{names:?}: {found} {real}");
                 assert!((found / real - 1.0).abs() < 2e-3, "{names:?} of {count}: {found} {real}");
             }

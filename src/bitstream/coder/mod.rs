@@ -1,4 +1,4 @@
-//! The entropy coder of the coded layout: Gaussians to bits and back, and what bits cost (spec §8).
+//! The entropy coder of the coded layout: Gaussians to bits and back, and estimates of their cost in bits (spec §8).
 
 pub(super) mod attributes;
 pub(super) mod coded;

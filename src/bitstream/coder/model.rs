@@ -1,11 +1,11 @@
-//! Adaptive probabilities of single decisions (spec §8.3).
+//! Adaptive probabilities of binary decisions (spec §8.3).
 
 use super::range::Coder;
 
 /// Nodes of [`Field::signed`]'s binarization.
 pub(crate) const SIGNED_NODES: usize = 72;
 
-/// `2¹⁶/(n + 2)`: how far a slot seen `n` times moves.
+/// Adaptation rate `2¹⁶/(n + 2)` of a slot after `n` decisions.
 const STEPS: [u16; 256] = {
     let mut steps = [0; 256];
     let mut n = 0;
@@ -23,7 +23,7 @@ pub(crate) struct Slot(u32);
 impl Slot {
     const NEW: Slot = Slot(1 << 31);
 
-    /// A first opinion: `one / 2¹⁶`, held as firmly as after `count` decisions.
+    /// Initial probability `one / 2¹⁶`, with the confidence of `count` decisions.
     pub const fn new(one: u32, count: u32) -> Self {
         Slot(one << 16 | count)
     }
@@ -36,7 +36,7 @@ impl Slot {
         bit
     }
 
-    /// The chance of a 1, in 1/65536, never certain.
+    /// Returns the probability of a 1 in 1/65536; never 0 or 1.
     #[inline]
     fn one(self) -> u32 {
         (self.0 >> 16).clamp(32, 65504)
@@ -61,7 +61,7 @@ pub(crate) struct Field {
 }
 
 impl Field {
-    /// A field with `nodes` nodes and `contexts` contexts, whose slots count up to `limit < 256` decisions.
+    /// Returns a field with `nodes` nodes and `contexts` contexts, whose slots count up to `limit < 256` decisions.
     pub fn new(nodes: usize, contexts: usize, limit: u32) -> Self {
         Field { slots: vec![Slot::NEW; nodes * contexts], nodes, limit }
     }
@@ -72,7 +72,8 @@ impl Field {
         self.slots[context * self.nodes + node].code(coder, self.limit, bit)
     }
 
-    /// Codes `count` bits of `value`, the highest first, each under the ones before; needs `2^count` nodes.
+    /// Codes `count` bits of `value`, the highest first, each in the context of the ones before; needs `2^count`
+    /// nodes.
     pub fn tree<C: Coder>(&mut self, coder: &mut C, context: usize, count: u32, value: u32) -> u32 {
         let mut node = 1;
         for i in (0..count).rev() {
@@ -81,7 +82,7 @@ impl Field {
         node as u32 - (1 << count)
     }
 
-    /// Codes an integer of at most 17 bits' magnitude: zero, sign, then the magnitude's length and its bits.
+    /// Codes an integer whose magnitude has at most 17 bits: zero, sign, then the magnitude's length and its bits.
     pub fn signed<C: Coder>(&mut self, coder: &mut C, context: usize, value: i32) -> i32 {
         if self.bit(coder, context, 0, u32::from(value == 0)) != 0 {
             return 0;
@@ -97,7 +98,7 @@ impl Field {
         while length < 16 && self.bit(coder, context, 2 + length as usize, u32::from(value.ilog2() > length)) != 0 {
             length += 1;
         }
-        // The two bits below the highest are modelled, the rest is as good as noise.
+        // The two bits below the highest are modelled; the others are coded with equal probabilities.
         let (node, mut m, mut left) = (20 + 3 * length as usize, 1, length);
         while left > length.saturating_sub(2) {
             left -= 1;

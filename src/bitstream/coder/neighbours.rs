@@ -1,18 +1,19 @@
-//! Sums over the coded primitives around a place, by buckets of a group (spec §8.5).
+//! Sums over the already coded neighbours of a position, kept in buckets of a group (spec §8.5).
 
 use crate::bitstream::region::Square;
 
-/// Number of sums over the primitives of a bucket: fourteen, and two that stay 0 and fill up vector registers.
+/// Number of sums in a bucket: fourteen, and two that stay 0 and fill the vector registers.
 pub(crate) const LANES: usize = 16;
 
-/// Where [`LANES`] count primitives.
+/// Position in [`LANES`] of the number of primitives.
 pub(crate) const COUNT: usize = LANES - 1;
 
-/// From this many primitives on a bucket's sums are halved: later ones count more, and sums stay in 32 bits.
-const MANY: i32 = 16;
+/// Number of primitives at which the sums of a bucket are halved, so that later primitives have more weight and sums
+/// fit into 32 bits.
+const MAX_BUCKET_COUNT: i32 = 16;
 
-/// `⌊log₂(5792/(d² + 10))⌋`, a weight as a shift, of the 3 × 3 buckets around, by the eighths along y and x at which a
-/// place lies in its own; `d` is the distance to a bucket's middle, eighths.
+/// `⌊log₂(5792/(d² + 10))⌋`, a weight as a shift, of the 3 × 3 surrounding buckets, indexed by the eighths along y and
+/// x of a position in its bucket; `d` is the distance to the centre of a bucket in eighths.
 static SHIFTS: [[[[u8; 3]; 3]; 8]; 8] = {
     let mut shifts = [[[[0; 3]; 3]; 8]; 8];
     let mut i = 0;
@@ -25,18 +26,19 @@ static SHIFTS: [[[[u8; 3]; 3]; 8]; 8] = {
     shifts
 };
 
-/// Buckets of three to five primitives, on average, over a region of cells.
+/// Buckets of three to five primitives on average, over a region of cells.
 #[derive(Debug)]
 pub(crate) struct Buckets {
-    /// Logarithms of a bucket's sides, cells.
+    /// Binary logarithms of the sides of a bucket, in cells.
     log: [u32; 2],
     corner: [u32; 2],
     shape: [usize; 2],
-    /// By row, with an empty bucket before each row and behind the last, and an empty row above and below.
+    /// Buckets row by row, with an empty bucket before each row and after the last one, and an empty row above and
+    /// below.
     sums: Vec<[i32; LANES]>,
 }
 
-/// A bucket along each axis, and where in it a square's middle lies, eighths of its sides.
+/// Position of the middle of a square: a bucket along each axis, and eighths of the bucket's sides.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Spot {
     bucket: [usize; 2],
@@ -44,7 +46,7 @@ pub(crate) struct Spot {
 }
 
 impl Buckets {
-    /// Empty buckets for `count` primitives in the `extent` cells from `corner` on.
+    /// Returns empty buckets for `count` primitives in the `extent` cells from `corner` on.
     pub fn new(count: u32, corner: [u32; 2], extent: [u32; 2]) -> Self {
         let shape_of = |log: [u32; 2]| [0, 1].map(|k| u64::from(extent[k].div_ceil(1 << log[k])).max(1));
         let mut log = [0; 2];
@@ -55,13 +57,13 @@ impl Buckets {
         Buckets { log, corner, shape, sums: vec![[0; LANES]; (shape[0] + 1) * (shape[1] + 2) + 1] }
     }
 
-    /// Where the middle of a square lies.
+    /// Returns the position of the middle of a square.
     #[inline]
     pub fn spot(&self, square: &Square) -> Spot {
         let half = 1 << square.log >> 1;
         let eighths = [0, 1].map(|k| {
             let eighths = u64::from(square.corner[k] - self.corner[k] + half) << 3 >> self.log[k];
-            // The middle of a square that reaches over the edge may lie outside.
+            // The middle of a square that extends beyond the edge may lie outside.
             eighths.min(8 * self.shape[k] as u64 - 1) as usize
         });
         Spot { bucket: eighths.map(|e| e >> 3), eighths: eighths.map(|e| e & 7) }
@@ -73,13 +75,13 @@ impl Buckets {
         let [x, y] = spot.bucket;
         let sums = &mut self.sums[(y + 1) * (self.shape[0] + 1) + x + 1];
         sums.iter_mut().zip(lanes).for_each(|(sum, lane)| *sum += lane);
-        if sums[COUNT] >= MANY {
+        if sums[COUNT] >= MAX_BUCKET_COUNT {
             sums.iter_mut().for_each(|sum| *sum >>= 1);
         }
     }
 
-    /// Sums over the 3 × 3 buckets around, the near ones with larger weights. Nine weights add up to less than 2¹⁰ and
-    /// no bucket keeps a sum beyond 2²⁰, so that all stay within 2³⁰.
+    /// Returns weighted sums over the 3 × 3 surrounding buckets, with larger weights for near ones. Nine weights add
+    /// up to less than 2¹⁰ and the sums of a bucket stay below 2²⁰, so that the results stay below 2³⁰.
     #[inline(always)]
     pub fn around(&self, spot: &Spot) -> [i32; LANES] {
         let [x, y] = spot.bucket;

@@ -1,38 +1,40 @@
-//! The range coder: binary decisions with given probabilities to bytes and back (spec §8.1).
+//! The range coder: codes binary decisions with given probabilities as bytes (spec §8.1).
 //!
-//! 32-bit range, carry propagation, 16-bit probabilities. Bytes past the end read as zero, and the writer ends with the
-//! shortest string that still decodes: a stream has no terminator, and one string only is legal for each message.
+//! 32-bit range, carry propagation, 16-bit probabilities. Bytes past the end read as zero, and the writer ends with
+//! the shortest string that still decodes correctly. A stream has no terminator, and every message has exactly one
+//! valid string.
 
 use crate::bitstream::broken::Broken;
 
-/// Below this the range is scaled up by a byte.
-const TOP: u32 = 1 << 24;
+/// Bound of the range below which it is scaled up by a byte.
+const MIN_RANGE: u32 = 1 << 24;
 
-/// Frequencies of consecutive integers, added up.
+/// Cumulative frequencies of consecutive integers.
 pub trait Cumulative: std::fmt::Debug {
-    /// Sum of the frequencies of the integers below `value`.
+    /// Returns the sum of the frequencies of the integers below `value`.
     fn below(&self, value: i32) -> u32;
 
-    /// Sum of all, at most 2¹⁷.
+    /// Returns the sum of all frequencies, at most 2¹⁷.
     fn total(&self) -> u32;
 
-    /// The integer whose share of the sum holds `target`, with the share's ends.
+    /// Returns the integer whose interval contains `target`, and the ends of that interval.
     fn find(&self, target: u32) -> (i32, [u32; 2]);
 }
 
-/// Forecast of a value that is about to be coded. Places are in sixteenths, spreads in sixteenths of octaves.
+/// Prediction of a value that is coded next. Positions are in sixteenths, spreads in sixteenths of octaves.
 #[derive(Debug, Clone, Copy)]
 pub enum Forecast {
-    /// Forecast of `major − minor`.
+    /// Prediction of `major − minor`.
     Aspect { major: u8, place: i64, spread: i32 },
-    /// Forecast of an angle: one of 64 directions, and the spread as a part of all angles.
+    /// Prediction of an angle: one of 64 directions, and the spread as a part of all angles.
     Angle { direction: u32, spread: i32 },
-    /// Forecast of a channel's colour: its place before the surprises of the first two channels are known, and the
-    /// weights of those surprises, in 256ths.
+    /// Prediction of a channel's colour, before the prediction errors of the first two channels are known, and the
+    /// weights of those errors in 256ths.
     Color { channel: usize, place: i64, cross: [i64; 2], spread: i32 },
 }
 
-/// One side of the coder. Writer and reader run the same code: the writer is given each decision, the reader gives it.
+/// One side of the coder. Writer and reader run the same code: a writer codes the values that are passed, and a reader
+/// ignores them and returns what it decodes.
 pub trait Coder {
     /// Codes one decision whose probability of being 1 is `one / 2¹⁶`, `one` in `1..=65535`.
     fn bit(&mut self, one: u32, bit: u32) -> u32;
@@ -40,7 +42,7 @@ pub trait Coder {
     /// Codes one of `total` equally likely values, `total` in `1..=2¹⁶`.
     fn uniform(&mut self, total: u32, value: u32) -> u32;
 
-    /// Codes one of several integers; the ends of its share come with it.
+    /// Codes one of several integers, and returns it with the ends of its interval.
     fn share(&mut self, frequencies: &impl Cumulative, value: i32) -> (i32, [u32; 2]);
 
     /// Codes one of several integers.
@@ -49,7 +51,7 @@ pub trait Coder {
         self.share(frequencies, value).0
     }
 
-    /// Codes `count ≤ 32` bits of `value` as they are, the higher half first.
+    /// Codes `count ≤ 32` bits of `value` with equal probabilities, the higher half first.
     fn raw(&mut self, count: u32, value: u32) -> u32 {
         if count > 16 {
             let high = self.uniform(1 << (count - 16), value >> 16);
@@ -58,7 +60,7 @@ pub trait Coder {
         self.uniform(1 << count, value)
     }
 
-    /// Codes two numbers of so many bits, in one step where they are few.
+    /// Codes two numbers with these numbers of bits, in one step if the bits are few.
     #[inline]
     fn pair(&mut self, bits: [u32; 2], [x, y]: [u32; 2]) -> [u32; 2] {
         if bits[0] + bits[1] > 16 {
@@ -68,13 +70,13 @@ pub trait Coder {
         [both >> bits[1], both & ((1 << bits[1]) - 1)]
     }
 
-    /// Ends the account of `field`; only a meter keeps one.
+    /// Ends the cost accounting of `field`; only a meter implements it.
     fn account(&mut self, _field: &'static str) {}
 
-    /// Ends the account of what all primitives share, and then of each of them; only a meter keeps one.
+    /// Ends the cost accounting of the common part, or of a primitive; only a meter implements it.
     fn primitive(&mut self) {}
 
-    /// Tells what is expected of the next value; only a recorder listens.
+    /// Reports the prediction of the next value; only a recorder implements it.
     #[inline(always)]
     fn expect(&mut self, _forecast: Forecast) {}
 }
@@ -94,11 +96,11 @@ impl Default for Encoder {
 }
 
 impl Encoder {
-    /// Adds the carry that has run out of `low`.
+    /// Propagates the carry out of `low`.
     fn carry(&mut self) {
         if self.low >> 32 != 0 {
             self.low &= 0xffff_ffff;
-            // The value is below 1, so a carry always finds a byte that is not 255.
+            // The value is below 1, so there is always a byte below 255 that takes the carry.
             for byte in self.bytes.iter_mut().rev() {
                 *byte = byte.wrapping_add(1);
                 if *byte != 0 {
@@ -109,14 +111,14 @@ impl Encoder {
     }
 
     fn normalize(&mut self) {
-        while self.range < TOP {
+        while self.range < MIN_RANGE {
             self.bytes.push((self.low >> 24) as u8);
             self.low = self.low << 8 & 0xffff_ffff;
             self.range <<= 8;
         }
     }
 
-    /// Takes the part from `low` to `high` of `total`.
+    /// Narrows the range to the interval from `low` to `high` of `total`.
     fn narrow(&mut self, total: u32, low: u32, high: u32) {
         let unit = self.range / total;
         self.low += u64::from(unit * low);
@@ -125,7 +127,7 @@ impl Encoder {
         self.normalize();
     }
 
-    /// The bytes: the shortest string in the final interval, and the smallest of these.
+    /// Returns the shortest string in the final interval, and the smallest of that length.
     pub fn finish(mut self) -> Vec<u8> {
         let last = self.low + u64::from(self.range) - 1;
         for kept in 0..=4 {
@@ -174,19 +176,19 @@ impl Coder for Encoder {
 /// Reads decisions.
 #[derive(Debug, Clone)]
 pub struct Decoder<'a> {
-    /// In the upper half the value of the bytes less the lower end of the interval; below it, bytes that come next.
+    /// In the upper half, the value of the bytes minus the lower end of the interval; below it, the bytes that follow.
     window: u64,
     range: u32,
-    /// Bits of the window's lower half that are there.
+    /// Number of valid bits in the lower half of the window.
     ahead: u32,
     bytes: &'a [u8],
-    /// How many bytes have been taken into the window.
+    /// Number of bytes that have been moved into the window.
     at: usize,
 }
 
 impl<'a> Decoder<'a> {
     /// # Errors
-    /// [`Broken`] for a value above the first interval, which no writer reaches: 2³² − 1 in the first four bytes.
+    /// [`Broken`] for a value above the first interval, which no writer produces: 2³² − 1 in the first four bytes.
     pub fn new(bytes: &'a [u8]) -> Result<Self, Broken> {
         let mut decoder = Decoder { window: 0, range: u32::MAX, ahead: 0, bytes, at: 0 };
         decoder.refill();
@@ -197,13 +199,13 @@ impl<'a> Decoder<'a> {
         Ok(decoder)
     }
 
-    /// The value of the bytes less the lower end of the interval.
+    /// Returns the value of the bytes minus the lower end of the interval.
     #[inline(always)]
     fn code(&self) -> u32 {
         (self.window >> 32) as u32
     }
 
-    /// Fills the window's lower half, which is empty.
+    /// Fills the lower half of the window, which is empty.
     #[inline(always)]
     fn refill(&mut self) {
         self.window |= u64::from(four(self.bytes, self.at));
@@ -213,8 +215,8 @@ impl<'a> Decoder<'a> {
 
     #[inline(always)]
     fn normalize(&mut self) {
-        // Seldom so, and hardly ever twice: what is guessed need not be waited for.
-        while self.range < TOP {
+        // The loop seldom runs, and hardly ever twice, so the branch is predicted well.
+        while self.range < MIN_RANGE {
             if self.ahead == 0 {
                 self.refill();
             }
@@ -224,14 +226,14 @@ impl<'a> Decoder<'a> {
         }
     }
 
-    /// How long the part of a 1 is, and whether the value lies in it.
+    /// Returns the length of the interval of a 1, and whether the value lies in it.
     #[inline(always)]
     pub fn look(&self, one: u32) -> (u32, bool) {
         let bound = (self.range >> 16) * one;
         (bound, self.code() < bound)
     }
 
-    /// Takes the part of a 1, which is `bound` long, or that of a 0.
+    /// Narrows the range to the interval of a 1, whose length is `bound`, or to that of a 0.
     #[inline(always)]
     pub fn take(&mut self, bit: bool, bound: u32) {
         if bit {
@@ -243,7 +245,7 @@ impl<'a> Decoder<'a> {
         self.normalize();
     }
 
-    /// Reads a decision with equal odds. Nobody can guess it, the processor neither: so there is nothing to guess.
+    /// Reads a decision with equal probabilities. The code has no branch, because the processor could not predict it.
     #[inline(always)]
     pub fn even(&mut self) -> bool {
         let bound = (self.range >> 16) << 15;
@@ -255,7 +257,7 @@ impl<'a> Decoder<'a> {
         is_one
     }
 
-    /// Takes the part from `low` to `high` of `total`, each of them `unit` long.
+    /// Narrows the range to the interval from `low` to `high` of `total`, in units of `unit`.
     #[inline]
     fn narrow(&mut self, unit: u32, total: u32, low: u32, high: u32) {
         self.window -= u64::from(unit * low) << 32;
@@ -263,18 +265,18 @@ impl<'a> Decoder<'a> {
         self.normalize();
     }
 
-    /// Checks that the bytes are the ones that [`Encoder::finish`] writes for this message.
+    /// Checks that the bytes are those that [`Encoder::finish`] writes for this message.
     pub fn finish(&self) -> Result<(), Broken> {
         let length = self.bytes.len();
         let broken = Err(Broken { field: "end of the coded stream", value: length as u64 });
         let Some(&last) = self.bytes.last() else { return Ok(()) };
-        // Bytes that have been shifted in.
+        // Number of bytes that have been shifted into the window.
         let at = self.at - self.ahead as usize / 8;
         if length > at || last == 0 {
             return broken;
         }
-        // Shorter or smaller strings in the interval exist where the last byte's unit fits below or its next multiple
-        // above; a last byte that has left the window weighs more than the whole interval.
+        // The interval contains a shorter or smaller string if one unit of the last byte fits below, or its next
+        // multiple above. A last byte that has left the window has a larger unit than the whole interval.
         let place = 8 * (at - length) as u32;
         if place >= 32 {
             return Ok(());
@@ -285,7 +287,8 @@ impl<'a> Decoder<'a> {
     }
 }
 
-/// The four bytes from `at` on; those past the end are 0. Apart, and not told of the decoder, so that this one stays in registers.
+/// Returns the four bytes from `at` on; those past the end are 0. A separate function without access to the decoder,
+/// so that the decoder stays in registers.
 #[cold]
 #[inline(never)]
 fn four(bytes: &[u8], at: usize) -> u32 {
@@ -322,14 +325,14 @@ impl Coder for Decoder<'_> {
     }
 }
 
-/// Passes decisions on and adds up what they cost.
+/// Forwards decisions and sums their cost.
 #[derive(Debug)]
 pub struct Meter<C> {
     pub coder: C,
-    /// Bits since the last account of a field, and since that of a primitive; none where nothing is counted.
+    /// Bits since the last account of a field and of a primitive; `None` if nothing is counted.
     bits: Option<[f64; 2]>,
     pub fields: Vec<(&'static str, f64)>,
-    /// Bits of what all primitives share, and of each of them.
+    /// Bits of the common part, and of each primitive.
     pub each: Vec<f32>,
 }
 
@@ -338,13 +341,13 @@ impl<C> Meter<C> {
         Meter { coder, bits: Some([0.0; 2]), fields: Vec::new(), each: Vec::new() }
     }
 
-    /// One that counts nothing: for programs that shall have one reader and not two.
+    /// Returns a meter that counts nothing, for programs that should contain one reader instead of two.
     pub fn silent(coder: C) -> Self {
         Meter { bits: None, ..Meter::new(coder) }
     }
 }
 
-/// Adds what one of `total` equal parts costs of which `share` are taken.
+/// Adds the cost of an interval of `share` out of `total`.
 #[cold]
 #[inline(never)]
 fn count(bits: &mut [f64; 2], total: u32, share: u32) {
@@ -424,7 +427,7 @@ mod tests {
         for seed in 0..400 {
             let message = decisions(seed, seed % 97);
             let mut encoder = Encoder::default();
-            // Every decision is followed by a uniform value, the last one of its range included.
+            // Every decision is followed by a uniform value, including the last one of its range.
             let uniform = |one: u32| (1 + one % 977, (one / 7).min(one % 977));
             message.iter().for_each(|&(one, bit)| {
                 encoder.bit(one, bit);

@@ -1,33 +1,35 @@
-//! Integers near a place: a logistic distribution whose spread is learnt, all in integers (spec §8.2).
+//! Codes integers near a predicted value with a logistic distribution of adaptive spread, in integer arithmetic (spec
+//! §8.2).
 //!
-//! A few numbers per class learn faster than counts of every value, which decides at a few hundred primitives, and one
-//! value costs one step of the range coder where a chain of decisions would cost five.
+//! A few parameters per class adapt faster than counts of every value, which matters for a few hundred primitives. A
+//! value takes one step of the range coder, where a chain of binary decisions would take five.
 
 use super::range::{Coder, Cumulative};
 
-/// Fraction bits of places, as a factor.
+/// Units of a position per integer.
 pub(crate) const FINE: i64 = 16;
 
-/// Steps of the distribution's argument for one natural unit.
+/// Steps of the distribution's argument per natural unit.
 const UNIT: f64 = 4096.0;
 
-/// The argument is held to ±this.
-const LAST: i64 = (1 << 15) - 1;
+/// Maximum magnitude of the argument.
+const MAX_ARGUMENT: i64 = (1 << 15) - 1;
 
 /// The argument at the mean magnitude: `4096·2·ln 2`.
 pub(crate) const MEAN: i32 = 5678;
 
-/// Spreads are sixteenths of octaves above a mean magnitude of 1/256.
-const FINEST: i32 = 80;
-const WIDEST: i32 = 320;
+/// Minimum and maximum spread, in sixteenths of octaves above a mean magnitude of 1/256.
+const MIN_SPREAD: i32 = 80;
+const MAX_SPREAD: i32 = 320;
 
-/// Half of the values of an open range.
+/// Half the number of values of an open range.
 const REACH: i32 = 128;
 
-/// How many spreads there are.
-const SPREADS: usize = (WIDEST - FINEST) as usize + 1;
+/// Number of spreads.
+const SPREADS: usize = (MAX_SPREAD - MIN_SPREAD) as usize + 1;
 
-/// The exponential function for `|x| ≤ 9` within 10⁻¹⁴ of itself, for tables that are there before a program runs.
+/// The exponential function for `|x| ≤ 9` with a relative error of 10⁻¹⁴, for tables that are computed at compile
+/// time.
 const fn exp(x: f64) -> f64 {
     let (mut sum, mut term, mut n) = (1.0, 1.0, 1.0);
     while n < 20.0 {
@@ -44,7 +46,8 @@ const fn logistic(i: usize) -> u32 {
     (65536.0 / (1.0 + exp(-(i as f64 - 2048.0) / 256.0)) + 0.5) as u32
 }
 
-/// A table that the compiler computes. In WebAssembly the first use does: tables are a tenth of what a page would have to load.
+/// Defines a table that the compiler computes. In WebAssembly it is computed on first use, because tables would be a
+/// tenth of the module.
 macro_rules! table {
     ($(#[$doc:meta])* $name:ident: $kind:ty = $value:block) => {
         $(#[$doc])*
@@ -55,7 +58,7 @@ macro_rules! table {
     };
 }
 
-table!(/// Each logistic value, and above it, from bit 16 on, how far it is to the next.
+table!(/// Each logistic value, and from bit 16 on, the difference to the next.
 LOGISTIC: [u32; 4096] = {
     let mut table = [0; 4096];
     let (mut i, mut value) = (0, logistic(0));
@@ -72,7 +75,7 @@ INVERSE: [u32; SPREADS] = {
     let mut table = [0; SPREADS];
     let mut i = 0;
     while i < SPREADS {
-        let octaves = (FINEST as f64 + i as f64) / 16.0 - 8.0;
+        let octaves = (MIN_SPREAD as f64 + i as f64) / 16.0 - 8.0;
         let inverse = 65536.0 * UNIT * 2.0 * std::f64::consts::LN_2 / 16.0 * exp(-octaves * std::f64::consts::LN_2);
         table[i] = (inverse + 0.5) as u32;
         i += 1;
@@ -80,7 +83,7 @@ INVERSE: [u32; SPREADS] = {
     table
 });
 
-table!(/// `2³²` over the inverse, for readers: a division less.
+table!(/// `2³²` over the inverse, which saves readers a division.
 WIDTH: [u32; SPREADS] = {
     let mut table = [0; SPREADS];
     let mut i = 0;
@@ -91,7 +94,7 @@ WIDTH: [u32; SPREADS] = {
     table
 });
 
-table!(/// The argument about where the distribution reaches the middle of each 1024th: where readers begin a search.
+table!(/// The argument near the middle of each 1024th of the distribution, where readers start a search.
 QUANTILE: [i16; 1024] = {
     let mut table = [0; 1024];
     let (mut i, mut at) = (0, 0);
@@ -105,7 +108,7 @@ QUANTILE: [i16; 1024] = {
     table
 });
 
-/// `16·log₂`, linear between powers of two.
+/// Returns `16·log₂`, linear between powers of two.
 #[inline]
 pub(crate) fn log16(value: u64) -> i32 {
     let log = value.ilog2();
@@ -114,10 +117,10 @@ pub(crate) fn log16(value: u64) -> i32 {
     16 * log as i32 + rest as i32
 }
 
-/// Where a value is expected and how closely.
+/// Predicted value and spread.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Near {
-    /// Sixteenths.
+    /// Predicted value, sixteenths.
     place: i64,
     /// Index of the spread.
     spread: usize,
@@ -125,27 +128,27 @@ pub(crate) struct Near {
 }
 
 impl Near {
-    /// Around `place`, sixteenths, with a spread of `log` sixteenths of octaves.
+    /// A prediction of `place`, in sixteenths, with a spread of `log` sixteenths of octaves.
     #[inline]
     pub fn new(place: i64, log: i32) -> Self {
-        let spread = (log.clamp(FINEST, WIDEST) - FINEST) as usize;
+        let spread = (log.clamp(MIN_SPREAD, MAX_SPREAD) - MIN_SPREAD) as usize;
         Near { place, spread, inverse: INVERSE[spread].into() }
     }
 
-    /// The chances of values relative to `first`.
+    /// Returns the distribution of values relative to `first`.
     #[inline]
     fn from(&self, first: i64) -> Chances {
         let first = (FINE * first - FINE / 2 - self.place) * self.inverse + (1 << 31);
         Chances { first, step: FINE * self.inverse }
     }
 
-    /// How far `value` is from the place, in the distribution's argument.
+    /// Returns the distance of `value` from the prediction, in units of the distribution's argument.
     #[inline]
     pub fn distance(&self, value: i64) -> i32 {
-        ((FINE * value - self.place).abs() * self.inverse >> 16).min(LAST) as i32
+        ((FINE * value - self.place).abs() * self.inverse >> 16).min(MAX_ARGUMENT) as i32
     }
 
-    /// A value about where the chance is `chance`.
+    /// Returns an estimate of the value with the cumulative probability `chance`.
     #[inline]
     fn about(&self, chance: u32) -> i64 {
         let t = i64::from(QUANTILE[(chance.min(65535) >> 6) as usize]);
@@ -153,26 +156,27 @@ impl Near {
     }
 }
 
-/// The distribution as readers and writers go through it: its argument is linear in the value.
+/// The distribution in the form that readers and writers evaluate: its argument is linear in the value.
 #[derive(Debug, Clone, Copy)]
 struct Chances {
-    /// The argument below the first value, 65536ths, and [`LAST`] + 1 more, so that it indexes the table.
+    /// The argument below the first value in 65536ths, with an offset of [`MAX_ARGUMENT`] + 1 so that it indexes the
+    /// table.
     first: i64,
-    /// Growth of the argument from one value to the next, 65536ths.
+    /// Increase of the argument from one value to the next, 65536ths.
     step: i64,
 }
 
 impl Chances {
-    /// The chance, in 1/65536, of values below `value`.
+    /// Returns the probability, in 1/65536, of values below `value`.
     #[inline]
     fn below(&self, value: i32) -> u32 {
-        let t = (self.first + i64::from(value) * self.step >> 16).clamp(1, 2 * LAST + 1) as u32;
+        let t = (self.first + i64::from(value) * self.step >> 16).clamp(1, 2 * MAX_ARGUMENT + 1) as u32;
         let entry = LOGISTIC[(t >> 4) as usize & 4095];
         (entry & 0xffff) + ((entry >> 16) * (t & 15) >> 4)
     }
 }
 
-/// Any integer near a place; those further than the range are folded into its ends.
+/// Any integer near a prediction; values outside the range are folded into its ends.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Open {
     near: Near,
@@ -188,7 +192,7 @@ impl Open {
         Open { near, chances: near.from(middle), middle }
     }
 
-    /// Codes an integer that is less than 2¹⁷ away.
+    /// Codes an integer whose distance from the prediction is below 2¹⁷.
     #[inline]
     pub fn code<C: Coder>(&self, coder: &mut C, value: i64) -> i64 {
         let (first, last) = (-REACH, REACH - 1);
@@ -197,7 +201,7 @@ impl Open {
         if first < step && step < last {
             return self.middle + i64::from(step);
         }
-        // At the ends: how many bits the rest has, and the rest.
+        // At the ends of the range: the number of bits of the remainder, then the remainder.
         let beyond = off.unsigned_abs().saturating_sub(step.unsigned_abs().into()) as u32 + 1;
         let length = coder.uniform(18, beyond.ilog2());
         let beyond = 1 << length | coder.raw(length, beyond & ((1 << length) - 1));
@@ -228,23 +232,24 @@ impl Cumulative for Open {
     }
 }
 
-/// Integers of a range, near a place.
+/// Integers of a bounded range, near a prediction.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bounded {
     near: Near,
     chances: Chances,
     low: i64,
-    /// How many values there are.
+    /// Number of values.
     count: i32,
-    /// Chance of values below the range.
+    /// Probability of values below the range.
     base: u32,
-    /// Least chance of each value.
+    /// Minimum frequency of each value.
     floor: u32,
     total: u32,
 }
 
 impl Bounded {
-    /// The `count ≤ 4096` integers from `low` on; all together have at least about `share / 2¹⁶` in equal parts.
+    /// The `count ≤ 4096` integers from `low` on. About `share / 2¹⁶` of the probability is distributed equally over
+    /// them.
     #[inline]
     pub fn new(near: Near, low: i64, count: i32, share: u32) -> Self {
         let chances = near.from(low);
@@ -271,7 +276,8 @@ impl Cumulative for Bounded {
             let about = self.near.about(target.saturating_sub(alike) + self.base) - self.low;
             about.clamp(0, i64::from(self.count) - 1) as i32
         };
-        // The floor of all values below counts as well: half of the total floor, or as much as a first guess tells.
+        // Subtract the minimum frequencies of all values below: half of their total, or the amount from a first
+        // estimate.
         let alike = self.floor * self.count as u32;
         let below = match alike < self.total / 16 {
             true => alike / 2,
@@ -281,18 +287,19 @@ impl Cumulative for Bounded {
     }
 }
 
-/// The value whose share holds `target`, and its share; `about` is where to begin in `first..end`.
+/// Returns the value whose interval contains `target`, and that interval. The search in `first..end` starts at
+/// `about`.
 #[inline]
 fn search<F: Cumulative + Copy>(frequencies: &F, target: u32, about: i32, range: [i32; 2]) -> (i32, [u32; 2]) {
     let [low, high] = [about, about + 1].map(|v| frequencies.below(v));
     match low <= target && target < high {
         true => (about, [low, high]),
-        // A copy, so that what is nearly always enough stays in registers.
+        // A copy, so that the values of the common case stay in registers.
         false => search_on(*frequencies, target, about, range),
     }
 }
 
-/// Continues [`search`] where its first guess was wrong, which is rare.
+/// Continues [`search`] if the first guess was wrong, which is rare.
 #[cold]
 #[inline(never)]
 fn search_on(frequencies: impl Cumulative, target: u32, about: i32, [first, end]: [i32; 2]) -> (i32, [u32; 2]) {
@@ -322,21 +329,21 @@ fn search_on(frequencies: impl Cumulative, target: u32, about: i32, [first, end]
     (low, [frequencies.below(low), frequencies.below(high)])
 }
 
-/// Learnt correction of a class of values to the expected spread, 65536ths of a sixteenth of an octave.
+/// Adaptive correction of the predicted spread for a class of values, in 65536ths of a sixteenth of an octave.
 #[derive(Debug, Clone, Copy, Default)]
 struct Gain {
     log: i32,
     seen: u8,
 }
 
-/// Gains are held to ±this: eight octaves.
-const MOST: i32 = 128 << 16;
+/// Maximum magnitude of a gain: eight octaves.
+const MAX_GAIN: i32 = 128 << 16;
 
-/// The gains of a field by `K` kinds of classes, of at most 64 classes: an index needs no check.
+/// The gains of a field for `K` kinds of classes with at most 64 classes in total, so that indexing needs no check.
 #[derive(Debug, Clone)]
 pub(crate) struct Gains<const K: usize>([Gain; 64]);
 
-/// A value's classes, one of each kind, by their place among all.
+/// The classes of a value, one of each kind, as indices among all classes.
 pub(crate) type Classes<const K: usize> = [usize; K];
 
 impl<const K: usize> Gains<K> {
@@ -344,25 +351,25 @@ impl<const K: usize> Gains<K> {
         Gains([Gain::default(); 64])
     }
 
-    /// The gains of a value's classes, sixteenths of an octave.
+    /// Returns the sum of the gains of a value's classes, in sixteenths of an octave.
     #[inline]
     pub fn log(&self, classes: &Classes<K>) -> i32 {
         classes.iter().map(|c| self.0[c & 63].log).sum::<i32>() >> 16
     }
 
-    /// Learns from a value `distance` away; `MEAN` changes nothing.
+    /// Adapts to a value at `distance` from the prediction; `MEAN` changes nothing.
     #[inline]
     pub fn learn(&mut self, classes: &Classes<K>, distance: i32) {
         for c in classes {
             let gain = &mut self.0[c & 63];
             let moved = (distance - MEAN) * GAIN_STEPS[usize::from(gain.seen)] >> 8;
-            gain.log = (gain.log + moved).clamp(-MOST, MOST);
+            gain.log = (gain.log + moved).clamp(-MAX_GAIN, MAX_GAIN);
             gain.seen += u8::from(gain.seen < u8::MAX);
         }
     }
 }
 
-/// How far an estimate moves that has seen so many values, in 1/65536; no less than 1/64.
+/// Adaptation rate of an estimate by the number of values seen, in 1/65536; at least 1/64.
 const fn steps(doubt: i32) -> [i32; 256] {
     let mut steps = [1024; 256];
     let mut seen = 0;
@@ -376,7 +383,7 @@ const fn steps(doubt: i32) -> [i32; 256] {
 static GAIN_STEPS: [i32; 256] = steps(12);
 static SHIFT_STEPS: [i32; 256] = steps(20);
 
-/// A shift of the expected place, 65536ths of a sixteenth, learnt by class, of at most 64.
+/// Adaptive corrections of the predicted value by class, with at most 64 classes, in 65536ths of a sixteenth.
 #[derive(Debug, Clone)]
 pub(crate) struct Shifts([Gain; 64]);
 
@@ -385,18 +392,18 @@ impl Shifts {
         Shifts([Gain::default(); 64])
     }
 
-    /// Sixteenths.
+    /// Returns the correction in sixteenths.
     #[inline]
     pub fn get(&self, class: usize) -> i64 {
         (self.0[class & 63].log >> 16).into()
     }
 
-    /// Learns that a value was `off` sixteenths above its place.
+    /// Adapts to a value that was `off` sixteenths above the prediction.
     #[inline]
     pub fn learn(&mut self, class: usize, off: i64) {
         let shift = &mut self.0[class & 63];
         let moved = off.clamp(-64, 64) as i32 * SHIFT_STEPS[usize::from(shift.seen)];
-        shift.log = (shift.log + moved).clamp(-MOST, MOST);
+        shift.log = (shift.log + moved).clamp(-MAX_GAIN, MAX_GAIN);
         shift.seen += u8::from(shift.seen < u8::MAX);
     }
 }
@@ -416,7 +423,7 @@ mod tests {
             };
             rounded(v, table)
         }));
-        assert!((FINEST..=WIDEST).zip(INVERSE).all(|(log, table)| {
+        assert!((MIN_SPREAD..=MAX_SPREAD).zip(INVERSE).all(|(log, table)| {
             let mean = (f64::from(log) / 16.0 - 8.0).exp2();
             rounded(65536.0 * UNIT * 2.0 * std::f64::consts::LN_2 / (16.0 * mean), table)
         }));
@@ -450,7 +457,7 @@ mod tests {
 
     #[test]
     fn gains_stay_in_range_whatever_they_see() {
-        for distance in [0, LAST as i32] {
+        for distance in [0, MAX_ARGUMENT as i32] {
             let mut gains = Gains::new();
             (0..100_000).for_each(|_| gains.learn(&[0, 1], distance));
             assert!(gains.log(&[0, 1]).abs() <= 256);

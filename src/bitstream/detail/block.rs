@@ -1,24 +1,24 @@
-//! The levels of one block: whether there are any, how many, where, and how large (spec §11.4).
+//! Codes the levels of one block: whether there are any, how many, their positions and values (spec §11.4).
 
 use super::decisions::Decisions;
 use super::model::{BUCKETS, EXPONENTS, KindModels, LEFT, NEAR, UNARY};
 use super::scan::{ROOM, STRIDE, scan};
 use crate::bitstream::broken::Broken;
 
-/// Largest level.
+/// Maximum magnitude of a level.
 pub(crate) const MAX_LEVEL: u32 = 32_767;
-/// Sizes of levels that are coded in unary.
-const PLAIN: u32 = UNARY as u32 - 1;
-/// Largest level size that neighbours tell apart: larger ones count as this in their contexts.
-const HEARD: u32 = 5;
+/// Number of magnitudes that are coded in unary.
+const UNARY_SIZES: u32 = UNARY as u32 - 1;
+/// Maximum magnitude that contexts distinguish; larger levels count as this.
+const MAX_CONTEXT_SIZE: u32 = 5;
 
-/// The levels of a block, by place.
+/// The levels of a block by position.
 #[derive(Debug)]
 pub(crate) struct Block {
     pub levels: [i16; ROOM],
-    /// Weighted sum of the levels before each place.
+    /// Weighted sum of the preceding levels at each position.
     near: [u8; ROOM],
-    /// The places that have levels, in order.
+    /// The positions that have levels, in coding order.
     pub found: Vec<u16>,
 }
 
@@ -29,19 +29,19 @@ impl Default for Block {
 }
 
 impl Block {
-    /// Adds a level of this size to the contexts of the places that follow.
+    /// Adds a level of this magnitude to the contexts of the following positions.
     #[inline(always)]
-    fn hear(&mut self, at: usize, size: u32) {
-        let m = size.min(HEARD) as u8;
+    fn add_context(&mut self, at: usize, size: u32) {
+        let m = size.min(MAX_CONTEXT_SIZE) as u8;
         for (step, weight) in [(1, 2), (STRIDE, 2), (STRIDE + 1, 1), (2, 1), (2 * STRIDE, 1)] {
             let near = &mut self.near[(at + step) % ROOM];
             *near = near.wrapping_add(weight * m);
         }
     }
 
-    /// Forgets what was heard of the levels that were found.
+    /// Resets the contexts that depend on the levels found.
     #[inline(always)]
-    fn hush(&mut self) {
+    fn reset_context(&mut self) {
         for &at in &self.found {
             for step in [1, STRIDE, STRIDE + 1, 2, 2 * STRIDE] {
                 self.near[(usize::from(at) + step) % ROOM] = 0;
@@ -49,7 +49,7 @@ impl Block {
         }
     }
 
-    /// Takes away the levels that were found.
+    /// Removes the levels found.
     pub fn clear(&mut self) {
         for &at in &self.found {
             self.levels[usize::from(at) % ROOM] = 0;
@@ -58,11 +58,11 @@ impl Block {
     }
 }
 
-/// Context of a block's coding, beside the models of its kind.
+/// Context of a block, in addition to the models of its kind.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Context {
     pub size: usize,
-    /// How many levels are expected.
+    /// Class of the predicted number of levels.
     pub bucket: usize,
 }
 
@@ -73,7 +73,7 @@ impl Context {
     }
 }
 
-/// Codes the levels of `block` after the decision that there are some. A writer passes how many there are.
+/// Codes the levels of `block` after the decision that there are any. When writing, `given` is their number.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(crate) fn code<D: Decisions>(
@@ -125,18 +125,18 @@ fn levels<D: Decisions>(
             }
         }
         let negative = d.even(given < 0);
-        // Without a branch: half of them would be guessed wrongly.
+        // Without a branch: half of the predictions would be wrong.
         let sign = -i16::from(negative);
         block.levels[at] = (magnitude as i16 ^ sign) - sign;
         block.found.push(place.at);
-        block.hear(at, magnitude);
+        block.add_context(at, magnitude);
         left -= 1;
         if left == 0 {
             break;
         }
         class = class_of(left);
     }
-    block.hush();
+    block.reset_context();
     result
 }
 
@@ -145,7 +145,7 @@ fn class_of(left: u32) -> usize {
     ((32 - (left - 1).leading_zeros()) as usize).min(LEFT - 1)
 }
 
-/// How many levels a block has: the place of the highest bit in unary, then the bits below it.
+/// Codes the number of levels of a block: the position of its highest bit in unary, then the bits below it.
 #[inline(always)]
 fn count<D: Decisions>(d: &mut D, models: &mut KindModels, bucket: usize, most: u32, given: u32) -> u32 {
     let goal = given.max(1).ilog2();
@@ -166,20 +166,20 @@ fn count<D: Decisions>(d: &mut D, models: &mut KindModels, bucket: usize, most: 
     count
 }
 
-/// The size of a level above 1: in unary, and from 15 on by an Exp-Golomb code.
+/// Codes a magnitude above 1: in unary, and from 15 on by an Exp-Golomb code.
 #[inline(always)]
 fn larger<D: Decisions>(d: &mut D, models: &mut [super::decisions::Adaptive; UNARY], given: u32) -> u32 {
     let mut size = 2;
-    while size < PLAIN && d.bit(&mut models[size as usize], given > size) {
+    while size < UNARY_SIZES && d.bit(&mut models[size as usize], given > size) {
         size += 1;
     }
-    if size < PLAIN {
+    if size < UNARY_SIZES {
         return size;
     }
-    let over = given.saturating_sub(PLAIN) + 1;
+    let over = given.saturating_sub(UNARY_SIZES) + 1;
     let mut exponent = 0;
-    while exponent < PLAIN && d.even(exponent < over.ilog2()) {
+    while exponent < UNARY_SIZES && d.even(exponent < over.ilog2()) {
         exponent += 1;
     }
-    PLAIN - 1 + (1 << exponent | d.raw(exponent, over & ((1 << exponent) - 1)))
+    UNARY_SIZES - 1 + (1 << exponent | d.raw(exponent, over & ((1 << exponent) - 1)))
 }

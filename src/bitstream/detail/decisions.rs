@@ -1,25 +1,25 @@
-//! Binary decisions of the layer, written, read or priced by the same code (spec §11.3).
+//! Binary decisions of the layer, which are written, read or priced by the same code (spec §11.3).
 
 use crate::bitstream::coder::range::{Coder, Decoder, Encoder};
 
-/// A probability of a 1 that adapts: the mean of a quick and a slow estimate, in 1/65536.
+/// An adaptive probability of a 1: the mean of a fast and a slow estimate, in 1/65536.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Adaptive {
-    /// The quick estimate in the lower half, the slow one in the upper: written as one, as they are read. A processor waits
-    /// where it reads at once what was just written in two parts.
+    /// The fast estimate in the lower half, the slow one in the upper. They are written together, because a processor
+    /// stalls when it reads in one piece what was just written in two.
     estimates: u32,
-    /// Decisions that the estimates stand on, up to [`MOST`].
+    /// Number of decisions that the estimates are based on, up to [`MAX_SEEN`].
     seen: u8,
 }
 
-/// Decisions after which the estimates forget at their final pace.
-const MOST: usize = 127;
+/// Number of decisions after which the estimates adapt at their final rate.
+const MAX_SEEN: usize = 127;
 
-/// How far the quick and the slow estimate move towards a decision after so many, in 1/65536.
-static PACES: [[u16; 2]; MOST + 1] = {
-    let mut paces = [[0; 2]; MOST + 1];
+/// Adaptation rates of the fast and the slow estimate by the number of decisions, in 1/65536.
+static RATES: [[u16; 2]; MAX_SEEN + 1] = {
+    let mut paces = [[0; 2]; MAX_SEEN + 1];
     let mut n = 0;
-    while n <= MOST {
+    while n <= MAX_SEEN {
         paces[n] = [pace(n as u32, 65_536 / 24), pace(n as u32, 65_536 / 128)];
         n += 1;
     }
@@ -36,19 +36,19 @@ impl Adaptive {
     /// Placeholder for a model that has not been initialized.
     pub const NONE: Adaptive = Adaptive { estimates: 0, seen: 0 };
 
-    /// A probability of `(256·one + 128) / 65536` that counts as much as `seen` decisions.
+    /// A probability of `(256·one + 128) / 65536` with the confidence of `seen` decisions.
     pub const fn new(one: u8, seen: u8) -> Self {
         let p = (one as u32) << 8 | 128;
         Adaptive { estimates: p << 16 | p, seen }
     }
 
-    /// The quick and the slow estimate.
+    /// Returns the fast and the slow estimate.
     #[inline(always)]
     fn estimates(self) -> [u32; 2] {
         [self.estimates & 0xffff, self.estimates >> 16]
     }
 
-    /// The probability of a 1, in 1/65536.
+    /// Returns the probability of a 1, in 1/65536.
     #[inline(always)]
     pub fn one(self) -> u32 {
         let [quick, slow] = self.estimates();
@@ -57,37 +57,38 @@ impl Adaptive {
 
     #[inline(always)]
     pub fn learn(&mut self, bit: bool) {
-        let n = usize::from(self.seen) & MOST;
+        let n = usize::from(self.seen) & MAX_SEEN;
         let target = if bit { 65_535 } else { 0 };
         let moved = |p: u32, pace: u16| (p as i32 + (((target - p as i32) * i32::from(pace)) >> 16)) as u32;
-        let ([quick, slow], [quick_pace, slow_pace]) = (self.estimates(), PACES[n]);
-        // Neither leaves its half.
+        let ([quick, slow], [quick_pace, slow_pace]) = (self.estimates(), RATES[n]);
+        // Neither estimate leaves its half.
         self.estimates = moved(slow, slow_pace) << 16 | moved(quick, quick_pace);
-        self.seen = (n + 1).min(MOST) as u8;
+        self.seen = (n + 1).min(MAX_SEEN) as u8;
     }
 
-    /// The slow estimate and the decisions that it stands on, to learn starts from.
+    /// Returns the slow estimate and the number of decisions, for learning initial states.
     #[cfg(test)]
     pub fn learnt(self) -> (u16, u8) {
         (self.estimates()[1] as u16, self.seen)
     }
 }
 
-/// Whoever takes decisions: a writer passes them, a reader finds them and ignores what is passed.
+/// A coder of decisions: a writer codes the values that are passed, and a reader ignores them and returns what it
+/// decodes.
 pub(crate) trait Decisions {
-    /// A decision with a model.
+    /// Codes a decision with a model.
     fn bit(&mut self, model: &mut Adaptive, bit: bool) -> bool;
 
-    /// A decision with equal odds.
+    /// Codes a decision with equal probabilities.
     fn even(&mut self, bit: bool) -> bool;
 
-    /// Does `work` with decisions, on a copy where that is what keeps them in registers.
+    /// Runs `work` with this coder, on a copy if that keeps it in registers.
     #[inline(always)]
     fn apart<T>(&mut self, work: impl FnOnce(&mut Self) -> T) -> T {
         work(self)
     }
 
-    /// `count` decisions with equal odds, the highest bit first.
+    /// Codes `count` decisions with equal probabilities, the highest bit first.
     #[inline]
     fn raw(&mut self, count: u32, value: u32) -> u32 {
         (0..count).rev().fold(0, |read, i| read << 1 | u32::from(self.even(value >> i & 1 == 1)))
@@ -114,13 +115,13 @@ impl Decisions for Decoder<'_> {
     #[inline(always)]
     fn bit(&mut self, model: &mut Adaptive, _bit: bool) -> bool {
         let (bound, bit) = self.look(model.one());
-        // In WebAssembly once, for the module's size.
+        // WebAssembly shares one copy, which keeps the module small.
         if cfg!(target_family = "wasm") {
             self.take(bit, bound);
             model.learn(bit);
             return bit;
         }
-        // The caller branches on the bit as well: this way one branch does for both.
+        // The caller branches on the bit as well, so that the compiler can merge both branches.
         if bit {
             self.take(true, bound);
             model.learn(true);
@@ -145,13 +146,13 @@ impl Decisions for Decoder<'_> {
     }
 }
 
-/// Adds up what decisions would cost with the models as they stand, bits; teaches them nothing.
+/// Sums the cost of decisions in bits, with the models in their current state; does not adapt them.
 #[derive(Debug, Default)]
 pub(crate) struct Price {
     pub bits: f32,
 }
 
-/// Probabilities that [`Price`] tells apart.
+/// Number of probabilities that [`Price`] distinguishes.
 const PRICES: usize = 4096;
 
 /// Returns the cost of a decision for each probability, in bits.
@@ -181,7 +182,7 @@ impl Decisions for Price {
     }
 }
 
-/// Reads from another source and adds up what that cost, bits, by kinds.
+/// Reads from another source and sums the cost in bits, by kind.
 #[derive(Debug)]
 pub(crate) struct Counted<D> {
     pub source: D,

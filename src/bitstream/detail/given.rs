@@ -1,4 +1,4 @@
-//! The levels of a tile as a writer brings them, from the list that was read.
+//! Supplies the levels of a tile to the writer, from a list that was read.
 
 use super::block::Block;
 use super::levels::{CELLS, CodedBlock, SUPERS, TileLevels};
@@ -6,10 +6,10 @@ use super::model::PLANES;
 use super::scan::at;
 use super::tile::Content;
 
-/// A tile to be written.
+/// A tile to write.
 pub(crate) struct Given<'a> {
     tile: &'a TileLevels,
-    /// Which block, counted from 1, begins in each cell, by plane.
+    /// Index, counted from 1, of the block that begins in each cell, by plane.
     blocks: [Vec<u32>; PLANES],
 }
 

@@ -1,4 +1,4 @@
-//! Contents of the detail layer's section: the numbers that give its levels their values (spec §11.1).
+//! Contents of the detail layer's section: the parameters from which the values of levels follow (spec §11.1).
 
 use super::model::CLASSES;
 use crate::bitstream::broken::Broken;
@@ -6,37 +6,39 @@ use crate::bitstream::bytes::{Bytes, put_varint};
 use crate::error::Result;
 use crate::gaussian::Channels;
 
-/// Numbers from which the values of levels follow.
+/// Parameters from which the values of levels follow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub struct DetailHead {
     /// `1..=65535`: the quantizer step of luma, grey and alpha at frequency 0, in 1/64 of an 8-bit code value.
     pub step: u16,
-    /// `1..=255`: the steps of orange and green chroma over that of luma, in sixteenths.
+    /// `1..=255`: the steps of orange and green chroma relative to that of luma, in sixteenths.
     pub chroma: [u8; 2],
-    /// How steps grow with frequency: of luma, grey and alpha, and of chroma.
+    /// Growth of the steps with frequency: for luma, grey and alpha, and for chroma.
     pub slopes: [u8; 2],
-    /// Sizes of the smallest and the largest block, `0..=3` for sides of 4 to 32: of luma, grey and alpha, and of chroma.
+    /// Sizes of the smallest and the largest block, `0..=3` for sides of 4 to 32: for luma, grey and alpha, and for
+    /// chroma.
     pub sizes: [[u8; 2]; 2],
-    /// `0..=15`: by how many 1/32 of a step values of level 1, and of higher ones, are nearer to 0.
+    /// `0..=15`: offset of reconstructed values towards 0, in 1/32 of a step: for levels of magnitude 1, and for
+    /// larger ones.
     pub biases: [u8; 2],
-    /// `1..=8`: step classes that superblocks choose from; 1: all have the same steps.
+    /// `1..=8`: number of step classes from which superblocks choose; with 1, all have the same steps.
     pub classes: u8,
-    /// Whether alpha has a plane of its own; if not, the layer leaves it as it is.
+    /// Whether alpha has a plane of its own. If not, the layer does not change alpha.
     pub alpha: bool,
 }
 
-/// Length and checksum of the Gaussians' bytes, as the detail layer's section states them.
+/// Length and checksum of the Gaussians' bytes, as stored in the detail layer's section.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Spans {
-    /// Bytes of the payload, behind which the layer begins.
+    /// Bytes of the payload; the layer follows it.
     pub payload: u64,
-    /// CRC-32 of header and payload: the Gaussians can be shown before the rest is there.
+    /// CRC-32 of header and payload, so that the Gaussians can be shown before the layer has arrived.
     pub checksum: u32,
 }
 
 impl DetailHead {
-    /// The preset for the least squared error.
+    /// The preset for the lowest squared error.
     pub const PLAIN: DetailHead = DetailHead {
         step: 640,
         chroma: [39, 32],
@@ -46,11 +48,11 @@ impl DetailHead {
         classes: 1,
         alpha: false,
     };
-    /// The preset for eyes.
+    /// The preset for perceptual quality.
     pub const SEEN: DetailHead =
         DetailHead { chroma: [64, 32], slopes: [48, 48], biases: [0, 2], classes: 4, ..DetailHead::PLAIN };
 
-    /// Sizes of the smallest and the largest block of a kind of planes.
+    /// Returns the sizes of the smallest and the largest block of a kind of planes.
     pub(crate) fn sizes(&self, kind: usize) -> [usize; 2] {
         self.sizes[usize::from(kind == 1)].map(usize::from)
     }
@@ -100,14 +102,14 @@ pub(crate) fn read(contents: &[u8], offset: u64) -> Result<(DetailHead, Spans)> 
     }
     check(&head)?;
     bytes.finish()?;
-    // One way to say it: otherwise a file could not be told by its integers.
+    // Only one encoding of the contents is valid; otherwise the integers would not determine the file.
     if self::contents(&head, spans) != contents {
         return Err(broken("detail flags", flags.into()).into());
     }
     Ok((head, spans))
 }
 
-/// Checks what is said against the format.
+/// Checks the parameters against the format.
 pub(crate) fn check(head: &DetailHead) -> Result<(), Broken> {
     if head.step == 0 {
         return Err(broken("detail step", 0));
@@ -127,7 +129,7 @@ pub(crate) fn check(head: &DetailHead) -> Result<(), Broken> {
     Ok(())
 }
 
-/// Checks that a plane of alpha belongs to a picture with alpha.
+/// Checks that a layer with a plane of alpha belongs to a picture with alpha.
 pub(crate) fn check_alpha(head: &DetailHead, channels: Channels) -> Result<(), Broken> {
     if head.alpha && channels.alpha().is_none() {
         return Err(broken("alpha plane of a picture without alpha", channels.count() as u64));
@@ -135,7 +137,7 @@ pub(crate) fn check_alpha(head: &DetailHead, channels: Channels) -> Result<(), B
     Ok(())
 }
 
-/// The contents of the section, as short as they can be.
+/// Returns the contents of the section in their shortest form.
 pub(crate) fn contents(head: &DetailHead, spans: Spans) -> Vec<u8> {
     [(DetailHead::PLAIN, 0), (DetailHead::SEEN, PRESET)]
         .map(|(preset, flag)| beside(head, spans, &preset, flag))
@@ -196,7 +198,7 @@ mod tests {
             assert!(read(&bytes[..bytes.len() - 1], 0).is_err() && read(&[&bytes[..], &[0]].concat(), 0).is_err());
         }
         assert_eq!(contents(&DetailHead::SEEN, spans).len(), 9);
-        // A value that the preset has already, and a preset that needs more bytes than another.
+        // A value that repeats the preset, and a preset that needs more bytes than the other.
         let mut said_twice = contents(&DetailHead::PLAIN, spans);
         said_twice[8] |= CLASS_COUNT;
         said_twice.push(1);

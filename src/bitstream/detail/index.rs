@@ -1,4 +1,4 @@
-//! The layer's bytes: an index of its tiles, then their streams (spec §11.2).
+//! Bytes of the layer: an index of its tiles, then their streams (spec §11.2).
 
 use super::decisions::Counted;
 use super::head::DetailHead;
@@ -20,32 +20,32 @@ use crate::parallel;
 /// The detail layer of a picture: the levels of its tiles.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DetailLayer {
-    /// Numbers that turn levels into values.
+    /// Parameters from which the values of levels follow.
     pub head: DetailHead,
-    /// The tiles, row by row; nothing where a tile has no levels, or was not read.
+    /// The tiles, row by row; `None` if a tile has no levels or was not read.
     pub(crate) tiles: Vec<Option<TileLevels>>,
 }
 
 impl DetailLayer {
-    /// Levels other than 0.
+    /// Returns the number of nonzero levels.
     #[must_use]
     pub fn levels(&self) -> usize {
         self.tiles.iter().flatten().map(|tile| tile.levels.len()).sum()
     }
 
-    /// Tiles that the picture has.
+    /// Returns the number of tiles of the picture.
     #[must_use]
     pub fn of_tiles(&self) -> usize {
         self.tiles.len()
     }
 
-    /// Bytes that the levels take.
+    /// Returns the bytes of memory that the levels take.
     pub(crate) fn memory(&self) -> u64 {
         let lists: u64 = self.tiles.iter().flatten().map(TileLevels::memory).sum();
         lists + (self.tiles.len() * size_of::<Option<TileLevels>>()) as u64
     }
 
-    /// Whether the layer belongs to a picture of such size and channels.
+    /// Tells whether the layer belongs to a picture of this size with these channels.
     pub(crate) fn fits(&self, size: [u32; 2], channels: Channels) -> bool {
         let [across, down] = tile_counts(size);
         let mut cells = [0; KINDS];
@@ -58,14 +58,14 @@ impl DetailLayer {
         self.tiles.len() == across * down && self.tiles.iter().flatten().all(is_whole)
     }
 
-    /// Tiles that have levels.
+    /// Returns the number of tiles that have levels.
     #[must_use]
     pub fn tiles(&self) -> usize {
         self.tiles.iter().flatten().count()
     }
 }
 
-/// A tile in the index.
+/// Entry of a tile in the index.
 #[derive(Debug, Clone, Copy, Default)]
 struct Entry {
     length: u64,
@@ -73,13 +73,13 @@ struct Entry {
     check: u16,
 }
 
-/// Streams that are read side by side before what they cost is counted.
+/// Number of streams that are read in parallel before their cost is counted.
 const BATCH: usize = 64;
-/// Bytes that these may take while they are read, if one does not take more.
+/// Maximum number of bytes that these streams take while they are read, unless a single one takes more.
 const BATCH_MEMORY: u64 = 32 << 20;
-/// Work that a pixel of a tile's plane counts as, whatever it holds: its place in a tree, and its share of the transform.
+/// Work of a pixel of a tile's plane, whatever it contains: its part of the tree and of the transform.
 const PIXEL_WORK: u64 = 16;
-/// Work that reading a level counts as, and its share of the transform.
+/// Work of reading a level, including its part of the transform.
 const LEVEL_WORK: u64 = 600;
 
 /// Part of a detail layer to read, and limits on reading it.
@@ -87,10 +87,10 @@ const LEVEL_WORK: u64 = 600;
 pub(crate) struct Wanted<'a> {
     pub size: [u32; 2],
     pub channels: Channels,
-    /// `None`: everything.
+    /// The area to read; `None` is the whole picture.
     pub area: Option<Area>,
     pub limits: &'a Limits,
-    /// Whether damaged tiles are passed over.
+    /// Whether damaged tiles are skipped.
     pub passes_over: bool,
     /// Whether bits are counted.
     pub counts: bool,
@@ -107,7 +107,7 @@ pub(crate) struct Found {
     pub of: u32,
     /// Bytes of the index.
     pub index: usize,
-    /// Bits of the levels, where they were asked for.
+    /// Bits of the levels, if they are counted.
     pub bits: f64,
 }
 
@@ -122,7 +122,7 @@ pub(crate) fn put(layer: &DetailLayer, size: [u32; 2], channels: Channels, out: 
     put_streams(&streams, out);
 }
 
-/// The streams of the tiles that have levels, and the tiles' sizes, pixels.
+/// Returns the streams of the tiles that have levels, and the tiles' sizes in pixels.
 #[cfg(test)]
 pub(crate) fn streams(layer: &DetailLayer, size: [u32; 2], channels: Channels) -> Vec<(Vec<u8>, [usize; 2])> {
     let tiles = layer.tiles.iter().enumerate();
@@ -134,7 +134,7 @@ pub(crate) fn streams(layer: &DetailLayer, size: [u32; 2], channels: Channels) -
     tiles.filter_map(write).collect()
 }
 
-/// Appends index and streams; a tile without levels has an empty stream.
+/// Appends index and streams; the stream of a tile without levels is empty.
 pub(crate) fn put_streams(streams: &[Vec<u8>], out: &mut Vec<u8>) {
     for stream in streams {
         put_varint(stream.len() as u64, out);
@@ -145,7 +145,7 @@ pub(crate) fn put_streams(streams: &[Vec<u8>], out: &mut Vec<u8>) {
     streams.iter().for_each(|stream| out.extend(stream));
 }
 
-/// Reads the layer, or the tiles of it that reach into an area, and grows `held` by what they take.
+/// Reads the layer, or those of its tiles that reach into an area, and grows `held` by the memory that they take.
 pub(crate) fn read(
     bytes: &mut Bytes<'_>,
     head: DetailHead,
@@ -225,7 +225,7 @@ struct Tile {
     bits: f64,
 }
 
-/// The tiles of a layer as the index lists them.
+/// The tiles of a layer as listed in the index.
 struct Listed<'a> {
     entries: &'a [Entry],
     /// The streams that follow the index, and whatever follows these.
@@ -343,17 +343,18 @@ impl<'a> Listed<'a> {
     }
 }
 
-/// More levels than a stream of so many bytes has but for a few: two bits for each. There is no bound by the bytes, since zeros
-/// at the end of a stream are not written.
+/// Returns a number of levels that few streams of this length exceed: one for every two bits. The bytes are no strict
+/// bound, because zeros at the end of a stream are not written.
 fn likely_levels(length: u64, samples: u64) -> u64 {
     length.saturating_add(4).saturating_mul(4).min(samples)
 }
 
-/// Bytes that a tile of so many samples takes at most while it is read, if it has no more than so many levels.
+/// Returns the maximum memory that a tile of this many samples takes while it is read, if it has at most `levels`
+/// levels.
 fn memory_of(levels: u64, samples: u64) -> u64 {
     let blocks = levels.min(samples / (CELL * CELL) as u64);
     let lists = levels * size_of::<Level>() as u64 + blocks * size_of::<CodedBlock>() as u64;
-    // A list grows to twice of what is in it, and while it moves the old one is there as well.
+    // A list grows to twice its contents, and the old one exists until the contents are moved.
     3 * lists + (KINDS * CELLS * CELLS + SUPERS * SUPERS) as u64
 }
 
@@ -376,7 +377,7 @@ mod tests {
     fn streams_of_more_levels_than_there_is_memory_for_are_left() {
         let head = DetailHead::PLAIN;
         let shape = (&head, Channels::Rgb, [TILE, TILE]);
-        // Whatever bytes mean.
+        // The levels are random.
         let (mut state, mut whole, mut dense) = (1u64, 0, 0);
         for _ in 0..2000 {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

@@ -1,7 +1,7 @@
-//! Finds where the models of a tile begin: from what they have learnt at the end of the tiles of many files.
+//! Learns the initial states of a tile's models from their final states in the tiles of many files.
 //!
-//! `SSPLAT_LEARN="a.ssplat b.ssplat …" cargo test --release --lib learn_where_models_begin -- --ignored` writes the table of this
-//! folder and that of the specification anew. `examples/python/learn_detail.py` makes such files and runs it.
+//! `SSPLAT_LEARN="a.ssplat b.ssplat …" cargo test --release --lib learn_where_models_begin -- --ignored` writes the
+//! table in this folder and that of the specification. `examples/python/learn_detail.py` makes such files and runs it.
 
 use super::model::Models;
 use super::tile::{Count, read_with};
@@ -10,14 +10,14 @@ use crate::bitstream::detail::index::streams;
 use crate::bitstream::read;
 use crate::limits::Limits;
 
-/// Decisions that a beginning counts as, by how many were seen of its model.
-const TRUST: [(f64, u8); 4] = [(2.0, 0), (30.0, 2), (150.0, 5), (f64::INFINITY, 8)];
+/// Confidence of an initial state, in decisions, by the number of decisions seen of its model.
+const CONFIDENCE: [(f64, u8); 4] = [(2.0, 0), (30.0, 2), (150.0, 5), (f64::INFINITY, 8)];
 
 #[test]
 #[ignore = "writes the tables"]
 fn learn_where_models_begin() {
     let files = std::env::var("SSPLAT_LEARN").expect("SSPLAT_LEARN names files");
-    // For each model, the weights of zeros and of ones.
+    // The weights of zeros and of ones for each model.
     let mut seen: Vec<[f64; 2]> = Vec::new();
     for file in files.split_whitespace() {
         let bytes = std::fs::read(file).unwrap();
@@ -50,7 +50,7 @@ fn learn_where_models_begin() {
         }
     }
     let one = |s: &[f64; 2]| ((s[1] + 0.4) / (s[0] + s[1] + 0.8) * 256.0) as u8;
-    let trust = |s: &[f64; 2]| TRUST.iter().find(|t| s[0] + s[1] < t.0).expect("the last is infinite").1;
+    let trust = |s: &[f64; 2]| CONFIDENCE.iter().find(|t| s[0] + s[1] < t.0).expect("the last is infinite").1;
     let tables = [
         ("ONE", "Probabilities of a 1, in 1/256.", seen.iter().map(one).collect::<Vec<u8>>()),
         ("SEEN", "Decisions that each of them counts as.", seen.iter().map(trust).collect()),

@@ -1,19 +1,19 @@
-//! The levels of a tile in integers, as they are kept between reading and drawing (spec §11.2).
+//! The levels of a tile as integers, as stored between reading and rendering (spec §11.2).
 
 use super::model::KINDS;
 
 /// Side of a tile, pixels.
 pub(crate) const TILE: usize = 256;
-/// Side of a superblock, pixels: trees begin there, and so do step classes.
+/// Side of a superblock, pixels. Each has its own trees and step class.
 pub(crate) const SUPER: usize = 32;
-/// Side of a cell, pixels: the smallest block.
+/// Side of a cell, the smallest block, pixels.
 pub(crate) const CELL: usize = 4;
 /// Cells in a row of a tile, whatever its width.
 pub(crate) const CELLS: usize = TILE / CELL;
 /// Superblocks in a row of a tile, whatever its width.
 pub(crate) const SUPERS: usize = TILE / SUPER;
 
-/// A level other than 0.
+/// A nonzero level.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Level {
     /// Horizontal and vertical frequency in the block.
@@ -28,25 +28,26 @@ pub(crate) struct CodedBlock {
     /// Column and row of its first cell.
     pub cell: [u8; 2],
     pub plane: u8,
-    /// Its side is `4 << size`.
+    /// Size of the block, whose side is `4 << size` pixels.
     pub size: u8,
-    /// The end of its levels in the list.
+    /// End of its levels in the list.
     pub end: u32,
 }
 
 /// The levels of a tile.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(crate) struct TileLevels {
-    /// Sizes of the blocks that each cell lies in, [`CELLS`] to a row, by kind of planes; nothing for kinds that are not there.
+    /// Sizes of the blocks that contain each cell, [`CELLS`] per row, by kind of planes; empty for kinds that are not
+    /// coded.
     pub sizes: [Vec<u8>; KINDS],
-    /// Step classes of the superblocks, [`SUPERS`] to a row.
+    /// Step classes of the superblocks, [`SUPERS`] per row.
     pub classes: Vec<u8>,
     pub blocks: Vec<CodedBlock>,
     pub levels: Vec<Level>,
 }
 
 impl TileLevels {
-    /// Bytes that it takes.
+    /// Returns the bytes of memory that the levels take.
     pub fn memory(&self) -> u64 {
         let sizes: usize = self.sizes.iter().map(Vec::capacity).sum();
         let lists = self.blocks.capacity() * size_of::<CodedBlock>() + self.levels.capacity() * size_of::<Level>();
@@ -54,7 +55,7 @@ impl TileLevels {
     }
 }
 
-/// Where tile `index` lies: left, top, width and height, pixels.
+/// Returns left, top, width and height of tile `index`, pixels.
 pub(crate) fn tile_area(size: [u32; 2], index: usize) -> [usize; 4] {
     let [width, height] = size.map(|side| side as usize);
     let across = width.div_ceil(TILE);
@@ -62,7 +63,7 @@ pub(crate) fn tile_area(size: [u32; 2], index: usize) -> [usize; 4] {
     [x, y, TILE.min(width - x), TILE.min(height - y)]
 }
 
-/// Number of tiles along x and y.
+/// Returns the number of tiles along x and y.
 pub(crate) fn tile_counts(size: [u32; 2]) -> [usize; 2] {
     size.map(|side| (side as usize).div_ceil(TILE))
 }

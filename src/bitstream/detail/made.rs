@@ -1,4 +1,4 @@
-//! Layers of levels that somebody makes up: for vectors and tests, which must not change with the encoder.
+//! Synthetic detail layers for vectors and tests, which must not change with the encoder.
 
 use super::head::{self, DetailHead};
 use super::index::DetailLayer;
@@ -8,27 +8,27 @@ use super::tile::{ROOT, kinds};
 use crate::error::Result;
 use crate::gaussian::Channels;
 
-/// Whoever makes levels up. Tiles, superblocks, blocks and planes come in the order of the file.
+/// Source of synthetic levels. Tiles, superblocks, blocks and planes are visited in the order of the file.
 #[doc(hidden)]
 pub trait Maker {
-    /// The step class of a superblock, below the number of classes; not asked if there is one class.
+    /// Returns the step class of a superblock, below the number of classes; not called if there is one class.
     fn class(&mut self, tile: usize, superblock: [usize; 2]) -> u8;
 
-    /// Whether a square of side `4 << size` at a cell is divided, where that is free.
+    /// Returns whether a square of side `4 << size` at a cell is divided, if the format leaves the choice.
     fn is_divided(&mut self, tile: usize, kind: usize, cell: [usize; 2], size: usize) -> bool;
 
-    /// The levels of a block: horizontal and vertical frequency, and the level; levels of 0 are left out.
+    /// Returns the levels of a block: horizontal and vertical frequency, and the level; levels of 0 are ignored.
     fn levels(&mut self, tile: usize, plane: usize, cell: [usize; 2], size: usize) -> Vec<(u8, u8, i16)>;
 }
 
 impl DetailLayer {
-    /// A layer for a picture of such channels and size, pixels.
+    /// Returns a layer for a picture with these channels and this size in pixels.
     ///
     /// # Errors
     /// [`Error::Format`](crate::Error::Format) if `head` breaks the format.
     ///
     /// # Panics
-    /// If a level lies outside of its block.
+    /// If a level lies outside its block.
     #[doc(hidden)]
     pub fn made(head: DetailHead, channels: Channels, size: [u32; 2], maker: &mut impl Maker) -> Result<Self> {
         head::check(&head)?;

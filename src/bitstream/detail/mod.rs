@@ -1,7 +1,7 @@
-//! The detail layer: levels of a lapped transform of what the Gaussians leave, tile by tile (spec §11).
+//! The detail layer: levels of a lapped transform of the Gaussians' residual, tile by tile (spec §11).
 //!
-//! `head` says how the levels are meant, `index` where each tile's stream lies, `tile` codes one tile, `block` one block of it by
-//! the models of `model`.
+//! `head` has the parameters of the levels, `index` the position of each tile's stream, `tile` codes one tile, and
+//! `block` one of its blocks with the models of `model`.
 
 pub(crate) mod block;
 pub(crate) mod decisions;

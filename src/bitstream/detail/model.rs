@@ -1,4 +1,4 @@
-//! The models of a tile, and how they begin (spec §11.3).
+//! The models of a tile and their initial states (spec §11.3).
 
 use std::sync::OnceLock;
 
@@ -10,17 +10,17 @@ use super::start;
 pub(crate) const PLANES: usize = 4;
 /// Kinds of planes that share a tree and most models: luma or grey, chroma, alpha.
 pub(crate) const KINDS: usize = 3;
-/// Buckets of how many levels a block is expected to have.
+/// Classes of the predicted number of levels of a block.
 pub(crate) const BUCKETS: usize = 8;
-/// Classes of how many levels are still to come.
+/// Classes of the number of levels that remain in a block.
 pub(super) const LEFT: usize = 6;
-/// Classes of how large the levels nearby are.
+/// Classes of the magnitude of neighbouring levels.
 pub(super) const NEAR: usize = 4;
-/// Decisions in unary about a level's size.
+/// Number of unary decisions about a level's magnitude.
 pub(super) const UNARY: usize = 16;
-/// Decisions in unary about the exponent of a count.
+/// Number of unary decisions about the exponent of a count.
 pub(super) const EXPONENTS: usize = 12;
-/// Most step classes.
+/// Maximum number of step classes.
 pub(crate) const CLASSES: usize = 8;
 
 /// The models of one kind of planes.
@@ -30,47 +30,47 @@ pub(crate) struct KindModels {
     pub exponent: [[Adaptive; EXPONENTS]; BUCKETS],
     /// The two bits below the highest of a count, by exponent.
     pub mantissa: [[Adaptive; 3]; EXPONENTS],
-    /// Whether a place has a level, by size, zone, what is left and what is near.
+    /// Whether a position has a level, by size, zone, levels left and neighbouring levels.
     pub place: [[[[Adaptive; NEAR]; LEFT]; ZONES]; SIZES],
-    /// Whether a level is above 1, by zone, what is near, and whether there are many.
+    /// Whether a magnitude is above 1, by zone, neighbouring levels, and whether there are many levels.
     pub more: [[[Adaptive; 2]; NEAR]; 5],
-    /// Whether it is still larger.
+    /// Whether a magnitude is larger still.
     pub larger: [Adaptive; UNARY],
-    /// Whether a block is divided, by size and smaller neighbours.
+    /// Whether a block is divided, by size and number of smaller neighbours.
     pub divide: [[Adaptive; 3]; SIZES],
 }
 
 /// All models of a tile.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Models {
-    /// Whether a block has levels, by plane, size, bucket and what other planes have there.
+    /// Whether a block has levels, by plane, size, bucket, and the levels of other planes at the same place.
     pub filled: [[[[Adaptive; 4]; BUCKETS]; SIZES]; PLANES],
     pub kinds: [KindModels; KINDS],
-    /// Whether a step class is higher, by its neighbours.
+    /// Whether the step class is higher, by the neighbouring classes.
     pub class: [[Adaptive; CLASSES]; 2 * CLASSES],
 }
 
 impl Models {
-    /// The models as a tile begins with them.
+    /// Returns the models in their initial state.
     pub fn start() -> Self {
         static START: OnceLock<Models> = OnceLock::new();
         *START.get_or_init(Models::of_the_table)
     }
 
-    /// A loop at the first use, not what the compiler makes of the table: that is four times as large.
+    /// A loop at first use is a quarter of the size of a table that the compiler computes.
     fn of_the_table() -> Self {
         let mut models = Models::BLANK;
         let mut starts = start::ONE.iter().zip(&start::SEEN).map(|(&one, &seen)| Adaptive::new(one, seen));
         models.each(&mut |models| models.iter_mut().zip(&mut starts).for_each(|(model, start)| *model = start));
         debug_assert!(starts.next().is_none(), "the table has as many starts");
-        // Alpha is rare, and begins as luma does.
+        // Alpha is rare and has the initial states of luma.
         models.filled[3] = models.filled[0];
         models.kinds[2] = models.kinds[0];
         models
     }
 
     const BLANK: Models = {
-        // All zeros: no bytes of the program.
+        // All zeros, so that the constant takes no space in the program.
         let m = Adaptive::NONE;
         let kind = KindModels {
             exponent: [[m; EXPONENTS]; BUCKETS],
@@ -87,7 +87,7 @@ impl Models {
         }
     };
 
-    /// Visits the models whose starts are in the table, some at a time, in its order.
+    /// Visits the models whose initial states are in the table, in groups, in the order of the table.
     pub fn each(&mut self, visit: &mut dyn FnMut(&mut [Adaptive])) {
         visit(self.filled[..3].as_flattened_mut().as_flattened_mut().as_flattened_mut());
         for kind in &mut self.kinds[..2] {

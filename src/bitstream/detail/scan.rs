@@ -1,4 +1,4 @@
-//! The order in which the places of a block are visited, from low frequencies to high ones (spec §11.4).
+//! The order in which the positions of a block are coded, from low frequencies to high ones (spec §11.4).
 
 use std::sync::OnceLock;
 
@@ -6,29 +6,29 @@ use std::sync::OnceLock;
 pub(crate) const LARGEST: usize = 32;
 /// Sizes of blocks: 4, 8, 16 and 32 a side.
 pub(crate) const SIZES: usize = 4;
-/// Zones that frequencies are told apart by.
+/// Number of zones into which frequencies are divided.
 pub(crate) const ZONES: usize = 15;
 
-/// A row of a block in memory: what a level says of its neighbours may reach two places beyond.
+/// Length of a block's row in memory: contexts extend two positions beyond a level.
 pub(crate) const STRIDE: usize = LARGEST + 2;
-/// Levels of a block in memory: a power of two, so that places need no check but a mask.
+/// Length of a block in memory: a power of two, so that indices need a mask instead of a check.
 pub(crate) const ROOM: usize = (STRIDE * STRIDE).next_power_of_two();
 
-/// Where the level of column `u` and row `v` is in such memory.
+/// Returns the position in memory of the level at column `u` and row `v`.
 #[inline(always)]
 pub(crate) fn at(u: usize, v: usize) -> usize {
     v * STRIDE + u
 }
 
-/// A place in the order.
+/// A position in coding order.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Place {
-    /// As [`at`] says.
+    /// Position in memory as returned by [`at`].
     pub at: u16,
     pub zone: u8,
 }
 
-/// The places of blocks of side `4 << size`, in order.
+/// Returns the positions of blocks of side `4 << size` in coding order.
 pub(crate) fn scan(size: usize) -> &'static [Place] {
     static SCANS: OnceLock<[Vec<Place>; SIZES]> = OnceLock::new();
     &SCANS.get_or_init(|| std::array::from_fn(places))[size]
@@ -37,7 +37,7 @@ pub(crate) fn scan(size: usize) -> &'static [Place] {
 fn places(size: usize) -> Vec<Place> {
     let side = 4usize << size;
     let mut places = Vec::with_capacity(side * side);
-    // Diagonals, every other one the other way round.
+    // Diagonals in alternating directions.
     for sum in 0..2 * side - 1 {
         for i in (sum + 1).saturating_sub(side)..=sum.min(side - 1) {
             let [u, v] = if sum % 2 == 1 { [i, sum - i] } else { [sum - i, i] };

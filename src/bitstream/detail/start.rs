@@ -1,4 +1,4 @@
-//! Where the models of a tile begin: `learn.rs` finds them anew (spec §11.3).
+//! Initial states of a tile's models, written by `learn.rs` (spec §11.3).
 
 #[rustfmt::skip]
 /// Probabilities of a 1, in 1/256.

@@ -1,4 +1,4 @@
-//! One tile: step classes, trees of blocks, and the blocks, in superblocks row by row (spec §11.4).
+//! Codes one tile: step classes, trees of blocks, and the blocks, row by row of superblocks (spec §11.4).
 
 use super::block::{self, Block, Context};
 use super::decisions::{Adaptive, Decisions};
@@ -10,12 +10,12 @@ use crate::bitstream::broken::Broken;
 use crate::bitstream::coder::range::{Decoder, Encoder};
 use crate::gaussian::Channels;
 
-/// Levels of a block count as 1024 where all of its places have one.
-const FULL: u32 = 1024;
-/// Size of a superblock as a block.
+/// Density of a block in which every position has a level.
+const FULL_DENSITY: u32 = 1024;
+/// Size index of a superblock as a block.
 pub(crate) const ROOT: usize = SIZES - 1;
 
-/// The kinds of planes that a layer codes, and the planes of each.
+/// Returns the kinds of planes that a layer codes, with the planes of each.
 pub(crate) fn kinds(
     channels: Channels,
     has_alpha_plane: bool,
@@ -30,17 +30,17 @@ pub(crate) fn kinds(
 /// State of a tile while it is coded: the contexts of the blocks that follow.
 #[derive(Debug)]
 pub(crate) struct TileState {
-    /// Width and height in cells, whole superblocks.
+    /// Width and height in cells, rounded up to whole superblocks.
     pub cells: [usize; 2],
     /// The size of the block that each cell lies in, by kind.
     pub sizes: [Vec<u8>; KINDS],
-    /// How densely the block that each cell lies in is filled, by plane: levels · 1024 / places.
+    /// Density of the block that contains each cell, by plane: levels · 1024 / positions.
     density: [Vec<u16>; PLANES],
     pub classes: Vec<u8>,
 }
 
 impl TileState {
-    /// A tile of `width × height` pixels.
+    /// State of a tile of `width × height` pixels.
     pub fn new([width, height]: [usize; 2]) -> Self {
         let cells = [width, height].map(|side| side.div_ceil(SUPER) * (SUPER / CELL));
         TileState {
@@ -51,7 +51,8 @@ impl TileState {
         }
     }
 
-    /// How many levels a block is expected to have, by those above and to the left: the bits of four times that number.
+    /// Returns the class of the predicted number of levels of a block, from the blocks above and to the left: the
+    /// number of bits of four times that number.
     pub fn bucket(&self, plane: usize, [x, y]: [usize; 2], size: usize) -> usize {
         let (density, n) = (&self.density[plane], 1usize << size);
         let (mut sum, mut count) = (0u32, 0u32);
@@ -66,34 +67,34 @@ impl TileState {
         if count == 0 {
             return 2;
         }
-        let quarters = (u64::from(sum) * (64 << (2 * size))).div_ceil(u64::from(FULL * count)) as u32;
+        let quarters = (u64::from(sum) * (64 << (2 * size))).div_ceil(u64::from(FULL_DENSITY * count)) as u32;
         ((32 - quarters.leading_zeros()) as usize).min(BUCKETS - 1)
     }
 
-    /// Returns a class of how densely the planes coded before are filled at a block. It is the context of whether the
-    /// block has levels.
+    /// Returns a class of the density of the planes already coded at the position of a block. It is the context of
+    /// whether the block has levels.
     pub fn others(&self, plane: usize, [x, y]: [usize; 2], size: usize) -> usize {
         if plane == 0 || plane == 3 {
             return 0;
         }
         let n = 1usize << size;
         let sum: u32 = (0..n).flat_map(|j| &self.density[0][(y + j) * CELLS + x..][..n]).map(|&d| u32::from(d)).sum();
-        let luma = sum * 16 / FULL;
+        let luma = sum * 16 / FULL_DENSITY;
         match plane {
             1 => ((32 - luma.leading_zeros()) as usize).min(3),
             _ => usize::from(luma > 1) + 2 * usize::from(self.density[1][y * CELLS + x] > 0),
         }
     }
 
-    /// Notes that a block of a plane has `count` levels.
+    /// Records that a block of a plane has `count` levels.
     pub fn fill(&mut self, plane: usize, [x, y]: [usize; 2], size: usize, count: u32) {
-        let (n, density) = (1usize << size, (count * FULL / (16 << (2 * size))) as u16);
+        let (n, density) = (1usize << size, (count * FULL_DENSITY / (16 << (2 * size))) as u16);
         for j in 0..n {
             self.density[plane][(y + j) * CELLS + x..][..n].fill(density);
         }
     }
 
-    /// Notes the size of a block.
+    /// Records the size of a block.
     pub fn set_size(&mut self, kind: usize, [x, y]: [usize; 2], size: usize) {
         let n = 1usize << size;
         for j in 0..n {
@@ -101,7 +102,7 @@ impl TileState {
         }
     }
 
-    /// Smaller blocks next to the place of one: what dividing it depends on.
+    /// Returns the number of smaller blocks next to a block: the context of whether it is divided.
     pub fn smaller(&self, kind: usize, [x, y]: [usize; 2], size: usize) -> usize {
         let sizes = &self.sizes[kind];
         let is_smaller = |at: usize| usize::from(usize::from(sizes[at]) < size);
@@ -109,7 +110,7 @@ impl TileState {
         above + if x > 0 { is_smaller(y * CELLS + x - 1) } else { 0 }
     }
 
-    /// The classes next to that of a superblock, added up.
+    /// Returns the sum of the classes next to a superblock.
     fn classes_near(&self, [x, y]: [usize; 2]) -> usize {
         let left = (x > 0).then(|| self.classes[y * SUPERS + x - 1]);
         let above = (y > 0).then(|| self.classes[(y - 1) * SUPERS + x]);
@@ -117,7 +118,7 @@ impl TileState {
         usize::from(a) + usize::from(b)
     }
 
-    /// The superblocks of the tile, in the order of coding, in cells.
+    /// Returns the superblocks of the tile in coding order, in cells.
     pub fn superblocks(&self) -> impl Iterator<Item = [usize; 2]> + use<> {
         let step = SUPER / CELL;
         let [width, height] = self.cells;
@@ -125,19 +126,19 @@ impl TileState {
     }
 }
 
-/// The reading or writing side of a tile's coder: it supplies the levels, or receives them.
+/// The levels of a tile on one side of the coder: a writer's content supplies them, and a reader's receives them.
 pub(crate) trait Content {
-    /// Whether the block is divided; readers are not asked.
+    /// Returns whether the block is divided; not called when reading.
     fn is_divided(&self, kind: usize, cell: [usize; 2], size: usize) -> bool;
-    /// Brings the levels of a block, and says how many there are.
+    /// Supplies the levels of a block and returns their number.
     fn bring(&self, plane: usize, cell: [usize; 2], size: usize, block: &mut Block) -> u32;
-    /// Takes the levels of a block that has some.
+    /// Receives the levels of a block that has any.
     fn take(&mut self, plane: usize, cell: [usize; 2], size: usize, block: &Block);
-    /// The step class of a superblock.
+    /// Returns the step class of a superblock.
     fn class(&self, superblock: [usize; 2]) -> u8;
 }
 
-/// A tile on its way through a coder.
+/// Coder of one tile.
 pub(crate) struct TileCoder<'a, D> {
     pub decisions: &'a mut D,
     pub models: &'a mut Models,
@@ -219,7 +220,7 @@ impl<D: Decisions> TileCoder<'_, D> {
     }
 }
 
-/// A step class in unary.
+/// Codes a step class in unary.
 pub(crate) fn code_class<D: Decisions>(d: &mut D, models: &mut [Adaptive; CLASSES], classes: u8, given: u8) -> u8 {
     let mut class = 0;
     while class + 1 < classes && d.bit(&mut models[usize::from(class)], given > class) {
@@ -240,7 +241,7 @@ pub(crate) fn push(tile: &mut TileLevels, plane: usize, cell: [usize; 2], size: 
     tile.blocks.push(CodedBlock { cell, plane: plane as u8, size: size as u8, end });
 }
 
-/// Takes what a reader finds.
+/// Receives the levels of a tile that is read.
 struct Reading {
     tile: TileLevels,
     /// Levels found, whether they are kept or not.
@@ -276,7 +277,7 @@ impl Content for Reading {
     }
 }
 
-/// A tile that is read: what its levels mean, its channels, and its size in pixels.
+/// Parameters of a tile that is read: the layer's head, its channels, and its size in pixels.
 pub(crate) type Shape<'a> = (&'a DetailHead, Channels, [usize; 2]);
 
 /// Bounds on reading a tile, and a count of what was read.
@@ -315,7 +316,7 @@ pub(crate) fn read_with<D: Decisions>(
         return Ok(None);
     }
     if tile.levels.is_empty() {
-        // Such a tile has no stream.
+        // A tile without levels has no stream.
         return Err(Broken { field: "levels of a tile", value: 0 });
     }
     for (kind, _) in kinds(channels, head.alpha) {
@@ -337,7 +338,7 @@ pub(crate) fn read(stream: &[u8], shape: Shape<'_>, count: &mut Count) -> Result
     Ok(tile)
 }
 
-/// Writes the stream of a tile of so many pixels, and says what its models have learnt.
+/// Writes the stream of a tile of this size in pixels, and returns the final state of its models.
 pub(crate) fn write(
     content: &mut impl Content,
     head: &DetailHead,

@@ -1,6 +1,6 @@
-//! Bit fields in whole bytes, least significant bit first (spec §6.2).
+//! Bit fields packed into bytes, least significant bit first (spec §6.2).
 
-/// Collects fields into bytes.
+/// Packs fields into bytes.
 #[derive(Debug, Default)]
 pub(crate) struct BitWriter {
     pending: u64,
@@ -29,7 +29,7 @@ impl BitWriter {
     }
 }
 
-/// Takes fields from bytes.
+/// Unpacks fields from bytes.
 #[derive(Debug)]
 pub(crate) struct BitReader<'a> {
     bytes: &'a [u8],
@@ -41,7 +41,7 @@ impl<'a> BitReader<'a> {
         BitReader { bytes, at: 0 }
     }
 
-    /// The next `width ≤ 32` bits; bits past the end are 0, so callers check the length first.
+    /// Returns the next `width ≤ 32` bits. Bits past the end are 0, so callers check the length first.
     pub fn get(&mut self, width: u32) -> u32 {
         let (byte, shift) = (self.at / 8, self.at % 8);
         let window = (0..5).fold(0u64, |w, i| w | u64::from(self.bytes.get(byte + i).copied().unwrap_or(0)) << (8 * i));
@@ -50,7 +50,7 @@ impl<'a> BitReader<'a> {
     }
 }
 
-/// Bits that a field needs for values `0..=max`.
+/// Returns the number of bits of a field with values `0..=max`.
 pub(crate) fn width_of(max: u32) -> u32 {
     32 - max.leading_zeros()
 }

@@ -1,6 +1,6 @@
-//! The Hilbert curve: an order of grid points in which neighbours stay close (spec §6.3).
+//! The Hilbert curve: an order of grid points that keeps neighbours close (spec §6.3).
 
-/// Distance along the curve that fills a square of `2^order` points a side, at `(x, y)`.
+/// Returns the distance of `(x, y)` along the curve that fills a square of `2^order` points a side.
 pub(crate) fn hilbert(order: u32, mut x: u32, mut y: u32) -> u64 {
     let mut distance = 0u64;
     for bit in (0..order).rev() {
@@ -16,7 +16,7 @@ pub(crate) fn hilbert(order: u32, mut x: u32, mut y: u32) -> u64 {
     distance
 }
 
-/// The point at a distance along the curve: inverse of [`hilbert`].
+/// Returns the point at a distance along the curve; the inverse of [`hilbert`].
 pub(crate) fn hilbert_point(order: u32, distance: u64) -> (u32, u32) {
     let (mut x, mut y) = (0u32, 0u32);
     for bit in 0..order {

@@ -1,4 +1,4 @@
-//! The layouts without an entropy coder of our own: fields of bits, and planes in zstd frames (spec §6, §7).
+//! The layouts that do not use the range coder: bit fields, and planes in zstd frames (spec §6, §7).
 
 pub(super) mod bits;
 pub(super) mod frame;

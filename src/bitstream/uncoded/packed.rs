@@ -1,4 +1,4 @@
-//! The packed layout: records of one size, tile by tile, for readers that want primitives in place (spec §6).
+//! The packed layout: fixed-size records, tile by tile, which can be read in place (spec §6).
 
 use super::bits::{BitReader, BitWriter, width_of};
 use super::hilbert::hilbert;
@@ -13,20 +13,20 @@ use crate::bitstream::rules::Rules;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::error::Result;
 
-/// Most bits of a tile-relative position.
+/// Maximum number of bits of a position within a tile.
 const MAX_TILE_BITS: u32 = 15;
 
 /// Names of a record's fields.
 const FIELDS: [&str; 9] = ["x", "y", "major scale", "aspect", "angle", "colour 0", "colour 1", "colour 2", "colour 3"];
 
-/// How a record divides into fields.
+/// Division of a record into fields.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Format {
     /// Bits of x, y, major, aspect, angle and of each colour field.
     widths: [u32; 9],
     /// Offset to add to each field when it is read.
     offsets: [i32; 9],
-    /// How many of the fields there are.
+    /// Number of fields.
     fields: usize,
 }
 
@@ -35,12 +35,12 @@ impl Format {
         self.widths[..self.fields].iter().sum::<u32>().div_ceil(8) as usize
     }
 
-    /// Number of tiles along each side.
+    /// Returns the number of tiles along each side.
     fn tiles(&self, grid: [u32; 2]) -> [u64; 2] {
         [0, 1].map(|k| u64::from(grid[k]).div_ceil(1 << self.widths[k]))
     }
 
-    /// Order of the records: by tile, then along the curve, then by the other fields.
+    /// Returns the sort key of the records: by tile, then along the curve, then by the other fields.
     fn key(&self, p: &PackedGaussian, grid: [u32; 2]) -> Key {
         let [wx, wy] = [self.widths[0], self.widths[1]];
         let tile = u64::from(p.y >> wy) * self.tiles(grid)[0] + u64::from(p.x >> wx);
@@ -51,7 +51,7 @@ impl Format {
 
 type Key = (u64, u64, u8, u8, u16, [i16; 4]);
 
-/// The non-position fields of a primitive before offsets are taken off.
+/// Returns the non-position fields of a primitive before offsets are subtracted.
 fn values(p: &PackedGaussian, book: Option<&[[i16; 4]]>, channels: usize) -> Result<[i32; 9]> {
     let mut v = [0, 0, p.major.into(), i32::from(p.major - p.minor), p.angle.into(), 0, 0, 0, 0];
     match book {
@@ -61,7 +61,8 @@ fn values(p: &PackedGaussian, book: Option<&[[i16; 4]]>, channels: usize) -> Res
     Ok(v)
 }
 
-/// The format with the least bytes, records and tile counts together; among equals the smallest tiles, then the narrowest.
+/// Returns the format with the fewest bytes of records and tile counts; ties are resolved by the smallest, then the
+/// narrowest tiles.
 fn choose(splats: &PackedSplats, book: Option<&[[i16; 4]]>, grid: [u32; 2]) -> Result<Format> {
     let channels = splats.channels.count();
     let fields = 5 + if book.is_some() { 1 } else { channels };
@@ -73,7 +74,7 @@ fn choose(splats: &PackedSplats, book: Option<&[[i16; 4]]>, grid: [u32; 2]) -> R
     }
     let mut format = Format { widths: [0; 9], offsets: [0; 9], fields };
     for k in 2..fields {
-        // Aspect, angle and index start at 0: no offset is stored for them.
+        // Aspect, angle and index start at 0 and have no stored offset.
         format.offsets[k] = if k == 2 || k >= 5 && book.is_none() { low[k] } else { 0 };
         format.widths[k] = width_of((high[k] - format.offsets[k]) as u32);
     }
@@ -154,9 +155,10 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
     let (grid, start) = (rules.grid(), bytes.left());
     let [tx, ty] = format.tiles(grid);
     let tiles = tx.saturating_mul(ty);
-    // A tile's count takes a byte at least, a record takes all of its bytes: nothing is allocated that is not backed.
+    // A tile's count takes at least one byte and a record all of its bytes, so that no memory is allocated without
+    // bytes that back it.
     bytes.clone().take(tiles.saturating_add(count as u64 * format.bytes() as u64), "records")?;
-    // Read twice rather than kept: there can be as many as the file has bytes.
+    // The counts are read twice rather than stored, because there can be as many as the file has bytes.
     let mut counts = bytes.clone();
     let mut sum = 0u64;
     for _ in 0..tiles {

@@ -1,4 +1,4 @@
-//! The planes layout: each field of all primitives as streams of bytes, compressed by zstd (spec §7).
+//! The planes layout: each field of all primitives as byte streams, compressed with zstd (spec §7).
 
 use super::frame;
 use super::hilbert::{hilbert, hilbert_point};
@@ -14,7 +14,7 @@ use crate::bitstream::rules::Rules;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::error::{Error, FormatError, Result};
 
-/// Streams in the order of the file, and how many bytes each primitive has in them.
+/// Streams in the order of the file, with the number of bytes per primitive in each.
 const FIELDS: [(&str, usize); 10] = [
     ("position", 8),
     ("x refinement", 2),
@@ -28,7 +28,7 @@ const FIELDS: [(&str, usize); 10] = [
     ("colour 3", 3),
 ];
 
-/// Position of a primitive: its cell of the coarsest step along the curve, and what is finer.
+/// Position of a primitive: the index of its cell of the coarsest step along the curve, and the finer bits.
 struct Curve {
     order: u32,
     grid: [u32; 2],
@@ -41,12 +41,12 @@ impl Curve {
     }
 }
 
-/// Bits of x and y below the coarsest step.
+/// Returns the number of bits of x and y below the coarsest step.
 fn refinement(rules: &Rules, p: &PackedGaussian) -> [u32; 2] {
     rules.logs(p.major, p.minor, p.angle).map(|l| rules.range() - l)
 }
 
-/// The values of a primitive in the order of [`FIELDS`], the position absolute.
+/// Returns the values of a primitive in the order of [`FIELDS`], with the absolute position.
 fn values(p: &PackedGaussian, rules: &Rules, curve: &Curve, book: Option<&[[i16; 4]]>) -> Result<[u64; 10]> {
     let [fx, fy] = refinement(rules, p);
     let mut v = [0; 10];
@@ -61,7 +61,7 @@ fn values(p: &PackedGaussian, rules: &Rules, curve: &Curve, book: Option<&[[i16;
     Ok(v)
 }
 
-/// Number of colour streams.
+/// Returns the number of colour streams.
 fn colors(header_book: bool, channels: usize) -> usize {
     if header_book { 1 } else { channels }
 }
@@ -99,7 +99,7 @@ pub(crate) fn put(splats: &PackedSplats, out: &mut Vec<u8>) -> Result<()> {
     Ok(())
 }
 
-/// Appends a plane: as it is after a 0, or the length of its zstd frame and the frame where that is shorter.
+/// Appends a plane: uncompressed after a 0, or the length of its zstd frame and the frame if that is shorter.
 fn put_plane(plane: &[u8], out: &mut Vec<u8>) -> Result<()> {
     if let Some(frame) = frame::compress(plane)? {
         let mut packed = Vec::new();
@@ -115,7 +115,7 @@ fn put_plane(plane: &[u8], out: &mut Vec<u8>) -> Result<()> {
     Ok(())
 }
 
-/// Reads a plane of `count` bytes. Beside them a frame takes its window, which is at most twice as large.
+/// Reads a plane of `count` bytes. Decompression also allocates a window, which is at most twice as large.
 fn read_plane(bytes: &mut Bytes<'_>, count: usize, what: &'static str) -> Result<Vec<u8>> {
     let length = bytes.varint(what)?;
     if length == 0 {
@@ -166,7 +166,7 @@ pub(crate) fn read(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSp
         tally.part(name, start - bytes.left());
         tally.field(name, 8.0 * (start - bytes.left()) as f64);
     }
-    // Libraries may decode a broken frame differently: this checksum is of the planes that the writer meant.
+    // Libraries may decode a broken frame differently, so the checksum covers the uncompressed planes.
     let computed = checksum.finalize();
     let stored = bytes.u32("checksum of the planes")?;
     if stored != computed {

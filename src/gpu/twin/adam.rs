@@ -3,8 +3,8 @@
 use super::common::{HALF, sin_cos};
 use crate::gpu::scene::Uniforms;
 
-/// The gradient of half the squared error in the Gaussian's own frame: mean in units of its scales, log-scales,
-/// rotation, colour.
+/// Returns the gradient of half the squared error in the Gaussian's own frame: mean in units of its scales,
+/// log-scales, rotation, colour.
 pub(in crate::gpu) fn gradient(scene: &Uniforms, p: &[f32], moments: &[f32], i: usize) -> [f32; 9] {
     let n = scene.primitives as usize;
     let s1 = p[2].exp();

@@ -1,4 +1,4 @@
-//! Twin of `bin.wgsl`; threads run one after the other.
+//! Twin of `bin.wgsl`. Threads run one after the other.
 
 use super::common::{tile_columns, tile_rows};
 use crate::gpu::scene::{Splat, Uniforms};

@@ -1,4 +1,5 @@
-//! The shaders in Rust, stage by stage, with the same names and the same order of statements: what tests compare with.
+//! The shaders in Rust, stage by stage, with the same names and the same order of statements. Tests compare the device
+//! with them.
 
 pub(super) mod adam;
 pub(super) mod backward;

@@ -47,7 +47,7 @@ pub(in crate::gpu) fn render(
     }
 }
 
-/// The mean of the samples of the pixel in column `column` of row `row`, in which colours count by their alpha.
+/// Returns the mean of the samples of the pixel in column `column` of row `row`. Colours are weighted by their alpha.
 fn average(
     scene: &Uniforms,
     parts: [u32; 2],
@@ -75,7 +75,7 @@ fn average(
     value
 }
 
-/// The colour, 0..=1, of the band's sample in column `x` of row `row`.
+/// Returns the colour, 0..=1, of the band's sample in column `x` of row `row`.
 fn sample(scene: &Uniforms, splats: &[Splat], starts: &[u32], sorted: &[u32], x: u32, row: u32) -> [f32; 4] {
     let tile = (row / TILE) * scene.tiles_x + x / TILE;
     let y = scene.band_first + row;

@@ -1,20 +1,21 @@
-//! Frames by zstd; in WebAssembly planes are written as they are.
+//! Compresses planes with zstd; in WebAssembly, planes are stored uncompressed.
 
 use crate::error::Result;
 
-/// zstd's level; the layout is for reading fast, so writing may take its time.
+/// zstd's compression level; the layout favours fast reading, so writing may be slow.
 #[cfg(not(target_family = "wasm"))]
 const LEVEL: i32 = 19;
 
-/// Binary logarithm of the largest window that zstd has on every machine.
+/// Binary logarithm of the largest window that zstd supports on every machine.
 #[cfg(not(target_family = "wasm"))]
-const MOST_WINDOW: u32 = 30;
+const MAX_WINDOW_LOG: u32 = 30;
 
-/// The frame of `plane`, without its size and without a checksum, in a window that just holds it; none where there is no such window.
+/// Returns the frame of `plane`, without content size and checksum, in the smallest window that holds it; `None` if
+/// there is no such window.
 #[cfg(not(target_family = "wasm"))]
 pub fn compress(plane: &[u8]) -> Result<Option<Vec<u8>>> {
     let window = plane.len().next_power_of_two().ilog2().max(10);
-    if window > MOST_WINDOW {
+    if window > MAX_WINDOW_LOG {
         return Ok(None);
     }
     let mut compressor = zstd::bulk::Compressor::new(LEVEL)?;
@@ -24,7 +25,7 @@ pub fn compress(plane: &[u8]) -> Result<Option<Vec<u8>>> {
     Ok(Some(compressor.compress(plane)?))
 }
 
-/// Never a frame: every plane is stored as it is, which is legal.
+/// Returns no frame: every plane is stored uncompressed, which the format allows.
 #[cfg(target_family = "wasm")]
 #[expect(clippy::unnecessary_wraps, reason = "the twin of a compressor that can fail")]
 pub fn compress(_plane: &[u8]) -> Result<Option<Vec<u8>>> {

@@ -1,20 +1,20 @@
-//! Frames by ruzstd.
+//! Decompresses frames with ruzstd.
 
 use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 
-/// Blocks are drained when so many bytes of them wait.
-const DRAINED: usize = 1 << 17;
+/// Number of decompressed bytes after which the decoder is drained.
+const DRAIN_BYTES: usize = 1 << 17;
 
-/// Fills `plane` from the one frame that `frame` is; `None` if it is anything else. Its outline has been checked, which bounds the
-/// window that is kept beside the plane.
+/// Decompresses `frame` into `plane`; returns `None` unless it is exactly one frame. Its structure has been checked,
+/// which bounds the window that the decoder keeps in addition to the plane.
 pub fn decompress(mut frame: &[u8], plane: &mut [u8]) -> Option<()> {
     let mut decoder = FrameDecoder::new();
-    // By itself it refuses some that are legal.
+    // The default limit of ruzstd refuses some valid frames.
     decoder.set_max_window_size(u64::MAX);
     decoder.init(&mut frame).ok()?;
     let mut filled = 0;
     loop {
-        decoder.decode_blocks(&mut frame, BlockDecodingStrategy::UptoBytes(DRAINED)).ok()?;
+        decoder.decode_blocks(&mut frame, BlockDecodingStrategy::UptoBytes(DRAIN_BYTES)).ok()?;
         loop {
             let read = std::io::Read::read(&mut decoder, &mut plane[filled..]).ok()?;
             filled += read;

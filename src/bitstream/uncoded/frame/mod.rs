@@ -1,7 +1,8 @@
-//! One zstd frame of a plane, made and read (spec §7).
+//! Writes and reads the zstd frame of a plane (spec §7).
 //!
-//! It is read by one library on every machine. Libraries differ in what they make of a broken frame: with zstd itself here and another
-//! one in WebAssembly, where no C is compiled, a file could be accepted here and refused there.
+//! All machines read frames with the same library. Libraries differ in how they treat a broken frame: with zstd on
+//! native machines and another library in WebAssembly, where no C is compiled, a file could be accepted by one and
+//! refused by the other.
 
 mod compress;
 mod decompress;

@@ -1,23 +1,23 @@
 //! Checks of a zstd frame's structure before a library reads it (spec §7, RFC 8878). Libraries differ in the errors
 //! they tolerate, and a frame states the memory that its reader allocates.
 
-/// Signature, and a descriptor without a content size, a dictionary or a checksum.
+/// Signature, and a descriptor without content size, dictionary and checksum.
 const START: [u8; 5] = [0x28, 0xB5, 0x2F, 0xFD, 0];
 
-/// The smallest window that a frame can name, bytes.
-const SMALLEST_WINDOW: u64 = 1 << 10;
+/// The smallest window that a frame can state, bytes.
+const MIN_WINDOW: u64 = 1 << 10;
 
-/// Most bytes of a block, in the frame and decompressed.
-const MOST_OF_A_BLOCK: u64 = 1 << 17;
+/// Maximum number of bytes of a block, compressed and decompressed.
+const MAX_BLOCK: u64 = 1 << 17;
 
-/// Checks that `frame` is one frame with nothing behind it, whose window holds a plane of `count` bytes and is not much larger,
-/// without bits that are reserved, and whose blocks that tell their size have no more than `count` bytes.
+/// Checks that `frame` is exactly one frame, whose window holds a plane of `count` bytes and is not much larger, that
+/// reserved bits are 0, and that blocks that state their size have at most `count` bytes.
 pub fn outline(frame: &[u8], count: usize) -> Option<()> {
     let (&window, mut rest) = frame.strip_prefix(&START)?.split_first()?;
     let count = count as u64;
-    let base = SMALLEST_WINDOW << (window >> 3);
+    let base = MIN_WINDOW << (window >> 3);
     let window = base + base / 8 * u64::from(window & 7);
-    if window < count || window > SMALLEST_WINDOW.max(2 * count) {
+    if window < count || window > MIN_WINDOW.max(2 * count) {
         return None;
     }
     let mut told = 0;
@@ -25,7 +25,7 @@ pub fn outline(frame: &[u8], count: usize) -> Option<()> {
         let (head, behind) = rest.split_first_chunk::<3>()?;
         let head = u32::from_le_bytes([head[0], head[1], head[2], 0]);
         let size = u64::from(head >> 3);
-        if size > window.min(MOST_OF_A_BLOCK) {
+        if size > window.min(MAX_BLOCK) {
             return None;
         }
         let (bytes, plain) = match head >> 1 & 3 {
@@ -49,7 +49,7 @@ pub fn outline(frame: &[u8], count: usize) -> Option<()> {
     }
 }
 
-/// Checks the heads of the two sections of a compressed block.
+/// Checks the headers of the two sections of a compressed block.
 fn block_outline(block: &[u8]) -> Option<()> {
     let number = |bytes: usize| {
         let mut wide = [0; 8];
@@ -57,7 +57,7 @@ fn block_outline(block: &[u8]) -> Option<()> {
         Some(u64::from_le_bytes(wide))
     };
     let (kind, format) = (block.first()? & 3, block.first()? >> 2 & 3);
-    // Bytes of the literals' head and of what follows it.
+    // Bytes of the literals' header and of what follows it.
     let (head, body) = match (kind, format) {
         (0 | 1, _) => {
             let (bytes, shift) = [(1, 3), (2, 4), (1, 3), (3, 4)][usize::from(format)];
@@ -70,7 +70,7 @@ fn block_outline(block: &[u8]) -> Option<()> {
     };
     let sequences = block.get(head..)?.get(body as usize..)?;
     match *sequences {
-        // Without sequences the block ends.
+        // A block without sequences ends here.
         [0] => Some(()),
         [0, ..] => None,
         // Two bits of the modes are reserved.
@@ -84,7 +84,8 @@ mod tests {
     use super::*;
     use crate::bitstream::uncoded::frame::{compress, decompress};
 
-    /// Planes of the kinds that occur: noise, runs, slopes, text that repeats; around the sizes of blocks and windows.
+    /// Planes of the kinds that occur: noise, runs, gradients, repeating text; with sizes near those of blocks and
+    /// windows.
     fn planes() -> Vec<Vec<u8>> {
         let mut planes = Vec::new();
         for count in [1usize, 2, 300, 1023, 1024, 1025, 1026, 4096, 131_072, 131_073, 300_000] {
@@ -125,7 +126,7 @@ mod tests {
         }
         // 4 KiB, 8 KiB, 9 KiB, 96 MiB.
         assert_eq!([0x10, 0x18, 0x19, 0x84].map(|window| changed(5, window).is_some()), [false, true, true, false]);
-        // A reserved kind of block.
+        // A reserved type of block.
         assert!(changed(6, frame[6] | 6).is_none());
         for more in [&[0][..], &frame] {
             assert!(outline(&[&frame, more].concat(), plane.len()).is_none(), "something behind it");
@@ -135,7 +136,7 @@ mod tests {
         }
     }
 
-    // Frames made by hand, which miri reads as well.
+    // Handmade frames, which also run under miri.
     #[test]
     fn blocks_with_reserved_bits_or_the_wrong_length_are_refused() {
         // The block has one literal, which repeats, and sequences, whose modes' lowest bits are reserved.
@@ -143,7 +144,7 @@ mod tests {
         let framed =
             |block: &[u8]| [&START[..], &[0x18], &(block.len() as u32 * 8 + 5).to_le_bytes()[..3], block].concat();
         assert!(outline(&framed(&block), 5000).is_some());
-        // Even so this sequence does not end where it should; a frame without one is read.
+        // Even without the reserved bits, this sequence does not end correctly; a frame without a sequence is read.
         let mut plane = [0; 1];
         assert!(decompress(&framed(&block), &mut plane).is_none());
         assert!(decompress(&framed(&[0b0000_1001, 9, 0]), &mut plane).is_some() && plane == [9]);
@@ -152,12 +153,12 @@ mod tests {
             block[3] |= reserved;
             assert!(outline(&framed(&block), 5000).is_none());
         }
-        // No sequences, and a byte behind them.
+        // No sequences, with a byte after them.
         assert!(outline(&framed(&[0b01, 9, 0]), 5000).is_some() && outline(&framed(&[0b01, 9, 0, 0]), 5000).is_none());
         // Runs that are longer than the plane.
         let run = [&0xF_FFFAu32.to_le_bytes()[..3], &[9]].concat();
         assert!(outline(&[&START[..], &[0x18], &run].concat(), 5000).is_none());
-        // Whatever a frame ends in, nothing is read behind it.
+        // Nothing is read after the end of a frame, whatever its last bytes are.
         let whole = framed(&block);
         for end in 0..whole.len() {
             assert!(outline(&whole[..end], 5000).is_none(), "cut at {end}");
