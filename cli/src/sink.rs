@@ -147,7 +147,8 @@ fn is_device_with_extension(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let Some((stem, _)) = name.split_once('.') else { return false };
     let stem = stem.trim_end().to_ascii_uppercase();
-    let numbered = |port| stem.strip_prefix(port).is_some_and(|n| n.chars().count() == 1 && "0123456789¹²³".contains(n));
+    let numbered =
+        |port| stem.strip_prefix(port).is_some_and(|n| n.chars().count() == 1 && "0123456789¹²³".contains(n));
     ["CON", "PRN", "AUX", "NUL", "CONIN$", "CONOUT$"].contains(&&*stem) || numbered("COM") || numbered("LPT")
 }
 
@@ -202,7 +203,9 @@ mod tests {
         for name in ["aux.png", "AUX.tar.png", "x/con.ssplat", "nul .png", "Com1.png", "lpt\u{b9}.png", "CONOUT$.ppm"] {
             assert!(is_device_with_extension(Path::new(name)), "{name}");
         }
-        for name in ["NUL", "con", "auxiliary.png", "x.aux", "com.png", "com10.png", "nul/x.png", "coma.png", ".aux", "-"] {
+        for name in
+            ["NUL", "con", "auxiliary.png", "x.aux", "com.png", "com10.png", "nul/x.png", "coma.png", ".aux", "-"]
+        {
             assert!(!is_device_with_extension(Path::new(name)), "{name}");
         }
     }

@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::PyBytes;
 use ssplat::unstable::EncodeOptions;
-use ssplat::{Detail, Encoder, PixelSource, Progress, Target, Thumbnail, Workers};
+use ssplat::{Detail, Encoder, HiddenColors, PixelSource, Progress, Target, Thumbnail, Workers};
 
 use crate::failure::{integer, parameter};
 use crate::work::{Calls, Reporter};
@@ -39,6 +39,7 @@ pub struct Options {
     thumbnail: Option<Carried>,
     icc_profile: Option<PyBackedBytes>,
     exif: Option<PyBackedBytes>,
+    keep_hidden: bool,
 }
 
 /// `"auto"`, or the most bytes of a thumbnail.
@@ -112,11 +113,12 @@ impl Options {
         o.backend = names::value("backend", &names::BACKENDS, &self.backend)?;
         o.icc = self.icc_profile.as_ref().map(|b| b.to_vec());
         o.exif = self.exif.as_ref().map(|b| b.to_vec());
+        o.hidden = if self.keep_hidden { HiddenColors::Keep } else { HiddenColors::Continue };
         Ok(o)
     }
 }
 
-/// The file of a contiguous array of uint8 or uint16, or of a memory map, and the quality that it has, where one was asked for. `workers` is what starts a task for others, and how
+/// The file of a contiguous array of uint8 or uint16, or of a memory map, the quality that it has, where one was asked for, and its PSNR in dB. `workers` is what starts a task for others, and how
 /// many of these are to be out at a time.
 #[pyfunction]
 pub fn encode<'py>(
@@ -125,7 +127,7 @@ pub fn encode<'py>(
     options: Options,
     progress: Option<&Bound<'py, PyAny>>,
     workers: Option<(Bound<'py, PyAny>, i128)>,
-) -> PyResult<(Bound<'py, PyBytes>, Option<f64>)> {
+) -> PyResult<(Bound<'py, PyBytes>, Option<f64>, f64)> {
     let threads = work::threads(options.threads, usize::MAX)?;
     let parsed = options.parse()?;
     let (start, at_once) = workers.unzip();
@@ -147,7 +149,7 @@ pub fn encode<'py>(
             None => encoder.encode_with_progress(&*source, &mut progress),
         }
     })?;
-    Ok((PyBytes::new(py, &encoded.bytes), encoded.report.quality))
+    Ok((PyBytes::new(py, &encoded.bytes), encoded.report.quality, encoded.report.psnr))
 }
 
 /// The answer to a task.

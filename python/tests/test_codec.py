@@ -39,6 +39,22 @@ def test_psnr_is_reached():
     assert ssplat.metrics.psnr(pixels, PICTURE) > 27.9
 
 
+def test_a_psnr_that_is_missed_in_the_time_gives_a_file_and_a_warning():
+    with pytest.warns(ssplat.QualityWarning, match="psnr 90 was not met: the file has"):
+        data = ssplat.encode(PICTURE, effort=1, psnr=90.0, time=0.02)
+    assert ssplat.metrics.psnr(ssplat.decode(data), PICTURE) > 10
+
+
+def test_hidden_colors_take_no_bytes_unless_they_are_kept():
+    black = numpy.dstack([PICTURE, numpy.full(PICTURE.shape[:2], 255, numpy.uint8)])
+    black[:, :20] = 0
+    noise = black.copy()
+    noise[:, :20, :3] = numpy.random.default_rng(1).integers(0, 256, noise[:, :20, :3].shape)
+    assert ssplat.encode(black, effort=1, bytes=500) == ssplat.encode(noise, effort=1, bytes=500)
+    kept = [ssplat.encode(picture, effort=1, bytes=500, keep_hidden=True) for picture in (black, noise)]
+    assert kept[0] != kept[1]
+
+
 def test_bytes_do_not_depend_on_threads():
     assert ssplat.encode(PICTURE, **SMALL, threads=1) == ssplat.encode(PICTURE, **SMALL, threads=3) == FILE
     assert (ssplat.decode(FILE, threads=1) == ssplat.decode(FILE, threads=3)).all()

@@ -45,6 +45,7 @@ def encode(
     metadata: Literal["needed", "all", "icc", "none"] = "needed",
     icc_profile: bytes | None = _KEEP,
     exif: bytes | None = _KEEP,
+    keep_hidden: bool = False,
     start: Callable[[bytes], Callable[[], bytes]] | None = None,
     at_once: int = 4,
 ) -> bytes:
@@ -58,10 +59,11 @@ def encode(
             are in memory.
         ratio: bytes of the samples with 8 bits each over bytes of the file. 50 when nothing else is asked for.
         bytes: largest size of the file.
-        psnr: PSNR to reach, dB; the smallest file found that does.
+        psnr: PSNR to reach, dB; the smallest file found that does. With ``time`` the best file so far, and a QualityWarning if it
+            has less.
         primitives: number of Gaussians.
         quality: as eyes see it, 0 to 100: the SSIMULACRA2 score that the file shall have, within half a point; about 30, 50,
-            70 and 90 for low, medium, high and very high quality. It takes up to three fits. A QualityWarning says where it
+            70 and 90 for low, medium, high and very high quality. It takes up to six tries. A QualityWarning says where it
             is missed. At most one of these five.
         effort: 1 to 9.
         time: wall-clock budget, seconds; the best state reached by then is written.
@@ -85,6 +87,8 @@ def encode(
             ``all`` of the EXIF block, with time and place; ``icc``; or ``none``. They count as the file's bytes.
         icc_profile: profile to carry whatever ``metadata`` says; None: none.
         exif: EXIF block to carry whatever ``metadata`` says, with or without ``Exif\\0\\0`` before it; None: none.
+        keep_hidden: keep the colours of pixels of alpha 0. By default they are replaced by a continuation of the visible
+            colours, which takes fewer bytes.
         start: has others work on the tiles. It is called in this thread with the bytes of a task, hands them to a worker who
             calls :func:`work_on_tile` on them, and returns a function that waits for the answer: with a pool of
             ``concurrent.futures``, ``lambda task: pool.submit(ssplat.work_on_tile, task).result``. The file is the same
@@ -120,10 +124,13 @@ def encode(
         "backend": backend,
         "icc_profile": own_profile if icc_profile is _KEEP else icc_profile,
         "exif": own_exif if exif is _KEEP else exif_of(exif),
+        "keep_hidden": keep_hidden,
     }
-    data, found = _ssplat.encode(array, options, progress, None if start is None else (start, at_once))
+    data, found, reached = _ssplat.encode(array, options, progress, None if start is None else (start, at_once))
     if quality is not None and found is not None and abs(found - quality) > _CLOSE:
         warnings.warn(f"quality {quality} was not met: the file has {found:.1f}", QualityWarning, stacklevel=2)
+    if psnr is not None and reached < psnr:
+        warnings.warn(f"psnr {psnr} was not met: the file has {reached:.2f} dB", QualityWarning, stacklevel=2)
     return data
 
 

@@ -79,4 +79,4 @@ class PartialWarning(UserWarning):
 
 
 class QualityWarning(UserWarning):
-    """A file has not the quality that was asked for: it could not be had, or was not found."""
+    """A file misses the quality or the PSNR that was asked for: it cannot be reached, or was not within the time."""
