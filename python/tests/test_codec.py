@@ -46,10 +46,10 @@ def test_a_psnr_that_is_missed_in_the_time_gives_a_file_and_a_warning():
 
 
 def test_hidden_colors_take_no_bytes_unless_they_are_kept():
-    black = numpy.dstack([PICTURE, numpy.full(PICTURE.shape[:2], 255, numpy.uint8)])
+    black = np.dstack([PICTURE, np.full(PICTURE.shape[:2], 255, np.uint8)])
     black[:, :20] = 0
     noise = black.copy()
-    noise[:, :20, :3] = numpy.random.default_rng(1).integers(0, 256, noise[:, :20, :3].shape)
+    noise[:, :20, :3] = np.random.default_rng(1).integers(0, 256, noise[:, :20, :3].shape)
     assert ssplat.encode(black, effort=1, bytes=500) == ssplat.encode(noise, effort=1, bytes=500)
     kept = [ssplat.encode(picture, effort=1, bytes=500, keep_hidden=True) for picture in (black, noise)]
     assert kept[0] != kept[1]
