@@ -67,6 +67,7 @@ pub fn dispatch<T: Task>(task: T) -> T::Output {
 /// Files and pixels are the same with all of them. The environment variable `SSPLAT_SIMD=plain`, read once per
 /// process, selects the plain instructions, to compare them or to rule out the others as the cause of a wrong result.
 #[must_use]
+#[cfg_attr(not(any(test, feature = "unstable")), allow(dead_code, reason = "for tools"))]
 pub fn instruction_set() -> &'static str {
     struct Name;
     impl Task for Name {
