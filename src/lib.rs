@@ -240,10 +240,10 @@ pub use image_crate::SsplatEncoder;
 #[cfg(feature = "image")]
 pub use image_crate::{EXTENSION, SsplatDecoder, register};
 pub use limits::Limits;
-#[cfg(feature = "encode")]
-pub use options::{Backend, Carry, Detail, HiddenColors, Thumbnail, Tune};
 #[cfg(feature = "smartsplat")]
 pub use options::{Ablation, Recipe};
+#[cfg(feature = "encode")]
+pub use options::{Backend, Carry, Detail, HiddenColors, Thumbnail, Tune};
 pub use options::{Damage, Layers};
 #[cfg(feature = "encode")]
 pub use pixel_source::PixelSource;

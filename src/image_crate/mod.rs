@@ -9,6 +9,8 @@ mod encoder;
 #[cfg(feature = "encode")]
 mod replace;
 #[cfg(feature = "encode")]
+mod source;
+#[cfg(feature = "encode")]
 mod transcode;
 
 #[cfg(all(feature = "encode", feature = "unstable"))]
