@@ -2,7 +2,7 @@
 
 use std::fmt;
 #[cfg(feature = "image")]
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use crate::target::Target;
 
@@ -165,8 +165,8 @@ pub enum FormatError {
 
 impl Error {
     /// Returns an I/O error whose message names `path`.
-    #[cfg(feature = "image")]
-    pub(crate) fn at(path: &Path, error: &std::io::Error) -> Self {
+    #[cfg(all(feature = "encode", feature = "image"))]
+    pub(crate) fn at(path: &std::path::Path, error: &std::io::Error) -> Self {
         Error::Io(std::io::Error::new(error.kind(), format!("{}: {error}", path.display())))
     }
 }
@@ -270,6 +270,9 @@ impl std::error::Error for Error {
             Error::Io(e) => e.source(),
             Error::Format(e) => e.source(),
             Error::Gpu(e) => e.source(),
+            // The text of `image` for an error of a decoder holds that of its cause, which it has as its source as well.
+            #[cfg(feature = "image")]
+            Error::Source { error, .. } => error.source(),
             _ => None,
         }
     }

@@ -3,8 +3,6 @@
 //! Lengths are in pixels of the picture's own grid, and pixel centres are at `+0.5`. Angles are in radians. Colours
 //! are encoded sRGB values, where 0 is black and 1 is white; they may lie outside that range.
 
-use bytemuck::{Pod, Zeroable};
-
 /// Radius of a primitive's support in units of its scales (spec §5.2).
 pub const CUTOFF: f32 = 3.5;
 
@@ -21,10 +19,13 @@ pub const HIDDEN: f32 = 1.0 / 4096.0;
 pub const MIN_SCALE: f32 = 0.25;
 
 /// Largest scale that the format allows, pixels.
+#[cfg(feature = "encode")]
+#[cfg(feature = "encode")]
 pub const MAX_SCALE: f32 = 1_048_576.0;
 
 /// One primitive: a 2D Gaussian with a constant colour.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "gpu", derive(bytemuck::Pod, bytemuck::Zeroable))]
 #[repr(C)]
 #[doc(alias("splat", "primitive"))]
 pub struct Gaussian {

@@ -162,9 +162,11 @@ See [`gpu`] for rendering into the textures of a program.
 //! | feature | adds |
 //! |---|---|
 //! | `rayon` (default) | multithreading; results do not depend on the number of threads |
+//! | `encode` (default) | the encoder; without it, the crate reads and renders, and needs no C compiler |
 //! | `image` (default) | the hooks of the `image` crate, and encoding of its pictures |
 //! | `quality` | `Target::Quality`: encoding to a perceptual quality (SSIMULACRA2) |
 //! | `gpu` | fitting and rendering on a GPU through `wgpu` |
+//! | `smartsplat` | the SmartSplat recipe, for comparisons |
 //! | `unstable` | internal modules for the tools of the repository; any release may change them |
 //!
 //! # Stability
@@ -178,20 +180,22 @@ See [`gpu`] for rendering into the textures of a program.
 #![cfg_attr(not(feature = "unstable"), warn(missing_docs))]
 // docs.rs builds with nightly; each item then shows the feature that it needs.
 #![cfg_attr(docsrs, feature(doc_cfg))]
-// Items that only the program and the lab use are dead code without their feature.
-#![cfg_attr(not(any(test, feature = "unstable")), allow(dead_code, unused_imports))]
 
 // Unit tests share pictures with the integration tests, which refer to this crate by its name.
 #[cfg(test)]
 extern crate self as ssplat;
 
 mod angle;
+#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "the half that writes"))]
 mod bitstream;
 mod budget;
 mod decode;
+#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "the half that writes"))]
 mod detail;
+#[cfg(feature = "encode")]
 mod encode;
 mod error;
+#[cfg(feature = "encode")]
 mod fit;
 mod gaussian;
 #[cfg(feature = "gpu")]
@@ -199,15 +203,22 @@ pub mod gpu;
 #[cfg(feature = "image")]
 mod image_crate;
 mod limits;
+#[cfg(feature = "encode")]
 mod metrics;
 mod options;
+#[cfg(all(feature = "encode", any(test, feature = "unstable")))]
 mod pack;
+#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "fits use the rest"))]
 mod parallel;
+#[cfg(feature = "encode")]
 mod pixel_source;
 mod pixels;
+#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "the half that writes"))]
 mod quantize;
 mod raster;
+#[cfg(feature = "encode")]
 mod round;
+#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "fits use the rest"))]
 mod simd;
 #[cfg(feature = "quality")]
 mod ssimulacra2;
@@ -218,20 +229,29 @@ pub mod unstable;
 pub use bitstream::Missing;
 pub use bitstream::splats::{Layout, Metadata};
 pub use decode::{Decoded, Decoder, Image, Reader};
+#[cfg(feature = "encode")]
 pub use encode::{EncodeReport, Encoded, Encoder, Progress, Workers, work_on_tile};
 pub use error::{Error, FormatError, GpuError, Result};
 pub use gaussian::{Blend, Channels, Gaussian, Picture};
 #[cfg(feature = "image")]
 pub use image;
+#[cfg(all(feature = "encode", feature = "image"))]
+pub use image_crate::SsplatEncoder;
 #[cfg(feature = "image")]
-pub use image_crate::{EXTENSION, SsplatDecoder, SsplatEncoder, register};
+pub use image_crate::{EXTENSION, SsplatDecoder, register};
 pub use limits::Limits;
-pub use options::{Backend, Carry, Damage, Detail, HiddenColors, Layers, Thumbnail, Tune};
+#[cfg(feature = "smartsplat")]
+pub use options::{Ablation, Recipe};
+#[cfg(feature = "encode")]
+pub use options::{Backend, Carry, Detail, HiddenColors, Thumbnail, Tune};
+pub use options::{Damage, Layers};
+#[cfg(feature = "encode")]
 pub use pixel_source::PixelSource;
 pub use pixels::{Depth, Pixels, Samples};
 pub use raster::{Renderer, SamplesMut, View};
 pub use target::Target;
 
+#[cfg(feature = "encode")]
 /// Types of the account that an encode gives beside its bytes.
 pub mod report {
     pub use crate::encode::{Chosen, LeftOut, Omission, StageTime};

@@ -35,6 +35,7 @@ impl Depth {
 
     /// Returns the mean squared error that rounding to code values causes by itself, once in the source and once in
     /// decoding, where white is 1.0.
+    #[cfg(feature = "encode")]
     pub(crate) fn rounding_error(self) -> f64 {
         2.0 / (12.0 * f64::from(self.max()).powi(2))
     }
@@ -124,6 +125,7 @@ impl Pixels {
     }
 
     /// Returns the sample at index `i` as a value where 1.0 is white.
+    #[cfg(feature = "encode")]
     pub(crate) fn value(&self, i: usize) -> f32 {
         match &self.samples {
             Samples::U8(v) => f32::from(v[i]) / 255.0,

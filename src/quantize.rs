@@ -1,7 +1,5 @@
 //! Converts integers to Gaussians by the specification's formulas (spec §5.1), and Gaussians to the nearest integers.
 
-use glam::Vec2;
-
 use crate::bitstream::lattice::Lattice;
 use crate::bitstream::rules::most_color;
 use crate::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
@@ -163,8 +161,8 @@ impl Quantizer {
         for y in near.saturating_sub(1)..=(near + 1).min(last[1]) {
             let dy = center(y, ey) - mean[1];
             let x = nearest(mean[0] + shear * dy, ex, last[0]);
-            let d = Vec2::new(center(x, ex) - mean[0], dy);
-            let (u, v) = ((cos * d.x + sin * d.y) / s1, (cos * d.y - sin * d.x) / s2);
+            let dx = center(x, ex) - mean[0];
+            let (u, v) = ((cos * dx + sin * dy) / s1, (cos * dy - sin * dx) / s2);
             let distance = u * u + v * v;
             if distance < best {
                 (best, p.x, p.y) = (distance, x, y);

@@ -6,11 +6,18 @@
 
 pub use crate::bitstream::header::Header;
 pub use crate::decode::{decode, decode_into, thumbnail};
+#[cfg(feature = "encode")]
 pub use crate::encode::{LARGEST, TracePoint, divide, encode, encode_with_progress};
-#[cfg(feature = "image")]
+#[cfg(all(feature = "encode", feature = "image"))]
 pub use crate::image_crate::{Carried, encode_decoder, save, transcode};
-pub use crate::options::{Ablation, DecodeOptions, EncodeOptions, Needs, Recipe, Rung, Trace};
+#[cfg(feature = "smartsplat")]
+pub use crate::options::Ablation;
+pub use crate::options::DecodeOptions;
+#[cfg(feature = "encode")]
+pub use crate::options::{EncodeOptions, Needs, Recipe, Rung, Trace};
+#[cfg(feature = "encode")]
 pub use crate::pack::{FINEST, Outside, PackOptions, Precision, pack};
+#[cfg(feature = "encode")]
 pub use crate::pixel_source::check_area;
 pub use crate::simd::instruction_set;
 
@@ -19,6 +26,7 @@ pub mod bitstream {
     pub use crate::bitstream::*;
 }
 /// Fits Gaussians to pixels.
+#[cfg(feature = "encode")]
 pub mod fit {
     pub use crate::fit::*;
 }
@@ -27,6 +35,7 @@ pub mod gaussian {
     pub use crate::gaussian::*;
 }
 /// Measures of the difference between two pictures.
+#[cfg(feature = "encode")]
 pub mod metrics {
     pub use crate::metrics::*;
 }

@@ -3,7 +3,8 @@
 use std::ops::ControlFlow;
 
 use ssplat::{
-    Channels, Damage, Decoder, Depth, Detail, Encoder, Error, Layers, Limits, Pixels, Reader, Samples, SamplesMut, Tune,
+    Channels, Damage, Decoder, Depth, Detail, Encoder, Error, Image, Layers, Limits, Pixels, Reader, Samples,
+    SamplesMut, Tune,
 };
 
 fn picture() -> Pixels {
@@ -75,6 +76,82 @@ fn memory_of_another_size_is_refused() {
         let refused = Decoder::new().decode_into(&bytes, SamplesMut::U8(&mut vec![0; length]));
         assert!(matches!(refused, Err(Error::Parameter { name: "out", .. })), "{length}: {refused:?}");
     }
+}
+
+#[test]
+fn whole_files_are_read_from_any_reader_within_the_limits() {
+    let bytes = Encoder::new().bytes(300).effort(1).encode(&picture()).unwrap().bytes;
+    let (head, tail) = bytes.split_at(bytes.len() / 2);
+    let image = Image::read_from(std::io::Read::chain(head, tail), &Limits::default()).unwrap();
+    assert_eq!(image.draw(&image.view()).unwrap(), Decoder::new().decode(&bytes).unwrap().pixels);
+    assert!(matches!(Image::read_from(head, &Limits::default()), Err(Error::Format(_))));
+    // A stream without an end is read no further than the limit on memory allows.
+    let mut limits = Limits::default();
+    limits.alloc = 1 << 20;
+    let endless = Image::read_from(std::io::Read::chain(&bytes[..], std::io::repeat(0)), &limits);
+    assert!(matches!(endless, Err(Error::LimitExceeded { .. } | Error::Format(_))), "{endless:?}");
+}
+
+#[test]
+fn public_types_can_be_sent_to_and_shared_between_threads() {
+    fn check<T: Send + Sync + 'static>() {}
+    fn check_borrowing<T: Send + Sync>() {}
+    check::<(ssplat::Encoder, ssplat::Decoder, Image, ssplat::Renderer, ssplat::View)>();
+    check::<(
+        ssplat::Encoded,
+        ssplat::EncodeReport,
+        ssplat::Progress,
+        ssplat::Decoded,
+        ssplat::Metadata,
+        ssplat::Missing,
+    )>();
+    check::<(Error, ssplat::FormatError, ssplat::GpuError)>();
+    check::<(Pixels, Samples, ssplat::Picture, ssplat::Gaussian, Limits, ssplat::Target)>();
+    check_borrowing::<(Reader<'_>, SamplesMut<'_>)>();
+    #[cfg(feature = "image")]
+    check::<(ssplat::SsplatDecoder<std::fs::File>, ssplat::SsplatEncoder<Vec<u8>>)>();
+}
+
+/// A broken file of another format, and the cause that its decoder gives, through the chain of sources.
+#[cfg(feature = "image")]
+#[test]
+fn what_the_image_crate_fails_with_keeps_its_cause() {
+    let folder = tempfile::tempdir().unwrap();
+    let (broken, output) = (folder.path().join("broken.ssplat"), folder.path().join("out.ssplat"));
+    let mut bytes = Encoder::new().bytes(300).effort(1).encode(&picture()).unwrap().bytes;
+    *bytes.last_mut().unwrap() ^= 1;
+    std::fs::write(&broken, bytes).unwrap();
+    let error = Encoder::new().transcode(&broken, &output).unwrap_err();
+    assert!(matches!(error, Error::Source { .. }), "{error:?}");
+    let cause = std::error::Error::source(&error).and_then(|e| e.downcast_ref::<Error>());
+    assert!(matches!(cause, Some(Error::Format(ssplat::FormatError::Checksum { .. }))), "{cause:?}");
+}
+
+#[cfg(feature = "image")]
+#[test]
+fn pictures_of_the_image_crate_are_encoded_as_their_pixels() {
+    let rgb = image::RgbImage::from_fn(200, 150, |x, y| image::Rgb([x as u8, y as u8, (x * y / 100) as u8]));
+    let rgb = image::DynamicImage::from(rgb);
+    let pictures = [
+        image::DynamicImage::from(rgb.to_luma8()),
+        image::DynamicImage::from(rgb.to_luma_alpha16()),
+        image::DynamicImage::from(rgb.to_rgba32f()),
+        rgb,
+    ];
+    for picture in pictures {
+        let pixels = Pixels::try_from(&picture).unwrap();
+        // As a whole, and in tiles, which read parts.
+        for encoder in [Encoder::new(), Encoder::new().detail(Detail::Off).tiles(128)] {
+            let encoder = encoder.bytes(300).effort(1);
+            assert!(
+                encoder.encode(&picture).unwrap().bytes == encoder.encode(&pixels).unwrap().bytes,
+                "{:?}",
+                picture.color()
+            );
+        }
+    }
+    let nothing = Encoder::new().encode(&image::DynamicImage::new_rgb8(0, 4));
+    assert!(matches!(nothing, Err(Error::Parameter { .. })), "{nothing:?}");
 }
 
 #[cfg(feature = "image")]

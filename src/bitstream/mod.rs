@@ -19,13 +19,17 @@ pub mod splats;
 mod uncoded;
 mod write;
 
-#[doc(hidden)]
-pub use self::detail::Maker;
-pub use self::detail::{DetailHead, DetailLayer};
+pub use self::detail::DetailLayer;
+#[cfg(any(test, feature = "unstable"))]
+pub use self::detail::{DetailHead, Maker};
 pub use self::groups::Missing;
 pub(crate) use self::read::{Reading, read_rest};
-pub use self::read::{inspect, read, read_area, read_partial};
-pub use self::write::{to_bytes, write};
+#[cfg(any(test, feature = "unstable"))]
+pub use self::read::{inspect, read_area, read_partial};
+#[cfg(any(test, feature = "unstable"))]
+pub use self::write::write;
+#[cfg(any(feature = "encode", feature = "unstable"))]
+pub use self::{read::read, write::to_bytes};
 
 /// Bytes of the checksum at the end.
 const CHECKSUM: usize = 4;

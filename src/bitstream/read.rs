@@ -13,7 +13,9 @@ use super::detail::head::{DetailHead, Spans, check_alpha};
 use super::detail::index::{self, Wanted};
 use super::groups::Missing;
 use super::header::{Grouping, Header, Sections};
-use super::report::{Detail, INDEX, Report, STREAMS, Tally};
+#[cfg(any(test, feature = "unstable"))]
+use super::report::Report;
+use super::report::{Detail, INDEX, STREAMS, Tally};
 use super::rules::most_primitives;
 use super::sections::{SectionInfo, SectionsRead, read_sections};
 use super::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
@@ -67,6 +69,7 @@ pub fn read<R: Read>(mut reader: R, limits: &Limits) -> Result<PackedSplats> {
 ///
 /// # Errors
 /// As [`read`], but errors in a group that is left out are detected only if its checksum does not match.
+#[cfg(any(test, feature = "unstable"))]
 pub fn read_area(bytes: &[u8], area: &Area, limits: &Limits) -> Result<PackedSplats> {
     let mut rest = bytes;
     let header = Header::read(&mut rest, limits)?;
@@ -78,6 +81,7 @@ pub fn read_area(bytes: &[u8], area: &Area, limits: &Limits) -> Result<PackedSpl
 ///
 /// # Errors
 /// As [`read`].
+#[cfg(any(test, feature = "unstable"))]
 pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Report)> {
     let mut rest = bytes;
     let header = Header::read(&mut rest, limits)?;
@@ -100,6 +104,7 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Report)> 
 ///
 /// # Errors
 /// As [`read`] if header, sections or the directory of the groups are damaged, or if there are no groups.
+#[cfg(any(test, feature = "unstable"))]
 pub fn read_partial(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Missing)> {
     let mut rest = bytes;
     let header = Header::read(&mut rest, limits)?;

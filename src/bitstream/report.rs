@@ -1,8 +1,8 @@
 //! Accounts for the bytes of a file: by part and, for the primitives, by field.
 
 use super::coder::range::Meter;
-use super::header::Header;
-use super::sections::SectionInfo;
+#[cfg(any(test, feature = "unstable"))]
+use super::{header::Header, sections::SectionInfo};
 
 /// WebAssembly uses one reader for primitives and reports, which keeps the module small.
 pub(crate) const ONE_READER: bool = cfg!(target_family = "wasm");
@@ -26,6 +26,7 @@ pub struct Field {
 }
 
 /// Result of [`inspect`](super::inspect).
+#[cfg(any(test, feature = "unstable"))]
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Report {
@@ -54,6 +55,7 @@ pub struct Report {
 pub(super) const INDEX: &str = "index of the detail layer";
 pub(super) const STREAMS: &str = "detail layer";
 
+#[cfg(any(test, feature = "unstable"))]
 impl Report {
     /// Returns the bytes of the detail layer's index and streams; 0 without a layer.
     #[must_use]

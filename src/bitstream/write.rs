@@ -1,5 +1,6 @@
 //! Writes integers as the bytes of a file: header, sections, payload, checksum (spec §2).
 
+#[cfg(any(test, feature = "unstable"))]
 use std::io::Write;
 
 use super::checksum::{Hasher, hash};
@@ -18,6 +19,7 @@ use crate::error::{Error, Result};
 ///
 /// # Errors
 /// [`Error::Parameter`] if the integers break spec §4, [`Error::Io`] from the writer.
+#[cfg(any(test, feature = "unstable"))]
 pub fn write<W: Write>(splats: &PackedSplats, writer: &mut W) -> Result<()> {
     writer.write_all(&to_bytes(splats)?)?;
     Ok(())

@@ -6,7 +6,7 @@ use crate::bitstream::area::Area;
 use crate::bitstream::header::Header;
 use crate::bitstream::report::Tally;
 use crate::bitstream::splats::{Metadata, PackedGaussian, PackedSplats};
-use crate::bitstream::{Missing, Reading};
+use crate::bitstream::{Missing, Reading, read_rest};
 use crate::budget::{Budget, Reservation};
 use crate::error::{Error, Result};
 use crate::gaussian::Channels;
@@ -226,6 +226,16 @@ impl Image {
     #[doc(alias("open", "load"))]
     pub fn from_bytes(bytes: &[u8], limits: &Limits) -> Result<Self> {
         Reader::new(bytes, limits)?.read(Damage::Refuse)
+    }
+
+    /// Reads a whole file from `reader`, up to its end. No more bytes are read than `limits` allow in memory.
+    ///
+    /// # Errors
+    /// As [`Image::from_bytes`], and [`Error::Io`] from the reader.
+    pub fn read_from(mut reader: impl std::io::Read, limits: &Limits) -> Result<Self> {
+        let header = Header::read(&mut reader, limits)?;
+        let rest = read_rest(reader, limits)?;
+        Reader::behind(header, &rest, limits).read(Damage::Refuse)
     }
 
     /// Returns the view of the whole picture at its own size.

@@ -218,7 +218,16 @@ impl Encoder {
         encode_by(source, &self.options, Executor::Others(workers), progress)
     }
 
+    /// Fits by another recipe: that of SmartSplat, to measure against it.
+    #[cfg(feature = "smartsplat")]
+    #[must_use]
+    pub fn recipe(mut self, recipe: crate::Recipe) -> Self {
+        self.options.recipe = recipe;
+        self
+    }
+
     /// Returns the options that were set.
+    #[cfg(feature = "image")]
     pub(crate) fn options(&self) -> &EncodeOptions {
         &self.options
     }

@@ -21,7 +21,6 @@ use crate::fit::model::problem::Problem;
 use crate::fit::model::target::planes::Planes;
 use crate::fit::model::target::{masking, structure};
 use crate::fit::plan::{Plan, fraction};
-use crate::fit::smartsplat;
 use crate::gaussian::Channels;
 use crate::options::{Needs, Recipe, Tune};
 use crate::pixels::Depth;
@@ -142,8 +141,9 @@ impl Encoding<'_> {
         let mut fitting = Fitting { stage, job, size, draft: subject.empty(), steps: 0 };
         let Fitted { by: state, ending, amplitude } = match options.recipe {
             Recipe::Ssplat => self.device.fit(&job, subject.pixels, &mut fitting)?,
+            #[cfg(feature = "smartsplat")]
             Recipe::SmartSplat(parts) => {
-                let by = smartsplat::fit(&job, parts, &mut fitting)?;
+                let by = crate::fit::smartsplat::fit(&job, parts, &mut fitting)?;
                 Fitted { by, ending: Ending::Scheduled, amplitude: None }
             }
         };

@@ -35,7 +35,9 @@ use clock::Clock;
 use device::Choice;
 pub use device::Chosen;
 pub use encoder::Encoder;
+#[cfg(any(test, feature = "unstable"))]
 pub use file::divide;
+#[cfg(any(test, feature = "unstable"))]
 pub(crate) use file::smallest;
 use job::{Encoding, decibels};
 pub use left_out::{LeftOut, Omission};
@@ -88,6 +90,7 @@ pub struct EncodeReport {
 ///
 /// # Errors
 /// [`Error::Parameter`] when an option is out of range or the asked size cannot hold the picture.
+#[cfg(any(test, feature = "image", feature = "unstable"))]
 pub fn encode(pixels: &Pixels, options: &EncodeOptions) -> Result<Encoded> {
     encode_with_progress(pixels, options, &mut |_| ControlFlow::Continue(()))
 }

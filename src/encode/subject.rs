@@ -21,10 +21,7 @@ pub(super) struct Subject<'a> {
 impl Subject<'_> {
     /// Returns how primitives blend.
     pub(super) fn blend(&self) -> Blend {
-        self.options.blend.unwrap_or(match self.options.recipe {
-            Recipe::Ssplat => Blend::Normalized,
-            Recipe::SmartSplat(_) => Blend::Sum,
-        })
+        self.options.blend.unwrap_or(if self.options.recipe == Recipe::Ssplat { Blend::Normalized } else { Blend::Sum })
     }
 
     /// Returns the channels of the file.
@@ -53,10 +50,7 @@ impl Subject<'_> {
             width: self.pixels.width(),
             height: self.pixels.height(),
             blend: self.blend(),
-            background: match self.options.recipe {
-                Recipe::Ssplat => mean,
-                Recipe::SmartSplat(_) => [0.0; 4],
-            },
+            background: if self.options.recipe == Recipe::Ssplat { mean } else { [0.0; 4] },
         }
     }
 

@@ -19,8 +19,10 @@ use crate::fit::model::target::planes::Planes;
 use crate::fit::model::target::reduced::{Coarse, Reduced};
 use crate::fit::plan::Plan;
 use crate::fit::schedule::{self, Part};
+#[cfg(feature = "smartsplat")]
 use crate::fit::smartsplat;
 use crate::fit::state::State;
+#[cfg(feature = "smartsplat")]
 use crate::options::{Ablation, Rung};
 
 /// From so many primitives on the small ones among them need all pixels: 260 lose .1 dB to a copy of half the size.
@@ -69,6 +71,7 @@ fn halvings(scene: &Scene, count: usize) -> u32 {
 /// Returns where the fit of `job` starts. `watcher` may correct the number on the way.
 pub(crate) fn start(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<Start> {
     let Job { problem, count, plan } = *job;
+    #[cfg(feature = "smartsplat")]
     if plan.rung < Rung::Start {
         let mut rng = random(plan);
         let primitives = smartsplat::initial(problem.target, count, Ablation::Colors, &mut rng);

@@ -18,7 +18,7 @@ pub(crate) trait Engine {
     /// Returns the primitives as they are after all steps asked for, at the size that the steps see.
     fn primitives(&mut self) -> Result<Vec<Primitive>>;
     /// Waits until all steps asked for are taken.
-    #[cfg_attr(not(feature = "gpu"), allow(dead_code, reason = "only a fit on a GPU is timed step by step"))]
+    #[allow(dead_code, reason = "only a fit on a GPU is timed step by step")]
     fn settle(&mut self) -> Result<()>;
     /// Returns the squared error over all rows of `whole`, the picture at its own size, whatever size the steps see.
     fn error(&mut self, whole: &Problem<'_>) -> Result<f64>;
@@ -62,10 +62,10 @@ pub(crate) trait Watcher {
 /// The work as it is now, for a watcher to look at. Each look costs about as much as a step over all rows.
 pub(crate) trait Sight {
     /// Waits until all steps asked for are taken.
-    #[cfg_attr(not(feature = "gpu"), allow(dead_code, reason = "only a fit on a GPU is timed step by step"))]
+    #[allow(dead_code, reason = "only a fit on a GPU is timed step by step")]
     fn settle(&mut self) -> Result<()>;
     /// Returns the squared error of the picture over all rows.
-    #[cfg_attr(not(feature = "gpu"), allow(dead_code, reason = "only a fit on a GPU is looked at this way"))]
+    #[allow(dead_code, reason = "only a fit on a GPU is looked at this way")]
     fn error(&mut self) -> Result<f64>;
     /// Returns all primitives, projected, and the scene that they belong to.
     fn drawing(&mut self) -> Result<(Scene, Vec<Projected>)>;

@@ -13,6 +13,7 @@ pub mod model;
 pub(crate) mod plan;
 mod rehearsal;
 pub(crate) mod schedule;
+#[cfg(feature = "smartsplat")]
 pub(crate) mod smartsplat;
 #[cfg(test)]
 mod stability;

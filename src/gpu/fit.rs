@@ -159,6 +159,7 @@ impl Fitter {
     }
 
     /// Returns the number of rows of a slab and of a band, and the number of pairs that the lists of a band hold.
+    #[cfg_attr(not(any(test, feature = "unstable")), allow(dead_code, reason = "for tools"))]
     pub(super) fn sizes(&self) -> [u32; 3] {
         [self.source.slab_rows, self.band_rows, self.capacity]
     }

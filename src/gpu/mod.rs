@@ -18,6 +18,7 @@
 
 mod device;
 mod fit;
+#[cfg(any(test, feature = "unstable"))]
 mod fitted;
 mod kernels;
 #[cfg(test)]

@@ -1,13 +1,24 @@
 //! Interface to the `image` crate: the decoding hook, the encoder trait and pixel conversions.
 
+#[cfg(feature = "encode")]
 mod carry;
 mod convert;
 mod decoder;
+#[cfg(feature = "encode")]
 mod encoder;
+#[cfg(feature = "encode")]
 mod replace;
+#[cfg(feature = "encode")]
+mod source;
+#[cfg(feature = "encode")]
 mod transcode;
 
+#[cfg(all(feature = "encode", feature = "unstable"))]
 pub use carry::Carried;
 pub use decoder::{EXTENSION, SsplatDecoder, register};
-pub use encoder::{SsplatEncoder, save};
+#[cfg(feature = "encode")]
+pub use encoder::SsplatEncoder;
+#[cfg(all(feature = "encode", feature = "unstable"))]
+pub use encoder::save;
+#[cfg(all(feature = "encode", feature = "unstable"))]
 pub use transcode::{encode_decoder, transcode};

@@ -27,6 +27,7 @@ mod bins;
 mod kernel;
 mod overlay;
 mod project;
+#[cfg(any(test, feature = "unstable"))]
 pub mod reference;
 mod renderer;
 mod samples;

@@ -51,9 +51,9 @@ fn is_plain_asked_for() -> bool {
 pub fn dispatch<T: Task>(task: T) -> T::Output {
     #[cfg(target_arch = "x86_64")]
     if !is_plain_asked_for()
-        && let Some(simd) = pulp::x86::V3::try_new()
+        && let Some(simd) = fearless_simd::Level::new().as_avx2()
     {
-        return simd.vectorize(avx2::OnAvx2(simd, task));
+        return simd.call(task);
     }
     #[cfg(all(target_family = "wasm", target_feature = "simd128"))]
     return task.run(wasm::Simd128);
@@ -67,6 +67,7 @@ pub fn dispatch<T: Task>(task: T) -> T::Output {
 /// Files and pixels are the same with all of them. The environment variable `SSPLAT_SIMD=plain`, read once per
 /// process, selects the plain instructions, to compare them or to rule out the others as the cause of a wrong result.
 #[must_use]
+#[cfg_attr(not(any(test, feature = "unstable")), allow(dead_code, reason = "for tools"))]
 pub fn instruction_set() -> &'static str {
     struct Name;
     impl Task for Name {

@@ -28,8 +28,8 @@ use ssplat::Pixels;
 use ssplat::unstable::fit::model::drawing::field::Field;
 use ssplat::unstable::fit::model::drawing::project::{Primitive, Projected};
 use ssplat::unstable::fit::model::problem::{Problem, Scene};
+use ssplat::unstable::fit::model::target::loss::Loss;
 use ssplat::unstable::fit::model::target::planes::Planes;
-use ssplat::unstable::fit::model::target::structure::Loss;
 use ssplat::unstable::gaussian::Blend;
 use ssplat::unstable::metrics;
 

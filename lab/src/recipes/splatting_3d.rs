@@ -29,8 +29,8 @@ use super::optimizer::{Adam, NUMBERS};
 use super::tiles::Reach;
 use super::{Counted, Fit, Options, Point, drawn};
 use ssplat::unstable::fit::model::problem::{Problem, Scene};
+use ssplat::unstable::fit::model::target::loss::Loss;
 use ssplat::unstable::fit::model::target::planes::Planes;
-use ssplat::unstable::fit::model::target::structure::Loss;
 use ssplat::unstable::gaussian::{Blend, Gaussian};
 
 const PLACE_RATES: [f32; 2] = [1.6e-4, 1.6e-6];

@@ -9,7 +9,6 @@ use crate::error::Result;
 use crate::gaussian::Channels;
 
 /// Source of synthetic levels. Tiles, superblocks, blocks and planes are visited in the order of the file.
-#[doc(hidden)]
 pub trait Maker {
     /// Returns the step class of a superblock, below the number of classes; not called if there is one class.
     fn class(&mut self, tile: usize, superblock: [usize; 2]) -> u8;
@@ -29,7 +28,6 @@ impl DetailLayer {
     ///
     /// # Panics
     /// If a level lies outside its block.
-    #[doc(hidden)]
     pub fn made(head: DetailHead, channels: Channels, size: [u32; 2], maker: &mut impl Maker) -> Result<Self> {
         head::check(&head)?;
         let [across, down] = tile_counts(size);

@@ -11,13 +11,15 @@ pub(crate) mod index;
 #[cfg(test)]
 mod learn;
 pub(crate) mod levels;
+#[cfg(any(test, feature = "unstable"))]
 mod made;
 pub(crate) mod model;
 pub(crate) mod scan;
 mod start;
 pub(crate) mod tile;
 
+#[cfg(any(feature = "encode", feature = "unstable"))]
 pub use head::DetailHead;
 pub use index::DetailLayer;
-#[doc(hidden)]
+#[cfg(any(test, feature = "unstable"))]
 pub use made::Maker;

@@ -1,18 +1,18 @@
-//! Compresses planes with zstd; in WebAssembly, planes are stored uncompressed.
+//! Compresses planes with zstd; in WebAssembly, and without the feature `encode`, planes are stored uncompressed.
 
 use crate::error::Result;
 
 /// zstd's compression level; the layout favours fast reading, so writing may be slow.
-#[cfg(not(target_family = "wasm"))]
+#[cfg(all(feature = "encode", not(target_family = "wasm")))]
 const LEVEL: i32 = 19;
 
 /// Binary logarithm of the largest window that zstd supports on every machine.
-#[cfg(not(target_family = "wasm"))]
+#[cfg(all(feature = "encode", not(target_family = "wasm")))]
 const MAX_WINDOW_LOG: u32 = 30;
 
 /// Returns the frame of `plane`, without content size and checksum, in the smallest window that holds it; `None` if
 /// there is no such window.
-#[cfg(not(target_family = "wasm"))]
+#[cfg(all(feature = "encode", not(target_family = "wasm")))]
 pub fn compress(plane: &[u8]) -> Result<Option<Vec<u8>>> {
     let window = plane.len().next_power_of_two().ilog2().max(10);
     if window > MAX_WINDOW_LOG {
@@ -26,7 +26,7 @@ pub fn compress(plane: &[u8]) -> Result<Option<Vec<u8>>> {
 }
 
 /// Returns no frame: every plane is stored uncompressed, which the format allows.
-#[cfg(target_family = "wasm")]
+#[cfg(not(all(feature = "encode", not(target_family = "wasm"))))]
 #[expect(clippy::unnecessary_wraps, reason = "the twin of a compressor that can fail")]
 pub fn compress(_plane: &[u8]) -> Result<Option<Vec<u8>>> {
     Ok(None)

@@ -22,7 +22,8 @@ pub(crate) const TAPS: usize = 11;
 const BLUR: f32 = 1.25;
 
 /// A cell beside a peak, and its mirror image; laid out as in `peaks.wgsl`.
-#[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "gpu", derive(bytemuck::Pod, bytemuck::Zeroable))]
 #[repr(C)]
 pub(crate) struct Tap {
     pub x: i32,

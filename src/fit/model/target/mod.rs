@@ -1,6 +1,8 @@
 //! The target of a fit: the picture as planes, at several sizes, and the weight of each pixel.
 
 pub(crate) mod blur;
+#[cfg(feature = "smartsplat")]
+pub mod loss;
 pub(crate) mod masking;
 pub mod planes;
 pub(crate) mod reduced;

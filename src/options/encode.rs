@@ -1,10 +1,9 @@
-//! Options of the encoder and the decoder.
+//! Options of the encoder.
 
 use std::time::Duration;
 
 use crate::bitstream::splats::Layout;
 use crate::gaussian::Blend;
-use crate::limits::Limits;
 use crate::target::Target;
 
 /// Where the fit starts and how it goes on.
@@ -15,10 +14,12 @@ pub enum Recipe {
     #[default]
     Ssplat,
     /// The pipeline of SmartSplat (AAAI 2026), with the parts of [`Ablation`].
+    #[cfg(feature = "smartsplat")]
     SmartSplat(Ablation),
 }
 
 /// Which parts of SmartSplat's initialization are used, in the order of the paper's ablation.
+#[cfg(feature = "smartsplat")]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Hash)]
 pub enum Ablation {
     /// Random means, uniform scales, random colours.
@@ -33,8 +34,8 @@ pub enum Ablation {
 }
 
 /// Steps of an ablation from SmartSplat's pipeline to ours. Each step adds to the previous ones; normal encodes use the
-/// last. The first two belong to [`Recipe::SmartSplat`], the others to [`Recipe::Ssplat`].
-#[doc(hidden)]
+/// last. The first two belong to `Recipe::SmartSplat`, the others to [`Recipe::Ssplat`].
+#[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "tools set them"))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Hash)]
 pub enum Rung {
     /// A fit that is rounded to the nearest integers.
@@ -82,6 +83,7 @@ pub enum Backend {
 }
 
 /// Parts of a picture that the encoder fits.
+#[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "tools set them"))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Needs {
@@ -205,7 +207,6 @@ pub struct EncodeOptions {
     /// Whether to measure quality along the way.
     pub trace: Trace,
     /// Last step of an ablation.
-    #[doc(hidden)]
     pub rung: Rung,
     /// Metadata of the source that `transcode` and `encode_decoder` carry into the file. Pixels alone have none.
     pub carry: Carry,
@@ -249,45 +250,4 @@ impl Default for EncodeOptions {
             exif: None,
         }
     }
-}
-
-/// Treatment of truncated and damaged files.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
-#[non_exhaustive]
-pub enum Damage {
-    /// Return an error.
-    #[default]
-    Refuse,
-    /// Draw the groups that are intact, if the file has any, and report the numbers of missing parts.
-    Accept,
-}
-
-/// Layers of a file to draw.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
-#[non_exhaustive]
-pub enum Layers {
-    /// The Gaussians and the detail layer, if there is one: the picture.
-    #[default]
-    Both,
-    /// The Gaussians alone: the detail layer is not read.
-    Gaussians,
-    /// The detail layer alone, on middle grey. A file without one gives plain grey.
-    Detail,
-}
-
-/// Options of [`Decoder`](crate::Decoder).
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-#[non_exhaustive]
-pub struct DecodeOptions {
-    /// Limits on size, memory and work.
-    pub limits: Limits,
-    /// The part to draw: left, top, width and height, pixels of the picture; `None`: all of it.
-    pub region: Option<[u32; 4]>,
-    /// Width and height of the output, pixels; `None`: those of the region. Larger ones sample the continuous picture,
-    /// smaller ones are low-passed as [`View::resized`](crate::raster::View::resized) says.
-    pub size: Option<[u32; 2]>,
-    /// Treatment of truncated and damaged files.
-    pub damage: Damage,
-    /// Layers to draw.
-    pub layers: Layers,
 }
