@@ -16,6 +16,7 @@ pub const EPSILON: f32 = 1.0 / 128.0;
 pub const HIDDEN: f32 = 1.0 / 4096.0;
 
 /// Smallest scale that the format allows, pixels.
+#[cfg(feature = "encode")]
 pub const MIN_SCALE: f32 = 0.25;
 
 /// Largest scale that the format allows, pixels.

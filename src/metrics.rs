@@ -45,7 +45,7 @@ const BAND: usize = 64;
 /// Output columns that are filtered together, so that the intermediate values of a band fit into the cache of a core.
 const BLOCK: usize = 256;
 
-#[cfg(feature = "quality")]
+#[cfg(all(feature = "quality", any(test, feature = "unstable")))]
 pub use crate::ssimulacra2::{linear_light, ssimulacra2};
 
 /// Result of [`compare`].

@@ -235,7 +235,7 @@ impl Image {
     pub fn read_from(mut reader: impl std::io::Read, limits: &Limits) -> Result<Self> {
         let header = Header::read(&mut reader, limits)?;
         let rest = read_rest(reader, limits)?;
-        Reader::behind(header, &rest, limits).read(Damage::Refuse)
+        Reader::with_header(header, &rest, limits).read(Damage::Refuse)
     }
 
     /// Returns the view of the whole picture at its own size.
