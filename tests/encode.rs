@@ -249,6 +249,30 @@ fn a_search_for_a_psnr_keeps_its_gaussians_where_only_the_layer_grows() {
 }
 
 #[test]
+fn pictures_with_silent_channels_have_layers_in_every_tune() {
+    // Grey texture, stored with equal colours and opaque alpha.
+    let [width, height] = [200, 150u32];
+    let grey =
+        |i: u32| (90.0 + 60.0 * (0.3 * (i % width) as f32).sin()) as u8 + (i.wrapping_mul(2_654_435_761) >> 27) as u8;
+    for channels in [Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
+        let count = channels.count();
+        let pixel = |i: u32| (0..count).map(move |k| if channels.alpha() == Some(k) { 255 } else { grey(i) });
+        let samples = Samples::U8((0..width * height).flat_map(pixel).collect());
+        let pixels = Pixels::new(width, height, channels, samples).unwrap();
+        for tune in [Tune::Psnr, Tune::Ssim, Tune::Iq] {
+            for target in [Target::Ratio(6.0), Target::Psnr(44.0)] {
+                let mut options = quick(target);
+                (options.tune, options.effort) = (Some(tune), 2);
+                let encoded = encode(&pixels, &options).unwrap();
+                let file = bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
+                assert!(file.detail.is_some(), "{channels:?} {tune:?} {target:?}");
+                assert!(encoded.report.psnr > 30.0, "{channels:?} {tune:?} {target:?}: {}", encoded.report.psnr);
+            }
+        }
+    }
+}
+
+#[test]
 fn a_psnr_is_reached_beside_metadata_of_any_size() {
     let pixels = picture(64, 48, Channels::Rgb);
     for wanted in [12.0, 24.0] {

@@ -19,7 +19,8 @@ const OF_LUMA: f32 = 0.4 * 2.0 / 3.0;
 /// Adds to luma and green chroma of `tiles` what is best beside the errors of `layer`. Twelve pictures of Kodak gain .03 dB at a ratio of 20, .02 at
 /// 50, and nothing at 100; the part of green chroma is .003.
 pub(super) fn couple(tiles: &mut [TileResidual], layer: &DetailLayer, channels: Channels) {
-    if channels.count() < 3 {
+    // The file's channels may be more than those that are fitted: a grey picture that is stored as RGB has no chroma.
+    if tiles.iter().any(|tile| tile.planes[0].len() != tile.planes[2].len()) {
         return;
     }
     let errors = parallel::map(tiles.len(), |i| errors(&tiles[i], layer, i, channels));
