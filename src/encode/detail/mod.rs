@@ -13,6 +13,7 @@ pub(super) mod parts;
 mod residual;
 mod search;
 mod slopes;
+mod texture;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
