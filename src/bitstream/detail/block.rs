@@ -175,17 +175,17 @@ pub(crate) fn savings(
                 there + price(more, false) + 1.0 - price(has, false)
             }
             2 => price(more, true) + price(&models.larger[2], false) - price(more, false),
-            3..PLAIN => {
+            3..UNARY_SIZES => {
                 let [fewer, same] = [magnitude - 1, magnitude].map(|size| &models.larger[size as usize]);
                 price(fewer, true) + price(same, false) - price(fewer, false)
             }
             _ => LARGE,
         };
         block.found.push(place.at);
-        block.hear(at, magnitude);
+        block.add_context(at, magnitude);
         left -= 1;
     }
-    block.hush();
+    block.reset_context();
 }
 
 #[inline(always)]
