@@ -19,8 +19,6 @@ use crate::options::Rung;
 /// Step sizes at the start, in each Gaussian's own frame and units. What others would win or lose is measured by
 /// `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`.
 pub(crate) const RATES: Rates = Rates { mean: 0.3, log_scale: 0.3, rotation: 0.15, color: 0.02, decay: [0.9, 0.95] };
-/// Step sizes at the end, in units of those at the start.
-pub(crate) const LAST_RATE: f32 = 0.02;
 /// Share of the iterations that see the fewest rows.
 pub(crate) const SAMPLED: f32 = 0.8;
 /// Share of the iterations after which the most rows are seen.
@@ -33,10 +31,9 @@ const STAMP: u64 = 1 << 14;
 const RELOCATED: f32 = 0.6;
 /// Share of the iterations after which nothing is relocated any more, at a steady pace.
 const RELOCATED_STEADILY: f32 = 0.7;
-/// Share of the primitives that may be relocated at a time, at a steady pace.
-const MOVED_STEADILY: f32 = 0.1;
-/// Share of the primitives that may be relocated at a time, at first; it falls to none.
+/// Share of the primitives that may be relocated at a time at a brisk pace, at first; it falls to none.
 const MOVED: f32 = 0.2;
+
 fn relocated(pace: Pace) -> f32 {
     match pace {
         Pace::Steady => RELOCATED_STEADILY,
@@ -212,7 +209,7 @@ impl<'a> Course<'a> {
             && done < relocated(plan.pace)
         {
             let share = match plan.pace {
-                Pace::Steady => MOVED_STEADILY,
+                Pace::Steady => plan.moved,
                 Pace::Brisk => MOVED * (1.0 - done / RELOCATED),
             };
             let most = ((engine.count() as f32 * share) as usize).max(1);
@@ -234,7 +231,7 @@ impl<'a> Course<'a> {
             Pace::Steady => RATES,
             Pace::Brisk => Rates { decay: adam::decay(steps), ..RATES },
         };
-        let rates = rates.scaled(plan.rate).scaled(LAST_RATE + (1.0 - LAST_RATE) * cosine);
+        let rates = rates.scaled(plan.rate).scaled(plan.last_rate + (1.0 - plan.last_rate) * cosine);
         // A step on all rows tells the error by itself.
         let each = if whole.scene.pixels() <= STAMP { 1 } else { REMEMBERED };
         let is_due = iteration.is_multiple_of(each);

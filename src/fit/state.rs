@@ -138,7 +138,8 @@ mod tests {
     use crate::fit::model::adam::price;
     use crate::fit::model::problem::Scene;
     use crate::fit::model::target::planes::Planes;
-    use crate::fit::schedule::{LAST_RATE, RATES};
+    use crate::fit::plan::LAST_RATE;
+    use crate::fit::schedule::RATES;
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::{Pixels, Samples};
 

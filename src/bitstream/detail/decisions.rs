@@ -161,11 +161,17 @@ fn prices() -> &'static [f32; PRICES] {
     PRICE.get_or_init(|| std::array::from_fn(|i| -((i as f32 + 0.5) / PRICES as f32).log2()))
 }
 
+/// Returns the bits of a decision with a model.
+#[inline(always)]
+pub(crate) fn price(model: &Adaptive, bit: bool) -> f32 {
+    let p = if bit { model.one() } else { 65_536 - model.one() };
+    prices()[(p >> 4) as usize & (PRICES - 1)]
+}
+
 impl Decisions for Price {
     #[inline(always)]
     fn bit(&mut self, model: &mut Adaptive, bit: bool) -> bool {
-        let p = if bit { model.one() } else { 65_536 - model.one() };
-        self.bits += prices()[(p >> 4) as usize & (PRICES - 1)];
+        self.bits += price(model, bit);
         bit
     }
 

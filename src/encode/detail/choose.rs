@@ -1,16 +1,16 @@
-//! Levels and blocks of a tile: what costs least, distortion and bits together.
+//! Levels of a tile in blocks that are given: what costs least, distortion and bits together.
 
-use super::coefficients::{self, AllSizes, Division};
+use super::coefficients::{self, Coefficients, Division};
+use super::in_steps::{Factors, Kept, Values};
 use super::residual::TileResidual;
 use crate::bitstream::coder::range::Encoder;
 use crate::bitstream::detail::block::{self, Block, Context, MAX_LEVEL};
-use crate::bitstream::detail::decisions::{Decisions, Price};
+use crate::bitstream::detail::decisions::{Adaptive, Decisions, Price};
 use crate::bitstream::detail::head::DetailHead;
 use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, SUPERS, TILE, TileLevels};
 use crate::bitstream::detail::model::{KINDS, Models, PLANES};
-use crate::bitstream::detail::scan::{SIZES, STRIDE, at, scan};
+use crate::bitstream::detail::scan::{ROOM, SIZES, STRIDE, at, scan};
 use crate::bitstream::detail::tile::{Content, ROOT, TileCoder, TileState, kinds, push};
-use crate::detail::steps::PlaneSteps;
 use crate::gaussian::Channels;
 
 /// Settings with which a layer is coded.
@@ -26,16 +26,20 @@ pub(super) struct Setting {
 /// How carefully levels are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Care {
-    /// All that are not worth their bits go at once.
+    /// Each of those that are far from sure is tried once.
     Quick,
-    /// Each is tried by itself.
+    /// Those of which an estimate of their savings leaves doubts are tried, or all of a few, twice.
     Thorough,
 }
 
 /// Below this, in steps, a coefficient has no level to begin with.
 const DEAD: f32 = 0.58;
-/// Levels from which on large blocks are not worth trying, by size.
-const CROWDED: [u32; SIZES] = [u32::MAX, u32::MAX, 40, 48];
+/// Blocks of as few coefficients that may have a level are always tried one by one.
+const FEW: usize = 6;
+/// Bits by which an estimate has to miss the border for a level to be changed or left unseen.
+const DOUBT: f32 = 1.0;
+/// Bits that a level smaller by one saves in those that come after it, above what is estimated.
+const SAVED_BESIDE: f32 = 0.6;
 
 /// A tile whose levels have been chosen.
 #[derive(Debug)]
@@ -87,76 +91,66 @@ struct Candidate {
     value: f32,
 }
 
-/// Where coefficients come from.
-enum Source<'a> {
-    /// Blocks of all sizes, to choose from.
-    All(&'a AllSizes),
-    /// The blocks are chosen.
-    Chosen(coefficients::Coefficients),
-}
-
 struct Chooser<'a> {
     setting: &'a Setting,
-    source: Source<'a>,
+    coefficients: &'a Coefficients,
     state: TileState,
     models: Models,
     dense: Dense,
     block: Block,
+    factors: Factors,
+    values: Values,
     candidates: Vec<Candidate>,
-    fixed: Option<&'a [Vec<u8>; KINDS]>,
+    /// Candidates that are worth an exact look.
+    doubtful: Vec<Candidate>,
+    /// Bits that each place of a block would save by a smaller level.
+    savings: Box<[f32; ROOM]>,
 }
 
-/// A block that was tried: what it costs, and the levels of its planes.
-#[derive(Debug, Clone, Copy, Default)]
-struct Tried {
+/// Levels of a block: their number, and squared error and cost, in squared steps.
+#[derive(Debug, Clone, Copy)]
+struct Found {
+    count: u32,
+    distortion: f32,
     cost: f32,
-    counts: [u32; 2],
-    /// Whether no coefficient came near a level.
-    is_quiet: bool,
 }
 
-/// Chooses the levels of a tile in blocks that are given, or, with `all`, in blocks that are chosen as well: these are then what
-/// is worth it where the whole tile is lapped for blocks of each size, and the levels are chosen anew where it is lapped for them.
+/// Chooses the levels of a tile in blocks of such `sizes`. The coefficients in these blocks are taken from `kept`, or made and left there.
 pub(super) fn choose(
     tile: &TileResidual,
     classes: &[u8],
     setting: &Setting,
-    all: Option<&AllSizes>,
-    sizes: Option<&[Vec<u8>; KINDS]>,
+    sizes: &[Vec<u8>; KINDS],
+    kept: Option<&Kept>,
 ) -> Chosen {
-    let quick = Setting { care: Care::Quick, ..*setting };
-    let trees;
-    let sizes = match (sizes, all) {
-        (Some(sizes), _) => sizes,
-        (None, Some(all)) => {
-            trees = Chooser::new(tile, classes, &quick, Source::All(all), None).run().sizes;
-            &trees
-        }
-        (None, None) => unreachable!("either sizes or what to choose them from"),
-    };
     let division = |plane: usize| Division::Chosen(&sizes[[0, 1, 1, 2][plane]]);
-    let chosen = std::array::from_fn(|plane| coefficients::plane(tile, plane, division(plane)));
-    Chooser::new(tile, classes, setting, Source::Chosen(chosen), Some(sizes)).run()
+    let own = Kept::new();
+    let coefficients = kept
+        .unwrap_or(&own)
+        .get_or_init(|| std::array::from_fn(|plane| coefficients::plane(tile, plane, division(plane))));
+    let dense = Dense {
+        sizes: sizes.clone(),
+        planes: std::array::from_fn(|_| vec![0; TILE * TILE]),
+        classes: classes.to_vec(),
+        written: TileLevels::default(),
+    };
+    let chooser = Chooser {
+        setting,
+        coefficients,
+        state: TileState::new(tile.size),
+        models: Models::start(),
+        dense,
+        block: Block::default(),
+        factors: Factors::new(setting.head),
+        values: Values::default(),
+        candidates: Vec::new(),
+        doubtful: Vec::new(),
+        savings: Box::new([0.0; ROOM]),
+    };
+    chooser.run()
 }
 
-impl<'a> Chooser<'a> {
-    fn new(
-        tile: &TileResidual,
-        classes: &[u8],
-        setting: &'a Setting,
-        source: Source<'a>,
-        fixed: Option<&'a [Vec<u8>; KINDS]>,
-    ) -> Self {
-        let dense = Dense {
-            sizes: std::array::from_fn(|_| vec![0; CELLS * CELLS]),
-            planes: std::array::from_fn(|_| vec![0; TILE * TILE]),
-            classes: classes.to_vec(),
-            written: TileLevels::default(),
-        };
-        let (state, models) = (TileState::new(tile.size), Models::start());
-        Chooser { setting, source, state, models, dense, block: Block::default(), candidates: Vec::new(), fixed }
-    }
-
+impl Chooser<'_> {
     fn run(mut self) -> Chosen {
         let mut encoder = Encoder::default();
         for at in self.state.superblocks() {
@@ -182,217 +176,97 @@ impl<'a> Chooser<'a> {
         Chosen { stream: encoder.finish(), levels: Some(written), sizes }
     }
 
-    fn set_size(&mut self, kind: usize, cell: [usize; 2], size: usize) {
-        self.state.set_size(kind, cell, size);
-        let n = 1usize << size;
-        for j in 0..n {
-            self.dense.sizes[kind][(cell[1] + j) * CELLS + cell[0]..][..n].fill(size as u8);
-        }
-    }
-
-    /// Chooses the blocks of a square and their levels; returns what they cost.
-    fn tree(&mut self, kind: usize, cell: [usize; 2], size: usize) -> f32 {
-        let [least, most] = self.setting.head.sizes(kind);
-        if let Some(fixed) = self.fixed {
-            let is_divided = usize::from(fixed[kind][cell[1] * CELLS + cell[0]]) < size;
-            return if is_divided { self.quarters(kind, cell, size) } else { self.leaf(kind, cell, size).cost };
-        }
-        if size > most {
-            return self.quarters(kind, cell, size);
-        }
-        if size == least {
-            return self.leaf(kind, cell, size).cost;
-        }
-        let near = self.state.smaller(kind, cell, size);
-        let model = self.models.kinds[kind].divide[size][near];
-        let price = |bit: bool| {
-            let mut price = Price::default();
-            price.bit(&mut model.clone(), bit);
-            self.setting.lambda * price.bits
-        };
-        let (whole, divided) = (price(false), price(true));
-        let tried = self.leaf(kind, cell, size);
-        let one = tried.cost + whole;
-        if tried.is_quiet {
-            return one;
-        }
-        let kept = self.saved(kind, cell, size);
-        let four = self.quarters(kind, cell, size) + divided;
-        if one > four {
-            return four;
-        }
-        self.set_size(kind, cell, size);
-        self.restore(kind, cell, size, &kept);
-        for (plane, count) in planes(kind).zip(tried.counts) {
-            self.state.fill(plane, cell, size, count);
-        }
-        one
-    }
-
-    fn quarters(&mut self, kind: usize, [x, y]: [usize; 2], size: usize) -> f32 {
-        let half = 1 << (size - 1);
-        [[0, 0], [1, 0], [0, 1], [1, 1]]
-            .map(|[i, j]| self.tree(kind, [x + i * half, y + j * half], size - 1))
-            .iter()
-            .sum()
-    }
-
-    /// The levels of a square.
-    fn saved(&self, kind: usize, [x, y]: [usize; 2], size: usize) -> Vec<i16> {
-        let n = CELL << size;
-        planes(kind)
-            .flat_map(|plane| {
-                (0..n).flat_map(move |v| &self.dense.planes[plane][(y * CELL + v) * TILE + x * CELL..][..n])
-            })
-            .copied()
-            .collect()
-    }
-
-    fn restore(&mut self, kind: usize, [x, y]: [usize; 2], size: usize, kept: &[i16]) {
-        let n = CELL << size;
-        let mut rows = kept.chunks_exact(n);
-        for plane in planes(kind) {
-            for v in 0..n {
-                let row = rows.next().expect("as many as were saved");
-                self.dense.planes[plane][(y * CELL + v) * TILE + x * CELL..][..n].copy_from_slice(row);
-            }
-        }
-    }
-
-    fn leaf(&mut self, kind: usize, cell: [usize; 2], size: usize) -> Tried {
-        self.set_size(kind, cell, size);
-        let mut all = Tried { is_quiet: true, ..Tried::default() };
-        for (i, plane) in planes(kind).enumerate() {
-            let Tried { cost, counts: [count, _], is_quiet } = self.levels(kind, plane, cell, size);
-            self.state.fill(plane, cell, size, count);
-            all.cost += cost;
-            all.counts[i] = count;
-            all.is_quiet &= is_quiet;
-        }
-        all
-    }
-
-    /// Chooses the levels of one block.
-    fn levels(&mut self, kind: usize, plane: usize, cell: [usize; 2], size: usize) -> Tried {
+    /// Chooses the levels of the blocks of a square.
+    fn tree(&mut self, kind: usize, cell: [usize; 2], size: usize) {
         let [x, y] = cell;
-        let n = CELL << size;
+        if self.dense.is_divided(kind, cell, size) {
+            let half = 1 << (size - 1);
+            for [i, j] in [[0, 0], [1, 0], [0, 1], [1, 1]] {
+                self.tree(kind, [x + i * half, y + j * half], size - 1);
+            }
+            return;
+        }
+        self.state.set_size(kind, cell, size);
+        for plane in planes(kind) {
+            let count = self.levels(kind, plane, cell, size);
+            self.state.fill(plane, cell, size, count);
+        }
+    }
+
+    /// Chooses the levels of one block; returns how many there are.
+    fn levels(&mut self, kind: usize, plane: usize, cell: [usize; 2], size: usize) -> u32 {
+        let [x, y] = cell;
         let Setting { head, lambda, care, .. } = *self.setting;
-        let place = y / (SUPER / CELL) * SUPERS + x / (SUPER / CELL);
-        let class = if head.classes > 1 { self.dense.classes[place] } else { 0 };
-        let steps = PlaneSteps::new(&head, plane, class);
-        let coefficients: &[f32] = match &self.source {
-            Source::All(all) => all.plane(size, plane),
-            Source::Chosen(chosen) => &chosen[plane],
-        };
-        let is_void = coefficients.is_empty();
-        let bias = head.biases.map(|bias| f32::from(bias) / 32.0);
-        let mut nothing = 0f32;
-        let mut largest = 0f32;
+        let class = self.dense.class(cell.map(|c| c / (SUPER / CELL)));
+        self.values.take(&self.coefficients[plane], cell, size, self.factors.of(class, plane, size));
         self.candidates.clear();
-        for v in 0..n {
-            if is_void {
-                break;
-            }
-            let row = &coefficients[(y * CELL + v) * TILE + x * CELL..][..n];
-            for (u, &c) in row.iter().enumerate() {
-                // Steps are in 1/64 code value, coefficients in 1/16.
-                let value = c * 4.0 / steps.step(size, u, v) as f32;
-                let magnitude = value.abs();
-                nothing += magnitude * magnitude;
-                largest = largest.max(magnitude);
-                if magnitude > DEAD {
-                    self.candidates.push(Candidate { at: at(u, v) as u16, negative: value < 0.0, value: magnitude });
-                }
-            }
-        }
-        for v in 0..n {
-            self.dense.planes[plane][(y * CELL + v) * TILE + x * CELL..][..n].fill(0);
-        }
-        let bucket = self.state.bucket(plane, cell, size);
-        let others = self.state.others(plane, cell, size);
-        let mut filled = self.models.filled[plane][size][bucket][others];
-        let mut price = Price::default();
-        price.bit(&mut filled, false);
-        let empty = Tried { cost: nothing + lambda * price.bits, counts: [0; 2], is_quiet: largest < QUIET };
+        let candidates = &mut self.candidates;
+        self.values.above(DEAD, |u, v, value| {
+            candidates.push(Candidate { at: at(u, v) as u16, negative: value < 0.0, value: value.abs() });
+        });
         if self.candidates.is_empty() {
-            return empty;
-        }
-        if self.fixed.is_none() && size > head.sizes(kind)[0] && self.candidates.len() as u32 > CROWDED[size] {
-            return Tried { cost: f32::INFINITY, counts: [0; 2], is_quiet: false };
+            return 0;
         }
         let order = order(size);
         self.candidates.sort_unstable_by_key(|c| std::cmp::Reverse(order[usize::from(c.at)]));
-        let error = |value: f32, level: u32| {
-            let stands_for = if level == 0 { 0.0 } else { level as f32 - bias[usize::from(level > 1)] };
-            (value - stands_for) * (value - stands_for)
-        };
-        let mut distortion = nothing;
-        for c in &self.candidates {
-            let level = ((c.value + 1.0 - DEAD) as u32).clamp(1, MAX_LEVEL);
-            self.block.levels[usize::from(c.at)] = signed(level, c.negative);
-            distortion += error(c.value, level) - error(c.value, 0);
-        }
-        let mut count = self.candidates.len() as u32;
+        let bucket = self.state.bucket(plane, cell, size);
+        let others = self.state.others(plane, cell, size);
+        let filled = self.models.filled[plane][size][bucket][others];
+        let mut price = Price::default();
+        price.bit(&mut filled.clone(), false);
+        let nothing = self.values.energy + lambda * price.bits;
         let mut trial = Trial {
             models: &mut self.models,
             block: &mut self.block,
             kind,
             context: Context::new(size, bucket),
             filled,
+            lambda,
+            bias: head.biases.map(|bias| f32::from(bias) / 32.0),
         };
-        let mut cost = distortion + lambda * trial.price(count);
-        let passes = if care == Care::Thorough { 2 } else { 1 };
-        for _ in 0..passes {
-            let mut is_changed = false;
-            for c in &self.candidates {
-                let at = usize::from(c.at);
-                let level = u32::from(trial.block.levels[at].unsigned_abs());
-                // What is far from the border of rounding stays.
-                let is_sure = match (level, care) {
-                    (0, _) => true,
-                    (1, Care::Thorough) => c.value > 1.5,
-                    (1, Care::Quick) => c.value > 1.1,
-                    (_, Care::Thorough) => c.value - level as f32 > 0.1,
-                    (_, Care::Quick) => c.value - level as f32 > -0.2,
-                };
-                if is_sure {
-                    continue;
-                }
-                trial.block.levels[at] = signed(level - 1, c.negative);
-                let without = count - u32::from(level == 1);
-                let rest = distortion + error(c.value, level - 1) - error(c.value, level);
-                let trial_cost = if without == 0 { f32::INFINITY } else { rest + lambda * trial.price(without) };
-                if trial_cost < cost {
-                    (cost, distortion, count, is_changed) = (trial_cost, rest, without, true);
-                } else {
-                    trial.block.levels[at] = signed(level, c.negative);
+        let mut found = trial.rounded(&self.candidates, self.values.energy);
+        let is_many = self.candidates.len() > FEW;
+        let doubtful = &mut self.doubtful;
+        if is_many && care == Care::Thorough && trial.lower(&self.candidates, &mut found, &mut self.savings, doubtful) {
+            trial.try_each(doubtful, &mut found, |_, _| false);
+        } else {
+            for _ in 0..if care == Care::Quick { 1 } else { 2 } {
+                if !trial.try_each(&self.candidates, &mut found, |value, level| is_sure(value, level, care)) {
+                    break;
                 }
             }
-            if !is_changed {
-                break;
-            }
         }
-        if empty.cost <= cost {
-            for c in &self.candidates {
-                self.block.levels[usize::from(c.at)] = 0;
-            }
-            return Tried { is_quiet: false, ..empty };
-        }
+        let is_worth_it = found.cost < nothing;
         for c in &self.candidates {
             let at = usize::from(c.at);
-            let (u, v) = (at % STRIDE, at / STRIDE);
-            self.dense.planes[plane][(y * CELL + v) * TILE + x * CELL + u] = std::mem::take(&mut self.block.levels[at]);
+            let level = std::mem::take(&mut self.block.levels[at]);
+            if is_worth_it {
+                self.dense.planes[plane][(y * CELL + at / STRIDE) * TILE + x * CELL + at % STRIDE] = level;
+            }
         }
-        Tried { cost, counts: [count, 0], is_quiet: false }
+        if is_worth_it { found.count } else { 0 }
     }
 }
 
-/// Below this, in steps, coefficients of a block say that smaller ones have nothing either.
-const QUIET: f32 = 0.45;
+/// Tells whether a level is so far from the border of rounding that it stays.
+fn is_sure(value: f32, level: u32, care: Care) -> bool {
+    match (level, care) {
+        (0, _) => true,
+        (1, Care::Quick) => value > 1.1,
+        (1, _) => value > 1.5,
+        (_, Care::Quick) => value - level as f32 > -0.2,
+        (_, _) => value - level as f32 > 0.1,
+    }
+}
 
 /// The planes of a kind.
-fn planes(kind: usize) -> std::ops::Range<usize> {
+pub(super) fn planes(kind: usize) -> std::ops::Range<usize> {
     [0..1, 1..3, 3..4][kind].clone()
+}
+
+/// The level of a value before bits are thought of.
+fn rounded(value: f32) -> u32 {
+    ((value + 1.0 - DEAD) as u32).clamp(1, MAX_LEVEL)
 }
 
 fn signed(level: u32, negative: bool) -> i16 {
@@ -405,7 +279,10 @@ struct Trial<'a> {
     block: &'a mut Block,
     kind: usize,
     context: Context,
-    filled: crate::bitstream::detail::decisions::Adaptive,
+    filled: Adaptive,
+    lambda: f32,
+    /// Parts of a step by which values of level 1, and of higher ones, are nearer to 0.
+    bias: [f32; 2],
 }
 
 impl Trial<'_> {
@@ -417,6 +294,91 @@ impl Trial<'_> {
             .expect("levels within the format");
         price.bits
     }
+
+    /// Squared error of a level.
+    fn error(&self, value: f32, level: u32) -> f32 {
+        let stands_for = if level == 0 { 0.0 } else { level as f32 - self.bias[usize::from(level > 1)] };
+        (value - stands_for) * (value - stands_for)
+    }
+
+    fn level(&self, candidate: &Candidate) -> u32 {
+        self.block.levels[usize::from(candidate.at)].unsigned_abs().into()
+    }
+
+    fn set(&mut self, candidate: &Candidate, level: u32) {
+        self.block.levels[usize::from(candidate.at)] = signed(level, candidate.negative);
+    }
+
+    /// Rounds all candidates; `energy` is the squared error without any level.
+    fn rounded(&mut self, candidates: &[Candidate], energy: f32) -> Found {
+        let mut distortion = energy;
+        for c in candidates {
+            let level = rounded(c.value);
+            self.set(c, level);
+            distortion += self.error(c.value, level) - self.error(c.value, 0);
+        }
+        let count = candidates.len() as u32;
+        Found { count, distortion, cost: distortion + self.lambda * self.price(count) }
+    }
+
+    /// Lowers the levels that are surely not worth their last step, by an estimate of what each would save alone; writes to `doubtful` those of
+    /// which it does not tell. Returns false and changes nothing if no level would be left.
+    fn lower(
+        &mut self,
+        candidates: &[Candidate],
+        found: &mut Found,
+        savings: &mut [f32; ROOM],
+        doubtful: &mut Vec<Candidate>,
+    ) -> bool {
+        block::savings(&mut self.models.kinds[self.kind], self.block, self.context, found.count, savings);
+        doubtful.clear();
+        let before = *found;
+        for c in candidates {
+            let level = self.level(c);
+            if is_sure(c.value, level, Care::Quick) {
+                continue;
+            }
+            let more = self.error(c.value, level - 1) - self.error(c.value, level);
+            let gain = savings[usize::from(c.at)] + SAVED_BESIDE - more / self.lambda;
+            if gain > DOUBT {
+                self.set(c, level - 1);
+                found.count -= u32::from(level == 1);
+                found.distortion += more;
+            } else if gain > -DOUBT {
+                doubtful.push(*c);
+            }
+        }
+        if found.count == 0 {
+            for c in candidates {
+                self.set(c, rounded(c.value));
+            }
+            *found = before;
+            return false;
+        }
+        found.cost = found.distortion + self.lambda * self.price(found.count);
+        true
+    }
+
+    /// Lowers each level whose last step is not worth its bits, but for those that are sure; returns whether any was.
+    fn try_each(&mut self, candidates: &[Candidate], found: &mut Found, is_sure: impl Fn(f32, u32) -> bool) -> bool {
+        let mut is_changed = false;
+        for c in candidates {
+            let level = self.level(c);
+            if level == 0 || is_sure(c.value, level) {
+                continue;
+            }
+            self.set(c, level - 1);
+            let count = found.count - u32::from(level == 1);
+            let distortion = found.distortion + self.error(c.value, level - 1) - self.error(c.value, level);
+            let cost = if count == 0 { f32::INFINITY } else { distortion + self.lambda * self.price(count) };
+            if cost < found.cost {
+                (*found, is_changed) = (Found { count, distortion, cost }, true);
+            } else {
+                self.set(c, level);
+            }
+        }
+        is_changed
+    }
 }
 
 /// The place of each level of a block in the order of coding.
@@ -424,7 +386,7 @@ fn order(size: usize) -> &'static [u16] {
     static ORDERS: std::sync::OnceLock<[Vec<u16>; SIZES]> = std::sync::OnceLock::new();
     &ORDERS.get_or_init(|| {
         std::array::from_fn(|size| {
-            let mut order = vec![0; crate::bitstream::detail::scan::ROOM];
+            let mut order = vec![0; ROOM];
             scan(size).iter().enumerate().for_each(|(k, place)| order[usize::from(place.at)] = k as u16);
             order
         })

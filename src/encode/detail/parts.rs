@@ -4,7 +4,6 @@
 //! byte of the file.
 
 use super::aim;
-use super::choose::Care;
 use super::residual::{TileResidual, residual};
 use super::search::{Aim, Coded, classes_of, code, mean_activity, search, smallest_step};
 use crate::bitstream::detail::DetailLayer;
@@ -122,16 +121,13 @@ impl Parts<'_> {
         sizes: Option<&[[Vec<u8>; 3]]>,
         show: &mut dyn FnMut(f32) -> Result<()>,
     ) -> Result<Coded> {
-        let mut aim = *aim;
-        aim.setting.head.step = step;
-        aim.setting.care = Care::Thorough;
-        let layer = DetailLayer { head: aim.setting.head, tiles: Vec::new() };
+        let layer = DetailLayer { head: aim.setting_at(step).head, tiles: Vec::new() };
         let mut all = Coded { layer, bytes: 0, sizes: Vec::new() };
         for (index, count) in self.parts() {
             show(index as f32 / self.count() as f32)?;
             let tiles = self.residuals(index, count)?;
-            let classes = classes_of(&tiles, &aim, mean);
-            let part = code(&tiles, &classes, &aim, step, sizes.map(|sizes| &sizes[index..index + count]));
+            let classes = classes_of(&tiles, aim, mean);
+            let part = code(&tiles, &classes, aim, step, (sizes.map(|sizes| &sizes[index..index + count]), &[]));
             all.layer.tiles.extend(part.layer.tiles);
             all.sizes.extend(part.sizes);
             all.bytes += part.bytes;

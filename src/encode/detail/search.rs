@@ -1,9 +1,12 @@
 //! The quantizer step with which a layer takes the bytes that it may.
 
+use super::blocks::blocks;
 use super::choose::{Chosen, Setting, choose};
 use super::classes::{activity, classes};
-use super::coefficients::{self, AllSizes, Division};
+use super::coefficients::{self, Division};
+use super::in_steps::{KEPT_TILES, Kept};
 use super::residual::TileResidual;
+use super::slopes::Slopes;
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::{CELL, SUPER, TILE};
 use crate::bitstream::detail::model::{KINDS, PLANES};
@@ -25,6 +28,8 @@ pub(super) struct Aim {
     pub setting: Setting,
     /// Power of the variance with which steps grow, where there are classes.
     pub power: f32,
+    /// How steps grow with frequency.
+    pub slopes: Slopes,
     /// Most bytes of index and streams.
     pub most: u64,
     /// Most runs of the coder.
@@ -33,12 +38,23 @@ pub(super) struct Aim {
     pub keeps: bool,
 }
 
+impl Aim {
+    /// The setting of a layer of such a step.
+    pub fn setting_at(&self, step: u16) -> Setting {
+        let mut setting = self.setting;
+        (setting.head.step, setting.head.slopes) = (step, self.slopes.at(step));
+        setting
+    }
+}
+
 /// A layer that falls short of its bytes by at most this part is near enough.
 const NEAR: f64 = 0.004;
 /// Share of the available bytes by which the search aims below them.
 const BELOW: f64 = 0.0015;
 /// How bytes fall with the logarithm of the step, before two runs have shown it.
-pub(super) const FALL: f64 = 1.4;
+const FALL: f64 = 1.05;
+/// Logarithms of steps that are nearer to each other say nothing of it.
+const LEAST_CHORD: f64 = 0.004;
 /// Times the runs that a search may take until a layer fits at all.
 const PATIENCE: u32 = 3;
 /// Bits of a level, before anything is known.
@@ -52,8 +68,9 @@ pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) ->
     let classes = classes_of(tiles, aim, mean_activity(tiles, aim));
     let mut sizes = near.filter(|_| aim.keeps).map(|near| near.sizes.clone());
     let step = near.map_or_else(|| guess(tiles, aim), |near| f64::from(near.layer.head.step));
+    let kept: Vec<Kept> = if tiles.len() <= KEPT_TILES { vec![Kept::new(); tiles.len()] } else { Vec::new() };
     let run = |step: u16| {
-        let coded = code(tiles, &classes, aim, step, sizes.as_deref());
+        let coded = code(tiles, &classes, aim, step, (sizes.as_deref(), &kept));
         sizes.get_or_insert_with(|| coded.sizes.clone());
         Ok::<_, std::convert::Infallible>(coded)
     };
@@ -68,6 +85,7 @@ pub(super) fn smallest_step<E>(
     mut run: impl FnMut(u16) -> Result<Coded, E>,
 ) -> Result<Option<Coded>, E> {
     let (mut over, mut under): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
+    let (mut fall, mut last): (f64, Option<[f64; 2]>) = (FALL, None);
     let mut best: Option<Coded> = None;
     let goal = (aim.most as f64 * (1.0 - BELOW)).max(1.0).ln();
     // Where none fits yet, which takes a picture whose bytes hardly fall with the step, it goes on for longer, and ever further.
@@ -92,6 +110,10 @@ pub(super) fn smallest_step<E>(
                 break;
             }
         }
+        if let Some(last) = last.filter(|last| (at[0] - last[0]).abs() > LEAST_CHORD) {
+            fall = ((last[1] - at[1]) / (at[0] - last[0])).clamp(0.5, 2.0);
+        }
+        last = Some(at);
         let next = match (over, under) {
             (Some(a), Some(b)) if (b[0] - a[0]).abs() < 2e-3 => break,
             (Some(a), Some(b)) => {
@@ -99,8 +121,8 @@ pub(super) fn smallest_step<E>(
                 // Late runs halve what is left, if the curve is too crooked for a chord.
                 if i > 4 { 0.5 * (a[0] + b[0]) } else { a[0] + share * (b[0] - a[0]) }
             }
-            (Some(a), None) => a[0] + ((a[1] - goal) / FALL).max(0.003) * f64::from(1 << (i / 3).min(8)),
-            (None, Some(b)) => b[0] - ((goal - b[1]) / FALL).clamp(0.001, 3.0),
+            (Some(a), None) => a[0] + ((a[1] - goal) / fall).max(0.003) * f64::from(1 << (i / 3).min(8)),
+            (None, Some(b)) => b[0] - ((goal - b[1]) / fall).clamp(0.001, 3.0),
             (None, None) => break,
         };
         step = next.exp();
@@ -130,25 +152,35 @@ pub(super) fn classes_of(tiles: &[TileResidual], aim: &Aim, mean: f32) -> Vec<Ve
 
 /// Returns the layer of `tiles` with the step of the setting, in the blocks of `near`.
 pub(super) fn once(tiles: &[TileResidual], aim: &Aim, near: &Coded) -> Coded {
-    code(tiles, &classes_of(tiles, aim, mean_activity(tiles, aim)), aim, aim.setting.head.step, Some(&near.sizes))
+    code(
+        tiles,
+        &classes_of(tiles, aim, mean_activity(tiles, aim)),
+        aim,
+        aim.setting.head.step,
+        (Some(&near.sizes), &[]),
+    )
 }
 
-/// Codes the layer with a step.
+/// Codes the layer with a step, in blocks of such `sizes`, or in those that it chooses. Coefficients in these blocks stay in `kept`, if it is not
+/// empty.
 pub(super) fn code(
     tiles: &[TileResidual],
     classes: &[Vec<u8>],
     aim: &Aim,
     step: u16,
-    sizes: Option<&[[Vec<u8>; KINDS]]>,
+    (sizes, kept): (Option<&[[Vec<u8>; KINDS]]>, &[Kept]),
 ) -> Coded {
-    let mut setting = aim.setting;
-    setting.head.step = step;
-    let chosen: Vec<Chosen> = parallel::map(tiles.len(), |i| match sizes {
-        Some(sizes) => choose(&tiles[i], &classes[i], &setting, None, Some(&sizes[i])),
-        None => {
-            let all = AllSizes::new(&tiles[i], |plane| setting.head.sizes([0, 1, 1, 2][plane]));
-            choose(&tiles[i], &classes[i], &setting, Some(&all), None)
-        }
+    let setting = aim.setting_at(step);
+    let chosen: Vec<Chosen> = parallel::map(tiles.len(), |i| {
+        let chosen;
+        let sizes = match sizes {
+            Some(sizes) => &sizes[i],
+            None => {
+                chosen = blocks(&tiles[i], &classes[i], &setting);
+                &chosen
+            }
+        };
+        choose(&tiles[i], &classes[i], &setting, sizes, kept.get(i))
     });
     let length = |stream: &[u8]| match stream.len() as u64 {
         0 => 1,
@@ -168,10 +200,12 @@ fn guess(tiles: &[TileResidual], aim: &Aim) -> f64 {
     /// Bins of an octave.
     const FINE: f32 = 4.0;
     const BINS: usize = 128;
+    /// One row of blocks in so many is looked at.
+    const SAMPLED: usize = 4;
     /// The step that coefficients are counted in.
     const UNIT: u16 = 1024;
     let mut head = aim.setting.head;
-    (head.step, head.classes) = (UNIT, 1);
+    (head.step, head.slopes, head.classes) = (UNIT, aim.slopes.at(UNIT), 1);
     let bins = parallel::map(tiles.len(), |i| {
         let tile = &tiles[i];
         let mut bins = vec![0u32; BINS];
@@ -184,12 +218,13 @@ fn guess(tiles: &[TileResidual], aim: &Aim) -> f64 {
             }
             let steps = PlaneSteps::new(&head, plane, 0);
             let n = CELL << size;
-            for y in 0..cells[1] * CELL {
+            for y in (0..cells[1] * CELL).filter(|y| y / n % SAMPLED == 0) {
                 for x in 0..cells[0] * CELL {
                     let step = steps.step(size.into(), x % n, y % n);
                     let value = values[y * TILE + x].abs() * 4.0 / step as f32;
-                    let bin = (value.max(1e-9).log2() * FINE + BINS as f32 / 2.0).clamp(0.0, (BINS - 1) as f32);
-                    bins[bin as usize] += 1;
+                    // The exponent and two bits of what follows: about four times the logarithm.
+                    let bin = ((value.to_bits() >> 21) as usize + BINS / 2).saturating_sub(127 << 2).min(BINS - 1);
+                    bins[bin] += SAMPLED as u32;
                 }
             }
         }
@@ -215,6 +250,22 @@ mod tests {
     use crate::encode::detail::aim;
     use crate::gaussian::Channels;
     use crate::options::Tune;
+
+    #[test]
+    fn kept_coefficients_change_no_byte() {
+        let aim = Aim { most: 3000, ..aim(Tune::Iq, Channels::Rgb, false) };
+        let plane = |seed: usize| (0..TILE * TILE).map(|i| ((i * seed) % 4001) as f32 - 2000.0).collect::<Vec<f32>>();
+        let luma = plane(31).iter().map(|v| v / 20.0 + 100.0).collect();
+        let tiles = [TileResidual { size: [128, 96], planes: [plane(97), plane(89), plane(83), Vec::new()], luma }];
+        let classes = classes_of(&tiles, &aim, mean_activity(&tiles, &aim));
+        let kept = vec![Kept::new(); tiles.len()];
+        let first = code(&tiles, &classes, &aim, 900, (None, &kept));
+        assert!(first.bytes > 100);
+        // With the blocks of the first: that is what coefficients are kept for.
+        let [with, without] =
+            [&kept[..], &[]].map(|kept| code(&tiles, &classes, &aim, 1200, (Some(&first.sizes), kept)));
+        assert_eq!((with.bytes, with.layer), (without.bytes, without.layer));
+    }
 
     #[test]
     fn a_step_is_found_however_little_the_bytes_fall() {

@@ -1,0 +1,105 @@
+//! What the pixels of a picture tell of how its bytes are best divided, before anything is fitted.
+
+use crate::fit::model::target::planes::Planes;
+use crate::parallel;
+
+/// Side of the squares that are looked at, pixels.
+const SQUARE: usize = 8;
+/// Variance of luma, code values², that is as good as none.
+const FLOOR: f64 = 4.0;
+
+/// How fine and how strong the texture of a picture is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Texture {
+    /// What luma loses at half the size, over what it then loses at a quarter: large where the finest detail is strong. Gaussians of one file
+    /// cannot make such detail, and a layer can.
+    pub fineness: f64,
+    /// Mean logarithm of the variance of luma, code values², within squares of 8.
+    pub activity: f64,
+}
+
+impl Texture {
+    /// Looks at the whole squares of a picture; `None` where there is none, or nothing is left in them at half the size.
+    pub fn of(planes: &Planes) -> Option<Texture> {
+        let [across, down] = [planes.width, planes.height].map(|side| side as usize / SQUARE);
+        let strips = parallel::map(down, |strip| {
+            let mut sums = [0f64; 3];
+            let rows: [Vec<f32>; SQUARE] = std::array::from_fn(|y| luma(planes, strip * SQUARE + y));
+            for x in 0..across {
+                let square = |u: usize, v: usize| rows[v][x * SQUARE + u];
+                sums.iter_mut().zip(measured(square)).for_each(|(sum, more)| *sum += more);
+            }
+            sums
+        });
+        let sums = strips.iter().fold([0.0; 3], |sums, strip| [0, 1, 2].map(|i| sums[i] + strip[i]));
+        let [fine, coarse, activity] = sums;
+        let count = (across * down) as f64;
+        (coarse > 0.0).then(|| Texture { fineness: fine / coarse, activity: activity / count })
+    }
+}
+
+/// The luma of a row, code values.
+fn luma(planes: &Planes, y: usize) -> Vec<f32> {
+    let row = planes.row(y as u32);
+    let value = |k: usize, x: usize| 255.0 * row[k * planes.stride + x];
+    let has_color = planes.channels.count() >= 3;
+    let at = |x: usize| if has_color { 0.25 * (value(0, x) + 2.0 * value(1, x) + value(2, x)) } else { value(0, x) };
+    (0..planes.width as usize).map(at).collect()
+}
+
+/// The variance that a square loses when it is halved, a pixel, what it then loses when that is halved, and the logarithm of its variance.
+fn measured(square: impl Fn(usize, usize) -> f32) -> [f64; 3] {
+    let mut sums = [0f32; 2];
+    let mut squares = 0f32;
+    let mut halves = [0f32; SQUARE * SQUARE / 4];
+    for v in 0..SQUARE {
+        for u in 0..SQUARE {
+            let value = square(u, v);
+            sums[0] += value;
+            squares += value * value;
+            halves[v / 2 * SQUARE / 2 + u / 2] += 0.25 * value;
+        }
+    }
+    let mut quarters = [0f32; SQUARE * SQUARE / 16];
+    for (i, half) in halves.iter().enumerate() {
+        sums[1] += half * half;
+        let [u, v] = [i % (SQUARE / 2), i / (SQUARE / 2)];
+        quarters[v / 2 * SQUARE / 4 + u / 2] += 0.25 * half;
+    }
+    let pixels = (SQUARE * SQUARE) as f32;
+    let [whole, half] = [squares / pixels, sums[1] * 4.0 / pixels];
+    let quarter = quarters.iter().map(|q| q * q).sum::<f32>() * 16.0 / pixels;
+    let mean = sums[0] / pixels;
+    let lost = |from: f32, to: f32| f64::from((from - to).max(0.0));
+    [lost(whole, half), lost(half, quarter), (lost(whole, mean * mean) + FLOOR).ln()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussian::Channels;
+    use crate::pixels::{Pixels, Samples};
+
+    fn texture(value: impl Fn(u32, u32) -> u8) -> Option<Texture> {
+        let values = (0..64 * 48).map(|i| value(i % 64, i / 64)).collect();
+        Texture::of(&Planes::new(&Pixels::new(64, 48, Channels::Grey, Samples::U8(values)).unwrap()))
+    }
+
+    #[test]
+    fn detail_of_a_pixel_is_fine_and_larger_detail_is_not() {
+        let check = |side: u32| move |x: u32, y: u32| if (x / side + y / side).is_multiple_of(2) { 90 } else { 110 };
+        assert_eq!(texture(|_, _| 7), None, "nothing in it");
+        assert_eq!(texture(check(1)), None, "nothing is left at half the size");
+        let noise = |x: u32, y: u32| ((x * 7919 + y * 104_729).wrapping_mul(2_654_435_761) >> 24) as u8;
+        let fine = texture(noise).unwrap();
+        let coarse = texture(|x, y| noise(x / 2, y / 2)).unwrap();
+        let mixed = texture(|x, y| noise(x, y) / 4 + noise(x / 2, y / 2) / 4 * 3).unwrap();
+        assert!(
+            coarse.fineness < 0.01 && mixed.fineness > 0.05 && fine.fineness > 1.0,
+            "{coarse:?} {mixed:?} {fine:?}"
+        );
+        // A check of two by two has a variance of 100.
+        let even = texture(|x, y| check(2)(x, y) + (x + y * 3) as u8 % 2).unwrap();
+        assert!((even.activity - 104f64.ln()).abs() < 0.02, "{even:?}");
+    }
+}
