@@ -270,7 +270,7 @@ impl std::error::Error for Error {
             Error::Io(e) => e.source(),
             Error::Format(e) => e.source(),
             Error::Gpu(e) => e.source(),
-            // The text of `image` for an error of a decoder holds that of its cause, which it has as its source as well.
+            // The message of a decoding error of `image` contains that of its source.
             #[cfg(feature = "image")]
             Error::Source { error, .. } => error.source(),
             _ => None,

@@ -21,14 +21,15 @@ pub enum Target {
     /// Number of primitives.
     #[doc(alias("gaussians", "splats"))]
     Primitives(u32),
-    /// PSNR against the source in dB, above 0. The result is the smallest file found that reaches it. If the largest file that is
-    /// tried, of twice the raw bytes, does not, the encode ends with [`Error::Parameter`](crate::Error::Parameter); under a budget of
-    /// time it returns the best file found instead, and [`EncodeReport::psnr`](crate::EncodeReport::psnr) has its PSNR.
+    /// PSNR against the source in dB, above 0. The result is the smallest file found that reaches it. Encoding fails
+    /// with [`Error::Parameter`](crate::Error::Parameter) if even a file of twice the raw size does not reach it. With
+    /// a time limit, the result is the best file found instead, and [`EncodeReport::psnr`](crate::EncodeReport::psnr)
+    /// has its PSNR.
     Psnr(f64),
-    /// Perceived quality: the SSIMULACRA2 score of the file, `0..=100`, met within half a point. About 30, 50, 70 and
-    /// 90 stand for low, medium, high and very high quality. It takes up to six tries, most of which keep the Gaussians of
-    /// the one before. If none meets the score, the
-    /// result is the best file found; [`EncodeReport::quality`](crate::EncodeReport::quality) has its score.
+    /// Perceptual quality: the SSIMULACRA2 score of the file, `0..=100`, met within half a point. About 30, 50, 70 and
+    /// 90 mean low, medium, high and very high quality. Encoding takes up to six tries, most of which start from the
+    /// Gaussians of the previous one. If none meets the score, the result is the best file found, and
+    /// [`EncodeReport::quality`](crate::EncodeReport::quality) has its score.
     #[cfg(feature = "quality")]
     #[doc(alias("ssimulacra2", "perceptual"))]
     Quality(f64),

@@ -234,7 +234,7 @@ fn an_empty_layer_of_a_huge_picture_costs_nothing_before_it_is_refused() {
         }
         other => panic!("{other:?}"),
     }
-    // Of the damaged file the Gaussians are left, within a memory that no list of the tiles would fit into.
+    // The Gaussians of the damaged file can be read with a memory limit into which no list of the tiles would fit.
     let mut limits = Limits::default();
     limits.alloc = 1 << 20;
     let (part, missing) = read_partial(&bytes, &limits).unwrap();
@@ -245,7 +245,7 @@ fn an_empty_layer_of_a_huge_picture_costs_nothing_before_it_is_refused() {
     assert_eq!(opening.read_for(&corner, Damage::Accept).unwrap().draw(&corner).unwrap().width(), 10);
 }
 
-/// A stream that is illegal at its very end has been read by then.
+/// A stream that is invalid only at its end has been read by then.
 #[test]
 fn levels_of_illegal_tiles_are_work() {
     let mut head = DetailHead::PLAIN;
@@ -271,7 +271,7 @@ fn levels_of_illegal_tiles_are_work() {
     }
     assert_eq!(read(&good, enough).unwrap().1.tiles, 0);
     assert_eq!(read(&bad, enough).unwrap().1.tiles, 4);
-    // Hardly any of it is the tiles themselves, and the last level may be another one.
+    // The tiles themselves are a small part of it, and the last level may differ.
     assert!(enough > 20_000_000, "{enough}");
     let few = enough - enough / 1000;
     for bytes in [&good, &bad] {
@@ -279,7 +279,7 @@ fn levels_of_illegal_tiles_are_work() {
     }
 }
 
-/// A view may be that of a larger picture: beside this one its first and last pixels go on.
+/// A view may extend beyond the picture, whose border pixels are repeated there.
 #[test]
 fn views_beside_the_picture_are_the_same_however_it_was_opened() {
     for channels in [Channels::Rgb, Channels::GreyAlpha] {

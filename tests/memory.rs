@@ -154,11 +154,11 @@ fn directly(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     })
 }
 
-/// A file of `2^sides` pixels with a detail layer of empty tiles and `index` bytes of index.
+/// Returns a file of `2^sides` pixels with a detail layer of empty tiles and an index of `index` bytes.
 fn empty_layer(sides: [u32; 2], index: usize) -> Vec<u8> {
     let ground = scene(&Scene { channels: Channels::Grey, size: [300, 1], count: 0, ..Scene::default() });
     let mut bytes = to_bytes(&with_layer(ground, DetailHead::PLAIN, Levels { filled: 0, ..Levels::new(1) })).unwrap();
-    // Two sides in three bytes become two of three bytes, and two tiles as many as are asked for.
+    // Two sides of three bytes in total become two of three bytes each, and the two tiles become as many as requested.
     bytes.splice(6..9, sides.iter().flat_map(|side| [0x80, 0x80, 1 << (side - 14)]));
     let end = bytes.len() - 4;
     bytes.splice(end - 2..end, vec![0; index]);
@@ -166,7 +166,7 @@ fn empty_layer(sides: [u32; 2], index: usize) -> Vec<u8> {
     bytes
 }
 
-/// Whole layers of half a million empty tiles, read with the least grant that is enough for them.
+/// Whole layers of half a million empty tiles, read with the smallest sufficient limit.
 fn layers_of_empty_tiles() {
     let bytes = empty_layer([16, 19], 1 << 19);
     let peak = |granted| {
@@ -187,7 +187,7 @@ fn layers_of_empty_tiles() {
     assert!(is_read && enough > 16 << 20 && taken <= enough + SLACK, "{taken} bytes of {enough}");
 }
 
-/// A corner of damaged files, of which nothing but the tiles that are there may take memory.
+/// Renders a corner of damaged files. Only tiles that exist may take memory.
 fn what_is_left(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     keeps("what is left", files, |bytes, granted| {
         let mut options = DecodeOptions::default();
@@ -196,7 +196,7 @@ fn what_is_left(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     })
 }
 
-/// The account of where the bytes go.
+/// The report of where the bytes go.
 fn inspected(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     keeps("inspected", files, |bytes, granted| {
         let mut limits = Limits::default();

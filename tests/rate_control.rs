@@ -1,4 +1,5 @@
-//! Searches for a PSNR or a quality: what can be reached is reached, and only the largest file proves that something cannot.
+//! Searches for a PSNR or a quality: a reachable target is reached, and only the largest file proves that a target is
+//! unreachable.
 #![cfg(feature = "unstable")]
 
 use std::time::Duration;
@@ -66,7 +67,7 @@ fn only_the_largest_file_proves_that_a_psnr_cannot_be_reached() {
     let pixels = noise(24, Channels::Grey);
     let refused = encode(&pixels, &options(Target::Psnr(140.0), None));
     let Err(Error::Parameter { name: "psnr", problem }) = &refused else { panic!("{refused:?}") };
-    // The text names what twice the raw bytes have; fits scatter by some tenths.
+    // The message states the PSNR at twice the raw size; fits differ by a few tenths of a decibel.
     let best = encode(&pixels, &options(Target::Bytes(2 * 24 * 24), None)).unwrap().report.psnr;
     let said: f64 = problem.split_whitespace().rev().nth(1).unwrap().parse().unwrap();
     assert!(said > best - 1.0, "{problem}, and {best} dB with twice the raw bytes");

@@ -172,7 +172,7 @@ fn a_file_of_tiles_carries_a_thumbnail_within_its_size() {
         reduced.size = Some([small.width(), small.height()]);
         let drawn = ssplat::unstable::decode(&encoded.bytes, &reduced).unwrap().pixels;
         let psnr = ssplat::unstable::metrics::compare(&drawn, &small).unwrap().psnr;
-        // Measured: 30.5 and 31.9 dB; 1.5 dB are left for the scatter of two fits.
+        // Measured: 30.5 and 31.9 dB. The margin for the differences of two fits is 1.5 dB.
         assert!(psnr > 29.0, "{psnr}");
     }
     let plain = ssplat::unstable::encode(&pixels, &options(Target::Bytes(3000), Some(128))).unwrap().bytes;
@@ -429,7 +429,7 @@ fn bytes_that_are_no_task_or_answer_are_refused_without_a_panic() {
             Err(Error::Parameter { name: "task", .. }) => {}
             other => panic!("{what}: {:?}", other.map(|bytes| bytes.len())),
         };
-        // The head byte by byte: fuzzing once missed that the line of the version may end without its end.
+        // All lengths of the header: fuzzing once missed the case of a truncated version line.
         for end in (0..contents(task) + 9).chain((0..task.len() - 4).step_by(997)).chain(task.len() - 9..task.len() - 4)
         {
             is_refused(&task[..end], "a cut task");
@@ -475,13 +475,13 @@ fn bytes_that_are_no_task_or_answer_are_refused_without_a_panic() {
     }
 }
 
-/// The numbers of an answer at the ends of what floats can be: each field by itself, in all primitives.
+/// Replaces the numbers of a result by extreme floats: each field separately, in all primitives.
 #[test]
 fn answers_of_extreme_numbers_are_refused_or_lead_to_a_file() {
     let pixels = picture(200, 140, Channels::Grey);
     let options = options(Target::Bytes(300), Some(128));
     let (mut files, mut refused) = (0, 0);
-    // Nothing: the error; then the cost, and the nine numbers of a primitive of floats.
+    // `None` is the error; then the cost, and the nine numbers of a primitive of floats.
     for field in (0..10).map(Some).chain([None]) {
         for value in [f32::INFINITY, f32::NEG_INFINITY, 2_097_152.0, -2_097_152.0, f32::NAN, 0.0] {
             let extreme = |mut answer: Vec<u8>| {

@@ -1,5 +1,5 @@
-//! Tasks for workers: any contents behind the head of a task of this version, sealed, and heads that are cut off. They are refused,
-//! or worked on within bounded memory until the worker is stopped.
+//! Runs tasks on a worker: any contents after the header of a task of this version, with a correct checksum, and
+//! truncated headers. They are refused, or processed in bounded memory until the worker is stopped.
 #![no_main]
 
 use std::ops::ControlFlow;
@@ -21,7 +21,8 @@ const STOPPED: Duration = Duration::from_secs(12);
 const FIXED: usize = 64 << 20;
 const EACH: usize = 4000;
 
-/// A task: the first byte says whether the others are its contents, or all of it, or only follow the first bytes of the head.
+/// Returns a task. The first byte selects whether the others are its contents, the whole task, or only follow the
+/// start of the header.
 fn task(data: &[u8]) -> Vec<u8> {
     let Some((&how, contents)) = data.split_first() else { return Vec::new() };
     let mut task = task_head();

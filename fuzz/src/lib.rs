@@ -35,7 +35,7 @@ pub fn task_head() -> Vec<u8> {
     format!("ssplat task 1, {}\n", version.expect("the package has a version")).into_bytes()
 }
 
-/// Allocator overhead, error values and what a target itself holds, bytes.
+/// Allocator overhead, error values and memory of the target itself, bytes.
 pub const SLACK: u64 = 1 << 20;
 
 /// A reader that returns its bytes in pieces of 1, 2, 3, … bytes.

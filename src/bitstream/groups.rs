@@ -81,7 +81,7 @@ pub struct Missing {
     pub tiles: u32,
     /// Number of tiles of the whole detail layer.
     pub of_tiles: u32,
-    /// Whether the file is cut off or its checksum does not match, even where all of the picture could be read.
+    /// Whether the file is truncated or its checksum does not match, even if the whole picture could be read.
     pub damaged: bool,
 }
 

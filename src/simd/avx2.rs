@@ -59,7 +59,7 @@ impl Simd for Avx2 {
         self.sqrt_f32x8(a)
     }
 
-    // Unlike the precise ones, these return `b` where either is NaN.
+    // Unlike the precise methods, these return `b` if either is NaN.
     #[inline(always)]
     fn max(self, a: f32x8<Avx2>, b: f32x8<Avx2>) -> f32x8<Avx2> {
         self.max_f32x8(a, b)
@@ -93,7 +93,7 @@ impl Simd for Avx2 {
         let g = self.shl_i32x8(self.cvt_i32_f32x8(v[1]), 8);
         let b = self.shl_i32x8(self.cvt_i32_f32x8(v[2]), 16);
         let pixels: u8x32<Avx2> = self.or_i32x8(r, self.or_i32x8(g, b)).bitcast();
-        // Three bytes of each pixel, in either half.
+        // Pick three bytes of each pixel in each half.
         const DROP: [u8; 32] = [
             0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, 255, 255, 255, 255, 0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, 255,
             255, 255, 255,
@@ -101,7 +101,7 @@ impl Simd for Avx2 {
         let bytes = self.swizzle_dyn_within_blocks_u8x32(pixels, DROP.simd_into(self));
         let (low, high) = self.split_u8x32(bytes);
         let (low, high): ([u8; 16], [u8; 16]) = (low.into(), high.into());
-        // What is written behind the first twelve is written over.
+        // The next copy overwrites the bytes after the first twelve.
         to[..16].copy_from_slice(&low);
         to[12..].copy_from_slice(&high[..12]);
     }

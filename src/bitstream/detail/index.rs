@@ -99,11 +99,11 @@ pub(crate) struct Wanted<'a> {
 /// Result of reading a detail layer.
 #[derive(Debug)]
 pub(crate) struct Found {
-    /// Nothing if the index cannot be read.
+    /// The layer; `None` if the index cannot be read.
     pub layer: Option<DetailLayer>,
     /// Tiles that are missing or damaged.
     pub missing: u32,
-    /// Tiles that the picture has.
+    /// Number of tiles of the picture.
     pub of: u32,
     /// Bytes of the index.
     pub index: usize,
@@ -158,7 +158,7 @@ pub(crate) fn read(
     let entries = match read_index(bytes, count, &mut index) {
         Ok(entries) => entries,
         Err(Error::Format(_)) if wanted.passes_over => {
-            // Where the streams lie is not known, and nothing is allocated for them.
+            // The positions of the streams are unknown, and nothing is allocated for them.
             let index = start - bytes.left();
             bytes.rest();
             return Ok(Found { layer: None, missing: count as u32, of: count as u32, index, bits: 0.0 });
@@ -182,7 +182,7 @@ pub(crate) fn read(
 
 /// Reads the index of `count` tiles, and grows `held` by the memory of the result.
 fn read_index(bytes: &mut Bytes<'_>, count: u64, held: &mut Reservation) -> Result<Vec<Entry>> {
-    // A tile takes a byte of the index at least: nothing is allocated for tiles that cannot be there.
+    // A tile takes at least one byte of the index, so that nothing is allocated for tiles that cannot exist.
     if count > bytes.left() as u64 {
         return Err(Broken { field: "tiles of the detail layer", value: count }.into());
     }
@@ -196,47 +196,47 @@ fn read_index(bytes: &mut Bytes<'_>, count: u64, held: &mut Reservation) -> Resu
     Ok(entries)
 }
 
-/// What a tile's stream is called in errors.
+/// Name of a tile's stream in errors.
 const STREAM: &str = "tile of the detail layer";
 
-/// A stream to be read.
+/// A stream to read.
 #[derive(Debug, Clone, Copy)]
 struct Stream<'a> {
     tile: usize,
-    /// Nothing if the file ends before the stream does.
+    /// Its bytes; `None` if the file ends before the stream does.
     bytes: Option<&'a [u8]>,
 }
 
-/// Place of the next stream.
+/// Position of the next stream.
 #[derive(Debug, Default)]
 struct Cursor {
     tile: usize,
-    /// Bytes between the first stream and this one.
+    /// Offset of this stream from the first one, in bytes.
     at: u64,
 }
 
 /// Result of reading a tile.
 struct Tile {
-    /// The levels, unless there are more than were asked for.
+    /// The levels; `Ok(None)` if there are more than requested.
     levels: Result<Option<TileLevels>>,
-    /// Levels read, those of an illegal stream included.
+    /// Number of levels read, including those of an invalid stream.
     read: usize,
-    /// Bits of the stream.
+    /// Size of the stream in bits.
     bits: f64,
 }
 
 /// The tiles of a layer as listed in the index.
 struct Listed<'a> {
     entries: &'a [Entry],
-    /// The streams that follow the index, and whatever follows these.
+    /// The streams after the index, and the bytes that follow them.
     streams: &'a [u8],
     head: &'a DetailHead,
     wanted: &'a Wanted<'a>,
 }
 
 impl<'a> Listed<'a> {
-    /// Reads the tiles that are wanted, and grows `held` by what they take. Returns them with the number of tiles that
-    /// are missing or damaged and the bits of all others.
+    /// Reads the requested tiles, and grows `held` by their memory. Returns them with the number of tiles that are
+    /// missing or damaged, and the bits of all others.
     fn read(&self, held: &mut Reservation) -> Result<(Vec<Option<TileLevels>>, u32, f64)> {
         let (samples, limit) = (self.samples(), self.wanted.limits.work);
         let chosen = (0..self.entries.len()).filter(|&i| self.is_wanted(i)).count();
@@ -255,7 +255,7 @@ impl<'a> Listed<'a> {
             let read = parallel::map(batch.len(), |k| self.tile(batch[k], self.likely(batch[k].tile)));
             for (&stream, mut tile) in batch.iter().zip(read) {
                 if let Ok(None) = tile.levels {
-                    // Hardly ever so, unless somebody has made it so.
+                    // Only deliberately constructed files have so many levels.
                     let _working = held.beside(memory_of(samples, samples))?;
                     tile = self.tile(stream, samples);
                 }
@@ -276,7 +276,7 @@ impl<'a> Listed<'a> {
         }
     }
 
-    /// Samples of a tile in all planes.
+    /// Returns the number of samples of a tile in all planes.
     fn samples(&self) -> u64 {
         let planes: usize = kinds(self.wanted.channels, self.head.alpha).map(|(_, planes)| planes.len()).sum();
         (TILE * TILE * planes) as u64
@@ -287,12 +287,12 @@ impl<'a> Listed<'a> {
         self.entries[tile].length > 0 && area.is_none_or(|area| reaches(size, tile, area))
     }
 
-    /// Levels that a tile hardly ever has more of.
+    /// Returns a number of levels that few tiles exceed.
     fn likely(&self, tile: usize) -> u64 {
         likely_levels(self.entries[tile].length, self.samples())
     }
 
-    /// Returns the next streams to read side by side, and the most memory that they take meanwhile.
+    /// Returns the next streams to read in parallel, and the maximum memory that this takes.
     fn batch(&self, cursor: &mut Cursor) -> (Vec<Stream<'a>>, u64) {
         let (mut batch, mut most) = (Vec::new(), 0);
         while cursor.tile < self.entries.len() && batch.len() < BATCH {
@@ -331,7 +331,7 @@ impl<'a> Listed<'a> {
             return Err(FormatError::Checksum { what: STREAM, stored, computed }.into());
         }
         if !counts || ONE_READER {
-            // Where there is but one reader, bits are those of the bytes.
+            // With a single reader, bits are counted by the bytes.
             *bits = 8.0 * bytes.len() as f64;
             return Ok(tile::read(bytes, shape, count)?);
         }
@@ -358,8 +358,8 @@ fn memory_of(levels: u64, samples: u64) -> u64 {
     3 * lists + (KINDS * CELLS * CELLS + SUPERS * SUPERS) as u64
 }
 
-/// Whether tile `i` lies within a pixel of `area`: enlarged views interpolate from that far. Beside the picture its first
-/// and last pixels go on (spec §11.6).
+/// Tells whether tile `i` lies within one pixel of `area`, because enlarged views interpolate over that distance.
+/// Outside the picture, its border pixels are repeated (spec §11.6).
 fn reaches(size: [u32; 2], i: usize, area: Area) -> bool {
     let [x, y, width, height] = tile_area(size, i).map(|v| v as u64);
     let meets = |start: u64, side: u64, k: usize| {

@@ -244,9 +244,9 @@ pub(crate) fn push(tile: &mut TileLevels, plane: usize, cell: [usize; 2], size: 
 /// Receives the levels of a tile that is read.
 struct Reading {
     tile: TileLevels,
-    /// Levels found, whether they are kept or not.
+    /// Number of levels found, including those that are not kept.
     found: usize,
-    /// Levels that there is memory for.
+    /// Number of levels for which memory is reserved.
     most: usize,
     /// Whether there are more.
     is_more: bool,
@@ -280,23 +280,23 @@ impl Content for Reading {
 /// Parameters of a tile that is read: the layer's head, its channels, and its size in pixels.
 pub(crate) type Shape<'a> = (&'a DetailHead, Channels, [usize; 2]);
 
-/// Bounds on reading a tile, and a count of what was read.
+/// Bound on the levels of a tile, and the number of levels read.
 #[derive(Debug)]
 pub(crate) struct Count {
-    /// Levels that there is memory for.
+    /// Number of levels for which memory is reserved.
     pub most: usize,
-    /// Levels read, those of an illegal stream included.
+    /// Number of levels read, including those of an invalid stream.
     pub read: usize,
 }
 
 impl Count {
-    /// Allows `most` levels.
+    /// Returns a count that allows `most` levels.
     pub fn up_to(most: usize) -> Self {
         Count { most, read: 0 }
     }
 }
 
-/// Reads a tile by models that are at their beginning; nothing if it has more levels than `count` allows.
+/// Reads a tile with models in their initial state; returns `None` if it has more levels than `count` allows.
 pub(crate) fn read_with<D: Decisions>(
     decisions: &mut D,
     models: &mut Models,
@@ -308,7 +308,7 @@ pub(crate) fn read_with<D: Decisions>(
     let mut reading = Reading { tile: TileLevels::default(), found: 0, most: count.most, is_more: false };
     let coded =
         TileCoder { decisions, models, state: &mut state, head, channels, block: &mut block }.tile(&mut reading);
-    // A block that turns out to be illegal is left with the levels before the illegal one.
+    // An invalid block keeps the levels before the invalid one.
     count.read += reading.found + block.found.len();
     coded?;
     let Reading { mut tile, is_more, .. } = reading;
@@ -330,7 +330,7 @@ pub(crate) fn read_with<D: Decisions>(
     Ok(Some(tile))
 }
 
-/// Reads the stream of a tile; nothing if it has more levels than `count` allows.
+/// Reads the stream of a tile; returns `None` if it has more levels than `count` allows.
 pub(crate) fn read(stream: &[u8], shape: Shape<'_>, count: &mut Count) -> Result<Option<TileLevels>, Broken> {
     let mut decoder = Decoder::new(stream)?;
     let tile = read_with(&mut decoder, &mut Models::start(), shape, count)?;
