@@ -1,5 +1,7 @@
 //! Converts integers to Gaussians by the specification's formulas (spec §5.1), and Gaussians to the nearest integers.
 
+use glam::Vec2;
+
 use crate::bitstream::lattice::Lattice;
 use crate::bitstream::rules::most_color;
 use crate::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
@@ -161,9 +163,9 @@ impl Quantizer {
         for y in near.saturating_sub(1)..=(near + 1).min(last[1]) {
             let dy = center(y, ey) - mean[1];
             let x = nearest(mean[0] + shear * dy, ex, last[0]);
-            let dx = center(x, ex) - mean[0];
-            let (u, v) = ((cos * dx + sin * dy) / s1, (cos * dy - sin * dx) / s2);
-            let distance = u * u + v * v;
+            let d = Vec2::new(center(x, ex) - mean[0], dy);
+            let whitened = Vec2::new((cos * d.x + sin * d.y) / s1, (cos * d.y - sin * d.x) / s2);
+            let distance = whitened.x * whitened.x + whitened.y * whitened.y;
             if distance < best {
                 (best, p.x, p.y) = (distance, x, y);
             }

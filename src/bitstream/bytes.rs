@@ -1,5 +1,7 @@
 //! A bounds-checked cursor over bytes, and the variable-length integers (spec §2.1).
 
+use byteorder::{ByteOrder, LittleEndian};
+
 use crate::error::{FormatError, Result};
 
 /// Reads forward through `data`. Offsets in errors count from the start of the file.
@@ -45,19 +47,19 @@ impl<'a> Bytes<'a> {
     }
 
     pub fn u16(&mut self, what: &'static str) -> Result<u16> {
-        self.array(what).map(u16::from_le_bytes)
+        self.take(2, what).map(LittleEndian::read_u16)
     }
 
     pub fn u32(&mut self, what: &'static str) -> Result<u32> {
-        self.array(what).map(u32::from_le_bytes)
+        self.take(4, what).map(LittleEndian::read_u32)
     }
 
     pub fn f32(&mut self, what: &'static str) -> Result<f32> {
-        self.array(what).map(f32::from_le_bytes)
+        self.take(4, what).map(LittleEndian::read_f32)
     }
 
     pub fn f64(&mut self, what: &'static str) -> Result<f64> {
-        self.array(what).map(f64::from_le_bytes)
+        self.take(8, what).map(LittleEndian::read_f64)
     }
 
     pub fn varint(&mut self, what: &'static str) -> Result<u64> {
