@@ -202,6 +202,7 @@ mod gaussian;
 pub mod gpu;
 #[cfg(feature = "image")]
 mod image_crate;
+mod instant;
 mod limits;
 #[cfg(feature = "encode")]
 mod metrics;
@@ -222,6 +223,7 @@ mod round;
 mod simd;
 #[cfg(feature = "quality")]
 mod ssimulacra2;
+mod strict_math;
 mod target;
 #[cfg(any(test, feature = "unstable"))]
 pub mod unstable;

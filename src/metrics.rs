@@ -26,6 +26,7 @@
 use crate::error::{Error, Result};
 use crate::parallel;
 use crate::pixels::{Pixels, Samples};
+use crate::strict_math::StrictMath;
 
 /// Grey backgrounds for pictures with alpha, as sRGB values. SSIMULACRA2 uses the same.
 pub const BACKGROUNDS: [f32; 2] = [0.1, 0.9];
@@ -79,7 +80,7 @@ pub fn psnr(a: &Pixels, b: &Pixels) -> Result<f64> {
     check_alike(a, b)?;
     let mse = squared_error(a, b) / (a.width() as f64 * f64::from(a.height()) * a.channels().count() as f64);
     let peak = f64::from(a.depth().max());
-    Ok(10.0 * (peak * peak / mse).log10())
+    Ok(10.0 * (peak * peak / mse).strict_log10())
 }
 
 /// Checks that both pictures have the same size, channels and depth.
@@ -179,7 +180,7 @@ fn channel_similarities(mut a: Plane<'_>, mut b: Plane<'_>) -> [Option<f64>; 2] 
             ssim = Some(whole);
         }
         let is_last = scale + 1 == WEIGHTS.len();
-        product *= if is_last { whole } else { contrast }.max(0.0).powf(weight);
+        product *= if is_last { whole } else { contrast }.max(0.0).strict_powf(weight);
         if !is_last {
             (a, b) = (a.pooled(), b.pooled());
         }
@@ -289,7 +290,7 @@ fn vertical(window: &[f32; TAPS], rows: &[f32], stride: usize, out: &mut [f32]) 
 
 /// Returns the normalized window.
 fn window() -> [f32; TAPS] {
-    let raw: [f64; TAPS] = std::array::from_fn(|i| (-(i as f64 - 5.0).powi(2) / (2.0 * SIGMA * SIGMA)).exp());
+    let raw: [f64; TAPS] = std::array::from_fn(|i| (-(i as f64 - 5.0).powi(2) / (2.0 * SIGMA * SIGMA)).strict_exp());
     let sum: f64 = raw.iter().sum();
     raw.map(|v| (v / sum) as f32)
 }

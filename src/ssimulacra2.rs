@@ -5,6 +5,7 @@ use fast_ssim2::{PixelDescriptor, PixelSlice, Ssimulacra2Config, compute_ssimula
 use crate::error::{Error, Result};
 use crate::metrics::BACKGROUNDS;
 use crate::pixels::{Pixels, Samples};
+use crate::strict_math::StrictMath;
 
 /// Smallest side of a picture that can be measured, pixels.
 pub(crate) const LEAST: u32 = 8;
@@ -73,5 +74,5 @@ pub fn linear_light(pixels: &Pixels, background: f32) -> Vec<[f32; 3]> {
 
 /// Converts an sRGB value to linear light.
 fn linear(v: f32) -> f32 {
-    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).strict_powf(2.4) }
 }

@@ -34,6 +34,11 @@ pub mod fit {
 pub mod gaussian {
     pub use crate::gaussian::*;
 }
+/// Points in time.
+#[cfg(all(target_family = "wasm", target_os = "unknown"))]
+pub mod instant {
+    pub use crate::instant::provide_clock;
+}
 /// Measures of the difference between two pictures.
 #[cfg(feature = "encode")]
 pub mod metrics {

@@ -1,6 +1,7 @@
 //! The wall-clock time that an encode may take: one budget, however many fits it is spent on.
 
-use std::time::{Duration, Instant};
+use crate::instant::Instant;
+use std::time::Duration;
 
 /// A budget of time that runs since it was made.
 #[derive(Debug, Clone, Copy)]

@@ -1,6 +1,6 @@
 //! One encode on its way, and a single fit of its picture with the rounding to a file.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use super::clock::Clock;
 use super::detail::error::{self, Counted};
@@ -22,11 +22,13 @@ use crate::fit::model::target::planes::Planes;
 use crate::fit::model::target::{masking, structure};
 use crate::fit::plan::{Plan, fraction};
 use crate::gaussian::Channels;
+use crate::instant::Instant;
 use crate::options::{Needs, Recipe, Tune};
 use crate::pixels::Depth;
 use crate::round::finish::{self, Client, Rounding};
 use crate::round::rounded::{Rounded, projected};
 use crate::round::size::Size;
+use crate::strict_math::StrictMath;
 use crate::target::Target;
 
 /// Steps of the shortest fits that are weighed anew on the way. The looks that this takes are half as much work again in a
@@ -178,7 +180,7 @@ impl Encoding<'_> {
 
 /// Returns a squared error as PSNR, decibels.
 pub(super) fn decibels(error: f64, samples: f64) -> f64 {
-    -10.0 * (error / samples).log10()
+    -10.0 * (error / samples).strict_log10()
 }
 
 /// Returns the squared error of a stored picture over the samples of `planes`; the file has `channels`.
@@ -196,7 +198,7 @@ pub(super) fn enough(target: Target, depth: Depth) -> f64 {
     // Decibels that quantization has been seen to lose at most, before the descent wins some back.
     const LOSS: f64 = 3.0;
     match target {
-        Target::Psnr(p) => depth.rounding_error().max(10f64.powf(-0.1 * (p + LOSS))),
+        Target::Psnr(p) => depth.rounding_error().max(10f64.strict_powf(-0.1 * (p + LOSS))),
         _ => depth.rounding_error(),
     }
 }

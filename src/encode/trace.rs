@@ -1,7 +1,7 @@
 //! Quality against time: measures the picture at growing intervals while it is encoded, and takes what the measuring
 //! costs out of the times.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use super::channels::widen_pixels;
 use crate::error::Result;
@@ -11,6 +11,7 @@ use crate::fit::model::drawing::project::Projected;
 use crate::fit::model::problem::Problem;
 use crate::fit::model::target::planes::Planes;
 use crate::fit::model::target::rows::RowSet;
+use crate::instant::Instant;
 use crate::metrics;
 use crate::options::Trace;
 use crate::pixels::{Depth, Pixels, Samples};

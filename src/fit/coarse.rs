@@ -34,6 +34,7 @@ use super::plan::Plan;
 use super::schedule::{Part, run_part};
 use crate::gaussian::{Blend, Channels};
 use crate::pixels::{Pixels, Samples};
+use crate::strict_math::StrictMath;
 
 /// Fits, and returns the primitives at the picture's own size.
 fn fitted(target: &Planes, count: usize, plan: &Plan, share: f32) -> Vec<Primitive> {
@@ -52,7 +53,7 @@ fn problem(target: &Planes) -> Problem<'_> {
 }
 
 fn psnr(problem: &Problem<'_>, primitives: &[Primitive]) -> f64 {
-    -10.0 * (float_error(problem, primitives) / problem.samples(RowSet::ALL)).log10()
+    -10.0 * (float_error(problem, primitives) / problem.samples(RowSet::ALL)).strict_log10()
 }
 
 #[test]
@@ -60,8 +61,12 @@ fn a_start_at_half_the_size_ends_at_the_whole_one() {
     // Odd sizes, so that the last column and row of the half are repeated.
     let picture = image::RgbImage::from_fn(95, 63, |x, y| {
         image::Rgb(
-            [x * 2, y * 3, (90.0 + 60.0 * (f64::from(x) / 9.0).sin() * (f64::from(y) / 7.0).cos()) as u32]
-                .map(|v| v as u8),
+            [
+                x * 2,
+                y * 3,
+                (90.0 + 60.0 * (f64::from(x) / 9.0).strict_sin() * (f64::from(y) / 7.0).strict_cos()) as u32,
+            ]
+            .map(|v| v as u8),
         )
     });
     let target = Planes::new(&pixels(picture));

@@ -24,6 +24,7 @@ use crate::fit::smartsplat;
 use crate::fit::state::State;
 #[cfg(feature = "smartsplat")]
 use crate::options::{Ablation, Rung};
+use crate::strict_math::StrictMath;
 
 /// From so many primitives on the small ones among them need all pixels: 260 lose .1 dB to a copy of half the size.
 const FEW: usize = 120;
@@ -63,7 +64,7 @@ pub(crate) fn random(plan: &Plan) -> Pcg64Mcg {
 
 /// Returns how often the picture is halved for `count` primitives.
 fn halvings(scene: &Scene, count: usize) -> u32 {
-    let by_scale = (scene.typical_scale(count) / TYPICAL).max(1.0).log2() as u32;
+    let by_scale = (scene.typical_scale(count) / TYPICAL).max(1.0).strict_log2() as u32;
     let by_side = (scene.width.min(scene.height) / SHORTEST).max(1).ilog2();
     by_scale.min(by_side)
 }

@@ -1,10 +1,12 @@
 //! How much work a fit spends: iterations, sampled rows, sweeps.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::problem::LARGE;
+use crate::instant::Instant;
 use crate::options::{Rung, Tune};
+use crate::strict_math::StrictMath;
 
 /// Share of a time budget that the float fit may take.
 const FIT_SHARE: f64 = 0.75;
@@ -116,8 +118,8 @@ pub(crate) fn fraction(pixels: u64, count: usize) -> u32 {
 /// Returns how many times as many steps the primitives of a file of such a ratio get, where squared error is favoured.
 fn finer(ratio: f64) -> f32 {
     let [fine, coarse] = FINE_RATIOS;
-    let share = ((coarse / ratio).ln() / (coarse / fine).ln()).clamp(0.0, 1.0);
-    FINE_BASE_STEPS.powf(share as f32)
+    let share = ((coarse / ratio).strict_ln() / (coarse / fine).strict_ln()).clamp(0.0, 1.0);
+    FINE_BASE_STEPS.strict_powf(share as f32)
 }
 
 /// Primitives from which on a fit goes at a brisk pace.
@@ -151,7 +153,7 @@ impl Plan {
             3 => -0.2,
             _ => -0.3,
         };
-        let patience = crowd.powf(if crowd < 1.0 { -0.95 } else { haste }).clamp(0.25, 9.0);
+        let patience = crowd.strict_powf(if crowd < 1.0 { -0.95 } else { haste }).clamp(0.25, 9.0);
         // On small pictures it takes only seconds to get the tenth of a decibel that half as many again win.
         let share = |from: f32, to: f32| ((count as f32 - from) / (to - from)).clamp(0.0, 1.0);
         let more = if pixels < LARGE { 0.5 * share(8000.0, 12_000.0) * share(40_000.0, 25_000.0) } else { 0.0 };

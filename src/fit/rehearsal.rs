@@ -91,7 +91,7 @@ mod tests {
         let scene = Scene { width: 96, height: 64, blend: Blend::Normalized, background: target.mean };
         let problem = Problem { scene, target: &target };
         for (reweighs, deadline) in [(false, None), (true, None), (true, Some(std::time::Duration::from_secs(3600)))] {
-            let fit_deadline = deadline.map(|d| std::time::Instant::now() + d);
+            let fit_deadline = deadline.map(|d| crate::instant::Instant::now() + d);
             let plan = Plan { reweighs, fit_deadline, ..Plan::steps(50, 1) };
             let mut noting = Noting::default();
             let fitted = fit_on_cpu(&Job { problem, count: 150, plan: &plan }, &mut noting).unwrap();

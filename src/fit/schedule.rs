@@ -1,7 +1,6 @@
 //! Which step of a fit comes when: step sizes, sampled rows, relocations, corrections of the number, the picture's size.
 
 use std::ops::Range;
-use std::time::Instant;
 
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
@@ -14,7 +13,9 @@ use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::target::reduced::{Coarse, Reduced};
 use crate::fit::model::target::rows::RowSet;
 use crate::fit::plan::{HalfSize, Pace};
+use crate::instant::Instant;
 use crate::options::Rung;
+use crate::strict_math::StrictMath;
 
 /// Step sizes at the start, in each Gaussian's own frame and units. What others would win or lose is measured by
 /// `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`.
@@ -224,7 +225,7 @@ impl<'a> Course<'a> {
         let step = if plan.rung >= Rung::Sampling { sampling(self.row_step, done) } else { 1 };
         let sampled = self.rows.next(step, &mut self.rng);
         let sampled = self.seen_rows(sampled);
-        let cosine = 0.5 * (1.0 + (std::f32::consts::PI * done).cos());
+        let cosine = 0.5 * (1.0 + (std::f32::consts::PI * done).strict_cos());
         // With a time budget there may be fewer than planned.
         let steps = if done > 0.0 { iteration as f32 / done } else { f32::INFINITY }.min(plan.iterations as f32);
         let rates = match plan.pace {

@@ -4,8 +4,6 @@
 //! 0.005 for colours (the text has them the other way round), and 0.8 of the loss for the absolute error (text: 0.9).
 //! The fit returns the best state on the way, not the last.
 
-use std::time::Instant;
-
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rstar::RTree;
@@ -21,6 +19,7 @@ use crate::fit::model::target::loss::Loss;
 use crate::fit::model::target::planes::Planes;
 use crate::fit::model::target::rows::RowSet;
 use crate::fit::state::State;
+use crate::instant::Instant;
 use crate::options::Ablation;
 use crate::parallel;
 

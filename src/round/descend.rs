@@ -21,6 +21,7 @@ use crate::round::bowl::{Bowl, Moves};
 use crate::round::patch::{Parabola, Patch};
 use crate::round::rounded::projected;
 use crate::simd::{self, Simd, Task};
+use crate::strict_math::StrictMath;
 
 /// Height of the smallest bands, rows.
 const BAND: usize = 96;
@@ -382,7 +383,7 @@ impl<const C: usize> BandTask<'_, C> {
         let lambda = self.lambda;
         let lattice = self.quantizer.lattice();
         let now = cost.geometry(old, lattice);
-        let (sin, cos) = before.rotation.sin_cos();
+        let (sin, cos) = before.rotation.strict_sin_cos();
         let [sx, sy] = before.scale;
         let mut moves = Moves::default();
         let mut of_scales = cost.of_scales([old.major, old.minor], lattice);
@@ -390,7 +391,7 @@ impl<const C: usize> BandTask<'_, C> {
             let Some(mut p) = neighbor(old, shape, self.quantizer) else { continue };
             let turn = self.quantizer.rotation(p.major, p.minor, p.angle) - before.rotation;
             let turn = turn - std::f32::consts::PI * (turn / std::f32::consts::PI).round();
-            let log = |index: u8, scale: f32| (self.quantizer.scale(index) / scale).ln();
+            let log = |index: u8, scale: f32| (self.quantizer.scale(index) / scale).strict_ln();
             let valley = bowl.given([log(p.major, sx), log(p.minor, sy), turn]);
             let [u, v] = valley.lowest();
             let (u, v) = (u * sx, v * sy);
@@ -401,7 +402,7 @@ impl<const C: usize> BandTask<'_, C> {
             }
             let exponents = lattice.exponents(p.major, p.minor, p.angle);
             let bits = lambda * (of_scales.bits(p.angle, exponents) - now);
-            let [ex, ey] = exponents.map(|e| (e as f32).exp2());
+            let [ex, ey] = exponents.map(|e| (e as f32).strict_exp2());
             // The position nearest to the minimum need not have the least error: its neighbours are compared, too.
             for (x, y) in [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)] {
                 let (Some(x), Some(y)) = (p.x.checked_add_signed(x), p.y.checked_add_signed(y)) else { continue };

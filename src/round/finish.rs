@@ -1,6 +1,6 @@
 //! From fitted floats to integers of an asked size: rounds of descent over the integers and corrections of their number.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crate::bitstream::coder::expect::Expected;
 use crate::bitstream::splats::{Layout, PackedGaussian};
@@ -10,6 +10,7 @@ use crate::fit::model::drawing::field::float_error;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::plan::Plan;
 use crate::fit::state::State;
+use crate::instant::Instant;
 use crate::options::Rung;
 use crate::quantize::Quantizer;
 use crate::round::descend::Descent;

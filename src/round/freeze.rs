@@ -13,6 +13,7 @@ use crate::fit::plan::Plan;
 use crate::fit::schedule::RowCycle;
 use crate::fit::state::State;
 use crate::quantize::Quantizer;
+use crate::strict_math::StrictMath;
 
 /// Steps while freezing: well below those of the fit, large enough to walk a lattice step.
 const RATES: Rates = Rates { mean: 0.03, log_scale: 0.03, rotation: 0.03, color: 0.004, decay: [0.9, 0.95] };
@@ -53,7 +54,7 @@ pub(crate) fn freeze(
             state.freedom[i] = Freedom::Color;
         }
         let done = round as f32 / rounds as f32;
-        let rates = RATES.scaled(0.1 + 0.9 * 0.5 * (1.0 + (std::f32::consts::PI * done).cos()));
+        let rates = RATES.scaled(0.1 + 0.9 * 0.5 * (1.0 + (std::f32::consts::PI * done).strict_cos()));
         for _ in 0..iterations / rounds {
             if plan.is_fit_over() {
                 return Ok(());
@@ -69,11 +70,11 @@ pub(crate) fn freeze(
 fn distance(p: &Primitive, quantizer: &Quantizer) -> f32 {
     let g = p.to_gaussian();
     let on = quantizer.dequantize(&quantizer.quantize(&g));
-    let (sin, cos) = on.rotation.sin_cos();
+    let (sin, cos) = on.rotation.strict_sin_cos();
     let [dx, dy] = [on.mean[0] - g.mean[0], on.mean[1] - g.mean[1]];
     let (u, v) = ((cos * dx + sin * dy) / on.scale[0], (cos * dy - sin * dx) / on.scale[1]);
-    let (a, b) = ((on.scale[0] / g.scale[0]).ln(), (on.scale[1] / g.scale[1]).ln());
+    let (a, b) = ((on.scale[0] / g.scale[0]).strict_ln(), (on.scale[1] / g.scale[1]).strict_ln());
     let aspect = on.scale[0] / on.scale[1];
-    let turn = (on.rotation - g.rotation).sin() * (aspect - 1.0 / aspect);
+    let turn = (on.rotation - g.rotation).strict_sin() * (aspect - 1.0 / aspect);
     u * u + v * v + a * a + b * b + 0.5 * turn * turn
 }

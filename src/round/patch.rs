@@ -8,6 +8,7 @@ use crate::fit::model::target::planes::Planes;
 use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON, Gaussian};
 use crate::round::bowl::Bowl;
 use crate::simd::{LANES, Simd};
+use crate::strict_math::StrictMath;
 
 /// Rows of a primitive's support, on a large picture, for one that is looked at.
 const TALL: usize = 32;
@@ -222,7 +223,7 @@ impl<'a> Patch<'a> {
         parabola: &Parabola,
     ) -> Bowl {
         let (zero, range) = (simd.splat(0.0), self.range(p.rows));
-        let (sin, cos) = g.rotation.sin_cos();
+        let (sin, cos) = g.rotation.strict_sin_cos();
         let [sx, sy] = g.scale;
         let mut slopes = Slopes::<S, C> {
             pixels: self.pixels::<C>(&range),

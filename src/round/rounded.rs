@@ -6,6 +6,7 @@ use crate::fit::model::drawing::project::{Primitive, Projected};
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::model::target::rows::RowSet;
 use crate::quantize::Quantizer;
+use crate::strict_math::StrictMath;
 
 /// Primitives in integers.
 #[derive(Debug, Clone)]
@@ -28,7 +29,7 @@ impl Rounded {
 
     /// Rounds `primitives`, whose picture has the squared error `error`.
     pub(super) fn of_error(problem: &Problem<'_>, layout: Layout, primitives: &[Primitive], error: f64) -> Self {
-        let psnr = -10.0 * (error / problem.samples(RowSet::ALL)).log10();
+        let psnr = -10.0 * (error / problem.samples(RowSet::ALL)).strict_log10();
         let steps = steps(primitives, layout, psnr);
         let quantizer = quantizer(problem, layout, &steps);
         let background = quantizer.quantize_color(problem.scene.background);

@@ -3,6 +3,7 @@
 use super::residual::TileResidual;
 use crate::bitstream::detail::levels::{SUPER, SUPERS, TILE};
 use crate::detail::steps::CLASS_STEPS;
+use crate::strict_math::StrictMath;
 
 /// Side of the squares whose moments are taken, pixels.
 const SQUARE: usize = 8;
@@ -29,7 +30,7 @@ pub(super) fn activity(tile: &TileResidual) -> Vec<f32> {
         *moment = moment.map(|m| m * share);
     }
     let blurred = blur(&blur(&moments, [across, down], [1, 0]), [across, down], [0, 1]);
-    let log = |[mean, square]: [f32; 2]| ((square - mean * mean).max(0.0) + FLOOR).ln();
+    let log = |[mean, square]: [f32; 2]| ((square - mean * mean).max(0.0) + FLOOR).strict_ln();
     let each = SUPER / SQUARE;
     let supers = [across / each, down / each];
     let mut out = vec![0.0; SUPERS * SUPERS];
@@ -64,8 +65,8 @@ fn blur(moments: &[[f32; 2]], [across, down]: [usize; 2], [dx, dy]: [i32; 2]) ->
 /// mean activity of the picture.
 pub(super) fn classes(activity: &[f32], mean: f32, power: f32, count: u8) -> Vec<u8> {
     let class = |&a: &f32| {
-        let wanted = (power * (a - mean)).exp() * MIDDLE;
-        let far = |k: u8| (CLASS_STEPS[usize::from(k)] as f32 / wanted).ln().abs();
+        let wanted = (power * (a - mean)).strict_exp() * MIDDLE;
+        let far = |k: u8| (CLASS_STEPS[usize::from(k)] as f32 / wanted).strict_ln().abs();
         (0..count).min_by(|&a, &b| far(a).total_cmp(&far(b))).unwrap_or(0)
     };
     activity.iter().map(class).collect()

@@ -4,8 +4,6 @@
 //! edges, and from there on the layer is cheaper. That is some 8 kB for photographs of .4 megapixels, and more for pictures that are sharp and
 //! drawn-like, on which Gaussians still gain fast. Which they are is seen when the smaller base has been fitted.
 
-use std::time::Instant;
-
 use super::Layered;
 use super::texture::Texture;
 use crate::bitstream::splats::{Layout, PackedSplats};
@@ -17,9 +15,11 @@ use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::placing::peaks;
 use crate::fit::model::problem::Problem;
 use crate::fit::model::target::rows::RowSet;
+use crate::instant::Instant;
 use crate::options::{Detail, EncodeOptions, Recipe, Tune};
 use crate::round::rounded::projected;
 use crate::round::size::Size;
+use crate::strict_math::StrictMath;
 use crate::target::Target;
 
 /// Pixels of the pictures that the numbers below were found on; they go with powers of how much larger a picture is.
@@ -162,7 +162,7 @@ impl Encoding<'_> {
         let ratio = (self.subject.samples() / all).max(20.0);
         let least = all * texture.map_or(0.0, |texture| busy_share(texture, self.pixels(), ratio));
         let few = bytes_of_base(self.subject.options.effort, self.pixels(), ratio, all).max(least);
-        let most_for_base = (SHARP_SHARE + SHARP_MORE * (ratio / 20.0).log2()).min(MOST_SHARP) * all;
+        let most_for_base = (SHARP_SHARE + SHARP_MORE * (ratio / 20.0).strict_log2()).min(MOST_SHARP) * all;
         // What was large enough for a sharp picture can be too large for a smaller file of it.
         let room = fixed as f64 + (SLACK * most_for_base).min(MOST_SHARP * all);
         let serves = |kept: &&Kept| is_near(few, kept.meant) && kept.base.bytes.len() as f64 <= room;
@@ -183,14 +183,14 @@ impl Encoding<'_> {
         let may_be_larger = is_new && is_exact && self.until.is_none() && most_for_base > WORTH * few;
         let sharpness = if may_be_larger { self.sharpness(&layered, few * MEASURED)? } else { Some(0.0) };
         let least = if self.subject.options.effort >= 7 { SHARP_TRIED } else { SHARP };
-        if sharpness.is_none_or(|sharpness| sharpness > least * (ratio / 20.0).powf(SHARP_POWER)) {
+        if sharpness.is_none_or(|sharpness| sharpness > least * (ratio / 20.0).strict_powf(SHARP_POWER)) {
             for bytes in [(few * most_for_base).sqrt(), most_for_base] {
                 self.begun = primitives_of(&layered.base.splats);
                 let base = self.base(fixed + bytes as u64, ratio)?;
                 let clock = self.journal.seconds();
                 let other = self.layer(base, most)?;
                 self.journal.stage("detail", clock);
-                let gain = 10.0 * (layered.error / other.error).log10();
+                let gain = 10.0 * (layered.error / other.error).strict_log10();
                 if gain > 0.0 {
                     layered = other;
                 }
@@ -234,7 +234,7 @@ impl Encoding<'_> {
         let splats = &layered.base.splats;
         // All errors count alike here: that tells pictures apart best, whatever is favoured.
         let [finer, coarser] = self.two_steps(splats, coded, bytes);
-        let decibels = 10.0 * (coarser[1] / finer[1]).log10() / (finer[0] / coarser[0]).log2();
+        let decibels = 10.0 * (coarser[1] / finer[1]).strict_log10() / (finer[0] / coarser[0]).strict_log2();
         if !decibels.is_finite() {
             return Ok(None);
         }
@@ -264,10 +264,10 @@ fn primitives_of(splats: &PackedSplats) -> Vec<Primitive> {
 
 /// Returns the largest ratio at which a picture of so many pixels gains by a layer; `texture` is known where eyes are favoured.
 fn largest_ratio(effort: u8, pixels: u64, texture: Option<Texture>) -> f64 {
-    let usual = RATIO * (pixels as f64 / PIXELS).powf(RATIO_POWER);
+    let usual = RATIO * (pixels as f64 / PIXELS).strict_powf(RATIO_POWER);
     let Some(texture) = texture else { return usual };
     let fine = FINE[usize::from(effort > 1)];
-    let larger = (pixels as f64 / FINE_PIXELS).powf(FINE_RATIO_POWER);
+    let larger = (pixels as f64 / FINE_PIXELS).strict_powf(FINE_RATIO_POWER);
     usual.min(ALWAYS_RATIO).max(FINE_RATIO * (texture.fineness / fine).powi(2) * larger)
 }
 
@@ -278,21 +278,21 @@ fn is_worth_a_layer(samples: f64, bytes: u64, largest: f64) -> bool {
 
 /// Tells whether a base of `meant` bytes is as good as one of `few`.
 fn is_near(few: f64, meant: f64) -> bool {
-    (few / meant).ln().abs() < WORTH.ln()
+    (few / meant).strict_ln().abs() < WORTH.strict_ln()
 }
 
 /// Returns the bytes of the Gaussians in a file of `all` bytes.
 fn bytes_of_base(effort: u8, pixels: u64, ratio: f64, all: f64) -> f64 {
     let larger = pixels as f64 / PIXELS;
     let haste = if effort == 1 { HASTY_BASE } else { 1.0 };
-    (haste * BASE * larger.powf(BASE_POWER) * (ratio.min(100.0) / 50.0).powf(-BASE_FALL)).min(MOST * all)
+    (haste * BASE * larger.strict_powf(BASE_POWER) * (ratio.min(100.0) / 50.0).strict_powf(-BASE_FALL)).min(MOST * all)
 }
 
 /// Returns the least share of the bytes that the Gaussians of such a picture get.
 fn busy_share(texture: Texture, pixels: u64, ratio: f64) -> f64 {
     let [from, to] = BUSY;
     let busy = ((texture.activity - from) / (to - from)).clamp(0.0, 1.0);
-    let large = ((pixels as f64 / PIXELS).ln() / BUSY_SIZE).clamp(0.0, 1.0);
+    let large = ((pixels as f64 / PIXELS).strict_ln() / BUSY_SIZE).clamp(0.0, 1.0);
     BUSY_SHARE * busy * large * (ratio / 100.0).min(1.0)
 }
 

@@ -16,7 +16,7 @@ mod slopes;
 mod texture;
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use super::job::{Encoding, Outcome};
 use super::subject::stored_scene;
@@ -26,8 +26,10 @@ use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
 use crate::fit::model::problem::LARGE;
 use crate::gaussian::Channels;
+use crate::instant::Instant;
 use crate::options::Tune;
 use crate::round::rounded::projected;
+use crate::strict_math::StrictMath;
 use choose::{Care, Setting};
 use error::Counted;
 use parts::Parts;
@@ -134,7 +136,7 @@ impl Encoding<'_> {
     /// Bytes and plain error of two layers in the blocks of `coded`: one of about `bytes`, or as many as that has, and a coarser one.
     fn two_steps(&self, splats: &PackedSplats, coded: &Coded, bytes: f64) -> [[f64; 2]; 2] {
         let tiles = self.residuals(splats);
-        let factor = (coded.bytes as f64 / bytes).max(1.0).powf(1.0 / MEASURED_FALL);
+        let factor = (coded.bytes as f64 / bytes).max(1.0).strict_powf(1.0 / MEASURED_FALL);
         [factor, factor * COARSER].map(|factor| {
             let mut aim = self.aim_of_layer(coded.bytes);
             let step = f64::from(coded.layer.head.step) * factor;

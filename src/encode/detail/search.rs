@@ -12,6 +12,7 @@ use crate::bitstream::detail::levels::{CELL, SUPER, TILE};
 use crate::bitstream::detail::model::{KINDS, PLANES};
 use crate::detail::steps::PlaneSteps;
 use crate::parallel;
+use crate::strict_math::StrictMath;
 
 /// A layer and its bytes in the file, those of its section not counted.
 #[derive(Debug, Clone)]
@@ -87,14 +88,14 @@ pub(super) fn smallest_step<E>(
     let (mut over, mut under): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
     let (mut fall, mut last): (f64, Option<[f64; 2]>) = (FALL, None);
     let mut best: Option<Coded> = None;
-    let goal = (aim.most as f64 * (1.0 - BELOW)).max(1.0).ln();
+    let goal = (aim.most as f64 * (1.0 - BELOW)).max(1.0).strict_ln();
     // Where none fits yet, which takes a picture whose bytes hardly fall with the step, it goes on for longer, and ever further.
     let mut i = 0;
     while i < aim.runs || best.is_none() && i < PATIENCE * aim.runs {
         i += 1;
         let rounded = step.round().clamp(1.0, 65_535.0);
         let coded = run(rounded as u16)?;
-        let at = [rounded.ln(), (coded.bytes as f64).max(1.0).ln()];
+        let at = [rounded.strict_ln(), (coded.bytes as f64).max(1.0).strict_ln()];
         let short = aim.most as f64 - coded.bytes as f64;
         if short >= 0.0 {
             under = Some(at);
@@ -125,7 +126,7 @@ pub(super) fn smallest_step<E>(
             (None, Some(b)) => b[0] - ((goal - b[1]) / fall).clamp(0.001, 3.0),
             (None, None) => break,
         };
-        step = next.exp();
+        step = next.strict_exp();
     }
     Ok(best)
 }
@@ -240,7 +241,7 @@ fn guess(tiles: &[TileResidual], aim: &Aim) -> f64 {
         }
         bin -= 1;
     }
-    let value = ((bin as f32 + 1.0 - BINS as f32 / 2.0) / FINE).exp2();
+    let value = ((bin as f32 + 1.0 - BINS as f32 / 2.0) / FINE).strict_exp2();
     (f64::from(value / LIKELY) * f64::from(UNIT)).clamp(8.0, 60_000.0)
 }
 

@@ -1,5 +1,6 @@
 //! How steps of a layer grow with frequency: faster where the layer is coarse.
 
+use crate::strict_math::StrictMath;
 /// The head's slopes at one step of a layer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Knot {
@@ -21,7 +22,7 @@ impl Slopes {
         if a.step >= b.step || step <= a.step {
             return a.slopes;
         }
-        let ln = |step: u16| f32::from(step).ln();
+        let ln = |step: u16| f32::from(step).strict_ln();
         let share = (ln(step) - ln(a.step)) / (ln(b.step) - ln(a.step));
         let between = |[a, b]: [u8; 2]| (f32::from(a) + share * (f32::from(b) - f32::from(a))).round() as u8;
         [0, 1].map(|kind| between([a, b].map(|knot| knot.slopes[kind])))

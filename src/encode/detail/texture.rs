@@ -2,6 +2,7 @@
 
 use crate::fit::model::target::planes::Planes;
 use crate::parallel;
+use crate::strict_math::StrictMath;
 
 /// Side of the squares that are looked at, pixels.
 const SQUARE: usize = 8;
@@ -71,7 +72,7 @@ fn measured(square: impl Fn(usize, usize) -> f32) -> [f64; 3] {
     let quarter = quarters.iter().map(|q| q * q).sum::<f32>() * 16.0 / pixels;
     let mean = sums[0] / pixels;
     let lost = |from: f32, to: f32| f64::from((from - to).max(0.0));
-    [lost(whole, half), lost(half, quarter), (lost(whole, mean * mean) + FLOOR).ln()]
+    [lost(whole, half), lost(half, quarter), (lost(whole, mean * mean) + FLOOR).strict_ln()]
 }
 
 #[cfg(test)]

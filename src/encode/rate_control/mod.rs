@@ -17,6 +17,7 @@ use crate::fit::model::target::planes::Planes;
 use crate::gaussian::Blend;
 use crate::options::{EncodeOptions, Needs};
 use crate::round::size::Size;
+use crate::strict_math::StrictMath;
 use crate::target::Target;
 
 /// Most primitives that an encode will fit.
@@ -188,7 +189,7 @@ const MAX_TRIED_BYTES: f64 = 512.0;
 /// Returns the smallest and the largest size that a search tries for a picture of `raw` samples: binary logarithms of bytes a
 /// sample.
 fn sizes_tried(raw: f64) -> [f64; 2] {
-    [MIN_TRIED_BYTES, (MAX_TRIED * raw).max(MAX_TRIED_BYTES)].map(|bytes| (bytes / raw).log2())
+    [MIN_TRIED_BYTES, (MAX_TRIED * raw).max(MAX_TRIED_BYTES)].map(|bytes| (bytes / raw).strict_log2())
 }
 
 /// Bytes by which a file is larger than it may be.

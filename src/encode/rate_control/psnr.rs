@@ -5,6 +5,7 @@ use crate::encode::job::{Encoding, Outcome, decibels};
 use crate::error::{Error, Result};
 use crate::options::Needs;
 use crate::round::size::Size;
+use crate::strict_math::StrictMath;
 
 /// Most tries. Later ones mostly keep the Gaussians of the ones before.
 const MAX_TRIES: usize = 8;
@@ -25,7 +26,7 @@ struct Decibels;
 impl Decibels {
     /// Returns about the decibels that a size has beside those of other sizes.
     fn at(size: f64) -> f64 {
-        2.5 * size + 6.0 * 8.0 * size.exp2()
+        2.5 * size + 6.0 * 8.0 * size.strict_exp2()
     }
 
     /// Returns the size that has so many of these decibels.
@@ -43,7 +44,7 @@ impl Decibels {
 impl Curve for Decibels {
     fn size(&self, _: f64) -> f64 {
         // Pictures differ too much for a guess.
-        -FIRST_RATIO.log2()
+        -FIRST_RATIO.strict_log2()
     }
 
     fn beyond(&self, tried: Try, wanted: f64) -> f64 {
@@ -73,7 +74,7 @@ impl Encoding<'_> {
                 break;
             }
             self.share = share;
-            let outcome = self.layered(Size::Bytes(carried + (raw * size.exp2()) as u64))?;
+            let outcome = self.layered(Size::Bytes(carried + (raw * size.strict_exp2()) as u64))?;
             let got = decibels(self.whole_error(&outcome.splats), raw);
             search.note(size, got);
             let is_better = best.as_ref().is_none_or(|(found, best)| match (got >= wanted, *found >= wanted) {
@@ -98,7 +99,7 @@ impl Encoding<'_> {
         }
         // Where channels were left out, what they add to the error is not known here.
         if self.subject.options.needs == Needs::Measured && self.subject.is_whole() {
-            self.prune(&mut best, raw * 10f64.powf(-0.1 * wanted))?;
+            self.prune(&mut best, raw * 10f64.strict_powf(-0.1 * wanted))?;
         }
         Ok(best)
     }

@@ -17,6 +17,7 @@ use crate::raster::View;
 use crate::round::rounded::projected;
 use crate::round::size::Size;
 use crate::ssimulacra2::{LEAST, ssimulacra2};
+use crate::strict_math::StrictMath;
 
 /// Most tries. Later ones mostly keep the Gaussians of the ones before.
 const MAX_TRIES: usize = 6;
@@ -95,7 +96,7 @@ impl Encoding<'_> {
                 break;
             }
             self.share = share;
-            let outcome = self.layered(Size::Bytes(carried + (raw * size.exp2()) as u64))?;
+            let outcome = self.layered(Size::Bytes(carried + (raw * size.strict_exp2()) as u64))?;
             let points = self.points(&outcome.splats)?;
             search.note(size, points);
             let near = if can_be_worsened(&outcome) { NEAR } else { CLOSE };

@@ -28,6 +28,7 @@ use crate::limits::Limits;
 use crate::options::HiddenColors;
 use crate::pixel_source::{PixelSource, check_area};
 use crate::pixels::{Depth, Pixels, Samples};
+use crate::strict_math::StrictMath;
 
 /// First bytes of a task, with the version of its layout.
 const TASK: &[u8] = b"ssplat task 1, ";
@@ -457,7 +458,7 @@ impl Parceled for Primitive {
             if !(-1.0..=bars.size[k] as f32 + 1.0).contains(&mean[k]) {
                 return Err(refused(["x", "y"][k], mean[k].to_bits().into()));
             }
-            if !(MIN_SCALE.ln()..=MAX_SCALE.ln()).contains(&log_scale[k]) {
+            if !(MIN_SCALE.strict_ln()..=MAX_SCALE.strict_ln()).contains(&log_scale[k]) {
                 return Err(refused("scale", log_scale[k].to_bits().into()));
             }
         }

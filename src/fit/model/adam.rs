@@ -4,6 +4,7 @@ use crate::fit::model::drawing::field::{Frame, Gradient};
 use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::CUTOFF;
+use crate::strict_math::StrictMath;
 
 /// Bounds that every step respects.
 #[derive(Debug, Clone, Copy)]
@@ -19,9 +20,9 @@ impl Bounds {
         let size = [width as f32, height as f32];
         Bounds {
             size,
-            min_log_scale: 0.3f32.ln(),
-            max_log_scale: size[0].max(size[1]).max(1.0).ln(),
-            max_log_aspect: 100f32.ln(),
+            min_log_scale: 0.3f32.strict_ln(),
+            max_log_scale: size[0].max(size[1]).max(1.0).strict_ln(),
+            max_log_aspect: 100f32.strict_ln(),
         }
     }
 

@@ -3,6 +3,7 @@
 use crate::fit::model::target::planes::Planes;
 use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::Blend;
+use crate::strict_math::StrictMath;
 
 /// Pixels of a large picture: smaller ones are done soon enough.
 pub const LARGE: u64 = 1 << 21;
@@ -37,7 +38,7 @@ impl Scene {
     pub fn row_step(&self, count: usize) -> u32 {
         // Sampling few rows of large Gaussians would save more, but each of a few primitives matters.
         let typical = self.typical_scale(count);
-        (f32::min(0.9 * typical, 1.6 * typical.powf(0.6)) as u32).clamp(1, 16).min(self.height)
+        (f32::min(0.9 * typical, 1.6 * typical.strict_powf(0.6)) as u32).clamp(1, 16).min(self.height)
     }
 }
 

@@ -6,6 +6,7 @@ use crate::fit::model::drawing::strips::{self, Planned};
 use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::CUTOFF_WEIGHT;
 use crate::simd::{self, Simd};
+use crate::strict_math::StrictMath;
 
 /// Sampled rows at most that the recurrence walks down before it starts afresh, which bounds its drift: relative errors
 /// of 2⁻²⁴ in the ratio of rows grow to 7·10⁻⁵ in the last one at most.
@@ -37,7 +38,7 @@ impl Rows {
     pub fn new(p: &Projected, step: f32) -> Self {
         const L2E: f32 = std::f32::consts::LOG2_E;
         let [_, _, c] = p.conic;
-        let bend = (-L2E * c * step * step).max(-126.0).exp2();
+        let bend = (-L2E * c * step * step).max(-126.0).strict_exp2();
         Self::of(p, step, bend)
     }
 

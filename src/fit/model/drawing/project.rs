@@ -3,6 +3,7 @@
 use crate::gaussian::{CUTOFF, Gaussian};
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
+use crate::strict_math::StrictMath;
 
 /// A primitive while it is fitted: as [`Gaussian`], with the scales as natural logarithms and in no order.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -19,14 +20,14 @@ pub struct Primitive {
 
 impl Primitive {
     pub fn to_gaussian(self) -> Gaussian {
-        let [a, b] = self.log_scale.map(f32::exp);
+        let [a, b] = self.log_scale.map(f32::strict_exp);
         let turned = if a >= b { 0.0 } else { std::f32::consts::FRAC_PI_2 };
         let rotation = (self.rotation + turned).rem_euclid(std::f32::consts::PI);
         Gaussian { mean: self.mean, scale: [a.max(b), a.min(b)], rotation, color: self.color }
     }
 
     pub fn from_gaussian(g: &Gaussian) -> Self {
-        Primitive { mean: g.mean, log_scale: g.scale.map(f32::ln), rotation: g.rotation, color: g.color }
+        Primitive { mean: g.mean, log_scale: g.scale.map(f32::strict_ln), rotation: g.rotation, color: g.color }
     }
 }
 
@@ -34,7 +35,7 @@ impl Primitive {
 pub fn zoomed(mut primitives: Vec<Primitive>, by: f32) -> Vec<Primitive> {
     for p in &mut primitives {
         p.mean = p.mean.map(|v| v * by);
-        p.log_scale = p.log_scale.map(|v| v + by.ln());
+        p.log_scale = p.log_scale.map(|v| v + by.strict_ln());
     }
     primitives
 }
@@ -161,7 +162,7 @@ pub struct Projected {
 impl Projected {
     #[cfg(any(test, feature = "unstable"))]
     pub fn new(p: &Primitive, height: u32) -> Self {
-        let [ix, iy] = p.log_scale.map(|l| (-2.0 * l).exp());
+        let [ix, iy] = p.log_scale.map(|l| (-2.0 * l).strict_exp());
         Self::from_parts(p.mean, [ix, iy], p.rotation, p.color, height)
     }
 
@@ -170,7 +171,7 @@ impl Projected {
     }
 
     fn from_parts(mean: [f32; 2], [ix, iy]: [f32; 2], rotation: f32, color: [f32; 4], height: u32) -> Self {
-        let (sin, cos) = rotation.sin_cos();
+        let (sin, cos) = rotation.strict_sin_cos();
         let a = cos * cos * ix + sin * sin * iy;
         let b = cos * sin * (ix - iy);
         let c = sin * sin * ix + cos * cos * iy;

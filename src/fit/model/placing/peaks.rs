@@ -9,6 +9,7 @@ use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::Blend;
 use crate::parallel;
 use crate::simd::{self, Simd, Task};
+use crate::strict_math::StrictMath;
 
 /// Tops whose shapes are looked for at a time.
 const CHUNK: usize = 64;
@@ -364,7 +365,7 @@ fn spread(candidates: impl Iterator<Item = Peak>, count: usize, scene: &Scene) -
             break;
         }
         let reach = 1.5 * p.scale[0];
-        let (sin, cos) = p.rotation.sin_cos();
+        let (sin, cos) = p.rotation.strict_sin_cos();
         let (cx, cy) = place(p.mean);
         let r = (reach / CELL).ceil() as usize;
         let near = |q: &Peak| {
@@ -409,5 +410,5 @@ pub(crate) fn at_peak(peak: &Peak, problem: &Problem<'_>) -> Primitive {
             std::array::from_fn(|k| peak.residual[k] / (amplitude * target.channel_amplitude[k]))
         }
     };
-    Primitive { mean: peak.mean, log_scale: peak.scale.map(|s| s.max(0.5).ln()), rotation: peak.rotation, color }
+    Primitive { mean: peak.mean, log_scale: peak.scale.map(|s| s.max(0.5).strict_ln()), rotation: peak.rotation, color }
 }

@@ -2,6 +2,7 @@
 //! first of their steps gains nothing.
 
 use crate::fit::model::target::blur::Cells;
+use crate::strict_math::StrictMath;
 
 /// Largest aspect that a new primitive gets; the fit stretches it further.
 const MOST_ASPECT: f32 = 4.0;
@@ -66,13 +67,13 @@ fn rotation(index: usize) -> f32 {
 pub(crate) fn all() -> [[Tap; TAPS]; RIDGES] {
     std::array::from_fn(|i| {
         let aspect = ASPECTS[i / DIRECTIONS];
-        let (sin, cos) = rotation(i).sin_cos();
+        let (sin, cos) = rotation(i).strict_sin_cos();
         let length = BLUR * (aspect * aspect - 1.0).sqrt();
         let weight = |t: usize| match t {
             // A mirror image of itself.
             0 => 0.5,
             _ if t as f32 > (2.0 * length).ceil() => 0.0,
-            _ => (-0.5 * (t as f32 / length).powi(2)).exp(),
+            _ => (-0.5 * (t as f32 / length).powi(2)).strict_exp(),
         };
         let total: f32 = (0..TAPS).map(|t| 2.0 * weight(t)).sum();
         std::array::from_fn(|t| Tap {

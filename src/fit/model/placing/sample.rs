@@ -7,6 +7,7 @@ use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::target::blur::blur;
 use crate::fit::model::target::planes::Planes;
 use crate::parallel;
+use crate::strict_math::StrictMath;
 
 /// Share of the primitives that follow detail; the rest is spread evenly.
 pub(crate) const DETAIL: f64 = 0.8;
@@ -48,7 +49,7 @@ pub(crate) fn by_detail(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Ve
             let y = ((i / cols) as f32 + jitter[1]) * cell as f32;
             let mean = [x.min(target.width as f32), y.min(target.height as f32)];
             let per_pixel = share as f32 / (cell * cell) as f32;
-            let scale = (SPREAD / (std::f32::consts::PI * per_pixel).sqrt()).max(0.4).ln();
+            let scale = (SPREAD / (std::f32::consts::PI * per_pixel).sqrt()).max(0.4).strict_ln();
             let (stretch, along) = detail.stretch(i as usize);
             let log_scale = [scale + 0.5 * stretch, scale - 0.5 * stretch];
             // Never quite along the axes, which would keep gradients at 0.
@@ -59,7 +60,7 @@ pub(crate) fn by_detail(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Ve
     // Rounding may leave the last stratum open.
     while out.len() < count {
         let mean = [rng.random::<f32>() * target.width as f32, rng.random::<f32>() * target.height as f32];
-        let scale = (SPREAD * spacing as f32 / std::f32::consts::PI.sqrt()).max(0.4).ln();
+        let scale = (SPREAD * spacing as f32 / std::f32::consts::PI.sqrt()).max(0.4).strict_ln();
         out.push(Primitive { mean, log_scale: [scale; 2], rotation: 0.0, color: target.at(mean) });
     }
     out
@@ -119,10 +120,10 @@ impl Detail {
     /// edge, where there is one.
     fn stretch(&self, i: usize) -> (f32, f32) {
         let [a, b, c] = [0, 1, 2].map(|k| self.tensor[k][i]);
-        let (difference, sum) = ((a - c).hypot(2.0 * b), a + c);
+        let (difference, sum) = ((a - c).strict_hypot(2.0 * b), a + c);
         let coherence = difference / (sum + 1e-6);
         let aspect = 1.0 + STRETCH * coherence * coherence;
-        (aspect.ln(), 0.5 * (2.0 * b).atan2(a - c) + std::f32::consts::FRAC_PI_2)
+        (aspect.strict_ln(), 0.5 * (2.0 * b).strict_atan2(a - c) + std::f32::consts::FRAC_PI_2)
     }
 }
 

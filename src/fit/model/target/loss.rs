@@ -6,6 +6,7 @@ use crate::fit::model::target::planes::Planes;
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
+use crate::strict_math::StrictMath;
 
 /// Taps of SSIM's window.
 const TAPS: usize = 11;
@@ -46,7 +47,8 @@ struct Buffers {
 impl Loss {
     /// `absolute`: the share of the absolute error, `0..=1`.
     pub fn new(target: &Planes, absolute: f32) -> Self {
-        let raw: [f32; TAPS] = std::array::from_fn(|i| (-(i as f32 - 5.0).powi(2) / (2.0 * SIGMA * SIGMA)).exp());
+        let raw: [f32; TAPS] =
+            std::array::from_fn(|i| (-(i as f32 - 5.0).powi(2) / (2.0 * SIGMA * SIGMA)).strict_exp());
         let sum: f32 = raw.iter().sum();
         let window = raw.map(|v| v / sum);
         let width = target.width as usize;

@@ -15,6 +15,7 @@ use crate::fit::model::target::masking::{LUMA, doubled, room};
 use crate::fit::model::target::planes::Planes;
 use crate::fit::model::target::structure::normalized;
 use crate::parallel;
+use crate::strict_math::StrictMath;
 
 /// Power of the worth where primitives are dense. It is raised as far as the decibels last that the rehearsal itself wins at
 /// a ratio of 50.
@@ -46,7 +47,8 @@ pub(crate) fn amplitudes(target: &Planes, field: &Field, count: usize) -> Vec<f3
     let (share, error) = (all(&shares), all(&errors));
     let scale = (error / share.max(f64::MIN_POSITIVE)) as f32;
     let least = (1e-6 * error / errors.len() as f64) as f32 + f32::MIN_POSITIVE;
-    let worth = shares.iter().zip(&errors).map(|(s, e)| (scale * s / (e + least)).clamp(LEAST, MOST).powf(power));
+    let worth =
+        shares.iter().zip(&errors).map(|(s, e)| (scale * s / (e + least)).clamp(LEAST, MOST).strict_powf(power));
     let mut worth: Vec<f32> = worth.collect();
     for pair in sizes(size, HALVINGS).windows(2).rev() {
         worth = doubled(&worth, pair[1], pair[0]);
@@ -95,7 +97,7 @@ fn shares([mut wanted, mut drawn]: [Vec<f32>; 2], size: [usize; 2]) -> Vec<f32> 
     for (&[w, h], [of_mean, of_norm]) in sizes.iter().zip(SIZES) {
         let (mut at_size, fourth) = lost_structure([&wanted, &drawn], [w, h]);
         // The slope of the norm along each loss, times the loss.
-        let of_norm = of_norm / (fourth as f32).powf(0.75).max(1e-20);
+        let of_norm = of_norm / (fourth as f32).strict_powf(0.75).max(1e-20);
         at_size.iter_mut().for_each(|l| *l *= of_mean + of_norm * *l * *l * *l);
         lost.push(at_size);
         (wanted, drawn) = (halve(&wanted, w, h), halve(&drawn, w, h));

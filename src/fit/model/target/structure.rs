@@ -3,6 +3,7 @@
 use crate::fit::model::target::blur::blur;
 use crate::fit::model::target::planes::Planes;
 use crate::parallel;
+use crate::strict_math::StrictMath;
 
 /// Constant added to twice the variance of samples in `0..=1`. It is larger than SSIM's own `C₂` of 0.0009, so that
 /// smooth areas do not take nearly all of the weight.
@@ -50,7 +51,7 @@ fn weights(target: &Planes, room: f32) -> Vec<f32> {
         }
         let squares = soften(&plane);
         for (w, (m, s)) in weights.iter_mut().zip(means.iter().zip(&squares)) {
-            *w += (2.0 * (s - m * m).max(0.0) + FLOOR).powf(-power);
+            *w += (2.0 * (s - m * m).max(0.0) + FLOOR).strict_powf(-power);
         }
     }
     weights
