@@ -202,6 +202,7 @@ mod gaussian;
 pub mod gpu;
 #[cfg(feature = "image")]
 mod image_crate;
+#[cfg(feature = "encode")]
 mod instant;
 mod limits;
 #[cfg(feature = "encode")]

@@ -35,7 +35,7 @@ pub mod gaussian {
     pub use crate::gaussian::*;
 }
 /// Points in time.
-#[cfg(all(target_family = "wasm", target_os = "unknown"))]
+#[cfg(all(feature = "encode", target_family = "wasm", target_os = "unknown"))]
 pub mod instant {
     pub use crate::instant::provide_clock;
 }

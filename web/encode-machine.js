@@ -1,0 +1,54 @@
+// How the WebAssembly module of the encoder is called (wasm-encode/src/lib.rs is the other side). One instance encodes one picture.
+import { SsplatError } from "./error.js"
+
+const kinds = [, "limit", "parameter", "size", "cancelled", "internal"]
+// In the order in which the module counts them.
+const settings = ["ratio", "bytes", "psnr", "quality", "primitives", "effort", "tune", "time", "seed", "detail", "levels"]
+const words = { tune: ["psnr", "ssim", "iq"], detail: ["off", "auto"] }
+
+// Encodes `job`: { width, height, channels, depth, data, icc, exif, orientation, settings, alloc }. `progress` takes a stage and
+// the share of it that is done; the encode stops if it returns true.
+export function run(module, job, progress) {
+  let wasm, failure
+  const most = Math.ceil(job.alloc / 65536)
+  const text = (at, length) => new TextDecoder().decode(new Uint8Array(memory.buffer, at, length))
+  const host = {
+    now: () => performance.now() / 1000,
+    progress: (at, length, done) => +(progress(text(at, length), done) === true),
+    failed: (at, length) => { failure = text(at, length) },
+  }
+  // The memory that the module asks for at first; more comes as it is needed, up to the limit.
+  const least = 64
+  if (most < least) throw new SsplatError("limit", `limits.alloc is ${job.alloc}, less than the ${least * 65536} bytes that any encode takes`)
+  const memory = new WebAssembly.Memory({ initial: least, maximum: most })
+  try {
+    wasm = new WebAssembly.Instance(module, { host, env: { memory } }).exports
+    for (const [which, bytes] of [job.data, job.icc, job.exif].entries()) {
+      if (!bytes?.byteLength) continue
+      const at = wasm.input(which, bytes.byteLength)
+      if (!at) throw new SsplatError("limit", `no memory for ${bytes.byteLength} bytes: limits.alloc is ${job.alloc}`)
+      new Uint8Array(memory.buffer, at, bytes.byteLength).set(new Uint8Array(bytes.buffer, bytes.byteOffset, bytes.byteLength))
+    }
+    for (const [name, value] of Object.entries(job.settings))
+      wasm.set(settings.indexOf(name), words[name] ? words[name].indexOf(value) : value)
+    const kind = wasm.encode(job.width, job.height, job.channels, job.depth, job.orientation)
+    const piece = which => new Uint8Array(memory.buffer, wasm.piece(which), wasm.piece_length(which)).slice()
+    if (kind) throw new SsplatError(kinds[kind], new TextDecoder().decode(piece(0)))
+    const lines = which => new TextDecoder().decode(piece(which)).split("\n").filter(line => line).map(line => line.split("\t"))
+    const [primitives, psnr, quality, seconds] = [0, 1, 2, 3].map(k => wasm.number(k))
+    return {
+      bytes: piece(0),
+      report: {
+        primitives, psnr, seconds,
+        ...Number.isNaN(quality) ? {} : { quality },
+        stages: lines(1).map(([name, microseconds]) => ({ name, seconds: microseconds / 1e6 })),
+        leftOut: lines(2).map(([what, bytes]) => ({ what, bytes: +bytes })),
+      },
+    }
+  } catch (error) {
+    if (!(error instanceof WebAssembly.RuntimeError)) throw error
+    // A panic says what is wrong; without words the module stops where memory ends.
+    throw failure ? new SsplatError("internal", failure)
+      : new SsplatError("limit", `the encode needs more than the ${job.alloc} bytes of limits.alloc`)
+  }
+}

@@ -1,0 +1,170 @@
+// Pictures to .ssplat files in the browser and in Node.js, by a WebAssembly module of its own that is loaded at the first encode.
+import { SsplatError } from "./error.js"
+import { run } from "./encode-machine.js"
+
+export { SsplatError }
+
+const targets = ["ratio", "bytes", "psnr", "quality", "primitives"]
+const names = [...targets, "effort", "tune", "time", "seed", "detail", "levels", "icc", "exif", "orientation", "limits", "worker", "module", "signal", "onProgress"]
+const bad = words => { throw new SsplatError("parameter", words) }
+// Most bytes of WebAssembly's memory, by default the limit of the Rust crate on 32 bits.
+const memory = 2 ** 30, address = 2 ** 32
+
+// Modules are files beside this one, by addresses that bundlers see and rewrite.
+const simd = () => new URL("./ssplat-encode-simd.wasm", import.meta.url), scalar = () => new URL("./ssplat-encode-scalar.wasm", import.meta.url)
+// A function that needs vector instructions: `i32.const 0; i8x16.splat; i8x16.popcnt`.
+const vectors = Uint8Array.of(0, 97, 115, 109, 1, 0, 0, 0, 1, 5, 1, 96, 0, 1, 123, 3, 2, 1, 0, 10, 10, 1, 8, 0, 65, 0, 253, 15, 253, 98, 11)
+const node = name => globalThis.process?.getBuiltinModule?.(`node:${name}`)
+
+async function bytesAt(source) {
+  if (source instanceof ArrayBuffer || ArrayBuffer.isView(source)) return source
+  const network = words => new SsplatError("network", `${source}: ${words}`)
+  try {
+    if (node("fs") && new URL(source).protocol == "file:") return await node("fs").promises.readFile(new URL(source))
+    const response = await fetch(source)
+    if (!response.ok) throw new Error(`${response.status} ${response.statusText}`.trim())
+    return await response.arrayBuffer()
+  } catch ({ message }) {
+    throw network(message)
+  }
+}
+
+let compiled
+// The module that this machine can run; or that of a URL, bytes or a module. What could not be fetched is asked for again.
+function compile(source) {
+  if (source instanceof WebAssembly.Module) return source
+  if (source) return bytesAt(source).then(bytes => WebAssembly.compile(bytes))
+  compiled ??= bytesAt(WebAssembly.validate(vectors) ? simd() : scalar()).then(bytes => WebAssembly.compile(bytes))
+  compiled.catch(() => { compiled = undefined })
+  return compiled
+}
+
+// Whole numbers and others within a range, both ends included.
+function within(name, value, least, most, isWhole = true) {
+  if (typeof value != "number" || !(value >= least && value <= most) || isWhole && !Number.isInteger(value))
+    bad(`${name} is ${value}, not ${isWhole ? "an integer" : "a number"} from ${least} to ${most}`)
+  return value
+}
+
+// The samples as the module takes them: interleaved, 16 bits little-endian.
+function samplesOf(pixels) {
+  if (typeof pixels != "object" || pixels == null) bad("pixels are no object with width, height and data")
+  const { width, height, data } = pixels
+  within("width", width, 1, 2 ** 20)
+  within("height", height, 1, 2 ** 20)
+  const depth = data instanceof Uint8Array || data instanceof Uint8ClampedArray ? 8 : data instanceof Uint16Array ? 16 : bad("data is neither a Uint8Array, a Uint8ClampedArray nor a Uint16Array")
+  const channels = pixels.channels ?? data.length / width / height
+  if (![1, 2, 3, 4].includes(channels) || data.length != width * height * channels)
+    bad(`data has ${data.length} samples, which are not 1 to 4 for each of ${width} × ${height} pixels${pixels.channels == null ? "" : `, or not ${pixels.channels}`}`)
+  const bytes = new Uint8Array(data.buffer, data.byteOffset, data.byteLength)
+  if (depth == 8 || new Uint8Array(Uint16Array.of(1).buffer)[0]) return { width, height, channels, depth, data: bytes }
+  const swapped = bytes.slice()
+  for (let i = 0; i < swapped.length; i += 2) [swapped[i], swapped[i + 1]] = [swapped[i + 1], swapped[i]]
+  return { width, height, channels, depth, data: swapped }
+}
+
+// Bytes of a profile or a block.
+function bytesOf(name, value) {
+  if (value == null || value instanceof Uint8Array) return value ?? undefined
+  return value instanceof ArrayBuffer ? new Uint8Array(value) : bad(`${name} is neither a Uint8Array nor an ArrayBuffer`)
+}
+
+// Everything that is asked for, held to its range. Returns a job for the module.
+function jobOf(pixels, options) {
+  for (const name of Object.keys(options)) if (!names.includes(name)) bad(`no option is called ${name}; there are ${names.join(", ")}`)
+  const given = name => options[name] != null, settings = {}
+  const asked = targets.filter(given)
+  if (asked.length > 1) bad(`${asked.join(" and ")} are given, of which a file can have one`)
+  const number = (name, least, most, isWhole) => { if (given(name)) settings[name] = within(name, options[name], least, most, isWhole) }
+  const word = (name, ...words) => {
+    if (given(name)) settings[name] = words.includes(options[name]) ? options[name] : bad(`${name} is ${options[name]}, none of ${words.join(", ")}`)
+  }
+  number("ratio", Number.MIN_VALUE, Number.MAX_VALUE, false)
+  number("bytes", 1, Number.MAX_SAFE_INTEGER)
+  number("psnr", 0, 1000, false)
+  number("quality", -1000, 100, false)
+  number("primitives", 0, 2 ** 32 - 1)
+  number("effort", 1, 9)
+  number("time", 0, Number.MAX_VALUE, false)
+  number("seed", 0, Number.MAX_SAFE_INTEGER)
+  number("levels", 1, 8)
+  word("tune", "psnr", "ssim", "iq")
+  word("detail", "auto", "off")
+  const { alloc = memory, ...others } = options.limits ?? {}
+  if (Object.keys(others).length) bad(`no limit of an encode is called ${Object.keys(others)[0]}; there is alloc`)
+  const icc = bytesOf("icc", options.icc), exif = bytesOf("exif", options.exif)
+  const orientation = within("orientation", options.orientation ?? 1, 1, 8)
+  if (exif && options.orientation != null) bad("exif and orientation are given, of which a file can have one")
+  return { ...samplesOf(pixels), icc, exif, orientation, settings, alloc: Math.min(within("limits.alloc", alloc, 1, Number.MAX_SAFE_INTEGER), address) }
+}
+
+// A worker of browsers or of Node.js, with the same three handles.
+function hire() {
+  const threads = node("worker_threads")
+  if (threads) {
+    const worker = new threads.Worker(new URL("./encode-worker.js", import.meta.url))
+    return {
+      post: message => worker.postMessage(message),
+      listen: (onMessage, onError) => worker.on("message", onMessage).on("error", onError).on("exit", code => onError(new Error(`the worker ended with ${code}`))),
+      end: () => worker.terminate(),
+    }
+  }
+  // Bundlers know it in these very words.
+  const worker = new Worker(new URL("./encode-worker.js", import.meta.url), { type: "module" })
+  return {
+    post: message => worker.postMessage(message),
+    listen: (onMessage, onError) => Object.assign(worker, {
+      onmessage: ({ data }) => onMessage(data),
+      onerror: event => onError(new Error(event.message || "its script does not load")),
+    }),
+    end: () => worker.terminate(),
+  }
+}
+
+const inWorker = (message, { signal, onProgress }) => new Promise((resolve, reject) => {
+  const worker = hire()
+  let isOver = false
+  const over = settle => value => {
+    if (isOver) return
+    isOver = true
+    signal?.removeEventListener("abort", stop)
+    worker.end()
+    settle(value)
+  }
+  const done = over(resolve), fail = over(reject)
+  const stop = () => fail(signal.reason)
+  signal?.addEventListener("abort", stop)
+  worker.listen(({ answer, kind, message: words, stage, done: share }) => {
+    if (answer) return done(answer)
+    if (kind) return fail(new SsplatError(kind, words))
+    try {
+      onProgress?.(stage, share)
+    } catch (error) {
+      fail(error)
+    }
+  }, error => fail(new SsplatError("internal", `the worker failed: ${error.message}`)))
+  worker.post(message)
+})
+
+// Encodes pixels. Resolves to the bytes of the file and the account of the encode.
+export async function encode(pixels, options = {}) {
+  const job = jobOf(pixels, options), { signal, onProgress, worker = true } = options
+  signal?.throwIfAborted()
+  const module = await compile(options.module)
+  signal?.throwIfAborted()
+  if (worker) return inWorker({ module, job, isWatched: !!onProgress }, { signal, onProgress })
+  let thrown
+  try {
+    return run(module, job, (stage, done) => {
+      try {
+        onProgress?.(stage, done)
+        signal?.throwIfAborted()
+      } catch (error) {
+        thrown = { error }
+        return true
+      }
+    })
+  } catch (error) {
+    throw thrown ? thrown.error : error
+  }
+}
