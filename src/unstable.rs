@@ -34,6 +34,11 @@ pub mod fit {
 pub mod gaussian {
     pub use crate::gaussian::*;
 }
+/// Decoding pictures of the `image` crate within limits.
+#[cfg(all(feature = "image", feature = "encode"))]
+pub mod input {
+    pub use crate::image_crate::input::*;
+}
 /// Measures of the difference between two pictures.
 #[cfg(feature = "encode")]
 pub mod metrics {

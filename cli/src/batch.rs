@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 
 use crate::args::{Existing, Many};
 use crate::failure::{Failure, Kind};
+use crate::guard;
 use crate::inputs::{self, Found, Rules, Task};
 use crate::progress::Bar;
 use crate::sink::say;
@@ -137,9 +138,10 @@ impl Shift<'_> {
     fn work(&self, task: &Task) {
         let start = Instant::now();
         self.post(&task.input, start, 0.0);
-        let outcome = self.prepare(task).and_then(|()| {
-            (self.command.run)(&task.input, &task.output, &|share, _| self.post(&task.input, start, share))
-        });
+        let run = || (self.command.run)(&task.input, &task.output, &|share, _| self.post(&task.input, start, share));
+        // A bug that one file brings to light is no reason to leave the others.
+        let guarded = || guard::aloud(run).unwrap_or_else(|panic| Err(Failure::bug(&task.input, &panic)));
+        let outcome = self.prepare(task).and_then(|()| guarded());
         let (input, output) = (task.input.display().to_string(), task.output.display().to_string());
         let entry = match &outcome {
             Ok(done) => json!({ "input": input, "output": output, "result": done.result }),

@@ -9,14 +9,14 @@ use crate::exchange::parameters::Parameters;
 use crate::exchange::{csv, ply, svg};
 use crate::failure::{Failure, Kind};
 use crate::sink::Sink;
-use crate::{args, source};
+use crate::{args, input};
 
 pub fn run(args: &args::Export) -> Result<(), Failure> {
     let format = match args.format {
         Some(format) => format,
         None => ExportFormat::of_path(&args.output)?,
     };
-    let bytes = source::read_splats(&args.input)?;
+    let bytes = input::read_splats(&args.input)?;
     let splats = ssplat::unstable::bitstream::read(&bytes[..], &Limits::default())
         .map_err(|e| Failure::library(&args.input, &e))?;
     if splats.detail.is_some() {

@@ -11,7 +11,7 @@ use crate::exchange::problem::Problem;
 use crate::exchange::{csv, foreign, npz};
 use crate::failure::{Failure, Kind};
 use crate::sink::Sink;
-use crate::{args, source};
+use crate::{args, input};
 
 pub fn run(args: &args::Import) -> Result<(), Failure> {
     let format = match args.format {
@@ -19,7 +19,7 @@ pub fn run(args: &args::Import) -> Result<(), Failure> {
         None => ImportFormat::of_path(&args.input)?,
     };
     let limits = Limits::default();
-    let bytes = source::read_at_most(&args.input, limits.alloc)?;
+    let bytes = input::read_at_most(&args.input, limits.alloc)?;
     let failed = |problem: Problem| broken(&args.input, problem.kind(), &problem.to_string());
     let given = Given { size: args.size, blend: args.blend };
     let parameters = match format {

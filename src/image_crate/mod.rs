@@ -7,6 +7,8 @@ mod decoder;
 #[cfg(feature = "encode")]
 mod encoder;
 #[cfg(feature = "encode")]
+pub(crate) mod input;
+#[cfg(feature = "encode")]
 mod replace;
 #[cfg(feature = "encode")]
 mod source;
