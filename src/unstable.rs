@@ -34,6 +34,11 @@ pub mod fit {
 pub mod gaussian {
     pub use crate::gaussian::*;
 }
+/// What picture files state about their colours.
+#[cfg(all(feature = "image", feature = "encode"))]
+pub mod colour {
+    pub use crate::image_crate::colour::*;
+}
 /// Decoding pictures of the `image` crate within limits.
 #[cfg(all(feature = "image", feature = "encode"))]
 pub mod input {

@@ -16,7 +16,7 @@ use crate::batch::{self, Command, Done, Show, Voice};
 use crate::failure::Failure;
 use crate::progress::Bar;
 use crate::rows::{Format, RowWriter, Shape};
-use crate::sink::{self, Sink, say};
+use crate::sink::{self, Sink, say, tell};
 use crate::source::{self, Source};
 use crate::{args, encode, input};
 
@@ -51,7 +51,7 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     let done = one(args, input, output, format, &|share, stage| bar.show(share, stage))?;
     drop(bar);
     if voice != Voice::Quiet {
-        done.notes.iter().for_each(|note| eprintln!("ssplat: {}: {note}", Failure::input(input)));
+        done.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(input))));
     }
     if args.json && output != Path::new("-") {
         say(&format!("{}\n", done.result))?;

@@ -19,7 +19,7 @@ use crate::failure::Failure;
 use crate::input::{self, Input};
 use crate::progress::{Bar, Stages};
 use crate::rows::{Format, RowWriter, Shape};
-use crate::sink::{Sink, say};
+use crate::sink::{Sink, printable, say, tell};
 use crate::source::{self, Source, Turn};
 use crate::spool::{self, Opened, Spooled};
 use crate::{args, carried, compare, left_out};
@@ -61,10 +61,10 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
     let done = one(args, input, output, &|share, stage| bar.show(share, stage))?;
     drop(bar);
     if voice != Voice::Quiet {
-        done.notes.iter().for_each(|note| eprintln!("ssplat: {}: {note}", Failure::input(input)));
+        done.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(input))));
     }
     match voice {
-        Voice::Text if output == Path::new("-") => eprint!("{}", done.text),
+        Voice::Text if output == Path::new("-") => eprint!("{}", printable(&done.text)),
         Voice::Text => say(&done.text)?,
         Voice::Json => say(&format!("{:#}\n", done.result))?,
         Voice::Quiet => {}
@@ -118,6 +118,7 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
         return Err(Failure::usage(format!("{}: cannot hold both the file and its preview", output.display())));
     }
     let mut opened = Input::open(input)?;
+    let length = opened.length().map_err(|e| Failure::io(input, &e))?;
     // A preview is compared with the whole picture, and turning needs it, too.
     let is_huge = source::pixels(input, &mut opened) > ssplat::unstable::LARGEST;
     // Told before minutes are spent on reading, and a disk filled.
@@ -129,7 +130,8 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
     if is_tiled && args.preview.is_none() && !args.auto_orient {
         match spool::open(input, opened, args.time.and_then(|time| start.checked_add(time)))? {
             Opened::InParts(picture) => {
-                return in_parts(args, input, output, show, *picture, left(args.time, start));
+                let picture = Parts { picture: *picture, length, time: left(args.time, start) };
+                return in_parts(args, input, output, show, picture);
             }
             Opened::AsWhole(input) => opened = input,
         }
@@ -163,6 +165,7 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
     let encoded = encoded.map_err(|e| refusal(input, &e))?;
     notes.extend(carried::dominating(&options, encoded.bytes.len()));
     notes.extend(missed(&options, &encoded.report));
+    notes.extend(grown(encoded.bytes.len(), length));
     // Both files are there, or none is.
     sink.write(&encoded.bytes)?;
     let mut result = summary(&pixels, encoded.bytes.len(), &encoded.report);
@@ -181,14 +184,21 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
     Ok(Done { text, result, notes })
 }
 
-/// Encodes a picture that stays in its file, in such a budget of time.
+/// A picture that stays in its file.
+struct Parts {
+    picture: Spooled,
+    /// Bytes of the file.
+    length: u64,
+    time: Option<Duration>,
+}
+
+/// Encodes a picture that stays in its file.
 fn in_parts(
     args: &args::Encode,
     input: &Path,
     output: &Path,
     show: &Show,
-    mut picture: Spooled,
-    time: Option<Duration>,
+    Parts { mut picture, length, time }: Parts,
 ) -> Result<Done, Failure> {
     let mut options = args.options();
     options.time = time;
@@ -204,6 +214,7 @@ fn in_parts(
     let encoded = encoded.map_err(|e| refusal(input, &e))?;
     notes.extend(carried::dominating(&options, encoded.bytes.len()));
     notes.extend(missed(&options, &encoded.report));
+    notes.extend(grown(encoded.bytes.len(), length));
     sink.finish_with(&encoded.bytes)?;
     let mut text = told(output, &picture, &encoded);
     if args.explain {
@@ -218,6 +229,12 @@ fn refusal(input: &Path, error: &Error) -> Failure {
     let mut failure = Failure::library(input, error);
     failure.message += carried::advice(error);
     failure
+}
+
+/// Returns a note about a file that is larger than the input it was made of.
+fn grown(bytes: usize, input: u64) -> Option<String> {
+    let is_larger = bytes as u64 > input;
+    is_larger.then(|| format!("the file has {bytes} bytes, more than the {input} of the picture that it was made of"))
 }
 
 /// Returns a note about a file that does not have the quality asked for.

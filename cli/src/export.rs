@@ -8,7 +8,7 @@ use crate::exchange::format::ExportFormat;
 use crate::exchange::parameters::Parameters;
 use crate::exchange::{csv, ply, svg};
 use crate::failure::{Failure, Kind};
-use crate::sink::Sink;
+use crate::sink::{Sink, tell};
 use crate::{args, input};
 
 pub fn run(args: &args::Export) -> Result<(), Failure> {
@@ -20,10 +20,10 @@ pub fn run(args: &args::Export) -> Result<(), Failure> {
     let splats = ssplat::unstable::bitstream::read(&bytes[..], &Limits::default())
         .map_err(|e| Failure::library(&args.input, &e))?;
     if splats.detail.is_some() {
-        eprintln!(
-            "ssplat: {}: the detail layer is left out: this is what the Gaussians show",
+        tell(&format!(
+            "{}: the detail layer is left out: this is what the Gaussians show",
             Failure::input(&args.input)
-        );
+        ));
     }
     let parameters = Parameters::from(&splats);
     let file = match format {

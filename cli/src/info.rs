@@ -12,7 +12,7 @@ use ssplat::{Channels, Limits};
 use crate::failure::Failure;
 use crate::input;
 use crate::names::{blend_name, layout_name};
-use crate::sink::say;
+use crate::sink::{say, tell};
 use crate::{args, left_out};
 
 pub fn run(args: &args::Info) -> Result<(), Failure> {
@@ -29,7 +29,7 @@ fn several(args: &args::Info) -> Result<(), Failure> {
             Ok(found) => found,
             Err(failure) => {
                 if let Some(Failure { message, .. }) = failed.replace(failure) {
-                    eprintln!("ssplat: {message}");
+                    tell(&message);
                 }
                 continue;
             }

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use image::metadata::Orientation;
 use image::{ImageDecoder, ImageReader};
-use ssplat::unstable::DecodeOptions;
 use ssplat::unstable::bitstream::header::MAGIC;
 use ssplat::unstable::input::{MAX_ALLOC, limits, open as open_picture, picture as decoded_picture};
-use ssplat::{Channels, Limits, Pixels};
+use ssplat::unstable::{DecodeOptions, colour};
+use ssplat::{Channels, Error, Limits, Pixels};
 
 use crate::failure::{Failure, Kind};
 use crate::input::{self, Input};
@@ -89,18 +89,27 @@ fn read_foreign(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Fai
         let found = completeness::look(&mut input, format).map_err(io)?;
         input.rewind().map_err(io)?;
         is_cut_off = !found.is_whole;
+        if found.is_reduced {
+            let message = format!(
+                "{}: holds a small version first, as raw files of cameras do (DNG, NEF): develop the picture to PNG or TIFF",
+                Failure::input(path)
+            );
+            return Err(Failure { kind: Kind::Unsupported, message });
+        }
         if found.has_more {
             notes.push("only the first of its frames or pages is taken".into());
         }
     }
+    let stated = colour::look(&mut input).map_err(io)?;
+    notes.extend(stated.note.map(String::from));
     let mut decoder = open_picture(input, path, &limits()).map_err(failed)?;
-    let icc = decoder.icc_profile().map_err(failed)?;
+    let icc = stated.or(decoder.icc_profile().map_err(failed)?);
     let mut exif = decoder.exif_metadata().map_err(failed)?;
     if decoder.xmp_metadata().is_ok_and(|xmp| xmp.is_some()) {
         notes.push("its XMP block is left out".into());
     }
     let mut orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
-    let mut picture = decoded_picture(decoder).map_err(failed)?;
+    let mut picture = stated.without_idle_alpha(decoded_picture(decoder).map_err(failed)?);
     if turn == Turn::Upright {
         picture.apply_orientation(orientation);
         if let Some(exif) = &mut exif {
@@ -108,7 +117,13 @@ fn read_foreign(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Fai
         }
         orientation = Orientation::NoTransforms;
     }
-    let pixels = Pixels::try_from(picture).map_err(|e| Failure::library(path, &e))?;
+    let pixels = Pixels::try_from(picture).map_err(|e| match e {
+        // A sample that is no number is the file's fault.
+        Error::Parameter { problem, .. } => {
+            Failure { kind: Kind::Format, message: format!("{}: {problem}", Failure::input(path)) }
+        }
+        e => Failure::library(path, &e),
+    })?;
     let mut icc = icc;
     keep_fitting(&mut icc, pixels.channels(), &mut notes);
     Ok(Source { pixels, icc, exif, orientation, is_cut_off, notes })

@@ -11,7 +11,7 @@ use std::time::Instant;
 
 use image::ImageFormat;
 use png::{BitDepth, ColorType, Transformations};
-use ssplat::unstable::check_area;
+use ssplat::unstable::{check_area, colour};
 use ssplat::{Channels, Depth, Error, PixelSource, Pixels, Samples};
 
 use crate::failure::{Failure, Kind};
@@ -191,6 +191,7 @@ fn png(path: &Path, reader: &mut BufReader<File>, end: Option<Instant>) -> Resul
     let packed = reader.get_ref().metadata().map_err(io)?.len();
     let found = completeness::look(reader, ImageFormat::Png).map_err(io)?;
     reader.rewind().map_err(io)?;
+    let stated = colour::look(reader).map_err(io)?;
     let mut decoder = png::Decoder::new(&mut *reader);
     decoder.set_transformations(Transformations::EXPAND);
     let mut decoder = decoder.read_info().map_err(broken)?;
@@ -200,9 +201,9 @@ fn png(path: &Path, reader: &mut BufReader<File>, end: Option<Instant>) -> Resul
     }
     let (width, height) = (info.width, info.height);
     check_size(path, width, height)?;
-    let (mut icc, exif) =
-        (info.icc_profile.as_ref().map(|v| v.to_vec()), info.exif_metadata.as_ref().map(|v| v.to_vec()));
-    let mut notes = Vec::new();
+    let exif = info.exif_metadata.as_ref().map(|v| v.to_vec());
+    let mut notes: Vec<String> = stated.note.map(String::from).into_iter().collect();
+    let mut icc = stated.or(info.icc_profile.as_ref().map(|v| v.to_vec()));
     if found.has_more {
         notes.push("only the first of its frames or pages is taken".into());
     }

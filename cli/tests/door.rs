@@ -217,9 +217,7 @@ fn what_cannot_seek_is_read_as_a_file_is() {
     assert!(ssplat(&[&["encode", file, &expected][..], &options].concat()).status.success());
     let expected = fs::read(expected).unwrap();
     // Without an extension, with one, and in tiles.
-    for (name, more) in
-        [("fifo", &[][..]), ("fifo.png", &[]), ("fifo.png", &["--tiles=128"])]
-    {
+    for (name, more) in [("fifo", &[][..]), ("fifo.png", &[]), ("fifo.png", &["--tiles=128"])] {
         let found =
             through_fifo(&folder, name, &[&["encode", "{}", &out, "--force"][..], &options, more].concat(), &png);
         assert!(found.status.success(), "{name}: {}", said(&found));

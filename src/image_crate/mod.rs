@@ -2,6 +2,8 @@
 
 #[cfg(feature = "encode")]
 mod carry;
+#[cfg(feature = "encode")]
+pub(crate) mod colour;
 mod convert;
 mod decoder;
 #[cfg(feature = "encode")]

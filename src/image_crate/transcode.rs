@@ -7,6 +7,7 @@ use std::path::Path;
 use image::metadata::Orientation;
 use image::{ImageDecoder, ImageError};
 
+use super::colour::{self, Stated};
 use super::decoder::register;
 use super::encoder::{check_extension, write};
 use super::input;
@@ -35,9 +36,10 @@ pub fn transcode(input: impl AsRef<Path>, output: impl AsRef<Path>, options: &En
         error => Error::Source { path: Some(path.into()), error },
     };
     let io = |e: std::io::Error| Error::at(path, &e);
-    let reader = BufReader::new(File::open(path).map_err(io)?);
+    let mut reader = BufReader::new(File::open(path).map_err(io)?);
+    let stated = colour::look(&mut reader).map_err(io)?;
     let decoder = input::open(reader, path, &input::limits()).map_err(failed)?;
-    let encoded = encode_decoder(decoder, options).map_err(|e| match e {
+    let encoded = encode_stated(decoder, stated, options).map_err(|e| match e {
         Error::Source { error, .. } => failed(error),
         e => e,
     })?;
@@ -49,14 +51,19 @@ pub fn transcode(input: impl AsRef<Path>, output: impl AsRef<Path>, options: &En
 ///
 /// # Errors
 /// [`Error::Source`] if the decoder fails or the picture has more than 8 GiB of samples; otherwise as [`encode`].
-pub fn encode_decoder(mut decoder: impl ImageDecoder, options: &EncodeOptions) -> Result<Encoded> {
+pub fn encode_decoder(decoder: impl ImageDecoder, options: &EncodeOptions) -> Result<Encoded> {
+    encode_stated(decoder, Stated::default(), options)
+}
+
+/// As [`encode_decoder`], of a file that states so much of its colours.
+fn encode_stated(mut decoder: impl ImageDecoder, stated: Stated, options: &EncodeOptions) -> Result<Encoded> {
     let failed = |error| Error::Source { path: None, error };
     // The decoder keeps the limits that its owner has set; only what is allocated here is held against those of this crate.
     input::limits().reserve(decoder.total_bytes()).map_err(failed)?;
-    let icc = decoder.icc_profile().map_err(failed)?;
+    let icc = stated.or(decoder.icc_profile().map_err(failed)?);
     let exif = decoder.exif_metadata().map_err(failed)?;
     let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
-    let pixels = Pixels::try_from(input::picture(decoder).map_err(failed)?)?;
+    let pixels = Pixels::try_from(stated.without_idle_alpha(input::picture(decoder).map_err(failed)?))?;
     let icc = icc.filter(|icc| is_for(icc, &pixels));
     let carried = options.carry.of(icc, exif, orientation);
     let mut options = options.clone();
@@ -73,6 +80,8 @@ impl Encoder {
     /// [`DynamicImage`](image::DynamicImage) has neither profile nor orientation, so [`image::open`] and
     /// [`save`](Encoder::save) lose both; this method keeps them. An ICC profile [set](Encoder::icc) on the encoder
     /// replaces that of the picture, and so does an EXIF block.
+    /// What a PNG states about its colours without a profile (cICP, gAMA, cHRM) becomes one, except for PQ and HLG, which
+    /// no profile can express. [`Carry::Needed`](crate::Carry::Needed) leaves out a profile that says sRGB.
     ///
     /// ```no_run
     /// use ssplat::Encoder;
