@@ -27,6 +27,9 @@ const SAME_GAMMA: f64 = 0.05;
 /// `cHRM` within this of the primaries and the white of sRGB says sRGB: writers round them.
 const SAME_CHROMATICITY: f64 = 0.005;
 
+/// The date of the profiles that are made here, as the header of a profile has it: the first of January 2026.
+const MADE: [u8; 12] = [7, 234, 0, 1, 0, 1, 0, 0, 0, 0, 0, 0];
+
 /// White, red, green and blue of sRGB, x and y of each.
 const SRGB: [f64; 8] = [0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06];
 
@@ -221,7 +224,10 @@ fn encoded(mut profile: ColorProfile, curve: ToneReprCurve, is_grey: bool) -> Op
     }
     // ICC.1, 9.2.36: the white of a display is that of the connection space.
     profile.media_white_point = Some(profile.white_point);
-    profile.encode().ok()
+    let mut icc = profile.encode().ok()?;
+    // moxcms writes the time of day into the header, and equal pictures have equal files.
+    icc.get_mut(24..36)?.copy_from_slice(&MADE);
+    Some(icc)
 }
 
 /// The profile of the first directory. `image` limits the values of a tag to a thirty-second of the samples.
@@ -304,6 +310,10 @@ mod tests {
         assert!(near && adobe.len() < 700, "{:?} {}", primaries(&adobe), adobe.len());
         let grey = of_gamma(Some(1.0), None, true).unwrap();
         assert_eq!(&grey[16..20], b"GRAY");
+        assert!(
+            [linear, adobe, grey].iter().all(|icc| icc[24..36] == MADE),
+            "a profile has the time at which it was made"
+        );
     }
 
     #[test]
