@@ -34,6 +34,16 @@ pub mod fit {
 pub mod gaussian {
     pub use crate::gaussian::*;
 }
+/// What picture files state about their colours.
+#[cfg(all(feature = "image", feature = "encode"))]
+pub mod colour {
+    pub use crate::image_crate::colour::*;
+}
+/// Decoding pictures of the `image` crate within limits.
+#[cfg(all(feature = "image", feature = "encode"))]
+pub mod input {
+    pub use crate::image_crate::input::*;
+}
 /// Measures of the difference between two pictures.
 #[cfg(feature = "encode")]
 pub mod metrics {
