@@ -1,7 +1,7 @@
 //! The quantizer step with which a layer takes the bytes that it may.
 
 use super::blocks::blocks;
-use super::choose::{Chosen, Setting, choose};
+use super::choose::{BlockChoice, Chosen, Setting, choose, priced_blocks};
 use super::classes::{activity, classes};
 use super::coefficients::{self, Division};
 use super::in_steps::{KEPT_TILES, Kept};
@@ -176,7 +176,10 @@ pub(super) fn code(
         let sizes = match sizes {
             Some(sizes) => &sizes[i],
             None => {
-                chosen = blocks(&tiles[i], &classes[i], &setting);
+                chosen = match setting.blocks {
+                    BlockChoice::Rough => blocks(&tiles[i], &classes[i], &setting),
+                    BlockChoice::Priced => priced_blocks(&tiles[i], &classes[i], &setting),
+                };
                 &chosen
             }
         };
