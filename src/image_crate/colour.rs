@@ -185,9 +185,9 @@ fn of_cicp([primaries, transfer, matrix, range]: [u8; 4], is_grey: bool) -> Stat
 /// The profile of a `gAMA` and a `cHRM` chunk; `None` where they say sRGB.
 fn of_gamma(gamma: Option<f64>, chromaticities: Option<[f64; 8]>, is_grey: bool) -> Option<Vec<u8>> {
     // The exponents that decode are within what a profile's curve holds.
-    let exponent = gamma.filter(|g| (0.05..=20.0).contains(g)).map(|g| 1.0 / g);
+    let exponent = gamma.filter(|g| (0.05..=20.0).contains(g)).map(f64::recip);
     let is_usual = exponent.is_none_or(|e| (e / 2.2 - 1.0).abs() < SAME_GAMMA);
-    let [wx, wy, primaries @ ..] = chromaticities.filter(|c| is_sound(c)).unwrap_or(SRGB);
+    let [wx, wy, primaries @ ..] = chromaticities.filter(is_sound).unwrap_or(SRGB);
     let is_srgb = |c: &[f64]| c.iter().zip(SRGB).all(|(a, b)| (a - b).abs() < SAME_CHROMATICITY);
     let has_its_colors = is_grey || is_srgb(&[&[wx, wy], &primaries[..]].concat());
     if is_usual && has_its_colors {

@@ -481,7 +481,7 @@ impl Trial<'_> {
         savings: &mut [f32; ROOM],
         doubtful: &mut Vec<Candidate>,
     ) -> bool {
-        block::savings(&mut self.models.kinds[self.kind], self.block, self.context, found.count, savings);
+        block::savings(&self.models.kinds[self.kind], self.block, self.context, found.count, savings);
         doubtful.clear();
         let before = *found;
         for c in candidates {

@@ -161,6 +161,9 @@ pub(super) fn once(tiles: &[TileResidual], aim: &Aim, near: &Coded) -> Coded {
     )
 }
 
+/// Sizes of the blocks that the cells of a tile lie in, by kind.
+type BlockSizes = [Vec<u8>; KINDS];
+
 /// Codes the layer with a step, in blocks of such `sizes`, or in those that it chooses. Coefficients in these blocks stay in `kept`, if it is not
 /// empty.
 pub(super) fn code(
@@ -168,7 +171,7 @@ pub(super) fn code(
     classes: &[Vec<u8>],
     aim: &Aim,
     step: u16,
-    (sizes, kept): (Option<&[[Vec<u8>; KINDS]]>, &[Kept]),
+    (sizes, kept): (Option<&[BlockSizes]>, &[Kept]),
 ) -> Coded {
     let setting = aim.setting_at(step);
     let chosen: Vec<Chosen> = parallel::map(tiles.len(), |i| {
@@ -221,7 +224,7 @@ fn guess(tiles: &[TileResidual], aim: &Aim) -> f64 {
             }
             let steps = PlaneSteps::new(&head, plane, 0);
             let n = CELL << size;
-            for y in (0..cells[1] * CELL).filter(|y| y / n % SAMPLED == 0) {
+            for y in (0..cells[1] * CELL).filter(|y| (y / n).is_multiple_of(SAMPLED)) {
                 for x in 0..cells[0] * CELL {
                     let step = steps.step(size.into(), x % n, y % n);
                     let value = values[y * TILE + x].abs() * 4.0 / step as f32;
