@@ -242,7 +242,7 @@ mod tests {
 
     fn price_of(models: &Models, block: &mut Block, context: Context, count: u32) -> f32 {
         let mut price = Price::default();
-        code(&mut price, &mut models.clone().kinds[0], block, context, count).unwrap();
+        code(&mut price, &mut { *models }.kinds[0], block, context, count).unwrap();
         price.bits
     }
 
