@@ -224,6 +224,7 @@ mod round;
 mod simd;
 #[cfg(feature = "quality")]
 mod ssimulacra2;
+#[cfg(feature = "encode")]
 mod strict_math;
 mod target;
 #[cfg(any(test, feature = "unstable"))]

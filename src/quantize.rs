@@ -1,5 +1,6 @@
 //! Converts integers to Gaussians by the specification's formulas (spec §5.1), and Gaussians to the nearest integers.
 
+#[cfg(feature = "encode")]
 use glam::Vec2;
 
 use crate::bitstream::lattice::Lattice;
@@ -125,6 +126,7 @@ impl Quantizer {
         (std::f64::consts::PI * f64::from(angle) / f64::from(self.lattice.angles(major, minor))) as f32
     }
 
+    #[cfg(feature = "encode")]
     /// Returns the integers nearest to `g`: first the shape, then the nearest position in units of that shape.
     #[must_use]
     pub fn quantize(&self, g: &Gaussian) -> PackedGaussian {
@@ -149,6 +151,7 @@ impl Quantizer {
         (major, minor, angle)
     }
 
+    #[cfg(feature = "encode")]
     /// Moves `p` to the lattice point nearest to `mean` (pixels) in the metric of its own covariance.
     pub fn place(&self, p: &mut PackedGaussian, mean: [f32; 2]) {
         let [ex, ey] = self.lattice.exponents(p.major, p.minor, p.angle);

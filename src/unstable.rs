@@ -39,6 +39,16 @@ pub mod gaussian {
 pub mod instant {
     pub use crate::instant::provide_clock;
 }
+/// What picture files state about their colours.
+#[cfg(all(feature = "image", feature = "encode"))]
+pub mod colour {
+    pub use crate::image_crate::colour::*;
+}
+/// Decoding pictures of the `image` crate within limits.
+#[cfg(all(feature = "image", feature = "encode"))]
+pub mod input {
+    pub use crate::image_crate::input::*;
+}
 /// Measures of the difference between two pictures.
 #[cfg(feature = "encode")]
 pub mod metrics {

@@ -54,6 +54,32 @@ fn expected(channels: Channels, depth: Depth) -> Pixels {
     Renderer::new(&picture, &View::full(&picture), &limits).unwrap().render(depth).unwrap()
 }
 
+/// A PNG that says it has sides of 2²⁰ pixels, of which it has none.
+fn lying_png() -> Vec<u8> {
+    let mut png = Vec::new();
+    DynamicImage::new_rgba16(1, 1).write_to(&mut Cursor::new(&mut png), image::ImageFormat::Png).unwrap();
+    // The sides in the first chunk, and its checksum.
+    png[16..24].copy_from_slice(&[0, 16, 0, 0, 0, 16, 0, 0]);
+    let checksum = crc32fast::hash(&png[12..29]).to_be_bytes();
+    png[29..33].copy_from_slice(&checksum);
+    png
+}
+
+/// `image` alone asks for the 8 TiB, and aborts the process.
+#[test]
+fn a_picture_that_says_it_is_huge_is_an_error_of_limits() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, output) = (folder.path().join("a.png"), folder.path().join("a.ssplat"));
+    std::fs::write(&input, lying_png()).unwrap();
+    let refused = |found: Result<(), Error>| matches!(found, Err(Error::Source { error: ImageError::Limits(_), .. }));
+    let encoder = ssplat::Encoder::new().effort(1);
+    assert!(refused(encoder.transcode(&input, &output).map(drop)));
+    assert!(!output.exists());
+    let mut reader = ImageReader::new(Cursor::new(lying_png())).with_guessed_format().unwrap();
+    reader.no_limits();
+    assert!(refused(encoder.encode_decoder(reader.into_decoder().unwrap()).map(drop)));
+}
+
 fn metadata() -> Metadata {
     let mut metadata = Metadata::default();
     metadata.icc = Some((0..=255).cycle().take(3000).collect());

@@ -56,6 +56,8 @@ pub enum Command {
     Import(Import),
     /// Print completions for a shell
     Completions(Completions),
+    /// List the formats that are read and written
+    Formats,
     /// Print the manual page
     Man,
 }

@@ -14,7 +14,8 @@ use crate::args::{Existing, Many};
 use crate::failure::{Failure, Kind};
 use crate::inputs::{self, Found, Rules, Task};
 use crate::progress::Bar;
-use crate::sink::say;
+use crate::sink::{say, tell};
+use crate::{carried, guard};
 
 /// Pixels up to which a picture is small: it is worked on with one thread, beside others.
 const SMALL: u64 = 1 << 22;
@@ -70,7 +71,7 @@ pub fn run(inputs: &[PathBuf], folder: &Path, many: &Many, voice: Voice, command
     let rules = Rules { takes: command.takes, extension: command.extension, is_recursive: many.recursive };
     let Found { tasks, notes } = inputs::find(inputs, folder, &rules)?;
     if voice != Voice::Quiet {
-        notes.iter().for_each(|note| eprintln!("ssplat: {note}"));
+        notes.iter().for_each(|note| tell(note));
     }
     // That there can be no outputs at all is told once.
     std::fs::create_dir_all(folder).map_err(|e| Failure::io(folder, &e))?;
@@ -99,6 +100,9 @@ pub fn run(inputs: &[PathBuf], folder: &Path, many: &Many, voice: Voice, command
     large.iter().for_each(|task| shift.work(task));
     drop(shift.bar);
     let board = shift.board.into_inner().unwrap_or_else(|e| e.into_inner());
+    if board.exif_left_out > 0 {
+        tell(&carried::exif_of_files(board.exif_left_out));
+    }
     if voice == Voice::Text {
         let (done, failed) = (board.finished - board.failed.len(), board.failed.len());
         say(&format!("{done} files done, {} skipped, {failed} failed\n", all - total))?;
@@ -129,6 +133,8 @@ struct Shift<'a> {
 struct Board {
     finished: usize,
     failed: Vec<Kind>,
+    /// Files whose EXIF blocks are left out.
+    exif_left_out: usize,
     /// When each began, and its share that is done.
     busy: HashMap<PathBuf, (Option<Instant>, f32)>,
 }
@@ -137,9 +143,10 @@ impl Shift<'_> {
     fn work(&self, task: &Task) {
         let start = Instant::now();
         self.post(&task.input, start, 0.0);
-        let outcome = self.prepare(task).and_then(|()| {
-            (self.command.run)(&task.input, &task.output, &|share, _| self.post(&task.input, start, share))
-        });
+        let run = || (self.command.run)(&task.input, &task.output, &|share, _| self.post(&task.input, start, share));
+        // A bug that one file brings to light is no reason to leave the others.
+        let guarded = || guard::aloud(run).unwrap_or_else(|panic| Err(Failure::bug(&task.input, &panic)));
+        let outcome = self.prepare(task).and_then(|()| guarded());
         let (input, output) = (task.input.display().to_string(), task.output.display().to_string());
         let entry = match &outcome {
             Ok(done) => json!({ "input": input, "output": output, "result": done.result }),
@@ -153,7 +160,10 @@ impl Shift<'_> {
         self.bar.aside(|| match &outcome {
             Ok(done) => {
                 if self.voice != Voice::Quiet {
-                    done.notes.iter().for_each(|note| eprintln!("ssplat: {input}: {note}"));
+                    let (common, own): (Vec<&String>, _) =
+                        done.notes.iter().partition(|note| carried::is_of_exif(note));
+                    board.exif_left_out += common.len();
+                    own.iter().for_each(|note| tell(&format!("{input}: {note}")));
                 }
                 // A reader who has gone away does not stop the work.
                 let _ = match self.voice {
@@ -162,7 +172,7 @@ impl Shift<'_> {
                     Voice::Quiet => Ok(()),
                 };
             }
-            Err(failure) => eprintln!("ssplat: {}", failure.message),
+            Err(failure) => tell(&failure.message),
         });
         board.failed.extend(outcome.err().map(|f| f.kind));
     }

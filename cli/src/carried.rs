@@ -16,12 +16,27 @@ pub fn carry(
     if options.carry == Carry::Needed && carried.exif_left_out > 0 {
         let but = if carried.exif.is_some() { " but for the orientation" } else { "" };
         let bytes = carried.exif_left_out;
-        notes.push(format!("its EXIF block of {bytes} bytes is left out{but}; --metadata all keeps it"));
+        notes.push(format!("{EXIF} of {bytes} bytes is left out{but}; --metadata all keeps it"));
     }
     if carried.is_orientation_left_out {
         notes.push("its orientation is left out; --auto-orient turns the picture".into());
     }
     (options.icc, options.exif) = (carried.icc, carried.exif);
+}
+
+/// How a note about an EXIF block that is left out begins.
+const EXIF: &str = "its EXIF block";
+
+/// Whether a note is about an EXIF block that is left out.
+pub fn is_of_exif(note: &str) -> bool {
+    note.starts_with(EXIF) && note.contains("is left out")
+}
+
+/// The note of so many files that is told once for all of them.
+pub fn exif_of_files(files: usize) -> String {
+    let (blocks, whose) = if files == 1 { ("block of 1 file is", "it") } else { ("blocks of", "them") };
+    let count = if files == 1 { String::new() } else { format!(" {files} files are") };
+    format!("the EXIF {blocks}{count} left out but for the orientation; --metadata all keeps {whose}")
 }
 
 /// Returns a note about a file of `bytes` bytes if more than half of it is metadata.

@@ -7,7 +7,7 @@ use ssplat::{Channels, Depth, Pixels, Samples};
 use crate::args;
 use crate::failure::Failure;
 use crate::perceived::{self, Perceived};
-use crate::sink::say;
+use crate::sink::{say, tell};
 use crate::source::{self, Turn};
 
 /// Number that stands for the infinite PSNR of equal samples where a finite one is needed, dB.
@@ -17,7 +17,7 @@ pub fn run(args: &args::Compare) -> Result<(), Failure> {
     let open = |path| -> Result<Pixels, Failure> {
         let source = source::open(path, Turn::Keep)?;
         if source.is_cut_off {
-            eprintln!("ssplat: {}: the file is cut off", Failure::input(path));
+            tell(&format!("{}: the file is cut off", Failure::input(path)));
         }
         Ok(source.pixels)
     };

@@ -12,13 +12,15 @@ pub struct Structure {
     pub is_whole: bool,
     /// There are more frames or pages than the first.
     pub has_more: bool,
+    /// The first picture is a small version of another one, as in raw files of cameras.
+    pub is_reduced: bool,
 }
 
 /// Looks through a file of `format` from its beginning; formats whose decoders tell by themselves count as whole.
 pub fn look<R: BufRead + Seek>(reader: &mut R, format: ImageFormat) -> io::Result<Structure> {
-    let mut found = Structure { is_whole: true, has_more: false };
+    let mut found = Structure { is_whole: true, has_more: false, is_reduced: false };
     let outcome = match format {
-        ImageFormat::Jpeg => jpeg(reader),
+        ImageFormat::Jpeg => jpeg(reader, &mut found),
         ImageFormat::Gif => gif(reader, &mut found),
         ImageFormat::Png => png(reader, &mut found),
         ImageFormat::WebP => webp(reader, &mut found),
@@ -43,7 +45,7 @@ fn byte(reader: &mut impl Read) -> io::Result<u8> {
 }
 
 /// Reads up to the end mark. Between segments, and within a scan, everything but a marker is passed over.
-fn jpeg(reader: &mut impl BufRead) -> io::Result<()> {
+fn jpeg(reader: &mut impl BufRead, found: &mut Structure) -> io::Result<()> {
     loop {
         let skipped = reader.skip_until(0xFF)?;
         if skipped == 0 {
@@ -57,8 +59,13 @@ fn jpeg(reader: &mut impl BufRead) -> io::Result<()> {
             0xD9 => return Ok(()),
             // A byte of a scan, a restart within it, the start, and a marker without a length.
             0x00 | 0x01 | 0xD0..=0xD8 => {}
-            _ => {
-                let length = u64::from(u16::from_be_bytes(bytes(reader)?)).saturating_sub(2);
+            marker => {
+                let mut length = u64::from(u16::from_be_bytes(bytes(reader)?)).saturating_sub(2);
+                // The index of further pictures behind the end (CIPA DC-007), in a segment APP2.
+                if marker == 0xE2 && length >= 4 {
+                    found.has_more |= &bytes::<4>(reader)? == b"MPF\0";
+                    length -= 4;
+                }
                 skip(reader, length)?;
             }
         }
@@ -135,8 +142,13 @@ fn tiff(reader: &mut (impl Read + Seek), found: &mut Structure) -> io::Result<()
         return Ok(());
     }
     reader.seek(SeekFrom::Start(u64::from(long([head[4], head[5], head[6], head[7]]))))?;
-    let entries = short(bytes(reader)?);
-    reader.seek(SeekFrom::Current(12 * i64::from(entries)))?;
+    for _ in 0..short(bytes(reader)?) {
+        let entry: [u8; 12] = bytes(reader)?;
+        // NewSubfileType, whose lowest bit says that this is a smaller version of another picture.
+        if short([entry[0], entry[1]]) == 254 {
+            found.is_reduced = long([entry[8], entry[9], entry[10], entry[11]]) & 1 != 0;
+        }
+    }
     found.has_more = long(bytes(reader)?) != 0;
     Ok(())
 }

@@ -16,9 +16,9 @@ use crate::batch::{self, Command, Done, Show, Voice};
 use crate::failure::Failure;
 use crate::progress::Bar;
 use crate::rows::{Format, RowWriter, Shape};
-use crate::sink::{self, Sink, say};
+use crate::sink::{self, Sink, say, tell};
 use crate::source::{self, Source};
-use crate::{args, encode};
+use crate::{args, encode, input};
 
 /// Bytes of output that are drawn before they are written, unless two bands take more, and those for each thread: memory that is
 /// used again need not be asked for.
@@ -51,7 +51,7 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     let done = one(args, input, output, format, &|share, stage| bar.show(share, stage))?;
     drop(bar);
     if voice != Voice::Quiet {
-        done.notes.iter().for_each(|note| eprintln!("ssplat: {}: {note}", Failure::input(input)));
+        done.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(input))));
     }
     if args.json && output != Path::new("-") {
         say(&format!("{}\n", done.result))?;
@@ -61,6 +61,9 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
 
 /// Width times height of the picture in the file at `path`; 0 where it cannot be told.
 fn pixels(path: &Path) -> u64 {
+    if !input::is_file(path) {
+        return 0;
+    }
     let mut reader = std::fs::File::open(path).map(std::io::BufReader::new);
     let header = reader.as_mut().ok().and_then(|r| Header::read(r, &Limits::default()).ok());
     header.map_or(0, |h| u64::from(h.width) * u64::from(h.height))
@@ -69,7 +72,7 @@ fn pixels(path: &Path) -> u64 {
 /// Decodes one file.
 fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &Show) -> Result<Done, Failure> {
     let start = Instant::now();
-    let bytes = source::read_splats(input)?;
+    let bytes = input::read_splats(input)?;
     if let Some(side) = args.thumbnail {
         return thumbnail(args, (input, output), format, (&bytes, side));
     }

@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use image::{ImageFormat, ImageReader};
+use image::ImageFormat;
 use serde_json::{Value, json};
 use ssplat::SamplesMut;
 use ssplat::report::StageTime;
@@ -16,18 +16,16 @@ use ssplat::{EncodeReport, Encoded, Encoder, Error, Limits, PixelSource, Pixels,
 
 use crate::batch::{self, Command, Done, Show, Voice};
 use crate::failure::Failure;
+use crate::input::{self, Input};
 use crate::progress::{Bar, Stages};
 use crate::rows::{Format, RowWriter, Shape};
-use crate::sink::{Sink, say};
+use crate::sink::{Sink, printable, say, tell};
 use crate::source::{self, Source, Turn};
-use crate::spool::{self, Spooled};
+use crate::spool::{self, Opened, Spooled};
 use crate::{args, carried, compare, left_out};
 
 /// Extensions of picture formats that `image` does not know or that are not read.
 const OTHERS: [&str; 5] = ["heic", "heif", "jxl", "jp2", "svg"];
-
-/// Bytes at the beginning of a file by which formats are told apart, at most.
-const LONGEST_MAGIC: u64 = 32;
 
 pub fn run(args: &args::Encode) -> Result<(), Failure> {
     let voice = Voice::new(args.json, args.quiet);
@@ -63,10 +61,10 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
     let done = one(args, input, output, &|share, stage| bar.show(share, stage))?;
     drop(bar);
     if voice != Voice::Quiet {
-        done.notes.iter().for_each(|note| eprintln!("ssplat: {}: {note}", Failure::input(input)));
+        done.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(input))));
     }
     match voice {
-        Voice::Text if output == Path::new("-") => eprint!("{}", done.text),
+        Voice::Text if output == Path::new("-") => eprint!("{}", printable(&done.text)),
         Voice::Text => say(&done.text)?,
         Voice::Json => say(&format!("{:#}\n", done.result))?,
         Voice::Quiet => {}
@@ -86,14 +84,16 @@ fn is_picture(path: &Path) -> bool {
         return true;
     }
     let mut start = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(LONGEST_MAGIC).read_to_end(&mut start));
+    let read = File::open(path).and_then(|file| file.take(input::LONGEST_MAGIC).read_to_end(&mut start));
     read.is_ok() && image::guess_format(&start).is_ok()
 }
 
-/// Width times height of the picture at `path`; 0 where it cannot be told.
+/// Width times height of the picture at `path`; 0 where it cannot be told, as of a pipe, which can be read but once.
 fn pixels(path: &Path) -> u64 {
-    let size = ImageReader::open(path).and_then(|r| r.with_guessed_format()).map(|r| r.into_dimensions());
-    size.ok().and_then(Result::ok).map_or(0, |(width, height)| u64::from(width) * u64::from(height))
+    if !input::is_file(path) {
+        return 0;
+    }
+    Input::open(path).map_or(0, |mut input| source::pixels(path, &mut input))
 }
 
 /// Fits that a target takes at most.
@@ -117,22 +117,26 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
     if args.preview.as_deref() == Some(output) {
         return Err(Failure::usage(format!("{}: cannot hold both the file and its preview", output.display())));
     }
+    let mut opened = Input::open(input)?;
+    let length = opened.length().map_err(|e| Failure::io(input, &e))?;
     // A preview is compared with the whole picture, and turning needs it, too.
-    let is_huge = pixels(input) > ssplat::unstable::LARGEST;
+    let is_huge = source::pixels(input, &mut opened) > ssplat::unstable::LARGEST;
     // Told before minutes are spent on reading, and a disk filled.
     if is_huge && args.time.is_some() {
         let input = Failure::input(input);
         return Err(Failure::usage(format!("{input}: is fitted in tiles, in which --time cannot be kept")));
     }
     let is_tiled = args.tiles.is_some() || is_huge;
-    if is_tiled
-        && args.preview.is_none()
-        && !args.auto_orient
-        && let Some(spooled) = spool::open(input, args.time.and_then(|time| start.checked_add(time)))?
-    {
-        return in_parts(args, input, output, show, spooled, left(args.time, start));
+    if is_tiled && args.preview.is_none() && !args.auto_orient {
+        match spool::open(input, opened, args.time.and_then(|time| start.checked_add(time)))? {
+            Opened::InParts(picture) => {
+                let picture = Parts { picture: *picture, length, time: left(args.time, start) };
+                return in_parts(args, input, output, show, picture);
+            }
+            Opened::AsWhole(input) => opened = input,
+        }
     }
-    let mut source = source::open(input, if args.auto_orient { Turn::Upright } else { Turn::Keep })?;
+    let mut source = source::read(input, opened, if args.auto_orient { Turn::Upright } else { Turn::Keep })?;
     if args.partial && source.is_cut_off {
         source.notes.push("the file is cut off, and so is what is encoded".into());
     } else {
@@ -161,6 +165,7 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
     let encoded = encoded.map_err(|e| refusal(input, &e))?;
     notes.extend(carried::dominating(&options, encoded.bytes.len()));
     notes.extend(missed(&options, &encoded.report));
+    notes.extend(grown(encoded.bytes.len(), length));
     // Both files are there, or none is.
     sink.write(&encoded.bytes)?;
     let mut result = summary(&pixels, encoded.bytes.len(), &encoded.report);
@@ -179,14 +184,21 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
     Ok(Done { text, result, notes })
 }
 
-/// Encodes a picture that stays in its file, in such a budget of time.
+/// A picture that stays in its file.
+struct Parts {
+    picture: Spooled,
+    /// Bytes of the file.
+    length: u64,
+    time: Option<Duration>,
+}
+
+/// Encodes a picture that stays in its file.
 fn in_parts(
     args: &args::Encode,
     input: &Path,
     output: &Path,
     show: &Show,
-    mut picture: Spooled,
-    time: Option<Duration>,
+    Parts { mut picture, length, time }: Parts,
 ) -> Result<Done, Failure> {
     let mut options = args.options();
     options.time = time;
@@ -202,6 +214,7 @@ fn in_parts(
     let encoded = encoded.map_err(|e| refusal(input, &e))?;
     notes.extend(carried::dominating(&options, encoded.bytes.len()));
     notes.extend(missed(&options, &encoded.report));
+    notes.extend(grown(encoded.bytes.len(), length));
     sink.finish_with(&encoded.bytes)?;
     let mut text = told(output, &picture, &encoded);
     if args.explain {
@@ -216,6 +229,12 @@ fn refusal(input: &Path, error: &Error) -> Failure {
     let mut failure = Failure::library(input, error);
     failure.message += carried::advice(error);
     failure
+}
+
+/// Returns a note about a file that is larger than the input it was made of.
+fn grown(bytes: usize, input: u64) -> Option<String> {
+    let is_larger = bytes as u64 > input;
+    is_larger.then(|| format!("the file has {bytes} bytes, more than the {input} of the picture that it was made of"))
 }
 
 /// Returns a note about a file that does not have the quality asked for.

@@ -8,22 +8,22 @@ use crate::exchange::format::ExportFormat;
 use crate::exchange::parameters::Parameters;
 use crate::exchange::{csv, ply, svg};
 use crate::failure::{Failure, Kind};
-use crate::sink::Sink;
-use crate::{args, source};
+use crate::sink::{Sink, tell};
+use crate::{args, input};
 
 pub fn run(args: &args::Export) -> Result<(), Failure> {
     let format = match args.format {
         Some(format) => format,
         None => ExportFormat::of_path(&args.output)?,
     };
-    let bytes = source::read_splats(&args.input)?;
+    let bytes = input::read_splats(&args.input)?;
     let splats = ssplat::unstable::bitstream::read(&bytes[..], &Limits::default())
         .map_err(|e| Failure::library(&args.input, &e))?;
     if splats.detail.is_some() {
-        eprintln!(
-            "ssplat: {}: the detail layer is left out: this is what the Gaussians show",
+        tell(&format!(
+            "{}: the detail layer is left out: this is what the Gaussians show",
             Failure::input(&args.input)
-        );
+        ));
     }
     let parameters = Parameters::from(&splats);
     let file = match format {

@@ -76,6 +76,12 @@ impl Failure {
         Failure { kind, message: format!("{}: {error}", Failure::input(path)) }
     }
 
+    /// A panic of this program while at work on `path`.
+    pub fn bug(path: &Path, panic: &str) -> Self {
+        let message = format!("{}: a bug of ssplat: {panic}", Failure::input(path));
+        Failure { kind: Kind::Other, message }
+    }
+
     pub fn io(path: &Path, error: &std::io::Error) -> Self {
         Failure { kind: Kind::Io, message: format!("{}: {error}", Failure::input(path)) }
     }

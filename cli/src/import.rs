@@ -10,8 +10,8 @@ use crate::exchange::parameters::{self, Given, Parameters};
 use crate::exchange::problem::Problem;
 use crate::exchange::{csv, foreign, npz};
 use crate::failure::{Failure, Kind};
-use crate::sink::Sink;
-use crate::{args, source};
+use crate::sink::{Sink, tell};
+use crate::{args, input};
 
 pub fn run(args: &args::Import) -> Result<(), Failure> {
     let format = match args.format {
@@ -19,7 +19,7 @@ pub fn run(args: &args::Import) -> Result<(), Failure> {
         None => ImportFormat::of_path(&args.input)?,
     };
     let limits = Limits::default();
-    let bytes = source::read_at_most(&args.input, limits.alloc)?;
+    let bytes = input::read_at_most(&args.input, limits.alloc)?;
     let failed = |problem: Problem| broken(&args.input, problem.kind(), &problem.to_string());
     let given = Given { size: args.size, blend: args.blend };
     let parameters = match format {
@@ -32,7 +32,7 @@ pub fn run(args: &args::Import) -> Result<(), Failure> {
             let arrays = npz::read(&bytes, &names, &limits).map_err(failed)?;
             if foreign::is_known(&arrays) {
                 let (parameters, caveat) = foreign::read(&arrays, given).map_err(failed)?;
-                eprintln!("ssplat: {}: {caveat}", Failure::input(&args.input));
+                tell(&format!("{}: {caveat}", Failure::input(&args.input)));
                 parameters
             } else {
                 Parameters::from_arrays(&arrays, given).map_err(failed)?
@@ -47,10 +47,10 @@ pub fn run(args: &args::Import) -> Result<(), Failure> {
     })?;
     let left_out = parameters.picture.gaussians.len() - splats.gaussians.len();
     if left_out > 0 {
-        eprintln!(
-            "ssplat: {}: {left_out} Gaussians do not reach the picture and are left out",
+        tell(&format!(
+            "{}: {left_out} Gaussians do not reach the picture and are left out",
             Failure::input(&args.input)
-        );
+        ));
     }
     let file = ssplat::unstable::bitstream::to_bytes(&splats).map_err(|e| Failure::library(&args.input, &e))?;
     Sink::create(&args.output, &[&args.input])?.finish_with(&file)

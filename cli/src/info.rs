@@ -10,9 +10,9 @@ use ssplat::unstable::bitstream::splats::PackedSplats;
 use ssplat::{Channels, Limits};
 
 use crate::failure::Failure;
+use crate::input;
 use crate::names::{blend_name, layout_name};
-use crate::sink::say;
-use crate::source;
+use crate::sink::{say, tell};
 use crate::{args, left_out};
 
 pub fn run(args: &args::Info) -> Result<(), Failure> {
@@ -29,7 +29,7 @@ fn several(args: &args::Info) -> Result<(), Failure> {
             Ok(found) => found,
             Err(failure) => {
                 if let Some(Failure { message, .. }) = failed.replace(failure) {
-                    eprintln!("ssplat: {message}");
+                    tell(&message);
                 }
                 continue;
             }
@@ -48,7 +48,7 @@ fn several(args: &args::Info) -> Result<(), Failure> {
 }
 
 fn inspected(input: &Path) -> Result<(PackedSplats, Report), Failure> {
-    let bytes = source::read_splats(input)?;
+    let bytes = input::read_splats(input)?;
     ssplat::unstable::bitstream::inspect(&bytes, &Limits::default()).map_err(|e| Failure::library(input, &e))
 }
 

@@ -184,6 +184,9 @@ fn list(
                 true => list(&path, &name, rules, files, passed)?,
                 false => passed.folders.push(path),
             }
+        } else if std::fs::metadata(&path).is_ok_and(|found| !found.is_file()) {
+            // Pipes and devices may never end, and links to folders are not followed.
+            passed.files.push(path);
         } else if (rules.takes)(&path) {
             files.push((path, name));
         } else if !entry.file_name().as_encoded_bytes().starts_with(b".") {

@@ -10,8 +10,11 @@ mod encode;
 mod exchange;
 mod export;
 pub mod failure;
+mod formats;
+mod guard;
 mod import;
 mod info;
+pub mod input;
 mod inputs;
 mod left_out;
 mod manual;
@@ -39,7 +42,7 @@ pub fn main() -> ExitCode {
     match run(args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("ssplat: {}", failure.message);
+            sink::tell(&failure.message);
             ExitCode::from(failure.kind.code())
         }
     }
@@ -50,7 +53,7 @@ fn run(args: Args) -> Result<(), Failure> {
     if let Some(asked) = args.threads {
         let threads = asked.get().min(most_threads());
         if threads < asked.get() {
-            eprintln!("ssplat: --threads {asked}: {threads} are used, as more would only wait");
+            sink::tell(&format!("--threads {asked}: {threads} are used, as more would only wait"));
         }
         rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
@@ -67,6 +70,7 @@ fn run(args: Args) -> Result<(), Failure> {
         Command::Export(args) => export::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Completions(args) => manual::completions(&args),
+        Command::Formats => formats::run(),
         Command::Man => manual::man(),
     }
 }

@@ -10,16 +10,19 @@ use ssplat::{Detail, Pixels, Target};
 
 use crate::args::{self, PlaceholderFormat};
 use crate::failure::Failure;
-use crate::sink::say;
+use crate::sink::{say, tell};
 use crate::source::{self, Turn};
 
 /// Pixels along the longer side that are fitted: what a few hundred Gaussians can show of a picture is there in these.
 const SIDE: u32 = 512;
 
 pub fn run(args: &args::Placeholder) -> Result<(), Failure> {
+    if args.format == PlaceholderFormat::Html && args.src.is_none() && args.input == Path::new("-") {
+        return Err(Failure::usage("standard input has no name: --src URL says where the page finds the picture"));
+    }
     // A placeholder has no room for an EXIF block, and browsers turn the picture that follows.
     let source = source::open(&args.input, Turn::Upright)?.whole(&args.input)?;
-    source.notes.iter().for_each(|note| eprintln!("ssplat: {}: {note}", Failure::input(&args.input)));
+    source.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(&args.input))));
     let size = [source.pixels.width(), source.pixels.height()];
     let mut options = EncodeOptions::default();
     (options.target, options.effort) = (Target::Bytes(args.bytes), args.effort);

@@ -1,6 +1,7 @@
 //! Files out: written under a temporary name in the same folder and renamed when complete, so that nobody ever sees
 //! half a file, and so that an interrupted run leaves nothing behind.
 
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -30,10 +31,25 @@ pub fn remove_on_interrupt() -> Result<(), Failure> {
     ctrlc::set_handler(handler).map_err(|e| Failure { kind: Kind::Other, message: format!("signal handler: {e}") })
 }
 
+/// Prints a message on standard error, as one of this program.
+pub fn tell(message: &str) {
+    eprintln!("ssplat: {}", printable(message));
+}
+
+/// Text as a terminal may get it: file names, profiles and errors of decoders hold what strangers wrote, and control characters of theirs
+/// are shown escaped.
+pub fn printable(text: &str) -> Cow<'_, str> {
+    let is_control = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+    if !text.contains(is_control) {
+        return text.into();
+    }
+    text.chars().map(|c| if is_control(c) { c.escape_default().to_string() } else { c.to_string() }).collect()
+}
+
 /// Prints `text` on standard output. A reader that has gone away wants no more, and is no failure.
 pub fn say(text: &str) -> Result<(), Failure> {
     let mut out = io::stdout().lock();
-    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+    match out.write_all(printable(text).as_bytes()).and_then(|()| out.flush()) {
         Err(e) if e.kind() != io::ErrorKind::BrokenPipe => Err(Failure::io(&named(Path::new("-")), &e)),
         _ => Ok(()),
     }

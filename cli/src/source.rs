@@ -1,21 +1,18 @@
 //! Pictures in: any format that is known by its content, with its ICC profile and EXIF block.
 
-use std::fs::File;
-use std::io::{self, BufRead, BufReader, Cursor, Read, Seek};
+use std::io::Seek;
 use std::path::Path;
 
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageReader};
-use ssplat::unstable::DecodeOptions;
+use image::{ImageDecoder, ImageReader};
 use ssplat::unstable::bitstream::header::MAGIC;
-use ssplat::{Channels, Limits, Pixels};
+use ssplat::unstable::input::{MAX_ALLOC, limits, open as open_picture, picture as decoded_picture};
+use ssplat::unstable::{DecodeOptions, colour};
+use ssplat::{Channels, Error, Limits, Pixels};
 
-use crate::completeness;
 use crate::failure::{Failure, Kind};
-
-/// Most bytes that a decoder of `image` may allocate: a 177-megapixel picture takes 531 MB with 8 bits, twice that
-/// with 16.
-const MAX_ALLOC: u64 = 8 << 30;
+use crate::input::{self, Input};
+use crate::{completeness, guard};
 
 /// Whether pixels are turned as their EXIF block says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -48,106 +45,71 @@ impl Source {
     }
 }
 
-trait ReadSeek: BufRead + Seek {}
-impl<T: BufRead + Seek> ReadSeek for T {}
-
-/// Reads a .ssplat file, or standard input for `-`; of anything else only the start, so that it is refused whatever its length.
-pub fn read_splats(path: &Path) -> Result<Vec<u8>, Failure> {
-    read(path, &MAGIC, Limits::default().alloc)
-}
-
-/// Reads the whole of `path`, or of standard input for `-`; refuses more than `most` bytes.
-pub fn read_at_most(path: &Path, most: u64) -> Result<Vec<u8>, Failure> {
-    read(path, &[], most)
-}
-
-/// Reads on behind `start` where the file begins with it.
-fn read(path: &Path, start: &[u8], most: u64) -> Result<Vec<u8>, Failure> {
-    if path.is_dir() {
-        return Err(is_folder(path));
-    }
-    let mut bytes = Vec::new();
-    let mut read = |reader: &mut dyn Read| {
-        reader.take(start.len() as u64).read_to_end(&mut bytes)?;
-        if bytes == start {
-            reader.take(most.saturating_sub(start.len() as u64).saturating_add(1)).read_to_end(&mut bytes)?;
-        }
-        Ok(())
-    };
-    let done = if path == Path::new("-") {
-        read(&mut io::stdin().lock())
-    } else {
-        File::open(path).and_then(|mut f| read(&mut f))
-    };
-    done.map_err(|e| Failure::io(path, &e))?;
-    if bytes.len() as u64 > most {
-        let message = format!("{}: is longer than {most} bytes", Failure::input(path));
-        return Err(Failure { kind: Kind::Limit, message });
-    }
-    Ok(bytes)
-}
-
-/// The failure where a folder is named for a file.
-fn is_folder(path: &Path) -> Failure {
-    let message = format!("{}: is a folder; --out-dir DIR takes the files in it", path.display());
-    Failure { kind: Kind::Io, message }
-}
-
 /// Decodes `path`, or standard input for `-`.
 pub fn open(path: &Path, turn: Turn) -> Result<Source, Failure> {
-    let io = |e| Failure::io(path, &e);
-    let mut reader: Box<dyn ReadSeek> = if path == Path::new("-") {
-        Box::new(Cursor::new(read_at_most(path, Limits::default().alloc)?))
-    } else if path.is_dir() {
-        return Err(is_folder(path));
-    } else {
-        Box::new(BufReader::new(File::open(path).map_err(io)?))
-    };
-    let start = reader.fill_buf().map_err(io)?;
+    read(path, Input::open(path)?, turn)
+}
+
+/// Decodes what `input` holds, which came from `path`. A panic of a decoder is a broken file.
+pub fn read(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Failure> {
+    let start = input.start().map_err(|e| Failure::io(path, &e))?;
     if start.is_empty() {
         return Err(Failure { kind: Kind::Format, message: format!("{}: is empty", Failure::input(path)) });
     }
     if start.starts_with(&MAGIC) {
-        let mut bytes = Vec::new();
-        reader.read_to_end(&mut bytes).map_err(io)?;
-        return decode(path, &bytes);
+        return decode(path, &input::all(path, input, Limits::default().alloc)?);
     }
+    guard::quietly(|| read_foreign(path, input, turn)).unwrap_or_else(|panic| Err(panicked(path, &panic)))
+}
+
+/// The failure of a file at which a decoder panicked.
+pub fn panicked(path: &Path, panic: &str) -> Failure {
+    let message = format!("{}: its decoder cannot cope with it: {panic}", Failure::input(path));
+    Failure { kind: Kind::Format, message }
+}
+
+/// Decodes a picture of another format than ssplat.
+fn read_foreign(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Failure> {
+    let io = |e| Failure::io(path, &e);
+    let start = input.start().map_err(io)?;
     let advice = advice(start);
     let failed = |e| {
         let mut failure = Failure::image(path, &e);
+        if failure.kind == Kind::Limit {
+            let path = Failure::input(path);
+            failure.message = format!("{path}: takes more memory than there is, or than the {MAX_ALLOC} bytes allowed");
+        }
         failure.message += advice.unwrap_or("");
         failure
     };
-    let mut image = ImageReader::new(reader).with_guessed_format().map_err(io)?;
-    if image.format().is_none() {
-        // A few formats (TGA) cannot be told by their content.
-        if let Ok(format) = image::ImageFormat::from_path(path) {
-            image.set_format(format);
-        }
-    }
+    let format = image::guess_format(start).or_else(|_| image::ImageFormat::from_path(path));
     let mut is_cut_off = false;
     let mut notes = Vec::new();
-    if let Some(format) = image.format() {
-        let mut reader = image.into_inner();
-        let found = completeness::look(&mut reader, format).map_err(io)?;
-        reader.rewind().map_err(io)?;
+    if let Ok(format) = format {
+        let found = completeness::look(&mut input, format).map_err(io)?;
+        input.rewind().map_err(io)?;
         is_cut_off = !found.is_whole;
+        if found.is_reduced {
+            let message = format!(
+                "{}: holds a small version first, as raw files of cameras do (DNG, NEF): develop the picture to PNG or TIFF",
+                Failure::input(path)
+            );
+            return Err(Failure { kind: Kind::Unsupported, message });
+        }
         if found.has_more {
             notes.push("only the first of its frames or pages is taken".into());
         }
-        image = ImageReader::with_format(reader, format);
     }
-    let mut limits = image::Limits::default();
-    limits.max_alloc = Some(MAX_ALLOC);
-    image.limits(limits);
-    let mut decoder = image.into_decoder().map_err(failed)?;
-    let icc = decoder.icc_profile().map_err(failed)?;
+    let stated = colour::look(&mut input).map_err(io)?;
+    notes.extend(stated.note.map(String::from));
+    let mut decoder = open_picture(input, path, &limits()).map_err(failed)?;
+    let icc = stated.or(decoder.icc_profile().map_err(failed)?);
     let mut exif = decoder.exif_metadata().map_err(failed)?;
     if decoder.xmp_metadata().is_ok_and(|xmp| xmp.is_some()) {
         notes.push("its XMP block is left out".into());
     }
     let mut orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
-    let mut picture = DynamicImage::from_decoder(decoder).map_err(failed)?;
+    let mut picture = stated.without_idle_alpha(decoded_picture(decoder).map_err(failed)?);
     if turn == Turn::Upright {
         picture.apply_orientation(orientation);
         if let Some(exif) = &mut exif {
@@ -155,10 +117,33 @@ pub fn open(path: &Path, turn: Turn) -> Result<Source, Failure> {
         }
         orientation = Orientation::NoTransforms;
     }
-    let pixels = Pixels::try_from(picture).map_err(|e| Failure::library(path, &e))?;
+    let pixels = Pixels::try_from(picture).map_err(|e| match e {
+        // A sample that is no number is the file's fault.
+        Error::Parameter { problem, .. } => {
+            Failure { kind: Kind::Format, message: format!("{}: {problem}", Failure::input(path)) }
+        }
+        e => Failure::library(path, &e),
+    })?;
     let mut icc = icc;
     keep_fitting(&mut icc, pixels.channels(), &mut notes);
     Ok(Source { pixels, icc, exif, orientation, is_cut_off, notes })
+}
+
+/// Width times height of a picture of another format than ssplat; 0 where it cannot be told. The input is rewound.
+pub fn pixels(path: &Path, input: &mut Input) -> u64 {
+    let mut size = || {
+        let format = image::guess_format(input.start().ok()?).or_else(|_| image::ImageFormat::from_path(path)).ok()?;
+        // Its decoder begins with reading all of the file.
+        if format == image::ImageFormat::Jpeg && input.length().ok()? > MAX_ALLOC {
+            return None;
+        }
+        let mut reader = ImageReader::with_format(&mut *input, format);
+        reader.limits(limits());
+        let (width, height) = reader.into_dimensions().ok()?;
+        Some(u64::from(width) * u64::from(height))
+    };
+    let found = guard::quietly(&mut size).ok().flatten();
+    if input.rewind().is_ok() { found.unwrap_or(0) } else { 0 }
 }
 
 /// Decodes the ssplat file `bytes`, which came from `path`.

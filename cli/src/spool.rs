@@ -11,11 +11,12 @@ use std::time::Instant;
 
 use image::ImageFormat;
 use png::{BitDepth, ColorType, Transformations};
-use ssplat::unstable::check_area;
+use ssplat::unstable::{check_area, colour};
 use ssplat::{Channels, Depth, Error, PixelSource, Pixels, Samples};
 
 use crate::failure::{Failure, Kind};
-use crate::{completeness, source};
+use crate::input::Input;
+use crate::{completeness, guard, source};
 
 /// Bytes on disk that any PNG may take, and how many for each of its own beyond that: photographs take 2 to 5, drawings up to 200.
 const FREE_SPOOL: u64 = 1 << 30;
@@ -71,29 +72,42 @@ impl PixelSource for Spooled {
     }
 }
 
-/// Opens `path` without reading it into memory, before `end` if there is one; `None` where its format has to be read as a whole.
-pub fn open(path: &Path, end: Option<Instant>) -> Result<Option<Spooled>, Failure> {
-    let io = |e| Failure::io(path, &e);
-    if path == Path::new("-") {
-        return Ok(None);
+/// An input that is read a part at a time, or has to be read as a whole.
+pub enum Opened {
+    InParts(Box<Spooled>),
+    AsWhole(Input),
+}
+
+/// Opens `input`, which came from `path`, without reading it into memory, before `end` if there is one. A panic of a decoder is a
+/// broken file.
+pub fn open(path: &Path, input: Input, end: Option<Instant>) -> Result<Opened, Failure> {
+    let Input::File(mut reader) = input else { return Ok(Opened::AsWhole(input)) };
+    let spooled = guard::quietly(|| spooled(path, &mut reader, end));
+    match spooled.unwrap_or_else(|panic| Err(source::panicked(path, &panic)))? {
+        Some(spooled) => Ok(Opened::InParts(Box::new(spooled))),
+        None => {
+            reader.rewind().map_err(|e| Failure::io(path, &e))?;
+            Ok(Opened::AsWhole(Input::File(reader)))
+        }
     }
-    let mut reader = BufReader::new(File::open(path).map_err(io)?);
-    let start = reader.fill_buf().map_err(io)?;
-    match start {
+}
+
+fn spooled(path: &Path, reader: &mut BufReader<File>, end: Option<Instant>) -> Result<Option<Spooled>, Failure> {
+    match reader.fill_buf().map_err(|e| Failure::io(path, &e))? {
         [b'P', b'5' | b'6', ..] => pnm(path, reader),
         [0x89, b'P', b'N', b'G', ..] => png(path, reader, end),
         _ => Ok(None),
     }
 }
 
-fn pnm(path: &Path, mut reader: BufReader<File>) -> Result<Option<Spooled>, Failure> {
+fn pnm(path: &Path, reader: &mut BufReader<File>) -> Result<Option<Spooled>, Failure> {
     let io = |e| Failure::io(path, &e);
     let broken = |what: String| Failure { kind: Kind::Format, message: format!("{}: {what}", path.display()) };
     let mut magic = [0; 2];
     reader.read_exact(&mut magic).map_err(io)?;
     let mut numbers = [0u32; 3];
     for number in &mut numbers {
-        let found = number_of(&mut reader).or_else(|e| match e.kind() {
+        let found = number_of(reader).or_else(|e| match e.kind() {
             std::io::ErrorKind::UnexpectedEof => Ok(None),
             _ => Err(io(e)),
         });
@@ -108,7 +122,7 @@ fn pnm(path: &Path, mut reader: BufReader<File>) -> Result<Option<Spooled>, Fail
     };
     let channels = if magic[1] == b'5' { Channels::Grey } else { Channels::Rgb };
     let start = reader.stream_position().map_err(io)?;
-    let file = reader.into_inner();
+    let file = reader.get_ref().try_clone().map_err(io)?;
     let bytes = u64::from(width) * u64::from(height) * (channels.count() * depth.bytes()) as u64;
     let length = file.metadata().map_err(io)?.len();
     if start.checked_add(bytes).is_none_or(|end| end > length) {
@@ -168,16 +182,17 @@ fn number_of(reader: &mut impl BufRead) -> std::io::Result<Option<u32>> {
     }
 }
 
-fn png(path: &Path, mut reader: BufReader<File>, end: Option<Instant>) -> Result<Option<Spooled>, Failure> {
+fn png(path: &Path, reader: &mut BufReader<File>, end: Option<Instant>) -> Result<Option<Spooled>, Failure> {
     let io = |e| Failure::io(path, &e);
     let broken = |e: png::DecodingError| match e {
         png::DecodingError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Failure::io(path, &e),
         e => Failure { kind: Kind::Format, message: format!("{}: {e}", path.display()) },
     };
     let packed = reader.get_ref().metadata().map_err(io)?.len();
-    let found = completeness::look(&mut reader, ImageFormat::Png).map_err(io)?;
+    let found = completeness::look(reader, ImageFormat::Png).map_err(io)?;
     reader.rewind().map_err(io)?;
-    let mut decoder = png::Decoder::new(reader);
+    let stated = colour::look(reader).map_err(io)?;
+    let mut decoder = png::Decoder::new(&mut *reader);
     decoder.set_transformations(Transformations::EXPAND);
     let mut decoder = decoder.read_info().map_err(broken)?;
     let info = decoder.info();
@@ -186,9 +201,9 @@ fn png(path: &Path, mut reader: BufReader<File>, end: Option<Instant>) -> Result
     }
     let (width, height) = (info.width, info.height);
     check_size(path, width, height)?;
-    let (mut icc, exif) =
-        (info.icc_profile.as_ref().map(|v| v.to_vec()), info.exif_metadata.as_ref().map(|v| v.to_vec()));
-    let mut notes = Vec::new();
+    let exif = info.exif_metadata.as_ref().map(|v| v.to_vec());
+    let mut notes: Vec<String> = stated.note.map(String::from).into_iter().collect();
+    let mut icc = stated.or(info.icc_profile.as_ref().map(|v| v.to_vec()));
     if found.has_more {
         notes.push("only the first of its frames or pages is taken".into());
     }

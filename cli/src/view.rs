@@ -11,8 +11,8 @@ use ssplat::{Damage, Limits, Reader};
 
 use crate::args;
 use crate::failure::Failure;
+use crate::input;
 use crate::sink::Sink;
-use crate::source;
 
 /// File to show: its bytes, and its name for the page.
 struct Shown {
@@ -34,13 +34,13 @@ impl Shown {
 }
 
 pub fn run(args: &args::View) -> Result<(), Failure> {
-    let bytes = source::read_splats(&args.input)?;
+    let bytes = input::read_splats(&args.input)?;
     let limits = Limits::default();
     // Report a broken file here, not in the browser.
     Reader::new(&bytes, &limits).and_then(|o| o.read(Damage::Refuse)).map_err(|e| Failure::library(&args.input, &e))?;
     let file = Shown::new(&args.input, bytes);
     let original = match &args.original {
-        Some(path) => Some(Shown::new(path, source::read_at_most(path, limits.alloc)?)),
+        Some(path) => Some(Shown::new(path, input::read_at_most(path, limits.alloc)?)),
         None => None,
     };
     match &args.html {

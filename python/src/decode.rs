@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use ssplat::View;
 use ssplat::unstable::bitstream::Missing;
-use ssplat::{Damage, Depth, Layers, Limits, Pixels, Reader, Result};
+use ssplat::{Damage, Depth, Error, Layers, Limits, Pixels, Reader, Result};
 
 use crate::failure::{exception, integer, parameter};
 use crate::{array, work};
@@ -43,11 +43,11 @@ impl Job {
         let mut view = opening.view();
         if let Some(region) = options.region {
             let [x, y, width, height] = whole("region", region)?;
-            view = view.crop(x, y, width, height).map_err(exception)?;
+            view = view.crop(x, y, width, height).map_err(|e| wrong("region", e))?;
         }
         if let Some(size) = options.size {
             let [width, height] = whole("size", size)?;
-            view = view.resized(width, height).map_err(exception)?;
+            view = view.resized(width, height).map_err(|e| wrong("size", e))?;
         }
         let depth = match options.bits {
             None => opening.header().depth,
@@ -67,6 +67,14 @@ impl Job {
         // The integers make room for the pixels.
         drop(opened);
         Ok((renderer.render(self.depth)?, missing))
+    }
+}
+
+/// The exception for an error of the library about a value that came in the argument `name`.
+fn wrong(name: &'static str, error: Error) -> PyErr {
+    match error {
+        Error::Parameter { problem, .. } => parameter(name, problem),
+        error => exception(error),
     }
 }
 

@@ -123,6 +123,16 @@ def test_metadata_are_carried_and_those_of_a_picture_by_default():
     assert ssplat.info(ssplat.encode(PICTURE, effort=1, icc_profile=b"other"))["icc_profile"] == b"other"
 
 
+def test_info_has_the_keys_that_its_type_names():
+    from ssplat._info import DetailInfo, Info, StepsInfo
+
+    found = ssplat.info(FILE)
+    assert set(found) == set(Info.__annotations__)
+    assert set(found["steps"]) == set(StepsInfo.__annotations__)
+    detailed = ssplat.info(ssplat.encode(waves(64, 64), bytes=3000, effort=1, detail=0.5))["detail"]
+    assert detailed is not None and set(detailed) == set(DetailInfo.__annotations__)
+
+
 def test_info_names_what_was_encoded():
     told = ssplat.info(FILE)
     assert (told["width"], told["height"], told["channels"], told["bits"]) == (80, 60, 3, 8)

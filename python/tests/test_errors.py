@@ -100,10 +100,11 @@ def test_an_option_out_of_range_is_named(options, name):
 @pytest.mark.parametrize(
     ("options", "name"),
     [
-        ({"region": (0, 0, 0, 5)}, "width"),
+        ({"region": (0, 0, 0, 5)}, "region"),
+        ({"region": (20, 0, 40, 5)}, "region"),
         ({"region": (0, -1, 5, 5)}, "region"),
-        ({"size": (0, 5)}, "width"),
-        ({"size": (5, 1 << 21)}, "height"),
+        ({"size": (0, 5)}, "size"),
+        ({"size": (5, 1 << 21)}, "size"),
         ({"bits": 10}, "bits"),
         ({"threads": 0}, "threads"),
         ({"limits": {"colour": 5}}, "limits"),
@@ -151,3 +152,26 @@ def test_pictures_of_two_shapes_cannot_be_compared():
         ssplat.metrics.psnr(PICTURE, PICTURE[:, :7])
     with pytest.raises(ssplat.ParameterError):
         ssplat.metrics.ssim(PICTURE, PICTURE.astype(np.uint16))
+
+
+def test_a_file_beyond_the_limit_is_not_read(tmp_path):
+    path = tmp_path / "big.ssplat"
+    with open(path, "wb") as file:
+        file.write(FILE)
+        file.truncate(12 << 30)
+    for call in [ssplat.decode, ssplat.info]:
+        with pytest.raises(ssplat.LimitExceededError) as caught:
+            call(path)
+        assert (caught.value.what, caught.value.requested) == ("alloc", 12 << 30)
+    # A file whose length is not known is read up to the limit, and no further.
+    class Endless:
+        count = 0
+
+        def read(self, size):
+            self.count += size
+            return b"\0" * size
+
+    endless = Endless()
+    with pytest.raises(ssplat.LimitExceededError):
+        ssplat.decode(endless, limits={"alloc": 5 << 20})
+    assert endless.count < 8 << 20

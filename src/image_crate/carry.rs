@@ -2,6 +2,7 @@
 
 use image::metadata::Orientation;
 
+use super::colour::is_srgb;
 use crate::options::Carry;
 
 /// Metadata to store in a file, and the sizes of the metadata that are left out.
@@ -39,6 +40,8 @@ impl Carry {
         let alone = || is_turned.then(|| oriented(orientation));
         let length = |block: &Option<Vec<u8>>| block.as_ref().map_or(0, Vec::len);
         let (all_icc, all_exif) = (length(&icc), length(&exif));
+        // sRGB is what a picture without a profile is shown in.
+        let icc = icc.filter(|icc| self != Carry::Needed || !is_srgb(icc));
         let (icc, exif) = match self {
             Carry::All => (icc, exif.or_else(alone)),
             // A block that contains only the orientation is kept unchanged.
@@ -48,7 +51,7 @@ impl Carry {
             Carry::None => (None, None),
         };
         Carried {
-            icc_left_out: if icc.is_some() { 0 } else { all_icc },
+            icc_left_out: if icc.is_some() || self == Carry::Needed { 0 } else { all_icc },
             // Leaving out a block that can only hold an orientation loses nothing.
             exif_left_out: if length(&exif) < all_exif && all_exif > BLOCK { all_exif } else { 0 },
             is_orientation_left_out: is_turned && exif.is_none(),

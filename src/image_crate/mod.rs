@@ -2,10 +2,14 @@
 
 #[cfg(feature = "encode")]
 mod carry;
+#[cfg(feature = "encode")]
+pub(crate) mod colour;
 mod convert;
 mod decoder;
 #[cfg(feature = "encode")]
 mod encoder;
+#[cfg(feature = "encode")]
+pub(crate) mod input;
 #[cfg(feature = "encode")]
 mod replace;
 #[cfg(feature = "encode")]

@@ -5,10 +5,12 @@ use std::io::BufReader;
 use std::path::Path;
 
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
+use image::{ImageDecoder, ImageError};
 
+use super::colour::{self, Stated};
 use super::decoder::register;
 use super::encoder::{check_extension, write};
+use super::input;
 use crate::encode::{EncodeReport, Encoded, Encoder, encode};
 use crate::error::{Error, Result};
 use crate::options::EncodeOptions;
@@ -17,7 +19,7 @@ use crate::pixels::Pixels;
 /// Encodes the picture in the file at `input` and writes it to `output`. [`EncodeOptions::carry`] selects the metadata
 /// to keep: by default the ICC profile and the orientation.
 ///
-/// It reads ssplat and all formats that `image` is built with, recognized by content or extension. [`DynamicImage`]
+/// It reads ssplat and all formats that `image` is built with, recognized by content or extension. [`DynamicImage`](image::DynamicImage)
 /// has neither profile nor orientation, so [`image::open`] and [`save`](super::save) lose both; this function keeps
 /// them. An ICC profile or EXIF block in `options` replaces that of the picture.
 ///
@@ -26,23 +28,18 @@ use crate::pixels::Pixels;
 /// [`Error::Parameter`] if `output` has the extension of another format; otherwise as [`encode`].
 pub fn transcode(input: impl AsRef<Path>, output: impl AsRef<Path>, options: &EncodeOptions) -> Result<EncodeReport> {
     register();
-    let (input, output) = (input.as_ref(), output.as_ref());
+    let (path, output) = (input.as_ref(), output.as_ref());
     check_extension(output)?;
     let failed = |error: ImageError| match error {
         // `image` reports a truncated picture as an I/O error, but the picture is at fault.
-        ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::at(input, &e),
-        error => Error::Source { path: Some(input.into()), error },
+        ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::at(path, &e),
+        error => Error::Source { path: Some(path.into()), error },
     };
-    let io = |e: std::io::Error| Error::at(input, &e);
-    let mut reader =
-        ImageReader::new(BufReader::new(File::open(input).map_err(io)?)).with_guessed_format().map_err(io)?;
-    if reader.format().is_none()
-        && let Ok(format) = image::ImageFormat::from_path(input)
-    {
-        reader.set_format(format);
-    }
-    let decoder = reader.into_decoder().map_err(failed)?;
-    let encoded = encode_decoder(decoder, options).map_err(|e| match e {
+    let io = |e: std::io::Error| Error::at(path, &e);
+    let mut reader = BufReader::new(File::open(path).map_err(io)?);
+    let stated = colour::look(&mut reader).map_err(io)?;
+    let decoder = input::open(reader, path, &input::limits()).map_err(failed)?;
+    let encoded = encode_stated(decoder, stated, options).map_err(|e| match e {
         Error::Source { error, .. } => failed(error),
         e => e,
     })?;
@@ -53,13 +50,20 @@ pub fn transcode(input: impl AsRef<Path>, output: impl AsRef<Path>, options: &En
 /// Encodes the picture of a `decoder` of the `image` crate. [`EncodeOptions::carry`] selects the metadata to keep.
 ///
 /// # Errors
-/// [`Error::Source`] if the decoder fails; otherwise as [`encode`].
-pub fn encode_decoder(mut decoder: impl ImageDecoder, options: &EncodeOptions) -> Result<Encoded> {
+/// [`Error::Source`] if the decoder fails or the picture has more than 8 GiB of samples; otherwise as [`encode`].
+pub fn encode_decoder(decoder: impl ImageDecoder, options: &EncodeOptions) -> Result<Encoded> {
+    encode_stated(decoder, Stated::default(), options)
+}
+
+/// As [`encode_decoder`], of a file that states so much of its colours.
+fn encode_stated(mut decoder: impl ImageDecoder, stated: Stated, options: &EncodeOptions) -> Result<Encoded> {
     let failed = |error| Error::Source { path: None, error };
-    let icc = decoder.icc_profile().map_err(failed)?;
+    // The decoder keeps the limits that its owner has set; only what is allocated here is held against those of this crate.
+    input::limits().reserve(decoder.total_bytes()).map_err(failed)?;
+    let icc = stated.or(decoder.icc_profile().map_err(failed)?);
     let exif = decoder.exif_metadata().map_err(failed)?;
     let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
-    let pixels = Pixels::try_from(DynamicImage::from_decoder(decoder).map_err(failed)?)?;
+    let pixels = Pixels::try_from(stated.without_idle_alpha(input::picture(decoder).map_err(failed)?))?;
     let icc = icc.filter(|icc| is_for(icc, &pixels));
     let carried = options.carry.of(icc, exif, orientation);
     let mut options = options.clone();
@@ -76,6 +80,8 @@ impl Encoder {
     /// [`DynamicImage`](image::DynamicImage) has neither profile nor orientation, so [`image::open`] and
     /// [`save`](Encoder::save) lose both; this method keeps them. An ICC profile [set](Encoder::icc) on the encoder
     /// replaces that of the picture, and so does an EXIF block.
+    /// What a PNG states about its colours without a profile (cICP, gAMA, cHRM) becomes one, except for PQ and HLG, which
+    /// no profile can express. [`Carry::Needed`](crate::Carry::Needed) leaves out a profile that says sRGB.
     ///
     /// ```no_run
     /// use ssplat::Encoder;
@@ -85,8 +91,9 @@ impl Encoder {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Io`] if a file cannot be read or written, [`Error::Source`] if `image` cannot decode `input`,
-    /// [`Error::Parameter`] if `output` has the extension of another format; otherwise as [`Encoder::encode`].
+    /// [`Error::Io`] if a file cannot be read or written, [`Error::Source`] if `image` cannot decode `input` or needs more
+    /// than 8 GiB for it (1 GiB on 32-bit systems), [`Error::Parameter`] if `output` has the extension of another format;
+    /// otherwise as [`Encoder::encode`].
     pub fn transcode(&self, input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<EncodeReport> {
         transcode(input, output, self.options())
     }
@@ -104,7 +111,8 @@ impl Encoder {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Source`] when the decoder fails; otherwise as [`Encoder::encode`].
+    /// [`Error::Source`] when the decoder fails or its picture has more than 8 GiB of samples (1 GiB on 32-bit systems);
+    /// otherwise as [`Encoder::encode`].
     pub fn encode_decoder(&self, decoder: impl ImageDecoder) -> Result<Encoded> {
         encode_decoder(decoder, self.options())
     }

@@ -150,7 +150,8 @@ pub enum HiddenColors {
 #[non_exhaustive]
 pub enum Carry {
     /// Everything needed to show the picture as intended: the ICC profile, and the orientation as an EXIF block of 26
-    /// bytes where the picture is to be turned. The rest of the EXIF block is left out.
+    /// bytes where the picture is to be turned. The rest of the EXIF block is left out, and so is a profile that says sRGB, in
+    /// which pictures without one are shown: no code value of 8 bits means another colour by more than one.
     #[default]
     Needed,
     /// The ICC profile and the whole EXIF block, with everything that a camera writes, such as place, time and model.

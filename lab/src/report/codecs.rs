@@ -9,6 +9,7 @@ use ssplat::Pixels;
 
 use ssplat_cli::compare;
 use ssplat_cli::failure::Failure;
+use ssplat_cli::input;
 use ssplat_cli::source::{self, Turn};
 
 /// One file of another codec.
@@ -203,7 +204,7 @@ pub fn as_csv(anchors: &[Anchor]) -> String {
 /// Reads a CSV with at least the columns `image, codec, bytes, psnr, msssim, ssim, enc_s, dec_s, setting`, in any
 /// order, and optionally `ssimulacra2` and `butteraugli`. Rows without a size (`N/A`) are skipped.
 pub fn parse(path: &Path) -> Result<Vec<Anchor>, Failure> {
-    let text = String::from_utf8_lossy(&source::read_at_most(path, 64 << 20)?).into_owned();
+    let text = String::from_utf8_lossy(&input::read_at_most(path, 64 << 20)?).into_owned();
     let mut lines = text.lines();
     let header: Vec<&str> = lines.next().unwrap_or("").split(',').map(str::trim).collect();
     let mut columns = [0; COLUMNS.len()];

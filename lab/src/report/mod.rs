@@ -23,6 +23,7 @@ use cells::{Cell, Job, Setup, Subject};
 use codecs::Anchor;
 use left_out::Needless;
 use ssplat_cli::failure::Failure;
+use ssplat_cli::input;
 use ssplat_cli::progress::Bar;
 use ssplat_cli::sink::{Sink, say};
 use ssplat_cli::source::{self, Turn};
@@ -207,7 +208,7 @@ fn piece(pixels: &Pixels) -> Option<Pixels> {
 /// Returns the stiff cases of the given file.
 fn stiff(args: &args::Report) -> Result<Vec<Row>, Failure> {
     let Some(path) = &args.stability else { return Ok(Vec::new()) };
-    Ok(stability::parse(&String::from_utf8_lossy(&source::read_at_most(path, 64 << 20)?)))
+    Ok(stability::parse(&String::from_utf8_lossy(&input::read_at_most(path, 64 << 20)?)))
 }
 
 /// Returns the command line, without what is specific to this machine.

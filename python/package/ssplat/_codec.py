@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from . import _ssplat
+from ._info import Info
 from ._input import content, exif_of, real, source, whole
 from .errors import PartialWarning, QualityWarning
 
@@ -198,7 +199,7 @@ def decode(
         "threads": threads,
         "limits": None if limits is None else dict(limits),
     }
-    array, (primitives, groups, of_groups, tiles, of_tiles, damaged) = _ssplat.decode(content(data), options)
+    array, (primitives, groups, of_groups, tiles, of_tiles, damaged) = _ssplat.decode(content(data, limits), options)
     lost = [f"{groups} of {of_groups} groups with {primitives} primitives"] if groups else []
     lost += [f"{tiles} of {of_tiles} tiles of the detail layer"] if tiles else []
     if lost:
@@ -209,7 +210,7 @@ def decode(
     return array
 
 
-def info(data: Data, *, limits: Mapping[str, int] | None = None) -> dict[str, Any]:
+def info(data: Data, *, limits: Mapping[str, int] | None = None) -> Info:
     """What a file says about itself: all but the primitives.
 
     Args:
@@ -226,4 +227,4 @@ def info(data: Data, *, limits: Mapping[str, int] | None = None) -> dict[str, An
     Raises:
         FormatError, UnsupportedVersionError, LimitExceededError: as for :func:`decode`.
     """
-    return _ssplat.info(content(data), None if limits is None else dict(limits))
+    return _ssplat.info(content(data, limits), None if limits is None else dict(limits))

@@ -5,12 +5,14 @@ from __future__ import annotations
 import io
 import operator
 import os
+import sys
+from collections.abc import Mapping
 from numbers import Real
 from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias, TypeGuard, cast
 
 import numpy as np
 
-from .errors import ParameterError
+from .errors import LimitExceededError, ParameterError
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -120,15 +122,37 @@ def exif_of(block: Any) -> bytes | None:
     return bytes(block).removeprefix(b"Exif\0\0") or None
 
 
-def content(data: Data) -> bytes:
-    """The bytes of a file: as they are, copied out of a buffer that may change, or read from a path."""
+def _at_most(file: BinaryIO, length: int, most: int) -> bytes:
+    """The rest of a file, which has ``length`` bytes as far as is known; a LimitExceededError beyond ``most``."""
+    pieces: list[bytes] = []
+    held = 0
+    while length <= most and (piece := file.read(_PIECE)):
+        pieces.append(piece)
+        held += len(piece)
+        length = max(length, held)
+    if length > most:
+        text = f"limit exceeded: alloc {length} over the allowed {most}"
+        raise LimitExceededError(text, "alloc", length, most)
+    return b"".join(pieces)
+
+
+#: Bytes that are read at a time.
+_PIECE = 1 << 20
+#: Most bytes of a file that are read where no limit is given, as the library's Limits have it.
+_ALLOC = (1 if sys.maxsize < 2**32 else 4) << 30
+
+
+def content(data: Data, limits: Mapping[str, int] | None = None) -> bytes:
+    """The bytes of a file: as they are, copied out of a buffer that may change, or read from a path or a file as far as
+    the limit ``alloc`` allows."""
     if isinstance(data, bytes):
         return data
+    most = whole("alloc", (limits or {}).get("alloc", _ALLOC))
     if is_path(data):
         with open(data, "rb") as file:
-            return file.read()
+            return _at_most(file, os.fstat(file.fileno()).st_size, most)
     if isinstance(data, (bytearray, memoryview)):
         return bytes(data)
     if hasattr(data, "read"):
-        return bytes(data.read())
+        return _at_most(cast("BinaryIO", data), 0, most)
     raise ParameterError(f"bad parameter data: {type(data).__name__} is neither bytes nor a path nor a file", "data")

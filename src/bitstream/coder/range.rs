@@ -5,7 +5,6 @@
 //! valid string.
 
 use crate::bitstream::broken::Broken;
-use crate::strict_math::StrictMath;
 
 /// Bound of the range below which it is scaled up by a byte.
 const MIN_RANGE: u32 = 1 << 24;
@@ -352,7 +351,7 @@ impl<C> Meter<C> {
 #[cold]
 #[inline(never)]
 fn count(bits: &mut [f64; 2], total: u32, share: u32) {
-    let cost = f64::from(total).strict_log2() - f64::from(share).strict_log2();
+    let cost = f64::from(total).log2() - f64::from(share).log2();
     bits.iter_mut().for_each(|bits| *bits += cost);
 }
 

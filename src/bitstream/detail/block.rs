@@ -1,6 +1,8 @@
 //! Codes the levels of one block: whether there are any, how many, their positions and values (spec §11.4).
 
-use super::decisions::{Decisions, price};
+use super::decisions::Decisions;
+#[cfg(feature = "encode")]
+use super::decisions::price;
 use super::model::{BUCKETS, EXPONENTS, KindModels, LEFT, NEAR, UNARY};
 use super::scan::{ROOM, STRIDE, scan};
 use crate::bitstream::broken::Broken;
@@ -142,6 +144,7 @@ fn levels<D: Decisions>(
 
 /// Writes to `savings`, at the place of each of the `count` levels of `block`, about the bits that a level smaller by one would save: by the
 /// models as they stand, with contexts as the levels are.
+#[cfg(feature = "encode")]
 pub(crate) fn savings(
     models: &KindModels,
     block: &mut Block,
@@ -242,7 +245,7 @@ mod tests {
 
     fn price_of(models: &Models, block: &mut Block, context: Context, count: u32) -> f32 {
         let mut price = Price::default();
-        code(&mut price, &mut models.clone().kinds[0], block, context, count).unwrap();
+        code(&mut price, &mut { *models }.kinds[0], block, context, count).unwrap();
         price.bits
     }
 

@@ -1,6 +1,7 @@
 //! Binary decisions of the layer, which are written, read or priced by the same code (spec §11.3).
 
 use crate::bitstream::coder::range::{Coder, Decoder, Encoder};
+#[cfg(feature = "encode")]
 use crate::strict_math::StrictMath;
 
 /// An adaptive probability of a 1: the mean of a fast and a slow estimate, in 1/65536.
@@ -148,27 +149,32 @@ impl Decisions for Decoder<'_> {
 }
 
 /// Sums the cost of decisions in bits, with the models in their current state; does not adapt them.
+#[cfg(feature = "encode")]
 #[derive(Debug, Default)]
 pub(crate) struct Price {
     pub bits: f32,
 }
 
 /// Number of probabilities that [`Price`] distinguishes.
+#[cfg(feature = "encode")]
 const PRICES: usize = 4096;
 
 /// Returns the cost of a decision for each probability, in bits.
+#[cfg(feature = "encode")]
 fn prices() -> &'static [f32; PRICES] {
     static PRICE: std::sync::OnceLock<[f32; PRICES]> = std::sync::OnceLock::new();
     PRICE.get_or_init(|| std::array::from_fn(|i| -((i as f32 + 0.5) / PRICES as f32).strict_log2()))
 }
 
 /// Returns the bits of a decision with a model.
+#[cfg(feature = "encode")]
 #[inline(always)]
 pub(crate) fn price(model: &Adaptive, bit: bool) -> f32 {
     let p = if bit { model.one() } else { 65_536 - model.one() };
     prices()[(p >> 4) as usize & (PRICES - 1)]
 }
 
+#[cfg(feature = "encode")]
 impl Decisions for Price {
     #[inline(always)]
     fn bit(&mut self, model: &mut Adaptive, bit: bool) -> bool {
@@ -200,7 +206,7 @@ impl<D: Decisions> Decisions for Counted<D> {
     fn bit(&mut self, model: &mut Adaptive, bit: bool) -> bool {
         let one = f64::from(model.one()) / 65_536.0;
         let bit = self.source.bit(model, bit);
-        self.bits -= if bit { one } else { 1.0 - one }.strict_log2();
+        self.bits -= if bit { one } else { 1.0 - one }.log2();
         bit
     }
 

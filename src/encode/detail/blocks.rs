@@ -73,7 +73,7 @@ mod tests {
     use crate::bitstream::detail::head::DetailHead;
     use crate::bitstream::detail::levels::TILE;
     use crate::bitstream::detail::model::PLANES;
-    use crate::encode::detail::choose::Care;
+    use crate::encode::detail::choose::{BlockChoice, Care};
     use crate::gaussian::Channels;
 
     fn sizes_of(luma: impl Fn(usize, usize) -> f32) -> Vec<u8> {
@@ -81,7 +81,8 @@ mod tests {
         planes[0] = (0..TILE * TILE).map(|i| luma(i % TILE, i / TILE)).collect();
         let tile = TileResidual { size: [TILE, TILE], planes, luma: vec![0.0; TILE * TILE] };
         let head = DetailHead { step: 640, ..DetailHead::PLAIN };
-        let setting = Setting { head, channels: Channels::Grey, lambda: 0.1, care: Care::Thorough };
+        let setting =
+            Setting { head, channels: Channels::Grey, lambda: 0.1, care: Care::Thorough, blocks: BlockChoice::Rough };
         let [sizes, ..] = blocks(&tile, &[], &setting);
         sizes
     }

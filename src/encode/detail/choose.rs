@@ -1,6 +1,6 @@
-//! Levels of a tile in blocks that are given: what costs least, distortion and bits together.
+//! Chooses the levels of a tile, and for the least squared error its blocks too: what costs least, distortion and bits together.
 
-use super::coefficients::{self, Coefficients, Division};
+use super::coefficients::{self, AllSizes, Coefficients, Division};
 use super::in_steps::{Factors, Kept, Values};
 use super::residual::TileResidual;
 use crate::bitstream::coder::range::Encoder;
@@ -21,6 +21,16 @@ pub(super) struct Setting {
     /// Squared error that a bit has to save, in squared steps.
     pub lambda: f32,
     pub care: Care,
+    pub blocks: BlockChoice,
+}
+
+/// How the blocks of a tile are chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum BlockChoice {
+    /// By a rule of thumb ([`blocks`](super::blocks::blocks)).
+    Rough,
+    /// By the prices of the entropy coder ([`priced_blocks`]), for .1 dB more and fifteen times the work.
+    Priced,
 }
 
 /// How carefully levels are chosen.
@@ -32,6 +42,10 @@ pub(super) enum Care {
     Thorough,
 }
 
+/// Candidates from which on large blocks are not worth pricing, by size.
+const CROWDED: [usize; SIZES] = [usize::MAX, usize::MAX, 40, 48];
+/// If no coefficient of a block is larger than this, in steps, smaller blocks have no levels either.
+const QUIET: f32 = 0.45;
 /// Below this, in steps, a coefficient has no level to begin with.
 const DEAD: f32 = 0.58;
 /// Blocks of as few coefficients that may have a level are always tried one by one.
@@ -91,9 +105,18 @@ struct Candidate {
     value: f32,
 }
 
+/// Where coefficients come from.
+#[derive(Clone, Copy)]
+enum Source<'a> {
+    /// Blocks of all sizes, to choose from.
+    All(&'a AllSizes),
+    /// The blocks are chosen.
+    Chosen(&'a Coefficients),
+}
+
 struct Chooser<'a> {
     setting: &'a Setting,
-    coefficients: &'a Coefficients,
+    source: Source<'a>,
     state: TileState,
     models: Models,
     dense: Dense,
@@ -115,6 +138,23 @@ struct Found {
     cost: f32,
 }
 
+/// A block that was tried: its cost, the counts of levels of its planes, and whether no coefficient came near a level.
+#[derive(Debug, Clone, Copy, Default)]
+struct Tried {
+    cost: f32,
+    counts: [u32; 2],
+    is_quiet: bool,
+}
+
+/// Chooses the blocks of a tile by the prices of their levels, where the whole tile is lapped for blocks of each size. Returns the
+/// sizes of the blocks that its cells lie in, by kind.
+pub(super) fn priced_blocks(tile: &TileResidual, classes: &[u8], setting: &Setting) -> [Vec<u8>; KINDS] {
+    let all = AllSizes::new(tile, |plane| setting.head.sizes([0, 1, 1, 2][plane]));
+    let setting = Setting { care: Care::Quick, ..*setting };
+    let sizes = std::array::from_fn(|_| vec![0; CELLS * CELLS]);
+    Chooser::new(tile, classes, &setting, Source::All(&all), sizes).run().sizes
+}
+
 /// Chooses the levels of a tile in blocks of such `sizes`. The coefficients in these blocks are taken from `kept`, or made and left there.
 pub(super) fn choose(
     tile: &TileResidual,
@@ -128,34 +168,48 @@ pub(super) fn choose(
     let coefficients = kept
         .unwrap_or(&own)
         .get_or_init(|| std::array::from_fn(|plane| coefficients::plane(tile, plane, division(plane))));
-    let dense = Dense {
-        sizes: sizes.clone(),
-        planes: std::array::from_fn(|_| vec![0; TILE * TILE]),
-        classes: classes.to_vec(),
-        written: TileLevels::default(),
-    };
-    let chooser = Chooser {
-        setting,
-        coefficients,
-        state: TileState::new(tile.size),
-        models: Models::start(),
-        dense,
-        block: Block::default(),
-        factors: Factors::new(setting.head),
-        values: Values::default(),
-        candidates: Vec::new(),
-        doubtful: Vec::new(),
-        savings: Box::new([0.0; ROOM]),
-    };
-    chooser.run()
+    Chooser::new(tile, classes, setting, Source::Chosen(coefficients), sizes.clone()).run()
 }
 
-impl Chooser<'_> {
+impl<'a> Chooser<'a> {
+    fn new(
+        tile: &TileResidual,
+        classes: &[u8],
+        setting: &'a Setting,
+        source: Source<'a>,
+        sizes: [Vec<u8>; KINDS],
+    ) -> Self {
+        let dense = Dense {
+            sizes,
+            planes: std::array::from_fn(|_| vec![0; TILE * TILE]),
+            classes: classes.to_vec(),
+            written: TileLevels::default(),
+        };
+        Chooser {
+            setting,
+            source,
+            state: TileState::new(tile.size),
+            models: Models::start(),
+            dense,
+            block: Block::default(),
+            factors: Factors::new(setting.head),
+            values: Values::default(),
+            candidates: Vec::new(),
+            doubtful: Vec::new(),
+            savings: Box::new([0.0; ROOM]),
+        }
+    }
+
     fn run(mut self) -> Chosen {
         let mut encoder = Encoder::default();
         for at in self.state.superblocks() {
             for (kind, _) in kinds(self.setting.channels, self.setting.head.alpha) {
-                self.tree(kind, at, ROOT);
+                match self.source {
+                    Source::All(_) => {
+                        self.priced_tree(kind, at, ROOT);
+                    }
+                    Source::Chosen(_) => self.tree(kind, at, ROOT),
+                }
             }
             let (models, state, block) = (&mut self.models, &mut self.state, &mut self.block);
             let Setting { head, channels, .. } = self.setting;
@@ -188,33 +242,127 @@ impl Chooser<'_> {
         }
         self.state.set_size(kind, cell, size);
         for plane in planes(kind) {
-            let count = self.levels(kind, plane, cell, size);
+            let count = self.levels(kind, plane, cell, size).counts[0];
             self.state.fill(plane, cell, size, count);
         }
     }
 
-    /// Chooses the levels of one block; returns how many there are.
-    fn levels(&mut self, kind: usize, plane: usize, cell: [usize; 2], size: usize) -> u32 {
+    /// Chooses the blocks of a square and their levels; returns their cost.
+    fn priced_tree(&mut self, kind: usize, cell: [usize; 2], size: usize) -> f32 {
+        let [least, most] = self.setting.head.sizes(kind);
+        if size > most {
+            return self.priced_quarters(kind, cell, size);
+        }
+        if size == least {
+            return self.priced_leaf(kind, cell, size).cost;
+        }
+        let near = self.state.smaller(kind, cell, size);
+        let model = self.models.kinds[kind].divide[size][near];
+        let price = |bit: bool| {
+            let mut price = Price::default();
+            price.bit(&mut model.clone(), bit);
+            self.setting.lambda * price.bits
+        };
+        let (whole, divided) = (price(false), price(true));
+        let tried = self.priced_leaf(kind, cell, size);
+        let one = tried.cost + whole;
+        if tried.is_quiet {
+            return one;
+        }
+        let saved = self.saved(kind, cell, size);
+        let four = self.priced_quarters(kind, cell, size) + divided;
+        if four < one {
+            return four;
+        }
+        self.set_size(kind, cell, size);
+        self.restore(kind, cell, size, &saved);
+        for (plane, count) in planes(kind).zip(tried.counts) {
+            self.state.fill(plane, cell, size, count);
+        }
+        one
+    }
+
+    fn priced_quarters(&mut self, kind: usize, [x, y]: [usize; 2], size: usize) -> f32 {
+        let half = 1 << (size - 1);
+        let quarters = [[0, 0], [1, 0], [0, 1], [1, 1]];
+        quarters.map(|[i, j]| self.priced_tree(kind, [x + i * half, y + j * half], size - 1)).iter().sum()
+    }
+
+    fn priced_leaf(&mut self, kind: usize, cell: [usize; 2], size: usize) -> Tried {
+        self.set_size(kind, cell, size);
+        let mut all = Tried { is_quiet: true, ..Tried::default() };
+        for (i, plane) in planes(kind).enumerate() {
+            self.restore_plane(plane, cell, size, &vec![0; (CELL << size) * (CELL << size)]);
+            let Tried { cost, counts: [count, _], is_quiet } = self.levels(kind, plane, cell, size);
+            self.state.fill(plane, cell, size, count);
+            all.cost += cost;
+            all.counts[i] = count;
+            all.is_quiet &= is_quiet;
+        }
+        all
+    }
+
+    fn set_size(&mut self, kind: usize, cell: [usize; 2], size: usize) {
+        self.state.set_size(kind, cell, size);
+        let n = 1usize << size;
+        for j in 0..n {
+            self.dense.sizes[kind][(cell[1] + j) * CELLS + cell[0]..][..n].fill(size as u8);
+        }
+    }
+
+    /// Returns the levels of a square, plane by plane.
+    fn saved(&self, kind: usize, [x, y]: [usize; 2], size: usize) -> Vec<i16> {
+        let n = CELL << size;
+        let rows =
+            |plane: usize| (0..n).flat_map(move |v| &self.dense.planes[plane][(y * CELL + v) * TILE + x * CELL..][..n]);
+        planes(kind).flat_map(rows).copied().collect()
+    }
+
+    fn restore(&mut self, kind: usize, cell: [usize; 2], size: usize, saved: &[i16]) {
+        let area = (CELL << size) * (CELL << size);
+        for (plane, saved) in planes(kind).zip(saved.chunks_exact(area)) {
+            self.restore_plane(plane, cell, size, saved);
+        }
+    }
+
+    fn restore_plane(&mut self, plane: usize, [x, y]: [usize; 2], size: usize, saved: &[i16]) {
+        let n = CELL << size;
+        for (v, row) in saved.chunks_exact(n).enumerate() {
+            self.dense.planes[plane][(y * CELL + v) * TILE + x * CELL..][..n].copy_from_slice(row);
+        }
+    }
+
+    /// Chooses the levels of one block of a plane.
+    fn levels(&mut self, kind: usize, plane: usize, cell: [usize; 2], size: usize) -> Tried {
         let [x, y] = cell;
         let Setting { head, lambda, care, .. } = *self.setting;
         let class = self.dense.class(cell.map(|c| c / (SUPER / CELL)));
-        self.values.take(&self.coefficients[plane], cell, size, self.factors.of(class, plane, size));
+        let coefficients: &[f32] = match self.source {
+            Source::All(all) => all.plane(size, plane),
+            Source::Chosen(chosen) => &chosen[plane],
+        };
+        self.values.take(coefficients, cell, size, self.factors.of(class, plane, size));
         self.candidates.clear();
         let candidates = &mut self.candidates;
         self.values.above(DEAD, |u, v, value| {
             candidates.push(Candidate { at: at(u, v) as u16, negative: value < 0.0, value: value.abs() });
         });
-        if self.candidates.is_empty() {
-            return 0;
-        }
-        let order = order(size);
-        self.candidates.sort_unstable_by_key(|c| std::cmp::Reverse(order[usize::from(c.at)]));
         let bucket = self.state.bucket(plane, cell, size);
         let others = self.state.others(plane, cell, size);
         let filled = self.models.filled[plane][size][bucket][others];
         let mut price = Price::default();
         price.bit(&mut filled.clone(), false);
         let nothing = self.values.energy + lambda * price.bits;
+        let empty = Tried { cost: nothing, counts: [0; 2], is_quiet: self.values.largest < QUIET };
+        if self.candidates.is_empty() {
+            return empty;
+        }
+        let is_priced = matches!(self.source, Source::All(_));
+        if is_priced && size > head.sizes(kind)[0] && self.candidates.len() > CROWDED[size] {
+            return Tried { cost: f32::INFINITY, counts: [0; 2], is_quiet: false };
+        }
+        let order = order(size);
+        self.candidates.sort_unstable_by_key(|c| std::cmp::Reverse(order[usize::from(c.at)]));
         let mut trial = Trial {
             models: &mut self.models,
             block: &mut self.block,
@@ -244,7 +392,10 @@ impl Chooser<'_> {
                 self.dense.planes[plane][(y * CELL + at / STRIDE) * TILE + x * CELL + at % STRIDE] = level;
             }
         }
-        if is_worth_it { found.count } else { 0 }
+        match is_worth_it {
+            true => Tried { cost: found.cost, counts: [found.count, 0], is_quiet: false },
+            false => Tried { is_quiet: false, ..empty },
+        }
     }
 }
 
@@ -330,7 +481,7 @@ impl Trial<'_> {
         savings: &mut [f32; ROOM],
         doubtful: &mut Vec<Candidate>,
     ) -> bool {
-        block::savings(&mut self.models.kinds[self.kind], self.block, self.context, found.count, savings);
+        block::savings(&self.models.kinds[self.kind], self.block, self.context, found.count, savings);
         doubtful.clear();
         let before = *found;
         for c in candidates {

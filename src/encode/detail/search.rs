@@ -1,7 +1,7 @@
 //! The quantizer step with which a layer takes the bytes that it may.
 
 use super::blocks::blocks;
-use super::choose::{Chosen, Setting, choose};
+use super::choose::{BlockChoice, Chosen, Setting, choose, priced_blocks};
 use super::classes::{activity, classes};
 use super::coefficients::{self, Division};
 use super::in_steps::{KEPT_TILES, Kept};
@@ -162,6 +162,9 @@ pub(super) fn once(tiles: &[TileResidual], aim: &Aim, near: &Coded) -> Coded {
     )
 }
 
+/// Sizes of the blocks that the cells of a tile lie in, by kind.
+type BlockSizes = [Vec<u8>; KINDS];
+
 /// Codes the layer with a step, in blocks of such `sizes`, or in those that it chooses. Coefficients in these blocks stay in `kept`, if it is not
 /// empty.
 pub(super) fn code(
@@ -169,7 +172,7 @@ pub(super) fn code(
     classes: &[Vec<u8>],
     aim: &Aim,
     step: u16,
-    (sizes, kept): (Option<&[[Vec<u8>; KINDS]]>, &[Kept]),
+    (sizes, kept): (Option<&[BlockSizes]>, &[Kept]),
 ) -> Coded {
     let setting = aim.setting_at(step);
     let chosen: Vec<Chosen> = parallel::map(tiles.len(), |i| {
@@ -177,7 +180,10 @@ pub(super) fn code(
         let sizes = match sizes {
             Some(sizes) => &sizes[i],
             None => {
-                chosen = blocks(&tiles[i], &classes[i], &setting);
+                chosen = match setting.blocks {
+                    BlockChoice::Rough => blocks(&tiles[i], &classes[i], &setting),
+                    BlockChoice::Priced => priced_blocks(&tiles[i], &classes[i], &setting),
+                };
                 &chosen
             }
         };
@@ -219,7 +225,7 @@ fn guess(tiles: &[TileResidual], aim: &Aim) -> f64 {
             }
             let steps = PlaneSteps::new(&head, plane, 0);
             let n = CELL << size;
-            for y in (0..cells[1] * CELL).filter(|y| y / n % SAMPLED == 0) {
+            for y in (0..cells[1] * CELL).filter(|y| (y / n).is_multiple_of(SAMPLED)) {
                 for x in 0..cells[0] * CELL {
                     let step = steps.step(size.into(), x % n, y % n);
                     let value = values[y * TILE + x].abs() * 4.0 / step as f32;
