@@ -1,8 +1,5 @@
 //! Converts integers to Gaussians by the specification's formulas (spec §5.1), and Gaussians to the nearest integers.
 
-#[cfg(feature = "encode")]
-use glam::Vec2;
-
 use crate::bitstream::lattice::Lattice;
 use crate::bitstream::rules::most_color;
 use crate::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
@@ -126,7 +123,6 @@ impl Quantizer {
         (std::f64::consts::PI * f64::from(angle) / f64::from(self.lattice.angles(major, minor))) as f32
     }
 
-    #[cfg(feature = "encode")]
     /// Returns the integers nearest to `g`: first the shape, then the nearest position in units of that shape.
     #[must_use]
     pub fn quantize(&self, g: &Gaussian) -> PackedGaussian {
@@ -151,7 +147,6 @@ impl Quantizer {
         (major, minor, angle)
     }
 
-    #[cfg(feature = "encode")]
     /// Moves `p` to the lattice point nearest to `mean` (pixels) in the metric of its own covariance.
     pub fn place(&self, p: &mut PackedGaussian, mean: [f32; 2]) {
         let [ex, ey] = self.lattice.exponents(p.major, p.minor, p.angle);
@@ -166,9 +161,9 @@ impl Quantizer {
         for y in near.saturating_sub(1)..=(near + 1).min(last[1]) {
             let dy = center(y, ey) - mean[1];
             let x = nearest(mean[0] + shear * dy, ex, last[0]);
-            let d = Vec2::new(center(x, ex) - mean[0], dy);
-            let whitened = Vec2::new((cos * d.x + sin * d.y) / s1, (cos * d.y - sin * d.x) / s2);
-            let distance = whitened.x * whitened.x + whitened.y * whitened.y;
+            let dx = center(x, ex) - mean[0];
+            let (u, v) = ((cos * dx + sin * dy) / s1, (cos * dy - sin * dx) / s2);
+            let distance = u * u + v * v;
             if distance < best {
                 (best, p.x, p.y) = (distance, x, y);
             }

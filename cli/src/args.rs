@@ -238,7 +238,7 @@ pub struct TargetArgs {
     #[arg(help_heading = "Size or quality, at most one", long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub primitives: Option<u32>,
     /// Quality as eyes see it, as SSIMULACRA2 measures it: 30 low, 50 medium, 70 high (hard to tell from the original side by
-    /// side), 90 very high (hard to tell even when flipping between them); within half a point, by up to three fits
+    /// side), 90 very high (hard to tell even when flipping between them); within half a point, by up to six tries
     #[arg(help_heading = "Size or quality, at most one", long, short = 'Q', value_name = "POINTS", value_parser = points)]
     pub quality: Option<f64>,
     /// The smallest file that reaches this PSNR

@@ -950,7 +950,7 @@ fn a_quality_is_met_or_said_to_be_missed() {
     let seen = measured["preview"]["ssimulacra2"].as_f64().unwrap();
     assert!((seen - 60.0).abs() <= 0.5 && (number(&json, "quality") - seen).abs() < 1e-6, "{json}");
     image::GrayImage::from_fn(24, 24, |x, y| image::Luma([(x * 7919 + y * 104_729) as u8])).save(&noise).unwrap();
-    assert!(told(run(&noise, "99")).contains("--quality 99 was not met: the file has "));
+    assert!(told(run(&noise, "100")).contains("--quality 100 was not met: the file has "));
     let help = succeeds(ssplat(&[&"encode", &"--help"]));
     let words: Vec<&str> = help.split_whitespace().collect();
     assert!(words.join(" ").contains("30 low, 50 medium, 70 high"), "{help}");

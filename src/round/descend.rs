@@ -6,6 +6,8 @@
 //! and positions around, only those are drawn that promise something. Primitives in disjoint bands of rows run in
 //! parallel.
 
+use glam::Vec2;
+
 use crate::bitstream::coder::expect::Expected;
 use crate::bitstream::splats::PackedGaussian;
 use crate::fit::model::drawing::field::{Field, Output};
@@ -395,7 +397,8 @@ impl<const C: usize> BandTask<'_, C> {
             let valley = bowl.given([log(p.major, sx), log(p.minor, sy), turn]);
             let [u, v] = valley.lowest();
             let (u, v) = (u * sx, v * sy);
-            self.quantizer.place(&mut p, [before.mean[0] + cos * u - sin * v, before.mean[1] + sin * u + cos * v]);
+            let mean = Vec2::from(before.mean) + u * Vec2::new(cos, sin) + v * Vec2::new(-sin, cos);
+            self.quantizer.place(&mut p, mean.into());
             // Shapes of the same scales follow each other.
             if of_scales.scales != [p.major, p.minor] {
                 of_scales = cost.of_scales([p.major, p.minor], lattice);
