@@ -24,7 +24,7 @@ fn measured(pixels: &Pixels, encoded: &Encoded) -> f64 {
 }
 
 #[test]
-fn a_quality_is_met_in_at_most_three_fits_and_reported_as_it_is() {
+fn a_quality_is_met_in_at_most_six_fits_and_reported_as_it_is() {
     for channels in [Channels::Rgb, Channels::Rgba] {
         let pixels = picture(160, 120, channels);
         let mut bytes = Vec::new();
@@ -35,7 +35,7 @@ fn a_quality_is_met_in_at_most_three_fits_and_reported_as_it_is() {
             assert!((found - wanted).abs() <= 0.5, "{wanted}: {found} after {fits} fits");
             assert_eq!(encoded.report.quality, Some(found));
             // If channels are left out, a try may be repeated with more room for them.
-            assert!(fits <= 3 || channels == Channels::Rgba, "{wanted}: {fits} fits");
+            assert!(fits <= 6 || channels == Channels::Rgba, "{wanted}: {fits} fits");
             bytes.push(encoded.bytes.len());
         }
         assert!(bytes.is_sorted_by(|a, b| a < b), "{bytes:?}");

@@ -1,7 +1,7 @@
 //! A file of a quality that is asked for: the size is found by trying, and what is too good is taken out.
 
 use super::search::{Aim, Curve, Search, Try};
-use crate::bitstream::splats::PackedSplats;
+use crate::bitstream::{self, splats::PackedSplats};
 use crate::encode::channels::widen;
 use crate::encode::file;
 use crate::encode::job::{Encoding, Outcome};
@@ -112,16 +112,24 @@ impl Encoding<'_> {
         if points > wanted + ABOVE {
             self.worsen(&mut outcome, wanted)?;
         }
+        outcome.quality = Some(self.points_of_file(&outcome.bytes)?);
         Ok(outcome)
     }
 
     /// Returns the points of a file with these integers of what was fitted.
     fn points(&self, splats: &PackedSplats) -> Result<f64> {
         let wide = (!self.subject.is_whole()).then(|| widen(splats, self.subject.channels()));
-        let splats = wide.as_ref().unwrap_or(splats);
-        // The encoder's own integers need no limits on work.
-        let limits = Limits { tile_pairs: u64::MAX, work: u64::MAX, overlap: u64::MAX, ..Limits::default() };
-        let drawn = splats.renderer(&View::of_size(splats.width, splats.height), &limits)?.render(splats.depth)?;
+        self.points_drawn(wide.as_ref().unwrap_or(splats))
+    }
+
+    /// Returns the points of a file as a decoder sees it: its Gaussians are in the order of the file, which moves the last bits.
+    fn points_of_file(&self, file: &[u8]) -> Result<f64> {
+        self.points_drawn(&bitstream::read(file, &own_limits())?)
+    }
+
+    fn points_drawn(&self, splats: &PackedSplats) -> Result<f64> {
+        let view = View::of_size(splats.width, splats.height);
+        let drawn = splats.renderer(&view, &own_limits())?.render(splats.depth)?;
         Ok(ssimulacra2(self.subject.original, &drawn)?.expect("the sides were looked at"))
     }
 
@@ -187,6 +195,11 @@ impl Encoding<'_> {
         self.journal.stage("prune", clock);
         Ok(())
     }
+}
+
+/// The encoder's own integers need no limits on work.
+fn own_limits() -> Limits {
+    Limits { tile_pairs: u64::MAX, work: u64::MAX, overlap: u64::MAX, primitives: u64::MAX, ..Limits::default() }
 }
 
 /// Tells whether primitives can be taken out of a file one by one: their value is not known for files with levels or a detail layer.
