@@ -40,7 +40,7 @@ def test_psnr_is_reached():
 
 
 def test_a_psnr_that_is_missed_in_the_time_gives_a_file_and_a_warning():
-    with pytest.warns(ssplat.QualityWarning, match="psnr 90 was not met: the file has"):
+    with pytest.warns(ssplat.QualityWarning, match="psnr 90.0 was not met: the file has"):
         data = ssplat.encode(PICTURE, effort=1, psnr=90.0, time=0.02)
     assert ssplat.metrics.psnr(ssplat.decode(data), PICTURE) > 10
 
