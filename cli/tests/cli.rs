@@ -972,7 +972,8 @@ fn a_preview_that_cannot_be_written_leaves_no_file() {
 fn a_terminal_is_told_what_is_done_from_the_first_moment_on() {
     let folder = Folder::new();
     let file = folder.path("k.ssplat");
-    let said = on_a_terminal(&[&"encode", &PHOTO, &file, &"--ratio", &"100", &"--effort", &"1"]);
+    // Long enough that each stage is drawn, as the bar is drawn a few times a second.
+    let said = on_a_terminal(&[&"encode", &PHOTO, &file, &"--ratio", &"50", &"--effort", &"7"]);
     let place = |word: &str| said.find(word).unwrap_or_else(|| panic!("{said:?} lacks {word}"));
     assert!(place("reading") < place("fit") && place("fit") < place("finish"), "{said:?}");
     assert!(said.contains(" to go)"), "{said:?}");
