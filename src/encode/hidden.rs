@@ -9,6 +9,7 @@
 
 use crate::error::Result;
 use crate::gaussian::Channels;
+use crate::options::HiddenColors;
 use crate::pixel_source::PixelSource;
 use crate::pixels::{Depth, Pixels, Samples};
 
@@ -117,13 +118,17 @@ pub(super) struct Continued<'a> {
 }
 
 impl<'a> Continued<'a> {
-    /// Reads the whole picture of `source` once, part by part. Returns `None` if it has no hidden colours. `show` is called for each
-    /// part.
+    /// Reads the whole picture of `source` once, part by part. Returns `None` if it has no hidden colours, or `hidden` keeps them.
+    /// `show` is called for each part.
     ///
     /// # Errors
     /// Those of `source` and of `show`.
-    pub(super) fn new(source: &'a dyn PixelSource, mut show: impl FnMut() -> Result<()>) -> Result<Option<Self>> {
-        if source.channels().alpha().is_none() {
+    pub(super) fn new(
+        source: &'a dyn PixelSource,
+        hidden: HiddenColors,
+        mut show: impl FnMut() -> Result<()>,
+    ) -> Result<Option<Self>> {
+        if hidden == HiddenColors::Keep || source.channels().alpha().is_none() {
             return Ok(None);
         }
         let [width, height] = source.size();
@@ -209,12 +214,16 @@ impl PixelSource for Continued<'_> {
     }
 }
 
-/// Returns `pixels` with its hidden colours replaced; `None` if it has none.
+/// Returns `pixels` with its hidden colours replaced; `None` if it has none, or `hidden` keeps them.
 ///
 /// # Errors
 /// Those of `show`, which is called now and then.
-pub(super) fn continued(pixels: &Pixels, show: impl FnMut() -> Result<()>) -> Result<Option<Pixels>> {
-    match Continued::new(pixels, show)? {
+pub(super) fn continued(
+    pixels: &Pixels,
+    hidden: HiddenColors,
+    show: impl FnMut() -> Result<()>,
+) -> Result<Option<Pixels>> {
+    match Continued::new(pixels, hidden, show)? {
         Some(continued) => continued.part([0, 0, pixels.width(), pixels.height()]).map(Some),
         None => Ok(None),
     }
@@ -308,7 +317,7 @@ mod tests {
     }
 
     fn filled(pixels: &Pixels) -> Pixels {
-        continued(pixels, || Ok(())).unwrap().expect("hidden colours")
+        continued(pixels, HiddenColors::Continue, || Ok(())).unwrap().expect("hidden colours")
     }
 
     #[test]
@@ -333,7 +342,7 @@ mod tests {
         // Larger than several cells, so that parts lie anywhere on the grid.
         let picture = disc(300, 260, Channels::Rgba, 12_345);
         let whole = filled(&picture);
-        let parts = Continued::new(&picture, || Ok(())).unwrap().unwrap();
+        let parts = Continued::new(&picture, HiddenColors::Continue, || Ok(())).unwrap().unwrap();
         for area in [[0, 0, 300, 260], [1, 1, 2, 3], [64, 32, 128, 96], [131, 77, 169, 183], [299, 259, 1, 1]] {
             assert_eq!(parts.part(area).unwrap(), whole.part(area).unwrap(), "{area:?}");
         }
@@ -351,9 +360,9 @@ mod tests {
     #[test]
     fn pictures_without_hidden_colors_are_left_alone() {
         let opaque = Pixels::new(2, 2, Channels::GreyAlpha, Samples::U8(vec![9, 255, 8, 1, 7, 255, 6, 255])).unwrap();
-        assert!(continued(&opaque, || Ok(())).unwrap().is_none());
+        assert!(continued(&opaque, HiddenColors::Continue, || Ok(())).unwrap().is_none());
         let grey = Pixels::new(2, 1, Channels::Grey, Samples::U8(vec![0, 1])).unwrap();
-        assert!(continued(&grey, || Ok(())).unwrap().is_none());
+        assert!(continued(&grey, HiddenColors::Continue, || Ok(())).unwrap().is_none());
         let clear = Pixels::new(2, 1, Channels::GreyAlpha, Samples::U8(vec![5, 0, 9, 0])).unwrap();
         assert_eq!(filled(&clear).samples(), &Samples::U8(vec![0, 0, 0, 0]));
     }

@@ -27,7 +27,7 @@ use std::ops::ControlFlow;
 use crate::bitstream::splats::Layout;
 use crate::error::{Error, Result};
 use crate::fit::model::target::planes::Planes;
-use crate::options::{Detail, EncodeOptions, HiddenColors, Trace};
+use crate::options::{Detail, EncodeOptions, Trace};
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
 use crate::target::Target;
@@ -111,10 +111,7 @@ pub fn encode_with_progress(
     let clock = Clock::new(options.time);
     let tracer = Tracer::new(options.trace);
     let mut journal = Journal::new(progress, tracer);
-    let continued = match options.hidden {
-        HiddenColors::Continue => hidden::continued(pixels, || journal.show("survey", 0.0))?,
-        HiddenColors::Keep => None,
-    };
+    let continued = hidden::continued(pixels, options.hidden, || journal.show("survey", 0.0))?;
     if continued.is_some() {
         journal.note(Omission::HiddenColors, 0, 0.0);
     }

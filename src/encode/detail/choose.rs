@@ -292,7 +292,7 @@ impl<'a> Chooser<'a> {
         self.set_size(kind, cell, size);
         let mut all = Tried { is_quiet: true, ..Tried::default() };
         for (i, plane) in planes(kind).enumerate() {
-            self.restore_plane(plane, cell, size, &vec![0; (CELL << size) * (CELL << size)]);
+            self.clear(plane, cell, size);
             let Tried { cost, counts: [count, _], is_quiet } = self.levels(kind, plane, cell, size);
             self.state.fill(plane, cell, size, count);
             all.cost += cost;
@@ -318,17 +318,20 @@ impl<'a> Chooser<'a> {
         planes(kind).flat_map(rows).copied().collect()
     }
 
-    fn restore(&mut self, kind: usize, cell: [usize; 2], size: usize, saved: &[i16]) {
-        let area = (CELL << size) * (CELL << size);
-        for (plane, saved) in planes(kind).zip(saved.chunks_exact(area)) {
-            self.restore_plane(plane, cell, size, saved);
+    fn restore(&mut self, kind: usize, [x, y]: [usize; 2], size: usize, saved: &[i16]) {
+        let n = CELL << size;
+        for (plane, saved) in planes(kind).zip(saved.chunks_exact(n * n)) {
+            for (v, row) in saved.chunks_exact(n).enumerate() {
+                self.dense.planes[plane][(y * CELL + v) * TILE + x * CELL..][..n].copy_from_slice(row);
+            }
         }
     }
 
-    fn restore_plane(&mut self, plane: usize, [x, y]: [usize; 2], size: usize, saved: &[i16]) {
+    /// Takes away the levels of a square of one plane.
+    fn clear(&mut self, plane: usize, [x, y]: [usize; 2], size: usize) {
         let n = CELL << size;
-        for (v, row) in saved.chunks_exact(n).enumerate() {
-            self.dense.planes[plane][(y * CELL + v) * TILE + x * CELL..][..n].copy_from_slice(row);
+        for v in 0..n {
+            self.dense.planes[plane][(y * CELL + v) * TILE + x * CELL..][..n].fill(0);
         }
     }
 

@@ -73,7 +73,7 @@ pub(super) fn residual<'a>(
             if let Some(a) = alpha {
                 planes[3][at] = rest(a);
             }
-            luma[at] = 255.0 * if colors == 3 { 0.25 * (value(0) + 2.0 * value(1) + value(2)) } else { value(0) };
+            luma[at] = 255.0 * if colors == 3 { luma_and_chroma([0, 1, 2].map(value))[0] } else { value(0) };
         }
     }
     TileResidual { size: [width, height], planes, luma }

@@ -1,5 +1,6 @@
 //! What the pixels of a picture tell of how its bytes are best divided, before anything is fitted.
 
+use super::residual::luma_and_chroma;
 use crate::fit::model::target::planes::Planes;
 use crate::parallel;
 use crate::strict_math::StrictMath;
@@ -44,7 +45,10 @@ fn luma(planes: &Planes, y: usize) -> Vec<f32> {
     let row = planes.row(y as u32);
     let value = |k: usize, x: usize| 255.0 * row[k * planes.stride + x];
     let has_color = planes.channels.count() >= 3;
-    let at = |x: usize| if has_color { 0.25 * (value(0, x) + 2.0 * value(1, x) + value(2, x)) } else { value(0, x) };
+    let at = |x: usize| match has_color {
+        true => luma_and_chroma([0, 1, 2].map(|k| value(k, x)))[0],
+        false => value(0, x),
+    };
     (0..planes.width as usize).map(at).collect()
 }
 

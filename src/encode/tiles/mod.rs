@@ -42,7 +42,7 @@ use crate::fit::model::drawing::project::{self, Primitive};
 use crate::fit::model::problem::Scene;
 use crate::fit::plan::fraction;
 use crate::gaussian::Blend;
-use crate::options::{Backend, EncodeOptions, HiddenColors, Recipe, Trace};
+use crate::options::{Backend, EncodeOptions, Recipe, Trace};
 use crate::parallel;
 use crate::pixel_source::PixelSource;
 use crate::quantize::Quantizer;
@@ -87,10 +87,7 @@ pub(super) fn encode(
     mut journal: Journal<'_>,
 ) -> Result<Encoded> {
     check(options)?;
-    let continued = match options.hidden {
-        HiddenColors::Continue => Continued::new(source, || journal.show("survey", 0.0))?,
-        HiddenColors::Keep => None,
-    };
+    let continued = Continued::new(source, options.hidden, || journal.show("survey", 0.0))?;
     if continued.is_some() {
         journal.note(Omission::HiddenColors, 0, 0.0);
     }
