@@ -1,4 +1,4 @@
-//! Points in time: the system's clock. WebAssembly without a system has none; there the program provides one.
+//! Points in time by the system clock, or on WebAssembly without a system, by a clock that the program provides.
 
 #[cfg(not(all(target_family = "wasm", target_os = "unknown")))]
 pub(crate) use std::time::Instant;

@@ -1,7 +1,7 @@
-//! Elementary functions with the same bits on every machine, for the encoder: those of the system's library differ in the last bit from
-//! one system to the next, and a fit makes other bytes of that.
+//! Elementary functions that return the same bits on every platform, for the encoder. The functions of the system libraries
+//! differ in the last bit, which is enough for a fit to produce a different file.
 
-/// Like the methods of the standard library without `strict_`, by one implementation everywhere.
+/// The methods of the standard library without the prefix `strict_`, in one implementation for all platforms.
 pub(crate) trait StrictMath: Sized {
     fn strict_exp(self) -> Self;
     fn strict_exp2(self) -> Self;

@@ -1,4 +1,4 @@
-//! Chooses the levels of a tile, and for the least squared error its blocks too: what costs least, distortion and bits together.
+//! Chooses the levels of a tile by rate–distortion optimization, and optionally its blocks.
 
 use super::coefficients::{self, AllSizes, Coefficients, Division};
 use super::in_steps::{Factors, Kept, Values};
@@ -27,32 +27,33 @@ pub(super) struct Setting {
 /// How the blocks of a tile are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum BlockChoice {
-    /// By a rule of thumb ([`blocks`](super::blocks::blocks)).
+    /// By an estimate ([`blocks`](super::blocks::blocks)).
     Rough,
-    /// By the prices of the entropy coder ([`priced_blocks`]), for .1 dB more and fifteen times the work.
+    /// By the prices of the entropy coder ([`priced_blocks`]): 0.1 dB more PSNR for fifteen times the work.
     Priced,
 }
 
 /// How carefully levels are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Care {
-    /// Each of those that are far from sure is tried once.
+    /// Tries each clearly uncertain level once.
     Quick,
-    /// Those of which an estimate of their savings leaves doubts are tried, or all of a few, twice.
+    /// Tries the levels for which an estimate of the savings is not conclusive; in blocks of few levels, tries all of them
+    /// up to twice.
     Thorough,
 }
 
-/// Candidates from which on large blocks are not worth pricing, by size.
+/// Number of candidates above which a block of each size is not worth pricing.
 const CROWDED: [usize; SIZES] = [usize::MAX, usize::MAX, 40, 48];
 /// If no coefficient of a block is larger than this, in steps, smaller blocks have no levels either.
 const QUIET: f32 = 0.45;
 /// Below this, in steps, a coefficient has no level to begin with.
 const DEAD: f32 = 0.58;
-/// Blocks of as few coefficients that may have a level are always tried one by one.
+/// In blocks of up to this many candidates, each level is tried by itself.
 const FEW: usize = 6;
-/// Bits by which an estimate has to miss the border for a level to be changed or left unseen.
+/// Margin in bits beyond which an estimate is conclusive.
 const DOUBT: f32 = 1.0;
-/// Bits that a level smaller by one saves in those that come after it, above what is estimated.
+/// Bits that lowering a level saves in the levels after it, beyond the estimate.
 const SAVED_BESIDE: f32 = 0.6;
 
 /// A tile whose levels have been chosen.
@@ -124,13 +125,13 @@ struct Chooser<'a> {
     factors: Factors,
     values: Values,
     candidates: Vec<Candidate>,
-    /// Candidates that are worth an exact look.
+    /// Candidates for which the estimate is not conclusive.
     doubtful: Vec<Candidate>,
-    /// Bits that each place of a block would save by a smaller level.
+    /// Estimated bits saved by lowering the level at each position of a block.
     savings: Box<[f32; ROOM]>,
 }
 
-/// Levels of a block: their number, and squared error and cost, in squared steps.
+/// The levels of a block: their number, their squared error and their cost, both in squared steps.
 #[derive(Debug, Clone, Copy)]
 struct Found {
     count: u32,
@@ -155,7 +156,8 @@ pub(super) fn priced_blocks(tile: &TileResidual, classes: &[u8], setting: &Setti
     Chooser::new(tile, classes, &setting, Source::All(&all), sizes).run().sizes
 }
 
-/// Chooses the levels of a tile in blocks of such `sizes`. The coefficients in these blocks are taken from `kept`, or made and left there.
+/// Chooses the levels of a tile in blocks of the given `sizes`. The coefficients come from `kept`, where they are computed on
+/// first use.
 pub(super) fn choose(
     tile: &TileResidual,
     classes: &[u8],
@@ -327,7 +329,7 @@ impl<'a> Chooser<'a> {
         }
     }
 
-    /// Takes away the levels of a square of one plane.
+    /// Clears the levels of a square in one plane.
     fn clear(&mut self, plane: usize, [x, y]: [usize; 2], size: usize) {
         let n = CELL << size;
         for v in 0..n {
@@ -402,7 +404,7 @@ impl<'a> Chooser<'a> {
     }
 }
 
-/// Tells whether a level is so far from the border of rounding that it stays.
+/// Returns whether a value is so far from the rounding boundary that its level is kept without a try.
 fn is_sure(value: f32, level: u32, care: Care) -> bool {
     match (level, care) {
         (0, _) => true,
@@ -418,7 +420,7 @@ pub(super) fn planes(kind: usize) -> std::ops::Range<usize> {
     [0..1, 1..3, 3..4][kind].clone()
 }
 
-/// The level of a value before bits are thought of.
+/// Returns the level of a value before rate is considered.
 fn rounded(value: f32) -> u32 {
     ((value + 1.0 - DEAD) as u32).clamp(1, MAX_LEVEL)
 }
@@ -475,8 +477,8 @@ impl Trial<'_> {
         Found { count, distortion, cost: distortion + self.lambda * self.price(count) }
     }
 
-    /// Lowers the levels that are surely not worth their last step, by an estimate of what each would save alone; writes to `doubtful` those of
-    /// which it does not tell. Returns false and changes nothing if no level would be left.
+    /// Lowers the levels whose last step clearly costs more bits than it is worth, by an estimate for each level alone, and
+    /// writes the inconclusive ones to `doubtful`. Returns false and changes nothing if no level would remain.
     fn lower(
         &mut self,
         candidates: &[Candidate],
@@ -513,7 +515,7 @@ impl Trial<'_> {
         true
     }
 
-    /// Lowers each level whose last step is not worth its bits, but for those that are sure; returns whether any was.
+    /// Lowers each level whose last step is not worth its bits, except those that are sure. Returns whether any changed.
     fn try_each(&mut self, candidates: &[Candidate], found: &mut Found, is_sure: impl Fn(f32, u32) -> bool) -> bool {
         let mut is_changed = false;
         for c in candidates {

@@ -33,7 +33,7 @@ const BASE_FALL: f64 = 0.37;
 const HASTY_BASE: f64 = 0.5;
 /// Most of the bytes that such a base may take.
 const MOST: f64 = 0.7;
-/// Ratio above which pictures have no layer, where eyes are not favoured or the picture is not looked at.
+/// Ratio above which files have no layer, if the tune is not perceptual or the texture is unknown.
 const RATIO: f64 = 120.0;
 const RATIO_POWER: f64 = 0.85;
 /// Fineness of pictures of so many pixels for which a layer is worth as much at such a ratio as its bytes of Gaussians: at effort 1, whose short fits
@@ -44,13 +44,13 @@ const FINE: [f64; 2] = [0.71, 0.42];
 const FINE_RATIO: f64 = 100.0;
 const FINE_PIXELS: f64 = 262_144.0;
 const FINE_RATIO_POWER: f64 = 2.0 / 3.0;
-/// Up to this one all have one that would without a look.
+/// Up to this ratio, texture does not rule out a layer.
 const ALWAYS_RATIO: f64 = 80.0;
-/// Least share of the Gaussians in a large, busy picture, at a ratio of 100: there a layer is coarse.
+/// Minimum share of the Gaussians in a large, busy picture at a ratio of 100, where the layer is coarse.
 const BUSY_SHARE: f64 = 0.5;
-/// Activities between which pictures become busy.
+/// Activities at which a picture starts to count as busy, and counts in full.
 const BUSY: [f64; 2] = [2.9, 4.1];
-/// Pixels over those of [`PIXELS`], as a logarithm, from which on that holds in full.
+/// Logarithm of the pixels, divided by [`PIXELS`], at which that share applies in full.
 const BUSY_SIZE: f64 = 1.9;
 /// Pixels of the largest pictures whose residual is held as a whole, in some 30 bytes a pixel; that of larger ones is made a part at a
 /// time, and their Gaussians are fitted once.
@@ -120,7 +120,7 @@ impl Encoding<'_> {
         }
     }
 
-    /// The picture's texture, where that says how bytes are divided.
+    /// Returns the texture of the picture if the division of the bytes depends on it.
     fn texture(&self) -> Option<Texture> {
         if self.subject.options.favoured() == Tune::Iq { Texture::of(&self.planes) } else { None }
     }

@@ -8,10 +8,10 @@ use crate::bitstream::detail::scan::SIZES;
 use crate::detail::steps::PlaneSteps;
 use crate::simd::{self, Simd, Task};
 
-/// Coefficients of the largest block.
+/// Number of coefficients of the largest block.
 const LARGEST_BLOCK: usize = (CELL << (SIZES - 1)) * (CELL << (SIZES - 1));
 
-/// Factors that make steps of coefficients, for each class, plane and size; made when they are first asked for.
+/// Factors that convert coefficients to quantizer steps, for each class, plane and block size; computed on first use.
 pub(super) struct Factors {
     head: DetailHead,
     factors: Vec<Vec<f32>>,
@@ -22,7 +22,7 @@ impl Factors {
         Factors { head, factors: vec![Vec::new(); CLASSES * PLANES * SIZES] }
     }
 
-    /// The factors of a block of `plane` in a superblock of `class`, by rows.
+    /// Returns the factors of a block of `plane` in a superblock of `class`, row by row.
     pub fn of(&mut self, class: u8, plane: usize, size: usize) -> &[f32] {
         let factors = &mut self.factors[(usize::from(class) * PLANES + plane) * SIZES + size];
         if factors.is_empty() {
@@ -35,7 +35,7 @@ impl Factors {
     }
 }
 
-/// A block in units of its steps.
+/// The coefficients of one block in units of their steps.
 pub(super) struct Values {
     values: Vec<f32>,
     /// Side of the block.
@@ -53,7 +53,7 @@ impl Default for Values {
 }
 
 impl Values {
-    /// Takes the block at the cell `[x, y]` of a plane; `coefficients` are empty where all are 0.
+    /// Loads the block at the cell `[x, y]` of a plane. Empty `coefficients` stand for zeros.
     pub fn take(&mut self, coefficients: &[f32], [x, y]: [usize; 2], size: usize, factors: &[f32]) {
         (self.side, self.energy, self.largest) = (CELL << size, 0.0, 0.0);
         if !coefficients.is_empty() {
@@ -63,14 +63,14 @@ impl Values {
         }
     }
 
-    /// Calls `look` with column, row and value of each whose magnitude is above `least`.
+    /// Calls `look` with the column, row and value of each coefficient whose magnitude exceeds `least`.
     pub fn above(&self, least: f32, mut look: impl FnMut(usize, usize, f32)) {
         if self.largest <= least {
             return;
         }
         for (v, row) in self.values[..self.side * self.side].chunks_exact(self.side).enumerate() {
             for (u, four) in row.as_chunks::<4>().0.iter().enumerate() {
-                // Most have nothing.
+                // Most groups have no such coefficient.
                 if four.iter().fold(0f32, |most, value| most.max(value.abs())) <= least {
                     continue;
                 }
@@ -96,7 +96,7 @@ impl Task for Scale<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, _: S) -> [f32; 2] {
         let Scale { coefficients, factors, side, values } = self;
-        // Four sums, so that all instruction sets add in one order.
+        // Four partial sums, so that every instruction set adds in the same order.
         let (mut sums, mut largest) = ([0f32; 4], [0f32; 4]);
         for v in 0..side {
             let row = coefficients[v * TILE..][..side].as_chunks::<4>().0;
@@ -114,8 +114,8 @@ impl Task for Scale<'_> {
     }
 }
 
-/// Returns about what a block costs whose coefficients are `coefficients`: of each the squared error without a level, or what a level costs,
-/// whichever is less; in squared steps.
+/// Returns the estimated cost of a block in squared steps: for each coefficient, the smaller of its squared error
+/// without a level and the cost of a level.
 pub(super) fn rough_cost(coefficients: &[f32], [x, y]: [usize; 2], size: usize, factors: &[f32]) -> f32 {
     if coefficients.is_empty() {
         return 0.0;
@@ -123,7 +123,7 @@ pub(super) fn rough_cost(coefficients: &[f32], [x, y]: [usize; 2], size: usize, 
     simd::dispatch(RoughCost { coefficients: &coefficients[y * CELL * TILE + x * CELL..], factors, side: CELL << size })
 }
 
-/// What a level costs in [`rough_cost`], and what each step of its magnitude adds.
+/// Cost of a level in [`rough_cost`], and the additional cost per step of its magnitude, squared steps.
 const LEVEL_COST: f32 = 0.5;
 const STEP_COST: f32 = 0.06;
 
@@ -154,10 +154,10 @@ impl Task for RoughCost<'_> {
     }
 }
 
-/// The tiles of the largest picture whose coefficients are kept between the runs of a search: a megabyte each.
+/// Maximum number of tiles for which a search keeps the coefficients between its runs. Each takes a megabyte.
 pub(super) const KEPT_TILES: usize = 64;
 
-/// The coefficients of a tile in its chosen blocks, once they have been made.
+/// The coefficients of a tile in its chosen blocks, computed on first use.
 pub(super) type Kept = std::sync::OnceLock<Coefficients>;
 
 #[cfg(test)]

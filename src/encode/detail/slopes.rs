@@ -1,21 +1,21 @@
-//! How steps of a layer grow with frequency: faster where the layer is coarse.
+//! How quantizer steps of the layer grow with frequency: faster in coarser layers.
 
 use crate::strict_math::StrictMath;
-/// The head's slopes at one step of a layer.
+/// The slopes at one quantizer step of the layer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Knot {
     /// The layer's step, 1/64 code value.
     pub step: u16,
-    /// Of luma, grey and alpha, and of chroma.
+    /// Slopes of luma, grey and alpha, and of chroma.
     pub slopes: [u8; 2],
 }
 
-/// Slopes for every step: between knots they go with its logarithm.
+/// Slopes for every step, linear in the logarithm of the step between knots.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Slopes(pub &'static [Knot]);
 
 impl Slopes {
-    /// The head's slopes of a layer of such a step.
+    /// Returns the slopes for a layer with this step.
     pub fn at(self, step: u16) -> [u8; 2] {
         let next = self.0.iter().position(|knot| knot.step > step).unwrap_or(self.0.len());
         let [a, b] = [next.max(1) - 1, next.min(self.0.len() - 1)].map(|i| self.0[i]);

@@ -1,27 +1,28 @@
-//! What the pixels of a picture tell of how its bytes are best divided, before anything is fitted.
+//! Measures of texture that decide, before any fit, how the bytes of a file are divided between its layers.
 
 use super::residual::luma_and_chroma;
 use crate::fit::model::target::planes::Planes;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 
-/// Side of the squares that are looked at, pixels.
+/// Side of the squares that are measured, pixels.
 const SQUARE: usize = 8;
-/// Variance of luma, code values², that is as good as none.
+/// Variance of luma that counts as none, code values².
 const FLOOR: f64 = 4.0;
 
 /// How fine and how strong the texture of a picture is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Texture {
-    /// What luma loses at half the size, over what it then loses at a quarter: large where the finest detail is strong. Gaussians of one file
-    /// cannot make such detail, and a layer can.
+    /// Variance of luma that is lost at half the resolution, divided by the further loss at a quarter. It is large if the
+    /// finest detail is strong, which Gaussians represent poorly and a layer well.
     pub fineness: f64,
     /// Mean logarithm of the variance of luma, code values², within squares of 8.
     pub activity: f64,
 }
 
 impl Texture {
-    /// Looks at the whole squares of a picture; `None` where there is none, or nothing is left in them at half the size.
+    /// Measures the whole squares of a picture. Returns `None` if there are none, or if they are constant at half the
+    /// resolution.
     pub fn of(planes: &Planes) -> Option<Texture> {
         let [across, down] = [planes.width, planes.height].map(|side| side as usize / SQUARE);
         let strips = parallel::map(down, |strip| {
@@ -40,7 +41,7 @@ impl Texture {
     }
 }
 
-/// The luma of a row, code values.
+/// Returns the luma of a row, code values.
 fn luma(planes: &Planes, y: usize) -> Vec<f32> {
     let row = planes.row(y as u32);
     let value = |k: usize, x: usize| 255.0 * row[k * planes.stride + x];
@@ -52,7 +53,8 @@ fn luma(planes: &Planes, y: usize) -> Vec<f32> {
     (0..planes.width as usize).map(at).collect()
 }
 
-/// The variance that a square loses when it is halved, a pixel, what it then loses when that is halved, and the logarithm of its variance.
+/// Returns the variance per pixel that a square loses at half the resolution, the further loss at a quarter, and the
+/// logarithm of its variance.
 fn measured(square: impl Fn(usize, usize) -> f32) -> [f64; 3] {
     let mut sums = [0f32; 2];
     let mut squares = 0f32;

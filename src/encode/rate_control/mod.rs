@@ -1,4 +1,4 @@
-//! Rate control: from the target of an encode to the size of its file, the primitives that a fit begins with, and the number of tries.
+//! Rate control: converts the target of an encode to file sizes and initial numbers of primitives.
 
 mod psnr;
 #[cfg(feature = "quality")]
@@ -179,11 +179,11 @@ impl Encoding<'_> {
     }
 }
 
-/// Fewest bytes that a search tries, without those of metadata.
+/// Minimum size that a search tries, bytes without metadata.
 const MIN_TRIED_BYTES: f64 = 64.0;
-/// The most that a search tries, over the raw bytes: noise takes more than these.
+/// Maximum size that a search tries, as a multiple of the raw bytes: noise takes more than the raw bytes.
 const MAX_TRIED: f64 = 2.0;
-/// The same for pictures of a few pixels, bytes.
+/// The maximum for pictures of a few pixels, bytes.
 const MAX_TRIED_BYTES: f64 = 512.0;
 
 /// Returns the smallest and the largest size that a search tries for a picture of `raw` samples: binary logarithms of bytes a

@@ -1,4 +1,4 @@
-//! A file of a PSNR that is asked for: the smallest that the search finds.
+//! Encodes to a PSNR: the smallest file found that reaches it.
 
 use super::search::{Aim, Curve, Search, Try};
 use crate::encode::job::{Encoding, Outcome, decibels};
@@ -19,8 +19,8 @@ const ABOVE: f64 = 0.05;
 /// Ratio of the first try.
 const FIRST_RATIO: f64 = 50.0;
 
-/// What pictures have in common. In small files doubling the bytes wins 2.5 dB, and in large ones each further bit of a sample wins 6:
-/// Kodak has 2.8 dB more at a ratio of 50 than at 100, and 4.7 more at 20.
+/// PSNR of a typical picture, up to a constant. In small files doubling the bytes adds 2.5 dB, in large ones each further
+/// bit per sample adds 6 dB: Kodak gains 2.8 dB from a ratio of 100 to 50, and another 4.7 dB to 20.
 struct Decibels;
 
 impl Decibels {

@@ -1,8 +1,8 @@
-//! The search for the smallest file that reaches a score: a bracket of two file sizes that narrows from try to try.
+//! Bracketed search for the smallest file that reaches a score.
 //!
-//! It knows no pictures: sizes are binary logarithms of bytes per raw byte, and scores are decibels or points, which grow with the
-//! size but for some scatter from fit to fit. So the smallest file that reached the score and the largest below it that did not are
-//! the bracket, whatever other tries say.
+//! Sizes are binary logarithms of bytes per raw byte. Scores are decibels or points; they grow with the size, with some
+//! scatter from fit to fit. The bracket is the smallest file that reached the score and the largest smaller file that did
+//! not.
 
 /// How the score of a typical picture grows with the size of its file.
 pub(super) trait Curve {
@@ -17,35 +17,35 @@ pub(super) trait Curve {
 /// One file that was made.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Try {
-    /// Binary logarithm of its bytes per raw byte, as they were asked for.
+    /// Binary logarithm of the requested bytes per raw byte.
     pub size: f64,
-    /// Its decibels or points.
+    /// Decibels or points of the file.
     pub score: f64,
 }
 
-/// What a search looks for, and within which bounds.
+/// Goal and bounds of a search.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Aim {
-    /// Score that a file must have at least.
+    /// Minimum score of the file.
     pub enough: f64,
     /// Score that tries aim at, at least `enough`.
     pub aim: f64,
     /// Smallest and largest size.
     pub sizes: [f64; 2],
-    /// Most tries. The last ones are for the largest size, if no smaller one was enough.
+    /// Maximum number of tries once a file reached the score.
     pub tries: usize,
 }
 
-/// Tries without a file that is good enough after which the largest is tried.
+/// Number of failed tries after which the largest size is tried.
 const SMALLER: usize = 5;
-/// A bracket of sizes that differ by less than this binary logarithm (1 %) is not narrowed any further.
+/// Width of the bracket at which the search ends, as a binary logarithm: 1 % of the size.
 const NARROW: f64 = 0.014;
-/// Least growth or decrease of a size after the first try, and its factor for each further one that did not find the other side.
+/// Minimum step out of an open bracket after the first try, and its growth with each further try.
 const MIN_STEP: f64 = 0.05;
 const STEP_GROWTH: f64 = 3.0;
-/// Most of that.
+/// Maximum of that step.
 const MAX_STEP: f64 = 4.5;
-/// Share of a bracket that a try stays away from its ends: scores scatter from fit to fit.
+/// Minimum distance of a try from the ends of the bracket, as a share of its width, because scores scatter.
 const INSIDE: f64 = 0.1;
 
 /// A search on its way.
@@ -60,12 +60,12 @@ impl<C: Curve> Search<C> {
         Search { curve, aim, tries: Vec::new() }
     }
 
-    /// Notes the score of a file of this size.
+    /// Records the score of a file of this size.
     pub(super) fn note(&mut self, size: f64, score: f64) {
         self.tries.push(Try { size, score });
     }
 
-    /// Returns the size to try next; `None` if no other one can be better, or the tries are used up.
+    /// Returns the size to try next, or `None` if the search is over.
     pub(super) fn next(&self) -> Option<f64> {
         let [smallest, largest] = self.aim.sizes;
         let inside = |size: f64| Some(size.clamp(smallest, largest));
@@ -75,7 +75,7 @@ impl<C: Curve> Search<C> {
             (Some(low), None) if low.size >= largest => None,
             (Some(_), None) if self.tries.len() >= SMALLER => Some(largest),
             (Some(low), None) => inside(low.size + self.step(self.curve.beyond(low, self.aim.aim) - low.size)),
-            // Whatever else was found, the file is good enough.
+            // One file is good enough, and the tries are used up.
             (_, Some(_)) if self.tries.len() >= self.aim.tries => None,
             (None, Some(high)) if high.size <= smallest => None,
             (None, Some(high)) => inside(high.size - self.step(high.size - self.curve.beyond(high, self.aim.aim))),
@@ -87,13 +87,13 @@ impl<C: Curve> Search<C> {
         }
     }
 
-    /// Returns how far to go from a try to the other side, where the curve says `expected`.
+    /// Returns the step out of an open bracket for an `expected` step of the curve.
     fn step(&self, expected: f64) -> f64 {
         let least = MIN_STEP * STEP_GROWTH.powi(self.tries.len() as i32 - 1);
         if expected.is_finite() { expected.clamp(least, MAX_STEP) } else { least }
     }
 
-    /// Returns the largest size that was not enough, below the smallest that was.
+    /// Returns the largest try that failed below the smallest that succeeded, and the latter.
     fn bracket(&self) -> (Option<Try>, Option<Try>) {
         let by_size = |a: &&Try, b: &&Try| a.size.total_cmp(&b.size);
         let high = self.tries.iter().filter(|t| t.score >= self.aim.enough).min_by(by_size).copied();
