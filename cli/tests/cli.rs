@@ -1,36 +1,19 @@
 //! What the command line promises: results, exit statuses, messages, and no half-written files.
 
+mod folder;
+
 use std::ffi::OsStr;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
+use folder::Folder;
 use image::{DynamicImage, ImageDecoder, ImageEncoder, ImageReader};
-use tempfile::TempDir;
 
 const PHOTO: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/images/kodim05.png");
 
-/// A folder for one test.
-struct Folder(TempDir);
-
 impl Folder {
-    fn new() -> Self {
-        Folder(tempfile::tempdir().unwrap())
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    /// Names of all files, hidden ones too.
-    fn names(&self) -> Vec<String> {
-        let mut names: Vec<String> =
-            fs::read_dir(self.0.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        names
-    }
-
     /// A small picture of ramps as `name`.
     fn picture(&self, name: &str) -> PathBuf {
         let path = self.path(name);
@@ -522,7 +505,7 @@ fn the_input_is_never_overwritten() {
     let folder = Folder::new();
     let picture = folder.picture("a.png");
     let before = fs::read(&picture).unwrap();
-    let roundabout = folder.0.path().join(".").join("a.png");
+    let roundabout = folder.root().join(".").join("a.png");
     fails(ssplat(&[&"encode", &picture, &roundabout, &"--effort", &"1", &"--force"]), 2, "is the input");
     let file = folder.encoded("a.ssplat");
     fails(ssplat(&[&"encode", &file, &file, &"--effort", &"1"]), 2, "is the input");

@@ -1,16 +1,18 @@
 //! The door for input pictures: bounded memory whatever a file says, broken files that stop nothing else, and inputs that cannot seek.
 #![cfg(unix)]
 
+mod folder;
+
 use std::ffi::OsStr;
 use std::fs;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::sync::mpsc;
 use std::time::Duration;
 
+use folder::Folder;
 use nix::sys::resource::{Resource, setrlimit};
-use tempfile::TempDir;
 
 /// Address space that the program gets: less than the 8 GiB that a picture may ask for, so that memory which is asked for and never
 /// touched is noticed, too.
@@ -18,24 +20,6 @@ const ADDRESS_SPACE: u64 = 6_000_000_000;
 
 /// Waiting for longer than this is hanging.
 const PATIENCE: Duration = Duration::from_secs(60);
-
-struct Folder(TempDir);
-
-impl Folder {
-    fn new() -> Self {
-        Folder(tempfile::tempdir().unwrap())
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    fn file(&self, name: &str, bytes: &[u8]) -> PathBuf {
-        let path = self.path(name);
-        fs::write(&path, bytes).unwrap();
-        path
-    }
-}
 
 /// The program in a bounded address space.
 fn ssplat<S: AsRef<OsStr>>(args: &[S]) -> Output {

@@ -1,28 +1,16 @@
 //! What the program says of its inputs and takes from them: colours, further pictures, growth, and text of strangers.
 
+mod folder;
+
 use std::ffi::OsStr;
 use std::fs;
 use std::io::Cursor;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
 
+use folder::Folder;
 use image::{DynamicImage, ImageEncoder, ImageFormat, RgbImage};
 use ssplat::unstable::colour::is_srgb;
-use tempfile::TempDir;
-
-struct Folder(TempDir);
-
-impl Folder {
-    fn new() -> Self {
-        Folder(tempfile::tempdir().unwrap())
-    }
-
-    fn file(&self, name: &str, bytes: &[u8]) -> PathBuf {
-        let path = self.0.path().join(name);
-        fs::write(&path, bytes).unwrap();
-        path
-    }
-}
 
 fn ssplat<S: AsRef<OsStr>>(args: &[S]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_ssplat")).args(args.iter().map(AsRef::as_ref)).output().unwrap()
@@ -64,7 +52,7 @@ fn checksum(bytes: &[u8]) -> u32 {
 
 /// Encodes `input` in a second at most; the profile in the file, and what was said.
 fn profile_of(folder: &Folder, input: &Path, more: &[&str]) -> (Option<Vec<u8>>, String) {
-    let out = folder.0.path().join("o.ssplat");
+    let out = folder.root().join("o.ssplat");
     let args = [input.to_str().unwrap(), out.to_str().unwrap(), "--effort", "1", "--bytes", "2000"];
     let found = ssplat(&[&["encode"][..], &args, more].concat());
     assert!(found.status.success(), "{}", said(&found));
@@ -95,10 +83,10 @@ fn colours_that_a_png_states_become_a_profile_unless_they_are_srgb() {
         let icc = icc.unwrap_or_else(|| panic!("{chunks:?}: {said}"));
         assert!(!is_srgb(&icc) && icc.len() < 900, "{chunks:?}: {}", icc.len());
         // Read in parts, and by the library.
-        let (tiled, _) = profile_of(&folder, &folder.0.path().join("a.png"), &["--tiles=128"]);
+        let (tiled, _) = profile_of(&folder, &folder.root().join("a.png"), &["--tiles=128"]);
         assert!(tiled.as_ref() == Some(&icc));
-        let out = folder.0.path().join("t.ssplat");
-        ssplat::Encoder::new().effort(1).bytes(2000).transcode(folder.0.path().join("a.png"), &out).unwrap();
+        let out = folder.root().join("t.ssplat");
+        ssplat::Encoder::new().effort(1).bytes(2000).transcode(folder.root().join("a.png"), &out).unwrap();
         let bytes = fs::read(out).unwrap();
         let reader = ssplat::Reader::new(&bytes, &ssplat::Limits::default()).unwrap();
         assert!(reader.read(ssplat::Damage::Refuse).unwrap().metadata().icc.as_ref() == Some(&icc));
@@ -153,7 +141,7 @@ fn a_file_larger_than_its_input_is_told() {
     let png = png.into_inner();
     assert!(png.len() < 400);
     let input = folder.file("a.png", &png);
-    let out = folder.0.path().join("o.ssplat");
+    let out = folder.root().join("o.ssplat");
     let encode = |primitives: &str| {
         let args =
             ["encode", input.to_str().unwrap(), out.to_str().unwrap(), "--effort", "1", "--primitives", primitives];
@@ -168,7 +156,7 @@ fn an_opaque_gif_becomes_rgb_and_one_with_clear_pixels_does_not() {
     let folder = Folder::new();
     let gif = folder.file("a.gif", &encoded(ImageFormat::Gif));
     let channels = |input: &Path| {
-        let out = folder.0.path().join("o.ssplat");
+        let out = folder.root().join("o.ssplat");
         let args = ["encode", input.to_str().unwrap(), out.to_str().unwrap(), "--effort", "1", "--bytes", "300"];
         assert!(ssplat(&args).status.success());
         let bytes = fs::read(&out).unwrap();
@@ -217,13 +205,13 @@ fn the_thumbnail_of_a_raw_file_is_not_taken_for_the_picture() {
 #[test]
 fn the_exif_note_is_told_once_a_folder() {
     let folder = Folder::new();
-    let inside = folder.0.path().join("in");
+    let inside = folder.root().join("in");
     fs::create_dir(&inside).unwrap();
     for name in ["a.png", "b.png", "c.png"] {
         fs::write(inside.join(name), png_with(&[(b"eXIf", &[&b"II*\0\x08\0\0\0\0\0\0\0\0\0"[..], &[0; 90]].concat())]))
             .unwrap();
     }
-    let out = folder.0.path().join("out");
+    let out = folder.root().join("out");
     let args =
         ["encode", inside.to_str().unwrap(), "--out-dir", out.to_str().unwrap(), "--effort", "1", "--bytes", "300"];
     let found = ssplat(&args);
@@ -263,10 +251,10 @@ fn control_characters_of_names_and_profiles_are_shown_escaped() {
     encoder.set_icc_profile(profile).unwrap();
     encoder.write_image(picture().as_raw(), 64, 40, image::ExtendedColorType::Rgb8).unwrap();
     let input = folder.file("\x1b]0;owned\x07.png", &png);
-    let out = folder.0.path().join("\x1b[31m.ssplat");
+    let out = folder.root().join("\x1b[31m.ssplat");
     let args = ["encode", input.to_str().unwrap(), out.to_str().unwrap(), "--effort", "1", "--bytes", "300"];
     for found in
-        [ssplat(&args), ssplat(&["compare", out.to_str().unwrap(), folder.0.path().join("\x1bno").to_str().unwrap()])]
+        [ssplat(&args), ssplat(&["compare", out.to_str().unwrap(), folder.root().join("\x1bno").to_str().unwrap()])]
     {
         let all = [found.stdout, found.stderr].concat();
         let all = String::from_utf8_lossy(&all);
