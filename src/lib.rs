@@ -132,7 +132,7 @@ assert_eq!(picture.width(), 8);
 //! ```
 //!
 //! Damaged and truncated files are refused by default. With [`Damage::Accept`], the intact parts of large files are
-//! decoded, and [`Missing`] counts the others. Decode untrusted files on the CPU.
+//! decoded, and [`MissingParts`] counts the others. Decode untrusted files on the CPU.
 //!
 //! # The GPU
 //!
@@ -230,7 +230,7 @@ mod target;
 #[cfg(any(test, feature = "unstable"))]
 pub mod unstable;
 
-pub use bitstream::Missing;
+pub use bitstream::MissingParts;
 pub use bitstream::splats::{Layout, Metadata};
 pub use decode::{Decoded, Decoder, Image, Reader};
 #[cfg(feature = "encode")]
@@ -247,7 +247,7 @@ pub use limits::Limits;
 #[cfg(feature = "smartsplat")]
 pub use options::{Ablation, Recipe};
 #[cfg(feature = "encode")]
-pub use options::{Backend, Carry, Detail, HiddenColors, Thumbnail, Tune};
+pub use options::{Backend, Detail, HiddenColors, MetadataPolicy, Thumbnail, Tune};
 pub use options::{Damage, Layers};
 #[cfg(feature = "encode")]
 pub use pixel_source::PixelSource;
@@ -258,5 +258,5 @@ pub use target::Target;
 #[cfg(feature = "encode")]
 /// Types of the account that an encode gives beside its bytes.
 pub mod report {
-    pub use crate::encode::{Chosen, LeftOut, Omission, StageTime};
+    pub use crate::encode::{Chosen, SkipReason, Skipped, StageTime};
 }

@@ -8,7 +8,7 @@ use crate::pixels::{Pixels, Samples};
 use crate::strict_math::StrictMath;
 
 /// Smallest side of a picture that can be measured, pixels.
-pub(crate) const LEAST: u32 = 8;
+pub(crate) const MIN_SIDE: u32 = 8;
 /// Number of pixels above which the measure is computed in strips. This takes less memory and changes the last digits
 /// of the score.
 const STRIPED_PIXELS: u64 = 1 << 22;
@@ -25,7 +25,7 @@ const STRIP_ROWS: usize = 256;
 pub fn ssimulacra2(reference: &Pixels, test: &Pixels) -> Result<Option<f64>> {
     crate::metrics::check_alike(reference, test)?;
     let size = [reference.width(), reference.height()];
-    if size[0].min(size[1]) < LEAST {
+    if size[0].min(size[1]) < MIN_SIDE {
         return Ok(None);
     }
     let backgrounds = if reference.channels().alpha().is_some() { &BACKGROUNDS[..] } else { &BACKGROUNDS[..1] };

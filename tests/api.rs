@@ -103,7 +103,7 @@ fn public_types_can_be_sent_to_and_shared_between_threads() {
         ssplat::Progress,
         ssplat::Decoded,
         ssplat::Metadata,
-        ssplat::Missing,
+        ssplat::MissingParts,
     )>();
     check::<(Error, ssplat::FormatError, ssplat::GpuError)>();
     check::<(Pixels, Samples, ssplat::Picture, ssplat::Gaussian, Limits, ssplat::Target)>();

@@ -8,7 +8,7 @@ mod synthetic;
 use seal::layer;
 use ssplat::View;
 use ssplat::unstable::bitstream::splats::PackedSplats;
-use ssplat::unstable::bitstream::{DetailHead, Missing, inspect, read, read_partial, to_bytes};
+use ssplat::unstable::bitstream::{DetailHead, MissingParts, inspect, read, read_partial, to_bytes};
 use ssplat::unstable::{DecodeOptions, decode};
 use ssplat::{Channels, Damage, Depth, Error, Image, Layers, Limits, Pixels, Reader, Samples};
 use synthetic::{Levels, Scene, scene, with_layer};
@@ -166,7 +166,7 @@ fn every_cut_leaves_the_tiles_that_are_there() {
         let lost = if end < index { 3 } else { ends.iter().filter(|&&e| e > end).count() as u32 };
         assert_eq!((missing.tiles, missing.of_tiles, missing.primitives), (lost, 3, 0), "cut at {end}");
         assert_eq!(part.gaussians, whole.gaussians);
-        assert_ne!(missing, Missing::default());
+        assert_ne!(missing, MissingParts::default());
         if ends.contains(&end) || end == at.payload.end {
             // Missing tiles show only the Gaussians; the others show the picture.
             let drawn = part.renderer(&view, &Limits::default()).unwrap().render(Depth::Eight).unwrap();
@@ -215,7 +215,7 @@ fn every_flipped_bit_costs_a_tile_at_most() {
 fn the_gaussians_of_a_whole_file_are_read_with_nothing_missing() {
     let bytes = small();
     let opening = Reader::new(&bytes, &Limits::default()).unwrap().showing(Layers::Gaussians);
-    assert_eq!(opening.read(Damage::Accept).unwrap().missing(), Missing::default());
+    assert_eq!(opening.read(Damage::Accept).unwrap().missing(), MissingParts::default());
 }
 
 #[test]

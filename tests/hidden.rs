@@ -1,7 +1,7 @@
 //! Colours under alpha 0 cost no bytes and leave no fringes, unless the caller keeps them.
 #![cfg(feature = "unstable")]
 
-use ssplat::report::Omission;
+use ssplat::report::SkipReason;
 use ssplat::{Channels, Decoder, Encoder, HiddenColors, Pixels, Samples};
 
 /// A red disc with a white bar and soft edges on a transparent background, with the hidden colours `hidden`.
@@ -44,7 +44,7 @@ fn hidden_colors_change_no_byte_and_leave_no_fringes() {
     for other in &logos[1..] {
         assert!(encoder.encode(other).unwrap().bytes == encoded.bytes);
     }
-    assert!(encoded.report.left_out.iter().any(|l| l.what == Omission::HiddenColors));
+    assert!(encoded.report.skipped.iter().any(|l| l.what == SkipReason::HiddenColors));
     let decoded = Decoder::new().decode(&encoded.bytes).unwrap().pixels;
     // 52 dB when this was written; with hidden colours in the fit 38 to 42.
     for ground in [0.0, 255.0] {

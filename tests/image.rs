@@ -8,7 +8,9 @@ use image::{ColorType, DynamicImage, ExtendedColorType, ImageDecoder, ImageEncod
 use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
 use ssplat::unstable::quantize::Quantizer;
-use ssplat::{Blend, Carry, Channels, Depth, Error, Gaussian, Limits, Pixels, SsplatDecoder, SsplatEncoder, Target};
+use ssplat::{
+    Blend, Channels, Depth, Error, Gaussian, Limits, MetadataPolicy, Pixels, SsplatDecoder, SsplatEncoder, Target,
+};
 use ssplat::{Renderer, View};
 
 const WIDTH: u32 = 83;
@@ -414,14 +416,14 @@ fn transcode_keeps_profile_and_orientation_and_not_the_camera_s_notes() {
     ssplat::unstable::transcode(&output, &again, &roomy()).unwrap();
     assert_eq!(carried(&again), (500, 26, Rotate90));
     let mut options = roomy();
-    for (carry, expected) in [
-        (Carry::All, (500, 20_000 + metadata().exif.unwrap().len(), Rotate90)),
-        (Carry::Icc, (500, 0, NoTransforms)),
-        (Carry::None, (0, 0, NoTransforms)),
+    for (policy, expected) in [
+        (MetadataPolicy::All, (500, 20_000 + metadata().exif.unwrap().len(), Rotate90)),
+        (MetadataPolicy::Icc, (500, 0, NoTransforms)),
+        (MetadataPolicy::None, (0, 0, NoTransforms)),
     ] {
-        options.carry = carry;
+        options.metadata = policy;
         ssplat::unstable::transcode(&input, &output, &options).unwrap();
-        assert_eq!(carried(&output), expected, "{carry:?}");
+        assert_eq!(carried(&output), expected, "{policy:?}");
     }
     // Metadata of the caller are kept.
     options.icc = Some(vec![1; 10]);

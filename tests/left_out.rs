@@ -2,7 +2,7 @@
 //! data.
 #![cfg(feature = "unstable")]
 
-use ssplat::report::Omission;
+use ssplat::report::SkipReason;
 use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::Needs;
 use ssplat::unstable::bitstream;
@@ -37,7 +37,7 @@ fn opaque_and_grey_pictures_come_back_opaque_grey_and_in_their_own_channels() {
         options.blend = Some(blend);
         let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
         assert!(encoded.bytes.len() <= 200, "{}", encoded.bytes.len());
-        assert_eq!(encoded.report.left_out.first().map(|l| &l.what), Some(&Omission::ColorAndAlpha));
+        assert_eq!(encoded.report.skipped.first().map(|l| &l.what), Some(&SkipReason::ColorAndAlpha));
         let back = decoded(&encoded.bytes);
         assert_eq!(back.channels(), Channels::Rgba);
         let Samples::U8(v) = back.samples() else { panic!("8 bits") };
@@ -73,8 +73,8 @@ fn a_soft_picture_stops_early_loses_needless_primitives_and_stays_within_roundin
     let report = &encoded.report;
     assert!(report.primitives < 300, "{}", report.primitives);
     assert!(encoded.bytes.len() < everything.bytes.len());
-    let [iterations, primitives] = [Omission::Iterations, Omission::Primitives]
-        .map(|what| report.left_out.iter().find(|l| l.what == what).unwrap_or_else(|| panic!("{what}: {report:?}")));
+    let [iterations, primitives] = [SkipReason::Iterations, SkipReason::Primitives]
+        .map(|what| report.skipped.iter().find(|l| l.what == what).unwrap_or_else(|| panic!("{what}: {report:?}")));
     assert!(iterations.seconds > 0.0 && primitives.bytes > 0);
     // 55.9 dB is the error of rounding twice.
     assert!(report.psnr > 55.9, "{}", report.psnr);
@@ -98,8 +98,8 @@ fn a_target_in_decibels_is_met_with_no_more_primitives_than_it_takes() {
     }
 }
 
-fn left_out(pixels: &Pixels, options: &EncodeOptions) -> Vec<Omission> {
-    ssplat::unstable::encode(pixels, options).unwrap().report.left_out.into_iter().map(|l| l.what).collect()
+fn left_out(pixels: &Pixels, options: &EncodeOptions) -> Vec<SkipReason> {
+    ssplat::unstable::encode(pixels, options).unwrap().report.skipped.into_iter().map(|l| l.what).collect()
 }
 
 #[test]
@@ -116,7 +116,7 @@ fn ssim_terms_are_left_out_where_they_would_weigh_nothing() {
         [(&even, &psnr, false), (&even, &ssim, true), (&even, &everything, false), (&rough, &ssim, false)]
     {
         let found = left_out(pixels, options);
-        assert_eq!(found.contains(&Omission::StructureWeights), is_left_out, "{found:?}");
+        assert_eq!(found.contains(&SkipReason::StructureWeights), is_left_out, "{found:?}");
     }
     let bytes = |options| ssplat::unstable::encode(&even, options).unwrap().bytes;
     assert_eq!(bytes(&psnr), bytes(&ssim));
@@ -127,7 +127,7 @@ fn a_gpu_that_was_free_to_be_taken_and_was_not_is_left_out_and_the_reason_is_tol
     let gpu = |pixels: &Pixels, backend| {
         let mut options = options(1, Target::Primitives(3));
         options.backend = backend;
-        left_out(pixels, &options).into_iter().find(|w| matches!(w, Omission::Gpu { .. })).map(|w| w.to_string())
+        left_out(pixels, &options).into_iter().find(|w| matches!(w, SkipReason::Gpu { .. })).map(|w| w.to_string())
     };
     let small = wave(Channels::Grey, |x, y, _| (x + y) as u8);
     let why = gpu(&small, Backend::Auto);
@@ -149,6 +149,6 @@ fn the_seconds_that_drafts_save_are_fewer_than_those_that_the_fit_took_times_its
     // With few primitives, four starts take more steps than the schedule of one fit.
     let pixels = wave(Channels::Grey, |x, y, _| (100 + (x + y) / 2) as u8);
     let encoded = ssplat::unstable::encode(&pixels, &options(5, Target::Primitives(40))).unwrap();
-    let saved = encoded.report.left_out.iter().find(|l| l.what == Omission::Iterations).expect("it is soft").seconds;
+    let saved = encoded.report.skipped.iter().find(|l| l.what == SkipReason::Iterations).expect("it is soft").seconds;
     assert!((0.0..1000.0).contains(&saved), "{saved} s");
 }

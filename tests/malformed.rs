@@ -13,7 +13,7 @@ use seal::mutations::mutations;
 use seal::seal;
 use ssplat::View;
 use ssplat::unstable::bitstream::splats::Layout;
-use ssplat::unstable::bitstream::{Missing, inspect, read, read_partial, to_bytes};
+use ssplat::unstable::bitstream::{MissingParts, inspect, read, read_partial, to_bytes};
 use ssplat::{Error, Limits};
 
 /// Number of times that each outcome occurred.
@@ -165,7 +165,7 @@ fn partial_reading_shows_the_intact_groups_and_counts_the_rest() {
                     let lost = whole.gaussians.len() - part.gaussians.len();
                     assert_eq!(missing.primitives as usize, lost, "{name} with bit {bit} flipped");
                     assert!(part.gaussians.iter().all(|p| whole.gaussians.contains(p)));
-                    if missing == Missing::default() { "whole" } else { "part" }
+                    if missing == MissingParts::default() { "whole" } else { "part" }
                 }
                 Err(e) => {
                     // Only damage to the header, the heads of sections and the directory can hide groups.

@@ -6,7 +6,7 @@ mod waves;
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
 
-use ssplat::report::Omission;
+use ssplat::report::SkipReason;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
 use ssplat::unstable::{Needs, Recipe, Trace};
@@ -186,7 +186,7 @@ fn channels_that_say_nothing_are_left_out_of_tiles() {
     let mut options = options(Target::Bytes(2000), Some(128));
     let alone = ssplat::unstable::encode(&grey, &options).unwrap();
     let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
-    assert_eq!(encoded.report.left_out.iter().map(|l| &l.what).collect::<Vec<_>>(), [&Omission::ColorAndAlpha]);
+    assert_eq!(encoded.report.skipped.iter().map(|l| &l.what).collect::<Vec<_>>(), [&SkipReason::ColorAndAlpha]);
     assert!((1940..=2000).contains(&encoded.bytes.len()), "{}", encoded.bytes.len());
     let decoded = ssplat::unstable::decode(&encoded.bytes, &DecodeOptions::default()).unwrap().pixels;
     let Samples::U8(samples) = decoded.samples() else { panic!("8 bits") };
@@ -198,7 +198,7 @@ fn channels_that_say_nothing_are_left_out_of_tiles() {
     let there = encode_by(&pixels, &options, &mut Elsewhere::new(2, &|_, answer| answer)).unwrap();
     assert!(there == encoded.bytes);
     options.needs = Needs::Everything;
-    assert!(ssplat::unstable::encode(&pixels, &options).unwrap().report.left_out.is_empty());
+    assert!(ssplat::unstable::encode(&pixels, &options).unwrap().report.skipped.is_empty());
 }
 
 #[test]
@@ -218,7 +218,7 @@ fn a_picture_of_one_colour_takes_as_few_bytes_in_tiles_as_without() {
         let [whole, tiles] =
             [None, Some(128)].map(|tiles| ssplat::unstable::encode(&pixels, &options(Target::Auto, tiles)).unwrap());
         assert!(whole.bytes == tiles.bytes, "{channels:?}: {} and {}", whole.bytes.len(), tiles.bytes.len());
-        assert!(tiles.report.psnr > 70.0 && tiles.report.left_out.iter().any(|l| l.what == Omission::Fit));
+        assert!(tiles.report.psnr > 70.0 && tiles.report.skipped.iter().any(|l| l.what == SkipReason::Fit));
         assert!(
             ssplat::unstable::decode(&tiles.bytes, &DecodeOptions::default()).unwrap().pixels == pixels,
             "{channels:?}"
@@ -228,7 +228,7 @@ fn a_picture_of_one_colour_takes_as_few_bytes_in_tiles_as_without() {
         *samples.last_mut().unwrap() ^= 64;
         let pixels = Pixels::new(300, 140, channels, Samples::U8(samples)).unwrap();
         let spotted = ssplat::unstable::encode(&pixels, &options(Target::Bytes(300), Some(128))).unwrap();
-        assert!(spotted.report.left_out.iter().all(|l| l.what != Omission::Fit), "{channels:?}");
+        assert!(spotted.report.skipped.iter().all(|l| l.what != SkipReason::Fit), "{channels:?}");
     }
 }
 

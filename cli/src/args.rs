@@ -8,7 +8,7 @@ use clap::{Args as ClapArgs, Parser, Subcommand};
 use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::Recipe;
 use ssplat::unstable::bitstream::splats::Layout;
-use ssplat::{Backend, Blend, Carry, Detail, HiddenColors, Layers, Target, Thumbnail, Tune};
+use ssplat::{Backend, Blend, Detail, HiddenColors, Layers, MetadataPolicy, Target, Thumbnail, Tune};
 
 use crate::exchange::format::{ExportFormat, ImportFormat};
 use crate::exchange::{csv, foreign};
@@ -112,7 +112,7 @@ pub struct Encode {
     /// Choose which of the input's metadata the file carries, within its size: needed (ICC profile and orientation),
     /// all (the whole EXIF block too, with time and place), icc, or none
     #[arg(help_heading = "What the file has, and how it is made", long, value_name = "WHICH", default_value = "needed", hide_possible_values = true, value_parser = names::carry())]
-    pub metadata: Carry,
+    pub metadata: MetadataPolicy,
     /// Write the file even under the extension of another format
     #[arg(long)]
     pub force: bool,
@@ -270,7 +270,7 @@ impl Encode {
         o.hidden = if self.keep_hidden { HiddenColors::Keep } else { HiddenColors::Continue };
         o.thumbnail = self.thumbnail;
         o.backend = self.backend;
-        o.carry = self.metadata;
+        o.metadata = self.metadata;
         o
     }
 }

@@ -18,7 +18,7 @@ use crate::sink::{say, tell};
 use crate::{carried, guard};
 
 /// Pixels up to which a picture is small: it is worked on with one thread, beside others.
-const SMALL: u64 = 1 << 22;
+const MAX_SMALL_PIXELS: u64 = 1 << 22;
 
 /// Result of the work on one file.
 pub struct Done {
@@ -50,27 +50,33 @@ pub struct Command<'a> {
 
 /// Kind of output that is printed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Voice {
+pub enum OutputMode {
     Text,
     Json,
     Quiet,
 }
 
-impl Voice {
-    pub fn new(json: bool, quiet: bool) -> Voice {
+impl OutputMode {
+    pub fn new(json: bool, quiet: bool) -> OutputMode {
         match (json, quiet) {
-            (true, _) => Voice::Json,
-            (_, true) => Voice::Quiet,
-            _ => Voice::Text,
+            (true, _) => OutputMode::Json,
+            (_, true) => OutputMode::Quiet,
+            _ => OutputMode::Text,
         }
     }
 }
 
 /// Works on all inputs. What fails is told, and does not stop the others.
-pub fn run(inputs: &[PathBuf], folder: &Path, many: &Many, voice: Voice, command: &Command) -> Result<(), Failure> {
+pub fn run(
+    inputs: &[PathBuf],
+    folder: &Path,
+    many: &Many,
+    output_mode: OutputMode,
+    command: &Command,
+) -> Result<(), Failure> {
     let rules = Rules { takes: command.takes, extension: command.extension, is_recursive: many.recursive };
     let Found { tasks, notes } = inputs::find(inputs, folder, &rules)?;
-    if voice != Voice::Quiet {
+    if output_mode != OutputMode::Quiet {
         notes.iter().for_each(|note| tell(note));
     }
     // That there can be no outputs at all is told once.
@@ -78,17 +84,17 @@ pub fn run(inputs: &[PathBuf], folder: &Path, many: &Many, voice: Voice, command
     let manifest = many.manifest.as_deref().map(Manifest::open).transpose()?;
     let all = tasks.len();
     let waiting = tasks.into_iter().filter(|t| many.existing() != Existing::Skip || !t.output.exists());
-    let (small, large): (Vec<Task>, Vec<Task>) = waiting.partition(|t| (command.pixels)(&t.input) <= SMALL);
+    let (small, large): (Vec<Task>, Vec<Task>) = waiting.partition(|t| (command.pixels)(&t.input) <= MAX_SMALL_PIXELS);
     let threads = rayon::current_num_threads();
     let jobs = many.jobs.map_or(threads, |n| n.get().min(crate::most_threads())).min(small.len()).max(1);
     let total = small.len() + large.len();
-    let bar = Bar::of(voice);
-    let shift = Shift { command, many, voice, manifest, total, board: Mutex::default(), bar };
+    let bar = Bar::of(output_mode);
+    let run_state = BatchRun { command, many, output_mode, manifest, total, state: Mutex::default(), bar };
     let next = AtomicUsize::new(0);
     let of_small = || {
         let work = || {
             while let Some(task) = small.get(next.fetch_add(1, Ordering::Relaxed)) {
-                shift.work(task);
+                run_state.work(task);
             }
         };
         match rayon::ThreadPoolBuilder::new().num_threads((threads / jobs).max(1)).build() {
@@ -97,40 +103,40 @@ pub fn run(inputs: &[PathBuf], folder: &Path, many: &Many, voice: Voice, command
         }
     };
     std::thread::scope(|scope| (0..jobs).for_each(|_| drop(scope.spawn(of_small))));
-    large.iter().for_each(|task| shift.work(task));
-    drop(shift.bar);
-    let board = shift.board.into_inner().unwrap_or_else(|e| e.into_inner());
-    if board.exif_left_out > 0 {
-        tell(&carried::exif_of_files(board.exif_left_out));
+    large.iter().for_each(|task| run_state.work(task));
+    drop(run_state.bar);
+    let state = run_state.state.into_inner().unwrap_or_else(|e| e.into_inner());
+    if state.exif_left_out > 0 {
+        tell(&carried::exif_of_files(state.exif_left_out));
     }
-    if voice == Voice::Text {
-        let (done, failed) = (board.finished - board.failed.len(), board.failed.len());
+    if output_mode == OutputMode::Text {
+        let (done, failed) = (state.finished - state.failed.len(), state.failed.len());
         say(&format!("{done} files done, {} skipped, {failed} failed\n", all - total))?;
     }
-    match board.failed[..] {
+    match state.failed[..] {
         [] => Ok(()),
         [first, ..] => {
             // Failures of several kinds have no status of their own.
-            let kind = if board.failed.iter().all(|&k| k == first) { first } else { Kind::Other };
-            Err(Failure { kind, message: format!("{} of {all} files failed", board.failed.len()) })
+            let kind = if state.failed.iter().all(|&k| k == first) { first } else { Kind::Other };
+            Err(Failure { kind, message: format!("{} of {all} files failed", state.failed.len()) })
         }
     }
 }
 
 /// State shared by all threads of a batch.
-struct Shift<'a> {
+struct BatchRun<'a> {
     command: &'a Command<'a>,
     many: &'a Many,
-    voice: Voice,
+    output_mode: OutputMode,
     manifest: Option<Manifest>,
     total: usize,
-    board: Mutex<Board>,
+    state: Mutex<BatchState>,
     bar: Bar,
 }
 
 /// State of the files of a batch.
 #[derive(Default)]
-struct Board {
+struct BatchState {
     finished: usize,
     failed: Vec<Kind>,
     /// Files whose EXIF blocks are left out.
@@ -139,7 +145,7 @@ struct Board {
     busy: HashMap<PathBuf, (Option<Instant>, f32)>,
 }
 
-impl Shift<'_> {
+impl BatchRun<'_> {
     fn work(&self, task: &Task) {
         let start = Instant::now();
         self.post(&task.input, start, 0.0);
@@ -153,28 +159,28 @@ impl Shift<'_> {
             Err(failure) => json!({ "input": input, "output": output, "error": failure.message }),
         };
         let written = self.manifest.as_ref().map_or(Ok(()), |m| m.add(&entry));
-        let mut board = self.board.lock().unwrap_or_else(|e| e.into_inner());
-        board.busy.remove(&task.input);
-        board.finished += 1;
+        let mut state = self.state.lock().unwrap_or_else(|e| e.into_inner());
+        state.busy.remove(&task.input);
+        state.finished += 1;
         let outcome = outcome.and_then(|done| written.map(|()| done));
         self.bar.aside(|| match &outcome {
             Ok(done) => {
-                if self.voice != Voice::Quiet {
+                if self.output_mode != OutputMode::Quiet {
                     let (common, own): (Vec<&String>, _) =
                         done.notes.iter().partition(|note| carried::is_of_exif(note));
-                    board.exif_left_out += common.len();
+                    state.exif_left_out += common.len();
                     own.iter().for_each(|note| tell(&format!("{input}: {note}")));
                 }
                 // A reader who has gone away does not stop the work.
-                let _ = match self.voice {
-                    Voice::Text => say(&done.text),
-                    Voice::Json => say(&format!("{entry}\n")),
-                    Voice::Quiet => Ok(()),
+                let _ = match self.output_mode {
+                    OutputMode::Text => say(&done.text),
+                    OutputMode::Json => say(&format!("{entry}\n")),
+                    OutputMode::Quiet => Ok(()),
                 };
             }
             Err(failure) => tell(&failure.message),
         });
-        board.failed.extend(outcome.err().map(|f| f.kind));
+        state.failed.extend(outcome.err().map(|f| f.kind));
     }
 
     /// Checks that the output may be written, and makes its folder.
@@ -189,13 +195,13 @@ impl Shift<'_> {
 
     /// Shows how far all are, and what has been worked on for longest.
     fn post(&self, path: &Path, start: Instant, share: f32) {
-        let mut board = self.board.lock().unwrap_or_else(|e| e.into_inner());
-        board.busy.insert(path.to_path_buf(), (Some(start), share));
-        let sum: f32 = board.busy.values().map(|b| b.1).sum();
-        let slowest = board.busy.iter().min_by_key(|(_, b)| b.0).map(|(path, _)| path.as_path()).unwrap_or(path);
+        let mut state = self.state.lock().unwrap_or_else(|e| e.into_inner());
+        state.busy.insert(path.to_path_buf(), (Some(start), share));
+        let sum: f32 = state.busy.values().map(|b| b.1).sum();
+        let slowest = state.busy.iter().min_by_key(|(_, b)| b.0).map(|(path, _)| path.as_path()).unwrap_or(path);
         let name = slowest.file_name().unwrap_or_default().to_string_lossy();
-        let message = format!("{}/{} {name}", board.finished, self.total);
-        self.bar.show((board.finished as f32 + sum) / self.total as f32, message);
+        let message = format!("{}/{} {name}", state.finished, self.total);
+        self.bar.show((state.finished as f32 + sum) / self.total as f32, message);
     }
 }
 

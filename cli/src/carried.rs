@@ -2,7 +2,7 @@
 
 use image::metadata::Orientation;
 use ssplat::unstable::EncodeOptions;
-use ssplat::{Carry, Error};
+use ssplat::{Error, MetadataPolicy};
 
 /// Puts into `options` the profile and the EXIF block that `--metadata` asks for, and notes what is left out.
 pub fn carry(
@@ -11,9 +11,9 @@ pub fn carry(
     orientation: Orientation,
     notes: &mut Vec<String>,
 ) {
-    let carried = options.carry.of(icc, exif, orientation);
+    let carried = options.metadata.of(icc, exif, orientation);
     // No note about losses that the user asked for.
-    if options.carry == Carry::Needed && carried.exif_left_out > 0 {
+    if options.metadata == MetadataPolicy::Needed && carried.exif_left_out > 0 {
         let but = if carried.exif.is_some() { " but for the orientation" } else { "" };
         let bytes = carried.exif_left_out;
         notes.push(format!("{EXIF} of {bytes} bytes is left out{but}; --metadata all keeps it"));

@@ -6,13 +6,13 @@ use std::time::Instant;
 use image::DynamicImage;
 use image::metadata::Orientation;
 use serde_json::json;
-use ssplat::unstable::bitstream::Missing;
+use ssplat::unstable::bitstream::MissingParts;
 use ssplat::unstable::bitstream::header::Header;
 use ssplat::unstable::bitstream::splats::Metadata;
 use ssplat::{Backend, Channels, Damage, Depth, Image, Limits, Pixels, Reader, Samples};
 use ssplat::{Renderer, SamplesMut, View};
 
-use crate::batch::{self, Command, Done, Show, Voice};
+use crate::batch::{self, Command, Done, OutputMode, Show};
 use crate::failure::Failure;
 use crate::progress::Bar;
 use crate::rows::{Format, RowWriter, Shape};
@@ -23,13 +23,13 @@ use crate::{args, encode, input};
 /// Bytes of output that are drawn before they are written, unless two bands take more, and those for each thread: memory that is
 /// used again need not be asked for.
 const BATCH: usize = 8 << 20;
-const SHARE: usize = 1 << 20;
+const MIN_BYTES_PER_THREAD: usize = 1 << 20;
 
 /// Longest side of an output, pixels.
 const LONGEST: u32 = 1 << 20;
 
 pub fn run(args: &args::Decode) -> Result<(), Failure> {
-    let voice = Voice::new(args.json, args.quiet);
+    let output_mode = OutputMode::new(args.json, args.quiet);
     let named = args.format.as_deref().map(Format::from_extension).transpose()?;
     if let Some(folder) = &args.many.out_dir {
         let format = named.unwrap_or(Format::Png);
@@ -39,7 +39,7 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
             pixels: &pixels,
             run: &|input, output, show| one(args, input, output, format, show),
         };
-        return batch::run(&args.paths, folder, &args.many, voice, &command);
+        return batch::run(&args.paths, folder, &args.many, output_mode, &command);
     }
     let (input, output) = args::pair(&args.paths, args.output.as_deref())?;
     let format = match named {
@@ -47,10 +47,10 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
         None if output == Path::new("-") => Format::Png,
         None => Format::of_path(output)?,
     };
-    let bar = Bar::of(voice);
+    let bar = Bar::of(output_mode);
     let done = one(args, input, output, format, &|share, stage| bar.show(share, stage))?;
     drop(bar);
-    if voice != Voice::Quiet {
+    if output_mode != OutputMode::Quiet {
         done.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(input))));
     }
     if args.json && output != Path::new("-") {
@@ -136,7 +136,7 @@ fn thumbnail(
     let failed = |e| Failure::library(input, &e);
     let ssplat::Decoded { pixels, metadata, .. } =
         ssplat::unstable::thumbnail(bytes, [side; 2], &Limits::default()).map_err(failed)?;
-    let mut notes = losses(&metadata, Missing::default(), 0);
+    let mut notes = losses(&metadata, MissingParts::default(), 0);
     notes.extend(format.losses(pixels.depth(), &metadata));
     let orientation = orientation(args, &metadata);
     let background = background(args, pixels.channels(), format, &mut notes);
@@ -215,11 +215,11 @@ fn opaque(pixels: &Pixels, background: [u8; 3]) -> ssplat::Result<Pixels> {
 }
 
 /// Returns notes about the parts that a damaged file has lost.
-fn losses(metadata: &Metadata, missing: Missing, of: u32) -> Vec<String> {
+fn losses(metadata: &Metadata, missing: MissingParts, of: u32) -> Vec<String> {
     let section = |name| format!("section {} is damaged and left out", String::from_utf8_lossy(name));
     let mut notes: Vec<String> = metadata.damaged.iter().map(|name| section(&name[..])).collect();
-    if missing != Missing::default() {
-        let Missing { primitives, groups, of_groups, tiles, of_tiles, .. } = missing;
+    if missing != MissingParts::default() {
+        let MissingParts { primitives, groups, of_groups, tiles, of_tiles, .. } = missing;
         if groups > 0 {
             notes.push(format!("{primitives} of {of} primitives in {groups} of {of_groups} groups are missing"));
         }
@@ -296,7 +296,7 @@ fn start_rows<'a>(
 fn draw(renderer: &Renderer, depth: Depth, rows: &mut RowWriter, path: &Path, show: &Show) -> Result<(), Failure> {
     let io = |e| Failure::io(&sink::named(path), &e);
     let (mut bytes, mut words) = (Vec::new(), Vec::new());
-    let most = (SHARE * rayon::current_num_threads()).min(BATCH);
+    let most = (MIN_BYTES_PER_THREAD * rayon::current_num_threads()).min(BATCH);
     let mut first = 0;
     while first < renderer.bands() {
         // Two by two: a tile of the detail layer has two bands.

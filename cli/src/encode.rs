@@ -14,7 +14,7 @@ use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Metadata;
 use ssplat::{EncodeReport, Encoded, Encoder, Error, Limits, PixelSource, Pixels, Samples, Target};
 
-use crate::batch::{self, Command, Done, Show, Voice};
+use crate::batch::{self, Command, Done, OutputMode, Show};
 use crate::failure::Failure;
 use crate::input::{self, Input};
 use crate::progress::{Bar, Stages};
@@ -28,7 +28,7 @@ use crate::{args, carried, compare, left_out};
 const OTHERS: [&str; 5] = ["heic", "heif", "jxl", "jp2", "svg"];
 
 pub fn run(args: &args::Encode) -> Result<(), Failure> {
-    let voice = Voice::new(args.json, args.quiet);
+    let output_mode = OutputMode::new(args.json, args.quiet);
     if let Some(folder) = &args.many.out_dir {
         let command = Command {
             takes: &is_picture,
@@ -36,7 +36,7 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
             pixels: &pixels,
             run: &|input, output, show| one(args, input, output, show),
         };
-        return batch::run(&args.paths, folder, &args.many, voice, &command);
+        return batch::run(&args.paths, folder, &args.many, output_mode, &command);
     }
     // --tiles may stand alone: what follows it without = is taken for a path.
     let is_number = |path: &&PathBuf| {
@@ -57,17 +57,17 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
             "{path}: has the extension of another format; --force writes it all the same"
         )));
     }
-    let bar = Bar::of(voice);
+    let bar = Bar::of(output_mode);
     let done = one(args, input, output, &|share, stage| bar.show(share, stage))?;
     drop(bar);
-    if voice != Voice::Quiet {
+    if output_mode != OutputMode::Quiet {
         done.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(input))));
     }
-    match voice {
-        Voice::Text if output == Path::new("-") => eprint!("{}", printable(&done.text)),
-        Voice::Text => say(&done.text)?,
-        Voice::Json => say(&format!("{:#}\n", done.result))?,
-        Voice::Quiet => {}
+    match output_mode {
+        OutputMode::Text if output == Path::new("-") => eprint!("{}", printable(&done.text)),
+        OutputMode::Text => say(&done.text)?,
+        OutputMode::Json => say(&format!("{:#}\n", done.result))?,
+        OutputMode::Quiet => {}
     }
     Ok(())
 }
@@ -120,7 +120,7 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
     let mut opened = Input::open(input)?;
     let length = opened.length().map_err(|e| Failure::io(input, &e))?;
     // A preview is compared with the whole picture, and turning needs it, too.
-    let is_huge = source::pixels(input, &mut opened) > ssplat::unstable::LARGEST;
+    let is_huge = source::pixels(input, &mut opened) > ssplat::unstable::MAX_WHOLE_PIXELS;
     // Told before minutes are spent on reading, and a disk filled.
     if is_huge && args.time.is_some() {
         let input = Failure::input(input);
@@ -334,7 +334,7 @@ pub fn write_pixels(source: Source, format: Format, sink: &Sink, path: &Path) ->
 fn summary(pixels: &dyn PixelSource, bytes: usize, report: &EncodeReport) -> Value {
     let stages: Vec<Value> = report.stages.iter().map(|s| json!({ "name": s.name, "seconds": s.seconds })).collect();
     let left_out: Vec<Value> = report
-        .left_out
+        .skipped
         .iter()
         .map(|l| json!({ "what": l.what.to_string(), "bytes_saved": l.bytes, "seconds_saved": l.seconds }))
         .collect();
@@ -361,10 +361,10 @@ fn explain(report: &EncodeReport) -> String {
     for &StageTime { name, seconds, .. } in &report.stages {
         text += &format!("  {name:<24} {seconds:8.2} s\n");
     }
-    if !report.left_out.is_empty() {
+    if !report.skipped.is_empty() {
         text += "left out:\n";
     }
-    for l in &report.left_out {
+    for l in &report.skipped {
         let bytes = if l.bytes > 0 { format!(" {} bytes", l.bytes) } else { String::new() };
         let seconds = if l.seconds > 0.0 { format!(" {:.2} s", l.seconds) } else { String::new() };
         let saved = [bytes, seconds].concat();

@@ -3,7 +3,7 @@
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{Ablation, Recipe};
-use ssplat::{Backend, Blend, Carry, Layers, Tune};
+use ssplat::{Backend, Blend, Layers, MetadataPolicy, Tune};
 
 static LAYOUTS: [(&str, Layout); 3] =
     [("packed", Layout::Packed), ("planes", Layout::Planes), ("coded", Layout::Coded)];
@@ -67,8 +67,13 @@ pub fn backend() -> impl TypedValueParser<Value = Backend> {
     named(&[("auto", Backend::Auto), ("cpu", Backend::Cpu), ("gpu", Backend::Gpu)])
 }
 
-pub fn carry() -> impl TypedValueParser<Value = Carry> {
-    named(&[("needed", Carry::Needed), ("all", Carry::All), ("icc", Carry::Icc), ("none", Carry::None)])
+pub fn carry() -> impl TypedValueParser<Value = MetadataPolicy> {
+    named(&[
+        ("needed", MetadataPolicy::Needed),
+        ("all", MetadataPolicy::All),
+        ("icc", MetadataPolicy::Icc),
+        ("none", MetadataPolicy::None),
+    ])
 }
 
 pub fn drawing_backend() -> impl TypedValueParser<Value = Backend> {

@@ -8,9 +8,9 @@ use ssplat::Pixels;
 use ssplat::unstable::metrics::{self, BACKGROUNDS};
 
 /// Least side of a picture that is measured, pixels: Butteraugli takes no smaller one.
-const LEAST: u32 = 8;
+const MIN_SIDE: u32 = 8;
 /// Most pixels that Butteraugli is asked for: it keeps about 250 bytes of each in memory.
-const MOST: u64 = 1 << 24;
+const MAX_PIXELS: u64 = 1 << 24;
 
 /// Measures of perceived difference.
 #[derive(Debug, Clone, Copy, Default)]
@@ -26,7 +26,7 @@ pub struct Perceived {
 /// Both measures of two pictures of one size, channels and depth.
 pub fn measure(reference: &Pixels, test: &Pixels) -> Perceived {
     let (width, height) = (reference.width(), reference.height());
-    if width.min(height) < LEAST {
+    if width.min(height) < MIN_SIDE {
         return Perceived::default();
     }
     let backgrounds = if reference.channels().alpha().is_some() { &BACKGROUNDS[..] } else { &BACKGROUNDS[..1] };
@@ -43,7 +43,7 @@ pub fn measure(reference: &Pixels, test: &Pixels) -> Perceived {
 }
 
 fn distance(a: &[RGB<f32>], b: &[RGB<f32>], [width, height]: [u32; 2]) -> Option<f64> {
-    if u64::from(width) * u64::from(height) > MOST {
+    if u64::from(width) * u64::from(height) > MAX_PIXELS {
         return None;
     }
     let picture = |p| Img::new(p, width as usize, height as usize);

@@ -14,7 +14,7 @@ use crate::sink::{say, tell};
 use crate::source::{self, Turn};
 
 /// Pixels along the longer side that are fitted: what a few hundred Gaussians can show of a picture is there in these.
-const SIDE: u32 = 512;
+const MAX_SIDE: u32 = 512;
 
 pub fn run(args: &args::Placeholder) -> Result<(), Failure> {
     if args.format == PlaceholderFormat::Html && args.src.is_none() && args.input == Path::new("-") {
@@ -40,10 +40,10 @@ pub fn run(args: &args::Placeholder) -> Result<(), Failure> {
 
 /// A large picture at a smaller size. One with alpha stays as it is: means of its colours would show what hides under it.
 fn shrunk(pixels: Pixels) -> Pixels {
-    if pixels.width().max(pixels.height()) <= SIDE || pixels.channels().alpha().is_some() {
+    if pixels.width().max(pixels.height()) <= MAX_SIDE || pixels.channels().alpha().is_some() {
         return pixels;
     }
-    let picture = DynamicImage::from(pixels).thumbnail(SIDE, SIDE);
+    let picture = DynamicImage::from(pixels).thumbnail(MAX_SIDE, MAX_SIDE);
     Pixels::try_from(picture).expect("a picture of samples that were pixels before")
 }
 

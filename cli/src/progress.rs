@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use crate::batch::Voice;
+use crate::batch::OutputMode;
 
 /// Steps of the bar.
 const STEPS: u64 = 1000;
@@ -30,9 +30,9 @@ impl Bar {
         bar
     }
 
-    /// A bar for who hears `voice`; one that nobody sees where nothing is to be said.
-    pub fn of(voice: Voice) -> Bar {
-        if voice == Voice::Quiet { Bar::hidden() } else { Bar::new() }
+    /// A bar for who hears `output_mode`; one that nobody sees where nothing is to be said.
+    pub fn of(output_mode: OutputMode) -> Bar {
+        if output_mode == OutputMode::Quiet { Bar::hidden() } else { Bar::new() }
     }
 
     /// A bar that nobody sees.

@@ -9,7 +9,7 @@ use libfuzzer_sys::{fuzz_mutator, fuzz_target};
 use peak_alloc::PeakAlloc;
 use ssplat::unstable::bitstream::sections::SectionFate;
 use ssplat::unstable::bitstream::splats::Layout;
-use ssplat::unstable::bitstream::{Missing, inspect, read, read_area, read_partial, to_bytes};
+use ssplat::unstable::bitstream::{MissingParts, inspect, read, read_area, read_partial, to_bytes};
 use ssplat_fuzz::mutate::mutate;
 use ssplat_fuzz::{SLACK, Sliced, tight_limits};
 
@@ -33,7 +33,7 @@ fuzz_target!(|data: &[u8]| {
         (a, b) => panic!("whole {:?}, sliced {:?}", a.as_ref().err(), b.as_ref().err()),
     }
     match (read_partial(data, &limits), &whole) {
-        (Ok((part, missing)), Ok(whole)) => assert!(part == *whole && missing == Missing::default()),
+        (Ok((part, missing)), Ok(whole)) => assert!(part == *whole && missing == MissingParts::default()),
         (Ok((part, missing)), Err(_)) => {
             let count = part.gaussians.len() as u64 + u64::from(missing.primitives);
             assert!(count <= limits.primitives && missing.groups <= missing.of_groups);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use ssplat::View;
-use ssplat::unstable::bitstream::Missing;
+use ssplat::unstable::bitstream::MissingParts;
 use ssplat::{Damage, Depth, Error, Layers, Limits, Pixels, Reader, Result};
 
 use crate::failure::{exception, integer, parameter};
@@ -60,7 +60,7 @@ impl Job {
         Ok(Job { view, depth, damage, layers, limits })
     }
 
-    fn run(&self, data: &[u8]) -> Result<(Pixels, Missing)> {
+    fn run(&self, data: &[u8]) -> Result<(Pixels, MissingParts)> {
         let opened = Reader::new(data, &self.limits)?.showing(self.layers).read_for(&self.view, self.damage)?;
         let missing = opened.missing();
         let renderer = opened.renderer(&self.view)?;
@@ -116,6 +116,6 @@ pub fn decode<'py>(py: Python<'py>, data: PyBackedBytes, options: Options) -> Py
     let pixels = u64::from(job.view.width()) * u64::from(job.view.height());
     let threads = work::threads(options.threads, usize::try_from(pixels / PIXELS_A_THREAD).unwrap_or(usize::MAX))?;
     let (pixels, missing) = work::run(py, threads, &work::Calls::default(), move |_| job.run(&data))?;
-    let Missing { primitives, groups, of_groups, tiles, of_tiles, damaged, .. } = missing;
+    let MissingParts { primitives, groups, of_groups, tiles, of_tiles, damaged, .. } = missing;
     Ok((array::array(py, pixels)?, (primitives, groups, of_groups, tiles, of_tiles, damaged)))
 }

@@ -70,7 +70,7 @@ impl Entry {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 #[doc(alias("damage", "partial", "truncated"))]
-pub struct Missing {
+pub struct MissingParts {
     /// Number of missing primitives.
     pub primitives: u32,
     /// Number of missing groups.
@@ -338,7 +338,7 @@ pub(crate) fn read(
 }
 
 /// Reads the groups whose bytes are present and intact, and leaves `bytes` after the last group or at the end.
-pub(crate) fn read_intact(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSplats) -> Result<Missing> {
+pub(crate) fn read_intact(bytes: &mut Bytes<'_>, header: &Header, splats: &mut PackedSplats) -> Result<MissingParts> {
     let start = bytes.left();
     let entries = read_directory(bytes, header, header.checksum(), splats)?;
     let total = entries.last().map_or(0, |e| e.bytes.end);
@@ -357,7 +357,7 @@ pub(crate) fn read_intact(bytes: &mut Bytes<'_>, header: &Header, splats: &mut P
     let parts = parallel::map(entries.len(), |i| {
         read_group(stream(&entries[i])?, &entries[i], &group, Detail::Parts).ok().map(|(part, _)| part)
     });
-    let mut missing = Missing { of_groups: entries.len() as u32, ..Missing::default() };
+    let mut missing = MissingParts { of_groups: entries.len() as u32, ..MissingParts::default() };
     for (entry, _) in entries.iter().zip(&parts).filter(|(_, part)| part.is_none()) {
         missing.groups += 1;
         missing.primitives += entry.count;

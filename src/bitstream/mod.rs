@@ -22,7 +22,7 @@ mod write;
 pub use self::detail::DetailLayer;
 #[cfg(any(test, feature = "unstable"))]
 pub use self::detail::{DetailHead, Maker};
-pub use self::groups::Missing;
+pub use self::groups::MissingParts;
 pub(crate) use self::read::{Reading, read_rest};
 #[cfg(any(test, feature = "unstable"))]
 pub use self::read::{inspect, read_area, read_partial};

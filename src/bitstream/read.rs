@@ -11,7 +11,7 @@ use super::checksum::Hasher;
 use super::coder::coded;
 use super::detail::head::{DetailHead, Spans, check_alpha};
 use super::detail::index::{self, Wanted};
-use super::groups::Missing;
+use super::groups::MissingParts;
 use super::header::{Grouping, Header, Sections};
 #[cfg(any(test, feature = "unstable"))]
 use super::report::Report;
@@ -105,7 +105,7 @@ pub fn inspect(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Report)> 
 /// # Errors
 /// As [`read`] if header, sections or the directory of the groups are damaged, or if there are no groups.
 #[cfg(any(test, feature = "unstable"))]
-pub fn read_partial(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Missing)> {
+pub fn read_partial(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, MissingParts)> {
     let mut rest = bytes;
     let header = Header::read(&mut rest, limits)?;
     Reading::all(limits, &Budget::of(limits)).intact(&header, rest)
@@ -203,7 +203,7 @@ impl Reading<'_> {
     }
 
     /// Parses the intact parts of the bytes after the header, and returns counts of the missing parts.
-    pub fn intact(self, header: &Header, rest: &[u8]) -> Result<(PackedSplats, Missing)> {
+    pub fn intact(self, header: &Header, rest: &[u8]) -> Result<(PackedSplats, MissingParts)> {
         let mut working = self.reserve(header, rest)?;
         // Parts are verified by the checksums of the directory and of each group, or by that of the Gaussians' bytes.
         // The checksum of the file may be cut off, or may be inside the last group of a truncated file. It only tells
@@ -215,11 +215,11 @@ impl Reading<'_> {
             self.sections(header, &mut bytes, &mut checksum, &mut Tally::default())?;
         if header.grouping == Grouping::Single && detail.is_none() {
             let (splats, _) = self.whole(header, rest, None, &mut Tally::default())?;
-            return Ok((splats, Missing::default()));
+            return Ok((splats, MissingParts::default()));
         }
         let behind = bytes.taken().len();
         let mut splats = header.empty(metadata);
-        let mut missing = Missing::default();
+        let mut missing = MissingParts::default();
         match (header.grouping, detail.as_ref()) {
             (Grouping::Groups, None) => missing = groups::read_intact(&mut bytes, header, &mut splats)?,
             (Grouping::Groups, Some((_, spans))) => {
@@ -253,7 +253,7 @@ impl Reading<'_> {
         let is_sealed = bytes.u32("checksum").is_ok_and(|stored| stored == computed);
         missing.damaged = !(is_sealed && bytes.left() == 0);
         let is_whole = !missing.damaged && missing.groups == 0 && missing.tiles == 0;
-        Ok((splats, if is_whole { Missing::default() } else { missing }))
+        Ok((splats, if is_whole { MissingParts::default() } else { missing }))
     }
 
     /// Parses the sections, and nothing after them.

@@ -10,7 +10,7 @@ pub(crate) use reader::check_area;
 pub use reader::{Image, Reader};
 pub use thumbnail::thumbnail;
 
-use crate::bitstream::Missing;
+use crate::bitstream::MissingParts;
 use crate::bitstream::splats::Metadata;
 use crate::error::{Error, Result};
 use crate::options::DecodeOptions;
@@ -26,7 +26,7 @@ pub struct Decoded {
     /// ICC profile and EXIF block.
     pub metadata: Metadata,
     /// Counts of the parts that could not be read. All are 0 unless [`Damage::Accept`](crate::Damage::Accept) was set.
-    pub missing: Missing,
+    pub missing: MissingParts,
 }
 
 /// Decodes the file `bytes`, or the part of it that `options` select. Parts of the file that are not visible in the
@@ -53,7 +53,7 @@ pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
 /// # Errors
 /// As [`decode()`], and [`Error::Parameter`] naming `out` if `out` does not have exactly as many samples as `options`
 /// require.
-pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -> Result<(Metadata, Missing)> {
+pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -> Result<(Metadata, MissingParts)> {
     let opening = Reader::new(bytes, &options.limits)?.showing(options.layers);
     let view = options.view(&opening.view())?;
     let samples = u64::from(view.width()) * u64::from(view.height()) * opening.header().channels.count() as u64;

@@ -6,7 +6,7 @@ use crate::bitstream::area::Area;
 use crate::bitstream::header::Header;
 use crate::bitstream::report::Tally;
 use crate::bitstream::splats::{Metadata, PackedGaussian, PackedSplats};
-use crate::bitstream::{Missing, Reading, read_rest};
+use crate::bitstream::{MissingParts, Reading, read_rest};
 use crate::budget::{Budget, Reservation};
 use crate::error::{Error, Result};
 use crate::gaussian::Channels;
@@ -79,7 +79,7 @@ pub struct Reader<'a> {
 #[derive(Debug)]
 pub struct Image {
     splats: PackedSplats,
-    missing: Missing,
+    missing: MissingParts,
     /// The area that was read and can be rendered; `None` is the whole picture.
     area: Option<Area>,
     limits: Limits,
@@ -205,7 +205,7 @@ impl<'a> Reader<'a> {
             }
             Damage::Refuse => {
                 let (splats, _) = reading.whole(&header, rest, area.as_ref(), &mut Tally::default())?;
-                (splats, Missing::default(), area)
+                (splats, MissingParts::default(), area)
             }
         };
         let book = splats.codebook.as_ref().map_or(0, |book| size_of_val(&book[..]));
@@ -259,7 +259,7 @@ impl Image {
 
     /// Returns counts of the parts that could not be read. All are 0 unless [`Damage::Accept`] was set.
     #[must_use]
-    pub fn missing(&self) -> Missing {
+    pub fn missing(&self) -> MissingParts {
         self.missing
     }
 

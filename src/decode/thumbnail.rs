@@ -2,7 +2,7 @@
 
 use super::Decoded;
 use super::reader::Reader;
-use crate::bitstream::Missing;
+use crate::bitstream::MissingParts;
 use crate::error::Result;
 use crate::limits::Limits;
 use crate::options::Damage;
@@ -46,5 +46,5 @@ fn from_thumbnail(opening: &Reader<'_>, [width, height]: [u32; 2], limits: &Limi
         let view = small.view().resized(width, height).ok()?;
         small.read_for(&view, Damage::Refuse).ok()?.draw(&view).ok()
     };
-    Ok(draw().map(|pixels| Decoded { pixels, metadata, missing: Missing::default() }))
+    Ok(draw().map(|pixels| Decoded { pixels, metadata, missing: MissingParts::default() }))
 }

@@ -1,7 +1,7 @@
 //! Constant channels (opaque alpha, grey stored as RGB). They are left out of the fit and put back into the integers,
 //! where the coded layout stores a constant in next to nothing. The file keeps the caller's channels.
 
-use super::left_out::Omission;
+use super::skipped::SkipReason;
 use crate::bitstream::splats::PackedSplats;
 use crate::gaussian::{Blend, Channels};
 use crate::pixels::{Pixels, Samples};
@@ -11,7 +11,7 @@ use crate::pixels::{Pixels, Samples};
 pub(super) struct Narrow {
     pub pixels: Pixels,
     /// Names the channels that were left out.
-    pub what: Omission,
+    pub what: SkipReason,
 }
 
 /// Channels of a picture that are constant or follow from others.
@@ -39,15 +39,15 @@ impl Silent {
 
     /// Returns the channels to fit of a picture of `channels`, and the name of the others; `None` if all are to be
     /// fitted.
-    pub(super) fn rest(self, channels: Channels) -> Option<(Channels, Omission)> {
+    pub(super) fn rest(self, channels: Channels) -> Option<(Channels, SkipReason)> {
         let color = channels.count() >= 3 && !self.grey;
         let alpha = channels.alpha().is_some() && !self.opaque;
         match (color, alpha) {
-            (true, false) if channels == Channels::Rgba => Some((Channels::Rgb, Omission::Alpha)),
-            (false, true) if channels == Channels::Rgba => Some((Channels::GreyAlpha, Omission::Color)),
-            (false, false) if channels == Channels::Rgba => Some((Channels::Grey, Omission::ColorAndAlpha)),
-            (false, false) if channels == Channels::Rgb => Some((Channels::Grey, Omission::Color)),
-            (false, false) if channels == Channels::GreyAlpha => Some((Channels::Grey, Omission::Alpha)),
+            (true, false) if channels == Channels::Rgba => Some((Channels::Rgb, SkipReason::Alpha)),
+            (false, true) if channels == Channels::Rgba => Some((Channels::GreyAlpha, SkipReason::Color)),
+            (false, false) if channels == Channels::Rgba => Some((Channels::Grey, SkipReason::ColorAndAlpha)),
+            (false, false) if channels == Channels::Rgb => Some((Channels::Grey, SkipReason::Color)),
+            (false, false) if channels == Channels::GreyAlpha => Some((Channels::Grey, SkipReason::Alpha)),
             _ => None,
         }
     }

@@ -22,7 +22,7 @@ type Device = std::convert::Infallible;
 
 /// Pictures of fewer pixels are fitted on the CPU unless the GPU is asked for: too much of the time would go into
 /// starting a GPU.
-const SMALL: u64 = 1 << 18;
+const MIN_GPU_PIXELS: u64 = 1 << 18;
 
 /// The device that fitted a picture.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -78,8 +78,8 @@ impl Choice {
         let area = u64::from(pixels.width()) * u64::from(pixels.height());
         let opened = match options.backend {
             Backend::Cpu => Ok((None, Chosen::cpu("asked for"))),
-            Backend::Auto if area < SMALL => {
-                Ok((None, Chosen::cpu(format!("the picture has fewer than {SMALL} pixels"))))
+            Backend::Auto if area < MIN_GPU_PIXELS => {
+                Ok((None, Chosen::cpu(format!("the picture has fewer than {MIN_GPU_PIXELS} pixels"))))
             }
             Backend::Auto if is_constant(pixels) => Ok((None, Chosen::cpu("the picture is one colour"))),
             asked => open(asked, options),
@@ -156,8 +156,8 @@ fn fit_on(device: &Device, _: &Job<'_>, _: &Pixels, _: &mut dyn Watcher) -> Resu
 mod gpu_tests {
     use super::*;
     use crate::fit::engine::Unwatched;
+    use crate::fit::model::objective::planes::Planes;
     use crate::fit::model::problem::{Problem, Scene};
-    use crate::fit::model::target::planes::Planes;
     use crate::fit::plan::Plan;
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::Samples;

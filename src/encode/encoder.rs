@@ -8,7 +8,7 @@ use super::workers::{Executor, Workers};
 use super::{Encoded, encode_by};
 use crate::bitstream::splats::Layout;
 use crate::error::Result;
-use crate::options::{Backend, Carry, Detail, EncodeOptions, HiddenColors, Thumbnail, Tune};
+use crate::options::{Backend, Detail, EncodeOptions, HiddenColors, MetadataPolicy, Thumbnail, Tune};
 use crate::pixel_source::PixelSource;
 use crate::target::Target;
 
@@ -155,22 +155,22 @@ impl Encoder {
         self
     }
 
-    /// Sets which metadata of a source the files carry, where the source has any. The default is [`Carry::Needed`]: the
+    /// Sets which metadata of a source the files carry, where the source has any. The default is [`MetadataPolicy::Needed`]: the
     /// ICC profile and the orientation.
     #[must_use]
-    pub fn carry(mut self, carry: Carry) -> Self {
-        self.options.carry = carry;
+    pub fn metadata(mut self, metadata: MetadataPolicy) -> Self {
+        self.options.metadata = metadata;
         self
     }
 
-    /// Sets the ICC profile of the files. It overrides [`carry`](Encoder::carry).
+    /// Sets the ICC profile of the files. It overrides [`metadata`](Encoder::metadata).
     #[must_use]
     pub fn icc(mut self, icc: Vec<u8>) -> Self {
         self.options.icc = Some(icc);
         self
     }
 
-    /// Sets the EXIF block of the files, from its TIFF header on. It overrides [`carry`](Encoder::carry).
+    /// Sets the EXIF block of the files, from its TIFF header on. It overrides [`metadata`](Encoder::metadata).
     #[must_use]
     pub fn exif(mut self, exif: Vec<u8>) -> Self {
         self.options.exif = Some(exif);

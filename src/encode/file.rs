@@ -1,7 +1,7 @@
 //! Integers to the smallest file of them: progressive levels, and a codebook of colours where it pays.
 
 use crate::bitstream;
-use crate::bitstream::coder::expect::Expected;
+use crate::bitstream::coder::expect::PredictedCost;
 use crate::bitstream::rules::MAX_CODEBOOK;
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
@@ -31,7 +31,7 @@ pub(crate) fn smallest(splats: &mut PackedSplats, levels: u8) -> Result<Vec<u8>>
 }
 
 /// Returns what the coder of that file expects of each primitive, and brings them into its order.
-pub(super) fn expected(splats: &mut PackedSplats, levels: u8) -> Result<Vec<Expected>> {
+pub(super) fn expected(splats: &mut PackedSplats, levels: u8) -> Result<Vec<PredictedCost>> {
     if levels > 1 {
         divide(splats, levels);
     }

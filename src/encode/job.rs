@@ -6,20 +6,20 @@ use super::clock::Clock;
 use super::detail::error::{self, Counted};
 use super::device::Choice;
 use super::file;
-use super::left_out::Omission;
-use super::report::{Journal, Stage};
-use super::subject::{Subject, stored_scene};
-use crate::bitstream::coder::expect::Expected;
+use super::input::{EncodeInput, stored_scene};
+use super::report::{ReportBuilder, Stage};
+use super::skipped::SkipReason;
+use crate::bitstream::coder::expect::PredictedCost;
 use crate::bitstream::{self, splats::PackedSplats};
 use crate::error::Result;
 use crate::fit::Fitted;
-use crate::fit::engine::{Ending, Sight, Still, Watcher};
+use crate::fit::engine::{Ending, Snapshot, StaticSnapshot, Watcher};
 use crate::fit::job::Job;
 use crate::fit::model::drawing::field::squared_error;
 use crate::fit::model::drawing::project::Primitive;
+use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::objective::{masking, structure};
 use crate::fit::model::problem::Problem;
-use crate::fit::model::target::planes::Planes;
-use crate::fit::model::target::{masking, structure};
 use crate::fit::plan::{Plan, fraction};
 use crate::gaussian::Channels;
 use crate::instant::Instant;
@@ -33,11 +33,11 @@ use crate::target::Target;
 
 /// Steps of the shortest fits that are weighed anew on the way. The looks that this takes are half as much work again in a
 /// fit of some sixty steps of 14 megapixels, for .05 dB and a point of SSIMULACRA2; large pictures do without.
-const REWEIGHED: u32 = 150;
+const MIN_REWEIGHED_STEPS: u32 = 150;
 
 /// An encode on its way.
-pub(super) struct Encoding<'a> {
-    pub subject: Subject<'a>,
+pub(super) struct EncodeSession<'a> {
+    pub input: EncodeInput<'a>,
     /// The picture that is fitted, as planes; their amplitudes depend on the number of primitives.
     pub planes: Planes,
     /// The budget of time.
@@ -50,10 +50,10 @@ pub(super) struct Encoding<'a> {
     /// Set while Gaussians are fitted that a detail layer is laid over.
     pub base: Option<Base>,
     /// Gaussians under a layer that an earlier try of a search came to.
-    pub kept: Option<Kept>,
+    pub kept: Option<KeptBase>,
     /// Primitives of a fit of fewer that the next one goes on from.
-    pub begun: Vec<Primitive>,
-    pub journal: Journal<'a>,
+    pub initial: Vec<Primitive>,
+    pub report: ReportBuilder<'a>,
 }
 
 /// Gaussians that a detail layer is laid over: it mends what a short fit leaves.
@@ -64,10 +64,10 @@ pub(super) struct Base {
 }
 
 /// Gaussians that a search keeps from try to try: their best number belongs to the picture, and hardly to the bytes of the file.
-pub(super) struct Kept {
+pub(super) struct KeptBase {
     pub base: Outcome,
     /// Bytes that they would have without a look at how sharp the picture is.
-    pub meant: f64,
+    pub base_budget: f64,
 }
 
 /// A file, the integers that were fitted, and the squared error of the floats.
@@ -80,24 +80,24 @@ pub(super) struct Outcome {
     pub quality: Option<f64>,
 }
 
-impl Encoding<'_> {
+impl EncodeSession<'_> {
     /// Returns the squared error of the stored picture over the samples that were fitted.
     pub(super) fn fitted_error(&self, splats: &PackedSplats) -> f64 {
-        stored_error(splats, &self.planes, self.subject.channels())
+        stored_error(splats, &self.planes, self.input.channels())
     }
 
     /// Makes the stored picture the trace's last point.
     pub(super) fn trace_end(&mut self, splats: &PackedSplats) -> Result<()> {
         let problem = Problem { scene: stored_scene(splats), target: &self.planes };
         let project = || projected(&splats.quantizer(), &splats.gaussians, splats.height);
-        let mut now = Still { problem: &problem, project: &project };
-        self.journal.tracer.step("written", self.subject.original, &self.planes, &mut now)?;
+        let mut now = StaticSnapshot { problem: &problem, project: &project };
+        self.report.tracer.step("written", self.input.original, &self.planes, &mut now)?;
         Ok(())
     }
 
     /// Weighs the errors by structure, where that is asked for and weighs anything.
     fn weigh(&mut self, count: usize) {
-        let options = self.subject.options;
+        let options = self.input.options;
         self.planes.amplitude = match options.favoured() {
             Tune::Psnr => Vec::new(),
             Tune::Ssim => structure::amplitudes(&self.planes, count),
@@ -109,16 +109,16 @@ impl Encoding<'_> {
         let is_weighted = !self.planes.amplitude.is_empty();
         if is_weighted && options.needs == Needs::Measured && self.planes.is_even() {
             self.planes.amplitude.clear();
-            self.journal.note(Omission::StructureWeights, 0, 0.0);
+            self.report.note(SkipReason::StructureWeights, 0, 0.0);
         }
     }
 
     /// Fits about `count` primitives and rounds them to a file of `size`, both without the channels that are left out.
     pub(super) fn fitted(&mut self, count: usize, size: Size) -> Result<Outcome> {
         self.weigh(count);
-        let (subject, planes) = (self.subject, &self.planes);
-        let options = subject.options;
-        let area = u64::from(subject.pixels.width()) * u64::from(subject.pixels.height());
+        let (input, planes) = (self.input, &self.planes);
+        let options = input.options;
+        let area = u64::from(input.pixels.width()) * u64::from(input.pixels.height());
         let time = self.clock.left().map(|left| self.share.map_or(left, |share| share.min(left)));
         let mut plan = Plan::new(options.effort, count, area, time, options.seed);
         if let Some(Base { ratio }) = self.base {
@@ -127,22 +127,22 @@ impl Encoding<'_> {
         } else {
             plan = plan.alone(options.effort, options.favoured());
         }
-        plan.begun = std::mem::take(&mut self.begun);
+        plan.initial = std::mem::take(&mut self.initial);
         plan.rung = options.rung;
         if options.needs == Needs::Measured {
-            plan.enough = enough(options.target, subject.pixels.depth());
+            plan.enough = enough(options.target, input.pixels.depth());
         }
-        let scene = subject.scene(planes.mean);
-        let is_worth_it = plan.iterations >= REWEIGHED && !scene.is_large() && !planes.amplitude.is_empty();
+        let scene = input.scene(planes.mean);
+        let is_worth_it = plan.iterations >= MIN_REWEIGHED_STEPS && !scene.is_large() && !planes.amplitude.is_empty();
         plan.reweighs = is_worth_it && options.favoured() == Tune::Iq && options.recipe == Recipe::Ssplat;
         let problem = Problem { scene, target: planes };
         let job = Job { problem, count, plan: &plan };
 
-        let clock = self.journal.seconds();
-        let stage = Stage { name: "fit", journal: &mut self.journal, subject, planes };
-        let mut fitting = Fitting { stage, job, size, draft: subject.empty(), steps: 0 };
+        let clock = self.report.seconds();
+        let stage = Stage { name: "fit", report: &mut self.report, input, planes };
+        let mut fitting = Fitting { stage, job, size, draft: input.empty(), steps: 0 };
         let Fitted { by: state, ending, amplitude } = match options.recipe {
-            Recipe::Ssplat => self.device.fit(&job, subject.pixels, &mut fitting)?,
+            Recipe::Ssplat => self.device.fit(&job, input.pixels, &mut fitting)?,
             #[cfg(feature = "smartsplat")]
             Recipe::SmartSplat(parts) => {
                 let by = crate::fit::smartsplat::fit(&job, parts, &mut fitting)?;
@@ -155,17 +155,17 @@ impl Encoding<'_> {
         }
         let planes = &self.planes;
         let problem = Problem { scene, target: planes };
-        let seconds = self.journal.stage("fit", clock);
+        let seconds = self.report.stage("fit", clock);
         if let Ending::Enough { left } = ending {
-            self.journal.note(Omission::Iterations, 0, seconds / f64::from(steps) * f64::from(left));
+            self.report.note(SkipReason::Iterations, 0, seconds / f64::from(steps) * f64::from(left));
         }
         if let Some(reason) = self.device.passed_over() {
-            self.journal.note(Omission::Gpu { reason }, 0, 0.0);
+            self.report.note(SkipReason::Gpu { reason }, 0, 0.0);
         }
 
-        let clock = self.journal.seconds();
-        let stage = Stage { name: "finish", journal: &mut self.journal, subject, planes };
-        let mut making = Making { stage, splats: subject.empty(), levels: options.levels };
+        let clock = self.report.seconds();
+        let stage = Stage { name: "finish", report: &mut self.report, input, planes };
+        let mut making = Making { stage, splats: input.empty(), levels: options.levels };
         // The layer takes what such Gaussians leave of the bytes, few or many.
         let size = if self.base.is_some() { Size::Free } else { size };
         let rounding = Rounding { problem, layout: options.layout, size, plan: &plan };
@@ -173,7 +173,7 @@ impl Encoding<'_> {
         let bytes = making.write(&mut finished.rounded)?;
         let Making { mut splats, .. } = making;
         splats.gaussians = finished.rounded.gaussians;
-        self.journal.stage("finish", clock);
+        self.report.stage("finish", clock);
         Ok(Outcome { bytes, splats, float_error: finished.float_error, quality: None })
     }
 }
@@ -215,7 +215,7 @@ struct Fitting<'a, 'b> {
 }
 
 impl Watcher for Fitting<'_, '_> {
-    fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()> {
+    fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
         self.steps += 1;
         self.stage.step(done, now)
     }
@@ -238,7 +238,7 @@ impl Fitting<'_, '_> {
         let all = bitstream::to_bytes(&self.draft)?.len() as f64;
         self.draft.gaussians.clear();
         let fixed = bitstream::to_bytes(&self.draft)?.len() as f64;
-        let each = ((all - fixed) / primitives.len().max(1) as f64).max(LEAST_PRICE);
+        let each = ((all - fixed) / primitives.len().max(1) as f64).max(MIN_PRICE);
         // Metadata take the same bytes for any number of primitives.
         let metadata = &self.draft.metadata;
         let carried =
@@ -249,7 +249,7 @@ impl Fitting<'_, '_> {
 }
 
 /// Bytes that a primitive is taken to cost at least, so that a few alike ones do not promise room for any number.
-const LEAST_PRICE: f64 = 0.5;
+const MIN_PRICE: f64 = 0.5;
 
 /// Returns the over-allocation factor of a fit with so many primitives; descent shrinks them, pruning removes the rest.
 pub(super) fn excess(primitives: usize) -> f64 {
@@ -267,7 +267,7 @@ struct Making<'a, 'b> {
 }
 
 impl Client for Making<'_, '_> {
-    fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()> {
+    fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
         self.stage.step(done, now)
     }
 
@@ -275,7 +275,7 @@ impl Client for Making<'_, '_> {
         Ok(self.write(rounded)?.len() as u64)
     }
 
-    fn expected(&mut self, rounded: &mut Rounded) -> Result<Vec<Expected>> {
+    fn expected(&mut self, rounded: &mut Rounded) -> Result<Vec<PredictedCost>> {
         self.with(rounded, file::expected)
     }
 }

@@ -11,12 +11,12 @@ mod device;
 mod encoder;
 mod file;
 mod hidden;
+mod input;
 mod job;
-mod left_out;
 mod prune;
 mod rate_control;
 mod report;
-mod subject;
+mod skipped;
 mod thumbnail;
 mod tiles;
 mod trace;
@@ -26,7 +26,7 @@ use std::ops::ControlFlow;
 
 use crate::bitstream::splats::Layout;
 use crate::error::{Error, Result};
-use crate::fit::model::target::planes::Planes;
+use crate::fit::model::objective::planes::Planes;
 use crate::options::{Detail, EncodeOptions, Trace};
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
@@ -39,12 +39,12 @@ pub use encoder::Encoder;
 pub use file::divide;
 #[cfg(any(test, feature = "unstable"))]
 pub(crate) use file::smallest;
-use job::{Encoding, decibels};
-pub use left_out::{LeftOut, Omission};
+use input::{EncodeInput, may_leave_out};
+use job::{EncodeSession, decibels};
 use rate_control::MAX_PRIMITIVES;
-use report::Journal;
+use report::ReportBuilder;
 pub use report::{Progress, StageTime};
-use subject::{Subject, may_leave_out};
+pub use skipped::{SkipReason, Skipped};
 pub use tiles::work_on_tile;
 pub use trace::TracePoint;
 use trace::Tracer;
@@ -78,7 +78,7 @@ pub struct EncodeReport {
     /// Seconds of each stage, in order.
     pub stages: Vec<StageTime>,
     /// Everything that the encode left out, with the reasons.
-    pub left_out: Vec<LeftOut>,
+    pub skipped: Vec<Skipped>,
     /// Device that fitted the picture, and the reason for the choice.
     pub chosen: Chosen,
     /// Quality along the way, where an encode is traced.
@@ -106,32 +106,38 @@ pub fn encode_with_progress(
 ) -> Result<Encoded> {
     check(options)?;
     if let Some(side) = side(pixels, options) {
-        return tiles::encode(pixels, options, side, Executor::Own, Journal::new(progress, Tracer::new(Trace::Off)));
+        return tiles::encode(
+            pixels,
+            options,
+            side,
+            Executor::Own,
+            ReportBuilder::new(progress, Tracer::new(Trace::Off)),
+        );
     }
     let clock = Clock::new(options.time);
     let tracer = Tracer::new(options.trace);
-    let mut journal = Journal::new(progress, tracer);
-    let continued = hidden::continued(pixels, options.hidden, || journal.show("survey", 0.0))?;
+    let mut report = ReportBuilder::new(progress, tracer);
+    let continued = hidden::continued(pixels, options.hidden, || report.show("survey", 0.0))?;
     if continued.is_some() {
-        journal.note(Omission::HiddenColors, 0, 0.0);
+        report.note(SkipReason::HiddenColors, 0, 0.0);
     }
     let pixels = continued.as_ref().unwrap_or(pixels);
     let narrow = if may_leave_out(options) { channels::narrow(pixels) } else { None };
     let fitted = narrow.as_ref().map_or(pixels, |n| &n.pixels);
-    let mut job = Encoding {
-        subject: Subject { original: pixels, pixels: fitted, options },
+    let mut job = EncodeSession {
+        input: EncodeInput { original: pixels, pixels: fitted, options },
         planes: Planes::with_hidden(fitted, options.hidden),
         clock,
         share: None,
         until: None,
         base: None,
         kept: None,
-        begun: Vec::new(),
+        initial: Vec::new(),
         device: Choice::new(options, fitted)?,
-        journal,
+        report,
     };
     if let Some(narrow) = &narrow {
-        job.journal.note(narrow.what.clone(), 0, 0.0);
+        job.report.note(narrow.what.clone(), 0, 0.0);
     }
     let outcome = job.aim()?;
     job.trace_end(&outcome.splats)?;
@@ -140,17 +146,17 @@ pub fn encode_with_progress(
     // The floats were measured on what was fitted: the channels that were left out weigh as they do in the file.
     let weight = error / job.fitted_error(&outcome.splats);
     let float_error = outcome.float_error * if weight.is_finite() { weight } else { 1.0 };
-    let (samples, seconds) = (job.subject.samples(), job.journal.seconds());
+    let (samples, seconds) = (job.input.samples(), job.report.seconds());
     let report = EncodeReport {
         primitives: outcome.splats.gaussians.len(),
         psnr: decibels(error, samples),
         float_psnr: decibels(float_error, samples),
         quality: outcome.quality,
         seconds,
-        stages: job.journal.stages,
-        left_out: job.journal.left_out,
+        stages: job.report.stages,
+        skipped: job.report.skipped,
         chosen: job.device.chosen,
-        trace: job.journal.tracer.into_points(),
+        trace: job.report.tracer.into_points(),
     };
     Ok(Encoded { bytes: outcome.bytes, report })
 }
@@ -163,7 +169,9 @@ fn encode_by(
 ) -> Result<Encoded> {
     check(options)?;
     match side(source, options) {
-        Some(side) => tiles::encode(source, options, side, executor, Journal::new(progress, Tracer::new(Trace::Off))),
+        Some(side) => {
+            tiles::encode(source, options, side, executor, ReportBuilder::new(progress, Tracer::new(Trace::Off)))
+        }
         None => match source.as_pixels() {
             Some(pixels) => encode_with_progress(pixels, options, progress),
             None => encode_with_progress(&source.part([0, 0, source.width(), source.height()])?, options, progress),
@@ -172,20 +180,23 @@ fn encode_by(
 }
 
 /// Pictures of more pixels are fitted in tiles, unless [`EncodeOptions::tiles`] asks for tiles anyway.
-pub const LARGEST: u64 = 1 << 28;
+pub const MAX_WHOLE_PIXELS: u64 = 1 << 28;
 /// Pictures of more pixels are fitted in tiles where they can be: as well, in a fraction of the memory. A fit of the whole takes some 70
 /// bytes a pixel.
-const LARGE: u64 = 1 << 25;
+const MAX_UNTILED_PIXELS: u64 = 1 << 25;
 /// The side of those tiles, pixels.
-const SIDE: u32 = 2048;
+const DEFAULT_TILE_SIDE: u32 = 2048;
 
 /// Returns the side of the tiles that a picture is fitted in, if it is.
 fn side(source: &dyn PixelSource, options: &EncodeOptions) -> Option<u32> {
     let [width, height] = source.size();
     let area = u64::from(width) * u64::from(height);
     // Looking for a GPU takes time.
-    let by_default = || area > LARGEST || area > LARGE && tiles::check(options).is_ok() && !device::takes_gpu(options);
-    options.tiles.or_else(|| by_default().then_some(SIDE)).filter(|&side| width > side || height > side)
+    let by_default = || {
+        area > MAX_WHOLE_PIXELS
+            || area > MAX_UNTILED_PIXELS && tiles::check(options).is_ok() && !device::takes_gpu(options)
+    };
+    options.tiles.or_else(|| by_default().then_some(DEFAULT_TILE_SIDE)).filter(|&side| width > side || height > side)
 }
 
 fn check(options: &EncodeOptions) -> Result<()> {
@@ -199,9 +210,10 @@ fn check(options: &EncodeOptions) -> Result<()> {
     if options.levels > 1 && options.layout != Layout::Coded {
         return bad("levels", "levels above 1 need the coded layout".into());
     }
-    if let Some(side) = options.tiles.filter(|s| !tiles::SIDES.contains(s) || !s.is_multiple_of(*tiles::SIDES.start()))
+    if let Some(side) =
+        options.tiles.filter(|s| !tiles::TILE_SIDES.contains(s) || !s.is_multiple_of(*tiles::TILE_SIDES.start()))
     {
-        let (least, most) = tiles::SIDES.into_inner();
+        let (least, most) = tiles::TILE_SIDES.into_inner();
         return bad("tiles", format!("{side} is not a multiple of {least} within {least}..={most}"));
     }
     match options.detail {

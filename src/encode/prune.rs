@@ -1,50 +1,50 @@
 //! Primitives that a file does not need: taken out after the fit.
 
 use super::file;
-use super::job::{Encoding, Outcome};
-use super::left_out::Omission;
-use super::subject::stored_scene;
+use super::input::stored_scene;
+use super::job::{EncodeSession, Outcome};
+use super::skipped::SkipReason;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output};
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::target::rows::RowSet;
 use crate::round::descend::Descent;
 use crate::round::rounded::projected;
 
-impl Encoding<'_> {
+impl EncodeSession<'_> {
     /// Takes out the primitives without which the squared error of what was fitted stays within `enough`.
     pub(super) fn prune(&mut self, outcome: &mut Outcome, enough: f64) -> Result<()> {
         if outcome.splats.detail.is_some() {
             return Ok(());
         }
-        let clock = self.journal.seconds();
+        let clock = self.report.seconds();
         let problem = Problem { scene: stored_scene(&outcome.splats), target: &self.planes };
         let time = self.clock;
         let Some(pruned) = pruned(&problem, &outcome.splats, enough, &|| time.is_over()) else { return Ok(()) };
-        let file = self.subject.file(&pruned)?;
+        let file = self.input.file(&pruned)?;
         if file.len() < outcome.bytes.len() {
-            self.journal.note(Omission::Primitives, (outcome.bytes.len() - file.len()) as u64, 0.0);
+            self.report.note(SkipReason::Primitives, (outcome.bytes.len() - file.len()) as u64, 0.0);
             (outcome.bytes, outcome.splats) = (file, pruned);
         }
-        self.journal.stage("prune", clock);
+        self.report.stage("prune", clock);
         Ok(())
     }
 
     /// Notes what a codebook saved, from a file written without it.
     pub(super) fn note_codebook(&mut self, outcome: &Outcome) -> Result<()> {
         if outcome.splats.codebook.is_some() {
-            let direct = self.subject.file(&PackedSplats { codebook: None, ..outcome.splats.clone() })?;
+            let direct = self.input.file(&PackedSplats { codebook: None, ..outcome.splats.clone() })?;
             let saved = direct.len().saturating_sub(outcome.bytes.len()) as u64;
-            self.journal.note(Omission::OwnColors, saved, 0.0);
+            self.report.note(SkipReason::OwnColors, saved, 0.0);
         }
         Ok(())
     }
 }
 
 /// Each of so few primitives is tried by itself: what the others are expected to cost is not exact.
-const FEW: usize = 64;
+const MAX_SINGLY_TRIED: usize = 64;
 
 /// Returns `splats` with as few primitives as keep the squared error within `enough`, or as were found to be needed when
 /// `is_over` says that the time is; `None` where all are needed.
@@ -55,7 +55,7 @@ fn pruned(
     is_over: &dyn Fn() -> bool,
 ) -> Option<PackedSplats> {
     // Each round takes out what is not needed; a sweep over the rest makes room for the next one.
-    const ROUNDS: usize = 6;
+    const MAX_ROUNDS: usize = 6;
     if !splats.levels.is_empty() {
         return None;
     }
@@ -63,7 +63,7 @@ fn pruned(
     let project = |gaussians: &[PackedGaussian]| projected(&quantizer, gaussians, problem.scene.height);
     let mut field = Field::default();
     let mut best = splats.gaussians.clone();
-    for _ in 0..ROUNDS {
+    for _ in 0..MAX_ROUNDS {
         if is_over() {
             break;
         }
@@ -102,7 +102,7 @@ fn pruned(
             break;
         }
     }
-    if best.len() <= FEW && !is_over() {
+    if best.len() <= MAX_SINGLY_TRIED && !is_over() {
         let mut error =
             |gaussians: &[PackedGaussian]| field.draw(problem, &project(gaussians), RowSet::ALL, Output::Picture);
         let mut i = if error(&best) <= enough { 0 } else { best.len() };

@@ -2,12 +2,12 @@
 
 use std::ops::ControlFlow;
 
-use super::left_out::{LeftOut, Omission};
-use super::subject::Subject;
+use super::input::EncodeInput;
+use super::skipped::{SkipReason, Skipped};
 use super::trace::Tracer;
 use crate::error::{Error, Result};
-use crate::fit::engine::Sight;
-use crate::fit::model::target::planes::Planes;
+use crate::fit::engine::Snapshot;
+use crate::fit::model::objective::planes::Planes;
 
 /// Progress of an encode.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,17 +33,17 @@ pub struct StageTime {
 }
 
 /// The account of an encode that goes on.
-pub(super) struct Journal<'a> {
+pub(super) struct ReportBuilder<'a> {
     pub progress: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>,
     pub tracer: Tracer,
     pub stages: Vec<StageTime>,
     /// In the order in which it was found.
-    pub left_out: Vec<LeftOut>,
+    pub skipped: Vec<Skipped>,
 }
 
-impl<'a> Journal<'a> {
+impl<'a> ReportBuilder<'a> {
     pub(super) fn new(progress: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>, tracer: Tracer) -> Self {
-        Journal { progress, tracer, stages: Vec::new(), left_out: Vec::new() }
+        ReportBuilder { progress, tracer, stages: Vec::new(), skipped: Vec::new() }
     }
 
     /// Returns the seconds since the encode began, those of tracing not counted.
@@ -74,17 +74,17 @@ impl<'a> Journal<'a> {
     }
 
     /// Notes what was left out, in place of what an earlier attempt left out for the same reason.
-    pub(super) fn note(&mut self, what: Omission, bytes: u64, seconds: f64) {
-        self.left_out.retain(|l| l.what != what);
-        self.left_out.push(LeftOut { what, bytes, seconds });
+    pub(super) fn note(&mut self, what: SkipReason, bytes: u64, seconds: f64) {
+        self.skipped.retain(|l| l.what != what);
+        self.skipped.push(Skipped { what, bytes, seconds });
     }
 }
 
 /// A stage of an encode as it goes on: it is traced and reported at every step.
 pub(super) struct Stage<'a, 'b> {
     pub name: &'static str,
-    pub journal: &'a mut Journal<'b>,
-    pub subject: Subject<'a>,
+    pub report: &'a mut ReportBuilder<'b>,
+    pub input: EncodeInput<'a>,
     pub planes: &'a Planes,
 }
 
@@ -93,9 +93,9 @@ impl Stage<'_, '_> {
     ///
     /// # Errors
     /// [`Error::Cancelled`] when the caller breaks off, and those of looking at the work.
-    pub(super) fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()> {
+    pub(super) fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
         let stage = self.name;
-        let psnr = self.journal.tracer.step(stage, self.subject.original, self.planes, now)?;
-        self.journal.tell(&Progress { stage, done, psnr })
+        let psnr = self.report.tracer.step(stage, self.input.original, self.planes, now)?;
+        self.report.tell(&Progress { stage, done, psnr })
     }
 }

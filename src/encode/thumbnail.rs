@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 
 use super::channels::widen;
-use super::job::{Encoding, Outcome};
+use super::job::{EncodeSession, Outcome};
 use super::{Encoded, Progress, encode_with_progress};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::{Error, Result};
@@ -14,15 +14,15 @@ use crate::round::size::Size;
 use crate::target::Target;
 
 /// Longest side of a thumbnail, pixels.
-const SIDE: u32 = 256;
+const MAX_SIDE: u32 = 256;
 /// Bytes from which on a file carries a thumbnail unasked.
-const LARGE: u64 = 100_000;
+const MIN_FILE_BYTES: u64 = 100_000;
 /// The part of the file that it takes then.
-const SHARE: u64 = 100;
+const FILE_PART: u64 = 100;
 /// Most bytes that it takes then: more make it little better.
-const MOST: u64 = 4000;
+const MAX_BYTES: u64 = 4000;
 /// Bytes that a section takes beside its contents, at most: the number of sections, name, length and checksum.
-const HEAD: u64 = 1 + 4 + 5 + 4;
+const HEADER_BYTES: u64 = 1 + 4 + 5 + 4;
 /// Most work that is spent on it, which is little beside what a large picture takes.
 const EFFORT: u8 = 2;
 /// The part of a time budget that is kept for it.
@@ -33,15 +33,15 @@ pub(super) fn room(options: &EncodeOptions, size: [u32; 2], bytes: u64) -> u64 {
     match options.thumbnail {
         Thumbnail::Never => 0,
         Thumbnail::Bytes(most) => most.into(),
-        Thumbnail::Auto if bytes < LARGE || size[0].max(size[1]) <= SIDE => 0,
-        Thumbnail::Auto => (bytes / SHARE).min(MOST),
+        Thumbnail::Auto if bytes < MIN_FILE_BYTES || size[0].max(size[1]) <= MAX_SIDE => 0,
+        Thumbnail::Auto => (bytes / FILE_PART).min(MAX_BYTES),
     }
 }
 
 /// Returns what of `size` is left for the picture beside a thumbnail of `room` bytes.
 pub(super) fn beside(size: Size, room: u64) -> Size {
     match size {
-        Size::Bytes(most) if room > 0 => Size::Bytes(most.saturating_sub(room + HEAD)),
+        Size::Bytes(most) if room > 0 => Size::Bytes(most.saturating_sub(room + HEADER_BYTES)),
         size => size,
     }
 }
@@ -50,7 +50,7 @@ pub(super) fn beside(size: Size, room: u64) -> Size {
 pub(super) fn counted(error: Error, asked: Size, room: u64) -> Error {
     match (error, asked) {
         (Error::TooSmall { asked, needed, icc, exif, .. }, Size::Bytes(allowed)) if room > 0 => {
-            Error::TooSmall { asked, allowed, needed: needed + room + HEAD, icc, exif }
+            Error::TooSmall { asked, allowed, needed: needed + room + HEADER_BYTES, icc, exif }
         }
         (e, _) => e,
     }
@@ -66,7 +66,7 @@ pub(super) fn of(
     let whole = View::of_size(splats.width, splats.height);
     // The encoder's own integers need no limits on work.
     let limits = Limits { tile_pairs: u64::MAX, work: u64::MAX, overlap: u64::MAX, ..Limits::default() };
-    let small = splats.renderer(&whole.fitted([SIDE; 2])?, &limits)?.render(splats.depth)?;
+    let small = splats.renderer(&whole.fitted([MAX_SIDE; 2])?, &limits)?.render(splats.depth)?;
     let options = EncodeOptions {
         target: Target::Bytes(most),
         effort: options.effort.min(EFFORT),
@@ -88,10 +88,10 @@ pub(super) fn of(
     Ok(bytes)
 }
 
-impl Encoding<'_> {
+impl EncodeSession<'_> {
     fn thumbnail_bytes(&self, bytes: u64) -> u64 {
-        let pixels = self.subject.pixels;
-        room(self.subject.options, [pixels.width(), pixels.height()], bytes)
+        let pixels = self.input.pixels;
+        room(self.input.options, [pixels.width(), pixels.height()], bytes)
     }
 
     /// Returns what of `size` is left for the picture, and the bytes of the thumbnail; keeps time for it.
@@ -99,7 +99,7 @@ impl Encoding<'_> {
         let Size::Bytes(most) = size else { return (size, 0) };
         let room = self.thumbnail_bytes(most);
         if room > 0 {
-            self.clock.keep(self.subject.options.time.unwrap_or_default() / TIME);
+            self.clock.keep(self.input.options.time.unwrap_or_default() / TIME);
         }
         (beside(size, room), room)
     }
@@ -113,17 +113,17 @@ impl Encoding<'_> {
         if most == 0 {
             return Ok(());
         }
-        let clock = self.journal.seconds();
-        let channels = self.subject.channels();
-        let wide = (!self.subject.is_whole()).then(|| widen(&outcome.splats, channels));
+        let clock = self.report.seconds();
+        let channels = self.input.channels();
+        let wide = (!self.input.is_whole()).then(|| widen(&outcome.splats, channels));
         let splats = wide.as_ref().unwrap_or(&outcome.splats);
-        let journal = &mut self.journal;
-        let bytes = of(splats, most, self.subject.options, &mut |done| {
-            (journal.progress)(&Progress { stage: "thumbnail", done, psnr: None })
+        let report = &mut self.report;
+        let bytes = of(splats, most, self.input.options, &mut |done| {
+            (report.progress)(&Progress { stage: "thumbnail", done, psnr: None })
         })?;
         outcome.splats.metadata.thumbnail = Some(bytes);
-        outcome.bytes = self.subject.file(&outcome.splats)?;
-        self.journal.stage("thumbnail", clock);
+        outcome.bytes = self.input.file(&outcome.splats)?;
+        self.report.stage("thumbnail", clock);
         Ok(())
     }
 }

@@ -5,21 +5,21 @@ use std::time::Duration;
 
 use super::channels::widen_pixels;
 use crate::error::Result;
-use crate::fit::engine::Sight;
+use crate::fit::engine::Snapshot;
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::drawing::project::Projected;
+use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::target::planes::Planes;
-use crate::fit::model::target::rows::RowSet;
 use crate::instant::Instant;
 use crate::metrics;
 use crate::options::Trace;
 use crate::pixels::{Depth, Pixels, Samples};
 
 /// Seconds between two points over the seconds of the encode so far.
-const INTERVAL: f64 = 0.18;
+const RELATIVE_INTERVAL: f64 = 0.18;
 /// Seconds before the second point.
-const FIRST: f64 = 0.02;
+const FIRST_INTERVAL: f64 = 0.02;
 
 /// Quality at one moment of an encode.
 #[derive(Debug, Clone, PartialEq)]
@@ -68,7 +68,7 @@ impl Tracer {
         stage: &'static str,
         pixels: &Pixels,
         target: &Planes,
-        sight: &mut dyn Sight,
+        snapshot: &mut dyn Snapshot,
     ) -> Result<Option<f64>> {
         let now = self.seconds();
         if self.step.0 != stage {
@@ -78,7 +78,7 @@ impl Tracer {
         }
         if now >= self.next {
             let clock = Instant::now();
-            let (scene, projected) = sight.drawing()?;
+            let (scene, projected) = snapshot.drawing()?;
             let drawn = draw(&Problem { scene, target }, &projected, pixels.depth());
             let found = metrics::compare(pixels, &widen_pixels(drawn, pixels.channels()))?;
             self.points.push(TracePoint {
@@ -90,7 +90,7 @@ impl Tracer {
                 ssim: found.ssim,
                 ms_ssim: found.ms_ssim,
             });
-            self.next = now + (now * INTERVAL).max(FIRST);
+            self.next = now + (now * RELATIVE_INTERVAL).max(FIRST_INTERVAL);
             self.spent += clock.elapsed();
         }
         self.step.1 += 1;

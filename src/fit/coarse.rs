@@ -21,15 +21,15 @@
 //! So a start at half the size costs less and ends .2 to .3 dB higher: its surveys leave no rows out. Row sampling alone,
 //! which keeps all columns, is what it is added to. Small pictures do without: surveys of theirs see all rows anyway.
 
-use super::draft::{Start, scattered};
 use super::engine::Unwatched;
 use super::job::Job;
 use super::model::drawing::field::float_error;
 use super::model::drawing::project::Primitive;
+use super::model::objective::planes::Planes;
+use super::model::objective::reduced::{Coarse, Reduced};
+use super::model::objective::rows::RowSet;
 use super::model::problem::{Problem, Scene};
-use super::model::target::planes::Planes;
-use super::model::target::reduced::{Coarse, Reduced};
-use super::model::target::rows::RowSet;
+use super::multi_start::{Start, scattered};
 use super::plan::Plan;
 use super::schedule::{Part, run_part};
 use crate::gaussian::{Blend, Channels};

@@ -5,10 +5,10 @@ use crate::fit::engine::Engine;
 use crate::fit::model::adam::{Bounds, Memory, Rates};
 use crate::fit::model::drawing::field::{Output, float_error};
 use crate::fit::model::drawing::project::{self, Primitive};
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::peaks::at_peak;
 use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::target::rows::RowSet;
 use crate::fit::state::{CLEARLY_WORSE, State};
 
 impl Engine for State {

@@ -4,8 +4,8 @@ use crate::error::Result;
 use crate::fit::model::adam::Rates;
 use crate::fit::model::drawing::field::squared_error;
 use crate::fit::model::drawing::project::{self, Primitive, Projected};
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::target::rows::RowSet;
 use crate::fit::state::State;
 
 /// Takes the steps of a fit: [`State`] does on the CPU, `gpu::Fitter` on a GPU.
@@ -54,13 +54,13 @@ pub(crate) enum Ending {
 /// Accompanies a fit.
 pub(crate) trait Watcher {
     /// Is called before every step with the share of the work that is done (0..=1). An error stops the fit.
-    fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()>;
+    fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()>;
     /// Tells, from the primitives so far, how many there should be.
     fn recount(&mut self, primitives: &[Primitive]) -> Result<usize>;
 }
 
 /// The work as it is now, for a watcher to look at. Each look costs about as much as a step over all rows.
-pub(crate) trait Sight {
+pub(crate) trait Snapshot {
     /// Waits until all steps asked for are taken.
     #[allow(dead_code, reason = "only a fit on a GPU is timed step by step")]
     fn settle(&mut self) -> Result<()>;
@@ -86,7 +86,7 @@ impl<E: Engine> Running<'_, E> {
     }
 }
 
-impl<E: Engine> Sight for Running<'_, E> {
+impl<E: Engine> Snapshot for Running<'_, E> {
     fn settle(&mut self) -> Result<()> {
         self.engine.settle()
     }
@@ -102,12 +102,12 @@ impl<E: Engine> Sight for Running<'_, E> {
 }
 
 /// Primitives that lie still while they are looked at; they are projected only when somebody looks.
-pub(crate) struct Still<'a> {
+pub(crate) struct StaticSnapshot<'a> {
     pub problem: &'a Problem<'a>,
     pub project: &'a dyn Fn() -> Vec<Projected>,
 }
 
-impl Sight for Still<'_> {
+impl Snapshot for StaticSnapshot<'_> {
     fn settle(&mut self) -> Result<()> {
         Ok(())
     }
@@ -127,7 +127,7 @@ pub(crate) struct Unwatched;
 
 #[cfg(test)]
 impl Watcher for Unwatched {
-    fn step(&mut self, _: f32, _: &mut dyn Sight) -> Result<()> {
+    fn step(&mut self, _: f32, _: &mut dyn Snapshot) -> Result<()> {
         Ok(())
     }
 

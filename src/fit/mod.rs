@@ -6,12 +6,12 @@
 #[cfg(all(test, unix))]
 mod coarse;
 mod cpu;
-pub(crate) mod draft;
 pub(crate) mod engine;
 pub(crate) mod job;
 pub mod model;
+pub(crate) mod multi_start;
 pub(crate) mod plan;
-mod rehearsal;
+mod probe_fit;
 pub(crate) mod schedule;
 #[cfg(feature = "smartsplat")]
 pub(crate) mod smartsplat;
@@ -24,7 +24,7 @@ use crate::options::Rung;
 use engine::{Ending, Engine, Watcher};
 use job::Job;
 use model::problem::Problem;
-use rehearsal::Rehearsed;
+use probe_fit::Rehearsed;
 use state::State;
 
 /// Result of a fit.
@@ -56,11 +56,11 @@ pub(crate) fn fit<E: Engine>(
     open: impl FnOnce(State) -> Result<E>,
     watcher: &mut dyn Watcher,
 ) -> Result<Fitted<E>> {
-    let mut start = draft::start(job, watcher)?;
+    let mut start = multi_start::start(job, watcher)?;
     start.state.is_priced = job.plan.rung >= Rung::Price;
     let mut engine = open(start.state)?;
     let end = job.plan.iterations;
-    if !job.plan.begun.is_empty() {
+    if !job.plan.initial.is_empty() {
         schedule::grow(job, &mut engine)?;
     }
     // Those that start from a draft are few, and their pixels weigh nearly alike.
@@ -69,7 +69,7 @@ pub(crate) fn fit<E: Engine>(
         engine.keep_best()?;
         return Ok(Fitted { by: engine, ending, amplitude: None });
     }
-    let (target, from) = match rehearsal::rehearse(job, &mut engine, watcher)? {
+    let (target, from) = match probe_fit::probe(job, &mut engine, watcher)? {
         Rehearsed::Weighed { target, steps } => (target, steps),
         Rehearsed::Ended(ending) => return Ok(Fitted { by: engine, ending, amplitude: None }),
     };

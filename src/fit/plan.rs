@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use crate::fit::model::drawing::project::Primitive;
-use crate::fit::model::problem::LARGE;
+use crate::fit::model::problem::LARGE_PIXELS;
 use crate::instant::Instant;
 use crate::options::{Rung, Tune};
 use crate::strict_math::StrictMath;
@@ -54,7 +54,7 @@ const BASE_MOVED: [f32; 2] = [0.35, 0.25];
 const LONGEST_WAIT: u32 = 25;
 
 /// Primitives of the largest pictures.
-const HUGE: usize = 300_000;
+const HUGE_COUNT: usize = 300_000;
 
 /// First steps that see a picture at half its size.
 #[derive(Debug, Clone, Copy)]
@@ -99,7 +99,7 @@ pub(crate) struct Plan {
     /// Seed of everything random.
     pub seed: u64,
     /// Primitives of a fit of fewer that this one goes on from; none: it starts by itself.
-    pub begun: Vec<Primitive>,
+    pub initial: Vec<Primitive>,
     /// Where an ablation stops.
     pub rung: Rung,
 }
@@ -156,13 +156,13 @@ impl Plan {
         let patience = crowd.strict_powf(if crowd < 1.0 { -0.95 } else { haste }).clamp(0.25, 9.0);
         // On small pictures it takes only seconds to get the tenth of a decibel that half as many again win.
         let share = |from: f32, to: f32| ((count as f32 - from) / (to - from)).clamp(0.0, 1.0);
-        let more = if pixels < LARGE { 0.5 * share(8000.0, 12_000.0) * share(40_000.0, 25_000.0) } else { 0.0 };
+        let more = if pixels < LARGE_PIXELS { 0.5 * share(8000.0, 12_000.0) * share(40_000.0, 25_000.0) } else { 0.0 };
         let iterations = (base * patience * (1.0 + more)) as u32;
         // Small pictures can afford more; the first sweeps bring most.
         let sweeps = match count {
             ..2000 => [4, 5, 5, 6, 7, 9, 13, 17, 20][level],
             2000..40_000 => [1, 2, 2, 3, 5, 7, 10, 14, 20][level],
-            40_000..HUGE => [1, 1, 2, 2, 4, 5, 6, 8, 12][level],
+            40_000..HUGE_COUNT => [1, 1, 2, 2, 4, 5, 6, 8, 12][level],
             _ => [1, 1, 2, 2, 3, 4, 6, 8, 12][level],
         };
         let freezing = if effort >= 7 && count > 2000 { iterations / 4 } else { 0 };
@@ -226,7 +226,7 @@ impl Plan {
             half: None,
             by: 1,
             seed,
-            begun: Vec::new(),
+            initial: Vec::new(),
             rung: Rung::default(),
         }
     }

@@ -9,9 +9,9 @@ use crate::error::Result;
 use crate::fit::engine::{Ending, Engine, Running, Watcher};
 use crate::fit::job::Job;
 use crate::fit::model::adam::{self, Rates};
+use crate::fit::model::objective::reduced::{Coarse, Reduced};
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::target::reduced::{Coarse, Reduced};
-use crate::fit::model::target::rows::RowSet;
 use crate::fit::plan::{HalfSize, Pace};
 use crate::instant::Instant;
 use crate::options::Rung;
@@ -92,11 +92,11 @@ pub(super) fn run_part<E: Engine>(
     rng: Pcg64Mcg,
     watcher: &mut dyn Watcher,
 ) -> Result<Ending> {
-    Course::new(job, part, rng, engine.count()).run(engine, watcher)
+    Schedule::new(job, part, rng, engine.count()).run(engine, watcher)
 }
 
 /// A part of a fit on its way.
-struct Course<'a> {
+struct Schedule<'a> {
     job: &'a Job<'a>,
     part: Part<'a>,
     /// The picture that the steps see, as long as that is a smaller one.
@@ -112,11 +112,11 @@ struct Course<'a> {
     start: Instant,
 }
 
-impl<'a> Course<'a> {
+impl<'a> Schedule<'a> {
     fn new(job: &'a Job<'a>, part: Part<'a>, rng: Pcg64Mcg, count: usize) -> Self {
         let from = part.steps.start as f32 / job.plan.iterations as f32;
         let passed = RECOUNTED.iter().take_while(|&&at| at < from).count();
-        Course {
+        Schedule {
             job,
             small: part.coarse.map(|c| c.reduced),
             part,

@@ -9,15 +9,15 @@ use rand_pcg::Pcg64Mcg;
 use rstar::RTree;
 
 use crate::error::Result;
-use crate::fit::engine::{Still, Watcher};
+use crate::fit::engine::{StaticSnapshot, Watcher};
 use crate::fit::job::Job;
 use crate::fit::model::adam::Bounds;
 use crate::fit::model::drawing::field::{Field, Gradient, Output};
 use crate::fit::model::drawing::project::{self, Primitive};
+use crate::fit::model::objective::loss::Loss;
+use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::target::loss::Loss;
-use crate::fit::model::target::planes::Planes;
-use crate::fit::model::target::rows::RowSet;
 use crate::fit::state::State;
 use crate::instant::Instant;
 use crate::options::Ablation;
@@ -67,7 +67,7 @@ pub(crate) fn fit(job: &Job<'_>, parts: Ablation, watcher: &mut dyn Watcher) -> 
             break;
         }
         let project = || project::all(&run.state.primitives, scene.height);
-        watcher.step(done, &mut Still { problem: &problem, project: &project })?;
+        watcher.step(done, &mut StaticSnapshot { problem: &problem, project: &project })?;
         if !probed && done >= PROBED {
             probed = true;
             let wanted = watcher.recount(&run.state.primitives)?;
@@ -409,7 +409,7 @@ fn median_color(target: &Planes, place: &Place) -> [f32; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::engine::Sight;
+    use crate::fit::engine::Snapshot;
     use crate::fit::model::drawing::field::float_error;
     use crate::fit::model::problem::Scene;
     use crate::fit::plan::Plan;
@@ -499,7 +499,7 @@ mod tests {
     struct Errors(Vec<f64>);
 
     impl Watcher for Errors {
-        fn step(&mut self, _: f32, now: &mut dyn Sight) -> Result<()> {
+        fn step(&mut self, _: f32, now: &mut dyn Snapshot) -> Result<()> {
             self.0.push(now.error()?);
             Ok(())
         }

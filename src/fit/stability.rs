@@ -6,15 +6,15 @@
 mod stiff;
 
 use super::engine::Unwatched;
-use super::engine::{Sight, Watcher};
+use super::engine::{Snapshot, Watcher};
 use super::fit_on_cpu;
 use super::job::Job;
 use super::model::adam::Bounds;
 use super::model::drawing::field::{Field, Output, float_error, squared_error};
 use super::model::drawing::project::{self, Primitive, Projected};
+use super::model::objective::planes::Planes;
+use super::model::objective::rows::RowSet;
 use super::model::problem::{Problem, Scene};
-use super::model::target::planes::Planes;
-use super::model::target::rows::RowSet;
 use super::plan::LAST_RATE;
 use super::plan::Plan;
 use super::schedule::{RATES, SAMPLED};
@@ -250,7 +250,7 @@ struct Every {
 }
 
 impl Watcher for Every {
-    fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()> {
+    fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
         self.finite &= is_finite(&now.drawing()?.1);
         if done >= SAMPLED {
             self.best = self.best.max(decibels(now.error()?, &self.pixels));

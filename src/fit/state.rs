@@ -4,10 +4,10 @@ use crate::fit::model::adam::{self, Bounds, Freedom, Memory, Rates};
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::drawing::project::{self, Primitive, Projected};
 use crate::fit::model::drawing::strips;
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::peaks::Room;
 use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::target::rows::RowSet;
 use crate::parallel;
 
 /// Restore the best state if the final error exceeds its error by this factor.
@@ -136,8 +136,8 @@ impl State {
 mod tests {
     use super::*;
     use crate::fit::model::adam::price;
+    use crate::fit::model::objective::planes::Planes;
     use crate::fit::model::problem::Scene;
-    use crate::fit::model::target::planes::Planes;
     use crate::fit::plan::LAST_RATE;
     use crate::fit::schedule::RATES;
     use crate::gaussian::{Blend, Channels};

@@ -8,12 +8,12 @@ use super::device::Device;
 use super::fit::Fitter;
 use crate::error::{Error, Result};
 use crate::fit;
-use crate::fit::engine::{Engine, Sight, Watcher};
+use crate::fit::engine::{Engine, Snapshot, Watcher};
 use crate::fit::job::Job;
 use crate::fit::model::drawing::project::Primitive;
+use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::target::planes::Planes;
-use crate::fit::model::target::rows::RowSet;
 use crate::fit::plan::Plan;
 use crate::fit::state::State;
 use crate::gaussian::{Blend, Picture};
@@ -38,7 +38,7 @@ pub struct Fitted {
 
 /// Access to a running fit.
 pub struct Look<'a> {
-    now: &'a mut dyn Sight,
+    now: &'a mut dyn Snapshot,
     samples: f64,
     start: Instant,
     /// Seconds spent in measurements.
@@ -86,7 +86,7 @@ struct Looking<'a> {
 }
 
 impl Watcher for Looking<'_> {
-    fn step(&mut self, _: f32, now: &mut dyn Sight) -> Result<()> {
+    fn step(&mut self, _: f32, now: &mut dyn Snapshot) -> Result<()> {
         let start = *self.start.get_or_insert_with(Instant::now);
         let mut at = Look { now, samples: self.samples, start, looked: &mut self.looked, step: self.step };
         let goes_on = (self.look)(&mut at)?;

@@ -5,9 +5,9 @@ use super::kernels::Kernels;
 use super::scene::{Uniforms, spaced};
 use super::workspace::Workspace;
 use crate::error::{GpuError, Result};
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::peaks::Peak;
 use crate::fit::model::placing::ridge::{self, Shape};
-use crate::fit::model::target::rows::RowSet;
 use bytemuck::{Pod, Zeroable};
 
 /// Maximum number of levels.

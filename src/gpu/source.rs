@@ -4,7 +4,7 @@ use super::device::Device;
 use super::lists::MAX_TILES;
 use super::scene::TILE;
 use crate::error::{GpuError, Result};
-use crate::fit::model::target::planes::Planes;
+use crate::fit::model::objective::planes::Planes;
 use crate::pixels::{Depth, Pixels, Samples};
 
 /// The target on the device.

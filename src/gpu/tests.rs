@@ -158,16 +158,16 @@ mod stages {
     use super::super::twin;
     use super::super::workspace::Workspace;
     use crate::bitstream::{DetailHead, DetailLayer, Maker};
-    use crate::fit::engine::{Engine, Sight, Watcher};
+    use crate::fit::engine::{Engine, Snapshot, Watcher};
     use crate::fit::job::Job;
     use crate::fit::model::adam::{Bounds, Rates};
     use crate::fit::model::drawing::field::{Field, Output, float_error};
     use crate::fit::model::drawing::project::{self, Primitive as Free};
+    use crate::fit::model::objective::masking;
+    use crate::fit::model::objective::planes::Planes;
+    use crate::fit::model::objective::rows::RowSet;
     use crate::fit::model::placing::{peaks, removal, ridge, sample};
     use crate::fit::model::problem::{Problem, Scene};
-    use crate::fit::model::target::masking;
-    use crate::fit::model::target::planes::Planes;
-    use crate::fit::model::target::rows::RowSet;
     use crate::fit::plan::Plan;
     use crate::fit::schedule;
     use crate::fit::state::State;
@@ -836,7 +836,7 @@ mod stages {
     }
 
     impl Watcher for TakesAndAdds {
-        fn step(&mut self, _: f32, _: &mut dyn Sight) -> crate::Result<()> {
+        fn step(&mut self, _: f32, _: &mut dyn Snapshot) -> crate::Result<()> {
             Ok(())
         }
 

@@ -1,8 +1,6 @@
 //! Interface to the `image` crate: the decoding hook, the encoder trait and pixel conversions.
 
 #[cfg(feature = "encode")]
-mod carry;
-#[cfg(feature = "encode")]
 pub(crate) mod colour;
 mod convert;
 mod decoder;
@@ -11,18 +9,20 @@ mod encoder;
 #[cfg(feature = "encode")]
 pub(crate) mod input;
 #[cfg(feature = "encode")]
+mod metadata_policy;
+#[cfg(feature = "encode")]
 mod replace;
 #[cfg(feature = "encode")]
 mod source;
 #[cfg(feature = "encode")]
 mod transcode;
 
-#[cfg(all(feature = "encode", feature = "unstable"))]
-pub use carry::Carried;
 pub use decoder::{EXTENSION, SsplatDecoder, register};
 #[cfg(feature = "encode")]
 pub use encoder::SsplatEncoder;
 #[cfg(all(feature = "encode", feature = "unstable"))]
 pub use encoder::save;
+#[cfg(all(feature = "encode", feature = "unstable"))]
+pub use metadata_policy::Carried;
 #[cfg(all(feature = "encode", feature = "unstable"))]
 pub use transcode::{encode_decoder, transcode};

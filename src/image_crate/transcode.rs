@@ -65,7 +65,7 @@ fn encode_stated(mut decoder: impl ImageDecoder, stated: Stated, options: &Encod
     let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
     let pixels = Pixels::try_from(stated.without_idle_alpha(input::picture(decoder).map_err(failed)?))?;
     let icc = icc.filter(|icc| is_for(icc, &pixels));
-    let carried = options.carry.of(icc, exif, orientation);
+    let carried = options.metadata.of(icc, exif, orientation);
     let mut options = options.clone();
     options.icc = options.icc.or(carried.icc);
     options.exif = options.exif.or(carried.exif);
@@ -73,7 +73,7 @@ fn encode_stated(mut decoder: impl ImageDecoder, stated: Stated, options: &Encod
 }
 
 impl Encoder {
-    /// Encodes the picture in the file at `input` and writes it to `output`. [`carry`](Encoder::carry) selects the
+    /// Encodes the picture in the file at `input` and writes it to `output`. [`metadata`](Encoder::metadata) selects the
     /// metadata to keep: by default the ICC profile and the orientation.
     ///
     /// It reads ssplat and all formats that `image` is built with, recognized by content or extension. A
@@ -81,7 +81,7 @@ impl Encoder {
     /// [`save`](Encoder::save) lose both; this method keeps them. An ICC profile [set](Encoder::icc) on the encoder
     /// replaces that of the picture, and so does an EXIF block.
     /// What a PNG states about its colours without a profile (cICP, gAMA, cHRM) becomes one, except for PQ and HLG, which
-    /// no profile can express. [`Carry::Needed`](crate::Carry::Needed) leaves out a profile that says sRGB.
+    /// no profile can express. [`MetadataPolicy::Needed`](crate::MetadataPolicy::Needed) leaves out a profile that says sRGB.
     ///
     /// ```no_run
     /// use ssplat::Encoder;
@@ -98,7 +98,7 @@ impl Encoder {
         transcode(input, output, self.options())
     }
 
-    /// Encodes the picture of a `decoder` of the `image` crate. [`carry`](Encoder::carry) selects the metadata to
+    /// Encodes the picture of a `decoder` of the `image` crate. [`metadata`](Encoder::metadata) selects the metadata to
     /// keep.
     ///
     /// ```

@@ -148,7 +148,7 @@ pub enum HiddenColors {
 /// Metadata of the source that a file carries. ICC profile and EXIF block count as bytes of the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
-pub enum Carry {
+pub enum MetadataPolicy {
     /// Everything needed to show the picture as intended: the ICC profile, and the orientation as an EXIF block of 26
     /// bytes where the picture is to be turned. The rest of the EXIF block is left out, and so is a profile that says sRGB, in
     /// which pictures without one are shown: no code value of 8 bits means another colour by more than one.
@@ -210,10 +210,10 @@ pub struct EncodeOptions {
     /// Last step of an ablation.
     pub rung: Rung,
     /// Metadata of the source that `transcode` and `encode_decoder` carry into the file. Pixels alone have none.
-    pub carry: Carry,
-    /// ICC profile to carry, whatever `carry` says.
+    pub metadata: MetadataPolicy,
+    /// ICC profile to carry, whatever `metadata` says.
     pub icc: Option<Vec<u8>>,
-    /// EXIF block to carry, from its TIFF header on, whatever `carry` says.
+    /// EXIF block to carry, from its TIFF header on, whatever `metadata` says.
     pub exif: Option<Vec<u8>>,
 }
 
@@ -246,7 +246,7 @@ impl Default for EncodeOptions {
             hidden: HiddenColors::default(),
             trace: Trace::Off,
             rung: Rung::default(),
-            carry: Carry::Needed,
+            metadata: MetadataPolicy::Needed,
             icc: None,
             exif: None,
         }

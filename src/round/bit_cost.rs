@@ -1,7 +1,7 @@
 //! The bits that the integers of a primitive cost, for rate–distortion decisions: as the entropy coder expects them, and
 //! from how often they occur where it expects nothing.
 
-use crate::bitstream::coder::expect::{Angles, Expected};
+use crate::bitstream::coder::expect::{Angles, PredictedCost};
 use crate::bitstream::lattice::Lattice;
 use crate::bitstream::splats::PackedGaussian;
 use crate::strict_math::StrictMath;
@@ -14,7 +14,7 @@ const SHARED: f32 = 1.3;
 /// Bits of each symbol under order-0 statistics of one set of primitives, and what the coder expects of each of them.
 #[derive(Debug, Clone)]
 pub(crate) struct BitCosts<'a> {
-    expected: &'a [Expected],
+    expected: &'a [PredictedCost],
     major: Vec<f32>,
     difference: Vec<f32>,
     color: [Vec<f32>; 4],
@@ -26,7 +26,7 @@ const COLOR_REACH: i32 = 512;
 
 impl<'a> BitCosts<'a> {
     /// `expected` tells what the coder expects of each of `gaussians`, or is empty.
-    pub(crate) fn measure(gaussians: &[PackedGaussian], channels: usize, expected: &'a [Expected]) -> Self {
+    pub(crate) fn measure(gaussians: &[PackedGaussian], channels: usize, expected: &'a [PredictedCost]) -> Self {
         let mut major = vec![0.05f32; 256];
         let mut difference = vec![0.05f32; 256];
         let mut color: [Vec<f32>; 4] = std::array::from_fn(|_| vec![0.0; 2 * COLOR_REACH as usize + 1]);
@@ -64,7 +64,7 @@ impl<'a> BitCosts<'a> {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cost<'a> {
     common: &'a BitCosts<'a>,
-    expected: Option<&'a Expected>,
+    expected: Option<&'a PredictedCost>,
 }
 
 impl Cost<'_> {

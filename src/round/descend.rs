@@ -8,18 +8,18 @@
 
 use glam::Vec2;
 
-use crate::bitstream::coder::expect::Expected;
+use crate::bitstream::coder::expect::PredictedCost;
 use crate::bitstream::splats::PackedGaussian;
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::drawing::kernel;
 use crate::fit::model::drawing::project::Projected;
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::Gaussian;
 use crate::parallel;
 use crate::quantize::Quantizer;
 use crate::round::bit_cost::{BitCosts, Cost};
-use crate::round::bowl::{Bowl, Moves};
+use crate::round::local_quadratic::{LocalQuadratic, Moves};
 use crate::round::patch::{Parabola, Patch};
 use crate::round::rounded::projected;
 use crate::simd::{self, Simd, Task};
@@ -33,7 +33,7 @@ const BLOCK: usize = 64;
 
 /// Bits by which a move may look worse than none and still be looked at: how well its colour can be rounded is not
 /// known before.
-const SLACK: f32 = 3.0;
+const MAX_APPARENT_LOSS: f32 = 3.0;
 
 /// Which parts of the picture changed lately: a primitive whose surroundings rest need not be tried again.
 #[derive(Debug)]
@@ -99,7 +99,7 @@ impl<'a> Descent<'a> {
     /// Sweeps over all primitives once, where a bit must save `lambda` of the squared error; returns by how much
     /// `error + λ·bits` fell. `gaussians` keeps its order. What the coder expects of
     /// each, if anything, holds for the whole sweep.
-    pub(crate) fn sweep(&mut self, gaussians: &mut [PackedGaussian], expected: &[Expected], lambda: f32) -> f64 {
+    pub(crate) fn sweep(&mut self, gaussians: &mut [PackedGaussian], expected: &[PredictedCost], lambda: f32) -> f64 {
         match self.problem.target.channels.count() {
             1 => sweep_channels::<1>(self, gaussians, expected, lambda),
             2 => sweep_channels::<2>(self, gaussians, expected, lambda),
@@ -130,7 +130,7 @@ impl<'a> Descent<'a> {
 fn sweep_channels<const C: usize>(
     descent: &mut Descent<'_>,
     gaussians: &mut [PackedGaussian],
-    expected: &[Expected],
+    expected: &[PredictedCost],
     lambda: f32,
 ) -> f64 {
     let (problem, quantizer) = (&descent.problem, descent.quantizer);
@@ -279,11 +279,11 @@ struct BowlTask<'a, 'b, const C: usize> {
 }
 
 impl<const C: usize> Task for BowlTask<'_, '_, C> {
-    type Output = Bowl;
+    type Output = LocalQuadratic;
 
     #[inline(always)]
-    fn run<S: Simd>(self, simd: S) -> Bowl {
-        self.patch.bowl::<S, C>(simd, (self.p, self.g), self.color, self.parabola)
+    fn run<S: Simd>(self, simd: S) -> LocalQuadratic {
+        self.patch.local_quadratic::<S, C>(simd, (self.p, self.g), self.color, self.parabola)
     }
 }
 
@@ -353,8 +353,8 @@ impl<const C: usize> BandTask<'_, C> {
         // Colours are chosen anew for each shape. At the best colour the gradient is that of the least error over all
         // colours (envelope theorem), so that the bowl tells which shapes are worth a look at the pixels.
         let color = now.minimum(C).unwrap_or(p.color);
-        let bowl = simd.call(BowlTask::<C> { patch, p: &p, g: &before, color, parabola: &now });
-        for candidate in self.moves(&cost, (&old, &before), &bowl).iter() {
+        let local_quadratic = simd.call(BowlTask::<C> { patch, p: &p, g: &before, color, parabola: &now });
+        for candidate in self.moves(&cost, (&old, &before), &local_quadratic).iter() {
             let g = self.quantizer.dequantize(&candidate);
             let q = Projected::from_gaussian(&g, height);
             let wide = g.extent()[0];
@@ -381,7 +381,12 @@ impl<const C: usize> BandTask<'_, C> {
 
     /// The lattice points around `old` that promise most: for each neighbouring shape the positions that suit it best.
     #[inline(always)]
-    fn moves(&self, cost: &Cost<'_>, (old, before): (&PackedGaussian, &Gaussian), bowl: &Bowl) -> Moves {
+    fn moves(
+        &self,
+        cost: &Cost<'_>,
+        (old, before): (&PackedGaussian, &Gaussian),
+        local_quadratic: &LocalQuadratic,
+    ) -> Moves {
         let lambda = self.lambda;
         let lattice = self.quantizer.lattice();
         let now = cost.geometry(old, lattice);
@@ -394,7 +399,7 @@ impl<const C: usize> BandTask<'_, C> {
             let turn = self.quantizer.rotation(p.major, p.minor, p.angle) - before.rotation;
             let turn = turn - std::f32::consts::PI * (turn / std::f32::consts::PI).round();
             let log = |index: u8, scale: f32| (self.quantizer.scale(index) / scale).strict_ln();
-            let valley = bowl.given([log(p.major, sx), log(p.minor, sy), turn]);
+            let valley = local_quadratic.given([log(p.major, sx), log(p.minor, sy), turn]);
             let [u, v] = valley.lowest();
             let (u, v) = (u * sx, v * sy);
             let mean = Vec2::from(before.mean) + u * Vec2::new(cos, sin) + v * Vec2::new(-sin, cos);
@@ -412,7 +417,7 @@ impl<const C: usize> BandTask<'_, C> {
                 let to = PackedGaussian { x, y, ..p };
                 let [dx, dy] = [(x as f32 + 0.5) * ex - before.mean[0], (y as f32 + 0.5) * ey - before.mean[1]];
                 let value = bits + valley.at([(cos * dx + sin * dy) / sx, (cos * dy - sin * dx) / sy]);
-                if value < SLACK * lambda && to != *old && self.quantizer.holds(&to) {
+                if value < MAX_APPARENT_LOSS * lambda && to != *old && self.quantizer.holds(&to) {
                     moves.add(value, to);
                 }
             }
@@ -512,9 +517,9 @@ mod tests {
     use super::*;
     use crate::bitstream::splats::Layout;
     use crate::fit::model::drawing::project::Primitive;
+    use crate::fit::model::objective::masking;
+    use crate::fit::model::objective::planes::Planes;
     use crate::fit::model::problem::Scene;
-    use crate::fit::model::target::masking;
-    use crate::fit::model::target::planes::Planes;
     use crate::gaussian::{Blend, Channels};
     use crate::pixels::{Pixels, Samples};
     use crate::round::rounded::{Rounded, quantizer};

@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use crate::bitstream::coder::expect::Expected;
+use crate::bitstream::coder::expect::PredictedCost;
 use crate::bitstream::splats::{Layout, PackedGaussian};
 use crate::error::Result;
-use crate::fit::engine::{Sight, Still};
+use crate::fit::engine::{Snapshot, StaticSnapshot};
 use crate::fit::model::drawing::field::float_error;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::plan::Plan;
@@ -61,11 +61,11 @@ pub(crate) struct Rounding<'a> {
 /// The side that makes a file of the integers, and knows its length.
 pub(crate) trait Client {
     /// Is called before every round with the share of the work that is done (0..=1). An error stops the rounding.
-    fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()>;
+    fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()>;
     /// Returns the length of the file with these integers, which may be brought into the order of the file.
     fn bytes(&mut self, rounded: &mut Rounded) -> Result<u64>;
     /// Returns what the coder of that file expects of each primitive, or nothing; they may be brought into the file's order.
-    fn expected(&mut self, rounded: &mut Rounded) -> Result<Vec<Expected>>;
+    fn expected(&mut self, rounded: &mut Rounded) -> Result<Vec<PredictedCost>>;
 }
 
 /// The result of rounding.
@@ -134,7 +134,7 @@ impl Rounds<'_> {
         // What a round takes, as far as that is known.
         let mut takes = Duration::ZERO;
         for round in 0..rounds {
-            let begun = Instant::now();
+            let start = Instant::now();
             self.show(round as f32 / rounds as f32, client)?;
             let error = self.descent.error(&self.rounded.gaussians);
             let is_late = plan.is_over(takes);
@@ -154,7 +154,7 @@ impl Rounds<'_> {
             self.shrink = FADE * (1.0 - bytes as f64 / self.aimed).max(0.0);
             self.aimed = bytes as f64;
             if !is_late {
-                takes = begun.elapsed();
+                takes = start.elapsed();
             }
         }
         match size {
@@ -166,7 +166,7 @@ impl Rounds<'_> {
     fn show(&self, done: f32, client: &mut dyn Client) -> Result<()> {
         let problem = &self.descent.problem;
         let project = || projected(self.quantizer, &self.rounded.gaussians, problem.scene.height);
-        client.step(0.5 + 0.5 * done, &mut Still { problem, project: &project })
+        client.step(0.5 + 0.5 * done, &mut StaticSnapshot { problem, project: &project })
     }
 
     /// Returns whether a file of `bytes` is good enough for `most` bytes, and corrects its size where it is time to.
@@ -192,7 +192,7 @@ impl Rounds<'_> {
     }
 
     /// Sweeps once over the integers of a file of so many bytes.
-    fn sweep(&mut self, expected: &[Expected], error: f64, bytes: u64) {
+    fn sweep(&mut self, expected: &[PredictedCost], error: f64, bytes: u64) {
         let bits = 8.0 * bytes as f64;
         let lambda = (SLOPE * error / bits) as f32;
         let swept = self.descent.sweep(&mut self.rounded.gaussians, expected, lambda);

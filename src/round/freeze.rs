@@ -5,7 +5,7 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
 use crate::error::Result;
-use crate::fit::engine::{Sight, Still};
+use crate::fit::engine::{Snapshot, StaticSnapshot};
 use crate::fit::model::adam::{Freedom, Rates};
 use crate::fit::model::drawing::project::{self, Primitive};
 use crate::fit::model::problem::Problem;
@@ -25,7 +25,7 @@ pub(crate) fn freeze(
     state: &mut State,
     quantizer: &Quantizer,
     plan: &Plan,
-    watch: &mut dyn FnMut(f32, &mut dyn Sight) -> Result<()>,
+    watch: &mut dyn FnMut(f32, &mut dyn Snapshot) -> Result<()>,
 ) -> Result<()> {
     let scene = &problem.scene;
     let (count, iterations) = (state.primitives.len(), plan.freezing);
@@ -36,7 +36,7 @@ pub(crate) fn freeze(
     state.freedom = vec![Freedom::All; count];
     for round in 0..rounds {
         let project = || project::all(&state.primitives, scene.height);
-        watch(round as f32 / rounds as f32, &mut Still { problem, project: &project })?;
+        watch(round as f32 / rounds as f32, &mut StaticSnapshot { problem, project: &project })?;
         // All are frozen a little before the end, so that the colours settle.
         let share = ((round + 1) as f32 / rounds as f32 / 0.92).min(1.0);
         let frozen = state.freedom.iter().filter(|f| **f == Freedom::Color).count();

@@ -4,10 +4,10 @@
 //! it tells through [`finish::Client`] how many bytes it takes.
 
 mod bit_cost;
-mod bowl;
 pub(crate) mod descend;
 pub(crate) mod finish;
 mod freeze;
+mod local_quadratic;
 mod patch;
 pub(crate) mod rounded;
 pub(crate) mod size;

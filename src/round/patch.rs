@@ -3,10 +3,10 @@
 
 use crate::fit::model::drawing::kernel::{self, Strip, Visit};
 use crate::fit::model::drawing::project::Projected;
+use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::target::planes::Planes;
 use crate::gaussian::{Blend, CUTOFF_WEIGHT, EPSILON, Gaussian};
-use crate::round::bowl::Bowl;
+use crate::round::local_quadratic::LocalQuadratic;
 use crate::simd::{LANES, Simd};
 use crate::strict_math::StrictMath;
 
@@ -215,13 +215,13 @@ impl<'a> Patch<'a> {
     /// How the error over the patch with `p`, the projection of `g`, in it and of `color` changes with mean, scales and
     /// rotation, to second order.
     #[inline(always)]
-    pub(super) fn bowl<S: Simd, const C: usize>(
+    pub(super) fn local_quadratic<S: Simd, const C: usize>(
         &self,
         simd: S,
         (p, g): (&Projected, &Gaussian),
         color: [f32; 4],
         parabola: &Parabola,
-    ) -> Bowl {
+    ) -> LocalQuadratic {
         let (zero, range) = (simd.splat(0.0), self.range(p.rows));
         let (sin, cos) = g.rotation.strict_sin_cos();
         let [sx, sy] = g.scale;
@@ -237,11 +237,11 @@ impl<'a> Patch<'a> {
         };
         self.walk(simd, p, range, &mut slopes);
         let scale = self.step as f32;
-        let mut bowl = Bowl::default();
+        let mut local_quadratic = LocalQuadratic::default();
         let mut mixed = [[0.0; 5]; C];
         let mut n = 0;
         for a in 0..5 {
-            bowl.slope[a] = simd.sum(slopes.first[a]) * scale;
+            local_quadratic.slope[a] = simd.sum(slopes.first[a]) * scale;
             for k in 0..C {
                 mixed[k][a] = simd.sum(slopes.mixed[k][a]) * scale;
             }
@@ -251,11 +251,11 @@ impl<'a> Patch<'a> {
                     // The colour follows.
                     v -= of[a] * of[b] / (parabola.square(k, C) + 1e-6);
                 }
-                (bowl.curvature[a][b], bowl.curvature[b][a]) = (v, v);
+                (local_quadratic.curvature[a][b], local_quadratic.curvature[b][a]) = (v, v);
                 n += 1;
             }
         }
-        bowl
+        local_quadratic
     }
 
     /// Which of the rows that are there lie inside `rows`.
@@ -397,7 +397,7 @@ impl<S: Simd, const C: usize> Visit<S> for Errors<'_, S, C> {
     }
 }
 
-/// Sums a [`Bowl`].
+/// Sums a [`LocalQuadratic`].
 struct Slopes<'a, S: Simd, const C: usize> {
     pixels: Pixels<'a>,
     color: [f32; 4],

@@ -3,8 +3,8 @@
 use crate::bitstream::splats::{Layout, PackedGaussian, Steps};
 use crate::fit::model::drawing::field::float_error;
 use crate::fit::model::drawing::project::{Primitive, Projected};
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::target::rows::RowSet;
 use crate::quantize::Quantizer;
 use crate::strict_math::StrictMath;
 
@@ -19,7 +19,7 @@ pub(crate) struct Rounded {
 /// Share of the primitives that are smaller than what the coarsest positions of the coded layout are made for.
 const COARSEST: f32 = 0.97;
 /// Share of the primitives that are smaller than what the one position step of the other layouts is made for.
-const SMALL: f32 = 0.25;
+const SMALL_SHARE: f32 = 0.25;
 
 impl Rounded {
     /// Rounds `primitives` to the nearest integers in steps that suit them.
@@ -79,7 +79,7 @@ pub(crate) fn steps(primitives: &[Primitive], layout: Layout, psnr: f64) -> Step
         }
         Layout::Packed | Layout::Planes => {
             // One step for all positions: fine enough for the small Gaussians, a sixth of their size.
-            let small = at(SMALL) / std::f32::consts::LN_2;
+            let small = at(SMALL_SHARE) / std::f32::consts::LN_2;
             let coarsest = ((small - 2.5).round() as i8).clamp(-4, 6);
             Steps { scale: 2, angle: 1, position: 5, coarsest, range: 0, luma: 8, chroma: 2 }
         }

@@ -2,8 +2,8 @@
 
 use crate::bitstream::splats::PackedGaussian;
 use crate::fit::model::drawing::field::Output;
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::{peaks, removal};
-use crate::fit::model::target::rows::RowSet;
 use crate::round::descend::Descent;
 
 /// The size that a file may have.

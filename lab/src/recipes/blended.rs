@@ -12,7 +12,7 @@ use std::ops::Range;
 use super::moments::Slope;
 use super::tiles::{Reach, TILE, Tiles};
 use ssplat::unstable::fit::model::drawing::field::Field;
-use ssplat::unstable::fit::model::target::planes::Planes;
+use ssplat::unstable::fit::model::objective::planes::Planes;
 use ssplat::unstable::parallel;
 use ssplat::unstable::simd::{self, LANES, Lanes, Simd, Task};
 

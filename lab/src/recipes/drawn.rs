@@ -1,6 +1,6 @@
 //! Conversions of a method's result: planes to code values, their PSNR, and the Gaussians to a picture.
 
-use ssplat::unstable::fit::model::target::planes::Planes;
+use ssplat::unstable::fit::model::objective::planes::Planes;
 use ssplat::unstable::gaussian::{Blend, Gaussian, Picture};
 use ssplat::{Pixels, Samples};
 

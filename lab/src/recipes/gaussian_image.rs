@@ -22,9 +22,9 @@ use super::optimizer::{Adan, NUMBERS};
 use super::{Fit, Options, Point, drawn, quantized};
 use ssplat::unstable::fit::model::drawing::field::{Field, Output};
 use ssplat::unstable::fit::model::drawing::project::{Primitive, Projected};
+use ssplat::unstable::fit::model::objective::planes::Planes;
+use ssplat::unstable::fit::model::objective::rows::RowSet;
 use ssplat::unstable::fit::model::problem::{Problem, Scene};
-use ssplat::unstable::fit::model::target::planes::Planes;
-use ssplat::unstable::fit::model::target::rows::RowSet;
 use ssplat::unstable::gaussian::Blend;
 use ssplat::unstable::parallel;
 

@@ -27,9 +27,9 @@ use super::{Counted, Fit, Options, Point, drawn};
 use ssplat::Pixels;
 use ssplat::unstable::fit::model::drawing::field::Field;
 use ssplat::unstable::fit::model::drawing::project::{Primitive, Projected};
+use ssplat::unstable::fit::model::objective::loss::Loss;
+use ssplat::unstable::fit::model::objective::planes::Planes;
 use ssplat::unstable::fit::model::problem::{Problem, Scene};
-use ssplat::unstable::fit::model::target::loss::Loss;
-use ssplat::unstable::fit::model::target::planes::Planes;
 use ssplat::unstable::gaussian::Blend;
 use ssplat::unstable::metrics;
 

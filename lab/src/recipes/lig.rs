@@ -25,7 +25,7 @@ use super::blended::{self, Drawing, MIN_ALPHA, Rule, Splat};
 use super::optimizer::{Adam, NUMBERS};
 use super::tiles::Reach;
 use super::{Counted, Fit, Options, Point, drawn};
-use ssplat::unstable::fit::model::target::planes::Planes;
+use ssplat::unstable::fit::model::objective::planes::Planes;
 use ssplat::unstable::gaussian::{Blend, Gaussian};
 
 const RATE: f32 = 0.018;

@@ -33,7 +33,7 @@ mod tiles;
 mod top_k;
 
 use ssplat::Pixels;
-use ssplat::unstable::fit::model::target::planes::Planes;
+use ssplat::unstable::fit::model::objective::planes::Planes;
 use ssplat::unstable::gaussian::Picture;
 use ssplat::{Error, Result};
 

@@ -3,7 +3,7 @@
 use ssplat::unstable::fit::model::drawing::field::Field;
 use ssplat::unstable::fit::model::drawing::kernel;
 use ssplat::unstable::fit::model::drawing::project::Projected;
-use ssplat::unstable::fit::model::target::rows::RowSet;
+use ssplat::unstable::fit::model::objective::rows::RowSet;
 use ssplat::unstable::parallel;
 use ssplat::unstable::simd::{self, Simd, Task};
 

@@ -28,9 +28,9 @@ use super::estimate;
 use super::optimizer::{Adam, NUMBERS};
 use super::tiles::Reach;
 use super::{Counted, Fit, Options, Point, drawn};
+use ssplat::unstable::fit::model::objective::loss::Loss;
+use ssplat::unstable::fit::model::objective::planes::Planes;
 use ssplat::unstable::fit::model::problem::{Problem, Scene};
-use ssplat::unstable::fit::model::target::loss::Loss;
-use ssplat::unstable::fit::model::target::planes::Planes;
 use ssplat::unstable::gaussian::{Blend, Gaussian};
 
 const PLACE_RATES: [f32; 2] = [1.6e-4, 1.6e-6];

@@ -203,7 +203,7 @@ fn measure(encoded: &ssplat::Encoded, job: &Job, subject: &Subject) -> Result<Va
     let parts: Vec<Value> = report.parts.iter().map(|p| json!([p.name, p.bytes])).collect();
     let fields: Vec<Value> = report.fields.iter().map(|f| json!([f.name, f.bits / 8.0])).collect();
     let left_out: Vec<Value> = r
-        .left_out
+        .skipped
         .iter()
         .map(|l| json!({ "what": l.what.to_string(), "bytes": l.bytes, "seconds": l.seconds }))
         .collect();

@@ -97,7 +97,7 @@ pub fn measure(name: &str, pixels: &Pixels) -> ssplat::Result<Needless> {
         out.bytes[i] += encoded.bytes.len() as u64;
         out.seconds[i] += encoded.report.seconds / SEEDS as f64;
         out.psnr[i] += metrics::psnr(pixels, &drawn)?.min(99.0) / SEEDS as f64;
-        for l in &encoded.report.left_out {
+        for l in &encoded.report.skipped {
             let text = match l.bytes {
                 0 => l.what.to_string(),
                 bytes => format!("{} ({bytes} B)", l.what),

@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use super::model::Field;
 use super::neighbours::{Buckets, COUNT, LANES};
-use super::range::{Coder, Cumulative, Forecast};
+use super::range::{Coder, Cumulative, Prediction};
 use super::spread::{Bounded, FINE, Gains, MEAN, Near, Open, Shifts, log16};
 use crate::angle::sin_cos;
 use crate::bitstream::broken::Broken;
@@ -454,7 +454,7 @@ impl Attributes {
         let place = expected + self.aspect_shift.get(kind);
         let classes = [kind, ASPECTS + class(dev[0] >> 5, 4), ASPECTS + 9 + class(dev[1] >> 5, 4)];
         let spread = ASPECT_SPREAD + self.aspect.log(&classes);
-        coder.expect(Forecast::Aspect { major, place, spread });
+        coder.expect(Prediction::Aspect { major, place, spread });
         let near = Near::new(place, spread);
         let choice = aspects(near, major);
         let difference = coder.choose(&choice, i32::from(p.major) - i32::from(p.minor));
@@ -471,7 +471,7 @@ impl Attributes {
         let (direction, accord) = consensus(around.axis(), around.elongation());
         let classes = [n.ilog2().min(7) as usize, 8 + accord, 8 + 6 + direction as usize / 4];
         let spread = ANGLE_SPREADS[accord] + self.angle.log(&classes);
-        coder.expect(Forecast::Angle { direction, spread });
+        coder.expect(Prediction::Angle { direction, spread });
         let (choice, low) = angles(direction, n, spread);
         let (step, share) = coder.share(&choice, (i64::from(angle) - low).rem_euclid(n) as i32);
         // Distances on a circle are bounded, so the distance is measured as the cumulative probability from the centre
@@ -511,7 +511,7 @@ impl Attributes {
             let error = (outlook.around.error(k) * FINE + own) * outlook.trust[1] >> 24;
             let log = log16(error.max(1) as u64) + 32 + model.gains.log(&classes);
             let cross = [0, 1].map(|j| model.cross[j].value);
-            coder.expect(Forecast::Color { channel: k, place: mean + follow, cross, spread: log });
+            coder.expect(Prediction::Color { channel: k, place: mean + follow, cross, spread: log });
             let near = Near::new(guess, log);
             let value = Open::new(near).code(coder, color[k].into());
             if value.unsigned_abs() > model.most {

@@ -7,7 +7,7 @@
 
 use super::attributes::{MINOR_GROWTH, angles, aspects, legal};
 use super::coded::{Group, sort};
-use super::range::{Coder, Cumulative, Forecast};
+use super::range::{Coder, Cumulative, Prediction};
 use super::spread::{Bounded, FINE, Near, Open};
 use crate::bitstream::groups;
 use crate::bitstream::header::Grouping;
@@ -30,7 +30,7 @@ struct Color {
 
 /// Predictions for one primitive.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Expected {
+pub(crate) struct PredictedCost {
     /// The major scale for which the aspect was predicted.
     major: u8,
     direction: u8,
@@ -40,7 +40,7 @@ pub(crate) struct Expected {
     colors: [Color; 4],
 }
 
-impl Expected {
+impl PredictedCost {
     /// Returns the cost in bits of `minor` after `major`.
     #[inline(always)]
     pub(crate) fn aspect(&self, major: u8, minor: u8) -> f32 {
@@ -143,7 +143,7 @@ fn log2(value: u32) -> f32 {
 
 /// Processes the primitives as a writer does, and records the prediction of each.
 #[derive(Debug, Default)]
-struct Recorder(Vec<Expected>);
+struct Recorder(Vec<PredictedCost>);
 
 impl Coder for Recorder {
     fn bit(&mut self, _one: u32, bit: u32) -> u32 {
@@ -158,10 +158,10 @@ impl Coder for Recorder {
         (value, [value, value + 1].map(|v| frequencies.below(v)))
     }
 
-    fn expect(&mut self, forecast: Forecast) {
-        if let Forecast::Aspect { major, place, spread } = forecast {
+    fn expect(&mut self, prediction: Prediction) {
+        if let Prediction::Aspect { major, place, spread } = prediction {
             // A single possible angle is not predicted.
-            self.0.push(Expected {
+            self.0.push(PredictedCost {
                 major,
                 direction: 0,
                 aspect_spread: spread as i16,
@@ -171,12 +171,12 @@ impl Coder for Recorder {
             });
         }
         let Some(last) = self.0.last_mut() else { return };
-        match forecast {
-            Forecast::Aspect { .. } => {}
-            Forecast::Angle { direction, spread } => {
+        match prediction {
+            Prediction::Aspect { .. } => {}
+            Prediction::Angle { direction, spread } => {
                 (last.direction, last.angle_spread) = (direction as u8, spread as i16);
             }
-            Forecast::Color { channel, place, cross, spread } => {
+            Prediction::Color { channel, place, cross, spread } => {
                 let cross = cross.map(|c| c as i16);
                 last.colors[channel] = Color { place: place as i32, cross, spread: spread as i16 };
             }
@@ -189,7 +189,7 @@ impl Coder for Recorder {
 ///
 /// # Errors
 /// [`Error::Parameter`](crate::Error::Parameter) if the integers break spec §4.
-pub(crate) fn expected(splats: &mut PackedSplats) -> Result<Vec<Expected>> {
+pub(crate) fn expected(splats: &mut PackedSplats) -> Result<Vec<PredictedCost>> {
     if splats.layout != Layout::Coded || splats.codebook.is_some() {
         return Ok(Vec::new());
     }
@@ -284,7 +284,7 @@ mod tests {
             let expected = expected(&mut splats).unwrap();
             assert_eq!(expected.len(), count);
             let lattice = Rules::of(&splats).lattice;
-            let sum = |cost: &dyn Fn(&Expected, &PackedGaussian) -> f32| -> f64 {
+            let sum = |cost: &dyn Fn(&PredictedCost, &PackedGaussian) -> f32| -> f64 {
                 expected.iter().zip(&splats.gaussians).map(|(e, g)| f64::from(cost(e, g))).sum()
             };
             let aspect = sum(&|e, g| e.aspect(g.major, g.minor));

@@ -23,7 +23,7 @@ pub trait Cumulative: std::fmt::Debug {
 
 /// Prediction of a value that is coded next. Positions are in sixteenths, spreads in sixteenths of octaves.
 #[derive(Debug, Clone, Copy)]
-pub enum Forecast {
+pub enum Prediction {
     /// Prediction of `major − minor`.
     Aspect { major: u8, place: i64, spread: i32 },
     /// Prediction of an angle: one of 64 directions, and the spread as a part of all angles.
@@ -78,7 +78,7 @@ pub trait Coder {
 
     /// Reports the prediction of the next value; only a recorder implements it.
     #[inline(always)]
-    fn expect(&mut self, _forecast: Forecast) {}
+    fn expect(&mut self, _forecast: Prediction) {}
 }
 
 /// Writes decisions.

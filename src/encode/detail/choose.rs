@@ -1,7 +1,7 @@
 //! Chooses the levels of a tile by rate–distortion optimization, and optionally its blocks.
 
 use super::coefficients::{self, AllSizes, Coefficients, Division};
-use super::in_steps::{Factors, Kept, Values};
+use super::in_steps::{Factors, KeptBase, Values};
 use super::residual::TileResidual;
 use crate::bitstream::coder::range::Encoder;
 use crate::bitstream::detail::block::{self, Block, Context, MAX_LEVEL};
@@ -50,7 +50,7 @@ const QUIET: f32 = 0.45;
 /// Below this, in steps, a coefficient has no level to begin with.
 const DEAD: f32 = 0.58;
 /// In blocks of up to this many candidates, each level is tried by itself.
-const FEW: usize = 6;
+const MAX_EXACT_LEVELS: usize = 6;
 /// Margin in bits beyond which an estimate is conclusive.
 const DOUBT: f32 = 1.0;
 /// Bits that lowering a level saves in the levels after it, beyond the estimate.
@@ -163,10 +163,10 @@ pub(super) fn choose(
     classes: &[u8],
     setting: &Setting,
     sizes: &[Vec<u8>; KINDS],
-    kept: Option<&Kept>,
+    kept: Option<&KeptBase>,
 ) -> Chosen {
     let division = |plane: usize| Division::Chosen(&sizes[[0, 1, 1, 2][plane]]);
-    let own = Kept::new();
+    let own = KeptBase::new();
     let coefficients = kept
         .unwrap_or(&own)
         .get_or_init(|| std::array::from_fn(|plane| coefficients::plane(tile, plane, division(plane))));
@@ -378,7 +378,7 @@ impl<'a> Chooser<'a> {
             bias: head.biases.map(|bias| f32::from(bias) / 32.0),
         };
         let mut found = trial.rounded(&self.candidates, self.values.energy);
-        let is_many = self.candidates.len() > FEW;
+        let is_many = self.candidates.len() > MAX_EXACT_LEVELS;
         let doubtful = &mut self.doubtful;
         if is_many && care == Care::Thorough && trial.lower(&self.candidates, &mut found, &mut self.savings, doubtful) {
             trial.try_each(doubtful, &mut found, |_, _| false);

@@ -7,14 +7,14 @@
 use super::Layered;
 use super::texture::Texture;
 use crate::bitstream::splats::{Layout, PackedSplats};
-use crate::encode::job::{Base, Encoding, Kept, Outcome};
-use crate::encode::subject::stored_scene;
+use crate::encode::input::stored_scene;
+use crate::encode::job::{Base, EncodeSession, KeptBase, Outcome};
 use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::drawing::project::Primitive;
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::peaks;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::target::rows::RowSet;
 use crate::instant::Instant;
 use crate::options::{Detail, EncodeOptions, Recipe, Tune};
 use crate::round::rounded::projected;
@@ -23,18 +23,18 @@ use crate::strict_math::StrictMath;
 use crate::target::Target;
 
 /// Pixels of the pictures that the numbers below were found on; they go with powers of how much larger a picture is.
-const PIXELS: f64 = 393_216.0;
+const REFERENCE_PIXELS: f64 = 393_216.0;
 /// Bytes of a base that serves most photographs; `--detail SHARE` tries other ones.
-const BASE: f64 = 8_200.0;
+const REFERENCE_BASE_BYTES: f64 = 8_200.0;
 const BASE_POWER: f64 = 0.35;
 /// Power of the ratio, over 50, with which it falls from 20 to 100.
 const BASE_FALL: f64 = 0.37;
 /// The same at effort 1, over that: a short fit makes less of its bytes than the layer.
 const HASTY_BASE: f64 = 0.5;
 /// Most of the bytes that such a base may take.
-const MOST: f64 = 0.7;
+const MAX_BASE_SHARE: f64 = 0.7;
 /// Ratio above which files have no layer, if the tune is not perceptual or the texture is unknown.
-const RATIO: f64 = 120.0;
+const MAX_RATIO: f64 = 120.0;
 const RATIO_POWER: f64 = 0.85;
 /// Fineness of pictures of so many pixels for which a layer is worth as much at such a ratio as its bytes of Gaussians: at effort 1, whose short fits
 /// under a layer make less of their bytes, and from 2 on. The ratio goes with the square of fineness, and with a power of the pixels. At
@@ -50,26 +50,26 @@ const ALWAYS_RATIO: f64 = 80.0;
 const BUSY_SHARE: f64 = 0.5;
 /// Activities at which a picture starts to count as busy, and counts in full.
 const BUSY: [f64; 2] = [2.9, 4.1];
-/// Logarithm of the pixels, divided by [`PIXELS`], at which that share applies in full.
+/// Logarithm of the pixels, divided by [`REFERENCE_PIXELS`], at which that share applies in full.
 const BUSY_SIZE: f64 = 1.9;
 /// Pixels of the largest pictures whose residual is held as a whole, in some 30 bytes a pixel; that of larger ones is made a part at a
 /// time, and their Gaussians are fitted once.
 const LARGEST: u64 = 1 << 26;
 /// Files of fewer bytes have none.
-const LEAST: u64 = 2_500;
+const MIN_FILE_BYTES: u64 = 2_500;
 /// A picture's sharpness is the share of the error that as many Gaussians again, set where it is largest, promise to take away, for each
 /// decibel that doubling the bytes of the layer wins. Up to here a small base is best.
-const SHARP: f64 = 0.105;
+const MAX_SHARPNESS: f64 = 0.105;
 /// The same from effort 7 on: of twelve pictures one gains .1 dB at 20 and .2 at 50, and five are fitted again for nothing.
-const SHARP_TRIED: f64 = 0.085;
+const MAX_SHARPNESS_TRIED: f64 = 0.085;
 /// Power of the ratio over 20 with which that grows.
 const SHARP_POWER: f64 = 0.1;
 /// A base that is larger by less than this is not worth another fit.
-const WORTH: f64 = 1.5;
+const MIN_BASE_GROWTH: f64 = 1.5;
 /// Decibels from which on a larger base has won enough for the largest one to be tried.
-const GAIN: f64 = 0.22;
+const MIN_GAIN: f64 = 0.22;
 /// Bytes of the layer that sharpness is measured with, over those of the base: what was found at a ratio of 50 holds at others.
-const MEASURED: f64 = 1.9;
+const MEASURED_LAYER: f64 = 1.9;
 /// Share of a budget of time that the Gaussians get.
 const BASE_TIME: f64 = 0.6;
 /// Share of the bytes that the Gaussians of a sharp picture get at a ratio of 20, and what each doubling of the ratio adds.
@@ -78,15 +78,15 @@ const SHARP_MORE: f64 = 0.15;
 /// And at most.
 const MOST_SHARP: f64 = 0.9;
 /// How much larger than asked such Gaussians may come out.
-const SLACK: f64 = 1.1;
+const MAX_OVERSHOOT: f64 = 1.1;
 
-impl Encoding<'_> {
+impl EncodeSession<'_> {
     /// A file of `size` with the Gaussians and the detail layer that share it.
     pub(in crate::encode) fn layered(&mut self, size: Size) -> Result<Outcome> {
-        let options = self.subject.options;
+        let options = self.input.options;
         let Size::Bytes(most) = size else { return self.at_size(size) };
         // Header and metadata are there whatever the division is.
-        let fixed = self.subject.file(&self.subject.empty())?.len() as u64;
+        let fixed = self.input.file(&self.input.empty())?.len() as u64;
         let Some(shared) = most.checked_sub(fixed) else { return self.at_size(size) };
         let may_have = options.layout == Layout::Coded && options.recipe == Recipe::Ssplat;
         let rounds = self.rounds();
@@ -94,24 +94,24 @@ impl Encoding<'_> {
         self.until = time.and_then(|time| Instant::now().checked_add(time));
         match options.detail {
             Detail::Share(share) => {
-                let base = self.base(fixed + (shared as f64 * share) as u64, self.subject.samples() / shared as f64)?;
+                let base = self.base(fixed + (shared as f64 * share) as u64, self.input.samples() / shared as f64)?;
                 if self.pixels() > LARGEST {
                     return self.layered_in_parts(base, most);
                 }
-                let clock = self.journal.seconds();
+                let clock = self.report.seconds();
                 let layered = self.layer(base, most)?;
                 if layered.coded.is_none() {
                     // No room for a layer: all of it is the Gaussians'.
                     return self.at_size(size);
                 }
                 let outcome = self.joined(layered, most, rounds)?;
-                self.journal.stage("detail", clock);
+                self.report.stage("detail", clock);
                 Ok(outcome)
             }
             Detail::Auto if may_have => {
                 let texture = self.texture();
                 let largest = largest_ratio(options.effort, self.pixels(), texture);
-                match is_worth_a_layer(self.subject.samples(), shared, largest) {
+                match is_worth_a_layer(self.input.samples(), shared, largest) {
                     true => self.divided([fixed, shared], texture, rounds),
                     false => self.at_size(size),
                 }
@@ -122,15 +122,15 @@ impl Encoding<'_> {
 
     /// Returns the texture of the picture if the division of the bytes depends on it.
     fn texture(&self) -> Option<Texture> {
-        if self.subject.options.favoured() == Tune::Iq { Texture::of(&self.planes) } else { None }
+        if self.input.options.favoured() == Tune::Iq { Texture::of(&self.planes) } else { None }
     }
 
     /// Rounds of descent beside the layer.
     fn rounds(&self) -> u32 {
-        match self.subject.options.effort {
+        match self.input.options.effort {
             1 => 0,
             2 | 3 => 1,
-            4..=6 => match self.subject.options.favoured() {
+            4..=6 => match self.input.options.favoured() {
                 // Each of the second and the third wins .01 dB: not worth it in every try.
                 Tune::Psnr if self.is_search() => 1,
                 Tune::Psnr => 3,
@@ -159,13 +159,13 @@ impl Encoding<'_> {
     /// Finds the division of `shared` bytes, beside those of header and metadata, and makes the file.
     fn divided(&mut self, [fixed, shared]: [u64; 2], texture: Option<Texture>, rounds: u32) -> Result<Outcome> {
         let (most, all) = (fixed + shared, shared as f64);
-        let ratio = (self.subject.samples() / all).max(20.0);
+        let ratio = (self.input.samples() / all).max(20.0);
         let least = all * texture.map_or(0.0, |texture| busy_share(texture, self.pixels(), ratio));
-        let few = bytes_of_base(self.subject.options.effort, self.pixels(), ratio, all).max(least);
+        let few = bytes_of_base(self.input.options.effort, self.pixels(), ratio, all).max(least);
         let most_for_base = (SHARP_SHARE + SHARP_MORE * (ratio / 20.0).strict_log2()).min(MOST_SHARP) * all;
         // What was large enough for a sharp picture can be too large for a smaller file of it.
-        let room = fixed as f64 + (SLACK * most_for_base).min(MOST_SHARP * all);
-        let serves = |kept: &&Kept| is_near(few, kept.meant) && kept.base.bytes.len() as f64 <= room;
+        let room = fixed as f64 + (MAX_OVERSHOOT * most_for_base).min(MOST_SHARP * all);
+        let serves = |kept: &&KeptBase| is_near(few, kept.base_budget) && kept.base.bytes.len() as f64 <= room;
         let kept = self.kept.as_ref().filter(serves).map(|kept| kept.base.clone());
         let is_new = kept.is_none();
         let base = kept.map_or_else(|| self.base(fixed + few as u64, ratio), Ok)?;
@@ -175,26 +175,26 @@ impl Encoding<'_> {
             }
             return self.layered_in_parts(base, most);
         }
-        let clock = self.journal.seconds();
+        let clock = self.report.seconds();
         let mut layered = self.layer(base, most)?;
-        self.journal.stage("detail", clock);
+        self.report.stage("detail", clock);
         // For eyes the smaller base is as good. And a budget of time is not enough for several fits.
-        let is_exact = self.subject.options.favoured() == Tune::Psnr;
-        let may_be_larger = is_new && is_exact && self.until.is_none() && most_for_base > WORTH * few;
-        let sharpness = if may_be_larger { self.sharpness(&layered, few * MEASURED)? } else { Some(0.0) };
-        let least = if self.subject.options.effort >= 7 { SHARP_TRIED } else { SHARP };
+        let is_exact = self.input.options.favoured() == Tune::Psnr;
+        let may_be_larger = is_new && is_exact && self.until.is_none() && most_for_base > MIN_BASE_GROWTH * few;
+        let sharpness = if may_be_larger { self.sharpness(&layered, few * MEASURED_LAYER)? } else { Some(0.0) };
+        let least = if self.input.options.effort >= 7 { MAX_SHARPNESS_TRIED } else { MAX_SHARPNESS };
         if sharpness.is_none_or(|sharpness| sharpness > least * (ratio / 20.0).strict_powf(SHARP_POWER)) {
             for bytes in [(few * most_for_base).sqrt(), most_for_base] {
-                self.begun = primitives_of(&layered.base.splats);
+                self.initial = primitives_of(&layered.base.splats);
                 let base = self.base(fixed + bytes as u64, ratio)?;
-                let clock = self.journal.seconds();
+                let clock = self.report.seconds();
                 let other = self.layer(base, most)?;
-                self.journal.stage("detail", clock);
+                self.report.stage("detail", clock);
                 let gain = 10.0 * (layered.error / other.error).strict_log10();
                 if gain > 0.0 {
                     layered = other;
                 }
-                if gain.is_nan() || gain < GAIN {
+                if gain.is_nan() || gain < MIN_GAIN {
                     break;
                 }
             }
@@ -205,22 +205,22 @@ impl Encoding<'_> {
         if is_new {
             self.keep(&layered.base, few);
         }
-        let clock = self.journal.seconds();
+        let clock = self.report.seconds();
         let outcome = self.joined(layered, most, rounds)?;
-        self.journal.stage("detail", clock);
+        self.report.stage("detail", clock);
         Ok(outcome)
     }
 
     /// Keeps Gaussians for the next try, where there is one.
-    fn keep(&mut self, base: &Outcome, meant: f64) {
+    fn keep(&mut self, base: &Outcome, base_budget: f64) {
         if self.is_search() {
-            self.kept = Some(Kept { base: base.clone(), meant });
+            self.kept = Some(KeptBase { base: base.clone(), base_budget });
         }
     }
 
     /// Whether sizes are tried until a file is as good as was asked for.
     fn is_search(&self) -> bool {
-        match self.subject.options.target {
+        match self.input.options.target {
             Target::Auto | Target::Ratio(_) | Target::Bytes(_) | Target::Primitives(_) => false,
             Target::Psnr(_) => true,
             #[cfg(feature = "quality")]
@@ -238,12 +238,12 @@ impl Encoding<'_> {
         if !decibels.is_finite() {
             return Ok(None);
         }
-        let promise = self.promise(splats);
-        Ok(Some(promise / decibels.max(0.1)))
+        let estimated_gain = self.estimated_gain(splats);
+        Ok(Some(estimated_gain / decibels.max(0.1)))
     }
 
     /// The share of the error of `splats` that as many Gaussians again are estimated to take away.
-    fn promise(&self, splats: &PackedSplats) -> f64 {
+    fn estimated_gain(&self, splats: &PackedSplats) -> f64 {
         let mut plain = self.planes.weighed(Vec::new());
         plain.channel_amplitude = [1.0; 4];
         let problem = Problem { scene: stored_scene(splats), target: &plain };
@@ -264,7 +264,7 @@ fn primitives_of(splats: &PackedSplats) -> Vec<Primitive> {
 
 /// Returns the largest ratio at which a picture of so many pixels gains by a layer; `texture` is known where eyes are favoured.
 fn largest_ratio(effort: u8, pixels: u64, texture: Option<Texture>) -> f64 {
-    let usual = RATIO * (pixels as f64 / PIXELS).strict_powf(RATIO_POWER);
+    let usual = MAX_RATIO * (pixels as f64 / REFERENCE_PIXELS).strict_powf(RATIO_POWER);
     let Some(texture) = texture else { return usual };
     let fine = FINE[usize::from(effort > 1)];
     let larger = (pixels as f64 / FINE_PIXELS).strict_powf(FINE_RATIO_POWER);
@@ -273,26 +273,27 @@ fn largest_ratio(effort: u8, pixels: u64, texture: Option<Texture>) -> f64 {
 
 /// Tells whether a picture of so many samples gains by a layer in a file of so many bytes, if it does up to a ratio of `largest`.
 fn is_worth_a_layer(samples: f64, bytes: u64, largest: f64) -> bool {
-    bytes >= LEAST && samples / bytes as f64 <= largest
+    bytes >= MIN_FILE_BYTES && samples / bytes as f64 <= largest
 }
 
-/// Tells whether a base of `meant` bytes is as good as one of `few`.
-fn is_near(few: f64, meant: f64) -> bool {
-    (few / meant).strict_ln().abs() < WORTH.strict_ln()
+/// Tells whether a base of `base_budget` bytes is as good as one of `few`.
+fn is_near(few: f64, base_budget: f64) -> bool {
+    (few / base_budget).strict_ln().abs() < MIN_BASE_GROWTH.strict_ln()
 }
 
 /// Returns the bytes of the Gaussians in a file of `all` bytes.
 fn bytes_of_base(effort: u8, pixels: u64, ratio: f64, all: f64) -> f64 {
-    let larger = pixels as f64 / PIXELS;
+    let larger = pixels as f64 / REFERENCE_PIXELS;
     let haste = if effort == 1 { HASTY_BASE } else { 1.0 };
-    (haste * BASE * larger.strict_powf(BASE_POWER) * (ratio.min(100.0) / 50.0).strict_powf(-BASE_FALL)).min(MOST * all)
+    (haste * REFERENCE_BASE_BYTES * larger.strict_powf(BASE_POWER) * (ratio.min(100.0) / 50.0).strict_powf(-BASE_FALL))
+        .min(MAX_BASE_SHARE * all)
 }
 
 /// Returns the least share of the bytes that the Gaussians of such a picture get.
 fn busy_share(texture: Texture, pixels: u64, ratio: f64) -> f64 {
     let [from, to] = BUSY;
     let busy = ((texture.activity - from) / (to - from)).clamp(0.0, 1.0);
-    let large = ((pixels as f64 / PIXELS).strict_ln() / BUSY_SIZE).clamp(0.0, 1.0);
+    let large = ((pixels as f64 / REFERENCE_PIXELS).strict_ln() / BUSY_SIZE).clamp(0.0, 1.0);
     BUSY_SHARE * busy * large * (ratio / 100.0).min(1.0)
 }
 
@@ -339,10 +340,10 @@ mod tests {
     #[test]
     fn gaussians_get_more_of_large_busy_pictures_in_small_files() {
         let share = |activity, pixels, ratio| busy_share(texture(0.5, activity).unwrap(), pixels, ratio);
-        let large = 7 * PIXELS as u64;
+        let large = 7 * REFERENCE_PIXELS as u64;
         assert_eq!(share(5.0, large, 100.0), BUSY_SHARE);
         assert_eq!(share(5.0, large, 50.0), BUSY_SHARE / 2.0);
-        assert_eq!([share(2.0, large, 100.0), share(5.0, PIXELS as u64, 100.0)], [0.0; 2]);
+        assert_eq!([share(2.0, large, 100.0), share(5.0, REFERENCE_PIXELS as u64, 100.0)], [0.0; 2]);
         let half = share(3.5, large, 200.0);
         assert!((half - BUSY_SHARE / 2.0).abs() < 1e-9, "{half}");
     }

@@ -5,9 +5,9 @@ use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
 use crate::detail::tile::{Scratch, TilePlanes, UNIT, reconstruct};
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::drawing::project::Projected;
+use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::target::planes::Planes;
-use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::Channels;
 use crate::parallel;
 

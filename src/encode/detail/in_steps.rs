@@ -158,7 +158,7 @@ impl Task for RoughCost<'_> {
 pub(super) const KEPT_TILES: usize = 64;
 
 /// The coefficients of a tile in its chosen blocks, computed on first use.
-pub(super) type Kept = std::sync::OnceLock<Coefficients>;
+pub(super) type KeptBase = std::sync::OnceLock<Coefficients>;
 
 #[cfg(test)]
 mod tests {

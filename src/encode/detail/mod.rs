@@ -18,13 +18,13 @@ mod texture;
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::job::{Encoding, Outcome};
-use super::subject::stored_scene;
+use super::input::stored_scene;
+use super::job::{EncodeSession, Outcome};
 use crate::bitstream::detail::levels::tile_counts;
 use crate::bitstream::detail::{DetailHead, DetailLayer};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
-use crate::fit::model::problem::LARGE;
+use crate::fit::model::problem::LARGE_PIXELS;
 use crate::gaussian::Channels;
 use crate::instant::Instant;
 use crate::options::Tune;
@@ -91,7 +91,7 @@ pub(super) struct Layered {
     error: f64,
 }
 
-impl Encoding<'_> {
+impl EncodeSession<'_> {
     /// Codes a layer over `base` in what is left of `most` bytes.
     fn layer(&self, base: Outcome, most: u64) -> Result<Layered> {
         let splats = &base.splats;
@@ -106,30 +106,30 @@ impl Encoding<'_> {
         let Some(mut coded) = coded else { return Ok(outcome) };
         let mut took = Duration::ZERO;
         for round in 0..rounds {
-            self.journal.show("detail", round as f32 / rounds as f32)?;
-            let begun = Instant::now();
+            self.report.show("detail", round as f32 / rounds as f32)?;
+            let start = Instant::now();
             // Another round takes as long as the one before.
-            if self.until.is_some_and(|end| begun + took > end) {
+            if self.until.is_some_and(|end| start + took > end) {
                 break;
             }
-            let Preset { lambda, .. } = preset(self.subject.options.favoured());
+            let Preset { lambda, .. } = preset(self.input.options.favoured());
             let mut splats = outcome.splats.clone();
             let step = f32::from(coded.layer.head.step) / 64.0 / 255.0;
             // An error of luma is one in each of the colours.
             let colors = if self.planes.channels.count() >= 3 { 3.0 } else { 1.0 };
             let price = colors * lambda * step * step;
-            let layer = (&coded.layer, self.subject.channels());
-            join::descend(&mut splats, &self.planes, layer, price, self.subject.options.levels)?;
+            let layer = (&coded.layer, self.input.channels());
+            join::descend(&mut splats, &self.planes, layer, price, self.input.options.levels)?;
             let Some(next) = self.coded(&splats, most, Some(&coded))? else { break };
             let next_error = self.layered_error(&splats, &next.layer);
             if next_error >= error {
                 break;
             }
             (error, coded, outcome.splats) = (next_error, next, splats);
-            took = begun.elapsed();
+            took = start.elapsed();
         }
         outcome.splats.detail = Some(Arc::new(coded.layer));
-        outcome.bytes = self.subject.file(&outcome.splats)?;
+        outcome.bytes = self.input.file(&outcome.splats)?;
         Ok(outcome)
     }
 
@@ -159,7 +159,7 @@ impl Encoding<'_> {
 
     fn error_counted(&self, splats: &PackedSplats, layer: &DetailLayer, counted: Counted) -> f64 {
         let drawn = projected(&splats.quantizer(), &splats.gaussians, splats.height);
-        let layer = (layer, self.subject.channels());
+        let layer = (layer, self.input.channels());
         error::squared_error((stored_scene(splats), &self.planes), &drawn, layer, counted)
     }
 
@@ -171,17 +171,17 @@ impl Encoding<'_> {
     fn aim_of_layer(&self, most: u64) -> Aim {
         let has_alpha = self.planes.channels.alpha().is_some();
         // Blocks that are chosen with the right step win .02 dB on small pictures, and .006 on large ones, where that takes longest.
-        let keeps = self.pixels() >= LARGE;
-        Aim { most, keeps, ..aim(self.subject.options.favoured(), self.subject.channels(), has_alpha) }
+        let keeps = self.pixels() >= LARGE_PIXELS;
+        Aim { most, keeps, ..aim(self.input.options.favoured(), self.input.channels(), has_alpha) }
     }
 
     /// Codes what the Gaussians of `splats` leave, for a file of at most `most` bytes.
     fn coded(&self, splats: &PackedSplats, most: u64, near: Option<&Coded>) -> Result<Option<Coded>> {
         let aim = self.aim_of_layer(0);
-        let Some(left) = left_for_layer(splats, &aim, most, |empty| self.subject.file(empty))? else { return Ok(None) };
+        let Some(left) = left_for_layer(splats, &aim, most, |empty| self.input.file(empty))? else { return Ok(None) };
         let mut tiles = self.residuals(splats);
-        if let (Some(near), Tune::Psnr) = (near, self.subject.options.favoured()) {
-            coupled::couple(&mut tiles, &near.layer, self.subject.channels());
+        if let (Some(near), Tune::Psnr) = (near, self.input.options.favoured()) {
+            coupled::couple(&mut tiles, &near.layer, self.input.channels());
         }
         Ok(search(&tiles, &Aim { most: left, ..aim }, near))
     }
@@ -189,14 +189,14 @@ impl Encoding<'_> {
     /// Codes a layer over `base`, a part of the picture at a time, and makes the file: for pictures whose residual is too much to hold.
     fn layered_in_parts(&mut self, base: Outcome, most: u64) -> Result<Outcome> {
         let mut outcome = base;
-        let (subject, tune) = (self.subject, self.subject.options.favoured());
-        let (channels, hidden) = (subject.channels(), subject.options.hidden);
-        let parts = Parts { source: subject.pixels, splats: &outcome.splats, channels, tune, hidden };
-        let mut show = |done| self.journal.show("detail", done);
-        let layer = layer_in_parts(parts, most, |empty| subject.file(empty), &mut show)?;
+        let (input, tune) = (self.input, self.input.options.favoured());
+        let (channels, hidden) = (input.channels(), input.options.hidden);
+        let parts = Parts { source: input.pixels, splats: &outcome.splats, channels, tune, hidden };
+        let mut show = |done| self.report.show("detail", done);
+        let layer = layer_in_parts(parts, most, |empty| input.file(empty), &mut show)?;
         if layer.is_some() {
             outcome.splats.detail = layer;
-            outcome.bytes = self.subject.file(&outcome.splats)?;
+            outcome.bytes = self.input.file(&outcome.splats)?;
         }
         Ok(outcome)
     }

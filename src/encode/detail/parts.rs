@@ -10,7 +10,7 @@ use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
-use crate::fit::model::target::planes::Planes;
+use crate::fit::model::objective::planes::Planes;
 use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::options::{HiddenColors, Tune};
@@ -63,9 +63,9 @@ impl Parts<'_> {
         let share = area as f64 / (f64::from(self.source.width()) * f64::from(self.source.height()));
         let mean = mean_activity(&sample, &aim);
         let of_sample = Aim { most: (most as f64 * share) as u64, ..aim };
-        let Some(begun) = search(&sample, &of_sample, None) else { return Ok(None) };
+        let Some(first) = search(&sample, &of_sample, None) else { return Ok(None) };
         drop(sample);
-        let step = f64::from(begun.layer.head.step);
+        let step = f64::from(first.layer.head.step);
         let (mut sizes, mut runs) = (None, 0.0);
         let found = smallest_step(&aim, step, |step| {
             let mut show = |done: f32| show(((runs + done) / EXPECTED).min(1.0));

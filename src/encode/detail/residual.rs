@@ -4,9 +4,9 @@ use crate::bitstream::detail::levels::{SUPER, TILE, tile_area, tile_counts};
 use crate::bitstream::detail::model::PLANES;
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::drawing::project::Projected;
+use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::target::planes::Planes;
-use crate::fit::model::target::rows::RowSet;
 use crate::parallel;
 
 /// The layer's planes count in this part of an 8-bit code value.

@@ -4,7 +4,7 @@ use super::blocks::blocks;
 use super::choose::{BlockChoice, Chosen, Setting, choose, priced_blocks};
 use super::classes::{activity, classes};
 use super::coefficients::{self, Division};
-use super::in_steps::{KEPT_TILES, Kept};
+use super::in_steps::{KEPT_TILES, KeptBase};
 use super::residual::TileResidual;
 use super::slopes::Slopes;
 use crate::bitstream::detail::DetailLayer;
@@ -49,7 +49,7 @@ impl Aim {
 }
 
 /// A layer that falls short of its bytes by at most this part is near enough.
-const NEAR: f64 = 0.004;
+const MAX_SHORTFALL: f64 = 0.004;
 /// Share of the available bytes by which the search aims below them.
 const BELOW: f64 = 0.0015;
 /// How bytes fall with the logarithm of the step, before two runs have shown it.
@@ -69,7 +69,7 @@ pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) ->
     let classes = classes_of(tiles, aim, mean_activity(tiles, aim));
     let mut sizes = near.filter(|_| aim.keeps).map(|near| near.sizes.clone());
     let step = near.map_or_else(|| guess(tiles, aim), |near| f64::from(near.layer.head.step));
-    let kept: Vec<Kept> = if tiles.len() <= KEPT_TILES { vec![Kept::new(); tiles.len()] } else { Vec::new() };
+    let kept: Vec<KeptBase> = if tiles.len() <= KEPT_TILES { vec![KeptBase::new(); tiles.len()] } else { Vec::new() };
     let run = |step: u16| {
         let coded = code(tiles, &classes, aim, step, (sizes.as_deref(), &kept));
         sizes.get_or_insert_with(|| coded.sizes.clone());
@@ -102,7 +102,7 @@ pub(super) fn smallest_step<E>(
             if best.as_ref().is_none_or(|best| best.bytes <= coded.bytes) {
                 best = Some(coded);
             }
-            if short <= aim.most as f64 * NEAR || rounded <= 1.0 {
+            if short <= aim.most as f64 * MAX_SHORTFALL || rounded <= 1.0 {
                 break;
             }
         } else {
@@ -172,7 +172,7 @@ pub(super) fn code(
     classes: &[Vec<u8>],
     aim: &Aim,
     step: u16,
-    (sizes, kept): (Option<&[BlockSizes]>, &[Kept]),
+    (sizes, kept): (Option<&[BlockSizes]>, &[KeptBase]),
 ) -> Coded {
     let setting = aim.setting_at(step);
     let chosen: Vec<Chosen> = parallel::map(tiles.len(), |i| {
@@ -265,7 +265,7 @@ mod tests {
         let luma = plane(31).iter().map(|v| v / 20.0 + 100.0).collect();
         let tiles = [TileResidual { size: [128, 96], planes: [plane(97), plane(89), plane(83), Vec::new()], luma }];
         let classes = classes_of(&tiles, &aim, mean_activity(&tiles, &aim));
-        let kept = vec![Kept::new(); tiles.len()];
+        let kept = vec![KeptBase::new(); tiles.len()];
         let first = code(&tiles, &classes, &aim, 900, (None, &kept));
         assert!(first.bytes > 100);
         // With the blocks of the first: that is what coefficients are kept for.

@@ -1,7 +1,7 @@
 //! Measures of texture that decide, before any fit, how the bytes of a file are divided between its layers.
 
 use super::residual::luma_and_chroma;
-use crate::fit::model::target::planes::Planes;
+use crate::fit::model::objective::planes::Planes;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 

@@ -7,13 +7,13 @@ mod search;
 
 use super::channels::widen;
 use super::constant::{constant, is_constant};
-use super::job::{Encoding, Outcome, stored_error};
-use super::left_out::Omission;
-use super::subject::{may_leave_out, too_small};
+use super::input::{may_leave_out, too_small};
+use super::job::{EncodeSession, Outcome, stored_error};
+use super::skipped::SkipReason;
 use super::thumbnail;
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats};
 use crate::error::Result;
-use crate::fit::model::target::planes::Planes;
+use crate::fit::model::objective::planes::Planes;
 use crate::gaussian::Blend;
 use crate::options::{EncodeOptions, Needs};
 use crate::round::size::Size;
@@ -24,13 +24,13 @@ use crate::target::Target;
 pub(super) const MAX_PRIMITIVES: u64 = 16 << 20;
 
 /// Ratio of [`Target::Auto`].
-const RATIO: f64 = 50.0;
+const AUTO_RATIO: f64 = 50.0;
 
 /// Estimated bits of a primitive in the coded layout, before any is coded.
 pub(super) const CODED_BITS: f64 = 34.5;
 
 /// Fewest bytes for primitives of [`Target::Auto`]: some twenty of them.
-const LEAST: u64 = 80;
+const MIN_AUTO_BYTES: u64 = 80;
 
 /// Returns the size of the file that is asked for; a file takes `fixed` bytes without primitives.
 pub(super) fn size_asked(options: &EncodeOptions, samples: f64, fixed: u64) -> Size {
@@ -38,7 +38,7 @@ pub(super) fn size_asked(options: &EncodeOptions, samples: f64, fixed: u64) -> S
         Target::Auto => {
             let length = |metadata: Option<&Vec<u8>>| metadata.map_or(0, |m| m.len() as u64);
             let metadata = length(options.icc.as_ref()) + length(options.exif.as_ref());
-            Size::Bytes(((samples / RATIO) as u64 + metadata).max(fixed + LEAST))
+            Size::Bytes(((samples / AUTO_RATIO) as u64 + metadata).max(fixed + MIN_AUTO_BYTES))
         }
         Target::Ratio(ratio) => Size::Bytes((samples / ratio).floor() as u64),
         Target::Bytes(bytes) => Size::Bytes(bytes),
@@ -67,15 +67,15 @@ pub(super) fn count_for(options: &EncodeOptions, most: u64, fixed: u64, samples:
     Ok(count.min(MAX_PRIMITIVES).min(samples as u64) as usize)
 }
 
-impl Encoding<'_> {
+impl EncodeSession<'_> {
     /// Fits the picture as the options ask.
     pub(super) fn aim(&mut self) -> Result<Outcome> {
-        let fixed = self.subject.file(&self.subject.empty())?.len() as u64;
-        let size = size_asked(self.subject.options, self.subject.samples(), fixed);
+        let fixed = self.input.file(&self.input.empty())?.len() as u64;
+        let size = size_asked(self.input.options, self.input.samples(), fixed);
         if let Some(constant) = self.constant(size)? {
             return Ok(constant);
         }
-        let mut outcome = match self.subject.options.target {
+        let mut outcome = match self.input.options.target {
             Target::Auto | Target::Ratio(_) | Target::Bytes(_) => {
                 let (beside, room) = self.beside_thumbnail(size);
                 self.layered(beside).map_err(|e| thumbnail::counted(e, size, room))?
@@ -91,49 +91,49 @@ impl Encoding<'_> {
 
     /// Returns the bytes that ICC profile and EXIF block take in the file.
     pub(super) fn carried(&self) -> Result<u64> {
-        let mut file = self.subject.empty();
-        let all = self.subject.file(&file)?.len();
+        let mut file = self.input.empty();
+        let all = self.input.file(&file)?.len();
         file.metadata = Metadata::default();
-        Ok((all - self.subject.file(&file)?.len()) as u64)
+        Ok((all - self.input.file(&file)?.len()) as u64)
     }
 
     /// The file of a picture of one colour, where that is what there is and the file may be as large.
     fn constant(&mut self, size: Size) -> Result<Option<Outcome>> {
-        let options = self.subject.options;
+        let options = self.input.options;
         let is_wanted = may_leave_out(options)
-            && self.subject.blend() == Blend::Normalized
+            && self.input.blend() == Blend::Normalized
             && options.target != Target::Primitives(0);
-        if !is_wanted || !is_constant(self.subject.pixels) {
+        if !is_wanted || !is_constant(self.input.pixels) {
             return Ok(None);
         }
-        let mut splats = self.subject.empty();
+        let mut splats = self.input.empty();
         constant(&mut splats, self.planes.mean);
-        let bytes = self.subject.file(&splats)?;
+        let bytes = self.input.file(&splats)?;
         if over(&bytes, size) > 0 {
             return Ok(None);
         }
-        self.journal.note(Omission::Fit, 0, 0.0);
+        self.report.note(SkipReason::Fit, 0, 0.0);
         let float_error = self.fitted_error(&splats);
         Ok(Some(Outcome { bytes, splats, float_error, quality: None }))
     }
 
     pub(super) fn at_size(&mut self, size: Size) -> Result<Outcome> {
         let Size::Bytes(most) = size else { return self.at_count(0, size) };
-        let fixed = self.subject.file(&self.subject.empty())?.len() as u64;
-        let count = count_for(self.subject.options, most, fixed, self.subject.samples())?;
+        let fixed = self.input.file(&self.input.empty())?.len() as u64;
+        let count = count_for(self.input.options, most, fixed, self.input.samples())?;
         self.at_count(count, size)
     }
 
     /// Returns the squared error of the stored picture over the samples of the caller's channels.
     pub(super) fn whole_error(&self, splats: &PackedSplats) -> f64 {
-        match self.subject.is_whole() {
+        match self.input.is_whole() {
             true => self.fitted_error(splats),
             false => {
-                let wide = widen(splats, self.subject.channels());
+                let wide = widen(splats, self.input.channels());
                 stored_error(
                     &wide,
-                    &Planes::with_hidden(self.subject.original, self.subject.options.hidden),
-                    self.subject.channels(),
+                    &Planes::with_hidden(self.input.original, self.input.options.hidden),
+                    self.input.channels(),
                 )
             }
         }
@@ -143,7 +143,7 @@ impl Encoding<'_> {
     fn at_count(&mut self, count: usize, size: Size) -> Result<Outcome> {
         // Bytes that the constant channels may take; corrected if they are too few.
         let mut spare = match size {
-            Size::Bytes(most) if !self.subject.is_whole() => 6 + most.min(1 << 30) / 400,
+            Size::Bytes(most) if !self.input.is_whole() => 6 + most.min(1 << 30) / 400,
             _ => 0,
         };
         loop {
@@ -152,11 +152,11 @@ impl Encoding<'_> {
                 Size::Free => Size::Free,
             };
             let mut outcome = self.fitted(count, narrow)?;
-            if !self.subject.is_whole() {
-                outcome.bytes = self.subject.file(&outcome.splats)?;
+            if !self.input.is_whole() {
+                outcome.bytes = self.input.file(&outcome.splats)?;
             }
-            if self.subject.options.needs == Needs::Measured {
-                let enough = self.subject.pixels.depth().rounding_error() * self.subject.fitted_samples();
+            if self.input.options.needs == Needs::Measured {
+                let enough = self.input.pixels.depth().rounding_error() * self.input.fitted_samples();
                 self.prune(&mut outcome, enough)?;
             }
             // Whatever a fit came to, it is not worse than one colour.
@@ -164,7 +164,7 @@ impl Encoding<'_> {
                 PackedSplats { gaussians: Vec::new(), codebook: None, levels: Vec::new(), ..outcome.splats.clone() };
             let error = self.fitted_error(&outcome.splats);
             if error.is_nan() || error > self.fitted_error(&alone) {
-                (outcome.bytes, outcome.splats) = (self.subject.file(&alone)?, alone);
+                (outcome.bytes, outcome.splats) = (self.input.file(&alone)?, alone);
             }
             let over = if self.base.is_some() { 0 } else { over(&outcome.bytes, size) };
             if over == 0 {
@@ -172,7 +172,7 @@ impl Encoding<'_> {
             }
             if outcome.splats.gaussians.is_empty() {
                 let needed = outcome.bytes.len() as u64;
-                return Err(too_small(self.subject.options, needed - over, needed));
+                return Err(too_small(self.input.options, needed - over, needed));
             }
             spare += over + 4;
         }

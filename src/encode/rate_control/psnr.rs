@@ -1,7 +1,7 @@
 //! Encodes to a PSNR: the smallest file found that reaches it.
 
 use super::search::{Aim, Curve, Search, Try};
-use crate::encode::job::{Encoding, Outcome, decibels};
+use crate::encode::job::{EncodeSession, Outcome, decibels};
 use crate::error::{Error, Result};
 use crate::options::Needs;
 use crate::round::size::Size;
@@ -13,9 +13,9 @@ const MAX_TRIES: usize = 8;
 /// more tries.
 const TIMED_PARTS: u32 = 5;
 /// Decibels above the wanted ones at which the search ends.
-const CLOSE: f64 = 0.1;
+const TOLERANCE: f64 = 0.1;
 /// Decibels above the wanted ones that tries aim at.
-const ABOVE: f64 = 0.05;
+const AIM_ABOVE: f64 = 0.05;
 /// Ratio of the first try.
 const FIRST_RATIO: f64 = 50.0;
 
@@ -58,13 +58,13 @@ impl Curve for Decibels {
     }
 }
 
-impl Encoding<'_> {
+impl EncodeSession<'_> {
     pub(super) fn at_psnr(&mut self, wanted: f64) -> Result<Outcome> {
-        let raw = self.subject.samples();
+        let raw = self.input.samples();
         // The search is over the bytes of the picture; those of the metadata are added.
         let carried = self.carried()?;
         let share = self.clock.left().map(|time| time / TIMED_PARTS);
-        let aim = Aim { enough: wanted, aim: wanted + ABOVE, sizes: super::sizes_tried(raw), tries: MAX_TRIES };
+        let aim = Aim { enough: wanted, aim: wanted + AIM_ABOVE, sizes: super::sizes_tried(raw), tries: MAX_TRIES };
         let mut search = Search::new(Decibels, aim);
         // The smallest file that is good enough, or the best one.
         let mut best: Option<(f64, Outcome)> = None;
@@ -84,7 +84,7 @@ impl Encoding<'_> {
             if is_better {
                 best = Some((got, outcome));
             }
-            if (0.0..CLOSE).contains(&(got - wanted)) {
+            if (0.0..TOLERANCE).contains(&(got - wanted)) {
                 break;
             }
         }
@@ -98,7 +98,7 @@ impl Encoding<'_> {
             return Err(Error::Parameter { name: "psnr", problem });
         }
         // Where channels were left out, what they add to the error is not known here.
-        if self.subject.options.needs == Needs::Measured && self.subject.is_whole() {
+        if self.input.options.needs == Needs::Measured && self.input.is_whole() {
             self.prune(&mut best, raw * 10f64.strict_powf(-0.1 * wanted))?;
         }
         Ok(best)

@@ -4,19 +4,19 @@ use super::search::{Aim, Curve, Search, Try};
 use crate::bitstream::{self, splats::PackedSplats};
 use crate::encode::channels::widen;
 use crate::encode::file;
-use crate::encode::job::{Encoding, Outcome};
-use crate::encode::left_out::Omission;
-use crate::encode::subject::stored_scene;
+use crate::encode::input::stored_scene;
+use crate::encode::job::{EncodeSession, Outcome};
+use crate::encode::skipped::SkipReason;
 use crate::error::{Error, Result};
 use crate::fit::model::drawing::field::{Field, Output};
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::target::rows::RowSet;
 use crate::limits::Limits;
 use crate::raster::View;
 use crate::round::rounded::projected;
 use crate::round::size::Size;
-use crate::ssimulacra2::{LEAST, ssimulacra2};
+use crate::ssimulacra2::{MIN_SIDE, ssimulacra2};
 use crate::strict_math::StrictMath;
 
 /// Most tries. Later ones mostly keep the Gaussians of the ones before.
@@ -24,17 +24,17 @@ const MAX_TRIES: usize = 6;
 /// Parts of a budget of time: one for each of three tries, and one for taking out what is too good.
 const TIMED_PARTS: u32 = 4;
 /// Points by which a file may miss what is asked for.
-const CLOSE: f64 = 0.5;
+const TOLERANCE: f64 = 0.5;
 /// Points above it that a try aims at: what is better can be made worse without another fit, not the other way round.
-const ABOVE: f64 = 0.25;
+const AIM_ABOVE: f64 = 0.25;
 /// A try this far above is near enough to be made worse instead of trying again.
-const NEAR: f64 = 2.5;
+const MAX_TRIMMED: f64 = 2.5;
 /// Primitives that are taken out one by one where some at a time are too many.
-const SINGLE: usize = 24;
+const MAX_SINGLY_REMOVED: usize = 24;
 /// The curve that pictures are taken to have until theirs is known: halvings of the raw bytes, and points. Kodak, the means of
 /// twelve pictures from 20 on; pictures differ by a shift along the first axis for the most part.
 /// `cargo run --release -p ssplat-lab --example rate_distortion -- KODAK` measures it.
-const CURVE: [[f64; 2]; 10] = [
+const TYPICAL_CURVE: [[f64; 2]; 10] = [
     [0.5, 100.0],
     [1.5, 97.0],
     [2.3, 94.5],
@@ -49,8 +49,8 @@ const CURVE: [[f64; 2]; 10] = [
 
 /// Returns the halvings at which that curve has so many points.
 fn halvings(points: f64) -> f64 {
-    let next = CURVE.iter().position(|c| c[1] <= points).unwrap_or(CURVE.len() - 1).max(1);
-    let [[from, high], [to, low]] = [CURVE[next - 1], CURVE[next]];
+    let next = TYPICAL_CURVE.iter().position(|c| c[1] <= points).unwrap_or(TYPICAL_CURVE.len() - 1).max(1);
+    let [[from, high], [to, low]] = [TYPICAL_CURVE[next - 1], TYPICAL_CURVE[next]];
     from + (to - from) * (high - points) / (high - low)
 }
 
@@ -73,22 +73,27 @@ impl Curve for Points {
     }
 }
 
-impl Encoding<'_> {
+impl EncodeSession<'_> {
     /// Fits the picture for `wanted` points of SSIMULACRA2.
     pub(super) fn at_quality(&mut self, wanted: f64) -> Result<Outcome> {
-        let pixels = self.subject.original;
-        if pixels.width().min(pixels.height()) < LEAST {
+        let pixels = self.input.original;
+        if pixels.width().min(pixels.height()) < MIN_SIDE {
             let problem = format!(
-                "SSIMULACRA2 takes no picture of {} × {}: a side has to have {LEAST} pixels at least",
+                "SSIMULACRA2 takes no picture of {} × {}: a side has to have {MIN_SIDE} pixels at least",
                 pixels.width(),
                 pixels.height()
             );
             return Err(Error::Parameter { name: "quality", problem });
         }
-        let raw = self.subject.samples();
+        let raw = self.input.samples();
         let carried = self.carried()?;
         let share = self.clock.left().map(|time| time / TIMED_PARTS);
-        let aim = Aim { enough: wanted - CLOSE, aim: wanted + ABOVE, sizes: super::sizes_tried(raw), tries: MAX_TRIES };
+        let aim = Aim {
+            enough: wanted - TOLERANCE,
+            aim: wanted + AIM_ABOVE,
+            sizes: super::sizes_tried(raw),
+            tries: MAX_TRIES,
+        };
         let mut search = Search::new(Points, aim);
         let mut best: Option<(f64, Outcome)> = None;
         while let Some(size) = search.next() {
@@ -99,18 +104,18 @@ impl Encoding<'_> {
             let outcome = self.layered(Size::Bytes(carried + (raw * size.strict_exp2()) as u64))?;
             let points = self.points(&outcome.splats)?;
             search.note(size, points);
-            let near = if can_be_worsened(&outcome) { NEAR } else { CLOSE };
+            let near = if can_be_trimmed(&outcome) { MAX_TRIMMED } else { TOLERANCE };
             if best.as_ref().is_none_or(|(found, _)| is_better(points, *found, wanted)) {
                 best = Some((points, outcome));
             }
-            if (-CLOSE..=near).contains(&(points - wanted)) {
+            if (-TOLERANCE..=near).contains(&(points - wanted)) {
                 break;
             }
         }
         let (points, mut outcome) = best.expect("one try at least");
         outcome.quality = Some(points);
-        if points > wanted + ABOVE {
-            self.worsen(&mut outcome, wanted)?;
+        if points > wanted + AIM_ABOVE {
+            self.trim_to_quality(&mut outcome, wanted)?;
         }
         outcome.quality = Some(self.points_of_file(&outcome.bytes)?);
         Ok(outcome)
@@ -118,7 +123,7 @@ impl Encoding<'_> {
 
     /// Returns the points of a file with these integers of what was fitted.
     fn points(&self, splats: &PackedSplats) -> Result<f64> {
-        let wide = (!self.subject.is_whole()).then(|| widen(splats, self.subject.channels()));
+        let wide = (!self.input.is_whole()).then(|| widen(splats, self.input.channels()));
         self.points_drawn(wide.as_ref().unwrap_or(splats))
     }
 
@@ -130,15 +135,15 @@ impl Encoding<'_> {
     fn points_drawn(&self, splats: &PackedSplats) -> Result<f64> {
         let view = View::of_size(splats.width, splats.height);
         let drawn = splats.renderer(&view, &own_limits())?.render(splats.depth)?;
-        Ok(ssimulacra2(self.subject.original, &drawn)?.expect("the sides were looked at"))
+        Ok(ssimulacra2(self.input.original, &drawn)?.expect("the sides were looked at"))
     }
 
     /// Takes out the primitives that are missed least, as long as `wanted` points are left.
-    fn worsen(&mut self, outcome: &mut Outcome, wanted: f64) -> Result<()> {
-        if !can_be_worsened(outcome) {
+    fn trim_to_quality(&mut self, outcome: &mut Outcome, wanted: f64) -> Result<()> {
+        if !can_be_trimmed(outcome) {
             return Ok(());
         }
-        let clock = self.journal.seconds();
+        let clock = self.report.seconds();
         let splats = &outcome.splats;
         let problem = Problem { scene: stored_scene(splats), target: &self.planes };
         let drawn = projected(&splats.quantizer(), &splats.gaussians, splats.height);
@@ -161,7 +166,7 @@ impl Encoding<'_> {
             let found = self.points(&without(&order[..count]))?;
             if found >= wanted {
                 (sure, points) = (count, Some(found));
-                if found - wanted < ABOVE {
+                if found - wanted < AIM_ABOVE {
                     break;
                 }
             } else {
@@ -171,8 +176,8 @@ impl Encoding<'_> {
         }
         // Primitives of little squared error can still matter to the eye: try the next ones one by one.
         let mut out = order[..sure].to_vec();
-        for &i in order[sure..].iter().take(SINGLE) {
-            if points.is_none_or(|p| p - wanted < ABOVE) || self.clock.is_over() {
+        for &i in order[sure..].iter().take(MAX_SINGLY_REMOVED) {
+            if points.is_none_or(|p| p - wanted < AIM_ABOVE) || self.clock.is_over() {
                 break;
             }
             out.push(i);
@@ -186,13 +191,13 @@ impl Encoding<'_> {
         if !out.is_empty() {
             let mut fewer = without(&out);
             let narrow = file::smallest(&mut fewer, 1)?;
-            let bytes = if self.subject.is_whole() { narrow } else { self.subject.file(&fewer)? };
+            let bytes = if self.input.is_whole() { narrow } else { self.input.file(&fewer)? };
             if bytes.len() < outcome.bytes.len() {
-                self.journal.note(Omission::Primitives, (outcome.bytes.len() - bytes.len()) as u64, 0.0);
+                self.report.note(SkipReason::Primitives, (outcome.bytes.len() - bytes.len()) as u64, 0.0);
                 (outcome.bytes, outcome.splats, outcome.quality) = (bytes, fewer, points);
             }
         }
-        self.journal.stage("prune", clock);
+        self.report.stage("prune", clock);
         Ok(())
     }
 }
@@ -203,14 +208,14 @@ fn own_limits() -> Limits {
 }
 
 /// Tells whether primitives can be taken out of a file one by one: their value is not known for files with levels or a detail layer.
-fn can_be_worsened(outcome: &Outcome) -> bool {
+fn can_be_trimmed(outcome: &Outcome) -> bool {
     outcome.splats.levels.is_empty() && outcome.splats.detail.is_none()
 }
 
 /// Tells whether a file of `points` is more of what is wanted than one that has `found`: of two that are good enough the worse
 /// one, which is the smaller; else the better one.
 fn is_better(points: f64, found: f64, wanted: f64) -> bool {
-    let is_enough = |points: f64| points >= wanted - CLOSE;
+    let is_enough = |points: f64| points >= wanted - TOLERANCE;
     match (is_enough(points), is_enough(found)) {
         (true, true) => points < found,
         (true, false) => true,
@@ -225,8 +230,8 @@ mod tests {
 
     #[test]
     fn the_curve_falls_and_is_met_at_its_knots() {
-        assert!(CURVE.windows(2).all(|c| c[0][0] < c[1][0] && c[0][1] > c[1][1]));
-        for [at, points] in CURVE {
+        assert!(TYPICAL_CURVE.windows(2).all(|c| c[0][0] < c[1][0] && c[0][1] > c[1][1]));
+        for [at, points] in TYPICAL_CURVE {
             assert!((halvings(points) - at).abs() < 1e-9, "{points}");
         }
         let all: Vec<f64> = (0..=100).map(|q| halvings(f64::from(q))).collect();
@@ -243,18 +248,18 @@ mod tests {
             p + (q - p) * (at - a) / (b - a)
         };
         for wanted in [30.0, 50.0, 70.0, 85.0] {
-            let aim = Aim { enough: wanted - CLOSE, aim: wanted, sizes: [-9.0, 0.0], tries: MAX_TRIES };
+            let aim = Aim { enough: wanted - TOLERANCE, aim: wanted, sizes: [-9.0, 0.0], tries: MAX_TRIES };
             let mut search = Search::new(Points, aim);
             let (mut tries, mut points) = (0, 0.0);
             while let Some(size) = search.next() {
                 points = measured(-size);
                 search.note(size, points);
                 tries += 1;
-                if (points - wanted).abs() < CLOSE {
+                if (points - wanted).abs() < TOLERANCE {
                     break;
                 }
             }
-            assert!((points - wanted).abs() < CLOSE && tries <= 3, "{wanted}: {points} after {tries}");
+            assert!((points - wanted).abs() < TOLERANCE && tries <= 3, "{wanted}: {points} after {tries}");
         }
     }
 

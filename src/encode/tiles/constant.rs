@@ -5,7 +5,7 @@ use super::integers::error_of_part;
 use crate::bitstream::splats::PackedSplats;
 use crate::encode::constant::{constant, is_constant};
 use crate::error::Result;
-use crate::fit::model::target::planes::Planes;
+use crate::fit::model::objective::planes::Planes;
 use crate::options::HiddenColors;
 use crate::pixel_source::PixelSource;
 

@@ -1,23 +1,23 @@
 //! The float fit of a tile: by itself at first, then with what lies around it.
 
+use super::global::GlobalContext;
 use super::grid::{Shift, Window};
 use super::mosaic::{Around, Placed, TileResult};
-use super::whole::Whole;
 use crate::bitstream;
 use crate::bitstream::splats::PackedSplats;
 use crate::encode::job::excess;
 use crate::encode::rate_control::CODED_BITS;
 use crate::error::Result;
-use crate::fit::draft::{self, Start};
-use crate::fit::engine::{Engine, Sight, Watcher};
+use crate::fit::engine::{Engine, Snapshot, Watcher};
 use crate::fit::job::Job;
 use crate::fit::model::adam::Bounds;
 use crate::fit::model::drawing::field::{Field, Output, error_within};
 use crate::fit::model::drawing::project::{self, Primitive};
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::peaks::{at_peak, peaks};
 use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::target::rows::RowSet;
+use crate::fit::multi_start::{self, Start};
 use crate::fit::schedule;
 use crate::fit::state::State;
 use crate::round::rounded::Rounded;
@@ -34,18 +34,18 @@ const OTHERS: f32 = 0.25;
 pub(super) type Show<'a> = &'a mut dyn FnMut(f32) -> Result<()>;
 
 /// Fits a tile by itself.
-pub(super) fn begin(whole: &Whole<'_>, window: &Window, show: Show<'_>) -> Result<TileResult<Primitive>> {
-    let target = whole.planes(&window.seen)?;
-    let problem = Problem { scene: whole.scene(&window.seen), target: &target };
-    let (count, plan) = (whole.count_of(&target), whole.plan_of(window));
+pub(super) fn begin(global: &GlobalContext<'_>, window: &Window, show: Show<'_>) -> Result<TileResult<Primitive>> {
+    let target = global.planes(&window.seen)?;
+    let problem = Problem { scene: global.scene(&window.seen), target: &target };
+    let (count, plan) = (global.count_of(&target), global.plan_of(window));
     let job = Job { problem, count, plan: &plan };
-    let Start { mut state, rng, from } = draft::scattered(&target, count, &plan);
+    let Start { mut state, rng, from } = multi_start::scattered(&target, count, &plan);
     let price = Some(Price {
         problem,
-        draft: whole.draft(&window.seen),
-        bits: count as f64 * CODED_BITS * excess(whole.brief.count),
+        draft: global.draft(&window.seen),
+        bits: count as f64 * CODED_BITS * excess(global.settings.count),
     });
-    let mut watcher = Shown { show, from: 0.0, to: ALONE, price: price.filter(|_| whole.brief.is_priced) };
+    let mut watcher = Shown { show, from: 0.0, to: ALONE, price: price.filter(|_| global.settings.is_priced) };
     schedule::run(&job, &mut state, (rng, from..share(ALONE, plan.iterations)), &mut watcher)?;
     Ok(appraise(&problem, &state.primitives, window))
 }
@@ -73,14 +73,14 @@ fn appraise(problem: &Problem<'_>, primitives: &[Primitive], window: &Window) ->
 
 /// Goes on with the fit of a tile in the `pass`th of [`JOINED`], `own` among `others` that stay as they are.
 pub(super) fn join(
-    whole: &Whole<'_>,
+    global: &GlobalContext<'_>,
     (pass, window): (usize, &Window),
     Around { own, others }: Around<Primitive>,
     show: Show<'_>,
 ) -> Result<TileResult<Primitive>> {
-    let target = whole.planes(&window.seen)?;
-    let problem = Problem { scene: whole.scene(&window.seen), target: &target };
-    let plan = whole.plan_of(window);
+    let target = global.planes(&window.seen)?;
+    let problem = Problem { scene: global.scene(&window.seen), target: &target };
+    let plan = global.plan_of(window);
     let job = Job { problem, count: own.len(), plan: &plan };
     let local = |all: Vec<Primitive>| -> Vec<Primitive> {
         all.into_iter().map(|p| moved(p, window.seen.origin().map(|v| -v))).collect()
@@ -90,7 +90,7 @@ pub(super) fn join(
     let from = if pass > 0 { JOINED[pass - 1].0 } else { ALONE };
     let to = JOINED[pass].0;
     let mut watcher = Shown { show, from, to, price: None };
-    let rng = draft::random(&plan);
+    let rng = multi_start::random(&plan);
     schedule::run(&job, &mut state, (rng, share(from, plan.iterations)..share(to, plan.iterations)), &mut watcher)?;
     state.keep_best()?;
     let seen = [&state.primitives[..], &state.still].concat();
@@ -135,7 +135,7 @@ impl Price<'_> {
 }
 
 impl Watcher for Shown<'_> {
-    fn step(&mut self, done: f32, _: &mut dyn Sight) -> Result<()> {
+    fn step(&mut self, done: f32, _: &mut dyn Snapshot) -> Result<()> {
         (self.show)(((done - self.from) / (self.to - self.from)).clamp(0.0, 1.0))
     }
 

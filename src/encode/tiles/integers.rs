@@ -1,16 +1,16 @@
 //! The integers of a tile: a sweep of descent among those around it, which stay as they are.
 
 use super::floats;
+use super::global::GlobalContext;
 use super::grid::{Area, Window};
 use super::mosaic::{Around, Placed, TileResult};
-use super::whole::Whole;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::encode::file;
 use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output, error_within, float_error};
 use crate::fit::model::drawing::project::{Primitive, Projected};
+use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::target::planes::Planes;
 use crate::quantize::Quantizer;
 use crate::round::descend::Descent;
 use crate::round::size::{self, Worth};
@@ -20,7 +20,7 @@ const OTHERS: (f32, usize) = (0.06, 8);
 
 /// A window with its integers, in coordinates of its own.
 pub(super) struct Part<'a> {
-    whole: &'a Whole<'a>,
+    global: &'a GlobalContext<'a>,
     window: &'a Window,
     /// The file of the window alone.
     splats: PackedSplats,
@@ -31,11 +31,11 @@ pub(super) struct Part<'a> {
 impl<'a> Part<'a> {
     /// Cuts a window out of the picture.
     pub(super) fn new(
-        whole: &'a Whole<'a>,
+        global: &'a GlobalContext<'a>,
         window: &'a Window,
         Around { own, others }: Around<PackedGaussian>,
     ) -> Self {
-        let of_whole = whole.blank.quantizer();
+        let of_whole = global.blank.quantizer();
         let height = window.seen.size[1];
         let gaussians = own.iter().map(|p| moved(p, &of_whole, window.seen.corner, Move::In)).collect();
         let origin = window.seen.origin();
@@ -45,18 +45,18 @@ impl<'a> Part<'a> {
             Projected::from_gaussian(&g, height)
         });
         let still = still.collect();
-        let splats = PackedSplats { gaussians, ..whole.draft(&window.seen) };
-        Part { whole, window, quantizer: splats.quantizer(), splats, still }
+        let splats = PackedSplats { gaussians, ..global.draft(&window.seen) };
+        Part { global, window, quantizer: splats.quantizer(), splats, still }
     }
 
     fn scene(&self) -> Scene {
         let background = self.quantizer.dequantize_color(self.splats.background);
-        Scene { background, ..self.whole.scene(&self.window.seen) }
+        Scene { background, ..self.global.scene(&self.window.seen) }
     }
 
     /// Returns the squared error of the tile, weighted as it is fitted.
     pub(super) fn error(self) -> Result<f64> {
-        let target = self.whole.planes(&self.window.seen)?;
+        let target = self.global.planes(&self.window.seen)?;
         let problem = Problem { scene: self.scene(), target: &target };
         let descent = Descent::new(problem, &self.quantizer, Field::default()).beside(self.still);
         Ok(error_within(&problem, &descent.seen(&self.splats.gaussians), self.window.own(), Output::Gradient))
@@ -65,7 +65,7 @@ impl<'a> Part<'a> {
     /// Sweeps once over the integers, where a bit must save `lambda` of the squared error. The error that is returned is weighted
     /// as it is fitted.
     pub(super) fn sweep(mut self, lambda: f64) -> Result<TileResult<PackedGaussian>> {
-        let target = self.whole.planes(&self.window.seen)?;
+        let target = self.global.planes(&self.window.seen)?;
         let problem = Problem { scene: self.scene(), target: &target };
         let expected = file::expected(&mut self.splats, 1)?;
         let mut descent = Descent::new(problem, &self.quantizer, Field::default()).beside(self.still);
@@ -74,12 +74,12 @@ impl<'a> Part<'a> {
         descent.sweep(&mut own, &expected, lambda);
         let error = error_within(&problem, &descent.seen(&own), self.window.own(), Output::Gradient);
         // The number of primitives under a detail layer is never corrected.
-        let worth = match self.whole.brief.is_base {
+        let worth = match self.global.settings.is_base {
             true => Worth { costs: vec![0.0; own.len()], others: Vec::new() },
             false => size::worth(&mut descent, &own, others(own.len())),
         };
-        let whole = |p: &PackedGaussian| moved(p, &self.quantizer, self.window.seen.corner, Move::Out);
-        let placed = |(p, cost): (&PackedGaussian, f32)| Placed { what: whole(p), cost };
+        let global = |p: &PackedGaussian| moved(p, &self.quantizer, self.window.seen.corner, Move::Out);
+        let placed = |(p, cost): (&PackedGaussian, f32)| Placed { what: global(p), cost };
         let is_own = |p: &PackedGaussian| {
             let [x, y] = self.quantizer.dequantize(p).mean;
             let origin = self.window.seen.origin();
@@ -99,8 +99,8 @@ pub(super) fn others(own: usize) -> usize {
 }
 
 /// Returns the squared error of what is stored of a tile, from all that reaches into it.
-pub(super) fn plain_error(whole: &Whole<'_>, area: &Area, around: Around<PackedGaussian>) -> Result<f64> {
-    Ok(error_of_part(&whole.bare_planes(area)?, area, &whole.blank, around.own.iter().chain(&around.others)))
+pub(super) fn plain_error(global: &GlobalContext<'_>, area: &Area, around: Around<PackedGaussian>) -> Result<f64> {
+    Ok(error_of_part(&global.bare_planes(area)?, area, &global.blank, around.own.iter().chain(&around.others)))
 }
 
 /// Returns the squared error of `gaussians`, which are integers of the file of `blank`, over a part of the picture.
@@ -152,13 +152,13 @@ mod tests {
     fn integers_of_a_part_stand_for_the_same_place_in_the_picture() {
         let steps = Steps { scale: 4, angle: 1, position: 6, coarsest: 6, range: 10, luma: 6, chroma: 1 };
         let of = |size| Quantizer::new(&steps, Layout::Coded, size, Channels::Rgb);
-        let (whole, part) = (of([5000, 3000]), of([700, 500]));
+        let (global, part) = (of([5000, 3000]), of([700, 500]));
         let corner = [1024, 64 * 13];
         for major in 0..40u8 {
             let inside = PackedGaussian { x: 3, y: 5, major, minor: major / 2, angle: 1, color: [1, 2, 3, 0] };
             let outside = moved(&inside, &part, corner, Move::Out);
-            assert_eq!(moved(&outside, &whole, corner, Move::In), inside);
-            let [a, b] = [part.dequantize(&inside).mean, whole.dequantize(&outside).mean];
+            assert_eq!(moved(&outside, &global, corner, Move::In), inside);
+            let [a, b] = [part.dequantize(&inside).mean, global.dequantize(&outside).mean];
             assert_eq!([a[0] + corner[0] as f32, a[1] + corner[1] as f32], b);
         }
     }

@@ -7,14 +7,14 @@
 
 mod constant;
 mod floats;
+mod global;
 mod grid;
 mod integers;
 mod mosaic;
 mod narrow;
-mod parcel;
 mod shrunk;
 mod task;
-mod whole;
+mod wire;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -26,14 +26,14 @@ use super::detail::parts::Parts;
 use super::device::Chosen;
 use super::file;
 use super::hidden::Continued;
+use super::input::{self, may_leave_out, too_small};
 use super::job::{decibels, enough, excess};
-use super::left_out::Omission;
 use super::rate_control::{count_for, size_asked};
-use super::report::{Journal, Progress};
-use super::subject::{self, may_leave_out, too_small};
+use super::report::{Progress, ReportBuilder};
+use super::skipped::SkipReason;
 use super::thumbnail;
 use super::workers::Executor;
-use super::{EncodeReport, Encoded, SIDE};
+use super::{DEFAULT_TILE_SIDE, EncodeReport, Encoded};
 use crate::bitstream;
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
@@ -51,32 +51,32 @@ use crate::round::rounded;
 use crate::round::size::{Correction, Size, correction, is_settled};
 use crate::target::Target;
 use floats::Show;
+use global::{GlobalContext, Survey, TileSettings};
 use grid::{Grid, Shift, UNIT, Window};
 use mosaic::{Mosaic, Placed, TileResult};
 use narrow::Narrowed;
-pub use parcel::work_on_tile;
-use parcel::{Parceled, Sent};
 use shrunk::Shrunk;
 use task::{FloatWork, IntegerWork};
-use whole::{Brief, Survey, Whole};
+pub use wire::work_on_tile;
+use wire::{PendingTile, WireFormat};
 
 /// Sides that a tile may have, pixels; a multiple of the least.
-pub(super) const SIDES: std::ops::RangeInclusive<u32> = 2 * UNIT..=1 << 14;
+pub(super) const TILE_SIDES: std::ops::RangeInclusive<u32> = 2 * UNIT..=1 << 14;
 /// Width of the margin around a tile, in scales of a typical primitive.
-const MARGIN: f64 = 12.0;
+const MARGIN_SCALES: f64 = 12.0;
 /// Tiles that are worked on at a time, where there are as many threads. Each takes memory: tiles of a smaller side than the default's, which
 /// are asked for to save it, are worked on one by one.
-const AT_ONCE: usize = 4;
+const MAX_CONCURRENT: usize = 4;
 /// Share of the primitives that may change their tile at once.
-const SWAPPED: f64 = 0.2;
+const MAX_SWAPPED: f64 = 0.2;
 /// Before so many sweeps the size is corrected.
-const CORRECTED: u32 = 3;
+const CORRECTED_SWEEPS: u32 = 3;
 /// Sweeps that may be added to those planned, where the file is still not of its size.
-const MORE_SWEEPS: u32 = 2;
+const MAX_ADDED_SWEEPS: u32 = 2;
 /// A file that is short of its size by less than this part of it is settled.
-const SETTLED: u64 = 200;
+const SETTLED_PART: u64 = 200;
 /// The steps follow from so many of the primitives: more would not change them.
-const SAMPLED: usize = 1 << 20;
+const MAX_SAMPLED: usize = 1 << 20;
 
 /// Encodes the picture of `source` in tiles of `side` pixels.
 pub(super) fn encode(
@@ -84,16 +84,16 @@ pub(super) fn encode(
     options: &EncodeOptions,
     side: u32,
     executor: Executor<'_>,
-    mut journal: Journal<'_>,
+    mut report: ReportBuilder<'_>,
 ) -> Result<Encoded> {
     check(options)?;
-    let continued = Continued::new(source, options.hidden, || journal.show("survey", 0.0))?;
+    let continued = Continued::new(source, options.hidden, || report.show("survey", 0.0))?;
     if continued.is_some() {
-        journal.note(Omission::HiddenColors, 0, 0.0);
+        report.note(SkipReason::HiddenColors, 0, 0.0);
     }
     let source = continued.as_ref().map_or(source, |continued| continued as &dyn PixelSource);
     let blend = options.blend.unwrap_or(Blend::Normalized);
-    let wide = subject::empty(source.size(), (source.channels(), source.depth()), blend, options);
+    let wide = input::empty(source.size(), (source.channels(), source.depth()), blend, options);
     let samples = samples_of(&wide);
     let fixed = bitstream::to_bytes(&wide)?.len() as u64;
     let asked = size_asked(options, samples, fixed);
@@ -111,17 +111,17 @@ pub(super) fn encode(
         Size::Free => both,
     };
     let has_layer = size != both;
-    let count = begun(options, size, (samples, fixed)).map_err(|e| thumbnail::counted(e, asked, room))?;
+    let count = initial_count(options, size, (samples, fixed)).map_err(|e| thumbnail::counted(e, asked, room))?;
     let scene = Scene { width: wide.width, height: wide.height, blend, background: [0.0; 4] };
     let grid = grid_of(&scene, count, side);
-    let clock = journal.seconds();
+    let clock = report.seconds();
     let looked_at = if may_leave_out(options) { grid.windows() } else { Vec::new() };
-    let (narrowed, left_out) = Narrowed::new(source, &looked_at, || journal.show("survey", 0.0))?;
+    let (narrowed, left_out) = Narrowed::new(source, &looked_at, || report.show("survey", 0.0))?;
     if let Some(what) = left_out {
-        journal.note(what, 0, 0.0);
+        report.note(what, 0, 0.0);
     }
     if !looked_at.is_empty()
-        && let Some(encoded) = of_one_color((source, &narrowed), (options, asked), &wide, &looked_at, &mut journal)?
+        && let Some(encoded) = of_one_color((source, &narrowed), (options, asked), &wide, &looked_at, &mut report)?
     {
         return Ok(encoded);
     }
@@ -132,7 +132,7 @@ pub(super) fn encode(
     let [width, height] = small.size();
     let scene = Scene { width, height, ..scene };
     let blank = PackedSplats { width, height, ..blank };
-    let brief = Brief {
+    let settings = TileSettings {
         effort: options.effort,
         count,
         is_priced: matches!(size, Size::Bytes(_)),
@@ -141,18 +141,18 @@ pub(super) fn encode(
         seed: options.seed,
         hidden: options.hidden,
     };
-    let survey = Survey { scene, blank, brief, tune: options.favoured() };
+    let survey = Survey { scene, blank, settings, tune: options.favoured() };
     let fitted_grid = grid_of(&scene, count, side);
-    let whole = survey.of(&small, &fitted_grid.windows(), |done| journal.show("survey", done))?;
-    journal.stage("survey", clock);
+    let global = survey.of(&small, &fitted_grid.windows(), |done| report.show("survey", done))?;
+    report.stage("survey", clock);
     let seen: &dyn PixelSource = &narrowed;
-    let mut course = TiledEncode {
+    let mut session = TiledSession {
         options,
         source,
         seen,
         grid: fitted_grid,
-        journal,
-        whole,
+        report,
+        global,
         executor,
         metadata,
         asked,
@@ -163,13 +163,13 @@ pub(super) fn encode(
     };
     let look = |p: &Primitive| p.to_gaussian();
     let mut floats = Mosaic::new(&fitted_grid, &look);
-    let error = course.fit(&mut floats)?;
+    let error = session.fit(&mut floats)?;
     let mut floats: Vec<Primitive> = floats.all().map(|p| p.what).collect();
     if by > 1 {
         floats = project::zoomed(floats, by as f32);
-        course = TiledEncode { grid, whole: course.whole.at_size_of(seen), ..course };
+        session = TiledSession { grid, global: session.global.at_size_of(seen), ..session };
     }
-    course.finish(floats, error * f64::from(by).powi(2))
+    session.finish(floats, error * f64::from(by).powi(2))
 }
 
 /// Returns the file of a picture of one colour, where that is what there is and the file may be as large; `wide` is the file
@@ -179,26 +179,26 @@ fn of_one_color(
     (options, asked): (&EncodeOptions, Size),
     wide: &PackedSplats,
     tiles: &[Window],
-    journal: &mut Journal<'_>,
+    report: &mut ReportBuilder<'_>,
 ) -> Result<Option<Encoded>> {
     if wide.blend != Blend::Normalized || options.target == Target::Primitives(0) {
         return Ok(None);
     }
-    let Some(color) = constant::color(narrowed, tiles, |done| journal.show("survey", done))? else { return Ok(None) };
+    let Some(color) = constant::color(narrowed, tiles, |done| report.show("survey", done))? else { return Ok(None) };
     let blank = PackedSplats { channels: narrowed.channels(), ..wide.clone() };
     let (splats, error) = constant::stored(narrowed, &blank, (color, options.hidden), tiles)?;
     let bytes = bitstream::to_bytes(&widen(&splats, source.channels()))?;
     if matches!(asked, Size::Bytes(most) if bytes.len() as u64 > most) {
         return Ok(None);
     }
-    journal.note(Omission::Fit, 0, 0.0);
+    report.note(SkipReason::Fit, 0, 0.0);
     let psnr = decibels(error, samples_of(&blank));
     let report = EncodeReport {
         primitives: splats.gaussians.len(),
         psnr,
         float_psnr: psnr,
-        seconds: journal.seconds(),
-        left_out: std::mem::take(&mut journal.left_out),
+        seconds: report.seconds(),
+        skipped: std::mem::take(&mut report.skipped),
         chosen: Chosen::for_tiles(options.backend),
         ..EncodeReport::default()
     };
@@ -223,7 +223,7 @@ pub(super) fn check(options: &EncodeOptions) -> Result<()> {
 
 /// Returns the tiles of `side` pixels for a picture of `count` primitives.
 fn grid_of(scene: &Scene, count: usize, side: u32) -> Grid {
-    let margin = (MARGIN * f64::from(scene.typical_scale(count))) as u32;
+    let margin = (MARGIN_SCALES * f64::from(scene.typical_scale(count))) as u32;
     let margin = margin.next_multiple_of(UNIT).clamp(UNIT, side.max(UNIT));
     Grid { size: [scene.width, scene.height], half: side / 2, margin }
 }
@@ -233,7 +233,7 @@ fn samples_of(blank: &PackedSplats) -> f64 {
 }
 
 /// Returns the number of primitives that the fit begins with, for a file of `size` that takes `fixed` bytes without any.
-fn begun(options: &EncodeOptions, size: Size, (samples, fixed): (f64, u64)) -> Result<usize> {
+fn initial_count(options: &EncodeOptions, size: Size, (samples, fixed): (f64, u64)) -> Result<usize> {
     match (size, options.target) {
         (Size::Bytes(most), _) => count_for(options, most, fixed, samples),
         (Size::Free, Target::Primitives(count)) => Ok(count as usize),
@@ -242,10 +242,10 @@ fn begun(options: &EncodeOptions, size: Size, (samples, fixed): (f64, u64)) -> R
 }
 
 /// An encode in tiles on its way.
-struct TiledEncode<'a, 'b, 'c> {
+struct TiledSession<'a, 'b, 'c> {
     grid: Grid,
-    journal: Journal<'a>,
-    whole: Whole<'b>,
+    report: ReportBuilder<'a>,
+    global: GlobalContext<'b>,
     executor: Executor<'c>,
     metadata: Metadata,
     options: &'b EncodeOptions,
@@ -285,9 +285,9 @@ impl ProgressRange {
     }
 }
 
-impl TiledEncode<'_, '_, '_> {
+impl TiledSession<'_, '_, '_> {
     /// Has `work` done for every window of a pass in turns. Returns others that would help, and the squared error of all tiles.
-    fn pass<T: Parceled>(
+    fn pass<T: WireFormat>(
         &mut self,
         (stretch, shift): (ProgressRange, Shift),
         work: T::Work,
@@ -299,12 +299,12 @@ impl TiledEncode<'_, '_, '_> {
         for turn in turns {
             let [from, to] = [through, through + turn.len()].map(|n| stretch.at(n as f32 / count));
             through += turn.len();
-            let became = self.turn(ProgressRange { from, to, ..stretch }, &turn, work, mosaic)?;
+            let results = self.turn(ProgressRange { from, to, ..stretch }, &turn, work, mosaic)?;
             let mut placed = Vec::with_capacity(turn.len());
-            for (window, of_tile) in turn.iter().zip(became) {
-                others.extend(of_tile.others);
-                error += of_tile.error;
-                placed.push((window.core, of_tile.own));
+            for (window, result) in turn.iter().zip(results) {
+                others.extend(result.others);
+                error += result.error;
+                placed.push((window.core, result.own));
             }
             mosaic.replace(placed);
         }
@@ -312,28 +312,28 @@ impl TiledEncode<'_, '_, '_> {
     }
 
     /// Has `work` done for windows that do not wait for each other; returns what came of it.
-    fn turn<T: Parceled>(
+    fn turn<T: WireFormat>(
         &mut self,
         stretch: ProgressRange,
         windows: &[Window],
         work: T::Work,
         mosaic: &Mosaic<'_, T>,
     ) -> Result<Vec<TileResult<T>>> {
-        let at_once = if 2 * self.grid.half < SIDE { 1 } else { AT_ONCE };
-        let TiledEncode { journal, whole, executor, .. } = self;
-        let mut show = |done: f32| journal.show(stretch.stage, stretch.at(done / windows.len().max(1) as f32));
+        let at_once = if 2 * self.grid.half < DEFAULT_TILE_SIDE { 1 } else { MAX_CONCURRENT };
+        let TiledSession { report, global, executor, .. } = self;
+        let mut show = |done: f32| report.show(stretch.stage, stretch.at(done / windows.len().max(1) as f32));
         show(0.0)?;
-        let mut became = Vec::new();
+        let mut results = Vec::new();
         match executor {
             Executor::Own => {
                 let arounds = windows.iter().map(|window| T::around(mosaic, window, work)).collect();
-                let whole = &*whole;
+                let global = &*global;
                 let work = |i: usize, around, tell: Show<'_>| {
-                    let of_tile = T::work(whole, (&windows[i], work), around, tell)?;
+                    let result = T::work(global, (&windows[i], work), around, tell)?;
                     tell(1.0)?;
-                    Ok(of_tile)
+                    Ok(result)
                 };
-                became = parallel::map_watched(at_once, arounds, work, &mut show)?;
+                results = parallel::map_watched(at_once, arounds, work, &mut show)?;
             }
             Executor::Others(workers) => {
                 let most = workers.capacity().max(1);
@@ -342,57 +342,57 @@ impl TiledEncode<'_, '_, '_> {
                 loop {
                     for window in left.by_ref().take(most - out.len()) {
                         let around = T::around(mosaic, window, work);
-                        let task = parcel::task(whole, (window, work), &around)?;
-                        out.push_back(Sent::new(&task, window, T::most(work, around.own.len())));
+                        let task = wire::task(global, (window, work), &around)?;
+                        out.push_back(PendingTile::new(&task, window, T::most(work, around.own.len())));
                         workers.submit(task)?;
                     }
                     let Some(sent) = out.pop_front() else { break };
-                    became.push(sent.answer(whole, &workers.next()?)?);
-                    show(became.len() as f32)?;
+                    results.push(sent.answer(global, &workers.next()?)?);
+                    show(results.len() as f32)?;
                 }
             }
         }
-        Ok(became)
+        Ok(results)
     }
 
     /// Fits floats and puts them into `mosaic`; returns their squared error.
     fn fit(&mut self, mosaic: &mut Mosaic<'_, Primitive>) -> Result<f64> {
-        let clock = self.journal.seconds();
+        let clock = self.report.seconds();
         let windows = self.grid.windows();
         // By itself no tile waits for another.
-        let begun = self.turn(ProgressRange::part("fit", 0, 1), &windows, FloatWork::Begin, mosaic)?;
-        let mut error = begun.iter().map(|b| b.error).sum();
+        let initial_count = self.turn(ProgressRange::part("fit", 0, 1), &windows, FloatWork::Begin, mosaic)?;
+        let mut error = initial_count.iter().map(|b| b.error).sum();
         let mut others = Vec::new();
         let mut placed = Vec::with_capacity(windows.len());
-        for (window, of_tile) in windows.iter().zip(begun) {
-            others.extend(of_tile.others);
-            placed.push((window.core, of_tile.own));
+        for (window, result) in windows.iter().zip(initial_count) {
+            others.extend(result.others);
+            placed.push((window.core, result.own));
         }
         mosaic.replace(placed);
         let have = mosaic.count();
         let wanted = match self.size {
-            Size::Free => self.whole.brief.count,
+            Size::Free => self.global.settings.count,
             Size::Bytes(most) => {
                 let each = self.price(mosaic, error)?;
                 let room = most as f64 * excess(have) - self.fixed as f64;
-                ((room / each).max(0.0) as usize).min(2 * self.whole.brief.count)
+                ((room / each).max(0.0) as usize).min(2 * self.global.settings.count)
             }
         };
-        mosaic.balance(others, wanted, (SWAPPED * have as f64) as usize);
+        mosaic.balance(others, wanted, (MAX_SWAPPED * have as f64) as usize);
         for (pass, (_, shift)) in floats::JOINED.iter().enumerate() {
             let stretch = ProgressRange::part("join", pass, floats::JOINED.len());
             (_, error) = self.pass((stretch, *shift), FloatWork::Join(pass), mosaic)?;
         }
-        self.journal.stage("fit", clock);
+        self.report.stage("fit", clock);
         Ok(error)
     }
 
     /// Returns the bytes that a primitive takes.
     fn price(&mut self, mosaic: &Mosaic<'_, Primitive>, error: f64) -> Result<f64> {
-        let every = mosaic.count() / SAMPLED + 1;
+        let every = mosaic.count() / MAX_SAMPLED + 1;
         let some: Vec<Primitive> = mosaic.all().step_by(every).map(|p| p.what).collect();
         let quantizer = self.set_steps(&some, error);
-        let blank = &mut self.whole.blank;
+        let blank = &mut self.global.blank;
         let fixed = bitstream::to_bytes(blank)?.len();
         blank.gaussians = mosaic.all().map(|p| quantizer.quantize(&p.what.to_gaussian())).collect();
         let bytes = bitstream::to_bytes(blank)?.len();
@@ -402,24 +402,24 @@ impl TiledEncode<'_, '_, '_> {
 
     /// Chooses the steps of the file for `some` of its primitives, whose squared error is `error`.
     fn set_steps(&mut self, some: &[Primitive], error: f64) -> Quantizer {
-        let blank = &self.whole.blank;
+        let blank = &self.global.blank;
         let mut steps = rounded::steps(some, blank.layout, decibels(error, samples_of(blank)));
         // Parts begin at whole steps.
         let too_coarse = steps.coarsest - UNIT.ilog2() as i8;
         if too_coarse > 0 {
             (steps.coarsest, steps.range) = (steps.coarsest - too_coarse, steps.range - too_coarse as u8);
         }
-        self.whole.blank.steps = steps;
-        let quantizer = self.whole.blank.quantizer();
-        self.whole.blank.background = quantizer.quantize_color(self.whole.scene.background);
+        self.global.blank.steps = steps;
+        let quantizer = self.global.blank.quantizer();
+        self.global.blank.background = quantizer.quantize_color(self.global.scene.background);
         quantizer
     }
 
     /// Rounds `floats`, whose squared error is `error`, and brings them to the size that is asked for.
     fn finish(mut self, floats: Vec<Primitive>, error: f64) -> Result<Encoded> {
-        let clock = self.journal.seconds();
+        let clock = self.report.seconds();
         let float_error = error;
-        let some: Vec<Primitive> = floats.iter().copied().step_by(floats.len() / SAMPLED + 1).collect();
+        let some: Vec<Primitive> = floats.iter().copied().step_by(floats.len() / MAX_SAMPLED + 1).collect();
         let quantizer = self.set_steps(&some, error);
         let look = |p: &PackedGaussian| quantizer.dequantize(p);
         let mut mosaic = Mosaic::new(&self.grid, &look);
@@ -427,29 +427,29 @@ impl TiledEncode<'_, '_, '_> {
             mosaic.insert(Placed { what: quantizer.quantize(&p.to_gaussian()), cost: 0.0 });
         }
         drop(floats);
-        let sweeps = self.whole.plan().sweeps.max(2);
+        let sweeps = self.global.plan().sweeps.max(2);
         let mut bytes = self.write(&mosaic)?;
         let mut error = self.weighted_error(&mosaic)?;
-        for round in 0..sweeps + MORE_SWEEPS {
+        for round in 0..sweeps + MAX_ADDED_SWEEPS {
             let lambda = SLOPE * error / (8.0 * bytes.len() as f64);
             let shift = if round.is_multiple_of(2) { Shift::None } else { Shift::Half };
-            let stretch = ProgressRange::part("finish", round as usize, (sweeps + MORE_SWEEPS) as usize);
+            let stretch = ProgressRange::part("finish", round as usize, (sweeps + MAX_ADDED_SWEEPS) as usize);
             let others;
             (others, error) = self.pass((stretch, shift), IntegerWork::Sweep(lambda), &mut mosaic)?;
             bytes = self.write(&mosaic)?;
             // The layer takes what its base leaves of the bytes, few or many.
-            let (Size::Bytes(most), false) = (self.size, self.whole.brief.is_base) else {
+            let (Size::Bytes(most), false) = (self.size, self.global.settings.is_base) else {
                 if round + 1 == sweeps {
                     break;
                 }
                 continue;
             };
             let length = bytes.len() as u64;
-            let is_settled = is_settled(length, most, SETTLED);
-            if round + 1 >= sweeps && (is_settled || length > most || round + 1 == sweeps + MORE_SWEEPS) {
+            let is_settled = is_settled(length, most, SETTLED_PART);
+            if round + 1 >= sweeps && (is_settled || length > most || round + 1 == sweeps + MAX_ADDED_SWEEPS) {
                 break;
             }
-            if round + 1 + CORRECTED >= sweeps && !is_settled {
+            if round + 1 + CORRECTED_SWEEPS >= sweeps && !is_settled {
                 let count = mosaic.count();
                 let wanted = match correction(count, length.saturating_sub(self.fixed), length, most) {
                     Correction::Remove(cheapest) => count.saturating_sub(cheapest),
@@ -460,7 +460,7 @@ impl TiledEncode<'_, '_, '_> {
             }
         }
         bytes = self.within(&mut mosaic, bytes)?;
-        self.journal.stage("finish", clock);
+        self.report.stage("finish", clock);
         bytes = self.with_layer(&mosaic, bytes)?;
         bytes = self.with_thumbnail(&mosaic, bytes)?;
         self.report(&mosaic, bytes, float_error)
@@ -474,7 +474,7 @@ impl TiledEncode<'_, '_, '_> {
             (None, all) if all == splats.channels => Ok(bytes),
             (layer, _) => {
                 splats.detail.clone_from(layer);
-                subject::file(&splats, self.source.channels())
+                input::file(&splats, self.source.channels())
             }
         }
     }
@@ -485,21 +485,21 @@ impl TiledEncode<'_, '_, '_> {
         if self.both == self.size {
             return Ok(bytes);
         }
-        let clock = self.journal.seconds();
+        let clock = self.report.seconds();
         let mut splats = self.splats(mosaic);
         file::smallest(&mut splats, self.options.levels)?;
         let (source, channels, tune) = (self.seen, self.source.channels(), self.options.favoured());
         let parts = Parts { source, splats: &splats, channels, tune, hidden: self.options.hidden };
-        let file = |empty: &PackedSplats| subject::file(empty, channels);
-        self.layer = layer_in_parts(parts, most, file, &mut |done| self.journal.show("detail", done))?;
-        self.journal.stage("detail", clock);
+        let file = |empty: &PackedSplats| input::file(empty, channels);
+        self.layer = layer_in_parts(parts, most, file, &mut |done| self.report.show("detail", done))?;
+        self.report.stage("detail", clock);
         if self.layer.is_some() { self.write(mosaic) } else { Ok(bytes) }
     }
 
     /// Returns what is fitted.
     fn splats(&self, mosaic: &Mosaic<'_, PackedGaussian>) -> PackedSplats {
         let gaussians = mosaic.all().map(|p| p.what).collect();
-        PackedSplats { gaussians, metadata: self.metadata.clone(), ..self.whole.blank.clone() }
+        PackedSplats { gaussians, metadata: self.metadata.clone(), ..self.global.blank.clone() }
     }
 
     /// Returns the file with its thumbnail, where it is to have one; `bytes` is that without.
@@ -512,14 +512,14 @@ impl TiledEncode<'_, '_, '_> {
         if most == 0 {
             return Ok(bytes);
         }
-        let clock = self.journal.seconds();
+        let clock = self.report.seconds();
         let splats = widen(&self.splats(mosaic), self.source.channels());
-        let progress = &mut *self.journal.progress;
+        let progress = &mut *self.report.progress;
         let small = thumbnail::of(&splats, most, self.options, &mut |done| {
             progress(&Progress { stage: "thumbnail", done, psnr: None })
         })?;
         self.metadata.thumbnail = Some(small);
-        self.journal.stage("thumbnail", clock);
+        self.report.stage("thumbnail", clock);
         self.write(mosaic)
     }
 
@@ -544,28 +544,28 @@ impl TiledEncode<'_, '_, '_> {
     }
 
     fn report(mut self, mosaic: &Mosaic<'_, PackedGaussian>, bytes: Vec<u8>, float_error: f64) -> Result<Encoded> {
-        let clock = self.journal.seconds();
+        let clock = self.report.seconds();
         if let Some(layer) = self.layer.take() {
             return self.report_of_layers(mosaic, bytes, layer, float_error);
         }
-        let is_whole = self.source.channels() == self.whole.blank.channels;
+        let is_whole = self.source.channels() == self.global.blank.channels;
         let parts = if is_whole { 1 } else { 2 };
         let mut error = self.measured(ProgressRange::part("measure", 0, parts), mosaic)?;
         let mut float_error = float_error;
         if !is_whole {
             // The channels that were left out weigh as they do in the file.
             let wide = widen(&self.splats(mosaic), self.source.channels());
-            (self.whole.source, self.whole.blank) =
+            (self.global.source, self.global.blank) =
                 (self.source, PackedSplats { gaussians: Vec::new(), ..wide.clone() });
-            let quantizer = self.whole.blank.quantizer();
+            let quantizer = self.global.blank.quantizer();
             let look = |p: &PackedGaussian| quantizer.dequantize(p);
             let mut all = Mosaic::new(&self.grid, &look);
             wide.gaussians.into_iter().for_each(|what| all.insert(Placed { what, cost: 0.0 }));
             let fitted = std::mem::replace(&mut error, self.measured(ProgressRange::part("measure", 1, parts), &all)?);
             float_error *= if fitted > 0.0 { error / fitted } else { 1.0 };
         }
-        let samples = samples_of(&self.whole.blank);
-        self.journal.stage("measure", clock);
+        let samples = samples_of(&self.global.blank);
+        self.report.stage("measure", clock);
         Ok(self.encoded(mosaic, bytes, [decibels(error, samples), decibels(float_error, samples)]))
     }
 
@@ -575,9 +575,9 @@ impl TiledEncode<'_, '_, '_> {
             primitives: mosaic.count(),
             psnr,
             float_psnr,
-            seconds: self.journal.seconds(),
-            stages: self.journal.stages,
-            left_out: self.journal.left_out,
+            seconds: self.report.seconds(),
+            stages: self.report.stages,
+            skipped: self.report.skipped,
             chosen: Chosen::for_tiles(self.options.backend),
             ..EncodeReport::default()
         };
@@ -592,15 +592,15 @@ impl TiledEncode<'_, '_, '_> {
         layer: Arc<DetailLayer>,
         float_error: f64,
     ) -> Result<Encoded> {
-        let clock = self.journal.seconds();
+        let clock = self.report.seconds();
         let (source, channels, tune) = (self.source, self.source.channels(), self.options.favoured());
         let mut splats = self.splats(mosaic);
         let fitted = samples_of(&splats);
         splats.detail = Some(layer);
         let splats = if splats.channels == channels { splats } else { widen(&splats, channels) };
         let parts = Parts { source, splats: &splats, channels, tune, hidden: self.options.hidden };
-        let error = parts.error(&mut |done| self.journal.show("measure", done))?;
-        self.journal.stage("measure", clock);
+        let error = parts.error(&mut |done| self.report.show("measure", done))?;
+        self.report.stage("measure", clock);
         Ok(self.encoded(mosaic, bytes, [decibels(error, samples_of(&splats)), decibels(float_error, fitted)]))
     }
 

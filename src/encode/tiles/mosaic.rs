@@ -120,13 +120,13 @@ impl<'a, T: Copy> Mosaic<'a, T> {
     }
 
     /// Puts what became of tiles in their place.
-    pub(super) fn replace(&mut self, became: Vec<(Area, Vec<Placed<T>>)>) {
-        for (core, _) in &became {
+    pub(super) fn replace(&mut self, results: Vec<(Area, Vec<Placed<T>>)>) {
+        for (core, _) in &results {
             for i in self.indices(core) {
                 self.squares[i] = Square { placed: Vec::new(), reach: 0.0 };
             }
         }
-        became.into_iter().flat_map(|(_, placed)| placed).for_each(|placed| self.insert(placed));
+        results.into_iter().flat_map(|(_, placed)| placed).for_each(|placed| self.insert(placed));
     }
 
     /// Takes away the `count` that cost least.

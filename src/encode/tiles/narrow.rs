@@ -2,7 +2,7 @@
 
 use super::grid::Window;
 use crate::encode::channels::{Silent, narrowed};
-use crate::encode::left_out::Omission;
+use crate::encode::skipped::SkipReason;
 use crate::error::Result;
 use crate::gaussian::Channels;
 use crate::pixel_source::PixelSource;
@@ -21,7 +21,7 @@ impl<'a> Narrowed<'a> {
         source: &'a dyn PixelSource,
         tiles: &[Window],
         mut show: impl FnMut() -> Result<()>,
-    ) -> Result<(Self, Option<Omission>)> {
+    ) -> Result<(Self, Option<SkipReason>)> {
         let all = source.channels();
         let mut silent: Option<Silent> = None;
         for tile in tiles {

@@ -1,10 +1,10 @@
 //! The work on a tile: what can be done with it, and with which primitives around it.
 
 use super::floats::{self, Show};
+use super::global::GlobalContext;
 use super::grid::{Area, Window};
 use super::integers::{self, Part};
 use super::mosaic::{Around, Mosaic, TileResult};
-use super::whole::Whole;
 use crate::bitstream::splats::PackedGaussian;
 use crate::error::Result;
 use crate::fit::model::drawing::project::Primitive;
@@ -40,7 +40,7 @@ pub(super) trait Worked: Copy + Send {
 
     /// Does the work.
     fn work(
-        whole: &Whole<'_>,
+        global: &GlobalContext<'_>,
         what: (&Window, Self::Work),
         around: Around<Self>,
         show: Show<'_>,
@@ -60,14 +60,14 @@ impl Worked for Primitive {
     }
 
     fn work(
-        whole: &Whole<'_>,
+        global: &GlobalContext<'_>,
         (window, work): (&Window, FloatWork),
         around: Around<Self>,
         show: Show<'_>,
     ) -> Result<TileResult<Self>> {
         match work {
-            FloatWork::Begin => floats::begin(whole, window, show),
-            FloatWork::Join(pass) => floats::join(whole, (pass, window), around, show),
+            FloatWork::Begin => floats::begin(global, window, show),
+            FloatWork::Join(pass) => floats::join(global, (pass, window), around, show),
         }
     }
 }
@@ -83,15 +83,15 @@ impl Worked for PackedGaussian {
     }
 
     fn work(
-        whole: &Whole<'_>,
+        global: &GlobalContext<'_>,
         (window, work): (&Window, IntegerWork),
         around: Around<Self>,
         _: Show<'_>,
     ) -> Result<TileResult<Self>> {
         match work {
-            IntegerWork::Weigh => Ok(TileResult::seen(Part::new(whole, window, around).error()?)),
-            IntegerWork::Sweep(lambda) => Part::new(whole, window, around).sweep(lambda),
-            IntegerWork::Measure => Ok(TileResult::seen(integers::plain_error(whole, &window.core, around)?)),
+            IntegerWork::Weigh => Ok(TileResult::seen(Part::new(global, window, around).error()?)),
+            IntegerWork::Sweep(lambda) => Part::new(global, window, around).sweep(lambda),
+            IntegerWork::Measure => Ok(TileResult::seen(integers::plain_error(global, &window.core, around)?)),
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::fit::model::drawing::field::{Frame, Gradient};
 use crate::fit::model::drawing::project::Primitive;
-use crate::fit::model::target::rows::RowSet;
+use crate::fit::model::objective::rows::RowSet;
 use crate::gaussian::CUTOFF;
 use crate::strict_math::StrictMath;
 

@@ -3,6 +3,6 @@
 
 pub(crate) mod adam;
 pub mod drawing;
+pub mod objective;
 pub mod placing;
 pub mod problem;
-pub mod target;

@@ -1,12 +1,12 @@
 //! The problem that a fit solves: a picture, and how primitives are to make it.
 
-use crate::fit::model::target::planes::Planes;
-use crate::fit::model::target::rows::RowSet;
+use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::objective::rows::RowSet;
 use crate::gaussian::Blend;
 use crate::strict_math::StrictMath;
 
 /// Pixels of a large picture: smaller ones are done soon enough.
-pub const LARGE: u64 = 1 << 21;
+pub const LARGE_PIXELS: u64 = 1 << 21;
 
 /// How primitives make a picture: its size, their blend and the background.
 #[derive(Debug, Clone, Copy)]
@@ -20,7 +20,7 @@ pub struct Scene {
 impl Scene {
     /// Tells whether the picture is so large that looks at it leave rows out.
     pub fn is_large(&self) -> bool {
-        self.pixels() >= LARGE
+        self.pixels() >= LARGE_PIXELS
     }
 
     /// Returns the number of pixels.

@@ -166,7 +166,7 @@ impl Desk {
         for stage in &report.stages {
             let _ = writeln!(lines[0], "{}\t{}", stage.name, (stage.seconds * 1e6) as u64);
         }
-        for left_out in &report.left_out {
+        for left_out in &report.skipped {
             let _ = writeln!(lines[1], "{}\t{}", left_out.what, left_out.bytes);
         }
         let [stages, left_out] = lines.map(String::into_bytes);

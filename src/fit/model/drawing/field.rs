@@ -6,9 +6,9 @@
 use crate::fit::model::drawing::kernel;
 use crate::fit::model::drawing::project::{self, Frames, Primitive, Projected};
 use crate::fit::model::drawing::strips::{Planned, Strips};
+use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::target::planes::Planes;
-use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
@@ -462,7 +462,7 @@ impl Gradient {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::model::target::planes::Planes;
+    use crate::fit::model::objective::planes::Planes;
     use crate::gaussian::Channels;
     use crate::pixels::{Pixels, Samples};
 

@@ -3,7 +3,7 @@
 
 use crate::fit::model::drawing::project::{Lines, Projected};
 use crate::fit::model::drawing::strips::{self, Planned};
-use crate::fit::model::target::rows::RowSet;
+use crate::fit::model::objective::rows::RowSet;
 use crate::gaussian::CUTOFF_WEIGHT;
 use crate::simd::{self, Simd};
 use crate::strict_math::StrictMath;

@@ -3,7 +3,7 @@
 
 use crate::fit::model::drawing::kernel::{Cut, LEAST_BEND, RUN, Rows, Strip, Visit};
 use crate::fit::model::drawing::project::Projected;
-use crate::fit::model::target::rows::RowSet;
+use crate::fit::model::objective::rows::RowSet;
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
 

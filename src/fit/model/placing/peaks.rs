@@ -2,10 +2,10 @@
 
 use crate::fit::model::drawing::field::Field;
 use crate::fit::model::drawing::project::Primitive;
+use crate::fit::model::objective::blur::Cells;
+use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::ridge::{self, Shape};
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::target::blur::Cells;
-use crate::fit::model::target::rows::RowSet;
 use crate::gaussian::Blend;
 use crate::parallel;
 use crate::simd::{self, Simd, Task};

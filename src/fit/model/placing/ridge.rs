@@ -1,7 +1,7 @@
 //! Peaks of the residual that are part of a ridge: round primitives at thin lines seldom grow into needles, since the
 //! first of their steps gains nothing.
 
-use crate::fit::model::target::blur::Cells;
+use crate::fit::model::objective::blur::Cells;
 use crate::strict_math::StrictMath;
 
 /// Largest aspect that a new primitive gets; the fit stretches it further.

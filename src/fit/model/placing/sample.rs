@@ -4,8 +4,8 @@ use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
 use crate::fit::model::drawing::project::Primitive;
-use crate::fit::model::target::blur::blur;
-use crate::fit::model::target::planes::Planes;
+use crate::fit::model::objective::blur::blur;
+use crate::fit::model::objective::planes::Planes;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 

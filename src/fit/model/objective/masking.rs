@@ -5,10 +5,10 @@
 //! quarter and an eighth of its size. There an error `e`, where the surroundings have the variance `σ²`, costs about
 //! `e² / (2σ² + C₂)`.
 
+use crate::fit::model::objective::blur::Cells;
+use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::objective::structure::{FLOOR, normalized};
 use crate::fit::model::placing::sample::halve;
-use crate::fit::model::target::blur::Cells;
-use crate::fit::model::target::planes::Planes;
-use crate::fit::model::target::structure::{FLOOR, normalized};
 use crate::gaussian::Channels;
 use crate::parallel;
 use crate::strict_math::StrictMath;

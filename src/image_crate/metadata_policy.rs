@@ -3,7 +3,7 @@
 use image::metadata::Orientation;
 
 use super::colour::is_srgb;
-use crate::options::Carry;
+use crate::options::MetadataPolicy;
 
 /// Metadata to store in a file, and the sizes of the metadata that are left out.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -22,7 +22,7 @@ pub struct Carried {
     pub is_orientation_left_out: bool,
 }
 
-impl Carry {
+impl MetadataPolicy {
     /// Returns the metadata to store for a picture with this ICC profile, this EXIF block and this orientation. An
     /// orientation that does not come from an EXIF block, as in TIFF, is stored in a new one.
     ///
@@ -41,17 +41,17 @@ impl Carry {
         let length = |block: &Option<Vec<u8>>| block.as_ref().map_or(0, Vec::len);
         let (all_icc, all_exif) = (length(&icc), length(&exif));
         // sRGB is what a picture without a profile is shown in.
-        let icc = icc.filter(|icc| self != Carry::Needed || !is_srgb(icc));
+        let icc = icc.filter(|icc| self != MetadataPolicy::Needed || !is_srgb(icc));
         let (icc, exif) = match self {
-            Carry::All => (icc, exif.or_else(alone)),
+            MetadataPolicy::All => (icc, exif.or_else(alone)),
             // A block that contains only the orientation is kept unchanged.
-            Carry::Needed if exif.as_ref().is_some_and(|exif| is_turned && exif.len() <= BLOCK) => (icc, exif),
-            Carry::Needed => (icc, alone()),
-            Carry::Icc => (icc, None),
-            Carry::None => (None, None),
+            MetadataPolicy::Needed if exif.as_ref().is_some_and(|exif| is_turned && exif.len() <= BLOCK) => (icc, exif),
+            MetadataPolicy::Needed => (icc, alone()),
+            MetadataPolicy::Icc => (icc, None),
+            MetadataPolicy::None => (None, None),
         };
         Carried {
-            icc_left_out: if icc.is_some() || self == Carry::Needed { 0 } else { all_icc },
+            icc_left_out: if icc.is_some() || self == MetadataPolicy::Needed { 0 } else { all_icc },
             // Leaving out a block that can only hold an orientation loses nothing.
             exif_left_out: if length(&exif) < all_exif && all_exif > BLOCK { all_exif } else { 0 },
             is_orientation_left_out: is_turned && exif.is_none(),
@@ -91,29 +91,30 @@ mod tests {
     #[test]
     fn what_is_needed_is_the_profile_and_the_orientation() {
         for orientation in ALL {
-            let carried = Carry::Needed.of(Some(vec![1; 500]), Some(vec![0; 3000]), orientation);
+            let carried = MetadataPolicy::Needed.of(Some(vec![1; 500]), Some(vec![0; 3000]), orientation);
             assert_eq!((carried.icc, carried.icc_left_out), (Some(vec![1; 500]), 0));
             assert_eq!((carried.exif_left_out, carried.is_orientation_left_out), (3000, false));
             let said = carried.exif.as_deref().and_then(Orientation::from_exif_chunk);
             assert_eq!(said, (orientation != Orientation::NoTransforms).then_some(orientation));
             // A block that was stored once is stored again unchanged.
-            let again = Carry::Needed.of(None, carried.exif.clone(), orientation);
+            let again = MetadataPolicy::Needed.of(None, carried.exif.clone(), orientation);
             assert_eq!((&again.exif, again.exif_left_out), (&carried.exif, 0));
         }
     }
 
     #[test]
     fn what_is_left_out_is_told() {
-        let of = |carry: Carry, exif: Option<Vec<u8>>| carry.of(Some(vec![1; 500]), exif, Orientation::Rotate180);
-        let all = of(Carry::All, Some(vec![2; 90]));
+        let of =
+            |carry: MetadataPolicy, exif: Option<Vec<u8>>| carry.of(Some(vec![1; 500]), exif, Orientation::Rotate180);
+        let all = of(MetadataPolicy::All, Some(vec![2; 90]));
         assert_eq!((all.icc_left_out, all.exif_left_out, all.is_orientation_left_out), (0, 0, false));
         assert_eq!(all.exif, Some(vec![2; 90]));
-        let icc = of(Carry::Icc, Some(vec![2; 90]));
+        let icc = of(MetadataPolicy::Icc, Some(vec![2; 90]));
         assert_eq!(
             (icc.icc.is_some(), icc.exif, icc.exif_left_out, icc.is_orientation_left_out),
             (true, None, 90, true)
         );
-        let none = of(Carry::None, None);
+        let none = of(MetadataPolicy::None, None);
         assert_eq!(
             (none.icc, none.icc_left_out, none.exif_left_out, none.is_orientation_left_out),
             (None, 500, 0, true)
@@ -122,7 +123,7 @@ mod tests {
 
     #[test]
     fn an_orientation_that_no_block_says_gets_one() {
-        for carry in [Carry::All, Carry::Needed] {
+        for carry in [MetadataPolicy::All, MetadataPolicy::Needed] {
             let exif = carry.of(None, None, Orientation::Rotate270).exif;
             assert_eq!(exif.as_deref().and_then(Orientation::from_exif_chunk), Some(Orientation::Rotate270));
             assert_eq!(carry.of(None, None, Orientation::NoTransforms), Carried::default());

@@ -9,14 +9,14 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
 use crate::error::Result;
-use crate::fit::engine::{Engine, Sight, Watcher};
+use crate::fit::engine::{Engine, Snapshot, Watcher};
 use crate::fit::job::Job;
 use crate::fit::model::adam::Bounds;
 use crate::fit::model::drawing::project::Primitive;
+use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::objective::reduced::{Coarse, Reduced};
 use crate::fit::model::placing::sample;
 use crate::fit::model::problem::Scene;
-use crate::fit::model::target::planes::Planes;
-use crate::fit::model::target::reduced::{Coarse, Reduced};
 use crate::fit::plan::Plan;
 use crate::fit::schedule::{self, Part};
 #[cfg(feature = "smartsplat")]
@@ -27,19 +27,19 @@ use crate::options::{Ablation, Rung};
 use crate::strict_math::StrictMath;
 
 /// From so many primitives on the small ones among them need all pixels: 260 lose .1 dB to a copy of half the size.
-const FEW: usize = 120;
+const MAX_MULTI_START: usize = 120;
 /// Scale of a typical Gaussian in the copy, pixels, at least.
 const TYPICAL: f32 = 6.0;
 /// The copy's shorter side, pixels, at least.
-const SHORTEST: u32 = 16;
+const MIN_SIDE: u32 = 16;
 /// Share of the iterations that see the copy.
-const DRAFTED: f32 = 0.7;
+const START_SHARE: f32 = 0.7;
 /// Fits that the best is chosen from, each from a start of its own.
-const DRAFTS: u16 = 4;
+const STARTS: u16 = 4;
 
 /// Share of the iterations that are saved where a fit goes on from one of fewer primitives. Kodak at 50, where half of the pictures are
 /// fitted again: .03 dB better than from the start; with .5 these lose .1 dB, as what is added comes late.
-const BEGUN: f32 = 0.3;
+const INITIAL_SHARE: f32 = 0.3;
 
 /// Where a fit starts.
 pub(crate) struct Start {
@@ -65,7 +65,7 @@ pub(crate) fn random(plan: &Plan) -> Pcg64Mcg {
 /// Returns how often the picture is halved for `count` primitives.
 fn halvings(scene: &Scene, count: usize) -> u32 {
     let by_scale = (scene.typical_scale(count) / TYPICAL).max(1.0).strict_log2() as u32;
-    let by_side = (scene.width.min(scene.height) / SHORTEST).max(1).ilog2();
+    let by_side = (scene.width.min(scene.height) / MIN_SIDE).max(1).ilog2();
     by_scale.min(by_side)
 }
 
@@ -79,20 +79,20 @@ pub(crate) fn start(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<Start> {
         let bounds = Bounds::new(problem.target.width, problem.target.height);
         return Ok(Start { state: State::new(primitives, bounds), rng, from: 0 });
     }
-    if !plan.begun.is_empty() {
+    if !plan.initial.is_empty() {
         let bounds = Bounds::new(problem.target.width, problem.target.height);
-        let from = (plan.iterations as f32 * BEGUN) as u32;
-        return Ok(Start { state: State::new(plan.begun.clone(), bounds), rng: random(plan), from });
+        let from = (plan.iterations as f32 * INITIAL_SHARE) as u32;
+        return Ok(Start { state: State::new(plan.initial.clone(), bounds), rng: random(plan), from });
     }
     let halvings = halvings(&problem.scene, count);
     // A budget of time is better spent on one fit.
-    if !(1..FEW).contains(&count) || halvings == 0 || plan.fit_deadline.is_some() {
+    if !(1..MAX_MULTI_START).contains(&count) || halvings == 0 || plan.fit_deadline.is_some() {
         return Ok(scattered(problem.target, count, plan));
     }
     let reduced = Reduced::new(&problem, halvings);
-    let end = (plan.iterations as f32 * DRAFTED) as u32;
+    let end = (plan.iterations as f32 * START_SHARE) as u32;
     let mut best: Option<(f64, Start)> = None;
-    for i in 0..DRAFTS {
+    for i in 0..STARTS {
         // The error of a copy says little about that of the picture: no draft ends early.
         let plan = Plan { seed: plan.seed.wrapping_add(i.into()), enough: 0.0, ..plan.clone() };
         // Only the first draft corrects the number.
@@ -118,8 +118,8 @@ struct OneOf<'a> {
 }
 
 impl Watcher for OneOf<'_> {
-    fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()> {
-        self.watcher.step((self.index as f32 * DRAFTED + done) / DRAFTS as f32, now)
+    fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
+        self.watcher.step((self.index as f32 * START_SHARE + done) / STARTS as f32, now)
     }
 
     fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {
@@ -165,7 +165,7 @@ mod tests {
     #[test]
     fn where_a_copy_would_lose_something_there_is_no_draft() {
         // Too many, too thin a picture, Gaussians too small, none at all.
-        for (width, height, count) in [(240, 160, FEW), (1000, 31, 10), (40, 40, 10), (240, 160, 0)] {
+        for (width, height, count) in [(240, 160, MAX_MULTI_START), (1000, 31, 10), (40, 40, 10), (240, 160, 0)] {
             let (scene, target) = picture(width, height);
             assert_eq!(started(Problem { scene, target: &target }, count).1, 0, "{count} on {width} × {height}");
         }

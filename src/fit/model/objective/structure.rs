@@ -1,7 +1,7 @@
 //! Structural similarity for the fit: weights that make the squared error favour it.
 
-use crate::fit::model::target::blur::blur;
-use crate::fit::model::target::planes::Planes;
+use crate::fit::model::objective::blur::blur;
+use crate::fit::model::objective::planes::Planes;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 
@@ -17,7 +17,7 @@ const POWER: f32 = 0.5;
 /// a variance over a few pixels, and the same power costs more decibels the fewer they are.
 pub const DENSE: f32 = 160.0;
 /// Largest weight, and the inverse of the smallest.
-const MOST: f32 = 20.0;
+const MAX_WEIGHT: f32 = 20.0;
 
 /// Amplitudes for [`Planes::amplitude`]: errors count more where the picture varies little, as they do in SSIM, whose
 /// contrast term falls by about `e² / (2σ² + C₂)` for an error `e` over a local variance `σ²`; for `count` primitives.
@@ -68,7 +68,7 @@ pub fn normalized(target: &Planes, weights: &[f32], mean: Option<f32>) -> Vec<f3
     let mut out = vec![0.0; target.stride * height];
     parallel::map_chunks(&mut out, target.stride, |y, out| {
         for (o, w) in out.iter_mut().zip(&weights[y * width..][..width]) {
-            *o = (w / mean).clamp(MOST.recip(), MOST).sqrt();
+            *o = (w / mean).clamp(MAX_WEIGHT.recip(), MAX_WEIGHT).sqrt();
         }
     });
     out

@@ -1,7 +1,7 @@
 //! A picture made smaller, for the first steps of a fit.
 
+use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::model::target::planes::Planes;
 
 /// A picture made smaller.
 pub(crate) struct Reduced {

@@ -12,23 +12,23 @@ const TRUST: f32 = 1.0;
 /// Half the gradient and half the Hessian (Gauss–Newton) of the squared error in the primitive's whitened frame: mean,
 /// log-scales, rotation. The colour follows along as is best.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Bowl {
+pub(crate) struct LocalQuadratic {
     pub slope: [f32; 5],
     pub curvature: [[f32; 5]; 5],
 }
 
-/// Change of the squared error with the mean alone, by a [`Bowl`] whose scales and rotation are chosen.
+/// Change of the squared error with the mean alone, by a [`LocalQuadratic`] whose scales and rotation are chosen.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Valley {
+pub(crate) struct FixedShapeQuadratic {
     floor: f32,
     slope: [f32; 2],
     curvature: [[f32; 2]; 2],
 }
 
-impl Bowl {
+impl LocalQuadratic {
     /// The error for log-scales and rotation that differ by `shape`.
     #[inline(always)]
-    pub(crate) fn given(&self, shape: [f32; 3]) -> Valley {
+    pub(crate) fn given(&self, shape: [f32; 3]) -> FixedShapeQuadratic {
         let c = &self.curvature;
         let mut floor = 0.0;
         let mut slope = [self.slope[0], self.slope[1]];
@@ -40,11 +40,11 @@ impl Bowl {
             slope[0] += c[0][2 + i] * shape[i];
             slope[1] += c[1][2 + i] * shape[i];
         }
-        Valley { floor, slope, curvature: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]] }
+        FixedShapeQuadratic { floor, slope, curvature: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]] }
     }
 }
 
-impl Valley {
+impl FixedShapeQuadratic {
     /// The shift of the mean with the least error, within the range that can be trusted.
     #[inline(always)]
     pub(crate) fn lowest(&self) -> [f32; 2] {
@@ -95,13 +95,13 @@ mod tests {
 
     #[test]
     fn the_lowest_shift_is_the_minimum_for_its_shape() {
-        let mut bowl = Bowl { slope: [0.3, -0.2, 0.1, 0.4, -0.5], ..Bowl::default() };
+        let mut local_quadratic = LocalQuadratic { slope: [0.3, -0.2, 0.1, 0.4, -0.5], ..LocalQuadratic::default() };
         for i in 0..5 {
             for j in 0..5 {
-                bowl.curvature[i][j] = if i == j { 2.0 } else { 0.1 * (i + j) as f32 };
+                local_quadratic.curvature[i][j] = if i == j { 2.0 } else { 0.1 * (i + j) as f32 };
             }
         }
-        let valley = bowl.given([0.2, -0.1, 0.3]);
+        let valley = local_quadratic.given([0.2, -0.1, 0.3]);
         let [u, v] = valley.lowest();
         for (du, dv) in [(0.05, 0.0), (-0.05, 0.0), (0.0, 0.05), (0.0, -0.05)] {
             assert!(valley.at([u, v]) < valley.at([u + du, v + dv]));
@@ -111,8 +111,8 @@ mod tests {
     #[test]
     fn flat_errors_give_bounded_shifts() {
         for curvature in [0.0, 1e-30, -1.0] {
-            let bowl = Bowl { slope: [1.0, -1.0, 0.0, 0.0, 0.0], curvature: [[curvature; 5]; 5] };
-            assert!(bowl.given([0.0; 3]).lowest().iter().all(|s| s.abs() <= TRUST));
+            let local_quadratic = LocalQuadratic { slope: [1.0, -1.0, 0.0, 0.0, 0.0], curvature: [[curvature; 5]; 5] };
+            assert!(local_quadratic.given([0.0; 3]).lowest().iter().all(|s| s.abs() <= TRUST));
         }
     }
 

@@ -6,9 +6,9 @@ use std::fmt;
 /// available.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
-pub struct LeftOut {
+pub struct Skipped {
     /// Name of the thing and the reason.
-    pub what: Omission,
+    pub what: SkipReason,
     /// Bytes saved; 0 if nothing was saved, if only time was (which then buys quality), or if it was not measured.
     pub bytes: u64,
     /// Seconds saved, estimated from the cost of one iteration; 0 where that is not known.
@@ -18,7 +18,7 @@ pub struct LeftOut {
 /// Something that an encode can leave out. Its text is the thing, a colon, and the reason.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 #[non_exhaustive]
-pub enum Omission {
+pub enum SkipReason {
     /// Alpha, where all is opaque.
     Alpha,
     /// Colour, where all is grey.
@@ -45,19 +45,21 @@ pub enum Omission {
     },
 }
 
-impl fmt::Display for Omission {
+impl fmt::Display for SkipReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Omission::Alpha => "alpha: all is opaque",
-            Omission::Color => "colour: all is grey",
-            Omission::ColorAndAlpha => "colour and alpha: all is grey and opaque",
-            Omission::HiddenColors => "colours under alpha 0: nobody sees them",
-            Omission::StructureWeights => "weights of pixels: the picture is so even that all weigh the same",
-            Omission::Fit => "the fit: the picture is one colour",
-            Omission::Iterations => "iterations: the error is below that of rounding, or well below the target",
-            Omission::Primitives => "primitives without which the error stays below that of rounding, or of the target",
-            Omission::OwnColors => "a colour of its own for each primitive: a codebook is smaller",
-            Omission::Gpu { reason } => return write!(f, "the GPU: {reason}"),
+            SkipReason::Alpha => "alpha: all is opaque",
+            SkipReason::Color => "colour: all is grey",
+            SkipReason::ColorAndAlpha => "colour and alpha: all is grey and opaque",
+            SkipReason::HiddenColors => "colours under alpha 0: nobody sees them",
+            SkipReason::StructureWeights => "weights of pixels: the picture is so even that all weigh the same",
+            SkipReason::Fit => "the fit: the picture is one colour",
+            SkipReason::Iterations => "iterations: the error is below that of rounding, or well below the target",
+            SkipReason::Primitives => {
+                "primitives without which the error stays below that of rounding, or of the target"
+            }
+            SkipReason::OwnColors => "a colour of its own for each primitive: a codebook is smaller",
+            SkipReason::Gpu { reason } => return write!(f, "the GPU: {reason}"),
         })
     }
 }

@@ -4,19 +4,19 @@
 //! goes on from where the short one ended, with so many steps fewer, and loses nothing by it.
 
 use crate::error::Result;
-use crate::fit::draft;
-use crate::fit::engine::{Ending, Engine, Sight, Watcher};
+use crate::fit::engine::{Ending, Engine, Snapshot, Watcher};
 use crate::fit::job::Job;
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::drawing::project::{self, Primitive};
-use crate::fit::model::target::planes::Planes;
-use crate::fit::model::target::reweigh;
-use crate::fit::model::target::rows::RowSet;
+use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::objective::reweigh;
+use crate::fit::model::objective::rows::RowSet;
+use crate::fit::multi_start;
 use crate::fit::plan::Plan;
 use crate::fit::schedule;
 
 /// Share of the steps, and of a budget of time, that the short fit takes. `.15` shows less; `.5` leaves too little for the rest.
-const SHARE: f32 = 0.3;
+const PROBE_SHARE: f32 = 0.3;
 
 /// Result of a rehearsal, the short fit before the long one.
 pub(super) enum Rehearsed {
@@ -27,11 +27,11 @@ pub(super) enum Rehearsed {
 }
 
 /// Fits shortly, and weighs the pixels anew.
-pub(super) fn rehearse<E: Engine>(job: &Job<'_>, engine: &mut E, watcher: &mut dyn Watcher) -> Result<Rehearsed> {
+pub(super) fn probe<E: Engine>(job: &Job<'_>, engine: &mut E, watcher: &mut dyn Watcher) -> Result<Rehearsed> {
     let all = job.plan.iterations;
-    let plan = job.plan.part(SHARE);
+    let plan = job.plan.part(PROBE_SHARE);
     let steps = plan.iterations;
-    let rng = draft::random(&Plan { seed: plan.seed.wrapping_add(1), ..plan.clone() });
+    let rng = multi_start::random(&Plan { seed: plan.seed.wrapping_add(1), ..plan.clone() });
     let ending = schedule::run(&Job { plan: &plan, ..*job }, engine, (rng, 0..steps), &mut First { watcher })?;
     if let Ending::Enough { left } = ending {
         return Ok(Rehearsed::Ended(Ending::Enough { left: left + all - steps }));
@@ -50,8 +50,8 @@ struct First<'a> {
 }
 
 impl Watcher for First<'_> {
-    fn step(&mut self, done: f32, now: &mut dyn Sight) -> Result<()> {
-        self.watcher.step(SHARE * done, now)
+    fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
+        self.watcher.step(PROBE_SHARE * done, now)
     }
 
     fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {
@@ -63,8 +63,8 @@ impl Watcher for First<'_> {
 mod tests {
     use super::*;
     use crate::fit::fit_on_cpu;
+    use crate::fit::model::objective::masking;
     use crate::fit::model::problem::{Problem, Scene};
-    use crate::fit::model::target::masking;
     use crate::gaussian::{Blend, Channels};
     use crate::{Pixels, Samples};
 
@@ -73,7 +73,7 @@ mod tests {
     struct Noting(Vec<f32>);
 
     impl Watcher for Noting {
-        fn step(&mut self, done: f32, _: &mut dyn Sight) -> Result<()> {
+        fn step(&mut self, done: f32, _: &mut dyn Snapshot) -> Result<()> {
             self.0.push(done);
             Ok(())
         }

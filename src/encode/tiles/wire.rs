@@ -7,11 +7,11 @@
 use std::ops::ControlFlow;
 
 use super::floats::{JOINED, Show};
+use super::global::{GlobalContext, TileSettings, Weights};
 use super::grid::{Area, UNIT, Window};
 use super::integers;
 use super::mosaic::{Around, Placed, TileResult};
 use super::task::{FloatWork, IntegerWork, Worked};
-use super::whole::{Brief, Weights, Whole};
 use crate::bitstream;
 use crate::bitstream::bytes::Bytes;
 use crate::bitstream::checksum::hash;
@@ -21,8 +21,8 @@ use crate::encode::rate_control::MAX_PRIMITIVES;
 use crate::encode::report::Progress;
 use crate::error::{Error, FormatError, Result};
 use crate::fit::model::drawing::project::Primitive;
+use crate::fit::model::objective::masking::Means;
 use crate::fit::model::problem::Scene;
-use crate::fit::model::target::masking::Means;
 use crate::gaussian::{Channels, MAX_SCALE, MIN_SCALE};
 use crate::limits::Limits;
 use crate::options::HiddenColors;
@@ -78,7 +78,7 @@ fn done(task: &[u8], show: Show<'_>) -> Result<Vec<u8>> {
 }
 
 /// Reads what else a task says, does its work and writes the answer.
-fn worked<T: Parceled>(
+fn worked<T: WireFormat>(
     mut bytes: Bytes<'_>,
     blank: PackedSplats,
     work: T::Work,
@@ -86,8 +86,8 @@ fn worked<T: Parceled>(
     show: Show<'_>,
 ) -> Result<Vec<u8>> {
     let cut = cut_of(&mut bytes, &blank, T::pixels(window, work))?;
-    let whole = whole_of(&mut bytes, blank, &cut)?;
-    let bars = Bars::new(&whole, window);
+    let global = whole_of(&mut bytes, blank, &cut)?;
+    let bars = Bars::new(&global, window);
     let counts = [bytes.u32("primitives")?, bytes.u32("other primitives")?];
     let mut own = Vec::new();
     for _ in 0..counts[0] {
@@ -97,7 +97,7 @@ fn worked<T: Parceled>(
     }
     let others = (0..counts[1]).map(|_| T::read(&mut bytes, &bars)).collect::<Result<_>>()?;
     bytes.finish()?;
-    answer(name, &T::work(&whole, (window, work), Around { own, others }, show)?)
+    answer(name, &T::work(&global, (window, work), Around { own, others }, show)?)
 }
 
 /// Says what is wrong with the bytes `name`.
@@ -116,24 +116,24 @@ fn refused(field: &'static str, value: u64) -> Error {
 }
 
 /// A task that was sent off.
-pub(super) struct Sent {
+pub(super) struct PendingTile {
     name: u32,
     window: Window,
     most: usize,
 }
 
-impl Sent {
+impl PendingTile {
     /// Records the bytes of a `task`, whose answer has at most `most` primitives of either kind.
     pub(super) fn new(task: &[u8], window: &Window, most: usize) -> Self {
-        Sent { name: name_of(task), window: *window, most }
+        PendingTile { name: name_of(task), window: *window, most }
     }
 
     /// Reads the answer to the task.
     ///
     /// # Errors
     /// [`Error::Parameter`] naming `answer` and the tile.
-    pub(super) fn answer<T: Parceled>(&self, whole: &Whole<'_>, bytes: &[u8]) -> Result<TileResult<T>> {
-        self.read(whole, bytes).map_err(|e| match bad("answer", e) {
+    pub(super) fn answer<T: WireFormat>(&self, global: &GlobalContext<'_>, bytes: &[u8]) -> Result<TileResult<T>> {
+        self.read(global, bytes).map_err(|e| match bad("answer", e) {
             Error::Parameter { name, problem } => {
                 let [x, y, width, height] = self.window.core.bounds();
                 let problem = format!("that of the tile of {width} × {height} at {x}, {y}: {problem}");
@@ -143,7 +143,7 @@ impl Sent {
         })
     }
 
-    fn read<T: Parceled>(&self, whole: &Whole<'_>, bytes: &[u8]) -> Result<TileResult<T>> {
+    fn read<T: WireFormat>(&self, global: &GlobalContext<'_>, bytes: &[u8]) -> Result<TileResult<T>> {
         let mut bytes = opened(bytes, ANSWER)?;
         let name = bytes.u32("name of the task")?;
         if name != self.name {
@@ -152,7 +152,7 @@ impl Sent {
         }
         let error = f64_of(&mut bytes, "error")?;
         let counts = [bytes.u32("primitives")?, bytes.u32("other primitives")?];
-        let bars = Bars::new(whole, &self.window);
+        let bars = Bars::new(global, &self.window);
         let mut placed = [Vec::new(), Vec::new()];
         for (placed, count) in placed.iter_mut().zip(counts) {
             if count as usize > self.most {
@@ -173,12 +173,12 @@ impl Sent {
 }
 
 /// Writes an answer.
-fn answer<T: Parceled>(name: u32, became: &TileResult<T>) -> Result<Vec<u8>> {
-    let mut out = begun(ANSWER);
+fn answer<T: WireFormat>(name: u32, results: &TileResult<T>) -> Result<Vec<u8>> {
+    let mut out = message(ANSWER);
     out.extend(name.to_le_bytes());
-    out.extend(became.error.to_le_bytes());
-    put_counts(&mut out, [became.own.len(), became.others.len()])?;
-    for placed in became.own.iter().chain(&became.others) {
+    out.extend(results.error.to_le_bytes());
+    put_counts(&mut out, [results.own.len(), results.others.len()])?;
+    for placed in results.own.iter().chain(&results.others) {
         out.extend(placed.cost.to_le_bytes());
         placed.what.put(&mut out);
     }
@@ -186,13 +186,13 @@ fn answer<T: Parceled>(name: u32, became: &TileResult<T>) -> Result<Vec<u8>> {
 }
 
 /// Writes the task of a window.
-pub(super) fn task<T: Parceled>(
-    whole: &Whole<'_>,
+pub(super) fn task<T: WireFormat>(
+    global: &GlobalContext<'_>,
     (window, work): (&Window, T::Work),
     around: &Around<T>,
 ) -> Result<Vec<u8>> {
-    let mut out = begun(TASK);
-    let blank = bitstream::to_bytes(&whole.blank)?;
+    let mut out = message(TASK);
+    let blank = bitstream::to_bytes(&global.blank)?;
     out.extend((blank.len() as u32).to_le_bytes());
     out.extend(blank);
     for v in window.core.bounds().into_iter().chain(window.seen.bounds()) {
@@ -200,24 +200,26 @@ pub(super) fn task<T: Parceled>(
     }
     out.extend(window.index.to_le_bytes());
     T::put_work(work, &mut out);
-    match whole.source.part(T::pixels(window, work).bounds())?.into_samples() {
+    match global.source.part(T::pixels(window, work).bounds())?.into_samples() {
         Samples::U8(v) => out.extend(v),
         Samples::U16(v) => v.iter().for_each(|v| out.extend(v.to_le_bytes())),
     }
-    whole.scene.background.iter().for_each(|v| out.extend(v.to_le_bytes()));
-    out.push(whole.brief.effort);
-    out.extend((whole.brief.count as u64).to_le_bytes());
-    out.extend(whole.brief.seed.to_le_bytes());
-    out.extend(whole.brief.enough.to_le_bytes());
-    let keeps_hidden = whole.brief.hidden == HiddenColors::Keep;
-    out.push(u8::from(whole.brief.is_priced) | u8::from(whole.brief.is_base) << 1 | u8::from(keeps_hidden) << 2);
-    let (tag, means) = match &whole.weights {
+    global.scene.background.iter().for_each(|v| out.extend(v.to_le_bytes()));
+    out.push(global.settings.effort);
+    out.extend((global.settings.count as u64).to_le_bytes());
+    out.extend(global.settings.seed.to_le_bytes());
+    out.extend(global.settings.enough.to_le_bytes());
+    let keeps_hidden = global.settings.hidden == HiddenColors::Keep;
+    out.push(
+        u8::from(global.settings.is_priced) | u8::from(global.settings.is_base) << 1 | u8::from(keeps_hidden) << 2,
+    );
+    let (tag, means) = match &global.weights {
         Weights::Alike => (0, &[][..]),
         Weights::Structure(mean) => (1, std::slice::from_ref(mean)),
         Weights::Masking(means) => (2, &means[..]),
     };
     out.push(tag);
-    means.iter().chain([&whole.detail]).for_each(|v| out.extend(v.to_le_bytes()));
+    means.iter().chain([&global.detail]).for_each(|v| out.extend(v.to_le_bytes()));
     put_counts(&mut out, [around.own.len(), around.others.len()])?;
     around.own.iter().chain(&around.others).for_each(|p| p.put(&mut out));
     Ok(closed(out))
@@ -231,7 +233,7 @@ fn put_counts(out: &mut Vec<u8>, counts: [usize; 2]) -> Result<()> {
     Ok(())
 }
 
-fn begun(kind: &[u8]) -> Vec<u8> {
+fn message(kind: &[u8]) -> Vec<u8> {
     [kind, VERSION, b"\n"].concat()
 }
 
@@ -338,7 +340,7 @@ fn blank_of(bytes: &mut Bytes<'_>) -> Result<PackedSplats> {
     Ok(blank)
 }
 
-fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Result<Whole<'a>> {
+fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Result<GlobalContext<'a>> {
     let mut background = [0.0; 4];
     for v in &mut background {
         *v = f32_of(bytes, "background")?;
@@ -374,8 +376,8 @@ fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Res
     let detail = f64_of(bytes, "detail")?;
     let scene = Scene { width: blank.width, height: blank.height, blend: blank.blend, background };
     let hidden = if keeps_hidden { HiddenColors::Keep } else { HiddenColors::Continue };
-    let brief = Brief { effort, count, is_priced, is_base, enough, seed, hidden };
-    Ok(Whole { source: cut, scene, brief, blank, weights, detail })
+    let settings = TileSettings { effort, count, is_priced, is_base, enough, seed, hidden };
+    Ok(GlobalContext { source: cut, scene, settings, blank, weights, detail })
 }
 
 fn window_of(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {
@@ -397,25 +399,25 @@ fn window_of(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {
 /// Bounds that the primitives of a task or an answer are checked against.
 pub(super) struct Bars {
     size: [u32; 2],
-    whole: Rules,
+    global: Rules,
     /// Rules of the part of the picture that is seen around a tile.
     part: Rules,
     corner: [u32; 2],
 }
 
 impl Bars {
-    fn new(whole: &Whole<'_>, window: &Window) -> Self {
+    fn new(global: &GlobalContext<'_>, window: &Window) -> Self {
         Bars {
-            size: [whole.blank.width, whole.blank.height],
-            whole: Rules::of(&whole.blank),
-            part: Rules::of(&whole.draft(&window.seen)),
+            size: [global.blank.width, global.blank.height],
+            global: Rules::of(&global.blank),
+            part: Rules::of(&global.draft(&window.seen)),
             corner: window.seen.corner,
         }
     }
 }
 
 /// Primitives that go out to workers.
-pub(super) trait Parceled: Worked {
+pub(super) trait WireFormat: Worked {
     /// Writes which work is to be done.
     fn put_work(work: Self::Work, out: &mut Vec<u8>);
     fn put(&self, out: &mut Vec<u8>);
@@ -427,7 +429,7 @@ pub(super) trait Parceled: Worked {
     fn most(work: Self::Work, own: usize) -> usize;
 }
 
-impl Parceled for Primitive {
+impl WireFormat for Primitive {
     fn put_work(work: FloatWork, out: &mut Vec<u8>) {
         match work {
             FloatWork::Begin => out.push(0),
@@ -478,7 +480,7 @@ impl Parceled for Primitive {
     }
 }
 
-impl Parceled for PackedGaussian {
+impl WireFormat for PackedGaussian {
     fn put_work(work: IntegerWork, out: &mut Vec<u8>) {
         match work {
             IntegerWork::Weigh => out.push(2),
@@ -507,12 +509,12 @@ impl Parceled for PackedGaussian {
             *v = i16::from_le_bytes(bytes.array("colour")?);
         }
         let p = PackedGaussian { x, y, major, minor, angle, color };
-        bars.whole.primitive(&p)?;
+        bars.global.primitive(&p)?;
         Ok(p)
     }
 
     fn check_inside(&self, bars: &Bars) -> Result<()> {
-        let exponents = bars.whole.lattice.exponents(self.major, self.minor, self.angle);
+        let exponents = bars.global.lattice.exponents(self.major, self.minor, self.angle);
         let inside = |v: u32, k: usize| v.checked_sub(integers::steps(bars.corner[k], exponents[k]));
         let (Some(x), Some(y)) = (inside(self.x, 0), inside(self.y, 1)) else {
             return Err(refused("position", self.x.into()));

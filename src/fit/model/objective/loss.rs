@@ -1,8 +1,8 @@
 //! Absolute error and structural similarity as a loss, with its gradient: the one of SmartSplat.
 
 use crate::fit::model::drawing::field::Field;
+use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::problem::Problem;
-use crate::fit::model::target::planes::Planes;
 use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};

@@ -10,7 +10,7 @@ use crate::pixels::{Depth, Pixels};
 
 /// A picture, and what its caller asks for.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Subject<'a> {
+pub(super) struct EncodeInput<'a> {
     /// The caller's picture.
     pub original: &'a Pixels,
     /// The picture that is fitted: the caller's, perhaps without channels that say nothing.
@@ -18,7 +18,7 @@ pub(super) struct Subject<'a> {
     pub options: &'a EncodeOptions,
 }
 
-impl Subject<'_> {
+impl EncodeInput<'_> {
     /// Returns how primitives blend.
     pub(super) fn blend(&self) -> Blend {
         self.options.blend.unwrap_or(if self.options.recipe == Recipe::Ssplat { Blend::Normalized } else { Blend::Sum })

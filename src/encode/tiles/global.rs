@@ -4,18 +4,18 @@
 use super::grid::{Area, Window};
 use crate::bitstream::splats::{Metadata, PackedSplats};
 use crate::error::Result;
+use crate::fit::model::objective::masking::{self, Means};
+use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::objective::structure;
 use crate::fit::model::placing::sample;
 use crate::fit::model::problem::Scene;
-use crate::fit::model::target::masking::{self, Means};
-use crate::fit::model::target::planes::Planes;
-use crate::fit::model::target::structure;
 use crate::fit::plan::Plan;
 use crate::options::{HiddenColors, Tune};
 use crate::pixel_source::PixelSource;
 
 /// What is asked of the fit of all tiles.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Brief {
+pub(super) struct TileSettings {
     pub effort: u8,
     /// Primitives that the fit begins with.
     pub count: usize,
@@ -32,10 +32,10 @@ pub(super) struct Brief {
 }
 
 /// Properties of the picture that all tiles share.
-pub(super) struct Whole<'a> {
+pub(super) struct GlobalContext<'a> {
     pub source: &'a dyn PixelSource,
     pub scene: Scene,
-    pub brief: Brief,
+    pub settings: TileSettings,
     /// The file, without primitives.
     pub blank: PackedSplats,
     pub weights: Weights,
@@ -69,7 +69,7 @@ pub(super) struct Survey {
     pub scene: Scene,
     /// The file without primitives.
     pub blank: PackedSplats,
-    pub brief: Brief,
+    pub settings: TileSettings,
     pub tune: Tune,
 }
 
@@ -80,10 +80,10 @@ impl Survey {
         source: &'a dyn PixelSource,
         tiles: &[Window],
         mut show: impl FnMut(f32) -> Result<()>,
-    ) -> Result<Whole<'a>> {
-        let Survey { scene, blank, brief, tune } = self;
+    ) -> Result<GlobalContext<'a>> {
+        let Survey { scene, blank, settings, tune } = self;
         let area = f64::from(scene.width) * f64::from(scene.height);
-        let room = area / brief.count.max(1) as f64;
+        let room = area / settings.count.max(1) as f64;
         let mut weights = match tune {
             Tune::Psnr => Weights::Alike,
             Tune::Ssim => Weights::Structure(0.0),
@@ -92,7 +92,7 @@ impl Survey {
         let (mut mean, mut detail) = ([0.0f64; 4], 0.0);
         for (i, tile) in tiles.iter().enumerate() {
             show(i as f32 / tiles.len() as f32)?;
-            let planes = Planes::with_hidden(&source.part(tile.core.bounds())?, brief.hidden);
+            let planes = Planes::with_hidden(&source.part(tile.core.bounds())?, settings.hidden);
             let share = tile.core.pixels() / area;
             mean.iter_mut().zip(planes.mean).for_each(|(m, v)| *m += share * f64::from(v));
             detail += sample::detail(&planes, room);
@@ -106,14 +106,14 @@ impl Survey {
             }
         }
         let scene = Scene { background: mean.map(|v| v as f32), ..scene };
-        Ok(Whole { source, scene, brief, blank, weights, detail })
+        Ok(GlobalContext { source, scene, settings, blank, weights, detail })
     }
 }
 
-impl<'a> Whole<'a> {
+impl<'a> GlobalContext<'a> {
     /// Returns the picture's pixels to one primitive.
     pub(super) fn room(&self) -> f64 {
-        f64::from(self.scene.width) * f64::from(self.scene.height) / self.brief.count.max(1) as f64
+        f64::from(self.scene.width) * f64::from(self.scene.height) / self.settings.count.max(1) as f64
     }
 
     /// Returns the pixels of a part, and how their errors count.
@@ -133,7 +133,7 @@ impl<'a> Whole<'a> {
 
     /// Returns the pixels of a part, whose errors count alike.
     pub(super) fn bare_planes(&self, area: &Area) -> Result<Planes> {
-        Ok(Planes::with_hidden(&self.source.part(area.bounds())?, self.brief.hidden))
+        Ok(Planes::with_hidden(&self.source.part(area.bounds())?, self.settings.hidden))
     }
 
     /// Returns the scene of a part.
@@ -150,16 +150,16 @@ impl<'a> Whole<'a> {
     /// Returns how many of the primitives belong to a part, by its detail and its size.
     pub(super) fn count_of(&self, planes: &Planes) -> usize {
         let area = f64::from(planes.width) * f64::from(planes.height);
-        let whole = f64::from(self.scene.width) * f64::from(self.scene.height);
+        let global = f64::from(self.scene.width) * f64::from(self.scene.height);
         let busy = sample::detail(planes, self.room()) / self.detail;
-        let share = sample::DETAIL * busy + (1.0 - sample::DETAIL) * area / whole;
+        let share = sample::DETAIL * busy + (1.0 - sample::DETAIL) * area / global;
         // No more than there are pixels, whatever is said of the whole.
-        ((self.brief.count as f64 * share).round() as usize).min(area as usize)
+        ((self.settings.count as f64 * share).round() as usize).min(area as usize)
     }
 
     /// Returns the plan of the work on all windows.
     pub(super) fn plan(&self) -> Plan {
-        let Brief { effort, count, is_base, enough, seed, .. } = self.brief;
+        let TileSettings { effort, count, is_base, enough, seed, .. } = self.settings;
         let plan = Plan { enough, ..Plan::new(effort, count, self.scene.pixels(), None, seed) };
         if is_base { plan.for_base(effort, self.weights.tune(), None) } else { plan }
     }
@@ -176,6 +176,6 @@ impl<'a> Whole<'a> {
         let [width, height] = source.size();
         let scene = Scene { width, height, ..self.scene };
         let blank = PackedSplats { width, height, ..self.blank };
-        Whole { source, scene, blank, ..self }
+        GlobalContext { source, scene, blank, ..self }
     }
 }

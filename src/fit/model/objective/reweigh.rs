@@ -6,14 +6,14 @@
 //! error there is worth; places differ by a factor of ten. Equal worth everywhere would be the score's own optimum, and
 //! would cost too many decibels; [`POWER`] goes a part of the way.
 //!
-//! [`masking`]: crate::fit::model::target::masking
+//! [`masking`]: crate::fit::model::objective::masking
 
 use crate::fit::model::drawing::field::Field;
+use crate::fit::model::objective::blur::blur;
+use crate::fit::model::objective::masking::{LUMA, doubled, room};
+use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::objective::structure::normalized;
 use crate::fit::model::placing::sample::halve;
-use crate::fit::model::target::blur::blur;
-use crate::fit::model::target::masking::{LUMA, doubled, room};
-use crate::fit::model::target::planes::Planes;
-use crate::fit::model::target::structure::normalized;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 
@@ -24,9 +24,9 @@ const POWER: f32 = 0.8;
 /// for the worst place, loses more and more by it.
 const DENSE: f32 = 65.0;
 /// Least worth before that: where it is lower errors would grow that nothing else sees.
-const LEAST: f32 = 1.0;
+const MIN_WORTH: f32 = 1.0;
 /// Largest worth before that.
-const MOST: f32 = 6.0;
+const MAX_WORTH: f32 = 6.0;
 /// Weights in the score of the mean and of the fourth norm of the loss, for each size of the picture: its own first,
 /// each further one half of the one before. They are SSIMULACRA2's own weights for luma.
 const SIZES: [[f32; 2]; 4] = [[0.0, 7.47], [0.0, 6.68], [225.2, 19.2], [176.4, 24.4]];
@@ -47,8 +47,10 @@ pub(crate) fn amplitudes(target: &Planes, field: &Field, count: usize) -> Vec<f3
     let (share, error) = (all(&shares), all(&errors));
     let scale = (error / share.max(f64::MIN_POSITIVE)) as f32;
     let least = (1e-6 * error / errors.len() as f64) as f32 + f32::MIN_POSITIVE;
-    let worth =
-        shares.iter().zip(&errors).map(|(s, e)| (scale * s / (e + least)).clamp(LEAST, MOST).strict_powf(power));
+    let worth = shares
+        .iter()
+        .zip(&errors)
+        .map(|(s, e)| (scale * s / (e + least)).clamp(MIN_WORTH, MAX_WORTH).strict_powf(power));
     let mut worth: Vec<f32> = worth.collect();
     for pair in sizes(size, HALVINGS).windows(2).rev() {
         worth = doubled(&worth, pair[1], pair[0]);
@@ -157,8 +159,8 @@ mod tests {
     use super::*;
     use crate::fit::model::drawing::field::Output;
     use crate::fit::model::drawing::project::{Primitive, Projected};
+    use crate::fit::model::objective::rows::RowSet;
     use crate::fit::model::problem::{Problem, Scene};
-    use crate::fit::model::target::rows::RowSet;
     use crate::gaussian::{Blend, Channels};
     use crate::{Pixels, Samples};
 
