@@ -68,9 +68,22 @@ fn what_cannot_be_met_is_said() {
     for wanted in [-1.0, 100.5, f64::NAN] {
         assert!(matches!(encode(&noise, &quick(wanted)), Err(Error::Parameter { name: "quality", .. })));
     }
-    let mut options = quick(50.0);
-    options.tiles = Some(128);
-    assert!(matches!(encode(&picture(160, 120, Channels::Rgb), &options), Err(Error::Parameter { name: "tiles", .. })));
+}
+
+#[test]
+fn a_quality_is_met_in_tiles_as_the_mean_of_their_scores() {
+    let pixels = picture(300, 260, Channels::Rgb);
+    for wanted in [45.0, 75.0] {
+        let mut options = quick(wanted);
+        options.tiles = Some(256);
+        let encoded = encode(&pixels, &options).unwrap();
+        let reported = encoded.report.quality.unwrap();
+        // One per cent of the bytes of so small a file is worth a point.
+        assert!((reported - wanted).abs() < 2.0, "{reported}, {wanted} wanted");
+        // The score of the whole picture is close to that mean.
+        let whole = measured(&pixels, &encoded);
+        assert!((whole - wanted).abs() < 6.0, "{whole}, {wanted} wanted");
+    }
 }
 
 #[test]

@@ -156,7 +156,7 @@ pub struct Encode {
     #[arg(help_heading = "What the file has, and how it is made", long, value_name = "WHICH", default_value = "auto", value_parser = thumbnail)]
     pub thumbnail: Thumbnail,
     /// Fit the picture in tiles of so many pixels a side, in memory that does not grow with it: a multiple of 128, 2048 where
-    /// none is given [default: above 33 megapixels, but with --psnr, --quality, --time and a GPU only above 268]
+    /// none is given [default: above 33 megapixels, but with a GPU only above 268]
     #[arg(help_heading = "What the file has, and how it is made", long, value_name = "SIDE", num_args = 0..=1, require_equals = true, default_missing_value = "2048")]
     pub tiles: Option<u32>,
     /// Which device fits

@@ -121,11 +121,6 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
     let length = opened.length().map_err(|e| Failure::io(input, &e))?;
     // A preview is compared with the whole picture, and turning needs it, too.
     let is_huge = source::pixels(input, &mut opened) > ssplat::unstable::MAX_WHOLE_PIXELS;
-    // Told before minutes are spent on reading, and a disk filled.
-    if is_huge && args.time.is_some() {
-        let input = Failure::input(input);
-        return Err(Failure::usage(format!("{input}: is fitted in tiles, in which --time cannot be kept")));
-    }
     let is_tiled = args.tiles.is_some() || is_huge;
     if is_tiled && args.preview.is_none() && !args.auto_orient {
         match spool::open(input, opened, args.time.and_then(|time| start.checked_add(time)))? {

@@ -132,8 +132,9 @@ impl Encoder {
     }
 
     /// Sets the side in pixels of the tiles that a picture is fitted in: a multiple of 128 up to 16384. Tiles bound the
-    /// memory of an encode. By default pictures of more than 2²⁵ pixels are fitted in tiles of 2048 where the other options can
-    /// be kept in tiles and no GPU fits, those of more than 2²⁸ always, and others as a whole.
+    /// memory of an encode. By default pictures of more than 2²⁵ pixels are fitted in tiles of 2048 unless the layout rules
+    /// tiles out or a GPU fits, those of more than 2²⁸ always, and others as a whole. Tiles need the CPU and
+    /// [`Layout::Coded`]. A [`Target::Quality`] is met in the mean of the tiles' scores.
     #[must_use]
     pub fn tiles(mut self, side: u32) -> Self {
         self.options.tiles = Some(side);

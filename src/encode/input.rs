@@ -29,21 +29,6 @@ impl EncodeInput<'_> {
         self.original.channels()
     }
 
-    /// Tells whether all channels are fitted.
-    pub(super) fn is_whole(&self) -> bool {
-        self.channels() == self.pixels.channels()
-    }
-
-    /// Returns the number of samples of the caller's picture.
-    pub(super) fn samples(&self) -> f64 {
-        f64::from(self.pixels.width()) * f64::from(self.pixels.height()) * self.channels().count() as f64
-    }
-
-    /// Returns the number of samples of what is fitted.
-    pub(super) fn fitted_samples(&self) -> f64 {
-        self.samples() / self.channels().count() as f64 * self.pixels.channels().count() as f64
-    }
-
     /// Returns the scene of a fit whose picture has the mean colour `mean`.
     pub(super) fn scene(&self, mean: [f32; 4]) -> Scene {
         Scene {
@@ -59,15 +44,10 @@ impl EncodeInput<'_> {
         let size = [self.pixels.width(), self.pixels.height()];
         empty(size, (self.pixels.channels(), self.pixels.depth()), self.blend(), self.options)
     }
-
-    /// Writes the file of `splats`, with the channels that were left out put back.
-    pub(super) fn file(&self, splats: &PackedSplats) -> Result<Vec<u8>> {
-        file(splats, self.channels())
-    }
 }
 
 /// Writes the file of what was fitted, with the channels that were left out of `channels` put back.
-pub(super) fn file(splats: &PackedSplats, channels: Channels) -> Result<Vec<u8>> {
+pub(super) fn widened_file(splats: &PackedSplats, channels: Channels) -> Result<Vec<u8>> {
     match channels == splats.channels {
         true => crate::bitstream::to_bytes(splats),
         false => crate::bitstream::to_bytes(&widen(splats, channels)),
@@ -102,7 +82,7 @@ pub(super) fn empty(
 }
 
 /// The error where a file of `allowed` bytes takes `needed` without any primitive.
-pub(super) fn too_small(options: &EncodeOptions, allowed: u64, needed: u64) -> Error {
+pub(super) fn too_small_with(options: &EncodeOptions, allowed: u64, needed: u64) -> Error {
     let length = |metadata: Option<&Vec<u8>>| metadata.map_or(0, |m| m.len() as u64);
     let (icc, exif) = (length(options.icc.as_ref()), length(options.exif.as_ref()));
     Error::TooSmall { asked: options.target, allowed, needed, icc, exif }

@@ -1,19 +1,17 @@
-//! One encode on its way, and a single fit of its picture with the rounding to a file.
+//! A single fit of a whole picture, and the rounding to a file.
 
-use std::time::Duration;
-
-use super::clock::Clock;
 use super::detail::error::{self, Counted};
-use super::device::Choice;
 use super::file;
-use super::input::{EncodeInput, stored_scene};
-use super::report::{ReportBuilder, Stage};
+use super::input::stored_scene;
+use super::report::Stage;
+use super::session::Outcome;
 use super::skipped::SkipReason;
+use super::whole::{Base, WholeSession};
 use crate::bitstream::coder::expect::PredictedCost;
 use crate::bitstream::{self, splats::PackedSplats};
 use crate::error::Result;
 use crate::fit::Fitted;
-use crate::fit::engine::{Ending, Snapshot, StaticSnapshot, Watcher};
+use crate::fit::engine::{Ending, Snapshot, Watcher};
 use crate::fit::job::Job;
 use crate::fit::model::drawing::field::squared_error;
 use crate::fit::model::drawing::project::Primitive;
@@ -22,7 +20,6 @@ use crate::fit::model::objective::{masking, structure};
 use crate::fit::model::problem::Problem;
 use crate::fit::plan::{Plan, fraction};
 use crate::gaussian::Channels;
-use crate::instant::Instant;
 use crate::options::{Needs, Recipe, Tune};
 use crate::pixels::Depth;
 use crate::round::finish::{self, Client, Rounding};
@@ -35,66 +32,7 @@ use crate::target::Target;
 /// fit of some sixty steps of 14 megapixels, for .05 dB and a point of SSIMULACRA2; large pictures do without.
 const MIN_REWEIGHED_STEPS: u32 = 150;
 
-/// An encode on its way.
-pub(super) struct EncodeSession<'a> {
-    pub input: EncodeInput<'a>,
-    /// The picture that is fitted, as planes; their amplitudes depend on the number of primitives.
-    pub planes: Planes,
-    /// The budget of time.
-    pub clock: Clock,
-    /// The part of it that a fit may take; `None`: all that is left.
-    pub share: Option<Duration>,
-    /// When a file of two layers should be done.
-    pub until: Option<Instant>,
-    pub device: Choice,
-    /// Set while Gaussians are fitted that a detail layer is laid over.
-    pub base: Option<Base>,
-    /// Gaussians under a layer that an earlier try of a search came to.
-    pub kept: Option<KeptBase>,
-    /// Primitives of a fit of fewer that the next one goes on from.
-    pub initial: Vec<Primitive>,
-    pub report: ReportBuilder<'a>,
-}
-
-/// Gaussians that a detail layer is laid over: it mends what a short fit leaves.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Base {
-    /// Ratio of the file of both layers, where fits of large files are longer.
-    pub ratio: Option<f64>,
-}
-
-/// Gaussians that a search keeps from try to try: their best number belongs to the picture, and hardly to the bytes of the file.
-pub(super) struct KeptBase {
-    pub base: Outcome,
-    /// Bytes that they would have without a look at how sharp the picture is.
-    pub base_budget: f64,
-}
-
-/// A file, the integers that were fitted, and the squared error of the floats.
-#[derive(Clone)]
-pub(super) struct Outcome {
-    pub bytes: Vec<u8>,
-    pub splats: PackedSplats,
-    pub float_error: f64,
-    /// SSIMULACRA2 of the decoded file, where it was measured.
-    pub quality: Option<f64>,
-}
-
-impl EncodeSession<'_> {
-    /// Returns the squared error of the stored picture over the samples that were fitted.
-    pub(super) fn fitted_error(&self, splats: &PackedSplats) -> f64 {
-        stored_error(splats, &self.planes, self.input.channels())
-    }
-
-    /// Makes the stored picture the trace's last point.
-    pub(super) fn trace_end(&mut self, splats: &PackedSplats) -> Result<()> {
-        let problem = Problem { scene: stored_scene(splats), target: &self.planes };
-        let project = || projected(&splats.quantizer(), &splats.gaussians, splats.height);
-        let mut now = StaticSnapshot { problem: &problem, project: &project };
-        self.report.tracer.step("written", self.input.original, &self.planes, &mut now)?;
-        Ok(())
-    }
-
+impl WholeSession<'_> {
     /// Weighs the errors by structure, where that is asked for and weighs anything.
     fn weigh(&mut self, count: usize) {
         let options = self.input.options;
@@ -176,11 +114,6 @@ impl EncodeSession<'_> {
         self.report.stage("finish", clock);
         Ok(Outcome { bytes, splats, float_error: finished.float_error, quality: None })
     }
-}
-
-/// Returns a squared error as PSNR, decibels.
-pub(super) fn decibels(error: f64, samples: f64) -> f64 {
-    -10.0 * (error / samples).strict_log10()
 }
 
 /// Returns the squared error of a stored picture over the samples of `planes`; the file has `channels`.

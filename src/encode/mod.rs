@@ -8,6 +8,7 @@ mod clock;
 mod constant;
 mod detail;
 mod device;
+mod drawn;
 mod encoder;
 mod file;
 mod hidden;
@@ -16,31 +17,32 @@ mod job;
 mod prune;
 mod rate_control;
 mod report;
+#[cfg(feature = "quality")]
+mod score;
+mod session;
 mod skipped;
 mod thumbnail;
 mod tiles;
 mod trace;
+#[cfg(feature = "quality")]
+mod trim;
+mod whole;
 mod workers;
 
 use std::ops::ControlFlow;
 
 use crate::bitstream::splats::Layout;
 use crate::error::{Error, Result};
-use crate::fit::model::objective::planes::Planes;
-use crate::options::{Detail, EncodeOptions, Trace};
+use crate::options::{Detail, EncodeOptions};
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
 use crate::target::Target;
-use clock::Clock;
-use device::Choice;
 pub use device::Chosen;
 pub use encoder::Encoder;
 #[cfg(any(test, feature = "unstable"))]
 pub use file::divide;
 #[cfg(any(test, feature = "unstable"))]
 pub(crate) use file::smallest;
-use input::{EncodeInput, may_leave_out};
-use job::{EncodeSession, decibels};
 use rate_control::MAX_PRIMITIVES;
 use report::ReportBuilder;
 pub use report::{Progress, StageTime};
@@ -111,54 +113,10 @@ pub fn encode_with_progress(
             options,
             side,
             Executor::Own,
-            ReportBuilder::new(progress, Tracer::new(Trace::Off)),
+            ReportBuilder::new(progress, Tracer::new(options.trace)),
         );
     }
-    let clock = Clock::new(options.time);
-    let tracer = Tracer::new(options.trace);
-    let mut report = ReportBuilder::new(progress, tracer);
-    let continued = hidden::continued(pixels, options.hidden, || report.show("survey", 0.0))?;
-    if continued.is_some() {
-        report.note(SkipReason::HiddenColors, 0, 0.0);
-    }
-    let pixels = continued.as_ref().unwrap_or(pixels);
-    let narrow = if may_leave_out(options) { channels::narrow(pixels) } else { None };
-    let fitted = narrow.as_ref().map_or(pixels, |n| &n.pixels);
-    let mut job = EncodeSession {
-        input: EncodeInput { original: pixels, pixels: fitted, options },
-        planes: Planes::with_hidden(fitted, options.hidden),
-        clock,
-        share: None,
-        until: None,
-        base: None,
-        kept: None,
-        initial: Vec::new(),
-        device: Choice::new(options, fitted)?,
-        report,
-    };
-    if let Some(narrow) = &narrow {
-        job.report.note(narrow.what.clone(), 0, 0.0);
-    }
-    let outcome = job.aim()?;
-    job.trace_end(&outcome.splats)?;
-    let error = job.whole_error(&outcome.splats);
-    job.note_codebook(&outcome)?;
-    // The floats were measured on what was fitted: the channels that were left out weigh as they do in the file.
-    let weight = error / job.fitted_error(&outcome.splats);
-    let float_error = outcome.float_error * if weight.is_finite() { weight } else { 1.0 };
-    let (samples, seconds) = (job.input.samples(), job.report.seconds());
-    let report = EncodeReport {
-        primitives: outcome.splats.gaussians.len(),
-        psnr: decibels(error, samples),
-        float_psnr: decibels(float_error, samples),
-        quality: outcome.quality,
-        seconds,
-        stages: job.report.stages,
-        skipped: job.report.skipped,
-        chosen: job.device.chosen,
-        trace: job.report.tracer.into_points(),
-    };
-    Ok(Encoded { bytes: outcome.bytes, report })
+    whole::encode(pixels, options, progress)
 }
 
 fn encode_by(
@@ -170,7 +128,7 @@ fn encode_by(
     check(options)?;
     match side(source, options) {
         Some(side) => {
-            tiles::encode(source, options, side, executor, ReportBuilder::new(progress, Tracer::new(Trace::Off)))
+            tiles::encode(source, options, side, executor, ReportBuilder::new(progress, Tracer::new(options.trace)))
         }
         None => match source.as_pixels() {
             Some(pixels) => encode_with_progress(pixels, options, progress),

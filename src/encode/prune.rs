@@ -2,8 +2,9 @@
 
 use super::file;
 use super::input::stored_scene;
-use super::job::{EncodeSession, Outcome};
+use super::session::{EncodeSession, Outcome};
 use super::skipped::SkipReason;
+use super::whole::WholeSession;
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output};
@@ -13,9 +14,9 @@ use crate::fit::model::problem::Problem;
 use crate::round::descend::Descent;
 use crate::round::rounded::projected;
 
-impl EncodeSession<'_> {
+impl WholeSession<'_> {
     /// Takes out the primitives without which the squared error of what was fitted stays within `enough`.
-    pub(super) fn prune(&mut self, outcome: &mut Outcome, enough: f64) -> Result<()> {
+    pub(super) fn pruned(&mut self, outcome: &mut Outcome, enough: f64) -> Result<()> {
         if outcome.splats.detail.is_some() {
             return Ok(());
         }
@@ -23,22 +24,12 @@ impl EncodeSession<'_> {
         let problem = Problem { scene: stored_scene(&outcome.splats), target: &self.planes };
         let time = self.clock;
         let Some(pruned) = pruned(&problem, &outcome.splats, enough, &|| time.is_over()) else { return Ok(()) };
-        let file = self.input.file(&pruned)?;
+        let file = self.file(&pruned)?;
         if file.len() < outcome.bytes.len() {
             self.report.note(SkipReason::Primitives, (outcome.bytes.len() - file.len()) as u64, 0.0);
             (outcome.bytes, outcome.splats) = (file, pruned);
         }
         self.report.stage("prune", clock);
-        Ok(())
-    }
-
-    /// Notes what a codebook saved, from a file written without it.
-    pub(super) fn note_codebook(&mut self, outcome: &Outcome) -> Result<()> {
-        if outcome.splats.codebook.is_some() {
-            let direct = self.input.file(&PackedSplats { codebook: None, ..outcome.splats.clone() })?;
-            let saved = direct.len().saturating_sub(outcome.bytes.len()) as u64;
-            self.report.note(SkipReason::OwnColors, saved, 0.0);
-        }
         Ok(())
     }
 }

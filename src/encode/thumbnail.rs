@@ -2,12 +2,11 @@
 
 use std::ops::ControlFlow;
 
-use super::channels::widen;
-use super::job::{EncodeSession, Outcome};
+use super::drawn::drawn;
+use super::session::{EncodeSession, Outcome};
 use super::{Encoded, Progress, encode_with_progress};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::{Error, Result};
-use crate::limits::Limits;
 use crate::options::{Backend, Detail, EncodeOptions, Thumbnail};
 use crate::raster::View;
 use crate::round::size::Size;
@@ -29,7 +28,7 @@ const EFFORT: u8 = 2;
 const TIME: u32 = 20;
 
 /// Returns the bytes that the thumbnail of a picture of `size` pixels may take in a file of `bytes`, 0 without one.
-pub(super) fn room(options: &EncodeOptions, size: [u32; 2], bytes: u64) -> u64 {
+fn room(options: &EncodeOptions, size: [u32; 2], bytes: u64) -> u64 {
     match options.thumbnail {
         Thumbnail::Never => 0,
         Thumbnail::Bytes(most) => most.into(),
@@ -39,7 +38,7 @@ pub(super) fn room(options: &EncodeOptions, size: [u32; 2], bytes: u64) -> u64 {
 }
 
 /// Returns what of `size` is left for the picture beside a thumbnail of `room` bytes.
-pub(super) fn beside(size: Size, room: u64) -> Size {
+fn beside(size: Size, room: u64) -> Size {
     match size {
         Size::Bytes(most) if room > 0 => Size::Bytes(most.saturating_sub(room + HEADER_BYTES)),
         size => size,
@@ -57,16 +56,14 @@ pub(super) fn counted(error: Error, asked: Size, room: u64) -> Error {
 }
 
 /// Returns a thumbnail of at most `most` bytes: `splats`, drawn small. `show` is told the share that is done.
-pub(super) fn of(
+fn of(
     splats: &PackedSplats,
     most: u64,
     options: &EncodeOptions,
     show: &mut dyn FnMut(f32) -> ControlFlow<()>,
 ) -> Result<Vec<u8>> {
     let whole = View::of_size(splats.width, splats.height);
-    // The encoder's own integers need no limits on work.
-    let limits = Limits { tile_pairs: u64::MAX, work: u64::MAX, overlap: u64::MAX, ..Limits::default() };
-    let small = splats.renderer(&whole.fitted([MAX_SIDE; 2])?, &limits)?.render(splats.depth)?;
+    let small = drawn(splats, &whole.fitted([MAX_SIDE; 2])?, splats.depth)?;
     let options = EncodeOptions {
         target: Target::Bytes(most),
         effort: options.effort.min(EFFORT),
@@ -88,42 +85,41 @@ pub(super) fn of(
     Ok(bytes)
 }
 
-impl EncodeSession<'_> {
-    fn thumbnail_bytes(&self, bytes: u64) -> u64 {
-        let pixels = self.input.pixels;
-        room(self.input.options, [pixels.width(), pixels.height()], bytes)
+/// Returns what of `size` is left for the picture, and the bytes of the thumbnail; keeps time for it.
+pub(super) fn kept_free<'a, S: EncodeSession<'a>>(session: &mut S, size: Size) -> (Size, u64) {
+    let Size::Bytes(most) = size else { return (size, 0) };
+    let room = room_in(session, most);
+    if room > 0 {
+        let time = session.options().time.unwrap_or_default();
+        session.clock().keep(time / TIME);
     }
+    (beside(size, room), room)
+}
 
-    /// Returns what of `size` is left for the picture, and the bytes of the thumbnail; keeps time for it.
-    pub(super) fn beside_thumbnail(&mut self, size: Size) -> (Size, u64) {
-        let Size::Bytes(most) = size else { return (size, 0) };
-        let room = self.thumbnail_bytes(most);
-        if room > 0 {
-            self.clock.keep(self.input.options.time.unwrap_or_default() / TIME);
-        }
-        (beside(size, room), room)
-    }
-
-    /// Puts the thumbnail into a file that was made for `size`, where it is to have one.
-    pub(super) fn add_thumbnail(&mut self, outcome: &mut Outcome, size: Size) -> Result<()> {
-        let most = self.thumbnail_bytes(match size {
+/// Puts the thumbnail into a file that was made for `size`, if it is to have one.
+pub(super) fn add<'a, S: EncodeSession<'a>>(session: &mut S, outcome: &mut Outcome, size: Size) -> Result<()> {
+    let most = room_in(
+        session,
+        match size {
             Size::Bytes(most) => most,
             Size::Free => outcome.bytes.len() as u64,
-        });
-        if most == 0 {
-            return Ok(());
-        }
-        let clock = self.report.seconds();
-        let channels = self.input.channels();
-        let wide = (!self.input.is_whole()).then(|| widen(&outcome.splats, channels));
-        let splats = wide.as_ref().unwrap_or(&outcome.splats);
-        let report = &mut self.report;
-        let bytes = of(splats, most, self.input.options, &mut |done| {
-            (report.progress)(&Progress { stage: "thumbnail", done, psnr: None })
-        })?;
-        outcome.splats.metadata.thumbnail = Some(bytes);
-        outcome.bytes = self.input.file(&outcome.splats)?;
-        self.report.stage("thumbnail", clock);
-        Ok(())
+        },
+    );
+    if most == 0 {
+        return Ok(());
     }
+    let clock = session.report().seconds();
+    let (splats, options) = (session.widened(&outcome.splats), session.options().clone());
+    let report = session.report();
+    let bytes =
+        of(&splats, most, &options, &mut |done| (report.progress)(&Progress { stage: "thumbnail", done, psnr: None }))?;
+    outcome.splats.metadata.thumbnail = Some(bytes);
+    outcome.bytes = session.file(&outcome.splats)?;
+    session.report().stage("thumbnail", clock);
+    Ok(())
+}
+
+fn room_in<'a, S: EncodeSession<'a>>(session: &S, bytes: u64) -> u64 {
+    let PackedSplats { width, height, .. } = session.empty();
+    room(session.options(), [width, height], bytes)
 }

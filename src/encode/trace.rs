@@ -35,9 +35,9 @@ pub struct TracePoint {
     pub primitives: usize,
     /// PSNR, dB, over the samples as a decoder would write them; infinite when all are equal.
     pub psnr: f64,
-    /// Structural similarity; `None` when a side is under 11 pixels.
+    /// Structural similarity; `None` when a side is under 11 pixels or the picture is fitted in tiles.
     pub ssim: Option<f64>,
-    /// Multi-scale structural similarity; `None` when a side is under 161 pixels.
+    /// Multi-scale structural similarity; `None` when a side is under 161 pixels or the picture is fitted in tiles.
     pub ms_ssim: Option<f64>,
 }
 
@@ -97,8 +97,22 @@ impl Tracer {
         Ok(self.points.last().map(|p| p.psnr))
     }
 
-    pub(crate) fn into_points(self) -> Vec<TracePoint> {
-        self.points
+    /// Tells whether anything is traced.
+    pub(crate) fn is_on(&self) -> bool {
+        self.next.is_finite()
+    }
+
+    /// Adds a point whose PSNR the caller measured; measuring began at `start`.
+    pub(crate) fn add(&mut self, stage: &'static str, psnr: f64, primitives: usize, start: Instant) {
+        let seconds = (start - self.start).saturating_sub(self.spent).as_secs_f64();
+        let step = if self.step.0 == stage { self.step.1 + 1 } else { 0 };
+        self.step = (stage, step);
+        self.points.push(TracePoint { stage, seconds, step, primitives, psnr, ssim: None, ms_ssim: None });
+        self.spent += start.elapsed();
+    }
+
+    pub(crate) fn take_points(&mut self) -> Vec<TracePoint> {
+        std::mem::take(&mut self.points)
     }
 }
 

@@ -134,13 +134,15 @@ impl<'a> Schedule<'a> {
         if let Some(small) = self.small {
             engine.zoom(&small.problem(), 1.0 / small.by as f32)?;
         }
+        let [from, to] = [self.part.steps.start, self.part.steps.end].map(|step| step as f32 / plan.iterations as f32);
         for iteration in self.part.steps.clone() {
             if engine.count() == 0 {
                 break;
             }
             // With a time budget the schedule follows the clock where that is ahead.
-            let done = (iteration as f32 / plan.iterations as f32).max(plan.spent(self.start));
-            if done >= 1.0 {
+            let spent = plan.spent(self.start);
+            let done = (iteration as f32 / plan.iterations as f32).max(from + (to - from) * spent);
+            if spent >= 1.0 {
                 break;
             }
             let is_coarse = self.part.coarse.is_some_and(|c| done < c.share) && !self.is_near;

@@ -197,11 +197,11 @@ pub struct EncodeOptions {
     /// Whether the file carries a thumbnail; its bytes count as the file's.
     pub thumbnail: Thumbnail,
     /// The side of tiles that the picture is fitted in, pixels: a multiple of 128 up to 16384. `None`: pictures of more than
-    /// 2²⁵ pixels are fitted in tiles of 2048 where the other options can be kept in tiles and no GPU fits, those of more than 2²⁸
+    /// 2²⁵ pixels are fitted in tiles of 2048 unless the layout or the recipe rules tiles out or a GPU fits, those of more than 2²⁸
     /// pixels always, and others as a whole. A picture no larger than a tile is fitted as a whole.
     ///
-    /// Tiles bound the memory that a fit takes. They are fitted on the CPU, in the coded layout, for a size or a number of
-    /// primitives.
+    /// Tiles bound the memory that a fit takes. They are fitted on the CPU, in the coded layout. In tiles, a quality is the mean of the
+    /// tiles' scores.
     pub tiles: Option<u32>,
     /// Treatment of colours under alpha 0.
     pub hidden: HiddenColors,

@@ -15,6 +15,16 @@ pub(crate) enum Size {
     Free,
 }
 
+impl Size {
+    /// Returns the bytes by which a file is larger than it may be.
+    pub(crate) fn exceeded_by(self, file: &[u8]) -> u64 {
+        match self {
+            Size::Bytes(most) => (file.len() as u64).saturating_sub(most),
+            Size::Free => 0,
+        }
+    }
+}
+
 /// Bytes of a file that are not its primitives', about: the header.
 const HEADER: u64 = 20;
 

@@ -8,7 +8,8 @@ use super::Layered;
 use super::texture::Texture;
 use crate::bitstream::splats::{Layout, PackedSplats};
 use crate::encode::input::stored_scene;
-use crate::encode::job::{Base, EncodeSession, KeptBase, Outcome};
+use crate::encode::session::{EncodeSession, KeptBase, Outcome};
+use crate::encode::whole::{Base, WholeSession};
 use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::drawing::project::Primitive;
@@ -71,7 +72,7 @@ const MIN_GAIN: f64 = 0.22;
 /// Bytes of the layer that sharpness is measured with, over those of the base: what was found at a ratio of 50 holds at others.
 const MEASURED_LAYER: f64 = 1.9;
 /// Share of a budget of time that the Gaussians get.
-const BASE_TIME: f64 = 0.6;
+pub(in crate::encode) const BASE_TIME: f64 = 0.6;
 /// Share of the bytes that the Gaussians of a sharp picture get at a ratio of 20, and what each doubling of the ratio adds.
 const SHARP_SHARE: f64 = 0.6;
 const SHARP_MORE: f64 = 0.15;
@@ -80,21 +81,21 @@ const MOST_SHARP: f64 = 0.9;
 /// How much larger than asked such Gaussians may come out.
 const MAX_OVERSHOOT: f64 = 1.1;
 
-impl EncodeSession<'_> {
+impl WholeSession<'_> {
     /// A file of `size` with the Gaussians and the detail layer that share it.
     pub(in crate::encode) fn layered(&mut self, size: Size) -> Result<Outcome> {
         let options = self.input.options;
-        let Size::Bytes(most) = size else { return self.at_size(size) };
+        let Size::Bytes(most) = size else { return self.gaussians_of_size(size) };
         // Header and metadata are there whatever the division is.
-        let fixed = self.input.file(&self.input.empty())?.len() as u64;
-        let Some(shared) = most.checked_sub(fixed) else { return self.at_size(size) };
+        let fixed = self.fixed()?;
+        let Some(shared) = most.checked_sub(fixed) else { return self.gaussians_of_size(size) };
         let may_have = options.layout == Layout::Coded && options.recipe == Recipe::Ssplat;
         let rounds = self.rounds();
         let time = self.clock.left().map(|left| self.share.map_or(left, |share| share.min(left)));
         self.until = time.and_then(|time| Instant::now().checked_add(time));
         match options.detail {
             Detail::Share(share) => {
-                let base = self.base(fixed + (shared as f64 * share) as u64, self.input.samples() / shared as f64)?;
+                let base = self.base(fixed + (shared as f64 * share) as u64, self.samples() / shared as f64)?;
                 if self.pixels() > LARGEST {
                     return self.layered_in_parts(base, most);
                 }
@@ -102,7 +103,7 @@ impl EncodeSession<'_> {
                 let layered = self.layer(base, most)?;
                 if layered.coded.is_none() {
                     // No room for a layer: all of it is the Gaussians'.
-                    return self.at_size(size);
+                    return self.gaussians_of_size(size);
                 }
                 let outcome = self.joined(layered, most, rounds)?;
                 self.report.stage("detail", clock);
@@ -111,12 +112,12 @@ impl EncodeSession<'_> {
             Detail::Auto if may_have => {
                 let texture = self.texture();
                 let largest = largest_ratio(options.effort, self.pixels(), texture);
-                match is_worth_a_layer(self.input.samples(), shared, largest) {
+                match is_worth_a_layer(self.samples(), shared, largest) {
                     true => self.divided([fixed, shared], texture, rounds),
-                    false => self.at_size(size),
+                    false => self.gaussians_of_size(size),
                 }
             }
-            _ => self.at_size(size),
+            _ => self.gaussians_of_size(size),
         }
     }
 
@@ -132,7 +133,7 @@ impl EncodeSession<'_> {
             2 | 3 => 1,
             4..=6 => match self.input.options.favoured() {
                 // Each of the second and the third wins .01 dB: not worth it in every try.
-                Tune::Psnr if self.is_search() => 1,
+                Tune::Psnr if is_search(self.input.options.target) => 1,
                 Tune::Psnr => 3,
                 // The second wins .1 points of SSIMULACRA2 on Kodak, and .01 at 2.8 megapixels, for .07 and .13 of the time.
                 Tune::Ssim | Tune::Iq => 1,
@@ -150,8 +151,8 @@ impl EncodeSession<'_> {
         let share = self.share;
         self.share = self.until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(BASE_TIME)).or(share);
         // Fits of a search are not the longest: there are several.
-        self.base = Some(Base { ratio: (!self.is_search()).then_some(ratio) });
-        let outcome = self.at_size(Size::Bytes(bytes));
+        self.base = Some(Base { ratio: (!is_search(self.input.options.target)).then_some(ratio) });
+        let outcome = self.gaussians_of_size(Size::Bytes(bytes));
         (self.base, self.share) = (None, share);
         outcome
     }
@@ -159,7 +160,7 @@ impl EncodeSession<'_> {
     /// Finds the division of `shared` bytes, beside those of header and metadata, and makes the file.
     fn divided(&mut self, [fixed, shared]: [u64; 2], texture: Option<Texture>, rounds: u32) -> Result<Outcome> {
         let (most, all) = (fixed + shared, shared as f64);
-        let ratio = (self.input.samples() / all).max(20.0);
+        let ratio = (self.samples() / all).max(20.0);
         let least = all * texture.map_or(0.0, |texture| busy_share(texture, self.pixels(), ratio));
         let few = bytes_of_base(self.input.options.effort, self.pixels(), ratio, all).max(least);
         let most_for_base = (SHARP_SHARE + SHARP_MORE * (ratio / 20.0).strict_log2()).min(MOST_SHARP) * all;
@@ -200,7 +201,7 @@ impl EncodeSession<'_> {
             }
         }
         if layered.coded.is_none() {
-            return self.at_size(Size::Bytes(most));
+            return self.gaussians_of_size(Size::Bytes(most));
         }
         if is_new {
             self.keep(&layered.base, few);
@@ -213,18 +214,8 @@ impl EncodeSession<'_> {
 
     /// Keeps Gaussians for the next try, where there is one.
     fn keep(&mut self, base: &Outcome, base_budget: f64) {
-        if self.is_search() {
+        if is_search(self.input.options.target) {
             self.kept = Some(KeptBase { base: base.clone(), base_budget });
-        }
-    }
-
-    /// Whether sizes are tried until a file is as good as was asked for.
-    fn is_search(&self) -> bool {
-        match self.input.options.target {
-            Target::Auto | Target::Ratio(_) | Target::Bytes(_) | Target::Primitives(_) => false,
-            Target::Psnr(_) => true,
-            #[cfg(feature = "quality")]
-            Target::Quality(_) => true,
         }
     }
 
@@ -256,6 +247,16 @@ impl EncodeSession<'_> {
     }
 }
 
+/// Tells whether sizes are tried until a file is as good as was asked for.
+pub(in crate::encode) fn is_search(target: Target) -> bool {
+    match target {
+        Target::Auto | Target::Ratio(_) | Target::Bytes(_) | Target::Primitives(_) => false,
+        Target::Psnr(_) => true,
+        #[cfg(feature = "quality")]
+        Target::Quality(_) => true,
+    }
+}
+
 /// Returns the Gaussians of `splats` as a fit has them.
 fn primitives_of(splats: &PackedSplats) -> Vec<Primitive> {
     let quantizer = splats.quantizer();
@@ -277,7 +278,7 @@ fn is_worth_a_layer(samples: f64, bytes: u64, largest: f64) -> bool {
 }
 
 /// Tells whether a base of `base_budget` bytes is as good as one of `few`.
-fn is_near(few: f64, base_budget: f64) -> bool {
+pub(in crate::encode) fn is_near(few: f64, base_budget: f64) -> bool {
     (few / base_budget).strict_ln().abs() < MIN_BASE_GROWTH.strict_ln()
 }
 

@@ -18,8 +18,9 @@ mod texture;
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::input::stored_scene;
-use super::job::{EncodeSession, Outcome};
+use super::input::{stored_scene, widened_file};
+use super::session::{EncodeSession, Outcome};
+use super::whole::WholeSession;
 use crate::bitstream::detail::levels::tile_counts;
 use crate::bitstream::detail::{DetailHead, DetailLayer};
 use crate::bitstream::splats::PackedSplats;
@@ -91,7 +92,7 @@ pub(super) struct Layered {
     error: f64,
 }
 
-impl EncodeSession<'_> {
+impl WholeSession<'_> {
     /// Codes a layer over `base` in what is left of `most` bytes.
     fn layer(&self, base: Outcome, most: u64) -> Result<Layered> {
         let splats = &base.splats;
@@ -129,7 +130,7 @@ impl EncodeSession<'_> {
             took = start.elapsed();
         }
         outcome.splats.detail = Some(Arc::new(coded.layer));
-        outcome.bytes = self.input.file(&outcome.splats)?;
+        outcome.bytes = self.file(&outcome.splats)?;
         Ok(outcome)
     }
 
@@ -178,7 +179,7 @@ impl EncodeSession<'_> {
     /// Codes what the Gaussians of `splats` leave, for a file of at most `most` bytes.
     fn coded(&self, splats: &PackedSplats, most: u64, near: Option<&Coded>) -> Result<Option<Coded>> {
         let aim = self.aim_of_layer(0);
-        let Some(left) = left_for_layer(splats, &aim, most, |empty| self.input.file(empty))? else { return Ok(None) };
+        let Some(left) = left_for_layer(splats, &aim, most, |empty| self.file(empty))? else { return Ok(None) };
         let mut tiles = self.residuals(splats);
         if let (Some(near), Tune::Psnr) = (near, self.input.options.favoured()) {
             coupled::couple(&mut tiles, &near.layer, self.input.channels());
@@ -193,10 +194,10 @@ impl EncodeSession<'_> {
         let (channels, hidden) = (input.channels(), input.options.hidden);
         let parts = Parts { source: input.pixels, splats: &outcome.splats, channels, tune, hidden };
         let mut show = |done| self.report.show("detail", done);
-        let layer = layer_in_parts(parts, most, |empty| input.file(empty), &mut show)?;
+        let layer = layer_in_parts(parts, most, |empty| widened_file(empty, channels), &mut show)?;
         if layer.is_some() {
             outcome.splats.detail = layer;
-            outcome.bytes = self.input.file(&outcome.splats)?;
+            outcome.bytes = self.file(&outcome.splats)?;
         }
         Ok(outcome)
     }

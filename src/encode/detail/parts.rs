@@ -9,15 +9,14 @@ use super::search::{Aim, Coded, classes_of, code, mean_activity, search, smalles
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
 use crate::bitstream::splats::PackedSplats;
+use crate::encode::drawn::drawn_part;
 use crate::error::Result;
 use crate::fit::model::objective::planes::Planes;
 use crate::gaussian::Channels;
-use crate::limits::Limits;
 use crate::options::{HiddenColors, Tune};
 use crate::parallel;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Depth;
-use crate::raster::View;
 
 /// Number of tiles for each one on which the step is found. At least 8 are used, or all if there are fewer, and at most
 /// 64. Each takes a megabyte of memory.
@@ -26,6 +25,22 @@ const SAMPLED: usize = 16;
 const RUNS: u32 = 5;
 /// And how often it mostly is.
 const EXPECTED: f32 = 2.0;
+
+/// Returns the squared error between two pictures: colours count by their opacity.
+pub(in crate::encode) fn error_between(wanted: &Planes, drawn: &Planes) -> f64 {
+    let mut error = 0.0;
+    for y in 0..wanted.height {
+        let (wanted_row, drawn) = (wanted.row(y), drawn.row(y));
+        for k in 0..wanted.channels.count() {
+            for x in 0..wanted.width as usize {
+                let at = k * wanted.stride + x;
+                let opacity = wanted.opacity.filter(|&a| a != k).map_or(1.0, |a| wanted_row[a * wanted.stride + x]);
+                error += f64::from((drawn[at] - wanted_row[at]) * opacity).powi(2);
+            }
+        }
+    }
+    error
+}
 
 /// A picture that is read a part at a time, and its Gaussians.
 #[derive(Clone, Copy)]
@@ -75,27 +90,6 @@ impl Parts<'_> {
             Ok::<_, crate::Error>(coded)
         })?;
         Ok(found.map(|coded| coded.layer).filter(|layer| layer.tiles() > 0))
-    }
-
-    /// Returns the squared error of the picture with its layer: colours count by their opacity.
-    pub fn error(&self, show: &mut dyn FnMut(f32) -> Result<()>) -> Result<f64> {
-        let mut error = 0.0;
-        for (index, count) in self.parts() {
-            show(index as f32 / self.count() as f32)?;
-            let (_, wanted, drawn) = self.part(index, count)?;
-            for y in 0..wanted.height {
-                let (wanted_row, drawn) = (wanted.row(y), drawn.row(y));
-                for k in 0..wanted.channels.count() {
-                    for x in 0..wanted.width as usize {
-                        let at = k * wanted.stride + x;
-                        let opacity =
-                            wanted.opacity.filter(|&a| a != k).map_or(1.0, |a| wanted_row[a * wanted.stride + x]);
-                        error += f64::from((drawn[at] - wanted_row[at]) * opacity).powi(2);
-                    }
-                }
-            }
-        }
-        Ok(error)
     }
 
     fn count(&self) -> usize {
@@ -152,17 +146,8 @@ impl Parts<'_> {
         let [last, _, width, _] = tile_area(self.source.size(), index + count - 1);
         let area = [left, top, last + width - left, height].map(|side| side as u32);
         let wanted = Planes::with_hidden(&self.source.part(area)?, self.hidden);
-        let [x, y, width, height] = area;
-        let view = View::of_size(self.source.width(), self.source.height()).crop(x, y, width, height)?;
-        let limits = Limits {
-            tile_pairs: u64::MAX,
-            work: u64::MAX,
-            overlap: u64::MAX,
-            primitives: u64::MAX,
-            ..Limits::default()
-        };
         // 16 bits are finer than any step.
-        let drawn = self.splats.renderer(&view, &limits)?.render(Depth::Sixteen)?;
+        let drawn = drawn_part(self.splats, area, Depth::Sixteen)?;
         Ok((area, wanted, Planes::new(&drawn)))
     }
 }

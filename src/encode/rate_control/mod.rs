@@ -5,20 +5,20 @@ mod psnr;
 mod quality;
 mod search;
 
-use super::channels::widen;
-use super::constant::{constant, is_constant};
-use super::input::{may_leave_out, too_small};
-use super::job::{EncodeSession, Outcome, stored_error};
+use super::input::{may_leave_out, too_small_with};
+use super::session::{EncodeSession, Outcome};
 use super::skipped::SkipReason;
 use super::thumbnail;
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats};
 use crate::error::Result;
-use crate::fit::model::objective::planes::Planes;
 use crate::gaussian::Blend;
-use crate::options::{EncodeOptions, Needs};
+use crate::options::EncodeOptions;
 use crate::round::size::Size;
 use crate::strict_math::StrictMath;
 use crate::target::Target;
+#[cfg(feature = "quality")]
+pub(super) use quality::AIM_ABOVE;
+use search::{Aim, Curve, Search};
 
 /// Most primitives that an encode will fit.
 pub(super) const MAX_PRIMITIVES: u64 = 16 << 20;
@@ -54,7 +54,7 @@ pub(super) fn size_asked(options: &EncodeOptions, samples: f64, fixed: u64) -> S
 /// [`Error::TooSmall`] if there is no room for any.
 pub(super) fn count_for(options: &EncodeOptions, most: u64, fixed: u64, samples: f64) -> Result<usize> {
     if most < fixed {
-        return Err(too_small(options, most, fixed));
+        return Err(too_small_with(options, most, fixed));
     }
     // Estimated bits of a primitive; the size is corrected while the integers are rounded.
     let bits = match options.layout {
@@ -67,116 +67,96 @@ pub(super) fn count_for(options: &EncodeOptions, most: u64, fixed: u64, samples:
     Ok(count.min(MAX_PRIMITIVES).min(samples as u64) as usize)
 }
 
-impl EncodeSession<'_> {
-    /// Fits the picture as the options ask.
-    pub(super) fn aim(&mut self) -> Result<Outcome> {
-        let fixed = self.input.file(&self.input.empty())?.len() as u64;
-        let size = size_asked(self.input.options, self.input.samples(), fixed);
-        if let Some(constant) = self.constant(size)? {
-            return Ok(constant);
+/// Encodes to what the options ask for.
+pub(super) fn to_target<'a, S: EncodeSession<'a>>(session: &mut S) -> Result<Outcome> {
+    let options = session.options();
+    let target = options.target;
+    let size = size_asked(options, session.samples(), session.fixed()?);
+    if let Some(constant) = of_one_color(session, size)? {
+        return Ok(constant);
+    }
+    let mut outcome = match target {
+        Target::Auto | Target::Ratio(_) | Target::Bytes(_) => {
+            let (beside, room) = thumbnail::kept_free(session, size);
+            session.at_size(beside, None).map_err(|e| thumbnail::counted(e, size, room))?
         }
-        let mut outcome = match self.input.options.target {
-            Target::Auto | Target::Ratio(_) | Target::Bytes(_) => {
-                let (beside, room) = self.beside_thumbnail(size);
-                self.layered(beside).map_err(|e| thumbnail::counted(e, size, room))?
-            }
-            Target::Primitives(count) => self.at_count(count as usize, size)?,
-            Target::Psnr(psnr) => self.at_psnr(psnr)?,
-            #[cfg(feature = "quality")]
-            Target::Quality(quality) => self.at_quality(quality)?,
-        };
-        self.add_thumbnail(&mut outcome, size)?;
-        Ok(outcome)
-    }
+        Target::Primitives(count) => session.at_count(count as usize)?,
+        Target::Psnr(psnr) => psnr::to_psnr(session, psnr)?,
+        #[cfg(feature = "quality")]
+        Target::Quality(quality) => quality::to_quality(session, quality)?,
+    };
+    thumbnail::add(session, &mut outcome, size)?;
+    Ok(outcome)
+}
 
-    /// Returns the bytes that ICC profile and EXIF block take in the file.
-    pub(super) fn carried(&self) -> Result<u64> {
-        let mut file = self.input.empty();
-        let all = self.input.file(&file)?.len();
-        file.metadata = Metadata::default();
-        Ok((all - self.input.file(&file)?.len()) as u64)
-    }
+/// Returns the bytes that the ICC profile and the EXIF block take in the file.
+fn metadata_bytes<'a, S: EncodeSession<'a>>(session: &S) -> Result<u64> {
+    let bare = PackedSplats { metadata: Metadata::default(), ..session.empty() };
+    Ok(session.fixed()? - session.file(&bare)?.len() as u64)
+}
 
-    /// The file of a picture of one colour, where that is what there is and the file may be as large.
-    fn constant(&mut self, size: Size) -> Result<Option<Outcome>> {
-        let options = self.input.options;
-        let is_wanted = may_leave_out(options)
-            && self.input.blend() == Blend::Normalized
-            && options.target != Target::Primitives(0);
-        if !is_wanted || !is_constant(self.input.pixels) {
-            return Ok(None);
+/// Returns the file of a picture of one colour, if that is what the picture is and the file may be as large.
+fn of_one_color<'a, S: EncodeSession<'a>>(session: &mut S, size: Size) -> Result<Option<Outcome>> {
+    let options = session.options();
+    let is_wanted =
+        may_leave_out(options) && session.empty().blend == Blend::Normalized && options.target != Target::Primitives(0);
+    if !is_wanted {
+        return Ok(None);
+    }
+    let Some(splats) = session.constant()? else { return Ok(None) };
+    let bytes = session.file(&splats)?;
+    if size.exceeded_by(&bytes) > 0 {
+        return Ok(None);
+    }
+    session.report().note(SkipReason::Fit, 0, 0.0);
+    let float_error = session.fitted_error(&splats)?;
+    Ok(Some(Outcome { bytes, splats, float_error, quality: None }))
+}
+
+/// What a search looks for.
+struct Goal<C> {
+    curve: C,
+    aim: Aim,
+    /// Parts of a budget of time: one for each try that most searches take, and one for what comes after.
+    timed_parts: u32,
+}
+
+/// Searches for the smallest file whose `score` is enough. Returns it, or the best one found, with its score. Ends early if `is_close` says
+/// that a file is close enough.
+fn smallest<'a, S: EncodeSession<'a>, C: Curve>(
+    session: &mut S,
+    goal: Goal<C>,
+    mut score: impl FnMut(&mut S, &Outcome) -> Result<f64>,
+    is_close: impl Fn(&S, f64, &Outcome) -> bool,
+) -> Result<(f64, Outcome)> {
+    let raw = session.samples();
+    // The search is over the bytes of the picture; those of the metadata are added.
+    let metadata = metadata_bytes(session)?;
+    let share = session.clock().left().map(|time| time / goal.timed_parts);
+    let enough = goal.aim.enough;
+    let mut search = Search::new(goal.curve, goal.aim);
+    let mut best: Option<(f64, Outcome)> = None;
+    while let Some(size) = search.next() {
+        // A budget of time is that of all tries: one that begins late would be a worse fit, and say little.
+        if best.is_some() && session.clock().left() < share.map(|share| share + share / 2) {
+            break;
         }
-        let mut splats = self.input.empty();
-        constant(&mut splats, self.planes.mean);
-        let bytes = self.input.file(&splats)?;
-        if over(&bytes, size) > 0 {
-            return Ok(None);
+        let outcome = session.at_size(Size::Bytes(metadata + (raw * size.strict_exp2()) as u64), share)?;
+        let found = score(session, &outcome)?;
+        search.note(size, found);
+        let is_done = is_close(session, found, &outcome);
+        let is_better = best.as_ref().is_none_or(|(score, best)| match (found >= enough, *score >= enough) {
+            (true, true) => outcome.bytes.len() < best.bytes.len(),
+            (is_enough, was_enough) => is_enough || !was_enough && found > *score,
+        });
+        if is_better {
+            best = Some((found, outcome));
         }
-        self.report.note(SkipReason::Fit, 0, 0.0);
-        let float_error = self.fitted_error(&splats);
-        Ok(Some(Outcome { bytes, splats, float_error, quality: None }))
-    }
-
-    pub(super) fn at_size(&mut self, size: Size) -> Result<Outcome> {
-        let Size::Bytes(most) = size else { return self.at_count(0, size) };
-        let fixed = self.input.file(&self.input.empty())?.len() as u64;
-        let count = count_for(self.input.options, most, fixed, self.input.samples())?;
-        self.at_count(count, size)
-    }
-
-    /// Returns the squared error of the stored picture over the samples of the caller's channels.
-    pub(super) fn whole_error(&self, splats: &PackedSplats) -> f64 {
-        match self.input.is_whole() {
-            true => self.fitted_error(splats),
-            false => {
-                let wide = widen(splats, self.input.channels());
-                stored_error(
-                    &wide,
-                    &Planes::with_hidden(self.input.original, self.input.options.hidden),
-                    self.input.channels(),
-                )
-            }
-        }
-    }
-
-    /// Fits a picture of `size` with about `count` primitives to begin with, and puts back what was left out.
-    fn at_count(&mut self, count: usize, size: Size) -> Result<Outcome> {
-        // Bytes that the constant channels may take; corrected if they are too few.
-        let mut spare = match size {
-            Size::Bytes(most) if !self.input.is_whole() => 6 + most.min(1 << 30) / 400,
-            _ => 0,
-        };
-        loop {
-            let narrow = match size {
-                Size::Bytes(most) => Size::Bytes(most.saturating_sub(spare)),
-                Size::Free => Size::Free,
-            };
-            let mut outcome = self.fitted(count, narrow)?;
-            if !self.input.is_whole() {
-                outcome.bytes = self.input.file(&outcome.splats)?;
-            }
-            if self.input.options.needs == Needs::Measured {
-                let enough = self.input.pixels.depth().rounding_error() * self.input.fitted_samples();
-                self.prune(&mut outcome, enough)?;
-            }
-            // Whatever a fit came to, it is not worse than one colour.
-            let alone =
-                PackedSplats { gaussians: Vec::new(), codebook: None, levels: Vec::new(), ..outcome.splats.clone() };
-            let error = self.fitted_error(&outcome.splats);
-            if error.is_nan() || error > self.fitted_error(&alone) {
-                (outcome.bytes, outcome.splats) = (self.input.file(&alone)?, alone);
-            }
-            let over = if self.base.is_some() { 0 } else { over(&outcome.bytes, size) };
-            if over == 0 {
-                return Ok(outcome);
-            }
-            if outcome.splats.gaussians.is_empty() {
-                let needed = outcome.bytes.len() as u64;
-                return Err(too_small(self.input.options, needed - over, needed));
-            }
-            spare += over + 4;
+        if is_done {
+            break;
         }
     }
+    Ok(best.expect("one try at least"))
 }
 
 /// Minimum size that a search tries, bytes without metadata.
@@ -190,12 +170,4 @@ const MAX_TRIED_BYTES: f64 = 512.0;
 /// sample.
 fn sizes_tried(raw: f64) -> [f64; 2] {
     [MIN_TRIED_BYTES, (MAX_TRIED * raw).max(MAX_TRIED_BYTES)].map(|bytes| (bytes / raw).strict_log2())
-}
-
-/// Bytes by which a file is larger than it may be.
-fn over(bytes: &[u8], size: Size) -> u64 {
-    match size {
-        Size::Bytes(most) => (bytes.len() as u64).saturating_sub(most),
-        Size::Free => 0,
-    }
 }

@@ -1,10 +1,9 @@
 //! Encodes to a PSNR: the smallest file found that reaches it.
 
-use super::search::{Aim, Curve, Search, Try};
-use crate::encode::job::{EncodeSession, Outcome, decibels};
+use super::search::{Aim, Curve, Try};
+use super::{Goal, smallest};
+use crate::encode::session::{EncodeSession, Outcome, decibels};
 use crate::error::{Error, Result};
-use crate::options::Needs;
-use crate::round::size::Size;
 use crate::strict_math::StrictMath;
 
 /// Most tries. Later ones mostly keep the Gaussians of the ones before.
@@ -58,51 +57,24 @@ impl Curve for Decibels {
     }
 }
 
-impl EncodeSession<'_> {
-    pub(super) fn at_psnr(&mut self, wanted: f64) -> Result<Outcome> {
-        let raw = self.input.samples();
-        // The search is over the bytes of the picture; those of the metadata are added.
-        let carried = self.carried()?;
-        let share = self.clock.left().map(|time| time / TIMED_PARTS);
-        let aim = Aim { enough: wanted, aim: wanted + AIM_ABOVE, sizes: super::sizes_tried(raw), tries: MAX_TRIES };
-        let mut search = Search::new(Decibels, aim);
-        // The smallest file that is good enough, or the best one.
-        let mut best: Option<(f64, Outcome)> = None;
-        while let Some(size) = search.next() {
-            // A budget of time is that of all tries: one that begins late would be a worse fit, and say little.
-            if best.is_some() && self.clock.left() < share.map(|s| s + s / 2) {
-                break;
-            }
-            self.share = share;
-            let outcome = self.layered(Size::Bytes(carried + (raw * size.strict_exp2()) as u64))?;
-            let got = decibels(self.whole_error(&outcome.splats), raw);
-            search.note(size, got);
-            let is_better = best.as_ref().is_none_or(|(found, best)| match (got >= wanted, *found >= wanted) {
-                (true, true) => outcome.bytes.len() < best.bytes.len(),
-                (is_enough, was_enough) => is_enough || !was_enough && got > *found,
-            });
-            if is_better {
-                best = Some((got, outcome));
-            }
-            if (0.0..TOLERANCE).contains(&(got - wanted)) {
-                break;
-            }
+/// Encodes to a PSNR of `wanted` decibels over the samples of all channels.
+pub(super) fn to_psnr<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64) -> Result<Outcome> {
+    let raw = session.samples();
+    let aim = Aim { enough: wanted, aim: wanted + AIM_ABOVE, sizes: super::sizes_tried(raw), tries: MAX_TRIES };
+    let goal = Goal { curve: Decibels, aim, timed_parts: TIMED_PARTS };
+    let score = |session: &mut S, outcome: &Outcome| Ok(decibels(session.error(&outcome.splats)?, raw));
+    let is_close = |_: &S, reached: f64, _: &Outcome| (0.0..TOLERANCE).contains(&(reached - wanted));
+    let (reached, mut best) = smallest(session, goal, score, is_close)?;
+    if reached < wanted {
+        if session.options().time.is_some() {
+            // The report has the PSNR that was reached in the time.
+            return Ok(best);
         }
-        let (reached, mut best) = best.expect("one try at least");
-        if reached < wanted {
-            if share.is_some() {
-                // The report has the PSNR that was reached in the time.
-                return Ok(best);
-            }
-            let problem = format!("{wanted} dB cannot be reached: the largest file has {reached:.2} dB");
-            return Err(Error::Parameter { name: "psnr", problem });
-        }
-        // Where channels were left out, what they add to the error is not known here.
-        if self.input.options.needs == Needs::Measured && self.input.is_whole() {
-            self.prune(&mut best, raw * 10f64.strict_powf(-0.1 * wanted))?;
-        }
-        Ok(best)
+        let problem = format!("{wanted} dB cannot be reached: the largest file has {reached:.2} dB");
+        return Err(Error::Parameter { name: "psnr", problem });
     }
+    session.prune(&mut best, raw * 10f64.strict_powf(-0.1 * wanted))?;
+    Ok(best)
 }
 
 #[cfg(test)]

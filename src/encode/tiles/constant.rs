@@ -1,12 +1,9 @@
 //! Pictures of one colour that are read in tiles: no fit is needed for them here either.
 
 use super::grid::Window;
-use super::integers::error_of_part;
-use crate::bitstream::splats::PackedSplats;
-use crate::encode::constant::{constant, is_constant};
+use crate::encode::constant::is_constant;
 use crate::error::Result;
 use crate::fit::model::objective::planes::Planes;
-use crate::options::HiddenColors;
 use crate::pixel_source::PixelSource;
 
 /// Returns the colour of a picture whose pixels are all the same. Reads `tiles`, which make up the picture of `source`, until
@@ -30,21 +27,4 @@ pub(super) fn color(
         }
     }
     Ok(color)
-}
-
-/// Returns the integers of a picture of the one `color`, with all else as in `blank`, and their squared error.
-pub(super) fn stored(
-    source: &dyn PixelSource,
-    blank: &PackedSplats,
-    (color, hidden): ([f32; 4], HiddenColors),
-    tiles: &[Window],
-) -> Result<(PackedSplats, f64)> {
-    let mut splats = blank.clone();
-    constant(&mut splats, color);
-    let mut error = 0.0;
-    for tile in tiles {
-        let target = Planes::with_hidden(&source.part(tile.core.bounds())?, hidden);
-        error += error_of_part(&target, &tile.core, &splats, splats.gaussians.iter());
-    }
-    Ok((splats, error))
 }

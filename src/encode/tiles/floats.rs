@@ -24,7 +24,7 @@ use crate::round::rounded::Rounded;
 
 /// Share of the iterations in which each tile is fitted by itself. Then nothing is relocated any more where primitives are
 /// many, and steps are still long enough to close the seams.
-const ALONE: f32 = 0.5;
+pub(super) const ALONE: f32 = 0.5;
 /// The passes after that: up to which share of the iterations, and where their tiles lie.
 pub(super) const JOINED: [(f32, Shift); 3] = [(0.7, Shift::Half), (0.85, Shift::None), (1.0, Shift::Half)];
 /// Places for other primitives that are looked for in a tile, as a share of those that it has.

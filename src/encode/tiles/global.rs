@@ -1,6 +1,8 @@
 //! Properties of the whole picture that all tiles share. They are found before any tile is fitted, so that the tiles
 //! fit together.
 
+use std::time::Duration;
+
 use super::grid::{Area, Window};
 use crate::bitstream::splats::{Metadata, PackedSplats};
 use crate::error::Result;
@@ -10,6 +12,7 @@ use crate::fit::model::objective::structure;
 use crate::fit::model::placing::sample;
 use crate::fit::model::problem::Scene;
 use crate::fit::plan::Plan;
+use crate::instant::Instant;
 use crate::options::{HiddenColors, Tune};
 use crate::pixel_source::PixelSource;
 
@@ -29,6 +32,8 @@ pub(super) struct TileSettings {
     pub seed: u64,
     /// Whether colours under alpha 0 count.
     pub hidden: HiddenColors,
+    /// Seconds that the work on one window may take.
+    pub seconds: Option<f64>,
 }
 
 /// Properties of the picture that all tiles share.
@@ -118,7 +123,7 @@ impl<'a> GlobalContext<'a> {
 
     /// Returns the pixels of a part, and how their errors count.
     pub(super) fn planes(&self, area: &Area) -> Result<Planes> {
-        let mut planes = self.bare_planes(area)?;
+        let mut planes = Planes::with_hidden(&self.source.part(area.bounds())?, self.settings.hidden);
         let room = self.room() as f32;
         planes.amplitude = match &self.weights {
             Weights::Alike => Vec::new(),
@@ -129,11 +134,6 @@ impl<'a> GlobalContext<'a> {
             }
         };
         Ok(planes)
-    }
-
-    /// Returns the pixels of a part, whose errors count alike.
-    pub(super) fn bare_planes(&self, area: &Area) -> Result<Planes> {
-        Ok(Planes::with_hidden(&self.source.part(area.bounds())?, self.settings.hidden))
     }
 
     /// Returns the scene of a part.
@@ -168,7 +168,12 @@ impl<'a> GlobalContext<'a> {
     pub(super) fn plan_of(&self, window: &Window) -> Plan {
         let plan = self.plan();
         let seed = plan.seed.wrapping_add((window.index + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
-        Plan { seed, ..plan }
+        let fit_deadline = self
+            .settings
+            .seconds
+            .and_then(|s| Duration::try_from_secs_f64(s).ok())
+            .and_then(|time| Instant::now().checked_add(time));
+        Plan { seed, fit_deadline, ..plan }
     }
 
     /// Goes on with the picture of `source`, which is this one at another size.

@@ -1,15 +1,13 @@
 //! The integers of a tile: a sweep of descent among those around it, which stay as they are.
 
-use super::floats;
 use super::global::GlobalContext;
-use super::grid::{Area, Window};
+use super::grid::Window;
 use super::mosaic::{Around, Placed, TileResult};
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::encode::file;
 use crate::error::Result;
-use crate::fit::model::drawing::field::{Field, Output, error_within, float_error};
-use crate::fit::model::drawing::project::{Primitive, Projected};
-use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::drawing::field::{Field, Output, error_within};
+use crate::fit::model::drawing::project::Projected;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::quantize::Quantizer;
 use crate::round::descend::Descent;
@@ -96,27 +94,6 @@ impl<'a> Part<'a> {
 /// Returns for how many other primitives places are looked for in a tile of so many.
 pub(super) fn others(own: usize) -> usize {
     (own as f32 * OTHERS.0) as usize + OTHERS.1
-}
-
-/// Returns the squared error of what is stored of a tile, from all that reaches into it.
-pub(super) fn plain_error(global: &GlobalContext<'_>, area: &Area, around: Around<PackedGaussian>) -> Result<f64> {
-    Ok(error_of_part(&global.bare_planes(area)?, area, &global.blank, around.own.iter().chain(&around.others)))
-}
-
-/// Returns the squared error of `gaussians`, which are integers of the file of `blank`, over a part of the picture.
-pub(super) fn error_of_part<'a>(
-    target: &Planes,
-    area: &Area,
-    blank: &PackedSplats,
-    gaussians: impl Iterator<Item = &'a PackedGaussian>,
-) -> f64 {
-    let quantizer = blank.quantizer();
-    let background = quantizer.dequantize_color(blank.background);
-    let scene = Scene { width: area.size[0], height: area.size[1], blend: blank.blend, background };
-    let away = area.origin().map(|v| -v);
-    let local = |p: &PackedGaussian| floats::moved(Primitive::from_gaussian(&quantizer.dequantize(p)), away);
-    let local: Vec<Primitive> = gaussians.map(local).collect();
-    float_error(&Problem { scene, target }, &local)
 }
 
 /// Into a part, or out of it.

@@ -17,39 +17,43 @@ mod task;
 mod wire;
 
 use std::collections::VecDeque;
-use std::sync::Arc;
+use std::time::Duration;
 
-use super::channels::widen;
-use super::detail::divide::base_in_tiles;
+use super::clock::Clock;
+use super::constant::constant;
+use super::detail::divide::{BASE_TIME, base_in_tiles, is_near, is_search};
 use super::detail::layer_in_parts;
-use super::detail::parts::Parts;
+use super::detail::parts::{self, Parts};
 use super::device::Chosen;
-use super::file;
+use super::drawn::drawn_part;
 use super::hidden::Continued;
-use super::input::{self, may_leave_out, too_small};
-use super::job::{decibels, enough, excess};
-use super::rate_control::{count_for, size_asked};
-use super::report::{Progress, ReportBuilder};
+use super::input::{self, may_leave_out, widened_file};
+use super::job::{enough, excess};
+use super::rate_control::count_for;
+use super::report::ReportBuilder;
+use super::session::{EncodeSession, KeptBase, Outcome, decibels, run};
 use super::skipped::SkipReason;
-use super::thumbnail;
 use super::workers::Executor;
-use super::{DEFAULT_TILE_SIDE, EncodeReport, Encoded};
+use super::{DEFAULT_TILE_SIDE, Encoded, file};
 use crate::bitstream;
-use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::splats::{Layout, Metadata, PackedGaussian, PackedSplats};
 use crate::error::{Error, Result};
 use crate::fit::model::drawing::project::{self, Primitive};
+use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::problem::Scene;
 use crate::fit::plan::fraction;
-use crate::gaussian::Blend;
-use crate::options::{Backend, EncodeOptions, Recipe, Trace};
+use crate::gaussian::{Blend, Channels};
+use crate::instant::Instant;
+use crate::options::{Backend, EncodeOptions, HiddenColors, Recipe};
 use crate::parallel;
 use crate::pixel_source::PixelSource;
+use crate::pixels::Depth;
 use crate::quantize::Quantizer;
 use crate::round::finish::SLOPE;
 use crate::round::rounded;
 use crate::round::size::{Correction, Size, correction, is_settled};
-use crate::target::Target;
+#[cfg(feature = "quality")]
+use crate::ssimulacra2::{MIN_SIDE, ssimulacra2};
 use floats::Show;
 use global::{GlobalContext, Survey, TileSettings};
 use grid::{Grid, Shift, UNIT, Window};
@@ -75,6 +79,10 @@ const CORRECTED_SWEEPS: u32 = 3;
 const MAX_ADDED_SWEEPS: u32 = 2;
 /// A file that is short of its size by less than this part of it is settled.
 const SETTLED_PART: u64 = 200;
+/// Share of the time for Gaussians that their float fit may take.
+const FIT_TIME: f64 = 0.7;
+/// Share of a file that Gaussians kept from another try of a search may take.
+const MAX_KEPT: f64 = 0.9;
 /// The steps follow from so many of the primitives: more would not change them.
 const MAX_SAMPLED: usize = 1 << 20;
 
@@ -87,122 +95,24 @@ pub(super) fn encode(
     mut report: ReportBuilder<'_>,
 ) -> Result<Encoded> {
     check(options)?;
+    let clock = Clock::new(options.time);
+    let start = report.seconds();
     let continued = Continued::new(source, options.hidden, || report.show("survey", 0.0))?;
     if continued.is_some() {
         report.note(SkipReason::HiddenColors, 0, 0.0);
     }
     let source = continued.as_ref().map_or(source, |continued| continued as &dyn PixelSource);
-    let blend = options.blend.unwrap_or(Blend::Normalized);
-    let wide = input::empty(source.size(), (source.channels(), source.depth()), blend, options);
-    let samples = samples_of(&wide);
-    let fixed = bitstream::to_bytes(&wide)?.len() as u64;
-    let asked = size_asked(options, samples, fixed);
-    let room = match asked {
-        Size::Bytes(most) => thumbnail::room(options, source.size(), most),
-        Size::Free => 0,
-    };
-    let both = thumbnail::beside(asked, room);
-    let size = match both {
-        Size::Bytes(most) => {
-            let [width, height] = source.size().map(u64::from);
-            let shared = most.saturating_sub(fixed);
-            base_in_tiles(options, width * height, samples, shared).map_or(both, |base| Size::Bytes(fixed + base))
-        }
-        Size::Free => both,
-    };
-    let has_layer = size != both;
-    let count = initial_count(options, size, (samples, fixed)).map_err(|e| thumbnail::counted(e, asked, room))?;
-    let scene = Scene { width: wide.width, height: wide.height, blend, background: [0.0; 4] };
-    let grid = grid_of(&scene, count, side);
-    let clock = report.seconds();
-    let looked_at = if may_leave_out(options) { grid.windows() } else { Vec::new() };
-    let (narrowed, left_out) = Narrowed::new(source, &looked_at, || report.show("survey", 0.0))?;
+    let windows = Grid { size: source.size(), half: side / 2, margin: UNIT }.windows();
+    let looked_at = if may_leave_out(options) { &windows[..] } else { &[] };
+    let (narrowed, left_out) = Narrowed::new(source, looked_at, || report.show("survey", 0.0))?;
     if let Some(what) = left_out {
         report.note(what, 0, 0.0);
     }
-    if !looked_at.is_empty()
-        && let Some(encoded) = of_one_color((source, &narrowed), (options, asked), &wide, &looked_at, &mut report)?
-    {
-        return Ok(encoded);
-    }
-    let metadata = wide.metadata;
-    let blank = PackedSplats { channels: narrowed.channels(), metadata: Metadata::default(), ..wide };
-    let by = if has_layer { fraction(scene.pixels(), count) } else { 1 };
-    let small = Shrunk::new(&narrowed, by, options.hidden);
-    let [width, height] = small.size();
-    let scene = Scene { width, height, ..scene };
-    let blank = PackedSplats { width, height, ..blank };
-    let settings = TileSettings {
-        effort: options.effort,
-        count,
-        is_priced: matches!(size, Size::Bytes(_)),
-        is_base: has_layer,
-        enough: enough(options.target, blank.depth),
-        seed: options.seed,
-        hidden: options.hidden,
-    };
-    let survey = Survey { scene, blank, settings, tune: options.favoured() };
-    let fitted_grid = grid_of(&scene, count, side);
-    let global = survey.of(&small, &fitted_grid.windows(), |done| report.show("survey", done))?;
-    report.stage("survey", clock);
-    let seen: &dyn PixelSource = &narrowed;
-    let mut session = TiledSession {
-        options,
-        source,
-        seen,
-        grid: fitted_grid,
-        report,
-        global,
-        executor,
-        metadata,
-        asked,
-        both,
-        size,
-        layer: None,
-        fixed,
-    };
-    let look = |p: &Primitive| p.to_gaussian();
-    let mut floats = Mosaic::new(&fitted_grid, &look);
-    let error = session.fit(&mut floats)?;
-    let mut floats: Vec<Primitive> = floats.all().map(|p| p.what).collect();
-    if by > 1 {
-        floats = project::zoomed(floats, by as f32);
-        session = TiledSession { grid, global: session.global.at_size_of(seen), ..session };
-    }
-    session.finish(floats, error * f64::from(by).powi(2))
-}
-
-/// Returns the file of a picture of one colour, where that is what there is and the file may be as large; `wide` is the file
-/// without primitives.
-fn of_one_color(
-    (source, narrowed): (&dyn PixelSource, &Narrowed<'_>),
-    (options, asked): (&EncodeOptions, Size),
-    wide: &PackedSplats,
-    tiles: &[Window],
-    report: &mut ReportBuilder<'_>,
-) -> Result<Option<Encoded>> {
-    if wide.blend != Blend::Normalized || options.target == Target::Primitives(0) {
-        return Ok(None);
-    }
-    let Some(color) = constant::color(narrowed, tiles, |done| report.show("survey", done))? else { return Ok(None) };
-    let blank = PackedSplats { channels: narrowed.channels(), ..wide.clone() };
-    let (splats, error) = constant::stored(narrowed, &blank, (color, options.hidden), tiles)?;
-    let bytes = bitstream::to_bytes(&widen(&splats, source.channels()))?;
-    if matches!(asked, Size::Bytes(most) if bytes.len() as u64 > most) {
-        return Ok(None);
-    }
-    report.note(SkipReason::Fit, 0, 0.0);
-    let psnr = decibels(error, samples_of(&blank));
-    let report = EncodeReport {
-        primitives: splats.gaussians.len(),
-        psnr,
-        float_psnr: psnr,
-        seconds: report.seconds(),
-        skipped: std::mem::take(&mut report.skipped),
-        chosen: Chosen::for_tiles(options.backend),
-        ..EncodeReport::default()
-    };
-    Ok(Some(Encoded { bytes, report }))
+    report.stage("survey", start);
+    let blend = options.blend.unwrap_or(Blend::Normalized);
+    let blank = input::empty(source.size(), (narrowed.channels(), source.depth()), blend, options);
+    let kept = None;
+    run(TiledSession { options, source, seen: &narrowed, side, blank, windows, executor, clock, report, kept })
 }
 
 /// Checks that what `options` ask for can be kept in tiles.
@@ -211,12 +121,7 @@ pub(super) fn check(options: &EncodeOptions) -> Result<()> {
     match options {
         o if o.recipe != Recipe::Ssplat => bad("another method's recipe cannot be fitted in tiles"),
         o if o.layout != Layout::Coded => bad("only the coded layout is written in tiles"),
-        o if matches!(o.target, Target::Psnr(_)) => bad("a PSNR cannot be aimed at in tiles"),
-        #[cfg(feature = "quality")]
-        o if matches!(o.target, Target::Quality(_)) => bad("a quality cannot be aimed at in tiles"),
-        o if o.time.is_some() => bad("a budget of time cannot be kept in tiles"),
         o if o.backend == Backend::Gpu => bad("tiles are fitted on the CPU"),
-        o if o.trace == Trace::On => bad("a fit in tiles cannot be traced"),
         _ => Ok(()),
     }
 }
@@ -232,37 +137,232 @@ fn samples_of(blank: &PackedSplats) -> f64 {
     f64::from(blank.width) * f64::from(blank.height) * blank.channels.count() as f64
 }
 
-/// Returns the number of primitives that the fit begins with, for a file of `size` that takes `fixed` bytes without any.
-fn initial_count(options: &EncodeOptions, size: Size, (samples, fixed): (f64, u64)) -> Result<usize> {
-    match (size, options.target) {
-        (Size::Bytes(most), _) => count_for(options, most, fixed, samples),
-        (Size::Free, Target::Primitives(count)) => Ok(count as usize),
-        (Size::Free, _) => Ok(0),
-    }
-}
-
 /// An encode in tiles on its way.
 struct TiledSession<'a, 'b, 'c> {
-    grid: Grid,
-    report: ReportBuilder<'a>,
-    global: GlobalContext<'b>,
-    executor: Executor<'c>,
-    metadata: Metadata,
     options: &'b EncodeOptions,
     /// The picture with all its channels.
     source: &'b dyn PixelSource,
     /// The picture without its constant channels.
     seen: &'b dyn PixelSource,
-    /// Size asked for.
-    asked: Size,
-    /// Size left without the thumbnail.
-    both: Size,
-    /// Size left without the thumbnail and the detail layer.
+    /// Side of the tiles, pixels.
+    side: u32,
+    /// The file of what is seen, without primitives.
+    blank: PackedSplats,
+    /// The tiles, which are also the parts in which the picture is measured.
+    windows: Vec<Window>,
+    executor: Executor<'c>,
+    clock: Clock,
+    report: ReportBuilder<'a>,
+    /// Gaussians under a layer that an earlier try of a search came to.
+    kept: Option<KeptBase>,
+}
+
+impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
+    fn options(&self) -> &EncodeOptions {
+        self.options
+    }
+
+    fn clock(&mut self) -> &mut Clock {
+        &mut self.clock
+    }
+
+    fn report(&mut self) -> &mut ReportBuilder<'a> {
+        &mut self.report
+    }
+
+    fn chosen(&self) -> Chosen {
+        Chosen::for_tiles(self.options.backend)
+    }
+
+    fn channels(&self) -> Channels {
+        self.source.channels()
+    }
+
+    fn empty(&self) -> PackedSplats {
+        self.blank.clone()
+    }
+
+    fn constant(&mut self) -> Result<Option<PackedSplats>> {
+        let report = &mut self.report;
+        let color = constant::color(self.seen, &self.windows, |done| report.show("survey", done))?;
+        Ok(color.map(|color| {
+            let mut splats = self.blank.clone();
+            constant(&mut splats, color);
+            splats
+        }))
+    }
+
+    fn at_size(&mut self, size: Size, share: Option<Duration>) -> Result<Outcome> {
+        let Size::Bytes(most) = size else { return self.gaussians(0, [size; 2], share) };
+        let fixed = self.fixed()?;
+        let area = self.seen.size().map(u64::from).iter().product();
+        let Some(budget) = base_in_tiles(self.options, area, self.samples(), most.saturating_sub(fixed)) else {
+            let count = count_for(self.options, most, fixed, self.samples())?;
+            return self.gaussians(count, [size; 2], share);
+        };
+        let until = share.or(self.clock.left()).and_then(|time| Instant::now().checked_add(time));
+        let room = (MAX_KEPT * most as f64) as u64;
+        let serves =
+            |kept: &&KeptBase| is_near(budget as f64, kept.base_budget) && kept.base.bytes.len() as u64 <= room;
+        let base = match self.kept.as_ref().filter(serves) {
+            Some(kept) => kept.base.clone(),
+            None => {
+                let count = count_for(self.options, fixed + budget, fixed, self.samples())?;
+                let time = until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(BASE_TIME));
+                let base = self.gaussians(count, [Size::Bytes(fixed + budget), size], time)?;
+                if is_search(self.options.target) {
+                    self.kept = Some(KeptBase { base: base.clone(), base_budget: budget as f64 });
+                }
+                base
+            }
+        };
+        self.layered(base, most)
+    }
+
+    fn at_count(&mut self, count: usize) -> Result<Outcome> {
+        self.gaussians(count, [Size::Free; 2], None)
+    }
+
+    fn fitted_error(&mut self, splats: &PackedSplats) -> Result<f64> {
+        self.measured(self.seen, splats)
+    }
+
+    fn error(&mut self, splats: &PackedSplats) -> Result<f64> {
+        let wide = self.widened(splats);
+        self.measured(self.source, &wide)
+    }
+
+    fn trace_end(&mut self, splats: &PackedSplats) -> Result<()> {
+        if self.report.tracer.is_on() {
+            let start = Instant::now();
+            let error = self.error(splats)?;
+            let psnr = decibels(error, self.samples());
+            self.report.tracer.add("written", psnr, splats.gaussians.len(), start);
+        }
+        Ok(())
+    }
+
+    /// Large pictures are scored tile by tile: the mean of the scores, weighted by the pixels.
+    #[cfg(feature = "quality")]
+    fn score(&mut self, splats: &PackedSplats) -> Result<f64> {
+        let (mut sum, mut area) = (0.0, 0.0);
+        for (i, window) in self.windows.iter().enumerate() {
+            self.report.show("measure", i as f32 / self.windows.len() as f32)?;
+            let core = &window.core;
+            if core.size[0].min(core.size[1]) < MIN_SIDE {
+                continue;
+            }
+            let drawn = drawn_part(splats, core.bounds(), splats.depth)?;
+            let score = ssimulacra2(&self.source.part(core.bounds())?, &drawn)?.expect("the sides were checked");
+            (sum, area) = (sum + score * core.pixels(), area + core.pixels());
+        }
+        Ok(sum / area)
+    }
+}
+
+impl TiledSession<'_, '_, '_> {
+    /// Returns the squared error of the stored picture against `source`, in the channels of both.
+    fn measured(&mut self, source: &dyn PixelSource, splats: &PackedSplats) -> Result<f64> {
+        let clock = self.report.seconds();
+        let report = &mut self.report;
+        let show = &mut |done| report.show("measure", done);
+        let error = squared_error((source, self.options.hidden), &self.windows, splats, show)?;
+        self.report.stage("measure", clock);
+        Ok(error)
+    }
+
+    /// Codes a layer over `base` in what is left of `most` bytes.
+    fn layered(&mut self, mut base: Outcome, most: u64) -> Result<Outcome> {
+        let clock = self.report.seconds();
+        let (channels, tune, hidden) = (self.channels(), self.options.favoured(), self.options.hidden);
+        let parts = Parts { source: self.seen, splats: &base.splats, channels, tune, hidden };
+        let file = |empty: &PackedSplats| widened_file(empty, channels);
+        let report = &mut self.report;
+        base.splats.detail = layer_in_parts(parts, most, file, &mut |done| report.show("detail", done))?;
+        if base.splats.detail.is_some() {
+            base.bytes = self.file(&base.splats)?;
+        }
+        self.report.stage("detail", clock);
+        Ok(base)
+    }
+
+    /// Fits about `count` Gaussians and rounds them to a file of `size`, or where a layer is to follow to one that is no larger than
+    /// `limit`. The fit may take `time`.
+    fn gaussians(&mut self, count: usize, [size, limit]: [Size; 2], time: Option<Duration>) -> Result<Outcome> {
+        let clock = self.report.seconds();
+        let has_layer = size != limit;
+        let (options, seen) = (self.options, self.seen);
+        let fixed = self.fixed()?;
+        let metadata = self.blank.metadata.clone();
+        let blank = PackedSplats { metadata: Metadata::default(), ..self.blank.clone() };
+        let scene = Scene { width: blank.width, height: blank.height, blend: blank.blend, background: [0.0; 4] };
+        let by = if has_layer { fraction(scene.pixels(), count) } else { 1 };
+        let small = Shrunk::new(seen, by, options.hidden);
+        let grid = grid_of(&scene, count, self.side);
+        let [width, height] = small.size();
+        let scene = Scene { width, height, ..scene };
+        let blank = PackedSplats { width, height, ..blank };
+        let settings = TileSettings {
+            effort: options.effort,
+            count,
+            is_priced: matches!(size, Size::Bytes(_)),
+            is_base: has_layer,
+            enough: enough(options.target, blank.depth),
+            seed: options.seed,
+            hidden: options.hidden,
+            seconds: None,
+        };
+        let survey = Survey { scene, blank, settings, tune: options.favoured() };
+        let fitted_grid = grid_of(&scene, count, self.side);
+        let report = &mut self.report;
+        let global = survey.of(&small, &fitted_grid.windows(), |done| report.show("survey", done))?;
+        report.stage("survey", clock);
+        let until = time.or(self.clock.left()).and_then(|time| Instant::now().checked_add(time));
+        let mut fit = TiledFit { session: self, grid: fitted_grid, global, metadata, size, limit, fixed, until };
+        let look = |p: &Primitive| p.to_gaussian();
+        let mut floats = Mosaic::new(&fitted_grid, &look);
+        let error = fit.fit(&mut floats)?;
+        let mut floats: Vec<Primitive> = floats.all().map(|p| p.what).collect();
+        if by > 1 {
+            floats = project::zoomed(floats, by as f32);
+            fit = TiledFit { grid, global: fit.global.at_size_of(seen), ..fit };
+        }
+        fit.round(floats, error * f64::from(by).powi(2))
+    }
+}
+
+/// Returns the squared error between a picture that is read in parts and the stored one.
+fn squared_error(
+    (source, hidden): (&dyn PixelSource, HiddenColors),
+    parts: &[Window],
+    splats: &PackedSplats,
+    show: Show<'_>,
+) -> Result<f64> {
+    let mut error = 0.0;
+    for (i, part) in parts.iter().enumerate() {
+        show(i as f32 / parts.len() as f32)?;
+        let area = part.core.bounds();
+        let wanted = Planes::with_hidden(&source.part(area)?, hidden);
+        // 16 bits are finer than any error that is worth a report.
+        error += parts::error_between(&wanted, &Planes::new(&drawn_part(splats, area, Depth::Sixteen)?));
+    }
+    Ok(error)
+}
+
+/// A fit of Gaussians in tiles, and their rounding.
+struct TiledFit<'s, 'a, 'b, 'c, 'g> {
+    session: &'s mut TiledSession<'a, 'b, 'c>,
+    grid: Grid,
+    global: GlobalContext<'g>,
+    metadata: Metadata,
+    /// Size of the file of Gaussians.
     size: Size,
-    /// Detail layer over the Gaussians, once they are final.
-    layer: Option<Arc<DetailLayer>>,
+    /// Size that the file must not exceed.
+    limit: Size,
     /// Bytes of the file without primitives.
     fixed: u64,
+    /// When the file should be done.
+    until: Option<Instant>,
 }
 
 /// A stage of an encode, and the part of it that is worked on.
@@ -285,7 +385,7 @@ impl ProgressRange {
     }
 }
 
-impl TiledSession<'_, '_, '_> {
+impl TiledFit<'_, '_, '_, '_, '_> {
     /// Has `work` done for every window of a pass in turns. Returns others that would help, and the squared error of all tiles.
     fn pass<T: WireFormat>(
         &mut self,
@@ -319,8 +419,9 @@ impl TiledSession<'_, '_, '_> {
         work: T::Work,
         mosaic: &Mosaic<'_, T>,
     ) -> Result<Vec<TileResult<T>>> {
-        let at_once = if 2 * self.grid.half < DEFAULT_TILE_SIDE { 1 } else { MAX_CONCURRENT };
-        let TiledSession { report, global, executor, .. } = self;
+        let at_once = self.concurrent();
+        let TiledFit { session, global, .. } = self;
+        let TiledSession { report, executor, .. } = &mut **session;
         let mut show = |done: f32| report.show(stretch.stage, stretch.at(done / windows.len().max(1) as f32));
         show(0.0)?;
         let mut results = Vec::new();
@@ -357,8 +458,11 @@ impl TiledSession<'_, '_, '_> {
 
     /// Fits floats and puts them into `mosaic`; returns their squared error.
     fn fit(&mut self, mosaic: &mut Mosaic<'_, Primitive>) -> Result<f64> {
-        let clock = self.report.seconds();
+        let clock = self.session.report.seconds();
         let windows = self.grid.windows();
+        let time = self.until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(FIT_TIME));
+        let mut last = floats::ALONE;
+        self.give_time(time.map(|time| time.mul_f32(last)), windows.len());
         // By itself no tile waits for another.
         let initial_count = self.turn(ProgressRange::part("fit", 0, 1), &windows, FloatWork::Begin, mosaic)?;
         let mut error = initial_count.iter().map(|b| b.error).sum();
@@ -369,6 +473,7 @@ impl TiledSession<'_, '_, '_> {
             placed.push((window.core, result.own));
         }
         mosaic.replace(placed);
+        self.trace_floats("fit", mosaic, error)?;
         let have = mosaic.count();
         let wanted = match self.size {
             Size::Free => self.global.settings.count,
@@ -379,12 +484,57 @@ impl TiledSession<'_, '_, '_> {
             }
         };
         mosaic.balance(others, wanted, (MAX_SWAPPED * have as f64) as usize);
-        for (pass, (_, shift)) in floats::JOINED.iter().enumerate() {
+        for (pass, (to, shift)) in floats::JOINED.iter().enumerate() {
+            self.give_time(time.map(|time| time.mul_f32(to - last)), windows.len());
+            last = *to;
             let stretch = ProgressRange::part("join", pass, floats::JOINED.len());
             (_, error) = self.pass((stretch, *shift), FloatWork::Join(pass), mosaic)?;
+            self.trace_floats("join", mosaic, error)?;
         }
-        self.report.stage("fit", clock);
+        self.session.report.stage("fit", clock);
         Ok(error)
+    }
+
+    /// Sets how long the work on a window may take where all `windows` of a pass may take `time`.
+    fn give_time(&mut self, time: Option<Duration>, windows: usize) {
+        let at_once = match &self.session.executor {
+            Executor::Own => self.concurrent().min(parallel::threads()),
+            Executor::Others(workers) => workers.capacity(),
+        };
+        let turns = windows.div_ceil(at_once.max(1)).max(1);
+        self.global.settings.seconds = time.map(|time| time.as_secs_f64() / turns as f64);
+    }
+
+    /// Returns the number of windows that are worked on at a time here.
+    fn concurrent(&self) -> usize {
+        if 2 * self.grid.half < DEFAULT_TILE_SIDE { 1 } else { MAX_CONCURRENT }
+    }
+
+    /// Adds a point to the trace for `mosaic`, whose squared error is `error`, rounded to the nearest integers.
+    fn trace_floats(&mut self, stage: &'static str, mosaic: &Mosaic<'_, Primitive>, error: f64) -> Result<()> {
+        if !self.session.report.tracer.is_on() {
+            return Ok(());
+        }
+        let PackedSplats { steps, background, .. } = self.global.blank;
+        let all: Vec<Primitive> = mosaic.all().map(|p| p.what).collect();
+        let quantizer = self.set_steps(&all, error);
+        let gaussians = all.iter().map(|p| quantizer.quantize(&p.to_gaussian())).collect();
+        let splats = PackedSplats { gaussians, ..self.global.blank.clone() };
+        (self.global.blank.steps, self.global.blank.background) = (steps, background);
+        self.trace(stage, &splats)
+    }
+
+    /// Adds a point to the trace, if there is one.
+    fn trace(&mut self, stage: &'static str, splats: &PackedSplats) -> Result<()> {
+        if !self.session.report.tracer.is_on() {
+            return Ok(());
+        }
+        let start = Instant::now();
+        let source = (self.global.source, self.session.options.hidden);
+        let error = squared_error(source, &self.grid.windows(), splats, &mut |_| Ok(()))?;
+        let psnr = decibels(error, samples_of(splats));
+        self.session.report.tracer.add(stage, psnr, splats.gaussians.len(), start);
+        Ok(())
     }
 
     /// Returns the bytes that a primitive takes.
@@ -416,8 +566,8 @@ impl TiledSession<'_, '_, '_> {
     }
 
     /// Rounds `floats`, whose squared error is `error`, and brings them to the size that is asked for.
-    fn finish(mut self, floats: Vec<Primitive>, error: f64) -> Result<Encoded> {
-        let clock = self.report.seconds();
+    fn round(mut self, floats: Vec<Primitive>, error: f64) -> Result<Outcome> {
+        let clock = self.session.report.seconds();
         let float_error = error;
         let some: Vec<Primitive> = floats.iter().copied().step_by(floats.len() / MAX_SAMPLED + 1).collect();
         let quantizer = self.set_steps(&some, error);
@@ -430,13 +580,21 @@ impl TiledSession<'_, '_, '_> {
         let sweeps = self.global.plan().sweeps.max(2);
         let mut bytes = self.write(&mosaic)?;
         let mut error = self.weighted_error(&mosaic)?;
+        let mut took = Duration::ZERO;
         for round in 0..sweeps + MAX_ADDED_SWEEPS {
+            let start = Instant::now();
+            // What is too large after the last sweep that there is time for is trimmed below.
+            if round > 0 && self.until.is_some_and(|end| start + took > end) {
+                break;
+            }
             let lambda = SLOPE * error / (8.0 * bytes.len() as f64);
             let shift = if round.is_multiple_of(2) { Shift::None } else { Shift::Half };
             let stretch = ProgressRange::part("finish", round as usize, (sweeps + MAX_ADDED_SWEEPS) as usize);
             let others;
             (others, error) = self.pass((stretch, shift), IntegerWork::Sweep(lambda), &mut mosaic)?;
             bytes = self.write(&mosaic)?;
+            took = start.elapsed();
+            self.trace("finish", &self.splats(&mosaic))?;
             // The layer takes what its base leaves of the bytes, few or many.
             let (Size::Bytes(most), false) = (self.size, self.global.settings.is_base) else {
                 if round + 1 == sweeps {
@@ -460,40 +618,17 @@ impl TiledSession<'_, '_, '_> {
             }
         }
         bytes = self.within(&mut mosaic, bytes)?;
-        self.report.stage("finish", clock);
-        bytes = self.with_layer(&mosaic, bytes)?;
-        bytes = self.with_thumbnail(&mosaic, bytes)?;
-        self.report(&mosaic, bytes, float_error)
+        self.session.report.stage("finish", clock);
+        let mut splats = self.splats(&mosaic);
+        file::smallest(&mut splats, self.session.options.levels)?;
+        Ok(Outcome { bytes, splats, float_error, quality: None })
     }
 
     /// Writes the file.
     fn write(&self, mosaic: &Mosaic<'_, PackedGaussian>) -> Result<Vec<u8>> {
         let mut splats = self.splats(mosaic);
-        let bytes = file::smallest(&mut splats, self.options.levels)?;
-        match (&self.layer, self.source.channels()) {
-            (None, all) if all == splats.channels => Ok(bytes),
-            (layer, _) => {
-                splats.detail.clone_from(layer);
-                input::file(&splats, self.source.channels())
-            }
-        }
-    }
-
-    /// Lays a detail layer over the Gaussians, where they were fitted for one; `bytes` is the file without it.
-    fn with_layer(&mut self, mosaic: &Mosaic<'_, PackedGaussian>, bytes: Vec<u8>) -> Result<Vec<u8>> {
-        let Size::Bytes(most) = self.both else { return Ok(bytes) };
-        if self.both == self.size {
-            return Ok(bytes);
-        }
-        let clock = self.report.seconds();
-        let mut splats = self.splats(mosaic);
-        file::smallest(&mut splats, self.options.levels)?;
-        let (source, channels, tune) = (self.seen, self.source.channels(), self.options.favoured());
-        let parts = Parts { source, splats: &splats, channels, tune, hidden: self.options.hidden };
-        let file = |empty: &PackedSplats| input::file(empty, channels);
-        self.layer = layer_in_parts(parts, most, file, &mut |done| self.report.show("detail", done))?;
-        self.report.stage("detail", clock);
-        if self.layer.is_some() { self.write(mosaic) } else { Ok(bytes) }
+        let bytes = file::smallest(&mut splats, self.session.options.levels)?;
+        if self.session.fits_all_channels() { Ok(bytes) } else { self.session.file(&splats) }
     }
 
     /// Returns what is fitted.
@@ -502,34 +637,13 @@ impl TiledSession<'_, '_, '_> {
         PackedSplats { gaussians, metadata: self.metadata.clone(), ..self.global.blank.clone() }
     }
 
-    /// Returns the file with its thumbnail, where it is to have one; `bytes` is that without.
-    fn with_thumbnail(&mut self, mosaic: &Mosaic<'_, PackedGaussian>, bytes: Vec<u8>) -> Result<Vec<u8>> {
-        let length = match self.asked {
-            Size::Bytes(most) => most,
-            Size::Free => bytes.len() as u64,
-        };
-        let most = thumbnail::room(self.options, self.source.size(), length);
-        if most == 0 {
-            return Ok(bytes);
-        }
-        let clock = self.report.seconds();
-        let splats = widen(&self.splats(mosaic), self.source.channels());
-        let progress = &mut *self.report.progress;
-        let small = thumbnail::of(&splats, most, self.options, &mut |done| {
-            progress(&Progress { stage: "thumbnail", done, psnr: None })
-        })?;
-        self.metadata.thumbnail = Some(small);
-        self.report.stage("thumbnail", clock);
-        self.write(mosaic)
-    }
-
     /// Takes away what is too much.
     fn within(&self, mosaic: &mut Mosaic<'_, PackedGaussian>, mut bytes: Vec<u8>) -> Result<Vec<u8>> {
-        let Size::Bytes(most) = self.both else { return Ok(bytes) };
+        let Size::Bytes(most) = self.limit else { return Ok(bytes) };
         while bytes.len() as u64 > most {
             let count = mosaic.count();
             if count == 0 {
-                return Err(too_small(self.options, most, bytes.len() as u64));
+                return Err(self.session.too_small(most, bytes.len() as u64));
             }
             let each = (bytes.len() as f64 / count as f64).max(1.0);
             mosaic.remove_cheapest(((bytes.len() as u64 - most) as f64 / each).ceil() as usize);
@@ -541,72 +655,5 @@ impl TiledSession<'_, '_, '_> {
     fn weighted_error(&mut self, mosaic: &Mosaic<'_, PackedGaussian>) -> Result<f64> {
         let stretch = ProgressRange { stage: "finish", from: 0.0, to: 0.0 };
         Ok(self.turn(stretch, &self.grid.windows(), IntegerWork::Weigh, mosaic)?.iter().map(|b| b.error).sum())
-    }
-
-    fn report(mut self, mosaic: &Mosaic<'_, PackedGaussian>, bytes: Vec<u8>, float_error: f64) -> Result<Encoded> {
-        let clock = self.report.seconds();
-        if let Some(layer) = self.layer.take() {
-            return self.report_of_layers(mosaic, bytes, layer, float_error);
-        }
-        let is_whole = self.source.channels() == self.global.blank.channels;
-        let parts = if is_whole { 1 } else { 2 };
-        let mut error = self.measured(ProgressRange::part("measure", 0, parts), mosaic)?;
-        let mut float_error = float_error;
-        if !is_whole {
-            // The channels that were left out weigh as they do in the file.
-            let wide = widen(&self.splats(mosaic), self.source.channels());
-            (self.global.source, self.global.blank) =
-                (self.source, PackedSplats { gaussians: Vec::new(), ..wide.clone() });
-            let quantizer = self.global.blank.quantizer();
-            let look = |p: &PackedGaussian| quantizer.dequantize(p);
-            let mut all = Mosaic::new(&self.grid, &look);
-            wide.gaussians.into_iter().for_each(|what| all.insert(Placed { what, cost: 0.0 }));
-            let fitted = std::mem::replace(&mut error, self.measured(ProgressRange::part("measure", 1, parts), &all)?);
-            float_error *= if fitted > 0.0 { error / fitted } else { 1.0 };
-        }
-        let samples = samples_of(&self.global.blank);
-        self.report.stage("measure", clock);
-        Ok(self.encoded(mosaic, bytes, [decibels(error, samples), decibels(float_error, samples)]))
-    }
-
-    /// The file and its report, with the PSNR of what is stored and of the floats.
-    fn encoded(self, mosaic: &Mosaic<'_, PackedGaussian>, bytes: Vec<u8>, [psnr, float_psnr]: [f64; 2]) -> Encoded {
-        let report = EncodeReport {
-            primitives: mosaic.count(),
-            psnr,
-            float_psnr,
-            seconds: self.report.seconds(),
-            stages: self.report.stages,
-            skipped: self.report.skipped,
-            chosen: Chosen::for_tiles(self.options.backend),
-            ..EncodeReport::default()
-        };
-        Encoded { bytes, report }
-    }
-
-    /// The report of a file with a layer.
-    fn report_of_layers(
-        mut self,
-        mosaic: &Mosaic<'_, PackedGaussian>,
-        bytes: Vec<u8>,
-        layer: Arc<DetailLayer>,
-        float_error: f64,
-    ) -> Result<Encoded> {
-        let clock = self.report.seconds();
-        let (source, channels, tune) = (self.source, self.source.channels(), self.options.favoured());
-        let mut splats = self.splats(mosaic);
-        let fitted = samples_of(&splats);
-        splats.detail = Some(layer);
-        let splats = if splats.channels == channels { splats } else { widen(&splats, channels) };
-        let parts = Parts { source, splats: &splats, channels, tune, hidden: self.options.hidden };
-        let error = parts.error(&mut |done| self.report.show("measure", done))?;
-        self.report.stage("measure", clock);
-        Ok(self.encoded(mosaic, bytes, [decibels(error, samples_of(&splats)), decibels(float_error, fitted)]))
-    }
-
-    /// Returns the squared error of what is stored.
-    fn measured(&mut self, stretch: ProgressRange, mosaic: &Mosaic<'_, PackedGaussian>) -> Result<f64> {
-        let measured = self.turn(stretch, &self.grid.windows(), IntegerWork::Measure, mosaic)?;
-        Ok(measured.iter().map(|b| b.error).sum())
     }
 }

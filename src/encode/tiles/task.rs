@@ -3,7 +3,7 @@
 use super::floats::{self, Show};
 use super::global::GlobalContext;
 use super::grid::{Area, Window};
-use super::integers::{self, Part};
+use super::integers::Part;
 use super::mosaic::{Around, Mosaic, TileResult};
 use crate::bitstream::splats::PackedGaussian;
 use crate::error::Result;
@@ -25,8 +25,6 @@ pub(super) enum IntegerWork {
     Weigh,
     /// A sweep, in which a bit must save so much of the squared error.
     Sweep(f64),
-    /// Look at the error that is stored.
-    Measure,
 }
 
 /// Primitives that can be worked on. What comes of it follows from the whole, the window, the work and the primitives alone,
@@ -75,11 +73,8 @@ impl Worked for Primitive {
 impl Worked for PackedGaussian {
     type Work = IntegerWork;
 
-    fn pixels(window: &Window, work: IntegerWork) -> Area {
-        match work {
-            IntegerWork::Measure => window.core,
-            _ => window.seen,
-        }
+    fn pixels(window: &Window, _: IntegerWork) -> Area {
+        window.seen
     }
 
     fn work(
@@ -91,7 +86,6 @@ impl Worked for PackedGaussian {
         match work {
             IntegerWork::Weigh => Ok(TileResult::seen(Part::new(global, window, around).error()?)),
             IntegerWork::Sweep(lambda) => Part::new(global, window, around).sweep(lambda),
-            IntegerWork::Measure => Ok(TileResult::seen(integers::plain_error(global, &window.core, around)?)),
         }
     }
 }

@@ -72,7 +72,6 @@ fn done(task: &[u8], show: Show<'_>) -> Result<Vec<u8>> {
             let lambda = f64_of(&mut bytes, "lambda")?;
             worked::<PackedGaussian>(bytes, blank, IntegerWork::Sweep(lambda), of_work, show)
         }
-        [4] => worked::<PackedGaussian>(bytes, blank, IntegerWork::Measure, of_work, show),
         [other] => Err(refused("work", other.into())),
     }
 }
@@ -209,10 +208,10 @@ pub(super) fn task<T: WireFormat>(
     out.extend((global.settings.count as u64).to_le_bytes());
     out.extend(global.settings.seed.to_le_bytes());
     out.extend(global.settings.enough.to_le_bytes());
-    let keeps_hidden = global.settings.hidden == HiddenColors::Keep;
-    out.push(
-        u8::from(global.settings.is_priced) | u8::from(global.settings.is_base) << 1 | u8::from(keeps_hidden) << 2,
-    );
+    let TileSettings { is_priced, is_base, hidden, seconds, .. } = global.settings;
+    let flags = [is_priced, is_base, hidden == HiddenColors::Keep, seconds.is_some()];
+    out.push(flags.iter().enumerate().map(|(k, &flag)| u8::from(flag) << k).sum());
+    seconds.iter().for_each(|v| out.extend(v.to_le_bytes()));
     let (tag, means) = match &global.weights {
         Weights::Alike => (0, &[][..]),
         Weights::Structure(mean) => (1, std::slice::from_ref(mean)),
@@ -356,11 +355,12 @@ fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Res
     let count = count as usize;
     let seed = u64::from_le_bytes(bytes.array("seed")?);
     let enough = f64_of(bytes, "enough")?;
-    // Whether bits have a price, whether a layer comes on top, and whether hidden colours count.
-    let [is_priced, is_base, keeps_hidden] = match bytes.array("price")? {
-        [flags @ 0..=7] => [flags & 1 != 0, flags & 2 != 0, flags & 4 != 0],
-        [other] => return Err(refused("price", other.into())),
+    // Whether bits have a price, whether a layer comes on top, whether hidden colours count, and whether there is a budget of time.
+    let [is_priced, is_base, keeps_hidden, is_timed] = match bytes.array("flags")? {
+        [flags @ 0..=15] => [0, 1, 2, 3].map(|k| flags >> k & 1 != 0),
+        [other] => return Err(refused("flags", other.into())),
     };
+    let seconds = if is_timed { Some(f64_of(bytes, "seconds")?) } else { None };
     let weights = match bytes.array("weights")? {
         [0] => Weights::Alike,
         [1] => Weights::Structure(f64_of(bytes, "weights")?),
@@ -376,7 +376,7 @@ fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Res
     let detail = f64_of(bytes, "detail")?;
     let scene = Scene { width: blank.width, height: blank.height, blend: blank.blend, background };
     let hidden = if keeps_hidden { HiddenColors::Keep } else { HiddenColors::Continue };
-    let settings = TileSettings { effort, count, is_priced, is_base, enough, seed, hidden };
+    let settings = TileSettings { effort, count, is_priced, is_base, enough, seed, hidden, seconds };
     Ok(GlobalContext { source: cut, scene, settings, blank, weights, detail })
 }
 
@@ -488,7 +488,6 @@ impl WireFormat for PackedGaussian {
                 out.push(3);
                 out.extend(lambda.to_le_bytes());
             }
-            IntegerWork::Measure => out.push(4),
         }
     }
 

@@ -1,0 +1,172 @@
+//! One encode, of a whole picture or of one in tiles: what rate control, thumbnail and report need of it.
+
+use std::time::Duration;
+
+use super::channels::widen;
+use super::clock::Clock;
+use super::input::{too_small_with, widened_file};
+use super::report::ReportBuilder;
+use super::skipped::SkipReason;
+use super::{Chosen, EncodeReport, Encoded, rate_control};
+use crate::bitstream::splats::PackedSplats;
+use crate::error::Result;
+use crate::gaussian::Channels;
+use crate::options::EncodeOptions;
+use crate::round::size::Size;
+use crate::strict_math::StrictMath;
+
+/// A file, its integers, and the squared error of the floats.
+#[derive(Clone)]
+pub(super) struct Outcome {
+    pub bytes: Vec<u8>,
+    /// The integers, without the constant channels that were left out.
+    pub splats: PackedSplats,
+    /// Squared error of the floats over the samples that were fitted.
+    pub float_error: f64,
+    /// SSIMULACRA2 of the decoded file, where it was measured.
+    pub quality: Option<f64>,
+}
+
+/// Gaussians that a search keeps from try to try: their best number depends on the picture, and hardly on the bytes of the file.
+pub(super) struct KeptBase {
+    pub base: Outcome,
+    /// Base byte budget before the sharpness adjustment.
+    pub base_budget: f64,
+}
+
+/// An encode on its way. `'a` is the lifetime of the caller's progress function.
+pub(super) trait EncodeSession<'a> {
+    fn options(&self) -> &EncodeOptions;
+
+    /// Returns the clock of the budget of time.
+    fn clock(&mut self) -> &mut Clock;
+
+    fn report(&mut self) -> &mut ReportBuilder<'a>;
+
+    /// Returns the device that fits, and the reason for it.
+    fn chosen(&self) -> Chosen;
+
+    /// Returns the channels of the file.
+    fn channels(&self) -> Channels;
+
+    /// Returns the integers of what is fitted, without primitives.
+    fn empty(&self) -> PackedSplats;
+
+    /// Returns the integers of a picture of one colour, if that is what the picture is.
+    fn constant(&mut self) -> Result<Option<PackedSplats>>;
+
+    /// Encodes to a file of `size`, with a detail layer if the picture gains by one. `share` is the part of the budget of time that this
+    /// file may take; `None`: all that is left.
+    fn at_size(&mut self, size: Size, share: Option<Duration>) -> Result<Outcome>;
+
+    /// Encodes to a file of about `count` primitives.
+    fn at_count(&mut self, count: usize) -> Result<Outcome>;
+
+    /// Returns the squared error of the stored picture over the samples that were fitted.
+    fn fitted_error(&mut self, splats: &PackedSplats) -> Result<f64>;
+
+    /// Returns the squared error of the stored picture over the samples of all channels.
+    fn error(&mut self, splats: &PackedSplats) -> Result<f64>;
+
+    /// Returns the SSIMULACRA2 score of a picture with these integers of all channels.
+    #[cfg(feature = "quality")]
+    fn score(&mut self, splats: &PackedSplats) -> Result<f64>;
+
+    /// Removes the primitives that are not needed to stay within a squared `error` over the samples of all channels.
+    fn prune(&mut self, _outcome: &mut Outcome, _error: f64) -> Result<()> {
+        Ok(())
+    }
+
+    /// Tells whether [`trim_to_quality`](Self::trim_to_quality) can make this file smaller.
+    #[cfg(feature = "quality")]
+    fn can_be_trimmed(&self, _outcome: &Outcome) -> bool {
+        false
+    }
+
+    /// Removes the primitives that matter least, as long as the score is at least `wanted`.
+    #[cfg(feature = "quality")]
+    fn trim_to_quality(&mut self, _outcome: &mut Outcome, _wanted: f64) -> Result<()> {
+        Ok(())
+    }
+
+    /// Makes the stored picture the last point of the trace.
+    fn trace_end(&mut self, _splats: &PackedSplats) -> Result<()> {
+        Ok(())
+    }
+
+    /// Returns the number of samples of the caller's picture.
+    fn samples(&self) -> f64 {
+        let empty = self.empty();
+        f64::from(empty.width) * f64::from(empty.height) * self.channels().count() as f64
+    }
+
+    /// Returns the number of samples that are fitted.
+    fn fitted_samples(&self) -> f64 {
+        self.samples() / self.channels().count() as f64 * self.empty().channels.count() as f64
+    }
+
+    /// Tells whether all channels are fitted.
+    fn fits_all_channels(&self) -> bool {
+        self.channels() == self.empty().channels
+    }
+
+    /// Returns `splats` with the channels that were left out put back.
+    fn widened(&self, splats: &PackedSplats) -> PackedSplats {
+        if splats.channels == self.channels() { splats.clone() } else { widen(splats, self.channels()) }
+    }
+
+    /// Writes the file of `splats`, with the channels that were left out put back.
+    fn file(&self, splats: &PackedSplats) -> Result<Vec<u8>> {
+        widened_file(splats, self.channels())
+    }
+
+    /// Returns the bytes of a file without primitives.
+    fn fixed(&self) -> Result<u64> {
+        Ok(self.file(&self.empty())?.len() as u64)
+    }
+
+    /// Returns the error where a file of `allowed` bytes takes `needed` without any primitive.
+    fn too_small(&self, allowed: u64, needed: u64) -> crate::Error {
+        too_small_with(self.options(), allowed, needed)
+    }
+}
+
+/// Encodes to what the options ask for, and reports on it.
+pub(super) fn run<'a, S: EncodeSession<'a>>(mut session: S) -> Result<Encoded> {
+    let outcome = rate_control::to_target(&mut session)?;
+    session.trace_end(&outcome.splats)?;
+    note_codebook(&mut session, &outcome)?;
+    let error = session.error(&outcome.splats)?;
+    // The floats were measured on what was fitted: the channels that were left out count as they do in the file.
+    let weight = if session.fits_all_channels() { 1.0 } else { error / session.fitted_error(&outcome.splats)? };
+    let float_error = outcome.float_error * if weight.is_finite() { weight } else { 1.0 };
+    let (samples, chosen) = (session.samples(), session.chosen());
+    let report = session.report();
+    let report = EncodeReport {
+        primitives: outcome.splats.gaussians.len(),
+        psnr: decibels(error, samples),
+        float_psnr: decibels(float_error, samples),
+        quality: outcome.quality,
+        seconds: report.seconds(),
+        stages: std::mem::take(&mut report.stages),
+        skipped: std::mem::take(&mut report.skipped),
+        chosen,
+        trace: report.tracer.take_points(),
+    };
+    Ok(Encoded { bytes: outcome.bytes, report })
+}
+
+/// Notes what a codebook saved, from a file written without it.
+fn note_codebook<'a, S: EncodeSession<'a>>(session: &mut S, outcome: &Outcome) -> Result<()> {
+    if outcome.splats.codebook.is_some() {
+        let direct = session.file(&PackedSplats { codebook: None, ..outcome.splats.clone() })?;
+        let saved = direct.len().saturating_sub(outcome.bytes.len()) as u64;
+        session.report().note(SkipReason::OwnColors, saved, 0.0);
+    }
+    Ok(())
+}
+
+/// Returns a squared error over so many samples as PSNR, decibels.
+pub(super) fn decibels(error: f64, samples: f64) -> f64 {
+    -10.0 * (error / samples).strict_log10()
+}

@@ -1,0 +1,99 @@
+//! Removes primitives from a file whose score is above the requested one.
+
+use super::channels::widen;
+use super::file;
+use super::input::stored_scene;
+use super::rate_control::AIM_ABOVE;
+use super::score::score;
+use super::session::{EncodeSession, Outcome};
+use super::skipped::SkipReason;
+use super::whole::WholeSession;
+use crate::bitstream::splats::PackedSplats;
+use crate::error::Result;
+use crate::fit::model::drawing::field::{Field, Output};
+use crate::fit::model::objective::rows::RowSet;
+use crate::fit::model::placing::removal;
+use crate::fit::model::problem::Problem;
+use crate::round::rounded::projected;
+
+/// Primitives that are removed one by one where several at a time are too many.
+const MAX_SINGLY_REMOVED: usize = 24;
+
+/// Tells whether primitives can be removed from a file one by one: their value is not known for files with levels or a detail layer.
+pub(super) fn can_be_trimmed(outcome: &Outcome) -> bool {
+    outcome.splats.levels.is_empty() && outcome.splats.detail.is_none()
+}
+
+impl WholeSession<'_> {
+    /// Removes the primitives that matter least, as long as `wanted` points are left.
+    pub(super) fn trimmed(&mut self, outcome: &mut Outcome, wanted: f64) -> Result<()> {
+        if !can_be_trimmed(outcome) {
+            return Ok(());
+        }
+        let clock = self.report.seconds();
+        let splats = &outcome.splats;
+        let problem = Problem { scene: stored_scene(splats), target: &self.planes };
+        let drawn = projected(&splats.quantizer(), &splats.gaussians, splats.height);
+        let mut field = Field::default();
+        field.draw(&problem, &drawn, RowSet::ALL, Output::Picture);
+        let order = removal::cheapest_first(&removal::costs(&problem, &field, RowSet::ALL, &drawn));
+        let without = |out: &[usize]| {
+            let mut is_out = vec![false; order.len()];
+            out.iter().for_each(|&i| is_out[i] = true);
+            let left = splats.gaussians.iter().zip(&is_out).filter(|(_, out)| !**out).map(|(g, _)| *g);
+            PackedSplats { gaussians: left.collect(), codebook: None, ..splats.clone() }
+        };
+        let input = self.input;
+        let score = |splats: &PackedSplats| {
+            let all = input.channels();
+            if splats.channels == all {
+                score(input.original, splats)
+            } else {
+                score(input.original, &widen(splats, all))
+            }
+        };
+        // Between `sure`, without which there are points enough, and `over`, without which there are not.
+        let (mut sure, mut over, mut points) = (0, order.len() + 1, outcome.quality);
+        // The first guess is small: a point is a part of a hundred or so.
+        let mut next = order.len() / 64 + 1;
+        let enough = (order.len() / 1000).max(1);
+        while over - sure > enough && !self.clock.is_over() {
+            let count = next.clamp(sure + 1, over - 1);
+            let found = score(&without(&order[..count]))?;
+            if found >= wanted {
+                (sure, points) = (count, Some(found));
+                if found - wanted < AIM_ABOVE {
+                    break;
+                }
+            } else {
+                over = count;
+            }
+            next = if over > order.len() { sure * 2 } else { (sure + over) / 2 };
+        }
+        // Primitives of little squared error can still matter to the eye: try the next ones one by one.
+        let mut out = order[..sure].to_vec();
+        for &i in order[sure..].iter().take(MAX_SINGLY_REMOVED) {
+            if points.is_none_or(|p| p - wanted < AIM_ABOVE) || self.clock.is_over() {
+                break;
+            }
+            out.push(i);
+            let found = score(&without(&out))?;
+            if found >= wanted {
+                points = Some(found);
+            } else {
+                out.pop();
+            }
+        }
+        if !out.is_empty() {
+            let mut fewer = without(&out);
+            let narrow = file::smallest(&mut fewer, 1)?;
+            let bytes = if self.fits_all_channels() { narrow } else { self.file(&fewer)? };
+            if bytes.len() < outcome.bytes.len() {
+                self.report.note(SkipReason::Primitives, (outcome.bytes.len() - bytes.len()) as u64, 0.0);
+                (outcome.bytes, outcome.splats, outcome.quality) = (bytes, fewer, points);
+            }
+        }
+        self.report.stage("prune", clock);
+        Ok(())
+    }
+}

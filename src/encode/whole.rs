@@ -1,0 +1,229 @@
+//! The encode of a picture as a whole.
+
+use std::time::Duration;
+
+use super::channels::{Narrow, narrow};
+use super::clock::Clock;
+use super::constant::{constant, is_constant};
+use super::device::Choice;
+use super::hidden;
+use super::input::{EncodeInput, may_leave_out, stored_scene};
+use super::job::stored_error;
+use super::report::ReportBuilder;
+use super::session::{EncodeSession, KeptBase, Outcome, run};
+use super::skipped::SkipReason;
+use super::trace::Tracer;
+use super::{Chosen, Encoded, Progress};
+use crate::bitstream::splats::PackedSplats;
+use crate::error::Result;
+use crate::fit::engine::StaticSnapshot;
+use crate::fit::model::drawing::project::Primitive;
+use crate::fit::model::objective::planes::Planes;
+use crate::fit::model::problem::Problem;
+use crate::gaussian::Channels;
+use crate::instant::Instant;
+use crate::options::{EncodeOptions, Needs};
+use crate::pixels::Pixels;
+use crate::round::rounded::projected;
+use crate::round::size::Size;
+
+/// An encode of a whole picture on its way.
+pub(super) struct WholeSession<'a> {
+    pub input: EncodeInput<'a>,
+    /// The picture that is fitted, as planes; their amplitudes depend on the number of primitives.
+    pub planes: Planes,
+    /// The budget of time.
+    pub clock: Clock,
+    /// The part of it that a fit may take; `None`: all that is left.
+    pub share: Option<Duration>,
+    /// When a file of two layers should be done.
+    pub until: Option<Instant>,
+    pub device: Choice,
+    /// Set while Gaussians are fitted that a detail layer is laid over.
+    pub base: Option<Base>,
+    /// Gaussians under a layer that an earlier try of a search came to.
+    pub kept: Option<KeptBase>,
+    /// Primitives of a fit of fewer that the next one goes on from.
+    pub initial: Vec<Primitive>,
+    pub report: ReportBuilder<'a>,
+}
+
+/// Gaussians that a detail layer is laid over: it mends what a short fit leaves.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Base {
+    /// Ratio of the file of both layers, where fits of large files are longer.
+    pub ratio: Option<f64>,
+}
+
+/// Encodes `pixels` as a whole.
+pub(super) fn encode(
+    pixels: &Pixels,
+    options: &EncodeOptions,
+    progress: &mut dyn FnMut(&Progress) -> std::ops::ControlFlow<()>,
+) -> Result<Encoded> {
+    let clock = Clock::new(options.time);
+    let mut report = ReportBuilder::new(progress, Tracer::new(options.trace));
+    let continued = hidden::continued(pixels, options.hidden, || report.show("survey", 0.0))?;
+    if continued.is_some() {
+        report.note(SkipReason::HiddenColors, 0, 0.0);
+    }
+    let original = continued.as_ref().unwrap_or(pixels);
+    let narrow: Option<Narrow> = if may_leave_out(options) { narrow(original) } else { None };
+    let fitted = narrow.as_ref().map_or(original, |n| &n.pixels);
+    let device = Choice::new(options, fitted)?;
+    if let Some(narrow) = &narrow {
+        report.note(narrow.what.clone(), 0, 0.0);
+    }
+    run(WholeSession {
+        input: EncodeInput { original, pixels: fitted, options },
+        planes: Planes::with_hidden(fitted, options.hidden),
+        clock,
+        share: None,
+        until: None,
+        base: None,
+        kept: None,
+        initial: Vec::new(),
+        device,
+        report,
+    })
+}
+
+impl<'a> EncodeSession<'a> for WholeSession<'a> {
+    fn options(&self) -> &EncodeOptions {
+        self.input.options
+    }
+
+    fn clock(&mut self) -> &mut Clock {
+        &mut self.clock
+    }
+
+    fn report(&mut self) -> &mut ReportBuilder<'a> {
+        &mut self.report
+    }
+
+    fn chosen(&self) -> Chosen {
+        self.device.chosen.clone()
+    }
+
+    fn channels(&self) -> Channels {
+        self.input.channels()
+    }
+
+    fn empty(&self) -> PackedSplats {
+        self.input.empty()
+    }
+
+    fn constant(&mut self) -> Result<Option<PackedSplats>> {
+        if !is_constant(self.input.pixels) {
+            return Ok(None);
+        }
+        let mut splats = self.input.empty();
+        constant(&mut splats, self.planes.mean);
+        Ok(Some(splats))
+    }
+
+    fn at_size(&mut self, size: Size, share: Option<Duration>) -> Result<Outcome> {
+        self.share = share;
+        self.layered(size)
+    }
+
+    fn at_count(&mut self, count: usize) -> Result<Outcome> {
+        self.without_layer(count, Size::Free)
+    }
+
+    fn fitted_error(&mut self, splats: &PackedSplats) -> Result<f64> {
+        Ok(self.error_of(splats))
+    }
+
+    fn error(&mut self, splats: &PackedSplats) -> Result<f64> {
+        if self.fits_all_channels() {
+            return Ok(self.error_of(splats));
+        }
+        let planes = Planes::with_hidden(self.input.original, self.input.options.hidden);
+        Ok(stored_error(&self.widened(splats), &planes, self.channels()))
+    }
+
+    #[cfg(feature = "quality")]
+    fn score(&mut self, splats: &PackedSplats) -> Result<f64> {
+        super::score::score(self.input.original, splats)
+    }
+
+    fn prune(&mut self, outcome: &mut Outcome, error: f64) -> Result<()> {
+        // Where channels were left out, what they add to the error is not known here.
+        match self.input.options.needs == Needs::Measured && self.fits_all_channels() {
+            true => self.pruned(outcome, error),
+            false => Ok(()),
+        }
+    }
+
+    #[cfg(feature = "quality")]
+    fn can_be_trimmed(&self, outcome: &Outcome) -> bool {
+        super::trim::can_be_trimmed(outcome)
+    }
+
+    #[cfg(feature = "quality")]
+    fn trim_to_quality(&mut self, outcome: &mut Outcome, wanted: f64) -> Result<()> {
+        self.trimmed(outcome, wanted)
+    }
+
+    fn trace_end(&mut self, splats: &PackedSplats) -> Result<()> {
+        let problem = Problem { scene: stored_scene(splats), target: &self.planes };
+        let project = || projected(&splats.quantizer(), &splats.gaussians, splats.height);
+        let mut now = StaticSnapshot { problem: &problem, project: &project };
+        self.report.tracer.step("written", self.input.original, &self.planes, &mut now)?;
+        Ok(())
+    }
+}
+
+impl WholeSession<'_> {
+    /// Returns the squared error of the stored picture over the samples that were fitted.
+    pub(super) fn error_of(&self, splats: &PackedSplats) -> f64 {
+        stored_error(splats, &self.planes, self.input.channels())
+    }
+
+    /// Encodes to a file of `size` without a detail layer.
+    pub(super) fn gaussians_of_size(&mut self, size: Size) -> Result<Outcome> {
+        let Size::Bytes(most) = size else { return self.without_layer(0, size) };
+        let count = super::rate_control::count_for(self.input.options, most, self.fixed()?, self.samples())?;
+        self.without_layer(count, size)
+    }
+
+    /// Fits a picture of `size` with about `count` primitives to begin with, and puts back what was left out.
+    fn without_layer(&mut self, count: usize, size: Size) -> Result<Outcome> {
+        // Bytes that the constant channels may take; corrected if they are too few.
+        let mut spare = match size {
+            Size::Bytes(most) if !self.fits_all_channels() => 6 + most.min(1 << 30) / 400,
+            _ => 0,
+        };
+        loop {
+            let narrow = match size {
+                Size::Bytes(most) => Size::Bytes(most.saturating_sub(spare)),
+                Size::Free => Size::Free,
+            };
+            let mut outcome = self.fitted(count, narrow)?;
+            if !self.fits_all_channels() {
+                outcome.bytes = self.file(&outcome.splats)?;
+            }
+            if self.input.options.needs == Needs::Measured {
+                let enough = self.input.pixels.depth().rounding_error() * self.fitted_samples();
+                self.pruned(&mut outcome, enough)?;
+            }
+            // Whatever a fit came to, it is not worse than one colour.
+            let alone =
+                PackedSplats { gaussians: Vec::new(), codebook: None, levels: Vec::new(), ..outcome.splats.clone() };
+            let error = self.error_of(&outcome.splats);
+            if error.is_nan() || error > self.error_of(&alone) {
+                (outcome.bytes, outcome.splats) = (self.file(&alone)?, alone);
+            }
+            let over = if self.base.is_some() { 0 } else { size.exceeded_by(&outcome.bytes) };
+            if over == 0 {
+                return Ok(outcome);
+            }
+            if outcome.splats.gaussians.is_empty() {
+                let needed = outcome.bytes.len() as u64;
+                return Err(self.too_small(needed - over, needed));
+            }
+            spare += over + 4;
+        }
+    }
+}
