@@ -105,8 +105,8 @@ pub fn limits(changes: Option<&BTreeMap<String, i128>>) -> PyResult<Limits> {
     Ok(limits)
 }
 
-/// Numbers of missing parts: primitives, groups, groups in all, tiles of the detail layer, tiles in all; and whether the
-/// file is cut off or its checksum is wrong.
+/// Numbers of missing parts: primitives, groups, groups in all, tiles of the detail layer, tiles in all; and whether
+/// the file is cut off or its checksum is wrong.
 type Lost = (u32, u32, u32, u32, u32, bool);
 
 /// The array, and what is missing.

@@ -118,8 +118,8 @@ impl Options {
     }
 }
 
-/// The file of a contiguous array of uint8 or uint16, or of a memory map, the quality that it has, where one was asked for, and its PSNR in dB. `workers` is what starts a task for others, and how
-/// many of these are to be out at a time.
+/// The file of a contiguous array of uint8 or uint16, or of a memory map, the quality that it has, where one was asked
+/// for, and its PSNR in dB. `workers` is what starts a task for others, and how many of these are to be out at a time.
 #[pyfunction]
 pub fn encode<'py>(
     py: Python<'py>,

@@ -1,8 +1,7 @@
 //! The codec as the Python module `ssplat._ssplat`; `package/ssplat` dresses it for people.
 //!
-//! Arrays come in by one copy, so that other threads may change them meanwhile, but memory maps are read as they are needed;
-//! arrays go out by none. Everything runs
-//! without the interpreter's lock on threads of its own; see [`work`].
+//! Arrays come in by one copy, so that other threads may change them meanwhile, but memory maps are read as they are
+//! needed; arrays go out by none. Everything runs without the interpreter's lock on threads of its own; see [`work`].
 
 mod array;
 mod carry;

@@ -81,8 +81,8 @@ pub fn threads(asked: Option<i128>, useful: usize) -> PyResult<usize> {
     }
 }
 
-/// Runs `work` on `threads` threads; `calls` are made in the calling thread, and stop the work by raising; `progress` also
-/// by returning `False`.
+/// Runs `work` on `threads` threads; `calls` are made in the calling thread, and stop the work by raising; `progress`
+/// also by returning `False`.
 pub fn run<T: Send + 'static>(
     py: Python<'_>,
     threads: usize,

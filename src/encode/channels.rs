@@ -53,7 +53,8 @@ impl Silent {
     }
 }
 
-/// Returns `pixels` without alpha where all is opaque and without colour where all is grey; `None` where all channels count.
+/// Returns `pixels` without alpha where all is opaque and without colour where all is grey; `None` where all channels
+/// count.
 pub(super) fn narrow(pixels: &Pixels) -> Option<Narrow> {
     let (to, what) = Silent::of(pixels).rest(pixels.channels())?;
     Some(Narrow { pixels: narrowed(pixels, to), what })
@@ -83,8 +84,8 @@ fn kept<T: Copy>(samples: &[T], from: Channels, to: Channels) -> Vec<T> {
         .collect()
 }
 
-/// Returns the integers of a narrow picture as those of `channels`, which hold the same colours: grey has no chroma, and
-/// opaque is the least integer that is no less than 1.
+/// Returns the integers of a narrow picture as those of `channels`, which hold the same colours: grey has no chroma,
+/// and opaque is the least integer that is no less than 1.
 pub(super) fn widen(splats: &PackedSplats, channels: Channels) -> PackedSplats {
     let from = splats.channels;
     let mut wide = PackedSplats { channels, ..splats.clone() };

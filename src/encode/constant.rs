@@ -15,9 +15,9 @@ pub(super) fn is_constant(pixels: &Pixels) -> bool {
     }
 }
 
-/// Gives `splats` one primitive, far wider than the picture, that makes every pixel `color` far more exactly than a step: the
-/// background, which has 1/128 of its weight, corrects it. For the normalized blend and the coded layout; `splats`
-/// brings everything but steps, background and primitives.
+/// Gives `splats` one primitive, far wider than the picture, that makes every pixel `color` far more exactly than a
+/// step: the background, which has 1/128 of its weight, corrects it. For the normalized blend and the coded layout;
+/// `splats` brings everything but steps, background and primitives.
 pub(super) fn constant(splats: &mut PackedSplats, color: [f32; 4]) {
     splats.steps = Steps { scale: 15, angle: 0, position: 0, coarsest: 9, range: 0, luma: 0, chroma: 0 };
     let quantizer = splats.quantizer();

@@ -98,8 +98,8 @@ impl Choice {
         is_passed_over.then(|| self.chosen.reason.clone())
     }
 
-    /// Does `job`, whose picture is `pixels`, on the chosen device; where that is a GPU that fails and nobody asked for it,
-    /// once more on the CPU.
+    /// Does `job`, whose picture is `pixels`, on the chosen device; where that is a GPU that fails and nobody asked for
+    /// it, once more on the CPU.
     pub(super) fn fit(&mut self, job: &Job<'_>, pixels: &Pixels, watcher: &mut dyn Watcher) -> Result<Fitted<State>> {
         if let Some(device) = &self.gpu {
             match fit_on(device, job, pixels, watcher) {

@@ -132,8 +132,8 @@ impl Encoder {
     }
 
     /// Sets the side in pixels of the tiles that a picture is fitted in: a multiple of 128 up to 16384. Tiles bound the
-    /// memory of an encode. By default pictures of more than 2²⁵ pixels are fitted in tiles of 2048 unless the layout rules
-    /// tiles out or a GPU fits, those of more than 2²⁸ always, and others as a whole. Tiles need the CPU and
+    /// memory of an encode. By default pictures of more than 2²⁵ pixels are fitted in tiles of 2048 unless the layout
+    /// rules tiles out or a GPU fits, those of more than 2²⁸ always, and others as a whole. Tiles need the CPU and
     /// [`Layout::Coded`]. A [`Target::Quality`] is met in the mean of the tiles' scores.
     #[must_use]
     pub fn tiles(mut self, side: u32) -> Self {
@@ -156,8 +156,8 @@ impl Encoder {
         self
     }
 
-    /// Sets which metadata of a source the files carry, where the source has any. The default is [`MetadataPolicy::Needed`]: the
-    /// ICC profile and the orientation.
+    /// Sets which metadata of a source the files carry, where the source has any. The default is
+    /// [`MetadataPolicy::Needed`]: the ICC profile and the orientation.
     #[must_use]
     pub fn metadata(mut self, metadata: MetadataPolicy) -> Self {
         self.options.metadata = metadata;

@@ -6,8 +6,8 @@ use crate::bitstream::rules::MAX_CODEBOOK;
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
 
-/// Writes the file, in `levels` levels, with its colours in a codebook where that is smaller. Brings the primitives into the
-/// order of the file.
+/// Writes the file, in `levels` levels, with its colours in a codebook where that is smaller. Brings the primitives
+/// into the order of the file.
 pub(crate) fn smallest(splats: &mut PackedSplats, levels: u8) -> Result<Vec<u8>> {
     if levels > 1 {
         divide(splats, levels);
@@ -38,8 +38,8 @@ pub(super) fn expected(splats: &mut PackedSplats, levels: u8) -> Result<Vec<Pred
     bitstream::coder::expect::expected(splats)
 }
 
-/// Orders the primitives into `levels` progressive levels: large ones first, each level up to three times as many primitives
-/// as the levels before it reach. This is what [`Encoder::levels`](crate::Encoder::levels) writes.
+/// Orders the primitives into `levels` progressive levels: large ones first, each level up to three times as many
+/// primitives as the levels before it reach. This is what [`Encoder::levels`](crate::Encoder::levels) writes.
 pub fn divide(splats: &mut PackedSplats, levels: u8) {
     splats.gaussians.sort_by_key(|g| std::cmp::Reverse(u16::from(g.major) + u16::from(g.minor)));
     let count = splats.gaussians.len() as u32;

@@ -1,11 +1,13 @@
 //! Replaces colours under alpha 0, which nobody sees, by a smooth continuation of the visible ones.
 //!
-//! Arbitrary hidden colours (often black or white) cost bits, and show as fringes where the decoded alpha is not exactly 0. The
-//! continuation is a pull–push pyramid (Gortler et al., *The Lumigraph*, 1996, §3.4): each level halves the picture and averages
-//! visible colours by their alpha; then each level fills its gaps from the one above it. Alpha itself does not change.
+//! Arbitrary hidden colours (often black or white) cost bits, and show as fringes where the decoded alpha is not
+//! exactly 0. The continuation is a pull–push pyramid (Gortler et al., *The Lumigraph*, 1996, §3.4): each level halves
+//! the picture and averages visible colours by their alpha; then each level fills its gaps from the one above it. Alpha
+//! itself does not change.
 //!
-//! The cells of all levels lie on a grid that starts at the picture's corner, and the levels above [`LEVELS`] are made of the whole
-//! picture once. So a part has the same pixels as the whole picture has there, and memory stays bounded for pictures in tiles.
+//! The cells of all levels lie on a grid that starts at the picture's corner, and the levels above [`LEVELS`] are made
+//! of the whole picture once. So a part has the same pixels as the whole picture has there, and memory stays bounded
+//! for pictures in tiles.
 
 use crate::error::Result;
 use crate::gaussian::Channels;
@@ -118,8 +120,8 @@ pub(super) struct Continued<'a> {
 }
 
 impl<'a> Continued<'a> {
-    /// Reads the whole picture of `source` once, part by part. Returns `None` if it has no hidden colours, or `hidden` keeps them.
-    /// `show` is called for each part.
+    /// Reads the whole picture of `source` once, part by part. Returns `None` if it has no hidden colours, or `hidden`
+    /// keeps them. `show` is called for each part.
     ///
     /// # Errors
     /// Those of `source` and of `show`.
@@ -158,8 +160,8 @@ impl<'a> Continued<'a> {
         Ok(Some(Continued { source, coarse }))
     }
 
-    /// Returns the pixels of `around`, whose corner lies on the grid of [`CELL`], with their hidden colours replaced. Within
-    /// [`MARGIN`] of an edge of the part that is none of the picture they are not final.
+    /// Returns the pixels of `around`, whose corner lies on the grid of [`CELL`], with their hidden colours replaced.
+    /// Within [`MARGIN`] of an edge of the part that is none of the picture they are not final.
     fn filled(&self, part: Pixels, [x, y, ..]: [u32; 4]) -> Result<Pixels> {
         let mut levels = vec![halved_pixels(&part)];
         while levels.len() < LEVELS as usize {

@@ -28,8 +28,8 @@ use crate::round::size::Size;
 use crate::strict_math::StrictMath;
 use crate::target::Target;
 
-/// Steps of the shortest fits that are weighed anew on the way. The looks that this takes are half as much work again in a
-/// fit of some sixty steps of 14 megapixels, for .05 dB and a point of SSIMULACRA2; large pictures do without.
+/// Steps of the shortest fits that are weighed anew on the way. The looks that this takes are half as much work again
+/// in a fit of some sixty steps of 14 megapixels, for .05 dB and a point of SSIMULACRA2; large pictures do without.
 const MIN_REWEIGHED_STEPS: u32 = 150;
 
 impl WholeSession<'_> {
@@ -163,8 +163,8 @@ impl Watcher for Fitting<'_, '_> {
 }
 
 impl Fitting<'_, '_> {
-    /// Returns how many primitives of this kind fit into `most` bytes: those that there are, rounded and written, set the
-    /// price.
+    /// Returns how many primitives of this kind fit into `most` bytes: those that there are, rounded and written, set
+    /// the price.
     fn count_for(&mut self, primitives: &[Primitive], most: u64) -> Result<usize> {
         let rounded = Rounded::nearest(&self.job.problem, self.draft.layout, primitives);
         (self.draft.steps, self.draft.gaussians) = (rounded.steps, rounded.gaussians);
@@ -186,9 +186,9 @@ const MIN_PRICE: f64 = 0.5;
 
 /// Returns the over-allocation factor of a fit with so many primitives; descent shrinks them, pruning removes the rest.
 pub(super) fn excess(primitives: usize) -> f64 {
-    // Kodak, twelve pictures, against 1.008: .02 to .07 dB better at ratios from 50 to 1000. With 15 000 primitives at ratio
-    // 20 it won nothing and lost .0003 of MS-SSIM. `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`
-    // measures it.
+    // Kodak, twelve pictures, against 1.008: .02 to .07 dB better at ratios from 50 to 1000. With 15 000 primitives at
+    // ratio 20 it won nothing and lost .0003 of MS-SSIM. `cargo run --release -p ssplat-lab --example rate_distortion
+    // -- PICTURES` measures it.
     if primitives < 10_000 { 1.05 } else { 1.008 }
 }
 

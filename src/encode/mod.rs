@@ -1,7 +1,7 @@
 //! Pixels to bytes: the whole encoder behind one function.
 //!
-//! `rate_control` says with how many primitives a fit begins and how often one is tried, `job` does a fit and has it rounded,
-//! `file` writes the smallest file of the integers.
+//! `rate_control` says with how many primitives a fit begins and how often one is tried, `job` does a fit and has it
+//! rounded, `file` writes the smallest file of the integers.
 
 mod channels;
 mod clock;
@@ -139,8 +139,8 @@ fn encode_by(
 
 /// Pictures of more pixels are fitted in tiles, unless [`EncodeOptions::tiles`] asks for tiles anyway.
 pub const MAX_WHOLE_PIXELS: u64 = 1 << 28;
-/// Pictures of more pixels are fitted in tiles where they can be: as well, in a fraction of the memory. A fit of the whole takes some 70
-/// bytes a pixel.
+/// Pictures of more pixels are fitted in tiles where they can be: as well, in a fraction of the memory. A fit of the
+/// whole takes some 70 bytes a pixel.
 const MAX_UNTILED_PIXELS: u64 = 1 << 25;
 /// The side of those tiles, pixels.
 const DEFAULT_TILE_SIDE: u32 = 2048;

@@ -37,8 +37,8 @@ impl WholeSession<'_> {
 /// Each of so few primitives is tried by itself: what the others are expected to cost is not exact.
 const MAX_SINGLY_TRIED: usize = 64;
 
-/// Returns `splats` with as few primitives as keep the squared error within `enough`, or as were found to be needed when
-/// `is_over` says that the time is; `None` where all are needed.
+/// Returns `splats` with as few primitives as keep the squared error within `enough`, or as were found to be needed
+/// when `is_over` says that the time is; `None` where all are needed.
 fn pruned(
     problem: &Problem<'_>,
     splats: &PackedSplats,

@@ -27,7 +27,8 @@ pub(super) struct Outcome {
     pub quality: Option<f64>,
 }
 
-/// Gaussians that a search keeps from try to try: their best number depends on the picture, and hardly on the bytes of the file.
+/// Gaussians that a search keeps from try to try: their best number depends on the picture, and hardly on the bytes of
+/// the file.
 pub(super) struct KeptBase {
     pub base: Outcome,
     /// Base byte budget before the sharpness adjustment.
@@ -55,8 +56,8 @@ pub(super) trait EncodeSession<'a> {
     /// Returns the integers of a picture of one colour, if that is what the picture is.
     fn constant(&mut self) -> Result<Option<PackedSplats>>;
 
-    /// Encodes to a file of `size`, with a detail layer if the picture gains by one. `share` is the part of the budget of time that this
-    /// file may take; `None`: all that is left.
+    /// Encodes to a file of `size`, with a detail layer if the picture gains by one. `share` is the part of the budget
+    /// of time that this file may take; `None`: all that is left.
     fn at_size(&mut self, size: Size, share: Option<Duration>) -> Result<Outcome>;
 
     /// Encodes to a file of about `count` primitives.

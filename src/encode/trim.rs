@@ -19,7 +19,8 @@ use crate::round::rounded::projected;
 /// Primitives that are removed one by one where several at a time are too many.
 const MAX_SINGLY_REMOVED: usize = 24;
 
-/// Tells whether primitives can be removed from a file one by one: their value is not known for files with levels or a detail layer.
+/// Tells whether primitives can be removed from a file one by one: their value is not known for files with levels or a
+/// detail layer.
 pub(super) fn can_be_trimmed(outcome: &Outcome) -> bool {
     outcome.splats.levels.is_empty() && outcome.splats.detail.is_none()
 }

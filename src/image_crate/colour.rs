@@ -1,5 +1,5 @@
-//! What a picture file says of its colours, as an ICC profile: statements that decoders of `image` leave out, and profiles that
-//! say no more than sRGB.
+//! What a picture file says of its colours, as an ICC profile: statements that decoders of `image` leave out, and
+//! profiles that say no more than sRGB.
 
 use std::io::{self, BufRead, ErrorKind, Read, Seek, SeekFrom};
 
@@ -9,7 +9,8 @@ use moxcms::{
     MatrixCoefficients, ToneReprCurve, TransferCharacteristics, TransformOptions, XyY, curve_from_gamma,
 };
 
-/// Longest profile that is compared with sRGB, bytes: those that say sRGB take up to 61 kB, and others may take a second to compare.
+/// Longest profile that is compared with sRGB, bytes: those that say sRGB take up to 61 kB, and others may take a
+/// second to compare.
 const LONGEST_COMPARED: usize = 1 << 16;
 
 /// Longest profile that is taken from a TIFF, bytes.
@@ -18,11 +19,12 @@ const LONGEST_TAKEN: u32 = 64 << 20;
 /// Steps of the grid of colours, on each axis, at which a profile is compared with sRGB.
 const GRID: usize = 9;
 
-/// Largest difference from sRGB that counts as none, code values of 8 bits: profiles with a curve of 1024 entries differ by as much where
-/// they are rounded.
+/// Largest difference from sRGB that counts as none, code values of 8 bits: profiles with a curve of 1024 entries
+/// differ by as much where they are rounded.
 const SAME: u8 = 1;
 
-/// `gAMA` within this ratio of 1/2.2 says sRGB, as libpng has it (`PNG_GAMMA_THRESHOLD`): writers put it into files that are sRGB.
+/// `gAMA` within this ratio of 1/2.2 says sRGB, as libpng has it (`PNG_GAMMA_THRESHOLD`): writers put it into files
+/// that are sRGB.
 const SAME_GAMMA: f64 = 0.05;
 /// `cHRM` within this of the primaries and the white of sRGB says sRGB: writers round them.
 const SAME_CHROMATICITY: f64 = 0.005;
@@ -64,8 +66,8 @@ impl Stated {
     }
 }
 
-/// Looks at what the file in `reader` says of its colours: `cICP`, `gAMA` and `cHRM` of PNG, and the profile of TIFF, which
-/// `image` 0.25.10 loses where the picture is small. The reader is rewound.
+/// Looks at what the file in `reader` says of its colours: `cICP`, `gAMA` and `cHRM` of PNG, and the profile of TIFF,
+/// which `image` 0.25.10 loses where the picture is small. The reader is rewound.
 ///
 /// # Errors
 /// Those of `reader`; a file that is cut off says nothing.
@@ -83,8 +85,8 @@ pub fn look(reader: &mut (impl BufRead + Seek)) -> io::Result<Stated> {
     }
 }
 
-/// Whether a profile says sRGB: its colours become the same code values, within one of 8 bits. Profiles of grey are compared as
-/// greys of sRGB.
+/// Whether a profile says sRGB: its colours become the same code values, within one of 8 bits. Profiles of grey are
+/// compared as greys of sRGB.
 pub fn is_srgb(icc: &[u8]) -> bool {
     icc.len() <= LONGEST_COMPARED && differs(icc).is_some_and(|most| most <= SAME)
 }
@@ -119,7 +121,8 @@ fn bytes<const N: usize>(reader: &mut impl Read) -> io::Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// Reads the chunks before the samples. `cICP` goes before a profile, and a profile and `sRGB` before `gAMA` and `cHRM`.
+/// Reads the chunks before the samples. `cICP` goes before a profile, and a profile and `sRGB` before `gAMA` and
+/// `cHRM`.
 fn png(reader: &mut (impl Read + Seek)) -> io::Result<Stated> {
     reader.seek(SeekFrom::Start(8))?;
     let (mut is_grey, mut gamma, mut chromaticities) = (false, None, None);

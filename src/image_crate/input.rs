@@ -13,8 +13,8 @@ use image::{
     ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageFormat, ImageReader, ImageResult, Pixel,
 };
 
-/// Most bytes that a decoder may allocate, the samples of the picture included: a 177-megapixel picture takes 531 MB with 8 bits,
-/// twice that with 16.
+/// Most bytes that a decoder may allocate, the samples of the picture included: a 177-megapixel picture takes 531 MB
+/// with 8 bits, twice that with 16.
 pub const MAX_ALLOC: u64 = if usize::BITS < 64 { 1 << 30 } else { 8 << 30 };
 
 /// The limits for pictures of other formats: [`MAX_ALLOC`] bytes.
@@ -24,8 +24,8 @@ pub fn limits() -> image::Limits {
     limits
 }
 
-/// Returns a decoder for the picture in `reader`, whose format is told by its content or else by the extension of `path`. The bytes of
-/// its samples are held against `limits`, and the rest of them is the decoder's.
+/// Returns a decoder for the picture in `reader`, whose format is told by its content or else by the extension of
+/// `path`. The bytes of its samples are held against `limits`, and the rest of them is the decoder's.
 ///
 /// # Errors
 /// [`ImageError::Limits`] when the picture takes more than `limits`; those of the decoder, and of `reader`.

@@ -142,8 +142,8 @@ fn levels<D: Decisions>(
     result
 }
 
-/// Writes to `savings`, at the place of each of the `count` levels of `block`, about the bits that a level smaller by one would save: by the
-/// models as they stand, with contexts as the levels are.
+/// Writes to `savings`, at the place of each of the `count` levels of `block`, about the bits that a level smaller by
+/// one would save: by the models as they stand, with contexts as the levels are.
 #[cfg(feature = "encode")]
 pub(crate) fn savings(
     models: &KindModels,

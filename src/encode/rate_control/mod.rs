@@ -121,8 +121,8 @@ struct Goal<C> {
     timed_parts: u32,
 }
 
-/// Searches for the smallest file whose `score` is enough. Returns it, or the best one found, with its score. Ends early if `is_close` says
-/// that a file is close enough.
+/// Searches for the smallest file whose `score` is enough. Returns it, or the best one found, with its score. Ends
+/// early if `is_close` says that a file is close enough.
 fn smallest<'a, S: EncodeSession<'a>, C: Curve>(
     session: &mut S,
     goal: Goal<C>,
@@ -166,8 +166,8 @@ const MAX_TRIED: f64 = 2.0;
 /// The maximum for pictures of a few pixels, bytes.
 const MAX_TRIED_BYTES: f64 = 512.0;
 
-/// Returns the smallest and the largest size that a search tries for a picture of `raw` samples: binary logarithms of bytes a
-/// sample.
+/// Returns the smallest and the largest size that a search tries for a picture of `raw` samples: binary logarithms of
+/// bytes a sample.
 fn sizes_tried(raw: f64) -> [f64; 2] {
     [MIN_TRIED_BYTES, (MAX_TRIED * raw).max(MAX_TRIED_BYTES)].map(|bytes| (bytes / raw).strict_log2())
 }

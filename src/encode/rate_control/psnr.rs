@@ -8,8 +8,8 @@ use crate::strict_math::StrictMath;
 
 /// Most tries. Later ones mostly keep the Gaussians of the ones before.
 const MAX_TRIES: usize = 8;
-/// Parts of a budget of time: one for each of four tries, and one for taking out what is not needed. Most searches take no
-/// more tries.
+/// Parts of a budget of time: one for each of four tries, and one for taking out what is not needed. Most searches take
+/// no more tries.
 const TIMED_PARTS: u32 = 5;
 /// Decibels above the wanted ones at which the search ends.
 const TOLERANCE: f64 = 0.1;
@@ -18,8 +18,8 @@ const AIM_ABOVE: f64 = 0.05;
 /// Ratio of the first try.
 const FIRST_RATIO: f64 = 50.0;
 
-/// PSNR of a typical picture, up to a constant. In small files doubling the bytes adds 2.5 dB, in large ones each further
-/// bit per sample adds 6 dB: Kodak gains 2.8 dB from a ratio of 100 to 50, and another 4.7 dB to 20.
+/// PSNR of a typical picture, up to a constant. In small files doubling the bytes adds 2.5 dB, in large ones each
+/// further bit per sample adds 6 dB: Kodak gains 2.8 dB from a ratio of 100 to 50, and another 4.7 dB to 20.
 struct Decibels;
 
 impl Decibels {

@@ -18,9 +18,9 @@ const TOLERANCE: f64 = 0.5;
 pub(in crate::encode) const AIM_ABOVE: f64 = 0.25;
 /// A try this far above is near enough to be made worse instead of trying again.
 const MAX_TRIMMED: f64 = 2.5;
-/// The curve that pictures are taken to have until theirs is known: halvings of the raw bytes, and points. Kodak, the means of
-/// twelve pictures from 20 on; pictures differ by a shift along the first axis for the most part.
-/// `cargo run --release -p ssplat-lab --example rate_distortion -- KODAK` measures it.
+/// The curve that pictures are taken to have until theirs is known: halvings of the raw bytes, and points. Kodak, the
+/// means of twelve pictures from 20 on; pictures differ by a shift along the first axis for the most part. `cargo run
+/// --release -p ssplat-lab --example rate_distortion -- KODAK` measures it.
 const TYPICAL_CURVE: [[f64; 2]; 10] = [
     [0.5, 100.0],
     [1.5, 97.0],

@@ -1,8 +1,8 @@
 //! Bracketed search for the smallest file that reaches a score.
 //!
 //! Sizes are binary logarithms of bytes per raw byte. Scores are decibels or points; they grow with the size, with some
-//! scatter from fit to fit. The bracket is the smallest file that reached the score and the largest smaller file that did
-//! not.
+//! scatter from fit to fit. The bracket is the smallest file that reached the score and the largest smaller file that
+//! did not.
 
 /// How the score of a typical picture grows with the size of its file.
 pub(super) trait Curve {
@@ -125,7 +125,8 @@ mod tests {
 
     const SIZES: [f64; 2] = [-9.0, 1.0];
 
-    /// Searches pictures whose score is `score` of the size; returns the sizes that were tried, and the smallest good one.
+    /// Searches pictures whose score is `score` of the size; returns the sizes that were tried, and the smallest good
+    /// one.
     fn search(wanted: f64, score: impl Fn(f64) -> f64) -> (Vec<f64>, Option<f64>) {
         let mut search = Search::new(Straight, Aim { enough: wanted, aim: wanted + 0.05, sizes: SIZES, tries: 8 });
         let mut tried = Vec::new();

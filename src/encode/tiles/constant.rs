@@ -6,8 +6,8 @@ use crate::error::Result;
 use crate::fit::model::objective::planes::Planes;
 use crate::pixel_source::PixelSource;
 
-/// Returns the colour of a picture whose pixels are all the same. Reads `tiles`, which make up the picture of `source`, until
-/// two pixels differ. `show` is told the share that is done.
+/// Returns the colour of a picture whose pixels are all the same. Reads `tiles`, which make up the picture of `source`,
+/// until two pixels differ. `show` is told the share that is done.
 pub(super) fn color(
     source: &dyn PixelSource,
     tiles: &[Window],

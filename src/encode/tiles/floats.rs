@@ -22,8 +22,8 @@ use crate::fit::schedule;
 use crate::fit::state::State;
 use crate::round::rounded::Rounded;
 
-/// Share of the iterations in which each tile is fitted by itself. Then nothing is relocated any more where primitives are
-/// many, and steps are still long enough to close the seams.
+/// Share of the iterations in which each tile is fitted by itself. Then nothing is relocated any more where primitives
+/// are many, and steps are still long enough to close the seams.
 pub(super) const ALONE: f32 = 0.5;
 /// The passes after that: up to which share of the iterations, and where their tiles lie.
 pub(super) const JOINED: [(f32, Shift); 3] = [(0.7, Shift::Half), (0.85, Shift::None), (1.0, Shift::Half)];

@@ -22,8 +22,8 @@ impl Area {
         self.corner.map(|v| v as f32)
     }
 
-    /// Returns left, top, width and height of a part of the picture in coordinates of this one; beyond any picture where it
-    /// begins before this one.
+    /// Returns left, top, width and height of a part of the picture in coordinates of this one; beyond any picture
+    /// where it begins before this one.
     pub(super) fn inward(&self, [x, y, width, height]: [u32; 4]) -> [u32; 4] {
         let local = |v: u32, k: usize| v.checked_sub(self.corner[k]).unwrap_or(u32::MAX);
         [local(x, 0), local(y, 1), width, height]

@@ -60,8 +60,8 @@ impl<'a> Part<'a> {
         Ok(error_within(&problem, &descent.seen(&self.splats.gaussians), self.window.own(), Output::Gradient))
     }
 
-    /// Sweeps once over the integers, where a bit must save `lambda` of the squared error. The error that is returned is weighted
-    /// as it is fitted.
+    /// Sweeps once over the integers, where a bit must save `lambda` of the squared error. The error that is returned
+    /// is weighted as it is fitted.
     pub(super) fn sweep(mut self, lambda: f64) -> Result<TileResult<PackedGaussian>> {
         let target = self.global.planes(&self.window.seen)?;
         let problem = Problem { scene: self.scene(), target: &target };

@@ -68,8 +68,8 @@ use wire::{PendingTile, WireFormat};
 pub(super) const TILE_SIDES: std::ops::RangeInclusive<u32> = 2 * UNIT..=1 << 14;
 /// Width of the margin around a tile, in scales of a typical primitive.
 const MARGIN_SCALES: f64 = 12.0;
-/// Tiles that are worked on at a time, where there are as many threads. Each takes memory: tiles of a smaller side than the default's, which
-/// are asked for to save it, are worked on one by one.
+/// Tiles that are worked on at a time, where there are as many threads. Each takes memory: tiles of a smaller side than
+/// the default's, which are asked for to save it, are worked on one by one.
 const MAX_CONCURRENT: usize = 4;
 /// Share of the primitives that may change their tile at once.
 const MAX_SWAPPED: f64 = 0.2;
@@ -286,8 +286,8 @@ impl TiledSession<'_, '_, '_> {
         Ok(base)
     }
 
-    /// Fits about `count` Gaussians and rounds them to a file of `size`, or where a layer is to follow to one that is no larger than
-    /// `limit`. The fit may take `time`.
+    /// Fits about `count` Gaussians and rounds them to a file of `size`, or where a layer is to follow to one that is
+    /// no larger than `limit`. The fit may take `time`.
     fn gaussians(&mut self, count: usize, [size, limit]: [Size; 2], time: Option<Duration>) -> Result<Outcome> {
         let clock = self.report.seconds();
         let has_layer = size != limit;
@@ -386,7 +386,8 @@ impl ProgressRange {
 }
 
 impl TiledFit<'_, '_, '_, '_, '_> {
-    /// Has `work` done for every window of a pass in turns. Returns others that would help, and the squared error of all tiles.
+    /// Has `work` done for every window of a pass in turns. Returns others that would help, and the squared error of
+    /// all tiles.
     fn pass<T: WireFormat>(
         &mut self,
         (stretch, shift): (ProgressRange, Shift),

@@ -154,8 +154,8 @@ impl<'a, T: Copy> Mosaic<'a, T> {
         }
     }
 
-    /// Brings the number to about `wanted`: takes away those that cost least, adds those of `others` that bring most. As long
-    /// as another brings more than one costs, at most `swaps` more change places.
+    /// Brings the number to about `wanted`: takes away those that cost least, adds those of `others` that bring most.
+    /// As long as another brings more than one costs, at most `swaps` more change places.
     pub(super) fn balance(&mut self, mut others: Vec<Placed<T>>, wanted: usize, swaps: usize) {
         let have = self.count();
         others.sort_by(|a, b| b.cost.total_cmp(&a.cost));

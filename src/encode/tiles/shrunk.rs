@@ -71,7 +71,8 @@ impl PixelSource for Shrunk<'_> {
     }
 }
 
-/// Returns the means of squares of `by` pixels a side, rounded; colours count by their opacity, unless hidden ones are kept.
+/// Returns the means of squares of `by` pixels a side, rounded; colours count by their opacity, unless hidden ones are
+/// kept.
 fn means<T: Copy + Into<u64>>(
     samples: &[T],
     pixels: &Pixels,
@@ -82,7 +83,8 @@ fn means<T: Copy + Into<u64>>(
     let [width, height] = [pixels.width(), pixels.height()].map(|v| v as usize);
     let (count, alpha) = (channels.count(), channels.alpha().filter(|_| hidden == HiddenColors::Continue));
     let mut out = Vec::with_capacity(width.div_ceil(by) * height.div_ceil(by) * count);
-    // For each column of squares: the sum of each channel times its weight, then the sums of the weights of colours and of pixels.
+    // For each column of squares: the sum of each channel times its weight, then the sums of the weights of colours and
+    // of pixels.
     let mut sums = vec![[0u64; 6]; width.div_ceil(by)];
     for rows in samples.chunks(width * count * by) {
         sums.fill([0; 6]);

@@ -27,8 +27,8 @@ pub(super) enum IntegerWork {
     Sweep(f64),
 }
 
-/// Primitives that can be worked on. What comes of it follows from the whole, the window, the work and the primitives alone,
-/// wherever it is done.
+/// Primitives that can be worked on. What comes of it follows from the whole, the window, the work and the primitives
+/// alone, wherever it is done.
 pub(super) trait Worked: Copy + Send {
     /// Kinds of work on these primitives.
     type Work: Copy + Sync;

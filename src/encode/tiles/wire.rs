@@ -1,8 +1,8 @@
-//! The work on a tile as bytes, and what came of it as bytes: for workers elsewhere. Little-endian; of one version of the
-//! crate, whose number both name.
+//! The work on a tile as bytes, and what came of it as bytes: for workers elsewhere. Little-endian; of one version of
+//! the crate, whose number both name.
 //!
-//! Bytes may come from strangers: a task holds no more than its own length backs, and what an answer says is checked like a
-//! file's contents.
+//! Bytes may come from strangers: a task holds no more than its own length backs, and what an answer says is checked
+//! like a file's contents.
 
 use std::ops::ControlFlow;
 
@@ -355,7 +355,8 @@ fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Res
     let count = count as usize;
     let seed = u64::from_le_bytes(bytes.array("seed")?);
     let enough = f64_of(bytes, "enough")?;
-    // Whether bits have a price, whether a layer comes on top, whether hidden colours count, and whether there is a budget of time.
+    // Whether bits have a price, whether a layer comes on top, whether hidden colours count, and whether there is a
+    // budget of time.
     let [is_priced, is_base, keeps_hidden, is_timed] = match bytes.array("flags")? {
         [flags @ 0..=15] => [0, 1, 2, 3].map(|k| flags >> k & 1 != 0),
         [other] => return Err(refused("flags", other.into())),

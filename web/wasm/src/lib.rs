@@ -1,8 +1,9 @@
 //! Functions for JavaScript: bytes in; pixels, Gaussians, facts or an error's text out. `web/machine.js` is the other
 //! side.
 //!
-//! A call fills what [`input`] gave, asks with [`header`], [`decode`], [`gaussians`] or [`info`], and reads the pieces and the
-//! numbers of the answer if it is 0. Otherwise the answer is the kind of the error, and the first piece its words in UTF-8.
+//! A call fills what [`input`] gave, asks with [`header`], [`decode`], [`gaussians`] or [`info`], and reads the pieces
+//! and the numbers of the answer if it is 0. Otherwise the answer is the kind of the error, and the first piece its
+//! words in UTF-8.
 //!
 //! No pointer is read here: those that go out are only JavaScript's to follow. The one thing that Rust calls unsafe is
 //! that functions are exported by their names, which might clash with another's; the linker of one module would say so.
@@ -26,7 +27,8 @@ struct Desk {
 
 /// Answer of a call. The pieces are: pixels, Gaussians, JSON, a thumbnail or a text; the ICC profile; the EXIF block;
 /// the bits of each Gaussian. The numbers are: width, height, channels, depth in bits, primitives, orientation as EXIF
-/// counts it, missing primitives, missing tiles of the detail layer, and 1 if the file is cut off or its checksum is wrong.
+/// counts it, missing primitives, missing tiles of the detail layer, and 1 if the file is cut off or its checksum is
+/// wrong.
 #[derive(Default)]
 struct Answer {
     pieces: [Vec<u8>; 4],
@@ -37,7 +39,8 @@ thread_local! {
     static DESK: RefCell<Desk> = RefCell::default();
 }
 
-/// Makes room for a file of `length` bytes, forgets everything else, and says where the bytes go; 0 if there is no room.
+/// Makes room for a file of `length` bytes, forgets everything else, and says where the bytes go; 0 if there is no
+/// room.
 #[unsafe(no_mangle)]
 pub extern "C" fn input(length: usize) -> *mut u8 {
     DESK.with_borrow_mut(|desk| {
@@ -88,7 +91,8 @@ pub extern "C" fn number(which: usize) -> u32 {
     DESK.with_borrow(|desk| desk.answer.numbers.get(which).copied().unwrap_or(0))
 }
 
-/// Reads the header, and thumbnail, ICC profile and EXIF block if there are any; of the file nothing more need be there.
+/// Reads the header, and thumbnail, ICC profile and EXIF block if there are any; of the file nothing more need be
+/// there.
 #[unsafe(no_mangle)]
 pub extern "C" fn header() -> u32 {
     answer(|input, limits| {
@@ -107,9 +111,10 @@ pub extern "C" fn header() -> u32 {
     })
 }
 
-/// Decodes the part of the picture at (`left`, `top`) to RGBA with 8 bits; a part of width 0 is the whole picture, and an
-/// output of width 0 has a pixel for each of the part's. An output of height 0 keeps the part's shape. `partial` other than
-/// 0 draws what is there of a damaged file. Of the layers 1 draws the Gaussians alone, 2 the detail alone, all else both.
+/// Decodes the part of the picture at (`left`, `top`) to RGBA with 8 bits; a part of width 0 is the whole picture, and
+/// an output of width 0 has a pixel for each of the part's. An output of height 0 keeps the part's shape. `partial`
+/// other than 0 draws what is there of a damaged file. Of the layers 1 draws the Gaussians alone, 2 the detail alone,
+/// all else both.
 #[unsafe(no_mangle)]
 pub extern "C" fn decode(
     left: u32,
@@ -170,8 +175,8 @@ pub extern "C" fn decode(
     })
 }
 
-/// All Gaussians: for each nine floats, which are the centre, the deviations along both axes, the rotation and four colour
-/// channels; behind them four floats of the background.
+/// All Gaussians: for each nine floats, which are the centre, the deviations along both axes, the rotation and four
+/// colour channels; behind them four floats of the background.
 #[unsafe(no_mangle)]
 pub extern "C" fn gaussians() -> u32 {
     answer(|input, limits| {
