@@ -1,0 +1,113 @@
+// What the plugins for bundlers share: an import such as "./photo.jpg?quality=70&ssplat" becomes a file in a cache, and the text of a module.
+import { createHash, randomUUID } from "node:crypto"
+import { mkdir, readFile, rename, rm, stat, writeFile } from "node:fs/promises"
+import { availableParallelism, totalmem } from "node:os"
+import { join, parse } from "node:path"
+import { SsplatError, encodeFile } from "./node.js"
+
+// A file can have one of these.
+const targets = ["ratio", "bytes", "psnr", "quality", "primitives"]
+const names = [...targets, "effort", "tune", "seed", "detail", "levels", "maxSide", "placeholder"]
+
+const fail = words => { throw new SsplatError("parameter", words) }
+const known = name => names.includes(name) || fail(`no option is called ${name}; there are ${names.join(", ")}`)
+
+// The path and the query of a module's name, if it asks for a .ssplat file.
+export function split(id) {
+  const at = id.indexOf("?"), query = at < 0 ? "" : id.slice(at + 1)
+  return new URLSearchParams(query).has("ssplat") ? { path: id.slice(0, at), query } : undefined
+}
+
+// The options of a plugin: `cacheDir`, and what is asked of every picture whose import does not say otherwise.
+export function settingsOf({ cacheDir, ...defaults } = {}) {
+  Object.keys(defaults).forEach(known)
+  return { cacheDir, defaults }
+}
+
+// The options of one import. A target in the query takes the place of that of the plugin.
+function optionsOf(query, defaults) {
+  const given = {}
+  for (const [name, value] of new URLSearchParams(query)) {
+    if (name == "ssplat") continue
+    known(name)
+    if (Object.hasOwn(given, name)) fail(`${name} is given twice`)
+    if (!value.trim()) fail(`${name} has no value`)
+    given[name] = Number.isNaN(Number(value)) ? value : Number(value)
+  }
+  const rest = Object.entries(defaults).filter(([name]) => !(targets.includes(name) && targets.some(target => Object.hasOwn(given, target))))
+  return { ...Object.fromEntries(rest), ...given }
+}
+
+// Encodes take turns: each has a thread of its own, and up to some GiB of memory for a large photograph.
+const maxRunning = Math.max(1, Math.min(availableParallelism(), Math.floor(totalmem() / 2 ** 31)))
+const waiting = []
+let running = 0
+async function inTurn(work) {
+  if (running < maxRunning) running++
+  else await new Promise(resolve => waiting.push(resolve))
+  try {
+    return await work()
+  } finally {
+    if (waiting.length) waiting.shift()()
+    else running--
+  }
+}
+
+let version
+const packageVersion = () => version ??= readFile(new URL("./package.json", import.meta.url), "utf8").then(text => JSON.parse(text).version)
+
+// What the cache has under a key; nothing if a part of it is missing.
+async function cached(folder, name) {
+  try {
+    const facts = JSON.parse(await readFile(join(folder, "facts.json"), "utf8")), file = join(folder, name)
+    return (await stat(file)).size == facts.bytes ? { file, ...facts } : undefined
+  } catch {
+    return undefined
+  }
+}
+
+// Encodes into a folder of its own and then gives it its name, so that other processes see all of it or nothing.
+async function encodeInto(folder, name, content, options) {
+  const { bytes, width, height, placeholder, report } = await inTurn(() => encodeFile(content, options))
+  const facts = { bytes: bytes.length, width, height, placeholder, report }, draft = `${folder}-${randomUUID()}`
+  await mkdir(draft, { recursive: true })
+  try {
+    await writeFile(join(draft, name), bytes)
+    await writeFile(join(draft, "facts.json"), JSON.stringify(facts))
+    // What is there is incomplete, or another process was faster with the same.
+    if (!await cached(folder, name)) {
+      await rm(folder, { recursive: true, force: true })
+      await rename(draft, folder).catch(async error => { if (!await cached(folder, name)) throw error })
+    }
+  } finally {
+    await rm(draft, { recursive: true, force: true })
+  }
+  return { file: join(folder, name), ...facts }
+}
+
+const underway = new Map()
+
+// The .ssplat file of an import, in the cache: { file, bytes, width, height, placeholder }. `onEncoded` is told of what had to be encoded.
+export async function importPicture(path, query, { cacheDir, defaults }, onEncoded) {
+  try {
+    const options = optionsOf(query, defaults), content = await readFile(path), name = `${parse(path).name}.ssplat`
+    const asked = JSON.stringify([await packageVersion(), name, Object.entries(options).sort(([a], [b]) => a < b ? -1 : 1)])
+    const folder = join(cacheDir, createHash("sha256").update(asked).update(content).digest("hex").slice(0, 32))
+    const found = await cached(folder, name)
+    if (found) return found
+    // Another import may have begun the same meanwhile.
+    if (underway.has(folder)) return await underway.get(folder)
+    underway.set(folder, encodeInto(folder, name, content, options).finally(() => underway.delete(folder)))
+    const made = await underway.get(folder)
+    onEncoded(`${path}: ${made.width} × ${made.height} pixels in ${made.bytes} bytes, ${made.report.seconds.toFixed(1)} s`)
+    return made
+  } catch (error) {
+    // An option names the import, which says it; everything else names the file.
+    const place = `${path}${error.kind == "parameter" ? `?${query}` : ""}`
+    throw error instanceof SsplatError ? new SsplatError(error.kind, `${place}: ${error.message.replace(/^the picture: /, "")}`) : error
+  }
+}
+
+// The module that an import gets. `source` is an expression, after `head`.
+export const moduleText = (head, source, { width, height, placeholder }) =>
+  `${head}\nexport default { src: ${source}, width: ${width}, height: ${height}, placeholder: ${JSON.stringify(placeholder)} }\n`

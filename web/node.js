@@ -1,0 +1,31 @@
+// Picture files to .ssplat files in Node.js: `sharp` reads them, encode.js encodes.
+import { SsplatError, encode, optionNames } from "./encode.js"
+import { readPicture } from "./read-picture.js"
+
+export { SsplatError }
+
+// What the picture file says itself.
+const fromFile = ["icc", "exif", "orientation"]
+const names = [...optionNames.filter(name => !fromFile.includes(name)), "maxSide", "placeholder"]
+// Most bytes of a placeholder that placeholder.js reads.
+const maxPlaceholder = 1 << 14
+// WebAssembly's address space: a build may take what a page may not.
+const address = 2 ** 32
+const bad = words => { throw new SsplatError("parameter", words) }
+
+const whole = (name, value, least, most) => Number.isInteger(value) && value >= least && value <= most ? value : bad(`${name} is ${value}, not an integer from ${least} to ${most}`)
+
+// Encodes a picture file, or the bytes of one. Its pixels are turned upright by the EXIF orientation.
+export async function encodeFile(input, options = {}) {
+  if (typeof input != "string" && !(input instanceof URL) && !(input instanceof Uint8Array)) bad("the picture is neither a path, a URL of a file nor a Uint8Array")
+  for (const name of Object.keys(options)) if (!names.includes(name)) bad(`no option is called ${name}; there are ${names.join(", ")}`)
+  const { maxSide, placeholder = 300, ...rest } = options, settings = { ...rest, limits: { alloc: address, ...rest.limits } }
+  if (maxSide != null) whole("maxSide", maxSide, 1, 2 ** 20)
+  whole("placeholder", placeholder, 0, maxPlaceholder)
+  const { pixels, icc, small } = await readPicture(input, maxSide)
+  const { bytes, report } = await encode(pixels, { ...settings, icc })
+  const { effort, limits, worker, module, signal } = settings
+  // placeholder.js knows Gaussians only.
+  const tiny = placeholder ? (await encode(await small(), { bytes: placeholder, detail: "off", effort, limits, worker, module, signal })).bytes : undefined
+  return { bytes, width: pixels.width, height: pixels.height, placeholder: tiny ? `data:image/x-ssplat;base64,${Buffer.from(tiny).toString("base64")}` : "", report }
+}
