@@ -102,8 +102,8 @@ export async function importPicture(path, query, { cacheDir, defaults }, onEncod
     onEncoded(`${path}: ${made.width} × ${made.height} pixels in ${made.bytes} bytes, ${made.report.seconds.toFixed(1)} s`)
     return made
   } catch (error) {
-    // An option names the import, which says it; everything else names the file.
-    const place = `${path}${error.kind == "parameter" ? `?${query}` : ""}`
+    // A wrong option is in the query; what else goes wrong is in the file.
+    const place = ["parameter", "size"].includes(error.kind) ? `${path}?${query}` : path
     throw error instanceof SsplatError ? new SsplatError(error.kind, `${place}: ${error.message.replace(/^the picture: /, "")}`) : error
   }
 }

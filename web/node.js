@@ -15,6 +15,17 @@ const bad = words => { throw new SsplatError("parameter", words) }
 
 const whole = (name, value, least, most) => Number.isInteger(value) && value >= least && value <= most ? value : bad(`${name} is ${value}, not an integer from ${least} to ${most}`)
 
+// A data URI of a file of at most `most` bytes.
+async function placeholderOf(pixels, most, { effort, limits, worker, module, signal }) {
+  try {
+    // placeholder.js knows Gaussians only.
+    const { bytes } = await encode(pixels, { bytes: most, detail: "off", effort, limits, worker, module, signal })
+    return `data:image/x-ssplat;base64,${Buffer.from(bytes).toString("base64")}`
+  } catch (error) {
+    throw error.kind == "size" ? new SsplatError("size", `placeholder: ${error.message}`) : error
+  }
+}
+
 // Encodes a picture file, or the bytes of one. Its pixels are turned upright by the EXIF orientation.
 export async function encodeFile(input, options = {}) {
   if (typeof input != "string" && !(input instanceof URL) && !(input instanceof Uint8Array)) bad("the picture is neither a path, a URL of a file nor a Uint8Array")
@@ -24,8 +35,6 @@ export async function encodeFile(input, options = {}) {
   whole("placeholder", placeholder, 0, maxPlaceholder)
   const { pixels, icc, small } = await readPicture(input, maxSide)
   const { bytes, report } = await encode(pixels, { ...settings, icc })
-  const { effort, limits, worker, module, signal } = settings
-  // placeholder.js knows Gaussians only.
-  const tiny = placeholder ? (await encode(await small(), { bytes: placeholder, detail: "off", effort, limits, worker, module, signal })).bytes : undefined
-  return { bytes, width: pixels.width, height: pixels.height, placeholder: tiny ? `data:image/x-ssplat;base64,${Buffer.from(tiny).toString("base64")}` : "", report }
+  const uri = placeholder ? await placeholderOf(await small(), placeholder, settings) : ""
+  return { bytes, width: pixels.width, height: pixels.height, placeholder: uri, report }
 }

@@ -3,7 +3,7 @@ import { mkdtemp, readFile, rm, writeFile } from "node:fs/promises"
 import { createRequire } from "node:module"
 import { tmpdir } from "node:os"
 import { join, resolve } from "node:path"
-import { fileURLToPath, pathToFileURL } from "node:url"
+import { fileURLToPath } from "node:url"
 import { SsplatError } from "./error.js"
 
 // Pixels along the longer side that placeholders are made from, as by `ssplat placeholder`.
@@ -16,10 +16,10 @@ const gridSteps = 17
 let loaded
 // `sharp` beside this package, or beside the project that is built: a linked package finds only its own dependencies.
 function loadSharp() {
-  loaded ??= import("sharp").catch(async error => {
+  loaded ??= import("sharp").then(({ default: sharp }) => sharp, error => {
     if (error.code != "ERR_MODULE_NOT_FOUND") throw error
-    return import(pathToFileURL(createRequire(resolve("package.json")).resolve("sharp")).href)
-  }).then(({ default: sharp }) => sharp)
+    return createRequire(resolve("package.json"))("sharp")
+  })
   return loaded.catch(error => {
     loaded = undefined
     const isMissing = error.code == "ERR_MODULE_NOT_FOUND" || error.code == "MODULE_NOT_FOUND"

@@ -2,7 +2,13 @@ import type { ImportOptions, PluginOptions } from "./import-picture.js"
 
 export type { ImportOptions, PluginOptions }
 /** The options of the loader. */
-export type LoaderOptions = PluginOptions
+export interface LoaderOptions extends PluginOptions {
+  /**
+   * "inline", the default, makes the .ssplat files assets by itself; "rules" leaves that to a rule of the configuration, such as
+   * `{ test: /\.ssplat$/, type: "asset/resource" }`.
+   */
+  assets?: "inline" | "rules"
+}
 
 /** Whether the loader takes bytes. */
 export const raw: true

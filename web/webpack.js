@@ -1,5 +1,7 @@
 // The loader for webpack, and for Turbopack in Next.js: { resourceQuery: /[?&]ssplat/, loader: "ssplat/webpack" }
-import { dirname, join, relative, resolve } from "node:path"
+import { readFile } from "node:fs/promises"
+import { basename, dirname, join, relative, resolve } from "node:path"
+import { SsplatError } from "./error.js"
 import { importPicture, moduleText, settingsOf } from "./import-picture.js"
 
 // The picture is read here; nothing before this loader makes text of it.
@@ -11,17 +13,26 @@ function specifier(file, picture) {
   return path.startsWith(".") ? path : `./${path}`
 }
 
+// By default webpack emits a file of the cache as an asset, whatever its rules say. Turbopack sees no files that appear while it runs;
+// there this loader is asked once more, for the bytes.
+function sourceOf(file, assets, { webpack, resourcePath, resourceQuery }) {
+  if (!webpack) return `./${basename(resourcePath)}${resourceQuery.replace(/([?&])ssplat(?=&|$)/, "$1ssplat=file")}`
+  const path = specifier(file, resourcePath)
+  return assets == "rules" ? path : `${path}.webpack[asset/resource]!=!${path}`
+}
+
 async function load(context) {
-  const settings = settingsOf(context.getOptions()), root = context.rootContext ?? process.cwd()
+  const { assets = "inline", ...options } = context.getOptions()
+  if (!["inline", "rules"].includes(assets)) throw new SsplatError("parameter", `assets is ${assets}, neither inline nor rules`)
+  const settings = settingsOf(options), root = context.rootContext ?? process.cwd()
   settings.cacheDir = resolve(root, settings.cacheDir ?? join("node_modules", ".cache", "ssplat"))
-  const picture = await importPicture(context.resourcePath, context.resourceQuery.slice(1), settings, words => context.getLogger?.("ssplat").info(words))
-  const path = specifier(picture.file, context.resourcePath)
-  // webpack emits the file as an asset whatever its rules say; Turbopack has a rule for it.
-  const request = context.webpack ? `${path}.webpack[asset/resource]!=!${path}` : path
-  return moduleText(`import src from ${JSON.stringify(request)}`, "src", picture)
+  const query = context.resourceQuery.slice(1)
+  const picture = await importPicture(context.resourcePath, query, settings, words => context.getLogger?.("ssplat").info(words))
+  if (new URLSearchParams(query).get("ssplat") == "file") return readFile(picture.file)
+  return moduleText(`import src from ${JSON.stringify(sourceOf(picture.file, assets, context))}`, "src", picture)
 }
 
 export default function () {
   const done = this.async()
-  load(this).then(text => done(null, text), done)
+  load(this).then(result => done(null, result), done)
 }

@@ -1,0 +1,37 @@
+// The imports "./photo.jpg?ssplat" in Next.js, by Turbopack or webpack: export default withSsplat({ …the configuration… })
+import { settingsOf } from "./import-picture.js"
+
+const pictures = "*.{jpg,jpeg,png,webp,avif,tif,tiff,gif,svg}"
+const imports = /[?&]ssplat(&|$)/, files = /[?&]ssplat=file(&|$)/
+const loader = "ssplat/webpack"
+
+function turbopackRules(rules, options) {
+  const loaders = [{ loader, options }], former = rules[pictures] ?? []
+  return {
+    ...rules,
+    [pictures]: [
+      { condition: { query: imports }, loaders, as: "*.js" },
+      { condition: { query: files }, loaders, as: "*.ssplat" },
+      ...Array.isArray(former) ? former : [former],
+    ],
+    "*.ssplat": { type: "asset" },
+  }
+}
+
+// Adds the loader to a configuration of Next.js. `options` are those of the plugins.
+export function withSsplat(config = {}, options = {}) {
+  settingsOf(options)
+  return {
+    ...config,
+    turbopack: { ...config.turbopack, rules: turbopackRules(config.turbopack?.rules ?? {}, options) },
+    webpack(given, context) {
+      const { module, ...rest } = config.webpack?.(given, context) ?? given
+      // The loader of Next.js for all pictures is to leave these alone.
+      const rules = module.rules.map(rule => rule?.loader == "next-image-loader" ? { ...rule, resourceQuery: { not: [...rule.resourceQuery?.not ?? [], imports] } } : rule)
+      // A server's compiler emits what browsers fetch into the folder of the client's, relative to its own.
+      const outputPath = !context.isServer ? "" : context.dev || context.nextRuntime == "edge" ? "../" : "../../"
+      const asset = { test: /\.ssplat$/, type: "asset/resource", generator: { filename: "static/media/[name].[hash:8][ext]", outputPath } }
+      return { ...rest, module: { ...module, rules: [...rules, asset, { resourceQuery: imports, type: "javascript/auto", loader, options: { ...options, assets: "rules" } }] } }
+    },
+  }
+}
