@@ -12,10 +12,13 @@ const names = [...targets, "effort", "tune", "seed", "detail", "levels", "maxSid
 const fail = words => { throw new SsplatError("parameter", words) }
 const known = name => names.includes(name) || fail(`no option is called ${name}; there are ${names.join(", ")}`)
 
+// The names of modules that are asked for as .ssplat files.
+export const imports = /[?&]ssplat(&|$)/
+
 // The path and the query of a module's name, if it asks for a .ssplat file.
 export function split(id) {
-  const at = id.indexOf("?"), query = at < 0 ? "" : id.slice(at + 1)
-  return new URLSearchParams(query).has("ssplat") ? { path: id.slice(0, at), query } : undefined
+  const at = id.indexOf("?")
+  return imports.test(id) ? { path: id.slice(0, at), query: id.slice(at + 1) } : undefined
 }
 
 // The options of a plugin: `cacheDir`, and what is asked of every picture whose import does not say otherwise.

@@ -1,8 +1,8 @@
 // The imports "./photo.jpg?ssplat" in Next.js, by Turbopack or webpack: export default withSsplat({ …the configuration… })
-import { settingsOf } from "./import-picture.js"
+import { imports, settingsOf } from "./import-picture.js"
 
 const pictures = "*.{jpg,jpeg,png,webp,avif,tif,tiff,gif,svg}"
-const imports = /[?&]ssplat(&|$)/, files = /[?&]ssplat=file(&|$)/
+const files = /[?&]ssplat=file(&|$)/
 const loader = "ssplat/webpack"
 
 function turbopackRules(rules, options) {

@@ -1,7 +1,7 @@
 // The plugin for Vite and Rollup: import photo from "./photo.jpg?ssplat"
 import { readFile } from "node:fs/promises"
 import { basename, join, resolve } from "node:path"
-import { importPicture, moduleText, settingsOf, split } from "./import-picture.js"
+import { importPicture, imports, moduleText, settingsOf, split } from "./import-picture.js"
 
 export default function ssplat(options) {
   const settings = settingsOf(options)
@@ -19,22 +19,28 @@ export default function ssplat(options) {
       config.server?.fs?.allow?.push(settings.cacheDir)
     },
 
-    async resolveId(id, importer) {
-      const asked = split(id), found = asked && await this.resolve(asked.path, importer, { skipSelf: true })
-      return found ? `${found.id}?${asked.query}` : null
+    resolveId: {
+      filter: { id: imports },
+      async handler(id, importer) {
+        const asked = split(id), found = asked && await this.resolve(asked.path, importer, { skipSelf: true })
+        return found ? `${found.id}?${asked.query}` : null
+      },
     },
 
-    async load(id) {
-      const asked = split(id)
-      if (!asked) return null
-      this.addWatchFile(asked.path)
-      settings.cacheDir ??= resolve("node_modules/.cache/ssplat")
-      const log = words => config ? config.logger.info(`ssplat: ${words}`) : this.info(words)
-      const picture = await importPicture(asked.path, asked.query, settings, log)
-      // Vite serves the file or emits it, as it does with every asset.
-      if (config) return moduleText(`import src from ${JSON.stringify(`${picture.file.replaceAll("\\", "/")}?url&no-inline`)}`, "src", picture)
-      const asset = this.emitFile({ type: "asset", name: basename(picture.file), source: await readFile(picture.file) })
-      return moduleText("", `import.meta.ROLLUP_FILE_URL_${asset}`, picture)
+    load: {
+      filter: { id: imports },
+      async handler(id) {
+        const asked = split(id)
+        if (!asked) return null
+        this.addWatchFile(asked.path)
+        settings.cacheDir ??= resolve("node_modules/.cache/ssplat")
+        const log = words => config ? config.logger.info(`ssplat: ${words}`) : this.info(words)
+        const picture = await importPicture(asked.path, asked.query, settings, log)
+        // Vite serves the file or emits it, as it does with every asset.
+        if (config) return moduleText(`import src from ${JSON.stringify(`${picture.file.replaceAll("\\", "/")}?url&no-inline`)}`, "src", picture)
+        const asset = this.emitFile({ type: "asset", name: basename(picture.file), source: await readFile(picture.file) })
+        return moduleText("", `import.meta.ROLLUP_FILE_URL_${asset}`, picture)
+      },
     },
   }
 }
