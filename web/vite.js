@@ -15,8 +15,6 @@ export default function ssplat(options) {
     configResolved(resolved) {
       config = resolved
       settings.cacheDir = resolve(config.root, settings.cacheDir ?? join(config.cacheDir, "ssplat"))
-      // The development server hands out what lies there.
-      config.server?.fs?.allow?.push(settings.cacheDir)
     },
 
     resolveId: {

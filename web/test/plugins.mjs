@@ -19,8 +19,8 @@ process.on("exit", () => rmSync(home, { recursive: true, force: true, maxRetries
 
 // Where each example has its cache and what it builds, and how it says what it has encoded.
 const examples = {
-  vite: { cache: "node_modules/.vite/ssplat", out: "dist", told: /ssplat: .*photo\.jpg: 192 × 128 pixels in \d+ bytes/g },
-  webpack: { cache: "node_modules/.cache/ssplat", out: "dist", told: /<i> .*photo\.jpg: 192 × 128 pixels in \d+ bytes/g },
+  vite: { cache: "node_modules/.vite/ssplat", out: "dist", told: /ssplat: .*photo\.jpg: 96 × 64 pixels in \d+ bytes/g },
+  webpack: { cache: "node_modules/.cache/ssplat", out: "dist", told: /<i> .*photo\.jpg: 96 × 64 pixels in \d+ bytes/g },
   next: { cache: "node_modules/.cache/ssplat", out: "out" },
 }
 const names = Object.keys(examples), folder = name => join(home, name)
@@ -33,7 +33,7 @@ await Promise.all(names.map(name => install(folder(name), join(home, filename)))
 const require = createRequire(join(folder("vite"), "package.json")), sharp = require("sharp")
 const installed = name => import(pathToFileURL(join(folder("vite"), "node_modules/ssplat", name)).href)
 const { encodeFile } = await installed("node.js"), { decode, header } = await installed("ssplat.js")
-for (const name of names) await sharp(new URL("tests/images/kodim15.png", root).pathname).resize(192).jpeg().toFile(join(folder(name), "photo.jpg"))
+for (const name of names) await sharp(new URL("tests/images/kodim15.png", root).pathname).resize(96).jpeg().toFile(join(folder(name), "photo.jpg"))
 
 mkdirSync(join(home, "files"))
 console.log(`encodeFile: ${await testEncodeFile({ home: join(home, "files"), program, encodeFile, sharp, decode, header })}`)
@@ -53,7 +53,7 @@ for (const name of names) {
   assert.equal(first.files.length, 2, `${name}: ${first.files.length} files`)
   for (const file of first.files) {
     const { width, height } = await decode(file)
-    assert.deepEqual([width, height], [192, 128], name)
+    assert.deepEqual([width, height], [96, 64], name)
   }
   assert(first.files.some(file => file.length > 2500 && file.length <= 3000), `${name}: no file of the 3000 bytes that were asked for`)
   if (told) assert.equal(first.said.match(told)?.length, 2, `${name}: ${first.said}`)
@@ -63,10 +63,11 @@ for (const name of names) {
   const second = await build(name)
   assert.deepEqual(second.files, first.files, `${name}: the second build has other files`)
   if (told) assert(!told.test(second.said), `${name}: the second build encodes: ${second.said}`)
-  rmSync(join(folder(name), cache), { recursive: true })
-  await assert.rejects(build(name), /photo\.jpg: pictures are read by the package sharp, which is not installed: npm install sharp/, `${name}: sharp is not missed`)
-  renameSync(`${sharps}-away`, sharps)
-  await build(name)
+  // One failure for each way to start a loader or a plugin; a build of Next.js takes long.
+  if (told) {
+    rmSync(join(folder(name), cache), { recursive: true })
+    await assert.rejects(npm(folder(name), "run", "build"), /photo\.jpg: pictures are read by the package sharp, which is not installed: npm install sharp/, `${name}: sharp is not missed`)
+  }
   console.log(`${name}: ${first.files.map(file => file.length).join(" and ")} bytes, and from the cache`)
 }
 // All bundlers give the same files.
@@ -85,7 +86,7 @@ const serve = async url => {
   if (path.endsWith(".ssplat")) await held
   return { body: readFileSync(path), headers: { "content-type": typeOf(path) } }
 }
-const pages = names.map(name => ({ name, url: `/${name}/index.html`, sizes: [[192, 128], [192, 128]] }))
+const pages = names.map(name => ({ name, url: `/${name}/index.html`, sizes: [[96, 64], [96, 64]] }))
 const answer = await inChromium(root, "/web/test/placeholder-page.js", pages, { serve })
 if (answer) {
   console.log(`Chromium: ${answer.words}`)

@@ -18,7 +18,7 @@ export async function test({ home, vite, program, installed }) {
   // Builds a module that exports the imports of `requests`; returns them with the emitted bytes.
   async function imported(requests, options) {
     writeFileSync(entry, requests.map((request, i) => `export { default as p${i} } from "${request}"`).join("\n"))
-    const [{ output }] = [await build({ ...config(options), build: { write: false, lib: { entry, formats: ["es"] } } })].flat()
+    const [{ output }] = [await build({ ...config(options), build: { write: false, lib: { entry, formats: ["es"] }, rollupOptions: { output: { assetFileNames: "[name]-[hash][extname]" } } } })].flat()
     const path = join(home, `built-${Math.random()}.mjs`)
     writeFileSync(path, output.find(file => file.type == "chunk").code)
     const pictures = Object.values(await import(pathToFileURL(path).href)), assets = output.filter(file => file.type == "asset")
@@ -73,8 +73,9 @@ export async function test({ home, vite, program, installed }) {
   await fails("./text.jpg?ssplat", /text\.jpg: .*unsupported/)
   await fails("./missing.jpg?ssplat", /missing\.jpg/)
 
-  // The development server: files are served below its base, and a picture that changes is encoded again.
-  const server = await createServer({ ...config({ effort: 1 }), base: "/base/", server: { host: "127.0.0.1", ws: false } })
+  // The development server: files are served below its base, also from a cache outside the project, and a picture that changes is encoded again.
+  const outside = `${home}-outside`
+  const server = await createServer({ ...config({ effort: 1, cacheDir: outside }), base: "/base/", server: { host: "127.0.0.1", ws: false } })
   try {
     await server.listen()
     const origin = `http://127.0.0.1:${server.httpServer.address().port}`
@@ -96,7 +97,7 @@ export async function test({ home, vite, program, installed }) {
     assert(Buffer.compare(native(["--effort", "1"]), after) == 0, "a picture that changed is served as it was")
   } finally {
     await server.close()
-    rmSync(cacheDir, { recursive: true })
+    for (const cache of [cacheDir, outside]) rmSync(cache, { recursive: true })
   }
   return "options, errors, cache and server"
 }
