@@ -2,7 +2,7 @@
 import { createHash, randomUUID } from "node:crypto"
 import { mkdir, readFile, rename, rm, stat, writeFile } from "node:fs/promises"
 import { availableParallelism, totalmem } from "node:os"
-import { join, parse } from "node:path"
+import { join, parse, relative } from "node:path"
 import { SsplatError, encodeFile } from "./node.js"
 
 // A file can have one of these.
@@ -90,8 +90,8 @@ async function encodeInto(folder, name, content, options) {
 
 const underway = new Map()
 
-// The .ssplat file of an import, in the cache: { file, bytes, width, height, placeholder }. `onEncoded` is told of what had to be encoded.
-export async function importPicture(path, query, { cacheDir, defaults }, onEncoded) {
+// The .ssplat file of an import, in the cache: { file, bytes, width, height, placeholder }. `log` is told of what has to be encoded.
+export async function importPicture(path, query, { cacheDir, defaults }, log) {
   try {
     const options = optionsOf(query, defaults), content = await readFile(path), name = `${parse(path).name}.ssplat`
     const asked = JSON.stringify([await packageVersion(), name, Object.entries(options).sort(([a], [b]) => a < b ? -1 : 1)])
@@ -100,9 +100,11 @@ export async function importPicture(path, query, { cacheDir, defaults }, onEncod
     if (found) return found
     // Another import may have begun the same meanwhile.
     if (underway.has(folder)) return await underway.get(folder)
+    const shown = relative(process.cwd(), path)
+    log(`${shown}: encoding`)
     underway.set(folder, encodeInto(folder, name, content, options).finally(() => underway.delete(folder)))
     const made = await underway.get(folder)
-    onEncoded(`${path}: ${made.width} × ${made.height} pixels in ${made.bytes} bytes, ${made.report.seconds.toFixed(1)} s`)
+    log(`${shown}: ${made.width} × ${made.height} pixels in ${made.bytes} bytes, ${made.report.seconds.toFixed(1)} s`)
     return made
   } catch (error) {
     // A wrong option is in the query; what else goes wrong is in the file.

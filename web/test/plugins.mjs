@@ -1,6 +1,6 @@
-// The plugins for bundlers and `encodeFile`, from the packed package: node web/test/plugins.mjs [PROGRAM]
+// The plugins for bundlers and `encodeFile`, from the packed package: node web/test/plugins.mjs [--all] [PROGRAM]
 // The examples for Vite, webpack and Next.js are installed and built twice, the second time without sharp, and shown in Chromium.
-// PROGRAM is the native `ssplat`, whose bytes the files must have; without it, target/release/ssplat.
+// With --all Next.js is built by webpack as well. PROGRAM is the native `ssplat`, whose bytes the files must have; without it, target/release/ssplat.
 // With SSPLAT_REQUIRE_BROWSER=1 a missing Chromium is a failure, otherwise the browser is named as skipped.
 import assert from "node:assert/strict"
 import { cpSync, existsSync, mkdirSync, mkdtempSync, readFileSync, readdirSync, renameSync, rmSync, writeFileSync } from "node:fs"
@@ -13,7 +13,8 @@ import { test as testEncodeFile } from "./encode-file.js"
 import { install, npm, pack } from "./packed.js"
 import { test as testVite } from "./vite-plugin.js"
 
-const root = new URL("../../", import.meta.url), program = process.argv[2] ?? new URL("target/release/ssplat", root).pathname
+const root = new URL("../../", import.meta.url), isAll = process.argv.includes("--all")
+const program = process.argv.slice(2).find(word => word != "--all") ?? new URL("target/release/ssplat", root).pathname
 const home = mkdtempSync(join(tmpdir(), "ssplat-plugins-"))
 process.on("exit", () => rmSync(home, { recursive: true, force: true, maxRetries: 20, retryDelay: 250 }))
 
@@ -29,6 +30,7 @@ const filesIn = (path, end) => readdirSync(path, { recursive: true }).filter(fil
 const { filename } = await pack(home)
 for (const name of names) cpSync(new URL(`web/examples/${name}/`, root), folder(name), { recursive: true, filter: path => !/node_modules|\/(out|dist|\.next)(\/|$)/.test(path) })
 await Promise.all(names.map(name => install(folder(name), join(home, filename))))
+await npm(folder("vite"), "install", "--no-audit", "--no-fund", "--no-save", "--no-package-lock", "rollup@4")
 
 const require = createRequire(join(folder("vite"), "package.json")), sharp = require("sharp")
 const installed = name => import(pathToFileURL(join(folder("vite"), "node_modules/ssplat", name)).href)
@@ -39,11 +41,11 @@ mkdirSync(join(home, "files"))
 console.log(`encodeFile: ${await testEncodeFile({ home: join(home, "files"), program, encodeFile, sharp, decode, header })}`)
 console.log(`vite-plugin: ${await testVite({ home: join(home, "files"), vite: folder("vite"), program, installed })}`)
 
-// Builds an example. Returns what was printed, and its .ssplat files by their bytes.
-async function build(name) {
+// Builds an example, with more words for its bundler. Returns what was printed, and its .ssplat files by their bytes.
+async function build(name, ...words) {
   const { out } = examples[name]
   for (const old of [out, ".next"]) rmSync(join(folder(name), old), { recursive: true, force: true })
-  const said = await npm(folder(name), "run", "build")
+  const said = await npm(folder(name), "run", "build", ...words)
   return { said, files: filesIn(join(folder(name), out), ".ssplat").map(file => readFileSync(file)).sort(Buffer.compare) }
 }
 
@@ -69,6 +71,10 @@ for (const name of names) {
     await assert.rejects(npm(folder(name), "run", "build"), /photo\.jpg: pictures are read by the package sharp, which is not installed: npm install sharp/, `${name}: sharp is not missed`)
   }
   console.log(`${name}: ${first.files.map(file => file.length).join(" and ")} bytes, and from the cache`)
+}
+if (isAll) {
+  rmSync(join(folder("next"), examples.next.cache), { recursive: true })
+  assert.equal((await build("next", "--", "--webpack")).files.length, 2)
 }
 // All bundlers give the same files.
 const built = names.map(name => filesIn(join(folder(name), examples[name].out), ".ssplat").map(file => readFileSync(file)).sort(Buffer.compare))

@@ -12,7 +12,7 @@ export async function test({ home, vite, program, installed }) {
   const { default: ssplat } = await installed("vite.js")
   const entry = join(home, "entry.js"), cacheDir = join(home, "cache"), encoded = []
   const customLogger = createLogger("silent")
-  customLogger.info = words => { if (words.startsWith("ssplat: ")) encoded.push(words) }
+  customLogger.info = words => { if (/^ssplat: .* pixels in /.test(words)) encoded.push(words) }
   const config = options => ({ root: home, configFile: false, logLevel: "silent", customLogger, cacheDir, plugins: [ssplat(options)] })
 
   // Builds a module that exports the imports of `requests`; returns them with the emitted bytes.
@@ -72,6 +72,14 @@ export async function test({ home, vite, program, installed }) {
   await fails("./cut.jpg?ssplat", /cut\.jpg: .*premature end/)
   await fails("./text.jpg?ssplat", /text\.jpg: .*unsupported/)
   await fails("./missing.jpg?ssplat", /missing\.jpg/)
+
+  // Rollup has no assets of its own: the plugin emits the file, and the module knows its URL.
+  const { rollup } = await import(pathToFileURL(createRequire(join(vite, "package.json")).resolve("rollup")).href)
+  writeFileSync(entry, `export { default } from "./rgb.png?ssplat"`)
+  const bundle = await rollup({ input: entry, onLog() {}, plugins: [ssplat({ effort: 1, cacheDir })] })
+  const { output: [{ code }, asset] } = await bundle.generate({ format: "es" })
+  assert(/^assets\/rgb-[\w-]+\.ssplat$/.test(asset.fileName) && code.includes(`new URL('${asset.fileName}', import.meta.url).href`), code)
+  assert(Buffer.compare(native(["--effort", "1"]), asset.source) == 0, "Rollup emits other bytes than the program's")
 
   // The development server: files are served below its base, also from a cache outside the project, and a picture that changes is encoded again.
   const outside = `${home}-outside`
