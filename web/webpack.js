@@ -34,5 +34,6 @@ async function load(context) {
 
 export default function () {
   const done = this.async()
-  load(this).then(result => done(null, result), done)
+  // webpack keeps errors in its cache, and knows only those of the language.
+  load(this).then(result => done(null, result), error => done(error instanceof SsplatError ? new Error(error.message) : error))
 }

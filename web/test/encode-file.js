@@ -84,7 +84,7 @@ export async function test({ home, program, encodeFile, sharp, decode, header })
     assert(error.name == "SsplatError" && error.kind == kind && words.test(error.message), `${error.kind}: ${error.message}, not ${kind}: ${words}`)
     return true
   })
-  await fails("format", /cut\.jpg: .*premature end/, at("cut.jpg"))
+  await fails("format", /cut\.jpg: .*premature end/i, at("cut.jpg"))
   await fails("format", /text\.jpg: .*unsupported/, at("text.jpg"))
   await fails("format", /^the picture: /, Buffer.from("no picture"))
   await fails("parameter", /no option is called qualty; there are ratio, .*maxSide, placeholder$/, at("rgb.png"), { qualty: 70 })
