@@ -41,6 +41,9 @@ function optionsOf(query, defaults) {
   return { ...Object.fromEntries(rest), ...given }
 }
 
+// Characters that the URL of a file should not have.
+const unsafe = /[^\p{L}\p{N}._-]+/gu
+
 // Encodes take turns: each has a thread of its own, and up to some GiB of memory for a large photograph.
 const maxRunning = Math.max(1, Math.min(availableParallelism(), Math.floor(totalmem() / 2 ** 31)))
 const waiting = []
@@ -93,7 +96,7 @@ const underway = new Map()
 // The .ssplat file of an import, in the cache: { file, bytes, width, height, placeholder }. `log` is told of what has to be encoded.
 export async function importPicture(path, query, { cacheDir, defaults }, log) {
   try {
-    const options = optionsOf(query, defaults), content = await readFile(path), name = `${parse(path).name}.ssplat`
+    const options = optionsOf(query, defaults), content = await readFile(path), name = `${parse(path).name.replace(unsafe, "-")}.ssplat`
     const asked = JSON.stringify([await packageVersion(), name, Object.entries(options).sort(([a], [b]) => a < b ? -1 : 1)])
     const folder = join(cacheDir, createHash("sha256").update(asked).update(content).digest("hex").slice(0, 32))
     const found = await cached(folder, name)

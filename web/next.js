@@ -21,6 +21,7 @@ function turbopackRules(rules, options) {
 // Adds the loader to a configuration of Next.js. `options` are those of the plugins.
 export function withSsplat(config = {}, options = {}) {
   settingsOf(options)
+  if (typeof config == "function") return async (...words) => withSsplat(await config(...words), options)
   return {
     ...config,
     turbopack: { ...config.turbopack, rules: turbopackRules(config.turbopack?.rules ?? {}, options) },

@@ -41,6 +41,13 @@ mkdirSync(join(home, "files"))
 console.log(`encodeFile: ${await testEncodeFile({ home: join(home, "files"), program, encodeFile, sharp, decode, header })}`)
 console.log(`vite-plugin: ${await testVite({ home: join(home, "files"), vite: folder("vite"), program, installed })}`)
 
+// A configuration of Next.js stays what it is beside the loader's rules, also one that a function gives.
+const { withSsplat } = await installed("next.js")
+const configured = await withSsplat(async phase => ({ distDir: phase, turbopack: { rules: { "*.md": "some-loader" } }, webpack: () => ({ module: { rules: [{ loader: "next-image-loader", resourceQuery: { not: [/a/] } }] } }) }))("there")
+assert.deepEqual([configured.distDir, configured.turbopack.rules["*.md"]], ["there", "some-loader"])
+assert.deepEqual(configured.webpack({}, {}).module.rules[0].resourceQuery.not.map(String), ["/a/", "/[?&]ssplat(&|$)/"])
+assert.throws(() => withSsplat({}, { qualty: 70 }), /no option is called qualty/)
+
 // Builds an example, with more words for its bundler. Returns what was printed, and its .ssplat files by their bytes.
 async function build(name, ...words) {
   const { out } = examples[name]

@@ -22,7 +22,7 @@ export async function test({ home, vite, program, installed }) {
     const path = join(home, `built-${Math.random()}.mjs`)
     writeFileSync(path, output.find(file => file.type == "chunk").code)
     const pictures = Object.values(await import(pathToFileURL(path).href)), assets = output.filter(file => file.type == "asset")
-    return { assets, pictures: pictures.map(picture => ({ ...picture, bytes: assets.find(({ fileName }) => picture.src.endsWith(fileName))?.source })) }
+    return { assets, pictures: pictures.map(picture => ({ ...picture, bytes: assets.find(({ fileName }) => decodeURI(picture.src).endsWith(fileName))?.source })) }
   }
   const native = args => {
     execFileSync(program, ["encode", "--quiet", join(home, "rgb.png"), join(home, "native.ssplat"), ...args])
@@ -56,6 +56,12 @@ export async function test({ home, vite, program, installed }) {
   assert(Buffer.compare(native(["--effort", "1", "--bytes", "600"]), ofPlugin.bytes) == 0 && Buffer.compare(native(["--effort", "1", "--ratio", "30"]), ofQuery.bytes) == 0, "defaults are not kept")
   assert.equal(readdirSync(join(home, "other")).length, 2)
   assert.throws(() => ssplat({ qualty: 70 }), /no option is called qualty/)
+
+  // Any name of a picture gives a file with a name that is safe in a URL.
+  cpSync(join(home, "rgb.png"), join(home, "my photo 100% ü.png"))
+  const [named] = (await imported(["./my photo 100% ü.png?effort=1&ssplat"])).pictures
+  assert(Buffer.compare(other.bytes, named.bytes) == 0, named.src)
+  encoded.splice(0)
 
   const fails = (request, words) => assert.rejects(imported([request]), error => {
     assert(words.test(error.message), `${request}: ${error.message}`)
@@ -94,6 +100,7 @@ export async function test({ home, vite, program, installed }) {
       assert.equal(answer.status, 200, path)
       return Buffer.from(await answer.arrayBuffer())
     }
+    await ask("/my%20photo%20100%25%20%C3%BC.png?import&ssplat")
     const before = await ask("/rgb.png?import&ssplat")
     assert(Buffer.compare(native(["--effort", "1"]), before) == 0, "the server serves other bytes than the program's")
     cpSync(join(home, "grey.png"), join(home, "rgb.png"))
