@@ -1,33 +1,33 @@
-// What the plugins for bundlers share: an import such as "./photo.jpg?quality=70&ssplat" becomes a file in a cache, and the text of a module.
+// Shared core of the bundler plugins: turns an import such as "./photo.jpg?quality=70&ssplat" into a cached .ssplat file and the text of a module.
 import { createHash, randomUUID } from "node:crypto"
 import { mkdir, readFile, rename, rm, stat, writeFile } from "node:fs/promises"
 import { availableParallelism, totalmem } from "node:os"
 import { join, parse, relative } from "node:path"
 import { SsplatError, encodeFile } from "./node.js"
 
-// A file can have one of these.
+// Targets, which exclude each other.
 const targets = ["ratio", "bytes", "psnr", "quality", "primitives"]
 const names = [...targets, "effort", "tune", "seed", "detail", "levels", "maxSide", "placeholder"]
 
 const fail = words => { throw new SsplatError("parameter", words) }
 const known = name => names.includes(name) || fail(`no option is called ${name}; there are ${names.join(", ")}`)
 
-// The names of modules that are asked for as .ssplat files.
+// Matches the module ids that import a picture as an .ssplat file.
 export const imports = /[?&]ssplat(&|$)/
 
-// The path and the query of a module's name, if it asks for a .ssplat file.
+// Splits a matching module id into path and query; returns undefined for all others.
 export function split(id) {
   const at = id.indexOf("?")
   return imports.test(id) ? { path: id.slice(0, at), query: id.slice(at + 1) } : undefined
 }
 
-// The options of a plugin: `cacheDir`, and what is asked of every picture whose import does not say otherwise.
+// Checks the names of a plugin's options and separates `cacheDir` from the defaults for all imports.
 export function settingsOf({ cacheDir, ...defaults } = {}) {
   Object.keys(defaults).forEach(known)
   return { cacheDir, defaults }
 }
 
-// The options of one import. A target in the query takes the place of that of the plugin.
+// Returns the options of one import. A target in the query replaces the plugin's default target.
 function optionsOf(query, defaults) {
   const given = {}
   for (const [name, value] of new URLSearchParams(query)) {
@@ -41,10 +41,10 @@ function optionsOf(query, defaults) {
   return { ...Object.fromEntries(rest), ...given }
 }
 
-// Characters that the URL of a file should not have.
+// Characters that are replaced in file names, because URLs would need escapes for them.
 const unsafe = /[^\p{L}\p{N}._-]+/gu
 
-// Encodes take turns: each has a thread of its own, and up to some GiB of memory for a large photograph.
+// Number of encodes that run at the same time. Each has its own thread and needs up to a few GiB of memory for a large photograph.
 const maxRunning = Math.max(1, Math.min(availableParallelism(), Math.floor(totalmem() / 2 ** 31)))
 const waiting = []
 let running = 0
@@ -62,7 +62,7 @@ async function inTurn(work) {
 let version
 const packageVersion = () => version ??= readFile(new URL("./package.json", import.meta.url), "utf8").then(text => JSON.parse(text).version)
 
-// What the cache has under a key; nothing if a part of it is missing.
+// Returns the cache entry in `folder`, or undefined if there is none or it is incomplete.
 async function cached(folder, name) {
   try {
     const facts = JSON.parse(await readFile(join(folder, "facts.json"), "utf8")), file = join(folder, name)
@@ -72,7 +72,7 @@ async function cached(folder, name) {
   }
 }
 
-// Encodes into a folder of its own and then gives it its name, so that other processes see all of it or nothing.
+// Encodes into a temporary folder and renames it, so that other processes never see an incomplete entry.
 async function encodeInto(folder, name, content, options) {
   const { bytes, width, height, placeholder, report } = await inTurn(() => encodeFile(content, options))
   const facts = { bytes: bytes.length, width, height, placeholder, report }, draft = `${folder}-${randomUUID()}`
@@ -80,7 +80,7 @@ async function encodeInto(folder, name, content, options) {
   try {
     await writeFile(join(draft, name), bytes)
     await writeFile(join(draft, "facts.json"), JSON.stringify(facts))
-    // What is there is incomplete, or another process was faster with the same.
+    // Either the existing entry is incomplete, or another process has written the same entry meanwhile.
     if (!await cached(folder, name)) {
       await rm(folder, { recursive: true, force: true })
       await rename(draft, folder).catch(async error => { if (!await cached(folder, name)) throw error })
@@ -93,7 +93,7 @@ async function encodeInto(folder, name, content, options) {
 
 const underway = new Map()
 
-// The .ssplat file of an import, in the cache: { file, bytes, width, height, placeholder }. `log` is told of what has to be encoded.
+// Returns the cache entry of an import: { file, bytes, width, height, placeholder }. Calls `log` before and after an encode.
 export async function importPicture(path, query, { cacheDir, defaults }, log) {
   try {
     const options = optionsOf(query, defaults), content = await readFile(path), name = `${parse(path).name.replace(unsafe, "-")}.ssplat`
@@ -101,7 +101,7 @@ export async function importPicture(path, query, { cacheDir, defaults }, log) {
     const folder = join(cacheDir, createHash("sha256").update(asked).update(content).digest("hex").slice(0, 32))
     const found = await cached(folder, name)
     if (found) return found
-    // Another import may have begun the same meanwhile.
+    // Another import may already be encoding the same.
     if (underway.has(folder)) return await underway.get(folder)
     const shown = relative(process.cwd(), path)
     log(`${shown}: encoding`)
@@ -110,12 +110,12 @@ export async function importPicture(path, query, { cacheDir, defaults }, log) {
     log(`${shown}: ${made.width} × ${made.height} pixels in ${made.bytes} bytes, ${made.report.seconds.toFixed(1)} s`)
     return made
   } catch (error) {
-    // A wrong option is in the query; what else goes wrong is in the file.
+    // For wrong options the message includes the query, otherwise only the file.
     const place = ["parameter", "size"].includes(error.kind) ? `${path}?${query}` : path
     throw error instanceof SsplatError ? new SsplatError(error.kind, `${place}: ${error.message.replace(/^the picture: /, "")}`) : error
   }
 }
 
-// The module that an import gets. `source` is an expression, after `head`.
+// Returns the source text of the imported module. `source` is the expression for the URL; `head` precedes the export.
 export const moduleText = (head, source, { width, height, placeholder }) =>
   `${head}\nexport default { src: ${source}, width: ${width}, height: ${height}, placeholder: ${JSON.stringify(placeholder)} }\n`

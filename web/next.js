@@ -18,7 +18,7 @@ function turbopackRules(rules, options) {
   }
 }
 
-// Adds the loader to a configuration of Next.js. `options` are those of the plugins.
+// Adds the loader to a configuration of Next.js, which may be a function. `options` are the plugin options.
 export function withSsplat(config = {}, options = {}) {
   settingsOf(options)
   if (typeof config == "function") return async (...words) => withSsplat(await config(...words), options)
@@ -27,9 +27,9 @@ export function withSsplat(config = {}, options = {}) {
     turbopack: { ...config.turbopack, rules: turbopackRules(config.turbopack?.rules ?? {}, options) },
     webpack(given, context) {
       const { module, ...rest } = config.webpack?.(given, context) ?? given
-      // The loader of Next.js for all pictures is to leave these alone.
+      // Excludes these imports from Next.js's own image loader.
       const rules = module.rules.map(rule => rule?.loader == "next-image-loader" ? { ...rule, resourceQuery: { not: [...rule.resourceQuery?.not ?? [], imports] } } : rule)
-      // A server's compiler emits what browsers fetch into the folder of the client's, relative to its own.
+      // The server compilers must emit into the client's folder, given here relative to their own output folder.
       const outputPath = !context.isServer ? "" : context.dev || context.nextRuntime == "edge" ? "../" : "../../"
       const asset = { test: /\.ssplat$/, type: "asset/resource", generator: { filename: "static/media/[name].[hash:8][ext]", outputPath } }
       return { ...rest, module: { ...module, rules: [...rules, asset, { resourceQuery: imports, type: "javascript/auto", loader, options: { ...options, assets: "rules" } }] } }

@@ -1,24 +1,24 @@
-// Picture files to .ssplat files in Node.js: `sharp` reads them, encode.js encodes.
+// Encodes picture files in Node.js: read-picture.js reads them, encode.js encodes.
 import { SsplatError, encode, optionNames } from "./encode.js"
 import { readPicture } from "./read-picture.js"
 
 export { SsplatError }
 
-// What the picture file says itself.
+// Options of `encode` that are taken from the picture file.
 const fromFile = ["icc", "exif", "orientation"]
 const names = [...optionNames.filter(name => !fromFile.includes(name)), "maxSide", "placeholder"]
-// Most bytes of a placeholder that placeholder.js reads.
+// Size of the largest file that placeholder.js reads, bytes.
 const maxPlaceholder = 1 << 14
-// WebAssembly's address space: a build may take what a page may not.
+// Default of `limits.alloc`: the whole address space of WebAssembly, because a build may use more memory than a page.
 const address = 2 ** 32
 const bad = words => { throw new SsplatError("parameter", words) }
 
 const whole = (name, value, least, most) => Number.isInteger(value) && value >= least && value <= most ? value : bad(`${name} is ${value}, not an integer from ${least} to ${most}`)
 
-// A data URI of a file of at most `most` bytes.
+// Encodes a placeholder of at most `most` bytes and returns it as a data URI.
 async function placeholderOf(pixels, most, { effort, limits, worker, module, signal }) {
   try {
-    // placeholder.js knows Gaussians only.
+    // placeholder.js supports only Gaussians.
     const { bytes } = await encode(pixels, { bytes: most, detail: "off", effort, limits, worker, module, signal })
     return `data:image/x-ssplat;base64,${Buffer.from(bytes).toString("base64")}`
   } catch (error) {

@@ -5,11 +5,11 @@ import { importPicture, imports, moduleText, settingsOf, split } from "./import-
 
 export default function ssplat(options) {
   const settings = settingsOf(options)
-  // Of Vite; Rollup has none.
+  // The configuration of Vite; undefined in Rollup.
   let config
   return {
     name: "ssplat",
-    // Vite knows pictures itself.
+    // Before Vite's own handling of pictures.
     enforce: "pre",
 
     configResolved(resolved) {
@@ -34,7 +34,7 @@ export default function ssplat(options) {
         settings.cacheDir ??= resolve("node_modules/.cache/ssplat")
         const log = words => config ? config.logger.info(`ssplat: ${words}`) : this.info(words)
         const picture = await importPicture(asked.path, asked.query, settings, log)
-        // Vite serves the file or emits it, as it does with every asset.
+        // Vite serves or emits the file like any other asset.
         if (config) return moduleText(`import src from ${JSON.stringify(`${picture.file.replaceAll("\\", "/")}?url&no-inline`)}`, "src", picture)
         const asset = this.emitFile({ type: "asset", name: basename(picture.file), source: await readFile(picture.file) })
         return moduleText("", `import.meta.ROLLUP_FILE_URL_${asset}`, picture)

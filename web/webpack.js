@@ -4,17 +4,17 @@ import { basename, dirname, join, relative, resolve } from "node:path"
 import { SsplatError } from "./error.js"
 import { importPicture, moduleText, settingsOf } from "./import-picture.js"
 
-// The picture is read here; nothing before this loader makes text of it.
+// Keeps webpack from converting the picture to text before this loader runs.
 export const raw = true
 
-// The name of a file as an import relative to the picture's folder.
+// Returns the import specifier of `file` relative to the folder of `picture`.
 function specifier(file, picture) {
   const path = relative(dirname(picture), file).replaceAll("\\", "/")
   return path.startsWith(".") ? path : `./${path}`
 }
 
-// By default webpack emits a file of the cache as an asset, whatever its rules say. Turbopack sees no files that appear while it runs;
-// there this loader is asked once more, for the bytes.
+// Returns the specifier from which the module imports the URL. In webpack it is the cached file, by default with an inline asset type that
+// needs no rule. Turbopack does not see files that appear during a build, so there the loader is called again and returns the bytes.
 function sourceOf(file, assets, { webpack, resourcePath, resourceQuery }) {
   if (!webpack) return `./${basename(resourcePath)}${resourceQuery.replace(/([?&])ssplat(?=&|$)/, "$1ssplat=file")}`
   const path = specifier(file, resourcePath)
@@ -34,6 +34,6 @@ async function load(context) {
 
 export default function () {
   const done = this.async()
-  // webpack keeps errors in its cache, and knows only those of the language.
+  // webpack's cache cannot serialize custom error classes.
   load(this).then(result => done(null, result), error => done(error instanceof SsplatError ? new Error(error.message) : error))
 }
