@@ -2,7 +2,7 @@
 import { SsplatError } from "./error.js"
 import { run } from "./encode-machine.js"
 
-export { SsplatError }
+export { SsplatError, names as optionNames }
 
 const targets = ["ratio", "bytes", "psnr", "quality", "primitives"]
 const names = [...targets, "effort", "tune", "time", "seed", "detail", "levels", "icc", "exif", "orientation", "limits", "worker", "module", "signal", "onProgress"]

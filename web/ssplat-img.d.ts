@@ -4,6 +4,11 @@ export class SsplatImg extends HTMLElement {
   src: string
   alt: string
   loading: "lazy" | "eager"
+  /** The attributes; read, the size in CSS pixels at which the element is shown. */
+  width: number
+  height: number
+  /** A small .ssplat file as base64 or data URI, which is shown until the picture is there. */
+  placeholder: string
   readonly naturalWidth: number
   readonly naturalHeight: number
   readonly complete: boolean

@@ -70,6 +70,12 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
   set alt(v) { this.setAttribute("alt", v) }
   get loading() { return this.getAttribute("loading") == "lazy" ? "lazy" : "eager" }
   set loading(v) { this.setAttribute("loading", v) }
+  get placeholder() { return this.getAttribute("placeholder") ?? "" }
+  set placeholder(v) { this.setAttribute("placeholder", v) }
+  get width() { return this.offsetWidth || this.naturalWidth }
+  set width(v) { this.setAttribute("width", v) }
+  get height() { return this.offsetHeight || this.naturalHeight }
+  set height(v) { this.setAttribute("height", v) }
   get naturalWidth() { return this.#size[0] }
   get naturalHeight() { return this.#size[1] }
   get currentSrc() { return this.#current }

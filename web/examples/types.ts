@@ -1,5 +1,6 @@
 // What the types say: this file compiles (npm run types).
 import { Decoder, SsplatError, decode, header, type Pixels } from "ssplat"
+import { encodeFile } from "ssplat/node"
 import { SsplatImg } from "ssplat/ssplat-img.js"
 import { decode as placeholder, read } from "ssplat/placeholder.js"
 
@@ -15,5 +16,12 @@ const image = new ImageData(placeholder(bytes, 64).rgba, 64)
 const [x, , major, , , color] = read(bytes).gaussians[0]
 console.log(found, pixels.data, icc, image, x + major, color.length)
 
+const file = await encodeFile("photo.jpg", { quality: 70, maxSide: 1536, placeholder: 200 })
+element.placeholder = file.placeholder
+element.width = file.width
+console.log(file.bytes.length, file.report.psnr)
+
+// @ts-expect-error: the orientation is that of the picture file.
+await encodeFile("photo.jpg", { orientation: 6 })
 // @ts-expect-error: a slip of the pen is told.
 await decode(bytes, { widht: 64 })

@@ -1,15 +1,14 @@
 // The packed package with bundlers, without one, and in Node.js: node web/test/bundlers.mjs [FILE]
 // web/dist becomes a tarball, web/examples are installed with it and built by each bundler, and Chromium opens what comes out under a strict policy.
 // FILE is what is shown. With SSPLAT_REQUIRE_BROWSER=1 a missing Chromium is a failure, otherwise the browser is named as skipped.
-import { execFile, spawn } from "node:child_process"
-import { cpSync, mkdtempSync, readFileSync, readdirSync, rmSync, writeFileSync } from "node:fs"
-import { createServer } from "node:net"
+import { spawn } from "node:child_process"
+import { cpSync, mkdtempSync, readFileSync, readdirSync, rmSync } from "node:fs"
 import { tmpdir } from "node:os"
 import { join } from "node:path"
-import { promisify } from "node:util"
 import { inChromium, typeOf } from "./chromium.mjs"
+import { freePort, install, npm, pack } from "./packed.js"
 
-const root = new URL("../../", import.meta.url), run = promisify(execFile)
+const root = new URL("../../", import.meta.url)
 const file = process.argv[2] ?? new URL("web/viewer/samples/motocross.ssplat", root).pathname
 const home = mkdtempSync(join(tmpdir(), "ssplat-bundlers-"))
 let failed = false
@@ -19,15 +18,10 @@ const check = (good, words) => {
   failed = true
 }
 // What a command printed; whatever it warns of the package is a failure.
-async function command(...words) {
-  try {
-    const { stdout, stderr } = await run("npm", words, { cwd: home, maxBuffer: 1 << 26, env: { ...process.env, NO_COLOR: "1" } })
-    return stdout + stderr
-  } catch (error) {
-    check(false, `npm ${words.join(" ")}: ${error.stdout}${error.stderr}`)
-    return ""
-  }
-}
+const command = (...words) => npm(home, ...words).catch(error => {
+  check(false, error.message)
+  return ""
+})
 
 // What the page may do. Without `blob:` no worker starts that a bundler does not know of; the page's thread decodes then.
 const policy = workers => `default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src ${workers}; connect-src 'self'; style-src 'self'; img-src 'self'`
@@ -35,16 +29,12 @@ const builders = ["vite", "webpack", "esbuild", "rollup"]
 
 let vite
 try {
-  cpSync(new URL("web/examples/", root), home, { recursive: true, filter: path => !/node_modules|\/out(\/|$)/.test(path) })
+  cpSync(new URL("web/examples/", root), home, { recursive: true, filter: path => !/node_modules|\/out(\/|$)|examples\/(vite|webpack|next)(\/|$)/.test(path) })
   cpSync(file, join(home, "photo.ssplat"))
-  const packed = JSON.parse((await run("npm", ["pack", "--json", "--pack-destination", home], { cwd: new URL("web/dist/", root).pathname })).stdout)
-  const [{ filename, files, size }] = Array.isArray(packed) ? packed : Object.values(packed)
+  const { filename, files, size } = await pack(home)
   console.log(`${filename}: ${size} bytes, ${files.length} files`)
   check(!files.some(f => /\.(webp|png)$/.test(f.path)), "pictures are in the package")
-  const wanted = JSON.parse(readFileSync(join(home, "package.json")))
-  wanted.dependencies.ssplat = `file:${filename}`
-  writeFileSync(join(home, "package.json"), JSON.stringify(wanted))
-  await command("install", "--no-audit", "--no-fund", "--no-package-lock")
+  await install(home, join(home, filename)).catch(error => check(false, error.message))
 
   check(/768 × 512 pixels/.test(await command("run", "node")), "Node.js decodes nothing")
   await command("run", "types")
@@ -56,12 +46,7 @@ try {
   }
 
   // Vite's development server, below the folder that the test's server hands on to it.
-  const port = await new Promise(resolve => {
-    const probe = createServer().listen(0, "127.0.0.1", () => {
-      const { port } = probe.address()
-      probe.close(() => resolve(port))
-    })
-  })
+  const port = await freePort()
   vite = spawn(join(home, "node_modules/.bin/vite"), ["--base", "/dev/", "--host", "127.0.0.1", "--port", String(port), "--strictPort"], { cwd: home, stdio: "ignore", detached: true })
   for (let i = 0; i < 200 && !(await fetch(`http://127.0.0.1:${port}/dev/`).catch(() => {})); i++) await new Promise(r => setTimeout(r, 100))
 

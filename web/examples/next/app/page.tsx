@@ -1,0 +1,8 @@
+// A picture with a placeholder, and the same picture smaller.
+import photo from "../photo.jpg?maxSide=1024&ssplat"
+import small from "../photo.jpg?maxSide=256&bytes=3000&placeholder=100&ssplat"
+import { Picture } from "./picture"
+
+export default function Page() {
+  return [photo, small].map(picture => <Picture key={picture.src} {...picture} alt="A photograph" />)
+}

@@ -1,0 +1,118 @@
+// What the plugin for Vite and Rollup promises beyond its example: options, errors, the cache, and the development server.
+import assert from "node:assert/strict"
+import { execFileSync } from "node:child_process"
+import { cpSync, readFileSync, readdirSync, rmSync, truncateSync, writeFileSync } from "node:fs"
+import { createRequire } from "node:module"
+import { join } from "node:path"
+import { pathToFileURL } from "node:url"
+
+// `home` has the pictures of encode-file.js; `vite` is a folder where Vite is installed.
+export async function test({ home, vite, program, installed }) {
+  const { build, createServer, createLogger } = await import(pathToFileURL(createRequire(join(vite, "package.json")).resolve("vite")).href)
+  const { default: ssplat } = await installed("vite.js")
+  const entry = join(home, "entry.js"), cacheDir = join(home, "cache"), encoded = []
+  const customLogger = createLogger("silent")
+  customLogger.info = words => { if (/^ssplat: .* pixels in /.test(words)) encoded.push(words) }
+  const config = options => ({ root: home, configFile: false, logLevel: "silent", customLogger, cacheDir, plugins: [ssplat(options)] })
+
+  // Builds a module that exports the imports of `requests`; returns them with the emitted bytes.
+  async function imported(requests, options) {
+    writeFileSync(entry, requests.map((request, i) => `export { default as p${i} } from "${request}"`).join("\n"))
+    const [{ output }] = [await build({ ...config(options), build: { write: false, lib: { entry, formats: ["es"] }, rollupOptions: { output: { assetFileNames: "[name]-[hash][extname]" } } } })].flat()
+    const path = join(home, `built-${Math.random()}.mjs`)
+    writeFileSync(path, output.find(file => file.type == "chunk").code)
+    const pictures = Object.values(await import(pathToFileURL(path).href)), assets = output.filter(file => file.type == "asset")
+    return { assets, pictures: pictures.map(picture => ({ ...picture, bytes: assets.find(({ fileName }) => decodeURI(picture.src).endsWith(fileName))?.source })) }
+  }
+  const native = args => {
+    execFileSync(program, ["encode", "--quiet", join(home, "rgb.png"), join(home, "native.ssplat"), ...args])
+    return readFileSync(join(home, "native.ssplat"))
+  }
+
+  // Two imports of a picture with other options are two files, the same import again is not a third.
+  const requests = ["./rgb.png?effort=1&ssplat", "./rgb.png?ssplat&bytes=700&effort=1&placeholder=0", "./rgb.png?ssplat&effort=1"]
+  const { assets, pictures: [plain, small, again] } = await imported(requests)
+  assert.equal(assets.length, 2)
+  assert.deepEqual(again, plain)
+  assert(Buffer.compare(native(["--effort", "1"]), plain.bytes) == 0 && Buffer.compare(native(["--effort", "1", "--bytes", "700"]), small.bytes) == 0, "other bytes than the program's")
+  assert.deepEqual([plain.width, plain.height, small.placeholder], [72, 48, ""])
+  assert(/^data:image\/x-ssplat;base64,iVNTUA/.test(plain.placeholder), plain.placeholder)
+  assert.equal(encoded.splice(0).length, 2)
+
+  // A second build encodes nothing; what is incomplete in the cache is encoded again.
+  await imported(requests)
+  assert.deepEqual(encoded.splice(0), [])
+  for (const key of readdirSync(join(cacheDir, "ssplat"))) truncateSync(join(cacheDir, "ssplat", key, "rgb.ssplat"), 100)
+  assert.deepEqual((await imported(requests)).pictures, [plain, small, again])
+  assert.equal(encoded.splice(0).length, 2)
+  assert(readdirSync(join(cacheDir, "ssplat")).every(key => /^[0-9a-f]{32}$/.test(key)), "drafts stay in the cache")
+  // Another picture of the same name is another file.
+  cpSync(join(home, "palette.png"), join(home, "rgb.png"))
+  const [other] = (await imported(["./rgb.png?effort=1&ssplat"])).pictures
+  assert(encoded.splice(0).length == 1 && Buffer.compare(native(["--effort", "1"]), other.bytes) == 0, "the cache does not know pictures by their content")
+
+  // The options of the plugin are defaults; a target in the query takes the place of theirs.
+  const [ofPlugin, ofQuery] = (await imported(["./rgb.png?ssplat", "./rgb.png?ratio=30&ssplat"], { bytes: 600, effort: 1, cacheDir: "other" })).pictures
+  assert(Buffer.compare(native(["--effort", "1", "--bytes", "600"]), ofPlugin.bytes) == 0 && Buffer.compare(native(["--effort", "1", "--ratio", "30"]), ofQuery.bytes) == 0, "defaults are not kept")
+  assert.equal(readdirSync(join(home, "other")).length, 2)
+  assert.throws(() => ssplat({ qualty: 70 }), /no option is called qualty/)
+
+  // Any name of a picture gives a file with a name that is safe in a URL.
+  cpSync(join(home, "rgb.png"), join(home, "my photo 100% ü.png"))
+  const [named] = (await imported(["./my photo 100% ü.png?effort=1&ssplat"])).pictures
+  assert(Buffer.compare(other.bytes, named.bytes) == 0, named.src)
+  encoded.splice(0)
+
+  const fails = (request, words) => assert.rejects(imported([request]), error => {
+    assert(words.test(error.message), `${request}: ${error.message}`)
+    return true
+  })
+  await fails("./rgb.png?effort=12&ssplat", /rgb\.png\?effort=12&ssplat: effort is 12, not an integer from 1 to 9/)
+  await fails("./rgb.png?ssplat&effort=fast", /rgb\.png\?ssplat&effort=fast: effort is fast/)
+  await fails("./rgb.png?ssplat&qualty=70", /rgb\.png\?ssplat&qualty=70: no option is called qualty; there are ratio, /)
+  await fails("./rgb.png?ssplat&effort", /rgb\.png\?ssplat&effort: effort has no value/)
+  await fails("./rgb.png?ssplat&effort=1&effort=2", /effort is given twice/)
+  await fails("./rgb.png?ssplat&ratio=50&bytes=500", /rgb\.png.*: ratio and bytes are given/)
+  await fails("./rgb.png?ssplat&tune=best&effort=1", /rgb\.png.*: tune is best, none of psnr, ssim, iq/)
+  await fails("./rgb.png?ssplat&effort=1&bytes=5", /rgb\.png\?ssplat&effort=1&bytes=5: 5 bytes cannot hold the picture/)
+  await fails("./cut.jpg?ssplat", /cut\.jpg: .*premature end/i)
+  await fails("./text.jpg?ssplat", /text\.jpg: .*unsupported/)
+  await fails("./missing.jpg?ssplat", /missing\.jpg/)
+
+  // Rollup has no assets of its own: the plugin emits the file, and the module knows its URL.
+  const { rollup } = await import(pathToFileURL(createRequire(join(vite, "package.json")).resolve("rollup")).href)
+  writeFileSync(entry, `export { default } from "./rgb.png?ssplat"`)
+  const bundle = await rollup({ input: entry, onLog() {}, plugins: [ssplat({ effort: 1, cacheDir })] })
+  const { output: [{ code }, asset] } = await bundle.generate({ format: "es" })
+  assert(/^assets\/rgb-[\w-]+\.ssplat$/.test(asset.fileName) && code.includes(`new URL('${asset.fileName}', import.meta.url).href`), code)
+  assert(Buffer.compare(native(["--effort", "1"]), asset.source) == 0, "Rollup emits other bytes than the program's")
+
+  // The development server: files are served below its base, also from a cache outside the project, and a picture that changes is encoded again.
+  const outside = `${home}-outside`
+  const server = await createServer({ ...config({ effort: 1, cacheDir: outside }), base: "/base/", server: { host: "127.0.0.1", ws: false } })
+  try {
+    await server.listen()
+    const origin = `http://127.0.0.1:${server.httpServer.address().port}`
+    const ask = async url => {
+      const code = await (await fetch(`${origin}/base${url}`)).text(), source = /from "([^"]+\.ssplat\?[^"]+)"/.exec(code)?.[1]
+      assert(source, code)
+      const path = /export default "([^"]+)"/.exec(await (await fetch(origin + source)).text())[1], answer = await fetch(origin + path)
+      assert.equal(answer.status, 200, path)
+      return Buffer.from(await answer.arrayBuffer())
+    }
+    await ask("/my%20photo%20100%25%20%C3%BC.png?import&ssplat")
+    const before = await ask("/rgb.png?import&ssplat")
+    assert(Buffer.compare(native(["--effort", "1"]), before) == 0, "the server serves other bytes than the program's")
+    cpSync(join(home, "grey.png"), join(home, "rgb.png"))
+    let after
+    for (let i = 0; i < 100 && !(after && Buffer.compare(before, after)); i++) {
+      await new Promise(r => setTimeout(r, 100))
+      after = await ask("/rgb.png?import&ssplat")
+    }
+    assert(Buffer.compare(native(["--effort", "1"]), after) == 0, "a picture that changed is served as it was")
+  } finally {
+    await server.close()
+    for (const cache of [cacheDir, outside]) rmSync(cache, { recursive: true })
+  }
+  return "options, errors, cache and server"
+}
