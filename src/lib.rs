@@ -136,7 +136,7 @@ assert_eq!(picture.width(), 8);
 //!
 //! # The GPU
 //!
-//! With the feature `gpu`, [`Encoder::backend`] can select a GPU for fitting (Vulkan, Metal, Direct3D 12, WebGPU), and
+//! With the feature `gpu`, [`Encoder::backend`] can select a GPU for fitting (Vulkan, Metal, Direct3D 12), and
 //! pictures can be rendered into buffers and textures of `wgpu`. Nothing uses a GPU for decoding unless the caller asks
 //! for it.
 #![cfg_attr(
