@@ -597,7 +597,7 @@ mod stages {
                     }
                     let mut found: Vec<Found> = Vec::new();
                     let ridges = ridge::all();
-                    let longest = ridge::longest(peaks::spacing(&scene, 12, count), 8.0f32.sqrt());
+                    let longest = ridge::max_aspect(peaks::spacing(&scene, 12, count), 8.0f32.sqrt());
                     twin::peaks::find_peaks(
                         &Uniforms { variance: 8.0, longest, ..base },
                         &blurred,
