@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_reserved_is_free_again_when_it_is_dropped() {
+    fn dropped_reservations_are_free_again() {
         let budget = budget(100);
         let mut first = budget.reserve(60).unwrap();
         assert!(matches!(budget.reserve(41), Err(Error::LimitExceeded { requested: 41, allowed: 40, .. })));
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_smaller_allowance_must_hold_what_is_reserved() {
+    fn a_smaller_allowance_must_cover_existing_reservations() {
         let budget = budget(u64::MAX);
         assert_eq!(budget.left(), isize::MAX as u64);
         let held = budget.reserve(50).unwrap();

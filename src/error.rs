@@ -307,7 +307,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_chain_of_errors_says_nothing_twice() {
+    fn a_chain_of_errors_repeats_no_message() {
         let inner = std::io::Error::other("the disk is on fire");
         let errors = [
             Error::Io(std::io::Error::other(inner)),
@@ -320,7 +320,7 @@ mod tests {
             let mut source = error.source();
             while let Some(e) = source {
                 let text = e.to_string();
-                assert!(!said.contains(&text), "{said:?} says {text:?} already");
+                assert!(!said.contains(&text), "{said:?} already contains {text:?}");
                 said += &text;
                 source = e.source();
             }
@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_small_names_what_was_asked_for_and_what_takes_the_room() {
+    fn too_small_errors_name_the_target_and_the_metadata_sizes() {
         let too_small = |asked, icc, exif| Error::TooSmall { asked, allowed: 40, needed: 3000, icc, exif }.to_string();
         assert_eq!(
             too_small(Target::Bytes(40), 0, 0),

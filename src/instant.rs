@@ -1,4 +1,5 @@
-//! Points in time by the system clock, or on WebAssembly without a system, by a clock that the program provides.
+//! Points in time by the system clock, or on WebAssembly without an operating system, by a clock that the program
+//! provides.
 
 #[cfg(not(all(target_family = "wasm", target_os = "unknown")))]
 pub(crate) use std::time::Instant;
@@ -9,18 +10,19 @@ pub(crate) use provided::Instant;
 pub use provided::provide_clock;
 
 #[cfg(any(test, all(target_family = "wasm", target_os = "unknown")))]
-// Tests compile it everywhere, and use a part.
+// Tests compile this module on all platforms and use a part of it.
 #[cfg_attr(test, allow(dead_code))]
 mod provided {
     use std::ops::{Add, Sub};
     use std::sync::OnceLock;
     use std::time::Duration;
 
-    /// Seconds since any fixed moment.
+    /// Seconds since an arbitrary fixed moment.
     static CLOCK: OnceLock<fn() -> f64> = OnceLock::new();
 
-    /// Provides the clock of this program: `seconds` since any fixed moment. Returns whether it is the first. Without one, time
-    /// stands still: budgets of time never end, and reports say that nothing took time.
+    /// Provides the clock of this program, a function that returns the seconds since an arbitrary fixed moment. Returns
+    /// whether no clock was provided before. Without a clock, time stands still: time limits never expire, and all
+    /// reported durations are 0.
     pub fn provide_clock(seconds: fn() -> f64) -> bool {
         CLOCK.set(seconds).is_ok()
     }

@@ -186,11 +186,11 @@ See [`gpu`] for rendering into the textures of a program.
 extern crate self as ssplat;
 
 mod angle;
-#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "the half that writes"))]
+#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod bitstream;
 mod budget;
 mod decode;
-#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "the half that writes"))]
+#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod detail;
 #[cfg(feature = "encode")]
 mod encode;
@@ -210,17 +210,17 @@ mod metrics;
 mod options;
 #[cfg(all(feature = "encode", any(test, feature = "unstable")))]
 mod pack;
-#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "fits use the rest"))]
+#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod parallel;
 #[cfg(feature = "encode")]
 mod pixel_source;
 mod pixels;
-#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "the half that writes"))]
+#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod quantize;
 mod raster;
 #[cfg(feature = "encode")]
 mod round;
-#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "fits use the rest"))]
+#[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod simd;
 #[cfg(feature = "quality")]
 mod ssimulacra2;
@@ -256,7 +256,7 @@ pub use raster::{Renderer, SamplesMut, View};
 pub use target::Target;
 
 #[cfg(feature = "encode")]
-/// Types of the account that an encode gives beside its bytes.
+/// Types of the encode report.
 pub mod report {
     pub use crate::encode::{Chosen, SkipReason, Skipped, StageTime};
 }

@@ -222,14 +222,14 @@ fn packed(picture: &Picture, options: &PackOptions, steps: Steps) -> Result<(Pac
 }
 
 /// Returns the limits of the positions of `g`. The last cell of a coarse step may have its centre outside the picture.
-/// With explicit steps, it is a valid position too.
+/// With explicit steps, it is a valid position as well.
 fn position_limits(quantizer: &Quantizer, g: &Gaussian, size: [u32; 2]) -> [f32; 2] {
     let (major, minor, angle) = quantizer.quantize_shape(g.scale, g.rotation);
     let exponents = quantizer.lattice().exponents(major, minor, angle);
     std::array::from_fn(|k| Lattice::positions(size[k], exponents[k]) as f32 * (exponents[k] as f32).exp2())
 }
 
-/// Tells whether the support of `g` reaches a picture of `size` pixels.
+/// Returns whether the support of `g` reaches a picture of `size` pixels.
 fn reaches(g: &Gaussian, size: [u32; 2]) -> bool {
     let extent = g.extent();
     (0..2).all(|k| g.mean[k] + extent[k] > 0.0 && g.mean[k] - extent[k] < size[k] as f32)
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_that_no_file_can_hold_are_refused_and_the_largest_are_not() {
+    fn colours_outside_the_format_range_are_refused() {
         for (color, holds) in
             [([8.0, 8.0, 8.0, 0.0], true), ([8.1, 8.1, 8.1, 0.0], false), ([0.0, -9.0, 0.0, 0.0], false)]
         {
@@ -313,7 +313,7 @@ mod tests {
     }
 
     #[test]
-    fn the_finest_level_keeps_places_within_a_tenth_of_the_scale() {
+    fn the_finest_level_keeps_positions_within_a_tenth_of_the_scale() {
         let splats =
             pack(&picture(Blend::Sum), &PackOptions { precision: Precision::Level(FINEST), ..PackOptions::default() });
         let [mean, ..] = differences(&picture(Blend::Sum), &splats.unwrap().to_picture());
@@ -321,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_stored_gets_the_same_integers_with_the_same_steps() {
+    fn stored_gaussians_get_the_same_integers_with_the_same_steps() {
         for layout in [Layout::Coded, Layout::Planes, Layout::Packed] {
             let options = PackOptions { layout, ..PackOptions::default() };
             let once = pack(&picture(Blend::Normalized), &options).unwrap();
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn a_size_is_filled_with_the_finest_level_that_it_holds() {
+    fn a_size_is_filled_with_the_finest_level_that_fits() {
         let picture = picture(Blend::Normalized);
         let length = |precision| {
             let options = PackOptions { precision, ..PackOptions::default() };
@@ -348,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn values_that_no_file_can_hold_are_parameter_errors() {
+    fn values_that_the_format_cannot_represent_are_parameter_errors() {
         for (what, change) in [
             ("mean", (|g: &mut Gaussian| g.mean[1] = f32::NAN) as fn(&mut Gaussian)),
             ("scale", |g| g.scale[0] = 0.0),
@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_outside_is_left_out_or_moved_to_the_border() {
+    fn gaussians_outside_are_omitted_or_moved_to_the_border() {
         let mut picture = picture(Blend::Sum);
         picture.gaussians.truncate(3);
         picture.gaussians[0].mean = [-1000.0, 5.0];

@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn watched_work_comes_back_in_order_and_its_shares_add_up() {
+    fn watched_results_are_in_order_and_progress_adds_up() {
         for most in [1, 2, 7] {
             let mut told = Vec::new();
             let inputs: Vec<usize> = (0..20).map(|i| 3 * i).collect();
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn what_watched_work_fails_with_comes_back_and_ends_the_rest() {
+    fn a_failure_of_watched_work_is_returned_and_cancels_the_rest() {
         for most in [1, 4] {
             let work = |i: usize, (), tell: &mut dyn FnMut(f32) -> Result<()>| {
                 if i == 5 {
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_watches_can_end_the_work() {
+    fn the_watcher_can_cancel_the_work() {
         for most in [1, 4] {
             let work = |_: usize, (), tell: &mut dyn FnMut(f32) -> Result<()>| -> Result<()> {
                 loop {

@@ -135,7 +135,8 @@ impl Quantizer {
     /// Returns the nearest integers of the scales (pixels) and the rotation (radians).
     #[must_use]
     pub fn quantize_shape(&self, scale: [f32; 2], rotation: f32) -> (u8, u8, u16) {
-        let index = |s: f32| ((f64::from(s).log2() + 2.0) / self.delta + 0.5).floor().clamp(0.0, self.top()) as u8;
+        let index =
+            |s: f32| ((f64::from(s).log2() + 2.0) / self.delta + 0.5).floor().clamp(0.0, self.max_scale_index()) as u8;
         let (mut s, mut turn) = (scale, f64::from(rotation) / std::f64::consts::PI);
         if s[0] < s[1] {
             s.swap(0, 1);
@@ -170,21 +171,21 @@ impl Quantizer {
         }
     }
 
-    /// Tells whether the position of `p` lies within the picture.
+    /// Returns whether the position of `p` lies within the picture.
     #[must_use]
     pub fn holds(&self, p: &PackedGaussian) -> bool {
         let [ex, ey] = self.lattice.exponents(p.major, p.minor, p.angle);
         p.x < Lattice::positions(self.size[0], ex) && p.y < Lattice::positions(self.size[1], ey)
     }
 
-    /// Tells whether `index` is a scale that the format allows.
+    /// Returns whether the format allows `index` as a scale.
     #[must_use]
     pub fn holds_scale(&self, index: i16) -> bool {
-        index >= 0 && f64::from(index) <= self.top()
+        index >= 0 && f64::from(index) <= self.max_scale_index()
     }
 
     /// Returns the highest scale index that the format allows: `i·δ − 2 ≤ 20`.
-    fn top(&self) -> f64 {
+    fn max_scale_index(&self) -> f64 {
         (22.0 / self.delta).floor().min(255.0)
     }
 }

@@ -1,7 +1,7 @@
 //! Elementary functions that return the same bits on every platform, for the encoder. The functions of the system libraries
 //! differ in the last bit, which is enough for a fit to produce a different file.
 
-/// The methods of the standard library without the prefix `strict_`, in one implementation for all platforms.
+/// Methods of the standard library, with the prefix `strict_`, in one implementation for all platforms.
 pub(crate) trait StrictMath: Sized {
     fn strict_exp(self) -> Self;
     fn strict_exp2(self) -> Self;
@@ -63,7 +63,7 @@ strict_math!(f64: exp exp2 log log2 log10 sin cos sincos pow atan2 hypot);
 mod tests {
     use super::*;
 
-    /// FNV-1a of the bits of every function at 4000 arguments.
+    /// FNV-1a hash of the bits of every function at 4000 arguments.
     #[test]
     fn functions_have_the_same_bits_on_every_machine() {
         let mut hash = 0xcbf2_9ce4_8422_2325u64;

@@ -29,7 +29,7 @@ fn an_encoder_is_set_once_and_encodes_many_pictures() {
 }
 
 #[test]
-fn what_is_out_of_range_is_named() {
+fn values_out_of_range_are_named_in_the_error() {
     for (encoder, wanted) in [
         (Encoder::new().effort(0), "effort"),
         (Encoder::new().ratio(f64::NAN), "ratio"),
@@ -70,7 +70,7 @@ fn a_file_is_opened_once_and_drawn_many_times() {
 }
 
 #[test]
-fn memory_of_another_size_is_refused() {
+fn buffers_of_the_wrong_size_are_refused() {
     let bytes = Encoder::new().bytes(300).effort(1).encode(&picture()).unwrap().bytes;
     for length in [0, 96 * 64 * 3 - 1, 96 * 64 * 3 + 1] {
         let refused = Decoder::new().decode_into(&bytes, SamplesMut::U8(&mut vec![0; length]));
@@ -115,7 +115,7 @@ fn public_types_can_be_sent_to_and_shared_between_threads() {
 /// A broken file of another format, and the cause that its decoder gives, through the chain of sources.
 #[cfg(feature = "image")]
 #[test]
-fn what_the_image_crate_fails_with_keeps_its_cause() {
+fn errors_of_the_image_crate_keep_their_cause() {
     let folder = tempfile::tempdir().unwrap();
     let (broken, output) = (folder.path().join("broken.ssplat"), folder.path().join("out.ssplat"));
     let mut bytes = Encoder::new().bytes(300).effort(1).encode(&picture()).unwrap().bytes;

@@ -70,7 +70,7 @@ fn every_kind_of_picture_round_trips_exactly() {
 }
 
 #[test]
-fn report_adds_up_to_the_file() {
+fn the_report_adds_up_to_the_file() {
     for layout in LAYOUTS {
         let mut splats = scene(&Scene { layout, count: 300, codebook: true, ..Scene::default() });
         splats.metadata.icc = Some(vec![7; 100]);
@@ -96,7 +96,7 @@ fn bits_of_primitives_add_up_to_those_of_the_fields() {
 }
 
 #[test]
-fn a_plain_colour_picture_spends_at_most_20_bytes_beside_its_payload() {
+fn a_plain_colour_picture_has_at_most_20_bytes_of_overhead() {
     let splats = scene(&Scene { count: 200, layout: Layout::Packed, ..Scene::default() });
     let (_, report) = inspect(&to_bytes(&splats).unwrap(), &Limits::default()).unwrap();
     let frame: u64 = report.parts.iter().filter(|p| ["header", "checksum"].contains(&p.name)).map(|p| p.bytes).sum();
@@ -104,7 +104,7 @@ fn a_plain_colour_picture_spends_at_most_20_bytes_beside_its_payload() {
 }
 
 #[test]
-fn metadata_is_carried_and_damage_to_it_does_not_hide_the_picture() {
+fn metadata_is_kept_and_damage_to_it_does_not_hide_the_picture() {
     let mut splats = scene(&Scene { count: 20, layout: Layout::Packed, ..Scene::default() });
     splats.metadata.icc = Some((0..200).collect());
     splats.metadata.exif = Some(b"II*\0".to_vec());
@@ -120,7 +120,7 @@ fn metadata_is_carried_and_damage_to_it_does_not_hide_the_picture() {
 }
 
 #[test]
-fn limits_are_kept_before_memory_is_spent() {
+fn limits_are_checked_before_memory_is_allocated() {
     let splats = scene(&Scene { count: 50, layout: Layout::Packed, ..Scene::default() });
     let bytes = to_bytes(&splats).unwrap();
     type Set = fn(&mut Limits);
@@ -143,7 +143,7 @@ fn limits_are_kept_before_memory_is_spent() {
 /// Readers cannot encounter these integers, because no bytes of the coded layout represent them, but a caller can set
 /// them.
 #[test]
-fn integers_that_no_picture_has_are_refused_before_a_byte_is_written() {
+fn invalid_integers_are_refused_before_a_byte_is_written() {
     let sound = scene(&Scene { count: 5, ..Scene::default() });
     let written = |change: &dyn Fn(&mut PackedSplats)| {
         let mut splats = sound.clone();
@@ -175,7 +175,7 @@ fn a_damaged_file_cannot_claim_more_primitives_than_its_bytes_can_code() {
 }
 
 #[test]
-fn many_primitives_go_into_groups_and_come_back() {
+fn many_primitives_are_written_in_groups_and_read_back() {
     let splats = scene(&Scene { count: 40_000, size: [1500, 1000], ..Scene::default() });
     let again = round_trip(&splats);
     assert_eq!(sorted(&again), sorted(&splats));
@@ -184,7 +184,7 @@ fn many_primitives_go_into_groups_and_come_back() {
 }
 
 #[test]
-fn a_part_of_a_large_file_is_drawn_from_a_part_of_its_groups() {
+fn a_part_of_a_large_file_is_rendered_from_some_of_its_groups() {
     let splats = scene(&Scene { count: 40_000, size: [1500, 1000], ..Scene::default() });
     let bytes = to_bytes(&splats).unwrap();
     let limits = Limits::default();

@@ -84,7 +84,7 @@ fn a_reduced_region_of_a_file_in_groups_misses_nothing() {
 }
 
 #[test]
-fn regions_and_sizes_that_cannot_be_are_the_callers_fault() {
+fn impossible_regions_and_sizes_are_parameter_errors() {
     let bytes = encode(&picture(), &options()).unwrap().bytes;
     for region in [[90, 0, 10, 10], [0, 0, 0, 1], [u32::MAX, 0, 2, 2]] {
         let mut options = DecodeOptions::default();
@@ -123,7 +123,7 @@ fn a_progressive_file_cut_after_a_level_is_a_coarser_picture() {
 }
 
 #[test]
-fn levels_outside_their_range_are_the_callers_fault() {
+fn levels_out_of_range_are_parameter_errors() {
     for levels in [0, 9] {
         let mut options = options();
         options.levels = levels;
@@ -132,7 +132,7 @@ fn levels_outside_their_range_are_the_callers_fault() {
 }
 
 #[test]
-fn an_opened_file_draws_every_view_as_decode_does() {
+fn an_opened_file_renders_every_view_like_decode() {
     let made = synthetic::Scene { size: [1024, 768], count: 40_000, ..Default::default() };
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
     let opened = Image::from_bytes(&bytes, &Limits::default()).unwrap();
@@ -157,7 +157,7 @@ fn an_opened_file_draws_every_view_as_decode_does() {
 }
 
 #[test]
-fn what_was_read_for_a_part_draws_no_more_than_that_part() {
+fn data_read_for_a_part_renders_only_that_part() {
     let made = synthetic::Scene { size: [2048, 1536], count: 40_000, ..Default::default() };
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
     let opening = Reader::new(&bytes, &Limits::default()).unwrap();
@@ -175,7 +175,7 @@ fn what_was_read_for_a_part_draws_no_more_than_that_part() {
 }
 
 #[test]
-fn views_that_are_held_together_share_one_limit() {
+fn simultaneous_views_share_one_limit() {
     let made = synthetic::Scene { size: [512, 512], count: 5000, ..Default::default() };
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
     let mut opened = Image::from_bytes(&bytes, &Limits::default()).unwrap();

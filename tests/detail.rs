@@ -91,7 +91,7 @@ fn threads_change_no_sample() {
 }
 
 #[test]
-fn either_layer_can_be_drawn_alone() {
+fn each_layer_can_be_rendered_alone() {
     let splats = large(Channels::Rgb);
     let bytes = to_bytes(&splats).unwrap();
     let view = View::of_size(530, 300);
@@ -115,7 +115,7 @@ fn either_layer_can_be_drawn_alone() {
 }
 
 #[test]
-fn what_is_read_writes_the_same_bytes() {
+fn reading_and_writing_gives_the_same_bytes() {
     for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
         let splats = large(channels);
         let bytes = to_bytes(&splats).unwrap();
@@ -146,7 +146,7 @@ fn a_layer_of_another_picture_is_not_written() {
 }
 
 #[test]
-fn every_cut_leaves_the_tiles_that_are_there() {
+fn every_truncation_keeps_the_complete_tiles() {
     let bytes = small();
     let whole = read(&bytes[..], &Limits::default()).unwrap();
     let at = layer::layout(&bytes).unwrap();
@@ -180,7 +180,7 @@ fn every_cut_leaves_the_tiles_that_are_there() {
 }
 
 #[test]
-fn every_flipped_bit_costs_a_tile_at_most() {
+fn every_flipped_bit_loses_at_most_one_tile() {
     let bytes = small();
     let whole = read(&bytes[..], &Limits::default()).unwrap();
     let at = layer::layout(&bytes).unwrap();
@@ -247,7 +247,7 @@ fn an_empty_layer_of_a_huge_picture_costs_nothing_before_it_is_refused() {
 
 /// A stream that is invalid only at its end has been read by then.
 #[test]
-fn levels_of_illegal_tiles_are_work() {
+fn levels_of_invalid_tiles_count_as_work() {
     let mut head = DetailHead::PLAIN;
     head.sizes = [[3, 3], [3, 3]];
     let ground = scene(&Scene { channels: Channels::Grey, size: [1024, 256], count: 1, ..Scene::default() });
@@ -281,7 +281,7 @@ fn levels_of_illegal_tiles_are_work() {
 
 /// A view may extend beyond the picture, whose border pixels are repeated there.
 #[test]
-fn views_beside_the_picture_are_the_same_however_it_was_opened() {
+fn views_beyond_the_picture_do_not_depend_on_how_it_was_opened() {
     for channels in [Channels::Rgb, Channels::GreyAlpha] {
         let bytes = to_bytes(&large(channels)).unwrap();
         let whole = Image::from_bytes(&bytes, &Limits::default()).unwrap();
@@ -302,7 +302,7 @@ fn views_beside_the_picture_are_the_same_however_it_was_opened() {
 }
 
 #[test]
-fn work_of_the_layer_is_counted_before_it_is_done() {
+fn work_of_the_layer_is_checked_before_it_is_done() {
     let bytes = to_bytes(&large(Channels::Rgb)).unwrap();
     let mut limits = Limits::default();
     limits.work = 1 << 20;

@@ -78,7 +78,7 @@ fn assert_refused(result: Result<Encoded, Error>, name: &str) {
 }
 
 #[test]
-fn files_fill_the_bytes_that_were_asked_and_never_exceed_them() {
+fn files_fill_the_requested_bytes_and_never_exceed_them() {
     let pixels = picture(96, 64, Channels::Rgb);
     for layout in LAYOUTS {
         for most in [60, 100, 333, 1000, 2000] {
@@ -90,7 +90,7 @@ fn files_fill_the_bytes_that_were_asked_and_never_exceed_them() {
 }
 
 #[test]
-fn files_fill_the_ratio_that_was_asked_whatever_the_depth() {
+fn files_fill_the_requested_ratio_at_any_depth() {
     for (pixels, name) in [(picture(96, 64, Channels::Rgb), "8 bits"), (deep_picture(96, 64, Channels::Rgb), "16 bits")]
     {
         for ratio in [10.0, 33.3, 100.0, 300.0] {
@@ -127,7 +127,7 @@ fn files_fill_their_size_at_every_effort_seed_blend_and_tune() {
 }
 
 #[test]
-fn the_number_of_primitives_is_as_asked() {
+fn files_have_the_requested_number_of_primitives() {
     let pixels = picture(96, 64, Channels::Rgb);
     for count in [0, 1, 7, 80] {
         let encoded = run(&pixels, Target::Primitives(count));
@@ -171,7 +171,7 @@ fn bytes_do_not_depend_on_the_thread_count() {
 }
 
 #[test]
-fn pictures_of_every_kind_come_back_alike() {
+fn pictures_of_every_kind_are_similar_after_decoding() {
     for (width, height) in [(1, 1), (1, 4000), (4000, 1), (2, 3), (75, 53)] {
         for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
             for pixels in [picture(width, height, channels), deep_picture(width, height, channels)] {
@@ -193,7 +193,7 @@ fn pictures_of_every_kind_come_back_alike() {
 }
 
 #[test]
-fn what_is_under_full_transparency_costs_nothing() {
+fn fully_transparent_colours_cost_nothing() {
     // The colours under the transparent half are noise, and those of the rest are flat.
     let noise = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
     let samples =
@@ -212,7 +212,7 @@ fn what_is_under_full_transparency_costs_nothing() {
 }
 
 #[test]
-fn a_psnr_is_reached_or_refused_with_what_can_be_had() {
+fn a_psnr_is_reached_or_refused_with_the_possible_value() {
     let pixels = picture(64, 48, Channels::Rgb);
     for wanted in [22.0, 28.0] {
         let encoded = run(&pixels, Target::Psnr(wanted));
@@ -249,7 +249,7 @@ fn a_search_for_a_psnr_keeps_its_gaussians_where_only_the_layer_grows() {
 }
 
 #[test]
-fn pictures_with_silent_channels_have_layers_in_every_tune() {
+fn pictures_with_constant_channels_have_layers_with_every_tuning() {
     // Grey texture, stored with equal colours and opaque alpha.
     let [width, height] = [200, 150u32];
     let grey =
@@ -273,7 +273,7 @@ fn pictures_with_silent_channels_have_layers_in_every_tune() {
 }
 
 #[test]
-fn a_psnr_is_reached_beside_metadata_of_any_size() {
+fn a_psnr_is_reached_with_metadata_of_any_size() {
     let pixels = picture(64, 48, Channels::Rgb);
     for wanted in [12.0, 24.0] {
         let plain = run(&pixels, Target::Psnr(wanted));
@@ -289,7 +289,7 @@ fn a_psnr_is_reached_beside_metadata_of_any_size() {
 }
 
 #[test]
-fn a_time_budget_is_that_of_all_tries() {
+fn a_time_budget_covers_all_tries() {
     let pixels = picture(400, 300, Channels::Rgb);
     let mut options = quick(Target::Psnr(20.0));
     options.effort = 9;
@@ -302,7 +302,7 @@ fn a_time_budget_is_that_of_all_tries() {
 }
 
 #[test]
-fn a_time_budget_without_an_end_is_none() {
+fn an_infinite_time_budget_is_no_budget() {
     let pixels = picture(40, 30, Channels::Rgb);
     let mut options = quick(Target::Bytes(300));
     let without = encode(&pixels, &options).unwrap().bytes;
@@ -326,7 +326,7 @@ fn a_time_budget_ends_the_work() {
 }
 
 #[test]
-fn the_parts_of_smartsplat_all_matter_and_fill_the_size() {
+fn all_parts_of_smartsplat_have_an_effect_and_fill_the_size() {
     let pixels = picture(96, 64, Channels::Rgb);
     let mut all = Vec::new();
     for parts in [Ablation::Random, Ablation::Means, Ablation::Scales, Ablation::Colors] {
@@ -343,7 +343,7 @@ fn the_parts_of_smartsplat_all_matter_and_fill_the_size() {
 }
 
 #[test]
-fn progress_goes_forward_and_can_stop_the_work() {
+fn progress_increases_and_the_callback_can_cancel() {
     let pixels = picture(64, 48, Channels::Rgb);
     let mut seen = Vec::new();
     encode_with_progress(&pixels, &quick(Target::Bytes(300)), &mut |p| {
@@ -365,7 +365,7 @@ fn progress_goes_forward_and_can_stop_the_work() {
 }
 
 #[test]
-fn eyes_are_favoured_unless_a_psnr_or_another_recipe_is_asked_for() {
+fn tuning_is_perceptual_unless_a_psnr_or_another_recipe_is_requested() {
     let mut options = quick(Target::Bytes(600));
     assert_eq!(options.favoured(), Tune::Iq);
     // Noise in one half, so that the weights differ.

@@ -55,7 +55,7 @@ fn reason(name: &str) -> FormatError {
 }
 
 #[test]
-fn frames_that_libraries_read_in_their_own_ways_are_refused() {
+fn zstd_frames_that_libraries_read_differently_are_refused() {
     for name in ["reserved-bits-of-zstd", "a-window-of-96-mib", "a-window-that-another-library-refuses"] {
         let reason = reason(&format!("planes-with-{name}"));
         assert!(matches!(reason, FormatError::Compression { .. }), "{name}: {reason}");
@@ -63,7 +63,7 @@ fn frames_that_libraries_read_in_their_own_ways_are_refused() {
 }
 
 #[test]
-fn colours_beyond_what_single_precision_bears_are_refused() {
+fn colours_beyond_single_precision_are_refused() {
     for i in 1..=4 {
         let reason = reason(&format!("colours-beyond-single-precision-{i}"));
         assert!(matches!(reason, FormatError::BadValue { field: "background", .. }), "{i}: {reason}");
@@ -71,7 +71,7 @@ fn colours_beyond_what_single_precision_bears_are_refused() {
 }
 
 #[test]
-fn planes_that_two_libraries_read_as_two_pictures_are_one() {
+fn ambiguous_planes_decode_to_a_single_picture() {
     // A broken frame, with the checksum of its contents as each of two libraries reads it. The checksum is not
     // corrected. Native machines and WebAssembly use the same library.
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/finds");

@@ -66,7 +66,7 @@ fn hidden_colors_change_no_byte_in_tiles() {
 }
 
 #[test]
-fn kept_hidden_colors_come_back() {
+fn kept_hidden_colors_are_decoded() {
     // A gradient is hidden where the logo is transparent.
     let ramp = |x: u32, y: u32| [x, y, 128].map(|v| (v / 2 + 40) as u8);
     for (side, tiles) in [(256, None), (400, Some(256))] {

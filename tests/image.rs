@@ -56,7 +56,7 @@ fn expected(channels: Channels, depth: Depth) -> Pixels {
     Renderer::new(&picture, &View::full(&picture), &limits).unwrap().render(depth).unwrap()
 }
 
-/// A PNG that says it has sides of 2²⁰ pixels, of which it has none.
+/// A PNG that states sides of 2²⁰ pixels but has no samples.
 fn lying_png() -> Vec<u8> {
     let mut png = Vec::new();
     DynamicImage::new_rgba16(1, 1).write_to(&mut Cursor::new(&mut png), image::ImageFormat::Png).unwrap();
@@ -67,9 +67,9 @@ fn lying_png() -> Vec<u8> {
     png
 }
 
-/// `image` alone asks for the 8 TiB, and aborts the process.
+/// `image` alone would allocate 8 TiB and abort the process.
 #[test]
-fn a_picture_that_says_it_is_huge_is_an_error_of_limits() {
+fn a_picture_that_claims_a_huge_size_is_a_limits_error() {
     let folder = tempfile::tempdir().unwrap();
     let (input, output) = (folder.path().join("a.png"), folder.path().join("a.ssplat"));
     std::fs::write(&input, lying_png()).unwrap();
@@ -117,7 +117,7 @@ fn opens_by_extension_and_by_content() {
 }
 
 #[test]
-fn every_colour_type_comes_out_as_it_is() {
+fn every_colour_type_is_decoded_unchanged() {
     let types = [
         [ColorType::L8, ColorType::La8, ColorType::Rgb8, ColorType::Rgba8],
         [ColorType::L16, ColorType::La16, ColorType::Rgb16, ColorType::Rgba16],
@@ -148,7 +148,7 @@ fn sixteen_bits_decode_into_a_buffer_at_an_odd_address() {
 }
 
 #[test]
-fn icc_profile_and_exif_come_out_untouched() {
+fn icc_profile_and_exif_are_returned_unchanged() {
     let bytes = ssplat::unstable::bitstream::to_bytes(&splats(Channels::Rgb, Depth::Eight, metadata())).unwrap();
     let mut decoder = SsplatDecoder::new(&bytes[..]).unwrap();
     assert_eq!(decoder.icc_profile().unwrap(), metadata().icc);
@@ -190,7 +190,7 @@ fn limit_of(result: Result<impl Sized, ImageError>) -> LimitErrorKind {
 }
 
 #[test]
-fn limits_hold() {
+fn limits_are_enforced() {
     assert!(ssplat::register());
     let decode = |width, height, alloc| {
         let mut limits = image::Limits::no_limits();
@@ -210,7 +210,7 @@ fn limits_hold() {
 }
 
 #[test]
-fn limits_that_come_late_hold_for_what_has_been_read() {
+fn limits_set_late_apply_to_data_already_read() {
     let mut splats = splats(Channels::Rgb, Depth::Eight, Metadata::default());
     splats.metadata.icc = Some(vec![7; 5000]);
     let bytes = ssplat::unstable::bitstream::to_bytes(&splats).unwrap();
@@ -270,7 +270,7 @@ fn a_buffer_of_wrong_length_panics_as_image_asks() {
 }
 
 #[test]
-fn floats_become_sixteen_bits_by_the_stated_rule() {
+fn floats_are_converted_to_sixteen_bits_as_documented() {
     let of = |v: Vec<f32>| Pixels::try_from(DynamicImage::from(image::Rgb32FImage::from_vec(1, 1, v).unwrap()));
     let pixels = of(vec![-1.0, 0.5, 7.0]).unwrap();
     assert_eq!(pixels.samples(), &ssplat::Samples::U16(vec![0, 32768, 65535]));
@@ -398,7 +398,7 @@ fn photograph() -> Vec<u8> {
 }
 
 #[test]
-fn transcode_keeps_profile_and_orientation_and_not_the_camera_s_notes() {
+fn transcode_keeps_profile_and_orientation_but_not_the_rest_of_exif() {
     let folder = tempfile::tempdir().unwrap();
     let (input, output) = (folder.path().join("phone.png"), folder.path().join("phone.ssplat"));
     std::fs::write(&input, photograph()).unwrap();
@@ -432,7 +432,7 @@ fn transcode_keeps_profile_and_orientation_and_not_the_camera_s_notes() {
 }
 
 #[test]
-fn what_cannot_be_transcoded_is_named() {
+fn transcoding_errors_name_the_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     std::fs::write(path("text.txt"), "no picture").unwrap();
@@ -469,7 +469,7 @@ fn a_failed_save_keeps_the_old_file() {
 
 #[test]
 #[cfg(unix)]
-fn save_leaves_a_file_that_is_replaced_its_rights() {
+fn save_keeps_the_permissions_of_a_replaced_file() {
     use std::os::unix::fs::PermissionsExt;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("secret.ssplat");
@@ -481,7 +481,7 @@ fn save_leaves_a_file_that_is_replaced_its_rights() {
 
 #[test]
 #[cfg(unix)]
-fn save_replaces_a_file_whole_and_leaves_nothing_beside_it() {
+fn save_replaces_a_file_atomically_and_leaves_no_temporary_file() {
     let folder = tempfile::tempdir().unwrap();
     let names = || {
         let mut names: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();

@@ -29,7 +29,7 @@ impl ImageDecoder for Other {
 }
 
 #[test]
-fn another_hook_is_never_displaced() {
+fn another_hook_is_never_replaced() {
     assert!(register_decoding_hook("ssplat".into(), Box::new(|_| Ok(Box::new(Other)))));
     assert!(!ssplat::register());
     assert!(!ssplat::register());

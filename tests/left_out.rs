@@ -1,5 +1,5 @@
-//! Data that an encode leaves out: the file keeps its size and the picture its channels, and the report names the
-//! data.
+//! Parts of an encode that are omitted: the file keeps its size and the picture its channels, and the report lists
+//! them.
 #![cfg(feature = "unstable")]
 
 use ssplat::report::SkipReason;
@@ -30,7 +30,7 @@ fn wave(channels: Channels, value: impl Fn(u32, u32, usize) -> u8) -> Pixels {
 }
 
 #[test]
-fn opaque_and_grey_pictures_come_back_opaque_grey_and_in_their_own_channels() {
+fn opaque_and_grey_pictures_keep_their_channels() {
     for blend in [Blend::Normalized, Blend::Sum] {
         let pixels = wave(Channels::Rgba, |x, y, k| if k == 3 { 255 } else { (3 * x + 2 * y) as u8 });
         let mut options = options(1, Target::Bytes(200));
@@ -54,7 +54,7 @@ fn opaque_and_grey_pictures_come_back_opaque_grey_and_in_their_own_channels() {
 }
 
 #[test]
-fn every_constant_grey_comes_back_exactly() {
+fn every_constant_grey_is_decoded_exactly() {
     for v in 0..=255 {
         let pixels = wave(Channels::Rgb, |_, _, k| if k == 0 { v } else { 255 - v });
         let encoded = ssplat::unstable::encode(&pixels, &EncodeOptions::default()).unwrap();
@@ -64,7 +64,7 @@ fn every_constant_grey_comes_back_exactly() {
 }
 
 #[test]
-fn a_soft_picture_stops_early_loses_needless_primitives_and_stays_within_rounding() {
+fn a_smooth_picture_stops_early_and_stays_within_rounding() {
     let pixels = wave(Channels::Rgb, |x, y, k| 60 + (2 * x + (k as u32 + 1) * y) as u8);
     let mut options = options(5, Target::Primitives(300));
     let encoded = ssplat::unstable::encode(&pixels, &options).unwrap();
@@ -83,7 +83,7 @@ fn a_soft_picture_stops_early_loses_needless_primitives_and_stays_within_roundin
 }
 
 #[test]
-fn a_target_in_decibels_is_met_with_no_more_primitives_than_it_takes() {
+fn a_psnr_target_is_met_with_no_more_primitives_than_necessary() {
     let pixels = wave(Channels::Rgb, |x, y, k| (x * x / 7 + (k as u32 + 1) * y * 3) as u8);
     let encoded = ssplat::unstable::encode(&pixels, &options(3, Target::Psnr(30.0))).unwrap();
     // The search returns the smallest file of six tries. Here, twice as many as its 32 primitives gain 11 dB, or half
@@ -103,7 +103,7 @@ fn left_out(pixels: &Pixels, options: &EncodeOptions) -> Vec<SkipReason> {
 }
 
 #[test]
-fn ssim_terms_are_left_out_where_they_would_weigh_nothing() {
+fn ssim_weights_are_omitted_where_they_have_no_effect() {
     let even = wave(Channels::Grey, |x, y, _| (100 + (x + y) / 4) as u8);
     let rough = wave(Channels::Grey, |x, y, _| (100 + x * y % 7 * x) as u8);
     let psnr = options(1, Target::Bytes(150));
@@ -123,7 +123,7 @@ fn ssim_terms_are_left_out_where_they_would_weigh_nothing() {
 }
 
 #[test]
-fn a_gpu_that_was_free_to_be_taken_and_was_not_is_left_out_and_the_reason_is_told() {
+fn an_unused_gpu_is_reported_with_the_reason() {
     let gpu = |pixels: &Pixels, backend| {
         let mut options = options(1, Target::Primitives(3));
         options.backend = backend;
@@ -145,7 +145,7 @@ fn a_gpu_that_was_free_to_be_taken_and_was_not_is_left_out_and_the_reason_is_tol
 }
 
 #[test]
-fn the_seconds_that_drafts_save_are_fewer_than_those_that_the_fit_took_times_its_steps() {
+fn time_saved_by_several_starts_is_bounded_by_the_time_per_step() {
     // With few primitives, four starts take more steps than the schedule of one fit.
     let pixels = wave(Channels::Grey, |x, y, _| (100 + (x + y) / 2) as u8);
     let encoded = ssplat::unstable::encode(&pixels, &options(5, Target::Primitives(40))).unwrap();

@@ -108,7 +108,7 @@ fn every_truncation_is_refused() {
 }
 
 #[test]
-fn every_flipped_bit_is_found() {
+fn every_flipped_bit_is_detected() {
     let mut outcomes = Outcomes::default();
     // Changing one bit of the damaged file makes it valid again.
     for (name, bytes) in sound().into_iter().filter(|f| f.0 != "sections-damaged") {
@@ -126,7 +126,7 @@ fn every_flipped_bit_is_found() {
 }
 
 #[test]
-fn every_value_of_every_header_byte_is_refused_or_legal() {
+fn every_value_of_every_header_byte_is_refused_or_valid() {
     let mut outcomes = Outcomes::default();
     for (_, bytes) in sound() {
         for at in 0..12 {
@@ -143,7 +143,7 @@ fn every_value_of_every_header_byte_is_refused_or_legal() {
 }
 
 #[test]
-fn mutations_under_right_checksums_are_refused_or_legal() {
+fn mutations_with_valid_checksums_are_refused_or_valid() {
     let (mut outcomes, files) = (Outcomes::default(), sound().into_iter().map(|(_, bytes)| bytes).collect::<Vec<_>>());
     for bytes in mutations(&files, 10_000) {
         outcomes.add(outcome(&bytes));

@@ -128,7 +128,7 @@ fn section_name(i: u32) -> [u8; 4] {
 
 /// The only test of this program, so that it counts no other test's memory.
 #[test]
-fn decoding_keeps_to_the_memory_that_it_is_granted() {
+fn decoding_stays_within_its_memory_limit() {
     assert!(ssplat::register());
     layers_of_empty_tiles();
     let mut files = worst();

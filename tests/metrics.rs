@@ -105,7 +105,7 @@ fn different_shapes_are_a_parameter_error() {
 }
 
 #[test]
-fn colours_count_by_the_opacity_of_the_original() {
+fn colours_are_weighted_by_the_opacity_of_the_original() {
     let picture = |color: u8, alpha: u8| {
         Pixels::new(12, 12, Channels::GreyAlpha, Samples::U8([color, alpha].repeat(144))).unwrap()
     };
@@ -123,7 +123,7 @@ fn colours_count_by_the_opacity_of_the_original() {
 }
 
 #[test]
-fn no_measure_sees_colors_under_alpha_0() {
+fn measures_ignore_colours_under_alpha_0() {
     let visible = synthetic(200, 180, Channels::Rgba, 9);
     let Samples::U8(samples) = visible.samples() else { unreachable!() };
     // A transparent half, once black and once white.

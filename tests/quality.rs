@@ -24,7 +24,7 @@ fn measured(pixels: &Pixels, encoded: &Encoded) -> f64 {
 }
 
 #[test]
-fn a_quality_is_met_in_at_most_six_fits_and_reported_as_it_is() {
+fn a_quality_is_met_in_at_most_six_fits_and_reported_exactly() {
     for channels in [Channels::Rgb, Channels::Rgba] {
         let pixels = picture(160, 120, channels);
         let mut bytes = Vec::new();
@@ -43,7 +43,7 @@ fn a_quality_is_met_in_at_most_six_fits_and_reported_as_it_is() {
 }
 
 #[test]
-fn a_quality_beside_metadata_counts_the_picture_alone() {
+fn metadata_does_not_count_towards_the_size_of_a_quality_search() {
     let pixels = picture(160, 120, Channels::Rgb);
     let mut options = quick(50.0);
     options.exif = Some(vec![9; 6000]);
@@ -54,7 +54,7 @@ fn a_quality_beside_metadata_counts_the_picture_alone() {
 }
 
 #[test]
-fn what_cannot_be_met_is_said() {
+fn an_unreachable_quality_is_reported() {
     // Noise that a few primitives cannot represent.
     let noise = (0..40 * 40u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
     let noise = Pixels::new(40, 40, Channels::Grey, Samples::U8(noise)).unwrap();
@@ -87,7 +87,7 @@ fn a_quality_is_met_in_tiles_as_the_mean_of_their_scores() {
 }
 
 #[test]
-fn a_picture_of_one_colour_has_any_quality() {
+fn a_constant_picture_meets_any_quality() {
     let pixels = Pixels::new(30, 20, Channels::Rgb, Samples::U8([9, 80, 200].repeat(600))).unwrap();
     let encoded = encode(&pixels, &quick(90.0)).unwrap();
     assert!(measured(&pixels, &encoded) > 99.0 && encoded.bytes.len() < 60);

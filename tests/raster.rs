@@ -106,7 +106,7 @@ fn single_gaussians_of_every_shape_are_within_one_code_value() {
 }
 
 #[test]
-fn narrow_gaussians_are_exact_wherever_they_lie_in_a_strip() {
+fn narrow_gaussians_are_exact_at_any_position_in_a_strip() {
     // Strips have eight columns. The range of the narrow ones' exponents in a strip depends on the position.
     for scale in
         [[0.25f32, 0.25], [0.4, 0.3], [0.6, 0.5], [0.85, 0.85], [1.3, 0.25], [2.5, 0.5], [9.0, 0.3], [60.0, 0.7]]
@@ -148,7 +148,7 @@ fn shapes_that_end_far_from_their_mean_are_within_one_code_value() {
 }
 
 #[test]
-fn sparse_pictures_where_epsilon_conditions_the_division_are_within_one_code_value() {
+fn sparse_pictures_with_small_weight_sums_are_within_one_code_value() {
     // One Gaussian per 40 × 40 pixels, with scales that leave most pixels with Σw below 0.02.
     for seed in 0..20 {
         let mut p = scene(160, 120, 12, Channels::Rgb, Blend::Normalized, seed);
@@ -188,7 +188,7 @@ fn legal(seed: u64, count: usize, blend: Blend, channels: Channels) -> Picture {
 }
 
 #[test]
-fn colours_as_large_as_a_file_may_hold_stay_within_tolerance_at_16_bits() {
+fn the_largest_valid_colours_are_within_tolerance_at_16_bits() {
     let mut worst = [0.0f64; 2];
     for seed in 0..400 {
         for (k, blend) in [Blend::Normalized, Blend::Sum].into_iter().enumerate() {
@@ -314,7 +314,7 @@ fn logo(channels: Channels) -> Picture {
 }
 
 #[test]
-fn what_hides_under_alpha_0_makes_no_fringe_when_reduced() {
+fn hidden_colours_leave_no_fringe_when_reduced() {
     for channels in [Channels::Rgba, Channels::GreyAlpha] {
         let (p, count) = (logo(channels), channels.count());
         for (w, h) in [(96, 96), (48, 48), (19, 31), (12, 12), (5, 6)] {
@@ -399,7 +399,7 @@ fn tile_pairs_of_reduced_views_are_those_of_their_samples() {
 }
 
 #[test]
-fn every_way_of_cutting_gives_the_same_bits() {
+fn every_division_into_parts_gives_the_same_bits() {
     let mut p = scene(401, 277, 900, Channels::Rgb, Blend::Normalized, 5);
     p.gaussians.push(one([200.0, 100.0], [900.0, 0.4], 0.61));
     p.gaussians.push(one([-50.0, 300.0], [300.0, 200.0], 2.0));
@@ -423,7 +423,7 @@ fn every_way_of_cutting_gives_the_same_bits() {
 }
 
 #[test]
-fn bands_put_together_are_the_whole() {
+fn bands_together_equal_the_whole() {
     let p = scene(300, 333, 500, Channels::Rgba, Blend::Sum, 6);
     let full = View::full(&p);
     let reduced = full.resized(100, 60).unwrap();
@@ -458,7 +458,7 @@ fn thread_counts_do_not_change_bits() {
 }
 
 #[test]
-fn pictures_of_none_one_and_two_primitives_draw() {
+fn pictures_of_zero_one_and_two_primitives_render() {
     for blend in [Blend::Normalized, Blend::Sum] {
         for count in 0..3 {
             let all = [one([10.0, 9.0], [4.0, 2.0], 0.3), one([1.0, 20.0], [0.25, 0.25], 0.0)];
@@ -507,7 +507,7 @@ fn the_largest_finite_scale_covers_the_picture() {
 }
 
 #[test]
-fn tile_pairs_are_limited_before_the_work() {
+fn tile_pairs_are_checked_before_the_work() {
     let giants = vec![one([500.0, 500.0], [1e4, 1e4], 0.0); 1000];
     let p = picture(1000, 1000, Channels::Rgb, Blend::Normalized, giants);
     let mut limits = Limits::default();
@@ -529,7 +529,7 @@ fn work_is_limited_in_proportion_to_pixels_and_primitives() {
 }
 
 #[test]
-fn narrow_gaussians_count_as_the_exponentials_that_they_take() {
+fn the_work_of_narrow_gaussians_counts_their_exponentials() {
     // Two strips of 8 columns are rendered for each.
     let of = |scale: [f32; 2]| {
         let p = picture(400, 1000, Channels::Rgb, Blend::Normalized, vec![one([200.0, 500.0], scale, FRAC_PI_2)]);
@@ -575,7 +575,7 @@ fn two_million_primitives_on_a_16k_picture_are_within_the_limits() {
 }
 
 #[test]
-fn memory_is_limited_before_it_is_taken() {
+fn memory_is_checked_before_it_is_allocated() {
     let p = scene(64, 64, 100, Channels::Rgb, Blend::Normalized, 1);
     let mut limits = Limits::default();
     limits.alloc = 4096;
@@ -587,7 +587,7 @@ fn memory_is_limited_before_it_is_taken() {
 }
 
 #[test]
-fn floats_that_are_no_numbers_are_the_callers_fault() {
+fn non_finite_floats_are_parameter_errors() {
     let sound = one([1.0, 1.0], [1.0, 1.0], 0.0);
     for bad in [f32::NAN, f32::INFINITY] {
         for g in [
@@ -604,7 +604,7 @@ fn floats_that_are_no_numbers_are_the_callers_fault() {
 }
 
 #[test]
-fn views_outside_their_parent_are_the_callers_fault() {
+fn views_outside_their_parent_are_parameter_errors() {
     let view = View::of_size(10, 10);
     assert!(view.crop(0, 0, 0, 1).is_err());
     assert!(view.crop(5, 0, 6, 1).is_err());

@@ -41,7 +41,7 @@ fn options(target: Target, time: Option<Duration>) -> EncodeOptions {
 }
 
 #[test]
-fn a_psnr_is_reached_whatever_the_picture() {
+fn a_psnr_is_reached_on_any_picture() {
     for (name, pixels) in hard_pictures() {
         for wanted in [18.0, 20.0, 22.0, 25.0, 30.0] {
             let encoded = encode(&pixels, &options(Target::Psnr(wanted), None));
@@ -52,7 +52,7 @@ fn a_psnr_is_reached_whatever_the_picture() {
 }
 
 #[test]
-fn a_psnr_under_a_budget_of_time_gives_the_best_file_so_far() {
+fn a_psnr_with_a_time_budget_gives_the_best_file_so_far() {
     for (name, pixels) in hard_pictures() {
         for wanted in [18.0, 22.0, 30.0, 50.0, 90.0] {
             let encoded = encode(&pixels, &options(Target::Psnr(wanted), Some(Duration::from_millis(40))));
@@ -75,7 +75,7 @@ fn only_the_largest_file_proves_that_a_psnr_cannot_be_reached() {
 
 #[cfg(feature = "quality")]
 #[test]
-fn a_quality_is_met_whatever_the_picture() {
+fn a_quality_is_met_on_any_picture() {
     for (name, pixels) in hard_pictures() {
         for wanted in [20.0, 40.0, 60.0, 80.0] {
             let encoded = encode(&pixels, &options(Target::Quality(wanted), None)).unwrap();

@@ -45,7 +45,7 @@ fn with(bytes: &[u8], contents: Vec<u8>) -> Vec<u8> {
 }
 
 #[test]
-fn a_file_with_a_thumbnail_has_the_asked_size_and_both_pictures() {
+fn a_file_with_a_thumbnail_has_the_requested_size_and_both_pictures() {
     for channels in [Channels::Grey, Channels::Rgb, Channels::Rgba] {
         let pixels = picture(500, 300, channels);
         let mut options = options(6000, Thumbnail::Bytes(500));
@@ -73,7 +73,7 @@ fn a_file_with_a_thumbnail_has_the_asked_size_and_both_pictures() {
 }
 
 #[test]
-fn small_files_and_small_pictures_carry_none_unasked() {
+fn small_files_and_small_pictures_have_no_thumbnail_by_default() {
     let sections = |bytes: &[u8]| inspect(bytes, &Limits::default()).unwrap().1.sections.len();
     let pixels = picture(300, 200, Channels::Rgb);
     let without = encode(&pixels, &options(3000, Thumbnail::Never)).unwrap().bytes;
@@ -97,7 +97,7 @@ fn small_files_and_small_pictures_carry_none_unasked() {
 }
 
 #[test]
-fn files_of_any_size_get_one_where_the_size_comes_last() {
+fn a_thumbnail_can_be_requested_with_any_target() {
     let mut options = options(0, Thumbnail::Bytes(200));
     options.target = Target::Primitives(50);
     let pixels = picture(300, 200, Channels::Rgb);
@@ -110,7 +110,7 @@ fn files_of_any_size_get_one_where_the_size_comes_last() {
 }
 
 #[test]
-fn a_thumbnail_that_cannot_be_used_is_as_if_it_were_not_there() {
+fn an_unusable_thumbnail_is_ignored() {
     let pixels = picture(300, 200, Channels::Rgb);
     let bytes = encode(&pixels, &options(2500, Thumbnail::Bytes(300))).unwrap().bytes;
     let file = read(&bytes[..], &Limits::default()).unwrap().metadata.thumbnail.unwrap();
@@ -138,7 +138,7 @@ fn a_thumbnail_that_cannot_be_used_is_as_if_it_were_not_there() {
 }
 
 #[test]
-fn what_cannot_be_asked_for_is_refused() {
+fn impossible_thumbnail_requests_are_refused() {
     let pixels = picture(300, 200, Channels::Rgb);
     let failed = |o: &EncodeOptions| match encode(&pixels, o) {
         Err(Error::Parameter { name, problem }) => (name, problem),
@@ -157,7 +157,7 @@ fn what_cannot_be_asked_for_is_refused() {
 }
 
 #[test]
-fn no_bit_of_a_damaged_header_gets_a_thumbnail_drawn() {
+fn no_thumbnail_is_rendered_from_a_damaged_header() {
     let pixels = picture(300, 200, Channels::Rgb);
     let bytes = encode(&pixels, &options(2500, Thumbnail::Bytes(300))).unwrap().bytes;
     let rest = {

@@ -113,7 +113,7 @@ fn a_detail_layer_lies_over_the_gaussians_of_all_tiles() {
 }
 
 #[test]
-fn gaussians_under_a_layer_that_were_fitted_to_a_smaller_picture_are_as_good_at_its_own_size() {
+fn gaussians_fitted_at_reduced_size_are_as_good_at_full_size() {
     // Odd sides, so that the squares at two borders are cut off.
     let pixels = picture(1003, 701, Channels::Rgb);
     for tiles in [None, Some(512)] {
@@ -145,7 +145,7 @@ fn grey_in_colour(width: u32, height: u32) -> Pixels {
 }
 
 #[test]
-fn the_number_of_primitives_is_about_as_asked_in_tiles() {
+fn tiles_have_about_the_requested_number_of_primitives() {
     let encoded =
         ssplat::unstable::encode(&picture(300, 200, Channels::Rgb), &options(Target::Primitives(600), Some(128)))
             .unwrap();
@@ -158,7 +158,7 @@ fn carried(bytes: &[u8]) -> Option<Vec<u8>> {
 }
 
 #[test]
-fn a_file_of_tiles_carries_a_thumbnail_within_its_size() {
+fn a_file_of_tiles_has_a_thumbnail_within_its_size() {
     let pixels = picture(300, 200, Channels::Rgb);
     for (target, most) in [(Target::Bytes(3000), 3000), (Target::Primitives(300), u64::MAX)] {
         let mut options = options(target, Some(128));
@@ -180,7 +180,7 @@ fn a_file_of_tiles_carries_a_thumbnail_within_its_size() {
 }
 
 #[test]
-fn channels_that_say_nothing_are_left_out_of_tiles() {
+fn constant_channels_are_omitted_in_tiles() {
     let grey = picture(300, 200, Channels::Grey);
     let pixels = grey_in_colour(300, 200);
     let mut options = options(Target::Bytes(2000), Some(128));
@@ -203,14 +203,14 @@ fn channels_that_say_nothing_are_left_out_of_tiles() {
 }
 
 #[test]
-fn a_picture_of_one_colour_comes_back_from_tiles() {
+fn a_constant_picture_is_decoded_exactly_from_tiles() {
     let pixels = Pixels::new(300, 140, Channels::Rgb, Samples::U8([200, 90, 30].repeat(300 * 140))).unwrap();
     let encoded = ssplat::unstable::encode(&pixels, &options(Target::Auto, Some(128))).unwrap();
     assert!(encoded.report.psnr > 48.0, "{}", encoded.report.psnr);
 }
 
 #[test]
-fn a_picture_of_one_colour_takes_as_few_bytes_in_tiles_as_without() {
+fn a_constant_picture_takes_as_few_bytes_in_tiles_as_without() {
     let color = [200, 90, 30, 255, 77, 77, 77, 255];
     for (channels, color) in
         [(Channels::Rgb, &color[..3]), (Channels::Rgba, &color[4..]), (Channels::Grey, &color[5..6])]
@@ -234,7 +234,7 @@ fn a_picture_of_one_colour_takes_as_few_bytes_in_tiles_as_without() {
 }
 
 #[test]
-fn a_report_says_why_tiles_were_fitted_on_the_cpu() {
+fn the_report_says_why_tiles_were_fitted_on_the_cpu() {
     let pixels = picture(300, 140, Channels::Grey);
     let reason = |backend| {
         let mut options = options(Target::Bytes(300), Some(128));
@@ -305,7 +305,7 @@ fn encode_by(pixels: &Pixels, options: &EncodeOptions, workers: &mut Elsewhere<'
 }
 
 #[test]
-fn a_picture_that_is_divided_among_workers_becomes_the_same_file() {
+fn a_picture_divided_among_workers_gives_the_same_file() {
     for (channels, tune, (blend, levels), at_once) in [
         (Channels::Rgb, Tune::Iq, (Blend::Normalized, 1), 1),
         (Channels::GreyAlpha, Tune::Ssim, (Blend::Sum, 2), 2),
@@ -329,7 +329,7 @@ fn a_picture_that_is_divided_among_workers_becomes_the_same_file() {
 }
 
 #[test]
-fn workers_know_that_a_detail_layer_comes_on_top() {
+fn workers_know_about_the_detail_layer() {
     // The Gaussians of a layer are fitted in fewer steps.
     let pixels = picture(260, 150, Channels::Rgb);
     for tune in [Tune::Psnr, Tune::Iq] {
@@ -344,7 +344,7 @@ fn workers_know_that_a_detail_layer_comes_on_top() {
 }
 
 #[test]
-fn a_tile_that_is_worked_on_twice_becomes_the_same() {
+fn processing_a_tile_twice_gives_the_same_result() {
     let pixels = picture(200, 140, Channels::Rgb);
     let mut workers = Elsewhere::new(2, &|_, answer| answer);
     encode_by(&pixels, &options(Target::Bytes(1000), Some(128)), &mut workers).unwrap();
@@ -354,7 +354,7 @@ fn a_tile_that_is_worked_on_twice_becomes_the_same() {
 }
 
 #[test]
-fn an_answer_that_is_none_names_its_tile() {
+fn an_invalid_answer_names_its_tile() {
     let pixels = picture(300, 200, Channels::Grey);
     let options = options(Target::Bytes(700), Some(128));
     let mut workers = Elsewhere::new(1, &|_, answer| answer);
@@ -412,7 +412,7 @@ fn signed(mut bytes: Vec<u8>) -> Vec<u8> {
 }
 
 #[test]
-fn bytes_that_are_no_task_or_answer_are_refused_without_a_panic() {
+fn invalid_tasks_and_answers_are_refused_without_a_panic() {
     let pixels = picture(200, 140, Channels::Grey);
     let options = options(Target::Bytes(300), Some(128));
     let mut workers = Elsewhere::new(1, &|_, answer| answer);
@@ -478,7 +478,7 @@ fn bytes_that_are_no_task_or_answer_are_refused_without_a_panic() {
 
 /// Replaces the numbers of a result by extreme floats: each field separately, in all primitives.
 #[test]
-fn answers_of_extreme_numbers_are_refused_or_lead_to_a_file() {
+fn answers_with_extreme_numbers_are_refused_or_give_a_file() {
     let pixels = picture(200, 140, Channels::Grey);
     let options = options(Target::Bytes(300), Some(128));
     let (mut files, mut refused) = (0, 0);
@@ -520,7 +520,7 @@ fn a_picture_no_larger_than_a_tile_is_fitted_as_a_whole() {
 }
 
 #[test]
-fn what_tiles_cannot_do_is_a_parameter_error() {
+fn options_that_exclude_tiles_are_parameter_errors() {
     let pixels = picture(300, 200, Channels::Grey);
     let refused = |name: &str, change: &dyn Fn(&mut EncodeOptions)| {
         let mut options = options(Target::Ratio(50.0), Some(128));
@@ -596,7 +596,7 @@ fn a_trace_of_tiles_has_a_point_after_each_pass_and_ends_with_the_file() {
 }
 
 #[test]
-fn progress_of_tiles_goes_forward_and_can_stop_the_work() {
+fn progress_of_tiles_increases_and_the_callback_can_cancel() {
     let pixels = picture(300, 200, Channels::Grey);
     let options = options(Target::Ratio(60.0), Some(128));
     let mut shown: Vec<(&str, f32)> = Vec::new();

@@ -12,7 +12,7 @@ fn disc(side: u32) -> Pixels {
 }
 
 #[test]
-fn a_trace_ends_with_the_written_picture_and_leaves_the_bytes_alone() {
+fn a_trace_ends_with_the_written_picture_and_changes_no_byte() {
     let pixels = disc(48);
     let mut options = EncodeOptions::default();
     options.target = Target::Primitives(20);

@@ -938,7 +938,7 @@ fn on_disk() -> Vec<Stored> {
 
 #[test]
 #[cfg_attr(not(feature = "encode"), ignore = "without the encoder, planes are written without zstd")]
-fn vectors_are_those_that_the_command_writes() {
+fn vectors_are_up_to_date() {
     let vectors = all();
     assert_eq!(on_disk().len(), vectors.len());
     for vector in vectors {
@@ -951,7 +951,7 @@ fn vectors_are_those_that_the_command_writes() {
 }
 
 #[test]
-fn library_meets_every_vector() {
+fn the_library_conforms_to_every_vector() {
     let mut counts = [0; 2];
     for (name, fields, file, picture) in on_disk() {
         let field = |key: &str| fields.iter().find(|f| f.0 == key).map(|f| f.1.as_str()).unwrap_or_default();
@@ -989,7 +989,7 @@ fn library_meets_every_vector() {
 }
 
 #[test]
-fn the_comparison_of_pictures_sees_a_code_value() {
+fn the_comparison_of_pictures_detects_one_code_value() {
     let pixels = reference_pixels(&to_bytes(&two(Layout::Packed)).unwrap(), "valid", None);
     let right = pam(&pixels);
     let mut wrong = right.clone();
@@ -1000,7 +1000,7 @@ fn the_comparison_of_pictures_sees_a_code_value() {
 
 /// The compatibility of later releases depends on files that never change.
 #[test]
-fn vectors_of_1_0_are_kept_for_ever() {
+fn vectors_of_1_0_never_change() {
     let list = fs::read_to_string(root().join("kept.sha256")).unwrap();
     assert!(list.lines().count() > 300, "the list is cut off");
     for line in list.lines() {

@@ -1,12 +1,12 @@
-//! Coarse to fine, measured: fits that see the picture at half its size in the first share of their steps.
+//! Measures coarse-to-fine fitting, where the first part of the iterations uses the picture at half its size.
 //!
 //! ```text
 //! SSPLAT_PICTURE=photo.jpg RAYON_NUM_THREADS=1 \
 //!     cargo test --release --lib -- --ignored --nocapture coarse_to_fine_against
 //! ```
 //!
-//! prints CPU seconds and PSNR of float fits of the picture, scaled to 6 megapixels, at a ratio of 200. Of a canyon,
-//! while other work kept the machine busy:
+//! prints CPU seconds and PSNR of float fits of the picture, scaled to 6 megapixels, at a ratio of 200. For a
+//! photograph of a canyon, with other work running on the machine:
 //!
 //! | share at half size | steps | CPU seconds | PSNR |
 //! |--:|--:|--:|--:|
@@ -18,8 +18,9 @@
 //! | 0 | 400 | 33.9 | 27.79 |
 //! | 0.7 | 400 | 30.2 | 27.97 |
 //!
-//! So a start at half the size costs less and ends .2 to .3 dB higher: its surveys leave no rows out. Row sampling alone,
-//! which keeps all columns, is what it is added to. Small pictures do without: surveys of theirs see all rows anyway.
+//! Starting at half size costs less and ends 0.2 to 0.3 dB higher, because its searches for misplaced primitives skip
+//! no rows. The comparison is with row sampling alone, which uses all columns. Small pictures do not use half size for
+//! this reason: their searches see all rows anyway.
 
 use super::engine::Unwatched;
 use super::job::Job;
@@ -36,7 +37,7 @@ use crate::gaussian::{Blend, Channels};
 use crate::pixels::{Pixels, Samples};
 use crate::strict_math::StrictMath;
 
-/// Fits, and returns the primitives at the picture's own size.
+/// Fits `count` primitives and returns them at the picture's full size.
 fn fitted(target: &Planes, count: usize, plan: &Plan, share: f32) -> Vec<Primitive> {
     let problem = problem(target);
     let Start { mut state, rng, .. } = scattered(target, count, plan);
@@ -57,8 +58,8 @@ fn psnr(problem: &Problem<'_>, primitives: &[Primitive]) -> f64 {
 }
 
 #[test]
-fn a_start_at_half_the_size_ends_at_the_whole_one() {
-    // Odd sizes, so that the last column and row of the half are repeated.
+fn a_fit_that_starts_at_half_size_ends_at_full_size() {
+    // The sizes are odd, so that the last column and row of the half-size picture are repeated.
     let picture = image::RgbImage::from_fn(95, 63, |x, y| {
         image::Rgb(
             [
@@ -74,19 +75,19 @@ fn a_start_at_half_the_size_ends_at_the_whole_one() {
         let plan = Plan::steps(80, seed);
         let end = |share| psnr(&problem(&target), &fitted(&target, 60, &plan, share));
         let without = end(0.0);
-        assert!(without > 51.0, "seed {seed}: {without} dB, where 51.5 to 51.9 were measured");
-        // These seeds lose .6 to 1.1 dB of what the first half of the steps cost; half the size to the end, as when the time
-        // is over early, has 25 pixels for each primitive to learn from, and loses 3.0 to 3.7 dB. .5 dB are left for
-        // scatter. A picture that came back 2 % too large would lose 11.
-        for (share, most) in [(0.5, 1.6), (1.0, 4.2)] {
+        assert!(without > 51.0, "seed {seed}: {without} dB, measured: 51.5 to 51.9");
+        // With these seeds, half size in the first half of the steps loses 0.6 to 1.1 dB. Half size to the end, as when
+        // time runs out early, leaves 25 pixels for each primitive to learn from and loses 3.0 to 3.7 dB. The bounds
+        // add 0.5 dB for scatter. A picture that was enlarged by 2 % too much would lose 11 dB.
+        for (share, max_loss) in [(0.5, 1.6), (1.0, 4.2)] {
             let half = end(share);
-            assert!(half > without - most, "seed {seed}, {share}: {half} dB, {without} dB without");
+            assert!(half > without - max_loss, "seed {seed}, share {share}: {half} dB, {without} dB at full size");
         }
     }
 }
 
 #[test]
-fn halves_are_means_and_colours_count_by_their_opacity() {
+fn halved_planes_are_means_weighted_by_opacity() {
     let values = [200, 255, 100, 0, 50, 255, 10, 255, 30, 85, 90, 170];
     let picture = Pixels::new(3, 2, Channels::GreyAlpha, Samples::U8(values.to_vec())).unwrap();
     let half = Planes::new(&picture).halved();
@@ -111,9 +112,9 @@ fn cpu_seconds() -> f64 {
 }
 
 #[test]
-#[ignore = "measures for minutes, a picture that is given"]
+#[ignore = "runs for minutes on the picture named by SSPLAT_PICTURE"]
 fn coarse_to_fine_against_row_sampling_at_equal_time() {
-    let path = std::env::var("SSPLAT_PICTURE").expect("SSPLAT_PICTURE names a picture");
+    let path = std::env::var("SSPLAT_PICTURE").expect("SSPLAT_PICTURE must name a picture");
     let photo = image::open(path).unwrap().to_rgb8();
     let (w, h) = if photo.width() > photo.height() { (3000, 2000) } else { (2000, 3000) };
     let photo = image::imageops::resize(&photo, w, h, image::imageops::FilterType::CatmullRom);

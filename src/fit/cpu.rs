@@ -1,8 +1,8 @@
-//! The engine of a fit on the CPU.
+//! The fitting engine on the CPU.
 
 use crate::error::Result;
 use crate::fit::engine::Engine;
-use crate::fit::model::adam::{Bounds, Memory, Rates};
+use crate::fit::model::adam::{AdamMoments, Bounds, Rates};
 use crate::fit::model::drawing::field::{Output, float_error};
 use crate::fit::model::drawing::project::{self, Primitive};
 use crate::fit::model::objective::rows::RowSet;
@@ -26,15 +26,15 @@ impl Engine for State {
 
     fn error(&mut self, whole: &Problem<'_>) -> Result<f64> {
         if self.scale != 1.0 {
-            let seen = [&self.primitives[..], &self.still].concat();
-            return Ok(float_error(whole, &project::zoomed(seen, self.scale.recip())));
+            let visible = [&self.primitives[..], &self.frozen].concat();
+            return Ok(float_error(whole, &project::zoomed(visible, self.scale.recip())));
         }
         let projected = self.projected(whole.scene.height);
         Ok(self.field.error(whole, &projected, Output::Picture))
     }
 
     fn descend(&mut self, problem: &Problem<'_>, rows: RowSet, rates: Rates) -> Result<Option<f64>> {
-        // A step on all rows tells the error of what was there before it.
+        // A step on all rows returns the error of the state before it.
         let before = (rows == RowSet::ALL).then(|| self.primitives.clone());
         let error = State::descend(self, problem, rows, rates);
         if let Some(before) = before {
@@ -43,17 +43,17 @@ impl Engine for State {
         Ok(Some(error))
     }
 
-    /// Moves primitives as long as the estimated gain exceeds the removal cost.
-    fn relocate(&mut self, problem: &Problem<'_>, rows: RowSet, most: usize) -> Result<usize> {
+    /// Moves primitives while the estimated gain exceeds the removal cost.
+    fn relocate(&mut self, problem: &Problem<'_>, rows: RowSet, max_count: usize) -> Result<usize> {
         let costs = self.survey(problem, rows);
-        let peaks = self.room.peaks(problem, &self.field, rows, [most, self.primitives.len()]);
+        let peaks = self.scratch.peaks(problem, &self.field, rows, [max_count, self.primitives.len()]);
         let mut moved = 0;
-        for (peak, i) in peaks.iter().zip(removal::cheapest(&costs, most)) {
+        for (peak, i) in peaks.iter().zip(removal::cheapest(&costs, max_count)) {
             if peak.gain < costs[i] {
                 break;
             }
             self.primitives[i] = at_peak(peak, problem);
-            self.memory[i] = Memory::default();
+            self.memory[i] = AdamMoments::default();
             moved += 1;
         }
         self.sort();
@@ -69,17 +69,17 @@ impl Engine for State {
                 keep[i] = false;
             }
             let mut kept = keep.iter();
-            self.primitives.retain(|_| *kept.next().expect("one for each"));
+            self.primitives.retain(|_| *kept.next().expect("one flag for each primitive"));
             let mut kept = keep.iter();
-            self.memory.retain(|_| *kept.next().expect("one for each"));
+            self.memory.retain(|_| *kept.next().expect("one flag for each primitive"));
         } else {
-            for peak in self.room.peaks(problem, &self.field, rows, [wanted - have, wanted]) {
+            for peak in self.scratch.peaks(problem, &self.field, rows, [wanted - have, wanted]) {
                 self.primitives.push(at_peak(&peak, problem));
-                self.memory.push(Memory::default());
+                self.memory.push(AdamMoments::default());
             }
         }
         self.sort();
-        // Errors with another number of primitives do not compare.
+        // Errors with different numbers of primitives are not comparable.
         self.best.take_if(|(_, primitives)| primitives.len() != wanted);
         Ok(())
     }
@@ -90,27 +90,28 @@ impl Engine for State {
         Ok(())
     }
 
-    /// Goes back to the best state where the fit has ended in a clearly worse one. Few primitives can lose decibels
-    /// in their first steps on all rows: the optimizer's memory is of the noise of samples, and those steps are long.
+    /// Restores the best state if the final one is clearly worse. A fit of few primitives can lose decibels in its
+    /// first steps on all rows, because those steps are long and the optimizer's moments still contain the noise of row
+    /// sampling.
     fn keep_best(&mut self) -> Result<()> {
         if let Some((error, primitives)) = self.best.take()
             && self.latest > CLEARLY_WORSE * error
         {
-            let still = std::mem::take(&mut self.still);
+            let frozen = std::mem::take(&mut self.frozen);
             let (price, is_priced) = (self.price, self.is_priced);
-            *self = State { price, is_priced, still, ..State::new(primitives, self.bounds) };
+            *self = State { price, is_priced, frozen, ..State::new(primitives, self.bounds) };
         }
         Ok(())
     }
 
     fn zoom(&mut self, problem: &Problem<'_>, by: f32) -> Result<()> {
-        // Gradients grow with the picture: what the optimizer remembers would mislead it.
+        // Gradients scale with the picture's size, so the moments of the previous size would mislead the optimizer.
         let bounds = Bounds::new(problem.scene.width, problem.scene.height);
         let zoomed = State::new(project::zoomed(std::mem::take(&mut self.primitives), by), bounds);
-        let still = project::zoomed(std::mem::take(&mut self.still), by);
+        let frozen = project::zoomed(std::mem::take(&mut self.frozen), by);
         let (iteration, price, is_priced, scale) = (self.iteration, self.price, self.is_priced, self.scale * by);
-        let (field, room) = (std::mem::take(&mut self.field), std::mem::take(&mut self.room));
-        *self = State { iteration, price, is_priced, scale, still, field, room, ..zoomed };
+        let (field, scratch) = (std::mem::take(&mut self.field), std::mem::take(&mut self.scratch));
+        *self = State { iteration, price, is_priced, scale, frozen, field, scratch, ..zoomed };
         Ok(())
     }
 

@@ -1,4 +1,4 @@
-//! The engine that takes the steps of a fit, and the watcher that accompanies it.
+//! The interfaces of a fit: the engine that takes its steps, and the watcher that follows its progress.
 
 use crate::error::Result;
 use crate::fit::model::adam::Rates;
@@ -8,35 +8,35 @@ use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::state::State;
 
-/// Takes the steps of a fit: [`State`] does on the CPU, `gpu::Fitter` on a GPU.
+/// Takes the steps of a fit. [`State`] implements it on the CPU, `gpu::Fitter` on a GPU.
 ///
-/// All that may have to wait for a device can fail. The problem that is given to each method is the one that the steps
-/// see now: after [`zoom`](Engine::zoom) it is the smaller picture.
+/// Methods that may have to wait for a device return a `Result`. Each method receives the problem that the steps
+/// currently work on: after [`zoom`](Engine::zoom) that is the smaller picture.
 pub(crate) trait Engine {
     /// Returns the number of primitives.
     fn count(&self) -> usize;
-    /// Returns the primitives as they are after all steps asked for, at the size that the steps see.
+    /// Returns the primitives after all requested steps, at the picture size that the steps work on.
     fn primitives(&mut self) -> Result<Vec<Primitive>>;
-    /// Waits until all steps asked for are taken.
+    /// Waits until all requested steps have been taken.
     #[allow(dead_code, reason = "only a fit on a GPU is timed step by step")]
     fn settle(&mut self) -> Result<()>;
-    /// Returns the squared error over all rows of `whole`, the picture at its own size, whatever size the steps see.
+    /// Returns the squared error over all rows of `whole`, the picture at full size, whatever size the steps work on.
     fn error(&mut self, whole: &Problem<'_>) -> Result<f64>;
-    /// Takes one step on the error over `rows`; returns that error before the step, where it is known yet.
+    /// Takes one step on the error over `rows`. Returns the error before the step if it is already known.
     fn descend(&mut self, problem: &Problem<'_>, rows: RowSet, rates: Rates) -> Result<Option<f64>>;
-    /// Moves at most `most` primitives to where the error over `rows` is largest; returns how many.
-    fn relocate(&mut self, problem: &Problem<'_>, rows: RowSet, most: usize) -> Result<usize>;
-    /// Brings the number of primitives to `wanted`: takes the cheapest away, or adds some at peaks of the error.
+    /// Moves at most `max_count` primitives to where the error over `rows` is largest. Returns how many were moved.
+    fn relocate(&mut self, problem: &Problem<'_>, rows: RowSet, max_count: usize) -> Result<usize>;
+    /// Changes the number of primitives to `wanted`: removes the cheapest ones, or adds new ones at peaks of the error.
     fn resize(&mut self, problem: &Problem<'_>, rows: RowSet, wanted: usize) -> Result<()>;
-    /// Remembers the present state if its error over all rows is the least so far.
+    /// Saves the current state if its error over all rows is the smallest so far.
     fn remember(&mut self, problem: &Problem<'_>) -> Result<()>;
-    /// Goes back to the best state that is remembered, if the last one is clearly worse.
+    /// Restores the best saved state if the current one is clearly worse.
     fn keep_best(&mut self) -> Result<()>;
-    /// Goes on with `problem`, the picture at `by` times the size before.
+    /// Continues with `problem`, the picture at `by` times the previous size.
     fn zoom(&mut self, problem: &Problem<'_>, by: f32) -> Result<()>;
-    /// Goes on with `problem`, whose pixels are weighed anew; errors from before do not compare.
+    /// Continues with `problem`, which has new pixel weights. Earlier errors are no longer comparable.
     fn reweigh(&mut self, problem: &Problem<'_>) -> Result<()>;
-    /// Ends the fit and returns what it came to, for the CPU.
+    /// Ends the fit and returns the final state on the CPU.
     fn finish(self) -> Result<State>
     where
         Self: Sized;
@@ -45,48 +45,48 @@ pub(crate) trait Engine {
 /// Why a fit ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Ending {
-    /// Its iterations or its time are over.
+    /// All iterations have run, or the time is up.
     Scheduled,
-    /// The error is small enough, so many iterations before the end.
+    /// The error became small enough `left` iterations before the end.
     Enough { left: u32 },
 }
 
-/// Accompanies a fit.
+/// Follows the progress of a fit.
 pub(crate) trait Watcher {
-    /// Is called before every step with the share of the work that is done (0..=1). An error stops the fit.
+    /// Called before every step with the fraction of the work that is done (0..=1). An error stops the fit.
     fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()>;
-    /// Tells, from the primitives so far, how many there should be.
+    /// Returns how many primitives there should be, given the current ones.
     fn recount(&mut self, primitives: &[Primitive]) -> Result<usize>;
 }
 
-/// The work as it is now, for a watcher to look at. Each look costs about as much as a step over all rows.
+/// The current state of the work, for a watcher to inspect. Each call costs about as much as a step over all rows.
 pub(crate) trait Snapshot {
-    /// Waits until all steps asked for are taken.
+    /// Waits until all requested steps have been taken.
     #[allow(dead_code, reason = "only a fit on a GPU is timed step by step")]
     fn settle(&mut self) -> Result<()>;
     /// Returns the squared error of the picture over all rows.
-    #[allow(dead_code, reason = "only a fit on a GPU is looked at this way")]
+    #[allow(dead_code, reason = "only a fit on a GPU is inspected this way")]
     fn error(&mut self) -> Result<f64>;
     /// Returns all primitives, projected, and the scene that they belong to.
     fn drawing(&mut self) -> Result<(Scene, Vec<Projected>)>;
 }
 
-/// The primitives of an engine, seen at the picture's own size.
-pub(super) struct Running<'a, E> {
+/// The primitives of an engine, converted to the picture's full size.
+pub(super) struct EngineSnapshot<'a, E> {
     pub whole: &'a Problem<'a>,
     pub engine: &'a mut E,
-    /// How many times smaller the picture is that the steps see.
+    /// Factor by which the picture that the steps work on is smaller.
     pub by: u32,
 }
 
-impl<E: Engine> Running<'_, E> {
-    /// Returns the primitives at the picture's own size.
+impl<E: Engine> EngineSnapshot<'_, E> {
+    /// Returns the primitives at the picture's full size.
     pub(super) fn primitives(&mut self) -> Result<Vec<Primitive>> {
         Ok(project::zoomed(self.engine.primitives()?, self.by as f32))
     }
 }
 
-impl<E: Engine> Snapshot for Running<'_, E> {
+impl<E: Engine> Snapshot for EngineSnapshot<'_, E> {
     fn settle(&mut self) -> Result<()> {
         self.engine.settle()
     }
@@ -101,7 +101,7 @@ impl<E: Engine> Snapshot for Running<'_, E> {
     }
 }
 
-/// Primitives that lie still while they are looked at; they are projected only when somebody looks.
+/// A snapshot of primitives that do not change. They are projected only on demand.
 pub(crate) struct StaticSnapshot<'a> {
     pub problem: &'a Problem<'a>,
     pub project: &'a dyn Fn() -> Vec<Projected>,
@@ -121,7 +121,7 @@ impl Snapshot for StaticSnapshot<'_> {
     }
 }
 
-/// Keeps the number of primitives and looks at nothing.
+/// A watcher that keeps the number of primitives and ignores progress.
 #[cfg(test)]
 pub(crate) struct Unwatched;
 

@@ -1,9 +1,9 @@
-//! The job of a fit.
+//! The description of a fit: problem, number of primitives and schedule.
 
 use crate::fit::model::problem::Problem;
 use crate::fit::plan::Plan;
 
-/// A problem to solve with about `count` primitives and as much work as `plan` spends.
+/// A fit of about `count` primitives to `problem` with the schedule `plan`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Job<'a> {
     pub problem: Problem<'a>,

@@ -1,7 +1,7 @@
-//! Fitting primitives to a picture: float, stochastic, seeded; the same result for any thread count.
+//! Fits primitives to a picture: floating point, stochastic, seeded; the result is the same for any number of threads.
 //!
-//! A [`Job`] says what to fit, an [`Engine`] takes the steps, and [`fit`] is the one way through them: [`draft`] finds where
-//! to start, [`schedule`] says which step comes when. Nothing here knows of integers or bytes.
+//! A [`Job`] describes what to fit, an [`Engine`] takes the steps, and [`fit`] runs the whole process: [`multi_start`]
+//! finds where to start, and [`schedule`] decides what each step does. Nothing here deals with integers or bytes.
 
 #[cfg(all(test, unix))]
 mod coarse;
@@ -24,21 +24,21 @@ use crate::options::Rung;
 use engine::{Ending, Engine, Watcher};
 use job::Job;
 use model::problem::Problem;
-use probe_fit::Rehearsed;
+use probe_fit::ProbeOutcome;
 use state::State;
 
-/// Result of a fit.
+/// The result of a fit.
 #[derive(Debug)]
 pub(crate) struct Fitted<E> {
-    /// The engine that took the steps, or its state on the CPU.
+    /// The engine that took the steps, or its final state on the CPU.
     pub by: E,
     pub ending: Ending,
-    /// The amplitudes of the target in the last steps, where the pixels were weighed anew.
+    /// The target's amplitudes in the last steps, if pixels were reweighted.
     pub amplitude: Option<Vec<f32>>,
 }
 
 impl<E: Engine> Fitted<E> {
-    /// Brings it to the CPU.
+    /// Transfers the result to the CPU.
     ///
     /// # Errors
     /// Returns an error of the engine.
@@ -47,7 +47,8 @@ impl<E: Engine> Fitted<E> {
     }
 }
 
-/// Fits as `job` says, on the engine that `open` makes of where the fit starts. `watcher` corrects the number on the way.
+/// Fits as described by `job`, on the engine that `open` creates from the starting state. `watcher` may correct the
+/// number of primitives during the fit.
 ///
 /// # Errors
 /// Returns an error of `open`, of the engine or of the watcher.
@@ -63,15 +64,15 @@ pub(crate) fn fit<E: Engine>(
     if !job.plan.initial.is_empty() {
         schedule::grow(job, &mut engine)?;
     }
-    // Those that start from a draft are few, and their pixels weigh nearly alike.
+    // Fits from several starts have few primitives, for which pixel weights are nearly equal.
     if !job.plan.reweighs || start.from > 0 {
         let ending = schedule::run(job, &mut engine, (start.rng, start.from..end), watcher)?;
         engine.keep_best()?;
         return Ok(Fitted { by: engine, ending, amplitude: None });
     }
     let (target, from) = match probe_fit::probe(job, &mut engine, watcher)? {
-        Rehearsed::Weighed { target, steps } => (target, steps),
-        Rehearsed::Ended(ending) => return Ok(Fitted { by: engine, ending, amplitude: None }),
+        ProbeOutcome::Reweighted { target, steps } => (target, steps),
+        ProbeOutcome::Ended(ending) => return Ok(Fitted { by: engine, ending, amplitude: None }),
     };
     let job = Job { problem: Problem { target: &target, ..job.problem }, ..*job };
     engine.reweigh(&job.problem)?;
@@ -80,7 +81,7 @@ pub(crate) fn fit<E: Engine>(
     Ok(Fitted { by: engine, ending, amplitude: Some(target.amplitude) })
 }
 
-/// Fits as `job` says on the CPU.
+/// Fits as described by `job` on the CPU.
 ///
 /// # Errors
 /// Returns an error of the watcher.

@@ -1,9 +1,9 @@
-//! Where a fit of few primitives starts: the best of several fits that see a small copy of the picture.
+//! The starting state of a fit. For few primitives it is the best of several fits to a small copy of the picture.
 //!
-//! A few large Gaussians see as much in a small copy, at a fraction of the work, and where they end depends on where they
-//! started. Kodak, mean of twelve pictures, one fit of the whole → the best of four drafts (`--example rate_distortion --
-//! KODAK --ratios 31000,12000,4000`): 16.94 → 17.04 dB, 19.28 → 19.39, and 21.65 as before. CPU time of single files: 6.1 →
-//! 2.0 s at 40 bytes, 8.0 → 5.7 s at 300.
+//! A small copy shows large Gaussians nearly as much as the whole picture, at a fraction of the work, and the result
+//! depends on where a fit starts. On Kodak, mean of twelve pictures, one fit of the whole picture compares with the
+//! best of four starts as follows (`--example rate_distortion -- KODAK --ratios 31000,12000,4000`): 16.94 → 17.04 dB,
+//! 19.28 → 19.39 dB, and 21.65 dB in both cases. CPU time of single files: 6.1 → 2.0 s at 40 bytes, 8.0 → 5.7 s at 300.
 
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
@@ -26,50 +26,52 @@ use crate::fit::state::State;
 use crate::options::{Ablation, Rung};
 use crate::strict_math::StrictMath;
 
-/// From so many primitives on the small ones among them need all pixels: 260 lose .1 dB to a copy of half the size.
+/// Number of primitives from which on the small ones need all pixels: 260 primitives lose 0.1 dB with a copy of half
+/// the size.
 const MAX_MULTI_START: usize = 120;
-/// Scale of a typical Gaussian in the copy, pixels, at least.
-const TYPICAL: f32 = 6.0;
-/// The copy's shorter side, pixels, at least.
+/// Minimum scale of a typical Gaussian in the copy, pixels.
+const MIN_TYPICAL_SCALE: f32 = 6.0;
+/// Minimum length of the copy's shorter side, pixels.
 const MIN_SIDE: u32 = 16;
-/// Share of the iterations that see the copy.
+/// Fraction of the iterations that use the copy.
 const START_SHARE: f32 = 0.7;
-/// Fits that the best is chosen from, each from a start of its own.
+/// Number of fits with different seeds from which the best is chosen.
 const STARTS: u16 = 4;
 
-/// Share of the iterations that are saved where a fit goes on from one of fewer primitives. Kodak at 50, where half of the pictures are
-/// fitted again: .03 dB better than from the start; with .5 these lose .1 dB, as what is added comes late.
+/// Fraction of the iterations that are skipped if a fit continues one of fewer primitives. On Kodak at a ratio of 50,
+/// where half of the pictures are fitted again, it is 0.03 dB better than fitting from the start. With 0.5, these
+/// pictures lose 0.1 dB, because new primitives are added too late.
 const INITIAL_SHARE: f32 = 0.3;
 
-/// Where a fit starts.
+/// The starting state of a fit.
 pub(crate) struct Start {
     pub state: State,
-    /// The random numbers that the fit goes on with.
+    /// The random number generator that the fit continues with.
     pub rng: Pcg64Mcg,
-    /// Its first iteration.
+    /// The first iteration.
     pub from: u32,
 }
 
-/// Returns about `count` primitives that are spread by the picture's detail.
+/// Returns a starting state of about `count` primitives, distributed by the picture's detail.
 pub(crate) fn scattered(target: &Planes, count: usize, plan: &Plan) -> Start {
     let mut rng = random(plan);
     let primitives = sample::by_detail(target, count, &mut rng);
     Start { state: State::new(primitives, Bounds::new(target.width, target.height)), rng, from: 0 }
 }
 
-/// Returns the random numbers of a fit.
+/// Returns the random number generator of a fit.
 pub(crate) fn random(plan: &Plan) -> Pcg64Mcg {
     Pcg64Mcg::seed_from_u64(plan.seed)
 }
 
 /// Returns how often the picture is halved for `count` primitives.
 fn halvings(scene: &Scene, count: usize) -> u32 {
-    let by_scale = (scene.typical_scale(count) / TYPICAL).max(1.0).strict_log2() as u32;
+    let by_scale = (scene.typical_scale(count) / MIN_TYPICAL_SCALE).max(1.0).strict_log2() as u32;
     let by_side = (scene.width.min(scene.height) / MIN_SIDE).max(1).ilog2();
     by_scale.min(by_side)
 }
 
-/// Returns where the fit of `job` starts. `watcher` may correct the number on the way.
+/// Returns the starting state of the fit `job`. `watcher` may correct the number of primitives.
 pub(crate) fn start(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<Start> {
     let Job { problem, count, plan } = *job;
     #[cfg(feature = "smartsplat")]
@@ -85,7 +87,7 @@ pub(crate) fn start(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<Start> {
         return Ok(Start { state: State::new(plan.initial.clone(), bounds), rng: random(plan), from });
     }
     let halvings = halvings(&problem.scene, count);
-    // A budget of time is better spent on one fit.
+    // With a time budget, a single fit makes better use of the time.
     if !(1..MAX_MULTI_START).contains(&count) || halvings == 0 || plan.fit_deadline.is_some() {
         return Ok(scattered(problem.target, count, plan));
     }
@@ -93,31 +95,31 @@ pub(crate) fn start(job: &Job<'_>, watcher: &mut dyn Watcher) -> Result<Start> {
     let end = (plan.iterations as f32 * START_SHARE) as u32;
     let mut best: Option<(f64, Start)> = None;
     for i in 0..STARTS {
-        // The error of a copy says little about that of the picture: no draft ends early.
+        // The error of a small copy says little about that of the picture, so no start ends early.
         let plan = Plan { seed: plan.seed.wrapping_add(i.into()), enough: 0.0, ..plan.clone() };
-        // Only the first draft corrects the number.
+        // Only the first start corrects the number of primitives.
         let count = best.as_ref().map_or(count, |(_, b)| b.state.count());
         let Start { mut state, rng, .. } = scattered(problem.target, count, &plan);
         let part = Part { steps: 0..end, coarse: Some(Coarse { reduced: &reduced, share: 1.0 }) };
-        let mut watcher = OneOf { watcher: &mut *watcher, index: i, count: (i > 0).then_some(count) };
+        let mut watcher = StartWatcher { watcher: &mut *watcher, index: i, count: (i > 0).then_some(count) };
         schedule::run_part(&Job { problem, count, plan: &plan }, part, &mut state, rng.clone(), &mut watcher)?;
         let error = state.error(&problem)?;
         if best.as_ref().is_none_or(|b| error < b.0) {
             best = Some((error, Start { state, rng, from: end }));
         }
     }
-    Ok(best.expect("there are drafts").1)
+    Ok(best.expect("there is at least one start").1)
 }
 
-/// Watches one of the drafts for who watches the whole fit.
-struct OneOf<'a> {
+/// Maps the progress of one start to the progress of the whole fit.
+struct StartWatcher<'a> {
     watcher: &'a mut dyn Watcher,
     index: u16,
-    /// The number of primitives, where it is known.
+    /// The number of primitives, if it is already known.
     count: Option<usize>,
 }
 
-impl Watcher for OneOf<'_> {
+impl Watcher for StartWatcher<'_> {
     fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
         self.watcher.step((self.index as f32 * START_SHARE + done) / STARTS as f32, now)
     }
@@ -152,19 +154,19 @@ mod tests {
     }
 
     #[test]
-    fn few_primitives_go_on_from_a_draft() {
+    fn fits_of_few_primitives_start_from_a_small_copy() {
         let (scene, target) = picture(240, 160);
         let problem = Problem { scene, target: &target };
-        let (mut drafted, from) = started(problem, 30);
-        assert_eq!((drafted.count(), from), (30, 70));
+        let (mut prepared, from) = started(problem, 30);
+        assert_eq!((prepared.count(), from), (30, 70));
         let mut scattered = scattered(&target, 30, &Plan::steps(100, 0)).state;
-        let [error, before] = [&mut drafted, &mut scattered].map(|s| s.error(&problem).unwrap());
+        let [error, before] = [&mut prepared, &mut scattered].map(|s| s.error(&problem).unwrap());
         assert!(error < 0.2 * before, "{error} of {before}");
     }
 
     #[test]
-    fn where_a_copy_would_lose_something_there_is_no_draft() {
-        // Too many, too thin a picture, Gaussians too small, none at all.
+    fn no_small_copy_is_used_where_it_would_lose_quality() {
+        // Too many primitives, too thin a picture, too small Gaussians, no primitives.
         for (width, height, count) in [(240, 160, MAX_MULTI_START), (1000, 31, 10), (40, 40, 10), (240, 160, 0)] {
             let (scene, target) = picture(width, height);
             assert_eq!(started(Problem { scene, target: &target }, count).1, 0, "{count} on {width} × {height}");

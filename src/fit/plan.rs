@@ -1,4 +1,4 @@
-//! How much work a fit spends: iterations, sampled rows, sweeps.
+//! How much work a fit spends: iterations, sampled rows and sweeps.
 
 use std::time::Duration;
 
@@ -8,60 +8,67 @@ use crate::instant::Instant;
 use crate::options::{Rung, Tune};
 use crate::strict_math::StrictMath;
 
-/// Share of a time budget that the float fit may take.
+/// Fraction of a time budget that the float fit may use.
 const FIT_SHARE: f64 = 0.75;
 
-/// Shares of the steps that primitives get which a detail layer is laid over, up to effort 6 and from 7 on: for eyes, and for the least
-/// squared error. Kodak at effort 5: with .6 for eyes files are .05 points of SSIMULACRA2 better at 20 and .1 at 50, and take a fifth more
-/// time; with 1 for squared error .06 dB at 20 and at 50, and half as much time again.
+/// Fractions of the iterations for primitives under a detail layer, up to effort 6 and from effort 7 on: with
+/// perceptual tuning, and for minimum squared error. On Kodak at effort 5, 0.6 with perceptual tuning gains 0.05 points
+/// of SSIMULACRA2 at a ratio of 20 and 0.1 at 50, and takes 20 % more time. 1 for squared error gains 0.06 dB at ratios
+/// of 20 and 50 and takes 50 % more time.
 const BASE_STEPS: [f32; 2] = [0.35, 0.6];
 const EXACT_BASE_STEPS: [f32; 2] = [0.5, 1.0];
-/// The same at effort 1, whatever is favoured.
-const HASTY_BASE_STEPS: f32 = 0.25;
-/// How many times as many steps there are for squared error in a file of ratio 20, up to effort 6: they win .09 dB there, and an encode takes nearly
-/// twice the time. At 50 they would win as much for as much, and are left to higher efforts.
+/// The same at effort 1, for any tuning.
+const EFFORT_1_BASE_STEPS: f32 = 0.25;
+/// Factor on the iterations for squared error at a ratio of 20, up to effort 6. It gains 0.09 dB and nearly doubles the
+/// encoding time. At a ratio of 50 it would gain about as much for the same time; that is left to higher efforts.
 const FINE_BASE_STEPS: f32 = 2.5;
-/// Ratios at which there are as many more, and no more; between them the number goes with the logarithm of the ratio.
+/// Ratio at which that factor applies in full, and ratio at which it is 1. Between them it depends on the logarithm of
+/// the ratio.
 const FINE_RATIOS: [f64; 2] = [20.0, 50.0];
-/// Relocations of such primitives at most, and the steps between them at least, where eyes are favoured.
-const BASE_RELOCATIONS: u32 = 16;
-const BASE_RELOCATED: u32 = 10;
+/// Maximum number of relocations under a detail layer with perceptual tuning, and minimum number of steps between them.
+const MAX_BASE_RELOCATIONS: u32 = 16;
+const MIN_BASE_RELOCATION_INTERVAL: u32 = 10;
 
-/// Pixels of a smaller picture for each primitive, at least, that primitives are fitted to which a detail layer is laid over.
-const ROOM: f64 = 300.0;
-/// How many times smaller that picture may be.
-const MOST_SHRUNK: u32 = 4;
-/// First steps that see half the size at effort 1, if Gaussians span several pixels.
-const HASTY_BASE_HALF: HalfSize = HalfSize { share: 0.7, row_step: 3 };
-/// The same of primitives that no layer is laid over, for eyes, and for the least squared error. Twelve pictures of Kodak at 200, for eyes: .92 of the
-/// CPU time, .2 points of SSIMULACRA2 more and .1 dB less; at 500 and 1000 .8 of the time and .5 and .3 points more. Eight of them for
-/// squared error: .7 of the time and .01 dB less at 500 and 1000; at 200, where it would lose .08 dB, they see the whole.
+/// Minimum number of pixels per primitive in the downscaled picture to which primitives under a detail layer are
+/// fitted.
+const MIN_PIXELS_EACH: f64 = 300.0;
+/// Largest factor by which that picture is downscaled.
+const MAX_REDUCTION: u32 = 4;
+/// First steps at half size at effort 1 under a detail layer, if Gaussians span several pixels.
+const EFFORT_1_BASE_HALF: HalfSize = HalfSize { share: 0.7, row_step: 3 };
+/// The same without a detail layer: with perceptual tuning, and for minimum squared error. On twelve Kodak pictures
+/// with perceptual tuning at a ratio of 200, it takes 0.92 of the CPU time, gains 0.2 points of SSIMULACRA2 and loses
+/// 0.1 dB; at 500 and 1000 it takes 0.8 of the time and gains 0.5 and 0.3 points. On eight of them for squared error,
+/// it takes 0.7 of the time and loses 0.01 dB at 500 and 1000. At 200, where it would lose 0.08 dB, the fit uses full
+/// size.
 const HALF: [HalfSize; 2] = [HalfSize { share: 0.5, row_step: 3 }, HalfSize { share: 0.5, row_step: 6 }];
-/// The least effort at which the first of them holds: at effort 1 and 200 it would lose .8 points for nothing.
-const HALF_FOR_EYES: u8 = 3;
+/// Minimum effort for the first of them. At effort 1 and a ratio of 200 it would lose 0.8 points and save no time.
+const MIN_PERCEPTUAL_HALF_EFFORT: u8 = 3;
 
-/// Step sizes at the end of a fit, in units of those at the start.
+/// Step sizes at the end of a fit, relative to those at the start.
 pub(crate) const LAST_RATE: f32 = 0.02;
-/// The same for primitives that a detail layer is laid over where eyes are favoured, up to effort 3, and from 4 on. A sweep over the integers
-/// follows, which ends what such steps leave: Kodak at 50 gains .6 points of SSIMULACRA2 at effort 1 and .3 at 5 by these and [`BASE_MOVED`].
+/// The same under a detail layer with perceptual tuning, up to effort 3 and from effort 4 on. The sweep over the
+/// integers that follows compensates for the larger steps. With these values and [`BASE_RELOCATED_SHARES`], Kodak at a
+/// ratio of 50 gains 0.6 points of SSIMULACRA2 at effort 1 and 0.3 at effort 5.
 const BASE_LAST_RATES: [f32; 2] = [0.2, 0.1];
-/// Share of the primitives that may be relocated at a time, at a steady pace.
-const MOVED: f32 = 0.1;
-/// The same for primitives that a detail layer is laid over where eyes are favoured, up to effort 3, and from 4 on: they are relocated more rarely.
-const BASE_MOVED: [f32; 2] = [0.35, 0.25];
+/// Maximum share of the primitives in each relocation at a steady pace.
+const RELOCATED_SHARE: f32 = 0.1;
+/// The same under a detail layer with perceptual tuning, up to effort 3 and from effort 4 on. Relocations are rarer
+/// there.
+const BASE_RELOCATED_SHARES: [f32; 2] = [0.35, 0.25];
 
-/// Steps between relocations at most.
-const LONGEST_WAIT: u32 = 25;
+/// Maximum number of steps between relocations.
+const MAX_RELOCATION_INTERVAL: u32 = 25;
 
-/// Primitives of the largest pictures.
+/// Number of primitives from which on a picture is among the largest.
 const HUGE_COUNT: usize = 300_000;
 
-/// First steps that see a picture at half its size.
+/// The first steps of a fit, which use the picture at half size.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct HalfSize {
-    /// Share of the steps.
+    /// Fraction of the steps.
     pub share: f32,
-    /// Distance of sampled rows from which on they do: Gaussians span several pixels then.
+    /// Minimum distance of sampled rows. Gaussians span several pixels from there on.
     pub row_step: u32,
 }
 
@@ -70,95 +77,98 @@ pub(crate) struct HalfSize {
 pub(crate) struct Plan {
     /// Gradient steps of the float fit.
     pub iterations: u32,
-    /// Gradient steps while primitives freeze on their lattice; the descent alone comes within 0.05 dB of it.
+    /// Gradient steps during freezing, where primitives are fixed at lattice points. Descent alone comes within 0.05 dB
+    /// of it.
     pub freezing: u32,
-    /// Most sweeps of descent over the integers.
+    /// Maximum number of descent sweeps over the integers.
     pub sweeps: u32,
     /// Iterations between relocations.
     pub relocate_every: u32,
     /// How fast the optimizer forgets, and how many primitives are relocated when.
     pub pace: Pace,
-    /// When the float fit should be through.
+    /// When the float fit should end.
     pub fit_deadline: Option<Instant>,
-    /// When to stop, whatever is left.
+    /// When the encode should end, whatever remains to be done.
     pub deadline: Option<Instant>,
-    /// Mean squared error of a sample at which the float fit is through, whatever is left.
+    /// Mean squared error per sample at which the float fit ends early.
     pub enough: f64,
-    /// Factor of the optimizer's steps; other than 1 only in tests of stability.
+    /// Factor on the optimizer's step sizes. It differs from 1 only in stability tests.
     pub rate: f32,
-    /// Step sizes at the end, in units of those at the start.
+    /// Step sizes at the end, relative to those at the start.
     pub last_rate: f32,
-    /// Share of the primitives that may be relocated at a time, at a steady pace.
-    pub moved: f32,
-    /// Whether the pixels are weighed anew on the way, by what the picture lacks.
+    /// Maximum share of the primitives in each relocation at a steady pace.
+    pub relocated_share: f32,
+    /// Whether pixels are reweighted during the fit, by what the picture still lacks.
     pub reweighs: bool,
-    /// Which first steps see a picture at half its size that is not large; none: no steps.
+    /// The first steps that use half size, if the picture is not large anyway. `None` means no steps.
     pub half: Option<HalfSize>,
-    /// How many times smaller the picture is that all steps see: a power of two.
+    /// Factor by which the picture is downscaled in all steps: a power of two.
     pub by: u32,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Primitives of a fit of fewer that this one goes on from; none: it starts by itself.
+    /// Primitives of a smaller fit that this one continues. If empty, the fit starts from scratch.
     pub initial: Vec<Primitive>,
-    /// Where an ablation stops.
+    /// The last part of the method that an ablation includes.
     pub rung: Rung,
 }
 
-/// Returns how many times smaller a picture of so many pixels may be while `count` primitives are fitted to it, for a detail layer to be
-/// laid over them: a power of two.
+/// Returns the factor, a power of two, by which a picture of `pixels` pixels may be downscaled while `count` primitives
+/// are fitted to it under a detail layer.
 pub(crate) fn fraction(pixels: u64, count: usize) -> u32 {
-    let room = pixels as f64 / count.max(1) as f64;
+    let pixels_each = pixels as f64 / count.max(1) as f64;
     let mut by = 1;
-    while by < MOST_SHRUNK && room / f64::from(4 * by * by) >= ROOM {
+    while by < MAX_REDUCTION && pixels_each / f64::from(4 * by * by) >= MIN_PIXELS_EACH {
         by *= 2;
     }
     by
 }
 
-/// Returns how many times as many steps the primitives of a file of such a ratio get, where squared error is favoured.
-fn finer(ratio: f64) -> f32 {
+/// Returns the factor on the iterations for squared error in a file of the given ratio.
+fn fine_step_factor(ratio: f64) -> f32 {
     let [fine, coarse] = FINE_RATIOS;
     let share = ((coarse / ratio).strict_ln() / (coarse / fine).strict_ln()).clamp(0.0, 1.0);
     FINE_BASE_STEPS.strict_powf(share as f32)
 }
 
-/// Primitives from which on a fit goes at a brisk pace.
-const DENSE: usize = 4000;
+/// Number of primitives from which on a fit has a brisk pace.
+const BRISK_COUNT: usize = 4000;
 
 /// How fast the optimizer forgets, and how many primitives are relocated when.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Pace {
-    /// For few primitives, each of which matters to the end: long memory, a tenth relocated each time, for long.
+    /// For few primitives, each of which matters to the end: slowly decaying moments, and relocation of a tenth of the
+    /// primitives at a time until late in the fit.
     Steady,
-    /// For many: moments that forget sooner in short fits; a fifth relocated at first, fewer and fewer later.
+    /// For many primitives: faster decaying moments in short fits, and relocation of a fifth of the primitives at first
+    /// and fewer later.
     Brisk,
 }
 
 impl Plan {
-    /// Returns the schedule for `effort`, which is within `1..=9`, and `count` primitives on so many pixels: fewer cost
-    /// less, and need more steps to find their places.
+    /// Returns the schedule for `effort` (`1..=9`) and `count` primitives on `pixels` pixels. Fewer primitives cost
+    /// less per step and need more steps to find their places.
     pub(crate) fn new(effort: u8, count: usize, pixels: u64, time: Option<Duration>, seed: u64) -> Self {
         let level = usize::from(effort) - 1;
-        // Many primitives: two thirds of the steps that few of them would get bring as much, since the moments forget
-        // sooner, and many primitives move at first. `--example effort_table` measures it.
-        let is_dense = count >= DENSE;
+        // With many primitives, two thirds of the steps that few of them would get are as effective, because the
+        // moments decay faster and many primitives are relocated at first. `--example effort_table` measures it.
+        let is_dense = count >= BRISK_COUNT;
         let base = match is_dense {
             true => [57.0, 94.0, 165.0, 280.0, 500.0, 750.0, 1310.0, 2250.0, 3750.0f32][level],
             false => [66.0, 130.0, 220.0, 350.0, 590.0, 880.0, 1540.0, 2640.0, 4400.0f32][level],
         };
-        let crowd = count.max(1) as f32 / 5500.0;
-        // In a short fit of a large picture a step brings more than the sweep that would do its work.
-        let haste = match level {
+        let density = count.max(1) as f32 / 5500.0;
+        // In a short fit of a large picture, a step gains more than the sweep that would take its place.
+        let dense_exponent = match level {
             0..3 => -0.1,
             3 => -0.2,
             _ => -0.3,
         };
-        let patience = crowd.strict_powf(if crowd < 1.0 { -0.95 } else { haste }).clamp(0.25, 9.0);
-        // On small pictures it takes only seconds to get the tenth of a decibel that half as many again win.
+        let patience = density.strict_powf(if density < 1.0 { -0.95 } else { dense_exponent }).clamp(0.25, 9.0);
+        // On small pictures, 50 % more steps gain 0.1 dB and take only seconds.
         let share = |from: f32, to: f32| ((count as f32 - from) / (to - from)).clamp(0.0, 1.0);
-        let more = if pixels < LARGE_PIXELS { 0.5 * share(8000.0, 12_000.0) * share(40_000.0, 25_000.0) } else { 0.0 };
-        let iterations = (base * patience * (1.0 + more)) as u32;
-        // Small pictures can afford more; the first sweeps bring most.
+        let extra = if pixels < LARGE_PIXELS { 0.5 * share(8000.0, 12_000.0) * share(40_000.0, 25_000.0) } else { 0.0 };
+        let iterations = (base * patience * (1.0 + extra)) as u32;
+        // Small pictures can afford more sweeps. The first sweeps gain most.
         let sweeps = match count {
             ..2000 => [4, 5, 5, 6, 7, 9, 13, 17, 20][level],
             2000..40_000 => [1, 2, 2, 3, 5, 7, 10, 14, 20][level],
@@ -173,13 +183,13 @@ impl Plan {
         Plan { freezing, sweeps, pace, fit_deadline, deadline, ..Plan::steps(iterations, seed) }
     }
 
-    /// Returns the schedule of `effort` for primitives that a detail layer is laid over: it mends what a short fit leaves. `ratio` is that of
-    /// the file of both; without it the fit is as for small files.
+    /// Returns the schedule for primitives under a detail layer, which corrects what a short fit leaves. `ratio` is
+    /// that of the complete file. Without it, the fit is that of small files.
     pub(crate) fn for_base(self, effort: u8, tune: Tune, ratio: Option<f64>) -> Self {
         let is_exact = tune == Tune::Psnr;
         let share = match (effort, is_exact) {
-            (1, _) => HASTY_BASE_STEPS,
-            (2..7, true) => EXACT_BASE_STEPS[0] * ratio.map_or(1.0, finer),
+            (1, _) => EFFORT_1_BASE_STEPS,
+            (2..7, true) => EXACT_BASE_STEPS[0] * ratio.map_or(1.0, fine_step_factor),
             (_, true) => EXACT_BASE_STEPS[1],
             (2..7, false) => BASE_STEPS[0],
             (_, false) => BASE_STEPS[1],
@@ -187,41 +197,44 @@ impl Plan {
         let iterations = (self.iterations as f32 * share) as u32;
         let relocate_every = match is_exact {
             true => Plan::steps(iterations, self.seed).relocate_every,
-            false => (iterations / BASE_RELOCATIONS).clamp(BASE_RELOCATED, LONGEST_WAIT),
+            false => (iterations / MAX_BASE_RELOCATIONS).clamp(MIN_BASE_RELOCATION_INTERVAL, MAX_RELOCATION_INTERVAL),
         };
         let sweeps = self.sweeps.min(match effort {
             1 => 1,
             2..7 if !is_exact => 2,
-            // Beside longer fits the third wins another .01 dB.
+            // After longer fits, the third sweep gains another 0.01 dB.
             _ => 3,
         });
-        let half = (effort == 1).then_some(HASTY_BASE_HALF);
+        let half = (effort == 1).then_some(EFFORT_1_BASE_HALF);
         let is_long = usize::from(effort >= 4);
-        let (last_rate, moved) =
-            if is_exact { (LAST_RATE, MOVED) } else { (BASE_LAST_RATES[is_long], BASE_MOVED[is_long]) };
-        Plan { iterations, relocate_every, sweeps, freezing: 0, half, last_rate, moved, ..self }
+        let (last_rate, relocated_share) = if is_exact {
+            (LAST_RATE, RELOCATED_SHARE)
+        } else {
+            (BASE_LAST_RATES[is_long], BASE_RELOCATED_SHARES[is_long])
+        };
+        Plan { iterations, relocate_every, sweeps, freezing: 0, half, last_rate, relocated_share, ..self }
     }
 
-    /// Returns the schedule of `effort` for primitives that nothing is laid over.
+    /// Returns the schedule for a file without a detail layer.
     pub(crate) fn alone(self, effort: u8, tune: Tune) -> Self {
-        let is_late = tune == Tune::Psnr || effort < HALF_FOR_EYES;
+        let is_late = tune == Tune::Psnr || effort < MIN_PERCEPTUAL_HALF_EFFORT;
         Plan { half: Some(HALF[usize::from(is_late)]), ..self }
     }
 
-    /// Returns the schedule of a float fit of `iterations` steps, and nothing after it.
+    /// Returns the schedule of a float fit of `iterations` steps, without freezing or sweeps.
     pub(crate) fn steps(iterations: u32, seed: u64) -> Self {
         Plan {
             iterations,
             freezing: 0,
             sweeps: 0,
-            relocate_every: (iterations / 24).clamp(8, LONGEST_WAIT),
+            relocate_every: (iterations / 24).clamp(8, MAX_RELOCATION_INTERVAL),
             pace: Pace::Steady,
             fit_deadline: None,
             deadline: None,
             enough: 0.0,
             rate: 1.0,
             last_rate: LAST_RATE,
-            moved: MOVED,
+            relocated_share: RELOCATED_SHARE,
             reweighs: false,
             half: None,
             by: 1,
@@ -231,7 +244,7 @@ impl Plan {
         }
     }
 
-    /// Returns the schedule of a float fit that takes such a part of the steps, and of the time that is left for them.
+    /// Returns the schedule of a float fit with a fraction of the steps and of the remaining time.
     pub(crate) fn part(&self, share: f32) -> Self {
         let now = Instant::now();
         let fit_deadline = self.fit_deadline.map(|end| now + end.saturating_duration_since(now).mul_f32(share));
@@ -239,7 +252,7 @@ impl Plan {
         Plan { fit_deadline, relocate_every: steps.relocate_every, iterations: steps.iterations, ..self.clone() }
     }
 
-    /// Returns the share of the time budget that is gone, 0 without one.
+    /// Returns the fraction of the time budget that is used up; 0 without a budget.
     pub(crate) fn spent(&self, since: Instant) -> f32 {
         match self.fit_deadline {
             Some(end) => {
@@ -254,7 +267,7 @@ impl Plan {
         self.fit_deadline.is_some_and(|d| Instant::now() >= d)
     }
 
-    /// Tells whether the time is over before work that takes `next` is through.
+    /// Returns whether the time will be up before work that takes `next` is complete.
     pub(crate) fn is_over(&self, next: Duration) -> bool {
         self.deadline.is_some_and(|d| d.saturating_duration_since(Instant::now()) <= next)
     }
@@ -265,7 +278,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn few_primitives_are_fitted_to_a_picture_that_leaves_each_enough_pixels() {
+    fn pictures_are_downscaled_only_while_each_primitive_has_enough_pixels() {
         let sizes =
             [(393_216, 2000, 1), (2_400_000, 2000, 2), (9_599_999, 2000, 2), (9_600_000, 2000, 4), (1 << 40, 0, 4)];
         for (pixels, count, by) in sizes {
@@ -274,14 +287,14 @@ mod tests {
     }
 
     #[test]
-    fn fits_under_a_layer_are_longest_where_squared_error_is_to_be_small_in_large_files() {
+    fn fits_under_a_layer_are_longest_for_squared_error_in_large_files() {
         let steps = |effort, tune, ratio| {
             let plan = Plan::new(effort, 2000, 393_216, None, 0);
             plan.for_base(effort, tune, ratio).iterations
         };
-        for (ratio, more) in [(20.0, 2.5), (31.6, 1.58), (50.0, 1.0), (100.0, 1.0)] {
+        for (ratio, extra) in [(20.0, 2.5), (31.6, 1.58), (50.0, 1.0), (100.0, 1.0)] {
             let [usual, asked] = [None, Some(ratio)].map(|ratio| steps(5, Tune::Psnr, ratio) as f32);
-            assert!((asked / usual - more).abs() < 0.01, "{asked} steps at {ratio}, {usual} else");
+            assert!((asked / usual - extra).abs() < 0.01, "{asked} steps at a ratio of {ratio}, {usual} without one");
             assert_eq!(steps(5, Tune::Iq, Some(ratio)), steps(5, Tune::Iq, None));
         }
     }

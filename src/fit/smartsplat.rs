@@ -1,8 +1,8 @@
-//! The pipeline of SmartSplat (AAAI 2026): its initialization in parts that can be left out, its loss, its optimizer.
+//! The SmartSplat pipeline (AAAI 2026): its initialization in parts that can be omitted, its loss and its optimizer.
 //!
-//! Where the paper's text and its published program differ, this follows what ran: rates of 0.05 pixels for scales and
-//! 0.005 for colours (the text has them the other way round), and 0.8 of the loss for the absolute error (text: 0.9).
-//! The fit returns the best state on the way, not the last.
+//! Where the paper and the published program differ, this code follows the program: rates of 0.05 pixels for scales and
+//! 0.005 for colours (the paper has them the other way round), and a weight of 0.8 for the absolute error in the loss
+//! (paper: 0.9). The fit returns its best state, not its last one.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -23,23 +23,23 @@ use crate::instant::Instant;
 use crate::options::Ablation;
 use crate::parallel;
 
-/// Share of the primitives that follow gradients and variance; the rest is spread evenly.
-const GUIDED: f64 = 0.7;
-/// Share of the gradient in the weight of a pixel; the rest is the variance's.
+/// Share of the primitives that follow gradient and variance. The rest is distributed evenly.
+const GUIDED_SHARE: f64 = 0.7;
+/// Share of the gradient in the weight of a pixel. The rest is the variance.
 const GRADIENT_SHARE: f32 = 0.9;
-/// Side of the tiles that are sampled on their own, pixels.
+/// Side of the tiles that are sampled independently, pixels.
 const TILE: usize = 1024;
-/// Half the side of the square whose variance counts, pixels.
+/// Half the side of the square over which the variance is taken, pixels.
 const VARIANCE_REACH: usize = 2;
-/// Neighbours that set the scale of an evenly spread primitive.
+/// Number of neighbours that determine the scale of an evenly distributed primitive.
 const NEIGHBOURS: usize = 3;
-/// Least weight of a pixel, so that flat tiles can be sampled.
-const LEAST_WEIGHT: f32 = 1e-8;
-/// Share of the absolute error in the loss; the rest is structural similarity's.
-const ABSOLUTE: f32 = 0.8;
+/// Minimum weight of a pixel, so that flat tiles can be sampled.
+const MIN_WEIGHT: f32 = 1e-8;
+/// Weight of the absolute error in the loss. The rest is structural similarity.
+const ABSOLUTE_WEIGHT: f32 = 0.8;
 
-/// Constant step sizes: means in halves of the picture's sides, scales in pixels, rotations as logits of the share of
-/// a full turn.
+/// Constant step sizes: means in half sides of the picture, scales in pixels, rotations in logits of the fraction of a
+/// full turn.
 const MEAN_RATE: f32 = 1e-4;
 const SCALE_RATE: f32 = 5e-2;
 const ROTATION_RATE: f32 = 1e-3;
@@ -47,29 +47,29 @@ const COLOR_RATE: f32 = 5e-3;
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
 
-/// Share of the iterations after which the number of primitives is set anew, and the fit with it: the paper takes
-/// seven bytes for each, what they cost here is known only from fitted ones.
-const PROBED: f32 = 0.25;
+/// Fraction of the iterations after which the number of primitives is corrected and the fit restarts. The paper counts
+/// seven bytes per primitive; the actual number of bytes is known only for fitted primitives.
+const RECOUNT_AT: f32 = 0.25;
 
-/// Fits as SmartSplat does; `watcher` corrects the number of primitives once.
+/// Fits like SmartSplat. `watcher` corrects the number of primitives once.
 pub(crate) fn fit(job: &Job<'_>, parts: Ablation, watcher: &mut dyn Watcher) -> Result<State> {
     let Job { problem, count, plan } = *job;
     let Problem { scene, target } = problem;
     let bounds = Bounds::new(target.width, target.height);
-    let mut loss = Loss::new(target, ABSOLUTE);
+    let mut loss = Loss::new(target, ABSOLUTE_WEIGHT);
     let mut run = Run::new(target, count, parts, plan.seed, &bounds);
-    let mut probed = false;
+    let mut is_recounted = false;
     let start = Instant::now();
     for iteration in 0..plan.iterations {
-        // With a time budget the clock may be ahead.
+        // With a time budget, the clock may be ahead of the iterations.
         let done = (iteration as f32 / plan.iterations as f32).max(plan.spent(start));
         if done >= 1.0 || run.state.primitives.is_empty() {
             break;
         }
         let project = || project::all(&run.state.primitives, scene.height);
         watcher.step(done, &mut StaticSnapshot { problem: &problem, project: &project })?;
-        if !probed && done >= PROBED {
-            probed = true;
+        if !is_recounted && done >= RECOUNT_AT {
+            is_recounted = true;
             let wanted = watcher.recount(&run.state.primitives)?;
             if wanted != run.state.primitives.len() {
                 run = Run::new(target, wanted, parts, plan.seed, &bounds);
@@ -90,7 +90,7 @@ struct Run {
     best: Parameters,
 }
 
-/// A state of the fit and its squared error.
+/// The primitives of the fit and their squared error.
 #[derive(Clone)]
 struct Parameters {
     primitives: Vec<Primitive>,
@@ -115,7 +115,7 @@ impl Run {
         Run { best: state.clone(), state, memory, field: Field::default(), iteration: 0 }
     }
 
-    /// Leaves the picture in the field.
+    /// Updates the best state and leaves the picture in the field.
     fn keep_best(&mut self, problem: &Problem<'_>) {
         let projected = project::all(&self.state.primitives, problem.scene.height);
         self.state.error = self.field.draw(problem, &projected, RowSet::ALL, Output::Picture);
@@ -150,11 +150,11 @@ impl Run {
     }
 }
 
-/// One step of Adam on means, scales, rotation and colour as they are.
+/// Takes one Adam step on means, scales, rotation and colour.
 fn update(p: &mut Primitive, m: &mut Memory, g: &Gradient, halves: [f32; 2], corrections: [f32; 2]) {
     let [sx, sy] = p.log_scale.map(f32::exp);
     let (sin, cos) = p.rotation.sin_cos();
-    // From the primitive's own frame to the picture's.
+    // From the primitive's own frame to that of the picture.
     let (u, v) = (g.mean[0] / sx, g.mean[1] / sy);
     let turn = (p.rotation / std::f32::consts::TAU).rem_euclid(1.0).clamp(1e-4, 1.0 - 1e-4);
     let slope = std::f32::consts::TAU * turn * (1.0 - turn);
@@ -179,7 +179,7 @@ fn update(p: &mut Primitive, m: &mut Memory, g: &Gradient, halves: [f32; 2], cor
     }
     p.mean[0] += MEAN_RATE * d[0] * halves[0];
     p.mean[1] += MEAN_RATE * d[1] * halves[1];
-    // A scale that passes 0 comes out on the other side, as in the program, which takes the absolute value.
+    // A scale that passes 0 is reflected, as in the published program, which takes the absolute value.
     p.log_scale = [(sx + SCALE_RATE * d[2]).abs().ln(), (sy + SCALE_RATE * d[3]).abs().ln()];
     let logit = (turn / (1.0 - turn)).ln() + ROTATION_RATE * d[4];
     p.rotation = std::f32::consts::TAU / (1.0 + (-logit).exp());
@@ -188,15 +188,15 @@ fn update(p: &mut Primitive, m: &mut Memory, g: &Gradient, halves: [f32; 2], cor
     }
 }
 
-/// Where the fit starts, with the parts of the initialization that `parts` has.
+/// Returns the initial primitives, with the parts of the initialization in `parts`.
 pub(super) fn initial(target: &Planes, count: usize, parts: Ablation, rng: &mut Pcg64Mcg) -> Vec<Primitive> {
     let area = f64::from(target.width) * f64::from(target.height);
-    // A third of the radius at which as many circles would cover the picture: three scales reach that far.
+    // A third of the radius at which `count` circles would cover the picture, because the support is three scales.
     let base = ((area / (std::f64::consts::PI * count.max(1) as f64)).sqrt() / 3.0) as f32;
     let mut places = if parts >= Ablation::Means {
         spread(target, count, base, rng)
     } else {
-        (0..count).map(|_| Place { mean: anywhere(target, rng), scale: base }).collect()
+        (0..count).map(|_| Placement { mean: anywhere(target, rng), scale: base }).collect()
     };
     if parts < Ablation::Scales {
         places.iter_mut().for_each(|p| p.scale = base);
@@ -220,9 +220,9 @@ pub(super) fn initial(target: &Planes, count: usize, parts: Ablation, rng: &mut 
     primitives
 }
 
-/// Where a primitive starts and how large, pixels.
+/// The initial position and scale of a primitive, pixels.
 #[derive(Debug, Clone, Copy)]
-struct Place {
+struct Placement {
     mean: [f32; 2],
     scale: f32,
 }
@@ -231,26 +231,26 @@ fn anywhere(target: &Planes, rng: &mut Pcg64Mcg) -> [f32; 2] {
     [rng.random::<f32>() * target.width as f32, rng.random::<f32>() * target.height as f32]
 }
 
-/// Primitives by gradient and variance, then evenly where those leave room.
-fn spread(target: &Planes, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<Place> {
-    let mut places = guided(target, (count as f64 * GUIDED).round() as usize, base, rng);
+/// Places primitives by gradient and variance, then evenly in the remaining area.
+fn spread(target: &Planes, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<Placement> {
+    let mut places = guided(target, (count as f64 * GUIDED_SHARE).round() as usize, base, rng);
     let mut scales: Vec<f32> = places.iter().map(|p| p.scale).collect();
     scales.sort_by(f32::total_cmp);
     let radius = scales.get(scales.len() / 2).map_or(base, |&median| base.max(median));
     let taken = RTree::bulk_load(places.iter().map(|p| p.mean).collect());
     let first_even = places.len();
     while places.len() < count {
-        // The circles to keep out of cover less than a tenth of the picture: few places are refused.
+        // The circles around existing places cover less than a tenth of the picture, so few candidates are rejected.
         let free = (0..64)
             .map(|_| anywhere(target, rng))
             .find(|m| taken.locate_within_distance(*m, radius * radius).next().is_none());
         let mean = free.unwrap_or_else(|| anywhere(target, rng));
-        places.push(Place { mean, scale: base });
+        places.push(Placement { mean, scale: base });
     }
     let all = RTree::bulk_load(places.iter().map(|p| p.mean).collect());
     parallel::map_chunks(&mut places[first_even..], 64, |_, even| {
         for p in even {
-            // The nearest is the place itself.
+            // The nearest neighbour is the place itself.
             let squares = all.nearest_neighbor_iter(p.mean).skip(1).take(NEIGHBOURS).map(|q| {
                 let [dx, dy] = [q[0] - p.mean[0], q[1] - p.mean[1]];
                 dx * dx + dy * dy
@@ -264,8 +264,8 @@ fn spread(target: &Planes, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<P
     places
 }
 
-/// Pixels drawn without replacement, in each tile as many, by gradient and variance.
-fn guided(target: &Planes, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<Place> {
+/// Draws pixels by gradient and variance without replacement, the same number in each tile.
+fn guided(target: &Planes, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<Placement> {
     let columns = tiles(target.width as usize);
     let rows = tiles(target.height as usize);
     let number = columns.len() * rows.len();
@@ -273,8 +273,8 @@ fn guided(target: &Planes, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<P
     for (i, (y, x)) in rows.iter().flat_map(|y| columns.iter().map(move |x| (y, x))).enumerate() {
         let wanted = count / number + usize::from(i < count % number);
         let weights = weights(target, x.clone(), y.clone());
-        // The smallest of exponential variables over their weights: as drawn one after the other (Efraimidis and
-        // Spirakis, 2006).
+        // The smallest exponential variables divided by their weights are a weighted sample without replacement
+        // (Efraimidis and Spirakis, 2006).
         let mut keys: Vec<(f32, usize)> =
             weights.iter().enumerate().map(|(i, w)| (-(1.0 - rng.random::<f32>()).ln() / w, i)).collect();
         let by_key = |a: &(f32, usize), b: &(f32, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
@@ -283,7 +283,7 @@ fn guided(target: &Planes, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<P
             keys.truncate(wanted);
         }
         keys.sort_unstable_by_key(|k| k.1);
-        places.extend(keys.iter().map(|&(_, i)| Place {
+        places.extend(keys.iter().map(|&(_, i)| Placement {
             mean: [(x.start + i % x.len()) as f32 + 0.5, (y.start + i / x.len()) as f32 + 0.5],
             scale: base * (-0.5 * weights[i]).exp(),
         }));
@@ -291,7 +291,7 @@ fn guided(target: &Planes, count: usize, base: f32, rng: &mut Pcg64Mcg) -> Vec<P
     places
 }
 
-/// Tiles along a side: evenly placed, the last one ending with the picture, overlapping where they must.
+/// Returns evenly placed tiles along a side. The last one ends with the picture; tiles overlap where necessary.
 fn tiles(side: usize) -> Vec<std::ops::Range<usize>> {
     let count = side.div_ceil(TILE);
     let stride = if count > 1 { (side - TILE) as f64 / (count - 1) as f64 } else { 0.0 };
@@ -299,7 +299,7 @@ fn tiles(side: usize) -> Vec<std::ops::Range<usize>> {
     (0..count).map(|i| start(i)..(start(i) + TILE).min(side)).collect()
 }
 
-/// The weight of each pixel of a tile: gradient and variance, both in units of their largest value in the tile.
+/// Returns the weight of each pixel of a tile: gradient and variance, each relative to its maximum in the tile.
 fn weights(target: &Planes, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>) -> Vec<f32> {
     let width = columns.len();
     let mut gradients = vec![0.0f32; width * rows.len()];
@@ -320,11 +320,11 @@ fn weights(target: &Planes, columns: std::ops::Range<usize>, rows: std::ops::Ran
     gradients
         .iter()
         .zip(&variances)
-        .map(|(g, v)| (GRADIENT_SHARE * g / gradient + (1.0 - GRADIENT_SHARE) * v / variance).max(LEAST_WEIGHT))
+        .map(|(g, v)| (GRADIENT_SHARE * g / gradient + (1.0 - GRADIENT_SHARE) * v / variance).max(MIN_WEIGHT))
         .collect()
 }
 
-/// Mean over the channels of the gradient's magnitude, after Sobel; the picture's border is repeated.
+/// Returns the mean over the channels of the Sobel gradient's magnitude. Borders are repeated.
 fn gradient(target: &Planes, x: usize, y: usize) -> f32 {
     let rows = around(y, 1, target.height as usize).map(|y| target.row(y as u32));
     let columns = around(x, 1, target.width as usize);
@@ -340,12 +340,12 @@ fn gradient(target: &Planes, x: usize, y: usize) -> f32 {
     sum / count as f32
 }
 
-/// The two neighbours of `i` in `0..size` and itself.
+/// Returns the two neighbours of `i` in `0..size`, and `i` itself.
 fn around(i: usize, reach: usize, size: usize) -> [usize; 3] {
     [i.saturating_sub(reach), i, (i + reach).min(size - 1)]
 }
 
-/// Mean over the channels of the variance in the square around a pixel.
+/// Returns the mean over the channels of the variance in the square around a pixel.
 fn variance(target: &Planes, x: usize, y: usize) -> f32 {
     let [left, _, right] = around(x, VARIANCE_REACH, target.width as usize);
     let [top, _, bottom] = around(y, VARIANCE_REACH, target.height as usize);
@@ -366,10 +366,10 @@ fn variance(target: &Planes, x: usize, y: usize) -> f32 {
     sum / count as f32
 }
 
-/// The median of the pixels within one scale of a place, weighted by a Gaussian of that scale.
-fn median_color(target: &Planes, place: &Place) -> [f32; 4] {
-    let Place { mean, scale } = *place;
-    // Centres of pixels are half a pixel from their corners.
+/// Returns the median of the pixels within one scale of a place, weighted by a Gaussian of that scale.
+fn median_color(target: &Planes, place: &Placement) -> [f32; 4] {
+    let Placement { mean, scale } = *place;
+    // Pixel centres are at half-integer coordinates.
     let range = |m: f32, side: u32| {
         let first = (m - 0.5 - scale).ceil().max(0.0) as u32;
         first..((m - 0.5 + scale).floor() + 1.0).clamp(0.0, side as f32) as u32
@@ -418,7 +418,7 @@ mod tests {
 
     const BASE: f32 = 2.0;
 
-    /// Left half flat, right half noise.
+    /// The left half is flat, the right half is noise.
     fn half_busy(width: u32, height: u32) -> Planes {
         let noise = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
         let at = |i: u32| if i % width < width / 2 { 100 } else { noise(i) };
@@ -431,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_are_of_one_size_and_leave_no_pixel_out() {
+    fn tiles_have_one_size_and_cover_every_pixel() {
         for side in (1..=TILE + 2).chain([2 * TILE - 1, 2 * TILE, 2 * TILE + 1, 5 * TILE - 300]) {
             let tiles = tiles(side);
             assert!(tiles.iter().all(|t| t.len() == side.min(TILE)));
@@ -459,7 +459,7 @@ mod tests {
     fn evenly_spread_places_keep_away_from_guided_ones() {
         let places = spread(&half_busy(64, 64), 200, BASE, &mut rng());
         let (guided, even) = places.split_at(140);
-        let apart = |a: &Place, b: &Place| (a.mean[0] - b.mean[0]).hypot(a.mean[1] - b.mean[1]);
+        let apart = |a: &Placement, b: &Placement| (a.mean[0] - b.mean[0]).hypot(a.mean[1] - b.mean[1]);
         for p in even {
             assert!(guided.iter().all(|q| apart(p, q) >= BASE));
             let mut near: Vec<f32> = places.iter().map(|q| apart(p, q)).filter(|&d| d > 0.0).collect();
@@ -470,18 +470,18 @@ mod tests {
     }
 
     #[test]
-    fn the_median_color_ignores_outliers_and_weighs_the_middle() {
+    fn the_median_color_ignores_outliers_and_weights_the_centre() {
         let mut samples = vec![90u8; 81];
         samples[40] = 255;
         samples[0] = 0;
         let target = Planes::new(&Pixels::new(9, 9, Channels::Grey, Samples::U8(samples)).unwrap());
-        let at = |scale| median_color(&target, &Place { mean: [4.5, 4.5], scale })[0];
+        let at = |scale| median_color(&target, &Placement { mean: [4.5, 4.5], scale })[0];
         assert_eq!(at(3.0), 90.0 / 255.0);
         assert_eq!(at(0.4), 1.0);
     }
 
     #[test]
-    fn each_part_of_the_initialization_can_be_left_out() {
+    fn each_part_of_the_initialization_can_be_omitted() {
         let target = half_busy(64, 64);
         let of = |parts| initial(&target, 100, parts, &mut rng());
         let one_scale = |p: &[Primitive]| p.iter().all(|q| q.log_scale == p[0].log_scale);
@@ -495,7 +495,7 @@ mod tests {
         assert!(scales.iter().zip(&colors).all(|(a, b)| (a.mean, a.log_scale) == (b.mean, b.log_scale)));
     }
 
-    /// Notes the error of every step.
+    /// Records the error of every step.
     struct Errors(Vec<f64>);
 
     impl Watcher for Errors {
@@ -510,7 +510,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fit_gets_better_and_returns_its_best_state() {
+    fn the_fit_improves_and_returns_its_best_state() {
         let target = half_busy(48, 40);
         for blend in [Blend::Sum, Blend::Normalized] {
             let scene = Scene { width: 48, height: 40, blend, background: [0.0; 4] };
@@ -523,7 +523,7 @@ mod tests {
             let end = error(&state.unwrap().primitives);
             assert!(end < 0.95 * seen[0], "{blend:?}: {} {end}", seen[0]);
             let best = seen.iter().copied().fold(f64::INFINITY, f64::min);
-            // The order of summation changes when primitives are sorted.
+            // Sorting the primitives changes the order of summation.
             assert!(end <= best * (1.0 + 1e-5), "{blend:?}: {end} {best}");
         }
     }

@@ -1,7 +1,8 @@
-//! Stiff and extreme cases seen from inside: gradients against f64, every iteration's state, rates, long runs, and how
-//! ill-conditioned a joint solve of the colours would be. Prints rows for the table of `ssplat-lab report --stability`.
+//! Tests of the fit on stiff and extreme cases: gradients compared with f64, the state after every iteration, learning
+//! rates, long runs, and the condition number of a joint solve of the colours. Prints rows for the table of `ssplat-lab
+//! report --stability`.
 
-// Shared with the tests of the whole way.
+// Shared with the end-to-end tests.
 #[path = "../../tests/stiff/mod.rs"]
 mod stiff;
 
@@ -17,7 +18,7 @@ use super::model::objective::rows::RowSet;
 use super::model::problem::{Problem, Scene};
 use super::plan::LAST_RATE;
 use super::plan::Plan;
-use super::schedule::{RATES, SAMPLED};
+use super::schedule::{RATES, SAMPLED_UNTIL};
 use super::state::State;
 use crate::error::Result;
 use crate::gaussian::{Blend, Channels, Picture};
@@ -38,7 +39,7 @@ fn row(group: &str, case: String, worst: f64, bound: Bound, guard: &str) -> Row 
     Row { group: group.into(), case, worst, bound, guard: guard.into() }
 }
 
-/// A few waves, with an opacity of at least one half where there is alpha.
+/// Returns a picture of a few waves. The opacity, if there is one, is at least one half.
 fn waves(width: u32, height: u32, channels: Channels) -> Pixels {
     let value = |x: u32, y: u32, k: usize| {
         let v = 0.5 + 0.4 * (f64::from(x * (k as u32 + 1) + 2 * y) / 6.0).sin();
@@ -51,8 +52,8 @@ fn scene(pixels: &Pixels, blend: Blend, background: [f32; 4]) -> Scene {
     Scene { width: pixels.width(), height: pixels.height(), blend, background }
 }
 
-/// Half the squared error that the gradients belong to, in f64 and without the clamp: the step through the clamp is
-/// straight, and the points are chosen within it. Opacity weighs the errors of colours.
+/// Half the squared error to which the gradients belong, in f64 and without the clamp. The gradient passes through the
+/// clamp unchanged, and the test points are within its range. Opacity weights the errors of colours.
 fn loss(scene: &Scene, pixels: &Pixels, primitives: &[Exact]) -> f64 {
     let channels = pixels.channels();
     let count = channels.count();
@@ -72,7 +73,7 @@ fn loss(scene: &Scene, pixels: &Pixels, primitives: &[Exact]) -> f64 {
     sum
 }
 
-/// Factors of the errors of each channel, all different.
+/// Factors of the errors in each channel, all different.
 const CHANNEL_AMPLITUDE: [f32; 4] = [0.9, 1.3, 0.6, 1.1];
 
 /// A primitive in f64: mean, logarithms of the scales, rotation, colour.
@@ -103,7 +104,7 @@ fn color(scene: &Scene, primitives: &[Exact], x: f64, y: f64) -> [f64; 4] {
     })
 }
 
-/// `p` moved by `step` along parameter `j` of its whitened frame.
+/// Returns `p`, moved by `step` along parameter `j` of its whitened frame.
 fn moved(p: &Exact, j: usize, step: f64) -> Exact {
     let mut p = *p;
     let (sin, cos) = p[4].sin_cos();
@@ -115,7 +116,8 @@ fn moved(p: &Exact, j: usize, step: f64) -> Exact {
     p
 }
 
-/// Worst error of each kind of parameter, as a share of the largest gradient in the same units: mean, scales, rotation, colour.
+/// Returns the worst error of each kind of parameter (mean, scales, rotation, colour), relative to the largest gradient
+/// in the same units.
 fn gradient_errors(scene: &Scene, pixels: &Pixels, primitives: &[Primitive]) -> [f64; 4] {
     const STEP: f64 = 1e-4;
     const KINDS: [usize; 9] = [0, 0, 1, 1, 2, 3, 3, 3, 3];
@@ -141,7 +143,7 @@ fn gradient_errors(scene: &Scene, pixels: &Pixels, primitives: &[Primitive]) -> 
             largest[KINDS[j]] = largest[KINDS[j]].max(want.abs());
         }
     }
-    // What moves and what turns is counted in the same units, so one of them may be next to nothing.
+    // Gradients of mean, scales and rotation have the same units, so any one of them may be close to 0.
     let shape = largest[0].max(largest[1]).max(largest[2]);
     std::array::from_fn(|k| errors[k] / if k < 3 { shape } else { largest[k] })
 }
@@ -153,13 +155,13 @@ fn gathered(field: &Field, width: u32, (i, q): (usize, &Projected), p: &Primitiv
 }
 
 fn primitive(mean: [f32; 2], scale: [f32; 2], rotation: f32, level: f32) -> Primitive {
-    // Sums of a few such colours on the background stay within black and white.
+    // Sums of a few such colours on the background stay between black and white.
     let color = [0.10, 0.14, 0.06, 0.08].map(|c| c * level);
     Primitive { mean, log_scale: scale.map(f32::ln), rotation, color }
 }
 
 #[test]
-fn gradients_are_those_of_f64_finite_differences_at_ordinary_and_stiff_points() {
+fn gradients_match_f64_finite_differences_at_ordinary_and_stiff_points() {
     let ordinary = vec![
         primitive([9.3, 8.1], [4.0, 2.5], 0.4, 1.0),
         primitive([22.7, 12.4], [3.1, 5.2], 1.3, -0.5),
@@ -196,7 +198,7 @@ fn gradients_are_those_of_f64_finite_differences_at_ordinary_and_stiff_points() 
         ("barely covered pixels", vec![primitive([16.1, 13.2], [2.0, 1.5], 0.9, 1.0)], 1e-4),
     ];
     let mut rows = Vec::new();
-    for (name, primitives, most) in points {
+    for (name, primitives, tolerance) in points {
         let mut worst = [0.0f64; 4];
         for blend in BLENDS {
             // Averages may lie anywhere between black and white, sums only near the background.
@@ -215,7 +217,7 @@ fn gradients_are_those_of_f64_finite_differences_at_ordinary_and_stiff_points() 
         }
         for (k, kind) in ["mean", "scales", "rotation", "colour"].into_iter().enumerate() {
             let guard = "analytic, in each one's own frame; no clamp in the way";
-            rows.push(row("gradient", format!("{name}: {kind}"), worst[k], Bound::Relative(most), guard));
+            rows.push(row("gradient", format!("{name}: {kind}"), worst[k], Bound::Relative(tolerance), guard));
         }
     }
     check(&rows);
@@ -233,16 +235,16 @@ fn decibels(error: f64, pixels: &Pixels) -> f64 {
     (-10.0 * (error / samples).log10()).min(99.0)
 }
 
-/// Quality that a fit won and kept, decibels; NaN when anything on the way was not finite.
+/// Quality gained and kept by a fit, in decibels. NaN if any state was not finite.
 struct Watched {
-    /// The end over the picture of the mean colour.
+    /// Final quality relative to a picture of the mean colour.
     gain: f64,
-    /// The end over the best of all states since whole rows are seen; what rounding to code values hides is neither
-    /// won nor lost.
+    /// Final quality relative to the best state since whole rows are used. Differences that rounding to code values
+    /// hides do not count.
     kept: f64,
 }
 
-/// Looks at every iteration.
+/// Inspects every iteration.
 struct Every {
     pixels: Pixels,
     finite: bool,
@@ -252,7 +254,7 @@ struct Every {
 impl Watcher for Every {
     fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
         self.finite &= is_finite(&now.drawing()?.1);
-        if done >= SAMPLED {
+        if done >= SAMPLED_UNTIL {
             self.best = self.best.max(decibels(now.error()?, &self.pixels));
         }
         Ok(())
@@ -263,23 +265,23 @@ impl Watcher for Every {
     }
 }
 
-/// Fits and looks at every iteration.
+/// Fits and inspects every iteration.
 fn watched(pixels: &Pixels, blend: Blend, count: usize, plan: &Plan) -> Watched {
     let target = Planes::new(pixels);
     let problem = Problem { scene: scene(pixels, blend, target.mean), target: &target };
     let constant = decibels(squared_error(&problem, &[]), pixels);
     let mut every = Every { pixels: pixels.clone(), finite: true, best: f64::NEG_INFINITY };
-    let state = fit_on_cpu(&Job { problem, count, plan }, &mut every).expect("nothing stops it").by;
+    let state = fit_on_cpu(&Job { problem, count, plan }, &mut every).expect("the watcher never stops the fit").by;
     let Every { finite, best, .. } = every;
     let end = decibels(float_error(&problem, &state.primitives), pixels);
     let known = |v: f64| if finite { v } else { f64::NAN };
-    // A fit may be through before that.
+    // A fit may end before that point.
     let best = if best.is_finite() { best } else { end };
     let shown = |v: f64| v.min(-10.0 * pixels.depth().rounding_error().log10());
     Watched { gain: known(end - constant), kept: known(shown(end) - shown(best)) }
 }
 
-/// The lesser; NaN where one of them is.
+/// Returns the smaller value, or NaN if either is NaN.
 fn worse(a: f64, b: f64) -> f64 {
     if a.is_nan() || b.is_nan() { f64::NAN } else { a.min(b) }
 }
@@ -292,7 +294,7 @@ fn short(iterations: u32) -> Plan {
 fn every_iteration_of_every_extreme_fit_is_finite_and_the_best_state_is_kept() {
     let mut rows = Vec::new();
     for case in stiff::fits() {
-        // The long ones are fitted whole elsewhere; here a few iterations show the same steps.
+        // The large cases are fitted completely elsewhere. Here, a few iterations execute the same code.
         let large = u64::from(case.pixels.width()) * u64::from(case.pixels.height()) > 1 << 20;
         let count = match case.target {
             Aim::Primitives(n) => n as usize,
@@ -333,7 +335,7 @@ fn a_hundred_thousand_iterations_do_not_drift() {
         let plan = short(500);
         let problem = Problem { scene, target: &target };
         let fitted = fit_on_cpu(&Job { problem, count: 6, plan: &plan }, &mut Unwatched);
-        let mut state = State::new(fitted.expect("nothing stops it").by.primitives, Bounds::new(12, 11));
+        let mut state = State::new(fitted.expect("the watcher never stops the fit").by.primitives, Bounds::new(12, 11));
         let (mut early, mut late) = (0.0, 0.0);
         for i in 0..100_000 {
             let error = state.descend(&problem, RowSet::ALL, RATES.scaled(LAST_RATE));
@@ -341,7 +343,7 @@ fn a_hundred_thousand_iterations_do_not_drift() {
             early += if i < 10_000 { error } else { 0.0 };
             late += if i >= 90_000 { error } else { 0.0 };
         }
-        // Of means: the steps do not shrink, so the error of one iteration is noisy.
+        // These are means: the steps do not shrink, so the error of a single iteration is noisy.
         let worst = 10.0 * f64::log10(early / late);
         let case = format!("100 000 iterations at the last rate, {blend:?}").to_lowercase();
         rows.push(row("long run", case, worst, Bound::Gain(-0.2), "second moments forget; no state but the moments"));
@@ -349,7 +351,7 @@ fn a_hundred_thousand_iterations_do_not_drift() {
     check(&rows);
 }
 
-/// Largest over smallest eigenvalue of a symmetric matrix that is not negative, by Jacobi's rotations.
+/// Returns the ratio of the largest to the smallest eigenvalue of a positive semidefinite matrix, by Jacobi rotations.
 fn condition(mut a: Vec<Vec<f64>>) -> f64 {
     let n = a.len();
     for _ in 0..60 {
@@ -376,7 +378,7 @@ fn condition(mut a: Vec<Vec<f64>>) -> f64 {
 }
 
 #[test]
-fn the_condition_of_a_joint_colour_solve_is_known_and_nothing_depends_on_it() {
+fn a_singular_joint_colour_solve_does_not_affect_the_fit() {
     let pixels = waves(32, 27, Channels::Grey);
     let mut rows = Vec::new();
     let mut add = |name: &str, blend: Blend, primitives: &[Primitive]| {
@@ -407,13 +409,13 @@ fn the_condition_of_a_joint_colour_solve_is_known_and_nothing_depends_on_it() {
         let problem = Problem { scene: scene(&pixels, blend, target.mean), target: &target };
         for (name, count) in [("12 fitted", 12), ("60 fitted, crowded", 60)] {
             let fitted = fit_on_cpu(&Job { problem, count, plan: &short(120) }, &mut Unwatched);
-            add(name, blend, &fitted.expect("nothing stops it").by.primitives);
+            add(name, blend, &fitted.expect("the watcher never stops the fit").by.primitives);
         }
         let coincident = vec![primitive([16.0, 13.0], [5.0, 3.0], 0.4, 1.0); 3];
         add("3 coincident", blend, &coincident);
     }
     check(&rows);
-    // A singular system all the same gives a fit.
+    // A singular system still gives a fit.
     for blend in BLENDS {
         let mut state = State::new(vec![primitive([16.0, 13.0], [5.0, 3.0], 0.4, 1.0); 3], Bounds::new(32, 27));
         let problem = Problem { scene: scene(&pixels, blend, target.mean), target: &target };

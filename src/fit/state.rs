@@ -1,11 +1,11 @@
-//! Primitives on their way through a fit, with the optimizer's memory of each.
+//! The state of a fit: primitives and the optimizer's moments.
 
-use crate::fit::model::adam::{self, Bounds, Freedom, Memory, Rates};
+use crate::fit::model::adam::{self, AdamMoments, Bounds, Freedom, Rates};
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::drawing::project::{self, Primitive, Projected};
 use crate::fit::model::drawing::strips;
 use crate::fit::model::objective::rows::RowSet;
-use crate::fit::model::placing::peaks::Room;
+use crate::fit::model::placing::peaks::Scratch;
 use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
 use crate::parallel;
@@ -13,29 +13,29 @@ use crate::parallel;
 /// Restore the best state if the final error exceeds its error by this factor.
 pub(crate) const CLEARLY_WORSE: f64 = 1.01;
 
-/// Primitives on their way.
+/// The state of a fit.
 #[derive(Debug)]
 pub(crate) struct State {
     pub primitives: Vec<Primitive>,
-    /// Others that are seen beside them, and stay as they are.
-    pub still: Vec<Primitive>,
-    pub(super) memory: Vec<Memory>,
-    /// Which parameters may move; empty: all.
+    /// Frozen primitives that are rendered together with these.
+    pub frozen: Vec<Primitive>,
+    pub(super) memory: Vec<AdamMoments>,
+    /// Which parameters of each primitive may change. If empty, all parameters of all primitives.
     pub freedom: Vec<Freedom>,
     pub bounds: Bounds,
     pub field: Field,
-    /// Memory for looking where the error is largest.
-    pub(super) room: Room,
-    /// The price of size, by the error that was seen last: see [`adam::price`].
+    /// Scratch memory for the search for peaks of the error.
+    pub(super) scratch: Scratch,
+    /// The price of size, based on the most recently measured error: see [`adam::price`].
     pub price: f32,
-    /// Whether size has a price at all.
+    /// Whether the objective includes a price of size.
     pub(super) is_priced: bool,
     pub(super) iteration: u32,
-    /// The size of the picture that the steps see, over its own.
+    /// The size of the picture that the steps work on, relative to full size.
     pub(super) scale: f32,
-    /// The least error over all rows that was seen with this many primitives, and the primitives that had it.
+    /// The smallest error over all rows with this number of primitives, and the primitives that achieved it.
     pub(super) best: Option<(f64, Vec<Primitive>)>,
-    /// The error over all rows that was seen last.
+    /// The most recently measured error over all rows.
     pub(super) latest: f64,
 }
 
@@ -44,15 +44,15 @@ impl State {
         for p in &mut primitives {
             bounds.apply(p);
         }
-        let memory = vec![Memory::default(); primitives.len()];
+        let memory = vec![AdamMoments::default(); primitives.len()];
         let mut state = State {
             primitives,
-            still: Vec::new(),
+            frozen: Vec::new(),
             memory,
             freedom: Vec::new(),
             bounds,
             field: Field::default(),
-            room: Room::default(),
+            scratch: Scratch::default(),
             price: 0.0,
             is_priced: true,
             iteration: 0,
@@ -64,7 +64,7 @@ impl State {
         state
     }
 
-    /// Takes one step on the error over `rows`; returns that error before the step.
+    /// Takes one step on the error over `rows`. Returns the error before the step.
     pub(crate) fn descend(&mut self, problem: &Problem<'_>, rows: RowSet, rates: Rates) -> f64 {
         let projected = self.projected(problem.scene.height);
         let error = self.field.draw(problem, &projected, rows, Output::Gradient);
@@ -72,16 +72,16 @@ impl State {
         error
     }
 
-    /// Returns all that is seen in a picture of so many rows: first those that move, then those that are still.
+    /// Returns all visible primitives in a picture of `height` rows: first the movable ones, then the frozen ones.
     pub(super) fn projected(&self, height: u32) -> Vec<Projected> {
         let mut projected = project::all(&self.primitives, height);
-        projected.extend(project::all(&self.still, height));
+        projected.extend(project::all(&self.frozen, height));
         projected
     }
 
-    /// Gathers every primitive's gradient from the field, adds that of the [`adam::price`] and takes one step.
+    /// Gathers every primitive's gradient from the field, adds the gradient of the [`adam::price`] and takes one step.
     fn step(&mut self, problem: &Problem<'_>, rows: RowSet, projected: &[Projected], rates: Rates) {
-        const CHUNK: usize = strips::TOGETHER;
+        const CHUNK: usize = strips::PRIMITIVES_PER_PART;
         let (width, channels) = (problem.scene.width, problem.target.channels.count());
         let price = self.price / rows.step as f32;
         let corrections = adam::corrections(rates.decay, self.iteration);
@@ -109,7 +109,7 @@ impl State {
         }
     }
 
-    /// Brings neighbours in the picture next to each other in memory.
+    /// Sorts the primitives so that neighbours in the picture are adjacent in memory.
     pub(super) fn sort(&mut self) {
         let mut order: Vec<u32> = (0..self.primitives.len() as u32).collect();
         order.sort_by_key(|&i| {
@@ -120,7 +120,8 @@ impl State {
         self.memory = order.iter().map(|&i| self.memory[i as usize]).collect();
     }
 
-    /// Returns what removing each primitive costs. Leaves the picture in the field, and sets the price by its error.
+    /// Returns the cost of removing each primitive. Leaves the picture in the field, and updates the price by its
+    /// error.
     pub(crate) fn survey(&mut self, problem: &Problem<'_>, rows: RowSet) -> Vec<f32> {
         let scene = &problem.scene;
         let projected = self.projected(scene.height);
@@ -144,8 +145,8 @@ mod tests {
     use crate::pixels::{Pixels, Samples};
 
     #[test]
-    fn size_that_gains_nothing_is_given_up() {
-        // Noise without a slope: any size of Gaussian shows its mean.
+    fn the_price_shrinks_primitives_whose_size_gains_nothing() {
+        // Noise without a slope: the mean is the best fit for any size of Gaussian.
         let samples = (0..96 * 80usize).map(|i| 120 + (i * 7919 % 251 % 16) as u8).collect();
         let target = Planes::new(&Pixels::new(96, 80, Channels::Grey, Samples::U8(samples)).unwrap());
         let scene = Scene { width: 96, height: 80, blend: Blend::Normalized, background: target.mean };
@@ -174,7 +175,8 @@ mod tests {
             (2.0 * after / before, area)
         };
         let ((error, area), (free_error, free_area)) = (fitted(true), fitted(false));
-        // Some 40 supports over each pixel, at a thousandth of its error each, are worth 4 % of it at most.
+        // About 40 supports cover each pixel, each priced at 0.1 % of its error, so size is worth at most 4 % of the
+        // error.
         assert!(area < 0.5 * free_area, "{area} {free_area}");
         assert!(error < 1.04 * free_error, "{error} {free_error}");
     }

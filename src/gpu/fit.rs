@@ -19,7 +19,7 @@ use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::peaks::{self, Peak};
 use crate::fit::model::placing::removal;
 use crate::fit::model::problem::{Problem, Scene};
-use crate::fit::schedule::REMEMBERED;
+use crate::fit::schedule::CHECK_INTERVAL;
 use crate::fit::state::{CLEARLY_WORSE, State};
 use crate::gaussian::Channels;
 use crate::pixels::{Depth, Pixels};
@@ -509,7 +509,7 @@ impl Engine for Fitter {
         self.unseen += 1;
         // Steps on all rows are not followed by a survey, and their own errors arrive too late to keep the state that
         // had them.
-        if rows == RowSet::ALL && self.unseen > REMEMBERED {
+        if rows == RowSet::ALL && self.unseen > CHECK_INTERVAL {
             self.remember_if_best()?;
         }
         self.pending.push((rows, rates));

@@ -144,12 +144,12 @@ fn fit_and_draw(count: usize, rows: u32) {
 
 #[test]
 #[ignore = "minutes and gigabytes on software Vulkan"]
-fn the_papers_largest_picture_is_fitted_and_drawn() {
+fn the_largest_picture_of_the_paper_is_fitted_and_rendered() {
     fit_and_draw(379_367, HEIGHT);
 }
 
 #[test]
 #[ignore = "minutes and gigabytes on software Vulkan"]
-fn the_papers_largest_picture_takes_1300000_primitives() {
+fn the_largest_picture_of_the_paper_takes_1300000_primitives() {
     fit_and_draw(1_300_000, 3_200);
 }

@@ -142,7 +142,7 @@ impl Peaks {
             cells_x: level.size[0],
             cells_y: level.size[1],
             variance: level.variance,
-            longest: ridge::longest(spacing, level.variance.sqrt()),
+            longest: ridge::max_aspect(spacing, level.variance.sqrt()),
             least_gain: least,
             level: i as u32,
             capacity: most_peaks(self.capacity) as u32,

@@ -54,7 +54,7 @@ fn members(module: &naga::Module, name: &str) -> (Vec<(String, u32)>, u32) {
 }
 
 #[test]
-fn structs_are_laid_out_alike_on_both_sides() {
+fn structs_have_the_same_layout_on_both_sides() {
     macro_rules! offsets {
         ($type:ty: $($field:ident),+) => { vec![$((stringify!($field).to_owned(), std::mem::offset_of!($type, $field) as u32)),+] };
     }
@@ -75,7 +75,7 @@ fn structs_are_laid_out_alike_on_both_sides() {
 }
 
 #[test]
-fn constants_are_the_crates_own() {
+fn shader_constants_equal_those_of_the_crate() {
     use super::twin::common as twin;
     let support = 0.5 * f64::from(crate::gaussian::CUTOFF).powi(2) * std::f64::consts::LOG2_E;
     assert_eq!(twin::CUTOFF, crate::gaussian::CUTOFF);
@@ -130,7 +130,7 @@ fn workgroups_fold_into_two_dimensions() {
 }
 
 #[test]
-fn running_out_of_memory_is_told_before_what_it_makes_invalid() {
+fn running_out_of_memory_is_reported_before_its_consequences() {
     use super::device::cause;
     use crate::error::GpuError;
     // Constructed by hand: software devices return addresses before they allocate memory, and real ones should not be
@@ -383,7 +383,7 @@ mod stages {
     }
 
     #[test]
-    fn steps_are_those_of_the_cpu() {
+    fn steps_match_the_cpu() {
         let Some(device) = device() else { return };
         for (blend, weighted) in [(Blend::Normalized, false), (Blend::Normalized, true), (Blend::Sum, true)] {
             let pixels = pixels(75, 61, Channels::Rgb, false);
@@ -419,7 +419,7 @@ mod stages {
     }
 
     #[test]
-    fn half_the_size_is_what_the_cpu_sees() {
+    fn half_size_matches_the_cpu() {
         let Some(device) = device() else { return };
         let pixels = pixels(75, 61, Channels::Rgb, true);
         let target = planes(&pixels, true);
@@ -458,7 +458,7 @@ mod stages {
     }
 
     #[test]
-    fn pixels_weighed_anew_weigh_as_if_from_the_start() {
+    fn reweighted_pixels_equal_weights_from_the_start() {
         let Some(device) = device() else { return };
         let (width, height, bounds) = (75, 61, Bounds::new(75, 61));
         for sixteen in [false, true] {
@@ -597,7 +597,7 @@ mod stages {
                     }
                     let mut found: Vec<Found> = Vec::new();
                     let ridges = ridge::all();
-                    let longest = ridge::longest(peaks::spacing(&scene, 12, count), 8.0f32.sqrt());
+                    let longest = ridge::max_aspect(peaks::spacing(&scene, 12, count), 8.0f32.sqrt());
                     twin::peaks::find_peaks(
                         &Uniforms { variance: 8.0, longest, ..base },
                         &blurred,
@@ -773,7 +773,7 @@ mod stages {
     }
 
     #[test]
-    fn gradients_are_those_of_finite_differences() {
+    fn gradients_match_finite_differences() {
         let Some(device) = device() else { return };
         for blend in [Blend::Normalized, Blend::Sum] {
             let (width, height) = (40, 33);
@@ -907,7 +907,7 @@ mod stages {
     }
 
     #[test]
-    fn short_fits_are_as_good_as_the_cpus_and_the_same_each_time() {
+    fn short_fits_are_as_good_as_on_the_cpu_and_reproducible() {
         let Some(device) = device() else { return };
         for (blend, weighted, count, seeds) in [
             (Blend::Normalized, false, 1000, 1..5),
@@ -926,7 +926,7 @@ mod stages {
     /// with the means of the same start moved by 10⁻⁴ pixels.
     #[test]
     #[ignore = "minutes on software Vulkan"]
-    fn many_fits_differ_from_the_cpus_by_rounding_alone() {
+    fn many_fits_differ_from_the_cpu_only_by_rounding() {
         let Some(device) = device() else { return };
         let pixels = photograph();
         let target = Planes::new(&pixels);
@@ -958,7 +958,7 @@ mod stages {
     }
 
     #[test]
-    fn the_best_state_is_kept_where_the_end_is_clearly_worse() {
+    fn the_best_state_is_kept_if_the_end_is_clearly_worse() {
         let Some(device) = device() else { return };
         let mut c = case(&device, Channels::Rgb, Blend::Normalized, [false, false]);
         let target = Planes::new(&c.pixels);

@@ -1,5 +1,5 @@
-//! What a picture file says of its colours, as an ICC profile: statements that decoders of `image` leave out, and
-//! profiles that say no more than sRGB.
+//! What a picture file states about its colours, as an ICC profile: statements that the decoders of `image` ignore, and
+//! the comparison of profiles with sRGB.
 
 use std::io::{self, BufRead, ErrorKind, Read, Seek, SeekFrom};
 
@@ -9,53 +9,54 @@ use moxcms::{
     MatrixCoefficients, ToneReprCurve, TransferCharacteristics, TransformOptions, XyY, curve_from_gamma,
 };
 
-/// Longest profile that is compared with sRGB, bytes: those that say sRGB take up to 61 kB, and others may take a
-/// second to compare.
-const LONGEST_COMPARED: usize = 1 << 16;
+/// Maximum length of a profile that is compared with sRGB, bytes. sRGB profiles have up to 61 kB, and the comparison of
+/// longer ones could take a second.
+const MAX_COMPARED_BYTES: usize = 1 << 16;
 
-/// Longest profile that is taken from a TIFF, bytes.
-const LONGEST_TAKEN: u32 = 64 << 20;
+/// Maximum length of a profile that is read from a TIFF, bytes.
+const MAX_TIFF_PROFILE_BYTES: u32 = 64 << 20;
 
-/// Steps of the grid of colours, on each axis, at which a profile is compared with sRGB.
+/// Points per axis of the grid of colours at which a profile is compared with sRGB.
 const GRID: usize = 9;
 
-/// Largest difference from sRGB that counts as none, code values of 8 bits: profiles with a curve of 1024 entries
-/// differ by as much where they are rounded.
-const SAME: u8 = 1;
+/// Maximum difference from sRGB of a profile that counts as sRGB, in 8-bit code values. Profiles with a curve of 1024
+/// entries differ by this much where they are rounded.
+const MAX_SRGB_DIFFERENCE: u8 = 1;
 
-/// `gAMA` within this ratio of 1/2.2 says sRGB, as libpng has it (`PNG_GAMMA_THRESHOLD`): writers put it into files
-/// that are sRGB.
-const SAME_GAMMA: f64 = 0.05;
-/// `cHRM` within this of the primaries and the white of sRGB says sRGB: writers round them.
-const SAME_CHROMATICITY: f64 = 0.005;
+/// A `gAMA` within this ratio of 1/2.2 counts as sRGB, as in libpng (`PNG_GAMMA_THRESHOLD`), because encoders write it
+/// into sRGB files.
+const GAMMA_TOLERANCE: f64 = 0.05;
+/// A `cHRM` within this distance of the primaries and the white point of sRGB counts as sRGB, because encoders round
+/// them.
+const CHROMATICITY_TOLERANCE: f64 = 0.005;
 
-/// The date of the profiles that are made here, as the header of a profile has it: the first of January 2026.
-const MADE: [u8; 12] = [7, 234, 0, 1, 0, 1, 0, 0, 0, 0, 0, 0];
+/// Date of the profiles that are created here, in the format of a profile's header: 1 January 2026.
+const CREATION_DATE: [u8; 12] = [7, 234, 0, 1, 0, 1, 0, 0, 0, 0, 0, 0];
 
-/// White, red, green and blue of sRGB, x and y of each.
+/// Chromaticities (x, y) of the white point, red, green and blue of sRGB.
 const SRGB: [f64; 8] = [0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06];
 
-/// What a file says of its colours beside the profile that its decoder finds.
+/// What a file states about its colours in addition to the profile that its decoder finds.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Stated {
-    /// A profile that says the same.
+    /// A profile with the same meaning.
     icc: Option<Vec<u8>>,
-    /// Whether it goes before the profile that the decoder finds.
+    /// Whether it takes precedence over the profile that the decoder finds.
     is_first: bool,
-    /// What no profile says, in words.
+    /// A note for the user about what no profile can express.
     #[cfg_attr(not(feature = "unstable"), allow(dead_code))]
     pub note: Option<&'static str>,
-    /// Whether decoders give every picture of the format alpha.
+    /// Whether decoders return all pictures of the format with alpha.
     always_has_alpha: bool,
 }
 
 impl Stated {
-    /// The profile to use where the decoder found `found`.
+    /// Returns the profile to use, given the profile that the decoder found.
     pub fn or(&self, found: Option<Vec<u8>>) -> Option<Vec<u8>> {
         if self.is_first { self.icc.clone().or(found) } else { found.or_else(|| self.icc.clone()) }
     }
 
-    /// The picture without alpha that says nothing and that its format gives to all.
+    /// Removes an alpha channel that the decoder adds to all pictures of the format, if it is opaque.
     pub fn without_idle_alpha(&self, picture: DynamicImage) -> DynamicImage {
         match picture {
             DynamicImage::ImageRgba8(picture) if self.always_has_alpha && picture.pixels().all(|p| p.0[3] == 255) => {
@@ -66,11 +67,11 @@ impl Stated {
     }
 }
 
-/// Looks at what the file in `reader` says of its colours: `cICP`, `gAMA` and `cHRM` of PNG, and the profile of TIFF,
-/// which `image` 0.25.10 loses where the picture is small. The reader is rewound.
+/// Reads what the file in `reader` states about its colours: `cICP`, `gAMA` and `cHRM` of PNG, and the profile of TIFF,
+/// which `image` 0.25.10 loses for small pictures. The reader is rewound.
 ///
 /// # Errors
-/// Those of `reader`; a file that is cut off says nothing.
+/// Errors of `reader`. A truncated file is not an error; its statements are ignored.
 pub fn look(reader: &mut (impl BufRead + Seek)) -> io::Result<Stated> {
     let found = match reader.fill_buf()? {
         [0x89, b'P', b'N', b'G', ..] => png(reader),
@@ -85,14 +86,16 @@ pub fn look(reader: &mut (impl BufRead + Seek)) -> io::Result<Stated> {
     }
 }
 
-/// Whether a profile says sRGB: its colours become the same code values, within one of 8 bits. Profiles of grey are
-/// compared as greys of sRGB.
+/// Returns whether a profile is equivalent to sRGB: all colours have the same 8-bit code values, within 1. Grey
+/// profiles are compared with the greys of sRGB.
 pub fn is_srgb(icc: &[u8]) -> bool {
-    icc.len() <= LONGEST_COMPARED && differs(icc).is_some_and(|most| most <= SAME)
+    icc.len() <= MAX_COMPARED_BYTES
+        && difference_from_srgb(icc).is_some_and(|difference| difference <= MAX_SRGB_DIFFERENCE)
 }
 
-/// The largest difference between what code values mean under a profile and in sRGB; `None` where that cannot be told.
-fn differs(icc: &[u8]) -> Option<u8> {
+/// Returns the largest difference between colours under a profile and in sRGB, in 8-bit code values; `None` if they
+/// cannot be compared.
+fn difference_from_srgb(icc: &[u8]) -> Option<u8> {
     let profile = ColorProfile::new_from_slice(icc).ok()?;
     let grey = |v: usize| [v as u8; 3];
     let colors: Vec<[u8; 3]> = match profile.color_space {
@@ -121,7 +124,7 @@ fn bytes<const N: usize>(reader: &mut impl Read) -> io::Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// Reads the chunks before the samples. `cICP` goes before a profile, and a profile and `sRGB` before `gAMA` and
+/// Reads the chunks before the samples. `cICP` takes precedence over a profile, and a profile or `sRGB` over `gAMA` and
 /// `cHRM`.
 fn png(reader: &mut (impl Read + Seek)) -> io::Result<Stated> {
     reader.seek(SeekFrom::Start(8))?;
@@ -156,17 +159,20 @@ fn png(reader: &mut (impl Read + Seek)) -> io::Result<Stated> {
     Ok(Stated { icc, ..Stated::default() })
 }
 
-/// The profile of code points (ITU-T H.273): primaries, transfer, matrix and whether all of the range is used.
+/// Returns the profile of code points (ITU-T H.273): primaries, transfer function, matrix, and whether the range is
+/// full.
 fn of_cicp([primaries, transfer, matrix, range]: [u8; 4], is_grey: bool) -> Stated {
     let note = match (transfer, matrix, range) {
         (16, ..) => Some(
-            "its colours are in PQ (cICP), which no profile can say: they are kept as they are, and will look pale",
+            "its colours use PQ (cICP), which no ICC profile can express; they are kept unchanged and will look pale",
         ),
         (18, ..) => Some(
-            "its colours are in HLG (cICP), which no profile can say: they are kept as they are, and will look pale",
+            "its colours use HLG (cICP), which no ICC profile can express; they are kept unchanged and will look pale",
         ),
         (_, 0, 1..) => None,
-        _ => Some("its colours are in the range of video (cICP), which no profile can say: they are kept as they are"),
+        _ => Some(
+            "its colours use the limited range of video (cICP), which no ICC profile can express; they are kept unchanged",
+        ),
     };
     if note.is_some() {
         return Stated { note, ..Stated::default() };
@@ -175,7 +181,7 @@ fn of_cicp([primaries, transfer, matrix, range]: [u8; 4], is_grey: bool) -> Stat
         let color_primaries = CicpColorPrimaries::try_from(primaries).ok()?;
         let transfer_characteristics = TransferCharacteristics::try_from(transfer).ok()?;
         let matrix_coefficients = MatrixCoefficients::Identity;
-        // Tested before, as a profile is made of anything else, too.
+        // Checked first, because moxcms would make a profile of anything else as well.
         let curve = ToneReprCurve::try_from(transfer_characteristics).ok()?;
         ColorPrimaries::try_from(color_primaries).ok()?;
         let cicp = CicpProfile { color_primaries, transfer_characteristics, matrix_coefficients, full_range: true };
@@ -185,13 +191,13 @@ fn of_cicp([primaries, transfer, matrix, range]: [u8; 4], is_grey: bool) -> Stat
     Stated { is_first: icc.is_some(), icc, ..Stated::default() }
 }
 
-/// The profile of a `gAMA` and a `cHRM` chunk; `None` where they say sRGB.
+/// Returns the profile of a `gAMA` and a `cHRM` chunk; `None` if they are equivalent to sRGB.
 fn of_gamma(gamma: Option<f64>, chromaticities: Option<[f64; 8]>, is_grey: bool) -> Option<Vec<u8>> {
-    // The exponents that decode are within what a profile's curve holds.
+    // The decoding exponents are within the range of a profile's curve.
     let exponent = gamma.filter(|g| (0.05..=20.0).contains(g)).map(f64::recip);
-    let is_usual = exponent.is_none_or(|e| (e / 2.2 - 1.0).abs() < SAME_GAMMA);
-    let [wx, wy, primaries @ ..] = chromaticities.filter(is_sound).unwrap_or(SRGB);
-    let is_srgb = |c: &[f64]| c.iter().zip(SRGB).all(|(a, b)| (a - b).abs() < SAME_CHROMATICITY);
+    let is_usual = exponent.is_none_or(|e| (e / 2.2 - 1.0).abs() < GAMMA_TOLERANCE);
+    let [wx, wy, primaries @ ..] = chromaticities.filter(is_valid).unwrap_or(SRGB);
+    let is_srgb = |c: &[f64]| c.iter().zip(SRGB).all(|(a, b)| (a - b).abs() < CHROMATICITY_TOLERANCE);
     let has_its_colors = is_grey || is_srgb(&[&[wx, wy], &primaries[..]].concat());
     if is_usual && has_its_colors {
         return None;
@@ -208,14 +214,14 @@ fn of_gamma(gamma: Option<f64>, chromaticities: Option<[f64; 8]>, is_grey: bool)
     encoded(profile, curve, is_grey)
 }
 
-/// Whether chromaticities are of a white and three primaries that span something.
-fn is_sound(c: &[f64; 8]) -> bool {
+/// Returns whether the chromaticities are those of a white point and three primaries that span an area.
+fn is_valid(c: &[f64; 8]) -> bool {
     let [_, _, rx, ry, gx, gy, bx, by] = *c;
     let area = (gx - rx) * (by - ry) - (bx - rx) * (gy - ry);
     c.iter().all(|v| (0.0..=1.0).contains(v)) && [1, 3, 5, 7].iter().all(|&k| c[k] > 1e-3) && area.abs() > 1e-3
 }
 
-/// The bytes of a profile with such a curve, or of one for grey; `None` where it cannot be made.
+/// Returns the bytes of a colour or grey profile with the given curve; `None` if it cannot be created.
 fn encoded(mut profile: ColorProfile, curve: ToneReprCurve, is_grey: bool) -> Option<Vec<u8>> {
     if is_grey {
         profile = ColorProfile::new_gray_with_gamma(2.2);
@@ -225,15 +231,15 @@ fn encoded(mut profile: ColorProfile, curve: ToneReprCurve, is_grey: bool) -> Op
         profile.blue_trc = Some(curve);
         profile.cicp = None;
     }
-    // ICC.1, 9.2.36: the white of a display is that of the connection space.
+    // ICC.1, 9.2.36: the white point of a display is that of the connection space.
     profile.media_white_point = Some(profile.white_point);
     let mut icc = profile.encode().ok()?;
-    // moxcms writes the time of day into the header, and equal pictures have equal files.
-    icc.get_mut(24..36)?.copy_from_slice(&MADE);
+    // moxcms writes the current time into the header, but equal pictures must give equal files.
+    icc.get_mut(24..36)?.copy_from_slice(&CREATION_DATE);
     Some(icc)
 }
 
-/// The profile of the first directory. `image` limits the values of a tag to a thirty-second of the samples.
+/// Reads the profile of the first directory. `image` limits the values of a tag to 1/32 of the samples.
 fn tiff(reader: &mut (impl Read + Seek)) -> io::Result<Stated> {
     let head: [u8; 8] = bytes(reader)?;
     let short = |b: [u8; 2]| if head[0] == b'I' { u16::from_le_bytes(b) } else { u16::from_be_bytes(b) };
@@ -243,8 +249,8 @@ fn tiff(reader: &mut (impl Read + Seek)) -> io::Result<Stated> {
     for _ in 0..entries {
         let (tag, _kind, count) = (short(bytes(reader)?), short(bytes(reader)?), long(bytes(reader)?));
         let offset = long(bytes(reader)?);
-        // Tag 34675; shorter ones hold no header.
-        if tag == 34675 && (128..=LONGEST_TAKEN).contains(&count) {
+        // Tag 34675. Shorter values contain no header.
+        if tag == 34675 && (128..=MAX_TIFF_PROFILE_BYTES).contains(&count) {
             reader.seek(SeekFrom::Start(u64::from(offset)))?;
             let mut icc = Vec::new();
             reader.take(u64::from(count)).read_to_end(&mut icc)?;
@@ -259,7 +265,7 @@ fn tiff(reader: &mut (impl Read + Seek)) -> io::Result<Stated> {
 mod tests {
     use super::*;
 
-    /// The XYZ of the primaries under D50, by moxcms.
+    /// Returns the XYZ values of the primaries under D50, as computed by moxcms.
     fn primaries(icc: &[u8]) -> [[f64; 3]; 3] {
         let p = ColorProfile::new_from_slice(icc).unwrap();
         [p.red_colorant, p.green_colorant, p.blue_colorant].map(|c| [c.x, c.y, c.z])
@@ -270,9 +276,9 @@ mod tests {
     }
 
     #[test]
-    fn a_profile_says_srgb_by_its_curves_and_primaries() {
+    fn a_profile_is_recognized_as_srgb_by_its_curves_and_primaries() {
         assert!(is_srgb(&encode(&ColorProfile::new_srgb())));
-        // A curve of 1024 entries, as the common profile of 3144 bytes has.
+        // A curve of 1024 entries, as in the common profile of 3144 bytes.
         let mut table = ColorProfile::new_srgb();
         let linear = |i: u32| {
             let v = f64::from(i) / 1023.0;
@@ -299,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn gamma_and_chromaticities_become_a_profile_where_they_are_not_those_of_srgb() {
+    fn gamma_and_chromaticities_other_than_srgb_become_a_profile() {
         assert_eq!(of_gamma(Some(0.45455), Some(SRGB), false), None);
         assert_eq!(of_gamma(None, None, false), None);
         assert_eq!(of_gamma(Some(0.0), Some([0.0; 8]), false), None);
@@ -314,8 +320,8 @@ mod tests {
         let grey = of_gamma(Some(1.0), None, true).unwrap();
         assert_eq!(&grey[16..20], b"GRAY");
         assert!(
-            [linear, adobe, grey].iter().all(|icc| icc[24..36] == MADE),
-            "a profile has the time at which it was made"
+            [linear, adobe, grey].iter().all(|icc| icc[24..36] == CREATION_DATE),
+            "the profile must not contain the current time"
         );
     }
 

@@ -57,7 +57,7 @@ pub struct SsplatDecoder<R> {
     reader: R,
     header: Header,
     limits: Limits,
-    /// The whole file, once anything behind the header has been needed.
+    /// The whole file, once anything after the header has been needed.
     opened: Option<Image>,
 }
 

@@ -1,7 +1,7 @@
-//! Pictures of the `image` crate in, within limits: a decoder for a reader, and the pixels of a decoder.
+//! Reads pictures of the `image` crate within limits: opens a decoder for a reader, and reads the pixels of a decoder.
 //!
-//! [`DynamicImage::from_decoder`] and [`ImageReader::into_decoder`] leave it to their caller to hold the size of the output against the
-//! limits, and abort where memory ends.
+//! [`DynamicImage::from_decoder`] and [`ImageReader::into_decoder`] do not check the size of the output against the
+//! limits, and abort the process if memory runs out.
 
 use std::hint::black_box;
 use std::io::{BufRead, Seek, SeekFrom};
@@ -13,22 +13,22 @@ use image::{
     ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageFormat, ImageReader, ImageResult, Pixel,
 };
 
-/// Most bytes that a decoder may allocate, the samples of the picture included: a 177-megapixel picture takes 531 MB
-/// with 8 bits, twice that with 16.
+/// Maximum number of bytes that a decoder may allocate, including the samples of the picture. A picture of 177
+/// megapixels takes 531 MB with 8 bits per sample, and twice that with 16.
 pub const MAX_ALLOC: u64 = if usize::BITS < 64 { 1 << 30 } else { 8 << 30 };
 
-/// The limits for pictures of other formats: [`MAX_ALLOC`] bytes.
+/// Returns the limits for pictures in other formats: [`MAX_ALLOC`] bytes.
 pub fn limits() -> image::Limits {
     let mut limits = image::Limits::default();
     limits.max_alloc = Some(MAX_ALLOC);
     limits
 }
 
-/// Returns a decoder for the picture in `reader`, whose format is told by its content or else by the extension of
-/// `path`. The bytes of its samples are held against `limits`, and the rest of them is the decoder's.
+/// Returns a decoder for the picture in `reader`. The format is recognized by its content, or else by the extension of
+/// `path`. The bytes of its samples are checked against `limits`, and the decoder may use the rest.
 ///
 /// # Errors
-/// [`ImageError::Limits`] when the picture takes more than `limits`; those of the decoder, and of `reader`.
+/// [`ImageError::Limits`] if the picture takes more than `limits`; errors of the decoder and of `reader`.
 pub fn open<'a, R: BufRead + Seek + 'a>(
     reader: R,
     path: &Path,
@@ -39,12 +39,12 @@ pub fn open<'a, R: BufRead + Seek + 'a>(
     if reader.format().is_none()
         && let Ok(format) = ImageFormat::from_path(path)
     {
-        // A few formats (TGA) cannot be told by their content.
+        // A few formats, such as TGA, cannot be recognized by their content.
         reader.set_format(format);
     }
     let format = reader.format();
     if format == Some(ImageFormat::Jpeg) {
-        // Its decoder begins with reading all of the file.
+        // Its decoder starts by reading the whole file.
         let mut file = reader.into_inner();
         limits.reserve(file.seek(SeekFrom::End(0))?)?;
         file.rewind()?;
@@ -54,15 +54,15 @@ pub fn open<'a, R: BufRead + Seek + 'a>(
     let mut decoder = reader.into_decoder()?;
     let all = limits.clone();
     limits.reserve(decoder.total_bytes())?;
-    // The decoder of TIFF takes the samples off by itself.
+    // The TIFF decoder subtracts the samples itself.
     decoder.set_limits(if format == Some(ImageFormat::Tiff) { all } else { limits })?;
     Ok(decoder)
 }
 
-/// Decodes a picture whose size has been held against limits, as [`open`] does.
+/// Decodes a picture whose size has been checked against limits, as [`open`] does.
 ///
 /// # Errors
-/// [`ImageError::Limits`] when there is too little memory for the samples; those of the decoder.
+/// [`ImageError::Limits`] if there is not enough memory for the samples; errors of the decoder.
 pub fn picture(decoder: impl ImageDecoder) -> ImageResult<DynamicImage> {
     match decoder.color_type() {
         ColorType::L8 => samples(decoder).map(DynamicImage::ImageLuma8),
@@ -82,7 +82,7 @@ pub fn picture(decoder: impl ImageDecoder) -> ImageResult<DynamicImage> {
     }
 }
 
-/// The samples of a picture whose colour type is that of `P`.
+/// Returns the samples of a picture with the colour type of `P`.
 fn samples<P>(decoder: impl ImageDecoder) -> ImageResult<ImageBuffer<P, Vec<P::Subpixel>>>
 where
     P: Pixel,
@@ -96,9 +96,10 @@ where
         .ok_or_else(|| ImageError::Parameter(ParameterError::from_kind(ParameterErrorKind::DimensionMismatch)))
 }
 
-/// Zeros, in memory that takes no room until it is written; an error where there is too little.
+/// Returns zeros in memory that the system provides only when it is written, or an error if there is not enough of it.
 fn zeros<T: bytemuck::Pod>(count: usize) -> ImageResult<Vec<T>> {
-    // Only `vec!` asks for memory that is zero already, and it aborts where there is none. So ask for as much before.
+    // Only `vec!` requests zeroed memory, but it aborts if there is not enough. Reserve the same amount first to find
+    // out.
     let mut probe = Vec::<T>::new();
     probe.try_reserve_exact(count).map_err(|_| out_of_memory())?;
     drop(black_box(probe));
@@ -113,10 +114,10 @@ fn out_of_memory() -> ImageError {
 mod tests {
     use super::*;
 
-    /// Says that it has such a size, and no pixels.
-    struct Said(u32, ColorType);
+    /// A decoder that states a size and has no pixels.
+    struct StatedSize(u32, ColorType);
 
-    impl ImageDecoder for Said {
+    impl ImageDecoder for StatedSize {
         fn dimensions(&self) -> (u32, u32) {
             (self.0, self.0)
         }
@@ -136,16 +137,16 @@ mod tests {
     }
 
     #[test]
-    fn pictures_beyond_the_memory_that_is_there_are_refused() {
-        // More than any machine has.
-        assert!(matches!(picture(Said(1 << 30, ColorType::L8)), Err(ImageError::Limits(_))));
+    fn pictures_that_exceed_the_available_memory_are_refused() {
+        // More memory than any machine has.
+        assert!(matches!(picture(StatedSize(1 << 30, ColorType::L8)), Err(ImageError::Limits(_))));
     }
 
     #[test]
     fn all_colour_types_become_pictures() {
         use ColorType as C;
         for color in [C::L8, C::La8, C::Rgb8, C::Rgba8, C::L16, C::La16, C::Rgb16, C::Rgba16, C::Rgb32F, C::Rgba32F] {
-            let picture = picture(Said(3, color)).unwrap();
+            let picture = picture(StatedSize(3, color)).unwrap();
             assert_eq!((picture.color(), picture.width(), picture.as_bytes()[5]), (color, 3, 7));
         }
     }

@@ -28,9 +28,9 @@ impl MetadataPolicy {
     ///
     /// ```
     /// use image::metadata::Orientation;
-    /// use ssplat::Carry;
+    /// use ssplat::MetadataPolicy;
     ///
-    /// let carried = Carry::Needed.of(None, Some(vec![0; 20_000]), Orientation::Rotate90);
+    /// let carried = MetadataPolicy::Needed.of(None, Some(vec![0; 20_000]), Orientation::Rotate90);
     /// assert_eq!((carried.exif.map(|exif| exif.len()), carried.exif_left_out), (Some(26), 20_000));
     /// ```
     #[doc(hidden)]
@@ -40,7 +40,7 @@ impl MetadataPolicy {
         let alone = || is_turned.then(|| oriented(orientation));
         let length = |block: &Option<Vec<u8>>| block.as_ref().map_or(0, Vec::len);
         let (all_icc, all_exif) = (length(&icc), length(&exif));
-        // sRGB is what a picture without a profile is shown in.
+        // Pictures without a profile are displayed as sRGB.
         let icc = icc.filter(|icc| self != MetadataPolicy::Needed || !is_srgb(icc));
         let (icc, exif) = match self {
             MetadataPolicy::All => (icc, exif.or_else(alone)),
@@ -89,7 +89,7 @@ mod tests {
     ];
 
     #[test]
-    fn what_is_needed_is_the_profile_and_the_orientation() {
+    fn the_default_policy_keeps_the_profile_and_the_orientation() {
         for orientation in ALL {
             let carried = MetadataPolicy::Needed.of(Some(vec![1; 500]), Some(vec![0; 3000]), orientation);
             assert_eq!((carried.icc, carried.icc_left_out), (Some(vec![1; 500]), 0));
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_out_is_told() {
+    fn omitted_metadata_is_reported() {
         let of =
             |carry: MetadataPolicy, exif: Option<Vec<u8>>| carry.of(Some(vec![1; 500]), exif, Orientation::Rotate180);
         let all = of(MetadataPolicy::All, Some(vec![2; 90]));
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn an_orientation_that_no_block_says_gets_one() {
+    fn an_orientation_without_exif_is_stored_in_a_new_block() {
         for carry in [MetadataPolicy::All, MetadataPolicy::Needed] {
             let exif = carry.of(None, None, Orientation::Rotate270).exif;
             assert_eq!(exif.as_deref().and_then(Orientation::from_exif_chunk), Some(Orientation::Rotate270));

@@ -16,13 +16,12 @@ use crate::error::{Error, Result};
 use crate::options::EncodeOptions;
 use crate::pixels::Pixels;
 
-/// Encodes the picture in the file at `input` and writes it to `output`. [`EncodeOptions::carry`] selects the metadata
+/// Encodes the picture in the file at `input` and writes it to `output`. [`EncodeOptions::metadata`] selects the metadata
 /// to keep: by default the ICC profile and the orientation.
 ///
-/// It reads ssplat and all formats that `image` is built with, recognized by content or extension.
-/// [`DynamicImage`](image::DynamicImage) has neither profile nor orientation, so [`image::open`] and
-/// [`save`](super::save) lose both; this function keeps them. An ICC profile or EXIF block in `options` replaces that
-/// of the picture.
+/// It reads ssplat and all formats that `image` is built with, recognized by content or extension. [`DynamicImage`](image::DynamicImage)
+/// has neither profile nor orientation, so [`image::open`] and [`save`](super::save) lose both; this function keeps
+/// them. An ICC profile or EXIF block in `options` replaces that of the picture.
 ///
 /// # Errors
 /// [`Error::Io`] if a file cannot be read or written, [`Error::Source`] if `image` cannot decode `input`,
@@ -48,7 +47,7 @@ pub fn transcode(input: impl AsRef<Path>, output: impl AsRef<Path>, options: &En
     Ok(encoded.report)
 }
 
-/// Encodes the picture of a `decoder` of the `image` crate. [`EncodeOptions::carry`] selects the metadata to keep.
+/// Encodes the picture of a `decoder` of the `image` crate. [`EncodeOptions::metadata`] selects the metadata to keep.
 ///
 /// # Errors
 /// [`Error::Source`] if the decoder fails or the picture has more than 8 GiB of samples; otherwise as [`encode`].
@@ -56,11 +55,11 @@ pub fn encode_decoder(decoder: impl ImageDecoder, options: &EncodeOptions) -> Re
     encode_stated(decoder, Stated::default(), options)
 }
 
-/// As [`encode_decoder`], of a file that states so much of its colours.
+/// As [`encode_decoder`], for a file whose statements about colours are known.
 fn encode_stated(mut decoder: impl ImageDecoder, stated: Stated, options: &EncodeOptions) -> Result<Encoded> {
     let failed = |error| Error::Source { path: None, error };
-    // The decoder keeps the limits that its owner has set; only what is allocated here is held against those of this
-    // crate.
+    // The decoder keeps the limits that its owner set. Only the memory that is allocated here is checked against those
+    // of this crate.
     input::limits().reserve(decoder.total_bytes()).map_err(failed)?;
     let icc = stated.or(decoder.icc_profile().map_err(failed)?);
     let exif = decoder.exif_metadata().map_err(failed)?;
@@ -80,10 +79,11 @@ impl Encoder {
     ///
     /// It reads ssplat and all formats that `image` is built with, recognized by content or extension. A
     /// [`DynamicImage`](image::DynamicImage) has neither profile nor orientation, so [`image::open`] and
-    /// [`save`](Encoder::save) lose both; this method keeps them. An ICC profile [set](Encoder::icc) on the encoder
-    /// replaces that of the picture, and so does an EXIF block. What a PNG states about its colours without a profile
-    /// (cICP, gAMA, cHRM) becomes one, except for PQ and HLG, which no profile can express.
-    /// [`MetadataPolicy::Needed`](crate::MetadataPolicy::Needed) leaves out a profile that says sRGB.
+    /// [`save`](Encoder::save) lose both; this method keeps them. An ICC profile or EXIF block that is set on the
+    /// encoder with [`icc`](Encoder::icc) or [`exif`](Encoder::exif) replaces that of the picture. What a PNG states
+    /// about its colours without a profile (cICP, gAMA, cHRM) becomes a profile, except for PQ and HLG, which no
+    /// profile can express. [`MetadataPolicy::Needed`](crate::MetadataPolicy::Needed) omits a profile that is
+    /// equivalent to sRGB.
     ///
     /// ```no_run
     /// use ssplat::Encoder;
@@ -94,8 +94,8 @@ impl Encoder {
     ///
     /// # Errors
     /// [`Error::Io`] if a file cannot be read or written, [`Error::Source`] if `image` cannot decode `input` or needs more
-    /// than 8 GiB for it (1 GiB on 32-bit systems), [`Error::Parameter`] if `output` has the extension of another
-    /// format; otherwise as [`Encoder::encode`].
+    /// than 8 GiB for it (1 GiB on 32-bit systems), [`Error::Parameter`] if `output` has the extension of another format;
+    /// otherwise as [`Encoder::encode`].
     pub fn transcode(&self, input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<EncodeReport> {
         transcode(input, output, self.options())
     }
@@ -113,7 +113,7 @@ impl Encoder {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Source`] when the decoder fails or its picture has more than 8 GiB of samples (1 GiB on 32-bit systems);
+    /// [`Error::Source`] if the decoder fails or its picture has more than 8 GiB of samples (1 GiB on 32-bit systems);
     /// otherwise as [`Encoder::encode`].
     pub fn encode_decoder(&self, decoder: impl ImageDecoder) -> Result<Encoded> {
         encode_decoder(decoder, self.options())

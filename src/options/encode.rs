@@ -6,14 +6,14 @@ use crate::bitstream::splats::Layout;
 use crate::gaussian::Blend;
 use crate::target::Target;
 
-/// Where the fit starts and how it goes on.
+/// The method of the fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Recipe {
-    /// Our own, as `spec/` and the README describe it.
+    /// The method of this crate, as described in the README.
     #[default]
     Ssplat,
-    /// The pipeline of SmartSplat (AAAI 2026), with the parts of [`Ablation`].
+    /// The SmartSplat pipeline (AAAI 2026), with the parts selected by [`Ablation`].
     #[cfg(feature = "smartsplat")]
     SmartSplat(Ablation),
 }
@@ -38,19 +38,19 @@ pub enum Ablation {
 #[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "tools set them"))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Hash)]
 pub enum Rung {
-    /// A fit that is rounded to the nearest integers.
+    /// A fit whose result is rounded to the nearest integers.
     Fit,
-    /// Descent over the integers.
+    /// Descent over the integers as well.
     Descent,
-    /// Squared error, step sizes in each Gaussian's own frame, and moments that forget sooner.
+    /// Squared error, step sizes in each Gaussian's own frame, and faster decaying moments.
     Optimizer,
-    /// Steps that see some of the rows.
+    /// Steps that sample some of the rows.
     Sampling,
-    /// A start by detail, along edges.
+    /// Initialization by detail, along edges.
     Start,
     /// Relocation of the least useful primitives.
     Relocation,
-    /// A price for size.
+    /// A price of size.
     #[default]
     Price,
 }
@@ -87,11 +87,11 @@ pub enum Backend {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Needs {
-    /// Skip constant channels (opaque alpha, grey stored as RGB). The decoded picture has the caller's channels all the
-    /// same. Also stop the fit and drop primitives where the error is already below that of rounding or of the target.
+    /// Skip constant channels (opaque alpha, grey stored as RGB). The decoded picture still has the channels of the
+    /// input. Also stop the fit and drop primitives where the error is already below that of rounding or of the target.
     #[default]
     Measured,
-    /// All.
+    /// All parts.
     Everything,
 }
 
@@ -99,11 +99,11 @@ pub enum Needs {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 #[non_exhaustive]
 pub enum Trace {
-    /// Nothing is measured on the way.
+    /// Nothing is measured during the encode.
     #[default]
     Off,
-    /// PSNR, SSIM and MS-SSIM are measured at growing intervals and reported; the times are those without measuring,
-    /// but a time budget is not extended for it.
+    /// PSNR, SSIM and MS-SSIM are measured at increasing intervals and reported. Reported times exclude the
+    /// measurements, but a time budget is not extended for them.
     On,
 }
 
@@ -141,7 +141,8 @@ pub enum HiddenColors {
     /// Replace them by a smooth continuation of the visible colours, so that they take no bytes and leave no fringes.
     #[default]
     Continue,
-    /// Fit them like visible colours, for programs that use them for something else. The errors of all pixels count alike.
+    /// Fit them like visible colours, for programs that use them for other purposes. The errors of all pixels have
+    /// equal weight.
     Keep,
 }
 
@@ -150,13 +151,14 @@ pub enum HiddenColors {
 #[non_exhaustive]
 pub enum MetadataPolicy {
     /// Everything needed to show the picture as intended: the ICC profile, and the orientation as an EXIF block of 26
-    /// bytes where the picture is to be turned. The rest of the EXIF block is left out, and so is a profile that says sRGB, in
-    /// which pictures without one are shown: no code value of 8 bits means another colour by more than one.
+    /// bytes if the picture has to be rotated or mirrored. The rest of the EXIF block is omitted, and so is a profile
+    /// that is equivalent to sRGB (all 8-bit code values mean the same colours, within 1), because pictures without a
+    /// profile are shown as sRGB.
     #[default]
     Needed,
     /// The ICC profile and the whole EXIF block, with everything that a camera writes, such as place, time and model.
     All,
-    /// The ICC profile alone; a picture that is to be turned is shown unturned.
+    /// The ICC profile only. A picture that has to be rotated or mirrored is shown without that.
     Icc,
     /// No metadata.
     None,
@@ -166,59 +168,61 @@ pub enum MetadataPolicy {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct EncodeOptions {
-    /// Aim of the encode; [`Target::Auto`] is the default.
+    /// Target of the encode; the default is [`Target::Auto`].
     pub target: Target,
     /// `1..=9`: how much work to spend; 5 is the default.
     pub effort: u8,
-    /// Wall-clock budget of the whole encode, however many fits the target takes; the best state reached is written.
+    /// Time limit of the whole encode, wall clock, however many fits the target takes. The best state reached is
+    /// written.
     pub time: Option<Duration>,
-    /// Seed of everything random; equal seeds give equal bytes from one version of this crate, and in the planes layout from
-    /// one version of zstd.
+    /// Seed of all random numbers. Equal seeds give equal bytes with one version of this crate, and in the planes
+    /// layout with one version of zstd.
     pub seed: u64,
     /// How the integers become bytes.
     pub layout: Layout,
-    /// How primitives blend; `None`: as the recipe has it.
+    /// How primitives blend; `None`: the default of the recipe.
     pub blend: Option<Blend>,
     /// The fitting recipe.
     pub recipe: Recipe,
-    /// Which measure to favour; `None`: [`Tune::Iq`], but [`Tune::Psnr`] where the target is a PSNR and for the recipes of
-    /// others, which count all errors alike.
+    /// Quality measure to optimize; `None`: [`Tune::Iq`], except [`Tune::Psnr`] if the target is a PSNR and for recipes
+    /// of other methods, which weight all errors equally.
     pub tune: Option<Tune>,
     /// Device that fits the picture.
     pub backend: Backend,
     /// Whether parts that the picture does not need are skipped.
     pub needs: Needs,
-    /// Whether the file has a detail layer. Files of an asked size, ratio or quality have one, in the coded layout; files of a
-    /// number of primitives have none.
+    /// Whether the file has a detail layer. Files with a requested size, ratio or quality have one in the coded layout.
+    /// Files with a requested number of primitives have none.
     pub detail: Detail,
     /// `1..=8`: progressive levels, large primitives first, so that a file cut after a level is a whole, coarser
     /// picture. Each costs 1 to 2 % of the bytes. Only the coded layout has more than one.
     pub levels: u8,
     /// Whether the file carries a thumbnail; its bytes count as the file's.
     pub thumbnail: Thumbnail,
-    /// The side of tiles that the picture is fitted in, pixels: a multiple of 128 up to 16384. `None`: pictures of more than
-    /// 2²⁵ pixels are fitted in tiles of 2048 unless the layout or the recipe rules tiles out or a GPU fits, those of more than 2²⁸
-    /// pixels always, and others as a whole. A picture no larger than a tile is fitted as a whole.
+    /// Side of the tiles in which the picture is fitted, pixels: a multiple of 128 up to 16384. `None`: pictures of
+    /// more than 2²⁵ pixels are fitted in tiles of 2048 unless the layout or the recipe excludes tiles or a GPU is used,
+    /// pictures of more than 2²⁸ pixels always, and all others as a whole. A picture no larger than a tile is fitted as
+    /// a whole.
     ///
-    /// Tiles bound the memory that a fit takes. They are fitted on the CPU, in the coded layout. In tiles, a quality is the mean of the
-    /// tiles' scores.
+    /// Tiles bound the memory of a fit. They are fitted on the CPU, in the coded layout. With tiles, a quality is the
+    /// mean of the tiles' scores.
     pub tiles: Option<u32>,
     /// Treatment of colours under alpha 0.
     pub hidden: HiddenColors,
-    /// Whether to measure quality along the way.
+    /// Whether to measure quality during the encode.
     pub trace: Trace,
-    /// Last step of an ablation.
+    /// Last step of an ablation that is included.
     pub rung: Rung,
-    /// Metadata of the source that `transcode` and `encode_decoder` carry into the file. Pixels alone have none.
+    /// Metadata of the source that `transcode` and `encode_decoder` copy into the file. Plain pixels have none.
     pub metadata: MetadataPolicy,
-    /// ICC profile to carry, whatever `metadata` says.
+    /// ICC profile to store, regardless of `metadata`.
     pub icc: Option<Vec<u8>>,
-    /// EXIF block to carry, from its TIFF header on, whatever `metadata` says.
+    /// EXIF block to store, from its TIFF header on, regardless of `metadata`.
     pub exif: Option<Vec<u8>>,
 }
 
 impl EncodeOptions {
-    /// The measure that the fit favours with these options.
+    /// Returns the quality measure that the fit optimizes with these options.
     #[must_use]
     pub fn favoured(&self) -> Tune {
         let is_alike = matches!(self.target, Target::Psnr(_)) || self.recipe != Recipe::Ssplat;

@@ -1,17 +1,17 @@
-//! The bits that the integers of a primitive cost, for rate–distortion decisions: as the entropy coder expects them, and
-//! from how often they occur where it expects nothing.
+//! Bit costs of the integers of a primitive, for rate–distortion decisions: the entropy coder's predictions, and symbol
+//! frequencies where it predicts nothing.
 
 use crate::bitstream::coder::expect::{Angles, PredictedCost};
 use crate::bitstream::lattice::Lattice;
 use crate::bitstream::splats::PackedGaussian;
 use crate::strict_math::StrictMath;
 
-/// Factor on the bits of a colour where they are those that the coder takes: a colour near its neighbours' makes theirs
-/// cheaper, too. Of 1, 1.3 and 1.6 this was best on Kodak 05, 13, 15 and 23 at ratios of 50 and 200; what others would win
-/// is measured by `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`.
-const SHARED: f32 = 1.3;
+/// Factor on the predicted bits of a colour. A colour close to its neighbours' also makes theirs cheaper. Of 1, 1.3 and
+/// 1.6 this was best on Kodak 05, 13, 15 and 23 at ratios of 50 and 200. `cargo run --release -p ssplat-lab --example
+/// rate_distortion -- PICTURES` measures the effect of other values.
+const COLOR_BITS_FACTOR: f32 = 1.3;
 
-/// Bits of each symbol under order-0 statistics of one set of primitives, and what the coder expects of each of them.
+/// Bits of each symbol under order-0 statistics of one set of primitives, and the entropy coder's predictions.
 #[derive(Debug, Clone)]
 pub(crate) struct BitCosts<'a> {
     expected: &'a [PredictedCost],
@@ -21,11 +21,12 @@ pub(crate) struct BitCosts<'a> {
     channels: usize,
 }
 
-/// Colour integers are counted within `±COLOR_REACH`; beyond they cost the same as at the end.
+/// Colour integers are counted within `±COLOR_REACH`. Beyond that range they cost as much as at its ends.
 const COLOR_REACH: i32 = 512;
 
 impl<'a> BitCosts<'a> {
-    /// `expected` tells what the coder expects of each of `gaussians`, or is empty.
+    /// Measures the symbol frequencies of `gaussians`. `expected` holds the coder's prediction for each of them, or is
+    /// empty.
     pub(crate) fn measure(gaussians: &[PackedGaussian], channels: usize, expected: &'a [PredictedCost]) -> Self {
         let mut major = vec![0.05f32; 256];
         let mut difference = vec![0.05f32; 256];
@@ -53,76 +54,77 @@ impl<'a> BitCosts<'a> {
         (i32::from(value).clamp(-COLOR_REACH, COLOR_REACH) + COLOR_REACH) as usize
     }
 
-    /// Returns what integers of the primitive at `index` cost.
+    /// Returns the cost model of the primitive at `index`.
     #[inline(always)]
     pub(crate) fn of(&self, index: usize) -> Cost<'_> {
-        Cost { common: self, expected: self.expected.get(index) }
+        Cost { shared: self, expected: self.expected.get(index) }
     }
 }
 
-/// Cost in bits of the integers of one primitive.
+/// Cost model of the integers of one primitive, in bits.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cost<'a> {
-    common: &'a BitCosts<'a>,
+    shared: &'a BitCosts<'a>,
     expected: Option<&'a PredictedCost>,
 }
 
 impl Cost<'_> {
-    /// Returns what geometry of these scales costs.
+    /// Returns the cost of geometry with these scales.
     #[inline(always)]
     pub(crate) fn of_scales(&self, [major, minor]: [u8; 2], lattice: &Lattice) -> GeometryCost {
         let angles = lattice.angles(major, minor);
-        let common = self.common.major[usize::from(major)];
+        let shared = self.shared.major[usize::from(major)];
         let (bits, angles) = match self.expected {
-            Some(e) => (common + e.aspect(major, minor), e.angles(angles)),
+            Some(e) => (shared + e.aspect(major, minor), e.angles(angles)),
             None => {
-                let difference = self.common.difference[usize::from(major.saturating_sub(minor))];
-                (common + difference + f32::from(angles).strict_log2(), None)
+                let difference = self.shared.difference[usize::from(major.saturating_sub(minor))];
+                (shared + difference + f32::from(angles).strict_log2(), None)
             }
         };
         GeometryCost { scales: [major, minor], bits, angles }
     }
 
-    /// Bits of scales and angle, and of the position up to a constant.
+    /// Returns the bits of the scales and the angle, and those of the position up to a constant.
     #[inline(always)]
     pub(crate) fn geometry(&self, g: &PackedGaussian, lattice: &Lattice) -> f32 {
         self.of_scales([g.major, g.minor], lattice).bits(g.angle, lattice.exponents(g.major, g.minor, g.angle))
     }
 
-    /// Bits of the whole colour.
+    /// Returns the bits of all channels of a colour.
     #[inline(always)]
     pub(crate) fn colors(&self, c: [i16; 4]) -> f32 {
         match self.expected {
-            Some(e) => SHARED * e.color(c, self.common.channels),
-            None => (0..self.common.channels).map(|k| self.common.color[k][BitCosts::slot(c[k])]).sum(),
+            Some(e) => COLOR_BITS_FACTOR * e.color(c, self.shared.channels),
+            None => (0..self.shared.channels).map(|k| self.shared.color[k][BitCosts::slot(c[k])]).sum(),
         }
     }
 
-    /// Bits that no colour is below.
+    /// Returns a lower bound on the bits of any colour.
     #[inline(always)]
-    pub(crate) fn least_colors(&self) -> f32 {
-        self.expected.map_or(0.0, |e| SHARED * e.least_color(self.common.channels))
+    pub(crate) fn min_color_bits(&self) -> f32 {
+        self.expected.map_or(0.0, |e| COLOR_BITS_FACTOR * e.least_color(self.shared.channels))
     }
 }
 
-/// Cost in bits of geometry with given scales.
+/// Cost model of geometry with given scales, in bits.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GeometryCost {
     pub scales: [u8; 2],
-    /// Bits of the scales, and of the angle where nothing is expected of it.
+    /// Bits of the scales, and of the angle if there is no prediction for it.
     bits: f32,
     angles: Option<Angles>,
 }
 
 impl GeometryCost {
-    /// Bits of the scales and an angle, and of the position, whose steps are `2^exponents`, up to a constant.
+    /// Returns the bits of the scales and an angle, and those of the position up to a constant. The steps of the
+    /// position are `2^exponents`.
     #[inline(always)]
     pub(crate) fn bits(&self, angle: u16, [ex, ey]: [i32; 2]) -> f32 {
         self.bits + self.angles.map_or(0.0, |a| a.bits(angle)) - (ex + ey) as f32
     }
 }
 
-/// Spreads counts over neighbours: colours are samples of a smooth density.
+/// Spreads counts over neighbouring values, because colours are samples of a smooth density.
 fn smooth(counts: &[f32]) -> Vec<f32> {
     let n = counts.len();
     (0..n)

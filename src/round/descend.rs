@@ -1,10 +1,10 @@
-//! Descent over the integers, block by block: each primitive in turn takes the lattice point around, with the best colour
-//! for it, that lowers `squared error + λ·bits` most.
+//! Descent over the integers, block by block. Each primitive in turn moves to the neighbouring lattice point, with the
+//! best colour for it, that lowers `squared error + λ·bits` most.
 //!
-//! For a given shape the picture is linear in the primitive's colour once its weight is fixed, so that one pass over
-//! the support gives the error for every colour. Another one tells how the error bends with the shape: of the shapes
-//! and positions around, only those are drawn that promise something. Primitives in disjoint bands of rows run in
-//! parallel.
+//! For a given shape, the picture is linear in the primitive's colour once its weight is fixed, so one pass over the
+//! support gives the error for every colour. A second pass gives the error to second order in the shape. Only those
+//! neighbouring shapes and positions are rendered that look promising by it. Primitives in disjoint bands of rows are
+//! processed in parallel.
 
 use glam::Vec2;
 
@@ -28,18 +28,19 @@ use crate::strict_math::StrictMath;
 /// Height of the smallest bands, rows.
 const BAND: usize = 96;
 
-/// Width of what is worked on from top to bottom of a band, pixels.
+/// Width of the blocks of a band that are processed one after the other, pixels.
 const BLOCK: usize = 64;
 
-/// Bits by which a move may look worse than none and still be looked at: how well its colour can be rounded is not
-/// known before.
+/// Number of bits by which a move may look worse than no move and still be evaluated, because it is not known yet how
+/// well its colour can be rounded.
 const MAX_APPARENT_LOSS: f32 = 3.0;
 
-/// Which parts of the picture changed lately: a primitive whose surroundings rest need not be tried again.
+/// The parts of the picture that changed recently. A primitive whose surroundings did not change need not be tried
+/// again.
 #[derive(Debug)]
 pub(super) struct Activity {
-    /// The sweep in which a cell of `CELL²` pixels changed last.
-    stamps: Vec<u32>,
+    /// The sweep in which each cell of `CELL²` pixels last changed.
+    last_changed: Vec<u32>,
     cols: usize,
     sweep: u32,
 }
@@ -50,13 +51,13 @@ const CELL: usize = 16;
 impl Activity {
     fn new(width: u32, height: u32) -> Self {
         let (cols, rows) = ((width as usize).div_ceil(CELL), (height as usize).div_ceil(CELL));
-        Activity { stamps: vec![1; cols * rows], cols, sweep: 1 }
+        Activity { last_changed: vec![1; cols * rows], cols, sweep: 1 }
     }
 
-    /// The cells under the support of `g`.
+    /// Returns the cells under the support of `g`.
     fn cells(&self, g: &Gaussian) -> impl Iterator<Item = usize> + use<> {
         let [hx, hy] = g.extent();
-        let (cols, rows) = (self.cols, self.stamps.len() / self.cols);
+        let (cols, rows) = (self.cols, self.last_changed.len() / self.cols);
         let span = |m: f32, h: f32, n: usize| {
             let cell = |v: f32| ((v.max(0.0) / CELL as f32) as usize).min(n - 1);
             cell(m - h)..=cell(m + h)
@@ -65,40 +66,40 @@ impl Activity {
         span(g.mean[1], hy, rows).flat_map(move |y| across.clone().map(move |x| y * cols + x))
     }
 
-    /// Notes that `g` came, went or changed.
+    /// Marks the cells under `g` as changed, after it was added, removed or modified.
     pub(super) fn mark(&mut self, g: &Gaussian) {
         for i in self.cells(g) {
-            self.stamps[i] = self.sweep;
+            self.last_changed[i] = self.sweep;
         }
     }
 
-    /// Tells whether anything under `g` changed in this sweep or the one before.
-    fn stirred(&self, g: &Gaussian) -> bool {
-        self.cells(g).any(|i| self.stamps[i] + 1 >= self.sweep)
+    /// Returns whether anything under `g` changed in this sweep or the previous one.
+    fn changed_recently(&self, g: &Gaussian) -> bool {
+        self.cells(g).any(|i| self.last_changed[i] + 1 >= self.sweep)
     }
 }
 
-/// A descent on its way: the problem, and the memory from one sweep to the next.
+/// A descent in progress: the problem, and the memory from one sweep to the next.
 #[derive(Debug)]
 pub(crate) struct Descent<'a> {
     pub(super) problem: Problem<'a>,
     pub(super) quantizer: &'a Quantizer,
     pub(super) activity: Activity,
     pub(super) field: Field,
-    /// Others that are seen beside those that change, and stay as they are.
-    pub(super) still: Vec<Projected>,
+    /// Frozen primitives that are rendered together with those that change.
+    pub(super) frozen: Vec<Projected>,
 }
 
 impl<'a> Descent<'a> {
-    /// Starts with everything to be tried. `field` brings memory for the planes.
+    /// Starts a descent that tries all primitives in its first sweep. `field` provides memory for the planes.
     pub(crate) fn new(problem: Problem<'a>, quantizer: &'a Quantizer, field: Field) -> Self {
         let activity = Activity::new(problem.scene.width, problem.scene.height);
-        Descent { problem, quantizer, activity, field, still: Vec::new() }
+        Descent { problem, quantizer, activity, field, frozen: Vec::new() }
     }
 
-    /// Sweeps over all primitives once, where a bit must save `lambda` of the squared error; returns by how much
-    /// `error + λ·bits` fell. `gaussians` keeps its order. What the coder expects of
-    /// each, if anything, holds for the whole sweep.
+    /// Sweeps over all primitives once, where each bit must save `lambda` of the squared error. Returns by how much
+    /// `error + λ·bits` fell. The order of `gaussians` stays the same. The coder's predictions `expected`, which may be
+    /// empty, are used for the whole sweep.
     pub(crate) fn sweep(&mut self, gaussians: &mut [PackedGaussian], expected: &[PredictedCost], lambda: f32) -> f64 {
         match self.problem.target.channels.count() {
             1 => sweep_channels::<1>(self, gaussians, expected, lambda),
@@ -108,21 +109,21 @@ impl<'a> Descent<'a> {
         }
     }
 
-    /// Keeps `still` in the picture all along.
-    pub(crate) fn beside(self, still: Vec<Projected>) -> Self {
-        Descent { still, ..self }
+    /// Keeps the primitives `frozen` in the picture during the descent.
+    pub(crate) fn with_frozen(self, frozen: Vec<Projected>) -> Self {
+        Descent { frozen, ..self }
     }
 
-    /// Returns all that is seen with `gaussians`: those first.
-    pub(crate) fn seen(&self, gaussians: &[PackedGaussian]) -> Vec<Projected> {
-        let mut seen = projected(self.quantizer, gaussians, self.problem.scene.height);
-        seen.extend_from_slice(&self.still);
-        seen
+    /// Returns all visible primitives, projected: `gaussians` first.
+    pub(crate) fn visible(&self, gaussians: &[PackedGaussian]) -> Vec<Projected> {
+        let mut visible = projected(self.quantizer, gaussians, self.problem.scene.height);
+        visible.extend_from_slice(&self.frozen);
+        visible
     }
 
-    /// Returns the squared error of the picture of `gaussians`, clamped, weighted as the target has it.
+    /// Returns the squared error of the clamped picture of `gaussians`, weighted by the target's amplitudes.
     pub(super) fn error(&mut self, gaussians: &[PackedGaussian]) -> f64 {
-        let projected = self.seen(gaussians);
+        let projected = self.visible(gaussians);
         self.field.error(&self.problem, &projected, Output::Gradient)
     }
 }
@@ -137,26 +138,26 @@ fn sweep_channels<const C: usize>(
     let (activity, field) = (&mut descent.activity, &mut descent.field);
     let Problem { scene, target } = *problem;
     activity.sweep += 1;
-    // Bits are priced once, so that all bands decide by the same prices.
+    // Bit costs are measured once, so that all bands use the same.
     let costs = BitCosts::measure(gaussians, C, expected);
-    // Each primitive is tried at most once a sweep: these shapes stay valid until its turn.
+    // Each primitive is tried at most once per sweep, so these shapes stay valid until its turn.
     let floats: Vec<Gaussian> = gaussians.iter().map(|g| quantizer.dequantize(g)).collect();
     let mut projected: Vec<Projected> = floats.iter().map(|g| Projected::from_gaussian(g, scene.height)).collect();
-    projected.extend_from_slice(&descent.still);
-    // Sums are not divided yet, so that one primitive can be taken out or put in by itself.
+    projected.extend_from_slice(&descent.frozen);
+    // The sums are not divided yet, so that single primitives can be removed and added.
     field.draw(problem, &projected, RowSet::ALL, Output::Sums);
     let row_size = (C + 1) * target.stride;
     let height = scene.height as usize;
-    // Where nothing around changed since the last sweep, a primitive would hardly find anything new.
+    // If nothing changed nearby since the last sweep, a primitive would hardly find anything new.
     let mut waiting: Vec<u32> =
-        (0..gaussians.len() as u32).filter(|&i| activity.stirred(&floats[i as usize])).collect();
+        (0..gaussians.len() as u32).filter(|&i| activity.changed_recently(&floats[i as usize])).collect();
     let mut gain = 0.0;
-    // Each band belongs to one thread. A primitive is tried in a band that holds all rows it may touch, so that no two
-    // threads write to the same pixels. The last band is the whole picture, so that every primitive gets its turn.
+    // Each band belongs to one thread. A primitive is tried in a band that contains all rows it may touch, so that no
+    // two threads write to the same pixels. The last band is the whole picture, so that every primitive is tried.
     let mut band = BAND;
     while !waiting.is_empty() {
         for offset in [0, band / 2] {
-            // Bands shifted by half take the primitives that cross a border of the first ones; larger bands take the
+            // Bands shifted by half take the primitives that cross a border of the first ones. Larger bands take the
             // rest.
             let fits = |i: u32| -> Option<usize> {
                 let rows = reach(&projected[i as usize], height);
@@ -179,8 +180,8 @@ fn sweep_channels<const C: usize>(
                 }
                 None => true,
             });
-            // Each band is worked through a few columns at a time, so that the rows under one primitive are still in
-            // the cache for the next.
+            // Each band is processed a few columns at a time, so that the rows under one primitive are still in the
+            // cache for the next.
             for members in &mut members {
                 members.sort_by_key(|&i| projected[i as usize].center[0].max(0.0) as usize / BLOCK);
             }
@@ -198,10 +199,10 @@ fn sweep_channels<const C: usize>(
                 };
                 simd::dispatch(task)
             });
-            // Integers are replaced only now, since all threads read them.
+            // Integers are replaced only now, because all threads read them.
             for change in changes.into_iter().flatten() {
                 gain += f64::from(change.gain);
-                // Pixels change both where the primitive was and where it is now.
+                // Pixels change both at the old and at the new position.
                 activity.mark(&floats[change.index as usize]);
                 activity.mark(&quantizer.dequantize(&change.to));
                 gaussians[change.index as usize] = change.to;
@@ -215,7 +216,7 @@ fn sweep_channels<const C: usize>(
     gain
 }
 
-/// The rows that a primitive and its neighbours on the lattice may touch.
+/// Returns the rows that a primitive and its neighbours on the lattice may touch.
 fn reach(p: &Projected, height: usize) -> std::ops::Range<usize> {
     let tall = (p.rows[1] - p.rows[0]) as usize;
     let margin = tall / 4 + 2;
@@ -270,7 +271,7 @@ impl<const C: usize> Task for ParabolaTask<'_, '_, C> {
     }
 }
 
-struct BowlTask<'a, 'b, const C: usize> {
+struct QuadraticTask<'a, 'b, const C: usize> {
     patch: &'a Patch<'b>,
     p: &'a Projected,
     g: &'a Gaussian,
@@ -278,7 +279,7 @@ struct BowlTask<'a, 'b, const C: usize> {
     parabola: &'a Parabola,
 }
 
-impl<const C: usize> Task for BowlTask<'_, '_, C> {
+impl<const C: usize> Task for QuadraticTask<'_, '_, C> {
     type Output = LocalQuadratic;
 
     #[inline(always)]
@@ -287,7 +288,7 @@ impl<const C: usize> Task for BowlTask<'_, '_, C> {
     }
 }
 
-struct CutTask<'a, 'b, const C: usize> {
+struct ExtractTask<'a, 'b, const C: usize> {
     patch: &'a mut Patch<'b>,
     p: &'a Projected,
     rows: std::ops::Range<usize>,
@@ -296,12 +297,12 @@ struct CutTask<'a, 'b, const C: usize> {
     first: usize,
 }
 
-impl<const C: usize> Task for CutTask<'_, '_, C> {
+impl<const C: usize> Task for ExtractTask<'_, '_, C> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        self.patch.cut::<S, C>(simd, self.p, (self.rows, self.columns), (self.planes, self.first));
+        self.patch.extract::<S, C>(simd, self.p, (self.rows, self.columns), (self.planes, self.first));
     }
 }
 
@@ -312,11 +313,12 @@ impl<const C: usize> BandTask<'_, C> {
         let height = self.problem.scene.height;
         let before = self.quantizer.dequantize(&old);
         let p = Projected::from_gaussian(&before, height);
-        // A primitive that reaches no row of the picture has no pixels to judge it by.
+        // A primitive outside all rows of the picture has no pixels to evaluate.
         if p.rows[0] >= p.rows[1] {
             return None;
         }
-        // The patch has a margin for larger and shifted shapes, but no rows of other bands, which other threads change.
+        // The patch has a margin for larger and shifted shapes, but excludes rows of other bands, which other threads
+        // change.
         let end = self.first + self.planes.len() / ((C + 1) * self.problem.target.stride);
         let rows = reach(&p, height as usize);
         let rows = rows.start.max(self.first)..rows.end.min(end);
@@ -326,20 +328,28 @@ impl<const C: usize> BandTask<'_, C> {
         if left >= right {
             return None;
         }
-        simd.call(CutTask::<C> { patch, p: &p, rows, columns: left..right, planes: self.planes, first: self.first });
+        simd.call(ExtractTask::<C> {
+            patch,
+            p: &p,
+            rows,
+            columns: left..right,
+            planes: self.planes,
+            first: self.first,
+        });
 
         let lambda = self.lambda;
         let lattice = self.quantizer.lattice();
-        // A candidate has to be better than the primitive as it is.
+        // A candidate has to be better than the current primitive.
         let now = simd.call(ParabolaTask::<C> { patch, q: &p });
         let current = now.at(p.color, C) + lambda * (cost.geometry(&old, lattice) + cost.colors(old.color));
         let (mut best, mut best_value) = (old, current);
-        let least = cost.least_colors();
+        let min_bits = cost.min_color_bits();
         let mut consider = |task: &Self, candidate: PackedGaussian, parabola: &Parabola| {
             let geometry = lambda * cost.geometry(&candidate, lattice);
             let minimum = parabola.minimum(C);
-            // Even the best colour before rounding, at the fewest bits, would not win: none needs to be tried.
-            if minimum.is_some_and(|m| parabola.at(m, C) + geometry + lambda * least >= best_value) {
+            // If even the best colour before rounding, with the fewest bits, is not better, no colour needs to be
+            // tried.
+            if minimum.is_some_and(|m| parabola.at(m, C) + geometry + lambda * min_bits >= best_value) {
                 return;
             }
             let (color, value) = task.best_color(&cost, (parabola, minimum), candidate.color);
@@ -347,13 +357,13 @@ impl<const C: usize> BandTask<'_, C> {
                 (best, best_value) = (PackedGaussian { color, ..candidate }, value + geometry);
             }
         };
-        // Another colour for the shape as it is needs no further look at the pixels. A lower value found here rules out
+        // A new colour for the current shape needs no further pass over the pixels. A lower value found here rules out
         // more of the shapes that follow.
         consider(self, old, &now);
-        // Colours are chosen anew for each shape. At the best colour the gradient is that of the least error over all
-        // colours (envelope theorem), so that the bowl tells which shapes are worth a look at the pixels.
+        // The colour is optimized for each shape. At the best colour the gradient is that of the minimum error over all
+        // colours (envelope theorem), so the quadratic model shows which shapes are worth a pass over the pixels.
         let color = now.minimum(C).unwrap_or(p.color);
-        let local_quadratic = simd.call(BowlTask::<C> { patch, p: &p, g: &before, color, parabola: &now });
+        let local_quadratic = simd.call(QuadraticTask::<C> { patch, p: &p, g: &before, color, parabola: &now });
         for candidate in self.moves(&cost, (&old, &before), &local_quadratic).iter() {
             let g = self.quantizer.dequantize(&candidate);
             let q = Projected::from_gaussian(&g, height);
@@ -369,17 +379,18 @@ impl<const C: usize> BandTask<'_, C> {
                 consider(self, candidate, &parabola);
             }
         }
-        // Smaller gains may be due to the rounding of sums alone.
-        if best == old || best_value >= current - 1e-7 * patch.bare.abs() {
+        // Smaller gains may be caused by rounding of sums.
+        if best == old || best_value >= current - 1e-7 * patch.base_error.abs() {
             return None;
         }
-        // The primitives of this band that follow have to see the change.
+        // The remaining primitives of this band must see the change.
         let q = Projected::from_gaussian(&self.quantizer.dequantize(&best), height);
-        self.paste(simd, &p, &q);
+        self.replace(simd, &p, &q);
         Some((best, current - best_value))
     }
 
-    /// The lattice points around `old` that promise most: for each neighbouring shape the positions that suit it best.
+    /// Returns the most promising lattice points around `old`: for each neighbouring shape, the positions that suit it
+    /// best.
     #[inline(always)]
     fn moves(
         &self,
@@ -399,24 +410,25 @@ impl<const C: usize> BandTask<'_, C> {
             let turn = self.quantizer.rotation(p.major, p.minor, p.angle) - before.rotation;
             let turn = turn - std::f32::consts::PI * (turn / std::f32::consts::PI).round();
             let log = |index: u8, scale: f32| (self.quantizer.scale(index) / scale).strict_ln();
-            let valley = local_quadratic.given([log(p.major, sx), log(p.minor, sy), turn]);
-            let [u, v] = valley.lowest();
+            let quadratic = local_quadratic.with_shape([log(p.major, sx), log(p.minor, sy), turn]);
+            let [u, v] = quadratic.minimum();
             let (u, v) = (u * sx, v * sy);
             let mean = Vec2::from(before.mean) + u * Vec2::new(cos, sin) + v * Vec2::new(-sin, cos);
             self.quantizer.place(&mut p, mean.into());
-            // Shapes of the same scales follow each other.
+            // Shapes with the same scales are consecutive.
             if of_scales.scales != [p.major, p.minor] {
                 of_scales = cost.of_scales([p.major, p.minor], lattice);
             }
             let exponents = lattice.exponents(p.major, p.minor, p.angle);
             let bits = lambda * (of_scales.bits(p.angle, exponents) - now);
             let [ex, ey] = exponents.map(|e| (e as f32).strict_exp2());
-            // The position nearest to the minimum need not have the least error: its neighbours are compared, too.
+            // The position nearest to the minimum need not have the smallest error, so its neighbours are compared as
+            // well.
             for (x, y) in [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)] {
                 let (Some(x), Some(y)) = (p.x.checked_add_signed(x), p.y.checked_add_signed(y)) else { continue };
                 let to = PackedGaussian { x, y, ..p };
                 let [dx, dy] = [(x as f32 + 0.5) * ex - before.mean[0], (y as f32 + 0.5) * ey - before.mean[1]];
-                let value = bits + valley.at([(cos * dx + sin * dy) / sx, (cos * dy - sin * dx) / sy]);
+                let value = bits + quadratic.at([(cos * dx + sin * dy) / sx, (cos * dy - sin * dx) / sy]);
                 if value < MAX_APPARENT_LOSS * lambda && to != *old && self.quantizer.holds(&to) {
                     moves.add(value, to);
                 }
@@ -425,7 +437,7 @@ impl<const C: usize> BandTask<'_, C> {
         moves
     }
 
-    /// The colour integers with the least `error + λ·bits`, near the parabola's minimum, and that value.
+    /// Returns the colour integers near the parabola's minimum with the smallest `error + λ·bits`, and that value.
     #[inline(always)]
     fn best_color(
         &self,
@@ -439,9 +451,9 @@ impl<const C: usize> BandTask<'_, C> {
         let Some(minimum) = minimum else { return best };
         let axes = self.quantizer.transform_color(minimum);
         let steps = self.quantizer.color_steps();
-        let most = self.quantizer.most_color().map(f32::from);
-        // The one above is legal, too.
-        let at = |k: usize, v: f32| (v / steps[k]).floor().clamp(-most[k], most[k] - 1.0) as i16;
+        let max_color = self.quantizer.most_color().map(f32::from);
+        // Leave room for the next larger value, which is tried as well.
+        let at = |k: usize, v: f32| (v / steps[k]).floor().clamp(-max_color[k], max_color[k] - 1.0) as i16;
         if C < 3 {
             for k in 0..C {
                 let start = best.0;
@@ -456,17 +468,18 @@ impl<const C: usize> BandTask<'_, C> {
             }
             return best;
         }
-        let alpha = if C == 4 { (axes[3] / steps[3] + 0.5).floor().clamp(-most[3], most[3]) as i16 } else { 0 };
+        let alpha =
+            if C == 4 { (axes[3] / steps[3] + 0.5).floor().clamp(-max_color[3], max_color[3]) as i16 } else { 0 };
         let (co0, cg0) = (at(1, axes[1]), at(2, axes[2]));
-        let counts = self.problem.target.channel_amplitude.map(|a| a * a);
-        let share = 1.0 / (counts[0] + counts[1] + counts[2]);
-        // Shifts of the best luma for each unit that Co and Cg are off: they are not orthogonal to luma in RGB.
+        let weights = self.problem.target.channel_amplitude.map(|a| a * a);
+        let share = 1.0 / (weights[0] + weights[1] + weights[2]);
+        // Shifts of the best luma per unit of error in Co and Cg, which are not orthogonal to luma in RGB.
         let (by_co, by_cg) =
-            (0.5 * share * (counts[2] - counts[0]), share * (0.5 * (counts[0] + counts[2]) - 0.5 * counts[1]));
+            (0.5 * share * (weights[2] - weights[0]), share * (0.5 * (weights[0] + weights[2]) - 0.5 * weights[1]));
         for co in co0..=co0 + 1 {
             for cg in cg0..=cg0 + 1 {
-                let left = [f32::from(co) * steps[1] - axes[1], f32::from(cg) * steps[2] - axes[2]];
-                let luma = at(0, axes[0] + by_co * left[0] + by_cg * left[1]);
+                let offset = [f32::from(co) * steps[1] - axes[1], f32::from(cg) * steps[2] - axes[2]];
+                let luma = at(0, axes[0] + by_co * offset[0] + by_cg * offset[1]);
                 for y in luma..=luma + 1 {
                     let c = [y, co, cg, alpha];
                     let e = value(c);
@@ -481,7 +494,7 @@ impl<const C: usize> BandTask<'_, C> {
 
     /// Replaces `old` by `new` in the sums.
     #[inline(always)]
-    fn paste<S: Simd>(&mut self, simd: S, old: &Projected, new: &Projected) {
+    fn replace<S: Simd>(&mut self, simd: S, old: &Projected, new: &Projected) {
         let stride = self.problem.target.stride;
         for (p, sign) in [(old, -1.0f32), (new, 1.0)] {
             let planes = (&mut *self.planes, stride);
@@ -490,7 +503,7 @@ impl<const C: usize> BandTask<'_, C> {
     }
 }
 
-/// The `step`th of the 27 shapes within one step of `old` in both scales and the angle, if there is such a one.
+/// Returns the `step`th of the 27 shapes within one step of `old` in both scales and the angle, if it exists.
 #[inline(always)]
 fn neighbor(old: &PackedGaussian, step: i16, quantizer: &Quantizer) -> Option<PackedGaussian> {
     let (major, minor) = (i16::from(old.major) + step / 9 - 1, i16::from(old.minor) + step / 3 % 3 - 1);
@@ -525,8 +538,8 @@ mod tests {
     use crate::round::rounded::{Rounded, quantizer};
 
     #[test]
-    fn what_a_sweep_gains_is_the_fall_of_the_weighted_error() {
-        // Smooth and busy, and within black and white by so much that nothing is clamped.
+    fn the_gain_of_a_sweep_equals_the_decrease_of_the_weighted_error() {
+        // Smooth and busy content, far enough from black and white that nothing is clamped.
         let (width, height) = (96u32, 80u32);
         for channels in [Channels::Grey, Channels::Rgb, Channels::Rgba] {
             let value = |x: u32, y: u32, k: u32| 128.0 + 50.0 * (0.1 * (x + k) as f32).sin() + (x * y % 23) as f32;
@@ -557,7 +570,7 @@ mod tests {
                 let before = descent.error(&gaussians);
                 let swept = descent.sweep(&mut gaussians, &[], 0.0);
                 let fall = before - descent.error(&gaussians);
-                // Sums of some thousand pixels in f32, and few of them at a time.
+                // Sums of several thousand pixels in f32, a few of them at a time.
                 assert!((swept / fall - 1.0).abs() < 1e-3, "{channels:?} {blend:?} {} {fall}", swept);
                 assert!(fall > 0.1 * before, "{fall} {before}");
             }

@@ -1,4 +1,5 @@
-//! From fitted floats to integers of an asked size: rounds of descent over the integers and corrections of their number.
+//! From fitted floats to integers of a requested file size: rounds of descent over the integers and corrections of the
+//! number of primitives.
 
 use std::time::Duration;
 
@@ -18,38 +19,40 @@ use crate::round::freeze;
 use crate::round::rounded::{Rounded, projected, quantizer};
 use crate::round::size::{Size, is_settled, resize};
 
-// What other values of these would win or lose is measured by
-// `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`, small files by the example `tiny_files`.
+// `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES` measures the effect of other values of
+// these constants, and the example `tiny_files` does so for small files.
 
-/// Squared error that a bit must save, in units of the mean squared error per bit: the slope of the rate–distortion
-/// curve, where doubling the bytes wins two to three decibels.
+/// Squared error that a bit must save, relative to the mean squared error per bit: the slope of the rate–distortion
+/// curve, where doubling the bytes gains two to three decibels.
 pub(crate) const SLOPE: f64 = 0.7;
-/// Least number of sweeps that the rounds are counted from: one lets the integers find each other, one shows that they have.
-const LEAST_SWEEPS: u32 = 2;
-/// Rounds after the last planned sweep in which a file may still be brought to its size: it takes one or two.
+/// Minimum number of sweeps from which the rounds are counted. One lets the integers settle, and one shows that they
+/// have.
+const MIN_SWEEPS: u32 = 2;
+/// Rounds after the last planned sweep in which the file may still be brought to its size. One or two are usually
+/// enough.
 const EXTRA_ROUNDS: u32 = 6;
-/// The size is corrected from so many rounds before the last planned sweep on: the sweeps that are left settle what was
-/// added. Before that each sweep shortens the file by more than a correction would.
-const CORRECTING: u32 = 3;
-/// A sweep that lowers the objective by a smaller share of the error has found next to nothing.
-const QUIET: f64 = 2e-4;
-/// So many quiet sweeps one after the other end the descent: one alone may be due to a correction of the size.
+/// Number of rounds before the last planned sweep from which on the size is corrected. The remaining sweeps settle what
+/// was added. Earlier, each sweep shortens the file by more than a correction would.
+const CORRECTION_ROUNDS: u32 = 3;
+/// A sweep that lowers the objective by a smaller share of the error is quiet: it has found almost nothing.
+const QUIET_GAIN: f64 = 2e-4;
+/// Number of consecutive quiet sweeps that end the descent. A single one may be caused by a correction of the size.
 const QUIET_SWEEPS: u32 = 2;
-/// A file is settled when it falls short of its size by at most this part of it, or by some bytes.
-const SETTLED: u64 = 400;
-/// After the last planned sweep a file that is too long is cut to this part below its size: each sweep may make it longer
-/// by a little again.
-const MARGIN: u64 = 1000;
-/// Share of a file's bytes that the first sweep is expected to take: 1 to 3.5 % on photographs of .4 to 14 megapixels.
+/// A file is settled if it is below its size by at most one part in this many, or by a few bytes.
+const SETTLED_PART: u64 = 400;
+/// After the last planned sweep, a file that is too long is cut to one part in this many below its size, because each
+/// sweep may lengthen it slightly again.
+const MARGIN_PART: u64 = 1000;
+/// Share of a file's bytes that the first sweep is expected to save: 1 to 3.5 % on photographs of 0.4 to 14 megapixels.
 const FIRST_SHRINK: f64 = 0.02;
-/// Share of what a sweep took that the next one is expected to take: .3 to .7 on the same.
-const FADE: f64 = 0.45;
-/// A file fills its size when it falls short by at most this part of it, or by [`FILLED_BYTES`].
-const FILLED: u64 = 50;
-/// Bytes that a file which fills its size may always be short: some ten primitives.
+/// Savings of a sweep relative to those of the previous one: 0.3 to 0.7 on the same photographs.
+const SHRINK_DECAY: f64 = 0.45;
+/// A file fills its size if it is below it by at most one part in this many, or by [`FILLED_BYTES`].
+const FILLED_PART: u64 = 50;
+/// Bytes by which a file that fills its size may always be too short: about ten primitives.
 const FILLED_BYTES: u64 = 40;
 
-/// A fit to round, and the size to reach.
+/// A rounding job: the problem, the layout, the size to reach and the schedule.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rounding<'a> {
     pub problem: Problem<'a>,
@@ -58,13 +61,14 @@ pub(crate) struct Rounding<'a> {
     pub plan: &'a Plan,
 }
 
-/// The side that makes a file of the integers, and knows its length.
+/// The caller, which writes the file and knows its length.
 pub(crate) trait Client {
-    /// Is called before every round with the share of the work that is done (0..=1). An error stops the rounding.
+    /// Called before every round with the fraction of the work that is done (0..=1). An error stops the rounding.
     fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()>;
-    /// Returns the length of the file with these integers, which may be brought into the order of the file.
+    /// Returns the length of the file with these integers. May sort them into the order of the file.
     fn bytes(&mut self, rounded: &mut Rounded) -> Result<u64>;
-    /// Returns what the coder of that file expects of each primitive, or nothing; they may be brought into the file's order.
+    /// Returns the coder's prediction for each primitive, or nothing. May sort the primitives into the order of the
+    /// file.
     fn expected(&mut self, rounded: &mut Rounded) -> Result<Vec<PredictedCost>>;
 }
 
@@ -72,11 +76,11 @@ pub(crate) trait Client {
 #[derive(Debug)]
 pub(crate) struct Finished {
     pub rounded: Rounded,
-    /// Squared error of the floats.
+    /// Squared error of the primitives before rounding.
     pub float_error: f64,
 }
 
-/// Rounds the primitives of `state` and refines the integers until the file has its size.
+/// Rounds the primitives of `state` and refines the integers until the file has the requested size.
 ///
 /// # Errors
 /// Returns an error of the client.
@@ -85,7 +89,7 @@ pub(crate) fn finish(task: &Rounding<'_>, mut state: State, client: &mut dyn Cli
     let float_error = float_error(&problem, &state.primitives);
     let mut rounded = Rounded::of_error(&problem, layout, &state.primitives, float_error);
     let quantizer = quantizer(&problem, layout, &rounded.steps);
-    // From here on the background is the one that the file will have.
+    // From here on, the background is that of the file.
     let background = quantizer.dequantize_color(rounded.background);
     let problem = Problem { scene: Scene { background, ..problem.scene }, ..problem };
     let descends = plan.rung >= Rung::Descent;
@@ -103,25 +107,25 @@ pub(crate) fn finish(task: &Rounding<'_>, mut state: State, client: &mut dyn Cli
         rounded,
         best: None,
         quiet: 0,
-        aimed: 0.0,
+        expected_bytes: 0.0,
         shrink: FIRST_SHRINK,
     }
     .run(client)?;
     Ok(Finished { rounded, float_error })
 }
 
-/// Rounds of descent on their way.
+/// The state of the descent from round to round.
 struct Rounds<'a> {
     task: &'a Rounding<'a>,
     quantizer: &'a Quantizer,
     descent: Descent<'a>,
     rounded: Rounded,
     best: Option<Best>,
-    /// Quiet sweeps, one after the other.
+    /// Number of consecutive quiet sweeps.
     quiet: u32,
-    /// Bytes of the file before the last sweep, as far as they were known.
-    aimed: f64,
-    /// Share of the bytes that the next sweep is expected to take.
+    /// Expected bytes of the file before the last sweep.
+    expected_bytes: f64,
+    /// Share of the bytes that the next sweep is expected to save.
     shrink: f64,
 }
 
@@ -129,104 +133,105 @@ impl Rounds<'_> {
     fn run(mut self, client: &mut dyn Client) -> Result<Rounded> {
         let Rounding { size, plan, .. } = *self.task;
         let mut bytes = client.bytes(&mut self.rounded)?;
-        self.aimed = bytes as f64;
-        let rounds = plan.sweeps.max(LEAST_SWEEPS) + EXTRA_ROUNDS;
-        // What a round takes, as far as that is known.
-        let mut takes = Duration::ZERO;
+        self.expected_bytes = bytes as f64;
+        let rounds = plan.sweeps.max(MIN_SWEEPS) + EXTRA_ROUNDS;
+        // Duration of a round, if it is known yet.
+        let mut round_time = Duration::ZERO;
         for round in 0..rounds {
             let start = Instant::now();
-            self.show(round as f32 / rounds as f32, client)?;
+            self.report(round as f32 / rounds as f32, client)?;
             let error = self.descent.error(&self.rounded.gaussians);
-            let is_late = plan.is_over(takes);
-            let is_through = match size {
-                Size::Bytes(most) => self.fits(round, error, (bytes, most), is_late),
+            let is_late = plan.is_over(round_time);
+            let is_done = match size {
+                Size::Bytes(max_bytes) => self.fits(round, error, (bytes, max_bytes), is_late),
                 Size::Free => is_late || round >= plan.sweeps || self.quiet >= QUIET_SWEEPS,
             };
-            if is_through {
+            if is_done {
                 break;
             }
-            // When the time is over only the size is still brought right.
+            // When the time is up, only the size is still corrected.
             if !is_late && plan.rung >= Rung::Descent {
                 let expected = client.expected(&mut self.rounded)?;
                 self.sweep(&expected, error, bytes);
             }
             bytes = client.bytes(&mut self.rounded)?;
-            self.shrink = FADE * (1.0 - bytes as f64 / self.aimed).max(0.0);
-            self.aimed = bytes as f64;
+            self.shrink = SHRINK_DECAY * (1.0 - bytes as f64 / self.expected_bytes).max(0.0);
+            self.expected_bytes = bytes as f64;
             if !is_late {
-                takes = start.elapsed();
+                round_time = start.elapsed();
             }
         }
         match size {
-            Size::Bytes(most) => self.within(bytes, most, client),
+            Size::Bytes(max_bytes) => self.within(bytes, max_bytes, client),
             Size::Free => Ok(self.rounded),
         }
     }
 
-    fn show(&self, done: f32, client: &mut dyn Client) -> Result<()> {
+    fn report(&self, done: f32, client: &mut dyn Client) -> Result<()> {
         let problem = &self.descent.problem;
         let project = || projected(self.quantizer, &self.rounded.gaussians, problem.scene.height);
         client.step(0.5 + 0.5 * done, &mut StaticSnapshot { problem, project: &project })
     }
 
-    /// Returns whether a file of `bytes` is good enough for `most` bytes, and corrects its size where it is time to.
-    fn fits(&mut self, round: u32, error: f64, (bytes, most): (u64, u64), is_late: bool) -> bool {
+    /// Returns whether a file of `bytes` is good enough for `max_bytes`, and corrects its size when that is due.
+    fn fits(&mut self, round: u32, error: f64, (bytes, max_bytes): (u64, u64), is_late: bool) -> bool {
         let plan = self.task.plan;
-        self.keep(error, bytes, most);
-        if is_late && self.best.as_ref().is_some_and(|b| b.fills) {
+        self.keep(error, bytes, max_bytes);
+        if is_late && self.best.as_ref().is_some_and(|b| b.fills_size) {
             return true;
         }
-        let is_settled = is_settled(bytes, most, SETTLED);
+        let is_settled = is_settled(bytes, max_bytes, SETTLED_PART);
         if is_settled && (round >= plan.sweeps || self.quiet >= QUIET_SWEEPS) {
             return true;
         }
-        if !is_settled && (is_late || round + CORRECTING >= plan.sweeps) {
-            let most = if round >= plan.sweeps { most - most / MARGIN } else { most };
-            // What the next sweep takes is made room for now: a correction after each costs a look at the whole picture.
-            let taken = if is_late { 0.0 } else { self.shrink * most as f64 };
-            let most = most + taken as u64;
-            resize(&mut self.descent, &mut self.rounded.gaussians, bytes, most);
-            self.aimed = most as f64;
+        if !is_settled && (is_late || round + CORRECTION_ROUNDS >= plan.sweeps) {
+            let max_bytes = if round >= plan.sweeps { max_bytes - max_bytes / MARGIN_PART } else { max_bytes };
+            // The savings of the next sweep are used now, because a correction after each sweep would cost another pass
+            // over the whole picture.
+            let taken = if is_late { 0.0 } else { self.shrink * max_bytes as f64 };
+            let max_bytes = max_bytes + taken as u64;
+            resize(&mut self.descent, &mut self.rounded.gaussians, bytes, max_bytes);
+            self.expected_bytes = max_bytes as f64;
         }
         false
     }
 
-    /// Sweeps once over the integers of a file of so many bytes.
+    /// Sweeps once over the integers of a file of `bytes` bytes.
     fn sweep(&mut self, expected: &[PredictedCost], error: f64, bytes: u64) {
         let bits = 8.0 * bytes as f64;
         let lambda = (SLOPE * error / bits) as f32;
         let swept = self.descent.sweep(&mut self.rounded.gaussians, expected, lambda);
-        self.quiet = if swept < QUIET * error { self.quiet + 1 } else { 0 };
+        self.quiet = if swept < QUIET_GAIN * error { self.quiet + 1 } else { 0 };
     }
 
-    /// Returns the best integers whose file takes at most `most` bytes; those at hand take `bytes`.
-    fn within(mut self, mut bytes: u64, most: u64, client: &mut dyn Client) -> Result<Rounded> {
+    /// Returns the best integers whose file takes at most `max_bytes`. The current ones take `bytes`.
+    fn within(mut self, mut bytes: u64, max_bytes: u64, client: &mut dyn Client) -> Result<Rounded> {
         let error = self.descent.error(&self.rounded.gaussians);
-        self.keep(error, bytes, most);
+        self.keep(error, bytes, max_bytes);
         if let Some(best) = self.best {
             return Ok(Rounded { gaussians: best.gaussians, ..self.rounded });
         }
-        while bytes > most && !self.rounded.gaussians.is_empty() {
-            resize(&mut self.descent, &mut self.rounded.gaussians, bytes, most);
+        while bytes > max_bytes && !self.rounded.gaussians.is_empty() {
+            resize(&mut self.descent, &mut self.rounded.gaussians, bytes, max_bytes);
             bytes = client.bytes(&mut self.rounded)?;
         }
         Ok(self.rounded)
     }
 
-    /// Keeps the integers at hand if they are the best so far.
-    fn keep(&mut self, error: f64, bytes: u64, most: u64) {
-        let Some(left) = most.checked_sub(bytes) else { return };
-        let fills = left <= (most / FILLED).max(FILLED_BYTES);
-        if self.best.as_ref().is_none_or(|b| (fills, b.error) > (b.fills, error)) {
-            self.best = Some(Best { fills, error, gaussians: self.rounded.gaussians.clone() });
+    /// Keeps the current integers if they are the best so far.
+    fn keep(&mut self, error: f64, bytes: u64, max_bytes: u64) {
+        let Some(unused) = max_bytes.checked_sub(bytes) else { return };
+        let fills_size = unused <= (max_bytes / FILLED_PART).max(FILLED_BYTES);
+        if self.best.as_ref().is_none_or(|b| (fills_size, b.error) > (b.fills_size, error)) {
+            self.best = Some(Best { fills_size, error, gaussians: self.rounded.gaussians.clone() });
         }
     }
 }
 
 /// The best integers so far whose file is not too large.
 struct Best {
-    /// True if the file fills its size: that goes before the error.
-    fills: bool,
+    /// Whether the file fills its size, which takes precedence over the error.
+    fills_size: bool,
     error: f64,
     gaussians: Vec<PackedGaussian>,
 }

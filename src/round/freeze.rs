@@ -1,5 +1,5 @@
-//! Incremental hard freezing: the primitives nearest to their lattice points are put there a few at a time, while the
-//! rest goes on adapting.
+//! Incremental freezing: the primitives closest to their lattice points are fixed there a few at a time, while the rest
+//! continues to adapt.
 
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
@@ -15,11 +15,11 @@ use crate::fit::state::State;
 use crate::quantize::Quantizer;
 use crate::strict_math::StrictMath;
 
-/// Steps while freezing: well below those of the fit, large enough to walk a lattice step.
+/// Step sizes during freezing: far below those of the fit, but large enough to move by a lattice step.
 const RATES: Rates = Rates { mean: 0.03, log_scale: 0.03, rotation: 0.03, color: 0.004, decay: [0.9, 0.95] };
 
-/// Puts every primitive of `state` on the lattice, colours excepted, over `plan.freezing` steps,
-/// as far as there is time.
+/// Fixes the geometry of all primitives of `state` on the lattice over `plan.freezing` steps, as far as time allows.
+/// Colours stay free.
 pub(crate) fn freeze(
     problem: &Problem<'_>,
     state: &mut State,
@@ -37,7 +37,7 @@ pub(crate) fn freeze(
     for round in 0..rounds {
         let project = || project::all(&state.primitives, scene.height);
         watch(round as f32 / rounds as f32, &mut StaticSnapshot { problem, project: &project })?;
-        // All are frozen a little before the end, so that the colours settle.
+        // All primitives are frozen shortly before the end, so that the colours can settle.
         let share = ((round + 1) as f32 / rounds as f32 / 0.92).min(1.0);
         let frozen = state.freedom.iter().filter(|f| **f == Freedom::Color).count();
         let wanted = (share * count as f32).ceil() as usize;
@@ -49,8 +49,8 @@ pub(crate) fn freeze(
         for &(_, i) in distances.iter().take(wanted.saturating_sub(frozen)) {
             let p = &mut state.primitives[i];
             let g = p.to_gaussian();
-            let on = quantizer.dequantize(&quantizer.quantize(&g));
-            *p = Primitive { color: p.color, ..Primitive::from_gaussian(&on) };
+            let rounded = quantizer.dequantize(&quantizer.quantize(&g));
+            *p = Primitive { color: p.color, ..Primitive::from_gaussian(&rounded) };
             state.freedom[i] = Freedom::Color;
         }
         let done = round as f32 / rounds as f32;
@@ -66,15 +66,15 @@ pub(crate) fn freeze(
     Ok(())
 }
 
-/// How far `p` is from its lattice point, squared, in its own units.
+/// Returns the squared distance of `p` from its lattice point, in its own units.
 fn distance(p: &Primitive, quantizer: &Quantizer) -> f32 {
     let g = p.to_gaussian();
-    let on = quantizer.dequantize(&quantizer.quantize(&g));
-    let (sin, cos) = on.rotation.strict_sin_cos();
-    let [dx, dy] = [on.mean[0] - g.mean[0], on.mean[1] - g.mean[1]];
-    let (u, v) = ((cos * dx + sin * dy) / on.scale[0], (cos * dy - sin * dx) / on.scale[1]);
-    let (a, b) = ((on.scale[0] / g.scale[0]).strict_ln(), (on.scale[1] / g.scale[1]).strict_ln());
-    let aspect = on.scale[0] / on.scale[1];
-    let turn = (on.rotation - g.rotation).strict_sin() * (aspect - 1.0 / aspect);
+    let rounded = quantizer.dequantize(&quantizer.quantize(&g));
+    let (sin, cos) = rounded.rotation.strict_sin_cos();
+    let [dx, dy] = [rounded.mean[0] - g.mean[0], rounded.mean[1] - g.mean[1]];
+    let (u, v) = ((cos * dx + sin * dy) / rounded.scale[0], (cos * dy - sin * dx) / rounded.scale[1]);
+    let (a, b) = ((rounded.scale[0] / g.scale[0]).strict_ln(), (rounded.scale[1] / g.scale[1]).strict_ln());
+    let aspect = rounded.scale[0] / rounded.scale[1];
+    let turn = (rounded.rotation - g.rotation).strict_sin() * (aspect - 1.0 / aspect);
     u * u + v * v + a * a + b * b + 0.5 * turn * turn
 }

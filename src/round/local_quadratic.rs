@@ -1,84 +1,84 @@
-//! The error around one primitive as a quadratic function of its mean, scales and rotation: tells which moves are worth a
-//! look at the pixels.
+//! A quadratic model of the error around one primitive, as a function of its mean, scales and rotation. It selects the
+//! moves that are worth a pass over the pixels.
 
 use crate::bitstream::splats::PackedGaussian;
 
-/// Most moves that are looked at; more of them gain a hundredth of a decibel.
-const LOOKS: usize = 6;
+/// Maximum number of moves that are evaluated. More of them would gain 0.01 dB.
+const MAX_MOVES: usize = 6;
 
-/// How far the mean is moved at most, in units of the scales: further off the error is no parabola.
-const TRUST: f32 = 1.0;
+/// Maximum shift of the mean, in units of the scales. Farther away, the model does not hold.
+const TRUST_RADIUS: f32 = 1.0;
 
 /// Half the gradient and half the Hessian (Gauss–Newton) of the squared error in the primitive's whitened frame: mean,
-/// log-scales, rotation. The colour follows along as is best.
+/// log-scales, rotation. The colour is optimized for each shape.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct LocalQuadratic {
     pub slope: [f32; 5],
     pub curvature: [[f32; 5]; 5],
 }
 
-/// Change of the squared error with the mean alone, by a [`LocalQuadratic`] whose scales and rotation are chosen.
+/// Change of the squared error as a function of the mean, for fixed scales and rotation.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FixedShapeQuadratic {
-    floor: f32,
+    constant: f32,
     slope: [f32; 2],
     curvature: [[f32; 2]; 2],
 }
 
 impl LocalQuadratic {
-    /// The error for log-scales and rotation that differ by `shape`.
+    /// Returns the model for log-scales and rotation that differ by `shape`.
     #[inline(always)]
-    pub(crate) fn given(&self, shape: [f32; 3]) -> FixedShapeQuadratic {
+    pub(crate) fn with_shape(&self, shape: [f32; 3]) -> FixedShapeQuadratic {
         let c = &self.curvature;
-        let mut floor = 0.0;
+        let mut constant = 0.0;
         let mut slope = [self.slope[0], self.slope[1]];
         for i in 0..3 {
-            floor += 2.0 * self.slope[2 + i] * shape[i];
+            constant += 2.0 * self.slope[2 + i] * shape[i];
             for j in 0..3 {
-                floor += c[2 + i][2 + j] * shape[i] * shape[j];
+                constant += c[2 + i][2 + j] * shape[i] * shape[j];
             }
             slope[0] += c[0][2 + i] * shape[i];
             slope[1] += c[1][2 + i] * shape[i];
         }
-        FixedShapeQuadratic { floor, slope, curvature: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]] }
+        FixedShapeQuadratic { constant, slope, curvature: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]] }
     }
 }
 
 impl FixedShapeQuadratic {
-    /// The shift of the mean with the least error, within the range that can be trusted.
+    /// Returns the shift of the mean with the smallest error, within the range where the model holds.
     #[inline(always)]
-    pub(crate) fn lowest(&self) -> [f32; 2] {
+    pub(crate) fn minimum(&self) -> [f32; 2] {
         let [[a, b], [_, c]] = self.curvature;
-        // Where the error is flat in some direction, rounding must not send the mean far along it.
+        // Regularize, so that rounding cannot move the mean far along a direction in which the error is flat.
         let ridge = 1e-3 * (a.max(0.0) + c.max(0.0)) + 1e-9;
         let (a, c) = (a.max(0.0) + ridge, c.max(0.0) + ridge);
         let det = (a * c - b * b).max(1e-3 * a * c);
         let [u, v] = self.slope;
-        [(b * v - c * u) / det, (b * u - a * v) / det].map(|s| s.clamp(-TRUST, TRUST))
+        [(b * v - c * u) / det, (b * u - a * v) / det].map(|s| s.clamp(-TRUST_RADIUS, TRUST_RADIUS))
     }
 
-    /// Change of the error when the mean shifts by `(u, v)`.
+    /// Returns the change of the error if the mean shifts by `(u, v)`.
     #[inline(always)]
     pub(crate) fn at(&self, [u, v]: [f32; 2]) -> f32 {
         let [[a, b], [_, c]] = self.curvature;
-        self.floor + 2.0 * (self.slope[0] * u + self.slope[1] * v) + a * u * u + 2.0 * b * u * v + c * v * v
+        self.constant + 2.0 * (self.slope[0] * u + self.slope[1] * v) + a * u * u + 2.0 * b * u * v + c * v * v
     }
 }
 
 /// The most promising moves, best first.
 #[derive(Debug, Default)]
 pub(crate) struct Moves {
-    best: [(f32, PackedGaussian); LOOKS],
+    best: [(f32, PackedGaussian); MAX_MOVES],
     count: usize,
 }
 
 impl Moves {
-    /// Takes in a move that is expected to change the objective by `value`.
+    /// Adds a move that is expected to change the objective by `value`.
     #[inline(always)]
     pub(crate) fn add(&mut self, value: f32, to: PackedGaussian) {
         let at = self.best[..self.count].iter().position(|b| value < b.0).unwrap_or(self.count);
-        if at < LOOKS {
-            self.count = (self.count + 1).min(LOOKS);
+        if at < MAX_MOVES {
+            self.count = (self.count + 1).min(MAX_MOVES);
             self.best.copy_within(at..self.count - 1, at + 1);
             self.best[at] = (value, to);
         }
@@ -94,17 +94,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_lowest_shift_is_the_minimum_for_its_shape() {
+    fn the_returned_shift_minimizes_the_error_for_its_shape() {
         let mut local_quadratic = LocalQuadratic { slope: [0.3, -0.2, 0.1, 0.4, -0.5], ..LocalQuadratic::default() };
         for i in 0..5 {
             for j in 0..5 {
                 local_quadratic.curvature[i][j] = if i == j { 2.0 } else { 0.1 * (i + j) as f32 };
             }
         }
-        let valley = local_quadratic.given([0.2, -0.1, 0.3]);
-        let [u, v] = valley.lowest();
+        let quadratic = local_quadratic.with_shape([0.2, -0.1, 0.3]);
+        let [u, v] = quadratic.minimum();
         for (du, dv) in [(0.05, 0.0), (-0.05, 0.0), (0.0, 0.05), (0.0, -0.05)] {
-            assert!(valley.at([u, v]) < valley.at([u + du, v + dv]));
+            assert!(quadratic.at([u, v]) < quadratic.at([u + du, v + dv]));
         }
     }
 
@@ -112,7 +112,7 @@ mod tests {
     fn flat_errors_give_bounded_shifts() {
         for curvature in [0.0, 1e-30, -1.0] {
             let local_quadratic = LocalQuadratic { slope: [1.0, -1.0, 0.0, 0.0, 0.0], curvature: [[curvature; 5]; 5] };
-            assert!(local_quadratic.given([0.0; 3]).lowest().iter().all(|s| s.abs() <= TRUST));
+            assert!(local_quadratic.with_shape([0.0; 3]).minimum().iter().all(|s| s.abs() <= TRUST_RADIUS));
         }
     }
 

@@ -1,7 +1,8 @@
-//! Rounding fitted primitives to integers: step sizes, freezing on the lattice, descent over the integers, the asked size.
+//! Rounds fitted primitives to integers: step sizes, freezing on the lattice, descent over the integers, and the
+//! requested file size.
 //!
-//! Rounding works on the integers of [`bitstream::splats`](crate::bitstream::splats) and never sees a file: whoever makes
-//! it tells through [`finish::Client`] how many bytes it takes.
+//! This module works on the integers of [`bitstream::splats`](crate::bitstream::splats) and never sees a file. The
+//! caller, which writes the file, reports its length through [`finish::Client`].
 
 mod bit_cost;
 pub(crate) mod descend;

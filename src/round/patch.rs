@@ -1,5 +1,5 @@
-//! The pixels around one primitive, and how their error depends on what takes its place: on the colour of a given shape, and
-//! to second order on the shape itself.
+//! The pixels around one primitive, and how their error depends on its replacement: exactly on the colour of a given
+//! shape, and to second order on the shape.
 
 use crate::fit::model::drawing::kernel::{self, Strip, Visit};
 use crate::fit::model::drawing::project::Projected;
@@ -10,46 +10,46 @@ use crate::round::local_quadratic::LocalQuadratic;
 use crate::simd::{LANES, Simd};
 use crate::strict_math::StrictMath;
 
-/// Rows of a primitive's support, on a large picture, for one that is looked at.
-const TALL: usize = 32;
+/// On a large picture, the distance of a patch's rows grows by 1 for this many rows of the primitive's support.
+const SUPPORT_ROWS_PER_STEP: usize = 32;
 
-/// Most rows in one that is looked at.
-const MOST_ROWS: usize = 4;
+/// Maximum distance of the rows of a patch.
+const MAX_ROW_STEP: usize = 4;
 
-/// The pixels around one primitive, with that primitive taken out.
+/// The pixels around one primitive, with that primitive removed.
 pub(super) struct Patch<'a> {
     problem: &'a Problem<'a>,
-    /// Rows of `2C + 2` planes, `stride` floats each: `Σwc` with `εb` (C), `Σw + ε`, targets (C), squared error.
+    /// Rows of `2C + 2` planes with `stride` floats each: `Σwc` with `εb` (C), `Σw + ε`, targets (C), squared error.
     planes: Vec<f32>,
     stride: usize,
     pub columns: std::ops::Range<usize>,
     pub rows: std::ops::Range<usize>,
-    /// Only every `step`th of them is there, and counts for all.
+    /// Distance of the rows that are stored. Each of them stands for `step` rows.
     step: usize,
     /// Squared error over the patch without the primitive.
-    pub bare: f32,
+    pub base_error: f32,
 }
 
-/// Error of the patch as a function of the colour: `rest + Σ 2 c·cross + c²·square`, relative to `Patch::bare`.
+/// Error of the patch as a function of the colour: `rest + Σ 2 c·cross + c²·square`, relative to [`Patch::base_error`].
 #[derive(Clone, Copy)]
 pub(super) struct Parabola {
     rest: f32,
     cross: [f32; 4],
     square: [f32; 2],
-    /// How much the squared error in each channel counts.
-    counts: [f32; 4],
+    /// Weight of the squared error in each channel.
+    channel_weights: [f32; 4],
 }
 
 impl<'a> Patch<'a> {
-    /// An empty one.
+    /// Creates an empty patch.
     pub(super) fn new(problem: &'a Problem<'a>) -> Self {
-        Patch { problem, planes: Vec::new(), stride: 0, columns: 0..0, rows: 0..0, step: 1, bare: 0.0 }
+        Patch { problem, planes: Vec::new(), stride: 0, columns: 0..0, rows: 0..0, step: 1, base_error: 0.0 }
     }
 
-    /// Copies the pixels of `rows` and `columns` out of the sums, `C + 1` planes a row from row `first` on, with `p` taken
-    /// out.
+    /// Extracts the pixels of `rows` and `columns` from the sums and removes `p`. The sums have `C + 1` planes per row,
+    /// from row `first` on.
     #[inline(always)]
-    pub(super) fn cut<S: Simd, const C: usize>(
+    pub(super) fn extract<S: Simd, const C: usize>(
         &mut self,
         simd: S,
         p: &Projected,
@@ -58,14 +58,14 @@ impl<'a> Patch<'a> {
     ) {
         let Problem { scene: Scene { width: picture, blend, .. }, target } = *self.problem;
         let (stride, colors) = (target.stride, p.color);
-        // Strips start at any column and are read as whole vectors: the last one may overhang.
+        // Strips start at any column and are read as whole vectors, so the last one may overhang.
         let width = columns.len().next_multiple_of(LANES) + LANES;
         let (left, right) = (columns.start, columns.end);
         self.stride = width;
         self.columns = columns;
         self.rows = rows.clone();
         self.step = self.row_step(p);
-        // The memory only grows and is not cleared, since everything up to `size` is overwritten.
+        // The memory only grows and is not cleared, because everything up to `size` is overwritten.
         let size = (2 * C + 2) * width * rows.len().div_ceil(self.step);
         if self.planes.len() < size {
             self.planes.resize(size, 0.0);
@@ -73,8 +73,8 @@ impl<'a> Patch<'a> {
         let alpha = target.opacity;
         let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
         let epsilon = simd.splat(EPSILON);
-        let shift: [f32; C] = std::array::from_fn(|k| self.shift(k));
-        let mut bare = zero;
+        let background: [f32; C] = std::array::from_fn(|k| self.background_term(k));
+        let mut base_error = zero;
         for (y, out) in rows.step_by(self.step).zip(self.planes[..size].chunks_exact_mut((2 * C + 2) * width)) {
             let row = &sums[(y - first) * (C + 1) * stride..][..(C + 1) * stride];
             let wanted = target.row(y as u32);
@@ -82,18 +82,19 @@ impl<'a> Patch<'a> {
             let amplitude = target.amplitude(y as u32);
             for o in (0..width).step_by(LANES) {
                 let x = left + o;
-                // Past the right end nothing counts: sums of 0 over a weight of 1 have no error, and divide safely.
+                // Beyond the right end nothing counts: sums of 0 over a weight of 1 have no error and can be divided
+                // safely.
                 if x >= right {
                     for k in 0..2 * C + 2 {
                         simd.write(&mut out[k * width + o..], if k == C { one } else { zero });
                     }
                     continue;
                 }
-                // The last vector may hold columns beyond the patch: lanes from `limit` on must not count.
+                // The last vector may contain columns beyond the patch. Lanes from `limit` on must not count.
                 let limit = simd.splat((right - x) as f32 - 0.5);
                 let all = simd.read(&row[C * stride + x..]);
-                // `own` is the primitive's weight, `with` the inverse of the divisor while it is there, and `without`
-                // the divisor once it is taken out. The exponential is needed under its support only.
+                // `own` is the primitive's weight, `with` the inverse of the divisor with the primitive, and `without`
+                // the divisor without it. The exponential is needed only under its support.
                 let (own, with, without) = match (span, blend) {
                     (Some((start, end, dy)), _) if x + LANES > start && x < end => {
                         let e = kernel::at(simd, p, x, dy);
@@ -115,17 +116,17 @@ impl<'a> Patch<'a> {
                 let with = with.unwrap_or(share);
                 let mut error = zero;
                 for k in 0..C {
-                    let sum = simd.add(simd.read(&row[k * stride + x..]), simd.splat(shift[k]));
+                    let sum = simd.add(simd.read(&row[k * stride + x..]), simd.splat(background[k]));
                     let n = simd.sub(sum, simd.mul(own, simd.splat(colors[k])));
                     let mut t = simd.read(&wanted[k * stride + x..]);
-                    // Decoders clamp values. Where a black or white pixel overshoots, the target moves to the present
-                    // value: as long as the overshoot stays, it is no error.
+                    // Decoders clamp values. If a black or white pixel overshoots, the target moves to the current
+                    // value, so that the overshoot is no error as long as it stays the same.
                     let beyond = simd.sub(simd.mul(sum, with), t);
                     let above = simd.keep_above(simd.max(beyond, zero), t, simd.splat(1.0f32.next_down()));
                     let below = simd.keep_above(simd.min(beyond, zero), simd.splat(f32::MIN_POSITIVE), t);
                     t = simd.add(simd.add(t, above), below);
                     let mut d = simd.sub(simd.mul(n, share), t);
-                    // Colours count by their opacity: errors in transparent pixels are not seen.
+                    // Colours are weighted by their opacity, because errors in transparent pixels are invisible.
                     if let Some(a) = alpha.filter(|&a| a != k) {
                         d = simd.mul(d, simd.read(&wanted[a * stride + x..]));
                     }
@@ -134,47 +135,48 @@ impl<'a> Patch<'a> {
                     }
                     d = simd.mul(d, simd.splat(target.channel_amplitude[k]));
                     error = simd.add(error, simd.mul(d, d));
-                    // Both stay unweighted: weights are applied when a candidate is looked at.
+                    // Both are stored unweighted. Weights are applied when a candidate is evaluated.
                     simd.write(&mut out[k * width + o..], n);
                     simd.write(&mut out[(C + 1 + k) * width + o..], t);
                 }
-                // Each pixel's error is kept, since a candidate changes it only under its support.
+                // The error of each pixel is stored, because a candidate changes it only under its support.
                 let error = simd.keep_above(error, limit, simd.index());
                 simd.write(&mut out[C * width + o..], without);
                 simd.write(&mut out[(2 * C + 1) * width + o..], error);
-                bare = simd.add(bare, error);
+                base_error = simd.add(base_error, error);
             }
         }
-        // Rows that were skipped count as much as those that are there.
-        self.bare = simd.sum(bare) * self.step as f32;
+        // Each stored row stands for `step` rows.
+        self.base_error = simd.sum(base_error) * self.step as f32;
     }
 
-    /// Rows in one that is looked at: on a large picture tall primitives have more pixels than it takes to decide.
+    /// Returns the distance of the stored rows. On a large picture, tall primitives have more pixels than a decision
+    /// needs.
     fn row_step(&self, p: &Projected) -> usize {
         let tall = (p.rows[1] - p.rows[0]) as usize;
-        if self.problem.scene.is_large() { (tall / TALL).clamp(1, MOST_ROWS) } else { 1 }
+        if self.problem.scene.is_large() { (tall / SUPPORT_ROWS_PER_STEP).clamp(1, MAX_ROW_STEP) } else { 1 }
     }
 
-    /// Returns the background's share in channel `k`, which is added to `Σwc` before the division.
+    /// Returns the background's term in channel `k`, which is added to `Σwc` before the division.
     #[inline(always)]
-    fn shift(&self, k: usize) -> f32 {
+    fn background_term(&self, k: usize) -> f32 {
         match self.problem.scene.blend {
             Blend::Normalized => EPSILON * self.problem.scene.background[k],
             Blend::Sum => self.problem.scene.background[k],
         }
     }
 
-    /// The error over the patch with `q` in it, for any colour, minus the bare error.
+    /// Returns the error over the patch with `q` added, for any colour, minus the error without it.
     #[inline(always)]
     pub(super) fn parabola<S: Simd, const C: usize>(&self, simd: S, q: &Projected) -> Parabola {
         let (zero, range) = (simd.splat(0.0), self.range(q.rows));
-        let counts = self.problem.target.channel_amplitude.map(|a| a * a);
-        let mut errors = Errors::<S, C> {
+        let channel_weights = self.problem.target.channel_amplitude.map(|a| a * a);
+        let mut errors = ParabolaVisitor::<S, C> {
             pixels: self.pixels::<C>(&range),
             rest: zero,
             cross: [zero; C],
             square: [zero; 2],
-            counts,
+            channel_weights,
         };
         self.walk(simd, q, range, &mut errors);
         let scale = self.step as f32;
@@ -182,18 +184,18 @@ impl<'a> Patch<'a> {
             rest: simd.sum(errors.rest) * scale,
             cross: [0.0; 4],
             square: [simd.sum(errors.square[0]), simd.sum(errors.square[1])].map(|s| s * scale),
-            counts,
+            channel_weights,
         };
         for k in 0..C {
-            out.cross[k] = simd.sum(errors.cross[k]) * scale * out.counts[k];
+            out.cross[k] = simd.sum(errors.cross[k]) * scale * out.channel_weights[k];
         }
         out
     }
 
-    /// The rows `range` of those that are there.
+    /// Returns the stored rows with indices in `range`.
     #[inline(always)]
-    fn pixels<const C: usize>(&self, range: &std::ops::Range<usize>) -> Pixels<'_> {
-        Pixels {
+    fn pixels<const C: usize>(&self, range: &std::ops::Range<usize>) -> PatchRows<'_> {
+        PatchRows {
             planes: &self.planes[range.start * (2 * C + 2) * self.stride..],
             stride: self.stride,
             left: self.columns.start,
@@ -205,15 +207,15 @@ impl<'a> Patch<'a> {
         }
     }
 
-    /// Visits the pixels of `p` in the rows `range` of the patch.
+    /// Visits the pixels of `p` in the stored rows with indices in `range`.
     #[inline(always)]
     fn walk<S: Simd>(&self, simd: S, p: &Projected, range: std::ops::Range<usize>, visitor: &mut impl Visit<S>) {
         let dy = (self.rows.start + range.start * self.step) as f32 - p.center[1];
         kernel::walk(simd, p, (dy, self.step as f32, range.len()), self.columns.clone(), visitor);
     }
 
-    /// How the error over the patch with `p`, the projection of `g`, in it and of `color` changes with mean, scales and
-    /// rotation, to second order.
+    /// Returns how the error over the patch changes to second order with mean, scales and rotation of `p`, the
+    /// projection of `g`, with the colour `color`.
     #[inline(always)]
     pub(super) fn local_quadratic<S: Simd, const C: usize>(
         &self,
@@ -225,7 +227,7 @@ impl<'a> Patch<'a> {
         let (zero, range) = (simd.splat(0.0), self.range(p.rows));
         let (sin, cos) = g.rotation.strict_sin_cos();
         let [sx, sy] = g.scale;
-        let mut slopes = Slopes::<S, C> {
+        let mut slopes = QuadraticVisitor::<S, C> {
             pixels: self.pixels::<C>(&range),
             color,
             across: [cos / sx, sin / sx],
@@ -247,9 +249,9 @@ impl<'a> Patch<'a> {
             }
             for b in 0..=a {
                 let mut v = simd.sum(slopes.second[n]) * scale;
-                for (k, of) in mixed.iter().enumerate() {
-                    // The colour follows.
-                    v -= of[a] * of[b] / (parabola.square(k, C) + 1e-6);
+                for (k, by_color) in mixed.iter().enumerate() {
+                    // Subtract the effect of optimizing the colour (Schur complement).
+                    v -= by_color[a] * by_color[b] / (parabola.square(k, C) + 1e-6);
                 }
                 (local_quadratic.curvature[a][b], local_quadratic.curvature[b][a]) = (v, v);
                 n += 1;
@@ -258,7 +260,7 @@ impl<'a> Patch<'a> {
         local_quadratic
     }
 
-    /// Which of the rows that are there lie inside `rows`.
+    /// Returns the indices of the stored rows inside `rows`.
     fn range(&self, rows: [u32; 2]) -> std::ops::Range<usize> {
         let [from, to] = rows.map(|y| (y as usize).clamp(self.rows.start, self.rows.end) - self.rows.start);
         from.div_ceil(self.step)..to.div_ceil(self.step)
@@ -275,13 +277,13 @@ impl Parabola {
         e
     }
 
-    /// `Σ r²` of channel `k`; alpha is weighted differently from colour.
+    /// Returns `Σ r²` of channel `k`. Alpha is weighted differently from colour.
     #[inline(always)]
     fn square(&self, k: usize, channels: usize) -> f32 {
-        self.square[usize::from(channels.is_multiple_of(2) && k + 1 == channels)] * self.counts[k]
+        self.square[usize::from(channels.is_multiple_of(2) && k + 1 == channels)] * self.channel_weights[k]
     }
 
-    /// The colour of the least error, unless nearly all are as good.
+    /// Returns the colour of the smallest error, or `None` if the error hardly depends on the colour.
     #[inline(always)]
     pub(super) fn minimum(&self, channels: usize) -> Option<[f32; 4]> {
         let mut c = [0.0f32; 4];
@@ -296,14 +298,14 @@ impl Parabola {
     }
 }
 
-/// The rows of a patch that a primitive reaches.
-struct Pixels<'a> {
-    /// The planes of the first of them, and of those after it.
+/// The stored rows of a patch that a primitive reaches.
+struct PatchRows<'a> {
+    /// The planes from the first of these rows on.
     planes: &'a [f32],
     stride: usize,
-    /// The first column that is there.
+    /// The first stored column.
     left: usize,
-    /// The first row's number in the picture, and how far the next one is.
+    /// The number of the first row in the picture.
     row: usize,
     step: usize,
     target: &'a Planes,
@@ -311,35 +313,35 @@ struct Pixels<'a> {
     blend: Blend,
 }
 
-/// Eight pixels of a patch.
-struct Eight<'a> {
-    /// The row's planes from these pixels on.
+/// PixelVector adjacent pixels of a patch.
+struct PixelVector<'a> {
+    /// The row's planes, starting at these pixels.
     planes: &'a [f32],
     stride: usize,
-    /// The factors of errors.
+    /// Factors of the errors before they are squared.
     amplitude: Option<&'a [f32]>,
-    /// The channel whose target is a factor of the others' errors.
+    /// The channel whose target weights the errors of the other channels.
     alpha: Option<usize>,
     blend: Blend,
 }
 
-impl Pixels<'_> {
+impl PatchRows<'_> {
     #[inline(always)]
-    fn eight<const C: usize>(&self, i: usize, x: usize) -> Eight<'_> {
-        let Pixels { stride, alpha, blend, .. } = *self;
+    fn vector<const C: usize>(&self, i: usize, x: usize) -> PixelVector<'_> {
+        let PatchRows { stride, alpha, blend, .. } = *self;
         let planes = &self.planes[i * (2 * C + 2) * stride + x - self.left..];
         let amplitude = self.target.amplitude((self.row + i * self.step) as u32).map(|a| &a[x..]);
-        Eight { planes, stride, amplitude, alpha, blend }
+        PixelVector { planes, stride, amplitude, alpha, blend }
     }
 }
 
-impl Eight<'_> {
+impl PixelVector<'_> {
     #[inline(always)]
     fn plane<S: Simd>(&self, simd: S, k: usize) -> S::Vector {
         simd.read(&self.planes[k * self.stride..])
     }
 
-    /// Returns the factor that turns sums into values of the picture, if the weight `w` is added to the sums.
+    /// Returns the factor that converts sums to values of the picture after the weight `w` is added to the sums.
     #[inline(always)]
     fn share<S: Simd, const C: usize>(&self, simd: S, w: S::Vector) -> S::Vector {
         match self.blend {
@@ -348,7 +350,7 @@ impl Eight<'_> {
         }
     }
 
-    /// `v`, which belongs to channel `k`, times what errors of these pixels count.
+    /// Returns `v`, a value of channel `k`, multiplied by the error factors of these pixels.
     #[inline(always)]
     fn weighted<S: Simd, const C: usize>(&self, simd: S, k: usize, mut v: S::Vector) -> S::Vector {
         if let Some(a) = self.amplitude {
@@ -361,21 +363,21 @@ impl Eight<'_> {
     }
 }
 
-/// Sums a [`Parabola`].
-struct Errors<'a, S: Simd, const C: usize> {
-    pixels: Pixels<'a>,
+/// Accumulates a [`Parabola`].
+struct ParabolaVisitor<'a, S: Simd, const C: usize> {
+    pixels: PatchRows<'a>,
     rest: S::Vector,
     cross: [S::Vector; C],
     square: [S::Vector; 2],
-    /// How much the squared error in each channel counts.
-    counts: [f32; 4],
+    /// Weight of the squared error in each channel.
+    channel_weights: [f32; 4],
 }
 
-impl<S: Simd, const C: usize> Visit<S> for Errors<'_, S, C> {
+impl<S: Simd, const C: usize> Visit<S> for ParabolaVisitor<'_, S, C> {
     #[inline(always)]
     fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, _dy: S::Vector) {
         let zero = simd.splat(0.0);
-        let at = self.pixels.eight::<C>(i, strip.x);
+        let at = self.pixels.vector::<C>(i, strip.x);
         let w = simd.max(simd.sub(g, strip.edge), zero);
         let share = at.share::<S, C>(simd, w);
         let part = simd.mul(w, share);
@@ -384,7 +386,7 @@ impl<S: Simd, const C: usize> Visit<S> for Errors<'_, S, C> {
             let a = simd.sub(simd.mul(at.plane(simd, k), share), at.plane(simd, C + 1 + k));
             let a = at.weighted::<S, C>(simd, k, a);
             let r = at.weighted::<S, C>(simd, k, part);
-            let counted = simd.mul(a, simd.splat(self.counts[k]));
+            let counted = simd.mul(a, simd.splat(self.channel_weights[k]));
             error = simd.add(error, simd.mul(counted, a));
             self.cross[k] = simd.add(self.cross[k], simd.mul(a, r));
             if k == 0 || at.alpha == Some(k) {
@@ -397,9 +399,9 @@ impl<S: Simd, const C: usize> Visit<S> for Errors<'_, S, C> {
     }
 }
 
-/// Sums a [`LocalQuadratic`].
-struct Slopes<'a, S: Simd, const C: usize> {
-    pixels: Pixels<'a>,
+/// Accumulates a [`LocalQuadratic`].
+struct QuadraticVisitor<'a, S: Simd, const C: usize> {
+    pixels: PatchRows<'a>,
     color: [f32; 4],
     /// Change of the coordinate `u` along the rotated x axis, in units of its scale, per pixel to the right and per
     /// pixel down.
@@ -407,17 +409,17 @@ struct Slopes<'a, S: Simd, const C: usize> {
     /// Change of the coordinate `v` along the rotated y axis, in units of its scale, per pixel to the right and per
     /// pixel down.
     along: [f32; 2],
-    /// Change of the Gaussian's exponent per radian of rotation and for each `u·v`.
+    /// Change of the Gaussian's exponent per radian of rotation and unit of `u·v`.
     turn: f32,
     first: [S::Vector; 5],
     second: [S::Vector; 15],
     mixed: [[S::Vector; 5]; C],
 }
 
-impl<S: Simd, const C: usize> Visit<S> for Slopes<'_, S, C> {
+impl<S: Simd, const C: usize> Visit<S> for QuadraticVisitor<'_, S, C> {
     #[inline(always)]
     fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, dy: S::Vector) {
-        let at = self.pixels.eight::<C>(i, strip.x);
+        let at = self.pixels.vector::<C>(i, strip.x);
         let e = simd.keep_above(g, g, strip.edge);
         let w = simd.max(simd.sub(g, strip.edge), simd.splat(0.0));
         let share = at.share::<S, C>(simd, w);
@@ -435,13 +437,13 @@ impl<S: Simd, const C: usize> Visit<S> for Slopes<'_, S, C> {
                 Blend::Normalized => simd.mul(simd.mul(simd.sub(color, value), share), e),
                 Blend::Sum => simd.mul(color, e),
             };
-            let counts = simd.splat(self.pixels.target.channel_amplitude[k]);
-            let own = simd.mul(at.weighted::<S, C>(simd, k, own), counts);
+            let channel_weights = simd.splat(self.pixels.target.channel_amplitude[k]);
+            let own = simd.mul(at.weighted::<S, C>(simd, k, own), channel_weights);
             let error = at.weighted::<S, C>(simd, k, simd.sub(value, at.plane(simd, C + 1 + k)));
-            let error = simd.mul(error, counts);
+            let error = simd.mul(error, channel_weights);
             t = simd.add(t, simd.mul(error, own));
             square = simd.add(square, simd.mul(own, own));
-            let shown = at.weighted::<S, C>(simd, k, simd.mul(simd.mul(simd.mul(own, w), share), counts));
+            let shown = at.weighted::<S, C>(simd, k, simd.mul(simd.mul(simd.mul(own, w), share), channel_weights));
             for (sum, f) in self.mixed[k].iter_mut().zip(features) {
                 *sum = simd.add(*sum, simd.mul(shown, f));
             }

@@ -1,4 +1,4 @@
-//! Primitives in integers: the steps that they count in, and how they are seen.
+//! Integer primitives, the step sizes that they use, and their projection.
 
 use crate::bitstream::splats::{Layout, PackedGaussian, Steps};
 use crate::fit::model::drawing::field::float_error;
@@ -8,7 +8,7 @@ use crate::fit::model::problem::{Problem, Scene};
 use crate::quantize::Quantizer;
 use crate::strict_math::StrictMath;
 
-/// Primitives in integers.
+/// Integer primitives with their step sizes.
 #[derive(Debug, Clone)]
 pub(crate) struct Rounded {
     pub steps: Steps,
@@ -16,13 +16,13 @@ pub(crate) struct Rounded {
     pub gaussians: Vec<PackedGaussian>,
 }
 
-/// Share of the primitives that are smaller than what the coarsest positions of the coded layout are made for.
-const COARSEST: f32 = 0.97;
-/// Share of the primitives that are smaller than what the one position step of the other layouts is made for.
-const SMALL_SHARE: f32 = 0.25;
+/// Quantile of the primitives' sizes for which the coarsest positions of the coded layout are chosen.
+const COARSEST_QUANTILE: f32 = 0.97;
+/// Quantile of the primitives' sizes for which the single position step of the other layouts is chosen.
+const SINGLE_STEP_QUANTILE: f32 = 0.25;
 
 impl Rounded {
-    /// Rounds `primitives` to the nearest integers in steps that suit them.
+    /// Rounds `primitives` to the nearest integers, with steps that suit them.
     pub(crate) fn nearest(problem: &Problem<'_>, layout: Layout, primitives: &[Primitive]) -> Self {
         Self::of_error(problem, layout, primitives, float_error(problem, primitives))
     }
@@ -38,33 +38,33 @@ impl Rounded {
         rounded
     }
 
-    /// Takes up `primitives`, rounded to the nearest integers.
+    /// Replaces the primitives by `primitives`, rounded to the nearest integers.
     pub(super) fn round(&mut self, quantizer: &Quantizer, primitives: &[Primitive]) {
         self.gaussians = primitives.iter().map(|p| quantizer.quantize(&p.to_gaussian())).collect();
     }
 }
 
-/// Returns the map from the integers of `problem` with these steps.
+/// Returns the quantizer of `problem` with these steps.
 pub(super) fn quantizer(problem: &Problem<'_>, layout: Layout, steps: &Steps) -> Quantizer {
     let Scene { width, height, .. } = problem.scene;
     Quantizer::new(steps, layout, [width, height], problem.target.channels)
 }
 
-/// Projects integer primitives into a picture of so many rows.
+/// Projects integer primitives into a picture of `height` rows.
 pub(crate) fn projected(quantizer: &Quantizer, gaussians: &[PackedGaussian], height: u32) -> Vec<Projected> {
     gaussians.iter().map(|g| Projected::from_gaussian(&quantizer.dequantize(g), height)).collect()
 }
 
-/// Returns the step sizes for `primitives` in `layout`, whose picture has a PSNR of `psnr` decibels before rounding: the
-/// better the fit, the finer the steps that its bytes are best spent on.
+/// Returns the step sizes for `primitives` in `layout`, where `psnr` is the PSNR of their picture before rounding. The
+/// better the fit, the finer the steps that use the bytes best.
 pub(crate) fn steps(primitives: &[Primitive], layout: Layout, psnr: f64) -> Steps {
     let mut sizes: Vec<f32> = primitives.iter().map(|p| p.log_scale[0].max(p.log_scale[1])).collect();
     sizes.sort_by(f32::total_cmp);
     let at = |share: f32| sizes.get((sizes.len() as f32 * share) as usize).copied().unwrap_or(0.0);
     match layout {
         Layout::Coded => {
-            // Found by trying all neighbours on photographs at ratios from 20 to 1500; the optimum is flat. What others
-            // would win is measured by `cargo run --release -p ssplat-lab --example rate_distortion -- PICTURES`.
+            // Found by trying all neighbours on photographs at ratios from 20 to 1500; the optimum is flat. `cargo run
+            // --release -p ssplat-lab --example rate_distortion -- PICTURES` measures the effect of other values.
             let (scale, position, luma) = match psnr {
                 ..24.0 => (5, 5, 6),
                 24.0..30.0 => (4, 6, 6),
@@ -72,14 +72,14 @@ pub(crate) fn steps(primitives: &[Primitive], layout: Layout, psnr: f64) -> Step
                 36.0..41.0 => (3, 7, 5),
                 _ => (2, 8, 4),
             };
-            let log2 = at(COARSEST) / std::f32::consts::LN_2 - f32::from(position) / 4.0;
+            let log2 = at(COARSEST_QUANTILE) / std::f32::consts::LN_2 - f32::from(position) / 4.0;
             let coarsest = (log2.ceil() as i8).clamp(-2, 9);
             let range = (coarsest + 4).clamp(1, 15) as u8;
             Steps { scale, angle: 1, position, coarsest, range, luma, chroma: 1 }
         }
         Layout::Packed | Layout::Planes => {
-            // One step for all positions: fine enough for the small Gaussians, a sixth of their size.
-            let small = at(SMALL_SHARE) / std::f32::consts::LN_2;
+            // One step for all positions, fine enough for the small Gaussians: a sixth of their size.
+            let small = at(SINGLE_STEP_QUANTILE) / std::f32::consts::LN_2;
             let coarsest = ((small - 2.5).round() as i8).clamp(-4, 6);
             Steps { scale: 2, angle: 1, position: 5, coarsest, range: 0, luma: 8, chroma: 2 }
         }

@@ -1,4 +1,4 @@
-//! The number of integer primitives, corrected by the bytes that they are over or under.
+//! Corrections of the number of integer primitives, by the bytes above or below the requested size.
 
 use crate::bitstream::splats::PackedGaussian;
 use crate::fit::model::drawing::field::Output;
@@ -6,63 +6,64 @@ use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::{peaks, removal};
 use crate::round::descend::Descent;
 
-/// The size that a file may have.
+/// The requested size of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Size {
-    /// At most this many bytes, and as close to it as can be.
+    /// At most this many bytes, and as close to that as possible.
     Bytes(u64),
-    /// As it comes.
+    /// No requested size.
     Free,
 }
 
 impl Size {
-    /// Returns the bytes by which a file is larger than it may be.
+    /// Returns the number of bytes by which `file` exceeds the requested size.
     pub(crate) fn exceeded_by(self, file: &[u8]) -> u64 {
         match self {
-            Size::Bytes(most) => (file.len() as u64).saturating_sub(most),
+            Size::Bytes(max_bytes) => (file.len() as u64).saturating_sub(max_bytes),
             Size::Free => 0,
         }
     }
 }
 
-/// Bytes of a file that are not its primitives', about: the header.
+/// Approximate number of bytes of a file that are not its primitives': the header.
 const HEADER: u64 = 20;
 
-/// Share of the room that is filled with new primitives: the first guess of their price may be too low, and a file that is
-/// too long costs another round.
-const FILLED: f64 = 0.97;
+/// Share of the free bytes that is filled with new primitives. The first estimate of their cost may be too low, and a
+/// file that is too long costs another round.
+const FILL_SHARE: f64 = 0.97;
 
-/// Bytes that a settled file may always be short: less than one primitive.
+/// Bytes by which a settled file may always be too short: less than one primitive.
 const SETTLED_BYTES: u64 = 4;
 
-/// Returns whether a file is as large as it may be: short of `most` bytes by no more than one part in `part`.
-pub(crate) fn is_settled(bytes: u64, most: u64, part: u64) -> bool {
-    bytes <= most && most - bytes <= (most / part).max(SETTLED_BYTES)
+/// Returns whether a file is as large as it may be: below `max_bytes` by no more than one part in `part`.
+pub(crate) fn is_settled(bytes: u64, max_bytes: u64, part: u64) -> bool {
+    bytes <= max_bytes && max_bytes - bytes <= (max_bytes / part).max(SETTLED_BYTES)
 }
 
 /// Change of the number of primitives that brings a file to its size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Correction {
-    /// So many are too many.
+    /// This many primitives are too many.
     Remove(usize),
-    /// There is room for so many more.
+    /// There are bytes for this many more primitives.
     Add(usize),
 }
 
-/// Returns the correction of a file of `bytes`, in which `count` primitives take `primitives` bytes, to `most` bytes.
-pub(crate) fn correction(count: usize, primitives: u64, bytes: u64, most: u64) -> Correction {
+/// Returns the correction of a file of `bytes`, of which `count` primitives take `primitives` bytes, to `max_bytes`.
+pub(crate) fn correction(count: usize, primitives: u64, bytes: u64, max_bytes: u64) -> Correction {
     let each = (primitives as f64 / count.max(1) as f64).max(1.0);
-    match bytes.checked_sub(most) {
+    match bytes.checked_sub(max_bytes) {
         Some(over @ 1..) => Correction::Remove((over as f64 / each).ceil() as usize),
-        _ => Correction::Add(((most - bytes) as f64 / each * FILLED) as usize),
+        _ => Correction::Add(((max_bytes - bytes) as f64 / each * FILL_SHARE) as usize),
     }
 }
 
-/// Takes away the cheapest of `gaussians`, or adds some where the error is largest, by the bytes over or under `most`.
-pub(super) fn resize(descent: &mut Descent<'_>, gaussians: &mut Vec<PackedGaussian>, bytes: u64, most: u64) {
-    let current = descent.seen(gaussians);
+/// Removes the cheapest of `gaussians`, or adds some where the error is largest, by the bytes above or below
+/// `max_bytes`.
+pub(super) fn resize(descent: &mut Descent<'_>, gaussians: &mut Vec<PackedGaussian>, bytes: u64, max_bytes: u64) {
+    let current = descent.visible(gaussians);
     let Descent { problem, quantizer, activity, field, .. } = descent;
-    let correction = correction(gaussians.len(), bytes.saturating_sub(HEADER), bytes, most);
+    let correction = correction(gaussians.len(), bytes.saturating_sub(HEADER), bytes, max_bytes);
     field.draw(problem, &current, RowSet::ALL, Output::Picture);
     match correction {
         Correction::Remove(_) if gaussians.is_empty() => {}
@@ -90,25 +91,25 @@ pub(super) fn resize(descent: &mut Descent<'_>, gaussians: &mut Vec<PackedGaussi
     }
 }
 
-/// Worth of the primitives in a part of a picture, and of others that could be added.
+/// The worth of the primitives in a part of a picture, and of candidates that could be added.
 #[derive(Debug, Default)]
 pub(crate) struct Worth {
-    /// Rise of the squared error if a primitive were removed, for each of them.
+    /// Increase of the squared error if a primitive were removed, for each primitive.
     pub costs: Vec<f32>,
-    /// Others, with the drop of the squared error that each is estimated to bring; best first.
-    pub others: Vec<(PackedGaussian, f32)>,
+    /// Candidates with the estimated decrease of the squared error, best first.
+    pub candidates: Vec<(PackedGaussian, f32)>,
 }
 
-/// Returns what `gaussians` are worth, and at most `count` others.
+/// Returns the worth of `gaussians`, and at most `count` candidates.
 pub(crate) fn worth(descent: &mut Descent<'_>, gaussians: &[PackedGaussian], count: usize) -> Worth {
-    let current = descent.seen(gaussians);
+    let current = descent.visible(gaussians);
     let Descent { problem, quantizer, field, .. } = descent;
     field.draw(problem, &current, RowSet::ALL, Output::Picture);
     let costs = removal::costs(problem, field, RowSet::ALL, &current[..gaussians.len()]);
-    let others = match count {
+    let candidates = match count {
         0 => Vec::new(),
         _ => peaks::peaks(problem, field, RowSet::ALL, count, gaussians.len()),
     };
-    let other = |peak| quantizer.quantize(&peaks::at_peak(peak, problem).to_gaussian());
-    Worth { costs, others: others.iter().map(|peak| (other(peak), peak.gain)).collect() }
+    let quantized = |peak| quantizer.quantize(&peaks::at_peak(peak, problem).to_gaussian());
+    Worth { costs, candidates: candidates.iter().map(|peak| (quantized(peak), peak.gain)).collect() }
 }

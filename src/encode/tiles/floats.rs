@@ -86,14 +86,14 @@ pub(super) fn join(
         all.into_iter().map(|p| moved(p, window.seen.origin().map(|v| -v))).collect()
     };
     let mut state = State::new(local(own), Bounds::new(window.seen.size[0], window.seen.size[1]));
-    state.still = local(others);
+    state.frozen = local(others);
     let from = if pass > 0 { JOINED[pass - 1].0 } else { ALONE };
     let to = JOINED[pass].0;
     let mut watcher = Shown { show, from, to, price: None };
     let rng = multi_start::random(&plan);
     schedule::run(&job, &mut state, (rng, share(from, plan.iterations)..share(to, plan.iterations)), &mut watcher)?;
     state.keep_best()?;
-    let seen = [&state.primitives[..], &state.still].concat();
+    let seen = [&state.primitives[..], &state.frozen].concat();
     let error = error_within(&problem, &project::all(&seen, problem.scene.height), window.own(), Output::Picture);
     let placed = |p: &Primitive| Placed { what: moved(*p, window.seen.origin()), cost: 0.0 };
     Ok(TileResult { own: state.primitives.iter().map(placed).collect(), others: Vec::new(), error })

@@ -56,8 +56,8 @@ impl<'a> Part<'a> {
     pub(super) fn error(self) -> Result<f64> {
         let target = self.global.planes(&self.window.seen)?;
         let problem = Problem { scene: self.scene(), target: &target };
-        let descent = Descent::new(problem, &self.quantizer, Field::default()).beside(self.still);
-        Ok(error_within(&problem, &descent.seen(&self.splats.gaussians), self.window.own(), Output::Gradient))
+        let descent = Descent::new(problem, &self.quantizer, Field::default()).with_frozen(self.still);
+        Ok(error_within(&problem, &descent.visible(&self.splats.gaussians), self.window.own(), Output::Gradient))
     }
 
     /// Sweeps once over the integers, where a bit must save `lambda` of the squared error. The error that is returned
@@ -66,14 +66,14 @@ impl<'a> Part<'a> {
         let target = self.global.planes(&self.window.seen)?;
         let problem = Problem { scene: self.scene(), target: &target };
         let expected = file::expected(&mut self.splats, 1)?;
-        let mut descent = Descent::new(problem, &self.quantizer, Field::default()).beside(self.still);
+        let mut descent = Descent::new(problem, &self.quantizer, Field::default()).with_frozen(self.still);
         let lambda = lambda as f32;
         let mut own = self.splats.gaussians;
         descent.sweep(&mut own, &expected, lambda);
-        let error = error_within(&problem, &descent.seen(&own), self.window.own(), Output::Gradient);
+        let error = error_within(&problem, &descent.visible(&own), self.window.own(), Output::Gradient);
         // The number of primitives under a detail layer is never corrected.
         let worth = match self.global.settings.is_base {
-            true => Worth { costs: vec![0.0; own.len()], others: Vec::new() },
+            true => Worth { costs: vec![0.0; own.len()], candidates: Vec::new() },
             false => size::worth(&mut descent, &own, others(own.len())),
         };
         let global = |p: &PackedGaussian| moved(p, &self.quantizer, self.window.seen.corner, Move::Out);
@@ -85,7 +85,7 @@ impl<'a> Part<'a> {
         };
         Ok(TileResult {
             own: own.iter().zip(worth.costs).map(placed).collect(),
-            others: worth.others.iter().filter(|(p, _)| is_own(p)).map(|(p, gain)| placed((p, *gain))).collect(),
+            others: worth.candidates.iter().filter(|(p, _)| is_own(p)).map(|(p, gain)| placed((p, *gain))).collect(),
             error,
         })
     }

@@ -6,7 +6,7 @@ use crate::fit::model::objective::rows::RowSet;
 use crate::gaussian::CUTOFF;
 use crate::strict_math::StrictMath;
 
-/// Bounds that every step respects.
+/// Bounds on the parameters, enforced after every step.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bounds {
     pub size: [f32; 2],
@@ -26,7 +26,7 @@ impl Bounds {
         }
     }
 
-    /// Brings `p` within the bounds.
+    /// Clamps `p` to the bounds.
     pub(crate) fn apply(&self, p: &mut Primitive) {
         for (m, s) in p.mean.iter_mut().zip(self.size) {
             *m = m.clamp(0.0, s);
@@ -40,14 +40,14 @@ impl Bounds {
     }
 }
 
-/// Step sizes.
+/// Step sizes, in the local frame of each Gaussian.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rates {
     pub mean: f32,
     pub log_scale: f32,
     pub rotation: f32,
     pub color: f32,
-    /// Shares of the first and second moments that a step keeps: Adam's `β₁` and `β₂`.
+    /// Decay rates of the first and second moments: Adam's `β₁` and `β₂`.
     pub decay: [f32; 2],
 }
 
@@ -63,8 +63,8 @@ impl Rates {
     }
 }
 
-/// Returns the shares of the first and second moments that a step keeps, in a fit of so many steps. In short fits each
-/// step goes further, so that gradients of earlier steps are out of date sooner.
+/// Returns the decay rates of the first and second moments for a fit of `steps` steps. In short fits each step goes
+/// further, so earlier gradients become outdated sooner.
 pub(crate) fn decay(steps: f32) -> [f32; 2] {
     match steps {
         ..150.0 => [0.7, 0.9],
@@ -77,21 +77,21 @@ pub(crate) fn decay(steps: f32) -> [f32; 2] {
 /// Gaussians pile up where the picture is smooth.
 const PRICE: f64 = 1e-3;
 
-/// Pixels for each primitive from which on the whole price is asked. Smaller ones cost what they cost by their number, and
-/// texture suffers where they are held back.
-const ROOMY: f64 = 128.0;
+/// Pixels per primitive from which on the full price applies. Where primitives are denser, their number already limits
+/// their size, and a higher price would harm texture.
+const FULL_PRICE_PIXELS: f64 = 128.0;
 
-/// Half the price for a Gaussian of scales 1 where `count` of them have the squared error `error` over the rows `rows` of a
-/// picture: like the gradients, of half the squared error.
+/// Returns half the price for a Gaussian of scales 1, where `count` Gaussians have the squared error `error` over the
+/// rows `rows`. It is half the price because gradients are those of half the squared error.
 pub(crate) fn price(error: f64, [width, height]: [u32; 2], rows: RowSet, count: usize) -> f32 {
     let pixels = |rows: u64| rows as f64 * f64::from(width);
-    let room = pixels(height.into()) / count.max(1) as f64;
+    let pixels_each = pixels(height.into()) / count.max(1) as f64;
     let support = std::f64::consts::PI * f64::from(CUTOFF) * f64::from(CUTOFF);
     let error = error / pixels(rows.count(height) as u64).max(1.0);
-    (0.5 * PRICE * (room / ROOMY).min(1.0) * support * error) as f32
+    (0.5 * PRICE * (pixels_each / FULL_PRICE_PIXELS).min(1.0) * support * error) as f32
 }
 
-/// Which parameters of a primitive may move.
+/// The parameters of a primitive that may change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Freedom {
     #[default]
@@ -101,20 +101,20 @@ pub(crate) enum Freedom {
 
 /// First and second moments of one primitive's gradient.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Memory {
+pub(crate) struct AdamMoments {
     first: [f32; 9],
     second: [f32; 9],
 }
 
-/// Returns what the moments of step `iteration`, counted from 0, are divided by: they start at 0.
+/// Returns the divisors that correct the bias of the moments at step `iteration`, counted from 0.
 pub(crate) fn corrections(decay: [f32; 2], iteration: u32) -> [f32; 2] {
     decay.map(|d| 1.0 - d.powi(iteration as i32 + 1))
 }
 
-/// Moves a primitive one step against its gradient `g`, in the frame that it has before.
+/// Moves a primitive one step against its gradient `g`, in the frame that it has before the step.
 pub(crate) fn update(
     p: &mut Primitive,
-    m: &mut Memory,
+    m: &mut AdamMoments,
     g: &Gradient,
     free: Freedom,
     bounds: &Bounds,

@@ -1,5 +1,5 @@
-//! The parts of a fit: primitives and their projection, the picture as planes, its errors and gradients, and the places
-//! where it lacks something.
+//! The building blocks of a fit: primitives and their projection, the target as planes, errors and gradients, and the
+//! places where primitives are missing.
 
 pub(crate) mod adam;
 pub mod drawing;

@@ -1,14 +1,14 @@
-//! The problem that a fit solves: a picture, and how primitives are to make it.
+//! The problem that a fit solves: a target picture, and how primitives are rendered.
 
 use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::objective::rows::RowSet;
 use crate::gaussian::Blend;
 use crate::strict_math::StrictMath;
 
-/// Pixels of a large picture: smaller ones are done soon enough.
+/// Number of pixels from which on a picture counts as large. Smaller pictures are fast enough to process completely.
 pub const LARGE_PIXELS: u64 = 1 << 21;
 
-/// How primitives make a picture: its size, their blend and the background.
+/// How primitives are rendered: picture size, blend and background.
 #[derive(Debug, Clone, Copy)]
 pub struct Scene {
     pub width: u32,
@@ -18,7 +18,7 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Tells whether the picture is so large that looks at it leave rows out.
+    /// Returns whether the picture is so large that passes over it skip rows.
     pub fn is_large(&self) -> bool {
         self.pixels() >= LARGE_PIXELS
     }
@@ -28,21 +28,21 @@ impl Scene {
         u64::from(self.width) * u64::from(self.height)
     }
 
-    /// Returns about the scale of `count` Gaussians, pixels.
+    /// Returns the approximate scale of `count` Gaussians, pixels.
     pub fn typical_scale(&self, count: usize) -> f32 {
         let area = self.width as f32 * self.height as f32;
         0.7 * (area / (std::f32::consts::PI * count.max(1) as f32)).sqrt()
     }
 
-    /// Returns the distance of sampled rows for `count` Gaussians: every one should see a few.
+    /// Returns the distance of sampled rows for `count` Gaussians, such that each Gaussian covers a few.
     pub fn row_step(&self, count: usize) -> u32 {
-        // Sampling few rows of large Gaussians would save more, but each of a few primitives matters.
+        // Sampling fewer rows for large Gaussians would save more time, but each of a few primitives matters.
         let typical = self.typical_scale(count);
         (f32::min(0.9 * typical, 1.6 * typical.strict_powf(0.6)) as u32).clamp(1, 16).min(self.height)
     }
 }
 
-/// A picture, and how primitives are to make it.
+/// A target picture, and how primitives are rendered.
 #[derive(Debug, Clone, Copy)]
 pub struct Problem<'a> {
     pub scene: Scene,

@@ -1,11 +1,11 @@
-//! Image-sized planes: `Σ w c` and `Σ w` summed over primitives, then turned into what the fit needs of them.
+//! Accumulates primitives into image-sized planes: sums `Σ w c` and `Σ w`, then the picture or its gradients.
 //!
-//! Only the rows of a [`RowSet`] are kept, so that stochastic gradients over one row in `n` cost a fraction of the
-//! time and of the memory.
+//! Only the rows of a [`RowSet`] are stored, so that stochastic gradients on every `n`th row cost a fraction of the
+//! time and memory.
 
 use crate::fit::model::drawing::kernel;
 use crate::fit::model::drawing::project::{self, Frames, Primitive, Projected};
-use crate::fit::model::drawing::strips::{Planned, Strips};
+use crate::fit::model::drawing::strips::{PlannedStrip, Strips};
 use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
@@ -13,31 +13,31 @@ use crate::gaussian::{Blend, EPSILON};
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
 
-/// Sampled rows in one band: the unit of parallel work.
+/// Sampled rows per band. Bands are the unit of parallel work.
 const BAND: usize = 32;
 
-/// The planes.
+/// The planes of one drawing.
 #[derive(Debug, Default)]
 pub struct Field {
     pub planes: Vec<f32>,
     pub stride: usize,
     pub rows: Option<RowSet>,
-    /// Where the primitives are that were drawn last.
+    /// The strips of the primitives that were drawn last.
     pub strips: Strips,
 }
 
-/// Says what a drawing leaves in the planes.
+/// What a drawing leaves in the planes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Output {
     /// `∂L/∂(Σwc)` for each channel and `h = Σ g I` (normalized) or 0 (sum), for the squared error.
     Gradient,
     /// The picture `I` for each channel and `Σ w`.
     Picture,
-    /// `Σ w c` and `Σ w` as they are.
+    /// The plain sums `Σ w c` and `Σ w`.
     Sums,
 }
 
-/// For each band of sampled rows, the primitives that reach into it, in order.
+/// Lists the primitives that reach into each band of sampled rows, in order.
 #[derive(Debug, Default)]
 pub struct Bands {
     starts: Vec<u32>,
@@ -78,8 +78,8 @@ impl Bands {
 }
 
 impl Field {
-    /// Sums `projected` over the rows of `rows` and leaves `output` in the planes. Returns the squared error of the
-    /// clamped picture over those rows: weighted as the target has it for the gradients, plain for
+    /// Draws `projected` on the rows of `rows` and leaves `output` in the planes. Returns the squared error of the
+    /// clamped picture over those rows: weighted by the target's amplitudes for [`Output::Gradient`], unweighted for
     /// [`Output::Picture`], 0 for [`Output::Sums`].
     pub fn draw(&mut self, problem: &Problem<'_>, projected: &[Projected], rows: RowSet, output: Output) -> f64 {
         let Problem { scene, target } = *problem;
@@ -94,14 +94,14 @@ impl Field {
         errors.iter().sum()
     }
 
-    /// Returns what [`Self::draw`] does, of all rows. What is drawn is not kept.
+    /// Returns what [`Self::draw`] returns for all rows, without keeping the drawing.
     pub fn error(&mut self, problem: &Problem<'_>, projected: &[Projected], output: Output) -> f64 {
         self.sum_of_bands(problem, projected, output, 0..problem.scene.height, &|error, _, _| error)
     }
 
-    /// Draws the bands that hold `lines`, and returns the sum of what `value` says of each, given its error, its first line and its planes.
-    /// They are drawn as many at a time as there is memory for already, or one for each thread: the planes of a whole picture are
-    /// several times as large as itself.
+    /// Draws the bands that contain `lines` and returns the sum of `value(error, first line, planes)` over them. The
+    /// number of bands drawn at a time is what fits into the memory already allocated, but at least one per thread,
+    /// because the planes of a whole picture are several times as large as the picture.
     fn sum_of_bands(
         &mut self,
         problem: &Problem<'_>,
@@ -134,8 +134,8 @@ impl Field {
         sum
     }
 
-    /// The gradients of a run of the primitives that were drawn, those from index `start` on, gathered from gradient planes
-    /// over the rows `rows` that they were drawn on.
+    /// Returns the gradients of the drawn primitives from index `start` on, gathered from the gradient planes over the
+    /// rows `rows` that they were drawn on.
     pub fn gather(
         &self,
         channels: usize,
@@ -153,7 +153,7 @@ impl Field {
         }
     }
 
-    /// The planes of sampled row `i`.
+    /// Returns the planes of sampled row `i`.
     #[inline(always)]
     pub fn row(&self, i: usize, channels: usize) -> &[f32] {
         let size = (channels + 1) * self.stride;
@@ -166,8 +166,8 @@ pub fn squared_error(problem: &Problem<'_>, projected: &[Projected]) -> f64 {
     Field::default().error(problem, projected, Output::Picture)
 }
 
-/// Returns the squared error of the clamped picture of `projected` over a part of the pixels, weighted or plain as
-/// [`Field::draw`] has it for `output`.
+/// Returns the squared error of the clamped picture of `projected` within some columns and lines, weighted or
+/// unweighted as [`Field::draw`] does for `output`.
 pub fn error_within(
     problem: &Problem<'_>,
     projected: &[Projected],
@@ -201,7 +201,7 @@ pub fn float_error(problem: &Problem<'_>, primitives: &[Primitive]) -> f64 {
     squared_error(problem, &project::all(primitives, problem.scene.height))
 }
 
-/// Primitives to draw band by band, and the output to leave.
+/// Primitives to draw band by band, and the output to produce.
 #[derive(Clone, Copy)]
 struct Drawing<'a> {
     problem: &'a Problem<'a>,
@@ -225,7 +225,7 @@ impl Drawing<'_> {
     }
 }
 
-/// One band to draw.
+/// A band to draw.
 struct BandTask<'a, const C: usize> {
     drawing: &'a Drawing<'a>,
     b: usize,
@@ -235,7 +235,7 @@ struct BandTask<'a, const C: usize> {
 /// A primitive to add to a band.
 struct SplatTask<'a, const C: usize> {
     p: &'a Projected,
-    strips: &'a [Planned],
+    strips: &'a [PlannedStrip],
     rows: RowSet,
     first: usize,
     width: u32,
@@ -285,11 +285,11 @@ impl<const C: usize> Task for BandTask<'_, C> {
     }
 }
 
-/// Factors of errors before they are squared: of each pixel of a row, and of each channel.
+/// Factors of the errors before they are squared: one per pixel of a row, and one per channel.
 type Amplitudes<'a> = (Option<&'a [f32]>, [f32; 4]);
 
-/// Returns the factors of the errors in row `y` before they are squared, of each pixel and of each channel: 1 for
-/// [`Output::Picture`].
+/// Returns the factors of the errors in row `y` before they are squared, per pixel and per channel. For
+/// [`Output::Picture`] they are 1.
 #[inline(always)]
 fn amplitudes(target: &Planes, y: u32, output: Output) -> Amplitudes<'_> {
     match output {
@@ -354,15 +354,15 @@ fn resolve_row<S: Simd, const C: usize>(
         }
         x += LANES;
     }
-    // Strips may overhang the row's end: what lies there must not count.
+    // Strips may overhang the end of the row. Values there must not count.
     for plane in row.chunks_exact_mut(stride) {
         plane[x..].fill(0.0);
     }
     f64::from(simd.sum(error))
 }
 
-/// The gradient of half the squared error with respect to one primitive, gathered from gradient planes, in the
-/// primitive's whitened frame: mean along its own axes in units of its own scales, log-scales, rotation, colour.
+/// Returns the gradient of half the squared error for one primitive, gathered from the gradient planes, in the
+/// primitive's whitened frame: the mean along its own axes in units of its scales, log-scales, rotation, and colour.
 #[inline(always)]
 fn gather<S: Simd, const C: usize>(simd: S, one: MomentsTask<'_, C>, frame: Frame) -> Gradient {
     let m = simd.call(one);
@@ -371,13 +371,13 @@ fn gather<S: Simd, const C: usize>(simd: S, one: MomentsTask<'_, C>, frame: Fram
     gradient
 }
 
-/// The moments of a primitive.
+/// Computes the moments of a primitive.
 struct MomentsTask<'a, const C: usize> {
     field: &'a Field,
     rows: RowSet,
     width: u32,
     p: &'a Projected,
-    strips: &'a [Planned],
+    strips: &'a [PlannedStrip],
 }
 
 impl<const C: usize> Task for MomentsTask<'_, C> {
@@ -390,7 +390,7 @@ impl<const C: usize> Task for MomentsTask<'_, C> {
     }
 }
 
-/// The gradients of a run of primitives.
+/// Computes the gradients of consecutive primitives.
 struct GatherTask<'a, const C: usize> {
     field: &'a Field,
     rows: RowSet,
@@ -427,21 +427,22 @@ pub struct Gradient {
     pub log_scale: [f32; 2],
     pub rotation: f32,
     pub color: [f32; 4],
-    /// That frame.
+    /// The frame that the gradient is expressed in.
     pub frame: Frame,
 }
 
-/// The frame of a primitive.
+/// The local frame of a primitive.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Frame {
-    /// Its scales.
+    /// The scales of the primitive.
     pub scale: [f32; 2],
     /// Sine and cosine of its rotation.
     pub turn: (f32, f32),
 }
 
 impl Gradient {
-    /// From `Σ t` times `dx`, `dy`, `dx²`, `dx dy` and `dy²`, where `t` is the gradient with respect to the exponent.
+    /// Computes the gradient from the sums of `t` times `dx`, `dy`, `dx²`, `dx dy` and `dy²`, where `t` is the gradient
+    /// with respect to the exponent.
     #[inline(always)]
     pub fn from_moments([m10, m01, m20, m11, m02]: [f32; 5], frame: Frame) -> Self {
         let Frame { scale: [sx, sy], turn: (sin, cos) } = frame;
@@ -467,7 +468,7 @@ mod tests {
     use crate::pixels::{Pixels, Samples};
 
     #[test]
-    fn an_error_is_the_same_whether_what_is_drawn_is_kept_or_not() {
+    fn the_error_is_the_same_with_and_without_keeping_the_drawing() {
         // The last band is shorter than the others.
         let (width, height) = (45, 3 * BAND as u32 + 5);
         for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {

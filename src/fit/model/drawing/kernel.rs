@@ -1,28 +1,29 @@
-//! The inner loops of the fit: forward (weights into planes) and backward (planes into moments), eight columns at a time
-//! down runs of rows as the decoder draws, by recurrence. Rows are padded by as much, since the last strip may overhang.
+//! The inner loops of the fit: forward (weights into planes) and backward (planes into moments). They process eight
+//! columns at a time and walk down runs of rows by recurrence, as the decoder does. Rows are padded by eight samples,
+//! because the last strip may overhang.
 
-use crate::fit::model::drawing::project::{Lines, Projected};
-use crate::fit::model::drawing::strips::{self, Planned};
+use crate::fit::model::drawing::project::{ColumnSupport, Projected};
+use crate::fit::model::drawing::strips::{self, PlannedStrip};
 use crate::fit::model::objective::rows::RowSet;
 use crate::gaussian::CUTOFF_WEIGHT;
 use crate::simd::{self, Simd};
 use crate::strict_math::StrictMath;
 
-/// Sampled rows at most that the recurrence walks down before it starts afresh, which bounds its drift: relative errors
-/// of 2⁻²⁴ in the ratio of rows grow to 7·10⁻⁵ in the last one at most.
+/// Maximum number of sampled rows that the recurrence runs before it restarts. This bounds its drift: relative errors
+/// of 2⁻²⁴ in the ratio of rows grow to at most 7·10⁻⁵ in the last row.
 pub(in crate::fit::model) const RUN: u32 = 32;
 
-/// Largest `−log₂` of a Gaussian that the recurrence may start from, and of the ratio between rows: beyond it f32 would
-/// underflow.
+/// Largest `−log₂` of a Gaussian from which the recurrence may start, and largest `|log₂|` of the ratio between rows.
+/// Beyond it, f32 would underflow.
 const REACH: f32 = 110.0;
 
-/// Least factor between the ratios of neighbouring rows: below it f32 would underflow, too.
-pub(in crate::fit::model) const LEAST_BEND: f32 = 1e-9;
+/// Smallest factor between the ratios of neighbouring rows. Below it, f32 would underflow as well.
+pub(in crate::fit::model) const MIN_BEND: f32 = 1e-9;
 
-/// From the first of eight columns to their middle.
+/// Distance from the first of eight columns to their middle.
 const MIDDLE: f32 = 0.5 * (simd::LANES - 1) as f32;
 
-/// A primitive on rows `step` from each other, `2^((a·dx + b·dy)·dx + c·dy²)`.
+/// A primitive on rows that are `step` pixels apart: `2^((a·dx + b·dy)·dx + c·dy²)`.
 #[derive(Clone, Copy)]
 pub(in crate::fit::model) struct Rows {
     a: f32,
@@ -42,7 +43,7 @@ impl Rows {
         Self::of(p, step, bend)
     }
 
-    /// Returns `p` on rows `step` pixels from each other, where the factor `bend` between their ratios is known.
+    /// Returns `p` on rows that are `step` pixels apart, with the known factor `bend` between their ratios.
     #[inline(always)]
     pub fn of(p: &Projected, step: f32, bend: f32) -> Self {
         const L2E: f32 = std::f32::consts::LOG2_E;
@@ -50,42 +51,42 @@ impl Rows {
         Rows { a: -0.5 * L2E * a, b: -L2E * b, c: -0.5 * L2E * c, step, bend }
     }
 
-    /// The exponent on the row that is `dy` from the centre.
+    /// Returns the exponent at the distance `(dx, dy)` from the centre.
     #[inline(always)]
     fn exponent(&self, dx: f32, dy: f32) -> f32 {
         (self.a * dx + self.b * dy) * dx + self.c * dy * dy
     }
 
-    /// How much the exponent grows from that row to the next.
+    /// Returns by how much the exponent grows from that row to the next.
     #[inline(always)]
     fn growth(&self, dx: f32, dy: f32) -> f32 {
         self.step * (self.b * dx + self.c * (2.0 * dy + self.step))
     }
 
-    /// Whether eight columns from `dx` on may be walked down from `dy` on by recurrence. Exponents are concave along the
-    /// row, so their least is at an end.
+    /// Returns whether the recurrence is safe for eight columns from `dx` on, starting at `dy`. Exponents are concave
+    /// along the row, so their minimum is at one of its ends.
     #[inline(always)]
-    pub fn are_mild(&self, dx: f32, dy: f32) -> bool {
+    pub fn is_recurrence_safe(&self, dx: f32, dy: f32) -> bool {
         let last = dx + (simd::LANES - 1) as f32;
         self.exponent(dx, dy).min(self.exponent(last, dy)) > -REACH
             && self.growth(dx, dy).abs().max(self.growth(last, dy).abs()) < REACH
-            && self.bend > LEAST_BEND
+            && self.bend > MIN_BEND
     }
 
-    /// The ratio of the next row to the one at `dy`.
+    /// Returns the ratio of the next row to the one at `dy`.
     #[inline(always)]
     pub fn ratio<S: Simd>(&self, simd: S, dx: S::Vector, dy: f32) -> S::Vector {
         let growth = self.step * self.c * (2.0 * dy + self.step);
         simd.exp2(simd.add(simd.mul(simd.splat(self.step * self.b), dx), simd.splat(growth)))
     }
 
-    /// How the ratio of rows differs in eight columns from that in their middle.
+    /// Returns the factors from the ratio of rows in the middle of eight columns to that in each column.
     #[inline(always)]
     pub fn tilt<S: Simd>(&self, simd: S) -> S::Vector {
         simd.exp2(simd.mul(simd.splat(self.step * self.b), simd.sub(simd.index(), simd.splat(MIDDLE))))
     }
 
-    /// The Gaussian at distance `dy` from the centre.
+    /// Returns the Gaussian at the distances `dx` and `dy` from the centre.
     #[inline(always)]
     pub fn at<S: Simd>(&self, simd: S, dx: S::Vector, dy: f32) -> S::Vector {
         let slope = simd.add(simd.mul(simd.splat(self.a), dx), simd.splat(self.b * dy));
@@ -93,27 +94,27 @@ impl Rows {
     }
 }
 
-/// `p` itself at the eight pixels from `x` on, in a row that is `dy` from its centre.
+/// Returns the Gaussian of `p` at the eight pixels from `x` on, in a row at distance `dy` from its centre.
 #[inline(always)]
 pub fn at<S: Simd>(simd: S, p: &Projected, x: usize, dy: f32) -> S::Vector {
     let dx = simd.add(simd.index(), simd.splat(x as f32 - p.center[0]));
     Rows::new(p, 1.0).at(simd, dx, dy)
 }
 
-/// Eight columns side by side.
+/// Eight adjacent columns.
 #[derive(Clone, Copy)]
 pub struct Strip<S: Simd> {
-    /// The first of them.
+    /// The first column.
     pub x: usize,
-    /// Their distances from the centre.
+    /// Distances of the columns from the centre.
     pub dx: S::Vector,
-    /// Threshold that the Gaussian has to exceed to count: [`CUTOFF_WEIGHT`]. Columns that are not to be visited have
-    /// one that no Gaussian exceeds.
+    /// Threshold that the Gaussian must exceed to count: [`CUTOFF_WEIGHT`], or for excluded columns a value that no
+    /// Gaussian exceeds.
     pub edge: S::Vector,
 }
 
 impl<S: Simd> Strip<S> {
-    /// The columns from `x` on, of which those from `end` on are not to be visited.
+    /// Returns the columns from `x` on. Columns from `end` on are excluded.
     #[inline(always)]
     pub(in crate::fit::model) fn new(simd: S, p: &Projected, x: usize, end: usize) -> Self {
         let mut edge = simd.splat(CUTOFF_WEIGHT);
@@ -127,70 +128,77 @@ impl<S: Simd> Strip<S> {
 
 /// An operation on the pixels of one primitive.
 pub trait Visit<S: Simd> {
-    /// Row `i` of those that are visited, at distance `dy` from the centre, where the Gaussian is `g`; it may be less than
-    /// the edge.
+    /// Processes row `i` of the visited rows, at distance `dy` from the centre. `g` is the Gaussian there, which may be
+    /// below the threshold of the strip.
     fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, dy: S::Vector);
 
-    /// After a run of rows of a strip, `step` from each other: the next one would be `dy` from the centre.
+    /// Called after a run of rows of a strip that are `step` apart. The next row would be at distance `dy` from the
+    /// centre.
     #[inline(always)]
     fn leave(&mut self, _simd: S, _strip: &Strip<S>, _dy: f32, _step: f32) {}
 }
 
-/// Eight strips side by side, where the support may lie on them: one at a time, finding its rows would take longer than
-/// visiting them.
-pub(in crate::fit::model) struct Cut {
-    /// The first row of each strip that the support reaches, and the one after the last.
+/// Eight adjacent strips and the rows on which they may intersect the support. They are computed together, because
+/// finding the rows of a single strip would take longer than visiting them.
+pub(in crate::fit::model) struct StripBlock {
+    /// The first row in which the support reaches each strip.
     pub first: [u32; simd::LANES],
     pub end: [u32; simd::LANES],
-    /// The distance of the first from the centre.
+    /// The distance of the first row from the centre.
     pub start: [f32; simd::LANES],
-    /// Above 0 where the first row may start a recurrence.
-    pub mildness: [f32; simd::LANES],
+    /// Positive if the recurrence may start in the first row.
+    pub safety: [f32; simd::LANES],
     /// The ratio of the second row to the first, in the middle of each strip.
     pub ratios: [f32; simd::LANES],
 }
 
-impl Cut {
-    /// Strips from `dx` on, in `count` rows, the first of them at `dy`.
+impl StripBlock {
+    /// Computes the strips from `dx` on, over `count` rows of which the first is at `dy`.
     #[inline(always)]
-    pub fn new<S: Simd>(simd: S, rows: &Rows, lines: &Lines, dx: f32, (dy, count): (f32, usize)) -> Self {
+    pub fn new<S: Simd>(
+        simd: S,
+        rows: &Rows,
+        column_support: &ColumnSupport,
+        dx: f32,
+        (dy, count): (f32, usize),
+    ) -> Self {
         let (zero, all) = (simd.splat(0.0), simd.splat(count as f32));
         let left = simd.add(simd.mul(simd.index(), simd.splat(simd::LANES as f32)), simd.splat(dx));
         let right = simd.add(left, simd.splat((simd::LANES - 1) as f32));
         let (steps, shift) = (simd.splat(1.0 / rows.step), simd.splat(dy));
-        // The first row is counted from below, as rounding down then rounds it up.
-        let top = simd.mul(simd.sub(lines.edge(simd, [left, right], -1.0), shift), steps);
+        // The first row is counted from below, so that rounding down there rounds it up.
+        let top = simd.mul(simd.sub(column_support.edge(simd, [left, right], -1.0), shift), steps);
         let above = simd.floor(simd.sub(all, simd.min(simd.max(top, zero), all)));
-        let bottom = simd.mul(simd.sub(lines.edge(simd, [left, right], 1.0), shift), steps);
+        let bottom = simd.mul(simd.sub(column_support.edge(simd, [left, right], 1.0), shift), steps);
         let end = simd.floor(simd.min(simd.max(simd.add(bottom, simd.splat(1.0)), zero), all));
         let (mut first, mut start) = ([0; simd::LANES], [0.0; simd::LANES]);
         for k in 0..simd::LANES {
             first[k] = count as u32 - above[k];
             start[k] = dy + rows.step * first[k] as f32;
         }
-        // As `exponent`, `growth` and `are_mild` have it.
+        // The same formulas as in `exponent`, `growth` and `is_recurrence_safe`.
         let y = simd.vector(start);
         let (a, b, slope) = (simd.splat(rows.a), simd.splat(rows.b), simd.mul(simd.splat(rows.b), y));
         let square = simd.mul(simd.mul(simd.splat(rows.c), y), y);
         let (step, twice) = (simd.splat(rows.step), simd.add(y, y));
         let bend = simd.mul(simd.splat(rows.c), simd.add(twice, step));
-        let (mut least, mut most) = (simd.splat(f32::INFINITY), zero);
+        let (mut least, mut largest) = (simd.splat(f32::INFINITY), zero);
         for dx in [left, right] {
             let exponent = simd.add(simd.mul(simd.add(simd.mul(a, dx), slope), dx), square);
             let growth = simd.mul(step, simd.add(simd.mul(b, dx), bend));
             least = simd.min(exponent, least);
-            most = simd.max(simd.max(growth, simd.sub(zero, growth)), most);
+            largest = simd.max(simd.max(growth, simd.sub(zero, growth)), largest);
         }
         let reach = simd.splat(REACH);
-        let mildness = simd.min(simd.add(least, reach), simd.sub(reach, most));
+        let safety = simd.min(simd.add(least, reach), simd.sub(reach, largest));
         let middle = simd.add(left, simd.splat(MIDDLE));
         let growth = simd.mul(step, simd.add(simd.mul(b, middle), bend));
-        Cut { first, end, start, mildness: simd.to_array(mildness), ratios: simd.to_array(simd.exp2(growth)) }
+        StripBlock { first, end, start, safety: simd.to_array(safety), ratios: simd.to_array(simd.exp2(growth)) }
     }
 }
 
-/// Visits the pixels of `p` in `count` rows, the first of them `dy` from the centre, the others `step` from each other. Of
-/// those outside `columns` the last strip may hold some, with an edge that nothing exceeds.
+/// Visits the pixels of `p` in `count` rows that are `step` apart, the first at distance `dy` from the centre. The last
+/// strip may contain columns outside `columns`; their threshold excludes them.
 #[inline(always)]
 pub fn walk<S: Simd>(
     simd: S,
@@ -202,25 +210,25 @@ pub fn walk<S: Simd>(
     if count == 0 {
         return;
     }
-    let (rows, lines) = (Rows::new(p, step), p.lines());
+    let (rows, column_support) = (Rows::new(p, step), p.column_support());
     let (left, right) = p.columns(dy, dy + step * (count - 1) as f32);
     let right = right.min(columns.end);
     let mut x = left.max(columns.start);
     let (tilt, bend) = (rows.tilt(simd), simd.splat(rows.bend));
     while x < right {
-        let cut = Cut::new(simd, &rows, &lines, x as f32 - p.center[0], (dy, count));
+        let cut = StripBlock::new(simd, &rows, &column_support, x as f32 - p.center[0], (dy, count));
         let strips = simd::LANES.min((right - x).div_ceil(simd::LANES));
         for k in 0..strips {
             let (mut first, end) = (cut.first[k], cut.end[k]);
             let x = x + k * simd::LANES;
             let start = x as f32 - p.center[0];
             let strip = Strip::new(simd, p, x, columns.end);
-            let (mut dy, mut is_mild) = (cut.start[k], cut.mildness[k] > 0.0 && rows.bend > LEAST_BEND);
+            let (mut dy, mut is_safe) = (cut.start[k], cut.safety[k] > 0.0 && rows.bend > MIN_BEND);
             let (mut g, mut ratio) = (rows.at(simd, strip.dx, dy), simd.mul(tilt, simd.splat(cut.ratios[k])));
             while first < end {
                 let last = end.min(first + RUN);
                 let (mut y, down) = (simd.splat(dy), simd.splat(step));
-                if is_mild {
+                if is_safe {
                     for i in first..last {
                         visitor.pixels(simd, &strip, i as usize, g, y);
                         g = simd.mul(g, ratio);
@@ -238,7 +246,7 @@ pub fn walk<S: Simd>(
                 visitor.leave(simd, &strip, dy, step);
                 first = last;
                 if first < end {
-                    is_mild = rows.are_mild(start, dy);
+                    is_safe = rows.is_recurrence_safe(start, dy);
                     (g, ratio) = (rows.at(simd, strip.dx, dy), rows.ratio(simd, strip.dx, dy));
                 }
             }
@@ -247,7 +255,7 @@ pub fn walk<S: Simd>(
     }
 }
 
-/// Visits the pixels of `p` in the sampled rows with the indices `range`.
+/// Visits the pixels of `p` in the sampled rows with indices in `range`.
 #[inline(always)]
 pub fn walk_rows<S: Simd>(
     simd: S,
@@ -260,7 +268,7 @@ pub fn walk_rows<S: Simd>(
     walk(simd, p, (dy, rows.step as f32, range.len()), 0..width as usize, visitor);
 }
 
-/// The colour of `p`, each channel in all lanes.
+/// Returns the colour of `p`, each channel in all lanes.
 #[inline(always)]
 pub fn colors<S: Simd, const C: usize>(simd: S, p: &Projected) -> [S::Vector; C] {
     let mut colors = [simd.splat(0.0); C];
@@ -270,10 +278,11 @@ pub fn colors<S: Simd, const C: usize>(simd: S, p: &Projected) -> [S::Vector; C]
     colors
 }
 
-/// Adds the weights of `p`, times `sign`, to sums: times its colour to `C` planes, and as they are to a last one.
+/// Adds the weights of `p`, times `sign`, to sums: multiplied by its colour to `C` planes, and unmultiplied to the last
+/// plane.
 ///
-/// `planes` holds the sampled rows from index `first` on, each `C + 1` planes of `stride` floats. Rows that are not there
-/// are left out.
+/// `planes` holds the sampled rows from index `first` on, each with `C + 1` planes of `stride` floats. Rows that it
+/// does not hold are skipped.
 #[inline(always)]
 pub fn splat<S: Simd, const C: usize>(
     simd: S,
@@ -299,11 +308,11 @@ pub fn splat<S: Simd, const C: usize>(
     walk_rows(simd, p, (rows, from..end), width, &mut deposit);
 }
 
-/// Adds the weights of a primitive, whose strips are known, to sums, as [`splat`] does with a sign of 1.
+/// Adds the weights of a primitive with precomputed strips to sums, like [`splat`] with a sign of 1.
 #[inline(always)]
 pub(crate) fn splat_planned<S: Simd, const C: usize>(
     simd: S,
-    (p, strips): (&Projected, &[Planned]),
+    (p, strips): (&Projected, &[PlannedStrip]),
     (rows, first): (RowSet, usize),
     width: u32,
     (planes, stride): (&mut [f32], usize),
@@ -315,7 +324,7 @@ pub(crate) fn splat_planned<S: Simd, const C: usize>(
 
 /// Adds weights to sums.
 struct Deposit<'a, S: Simd, const C: usize> {
-    /// Times the sign.
+    /// The colour, multiplied by the sign.
     color: [S::Vector; C],
     sign: S::Vector,
     planes: &'a mut [f32],
@@ -336,7 +345,7 @@ impl<S: Simd, const C: usize> Visit<S> for Deposit<'_, S, C> {
     }
 }
 
-/// Sums over the support that make up a primitive's gradient.
+/// Sums over the support from which a primitive's gradient follows.
 #[derive(Clone, Copy)]
 pub struct Moments<const C: usize> {
     /// `Σ w g` for each channel.
@@ -345,8 +354,8 @@ pub struct Moments<const C: usize> {
     pub geometry: [f32; 5],
 }
 
-/// The moments of `p` over the gradient planes of all its sampled rows: for each, `C` of `∂L/∂(Σwc)`, then `h`, `stride`
-/// floats each.
+/// Returns the moments of `p` over the gradient planes of all its sampled rows. Each row has `C` planes of `∂L/∂(Σwc)`,
+/// then `h`, with `stride` floats each.
 #[cfg(any(test, feature = "unstable"))]
 #[inline(always)]
 pub fn gather<S: Simd, const C: usize>(
@@ -362,12 +371,11 @@ pub fn gather<S: Simd, const C: usize>(
     gather.moments(simd)
 }
 
-/// Returns the moments of `p` over the gradient planes of the sampled rows in `planes`, on strips that are known
-/// already.
+/// Returns the moments of `p` over the gradient planes of the sampled rows in `planes`, on precomputed strips.
 #[inline(always)]
 pub(crate) fn gather_planned<S: Simd, const C: usize>(
     simd: S,
-    (p, strips): (&Projected, &[Planned]),
+    (p, strips): (&Projected, &[PlannedStrip]),
     rows: RowSet,
     width: u32,
     (planes, stride): (&[f32], usize),
@@ -378,17 +386,17 @@ pub(crate) fn gather_planned<S: Simd, const C: usize>(
     gather.moments(simd)
 }
 
-/// Sums moments.
+/// Accumulates moments.
 struct Gather<'a, S: Simd, const C: usize> {
     color: [S::Vector; C],
     planes: &'a [f32],
     stride: usize,
     colors: [S::Vector; C],
     geometry: [S::Vector; 5],
-    /// Sums of `w g` over a run of rows. Sums that begin and end with a run are held in registers.
+    /// Sums of `w g` over a run of rows. Sums that start and end with a run stay in registers.
     shades: [S::Vector; C],
-    /// Sums of `e v` over a run of rows: its sum up to the present row, the sum of those sums, and the sum of these.
-    /// They take three additions a row. After the run its moments along `dy` follow from them.
+    /// Three nested running sums of `e v` over a run of rows: the sum, the sum of these sums, and the sum of those.
+    /// They take three additions per row, and the moments along `dy` follow from them at the end of the run.
     sums: [S::Vector; 3],
 }
 
@@ -417,7 +425,7 @@ impl<S: Simd, const C: usize> Visit<S> for Gather<'_, S, C> {
     #[inline(always)]
     fn pixels(&mut self, simd: S, strip: &Strip<S>, i: usize, g: S::Vector, _dy: S::Vector) {
         let row = &self.planes[i * (C + 1) * self.stride + strip.x..][..C * self.stride + simd::LANES];
-        // Columns may lie outside the support, where both the weight and its derivative are 0.
+        // Some columns may lie outside the support, where both the weight and its derivative are 0.
         let e = simd.keep_above(g, g, strip.edge);
         let w = simd.max(simd.sub(g, strip.edge), simd.splat(0.0));
         let mut v = simd.splat(0.0);
@@ -439,8 +447,8 @@ impl<S: Simd, const C: usize> Visit<S> for Gather<'_, S, C> {
             self.colors[k] = simd.add(self.colors[k], self.shades[k]);
             self.shades[k] = simd.splat(0.0);
         }
-        // Row `j` of `n`, at `dy − (n − j)·step`, is in `n − j` of the second sums and in half of `(n − j)(n − j + 1)` of the
-        // third ones.
+        // Row `j` of `n`, at `dy − (n − j)·step`, is counted `n − j` times in the second sum and `(n − j)(n − j + 1) /
+        // 2` times in the third.
         let [t, linear, triangular] = std::mem::replace(&mut self.sums, [simd.splat(0.0); 3]);
         let square = simd.sub(simd.add(triangular, triangular), linear);
         let ty = simd.sub(simd.mul(simd.splat(dy), t), simd.mul(simd.splat(step), linear));
@@ -467,7 +475,7 @@ mod tests {
     const HEIGHT: u32 = 71;
     const STRIDE: usize = 96;
 
-    /// Round ones, needles, giants and such as are narrower than a pixel, in and beside the picture.
+    /// Round, needle-like, huge and subpixel primitives, inside and beside the picture.
     fn primitives() -> Vec<Primitive> {
         (0..600u32)
             .map(|i| {
@@ -510,7 +518,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_are_those_of_f64_for_round_and_stiff_shapes() {
+    fn weights_match_f64_for_round_and_stiff_shapes() {
         for (i, p) in primitives().iter().enumerate() {
             let rows = row_sets()[i % 3];
             let projected = Projected::new(p, HEIGHT);
@@ -526,13 +534,15 @@ mod tests {
                     let e = (-0.5 * (u * u + v * v)).exp();
                     let want = if x < WIDTH as usize { (e - f64::from(CUTOFF_WEIGHT)).max(0.0) } else { 0.0 };
                     let found = planes[(r * 4 + 3) * STRIDE + x];
-                    // The exponent's terms cancel: up to `(dx² + dy²)/s₂²` in units of f32's last place.
+                    // The terms of the exponent cancel: the error is up to `(dx² + dy²)/s₂²` units in the last place of
+                    // f32.
                     let size = ((dx * dx + dy * dy) / (s2 * s2)).min(400.0 * f64::from(CUTOFF).powi(2));
-                    // `exp2` is off by 2·10⁻⁷ in either factor of the first ratio, and each row rounds the ratio and its bend by 2⁻²⁴.
+                    // `exp2` has an error of 2·10⁻⁷ in both factors of the first ratio, and each row rounds the ratio
+                    // and its bend by 2⁻²⁴.
                     let rounding = f64::from(f32::EPSILON) / 2.0;
                     let drift = f64::from(RUN) * (4e-7 + 2.0 * rounding) + f64::from(RUN * RUN) * rounding;
                     let tolerance = drift + 1e-6 + 3e-7 * size;
-                    assert!((f64::from(found) - want).abs() < tolerance, "{p:?} {x} {r}: {found} for {want}");
+                    assert!((f64::from(found) - want).abs() < tolerance, "{p:?} {x} {r}: {found}, expected {want}");
                     let color = planes[(r * 4) * STRIDE + x];
                     assert!((color - 0.8 * found).abs() < 1e-6);
                 }

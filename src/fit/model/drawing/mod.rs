@@ -1,4 +1,4 @@
-//! Primitives on the grid of pixels: their picture, its error and its gradients.
+//! Draws primitives on the pixel grid: their picture, its error and its gradients.
 
 pub mod field;
 pub mod kernel;

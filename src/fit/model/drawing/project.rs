@@ -1,11 +1,11 @@
-//! Primitives in the fit's own coordinates, and their projection to conics and pixel rows.
+//! Primitives in the fit's own parametrization, and their projection to conics and pixel rows.
 
 use crate::gaussian::{CUTOFF, Gaussian};
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
 use crate::strict_math::StrictMath;
 
-/// A primitive while it is fitted: as [`Gaussian`], with the scales as natural logarithms and in no order.
+/// A primitive during the fit: like [`Gaussian`], but with logarithmic scales in any order.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Primitive {
     /// Centre, pixels.
@@ -31,7 +31,7 @@ impl Primitive {
     }
 }
 
-/// Returns the same primitives in a picture `by` times as large.
+/// Returns the same primitives in a picture that is `by` times as large.
 pub fn zoomed(mut primitives: Vec<Primitive>, by: f32) -> Vec<Primitive> {
     for p in &mut primitives {
         p.mean = p.mean.map(|v| v * by);
@@ -40,7 +40,7 @@ pub fn zoomed(mut primitives: Vec<Primitive>, by: f32) -> Vec<Primitive> {
     primitives
 }
 
-/// Projects `primitives` into a picture of so many rows.
+/// Projects `primitives` into a picture of `height` rows.
 pub fn all(primitives: &[Primitive], height: u32) -> Vec<Projected> {
     const CHUNK: usize = 512;
     let mut projected = vec![Projected::default(); primitives.len()];
@@ -68,7 +68,7 @@ impl Task for ProjectTask<'_> {
     }
 }
 
-/// Scales along the axes, and sine and cosine of the rotation, of eight primitives.
+/// Scales, and sines and cosines of the rotations, of eight primitives.
 #[derive(Debug, Clone, Copy)]
 pub struct Frames {
     pub scales: [[f32; LANES]; 2],
@@ -76,7 +76,7 @@ pub struct Frames {
     pub cos: [f32; LANES],
 }
 
-/// Logarithms of scales, and rotations, side by side.
+/// Returns log-scales and rotations as structure of arrays.
 #[inline(always)]
 fn shapes(primitives: &[Primitive]) -> [[f32; LANES]; 3] {
     let mut shapes = [[0.0; LANES]; 3];
@@ -86,7 +86,7 @@ fn shapes(primitives: &[Primitive]) -> [[f32; LANES]; 3] {
     shapes
 }
 
-/// The frames of at most eight primitives.
+/// Returns the frames of at most eight primitives.
 #[inline(always)]
 pub fn frames<S: Simd>(simd: S, primitives: &[Primitive]) -> Frames {
     let [major, minor, rotation] = shapes(primitives);
@@ -95,7 +95,7 @@ pub fn frames<S: Simd>(simd: S, primitives: &[Primitive]) -> Frames {
     Frames { scales, sin: simd.to_array(sin), cos: simd.to_array(cos) }
 }
 
-/// Projects at most eight primitives at once, as [`Projected::from_parts`] does with one.
+/// Projects at most eight primitives at once, like [`Projected::from_parts`] for one.
 #[inline(always)]
 fn project_eight<S: Simd>(simd: S, primitives: &[Primitive], height: u32, out: &mut [Projected]) {
     let [major, minor, rotation] = shapes(primitives);
@@ -130,7 +130,7 @@ fn project_eight<S: Simd>(simd: S, primitives: &[Primitive], height: u32, out: &
     }
 }
 
-/// The rows up to `half` from `center`, of so many.
+/// Returns the rows within `half` of `center`, clamped to `height` rows.
 #[inline(always)]
 fn rows(center: f32, half: f32, height: u32) -> [u32; 2] {
     let first = (center - half).ceil().max(0.0);
@@ -138,20 +138,20 @@ fn rows(center: f32, half: f32, height: u32) -> [u32; 2] {
     [first.min(end) as u32, end as u32]
 }
 
-/// One primitive as the pixel loops need it.
+/// One primitive in the form that the pixel loops use.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Projected {
-    /// Mean in coordinates where pixel `i` has its centre at `i`.
+    /// Mean, in coordinates where the centre of pixel `i` is at `i`.
     pub center: [f32; 2],
     /// The inverse covariance `[[a, b], [b, c]]`.
     pub conic: [f32; 3],
-    /// `b / a`: how far the row's maximum moves per row.
+    /// `b / a`: the shift of a row's maximum from one row to the next.
     pub shear: f32,
     /// `c − b²/a`, computed without cancellation.
     pub rest: f32,
     /// `1 / a`.
     pub inv_a: f32,
-    /// How far below the centre the support's rightmost point lies.
+    /// Distance by which the rightmost point of the support is below the centre.
     pub tip: f32,
     /// First row of the support and the row after the last, within the picture.
     pub rows: [u32; 2],
@@ -182,7 +182,7 @@ impl Projected {
         Projected { center, conic: [a, b, c], shear: b / a, rest: ix * iy / a, inv_a: 1.0 / a, tip, rows, color }
     }
 
-    /// The pixels of row `y` inside the support, `first..end`, and the row's distance from the centre.
+    /// Returns the pixels `first..end` of row `y` inside the support, and the row's distance from the centre.
     #[inline(always)]
     pub fn span(&self, y: u32, width: u32) -> Option<(usize, usize, f32)> {
         let dy = y as f32 - self.center[1];
@@ -197,8 +197,8 @@ impl Projected {
         (first < end).then_some((first as usize, end as usize, dy))
     }
 
-    /// The pixels `first..end` of a row that the support reaches somewhere between the distances `top` and `bottom` from
-    /// the centre; a little more, as rounding must lose none.
+    /// Returns the pixels `first..end` that the support covers in any row between the distances `top` and `bottom` from
+    /// the centre. The range is slightly enlarged, so that rounding loses no pixel.
     #[inline(always)]
     pub fn columns(&self, top: f32, bottom: f32) -> (usize, usize) {
         let edge = |dy: f32, sign: f32| {
@@ -207,35 +207,41 @@ impl Projected {
         };
         let right = edge(self.tip.max(top).min(bottom), 1.0);
         let left = edge((-self.tip).max(top).min(bottom), -1.0);
-        // Casts saturate, also from below.
+        // Casts saturate at both ends.
         (left.ceil() as usize, (right.floor() + 1.0) as usize)
     }
 
-    /// The rows of each column's support.
+    /// Returns the parameters from which the rows of each column's support follow.
     #[inline(always)]
-    pub fn lines(&self) -> Lines {
+    pub fn column_support(&self) -> ColumnSupport {
         let [a, b, c] = self.conic;
         let (inv_c, determinant) = (1.0 / c, self.rest * a);
-        Lines { shear: b * inv_c, rest: determinant * inv_c, inv_c, tip: -CUTOFF * b / (determinant * a).sqrt() }
+        ColumnSupport {
+            shear: b * inv_c,
+            rest: determinant * inv_c,
+            inv_c,
+            tip: -CUTOFF * b / (determinant * a).sqrt(),
+        }
     }
 }
 
-/// Which rows of each column the support of a primitive has.
+/// Parameters of a primitive's support, column by column.
 #[derive(Debug, Clone, Copy)]
-pub struct Lines {
-    /// `b / c`: how far the column's maximum moves per column.
+pub struct ColumnSupport {
+    /// `b / c`: the shift of a column's maximum from one column to the next.
     shear: f32,
     /// `a − b²/c`.
     rest: f32,
     /// `1 / c`.
     inv_c: f32,
-    /// How far right of the centre the support's lowest point lies.
+    /// Distance by which the lowest point of the support is right of the centre.
     tip: f32,
 }
 
-impl Lines {
-    /// How far from the centre the support ends, below it with a `sign` of 1 and above with −1, somewhere between the columns
-    /// `left` and `right` of it; a little more, as rounding must lose none.
+impl ColumnSupport {
+    /// Returns the largest distance from the centre to the edge of the support in any column between `left` and
+    /// `right`: below the centre with a `sign` of 1, above it with −1. It is slightly enlarged, so that rounding loses
+    /// no pixel.
     #[inline(always)]
     pub fn edge<S: Simd>(&self, simd: S, [left, right]: [S::Vector; 2], sign: f32) -> S::Vector {
         let dx = simd.min(simd.max(simd.splat(sign * self.tip), left), right);

@@ -1,36 +1,36 @@
-//! Binomial blurs of planes of cells, in one pass over memory. The sums are those of each cell alone, in the same order on
-//! every instruction set.
+//! Binomial blurs of planes of cells, in one pass over memory. All instruction sets add in the same order, so the
+//! results are identical.
 
 use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
 
-/// Weights of a cell's neighbours, of those next to it, and its own.
+/// Weights of the outer neighbours, the inner neighbours and the cell itself.
 const TAPS: [f32; 3] = [0.0625, 0.25, 0.375];
 
-/// Rows that are worked on at a time.
+/// Rows per unit of parallel work.
 const CHUNK: usize = 32;
 
-/// A plane of cells, each of so many floats side by side.
+/// A plane of cells, each of `each` adjacent floats.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Cells {
     pub width: usize,
     pub height: usize,
-    /// Floats in each.
+    /// Floats per cell.
     pub each: usize,
     pub values: Vec<f32>,
 }
 
 impl Cells {
-    /// The floats of row `y`.
+    /// Returns the floats of row `y`.
     #[inline(always)]
     pub(crate) fn row(&self, y: usize) -> &[f32] {
         &self.values[y * self.width * self.each..][..self.width * self.each]
     }
 
-    /// Binomial blur (1 4 6 4 1)/16 in both directions, borders repeated, by way of `spare`.
+    /// Applies the binomial blur (1 4 6 4 1)/16 in both directions. Borders are repeated. `spare` is scratch memory.
     pub(crate) fn blur(&mut self, spare: &mut Vec<f32>) {
         let (length, height, each) = (self.width * self.each, self.height, self.each);
-        // What is there is written over.
+        // All values are overwritten below, so there is no need to clear them.
         spare.resize(self.values.len(), 0.0);
         parallel::map_chunks(spare, (CHUNK * length).max(1), |c, out| {
             let mut across = vec![0.0f32; 5 * length];
@@ -39,19 +39,19 @@ impl Cells {
                 let y = c * CHUNK + i;
                 while next < height.min(y + 3) {
                     let sums = &mut across[next % 5 * length..][..length];
-                    simd::dispatch(Across { row: self.row(next), sums, each });
+                    simd::dispatch(HorizontalTask { row: self.row(next), sums, each });
                     next += 1;
                 }
                 let rows = std::array::from_fn(|t| {
                     &across[(y + t).saturating_sub(2).min(height - 1) % 5 * length..][..length]
                 });
-                simd::dispatch(Down { rows, out });
+                simd::dispatch(VerticalTask { rows, out });
             }
         });
         std::mem::swap(&mut self.values, spare);
     }
 
-    /// Half the resolution: means of 2 × 2 cells, borders repeated, by way of `spare`.
+    /// Halves the resolution by averaging 2 × 2 cells. Borders are repeated. `spare` is scratch memory.
     pub(crate) fn halve(&mut self, spare: &mut Vec<f32>) {
         let (width, height, each) = (self.width.div_ceil(2), self.height.div_ceil(2), self.each);
         spare.resize(width * height * each, 0.0);
@@ -69,7 +69,7 @@ impl Cells {
     }
 }
 
-/// Binomial blur of a plane of single floats.
+/// Returns the binomial blur of a plane of single floats.
 pub(crate) fn blur(plane: &[f32], width: usize, height: usize) -> Vec<f32> {
     let mut cells = Cells { width, height, each: 1, values: plane.to_vec() };
     cells.blur(&mut Vec::new());
@@ -90,19 +90,19 @@ fn sum_lanes<S: Simd>(simd: S, [a, b, c, d, e]: [S::Vector; 5]) -> S::Vector {
     simd.add(simd.add(far, near), simd.mul(simd.splat(TAPS[2]), c))
 }
 
-/// One row, along itself.
-struct Across<'a> {
+/// Blurs one row horizontally.
+struct HorizontalTask<'a> {
     row: &'a [f32],
     sums: &'a mut [f32],
     each: usize,
 }
 
-impl Task for Across<'_> {
+impl Task for HorizontalTask<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Across { row, sums, each } = self;
+        let HorizontalTask { row, sums, each } = self;
         let (length, border) = (row.len(), 2 * each);
         let width = length / each;
         let mut i = 0;
@@ -130,18 +130,18 @@ impl Task for Across<'_> {
     }
 }
 
-/// Five rows, across them.
-struct Down<'a> {
+/// Blurs five rows vertically.
+struct VerticalTask<'a> {
     rows: [&'a [f32]; 5],
     out: &'a mut [f32],
 }
 
-impl Task for Down<'_> {
+impl Task for VerticalTask<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Down { rows, out } = self;
+        let VerticalTask { rows, out } = self;
         let mut i = 0;
         while i + LANES <= out.len() {
             let [a, b, c, d, e] = rows;
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn every_cell_is_the_weighted_sum_of_those_around() {
+    fn every_cell_is_the_weighted_sum_of_its_neighbours() {
         const WEIGHTS: [f32; 5] = [0.0625, 0.25, 0.375, 0.25, 0.0625];
         for (width, height, each) in [(1, 1, 1), (3, 2, 4), (5, 40, 1), (37, 70, 4), (64, 33, 1)] {
             let before = Cells { width, height, each, values: noise(width * height * each) };
@@ -191,13 +191,13 @@ mod tests {
     fn every_instruction_set_blurs_to_the_same_bits() {
         let row = noise(4 * 53);
         let [mut found, mut want] = [(); 2].map(|()| vec![0.0; row.len()]);
-        simd::dispatch(Across { row: &row, sums: &mut found, each: 4 });
-        Across { row: &row, sums: &mut want, each: 4 }.run(Plain);
+        simd::dispatch(HorizontalTask { row: &row, sums: &mut found, each: 4 });
+        HorizontalTask { row: &row, sums: &mut want, each: 4 }.run(Plain);
         assert_eq!(found, want);
         let rows = std::array::from_fn(|t| &row[8 * t..][..53]);
         let [mut found, mut want] = [(); 2].map(|()| vec![0.0; 53]);
-        simd::dispatch(Down { rows, out: &mut found });
-        Down { rows, out: &mut want }.run(Plain);
+        simd::dispatch(VerticalTask { rows, out: &mut found });
+        VerticalTask { rows, out: &mut want }.run(Plain);
         assert_eq!(found, want);
     }
 }

@@ -1,4 +1,4 @@
-//! Absolute error and structural similarity as a loss, with its gradient: the one of SmartSplat.
+//! The loss of SmartSplat and its gradient: absolute error and structural similarity.
 
 use crate::fit::model::drawing::field::Field;
 use crate::fit::model::objective::planes::Planes;
@@ -8,7 +8,7 @@ use crate::parallel;
 use crate::simd::{self, LANES, Simd, Task};
 use crate::strict_math::StrictMath;
 
-/// Taps of SSIM's window.
+/// Taps of the SSIM window.
 const TAPS: usize = 11;
 /// Standard deviation of the window, pixels.
 const SIGMA: f32 = 1.5;
@@ -17,7 +17,7 @@ const C1: f32 = 0.0001;
 /// Keeps the contrast term finite: `K₂²`.
 const C2: f32 = 0.0009;
 
-/// Absolute error and SSIM together: `a · Σ|e| + (1 − a) · Σ(1 − SSIM)` over all samples.
+/// Weighted sum of absolute error and SSIM: `a · Σ|e| + (1 − a) · Σ(1 − SSIM)` over all samples.
 #[derive(Debug)]
 pub struct Loss {
     absolute: f32,
@@ -25,27 +25,27 @@ pub struct Loss {
     width: usize,
     /// Each channel of the target.
     truths: Vec<Vec<f32>>,
-    /// Their windowed means; they stay the same all along.
+    /// Windowed means of the channels, which stay the same during the fit.
     means: Vec<Vec<f32>>,
-    /// The slope of SSIM in each channel.
+    /// The gradient of SSIM in each channel.
     slopes: Vec<Vec<f32>>,
     buffers: Buffers,
 }
 
-/// Planes of one channel at a time, kept from step to step: the system would clear fresh ones each time.
+/// Planes of one channel, reused in every step. The system would have to clear newly allocated ones each time.
 #[derive(Debug)]
 struct Buffers {
     picture: Vec<f32>,
-    /// Sums along rows, before they are summed along columns.
+    /// Horizontal sums, before they are summed vertically.
     across: Vec<f32>,
-    /// Windowed means, mean squares and mean products; later the windowed slopes of SSIM with respect to these.
+    /// Windowed means, mean squares and mean products; later the windowed derivatives of SSIM with respect to these.
     windowed: [Vec<f32>; 3],
-    /// Slopes of SSIM with respect to the means, mean squares and mean products, one after the other in each row.
+    /// Derivatives of SSIM with respect to the means, mean squares and mean products, one after the other in each row.
     slopes: Vec<f32>,
 }
 
 impl Loss {
-    /// `absolute`: the share of the absolute error, `0..=1`.
+    /// Creates the loss. `absolute` is the weight of the absolute error, `0..=1`.
     pub fn new(target: &Planes, absolute: f32) -> Self {
         let raw: [f32; TAPS] =
             std::array::from_fn(|i| (-(i as f32 - 5.0).powi(2) / (2.0 * SIGMA * SIGMA)).strict_exp());
@@ -66,8 +66,8 @@ impl Loss {
         Loss { absolute, window, width, truths, means, slopes, buffers }
     }
 
-    /// Turns the picture of all rows in `field` ([`Output::Picture`]) into the gradient, as [`Output::Gradient`] leaves
-    /// it. Where the picture is outside `0..=1` the gradient is 0, as it is behind a clamp.
+    /// Replaces the picture of all rows in `field` ([`Output::Picture`]) by the gradient, in the layout of
+    /// [`Output::Gradient`]. Where the picture is outside `0..=1`, the gradient is 0, as it is behind a clamp.
     ///
     /// [`Output::Picture`]: crate::fit::model::drawing::field::Output::Picture
     /// [`Output::Gradient`]: crate::fit::model::drawing::field::Output::Gradient
@@ -104,15 +104,15 @@ impl Loss {
                 }
                 *weight = if scene.blend == Blend::Normalized { h } else { 0.0 };
             }
-            // Runs may overhang the row's end: what lies there must not count.
+            // Strips may overhang the end of the row. Values there must not count.
             for plane in row.chunks_exact_mut(stride) {
                 plane[width..].fill(0.0);
             }
         });
     }
 
-    /// The gradient of the sum of SSIM over the pixels of channel `k` with respect to the picture in `buffers`. Outside,
-    /// both pictures are 0, so that every pixel has a window.
+    /// Computes the gradient of the sum of SSIM over the pixels of channel `k` with respect to the picture in
+    /// `buffers`. Both pictures are 0 outside, so that every pixel has a full window.
     fn similarity_slope(&mut self, k: usize) {
         let (window, width, truth, truth_means) = (&self.window, self.width, &self.truths[k], &self.means[k]);
         let Buffers { picture, across, windowed: [means, squares, products], slopes } = &mut self.buffers;
@@ -154,11 +154,11 @@ impl Loss {
     }
 }
 
-/// Samples that are summed together: each sum waits for the one before it, so several take turns.
-const TOGETHER: usize = 4 * LANES;
+/// Samples that are summed together. Each addition depends on the previous one, so several sums are interleaved.
+const SAMPLES_TOGETHER: usize = 4 * LANES;
 
-/// The window over every pixel of a plane, whose rows `row` writes, into `out`; outside, the plane is 0. `across` is
-/// as large and is left with what nobody needs.
+/// Applies the window to every pixel of a plane, whose rows `row` writes, and stores the result in `out`. Outside, the
+/// plane is 0. `across` is scratch memory of the same size.
 fn windowed(
     window: &[f32; TAPS],
     width: usize,
@@ -186,7 +186,7 @@ fn windowed(
     });
 }
 
-/// The weighted sum of slices as long as `out`, in their order.
+/// Computes the weighted sum of slices as long as `out`, in their order.
 struct Taps<'a> {
     window: &'a [f32],
     taps: &'a [&'a [f32]],
@@ -198,14 +198,14 @@ impl Task for Taps<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let (chunks, rest) = self.out.as_chunks_mut::<TOGETHER>();
-        let tail = chunks.len() * TOGETHER;
+        let (chunks, rest) = self.out.as_chunks_mut::<SAMPLES_TOGETHER>();
+        let tail = chunks.len() * SAMPLES_TOGETHER;
         for (i, out) in chunks.iter_mut().enumerate() {
-            let mut sums = [simd.splat(0.0); TOGETHER / LANES];
+            let mut sums = [simd.splat(0.0); SAMPLES_TOGETHER / LANES];
             for (&w, tap) in self.window.iter().zip(self.taps) {
                 let w = simd.splat(w);
                 for (j, sum) in sums.iter_mut().enumerate() {
-                    *sum = simd.add(*sum, simd.mul(w, simd.read(&tap[i * TOGETHER + j * LANES..])));
+                    *sum = simd.add(*sum, simd.mul(w, simd.read(&tap[i * SAMPLES_TOGETHER + j * LANES..])));
                 }
             }
             for (j, sum) in sums.into_iter().enumerate() {
@@ -227,7 +227,7 @@ mod tests {
     use crate::{Channels, Pixels, Samples};
 
     #[test]
-    fn the_slope_of_similarity_is_the_one_that_differences_find() {
+    fn the_gradient_of_ssim_matches_finite_differences() {
         let (width, height) = (17, 14);
         let noise = |seed: usize| -> Vec<f32> {
             (0..width * height).map(|i| ((i * 7919 + seed * 104_729) % 251) as f32 / 251.0).collect()

@@ -1,9 +1,9 @@
-//! How much an error counts to the eye: at each pixel, less where the picture is busy at its own size, half of it and a
-//! quarter; and in each channel.
+//! Perceptual weights of errors: per pixel, lower where the picture is busy at full, half and quarter size; and per
+//! channel.
 //!
 //! People look at a picture from some distance. SSIMULACRA2 takes most of its score from the luma of the picture at a
-//! quarter and an eighth of its size. There an error `e`, where the surroundings have the variance `σ²`, costs about
-//! `e² / (2σ² + C₂)`.
+//! quarter and an eighth of its size. There, an error `e` in surroundings of variance `σ²` costs about `e² / (2σ² +
+//! C₂)`.
 
 use crate::fit::model::objective::blur::Cells;
 use crate::fit::model::objective::planes::Planes;
@@ -13,36 +13,37 @@ use crate::gaussian::Channels;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 
-/// Power of the inverse where primitives are dense. On kodim05, 13 and 23 at ratio 50, powers of 0.5, 0.7 and 0.9 won
-/// about 7, 8 and 10 points of SSIMULACRA2 for .1, .2 and .5 dB, and with 0.9 Butteraugli was worse than without weights.
+/// Exponent of the inverse where primitives are dense. On kodim05, 13 and 23 at a ratio of 50, exponents of 0.5, 0.7
+/// and 0.9 gained about 7, 8 and 10 points of SSIMULACRA2 for 0.1, 0.2 and 0.5 dB. With 0.9, Butteraugli was worse than
+/// without weights.
 const POWER: f32 = 0.7;
-/// Pixels per primitive from which on the power falls with their square root, so that few primitives lose no more than
-/// .3 dB either.
-const DENSE: f32 = 400.0;
-/// Sizes that are looked at, from the picture's own on, each half of the one before; they count alike.
+/// Pixels per primitive above which the exponent falls with their square root, so that files of few primitives lose at
+/// most 0.3 dB as well.
+const DENSE_PIXELS: f32 = 400.0;
+/// Number of sizes that are analysed: full size, half and quarter. They have equal weight.
 pub(crate) const SIZES: usize = 3;
-/// Luma of red, green and blue: about the share of each in what eyes see as lightness.
+/// Luma weights of red, green and blue: about the share of each in perceived lightness.
 pub(crate) const LUMA: [f32; 3] = [0.25, 0.6, 0.15];
 
-/// How much squared errors in red, green and blue count, 1 in the mean. An error in green changes what SSIMULACRA2 says ten
-/// times as much as the same one in blue, and three times as much as in red; weights as far apart as that would lose .15 dB
-/// and win less than these, as lightness is coded for all three at once.
+/// Weights of squared errors in red, green and blue, with a mean of 1. An error in green changes SSIMULACRA2 ten times
+/// as much as the same error in blue, and three times as much as in red. Weights that far apart would lose 0.15 dB and
+/// gain less than these, because lightness is coded for all three channels at once.
 const CHANNELS: [f32; 3] = [0.8, 1.6, 0.6];
 
-/// Mean weights at each size, before they are brought to a mean of 1.
+/// Mean weight at each size, before normalization to a mean of 1.
 pub(crate) type Means = [f64; SIZES];
 
-/// Returns the pixels per primitive.
-pub(crate) fn room(target: &Planes, count: usize) -> f32 {
+/// Returns the number of pixels per primitive.
+pub(crate) fn pixels_each(target: &Planes, count: usize) -> f32 {
     (target.width as usize * target.height as usize) as f32 / count.max(1) as f32
 }
 
-/// Amplitudes for [`Planes::amplitude`] of `count` primitives.
+/// Returns [`Planes::amplitude`] for a fit of `count` primitives.
 pub(crate) fn amplitudes(target: &Planes, count: usize) -> Vec<f32> {
-    normalized(target, &weights(target, room(target, count), None).0, None)
+    normalized(target, &weights(target, pixels_each(target, count), None).0, None)
 }
 
-/// [`Planes::channel_amplitude`] of colours; other channels count as they do without weights.
+/// Returns [`Planes::channel_amplitude`] for colour channels. Other channels are not weighted.
 pub(crate) fn channel_amplitude(channels: Channels) -> [f32; 4] {
     let mut amplitude = [1.0; 4];
     if channels.count() >= 3 {
@@ -51,33 +52,35 @@ pub(crate) fn channel_amplitude(channels: Channels) -> [f32; 4] {
     amplitude
 }
 
-/// Amplitudes of a part of a picture which has one primitive to `room` pixels, and those mean weights.
-pub(crate) fn amplitudes_of_part(target: &Planes, room: f32, means: &Means) -> Vec<f32> {
-    normalized(target, &weights(target, room, Some(means)).0, Some(SIZES as f32))
+/// Returns the amplitudes of a part of a picture, given the pixels per primitive and the mean weights of the whole
+/// picture.
+pub(crate) fn amplitudes_of_part(target: &Planes, pixels_each: f32, means: &Means) -> Vec<f32> {
+    normalized(target, &weights(target, pixels_each, Some(means)).0, Some(SIZES as f32))
 }
 
-/// Returns the mean weights of a part of a picture which has one primitive to `room` pixels.
-pub(crate) fn means_of_part(target: &Planes, room: f32) -> Means {
-    weights(target, room, None).1
+/// Returns the mean weights of a part of a picture, given the pixels per primitive.
+pub(crate) fn means_of_part(target: &Planes, pixels_each: f32) -> Means {
+    weights(target, pixels_each, None).1
 }
 
-/// Weights that are [`SIZES`] in the mean, and their means before. Those of a part take the whole picture's `means`.
-fn weights(target: &Planes, room: f32, whole: Option<&Means>) -> (Vec<f32>, Means) {
+/// Returns weights with a mean of [`SIZES`], and their means before normalization. For a part of a picture, `whole` are
+/// the means of the whole picture.
+fn weights(target: &Planes, pixels_each: f32, whole: Option<&Means>) -> (Vec<f32>, Means) {
     let (width, height) = (target.width as usize, target.height as usize);
-    let power = POWER * (room / DENSE).max(1.0).sqrt().recip();
+    let power = POWER * (pixels_each / DENSE_PIXELS).max(1.0).sqrt().recip();
     let mut means = [0.0; SIZES];
     let mut weights = vec![0.0f32; width * height];
     let mut sizes = vec![[width, height]];
     let mut plane = luma(target);
-    let mut room = Room::default();
+    let mut scratch = Scratch::default();
     for (size, found) in means.iter_mut().enumerate() {
         let [w, h] = sizes[sizes.len() - 1];
-        let (mut at_size, mean) = weights_at(&plane, [w, h], power, &mut room);
+        let (mut at_size, mean) = weights_at(&plane, [w, h], power, &mut scratch);
         *found = mean;
         let mean = whole.map_or(mean, |means| means[size]) as f32;
         at_size.iter_mut().for_each(|w| *w /= mean);
         for pair in sizes.windows(2).rev() {
-            at_size = doubled(&at_size, pair[1], pair[0]);
+            at_size = upsampled(&at_size, pair[1], pair[0]);
         }
         for (w, v) in weights.iter_mut().zip(at_size) {
             *w += v;
@@ -88,7 +91,7 @@ fn weights(target: &Planes, room: f32, whole: Option<&Means>) -> (Vec<f32>, Mean
     (weights, means)
 }
 
-/// Luma, or grey, without the padding.
+/// Returns the luma or grey values, without the padding.
 fn luma(target: &Planes) -> Vec<f32> {
     if target.channels.count() < 3 {
         return target.plane(0);
@@ -104,26 +107,26 @@ fn luma(target: &Planes) -> Vec<f32> {
     plane
 }
 
-/// Memory of blurs, used again at each size.
+/// Scratch memory of blurs, reused at each size.
 #[derive(Default)]
-struct Room {
+struct Scratch {
     means: Vec<f32>,
     spare: Vec<f32>,
 }
 
-/// Weights by the variance in a window of a few pixels, and their mean.
-fn weights_at(plane: &[f32], [width, height]: [usize; 2], power: f32, room: &mut Room) -> (Vec<f32>, f64) {
+/// Returns weights from the variance in a window of a few pixels, and their mean.
+fn weights_at(plane: &[f32], [width, height]: [usize; 2], power: f32, scratch: &mut Scratch) -> (Vec<f32>, f64) {
     let soften = |values: Vec<f32>, spare: &mut Vec<f32>| {
         let mut cells = Cells { width, height, each: 1, values };
         cells.blur(spare);
         cells.blur(spare);
         cells.values
     };
-    let mut means = std::mem::take(&mut room.means);
+    let mut means = std::mem::take(&mut scratch.means);
     means.clear();
     means.extend_from_slice(plane);
-    let means = soften(means, &mut room.spare);
-    let mut weights = soften(plane.iter().map(|v| v * v).collect(), &mut room.spare);
+    let means = soften(means, &mut scratch.spare);
+    let mut weights = soften(plane.iter().map(|v| v * v).collect(), &mut scratch.spare);
     let sums = parallel::map_chunks(&mut weights, width, |y, out| {
         for (w, m) in out.iter_mut().zip(&means[y * width..]) {
             *w = (2.0 * (*w - m * m).max(0.0) + FLOOR).strict_powf(-power);
@@ -131,13 +134,13 @@ fn weights_at(plane: &[f32], [width, height]: [usize; 2], power: f32, room: &mut
         out.iter().map(|&w| f64::from(w)).sum::<f64>()
     });
     let mean = sums.iter().sum::<f64>() / weights.len() as f64;
-    room.means = means;
+    scratch.means = means;
     (weights, mean)
 }
 
-/// A plane at twice its size, or one less in either direction: linear between the middles of its pixels.
-pub(crate) fn doubled(plane: &[f32], [w, h]: [usize; 2], [width, height]: [usize; 2]) -> Vec<f32> {
-    /// The nearer and the farther of two neighbours.
+/// Enlarges a plane to twice its size, or one less in either direction, by linear interpolation between pixel centres.
+pub(crate) fn upsampled(plane: &[f32], [w, h]: [usize; 2], [width, height]: [usize; 2]) -> Vec<f32> {
+    /// Returns the nearer and the farther of two neighbours.
     fn near(i: usize, count: usize) -> [usize; 2] {
         let nearer = i / 2;
         [nearer, if i.is_multiple_of(2) { nearer.saturating_sub(1) } else { (nearer + 1).min(count - 1) }]
@@ -174,8 +177,8 @@ mod tests {
     }
 
     #[test]
-    fn smooth_areas_weigh_more_and_the_mean_weight_is_one() {
-        // Waves too long for the window at the picture's own size are busy at a quarter of it.
+    fn smooth_areas_have_larger_weights_and_the_mean_is_one() {
+        // These waves are too long for the window at full size, but count as busy at quarter size.
         let busy = |x: usize, y: usize| (128.0 + 100.0 * (x as f32 * 0.35).sin() * (y as f32 * 0.35).sin()) as u8;
         let target = target(128, 80, Channels::Rgb, |x, y, _| if x < 64 { 90 } else { busy(x, y) });
         let amplitudes = amplitudes(&target, 400);
@@ -186,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_picture_weighs_the_same_all_over_whatever_its_size() {
+    fn a_flat_picture_of_any_size_has_equal_weights() {
         for (width, height) in [(1, 1), (2, 3), (7, 1), (13, 9), (33, 20)] {
             for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
                 let target = target(width, height, channels, |_, _, k| 40 * k as u8 + 60);

@@ -1,4 +1,4 @@
-//! The target of a fit: the picture as planes, at several sizes, and the weight of each pixel.
+//! The objective of a fit: the target as planes at several sizes, and the weight of each pixel.
 
 pub(crate) mod blur;
 #[cfg(feature = "smartsplat")]

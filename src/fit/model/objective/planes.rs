@@ -1,4 +1,4 @@
-//! The picture to fit, as padded planes of floats.
+//! The target of a fit as padded planes of floats.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use crate::parallel;
 use crate::pixels::Pixels;
 use crate::simd::LANES;
 
-/// Rows of `channels` planes, each `stride` floats long: `width` samples, then zeros.
+/// Rows of `channels` planes. Each plane's row has `stride` floats: `width` samples, then zeros.
 #[derive(Debug, Clone)]
 pub struct Planes {
     pub width: u32,
@@ -16,28 +16,28 @@ pub struct Planes {
     pub channels: Channels,
     pub stride: usize,
     planes: Arc<Vec<f32>>,
-    /// Square root of how much a pixel's squared error counts, `stride` floats a row; empty when all count 1.
+    /// Square root of the weight of each pixel's squared error, `stride` floats per row. Empty if all weights are 1.
     pub amplitude: Vec<f32>,
-    /// Square root of how much a squared error in each channel counts.
+    /// Square root of the weight of squared errors in each channel.
     pub channel_amplitude: [f32; 4],
-    /// Channel by which the errors of colours are weighted: alpha, unless hidden colours are kept.
+    /// Channel that weights the errors of colours: alpha, unless hidden colours are kept.
     pub opacity: Option<usize>,
-    /// Mean colour; colours count by [`opacity`](Planes::opacity).
+    /// Mean colour. Colours are weighted by the channel [`opacity`](Planes::opacity).
     pub mean: [f32; 4],
 }
 
-/// Length of a plane's row: a strip may start at the last pixel.
+/// Returns the length of a plane's row. A strip may start at the last pixel.
 pub fn stride(width: u32) -> usize {
     (width as usize).next_multiple_of(LANES) + LANES
 }
 
 impl Planes {
-    /// Returns the planes of `pixels`, whose colours count by their alpha.
+    /// Returns the planes of `pixels`, with colours weighted by alpha.
     pub fn new(pixels: &Pixels) -> Self {
         Planes::weighted_by(pixels, pixels.channels().alpha())
     }
 
-    /// Returns the planes of `pixels`; what of colours under alpha 0 counts is as `hidden` says.
+    /// Returns the planes of `pixels`. `hidden` determines whether colours under alpha 0 count.
     pub fn with_hidden(pixels: &Pixels, hidden: HiddenColors) -> Self {
         match hidden {
             HiddenColors::Continue => Planes::new(pixels),
@@ -88,14 +88,14 @@ impl Planes {
         }
     }
 
-    /// The planes of row `y`.
+    /// Returns the planes of row `y`.
     #[inline(always)]
     pub fn row(&self, y: u32) -> &[f32] {
         let size = self.channels.count() * self.stride;
         &self.planes[y as usize * size..][..size]
     }
 
-    /// Channel `k` without the padding.
+    /// Returns channel `k` without the padding.
     pub fn plane(&self, k: usize) -> Vec<f32> {
         let width = self.width as usize;
         let mut plane = vec![0.0f32; width * self.height as usize];
@@ -105,7 +105,8 @@ impl Planes {
         plane
     }
 
-    /// Returns the picture at half its size: means of 2 × 2 pixels, borders repeated. Colours count by their opacity.
+    /// Returns the picture at half its size: means of 2 × 2 pixels, with repeated borders. Colours are weighted by
+    /// opacity.
     pub fn halved(&self) -> Planes {
         let (count, alpha) = (self.channels.count(), self.opacity);
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
@@ -135,7 +136,7 @@ impl Planes {
         if !self.amplitude.is_empty() {
             amplitude.resize(height as usize * stride, 0.0);
             parallel::map_chunks(&mut amplitude, stride, |y, out| {
-                let rows = below(y).map(|y| self.amplitude(y).expect("one for each row"));
+                let rows = below(y).map(|y| self.amplitude(y).expect("one amplitude row for each row"));
                 for x in 0..width as usize {
                     let square = |x: usize| rows[0][x] * rows[0][x] + rows[1][x] * rows[1][x];
                     out[x] = (0.25 * (square(2 * x) + square((2 * x + 1).min(last)))).sqrt();
@@ -145,43 +146,43 @@ impl Planes {
         Planes { width, height, stride, planes: Arc::new(planes), amplitude, ..*self }
     }
 
-    /// Returns the same picture, in the same memory, with other amplitudes.
+    /// Returns the same picture with other amplitudes. Both share their samples in memory.
     pub fn weighed(&self, amplitude: Vec<f32>) -> Planes {
         Planes { planes: Arc::clone(&self.planes), amplitude, ..*self }
     }
 
-    /// Returns a picture that `change` makes of this one, row by row: the planes of row `y`, [`Planes::stride`] floats each.
+    /// Returns a copy in which `change(y, planes)` has modified the planes of each row, [`Planes::stride`] floats each.
     pub fn changed(&self, change: impl Fn(usize, &mut [f32]) + Sync + Send) -> Planes {
         let mut planes = self.planes.as_ref().clone();
         parallel::map_chunks(&mut planes, self.channels.count() * self.stride, |y, row| change(y, row));
         Planes { planes: Arc::new(planes), amplitude: self.amplitude.clone(), ..*self }
     }
 
-    /// Returns the factors of the errors in row `y` before they are squared; `None`: 1.
+    /// Returns the factors of the errors in row `y` before they are squared. `None` means 1.
     #[inline(always)]
     pub fn amplitude(&self, y: u32) -> Option<&[f32]> {
         self.amplitude.get(y as usize * self.stride..)?.get(..self.stride)
     }
 
-    /// Tells whether the errors of all pixels weigh the same within a hundredth, so that weighing them changes nothing.
+    /// Returns whether the weights of all pixels are equal within 1 %, so that weighting has no effect.
     pub fn is_even(&self) -> bool {
         let rows = self.amplitude.chunks_exact(self.stride).map(|row| &row[..self.width as usize]);
         rows.flatten().all(|a| (a * a - 1.0).abs() < 0.01)
     }
 
-    /// The pixel that holds the point (pixels), clamped into the picture.
+    /// Returns the pixel that contains the point (in pixels), clamped to the picture.
     fn pixel(&self, point: [f32; 2]) -> (usize, u32) {
         let x = (point[0].max(0.0) as usize).min(self.width as usize - 1);
         (x, (point[1].max(0.0) as u32).min(self.height - 1))
     }
 
-    /// The amplitude at the pixel that holds the point (pixels).
+    /// Returns the amplitude at the pixel that contains the point (in pixels).
     pub fn amplitude_at(&self, point: [f32; 2]) -> f32 {
         let (x, y) = self.pixel(point);
         self.amplitude(y).map_or(1.0, |a| a[x])
     }
 
-    /// The colour at the pixel that holds the point (pixels), clamped into the picture.
+    /// Returns the colour at the pixel that contains the point (in pixels), clamped to the picture.
     pub fn at(&self, point: [f32; 2]) -> [f32; 4] {
         let (x, y) = self.pixel(point);
         let row = self.row(y);

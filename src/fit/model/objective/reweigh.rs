@@ -1,45 +1,46 @@
-//! Weights anew, by what a picture lacks so far: errors count more where structure is lost that costs little to keep.
+//! New pixel weights during the fit: errors weigh more where the picture has lost structure that costs little to keep.
 //!
-//! Weights by the picture alone ([`masking`]) cannot know where the primitives fail. SSIMULACRA2 takes most of its score from
-//! the fourth norm of what is lost at the picture's own size, and from the mean of what is lost at a quarter and an
-//! eighth of it. Each pixel's share in that score, over its share in the weighted squared error, says how much a lower
-//! error there is worth; places differ by a factor of ten. Equal worth everywhere would be the score's own optimum, and
-//! would cost too many decibels; [`POWER`] goes a part of the way.
+//! Weights that are based on the target alone ([`masking`]) cannot know where the primitives fail. SSIMULACRA2 takes
+//! most of its score from the fourth norm of the lost structure at full size, and from its mean at a quarter and an
+//! eighth of that size. Each pixel's share of that score, divided by its share of the weighted squared error, is the
+//! worth of a lower error there. It varies by a factor of ten across a picture. Equal worth everywhere would be optimal
+//! for the score, but would cost too many decibels, so [`POWER`] applies only a part of it.
 //!
 //! [`masking`]: crate::fit::model::objective::masking
 
 use crate::fit::model::drawing::field::Field;
 use crate::fit::model::objective::blur::blur;
-use crate::fit::model::objective::masking::{LUMA, doubled, room};
+use crate::fit::model::objective::masking::{LUMA, pixels_each, upsampled};
 use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::objective::structure::normalized;
 use crate::fit::model::placing::sample::halve;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 
-/// Power of the worth where primitives are dense. It is raised as far as the decibels last that the rehearsal itself wins at
-/// a ratio of 50.
+/// Exponent of the worth where primitives are dense. It is as large as possible without losing the decibels that the
+/// probe fit gains at a ratio of 50.
 const POWER: f32 = 0.8;
-/// Pixels per primitive from which on the power falls with their square root: with few primitives Butteraugli, which looks
-/// for the worst place, loses more and more by it.
-const DENSE: f32 = 65.0;
-/// Least worth before that: where it is lower errors would grow that nothing else sees.
+/// Pixels per primitive above which the exponent falls with their square root. With few primitives, Butteraugli, which
+/// is dominated by the worst place, would lose more and more.
+const DENSE_PIXELS: f32 = 65.0;
+/// Minimum worth before the exponent. With a lower one, errors would grow in places where no other term counts them.
 const MIN_WORTH: f32 = 1.0;
-/// Largest worth before that.
+/// Maximum worth before the exponent.
 const MAX_WORTH: f32 = 6.0;
-/// Weights in the score of the mean and of the fourth norm of the loss, for each size of the picture: its own first,
-/// each further one half of the one before. They are SSIMULACRA2's own weights for luma.
+/// Weights in the score of the mean and the fourth norm of the loss at each size of the picture, from full size on,
+/// each half the previous one. They are SSIMULACRA2's own weights for luma.
 const SIZES: [[f32; 2]; 4] = [[0.0, 7.47], [0.0, 6.68], [225.2, 19.2], [176.4, 24.4]];
-/// Keeps the loss finite where there is no structure: SSIM's `C₂` of .0009 is for a luma of a somewhat smaller range.
+/// Keeps the loss finite where there is no structure. SSIM's `C₂` of 0.0009 belongs to luma in a somewhat smaller
+/// range.
 const C2: f32 = 0.0015;
-/// How often the picture is halved until worth is one number a cell: cells of 8 × 8 pixels.
+/// How often the picture is halved before the worth is computed: one value per cell of 8 × 8 pixels.
 const HALVINGS: usize = 3;
 
-/// Amplitudes for [`Planes::amplitude`] in place of those that `target` has, where `field` holds the picture so far, which
-/// is of `count` primitives.
+/// Returns the amplitudes that replace [`Planes::amplitude`] of `target`. `field` contains the current picture of
+/// `count` primitives.
 pub(crate) fn amplitudes(target: &Planes, field: &Field, count: usize) -> Vec<f32> {
     let size = [target.width as usize, target.height as usize];
-    let power = POWER * (DENSE / room(target, count)).min(1.0).sqrt();
+    let power = POWER * (DENSE_PIXELS / pixels_each(target, count)).min(1.0).sqrt();
     let [wanted, drawn] = lumas(target, field);
     let errors = cells(errors(target, [&wanted, &drawn]), size);
     let shares = cells(shares([wanted, drawn], size), size);
@@ -53,7 +54,7 @@ pub(crate) fn amplitudes(target: &Planes, field: &Field, count: usize) -> Vec<f3
         .map(|(s, e)| (scale * s / (e + least)).clamp(MIN_WORTH, MAX_WORTH).strict_powf(power));
     let mut worth: Vec<f32> = worth.collect();
     for pair in sizes(size, HALVINGS).windows(2).rev() {
-        worth = doubled(&worth, pair[1], pair[0]);
+        worth = upsampled(&worth, pair[1], pair[0]);
     }
     for (y, row) in worth.chunks_exact_mut(size[0]).enumerate() {
         if let Some(amplitude) = target.amplitude(y as u32) {
@@ -63,12 +64,12 @@ pub(crate) fn amplitudes(target: &Planes, field: &Field, count: usize) -> Vec<f3
     normalized(target, &worth, None)
 }
 
-/// The picture's size, and each half of the one before.
+/// Returns the picture's size and `halvings` further sizes, each half the previous one.
 fn sizes(size: [usize; 2], halvings: usize) -> Vec<[usize; 2]> {
     std::iter::successors(Some(size), |s| Some(s.map(|v| v.div_ceil(2)))).take(halvings + 1).collect()
 }
 
-/// Means over softened cells.
+/// Returns the means over blurred cells.
 fn cells(mut plane: Vec<f32>, size: [usize; 2]) -> Vec<f32> {
     let sizes = sizes(size, HALVINGS);
     for [w, h] in &sizes[..HALVINGS] {
@@ -78,7 +79,7 @@ fn cells(mut plane: Vec<f32>, size: [usize; 2]) -> Vec<f32> {
     blur(&blur(&plane, w, h), w, h)
 }
 
-/// Squared errors in luma of the pixels, as the fit weighs pixels.
+/// Returns the squared luma errors of the pixels, weighted as in the fit.
 fn errors(target: &Planes, [wanted, drawn]: [&[f32]; 2]) -> Vec<f32> {
     let width = target.width as usize;
     let mut errors = vec![0.0f32; width * target.height as usize];
@@ -92,13 +93,13 @@ fn errors(target: &Planes, [wanted, drawn]: [&[f32]; 2]) -> Vec<f32> {
     errors
 }
 
-/// Each pixel's share in the score.
+/// Returns each pixel's share of the score.
 fn shares([mut wanted, mut drawn]: [Vec<f32>; 2], size: [usize; 2]) -> Vec<f32> {
     let sizes = sizes(size, SIZES.len() - 1);
     let mut lost = Vec::new();
     for (&[w, h], [of_mean, of_norm]) in sizes.iter().zip(SIZES) {
         let (mut at_size, fourth) = lost_structure([&wanted, &drawn], [w, h]);
-        // The slope of the norm along each loss, times the loss.
+        // The derivative of the norm with respect to each loss, times the loss.
         let of_norm = of_norm / (fourth as f32).strict_powf(0.75).max(1e-20);
         at_size.iter_mut().for_each(|l| *l *= of_mean + of_norm * *l * *l * *l);
         lost.push(at_size);
@@ -106,13 +107,13 @@ fn shares([mut wanted, mut drawn]: [Vec<f32>; 2], size: [usize; 2]) -> Vec<f32> 
     }
     let mut shares = lost.pop().expect("several sizes");
     for (pair, of_size) in sizes.windows(2).zip(lost).rev() {
-        shares = doubled(&shares, pair[1], pair[0]);
+        shares = upsampled(&shares, pair[1], pair[0]);
         shares.iter_mut().zip(of_size).for_each(|(s, l)| *s += l);
     }
     shares
 }
 
-/// Luma, or grey, of the target and of the picture so far, each times the target's opacity.
+/// Returns the luma or grey values of the target and of the current picture, multiplied by the target's opacity.
 fn lumas(target: &Planes, field: &Field) -> [Vec<f32>; 2] {
     let (width, count) = (target.width as usize, target.channels.count());
     let luma: &[f32] = if count < 3 { &[1.0] } else { &LUMA };
@@ -124,7 +125,7 @@ fn lumas(target: &Planes, field: &Field) -> [Vec<f32>; 2] {
             for (x, o) in out.iter_mut().enumerate() {
                 let sum =
                     luma.iter().enumerate().map(|(k, l)| l * row[k * target.stride + x].clamp(0.0, 1.0)).sum::<f32>();
-                // Colours count by the target's opacity.
+                // Colours are weighted by the target's opacity.
                 *o = sum * target.opacity.map_or(1.0, |a| wanted[a * target.stride + x]);
             }
         });
@@ -132,8 +133,7 @@ fn lumas(target: &Planes, field: &Field) -> [Vec<f32>; 2] {
     })
 }
 
-/// One less SSIM, with the change that SSIMULACRA2 makes to its first factor, of two planes; and the mean of its fourth
-/// powers.
+/// Returns 1 − SSIM of two planes, with SSIMULACRA2's change to the first factor, and the mean of its fourth powers.
 fn lost_structure([a, b]: [&[f32]; 2], [width, height]: [usize; 2]) -> (Vec<f32>, f64) {
     let soft = |plane: &[f32]| blur(plane, width, height);
     let product = |a: &[f32], b: &[f32]| soft(&a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<_>>());
@@ -169,8 +169,8 @@ mod tests {
     }
 
     #[test]
-    fn what_is_lost_is_what_its_formula_says_in_double_precision() {
-        // More rows than are softened at a time, and fewer than the window has.
+    fn lost_structure_matches_its_formula_in_double_precision() {
+        // Heights above one unit of parallel work, and sizes below the window.
         for (w, h) in [(1, 1), (3, 2), (17, 9), (9, 71)] {
             let a: Vec<f32> = (0..w * h).map(noise).collect();
             let b: Vec<f32> = (0..w * h).map(|i| 0.5 * noise(i) + 0.4 * noise(3 * i + 7)).collect();
@@ -190,22 +190,22 @@ mod tests {
                     let c2 = f64::from(C2);
                     let want = (1.0 - (1.0 - (m - n) * (m - n)) * (2.0 * ab + c2) / (aa + bb + c2)).max(0.0);
                     sum += want.powi(4);
-                    // Variances are differences of numbers near 1 in f32, over C₂ at the least.
+                    // Variances are differences of f32 values near 1, divided by at least C₂.
                     let got = f64::from(lost[y * w + x]);
-                    assert!((got - want).abs() < 1e-3, "{w} × {h}, {x}, {y}: {got}, not {want}");
+                    assert!((got - want).abs() < 1e-3, "{w} × {h}, {x}, {y}: {got}, expected {want}");
                 }
             }
             let want = sum / (w * h) as f64;
-            assert!((fourth - want).abs() <= 5e-3 * want + 1e-9, "{w} × {h}: {fourth}, not {want}");
+            assert!((fourth - want).abs() <= 5e-3 * want + 1e-9, "{w} × {h}: {fourth}, expected {want}");
         }
     }
 
     #[test]
-    fn where_structure_is_lost_errors_weigh_more_and_the_mean_weight_is_one() {
+    fn errors_weigh_more_where_structure_is_lost_and_the_mean_is_one() {
         let (width, height) = (128u32, 64u32);
         for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
             let count = channels.count();
-            // A strong pattern on the left, a faint one on the right; opaque.
+            // An opaque picture with a strong pattern on the left and a faint one on the right.
             let side = |x: usize, y: usize| if (x / 2 + y / 2).is_multiple_of(2) { -1.0 } else { 1.0 };
             let value = |x: usize, y: usize| (140.0 + side(x, y) * if x < 64 { 60.0 } else { 20.0 }) as u8;
             let samples = (0..(width * height) as usize * count).map(|i| {
@@ -214,7 +214,7 @@ mod tests {
             });
             let pixels = Pixels::new(width, height, channels, Samples::U8(samples.collect())).unwrap();
             let mut target = Planes::new(&pixels);
-            // The picture is flat on the right, and as far from the target on the left, where it keeps the pattern.
+            // The drawn picture is flat on the right. On the left it keeps the pattern, with an error of the same size.
             let scene = Scene { width, height, blend: Blend::Normalized, background: [0.5; 4] };
             let flat = Primitive { mean: [64.0, 32.0], log_scale: [4.0; 2], rotation: 0.0, color: [140.0 / 255.0; 4] };
             let mut field = Field::default();
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_that_lacks_nothing_or_everything_has_finite_weights() {
+    fn perfect_and_empty_pictures_have_finite_weights() {
         for (width, height) in [(1, 1), (2, 9), (33, 20)] {
             let samples = (0..width * height * 3).map(|i| (i * 7 % 251) as u8).collect();
             let target = Planes::new(&Pixels::new(width, height, Channels::Rgb, Samples::U8(samples)).unwrap());

@@ -1,46 +1,47 @@
-//! Structural similarity for the fit: weights that make the squared error favour it.
+//! Pixel weights that make the squared error favour structural similarity.
 
 use crate::fit::model::objective::blur::blur;
 use crate::fit::model::objective::planes::Planes;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 
-/// Constant added to twice the variance of samples in `0..=1`. It is larger than SSIM's own `C₂` of 0.0009, so that
-/// smooth areas do not take nearly all of the weight.
+/// Constant added to twice the variance of samples in `0..=1`. It is larger than SSIM's `C₂` of 0.0009, so that smooth
+/// areas do not get nearly all of the weight.
 pub const FLOOR: f32 = 0.005;
-/// Power of the inverse where primitives are dense: 1 would be SSIM's own slope, and would cost more decibels than
-/// [`Tune::Ssim`] may.
+/// Exponent of the inverse where primitives are dense. An exponent of 1 would be the slope of SSIM itself and would
+/// cost more decibels than [`Tune::Ssim`] allows.
 ///
 /// [`Tune::Ssim`]: crate::options::Tune::Ssim
 const POWER: f32 = 0.5;
-/// Pixels per primitive from which on the power falls with their square root: large primitives have little to do with
-/// a variance over a few pixels, and the same power costs more decibels the fewer they are.
-pub const DENSE: f32 = 160.0;
+/// Pixels per primitive above which the exponent falls with their square root. Large primitives have little to do with
+/// the variance over a few pixels, and the same exponent costs more decibels the fewer primitives there are.
+pub const DENSE_PIXELS: f32 = 160.0;
 /// Largest weight, and the inverse of the smallest.
 const MAX_WEIGHT: f32 = 20.0;
 
-/// Amplitudes for [`Planes::amplitude`]: errors count more where the picture varies little, as they do in SSIM, whose
-/// contrast term falls by about `e² / (2σ² + C₂)` for an error `e` over a local variance `σ²`; for `count` primitives.
+/// Returns [`Planes::amplitude`] for a fit of `count` primitives. Errors weigh more where the picture varies little, as
+/// in SSIM, whose contrast term falls by about `e² / (2σ² + C₂)` for an error `e` over a local variance `σ²`.
 pub fn amplitudes(target: &Planes, count: usize) -> Vec<f32> {
-    let room = (target.width as usize * target.height as usize) as f32 / count.max(1) as f32;
-    normalized(target, &weights(target, room), None)
+    let pixels_each = (target.width as usize * target.height as usize) as f32 / count.max(1) as f32;
+    normalized(target, &weights(target, pixels_each), None)
 }
 
-/// Amplitudes of a part of a picture which has one primitive to `room` pixels, and that mean weight.
-pub fn amplitudes_of_part(target: &Planes, room: f32, mean: f64) -> Vec<f32> {
-    normalized(target, &weights(target, room), Some(mean as f32))
+/// Returns the amplitudes of a part of a picture, given the pixels per primitive and the mean weight of the whole
+/// picture.
+pub fn amplitudes_of_part(target: &Planes, pixels_each: f32, mean: f64) -> Vec<f32> {
+    normalized(target, &weights(target, pixels_each), Some(mean as f32))
 }
 
-/// Returns the mean weight of a part of a picture which has one primitive to `room` pixels.
-pub fn mean_of_part(target: &Planes, room: f32) -> f64 {
-    let weights = weights(target, room);
+/// Returns the mean weight of a part of a picture, given the pixels per primitive.
+pub fn mean_of_part(target: &Planes, pixels_each: f32) -> f64 {
+    let weights = weights(target, pixels_each);
     weights.iter().map(|&w| f64::from(w)).sum::<f64>() / weights.len() as f64
 }
 
-fn weights(target: &Planes, room: f32) -> Vec<f32> {
+fn weights(target: &Planes, pixels_each: f32) -> Vec<f32> {
     let colors = target.channels.count() - usize::from(target.channels.alpha().is_some());
     let (width, height) = (target.width as usize, target.height as usize);
-    let power = POWER * (room / DENSE).max(1.0).sqrt().recip();
+    let power = POWER * (pixels_each / DENSE_PIXELS).max(1.0).sqrt().recip();
     let mut weights = vec![0.0f32; width * height];
     for k in 0..colors {
         let mut plane = target.plane(k);
@@ -57,7 +58,8 @@ fn weights(target: &Planes, room: f32) -> Vec<f32> {
     weights
 }
 
-/// Amplitudes of weights, one for each pixel: their square roots with a mean square of 1, where `mean` is the weights' own.
+/// Converts one weight per pixel to amplitudes: square roots with a mean square of 1. `mean` replaces the mean of
+/// `weights`.
 pub fn normalized(target: &Planes, weights: &[f32], mean: Option<f32>) -> Vec<f32> {
     let (width, height) = (target.width as usize, target.height as usize);
     let own = || {
@@ -80,7 +82,7 @@ mod tests {
     use crate::{Channels, Pixels, Samples};
 
     #[test]
-    fn smooth_areas_weigh_more_and_the_mean_weight_is_one() {
+    fn smooth_areas_have_larger_weights_and_the_mean_is_one() {
         let samples = (0..64 * 40usize).map(|i| if i % 64 < 32 { 90 } else { (i * 7919 % 251) as u8 }).collect();
         let target = Planes::new(&Pixels::new(64, 40, Channels::Grey, Samples::U8(samples)).unwrap());
         let amplitudes = amplitudes(&target, 50);

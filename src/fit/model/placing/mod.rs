@@ -1,4 +1,4 @@
-//! Places for primitives: peaks of the error, ridges, detail; and the cost of removing those that are there.
+//! Where to place primitives (peaks of the error, ridges, detail), and what it costs to remove existing ones.
 
 pub(crate) mod peaks;
 pub(crate) mod removal;

@@ -1,4 +1,4 @@
-//! Where the error is largest, and what shape a new primitive should have there.
+//! Finds peaks of the error, and the shape that a new primitive should have there.
 
 use crate::fit::model::drawing::field::Field;
 use crate::fit::model::drawing::project::Primitive;
@@ -11,25 +11,25 @@ use crate::parallel;
 use crate::simd::{self, Simd, Task};
 use crate::strict_math::StrictMath;
 
-/// Tops whose shapes are looked for at a time.
+/// Local maxima per unit of parallel work when shapes are searched.
 const CHUNK: usize = 64;
 
-/// A place where a new primitive would help most.
+/// A place where a new primitive helps most.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Peak {
     pub mean: [f32; 2],
     /// Standard deviations along and across `rotation`, pixels.
     pub scale: [f32; 2],
-    /// Direction of the first, radians.
+    /// Direction of the first scale, radians.
     pub rotation: f32,
-    /// Estimated drop of the squared error.
+    /// Estimated decrease of the squared error.
     pub gain: f32,
-    /// Mean residual (target − picture) there, doubled as the peak of a Gaussian of that size.
+    /// Mean residual (target − picture) at the peak, doubled to give the peak value of a Gaussian of that size.
     pub residual: [f32; 4],
 }
 
 impl Peak {
-    /// A peak at `mean`, pixels, of a residual that is blurred by `sigma` pixels.
+    /// Creates a peak at `mean` (pixels) of a residual that is blurred with a standard deviation of `sigma` pixels.
     pub(crate) fn new(mean: [f32; 2], sigma: f32, shape: &Shape) -> Self {
         Peak {
             mean,
@@ -41,9 +41,9 @@ impl Peak {
     }
 }
 
-/// Scale of the largest new primitives, pixels, when `count` are looked for in a picture of `among`.
+/// Returns the scale (pixels) of the largest new primitives, when `count` are added to a picture of `among` primitives.
 pub(crate) fn spacing(scene: &Scene, count: usize, among: usize) -> f32 {
-    // Where the blend divides by the weights, a primitive larger than those around it would smear what they draw.
+    // The blend divides by the sum of weights, so a primitive larger than its neighbours would smear what they draw.
     let crowd = match scene.blend {
         Blend::Normalized => among,
         Blend::Sum => count,
@@ -51,22 +51,22 @@ pub(crate) fn spacing(scene: &Scene, count: usize, among: usize) -> f32 {
     (scene.width as f32 * scene.height as f32 / (std::f32::consts::PI * crowd.max(1) as f32)).sqrt()
 }
 
-/// The places where new primitives would help most, best first, at most `count`, for a picture of `among` primitives:
-/// peaks of the residual blurred at several scales, and where one is part of a ridge, an elongated peak along it.
+/// Returns at most `count` places where new primitives help most in a picture of `among` primitives, best first: peaks
+/// of the residual blurred at several scales. If a peak is part of a ridge, its shape is elongated along it.
 pub(crate) fn peaks(problem: &Problem<'_>, field: &Field, rows: RowSet, count: usize, among: usize) -> Vec<Peak> {
-    Room::default().peaks(problem, field, rows, [count, among])
+    Scratch::default().peaks(problem, field, rows, [count, among])
 }
 
-/// Memory that is kept from one search to the next: fresh pages cost as much as the search.
+/// Scratch memory that is kept from one search to the next. Touching fresh memory pages costs as much as the search.
 #[derive(Debug, Default)]
-pub(crate) struct Room {
+pub(crate) struct Scratch {
     cells: Cells,
     spare: Vec<f32>,
     score: Vec<f32>,
 }
 
-impl Room {
-    /// Returns what [`peaks`] does, `count` of them in a picture of `among` primitives.
+impl Scratch {
+    /// Returns what [`peaks`] returns, for `count` peaks in a picture of `among` primitives.
     pub(crate) fn peaks(
         &mut self,
         problem: &Problem<'_>,
@@ -74,14 +74,14 @@ impl Room {
         rows: RowSet,
         [count, among]: [usize; 2],
     ) -> Vec<Peak> {
-        let Room { cells, spare, score } = self;
-        // Work on cells of `rows.step` pixels: the field has no more rows than that.
+        let Scratch { cells, spare, score } = self;
+        // The cells are `rows.step` pixels wide, because the field has only every `rows.step`th row.
         residual(problem, field, rows, cells);
         search(&problem.scene, (cells, spare, score), rows.step as f32, [count, among])
     }
 }
 
-/// The peaks of the residual in `cells`, each `size` pixels a side; the other two are memory.
+/// Finds the peaks of the residual in `cells`, which are `size` pixels wide. The other two buffers are scratch memory.
 fn search(
     scene: &Scene,
     (cells, spare, score): (&mut Cells, &mut Vec<f32>, &mut Vec<f32>),
@@ -90,9 +90,9 @@ fn search(
 ) -> Vec<Peak> {
     let spacing = spacing(scene, count, among);
     let ridges = ridge::all();
-    let mut bar = Bar { count, gains: Vec::new() };
+    let mut threshold = GainThreshold { count, gains: Vec::new() };
     let mut candidates: Vec<(Peak, u32)> = Vec::new();
-    // Variance of the blur so far, in pixels².
+    // Variance of the blur so far, pixels².
     let mut variance = 0.0f32;
     for level in 0..12u32 {
         let passes = if level == 0 { 2 } else { 1 };
@@ -105,23 +105,23 @@ fn search(
             break;
         }
         let gain_of = |score: f32| 4.0 * std::f32::consts::PI * variance * score;
-        let longest = ridge::longest(spacing, sigma);
-        let tops = tops(cells, score);
-        let least = bar.raised(tops.iter().map(|top| gain_of(top.score))) / longest;
-        let tops: Vec<_> = tops.into_iter().filter(|top| gain_of(top.score) >= least).collect();
-        let shapes = parallel::map(tops.len().div_ceil(CHUNK), |c| {
-            let tops = &tops[c * CHUNK..tops.len().min((c + 1) * CHUNK)];
-            tops.iter().map(|top| ridge::shape(&ridges, longest, cells, top.cell)).collect::<Vec<_>>()
+        let max_aspect = ridge::max_aspect(spacing, sigma);
+        let maxima = maxima(cells, score);
+        let least = threshold.raise(maxima.iter().map(|maximum| gain_of(maximum.score))) / max_aspect;
+        let maxima: Vec<_> = maxima.into_iter().filter(|maximum| gain_of(maximum.score) >= least).collect();
+        let shapes = parallel::map(maxima.len().div_ceil(CHUNK), |c| {
+            let maxima = &maxima[c * CHUNK..maxima.len().min((c + 1) * CHUNK)];
+            maxima.iter().map(|maximum| ridge::shape(&ridges, max_aspect, cells, maximum.cell)).collect::<Vec<_>>()
         })
         .concat();
-        for (Top { cell: [x, y], .. }, shape) in tops.into_iter().zip(shapes) {
+        for (LocalMaximum { cell: [x, y], .. }, shape) in maxima.into_iter().zip(shapes) {
             let mean = [(x as f32 + 0.5) * size, (y as f32 + 0.5) * size];
             candidates.push((Peak::new(mean, sigma, &shape), level));
         }
         if cells.width < 4 || cells.height < 4 {
             break;
         }
-        // The box adds a quarter of a pixel² of variance at the finer size.
+        // Averaging 2 × 2 cells adds a variance of a quarter of the finer cell's area.
         cells.halve(spare);
         variance += 0.25 * size * size;
         size *= 2.0;
@@ -129,14 +129,14 @@ fn search(
     best(candidates, count, scene)
 }
 
-/// The least gain among the `count` largest so far: a bar that peaks need not be looked at far below.
-struct Bar {
+/// The smallest of the `count` largest gains so far. Peaks far below it need not be examined.
+struct GainThreshold {
     count: usize,
     gains: Vec<f32>,
 }
 
-impl Bar {
-    fn raised(&mut self, gains: impl Iterator<Item = f32>) -> f32 {
+impl GainThreshold {
+    fn raise(&mut self, gains: impl Iterator<Item = f32>) -> f32 {
         self.gains.extend(gains);
         let Some(over) = self.gains.len().checked_sub(self.count).filter(|&over| over < self.gains.len()) else {
             return 0.0;
@@ -147,9 +147,9 @@ impl Bar {
     }
 }
 
-/// The best `count` of candidates with their levels, none near a better one.
+/// Selects the best `count` of candidates with their levels, none of them close to a better one.
 pub(crate) fn best(mut candidates: Vec<(Peak, u32)>, count: usize, scene: &Scene) -> Vec<Peak> {
-    // Ties are broken by place, so that the order is defined.
+    // Ties are broken by position, so that the order is deterministic.
     let order = |(a, la): &(Peak, u32), (b, lb): &(Peak, u32)| {
         b.gain
             .total_cmp(&a.gain)
@@ -157,7 +157,7 @@ pub(crate) fn best(mut candidates: Vec<(Peak, u32)>, count: usize, scene: &Scene
             .then(a.mean[1].total_cmp(&b.mean[1]))
             .then(a.mean[0].total_cmp(&b.mean[0]))
     };
-    // A large picture has many times as many candidates as are taken: the worst are seldom worth sorting.
+    // A large picture has many more candidates than are selected, so the worst ones are rarely worth sorting.
     let part = (4 * count).max(1024);
     let (mut next, mut sorted) = (0, 0);
     let candidates = std::iter::from_fn(|| {
@@ -177,13 +177,13 @@ pub(crate) fn best(mut candidates: Vec<(Peak, u32)>, count: usize, scene: &Scene
     spread(candidates, count, scene)
 }
 
-/// Makes `cells` what the target has and the picture in `field` has not, in cells of `rows.step` pixels a side.
+/// Fills `cells` with the residual (target − picture in `field`), in cells that are `rows.step` pixels wide.
 fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet, cells: &mut Cells) {
     let Problem { scene, target } = *problem;
     let channels = target.channels.count();
     let (step, length) = (rows.step as usize, scene.width as usize);
     let (width, height) = (length.div_ceil(step), rows.count(scene.height));
-    // Four side by side are one step of a processor.
+    // Four adjacent floats fill one vector.
     let each = if channels == 1 { 1 } else { 4 };
     let share = 1.0 / step as f32;
     (cells.width, cells.height, cells.each) = (width, height, each);
@@ -197,7 +197,7 @@ fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet, cells: &mut Cell
             let planes =
                 std::array::from_fn(|k| [&wanted[k * target.stride..][..length], &found[k * field.stride..][..length]]);
             let [r, g, b, _] = target.channel_amplitude;
-            return simd::dispatch(Lacks { planes, shares: [r, g, b], amplitude, out });
+            return simd::dispatch(ResidualTask { planes, shares: [r, g, b], amplitude, out });
         }
         out.fill(0.0);
         for k in 0..channels {
@@ -217,10 +217,10 @@ fn residual(problem: &Problem<'_>, field: &Field, rows: RowSet, cells: &mut Cell
     });
 }
 
-/// Weighted difference between the target and the drawn picture in a row of three colours, where each pixel is a cell.
-/// Compilers turn the loop over it into vectors of the instruction set.
-struct Lacks<'a> {
-    /// The row of the target and that of the drawn picture, for each colour.
+/// Computes the weighted residual of a row of three colours, where each pixel is a cell. Compilers vectorize its loop
+/// for the instruction set.
+struct ResidualTask<'a> {
+    /// The rows of the target and of the drawn picture, for each colour.
     planes: [[&'a [f32]; 2]; 3],
     shares: [f32; 3],
     amplitude: Option<&'a [f32]>,
@@ -228,61 +228,62 @@ struct Lacks<'a> {
 }
 
 #[inline(always)]
-fn lacks([t, v]: [&[f32]; 2], x: usize) -> f32 {
+fn residual_at([t, v]: [&[f32]; 2], x: usize) -> f32 {
     t[x] - v[x].clamp(0.0, 1.0)
 }
 
-impl Task for Lacks<'_> {
+impl Task for ResidualTask<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        let Lacks { planes: [r, g, b], shares, amplitude, out } = self;
+        let ResidualTask { planes: [r, g, b], shares, amplitude, out } = self;
         let (out, _) = out.as_chunks_mut::<4>();
         for (x, out) in out.iter_mut().enumerate() {
             let weight = amplitude.map_or(1.0, |a| a[x]);
             *out = [
-                lacks(r, x) * (shares[0] * weight),
-                lacks(g, x) * (shares[1] * weight),
-                lacks(b, x) * (shares[2] * weight),
+                residual_at(r, x) * (shares[0] * weight),
+                residual_at(g, x) * (shares[1] * weight),
+                residual_at(b, x) * (shares[2] * weight),
                 0.0,
             ];
         }
     }
 }
 
-/// A cell whose square is larger than those around it.
-struct Top {
+/// A cell whose sum of squares is larger than those of its neighbours.
+struct LocalMaximum {
     cell: [usize; 2],
     score: f32,
 }
 
-/// The cells whose squares, which are left in `score`, are larger than those around them; of equal ones the first.
-fn tops(cells: &Cells, score: &mut Vec<f32>) -> Vec<Top> {
+/// Returns the cells whose sums of squares are larger than those of their neighbours; of equal ones, the first. `score`
+/// receives the sums of squares.
+fn maxima(cells: &Cells, score: &mut Vec<f32>) -> Vec<LocalMaximum> {
     let (w, h) = (cells.width, cells.height);
     score.resize(w * h, 0.0);
     parallel::map_chunks(score, w.max(1), |y, out| {
-        simd::dispatch(Squares { row: cells.row(y), each: cells.each, out })
+        simd::dispatch(SquaresTask { row: cells.row(y), each: cells.each, out })
     });
     let row = |y: usize| &score[y * w..][..w];
     let found = parallel::map(h, |y| {
-        let mut is_top = vec![false; w];
+        let mut is_maximum = vec![false; w];
         let (above, below) = (y.checked_sub(1).map(row), (y + 1 < h).then(|| row(y + 1)));
-        simd::dispatch(Larger { above, row: row(y), below, out: &mut is_top });
-        let tops = is_top.iter().zip(row(y)).enumerate().filter(|(_, (top, _))| **top);
-        tops.map(|(x, (_, &score))| Top { cell: [x, y], score }).collect::<Vec<_>>()
+        simd::dispatch(LocalMaximumTask { above, row: row(y), below, out: &mut is_maximum });
+        let maxima = is_maximum.iter().zip(row(y)).enumerate().filter(|(_, (maximum, _))| **maximum);
+        maxima.map(|(x, (_, &score))| LocalMaximum { cell: [x, y], score }).collect::<Vec<_>>()
     });
     found.into_iter().flatten().collect()
 }
 
-/// The sums of squares of cells. Loops that compilers turn into vectors of the instruction set.
-struct Squares<'a> {
+/// Computes the sums of squares of cells. Compilers vectorize its loops for the instruction set.
+struct SquaresTask<'a> {
     row: &'a [f32],
     each: usize,
     out: &'a mut [f32],
 }
 
-impl Task for Squares<'_> {
+impl Task for SquaresTask<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -299,25 +300,25 @@ impl Task for Squares<'_> {
     }
 }
 
-/// Which of a row are larger than those around them, and not 0.
-struct Larger<'a> {
+/// Marks the values of a row that are positive and larger than their neighbours.
+struct LocalMaximumTask<'a> {
     above: Option<&'a [f32]>,
     row: &'a [f32],
     below: Option<&'a [f32]>,
     out: &'a mut [bool],
 }
 
-impl Task for Larger<'_> {
+impl Task for LocalMaximumTask<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, _: S) {
-        let Larger { above, row, below, out } = self;
+        let LocalMaximumTask { above, row, below, out } = self;
         let n = row.len();
         for (o, &v) in out.iter_mut().zip(row) {
             *o = v > 0.0;
         }
-        // Of equal ones the first counts, by rows and along them.
+        // Of equal values the first one counts, in raster order.
         for (i, o) in out.iter_mut().enumerate().skip(1) {
             *o &= row[i] > row[i - 1];
         }
@@ -349,13 +350,13 @@ impl Task for Larger<'_> {
     }
 }
 
-/// Keeps the best peaks that are at least 1.5 of their own scales away from all better ones, in each direction.
+/// Keeps the best peaks whose distance from all better ones is at least 1.5 of their own scales, in each direction.
 fn spread(candidates: impl Iterator<Item = Peak>, count: usize, scene: &Scene) -> Vec<Peak> {
     const CELL: f32 = 8.0;
     const NONE: u32 = u32::MAX;
     let cols = (scene.width as f32 / CELL) as usize + 1;
     let rows = (scene.height as f32 / CELL) as usize + 1;
-    // The peak taken last in each cell, and for each peak the one taken before it there.
+    // The most recently accepted peak in each cell, and for each peak the one accepted before it in that cell.
     let mut last = vec![NONE; cols * rows];
     let mut before: Vec<u32> = Vec::new();
     let place = |m: [f32; 2]| (((m[0] / CELL) as usize).min(cols - 1), ((m[1] / CELL) as usize).min(rows - 1));
@@ -399,12 +400,12 @@ fn spread(candidates: impl Iterator<Item = Peak>, count: usize, scene: &Scene) -
     out
 }
 
-/// A primitive for a peak.
+/// Returns a primitive for a peak.
 pub(crate) fn at_peak(peak: &Peak, problem: &Problem<'_>) -> Primitive {
     let Problem { scene, target } = *problem;
     let color = match scene.blend {
         Blend::Normalized => target.at(peak.mean),
-        // The residual was weighted to find the peak.
+        // The residual was weighted for the search.
         Blend::Sum => {
             let amplitude = target.amplitude_at(peak.mean);
             std::array::from_fn(|k| peak.residual[k] / (amplitude * target.channel_amplitude[k]))

@@ -1,4 +1,4 @@
-//! The cost of removing a primitive, and the order in which they are least missed.
+//! The cost of removing primitives, and the order in which they are least missed.
 
 use crate::fit::model::drawing::field::Field;
 use crate::fit::model::drawing::kernel::{self, Strip, Visit};
@@ -10,9 +10,10 @@ use crate::gaussian::Blend;
 use crate::parallel;
 use crate::simd::{self, Simd, Task};
 
-/// The rise of the squared error when each primitive is removed, estimated without refitting the others.
+/// Returns the increase of the squared error when each primitive is removed, estimated without refitting the others.
 ///
-/// `field` holds [`Output::Picture`](crate::fit::model::drawing::field::Output::Picture) over `rows`, of these primitives first; the sums are scaled up by the rows left out.
+/// `field` holds [`Output::Picture`](crate::fit::model::drawing::field::Output::Picture) over `rows`, with these
+/// primitives drawn first. The sums are scaled up to account for the rows left out.
 pub(crate) fn costs(problem: &Problem<'_>, field: &Field, rows: RowSet, projected: &[Projected]) -> Vec<f32> {
     const CHUNK: usize = 64;
     let chunks = projected.len().div_ceil(CHUNK);
@@ -29,12 +30,12 @@ pub(crate) fn costs(problem: &Problem<'_>, field: &Field, rows: RowSet, projecte
     .concat()
 }
 
-/// The costs of a run of primitives.
+/// Computes the costs of consecutive primitives.
 struct CostTask<'a, const C: usize> {
     problem: &'a Problem<'a>,
     field: &'a Field,
     rows: RowSet,
-    /// Index of the first of them.
+    /// Index of the first primitive.
     start: usize,
     projected: &'a [Projected],
 }
@@ -58,7 +59,7 @@ impl<const C: usize> Task for CostTask<'_, C> {
     }
 }
 
-/// Sums what the picture loses without a primitive.
+/// Accumulates what the picture loses without a primitive.
 struct Cost<'a, S: Simd, const C: usize> {
     problem: &'a Problem<'a>,
     field: &'a Field,
@@ -96,18 +97,18 @@ impl<S: Simd, const C: usize> Visit<S> for Cost<'_, S, C> {
     }
 }
 
-/// Indices by rising cost; equal costs by index.
+/// Returns the indices by increasing cost; equal costs by index.
 pub(crate) fn cheapest_first(costs: &[f32]) -> Vec<usize> {
     cheapest(costs, costs.len())
 }
 
-/// The first `most` of them.
-pub(crate) fn cheapest(costs: &[f32], most: usize) -> Vec<usize> {
+/// Returns the first `max_count` of these indices.
+pub(crate) fn cheapest(costs: &[f32], max_count: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..costs.len()).collect();
     let by_cost = |a: &usize, b: &usize| costs[*a].total_cmp(&costs[*b]).then(a.cmp(b));
-    if most < order.len() {
-        order.select_nth_unstable_by(most, by_cost);
-        order.truncate(most);
+    if max_count < order.len() {
+        order.select_nth_unstable_by(max_count, by_cost);
+        order.truncate(max_count);
     }
     order.sort_unstable_by(by_cost);
     order

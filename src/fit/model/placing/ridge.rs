@@ -1,37 +1,37 @@
-//! Peaks of the residual that are part of a ridge: round primitives at thin lines seldom grow into needles, since the
-//! first of their steps gains nothing.
+//! Detects ridges at peaks of the residual. Round primitives on thin lines rarely grow into needles, because the first
+//! steps in that direction gain nothing.
 
 use crate::fit::model::objective::blur::Cells;
 use crate::strict_math::StrictMath;
 
-/// Largest aspect that a new primitive gets; the fit stretches it further.
-const MOST_ASPECT: f32 = 4.0;
+/// Largest aspect ratio of a new primitive. The fit may stretch it further.
+const MAX_ASPECT: f32 = 4.0;
 
-/// Aspects of ridges.
-const ASPECTS: [f32; 2] = [2.0, MOST_ASPECT];
+/// Aspect ratios of ridges.
+const ASPECTS: [f32; 2] = [2.0, MAX_ASPECT];
 
-/// Directions in which ridges are looked for, over half a turn.
+/// Number of directions of ridges, over half a turn.
 const DIRECTIONS: usize = 16;
 
-/// Ridges that are looked for at each peak.
+/// Ridges examined at each peak.
 pub(crate) const RIDGES: usize = ASPECTS.len() * DIRECTIONS;
 
-/// Cells on one side of a peak, its own among them, that are looked at for a ridge.
+/// Cells on one side of a peak, including its own, that are examined for a ridge.
 pub(crate) const TAPS: usize = 11;
 
-/// Standard deviation that the residual was blurred with, in cells of its level: between 1.2 and 1.4.
+/// Standard deviation of the residual's blur, in cells of its level: between 1.2 and 1.4.
 const BLUR: f32 = 1.25;
 
-/// A cell beside a peak, and its mirror image; laid out as in `peaks.wgsl`.
+/// A cell beside a peak, and its mirror image. The layout is that in `peaks.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "gpu", derive(bytemuck::Pod, bytemuck::Zeroable))]
 #[repr(C)]
 pub(crate) struct Tap {
     pub x: i32,
     pub y: i32,
-    /// Weight of either.
+    /// Weight of each of the two cells.
     pub weight: f32,
-    /// Aspect of the ridge.
+    /// Aspect ratio of the ridge.
     pub aspect: f32,
 }
 
@@ -43,17 +43,17 @@ pub(crate) struct Shape {
     pub rotation: f32,
     /// Mean residual under the shape.
     pub residual: [f32; 4],
-    /// Its square times the aspect: what a Gaussian of the shape gains, in units of a round one's.
+    /// Square of the residual times the aspect ratio: the gain of a Gaussian of this shape, relative to a round one.
     pub score: f32,
 }
 
-/// A direction for what has none: none of the axes, which would keep gradients at 0.
-const ANY: f32 = 0.3;
+/// Rotation of round shapes. It is not parallel to an axis, where gradients would stay 0.
+const DEFAULT_ROTATION: f32 = 0.3;
 
 impl Shape {
-    /// The shape of ridge `index` of [`all`], or a round one, under which the mean residual is `residual`.
+    /// Returns the shape of ridge `index` of [`all`], or a round one, with the mean residual `residual`.
     pub(crate) fn new(index: Option<usize>, residual: [f32; 4]) -> Self {
-        let (aspect, rotation) = index.map_or((1.0, ANY), |i| (ASPECTS[i / DIRECTIONS], rotation(i)));
+        let (aspect, rotation) = index.map_or((1.0, DEFAULT_ROTATION), |i| (ASPECTS[i / DIRECTIONS], rotation(i)));
         let [r, g, b, a] = residual;
         Shape { aspect, rotation, residual, score: aspect * (r * r + g * g + b * b + a * a) }
     }
@@ -63,14 +63,14 @@ fn rotation(index: usize) -> f32 {
     std::f32::consts::PI * (index % DIRECTIONS) as f32 / DIRECTIONS as f32
 }
 
-/// The ridges: lines of cells weighted as a Gaussian would be along them.
+/// Returns all ridges: lines of cells with the weights of a Gaussian along them.
 pub(crate) fn all() -> [[Tap; TAPS]; RIDGES] {
     std::array::from_fn(|i| {
         let aspect = ASPECTS[i / DIRECTIONS];
         let (sin, cos) = rotation(i).strict_sin_cos();
         let length = BLUR * (aspect * aspect - 1.0).sqrt();
         let weight = |t: usize| match t {
-            // A mirror image of itself.
+            // This cell is its own mirror image.
             0 => 0.5,
             _ if t as f32 > (2.0 * length).ceil() => 0.0,
             _ => (-0.5 * (t as f32 / length).powi(2)).strict_exp(),
@@ -85,28 +85,34 @@ pub(crate) fn all() -> [[Tap; TAPS]; RIDGES] {
     })
 }
 
-/// The largest aspect of a new primitive `sigma` pixels wide where the largest round one has a scale of `spacing`: no
-/// larger than that in area.
-pub(crate) fn longest(spacing: f32, sigma: f32) -> f32 {
-    (spacing * spacing / (sigma * sigma)).clamp(1.0, MOST_ASPECT)
+/// Returns the largest aspect ratio of a new primitive that is `sigma` pixels wide, such that its area is at most that
+/// of a round one with a scale of `spacing`.
+pub(crate) fn max_aspect(spacing: f32, sigma: f32) -> f32 {
+    (spacing * spacing / (sigma * sigma)).clamp(1.0, MAX_ASPECT)
 }
 
-/// The best shape at `cell` of the residuals `cells`, up to the aspect `longest`; beyond the edges nothing is missing.
-pub(crate) fn shape(ridges: &[[Tap; TAPS]; RIDGES], longest: f32, cells: &Cells, cell: [usize; 2]) -> Shape {
+/// Returns the best shape at `cell` of the residuals `cells`, up to the aspect ratio `max_aspect`. Outside the picture
+/// the residual is 0.
+pub(crate) fn shape(ridges: &[[Tap; TAPS]; RIDGES], max_aspect: f32, cells: &Cells, cell: [usize; 2]) -> Shape {
     match cells.each {
-        4 => shape_of::<4>(ridges, longest, cells, cell),
-        _ => shape_of::<1>(ridges, longest, cells, cell),
+        4 => shape_of::<4>(ridges, max_aspect, cells, cell),
+        _ => shape_of::<1>(ridges, max_aspect, cells, cell),
     }
 }
 
-fn shape_of<const N: usize>(ridges: &[[Tap; TAPS]; RIDGES], longest: f32, cells: &Cells, [x, y]: [usize; 2]) -> Shape {
+fn shape_of<const N: usize>(
+    ridges: &[[Tap; TAPS]; RIDGES],
+    max_aspect: f32,
+    cells: &Cells,
+    [x, y]: [usize; 2],
+) -> Shape {
     let (values, _) = cells.values.as_chunks::<N>();
     let at = y * cells.width + x;
     let of = |mean: [f32; N]| std::array::from_fn(|k| mean.get(k).copied().unwrap_or(0.0));
     let mut best = Shape::new(None, of(values[at]));
     let is_inside = |v: usize, size: usize| v + 1 >= TAPS && v + TAPS <= size;
     let is_inside = is_inside(x, cells.width) && is_inside(y, cells.height);
-    for (i, ridge) in ridges.iter().enumerate().filter(|(_, r)| r[0].aspect <= longest) {
+    for (i, ridge) in ridges.iter().enumerate().filter(|(_, r)| r[0].aspect <= max_aspect) {
         let mut mean = [0.0f32; N];
         let mut add = |weight: f32, cell: &[f32; N]| {
             for (m, v) in mean.iter_mut().zip(cell) {
@@ -149,19 +155,19 @@ mod tests {
         let blurred = |v: f32| (-0.5 * (v / BLUR).powi(2)).exp();
         for k in 0..DIRECTIONS {
             let (sin, cos) = rotation(k).sin_cos();
-            let line = shape(&all(), MOST_ASPECT, &plane(&|x, y| blurred(cos * y - sin * x)), [20, 20]);
-            assert_eq!((line.aspect, line.rotation), (MOST_ASPECT, rotation(k)), "{line:?}");
-            // All of the line's height, but for rounding to cells.
-            assert!(line.score > 0.9 * MOST_ASPECT, "{line:?}");
+            let line = shape(&all(), MAX_ASPECT, &plane(&|x, y| blurred(cos * y - sin * x)), [20, 20]);
+            assert_eq!((line.aspect, line.rotation), (MAX_ASPECT, rotation(k)), "{line:?}");
+            // The full height of the line, except for rounding to cells.
+            assert!(line.score > 0.9 * MAX_ASPECT, "{line:?}");
         }
-        let dot = shape(&all(), MOST_ASPECT, &plane(&|x, y| blurred(x) * blurred(y)), [20, 20]);
-        assert_eq!((dot.aspect, dot.rotation), (1.0, ANY));
-        let short = shape(&all(), longest(2.0, 1.0), &plane(&|_, y| blurred(y)), [20, 20]);
-        assert_eq!((short.aspect, longest(1.0, 2.0)), (MOST_ASPECT, 1.0));
-        let short = shape(&all(), longest(1.5, 1.0), &plane(&|_, y| blurred(y)), [20, 20]);
+        let dot = shape(&all(), MAX_ASPECT, &plane(&|x, y| blurred(x) * blurred(y)), [20, 20]);
+        assert_eq!((dot.aspect, dot.rotation), (1.0, DEFAULT_ROTATION));
+        let short = shape(&all(), max_aspect(2.0, 1.0), &plane(&|_, y| blurred(y)), [20, 20]);
+        assert_eq!((short.aspect, max_aspect(1.0, 2.0)), (MAX_ASPECT, 1.0));
+        let short = shape(&all(), max_aspect(1.5, 1.0), &plane(&|_, y| blurred(y)), [20, 20]);
         assert_eq!((short.aspect, short.rotation), (2.0, 0.0));
-        // Half of a line ends at the edge: cells that are not there count as 0.
-        let edge = shape(&all(), MOST_ASPECT, &plane(&|x, _| blurred(x + 20.0)), [0, 0]);
-        assert!(edge.score < MOST_ASPECT * 0.5, "{edge:?}");
+        // Half of a line ends at the edge: cells outside count as 0.
+        let edge = shape(&all(), MAX_ASPECT, &plane(&|x, _| blurred(x + 20.0)), [0, 0]);
+        assert!(edge.score < MAX_ASPECT * 0.5, "{edge:?}");
     }
 }

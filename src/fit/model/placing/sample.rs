@@ -1,4 +1,4 @@
-//! Where the fit starts: primitives spread by local detail along a Hilbert curve.
+//! Initial placement: primitives distributed by local detail along a Hilbert curve.
 
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
@@ -9,19 +9,19 @@ use crate::fit::model::objective::planes::Planes;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 
-/// Share of the primitives that follow detail; the rest is spread evenly.
+/// Share of the primitives that follow detail. The rest is distributed evenly.
 pub(crate) const DETAIL: f64 = 0.8;
 /// Initial scales in units of `1/√(π·density)`.
 const SPREAD: f32 = 0.7;
-/// How much the aspect of primitives on a straight edge is above 1.
+/// Increase of the aspect ratio of primitives on a straight edge over 1.
 const STRETCH: f32 = 2.0;
-/// Range of the angles of primitives around that of an edge, radians.
-const JITTER: f32 = 0.05;
+/// Range of the angles of primitives around the angle of an edge, radians.
+const ANGLE_JITTER: f32 = 0.05;
 
-/// `count` primitives, stretched along edges, whose density follows the square root of the blurred gradient.
+/// Returns `count` primitives, stretched along edges. Their density follows the square root of the blurred gradient.
 pub(crate) fn by_detail(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Vec<Primitive> {
     let area = f64::from(target.width) * f64::from(target.height);
-    // Cells well below the mean distance of primitives, so that a stratum rarely shares one.
+    // The cells are well below the mean distance of primitives, so that two of them rarely share one.
     let spacing = (area / count.max(1) as f64).sqrt();
     let cell = (spacing / 4.0).clamp(1.0, 64.0) as u32;
     let (cols, rows) = (target.width.div_ceil(cell), target.height.div_ceil(cell));
@@ -41,7 +41,7 @@ pub(crate) fn by_detail(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Ve
         let share = scaled[i as usize] * count as f64;
         let before = sum;
         sum += share;
-        // One primitive whenever the cumulated density passes the middle of its stratum.
+        // Place a primitive whenever the cumulated density passes the middle of its stratum.
         while out.len() < count && (out.len() as f64 + 0.5) < sum {
             debug_assert!(before <= out.len() as f64 + 0.5 || share > 1.0);
             let jitter: [f32; 2] = [rng.random(), rng.random()];
@@ -52,12 +52,12 @@ pub(crate) fn by_detail(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Ve
             let scale = (SPREAD / (std::f32::consts::PI * per_pixel).sqrt()).max(0.4).strict_ln();
             let (stretch, along) = detail.stretch(i as usize);
             let log_scale = [scale + 0.5 * stretch, scale - 0.5 * stretch];
-            // Never quite along the axes, which would keep gradients at 0.
-            let rotation = along + JITTER * (rng.random::<f32>() - 0.5);
+            // Avoid rotations exactly parallel to an axis, where gradients would stay 0.
+            let rotation = along + ANGLE_JITTER * (rng.random::<f32>() - 0.5);
             out.push(Primitive { mean, log_scale, rotation, color: target.at(mean) });
         }
     }
-    // Rounding may leave the last stratum open.
+    // Rounding may leave the last stratum empty.
     while out.len() < count {
         let mean = [rng.random::<f32>() * target.width as f32, rng.random::<f32>() * target.height as f32];
         let scale = (SPREAD * spacing as f32 / std::f32::consts::PI.sqrt()).max(0.4).strict_ln();
@@ -66,10 +66,10 @@ pub(crate) fn by_detail(target: &Planes, count: usize, rng: &mut Pcg64Mcg) -> Ve
     out
 }
 
-/// Returns how much detail there is in a part of a picture of which one primitive has `room` pixels: what their density there
-/// follows.
-pub(crate) fn detail(target: &Planes, room: f64) -> f64 {
-    let cell = (room.sqrt() / 4.0).clamp(1.0, 64.0) as u32;
+/// Returns the amount of detail in a part of a picture, which determines the density of primitives there. `pixels_each`
+/// is the number of pixels per primitive.
+pub(crate) fn detail(target: &Planes, pixels_each: f64) -> f64 {
+    let cell = (pixels_each.sqrt() / 4.0).clamp(1.0, 64.0) as u32;
     let detail = Detail::new(target, cell, [target.width.div_ceil(cell), target.height.div_ceil(cell)]);
     detail.strength.iter().map(|d| f64::from(d.max(1e-6).sqrt())).sum()
 }
@@ -116,8 +116,8 @@ impl Detail {
         Detail { strength: plane(0, 1), tensor: [1, 2, 3].map(|k| plane(k, 2)) }
     }
 
-    /// How far a primitive in cell `i` is stretched, as the logarithm of its aspect, and along which angle: along the
-    /// edge, where there is one.
+    /// Returns by how much a primitive in cell `i` is stretched, as the logarithm of its aspect ratio, and the angle of
+    /// the stretch: along the edge, if there is one.
     fn stretch(&self, i: usize) -> (f32, f32) {
         let [a, b, c] = [0, 1, 2].map(|k| self.tensor[k][i]);
         let (difference, sum) = ((a - c).strict_hypot(2.0 * b), a + c);
@@ -127,7 +127,7 @@ impl Detail {
     }
 }
 
-/// Means of 2 × 2 values, borders repeated.
+/// Returns the means of 2 × 2 values. Borders are repeated.
 pub(crate) fn halve(plane: &[f32], w: usize, h: usize) -> Vec<f32> {
     let (nw, nh) = (w.div_ceil(2), h.div_ceil(2));
     let mut out = vec![0.0; nw * nh];
@@ -141,13 +141,13 @@ pub(crate) fn halve(plane: &[f32], w: usize, h: usize) -> Vec<f32> {
     out
 }
 
-/// Position of `(x, y)` along the Hilbert curve over a square of side `2^order`.
+/// Returns the position of `(x, y)` along the Hilbert curve over a square of side `2^order`.
 pub(crate) fn hilbert_index(order: u32, mut x: u32, mut y: u32) -> u64 {
     let mut index = 0u64;
     for level in (0..order).rev() {
         let (rx, ry) = (x >> level & 1, y >> level & 1);
         index = index << 2 | u64::from(3 * rx ^ ry);
-        // Turn the quadrant so that the curve enters and leaves at the right corners.
+        // Rotate the quadrant so that the curve enters and leaves at the right corners.
         if ry == 0 {
             if rx == 1 {
                 let mask = (1u32 << level) - 1;
@@ -168,7 +168,7 @@ mod tests {
     use crate::pixels::{Pixels, Samples};
 
     #[test]
-    fn primitives_start_along_edges_and_round_where_there_are_none() {
+    fn primitives_start_stretched_along_edges_and_round_elsewhere() {
         let start = |value: &dyn Fn(f32, f32) -> f32| {
             let samples = (0..96 * 80u32).map(|i| value((i % 96) as f32, (i / 96) as f32) as u8).collect();
             let pixels = Pixels::new(96, 80, Channels::Grey, Samples::U8(samples)).unwrap();
@@ -177,7 +177,7 @@ mod tests {
         for angle in [0.4f32, 1.3, 2.5] {
             let (sin, cos) = angle.sin_cos();
             for p in start(&|x, y| 128.0 + 90.0 * (0.5 * (cos * y - sin * x)).sin()) {
-                // At the borders a gradient is that of what is repeated there.
+                // At the borders, the gradient includes repeated pixels.
                 if !(10.0..86.0).contains(&p.mean[0]) || !(10.0..70.0).contains(&p.mean[1]) {
                     continue;
                 }
