@@ -28,7 +28,7 @@ pub(crate) struct Reservation {
 
 impl Budget {
     /// Opens an account with the allowance of `limits`.
-    pub fn of(limits: &Limits) -> Self {
+    pub(crate) fn of(limits: &Limits) -> Self {
         Budget(Arc::new(Mutex::new(Account { allowed: most(limits.alloc), reserved: 0 })))
     }
 
@@ -37,7 +37,7 @@ impl Budget {
     }
 
     /// Returns the number of bytes that are free.
-    pub fn left(&self) -> u64 {
+    pub(crate) fn left(&self) -> u64 {
         let account = self.account();
         account.allowed - account.reserved
     }
@@ -46,7 +46,7 @@ impl Budget {
     ///
     /// # Errors
     /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) with the number of free bytes if they could not.
-    pub fn check(&self, bytes: u64) -> Result<()> {
+    pub(crate) fn check(&self, bytes: u64) -> Result<()> {
         Limits::check("alloc", bytes, self.left())
     }
 
@@ -54,7 +54,7 @@ impl Budget {
     ///
     /// # Errors
     /// As [`Budget::check`].
-    pub fn reserve(&self, bytes: u64) -> Result<Reservation> {
+    pub(crate) fn reserve(&self, bytes: u64) -> Result<Reservation> {
         let mut reservation = Reservation { budget: self.clone(), bytes: 0 };
         reservation.grow(bytes)?;
         Ok(reservation)
@@ -65,7 +65,7 @@ impl Budget {
     /// # Errors
     /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) if more is already reserved; nothing changes in this
     /// case.
-    pub fn allow(&self, alloc: u64) -> Result<()> {
+    pub(crate) fn allow(&self, alloc: u64) -> Result<()> {
         let mut account = self.account();
         Limits::check("alloc", account.reserved, most(alloc))?;
         account.allowed = most(alloc);
@@ -78,7 +78,7 @@ impl Reservation {
     ///
     /// # Errors
     /// As [`Budget::check`]; the existing reservation is kept.
-    pub fn grow(&mut self, more: u64) -> Result<()> {
+    pub(crate) fn grow(&mut self, more: u64) -> Result<()> {
         let mut account = self.budget.account();
         Limits::check("alloc", more, account.allowed - account.reserved)?;
         account.reserved += more;
@@ -90,12 +90,12 @@ impl Reservation {
     ///
     /// # Errors
     /// As [`Budget::check`].
-    pub fn beside(&self, bytes: u64) -> Result<Reservation> {
+    pub(crate) fn beside(&self, bytes: u64) -> Result<Reservation> {
         self.budget.reserve(bytes)
     }
 
     /// Releases all but `bytes`, which must not exceed the reservation.
-    pub fn shrink(&mut self, bytes: u64) {
+    pub(crate) fn shrink(&mut self, bytes: u64) {
         debug_assert!(bytes <= self.bytes, "{bytes} of {}", self.bytes);
         let bytes = bytes.min(self.bytes);
         self.budget.account().reserved -= self.bytes - bytes;

@@ -10,8 +10,7 @@ pub(crate) use provided::Instant;
 pub use provided::provide_clock;
 
 #[cfg(any(test, all(target_family = "wasm", target_os = "unknown")))]
-// Tests compile this module on all platforms and use a part of it.
-#[cfg_attr(test, allow(dead_code))]
+#[cfg_attr(test, allow(dead_code, reason = "tests compile this module on all platforms and use a part of it"))]
 mod provided {
     use std::ops::{Add, Sub};
     use std::sync::OnceLock;

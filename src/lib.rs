@@ -178,6 +178,8 @@ See [`gpu`] for rendering into the textures of a program.
 //! The repository's `docs/ARCHITECTURE.md` is a map of the modules, and `spec/ssplat.md` defines the format.
 
 #![cfg_attr(not(feature = "unstable"), warn(missing_docs))]
+// Without that feature, what it exports cannot be reached. Tests include files of other crates.
+#![cfg_attr(all(feature = "unstable", feature = "encode", not(test)), warn(unreachable_pub, unnameable_types))]
 // docs.rs builds with nightly; each item then shows the feature that it needs.
 #![cfg_attr(docsrs, feature(doc_cfg))]
 

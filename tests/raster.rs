@@ -76,8 +76,7 @@ fn fitted_scenes_are_within_one_code_value_for_all_channels_and_blends() {
 }
 
 #[test]
-// Includes angles near a quarter turn.
-#[allow(clippy::approx_constant)]
+#[allow(clippy::approx_constant, reason = "angles near a quarter turn")]
 fn single_gaussians_of_every_shape_are_within_one_code_value() {
     let scales = [0.25f32, 0.3, 0.5, 0.8, 1.0, 1.7, 3.0, 9.0, 40.0, 300.0, 1e4, 1_048_576.0];
     let angles = [
@@ -261,8 +260,7 @@ fn reduced_views_are_within_one_code_value_of_their_definition() {
 }
 
 #[test]
-// Includes angles near a quarter turn.
-#[allow(clippy::approx_constant)]
+#[allow(clippy::approx_constant, reason = "angles near a quarter turn")]
 fn single_gaussians_of_every_shape_are_within_one_code_value_when_reduced() {
     let scales = [0.25f32, 0.8, 3.0, 40.0, 1e4, 1_048_576.0];
     for blend in [Blend::Normalized, Blend::Sum] {

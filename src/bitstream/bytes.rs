@@ -14,25 +14,25 @@ pub(crate) struct Bytes<'a> {
 }
 
 impl<'a> Bytes<'a> {
-    pub fn new(data: &'a [u8], base: u64) -> Self {
+    pub(crate) fn new(data: &'a [u8], base: u64) -> Self {
         Bytes { data, at: 0, base }
     }
 
     /// Returns the position of the next byte in the file.
-    pub fn offset(&self) -> u64 {
+    pub(crate) fn offset(&self) -> u64 {
         self.base + self.at as u64
     }
 
-    pub fn left(&self) -> usize {
+    pub(crate) fn left(&self) -> usize {
         self.data.len() - self.at
     }
 
     /// Returns the bytes that have been read.
-    pub fn taken(&self) -> &'a [u8] {
+    pub(crate) fn taken(&self) -> &'a [u8] {
         &self.data[..self.at]
     }
 
-    pub fn take(&mut self, count: u64, what: &'static str) -> Result<&'a [u8]> {
+    pub(crate) fn take(&mut self, count: u64, what: &'static str) -> Result<&'a [u8]> {
         if count > self.left() as u64 {
             return Err(FormatError::Truncated { what, offset: self.base + self.data.len() as u64 }.into());
         }
@@ -41,46 +41,46 @@ impl<'a> Bytes<'a> {
         Ok(&self.data[start..self.at])
     }
 
-    pub fn array<const K: usize>(&mut self, what: &'static str) -> Result<[u8; K]> {
+    pub(crate) fn array<const K: usize>(&mut self, what: &'static str) -> Result<[u8; K]> {
         let bytes = self.take(K as u64, what)?;
         Ok(std::array::from_fn(|i| bytes[i]))
     }
 
-    pub fn u16(&mut self, what: &'static str) -> Result<u16> {
+    pub(crate) fn u16(&mut self, what: &'static str) -> Result<u16> {
         self.take(2, what).map(LittleEndian::read_u16)
     }
 
-    pub fn u32(&mut self, what: &'static str) -> Result<u32> {
+    pub(crate) fn u32(&mut self, what: &'static str) -> Result<u32> {
         self.take(4, what).map(LittleEndian::read_u32)
     }
 
-    pub fn f32(&mut self, what: &'static str) -> Result<f32> {
+    pub(crate) fn f32(&mut self, what: &'static str) -> Result<f32> {
         self.take(4, what).map(LittleEndian::read_f32)
     }
 
-    pub fn f64(&mut self, what: &'static str) -> Result<f64> {
+    pub(crate) fn f64(&mut self, what: &'static str) -> Result<f64> {
         self.take(8, what).map(LittleEndian::read_f64)
     }
 
-    pub fn varint(&mut self, what: &'static str) -> Result<u64> {
+    pub(crate) fn varint(&mut self, what: &'static str) -> Result<u64> {
         varint(what, || Ok(self.array::<1>(what)?[0]))
     }
 
     /// Returns a cursor over the next `count` bytes.
-    pub fn part(&mut self, count: u64, what: &'static str) -> Result<Bytes<'a>> {
+    pub(crate) fn part(&mut self, count: u64, what: &'static str) -> Result<Bytes<'a>> {
         let base = self.offset();
         Ok(Bytes::new(self.take(count, what)?, base))
     }
 
     /// Returns all remaining bytes.
-    pub fn rest(&mut self) -> &'a [u8] {
+    pub(crate) fn rest(&mut self) -> &'a [u8] {
         let start = self.at;
         self.at = self.data.len();
         &self.data[start..]
     }
 
     /// Fails unless all bytes have been read.
-    pub fn finish(&self) -> Result<()> {
+    pub(crate) fn finish(&self) -> Result<()> {
         match self.left() {
             0 => Ok(()),
             count => Err(FormatError::TrailingBytes { count: count as u64 }.into()),

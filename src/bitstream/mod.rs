@@ -1,7 +1,7 @@
 //! Converts bytes to integers and back, exactly. It does not interpret colours or pixels (spec §2 to §8).
 
 pub mod area;
-mod broken;
+pub mod broken;
 pub(crate) mod bytes;
 pub(crate) mod checksum;
 pub mod coder;

@@ -140,7 +140,7 @@ impl<'a> Reading<'a> {
 
 impl Reading<'_> {
     /// Parses the bytes after the header. With an `area`, groups that cannot reach into it are left out.
-    pub fn whole(
+    pub(crate) fn whole(
         self,
         header: &Header,
         rest: &[u8],
@@ -203,7 +203,7 @@ impl Reading<'_> {
     }
 
     /// Parses the intact parts of the bytes after the header, and returns counts of the missing parts.
-    pub fn intact(self, header: &Header, rest: &[u8]) -> Result<(PackedSplats, MissingParts)> {
+    pub(crate) fn intact(self, header: &Header, rest: &[u8]) -> Result<(PackedSplats, MissingParts)> {
         let mut working = self.reserve(header, rest)?;
         // Parts are verified by the checksums of the directory and of each group, or by that of the Gaussians' bytes.
         // The checksum of the file may be cut off, or may be inside the last group of a truncated file. It only tells
@@ -257,7 +257,7 @@ impl Reading<'_> {
     }
 
     /// Parses the sections, and nothing after them.
-    pub fn described(self, header: &Header, rest: &[u8]) -> Result<Metadata> {
+    pub(crate) fn described(self, header: &Header, rest: &[u8]) -> Result<Metadata> {
         let _working = self.budget.reserve(FILE_COPIES * rest.len() as u64)?;
         let mut bytes = Bytes::new(rest, header.bytes().len() as u64);
         let read = self.sections(header, &mut bytes, &mut Hasher::new(), &mut Tally::default())?;

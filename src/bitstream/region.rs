@@ -9,12 +9,12 @@ pub(crate) struct Region {
 
 impl Region {
     /// Returns the rectangle of powers of two around the whole grid; no side is below `2^least`.
-    pub fn whole(grid: [u32; 2], least: u32) -> Self {
+    pub(crate) fn whole(grid: [u32; 2], least: u32) -> Self {
         Region { corner: [0, 0], log: grid.map(|g| (u32::BITS - (g - 1).leading_zeros()).max(least)) }
     }
 
     /// Returns the axis that is halved next, or `None` for a single cell.
-    pub fn axis(&self) -> Option<usize> {
+    pub(crate) fn axis(&self) -> Option<usize> {
         match self.log {
             [0, 0] => None,
             [x, y] => Some(usize::from(x < y)),
@@ -22,7 +22,7 @@ impl Region {
     }
 
     /// Returns the lower and the upper half.
-    pub fn halves(&self, axis: usize) -> [Region; 2] {
+    pub(crate) fn halves(&self, axis: usize) -> [Region; 2] {
         let (mut low, mut high) = (*self, *self);
         low.log[axis] -= 1;
         high.log[axis] -= 1;
@@ -31,12 +31,12 @@ impl Region {
     }
 
     /// Returns the number of bits of the key of [`Region::place`].
-    pub fn key_bits(&self) -> u32 {
+    pub(crate) fn key_bits(&self) -> u32 {
         self.log[0] + self.log[1]
     }
 
     /// Returns the place of a primitive in the square of `2^log` cells that contains `cell`.
-    pub fn place(&self, cell: [u32; 2], log: u32) -> Place {
+    pub(crate) fn place(&self, cell: [u32; 2], log: u32) -> Place {
         let (mut region, mut key) = (*self, 0);
         while region.log != [log; 2] {
             let Some(axis) = region.axis() else { break };
@@ -48,7 +48,7 @@ impl Region {
     }
 
     /// Returns the number of cells of the grid in each half along `axis`.
-    pub fn inside(&self, axis: usize, grid: [u32; 2]) -> [u32; 2] {
+    pub(crate) fn inside(&self, axis: usize, grid: [u32; 2]) -> [u32; 2] {
         let (left, half) = (grid[axis].saturating_sub(self.corner[axis]), 1 << (self.log[axis] - 1));
         [left.min(half), left.saturating_sub(half).min(half)]
     }

@@ -87,12 +87,12 @@ pub(crate) struct Tally {
 }
 
 impl Tally {
-    pub fn part(&mut self, name: &'static str, bytes: usize) {
+    pub(crate) fn part(&mut self, name: &'static str, bytes: usize) {
         self.parts.push(Part { name, bytes: bytes as u64 });
     }
 
     /// Adds `bits` to a field.
-    pub fn field(&mut self, name: &'static str, bits: f64) {
+    pub(crate) fn field(&mut self, name: &'static str, bits: f64) {
         match self.fields.iter_mut().find(|f| f.name == name) {
             Some(field) => field.bits += bits,
             None => self.fields.push(Field { name, bits }),
@@ -100,7 +100,7 @@ impl Tally {
     }
 
     /// Adds the counts of a meter that has read one stream.
-    pub fn add<C>(&mut self, meter: Meter<C>) {
+    pub(crate) fn add<C>(&mut self, meter: Meter<C>) {
         meter.fields.into_iter().for_each(|(name, bits)| self.field(name, bits));
         if let Some((all, each)) = meter.each.split_first() {
             self.each.extend(each.iter().map(|bits| bits + all / each.len() as f32));

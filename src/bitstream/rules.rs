@@ -67,7 +67,7 @@ pub(crate) struct Rules {
 }
 
 impl Rules {
-    pub fn new(steps: &Steps, layout: Layout, size: [u32; 2], channels: Channels) -> Self {
+    pub(crate) fn new(steps: &Steps, layout: Layout, size: [u32; 2], channels: Channels) -> Self {
         let mut rules = Rules {
             lattice: Lattice::new(steps, layout),
             size,
@@ -88,67 +88,67 @@ impl Rules {
         rules
     }
 
-    pub fn of(splats: &PackedSplats) -> Self {
+    pub(crate) fn of(splats: &PackedSplats) -> Self {
         Rules::new(&splats.steps, splats.layout, [splats.width, splats.height], splats.channels)
     }
 
     /// Returns the exponent of the finest position step.
-    pub fn finest(&self) -> i32 {
+    pub(crate) fn finest(&self) -> i32 {
         self.coarsest - self.range as i32
     }
 
     /// Returns the number of octaves between the finest and the coarsest position step.
-    pub fn range(&self) -> u32 {
+    pub(crate) fn range(&self) -> u32 {
         self.range
     }
 
     /// Returns the number of cells of the finest step along each side.
-    pub fn grid(&self) -> [u32; 2] {
+    pub(crate) fn grid(&self) -> [u32; 2] {
         self.size.map(|side| Lattice::positions(side, self.finest()))
     }
 
     /// Returns the region that contains every primitive.
-    pub fn region(&self) -> Region {
+    pub(crate) fn region(&self) -> Region {
         Region::whole(self.grid(), self.range)
     }
 
     /// Returns the binary logarithms of the position steps of a shape, in finest cells.
-    pub fn logs(&self, major: u8, minor: u8, angle: u16) -> [u32; 2] {
+    pub(crate) fn logs(&self, major: u8, minor: u8, angle: u16) -> [u32; 2] {
         self.in_cells(self.lattice.exponents(major, minor, angle))
     }
 
     /// Returns the binary logarithms, in finest cells, of position steps of `2^exponents` pixels.
-    pub fn in_cells(&self, exponents: [i32; 2]) -> [u32; 2] {
+    pub(crate) fn in_cells(&self, exponents: [i32; 2]) -> [u32; 2] {
         exponents.map(|e| (e - self.finest()) as u32)
     }
 
     /// Returns the binary logarithm of the side, in finest cells, of the square that contains a primitive of this
     /// major scale: the position step that it would have along its major axis, which is the coarsest that its shape
     /// can have.
-    pub fn seat(&self, major: u8) -> u32 {
+    pub(crate) fn seat(&self, major: u8) -> u32 {
         let log64 = 2 * (i32::from(major) * self.delta - 64 - 8 * self.position) - 1;
         ((log64 + 32).div_euclid(64).clamp(self.finest(), self.coarsest) - self.finest()) as u32
     }
 
     /// Returns the smallest and the largest major scale of primitives in squares of side `2^log` cells.
-    pub fn majors(&self, log: u32) -> Result<(u8, u8), Broken> {
+    pub(crate) fn majors(&self, log: u32) -> Result<(u8, u8), Broken> {
         let (low, high) = self.majors[log as usize];
         if low > high { Err(Broken { field: "square without a scale", value: log.into() }) } else { Ok((low, high)) }
     }
 
     /// Returns an upper bound of half the longest axis of the support of a primitive of this major scale, pixels.
-    pub fn reach(&self, major: u8) -> f64 {
+    pub(crate) fn reach(&self, major: u8) -> f64 {
         let log2 = f64::from(i32::from(major) * self.delta) / 32.0 - 2.0;
         f64::from(CUTOFF) * log2.exp2() * (1.0 + 1e-6)
     }
 
     /// Returns the square that contains a primitive.
-    pub fn place(&self, p: &PackedGaussian, region: Region) -> Place {
+    pub(crate) fn place(&self, p: &PackedGaussian, region: Region) -> Place {
         let [lx, ly] = self.logs(p.major, p.minor, p.angle);
         region.place([p.x << lx, p.y << ly], self.seat(p.major))
     }
 
-    pub fn shape(&self, major: u8, minor: u8, angle: u16) -> Result<(), Broken> {
+    pub(crate) fn shape(&self, major: u8, minor: u8, angle: u16) -> Result<(), Broken> {
         let broken = |field, value| Err(Broken { field, value });
         if major > self.top {
             return broken("major scale", major.into());
@@ -162,7 +162,7 @@ impl Rules {
         Ok(())
     }
 
-    pub fn color(&self, color: [i16; 4]) -> Result<(), Broken> {
+    pub(crate) fn color(&self, color: [i16; 4]) -> Result<(), Broken> {
         let broken = |field, value: i16| Err(Broken { field, value: value.unsigned_abs().into() });
         for (k, (&c, most)) in color.iter().zip(self.most_color).enumerate() {
             if k >= self.channels && c != 0 {
@@ -176,21 +176,21 @@ impl Rules {
     }
 
     /// Checks the colours of a palette: background and codebook.
-    pub fn palette(&self, splats: &PackedSplats) -> Result<(), Broken> {
+    pub(crate) fn palette(&self, splats: &PackedSplats) -> Result<(), Broken> {
         let named = |field| move |Broken { value, .. }: Broken| Broken { field, value };
         self.color(splats.background).map_err(named("background"))?;
         let mut book = splats.codebook.iter().flatten();
         book.try_for_each(|&c| self.color(c)).map_err(named("codebook"))
     }
 
-    pub fn primitive(&self, p: &PackedGaussian) -> Result<(), Broken> {
+    pub(crate) fn primitive(&self, p: &PackedGaussian) -> Result<(), Broken> {
         self.shape(p.major, p.minor, p.angle)?;
         self.position([p.x, p.y], self.lattice.exponents(p.major, p.minor, p.angle))?;
         self.color(p.color)
     }
 
     /// Checks that a position in steps of `2^exponents` pixels lies in the picture.
-    pub fn position(&self, position: [u32; 2], exponents: [i32; 2]) -> Result<(), Broken> {
+    pub(crate) fn position(&self, position: [u32; 2], exponents: [i32; 2]) -> Result<(), Broken> {
         for (k, field) in ["x", "y"].into_iter().enumerate() {
             if position[k] >= Lattice::positions(self.size[k], exponents[k]) {
                 return Err(Broken { field, value: position[k].into() });

@@ -53,10 +53,10 @@ pub(crate) struct Edges {
 }
 
 impl Edges {
-    pub const NONE: Edges = Edges { above: [0; CELLS], held: [0; CELLS] };
+    pub(crate) const NONE: Edges = Edges { above: [0; CELLS], held: [0; CELLS] };
 
     /// Records a block that has levels, `1 << size` cells wide.
-    pub fn note(&mut self, [x, y]: [usize; 2], size: u8) {
+    pub(crate) fn note(&mut self, [x, y]: [usize; 2], size: u8) {
         let n = 1usize << size;
         let span = ((1u64 << n) - 1) << x;
         self.above[y] |= span;
@@ -70,14 +70,14 @@ impl Edges {
     }
 
     /// Tells whether there are edges above the cells of row `cy`.
-    pub fn has(&self, cy: usize) -> bool {
+    pub(crate) fn has(&self, cy: usize) -> bool {
         self.above[cy] != 0
     }
 
     /// Filters across the edges above the cells of row `cy`: two rows of samples above them and two below.
     #[cfg_attr(target_family = "wasm", inline(never))]
     #[cfg_attr(not(target_family = "wasm"), inline(always))]
-    pub fn between_rows(&self, cy: usize, above: &mut [i32], below: &mut [i32]) {
+    pub(crate) fn between_rows(&self, cy: usize, above: &mut [i32], below: &mut [i32]) {
         let ((a, b), (c, d)) = (above.split_at_mut(TILE), below.split_at_mut(TILE));
         let mut left = self.above[cy];
         while left != 0 {
@@ -97,7 +97,7 @@ impl Edges {
     /// `across` is the number of cells.
     #[cfg_attr(target_family = "wasm", inline(never))]
     #[cfg_attr(not(target_family = "wasm"), inline(always))]
-    pub fn between_columns(&self, cy: usize, rows: &mut [i32], sizes: &[u8], across: usize) {
+    pub(crate) fn between_columns(&self, cy: usize, rows: &mut [i32], sizes: &[u8], across: usize) {
         let held = self.held[cy];
         let mut left = (held | held << 1) & (u64::MAX >> (CELLS - across)) & !1;
         let (sizes, rows) = (&sizes[cy * CELLS..][..CELLS], &mut rows[..CELL * TILE]);

@@ -16,7 +16,7 @@ pub(crate) struct PlaneSteps {
 
 impl PlaneSteps {
     /// Returns the steps of `plane` in superblocks of `class`.
-    pub fn new(head: &DetailHead, plane: usize, class: u8) -> Self {
+    pub(crate) fn new(head: &DetailHead, plane: usize, class: u8) -> Self {
         let mut base = u32::from(head.step);
         if let 1 | 2 = plane {
             base = base * u32::from(head.chroma[plane - 1]) / 16;
@@ -30,7 +30,7 @@ impl PlaneSteps {
 
     /// Returns the step of a frequency in blocks of side `4 << size`, in 1/64 of a code value.
     #[inline(always)]
-    pub fn step(&self, size: usize, u: usize, v: usize) -> u32 {
+    pub(crate) fn step(&self, size: usize, u: usize, v: usize) -> u32 {
         let frequency = ((u * u + v * v) as u64) << (6 - 2 * size);
         let more = (u64::from(self.base) * u64::from(self.slope) * frequency) >> 14;
         (self.base + more as u32).max(1)
@@ -38,7 +38,7 @@ impl PlaneSteps {
 
     /// Returns the coefficient of a level, in 1/16 of a code value.
     #[inline(always)]
-    pub fn value(&self, size: usize, u: usize, v: usize, level: i16) -> i32 {
+    pub(crate) fn value(&self, size: usize, u: usize, v: usize, level: i16) -> i32 {
         let magnitude = i32::from(level).abs();
         let units = magnitude * 32 - self.biases[usize::from(magnitude > 1)];
         let value = units.wrapping_mul(self.step(size, u, v) as i32).wrapping_add(64) >> 7;

@@ -9,12 +9,12 @@ use crate::bitstream::detail::levels::{CELL, CodedBlock, SUPER, SUPERS, TILE};
 pub(crate) struct Supers(u64);
 
 impl Supers {
-    pub const NONE: Supers = Supers(0);
-    pub const ALL: Supers = Supers(u64::MAX);
+    pub(crate) const NONE: Supers = Supers(0);
+    pub(crate) const ALL: Supers = Supers(u64::MAX);
 
     /// Returns the superblocks that contain the pixels of these columns and rows of a tile.
     #[inline(always)]
-    pub fn of(columns: Range<usize>, rows: Range<usize>) -> Self {
+    pub(crate) fn of(columns: Range<usize>, rows: Range<usize>) -> Self {
         let (start, end) = (columns.start / SUPER, columns.end.div_ceil(SUPER));
         let row = ((1u64 << (end - start)) - 1) << start;
         let mut some = 0;
@@ -26,7 +26,7 @@ impl Supers {
 
     /// Returns the superblocks that a block changes: its own and those that it touches.
     #[inline(always)]
-    pub fn reached(block: &CodedBlock) -> Self {
+    pub(crate) fn reached(block: &CodedBlock) -> Self {
         let [x, y] = block.cell.map(usize::from);
         let n = 1usize << block.size;
         Supers::of(
@@ -37,29 +37,29 @@ impl Supers {
 
     /// Tells whether the set contains the superblock at this column and row.
     #[inline(always)]
-    pub fn has(self, [x, y]: [usize; 2]) -> bool {
+    pub(crate) fn has(self, [x, y]: [usize; 2]) -> bool {
         self.0 >> (y * SUPERS + x) & 1 != 0
     }
 
     /// Tells whether the sets intersect.
     #[inline(always)]
-    pub fn meets(self, other: Supers) -> bool {
+    pub(crate) fn meets(self, other: Supers) -> bool {
         self.0 & other.0 != 0
     }
 
     #[inline(always)]
-    pub fn with(self, other: Supers) -> Self {
+    pub(crate) fn with(self, other: Supers) -> Self {
         Supers(self.0 | other.0)
     }
 
     #[inline(always)]
-    pub fn without(self, other: Supers) -> Self {
+    pub(crate) fn without(self, other: Supers) -> Self {
         Supers(self.0 & !other.0)
     }
 
     /// Returns the columns of the superblocks of a row.
     #[inline(always)]
-    pub fn row(self, y: usize) -> impl Iterator<Item = usize> {
+    pub(crate) fn row(self, y: usize) -> impl Iterator<Item = usize> {
         let row = self.0 >> (y * SUPERS);
         (0..SUPERS).filter(move |x| row >> x & 1 != 0)
     }

@@ -32,7 +32,7 @@ pub(crate) struct Scratch {
 impl TilePlanes {
     /// Tells whether the superblock that contains the pixel at column `x` and row `y` has additions.
     #[inline(always)]
-    pub fn has(&self, x: usize, y: usize) -> bool {
+    pub(crate) fn has(&self, x: usize, y: usize) -> bool {
         self.filled.has([x / SUPER, y / SUPER])
     }
 

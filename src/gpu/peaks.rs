@@ -30,7 +30,7 @@ pub(super) struct Found {
 }
 
 impl Found {
-    pub fn shape(&self) -> Shape {
+    pub(super) fn shape(&self) -> Shape {
         Shape::new((self.ridge as usize).checked_sub(1), self.residual)
     }
 }

@@ -44,7 +44,7 @@ pub struct Stated {
     /// Whether it takes precedence over the profile that the decoder finds.
     is_first: bool,
     /// A note for the user about what no profile can express.
-    #[cfg_attr(not(feature = "unstable"), allow(dead_code))]
+    #[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "only the program and the encoder ask for it"))]
     pub note: Option<&'static str>,
     /// Whether decoders return all pictures of the format with alpha.
     always_has_alpha: bool,

@@ -66,7 +66,7 @@ impl Cost {
 }
 
 impl Bins {
-    pub fn new(splats: &Splats, view: &View, limits: &Limits, budget: &Budget) -> Result<Self> {
+    pub(super) fn new(splats: &Splats, view: &View, limits: &Limits, budget: &Budget) -> Result<Self> {
         let tiles = Tiles::of(view);
         let number = u64::from(tiles.count[0]) * u64::from(tiles.count[1]);
         let runs: Vec<(u32, &[Splat])> = splats.runs().collect();
@@ -125,7 +125,7 @@ impl Bins {
     }
 
     /// Returns the Gaussians that touch the tile `(column, row)`, counted from the view's first tile.
-    pub fn members(&self, column: u32, row: u32) -> &[u32] {
+    pub(super) fn members(&self, column: u32, row: u32) -> &[u32] {
         let tile = row as usize * self.tiles.count[0] as usize + column as usize;
         &self.members[self.starts[tile] as usize..self.starts[tile + 1] as usize]
     }

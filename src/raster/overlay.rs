@@ -65,14 +65,14 @@ pub(super) const SCALE: f32 = UNIT / 255.0;
 
 impl Additions {
     /// Returns the row `row`, channel after channel.
-    pub fn row(&self, row: usize) -> &[f32] {
+    pub(crate) fn row(&self, row: usize) -> &[f32] {
         let length = self.stride * self.channels;
         &self.values[(row - self.top as usize) * length..][..length]
     }
 
     /// Returns the first `rows` rows, one after the other.
     #[cfg(feature = "gpu")]
-    pub fn first_rows(&self, rows: u32) -> &[f32] {
+    pub(crate) fn first_rows(&self, rows: u32) -> &[f32] {
         &self.values[..rows as usize * self.stride * self.channels]
     }
 }
@@ -128,19 +128,19 @@ impl Taps {
 }
 
 impl Overlay {
-    pub fn new(layer: Arc<DetailLayer>, channels: Channels, size: [u32; 2]) -> Self {
+    pub(crate) fn new(layer: Arc<DetailLayer>, channels: Channels, size: [u32; 2]) -> Self {
         Overlay { layer, channels, size, pool: Mutex::default() }
     }
 
     /// Tells whether the pixels of `view` are the pixels of the picture, so that tiles are added without resampling.
-    pub fn is_direct(&self, view: &View) -> bool {
+    pub(crate) fn is_direct(&self, view: &View) -> bool {
         let sides = [view.width, view.height];
         let is_inside = (0..2).all(|k| u64::from(view.offset[k]) + u64::from(sides[k]) <= self.size[k].into());
         view.step == [1.0; 2] && view.origin == [0.0; 2] && is_inside
     }
 
     /// Returns the number of rows of tiles that are held at once.
-    pub fn tile_rows_at_once(&self, view: &View) -> u32 {
+    pub(crate) fn tile_rows_at_once(&self, view: &View) -> u32 {
         u32::try_from(TARGET_BYTES / self.tile_row_memory(view)).unwrap_or(u32::MAX).max(1)
     }
 
@@ -152,12 +152,12 @@ impl Overlay {
     }
 
     /// Returns the number of rows, of `stride` samples per channel, for which additions are computed at once.
-    pub fn rows_at_once(&self, stride: usize) -> u32 {
+    pub(crate) fn rows_at_once(&self, stride: usize) -> u32 {
         u32::try_from(TARGET_BYTES / self.row_memory(stride)).unwrap_or(u32::MAX).max(TILE as u32)
     }
 
     /// Returns the bytes that a row of additions takes, including its taps.
-    pub fn row_memory(&self, stride: usize) -> u64 {
+    pub(crate) fn row_memory(&self, stride: usize) -> u64 {
         stride as u64 * self.channels.count() as u64 * size_of::<f32>() as u64 + LINE_BYTES
     }
 
@@ -165,7 +165,7 @@ impl Overlay {
     /// computed at once. If tiles are shown unscaled and more rows follow, the rows end at an edge of tiles, so that
     /// no tile is computed twice.
     #[cfg(feature = "gpu")]
-    pub fn rows_from(&self, view: &View, first: u32, most: u32) -> u32 {
+    pub(crate) fn rows_from(&self, view: &View, first: u32, most: u32) -> u32 {
         if most >= view.height - first {
             return most;
         }
@@ -179,7 +179,7 @@ impl Overlay {
     ///
     /// # Errors
     /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) if that work alone could exceed the limits.
-    pub fn work(&self, view: &View, limits: &Limits) -> Result<u64> {
+    pub(crate) fn work(&self, view: &View, limits: &Limits) -> Result<u64> {
         /// Work per sample of a tile: its part of the densest transform.
         const SAMPLE_WORK: u64 = 64;
         let [_, _, width, height] = view.area().map(|side| (u64::from(side) / TILE as u64 + 2) * TILE as u64);
@@ -204,7 +204,7 @@ impl Overlay {
 
     /// Checks that the additions to `rows` rows of `view`, of `stride` samples per channel, and their inputs fit into
     /// `budget`.
-    pub fn check(&self, view: &View, stride: usize, rows: u32, budget: &Budget) -> Result<()> {
+    pub(crate) fn check(&self, view: &View, stride: usize, rows: u32, budget: &Budget) -> Result<()> {
         if self.is_direct(view) {
             // Rows of tiles that are shown completely or in part.
             let shown = (view.offset[1] + view.height).div_ceil(TILE as u32) - view.offset[1] / TILE as u32;
@@ -216,7 +216,7 @@ impl Overlay {
 
     /// Checks that the additions to `rows` rows fit into `budget` if they are computed for whole rows, even if tiles
     /// are shown unscaled.
-    pub fn check_rows(&self, stride: usize, rows: u32, budget: &Budget) -> Result<()> {
+    pub(crate) fn check_rows(&self, stride: usize, rows: u32, budget: &Budget) -> Result<()> {
         let additions = self.row_memory(stride).saturating_mul(rows.into());
         let [across, _] = tile_counts(self.size);
         let tiles = across as u64 * (TILE * TILE) as u64 * (self.channels.count() as u64 * 2 + 4);

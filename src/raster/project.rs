@@ -111,26 +111,26 @@ impl Splat {
     /// Returns the half width and half height of a box around the support, pixels: its bounding box, slightly enlarged
     /// by rounding.
     #[inline(always)]
-    pub fn extent(&self) -> [f64; 2] {
+    pub(super) fn extent(&self) -> [f64; 2] {
         self.extent.map(f64::from)
     }
 
     /// Returns the pixels down per unit of `u`.
     #[inline(always)]
-    pub fn pitch(&self) -> f32 {
+    pub(super) fn pitch(&self) -> f32 {
         self.rise.recip() as f32
     }
 
     /// Returns the largest `u² + v²` on the first row of a segment at which the recurrence may start; never if
     /// negative.
     #[inline(always)]
-    pub fn reach(&self) -> f32 {
+    pub(super) fn reach(&self) -> f32 {
         if self.rise > RECURRENCE_RISE { -1.0 } else { (RECURRENCE_REACH + f64::from(self.level)) as f32 }
     }
 
     /// Returns an upper estimate of the pixels of `view` that the kernel visits for this splat: those within the
     /// support's box and within a strip's width of the support.
-    pub fn covered(&self, view: &View) -> u64 {
+    pub(super) fn covered(&self, view: &View) -> u64 {
         let side = [view.width, view.height];
         let extent = self.extent();
         let [wide, high] = std::array::from_fn(|k| {
@@ -147,7 +147,7 @@ impl Splat {
 
     /// Returns the work per pixel of the splat, relative to a wide Gaussian. It is higher if each row takes an
     /// exponential. The estimate may be too high for a few Gaussians.
-    pub fn cost(&self) -> u64 {
+    pub(super) fn cost(&self) -> u64 {
         let is_narrow = self.rise > RECURRENCE_RISE || self.run.abs().max(self.shear.abs()) > RECURRENCE_RUN;
         if is_narrow { EXPONENTIAL_COST } else { 1 }
     }
@@ -208,18 +208,18 @@ pub(super) struct Splats {
 
 impl Splats {
     /// Returns the number of splats.
-    pub fn len(&self) -> usize {
+    pub(super) fn len(&self) -> usize {
         self.chunks.iter().map(Vec::len).sum()
     }
 
     /// Returns all splats in runs of consecutive numbers, each with its first number.
-    pub fn runs(&self) -> impl Iterator<Item = (u32, &[Splat])> {
+    pub(super) fn runs(&self) -> impl Iterator<Item = (u32, &[Splat])> {
         self.chunks.iter().enumerate().map(|(i, chunk)| ((i * CHUNK) as u32, &chunk[..]))
     }
 
     /// Returns the splat with number `id`.
     #[inline(always)]
-    pub fn get(&self, id: u32) -> &Splat {
+    pub(super) fn get(&self, id: u32) -> &Splat {
         &self.chunks[id as usize / CHUNK][id as usize % CHUNK]
     }
 }

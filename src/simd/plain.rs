@@ -4,7 +4,7 @@ use super::{LANES, Simd};
 
 /// Plain arrays, in loops that compilers may vectorize: the reference for the other instruction sets.
 #[derive(Debug, Clone, Copy)]
-pub struct Plain;
+pub(crate) struct Plain;
 
 #[inline(always)]
 fn zip(a: [f32; LANES], b: [f32; LANES], f: impl Fn(f32, f32) -> f32) -> [f32; LANES] {

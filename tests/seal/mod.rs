@@ -1,6 +1,6 @@
 //! Corrects the checksums of damaged files, to test the code behind the checksums.
 
-#![allow(dead_code)] // Each test crate uses its own part.
+#![allow(dead_code, reason = "each test crate uses its own part")]
 
 pub mod layer;
 pub mod mutations;

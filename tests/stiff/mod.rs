@@ -5,7 +5,7 @@ mod row;
 
 use ssplat::{Channels, Pixels, Target};
 
-#[allow(unused_imports)] // Not all who share this make pictures of their own.
+#[allow(unused_imports, reason = "not all who share this make pictures of their own")]
 pub use made::picture;
 use made::{line, noise};
 pub use row::{Bound, Row};

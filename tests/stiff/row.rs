@@ -15,7 +15,7 @@ pub struct Row {
 
 /// The guarantee of a row.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[allow(dead_code)] // Those outside and those inside promise different things.
+#[allow(dead_code, reason = "those outside and those inside promise different things")]
 pub enum Bound {
     /// At most this many 8-bit code values from the f64 definition.
     Codes(f64),
@@ -36,7 +36,7 @@ impl Row {
         }
     }
 
-    #[allow(dead_code)] // The report only reads them.
+    #[allow(dead_code, reason = "the report only reads them")]
     /// Formats the row as one line of tab-separated text.
     pub fn line(&self) -> String {
         let (unit, bound) = match self.bound {

@@ -1,6 +1,6 @@
 //! Synthetic scenes with the statistics of fitted ones: clustered centres, and neighbours of similar shape and colour.
 
-#![allow(dead_code)] // Each test crate uses its own part.
+#![allow(dead_code, reason = "each test crate uses its own part")]
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -311,7 +311,7 @@ pub(in crate::bitstream) fn legal(place: i64) -> i64 {
 }
 
 impl Attributes {
-    pub fn new(scene: &GroupContext<'_>) -> Self {
+    pub(crate) fn new(scene: &GroupContext<'_>) -> Self {
         let palette = &scene.palette;
         let octave = 32 * FINE / scene.delta();
         let spacing = scene.scale_of(scene.spacing);
@@ -349,7 +349,7 @@ impl Attributes {
 
     /// Codes the primitive in `square`. When reading, `p` is ignored; the returned primitive obeys the rules of the
     /// format.
-    pub fn code<C: Coder>(
+    pub(crate) fn code<C: Coder>(
         &mut self,
         coder: &mut C,
         scene: &GroupContext<'_>,

@@ -84,7 +84,7 @@ pub(crate) struct Group<'a> {
 impl<'a> Group<'a> {
     /// # Errors
     /// [`Error::Parameter`](crate::Error::Parameter) if a primitive's colour is not in the codebook.
-    pub fn new(splats: &PackedSplats, book: Option<&'a [[i16; 4]]>) -> Result<Self> {
+    pub(crate) fn new(splats: &PackedSplats, book: Option<&'a [[i16; 4]]>) -> Result<Self> {
         if let Some(book) = book {
             splats.gaussians.iter().try_for_each(|p| index_of(book, p.color).map(drop))?;
         }
@@ -93,7 +93,7 @@ impl<'a> Group<'a> {
     }
 
     /// Codes `count` primitives of `region`. When writing, they must be sorted.
-    pub fn code<C: Coder>(
+    pub(crate) fn code<C: Coder>(
         &self,
         coder: &mut C,
         region: Region,

@@ -89,7 +89,7 @@ impl Cumulative for Binomial {
 }
 
 impl Counts {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let stay = std::array::from_fn(|context| {
             // The probability that one of several primitives stays.
             let (chance, class) = (STAY_CHANCES[context / COUNT_CLASSES], context % COUNT_CLASSES);

@@ -24,13 +24,13 @@ impl Slot {
     const NEW: Slot = Slot(1 << 31);
 
     /// Initial probability `one / 2¹⁶`, with the confidence of `count` decisions.
-    pub const fn new(one: u32, count: u32) -> Self {
+    pub(crate) const fn new(one: u32, count: u32) -> Self {
         Slot(one << 16 | count)
     }
 
     /// Codes one decision and counts it, up to `limit < 256`.
     #[inline]
-    pub fn code<C: Coder>(&mut self, coder: &mut C, limit: u32, bit: u32) -> u32 {
+    pub(crate) fn code<C: Coder>(&mut self, coder: &mut C, limit: u32, bit: u32) -> u32 {
         let bit = coder.bit(self.one(), bit);
         self.update(bit, limit);
         bit
@@ -62,19 +62,19 @@ pub(crate) struct Field {
 
 impl Field {
     /// Returns a field with `nodes` nodes and `contexts` contexts, whose slots count up to `limit < 256` decisions.
-    pub fn new(nodes: usize, contexts: usize, limit: u32) -> Self {
+    pub(crate) fn new(nodes: usize, contexts: usize, limit: u32) -> Self {
         Field { slots: vec![Slot::NEW; nodes * contexts], nodes, limit }
     }
 
     /// Codes one decision at `node`.
     #[inline]
-    pub fn bit<C: Coder>(&mut self, coder: &mut C, context: usize, node: usize, bit: u32) -> u32 {
+    pub(crate) fn bit<C: Coder>(&mut self, coder: &mut C, context: usize, node: usize, bit: u32) -> u32 {
         self.slots[context * self.nodes + node].code(coder, self.limit, bit)
     }
 
     /// Codes `count` bits of `value`, the highest first, each in the context of the ones before; needs `2^count`
     /// nodes.
-    pub fn tree<C: Coder>(&mut self, coder: &mut C, context: usize, count: u32, value: u32) -> u32 {
+    pub(crate) fn tree<C: Coder>(&mut self, coder: &mut C, context: usize, count: u32, value: u32) -> u32 {
         let mut node = 1;
         for i in (0..count).rev() {
             node = node << 1 | self.bit(coder, context, node, value >> i & 1) as usize;
@@ -83,7 +83,7 @@ impl Field {
     }
 
     /// Codes an integer whose magnitude has at most 17 bits: zero, sign, then the magnitude's length and its bits.
-    pub fn signed<C: Coder>(&mut self, coder: &mut C, context: usize, value: i32) -> i32 {
+    pub(crate) fn signed<C: Coder>(&mut self, coder: &mut C, context: usize, value: i32) -> i32 {
         if self.bit(coder, context, 0, u32::from(value == 0)) != 0 {
             return 0;
         }

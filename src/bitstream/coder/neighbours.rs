@@ -47,7 +47,7 @@ pub(crate) struct Spot {
 
 impl Buckets {
     /// Returns empty buckets for `count` primitives in the `extent` cells from `corner` on.
-    pub fn new(count: u32, corner: [u32; 2], extent: [u32; 2]) -> Self {
+    pub(crate) fn new(count: u32, corner: [u32; 2], extent: [u32; 2]) -> Self {
         let shape_of = |log: [u32; 2]| [0, 1].map(|k| u64::from(extent[k].div_ceil(1 << log[k])).max(1));
         let mut log = [0; 2];
         while log[1] < 30 && shape_of(log)[0] * shape_of(log)[1] > (3 * u64::from(count) / 8).max(1) {
@@ -59,7 +59,7 @@ impl Buckets {
 
     /// Returns the position of the middle of a square.
     #[inline]
-    pub fn spot(&self, square: &Square) -> Spot {
+    pub(crate) fn spot(&self, square: &Square) -> Spot {
         let half = 1 << square.log >> 1;
         let eighths = [0, 1].map(|k| {
             let eighths = u64::from(square.corner[k] - self.corner[k] + half) << 3 >> self.log[k];
@@ -71,7 +71,7 @@ impl Buckets {
 
     /// Adds a primitive whose lanes are within ±2¹⁶; the last lane is 1.
     #[inline]
-    pub fn add(&mut self, spot: &Spot, lanes: &[i32; LANES]) {
+    pub(crate) fn add(&mut self, spot: &Spot, lanes: &[i32; LANES]) {
         let [x, y] = spot.bucket;
         let sums = &mut self.sums[(y + 1) * (self.shape[0] + 1) + x + 1];
         sums.iter_mut().zip(lanes).for_each(|(sum, lane)| *sum += lane);
@@ -83,7 +83,7 @@ impl Buckets {
     /// Returns weighted sums over the 3 × 3 surrounding buckets, with larger weights for near ones. Nine weights add
     /// up to less than 2¹⁰ and the sums of a bucket stay below 2²⁰, so that the results stay below 2³⁰.
     #[inline(always)]
-    pub fn around(&self, spot: &Spot) -> [i32; LANES] {
+    pub(crate) fn around(&self, spot: &Spot) -> [i32; LANES] {
         let [x, y] = spot.bucket;
         let shifts = &SHIFTS[spot.eighths[1]][spot.eighths[0]];
         let mut out = [0; LANES];

@@ -130,7 +130,7 @@ pub(crate) struct Near {
 impl Near {
     /// A prediction of `place`, in sixteenths, with a spread of `log` sixteenths of octaves.
     #[inline]
-    pub fn new(place: i64, log: i32) -> Self {
+    pub(crate) fn new(place: i64, log: i32) -> Self {
         let spread = (log.clamp(MIN_SPREAD, MAX_SPREAD) - MIN_SPREAD) as usize;
         Near { place, spread, inverse: INVERSE[spread].into() }
     }
@@ -144,7 +144,7 @@ impl Near {
 
     /// Returns the distance of `value` from the prediction, in units of the distribution's argument.
     #[inline]
-    pub fn distance(&self, value: i64) -> i32 {
+    pub(crate) fn distance(&self, value: i64) -> i32 {
         ((FINE * value - self.place).abs() * self.inverse >> 16).min(MAX_ARGUMENT) as i32
     }
 
@@ -187,14 +187,14 @@ pub(crate) struct Open {
 
 impl Open {
     #[inline]
-    pub fn new(near: Near) -> Self {
+    pub(crate) fn new(near: Near) -> Self {
         let middle = (near.place + FINE / 2) >> 4;
         Open { near, chances: near.from(middle), middle }
     }
 
     /// Codes an integer whose distance from the prediction is below 2¹⁷.
     #[inline]
-    pub fn code<C: Coder>(&self, coder: &mut C, value: i64) -> i64 {
+    pub(crate) fn code<C: Coder>(&self, coder: &mut C, value: i64) -> i64 {
         let (first, last) = (-REACH, REACH - 1);
         let off = value - self.middle;
         let step = coder.choose(self, off.clamp(first.into(), last.into()) as i32);
@@ -251,7 +251,7 @@ impl Bounded {
     /// The `count ≤ 4096` integers from `low` on. About `share / 2¹⁶` of the probability is distributed equally over
     /// them.
     #[inline]
-    pub fn new(near: Near, low: i64, count: i32, share: u32) -> Self {
+    pub(crate) fn new(near: Near, low: i64, count: i32, share: u32) -> Self {
         let chances = near.from(low);
         let (base, floor) = (chances.below(0), share / count as u32 + 1);
         let total = chances.below(count) - base + floor * count as u32;
@@ -347,19 +347,19 @@ pub(crate) struct Gains<const K: usize>([Gain; 64]);
 pub(crate) type Classes<const K: usize> = [usize; K];
 
 impl<const K: usize> Gains<K> {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Gains([Gain::default(); 64])
     }
 
     /// Returns the sum of the gains of a value's classes, in sixteenths of an octave.
     #[inline]
-    pub fn log(&self, classes: &Classes<K>) -> i32 {
+    pub(crate) fn log(&self, classes: &Classes<K>) -> i32 {
         classes.iter().map(|c| self.0[c & 63].log).sum::<i32>() >> 16
     }
 
     /// Adapts to a value at `distance` from the prediction; `MEAN` changes nothing.
     #[inline]
-    pub fn learn(&mut self, classes: &Classes<K>, distance: i32) {
+    pub(crate) fn learn(&mut self, classes: &Classes<K>, distance: i32) {
         for c in classes {
             let gain = &mut self.0[c & 63];
             let moved = (distance - MEAN) * GAIN_STEPS[usize::from(gain.seen)] >> 8;
@@ -388,19 +388,19 @@ static SHIFT_STEPS: [i32; 256] = steps(20);
 pub(crate) struct Shifts([Gain; 64]);
 
 impl Shifts {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Shifts([Gain::default(); 64])
     }
 
     /// Returns the correction in sixteenths.
     #[inline]
-    pub fn get(&self, class: usize) -> i64 {
+    pub(crate) fn get(&self, class: usize) -> i64 {
         (self.0[class & 63].log >> 16).into()
     }
 
     /// Adapts to a value that was `off` sixteenths above the prediction.
     #[inline]
-    pub fn learn(&mut self, class: usize, off: i64) {
+    pub(crate) fn learn(&mut self, class: usize, off: i64) {
         let shift = &mut self.0[class & 63];
         let moved = off.clamp(-64, 64) as i32 * SHIFT_STEPS[usize::from(shift.seen)];
         shift.log = (shift.log + moved).clamp(-MAX_GAIN, MAX_GAIN);

@@ -52,7 +52,7 @@ impl Block {
     }
 
     /// Removes the levels found.
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         for &at in &self.found {
             self.levels[usize::from(at) % ROOM] = 0;
         }
@@ -69,7 +69,7 @@ pub(crate) struct Context {
 }
 
 impl Context {
-    pub fn new(size: usize, bucket: usize) -> Self {
+    pub(crate) fn new(size: usize, bucket: usize) -> Self {
         debug_assert!(bucket < BUCKETS);
         Context { size, bucket }
     }

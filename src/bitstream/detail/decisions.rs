@@ -36,10 +36,10 @@ const fn pace(n: u32, least: u32) -> u16 {
 
 impl Adaptive {
     /// Placeholder for a model that has not been initialized.
-    pub const NONE: Adaptive = Adaptive { estimates: 0, seen: 0 };
+    pub(crate) const NONE: Adaptive = Adaptive { estimates: 0, seen: 0 };
 
     /// A probability of `(256·one + 128) / 65536` with the confidence of `seen` decisions.
-    pub const fn new(one: u8, seen: u8) -> Self {
+    pub(crate) const fn new(one: u8, seen: u8) -> Self {
         let p = (one as u32) << 8 | 128;
         Adaptive { estimates: p << 16 | p, seen }
     }
@@ -52,13 +52,13 @@ impl Adaptive {
 
     /// Returns the probability of a 1, in 1/65536.
     #[inline(always)]
-    pub fn one(self) -> u32 {
+    pub(crate) fn one(self) -> u32 {
         let [quick, slow] = self.estimates();
         ((quick + slow) >> 1).clamp(32, 65_504)
     }
 
     #[inline(always)]
-    pub fn learn(&mut self, bit: bool) {
+    pub(crate) fn learn(&mut self, bit: bool) {
         let n = usize::from(self.seen) & MAX_SEEN;
         let target = if bit { 65_535 } else { 0 };
         let moved = |p: u32, pace: u16| (p as i32 + (((target - p as i32) * i32::from(pace)) >> 16)) as u32;

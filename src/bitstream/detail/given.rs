@@ -14,7 +14,7 @@ pub(crate) struct Given<'a> {
 }
 
 impl<'a> Given<'a> {
-    pub fn new(tile: &'a TileLevels) -> Self {
+    pub(crate) fn new(tile: &'a TileLevels) -> Self {
         let mut blocks = std::array::from_fn(|_| vec![0; CELLS * CELLS]);
         for (i, CodedBlock { cell, plane, .. }) in tile.blocks.iter().enumerate() {
             blocks[usize::from(*plane)][usize::from(cell[1]) * CELLS + usize::from(cell[0])] = i as u32 + 1;

@@ -30,7 +30,7 @@ pub struct DetailHead {
 
 /// Length and checksum of the Gaussians' bytes, as stored in the detail layer's section.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Spans {
+pub(crate) struct Spans {
     /// Bytes of the payload; the layer follows it.
     pub payload: u64,
     /// CRC-32 of header and payload, so that the Gaussians can be shown before the layer has arrived.

@@ -48,7 +48,7 @@ pub(crate) struct TileLevels {
 
 impl TileLevels {
     /// Returns the bytes of memory that the levels take.
-    pub fn memory(&self) -> u64 {
+    pub(crate) fn memory(&self) -> u64 {
         let sizes: usize = self.sizes.iter().map(Vec::capacity).sum();
         let lists = self.blocks.capacity() * size_of::<CodedBlock>() + self.levels.capacity() * size_of::<Level>();
         (sizes + self.classes.capacity() + lists + size_of::<Self>()) as u64

@@ -52,7 +52,7 @@ pub(crate) struct Models {
 
 impl Models {
     /// Returns the models in their initial state.
-    pub fn start() -> Self {
+    pub(crate) fn start() -> Self {
         static START: OnceLock<Models> = OnceLock::new();
         *START.get_or_init(Models::of_the_table)
     }
@@ -88,7 +88,7 @@ impl Models {
     };
 
     /// Visits the models whose initial states are in the table, in groups, in the order of the table.
-    pub fn each(&mut self, visit: &mut dyn FnMut(&mut [Adaptive])) {
+    pub(crate) fn each(&mut self, visit: &mut dyn FnMut(&mut [Adaptive])) {
         visit(self.filled[..3].as_flattened_mut().as_flattened_mut().as_flattened_mut());
         for kind in &mut self.kinds[..2] {
             visit(kind.exponent.as_flattened_mut());

@@ -41,7 +41,7 @@ pub(crate) struct TileState {
 
 impl TileState {
     /// State of a tile of `width × height` pixels.
-    pub fn new([width, height]: [usize; 2]) -> Self {
+    pub(crate) fn new([width, height]: [usize; 2]) -> Self {
         let cells = [width, height].map(|side| side.div_ceil(SUPER) * (SUPER / CELL));
         TileState {
             cells,
@@ -53,7 +53,7 @@ impl TileState {
 
     /// Returns the class of the predicted number of levels of a block, from the blocks above and to the left: the
     /// number of bits of four times that number.
-    pub fn bucket(&self, plane: usize, [x, y]: [usize; 2], size: usize) -> usize {
+    pub(crate) fn bucket(&self, plane: usize, [x, y]: [usize; 2], size: usize) -> usize {
         let (density, n) = (&self.density[plane], 1usize << size);
         let (mut sum, mut count) = (0u32, 0u32);
         if y > 0 {
@@ -73,7 +73,7 @@ impl TileState {
 
     /// Returns a class of the density of the planes already coded at the position of a block. It is the context of
     /// whether the block has levels.
-    pub fn others(&self, plane: usize, [x, y]: [usize; 2], size: usize) -> usize {
+    pub(crate) fn others(&self, plane: usize, [x, y]: [usize; 2], size: usize) -> usize {
         if plane == 0 || plane == 3 {
             return 0;
         }
@@ -87,7 +87,7 @@ impl TileState {
     }
 
     /// Records that a block of a plane has `count` levels.
-    pub fn fill(&mut self, plane: usize, [x, y]: [usize; 2], size: usize, count: u32) {
+    pub(crate) fn fill(&mut self, plane: usize, [x, y]: [usize; 2], size: usize, count: u32) {
         let (n, density) = (1usize << size, (count * FULL_DENSITY / (16 << (2 * size))) as u16);
         for j in 0..n {
             self.density[plane][(y + j) * CELLS + x..][..n].fill(density);
@@ -95,7 +95,7 @@ impl TileState {
     }
 
     /// Records the size of a block.
-    pub fn set_size(&mut self, kind: usize, [x, y]: [usize; 2], size: usize) {
+    pub(crate) fn set_size(&mut self, kind: usize, [x, y]: [usize; 2], size: usize) {
         let n = 1usize << size;
         for j in 0..n {
             self.sizes[kind][(y + j) * CELLS + x..][..n].fill(size as u8);
@@ -103,7 +103,7 @@ impl TileState {
     }
 
     /// Returns the number of smaller blocks next to a block: the context of whether it is divided.
-    pub fn smaller(&self, kind: usize, [x, y]: [usize; 2], size: usize) -> usize {
+    pub(crate) fn smaller(&self, kind: usize, [x, y]: [usize; 2], size: usize) -> usize {
         let sizes = &self.sizes[kind];
         let is_smaller = |at: usize| usize::from(usize::from(sizes[at]) < size);
         let above = if y > 0 { is_smaller((y - 1) * CELLS + x) } else { 0 };
@@ -119,7 +119,7 @@ impl TileState {
     }
 
     /// Returns the superblocks of the tile in coding order, in cells.
-    pub fn superblocks(&self) -> impl Iterator<Item = [usize; 2]> + use<> {
+    pub(crate) fn superblocks(&self) -> impl Iterator<Item = [usize; 2]> + use<> {
         let step = SUPER / CELL;
         let [width, height] = self.cells;
         (0..height).step_by(step).flat_map(move |y| (0..width).step_by(step).map(move |x| [x, y]))
@@ -150,12 +150,12 @@ pub(crate) struct TileCoder<'a, D> {
 
 impl<D: Decisions> TileCoder<'_, D> {
     /// Codes all superblocks.
-    pub fn tile(&mut self, content: &mut impl Content) -> Result<(), Broken> {
+    pub(crate) fn tile(&mut self, content: &mut impl Content) -> Result<(), Broken> {
         self.state.superblocks().try_for_each(|at| self.superblock(at, content))
     }
 
     /// Codes one superblock.
-    pub fn superblock(&mut self, at: [usize; 2], content: &mut impl Content) -> Result<(), Broken> {
+    pub(crate) fn superblock(&mut self, at: [usize; 2], content: &mut impl Content) -> Result<(), Broken> {
         if self.head.classes > 1 {
             let place = at.map(|c| c / (SUPER / CELL));
             let near = self.state.classes_near(place);
@@ -291,7 +291,7 @@ pub(crate) struct Count {
 
 impl Count {
     /// Returns a count that allows `most` levels.
-    pub fn up_to(most: usize) -> Self {
+    pub(crate) fn up_to(most: usize) -> Self {
         Count { most, read: 0 }
     }
 }

@@ -9,7 +9,7 @@ pub(crate) struct BitWriter {
 
 impl BitWriter {
     /// Appends the low `width ≤ 32` bits of `value`.
-    pub fn put(&mut self, value: u32, width: u32, out: &mut Vec<u8>) {
+    pub(crate) fn put(&mut self, value: u32, width: u32, out: &mut Vec<u8>) {
         debug_assert!(width <= 32 && u64::from(value) >> width == 0);
         self.pending |= u64::from(value) << self.count;
         self.count += width;
@@ -21,7 +21,7 @@ impl BitWriter {
     }
 
     /// Fills the last byte with zeros.
-    pub fn align(&mut self, out: &mut Vec<u8>) {
+    pub(crate) fn align(&mut self, out: &mut Vec<u8>) {
         if self.count > 0 {
             out.push(self.pending as u8);
         }
@@ -37,12 +37,12 @@ pub(crate) struct BitReader<'a> {
 }
 
 impl<'a> BitReader<'a> {
-    pub fn new(bytes: &'a [u8]) -> Self {
+    pub(crate) fn new(bytes: &'a [u8]) -> Self {
         BitReader { bytes, at: 0 }
     }
 
     /// Returns the next `width ≤ 32` bits. Bits past the end are 0, so callers check the length first.
-    pub fn get(&mut self, width: u32) -> u32 {
+    pub(crate) fn get(&mut self, width: u32) -> u32 {
         let (byte, shift) = (self.at / 8, self.at % 8);
         let window = (0..5).fold(0u64, |w, i| w | u64::from(self.bytes.get(byte + i).copied().unwrap_or(0)) << (8 * i));
         self.at += width as usize;

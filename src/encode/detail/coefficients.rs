@@ -71,7 +71,7 @@ pub(super) struct AllSizes([Coefficients; SIZES]);
 
 impl AllSizes {
     /// `sizes` are the smallest and the largest block of each plane.
-    pub fn new(tile: &TileResidual, sizes: impl Fn(usize) -> [usize; 2]) -> Self {
+    pub(super) fn new(tile: &TileResidual, sizes: impl Fn(usize) -> [usize; 2]) -> Self {
         AllSizes(std::array::from_fn(|size| {
             std::array::from_fn(|k| {
                 let [least, most] = sizes(k);
@@ -80,7 +80,7 @@ impl AllSizes {
         }))
     }
 
-    pub fn plane(&self, size: usize, plane: usize) -> &[f32] {
+    pub(super) fn plane(&self, size: usize, plane: usize) -> &[f32] {
         &self.0[size][plane]
     }
 }

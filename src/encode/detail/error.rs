@@ -22,7 +22,7 @@ pub(super) struct Added {
 }
 
 impl Added {
-    pub fn new(layer: &DetailLayer, channels: Channels, target: &Planes) -> Self {
+    pub(super) fn new(layer: &DetailLayer, channels: Channels, target: &Planes) -> Self {
         let size = [target.width, target.height];
         let tiles = parallel::map(layer.tiles.len(), |i| {
             let levels = layer.tiles[i].as_ref()?;
@@ -39,7 +39,7 @@ impl Added {
     }
 
     /// Writes to `row` the values that are added to row `y` of the target's channel `k`, in parts of white.
-    pub fn row(&self, y: usize, k: usize, row: &mut [f32]) {
+    pub(super) fn row(&self, y: usize, k: usize, row: &mut [f32]) {
         row.fill(0.0);
         for (x, part) in row.chunks_mut(TILE).enumerate() {
             let Some(planes) = self.tiles.get(y / TILE * self.across + x).and_then(Option::as_ref) else { continue };

@@ -18,12 +18,12 @@ pub(super) struct Factors {
 }
 
 impl Factors {
-    pub fn new(head: DetailHead) -> Self {
+    pub(super) fn new(head: DetailHead) -> Self {
         Factors { head, factors: vec![Vec::new(); CLASSES * PLANES * SIZES] }
     }
 
     /// Returns the factors of a block of `plane` in a superblock of `class`, row by row.
-    pub fn of(&mut self, class: u8, plane: usize, size: usize) -> &[f32] {
+    pub(super) fn of(&mut self, class: u8, plane: usize, size: usize) -> &[f32] {
         let factors = &mut self.factors[(usize::from(class) * PLANES + plane) * SIZES + size];
         if factors.is_empty() {
             let steps = PlaneSteps::new(&self.head, plane, class);
@@ -54,7 +54,7 @@ impl Default for Values {
 
 impl Values {
     /// Loads the block at the cell `[x, y]` of a plane. Empty `coefficients` stand for zeros.
-    pub fn take(&mut self, coefficients: &[f32], [x, y]: [usize; 2], size: usize, factors: &[f32]) {
+    pub(super) fn take(&mut self, coefficients: &[f32], [x, y]: [usize; 2], size: usize, factors: &[f32]) {
         (self.side, self.energy, self.largest) = (CELL << size, 0.0, 0.0);
         if !coefficients.is_empty() {
             let coefficients = &coefficients[y * CELL * TILE + x * CELL..];
@@ -64,7 +64,7 @@ impl Values {
     }
 
     /// Calls `look` with the column, row and value of each coefficient whose magnitude exceeds `least`.
-    pub fn above(&self, least: f32, mut look: impl FnMut(usize, usize, f32)) {
+    pub(super) fn above(&self, least: f32, mut look: impl FnMut(usize, usize, f32)) {
         if self.largest <= least {
             return;
         }

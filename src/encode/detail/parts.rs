@@ -58,7 +58,7 @@ pub(in crate::encode) struct Parts<'a> {
 impl Parts<'_> {
     /// Returns the layer that takes at most `most` bytes of index and streams; `None` if there is nothing to add, or no room. `show` is
     /// told the share that is done.
-    pub fn layer(&self, most: u64, show: &mut dyn FnMut(f32) -> Result<()>) -> Result<Option<DetailLayer>> {
+    pub(crate) fn layer(&self, most: u64, show: &mut dyn FnMut(f32) -> Result<()>) -> Result<Option<DetailLayer>> {
         show(0.0)?;
         let count = self.count();
         let aim = Aim { most, runs: RUNS, ..aim(self.tune, self.channels, self.source.channels().alpha().is_some()) };

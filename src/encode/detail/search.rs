@@ -41,7 +41,7 @@ pub(super) struct Aim {
 
 impl Aim {
     /// The setting of a layer of such a step.
-    pub fn setting_at(&self, step: u16) -> Setting {
+    pub(super) fn setting_at(&self, step: u16) -> Setting {
         let mut setting = self.setting;
         (setting.head.step, setting.head.slopes) = (step, self.slopes.at(step));
         setting

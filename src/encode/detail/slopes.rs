@@ -16,7 +16,7 @@ pub(super) struct Slopes(pub &'static [Knot]);
 
 impl Slopes {
     /// Returns the slopes for a layer with this step.
-    pub fn at(self, step: u16) -> [u8; 2] {
+    pub(super) fn at(self, step: u16) -> [u8; 2] {
         let next = self.0.iter().position(|knot| knot.step > step).unwrap_or(self.0.len());
         let [a, b] = [next.max(1) - 1, next.min(self.0.len() - 1)].map(|i| self.0[i]);
         if a.step >= b.step || step <= a.step {

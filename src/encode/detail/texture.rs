@@ -33,7 +33,7 @@ pub(super) struct Texture {
 impl Texture {
     /// Measures the whole squares of a picture. Returns `None` if there are none, or if they are constant at half the
     /// resolution.
-    pub fn of(planes: &Planes) -> Option<Texture> {
+    pub(super) fn of(planes: &Planes) -> Option<Texture> {
         let [across, down] = [planes.width, planes.height].map(|side| side as usize / SQUARE);
         let strips = parallel::map(down, |strip| {
             let mut sums = [0f64; 5];
@@ -56,7 +56,7 @@ impl Texture {
     }
 
     /// Tells whether the picture is a diagram, a page or a screenshot, not a photograph.
-    pub fn is_drawing(&self) -> bool {
+    pub(super) fn is_drawing(&self) -> bool {
         self.flat > DRAWING
     }
 }

@@ -13,7 +13,7 @@ const MAX_WINDOW_LOG: u32 = 30;
 /// Returns the frame of `plane`, without content size and checksum, in the smallest window that holds it; `None` if
 /// there is no such window.
 #[cfg(all(feature = "encode", not(target_family = "wasm")))]
-pub fn compress(plane: &[u8]) -> Result<Option<Vec<u8>>> {
+pub(crate) fn compress(plane: &[u8]) -> Result<Option<Vec<u8>>> {
     let window = plane.len().next_power_of_two().ilog2().max(10);
     if window > MAX_WINDOW_LOG {
         return Ok(None);

@@ -7,7 +7,7 @@ const DRAIN_BYTES: usize = 1 << 17;
 
 /// Decompresses `frame` into `plane`; returns `None` unless it is exactly one frame. Its structure has been checked,
 /// which bounds the window that the decoder keeps in addition to the plane.
-pub fn decompress(mut frame: &[u8], plane: &mut [u8]) -> Option<()> {
+pub(crate) fn decompress(mut frame: &[u8], plane: &mut [u8]) -> Option<()> {
     let mut decoder = FrameDecoder::new();
     // The default limit of ruzstd refuses some valid frames.
     decoder.set_max_window_size(u64::MAX);

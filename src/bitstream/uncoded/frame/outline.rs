@@ -12,7 +12,7 @@ const MAX_BLOCK: u64 = 1 << 17;
 
 /// Checks that `frame` is exactly one frame, whose window holds a plane of `count` bytes and is not much larger, that
 /// reserved bits are 0, and that blocks that state their size have at most `count` bytes.
-pub fn outline(frame: &[u8], count: usize) -> Option<()> {
+pub(crate) fn outline(frame: &[u8], count: usize) -> Option<()> {
     let (&window, mut rest) = frame.strip_prefix(&START)?.split_first()?;
     let count = count as u64;
     let base = MIN_WINDOW << (window >> 3);

@@ -36,7 +36,7 @@ pub(in crate::fit::model) struct Rows {
 
 impl Rows {
     #[inline(always)]
-    pub fn new(p: &Projected, step: f32) -> Self {
+    pub(crate) fn new(p: &Projected, step: f32) -> Self {
         const L2E: f32 = std::f32::consts::LOG2_E;
         let [_, _, c] = p.conic;
         let bend = (-L2E * c * step * step).max(-126.0).strict_exp2();
@@ -45,7 +45,7 @@ impl Rows {
 
     /// Returns `p` on rows that are `step` pixels apart, with the known factor `bend` between their ratios.
     #[inline(always)]
-    pub fn of(p: &Projected, step: f32, bend: f32) -> Self {
+    pub(crate) fn of(p: &Projected, step: f32, bend: f32) -> Self {
         const L2E: f32 = std::f32::consts::LOG2_E;
         let [a, b, c] = p.conic;
         Rows { a: -0.5 * L2E * a, b: -L2E * b, c: -0.5 * L2E * c, step, bend }
@@ -66,7 +66,7 @@ impl Rows {
     /// Returns whether the recurrence is safe for eight columns from `dx` on, starting at `dy`. Exponents are concave
     /// along the row, so their minimum is at one of its ends.
     #[inline(always)]
-    pub fn is_recurrence_safe(&self, dx: f32, dy: f32) -> bool {
+    pub(crate) fn is_recurrence_safe(&self, dx: f32, dy: f32) -> bool {
         let last = dx + (simd::LANES - 1) as f32;
         self.exponent(dx, dy).min(self.exponent(last, dy)) > -REACH
             && self.growth(dx, dy).abs().max(self.growth(last, dy).abs()) < REACH
@@ -75,20 +75,20 @@ impl Rows {
 
     /// Returns the ratio of the next row to the one at `dy`.
     #[inline(always)]
-    pub fn ratio<S: Simd>(&self, simd: S, dx: S::Vector, dy: f32) -> S::Vector {
+    pub(crate) fn ratio<S: Simd>(&self, simd: S, dx: S::Vector, dy: f32) -> S::Vector {
         let growth = self.step * self.c * (2.0 * dy + self.step);
         simd.exp2(simd.add(simd.mul(simd.splat(self.step * self.b), dx), simd.splat(growth)))
     }
 
     /// Returns the factors from the ratio of rows in the middle of eight columns to that in each column.
     #[inline(always)]
-    pub fn tilt<S: Simd>(&self, simd: S) -> S::Vector {
+    pub(crate) fn tilt<S: Simd>(&self, simd: S) -> S::Vector {
         simd.exp2(simd.mul(simd.splat(self.step * self.b), simd.sub(simd.index(), simd.splat(MIDDLE))))
     }
 
     /// Returns the Gaussian at the distances `dx` and `dy` from the centre.
     #[inline(always)]
-    pub fn at<S: Simd>(&self, simd: S, dx: S::Vector, dy: f32) -> S::Vector {
+    pub(crate) fn at<S: Simd>(&self, simd: S, dx: S::Vector, dy: f32) -> S::Vector {
         let slope = simd.add(simd.mul(simd.splat(self.a), dx), simd.splat(self.b * dy));
         simd.exp2(simd.add(simd.mul(slope, dx), simd.splat(self.c * dy * dy)))
     }
@@ -155,7 +155,7 @@ pub(in crate::fit::model) struct StripBlock {
 impl StripBlock {
     /// Computes the strips from `dx` on, over `count` rows of which the first is at `dy`.
     #[inline(always)]
-    pub fn new<S: Simd>(
+    pub(crate) fn new<S: Simd>(
         simd: S,
         rows: &Rows,
         column_support: &ColumnSupport,
