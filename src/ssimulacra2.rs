@@ -64,6 +64,13 @@ pub fn linear_light(pixels: &Pixels, background: f32) -> Vec<[f32; 3]> {
         pixel(&values[..count])
     };
     match pixels.samples() {
+        // Opaque samples of 8 bits have 256 results.
+        Samples::U8(v) if alpha.is_none() => {
+            let known: [f32; 256] = std::array::from_fn(|i| pixel(&[i as f32 / 255.0; 4])[0]);
+            v.chunks_exact(count)
+                .map(|p| [0, 1, 2].map(|k| known[usize::from(p[if count < 3 { 0 } else { k }])]))
+                .collect()
+        }
         Samples::U8(v) => {
             let known: [f32; 256] = std::array::from_fn(|i| i as f32 / 255.0);
             v.chunks_exact(count).map(|p| of(&mut p.iter().map(|&v| known[usize::from(v)]))).collect()
@@ -75,4 +82,21 @@ pub fn linear_light(pixels: &Pixels, background: f32) -> Vec<[f32; 3]> {
 /// Converts an sRGB value to linear light.
 fn linear(v: f32) -> f32 {
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).strict_powf(2.4) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussian::Channels;
+
+    #[test]
+    fn opaque_samples_are_as_light_with_alpha_as_without() {
+        let values: Vec<u8> = (0..=255).flat_map(|v| [v, v ^ 0x55, 255 - v]).collect();
+        let with_alpha: Vec<u8> = values.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
+        let [opaque, covered] = [(Channels::Rgb, values), (Channels::Rgba, with_alpha)]
+            .map(|(channels, v)| Pixels::new(16, 16, channels, Samples::U8(v)).unwrap());
+        for background in BACKGROUNDS {
+            assert_eq!(linear_light(&opaque, background), linear_light(&covered, background));
+        }
+    }
 }

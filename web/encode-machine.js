@@ -1,4 +1,4 @@
-// How the WebAssembly module of the encoder is called (wasm-encode/src/lib.rs is the other side). One instance encodes one picture.
+// How the WebAssembly module of the encoder is called (wasm-encode/src/lib.rs is the other side). One instance does one job.
 import { SsplatError } from "./error.js"
 
 const kinds = [, "limit", "parameter", "size", "cancelled", "internal"]
@@ -6,16 +6,16 @@ const kinds = [, "limit", "parameter", "size", "cancelled", "internal"]
 const settings = ["ratio", "bytes", "psnr", "quality", "primitives", "effort", "tune", "time", "seed", "detail", "levels"]
 const words = { tune: ["psnr", "ssim", "iq"], detail: ["off", "auto"] }
 
-// Encodes `job`: { width, height, channels, depth, data, icc, exif, orientation, settings, alloc }. `progress` takes a stage and
-// the share of it that is done; the encode stops if it returns true.
+// Does `job`: { width, height, channels, depth, data, alloc } with { icc, exif, orientation, settings } to be encoded, or with `test`,
+// the samples of a picture whose SSIMULACRA2 is computed. `progress` takes a stage and the share of it that is done; the encode stops
+// if it returns true.
 export function run(module, job, progress) {
-  let wasm, failure
+  let wasm
   const most = Math.ceil(job.alloc / 65536)
   const text = (at, length) => new TextDecoder().decode(new Uint8Array(memory.buffer, at, length))
   const host = {
     now: () => performance.now() / 1000,
     progress: (at, length, done) => +(progress(text(at, length), done) === true),
-    failed: (at, length) => { failure = text(at, length) },
   }
   // The memory that the module asks for at first; more comes as it is needed, up to the limit.
   const least = 64
@@ -23,17 +23,19 @@ export function run(module, job, progress) {
   const memory = new WebAssembly.Memory({ initial: least, maximum: most })
   try {
     wasm = new WebAssembly.Instance(module, { host, env: { memory } }).exports
-    for (const [which, bytes] of [job.data, job.icc, job.exif].entries()) {
+    for (const [which, bytes] of [job.data, job.test ?? job.icc, job.exif].entries()) {
       if (!bytes?.byteLength) continue
       const at = wasm.input(which, bytes.byteLength)
       if (!at) throw new SsplatError("limit", `no memory for ${bytes.byteLength} bytes: limits.alloc is ${job.alloc}`)
       new Uint8Array(memory.buffer, at, bytes.byteLength).set(new Uint8Array(bytes.buffer, bytes.byteOffset, bytes.byteLength))
     }
-    for (const [name, value] of Object.entries(job.settings))
+    for (const [name, value] of Object.entries(job.settings ?? {}))
       wasm.set(settings.indexOf(name), words[name] ? words[name].indexOf(value) : value)
-    const kind = wasm.encode(job.width, job.height, job.channels, job.depth, job.orientation)
+    const pixels = [job.width, job.height, job.channels, job.depth]
+    const kind = job.test ? wasm.ssimulacra2(...pixels) : wasm.encode(...pixels, job.orientation)
     const piece = which => new Uint8Array(memory.buffer, wasm.piece(which), wasm.piece_length(which)).slice()
     if (kind) throw new SsplatError(kinds[kind], new TextDecoder().decode(piece(0)))
+    if (job.test) return { score: wasm.number(0) }
     const lines = which => new TextDecoder().decode(piece(which)).split("\n").filter(line => line).map(line => line.split("\t"))
     const [primitives, psnr, quality, seconds] = [0, 1, 2, 3].map(k => wasm.number(k))
     return {
@@ -47,8 +49,10 @@ export function run(module, job, progress) {
     }
   } catch (error) {
     if (!(error instanceof WebAssembly.RuntimeError)) throw error
-    // A panic says what is wrong; without words the module stops where memory ends.
-    throw failure ? new SsplatError("internal", failure)
-      : new SsplatError("limit", `the encode needs more than the ${job.alloc} bytes of limits.alloc`)
+    // The module stops without a message when memory runs out, and when it has a fault. An encode asks for less than 64 bytes a pixel
+    // at once: if more is left, it is a fault.
+    const left = job.alloc - memory.buffer.byteLength
+    throw left > 64 * job.width * job.height + 2 ** 20 ? new SsplatError("internal", `the encoder stopped: ${error.message}`)
+      : new SsplatError("limit", `the picture needs more than the ${job.alloc} bytes of limits.alloc`)
   }
 }

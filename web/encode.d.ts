@@ -48,8 +48,8 @@ export interface EncodeOptions {
   orientation?: number
   /** `alloc`: most bytes of WebAssembly's memory, by default 1 GiB, at most 4 GiB. */
   limits?: { alloc?: number }
-  /** Whether to encode in a worker of its own; by default true. */
-  worker?: boolean
+  /** Whether to encode in a worker of its own; by default true. In browsers, a function that starts `encode-worker.js` as a module. */
+  worker?: boolean | (() => Worker)
   /** The WebAssembly as a URL, bytes or a compiled module, if it is not that of the package. */
   module?: string | URL | ArrayBuffer | Uint8Array | WebAssembly.Module
   /** Stops the encode: at once in a worker, otherwise when `onProgress` aborts it. The promise is rejected with the signal's reason. */
@@ -73,3 +73,12 @@ export interface EncodeReport {
 
 /** Encodes pixels to an .ssplat file: the same bytes as the program's. Several calls run at a time, each in its own worker. */
 export function encode(pixels: EncodePixels, options?: EncodeOptions): Promise<{ bytes: Uint8Array; report: EncodeReport }>
+
+/**
+ * Computes the SSIMULACRA2 score of `test` against `reference`, two pictures of the same size, channels and depth: at most 100, for
+ * identical pictures; 90 very high, 70 high, 50 medium, 30 low quality. NaN if a side has fewer than 8 pixels.
+ */
+export function ssimulacra2(reference: EncodePixels, test: EncodePixels, options?: Pick<EncodeOptions, "limits" | "worker" | "module" | "signal">): Promise<number>
+
+/** Fetches and compiles the WebAssembly before it is needed. */
+export function preload(): Promise<void>

@@ -69,9 +69,20 @@ function bytesOf(name, value) {
   return value instanceof ArrayBuffer ? new Uint8Array(value) : bad(`${name} is neither a Uint8Array nor an ArrayBuffer`)
 }
 
+// Most bytes of WebAssembly's memory.
+function allocOf({ limits = {} }) {
+  const { alloc = memory, ...others } = limits ?? {}
+  if (Object.keys(others).length) bad(`no limit of an encode is called ${Object.keys(others)[0]}; there is alloc`)
+  return Math.min(within("limits.alloc", alloc, 1, Number.MAX_SAFE_INTEGER), address)
+}
+
+function only(names, options) {
+  for (const name of Object.keys(options)) if (!names.includes(name)) bad(`no option is called ${name}; there are ${names.join(", ")}`)
+}
+
 // Everything that is asked for, held to its range. Returns a job for the module.
 function jobOf(pixels, options) {
-  for (const name of Object.keys(options)) if (!names.includes(name)) bad(`no option is called ${name}; there are ${names.join(", ")}`)
+  only(names, options)
   const given = name => options[name] != null, settings = {}
   const asked = targets.filter(given)
   if (asked.length > 1) bad(`${asked.join(" and ")} are given, of which a file can have one`)
@@ -90,16 +101,14 @@ function jobOf(pixels, options) {
   number("levels", 1, 8)
   word("tune", "psnr", "ssim", "iq")
   word("detail", "auto", "off")
-  const { alloc = memory, ...others } = options.limits ?? {}
-  if (Object.keys(others).length) bad(`no limit of an encode is called ${Object.keys(others)[0]}; there is alloc`)
   const icc = bytesOf("icc", options.icc), exif = bytesOf("exif", options.exif)
   const orientation = within("orientation", options.orientation ?? 1, 1, 8)
   if (exif && options.orientation != null) bad("exif and orientation are given, of which a file can have one")
-  return { ...samplesOf(pixels), icc, exif, orientation, settings, alloc: Math.min(within("limits.alloc", alloc, 1, Number.MAX_SAFE_INTEGER), address) }
+  return { ...samplesOf(pixels), icc, exif, orientation, settings, alloc: allocOf(options) }
 }
 
-// A worker of browsers or of Node.js, with the same three handles.
-function hire() {
+// A worker of browsers or of Node.js, or one that `make` makes in a browser, with the same three handles.
+function hire(make) {
   const threads = node("worker_threads")
   if (threads) {
     const worker = new threads.Worker(new URL("./encode-worker.js", import.meta.url))
@@ -110,7 +119,7 @@ function hire() {
     }
   }
   // Bundlers know it in these very words.
-  const worker = new Worker(new URL("./encode-worker.js", import.meta.url), { type: "module" })
+  const worker = typeof make == "function" ? make() : new Worker(new URL("./encode-worker.js", import.meta.url), { type: "module" })
   return {
     post: message => worker.postMessage(message),
     listen: (onMessage, onError) => Object.assign(worker, {
@@ -121,8 +130,8 @@ function hire() {
   }
 }
 
-const inWorker = (message, { signal, onProgress }) => new Promise((resolve, reject) => {
-  const worker = hire()
+const inWorker = (message, { worker: make, signal, onProgress }) => new Promise((resolve, reject) => {
+  const worker = hire(make)
   let isOver = false
   const over = settle => value => {
     if (isOver) return
@@ -146,13 +155,12 @@ const inWorker = (message, { signal, onProgress }) => new Promise((resolve, reje
   worker.post(message)
 })
 
-// Encodes pixels. Resolves to the bytes of the file and the account of the encode.
-export async function encode(pixels, options = {}) {
-  const job = jobOf(pixels, options), { signal, onProgress, worker = true } = options
+// Has the module do a job, in a worker or here.
+async function work(job, { signal, onProgress, worker = true, module: source }) {
   signal?.throwIfAborted()
-  const module = await compile(options.module)
+  const module = await compile(source)
   signal?.throwIfAborted()
-  if (worker) return inWorker({ module, job, isWatched: !!onProgress }, { signal, onProgress })
+  if (worker) return inWorker({ module, job, isWatched: !!onProgress }, { worker, signal, onProgress })
   let thrown
   try {
     return run(module, job, (stage, done) => {
@@ -168,3 +176,19 @@ export async function encode(pixels, options = {}) {
     throw thrown ? thrown.error : error
   }
 }
+
+// Encodes pixels. Resolves to the bytes of the file and the account of the encode.
+export const encode = async (pixels, options = {}) => work(jobOf(pixels, options), options)
+
+// Computes the SSIMULACRA2 score of `test` against `reference`, two pictures of the same size, channels and depth; NaN if a side has
+// fewer than 8 pixels.
+export async function ssimulacra2(reference, test, options = {}) {
+  only(["limits", "worker", "module", "signal"], options)
+  const [job, { data, ...kind }] = [samplesOf(reference), samplesOf(test)]
+  for (const name of ["width", "height", "channels", "depth"])
+    if (job[name] != kind[name]) bad(`the pictures differ in ${name}: ${job[name]} and ${kind[name]}`)
+  return (await work({ ...job, test: data, alloc: allocOf(options) }, options)).score
+}
+
+// Fetches and compiles the module before it is needed.
+export const preload = async () => void await compile()

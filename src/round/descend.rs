@@ -391,7 +391,9 @@ impl<const C: usize> BandTask<'_, C> {
 
     /// Returns the most promising lattice points around `old`: for each neighbouring shape, the positions that suit it
     /// best.
-    #[inline(always)]
+    // WebAssembly has one instruction set, and its modules are to be small.
+    #[cfg_attr(target_family = "wasm", inline(never))]
+    #[cfg_attr(not(target_family = "wasm"), inline(always))]
     fn moves(
         &self,
         cost: &Cost<'_>,
@@ -438,7 +440,8 @@ impl<const C: usize> BandTask<'_, C> {
     }
 
     /// Returns the colour integers near the parabola's minimum with the smallest `error + λ·bits`, and that value.
-    #[inline(always)]
+    #[cfg_attr(target_family = "wasm", inline(never))]
+    #[cfg_attr(not(target_family = "wasm"), inline(always))]
     fn best_color(
         &self,
         cost: &Cost<'_>,

@@ -93,7 +93,8 @@ pub trait Simd: Copy {
 
     /// Runs `task` as a separate function with its own registers. If several tasks were inlined into one large
     /// function, their inner loops would spill each other's constants.
-    #[inline(always)]
+    #[cfg_attr(target_family = "wasm", inline(never))]
+    #[cfg_attr(not(target_family = "wasm"), inline(always))]
     fn call<T: Task>(self, task: T) -> T::Output {
         task.run(self)
     }

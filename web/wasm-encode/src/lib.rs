@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use image::metadata::Orientation;
 use ssplat::unstable::instant::provide_clock;
+use ssplat::unstable::metrics;
 use ssplat::{Channels, Detail, Encoder, Error, Pixels, Progress, Result, Samples, Target, Tune};
 
 #[link(wasm_import_module = "host")]
@@ -19,14 +20,12 @@ unsafe extern "C" {
     safe fn now() -> f64;
     /// Takes the stage's name and the share of it that is done; anything but 0 stops the encode.
     safe fn progress(name: *const u8, length: usize, done: f32) -> u32;
-    /// Takes the words of a panic, which ends the module.
-    safe fn failed(words: *const u8, length: usize);
 }
 
 /// What is put on the desk before an encode, and what lies there after it.
 #[derive(Default)]
 struct Desk {
-    /// Samples; ICC profile; EXIF block.
+    /// Samples; ICC profile, or the samples of the picture to compare with; EXIF block.
     inputs: [Vec<u8>; 3],
     encoder: Encoder,
     /// The file or an error's words; the stages of the encode; what was left out.
@@ -109,12 +108,25 @@ pub extern "C" fn number(which: usize) -> f64 {
 /// and adds nothing to the file.
 #[unsafe(no_mangle)]
 pub extern "C" fn encode(width: u32, height: u32, channels: usize, bits: u32, orientation: u8) -> u32 {
-    std::panic::set_hook(Box::new(|panic| {
-        let words = panic.to_string();
-        failed(words.as_ptr(), words.len());
-    }));
     provide_clock(|| now());
-    DESK.with_borrow_mut(|desk| match desk.encode([width, height], channels, bits, orientation) {
+    answer(|desk| desk.encode([width, height], channels, bits, orientation))
+}
+
+/// Computes the SSIMULACRA2 score of the samples of input 1 against those of input 0, both as [`encode`] takes them. The score is
+/// the first number of the answer, NaN if a side has fewer than 8 pixels.
+#[unsafe(no_mangle)]
+pub extern "C" fn ssimulacra2(width: u32, height: u32, channels: usize, bits: u32) -> u32 {
+    answer(|desk| {
+        let [reference, test] =
+            [desk.pixels(0, [width, height], channels, bits)?, desk.pixels(1, [width, height], channels, bits)?];
+        desk.numbers[0] = metrics::ssimulacra2(&reference, &test)?.unwrap_or(f64::NAN);
+        Ok(())
+    })
+}
+
+/// Returns 0 if `work` is done, otherwise the kind of its error, whose text becomes the first piece.
+fn answer(work: impl FnOnce(&mut Desk) -> Result<()>) -> u32 {
+    DESK.with_borrow_mut(|desk| match work(desk) {
         Ok(()) => 0,
         Err(error) => {
             desk.pieces = [error.to_string().into_bytes(), Vec::new(), Vec::new()];
@@ -129,18 +141,26 @@ pub extern "C" fn encode(width: u32, height: u32, channels: usize, bits: u32, or
     })
 }
 
+fn parameter(name: &'static str, problem: String) -> Error {
+    Error::Parameter { name, problem }
+}
+
 impl Desk {
-    fn encode(&mut self, [width, height]: [u32; 2], channels: usize, bits: u32, orientation: u8) -> Result<()> {
-        let parameter = |name, problem| Error::Parameter { name, problem };
+    /// Takes the samples of an input.
+    fn pixels(&mut self, which: usize, [width, height]: [u32; 2], channels: usize, bits: u32) -> Result<Pixels> {
         let channels = Channels::from_count(channels)
             .ok_or_else(|| parameter("channels", format!("{channels} is outside 1..=4")))?;
-        let bytes = std::mem::take(&mut self.inputs[0]);
+        let bytes = std::mem::take(&mut self.inputs[which]);
         let samples = match bits {
             8 => Samples::U8(bytes),
             16 => Samples::U16(bytes.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect()),
             _ => return Err(parameter("depth", format!("{bits} is neither 8 nor 16"))),
         };
-        let pixels = Pixels::new(width, height, channels, samples)?;
+        Pixels::new(width, height, channels, samples)
+    }
+
+    fn encode(&mut self, size: [u32; 2], channels: usize, bits: u32, orientation: u8) -> Result<()> {
+        let pixels = self.pixels(0, size, channels, bits)?;
         let orientation = Orientation::from_exif(orientation)
             .ok_or_else(|| parameter("orientation", format!("{orientation} is outside 1..=8")))?;
         let mut encoder = std::mem::take(&mut self.encoder);
