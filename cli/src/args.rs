@@ -402,6 +402,7 @@ pub struct Placeholder {
 const VIEW_EXAMPLES: &str = "\
 Examples:
   ssplat view photo.ssplat                       until Ctrl-C
+  ssplat view                                    encode pictures in the browser, with sliders for size and effort
   ssplat view photo.ssplat --original photo.png  with a slider between the two
   ssplat view photo.ssplat --html photo.html     one page that needs nothing else, to send to someone
 
@@ -411,13 +412,13 @@ the files that are named here. They are read once; a change shows when the comma
 #[derive(Debug, ClapArgs)]
 #[command(after_help = VIEW_EXAMPLES)]
 pub struct View {
-    /// The .ssplat file; - for standard input
-    pub input: PathBuf,
+    /// The .ssplat file; - for standard input. Without one the page asks for a picture and encodes it in the browser
+    pub input: Option<PathBuf>,
     /// The picture that it was made of, to compare with, in a format that browsers know
-    #[arg(long, value_name = "PICTURE")]
+    #[arg(long, value_name = "PICTURE", requires = "input")]
     pub original: Option<PathBuf>,
     /// Write the viewer with the file in it as one page instead of serving it; - for standard output
-    #[arg(long, value_name = "OUT")]
+    #[arg(long, value_name = "OUT", requires = "input")]
     pub html: Option<PathBuf>,
     /// Print the page's address without opening a browser
     #[arg(long, conflicts_with = "html")]

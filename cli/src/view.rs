@@ -34,20 +34,22 @@ impl Shown {
 }
 
 pub fn run(args: &args::View) -> Result<(), Failure> {
-    let bytes = input::read_splats(&args.input)?;
+    let opens = if args.no_open { server::Opens::Nothing } else { server::Opens::Browser };
+    let Some(input) = &args.input else { return server::run(None, None, opens) };
+    let bytes = input::read_splats(input)?;
     let limits = Limits::default();
     // Report a broken file here, not in the browser.
-    Reader::new(&bytes, &limits).and_then(|o| o.read(Damage::Refuse)).map_err(|e| Failure::library(&args.input, &e))?;
-    let file = Shown::new(&args.input, bytes);
+    Reader::new(&bytes, &limits).and_then(|o| o.read(Damage::Refuse)).map_err(|e| Failure::library(input, &e))?;
+    let file = Shown::new(input, bytes);
     let original = match &args.original {
         Some(path) => Some(Shown::new(path, input::read_at_most(path, limits.alloc)?)),
         None => None,
     };
     match &args.html {
         Some(out) => {
-            let inputs: Vec<&Path> = [&args.input].into_iter().chain(&args.original).map(|p| p.as_path()).collect();
+            let inputs: Vec<&Path> = [input].into_iter().chain(&args.original).map(|p| p.as_path()).collect();
             Sink::create(out, &inputs)?.finish_with(page::packed(&file, original.as_ref()).as_bytes())
         }
-        None => server::run(file, original, if args.no_open { server::Opens::Nothing } else { server::Opens::Browser }),
+        None => server::run(Some(file), original, opens),
     }
 }

@@ -88,8 +88,11 @@ fn the_viewer_and_the_named_files_are_served() {
     let (status, head, body) = served.get("/ssplat-simd.wasm");
     assert_eq!((status, body.as_slice()), (200, source("ssplat-simd.wasm").as_slice()));
     assert!(head.contains("Content-Type: application/wasm"), "{head}");
+    let (status, head, body) = served.get("/ssplat-encode-simd.wasm");
+    assert_eq!((status, body.as_slice()), (200, source("ssplat-encode-simd.wasm.gz").as_slice()));
+    assert!(head.contains("Content-Type: application/wasm") && head.contains("Content-Encoding: gzip"), "{head}");
     // Every module that a module names is there.
-    let mut names = vec!["/viewer/viewer.js".to_string(), "/worker.js".to_string()];
+    let mut names = ["/viewer/viewer.js", "/worker.js", "/encode.js", "/encode-worker.js"].map(String::from).to_vec();
     let mut seen = 0;
     while let Some(name) = names.get(seen).cloned() {
         let (status, _, body) = served.get(&name);
@@ -110,6 +113,30 @@ fn the_viewer_and_the_named_files_are_served() {
     assert!(seen > 10, "{names:?}");
     let (status, head, _) = served.get("/");
     assert!(status == 302 && head.contains(&format!("Location: {}", served.path)), "{head}");
+}
+
+#[test]
+fn without_a_file_the_page_that_encodes_is_served() {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ssplat"));
+    let served = Serving::start(command.arg("view"));
+    assert_eq!(served.path, "/viewer/");
+    assert_eq!(served.get(&served.path).2, source("viewer/index.html"));
+    let (status, head, _) = served.get("/");
+    assert!(status == 302 && head.contains("Location: /viewer/\r\n"), "{head}");
+    for option in ["--html", "--original"] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_ssplat"));
+        refused(command.args(["view", option, "-"]).output().unwrap(), 2, &["INPUT"]);
+    }
+}
+
+#[test]
+fn a_compressed_original_is_not_unpacked() {
+    let folder = tempfile::tempdir().unwrap();
+    let original = folder.path().join("drawing.svgz");
+    fs::write(&original, [0x1f, 0x8b, 8, 0]).unwrap();
+    let served = Serving::start(view(Path::new(FILE)).arg("--original").arg(&original));
+    let (_, head, body) = served.get("/original/drawing.svgz");
+    assert!(body == [0x1f, 0x8b, 8, 0] && !head.contains("Content-Encoding"), "{head}");
 }
 
 #[test]

@@ -3,8 +3,10 @@
 
 /// The page.
 pub const PAGE: &str = "viewer/index.html";
-/// The WebAssembly.
+/// The WebAssembly of the decoder.
 pub const MODULE: &str = "ssplat-simd.wasm";
+/// That of the encoder.
+const ENCODER: &str = "ssplat-encode-simd.wasm";
 
 macro_rules! sources {
     ($($name:literal),* $(,)?) => { &[$(($name, include_str!(concat!(env!("SSPLAT_WEB"), "/", $name)))),*] };
@@ -12,6 +14,9 @@ macro_rules! sources {
 
 /// The modules of the page. Their names without folders differ.
 pub const MODULES: &[(&str, &str)] = sources![
+    "encode-machine.js",
+    "encode-worker.js",
+    "encode.js",
     "error.js",
     "icc.js",
     "machine.js",
@@ -19,9 +24,12 @@ pub const MODULES: &[(&str, &str)] = sources![
     "ssplat.js",
     "worker.js",
     "viewer/camera.js",
+    "viewer/encoder.js",
     "viewer/facts.js",
     "viewer/found.js",
     "viewer/gaussians.js",
+    "viewer/maker.js",
+    "viewer/picture.js",
     "viewer/scene.js",
     "viewer/splatting.js",
     "viewer/viewer.js",
@@ -33,11 +41,15 @@ pub const PAGE_TEXT: &str = include_str!(concat!(env!("SSPLAT_WEB"), "/viewer/in
 /// The bytes of [`MODULE`].
 pub const MODULE_BYTES: &[u8] = include_bytes!(concat!(env!("SSPLAT_WEB"), "/ssplat-simd.wasm"));
 
+/// The bytes of [`ENCODER`], compressed by gzip.
+const ENCODER_BYTES: &[u8] = include_bytes!(concat!(env!("SSPLAT_WEB"), "/ssplat-encode-simd.wasm.gz"));
+
 /// A file of the viewer, by its name below the viewer's folder; `None` for every other name.
 pub fn file(name: &str) -> Option<&'static [u8]> {
     match name {
         PAGE => Some(PAGE_TEXT.as_bytes()),
         MODULE => Some(MODULE_BYTES),
+        ENCODER => Some(ENCODER_BYTES),
         _ => MODULES.iter().find(|(known, _)| *known == name).map(|(_, text)| text.as_bytes()),
     }
 }

@@ -14,8 +14,8 @@ const PLACE: &str = "<script type=\"module\" src=\"viewer.js\"></script>";
 pub fn packed(file: &Shown, original: Option<&Shown>) -> String {
     let mut imports = Map::new();
     for (name, text) in MODULES {
-        // A worker would be another file.
-        if *name == "worker.js" {
+        // A worker would be another file, and the page shows one file only.
+        if *name == "worker.js" || name.starts_with("encode") {
             continue;
         }
         let source = text.replace("from \"./", "from \"ssplat/").replace("from \"../", "from \"ssplat/");

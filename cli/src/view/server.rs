@@ -18,8 +18,9 @@ const THREADS: usize = 32;
 /// How long to wait where no connection can be had, which is so when there are too many of them.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// Content security policy of the page: it may run its own scripts and WebAssembly, and send requests to this server.
-const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self'; connect-src 'self'; \
+/// Content security policy of the page: it may run its own scripts and WebAssembly, and send requests to this server. The
+/// worker that encodes is made of blobs, so that no request is sent when a picture is there.
+const POLICY: &str = "default-src 'none'; script-src 'self' blob: 'wasm-unsafe-eval'; worker-src 'self' blob:; connect-src 'self'; \
                       style-src 'unsafe-inline'; img-src 'self' blob: data:; frame-ancestors 'none'; base-uri 'none'";
 
 /// Whether a browser is opened at the page.
@@ -30,7 +31,7 @@ pub enum Opens {
 
 /// Everything that can be asked for.
 struct Served {
-    file: (String, Vec<u8>),
+    file: Option<(String, Vec<u8>)>,
     original: Option<(String, Vec<u8>)>,
     /// Host names that legitimate requests use. A script of another page that reaches this address through its own name
     /// (DNS rebinding) sends that name instead, and is refused.
@@ -40,15 +41,17 @@ struct Served {
 }
 
 /// Serves until the program is ended.
-pub fn run(file: Shown, original: Option<Shown>, opens: Opens) -> Result<(), Failure> {
+pub fn run(file: Option<Shown>, original: Option<Shown>, opens: Opens) -> Result<(), Failure> {
     let failed = |e: io::Error| Failure { kind: Kind::Other, message: format!("server: {e}") };
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map_err(failed)?;
     let port = listener.local_addr().map_err(failed)?.port();
     let place = |folder: &str, shown: Shown| (format!("/{folder}/{}", shown.name), shown.bytes);
-    let (file, original) = (place("file", file), original.map(|o| place("original", o)));
-    let mut start = format!("/viewer/?file={}", file.0);
-    if let Some((path, _)) = &original {
-        start += &format!("&original={path}");
+    let (file, original) = (file.map(|f| place("file", f)), original.map(|o| place("original", o)));
+    let mut start = "/viewer/".to_owned();
+    for (name, shown) in [("?file=", &file), ("&original=", &original)] {
+        if let Some((path, _)) = shown {
+            start += &format!("{name}{path}");
+        }
     }
     let hosts = [format!("127.0.0.1:{port}"), format!("localhost:{port}")];
     let url = format!("http://{}{start}", hosts[0]);
@@ -83,9 +86,15 @@ impl Served {
     fn answer(&self, stream: &mut TcpStream) -> io::Result<()> {
         let found = http::request(stream)?.and_then(|request| self.found(&request));
         match found {
-            Ok((kind, bytes)) => http::answer(stream, 200, &headers(("Content-Type", kind)), bytes),
-            Err(302) => http::answer(stream, 302, &headers(("Location", &self.start)), &[]),
-            Err(405) => http::answer(stream, 405, &headers(("Allow", "GET")), &[]),
+            Ok((kind, bytes)) => {
+                // The encoder is kept compressed, which every browser that runs WebAssembly takes.
+                let is_compressed = kind == WASM && bytes.starts_with(&[0x1f, 0x8b]);
+                let encoding = is_compressed.then_some(("Content-Encoding", "gzip"));
+                let more: Vec<_> = [("Content-Type", kind)].into_iter().chain(encoding).collect();
+                http::answer(stream, 200, &headers(&more), bytes)
+            }
+            Err(302) => http::answer(stream, 302, &headers(&[("Location", &self.start)]), &[]),
+            Err(405) => http::answer(stream, 405, &headers(&[("Allow", "GET")]), &[]),
             Err(status) => http::answer(stream, status, &HEADERS, &[]),
         }
     }
@@ -107,7 +116,7 @@ impl Served {
             "/viewer/" => return package::file(PAGE).map(|page| (kind(PAGE), page)).ok_or(404),
             _ => {}
         }
-        for (known, bytes) in [&self.file].into_iter().chain(&self.original) {
+        for (known, bytes) in self.file.iter().chain(&self.original) {
             if path == known {
                 return Ok(("application/octet-stream", bytes));
             }
@@ -117,12 +126,15 @@ impl Served {
     }
 }
 
+/// The media type of WebAssembly.
+const WASM: &str = "application/wasm";
+
 /// The media type of a file of the viewer.
 fn kind(name: &str) -> &'static str {
     match name.rsplit('.').next() {
         Some("html") => "text/html; charset=utf-8",
         Some("js") => "text/javascript; charset=utf-8",
-        Some("wasm") => "application/wasm",
+        Some("wasm") => WASM,
         _ => "application/octet-stream",
     }
 }
@@ -136,8 +148,7 @@ const HEADERS: [(&str, &str); 5] = [
     ("X-Content-Type-Options", "nosniff"),
 ];
 
-/// Returns the headers of all answers, and one more.
-fn headers<'a>(more: (&'a str, &'a str)) -> [(&'a str, &'a str); 6] {
-    let [a, b, c, d, e] = HEADERS;
-    [a, b, c, d, e, more]
+/// Returns the headers of all answers, and `more`.
+fn headers<'a>(more: &[(&'a str, &'a str)]) -> Vec<(&'a str, &'a str)> {
+    HEADERS.iter().chain(more).copied().collect()
 }
