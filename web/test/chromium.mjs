@@ -11,8 +11,8 @@ const patience = 240_000
 
 export const typeOf = path => types[path.split(".").pop()] ?? "application/octet-stream"
 
-// Without an adapter for WebGPU unless `webgpu`. `serve` answers paths that are not the repository's: {body, headers}, or nothing.
-export async function inChromium(root, module, given, { webgpu = false, serve = () => {} } = {}) {
+// `test` is called with `given` and `more`. Without an adapter for WebGPU unless `webgpu`. `serve` answers paths that are not the repository's: {body, headers}, or nothing.
+export async function inChromium(root, module, given, { webgpu = false, more = {}, serve = () => {} } = {}) {
   const home = mkdtempSync(join(tmpdir(), "ssplat-chromium-"))
   let finish
   const answer = new Promise(resolve => finish = resolve)
@@ -21,7 +21,7 @@ const say = body => fetch("/answer", { method: "POST", body: JSON.stringify(body
 addEventListener("unhandledrejection", e => say({ problems: [String(e.reason?.stack ?? e.reason)], words: "stopped" }))
 try {
   const { test } = await import(${JSON.stringify(module)})
-  await say(await test(${JSON.stringify(given)}))
+  await say(await test(...${JSON.stringify([given, more])}))
 } catch (error) {
   await say({ problems: [String(error.stack)], words: "stopped" })
 }

@@ -2,13 +2,15 @@
 // PROGRAM is the native `ssplat`, whose samples the package must give; without it, target/release/ssplat.
 // With SSPLAT_REQUIRE_BROWSER=1 a missing Chromium is a failure, otherwise the browser is named as skipped.
 import { execFileSync } from "node:child_process"
-import { mkdtempSync, readFileSync, readdirSync, rmSync, statSync, writeFileSync } from "node:fs"
+import { existsSync, mkdtempSync, readFileSync, readdirSync, rmSync, statSync, writeFileSync } from "node:fs"
 import { tmpdir } from "node:os"
 import { join } from "node:path"
 import { brotliCompressSync, constants } from "node:zlib"
 import { inChromium } from "./chromium.mjs"
+import { encode } from "../dist/encode.js"
 import { Decoder } from "../dist/ssplat.js"
 import { run, crc32, rgbaOfPam } from "./files.js"
+import { generated } from "./generated.js"
 
 const root = new URL("../../", import.meta.url), vectors = new URL("spec/vectors/", root)
 const program = process.argv[2] ?? new URL("target/release/ssplat", root).pathname
@@ -65,9 +67,40 @@ writeFileSync(new URL("placeholder.html", dist), element)
 
 // Browsers are told the checksums, not the samples.
 const told = cases.map(({ rgba, ...one }) => ({ ...one, checksum: rgba && crc32(rgba) }))
-const pages = readdirSync(new URL("pages/", import.meta.url)).filter(f => f.endsWith(".js"))
+// What Node.js encodes, for the browsers to compare with.
+const encoded = []
+for (const [name, width, height, channels, depth, options] of [
+  ["colours", 96, 64, 3, 8, { ratio: 40, effort: 2 }],
+  ["alpha of 16 bits", 40, 56, 4, 16, { bytes: 700, effort: 1 }],
+  ["grey", 72, 72, 1, 8, { psnr: 26, effort: 1 }],
+  ["quality", 64, 64, 3, 8, { quality: 40, effort: 1 }],
+]) {
+  const { bytes } = await encode(generated(width, height, channels, depth), options)
+  encoded.push({ name, picture: { width, height, channels, depth }, options, checksum: crc32(bytes) })
+}
+
+// axe-core finds what keeps people from using a page; npm has it.
+const lint = new URL("target/lint/", root), axe = new URL("node_modules/axe-core/axe.min.js", lint)
+if (!existsSync(axe))
+  try {
+    execFileSync("npm", ["install", "--silent", "--no-save", "--prefix", lint.pathname, "axe-core@4.14.1"])
+  } catch (error) {
+    if (process.env.SSPLAT_REQUIRE_BROWSER == "1") tell("axe", { problems: [`npm cannot install it: ${error.message}`], words: "missing" })
+  }
+// The requests of a page since the last question.
+const asked = []
+function serve(url) {
+  if (url == "/asked") return { body: JSON.stringify(asked.splice(0)), headers: { "content-type": "application/json" } }
+  if (url == "/axe.js") return { body: readFileSync(axe) }
+  asked.push(url)
+}
+
+const more = { encoded, axe: existsSync(axe) }
+// With SSPLAT_PAGES=encode.js,maker.js only these.
+const wanted = process.env.SSPLAT_PAGES?.split(",")
+const pages = readdirSync(new URL("pages/", import.meta.url)).filter(f => f.endsWith(".js") && (!wanted || wanted.includes(f)))
 for (const page of pages) {
-  const answer = await inChromium(root, `/web/test/pages/${page}`, told, { webgpu: page == "webgpu.js" })
+  const answer = await inChromium(root, `/web/test/pages/${page}`, told, { webgpu: page == "webgpu.js", more, serve })
   if (answer) tell(`Chromium, ${page}`, answer)
   else if (process.env.SSPLAT_REQUIRE_BROWSER == "1") tell("Chromium", { problems: ["it is not installed"], words: page })
   else console.log(`Chromium, ${page}: skipped, it is not installed`)

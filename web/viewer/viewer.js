@@ -1,4 +1,5 @@
-// The viewer: shows a file, given by drop, dialogue or ?file=URL, at any zoom, beside its original (?original=URL).
+// The viewer: shows a file, given by drop, paste, dialogue or ?file=URL, at any zoom, beside its original (?original=URL). A picture of
+// another format is encoded here, and shown beside what became of it.
 // What is seen is drawn at the screen's pixels: by WebGPU or WebGL2 where they can, else by the decoder. With ?draw=webgpu, webgl or
 // decoder it is that one, or the decoder.
 import { Decoder, colorSpace } from "../ssplat.js"
@@ -6,6 +7,7 @@ import { Camera, times } from "./camera.js"
 import { facts, size, summary } from "./facts.js"
 import { found, isOurs, isPicture } from "./found.js"
 import { ellipses as drawEllipses, errorsOf, tonesOfBits, tonesOfErrors } from "./gaussians.js"
+import { Maker } from "./maker.js"
 import { Splatting } from "./splatting.js"
 import { WebGpuSplatting } from "./webgpu.js"
 
@@ -17,6 +19,8 @@ const asked = new URLSearchParams(location.search)
 const decoder = get("held-module") ? new Decoder({ module: held("held-module") }) : new Decoder({ worker: true })
 const samples = [["parrots", "Parrots"], ["motocross", "Motocross"], ["portrait", "Portrait"]]
 let file, info, all, original
+// What lies on the stage: width, height, and whether it can be seen through. The file, or the picture of which one is being made.
+let shape
 // What colours the Gaussians, for each choice that there is.
 let tones = {}
 // Draws on the graphics device; nothing where there is none that can, and until one is found.
@@ -50,7 +54,7 @@ function tell(title, words, code = "") {
 
 function dismiss() {
   get("message").hidden = true
-  if (!info) welcome()
+  if (!shape) welcome()
 }
 
 // The page before there is a file: what this is, and three to try.
@@ -77,21 +81,39 @@ async function welcome() {
   }
 }
 
-async function open(bytes, name) {
-  get("wait").hidden = false
+// Puts something of a size onto the stage, and takes the rest away.
+function occupy(next, name) {
+  shape = next
+  get("name").textContent = document.title = name
+  for (const id of ["empty", "message"]) get(id).hidden = true
+  get("tools").hidden = false
+  stage.classList.remove("vacant")
+}
+
+// Shows a file; one that was made here, of the picture `made`, where the last one is.
+async function open(bytes, name, made, originalBytes) {
+  get("wait").hidden = !!made
   try {
     const read = await decoder.info(bytes), gaussians = await decoder.gaussians(bytes)
-    ;[file, info, all, drawn] = [bytes, read, gaussians, undefined]
+    if (made && original != made) return
+    if (!made) maker?.leave()
+    ;[file, info, all] = [bytes, read, gaussians]
     tones = info.each.length ? { bits: tonesOfBits(info.each) } : {}
-    compareWith(undefined)
     device?.load(all, info.blend, colorSpace(info.icc))
-    get("name").textContent = document.title = name
+    const { width, height, channels } = info
+    occupy({ width, height, alpha: channels % 2 == 0 }, name)
     get("summary").textContent = summary(info)
     get("described").replaceChildren(...facts(info))
-    for (const id of ["empty", "message"]) get(id).hidden = true
-    get("tools").hidden = false
-    stage.classList.remove("vacant")
-    camera.take(info.width, info.height)
+    for (const id of ["ellipses", "facts"]) get(id).disabled = false
+    if (made) {
+      label(` · ${size(bytes.length)}`, ` · ${size(originalBytes)}`)
+      return void compareWith(made, chosen("sides"))
+    }
+    drawn = undefined
+    label()
+    settings()
+    compareWith(undefined)
+    camera.take(width, height)
     stage.focus()
   } catch (error) {
     const titles = { format: `${name} is broken`, version: `${name} is of a newer version`, limit: `${name} is too large` }
@@ -102,25 +124,28 @@ async function open(bytes, name) {
   }
 }
 
-// A file that was dropped, chosen or asked for: a .ssplat file is shown, another picture is its original.
-async function take(buffer, name) {
+// A file that was dropped, chosen or asked for: a .ssplat file is shown. Another picture is encoded; but one that is dropped onto a file,
+// or chosen as its original, is compared with it.
+async function take(buffer, name, isOriginal = !!info && !isMade()) {
   const bytes = new Uint8Array(buffer)
   if (isOurs(bytes)) return open(bytes, name)
   const { kind, start } = found(bytes)
-  if (info) {
+  if (!isOriginal && maker && isPicture(bytes)) return maker.take(new Blob([bytes]), name, kind)
+  if (isOriginal) {
     const image = await createImageBitmap(new Blob([bytes])).catch(() => undefined)
     if (image) return compareWith(image)
     return tell(`${name} cannot be compared with`, `It is ${kind ?? "of a kind that is not known here"}. The original is a picture that this browser can show.`, start && `It begins with ${start}`)
   }
   const advice = isPicture(bytes) ? ` The program makes one of it: ssplat encode ${name} ${name.replace(/\.[^.]*$/, "")}.ssplat` : ""
-  tell(`${name} is not an .ssplat file`, `It is ${kind ?? "of a kind that is not known here"}.${advice}`, start && `It begins with ${start}; an .ssplat file with 89 53 53 50`)
+  tell(`${name} is neither a picture nor an .ssplat file`, `It is ${kind ?? "of a kind that is not known here"}.${advice}`, start && `It begins with ${start}; an .ssplat file with 89 53 53 50`)
 }
 
 // What the Gaussians can be coloured by, and what is seen beside the picture.
 function offer() {
   for (const choice of document.querySelectorAll("input[name=colours]")) choice.disabled = choice.value != "own" && !tones[choice.value]
   if (chosen("colours") != "own" && !tones[chosen("colours")]) choose("colours", "own")
-  get("comparing").hidden = !original
+  get("comparing").hidden = !original || !info
+  get("compare").hidden = get("settings").hidden == false
   get("compare").ariaPressed = String(!!original)
   get("tones").hidden = !pressed("ellipses")
   get("layers").hidden = !info?.detail
@@ -131,10 +156,10 @@ function offer() {
 }
 
 // Takes a picture to compare with, or none.
-async function compareWith(picture) {
+async function compareWith(picture, sides = "both") {
   original = picture
   delete tones.error
-  choose("sides", "both")
+  choose("sides", sides)
   offer()
   if (!picture) return
   // Errors are seen as well in a picture of this width.
@@ -153,11 +178,11 @@ const place = () => [camera.zoom, camera.left, camera.top].map(v => v * devicePi
 // Has what is seen drawn with the screen's next picture, and says it.
 let waiting = false
 function show() {
-  if (!info) return
+  if (!shape) return
   get("zoom").textContent = times(camera.zoom)
-  const part = { file: "the file", both: "the file beside its original", original: "the original" }[original ? chosen("sides") : "file"]
+  const part = { file: "the file", both: "the file beside its original", original: "the original" }[!info ? "original" : original ? chosen("sides") : "file"]
   get("status").textContent = `${get("name").textContent}, ${part} at ${times(camera.zoom)}${pressed("ellipses") ? ", with Gaussians" : ""}`
-  get("border").hidden = !original || chosen("sides") != "both"
+  get("border").hidden = !info || !original || chosen("sides") != "both"
   get("border").style.left = `${border}%`
   get("border").ariaValueNow = String(Math.round(border))
   if (!waiting) requestAnimationFrame(paint)
@@ -188,7 +213,7 @@ function paint() {
   context.clearRect(0, 0, width, height)
   const view = { left: -x / k, top: -y / k, step: 1 / k, width, height }
   // A device draws Gaussians, not the detail layer.
-  const byDevice = layer() == "off" && (device?.can(view) ?? false)
+  const byDevice = !!info && layer() == "off" && (device?.can(view) ?? false)
   stage.dataset.drawn = byDevice ? device.name : "decoder"
   if (byDevice) {
     device.draw(view)
@@ -197,28 +222,29 @@ function paint() {
     const [left, top, w, h] = drawn.region, [x0, y0, x1, y1] = [x + left * k, y + top * k, x + (left + w) * k, y + (top + h) * k].map(Math.round)
     context.drawImage(drawn.canvas, x0, y0, x1 - x0, y1 - y0)
   }
-  if (original && chosen("sides") != "file") {
-    const from = chosen("sides") == "both" ? Math.round(width * border / 100) : 0
+  if (original && (!info || chosen("sides") != "file")) {
+    const from = info && chosen("sides") == "both" ? Math.round(width * border / 100) : 0
     context.save()
     context.beginPath()
     context.rect(from, 0, width - from, height)
     context.clip()
-    // Its pixels are seen where they are enlarged.
-    context.imageSmoothingEnabled = k * info.width < original.width
+    // Its pixels are seen where they are enlarged so far that the eye would find them.
+    context.imageSmoothingEnabled = k * shape.width < 3 * original.width
+    context.imageSmoothingQuality = "high"
     context.clearRect(0, 0, width, height)
-    context.drawImage(original, x, y, info.width * k, info.height * k)
+    context.drawImage(original, x, y, shape.width * k, shape.height * k)
     context.restore()
   }
-  if (info.channels % 2 == 0) {
+  if (shape.alpha) {
     context.save()
     context.globalCompositeOperation = "destination-over"
     context.fillStyle = pattern(context)
-    context.fillRect(x, y, info.width * k, info.height * k)
+    context.fillRect(x, y, shape.width * k, shape.height * k)
     context.restore()
   }
   const marks = overlay.getContext("2d")
   marks.clearRect(0, 0, overlay.width, overlay.height)
-  if (pressed("ellipses")) drawEllipses(marks, all, place(), devicePixelRatio, tones[chosen("colours")])
+  if (info && pressed("ellipses")) drawEllipses(marks, all, place(), devicePixelRatio, tones[chosen("colours")])
   if (byDevice) stage.dispatchEvent(new Event("drawn"))
   else redraw()
 }
@@ -226,19 +252,20 @@ function paint() {
 // One decoding at a time; when it is done, the next of what is seen by then.
 async function redraw() {
   if (busy) return stale = true
+  if (!file) return
   const region = camera.visible(), from = file, scale = camera.zoom * devicePixelRatio
   if (!region) return
   // At a high zoom a pixel of the picture is wider than the stage: its samples are bounded, the browser enlarges the rest.
   const width = Math.max(1, Math.min(Math.round(region[2] * scale), 4096)), height = Math.max(1, Math.min(Math.round(region[3] * scale), 4096))
   const detail = layer(), key = [...region, width, height, detail].join()
-  if (drawn?.key == key) return
+  if (drawn?.key == key && drawn.from == from) return
   busy = true
   try {
     const image = await decoder.decode(from, { region, width, height, detail }), canvas = new OffscreenCanvas(width, height)
     canvas.getContext("2d", { colorSpace: image.colorSpace }).putImageData(image, 0, 0)
-    if (from == file) drawn = { canvas, region, key }
+    if (from == file) drawn = { canvas, region, key, from }
   } catch (error) {
-    tell("This view cannot be drawn", `The decoder says: ${error.message}.`)
+    if (from == file) tell("This view cannot be drawn", `The decoder says: ${error.message}.`)
     console.error(error)
     return
   } finally {
@@ -253,6 +280,7 @@ async function redraw() {
 }
 
 function toggle() {
+  if (!info) return
   get("ellipses").ariaPressed = String(!pressed("ellipses"))
   offer()
 }
@@ -273,14 +301,58 @@ function flip() {
   offer()
 }
 function panel(open = get("panel").hidden) {
+  if (open && !info) return
   get("panel").hidden = !open
+  if (open) tuck(true)
   get("panel").style.translate = ""
   get("facts").ariaExpanded = String(open)
 }
 function back() {
   if (!get("message").hidden) dismiss()
-  else panel(false)
+  else if (!get("panel").hidden) panel(false)
+  else if (maker?.busy) maker.cancel()
 }
+
+// The controls of the encoder: there while a picture is encoded or was; they can be tucked away.
+const isMade = () => !get("settings").hidden
+function settings(there = false) {
+  get("settings").hidden = !there
+  tuck(!there)
+}
+function tuck(away) {
+  get("maker").hidden = away
+  get("settings").ariaExpanded = String(!away)
+  if (!away) panel(false)
+}
+// What the sides of the border are.
+function label(ours = "", theirs = "") {
+  const [left, right] = get("border").querySelectorAll("span")
+  left.textContent = `ssplat${ours}`
+  right.textContent = `original${theirs}`
+}
+
+// What the maker has of this page. The page of one file has no encoder.
+const maker = get("held-file") ? undefined : new Maker({
+  stage(bitmap, name, alpha) {
+    ;[file, info, all, drawn] = []
+    for (const id of ["ellipses", "facts"]) get(id).disabled = true
+    get("ellipses").ariaPressed = "false"
+    occupy({ width: bitmap.width, height: bitmap.height, alpha }, name)
+    get("summary").textContent = `${bitmap.width} × ${bitmap.height}`
+    settings(true)
+    original = bitmap
+    choose("sides", "both")
+    camera.take(bitmap.width, bitmap.height)
+    offer()
+    stage.focus()
+  },
+  show: open,
+  decode: bytes => decoder.decode(bytes),
+  tell,
+  resume() {
+    if (!shape) welcome()
+  },
+})
 
 // What each key does, in the order in which they are shown, and whether that needs a file.
 const keys = [
@@ -295,6 +367,8 @@ const keys = [
   [["S"], "side by side, file, original in turn", { s: () => original && next("sides") }],
   [["[", "]"], "move the border to the original", { "[": () => moveBorder(border - 5), "]": () => moveBorder(border + 5) }],
   [["I"], "facts about the file", { i: () => panel() }],
+  [["E"], "size, quality and effort", { e: () => isMade() && tuck(!get("maker").hidden) }],
+  [["D"], "save the file that was made", { d: () => isMade() && get("save").click() }],
   [["O"], "open a file", { o: () => get("file").click() }, true],
   [["Esc"], "close", { Escape: back }, true],
   [["?"], "these keys", { "?": () => get("help").showModal() }, true],
@@ -309,19 +383,19 @@ addEventListener("keydown", event => {
   const name = event.key.length == 1 ? event.key.toLowerCase() : event.key, deed = (info ? deeds : always)[name]
   if (event.ctrlKey || event.metaKey || event.altKey || !deed || get("help").open) return
   // Arrows that choose, scroll or move the border are not the picture's.
-  if (/^Arrow/.test(name) && event.target.closest?.("input, aside, .middle")) return
+  if (/^(Arrow|[+-])/.test(name) && event.target.closest?.("input, aside, .middle")) return
   event.preventDefault()
   if (event.target == get("border") && /^Arrow(Left|Right)$/.test(name)) return moveBorder(border + (name == "ArrowLeft" ? -2 : 2))
   deed()
 })
 
-for (const [id, deed] of Object.entries({ open: () => get("file").click(), choose: () => get("file").click(), another: () => get("file").click(), dismiss, ellipses: toggle, fit: () => camera.fit(), in: () => camera.zoomBy(1.5), out: () => camera.zoomBy(1 / 1.5), facts: () => panel(), "help-button": () => get("help").showModal() })) get(id).onclick = deed
+for (const [id, deed] of Object.entries({ open: () => get("file").click(), choose: () => get("file").click(), another: () => get("file").click(), dismiss, ellipses: toggle, fit: () => camera.fit(), in: () => camera.zoomBy(1.5), out: () => camera.zoomBy(1 / 1.5), facts: () => panel(), settings: () => tuck(!get("maker").hidden), fold: () => tuck(true), "help-button": () => get("help").showModal() })) get(id).onclick = deed
 get("compare").onclick = () => original ? compareWith(undefined) : get("original").click()
 get("zoom").onclick = () => camera.fitted ? camera.actual() : camera.fit()
 for (const choice of document.querySelectorAll(".choices input")) choice.onchange = offer
 for (const id of ["file", "original"]) get(id).onchange = async event => {
   const [chosen] = event.target.files
-  if (chosen) await take(await chosen.arrayBuffer(), chosen.name)
+  if (chosen) await take(await chosen.arrayBuffer(), chosen.name, id == "original")
   // So that the same one can be chosen again.
   event.target.value = ""
 }
@@ -350,6 +424,10 @@ for (const name of ["pointerup", "pointercancel"]) get("grip").addEventListener(
 })
 get("grip").onclick = () => panel(false)
 
+addEventListener("paste", async event => {
+  const [file] = event.clipboardData.files
+  if (file) await take(await file.arrayBuffer(), file.name || "pasted.png")
+})
 addEventListener("dragover", event => {
   event.preventDefault()
   get("drop").hidden = false
@@ -383,7 +461,10 @@ function use(next) {
   if (all) device?.load(all, info.blend, colorSpace(info.icc))
   show()
 }
-if (!get("held-file") && !asked.get("file")) welcome()
+if (!get("held-file") && !asked.get("file")) {
+  welcome()
+  Maker.prepare()
+}
 use(takes("webgpu") && await WebGpuSplatting.create(draw == "webgpu"))
 for (const id of ["file", "original"]) {
   const inside = held(`held-${id}`)

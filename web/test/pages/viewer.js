@@ -93,7 +93,7 @@ export async function test() {
   check(Math.abs(zoom() - 2) < .06, `fingers twice as far apart lead from 1× to ${get("zoom").textContent}`)
 
   // Whoever does not see the page is told what everything on it is; colours follow the system's.
-  for (const element of page.document.querySelectorAll("input, button, main, aside, [role=slider]"))
+  for (const element of page.document.querySelectorAll("input, button, a, #stage, aside, [role=slider]"))
     check(element.ariaLabel || element.labels?.[0]?.textContent.trim() || element.textContent.trim(), `#${element.id} has no name`)
   check(get("status").getAttribute("aria-live") == "polite", "changes are not read aloud")
   check(page.getComputedStyle(page.document.documentElement).colorScheme == "light dark", "there is no dark mode")
@@ -148,7 +148,7 @@ export async function test() {
   check(drew($("overlay")).join() != plain, "the error colours no Gaussian")
 
   // What cannot be shown is told in the middle, with what was found; then another file can be.
-  for (const [url, words] of [["/spec/vectors/invalid/checksum/file.ssplat", /broken.*checksum.*89 53 53 50/s], ["/tests/images/kodim05.png", /not an \.ssplat file.*PNG picture.*89 50 4e 47/s], ["/web/nowhere.ssplat", /nowhere.ssplat is not there.*404/s]]) {
+  for (const [url, words] of [["/spec/vectors/invalid/checksum/file.ssplat", /broken.*checksum.*89 53 53 50/s], ["/spec/ssplat.md", /neither a picture nor an \.ssplat file.*not known here.*begins with 23 20/s], ["/web/nowhere.ssplat", /nowhere.ssplat is not there.*404/s]]) {
     const other = await open(url), message = other.document.getElementById("message")
     check(await until(() => !message.hidden && words.test(message.textContent)), `${url}: ${message.textContent}`)
     other.document.getElementById("dismiss").click()
