@@ -1,4 +1,4 @@
-//! JPEG XL pictures in: the boxes of the container, and the decoder of `jxl-oxide` within the limits of other formats.
+//! Reads JPEG XL: parses the boxes of the container, and decodes with `jxl-oxide` within the limits of the other formats.
 
 use std::error::Error as StdError;
 use std::io::{self, BufRead, ErrorKind, Read, Seek, SeekFrom};
@@ -6,6 +6,7 @@ use std::path::Path;
 
 use brotli_decompressor::Decompressor;
 use image::metadata::Orientation;
+use jxl_oxide::color::{ColourEncoding, ColourSpace, Primaries, TransferFunction, WhitePoint};
 use jxl_oxide::{AllocTracker, InitializeResult, JxlImage, JxlThreadPool, Render};
 use ssplat::unstable::colour::{self, Stated};
 use ssplat::unstable::input::MAX_ALLOC;
@@ -15,23 +16,26 @@ use crate::failure::{Failure, Kind};
 use crate::input::Input;
 use crate::source::{self, Source};
 
-/// Bytes of an EXIF block that are read, unpacked: a few packed bytes may hold any number.
+/// Largest EXIF block in bytes, decompressed. A compressed block may expand without bound.
 const MAX_EXIF: u64 = 16 << 20;
 
-/// Bytes of the codestream among which the size of the picture is looked for; a profile may come before the first frame.
+/// Bytes of the codestream that are read to find the size of the picture; a profile may precede the first frame.
 const MAX_HEADER: u64 = 1 << 20;
 
-/// Pixels times frames that are decoded up to the first one that is shown: frames of a few bytes each may be blended.
+/// Largest product of pixels and frames up to the first frame that is shown, because frames of a few bytes each may be blended.
 const MAX_WORK: u64 = 1 << 32;
 
-/// Bytes for each pixel and channel while a picture is decoded: samples in floats, twice, as filters need both.
+/// Share by which a gamma may differ from 2.2: that for `gAMA` of PNG.
+const SAME_GAMMA: f64 = 0.05;
+
+/// Bytes per pixel and channel while a picture is decoded: two copies of the samples as floats, for filters.
 const BYTES_PER_SAMPLE: u64 = 8;
 
-/// Decodes the picture in `input`, which came from `path`. It is upright: JPEG XL states the orientation beside the EXIF block, and
-/// decoders apply it.
+/// Decodes the picture in `input`, which came from `path`. The pixels are upright, because JPEG XL has an orientation of its own,
+/// which decoders apply.
 pub fn read(path: &Path, input: &mut Input) -> Result<Source, Failure> {
     let length = input.length().map_err(|e| Failure::io(path, &e))?;
-    // The codestream is kept here, and by the decoder.
+    // There are two copies of the codestream: this one and the decoder's.
     let room = length.checked_mul(2).and_then(|bytes| MAX_ALLOC.checked_sub(bytes)).ok_or_else(|| too_large(path))?;
     let Boxes { codestream, exif, has_xmp } = Boxes::read(input, u64::MAX).map_err(|e| Failure::io(path, &e))?;
     let failed = |e: Box<dyn StdError + Send + Sync>| failure(path, &*e);
@@ -69,6 +73,7 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Source, Failure> {
     notes.extend(stated.note.map(String::from));
     let mut icc = match stated.note {
         Some(_) => None,
+        None if has_usual_gamma(&image) => None,
         None => stated.or(Some(image.rendered_icc())),
     };
     source::keep_fitting(&mut icc, pixels.channels(), &mut notes);
@@ -77,16 +82,16 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Source, Failure> {
     Ok(Source { pixels, icc, exif, orientation: Orientation::NoTransforms, is_cut_off, notes })
 }
 
-/// Width and height of the picture in `input`; `None` where they cannot be found. The input is left anywhere.
+/// Returns width and height of the picture in `input`, or `None` if they are unknown. Moves the position of the input.
 pub fn size(input: &mut Input) -> Option<[u32; 2]> {
     let boxes = Boxes::read(input, MAX_HEADER).ok()?;
     let image = start(&boxes.codestream, AllocTracker::with_limit(MAX_HEADER as usize)).ok()??;
     Some([image.width(), image.height()])
 }
 
-/// Parses the header and hands the decoder all frames; `None` where the header is cut off.
+/// Parses the header, and passes all frames to the decoder. Returns `None` if the header is truncated.
 fn start(codestream: &[u8], memory: AllocTracker) -> jxl_oxide::Result<Option<JxlImage>> {
-    // In this thread, because panics in others would be printed.
+    // Without other threads, because the panic hook would print their panics.
     let mut builder = JxlImage::builder().pool(JxlThreadPool::none()).alloc_tracker(memory).build_uninit();
     builder.feed_bytes(codestream)?;
     match builder.try_init()? {
@@ -95,13 +100,13 @@ fn start(codestream: &[u8], memory: AllocTracker) -> jxl_oxide::Result<Option<Jx
     }
 }
 
-/// Channels that the decoder holds: of colour, alpha and others.
+/// Returns the number of channels that the decoder stores.
 fn all_channels(image: &JxlImage) -> u64 {
-    // Also grey is decoded as three channels if it is lossy.
+    // Lossy grey is decoded as three channels.
     3 + image.image_header().metadata.ec_info.len() as u64
 }
 
-/// The samples that `render` shows, without premultiplied alpha.
+/// Returns the samples of a rendered frame, with straight alpha.
 fn pixels(path: &Path, image: &JxlImage, render: &Render) -> Result<Pixels, Failure> {
     let format = image.pixel_format();
     let channels = match (format.is_grayscale(), format.has_alpha()) {
@@ -144,7 +149,7 @@ fn zeros<T: Clone + Default>(path: &Path, count: usize) -> Result<Vec<T>, Failur
     Ok(zeros)
 }
 
-/// Divides colours by the alpha that they were multiplied by.
+/// Converts premultiplied alpha to straight alpha.
 fn divide<T: Copy + Into<u32> + TryFrom<u32>>(samples: &mut [T], channels: Channels, depth: Depth) {
     let max = depth.max() as u32;
     for pixel in samples.chunks_exact_mut(channels.count()) {
@@ -160,15 +165,27 @@ fn divide<T: Copy + Into<u32> + TryFrom<u32>>(samples: &mut [T], channels: Chann
     }
 }
 
-/// The colours that the header states, where code points can say them.
+/// Returns the colour space of the header, if code points can express it.
 fn colours(image: &JxlImage, channels: Channels) -> Stated {
     image.rendered_cicp().map_or_else(Stated::default, |cicp| colour::of_cicp(cicp, channels.count() < 3))
+}
+
+/// Whether the header states the usual gamma with the white and the primaries of sRGB, as `gAMA` of PNG files becomes it. It stands
+/// for sRGB, as it does in PNG.
+fn has_usual_gamma(image: &JxlImage) -> bool {
+    let ColourEncoding::Enum(encoding) = &image.image_header().metadata.colour_encoding else { return false };
+    let TransferFunction::Gamma { g, .. } = encoding.tf else { return false };
+    let is_srgb = encoding.colour_space == ColourSpace::Grey || matches!(encoding.primaries, Primaries::Srgb);
+    let exponent = f64::from(g) / 1e7;
+    is_srgb
+        && matches!(encoding.white_point, WhitePoint::D65)
+        && [1.0 / 2.2, 2.2].iter().any(|usual| (exponent / usual - 1.0).abs() < SAME_GAMMA)
 }
 
 fn failure(path: &Path, error: &(dyn StdError + 'static)) -> Failure {
     let mut cause = Some(error);
     while let Some(e) = cause {
-        // The type is in a crate that is no dependency of this one.
+        // The type of the error is in a crate that is not a dependency of this one.
         if e.to_string().starts_with("failed to allocate") {
             return too_large(path);
         }
@@ -185,7 +202,7 @@ fn too_large(path: &Path) -> Failure {
     Failure { kind: Kind::Limit, message: source::beyond_memory(path) }
 }
 
-/// Parts of a file that are used: the codestream in one piece, and metadata.
+/// The parts of a file that are used: the codestream, joined, and metadata.
 struct Boxes {
     codestream: Vec<u8>,
     exif: Option<Vec<u8>>,
@@ -193,8 +210,8 @@ struct Boxes {
 }
 
 impl Boxes {
-    /// Reads the boxes of a container, or a bare codestream; of the codestream at most `most` bytes. A file that is cut off gives what is
-    /// there.
+    /// Reads a container or a bare codestream, with at most `most` bytes of the codestream. A truncated file gives the parts that are
+    /// present.
     fn read(input: &mut Input, most: u64) -> io::Result<Boxes> {
         let mut boxes = Boxes { codestream: Vec::new(), exif: None, has_xmp: false };
         if input.fill_buf()?.starts_with(&[0xFF]) {
@@ -211,7 +228,7 @@ impl Boxes {
         while (self.codestream.len() as u64) < most {
             let length = u64::from(u32::from_be_bytes(bytes(input)?));
             let name: [u8; 4] = bytes(input)?;
-            // ISO/IEC 14496-12: 1 stands for a length of eight bytes, 0 for the rest of the file.
+            // ISO/IEC 14496-12: 1 means that a length of eight bytes follows, 0 the rest of the file.
             let (length, header) = if length == 1 { (u64::from_be_bytes(bytes(input)?), 16) } else { (length, 8) };
             let body = match length {
                 0 => u64::MAX,
@@ -225,7 +242,7 @@ impl Boxes {
         Ok(())
     }
 
-    /// Takes what is needed of a box.
+    /// Reads the useful parts of a box.
     fn take(&mut self, input: &mut Input, name: [u8; 4], body: u64, most: u64) -> io::Result<()> {
         let room = most - self.codestream.len() as u64;
         match &name {
@@ -233,7 +250,7 @@ impl Boxes {
                 input.take(body.min(room)).read_to_end(&mut self.codestream)?;
             }
             b"jxlp" => {
-                // The number of the part.
+                // The index of the part.
                 let _: [u8; 4] = bytes(input)?;
                 input.take(body.saturating_sub(4).min(room)).read_to_end(&mut self.codestream)?;
             }
@@ -243,7 +260,7 @@ impl Boxes {
                 b"xml " => self.has_xmp = true,
                 b"Exif" => {
                     let packed = Decompressor::new(input.take(body.saturating_sub(4)), 4096);
-                    // A block that cannot be unpacked is no reason to refuse the picture.
+                    // A block that cannot be decompressed does not make the picture invalid.
                     self.exif = self.exif.take().or(exif_in(packed).ok().flatten());
                 }
                 _ => {}
@@ -254,7 +271,7 @@ impl Boxes {
     }
 }
 
-/// The EXIF block in the body of a box, which begins with where in it the block is; `None` where it is too long or broken.
+/// Returns the EXIF block in the body of a box, which starts with the offset of the block; `None` if it is too long or invalid.
 fn exif_in(body: impl Read) -> io::Result<Option<Vec<u8>>> {
     let mut all = Vec::new();
     body.take(MAX_EXIF + 1).read_to_end(&mut all)?;
@@ -267,4 +284,19 @@ fn bytes<const N: usize>(reader: &mut impl Read) -> io::Result<[u8; N]> {
     let mut bytes = [0; N];
     reader.read_exact(&mut bytes)?;
     Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn premultiplied_colours_become_straight() {
+        let mut pixels = [100, 50, 0, 128, 9, 9, 9, 0, 7, 8, 9, 255, 200, 0, 0, 100u8];
+        divide(&mut pixels, Channels::Rgba, Depth::Eight);
+        assert_eq!(pixels, [199, 100, 0, 128, 9, 9, 9, 0, 7, 8, 9, 255, 255, 0, 0, 100]);
+        let mut pixels = [1000, 2000u16];
+        divide(&mut pixels, Channels::GreyAlpha, Depth::Sixteen);
+        assert_eq!(pixels, [32768, 2000]);
+    }
 }

@@ -1,4 +1,4 @@
-//! `--max-side`: pictures at a smaller size, by means in linear light, from any source of samples, in bands of rows.
+//! `--max-side`: downscales pictures in linear light, from any source of samples, in bands of rows.
 
 use std::ops::Range;
 
@@ -10,21 +10,21 @@ use ssplat::{Depth, Error, HiddenColors, PixelSource, Pixels, Samples};
 
 use crate::guard;
 
-/// The filter, and the pixels of the output on either side of one that contribute to it.
+/// The filter, and its radius in pixels of the output.
 const FILTER: FilterType = FilterType::Lanczos3;
 const SUPPORT: f64 = 3.0;
 
-/// Where a picture gets smaller than by this factor, means of whole pixels come first, down to this factor: they take little memory, and
-/// the filter then sees no difference.
+/// If the scale factor is larger, blocks of pixels are averaged first until this factor remains. That takes little memory, and makes
+/// no visible difference.
 const FILTERED_FACTOR: f64 = 4.0;
 
-/// Samples of one band before the filter, about: 16 MiB as floats.
+/// Approximate number of samples of a band before filtering: 16 MiB as floats.
 const BAND_SAMPLES: f64 = (4 << 20) as f64;
 
-/// Longest profile whose curves are used; longer ones hold tables.
+/// Longest profile that is parsed, in bytes; longer ones contain tables instead of curves.
 const LONGEST_PROFILE: usize = 4 << 20;
 
-/// The size of a picture of `size` pixels without a side above `max_side`: itself, or smaller with the same aspect ratio.
+/// Returns `size`, reduced with the same aspect ratio so that no side is above `max_side`.
 pub fn fitted(size: [u32; 2], max_side: Option<u32>) -> [u32; 2] {
     let longest = size[0].max(size[1]);
     match max_side {
@@ -35,8 +35,8 @@ pub fn fitted(size: [u32; 2], max_side: Option<u32>) -> [u32; 2] {
     }
 }
 
-/// Returns `source` at `size`, which is smaller. Colours are averaged in the linear light of the profile `icc`, or of sRGB, and weighted
-/// by alpha unless hidden colours are kept.
+/// Downscales `source` to `size`. Colours are filtered in linear light, by the curves of the profile `icc` or those of sRGB, and
+/// weighted by alpha unless hidden colours are kept. Rounding may differ between processors with different vector instructions.
 ///
 /// # Errors
 /// Those of `source`.
@@ -67,11 +67,11 @@ pub fn resize(
 struct Resize<'a> {
     source: &'a dyn PixelSource,
     size: [u32; 2],
-    /// Sides of the blocks of pixels whose means come first.
+    /// Width and height of the blocks of pixels that are averaged first.
     block: [u32; 2],
-    /// Blocks for each pixel of the output.
+    /// Blocks per pixel of the output, in x and y.
     factor: [f64; 2],
-    /// Rows of a band of the output.
+    /// Number of rows of a band of the output.
     rows: u32,
     curves: Vec<Curve>,
     hidden: HiddenColors,
@@ -89,11 +89,11 @@ impl<'a> Resize<'a> {
         Resize { source, size, block, factor, rows, curves, hidden }
     }
 
-    /// The rows `rows` of the output.
+    /// Returns the rows `rows` of the output.
     fn band(&self, rows: Range<u32>) -> Result<Samples, Error> {
         let channels = self.source.channels();
         let blocks = [0, 1].map(|k| self.source.size()[k].div_ceil(self.block[k]));
-        // With as many rows around as contribute, and no fractions of blocks that the filter would cut.
+        // Includes the rows within the radius of the filter, and one more for rounding.
         let margin = SUPPORT.ceil() as u32 + 1;
         let [first, last] = [rows.start.saturating_sub(margin), (rows.end + margin).min(self.size[1])];
         let exact = [first, last].map(|y| f64::from(y) * self.factor[1]);
@@ -124,7 +124,7 @@ impl<'a> Resize<'a> {
         })
     }
 
-    /// The means of rows of blocks in linear light, times alpha where there is one.
+    /// Returns the averages of rows of blocks, in linear light and premultiplied by alpha.
     fn means(&self, rows: Range<u32>, blocks: u32) -> Result<Vec<f32>, Error> {
         let [width, height] = self.source.size();
         let row = blocks as usize * self.source.channels().count();
@@ -147,7 +147,7 @@ impl<'a> Resize<'a> {
         Ok(means)
     }
 
-    /// Adds the samples of a row of blocks to the sum of each block.
+    /// Adds the samples of a row of blocks to the sums of the blocks.
     fn add<T: Copy + Into<usize>>(&self, samples: &[T], sums: &mut [f32]) {
         let channels = self.source.channels();
         let (count, colors) = (channels.count(), self.curves.len());
@@ -169,7 +169,7 @@ impl<'a> Resize<'a> {
         }
     }
 
-    /// The code values of means.
+    /// Converts filtered samples to code values.
     fn codes(&self, means: &[f32]) -> Vec<u16> {
         let channels = self.source.channels();
         let max = self.source.depth().max();
@@ -180,7 +180,7 @@ impl<'a> Resize<'a> {
                 Some((opacity, _)) if self.hidden != HiddenColors::Keep => opacity,
                 _ => 1.0,
             };
-            // What rounds to no alpha has no colour.
+            // Pixels whose alpha rounds to 0 have no colour.
             let is_hidden = alpha.is_some_and(|(_, code)| code == 0.0) && self.hidden != HiddenColors::Keep;
             for (curve, light) in self.curves.iter().zip(mean) {
                 codes.push(if is_hidden { 0 } else { curve.code(light / opacity) });
@@ -191,7 +191,7 @@ impl<'a> Resize<'a> {
     }
 }
 
-/// Linear light of each code value, from 0 to 1, rising.
+/// The linear light of each code value, from 0 to 1, in ascending order.
 struct Curve {
     light: Vec<f32>,
 }
@@ -205,7 +205,7 @@ impl Curve {
         is_sound.then_some(Curve { light })
     }
 
-    /// The code value whose light is nearest.
+    /// Returns the code value with the nearest linear light.
     fn code(&self, light: f32) -> u16 {
         let above = self.light.partition_point(|&v| v < light).min(self.light.len() - 1);
         let below = above.saturating_sub(1);
@@ -214,7 +214,7 @@ impl Curve {
     }
 }
 
-/// Returns the curves of `colors` channels under a profile, or those of sRGB where it has none.
+/// Returns the curves of a profile for `colors` channels, or those of sRGB if it has none.
 fn curves(icc: Option<&[u8]>, colors: usize, depth: Depth) -> Vec<Curve> {
     let stated = || {
         let profile = ColorProfile::new_from_slice(icc.filter(|icc| icc.len() <= LONGEST_PROFILE)?).ok()?;
@@ -266,7 +266,7 @@ mod tests {
         let stripes = grey(256, 256, |x, _| if x % 2 == 0 { 0 } else { 255 });
         for side in [64, 20, 5] {
             let small = smaller(&stripes, side);
-            // At the border the filter has fewer stripes, and not as many of both.
+            // At the border, the filter covers unequal numbers of black and white stripes.
             let row = &bytes(&small)[1..side as usize - 1];
             assert!(row.iter().all(|&v| v.abs_diff(188) <= 2), "{side}: {row:?}");
         }
@@ -327,7 +327,7 @@ mod tests {
             let most = band.iter().zip(&whole[start..end]).map(|(a, b)| a.abs_diff(*b)).max();
             assert!(most <= Some(1), "rows {rows:?}: {most:?}");
         }
-        // The same by the filter alone, where means of blocks come first.
+        // Averaging blocks first gives the same as the filter alone.
         let smooth =
             grey(640, 400, |x, y| (128.0 + 60.0 * (f64::from(x) / 60.0).sin() * (f64::from(y) / 45.0).cos()) as u8);
         let [with, without] = [[2, 2], [1, 1]].map(|block| {

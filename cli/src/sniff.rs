@@ -1,4 +1,4 @@
-//! Formats that the `image` crate does not detect by their first bytes: JPEG XL, and those in the HEIF container.
+//! Detects formats that the `image` crate does not detect by their first bytes: JPEG XL, and formats in the HEIF container.
 
 /// A format that `image` does not detect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -8,7 +8,7 @@ pub enum Sniffed {
     Heic,
 }
 
-/// Brands of files whose pictures are coded with HEVC, and the general brands, which other files have as well.
+/// Brands of HEVC pictures, and the general brands, which other formats have as well.
 const HEIC_BRANDS: [&[u8; 4]; 10] =
     [b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"];
 
@@ -76,7 +76,7 @@ mod tests {
         assert_eq!(sniff(&start(&[*b"mif1", *b"\0\0\0\0", *b"mif1", *b"avif"])), Some(Sniffed::Avif));
         assert_eq!(sniff(&start(&[*b"heic", *b"\0\0\0\0", *b"mif1", *b"heic"])), Some(Sniffed::Heic));
         assert_eq!(sniff(&start(&[*b"mif1", *b"\0\0\0\0", *b"heic"])), Some(Sniffed::Heic));
-        // The version is no brand, and what follows the box is none.
+        // Neither the version nor the bytes after the box are brands.
         assert_eq!(sniff(&start(&[*b"isom", *b"heic", *b"mp42"])), None);
     }
 
