@@ -43,7 +43,7 @@ pub struct Done {
 pub type Show<'a> = dyn Fn(f32, &'static str) + 'a;
 
 /// Processes an input into an output.
-pub type Work<'a> = dyn Fn(&Path, &Path, &Show) -> Result<Done, Failure> + Sync + 'a;
+pub type Work<'a> = dyn Fn(&Task, &Show) -> Result<Done, Failure> + Sync + 'a;
 
 /// What a command does with each file.
 pub struct Command<'a> {
@@ -162,7 +162,7 @@ impl BatchRun<'_> {
     fn work(&self, task: &Task) {
         let start = Instant::now();
         self.post(&task.input, start, 0.0);
-        let run = || (self.command.run)(&task.input, &task.output, &|share, _| self.post(&task.input, start, share));
+        let run = || (self.command.run)(task, &|share, _| self.post(&task.input, start, share));
         // A bug that one file triggers must not stop the other files.
         let guarded = || guard::aloud(run).unwrap_or_else(|panic| Err(Failure::bug(&task.input, &panic)));
         let outcome = self.prepare(task).and_then(|()| guarded());

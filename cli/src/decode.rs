@@ -14,6 +14,7 @@ use ssplat::{Renderer, SamplesMut, View};
 
 use crate::batch::{self, Command, Done, Fate, OutputMode, Show};
 use crate::failure::Failure;
+use crate::inputs::Task;
 use crate::kept_times::KeptTimes;
 use crate::progress::Bar;
 use crate::rows::{Format, RowWriter, Shape};
@@ -38,7 +39,7 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
             takes: &|path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ssplat::EXTENSION)),
             extension: args.format.as_deref().unwrap_or("png"),
             pixels: &pixels,
-            run: &|input, output, show| one(args, input, output, format, show),
+            run: &|task, show| one(args, task, format, show),
         };
         return batch::run(&args.paths, folder, &args.many, output_mode, &command);
     }
@@ -49,7 +50,8 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
         None => Format::of_path(output)?,
     };
     let bar = Bar::of(output_mode);
-    let done = one(args, input, output, format, &|share, stage| bar.show(share, stage))?;
+    let task = Task::new(input.into(), output.into());
+    let done = one(args, &task, format, &|share, stage| bar.show(share, stage))?;
     drop(bar);
     if output_mode != OutputMode::Quiet {
         done.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(input))));
@@ -71,9 +73,10 @@ fn pixels(path: &Path) -> u64 {
 }
 
 /// Decodes one file.
-fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &Show) -> Result<Done, Failure> {
+fn one(args: &args::Decode, task: &Task, format: Format, show: &Show) -> Result<Done, Failure> {
+    let (input, output) = (task.input.as_path(), task.output.as_path());
     let start = Instant::now();
-    let times = KeptTimes::read(args.keep_times, input, output)?;
+    let times = KeptTimes::of(args.keep_times, task)?;
     let bytes = input::read_splats(input)?;
     if let Some(side) = args.thumbnail {
         return thumbnail(args, (input, output), format, (&bytes, side), times);

@@ -17,6 +17,7 @@ use ssplat::{EncodeReport, Encoded, Encoder, Error, Limits, PixelSource, Pixels,
 use crate::batch::{self, Command, Done, Fate, OutputMode, Show};
 use crate::failure::Failure;
 use crate::input::{self, Input};
+use crate::inputs::Task;
 use crate::kept_times::KeptTimes;
 use crate::progress::{Bar, Stages};
 use crate::rows::{Format, RowWriter, Shape};
@@ -36,7 +37,7 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
             takes: &is_picture,
             extension: ssplat::EXTENSION,
             pixels: &pixels,
-            run: &|input, output, show| one(args, input, output, show),
+            run: &|task, show| one(args, task, show),
         };
         return batch::run(&args.paths, folder, &args.many, output_mode, &command);
     }
@@ -60,7 +61,8 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
         )));
     }
     let bar = Bar::of(output_mode);
-    let done = one(args, input, output, &|share, stage| bar.show(share, stage))?;
+    let task = Task::new(input.into(), output.into());
+    let done = one(args, &task, &|share, stage| bar.show(share, stage))?;
     drop(bar);
     if output_mode != OutputMode::Quiet {
         done.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(input))));
@@ -120,13 +122,14 @@ fn left(time: Option<Duration>, start: Instant) -> Option<Duration> {
 }
 
 /// Encodes one file.
-fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<Done, Failure> {
+fn one(args: &args::Encode, task: &Task, show: &Show) -> Result<Done, Failure> {
+    let (input, output) = (task.input.as_path(), task.output.as_path());
     let start = Instant::now();
     show(0.0, "reading");
     if args.preview.as_deref() == Some(output) {
         return Err(Failure::usage(format!("{}: cannot hold both the file and its preview", output.display())));
     }
-    let times = KeptTimes::read(args.keep_times, input, output)?;
+    let times = KeptTimes::of(args.keep_times, task)?;
     let mut opened = Input::open(input)?;
     let origin = Origin {
         length: opened.length().map_err(|e| Failure::io(input, &e))?,

@@ -2,15 +2,29 @@
 
 use std::collections::{HashMap, HashSet};
 use std::ffi::OsString;
+use std::fs::FileTimes;
 use std::path::{Path, PathBuf};
 
 use crate::failure::Failure;
 
 /// An input and its output.
-#[derive(Debug, PartialEq, Eq)]
+#[derive(Debug)]
 pub struct Task {
     pub input: PathBuf,
     pub output: PathBuf,
+    /// The times of the input before it is read; reading may change its access time.
+    pub times: Option<FileTimes>,
+}
+
+impl Task {
+    pub fn new(input: PathBuf, output: PathBuf) -> Task {
+        let times = std::fs::metadata(&input).ok().and_then(|found| {
+            let times = FileTimes::new().set_modified(found.modified().ok()?);
+            // Some file systems have no access times.
+            Some(found.accessed().map_or(times, |accessed| times.set_accessed(accessed)))
+        });
+        Task { input, output, times }
+    }
 }
 
 /// Tasks found in the inputs.
@@ -104,7 +118,7 @@ fn find_on(names: Names, inputs: &[PathBuf], folder: &Path, rules: &Rules) -> Re
         return Err(Failure::usage(problems.join("\nssplat: ")));
     }
     let tasks = named.into_iter().zip(outputs);
-    let tasks = tasks.map(|((input, _), output)| Task { input, output: folder.join(output) }).collect();
+    let tasks = tasks.map(|((input, _), output)| Task::new(input, folder.join(output))).collect();
     Ok(Found { tasks, notes: skipped.notes() })
 }
 

@@ -37,7 +37,11 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Source, Failure> {
     let length = input.length().map_err(|e| Failure::io(path, &e))?;
     // There are two copies of the codestream: this one and the decoder's.
     let room = length.checked_mul(2).and_then(|bytes| MAX_ALLOC.checked_sub(bytes)).ok_or_else(|| too_large(path))?;
-    let Boxes { codestream, exif, has_xmp } = Boxes::read(input, u64::MAX).map_err(|e| Failure::io(path, &e))?;
+    let boxes = Boxes::read(input, u64::MAX).map_err(|e| match e.kind() {
+        ErrorKind::InvalidData => broken(path, "has a box with an invalid length"),
+        _ => Failure::io(path, &e),
+    })?;
+    let Boxes { codestream, exif, has_xmp } = boxes;
     let failed = |e: Box<dyn StdError + Send + Sync>| failure(path, &*e);
     let image = start(&codestream, AllocTracker::with_limit(usize::try_from(room).unwrap_or(usize::MAX)));
     let mut image = image.map_err(failed)?.ok_or_else(|| broken(path, "ends before its picture begins"))?;

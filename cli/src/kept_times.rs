@@ -1,35 +1,33 @@
-//! `--keep-times`: the modification and access times of an input, for its output.
+//! `--keep-times`: gives an output the modification and access times of its input.
 
 use std::fs::FileTimes;
 use std::path::Path;
 
-use crate::failure::Failure;
+use crate::failure::{Failure, Kind};
+use crate::inputs::Task;
 use crate::sink::Sink;
 
-/// The times that an output gets.
+/// The times that an output gets, if any.
 #[derive(Debug, Clone, Copy)]
 pub struct KeptTimes(Option<FileTimes>);
 
 impl KeptTimes {
-    /// Reads the times of `input`, if `--keep-times` asks for them. Call it before the input is opened, because reading a file may change
-    /// its access time.
+    /// Returns the times of the input if `--keep-times` is given.
     ///
     /// # Errors
-    /// A usage error if `input` or `output` is `-`, which has no times.
-    pub fn read(is_asked: bool, input: &Path, output: &Path) -> Result<KeptTimes, Failure> {
+    /// A usage error if the input or the output is `-`, which has no times.
+    pub fn of(is_asked: bool, task: &Task) -> Result<KeptTimes, Failure> {
         if !is_asked {
             return Ok(KeptTimes(None));
         }
-        for (path, name) in [(input, "standard input"), (output, "standard output")] {
+        for (path, name) in [(&task.input, "standard input"), (&task.output, "standard output")] {
             if path == Path::new("-") {
                 return Err(Failure::usage(format!("--keep-times: {name} has no times")));
             }
         }
-        let io = |e| Failure::io(input, &e);
-        let found = std::fs::metadata(input).map_err(io)?;
-        let times = FileTimes::new().set_modified(found.modified().map_err(io)?);
-        // Some file systems have no access times.
-        Ok(KeptTimes(Some(found.accessed().map_or(times, |accessed| times.set_accessed(accessed)))))
+        let missing =
+            || Failure { kind: Kind::Io, message: format!("{}: its times cannot be read", task.input.display()) };
+        Ok(KeptTimes(Some(task.times.ok_or_else(missing)?)))
     }
 
     /// Sets the times of the complete file in `sink`, and renames it to its final name.

@@ -2,8 +2,9 @@
 
 use std::ops::Range;
 
-use fast_image_resize::images::Image;
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
+use fast_image_resize::images::{TypedImage, TypedImageRef};
+use fast_image_resize::pixels::{F32, F32x2, F32x3, F32x4};
+use fast_image_resize::{FilterType, PixelTrait, ResizeAlg, ResizeOptions, Resizer};
 use moxcms::{ColorProfile, ToneReprCurve};
 use rayon::prelude::*;
 use ssplat::{Depth, Error, HiddenColors, PixelSource, Pixels, Samples};
@@ -98,24 +99,20 @@ impl<'a> Resize<'a> {
         let [first, last] = [rows.start.saturating_sub(margin), (rows.end + margin).min(self.size[1])];
         let exact = [first, last].map(|y| f64::from(y) * self.factor[1]);
         let [top, bottom] = [exact[0].floor() as u32, (exact[1].ceil() as u32).min(blocks[1])];
-        let mut means = self.means(top..bottom, blocks[0])?;
-        let kind = match channels.count() {
-            1 => PixelType::F32,
-            2 => PixelType::F32x2,
-            3 => PixelType::F32x3,
-            _ => PixelType::F32x4,
-        };
-        let image = Image::from_slice_u8(blocks[0], bottom - top, bytemuck::cast_slice_mut(&mut means), kind)
-            .expect("a sample for each channel of each block");
+        let means = self.means(top..bottom, blocks[0])?;
         let mut out = vec![0f32; (self.size[0] * (last - first)) as usize * channels.count()];
-        let mut smaller = Image::from_slice_u8(self.size[0], last - first, bytemuck::cast_slice_mut(&mut out), kind)
-            .expect("a sample for each channel of each pixel");
         let width = f64::from(self.size[0]) * self.factor[0];
         let options = ResizeOptions::new()
             .resize_alg(ResizeAlg::Convolution(FILTER))
             .crop(0.0, exact[0] - f64::from(top), width, (exact[1] - exact[0]).min(f64::from(bottom) - exact[0]))
             .use_alpha(false);
-        Resizer::new().resize(&image, &mut smaller, &options).expect("a part of the image, of the same type");
+        let (from, to) = ([blocks[0], bottom - top], [self.size[0], last - first]);
+        match channels.count() {
+            1 => filter::<F32>(&means, from, &mut out, to, &options),
+            2 => filter::<F32x2>(&means, from, &mut out, to, &options),
+            3 => filter::<F32x3>(&means, from, &mut out, to, &options),
+            _ => filter::<F32x4>(&means, from, &mut out, to, &options),
+        }
         let row = self.size[0] as usize * channels.count();
         let kept = &out[(rows.start - first) as usize * row..(rows.end - first) as usize * row];
         Ok(match self.source.depth() {
@@ -189,6 +186,16 @@ impl<'a> Resize<'a> {
         }
         codes
     }
+}
+
+/// Filters an image of pixels `P` and of size `from` to size `to`. Images whose type is known at compile time keep the code for
+/// others out of the program.
+fn filter<P: PixelTrait>(image: &[f32], from: [u32; 2], out: &mut [f32], to: [u32; 2], options: &ResizeOptions) {
+    let image = TypedImageRef::<P>::from_buffer(from[0], from[1], bytemuck::cast_slice(image));
+    let image = image.expect("a sample for each channel of each block");
+    let out = TypedImage::<P>::from_buffer(to[0], to[1], bytemuck::cast_slice_mut(out));
+    let mut out = out.expect("a sample for each channel of each pixel");
+    Resizer::new().resize_typed(&image, &mut out, options).expect("the crop is within the image");
 }
 
 /// The linear light of each code value, from 0 to 1, in ascending order.

@@ -71,18 +71,31 @@ fn lossless_files_have_the_pixels_that_they_were_made_of() {
 }
 
 #[test]
-fn lossy_files_are_close_to_the_pixels_that_they_were_made_of() {
+fn lossy_files_have_the_pixels_of_djxl() {
     let source = open("lossy.jxl");
-    for (i, pixel) in bytes(&source.pixels).chunks_exact(3).enumerate() {
-        let expected = ramps(i as u32 % 40, i as u32 / 40);
-        // `djxl` is as far from the original.
-        assert!(pixel.iter().zip(expected).all(|(a, b)| a.abs_diff(b) <= 12), "{i}: {pixel:?}");
+    // By `djxl` 0.7.0, at every hundredth pixel.
+    let expected: [[u8; 3]; 12] = [
+        [11, 0, 90],
+        [121, 14, 89],
+        [14, 39, 89],
+        [121, 55, 88],
+        [9, 80, 89],
+        [121, 96, 88],
+        [23, 120, 89],
+        [122, 136, 89],
+        [27, 160, 90],
+        [123, 175, 89],
+        [14, 200, 88],
+        [122, 216, 87],
+    ];
+    for (pixel, expected) in bytes(&source.pixels).chunks_exact(3).step_by(100).zip(expected) {
+        assert!(pixel.iter().zip(expected).all(|(a, b)| a.abs_diff(b) <= 1), "{pixel:?} {expected:?}");
     }
 }
 
 #[test]
 fn turned_pictures_are_upright_once() {
-    for name in ["turned.jxl", "turned-lossy.jxl"] {
+    for (name, has_exif) in [("turned.jxl", true), ("turned-lossy.jxl", false)] {
         let source = open(name);
         assert_eq!((source.pixels.width(), source.pixels.height()), (30, 40), "{name}");
         // Orientation 6: the first row becomes the last column.
@@ -90,7 +103,8 @@ fn turned_pictures_are_upright_once() {
         let expected = ramps(0, 0);
         assert!(top_right.iter().zip(expected).all(|(a, b)| a.abs_diff(b) <= 16), "{name}: {top_right:?}");
         assert_eq!(source.orientation, image::metadata::Orientation::NoTransforms);
-        let exif = source.exif.unwrap_or_else(|| panic!("{name} has lost its EXIF block"));
+        assert_eq!(source.exif.is_some(), has_exif, "{name}");
+        let Some(exif) = source.exif else { continue };
         assert!(exif.starts_with(b"MM\0*") && exif.windows(3).any(|w| w == b"abc"), "{name}: {exif:?}");
         assert!(matches!(
             image::metadata::Orientation::from_exif_chunk(&exif),
