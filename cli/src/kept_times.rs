@@ -25,9 +25,15 @@ impl KeptTimes {
                 return Err(Failure::usage(format!("--keep-times: {name} has no times")));
             }
         }
-        let missing =
-            || Failure { kind: Kind::Io, message: format!("{}: its times cannot be read", task.input.display()) };
-        Ok(KeptTimes(Some(task.times.ok_or_else(missing)?)))
+        if task.times.is_none() {
+            // Reports a missing file as such.
+            std::fs::metadata(&task.input).map_err(|e| Failure::io(&task.input, &e))?;
+            return Err(Failure {
+                kind: Kind::Io,
+                message: format!("{}: has no modification time", task.input.display()),
+            });
+        }
+        Ok(KeptTimes(task.times))
     }
 
     /// Sets the times of the complete file in `sink`, and renames it to its final name.
