@@ -113,13 +113,13 @@ pub struct Encode {
     pub auto_orient: bool,
     /// Which metadata of the input the file keeps; it counts towards the size: needed (ICC profile and orientation),
     /// all (also the whole EXIF block, with time and place), icc, or none
-    #[arg(help_heading = "What the file has, and how it is made", long, value_name = "WHICH", default_value = "needed", hide_possible_values = true, value_parser = names::metadata_policy())]
+    #[arg(help_heading = "Contents and encoding", long, value_name = "WHICH", default_value = "needed", hide_possible_values = true, value_parser = names::metadata_policy())]
     pub metadata: MetadataPolicy,
     /// Write the file even if its name has the extension of another format
     #[arg(long)]
     pub force: bool,
     /// Longest side in pixels; larger pictures are downscaled before encoding, in linear light
-    #[arg(help_heading = "What the file has, and how it is made", long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    #[arg(help_heading = "Contents and encoding", long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     pub max_side: Option<u32>,
     /// Write no file if it would be larger than the input; a note says so, and the exit status is 0
     #[arg(long)]
@@ -154,7 +154,7 @@ pub struct Encode {
     pub tune: Option<Tune>,
     /// Keep the colours of fully transparent pixels; by default a smooth continuation of the visible colours replaces them, which takes fewer
     /// bytes
-    #[arg(help_heading = "What the file has, and how it is made", long)]
+    #[arg(help_heading = "Contents and encoding", long)]
     pub keep_hidden: bool,
     /// Whether the file has a detail layer, which codes the residual that the Gaussians leave: auto (where it pays), off, or the
     /// share of the bytes that the Gaussians get, above 0 and below 1
@@ -162,18 +162,18 @@ pub struct Encode {
     pub detail: Detail,
     /// Number of progressive levels, each of which costs 1 to 2 % of the bytes; a file that is truncated after a level decodes with
     /// --partial
-    #[arg(help_heading = "What the file has, and how it is made", long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
+    #[arg(help_heading = "Contents and encoding", long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
     pub levels: u8,
     /// Whether the file contains a thumbnail, which counts towards its size: auto, none, or its largest size in bytes; auto gives
     /// files of at least 100 kB a thumbnail of a hundredth of their size, at most 4 kB
-    #[arg(help_heading = "What the file has, and how it is made", long, value_name = "WHICH", default_value = "auto", value_parser = thumbnail)]
+    #[arg(help_heading = "Contents and encoding", long, value_name = "WHICH", default_value = "auto", value_parser = thumbnail)]
     pub thumbnail: Thumbnail,
     /// Fit the picture in tiles with this side in pixels, so that memory does not grow with the picture: a multiple of 128, or 2048 if
     /// no side is given [default: above 33 megapixels, but with a GPU only above 268]
-    #[arg(help_heading = "What the file has, and how it is made", long, value_name = "SIDE", num_args = 0..=1, require_equals = true, default_missing_value = "2048")]
+    #[arg(help_heading = "Contents and encoding", long, value_name = "SIDE", num_args = 0..=1, require_equals = true, default_missing_value = "2048")]
     pub tiles: Option<u32>,
     /// The device that fits the picture
-    #[arg(help_heading = "What the file has, and how it is made", long, default_value = "auto", value_parser = names::backend())]
+    #[arg(help_heading = "Contents and encoding", long, default_value = "auto", value_parser = names::backend())]
     pub backend: Backend,
     /// Also decode the file, write the pixels here, and measure their quality
     #[arg(long, value_name = "PNG", conflicts_with = "out_dir")]
@@ -243,20 +243,20 @@ pub fn pair<'a>(paths: &'a [PathBuf], output: Option<&'a Path>) -> Result<(&'a P
 pub struct TargetArgs {
     /// Compression ratio: width x height x channels bytes over the bytes of the file [default: 50, with at least 80 bytes for the
     /// primitives]
-    #[arg(help_heading = "Size or quality, at most one", long, short, value_name = "R", value_parser = positive)]
+    #[arg(help_heading = "Size or quality (at most one)", long, short, value_name = "R", value_parser = positive)]
     pub ratio: Option<f64>,
     /// File size in bytes, or as 20k or 1.5M; never exceeded
-    #[arg(help_heading = "Size or quality, at most one", long, short, value_name = "N", value_parser = bytes)]
+    #[arg(help_heading = "Size or quality (at most one)", long, short, value_name = "N", value_parser = bytes)]
     pub bytes: Option<u64>,
     /// Number of primitives
-    #[arg(help_heading = "Size or quality, at most one", long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(help_heading = "Size or quality (at most one)", long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub primitives: Option<u32>,
     /// Perceptual quality (SSIMULACRA2): 30 low, 50 medium, 70 high (hard to tell from the original side by side), 90 very high
     /// (hard to tell even when flipping between them); met within half a point, in up to six tries
-    #[arg(help_heading = "Size or quality, at most one", long, short = 'Q', value_name = "POINTS", value_parser = points)]
+    #[arg(help_heading = "Size or quality (at most one)", long, short = 'Q', value_name = "POINTS", value_parser = points)]
     pub quality: Option<f64>,
     /// PSNR; finds the smallest file that reaches it
-    #[arg(help_heading = "Size or quality, at most one", long, value_name = "DB", value_parser = positive)]
+    #[arg(help_heading = "Size or quality (at most one)", long, value_name = "DB", value_parser = positive)]
     pub psnr: Option<f64>,
 }
 

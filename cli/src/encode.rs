@@ -212,11 +212,6 @@ fn load(
 ) -> Result<Loaded, Failure> {
     let is_huge = |size: [u32; 2]| area(size) > ssplat::unstable::MAX_WHOLE_PIXELS;
     let fitted = |size| resize::fitted(size, args.max_side);
-    // Checked before the picture is read, which may take minutes and much disk space.
-    if origin.size.is_some_and(|size| is_huge(fitted(size))) && args.time.is_some() {
-        let input = Failure::input(path);
-        return Err(Failure::usage(format!("{input}: is fitted in tiles, in which --time cannot be kept")));
-    }
     let is_resized = origin.size.is_some_and(|size| fitted(size) != size);
     // A preview is compared with the whole picture, and rotation needs it as well.
     let stays_in_parts = !is_resized && args.preview.is_none() && !args.auto_orient;
