@@ -15,48 +15,48 @@ use crate::exchange::{csv, foreign};
 use crate::failure::Failure;
 use crate::names;
 
-/// Pictures stored as 2D Gaussians.
+/// Encode pictures as 2D Gaussians and a detail layer (.ssplat), and decode them
 #[derive(Debug, Parser)]
 #[command(name = "ssplat", version = VERSION, max_term_width = 100, after_help = EXIT_STATUS)]
 pub struct Args {
     #[command(subcommand)]
     pub command: Command,
-    /// Threads to work with; the result does not depend on it [default: one a core]
+    /// Number of threads; the result does not depend on it [default: one per core]
     #[arg(long, global = true, value_name = "N", value_parser = count)]
     pub threads: Option<NonZeroUsize>,
 }
 
-/// The version, and what was built in.
+/// The version, with "(with GPU)" if the build has GPU support.
 const VERSION: &str =
     if cfg!(feature = "gpu") { concat!(env!("CARGO_PKG_VERSION"), " (with GPU)") } else { env!("CARGO_PKG_VERSION") };
 
 const EXIT_STATUS: &str = "\
 Exit status: 0 success, 2 wrong usage, 3 reading or writing failed, 4 broken file,
-5 unsupported format or version, 6 file beyond the limits, 1 anything else. On
-failure no output file is left behind. Of several inputs the status is that of all
-failures, or 1 where they differ.";
+5 unsupported format or version, 6 file beyond the limits, 1 anything else. A command
+that fails leaves no output file. With several inputs, the status is that of the
+failures, or 1 if they differ.";
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Fit a picture and write it as .ssplat
+    /// Encode pictures as .ssplat files
     Encode(Box<Encode>),
-    /// Draw a .ssplat file as PNG, PNM or another format
+    /// Decode .ssplat files to PNG, PNM or another format
     Decode(Decode),
-    /// Say what a .ssplat file holds
+    /// Show what a .ssplat file contains
     Info(Info),
-    /// Measure how far two pictures are apart
+    /// Compare two pictures by quality metrics
     Compare(Compare),
-    /// Print a picture as the text of a small .ssplat file, to stand in a web page until the picture is there
+    /// Print a placeholder for a web page: a .ssplat file of a few hundred bytes, as text
     Placeholder(Placeholder),
-    /// Show a .ssplat file in the browser, at any zoom, and where its bits go
+    /// Show a .ssplat file in the browser, with zoom and an overlay of its Gaussians
     View(View),
-    /// Write a .ssplat file's Gaussians for other programs
+    /// Export the Gaussians of a .ssplat file for other programs
     Export(Export),
-    /// Store Gaussians that were fitted elsewhere
+    /// Import Gaussians that were fitted elsewhere
     Import(Import),
-    /// Print completions for a shell
+    /// Print shell completions
     Completions(Completions),
-    /// List the formats that are read and written
+    /// List the formats that this build reads and writes
     Formats,
     /// Print the manual page
     Man,
@@ -76,96 +76,109 @@ Examples:
   ssplat encode photo.png photo.ssplat --bytes 300            a placeholder
   ssplat encode photo.png photo.ssplat --ratio 200 --effort 9
   ssplat encode photo.png photo.ssplat --preview result.png   also decode and measure
-  ssplat encode *.jpg scans --recursive --out-dir small --skip-existing
+  ssplat encode photo.jpg photo.ssplat --max-side 1920 --keep-times
+  ssplat encode *.jpg scans --recursive --out-dir small --skip-existing --skip-larger
   cat photo.png | ssplat encode - - > photo.ssplat
 
-With --out-dir all paths are inputs, folders too: small pictures are encoded side by side,
-one that fails does not stop the others, and with --skip-existing a second run goes on where
-the first stopped. anim.gif becomes anim.ssplat, but anim.gif.ssplat where there is anim.webp, too.
+With --out-dir, all paths are inputs, and folders stand for their files. Small pictures are encoded
+in parallel, a picture that fails does not stop the others, and with --skip-existing a second run
+resumes where the first one stopped. anim.gif becomes anim.ssplat, or anim.gif.ssplat if there is an
+anim.webp as well.
 
-An orientation is carried along, unless --auto-orient applies it. Samples in 32-bit floats are
-clamped to 0..1 and kept with 16 bits. What of the input is lost (most of an EXIF block, XMP, further
-frames) is told on standard error.
+The file keeps the orientation, unless --auto-orient applies it to the pixels. Samples in 32-bit floats
+are clamped to 0..1 and stored with 16 bits. Parts of the input that are lost (most of an EXIF block,
+XMP, further frames) are reported on standard error.
 
-With no size asked for, the ratio is 50, but the primitives get 80 bytes at least, and metadata come
-on top: no picture is too small. A size that is asked for is kept or refused.";
+If no size is given, the ratio is 50, but the primitives get at least 80 bytes, and metadata is added on
+top, so no picture is too small. A size that is given is met, or the command fails.";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = ENCODE_EXAMPLES, override_usage = ENCODE_USAGE)]
 pub struct Encode {
-    /// The picture, in any format known by its content, and the .ssplat file to write; - for standard input or output
+    /// The picture, in a format of `ssplat formats`, and the .ssplat file to write; - for standard input or output
     #[arg(required = true, value_name = "PATH")]
     pub paths: Vec<PathBuf>,
-    /// The file to write, as a second path would name it
+    /// The file to write, instead of a second path
     #[arg(long, short, value_name = "FILE", conflicts_with = "out_dir")]
     pub output: Option<PathBuf>,
     #[command(flatten)]
     pub many: Many,
     #[command(flatten)]
     pub target: TargetArgs,
-    /// Take what is there of a JPEG or GIF that was cut off
+    /// Encode the intact part of a truncated JPEG, GIF or JPEG XL
     #[arg(long)]
     pub partial: bool,
-    /// Turn the picture as its EXIF block says
+    /// Rotate the pixels as the EXIF block says
     #[arg(long)]
     pub auto_orient: bool,
-    /// Choose which of the input's metadata the file carries, within its size: needed (ICC profile and orientation),
-    /// all (the whole EXIF block too, with time and place), icc, or none
-    #[arg(help_heading = "What the file has, and how it is made", long, value_name = "WHICH", default_value = "needed", hide_possible_values = true, value_parser = names::carry())]
+    /// Which metadata of the input the file keeps; it counts towards the size: needed (ICC profile and orientation),
+    /// all (also the whole EXIF block, with time and place), icc, or none
+    #[arg(help_heading = "Contents and encoding", long, value_name = "WHICH", default_value = "needed", hide_possible_values = true, value_parser = names::metadata_policy())]
     pub metadata: MetadataPolicy,
-    /// Write the file even under the extension of another format
+    /// Write the file even if its name has the extension of another format
     #[arg(long)]
     pub force: bool,
-    /// Say nothing but errors
+    /// Longest side in pixels; larger pictures are downscaled before encoding, in linear light
+    #[arg(help_heading = "Contents and encoding", long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    pub max_side: Option<u32>,
+    /// Write no file if it would be larger than the input; a note says so, and the exit status is 0
+    #[arg(long)]
+    pub skip_larger: bool,
+    /// Give the output the modification and access times of the input
+    #[arg(long)]
+    pub keep_times: bool,
+    /// Print only errors
     #[arg(long, short)]
     pub quiet: bool,
-    /// How much work to spend, 1 to 9
+    /// Encoding effort, 1 to 9
     #[arg(long, short, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
     pub effort: u8,
-    /// Wall-clock budget for the whole command; the best state reached is written
+    /// Time limit for the whole command; writes the best result so far
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     pub time: Option<Duration>,
-    /// Seed of everything random
+    /// Seed of the random number generator
     #[arg(help_heading = "Research", long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
-    /// How the file is laid out
+    /// Layout of the file
     #[arg(help_heading = "Research", long, default_value = "coded", value_parser = names::layout())]
     pub layout: Layout,
-    /// How primitives blend [default: as the recipe has it]
+    /// How primitives blend [default: that of the recipe]
     #[arg(help_heading = "Research", long, value_parser = names::blend())]
     pub blend: Option<Blend>,
     /// The fitting recipe; the last four are the SmartSplat paper's and its ablation
     #[arg(help_heading = "Research", long, default_value = "ssplat", value_parser = names::recipe())]
     pub recipe: Recipe,
-    /// Which measure to favour: squared error, structure, or what eyes see [default: iq; psnr with --psnr and for the paper's
-    /// recipes]
+    /// What to optimize for: iq (perceptual quality), ssim (structure) or psnr (squared error) [default: iq; psnr with --psnr and
+    /// for the paper's recipes]
     #[arg(help_heading = "Research", long, value_parser = names::tune())]
     pub tune: Option<Tune>,
-    /// Keep the colours of transparent pixels; by default they continue the visible ones, which takes fewer bytes
-    #[arg(help_heading = "What the file has, and how it is made", long)]
+    /// Keep the colours of fully transparent pixels; by default a smooth continuation of the visible colours replaces them, which takes fewer
+    /// bytes
+    #[arg(help_heading = "Contents and encoding", long)]
     pub keep_hidden: bool,
-    /// Whether the file has a detail layer, a transform of what the Gaussians leave: auto (where it pays), off, or the share of
-    /// the bytes that the Gaussians get, above 0 and below 1
+    /// Whether the file has a detail layer, which codes the residual that the Gaussians leave: auto (where it pays), off, or the
+    /// share of the bytes that the Gaussians get, above 0 and below 1
     #[arg(long, value_name = "WHICH", default_value = "auto", value_parser = detail)]
     pub detail: Detail,
-    /// Progressive levels, each 1 to 2 % of the bytes: a file cut after one decodes with --partial
-    #[arg(help_heading = "What the file has, and how it is made", long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
+    /// Number of progressive levels, each of which costs 1 to 2 % of the bytes; a file that is truncated after a level decodes with
+    /// --partial
+    #[arg(help_heading = "Contents and encoding", long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
     pub levels: u8,
-    /// Whether the file carries a small version of the picture, within its size: auto, none, or the most bytes that it may
-    /// take; auto is for files of 100 kB and more, a hundredth of them, at most 4 kB
-    #[arg(help_heading = "What the file has, and how it is made", long, value_name = "WHICH", default_value = "auto", value_parser = thumbnail)]
+    /// Whether the file contains a thumbnail, which counts towards its size: auto, none, or its largest size in bytes; auto gives
+    /// files of at least 100 kB a thumbnail of a hundredth of their size, at most 4 kB
+    #[arg(help_heading = "Contents and encoding", long, value_name = "WHICH", default_value = "auto", value_parser = thumbnail)]
     pub thumbnail: Thumbnail,
-    /// Fit the picture in tiles of so many pixels a side, in memory that does not grow with it: a multiple of 128, 2048 where
-    /// none is given [default: above 33 megapixels, but with a GPU only above 268]
-    #[arg(help_heading = "What the file has, and how it is made", long, value_name = "SIDE", num_args = 0..=1, require_equals = true, default_missing_value = "2048")]
+    /// Fit the picture in tiles with this side in pixels, so that memory does not grow with the picture: a multiple of 128, or 2048 if
+    /// no side is given [default: above 33 megapixels, but with a GPU only above 268]
+    #[arg(help_heading = "Contents and encoding", long, value_name = "SIDE", num_args = 0..=1, require_equals = true, default_missing_value = "2048")]
     pub tiles: Option<u32>,
-    /// Which device fits
-    #[arg(help_heading = "What the file has, and how it is made", long, default_value = "auto", value_parser = names::backend())]
+    /// The device that fits the picture
+    #[arg(help_heading = "Contents and encoding", long, default_value = "auto", value_parser = names::backend())]
     pub backend: Backend,
-    /// Also decode the file, write the pixels here, and measure them
+    /// Also decode the file, write the pixels here, and measure their quality
     #[arg(long, value_name = "PNG", conflicts_with = "out_dir")]
     pub preview: Option<PathBuf>,
-    /// Say where the time and the bytes went
+    /// Print how much time each stage took, and what was left out
     #[arg(help_heading = "Research", long)]
     pub explain: bool,
     /// Print the result as JSON
@@ -173,7 +186,7 @@ pub struct Encode {
     pub json: bool,
 }
 
-/// Treatment of outputs that exist already, when there are several inputs.
+/// What a batch does with outputs that exist already.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Existing {
     Refuse,
@@ -181,25 +194,25 @@ pub enum Existing {
     Replace,
 }
 
-/// How several inputs are treated.
+/// Options for several inputs.
 #[derive(Debug, ClapArgs)]
 pub struct Many {
-    /// Write into this folder: every path is an input, a folder stands for its files
+    /// Write into this folder; all paths are inputs, and a folder stands for its files
     #[arg(help_heading = "Several files", long, short = 'd', value_name = "DIR")]
     pub out_dir: Option<PathBuf>,
-    /// Also take the folders in folders
+    /// Include subfolders
     #[arg(help_heading = "Several files", long, requires = "out_dir")]
     pub recursive: bool,
-    /// How many small pictures to work on at a time [default: one a thread]
+    /// Number of small pictures to process at a time [default: one per thread]
     #[arg(help_heading = "Several files", long, value_name = "N", requires = "out_dir", value_parser = count)]
     pub jobs: Option<NonZeroUsize>,
-    /// Pass over inputs whose output is there
+    /// Skip inputs whose outputs exist
     #[arg(help_heading = "Several files", long, requires = "out_dir", conflicts_with = "overwrite")]
     pub skip_existing: bool,
-    /// Replace outputs that are there
+    /// Replace outputs that exist
     #[arg(help_heading = "Several files", long, requires = "out_dir")]
     pub overwrite: bool,
-    /// Add a line of JSON for each file to this one
+    /// Append a line of JSON for each input to this file
     #[arg(help_heading = "Several files", long, value_name = "JSONL", requires = "out_dir")]
     pub manifest: Option<PathBuf>,
 }
@@ -214,40 +227,41 @@ impl Many {
     }
 }
 
-/// The input and the output where there is one of each.
+/// Returns the input and the output of a command without `--out-dir`.
 pub fn pair<'a>(paths: &'a [PathBuf], output: Option<&'a Path>) -> Result<(&'a Path, &'a Path), Failure> {
     match (paths, output) {
         ([input], Some(output)) => Ok((input, output)),
         ([input, output], None) => Ok((input, output)),
-        ([input], None) => Err(Failure::usage(format!("{}: where to? name an output, or --out-dir", input.display()))),
+        ([input], None) => Err(Failure::usage(format!("{}: no output; name one, or use --out-dir", input.display()))),
         _ => Err(Failure::usage(format!("{} paths: several inputs need --out-dir", paths.len()))),
     }
 }
 
-/// Target of an encode: at most one of these.
+/// The target of an encode: at most one of these.
 #[derive(Debug, ClapArgs)]
 #[group(multiple = false)]
 pub struct TargetArgs {
-    /// Width x height x channels bytes over file bytes [default: 50, with 80 bytes at least for the primitives]
-    #[arg(help_heading = "Size or quality, at most one", long, short, value_name = "R", value_parser = positive)]
+    /// Compression ratio: width x height x channels bytes over the bytes of the file [default: 50, with at least 80 bytes for the
+    /// primitives]
+    #[arg(help_heading = "Size or quality (at most one)", long, short, value_name = "R", value_parser = positive)]
     pub ratio: Option<f64>,
-    /// File size, bytes, or as 20k or 1.5M; never exceeded
-    #[arg(help_heading = "Size or quality, at most one", long, short, value_name = "N", value_parser = bytes)]
+    /// File size in bytes, or as 20k or 1.5M; never exceeded
+    #[arg(help_heading = "Size or quality (at most one)", long, short, value_name = "N", value_parser = bytes)]
     pub bytes: Option<u64>,
     /// Number of primitives
-    #[arg(help_heading = "Size or quality, at most one", long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(help_heading = "Size or quality (at most one)", long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub primitives: Option<u32>,
-    /// Quality as eyes see it, as SSIMULACRA2 measures it: 30 low, 50 medium, 70 high (hard to tell from the original side by
-    /// side), 90 very high (hard to tell even when flipping between them); within half a point, by up to six tries
-    #[arg(help_heading = "Size or quality, at most one", long, short = 'Q', value_name = "POINTS", value_parser = points)]
+    /// Perceptual quality (SSIMULACRA2): 30 low, 50 medium, 70 high (hard to tell from the original side by side), 90 very high
+    /// (hard to tell even when flipping between them); met within half a point, in up to six tries
+    #[arg(help_heading = "Size or quality (at most one)", long, short = 'Q', value_name = "POINTS", value_parser = points)]
     pub quality: Option<f64>,
-    /// The smallest file that reaches this PSNR
-    #[arg(help_heading = "Size or quality, at most one", long, value_name = "DB", value_parser = positive)]
+    /// PSNR; finds the smallest file that reaches it
+    #[arg(help_heading = "Size or quality (at most one)", long, value_name = "DB", value_parser = positive)]
     pub psnr: Option<f64>,
 }
 
 impl Encode {
-    /// The library's options for these arguments.
+    /// Returns the library's options for these arguments.
     pub fn options(&self) -> EncodeOptions {
         let mut o = EncodeOptions::default();
         let t = &self.target;
@@ -278,63 +292,66 @@ impl Encode {
 const DECODE_EXAMPLES: &str = "\
 Examples:
   ssplat decode photo.ssplat photo.png
-  ssplat decode photo.ssplat thumbnail.png --thumbnail 256    from what the file carries for that
+  ssplat decode photo.ssplat thumbnail.png --thumbnail 256    from the thumbnail in the file
   ssplat decode photo.ssplat smaller.png --width 1000
   ssplat decode photo.ssplat detail.png --region 1000,800,512,512 --scale 2
   ssplat decode photo.ssplat - --format ppm | pnmtojpeg > photo.jpg
   ssplat decode cut-off.ssplat coarse.png --partial
   ssplat decode small --out-dir large --format jpg
 
-PNG and PNM are written band by band, in little memory whatever the picture's size.";
+PNG and PNM are written band by band, so memory does not grow with the picture.";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = DECODE_EXAMPLES, override_usage = DECODE_USAGE)]
 pub struct Decode {
-    /// The .ssplat file, and the picture to write, in the format of its extension; - for standard input or output
+    /// The .ssplat file and the picture to write, whose extension selects the format; - for standard input or output
     #[arg(required = true, value_name = "PATH")]
     pub paths: Vec<PathBuf>,
     #[command(flatten)]
     pub many: Many,
-    /// The file to write, as a second path would name it
+    /// The file to write, instead of a second path
     #[arg(long, short, value_name = "FILE", conflicts_with = "out_dir")]
     pub output: Option<PathBuf>,
-    /// Output format, as an extension [default: that of OUTPUT, or png on standard output and in a folder]
+    /// Output format, as an extension [default: that of the output, or png for standard output and --out-dir]
     #[arg(long, value_name = "EXT")]
     pub format: Option<String>,
-    /// Lay pictures with alpha over this colour, as six hexadecimal digits [default: ffffff for JPEG, else none]
+    /// Composite pictures with alpha over this colour, given as six hexadecimal digits [default: ffffff for JPEG, else none]
     #[arg(long, value_name = "RRGGBB", value_parser = color)]
     pub background: Option<[u8; 3]>,
-    /// Turn the picture as its EXIF block says
+    /// Rotate the pixels as the EXIF block says
     #[arg(long)]
     pub auto_orient: bool,
-    /// Say nothing but errors
+    /// Print only errors
     #[arg(long, short)]
     pub quiet: bool,
-    /// Draw only this part: left, top, width and height in pixels of the picture
+    /// Render only this region: left, top, width and height in pixels of the picture
     #[arg(long, value_name = "X,Y,W,H", value_parser = region)]
     pub region: Option<[u32; 4]>,
-    /// Output width, pixels; alone it keeps the aspect ratio
+    /// Output width in pixels; without --height, the aspect ratio is kept
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20), conflicts_with = "scale")]
     pub width: Option<u32>,
-    /// Output height, pixels; alone it keeps the aspect ratio
+    /// Output height in pixels; without --width, the aspect ratio is kept
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20), conflicts_with = "scale")]
     pub height: Option<u32>,
-    /// Draw the picture as it fits into a square of so many pixels, from the thumbnail that the file carries where that is
-    /// large enough: at once, and less exactly
+    /// Render the picture so that it fits into a square with this side in pixels; uses the thumbnail in the file if that is large
+    /// enough, which is faster and less exact
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20), conflicts_with_all = ["region", "width", "height", "scale", "backend", "partial", "layers"])]
     pub thumbnail: Option<u32>,
-    /// Output pixels per pixel of the picture; below 1 the picture is low-passed
+    /// Output pixels per pixel of the picture; below 1, the picture is low-pass filtered
     #[arg(long, value_name = "FACTOR", value_parser = positive)]
     pub scale: Option<f64>,
-    /// Choose the layers to draw: both, the Gaussians alone, or the detail layer alone, on grey
+    /// The layers to render: both, the Gaussians alone, or the detail layer alone on grey
     #[arg(long, value_name = "WHICH", default_value = "both", value_parser = names::layers())]
     pub layers: Layers,
-    /// Which device draws; a file from a stranger is best drawn on the CPU
-    #[arg(long, default_value = "cpu", value_parser = names::drawing_backend())]
+    /// The device that renders; use the CPU for files that you do not trust
+    #[arg(long, default_value = "cpu", value_parser = names::render_backend())]
     pub backend: Backend,
-    /// Draw what is intact of a truncated or damaged file, and say what is missing
+    /// Render the intact parts of a truncated or damaged file, and report what is missing
     #[arg(long)]
     pub partial: bool,
+    /// Give the output the modification and access times of the input
+    #[arg(long)]
+    pub keep_times: bool,
     /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
@@ -352,19 +369,19 @@ pub struct Info {
     /// The .ssplat files; - for standard input
     #[arg(required = true, value_name = "INPUT")]
     pub inputs: Vec<PathBuf>,
-    /// Print as JSON; of several files an object for each, with its name as `file`
+    /// Print JSON; with several files, one object per line, with the name as `file`
     #[arg(long)]
     pub json: bool,
 }
 
 const PLACEHOLDER_EXAMPLES: &str = "\
 Examples:
-  ssplat placeholder photo.jpg                                base64 of at most 300 bytes
+  ssplat placeholder photo.jpg                                at most 300 bytes, as base64
   ssplat placeholder photo.jpg --bytes 100 --format uri
   ssplat placeholder photo.jpg --format html --alt \"A lighthouse\" --src photo.ssplat
 
-web/placeholder.js draws such a file without WebAssembly; web/ssplat-img.js has the element <ssplat-img>. The
-picture is turned as its EXIF block says. Profile and EXIF block are left out.";
+web/placeholder.js renders such a file without WebAssembly; web/ssplat-img.js has the element <ssplat-img>. The
+pixels are rotated as the EXIF block says. Profile and EXIF block are left out.";
 
 /// Output format of `ssplat placeholder`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -380,21 +397,21 @@ pub enum PlaceholderFormat {
 #[derive(Debug, ClapArgs)]
 #[command(after_help = PLACEHOLDER_EXAMPLES)]
 pub struct Placeholder {
-    /// The picture, in any format known by its content; - for standard input
+    /// The picture, in a format of `ssplat formats`; - for standard input
     pub input: PathBuf,
-    /// Size of the file, bytes, never exceeded; base64 makes four letters of three
+    /// Largest size of the file in bytes; base64 turns three bytes into four characters
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u64).range(..=16 << 10))]
     pub bytes: u64,
-    /// Choose the form of the output
+    /// The form of the output
     #[arg(long, value_enum, default_value = "base64")]
     pub format: PlaceholderFormat,
-    /// The element's source [default: the input's name]
+    /// The `src` attribute of the element [default: the input's name]
     #[arg(long, value_name = "URL")]
     pub src: Option<String>,
-    /// Set the element's text for where the picture cannot be seen
+    /// The `alt` attribute of the element
     #[arg(long, value_name = "TEXT")]
     pub alt: Option<String>,
-    /// How much work to spend, 1 to 9
+    /// Encoding effort, 1 to 9
     #[arg(long, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
     pub effort: u8,
 }
@@ -404,23 +421,23 @@ Examples:
   ssplat view photo.ssplat                       until Ctrl-C
   ssplat view                                    encode pictures in the browser, with sliders for size and effort
   ssplat view photo.ssplat --original photo.png  with a slider between the two
-  ssplat view photo.ssplat --html photo.html     one page that needs nothing else, to send to someone
+  ssplat view photo.ssplat --html photo.html     one self-contained page, to send to someone
 
-The page is served to this machine alone, at a free port, with nothing but the viewer and
-the files that are named here. They are read once; a change shows when the command is run anew.";
+The page is served to this machine only, on a free port, with nothing but the viewer and
+the files named here. The files are read once; run the command again to see changes.";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = VIEW_EXAMPLES)]
 pub struct View {
     /// The .ssplat file; - for standard input. Without one the page asks for a picture and encodes it in the browser
     pub input: Option<PathBuf>,
-    /// The picture that it was made of, to compare with, in a format that browsers know
+    /// The original picture, for comparison, in a format that browsers support
     #[arg(long, value_name = "PICTURE", requires = "input")]
     pub original: Option<PathBuf>,
-    /// Write the viewer with the file in it as one page instead of serving it; - for standard output
+    /// Write the viewer and the file as one HTML page instead of serving them; - for standard output
     #[arg(long, value_name = "OUT", requires = "input")]
     pub html: Option<PathBuf>,
-    /// Print the page's address without opening a browser
+    /// Print the address of the page without opening a browser
     #[arg(long, conflicts_with = "html")]
     pub no_open: bool,
 }
@@ -433,7 +450,7 @@ Examples:
 #[derive(Debug, ClapArgs)]
 #[command(after_help = COMPLETIONS_EXAMPLES)]
 pub struct Completions {
-    /// Which one
+    /// The shell
     pub shell: clap_complete::Shell,
 }
 
@@ -442,21 +459,21 @@ Examples:
   ssplat compare photo.png photo.ssplat
   ssplat compare photo.png photo.webp --json
 
-Where one picture has colour or alpha and the other has not, grey is taken as equal
-red, green and blue, and missing alpha as opaque; where depths differ, both are taken
-with 16 bits. JSON keys: psnr in dB (99 at most), ssim, ms_ssim (null where a side is
-under 11 or 161 pixels, too small for them), ssimulacra2 (100 is the best; null where a
-side is under 8 pixels), butteraugli (3-norm, 0 is the best; null there and above 16
-million pixels).";
+If only one picture has colour or alpha, grey counts as equal red, green and blue, and
+missing alpha as opaque; if the depths differ, both are compared with 16 bits. JSON keys:
+psnr in dB (at most 99), ssim and ms_ssim (null if a side is under 11 or 161 pixels,
+which is too small for them), ssimulacra2 (100 is best; null if a side is under 8
+pixels), butteraugli (3-norm, 0 is best; null as for ssimulacra2, and above 16 million
+pixels).";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = COMPARE_EXAMPLES)]
 pub struct Compare {
-    /// The original: any picture, or a .ssplat file
+    /// The original: a picture or a .ssplat file
     pub reference: PathBuf,
-    /// The picture to compare with it: any picture, or a .ssplat file
+    /// The picture to compare with it: a picture or a .ssplat file
     pub test: PathBuf,
-    /// Print as JSON
+    /// Print JSON
     #[arg(long)]
     pub json: bool,
 }
@@ -468,9 +485,10 @@ Examples:
 
 Means, scales and covariances are in pixels with pixel centres at +0.5, y down; rotations in radians,
 colours in encoded sRGB values, 0 to 1. The .npz holds means, scales, rotations, covariances, colors,
-background, size, blend, depth, layout and steps; the .csv the same as columns. Import of either gives
-the same integers again. A .ply is flat in z and drawn by opacity in viewers, so it shows the Gaussians
-rather than the picture; an .svg has an ellipse at one scale for each. Metadata are not exported.";
+background, size, blend, depth, layout and steps; the .csv holds the same as columns. Importing either
+restores the same integers. A .ply is flat in z, and viewers render it by opacity, so it shows the
+Gaussians rather than the picture; an .svg has an ellipse at one scale for each. Metadata is not
+exported.";
 
 #[derive(Debug, ClapArgs)]
 #[command(after_help = EXPORT_EXAMPLES)]
@@ -479,7 +497,7 @@ pub struct Export {
     pub input: PathBuf,
     /// The file to write; - for standard output
     pub output: PathBuf,
-    /// Format of the output [default: by its name]
+    /// Output format [default: by extension]
     #[arg(long, value_enum)]
     pub format: Option<ExportFormat>,
 }
@@ -489,10 +507,10 @@ Examples:
   ssplat import photo.npz photo.ssplat
   ssplat import fit.npz fit.ssplat --size 768x512 --bytes 20000
 
-Reads what export writes, or archives with means, colors, and scales with rotations or covariances;
-and the parameters of GaussianImage (_xyz, _cholesky or _scaling and _rotation, _features_dc) and of
-Image-GS (xy, scale, rot, feat), which do not state the picture's size. Their checkpoints become
-archives by one line:
+Reads the files of `ssplat export`, archives with means, colors, and scales with rotations or
+covariances, and the parameters of GaussianImage (_xyz, _cholesky or _scaling and _rotation,
+_features_dc) and Image-GS (xy, scale, rot, feat), which do not state the size of the picture. One
+line converts their checkpoints:
 ";
 
 #[derive(Debug, ClapArgs)]
@@ -502,32 +520,32 @@ pub struct Import {
     pub input: PathBuf,
     /// The .ssplat file to write; - for standard output
     pub output: PathBuf,
-    /// Format of the input [default: by its name]
+    /// Input format [default: by extension]
     #[arg(long, value_enum)]
     pub format: Option<ImportFormat>,
-    /// Width and height of the picture, pixels [default: as the input says]
+    /// Width and height of the picture in pixels [default: as stated in the input]
     #[arg(long, value_name = "WxH", value_parser = csv::size)]
     pub size: Option<[u32; 2]>,
-    /// How the Gaussians blend [default: as the input says]
+    /// How the Gaussians blend [default: as stated in the input]
     #[arg(long, value_parser = names::blend())]
     pub blend: Option<Blend>,
-    /// How fine the integers are, 0 to 9 [default: as they were stored, else 6]
+    /// Precision of the integers, 0 to 9 [default: as they were stored, else 6]
     #[arg(long, value_name = "LEVEL", conflicts_with = "bytes", value_parser = clap::value_parser!(u8).range(0..=i64::from(ssplat::unstable::FINEST)))]
     pub precision: Option<u8>,
-    /// The finest integers whose file has at most so many bytes
+    /// Largest size of the file in bytes; uses the highest precision that fits
     #[arg(long, value_name = "N", value_parser = bytes)]
     pub bytes: Option<u64>,
-    /// How the file is laid out [default: as it was stored, else coded]
+    /// Layout of the file [default: as it was stored, else coded]
     #[arg(long, value_parser = names::layout())]
     pub layout: Option<Layout>,
 }
 
-/// A whole number from 1 on.
+/// Parses a whole number of at least 1.
 fn count(text: &str) -> Result<NonZeroUsize, String> {
-    text.parse().map_err(|_| "not a whole number from 1 on".into())
+    text.parse().map_err(|_| "not a whole number of at least 1".into())
 }
 
-/// A number of bytes, or of thousands or millions of them.
+/// Parses a number of bytes, or of thousands or millions of bytes.
 fn bytes(text: &str) -> Result<u64, String> {
     let (number, unit) = match text.strip_suffix(['k', 'K']) {
         Some(number) => (number, 1e3),
@@ -537,7 +555,7 @@ fn bytes(text: &str) -> Result<u64, String> {
         1.0 => number.parse().ok(),
         _ => number.parse::<f64>().ok().map(|n| n * unit).filter(|n| (0.0..1e18).contains(n)).map(|n| n as u64),
     };
-    found.ok_or_else(|| "not a number of bytes, as 20000 or 20k or 1.5M".into())
+    found.ok_or_else(|| "not a number of bytes such as 20000, 20k or 1.5M".into())
 }
 
 pub fn positive(text: &str) -> Result<f64, String> {
@@ -570,7 +588,7 @@ fn thumbnail(text: &str) -> Result<Thumbnail, String> {
     match text {
         "auto" => Ok(Thumbnail::Auto),
         "none" => Ok(Thumbnail::Never),
-        bytes => bytes.parse().map(Thumbnail::Bytes).map_err(|_| "neither auto nor none nor a number of bytes".into()),
+        bytes => bytes.parse().map(Thumbnail::Bytes).map_err(|_| "not auto, none or a number of bytes".into()),
     }
 }
 
@@ -580,7 +598,7 @@ fn detail(text: &str) -> Result<Detail, String> {
         "off" => Ok(Detail::Off),
         share => match share.parse() {
             Ok(share) if share > 0.0 && share < 1.0 => Ok(Detail::Share(share)),
-            _ => Err("neither auto nor off nor a share above 0 and below 1".into()),
+            _ => Err("not auto, off or a share above 0 and below 1".into()),
         },
     }
 }

@@ -1,4 +1,4 @@
-//! Many files in one run: several small ones at a time, one bar, and a manifest.
+//! Batches: many files in one run, several small ones at a time, with one progress bar and a manifest.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -17,34 +17,43 @@ use crate::progress::Bar;
 use crate::sink::{say, tell};
 use crate::{carried, guard};
 
-/// Pixels up to which a picture is small: it is worked on with one thread, beside others.
+/// Pictures of up to this many pixels are small: each is processed on one thread, in parallel with others.
 const MAX_SMALL_PIXELS: u64 = 1 << 22;
+
+/// Whether an output was written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fate {
+    Written,
+    /// Not written, because of `--skip-larger`.
+    LargerThanInput,
+}
 
 /// Result of the work on one file.
 pub struct Done {
-    /// For people; empty, or whole lines.
+    /// Text output; empty, or whole lines.
     pub text: String,
-    /// For programs.
+    /// JSON output.
     pub result: Value,
-    /// Losses and the like, in words.
+    /// Notes about losses and other remarkable facts.
     pub notes: Vec<String>,
+    pub fate: Fate,
 }
 
-/// Hears of the share of a file that is done, and by which stage.
+/// Receives the progress of a file: the share that is done, and the stage.
 pub type Show<'a> = dyn Fn(f32, &'static str) + 'a;
 
-/// From an input to an output.
-pub type Work<'a> = dyn Fn(&Path, &Path, &Show) -> Result<Done, Failure> + Sync + 'a;
+/// Processes an input into an output.
+pub type Work<'a> = dyn Fn(&Task, &Show) -> Result<Done, Failure> + Sync + 'a;
 
-/// How a command treats one file.
+/// What a command does with each file.
 pub struct Command<'a> {
-    /// Which files of a folder are taken.
+    /// Whether a file of a folder is an input.
     pub takes: &'a (dyn Fn(&Path) -> bool + Sync),
-    /// The extension of an output.
+    /// The extension of the outputs.
     pub extension: &'a str,
-    /// Width times height, 0 where it is not known.
+    /// Width times height, or 0 if it is unknown.
     pub pixels: &'a (dyn Fn(&Path) -> u64 + Sync),
-    /// Does the work; hears of the share that is done.
+    /// Processes one file and reports progress.
     pub run: &'a Work<'a>,
 }
 
@@ -66,7 +75,7 @@ impl OutputMode {
     }
 }
 
-/// Works on all inputs. What fails is told, and does not stop the others.
+/// Processes all inputs. A failure is reported and does not stop the other files.
 pub fn run(
     inputs: &[PathBuf],
     folder: &Path,
@@ -79,7 +88,7 @@ pub fn run(
     if output_mode != OutputMode::Quiet {
         notes.iter().for_each(|note| tell(note));
     }
-    // That there can be no outputs at all is told once.
+    // A folder that cannot be created is reported once, not for every file.
     std::fs::create_dir_all(folder).map_err(|e| Failure::io(folder, &e))?;
     let manifest = many.manifest.as_deref().map(Manifest::open).transpose()?;
     let all = tasks.len();
@@ -110,13 +119,15 @@ pub fn run(
         tell(&carried::exif_of_files(state.exif_left_out));
     }
     if output_mode == OutputMode::Text {
-        let (done, failed) = (state.finished - state.failed.len(), state.failed.len());
-        say(&format!("{done} files done, {} skipped, {failed} failed\n", all - total))?;
+        let (larger, failed) = (state.larger, state.failed.len());
+        let (done, skipped) = (state.finished - larger - failed, all - total + larger);
+        let of_them = if larger > 0 { format!(" ({larger} larger than the input)") } else { String::new() };
+        say(&format!("{done} files done, {skipped} skipped{of_them}, {failed} failed\n"))?;
     }
     match state.failed[..] {
         [] => Ok(()),
         [first, ..] => {
-            // Failures of several kinds have no status of their own.
+            // There is no exit status for failures of several kinds.
             let kind = if state.failed.iter().all(|&k| k == first) { first } else { Kind::Other };
             Err(Failure { kind, message: format!("{} of {all} files failed", state.failed.len()) })
         }
@@ -139,9 +150,11 @@ struct BatchRun<'a> {
 struct BatchState {
     finished: usize,
     failed: Vec<Kind>,
+    /// Files that were not written because they would have been larger than their inputs.
+    larger: usize,
     /// Files whose EXIF blocks are left out.
     exif_left_out: usize,
-    /// When each began, and its share that is done.
+    /// Start time and progress of each file that is being processed.
     busy: HashMap<PathBuf, (Option<Instant>, f32)>,
 }
 
@@ -149,8 +162,8 @@ impl BatchRun<'_> {
     fn work(&self, task: &Task) {
         let start = Instant::now();
         self.post(&task.input, start, 0.0);
-        let run = || (self.command.run)(&task.input, &task.output, &|share, _| self.post(&task.input, start, share));
-        // A bug that one file brings to light is no reason to leave the others.
+        let run = || (self.command.run)(task, &|share, _| self.post(&task.input, start, share));
+        // A bug that one file triggers must not stop the other files.
         let guarded = || guard::aloud(run).unwrap_or_else(|panic| Err(Failure::bug(&task.input, &panic)));
         let outcome = self.prepare(task).and_then(|()| guarded());
         let (input, output) = (task.input.display().to_string(), task.output.display().to_string());
@@ -165,13 +178,14 @@ impl BatchRun<'_> {
         let outcome = outcome.and_then(|done| written.map(|()| done));
         self.bar.aside(|| match &outcome {
             Ok(done) => {
+                state.larger += usize::from(done.fate == Fate::LargerThanInput);
                 if self.output_mode != OutputMode::Quiet {
                     let (common, own): (Vec<&String>, _) =
                         done.notes.iter().partition(|note| carried::is_of_exif(note));
                     state.exif_left_out += common.len();
                     own.iter().for_each(|note| tell(&format!("{input}: {note}")));
                 }
-                // A reader who has gone away does not stop the work.
+                // A closed standard output does not stop the batch.
                 let _ = match self.output_mode {
                     OutputMode::Text => say(&done.text),
                     OutputMode::Json => say(&format!("{entry}\n")),
@@ -183,7 +197,7 @@ impl BatchRun<'_> {
         state.failed.extend(outcome.err().map(|f| f.kind));
     }
 
-    /// Checks that the output may be written, and makes its folder.
+    /// Checks that the output may be written, and creates its folder.
     fn prepare(&self, task: &Task) -> Result<(), Failure> {
         if self.many.existing() == Existing::Refuse && task.output.exists() {
             let path = task.output.display();
@@ -193,7 +207,7 @@ impl BatchRun<'_> {
         std::fs::create_dir_all(folder).map_err(|e| Failure::io(folder, &e))
     }
 
-    /// Shows how far all are, and what has been worked on for longest.
+    /// Shows the progress of the batch and the name of the file that has been in progress for longest.
     fn post(&self, path: &Path, start: Instant, share: f32) {
         let mut state = self.state.lock().unwrap_or_else(|e| e.into_inner());
         state.busy.insert(path.to_path_buf(), (Some(start), share));
@@ -205,7 +219,7 @@ impl BatchRun<'_> {
     }
 }
 
-/// A file of one JSON object a line; what is in it already stays.
+/// A file with one JSON object per line. Entries are appended to an existing file.
 struct Manifest {
     path: PathBuf,
     file: Mutex<File>,
@@ -217,7 +231,7 @@ impl Manifest {
         Ok(Manifest { path: path.into(), file: Mutex::new(file) })
     }
 
-    /// Adds a line in one piece.
+    /// Appends a line with a single write.
     fn add(&self, entry: &Value) -> Result<(), Failure> {
         let mut file = self.file.lock().unwrap_or_else(|e| e.into_inner());
         file.write_all(format!("{entry}\n").as_bytes()).map_err(|e| Failure::io(&self.path, &e))

@@ -4,7 +4,7 @@ use image::metadata::Orientation;
 use ssplat::unstable::EncodeOptions;
 use ssplat::{Error, MetadataPolicy};
 
-/// Puts into `options` the profile and the EXIF block that `--metadata` asks for, and notes what is left out.
+/// Puts the profile and the EXIF block that `--metadata` selects into `options`, and adds notes about what is left out.
 pub fn carry(
     options: &mut EncodeOptions,
     (icc, exif): (Option<Vec<u8>>, Option<Vec<u8>>),
@@ -24,7 +24,7 @@ pub fn carry(
     (options.icc, options.exif) = (carried.icc, carried.exif);
 }
 
-/// How a note about an EXIF block that is left out begins.
+/// The start of a note about an EXIF block that is left out.
 const EXIF: &str = "its EXIF block";
 
 /// Whether a note is about an EXIF block that is left out.
@@ -32,7 +32,7 @@ pub fn is_of_exif(note: &str) -> bool {
     note.starts_with(EXIF) && note.contains("is left out")
 }
 
-/// The note of so many files that is told once for all of them.
+/// Returns one note for a batch in which the EXIF blocks of `files` files are left out.
 pub fn exif_of_files(files: usize) -> String {
     let (blocks, whose) = if files == 1 { ("block of 1 file is", "it") } else { ("blocks of", "them") };
     let count = if files == 1 { String::new() } else { format!(" {files} files are") };
@@ -52,7 +52,7 @@ pub fn dominating(options: &EncodeOptions, bytes: usize) -> Option<String> {
     (2 * both > bytes).then(|| format!("{what} {both} of {bytes} bytes; --metadata none leaves metadata out"))
 }
 
-/// Returns advice on an error of the library that carrying less metadata would avoid; empty for other errors.
+/// Returns advice for errors of the library that keeping less metadata would avoid; empty for other errors.
 pub fn advice(error: &Error) -> &'static str {
     match error {
         Error::TooSmall { icc: 0, exif: 0, .. } => "",

@@ -1,4 +1,4 @@
-//! `ssplat compare`: PSNR, SSIM, MS-SSIM, SSIMULACRA2 and Butteraugli of two pictures of any format.
+//! `ssplat compare`: PSNR, SSIM, MS-SSIM, SSIMULACRA2 and Butteraugli between two pictures of any format.
 
 use serde_json::{Value, json};
 use ssplat::unstable::metrics;
@@ -10,7 +10,7 @@ use crate::perceived::{self, Perceived};
 use crate::sink::{say, tell};
 use crate::source::{self, Turn};
 
-/// Number that stands for the infinite PSNR of equal samples where a finite one is needed, dB.
+/// PSNR in dB that is reported for equal samples, whose PSNR is infinite.
 pub const IDENTICAL: f64 = 99.0;
 
 pub fn run(args: &args::Compare) -> Result<(), Failure> {
@@ -27,17 +27,17 @@ pub fn run(args: &args::Compare) -> Result<(), Failure> {
     say(&if args.json { format!("{}\n", as_json(&found)) } else { format!("{}\n", as_text(&found)) })
 }
 
-/// Measures of the difference between two pictures.
+/// Metrics of the difference between two pictures.
 #[derive(Debug, Clone, Copy)]
 pub struct Found {
-    /// dB; infinite where samples are equal.
+    /// In dB; infinite if all samples are equal.
     pub psnr: f64,
     pub ssim: Option<f64>,
     pub ms_ssim: Option<f64>,
     pub perceived: Perceived,
 }
 
-/// Compares two pictures of one size, whatever their channels and depths.
+/// Compares two pictures of the same size; channels and depths may differ.
 pub fn measure(reference: &Pixels, test: &Pixels) -> ssplat::Result<Found> {
     let alike = |a: &Pixels, b: &Pixels| -> ssplat::Result<Found> {
         let found = metrics::compare(a, b)?;
@@ -52,7 +52,7 @@ pub fn measure(reference: &Pixels, test: &Pixels) -> ssplat::Result<Found> {
     alike(&converted(reference, channels, depth)?, &converted(test, channels, depth)?)
 }
 
-/// The smallest set of channels that holds both.
+/// Returns the smallest set of channels that includes both.
 fn join(a: Channels, b: Channels) -> Channels {
     let color = a.count().max(b.count()) >= 3;
     let alpha = a.alpha().or(b.alpha()).is_some();
@@ -64,7 +64,7 @@ fn join(a: Channels, b: Channels) -> Channels {
     }
 }
 
-/// Converts a picture to more channels or bits: grey to equal red, green and blue, and opaque where it has no alpha.
+/// Converts a picture to more channels or bits: grey becomes equal red, green and blue, and missing alpha becomes opaque.
 fn converted(p: &Pixels, channels: Channels, depth: Depth) -> ssplat::Result<Pixels> {
     let samples = match (p.samples(), depth) {
         (Samples::U8(v), Depth::Eight) => Samples::U8(spread(v, p.channels(), channels, 255)),
@@ -77,7 +77,7 @@ fn converted(p: &Pixels, channels: Channels, depth: Depth) -> ssplat::Result<Pix
     Pixels::new(p.width(), p.height(), channels, samples)
 }
 
-/// Samples of `from` channels as samples of `to`, which holds all of them.
+/// Converts samples of the channels `from` to the channels `to`, which include them.
 fn spread<T: Copy>(samples: &[T], from: Channels, to: Channels, opaque: T) -> Vec<T> {
     let colors = to.count() - usize::from(to.alpha().is_some());
     let source = |pixel: &[T], k: usize| match from.alpha() {
@@ -88,7 +88,7 @@ fn spread<T: Copy>(samples: &[T], from: Channels, to: Channels, opaque: T) -> Ve
     samples.chunks_exact(from.count()).flat_map(|pixel| (0..to.count()).map(move |k| source(pixel, k))).collect()
 }
 
-/// The figures under the keys `psnr`, `ssim`, `ms_ssim`, `ssimulacra2`, `butteraugli`.
+/// Returns the metrics under the keys `psnr`, `ssim`, `ms_ssim`, `ssimulacra2`, `butteraugli`.
 pub fn as_json(found: &Found) -> Value {
     let Perceived { ssimulacra2, butteraugli } = found.perceived;
     json!({
@@ -97,7 +97,7 @@ pub fn as_json(found: &Found) -> Value {
     })
 }
 
-/// The figures in one line.
+/// Returns the metrics in one line.
 pub fn as_text(found: &Found) -> String {
     let psnr = if found.psnr.is_finite() { format!("{:.2} dB", found.psnr) } else { "identical samples".into() };
     let of = |v: Option<f64>, digits: usize| v.map_or_else(|| "-".into(), |v| format!("{v:.digits$}"));

@@ -1,5 +1,5 @@
-//! Structure of a picture file beyond its first picture: whether the file has its end, and whether more pictures
-//! follow. Decoders draw a JPEG that was cut off as if the rest were grey, and ignore further frames.
+//! Structure of a picture file beyond its first picture: whether the file is complete, and whether more pictures follow.
+//! Decoders fill the missing part of a truncated JPEG with grey, and ignore further frames.
 
 use std::io::{self, BufRead, ErrorKind, Read, Seek, SeekFrom};
 
@@ -8,15 +8,15 @@ use image::ImageFormat;
 /// Properties of a file's structure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Structure {
-    /// The mark at the end of the file is there.
+    /// The file has its end marker.
     pub is_whole: bool,
-    /// There are more frames or pages than the first.
+    /// The file has more than one frame or page.
     pub has_more: bool,
-    /// The first picture is a small version of another one, as in raw files of cameras.
+    /// The first picture is a reduced version of another one, as in raw files of cameras.
     pub is_reduced: bool,
 }
 
-/// Looks through a file of `format` from its beginning; formats whose decoders tell by themselves count as whole.
+/// Scans a file of `format` from its start. Formats whose decoders detect truncation count as complete.
 pub fn look<R: BufRead + Seek>(reader: &mut R, format: ImageFormat) -> io::Result<Structure> {
     let mut found = Structure { is_whole: true, has_more: false, is_reduced: false };
     let outcome = match format {
@@ -44,7 +44,7 @@ fn byte(reader: &mut impl Read) -> io::Result<u8> {
     Ok(bytes::<1>(reader)?[0])
 }
 
-/// Reads up to the end mark. Between segments, and within a scan, everything but a marker is passed over.
+/// Reads up to the end marker. Skips everything but markers between segments and within a scan.
 fn jpeg(reader: &mut impl BufRead, found: &mut Structure) -> io::Result<()> {
     loop {
         let skipped = reader.skip_until(0xFF)?;
@@ -57,11 +57,11 @@ fn jpeg(reader: &mut impl BufRead, found: &mut Structure) -> io::Result<()> {
         }
         match marker {
             0xD9 => return Ok(()),
-            // A byte of a scan, a restart within it, the start, and a marker without a length.
+            // A stuffed byte of a scan, a restart marker, the start marker, and a marker without a length.
             0x00 | 0x01 | 0xD0..=0xD8 => {}
             marker => {
                 let mut length = u64::from(u16::from_be_bytes(bytes(reader)?)).saturating_sub(2);
-                // The index of further pictures behind the end (CIPA DC-007), in a segment APP2.
+                // An APP2 segment with the index of pictures that follow the first one (CIPA DC-007).
                 if marker == 0xE2 && length >= 4 {
                     found.has_more |= &bytes::<4>(reader)? == b"MPF\0";
                     length -= 4;
@@ -77,7 +77,7 @@ fn skip(reader: &mut impl Read, length: u64) -> io::Result<()> {
     if passed < length { Err(ErrorKind::UnexpectedEof.into()) } else { Ok(()) }
 }
 
-/// Goes over the blocks up to the trailer.
+/// Reads the blocks up to the trailer.
 fn gif(reader: &mut impl Read, found: &mut Structure) -> io::Result<()> {
     let screen: [u8; 13] = bytes(reader)?;
     let colors = |flags: u8| if flags & 0x80 != 0 { 3u64 << ((flags & 7) + 1) } else { 0 };
@@ -87,14 +87,14 @@ fn gif(reader: &mut impl Read, found: &mut Structure) -> io::Result<()> {
         match byte(reader)? {
             0x2C => {
                 let frame: [u8; 9] = bytes(reader)?;
-                // The colours, and one byte before the blocks of samples.
+                // The colour table, and one byte before the blocks of samples.
                 skip(reader, colors(frame[8]) + 1)?;
                 frames += 1;
                 found.has_more = frames > 1;
             }
             0x21 => skip(reader, 1)?,
             0x3B => return Ok(()),
-            // Not a block: the decoder says so.
+            // Not a block; the decoder reports it.
             _ => return Ok(()),
         }
         loop {
@@ -106,7 +106,7 @@ fn gif(reader: &mut impl Read, found: &mut Structure) -> io::Result<()> {
     }
 }
 
-/// Looks for the chunk that announces an animation.
+/// Looks for the animation control chunk.
 fn png(reader: &mut (impl Read + Seek), found: &mut Structure) -> io::Result<()> {
     skip(reader, 8)?;
     loop {
@@ -122,7 +122,7 @@ fn png(reader: &mut (impl Read + Seek), found: &mut Structure) -> io::Result<()>
     }
 }
 
-/// Reads the flag of an animation in the extended header.
+/// Reads the animation flag of the extended header.
 fn webp(reader: &mut impl Read, found: &mut Structure) -> io::Result<()> {
     let head: [u8; 16] = bytes(reader)?;
     if &head[12..] == b"VP8X" {
@@ -132,19 +132,19 @@ fn webp(reader: &mut impl Read, found: &mut Structure) -> io::Result<()> {
     Ok(())
 }
 
-/// Looks whether the first directory has a successor.
+/// Checks whether another directory follows the first one.
 fn tiff(reader: &mut (impl Read + Seek), found: &mut Structure) -> io::Result<()> {
     let head: [u8; 8] = bytes(reader)?;
     let short = |b: [u8; 2]| if head[0] == b'I' { u16::from_le_bytes(b) } else { u16::from_be_bytes(b) };
     let long = |b: [u8; 4]| if head[0] == b'I' { u32::from_le_bytes(b) } else { u32::from_be_bytes(b) };
-    // Files with offsets of 64 bits are not looked at.
+    // BigTIFF is not checked.
     if short([head[2], head[3]]) != 42 {
         return Ok(());
     }
     reader.seek(SeekFrom::Start(u64::from(long([head[4], head[5], head[6], head[7]]))))?;
     for _ in 0..short(bytes(reader)?) {
         let entry: [u8; 12] = bytes(reader)?;
-        // NewSubfileType, whose lowest bit says that this is a smaller version of another picture.
+        // NewSubfileType; its lowest bit marks a reduced version of another picture.
         if short([entry[0], entry[1]]) == 254 {
             found.is_reduced = long([entry[8], entry[9], entry[10], entry[11]]) & 1 != 0;
         }

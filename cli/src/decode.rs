@@ -1,4 +1,4 @@
-//! `ssplat decode`: a file, or a part of it at any size, to a picture, band by band.
+//! `ssplat decode`: renders a file, or a region of it at any size, to a picture, band by band.
 
 use std::path::Path;
 use std::time::Instant;
@@ -12,20 +12,22 @@ use ssplat::unstable::bitstream::splats::Metadata;
 use ssplat::{Backend, Channels, Damage, Depth, Image, Limits, Pixels, Reader, Samples};
 use ssplat::{Renderer, SamplesMut, View};
 
-use crate::batch::{self, Command, Done, OutputMode, Show};
+use crate::batch::{self, Command, Done, Fate, OutputMode, Show};
 use crate::failure::Failure;
+use crate::inputs::Task;
+use crate::kept_times::KeptTimes;
 use crate::progress::Bar;
 use crate::rows::{Format, RowWriter, Shape};
 use crate::sink::{self, Sink, say, tell};
 use crate::source::{self, Source};
 use crate::{args, encode, input};
 
-/// Bytes of output that are drawn before they are written, unless two bands take more, and those for each thread: memory that is
-/// used again need not be asked for.
+/// Bytes of output that are rendered before they are written, unless two bands take more; and the same per thread, because small
+/// buffers are reused instead of allocated again.
 const BATCH: usize = 8 << 20;
 const MIN_BYTES_PER_THREAD: usize = 1 << 20;
 
-/// Longest side of an output, pixels.
+/// Longest side of an output in pixels.
 const LONGEST: u32 = 1 << 20;
 
 pub fn run(args: &args::Decode) -> Result<(), Failure> {
@@ -37,7 +39,7 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
             takes: &|path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ssplat::EXTENSION)),
             extension: args.format.as_deref().unwrap_or("png"),
             pixels: &pixels,
-            run: &|input, output, show| one(args, input, output, format, show),
+            run: &|task, show| one(args, task, format, show),
         };
         return batch::run(&args.paths, folder, &args.many, output_mode, &command);
     }
@@ -48,7 +50,8 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
         None => Format::of_path(output)?,
     };
     let bar = Bar::of(output_mode);
-    let done = one(args, input, output, format, &|share, stage| bar.show(share, stage))?;
+    let task = Task::new(input.into(), output.into());
+    let done = one(args, &task, format, &|share, stage| bar.show(share, stage))?;
     drop(bar);
     if output_mode != OutputMode::Quiet {
         done.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(input))));
@@ -59,7 +62,7 @@ pub fn run(args: &args::Decode) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Width times height of the picture in the file at `path`; 0 where it cannot be told.
+/// Returns width times height of the picture in the file at `path`, or 0 if they are unknown.
 fn pixels(path: &Path) -> u64 {
     if !input::is_file(path) {
         return 0;
@@ -70,11 +73,13 @@ fn pixels(path: &Path) -> u64 {
 }
 
 /// Decodes one file.
-fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &Show) -> Result<Done, Failure> {
+fn one(args: &args::Decode, task: &Task, format: Format, show: &Show) -> Result<Done, Failure> {
+    let (input, output) = (task.input.as_path(), task.output.as_path());
     let start = Instant::now();
+    let times = KeptTimes::of(args.keep_times, task)?;
     let bytes = input::read_splats(input)?;
     if let Some(side) = args.thumbnail {
-        return thumbnail(args, (input, output), format, (&bytes, side));
+        return thumbnail(args, (input, output), format, (&bytes, side), times);
     }
     let failed = |e| Failure::library(input, &e);
     let limits = Limits::default();
@@ -94,7 +99,7 @@ fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &
     let sink;
     let on_the_gpu = args.backend == Backend::Gpu;
     if on_the_gpu || orientation.is_some() || background.is_some() {
-        // Turning and covering need the whole picture in memory.
+        // Rotation and compositing need the whole picture in memory.
         let pixels = if on_the_gpu {
             let pixels;
             (pixels, device) = on_gpu(&opened, &view).map_err(failed)?;
@@ -114,7 +119,7 @@ fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &
         draw(&renderer, depth, &mut rows, output, show)?;
         rows.finish(&sink::named(output))?;
     }
-    sink.finish()?;
+    times.finish(sink)?;
     let seconds = start.elapsed().as_secs_f64();
     let mut loss = json!({ "primitives": missing.primitives, "of": of });
     if missing.of_tiles > 0 {
@@ -122,15 +127,16 @@ fn one(args: &args::Decode, input: &Path, output: &Path, format: Format, show: &
     }
     let (width, height) = shape;
     let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": device });
-    Ok(Done { text: String::new(), result, notes })
+    Ok(Done { text: String::new(), result, notes, fate: Fate::Written })
 }
 
-/// Draws the file `bytes` as it fits into a square, from its thumbnail where that is large enough.
+/// Renders the file `bytes` so that it fits into a square, from its thumbnail if that is large enough.
 fn thumbnail(
     args: &args::Decode,
     (input, output): (&Path, &Path),
     format: Format,
     (bytes, side): (&[u8], u32),
+    times: KeptTimes,
 ) -> Result<Done, Failure> {
     let start = Instant::now();
     let failed = |e| Failure::library(input, &e);
@@ -144,19 +150,19 @@ fn thumbnail(
     let (width, height) = (source.pixels.width(), source.pixels.height());
     let sink = Sink::create(output, &[input])?;
     encode::write_pixels(source, format, &sink, &sink::named(output))?;
-    sink.finish()?;
+    times.finish(sink)?;
     let (seconds, loss) = (start.elapsed().as_secs_f64(), json!({ "primitives": 0 }));
     let result = json!({ "width": width, "height": height, "missing": loss, "seconds": seconds, "device": "CPU" });
-    Ok(Done { text: String::new(), result, notes })
+    Ok(Done { text: String::new(), result, notes, fate: Fate::Written })
 }
 
-/// How the picture is to be turned, if it is.
+/// Returns the orientation to apply, if any.
 fn orientation(args: &args::Decode, metadata: &Metadata) -> Option<Orientation> {
     let orientation = source::orientation_in(metadata.exif.as_deref());
     (args.auto_orient && orientation != Orientation::NoTransforms).then_some(orientation)
 }
 
-/// The picture over its background and turned upright, where that is asked for, and what goes with it.
+/// Composites the picture over its background, rotates it, and returns it with its metadata.
 fn shown(
     mut pixels: Pixels,
     mut metadata: Metadata,
@@ -178,7 +184,7 @@ fn shown(
     Ok(Source { pixels, icc: metadata.icc, exif: metadata.exif, orientation, is_cut_off: false, notes: Vec::new() })
 }
 
-/// The colour under a picture that loses its alpha.
+/// Returns the background colour for a picture that loses its alpha.
 fn background(args: &args::Decode, channels: Channels, format: Format, notes: &mut Vec<String>) -> Option<[u8; 3]> {
     channels.alpha()?;
     if args.background.is_none() && !format.has_alpha() {
@@ -188,7 +194,7 @@ fn background(args: &args::Decode, channels: Channels, format: Format, notes: &m
     args.background
 }
 
-/// The picture over a background, without alpha; the colour stays grey only if the background is.
+/// Composites the picture over a background and removes alpha. A grey picture stays grey only if the background is grey.
 fn opaque(pixels: &Pixels, background: [u8; 3]) -> ssplat::Result<Pixels> {
     let is_grey = pixels.channels().count() < 3 && background[1..] == [background[0]; 2];
     let (count, alpha) = (pixels.channels().count(), pixels.channels().count() - 1);
@@ -214,7 +220,7 @@ fn opaque(pixels: &Pixels, background: [u8; 3]) -> ssplat::Result<Pixels> {
     Pixels::new(pixels.width(), pixels.height(), channels, samples)
 }
 
-/// Returns notes about the parts that a damaged file has lost.
+/// Returns notes about the parts that are missing from a damaged file.
 fn losses(metadata: &Metadata, missing: MissingParts, of: u32) -> Vec<String> {
     let section = |name| format!("section {} is damaged and left out", String::from_utf8_lossy(name));
     let mut notes: Vec<String> = metadata.damaged.iter().map(|name| section(&name[..])).collect();
@@ -233,7 +239,7 @@ fn losses(metadata: &Metadata, missing: MissingParts, of: u32) -> Vec<String> {
     notes
 }
 
-/// Draws on a GPU, the whole view at once; also the GPU's name.
+/// Renders the whole view on a GPU. Returns the pixels and the name of the GPU.
 #[cfg(feature = "gpu")]
 fn on_gpu(opened: &Image, view: &View) -> ssplat::Result<(Pixels, String)> {
     use ssplat::gpu::{Adapters, Device, Renderer};
@@ -247,7 +253,7 @@ fn on_gpu(_: &Image, _: &View) -> ssplat::Result<(Pixels, String)> {
     Err(ssplat::GpuError::NotBuilt.into())
 }
 
-/// Returns the view of the `whole` picture that `--region` and the size options ask for.
+/// Returns the view of the `whole` picture that `--region` and the size options select.
 fn view(args: &args::Decode, input: &Path, whole: View) -> Result<View, Failure> {
     let failed = |e| Failure::library(input, &e);
     let mut view = whole;
@@ -275,11 +281,11 @@ fn view(args: &args::Decode, input: &Path, whole: View) -> Result<View, Failure>
             return Err(Failure::usage(format!("{path}: it would be {side:.0} pixels {name}; {LONGEST} at most")));
         }
     }
-    // A side that would vanish keeps one pixel.
+    // No side becomes shorter than one pixel.
     view.resized(wide.round().max(1.0) as u32, tall.round().max(1.0) as u32).map_err(failed)
 }
 
-/// Starts the output of what `renderer` draws.
+/// Starts the output of `renderer`.
 fn start_rows<'a>(
     renderer: &Renderer,
     depth: Depth,
@@ -292,14 +298,14 @@ fn start_rows<'a>(
     RowWriter::new(sink, format, shape, metadata).map_err(|e| Failure::io(sink.path(), &e))
 }
 
-/// Draws and writes everything, a few bands at a time.
+/// Renders and writes the picture, a few bands at a time.
 fn draw(renderer: &Renderer, depth: Depth, rows: &mut RowWriter, path: &Path, show: &Show) -> Result<(), Failure> {
     let io = |e| Failure::io(&sink::named(path), &e);
     let (mut bytes, mut words) = (Vec::new(), Vec::new());
     let most = (MIN_BYTES_PER_THREAD * rayon::current_num_threads()).min(BATCH);
     let mut first = 0;
     while first < renderer.bands() {
-        // Two by two: a tile of the detail layer has two bands.
+        // In pairs, because a tile of the detail layer has two bands.
         let mut last = (first + 2).min(renderer.bands());
         let samples = |last| {
             let rows = renderer.band_rows(last - 1).end - renderer.band_rows(first).start;

@@ -1,4 +1,4 @@
-//! `ssplat encode`: a picture to a file, with progress, and what it measured.
+//! `ssplat encode`: pictures to .ssplat files, with progress and a report.
 
 use std::fs::File;
 use std::io::Read;
@@ -14,17 +14,20 @@ use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Metadata;
 use ssplat::{EncodeReport, Encoded, Encoder, Error, Limits, PixelSource, Pixels, Samples, Target};
 
-use crate::batch::{self, Command, Done, OutputMode, Show};
+use crate::batch::{self, Command, Done, Fate, OutputMode, Show};
 use crate::failure::Failure;
 use crate::input::{self, Input};
+use crate::inputs::Task;
+use crate::kept_times::KeptTimes;
 use crate::progress::{Bar, Stages};
 use crate::rows::{Format, RowWriter, Shape};
 use crate::sink::{Sink, printable, say, tell};
+use crate::sniff::sniff;
 use crate::source::{self, Source, Turn};
 use crate::spool::{self, Opened, Spooled};
-use crate::{args, carried, compare, left_out};
+use crate::{args, carried, compare, left_out, resize};
 
-/// Extensions of picture formats that `image` does not know or that are not read.
+/// Extensions of other picture formats that `image` does not know.
 const OTHERS: [&str; 5] = ["heic", "heif", "jxl", "jp2", "svg"];
 
 pub fn run(args: &args::Encode) -> Result<(), Failure> {
@@ -34,11 +37,11 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
             takes: &is_picture,
             extension: ssplat::EXTENSION,
             pixels: &pixels,
-            run: &|input, output, show| one(args, input, output, show),
+            run: &|task, show| one(args, task, show),
         };
         return batch::run(&args.paths, folder, &args.many, output_mode, &command);
     }
-    // --tiles may stand alone: what follows it without = is taken for a path.
+    // --tiles takes its value after =, so a number that follows it is parsed as a path.
     let is_number = |path: &&PathBuf| {
         args.tiles.is_some() && !path.exists() && path.to_str().is_some_and(|p| p.parse::<u32>().is_ok())
     };
@@ -58,7 +61,8 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
         )));
     }
     let bar = Bar::of(output_mode);
-    let done = one(args, input, output, &|share, stage| bar.show(share, stage))?;
+    let task = Task::new(input.into(), output.into());
+    let done = one(args, &task, &|share, stage| bar.show(share, stage))?;
     drop(bar);
     if output_mode != OutputMode::Quiet {
         done.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(input))));
@@ -72,31 +76,38 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Whether a file of that name would be taken for a picture of another format.
+/// Whether the path has the extension of another picture format.
 fn is_of_another_format(path: &Path) -> bool {
     let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     extension.is_some_and(|e| ImageFormat::from_extension(&e).is_some() || OTHERS.contains(&e.as_str()))
 }
 
-/// Whether a file of a folder is taken for a picture: by its extension, or else by how it begins.
+/// Whether a file of a folder is a picture: by its extension, or else by its first bytes.
 fn is_picture(path: &Path) -> bool {
     if ImageFormat::from_path(path).is_ok() || path.extension().is_some_and(|e| e == "pam") {
         return true;
     }
     let mut start = Vec::new();
     let read = File::open(path).and_then(|file| file.take(input::LONGEST_MAGIC).read_to_end(&mut start));
-    read.is_ok() && image::guess_format(&start).is_ok()
+    // Formats that are not read count as well: their files fail with advice instead of being skipped.
+    read.is_ok() && (image::guess_format(&start).is_ok() || sniff(&start).is_some())
 }
 
-/// Width times height of the picture at `path`; 0 where it cannot be told, as of a pipe, which can be read but once.
+/// Returns width times height of the picture at `path`, or 0 if they are unknown, as for a pipe, which can be read only once.
 fn pixels(path: &Path) -> u64 {
     if !input::is_file(path) {
         return 0;
     }
-    Input::open(path).map_or(0, |mut input| source::pixels(path, &mut input))
+    let size = Input::open(path).ok().and_then(|mut input| source::size(path, &mut input));
+    size.map_or(0, area)
 }
 
-/// Fits that a target takes at most.
+/// Width times height.
+fn area([width, height]: [u32; 2]) -> u64 {
+    u64::from(width) * u64::from(height)
+}
+
+/// Returns the number of fits that a target may take, for the progress bar.
 fn tries(target: Target) -> u32 {
     match target {
         Target::Psnr(_) | Target::Quality(_) => 3,
@@ -104,39 +115,34 @@ fn tries(target: Target) -> u32 {
     }
 }
 
-/// Returns the rest of a time budget that began at `start`, so that reading counts as work. It is at least a
-/// millisecond, so that a file is always made.
+/// Returns the rest of a time limit that started at `start`, so that reading the input counts. It is at least a millisecond,
+/// so that there is always a file.
 fn left(time: Option<Duration>, start: Instant) -> Option<Duration> {
     time.map(|t| t.saturating_sub(start.elapsed()).max(Duration::from_millis(1)))
 }
 
 /// Encodes one file.
-fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<Done, Failure> {
+fn one(args: &args::Encode, task: &Task, show: &Show) -> Result<Done, Failure> {
+    let (input, output) = (task.input.as_path(), task.output.as_path());
     let start = Instant::now();
     show(0.0, "reading");
     if args.preview.as_deref() == Some(output) {
         return Err(Failure::usage(format!("{}: cannot hold both the file and its preview", output.display())));
     }
+    let times = KeptTimes::of(args.keep_times, task)?;
     let mut opened = Input::open(input)?;
-    let length = opened.length().map_err(|e| Failure::io(input, &e))?;
-    // A preview is compared with the whole picture, and turning needs it, too.
-    let is_huge = source::pixels(input, &mut opened) > ssplat::unstable::MAX_WHOLE_PIXELS;
-    let is_tiled = args.tiles.is_some() || is_huge;
-    if is_tiled && args.preview.is_none() && !args.auto_orient {
-        match spool::open(input, opened, args.time.and_then(|time| start.checked_add(time)))? {
-            Opened::InParts(picture) => {
-                let picture = Parts { picture: *picture, length, time: left(args.time, start) };
-                return in_parts(args, input, output, show, picture);
-            }
-            Opened::AsWhole(input) => opened = input,
+    let origin = Origin {
+        length: opened.length().map_err(|e| Failure::io(input, &e))?,
+        times,
+        size: source::size(input, &mut opened),
+    };
+    let source = match load(args, input, opened, &origin, args.time.and_then(|time| start.checked_add(time)))? {
+        Loaded::InParts(picture) => {
+            let picture = Parts { picture: *picture, origin, time: left(args.time, start) };
+            return in_parts(args, input, output, show, picture);
         }
-    }
-    let mut source = source::read(input, opened, if args.auto_orient { Turn::Upright } else { Turn::Keep })?;
-    if args.partial && source.is_cut_off {
-        source.notes.push("the file is cut off, and so is what is encoded".into());
-    } else {
-        source = source.whole(input)?;
-    }
+        Loaded::Whole(source) => source,
+    };
     let Source { pixels, icc, exif, orientation, mut notes, .. } = source;
     let mut options = args.options();
     carried::carry(&mut options, (icc, exif), orientation, &mut notes);
@@ -147,53 +153,132 @@ fn one(args: &args::Encode, input: &Path, output: &Path, show: &Show) -> Result<
         options.target = Target::Primitives(samples as u32);
         notes.push(format!("{asked} primitives are more than the picture has samples: {samples} are enough"));
     }
-    // That a file cannot be written is found out before the work is done, not after.
+    // Detects an output that cannot be written before the work is done.
     let sink = Sink::create(output, &[input])?;
     let preview = args.preview.as_deref().map(|path| Preview::prepare(path, input)).transpose()?;
     show(0.0, "preparing");
-    let mut course = Stages::new(tries(options.target));
+    let mut stages = Stages::new(tries(options.target));
     options.time = left(options.time, start);
     let encoded = ssplat::unstable::encode_with_progress(&pixels, &options, &mut |p| {
-        show(course.at(p.stage, p.done), p.stage);
+        show(stages.at(p.stage, p.done), p.stage);
         ControlFlow::Continue(())
     });
     let encoded = encoded.map_err(|e| refusal(input, &e))?;
     notes.extend(carried::dominating(&options, encoded.bytes.len()));
     notes.extend(missed(&options, &encoded.report));
-    notes.extend(grown(encoded.bytes.len(), length));
-    // Both files are there, or none is.
+    let mut done = finished(args, output, &origin, &pixels, &encoded);
+    done.notes.splice(0..0, notes);
+    if done.fate == Fate::LargerThanInput {
+        return Ok(done);
+    }
+    // Either both files are written, or none.
     sink.write(&encoded.bytes)?;
-    let mut result = summary(&pixels, encoded.bytes.len(), &encoded.report);
-    let mut text = told(output, &pixels, &encoded);
     if let Some(preview) = preview {
         let path = preview.path;
         let (found, seconds) = preview.finish(&encoded.bytes, &pixels)?;
-        text += &format!("{}: {}, decoded in {seconds:.3} s\n", path.display(), compare::as_text(&found));
-        result["preview"] = compare::as_json(&found);
-        result["preview"]["seconds"] = seconds.into();
+        done.text += &format!("{}: {}, decoded in {seconds:.3} s\n", path.display(), compare::as_text(&found));
+        done.result["preview"] = compare::as_json(&found);
+        done.result["preview"]["seconds"] = seconds.into();
     }
-    sink.finish()?;
+    origin.times.finish(sink)?;
     if args.explain {
-        text += &explained(output, &encoded)?;
+        done.text += &explained(output, &encoded)?;
     }
-    Ok(Done { text, result, notes })
+    Ok(done)
 }
 
-/// A picture that stays in its file.
-struct Parts {
-    picture: Spooled,
+/// Facts about an input file.
+struct Origin {
     /// Bytes of the file.
     length: u64,
+    /// Size of the picture, if it is known before decoding.
+    size: Option<[u32; 2]>,
+    times: KeptTimes,
+}
+
+/// A picture that is in memory, or is read from its file part by part.
+enum Loaded {
+    Whole(Source),
+    InParts(Box<Spooled>),
+}
+
+/// Reads the picture into memory, or opens it for reading in parts, before `end`; resizes and rotates it as `args` say.
+fn load(
+    args: &args::Encode,
+    path: &Path,
+    mut opened: Input,
+    origin: &Origin,
+    end: Option<Instant>,
+) -> Result<Loaded, Failure> {
+    let is_huge = |size: [u32; 2]| area(size) > ssplat::unstable::MAX_WHOLE_PIXELS;
+    let fitted = |size| resize::fitted(size, args.max_side);
+    let is_resized = origin.size.is_some_and(|size| fitted(size) != size);
+    // A preview is compared with the whole picture, and rotation needs it as well.
+    let stays_in_parts = !is_resized && args.preview.is_none() && !args.auto_orient;
+    let is_tiled = args.tiles.is_some() && stays_in_parts;
+    if is_tiled || origin.size.is_some_and(is_huge) && (is_resized || stays_in_parts) {
+        match spool::open(path, opened, end)? {
+            Opened::InParts(picture) if is_resized => {
+                let size = fitted(picture.size());
+                let source = picture.resized(path, size, args.options().hidden)?;
+                return Ok(Loaded::Whole(if args.auto_orient { source.upright(path)? } else { source }));
+            }
+            Opened::InParts(picture) => return Ok(Loaded::InParts(picture)),
+            Opened::AsWhole(input) => opened = input,
+        }
+    }
+    let mut source = source::read(path, opened, if args.auto_orient { Turn::Upright } else { Turn::Keep })?;
+    if args.partial && source.is_cut_off {
+        source.notes.push("the file is cut off, and so is what is encoded".into());
+    } else {
+        source = source.whole(path)?;
+    }
+    let size = source.pixels.size();
+    if fitted(size) != size {
+        source = source.resized(path, fitted(size), args.options().hidden)?;
+    }
+    Ok(Loaded::Whole(source))
+}
+
+/// Returns the report of an encode, and decides whether its file is written.
+fn finished(args: &args::Encode, output: &Path, origin: &Origin, picture: &dyn PixelSource, encoded: &Encoded) -> Done {
+    let (bytes, input) = (encoded.bytes.len() as u64, origin.length);
+    let fate = if args.skip_larger && bytes > input { Fate::LargerThanInput } else { Fate::Written };
+    let mut result = summary(picture, encoded.bytes.len(), &encoded.report);
+    result["input_bytes"] = input.into();
+    result["written"] = (fate == Fate::Written).into();
+    let mut notes = Vec::new();
+    let text = match fate {
+        Fate::LargerThanInput => {
+            notes.push(format!("no file is written: it would have {bytes} bytes, more than the {input} of the input"));
+            String::new()
+        }
+        Fate::Written => {
+            if bytes > input {
+                notes.push(format!(
+                    "the file has {bytes} bytes, more than the {input} of the picture that it was made of"
+                ));
+            }
+            result_line(output, picture, encoded)
+        }
+    };
+    Done { text, result, notes, fate }
+}
+
+/// A picture that is read from its file part by part.
+struct Parts {
+    picture: Spooled,
+    origin: Origin,
     time: Option<Duration>,
 }
 
-/// Encodes a picture that stays in its file.
+/// Encodes a picture that is read from its file part by part.
 fn in_parts(
     args: &args::Encode,
     input: &Path,
     output: &Path,
     show: &Show,
-    Parts { mut picture, length, time }: Parts,
+    Parts { mut picture, origin, time }: Parts,
 ) -> Result<Done, Failure> {
     let mut options = args.options();
     options.time = time;
@@ -201,40 +286,37 @@ fn in_parts(
     let orientation = source::orientation_in(exif.as_deref());
     carried::carry(&mut options, (icc, exif), orientation, &mut notes);
     let sink = Sink::create(output, &[input])?;
-    let mut course = Stages::new(1);
+    let mut stages = Stages::new(1);
     let encoded = Encoder::from(options.clone()).encode_with_progress(&picture, &mut |p| {
-        show(course.at(p.stage, p.done), p.stage);
+        show(stages.at(p.stage, p.done), p.stage);
         ControlFlow::Continue(())
     });
     let encoded = encoded.map_err(|e| refusal(input, &e))?;
     notes.extend(carried::dominating(&options, encoded.bytes.len()));
     notes.extend(missed(&options, &encoded.report));
-    notes.extend(grown(encoded.bytes.len(), length));
-    sink.finish_with(&encoded.bytes)?;
-    let mut text = told(output, &picture, &encoded);
-    if args.explain {
-        text += &explained(output, &encoded)?;
+    let mut done = finished(args, output, &origin, &picture, &encoded);
+    done.notes.splice(0..0, notes);
+    if done.fate == Fate::LargerThanInput {
+        return Ok(done);
     }
-    let result = summary(&picture, encoded.bytes.len(), &encoded.report);
-    Ok(Done { text, result, notes })
+    sink.write(&encoded.bytes)?;
+    origin.times.finish(sink)?;
+    if args.explain {
+        done.text += &explained(output, &encoded)?;
+    }
+    Ok(done)
 }
 
-/// Returns the failure of a picture that was not encoded, with advice.
+/// Converts an error of the encoder, and adds advice.
 fn refusal(input: &Path, error: &Error) -> Failure {
     let mut failure = Failure::library(input, error);
     failure.message += carried::advice(error);
     failure
 }
 
-/// Returns a note about a file that is larger than the input it was made of.
-fn grown(bytes: usize, input: u64) -> Option<String> {
-    let is_larger = bytes as u64 > input;
-    is_larger.then(|| format!("the file has {bytes} bytes, more than the {input} of the picture that it was made of"))
-}
-
-/// Returns a note about a file that does not have the quality asked for.
+/// Returns a note if the file does not have the requested quality.
 fn missed(options: &EncodeOptions, report: &EncodeReport) -> Option<String> {
-    // Files are within half a point where they can be.
+    // The encoder meets a quality within half a point if it can.
     const CLOSE: f64 = 0.5;
     let within = options.time.map_or_else(String::new, |time| format!(" within {:.1} s", time.as_secs_f64()));
     match (options.target, report.quality) {
@@ -248,13 +330,13 @@ fn missed(options: &EncodeOptions, report: &EncodeReport) -> Option<String> {
     }
 }
 
-/// A PSNR in words. That of the encoder is before rounding to code values: above some value all of these are equal.
+/// Formats a PSNR. The encoder measures before rounding to code values; above a certain PSNR, all code values are equal.
 fn psnr(psnr: f64) -> String {
     if psnr < compare::IDENTICAL { format!("PSNR {psnr:.2} dB") } else { "identical samples".into() }
 }
 
-/// The result in a line.
-fn told(output: &Path, picture: &dyn PixelSource, encoded: &Encoded) -> String {
+/// Returns the result in one line.
+fn result_line(output: &Path, picture: &dyn PixelSource, encoded: &Encoded) -> String {
     let quality = encoded.report.quality.map_or(String::new(), |q| format!(", SSIMULACRA2 {q:.1}"));
     let line = format!(
         "{}: {} bytes, ratio {:.1}, {} primitive{}, {}{quality}, encoded in {:.2} s\n",
@@ -266,11 +348,11 @@ fn told(output: &Path, picture: &dyn PixelSource, encoded: &Encoded) -> String {
         psnr(encoded.report.psnr),
         encoded.report.seconds
     );
-    // Where there is a choice, it is told.
+    // Only a build with GPU support has a choice of devices.
     if cfg!(feature = "gpu") { line + &format!("fitted on {}\n", encoded.report.chosen) } else { line }
 }
 
-/// Where time and bytes went, and what the file does without.
+/// Returns the text of `--explain`: stages with their times, and what was left out.
 fn explained(output: &Path, encoded: &Encoded) -> Result<String, Failure> {
     let mut text = explain(&encoded.report);
     let (splats, report) = ssplat::unstable::bitstream::inspect(&encoded.bytes, &Limits::default())
@@ -280,12 +362,12 @@ fn explained(output: &Path, encoded: &Encoded) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// Bytes of the samples with 8 bits each over bytes of the file.
+/// Returns the number of samples over the bytes of the file.
 fn ratio(pixels: &dyn PixelSource, bytes: usize) -> f64 {
     f64::from(pixels.width()) * f64::from(pixels.height()) * pixels.channels().count() as f64 / bytes as f64
 }
 
-/// The picture that `--preview` asks for.
+/// The output of `--preview`.
 struct Preview<'a> {
     path: &'a Path,
     format: Format,
@@ -297,7 +379,7 @@ impl<'a> Preview<'a> {
         Ok(Preview { path, format: Format::of_path(path)?, sink: Sink::create(path, &[input])? })
     }
 
-    /// Decodes `bytes`, writes the pixels and compares them with `original`; also the seconds that decoding took.
+    /// Decodes `bytes`, writes the pixels, and compares them with `original`. Returns the metrics and the decoding time in seconds.
     fn finish(self, bytes: &[u8], original: &Pixels) -> Result<(compare::Found, f64), Failure> {
         let start = Instant::now();
         let decoded = source::decode(self.path, bytes)?;
@@ -309,7 +391,7 @@ impl<'a> Preview<'a> {
     }
 }
 
-/// Writes a whole picture.
+/// Writes a picture that is in memory.
 pub fn write_pixels(source: Source, format: Format, sink: &Sink, path: &Path) -> Result<(), Failure> {
     let Source { pixels, icc, exif, .. } = source;
     let shape =
@@ -325,7 +407,7 @@ pub fn write_pixels(source: Source, format: Format, sink: &Sink, path: &Path) ->
     rows.finish(path)
 }
 
-/// The result for programs.
+/// Returns the result as JSON.
 fn summary(pixels: &dyn PixelSource, bytes: usize, report: &EncodeReport) -> Value {
     let stages: Vec<Value> = report.stages.iter().map(|s| json!({ "name": s.name, "seconds": s.seconds })).collect();
     let left_out: Vec<Value> = report
@@ -350,7 +432,7 @@ fn summary(pixels: &dyn PixelSource, bytes: usize, report: &EncodeReport) -> Val
     })
 }
 
-/// Where the time and the bytes went.
+/// Returns the stages with their times, and what the encoder left out.
 fn explain(report: &EncodeReport) -> String {
     let mut text = String::from("stages:\n");
     for &StageTime { name, seconds, .. } in &report.stages {

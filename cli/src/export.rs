@@ -1,4 +1,4 @@
-//! `ssplat export`: the Gaussians of a file for other programs.
+//! `ssplat export`: the Gaussians of a file, in formats of other programs.
 
 use std::path::Path;
 

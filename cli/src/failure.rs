@@ -5,25 +5,25 @@ use std::path::Path;
 use image::ImageError;
 use ssplat::Error;
 
-/// Whose fault it is; each kind has its own exit status.
+/// The kind of a failure; each has its own exit status.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// The program itself, or something that has no status of its own.
+    /// A bug of the program, or a cause without an exit status of its own.
     Other,
-    /// The command line. Also what clap exits with.
+    /// The command line is wrong. clap exits with the same status.
     Usage,
-    /// Reading or writing.
+    /// Reading or writing failed.
     Io,
     /// The file is broken.
     Format,
-    /// The file may be sound, but its format, version or colour type is not supported.
+    /// The format, version or colour type of the file is not supported.
     Unsupported,
-    /// The file asks for more than the limits allow.
+    /// The file exceeds the limits.
     Limit,
 }
 
 impl Kind {
-    /// The exit status.
+    /// Returns the exit status.
     pub fn code(self) -> u8 {
         match self {
             Kind::Other => 1,
@@ -36,7 +36,7 @@ impl Kind {
     }
 }
 
-/// Reason why a command stopped.
+/// The reason why a command failed.
 #[derive(Debug)]
 pub struct Failure {
     pub kind: Kind,
@@ -48,7 +48,7 @@ impl Failure {
         Failure { kind: Kind::Usage, message: message.into() }
     }
 
-    /// An error of the library while at work on `path`.
+    /// An error of the library for the file `path`.
     pub fn library(path: &Path, error: &Error) -> Self {
         let kind = match error {
             Error::Io(_) => Kind::Io,
@@ -62,10 +62,10 @@ impl Failure {
         Failure { kind, message: format!("{}: {error}", Failure::input(path)) }
     }
 
-    /// An error of the `image` crate while at work on `path`.
+    /// An error of the `image` crate for the file `path`.
     pub fn image(path: &Path, error: &ImageError) -> Self {
         let kind = match error {
-            // A cut-off file shows as the world's error in `image`; the world is not at fault.
+            // `image` reports a truncated file as an I/O error.
             ImageError::IoError(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => Kind::Format,
             ImageError::IoError(_) => Kind::Io,
             ImageError::Decoding(_) | ImageError::Encoding(_) => Kind::Format,
@@ -76,7 +76,7 @@ impl Failure {
         Failure { kind, message: format!("{}: {error}", Failure::input(path)) }
     }
 
-    /// A panic of this program while at work on `path`.
+    /// A panic of this program while it processed `path`.
     pub fn bug(path: &Path, panic: &str) -> Self {
         let message = format!("{}: a bug of ssplat: {panic}", Failure::input(path));
         Failure { kind: Kind::Other, message }
@@ -86,7 +86,7 @@ impl Failure {
         Failure { kind: Kind::Io, message: format!("{}: {error}", Failure::input(path)) }
     }
 
-    /// The path for a message; `-` has a name of its own. Outputs are named by their sink.
+    /// Returns the path of an input for messages; `-` becomes "standard input". The sink has the names of outputs.
     pub fn input(path: &Path) -> String {
         if path == Path::new("-") { "standard input".into() } else { path.display().to_string() }
     }

@@ -1,27 +1,45 @@
-//! `ssplat formats`: the picture formats that are read and written.
+//! `ssplat formats`: the picture formats that this build reads and writes.
 
 use image::ImageFormat;
 
 use crate::failure::Failure;
 use crate::rows::Format;
 use crate::sink::say;
+use crate::sniff::Sniffed;
 
-/// Prints a line for each format: its name, its extensions, and what is done with it.
+/// Formats that a build may lack, with their extensions and Cargo features; HEIC has none.
+const OPTIONAL: [(Sniffed, &str, &str, Option<&str>); 3] = [
+    (Sniffed::JpegXl, "JPEG XL", ".jxl", Some("jxl")),
+    (Sniffed::Avif, "AVIF", ".avif", Some("avif")),
+    (Sniffed::Heic, "HEIC", ".heic .heif", None),
+];
+
+/// Prints a line for each format: name, use, and extensions.
 pub fn run() -> Result<(), Failure> {
     let mut text = String::from("ssplat  read, written     .ssplat\n");
-    for format in ImageFormat::all().filter(|format| format.reading_enabled()) {
+    for format in ImageFormat::all().filter(|&format| format.reading_enabled() && format != ImageFormat::Avif) {
         let extensions = format.extensions_str();
         let is_written = extensions.iter().any(|extension| Format::from_extension(extension).is_ok());
         let uses = if is_written { "read, written" } else { "read" };
         let extensions: Vec<String> = extensions.iter().map(|extension| format!(".{extension}")).collect();
         text += &format!("{:<8}{uses:<18}{}\n", name(format), extensions.join(" "));
     }
-    text += "\nFormats are told by their content; Targa, which has no mark, by its extension. Of animations and files of several\n\
-             pages the first picture is taken. Written are pictures that `decode` draws; `encode` writes .ssplat alone.\n";
+    for (format, name, extensions, feature) in OPTIONAL {
+        let uses = match feature {
+            _ if format.is_read() => "read",
+            Some(_) => "not in this build",
+            None => "not read",
+        };
+        let feature = feature.filter(|_| !format.is_read()).map_or(String::new(), |f| format!(" (feature `{f}`)"));
+        text += &format!("{name:<8}{uses:<18}{extensions}{feature}\n");
+    }
+    text += "\nFormats are detected by content, except for Targa, which has no signature and is detected by extension. Only the\n\
+             first picture of animations and files with several pages is used. `decode` writes the formats marked as written;\n\
+             `encode` writes .ssplat. Convert HEIC first, for example with `heif-convert IN.heic OUT.png`.\n";
     say(&text)
 }
 
-/// The name by which people know a format.
+/// Returns the common name of a format.
 fn name(format: ImageFormat) -> String {
     match format {
         ImageFormat::Pnm => "Netpbm".into(),

@@ -1,4 +1,4 @@
-//! Panics turned into errors: a bug in a decoder for one file does not end the work on the others.
+//! Converts panics to errors, so that a decoder that panics on one file does not end a batch.
 
 use std::any::Any;
 use std::cell::Cell;
@@ -6,13 +6,13 @@ use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind, set_hook, take_h
 use std::sync::Once;
 
 thread_local! {
-    /// Whether this thread's panics are told by whoever catches them.
+    /// Whether the panic hook prints nothing for this thread.
     static IS_QUIET: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Does `work`; a panic in it is an error with its message, and nothing is printed.
+/// Calls `work`. Returns the message of a panic as an error, without printing it.
 ///
-/// What `work` has changed when it panics must not be used any more.
+/// State that `work` has changed before a panic must not be used afterwards.
 pub fn quietly<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
@@ -29,7 +29,7 @@ pub fn quietly<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     outcome
 }
 
-/// Does `work`; a panic in it is printed as ever, and is an error with its message.
+/// Calls `work`. Returns the message of a panic as an error; the panic hook prints it as usual.
 pub fn aloud<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     catch_unwind(AssertUnwindSafe(work)).map_err(|panic| message(&*panic))
 }

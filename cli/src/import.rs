@@ -1,4 +1,4 @@
-//! `ssplat import`: Gaussians that were fitted elsewhere to a file.
+//! `ssplat import`: Gaussians that were fitted elsewhere, to an .ssplat file.
 
 use std::path::Path;
 
@@ -41,7 +41,7 @@ pub fn run(args: &args::Import) -> Result<(), Failure> {
     };
     drop(bytes);
     let splats = ssplat::unstable::pack(&parameters.picture, &options(args, &parameters)).map_err(|e| match e {
-        // All but the size comes from the input.
+        // All parameters except the size come from the input.
         Error::Parameter { name, .. } if name != "bytes" => broken(&args.input, Kind::Format, &e.to_string()),
         e => Failure::library(&args.input, &e),
     })?;
@@ -56,8 +56,8 @@ pub fn run(args: &args::Import) -> Result<(), Failure> {
     Sink::create(&args.output, &[&args.input])?.finish_with(&file)
 }
 
-/// Returns the options of packing: those given as arguments, else those that the Gaussians were stored with, else the
-/// defaults of [`PackOptions`].
+/// Returns the packing options: those of the arguments, else those that the Gaussians were stored with, else the defaults of
+/// [`PackOptions`].
 fn options(args: &args::Import, parameters: &Parameters) -> PackOptions {
     let mut options = PackOptions::default();
     (options.depth, options.outside) = (parameters.depth, Outside::Crop);
@@ -66,7 +66,7 @@ fn options(args: &args::Import, parameters: &Parameters) -> PackOptions {
         options.precision = Precision::Steps(steps);
     }
     if let Some(layout) = args.layout {
-        // Steps are made for a layout.
+        // Steps depend on the layout.
         if layout != options.layout {
             options.precision = PackOptions::default().precision;
         }

@@ -1,4 +1,4 @@
-//! `ssplat info`: the header, where the bytes go, and bits per primitive and field.
+//! `ssplat info`: the header, the bytes of each part, and the bits per primitive and field.
 
 use std::path::Path;
 
@@ -21,7 +21,7 @@ pub fn run(args: &args::Info) -> Result<(), Failure> {
     say(&if args.json { format!("{:#}\n", as_json(&splats, &report)) } else { as_text(&splats, &report) })
 }
 
-/// Says it of each file. One that fails is told and does not stop the others; its failure is the command's.
+/// Prints the facts about each file. A failure is reported, does not stop the other files, and is returned at the end.
 fn several(args: &args::Info) -> Result<(), Failure> {
     let mut failed = None;
     for (i, input) in args.inputs.iter().enumerate() {
@@ -170,18 +170,18 @@ fn as_text(splats: &PackedSplats, report: &Report) -> String {
     }
     text += "left out\n";
     text += &left_out::as_text(&left_out::of_file(splats, report));
-    // A file does not know how it was made.
+    // A file does not record how it was encoded.
     text += "  what the fit left out: `ssplat encode --explain` tells when it is made\n";
     text
 }
 
-/// Width × height × channels over the bytes of the file.
+/// Returns width × height × channels over the bytes of the file.
 fn ratio(report: &Report) -> f64 {
     let h = &report.header;
     f64::from(h.width) * f64::from(h.height) * h.channels.count() as f64 / report.bytes as f64
 }
 
-/// `None` where there are no primitives.
+/// Returns bits per primitive; `None` without primitives.
 fn per_primitive(bits: f64, splats: &PackedSplats) -> Option<f64> {
     let count = splats.gaussians.len();
     (count > 0).then(|| bits / count as f64)

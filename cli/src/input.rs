@@ -1,4 +1,4 @@
-//! The door for input files: a path, standard input, a pipe or a device to a reader that can seek, within bounds.
+//! Opens input files: turns a path, standard input, a pipe or a device into a reader that can seek, with bounded memory.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Cursor, Read, Seek, SeekFrom};
@@ -9,20 +9,21 @@ use ssplat::Limits;
 use ssplat::unstable::bitstream::header::MAGIC;
 
 use crate::failure::{Failure, Kind};
+use crate::sniff::{Sniffed, sniff};
 
-/// Bytes at the beginning of a file by which formats are told apart, at most.
+/// Number of bytes at the start of a file that suffice to detect its format.
 pub const LONGEST_MAGIC: u64 = 32;
 
-/// An input file that is read anywhere in it.
+/// An input file that can seek.
 pub enum Input {
     File(BufReader<File>),
-    /// What cannot seek is read into memory as a whole.
+    /// An input that cannot seek, read into memory.
     Memory(Cursor<Vec<u8>>),
 }
 
 impl Input {
-    /// Opens `path`, or standard input for `-`. Of what cannot seek no more than [`Limits::alloc`] bytes are read, and of what is no
-    /// picture no more than its beginning.
+    /// Opens `path`, or standard input for `-`. Of an input that cannot seek, at most [`Limits::alloc`] bytes are read, and only its
+    /// start if that is not the start of a picture.
     pub fn open(path: &Path) -> Result<Input, Failure> {
         let io = |e| Failure::io(path, &e);
         if let Some(file) = open_file(path)? {
@@ -34,12 +35,12 @@ impl Input {
         in_memory(path, io::stdin().lock())
     }
 
-    /// The first bytes, which stay to be read; none where the file is empty.
+    /// Returns the first bytes without consuming them; none if the file is empty.
     pub fn start(&mut self) -> io::Result<&[u8]> {
         self.fill_buf()
     }
 
-    /// Bytes of the whole file.
+    /// Returns the length of the file in bytes.
     pub fn length(&mut self) -> io::Result<u64> {
         match self {
             Input::File(file) => Ok(file.get_ref().metadata()?.len()),
@@ -82,12 +83,12 @@ impl Seek for Input {
     }
 }
 
-/// Reads a .ssplat file, or standard input for `-`; of anything else only the start, so that it is refused whatever its length.
+/// Reads a .ssplat file, or standard input for `-`. Of other files only the start is read, so they are refused whatever their length.
 pub fn read_splats(path: &Path) -> Result<Vec<u8>, Failure> {
     read(path, Limits::default().alloc, |start| start.starts_with(&MAGIC))
 }
 
-/// Reads the whole of `path`, or of standard input for `-`; refuses more than `most` bytes.
+/// Reads all of `path`, or of standard input for `-`; refuses more than `most` bytes.
 pub fn read_at_most(path: &Path, most: u64) -> Result<Vec<u8>, Failure> {
     read(path, most, |_| true)
 }
@@ -99,7 +100,12 @@ pub fn all(path: &Path, input: Input, most: u64) -> Result<Vec<u8>, Failure> {
     bounded(path, input, Some(length), Bounds { most, goes_on: |_: &[u8]| true })
 }
 
-/// Whether `path` is a file whose beginning can be looked at and is still there for who reads it next: no pipe, no device.
+/// Whether a file that begins with `start` is a picture in a format that this build reads, other than ssplat.
+pub fn is_known(start: &[u8]) -> bool {
+    image::guess_format(start).is_ok() || sniff(start).is_some_and(Sniffed::is_read)
+}
+
+/// Whether `path` is a regular file, which can be read more than once, unlike a pipe or a device.
 pub fn is_file(path: &Path) -> bool {
     std::fs::metadata(path).is_ok_and(|found| found.is_file())
 }
@@ -118,8 +124,8 @@ fn open_file(path: &Path) -> Result<Option<File>, Failure> {
 
 fn in_memory(path: &Path, reader: impl Read) -> Result<Input, Failure> {
     let is_named = ImageFormat::from_path(path).is_ok();
-    let is_picture = |start: &[u8]| is_named || start.starts_with(&MAGIC) || image::guess_format(start).is_ok();
-    // Anything else may be without end, and its beginning is enough to say what it is not.
+    let is_picture = |start: &[u8]| is_named || start.starts_with(&MAGIC) || is_known(start);
+    // Other inputs may be endless, and their start suffices for the error message.
     let bounds = Bounds { most: Limits::default().alloc, goes_on: is_picture };
     bounded(path, reader, None, bounds).map(|bytes| Input::Memory(Cursor::new(bytes)))
 }
@@ -131,15 +137,15 @@ fn read(path: &Path, most: u64, goes_on: impl FnOnce(&[u8]) -> bool) -> Result<V
     bounded(path, file, found.is_file().then_some(found.len()), bounds)
 }
 
-/// How much of an input is read.
+/// Bounds on what is read of an input.
 struct Bounds<F> {
-    /// Bytes; of more the input is refused.
+    /// Largest number of bytes; longer inputs are refused.
     most: u64,
-    /// Whether anything but the start matters, by the start.
+    /// Decides by the start of the input whether the rest is read.
     goes_on: F,
 }
 
-/// Reads all of `reader`, which has `length` bytes if that is known, or only its start where nothing else of it matters.
+/// Reads `reader`, which has `length` bytes if that is known, within `bounds`.
 fn bounded<F: FnOnce(&[u8]) -> bool>(
     path: &Path,
     mut reader: impl Read,

@@ -1,32 +1,46 @@
-//! Which inputs become which outputs: files and folders to tasks, each with an output of its own.
+//! Maps inputs to outputs: files and folders become tasks, each with its own output.
 
 use std::collections::{HashMap, HashSet};
 use std::ffi::OsString;
+use std::fs::FileTimes;
 use std::path::{Path, PathBuf};
 
 use crate::failure::Failure;
 
-/// A file to work on, and the one that comes of it.
-#[derive(Debug, PartialEq, Eq)]
+/// An input and its output.
+#[derive(Debug)]
 pub struct Task {
     pub input: PathBuf,
     pub output: PathBuf,
+    /// The times of the input before it is read; reading may change its access time.
+    pub times: Option<FileTimes>,
+}
+
+impl Task {
+    pub fn new(input: PathBuf, output: PathBuf) -> Task {
+        let times = std::fs::metadata(&input).ok().and_then(|found| {
+            let times = FileTimes::new().set_modified(found.modified().ok()?);
+            // Some file systems have no access times.
+            Some(found.accessed().map_or(times, |accessed| times.set_accessed(accessed)))
+        });
+        Task { input, output, times }
+    }
 }
 
 /// Tasks found in the inputs.
 #[derive(Debug, Default)]
 pub struct Found {
     pub tasks: Vec<Task>,
-    /// Notes about inputs that are skipped.
+    /// Notes about files and folders that are skipped.
     pub notes: Vec<String>,
 }
 
-/// Which files of a folder are taken, and how their outputs are named.
+/// Selects the files of folders, and names outputs.
 pub struct Rules<'a> {
     pub takes: &'a (dyn Fn(&Path) -> bool + Sync),
-    /// The extension of an output.
+    /// The extension of the outputs.
     pub extension: &'a str,
-    /// Also the folders in folders.
+    /// Whether subfolders are included.
     pub is_recursive: bool,
 }
 
@@ -34,7 +48,7 @@ pub struct Rules<'a> {
 #[derive(Debug, Clone, Copy)]
 enum Names {
     Exactly,
-    /// `A.ssplat` and `a.ssplat` are one file, as usual on Windows and macOS.
+    /// `A.ssplat` and `a.ssplat` are the same file, as usual on Windows and macOS.
     IgnoringCase,
 }
 
@@ -43,7 +57,7 @@ impl Names {
         if cfg!(any(windows, target_vendor = "apple")) { Names::IgnoringCase } else { Names::Exactly }
     }
 
-    /// What is equal for two outputs that would be one file.
+    /// Returns a key that is equal for two outputs that are the same file.
     fn key(self, output: &Path) -> OsString {
         match self {
             Names::Exactly => output.as_os_str().to_owned(),
@@ -52,26 +66,26 @@ impl Names {
     }
 }
 
-/// Problems and names that are told one by one; of more only the number.
-const TOLD: usize = 10;
+/// Number of problems or names that are listed; of further ones only the number is reported.
+const MAX_LISTED: usize = 10;
 
-/// Returns a task for each file of `inputs`, with its output in `folder`. An output has its input's name with another extension.
-/// Where several would have the same one, each keeps its own extension before that.
+/// Returns a task for each file of `inputs`, with its output in `folder`. An output has the name of its input with another
+/// extension. If several outputs would have the same name, each keeps the extension of its input before the new one.
 pub fn find(inputs: &[PathBuf], folder: &Path, rules: &Rules) -> Result<Found, Failure> {
     find_on(Names::of_this_system(), inputs, folder, rules)
 }
 
-/// [`find`] on a system that compares names in this way.
+/// [`find`] for a file system that compares names in this way.
 fn find_on(names: Names, inputs: &[PathBuf], folder: &Path, rules: &Rules) -> Result<Found, Failure> {
     let mut named = Vec::new();
-    let mut passed = PassedOver::default();
+    let mut skipped = Skipped::default();
     let mut problems = Vec::new();
     for input in inputs {
         let mut files = Vec::new();
         if input == Path::new("-") {
             problems.push("standard input cannot be one of several inputs".to_owned());
         } else if input.is_dir() {
-            list(input, Path::new(""), rules, &mut files, &mut passed)?;
+            list(input, Path::new(""), rules, &mut files, &mut skipped)?;
             files.sort();
         } else {
             files.push((input.clone(), PathBuf::from(input.file_name().unwrap_or(input.as_os_str()))));
@@ -96,19 +110,19 @@ fn find_on(names: Names, inputs: &[PathBuf], folder: &Path, rules: &Rules) -> Re
         }
     }
     if !problems.is_empty() {
-        let more = problems.len().saturating_sub(TOLD);
-        problems.truncate(TOLD);
+        let more = problems.len().saturating_sub(MAX_LISTED);
+        problems.truncate(MAX_LISTED);
         if more > 0 {
             problems.push(format!("and {more} more of the kind"));
         }
         return Err(Failure::usage(problems.join("\nssplat: ")));
     }
     let tasks = named.into_iter().zip(outputs);
-    let tasks = tasks.map(|((input, _), output)| Task { input, output: folder.join(output) }).collect();
-    Ok(Found { tasks, notes: passed.notes() })
+    let tasks = tasks.map(|((input, _), output)| Task::new(input, folder.join(output))).collect();
+    Ok(Found { tasks, notes: skipped.notes() })
 }
 
-/// Returns the output of each named file: with another extension, or behind its own where that is several files' output.
+/// Returns the output of each named file: with the extension replaced, or appended if the replaced name is shared.
 fn outputs(named: &[(PathBuf, PathBuf)], extension: &str, names: Names) -> Vec<PathBuf> {
     let short = |name: &Path| name.with_extension(extension);
     let long = |name: &Path| {
@@ -118,7 +132,7 @@ fn outputs(named: &[(PathBuf, PathBuf)], extension: &str, names: Names) -> Vec<P
         PathBuf::from(whole)
     };
     let mut outputs: Vec<PathBuf> = named.iter().map(|(_, name)| short(name)).collect();
-    // A longer name may be another file's short one: `a.gif.ssplat` is made of `a.gif` and of `a.gif.png`.
+    // A long name may equal another file's short one: `a.gif` and `a.gif.png` may both become `a.gif.ssplat`.
     loop {
         let keys: Vec<OsString> = outputs.iter().map(|output| names.key(output)).collect();
         let mut times: HashMap<&OsString, usize> = HashMap::new();
@@ -137,17 +151,17 @@ fn outputs(named: &[(PathBuf, PathBuf)], extension: &str, names: Names) -> Vec<P
     }
 }
 
-/// Files and folders that are skipped within folders.
+/// Files and folders that are skipped in folders.
 #[derive(Default)]
-struct PassedOver {
+struct Skipped {
     files: Vec<PathBuf>,
     folders: Vec<PathBuf>,
 }
 
-impl PassedOver {
+impl Skipped {
     fn notes(&self) -> Vec<String> {
         let of = |paths: &[PathBuf], what: &str, why: &str| {
-            (!paths.is_empty()).then(|| format!("{} {what} passed over{why}: {}", paths.len(), some(paths)))
+            (!paths.is_empty()).then(|| format!("{} {what} passed over{why}: {}", paths.len(), first_of(paths)))
         };
         let files = if self.files.len() == 1 { "file is" } else { "files are" };
         let folders = if self.folders.len() == 1 { "folder is" } else { "folders are" };
@@ -156,41 +170,41 @@ impl PassedOver {
     }
 }
 
-/// The first of `paths`.
-fn some(paths: &[PathBuf]) -> String {
-    let mut names: Vec<String> = paths.iter().take(TOLD).map(|path| path.display().to_string()).collect();
-    if paths.len() > TOLD {
+/// Returns a list of the first paths.
+fn first_of(paths: &[PathBuf]) -> String {
+    let mut names: Vec<String> = paths.iter().take(MAX_LISTED).map(|path| path.display().to_string()).collect();
+    if paths.len() > MAX_LISTED {
         names.push("…".into());
     }
     names.join(", ")
 }
 
-/// Adds the files of `folder` that are taken, each with its path below the folder that was named.
+/// Adds the selected files of `folder`, each with its path relative to the input folder.
 fn list(
     folder: &Path,
     below: &Path,
     rules: &Rules,
     files: &mut Vec<(PathBuf, PathBuf)>,
-    passed: &mut PassedOver,
+    skipped: &mut Skipped,
 ) -> Result<(), Failure> {
     let io = |e| Failure::io(folder, &e);
     let mut entries = std::fs::read_dir(folder).map_err(io)?.collect::<Result<Vec<_>, _>>().map_err(io)?;
     entries.sort_by_key(std::fs::DirEntry::file_name);
     for entry in entries {
         let (path, name) = (entry.path(), below.join(entry.file_name()));
-        // Links to folders are not followed: they may lead in a circle.
+        // Links to folders are not followed, because they may form a cycle.
         if entry.file_type().map_err(io)?.is_dir() {
             match rules.is_recursive {
-                true => list(&path, &name, rules, files, passed)?,
-                false => passed.folders.push(path),
+                true => list(&path, &name, rules, files, skipped)?,
+                false => skipped.folders.push(path),
             }
         } else if std::fs::metadata(&path).is_ok_and(|found| !found.is_file()) {
-            // Pipes and devices may never end, and links to folders are not followed.
-            passed.files.push(path);
+            // Pipes and devices may be endless, and links to folders are not followed.
+            skipped.files.push(path);
         } else if (rules.takes)(&path) {
             files.push((path, name));
         } else if !entry.file_name().as_encoded_bytes().starts_with(b".") {
-            passed.files.push(path);
+            skipped.files.push(path);
         }
     }
     Ok(())

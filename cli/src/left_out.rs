@@ -1,27 +1,26 @@
-//! Things that a file does not hold, and the bytes that they would take, measured by writing the file with each of
-//! them.
+//! Optional parts that a file does not contain, and the bytes that each would take, measured by writing the file with it.
 
 use ssplat::unstable::bitstream::report::Report;
 use ssplat::unstable::bitstream::splats::{Layout, PackedSplats};
 
-/// Something that a file does not hold.
+/// An optional part that a file does not contain.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Absent {
     pub what: String,
-    /// Bytes by which the file would be larger, where it can be written with it.
+    /// Bytes by which the part would enlarge the file; `None` if the file cannot be written with it.
     pub saved: Option<u64>,
 }
 
-/// Most primitives that are written again to tell what a file would be otherwise: of more, which take seconds, only what is not there is
-/// told.
+/// Files of more primitives are not written again to measure sizes, because that takes seconds; their absent parts have no
+/// sizes.
 const MOST_WRITTEN: usize = 1 << 20;
 
-/// Returns everything that `splats`, the file which `report` describes, does not hold.
+/// Returns the optional parts that are absent from `splats`, the file that `report` describes.
 pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
     let mut list = Vec::new();
     let mut add = |what: String, with: Option<PackedSplats>| {
         let written = with.and_then(|w| ssplat::unstable::bitstream::to_bytes(&w).ok());
-        // A thing that would make the file smaller was not left out to save bytes.
+        // A part that would make the file smaller was not left out to save bytes.
         let saved = written.map(|w| w.len() as i64 - report.bytes as i64);
         if saved.is_none_or(|s| s >= 0) {
             list.push(Absent { what, saved: saved.map(|s| s as u64) });
@@ -43,7 +42,7 @@ pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
     if round > 0 {
         add(format!("angles: {round} of {count} primitives are round and have none"), None);
     }
-    // Under a codebook no field is a channel's own.
+    // With a codebook, the channels have no fields of their own.
     let own = count > 0 && splats.codebook.is_none() && splats.layout == Layout::Coded;
     let constant = |k: usize| own && splats.gaussians.iter().all(|g| g.color[k] == splats.gaussians[0].color[k]);
     if splats.channels.count() >= 3 && constant(1) && constant(2) {
@@ -60,12 +59,12 @@ pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
     list
 }
 
-/// `splats`, if they are few enough to be written again.
+/// Returns `splats` if they are few enough to be written again.
 fn small(splats: &PackedSplats) -> Option<&PackedSplats> {
     (splats.gaussians.len() <= MOST_WRITTEN).then_some(splats)
 }
 
-/// The list as lines of text.
+/// Returns the list as lines of text.
 pub fn as_text(list: &[Absent]) -> String {
     let mut text = String::new();
     for a in list {
@@ -77,7 +76,7 @@ pub fn as_text(list: &[Absent]) -> String {
     text
 }
 
-/// Bytes of fields, rounded up.
+/// Returns the bytes of the named fields, rounded up.
 fn bytes_of(report: &Report, names: &[&str]) -> u64 {
     let fields = report.fields.iter().filter(|f| names.contains(&f.name));
     (fields.map(|f| f.bits).sum::<f64>() / 8.0).ceil() as u64
@@ -90,7 +89,7 @@ fn with_codebook(splats: &PackedSplats) -> Option<PackedSplats> {
     (colors.len() <= 65536).then(|| PackedSplats { codebook: Some(colors), ..splats.clone() })
 }
 
-/// Three levels, as the encoder makes them.
+/// Divides the primitives into three levels, as the encoder does.
 fn with_levels(splats: &PackedSplats) -> PackedSplats {
     let mut with = splats.clone();
     ssplat::unstable::divide(&mut with, 3);

@@ -1,4 +1,4 @@
-//! Parts of the program `ssplat`. The lab uses them to read pictures and write files; they are not a public interface.
+//! The program `ssplat`. The lab uses some modules to read pictures and write files; they are not a public API.
 
 pub mod args;
 mod batch;
@@ -16,14 +16,19 @@ mod import;
 mod info;
 pub mod input;
 mod inputs;
+#[cfg(feature = "jxl")]
+mod jxl;
+mod kept_times;
 mod left_out;
 mod manual;
 pub mod names;
 pub mod perceived;
 mod placeholder;
 pub mod progress;
+mod resize;
 mod rows;
 pub mod sink;
+mod sniff;
 pub mod source;
 mod spool;
 mod view;
@@ -35,9 +40,9 @@ use clap::Parser;
 use args::{Args, Command};
 use failure::Failure;
 
-/// Does what the command line says.
+/// Runs the command line.
 pub fn main() -> ExitCode {
-    // The shells of Windows leave patterns such as `*.png` to the program.
+    // On Windows, programs expand patterns such as `*.png`, not the shell.
     let args = Args::parse_from(wild::args_os());
     match run(args) {
         Ok(()) => ExitCode::SUCCESS,
@@ -75,7 +80,7 @@ fn run(args: Args) -> Result<(), Failure> {
     }
 }
 
-/// More threads than this wait for each other and take memory, on any machine.
+/// Returns the largest useful number of threads; more would only wait for each other and take memory.
 fn most_threads() -> usize {
     8 * std::thread::available_parallelism().map_or(1, |n| n.get())
 }

@@ -1,4 +1,4 @@
-//! `ssplat completions` and `ssplat man`: what a package of the program installs beside it.
+//! `ssplat completions` and `ssplat man`: shell completions and the manual page, for packages of the program.
 
 use clap::CommandFactory;
 
@@ -24,7 +24,7 @@ pub fn man() -> Result<(), Failure> {
     page.render_name_section(&mut text).map_err(io)?;
     page.render_synopsis_section(&mut text).map_err(io)?;
     page.render_description_section(&mut text).map_err(io)?;
-    // The commands follow on this page: there are no others, which the section of mangen would name.
+    // The commands follow on this page, so the list of pages that clap_mangen would add is not needed.
     page.render_options_section(&mut text).map_err(io)?;
     page.render_extra_section(&mut text).map_err(io)?;
     for command in program.get_subcommands().filter(|c| c.get_name() != "help") {

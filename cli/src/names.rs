@@ -1,4 +1,4 @@
-//! The names that options have on the command line and in what is printed; shared with the measuring programs in `examples/`.
+//! Names of option values on the command line and in output; shared with the lab.
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use ssplat::unstable::bitstream::splats::Layout;
@@ -9,12 +9,12 @@ static LAYOUTS: [(&str, Layout); 3] =
     [("packed", Layout::Packed), ("planes", Layout::Planes), ("coded", Layout::Coded)];
 static BLENDS: [(&str, Blend); 2] = [("normalized", Blend::Normalized), ("sum", Blend::Sum)];
 
-/// The name of a value that has one.
+/// Returns the name of a listed value.
 fn name_of<T: PartialEq>(values: &[(&'static str, T)], value: &T) -> &'static str {
     values.iter().find(|v| v.1 == *value).map(|v| v.0).expect("a listed value")
 }
 
-/// The value of that name.
+/// Returns the value with this name.
 fn value_of<T: Copy>(values: &[(&str, T)], name: &str) -> Option<T> {
     values.iter().find(|v| v.0 == name).map(|v| v.1)
 }
@@ -35,7 +35,7 @@ pub fn blend_of(name: &str) -> Option<Blend> {
     value_of(&BLENDS, name)
 }
 
-/// A parser of names for values.
+/// Returns a parser that maps names to values.
 fn named<T: Copy + Send + Sync + 'static>(values: &'static [(&'static str, T)]) -> impl TypedValueParser<Value = T> {
     let value = move |name: String| value_of(values, &name).expect("a listed name");
     PossibleValuesParser::new(values.iter().map(|v| v.0)).map(value)
@@ -67,7 +67,7 @@ pub fn backend() -> impl TypedValueParser<Value = Backend> {
     named(&[("auto", Backend::Auto), ("cpu", Backend::Cpu), ("gpu", Backend::Gpu)])
 }
 
-pub fn carry() -> impl TypedValueParser<Value = MetadataPolicy> {
+pub fn metadata_policy() -> impl TypedValueParser<Value = MetadataPolicy> {
     named(&[
         ("needed", MetadataPolicy::Needed),
         ("all", MetadataPolicy::All),
@@ -76,7 +76,7 @@ pub fn carry() -> impl TypedValueParser<Value = MetadataPolicy> {
     ])
 }
 
-pub fn drawing_backend() -> impl TypedValueParser<Value = Backend> {
+pub fn render_backend() -> impl TypedValueParser<Value = Backend> {
     named(&[("cpu", Backend::Cpu), ("gpu", Backend::Gpu)])
 }
 

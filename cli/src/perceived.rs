@@ -1,29 +1,28 @@
-//! How far two pictures are apart to the eye: SSIMULACRA2 and the 3-norm of Butteraugli, by the crates that have them.
+//! Perceptual metrics: SSIMULACRA2 and the 3-norm of Butteraugli.
 //!
-//! Both take samples as sRGB. Where a picture has alpha, both measures are taken over a dark and over a light
-//! background, and the worse counts. Shared with the measuring programs in `examples/`.
+//! Both treat samples as sRGB. Pictures with alpha are measured over a dark and over a light background, and the worse
+//! value counts. The lab uses this module as well.
 
 use butteraugli::{ButteraugliParams, Img, RGB, butteraugli_linear};
 use ssplat::Pixels;
 use ssplat::unstable::metrics::{self, BACKGROUNDS};
 
-/// Least side of a picture that is measured, pixels: Butteraugli takes no smaller one.
+/// Shortest side that Butteraugli accepts, pixels.
 const MIN_SIDE: u32 = 8;
-/// Most pixels that Butteraugli is asked for: it keeps about 250 bytes of each in memory.
+/// Larger pictures are not measured by Butteraugli, which takes about 250 bytes of memory per pixel.
 const MAX_PIXELS: u64 = 1 << 24;
 
-/// Measures of perceived difference.
+/// Perceptual metrics of the difference between two pictures.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Perceived {
-    /// At most 100, which stands for equal pictures; about 90, 70, 50 and 30 for what eyes call very high, high, medium
-    /// and low quality; below 0 for worse. `None` when a side is under 8 pixels.
+    /// 100 for equal pictures; about 90, 70, 50 and 30 for very high, high, medium and low quality; may be negative. `None`
+    /// if a side is under 8 pixels.
     pub ssimulacra2: Option<f64>,
-    /// From 0, which stands for equal pictures; the less, the better. `None` when a side is under 8 pixels, or there are
-    /// more than 2²⁴ of them.
+    /// 0 for equal pictures; lower is better. `None` if a side is under 8 pixels, or for more than 2²⁴ pixels.
     pub butteraugli: Option<f64>,
 }
 
-/// Both measures of two pictures of one size, channels and depth.
+/// Measures two pictures with the same size, channels and depth.
 pub fn measure(reference: &Pixels, test: &Pixels) -> Perceived {
     let (width, height) = (reference.width(), reference.height());
     if width.min(height) < MIN_SIDE {
@@ -37,7 +36,7 @@ pub fn measure(reference: &Pixels, test: &Pixels) -> Perceived {
         });
         distance(&a, &b, [width, height])
     });
-    // The worse of two counts, and none where one is missing.
+    // The worse value counts; there is none if one is missing.
     let butteraugli = found.reduce(|a, b| a.zip(b).map(|(a, b)| a.max(b))).flatten();
     Perceived { ssimulacra2: metrics::ssimulacra2(reference, test).ok().flatten(), butteraugli }
 }

@@ -1,4 +1,4 @@
-//! `ssplat placeholder`: a file small enough to stand in a page's text, as that text.
+//! `ssplat placeholder`: a file of a few hundred bytes, as text that can be embedded in a web page.
 
 use std::path::Path;
 
@@ -13,20 +13,20 @@ use crate::failure::Failure;
 use crate::sink::{say, tell};
 use crate::source::{self, Turn};
 
-/// Pixels along the longer side that are fitted: what a few hundred Gaussians can show of a picture is there in these.
+/// Longest side in pixels that is fitted; a few hundred Gaussians cannot show more detail.
 const MAX_SIDE: u32 = 512;
 
 pub fn run(args: &args::Placeholder) -> Result<(), Failure> {
     if args.format == PlaceholderFormat::Html && args.src.is_none() && args.input == Path::new("-") {
-        return Err(Failure::usage("standard input has no name: --src URL says where the page finds the picture"));
+        return Err(Failure::usage("standard input has no name; give the address of the picture with --src URL"));
     }
-    // A placeholder has no room for an EXIF block, and browsers turn the picture that follows.
+    // A placeholder has no room for an EXIF block, and browsers rotate the picture that replaces it.
     let source = source::open(&args.input, Turn::Upright)?.whole(&args.input)?;
     source.notes.iter().for_each(|note| tell(&format!("{}: {note}", Failure::input(&args.input))));
     let size = [source.pixels.width(), source.pixels.height()];
     let mut options = EncodeOptions::default();
     (options.target, options.effort) = (Target::Bytes(args.bytes), args.effort);
-    // Readers of placeholders without WebAssembly only know Gaussians.
+    // The decoder of placeholders without WebAssembly supports Gaussians only.
     options.detail = Detail::Off;
     let encoded =
         ssplat::unstable::encode(&shrunk(source.pixels), &options).map_err(|e| Failure::library(&args.input, &e))?;
@@ -38,7 +38,7 @@ pub fn run(args: &args::Placeholder) -> Result<(), Failure> {
     })
 }
 
-/// A large picture at a smaller size. One with alpha stays as it is: means of its colours would show what hides under it.
+/// Downscales a large picture. Pictures with alpha are not changed, because averages would include hidden colours.
 fn shrunk(pixels: Pixels) -> Pixels {
     if pixels.width().max(pixels.height()) <= MAX_SIDE || pixels.channels().alpha().is_some() {
         return pixels;
@@ -47,8 +47,8 @@ fn shrunk(pixels: Pixels) -> Pixels {
     Pixels::try_from(picture).expect("a picture of samples that were pixels before")
 }
 
-/// The element of `web/ssplat-img.js`, which draws the placeholder until the source is there. Its style keeps the picture's place
-/// free before that module is there, so that nothing moves when it comes.
+/// Returns an element for `web/ssplat-img.js`, which shows the placeholder until the source is loaded. Its style reserves the space
+/// of the picture before that module is loaded, so that the layout does not shift.
 fn html(args: &args::Placeholder, [width, height]: [u32; 2], text: &str) -> String {
     let src = args.src.clone().unwrap_or_else(|| name(&args.input));
     format!(
@@ -59,12 +59,12 @@ fn html(args: &args::Placeholder, [width, height]: [u32; 2], text: &str) -> Stri
     )
 }
 
-/// The file's name without its folders, which a page does not have.
+/// Returns the name of the file without its folders, which mean nothing to the page.
 fn name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Text as an attribute's value in double quotes.
+/// Escapes text for an attribute value in double quotes.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('"', "&quot;").replace('<', "&lt;")
 }

@@ -1,4 +1,4 @@
-//! The progress bar: on a terminal only, on standard error; how much of the work is done, and how long it will still take.
+//! The progress bar on standard error, if that is a terminal: how much of the work is done, and the remaining time.
 
 use std::borrow::Cow;
 use std::io::IsTerminal;
@@ -10,10 +10,10 @@ use crate::batch::OutputMode;
 
 /// Steps of the bar.
 const STEPS: u64 = 1000;
-/// The bar moves on at least so often, so that nobody takes a long step for a standstill.
+/// The bar is redrawn at least this often, so that a long step does not look like a hang.
 const TICK: Duration = Duration::from_millis(200);
 
-/// A bar; hidden where standard error is not a terminal.
+/// A progress bar; hidden if standard error is not a terminal.
 pub struct Bar {
     bar: ProgressBar,
     start: Instant,
@@ -30,12 +30,12 @@ impl Bar {
         bar
     }
 
-    /// A bar for who hears `output_mode`; one that nobody sees where nothing is to be said.
+    /// Returns the bar for an output mode: a hidden one for [`OutputMode::Quiet`].
     pub fn of(output_mode: OutputMode) -> Bar {
         if output_mode == OutputMode::Quiet { Bar::hidden() } else { Bar::new() }
     }
 
-    /// A bar that nobody sees.
+    /// Returns a hidden bar.
     fn hidden() -> Bar {
         Bar::on(ProgressDrawTarget::hidden())
     }
@@ -46,14 +46,14 @@ impl Bar {
         Bar { bar: ProgressBar::with_draw_target(Some(STEPS), target).with_style(style), start: Instant::now() }
     }
 
-    /// Shows what is being done, and how much of all is, in `0..=1`.
+    /// Shows the current stage and the share of the whole work that is done, in `0..=1`.
     pub fn show(&self, done: f32, what: impl Into<Cow<'static, str>>) {
         self.bar.set_prefix(what);
         self.bar.set_position((f64::from(done) * STEPS as f64) as u64);
         self.bar.set_message(left(self.start.elapsed(), done).map_or(String::new(), |text| format!("({text})")));
     }
 
-    /// Prints without the bar in between.
+    /// Calls `print` with the bar hidden.
     pub fn aside(&self, print: impl FnOnce()) {
         self.bar.suspend(print);
     }
@@ -65,7 +65,7 @@ impl Drop for Bar {
     }
 }
 
-/// How long the work will still take, in words, when `done` of it took `elapsed`; `None` while that is a mere guess.
+/// Returns the remaining time as text if the share `done` took `elapsed`; `None` while too little is done for an estimate.
 fn left(elapsed: Duration, done: f32) -> Option<String> {
     const TOLD_FROM: f32 = 0.03;
     if done < TOLD_FROM {
@@ -79,18 +79,18 @@ fn left(elapsed: Duration, done: f32) -> Option<String> {
     })
 }
 
-/// The stages of an encode, in order, and the part of its time that each takes: on photographs of .4 to 14 megapixels, as
-/// `--explain` tells it.
+/// The stages of an encode, in order, with their shares of the time, measured with `--explain` on photographs of 0.4 to 14
+/// megapixels.
 const WHOLE: [(&str, f32); 3] = [("fit", 0.6), ("finish", 0.36), ("thumbnail", 0.04)];
-/// Stages of an encode in tiles, with their shares of the time.
+/// The stages of an encode in tiles, with their shares of the time.
 const TILED: [(&str, f32); 6] =
     [("survey", 0.04), ("fit", 0.4), ("join", 0.2), ("finish", 0.3), ("thumbnail", 0.02), ("measure", 0.04)];
 
-/// How much of an encode is done, as its stages tell how much of themselves is.
+/// Maps the progress of the stages of an encode to the progress of the whole encode.
 #[derive(Debug)]
 pub struct Stages {
     stages: &'static [(&'static str, f32)],
-    /// Fits that the target may take.
+    /// The largest number of fits for the target.
     tries: u32,
     tried: u32,
     last: (&'static str, f32),
@@ -98,19 +98,19 @@ pub struct Stages {
 }
 
 impl Stages {
-    /// An encode that may take so many fits.
+    /// An encode that takes at most `tries` fits.
     pub fn new(tries: u32) -> Self {
         Stages { stages: &WHOLE, tries, tried: 0, last: ("", 0.0), most: 0.0 }
     }
 
-    /// Returns the share of all that is done when `done` of `stage` is; it never falls.
+    /// Returns the share of the whole encode that is done when the share `done` of `stage` is. It never decreases.
     pub fn at(&mut self, stage: &'static str, done: f32) -> f32 {
-        // Only tiles begin with a survey.
+        // Only an encode in tiles begins with a survey.
         if stage == TILED[0].0 {
             self.stages = &TILED;
         }
         let first = self.stages[0].0;
-        // A further try begins with the first stage again.
+        // Another try begins with the first stage again.
         if stage == first && (self.last.0 != first || done < self.last.1) && !self.last.0.is_empty() {
             self.tried = (self.tried + 1).min(self.tries - 1);
         }
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_left_follows_from_what_is_done() {
+    fn the_remaining_time_is_estimated_from_the_share_that_is_done() {
         assert_eq!(left(Duration::from_secs(10), 0.01), None);
         assert_eq!(left(Duration::from_secs(10), 0.5).as_deref(), Some("10 s to go"));
         assert_eq!(left(Duration::from_secs(100), 0.25).as_deref(), Some("5 min to go"));
@@ -141,18 +141,18 @@ mod tests {
     }
 
     #[test]
-    fn the_share_goes_forward_through_stages_and_tries() {
-        for stages in [&WHOLE[..], &TILED[..]] {
-            assert!((stages.iter().map(|s| s.1).sum::<f32>() - 1.0).abs() < 1e-5);
+    fn progress_never_decreases_across_stages_and_tries() {
+        for shares in [&WHOLE[..], &TILED[..]] {
+            assert!((shares.iter().map(|s| s.1).sum::<f32>() - 1.0).abs() < 1e-5);
         }
-        let mut course = Stages::new(1);
+        let mut stages = Stages::new(1);
         let shares = [("fit", 0.0), ("fit", 0.5), ("finish", 0.0), ("finish", 0.5), ("finish", 1.0)];
-        let shares = shares.map(|(stage, done)| course.at(stage, done));
+        let shares = shares.map(|(stage, done)| stages.at(stage, done));
         assert!(shares.is_sorted() && (shares[2] - 0.6).abs() < 1e-5 && shares[4] <= 1.0, "{shares:?}");
-        let mut course = Stages::new(3);
+        let mut stages = Stages::new(3);
         let tries =
             [("fit", 1.0), ("finish", 1.0), ("fit", 0.0), ("fit", 0.5), ("finish", 1.0), ("fit", 0.1), ("fit", 0.0)];
-        let shares = tries.map(|(stage, done)| course.at(stage, done));
+        let shares = tries.map(|(stage, done)| stages.at(stage, done));
         assert!(shares.is_sorted() && shares[2] >= 1.0 / 3.0 && shares[6] < 1.0, "{shares:?}");
     }
 }

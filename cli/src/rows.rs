@@ -1,4 +1,4 @@
-//! Pictures out: PNG and PNM row by row in little memory, other formats by way of the `image` crate.
+//! Writes pictures: PNG and PNM row by row with little memory, other formats through the `image` crate.
 
 use std::io::{self, Cursor, Write};
 use std::path::Path;
@@ -13,13 +13,13 @@ use ssplat::{Channels, Depth, Pixels, Samples};
 use crate::failure::Failure;
 use crate::sink::Sink;
 
-/// Bytes of one PNG chunk.
+/// Length of a PNG chunk in bytes.
 const PNG_CHUNK: usize = 1 << 16;
 
-/// Quality of JPEG output, 1 to 100: high, so that what is seen is the ssplat picture and not the JPEG.
+/// Quality of JPEG output, 1 to 100: so high that JPEG adds no visible artefacts.
 const JPEG_QUALITY: u8 = 95;
 
-/// Formats that `image` writes and that hold a photograph without palette.
+/// Formats without a palette that `image` writes.
 const WHOLE: [ImageFormat; 7] = [
     ImageFormat::Bmp,
     ImageFormat::Farbfeld,
@@ -30,20 +30,20 @@ const WHOLE: [ImageFormat; 7] = [
     ImageFormat::WebP,
 ];
 
-/// A format to write.
+/// An output format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     Png,
-    /// `P5` or `P6`; `P7` where there is alpha.
+    /// `P5` or `P6`, or `P7` for pictures with alpha.
     Pnm,
     /// Always `P7`.
     Pam,
-    /// One that `image` writes from the whole picture.
+    /// A format that `image` writes from the whole picture.
     Whole(ImageFormat),
 }
 
 impl Format {
-    /// The format of a file name extension.
+    /// Returns the format of a file name extension.
     pub fn from_extension(extension: &str) -> Result<Format, Failure> {
         match extension.to_ascii_lowercase().as_str() {
             "png" => Ok(Format::Png),
@@ -56,7 +56,7 @@ impl Format {
         }
     }
 
-    /// The format of `path`.
+    /// Returns the format of the extension of `path`.
     pub fn of_path(path: &Path) -> Result<Format, Failure> {
         let extension = path.extension().and_then(|e| e.to_str());
         let extension =
@@ -66,12 +66,12 @@ impl Format {
 }
 
 impl Format {
-    /// Whether pictures in it may be transparent.
+    /// Whether the format supports alpha.
     pub fn has_alpha(self) -> bool {
         self != Format::Whole(ImageFormat::Jpeg)
     }
 
-    /// Returns notes about the bits of `depth` and the blocks of `metadata` that files of the format cannot hold.
+    /// Returns notes about depth and metadata that the format does not support.
     pub fn losses(self, depth: Depth, metadata: &Metadata) -> Vec<String> {
         let (icc, exif) = match self {
             Format::Png | Format::Whole(ImageFormat::Jpeg | ImageFormat::WebP) => (true, true),
@@ -101,7 +101,7 @@ impl Format {
     }
 }
 
-/// Size and sample type of a picture.
+/// The size and sample type of a picture.
 #[derive(Debug, Clone, Copy)]
 pub struct Shape {
     pub width: u32,
@@ -123,7 +123,7 @@ enum Out<'a> {
 }
 
 impl<'a> RowWriter<'a> {
-    /// Writes what comes before the first row.
+    /// Writes everything before the first row.
     pub fn new(sink: &Sink, format: Format, shape: Shape, metadata: &'a Metadata) -> io::Result<Self> {
         let mut writer = sink.writer()?;
         let out = match format {
@@ -146,7 +146,7 @@ impl<'a> RowWriter<'a> {
         Ok(RowWriter { shape, out })
     }
 
-    /// Writes whole rows; the samples may change on the way.
+    /// Writes whole rows. The samples may be modified.
     pub fn write(&mut self, rows: SamplesMut<'_>) -> io::Result<()> {
         let bytes: &[u8] = match (rows, &mut self.out) {
             (SamplesMut::U8(rows), Out::Whole { samples: Samples::U8(all), .. }) => {
@@ -159,7 +159,7 @@ impl<'a> RowWriter<'a> {
             }
             (SamplesMut::U8(rows), _) => rows,
             (SamplesMut::U16(rows), _) => {
-                // PNG and PNM are big endian.
+                // PNG and PNM are big-endian.
                 rows.iter_mut().for_each(|v| *v = v.to_be());
                 bytemuck::cast_slice(rows)
             }
@@ -171,7 +171,7 @@ impl<'a> RowWriter<'a> {
         }
     }
 
-    /// Writes what comes behind the last row.
+    /// Writes everything after the last row.
     pub fn finish(self, path: &Path) -> Result<(), Failure> {
         let io = |e: io::Error| Failure::io(path, &e);
         match self.out {
@@ -187,7 +187,7 @@ impl<'a> RowWriter<'a> {
     }
 }
 
-/// Samples without any.
+/// Returns an empty buffer of samples.
 fn empty(depth: Depth) -> Samples {
     match depth {
         Depth::Eight => Samples::U8(Vec::new()),
@@ -195,7 +195,7 @@ fn empty(depth: Depth) -> Samples {
     }
 }
 
-/// A PNG up to its first row, with the ICC profile and the EXIF block.
+/// Writes a PNG up to its first row, with the ICC profile and the EXIF block.
 fn start_png(
     writer: Box<dyn Write>,
     shape: Shape,
@@ -219,7 +219,7 @@ fn start_png(
     Ok(encoder.write_header()?.into_stream_writer_with_size(PNG_CHUNK)?)
 }
 
-/// The header of a PNM file; `P5` and `P6` know no alpha.
+/// Returns the header of a PNM file; `P5` and `P6` have no alpha.
 fn pnm_header(shape: Shape, format: Format) -> String {
     let Shape { width, height, channels, depth } = shape;
     let max = depth.max();
@@ -235,7 +235,7 @@ fn pnm_header(shape: Shape, format: Format) -> String {
     format!("P7\nWIDTH {width}\nHEIGHT {height}\nDEPTH {count}\nMAXVAL {max}\nTUPLTYPE {tuple}\nENDHDR\n")
 }
 
-/// The file of a whole picture, with as much of the metadata as `image` writes for the format.
+/// Encodes a whole picture, with the metadata that `image` writes for the format.
 fn encode_whole(picture: DynamicImage, format: ImageFormat, metadata: &Metadata) -> ImageResult<Vec<u8>> {
     let mut out = Cursor::new(Vec::new());
     match format {
@@ -255,7 +255,7 @@ fn encode_whole(picture: DynamicImage, format: ImageFormat, metadata: &Metadata)
 }
 
 fn with_metadata(picture: &DynamicImage, mut encoder: impl ImageEncoder, metadata: &Metadata) -> ImageResult<()> {
-    // Metadata that the format cannot carry are left out; `Format::losses` says so.
+    // Metadata that the format does not support is dropped; `Format::losses` reports it.
     if let Some(icc) = &metadata.icc {
         let _ = encoder.set_icc_profile(icc.clone());
     }

@@ -1,8 +1,8 @@
-//! Files out: written under a temporary name in the same folder and renamed when complete, so that nobody ever sees
-//! half a file, and so that an interrupted run leaves nothing behind.
+//! Writes output files: under a temporary name in the same folder, renamed when complete, so that incomplete files are never
+//! visible, and an interrupted run leaves nothing behind.
 
 use std::borrow::Cow;
-use std::fs::File;
+use std::fs::{File, FileTimes};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -11,16 +11,16 @@ use tempfile::NamedTempFile;
 
 use crate::failure::{Failure, Kind};
 
-/// The temporary files that an interrupt has to remove.
+/// Temporary files that an interrupt must remove.
 static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// Exit status after an interrupt, as shells have it for SIGINT.
+/// Exit status after an interrupt: that of shells for SIGINT.
 const INTERRUPTED: i32 = 130;
 
-/// From now on Ctrl-C and SIGTERM remove unfinished files and end the program.
+/// Installs a handler for Ctrl-C and SIGTERM that removes unfinished files and exits.
 pub fn remove_on_interrupt() -> Result<(), Failure> {
     let handler = || {
-        // Holding the lock until the exit keeps a file from being renamed, or a new one from being made, meanwhile.
+        // The lock is held until the exit, so that no file is renamed or created meanwhile.
         let unfinished = UNFINISHED.lock().unwrap_or_else(|e| e.into_inner());
         for path in unfinished.iter() {
             let _ = std::fs::remove_file(path);
@@ -31,13 +31,12 @@ pub fn remove_on_interrupt() -> Result<(), Failure> {
     ctrlc::set_handler(handler).map_err(|e| Failure { kind: Kind::Other, message: format!("signal handler: {e}") })
 }
 
-/// Prints a message on standard error, as one of this program.
+/// Prints a message on standard error, with the name of the program.
 pub fn tell(message: &str) {
     eprintln!("ssplat: {}", printable(message));
 }
 
-/// Text as a terminal may get it: file names, profiles and errors of decoders hold what strangers wrote, and control characters of theirs
-/// are shown escaped.
+/// Escapes control characters for a terminal, because file names, profiles and errors of decoders contain untrusted text.
 pub fn printable(text: &str) -> Cow<'_, str> {
     let is_control = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
     if !text.contains(is_control) {
@@ -46,7 +45,7 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     text.chars().map(|c| if is_control(c) { c.escape_default().to_string() } else { c.to_string() }).collect()
 }
 
-/// Prints `text` on standard output. A reader that has gone away wants no more, and is no failure.
+/// Prints `text` on standard output. A closed pipe is not a failure.
 pub fn say(text: &str) -> Result<(), Failure> {
     let mut out = io::stdout().lock();
     match out.write_all(printable(text).as_bytes()).and_then(|()| out.flush()) {
@@ -73,7 +72,7 @@ enum Out {
 }
 
 impl Sink {
-    /// Starts the file at `path`, or standard output for `-`; `inputs` are files that it must not replace.
+    /// Creates the output for `path`, or for standard output if that is `-`. It must not replace any of `inputs`.
     pub fn create(path: &Path, inputs: &[&Path]) -> Result<Sink, Failure> {
         let path_buf = named(path);
         if path == Path::new("-") {
@@ -91,7 +90,7 @@ impl Sink {
                 let file = File::options().write(true).open(path).map_err(io)?;
                 return Ok(Sink { path: path_buf, out: Out::Special(file) });
             }
-            // The file behind a link is replaced, not the link.
+            // The target of a link is replaced, not the link.
             Ok(_) => std::fs::canonicalize(path).map_err(io)?,
             Err(e) if e.kind() == io::ErrorKind::NotFound => followed(path).map_err(io)?,
             Err(e) => return Err(io(e)),
@@ -135,13 +134,21 @@ impl Sink {
         written.map_err(|e| Failure::io(&self.path, &e))
     }
 
-    /// Writes `bytes` as the whole file and puts it in its place.
+    /// Gives the file these times. Call it after the last write; devices and pipes keep their own times.
+    pub fn set_times(&self, times: FileTimes) -> Result<(), Failure> {
+        match &self.out {
+            Out::Temporary { file, .. } => file.as_file().set_times(times).map_err(|e| Failure::io(&self.path, &e)),
+            Out::Special(_) | Out::Stdout => Ok(()),
+        }
+    }
+
+    /// Writes `bytes` as the whole file and renames it to its final name.
     pub fn finish_with(self, bytes: &[u8]) -> Result<(), Failure> {
         self.write(bytes)?;
         self.finish()
     }
 
-    /// Puts the file in its place.
+    /// Renames the complete file to its final name.
     pub fn finish(self) -> Result<(), Failure> {
         let Out::Temporary { file, target } = self.out else { return Ok(()) };
         let mut unfinished = UNFINISHED.lock().unwrap_or_else(|e| e.into_inner());
@@ -157,8 +164,8 @@ fn put(file: NamedTempFile, target: &Path) -> io::Result<()> {
     std::fs::rename(&path, target).inspect_err(|_| drop(std::fs::remove_file(&path)))
 }
 
-/// Whether Windows takes `path` for a device because of its name, although it has an extension: `aux.png`, `con.ssplat`. What
-/// is written there would be lost. `NUL` and `CON` alone are devices on purpose.
+/// Whether `path` has an extension, and Windows still treats it as a device: `aux.png`, `con.ssplat`. Output written to it would
+/// be lost. `NUL` and `CON` without an extension are intentional.
 fn is_device_with_extension(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let Some((stem, _)) = name.split_once('.') else { return false };
@@ -168,15 +175,15 @@ fn is_device_with_extension(path: &Path) -> bool {
     ["CON", "PRN", "AUX", "NUL", "CONIN$", "CONOUT$"].contains(&&*stem) || numbered("COM") || numbered("LPT")
 }
 
-/// An output's path for messages.
+/// Returns the path of an output for messages.
 pub fn named(path: &Path) -> PathBuf {
     if path == Path::new("-") { "standard output".into() } else { path.to_path_buf() }
 }
 
-/// Most links that are followed one after another, as Linux has it.
+/// Largest number of links that are followed one after another, as on Linux.
 const MAX_LINKS: usize = 40;
 
-/// Where a file comes to lie that is written to `path`, at which there is none: behind a link that leads nowhere yet.
+/// Resolves links at `path`, where no file exists: a link may point to a file that does not exist yet.
 fn followed(path: &Path) -> io::Result<PathBuf> {
     let mut target = path.to_path_buf();
     for _ in 0..MAX_LINKS {
@@ -188,12 +195,12 @@ fn followed(path: &Path) -> io::Result<PathBuf> {
     Err(io::Error::other("too many links"))
 }
 
-/// Returns the reason why no file can be made in `folder`, without the name of the temporary file.
+/// Returns the reason why no file can be created in `folder`, without the name of the temporary file.
 fn plain(e: &io::Error, folder: &Path) -> io::Error {
     std::fs::metadata(folder).err().unwrap_or_else(|| e.kind().into())
 }
 
-/// A temporary file with the rights that a plain new file gets.
+/// Returns a builder of temporary files with the permissions of an ordinary new file.
 #[cfg(unix)]
 fn temporary() -> tempfile::Builder<'static, 'static> {
     use std::os::unix::fs::PermissionsExt;
@@ -202,7 +209,7 @@ fn temporary() -> tempfile::Builder<'static, 'static> {
     builder
 }
 
-/// A temporary file.
+/// Returns a builder of temporary files.
 #[cfg(not(unix))]
 fn temporary() -> tempfile::Builder<'static, 'static> {
     let mut builder = tempfile::Builder::new();
@@ -215,7 +222,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_that_windows_reserves_are_known() {
+    fn names_that_windows_reserves_are_detected() {
         for name in ["aux.png", "AUX.tar.png", "x/con.ssplat", "nul .png", "Com1.png", "lpt\u{b9}.png", "CONOUT$.ppm"] {
             assert!(is_device_with_extension(Path::new(name)), "{name}");
         }
@@ -236,16 +243,16 @@ mod tests {
         assert_eq!(std::fs::read(&path).unwrap(), b"new");
         let mut old = String::new();
         io::Read::read_to_string(&mut open, &mut old).unwrap();
-        assert_eq!(old, "old", "who reads the old file is not disturbed");
+        assert_eq!(old, "old", "a reader of the old file is not disturbed");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     #[test]
-    fn a_file_that_cannot_take_its_place_is_removed() {
+    fn a_temporary_file_that_cannot_be_renamed_is_removed() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.png");
         let sink = Sink::create(&path, &[]).unwrap();
-        // Meanwhile someone makes a folder of that name.
+        // Meanwhile, a folder of that name appears.
         std::fs::create_dir(&path).unwrap();
         std::fs::write(path.join("inside"), "").unwrap();
         assert_eq!(sink.finish_with(b"new").unwrap_err().kind, Kind::Io);

@@ -1,41 +1,61 @@
-//! Pictures in: any format that is known by its content, with its ICC profile and EXIF block.
+//! Reads pictures of any supported format, with their ICC profiles and EXIF blocks.
 
 use std::io::Seek;
 use std::path::Path;
 
 use image::metadata::Orientation;
-use image::{ImageDecoder, ImageReader};
+use image::{DynamicImage, ImageDecoder, ImageReader};
 use ssplat::unstable::bitstream::header::MAGIC;
 use ssplat::unstable::input::{MAX_ALLOC, limits, open as open_picture, picture as decoded_picture};
 use ssplat::unstable::{DecodeOptions, colour};
-use ssplat::{Channels, Error, Limits, Pixels};
+use ssplat::{Channels, Error, HiddenColors, Limits, Pixels};
 
 use crate::failure::{Failure, Kind};
 use crate::input::{self, Input};
-use crate::{completeness, guard};
+use crate::sniff::{Sniffed, sniff};
+use crate::{completeness, guard, resize};
 
-/// Whether pixels are turned as their EXIF block says.
+/// Whether pixels are rotated as the EXIF block says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Turn {
     Keep,
     Upright,
 }
 
-/// A picture and what came with it.
+/// A picture with its metadata.
 pub struct Source {
     pub pixels: Pixels,
     pub icc: Option<Vec<u8>>,
     pub exif: Option<Vec<u8>>,
-    /// How the picture is still to be turned.
+    /// Orientation that is not applied to the pixels yet.
     pub orientation: Orientation,
-    /// The file ends before its picture does.
+    /// The file is truncated.
     pub is_cut_off: bool,
-    /// Notes about parts of the file that were not read.
+    /// Notes about parts of the file that are ignored.
     pub notes: Vec<String>,
 }
 
 impl Source {
-    /// Refuses a picture of which a part is missing.
+    /// Downscales the picture to `size`.
+    pub fn resized(self, path: &Path, size: [u32; 2], hidden: HiddenColors) -> Result<Source, Failure> {
+        let pixels = resize::resize(&self.pixels, size, self.icc.as_deref(), hidden);
+        Ok(Source { pixels: pixels.map_err(|e| Failure::library(path, &e))?, ..self })
+    }
+
+    /// Applies the orientation to the pixels.
+    pub fn upright(self, path: &Path) -> Result<Source, Failure> {
+        if self.orientation == Orientation::NoTransforms {
+            return Ok(self);
+        }
+        let mut picture = DynamicImage::from(self.pixels);
+        picture.apply_orientation(self.orientation);
+        let pixels = Pixels::try_from(picture).map_err(|e| Failure::library(path, &e))?;
+        let mut exif = self.exif;
+        forget_orientation(&mut exif);
+        Ok(Source { pixels, exif, orientation: Orientation::NoTransforms, ..self })
+    }
+
+    /// Returns an error if the file is truncated.
     pub fn whole(self, path: &Path) -> Result<Source, Failure> {
         if self.is_cut_off {
             let message = format!("{}: the file is cut off; --partial takes what is there", path.display());
@@ -50,19 +70,37 @@ pub fn open(path: &Path, turn: Turn) -> Result<Source, Failure> {
     read(path, Input::open(path)?, turn)
 }
 
-/// Decodes what `input` holds, which came from `path`. A panic of a decoder is a broken file.
+/// Decodes `input`, which came from `path`. A panic of a decoder is reported as a broken file.
 pub fn read(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Failure> {
     let start = input.start().map_err(|e| Failure::io(path, &e))?;
     if start.is_empty() {
         return Err(Failure { kind: Kind::Format, message: format!("{}: is empty", Failure::input(path)) });
     }
     if start.starts_with(&MAGIC) {
-        return decode(path, &input::all(path, input, Limits::default().alloc)?);
+        let decoded = decode(path, &input::all(path, input, Limits::default().alloc)?)?;
+        return if turn == Turn::Upright { decoded.upright(path) } else { Ok(decoded) };
+    }
+    if let Some(other) = sniff(start) {
+        if !other.is_read() {
+            let message = format!("{}: {}", Failure::input(path), other.refusal());
+            return Err(Failure { kind: Kind::Unsupported, message });
+        }
+        #[cfg(feature = "jxl")]
+        if other == Sniffed::JpegXl {
+            let read = guard::quietly(|| crate::jxl::read(path, &mut input));
+            return read.unwrap_or_else(|panic| Err(panicked(path, &panic)));
+        }
     }
     guard::quietly(|| read_foreign(path, input, turn)).unwrap_or_else(|panic| Err(panicked(path, &panic)))
 }
 
-/// The failure of a file at which a decoder panicked.
+/// Returns the message for a picture that exceeds the memory limit.
+pub fn beyond_memory(path: &Path) -> String {
+    let path = Failure::input(path);
+    format!("{path}: takes more memory than there is, or than the {MAX_ALLOC} bytes allowed")
+}
+
+/// Returns the failure for a file on which its decoder panicked.
 pub fn panicked(path: &Path, panic: &str) -> Failure {
     let message = format!("{}: its decoder cannot cope with it: {panic}", Failure::input(path));
     Failure { kind: Kind::Format, message }
@@ -72,14 +110,11 @@ pub fn panicked(path: &Path, panic: &str) -> Failure {
 fn read_foreign(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Failure> {
     let io = |e| Failure::io(path, &e);
     let start = input.start().map_err(io)?;
-    let advice = advice(start);
     let failed = |e| {
         let mut failure = Failure::image(path, &e);
         if failure.kind == Kind::Limit {
-            let path = Failure::input(path);
-            failure.message = format!("{path}: takes more memory than there is, or than the {MAX_ALLOC} bytes allowed");
+            failure.message = beyond_memory(path);
         }
-        failure.message += advice.unwrap_or("");
         failure
     };
     let format = image::guess_format(start).or_else(|_| image::ImageFormat::from_path(path));
@@ -112,13 +147,11 @@ fn read_foreign(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Fai
     let mut picture = stated.without_idle_alpha(decoded_picture(decoder).map_err(failed)?);
     if turn == Turn::Upright {
         picture.apply_orientation(orientation);
-        if let Some(exif) = &mut exif {
-            let _ = Orientation::remove_from_exif_chunk(exif);
-        }
+        forget_orientation(&mut exif);
         orientation = Orientation::NoTransforms;
     }
     let pixels = Pixels::try_from(picture).map_err(|e| match e {
-        // A sample that is no number is the file's fault.
+        // NaN samples make the file invalid.
         Error::Parameter { problem, .. } => {
             Failure { kind: Kind::Format, message: format!("{}: {problem}", Failure::input(path)) }
         }
@@ -129,21 +162,29 @@ fn read_foreign(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Fai
     Ok(Source { pixels, icc, exif, orientation, is_cut_off, notes })
 }
 
-/// Width times height of a picture of another format than ssplat; 0 where it cannot be told. The input is rewound.
-pub fn pixels(path: &Path, input: &mut Input) -> u64 {
+/// Returns width and height of a picture in a format other than ssplat, or `None` if they are unknown. Rewinds the input.
+pub fn size(path: &Path, input: &mut Input) -> Option<[u32; 2]> {
     let mut size = || {
-        let format = image::guess_format(input.start().ok()?).or_else(|_| image::ImageFormat::from_path(path)).ok()?;
-        // Its decoder begins with reading all of the file.
+        let start = input.start().ok()?;
+        #[cfg(feature = "jxl")]
+        if sniff(start) == Some(Sniffed::JpegXl) {
+            return crate::jxl::size(input);
+        }
+        // The AVIF decoder decodes the whole picture before it returns the size.
+        if sniff(start) == Some(Sniffed::Avif) {
+            return None;
+        }
+        let format = image::guess_format(start).or_else(|_| image::ImageFormat::from_path(path)).ok()?;
+        // The JPEG decoder reads the whole file first.
         if format == image::ImageFormat::Jpeg && input.length().ok()? > MAX_ALLOC {
             return None;
         }
         let mut reader = ImageReader::with_format(&mut *input, format);
         reader.limits(limits());
-        let (width, height) = reader.into_dimensions().ok()?;
-        Some(u64::from(width) * u64::from(height))
+        reader.into_dimensions().ok().map(<[u32; 2]>::from)
     };
     let found = guard::quietly(&mut size).ok().flatten();
-    if input.rewind().is_ok() { found.unwrap_or(0) } else { 0 }
+    if input.rewind().is_ok() { found } else { None }
 }
 
 /// Decodes the ssplat file `bytes`, which came from `path`.
@@ -159,7 +200,14 @@ pub fn orientation_in(exif: Option<&[u8]>) -> Orientation {
     exif.and_then(Orientation::from_exif_chunk).unwrap_or(Orientation::NoTransforms)
 }
 
-/// Leaves a profile out that is not for `channels`, and notes it.
+/// Removes the orientation from an EXIF block, because the pixels are upright.
+pub fn forget_orientation(exif: &mut Option<Vec<u8>>) {
+    if let Some(exif) = exif {
+        let _ = Orientation::remove_from_exif_chunk(exif);
+    }
+}
+
+/// Removes a profile that does not fit `channels`, and adds a note.
 pub fn keep_fitting(icc: &mut Option<Vec<u8>>, channels: Channels, notes: &mut Vec<String>) {
     if let Some(space) = icc.as_ref().and_then(|icc| misfit(icc, channels)) {
         notes.push(format!("its ICC profile is for {space}, not for the stored channels, and is left out"));
@@ -167,25 +215,10 @@ pub fn keep_fitting(icc: &mut Option<Vec<u8>>, channels: Channels, notes: &mut V
     }
 }
 
-/// The colour space of a profile where it is another than that of `channels`.
+/// Returns the colour space of a profile if it does not fit `channels`.
 fn misfit(icc: &[u8], channels: Channels) -> Option<String> {
     // ICC.1, header: data colour space.
     let space = icc.get(16..20).unwrap_or(b"none");
     let wanted = if channels.count() < 3 { b"GRAY" } else { b"RGB " };
     (space != wanted).then(|| String::from_utf8_lossy(space).trim().to_string())
-}
-
-/// Returns advice for formats that are not read, by the first bytes of a file.
-fn advice(start: &[u8]) -> Option<&'static str> {
-    match start.get(4..12) {
-        Some(b"ftypavif" | b"ftypavis") => Some(" (an AVIF file: convert it first, with `avifdec IN.avif OUT.png`)"),
-        Some(b"ftypheic" | b"ftypheix" | b"ftypmif1" | b"ftypmsf1" | b"ftyphevc") => {
-            Some(" (a HEIC file: convert it first, with `heif-convert IN.heic OUT.png`)")
-        }
-        Some(b"JXL \r\n\x87\n") => Some(" (a JPEG XL file: convert it first, with `djxl IN.jxl OUT.png`)"),
-        _ if start.starts_with(&[0xFF, 0x0A]) => {
-            Some(" (a JPEG XL file: convert it first, with `djxl IN.jxl OUT.png`)")
-        }
-        _ => None,
-    }
 }

@@ -1,7 +1,7 @@
-//! Pictures that are larger than memory: their samples stay in a file, and are read a part at a time.
+//! Pictures that do not fit into memory: their samples stay in a file and are read part by part.
 //!
-//! A binary PNM of the two whole depths is read where it lies. The rows of a PNG go from its decoder to a temporary file as
-//! they come. Other formats, and interlaced PNG, come from their decoders as a whole.
+//! Binary PNM with a maximum of 255 or 65535 is read in place. The rows of a PNG are decoded into a temporary file. Other
+//! formats, and interlaced PNG, are decoded in memory.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -12,20 +12,21 @@ use std::time::Instant;
 use image::ImageFormat;
 use png::{BitDepth, ColorType, Transformations};
 use ssplat::unstable::{check_area, colour};
-use ssplat::{Channels, Depth, Error, PixelSource, Pixels, Samples};
+use ssplat::{Channels, Depth, Error, HiddenColors, PixelSource, Pixels, Samples};
 
 use crate::failure::{Failure, Kind};
 use crate::input::Input;
-use crate::{completeness, guard, source};
+use crate::source::Source;
+use crate::{completeness, guard, resize, source};
 
-/// Bytes on disk that any PNG may take, and how many for each of its own beyond that: photographs take 2 to 5, drawings up to 200.
+/// Disk space that any PNG may take, and the space per byte of the file above that: photographs need 2 to 5, drawings up to 200.
 const FREE_SPOOL: u64 = 1 << 30;
 const MOST_UNPACKED: u64 = 1000;
 
-/// Samples in a file, row by row with interleaved channels, those of 16 bits with the high byte first.
+/// Samples in a file, in rows with interleaved channels; samples of 16 bits are big-endian.
 pub struct Spooled {
     file: Mutex<File>,
-    /// Where the first sample is.
+    /// Offset of the first sample.
     start: u64,
     width: u32,
     height: u32,
@@ -33,7 +34,7 @@ pub struct Spooled {
     depth: Depth,
     pub icc: Option<Vec<u8>>,
     pub exif: Option<Vec<u8>>,
-    /// Notes about parts of the input that were not read.
+    /// Notes about parts of the input that are ignored.
     pub notes: Vec<String>,
 }
 
@@ -72,14 +73,25 @@ impl PixelSource for Spooled {
     }
 }
 
-/// An input that is read a part at a time, or has to be read as a whole.
+impl Spooled {
+    /// Downscales the picture to `size`, in memory.
+    pub fn resized(self, path: &Path, size: [u32; 2], hidden: HiddenColors) -> Result<Source, Failure> {
+        let pixels = resize::resize(&self, size, self.icc.as_deref(), hidden);
+        let pixels = pixels.map_err(|e| Failure::library(path, &e))?;
+        let orientation = source::orientation_in(self.exif.as_deref());
+        let Spooled { icc, exif, notes, .. } = self;
+        Ok(Source { pixels, icc, exif, orientation, is_cut_off: false, notes })
+    }
+}
+
+/// An input that is read part by part, or must be read as a whole.
 pub enum Opened {
     InParts(Box<Spooled>),
     AsWhole(Input),
 }
 
-/// Opens `input`, which came from `path`, without reading it into memory, before `end` if there is one. A panic of a decoder is a
-/// broken file.
+/// Opens `input`, which came from `path`, without reading it into memory, and before `end` if that is set. A panic of a decoder
+/// is reported as a broken file.
 pub fn open(path: &Path, input: Input, end: Option<Instant>) -> Result<Opened, Failure> {
     let Input::File(mut reader) = input else { return Ok(Opened::AsWhole(input)) };
     let spooled = guard::quietly(|| spooled(path, &mut reader, end));
@@ -117,7 +129,7 @@ fn pnm(path: &Path, reader: &mut BufReader<File>) -> Result<Option<Spooled>, Fai
     let depth = match white {
         255 => Depth::Eight,
         65535 => Depth::Sixteen,
-        // Others are scaled by the decoder.
+        // The decoder of `image` scales other maxima.
         _ => return Ok(None),
     };
     let channels = if magic[1] == b'5' { Channels::Grey } else { Channels::Rgb };
@@ -133,7 +145,7 @@ fn pnm(path: &Path, reader: &mut BufReader<File>) -> Result<Option<Spooled>, Fai
     Ok(Some(Spooled { file, start, width, height, channels, depth, icc: None, exif: None, notes: Vec::new() }))
 }
 
-/// The sides that a picture may have are those of [`Pixels`].
+/// Checks the sides of a picture against the limits of [`Pixels`].
 fn check_size(path: &Path, width: u32, height: u32) -> Result<(), Failure> {
     if [width, height].iter().all(|side| (1..=1 << 20).contains(side)) {
         return Ok(());
@@ -142,7 +154,7 @@ fn check_size(path: &Path, width: u32, height: u32) -> Result<(), Failure> {
     Err(Failure { kind: Kind::Limit, message })
 }
 
-/// Refuses a PNG of so many bytes of samples in a file of `packed` bytes when it would fill a disk by little.
+/// Refuses a PNG whose `samples` bytes of samples are out of proportion to its `packed` bytes, because it would fill the disk.
 fn check_spooled(path: &Path, samples: u64, packed: u64) -> Result<(), Failure> {
     let most = packed.saturating_mul(MOST_UNPACKED).max(FREE_SPOOL);
     if samples <= most {
@@ -155,7 +167,7 @@ fn check_spooled(path: &Path, samples: u64, packed: u64) -> Result<(), Failure> 
     Err(Failure { kind: Kind::Limit, message })
 }
 
-/// Reads a number of a PNM header and the space behind it; `None` where there is none.
+/// Reads a number of a PNM header and the white space after it; `None` if there is none.
 fn number_of(reader: &mut impl BufRead) -> std::io::Result<Option<u32>> {
     let mut number: Option<u32> = None;
     loop {

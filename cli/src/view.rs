@@ -1,4 +1,4 @@
-//! `ssplat view`: a file in the viewer of `web/`, in the browser or as one page.
+//! `ssplat view`: shows a file in the viewer of `web/`, in the browser or as one HTML page.
 
 mod http;
 mod package;
@@ -14,7 +14,7 @@ use crate::failure::Failure;
 use crate::input;
 use crate::sink::Sink;
 
-/// File to show: its bytes, and its name for the page.
+/// A file to show: its bytes, and its name for the page.
 struct Shown {
     name: String,
     bytes: Vec<u8>,
@@ -27,7 +27,7 @@ impl Shown {
         } else {
             path.file_name().unwrap_or_default().to_string_lossy()
         };
-        // Letters that mean the same in an address and in a page.
+        // Only characters that need no escaping in URLs and in HTML.
         let plain = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '_' };
         Shown { name: name.chars().map(plain).collect(), bytes }
     }

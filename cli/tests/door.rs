@@ -1,4 +1,4 @@
-//! The door for input pictures: bounded memory whatever a file says, broken files that stop nothing else, and inputs that cannot seek.
+//! Guarantees about input pictures: memory is bounded whatever a file claims, broken files stop no other, and inputs need not seek.
 #![cfg(unix)]
 
 mod folder;
@@ -14,21 +14,21 @@ use std::time::Duration;
 use folder::Folder;
 use nix::sys::resource::{Resource, setrlimit};
 
-/// Address space that the program gets: less than the 8 GiB that a picture may ask for, so that memory which is asked for and never
-/// touched is noticed, too.
+/// Address space of the program: less than the 8 GiB that a picture may take, so that memory that is allocated and never touched is
+/// detected as well.
 const ADDRESS_SPACE: u64 = 6_000_000_000;
 
-/// Waiting for longer than this is hanging.
+/// A process that takes longer than this hangs.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// The program in a bounded address space.
+/// Runs the program; the address space of the test bounds that of the program.
 fn ssplat<S: AsRef<OsStr>>(args: &[S]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ssplat"));
     command.args(args.iter().map(AsRef::as_ref)).stdin(Stdio::null());
     finished(command)
 }
 
-/// The output of `command`, which does not hang.
+/// Returns the output of `command`; panics if it hangs.
 fn finished(mut command: Command) -> Output {
     let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let id = child.id();
@@ -45,7 +45,7 @@ fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// A picture of ramps as a file of `format`.
+/// Returns a picture of ramps as a file of `format`.
 fn picture(format: image::ImageFormat) -> Vec<u8> {
     let picture = image::RgbImage::from_fn(40, 30, |x, y| image::Rgb([x as u8 * 6, y as u8 * 8, 90]));
     let mut bytes = std::io::Cursor::new(Vec::new());
@@ -53,7 +53,7 @@ fn picture(format: image::ImageFormat) -> Vec<u8> {
     bytes.into_inner()
 }
 
-/// A TIFF of 20 × 20 pixels, whose planes lie one after the other in tiles: it is valid, and `tiff` 0.11.3 panics at it
+/// A TIFF of 20 × 20 pixels with separate planes in tiles. It is valid, and `tiff` 0.11.3 panics on it
 /// (image-rs/image-tiff#403).
 fn tiled_planar() -> Vec<u8> {
     let [side, tile, planes] = [20u32, 16, 3];
@@ -93,13 +93,13 @@ fn tiled_planar() -> Vec<u8> {
     file
 }
 
-/// Tiny files that say they have huge pictures: name, bytes.
+/// Tiny files that claim huge pictures: name and bytes.
 fn bombs() -> Vec<(&'static str, Vec<u8>)> {
     let pam = "P7\nWIDTH 524288\nHEIGHT 524288\nDEPTH 4\nMAXVAL 255\nTUPLTYPE RGB_ALPHA\nENDHDR\n";
     let gif =
         [&b"GIF89a\xFF\xFF\xFF\xFF\0\0\0,\0\0\0\0\xFF\xFF\xFF\xFF\x80\0\0\0\xFF\xFF\xFF\x02\x02D\x01\0;"[..]].concat();
     let farbfeld = [&b"farbfeld"[..], &60000u32.to_be_bytes(), &60000u32.to_be_bytes(), &[9; 200]].concat();
-    // A baseline JPEG whose frame header is made to lie.
+    // A baseline JPEG with a false frame header.
     let mut jpeg = picture(image::ImageFormat::Jpeg);
     let frame = jpeg.windows(2).position(|w| w == [0xFF, 0xC0]).unwrap();
     jpeg[frame + 5..frame + 9].fill(0xFF);
@@ -129,7 +129,7 @@ fn a_tiny_file_that_says_it_is_huge_is_refused_in_little_memory() {
             }
             let found = ssplat(&args);
             let said = said(&found);
-            // The rows of a PNM that is read in parts are counted before they are needed.
+            // For a PNM that is read in parts, the length of the file is checked first.
             let status = if (command, name) == ("encode", "netpbm.ppm") { 4 } else { 6 };
             assert_eq!(found.status.code(), Some(status), "{command} {name}: {said}");
             assert!(said.contains(name) && !said.contains("panicked"), "{command} {name}: {said}");
@@ -178,7 +178,7 @@ fn a_picture_at_which_a_decoder_panics_or_asks_for_too_much_stops_no_other() {
     assert!(said.contains("b.tif") && said.contains("decoder") && !said.contains("panicked"), "{said}");
 }
 
-/// The program with `args` where `{}` is a FIFO that `bytes` are written to.
+/// Runs the program with `args`, where `{}` stands for a FIFO that `bytes` are written to.
 fn through_fifo(folder: &Folder, name: &str, args: &[&str], bytes: &[u8]) -> Output {
     let fifo = folder.path(name);
     nix::unistd::mkfifo(&fifo, nix::sys::stat::Mode::S_IRWXU).unwrap();
@@ -218,7 +218,7 @@ fn what_cannot_seek_is_read_as_a_file_is() {
     assert!(String::from_utf8_lossy(&found.stdout).contains("identical samples"), "{}", said(&found));
     let found = through_fifo(&folder, "f", &["placeholder", "{}"], &png);
     assert!(found.status.success() && found.stdout.len() > 100, "{}", said(&found));
-    // Standard input by its name.
+    // Standard input as a path.
     let mut command = Command::new(env!("CARGO_BIN_EXE_ssplat"));
     command.args(["compare", "/dev/stdin", file]);
     let (reader, mut writer) = std::io::pipe().unwrap();

@@ -1,4 +1,4 @@
-//! What export and import promise: nothing is lost on the way out and in, and strange input is refused with a reason.
+//! Guarantees of export and import: a round trip loses nothing, and invalid input is refused with a reason.
 
 use std::fs;
 use std::io::Write;
@@ -29,7 +29,7 @@ fn read(path: &Path) -> PackedSplats {
     ssplat::unstable::bitstream::read(&fs::read(path).unwrap()[..], &Limits::default()).unwrap()
 }
 
-/// A fit of a few ramps.
+/// Encodes a picture of a few ramps.
 fn file(folder: &Path, channels: Channels, layout: Layout, blend: Blend) -> PathBuf {
     let count = channels.count() as u32;
     let samples = (0..48 * 32 * count).map(|i| (i * i / 7 % 251) as u8).collect();
@@ -63,7 +63,7 @@ fn export_and_import_give_the_same_file() {
 }
 
 #[test]
-fn import_fills_a_size_and_follows_the_precision() {
+fn import_fills_the_requested_size_and_uses_the_requested_precision() {
     let folder = tempfile::tempdir().unwrap();
     let fit = file(folder.path(), Channels::Rgb, Layout::Coded, Blend::Normalized);
     let (out, back) = (folder.path().join("fit.csv"), folder.path().join("back.ssplat"));
@@ -95,7 +95,7 @@ fn import_of_means_scales_and_colours_alone_stays_within_the_steps() {
     let quantizer = found.quantizer();
     let steps = quantizer.color_steps();
     assert_eq!(found.gaussians.len(), fit.gaussians.len());
-    // The file has an order of its own.
+    // The file may reorder the Gaussians.
     let found: Vec<_> = found.gaussians.iter().map(|packed| quantizer.dequantize(packed)).collect();
     let distance = |a: &Gaussian, b: &Gaussian| {
         (a.mean[0] - b.mean[0]).hypot(a.mean[1] - b.mean[1]) + 10.0 * (a.color[0] - b.color[0]).abs()
@@ -154,7 +154,7 @@ fn import_refuses_broken_input_and_leaves_no_file() {
 }
 
 #[test]
-fn import_holds_archives_to_the_limits_before_it_unpacks_them() {
+fn import_checks_archives_against_the_limits_before_it_unpacks_them() {
     let folder = tempfile::tempdir().unwrap();
     let (input, back) = (folder.path().join("bomb.npz"), folder.path().join("back.ssplat"));
     for (kind, shape, status, message) in [
@@ -203,7 +203,7 @@ fn import_holds_archives_to_the_limits_before_it_unpacks_them() {
     assert!(!back.exists());
 }
 
-/// An archive of arrays, given by name, type, shape and data.
+/// Writes an archive of arrays, given by name, type, shape and data.
 fn archive(path: &Path, arrays: &[(&str, &str, &str, &[u8])]) {
     let mut zip = zip::ZipWriter::new(fs::File::create(path).unwrap());
     for (name, descr, shape, data) in arrays {

@@ -1,6 +1,6 @@
-//! The program on a GPU: what it chooses, and what it says of that.
+//! The program on a GPU: the choice of the device, and the report about it.
 //!
-//! Any adapter will do, software included. Without one these tests are ignored; with `SSPLAT_REQUIRE_GPU=1` they fail.
+//! Any adapter works, including software ones. Without an adapter, these tests are ignored, or fail with `SSPLAT_REQUIRE_GPU=1`.
 
 #[path = "../../tests/adapter/mod.rs"]
 mod adapter;
@@ -21,7 +21,7 @@ fn main() {
 fn ssplat(folder: &tempfile::TempDir, backends: &str, args: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ssplat"));
     command.current_dir(folder.path()).args(args);
-    // The variable of `wgpu` that hides adapters.
+    // The environment variable of `wgpu` that selects backends.
     if !backends.is_empty() {
         command.env("WGPU_BACKEND", backends);
     }
@@ -34,7 +34,7 @@ fn said(output: &Output) -> serde_json::Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// A folder with a picture of that size.
+/// Returns a folder with a picture of this size.
 fn folder(width: u32, height: u32) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let picture = image::RgbImage::from_fn(width, height, |x, y| {
@@ -70,7 +70,7 @@ fn draws_layers(device: &Device) {
             let args = ["decode", "in.ssplat", "out.png", "--json", "--layers", layers, "--backend", backend];
             let output = ssplat(&folder, "", &args);
             assert_eq!(said(&output)["device"], if backend == "gpu" { device.name() } else { "CPU" });
-            // No notes; drivers may have something to say.
+            // No notes of the program; drivers may print warnings.
             assert!(!String::from_utf8_lossy(&output.stderr).contains("ssplat:"), "{output:?}");
             drawn.push(image::open(folder.path().join("out.png")).unwrap().to_rgb8());
             std::fs::remove_file(folder.path().join("out.png")).unwrap();
@@ -80,7 +80,7 @@ fn draws_layers(device: &Device) {
 }
 
 fn auto(device: &Device) {
-    // As many pixels as auto takes to a GPU.
+    // Enough pixels for auto to choose a GPU.
     let folder = folder(512, 512);
     let encoded = said(&ssplat(&folder, "", &SMALL));
     if device.is_software() {
@@ -94,7 +94,7 @@ fn auto(device: &Device) {
     }
 }
 
-/// Whether something that begins with `what` was left out.
+/// Whether the report lists something that starts with `what` as left out.
 fn leaves_out(encoded: &serde_json::Value, what: &str) -> bool {
     encoded["left_out"].as_array().unwrap().iter().any(|l| l["what"].as_str().unwrap().starts_with(what))
 }

@@ -1,4 +1,4 @@
-//! What the program says of its inputs and takes from them: colours, further pictures, growth, and text of strangers.
+//! What the program reports about its inputs and keeps of them: colours, further pictures, larger outputs, and untrusted text.
 
 mod folder;
 
@@ -30,7 +30,7 @@ fn encoded(format: ImageFormat) -> Vec<u8> {
     bytes.into_inner()
 }
 
-/// A PNG with `chunks` behind its header.
+/// Returns a PNG with `chunks` after its header.
 fn png_with(chunks: &[(&[u8; 4], &[u8])]) -> Vec<u8> {
     let png = encoded(ImageFormat::Png);
     let mut with = png[..33].to_vec();
@@ -44,13 +44,13 @@ fn png_with(chunks: &[(&[u8; 4], &[u8])]) -> Vec<u8> {
     with
 }
 
-/// CRC-32, bit by bit.
+/// Computes a CRC-32.
 fn checksum(bytes: &[u8]) -> u32 {
     let step = |crc: u32, _| if crc & 1 != 0 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 };
     !bytes.iter().fold(!0, |crc, &byte| (0..8).fold(crc ^ u32::from(byte), step))
 }
 
-/// Encodes `input` in a second at most; the profile in the file, and what was said.
+/// Encodes `input`. Returns the profile in the file, and the notes.
 fn profile_of(folder: &Folder, input: &Path, more: &[&str]) -> (Option<Vec<u8>>, String) {
     let out = folder.root().join("o.ssplat");
     let args = [input.to_str().unwrap(), out.to_str().unwrap(), "--effort", "1", "--bytes", "2000"];
@@ -82,7 +82,7 @@ fn colours_that_a_png_states_become_a_profile_unless_they_are_srgb() {
         let (icc, said) = other(chunks);
         let icc = icc.unwrap_or_else(|| panic!("{chunks:?}: {said}"));
         assert!(!is_srgb(&icc) && icc.len() < 900, "{chunks:?}: {}", icc.len());
-        // Read in parts, and by the library.
+        // The same when the picture is read in parts, and by the library.
         let (tiled, _) = profile_of(&folder, &folder.root().join("a.png"), &["--tiles=128"]);
         assert!(tiled.as_ref() == Some(&icc));
         let out = folder.root().join("t.ssplat");
@@ -97,7 +97,7 @@ fn colours_that_a_png_states_become_a_profile_unless_they_are_srgb() {
     }
 }
 
-/// A profile that says sRGB.
+/// Returns a profile for sRGB.
 fn srgb() -> Vec<u8> {
     let png = png_with(&[(b"cICP", &[1, 13, 0, 1])]);
     let stated = ssplat::unstable::colour::look(&mut Cursor::new(png)).unwrap();

@@ -1,4 +1,4 @@
-//! What `ssplat decode --partial` promises: what is intact is drawn, and what is lost is named.
+//! Guarantees of `ssplat decode --partial`: intact parts are rendered, and missing parts are reported.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,13 +6,13 @@ use std::process::{Command, Output};
 
 use tempfile::TempDir;
 
-/// The bytes of a vector of the specification.
+/// Returns the bytes of a conformance vector.
 fn vector(name: &str) -> Vec<u8> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../spec/vectors/valid");
     fs::read(folder.join(name).join("file.ssplat")).unwrap()
 }
 
-/// Decodes `bytes` in `folder`, and says where the picture is if there is one.
+/// Decodes `bytes` in `folder`. Returns the path of the picture if there is one.
 fn decode(folder: &TempDir, bytes: &[u8], options: &[&str]) -> (Output, Option<PathBuf>) {
     let (input, output) = (folder.path().join("in.ssplat"), folder.path().join("out.pam"));
     fs::write(&input, bytes).unwrap();
@@ -23,7 +23,7 @@ fn decode(folder: &TempDir, bytes: &[u8], options: &[&str]) -> (Output, Option<P
 }
 
 #[test]
-fn a_cut_file_is_drawn_on_request_and_its_loss_is_reported() {
+fn a_truncated_file_is_rendered_on_request_and_the_loss_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = vector("groups-levels");
     let cut = &bytes[..bytes.len() - 20];
@@ -38,7 +38,7 @@ fn a_cut_file_is_drawn_on_request_and_its_loss_is_reported() {
 }
 
 #[test]
-fn a_file_without_groups_is_whole_or_refused() {
+fn a_file_without_groups_is_complete_or_refused() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = vector("coded-rgb");
     let (whole, _) = decode(&folder, &bytes, &["--partial"]);
@@ -48,7 +48,7 @@ fn a_file_without_groups_is_whole_or_refused() {
 }
 
 #[test]
-fn a_damaged_section_is_named_and_the_picture_drawn() {
+fn a_damaged_section_is_reported_and_the_picture_is_rendered() {
     let folder = tempfile::tempdir().unwrap();
     let (drawn, picture) = decode(&folder, &vector("sections-damaged"), &[]);
     assert!(drawn.status.success() && picture.is_some());
@@ -57,7 +57,7 @@ fn a_damaged_section_is_named_and_the_picture_drawn() {
 }
 
 #[test]
-fn missing_tiles_of_a_detail_layer_are_counted_and_the_rest_is_drawn() {
+fn missing_tiles_of_a_detail_layer_are_counted_and_the_rest_is_rendered() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = vector("detail-tiles-row");
     let (whole, _) = decode(&folder, &bytes, &["--partial", "--json"]);
@@ -75,7 +75,7 @@ fn missing_tiles_of_a_detail_layer_are_counted_and_the_rest_is_drawn() {
     assert!(said.contains("1 of 4 tiles of the detail layer are missing") && !said.contains("primitives"), "{said}");
     let json = String::from_utf8(drawn.stdout).unwrap();
     assert!(json.contains("\"of_tiles\":4") && json.contains("\"tiles\":1"), "{json}");
-    // Cut in the checksum, nothing of the picture is lost.
+    // A cut within the checksum loses nothing of the picture.
     let (drawn, _) = decode(&folder, &bytes[..bytes.len() - 1], &["--partial"]);
     let said = String::from_utf8(drawn.stderr).unwrap();
     assert!(drawn.status.success() && said.contains("all of the picture"), "{said}");

@@ -1,4 +1,4 @@
-//! What `ssplat placeholder` promises: text that holds a file of at most the size that was asked for.
+//! Guarantees of `ssplat placeholder`: text that contains a file of at most the requested size.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -20,7 +20,7 @@ fn text(output: &Output) -> String {
 }
 
 #[test]
-fn all_forms_hold_the_same_file_of_the_asked_size() {
+fn all_forms_contain_the_same_file_of_the_requested_size() {
     let photo = Path::new(PHOTO);
     let base64 = text(&placeholder(photo, &["--bytes", "250"]));
     let file = STANDARD.decode(base64.trim_end()).unwrap();
@@ -32,7 +32,7 @@ fn all_forms_hold_the_same_file_of_the_asked_size() {
     assert_eq!(uri, format!("data:image/x-ssplat;base64,{base64}"));
     let html = text(&placeholder(photo, &["--bytes", "250", "--format", "html", "--alt", "A \"girl\" & <paint>"]));
     let alt = "A &quot;girl&quot; &amp; &lt;paint>";
-    // What that style does to a page is measured in a browser (web/test/pages/shifts.js).
+    // The effect of this style on a page is measured in a browser (web/test/pages/shifts.js).
     let style = "display: inline-block; width: 768px; max-width: 100%; height: auto; aspect-ratio: 768 / 512; vertical-align: bottom";
     let start = format!(
         "<ssplat-img src=\"kodim15.png\" alt=\"{alt}\" width=\"768\" height=\"512\" style=\"{style}\" placeholder=\""
@@ -55,7 +55,7 @@ fn pictures_with_alpha_and_small_ones_keep_their_size() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_with_the_file_or_the_number() {
+fn errors_name_the_file_or_the_number() {
     for (input, options, status, message) in [
         ("nowhere.png", &[][..], 3, "nowhere.png"),
         ("Cargo.toml", &[], 5, "Cargo.toml"),

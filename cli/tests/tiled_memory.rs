@@ -1,6 +1,6 @@
-//! An encode in tiles takes memory by the size of a tile, not by that of the picture.
+//! The memory of an encode in tiles depends on the size of a tile, not on that of the picture.
 //!
-//! By itself in this file: the peak that the system reports is that of all child processes.
+//! This test has a file of its own, because the peak that the system reports is that of all child processes.
 
 #![cfg(target_os = "linux")]
 
@@ -10,8 +10,8 @@ use nix::sys::resource::{UsageWho, getrusage};
 
 const WIDTH: u32 = 8192;
 const HEIGHT: u32 = 1024;
-/// Most resident memory, bytes: 50 MB were seen. Two thirds of what the picture's planes take alone, which a fit of the whole
-/// has in memory beside as much again for gradients. A detail layer takes 20 to 40 MB more, which is not held here.
+/// Largest resident memory in bytes; 50 MB were measured. It is two thirds of the memory of the picture's planes, which a fit of
+/// the whole needs in addition to as much for gradients. A detail layer takes 20 to 40 MB more, which is not tested here.
 const MOST: i64 = 64 << 20;
 
 #[test]
@@ -32,7 +32,7 @@ fn tiles_bound_the_memory_of_an_encode() {
     file.into_inner().unwrap();
     let arguments =
         ["--detail", "off", "--tiles=256", "--ratio", "500", "--effort", "1", "--backend", "cpu", "--quiet"];
-    // Each thread has memory of its own: two, whatever the machine has.
+    // Each thread has its own memory, so the number of threads is fixed.
     let run = std::process::Command::new(env!("CARGO_BIN_EXE_ssplat"))
         .args(["encode", "--threads", "2"])
         .args([&input, &output])
@@ -40,7 +40,7 @@ fn tiles_bound_the_memory_of_an_encode() {
         .output()
         .unwrap();
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    // Kibibytes on Linux.
+    // In KiB on Linux.
     let peak = 1024 * getrusage(UsageWho::RUSAGE_CHILDREN).unwrap().max_rss();
     assert!(peak > 1 << 20 && peak < MOST, "{peak} bytes at the peak, {MOST} allowed");
 }

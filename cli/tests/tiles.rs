@@ -1,4 +1,4 @@
-//! The program fits a picture in tiles that it reads a part at a time.
+//! The program fits a picture in tiles and reads it part by part.
 
 #[path = "../../tests/waves/mod.rs"]
 mod waves;
@@ -6,7 +6,7 @@ mod waves;
 use ssplat::unstable::EncodeOptions;
 use ssplat::{Backend, Channels, Samples, Target};
 
-/// The program reads a PNG and a PNM part by part; what comes of it is what the library makes of the pixels.
+/// The program reads a PNG and a PNM part by part, and writes the file that the library makes of the pixels.
 #[test]
 fn files_that_are_read_in_parts_give_the_bytes_of_the_picture_in_memory() {
     let folder = tempfile::tempdir().unwrap();
@@ -28,7 +28,7 @@ fn files_that_are_read_in_parts_give_the_bytes_of_the_picture_in_memory() {
         let run = encode(&[]);
         assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
         assert!(std::fs::read(&out).unwrap() == expected, "{}", input.display());
-        // With a preview the picture is in memory.
+        // With a preview, the picture is in memory.
         let preview = folder.path().join("preview.png");
         assert!(encode(&["--preview", preview.to_str().unwrap()]).status.success());
         assert!(std::fs::read(&out).unwrap() == expected, "{}", input.display());

@@ -1,4 +1,5 @@
-//! What `ssplat view` promises: the viewer and the files named, to this machine alone, and nothing else; or one page of them.
+//! Guarantees of `ssplat view`: it serves the viewer and the named files, and nothing else, to this machine only; or it writes
+//! them as one page.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -19,17 +20,17 @@ fn view(input: &Path) -> Command {
     command
 }
 
-/// A file of the viewer's source, which the program holds. What it does is tried in a browser (web/test).
+/// Returns a source file of the viewer, which the program embeds. Its behaviour is tested in a browser (web/test).
 fn source(name: &str) -> Vec<u8> {
     fs::read(Path::new("../web").join(name)).unwrap()
 }
 
-/// A server that is ended with the test.
+/// A server that ends with the test.
 struct Serving {
     child: Child,
     /// Host and port.
     host: String,
-    /// What is to be opened in the browser.
+    /// The path that is opened in the browser.
     path: String,
 }
 
@@ -42,7 +43,7 @@ impl Serving {
         Serving { child, host: host.into(), path: format!("/{path}") }
     }
 
-    /// The whole answer to `method path` with the head's other lines.
+    /// Returns the whole response to `method path` with the given further header lines.
     fn ask(&self, method: &str, path: &str, head: &str) -> Vec<u8> {
         let mut stream = TcpStream::connect(&self.host).unwrap();
         write!(stream, "{method} {path} HTTP/1.1\r\n{head}Connection: close\r\n\r\n").unwrap();
@@ -51,7 +52,7 @@ impl Serving {
         answer
     }
 
-    /// Status, head and body of what a browser gets.
+    /// Returns status, head and body of a response to a browser.
     fn get(&self, path: &str) -> (u16, String, Vec<u8>) {
         let answer = self.ask("GET", path, &format!("Host: {}\r\n", self.host));
         let end = answer.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
@@ -91,7 +92,7 @@ fn the_viewer_and_the_named_files_are_served() {
     let (status, head, body) = served.get("/ssplat-encode-simd.wasm");
     assert!(status == 200 && body == source("ssplat-encode-simd.wasm.gz"), "{status}, {} bytes", body.len());
     assert!(head.contains("Content-Type: application/wasm") && head.contains("Content-Encoding: gzip"), "{head}");
-    // Every module that a module names is there.
+    // Every imported module exists.
     let mut names = ["/viewer/viewer.js", "/worker.js", "/encode.js", "/encode-worker.js"].map(String::from).to_vec();
     let mut seen = 0;
     while let Some(name) = names.get(seen).cloned() {
@@ -140,7 +141,7 @@ fn a_compressed_original_is_not_unpacked() {
 }
 
 #[test]
-fn nothing_else_is_served_to_nobody_else() {
+fn nothing_else_is_served_and_other_hosts_are_refused() {
     let served = Serving::start(&mut view(Path::new(FILE)));
     for path in [
         "/build",
@@ -195,7 +196,7 @@ fn an_interrupt_ends_the_server() {
 }
 
 #[test]
-fn one_page_holds_everything() {
+fn one_page_contains_everything() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("page.html");
     let done = view(Path::new(FILE)).args(["--original", PHOTO, "--html"]).arg(&out).output().unwrap();
@@ -211,7 +212,7 @@ fn one_page_holds_everything() {
             page.split(&start).nth(1).and_then(|rest| rest.split('<').next()).unwrap_or_else(|| panic!("no {start}"));
         assert_eq!(STANDARD.decode(text).unwrap(), bytes, "{id}");
     }
-    // Modules name each other as the page's import map does.
+    // The modules import the names of the import map.
     let viewer = String::from_utf8(source("viewer/viewer.js")).unwrap();
     let module = STANDARD.encode(viewer.replace("from \"./", "from \"ssplat/").replace("from \"../", "from \"ssplat/"));
     assert!(page.contains(&format!("\"ssplat/viewer.js\":\"data:text/javascript;base64,{module}\"")));
@@ -230,7 +231,7 @@ fn refused(output: Output, status: i32, words: &[&str]) {
 }
 
 #[test]
-fn what_cannot_be_shown_is_refused_before_a_browser_is_asked() {
+fn invalid_files_are_refused_before_a_browser_is_opened() {
     let broken = concat!(env!("CARGO_MANIFEST_DIR"), "/../spec/vectors/invalid/checksum/file.ssplat");
     for (input, status) in [("nowhere.ssplat", 3), (broken, 4), (PHOTO, 4)] {
         refused(view(Path::new(input)).args(["--html", "-"]).output().unwrap(), status, &[input]);
@@ -240,7 +241,7 @@ fn what_cannot_be_shown_is_refused_before_a_browser_is_asked() {
 }
 
 #[test]
-fn the_program_alone_has_the_viewer() {
+fn the_program_embeds_the_viewer() {
     let folder = tempfile::tempdir().unwrap();
     let [program, file] = ["ssplat", "picture.ssplat"].map(|name| folder.path().join(name));
     fs::copy(env!("CARGO_BIN_EXE_ssplat"), &program).unwrap();
@@ -252,13 +253,13 @@ fn the_program_alone_has_the_viewer() {
 }
 
 #[test]
-fn hostile_requests_neither_block_others_nor_are_held() {
+fn hostile_requests_do_not_block_others_and_are_closed() {
     let folder = tempfile::tempdir().unwrap();
     let original = folder.path().join("large.png");
     fs::write(&original, vec![7; 64 << 20]).unwrap();
     let served = Serving::start(view(Path::new(FILE)).arg("--original").arg(&original));
     let connect = || TcpStream::connect(&served.host).unwrap();
-    // More readers that take nothing than there were threads, and as many that say nothing.
+    // More clients that read nothing than there are threads, and as many that send nothing.
     let mut open = Vec::new();
     for i in 0..16 {
         let mut stream = connect();
@@ -269,19 +270,19 @@ fn hostile_requests_neither_block_others_nor_are_held() {
     }
     let start = Instant::now();
     assert_eq!(served.get("/file/file.ssplat").0, 200);
-    // A body that never comes is not waited for.
+    // The server does not wait for a body.
     let mut stream = connect();
     write!(stream, "POST / HTTP/1.1\r\nHost: {}\r\nContent-Length: 1000\r\n\r\n", served.host).unwrap();
     let mut answer = [0; 12];
     stream.read_exact(&mut answer).unwrap();
     assert_eq!(status(&answer), 405);
-    // A line without an end is not read to its end.
+    // An endless line is not read completely.
     let mut stream = connect();
     write!(stream, "GET /{} ", "a".repeat(40_000)).unwrap();
     stream.read_exact(&mut answer).unwrap();
     assert_eq!(status(&answer), 431);
     assert!(start.elapsed() < Duration::from_secs(4), "{:?}", start.elapsed());
-    // Connections beyond those that are served wait, without a thread each, until the idle ones are over.
+    // Further connections wait without threads until the idle ones time out.
     open.extend((0..40).map(|_| connect()));
     assert_eq!(served.get("/file/file.ssplat").0, 200);
     #[cfg(target_os = "linux")]

@@ -161,7 +161,7 @@ fn png(reader: &mut (impl Read + Seek)) -> io::Result<Stated> {
 
 /// Returns the profile of code points (ITU-T H.273): primaries, transfer function, matrix, and whether the range is
 /// full.
-fn of_cicp([primaries, transfer, matrix, range]: [u8; 4], is_grey: bool) -> Stated {
+pub fn of_cicp([primaries, transfer, matrix, range]: [u8; 4], is_grey: bool) -> Stated {
     let note = match (transfer, matrix, range) {
         (16, ..) => Some(
             "its colours use PQ (cICP), which no ICC profile can express; they are kept unchanged and will look pale",

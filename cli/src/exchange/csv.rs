@@ -1,4 +1,4 @@
-//! Parameters as a table of text: a line of comment with what holds for all, a line of names, a line for each Gaussian.
+//! Parameters as CSV: a comment line with the properties of the picture, a line of column names, and a line per Gaussian.
 
 use std::fmt::Write;
 
@@ -8,13 +8,13 @@ use super::parameters::{self, Given, Parameters};
 use super::problem::{Problem, shown};
 use crate::names;
 
-/// Starts the line of comment.
+/// Start of the comment line.
 const COMMENT: &str = "# ssplat ";
 
-/// Columns before the colours.
+/// Names of the columns before the colours.
 const COLUMNS: [&str; 8] = ["x", "y", "scale_major", "scale_minor", "rotation", "cov_xx", "cov_xy", "cov_yy"];
 
-/// Names of the colours' columns.
+/// Names of the colour columns.
 fn color_columns(channels: Channels) -> &'static [&'static str] {
     match channels {
         Channels::Grey => &["grey"],
@@ -24,7 +24,7 @@ fn color_columns(channels: Channels) -> &'static [&'static str] {
     }
 }
 
-/// The table. Numbers have as many digits as tell their 32-bit floats apart.
+/// Writes the table. Numbers have enough digits to restore their 32-bit floats.
 pub fn write(of: &Parameters) -> String {
     let p = &of.picture;
     let channels = p.channels.count();
@@ -49,8 +49,8 @@ pub fn write(of: &Parameters) -> String {
     out
 }
 
-/// Reads such a table; columns may stand in any order, others are passed over, and scales with rotation may stand without
-/// covariances or the other way round.
+/// Reads such a table. Columns may be in any order, unknown columns are ignored, and either scales with rotation or covariances
+/// may be missing.
 pub fn read(text: &str, given: Given, limits: &Limits) -> Result<Parameters, Problem> {
     let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     let (mut size, mut blend, mut depth) = (None, None, Depth::Eight);
@@ -79,7 +79,7 @@ pub fn read(text: &str, given: Given, limits: &Limits) -> Result<Parameters, Pro
     let means = all(&COLUMNS[..2]).ok_or("the table has no columns x and y")?;
     let shape = all(&COLUMNS[2..5]);
     let covariance = all(&COLUMNS[5..]);
-    // The longest list that is there: a picture with alpha has the columns of one without.
+    // The longest list that is present, because a picture with alpha also has the columns of one without.
     let (channels, colors) = [Channels::Rgba, Channels::Rgb, Channels::GreyAlpha, Channels::Grey]
         .into_iter()
         .find_map(|c| Some((c, all(color_columns(c))?)))
@@ -123,7 +123,7 @@ pub fn read(text: &str, given: Given, limits: &Limits) -> Result<Parameters, Pro
     Ok(Parameters { picture, depth, stored: layout.zip(steps) })
 }
 
-/// `WxH`.
+/// Parses `WxH`.
 pub fn size(text: &str) -> Result<[u32; 2], String> {
     let sides = text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
     let most = Limits::default();
@@ -132,7 +132,7 @@ pub fn size(text: &str) -> Result<[u32; 2], String> {
     sides.filter(sound).ok_or_else(problem)
 }
 
-/// A few finite numbers.
+/// Parses a list of finite numbers.
 fn floats(text: &str) -> Result<Vec<f64>, String> {
     let number = |v: &str| v.parse().ok().filter(|v: &f64| v.is_finite());
     let one = |v: &str| number(v).ok_or_else(|| format!("'{}' is not a finite number", shown(v)));

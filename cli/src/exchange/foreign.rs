@@ -1,10 +1,10 @@
-//! Parameters as other programs name them, in an `.npz` of their arrays. Their checkpoints are PyTorch's pickles, which
-//! run code when opened and are not read here; one line of Python makes the archive (see [`HOW`]).
+//! Parameters of other programs, in an `.npz` archive of their arrays. Their checkpoints are PyTorch pickles, which run code
+//! when opened and are not read here; one line of Python converts them (see [`HOW`]).
 //!
 //! GaussianImage (Zhang et al., ECCV 2024; github.com/Xinjie-Q/GaussianImage): `_xyz`, `_features_dc`, and `_cholesky` or
 //! `_scaling` with `_rotation`. Image-GS (Zhang et al., SIGGRAPH 2025; github.com/NYU-ICL/image-gs): `xy`, `scale`, `rot`,
-//! `feat`. Both programs take pixel centres at whole numbers; ours are at +0.5. Both multiply by a rotation matrix that is
-//! the transpose of the usual one: their angle is the negative of ours.
+//! `feat`. Both programs have pixel centres at whole numbers; ssplat has them at +0.5. Both multiply by the transpose of the
+//! usual rotation matrix, so their angle is the negative of ssplat's.
 
 use std::collections::BTreeMap;
 
@@ -14,11 +14,11 @@ use super::npy::Array;
 use super::parameters::{self, Given, Parameters, rows, same_length};
 use super::problem::Problem;
 
-/// Names of the arrays of either program.
+/// Names of the arrays of both programs.
 pub const ARRAYS: [&str; 9] =
     ["_xyz", "_cholesky", "_scaling", "_rotation", "_features_dc", "xy", "scale", "rot", "feat"];
 
-/// How their checkpoints become archives.
+/// Commands that convert their checkpoints to archives.
 pub const HOW: &str = "\
 GaussianImage: python3 -c \"import torch,numpy as n; n.savez('fit.npz',**{k:v.cpu().numpy() for k,v in \
 torch.load('gaussian_model.pth.tar',map_location='cpu').items()})\"
@@ -28,12 +28,12 @@ torch.load('ckpt_step-10000.pt',map_location='cpu',weights_only=False)['state_di
 /// Offset that GaussianImage adds to the diagonal of the Cholesky factor, and to the scales.
 const BOUND: f64 = 0.5;
 
-/// Whether there are arrays of either program.
+/// Whether the archive has arrays of one of the programs.
 pub fn is_known(arrays: &BTreeMap<String, Array>) -> bool {
     arrays.contains_key("_xyz") || arrays.contains_key("feat")
 }
 
-/// The parameters, and what our blend does otherwise than theirs.
+/// Returns the parameters, and a note on how ssplat's blend differs from the program's.
 pub fn read(arrays: &BTreeMap<String, Array>, given: Given) -> Result<(Parameters, &'static str), Problem> {
     if arrays.contains_key("_xyz") { gaussian_image(arrays, given) } else { image_gs(arrays, given) }
 }
@@ -62,7 +62,7 @@ fn gaussian_image(arrays: &BTreeMap<String, Array>, given: Given) -> Result<(Par
         }
     }
     let mean = |p: &[f64], k: usize| 0.5 * f64::from(size[k]) * (1.0 + p[k].tanh()) + 0.5;
-    // Their program skips what has no inverse.
+    // The program skips Gaussians whose covariance has no inverse.
     let gaussians = (0..n)
         .filter_map(|i| {
             let (scale, rotation) = shapes[i]?;
@@ -140,7 +140,7 @@ mod tests {
         let found = read(&arrays, GIVEN).unwrap().0.picture;
         assert_eq!((found.blend, found.channels), (Blend::Sum, Channels::Rgb));
         let g = found.gaussians[0];
-        // Their centre of the last pixel is 199, ours 199.5.
+        // The centre of the last pixel is 199 there and 199.5 here.
         assert!((g.mean[0] - 150.5).abs() < 1e-4 && (g.mean[1] - 25.5).abs() < 1e-4, "{g:?}");
         // L = [3 0; 1 1].
         let c = parameters::covariance(&g);
@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn scales_and_angles_of_gaussianimage_become_covariances() {
-        // sigmoid(−ln 7) = 1/8: an angle of 45° on their matrix, which is the transpose of ours.
+        // sigmoid(−ln 7) = 1/8: an angle of 45° for their matrix, which is the transpose of ours.
         let arrays = arrays(&[
             ("_xyz", vec![1, 2], vec![0.0, 0.0]),
             ("_scaling", vec![1, 2], vec![2.5, -1.5]),

@@ -1,4 +1,4 @@
-//! Which formats go out and come in, by the names of files.
+//! Formats of `export` and `import`, and their file name extensions.
 
 use std::path::Path;
 
@@ -6,12 +6,12 @@ use clap::ValueEnum;
 
 use crate::failure::Failure;
 
-/// File formats that export writes.
+/// File formats of `export`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ExportFormat {
-    /// NumPy's archive of arrays
+    /// NumPy archive of arrays
     Npz,
-    /// A table of text
+    /// Text table
     Csv,
     /// Points for viewers of 3D Gaussian Splatting
     Ply,
@@ -19,24 +19,24 @@ pub enum ExportFormat {
     Svg,
 }
 
-/// File formats that import reads.
+/// File formats of `import`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ImportFormat {
-    /// NumPy's archive of arrays
+    /// NumPy archive of arrays
     Npz,
-    /// A table of text
+    /// Text table
     Csv,
 }
 
 impl ExportFormat {
-    /// The format that the name of `path` ends with.
+    /// Returns the format of the extension of `path`.
     pub fn of_path(path: &Path) -> Result<Self, Failure> {
         of_path(path, "npz, csv, ply or svg")
     }
 }
 
 impl ImportFormat {
-    /// The format that the name of `path` ends with.
+    /// Returns the format of the extension of `path`.
     pub fn of_path(path: &Path) -> Result<Self, Failure> {
         of_path(path, "npz or csv")
     }
@@ -44,6 +44,10 @@ impl ImportFormat {
 
 fn of_path<F: ValueEnum>(path: &Path, known: &str) -> Result<F, Failure> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("");
-    F::from_str(extension, true)
-        .map_err(|_| Failure::usage(format!("{}: give --format {known}, or a name that ends so", path.display())))
+    F::from_str(extension, true).map_err(|_| {
+        Failure::usage(format!(
+            "{}: unknown extension; give --format {known}, or a name with one of these extensions",
+            path.display()
+        ))
+    })
 }

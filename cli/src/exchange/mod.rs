@@ -1,4 +1,4 @@
-//! Gaussians in the formats of other programs: NumPy archives, tables, splat viewers' points, drawings.
+//! Gaussians in formats of other programs: NumPy archives, CSV, points for splat viewers, drawings.
 
 pub mod csv;
 pub mod foreign;

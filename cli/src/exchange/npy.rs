@@ -1,25 +1,25 @@
-//! Arrays in NumPy's `.npy` format, as far as parameters need it: little-endian numbers in C order, and short texts.
+//! Arrays in NumPy's `.npy` format, as far as parameters need it: little-endian numbers in C order, and short strings.
 //!
 //! The layout is that of `numpy.lib.format`: a magic, a version, the length of a header, and the header as a Python
-//! dictionary of three keys. The crates that read all of it bring a parser of Python's literals along.
+//! dictionary of three keys. Crates that support all of it contain a parser of Python literals.
 
 use std::io::Read;
 
 use super::problem::{Problem, shown};
 
-/// First bytes of a `.npy` file.
+/// Magic of a `.npy` file.
 const MAGIC: &[u8] = b"\x93NUMPY";
 
-/// Longest header that is read; real ones take 118 bytes.
+/// Longest header that is read; usual ones take 118 bytes.
 const MAX_HEADER: usize = 4096;
 
-/// Longest text that is read.
+/// Longest string that is read.
 const MAX_CHARS: u64 = 64;
 
-/// Elements that are read at a time.
+/// Number of elements that are read at a time.
 const CHUNK: usize = 1 << 14;
 
-/// An array and its shape.
+/// An array with its shape.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Array {
     pub shape: Vec<usize>,
@@ -30,25 +30,25 @@ pub struct Array {
 #[derive(Debug, Clone, PartialEq)]
 pub enum Values {
     Numbers(Vec<f64>),
-    /// One text.
+    /// A string.
     Text(String),
 }
 
-/// The file of `values` as 32-bit floats.
+/// Returns a file with `values` as 32-bit floats.
 pub fn floats(shape: &[usize], values: impl IntoIterator<Item = f32>) -> Vec<u8> {
     let mut out = header("<f4", shape);
     out.extend(values.into_iter().flat_map(f32::to_le_bytes));
     out
 }
 
-/// The file of `values` as 32-bit integers.
+/// Returns a file with `values` as 32-bit integers.
 pub fn integers(values: &[i32]) -> Vec<u8> {
     let mut out = header("<i4", &[values.len()]);
     out.extend(values.iter().flat_map(|v| v.to_le_bytes()));
     out
 }
 
-/// The file of one text, as `numpy.array(text)` is stored.
+/// Returns a file with a string, as `numpy.array(text)` is stored.
 pub fn text(text: &str) -> Vec<u8> {
     let mut out = header(&format!("<U{}", text.chars().count()), &[]);
     out.extend(text.chars().flat_map(|c| u32::from(c).to_le_bytes()));
@@ -56,12 +56,12 @@ pub fn text(text: &str) -> Vec<u8> {
 }
 
 fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
-    // A tuple of one has a comma at its end.
+    // A Python tuple with one element ends with a comma.
     let comma = if shape.len() == 1 { "," } else { "" };
     let shape: Vec<String> = shape.iter().map(usize::to_string).collect();
     let shape = shape.join(", ");
     let mut text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}{comma}), }}");
-    // The data start at a multiple of 64 bytes.
+    // The data starts at a multiple of 64 bytes.
     while !(MAGIC.len() + 4 + text.len() + 1).is_multiple_of(64) {
         text.push(' ');
     }
@@ -73,7 +73,7 @@ fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
     out
 }
 
-/// Reads a `.npy` file of at most `rows` rows and `left` bytes of memory, of which it takes what its elements need.
+/// Reads a `.npy` file of at most `rows` rows. Subtracts the memory of its elements from `left`, and fails if that is not enough.
 pub fn read(mut file: impl Read, rows: u64, left: &mut u64) -> Result<Array, Problem> {
     let mut start = [0; 8];
     fill(&mut file, &mut start)?;
@@ -96,10 +96,10 @@ pub fn read(mut file: impl Read, rows: u64, left: &mut u64) -> Result<Array, Pro
     Problem::limit("header of bytes", length as u64, MAX_HEADER as u64)?;
     let mut header = vec![0; length];
     fill(&mut file, &mut header)?;
-    let header = std::str::from_utf8(&header).map_err(|e| format!("has a header that is no text: {e}"))?;
+    let header = std::str::from_utf8(&header).map_err(|e| format!("has a header that is not text: {e}"))?;
     let descr = field(header, "descr")?.trim_matches(['\'', '"']);
     if field(header, "fortran_order")? != "False" {
-        return Err("is in Fortran's order; save it by numpy.ascontiguousarray".into());
+        return Err("is in Fortran order; convert it with numpy.ascontiguousarray".into());
     }
     let shape = shape(field(header, "shape")?)?;
     let count = shape.iter().try_fold(1u64, |n, &side| n.checked_mul(side as u64)).unwrap_or(u64::MAX);
@@ -131,7 +131,7 @@ pub fn read(mut file: impl Read, rows: u64, left: &mut u64) -> Result<Array, Pro
     Ok(Array { shape, values: Values::Numbers(numbers?) })
 }
 
-/// Just as many elements as there should be. Memory grows with what is there, not with what the header says.
+/// Reads exactly `count` elements. Memory grows with the data, not with the count in the header.
 fn numbers<const SIZE: usize, T>(
     mut file: impl Read,
     count: u64,
@@ -145,7 +145,7 @@ fn numbers<const SIZE: usize, T>(
         let chunk = &mut chunk[..elements * SIZE];
         fill(&mut file, chunk).map_err(|e| format!("of {count} elements: {e}"))?;
         if numbers.capacity() - numbers.len() < elements {
-            // Twice as many, but never room for more than there should be.
+            // Doubles the capacity, up to the expected count.
             let more = (numbers.len().max(elements) as u64).min(count - numbers.len() as u64);
             numbers.try_reserve_exact(more as usize).map_err(|e| format!("of {count} elements: {e}"))?;
         }
@@ -159,7 +159,7 @@ fn fill(file: &mut impl Read, to: &mut [u8]) -> Result<(), Problem> {
     file.read_exact(to).map_err(|e| format!("ends too early: {e}").into())
 }
 
-/// Refuses what stands behind the elements.
+/// Refuses data after the elements.
 fn end(file: &mut impl Read) -> Result<(), Problem> {
     match file.read(&mut [0]) {
         Ok(0) => Ok(()),
@@ -168,13 +168,13 @@ fn end(file: &mut impl Read) -> Result<(), Problem> {
     }
 }
 
-/// The value of a key of the header, as it is written there.
+/// Returns the text of the value of a key of the header.
 fn field<'a>(header: &'a str, key: &str) -> Result<&'a str, Problem> {
     let missing = || Problem::from(format!("has a header without '{key}'"));
     let at = header.find(&format!("'{key}':")).ok_or_else(missing)?;
     let value = header[at + key.len() + 3..].trim_start();
     let end = match value.strip_prefix('(') {
-        // With its brackets.
+        // Including the brackets.
         Some(tuple) => tuple.find(')').map(|end| end + 2),
         None => value.find([',', '}']),
     };
@@ -244,7 +244,7 @@ mod tests {
             let error = parse(&file).unwrap_err().to_string();
             assert!(error.contains(problem), "{error} lacks {problem}");
         }
-        // Nothing that is cut anywhere is taken for whole.
+        // No truncated file is accepted.
         assert!((0..good.len()).all(|n| parse(&good[..n]).is_err()));
     }
 }

@@ -10,12 +10,12 @@ use zip::{CompressionMethod, ZipArchive, ZipWriter};
 use super::npy::{self, Array};
 use super::problem::Problem;
 
-/// Memory that the arrays of any archive may take, and for each of its own bytes beyond that: numbers take twice as much as they are
-/// long in single precision, and compressed ones of real pictures up to ten times.
+/// Memory that the arrays of any archive may take, and the memory per byte of the archive above that: numbers in single precision
+/// take twice their length, and compressed ones of real pictures up to ten times.
 const FREE: u64 = 64 << 20;
 const MOST_UNPACKED: u64 = 64;
 
-/// The archive of `.npy` files.
+/// Writes an archive of `.npy` files.
 pub fn write(arrays: &[(&str, Vec<u8>)]) -> Result<Vec<u8>, String> {
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
     let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
@@ -27,7 +27,7 @@ pub fn write(arrays: &[(&str, Vec<u8>)]) -> Result<Vec<u8>, String> {
 }
 
 /// Returns the arrays of an archive that have one of the names. They are checked against `limits` before memory is
-/// taken: an archive may unpack to a thousand times its length.
+/// allocated, because an archive may unpack to a thousand times its length.
 pub fn read(bytes: &[u8], names: &[&str], limits: &Limits) -> Result<BTreeMap<String, Array>, Problem> {
     let mut zip = ZipArchive::new(Cursor::new(bytes)).map_err(|e| format!("not an .npz archive: {e}"))?;
     let mut arrays = BTreeMap::new();
@@ -47,7 +47,7 @@ mod tests {
 
     #[test]
     fn an_archive_that_unpacks_to_a_thousand_times_its_length_is_refused() {
-        // 32 MiB of zeros, for which eight times as much would be needed.
+        // 32 MiB of zeros, which would need eight times as much memory.
         let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
         let options = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);
         zip.start_file("means.npy", options).unwrap();

@@ -1,8 +1,8 @@
-//! Exchanged data: a picture's Gaussians, and their layout and steps if they come from an ssplat file. They can be read
-//! from and written to `.npz` archives.
+//! Exchanged data: the Gaussians of a picture, with their layout and steps if they come from an .ssplat file. They can be
+//! read from and written to `.npz` archives.
 //!
 //! Means, scales and covariances are in pixels with pixel centres at +0.5, rotations in radians from the x axis (right)
-//! towards the y axis (down), colours in encoded sRGB values from 0 to 1 that are not bounded to it.
+//! towards the y axis (down), colours in encoded sRGB values, nominally from 0 to 1.
 
 use std::collections::BTreeMap;
 use std::ops::Index;
@@ -15,7 +15,7 @@ use super::npz;
 use super::problem::{Problem, shown};
 use crate::names;
 
-/// Names of the arrays of our own archives.
+/// Names of the arrays of ssplat's archives.
 pub const ARRAYS: [&str; 11] = [
     "means",
     "scales",
@@ -30,16 +30,16 @@ pub const ARRAYS: [&str; 11] = [
     "steps",
 ];
 
-/// Most numbers of an array that says something about all Gaussians.
+/// Largest number of elements of an array that describes the whole picture.
 pub const MOST_NUMBERS: usize = 16;
 
-/// A picture's Gaussians.
+/// The Gaussians of a picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameters {
     pub picture: Picture,
-    /// Bits a sample of the picture that they stand for.
+    /// Bits per sample of the picture.
     pub depth: Depth,
-    /// How they were stored in a file of ours: with these steps they get the same integers again.
+    /// Layout and steps of the .ssplat file that they come from; with these, they are quantized to the same integers again.
     pub stored: Option<(Layout, Steps)>,
 }
 
@@ -70,7 +70,7 @@ impl From<&PackedSplats> for Parameters {
 }
 
 impl Parameters {
-    /// As an archive of the arrays [`ARRAYS`].
+    /// Returns an archive of the arrays [`ARRAYS`].
     pub fn to_npz(&self) -> Result<Vec<u8>, String> {
         let p = &self.picture;
         let (gaussians, n, channels) = (&p.gaussians, p.gaussians.len(), p.channels.count());
@@ -96,8 +96,7 @@ impl Parameters {
         npz::write(&arrays)
     }
 
-    /// From such arrays; scales and rotations, or covariances instead of both. Only means, one of these, and colours have
-    /// to be there.
+    /// Reads such arrays. Means, colours, and either scales with rotations or covariances are required.
     pub fn from_arrays(arrays: &BTreeMap<String, Array>, given: Given) -> Result<Self, Problem> {
         let means = rows(arrays, "means", Some(2))?;
         let colors = rows(arrays, "colors", None)?;
@@ -143,7 +142,7 @@ impl Parameters {
     }
 }
 
-/// One Gaussian of values in double precision.
+/// Returns a Gaussian from values in double precision.
 pub fn gaussian(mean: [f64; 2], scale: [f64; 2], rotation: f64, color: &[f64]) -> Gaussian {
     let mut g = Gaussian {
         mean: mean.map(|v| v as f32),
@@ -155,31 +154,31 @@ pub fn gaussian(mean: [f64; 2], scale: [f64; 2], rotation: f64, color: &[f64]) -
     g
 }
 
-/// The covariance `[xx, xy, yy]`, pixels².
+/// Returns the covariance `[xx, xy, yy]` in pixels².
 pub fn covariance(g: &Gaussian) -> [f32; 3] {
     let ([a, b], (sin, cos)) = (g.scale.map(|s| s * s), g.rotation.sin_cos());
     [a * cos * cos + b * sin * sin, (a - b) * sin * cos, a * sin * sin + b * cos * cos]
 }
 
-/// Scales, the larger first, and the rotation of the larger, of a covariance `[xx, xy, yy]`; nothing of one that is not
+/// Returns the scales, the larger first, and the rotation of the larger, of a covariance `[xx, xy, yy]`; `None` if it is not
 /// positive definite.
 pub fn of_covariance([xx, xy, yy]: [f64; 3]) -> Option<([f64; 2], f64)> {
     let (middle, half) = (0.5 * (xx + yy), (0.5 * (xx - yy)).hypot(xy));
-    // The smaller root from the product: the difference would lose needles.
+    // The smaller root comes from the product, because the difference cancels for thin Gaussians.
     let large = middle + half;
     let small = (xx * yy - xy * xy) / large;
     let rotation = (0.5 * (2.0 * xy).atan2(xx - yy)).rem_euclid(std::f64::consts::PI);
     (large.is_finite() && small > 0.0).then(|| ([large.sqrt(), small.sqrt()], rotation))
 }
 
-/// The larger scale first; its rotation, `0..π`.
+/// Puts the larger scale first, and its rotation into `0..π`.
 pub fn ordered(scale: [f64; 2], rotation: f64) -> ([f64; 2], f64) {
     let [a, b] = scale;
     let turned = if a < b { ([b, a], rotation + std::f64::consts::FRAC_PI_2) } else { (scale, rotation) };
     (turned.0, turned.1.rem_euclid(std::f64::consts::PI))
 }
 
-/// Refuses arrays that are not all as long as the means.
+/// Refuses arrays with another length than the means.
 pub fn same_length(means: usize, others: &[(&str, usize)]) -> Result<(), Problem> {
     match others.iter().find(|o| o.1 != means) {
         Some((name, length)) => Err(format!("there are {means} means but {length} {name}").into()),
@@ -187,10 +186,10 @@ pub fn same_length(means: usize, others: &[(&str, usize)]) -> Result<(), Problem
     }
 }
 
-/// The numbers of an array by rows.
+/// The numbers of an array, in rows.
 pub struct Rows<'a> {
     values: &'a [f64],
-    /// Numbers of a row.
+    /// Number of elements of a row.
     pub width: usize,
 }
 
@@ -212,11 +211,11 @@ impl Index<usize> for Rows<'_> {
     }
 }
 
-/// The numbers of an array, all finite, by rows of `width` numbers; by its own sides where that is not asked for.
+/// Returns the numbers of an array, all finite, in rows of `width` numbers, or of its own width if that is `None`.
 pub fn rows<'a>(arrays: &'a BTreeMap<String, Array>, name: &str, width: Option<usize>) -> Result<Rows<'a>, Problem> {
     let array = arrays.get(name).ok_or_else(|| format!("there is no array {name}"))?;
     let Values::Numbers(values) = &array.values else { return Err(format!("array {name} is a text").into()) };
-    // An array without rows may claim rows of any length.
+    // An array without rows may state any length of a row.
     let each = array.shape.iter().skip(1).try_fold(1usize, |n, &side| n.checked_mul(side)).unwrap_or(0);
     if array.shape.is_empty() || width.is_some_and(|w| w != each) || each == 0 {
         return Err(format!("array {name} has the shape {:?}", array.shape).into());
@@ -227,7 +226,7 @@ pub fn rows<'a>(arrays: &'a BTreeMap<String, Array>, name: &str, width: Option<u
     }
 }
 
-/// The numbers of a small array.
+/// Returns the numbers of a small array.
 fn numbers<'a>(arrays: &'a BTreeMap<String, Array>, name: &str) -> Result<Option<&'a [f64]>, Problem> {
     match arrays.get(name).map(|a| &a.values) {
         None => Ok(None),
@@ -247,7 +246,7 @@ fn text<'a>(arrays: &'a BTreeMap<String, Array>, name: &str) -> Result<Option<&'
     }
 }
 
-/// An array of whole numbers.
+/// Returns an array of whole numbers.
 fn whole<const N: usize>(arrays: &BTreeMap<String, Array>, name: &str) -> Result<Option<[u32; N]>, Problem> {
     let Some(values) = numbers(arrays, name)? else { return Ok(None) };
     let whole: Option<Vec<u32>> = values
@@ -274,7 +273,7 @@ pub fn depth_of(bits: u32) -> Result<Depth, Problem> {
     }
 }
 
-/// The steps in the order of their fields.
+/// Returns the steps from numbers in the order of their fields.
 pub fn numbers_of(steps: &Steps) -> [i32; 7] {
     let Steps { scale, angle, position, coarsest, range, luma, chroma } = *steps;
     [scale.into(), angle.into(), position.into(), coarsest.into(), range.into(), luma.into(), chroma.into()]
@@ -316,7 +315,7 @@ mod tests {
         for (scale, rotation) in [([5.0, 1.0], 0.3), ([300.0, 0.3], 2.9), ([2.0, 1.9], 1.5), ([7.0, 7.0], 0.0)] {
             let g = gaussian([0.0, 0.0], scale, rotation, &[]);
             let (found, turned) = of_covariance(covariance(&g).map(f64::from)).unwrap();
-            // The covariance is in single precision: the small scale of a needle is a small difference in it.
+            // The covariance is in single precision, in which the smaller scale of a thin Gaussian is a small difference.
             let tolerance = 1e-6 * (scale[0] / scale[1]).powi(2);
             assert!((found[0] / scale[0] - 1.0).abs() < 1e-5, "{found:?} {scale:?}");
             assert!((found[1] / scale[1] - 1.0).abs() < tolerance + 1e-5, "{found:?} {scale:?}");

@@ -1,15 +1,15 @@
 //! Points for splat viewers: the PLY of 3D Gaussian Splatting (Kerbl et al., 2023), flat in z.
 //!
 //! x to the right and y down in pixels, z 0; scales as natural logarithms, rotations as quaternions w, x, y, z about z,
-//! colours as coefficients of the constant spherical harmonic, opacity as a logit. Viewers composite by opacity, one point
-//! over the other: what they show is a look at the Gaussians, not the picture.
+//! colours as coefficients of the constant spherical harmonic, opacity as a logit. Viewers composite the points by opacity, so
+//! they show the Gaussians and not the picture.
 
 use ssplat::{Channels, Picture};
 
 /// The constant spherical harmonic, `1/(2·√π)`.
 const HARMONIC: f32 = 0.282_094_8;
 
-/// Opacity of Gaussians without alpha, and the most of any: a logit of 1 is infinite.
+/// Opacity of Gaussians without alpha, and the largest opacity, because the logit of 1 is infinite.
 const OPAQUE: f32 = 0.999;
 
 /// Thickness in units of the minor scale.
@@ -21,7 +21,7 @@ const PROPERTIES: [&str; 17] = [
     "rot_1", "rot_2", "rot_3",
 ];
 
-/// The file.
+/// Returns the file.
 pub fn write(picture: &Picture) -> Vec<u8> {
     let mut header = format!(
         "ply\nformat binary_little_endian 1.0\ncomment ssplat: pixels, y down, picture {} x {}\nelement vertex {}\n",
@@ -91,7 +91,7 @@ mod tests {
         assert_eq!([value("f_dc_0"), value("f_dc_1") + value("f_dc_2")], [0.0, 0.0]);
         assert!((value("f_dc_1") * 0.282_094_8 - 0.5).abs() < 1e-6);
         assert!((value("scale_0").exp() - 2.0).abs() < 1e-6 && value("scale_2") < value("scale_1"));
-        // The x axis, turned by the quaternion: 1 − 2z² and 2wz.
+        // The x axis, rotated by the quaternion: 1 − 2z² and 2wz.
         let (w, z) = (value("rot_0"), value("rot_3"));
         assert!((1.0 - 2.0 * z * z - 1f32.cos()).abs() < 1e-6 && (2.0 * w * z - 1f32.sin()).abs() < 1e-6);
         assert!((1.0 / (1.0 + (-value("opacity")).exp()) - OPAQUE).abs() < 1e-6);

@@ -1,4 +1,4 @@
-//! Errors in exchanged parameters: who is at fault, and with which value.
+//! Errors in exchanged parameters.
 
 use std::fmt;
 
@@ -7,16 +7,16 @@ use crate::failure::Kind;
 /// Error that stops an import.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Problem {
-    /// The input is not what it should be.
+    /// The input is invalid.
     Broken(String),
-    /// Neither the input nor the caller says what is needed.
+    /// Neither the input nor the caller states a required value.
     Unstated(String),
-    /// The input holds more than the limits allow.
+    /// The input exceeds the limits.
     TooMuch { what: String, requested: u64, allowed: u64 },
 }
 
 impl Problem {
-    /// The exit status that goes with it.
+    /// Returns the kind of failure.
     pub fn kind(&self) -> Kind {
         match self {
             Problem::Broken(_) => Kind::Format,
@@ -36,7 +36,7 @@ impl Problem {
         }
     }
 
-    /// Refuses more than is allowed.
+    /// Returns an error if `requested` is more than `allowed`.
     pub fn limit(what: impl Into<String>, requested: u64, allowed: u64) -> Result<(), Problem> {
         if requested > allowed {
             return Err(Problem::TooMuch { what: what.into(), requested, allowed });
@@ -68,7 +68,7 @@ impl From<&str> for Problem {
     }
 }
 
-/// A value of the input for a message, which it must not flood.
+/// Returns a value of the input for a message, shortened.
 pub fn shown(text: &str) -> String {
     let most = 40;
     let short: String = text.chars().take(most).flat_map(char::escape_debug).collect();

@@ -1,10 +1,10 @@
-//! A drawing for figures: an ellipse at one scale for each Gaussian, large ones below small ones.
+//! A drawing for figures: an ellipse at one scale for each Gaussian, with small ones above large ones.
 
 use std::fmt::Write;
 
 use ssplat::{Channels, Picture};
 
-/// The file, in pixels of the picture.
+/// Returns the file, in pixels of the picture.
 pub fn write(picture: &Picture) -> String {
     let (width, height) = (picture.width, picture.height);
     let mut out = format!(
@@ -28,7 +28,7 @@ pub fn write(picture: &Picture) -> String {
     out + "</svg>\n"
 }
 
-/// A colour as SVG writes it, and its alpha.
+/// Returns a colour in the notation of SVG, and its alpha.
 fn color(channels: Channels, color: [f32; 4]) -> (String, f32) {
     let code = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
     let [red, green, blue] = match channels {

@@ -1,38 +1,38 @@
-//! As much of HTTP/1.1 as a page on this machine needs: one request of a connection, without a body, and its answer.
+//! The part of HTTP/1.1 that a page on this machine needs: one request per connection, without a body, and its response.
 //!
-//! Whoever can reach the server can send anything, and slowly: what is held of a connection is bounded in bytes and in time, and a
-//! connection is over with its answer.
+//! Clients may send anything, and slowly, so the bytes and the time of a connection are bounded, and it is closed after the
+//! response.
 
 use std::io::{self, Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::time::{Duration, Instant};
 
-/// Most bytes of a request up to its empty line; those of browsers take below 1 KiB.
+/// Largest head of a request in bytes; those of browsers take less than 1 KiB.
 const MOST_HEAD: usize = 16 << 10;
 
-/// How long a request may take to arrive, and its answer to be fetched: both stay on this machine.
+/// Time limit for a request to arrive, and for its response to be fetched, both on this machine.
 const REQUEST: Duration = Duration::from_secs(3);
 const ANSWER: Duration = Duration::from_secs(30);
 
-/// Bytes that are written at a time, so that time is looked at in between.
+/// Bytes that are written at a time, with a check of the time limit in between.
 const PIECE: usize = 1 << 16;
 
-/// Most bytes of a request that are read after the answer is ready. Closing a connection with unread bytes would
-/// discard the answer.
+/// Largest number of bytes of a request that are read after the response. Closing a connection with unread bytes would discard
+/// the response.
 const MOST_LEFT: usize = 1 << 18;
 const LEFT: Duration = Duration::from_millis(500);
 
-/// Head of a request.
+/// The head of a request.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Request {
     pub method: String,
-    /// With what follows a question mark.
+    /// Path and query.
     pub target: String,
-    /// All that the host is named as.
+    /// All `Host` headers.
     pub hosts: Vec<String>,
 }
 
-/// The end of a connection's time for something.
+/// A deadline of a connection.
 struct Deadline(Instant);
 
 impl Deadline {
@@ -40,14 +40,14 @@ impl Deadline {
         Deadline(Instant::now() + time)
     }
 
-    /// Returns the time left, or an error of kind `TimedOut`.
+    /// Returns the remaining time, or an error of kind `TimedOut`.
     fn left(&self) -> io::Result<Duration> {
         let left = self.0.saturating_duration_since(Instant::now());
         if left.is_zero() { Err(io::ErrorKind::TimedOut.into()) } else { Ok(left) }
     }
 }
 
-/// Reads the request; the status that refuses it where it is none.
+/// Reads a request, or returns the status that refuses it.
 pub fn request(stream: &mut TcpStream) -> io::Result<Result<Request, u16>> {
     let deadline = Deadline::new(REQUEST);
     let mut head = Vec::new();
@@ -68,7 +68,7 @@ pub fn request(stream: &mut TcpStream) -> io::Result<Result<Request, u16>> {
     }
 }
 
-/// The request of the lines before the empty one.
+/// Parses the lines of the head.
 fn parse(head: &[u8]) -> Option<Request> {
     let mut lines = std::str::from_utf8(head).ok()?.split("\r\n");
     let mut words = lines.next()?.split(' ');
@@ -86,7 +86,7 @@ fn parse(head: &[u8]) -> Option<Request> {
     Some(Request { method: method.into(), target: target.into(), hosts })
 }
 
-/// Answers with `headers` and `body`, and ends the connection.
+/// Sends a response with `headers` and `body`, and closes the connection.
 pub fn answer(mut stream: &TcpStream, status: u16, headers: &[(&str, &str)], body: &[u8]) -> io::Result<()> {
     let mut head = format!("HTTP/1.1 {status} {}\r\n", reason(status));
     for (name, value) in headers {
@@ -116,7 +116,7 @@ pub fn answer(mut stream: &TcpStream, status: u16, headers: &[(&str, &str)], bod
     Ok(())
 }
 
-/// The words of a status.
+/// Returns the reason phrase of a status.
 fn reason(status: u16) -> &'static str {
     match status {
         200 => "OK",

@@ -1,5 +1,5 @@
-//! The viewer's files, which the program holds: the sources of `web/` and the WebAssembly that `web/build --commit` leaves beside them.
-//! WebAssembly for browsers without vector instructions is only in the package for browsers.
+//! The files of the viewer, embedded in the program: the sources in `web/`, and the WebAssembly that `web/build --commit` puts beside
+//! them. WebAssembly for browsers without vector instructions is only in the web package.
 
 /// The page.
 pub const PAGE: &str = "viewer/index.html";
@@ -12,7 +12,7 @@ macro_rules! sources {
     ($($name:literal),* $(,)?) => { &[$(($name, include_str!(concat!(env!("SSPLAT_WEB"), "/", $name)))),*] };
 }
 
-/// The modules of the page. Their names without folders differ.
+/// The modules of the page. Their names without folders are distinct.
 pub const MODULES: &[(&str, &str)] = sources![
     "encode-machine.js",
     "encode-worker.js",
@@ -44,7 +44,7 @@ pub const MODULE_BYTES: &[u8] = include_bytes!(concat!(env!("SSPLAT_WEB"), "/ssp
 /// The bytes of [`ENCODER`], compressed by gzip.
 const ENCODER_BYTES: &[u8] = include_bytes!(concat!(env!("SSPLAT_WEB"), "/ssplat-encode-simd.wasm.gz"));
 
-/// A file of the viewer, by its name below the viewer's folder; `None` for every other name.
+/// Returns a file of the viewer by its path in the viewer's folder; `None` for other paths.
 pub fn file(name: &str) -> Option<&'static [u8]> {
     match name {
         PAGE => Some(PAGE_TEXT.as_bytes()),

@@ -1,4 +1,4 @@
-//! The viewer with a file in it as one page that asks for nothing else.
+//! The viewer and a file as one self-contained HTML page.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -7,14 +7,14 @@ use serde_json::{Map, Value, json};
 use super::Shown;
 use super::package::{MODULE, MODULE_BYTES, MODULES, PAGE_TEXT};
 
-/// Element of the page in `web/` that loads its module. The page of one file replaces it.
+/// The element of the page in `web/` that loads its module; the self-contained page replaces it.
 const PLACE: &str = "<script type=\"module\" src=\"viewer.js\"></script>";
 
-/// Writes the page. Its modules find each other by name in an import map, as such a page has no place beside it.
+/// Returns the page. Its modules are in an import map, because a self-contained page has no files beside it.
 pub fn packed(file: &Shown, original: Option<&Shown>) -> String {
     let mut imports = Map::new();
     for (name, text) in MODULES {
-        // A worker would be another file, and the page shows one file only.
+        // A worker would need a file of its own, and the page shows one file only.
         if *name == "worker.js" || name.starts_with("encode") {
             continue;
         }
@@ -31,7 +31,7 @@ pub fn packed(file: &Shown, original: Option<&Shown>) -> String {
     PAGE_TEXT.replacen(PLACE, &inside, 1)
 }
 
-/// Bytes that the page finds by `id`. The name of a [`Shown`] has no letters that mean something in HTML.
+/// Returns an element with bytes that the page finds by `id`. The name of a [`Shown`] needs no escaping in HTML.
 fn held(id: &str, name: &str, bytes: &[u8]) -> String {
     let text = STANDARD.encode(bytes);
     format!("<script type=\"application/octet-stream\" id=\"{id}\" data-name=\"{name}\">{text}</script>\n")

@@ -1,4 +1,4 @@
-//! Serves the viewer and what it shows to this machine alone, until the program is ended.
+//! Serves the viewer and its files to this machine only, until the program is ended.
 
 use std::io;
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
@@ -11,11 +11,11 @@ use super::package::{self, PAGE};
 use crate::failure::{Failure, Kind};
 use crate::sink::say;
 
-/// Connections that are served at once, a thread each; a browser opens up to six. The others wait, and none lasts longer than
-/// `http` lets it, so that slow or idle ones neither take more threads than these nor keep them.
+/// Number of connections that are served at a time, each by a thread; a browser opens up to six. Further connections wait. The
+/// time limits of `http` apply to each, so slow or idle ones do not block the others.
 const THREADS: usize = 32;
 
-/// How long to wait where no connection can be had, which is so when there are too many of them.
+/// Pause after a failed `accept`, which happens if there are too many connections.
 const PAUSE: Duration = Duration::from_millis(50);
 
 /// Content security policy of the page: it may run its own scripts and WebAssembly, and send requests to this server. The
@@ -23,20 +23,20 @@ const PAUSE: Duration = Duration::from_millis(50);
 const POLICY: &str = "default-src 'none'; script-src 'self' blob: 'wasm-unsafe-eval'; worker-src 'self' blob:; connect-src 'self'; \
                       style-src 'unsafe-inline'; img-src 'self' blob: data:; frame-ancestors 'none'; base-uri 'none'";
 
-/// Whether a browser is opened at the page.
+/// Whether the page is opened in a browser.
 pub enum Opens {
     Browser,
     Nothing,
 }
 
-/// Everything that can be asked for.
+/// Everything that is served.
 struct Served {
     file: Option<(String, Vec<u8>)>,
     original: Option<(String, Vec<u8>)>,
     /// Host names that legitimate requests use. A script of another page that reaches this address through its own name
     /// (DNS rebinding) sends that name instead, and is refused.
     hosts: [String; 2],
-    /// The page, with what it shows.
+    /// The address of the page, with the files that it shows.
     start: String,
 }
 
@@ -59,10 +59,10 @@ pub fn run(file: Option<Shown>, original: Option<Shown>, opens: Opens) -> Result
     say(&format!("{url}\n"))?;
     eprintln!("ssplat: the page is there until this program ends, by Ctrl-C");
     if let Opens::Browser = opens {
-        // Finding one may take a while.
+        // Opening a browser may take a while.
         thread::spawn(move || {
             if let Err(error) = open::that_detached(&url) {
-                eprintln!("ssplat: no browser was opened: {error}");
+                eprintln!("ssplat: could not open a browser: {error}");
             }
         });
     }
@@ -71,7 +71,7 @@ pub fn run(file: Option<Shown>, original: Option<Shown>, opens: Opens) -> Result
             scope.spawn(|| {
                 loop {
                     match listener.accept() {
-                        // Whoever does not wait for the answer does not need it.
+                        // A client that closes the connection early does not need the response.
                         Ok((mut stream, _)) => drop(served.answer(&mut stream)),
                         Err(_) => thread::sleep(PAUSE),
                     }
@@ -99,17 +99,17 @@ impl Served {
         }
     }
 
-    /// The media type and the bytes of what is asked for, or the status that says why there is nothing.
+    /// Returns the media type and the bytes of the requested resource, or the status of an error.
     fn found(&self, request: &Request) -> Result<(&'static str, &[u8]), u16> {
         match &request.hosts[..] {
             [host] if self.hosts.iter().any(|known| host.eq_ignore_ascii_case(known)) => {}
             _ => return Err(403),
         }
-        // A body is not waited for: nothing that is served has a use for one.
+        // No resource accepts a body.
         if request.method != "GET" {
             return Err(405);
         }
-        // Paths are names in a list, never those of files.
+        // Paths are looked up in a list, never in the file system.
         let path = request.target.split('?').next().unwrap_or_default();
         match path {
             "/" => return Err(302),
@@ -129,7 +129,7 @@ impl Served {
 /// The media type of WebAssembly.
 const WASM: &str = "application/wasm";
 
-/// The media type of a file of the viewer.
+/// Returns the media type of a file of the viewer.
 fn kind(name: &str) -> &'static str {
     match name.rsplit('.').next() {
         Some("html") => "text/html; charset=utf-8",
@@ -139,7 +139,7 @@ fn kind(name: &str) -> &'static str {
     }
 }
 
-/// Headers of all answers.
+/// Headers of all responses.
 const HEADERS: [(&str, &str); 5] = [
     ("Cache-Control", "no-store"),
     ("Content-Security-Policy", POLICY),
@@ -148,7 +148,7 @@ const HEADERS: [(&str, &str); 5] = [
     ("X-Content-Type-Options", "nosniff"),
 ];
 
-/// Returns the headers of all answers, and `more`.
+/// Returns the headers of all responses, and `more`.
 fn headers<'a>(more: &[(&'a str, &'a str)]) -> Vec<(&'a str, &'a str)> {
     HEADERS.iter().chain(more).copied().collect()
 }
