@@ -5,6 +5,7 @@
 
 use super::choose::{Setting, planes};
 use super::coefficients::AllSizes;
+use super::ground::Ground;
 use super::in_steps::{Factors, rough_cost};
 use super::residual::TileResidual;
 use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, SUPERS};
@@ -15,7 +16,8 @@ use crate::bitstream::detail::tile::{ROOT, TileState, kinds};
 pub(super) fn blocks(tile: &TileResidual, classes: &[u8], setting: &Setting) -> [Vec<u8>; KINDS] {
     let all = AllSizes::new(tile, |plane| setting.head.sizes([0, 1, 1, 2][plane]));
     let sizes = std::array::from_fn(|_| vec![0; CELLS * CELLS]);
-    let mut chooser = BlockChooser { setting, classes, all: &all, factors: Factors::new(setting.head), sizes };
+    let (factors, ground) = (Factors::new(setting.head), Ground::of(tile));
+    let mut chooser = BlockChooser { setting, classes, all: &all, factors, ground, sizes };
     for at in TileState::new(tile.size).superblocks() {
         for (kind, _) in kinds(setting.channels, setting.head.alpha) {
             chooser.tree(kind, at, ROOT);
@@ -29,6 +31,7 @@ struct BlockChooser<'a> {
     classes: &'a [u8],
     all: &'a AllSizes,
     factors: Factors,
+    ground: Ground,
     sizes: [Vec<u8>; KINDS],
 }
 
@@ -62,9 +65,11 @@ impl BlockChooser<'_> {
     fn cost(&mut self, kind: usize, cell: [usize; 2], size: usize) -> f32 {
         let [x, y] = cell.map(|c| c / (SUPER / CELL));
         let class = self.classes.get(y * SUPERS + x).copied().unwrap_or(0);
-        planes(kind)
-            .map(|plane| rough_cost(self.all.plane(size, plane), cell, size, self.factors.of(class, plane, size)))
-            .sum()
+        // Flat ground is that of luma: alpha has edges of its own.
+        let factor = if kind < 2 && self.ground.is_mixed(cell, size) { self.setting.mixed_cost } else { 1.0 };
+        let cost =
+            |plane: usize| rough_cost(self.all.plane(size, plane), cell, size, self.factors.of(class, plane, size));
+        factor * planes(kind).map(cost).sum::<f32>()
     }
 }
 
@@ -82,8 +87,8 @@ mod tests {
         planes[0] = (0..TILE * TILE).map(|i| luma(i % TILE, i / TILE)).collect();
         let tile = TileResidual { size: [TILE, TILE], planes, luma: vec![0.0; TILE * TILE] };
         let head = DetailHead { step: 640, ..DetailHead::PLAIN };
-        let setting =
-            Setting { head, channels: Channels::Grey, lambda: 0.1, care: Care::Thorough, blocks: BlockChoice::Rough };
+        let (care, blocks_by) = (Care::Thorough, BlockChoice::Rough);
+        let setting = Setting { head, channels: Channels::Grey, lambda: 0.1, care, blocks: blocks_by, mixed_cost: 1.0 };
         let [sizes, ..] = blocks(&tile, &[], &setting);
         sizes
     }

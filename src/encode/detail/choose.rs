@@ -22,6 +22,8 @@ pub(super) struct Setting {
     pub lambda: f32,
     pub care: Care,
     pub blocks: BlockChoice,
+    /// Factor of the estimated cost of blocks of both flat ground and something else, whose ringing shows.
+    pub mixed_cost: f32,
 }
 
 /// How the blocks of a tile are chosen.
@@ -41,6 +43,8 @@ pub(super) enum Care {
     /// Tries the levels for which an estimate of the savings is not conclusive; in blocks of few levels, tries all of them
     /// up to twice.
     Thorough,
+    /// Tries every uncertain level up to twice.
+    Exhaustive,
 }
 
 /// Number of candidates above which a block of each size is not worth pricing.
