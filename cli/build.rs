@@ -1,5 +1,5 @@
-//! Finds the folder of the viewer's files: `web` in the published package, `../web` in the repository. There, `web` is a symbolic
-//! link for `cargo package`, which Git for Windows usually checks out as a text file.
+//! Finds the folder of the viewer's files: `web` in the published package, `../web` in the repository. There, `web` is
+//! a symbolic link for `cargo package`, which Git for Windows usually checks out as a text file.
 
 use std::path::Path;
 

@@ -1,5 +1,5 @@
-//! Elementary functions that return the same bits on every platform, for the encoder. The functions of the system libraries
-//! differ in the last bit, which is enough for a fit to produce a different file.
+//! Elementary functions that return the same bits on every platform, for the encoder. The functions of the system
+//! libraries differ in the last bit, which is enough for a fit to produce a different file.
 
 /// Methods of the standard library, with the prefix `strict_`, in one implementation for all platforms.
 pub(crate) trait StrictMath: Sized {

@@ -1,5 +1,6 @@
-//! The bytes that the encoder writes: a checksum for each kind of picture and option. A change that should not alter files leaves them
-//! equal, on every machine. `SSPLAT_PIN=1 cargo test --release --test pinned` writes them anew after a change that should.
+//! The bytes that the encoder writes: a checksum for each kind of picture and option. A change that should not alter
+//! files leaves them equal, on every machine. `SSPLAT_PIN=1 cargo test --release --test pinned` writes them anew after
+//! a change that should.
 #![cfg(all(feature = "unstable", feature = "quality"))]
 
 mod sha256;

@@ -148,28 +148,28 @@ pub struct Encode {
     /// The fitting recipe; the last four are the SmartSplat paper's and its ablation
     #[arg(help_heading = "Research", long, default_value = "ssplat", value_parser = names::recipe())]
     pub recipe: Recipe,
-    /// What to optimize for: iq (perceptual quality), ssim (structure) or psnr (squared error) [default: iq; psnr with --psnr and
-    /// for the paper's recipes]
+    /// What to optimize for: iq (perceptual quality), ssim (structure) or psnr (squared error) [default: iq; psnr with
+    /// --psnr and for the paper's recipes]
     #[arg(help_heading = "Research", long, value_parser = names::tune())]
     pub tune: Option<Tune>,
-    /// Keep the colours of fully transparent pixels; by default a smooth continuation of the visible colours replaces them, which takes fewer
-    /// bytes
+    /// Keep the colours of fully transparent pixels; by default a smooth continuation of the visible colours replaces
+    /// them, which takes fewer bytes
     #[arg(help_heading = "Contents and encoding", long)]
     pub keep_hidden: bool,
-    /// Whether the file has a detail layer, which codes the residual that the Gaussians leave: auto (where it pays), off, or the
-    /// share of the bytes that the Gaussians get, above 0 and below 1
+    /// Whether the file has a detail layer, which codes the residual that the Gaussians leave: auto (where it pays),
+    /// off, or the share of the bytes that the Gaussians get, above 0 and below 1
     #[arg(long, value_name = "WHICH", default_value = "auto", value_parser = detail)]
     pub detail: Detail,
-    /// Number of progressive levels, each of which costs 1 to 2 % of the bytes; a file that is truncated after a level decodes with
-    /// --partial
+    /// Number of progressive levels, each of which costs 1 to 2 % of the bytes; a file that is truncated after a level
+    /// decodes with --partial
     #[arg(help_heading = "Contents and encoding", long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=8))]
     pub levels: u8,
-    /// Whether the file contains a thumbnail, which counts towards its size: auto, none, or its largest size in bytes; auto gives
-    /// files of at least 100 kB a thumbnail of a hundredth of their size, at most 4 kB
+    /// Whether the file contains a thumbnail, which counts towards its size: auto, none, or its largest size in bytes;
+    /// auto gives files of at least 100 kB a thumbnail of a hundredth of their size, at most 4 kB
     #[arg(help_heading = "Contents and encoding", long, value_name = "WHICH", default_value = "auto", value_parser = thumbnail)]
     pub thumbnail: Thumbnail,
-    /// Fit the picture in tiles with this side in pixels, so that memory does not grow with the picture: a multiple of 128, or 2048 if
-    /// no side is given [default: above 33 megapixels, but with a GPU only above 268]
+    /// Fit the picture in tiles with this side in pixels, so that memory does not grow with the picture: a multiple of
+    /// 128, or 2048 if no side is given [default: above 33 megapixels, but with a GPU only above 268]
     #[arg(help_heading = "Contents and encoding", long, value_name = "SIDE", num_args = 0..=1, require_equals = true, default_missing_value = "2048")]
     pub tiles: Option<u32>,
     /// The device that fits the picture
@@ -241,8 +241,8 @@ pub fn pair<'a>(paths: &'a [PathBuf], output: Option<&'a Path>) -> Result<(&'a P
 #[derive(Debug, ClapArgs)]
 #[group(multiple = false)]
 pub struct TargetArgs {
-    /// Compression ratio: width x height x channels bytes over the bytes of the file [default: 50, with at least 80 bytes for the
-    /// primitives]
+    /// Compression ratio: width x height x channels bytes over the bytes of the file [default: 50, with at least 80
+    /// bytes for the primitives]
     #[arg(help_heading = "Size or quality (at most one)", long, short, value_name = "R", value_parser = positive)]
     pub ratio: Option<f64>,
     /// File size in bytes, or as 20k or 1.5M; never exceeded
@@ -251,8 +251,8 @@ pub struct TargetArgs {
     /// Number of primitives
     #[arg(help_heading = "Size or quality (at most one)", long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub primitives: Option<u32>,
-    /// Perceptual quality (SSIMULACRA2): 30 low, 50 medium, 70 high (hard to tell from the original side by side), 90 very high
-    /// (hard to tell even when flipping between them); met within half a point, in up to six tries
+    /// Perceptual quality (SSIMULACRA2): 30 low, 50 medium, 70 high (hard to tell from the original side by side), 90
+    /// very high (hard to tell even when flipping between them); met within half a point, in up to six tries
     #[arg(help_heading = "Size or quality (at most one)", long, short = 'Q', value_name = "POINTS", value_parser = points)]
     pub quality: Option<f64>,
     /// PSNR; finds the smallest file that reaches it
@@ -315,7 +315,8 @@ pub struct Decode {
     /// Output format, as an extension [default: that of the output, or png for standard output and --out-dir]
     #[arg(long, value_name = "EXT")]
     pub format: Option<String>,
-    /// Composite pictures with alpha over this colour, given as six hexadecimal digits [default: ffffff for JPEG, else none]
+    /// Composite pictures with alpha over this colour, given as six hexadecimal digits [default: ffffff for JPEG, else
+    /// none]
     #[arg(long, value_name = "RRGGBB", value_parser = color)]
     pub background: Option<[u8; 3]>,
     /// Rotate the pixels as the EXIF block says
@@ -333,8 +334,8 @@ pub struct Decode {
     /// Output height in pixels; without --width, the aspect ratio is kept
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20), conflicts_with = "scale")]
     pub height: Option<u32>,
-    /// Render the picture so that it fits into a square with this side in pixels; uses the thumbnail in the file if that is large
-    /// enough, which is faster and less exact
+    /// Render the picture so that it fits into a square with this side in pixels; uses the thumbnail in the file if
+    /// that is large enough, which is faster and less exact
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20), conflicts_with_all = ["region", "width", "height", "scale", "backend", "partial", "layers"])]
     pub thumbnail: Option<u32>,
     /// Output pixels per pixel of the picture; below 1, the picture is low-pass filtered

@@ -64,7 +64,8 @@ fn join(a: Channels, b: Channels) -> Channels {
     }
 }
 
-/// Converts a picture to more channels or bits: grey becomes equal red, green and blue, and missing alpha becomes opaque.
+/// Converts a picture to more channels or bits: grey becomes equal red, green and blue, and missing alpha becomes
+/// opaque.
 fn converted(p: &Pixels, channels: Channels, depth: Depth) -> ssplat::Result<Pixels> {
     let samples = match (p.samples(), depth) {
         (Samples::U8(v), Depth::Eight) => Samples::U8(spread(v, p.channels(), channels, 255)),

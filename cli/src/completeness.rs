@@ -1,5 +1,5 @@
-//! Structure of a picture file beyond its first picture: whether the file is complete, and whether more pictures follow.
-//! Decoders fill the missing part of a truncated JPEG with grey, and ignore further frames.
+//! Structure of a picture file beyond its first picture: whether the file is complete, and whether more pictures
+//! follow. Decoders fill the missing part of a truncated JPEG with grey, and ignore further frames.
 
 use std::io::{self, BufRead, ErrorKind, Read, Seek, SeekFrom};
 

@@ -22,8 +22,8 @@ use crate::sink::{self, Sink, say, tell};
 use crate::source::{self, Source};
 use crate::{args, encode, input};
 
-/// Bytes of output that are rendered before they are written, unless two bands take more; and the same per thread, because small
-/// buffers are reused instead of allocated again.
+/// Bytes of output that are rendered before they are written, unless two bands take more; and the same per thread,
+/// because small buffers are reused instead of allocated again.
 const BATCH: usize = 8 << 20;
 const MIN_BYTES_PER_THREAD: usize = 1 << 20;
 
@@ -194,7 +194,8 @@ fn background(args: &args::Decode, channels: Channels, format: Format, notes: &m
     args.background
 }
 
-/// Composites the picture over a background and removes alpha. A grey picture stays grey only if the background is grey.
+/// Composites the picture over a background and removes alpha. A grey picture stays grey only if the background is
+/// grey.
 fn opaque(pixels: &Pixels, background: [u8; 3]) -> ssplat::Result<Pixels> {
     let is_grey = pixels.channels().count() < 3 && background[1..] == [background[0]; 2];
     let (count, alpha) = (pixels.channels().count(), pixels.channels().count() - 1);

@@ -93,7 +93,8 @@ fn is_picture(path: &Path) -> bool {
     read.is_ok() && (image::guess_format(&start).is_ok() || sniff(&start).is_some())
 }
 
-/// Returns width times height of the picture at `path`, or 0 if they are unknown, as for a pipe, which can be read only once.
+/// Returns width times height of the picture at `path`, or 0 if they are unknown, as for a pipe, which can be read only
+/// once.
 fn pixels(path: &Path) -> u64 {
     if !input::is_file(path) {
         return 0;
@@ -115,8 +116,8 @@ fn tries(target: Target) -> u32 {
     }
 }
 
-/// Returns the rest of a time limit that started at `start`, so that reading the input counts. It is at least a millisecond,
-/// so that there is always a file.
+/// Returns the rest of a time limit that started at `start`, so that reading the input counts. It is at least a
+/// millisecond, so that there is always a file.
 fn left(time: Option<Duration>, start: Instant) -> Option<Duration> {
     time.map(|t| t.saturating_sub(start.elapsed()).max(Duration::from_millis(1)))
 }
@@ -330,7 +331,8 @@ fn missed(options: &EncodeOptions, report: &EncodeReport) -> Option<String> {
     }
 }
 
-/// Formats a PSNR. The encoder measures before rounding to code values; above a certain PSNR, all code values are equal.
+/// Formats a PSNR. The encoder measures before rounding to code values; above a certain PSNR, all code values are
+/// equal.
 fn psnr(psnr: f64) -> String {
     if psnr < compare::IDENTICAL { format!("PSNR {psnr:.2} dB") } else { "identical samples".into() }
 }
@@ -379,7 +381,8 @@ impl<'a> Preview<'a> {
         Ok(Preview { path, format: Format::of_path(path)?, sink: Sink::create(path, &[input])? })
     }
 
-    /// Decodes `bytes`, writes the pixels, and compares them with `original`. Returns the metrics and the decoding time in seconds.
+    /// Decodes `bytes`, writes the pixels, and compares them with `original`. Returns the metrics and the decoding time
+    /// in seconds.
     fn finish(self, bytes: &[u8], original: &Pixels) -> Result<(compare::Found, f64), Failure> {
         let start = Instant::now();
         let decoded = source::decode(self.path, bytes)?;

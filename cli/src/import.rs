@@ -56,8 +56,8 @@ pub fn run(args: &args::Import) -> Result<(), Failure> {
     Sink::create(&args.output, &[&args.input])?.finish_with(&file)
 }
 
-/// Returns the packing options: those of the arguments, else those that the Gaussians were stored with, else the defaults of
-/// [`PackOptions`].
+/// Returns the packing options: those of the arguments, else those that the Gaussians were stored with, else the
+/// defaults of [`PackOptions`].
 fn options(args: &args::Import, parameters: &Parameters) -> PackOptions {
     let mut options = PackOptions::default();
     (options.depth, options.outside) = (parameters.depth, Outside::Crop);

@@ -1,4 +1,5 @@
-//! Opens input files: turns a path, standard input, a pipe or a device into a reader that can seek, with bounded memory.
+//! Opens input files: turns a path, standard input, a pipe or a device into a reader that can seek, with bounded
+//! memory.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Cursor, Read, Seek, SeekFrom};
@@ -22,8 +23,8 @@ pub enum Input {
 }
 
 impl Input {
-    /// Opens `path`, or standard input for `-`. Of an input that cannot seek, at most [`Limits::alloc`] bytes are read, and only its
-    /// start if that is not the start of a picture.
+    /// Opens `path`, or standard input for `-`. Of an input that cannot seek, at most [`Limits::alloc`] bytes are read,
+    /// and only its start if that is not the start of a picture.
     pub fn open(path: &Path) -> Result<Input, Failure> {
         let io = |e| Failure::io(path, &e);
         if let Some(file) = open_file(path)? {
@@ -83,7 +84,8 @@ impl Seek for Input {
     }
 }
 
-/// Reads a .ssplat file, or standard input for `-`. Of other files only the start is read, so they are refused whatever their length.
+/// Reads a .ssplat file, or standard input for `-`. Of other files only the start is read, so they are refused whatever
+/// their length.
 pub fn read_splats(path: &Path) -> Result<Vec<u8>, Failure> {
     read(path, Limits::default().alloc, |start| start.starts_with(&MAGIC))
 }

@@ -69,8 +69,9 @@ impl Names {
 /// Number of problems or names that are listed; of further ones only the number is reported.
 const MAX_LISTED: usize = 10;
 
-/// Returns a task for each file of `inputs`, with its output in `folder`. An output has the name of its input with another
-/// extension. If several outputs would have the same name, each keeps the extension of its input before the new one.
+/// Returns a task for each file of `inputs`, with its output in `folder`. An output has the name of its input with
+/// another extension. If several outputs would have the same name, each keeps the extension of its input before the new
+/// one.
 pub fn find(inputs: &[PathBuf], folder: &Path, rules: &Rules) -> Result<Found, Failure> {
     find_on(Names::of_this_system(), inputs, folder, rules)
 }

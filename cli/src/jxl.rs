@@ -1,4 +1,5 @@
-//! Reads JPEG XL: parses the boxes of the container, and decodes with `jxl-oxide` within the limits of the other formats.
+//! Reads JPEG XL: parses the boxes of the container, and decodes with `jxl-oxide` within the limits of the other
+//! formats.
 
 use std::error::Error as StdError;
 use std::io::{self, BufRead, ErrorKind, Read, Seek, SeekFrom};
@@ -22,7 +23,8 @@ const MAX_EXIF: u64 = 16 << 20;
 /// Bytes of the codestream that are read to find the size of the picture; a profile may precede the first frame.
 const MAX_HEADER: u64 = 1 << 20;
 
-/// Largest product of pixels and frames up to the first frame that is shown, because frames of a few bytes each may be blended.
+/// Largest product of pixels and frames up to the first frame that is shown, because frames of a few bytes each may be
+/// blended.
 const MAX_WORK: u64 = 1 << 32;
 
 /// Share by which a gamma may differ from 2.2: that for `gAMA` of PNG.
@@ -31,8 +33,8 @@ const SAME_GAMMA: f64 = 0.05;
 /// Bytes per pixel and channel while a picture is decoded: two copies of the samples as floats, for filters.
 const BYTES_PER_SAMPLE: u64 = 8;
 
-/// Decodes the picture in `input`, which came from `path`. The pixels are upright, because JPEG XL has an orientation of its own,
-/// which decoders apply.
+/// Decodes the picture in `input`, which came from `path`. The pixels are upright, because JPEG XL has an orientation
+/// of its own, which decoders apply.
 pub fn read(path: &Path, input: &mut Input) -> Result<Source, Failure> {
     let length = input.length().map_err(|e| Failure::io(path, &e))?;
     // There are two copies of the codestream: this one and the decoder's.
@@ -174,8 +176,8 @@ fn colours(image: &JxlImage, channels: Channels) -> Stated {
     image.rendered_cicp().map_or_else(Stated::default, |cicp| colour::of_cicp(cicp, channels.count() < 3))
 }
 
-/// Whether the header states the usual gamma with the white and the primaries of sRGB, as `gAMA` of PNG files becomes it. It stands
-/// for sRGB, as it does in PNG.
+/// Whether the header states the usual gamma with the white and the primaries of sRGB, as `gAMA` of PNG files becomes
+/// it. It stands for sRGB, as it does in PNG.
 fn has_usual_gamma(image: &JxlImage) -> bool {
     let ColourEncoding::Enum(encoding) = &image.image_header().metadata.colour_encoding else { return false };
     let TransferFunction::Gamma { g, .. } = encoding.tf else { return false };
@@ -214,8 +216,8 @@ struct Boxes {
 }
 
 impl Boxes {
-    /// Reads a container or a bare codestream, with at most `most` bytes of the codestream. A truncated file gives the parts that are
-    /// present.
+    /// Reads a container or a bare codestream, with at most `most` bytes of the codestream. A truncated file gives the
+    /// parts that are present.
     fn read(input: &mut Input, most: u64) -> io::Result<Boxes> {
         let mut boxes = Boxes { codestream: Vec::new(), exif: None, has_xmp: false };
         if input.fill_buf()?.starts_with(&[0xFF]) {
@@ -275,7 +277,8 @@ impl Boxes {
     }
 }
 
-/// Returns the EXIF block in the body of a box, which starts with the offset of the block; `None` if it is too long or invalid.
+/// Returns the EXIF block in the body of a box, which starts with the offset of the block; `None` if it is too long or
+/// invalid.
 fn exif_in(body: impl Read) -> io::Result<Option<Vec<u8>>> {
     let mut all = Vec::new();
     body.take(MAX_EXIF + 1).read_to_end(&mut all)?;

@@ -1,4 +1,5 @@
-//! Optional parts that a file does not contain, and the bytes that each would take, measured by writing the file with it.
+//! Optional parts that a file does not contain, and the bytes that each would take, measured by writing the file with
+//! it.
 
 use ssplat::unstable::bitstream::report::Report;
 use ssplat::unstable::bitstream::splats::{Layout, PackedSplats};
@@ -11,8 +12,8 @@ pub struct Absent {
     pub saved: Option<u64>,
 }
 
-/// Files of more primitives are not written again to measure sizes, because that takes seconds; their absent parts have no
-/// sizes.
+/// Files of more primitives are not written again to measure sizes, because that takes seconds; their absent parts have
+/// no sizes.
 const MOST_WRITTEN: usize = 1 << 20;
 
 /// Returns the optional parts that are absent from `splats`, the file that `report` describes.

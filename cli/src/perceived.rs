@@ -15,8 +15,8 @@ const MAX_PIXELS: u64 = 1 << 24;
 /// Perceptual metrics of the difference between two pictures.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Perceived {
-    /// 100 for equal pictures; about 90, 70, 50 and 30 for very high, high, medium and low quality; may be negative. `None`
-    /// if a side is under 8 pixels.
+    /// 100 for equal pictures; about 90, 70, 50 and 30 for very high, high, medium and low quality; may be negative.
+    /// `None` if a side is under 8 pixels.
     pub ssimulacra2: Option<f64>,
     /// 0 for equal pictures; lower is better. `None` if a side is under 8 pixels, or for more than 2²⁴ pixels.
     pub butteraugli: Option<f64>,

@@ -47,8 +47,8 @@ fn shrunk(pixels: Pixels) -> Pixels {
     Pixels::try_from(picture).expect("a picture of samples that were pixels before")
 }
 
-/// Returns an element for `web/ssplat-img.js`, which shows the placeholder until the source is loaded. Its style reserves the space
-/// of the picture before that module is loaded, so that the layout does not shift.
+/// Returns an element for `web/ssplat-img.js`, which shows the placeholder until the source is loaded. Its style
+/// reserves the space of the picture before that module is loaded, so that the layout does not shift.
 fn html(args: &args::Placeholder, [width, height]: [u32; 2], text: &str) -> String {
     let src = args.src.clone().unwrap_or_else(|| name(&args.input));
     format!(

@@ -65,7 +65,8 @@ impl Drop for Bar {
     }
 }
 
-/// Returns the remaining time as text if the share `done` took `elapsed`; `None` while too little is done for an estimate.
+/// Returns the remaining time as text if the share `done` took `elapsed`; `None` while too little is done for an
+/// estimate.
 fn left(elapsed: Duration, done: f32) -> Option<String> {
     const TOLD_FROM: f32 = 0.03;
     if done < TOLD_FROM {
@@ -79,8 +80,8 @@ fn left(elapsed: Duration, done: f32) -> Option<String> {
     })
 }
 
-/// The stages of an encode, in order, with their shares of the time, measured with `--explain` on photographs of 0.4 to 14
-/// megapixels.
+/// The stages of an encode, in order, with their shares of the time, measured with `--explain` on photographs of 0.4 to
+/// 14 megapixels.
 const WHOLE: [(&str, f32); 3] = [("fit", 0.6), ("finish", 0.36), ("thumbnail", 0.04)];
 /// The stages of an encode in tiles, with their shares of the time.
 const TILED: [(&str, f32); 6] =

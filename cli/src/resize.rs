@@ -15,8 +15,8 @@ use crate::guard;
 const FILTER: FilterType = FilterType::Lanczos3;
 const SUPPORT: f64 = 3.0;
 
-/// If the scale factor is larger, blocks of pixels are averaged first until this factor remains. That takes little memory, and makes
-/// no visible difference.
+/// If the scale factor is larger, blocks of pixels are averaged first until this factor remains. That takes little
+/// memory, and makes no visible difference.
 const FILTERED_FACTOR: f64 = 4.0;
 
 /// Approximate number of samples of a band before filtering: 16 MiB as floats.
@@ -36,8 +36,9 @@ pub fn fitted(size: [u32; 2], max_side: Option<u32>) -> [u32; 2] {
     }
 }
 
-/// Downscales `source` to `size`. Colours are filtered in linear light, by the curves of the profile `icc` or those of sRGB, and
-/// weighted by alpha unless hidden colours are kept. Rounding may differ between processors with different vector instructions.
+/// Downscales `source` to `size`. Colours are filtered in linear light, by the curves of the profile `icc` or those of
+/// sRGB, and weighted by alpha unless hidden colours are kept. Rounding may differ between processors with different
+/// vector instructions.
 ///
 /// # Errors
 /// Those of `source`.
@@ -188,8 +189,8 @@ impl<'a> Resize<'a> {
     }
 }
 
-/// Filters an image of pixels `P` and of size `from` to size `to`. Images whose type is known at compile time keep the code for
-/// others out of the program.
+/// Filters an image of pixels `P` and of size `from` to size `to`. Images whose type is known at compile time keep the
+/// code for others out of the program.
 fn filter<P: PixelTrait>(image: &[f32], from: [u32; 2], out: &mut [f32], to: [u32; 2], options: &ResizeOptions) {
     let image = TypedImageRef::<P>::from_buffer(from[0], from[1], bytemuck::cast_slice(image));
     let image = image.expect("a sample for each channel of each block");

@@ -1,5 +1,5 @@
-//! Writes output files: under a temporary name in the same folder, renamed when complete, so that incomplete files are never
-//! visible, and an interrupted run leaves nothing behind.
+//! Writes output files: under a temporary name in the same folder, renamed when complete, so that incomplete files are
+//! never visible, and an interrupted run leaves nothing behind.
 
 use std::borrow::Cow;
 use std::fs::{File, FileTimes};
@@ -36,7 +36,8 @@ pub fn tell(message: &str) {
     eprintln!("ssplat: {}", printable(message));
 }
 
-/// Escapes control characters for a terminal, because file names, profiles and errors of decoders contain untrusted text.
+/// Escapes control characters for a terminal, because file names, profiles and errors of decoders contain untrusted
+/// text.
 pub fn printable(text: &str) -> Cow<'_, str> {
     let is_control = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
     if !text.contains(is_control) {
@@ -164,8 +165,8 @@ fn put(file: NamedTempFile, target: &Path) -> io::Result<()> {
     std::fs::rename(&path, target).inspect_err(|_| drop(std::fs::remove_file(&path)))
 }
 
-/// Whether `path` has an extension, and Windows still treats it as a device: `aux.png`, `con.ssplat`. Output written to it would
-/// be lost. `NUL` and `CON` without an extension are intentional.
+/// Whether `path` has an extension, and Windows still treats it as a device: `aux.png`, `con.ssplat`. Output written to
+/// it would be lost. `NUL` and `CON` without an extension are intentional.
 fn is_device_with_extension(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let Some((stem, _)) = name.split_once('.') else { return false };

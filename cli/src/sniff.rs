@@ -1,4 +1,5 @@
-//! Detects formats that the `image` crate does not detect by their first bytes: JPEG XL, and formats in the HEIF container.
+//! Detects formats that the `image` crate does not detect by their first bytes: JPEG XL, and formats in the HEIF
+//! container.
 
 /// A format that `image` does not detect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -162,7 +162,8 @@ fn read_foreign(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Fai
     Ok(Source { pixels, icc, exif, orientation, is_cut_off, notes })
 }
 
-/// Returns width and height of a picture in a format other than ssplat, or `None` if they are unknown. Rewinds the input.
+/// Returns width and height of a picture in a format other than ssplat, or `None` if they are unknown. Rewinds the
+/// input.
 pub fn size(path: &Path, input: &mut Input) -> Option<[u32; 2]> {
     let mut size = || {
         let start = input.start().ok()?;

@@ -1,7 +1,7 @@
 //! Pictures that do not fit into memory: their samples stay in a file and are read part by part.
 //!
-//! Binary PNM with a maximum of 255 or 65535 is read in place. The rows of a PNG are decoded into a temporary file. Other
-//! formats, and interlaced PNG, are decoded in memory.
+//! Binary PNM with a maximum of 255 or 65535 is read in place. The rows of a PNG are decoded into a temporary file.
+//! Other formats, and interlaced PNG, are decoded in memory.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -19,7 +19,8 @@ use crate::input::Input;
 use crate::source::Source;
 use crate::{completeness, guard, resize, source};
 
-/// Disk space that any PNG may take, and the space per byte of the file above that: photographs need 2 to 5, drawings up to 200.
+/// Disk space that any PNG may take, and the space per byte of the file above that: photographs need 2 to 5, drawings
+/// up to 200.
 const FREE_SPOOL: u64 = 1 << 30;
 const MOST_UNPACKED: u64 = 1000;
 
@@ -90,8 +91,8 @@ pub enum Opened {
     AsWhole(Input),
 }
 
-/// Opens `input`, which came from `path`, without reading it into memory, and before `end` if that is set. A panic of a decoder
-/// is reported as a broken file.
+/// Opens `input`, which came from `path`, without reading it into memory, and before `end` if that is set. A panic of a
+/// decoder is reported as a broken file.
 pub fn open(path: &Path, input: Input, end: Option<Instant>) -> Result<Opened, Failure> {
     let Input::File(mut reader) = input else { return Ok(Opened::AsWhole(input)) };
     let spooled = guard::quietly(|| spooled(path, &mut reader, end));
@@ -154,7 +155,8 @@ fn check_size(path: &Path, width: u32, height: u32) -> Result<(), Failure> {
     Err(Failure { kind: Kind::Limit, message })
 }
 
-/// Refuses a PNG whose `samples` bytes of samples are out of proportion to its `packed` bytes, because it would fill the disk.
+/// Refuses a PNG whose `samples` bytes of samples are out of proportion to its `packed` bytes, because it would fill
+/// the disk.
 fn check_spooled(path: &Path, samples: u64, packed: u64) -> Result<(), Failure> {
     let most = packed.saturating_mul(MOST_UNPACKED).max(FREE_SPOOL);
     if samples <= most {

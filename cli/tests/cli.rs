@@ -97,8 +97,9 @@ fn encode_decode_and_compare_agree_on_a_photograph() {
     let measured = succeeds(ssplat(&[&"compare", &PHOTO, &file, &"--json"]));
     assert_eq!(measured, succeeds(ssplat(&[&"compare", &PHOTO, &decoded, &"--json"])));
     assert!((number(&measured, "psnr") - number(&json, "psnr")).abs() < 0.01, "{measured} {json}");
-    // Measured: 22.99 dB, SSIM .618, MS-SSIM .882, SSIMULACRA2 -20.2, Butteraugli 7.2. A single fit scatters by .25 dB; the bounds
-    // allow twice that, and as much for the other metrics. No encoder comes near the upper bounds at this ratio.
+    // Measured: 22.99 dB, SSIM .618, MS-SSIM .882, SSIMULACRA2 -20.2, Butteraugli 7.2. A single fit scatters by .25 dB;
+    // the bounds allow twice that, and as much for the other metrics. No encoder comes near the upper bounds at this
+    // ratio.
     for (measure, least, most) in [
         ("psnr", 22.49, 30.0),
         ("ssim", 0.59, 0.9),

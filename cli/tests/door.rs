@@ -1,4 +1,5 @@
-//! Guarantees about input pictures: memory is bounded whatever a file claims, broken files stop no other, and inputs need not seek.
+//! Guarantees about input pictures: memory is bounded whatever a file claims, broken files stop no other, and inputs
+//! need not seek.
 #![cfg(unix)]
 
 mod folder;
@@ -14,8 +15,8 @@ use std::time::Duration;
 use folder::Folder;
 use nix::sys::resource::{Resource, setrlimit};
 
-/// Address space of the program: less than the 8 GiB that a picture may take, so that memory that is allocated and never touched is
-/// detected as well.
+/// Address space of the program: less than the 8 GiB that a picture may take, so that memory that is allocated and
+/// never touched is detected as well.
 const ADDRESS_SPACE: u64 = 6_000_000_000;
 
 /// A process that takes longer than this hangs.

@@ -1,6 +1,7 @@
 //! The program on a GPU: the choice of the device, and the report about it.
 //!
-//! Any adapter works, including software ones. Without an adapter, these tests are ignored, or fail with `SSPLAT_REQUIRE_GPU=1`.
+//! Any adapter works, including software ones. Without an adapter, these tests are ignored, or fail with
+//! `SSPLAT_REQUIRE_GPU=1`.
 
 #[path = "../../tests/adapter/mod.rs"]
 mod adapter;

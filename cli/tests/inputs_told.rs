@@ -1,4 +1,5 @@
-//! What the program reports about its inputs and keeps of them: colours, further pictures, larger outputs, and untrusted text.
+//! What the program reports about its inputs and keeps of them: colours, further pictures, larger outputs, and
+//! untrusted text.
 
 mod folder;
 

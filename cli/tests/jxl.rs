@@ -1,9 +1,10 @@
-//! JPEG XL as an input: pixels, orientation, profiles and EXIF blocks of files by `cjxl` 0.7.0, and files that were damaged.
+//! JPEG XL as an input: pixels, orientation, profiles and EXIF blocks of files by `cjxl` 0.7.0, and files that were
+//! damaged.
 //!
-//! The files in `jxl/` were made of a picture of ramps, 40 × 30 pixels, and of an animation of two frames:
-//! `cjxl -d 0` (`rgb`, `grey16`, `rgba`), `-d 1` (`lossy`), `-d 0 --container=1` (`container`), `-d 1 -x color_space=RGB_D65_DCI_Rel_SRG`
-//! (`p3`), `-d 1 -x color_space=RGB_D65_202_Rel_PeQ` (`pq`); of a JPEG with orientation 6, `cjxl` (`turned`) and `cjxl -j 0 -d 1`
-//! (`turned-lossy`); of a GIF, `cjxl` (`animation`).
+//! The files in `jxl/` were made of a picture of ramps, 40 × 30 pixels, and of an animation of two frames: `cjxl -d 0`
+//! (`rgb`, `grey16`, `rgba`), `-d 1` (`lossy`), `-d 0 --container=1` (`container`), `-d 1 -x
+//! color_space=RGB_D65_DCI_Rel_SRG` (`p3`), `-d 1 -x color_space=RGB_D65_202_Rel_PeQ` (`pq`); of a JPEG with
+//! orientation 6, `cjxl` (`turned`) and `cjxl -j 0 -d 1` (`turned-lossy`); of a GIF, `cjxl` (`animation`).
 #![cfg(feature = "jxl")]
 
 mod folder;

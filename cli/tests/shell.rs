@@ -1,5 +1,5 @@
-//! What people ask for at a shell: times that are kept, pictures that are resized, files that are never larger, and plain answers for
-//! formats that are not read.
+//! What people ask for at a shell: times that are kept, pictures that are resized, files that are never larger, and
+//! plain answers for formats that are not read.
 
 mod folder;
 

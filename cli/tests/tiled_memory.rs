@@ -10,8 +10,9 @@ use nix::sys::resource::{UsageWho, getrusage};
 
 const WIDTH: u32 = 8192;
 const HEIGHT: u32 = 1024;
-/// Largest resident memory in bytes; 50 MB were measured. It is two thirds of the memory of the picture's planes, which a fit of
-/// the whole needs in addition to as much for gradients. A detail layer takes 20 to 40 MB more, which is not tested here.
+/// Largest resident memory in bytes; 50 MB were measured. It is two thirds of the memory of the picture's planes, which
+/// a fit of the whole needs in addition to as much for gradients. A detail layer takes 20 to 40 MB more, which is not
+/// tested here.
 const MOST: i64 = 64 << 20;
 
 #[test]

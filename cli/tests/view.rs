@@ -1,5 +1,5 @@
-//! Guarantees of `ssplat view`: it serves the viewer and the named files, and nothing else, to this machine only; or it writes
-//! them as one page.
+//! Guarantees of `ssplat view`: it serves the viewer and the named files, and nothing else, to this machine only; or it
+//! writes them as one page.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};

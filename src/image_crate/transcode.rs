@@ -16,12 +16,13 @@ use crate::error::{Error, Result};
 use crate::options::EncodeOptions;
 use crate::pixels::Pixels;
 
-/// Encodes the picture in the file at `input` and writes it to `output`. [`EncodeOptions::metadata`] selects the metadata
-/// to keep: by default the ICC profile and the orientation.
+/// Encodes the picture in the file at `input` and writes it to `output`. [`EncodeOptions::metadata`] selects the
+/// metadata to keep: by default the ICC profile and the orientation.
 ///
-/// It reads ssplat and all formats that `image` is built with, recognized by content or extension. [`DynamicImage`](image::DynamicImage)
-/// has neither profile nor orientation, so [`image::open`] and [`save`](super::save) lose both; this function keeps
-/// them. An ICC profile or EXIF block in `options` replaces that of the picture.
+/// It reads ssplat and all formats that `image` is built with, recognized by content or extension.
+/// [`DynamicImage`](image::DynamicImage) has neither profile nor orientation, so [`image::open`] and
+/// [`save`](super::save) lose both; this function keeps them. An ICC profile or EXIF block in `options` replaces that
+/// of the picture.
 ///
 /// # Errors
 /// [`Error::Io`] if a file cannot be read or written, [`Error::Source`] if `image` cannot decode `input`,
@@ -94,8 +95,8 @@ impl Encoder {
     ///
     /// # Errors
     /// [`Error::Io`] if a file cannot be read or written, [`Error::Source`] if `image` cannot decode `input` or needs more
-    /// than 8 GiB for it (1 GiB on 32-bit systems), [`Error::Parameter`] if `output` has the extension of another format;
-    /// otherwise as [`Encoder::encode`].
+    /// than 8 GiB for it (1 GiB on 32-bit systems), [`Error::Parameter`] if `output` has the extension of another
+    /// format; otherwise as [`Encoder::encode`].
     pub fn transcode(&self, input: impl AsRef<Path>, output: impl AsRef<Path>) -> Result<EncodeReport> {
         transcode(input, output, self.options())
     }

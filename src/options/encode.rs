@@ -200,9 +200,9 @@ pub struct EncodeOptions {
     /// Whether the file carries a thumbnail; its bytes count as the file's.
     pub thumbnail: Thumbnail,
     /// Side of the tiles in which the picture is fitted, pixels: a multiple of 128 up to 16384. `None`: pictures of
-    /// more than 2²⁵ pixels are fitted in tiles of 2048 unless the layout or the recipe excludes tiles or a GPU is used,
-    /// pictures of more than 2²⁸ pixels always, and all others as a whole. A picture no larger than a tile is fitted as
-    /// a whole.
+    /// more than 2²⁵ pixels are fitted in tiles of 2048 unless the layout or the recipe excludes tiles or a GPU is
+    /// used, pictures of more than 2²⁸ pixels always, and all others as a whole. A picture no larger than a tile is
+    /// fitted as a whole.
     ///
     /// Tiles bound the memory of a fit. They are fitted on the CPU, in the coded layout. With tiles, a quality is the
     /// mean of the tiles' scores.

@@ -1,4 +1,5 @@
-//! Parameters as CSV: a comment line with the properties of the picture, a line of column names, and a line per Gaussian.
+//! Parameters as CSV: a comment line with the properties of the picture, a line of column names, and a line per
+//! Gaussian.
 
 use std::fmt::Write;
 
@@ -49,8 +50,8 @@ pub fn write(of: &Parameters) -> String {
     out
 }
 
-/// Reads such a table. Columns may be in any order, unknown columns are ignored, and either scales with rotation or covariances
-/// may be missing.
+/// Reads such a table. Columns may be in any order, unknown columns are ignored, and either scales with rotation or
+/// covariances may be missing.
 pub fn read(text: &str, given: Given, limits: &Limits) -> Result<Parameters, Problem> {
     let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     let (mut size, mut blend, mut depth) = (None, None, Depth::Eight);

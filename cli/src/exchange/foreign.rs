@@ -1,10 +1,10 @@
-//! Parameters of other programs, in an `.npz` archive of their arrays. Their checkpoints are PyTorch pickles, which run code
-//! when opened and are not read here; one line of Python converts them (see [`HOW`]).
+//! Parameters of other programs, in an `.npz` archive of their arrays. Their checkpoints are PyTorch pickles, which run
+//! code when opened and are not read here; one line of Python converts them (see [`HOW`]).
 //!
-//! GaussianImage (Zhang et al., ECCV 2024; github.com/Xinjie-Q/GaussianImage): `_xyz`, `_features_dc`, and `_cholesky` or
-//! `_scaling` with `_rotation`. Image-GS (Zhang et al., SIGGRAPH 2025; github.com/NYU-ICL/image-gs): `xy`, `scale`, `rot`,
-//! `feat`. Both programs have pixel centres at whole numbers; ssplat has them at +0.5. Both multiply by the transpose of the
-//! usual rotation matrix, so their angle is the negative of ssplat's.
+//! GaussianImage (Zhang et al., ECCV 2024; github.com/Xinjie-Q/GaussianImage): `_xyz`, `_features_dc`, and `_cholesky`
+//! or `_scaling` with `_rotation`. Image-GS (Zhang et al., SIGGRAPH 2025; github.com/NYU-ICL/image-gs): `xy`, `scale`,
+//! `rot`, `feat`. Both programs have pixel centres at whole numbers; ssplat has them at +0.5. Both multiply by the
+//! transpose of the usual rotation matrix, so their angle is the negative of ssplat's.
 
 use std::collections::BTreeMap;
 
@@ -38,8 +38,8 @@ pub fn read(arrays: &BTreeMap<String, Array>, given: Given) -> Result<(Parameter
     if arrays.contains_key("_xyz") { gaussian_image(arrays, given) } else { image_gs(arrays, given) }
 }
 
-/// `μ = ½·size·(1 + tanh xyz)`, `Σ = L Lᵀ` with the factor's diagonal raised by ½, or `Σ = Rᵀ diag(|s + ½|²) R` with an angle
-/// of `2π·sigmoid`; the picture is the clamped sum without background.
+/// `μ = ½·size·(1 + tanh xyz)`, `Σ = L Lᵀ` with the factor's diagonal raised by ½, or `Σ = Rᵀ diag(|s + ½|²) R` with an
+/// angle of `2π·sigmoid`; the picture is the clamped sum without background.
 fn gaussian_image(arrays: &BTreeMap<String, Array>, given: Given) -> Result<(Parameters, &'static str), Problem> {
     let size = given.size(None)?;
     let (places, colors) = (rows(arrays, "_xyz", Some(2))?, rows(arrays, "_features_dc", Some(3))?);
@@ -83,8 +83,8 @@ fn gaussian_image(arrays: &BTreeMap<String, Array>, given: Given) -> Result<(Par
     ))
 }
 
-/// `μ = size·xy`, `Σ = Rᵀ diag(1/scale²) R`; the picture is the mean of the ten largest, weighted by them, with 1e-4 added to
-/// the sum of the weights.
+/// `μ = size·xy`, `Σ = Rᵀ diag(1/scale²) R`; the picture is the mean of the ten largest, weighted by them, with 1e-4
+/// added to the sum of the weights.
 fn image_gs(arrays: &BTreeMap<String, Array>, given: Given) -> Result<(Parameters, &'static str), Problem> {
     let size = given.size(None)?;
     let (places, scales) = (rows(arrays, "xy", Some(2))?, rows(arrays, "scale", Some(2))?);

@@ -73,7 +73,8 @@ fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
     out
 }
 
-/// Reads a `.npy` file of at most `rows` rows. Subtracts the memory of its elements from `left`, and fails if that is not enough.
+/// Reads a `.npy` file of at most `rows` rows. Subtracts the memory of its elements from `left`, and fails if that is
+/// not enough.
 pub fn read(mut file: impl Read, rows: u64, left: &mut u64) -> Result<Array, Problem> {
     let mut start = [0; 8];
     fill(&mut file, &mut start)?;

@@ -10,8 +10,8 @@ use zip::{CompressionMethod, ZipArchive, ZipWriter};
 use super::npy::{self, Array};
 use super::problem::Problem;
 
-/// Memory that the arrays of any archive may take, and the memory per byte of the archive above that: numbers in single precision
-/// take twice their length, and compressed ones of real pictures up to ten times.
+/// Memory that the arrays of any archive may take, and the memory per byte of the archive above that: numbers in single
+/// precision take twice their length, and compressed ones of real pictures up to ten times.
 const FREE: u64 = 64 << 20;
 const MOST_UNPACKED: u64 = 64;
 

@@ -1,5 +1,5 @@
-//! Exchanged data: the Gaussians of a picture, with their layout and steps if they come from an .ssplat file. They can be
-//! read from and written to `.npz` archives.
+//! Exchanged data: the Gaussians of a picture, with their layout and steps if they come from an .ssplat file. They can
+//! be read from and written to `.npz` archives.
 //!
 //! Means, scales and covariances are in pixels with pixel centres at +0.5, rotations in radians from the x axis (right)
 //! towards the y axis (down), colours in encoded sRGB values, nominally from 0 to 1.
@@ -39,7 +39,8 @@ pub struct Parameters {
     pub picture: Picture,
     /// Bits per sample of the picture.
     pub depth: Depth,
-    /// Layout and steps of the .ssplat file that they come from; with these, they are quantized to the same integers again.
+    /// Layout and steps of the .ssplat file that they come from; with these, they are quantized to the same integers
+    /// again.
     pub stored: Option<(Layout, Steps)>,
 }
 
@@ -160,8 +161,8 @@ pub fn covariance(g: &Gaussian) -> [f32; 3] {
     [a * cos * cos + b * sin * sin, (a - b) * sin * cos, a * sin * sin + b * cos * cos]
 }
 
-/// Returns the scales, the larger first, and the rotation of the larger, of a covariance `[xx, xy, yy]`; `None` if it is not
-/// positive definite.
+/// Returns the scales, the larger first, and the rotation of the larger, of a covariance `[xx, xy, yy]`; `None` if it
+/// is not positive definite.
 pub fn of_covariance([xx, xy, yy]: [f64; 3]) -> Option<([f64; 2], f64)> {
     let (middle, half) = (0.5 * (xx + yy), (0.5 * (xx - yy)).hypot(xy));
     // The smaller root comes from the product, because the difference cancels for thin Gaussians.
@@ -315,7 +316,8 @@ mod tests {
         for (scale, rotation) in [([5.0, 1.0], 0.3), ([300.0, 0.3], 2.9), ([2.0, 1.9], 1.5), ([7.0, 7.0], 0.0)] {
             let g = gaussian([0.0, 0.0], scale, rotation, &[]);
             let (found, turned) = of_covariance(covariance(&g).map(f64::from)).unwrap();
-            // The covariance is in single precision, in which the smaller scale of a thin Gaussian is a small difference.
+            // The covariance is in single precision, in which the smaller scale of a thin Gaussian is a small
+            // difference.
             let tolerance = 1e-6 * (scale[0] / scale[1]).powi(2);
             assert!((found[0] / scale[0] - 1.0).abs() < 1e-5, "{found:?} {scale:?}");
             assert!((found[1] / scale[1] - 1.0).abs() < tolerance + 1e-5, "{found:?} {scale:?}");

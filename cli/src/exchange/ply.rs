@@ -1,8 +1,8 @@
 //! Points for splat viewers: the PLY of 3D Gaussian Splatting (Kerbl et al., 2023), flat in z.
 //!
 //! x to the right and y down in pixels, z 0; scales as natural logarithms, rotations as quaternions w, x, y, z about z,
-//! colours as coefficients of the constant spherical harmonic, opacity as a logit. Viewers composite the points by opacity, so
-//! they show the Gaussians and not the picture.
+//! colours as coefficients of the constant spherical harmonic, opacity as a logit. Viewers composite the points by
+//! opacity, so they show the Gaussians and not the picture.
 
 use ssplat::{Channels, Picture};
 

@@ -1,7 +1,8 @@
-//! The part of HTTP/1.1 that a page on this machine needs: one request per connection, without a body, and its response.
-//!
-//! Clients may send anything, and slowly, so the bytes and the time of a connection are bounded, and it is closed after the
+//! The part of HTTP/1.1 that a page on this machine needs: one request per connection, without a body, and its
 //! response.
+//!
+//! Clients may send anything, and slowly, so the bytes and the time of a connection are bounded, and it is closed after
+//! the response.
 
 use std::io::{self, Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -17,8 +18,8 @@ const ANSWER: Duration = Duration::from_secs(30);
 /// Bytes that are written at a time, with a check of the time limit in between.
 const PIECE: usize = 1 << 16;
 
-/// Largest number of bytes of a request that are read after the response. Closing a connection with unread bytes would discard
-/// the response.
+/// Largest number of bytes of a request that are read after the response. Closing a connection with unread bytes would
+/// discard the response.
 const MOST_LEFT: usize = 1 << 18;
 const LEFT: Duration = Duration::from_millis(500);
 

@@ -1,5 +1,5 @@
-//! The files of the viewer, embedded in the program: the sources in `web/`, and the WebAssembly that `web/build --commit` puts beside
-//! them. WebAssembly for browsers without vector instructions is only in the web package.
+//! The files of the viewer, embedded in the program: the sources in `web/`, and the WebAssembly that `web/build
+//! --commit` puts beside them. WebAssembly for browsers without vector instructions is only in the web package.
 
 /// The page.
 pub const PAGE: &str = "viewer/index.html";

@@ -11,15 +11,15 @@ use super::package::{self, PAGE};
 use crate::failure::{Failure, Kind};
 use crate::sink::say;
 
-/// Number of connections that are served at a time, each by a thread; a browser opens up to six. Further connections wait. The
-/// time limits of `http` apply to each, so slow or idle ones do not block the others.
+/// Number of connections that are served at a time, each by a thread; a browser opens up to six. Further connections
+/// wait. The time limits of `http` apply to each, so slow or idle ones do not block the others.
 const THREADS: usize = 32;
 
 /// Pause after a failed `accept`, which happens if there are too many connections.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// Content security policy of the page: it may run its own scripts and WebAssembly, and send requests to this server. The
-/// worker that encodes is made of blobs, so that no request is sent when a picture is there.
+/// Content security policy of the page: it may run its own scripts and WebAssembly, and send requests to this server.
+/// The worker that encodes is made of blobs, so that no request is sent when a picture is there.
 const POLICY: &str = "default-src 'none'; script-src 'self' blob: 'wasm-unsafe-eval'; worker-src 'self' blob:; connect-src 'self'; \
                       style-src 'unsafe-inline'; img-src 'self' blob: data:; frame-ancestors 'none'; base-uri 'none'";
 

@@ -40,8 +40,8 @@ pub(super) enum BlockChoice {
 pub(super) enum Care {
     /// Tries each clearly uncertain level once.
     Quick,
-    /// Tries the levels for which an estimate of the savings is not conclusive; in blocks of few levels, tries all of them
-    /// up to twice.
+    /// Tries the levels for which an estimate of the savings is not conclusive; in blocks of few levels, tries all of
+    /// them up to twice.
     Thorough,
     /// Tries every uncertain level up to twice.
     Exhaustive,
@@ -151,8 +151,8 @@ struct Tried {
     is_quiet: bool,
 }
 
-/// Chooses the blocks of a tile by the prices of their levels, where the whole tile is lapped for blocks of each size. Returns the
-/// sizes of the blocks that its cells lie in, by kind.
+/// Chooses the blocks of a tile by the prices of their levels, where the whole tile is lapped for blocks of each size.
+/// Returns the sizes of the blocks that its cells lie in, by kind.
 pub(super) fn priced_blocks(tile: &TileResidual, classes: &[u8], setting: &Setting) -> [Vec<u8>; KINDS] {
     let all = AllSizes::new(tile, |plane| setting.head.sizes([0, 1, 1, 2][plane]));
     let setting = Setting { care: Care::Quick, ..*setting };
@@ -160,8 +160,8 @@ pub(super) fn priced_blocks(tile: &TileResidual, classes: &[u8], setting: &Setti
     Chooser::new(tile, classes, &setting, Source::All(&all), sizes).run().sizes
 }
 
-/// Chooses the levels of a tile in blocks of the given `sizes`. The coefficients come from `kept`, where they are computed on
-/// first use.
+/// Chooses the levels of a tile in blocks of the given `sizes`. The coefficients come from `kept`, where they are
+/// computed on first use.
 pub(super) fn choose(
     tile: &TileResidual,
     classes: &[u8],
@@ -481,8 +481,8 @@ impl Trial<'_> {
         Found { count, distortion, cost: distortion + self.lambda * self.price(count) }
     }
 
-    /// Lowers the levels whose last step clearly costs more bits than it is worth, by an estimate for each level alone, and
-    /// writes the inconclusive ones to `doubtful`. Returns false and changes nothing if no level would remain.
+    /// Lowers the levels whose last step clearly costs more bits than it is worth, by an estimate for each level alone,
+    /// and writes the inconclusive ones to `doubtful`. Returns false and changes nothing if no level would remain.
     fn lower(
         &mut self,
         candidates: &[Candidate],
@@ -519,7 +519,8 @@ impl Trial<'_> {
         true
     }
 
-    /// Lowers each level whose last step is not worth its bits, except those that are sure. Returns whether any changed.
+    /// Lowers each level whose last step is not worth its bits, except those that are sure. Returns whether any
+    /// changed.
     fn try_each(&mut self, candidates: &[Candidate], found: &mut Found, is_sure: impl Fn(f32, u32) -> bool) -> bool {
         let mut is_changed = false;
         for c in candidates {

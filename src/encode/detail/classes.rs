@@ -14,7 +14,8 @@ const KERNEL: [f32; 5] = [1.0, 3.0, 4.0, 3.0, 1.0];
 /// Class step that leaves the layer's step as it is, 1/64.
 const MIDDLE: f32 = 64.0;
 
-/// Returns the mean logarithm of the luma's variance around each square, over all squares of `tile`, and of each superblock.
+/// Returns the mean logarithm of the luma's variance around each square, over all squares of `tile`, and of each
+/// superblock.
 pub(super) fn activity(tile: &TileResidual) -> Vec<f32> {
     let [across, down] = tile.size.map(|side| side.next_multiple_of(SUPER) / SQUARE);
     let mut moments = vec![[0f32; 2]; across * down];
@@ -61,8 +62,8 @@ fn blur(moments: &[[f32; 2]], [across, down]: [usize; 2], [dx, dy]: [i32; 2]) ->
         .collect()
 }
 
-/// Returns the classes of superblocks with such an `activity`, for steps that go with a power of the variance, `mean` being the
-/// mean activity of the picture.
+/// Returns the classes of superblocks with such an `activity`, for steps that go with a power of the variance, `mean`
+/// being the mean activity of the picture.
 pub(super) fn classes(activity: &[f32], mean: f32, power: f32, count: u8) -> Vec<u8> {
     let class = |&a: &f32| {
         let wanted = (power * (a - mean)).strict_exp() * MIDDLE;

@@ -1,8 +1,10 @@
-//! What luma and green chroma are to take of each other's error, where squared error of red, green and blue is to be small.
+//! What luma and green chroma are to take of each other's error, where squared error of red, green and blue is to be
+//! small.
 //!
-//! Errors `y` of luma and `g` of green chroma make `12y² + 3g² − 4yg` of it, and those of orange chroma have no part in either: beside an error `g`
-//! that stays, the best one of luma is `g / 6`. Most of `g` stays, since most coefficients of chroma are too small for a level. Beside an error `y`
-//! the best one of chroma is `2y / 3`; but most of `y` does not stay when the layer is coded anew.
+//! Errors `y` of luma and `g` of green chroma make `12y² + 3g² − 4yg` of it, and those of orange chroma have no part in
+//! either: beside an error `g` that stays, the best one of luma is `g / 6`. Most of `g` stays, since most coefficients
+//! of chroma are too small for a level. Beside an error `y` the best one of chroma is `2y / 3`; but most of `y` does
+//! not stay when the layer is coded anew.
 
 use super::residual::{TileResidual, luma_and_chroma};
 use crate::bitstream::detail::DetailLayer;
@@ -16,8 +18,8 @@ const OF_GREEN: f32 = 1.0 / 6.0;
 /// Part of the error of luma that green chroma takes: less than half of the best one where all of it stays.
 const OF_LUMA: f32 = 0.4 * 2.0 / 3.0;
 
-/// Adds to luma and green chroma of `tiles` what is best beside the errors of `layer`. Twelve pictures of Kodak gain .03 dB at a ratio of 20, .02 at
-/// 50, and nothing at 100; the part of green chroma is .003.
+/// Adds to luma and green chroma of `tiles` what is best beside the errors of `layer`. Twelve pictures of Kodak gain
+/// .03 dB at a ratio of 20, .02 at 50, and nothing at 100; the part of green chroma is .003.
 pub(super) fn couple(tiles: &mut [TileResidual], layer: &DetailLayer, channels: Channels) {
     // The file's channels may be more than those that are fitted: a grey picture that is stored as RGB has no chroma.
     if tiles.iter().any(|tile| tile.planes[0].len() != tile.planes[2].len()) {

@@ -1,8 +1,9 @@
 //! How the bytes of a file are divided between the Gaussians and the layer.
 //!
-//! The best number of Gaussians belongs to the picture and hardly to the asked bytes: they make its large shapes and its
-//! edges, and from there on the layer is cheaper. That is some 8 kB for photographs of .4 megapixels, and more for pictures that are sharp and
-//! drawn-like, on which Gaussians still gain fast. Which they are is seen when the smaller base has been fitted.
+//! The best number of Gaussians belongs to the picture and hardly to the asked bytes: they make its large shapes and
+//! its edges, and from there on the layer is cheaper. That is some 8 kB for photographs of .4 megapixels, and more for
+//! pictures that are sharp and drawn-like, on which Gaussians still gain fast. Which they are is seen when the smaller
+//! base has been fitted.
 
 use super::Layered;
 use super::texture::Texture;
@@ -37,15 +38,16 @@ const MAX_BASE_SHARE: f64 = 0.7;
 /// Ratio above which files have no layer, if the tune is not perceptual or the texture is unknown.
 const MAX_RATIO: f64 = 120.0;
 const RATIO_POWER: f64 = 0.85;
-/// Fineness of pictures of so many pixels for which a layer is worth as much at such a ratio as its bytes of Gaussians: at effort 1, whose short fits
-/// under a layer make less of their bytes, and from 2 on. The ratio goes with the square of fineness, and with a power of the pixels. At
-/// effort 1 and 100 it tells the better one on 18 of 19 pictures of CID22 and graphics; at effort 3 a layer wins .1 to 7.9 points of SSIMULACRA2
-/// there on all of 14.
+/// Fineness of pictures of so many pixels for which a layer is worth as much at such a ratio as its bytes of Gaussians:
+/// at effort 1, whose short fits under a layer make less of their bytes, and from 2 on. The ratio goes with the square
+/// of fineness, and with a power of the pixels. At effort 1 and 100 it tells the better one on 18 of 19 pictures of
+/// CID22 and graphics; at effort 3 a layer wins .1 to 7.9 points of SSIMULACRA2 there on all of 14.
 const FINE: [f64; 2] = [0.71, 0.42];
 const FINE_RATIO: f64 = 100.0;
 const FINE_PIXELS: f64 = 262_144.0;
 const FINE_RATIO_POWER: f64 = 2.0 / 3.0;
-/// Up to this ratio, drawings of [`FINE_PIXELS`] have a layer from effort 2 on: at 200, three diagrams have 4 to 6 points more with one.
+/// Up to this ratio, drawings of [`FINE_PIXELS`] have a layer from effort 2 on: at 200, three diagrams have 4 to 6
+/// points more with one.
 const DRAWING_RATIO: f64 = 250.0;
 /// Up to this ratio, texture does not rule out a layer.
 const ALWAYS_RATIO: f64 = 80.0;
@@ -55,15 +57,16 @@ const BUSY_SHARE: f64 = 0.5;
 const BUSY: [f64; 2] = [2.9, 4.1];
 /// Logarithm of the pixels, divided by [`REFERENCE_PIXELS`], at which that share applies in full.
 const BUSY_SIZE: f64 = 1.9;
-/// Pixels of the largest pictures whose residual is held as a whole, in some 30 bytes a pixel; that of larger ones is made a part at a
-/// time, and their Gaussians are fitted once.
+/// Pixels of the largest pictures whose residual is held as a whole, in some 30 bytes a pixel; that of larger ones is
+/// made a part at a time, and their Gaussians are fitted once.
 const LARGEST: u64 = 1 << 26;
 /// Files of fewer bytes have none.
 const MIN_FILE_BYTES: u64 = 2_500;
-/// A picture's sharpness is the share of the error that as many Gaussians again, set where it is largest, promise to take away, for each
-/// decibel that doubling the bytes of the layer wins. Up to here a small base is best.
+/// A picture's sharpness is the share of the error that as many Gaussians again, set where it is largest, promise to
+/// take away, for each decibel that doubling the bytes of the layer wins. Up to here a small base is best.
 const MAX_SHARPNESS: f64 = 0.105;
-/// The same from effort 7 on: of twelve pictures one gains .1 dB at 20 and .2 at 50, and five are fitted again for nothing.
+/// The same from effort 7 on: of twelve pictures one gains .1 dB at 20 and .2 at 50, and five are fitted again for
+/// nothing.
 const MAX_SHARPNESS_TRIED: f64 = 0.085;
 /// Power of the ratio over 20 with which that grows.
 const SHARP_POWER: f64 = 0.1;
@@ -71,11 +74,13 @@ const SHARP_POWER: f64 = 0.1;
 const MIN_BASE_GROWTH: f64 = 1.5;
 /// Decibels from which on a larger base has won enough for the largest one to be tried.
 const MIN_GAIN: f64 = 0.22;
-/// Bytes of the layer that sharpness is measured with, over those of the base: what was found at a ratio of 50 holds at others.
+/// Bytes of the layer that sharpness is measured with, over those of the base: what was found at a ratio of 50 holds at
+/// others.
 const MEASURED_LAYER: f64 = 1.9;
 /// Share of a budget of time that the Gaussians get.
 pub(in crate::encode) const BASE_TIME: f64 = 0.6;
-/// Share of the bytes that the Gaussians of a sharp picture get at a ratio of 20, and what each doubling of the ratio adds.
+/// Share of the bytes that the Gaussians of a sharp picture get at a ratio of 20, and what each doubling of the ratio
+/// adds.
 const SHARP_SHARE: f64 = 0.6;
 const SHARP_MORE: f64 = 0.15;
 /// And at most.
@@ -137,7 +142,8 @@ impl WholeSession<'_> {
                 // Each of the second and the third wins .01 dB: not worth it in every try.
                 Tune::Psnr if is_search(self.input.options.target) => 1,
                 Tune::Psnr => 3,
-                // The second wins .1 points of SSIMULACRA2 on Kodak, and .01 at 2.8 megapixels, for .07 and .13 of the time.
+                // The second wins .1 points of SSIMULACRA2 on Kodak, and .01 at 2.8 megapixels, for .07 and .13 of the
+                // time.
                 Tune::Ssim | Tune::Iq => 1,
             },
             _ => 4,
@@ -265,7 +271,8 @@ fn primitives_of(splats: &PackedSplats) -> Vec<Primitive> {
     splats.gaussians.iter().map(|g| Primitive::from_gaussian(&quantizer.dequantize(g))).collect()
 }
 
-/// Returns the largest ratio at which a picture of so many pixels gains by a layer; `texture` is known where eyes are favoured.
+/// Returns the largest ratio at which a picture of so many pixels gains by a layer; `texture` is known where eyes are
+/// favoured.
 fn largest_ratio(effort: u8, pixels: u64, texture: Option<Texture>) -> f64 {
     let usual = MAX_RATIO * (pixels as f64 / REFERENCE_PIXELS).strict_powf(RATIO_POWER);
     let Some(texture) = texture else { return usual };
@@ -275,7 +282,8 @@ fn largest_ratio(effort: u8, pixels: u64, texture: Option<Texture>) -> f64 {
     usual.min(ALWAYS_RATIO).max(FINE_RATIO * (texture.fineness / fine).powi(2) * larger).max(of_drawing)
 }
 
-/// Tells whether a picture of so many samples gains by a layer in a file of so many bytes, if it does up to a ratio of `largest`.
+/// Tells whether a picture of so many samples gains by a layer in a file of so many bytes, if it does up to a ratio of
+/// `largest`.
 fn is_worth_a_layer(samples: f64, bytes: u64, largest: f64) -> bool {
     bytes >= MIN_FILE_BYTES && samples / bytes as f64 <= largest
 }
@@ -301,8 +309,8 @@ fn busy_share(texture: Texture, pixels: u64, ratio: f64) -> f64 {
     BUSY_SHARE * busy * large * (ratio / 100.0).min(1.0)
 }
 
-/// Returns the bytes of the Gaussians of a picture that is fitted in tiles; `None` where it has no layer. `shared` are the bytes of the
-/// file but those of header and metadata.
+/// Returns the bytes of the Gaussians of a picture that is fitted in tiles; `None` where it has no layer. `shared` are
+/// the bytes of the file but those of header and metadata.
 pub(in crate::encode) fn base_in_tiles(options: &EncodeOptions, pixels: u64, samples: f64, shared: u64) -> Option<u64> {
     let all = shared as f64;
     match options.detail {

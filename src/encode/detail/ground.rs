@@ -12,7 +12,7 @@ pub(super) struct Ground {
 }
 
 impl Ground {
-    pub fn of(tile: &TileResidual) -> Self {
+    pub(super) fn of(tile: &TileResidual) -> Self {
         // Up to whole superblocks, as luma is.
         let [across, down] = tile.size.map(|side| side.div_ceil(SUPER) * (SUPER / CELL));
         let mut flat = vec![false; CELLS * CELLS];
@@ -26,7 +26,7 @@ impl Ground {
 
     /// Tells whether a block has both flat cells and others: its transform spreads what the others lose over the flat
     /// ones.
-    pub fn is_mixed(&self, [x, y]: [usize; 2], size: usize) -> bool {
+    pub(super) fn is_mixed(&self, [x, y]: [usize; 2], size: usize) -> bool {
         let n = 1 << size;
         let first = self.flat[y * CELLS + x];
         (y..y + n).any(|row| self.flat[row * CELLS + x..][..n].iter().any(|&flat| flat != first))

@@ -40,8 +40,8 @@ fn rest(target: &Planes, splats: &PackedSplats, layer: &DetailLayer, channels: C
     })
 }
 
-/// Changes the integers of `splats` to what costs least beside `layer`, whose bits cost `lambda` of squared error, parts of white
-/// squared. The file's length is free.
+/// Changes the integers of `splats` to what costs least beside `layer`, whose bits cost `lambda` of squared error,
+/// parts of white squared. The file's length is free.
 pub(super) fn descend(
     splats: &mut PackedSplats,
     target: &Planes,

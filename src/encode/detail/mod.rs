@@ -57,12 +57,14 @@ fn preset(tune: Tune) -> Preset {
             head: DetailHead { chroma: [48, 32], biases: [2, 4], ..DetailHead::SEEN },
             lambda: 0.09,
             power: 0.08,
-            // Against slopes of 16 at every step, at effort 3: .0011 of MS-SSIM on seven pictures at a ratio of 50 (1.9 points of SSIMULACRA2), and
-            // .0037 on three of Kodak at 100, for .26 and .33 dB. λ of .075 changes nothing.
+            // Against slopes of 16 at every step, at effort 3: .0011 of MS-SSIM on seven pictures at a ratio of 50 (1.9
+            // points of SSIMULACRA2), and .0037 on three of Kodak at 100, for .26 and .33 dB. λ of .075 changes
+            // nothing.
             slopes: Slopes(&[Knot { step: 600, slopes: [16, 16] }, Knot { step: 3000, slopes: [90, 40] }]),
         },
-        // Against slopes of 40 at every step, at a ratio of 100 and effort 1: 4.3 points of SSIMULACRA2 on three Kodak pictures, .5 on two of
-        // CLIC, for .39 and .11 dB. A power that grows too, to .22, has .1 more on the one and .3 on the other, but .05 of Butteraugli less.
+        // Against slopes of 40 at every step, at a ratio of 100 and effort 1: 4.3 points of SSIMULACRA2 on three Kodak
+        // pictures, .5 on two of CLIC, for .39 and .11 dB. A power that grows too, to .22, has .1 more on the one and
+        // .3 on the other, but .05 of Butteraugli less.
         Tune::Iq => Preset {
             head: DetailHead::SEEN,
             lambda: 0.1,
@@ -72,9 +74,10 @@ fn preset(tune: Tune) -> Preset {
     }
 }
 
-/// Bits of the layer per pixel from which on a drawing is coded as one. A screenshot and a page gain 5.4 and 0.5 SSIMULACRA2 points with 0.3 bits
-/// (a ratio of 50) and 5.6 and 2.6 with 0.11 (100), three diagrams 0.0 to 0.3 with 0.25 (50); the diagrams lose up to 0.9 with 0.06, and all but one
-/// up to 5 with 0.03 (200), where the layer has few levels and larger blocks are cheaper.
+/// Bits of the layer per pixel from which on a drawing is coded as one. A screenshot and a page gain 5.4 and 0.5
+/// SSIMULACRA2 points with 0.3 bits (a ratio of 50) and 5.6 and 2.6 with 0.11 (100), three diagrams 0.0 to 0.3 with
+/// 0.25 (50); the diagrams lose up to 0.9 with 0.06, and all but one up to 5 with 0.03 (200), where the layer has few
+/// levels and larger blocks are cheaper.
 const DRAWING_BITS: f64 = 0.09;
 /// [`Setting::mixed_cost`] in drawings: 3.7 and 2.2 points of that gain at 100. With 1.6 and 2 the diagrams lose 0.1 to 0.3.
 const DRAWING_MIXED_COST: f32 = 1.3;
@@ -149,7 +152,8 @@ impl WholeSession<'_> {
         Ok(outcome)
     }
 
-    /// Bytes and plain error of two layers in the blocks of `coded`: one of about `bytes`, or as many as that has, and a coarser one.
+    /// Bytes and plain error of two layers in the blocks of `coded`: one of about `bytes`, or as many as that has, and
+    /// a coarser one.
     fn two_steps(&self, splats: &PackedSplats, coded: &Coded, bytes: f64) -> [[f64; 2]; 2] {
         let tiles = self.residuals(splats);
         let factor = (coded.bytes as f64 / bytes).max(1.0).strict_powf(1.0 / MEASURED_FALL);
@@ -187,7 +191,8 @@ impl WholeSession<'_> {
 
     fn aim_of_layer(&self, most: u64) -> Aim {
         let has_alpha = self.planes.channels.alpha().is_some();
-        // Blocks that are chosen with the right step win .02 dB on small pictures, and .006 on large ones, where that takes longest.
+        // Blocks that are chosen with the right step win .02 dB on small pictures, and .006 on large ones, where that
+        // takes longest.
         let keeps = self.pixels() >= LARGE_PIXELS;
         Aim { most, keeps, ..aim(self.input.options.favoured(), self.input.channels(), has_alpha) }
     }
@@ -217,7 +222,8 @@ impl WholeSession<'_> {
         Ok(search(&tiles, &Aim { most: bytes, ..aim }, near))
     }
 
-    /// Codes a layer over `base`, a part of the picture at a time, and makes the file: for pictures whose residual is too much to hold.
+    /// Codes a layer over `base`, a part of the picture at a time, and makes the file: for pictures whose residual is
+    /// too much to hold.
     fn layered_in_parts(&mut self, base: Outcome, most: u64) -> Result<Outcome> {
         let mut outcome = base;
         let (input, tune) = (self.input, self.input.options.favoured());
@@ -257,8 +263,8 @@ fn for_drawing(mut aim: Aim, tune: Tune) -> Aim {
     aim
 }
 
-/// Returns what index and streams of a layer over `splats` may take in a file of `most` bytes, which `file` writes; `None` if that is
-/// no room for one.
+/// Returns what index and streams of a layer over `splats` may take in a file of `most` bytes, which `file` writes;
+/// `None` if that is no room for one.
 fn left_for_layer(
     splats: &PackedSplats,
     aim: &Aim,

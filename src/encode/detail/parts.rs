@@ -1,4 +1,5 @@
-//! The layer of a picture that is read a part at a time: the step is found on some of its tiles, then all are coded with it.
+//! The layer of a picture that is read a part at a time: the step is found on some of its tiles, then all are coded
+//! with it.
 //!
 //! Memory holds the residual of one part, and the levels and block sizes of all tiles. These take some bytes for each
 //! byte of the file.
@@ -56,8 +57,8 @@ pub(in crate::encode) struct Parts<'a> {
 }
 
 impl Parts<'_> {
-    /// Returns the layer that takes at most `most` bytes of index and streams; `None` if there is nothing to add, or no room. `show` is
-    /// told the share that is done.
+    /// Returns the layer that takes at most `most` bytes of index and streams; `None` if there is nothing to add, or no
+    /// room. `show` is told the share that is done.
     pub(crate) fn layer(&self, most: u64, show: &mut dyn FnMut(f32) -> Result<()>) -> Result<Option<DetailLayer>> {
         show(0.0)?;
         let count = self.count();

@@ -63,8 +63,8 @@ const LEVEL_BITS: f64 = 5.0;
 /// Magnitude in steps from which on a coefficient is likely to have a level.
 const LIKELY: f32 = 0.8;
 
-/// Returns the layer of `tiles` with the smallest step that fits; `None` if none does. With `near`, a layer of nearly the same
-/// tiles, the search begins at its step, and keeps its blocks where `aim` says so.
+/// Returns the layer of `tiles` with the smallest step that fits; `None` if none does. With `near`, a layer of nearly
+/// the same tiles, the search begins at its step, and keeps its blocks where `aim` says so.
 pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) -> Option<Coded> {
     let classes = classes_of(tiles, aim, mean_activity(tiles, aim));
     let mut sizes = near.filter(|_| aim.keeps).map(|near| near.sizes.clone());
@@ -89,7 +89,8 @@ pub(super) fn smallest_step<E>(
     let (mut fall, mut last): (f64, Option<[f64; 2]>) = (FALL, None);
     let mut best: Option<Coded> = None;
     let goal = (aim.most as f64 * (1.0 - BELOW)).max(1.0).strict_ln();
-    // Where none fits yet, which takes a picture whose bytes hardly fall with the step, it goes on for longer, and ever further.
+    // Where none fits yet, which takes a picture whose bytes hardly fall with the step, it goes on for longer, and ever
+    // further.
     let mut i = 0;
     while i < aim.runs || best.is_none() && i < PATIENCE * aim.runs {
         i += 1;
@@ -165,8 +166,8 @@ pub(super) fn once(tiles: &[TileResidual], aim: &Aim, near: &Coded) -> Coded {
 /// Sizes of the blocks that the cells of a tile lie in, by kind.
 type BlockSizes = [Vec<u8>; KINDS];
 
-/// Codes the layer with a step, in blocks of such `sizes`, or in those that it chooses. Coefficients in these blocks stay in `kept`, if it is not
-/// empty.
+/// Codes the layer with a step, in blocks of such `sizes`, or in those that it chooses. Coefficients in these blocks
+/// stay in `kept`, if it is not empty.
 pub(super) fn code(
     tiles: &[TileResidual],
     classes: &[Vec<u8>],

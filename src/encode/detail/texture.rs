@@ -11,16 +11,16 @@ const SQUARE: usize = 8;
 const FLOOR: f64 = 4.0;
 /// Variance of luma in a square of one colour, code values²: what rounding leaves.
 const FLAT: f64 = 0.001;
-/// Share of squares of one colour above which a picture is a drawing. Of 50 pictures, 8 diagrams, pages and screenshots have 0.34 to 0.86, one
-/// cut-out on white 0.67, and all other photographs at most 0.12. A page with photographs has 0.27: it loses 1.9 SSIMULACRA2 points at 50 as a
-/// drawing.
+/// Share of squares of one colour above which a picture is a drawing. Of 50 pictures, 8 diagrams, pages and screenshots
+/// have 0.34 to 0.86, one cut-out on white 0.67, and all other photographs at most 0.12. A page with photographs has
+/// 0.27: it loses 1.9 SSIMULACRA2 points at 50 as a drawing.
 const DRAWING: f64 = 0.3;
 
 /// How fine and how strong the texture of a picture is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Texture {
-    /// Variance of luma that is lost at half the resolution, divided by the further loss at a quarter. It is large if the
-    /// finest detail is strong, which Gaussians represent poorly and a layer well.
+    /// Variance of luma that is lost at half the resolution, divided by the further loss at a quarter. It is large if
+    /// the finest detail is strong, which Gaussians represent poorly and a layer well.
     pub fineness: f64,
     /// Mean logarithm of the variance of luma, code values², within squares of 8.
     pub activity: f64,
@@ -31,7 +31,7 @@ pub(super) struct Texture {
 impl Texture {
     /// Measures the whole squares of a picture. Returns `None` if there are none, or if they are constant at half the
     /// resolution.
-    pub fn of(planes: &Planes) -> Option<Texture> {
+    pub(super) fn of(planes: &Planes) -> Option<Texture> {
         let [across, down] = [planes.width, planes.height].map(|side| side as usize / SQUARE);
         let strips = parallel::map(down, |strip| {
             let mut sums = [0f64; 4];
@@ -49,7 +49,7 @@ impl Texture {
     }
 
     /// Tells whether the picture is a diagram, a page or a screenshot, not a photograph.
-    pub fn is_drawing(&self) -> bool {
+    pub(super) fn is_drawing(&self) -> bool {
         self.flat > DRAWING
     }
 }
