@@ -179,7 +179,10 @@ See [`gpu`] for rendering into the textures of a program.
 
 #![cfg_attr(not(feature = "unstable"), warn(missing_docs))]
 // Without that feature, what it exports cannot be reached. Tests include files of other crates.
-#![cfg_attr(all(feature = "unstable", feature = "encode", not(test)), warn(unreachable_pub, unnameable_types))]
+#![cfg_attr(
+    all(feature = "unstable", feature = "encode", not(any(test, target_family = "wasm"))),
+    warn(unreachable_pub, unnameable_types)
+)]
 // docs.rs builds with nightly; each item then shows the feature that it needs.
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
