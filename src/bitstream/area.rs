@@ -10,7 +10,7 @@ pub struct Area {
 }
 
 impl Area {
-    /// Tells whether `other` lies completely within this area.
+    /// Returns whether `other` lies completely within this area.
     pub(crate) fn holds(&self, other: &Area) -> bool {
         let end = |area: &Area, k: usize| u64::from(area.corner[k]) + u64::from(area.size[k]);
         (0..2).all(|k| self.corner[k] <= other.corner[k] && end(other, k) <= end(self, k))

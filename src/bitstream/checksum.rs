@@ -58,7 +58,7 @@ mod tests {
     use super::{hash, small};
 
     #[test]
-    fn both_checksums_are_the_same() {
+    fn both_checksum_implementations_agree() {
         let bytes: Vec<u8> = (0..1000u32).map(|i| (i * i >> 3) as u8).collect();
         for end in [0, 1, 2, 15, 16, 17, 255, 1000] {
             assert_eq!(small::hash(&bytes[..end]), hash(&bytes[..end]));

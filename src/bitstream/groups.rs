@@ -52,7 +52,7 @@ struct Entry {
 }
 
 impl Entry {
-    /// Tells whether a primitive of this group can reach into `area`.
+    /// Returns whether a primitive of this group can reach into `area`.
     fn reaches(&self, rules: &Rules, area: &Area) -> bool {
         let reach = rules.reach(self.largest);
         let pixels = |cells: u64| (cells as f64) * f64::from(rules.finest()).exp2();

@@ -253,7 +253,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn colour_integers_end_where_the_largest_colour_is() {
+    fn colour_integers_reach_the_largest_colour_and_no_further() {
         for luma in 0..16u8 {
             for (chroma, ratio) in [1.0, 1.5, 2.0, 3.0].into_iter().enumerate() {
                 let chroma = chroma as u8;

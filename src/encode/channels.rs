@@ -1,5 +1,5 @@
-//! Constant channels (opaque alpha, grey stored as RGB). They are left out of the fit and put back into the integers,
-//! where the coded layout stores a constant in next to nothing. The file keeps the caller's channels.
+//! Removes constant channels (opaque alpha, grey stored as RGB) before the fit, and restores them in the integers,
+//! where the coded layout stores a constant in almost no bytes. The file keeps the caller's channels.
 
 use super::skipped::SkipReason;
 use crate::bitstream::splats::PackedSplats;
@@ -10,11 +10,11 @@ use crate::pixels::{Pixels, Samples};
 #[derive(Debug)]
 pub(super) struct Narrow {
     pub pixels: Pixels,
-    /// Names the channels that were left out.
+    /// The channels that were removed.
     pub what: SkipReason,
 }
 
-/// Channels of a picture that are constant or follow from others.
+/// Channels of a picture that are constant or follow from other channels.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Silent {
     grey: bool,
@@ -32,13 +32,13 @@ impl Silent {
         Silent { grey, opaque }
     }
 
-    /// Returns the channels that are constant in both of two parts.
+    /// Returns the channels that are constant in both parts.
     pub(super) fn and(self, other: Self) -> Self {
         Silent { grey: self.grey && other.grey, opaque: self.opaque && other.opaque }
     }
 
-    /// Returns the channels to fit of a picture of `channels`, and the name of the others; `None` if all are to be
-    /// fitted.
+    /// Returns which channels of a picture of `channels` must be fitted, and the name of the others. Returns `None` if
+    /// all must be fitted.
     pub(super) fn rest(self, channels: Channels) -> Option<(Channels, SkipReason)> {
         let color = channels.count() >= 3 && !self.grey;
         let alpha = channels.alpha().is_some() && !self.opaque;
@@ -53,8 +53,8 @@ impl Silent {
     }
 }
 
-/// Returns `pixels` without alpha where all is opaque and without colour where all is grey; `None` where all channels
-/// count.
+/// Removes alpha if all pixels are opaque, and colour if all pixels are grey. Returns `None` if all channels are
+/// needed.
 pub(super) fn narrow(pixels: &Pixels) -> Option<Narrow> {
     let (to, what) = Silent::of(pixels).rest(pixels.channels())?;
     Some(Narrow { pixels: narrowed(pixels, to), what })
@@ -84,8 +84,8 @@ fn kept<T: Copy>(samples: &[T], from: Channels, to: Channels) -> Vec<T> {
         .collect()
 }
 
-/// Returns the integers of a narrow picture as those of `channels`, which hold the same colours: grey has no chroma,
-/// and opaque is the least integer that is no less than 1.
+/// Converts the integers of a narrow picture to those of `channels` with the same colours. Grey has no chroma, and
+/// opaque alpha is the smallest integer whose value is at least 1.
 pub(super) fn widen(splats: &PackedSplats, channels: Channels) -> PackedSplats {
     let from = splats.channels;
     let mut wide = PackedSplats { channels, ..splats.clone() };
@@ -100,7 +100,7 @@ pub(super) fn widen(splats: &PackedSplats, channels: Channels) -> PackedSplats {
         out
     };
     wide.background = put(splats.background, opaque);
-    // Under the sum blend the background alone is opaque already.
+    // With the sum blend, the background alone is already opaque.
     let each = match splats.blend {
         Blend::Normalized => opaque,
         Blend::Sum => 0,
@@ -108,14 +108,14 @@ pub(super) fn widen(splats: &PackedSplats, channels: Channels) -> PackedSplats {
     for g in &mut wide.gaussians {
         g.color = put(g.color, each);
     }
-    // The order of the colours stays: only constants are put in.
+    // The order of the colours does not change, because only constants are inserted.
     for c in wide.codebook.iter_mut().flatten() {
         *c = put(*c, each);
     }
     wide
 }
 
-/// Returns the samples of a narrow picture as those of `channels`.
+/// Converts the samples of a narrow picture to those of `channels`.
 pub(super) fn widen_pixels(pixels: Pixels, channels: Channels) -> Pixels {
     let from = pixels.channels();
     if from == channels {

@@ -1,12 +1,12 @@
-//! The wall-clock time that an encode may take: one budget, however many fits it is spent on.
+//! The wall-clock time budget of an encode, which all its fits share.
 
 use crate::instant::Instant;
 use std::time::Duration;
 
-/// A budget of time that runs since it was made.
+/// A time budget that starts when it is created.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Clock {
-    /// When the work should be over; `None` without a budget, or with one that no clock can tell the end of.
+    /// The deadline; `None` if there is no budget, or if its end cannot be represented.
     end: Option<Instant>,
 }
 
@@ -16,17 +16,17 @@ impl Clock {
         Clock { end: time.and_then(|t| Instant::now().checked_add(t)) }
     }
 
-    /// Returns the time that is left, nothing once it is over; `None` without a budget.
+    /// Returns the remaining time, which is zero after the deadline. Returns `None` without a budget.
     pub(super) fn left(&self) -> Option<Duration> {
         self.end.map(|end| end.saturating_duration_since(Instant::now()))
     }
 
-    /// Tells whether there is a budget, and all of it is spent.
+    /// Returns whether there is a budget and all of it is spent.
     pub(super) fn is_over(&self) -> bool {
         self.left().is_some_and(|left| left.is_zero())
     }
 
-    /// Keeps `time` for what comes behind the fits.
+    /// Reserves `time` for the work after the fits.
     pub(super) fn keep(&mut self, time: Duration) {
         self.end = self.end.map(|end| end.checked_sub(time).unwrap_or(end));
     }
@@ -37,14 +37,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_budget_that_no_clock_can_tell_the_end_of_is_none() {
+    fn a_budget_without_a_representable_end_has_no_deadline() {
         assert_eq!(Clock::new(Some(Duration::MAX)).left(), None);
         assert_eq!(Clock::new(None).left(), None);
         assert_eq!(Clock::new(Some(Duration::ZERO)).left(), Some(Duration::ZERO));
     }
 
     #[test]
-    fn what_is_kept_is_taken_from_what_is_left() {
+    fn reserved_time_is_subtracted_from_the_remaining_time() {
         let mut clock = Clock::new(Some(Duration::from_secs(100)));
         clock.keep(Duration::from_secs(40));
         assert!(clock.left().is_some_and(|left| left <= Duration::from_secs(60)));

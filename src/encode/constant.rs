@@ -1,10 +1,10 @@
-//! Pictures of one colour: no fit is needed for them.
+//! Encodes pictures of one colour, which need no fit.
 
 use crate::bitstream::splats::{PackedGaussian, PackedSplats, Steps};
 use crate::gaussian::{CUTOFF_WEIGHT, EPSILON};
 use crate::pixels::{Pixels, Samples};
 
-/// Tells whether all pixels of `pixels` are the same.
+/// Returns whether all pixels of `pixels` are equal.
 pub(super) fn is_constant(pixels: &Pixels) -> bool {
     fn same<T: PartialEq>(samples: &[T], count: usize) -> bool {
         samples.chunks_exact(count).all(|p| p == &samples[..count])
@@ -15,16 +15,17 @@ pub(super) fn is_constant(pixels: &Pixels) -> bool {
     }
 }
 
-/// Gives `splats` one primitive, far wider than the picture, that makes every pixel `color` far more exactly than a
-/// step: the background, which has 1/128 of its weight, corrects it. For the normalized blend and the coded layout;
-/// `splats` brings everything but steps, background and primitives.
+/// Sets the steps, the background and the primitives of `splats` such that every pixel has the colour `color`, with an
+/// error far below a quantization step. A single primitive, far wider than the picture, covers all pixels. The
+/// background has 1/128 of its weight and corrects the rounding error. `splats` must have the normalized blend and the
+/// coded layout.
 pub(super) fn constant(splats: &mut PackedSplats, color: [f32; 4]) {
     splats.steps = Steps { scale: 15, angle: 0, position: 0, coarsest: 9, range: 0, luma: 0, chroma: 0 };
     let quantizer = splats.quantizer();
     let (axes, steps) = (quantizer.transform_color(color), quantizer.color_steps());
     let weight = 1.0 - CUTOFF_WEIGHT;
     let mut major = 0;
-    // Even from a position a coarsest step away, its weight falls by less than 1e−3 over the picture.
+    // Even if the position is off by one coarsest step, the weight falls by less than 1e−3 over the picture.
     let reach = splats.width.max(splats.height).max(512) as f32;
     while quantizer.holds_scale(i16::from(major) + 1) && quantizer.scale(major) < 64.0 * reach {
         major += 1;

@@ -1,4 +1,4 @@
-//! Which device fits a picture: the choice, why it was made, and the fit on it.
+//! Chooses the device that fits a picture, records the reason, and runs the fit on it.
 
 use std::fmt;
 
@@ -16,12 +16,12 @@ use crate::pixels::Pixels;
 use crate::gpu::{Adapters, Device, Fitter};
 #[cfg(feature = "gpu")]
 use crate::options::Recipe;
-/// There is none in this build.
+/// Builds without the feature `gpu` have no such device.
 #[cfg(not(feature = "gpu"))]
 type Device = std::convert::Infallible;
 
-/// Pictures of fewer pixels are fitted on the CPU unless the GPU is asked for: too much of the time would go into
-/// starting a GPU.
+/// Minimum number of pixels that [`Backend::Auto`] fits on a GPU. For smaller pictures, starting a GPU would take too
+/// much of the time.
 const MIN_GPU_PIXELS: u64 = 1 << 18;
 
 /// The device that fitted a picture.
@@ -30,14 +30,14 @@ const MIN_GPU_PIXELS: u64 = 1 << 18;
 pub struct Chosen {
     /// [`Backend::Cpu`] or [`Backend::Gpu`].
     pub backend: Backend,
-    /// The device's name; that of the adapter on a GPU.
+    /// The name of the device. On a GPU, the name of the adapter.
     pub device: String,
     /// Reason for the choice.
     pub reason: String,
 }
 
 impl Chosen {
-    /// The CPU, which fits tiles whatever the choice.
+    /// Returns the CPU, which always fits tiles.
     pub(super) fn for_tiles(asked: Backend) -> Self {
         Chosen::cpu(if asked == Backend::Cpu { "asked for" } else { "tiles are fitted on the CPU" })
     }
@@ -61,7 +61,7 @@ impl Chosen {
     }
 }
 
-/// A device chosen for an encode.
+/// The device chosen for an encode.
 #[derive(Debug)]
 pub(super) struct Choice {
     pub chosen: Chosen,
@@ -70,10 +70,10 @@ pub(super) struct Choice {
 }
 
 impl Choice {
-    /// Chooses as `options` ask.
+    /// Chooses a device as `options` request.
     ///
     /// # Errors
-    /// [`Error::Gpu`] when the GPU is asked for and cannot be had; the automatic choice falls back to the CPU.
+    /// [`Error::Gpu`] if the GPU is requested and not available. The automatic choice falls back to the CPU.
     pub(super) fn new(options: &EncodeOptions, pixels: &Pixels) -> Result<Self> {
         let area = u64::from(pixels.width()) * u64::from(pixels.height());
         let opened = match options.backend {
@@ -92,14 +92,14 @@ impl Choice {
         Ok(Choice { chosen, asked: options.backend, gpu })
     }
 
-    /// Returns why there was no GPU where one might have been taken.
+    /// Returns why no GPU is used, if the choice was automatic.
     pub(super) fn passed_over(&self) -> Option<String> {
         let is_passed_over = self.asked == Backend::Auto && self.gpu.is_none();
         is_passed_over.then(|| self.chosen.reason.clone())
     }
 
-    /// Does `job`, whose picture is `pixels`, on the chosen device; where that is a GPU that fails and nobody asked for
-    /// it, once more on the CPU.
+    /// Runs `job`, whose picture is `pixels`, on the chosen device. If a GPU that was chosen automatically fails, the
+    /// CPU runs the job again.
     pub(super) fn fit(&mut self, job: &Job<'_>, pixels: &Pixels, watcher: &mut dyn Watcher) -> Result<Fitted<State>> {
         if let Some(device) = &self.gpu {
             match fit_on(device, job, pixels, watcher) {
@@ -114,7 +114,7 @@ impl Choice {
     }
 }
 
-/// Whether a GPU would fit a large picture.
+/// Returns whether a GPU would fit a large picture.
 pub(super) fn takes_gpu(options: &EncodeOptions) -> bool {
     options.backend != Backend::Cpu && open(options.backend, options).is_ok()
 }
@@ -124,7 +124,7 @@ fn open(asked: Backend, options: &EncodeOptions) -> Result<(Option<Device>, Chos
     if options.recipe != Recipe::Ssplat {
         return Err(GpuError::Unsupported { what: "the recipe smartsplat" });
     }
-    // Who asks for the GPU by name may mean a program that acts as one.
+    // A caller that requests the GPU explicitly may want a software adapter.
     let adapters = if asked == Backend::Gpu { Adapters::Any } else { Adapters::Hardware };
     let device = Device::open(adapters).map_err(|e| match e {
         Error::Gpu(e) => e,
@@ -163,7 +163,7 @@ mod gpu_tests {
     use crate::pixels::Samples;
 
     #[test]
-    fn a_gpu_that_is_lost_is_left_for_the_cpu_and_auto_says_so() {
+    fn auto_falls_back_to_the_cpu_and_reports_it_if_the_gpu_is_lost() {
         let Some(device) = crate::gpu::tests::own_device() else { return };
         let samples = (0..40 * 30 * 3).map(|i| (i * 7 % 251) as u8).collect();
         let pixels = Pixels::new(40, 30, Channels::Rgb, Samples::U8(samples)).unwrap();

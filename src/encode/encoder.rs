@@ -1,4 +1,4 @@
-//! The encoder's public interface: options as setters, then pictures to encode.
+//! The encoder's public interface: setters for the options, and methods that encode pictures.
 
 use std::ops::ControlFlow;
 use std::time::Duration;
@@ -31,29 +31,29 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    /// Returns an encoder with the defaults: target [`Target::Auto`] (a ratio of 50), effort 5, [`Tune::Iq`], one level
-    /// and seed 0.
+    /// Returns an encoder with the default options: target [`Target::Auto`] (a ratio of 50), effort 5, [`Tune::Iq`],
+    /// one level and seed 0.
     #[must_use]
     pub fn new() -> Self {
         Encoder::default()
     }
 
-    /// Sets the target. [`ratio`](Encoder::ratio), [`bytes`](Encoder::bytes) and the other setters of a target replace
-    /// it; the last one called counts. The default is [`Target::Auto`].
+    /// Sets the target. [`ratio`](Encoder::ratio), [`bytes`](Encoder::bytes) and the other target setters replace it;
+    /// the last call counts. The default is [`Target::Auto`].
     #[must_use]
     pub fn target(mut self, target: Target) -> Self {
         self.options.target = target;
         self
     }
 
-    /// Sets the target [`Target::Ratio`]: width × height × channels divided by the bytes of the file. It must be finite
-    /// and above 0.
+    /// Sets the target [`Target::Ratio`]: width × height × channels divided by the file size in bytes. The ratio must
+    /// be finite and above 0.
     #[must_use]
     pub fn ratio(self, ratio: f64) -> Self {
         self.target(Target::Ratio(ratio))
     }
 
-    /// Sets the target [`Target::Bytes`]: the largest size of the file in bytes.
+    /// Sets the target [`Target::Bytes`]: the maximum file size in bytes.
     #[must_use]
     pub fn bytes(self, bytes: u64) -> Self {
         self.target(Target::Bytes(bytes))
@@ -66,29 +66,29 @@ impl Encoder {
         self.target(Target::Psnr(psnr))
     }
 
-    /// Sets the target [`Target::Quality`]: a SSIMULACRA2 score, `0..=100`.
+    /// Sets the target [`Target::Quality`]: an SSIMULACRA2 score, `0..=100`.
     #[cfg(feature = "quality")]
     #[must_use]
     pub fn quality(self, quality: f64) -> Self {
         self.target(Target::Quality(quality))
     }
 
-    /// Sets the amount of work, `1..=9`. Each step takes up to twice the time of the one below. The default is 5.
+    /// Sets the amount of work, `1..=9`. Each step takes up to twice as long as the previous one. The default is 5.
     #[must_use]
     pub fn effort(mut self, effort: u8) -> Self {
         self.options.effort = effort;
         self
     }
 
-    /// Sets the wall-clock budget of a whole encode, however many fits the target takes. The best state reached is
-    /// written. There is no budget by default.
+    /// Sets the time limit of a whole encode, wall clock, however many fits the target takes. The best state reached is
+    /// written. By default there is no limit.
     #[must_use]
     pub fn time(mut self, time: Duration) -> Self {
         self.options.time = Some(time);
         self
     }
 
-    /// Sets the measure of quality to optimize. The default is [`Tune::Iq`], or [`Tune::Psnr`] if the target is a PSNR.
+    /// Sets the quality measure to optimize. The default is [`Tune::Iq`], or [`Tune::Psnr`] if the target is a PSNR.
     #[must_use]
     pub fn tune(mut self, tune: Tune) -> Self {
         self.options.tune = Some(tune);
@@ -116,8 +116,9 @@ impl Encoder {
         self
     }
 
-    /// Sets the number of progressive levels, `1..=8`. A file cut off after a level still decodes as a whole, coarser
-    /// picture. Each level costs 1 to 2 % of the bytes. More than one needs [`Layout::Coded`]. The default is 1.
+    /// Sets the number of progressive levels, `1..=8`. A file that is truncated after a level still decodes to a whole,
+    /// coarser picture. Each level costs 1 to 2 % of the bytes. More than one level requires [`Layout::Coded`]. The
+    /// default is 1.
     #[must_use]
     pub fn levels(mut self, levels: u8) -> Self {
         self.options.levels = levels;
@@ -131,24 +132,25 @@ impl Encoder {
         self
     }
 
-    /// Sets the side in pixels of the tiles that a picture is fitted in: a multiple of 128 up to 16384. Tiles bound the
-    /// memory of an encode. By default pictures of more than 2²⁵ pixels are fitted in tiles of 2048 unless the layout
-    /// rules tiles out or a GPU fits, those of more than 2²⁸ always, and others as a whole. Tiles need the CPU and
-    /// [`Layout::Coded`]. A [`Target::Quality`] is met in the mean of the tiles' scores.
+    /// Sets the side of the tiles in which a picture is fitted, in pixels: a multiple of 128 up to 16384. Tiles bound
+    /// the memory of an encode. They require the CPU and [`Layout::Coded`]. By default, pictures of more than 2²⁵
+    /// pixels are fitted in tiles of 2048 unless the layout excludes tiles or a GPU is used, pictures of more than 2²⁸
+    /// pixels always, and all others as a whole. With tiles, a [`Target::Quality`] applies to the mean of the tiles'
+    /// scores.
     #[must_use]
     pub fn tiles(mut self, side: u32) -> Self {
         self.options.tiles = Some(side);
         self
     }
 
-    /// Sets what becomes of colours under alpha 0. The default is [`HiddenColors::Continue`].
+    /// Sets the treatment of colours under alpha 0. The default is [`HiddenColors::Continue`].
     #[must_use]
     pub fn hidden_colors(mut self, hidden: HiddenColors) -> Self {
         self.options.hidden = hidden;
         self
     }
 
-    /// Sets the seed of all random choices. Equal seeds give equal bytes with one version of this crate, on any number
+    /// Sets the seed of all random numbers. Equal seeds give equal bytes with one version of this crate, on any number
     /// of threads. The default is 0.
     #[must_use]
     pub fn seed(mut self, seed: u64) -> Self {
@@ -156,8 +158,8 @@ impl Encoder {
         self
     }
 
-    /// Sets which metadata of a source the files carry, where the source has any. The default is
-    /// [`MetadataPolicy::Needed`]: the ICC profile and the orientation.
+    /// Sets which metadata of the source the files carry. The default is [`MetadataPolicy::Needed`]: the ICC profile
+    /// and the orientation.
     #[must_use]
     pub fn metadata(mut self, metadata: MetadataPolicy) -> Self {
         self.options.metadata = metadata;
@@ -171,26 +173,26 @@ impl Encoder {
         self
     }
 
-    /// Sets the EXIF block of the files, from its TIFF header on. It overrides [`metadata`](Encoder::metadata).
+    /// Sets the EXIF block of the files, starting at its TIFF header. It overrides [`metadata`](Encoder::metadata).
     #[must_use]
     pub fn exif(mut self, exif: Vec<u8>) -> Self {
         self.options.exif = Some(exif);
         self
     }
 
-    /// Encodes a picture: [`Pixels`](crate::Pixels), or another source, which is read part by part if it is fitted in
-    /// tiles.
+    /// Encodes a picture: [`Pixels`](crate::Pixels) or another source. If the picture is fitted in tiles, the source is
+    /// read part by part.
     ///
     /// # Errors
     /// [`Error::Parameter`](crate::Error::Parameter) if an option is out of range,
-    /// [`Error::TooSmall`](crate::Error::TooSmall) if a file of the size asked for cannot hold the picture,
+    /// [`Error::TooSmall`](crate::Error::TooSmall) if a file of the requested size cannot hold the picture,
     /// [`Error::Gpu`](crate::Error::Gpu) if [`Backend::Gpu`] is set and the GPU is missing or fails, and the errors of
     /// `source`.
     pub fn encode(&self, source: &dyn PixelSource) -> Result<Encoded> {
         self.encode_with_progress(source, &mut |_| ControlFlow::Continue(()))
     }
 
-    /// Encodes a picture and calls `progress` a few hundred times meanwhile.
+    /// Encodes a picture and calls `progress` a few hundred times during the encode.
     ///
     /// # Errors
     /// As [`encode`](Encoder::encode), and [`Error::Cancelled`](crate::Error::Cancelled) if `progress` returns
@@ -203,13 +205,13 @@ impl Encoder {
         encode_by(source, &self.options, Executor::Own, progress)
     }
 
-    /// Encodes a picture in tiles with the help of `workers`, which may run elsewhere. They fit, join and sweep the
-    /// tiles; the first survey of the picture and the writing of the file stay here. The bytes of the file are the same
-    /// as without workers. A picture that is not in tiles is encoded here.
+    /// Encodes a picture in tiles with `workers`, which may run outside this process. The workers fit, join and sweep
+    /// the tiles. The initial survey of the picture and the writing of the file run in this process. The file has the
+    /// same bytes as without workers. A picture that is not divided into tiles is encoded in this process.
     ///
     /// # Errors
     /// As [`encode_with_progress`](Encoder::encode_with_progress), the errors of `workers`, and
-    /// [`Error::Parameter`](crate::Error::Parameter) naming the tile if an answer does not fit its task.
+    /// [`Error::Parameter`](crate::Error::Parameter), which names the tile, if an answer does not match its task.
     pub fn encode_divided(
         &self,
         source: &dyn PixelSource,
@@ -219,7 +221,7 @@ impl Encoder {
         encode_by(source, &self.options, Executor::Others(workers), progress)
     }
 
-    /// Fits by another recipe: that of SmartSplat, to measure against it.
+    /// Sets the fitting recipe, for comparisons with SmartSplat.
     #[cfg(feature = "smartsplat")]
     #[must_use]
     pub fn recipe(mut self, recipe: crate::Recipe) -> Self {
@@ -227,7 +229,7 @@ impl Encoder {
         self
     }
 
-    /// Returns the options that were set.
+    /// Returns the options.
     #[cfg(feature = "image")]
     pub(crate) fn options(&self) -> &EncodeOptions {
         &self.options

@@ -1,4 +1,4 @@
-//! Integers to the smallest file of them: progressive levels, and a codebook of colours where it pays.
+//! Writes the smallest file for given integers, with progressive levels and, if it saves bytes, a codebook of colours.
 
 use crate::bitstream;
 use crate::bitstream::coder::expect::PredictedCost;
@@ -6,8 +6,8 @@ use crate::bitstream::rules::MAX_CODEBOOK;
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
 
-/// Writes the file, in `levels` levels, with its colours in a codebook where that is smaller. Brings the primitives
-/// into the order of the file.
+/// Writes the file in `levels` levels, with a codebook of colours if that makes it smaller. Sorts the primitives into
+/// the order of the file.
 pub(crate) fn smallest(splats: &mut PackedSplats, levels: u8) -> Result<Vec<u8>> {
     if levels > 1 {
         divide(splats, levels);
@@ -17,7 +17,8 @@ pub(crate) fn smallest(splats: &mut PackedSplats, levels: u8) -> Result<Vec<u8>>
     let mut colors: Vec<[i16; 4]> = splats.gaussians.iter().map(|g| g.color).collect();
     colors.sort_unstable();
     colors.dedup();
-    // Where most colours occur once, a codebook cannot pay; the format has none of no colours, and none of too many.
+    // A codebook cannot save bytes if most colours occur only once. The format allows neither an empty codebook nor one
+    // of more than `MAX_CODEBOOK` colours.
     if colors.is_empty() || colors.len() > MAX_CODEBOOK || colors.len() * 3 > splats.gaussians.len() {
         return Ok(direct);
     }
@@ -30,7 +31,7 @@ pub(crate) fn smallest(splats: &mut PackedSplats, levels: u8) -> Result<Vec<u8>>
     Ok(direct)
 }
 
-/// Returns what the coder of that file expects of each primitive, and brings them into its order.
+/// Returns the coder's prediction for each primitive of that file. Sorts the primitives into the order of the file.
 pub(super) fn expected(splats: &mut PackedSplats, levels: u8) -> Result<Vec<PredictedCost>> {
     if levels > 1 {
         divide(splats, levels);
@@ -38,8 +39,8 @@ pub(super) fn expected(splats: &mut PackedSplats, levels: u8) -> Result<Vec<Pred
     bitstream::coder::expect::expected(splats)
 }
 
-/// Orders the primitives into `levels` progressive levels: large ones first, each level up to three times as many
-/// primitives as the levels before it reach. This is what [`Encoder::levels`](crate::Encoder::levels) writes.
+/// Sorts the primitives into at most `levels` progressive levels, large ones first. Each level roughly triples the
+/// total number of primitives. [`Encoder::levels`](crate::Encoder::levels) writes these levels.
 pub fn divide(splats: &mut PackedSplats, levels: u8) {
     splats.gaussians.sort_by_key(|g| std::cmp::Reverse(u16::from(g.major) + u16::from(g.minor)));
     let count = splats.gaussians.len() as u32;
@@ -76,14 +77,14 @@ mod tests {
     }
 
     #[test]
-    fn more_colours_than_a_codebook_may_have_are_written_one_by_one() {
+    fn too_many_colours_for_a_codebook_are_stored_per_primitive() {
         let mut splats = of_colors(MAX_CODEBOOK + 1, 3);
         smallest(&mut splats, 1).unwrap();
         assert_eq!(splats.codebook, None);
     }
 
     #[test]
-    fn each_level_has_three_times_as_many_primitives_as_all_before_it() {
+    fn each_level_triples_the_number_of_primitives() {
         let mut splats = of_colors(90, 1);
         for (i, g) in splats.gaussians.iter_mut().enumerate() {
             (g.major, g.minor) = ((i % 7) as u8, 0);

@@ -1,13 +1,13 @@
-//! Replaces colours under alpha 0, which nobody sees, by a smooth continuation of the visible ones.
+//! Replaces colours under alpha 0, which are invisible, with a smooth continuation of the visible ones.
 //!
-//! Arbitrary hidden colours (often black or white) cost bits, and show as fringes where the decoded alpha is not
-//! exactly 0. The continuation is a pull–push pyramid (Gortler et al., *The Lumigraph*, 1996, §3.4): each level halves
-//! the picture and averages visible colours by their alpha; then each level fills its gaps from the one above it. Alpha
-//! itself does not change.
+//! Arbitrary hidden colours (often black or white) cost bits, and appear as fringes where the decoded alpha is not
+//! exactly 0. The continuation is a pull–push pyramid (Gortler et al., *The Lumigraph*, 1996, §3.4). Each level halves
+//! the picture and averages the visible colours, weighted by their alpha. Each level then fills its gaps from the next
+//! coarser one. Alpha itself does not change.
 //!
-//! The cells of all levels lie on a grid that starts at the picture's corner, and the levels above [`LEVELS`] are made
-//! of the whole picture once. So a part has the same pixels as the whole picture has there, and memory stays bounded
-//! for pictures in tiles.
+//! The cells of all levels lie on a grid that starts at the picture's corner. The levels above [`LEVELS`] are computed
+//! once, for the whole picture. A part therefore has the same pixels as that area of the whole picture, and memory
+//! stays bounded for pictures in tiles.
 
 use crate::error::Result;
 use crate::gaussian::Channels;
@@ -15,15 +15,15 @@ use crate::options::HiddenColors;
 use crate::pixel_source::PixelSource;
 use crate::pixels::{Depth, Pixels, Samples};
 
-/// Levels that are made anew for each part; the levels above are kept for the whole picture.
+/// Number of levels that are computed anew for each part. The coarser levels are kept for the whole picture.
 const LEVELS: u32 = 5;
-/// Side of the cells of the lowest level that is kept, pixels.
+/// Side of the cells of the finest level that is kept, pixels.
 const CELL: u32 = 1 << LEVELS;
-/// Pixels around a part that its levels depend on: one cell of each level, rounded up to whole cells.
+/// Margin around a part on which its levels depend, pixels: one cell of each level, rounded up to whole cells.
 const MARGIN: u32 = 2 * CELL;
 /// Side of the parts in which the whole picture is read once, pixels; a multiple of [`CELL`].
 const READ: u32 = 2048;
-/// Colour channels at most.
+/// Maximum number of colour channels.
 const COLORS: usize = 3;
 
 /// A level of the pyramid, row by row.
@@ -31,12 +31,12 @@ const COLORS: usize = 3;
 struct Level {
     width: usize,
     height: usize,
-    /// Mean colours, 0..=1 of white, and how much is visible of the cell, 0..=1.
+    /// Mean colour of each cell, 0..=1 where 1 is white, and the fraction of the cell that is visible, 0..=1.
     cells: Vec<([f32; COLORS], f32)>,
 }
 
 impl Level {
-    /// Returns the level of cells twice as large.
+    /// Returns the level whose cells are twice as large.
     fn halved(&self) -> Level {
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let mut cells = Vec::with_capacity(width * height);
@@ -55,7 +55,8 @@ impl Level {
         Level { width, height, cells }
     }
 
-    /// Fills what is not visible from `above`, which has none of that left and begins at the same corner.
+    /// Fills the invisible part of each cell from `above`, the next coarser level. `above` is already filled and starts
+    /// at the same corner.
     fn fill(&mut self, above: &Level) {
         for y in 0..self.height {
             for x in 0..self.width {
@@ -71,9 +72,10 @@ impl Level {
         }
     }
 
-    /// Returns the colour at the centre of cell (`x`, `y`) of the level below, bilinear between the four nearest cells.
+    /// Returns the colour at the centre of cell (`x`, `y`) of the next finer level, interpolated bilinearly between the
+    /// four nearest cells.
     fn between(&self, x: usize, y: usize) -> [f32; COLORS] {
-        // The centre lies a quarter of a cell from that of the cell that holds it.
+        // The centre is a quarter of a cell away from the centre of the cell that contains it.
         let near = |v: usize, n: usize| {
             let own = v / 2;
             let next = if v.is_multiple_of(2) { own.saturating_sub(1) } else { (own + 1).min(n - 1) };
@@ -115,16 +117,16 @@ impl Sum {
 /// A picture with alpha whose hidden colours continue the visible ones.
 pub(super) struct Continued<'a> {
     source: &'a dyn PixelSource,
-    /// The filled level of cells of [`CELL`] pixels, for the whole picture.
+    /// The filled level with cells of [`CELL`] pixels, for the whole picture.
     coarse: Level,
 }
 
 impl<'a> Continued<'a> {
-    /// Reads the whole picture of `source` once, part by part. Returns `None` if it has no hidden colours, or `hidden`
-    /// keeps them. `show` is called for each part.
+    /// Reads the whole picture of `source` once, part by part. Returns `None` if it has no hidden colours, or if
+    /// `hidden` keeps them. Calls `show` for each part.
     ///
     /// # Errors
-    /// Those of `source` and of `show`.
+    /// Returns an error of `source` or of `show`.
     pub(super) fn new(
         source: &'a dyn PixelSource,
         hidden: HiddenColors,
@@ -160,8 +162,8 @@ impl<'a> Continued<'a> {
         Ok(Some(Continued { source, coarse }))
     }
 
-    /// Returns the pixels of `around`, whose corner lies on the grid of [`CELL`], with their hidden colours replaced.
-    /// Within [`MARGIN`] of an edge of the part that is none of the picture they are not final.
+    /// Replaces the hidden colours of `part`, whose corner (`x`, `y`) lies on the grid of [`CELL`]. Pixels within
+    /// [`MARGIN`] of an edge of the part are not final, unless it is an edge of the picture.
     fn filled(&self, part: Pixels, [x, y, ..]: [u32; 4]) -> Result<Pixels> {
         let mut levels = vec![halved_pixels(&part)];
         while levels.len() < LEVELS as usize {
@@ -216,10 +218,11 @@ impl PixelSource for Continued<'_> {
     }
 }
 
-/// Returns `pixels` with its hidden colours replaced; `None` if it has none, or `hidden` keeps them.
+/// Returns `pixels` with its hidden colours replaced. Returns `None` if it has none, or if `hidden` keeps them. Calls
+/// `show` from time to time.
 ///
 /// # Errors
-/// Those of `show`, which is called now and then.
+/// Returns an error of `show`.
 pub(super) fn continued(
     pixels: &Pixels,
     hidden: HiddenColors,
@@ -231,7 +234,7 @@ pub(super) fn continued(
     }
 }
 
-/// Fills all of a level from the levels above it, up to a single cell.
+/// Fills a level completely from the levels above it, up to a single cell.
 fn fill_all(level: &mut Level) {
     if level.width * level.height > 1 {
         let mut above = level.halved();
@@ -240,7 +243,7 @@ fn fill_all(level: &mut Level) {
     }
 }
 
-/// Tells whether `pixels` has pixels of alpha 0.
+/// Returns whether `pixels` has pixels of alpha 0.
 fn hides_colors(pixels: &Pixels) -> bool {
     let Some(alpha) = pixels.channels().alpha() else { return false };
     let count = pixels.channels().count();
@@ -250,7 +253,7 @@ fn hides_colors(pixels: &Pixels) -> bool {
     }
 }
 
-/// Returns the level of cells of two by two pixels; colours count by their alpha.
+/// Returns the level with cells of 2 × 2 pixels. Colours are weighted by their alpha.
 fn halved_pixels(pixels: &Pixels) -> Level {
     let count = pixels.channels().count();
     let (width, height) = (pixels.width() as usize, pixels.height() as usize);
@@ -273,7 +276,7 @@ fn halved_pixels(pixels: &Pixels) -> Level {
     Level { width: across, height: height.div_ceil(2), cells }
 }
 
-/// Gives pixels of alpha 0 the colours that lie between the cells of `above`.
+/// Replaces the colours of pixels of alpha 0 with colours interpolated between the cells of `above`.
 fn with_hidden(pixels: Pixels, above: &Level) -> Result<Pixels> {
     let (width, height, channels) = (pixels.width(), pixels.height(), pixels.channels());
     fn replaced<T: Copy + PartialEq + Default>(
@@ -303,7 +306,7 @@ fn with_hidden(pixels: Pixels, above: &Level) -> Result<Pixels> {
 mod tests {
     use super::*;
 
-    /// A picture whose alpha is a disc, with noise for hidden colours.
+    /// Returns a picture whose alpha is a disc, with noise as hidden colours.
     fn disc(width: u32, height: u32, channels: Channels, hidden: u16) -> Pixels {
         let count = channels.count();
         let samples = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).flat_map(|(x, y)| {
@@ -323,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn hidden_colors_have_no_influence_and_visible_ones_and_alpha_stay() {
+    fn result_depends_only_on_visible_colors_and_keeps_them_and_alpha() {
         for channels in [Channels::GreyAlpha, Channels::Rgba] {
             let [a, b] = [0, 40_503].map(|hidden| disc(150, 97, channels, hidden));
             let filled = [&a, &b].map(filled);
@@ -340,8 +343,8 @@ mod tests {
     }
 
     #[test]
-    fn a_part_has_the_pixels_of_the_whole() {
-        // Larger than several cells, so that parts lie anywhere on the grid.
+    fn parts_equal_the_same_area_of_the_whole_picture() {
+        // The picture spans several cells, so that parts can lie anywhere on the grid.
         let picture = disc(300, 260, Channels::Rgba, 12_345);
         let whole = filled(&picture);
         let parts = Continued::new(&picture, HiddenColors::Continue, || Ok(())).unwrap().unwrap();
@@ -351,8 +354,8 @@ mod tests {
     }
 
     #[test]
-    fn the_color_of_an_edge_goes_on_beyond_it() {
-        // One visible colour: all hidden pixels get it.
+    fn a_single_visible_color_fills_all_hidden_pixels() {
+        // There is one visible colour, which all hidden pixels receive.
         let samples = (0..64 * 64).flat_map(|i| if i % 64 < 9 { [200, 30, 10, 255] } else { [0, 255, 0, 0] });
         let picture = Pixels::new(64, 64, Channels::Rgba, Samples::U8(samples.collect())).unwrap();
         let Samples::U8(v) = filled(&picture).into_samples() else { unreachable!() };
@@ -360,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_without_hidden_colors_are_left_alone() {
+    fn pictures_without_hidden_colors_are_unchanged() {
         let opaque = Pixels::new(2, 2, Channels::GreyAlpha, Samples::U8(vec![9, 255, 8, 1, 7, 255, 6, 255])).unwrap();
         assert!(continued(&opaque, HiddenColors::Continue, || Ok(())).unwrap().is_none());
         let grey = Pixels::new(2, 1, Channels::Grey, Samples::U8(vec![0, 1])).unwrap();

@@ -1,4 +1,4 @@
-//! The subject of an encode: the caller's picture, the channels of it that are fitted, and the file that they become.
+//! The input of an encode: the caller's picture, the channels of it that are fitted, and the resulting file.
 
 use super::channels::widen;
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
@@ -8,12 +8,12 @@ use crate::gaussian::{Blend, Channels};
 use crate::options::{EncodeOptions, Needs, Recipe};
 use crate::pixels::{Depth, Pixels};
 
-/// A picture, and what its caller asks for.
+/// A picture and the caller's options.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct EncodeInput<'a> {
     /// The caller's picture.
     pub original: &'a Pixels,
-    /// The picture that is fitted: the caller's, perhaps without channels that say nothing.
+    /// The picture that is fitted: the caller's picture, possibly without constant channels.
     pub pixels: &'a Pixels,
     pub options: &'a EncodeOptions,
 }
@@ -29,7 +29,7 @@ impl EncodeInput<'_> {
         self.original.channels()
     }
 
-    /// Returns the scene of a fit whose picture has the mean colour `mean`.
+    /// Returns the scene of a fit to a picture with the mean colour `mean`.
     pub(super) fn scene(&self, mean: [f32; 4]) -> Scene {
         Scene {
             width: self.pixels.width(),
@@ -39,14 +39,14 @@ impl EncodeInput<'_> {
         }
     }
 
-    /// Returns the integers of what is fitted, without primitives.
+    /// Returns the integers of the fitted picture, without primitives.
     pub(super) fn empty(&self) -> PackedSplats {
         let size = [self.pixels.width(), self.pixels.height()];
         empty(size, (self.pixels.channels(), self.pixels.depth()), self.blend(), self.options)
     }
 }
 
-/// Writes the file of what was fitted, with the channels that were left out of `channels` put back.
+/// Writes the file of a fitted picture. Restores the channels of `channels` that were left out of the fit.
 pub(super) fn widened_file(splats: &PackedSplats, channels: Channels) -> Result<Vec<u8>> {
     match channels == splats.channels {
         true => crate::bitstream::to_bytes(splats),
@@ -81,15 +81,15 @@ pub(super) fn empty(
     }
 }
 
-/// The error where a file of `allowed` bytes takes `needed` without any primitive.
+/// Returns the error for a file of `allowed` bytes that needs `needed` bytes even without primitives.
 pub(super) fn too_small_with(options: &EncodeOptions, allowed: u64, needed: u64) -> Error {
     let length = |metadata: Option<&Vec<u8>>| metadata.map_or(0, |m| m.len() as u64);
     let (icc, exif) = (length(options.icc.as_ref()), length(options.exif.as_ref()));
     Error::TooSmall { asked: options.target, allowed, needed, icc, exif }
 }
 
-/// Tells whether a caller with these options lets channels, a whole fit or primitives be left out of the file: only the
-/// coded layout stores a constant channel in next to nothing.
+/// Returns whether these options allow the encoder to leave out constant channels, the whole fit, or primitives. Only
+/// the coded layout stores a constant channel in almost no bytes.
 pub(super) fn may_leave_out(options: &EncodeOptions) -> bool {
     options.needs == Needs::Measured && options.layout == Layout::Coded
 }

@@ -1,4 +1,4 @@
-//! A single fit of a whole picture, and the rounding to a file.
+//! Runs a single fit of a whole picture and rounds the result to a file.
 
 use super::detail::error::{self, Counted};
 use super::file;
@@ -28,12 +28,14 @@ use crate::round::size::Size;
 use crate::strict_math::StrictMath;
 use crate::target::Target;
 
-/// Steps of the shortest fits that are weighed anew on the way. The looks that this takes are half as much work again
-/// in a fit of some sixty steps of 14 megapixels, for .05 dB and a point of SSIMULACRA2; large pictures do without.
+/// Minimum number of steps of a fit that is reweighted. For a fit of about 60 steps at 14 megapixels, the measurements
+/// add half of the work again. They gain 0.05 dB and one point of SSIMULACRA2. Large pictures are therefore not
+/// reweighted.
 const MIN_REWEIGHED_STEPS: u32 = 150;
 
 impl WholeSession<'_> {
-    /// Weighs the errors by structure, where that is asked for and weighs anything.
+    /// Sets the error weights for the requested tuning. If parts of the encode may be skipped, uniform weights are
+    /// cleared.
     fn weigh(&mut self, count: usize) {
         let options = self.input.options;
         self.planes.amplitude = match options.favoured() {
@@ -51,7 +53,7 @@ impl WholeSession<'_> {
         }
     }
 
-    /// Fits about `count` primitives and rounds them to a file of `size`, both without the channels that are left out.
+    /// Fits about `count` primitives and rounds them to a file of `size`. Both exclude the channels that are left out.
     pub(super) fn fitted(&mut self, count: usize, size: Size) -> Result<Outcome> {
         self.weigh(count);
         let (input, planes) = (self.input, &self.planes);
@@ -104,7 +106,7 @@ impl WholeSession<'_> {
         let clock = self.report.seconds();
         let stage = Stage { name: "finish", report: &mut self.report, input, planes };
         let mut making = Making { stage, splats: input.empty(), levels: options.levels };
-        // The layer takes what such Gaussians leave of the bytes, few or many.
+        // Under a detail layer, the bytes of the Gaussians are not limited: the layer uses the bytes that remain.
         let size = if self.base.is_some() { Size::Free } else { size };
         let rounding = Rounding { problem, layout: options.layout, size, plan: &plan };
         let mut finished = finish::finish(&rounding, state, &mut making)?;
@@ -116,7 +118,7 @@ impl WholeSession<'_> {
     }
 }
 
-/// Returns the squared error of a stored picture over the samples of `planes`; the file has `channels`.
+/// Returns the squared error of a stored picture over the samples of `planes`. `channels` are those of the file.
 pub(super) fn stored_error(splats: &PackedSplats, planes: &Planes, channels: Channels) -> f64 {
     let projected = projected(&splats.quantizer(), &splats.gaussians, splats.height);
     if let Some(layer) = &splats.detail {
@@ -125,10 +127,10 @@ pub(super) fn stored_error(splats: &PackedSplats, planes: &Planes, channels: Cha
     squared_error(&Problem { scene: stored_scene(splats), target: planes }, &projected)
 }
 
-/// Mean squared error of a sample at which more iterations bring nothing: rounding makes as much, or the target is
-/// passed by more than what the integers lose.
+/// Returns the mean squared error per sample at which further iterations gain nothing. That is the error of rounding to
+/// code values or, if it is larger, the error of the target PSNR with a margin for quantization.
 pub(super) fn enough(target: Target, depth: Depth) -> f64 {
-    // Decibels that quantization has been seen to lose at most, before the descent wins some back.
+    // Maximum observed loss by quantization before descent recovers some of it, decibels.
     const LOSS: f64 = 3.0;
     match target {
         Target::Psnr(p) => depth.rounding_error().max(10f64.strict_powf(-0.1 * (p + LOSS))),
@@ -136,14 +138,14 @@ pub(super) fn enough(target: Target, depth: Depth) -> f64 {
     }
 }
 
-/// Watches the fit, and corrects the number of its primitives by what their file takes.
+/// Watches the fit, and corrects the number of primitives by the size of their file.
 struct Fitting<'a, 'b> {
     stage: Stage<'a, 'b>,
     job: Job<'a>,
     size: Size,
-    /// The file so far, without primitives.
+    /// The current file, without primitives.
     draft: PackedSplats,
-    /// Steps so far.
+    /// Number of steps so far.
     steps: u32,
 }
 
@@ -163,8 +165,8 @@ impl Watcher for Fitting<'_, '_> {
 }
 
 impl Fitting<'_, '_> {
-    /// Returns how many primitives of this kind fit into `most` bytes: those that there are, rounded and written, set
-    /// the price.
+    /// Returns how many primitives of this kind fit into `most` bytes. The current primitives, rounded and written,
+    /// determine the cost of each.
     fn count_for(&mut self, primitives: &[Primitive], most: u64) -> Result<usize> {
         let rounded = Rounded::nearest(&self.job.problem, self.draft.layout, primitives);
         (self.draft.steps, self.draft.gaussians) = (rounded.steps, rounded.gaussians);
@@ -172,7 +174,7 @@ impl Fitting<'_, '_> {
         self.draft.gaussians.clear();
         let fixed = bitstream::to_bytes(&self.draft)?.len() as f64;
         let each = ((all - fixed) / primitives.len().max(1) as f64).max(MIN_PRICE);
-        // Metadata take the same bytes for any number of primitives.
+        // Metadata takes the same number of bytes whatever the number of primitives.
         let metadata = &self.draft.metadata;
         let carried =
             [&metadata.icc, &metadata.exif].map(|block| block.as_ref().map_or(0, Vec::len)).iter().sum::<usize>();
@@ -181,18 +183,19 @@ impl Fitting<'_, '_> {
     }
 }
 
-/// Bytes that a primitive is taken to cost at least, so that a few alike ones do not promise room for any number.
+/// Minimum assumed cost of a primitive, bytes. Without it, a few similar primitives would suggest that any number fits.
 const MIN_PRICE: f64 = 0.5;
 
-/// Returns the over-allocation factor of a fit with so many primitives; descent shrinks them, pruning removes the rest.
+/// Returns the over-allocation factor of a fit of this many primitives. Descent makes the primitives cheaper, and
+/// pruning removes the remaining excess.
 pub(super) fn excess(primitives: usize) -> f64 {
-    // Kodak, twelve pictures, against 1.008: .02 to .07 dB better at ratios from 50 to 1000. With 15 000 primitives at
-    // ratio 20 it won nothing and lost .0003 of MS-SSIM. `cargo run --release -p ssplat-lab --example rate_distortion
-    // -- PICTURES` measures it.
+    // On twelve Kodak pictures, 1.05 gains 0.02 to 0.07 dB over 1.008 at ratios from 50 to 1000. With 15 000 primitives
+    // at a ratio of 20, it gained nothing and lost 0.0003 of MS-SSIM. `cargo run --release -p ssplat-lab --example
+    // rate_distortion -- PICTURES` measures it.
     if primitives < 10_000 { 1.05 } else { 1.008 }
 }
 
-/// Makes the file that the primitives are rounded for.
+/// Writes the file for which the primitives are rounded.
 struct Making<'a, 'b> {
     stage: Stage<'a, 'b>,
     splats: PackedSplats,
@@ -214,12 +217,12 @@ impl Client for Making<'_, '_> {
 }
 
 impl Making<'_, '_> {
-    /// Writes the file, and brings the primitives into its order.
+    /// Writes the file and sorts the primitives into its order.
     fn write(&mut self, rounded: &mut Rounded) -> Result<Vec<u8>> {
         self.with(rounded, file::smallest)
     }
 
-    /// Calls `look` with the integers as a file of so many levels.
+    /// Calls `look` with the integers of the file and its number of levels.
     fn with<T>(&mut self, rounded: &mut Rounded, look: impl FnOnce(&mut PackedSplats, u8) -> T) -> T {
         let splats = &mut self.splats;
         (splats.steps, splats.background) = (rounded.steps, rounded.background);

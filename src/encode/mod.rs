@@ -1,7 +1,7 @@
-//! Pixels to bytes: the whole encoder behind one function.
+//! Encodes pixels to bytes: the whole encoder behind one function.
 //!
-//! `rate_control` says with how many primitives a fit begins and how often one is tried, `job` does a fit and has it
-//! rounded, `file` writes the smallest file of the integers.
+//! `rate_control` chooses the initial number of primitives and the number of tries, `job` runs a fit and rounds its
+//! result, and `file` writes the smallest file for the integers.
 
 mod channels;
 mod clock;
@@ -59,31 +59,32 @@ pub use workers::Workers;
 pub struct Encoded {
     /// The file.
     pub bytes: Vec<u8>,
-    /// Account of the encode.
+    /// Report of the encode.
     pub report: EncodeReport,
 }
 
-/// Account of an encode: its result, its cost, and what it left out.
+/// Report of an encode: its result, its cost, and what was skipped.
 #[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub struct EncodeReport {
     /// Number of primitives in the file.
     pub primitives: usize,
-    /// PSNR of the stored picture against the source in dB, before rounding to code values; infinite if they are equal.
+    /// PSNR of the stored picture against the source in dB, before rounding to code values. It is infinite if they are
+    /// equal.
     pub psnr: f64,
     /// PSNR of the picture before quantization, in dB.
     pub float_psnr: f64,
     /// SSIMULACRA2 score of the decoded file against the source; `None` unless the target was `Target::Quality`.
     pub quality: Option<f64>,
-    /// Wall-clock seconds of the encode, without the time for tracing.
+    /// Wall-clock seconds of the encode, excluding tracing.
     pub seconds: f64,
     /// Seconds of each stage, in order.
     pub stages: Vec<StageTime>,
-    /// Everything that the encode left out, with the reasons.
+    /// Everything that the encode skipped, with the reasons.
     pub skipped: Vec<Skipped>,
     /// Device that fitted the picture, and the reason for the choice.
     pub chosen: Chosen,
-    /// Quality along the way, where an encode is traced.
+    /// Quality during the encode, if it is traced.
     #[doc(hidden)]
     pub trace: Vec<TracePoint>,
 }
@@ -91,16 +92,17 @@ pub struct EncodeReport {
 /// Encodes `pixels`.
 ///
 /// # Errors
-/// [`Error::Parameter`] when an option is out of range or the asked size cannot hold the picture.
+/// [`Error::Parameter`] if an option is out of range, and [`Error::TooSmall`] if a file of the requested size cannot
+/// hold the picture.
 #[cfg(any(test, feature = "image", feature = "unstable"))]
 pub fn encode(pixels: &Pixels, options: &EncodeOptions) -> Result<Encoded> {
     encode_with_progress(pixels, options, &mut |_| ControlFlow::Continue(()))
 }
 
-/// Encodes `pixels` and calls `progress` a few hundred times on the way.
+/// Encodes `pixels` and calls `progress` a few hundred times during the encode.
 ///
 /// # Errors
-/// As [`encode`], and [`Error::Cancelled`] when `progress` returns [`ControlFlow::Break`].
+/// As [`encode`], and [`Error::Cancelled`] if `progress` returns [`ControlFlow::Break`].
 pub fn encode_with_progress(
     pixels: &Pixels,
     options: &EncodeOptions,
@@ -137,19 +139,20 @@ fn encode_by(
     }
 }
 
-/// Pictures of more pixels are fitted in tiles, unless [`EncodeOptions::tiles`] asks for tiles anyway.
+/// Maximum number of pixels that are fitted as a whole by default. Larger pictures are fitted in tiles even if
+/// [`EncodeOptions::tiles`] is not set.
 pub const MAX_WHOLE_PIXELS: u64 = 1 << 28;
-/// Pictures of more pixels are fitted in tiles where they can be: as well, in a fraction of the memory. A fit of the
-/// whole takes some 70 bytes a pixel.
+/// Maximum number of pixels that are fitted as a whole by default if tiles are possible. Tiles give the same quality in
+/// a fraction of the memory. A fit of a whole picture takes about 70 bytes per pixel.
 const MAX_UNTILED_PIXELS: u64 = 1 << 25;
-/// The side of those tiles, pixels.
+/// Side of the tiles of these pictures, pixels.
 const DEFAULT_TILE_SIDE: u32 = 2048;
 
-/// Returns the side of the tiles that a picture is fitted in, if it is.
+/// Returns the side of the tiles in which a picture is fitted, or `None` if it is fitted as a whole.
 fn side(source: &dyn PixelSource, options: &EncodeOptions) -> Option<u32> {
     let [width, height] = source.size();
     let area = u64::from(width) * u64::from(height);
-    // Looking for a GPU takes time.
+    // The search for a GPU takes time, so it is the last condition.
     let by_default = || {
         area > MAX_WHOLE_PIXELS
             || area > MAX_UNTILED_PIXELS && tiles::check(options).is_ok() && !device::takes_gpu(options)

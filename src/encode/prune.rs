@@ -1,4 +1,4 @@
-//! Primitives that a file does not need: taken out after the fit.
+//! Removes the primitives that a file does not need, after the fit.
 
 use super::file;
 use super::input::stored_scene;
@@ -15,7 +15,7 @@ use crate::round::descend::Descent;
 use crate::round::rounded::projected;
 
 impl WholeSession<'_> {
-    /// Takes out the primitives without which the squared error of what was fitted stays within `enough`.
+    /// Removes primitives as long as the squared error over the fitted samples stays within `enough`.
     pub(super) fn pruned(&mut self, outcome: &mut Outcome, enough: f64) -> Result<()> {
         if outcome.splats.detail.is_some() {
             return Ok(());
@@ -34,18 +34,18 @@ impl WholeSession<'_> {
     }
 }
 
-/// Each of so few primitives is tried by itself: what the others are expected to cost is not exact.
+/// Up to this number, each primitive is also tried individually, because the predicted costs of removal are not exact.
 const MAX_SINGLY_TRIED: usize = 64;
 
-/// Returns `splats` with as few primitives as keep the squared error within `enough`, or as were found to be needed
-/// when `is_over` says that the time is; `None` where all are needed.
+/// Returns `splats` with the fewest primitives found that keep the squared error within `enough`. The search ends early
+/// when `is_over` returns true. Returns `None` if all primitives are needed.
 fn pruned(
     problem: &Problem<'_>,
     splats: &PackedSplats,
     enough: f64,
     is_over: &dyn Fn() -> bool,
 ) -> Option<PackedSplats> {
-    // Each round takes out what is not needed; a sweep over the rest makes room for the next one.
+    // Each round removes primitives that are not needed. A sweep over the rest makes room for the next round.
     const MAX_ROUNDS: usize = 6;
     if !splats.levels.is_empty() {
         return None;
@@ -69,7 +69,7 @@ fn pruned(
         }
         let costs = removal::costs(problem, &field, RowSet::ALL, &drawn);
         let order = removal::cheapest_first(&costs);
-        // The most that can go: between `sure`, which can, and `over`, which cannot.
+        // Searches for the maximum number that can be removed: `sure` primitives can be removed, `over` cannot.
         let (mut sure, mut over) = (0, trial.len() + 1);
         let without = |count: usize| -> Vec<PackedGaussian> {
             let mut removed = vec![false; trial.len()];

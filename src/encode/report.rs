@@ -1,4 +1,4 @@
-//! Account of an encode: its progress, the time of its stages, and everything that it left out.
+//! The report of an encode: its progress, the time of its stages, and everything that it skipped.
 
 use std::ops::ControlFlow;
 
@@ -13,11 +13,11 @@ use crate::fit::model::objective::planes::Planes;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Progress {
-    /// The stage's name.
+    /// Name of the stage.
     pub stage: &'static str,
-    /// Share of the stage that is done, `0..=1`.
+    /// Fraction of the stage that is done, `0..=1`.
     pub done: f32,
-    /// PSNR when it was last measured, dB, where an encode is traced.
+    /// Last measured PSNR in dB, if the encode is traced.
     #[doc(hidden)]
     pub psnr: Option<f64>,
 }
@@ -26,18 +26,18 @@ pub struct Progress {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct StageTime {
-    /// The stage's name, as in [`Progress`].
+    /// Name of the stage, as in [`Progress`].
     pub name: &'static str,
-    /// Wall-clock seconds of the stage, without the time for tracing.
+    /// Wall-clock seconds of the stage, excluding tracing.
     pub seconds: f64,
 }
 
-/// The account of an encode that goes on.
+/// The report of an encode in progress.
 pub(super) struct ReportBuilder<'a> {
     pub progress: &'a mut dyn FnMut(&Progress) -> ControlFlow<()>,
     pub tracer: Tracer,
     pub stages: Vec<StageTime>,
-    /// In the order in which it was found.
+    /// The skipped parts, in the order in which they were found.
     pub skipped: Vec<Skipped>,
 }
 
@@ -46,15 +46,15 @@ impl<'a> ReportBuilder<'a> {
         ReportBuilder { progress, tracer, stages: Vec::new(), skipped: Vec::new() }
     }
 
-    /// Returns the seconds since the encode began, those of tracing not counted.
+    /// Returns the seconds since the start of the encode, excluding tracing.
     pub(super) fn seconds(&self) -> f64 {
         self.tracer.seconds()
     }
 
-    /// Reports the share of a stage that is done, where nothing is measured on the way.
+    /// Reports the fraction of a stage that is done, without measuring anything.
     ///
     /// # Errors
-    /// [`Error::Cancelled`] when the caller breaks off.
+    /// [`Error::Cancelled`] if the caller cancels.
     pub(super) fn show(&mut self, stage: &'static str, done: f32) -> Result<()> {
         self.tell(&Progress { stage, done, psnr: None })
     }
@@ -66,21 +66,21 @@ impl<'a> ReportBuilder<'a> {
         }
     }
 
-    /// Notes that a stage, which began when [`seconds`](Self::seconds) were `since`, is over; returns how long it took.
+    /// Records the end of a stage that started when [`seconds`](Self::seconds) returned `since`. Returns its duration.
     pub(super) fn stage(&mut self, name: &'static str, since: f64) -> f64 {
         let seconds = self.seconds() - since;
         self.stages.push(StageTime { name, seconds });
         seconds
     }
 
-    /// Notes what was left out, in place of what an earlier attempt left out for the same reason.
+    /// Records something that was skipped. It replaces what an earlier attempt skipped for the same reason.
     pub(super) fn note(&mut self, what: SkipReason, bytes: u64, seconds: f64) {
         self.skipped.retain(|l| l.what != what);
         self.skipped.push(Skipped { what, bytes, seconds });
     }
 }
 
-/// A stage of an encode as it goes on: it is traced and reported at every step.
+/// A stage of an encode in progress, which is traced and reported at every step.
 pub(super) struct Stage<'a, 'b> {
     pub name: &'static str,
     pub report: &'a mut ReportBuilder<'b>,
@@ -89,10 +89,10 @@ pub(super) struct Stage<'a, 'b> {
 }
 
 impl Stage<'_, '_> {
-    /// Reports the share of the stage that is done.
+    /// Reports the fraction of the stage that is done.
     ///
     /// # Errors
-    /// [`Error::Cancelled`] when the caller breaks off, and those of looking at the work.
+    /// [`Error::Cancelled`] if the caller cancels, and the errors of inspecting the current state.
     pub(super) fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
         let stage = self.name;
         let psnr = self.report.tracer.step(stage, self.input.original, self.planes, now)?;

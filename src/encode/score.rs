@@ -1,4 +1,4 @@
-//! SSIMULACRA2 scores of pictures that the encoder made.
+//! SSIMULACRA2 scores of encoded pictures.
 
 use super::drawn::drawn;
 use crate::bitstream::splats::PackedSplats;
@@ -7,7 +7,7 @@ use crate::pixels::Pixels;
 use crate::raster::View;
 use crate::ssimulacra2::ssimulacra2;
 
-/// Returns the score of the picture with these integers against `original`, whose sides have to be long enough for one.
+/// Returns the score of the picture with these integers against `original`. The sides must be long enough for a score.
 pub(super) fn score(original: &Pixels, splats: &PackedSplats) -> Result<f64> {
     let drawn = drawn(splats, &View::of_size(splats.width, splats.height), splats.depth)?;
     Ok(ssimulacra2(original, &drawn)?.expect("the sides were checked"))

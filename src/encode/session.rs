@@ -1,4 +1,4 @@
-//! One encode, of a whole picture or of one in tiles: what rate control, thumbnail and report need of it.
+//! An encode of a whole picture or of one in tiles, as rate control, thumbnails and the report see it.
 
 use std::time::Duration;
 
@@ -15,19 +15,19 @@ use crate::options::EncodeOptions;
 use crate::round::size::Size;
 use crate::strict_math::StrictMath;
 
-/// A file, its integers, and the squared error of the floats.
+/// A file, its integers, and the squared error before rounding.
 #[derive(Clone)]
 pub(super) struct Outcome {
     pub bytes: Vec<u8>,
     /// The integers, without the constant channels that were left out.
     pub splats: PackedSplats,
-    /// Squared error of the floats over the samples that were fitted.
+    /// Squared error of the primitives before rounding, over the fitted samples.
     pub float_error: f64,
-    /// SSIMULACRA2 of the decoded file, where it was measured.
+    /// SSIMULACRA2 score of the decoded file, if it was measured.
     pub quality: Option<f64>,
 }
 
-/// Gaussians that a search keeps from try to try: their best number depends on the picture, and hardly on the bytes of
+/// Gaussians that a search reuses in all its tries. Their best number depends on the picture and hardly on the size of
 /// the file.
 pub(super) struct KeptBase {
     pub base: Outcome,
@@ -35,35 +35,35 @@ pub(super) struct KeptBase {
     pub base_budget: f64,
 }
 
-/// An encode on its way. `'a` is the lifetime of the caller's progress function.
+/// An encode in progress. `'a` is the lifetime of the caller's progress function.
 pub(super) trait EncodeSession<'a> {
     fn options(&self) -> &EncodeOptions;
 
-    /// Returns the clock of the budget of time.
+    /// Returns the clock of the time budget.
     fn clock(&mut self) -> &mut Clock;
 
     fn report(&mut self) -> &mut ReportBuilder<'a>;
 
-    /// Returns the device that fits, and the reason for it.
+    /// Returns the device that fits the picture, and the reason for the choice.
     fn chosen(&self) -> Chosen;
 
     /// Returns the channels of the file.
     fn channels(&self) -> Channels;
 
-    /// Returns the integers of what is fitted, without primitives.
+    /// Returns the integers of the fitted picture, without primitives.
     fn empty(&self) -> PackedSplats;
 
-    /// Returns the integers of a picture of one colour, if that is what the picture is.
+    /// Returns the integers of the picture if it has only one colour.
     fn constant(&mut self) -> Result<Option<PackedSplats>>;
 
-    /// Encodes to a file of `size`, with a detail layer if the picture gains by one. `share` is the part of the budget
-    /// of time that this file may take; `None`: all that is left.
+    /// Encodes to a file of `size`, with a detail layer if that improves the picture. `share` is the part of the time
+    /// budget that this file may take; `None` means all of the remaining time.
     fn at_size(&mut self, size: Size, share: Option<Duration>) -> Result<Outcome>;
 
     /// Encodes to a file of about `count` primitives.
     fn at_count(&mut self, count: usize) -> Result<Outcome>;
 
-    /// Returns the squared error of the stored picture over the samples that were fitted.
+    /// Returns the squared error of the stored picture over the fitted samples.
     fn fitted_error(&mut self, splats: &PackedSplats) -> Result<f64>;
 
     /// Returns the squared error of the stored picture over the samples of all channels.
@@ -73,24 +73,24 @@ pub(super) trait EncodeSession<'a> {
     #[cfg(feature = "quality")]
     fn score(&mut self, splats: &PackedSplats) -> Result<f64>;
 
-    /// Removes the primitives that are not needed to stay within a squared `error` over the samples of all channels.
+    /// Removes primitives as long as the squared error over the samples of all channels stays within `error`.
     fn prune(&mut self, _outcome: &mut Outcome, _error: f64) -> Result<()> {
         Ok(())
     }
 
-    /// Tells whether [`trim_to_quality`](Self::trim_to_quality) can make this file smaller.
+    /// Returns whether [`trim_to_quality`](Self::trim_to_quality) can make this file smaller.
     #[cfg(feature = "quality")]
     fn can_be_trimmed(&self, _outcome: &Outcome) -> bool {
         false
     }
 
-    /// Removes the primitives that matter least, as long as the score is at least `wanted`.
+    /// Removes the least important primitives as long as the score stays at or above `wanted`.
     #[cfg(feature = "quality")]
     fn trim_to_quality(&mut self, _outcome: &mut Outcome, _wanted: f64) -> Result<()> {
         Ok(())
     }
 
-    /// Makes the stored picture the last point of the trace.
+    /// Adds the stored picture as the last point of the trace.
     fn trace_end(&mut self, _splats: &PackedSplats) -> Result<()> {
         Ok(())
     }
@@ -106,39 +106,40 @@ pub(super) trait EncodeSession<'a> {
         self.samples() / self.channels().count() as f64 * self.empty().channels.count() as f64
     }
 
-    /// Tells whether all channels are fitted.
+    /// Returns whether all channels are fitted.
     fn fits_all_channels(&self) -> bool {
         self.channels() == self.empty().channels
     }
 
-    /// Returns `splats` with the channels that were left out put back.
+    /// Restores the channels of `splats` that were left out.
     fn widened(&self, splats: &PackedSplats) -> PackedSplats {
         if splats.channels == self.channels() { splats.clone() } else { widen(splats, self.channels()) }
     }
 
-    /// Writes the file of `splats`, with the channels that were left out put back.
+    /// Writes the file of `splats`, and restores the channels that were left out.
     fn file(&self, splats: &PackedSplats) -> Result<Vec<u8>> {
         widened_file(splats, self.channels())
     }
 
-    /// Returns the bytes of a file without primitives.
+    /// Returns the size of a file without primitives, bytes.
     fn fixed(&self) -> Result<u64> {
         Ok(self.file(&self.empty())?.len() as u64)
     }
 
-    /// Returns the error where a file of `allowed` bytes takes `needed` without any primitive.
+    /// Returns the error for a file of `allowed` bytes that needs `needed` bytes even without primitives.
     fn too_small(&self, allowed: u64, needed: u64) -> crate::Error {
         too_small_with(self.options(), allowed, needed)
     }
 }
 
-/// Encodes to what the options ask for, and reports on it.
+/// Encodes as the options request, and reports the result.
 pub(super) fn run<'a, S: EncodeSession<'a>>(mut session: S) -> Result<Encoded> {
     let outcome = rate_control::to_target(&mut session)?;
     session.trace_end(&outcome.splats)?;
     note_codebook(&mut session, &outcome)?;
     let error = session.error(&outcome.splats)?;
-    // The floats were measured on what was fitted: the channels that were left out count as they do in the file.
+    // The error before rounding was measured over the fitted channels. The factor adds the channels that were left out,
+    // in the same proportion as in the file.
     let weight = if session.fits_all_channels() { 1.0 } else { error / session.fitted_error(&outcome.splats)? };
     let float_error = outcome.float_error * if weight.is_finite() { weight } else { 1.0 };
     let (samples, chosen) = (session.samples(), session.chosen());
@@ -157,7 +158,7 @@ pub(super) fn run<'a, S: EncodeSession<'a>>(mut session: S) -> Result<Encoded> {
     Ok(Encoded { bytes: outcome.bytes, report })
 }
 
-/// Notes what a codebook saved, from a file written without it.
+/// Records the bytes that a codebook saved, compared with a file without it.
 fn note_codebook<'a, S: EncodeSession<'a>>(session: &mut S, outcome: &Outcome) -> Result<()> {
     if outcome.splats.codebook.is_some() {
         let direct = session.file(&PackedSplats { codebook: None, ..outcome.splats.clone() })?;
@@ -167,7 +168,7 @@ fn note_codebook<'a, S: EncodeSession<'a>>(session: &mut S, outcome: &Outcome) -
     Ok(())
 }
 
-/// Returns a squared error over so many samples as PSNR, decibels.
+/// Converts a squared error over this many samples to a PSNR in decibels.
 pub(super) fn decibels(error: f64, samples: f64) -> f64 {
     -10.0 * (error / samples).strict_log10()
 }

@@ -1,44 +1,44 @@
-//! Things that an encode can leave out.
+//! Parts of an encode that can be skipped.
 
 use std::fmt;
 
-/// Something that the encoder left out, because the picture or the options do not need it or because it was not
-/// available.
+/// A part that the encoder skipped because the picture or the options do not need it, or because it was not available.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Skipped {
-    /// Name of the thing and the reason.
+    /// The part that was skipped, and why.
     pub what: SkipReason,
-    /// Bytes saved; 0 if nothing was saved, if only time was (which then buys quality), or if it was not measured.
+    /// Bytes saved. It is 0 if nothing was saved, if only time was saved (and spent on quality), or if it was not
+    /// measured.
     pub bytes: u64,
-    /// Seconds saved, estimated from the cost of one iteration; 0 where that is not known.
+    /// Seconds saved, estimated from the cost of one iteration. It is 0 if that is not known.
     pub seconds: f64,
 }
 
-/// Something that an encode can leave out. Its text is the thing, a colon, and the reason.
+/// A part of an encode that can be skipped. It is displayed as the name of the part, a colon and the reason.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum SkipReason {
-    /// Alpha, where all is opaque.
+    /// Alpha, because all pixels are opaque.
     Alpha,
-    /// Colour, where all is grey.
+    /// Colour, because all pixels are grey.
     Color,
-    /// Colour and alpha, where all is grey and opaque.
+    /// Colour and alpha, because all pixels are grey and opaque.
     ColorAndAlpha,
-    /// Colours under alpha 0, which continue the visible ones instead.
+    /// Colours under alpha 0, which are replaced with a continuation of the visible ones.
     HiddenColors,
-    /// The weights of [`Tune::Ssim`](crate::Tune::Ssim) and [`Tune::Iq`](crate::Tune::Iq), where the picture is so even
-    /// that they are the same everywhere.
+    /// The weights of [`Tune::Ssim`](crate::Tune::Ssim) and [`Tune::Iq`](crate::Tune::Iq), because the picture is so
+    /// uniform that they are the same everywhere.
     StructureWeights,
-    /// The fit, where the picture is one colour.
+    /// The fit, because the picture has only one colour.
     Fit,
-    /// Iterations, where the error was small enough before the last one.
+    /// The last iterations, because the error was already small enough.
     Iterations,
-    /// Primitives without which the error stays small enough.
+    /// Primitives, because the error stays small enough without them.
     Primitives,
-    /// A colour of its own for each primitive, where a codebook is smaller.
+    /// A separate colour for each primitive, because a codebook is smaller.
     OwnColors,
-    /// The GPU, where the encoder might have used one.
+    /// The GPU, if the encoder might have used one.
     Gpu {
         /// Reason why it was not used.
         reason: String,

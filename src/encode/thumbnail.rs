@@ -1,4 +1,4 @@
-//! The thumbnail that a large file carries: the coded picture drawn small, and encoded as a file of its own.
+//! The thumbnail of a large file: the coded picture, rendered at a small size and encoded as a separate file.
 
 use std::ops::ControlFlow;
 
@@ -14,20 +14,21 @@ use crate::target::Target;
 
 /// Longest side of a thumbnail, pixels.
 const MAX_SIDE: u32 = 256;
-/// Bytes from which on a file carries a thumbnail unasked.
+/// Minimum size of a file that carries a thumbnail by default, bytes.
 const MIN_FILE_BYTES: u64 = 100_000;
-/// The part of the file that it takes then.
+/// Size of the file relative to that of a default thumbnail.
 const FILE_PART: u64 = 100;
-/// Most bytes that it takes then: more make it little better.
+/// Maximum size of a default thumbnail, bytes. More bytes hardly improve it.
 const MAX_BYTES: u64 = 4000;
-/// Bytes that a section takes beside its contents, at most: the number of sections, name, length and checksum.
+/// Maximum overhead of a section, bytes: the number of sections, name, length and checksum.
 const HEADER_BYTES: u64 = 1 + 4 + 5 + 4;
-/// Most work that is spent on it, which is little beside what a large picture takes.
+/// Maximum effort of a thumbnail. It takes little work compared with a large picture.
 const EFFORT: u8 = 2;
-/// The part of a time budget that is kept for it.
+/// Time budget of the encode relative to that of the thumbnail.
 const TIME: u32 = 20;
 
-/// Returns the bytes that the thumbnail of a picture of `size` pixels may take in a file of `bytes`, 0 without one.
+/// Returns the maximum size in bytes of the thumbnail of a picture of `size` pixels in a file of `bytes`. Returns 0 if
+/// the file has no thumbnail.
 fn room(options: &EncodeOptions, size: [u32; 2], bytes: u64) -> u64 {
     match options.thumbnail {
         Thumbnail::Never => 0,
@@ -37,7 +38,7 @@ fn room(options: &EncodeOptions, size: [u32; 2], bytes: u64) -> u64 {
     }
 }
 
-/// Returns what of `size` is left for the picture beside a thumbnail of `room` bytes.
+/// Returns the part of `size` that remains for the picture next to a thumbnail of `room` bytes.
 fn beside(size: Size, room: u64) -> Size {
     match size {
         Size::Bytes(most) if room > 0 => Size::Bytes(most.saturating_sub(room + HEADER_BYTES)),
@@ -45,7 +46,7 @@ fn beside(size: Size, room: u64) -> Size {
     }
 }
 
-/// Counts a thumbnail of `room` bytes in an error about the size of a file that was to be of the size `asked`.
+/// Adds a thumbnail of `room` bytes to an error about the size of a file. `asked` is the size that was requested.
 pub(super) fn counted(error: Error, asked: Size, room: u64) -> Error {
     match (error, asked) {
         (Error::TooSmall { asked, needed, icc, exif, .. }, Size::Bytes(allowed)) if room > 0 => {
@@ -55,7 +56,8 @@ pub(super) fn counted(error: Error, asked: Size, room: u64) -> Error {
     }
 }
 
-/// Returns a thumbnail of at most `most` bytes: `splats`, drawn small. `show` is told the share that is done.
+/// Returns a thumbnail of at most `most` bytes: `splats`, rendered at a small size. Passes the fraction of the work
+/// that is done to `show`.
 fn of(
     splats: &PackedSplats,
     most: u64,
@@ -73,7 +75,7 @@ fn of(
         backend: Backend::Cpu,
         hidden: options.hidden,
         thumbnail: Thumbnail::Never,
-        // Readers of placeholders know Gaussians alone.
+        // Readers that draw placeholders support Gaussians only.
         detail: Detail::Off,
         ..EncodeOptions::default()
     };
@@ -85,7 +87,8 @@ fn of(
     Ok(bytes)
 }
 
-/// Returns what of `size` is left for the picture, and the bytes of the thumbnail; keeps time for it.
+/// Returns the part of `size` that remains for the picture, and the size of the thumbnail in bytes. Reserves time for
+/// the thumbnail.
 pub(super) fn kept_free<'a, S: EncodeSession<'a>>(session: &mut S, size: Size) -> (Size, u64) {
     let Size::Bytes(most) = size else { return (size, 0) };
     let room = room_in(session, most);
@@ -96,7 +99,7 @@ pub(super) fn kept_free<'a, S: EncodeSession<'a>>(session: &mut S, size: Size) -
     (beside(size, room), room)
 }
 
-/// Puts the thumbnail into a file that was made for `size`, if it is to have one.
+/// Adds the thumbnail to a file that was made for `size`, if it should have one.
 pub(super) fn add<'a, S: EncodeSession<'a>>(session: &mut S, outcome: &mut Outcome, size: Size) -> Result<()> {
     let most = room_in(
         session,

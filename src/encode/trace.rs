@@ -1,5 +1,5 @@
-//! Quality against time: measures the picture at growing intervals while it is encoded, and takes what the measuring
-//! costs out of the times.
+//! Records quality over time: measures the picture at growing intervals during the encode, and excludes the time of the
+//! measurements.
 
 use std::time::Duration;
 
@@ -16,36 +16,37 @@ use crate::metrics;
 use crate::options::Trace;
 use crate::pixels::{Depth, Pixels, Samples};
 
-/// Seconds between two points over the seconds of the encode so far.
+/// Interval between two points, relative to the duration of the encode so far.
 const RELATIVE_INTERVAL: f64 = 0.18;
-/// Seconds before the second point.
+/// Interval before the second point and minimum of all intervals, seconds.
 const FIRST_INTERVAL: f64 = 0.02;
 
 /// Quality at one moment of an encode.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct TracePoint {
-    /// The stage, as in [`Progress`](crate::Progress).
+    /// Name of the stage, as in [`Progress`](crate::Progress).
     pub stage: &'static str,
-    /// Seconds since the encode began, those spent on measuring not counted.
+    /// Seconds since the start of the encode, excluding measurements.
     pub seconds: f64,
-    /// Steps done within the stage.
+    /// Number of steps done within the stage.
     pub step: u32,
-    /// Primitives at that moment.
+    /// Number of primitives at that moment.
     pub primitives: usize,
-    /// PSNR, dB, over the samples as a decoder would write them; infinite when all are equal.
+    /// PSNR in dB over the samples that a decoder would return; infinite if all are equal.
     pub psnr: f64,
-    /// Structural similarity; `None` when a side is under 11 pixels or the picture is fitted in tiles.
+    /// Structural similarity; `None` if a side is shorter than 11 pixels or the picture is fitted in tiles.
     pub ssim: Option<f64>,
-    /// Multi-scale structural similarity; `None` when a side is under 161 pixels or the picture is fitted in tiles.
+    /// Multi-scale structural similarity; `None` if a side is shorter than 161 pixels or the picture is fitted in
+    /// tiles.
     pub ms_ssim: Option<f64>,
 }
 
-/// Takes the points.
+/// Records the points of a trace.
 pub(crate) struct Tracer {
     start: Instant,
     spent: Duration,
-    /// Seconds at which the next point is due; infinite when nothing is traced.
+    /// Seconds at which the next point is due; infinite if nothing is traced.
     next: f64,
     points: Vec<TracePoint>,
     step: (&'static str, u32),
@@ -57,12 +58,12 @@ impl Tracer {
         Tracer { start: Instant::now(), spent: Duration::ZERO, next, points: Vec::new(), step: ("", 0) }
     }
 
-    /// Seconds since the start, without those of measuring.
+    /// Returns the seconds since the start, excluding measurements.
     pub(crate) fn seconds(&self) -> f64 {
         (self.start.elapsed() - self.spent).as_secs_f64()
     }
 
-    /// Counts a step of `stage`, and measures the work as it is now when a point is due. Returns the last PSNR.
+    /// Counts a step of `stage`, and measures the current state if a point is due. Returns the last PSNR.
     pub(crate) fn step(
         &mut self,
         stage: &'static str,
@@ -73,7 +74,7 @@ impl Tracer {
         let now = self.seconds();
         if self.step.0 != stage {
             self.step = (stage, 0);
-            // A stage's first step is always a point.
+            // The first step of each stage is always a point.
             self.next = if self.next.is_finite() { now } else { self.next };
         }
         if now >= self.next {
@@ -97,12 +98,12 @@ impl Tracer {
         Ok(self.points.last().map(|p| p.psnr))
     }
 
-    /// Tells whether anything is traced.
+    /// Returns whether anything is traced.
     pub(crate) fn is_on(&self) -> bool {
         self.next.is_finite()
     }
 
-    /// Adds a point whose PSNR the caller measured; measuring began at `start`.
+    /// Adds a point whose PSNR the caller has measured. The measurement started at `start`.
     pub(crate) fn add(&mut self, stage: &'static str, psnr: f64, primitives: usize, start: Instant) {
         let seconds = (start - self.start).saturating_sub(self.spent).as_secs_f64();
         let step = if self.step.0 == stage { self.step.1 + 1 } else { 0 };
@@ -116,7 +117,7 @@ impl Tracer {
     }
 }
 
-/// Draws the samples of `projected`, by the fit's own kernels.
+/// Renders `projected` with the kernels of the fit.
 fn draw(problem: &Problem<'_>, projected: &[Projected], depth: Depth) -> Pixels {
     let Problem { scene, target } = *problem;
     let mut field = Field::default();

@@ -16,17 +16,17 @@ use crate::fit::model::placing::removal;
 use crate::fit::model::problem::Problem;
 use crate::round::rounded::projected;
 
-/// Primitives that are removed one by one where several at a time are too many.
+/// Maximum number of primitives that are tried individually after groups of them can no longer be removed.
 const MAX_SINGLY_REMOVED: usize = 24;
 
-/// Tells whether primitives can be removed from a file one by one: their value is not known for files with levels or a
-/// detail layer.
+/// Returns whether primitives can be removed from a file. Their individual value is not known for files with levels or
+/// a detail layer.
 pub(super) fn can_be_trimmed(outcome: &Outcome) -> bool {
     outcome.splats.levels.is_empty() && outcome.splats.detail.is_none()
 }
 
 impl WholeSession<'_> {
-    /// Removes the primitives that matter least, as long as `wanted` points are left.
+    /// Removes the least important primitives as long as the score stays at or above `wanted`.
     pub(super) fn trimmed(&mut self, outcome: &mut Outcome, wanted: f64) -> Result<()> {
         if !can_be_trimmed(outcome) {
             return Ok(());
@@ -53,9 +53,9 @@ impl WholeSession<'_> {
                 score(input.original, &widen(splats, all))
             }
         };
-        // Between `sure`, without which there are points enough, and `over`, without which there are not.
+        // Without the first `sure` primitives the score is still high enough; without the first `over` it is not.
         let (mut sure, mut over, mut points) = (0, order.len() + 1, outcome.quality);
-        // The first guess is small: a point is a part of a hundred or so.
+        // The first guess is small, because a point is roughly a hundredth of the score.
         let mut next = order.len() / 64 + 1;
         let enough = (order.len() / 1000).max(1);
         while over - sure > enough && !self.clock.is_over() {
@@ -71,7 +71,8 @@ impl WholeSession<'_> {
             }
             next = if over > order.len() { sure * 2 } else { (sure + over) / 2 };
         }
-        // Primitives of little squared error can still matter to the eye: try the next ones one by one.
+        // Primitives that hardly affect the squared error can still be visible, so the next ones are tried
+        // individually.
         let mut out = order[..sure].to_vec();
         for &i in order[sure..].iter().take(MAX_SINGLY_REMOVED) {
             if points.is_none_or(|p| p - wanted < AIM_ABOVE) || self.clock.is_over() {

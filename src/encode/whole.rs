@@ -1,4 +1,4 @@
-//! The encode of a picture as a whole.
+//! Encodes a picture as a whole.
 
 use std::time::Duration;
 
@@ -27,31 +27,31 @@ use crate::pixels::Pixels;
 use crate::round::rounded::projected;
 use crate::round::size::Size;
 
-/// An encode of a whole picture on its way.
+/// An encode of a whole picture in progress.
 pub(super) struct WholeSession<'a> {
     pub input: EncodeInput<'a>,
-    /// The picture that is fitted, as planes; their amplitudes depend on the number of primitives.
+    /// The planes of the fitted picture. Their amplitudes depend on the number of primitives.
     pub planes: Planes,
-    /// The budget of time.
+    /// The time budget.
     pub clock: Clock,
-    /// The part of it that a fit may take; `None`: all that is left.
+    /// The part of the budget that a fit may take; `None` means all of the remaining time.
     pub share: Option<Duration>,
-    /// When a file of two layers should be done.
+    /// Deadline of a file with two layers.
     pub until: Option<Instant>,
     pub device: Choice,
-    /// Set while Gaussians are fitted that a detail layer is laid over.
+    /// Set while the Gaussians under a detail layer are fitted.
     pub base: Option<Base>,
-    /// Gaussians under a layer that an earlier try of a search came to.
+    /// Gaussians under a detail layer from an earlier try of a search.
     pub kept: Option<KeptBase>,
-    /// Primitives of a fit of fewer that the next one goes on from.
+    /// Primitives of a smaller fit that the next fit continues.
     pub initial: Vec<Primitive>,
     pub report: ReportBuilder<'a>,
 }
 
-/// Gaussians that a detail layer is laid over: it mends what a short fit leaves.
+/// Parameters of the Gaussians under a detail layer, which corrects what a short fit leaves.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Base {
-    /// Ratio of the file of both layers, where fits of large files are longer.
+    /// Ratio of the file with both layers, if fits of large files should be longer.
     pub ratio: Option<f64>,
 }
 
@@ -149,7 +149,7 @@ impl<'a> EncodeSession<'a> for WholeSession<'a> {
     }
 
     fn prune(&mut self, outcome: &mut Outcome, error: f64) -> Result<()> {
-        // Where channels were left out, what they add to the error is not known here.
+        // The contribution of channels that were left out to the error is not known here.
         match self.input.options.needs == Needs::Measured && self.fits_all_channels() {
             true => self.pruned(outcome, error),
             false => Ok(()),
@@ -176,7 +176,7 @@ impl<'a> EncodeSession<'a> for WholeSession<'a> {
 }
 
 impl WholeSession<'_> {
-    /// Returns the squared error of the stored picture over the samples that were fitted.
+    /// Returns the squared error of the stored picture over the fitted samples.
     pub(super) fn error_of(&self, splats: &PackedSplats) -> f64 {
         stored_error(splats, &self.planes, self.input.channels())
     }
@@ -188,9 +188,9 @@ impl WholeSession<'_> {
         self.without_layer(count, size)
     }
 
-    /// Fits a picture of `size` with about `count` primitives to begin with, and puts back what was left out.
+    /// Encodes to a file of `size`, starting with about `count` primitives. Restores the channels that were left out.
     fn without_layer(&mut self, count: usize, size: Size) -> Result<Outcome> {
-        // Bytes that the constant channels may take; corrected if they are too few.
+        // Bytes reserved for the constant channels. They are increased if they do not suffice.
         let mut spare = match size {
             Size::Bytes(most) if !self.fits_all_channels() => 6 + most.min(1 << 30) / 400,
             _ => 0,
@@ -208,7 +208,7 @@ impl WholeSession<'_> {
                 let enough = self.input.pixels.depth().rounding_error() * self.fitted_samples();
                 self.pruned(&mut outcome, enough)?;
             }
-            // Whatever a fit came to, it is not worse than one colour.
+            // The result must not be worse than a single colour.
             let alone =
                 PackedSplats { gaussians: Vec::new(), codebook: None, levels: Vec::new(), ..outcome.splats.clone() };
             let error = self.error_of(&outcome.splats);

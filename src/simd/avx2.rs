@@ -112,7 +112,7 @@ mod tests {
     use super::super::tests::check_properties;
 
     #[test]
-    fn avx2_lanes_keep_their_promises() {
+    fn avx2_lanes_have_the_required_properties() {
         match fearless_simd::Level::new().as_avx2() {
             Some(simd) => check_properties(simd),
             None => eprintln!("skipped: this machine has no AVX2"),

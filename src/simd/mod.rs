@@ -39,7 +39,7 @@ pub trait Task {
 #[cfg(target_arch = "x86_64")]
 const VARIABLE: &str = "SSPLAT_SIMD";
 
-/// Tells whether [`VARIABLE`] was `plain` when this function was first called.
+/// Returns whether [`VARIABLE`] was `plain` when this function was first called.
 #[cfg(target_arch = "x86_64")]
 fn is_plain_asked_for() -> bool {
     static ASKED: OnceLock<bool> = OnceLock::new();

@@ -103,7 +103,7 @@ mod tests {
     use super::Plain;
 
     #[test]
-    fn plain_lanes_keep_their_promises() {
+    fn plain_lanes_have_the_required_properties() {
         check_properties(Plain);
     }
 }

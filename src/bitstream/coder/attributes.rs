@@ -543,13 +543,13 @@ impl Attributes {
 mod tests {
     use super::*;
 
-    /// Tells whether `v` is further from a rounding boundary than the error of any f64 library.
+    /// Returns whether `v` is further from a rounding boundary than the error of any f64 library.
     fn clear(v: f64) -> bool {
         (v - v.floor() - 0.5).abs() > 1e-9
     }
 
     #[test]
-    fn directions_and_tangents_round_alike_everywhere() {
+    fn directions_and_tangents_round_the_same_on_every_machine() {
         for k in 0..64 {
             let turn = std::f64::consts::TAU * f64::from(k) / 64.0;
             assert!(clear(256.0 * turn.cos()) && clear(256.0 * turn.sin()));

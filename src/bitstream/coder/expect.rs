@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_expected_of_values_costs_what_the_coder_takes_for_them() {
+    fn predicted_costs_match_the_bits_of_the_coder() {
         for (count, levels, channels) in [
             (3, vec![], Channels::Rgb),
             (900, vec![], Channels::Grey),
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_expected_where_no_coder_would() {
+    fn layouts_without_predictions_return_none() {
         let mut packed = PackedSplats { layout: Layout::Planes, ..made_up(10, Channels::Rgb) };
         assert!(expected(&mut packed).unwrap().is_empty());
         let mut of_book = made_up(10, Channels::Rgb);
@@ -318,7 +318,7 @@ mod tests {
 
     #[cfg(feature = "rayon")]
     #[test]
-    fn what_is_expected_does_not_depend_on_the_thread_count() {
+    fn predictions_do_not_depend_on_the_thread_count() {
         let splats = PackedSplats { levels: vec![1000, 3000], ..made_up(4000, Channels::Rgb) };
         let with = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

@@ -423,7 +423,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_round_trip_and_no_other_ending_is_accepted() {
+    fn messages_round_trip_and_other_endings_are_refused() {
         for seed in 0..400 {
             let message = decisions(seed, seed % 97);
             let mut encoder = Encoder::default();
@@ -462,7 +462,7 @@ mod tests {
     }
 
     #[test]
-    fn carries_run_through_long_rows_of_ones() {
+    fn carries_propagate_through_long_runs_of_ones() {
         let mut encoder = Encoder::default();
         for _ in 0..100 {
             encoder.bit(1, 0);

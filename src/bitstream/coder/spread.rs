@@ -413,7 +413,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tables_are_the_formulas_rounded_alike_everywhere() {
+    fn tables_equal_the_formulas_rounded_the_same_on_every_machine() {
         let rounded = |v: f64, table: u32| (v - v.floor() - 0.5).abs() > 1e-9 && (v + 0.5).floor() == f64::from(table);
         assert!((0..=4096).all(|i| {
             let v = 65536.0 / (1.0 + (-(f64::from(i) - 2048.0) / 256.0).exp());
@@ -441,7 +441,7 @@ mod tests {
     }
 
     #[test]
-    fn every_value_has_a_share_and_is_found_by_it() {
+    fn every_value_has_an_interval_and_is_found_by_it() {
         for place in [-3, 0, 7, 8, 9, 1000 * 16 + 5, -(1 << 20)] {
             for log in [0, 80, 100, 151, 200, 280, 320, 400] {
                 let near = Near::new(place, log);
@@ -456,7 +456,7 @@ mod tests {
     }
 
     #[test]
-    fn gains_stay_in_range_whatever_they_see() {
+    fn gains_stay_in_range_for_extreme_distances() {
         for distance in [0, MAX_ARGUMENT as i32] {
             let mut gains = Gains::new();
             (0..100_000).for_each(|_| gains.learn(&[0, 1], distance));

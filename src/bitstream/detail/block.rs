@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn savings_are_near_what_a_smaller_level_saves() {
+    fn estimated_savings_are_close_to_actual_savings() {
         let models = Models::start();
         let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(1);
         let (mut all, mut missed) = (0.0f32, 0.0f32);

@@ -45,7 +45,7 @@ impl DetailLayer {
         lists + (self.tiles.len() * size_of::<Option<TileLevels>>()) as u64
     }
 
-    /// Tells whether the layer belongs to a picture of this size with these channels.
+    /// Returns whether the layer belongs to a picture of this size with these channels.
     pub(crate) fn fits(&self, size: [u32; 2], channels: Channels) -> bool {
         let [across, down] = tile_counts(size);
         let mut cells = [0; KINDS];
@@ -358,7 +358,7 @@ fn memory_of(levels: u64, samples: u64) -> u64 {
     3 * lists + (KINDS * CELLS * CELLS + SUPERS * SUPERS) as u64
 }
 
-/// Tells whether tile `i` lies within one pixel of `area`, because enlarged views interpolate over that distance.
+/// Returns whether tile `i` lies within one pixel of `area`, because enlarged views interpolate over that distance.
 /// Outside the picture, its border pixels are repeated (spec §11.6).
 fn reaches(size: [u32; 2], i: usize, area: Area) -> bool {
     let [x, y, width, height] = tile_area(size, i).map(|v| v as u64);
@@ -374,7 +374,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn streams_of_more_levels_than_there_is_memory_for_are_left() {
+    fn streams_with_too_many_levels_for_the_memory_are_skipped() {
         let head = DetailHead::PLAIN;
         let shape = (&head, Channels::Rgb, [TILE, TILE]);
         // The levels are random.

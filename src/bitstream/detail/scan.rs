@@ -63,7 +63,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_place_is_visited_once_and_zones_ascend() {
+    fn every_position_is_visited_once_and_zones_ascend() {
         for size in 0..SIZES {
             let places = scan(size);
             let mut seen: Vec<u16> = places.iter().map(|p| p.at).collect();

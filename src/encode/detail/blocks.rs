@@ -1,7 +1,7 @@
-//! Chooses the blocks of a tile by an estimate of their cost, without the entropy coder.
+//! Chooses the blocks of a tile from an estimate of their cost, without the entropy coder.
 //!
-//! The tile is lapped for each block size, and the quadtree with the lowest estimated cost is taken. Pricing the blocks
-//! with the entropy coder takes about fifteen times as long, for 0.1 SSIMULACRA2 points less.
+//! The tile is lapped once for each block size, and the quadtree with the lowest estimated cost is chosen. Pricing the
+//! blocks with the entropy coder takes about fifteen times as long and loses 0.1 SSIMULACRA2 points.
 
 use super::choose::{Setting, planes};
 use super::coefficients::AllSizes;
@@ -12,7 +12,7 @@ use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, SUPERS};
 use crate::bitstream::detail::model::KINDS;
 use crate::bitstream::detail::tile::{ROOT, TileState, kinds};
 
-/// Returns the sizes of the blocks that the cells of `tile` lie in, by kind.
+/// Returns the size of the block that each cell of `tile` lies in, by kind.
 pub(super) fn blocks(tile: &TileResidual, classes: &[u8], setting: &Setting) -> [Vec<u8>; KINDS] {
     let all = AllSizes::new(tile, |plane| setting.head.sizes([0, 1, 1, 2][plane]));
     let sizes = std::array::from_fn(|_| vec![0; CELLS * CELLS]);
@@ -36,7 +36,7 @@ struct BlockChooser<'a> {
 }
 
 impl BlockChooser<'_> {
-    /// Chooses the blocks of a square; returns what they cost.
+    /// Chooses the blocks of a square and returns their cost.
     fn tree(&mut self, kind: usize, cell: [usize; 2], size: usize) -> f32 {
         let [least, most] = self.setting.head.sizes(kind);
         if size > most {
@@ -65,7 +65,7 @@ impl BlockChooser<'_> {
     fn cost(&mut self, kind: usize, cell: [usize; 2], size: usize) -> f32 {
         let [x, y] = cell.map(|c| c / (SUPER / CELL));
         let class = self.classes.get(y * SUPERS + x).copied().unwrap_or(0);
-        // Flat ground is that of luma: alpha has edges of its own.
+        // Flat regions are those of luma. Alpha has its own edges.
         let factor = if kind < 2 && self.ground.is_mixed(cell, size) { self.setting.mixed_cost } else { 1.0 };
         let cost =
             |plane: usize| rough_cost(self.all.plane(size, plane), cell, size, self.factors.of(class, plane, size));
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn waves_are_in_large_blocks_and_a_dot_is_in_a_small_one() {
+    fn waves_get_large_blocks_and_a_dot_gets_a_small_one() {
         let wave = |x: usize| 2000.0 * (std::f32::consts::PI * (x % 32 * 2 + 1) as f32 * 5.0 / 64.0).cos();
         let sizes = sizes_of(|x, _| wave(x));
         let large = sizes.iter().filter(|&&size| size == 3).count();

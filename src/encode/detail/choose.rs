@@ -1,4 +1,4 @@
-//! Chooses the levels of a tile by rate–distortion optimization, and optionally its blocks.
+//! Chooses the levels of a tile, and optionally its blocks, by rate–distortion optimization.
 
 use super::coefficients::{self, AllSizes, Coefficients, Division};
 use super::in_steps::{Factors, KeptBase, Values};
@@ -13,63 +13,65 @@ use crate::bitstream::detail::scan::{ROOM, SIZES, STRIDE, at, scan};
 use crate::bitstream::detail::tile::{Content, ROOT, TileCoder, TileState, kinds, push};
 use crate::gaussian::Channels;
 
-/// Settings with which a layer is coded.
+/// Settings for coding a layer.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Setting {
     pub head: DetailHead,
     pub channels: Channels,
-    /// Squared error that a bit has to save, in squared steps.
+    /// Squared error that a bit must save (λ), in squared steps.
     pub lambda: f32,
     pub care: Care,
     pub blocks: BlockChoice,
-    /// Factor of the estimated cost of blocks of both flat ground and something else, whose ringing shows.
+    /// Factor on the estimated cost of blocks that contain both flat and other cells, where ringing is visible.
     pub mixed_cost: f32,
 }
 
-/// How the blocks of a tile are chosen.
+/// Method for choosing the blocks of a tile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum BlockChoice {
-    /// By an estimate ([`blocks`](super::blocks::blocks)).
+    /// Uses an estimate ([`blocks`](super::blocks::blocks)).
     Rough,
-    /// By the prices of the entropy coder ([`priced_blocks`]): 0.1 dB more PSNR for fifteen times the work.
+    /// Uses the prices of the entropy coder ([`priced_blocks`]), which gains 0.1 dB of PSNR and takes fifteen times as
+    /// long.
     Priced,
 }
 
-/// How carefully levels are chosen.
+/// Thoroughness of the search for levels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Care {
     /// Tries each clearly uncertain level once.
     Quick,
-    /// Tries the levels for which an estimate of the savings is not conclusive; in blocks of few levels, tries all of
+    /// Tries the levels for which the estimated savings are inconclusive. In blocks with few levels, it tries all of
     /// them up to twice.
     Thorough,
     /// Tries every uncertain level up to twice.
     Exhaustive,
 }
 
-/// Number of candidates above which a block of each size is not worth pricing.
+/// Maximum number of candidates for which a block of each size is priced.
 const CROWDED: [usize; SIZES] = [usize::MAX, usize::MAX, 40, 48];
-/// If no coefficient of a block is larger than this, in steps, smaller blocks have no levels either.
+/// Magnitude in steps that the largest coefficient of a block must reach for smaller blocks to be tried. Below it,
+/// smaller blocks have no levels either.
 const QUIET: f32 = 0.45;
-/// Below this, in steps, a coefficient has no level to begin with.
+/// Magnitude in steps below which a coefficient starts without a level (dead zone).
 const DEAD: f32 = 0.58;
-/// In blocks of up to this many candidates, each level is tried by itself.
+/// Maximum number of candidates in a block for which each level is tried individually.
 const MAX_EXACT_LEVELS: usize = 6;
 /// Margin in bits beyond which an estimate is conclusive.
 const DOUBT: f32 = 1.0;
-/// Bits that lowering a level saves in the levels after it, beyond the estimate.
+/// Bits that lowering a level saves in the levels after it. The estimate does not include them.
 const SAVED_BESIDE: f32 = 0.6;
 
-/// A tile whose levels have been chosen.
+/// The chosen levels of a tile.
 #[derive(Debug)]
 pub(super) struct Chosen {
     pub stream: Vec<u8>,
     pub levels: Option<TileLevels>,
-    /// Sizes of the blocks that cells lie in, by kind.
+    /// Size of the block that each cell lies in, by kind.
     pub sizes: [Vec<u8>; KINDS],
 }
 
-/// Levels of a tile at their places, and the blocks that they are in.
+/// Levels of a tile at their positions, and the blocks that contain them.
 struct Dense {
     sizes: [Vec<u8>; KINDS],
     planes: [Vec<i16>; PLANES],
@@ -106,16 +108,16 @@ impl Content for Dense {
 struct Candidate {
     at: u16,
     negative: bool,
-    /// Magnitude in steps.
+    /// Magnitude, in steps.
     value: f32,
 }
 
-/// Where coefficients come from.
+/// Source of the coefficients.
 #[derive(Clone, Copy)]
 enum Source<'a> {
-    /// Blocks of all sizes, to choose from.
+    /// Blocks of all sizes, from which the chooser selects.
     All(&'a AllSizes),
-    /// The blocks are chosen.
+    /// Blocks that are already chosen.
     Chosen(&'a Coefficients),
 }
 
@@ -129,13 +131,13 @@ struct Chooser<'a> {
     factors: Factors,
     values: Values,
     candidates: Vec<Candidate>,
-    /// Candidates for which the estimate is not conclusive.
+    /// Candidates for which the estimate is inconclusive.
     doubtful: Vec<Candidate>,
     /// Estimated bits saved by lowering the level at each position of a block.
     savings: Box<[f32; ROOM]>,
 }
 
-/// The levels of a block: their number, their squared error and their cost, both in squared steps.
+/// The levels of a block: their number, their squared error and their cost. Error and cost are in squared steps.
 #[derive(Debug, Clone, Copy)]
 struct Found {
     count: u32,
@@ -143,7 +145,8 @@ struct Found {
     cost: f32,
 }
 
-/// A block that was tried: its cost, the counts of levels of its planes, and whether no coefficient came near a level.
+/// The result of trying a block: its cost, the number of levels in each of its planes, and whether no coefficient comes
+/// close to having a level.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tried {
     cost: f32,
@@ -151,8 +154,8 @@ struct Tried {
     is_quiet: bool,
 }
 
-/// Chooses the blocks of a tile by the prices of their levels, where the whole tile is lapped for blocks of each size.
-/// Returns the sizes of the blocks that its cells lie in, by kind.
+/// Chooses the blocks of a tile by the prices of their levels. The whole tile is lapped once for each block size.
+/// Returns the size of the block that each cell lies in, by kind.
 pub(super) fn priced_blocks(tile: &TileResidual, classes: &[u8], setting: &Setting) -> [Vec<u8>; KINDS] {
     let all = AllSizes::new(tile, |plane| setting.head.sizes([0, 1, 1, 2][plane]));
     let setting = Setting { care: Care::Quick, ..*setting };
@@ -160,8 +163,8 @@ pub(super) fn priced_blocks(tile: &TileResidual, classes: &[u8], setting: &Setti
     Chooser::new(tile, classes, &setting, Source::All(&all), sizes).run().sizes
 }
 
-/// Chooses the levels of a tile in blocks of the given `sizes`. The coefficients come from `kept`, where they are
-/// computed on first use.
+/// Chooses the levels of a tile in blocks of the given `sizes`. The coefficients come from `kept`, which is filled on
+/// first use.
 pub(super) fn choose(
     tile: &TileResidual,
     classes: &[u8],
@@ -236,7 +239,7 @@ impl<'a> Chooser<'a> {
         Chosen { stream: encoder.finish(), levels: Some(written), sizes }
     }
 
-    /// Chooses the levels of the blocks of a square.
+    /// Chooses the levels of the blocks in a square.
     fn tree(&mut self, kind: usize, cell: [usize; 2], size: usize) {
         let [x, y] = cell;
         if self.dense.is_divided(kind, cell, size) {
@@ -253,7 +256,7 @@ impl<'a> Chooser<'a> {
         }
     }
 
-    /// Chooses the blocks of a square and their levels; returns their cost.
+    /// Chooses the blocks of a square and their levels. Returns their cost.
     fn priced_tree(&mut self, kind: usize, cell: [usize; 2], size: usize) -> f32 {
         let [least, most] = self.setting.head.sizes(kind);
         if size > most {
@@ -408,7 +411,7 @@ impl<'a> Chooser<'a> {
     }
 }
 
-/// Returns whether a value is so far from the rounding boundary that its level is kept without a try.
+/// Returns whether a value is so far from the rounding boundary that its level is kept without a trial.
 fn is_sure(value: f32, level: u32, care: Care) -> bool {
     match (level, care) {
         (0, _) => true,
@@ -419,12 +422,12 @@ fn is_sure(value: f32, level: u32, care: Care) -> bool {
     }
 }
 
-/// The planes of a kind.
+/// Returns the planes of a kind.
 pub(super) fn planes(kind: usize) -> std::ops::Range<usize> {
     [0..1, 1..3, 3..4][kind].clone()
 }
 
-/// Returns the level of a value before rate is considered.
+/// Returns the level of a value without regard to its rate.
 fn rounded(value: f32) -> u32 {
     ((value + 1.0 - DEAD) as u32).clamp(1, MAX_LEVEL)
 }
@@ -433,7 +436,7 @@ fn signed(level: u32, negative: bool) -> i16 {
     if negative { -(level as i16) } else { level as i16 }
 }
 
-/// A block whose price is asked for again and again.
+/// A block that is priced repeatedly with different levels.
 struct Trial<'a> {
     models: &'a mut Models,
     block: &'a mut Block,
@@ -441,12 +444,12 @@ struct Trial<'a> {
     context: Context,
     filled: Adaptive,
     lambda: f32,
-    /// Parts of a step by which values of level 1, and of higher ones, are nearer to 0.
+    /// Offset of reconstructed values towards 0, in steps: for level 1, and for higher levels.
     bias: [f32; 2],
 }
 
 impl Trial<'_> {
-    /// Bits of the block as it is, with `count` levels.
+    /// Returns the bits of the block with its current levels, of which there are `count`.
     fn price(&mut self, count: u32) -> f32 {
         let mut price = Price::default();
         price.bit(&mut self.filled.clone(), true);
@@ -455,7 +458,7 @@ impl Trial<'_> {
         price.bits
     }
 
-    /// Squared error of a level.
+    /// Returns the squared error of a level, in squared steps.
     fn error(&self, value: f32, level: u32) -> f32 {
         let stands_for = if level == 0 { 0.0 } else { level as f32 - self.bias[usize::from(level > 1)] };
         (value - stands_for) * (value - stands_for)
@@ -469,7 +472,7 @@ impl Trial<'_> {
         self.block.levels[usize::from(candidate.at)] = signed(level, candidate.negative);
     }
 
-    /// Rounds all candidates; `energy` is the squared error without any level.
+    /// Rounds all candidates. `energy` is the squared error without levels.
     fn rounded(&mut self, candidates: &[Candidate], energy: f32) -> Found {
         let mut distortion = energy;
         for c in candidates {
@@ -481,8 +484,8 @@ impl Trial<'_> {
         Found { count, distortion, cost: distortion + self.lambda * self.price(count) }
     }
 
-    /// Lowers the levels whose last step clearly costs more bits than it is worth, by an estimate for each level alone,
-    /// and writes the inconclusive ones to `doubtful`. Returns false and changes nothing if no level would remain.
+    /// Lowers each level by one if an estimate for that level alone clearly shows that this saves more than it costs.
+    /// Writes the inconclusive candidates to `doubtful`. Returns false and changes nothing if no level would remain.
     fn lower(
         &mut self,
         candidates: &[Candidate],
@@ -519,8 +522,8 @@ impl Trial<'_> {
         true
     }
 
-    /// Lowers each level whose last step is not worth its bits, except those that are sure. Returns whether any
-    /// changed.
+    /// Tries to lower each level by one and keeps the changes that reduce the cost. It skips levels for which `is_sure`
+    /// returns true. Returns whether any level changed.
     fn try_each(&mut self, candidates: &[Candidate], found: &mut Found, is_sure: impl Fn(f32, u32) -> bool) -> bool {
         let mut is_changed = false;
         for c in candidates {
@@ -542,7 +545,7 @@ impl Trial<'_> {
     }
 }
 
-/// The place of each level of a block in the order of coding.
+/// Returns the position of each level of a block in coding order.
 fn order(size: usize) -> &'static [u16] {
     static ORDERS: std::sync::OnceLock<[Vec<u16>; SIZES]> = std::sync::OnceLock::new();
     &ORDERS.get_or_init(|| {

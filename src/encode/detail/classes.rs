@@ -1,21 +1,21 @@
-//! Step classes of superblocks: coarser where the picture is busy, since errors hide there.
+//! Chooses the step classes of superblocks. Busy regions get coarser steps, because they mask errors.
 
 use super::residual::TileResidual;
 use crate::bitstream::detail::levels::{SUPER, SUPERS, TILE};
 use crate::detail::steps::CLASS_STEPS;
 use crate::strict_math::StrictMath;
 
-/// Side of the squares whose moments are taken, pixels.
+/// Side of the squares whose moments are computed, pixels.
 const SQUARE: usize = 8;
-/// Variance of luma, code values², that is as good as none.
+/// Variance of luma that is negligible, code values². It is added to the variance before the logarithm.
 const FLOOR: f32 = 30.0;
-/// Weights of squares around one along an axis.
+/// Weights of neighbouring squares along one axis.
 const KERNEL: [f32; 5] = [1.0, 3.0, 4.0, 3.0, 1.0];
-/// Class step that leaves the layer's step as it is, 1/64.
+/// Class step that leaves the layer's step unchanged, in 1/64.
 const MIDDLE: f32 = 64.0;
 
-/// Returns the mean logarithm of the luma's variance around each square, over all squares of `tile`, and of each
-/// superblock.
+/// Returns the activity of each superblock of `tile`: the logarithm of the luma variance around a square, averaged over
+/// the squares of the superblock.
 pub(super) fn activity(tile: &TileResidual) -> Vec<f32> {
     let [across, down] = tile.size.map(|side| side.next_multiple_of(SUPER) / SQUARE);
     let mut moments = vec![[0f32; 2]; across * down];
@@ -62,8 +62,8 @@ fn blur(moments: &[[f32; 2]], [across, down]: [usize; 2], [dx, dy]: [i32; 2]) ->
         .collect()
 }
 
-/// Returns the classes of superblocks with such an `activity`, for steps that go with a power of the variance, `mean`
-/// being the mean activity of the picture.
+/// Returns the class of each superblock, given its `activity` and the mean activity `mean` of the picture. The wanted
+/// steps grow with the variance to the power `power`.
 pub(super) fn classes(activity: &[f32], mean: f32, power: f32, count: u8) -> Vec<u8> {
     let class = |&a: &f32| {
         let wanted = (power * (a - mean)).strict_exp() * MIDDLE;

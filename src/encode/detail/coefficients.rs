@@ -1,4 +1,4 @@
-//! Forward transforms of a tile's residual, in blocks of one size everywhere or as they were chosen.
+//! Computes the forward transform of a tile's residual, in blocks of one size or in the chosen blocks.
 
 use super::residual::TileResidual;
 use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, TILE};
@@ -7,15 +7,16 @@ use crate::bitstream::detail::scan::SIZES;
 use crate::detail::{lap, transform};
 use crate::simd::{self, Simd, Task};
 
-/// Coefficients of the planes of a tile, each at its place in its block, in 1/16 code value; rows are [`TILE`] apart.
+/// Coefficients of the planes of a tile in 1/16 code value, each at its position in its block. Rows are [`TILE`] values
+/// apart.
 pub(super) type Coefficients = [Vec<f32>; PLANES];
 
-/// Says how a plane is divided into blocks.
+/// Division of a plane into blocks.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Division<'a> {
     /// All blocks have this size.
     Even(u8),
-    /// The sizes of the blocks that cells lie in.
+    /// Each cell lies in a block of the given size.
     Chosen(&'a [u8]),
 }
 
@@ -55,7 +56,7 @@ impl Task for Transform<'_> {
     }
 }
 
-/// Returns the coefficients of one plane of `tile` in such blocks.
+/// Returns the coefficients of one plane of `tile` in the blocks of `division`.
 pub(super) fn plane(tile: &TileResidual, plane: usize, division: Division<'_>) -> Vec<f32> {
     let mut values = tile.planes[plane].clone();
     if !values.is_empty() {
@@ -65,12 +66,13 @@ pub(super) fn plane(tile: &TileResidual, plane: usize, division: Division<'_>) -
     values
 }
 
-/// The coefficients of a tile in blocks of every size that the planes may have; empty where a plane has no such blocks.
+/// The coefficients of a tile in blocks of every size that the planes may use. They are empty for sizes that a plane
+/// does not use.
 #[derive(Debug)]
 pub(super) struct AllSizes([Coefficients; SIZES]);
 
 impl AllSizes {
-    /// `sizes` are the smallest and the largest block of each plane.
+    /// Transforms `tile` in blocks of all sizes. `sizes` returns the smallest and the largest block size of a plane.
     pub(super) fn new(tile: &TileResidual, sizes: impl Fn(usize) -> [usize; 2]) -> Self {
         AllSizes(std::array::from_fn(|size| {
             std::array::from_fn(|k| {

@@ -1,10 +1,9 @@
-//! What luma and green chroma are to take of each other's error, where squared error of red, green and blue is to be
-//! small.
+//! Couples luma and green chroma to reduce the squared error of red, green and blue.
 //!
-//! Errors `y` of luma and `g` of green chroma make `12y² + 3g² − 4yg` of it, and those of orange chroma have no part in
-//! either: beside an error `g` that stays, the best one of luma is `g / 6`. Most of `g` stays, since most coefficients
-//! of chroma are too small for a level. Beside an error `y` the best one of chroma is `2y / 3`; but most of `y` does
-//! not stay when the layer is coded anew.
+//! Errors `y` of luma and `g` of green chroma contribute `12y² + 3g² − 4yg` to that error. Errors of orange chroma do
+//! not interact with either. If `g` remains, the optimal error of luma is `g / 6`. Most of `g` does remain, because
+//! most chroma coefficients are too small for a level. If `y` remains, the optimal error of green chroma is `2y / 3`.
+//! However, most of `y` does not remain when the layer is coded again.
 
 use super::residual::{TileResidual, luma_and_chroma};
 use crate::bitstream::detail::DetailLayer;
@@ -13,15 +12,17 @@ use crate::detail::tile::{Scratch, TilePlanes, reconstruct};
 use crate::gaussian::Channels;
 use crate::parallel;
 
-/// Part of the error of green chroma that luma takes.
+/// Fraction of the green chroma error that is added to luma.
 const OF_GREEN: f32 = 1.0 / 6.0;
-/// Part of the error of luma that green chroma takes: less than half of the best one where all of it stays.
+/// Fraction of the luma error that is added to green chroma. It is less than half of the optimum for errors that remain
+/// completely.
 const OF_LUMA: f32 = 0.4 * 2.0 / 3.0;
 
-/// Adds to luma and green chroma of `tiles` what is best beside the errors of `layer`. Twelve pictures of Kodak gain
-/// .03 dB at a ratio of 20, .02 at 50, and nothing at 100; the part of green chroma is .003.
+/// Adds to luma and green chroma of `tiles` the offsets that compensate for the errors of `layer`. On twelve Kodak
+/// pictures this gains 0.03 dB at a ratio of 20, 0.02 dB at 50 and nothing at 100. The offset of green chroma
+/// contributes 0.003 dB.
 pub(super) fn couple(tiles: &mut [TileResidual], layer: &DetailLayer, channels: Channels) {
-    // The file's channels may be more than those that are fitted: a grey picture that is stored as RGB has no chroma.
+    // The file can have more channels than the fit: a grey picture that is stored as RGB has no chroma.
     if tiles.iter().any(|tile| tile.planes[0].len() != tile.planes[2].len()) {
         return;
     }
@@ -34,7 +35,7 @@ pub(super) fn couple(tiles: &mut [TileResidual], layer: &DetailLayer, channels: 
     }
 }
 
-/// The errors of luma and green chroma in tile `index` of `layer`; 0 beyond the picture's edge.
+/// Returns the errors of luma and green chroma in tile `index` of `layer`. They are 0 beyond the edge of the picture.
 fn errors(tile: &TileResidual, layer: &DetailLayer, index: usize, channels: Channels) -> Vec<[f32; 2]> {
     let (mut scratch, mut made) = (Scratch::default(), TilePlanes::default());
     if let Some(levels) = &layer.tiles[index] {
@@ -45,7 +46,7 @@ fn errors(tile: &TileResidual, layer: &DetailLayer, index: usize, channels: Chan
         for x in 0..tile.size[0] {
             let at = y * TILE + x;
             let added = match &made.channels[..] {
-                // Additions are counted in half of the planes' unit (spec §11.5).
+                // The unit of additions is half of the planes' unit (spec §11.5).
                 [r, g, b, ..] if made.has(x, y) => [r, g, b].map(|channel| 0.5 * f32::from(channel[at])),
                 _ => [0.0; 3],
             };
@@ -62,7 +63,7 @@ mod tests {
     use crate::bitstream::detail::DetailHead;
 
     #[test]
-    fn luma_beside_lost_green_chroma_has_less_error_in_red_green_and_blue() {
+    fn coupling_luma_to_lost_green_chroma_reduces_the_rgb_error() {
         let (luma, green) = (30.0, -12.0);
         let plane = |value: f32| vec![value; TILE * TILE];
         let mut tile = TileResidual {
@@ -70,10 +71,11 @@ mod tests {
             planes: [plane(luma), plane(0.0), plane(green), Vec::new()],
             luma: plane(128.0),
         };
-        // The layer has nothing: all of green chroma stays, and luma would, too.
+        // The layer is empty, so the whole error of green chroma remains. Without coupling, that of luma would remain
+        // too.
         let layer = DetailLayer { head: DetailHead::PLAIN, tiles: vec![None] };
         couple(std::slice::from_mut(&mut tile), &layer, Channels::Rgb);
-        // Additions of the specification, of what is coded less what is wanted.
+        // The additions of the specification for the difference between coded and wanted values.
         let error = |coded: f32| {
             let (y, g) = (coded - luma, -green);
             (2.0 * y - g).powi(2) + (2.0 * y + g).powi(2) + (2.0 * y - g).powi(2)

@@ -1,9 +1,9 @@
-//! How the bytes of a file are divided between the Gaussians and the layer.
+//! Divides the bytes of a file between the Gaussians and the detail layer.
 //!
-//! The best number of Gaussians belongs to the picture and hardly to the asked bytes: they make its large shapes and
-//! its edges, and from there on the layer is cheaper. That is some 8 kB for photographs of .4 megapixels, and more for
-//! pictures that are sharp and drawn-like, on which Gaussians still gain fast. Which they are is seen when the smaller
-//! base has been fitted.
+//! The best number of Gaussians depends on the picture and hardly on the requested file size. Gaussians represent large
+//! shapes and edges; beyond those, the layer is cheaper. The Gaussians of photographs of 0.4 megapixels need about
+//! 8 kB. Sharp pictures that resemble drawings need more, because additional Gaussians still reduce their error
+//! quickly. The encoder can only recognize such pictures after it has fitted the smaller base.
 
 use super::Layered;
 use super::texture::Texture;
@@ -24,76 +24,79 @@ use crate::round::size::Size;
 use crate::strict_math::StrictMath;
 use crate::target::Target;
 
-/// Pixels of the pictures that the numbers below were found on; they go with powers of how much larger a picture is.
+/// Number of pixels of the pictures from which the values below were determined. They scale with powers of the number
+/// of pixels relative to this.
 const REFERENCE_PIXELS: f64 = 393_216.0;
-/// Bytes of a base that serves most photographs; `--detail SHARE` tries other ones.
+/// Bytes of a base that suits most photographs. `--detail SHARE` sets other sizes.
 const REFERENCE_BASE_BYTES: f64 = 8_200.0;
 const BASE_POWER: f64 = 0.35;
-/// Power of the ratio, over 50, with which it falls from 20 to 100.
+/// Exponent with which these bytes decrease as the ratio, relative to 50, grows from 20 to 100.
 const BASE_FALL: f64 = 0.37;
-/// The same at effort 1, over that: a short fit makes less of its bytes than the layer.
+/// Factor on these bytes at effort 1, where short fits use bytes less efficiently than the layer.
 const HASTY_BASE: f64 = 0.5;
-/// Most of the bytes that such a base may take.
+/// Maximum share of the bytes for such a base.
 const MAX_BASE_SHARE: f64 = 0.7;
-/// Ratio above which files have no layer, if the tune is not perceptual or the texture is unknown.
+/// Ratio above which files have no layer, unless the tuning is perceptual and the texture is known.
 const MAX_RATIO: f64 = 120.0;
 const RATIO_POWER: f64 = 0.85;
-/// Fineness of pictures of so many pixels for which a layer is worth as much at such a ratio as its bytes of Gaussians:
-/// at effort 1, whose short fits under a layer make less of their bytes, and from 2 on. The ratio goes with the square
-/// of fineness, and with a power of the pixels. At effort 1 and 100 it tells the better one on 18 of 19 pictures of
-/// CID22 and graphics; at effort 3 a layer wins .1 to 7.9 points of SSIMULACRA2 there on all of 14.
+/// Fineness at which a layer is worth as much as the same bytes of Gaussians, for pictures of [`FINE_PIXELS`] at
+/// [`FINE_RATIO`]. The first value is for effort 1, whose short fits under a layer use bytes less efficiently. The
+/// second is for effort 2 and above. The ratio grows with the square of the fineness and with a power of the number of
+/// pixels. At effort 1 and a ratio of 100, this rule finds the better choice for 18 of 19 pictures of CID22 and
+/// graphics. At effort 3 and the same ratio, a layer gains 0.1 to 7.9 SSIMULACRA2 points on all of 14 pictures.
 const FINE: [f64; 2] = [0.71, 0.42];
 const FINE_RATIO: f64 = 100.0;
 const FINE_PIXELS: f64 = 262_144.0;
 const FINE_RATIO_POWER: f64 = 2.0 / 3.0;
-/// Up to this ratio, drawings of [`FINE_PIXELS`] have a layer from effort 2 on: at 200, three diagrams have 4 to 6
-/// points more with one.
+/// Maximum ratio at which drawings of [`FINE_PIXELS`] have a layer from effort 2 on. At a ratio of 200, three diagrams
+/// gain 4 to 6 points with a layer.
 const DRAWING_RATIO: f64 = 250.0;
-/// Up to this ratio, texture does not rule out a layer.
+/// Ratio up to which texture does not rule out a layer.
 const ALWAYS_RATIO: f64 = 80.0;
-/// Minimum share of the Gaussians in a large, busy picture at a ratio of 100, where the layer is coarse.
+/// Minimum share of the bytes for the Gaussians of a large, busy picture at a ratio of 100, where the layer is coarse.
 const BUSY_SHARE: f64 = 0.5;
-/// Activities at which a picture starts to count as busy, and counts in full.
+/// Activities at which a picture starts to count as busy and at which it counts in full.
 const BUSY: [f64; 2] = [2.9, 4.1];
-/// Logarithm of the pixels, divided by [`REFERENCE_PIXELS`], at which that share applies in full.
+/// Logarithm of the number of pixels, relative to [`REFERENCE_PIXELS`], at which that share applies in full.
 const BUSY_SIZE: f64 = 1.9;
-/// Pixels of the largest pictures whose residual is held as a whole, in some 30 bytes a pixel; that of larger ones is
-/// made a part at a time, and their Gaussians are fitted once.
+/// Maximum number of pixels for which memory holds the whole residual, at about 30 bytes per pixel. For larger pictures
+/// the encoder computes the residual one part at a time and fits the Gaussians only once.
 const LARGEST: u64 = 1 << 26;
-/// Files of fewer bytes have none.
+/// Minimum size of a file with a layer, bytes.
 const MIN_FILE_BYTES: u64 = 2_500;
-/// A picture's sharpness is the share of the error that as many Gaussians again, set where it is largest, promise to
-/// take away, for each decibel that doubling the bytes of the layer wins. Up to here a small base is best.
+/// Maximum sharpness of pictures for which a small base is best. Sharpness is the estimated fraction of the error that
+/// doubling the number of Gaussians would remove, for each decibel that doubling the bytes of the layer gains. The new
+/// Gaussians are placed where the error is largest.
 const MAX_SHARPNESS: f64 = 0.105;
-/// The same from effort 7 on: of twelve pictures one gains .1 dB at 20 and .2 at 50, and five are fitted again for
-/// nothing.
+/// The same from effort 7 on. Of twelve pictures, one gains 0.1 dB at a ratio of 20 and 0.2 dB at 50, and five are
+/// fitted again without a gain.
 const MAX_SHARPNESS_TRIED: f64 = 0.085;
-/// Power of the ratio over 20 with which that grows.
+/// Exponent with which the maximum sharpness grows with the ratio relative to 20.
 const SHARP_POWER: f64 = 0.1;
-/// A base that is larger by less than this is not worth another fit.
+/// Minimum factor by which a base must grow to justify another fit.
 const MIN_BASE_GROWTH: f64 = 1.5;
-/// Decibels from which on a larger base has won enough for the largest one to be tried.
+/// Minimum gain of a larger base, in decibels, that justifies trying the largest one.
 const MIN_GAIN: f64 = 0.22;
-/// Bytes of the layer that sharpness is measured with, over those of the base: what was found at a ratio of 50 holds at
-/// others.
+/// Bytes of the layer for which sharpness is measured, relative to those of the base. Findings at a ratio of 50 hold at
+/// other ratios.
 const MEASURED_LAYER: f64 = 1.9;
-/// Share of a budget of time that the Gaussians get.
+/// Fraction of a time budget for the Gaussians.
 pub(in crate::encode) const BASE_TIME: f64 = 0.6;
-/// Share of the bytes that the Gaussians of a sharp picture get at a ratio of 20, and what each doubling of the ratio
-/// adds.
+/// Share of the bytes for the Gaussians of a sharp picture at a ratio of 20, and the increase with each doubling of the
+/// ratio.
 const SHARP_SHARE: f64 = 0.6;
 const SHARP_MORE: f64 = 0.15;
-/// And at most.
+/// Maximum of that share.
 const MOST_SHARP: f64 = 0.9;
-/// How much larger than asked such Gaussians may come out.
+/// Maximum factor by which these Gaussians may exceed their byte budget.
 const MAX_OVERSHOOT: f64 = 1.1;
 
 impl WholeSession<'_> {
-    /// A file of `size` with the Gaussians and the detail layer that share it.
+    /// Encodes to a file of `size`, in which the Gaussians and the detail layer share the bytes.
     pub(in crate::encode) fn layered(&mut self, size: Size) -> Result<Outcome> {
         let options = self.input.options;
         let Size::Bytes(most) = size else { return self.gaussians_of_size(size) };
-        // Header and metadata are there whatever the division is.
+        // The size of header and metadata does not depend on the division.
         let fixed = self.fixed()?;
         let Some(shared) = most.checked_sub(fixed) else { return self.gaussians_of_size(size) };
         let may_have = options.layout == Layout::Coded && options.recipe == Recipe::Ssplat;
@@ -109,7 +112,7 @@ impl WholeSession<'_> {
                 let clock = self.report.seconds();
                 let layered = self.layer(base, most)?;
                 if layered.coded.is_none() {
-                    // No room for a layer: all of it is the Gaussians'.
+                    // There is no room for a layer, so the Gaussians get all bytes.
                     return self.gaussians_of_size(size);
                 }
                 let outcome = self.joined(layered, most, rounds)?;
@@ -133,17 +136,17 @@ impl WholeSession<'_> {
         if self.input.options.favoured() == Tune::Iq { Texture::of(&self.planes) } else { None }
     }
 
-    /// Rounds of descent beside the layer.
+    /// Returns the number of rounds in which the Gaussians' integers are optimized under the layer.
     fn rounds(&self) -> u32 {
         match self.input.options.effort {
             1 => 0,
             2 | 3 => 1,
             4..=6 => match self.input.options.favoured() {
-                // Each of the second and the third wins .01 dB: not worth it in every try.
+                // The second and the third round gain 0.01 dB each, too little to run them in every try of a search.
                 Tune::Psnr if is_search(self.input.options.target) => 1,
                 Tune::Psnr => 3,
-                // The second wins .1 points of SSIMULACRA2 on Kodak, and .01 at 2.8 megapixels, for .07 and .13 of the
-                // time.
+                // A second round gains 0.1 SSIMULACRA2 points on Kodak and 0.01 at 2.8 megapixels, and takes 7 % and
+                // 13 % of the time.
                 Tune::Ssim | Tune::Iq => 1,
             },
             _ => 4,
@@ -154,25 +157,26 @@ impl WholeSession<'_> {
         u64::from(self.planes.width) * u64::from(self.planes.height)
     }
 
-    /// A fit of so many bytes for a layer to be laid over, in a file of such a ratio.
+    /// Fits Gaussians for a file of `bytes` bytes, as the base of a layer. `ratio` is the ratio of the file with both.
     fn base(&mut self, bytes: u64, ratio: f64) -> Result<Outcome> {
         let share = self.share;
         self.share = self.until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(BASE_TIME)).or(share);
-        // Fits of a search are not the longest: there are several.
+        // A search runs several fits, so it does not extend them for large files.
         self.base = Some(Base { ratio: (!is_search(self.input.options.target)).then_some(ratio) });
         let outcome = self.gaussians_of_size(Size::Bytes(bytes));
         (self.base, self.share) = (None, share);
         outcome
     }
 
-    /// Finds the division of `shared` bytes, beside those of header and metadata, and makes the file.
+    /// Finds the division of the `shared` bytes and encodes the file. `fixed` is the size of header and metadata, which
+    /// `shared` does not include.
     fn divided(&mut self, [fixed, shared]: [u64; 2], texture: Option<Texture>, rounds: u32) -> Result<Outcome> {
         let (most, all) = (fixed + shared, shared as f64);
         let ratio = (self.samples() / all).max(20.0);
         let least = all * texture.map_or(0.0, |texture| busy_share(texture, self.pixels(), ratio));
         let few = bytes_of_base(self.input.options.effort, self.pixels(), ratio, all).max(least);
         let most_for_base = (SHARP_SHARE + SHARP_MORE * (ratio / 20.0).strict_log2()).min(MOST_SHARP) * all;
-        // What was large enough for a sharp picture can be too large for a smaller file of it.
+        // A base that is kept from a larger file of a sharp picture can be too large for a smaller file.
         let room = fixed as f64 + (MAX_OVERSHOOT * most_for_base).min(MOST_SHARP * all);
         let serves = |kept: &&KeptBase| is_near(few, kept.base_budget) && kept.base.bytes.len() as f64 <= room;
         let kept = self.kept.as_ref().filter(serves).map(|kept| kept.base.clone());
@@ -187,7 +191,7 @@ impl WholeSession<'_> {
         let clock = self.report.seconds();
         let mut layered = self.layer(base, most)?;
         self.report.stage("detail", clock);
-        // For eyes the smaller base is as good. And a budget of time is not enough for several fits.
+        // With perceptual tuning the smaller base is equally good. A time budget is too short for several fits.
         let is_exact = self.input.options.favoured() == Tune::Psnr;
         let may_be_larger = is_new && is_exact && self.until.is_none() && most_for_base > MIN_BASE_GROWTH * few;
         let sharpness = if may_be_larger { self.sharpness(&layered, few * MEASURED_LAYER)? } else { Some(0.0) };
@@ -220,18 +224,19 @@ impl WholeSession<'_> {
         Ok(outcome)
     }
 
-    /// Keeps Gaussians for the next try, where there is one.
+    /// Keeps the Gaussians for the next try if this is a search.
     fn keep(&mut self, base: &Outcome, base_budget: f64) {
         if is_search(self.input.options.target) {
             self.kept = Some(KeptBase { base: base.clone(), base_budget });
         }
     }
 
-    /// How much more Gaussians promise, beside more bytes for the layer; `None` where there is no layer.
+    /// Returns the sharpness of a picture: the estimated gain of more Gaussians relative to the gain of a larger layer.
+    /// Returns `None` if there is no layer.
     fn sharpness(&self, layered: &Layered, bytes: f64) -> Result<Option<f64>> {
         let Some(coded) = &layered.coded else { return Ok(None) };
         let splats = &layered.base.splats;
-        // All errors count alike here: that tells pictures apart best, whatever is favoured.
+        // All errors have equal weight here, whatever the tuning, because this distinguishes pictures best.
         let [finer, coarser] = self.two_steps(splats, coded, bytes);
         let decibels = 10.0 * (coarser[1] / finer[1]).strict_log10() / (finer[0] / coarser[0]).strict_log2();
         if !decibels.is_finite() {
@@ -241,7 +246,7 @@ impl WholeSession<'_> {
         Ok(Some(estimated_gain / decibels.max(0.1)))
     }
 
-    /// The share of the error of `splats` that as many Gaussians again are estimated to take away.
+    /// Returns the estimated fraction of the error of `splats` that doubling the number of Gaussians would remove.
     fn estimated_gain(&self, splats: &PackedSplats) -> f64 {
         let mut plain = self.planes.weighed(Vec::new());
         plain.channel_amplitude = [1.0; 4];
@@ -255,7 +260,7 @@ impl WholeSession<'_> {
     }
 }
 
-/// Tells whether sizes are tried until a file is as good as was asked for.
+/// Returns whether the encoder tries several sizes until the file reaches the requested quality.
 pub(in crate::encode) fn is_search(target: Target) -> bool {
     match target {
         Target::Auto | Target::Ratio(_) | Target::Bytes(_) | Target::Primitives(_) => false,
@@ -265,14 +270,14 @@ pub(in crate::encode) fn is_search(target: Target) -> bool {
     }
 }
 
-/// Returns the Gaussians of `splats` as a fit has them.
+/// Converts the Gaussians of `splats` to primitives of a fit.
 fn primitives_of(splats: &PackedSplats) -> Vec<Primitive> {
     let quantizer = splats.quantizer();
     splats.gaussians.iter().map(|g| Primitive::from_gaussian(&quantizer.dequantize(g))).collect()
 }
 
-/// Returns the largest ratio at which a picture of so many pixels gains by a layer; `texture` is known where eyes are
-/// favoured.
+/// Returns the largest ratio at which a picture of `pixels` pixels gains from a layer. `texture` is known only with
+/// perceptual tuning.
 fn largest_ratio(effort: u8, pixels: u64, texture: Option<Texture>) -> f64 {
     let usual = MAX_RATIO * (pixels as f64 / REFERENCE_PIXELS).strict_powf(RATIO_POWER);
     let Some(texture) = texture else { return usual };
@@ -282,18 +287,18 @@ fn largest_ratio(effort: u8, pixels: u64, texture: Option<Texture>) -> f64 {
     usual.min(ALWAYS_RATIO).max(FINE_RATIO * (texture.fineness / fine).powi(2) * larger).max(of_drawing)
 }
 
-/// Tells whether a picture of so many samples gains by a layer in a file of so many bytes, if it does up to a ratio of
-/// `largest`.
+/// Returns whether a picture of `samples` samples gains from a layer in a file of `bytes` bytes. `largest` is the
+/// largest ratio at which the picture gains from one.
 fn is_worth_a_layer(samples: f64, bytes: u64, largest: f64) -> bool {
     bytes >= MIN_FILE_BYTES && samples / bytes as f64 <= largest
 }
 
-/// Tells whether a base of `base_budget` bytes is as good as one of `few`.
+/// Returns whether a base of `base_budget` bytes is as good as one of `few` bytes.
 pub(in crate::encode) fn is_near(few: f64, base_budget: f64) -> bool {
     (few / base_budget).strict_ln().abs() < MIN_BASE_GROWTH.strict_ln()
 }
 
-/// Returns the bytes of the Gaussians in a file of `all` bytes.
+/// Returns the byte budget of the Gaussians in a file of `all` bytes.
 fn bytes_of_base(effort: u8, pixels: u64, ratio: f64, all: f64) -> f64 {
     let larger = pixels as f64 / REFERENCE_PIXELS;
     let haste = if effort == 1 { HASTY_BASE } else { 1.0 };
@@ -301,7 +306,7 @@ fn bytes_of_base(effort: u8, pixels: u64, ratio: f64, all: f64) -> f64 {
         .min(MAX_BASE_SHARE * all)
 }
 
-/// Returns the least share of the bytes that the Gaussians of such a picture get.
+/// Returns the minimum share of the bytes for the Gaussians of a picture with this texture, size and ratio.
 fn busy_share(texture: Texture, pixels: u64, ratio: f64) -> f64 {
     let [from, to] = BUSY;
     let busy = ((texture.activity - from) / (to - from)).clamp(0.0, 1.0);
@@ -309,8 +314,8 @@ fn busy_share(texture: Texture, pixels: u64, ratio: f64) -> f64 {
     BUSY_SHARE * busy * large * (ratio / 100.0).min(1.0)
 }
 
-/// Returns the bytes of the Gaussians of a picture that is fitted in tiles; `None` where it has no layer. `shared` are
-/// the bytes of the file but those of header and metadata.
+/// Returns the byte budget of the Gaussians of a picture that is fitted in tiles, or `None` if the picture has no
+/// layer. `shared` is the size of the file without header and metadata.
 pub(in crate::encode) fn base_in_tiles(options: &EncodeOptions, pixels: u64, samples: f64, shared: u64) -> Option<u64> {
     let all = shared as f64;
     match options.detail {
@@ -333,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn fine_pictures_have_a_layer_in_smaller_files_than_coarse_ones() {
+    fn fine_pictures_have_a_layer_at_larger_ratios_than_coarse_pictures() {
         let has = |effort, texture, ratio: u64| {
             let (samples, bytes) = (3 * PIXELS_OF_512, 3 * PIXELS_OF_512 / ratio);
             is_worth_a_layer(samples as f64, bytes, largest_ratio(effort, PIXELS_OF_512, texture))
@@ -343,14 +348,14 @@ mod tests {
         assert_eq!([50, 100, 200].map(|ratio| has(5, fine, ratio)), [true, true, true]);
         assert_eq!([50, 100, 200].map(|ratio| has(1, coarse, ratio)), [true, false, false]);
         assert_eq!([50, 100, 200].map(|ratio| has(1, None, ratio)), [true, false, false]);
-        // Files of fewer bytes than a layer needs have none, whatever the picture.
+        // Files below the minimum size have no layer, whatever the picture.
         assert!(!has(5, texture(9.0, 4.0), 400));
-        // More pixels are worth a layer at larger ratios.
+        // Larger pictures gain from a layer at larger ratios.
         assert!(largest_ratio(5, 10 * PIXELS_OF_512, coarse) > 4.0 * largest_ratio(5, PIXELS_OF_512, coarse));
     }
 
     #[test]
-    fn gaussians_get_more_of_large_busy_pictures_in_small_files() {
+    fn gaussians_get_a_larger_share_of_small_files_of_large_busy_pictures() {
         let share = |activity, pixels, ratio| busy_share(texture(0.5, activity).unwrap(), pixels, ratio);
         let large = 7 * REFERENCE_PIXELS as u64;
         assert_eq!(share(5.0, large, 100.0), BUSY_SHARE);

@@ -1,4 +1,4 @@
-//! The error of a picture of two layers.
+//! Computes the error of a picture that consists of Gaussians and a detail layer.
 
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
@@ -11,13 +11,13 @@ use crate::fit::model::problem::{Problem, Scene};
 use crate::gaussian::Channels;
 use crate::parallel;
 
-/// Values that a layer adds to the channels of a target, tile by tile. The target may have fewer channels than the
+/// Values that a layer adds to the channels of a target, tile by tile. The target can have fewer channels than the
 /// layer.
 #[derive(Debug)]
 pub(super) struct Added {
     tiles: Vec<Option<TilePlanes>>,
     across: usize,
-    /// Which channel of the layer each channel of the target is.
+    /// Index of the layer's channel that corresponds to each channel of the target.
     of: [usize; 4],
 }
 
@@ -38,7 +38,7 @@ impl Added {
         Added { tiles, across: tile_counts(size)[0], of }
     }
 
-    /// Writes to `row` the values that are added to row `y` of the target's channel `k`, in parts of white.
+    /// Writes to `row` the values that the layer adds to row `y` of the target's channel `k`, as fractions of white.
     pub(super) fn row(&self, y: usize, k: usize, row: &mut [f32]) {
         row.fill(0.0);
         for (x, part) in row.chunks_mut(TILE).enumerate() {
@@ -51,16 +51,17 @@ impl Added {
     }
 }
 
-/// How errors count.
+/// Weights of errors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::encode) enum Counted {
-    /// All alike.
+    /// All errors have equal weight.
     Alike,
-    /// As the target weighs them.
+    /// Errors have the weights of the target.
     AsTheyWeigh,
 }
 
-/// Returns the squared error of the picture of `projected` with `layer` over it, whose channels are `channels`.
+/// Returns the squared error of the picture rendered from `projected` with `layer` over it. `channels` are the channels
+/// of the layer.
 pub(in crate::encode) fn squared_error(
     (scene, target): (Scene, &Planes),
     projected: &[Projected],

@@ -1,9 +1,9 @@
-//! Flat ground of a tile: where ringing shows.
+//! Finds the flat regions of a tile, where ringing is visible.
 
 use super::residual::TileResidual;
 use crate::bitstream::detail::levels::{CELL, CELLS, SUPER, TILE};
 
-/// Range of luma below which a cell counts as flat: less than a step of 8-bit luma.
+/// Range of luma below which a cell is flat, code values. It is less than one step of 8-bit luma.
 const FLAT: f32 = 0.2;
 
 /// The flat cells of a tile.
@@ -13,7 +13,7 @@ pub(super) struct Ground {
 
 impl Ground {
     pub(super) fn of(tile: &TileResidual) -> Self {
-        // Up to whole superblocks, as luma is.
+        // The cells cover whole superblocks, to which luma is padded.
         let [across, down] = tile.size.map(|side| side.div_ceil(SUPER) * (SUPER / CELL));
         let mut flat = vec![false; CELLS * CELLS];
         for y in 0..down {
@@ -24,8 +24,8 @@ impl Ground {
         Ground { flat }
     }
 
-    /// Tells whether a block has both flat cells and others: its transform spreads what the others lose over the flat
-    /// ones.
+    /// Returns whether a block contains both flat and other cells. The transform of such a block spreads the errors of
+    /// the other cells over the flat ones.
     pub(super) fn is_mixed(&self, [x, y]: [usize; 2], size: usize) -> bool {
         let n = 1 << size;
         let first = self.flat[y * CELLS + x];
@@ -54,8 +54,8 @@ mod tests {
     }
 
     #[test]
-    fn a_block_at_the_edge_of_flat_ground_is_mixed_and_others_are_not() {
-        // Texture from column 20 on.
+    fn only_blocks_across_the_edge_of_a_flat_region_are_mixed() {
+        // The texture starts at column 20.
         let ground = Ground::of(&tile(|x, y| if x < 20 { 200.0 } else { (x * 31 % 17 + y * 13 % 11) as f32 }));
         assert_eq!([[0, 0], [4, 0], [8, 0]].map(|cell| ground.is_mixed(cell, 2)), [false, true, false]);
         assert!(ground.is_mixed([0, 0], 3) && !ground.is_mixed([4, 0], 0) && !ground.is_mixed([5, 0], 0));

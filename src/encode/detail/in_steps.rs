@@ -1,4 +1,4 @@
-//! The coefficients of a block in units of their quantizer steps.
+//! Scales the coefficients of a block to units of their quantizer steps.
 
 use super::coefficients::Coefficients;
 use crate::bitstream::detail::head::DetailHead;
@@ -11,7 +11,8 @@ use crate::simd::{self, Simd, Task};
 /// Number of coefficients of the largest block.
 const LARGEST_BLOCK: usize = (CELL << (SIZES - 1)) * (CELL << (SIZES - 1));
 
-/// Factors that convert coefficients to quantizer steps, for each class, plane and block size; computed on first use.
+/// Factors that convert coefficients to units of quantizer steps, for each class, plane and block size. They are
+/// computed on first use.
 pub(super) struct Factors {
     head: DetailHead,
     factors: Vec<Vec<f32>>,
@@ -38,9 +39,9 @@ impl Factors {
 /// The coefficients of one block in units of their steps.
 pub(super) struct Values {
     values: Vec<f32>,
-    /// Side of the block.
+    /// Side of the block, in coefficients.
     side: usize,
-    /// Sum of the squares.
+    /// Sum of the squared values.
     pub energy: f32,
     /// Largest magnitude.
     pub largest: f32,
@@ -53,7 +54,7 @@ impl Default for Values {
 }
 
 impl Values {
-    /// Loads the block at the cell `[x, y]` of a plane. Empty `coefficients` stand for zeros.
+    /// Loads the block at the cell `[x, y]` of a plane. Empty `coefficients` represent zeros.
     pub(super) fn take(&mut self, coefficients: &[f32], [x, y]: [usize; 2], size: usize, factors: &[f32]) {
         (self.side, self.energy, self.largest) = (CELL << size, 0.0, 0.0);
         if !coefficients.is_empty() {
@@ -82,7 +83,7 @@ impl Values {
     }
 }
 
-/// Multiplies coefficients by their factors; returns the sum of squares and the largest magnitude.
+/// Multiplies coefficients by their factors. Returns the sum of squares and the largest magnitude.
 struct Scale<'a> {
     coefficients: &'a [f32],
     factors: &'a [f32],
@@ -114,8 +115,8 @@ impl Task for Scale<'_> {
     }
 }
 
-/// Returns the estimated cost of a block in squared steps: for each coefficient, the smaller of its squared error
-/// without a level and the cost of a level.
+/// Returns the estimated cost of a block in squared steps. For each coefficient it adds the smaller of two costs: the
+/// squared error without a level, or the cost of a level.
 pub(super) fn rough_cost(coefficients: &[f32], [x, y]: [usize; 2], size: usize, factors: &[f32]) -> f32 {
     if coefficients.is_empty() {
         return 0.0;
@@ -123,7 +124,7 @@ pub(super) fn rough_cost(coefficients: &[f32], [x, y]: [usize; 2], size: usize, 
     simd::dispatch(RoughCost { coefficients: &coefficients[y * CELL * TILE + x * CELL..], factors, side: CELL << size })
 }
 
-/// Cost of a level in [`rough_cost`], and the additional cost per step of its magnitude, squared steps.
+/// Cost of a level in [`rough_cost`], and the additional cost per step of its magnitude, in squared steps.
 const LEVEL_COST: f32 = 0.5;
 const STEP_COST: f32 = 0.06;
 
@@ -157,7 +158,7 @@ impl Task for RoughCost<'_> {
 /// Maximum number of tiles for which a search keeps the coefficients between its runs. Each takes a megabyte.
 pub(super) const KEPT_TILES: usize = 64;
 
-/// The coefficients of a tile in its chosen blocks, computed on first use.
+/// The coefficients of a tile in its chosen blocks. They are computed on first use.
 pub(super) type KeptBase = std::sync::OnceLock<Coefficients>;
 
 #[cfg(test)]
@@ -165,7 +166,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_are_coefficients_over_their_steps() {
+    fn values_are_coefficients_divided_by_their_steps() {
         let head = DetailHead { step: 700, ..DetailHead::SEEN };
         let (plane, class, size, cell) = (1, 2, 2, [4, 8]);
         let n = CELL << size;

@@ -1,4 +1,5 @@
-//! Descent over the Gaussians' integers once more, now that the layer stands for a part of the picture.
+//! Optimizes the Gaussians' integers once more after the layer has been coded, because it now represents a part of the
+//! picture.
 
 use super::error::Added;
 use crate::bitstream::DetailLayer;
@@ -14,10 +15,10 @@ use crate::gaussian::Channels;
 use crate::round::descend::Descent;
 use crate::round::rounded::projected;
 
-/// Sweeps of a round: the first finds most.
+/// Number of sweeps per round. The first one finds most improvements.
 const SWEEPS: usize = 2;
 
-/// Returns what the Gaussians of `splats` are to make when `layer` is laid over them: the picture without the layer.
+/// Returns the target for the Gaussians of `splats` under `layer`: the picture minus the additions of the layer.
 fn rest(target: &Planes, splats: &PackedSplats, layer: &DetailLayer, channels: Channels) -> Planes {
     let added = Added::new(layer, channels, target);
     let scene = stored_scene(splats);
@@ -32,7 +33,8 @@ fn rest(target: &Planes, splats: &PackedSplats, layer: &DetailLayer, channels: C
             added.row(y, k, &mut more);
             for (x, more) in more.iter().enumerate() {
                 let at = k * stride + x;
-                // What is beyond black or white is cut off before the layer is added: there it is no error.
+                // Rendering clips values beyond black and white before it adds the layer, so such values are not an
+                // error.
                 let beyond = drawn[at] - drawn[at].clamp(0.0, 1.0);
                 row[at] += beyond - more;
             }
@@ -40,8 +42,8 @@ fn rest(target: &Planes, splats: &PackedSplats, layer: &DetailLayer, channels: C
     })
 }
 
-/// Changes the integers of `splats` to what costs least beside `layer`, whose bits cost `lambda` of squared error,
-/// parts of white squared. The file's length is free.
+/// Changes the integers of `splats` to those with the lowest cost under `layer`. A bit costs `lambda` of squared error,
+/// in squared fractions of white. The length of the file is not constrained.
 pub(super) fn descend(
     splats: &mut PackedSplats,
     target: &Planes,

@@ -1,4 +1,4 @@
-//! The detail layer of an encode: what the Gaussians leave, coded in the bytes that are left.
+//! Codes the detail layer: the residual of the Gaussians, in the bytes that the Gaussians do not use.
 
 mod blocks;
 mod choose;
@@ -40,13 +40,13 @@ use search::{Aim, Coded, search};
 use slopes::{Knot, Slopes};
 use texture::Texture;
 
-/// Runs of the coder that a search may take.
+/// Maximum number of coder runs in a search.
 const RUNS: u32 = 7;
 
-/// How a layer is coded to favour a measure.
+/// Returns the coding parameters that favour a quality measure.
 fn preset(tune: Tune) -> Preset {
     match tune {
-        // Those of the format have .02 dB less at 20, and as much at 50.
+        // The biases of `DetailHead::PLAIN` lose 0.02 dB at a ratio of 20 and nothing at 50.
         Tune::Psnr => Preset {
             head: DetailHead { biases: [1, 3], ..DetailHead::PLAIN },
             lambda: 0.10,
@@ -57,14 +57,14 @@ fn preset(tune: Tune) -> Preset {
             head: DetailHead { chroma: [48, 32], biases: [2, 4], ..DetailHead::SEEN },
             lambda: 0.09,
             power: 0.08,
-            // Against slopes of 16 at every step, at effort 3: .0011 of MS-SSIM on seven pictures at a ratio of 50 (1.9
-            // points of SSIMULACRA2), and .0037 on three of Kodak at 100, for .26 and .33 dB. λ of .075 changes
-            // nothing.
+            // Compared with slopes of 16 at every step, at effort 3, these gain 0.0011 of MS-SSIM (1.9 SSIMULACRA2
+            // points) on seven pictures at a ratio of 50 and 0.0037 on three Kodak pictures at 100. They lose 0.26 and
+            // 0.33 dB. λ = 0.075 changes nothing.
             slopes: Slopes(&[Knot { step: 600, slopes: [16, 16] }, Knot { step: 3000, slopes: [90, 40] }]),
         },
-        // Against slopes of 40 at every step, at a ratio of 100 and effort 1: 4.3 points of SSIMULACRA2 on three Kodak
-        // pictures, .5 on two of CLIC, for .39 and .11 dB. A power that grows too, to .22, has .1 more on the one and
-        // .3 on the other, but .05 of Butteraugli less.
+        // Compared with slopes of 40 at every step, at a ratio of 100 and effort 1, these gain 4.3 SSIMULACRA2 points
+        // on three Kodak pictures and 0.5 on two of CLIC. They lose 0.39 and 0.11 dB. Letting the power grow as well,
+        // to 0.22, gains another 0.1 and 0.3 points but loses 0.05 of Butteraugli.
         Tune::Iq => Preset {
             head: DetailHead::SEEN,
             lambda: 0.1,
@@ -74,44 +74,46 @@ fn preset(tune: Tune) -> Preset {
     }
 }
 
-/// Bits of the layer per pixel from which on a drawing is coded as one. A screenshot and a page gain 5.4 and 0.5
-/// SSIMULACRA2 points with 0.3 bits (a ratio of 50) and 5.6 and 2.6 with 0.11 (100), three diagrams 0.0 to 0.3 with
-/// 0.25 (50); the diagrams lose up to 0.9 with 0.06, and all but one up to 5 with 0.03 (200), where the layer has few
-/// levels and larger blocks are cheaper.
+/// Minimum bits of the layer per pixel for which a drawing is coded with the parameters for drawings. A screenshot and
+/// a page gain 5.4 and 0.5 SSIMULACRA2 points with 0.3 bits (a ratio of 50), and 5.6 and 2.6 points with 0.11 bits (a
+/// ratio of 100). Three diagrams gain 0.0 to 0.3 points with 0.25 bits (a ratio of 50). They lose up to 0.9 points with
+/// 0.06 bits. With 0.03 bits (a ratio of 200), all but one lose up to 5 points, because the layer has few levels there
+/// and larger blocks are cheaper.
 const DRAWING_BITS: f64 = 0.09;
-/// [`Setting::mixed_cost`] in drawings: 3.7 and 2.2 points of that gain at 100. With 1.6 and 2 the diagrams lose 0.1 to 0.3.
+/// Value of [`Setting::mixed_cost`] for drawings. It contributes 3.7 and 2.2 points to that gain at a ratio of 100.
+/// With 1.6 and 2, the diagrams lose 0.1 to 0.3 points.
 const DRAWING_MIXED_COST: f32 = 1.3;
-/// How steps grow with frequency in drawings, whose lines are sharp in coarse layers too.
+/// Growth of the steps with frequency in drawings, whose lines are sharp in coarse layers too.
 const DRAWING_SLOPES: Slopes = Slopes(&[Knot { step: 600, slopes: [20, 40] }, Knot { step: 3000, slopes: [40, 60] }]);
-/// Power of the luma's variance with which steps grow in drawings.
+/// Exponent of the luma variance with which the steps grow in drawings.
 const DRAWING_POWER: f32 = 0.06;
 
-/// How a layer is coded.
+/// Parameters for coding a layer.
 struct Preset {
     head: DetailHead,
-    /// Squared error that a bit has to save, in squared steps.
+    /// Squared error that a bit must save (λ), in squared steps.
     lambda: f32,
-    /// Power of the luma's variance with which steps grow.
+    /// Exponent of the luma variance with which the steps grow.
     power: f32,
-    /// How they grow with frequency.
+    /// Growth of the steps with frequency.
     slopes: Slopes,
 }
 
-/// Factor of the step that shows what the layer's bytes are worth.
+/// Factor between the two steps at which the value of the layer's bytes is measured.
 const COARSER: f64 = 1.5;
-/// How bytes fall with the logarithm of the step where that is measured.
+/// Exponent with which the bytes decrease as the step grows, in the range of this measurement.
 const MEASURED_FALL: f64 = 1.4;
 
-/// Gaussians with a layer over them, if it found room.
+/// Gaussians, with a layer over them if there was room for one.
 pub(super) struct Layered {
     base: Outcome,
     coded: Option<Coded>,
-    /// Squared error, as the fit weighs it.
+    /// Squared error with the weights of the fit.
     error: f64,
 }
 
 impl WholeSession<'_> {
-    /// Codes a layer over `base` in what is left of `most` bytes.
+    /// Codes a layer over `base`, for a file of at most `most` bytes.
     fn layer(&self, base: Outcome, most: u64) -> Result<Layered> {
         let splats = &base.splats;
         let coded = self.coded(splats, most, None)?;
@@ -119,7 +121,8 @@ impl WholeSession<'_> {
         Ok(Layered { base, coded, error })
     }
 
-    /// Fits the integers of the Gaussians to the layer and the layer to them, in `rounds` rounds, and makes the file.
+    /// Fits the Gaussians' integers to the layer and the layer to the Gaussians, in at most `rounds` rounds. Writes the
+    /// file.
     fn joined(&mut self, layered: Layered, most: u64, rounds: u32) -> Result<Outcome> {
         let Layered { base: mut outcome, coded, mut error } = layered;
         let Some(mut coded) = coded else { return Ok(outcome) };
@@ -127,14 +130,14 @@ impl WholeSession<'_> {
         for round in 0..rounds {
             self.report.show("detail", round as f32 / rounds as f32)?;
             let start = Instant::now();
-            // Another round takes as long as the one before.
+            // A round takes as long as the previous one.
             if self.until.is_some_and(|end| start + took > end) {
                 break;
             }
             let Preset { lambda, .. } = preset(self.input.options.favoured());
             let mut splats = outcome.splats.clone();
             let step = f32::from(coded.layer.head.step) / 64.0 / 255.0;
-            // An error of luma is one in each of the colours.
+            // An error of luma is an equal error in each of the colours.
             let colors = if self.planes.channels.count() >= 3 { 3.0 } else { 1.0 };
             let price = colors * lambda * step * step;
             let layer = (&coded.layer, self.input.channels());
@@ -152,8 +155,8 @@ impl WholeSession<'_> {
         Ok(outcome)
     }
 
-    /// Bytes and plain error of two layers in the blocks of `coded`: one of about `bytes`, or as many as that has, and
-    /// a coarser one.
+    /// Returns the bytes and the unweighted error of two layers in the blocks of `coded`. The first has about `bytes`
+    /// bytes, or as many as `coded` if that has fewer. The second has a coarser step.
     fn two_steps(&self, splats: &PackedSplats, coded: &Coded, bytes: f64) -> [[f64; 2]; 2] {
         let tiles = self.residuals(splats);
         let factor = (coded.bytes as f64 / bytes).max(1.0).strict_powf(1.0 / MEASURED_FALL);
@@ -168,12 +171,12 @@ impl WholeSession<'_> {
         })
     }
 
-    /// The error that is to be small, as the fit weighs it.
+    /// Returns the error that the encoder minimizes, with the weights of the fit.
     fn layered_error(&self, splats: &PackedSplats, layer: &DetailLayer) -> f64 {
         self.error_counted(splats, layer, Counted::AsTheyWeigh)
     }
 
-    /// The error where all count alike.
+    /// Returns the error with equal weights.
     fn plain_error(&self, splats: &PackedSplats, layer: &DetailLayer) -> f64 {
         self.error_counted(splats, layer, Counted::Alike)
     }
@@ -191,19 +194,19 @@ impl WholeSession<'_> {
 
     fn aim_of_layer(&self, most: u64) -> Aim {
         let has_alpha = self.planes.channels.alpha().is_some();
-        // Blocks that are chosen with the right step win .02 dB on small pictures, and .006 on large ones, where that
-        // takes longest.
+        // Choosing the blocks at the final step gains 0.02 dB on small pictures. On large ones it gains 0.006 dB and
+        // takes the most time.
         let keeps = self.pixels() >= LARGE_PIXELS;
         Aim { most, keeps, ..aim(self.input.options.favoured(), self.input.channels(), has_alpha) }
     }
 
-    /// Codes what the Gaussians of `splats` leave, for a file of at most `most` bytes.
+    /// Codes the residual of the Gaussians of `splats`, for a file of at most `most` bytes.
     fn coded(&self, splats: &PackedSplats, most: u64, near: Option<&Coded>) -> Result<Option<Coded>> {
         let mut aim = self.aim_of_layer(0);
         let left = |aim: &Aim| left_for_layer(splats, aim, most, |empty| self.file(empty));
         let Some(mut bytes) = left(&aim)? else { return Ok(None) };
         let is_drawing = match near {
-            // Its blocks may be kept.
+            // The search may keep the blocks of `near`, so the range of block sizes must be the same.
             Some(near) => near.layer.head.sizes == for_drawing(aim, Tune::Psnr).setting.head.sizes,
             None => {
                 let bits = 8.0 * bytes as f64 / self.pixels() as f64;
@@ -222,8 +225,8 @@ impl WholeSession<'_> {
         Ok(search(&tiles, &Aim { most: bytes, ..aim }, near))
     }
 
-    /// Codes a layer over `base`, a part of the picture at a time, and makes the file: for pictures whose residual is
-    /// too much to hold.
+    /// Codes a layer over `base`, one part of the picture at a time, and writes the file. It serves pictures whose
+    /// residual is too large for memory.
     fn layered_in_parts(&mut self, base: Outcome, most: u64) -> Result<Outcome> {
         let mut outcome = base;
         let (input, tune) = (self.input, self.input.options.favoured());
@@ -239,20 +242,20 @@ impl WholeSession<'_> {
     }
 }
 
-/// How a layer for a file of such channels is coded, in bytes that are yet to be said.
+/// Returns the parameters for coding a layer of a file with these channels. The caller sets the byte budget.
 fn aim(tune: Tune, channels: Channels, has_alpha: bool) -> Aim {
     let Preset { mut head, lambda, power, slopes } = preset(tune);
     (head.alpha, head.slopes) = (has_alpha, slopes.at(head.step));
-    // Where squared error is all that counts, the rule of thumb loses .1 dB.
+    // For pure squared error, the rough estimate loses 0.1 dB.
     let blocks = if tune == Tune::Psnr { BlockChoice::Priced } else { BlockChoice::Rough };
     let care = if tune == Tune::Psnr { Care::Exhaustive } else { Care::Thorough };
     let setting = Setting { head, channels, lambda, care, blocks, mixed_cost: 1.0 };
     Aim { setting, power, slopes, most: 0, runs: RUNS, keeps: false }
 }
 
-/// Returns how a layer is coded over a drawing, given how it is coded over a photograph.
+/// Returns the parameters for a layer over a drawing, given those for a photograph.
 fn for_drawing(mut aim: Aim, tune: Tune) -> Aim {
-    // Coloured lines need small blocks of chroma.
+    // Coloured lines need small chroma blocks.
     aim.setting.head.sizes[1][0] = aim.setting.head.sizes[0][0];
     aim.setting.mixed_cost = DRAWING_MIXED_COST;
     if tune == Tune::Iq {
@@ -263,8 +266,8 @@ fn for_drawing(mut aim: Aim, tune: Tune) -> Aim {
     aim
 }
 
-/// Returns what index and streams of a layer over `splats` may take in a file of `most` bytes, which `file` writes;
-/// `None` if that is no room for one.
+/// Returns the byte budget for index and streams of a layer over `splats` in a file of `most` bytes, or `None` if there
+/// is no room for a layer. `file` writes a file.
 fn left_for_layer(
     splats: &PackedSplats,
     aim: &Aim,
@@ -279,7 +282,7 @@ fn left_for_layer(
     Ok(most.checked_sub(fixed).filter(|&left| left > 2 * count as u64))
 }
 
-/// Returns the layer over `parts` in a file of `most` bytes, which `file` writes.
+/// Codes the layer over `parts` for a file of at most `most` bytes. `file` writes a file.
 pub(super) fn layer_in_parts(
     parts: Parts<'_>,
     most: u64,

@@ -1,8 +1,8 @@
-//! The layer of a picture that is read a part at a time: the step is found on some of its tiles, then all are coded
-//! with it.
+//! Codes the layer of a picture that is read one part at a time. The encoder finds the step on a sample of the tiles,
+//! then codes all tiles with it.
 //!
-//! Memory holds the residual of one part, and the levels and block sizes of all tiles. These take some bytes for each
-//! byte of the file.
+//! Memory holds the residual of one part, and the levels and block sizes of all tiles. Levels and block sizes take a
+//! few bytes for each byte of the file.
 
 use super::aim;
 use super::residual::{TileResidual, residual};
@@ -19,15 +19,15 @@ use crate::parallel;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Depth;
 
-/// Number of tiles for each one on which the step is found. At least 8 are used, or all if there are fewer, and at most
+/// Number of tiles for each sampled tile. The sample contains at least 8 tiles, or all if there are fewer, and at most
 /// 64. Each takes a megabyte of memory.
 const SAMPLED: usize = 16;
-/// Times that the whole picture may be coded.
+/// Maximum number of times that the whole picture is coded.
 const RUNS: u32 = 5;
-/// And how often it mostly is.
+/// Typical number of times, from which the progress is estimated.
 const EXPECTED: f32 = 2.0;
 
-/// Returns the squared error between two pictures: colours count by their opacity.
+/// Returns the squared error between two pictures. The errors of colours are weighted by the opacity of `wanted`.
 pub(in crate::encode) fn error_between(wanted: &Planes, drawn: &Planes) -> f64 {
     let mut error = 0.0;
     for y in 0..wanted.height {
@@ -43,12 +43,12 @@ pub(in crate::encode) fn error_between(wanted: &Planes, drawn: &Planes) -> f64 {
     error
 }
 
-/// A picture that is read a part at a time, and its Gaussians.
+/// A picture that is read one part at a time, and its Gaussians.
 #[derive(Clone, Copy)]
 pub(in crate::encode) struct Parts<'a> {
-    /// The picture, without channels that say nothing.
+    /// The picture, without redundant channels.
     pub source: &'a dyn PixelSource,
-    /// Gaussians of the same channels, and for the error the layer over them.
+    /// Gaussians with the same channels. To measure the error, they include the layer.
     pub splats: &'a PackedSplats,
     /// The channels of the file.
     pub channels: Channels,
@@ -57,14 +57,14 @@ pub(in crate::encode) struct Parts<'a> {
 }
 
 impl Parts<'_> {
-    /// Returns the layer that takes at most `most` bytes of index and streams; `None` if there is nothing to add, or no
-    /// room. `show` is told the share that is done.
+    /// Returns a layer whose index and streams take at most `most` bytes, or `None` if there is nothing to add or no
+    /// room for a layer. `show` receives the fraction of the work that is done.
     pub(crate) fn layer(&self, most: u64, show: &mut dyn FnMut(f32) -> Result<()>) -> Result<Option<DetailLayer>> {
         show(0.0)?;
         let count = self.count();
         let aim = Aim { most, runs: RUNS, ..aim(self.tune, self.channels, self.source.channels().alpha().is_some()) };
         let sample_size = (count / SAMPLED).clamp(8, 64);
-        // Places that have nothing to do with rows and columns.
+        // The positions are independent of rows and columns.
         let place = |k: usize| ((k as u64 * 0x9e37_79b9 & 0xffff_ffff) * count as u64 >> 32) as usize;
         let mut sampled: Vec<usize> =
             if count > sample_size { (0..sample_size).map(place).collect() } else { (0..count).collect() };
@@ -98,17 +98,17 @@ impl Parts<'_> {
         across * down
     }
 
-    /// The first tile and the number of tiles of each part.
+    /// Returns the first tile and the number of tiles of each part.
     fn parts(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
         let [across, down] = tile_counts(self.source.size());
-        // Each thread has a tile.
+        // Each thread processes one tile.
         let at_once = parallel::threads();
         (0..down).flat_map(move |row| {
             (0..across).step_by(at_once).map(move |left| (row * across + left, at_once.min(across - left)))
         })
     }
 
-    /// Codes all tiles with a step.
+    /// Codes all tiles with one step.
     fn coded(
         &self,
         aim: &Aim,
@@ -130,7 +130,7 @@ impl Parts<'_> {
         Ok(all)
     }
 
-    /// Returns the residuals of `count` tiles of a row, from tile `index` on.
+    /// Returns the residuals of `count` tiles of a row, starting at tile `index`.
     fn residuals(&self, index: usize, count: usize) -> Result<Vec<TileResidual>> {
         let (area, wanted, drawn) = self.part(index, count)?;
         let tile = |i: usize| {
@@ -141,13 +141,14 @@ impl Parts<'_> {
         Ok(parallel::map(count, tile))
     }
 
-    /// The place of so many tiles of a row, the picture there, and what is drawn there.
+    /// Returns the area of `count` tiles of a row, the original in that area, and the picture that the Gaussians render
+    /// there.
     fn part(&self, index: usize, count: usize) -> Result<([u32; 4], Planes, Planes)> {
         let [left, top, _, height] = tile_area(self.source.size(), index);
         let [last, _, width, _] = tile_area(self.source.size(), index + count - 1);
         let area = [left, top, last + width - left, height].map(|side| side as u32);
         let wanted = Planes::with_hidden(&self.source.part(area)?, self.hidden);
-        // 16 bits are finer than any step.
+        // 16 bits are finer than any quantizer step.
         let drawn = drawn_part(self.splats, area, Depth::Sixteen)?;
         Ok((area, wanted, Planes::new(&drawn)))
     }

@@ -1,4 +1,5 @@
-//! The difference between a picture and its Gaussians, tile by tile, as planes of luma and chroma (spec §11.5).
+//! Computes the difference between a picture and its Gaussians, tile by tile, as planes of luma and chroma
+//! (spec §11.5).
 
 use crate::bitstream::detail::levels::{SUPER, TILE, tile_area, tile_counts};
 use crate::bitstream::detail::model::PLANES;
@@ -9,25 +10,26 @@ use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::parallel;
 
-/// The layer's planes count in this part of an 8-bit code value.
+/// Factor that converts fractions of white to the unit of the layer's planes, 1/16 of an 8-bit code value.
 const PARTS: f32 = 16.0 * 255.0;
 
-/// The residual of one tile: planes whose rows are [`TILE`] apart, padded to whole superblocks; empty ones are 0.
+/// The residual of one tile. The planes are padded to whole superblocks, and their rows are [`TILE`] values apart.
+/// Empty planes represent zeros.
 #[derive(Debug, Clone)]
 pub(super) struct TileResidual {
-    /// Width and height of the picture's part, pixels.
+    /// Width and height of the tile's part of the picture, pixels.
     pub size: [usize; 2],
     pub planes: [Vec<f32>; PLANES],
-    /// Luma of the original, 8-bit code values: what masks an error.
+    /// Luma of the original, 8-bit code values. It determines how well errors are masked.
     pub luma: Vec<f32>,
 }
 
-/// Returns luma, orange and green chroma of red, green and blue: what the additions of spec §11.5 undo.
+/// Converts red, green and blue to luma, orange chroma and green chroma. The additions of spec §11.5 apply the inverse.
 pub(super) fn luma_and_chroma([r, g, b]: [f32; 3]) -> [f32; 3] {
     [0.25 * (r + 2.0 * g + b), r - b, g - 0.5 * (r + b)]
 }
 
-/// Returns what is left of `target` by the picture of `projected`, tile by tile.
+/// Returns the difference between `target` and the picture rendered from `projected`, tile by tile.
 pub(super) fn residuals(scene: Scene, target: &Planes, projected: &[Projected]) -> Vec<TileResidual> {
     let problem = Problem { scene, target };
     let mut field = Field::default();
@@ -38,7 +40,7 @@ pub(super) fn residuals(scene: Scene, target: &Planes, projected: &[Projected]) 
     parallel::map(across * down, |i| residual(target, drawn, tile_area(size, i)))
 }
 
-/// Returns what is left in a part, left, top, width and height, of `target`, whose rows are drawn as `drawn` says.
+/// Returns the residual in a part of `target`, given by left, top, width and height. `drawn` returns the rendered rows.
 pub(super) fn residual<'a>(
     target: &Planes,
     drawn: impl Fn(usize) -> &'a [f32],
@@ -51,7 +53,7 @@ pub(super) fn residual<'a>(
     let used: &[usize] = if colors == 3 { &[0, 1, 2] } else { &[0] };
     used.iter().chain(alpha.map(|_| &3)).for_each(|&k| planes[k] = vec![0.0; TILE * TILE]);
     let mut luma = vec![0.0; TILE * TILE];
-    // Beyond the picture's edge it is reflected.
+    // The picture is reflected beyond its edge.
     let reflected = |i: usize, n: usize| if i < n { i } else { (2 * n - 1).saturating_sub(i) };
     for y in 0..padded[1] {
         let row = (top + reflected(y, height)) as u32;
@@ -61,7 +63,7 @@ pub(super) fn residual<'a>(
             let value = |k: usize| wanted[k * target.stride + column];
             let rest = |k: usize| PARTS * (value(k) - drawn[k * target.stride + column].clamp(0.0, 1.0));
             let at = y * TILE + x;
-            // Colours that nobody sees cost nothing.
+            // The residual of invisible colours is 0, so they take no bytes.
             let is_seen = target.opacity.is_none_or(|a| value(a) > 0.0);
             if is_seen && colors == 3 {
                 for (plane, value) in planes.iter_mut().zip(luma_and_chroma([rest(0), rest(1), rest(2)])) {

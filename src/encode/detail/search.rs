@@ -1,4 +1,4 @@
-//! The quantizer step with which a layer takes the bytes that it may.
+//! Finds the quantizer step with which a layer uses its byte budget.
 
 use super::blocks::blocks;
 use super::choose::{BlockChoice, Chosen, Setting, choose, priced_blocks};
@@ -14,33 +14,33 @@ use crate::detail::steps::PlaneSteps;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 
-/// A layer and its bytes in the file, those of its section not counted.
+/// A layer and the bytes that its index and streams take in the file.
 #[derive(Debug, Clone)]
 pub(super) struct Coded {
     pub layer: DetailLayer,
     pub bytes: u64,
-    /// Sizes of the blocks of each tile, by kind.
+    /// Block sizes of each tile, by kind.
     pub sizes: Vec<[Vec<u8>; KINDS]>,
 }
 
-/// How a layer is to be coded.
+/// Parameters and byte budget for coding a layer.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Aim {
     pub setting: Setting,
-    /// Power of the variance with which steps grow, where there are classes.
+    /// Exponent of the variance with which the steps grow, if there are classes.
     pub power: f32,
-    /// How steps grow with frequency.
+    /// Growth of the steps with frequency.
     pub slopes: Slopes,
-    /// Most bytes of index and streams.
+    /// Maximum bytes of index and streams.
     pub most: u64,
-    /// Most runs of the coder.
+    /// Maximum number of coder runs.
     pub runs: u32,
-    /// Whether the blocks of a layer of nearly the same tiles are kept.
+    /// Whether a search keeps the blocks of an earlier layer of nearly the same tiles.
     pub keeps: bool,
 }
 
 impl Aim {
-    /// The setting of a layer of such a step.
+    /// Returns the settings of a layer with this step.
     pub(super) fn setting_at(&self, step: u16) -> Setting {
         let mut setting = self.setting;
         (setting.head.step, setting.head.slopes) = (step, self.slopes.at(step));
@@ -48,23 +48,23 @@ impl Aim {
     }
 }
 
-/// A layer that falls short of its bytes by at most this part is near enough.
+/// Maximum shortfall of an accepted layer, as a fraction of the available bytes.
 const MAX_SHORTFALL: f64 = 0.004;
-/// Share of the available bytes by which the search aims below them.
+/// Fraction of the available bytes by which the search aims below them.
 const BELOW: f64 = 0.0015;
-/// How bytes fall with the logarithm of the step, before two runs have shown it.
+/// Exponent with which the bytes decrease as the step grows, until two runs have measured it.
 const FALL: f64 = 1.05;
-/// Logarithms of steps that are nearer to each other say nothing of it.
+/// Minimum distance between the logarithms of two steps for measuring that exponent.
 const LEAST_CHORD: f64 = 0.004;
-/// Times the runs that a search may take until a layer fits at all.
+/// Factor on the maximum number of runs while no layer fits.
 const PATIENCE: u32 = 3;
-/// Bits of a level, before anything is known.
+/// Bits per level that the first guess assumes.
 const LEVEL_BITS: f64 = 5.0;
-/// Magnitude in steps from which on a coefficient is likely to have a level.
+/// Magnitude in steps above which a coefficient is likely to have a level.
 const LIKELY: f32 = 0.8;
 
-/// Returns the layer of `tiles` with the smallest step that fits; `None` if none does. With `near`, a layer of nearly
-/// the same tiles, the search begins at its step, and keeps its blocks where `aim` says so.
+/// Returns the layer of `tiles` with the smallest step that fits, or `None` if none fits. `near` is a layer of nearly
+/// the same tiles. The search starts at its step and keeps its blocks if `aim` says so.
 pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) -> Option<Coded> {
     let classes = classes_of(tiles, aim, mean_activity(tiles, aim));
     let mut sizes = near.filter(|_| aim.keeps).map(|near| near.sizes.clone());
@@ -79,7 +79,8 @@ pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) ->
     found
 }
 
-/// Returns what `run` makes with the smallest step whose bytes fit, beginning at `step`; `None` if none does.
+/// Returns the result of `run` with the smallest step whose bytes fit, or `None` if none fits. The search starts at
+/// `step`.
 pub(super) fn smallest_step<E>(
     aim: &Aim,
     mut step: f64,
@@ -89,8 +90,8 @@ pub(super) fn smallest_step<E>(
     let (mut fall, mut last): (f64, Option<[f64; 2]>) = (FALL, None);
     let mut best: Option<Coded> = None;
     let goal = (aim.most as f64 * (1.0 - BELOW)).max(1.0).strict_ln();
-    // Where none fits yet, which takes a picture whose bytes hardly fall with the step, it goes on for longer, and ever
-    // further.
+    // While no layer fits, the search continues for longer and with growing increments. This happens in pictures whose
+    // bytes hardly decrease with a larger step.
     let mut i = 0;
     while i < aim.runs || best.is_none() && i < PATIENCE * aim.runs {
         i += 1;
@@ -120,7 +121,7 @@ pub(super) fn smallest_step<E>(
             (Some(a), Some(b)) if (b[0] - a[0]).abs() < 2e-3 => break,
             (Some(a), Some(b)) => {
                 let share = ((goal - a[1]) / (b[1] - a[1])).clamp(0.05, 0.95);
-                // Late runs halve what is left, if the curve is too crooked for a chord.
+                // Late runs bisect the interval, in case the curve is too irregular for interpolation.
                 if i > 4 { 0.5 * (a[0] + b[0]) } else { a[0] + share * (b[0] - a[0]) }
             }
             (Some(a), None) => a[0] + ((a[1] - goal) / fall).max(0.003) * f64::from(1 << (i / 3).min(8)),
@@ -132,18 +133,19 @@ pub(super) fn smallest_step<E>(
     Ok(best)
 }
 
-/// The mean activity of `tiles`; 0 where there is but one class, and nobody asks.
+/// Returns the mean activity of `tiles`. Returns 0 if there is only one class, which does not depend on it.
 pub(super) fn mean_activity(tiles: &[TileResidual], aim: &Aim) -> f32 {
     if aim.setting.head.classes == 1 {
         return 0.0;
     }
     let activity = parallel::map(tiles.len(), |i| activity(&tiles[i]));
-    // Superblocks that a tile does not have have none.
+    // Superblocks outside a tile have no activity.
     let there = || activity.iter().flatten().filter(|a| **a > 0.0);
     there().sum::<f32>() / there().count().max(1) as f32
 }
 
-/// The step classes of each tile's superblocks, in a picture of such a mean activity; nothing where there is but one.
+/// Returns the step classes of each tile's superblocks, in a picture with the mean activity `mean`. They are empty if
+/// there is only one class.
 pub(super) fn classes_of(tiles: &[TileResidual], aim: &Aim, mean: f32) -> Vec<Vec<u8>> {
     let Setting { head, .. } = aim.setting;
     match head.classes {
@@ -152,7 +154,7 @@ pub(super) fn classes_of(tiles: &[TileResidual], aim: &Aim, mean: f32) -> Vec<Ve
     }
 }
 
-/// Returns the layer of `tiles` with the step of the setting, in the blocks of `near`.
+/// Codes the layer of `tiles` with the step of the setting, in the blocks of `near`.
 pub(super) fn once(tiles: &[TileResidual], aim: &Aim, near: &Coded) -> Coded {
     code(
         tiles,
@@ -163,11 +165,11 @@ pub(super) fn once(tiles: &[TileResidual], aim: &Aim, near: &Coded) -> Coded {
     )
 }
 
-/// Sizes of the blocks that the cells of a tile lie in, by kind.
+/// Size of the block that each cell of a tile lies in, by kind.
 type BlockSizes = [Vec<u8>; KINDS];
 
-/// Codes the layer with a step, in blocks of such `sizes`, or in those that it chooses. Coefficients in these blocks
-/// stay in `kept`, if it is not empty.
+/// Codes the layer with one step, in blocks of the given `sizes` or, without them, in blocks that it chooses. If `kept`
+/// is not empty, it stores the coefficients in these blocks.
 pub(super) fn code(
     tiles: &[TileResidual],
     classes: &[Vec<u8>],
@@ -203,14 +205,14 @@ pub(super) fn code(
     Coded { layer: DetailLayer { head: setting.head, tiles: levels }, bytes, sizes }
 }
 
-/// Returns about the step that fits: so many coefficients of blocks of 8 and 16 are of some size then.
+/// Estimates the step that fits the byte budget, from the magnitudes of the coefficients in blocks of 8 and 16.
 fn guess(tiles: &[TileResidual], aim: &Aim) -> f64 {
-    /// Bins of an octave.
+    /// Number of bins per octave.
     const FINE: f32 = 4.0;
     const BINS: usize = 128;
-    /// One row of blocks in so many is looked at.
+    /// Number of rows of blocks for each row that is counted.
     const SAMPLED: usize = 4;
-    /// The step that coefficients are counted in.
+    /// Step in which the coefficients are measured.
     const UNIT: u16 = 1024;
     let mut head = aim.setting.head;
     (head.step, head.slopes, head.classes) = (UNIT, aim.slopes.at(UNIT), 1);
@@ -230,7 +232,7 @@ fn guess(tiles: &[TileResidual], aim: &Aim) -> f64 {
                 for x in 0..cells[0] * CELL {
                     let step = steps.step(size.into(), x % n, y % n);
                     let value = values[y * TILE + x].abs() * 4.0 / step as f32;
-                    // The exponent and two bits of what follows: about four times the logarithm.
+                    // The exponent and the first two bits of the mantissa make about four times the binary logarithm.
                     let bin = ((value.to_bits() >> 21) as usize + BINS / 2).saturating_sub(127 << 2).min(BINS - 1);
                     bins[bin] += SAMPLED as u32;
                 }
@@ -260,7 +262,7 @@ mod tests {
     use crate::options::Tune;
 
     #[test]
-    fn kept_coefficients_change_no_byte() {
+    fn keeping_coefficients_does_not_change_the_bytes() {
         let aim = Aim { most: 3000, ..aim(Tune::Iq, Channels::Rgb, false) };
         let plane = |seed: usize| (0..TILE * TILE).map(|i| ((i * seed) % 4001) as f32 - 2000.0).collect::<Vec<f32>>();
         let luma = plane(31).iter().map(|v| v / 20.0 + 100.0).collect();
@@ -269,15 +271,15 @@ mod tests {
         let kept = vec![KeptBase::new(); tiles.len()];
         let first = code(&tiles, &classes, &aim, 900, (None, &kept));
         assert!(first.bytes > 100);
-        // With the blocks of the first: that is what coefficients are kept for.
+        // These runs use the blocks of the first run, because `kept` holds the coefficients for those blocks.
         let [with, without] =
             [&kept[..], &[]].map(|kept| code(&tiles, &classes, &aim, 1200, (Some(&first.sizes), kept)));
         assert_eq!((with.bytes, with.layer), (without.bytes, without.layer));
     }
 
     #[test]
-    fn a_step_is_found_however_little_the_bytes_fall() {
-        // Waves are coded in hardly fewer bytes with a step half as fine, and then in none.
+    fn search_finds_a_step_when_the_bytes_hardly_decrease() {
+        // A picture of waves takes hardly fewer bytes when the step doubles, until it takes none at all.
         for last in [30.0, 600.0, 9000.0f64] {
             let aim = Aim { most: 1000, ..aim(Tune::Psnr, Channels::Rgb, false) };
             let run = |step: u16| {

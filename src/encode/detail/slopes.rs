@@ -1,16 +1,16 @@
-//! How quantizer steps of the layer grow with frequency: faster in coarser layers.
+//! Defines how the layer's quantizer steps grow with frequency: faster in coarser layers.
 
 use crate::strict_math::StrictMath;
 /// The slopes at one quantizer step of the layer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Knot {
-    /// The layer's step, 1/64 code value.
+    /// The layer's step, in 1/64 code value.
     pub step: u16,
-    /// Slopes of luma, grey and alpha, and of chroma.
+    /// Slopes for luma, grey and alpha, and for chroma.
     pub slopes: [u8; 2],
 }
 
-/// Slopes for every step, linear in the logarithm of the step between knots.
+/// Slopes for every step, interpolated between the knots linearly in the logarithm of the step.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Slopes(pub &'static [Knot]);
 
@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn slopes_are_those_of_the_knots_and_go_with_the_logarithm_of_the_step_between_them() {
+    fn slopes_between_knots_are_linear_in_the_logarithm_of_the_step() {
         const KNOTS: &[Knot] = &[Knot { step: 500, slopes: [40, 30] }, Knot { step: 2000, slopes: [80, 50] }];
         let all = Slopes(KNOTS);
         for (step, slopes) in

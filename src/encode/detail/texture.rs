@@ -1,30 +1,31 @@
-//! Measures of texture that decide, before any fit, how the bytes of a file are divided between its layers.
+//! Measures the texture of a picture. The result determines, before any fit, how the bytes of a file are divided
+//! between the Gaussians and the layer.
 
 use super::residual::luma_and_chroma;
 use crate::fit::model::objective::planes::Planes;
 use crate::parallel;
 use crate::strict_math::StrictMath;
 
-/// Side of the squares that are measured, pixels.
+/// Side of the measured squares, pixels.
 const SQUARE: usize = 8;
-/// Variance of luma that counts as none, code values².
+/// Variance of luma that is negligible, code values². It is added to the variance before the logarithm.
 const FLOOR: f64 = 4.0;
-/// Variance of luma in a square of one colour, code values²: what rounding leaves.
+/// Variance of luma below which a square has one colour, code values². It allows for rounding errors.
 const FLAT: f64 = 0.001;
-/// Share of squares of one colour above which a picture is a drawing. Of 50 pictures, 8 diagrams, pages and screenshots
-/// have 0.34 to 0.86, one cut-out on white 0.67, and all other photographs at most 0.12. A page with photographs has
-/// 0.27: it loses 1.9 SSIMULACRA2 points at 50 as a drawing.
+/// Share of one-colour squares above which a picture is a drawing. Of 50 pictures, 8 diagrams, pages and screenshots
+/// have 0.34 to 0.86, one cut-out on white has 0.67, and all other photographs have at most 0.12. A page with
+/// photographs has 0.27. Coded as a drawing, it loses 1.9 SSIMULACRA2 points at a ratio of 50.
 const DRAWING: f64 = 0.3;
 
-/// How fine and how strong the texture of a picture is.
+/// Fineness and strength of the texture of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Texture {
     /// Variance of luma that is lost at half the resolution, divided by the further loss at a quarter. It is large if
-    /// the finest detail is strong, which Gaussians represent poorly and a layer well.
+    /// the finest detail is strong. Gaussians represent such detail poorly, a layer represents it well.
     pub fineness: f64,
-    /// Mean logarithm of the variance of luma, code values², within squares of 8.
+    /// Mean logarithm of the luma variance (in code values²) within squares of 8×8 pixels.
     pub activity: f64,
-    /// Share of the squares that are of one colour.
+    /// Share of the squares that have one colour.
     pub flat: f64,
 }
 
@@ -48,13 +49,13 @@ impl Texture {
         (coarse > 0.0).then(|| Texture { fineness: fine / coarse, activity, flat })
     }
 
-    /// Tells whether the picture is a diagram, a page or a screenshot, not a photograph.
+    /// Returns whether the picture is a diagram, a page or a screenshot rather than a photograph.
     pub(super) fn is_drawing(&self) -> bool {
         self.flat > DRAWING
     }
 }
 
-/// Returns the luma of a row, code values.
+/// Returns the luma of a row, in code values.
 fn luma(planes: &Planes, y: usize) -> Vec<f32> {
     let row = planes.row(y as u32);
     let value = |k: usize, x: usize| 255.0 * row[k * planes.stride + x];
@@ -66,8 +67,8 @@ fn luma(planes: &Planes, y: usize) -> Vec<f32> {
     (0..planes.width as usize).map(at).collect()
 }
 
-/// Returns the variance per pixel that a square loses at half the resolution, the further loss at a quarter, and the
-/// logarithm of its variance, and 1 if it is of one colour.
+/// Returns four measures of a square: the variance per pixel that it loses at half the resolution, the further loss at
+/// a quarter, the logarithm of its variance, and 1 if it has one colour or else 0.
 fn measured(square: impl Fn(usize, usize) -> f32) -> [f64; 4] {
     let first = square(0, 0);
     let mut sums = [0f32; 2];
@@ -75,7 +76,7 @@ fn measured(square: impl Fn(usize, usize) -> f32) -> [f64; 4] {
     let mut halves = [0f32; SQUARE * SQUARE / 4];
     for v in 0..SQUARE {
         for u in 0..SQUARE {
-            // Relative to the first, so that squares of one colour have exactly no variance.
+            // The values are relative to the first one, so that the variance of a one-colour square is exactly 0.
             let value = square(u, v) - first;
             sums[0] += value;
             squares += value * value;
@@ -110,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn detail_of_a_pixel_is_fine_and_larger_detail_is_not() {
+    fn only_single_pixel_detail_is_fine() {
         let check = |side: u32| move |x: u32, y: u32| if (x / side + y / side).is_multiple_of(2) { 90 } else { 110 };
         assert_eq!(texture(|_, _| 7), None, "nothing in it");
         assert_eq!(texture(check(1)), None, "nothing is left at half the size");
@@ -124,7 +125,7 @@ mod tests {
         );
         let framed = texture(|x, y| if x < 32 { 255 } else { noise(x / 2, y / 2) }).unwrap();
         assert!(framed.flat == 0.5 && framed.is_drawing() && !mixed.is_drawing(), "{framed:?} {mixed:?}");
-        // A check of two by two has a variance of 100.
+        // A checkerboard of 2×2-pixel squares has a variance of 100.
         let even = texture(|x, y| check(2)(x, y) + (x + y * 3) as u8 % 2).unwrap();
         assert!((even.activity - 104f64.ln()).abs() < 0.02, "{even:?}");
     }

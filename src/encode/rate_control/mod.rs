@@ -20,19 +20,19 @@ use crate::target::Target;
 pub(super) use quality::AIM_ABOVE;
 use search::{Aim, Curve, Search};
 
-/// Most primitives that an encode will fit.
+/// Maximum number of primitives that an encode fits.
 pub(super) const MAX_PRIMITIVES: u64 = 16 << 20;
 
-/// Ratio of [`Target::Auto`].
+/// Compression ratio of [`Target::Auto`].
 const AUTO_RATIO: f64 = 50.0;
 
-/// Estimated bits of a primitive in the coded layout, before any is coded.
+/// Estimated bits per primitive in the coded layout, before any primitive is coded.
 pub(super) const CODED_BITS: f64 = 34.5;
 
-/// Fewest bytes for primitives of [`Target::Auto`]: some twenty of them.
+/// Minimum number of bytes for the primitives of [`Target::Auto`], enough for about twenty.
 const MIN_AUTO_BYTES: u64 = 80;
 
-/// Returns the size of the file that is asked for; a file takes `fixed` bytes without primitives.
+/// Returns the requested size of the file. `fixed` is the size of the file without primitives, in bytes.
 pub(super) fn size_asked(options: &EncodeOptions, samples: f64, fixed: u64) -> Size {
     match options.target {
         Target::Auto => {
@@ -48,26 +48,27 @@ pub(super) fn size_asked(options: &EncodeOptions, samples: f64, fixed: u64) -> S
     }
 }
 
-/// Returns the number of primitives that a fit begins with, for a file of `most` bytes that takes `fixed` without any.
+/// Returns the initial number of primitives for a file of `most` bytes. `fixed` is the size of the file without
+/// primitives, in bytes.
 ///
 /// # Errors
-/// [`Error::TooSmall`] if there is no room for any.
+/// [`Error::TooSmall`] if the file without primitives is larger than `most`.
 pub(super) fn count_for(options: &EncodeOptions, most: u64, fixed: u64, samples: f64) -> Result<usize> {
     if most < fixed {
         return Err(too_small_with(options, most, fixed));
     }
-    // Estimated bits of a primitive; the size is corrected while the integers are rounded.
+    // These bits per primitive are estimates. The size is corrected while the integers are rounded.
     let bits = match options.layout {
         Layout::Packed => 56.0,
         Layout::Planes => 46.0,
         Layout::Coded => CODED_BITS,
     };
     let count = ((most - fixed) as f64 * 8.0 / bits) as u64;
-    // More primitives than samples bring nothing.
+    // More primitives than samples bring no gain.
     Ok(count.min(MAX_PRIMITIVES).min(samples as u64) as usize)
 }
 
-/// Encodes to what the options ask for.
+/// Encodes to the target of the options.
 pub(super) fn to_target<'a, S: EncodeSession<'a>>(session: &mut S) -> Result<Outcome> {
     let options = session.options();
     let target = options.target;
@@ -89,13 +90,14 @@ pub(super) fn to_target<'a, S: EncodeSession<'a>>(session: &mut S) -> Result<Out
     Ok(outcome)
 }
 
-/// Returns the bytes that the ICC profile and the EXIF block take in the file.
+/// Returns the number of bytes that the ICC profile and the EXIF block take in the file.
 fn metadata_bytes<'a, S: EncodeSession<'a>>(session: &S) -> Result<u64> {
     let bare = PackedSplats { metadata: Metadata::default(), ..session.empty() };
     Ok(session.fixed()? - session.file(&bare)?.len() as u64)
 }
 
-/// Returns the file of a picture of one colour, if that is what the picture is and the file may be as large.
+/// Returns a file without a fit if all pixels have the same colour. Returns `None` for other pictures, if the options
+/// exclude such a file, or if it would be larger than `size`.
 fn of_one_color<'a, S: EncodeSession<'a>>(session: &mut S, size: Size) -> Result<Option<Outcome>> {
     let options = session.options();
     let is_wanted =
@@ -113,16 +115,16 @@ fn of_one_color<'a, S: EncodeSession<'a>>(session: &mut S, size: Size) -> Result
     Ok(Some(Outcome { bytes, splats, float_error, quality: None }))
 }
 
-/// What a search looks for.
+/// Curve, aim and time limit of a search.
 struct Goal<C> {
     curve: C,
     aim: Aim,
-    /// Parts of a budget of time: one for each try that most searches take, and one for what comes after.
+    /// Number of parts of the time budget: one for each try of a typical search, and one for the work after the search.
     timed_parts: u32,
 }
 
-/// Searches for the smallest file whose `score` is enough. Returns it, or the best one found, with its score. Ends
-/// early if `is_close` says that a file is close enough.
+/// Searches for the smallest file whose `score` is high enough. Returns it with its score, or the best file found if no
+/// score is high enough. Ends early if `is_close` accepts a file.
 fn smallest<'a, S: EncodeSession<'a>, C: Curve>(
     session: &mut S,
     goal: Goal<C>,
@@ -130,14 +132,14 @@ fn smallest<'a, S: EncodeSession<'a>, C: Curve>(
     is_close: impl Fn(&S, f64, &Outcome) -> bool,
 ) -> Result<(f64, Outcome)> {
     let raw = session.samples();
-    // The search is over the bytes of the picture; those of the metadata are added.
+    // The search varies the bytes of the picture. The bytes of the metadata are added to each size.
     let metadata = metadata_bytes(session)?;
     let share = session.clock().left().map(|time| time / goal.timed_parts);
     let enough = goal.aim.enough;
     let mut search = Search::new(goal.curve, goal.aim);
     let mut best: Option<(f64, Outcome)> = None;
     while let Some(size) = search.next() {
-        // A budget of time is that of all tries: one that begins late would be a worse fit, and say little.
+        // All tries share the time budget. A try that starts late would be a worse fit, and its score would say little.
         if best.is_some() && session.clock().left() < share.map(|share| share + share / 2) {
             break;
         }
@@ -161,13 +163,13 @@ fn smallest<'a, S: EncodeSession<'a>, C: Curve>(
 
 /// Minimum size that a search tries, bytes without metadata.
 const MIN_TRIED_BYTES: f64 = 64.0;
-/// Maximum size that a search tries, as a multiple of the raw bytes: noise takes more than the raw bytes.
+/// Maximum size that a search tries, as a multiple of the raw bytes. Noise takes more than the raw bytes.
 const MAX_TRIED: f64 = 2.0;
-/// The maximum for pictures of a few pixels, bytes.
+/// Lower bound of that maximum, for pictures of a few pixels, bytes.
 const MAX_TRIED_BYTES: f64 = 512.0;
 
-/// Returns the smallest and the largest size that a search tries for a picture of `raw` samples: binary logarithms of
-/// bytes a sample.
+/// Returns the smallest and the largest size that a search tries for a picture of `raw` samples, as binary logarithms
+/// of bytes per sample.
 fn sizes_tried(raw: f64) -> [f64; 2] {
     [MIN_TRIED_BYTES, (MAX_TRIED * raw).max(MAX_TRIED_BYTES)].map(|bytes| (bytes / raw).strict_log2())
 }

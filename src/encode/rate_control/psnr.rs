@@ -1,4 +1,4 @@
-//! Encodes to a PSNR: the smallest file found that reaches it.
+//! Encodes to a requested PSNR: searches for the smallest file that reaches it.
 
 use super::search::{Aim, Curve, Try};
 use super::{Goal, smallest};
@@ -6,31 +6,31 @@ use crate::encode::session::{EncodeSession, Outcome, decibels};
 use crate::error::{Error, Result};
 use crate::strict_math::StrictMath;
 
-/// Most tries. Later ones mostly keep the Gaussians of the ones before.
+/// Maximum number of tries. Later tries mostly reuse the Gaussians of earlier ones.
 const MAX_TRIES: usize = 8;
-/// Parts of a budget of time: one for each of four tries, and one for taking out what is not needed. Most searches take
-/// no more tries.
+/// Number of parts of the time budget: one for each of four tries, and one for pruning. Most searches take at most four
+/// tries.
 const TIMED_PARTS: u32 = 5;
-/// Decibels above the wanted ones at which the search ends.
+/// The search ends when the PSNR of a file exceeds the requested PSNR by less than this, in decibels.
 const TOLERANCE: f64 = 0.1;
-/// Decibels above the wanted ones that tries aim at.
+/// Margin above the requested PSNR that tries aim at, in decibels.
 const AIM_ABOVE: f64 = 0.05;
-/// Ratio of the first try.
+/// Compression ratio of the first try.
 const FIRST_RATIO: f64 = 50.0;
 
-/// PSNR of a typical picture, up to a constant. In small files doubling the bytes adds 2.5 dB, in large ones each
-/// further bit per sample adds 6 dB: Kodak gains 2.8 dB from a ratio of 100 to 50, and another 4.7 dB to 20.
+/// PSNR of a typical picture, up to a constant. In small files, doubling the bytes adds 2.5 dB. In large files, each
+/// further bit per sample adds 6 dB. Kodak gains 2.8 dB from a ratio of 100 to 50, and another 4.7 dB to 20.
 struct Decibels;
 
 impl Decibels {
-    /// Returns about the decibels that a size has beside those of other sizes.
+    /// Returns the approximate PSNR at a size, relative to other sizes.
     fn at(size: f64) -> f64 {
         2.5 * size + 6.0 * 8.0 * size.strict_exp2()
     }
 
-    /// Returns the size that has so many of these decibels.
+    /// Returns the size for a PSNR as returned by [`at`](Self::at).
     fn size_at(decibels: f64) -> f64 {
-        // Halves of what is left of 64 doublings.
+        // Bisection over the range of sizes.
         let (mut low, mut high) = (-64.0, 2.0f64);
         for _ in 0..40 {
             let middle = 0.5 * (low + high);
@@ -42,7 +42,7 @@ impl Decibels {
 
 impl Curve for Decibels {
     fn size(&self, _: f64) -> f64 {
-        // Pictures differ too much for a guess.
+        // Pictures differ too much for an estimate, so all searches start at the same ratio.
         -FIRST_RATIO.strict_log2()
     }
 
@@ -67,7 +67,7 @@ pub(super) fn to_psnr<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64) ->
     let (reached, mut best) = smallest(session, goal, score, is_close)?;
     if reached < wanted {
         if session.options().time.is_some() {
-            // The report has the PSNR that was reached in the time.
+            // The report contains the PSNR that was reached in that time.
             return Ok(best);
         }
         let problem = format!("{wanted} dB cannot be reached: the largest file has {reached:.2} dB");
@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sizes_are_found_by_their_decibels() {
+    fn size_at_inverts_the_curve_and_interpolation_stays_between_tries() {
         for size in [-30.0, -8.4, -5.6, -3.3, -1.0, 0.0, 0.9] {
             assert!((Decibels::size_at(Decibels::at(size)) - size).abs() < 1e-6, "{size}");
         }

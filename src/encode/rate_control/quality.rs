@@ -1,4 +1,4 @@
-//! Encodes to a SSIMULACRA2 score: the size is searched for, and what is better than asked for is trimmed.
+//! Encodes to a requested SSIMULACRA2 score: searches for the size, and trims files that exceed the score.
 
 use super::search::{Aim, Curve, Try};
 use super::{Goal, smallest};
@@ -8,19 +8,20 @@ use crate::encode::session::{EncodeSession, Outcome};
 use crate::error::{Error, Result};
 use crate::ssimulacra2::MIN_SIDE;
 
-/// Most tries. Later ones mostly keep the Gaussians of the ones before.
+/// Maximum number of tries. Later tries mostly reuse the Gaussians of earlier ones.
 const MAX_TRIES: usize = 6;
-/// Parts of a budget of time: one for each of three tries, and one for taking out what is too good.
+/// Number of parts of the time budget: one for each of three tries, and one for trimming.
 const TIMED_PARTS: u32 = 4;
-/// Points by which a file may miss what is asked for.
+/// Points by which a file may miss the requested score.
 const TOLERANCE: f64 = 0.5;
-/// Points above it that a try aims at: what is better can be made worse without another fit, not the other way round.
+/// Margin above the requested score that tries aim at, points. Trimming can lower the score without another fit, but
+/// cannot raise it.
 pub(in crate::encode) const AIM_ABOVE: f64 = 0.25;
-/// A try this far above is near enough to be made worse instead of trying again.
+/// Maximum margin above the requested score, in points, at which a file is trimmed instead of fitted again.
 const MAX_TRIMMED: f64 = 2.5;
-/// The curve that pictures are taken to have until theirs is known: halvings of the raw bytes, and points. Kodak, the
-/// means of twelve pictures from 20 on; pictures differ by a shift along the first axis for the most part. `cargo run
-/// --release -p ssplat-lab --example rate_distortion -- KODAK` measures it.
+/// Scores that are assumed for a picture until its own are known: halvings of the raw bytes, and points. The values
+/// were measured on Kodak; from a ratio of 20 on, they are means of twelve pictures. Pictures differ mostly by a shift
+/// along the first axis. `cargo run --release -p ssplat-lab --example rate_distortion -- KODAK` measures the curve.
 const TYPICAL_CURVE: [[f64; 2]; 10] = [
     [0.5, 100.0],
     [1.5, 97.0],
@@ -34,14 +35,14 @@ const TYPICAL_CURVE: [[f64; 2]; 10] = [
     [8.97, -23.9],
 ];
 
-/// Returns the halvings at which that curve has so many points.
+/// Returns the number of halvings at which the typical curve has this score.
 fn halvings(points: f64) -> f64 {
     let next = TYPICAL_CURVE.iter().position(|c| c[1] <= points).unwrap_or(TYPICAL_CURVE.len() - 1).max(1);
     let [[from, high], [to, low]] = [TYPICAL_CURVE[next - 1], TYPICAL_CURVE[next]];
     from + (to - from) * (high - points) / (high - low)
 }
 
-/// Points of pictures, which differ from that curve by a shift along the sizes for the most part.
+/// The typical curve, shifted along the sizes to match a picture. Pictures differ from it mostly by such a shift.
 struct Points;
 
 impl Curve for Points {
@@ -54,7 +55,7 @@ impl Curve for Points {
     }
 
     fn between(&self, low: Try, high: Try, wanted: f64) -> f64 {
-        // A straight line on the curve's own scale.
+        // Linear interpolation on the scale of the typical curve.
         let [from, to, at] = [low.score, high.score, wanted].map(|score| -halvings(score));
         low.size + (high.size - low.size) * (at - from) / (to - from)
     }
@@ -85,7 +86,7 @@ pub(super) fn to_quality<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64)
     if found > wanted + AIM_ABOVE {
         session.trim_to_quality(&mut outcome, wanted)?;
     }
-    // A decoder sees the Gaussians in the order of the file, which changes the last bits.
+    // A decoder renders the Gaussians in the order of the file, which changes the last bits.
     let written = bitstream::read(&outcome.bytes[..], &own_limits())?;
     outcome.quality = Some(session.score(&written)?);
     Ok(outcome)
@@ -97,7 +98,7 @@ mod tests {
     use crate::encode::rate_control::Search;
 
     #[test]
-    fn the_curve_falls_and_is_met_at_its_knots() {
+    fn the_typical_curve_decreases_and_passes_through_its_knots() {
         assert!(TYPICAL_CURVE.windows(2).all(|c| c[0][0] < c[1][0] && c[0][1] > c[1][1]));
         for [at, points] in TYPICAL_CURVE {
             assert!((halvings(points) - at).abs() < 1e-9, "{points}");
@@ -107,8 +108,8 @@ mod tests {
     }
 
     #[test]
-    fn two_tries_find_a_picture_whose_curve_is_another() {
-        // kodim15 at effort 3: halvings of the raw bytes, and points.
+    fn three_tries_are_enough_for_a_picture_with_another_curve() {
+        // Measured for kodim15 at effort 3: halvings of the raw bytes, and points.
         let known = [[3.0, 87.97], [3.907, 80.33], [4.907, 69.39], [5.907, 58.49], [6.907, 44.26], [7.907, 26.3]];
         let measured = |at: f64| {
             let next = known.iter().position(|k| k[0] >= at).unwrap_or(known.len() - 1).max(1);

@@ -1,25 +1,25 @@
 //! Bracketed search for the smallest file that reaches a score.
 //!
-//! Sizes are binary logarithms of bytes per raw byte. Scores are decibels or points; they grow with the size, with some
+//! Sizes are binary logarithms of bytes per raw byte. Scores are decibels or points. They grow with the size, but
 //! scatter from fit to fit. The bracket is the smallest file that reached the score and the largest smaller file that
 //! did not.
 
-/// How the score of a typical picture grows with the size of its file.
+/// Model of how the score of a typical picture grows with the size of its file.
 pub(super) trait Curve {
     /// Returns the size at which a typical picture has this score.
     fn size(&self, score: f64) -> f64;
-    /// Returns the size at which a picture that was tried once is expected to have the score `wanted`.
+    /// Returns the size at which a picture is expected to have the score `wanted`, given one try.
     fn beyond(&self, tried: Try, wanted: f64) -> f64;
     /// Returns the size between two tries at which the score `wanted` is expected.
     fn between(&self, low: Try, high: Try, wanted: f64) -> f64;
 }
 
-/// One file that was made.
+/// Size and score of a file that was tried.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Try {
     /// Binary logarithm of the requested bytes per raw byte.
     pub size: f64,
-    /// Decibels or points of the file.
+    /// Score of the file, decibels or points.
     pub score: f64,
 }
 
@@ -28,11 +28,11 @@ pub(super) struct Try {
 pub(super) struct Aim {
     /// Minimum score of the file.
     pub enough: f64,
-    /// Score that tries aim at, at least `enough`.
+    /// Score that tries aim at, no lower than `enough`.
     pub aim: f64,
     /// Smallest and largest size.
     pub sizes: [f64; 2],
-    /// Maximum number of tries once a file reached the score.
+    /// Maximum number of tries once a file has reached the score.
     pub tries: usize,
 }
 
@@ -45,10 +45,10 @@ const MIN_STEP: f64 = 0.05;
 const STEP_GROWTH: f64 = 3.0;
 /// Maximum of that step.
 const MAX_STEP: f64 = 4.5;
-/// Minimum distance of a try from the ends of the bracket, as a share of its width, because scores scatter.
+/// Minimum distance of a try from the ends of the bracket, as a fraction of its width, because scores scatter.
 const INSIDE: f64 = 0.1;
 
-/// A search on its way.
+/// A search in progress.
 pub(super) struct Search<C> {
     curve: C,
     aim: Aim,
@@ -75,7 +75,7 @@ impl<C: Curve> Search<C> {
             (Some(low), None) if low.size >= largest => None,
             (Some(_), None) if self.tries.len() >= SMALLER => Some(largest),
             (Some(low), None) => inside(low.size + self.step(self.curve.beyond(low, self.aim.aim) - low.size)),
-            // One file is good enough, and the tries are used up.
+            // One file is good enough, and no tries remain.
             (_, Some(_)) if self.tries.len() >= self.aim.tries => None,
             (None, Some(high)) if high.size <= smallest => None,
             (None, Some(high)) => inside(high.size - self.step(high.size - self.curve.beyond(high, self.aim.aim))),
@@ -93,7 +93,8 @@ impl<C: Curve> Search<C> {
         if expected.is_finite() { expected.clamp(least, MAX_STEP) } else { least }
     }
 
-    /// Returns the largest try that failed below the smallest that succeeded, and the latter.
+    /// Returns the ends of the bracket: the largest failed try below the smallest successful one, and the smallest
+    /// successful one.
     fn bracket(&self) -> (Option<Try>, Option<Try>) {
         let by_size = |a: &&Try, b: &&Try| a.size.total_cmp(&b.size);
         let high = self.tries.iter().filter(|t| t.score >= self.aim.enough).min_by(by_size).copied();
@@ -106,7 +107,7 @@ impl<C: Curve> Search<C> {
 mod tests {
     use super::*;
 
-    /// Six points for each doubling.
+    /// Six points for each doubling of the size.
     struct Straight;
 
     impl Curve for Straight {
@@ -125,8 +126,8 @@ mod tests {
 
     const SIZES: [f64; 2] = [-9.0, 1.0];
 
-    /// Searches pictures whose score is `score` of the size; returns the sizes that were tried, and the smallest good
-    /// one.
+    /// Searches for the score `wanted` in a picture whose score is a function of the size. Returns the sizes that were
+    /// tried, and the smallest one that reached the score.
     fn search(wanted: f64, score: impl Fn(f64) -> f64) -> (Vec<f64>, Option<f64>) {
         let mut search = Search::new(Straight, Aim { enough: wanted, aim: wanted + 0.05, sizes: SIZES, tries: 8 });
         let mut tried = Vec::new();
@@ -144,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_score_that_some_size_has_is_found_whatever_the_slope() {
+    fn a_reachable_score_is_found_at_any_slope() {
         for slope in [0.7, 3.0, 6.0, 25.0] {
             for at in [-8.5, -4.0, 0.0, 0.95] {
                 let (tried, good) = search(30.0, |size| 30.0 + slope * (size - at));
@@ -155,8 +156,8 @@ mod tests {
     }
 
     #[test]
-    fn a_step_is_found() {
-        // Nothing but a certain size makes the picture, as with a checkerboard of single pixels.
+    fn a_jump_of_the_score_is_found() {
+        // The score jumps at a certain size, as for a checkerboard of single pixels.
         for at in [-6.0, -1.0, 0.9] {
             for wanted in [18.0, 20.0, 22.0, 30.0, 40.0] {
                 let (tried, good) = search(wanted, |size| if size < at { 6.0 } else { 60.0 });
@@ -166,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_largest_file_proves_that_a_score_cannot_be_reached() {
+    fn a_search_fails_only_after_the_largest_size() {
         let (tried, good) = search(90.0, |size| 20.0 + size);
         assert!(good.is_none() && tried.last() == Some(&SIZES[1]) && tried.len() <= SMALLER + 1, "{tried:?}");
         // The smallest file is good enough.
@@ -175,8 +176,8 @@ mod tests {
     }
 
     #[test]
-    fn scattered_scores_keep_the_bracket() {
-        // Up to 3 points up and down.
+    fn a_score_is_found_despite_scatter() {
+        // Scores scatter by up to 3 points in both directions.
         let score = |size: f64| 30.0 + 6.0 * (size + 3.0) + 3.0 * (size * 977.0).sin();
         for wanted in [10.0, 28.0, 31.0, 45.0] {
             let (tried, good) = search(wanted, score);

@@ -1,4 +1,4 @@
-//! Pictures of one colour that are read in tiles: no fit is needed for them here either.
+//! Detection of pictures of a single colour that are read in tiles. As for whole pictures, they need no fit.
 
 use super::grid::Window;
 use crate::encode::constant::is_constant;
@@ -6,8 +6,8 @@ use crate::error::Result;
 use crate::fit::model::objective::planes::Planes;
 use crate::pixel_source::PixelSource;
 
-/// Returns the colour of a picture whose pixels are all the same. Reads `tiles`, which make up the picture of `source`,
-/// until two pixels differ. `show` is told the share that is done.
+/// Returns the colour of a picture whose pixels are all equal. Reads `tiles`, which together cover the picture of
+/// `source`, until two pixels differ. Calls `show` with the fraction that is done.
 pub(super) fn color(
     source: &dyn PixelSource,
     tiles: &[Window],
@@ -20,7 +20,7 @@ pub(super) fn color(
         if !is_constant(&part) {
             return Ok(None);
         }
-        // The mean of so many equal pixels is theirs but for what adding them up loses: a single one has it exactly.
+        // Averaging many equal pixels loses precision, so the colour is taken from a single pixel.
         let own = Planes::new(&part.part([0, 0, 1, 1])?).mean;
         if *color.get_or_insert(own) != own {
             return Ok(None);

@@ -1,4 +1,4 @@
-//! The float fit of a tile: by itself at first, then with what lies around it.
+//! The float fit of a tile: first alone, then together with the primitives around it.
 
 use super::global::GlobalContext;
 use super::grid::{Shift, Window};
@@ -22,18 +22,18 @@ use crate::fit::schedule;
 use crate::fit::state::State;
 use crate::round::rounded::Rounded;
 
-/// Share of the iterations in which each tile is fitted by itself. Then nothing is relocated any more where primitives
-/// are many, and steps are still long enough to close the seams.
+/// Fraction of the iterations in which each tile is fitted alone. At that point, fits of many primitives relocate
+/// hardly any, and the steps are still large enough to close the seams.
 pub(super) const ALONE: f32 = 0.5;
-/// The passes after that: up to which share of the iterations, and where their tiles lie.
+/// The later passes: the fraction of the iterations at which each of them ends, and the position of its tiles.
 pub(super) const JOINED: [(f32, Shift); 3] = [(0.7, Shift::Half), (0.85, Shift::None), (1.0, Shift::Half)];
-/// Places for other primitives that are looked for in a tile, as a share of those that it has.
+/// Number of candidate primitives that are searched for in a tile, as a fraction of the primitives in the tile.
 const OTHERS: f32 = 0.25;
 
-/// Is told the share of a work that is done; an error stops it.
+/// Progress callback. It receives the fraction of the work that is done; an error stops the work.
 pub(super) type Show<'a> = &'a mut dyn FnMut(f32) -> Result<()>;
 
-/// Fits a tile by itself.
+/// Fits a tile alone.
 pub(super) fn begin(global: &GlobalContext<'_>, window: &Window, show: Show<'_>) -> Result<TileResult<Primitive>> {
     let target = global.planes(&window.seen)?;
     let problem = Problem { scene: global.scene(&window.seen), target: &target };
@@ -54,7 +54,8 @@ fn share(of: f32, iterations: u32) -> u32 {
     (iterations as f32 * of) as u32
 }
 
-/// Tells what the primitives of a window are worth, and what others would be.
+/// Returns the primitives of a tile with their costs, candidate primitives with their estimated gains, and the error of
+/// the tile.
 fn appraise(problem: &Problem<'_>, primitives: &[Primitive], window: &Window) -> TileResult<Primitive> {
     let projected = project::all(primitives, problem.scene.height);
     let mut field = Field::default();
@@ -71,7 +72,7 @@ fn appraise(problem: &Problem<'_>, primitives: &[Primitive], window: &Window) ->
     }
 }
 
-/// Goes on with the fit of a tile in the `pass`th of [`JOINED`], `own` among `others` that stay as they are.
+/// Continues the fit of a tile in pass `pass` of [`JOINED`]. Only the `own` primitives move; `others` stay fixed.
 pub(super) fn join(
     global: &GlobalContext<'_>,
     (pass, window): (usize, &Window),
@@ -99,30 +100,30 @@ pub(super) fn join(
     Ok(TileResult { own: state.primitives.iter().map(placed).collect(), others: Vec::new(), error })
 }
 
-/// Moves a primitive.
+/// Returns the primitive, moved `by` pixels.
 pub(super) fn moved(p: Primitive, by: [f32; 2]) -> Primitive {
     Primitive { mean: [p.mean[0] + by[0], p.mean[1] + by[1]], ..p }
 }
 
-/// Tells how far the fit of a tile is.
+/// Reports the progress of the fit of a tile, and corrects its number of primitives if bits have a price.
 struct Shown<'a> {
     show: Show<'a>,
-    /// The part of the schedule that is run through.
+    /// Start and end of the part of the schedule that this fit runs, as fractions of the schedule.
     from: f32,
     to: f32,
     price: Option<Price<'a>>,
 }
 
-/// Estimate of the bits per primitive of a tile, and the bits allowed.
+/// The bits allowed for a tile, with the data to estimate the bits per primitive.
 struct Price<'a> {
     problem: Problem<'a>,
-    /// A file of the tile, without primitives.
+    /// A file of the tile without primitives.
     draft: PackedSplats,
     bits: f64,
 }
 
 impl Price<'_> {
-    /// Returns how many primitives of this kind there is room for.
+    /// Returns the number of primitives that fit into the allowed bits, given the average coded size of `primitives`.
     fn count(&mut self, primitives: &[Primitive]) -> Result<usize> {
         let fixed = bitstream::to_bytes(&self.draft)?.len();
         let rounded = Rounded::nearest(&self.problem, self.draft.layout, primitives);

@@ -1,5 +1,5 @@
-//! Properties of the whole picture that all tiles share. They are found before any tile is fitted, so that the tiles
-//! fit together.
+//! Properties of the whole picture that all tiles share. They are computed before any tile is fitted, so that the tiles
+//! match each other.
 
 use std::time::Duration;
 
@@ -16,23 +16,23 @@ use crate::instant::Instant;
 use crate::options::{HiddenColors, Tune};
 use crate::pixel_source::PixelSource;
 
-/// What is asked of the fit of all tiles.
+/// Settings for the fit of all tiles.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TileSettings {
     pub effort: u8,
-    /// Primitives that the fit begins with.
+    /// Initial number of primitives in the whole picture.
     pub count: usize,
-    /// True where bytes are aimed at, so that bits have a price.
+    /// Whether the target is a number of bytes, so that bits have a price.
     pub is_priced: bool,
-    /// Whether a detail layer will be laid over the primitives.
+    /// Whether a detail layer is added to the primitives.
     pub is_base: bool,
-    /// Mean squared error of a sample at which a fit is through.
+    /// Mean squared error per sample at which a fit ends early.
     pub enough: f64,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
     /// Whether colours under alpha 0 count.
     pub hidden: HiddenColors,
-    /// Seconds that the work on one window may take.
+    /// Time limit for the work on one window, seconds.
     pub seconds: Option<f64>,
 }
 
@@ -41,14 +41,14 @@ pub(super) struct GlobalContext<'a> {
     pub source: &'a dyn PixelSource,
     pub scene: Scene,
     pub settings: TileSettings,
-    /// The file, without primitives.
+    /// The file without primitives.
     pub blank: PackedSplats,
     pub weights: Weights,
-    /// Detail of all tiles.
+    /// Sum of the detail of all tiles.
     pub detail: f64,
 }
 
-/// How errors are weighted: by what is found of the whole picture.
+/// Weights of errors, with the statistics of the whole picture that they depend on.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Weights {
     Alike,
@@ -57,7 +57,7 @@ pub(super) enum Weights {
 }
 
 impl Weights {
-    /// What such weights favour.
+    /// Returns the tuning that these weights implement.
     pub(super) fn tune(&self) -> Tune {
         match self {
             Weights::Alike => Tune::Psnr,
@@ -67,10 +67,10 @@ impl Weights {
     }
 }
 
-/// Facts of an encode before its picture is read.
+/// Properties of an encode that are known before its picture is read.
 #[derive(Debug)]
 pub(super) struct Survey {
-    /// The picture; its background is found by the survey.
+    /// The picture. The survey computes its background.
     pub scene: Scene,
     /// The file without primitives.
     pub blank: PackedSplats,
@@ -79,7 +79,8 @@ pub(super) struct Survey {
 }
 
 impl Survey {
-    /// Reads `tiles`, which make up the picture of `source`, once. `show` is told the share that is done.
+    /// Reads `tiles`, which together cover the picture of `source`, once. Returns the properties of the whole picture.
+    /// Calls `show` with the fraction that is done.
     pub(super) fn of<'a>(
         self,
         source: &'a dyn PixelSource,
@@ -116,12 +117,12 @@ impl Survey {
 }
 
 impl<'a> GlobalContext<'a> {
-    /// Returns the picture's pixels to one primitive.
+    /// Returns the number of pixels per primitive.
     pub(super) fn room(&self) -> f64 {
         f64::from(self.scene.width) * f64::from(self.scene.height) / self.settings.count.max(1) as f64
     }
 
-    /// Returns the pixels of a part, and how their errors count.
+    /// Returns the pixels of `area` and the weights of their errors.
     pub(super) fn planes(&self, area: &Area) -> Result<Planes> {
         let mut planes = Planes::with_hidden(&self.source.part(area.bounds())?, self.settings.hidden);
         let room = self.room() as f32;
@@ -136,35 +137,35 @@ impl<'a> GlobalContext<'a> {
         Ok(planes)
     }
 
-    /// Returns the scene of a part.
+    /// Returns the scene of `area`.
     pub(super) fn scene(&self, area: &Area) -> Scene {
         Scene { width: area.size[0], height: area.size[1], ..self.scene }
     }
 
-    /// Returns the file of a part, without primitives.
+    /// Returns the file of `area` without primitives.
     pub(super) fn draft(&self, area: &Area) -> PackedSplats {
         let metadata = Metadata::default();
         PackedSplats { width: area.size[0], height: area.size[1], metadata, ..self.blank.clone() }
     }
 
-    /// Returns how many of the primitives belong to a part, by its detail and its size.
+    /// Returns the number of primitives for a part of the picture, based on its detail and its area.
     pub(super) fn count_of(&self, planes: &Planes) -> usize {
         let area = f64::from(planes.width) * f64::from(planes.height);
         let global = f64::from(self.scene.width) * f64::from(self.scene.height);
         let busy = sample::detail(planes, self.room()) / self.detail;
         let share = sample::DETAIL * busy + (1.0 - sample::DETAIL) * area / global;
-        // No more than there are pixels, whatever is said of the whole.
+        // A tile never has more primitives than pixels, whatever the settings say about the whole picture.
         ((self.settings.count as f64 * share).round() as usize).min(area as usize)
     }
 
-    /// Returns the plan of the work on all windows.
+    /// Returns the plan that all windows share.
     pub(super) fn plan(&self) -> Plan {
         let TileSettings { effort, count, is_base, enough, seed, .. } = self.settings;
         let plan = Plan { enough, ..Plan::new(effort, count, self.scene.pixels(), None, seed) };
         if is_base { plan.for_base(effort, self.weights.tune(), None) } else { plan }
     }
 
-    /// Returns the plan of the work on a window: random numbers are its own.
+    /// Returns the plan for a window, which has its own random seed and deadline.
     pub(super) fn plan_of(&self, window: &Window) -> Plan {
         let plan = self.plan();
         let seed = plan.seed.wrapping_add((window.index + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
@@ -176,7 +177,7 @@ impl<'a> GlobalContext<'a> {
         Plan { seed, fit_deadline, ..plan }
     }
 
-    /// Goes on with the picture of `source`, which is this one at another size.
+    /// Returns the context for the picture of `source`, which is the same picture at another size.
     pub(super) fn at_size_of(self, source: &'a dyn PixelSource) -> Self {
         let [width, height] = source.size();
         let scene = Scene { width, height, ..self.scene };

@@ -1,6 +1,6 @@
-//! Which parts of a picture are worked on by themselves, and in which order.
+//! Division of a picture into tiles, and the order in which they are processed.
 
-/// A rectangle, pixels of the picture.
+/// A rectangle, in pixels of the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Area {
     pub corner: [u32; 2],
@@ -8,7 +8,7 @@ pub(super) struct Area {
 }
 
 impl Area {
-    /// Left, top, width and height.
+    /// Returns left, top, width and height.
     pub(super) fn bounds(&self) -> [u32; 4] {
         [self.corner[0], self.corner[1], self.size[0], self.size[1]]
     }
@@ -17,13 +17,13 @@ impl Area {
         f64::from(self.size[0]) * f64::from(self.size[1])
     }
 
-    /// The corner, as what local coordinates lack to those of the picture.
+    /// Returns the corner, which is the offset from local coordinates to those of the picture.
     pub(super) fn origin(&self) -> [f32; 2] {
         self.corner.map(|v| v as f32)
     }
 
-    /// Returns left, top, width and height of a part of the picture in coordinates of this one; beyond any picture
-    /// where it begins before this one.
+    /// Converts a rectangle (left, top, width and height) from coordinates of the picture to those of this area. If it
+    /// starts to the left of this area or above it, the result lies outside any picture.
     pub(super) fn inward(&self, [x, y, width, height]: [u32; 4]) -> [u32; 4] {
         let local = |v: u32, k: usize| v.checked_sub(self.corner[k]).unwrap_or(u32::MAX);
         [local(x, 0), local(y, 1), width, height]
@@ -37,19 +37,19 @@ impl Area {
     }
 }
 
-/// A tile, and the pixels that are seen while it is worked on.
+/// A tile and the pixels that are read while it is processed.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Window {
-    /// Its own pixels: primitives with their means here are its own.
+    /// The tile itself. A primitive belongs to the tile that contains its mean.
     pub core: Area,
-    /// The core and a margin around it.
+    /// The tile and a margin around it.
     pub seen: Area,
-    /// A number that no other window of the picture has.
+    /// Number of the window, unique within the picture.
     pub index: u64,
 }
 
 impl Window {
-    /// The columns and rows of its own pixels, among those that are seen.
+    /// Returns the columns and rows of the tile, relative to `seen`.
     pub(super) fn own(&self) -> (std::ops::Range<usize>, std::ops::Range<u32>) {
         let range = |k: usize| {
             let first = self.core.corner[k] - self.seen.corner[k];
@@ -60,30 +60,32 @@ impl Window {
     }
 }
 
-/// Where the tiles of a pass lie.
+/// Position of the tiles of a pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Shift {
-    /// The first begins in the picture's corner.
+    /// The first tile starts at the picture's corner.
     None,
-    /// Half a tile to the left and up, so that the seams of the other pass are in the interiors.
+    /// The tiles are shifted by half a tile to the left and up, so that the seams of unshifted tiles lie in their
+    /// interiors.
     Half,
 }
 
-/// Corners of all that is seen are multiples of this, so that positions on the lattice keep their places in a part.
+/// Corners of windows are multiples of this, in pixels, so that lattice positions of the picture are lattice positions
+/// of the window, too.
 pub(super) const UNIT: u32 = 64;
 
-/// The tiles of a picture.
+/// Layout of the tiles of a picture.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Grid {
     pub size: [u32; 2],
-    /// Half the side of a tile.
+    /// Half the side of a tile, pixels.
     pub half: u32,
     /// Width of the margin around a tile, pixels.
     pub margin: u32,
 }
 
 impl Grid {
-    /// Returns the windows of a pass in turns: those of a turn have another tile between them.
+    /// Returns the windows of a pass, grouped into turns. Any two tiles of a turn have another tile between them.
     pub(super) fn turns(&self, shift: Shift) -> Vec<Vec<Window>> {
         let side = 2 * self.half;
         let cuts = |length: u32| -> Vec<[u32; 2]> {
@@ -103,7 +105,7 @@ impl Grid {
         turns
     }
 
-    /// Returns the windows of an unshifted pass, in the order of its turns.
+    /// Returns the windows of an unshifted pass in the order of its turns.
     pub(super) fn windows(&self) -> Vec<Window> {
         self.turns(Shift::None).concat()
     }
@@ -120,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tiles_cover_each_pixel_once_and_those_of_a_turn_see_none_of_each_others() {
+    fn tiles_cover_each_pixel_once_and_tiles_of_a_turn_are_apart() {
         for (size, half, margin) in
             [([700, 390], 128, 64), ([256, 256], 128, 64), ([129, 2000], 128, 128), ([1, 1], 64, 64)]
         {

@@ -1,4 +1,4 @@
-//! The integers of a tile: a sweep of descent among those around it, which stay as they are.
+//! Optimization of the integers of a tile: a sweep of descent, while the primitives around the tile stay fixed.
 
 use super::global::GlobalContext;
 use super::grid::Window;
@@ -13,10 +13,11 @@ use crate::quantize::Quantizer;
 use crate::round::descend::Descent;
 use crate::round::size::{self, Worth};
 
-/// Places for other primitives that are looked for in a tile, as a share of those that it has, and more than that.
+/// Number of candidate primitives that are searched for in a tile: a fraction of the primitives in the tile, plus a
+/// constant.
 const OTHERS: (f32, usize) = (0.06, 8);
 
-/// A window with its integers, in coordinates of its own.
+/// A window and its integers, in the window's own coordinates.
 pub(super) struct Part<'a> {
     global: &'a GlobalContext<'a>,
     window: &'a Window,
@@ -52,7 +53,7 @@ impl<'a> Part<'a> {
         Scene { background, ..self.global.scene(&self.window.seen) }
     }
 
-    /// Returns the squared error of the tile, weighted as it is fitted.
+    /// Returns the squared error of the tile, with the weights of the fit.
     pub(super) fn error(self) -> Result<f64> {
         let target = self.global.planes(&self.window.seen)?;
         let problem = Problem { scene: self.scene(), target: &target };
@@ -60,8 +61,8 @@ impl<'a> Part<'a> {
         Ok(error_within(&problem, &descent.visible(&self.splats.gaussians), self.window.own(), Output::Gradient))
     }
 
-    /// Sweeps once over the integers, where a bit must save `lambda` of the squared error. The error that is returned
-    /// is weighted as it is fitted.
+    /// Sweeps once over the integers. A bit must save a squared error of `lambda`. The returned error has the weights
+    /// of the fit.
     pub(super) fn sweep(mut self, lambda: f64) -> Result<TileResult<PackedGaussian>> {
         let target = self.global.planes(&self.window.seen)?;
         let problem = Problem { scene: self.scene(), target: &target };
@@ -91,25 +92,25 @@ impl<'a> Part<'a> {
     }
 }
 
-/// Returns for how many other primitives places are looked for in a tile of so many.
+/// Returns the number of candidate primitives to search for in a tile of `own` primitives.
 pub(super) fn others(own: usize) -> usize {
     (own as f32 * OTHERS.0) as usize + OTHERS.1
 }
 
-/// Into a part, or out of it.
+/// Direction of a conversion: into a part, or out of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Move {
     In,
     Out,
 }
 
-/// Returns how many steps of `2^exponent` pixels a corner is from the picture's.
+/// Returns the offset of a corner from the picture's corner, in steps of `2^exponent` pixels.
 pub(super) fn steps(corner: u32, exponent: i32) -> u32 {
     if exponent >= 0 { corner >> exponent } else { corner << -exponent }
 }
 
-/// Moves a position between the picture and its part at `corner`: by whole steps, which are no longer than a
-/// [`UNIT`](super::grid::UNIT).
+/// Converts a position between coordinates of the picture and those of its part at `corner`. The offset is a whole
+/// number of steps, because no step is longer than a [`UNIT`](super::grid::UNIT).
 fn moved(p: &PackedGaussian, quantizer: &Quantizer, corner: [u32; 2], way: Move) -> PackedGaussian {
     let exponents = quantizer.lattice().exponents(p.major, p.minor, p.angle);
     let steps = |k: usize| steps(corner[k], exponents[k]);
@@ -126,7 +127,7 @@ mod tests {
     use crate::gaussian::Channels;
 
     #[test]
-    fn integers_of_a_part_stand_for_the_same_place_in_the_picture() {
+    fn positions_convert_exactly_between_a_part_and_the_picture() {
         let steps = Steps { scale: 4, angle: 1, position: 6, coarsest: 6, range: 10, luma: 6, chroma: 1 };
         let of = |size| Quantizer::new(&steps, Layout::Coded, size, Channels::Rgb);
         let (global, part) = (of([5000, 3000]), of([700, 500]));

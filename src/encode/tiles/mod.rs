@@ -1,9 +1,11 @@
-//! One picture in tiles: each is fitted by itself, in memory that its own size bounds, and all become one file.
+//! Encodes a picture in tiles. Each tile is fitted separately, in memory bounded by the size of a tile, and all tiles
+//! are written to one file.
 //!
-//! Background, steps, weights and the price of a bit are those of the whole picture, so that the tiles fit together.
-//! Each pass shifts tiles by half, so earlier seams fall in tile interiors. In the first pass each tile is fitted
-//! alone, with a margin whose primitives are dropped. Later passes continue the same schedule while the primitives
-//! around each tile stay fixed. Sweeps over the integers alternate between the two positions.
+//! Background, step sizes, weights and the price of a bit are those of the whole picture, so that the tiles match each
+//! other. Passes alternate between two positions of the tiles, half a tile apart, so that the seams of one pass lie in
+//! the interiors of the next. In the first pass, each tile is fitted alone, with a margin whose primitives are dropped.
+//! Later passes continue the same schedule, while the primitives around each tile stay fixed. Sweeps over the integers
+//! alternate between the two positions as well.
 
 mod constant;
 mod floats;
@@ -64,26 +66,26 @@ use task::{FloatWork, IntegerWork};
 pub use wire::work_on_tile;
 use wire::{PendingTile, WireFormat};
 
-/// Sides that a tile may have, pixels; a multiple of the least.
+/// Valid sides of a tile, pixels. Each is a multiple of the smallest.
 pub(super) const TILE_SIDES: std::ops::RangeInclusive<u32> = 2 * UNIT..=1 << 14;
-/// Width of the margin around a tile, in scales of a typical primitive.
+/// Width of the margin around a tile, in multiples of the scale of a typical primitive.
 const MARGIN_SCALES: f64 = 12.0;
-/// Tiles that are worked on at a time, where there are as many threads. Each takes memory: tiles of a smaller side than
-/// the default's, which are asked for to save it, are worked on one by one.
+/// Maximum number of tiles that are processed at a time, if there are as many threads. Each tile takes memory. Callers
+/// choose tiles smaller than the default to save memory, so these are processed one by one.
 const MAX_CONCURRENT: usize = 4;
-/// Share of the primitives that may change their tile at once.
+/// Maximum fraction of the primitives that are replaced by candidates, possibly in other tiles, at once.
 const MAX_SWAPPED: f64 = 0.2;
-/// Before so many sweeps the size is corrected.
+/// The file size is corrected before each of this many sweeps at the end.
 const CORRECTED_SWEEPS: u32 = 3;
-/// Sweeps that may be added to those planned, where the file is still not of its size.
+/// Maximum number of sweeps that are added to the planned ones if the file does not have its size yet.
 const MAX_ADDED_SWEEPS: u32 = 2;
-/// A file that is short of its size by less than this part of it is settled.
+/// A file is settled if it is smaller than its requested size by at most one part in this many.
 const SETTLED_PART: u64 = 200;
-/// Share of the time for Gaussians that their float fit may take.
+/// Fraction of the time for Gaussians that their float fit may use.
 const FIT_TIME: f64 = 0.7;
-/// Share of a file that Gaussians kept from another try of a search may take.
+/// Maximum fraction of a file for Gaussians that are kept from an earlier try of a search.
 const MAX_KEPT: f64 = 0.9;
-/// The steps follow from so many of the primitives: more would not change them.
+/// Maximum number of primitives from which the step sizes are derived. More primitives would not change them.
 const MAX_SAMPLED: usize = 1 << 20;
 
 /// Encodes the picture of `source` in tiles of `side` pixels.
@@ -115,7 +117,7 @@ pub(super) fn encode(
     run(TiledSession { options, source, seen: &narrowed, side, blank, windows, executor, clock, report, kept })
 }
 
-/// Checks that what `options` ask for can be kept in tiles.
+/// Returns an error if `options` ask for something that tiles do not support.
 pub(super) fn check(options: &EncodeOptions) -> Result<()> {
     let bad = |problem: &str| Err(Error::Parameter { name: "tiles", problem: problem.into() });
     match options {
@@ -126,7 +128,7 @@ pub(super) fn check(options: &EncodeOptions) -> Result<()> {
     }
 }
 
-/// Returns the tiles of `side` pixels for a picture of `count` primitives.
+/// Returns the layout of tiles of `side` pixels for a picture of `count` primitives.
 fn grid_of(scene: &Scene, count: usize, side: u32) -> Grid {
     let margin = (MARGIN_SCALES * f64::from(scene.typical_scale(count))) as u32;
     let margin = margin.next_multiple_of(UNIT).clamp(UNIT, side.max(UNIT));
@@ -137,7 +139,7 @@ fn samples_of(blank: &PackedSplats) -> f64 {
     f64::from(blank.width) * f64::from(blank.height) * blank.channels.count() as f64
 }
 
-/// An encode in tiles on its way.
+/// State of an encode in tiles.
 struct TiledSession<'a, 'b, 'c> {
     options: &'b EncodeOptions,
     /// The picture with all its channels.
@@ -146,14 +148,14 @@ struct TiledSession<'a, 'b, 'c> {
     seen: &'b dyn PixelSource,
     /// Side of the tiles, pixels.
     side: u32,
-    /// The file of what is seen, without primitives.
+    /// The file of the picture in `seen`, without primitives.
     blank: PackedSplats,
-    /// The tiles, which are also the parts in which the picture is measured.
+    /// The tiles. The picture is also measured tile by tile.
     windows: Vec<Window>,
     executor: Executor<'c>,
     clock: Clock,
     report: ReportBuilder<'a>,
-    /// Gaussians under a layer that an earlier try of a search came to.
+    /// Gaussians under a detail layer from an earlier try of a search.
     kept: Option<KeptBase>,
 }
 
@@ -242,7 +244,7 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
         Ok(())
     }
 
-    /// Large pictures are scored tile by tile: the mean of the scores, weighted by the pixels.
+    /// Scores large pictures tile by tile. Returns the mean of the scores, weighted by the number of pixels.
     #[cfg(feature = "quality")]
     fn score(&mut self, splats: &PackedSplats) -> Result<f64> {
         let (mut sum, mut area) = (0.0, 0.0);
@@ -261,7 +263,7 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
 }
 
 impl TiledSession<'_, '_, '_> {
-    /// Returns the squared error of the stored picture against `source`, in the channels of both.
+    /// Returns the squared error of the stored picture against `source`, which has the same channels.
     fn measured(&mut self, source: &dyn PixelSource, splats: &PackedSplats) -> Result<f64> {
         let clock = self.report.seconds();
         let report = &mut self.report;
@@ -271,7 +273,7 @@ impl TiledSession<'_, '_, '_> {
         Ok(error)
     }
 
-    /// Codes a layer over `base` in what is left of `most` bytes.
+    /// Codes a detail layer over `base` into the bytes that remain of `most`.
     fn layered(&mut self, mut base: Outcome, most: u64) -> Result<Outcome> {
         let clock = self.report.seconds();
         let (channels, tune, hidden) = (self.channels(), self.options.favoured(), self.options.hidden);
@@ -286,8 +288,8 @@ impl TiledSession<'_, '_, '_> {
         Ok(base)
     }
 
-    /// Fits about `count` Gaussians and rounds them to a file of `size`, or where a layer is to follow to one that is
-    /// no larger than `limit`. The fit may take `time`.
+    /// Fits about `count` Gaussians and rounds them to a file of `size`. If a detail layer follows, `limit` differs
+    /// from `size`, and the file may have any size up to `limit`. The fit may take `time`.
     fn gaussians(&mut self, count: usize, [size, limit]: [Size; 2], time: Option<Duration>) -> Result<Outcome> {
         let clock = self.report.seconds();
         let has_layer = size != limit;
@@ -331,7 +333,7 @@ impl TiledSession<'_, '_, '_> {
     }
 }
 
-/// Returns the squared error between a picture that is read in parts and the stored one.
+/// Returns the squared error between a picture that is read in parts and the stored picture.
 fn squared_error(
     (source, hidden): (&dyn PixelSource, HiddenColors),
     parts: &[Window],
@@ -343,29 +345,29 @@ fn squared_error(
         show(i as f32 / parts.len() as f32)?;
         let area = part.core.bounds();
         let wanted = Planes::with_hidden(&source.part(area)?, hidden);
-        // 16 bits are finer than any error that is worth a report.
+        // The rounding error of 16 bits is smaller than any error worth reporting.
         error += parts::error_between(&wanted, &Planes::new(&drawn_part(splats, area, Depth::Sixteen)?));
     }
     Ok(error)
 }
 
-/// A fit of Gaussians in tiles, and their rounding.
+/// A fit of Gaussians in tiles, and their rounding to integers.
 struct TiledFit<'s, 'a, 'b, 'c, 'g> {
     session: &'s mut TiledSession<'a, 'b, 'c>,
     grid: Grid,
     global: GlobalContext<'g>,
     metadata: Metadata,
-    /// Size of the file of Gaussians.
+    /// Requested size of the file with the Gaussians alone.
     size: Size,
     /// Size that the file must not exceed.
     limit: Size,
     /// Bytes of the file without primitives.
     fixed: u64,
-    /// When the file should be done.
+    /// Time at which the file should be complete.
     until: Option<Instant>,
 }
 
-/// A stage of an encode, and the part of it that is worked on.
+/// A stage of an encode, and the part of it that is in progress.
 #[derive(Clone, Copy)]
 struct ProgressRange {
     stage: &'static str,
@@ -374,7 +376,7 @@ struct ProgressRange {
 }
 
 impl ProgressRange {
-    /// The `part`th of `parts` that are as long.
+    /// Returns part `part`, counted from 0, of `parts` equal parts.
     fn part(stage: &'static str, part: usize, parts: usize) -> Self {
         let [from, to] = [part, part + 1].map(|k| k as f32 / parts as f32);
         ProgressRange { stage, from, to }
@@ -386,8 +388,8 @@ impl ProgressRange {
 }
 
 impl TiledFit<'_, '_, '_, '_, '_> {
-    /// Has `work` done for every window of a pass in turns. Returns others that would help, and the squared error of
-    /// all tiles.
+    /// Runs `work` on every window of a pass, one turn at a time. Returns candidate primitives, and the squared error
+    /// of all tiles.
     fn pass<T: WireFormat>(
         &mut self,
         (stretch, shift): (ProgressRange, Shift),
@@ -412,7 +414,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         Ok((others, error))
     }
 
-    /// Has `work` done for windows that do not wait for each other; returns what came of it.
+    /// Runs `work` on windows that do not depend on each other, and returns the results.
     fn turn<T: WireFormat>(
         &mut self,
         stretch: ProgressRange,
@@ -457,14 +459,14 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         Ok(results)
     }
 
-    /// Fits floats and puts them into `mosaic`; returns their squared error.
+    /// Fits floats and puts them into `mosaic`. Returns their squared error.
     fn fit(&mut self, mosaic: &mut Mosaic<'_, Primitive>) -> Result<f64> {
         let clock = self.session.report.seconds();
         let windows = self.grid.windows();
         let time = self.until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(FIT_TIME));
         let mut last = floats::ALONE;
         self.give_time(time.map(|time| time.mul_f32(last)), windows.len());
-        // By itself no tile waits for another.
+        // In the first pass, no tile depends on another.
         let initial_count = self.turn(ProgressRange::part("fit", 0, 1), &windows, FloatWork::Begin, mosaic)?;
         let mut error = initial_count.iter().map(|b| b.error).sum();
         let mut others = Vec::new();
@@ -496,7 +498,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         Ok(error)
     }
 
-    /// Sets how long the work on a window may take where all `windows` of a pass may take `time`.
+    /// Sets the time limit for the work on one window, given the `time` for all `windows` of a pass.
     fn give_time(&mut self, time: Option<Duration>, windows: usize) {
         let at_once = match &self.session.executor {
             Executor::Own => self.concurrent().min(parallel::threads()),
@@ -506,12 +508,13 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         self.global.settings.seconds = time.map(|time| time.as_secs_f64() / turns as f64);
     }
 
-    /// Returns the number of windows that are worked on at a time here.
+    /// Returns the number of windows that the encoder's own threads process at a time.
     fn concurrent(&self) -> usize {
         if 2 * self.grid.half < DEFAULT_TILE_SIDE { 1 } else { MAX_CONCURRENT }
     }
 
-    /// Adds a point to the trace for `mosaic`, whose squared error is `error`, rounded to the nearest integers.
+    /// Adds a point to the trace: the floats in `mosaic`, whose squared error is `error`, rounded to the nearest
+    /// integers.
     fn trace_floats(&mut self, stage: &'static str, mosaic: &Mosaic<'_, Primitive>, error: f64) -> Result<()> {
         if !self.session.report.tracer.is_on() {
             return Ok(());
@@ -525,7 +528,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         self.trace(stage, &splats)
     }
 
-    /// Adds a point to the trace, if there is one.
+    /// Adds a point to the trace if tracing is on.
     fn trace(&mut self, stage: &'static str, splats: &PackedSplats) -> Result<()> {
         if !self.session.report.tracer.is_on() {
             return Ok(());
@@ -538,7 +541,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         Ok(())
     }
 
-    /// Returns the bytes that a primitive takes.
+    /// Returns the average number of bytes per primitive in the file.
     fn price(&mut self, mosaic: &Mosaic<'_, Primitive>, error: f64) -> Result<f64> {
         let every = mosaic.count() / MAX_SAMPLED + 1;
         let some: Vec<Primitive> = mosaic.all().step_by(every).map(|p| p.what).collect();
@@ -551,11 +554,12 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         Ok((bytes.saturating_sub(fixed) as f64 / mosaic.count().max(1) as f64).max(0.5))
     }
 
-    /// Chooses the steps of the file for `some` of its primitives, whose squared error is `error`.
+    /// Chooses the step sizes of the file, given a sample of its primitives and the squared error of all. Returns its
+    /// quantizer.
     fn set_steps(&mut self, some: &[Primitive], error: f64) -> Quantizer {
         let blank = &self.global.blank;
         let mut steps = rounded::steps(some, blank.layout, decibels(error, samples_of(blank)));
-        // Parts begin at whole steps.
+        // The corners of windows must be multiples of the coarsest step.
         let too_coarse = steps.coarsest - UNIT.ilog2() as i8;
         if too_coarse > 0 {
             (steps.coarsest, steps.range) = (steps.coarsest - too_coarse, steps.range - too_coarse as u8);
@@ -566,7 +570,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         quantizer
     }
 
-    /// Rounds `floats`, whose squared error is `error`, and brings them to the size that is asked for.
+    /// Rounds `floats`, whose squared error is `error`, and brings the file to the requested size.
     fn round(mut self, floats: Vec<Primitive>, error: f64) -> Result<Outcome> {
         let clock = self.session.report.seconds();
         let float_error = error;
@@ -584,7 +588,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         let mut took = Duration::ZERO;
         for round in 0..sweeps + MAX_ADDED_SWEEPS {
             let start = Instant::now();
-            // What is too large after the last sweep that there is time for is trimmed below.
+            // If no time remains for another sweep, a file that is too large is trimmed below.
             if round > 0 && self.until.is_some_and(|end| start + took > end) {
                 break;
             }
@@ -596,7 +600,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
             bytes = self.write(&mosaic)?;
             took = start.elapsed();
             self.trace("finish", &self.splats(&mosaic))?;
-            // The layer takes what its base leaves of the bytes, few or many.
+            // The size of a base is not corrected, because the detail layer takes all remaining bytes.
             let (Size::Bytes(most), false) = (self.size, self.global.settings.is_base) else {
                 if round + 1 == sweeps {
                     break;
@@ -625,20 +629,20 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         Ok(Outcome { bytes, splats, float_error, quality: None })
     }
 
-    /// Writes the file.
+    /// Writes the file and returns its bytes.
     fn write(&self, mosaic: &Mosaic<'_, PackedGaussian>) -> Result<Vec<u8>> {
         let mut splats = self.splats(mosaic);
         let bytes = file::smallest(&mut splats, self.session.options.levels)?;
         if self.session.fits_all_channels() { Ok(bytes) } else { self.session.file(&splats) }
     }
 
-    /// Returns what is fitted.
+    /// Returns the integers of the primitives in `mosaic`, without the constant channels.
     fn splats(&self, mosaic: &Mosaic<'_, PackedGaussian>) -> PackedSplats {
         let gaussians = mosaic.all().map(|p| p.what).collect();
         PackedSplats { gaussians, metadata: self.metadata.clone(), ..self.global.blank.clone() }
     }
 
-    /// Takes away what is too much.
+    /// Removes the cheapest primitives until the file is within its limit. Returns the bytes of the file.
     fn within(&self, mosaic: &mut Mosaic<'_, PackedGaussian>, mut bytes: Vec<u8>) -> Result<Vec<u8>> {
         let Size::Bytes(most) = self.limit else { return Ok(bytes) };
         while bytes.len() as u64 > most {

@@ -1,16 +1,16 @@
-//! Primitives of a whole picture, kept by place so that those of a part are found at once.
+//! Primitives of a whole picture, indexed by position for fast access to the primitives of a part.
 
 use super::grid::{Area, Grid};
 use crate::gaussian::Gaussian;
 
-/// A primitive, and what the picture would lose without it: squared error.
+/// A primitive and its cost: the increase of the squared error if it were removed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Placed<T> {
     pub what: T,
     pub cost: f32,
 }
 
-/// Primitives of a tile, and others that reach into what is seen of it.
+/// Primitives of a tile, and other primitives that reach into the tile's window.
 pub(super) struct Around<T> {
     pub own: Vec<T>,
     pub others: Vec<T>,
@@ -18,9 +18,9 @@ pub(super) struct Around<T> {
 
 /// Result of the work on a tile.
 pub(super) struct TileResult<T> {
-    /// Its primitives, in the picture's coordinates.
+    /// Primitives of the tile, in the picture's coordinates.
     pub own: Vec<Placed<T>>,
-    /// Others that would help; the cost is what they bring.
+    /// Candidate primitives. Their cost is the estimated decrease of the squared error if they were added.
     pub others: Vec<Placed<T>>,
     /// Squared error of the tile.
     pub error: f64,
@@ -33,7 +33,8 @@ impl<T> TileResult<T> {
     }
 }
 
-/// Primitives in squares of half a tile: any tile, shifted or not, is made of whole squares.
+/// Primitives, grouped into squares with half the side of a tile. Every tile, shifted or not, consists of whole
+/// squares.
 pub(super) struct Mosaic<'a, T> {
     half: u32,
     columns: usize,
@@ -44,12 +45,12 @@ pub(super) struct Mosaic<'a, T> {
 #[derive(Debug, Clone)]
 struct Square<T> {
     placed: Vec<Placed<T>>,
-    /// How far any of them reaches from its mean, pixels.
+    /// Maximum distance from its mean that any of the primitives reaches, pixels.
     reach: f32,
 }
 
 impl<'a, T: Copy> Mosaic<'a, T> {
-    /// An empty one; `look` tells what a primitive looks like in the picture.
+    /// Creates an empty mosaic. `look` converts a primitive to a Gaussian of the picture.
     pub(super) fn new(grid: &Grid, look: &'a dyn Fn(&T) -> Gaussian) -> Self {
         let [columns, rows] = grid.size.map(|side| side.div_ceil(grid.half) as usize);
         Mosaic {
@@ -78,7 +79,7 @@ impl<'a, T: Copy> Mosaic<'a, T> {
         square.placed.push(placed);
     }
 
-    /// The squares of a tile.
+    /// Returns the indices of the squares of a tile.
     fn indices(&self, core: &Area) -> Vec<usize> {
         let range = |k: usize| core.corner[k] / self.half..(core.corner[k] + core.size[k]).div_ceil(self.half);
         range(1)
@@ -92,7 +93,7 @@ impl<'a, T: Copy> Mosaic<'a, T> {
         self.indices(core).into_iter().flat_map(|i| self.squares[i].placed.iter().map(|p| p.what)).collect()
     }
 
-    /// Returns the other primitives that reach into `seen`.
+    /// Returns the primitives of other tiles that reach into `seen`.
     fn others(&self, core: &Area, seen: &Area) -> Vec<T> {
         let own = self.indices(core);
         let touches = |low: [f32; 2], high: [f32; 2]| {
@@ -114,12 +115,12 @@ impl<'a, T: Copy> Mosaic<'a, T> {
         out
     }
 
-    /// Returns the primitives of a tile, and the others that reach into `seen`.
+    /// Returns the primitives of a tile, and primitives of other tiles that reach into `seen`.
     pub(super) fn around(&self, core: &Area, seen: &Area) -> Around<T> {
         Around { own: self.own(core), others: self.others(core, seen) }
     }
 
-    /// Puts what became of tiles in their place.
+    /// Replaces the primitives of tiles by the results of work on them.
     pub(super) fn replace(&mut self, results: Vec<(Area, Vec<Placed<T>>)>) {
         for (core, _) in &results {
             for i in self.indices(core) {
@@ -129,7 +130,7 @@ impl<'a, T: Copy> Mosaic<'a, T> {
         results.into_iter().flat_map(|(_, placed)| placed).for_each(|placed| self.insert(placed));
     }
 
-    /// Takes away the `count` that cost least.
+    /// Removes the `count` primitives with the lowest costs.
     pub(super) fn remove_cheapest(&mut self, count: usize) {
         if count == 0 {
             return;
@@ -140,7 +141,7 @@ impl<'a, T: Copy> Mosaic<'a, T> {
             return;
         }
         let bar = *costs.select_nth_unstable_by(count, f32::total_cmp).1;
-        // Of primitives with the same cost, take out the first ones.
+        // Among primitives of equal cost, the first ones are removed.
         let mut left = count - costs[..count].iter().filter(|c| c.total_cmp(&bar).is_lt()).count();
         for square in &mut self.squares {
             square.placed.retain(|p| match p.cost.total_cmp(&bar) {
@@ -154,8 +155,9 @@ impl<'a, T: Copy> Mosaic<'a, T> {
         }
     }
 
-    /// Brings the number to about `wanted`: takes away those that cost least, adds those of `others` that bring most.
-    /// As long as another brings more than one costs, at most `swaps` more change places.
+    /// Changes the number of primitives to about `wanted`: removes the cheapest ones, or adds the best candidates in
+    /// `others`. Then replaces at most `swaps` of the cheapest primitives by candidates that gain more than the
+    /// primitives cost.
     pub(super) fn balance(&mut self, mut others: Vec<Placed<T>>, wanted: usize, swaps: usize) {
         let have = self.count();
         others.sort_by(|a, b| b.cost.total_cmp(&a.cost));
@@ -191,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tile_has_what_is_in_it_and_sees_what_reaches_in() {
+    fn a_tile_returns_its_primitives_and_others_that_reach_into_it() {
         let grid = Grid { size: [300, 200], half: 64, margin: 64 };
         let mut mosaic = Mosaic::new(&grid, &look);
         let points = [[10.0, 10.0], [127.0, 5.0], [130.0, 5.0], [200.0, 5.0], [299.9, 199.9], [300.5, -1.0]];
@@ -207,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn the_cheapest_go_and_the_best_come() {
+    fn the_cheapest_primitives_are_removed_and_the_best_candidates_added() {
         let grid = Grid { size: [300, 200], half: 64, margin: 64 };
         let mut mosaic = Mosaic::new(&grid, &look);
         (0..10).for_each(|i| mosaic.insert(at(29.0 * i as f32, 7.0, (i / 2) as f32)));
@@ -216,7 +218,8 @@ mod tests {
         let others = || [0.5, 9.0, 2.5, 8.0].map(|gain| at(5.0, 5.0, gain)).to_vec();
         mosaic.balance(others(), 8, 0);
         assert_eq!(costs(&mosaic), [1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0, 9.0]);
-        // One is added, and one more changes places: the next would bring less than it costs.
+        // One candidate is added and one replaces a primitive. The next candidate would gain less than the cheapest
+        // primitive costs.
         mosaic.balance(vec![at(5.0, 5.0, 2.5), at(5.0, 5.0, 1.5), at(5.0, 5.0, 7.0)], 9, 5);
         assert_eq!(costs(&mosaic), [2.0, 2.0, 2.5, 3.0, 3.0, 4.0, 4.0, 7.0, 9.0]);
         mosaic.balance(Vec::new(), 2, 5);

@@ -1,4 +1,4 @@
-//! A picture that is read a part at a time, without the channels that say nothing.
+//! A picture that is read in parts, without its constant channels.
 
 use super::grid::Window;
 use crate::encode::channels::{Silent, narrowed};
@@ -8,15 +8,16 @@ use crate::gaussian::Channels;
 use crate::pixel_source::PixelSource;
 use crate::pixels::{Depth, Pixels};
 
-/// A picture of which only some channels are seen.
+/// A picture with only some of its channels.
 pub(super) struct Narrowed<'a> {
     source: &'a dyn PixelSource,
     channels: Channels,
 }
 
 impl<'a> Narrowed<'a> {
-    /// Reads `tiles`, which make up the picture of `source`, until no channel can be constant any more, and names the
-    /// channels that are. `show` is called for each tile.
+    /// Reads `tiles`, which together cover the picture of `source`, until no channel can be constant any more. Returns
+    /// the picture without its constant channels, and the name of these channels, if there are any. Calls `show` for
+    /// each tile.
     pub(super) fn new(
         source: &'a dyn PixelSource,
         tiles: &[Window],

@@ -1,4 +1,4 @@
-//! A picture that is read a part at a time, at a fraction of its size: what a fit of few primitives needs to see of it.
+//! A downscaled picture that is read in parts. A fit of few primitives needs no more detail.
 
 use crate::error::Result;
 use crate::gaussian::Channels;
@@ -6,10 +6,10 @@ use crate::options::HiddenColors;
 use crate::pixel_source::{PixelSource, check_area};
 use crate::pixels::{Depth, Pixels, Samples};
 
-/// Rows that are made at a time.
+/// Number of rows that are computed at a time.
 const ROWS: usize = 32;
 
-/// A picture whose pixels are the means of squares of another's.
+/// A picture whose pixels are the means of squares of pixels of another picture.
 pub(super) struct Shrunk<'a> {
     source: &'a dyn PixelSource,
     /// Side of the squares, pixels.
@@ -18,7 +18,8 @@ pub(super) struct Shrunk<'a> {
 }
 
 impl<'a> Shrunk<'a> {
-    /// Makes squares of `by` pixels a side one pixel each; those at the right and the lower border may be cut off.
+    /// Downscales `source`: each square of `by` × `by` pixels becomes a pixel. Squares at the right and bottom edges
+    /// may be cut off.
     pub(super) fn new(source: &'a dyn PixelSource, by: u32, hidden: HiddenColors) -> Self {
         Shrunk { source, by, hidden }
     }
@@ -53,7 +54,7 @@ impl PixelSource for Shrunk<'_> {
             Depth::Eight => Samples::U8(Vec::new()),
             Depth::Sixteen => Samples::U16(Vec::new()),
         };
-        // A few rows at a time: all pixels of the squares may take much memory.
+        // Only a few rows are read at a time, because the pixels of all squares may take much memory.
         for rows in (y..y + height).step_by(ROWS) {
             let [top, bottom] = [at(rows, 1), at((rows + ROWS as u32).min(y + height), 1)];
             let pixels = self.source.part([left, top, right - left, bottom - top])?;
@@ -71,8 +72,8 @@ impl PixelSource for Shrunk<'_> {
     }
 }
 
-/// Returns the means of squares of `by` pixels a side, rounded; colours count by their opacity, unless hidden ones are
-/// kept.
+/// Returns the rounded means of squares of `by` × `by` pixels. Colours are weighted by their opacity, unless hidden
+/// colours are kept.
 fn means<T: Copy + Into<u64>>(
     samples: &[T],
     pixels: &Pixels,
@@ -83,8 +84,8 @@ fn means<T: Copy + Into<u64>>(
     let [width, height] = [pixels.width(), pixels.height()].map(|v| v as usize);
     let (count, alpha) = (channels.count(), channels.alpha().filter(|_| hidden == HiddenColors::Continue));
     let mut out = Vec::with_capacity(width.div_ceil(by) * height.div_ceil(by) * count);
-    // For each column of squares: the sum of each channel times its weight, then the sums of the weights of colours and
-    // of pixels.
+    // Sums for each column of squares: each channel times its weight, the weights of the colours, and the number of
+    // pixels.
     let mut sums = vec![[0u64; 6]; width.div_ceil(by)];
     for rows in samples.chunks(width * count * by) {
         sums.fill([0; 6]);
@@ -103,7 +104,7 @@ fn means<T: Copy + Into<u64>>(
         for sum in &sums {
             let mean = |k: usize| {
                 let all = sum[if alpha == Some(k) { 5 } else { 4 }];
-                // Where all is clear, any colour will do.
+                // In a fully transparent square, any colour will do.
                 (sum[k] + all / 2).checked_div(all).unwrap_or(0)
             };
             out.extend((0..count).map(|k| sample(mean(k))));
@@ -117,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pixels_are_means_of_squares_and_colours_count_by_their_opacity() {
+    fn pixels_are_means_of_squares_weighted_by_opacity() {
         let values = [200, 255, 100, 0, 50, 255, 10, 255, 30, 85, 90, 170];
         let picture = Pixels::new(3, 2, Channels::GreyAlpha, Samples::U8(values.to_vec())).unwrap();
         let half = Shrunk::new(&picture, 2, HiddenColors::Continue);
@@ -130,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_is_that_of_the_smaller_picture() {
+    fn a_part_equals_the_same_area_of_the_downscaled_picture() {
         for channels in [Channels::Grey, Channels::Rgb, Channels::Rgba] {
             let (width, height) = (37u32, 70u32);
             let samples = (0..width * height * channels.count() as u32).map(|i| (i.wrapping_mul(40_503) >> 3) as u16);

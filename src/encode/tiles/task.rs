@@ -1,4 +1,4 @@
-//! The work on a tile: what can be done with it, and with which primitives around it.
+//! The kinds of work on a tile, and the pixels and primitives that each kind needs.
 
 use super::floats::{self, Show};
 use super::global::GlobalContext;
@@ -12,31 +12,31 @@ use crate::fit::model::drawing::project::Primitive;
 /// Work on the floats of a tile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum FloatWork {
-    /// The fit of a tile by itself.
+    /// Fits the tile alone.
     Begin,
-    /// Continuation of the fit, in the pass of [`floats::JOINED`] with this index.
+    /// Continues the fit, in the pass of [`floats::JOINED`] with this index.
     Join(usize),
 }
 
 /// Work on the integers of a tile.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum IntegerWork {
-    /// Look at the error, weighted as it is fitted.
+    /// Measures the error with the weights of the fit.
     Weigh,
-    /// A sweep, in which a bit must save so much of the squared error.
+    /// Runs a sweep in which a bit must save this much of the squared error.
     Sweep(f64),
 }
 
-/// Primitives that can be worked on. What comes of it follows from the whole, the window, the work and the primitives
-/// alone, wherever it is done.
+/// Primitives that can be worked on. The result depends only on the global context, the window, the work and the
+/// primitives, and not on where the work is done.
 pub(super) trait Worked: Copy + Send {
-    /// Kinds of work on these primitives.
+    /// The kinds of work on these primitives.
     type Work: Copy + Sync;
 
-    /// Returns the pixels that the work takes.
+    /// Returns the area of the picture that the work needs.
     fn pixels(window: &Window, work: Self::Work) -> Area;
 
-    /// Does the work.
+    /// Does the work and returns its result.
     fn work(
         global: &GlobalContext<'_>,
         what: (&Window, Self::Work),
@@ -44,7 +44,7 @@ pub(super) trait Worked: Copy + Send {
         show: Show<'_>,
     ) -> Result<TileResult<Self>>;
 
-    /// Returns the primitives that the work takes.
+    /// Returns the primitives that the work needs.
     fn around(mosaic: &Mosaic<'_, Self>, window: &Window, work: Self::Work) -> Around<Self> {
         mosaic.around(&window.core, &Self::pixels(window, work))
     }

@@ -1,8 +1,8 @@
-//! The work on a tile as bytes, and what came of it as bytes: for workers elsewhere. Little-endian; of one version of
-//! the crate, whose number both name.
+//! Wire format of tasks and answers for external workers. Numbers are little-endian. Each task and each answer contains
+//! the version of the crate, which must be the same on both sides.
 //!
-//! Bytes may come from strangers: a task holds no more than its own length backs, and what an answer says is checked
-//! like a file's contents.
+//! The bytes may come from untrusted sources. The length of a task bounds the memory that reading it takes. The
+//! contents of an answer are checked like the contents of a file.
 
 use std::ops::ControlFlow;
 
@@ -30,21 +30,21 @@ use crate::pixel_source::{PixelSource, check_area};
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::strict_math::StrictMath;
 
-/// First bytes of a task, with the version of its layout.
+/// First bytes of a task, including the version of its layout.
 const TASK: &[u8] = b"ssplat task 1, ";
-/// First bytes of an answer, with the version of its layout.
+/// First bytes of an answer, including the version of its layout.
 const ANSWER: &[u8] = b"ssplat answer 1, ";
-/// The version that wrote the bytes.
+/// Version of the crate that wrote the bytes.
 const VERSION: &[u8] = env!("CARGO_PKG_VERSION").as_bytes();
-/// Largest magnitude of anything in a primitive: beyond the longest side, and far beyond a colour.
+/// Maximum magnitude of a number in a primitive. It exceeds the longest side, and is far larger than any colour.
 const FAR: f32 = 2_097_152.0;
 
-/// Does the work of `task`, which [`Workers`](crate::encode::Workers) were given, and returns the answer. Equal tasks
-/// have equal answers. `progress` is called meanwhile.
+/// Does the work of `task`, which was submitted to [`Workers`](crate::encode::Workers), and returns the answer. Equal
+/// tasks have equal answers. Calls `progress` during the work.
 ///
 /// # Errors
-/// [`Error::Parameter`] naming `task` if the bytes are not a task of this version of the crate; [`Error::Cancelled`] if
-/// `progress` returns [`ControlFlow::Break`].
+/// [`Error::Parameter`] with the name `task` if the bytes are not a task of this version of the crate;
+/// [`Error::Cancelled`] if `progress` returns [`ControlFlow::Break`].
 pub fn work_on_tile(task: &[u8], progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>) -> Result<Vec<u8>> {
     let mut show = |done: f32| match progress(&Progress { stage: "tile", done, psnr: None }) {
         ControlFlow::Continue(()) => Ok(()),
@@ -76,7 +76,7 @@ fn done(task: &[u8], show: Show<'_>) -> Result<Vec<u8>> {
     }
 }
 
-/// Reads what else a task says, does its work and writes the answer.
+/// Reads the rest of a task, does its work and writes the answer.
 fn worked<T: WireFormat>(
     mut bytes: Bytes<'_>,
     blank: PackedSplats,
@@ -99,7 +99,7 @@ fn worked<T: WireFormat>(
     answer(name, &T::work(&global, (window, work), Around { own, others }, show)?)
 }
 
-/// Says what is wrong with the bytes `name`.
+/// Converts an error in the bytes called `name` to an [`Error::Parameter`].
 fn bad(name: &'static str, error: Error) -> Error {
     let problem = match error {
         Error::Format(e) => e.to_string(),
@@ -114,7 +114,7 @@ fn refused(field: &'static str, value: u64) -> Error {
     FormatError::BadValue { field, value }.into()
 }
 
-/// A task that was sent off.
+/// A task that has been submitted and not yet answered.
 pub(super) struct PendingTile {
     name: u32,
     window: Window,
@@ -122,7 +122,7 @@ pub(super) struct PendingTile {
 }
 
 impl PendingTile {
-    /// Records the bytes of a `task`, whose answer has at most `most` primitives of either kind.
+    /// Records a submitted `task`. Its answer has at most `most` primitives and at most `most` candidates.
     pub(super) fn new(task: &[u8], window: &Window, most: usize) -> Self {
         PendingTile { name: name_of(task), window: *window, most }
     }
@@ -130,7 +130,7 @@ impl PendingTile {
     /// Reads the answer to the task.
     ///
     /// # Errors
-    /// [`Error::Parameter`] naming `answer` and the tile.
+    /// [`Error::Parameter`] with the name `answer`, and the position of the tile in its text.
     pub(super) fn answer<T: WireFormat>(&self, global: &GlobalContext<'_>, bytes: &[u8]) -> Result<TileResult<T>> {
         self.read(global, bytes).map_err(|e| match bad("answer", e) {
             Error::Parameter { name, problem } => {
@@ -184,7 +184,7 @@ fn answer<T: WireFormat>(name: u32, results: &TileResult<T>) -> Result<Vec<u8>> 
     Ok(closed(out))
 }
 
-/// Writes the task of a window.
+/// Writes the task for a window.
 pub(super) fn task<T: WireFormat>(
     global: &GlobalContext<'_>,
     (window, work): (&Window, T::Work),
@@ -242,12 +242,12 @@ fn closed(mut out: Vec<u8>) -> Vec<u8> {
     out
 }
 
-/// The name of a task: its checksum.
+/// Returns the name of a task, which is its checksum.
 fn name_of(task: &[u8]) -> u32 {
     task.last_chunk().map_or(0, |c| u32::from_le_bytes(*c))
 }
 
-/// Checks what stands around the contents of a task or an answer, and returns these.
+/// Checks the version and the checksum of a task or an answer, and returns its contents.
 fn opened<'a>(bytes: &'a [u8], kind: &'static [u8]) -> Result<Bytes<'a>> {
     let wrong = |problem: String| Err(Error::Parameter { name: "bytes", problem });
     let Some(rest) = bytes.strip_prefix(kind) else {
@@ -274,7 +274,7 @@ fn opened<'a>(bytes: &'a [u8], kind: &'static [u8]) -> Result<Bytes<'a>> {
     Ok(Bytes::new(contents, start as u64))
 }
 
-/// Reads a number that is no less than 0 and not infinite.
+/// Reads a finite number that is not negative.
 fn f64_of(bytes: &mut Bytes<'_>, field: &'static str) -> Result<f64> {
     let value = bytes.f64(field)?;
     if value.is_finite() && value >= 0.0 { Ok(value) } else { Err(refused(field, value.to_bits())) }
@@ -285,7 +285,7 @@ fn f32_of(bytes: &mut Bytes<'_>, field: &'static str) -> Result<f32> {
     if value.abs() <= FAR { Ok(value) } else { Err(refused(field, value.to_bits().into())) }
 }
 
-/// The pixels that a task brings, in their place in the picture.
+/// The pixels of a task, at their position in the picture.
 struct Cut {
     size: [u32; 2],
     area: Area,
@@ -332,7 +332,7 @@ fn blank_of(bytes: &mut Bytes<'_>) -> Result<PackedSplats> {
     if !blank.gaussians.is_empty() {
         return Err(refused("number of primitives", blank.gaussians.len() as u64));
     }
-    // Positions keep their places in a part.
+    // The corners of windows must be multiples of the coarsest step.
     if blank.steps.coarsest > UNIT.ilog2() as i8 {
         return Err(refused("coarsest step", blank.steps.coarsest as u64));
     }
@@ -355,8 +355,8 @@ fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Res
     let count = count as usize;
     let seed = u64::from_le_bytes(bytes.array("seed")?);
     let enough = f64_of(bytes, "enough")?;
-    // Whether bits have a price, whether a layer comes on top, whether hidden colours count, and whether there is a
-    // budget of time.
+    // The flags: whether bits have a price, whether a detail layer follows, whether hidden colours count, and whether
+    // there is a time budget.
     let [is_priced, is_base, keeps_hidden, is_timed] = match bytes.array("flags")? {
         [flags @ 0..=15] => [0, 1, 2, 3].map(|k| flags >> k & 1 != 0),
         [other] => return Err(refused("flags", other.into())),
@@ -397,11 +397,11 @@ fn window_of(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {
     Ok(Window { core, seen, index: u64::from_le_bytes(bytes.array("number of the tile")?) })
 }
 
-/// Bounds that the primitives of a task or an answer are checked against.
+/// Bounds for the primitives of a task or an answer.
 pub(super) struct Bars {
     size: [u32; 2],
     global: Rules,
-    /// Rules of the part of the picture that is seen around a tile.
+    /// Rules for a file of the window alone.
     part: Rules,
     corner: [u32; 2],
 }
@@ -417,16 +417,16 @@ impl Bars {
     }
 }
 
-/// Primitives that go out to workers.
+/// Primitives that can be sent to workers.
 pub(super) trait WireFormat: Worked {
-    /// Writes which work is to be done.
+    /// Writes the kind of work.
     fn put_work(work: Self::Work, out: &mut Vec<u8>);
     fn put(&self, out: &mut Vec<u8>);
-    /// Reads one, and refuses what no encode makes.
+    /// Reads a primitive. Returns an error if no encode produces its values.
     fn read(bytes: &mut Bytes<'_>, bars: &Bars) -> Result<Self>;
-    /// Refuses one that does not lie in what is seen of a tile.
+    /// Returns an error if the primitive lies outside the window of the tile.
     fn check_inside(&self, bars: &Bars) -> Result<()>;
-    /// Returns how many primitives of either kind there can be in an answer to work on `own` primitives.
+    /// Returns the maximum number of primitives, and of candidates, in an answer to work on `own` primitives.
     fn most(work: Self::Work, own: usize) -> usize;
 }
 
@@ -457,7 +457,7 @@ impl WireFormat for Primitive {
             *v = next("colour")?;
         }
         for k in 0..2 {
-            // A mean on the edge may be rounded to beyond it.
+            // Rounding may move a mean on the edge slightly beyond it.
             if !(-1.0..=bars.size[k] as f32 + 1.0).contains(&mean[k]) {
                 return Err(refused(["x", "y"][k], mean[k].to_bits().into()));
             }
@@ -468,7 +468,7 @@ impl WireFormat for Primitive {
         Ok(Primitive { mean, log_scale, rotation, color })
     }
 
-    /// The fit brings them there.
+    /// Accepts any position, because the fit moves primitives into the window.
     fn check_inside(&self, _: &Bars) -> Result<()> {
         Ok(())
     }

@@ -100,7 +100,7 @@ mod tests {
 
     #[test]
     #[cfg_attr(miri, ignore = "zstd is C, which miri does not run")]
-    fn what_the_compressor_writes_has_the_outline_and_is_read() {
+    fn compressed_frames_pass_the_checks_and_round_trip() {
         for plane in planes() {
             let frame = compress(&plane).unwrap().unwrap();
             assert!(outline(&frame, plane.len()).is_some(), "{} bytes: {:02x?}", plane.len(), &frame[..8]);
@@ -111,7 +111,7 @@ mod tests {
 
     #[test]
     #[cfg_attr(miri, ignore = "zstd is C, which miri does not run")]
-    fn frames_that_libraries_read_in_their_own_ways_are_refused() {
+    fn frames_that_libraries_read_differently_are_refused() {
         let plane: Vec<u8> = (0..5000).map(|i| (i / 3 % 50) as u8).collect();
         let frame = compress(&plane).unwrap().unwrap();
         let changed = |at: usize, value: u8| {
