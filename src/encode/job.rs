@@ -1,8 +1,6 @@
 //! Runs a single fit of a whole picture and rounds the result to a file.
 
-use super::detail::error::{self, Counted};
 use super::file;
-use super::input::stored_scene;
 use super::report::Stage;
 use super::session::Outcome;
 use super::skipped::SkipReason;
@@ -13,17 +11,14 @@ use crate::error::Result;
 use crate::fit::Fitted;
 use crate::fit::engine::{Ending, Snapshot, Watcher};
 use crate::fit::job::Job;
-use crate::fit::model::drawing::field::squared_error;
 use crate::fit::model::drawing::project::Primitive;
-use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::objective::{masking, structure};
 use crate::fit::model::problem::Problem;
 use crate::fit::plan::{Plan, fraction};
-use crate::gaussian::Channels;
 use crate::options::{Needs, Recipe, Tune};
 use crate::pixels::Depth;
 use crate::round::finish::{self, Client, Rounding};
-use crate::round::rounded::{Rounded, projected};
+use crate::round::rounded::Rounded;
 use crate::round::size::Size;
 use crate::strict_math::StrictMath;
 use crate::target::Target;
@@ -116,15 +111,6 @@ impl WholeSession<'_> {
         self.report.stage("finish", clock);
         Ok(Outcome { bytes, splats, float_error: finished.float_error, quality: None })
     }
-}
-
-/// Returns the squared error of a stored picture over the samples of `planes`. `channels` are those of the file.
-pub(super) fn stored_error(splats: &PackedSplats, planes: &Planes, channels: Channels) -> f64 {
-    let projected = projected(&splats.quantizer(), &splats.gaussians, splats.height);
-    if let Some(layer) = &splats.detail {
-        return error::squared_error((stored_scene(splats), planes), &projected, (layer, channels), Counted::Alike);
-    }
-    squared_error(&Problem { scene: stored_scene(splats), target: planes }, &projected)
 }
 
 /// Returns the mean squared error per sample at which further iterations gain nothing. That is the error of rounding to

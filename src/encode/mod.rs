@@ -14,6 +14,7 @@ mod file;
 mod hidden;
 mod input;
 mod job;
+mod pipeline;
 mod prune;
 mod rate_control;
 mod report;

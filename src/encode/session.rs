@@ -2,12 +2,11 @@
 
 use std::time::Duration;
 
+use super::Chosen;
 use super::channels::widen;
 use super::clock::Clock;
 use super::input::{too_small_with, widened_file};
 use super::report::ReportBuilder;
-use super::skipped::SkipReason;
-use super::{Chosen, EncodeReport, Encoded, rate_control};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
 use crate::gaussian::Channels;
@@ -25,6 +24,15 @@ pub(super) struct Outcome {
     pub float_error: f64,
     /// SSIMULACRA2 score of the decoded file, if it was measured.
     pub quality: Option<f64>,
+}
+
+impl Outcome {
+    /// Returns whether single primitives can be removed from the file. Their value is not known for files with levels or a
+    /// detail layer.
+    #[cfg(feature = "quality")]
+    pub(super) fn can_be_trimmed(&self) -> bool {
+        self.splats.levels.is_empty() && self.splats.detail.is_none()
+    }
 }
 
 /// Gaussians that a search reuses in all its tries. Their best number depends on the picture and hardly on the size of
@@ -130,42 +138,6 @@ pub(super) trait EncodeSession<'a> {
     fn too_small(&self, allowed: u64, needed: u64) -> crate::Error {
         too_small_with(self.options(), allowed, needed)
     }
-}
-
-/// Encodes as the options request, and reports the result.
-pub(super) fn run<'a, S: EncodeSession<'a>>(mut session: S) -> Result<Encoded> {
-    let outcome = rate_control::to_target(&mut session)?;
-    session.trace_end(&outcome.splats)?;
-    note_codebook(&mut session, &outcome)?;
-    let error = session.error(&outcome.splats)?;
-    // The error before rounding was measured over the fitted channels. The factor adds the channels that were left out,
-    // in the same proportion as in the file.
-    let weight = if session.fits_all_channels() { 1.0 } else { error / session.fitted_error(&outcome.splats)? };
-    let float_error = outcome.float_error * if weight.is_finite() { weight } else { 1.0 };
-    let (samples, chosen) = (session.samples(), session.chosen());
-    let report = session.report();
-    let report = EncodeReport {
-        primitives: outcome.splats.gaussians.len(),
-        psnr: decibels(error, samples),
-        float_psnr: decibels(float_error, samples),
-        quality: outcome.quality,
-        seconds: report.seconds(),
-        stages: std::mem::take(&mut report.stages),
-        skipped: std::mem::take(&mut report.skipped),
-        chosen,
-        trace: report.tracer.take_points(),
-    };
-    Ok(Encoded { bytes: outcome.bytes, report })
-}
-
-/// Records the bytes that a codebook saved, compared with a file without it.
-fn note_codebook<'a, S: EncodeSession<'a>>(session: &mut S, outcome: &Outcome) -> Result<()> {
-    if outcome.splats.codebook.is_some() {
-        let direct = session.file(&PackedSplats { codebook: None, ..outcome.splats.clone() })?;
-        let saved = direct.len().saturating_sub(outcome.bytes.len()) as u64;
-        session.report().note(SkipReason::OwnColors, saved, 0.0);
-    }
-    Ok(())
 }
 
 /// Converts a squared error over this many samples to a PSNR in decibels.

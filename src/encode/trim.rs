@@ -19,16 +19,10 @@ use crate::round::rounded::projected;
 /// Maximum number of primitives that are tried individually after groups of them can no longer be removed.
 const MAX_SINGLY_REMOVED: usize = 24;
 
-/// Returns whether primitives can be removed from a file. Their individual value is not known for files with levels or
-/// a detail layer.
-pub(super) fn can_be_trimmed(outcome: &Outcome) -> bool {
-    outcome.splats.levels.is_empty() && outcome.splats.detail.is_none()
-}
-
 impl WholeSession<'_> {
     /// Removes the least important primitives as long as the score stays at or above `wanted`.
     pub(super) fn trimmed(&mut self, outcome: &mut Outcome, wanted: f64) -> Result<()> {
-        if !can_be_trimmed(outcome) {
+        if !outcome.can_be_trimmed() {
             return Ok(());
         }
         let clock = self.report.seconds();

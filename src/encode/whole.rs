@@ -5,12 +5,13 @@ use std::time::Duration;
 use super::channels::{Narrow, narrow};
 use super::clock::Clock;
 use super::constant::{constant, is_constant};
+use super::detail::error::stored_error;
 use super::device::Choice;
 use super::hidden;
 use super::input::{EncodeInput, may_leave_out, stored_scene};
-use super::job::stored_error;
+use super::pipeline::run;
 use super::report::ReportBuilder;
-use super::session::{EncodeSession, KeptBase, Outcome, run};
+use super::session::{EncodeSession, KeptBase, Outcome};
 use super::skipped::SkipReason;
 use super::trace::Tracer;
 use super::{Chosen, Encoded, Progress};
@@ -158,7 +159,7 @@ impl<'a> EncodeSession<'a> for WholeSession<'a> {
 
     #[cfg(feature = "quality")]
     fn can_be_trimmed(&self, outcome: &Outcome) -> bool {
-        super::trim::can_be_trimmed(outcome)
+        outcome.can_be_trimmed()
     }
 
     #[cfg(feature = "quality")]

@@ -2,14 +2,17 @@
 
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
+use crate::bitstream::splats::PackedSplats;
 use crate::detail::tile::{Scratch, TilePlanes, UNIT, reconstruct};
-use crate::fit::model::drawing::field::{Field, Output};
+use crate::encode::input::stored_scene;
+use crate::fit::model::drawing::field::{self, Field, Output};
 use crate::fit::model::drawing::project::Projected;
 use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::gaussian::Channels;
 use crate::parallel;
+use crate::round::rounded::projected;
 
 /// Values that a layer adds to the channels of a target, tile by tile. The target can have fewer channels than the
 /// layer.
@@ -92,4 +95,13 @@ pub(in crate::encode) fn squared_error(
         error
     });
     errors.iter().sum()
+}
+
+/// Returns the squared error of a stored picture over the samples of `planes`. `channels` are those of the file.
+pub(in crate::encode) fn stored_error(splats: &PackedSplats, planes: &Planes, channels: Channels) -> f64 {
+    let projected = projected(&splats.quantizer(), &splats.gaussians, splats.height);
+    if let Some(layer) = &splats.detail {
+        return squared_error((stored_scene(splats), planes), &projected, (layer, channels), Counted::Alike);
+    }
+    field::squared_error(&Problem { scene: stored_scene(splats), target: planes }, &projected)
 }
