@@ -16,13 +16,13 @@ const OPTIONAL: [(Sniffed, &str, &str, Option<&str>); 3] = [
 
 /// Prints a line for each format: name, use, and extensions.
 pub fn run() -> Result<(), Failure> {
-    let mut text = String::from("ssplat  read, written     .ssplat\n");
+    let mut text = String::from("ssplat    read, written     .ssplat\n");
     for format in ImageFormat::all().filter(|&format| format.reading_enabled() && format != ImageFormat::Avif) {
         let extensions = format.extensions_str();
         let is_written = extensions.iter().any(|extension| Format::from_extension(extension).is_ok());
         let uses = if is_written { "read, written" } else { "read" };
         let extensions: Vec<String> = extensions.iter().map(|extension| format!(".{extension}")).collect();
-        text += &format!("{:<8}{uses:<18}{}\n", name(format), extensions.join(" "));
+        text += &format!("{:<10}{uses:<18}{}\n", name(format), extensions.join(" "));
     }
     for (format, name, extensions, feature) in OPTIONAL {
         let uses = match feature {
@@ -31,7 +31,7 @@ pub fn run() -> Result<(), Failure> {
             None => "not read",
         };
         let feature = feature.filter(|_| !format.is_read()).map_or(String::new(), |f| format!(" (feature `{f}`)"));
-        text += &format!("{name:<8}{uses:<18}{extensions}{feature}\n");
+        text += &format!("{name:<10}{uses:<18}{extensions}{feature}\n");
     }
     text += "\nFormats are detected by content, except for Targa, which has no signature and is detected by extension. Only the\n\
              first picture of animations and files with several pages is used. `decode` writes the formats marked as written;\n\

@@ -80,16 +80,15 @@ pub fn read(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Failure
         let decoded = decode(path, &input::all(path, input, Limits::default().alloc)?)?;
         return if turn == Turn::Upright { decoded.upright(path) } else { Ok(decoded) };
     }
-    if let Some(other) = sniff(start) {
-        if !other.is_read() {
-            let message = format!("{}: {}", Failure::input(path), other.refusal());
-            return Err(Failure { kind: Kind::Unsupported, message });
-        }
-        #[cfg(feature = "jxl")]
-        if other == Sniffed::JpegXl {
-            let read = guard::quietly(|| crate::jxl::read(path, &mut input));
-            return read.unwrap_or_else(|panic| Err(panicked(path, &panic)));
-        }
+    let sniffed = sniff(start);
+    if let Some(other) = sniffed.filter(|other| !other.is_read()) {
+        let message = format!("{}: {}", Failure::input(path), other.refusal());
+        return Err(Failure { kind: Kind::Unsupported, message });
+    }
+    #[cfg(feature = "jxl")]
+    if sniffed == Some(Sniffed::JpegXl) {
+        let read = guard::quietly(|| crate::jxl::read(path, &mut input));
+        return read.unwrap_or_else(|panic| Err(panicked(path, &panic)));
     }
     guard::quietly(|| read_foreign(path, input, turn)).unwrap_or_else(|panic| Err(panicked(path, &panic)))
 }

@@ -899,7 +899,7 @@ fn invalid_values_are_reported_in_plain_words() {
     let folder = Folder::new();
     let (picture, out) = (folder.picture("a.png"), folder.path("o.ssplat"));
     for (option, value, message) in [
-        ("--bytes", "twenty", "not a number of bytes, as 20000 or 20k or 1.5M"),
+        ("--bytes", "twenty", "not a number of bytes such as 20000, 20k or 1.5M"),
         ("--bytes", "-5k", "not a number of bytes"),
         ("--quality", "101", "not a number from 0 to 100"),
         ("--threads", "0", "not a whole number of at least 1"),

@@ -3,7 +3,7 @@
 use pyo3::PyErr;
 use ssplat::unstable::Needs;
 use ssplat::unstable::bitstream::splats::Layout;
-use ssplat::{Backend, Blend, MetadataPolicy, Detail, Tune};
+use ssplat::{Backend, Blend, Detail, MetadataPolicy, Tune};
 
 use crate::failure::parameter;
 
@@ -14,8 +14,12 @@ pub const TUNES: [(&str, Tune); 3] = [("psnr", Tune::Psnr), ("ssim", Tune::Ssim)
 pub const NEEDS: [(&str, Needs); 2] = [("measured", Needs::Measured), ("everything", Needs::Everything)];
 pub const BACKENDS: [(&str, Backend); 3] = [("auto", Backend::Auto), ("cpu", Backend::Cpu), ("gpu", Backend::Gpu)];
 pub const DETAILS: [(&str, Detail); 2] = [("auto", Detail::Auto), ("off", Detail::Off)];
-pub const CARRIES: [(&str, MetadataPolicy); 4] =
-    [("needed", MetadataPolicy::Needed), ("all", MetadataPolicy::All), ("icc", MetadataPolicy::Icc), ("none", MetadataPolicy::None)];
+pub const CARRIES: [(&str, MetadataPolicy); 4] = [
+    ("needed", MetadataPolicy::Needed),
+    ("all", MetadataPolicy::All),
+    ("icc", MetadataPolicy::Icc),
+    ("none", MetadataPolicy::None),
+];
 
 /// Returns the value that `word` stands for.
 pub fn value<T: Copy>(name: &'static str, all: &[(&'static str, T)], word: &str) -> Result<T, PyErr> {

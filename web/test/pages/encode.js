@@ -46,7 +46,7 @@ export async function test(_, { encoded }) {
   image.data.fill(200)
   check((await encode(image, { bytes: 300 })).bytes.length <= 300, "ImageData is not encoded")
   check(await ssimulacra2(large, large) == 100, "a picture is not like itself")
-  const refused = await encode(image, { bytes: 300, efort: 2 }).catch(e => e)
-  check(refused.kind == "parameter" && /efort/.test(refused.message), `a slip is ${refused.kind}: ${refused.message}`)
+  const refused = await encode(image, { bytes: 300, effect: 2 }).catch(e => e)
+  check(refused.kind == "parameter" && /effect/.test(refused.message), `a slip is ${refused.kind}: ${refused.message}`)
   return { problems, words: `${checks} promises, cancelled within ${Math.min(...waits).toFixed(1)} ms` }
 }
