@@ -82,6 +82,7 @@ impl Encoder {
 
     /// Sets the time limit of a whole encode, wall clock, however many fits the target takes. The best state reached is
     /// written. By default there is no limit.
+    /// In tiles, every stage visits each tile at least once, so an encode in small tiles can take several times as long.
     #[must_use]
     pub fn time(mut self, time: Duration) -> Self {
         self.options.time = Some(time);
