@@ -75,7 +75,7 @@ impl WholeSession<'_> {
 
         let clock = self.report.seconds();
         let stage = Stage { name: "fit", report: &mut self.report, input, planes };
-        let mut fitting = Fitting { stage, job, size, draft: input.empty(), steps: 0 };
+        let mut fitting = Fitting { stage, job, size, draft: self.blank.clone(), steps: 0 };
         let Fitted { by: state, ending, amplitude } = match options.recipe {
             Recipe::Ssplat => self.device.fit(&job, input.pixels, &mut fitting)?,
             #[cfg(feature = "smartsplat")]
@@ -100,7 +100,7 @@ impl WholeSession<'_> {
 
         let clock = self.report.seconds();
         let stage = Stage { name: "finish", report: &mut self.report, input, planes };
-        let mut making = Making { stage, splats: input.empty(), levels: options.levels };
+        let mut making = Making { stage, splats: self.blank.clone(), levels: options.levels };
         // Under a detail layer, the bytes of the Gaussians are not limited: the layer uses the bytes that remain.
         let size = if self.base.is_some() { Size::Free } else { size };
         let rounding = Rounding { problem, layout: options.layout, size, plan: &plan };

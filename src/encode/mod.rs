@@ -109,17 +109,7 @@ pub fn encode_with_progress(
     options: &EncodeOptions,
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
-    check(options)?;
-    if let Some(side) = side(pixels, options) {
-        return tiles::encode(
-            pixels,
-            options,
-            side,
-            Executor::Own,
-            ReportBuilder::new(progress, Tracer::new(options.trace)),
-        );
-    }
-    whole::encode(pixels, options, progress)
+    encode_by(pixels, options, Executor::Own, progress)
 }
 
 fn encode_by(
@@ -129,14 +119,12 @@ fn encode_by(
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
     check(options)?;
-    match side(source, options) {
-        Some(side) => {
+    match (side(source, options), source.as_pixels()) {
+        (Some(side), _) => {
             tiles::encode(source, options, side, executor, ReportBuilder::new(progress, Tracer::new(options.trace)))
         }
-        None => match source.as_pixels() {
-            Some(pixels) => encode_with_progress(pixels, options, progress),
-            None => encode_with_progress(&source.part([0, 0, source.width(), source.height()])?, options, progress),
-        },
+        (None, Some(pixels)) => whole::encode(pixels, options, progress),
+        (None, None) => whole::encode(&source.part([0, 0, source.width(), source.height()])?, options, progress),
     }
 }
 

@@ -9,9 +9,9 @@ use crate::error::Result;
 /// Encodes as the options request, and reports the result.
 pub(super) fn run<'a, S: EncodeSession<'a>>(mut session: S) -> Result<Encoded> {
     let outcome = rate_control::to_target(&mut session)?;
-    session.trace_end(&outcome.splats)?;
     note_codebook(&mut session, &outcome)?;
     let error = session.error(&outcome.splats)?;
+    session.trace_end(&outcome.splats, error)?;
     // The error before rounding was measured over the fitted channels. The factor adds the channels that were left out,
     // in the same proportion as in the file.
     let weight = if session.fits_all_channels() { 1.0 } else { error / session.fitted_error(&outcome.splats)? };

@@ -59,7 +59,7 @@ pub(super) trait EncodeSession<'a> {
     fn channels(&self) -> Channels;
 
     /// Returns the integers of the fitted picture, without primitives.
-    fn empty(&self) -> PackedSplats;
+    fn blank(&self) -> &PackedSplats;
 
     /// Returns the integers of the picture if it has only one colour.
     fn constant(&mut self) -> Result<Option<PackedSplats>>;
@@ -77,7 +77,7 @@ pub(super) trait EncodeSession<'a> {
     /// Returns the squared error of the stored picture over the samples of all channels.
     fn error(&mut self, splats: &PackedSplats) -> Result<f64>;
 
-    /// Returns the SSIMULACRA2 score of a picture with these integers of all channels.
+    /// Returns the SSIMULACRA2 score of the stored picture, with the channels that were left out restored.
     #[cfg(feature = "quality")]
     fn score(&mut self, splats: &PackedSplats) -> Result<f64>;
 
@@ -98,25 +98,26 @@ pub(super) trait EncodeSession<'a> {
         Ok(())
     }
 
-    /// Adds the stored picture as the last point of the trace.
-    fn trace_end(&mut self, _splats: &PackedSplats) -> Result<()> {
+    /// Adds the stored picture, whose squared error over the samples of all channels is `error`, as the last point of the
+    /// trace.
+    fn trace_end(&mut self, _splats: &PackedSplats, _error: f64) -> Result<()> {
         Ok(())
     }
 
     /// Returns the number of samples of the caller's picture.
     fn samples(&self) -> f64 {
-        let empty = self.empty();
-        f64::from(empty.width) * f64::from(empty.height) * self.channels().count() as f64
+        let blank = self.blank();
+        f64::from(blank.width) * f64::from(blank.height) * self.channels().count() as f64
     }
 
     /// Returns the number of samples that are fitted.
     fn fitted_samples(&self) -> f64 {
-        self.samples() / self.channels().count() as f64 * self.empty().channels.count() as f64
+        self.samples() / self.channels().count() as f64 * self.blank().channels.count() as f64
     }
 
     /// Returns whether all channels are fitted.
     fn fits_all_channels(&self) -> bool {
-        self.channels() == self.empty().channels
+        self.channels() == self.blank().channels
     }
 
     /// Restores the channels of `splats` that were left out.
@@ -131,7 +132,7 @@ pub(super) trait EncodeSession<'a> {
 
     /// Returns the size of a file without primitives, bytes.
     fn fixed(&self) -> Result<u64> {
-        Ok(self.file(&self.empty())?.len() as u64)
+        Ok(self.file(self.blank())?.len() as u64)
     }
 
     /// Returns the error for a file of `allowed` bytes that needs `needed` bytes even without primitives.

@@ -123,6 +123,6 @@ pub(super) fn add<'a, S: EncodeSession<'a>>(session: &mut S, outcome: &mut Outco
 }
 
 fn room_in<'a, S: EncodeSession<'a>>(session: &S, bytes: u64) -> u64 {
-    let PackedSplats { width, height, .. } = session.empty();
+    let &PackedSplats { width, height, .. } = session.blank();
     room(session.options(), [width, height], bytes)
 }

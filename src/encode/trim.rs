@@ -1,6 +1,5 @@
 //! Removes primitives from a file whose score is above the requested one.
 
-use super::channels::widen;
 use super::file;
 use super::input::stored_scene;
 use super::rate_control::AIM_ABOVE;
@@ -38,15 +37,7 @@ impl WholeSession<'_> {
             let left = splats.gaussians.iter().zip(&is_out).filter(|(_, out)| !**out).map(|(g, _)| *g);
             PackedSplats { gaussians: left.collect(), codebook: None, ..splats.clone() }
         };
-        let input = self.input;
-        let score = |splats: &PackedSplats| {
-            let all = input.channels();
-            if splats.channels == all {
-                score(input.original, splats)
-            } else {
-                score(input.original, &widen(splats, all))
-            }
-        };
+        let original = self.input.original;
         // Without the first `sure` primitives the score is still high enough; without the first `over` it is not.
         let (mut sure, mut over, mut points) = (0, order.len() + 1, outcome.quality);
         // The first guess is small, because a point is roughly a hundredth of the score.
@@ -54,7 +45,7 @@ impl WholeSession<'_> {
         let enough = (order.len() / 1000).max(1);
         while over - sure > enough && !self.clock.is_over() {
             let count = next.clamp(sure + 1, over - 1);
-            let found = score(&without(&order[..count]))?;
+            let found = score(original, &without(&order[..count]))?;
             if found >= wanted {
                 (sure, points) = (count, Some(found));
                 if found - wanted < AIM_ABOVE {
@@ -73,7 +64,7 @@ impl WholeSession<'_> {
                 break;
             }
             out.push(i);
-            let found = score(&without(&out))?;
+            let found = score(original, &without(&out))?;
             if found >= wanted {
                 points = Some(found);
             } else {

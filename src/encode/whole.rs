@@ -31,6 +31,8 @@ use crate::round::size::Size;
 /// An encode of a whole picture in progress.
 pub(super) struct WholeSession<'a> {
     pub input: EncodeInput<'a>,
+    /// The integers of the fitted picture, without primitives.
+    pub blank: PackedSplats,
     /// The planes of the fitted picture. Their amplitudes depend on the number of primitives.
     pub planes: Planes,
     /// The time budget.
@@ -75,8 +77,10 @@ pub(super) fn encode(
     if let Some(narrow) = &narrow {
         report.note(narrow.what.clone(), 0, 0.0);
     }
+    let input = EncodeInput { original, pixels: fitted, options };
     run(WholeSession {
-        input: EncodeInput { original, pixels: fitted, options },
+        input,
+        blank: input.empty(),
         planes: Planes::with_hidden(fitted, options.hidden),
         clock,
         share: None,
@@ -110,15 +114,15 @@ impl<'a> EncodeSession<'a> for WholeSession<'a> {
         self.input.channels()
     }
 
-    fn empty(&self) -> PackedSplats {
-        self.input.empty()
+    fn blank(&self) -> &PackedSplats {
+        &self.blank
     }
 
     fn constant(&mut self) -> Result<Option<PackedSplats>> {
         if !is_constant(self.input.pixels) {
             return Ok(None);
         }
-        let mut splats = self.input.empty();
+        let mut splats = self.blank.clone();
         constant(&mut splats, self.planes.mean);
         Ok(Some(splats))
     }
@@ -167,7 +171,7 @@ impl<'a> EncodeSession<'a> for WholeSession<'a> {
         self.trimmed(outcome, wanted)
     }
 
-    fn trace_end(&mut self, splats: &PackedSplats) -> Result<()> {
+    fn trace_end(&mut self, splats: &PackedSplats, _error: f64) -> Result<()> {
         let problem = Problem { scene: stored_scene(splats), target: &self.planes };
         let project = || projected(&splats.quantizer(), &splats.gaussians, splats.height);
         let mut now = StaticSnapshot { problem: &problem, project: &project };

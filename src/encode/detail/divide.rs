@@ -5,8 +5,8 @@
 //! 8 kB. Sharp pictures that resemble drawings need more, because additional Gaussians still reduce their error
 //! quickly. The encoder can only recognize such pictures after it has fitted the smaller base.
 
-use super::Layered;
 use super::texture::Texture;
+use super::{Layered, layered_in_parts};
 use crate::bitstream::splats::{Layout, PackedSplats};
 use crate::encode::input::stored_scene;
 use crate::encode::session::{EncodeSession, KeptBase, Outcome};
@@ -107,7 +107,7 @@ impl WholeSession<'_> {
             Detail::Share(share) => {
                 let base = self.base(fixed + (shared as f64 * share) as u64, self.samples() / shared as f64)?;
                 if self.pixels() > LARGEST {
-                    return self.layered_in_parts(base, most);
+                    return layered_in_parts(self, self.input.pixels, base, most);
                 }
                 let clock = self.report.seconds();
                 let layered = self.layer(base, most)?;
@@ -186,7 +186,7 @@ impl WholeSession<'_> {
             if is_new {
                 self.keep(&base, few);
             }
-            return self.layered_in_parts(base, most);
+            return layered_in_parts(self, self.input.pixels, base, most);
         }
         let clock = self.report.seconds();
         let mut layered = self.layer(base, most)?;

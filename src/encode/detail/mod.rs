@@ -19,7 +19,7 @@ mod texture;
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::input::{stored_scene, widened_file};
+use super::input::stored_scene;
 use super::session::{EncodeSession, Outcome};
 use super::whole::WholeSession;
 use crate::bitstream::detail::levels::tile_counts;
@@ -30,6 +30,7 @@ use crate::fit::model::problem::LARGE_PIXELS;
 use crate::gaussian::Channels;
 use crate::instant::Instant;
 use crate::options::Tune;
+use crate::pixel_source::PixelSource;
 use crate::round::rounded::projected;
 use crate::strict_math::StrictMath;
 use choose::{BlockChoice, Care, Setting};
@@ -224,22 +225,26 @@ impl WholeSession<'_> {
         }
         Ok(search(&tiles, &Aim { most: bytes, ..aim }, near))
     }
+}
 
-    /// Codes a layer over `base`, one part of the picture at a time, and writes the file. It serves pictures whose
-    /// residual is too large for memory.
-    fn layered_in_parts(&mut self, base: Outcome, most: u64) -> Result<Outcome> {
-        let mut outcome = base;
-        let (input, tune) = (self.input, self.input.options.favoured());
-        let (channels, hidden) = (input.channels(), input.options.hidden);
-        let parts = Parts { source: input.pixels, splats: &outcome.splats, channels, tune, hidden };
-        let mut show = |done| self.report.show("detail", done);
-        let layer = layer_in_parts(parts, most, |empty| widened_file(empty, channels), &mut show)?;
-        if layer.is_some() {
-            outcome.splats.detail = layer;
-            outcome.bytes = self.file(&outcome.splats)?;
-        }
-        Ok(outcome)
+/// Codes a layer over `base` in a file of `most` bytes, one part of `source` at a time, and writes the file. It serves
+/// pictures whose residual is too large for memory. `source` has the fitted channels.
+pub(super) fn layered_in_parts<'a, S: EncodeSession<'a>>(
+    session: &mut S,
+    source: &dyn PixelSource,
+    mut base: Outcome,
+    most: u64,
+) -> Result<Outcome> {
+    let (channels, tune, hidden) = (session.channels(), session.options().favoured(), session.options().hidden);
+    let parts = Parts { source, splats: &base.splats, channels, tune, hidden };
+    let aim = aim(tune, channels, source.channels().alpha().is_some());
+    let Some(left) = left_for_layer(parts.splats, &aim, most, |empty| session.file(empty))? else { return Ok(base) };
+    let report = session.report();
+    if let Some(layer) = parts.layer(left, &mut |done| report.show("detail", done))? {
+        base.splats.detail = Some(Arc::new(layer));
+        base.bytes = session.file(&base.splats)?;
     }
+    Ok(base)
 }
 
 /// Returns the parameters for coding a layer of a file with these channels. The caller sets the byte budget.
@@ -280,16 +285,4 @@ fn left_for_layer(
     empty.detail = Some(Arc::new(DetailLayer { head: aim.setting.head, tiles: vec![None; count] }));
     let fixed = file(&empty)?.len() as u64 - count as u64;
     Ok(most.checked_sub(fixed).filter(|&left| left > 2 * count as u64))
-}
-
-/// Codes the layer over `parts` for a file of at most `most` bytes. `file` writes a file.
-pub(super) fn layer_in_parts(
-    parts: Parts<'_>,
-    most: u64,
-    file: impl Fn(&PackedSplats) -> Result<Vec<u8>>,
-    show: &mut dyn FnMut(f32) -> Result<()>,
-) -> Result<Option<Arc<DetailLayer>>> {
-    let aim = aim(parts.tune, parts.channels, parts.source.channels().alpha().is_some());
-    let Some(left) = left_for_layer(parts.splats, &aim, most, file)? else { return Ok(None) };
-    Ok(parts.layer(left, show)?.map(Arc::new))
 }

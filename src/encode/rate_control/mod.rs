@@ -92,7 +92,7 @@ pub(super) fn to_target<'a, S: EncodeSession<'a>>(session: &mut S) -> Result<Out
 
 /// Returns the number of bytes that the ICC profile and the EXIF block take in the file.
 fn metadata_bytes<'a, S: EncodeSession<'a>>(session: &S) -> Result<u64> {
-    let bare = PackedSplats { metadata: Metadata::default(), ..session.empty() };
+    let bare = PackedSplats { metadata: Metadata::default(), ..session.blank().clone() };
     Ok(session.fixed()? - session.file(&bare)?.len() as u64)
 }
 
@@ -101,7 +101,7 @@ fn metadata_bytes<'a, S: EncodeSession<'a>>(session: &S) -> Result<u64> {
 fn of_one_color<'a, S: EncodeSession<'a>>(session: &mut S, size: Size) -> Result<Option<Outcome>> {
     let options = session.options();
     let is_wanted =
-        may_leave_out(options) && session.empty().blend == Blend::Normalized && options.target != Target::Primitives(0);
+        may_leave_out(options) && session.blank().blend == Blend::Normalized && options.target != Target::Primitives(0);
     if !is_wanted {
         return Ok(None);
     }

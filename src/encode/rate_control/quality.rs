@@ -63,7 +63,7 @@ impl Curve for Points {
 
 /// Encodes to a SSIMULACRA2 score of `wanted` points.
 pub(super) fn to_quality<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64) -> Result<Outcome> {
-    let PackedSplats { width, height, .. } = session.empty();
+    let &PackedSplats { width, height, .. } = session.blank();
     if width.min(height) < MIN_SIDE {
         let problem = format!(
             "SSIMULACRA2 takes no picture of {width} × {height}: a side has to have {MIN_SIDE} pixels at least"
@@ -73,10 +73,7 @@ pub(super) fn to_quality<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64)
     let sizes = super::sizes_tried(session.samples());
     let aim = Aim { enough: wanted - TOLERANCE, aim: wanted + AIM_ABOVE, sizes, tries: MAX_TRIES };
     let goal = Goal { curve: Points, aim, timed_parts: TIMED_PARTS };
-    let score = |session: &mut S, outcome: &Outcome| {
-        let wide = session.widened(&outcome.splats);
-        session.score(&wide)
-    };
+    let score = |session: &mut S, outcome: &Outcome| session.score(&outcome.splats);
     let is_close = |session: &S, score: f64, outcome: &Outcome| {
         let above = if session.can_be_trimmed(outcome) { MAX_TRIMMED } else { TOLERANCE };
         (-TOLERANCE..=above).contains(&(score - wanted))

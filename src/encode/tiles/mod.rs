@@ -24,12 +24,12 @@ use std::time::Duration;
 use super::clock::Clock;
 use super::constant::constant;
 use super::detail::divide::{BASE_TIME, base_in_tiles, is_near, is_search};
-use super::detail::layer_in_parts;
-use super::detail::parts::{self, Parts};
+use super::detail::layered_in_parts;
+use super::detail::parts::error_between;
 use super::device::Chosen;
 use super::drawn::drawn_part;
 use super::hidden::Continued;
-use super::input::{self, may_leave_out, widened_file};
+use super::input::{self, may_leave_out};
 use super::job::{enough, excess};
 use super::pipeline::run;
 use super::rate_control::count_for;
@@ -181,8 +181,8 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
         self.source.channels()
     }
 
-    fn empty(&self) -> PackedSplats {
-        self.blank.clone()
+    fn blank(&self) -> &PackedSplats {
+        &self.blank
     }
 
     fn constant(&mut self) -> Result<Option<PackedSplats>> {
@@ -219,7 +219,10 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
                 base
             }
         };
-        self.layered(base, most)
+        let clock = self.report.seconds();
+        let outcome = layered_in_parts(self, self.seen, base, most)?;
+        self.report.stage("detail", clock);
+        Ok(outcome)
     }
 
     fn at_count(&mut self, count: usize) -> Result<Outcome> {
@@ -235,10 +238,9 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
         self.measured(self.source, &wide)
     }
 
-    fn trace_end(&mut self, splats: &PackedSplats) -> Result<()> {
+    fn trace_end(&mut self, splats: &PackedSplats, error: f64) -> Result<()> {
         if self.report.tracer.is_on() {
             let start = Instant::now();
-            let error = self.error(splats)?;
             let psnr = decibels(error, self.samples());
             self.report.tracer.add("written", psnr, splats.gaussians.len(), start);
         }
@@ -248,6 +250,7 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
     /// Scores large pictures tile by tile. Returns the mean of the scores, weighted by the number of pixels.
     #[cfg(feature = "quality")]
     fn score(&mut self, splats: &PackedSplats) -> Result<f64> {
+        let wide = self.widened(splats);
         let (mut sum, mut area) = (0.0, 0.0);
         for (i, window) in self.windows.iter().enumerate() {
             self.report.show("measure", i as f32 / self.windows.len() as f32)?;
@@ -255,7 +258,7 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
             if core.size[0].min(core.size[1]) < MIN_SIDE {
                 continue;
             }
-            let drawn = drawn_part(splats, core.bounds(), splats.depth)?;
+            let drawn = drawn_part(&wide, core.bounds(), wide.depth)?;
             let score = ssimulacra2(&self.source.part(core.bounds())?, &drawn)?.expect("the sides were checked");
             (sum, area) = (sum + score * core.pixels(), area + core.pixels());
         }
@@ -272,21 +275,6 @@ impl TiledSession<'_, '_, '_> {
         let error = squared_error((source, self.options.hidden), &self.windows, splats, show)?;
         self.report.stage("measure", clock);
         Ok(error)
-    }
-
-    /// Codes a detail layer over `base` into the bytes that remain of `most`.
-    fn layered(&mut self, mut base: Outcome, most: u64) -> Result<Outcome> {
-        let clock = self.report.seconds();
-        let (channels, tune, hidden) = (self.channels(), self.options.favoured(), self.options.hidden);
-        let parts = Parts { source: self.seen, splats: &base.splats, channels, tune, hidden };
-        let file = |empty: &PackedSplats| widened_file(empty, channels);
-        let report = &mut self.report;
-        base.splats.detail = layer_in_parts(parts, most, file, &mut |done| report.show("detail", done))?;
-        if base.splats.detail.is_some() {
-            base.bytes = self.file(&base.splats)?;
-        }
-        self.report.stage("detail", clock);
-        Ok(base)
     }
 
     /// Fits about `count` Gaussians and rounds them to a file of `size`. If a detail layer follows, `limit` differs
@@ -347,7 +335,7 @@ fn squared_error(
         let area = part.core.bounds();
         let wanted = Planes::with_hidden(&source.part(area)?, hidden);
         // The rounding error of 16 bits is smaller than any error worth reporting.
-        error += parts::error_between(&wanted, &Planes::new(&drawn_part(splats, area, Depth::Sixteen)?));
+        error += error_between(&wanted, &Planes::new(&drawn_part(splats, area, Depth::Sixteen)?));
     }
     Ok(error)
 }
