@@ -233,10 +233,11 @@ impl<'a> Schedule<'a> {
         let cosine = 0.5 * (1.0 + (std::f32::consts::PI * done).strict_cos());
         // With a time budget there may be fewer steps than planned.
         let steps = if done > 0.0 { iteration as f32 / done } else { f32::INFINITY }.min(plan.iterations as f32);
-        let rates = match plan.pace {
-            Pace::Steady => RATES,
-            Pace::Brisk => Rates { decay: adam::decay(steps), ..RATES },
-        };
+        let decay = plan.decay.unwrap_or_else(|| match plan.pace {
+            Pace::Steady => RATES.decay,
+            Pace::Brisk => adam::decay(steps),
+        });
+        let rates = Rates { decay, ..RATES };
         let rates = rates.scaled(plan.rate).scaled(plan.last_rate + (1.0 - plan.last_rate) * cosine);
         // A step on all rows computes the error anyway.
         let each = if whole.scene.pixels() <= MAX_ALWAYS_CHECKED_PIXELS { 1 } else { CHECK_INTERVAL };

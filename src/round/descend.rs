@@ -257,9 +257,12 @@ impl<const C: usize> Task for BandTask<'_, C> {
     }
 }
 
+/// Extracts the pixels under a shape and returns their error for all of its colours.
 struct ParabolaTask<'a, 'b, const C: usize> {
-    patch: &'a Patch<'b>,
+    patch: &'a mut Patch<'b>,
     q: &'a Projected,
+    planes: &'a [f32],
+    first: usize,
 }
 
 impl<const C: usize> Task for ParabolaTask<'_, '_, C> {
@@ -267,6 +270,7 @@ impl<const C: usize> Task for ParabolaTask<'_, '_, C> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> Parabola {
+        self.patch.extract::<S, C>(simd, self.q, (self.planes, self.first));
         self.patch.parabola::<S, C>(simd, self.q)
     }
 }
@@ -285,24 +289,6 @@ impl<const C: usize> Task for QuadraticTask<'_, '_, C> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> LocalQuadratic {
         self.patch.local_quadratic::<S, C>(simd, (self.p, self.g), self.color, self.parabola)
-    }
-}
-
-struct ExtractTask<'a, 'b, const C: usize> {
-    patch: &'a mut Patch<'b>,
-    p: &'a Projected,
-    rows: std::ops::Range<usize>,
-    columns: std::ops::Range<usize>,
-    planes: &'a [f32],
-    first: usize,
-}
-
-impl<const C: usize> Task for ExtractTask<'_, '_, C> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<S: Simd>(self, simd: S) {
-        self.patch.extract::<S, C>(simd, self.p, (self.rows, self.columns), (self.planes, self.first));
     }
 }
 
@@ -328,19 +314,11 @@ impl<const C: usize> BandTask<'_, C> {
         if left >= right {
             return None;
         }
-        simd.call(ExtractTask::<C> {
-            patch,
-            p: &p,
-            rows,
-            columns: left..right,
-            planes: self.planes,
-            first: self.first,
-        });
-
+        patch.begin::<C>(&p, (rows, left..right));
         let lambda = self.lambda;
         let lattice = self.quantizer.lattice();
         // A candidate has to be better than the current primitive.
-        let now = simd.call(ParabolaTask::<C> { patch, q: &p });
+        let now = simd.call(ParabolaTask::<C> { patch, q: &p, planes: self.planes, first: self.first });
         let current = now.at(p.color, C) + lambda * (cost.geometry(&old, lattice) + cost.colors(old.color));
         let (mut best, mut best_value) = (old, current);
         let min_bits = cost.min_color_bits();
@@ -375,7 +353,7 @@ impl<const C: usize> BandTask<'_, C> {
                 && q.center[0] + wide
                     <= if right == self.problem.scene.width as usize { f32::INFINITY } else { (right - 1) as f32 };
             if inside && q.rows[0] < q.rows[1] {
-                let parabola = simd.call(ParabolaTask::<C> { patch, q: &q });
+                let parabola = simd.call(ParabolaTask::<C> { patch, q: &q, planes: self.planes, first: self.first });
                 consider(self, candidate, &parabola);
             }
         }

@@ -140,13 +140,14 @@ impl Rounds<'_> {
         for round in 0..rounds {
             let start = Instant::now();
             self.report(round as f32 / rounds as f32, client)?;
-            let error = self.descent.error(&self.rounded.gaussians);
             let is_late = plan.is_over(round_time);
-            let is_done = match size {
-                Size::Bytes(max_bytes) => self.fits(round, error, (bytes, max_bytes), is_late),
-                Size::Free => is_late || round >= plan.sweeps || self.quiet >= QUIET_SWEEPS,
-            };
-            if is_done {
+            if size == Size::Free && (is_late || round >= plan.sweeps || self.quiet >= QUIET_SWEEPS) {
+                break;
+            }
+            let error = self.descent.error(&self.rounded.gaussians);
+            if let Size::Bytes(max_bytes) = size
+                && self.fits(round, error, (bytes, max_bytes), is_late)
+            {
                 break;
             }
             // When the time is up, only the size is still corrected.

@@ -19,14 +19,21 @@ const MAX_ROW_STEP: usize = 4;
 /// The pixels around one primitive, with that primitive removed.
 pub(super) struct Patch<'a> {
     problem: &'a Problem<'a>,
-    /// Rows of `2C + 2` planes with `stride` floats each: `Σwc` with `εb` (C), `Σw + ε`, targets (C), squared error.
+    /// The removed primitive.
+    removed: Option<Projected>,
+    /// Rows of `2C + 1` planes with `stride` floats each: `Σwc` with `εb` (C), targets (C), squared error. Only
+    /// [`Self::extracted`] pixels are those of this patch. The others are finite remains of earlier ones.
     planes: Vec<f32>,
+    /// `Σw + ε` in the same rows. Remains of earlier patches are positive as well.
+    divisors: Vec<f32>,
     stride: usize,
     pub columns: std::ops::Range<usize>,
     pub rows: std::ops::Range<usize>,
     /// Distance of the rows that are stored. Each of them stands for `step` rows.
     step: usize,
-    /// Squared error over the patch without the primitive.
+    /// The vectors of [`LANES`] pixels that are extracted so far in each stored row.
+    extracted: Vec<std::ops::Range<u32>>,
+    /// Squared error over the extracted pixels without the primitive.
     pub base_error: f32,
 }
 
@@ -43,111 +50,167 @@ pub(super) struct Parabola {
 impl<'a> Patch<'a> {
     /// Creates an empty patch.
     pub(super) fn new(problem: &'a Problem<'a>) -> Self {
-        Patch { problem, planes: Vec::new(), stride: 0, columns: 0..0, rows: 0..0, step: 1, base_error: 0.0 }
+        Patch {
+            problem,
+            removed: None,
+            planes: Vec::new(),
+            divisors: Vec::new(),
+            stride: 0,
+            columns: 0..0,
+            rows: 0..0,
+            step: 1,
+            extracted: Vec::new(),
+            base_error: 0.0,
+        }
     }
 
-    /// Extracts the pixels of `rows` and `columns` from the sums and removes `p`. The sums have `C + 1` planes per row,
-    /// from row `first` on.
+    /// Starts a patch of `rows` and `columns` around `p`, which will be removed from it. No pixel is extracted yet.
+    pub(super) fn begin<const C: usize>(
+        &mut self,
+        p: &Projected,
+        (rows, columns): (std::ops::Range<usize>, std::ops::Range<usize>),
+    ) {
+        // Strips start at any column and are read as whole vectors, so the last one may overhang.
+        self.stride = columns.len().next_multiple_of(LANES) + LANES;
+        self.step = self.row_step(p);
+        let count = rows.len().div_ceil(self.step);
+        (self.columns, self.rows, self.removed) = (columns, rows, Some(*p));
+        self.extracted.clear();
+        self.extracted.resize(count, 0..0);
+        // The memory only grows and is not cleared.
+        let size = self.stride * count;
+        if self.divisors.len() < size {
+            self.divisors.resize(size, 1.0);
+            self.planes.resize((2 * C + 1) * size, 0.0);
+        }
+        self.base_error = 0.0;
+    }
+
+    /// Extracts the pixels under `q` that are not extracted yet. The sums have `C + 1` planes per row, from row `first`
+    /// on.
     #[inline(always)]
-    pub(super) fn extract<S: Simd, const C: usize>(
+    pub(super) fn extract<S: Simd, const C: usize>(&mut self, simd: S, q: &Projected, sums: (&[f32], usize)) {
+        let Some(p) = self.removed else { return };
+        let vectors = (self.stride / LANES) as u32;
+        let mut base_error = simd.splat(0.0);
+        for i in self.range(q.rows) {
+            let y = self.rows.start + i * self.step;
+            // A strip of `q` that reaches into the row starts or ends up to a vector beyond the support. One column more
+            // allows for rounding.
+            let Some([from, to]) = q.row_ends(y as u32) else { continue };
+            let vector = |x: f32| ((x - self.columns.start as f32).max(0.0) / LANES as f32) as u32;
+            let from = vector(from - LANES as f32).min(vectors);
+            let to = (vector(to + LANES as f32) + 1).min(vectors);
+            let have = self.extracted[i].clone();
+            let [before, after] = if have.start == have.end {
+                [from..to, to..to]
+            } else {
+                [from..have.start.max(from), have.end.min(to)..to]
+            };
+            for missing in [before, after] {
+                if !missing.is_empty() {
+                    base_error = simd.add(base_error, self.extract_row::<S, C>(simd, &p, (i, y), missing, sums));
+                }
+            }
+            let have = &mut self.extracted[i];
+            *have = if have.start == have.end { from..to } else { have.start.min(from)..have.end.max(to) };
+        }
+        // Each stored row stands for `step` rows.
+        self.base_error += simd.sum(base_error) * self.step as f32;
+    }
+
+    /// Extracts some vectors of stored row `i`, which is row `y` of the picture, and removes `p`. Returns their error.
+    #[inline(always)]
+    fn extract_row<S: Simd, const C: usize>(
         &mut self,
         simd: S,
         p: &Projected,
-        (rows, columns): (std::ops::Range<usize>, std::ops::Range<usize>),
+        (i, y): (usize, usize),
+        vectors: std::ops::Range<u32>,
         (sums, first): (&[f32], usize),
-    ) {
+    ) -> S::Vector {
         let Problem { scene: Scene { width: picture, blend, .. }, target } = *self.problem;
-        let (stride, colors) = (target.stride, p.color);
-        // Strips start at any column and are read as whole vectors, so the last one may overhang.
-        let width = columns.len().next_multiple_of(LANES) + LANES;
-        let (left, right) = (columns.start, columns.end);
-        self.stride = width;
-        self.columns = columns;
-        self.rows = rows.clone();
-        self.step = self.row_step(p);
-        // The memory only grows and is not cleared, because everything up to `size` is overwritten.
-        let size = (2 * C + 2) * width * rows.len().div_ceil(self.step);
-        if self.planes.len() < size {
-            self.planes.resize(size, 0.0);
-        }
+        let (stride, colors, width) = (target.stride, p.color, self.stride);
+        let (left, right) = (self.columns.start, self.columns.end);
         let alpha = target.opacity;
         let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
         let epsilon = simd.splat(EPSILON);
         let background: [f32; C] = std::array::from_fn(|k| self.background_term(k));
+        let out = &mut self.planes[i * (2 * C + 1) * width..][..(2 * C + 1) * width];
+        let divisors = &mut self.divisors[i * width..][..width];
+        let row = &sums[(y - first) * (C + 1) * stride..][..(C + 1) * stride];
+        let wanted = target.row(y as u32);
+        let span = p.span(y as u32, picture);
+        let amplitude = target.amplitude(y as u32);
         let mut base_error = zero;
-        for (y, out) in rows.step_by(self.step).zip(self.planes[..size].chunks_exact_mut((2 * C + 2) * width)) {
-            let row = &sums[(y - first) * (C + 1) * stride..][..(C + 1) * stride];
-            let wanted = target.row(y as u32);
-            let span = p.span(y as u32, picture);
-            let amplitude = target.amplitude(y as u32);
-            for o in (0..width).step_by(LANES) {
-                let x = left + o;
-                // Beyond the right end nothing counts: sums of 0 over a weight of 1 have no error and can be divided
-                // safely.
-                if x >= right {
-                    for k in 0..2 * C + 2 {
-                        simd.write(&mut out[k * width + o..], if k == C { one } else { zero });
-                    }
-                    continue;
+        for o in vectors {
+            let o = o as usize * LANES;
+            let x = left + o;
+            // Beyond the right end nothing counts: sums of 0 over a weight of 1 have no error and can be divided
+            // safely.
+            if x >= right {
+                for k in 0..2 * C + 1 {
+                    simd.write(&mut out[k * width + o..], zero);
                 }
-                // The last vector may contain columns beyond the patch. Lanes from `limit` on must not count.
-                let limit = simd.splat((right - x) as f32 - 0.5);
-                let all = simd.read(&row[C * stride + x..]);
-                // `own` is the primitive's weight, `with` the inverse of the divisor with the primitive, and `without`
-                // the divisor without it. The exponential is needed only under its support.
-                let (own, with, without) = match (span, blend) {
-                    (Some((start, end, dy)), _) if x + LANES > start && x < end => {
-                        let e = kernel::at(simd, p, x, dy);
-                        let own = simd.max(simd.sub(e, simd.splat(CUTOFF_WEIGHT)), zero);
-                        let own = simd.keep_above(own, limit, simd.index());
-                        match blend {
-                            Blend::Normalized => {
-                                // Rounding may leave slightly less than 0.
-                                let without = simd.add(simd.max(simd.sub(all, own), zero), epsilon);
-                                (own, Some(simd.div(one, simd.add(all, epsilon))), without)
-                            }
-                            Blend::Sum => (own, None, one),
-                        }
-                    }
-                    (_, Blend::Normalized) => (zero, None, simd.add(simd.max(all, zero), epsilon)),
-                    (_, Blend::Sum) => (zero, None, one),
-                };
-                let share = simd.div(one, without);
-                let with = with.unwrap_or(share);
-                let mut error = zero;
-                for k in 0..C {
-                    let sum = simd.add(simd.read(&row[k * stride + x..]), simd.splat(background[k]));
-                    let n = simd.sub(sum, simd.mul(own, simd.splat(colors[k])));
-                    let mut t = simd.read(&wanted[k * stride + x..]);
-                    // Decoders clamp values. If a black or white pixel overshoots, the target moves to the current
-                    // value, so that the overshoot is no error as long as it stays the same.
-                    let beyond = simd.sub(simd.mul(sum, with), t);
-                    let above = simd.keep_above(simd.max(beyond, zero), t, simd.splat(1.0f32.next_down()));
-                    let below = simd.keep_above(simd.min(beyond, zero), simd.splat(f32::MIN_POSITIVE), t);
-                    t = simd.add(simd.add(t, above), below);
-                    let mut d = simd.sub(simd.mul(n, share), t);
-                    // Colours are weighted by their opacity, because errors in transparent pixels are invisible.
-                    if let Some(a) = alpha.filter(|&a| a != k) {
-                        d = simd.mul(d, simd.read(&wanted[a * stride + x..]));
-                    }
-                    if let Some(a) = amplitude {
-                        d = simd.mul(d, simd.read(&a[x..]));
-                    }
-                    d = simd.mul(d, simd.splat(target.channel_amplitude[k]));
-                    error = simd.add(error, simd.mul(d, d));
-                    // Both are stored unweighted. Weights are applied when a candidate is evaluated.
-                    simd.write(&mut out[k * width + o..], n);
-                    simd.write(&mut out[(C + 1 + k) * width + o..], t);
-                }
-                // The error of each pixel is stored, because a candidate changes it only under its support.
-                let error = simd.keep_above(error, limit, simd.index());
-                simd.write(&mut out[C * width + o..], without);
-                simd.write(&mut out[(2 * C + 1) * width + o..], error);
-                base_error = simd.add(base_error, error);
+                simd.write(&mut divisors[o..], one);
+                continue;
             }
+            // The last vector may contain columns beyond the patch. Lanes from `limit` on must not count.
+            let limit = simd.splat((right - x) as f32 - 0.5);
+            let all = simd.read(&row[C * stride + x..]);
+            // `own` is the primitive's weight, `with` the inverse of the divisor with the primitive, and `without`
+            // the divisor without it. The exponential is needed only under its support.
+            let (own, with, without) = match (span, blend) {
+                (Some((start, end, dy)), _) if x + LANES > start && x < end => {
+                    let e = kernel::at(simd, p, x, dy);
+                    let own = simd.max(simd.sub(e, simd.splat(CUTOFF_WEIGHT)), zero);
+                    let own = simd.keep_above(own, limit, simd.index());
+                    match blend {
+                        Blend::Normalized => {
+                            // Rounding may leave slightly less than 0.
+                            let without = simd.add(simd.max(simd.sub(all, own), zero), epsilon);
+                            (own, Some(simd.div(one, simd.add(all, epsilon))), without)
+                        }
+                        Blend::Sum => (own, None, one),
+                    }
+                }
+                (_, Blend::Normalized) => (zero, None, simd.add(simd.max(all, zero), epsilon)),
+                (_, Blend::Sum) => (zero, None, one),
+            };
+            let share = simd.div(one, without);
+            let with = with.unwrap_or(share);
+            let mut error = zero;
+            for k in 0..C {
+                let sum = simd.add(simd.read(&row[k * stride + x..]), simd.splat(background[k]));
+                let n = simd.sub(sum, simd.mul(own, simd.splat(colors[k])));
+                let mut t = simd.read(&wanted[k * stride + x..]);
+                // Decoders clamp values. If a black or white pixel overshoots, the target moves to the current value,
+                // so that the overshoot is no error as long as it stays the same.
+                let beyond = simd.sub(simd.mul(sum, with), t);
+                let above = simd.keep_above(simd.max(beyond, zero), t, simd.splat(1.0f32.next_down()));
+                let below = simd.keep_above(simd.min(beyond, zero), simd.splat(f32::MIN_POSITIVE), t);
+                t = simd.add(simd.add(t, above), below);
+                let mut d = simd.sub(simd.mul(n, share), t);
+                // Colours are weighted by their opacity, because errors in transparent pixels are invisible.
+                if let Some(a) = alpha.filter(|&a| a != k) {
+                    d = simd.mul(d, simd.read(&wanted[a * stride + x..]));
+                }
+                if let Some(a) = amplitude {
+                    d = simd.mul(d, simd.read(&a[x..]));
+                }
+                d = simd.mul(d, simd.splat(target.channel_amplitude[k]));
+                error = simd.add(error, simd.mul(d, d));
+                // Both are stored unweighted. Weights are applied when a candidate is evaluated.
+                simd.write(&mut out[k * width + o..], n);
+                simd.write(&mut out[(C + k) * width + o..], t);
+            }
+            // The error of each pixel is stored, because a candidate changes it only under its support.
+            let error = simd.keep_above(error, limit, simd.index());
+            simd.write(&mut divisors[o..], without);
+            simd.write(&mut out[2 * C * width + o..], error);
+            base_error = simd.add(base_error, error);
         }
-        // Each stored row stands for `step` rows.
-        self.base_error = simd.sum(base_error) * self.step as f32;
+        base_error
     }
 
     /// Returns the distance of the stored rows. On a large picture, tall primitives have more pixels than a decision
@@ -196,7 +259,8 @@ impl<'a> Patch<'a> {
     #[inline(always)]
     fn pixels<const C: usize>(&self, range: &std::ops::Range<usize>) -> PatchRows<'_> {
         PatchRows {
-            planes: &self.planes[range.start * (2 * C + 2) * self.stride..],
+            planes: &self.planes[range.start * (2 * C + 1) * self.stride..],
+            divisors: &self.divisors[range.start * self.stride..],
             stride: self.stride,
             left: self.columns.start,
             row: self.rows.start + range.start * self.step,
@@ -302,6 +366,7 @@ impl Parabola {
 struct PatchRows<'a> {
     /// The planes from the first of these rows on.
     planes: &'a [f32],
+    divisors: &'a [f32],
     stride: usize,
     /// The first stored column.
     left: usize,
@@ -317,6 +382,7 @@ struct PatchRows<'a> {
 struct PixelVector<'a> {
     /// The row's planes, starting at these pixels.
     planes: &'a [f32],
+    divisors: &'a [f32],
     stride: usize,
     /// Factors of the errors before they are squared.
     amplitude: Option<&'a [f32]>,
@@ -329,9 +395,10 @@ impl PatchRows<'_> {
     #[inline(always)]
     fn vector<const C: usize>(&self, i: usize, x: usize) -> PixelVector<'_> {
         let PatchRows { stride, alpha, blend, .. } = *self;
-        let planes = &self.planes[i * (2 * C + 2) * stride + x - self.left..];
+        let planes = &self.planes[i * (2 * C + 1) * stride + x - self.left..];
+        let divisors = &self.divisors[i * stride + x - self.left..];
         let amplitude = self.target.amplitude((self.row + i * self.step) as u32).map(|a| &a[x..]);
-        PixelVector { planes, stride, amplitude, alpha, blend }
+        PixelVector { planes, divisors, stride, amplitude, alpha, blend }
     }
 }
 
@@ -343,9 +410,9 @@ impl PixelVector<'_> {
 
     /// Returns the factor that converts sums to values of the picture after the weight `w` is added to the sums.
     #[inline(always)]
-    fn share<S: Simd, const C: usize>(&self, simd: S, w: S::Vector) -> S::Vector {
+    fn share<S: Simd>(&self, simd: S, w: S::Vector) -> S::Vector {
         match self.blend {
-            Blend::Normalized => simd.div(simd.splat(1.0), simd.add(self.plane(simd, C), w)),
+            Blend::Normalized => simd.div(simd.splat(1.0), simd.add(simd.read(self.divisors), w)),
             Blend::Sum => simd.splat(1.0),
         }
     }
@@ -357,7 +424,7 @@ impl PixelVector<'_> {
             v = simd.mul(v, simd.read(a));
         }
         if let Some(plane) = self.alpha.filter(|&a| a != k) {
-            v = simd.mul(v, self.plane(simd, C + 1 + plane));
+            v = simd.mul(v, self.plane(simd, C + plane));
         }
         v
     }
@@ -379,11 +446,11 @@ impl<S: Simd, const C: usize> Visit<S> for ParabolaVisitor<'_, S, C> {
         let zero = simd.splat(0.0);
         let at = self.pixels.vector::<C>(i, strip.x);
         let w = simd.max(simd.sub(g, strip.edge), zero);
-        let share = at.share::<S, C>(simd, w);
+        let share = at.share(simd, w);
         let part = simd.mul(w, share);
         let mut error = zero;
         for k in 0..C {
-            let a = simd.sub(simd.mul(at.plane(simd, k), share), at.plane(simd, C + 1 + k));
+            let a = simd.sub(simd.mul(at.plane(simd, k), share), at.plane(simd, C + k));
             let a = at.weighted::<S, C>(simd, k, a);
             let r = at.weighted::<S, C>(simd, k, part);
             let counted = simd.mul(a, simd.splat(self.channel_weights[k]));
@@ -394,7 +461,7 @@ impl<S: Simd, const C: usize> Visit<S> for ParabolaVisitor<'_, S, C> {
                 self.square[s] = simd.add(self.square[s], simd.mul(r, r));
             }
         }
-        let more = simd.sub(error, at.plane(simd, 2 * C + 1));
+        let more = simd.sub(error, at.plane(simd, 2 * C));
         self.rest = simd.add(self.rest, simd.keep_above(more, w, zero));
     }
 }
@@ -422,7 +489,7 @@ impl<S: Simd, const C: usize> Visit<S> for QuadraticVisitor<'_, S, C> {
         let at = self.pixels.vector::<C>(i, strip.x);
         let e = simd.keep_above(g, g, strip.edge);
         let w = simd.max(simd.sub(g, strip.edge), simd.splat(0.0));
-        let share = at.share::<S, C>(simd, w);
+        let share = at.share(simd, w);
         let ([ux, uy], [vx, vy]) = (self.across, self.along);
         let u = simd.add(simd.mul(simd.splat(ux), strip.dx), simd.mul(simd.splat(uy), dy));
         let v = simd.add(simd.mul(simd.splat(vx), strip.dx), simd.mul(simd.splat(vy), dy));
@@ -439,7 +506,7 @@ impl<S: Simd, const C: usize> Visit<S> for QuadraticVisitor<'_, S, C> {
             };
             let channel_weights = simd.splat(self.pixels.target.channel_amplitude[k]);
             let own = simd.mul(at.weighted::<S, C>(simd, k, own), channel_weights);
-            let error = at.weighted::<S, C>(simd, k, simd.sub(value, at.plane(simd, C + 1 + k)));
+            let error = at.weighted::<S, C>(simd, k, simd.sub(value, at.plane(simd, C + k)));
             let error = simd.mul(error, channel_weights);
             t = simd.add(t, simd.mul(error, own));
             square = simd.add(square, simd.mul(own, own));

@@ -36,6 +36,18 @@ const BASE_FALL: f64 = 0.37;
 const HASTY_BASE: f64 = 0.5;
 /// Maximum share of the bytes for such a base.
 const MAX_BASE_SHARE: f64 = 0.7;
+/// Fineness from which on a photograph has a smaller base, by how much the factor on its bytes falls with the fineness,
+/// and the smallest factor. These and the values below were fitted to 48 pictures at ratios of 50, 100 and 200, each
+/// encoded with factors from 0.35 to 1.4 and without a layer (docs/studies/all-pictures.md).
+const FINE_BASE: f64 = 0.6;
+const FINE_BASE_FALL: f64 = 1.3;
+const MIN_FINE_BASE: f64 = 0.5;
+/// Ratios from which on that factor starts to apply, and at which it applies in full.
+const FINE_BASE_RATIOS: [f64; 2] = [25.0, 100.0];
+/// Activities at which a drawing starts to have a larger base and at which its factor is the largest, and that factor.
+/// A page of text with photographs gains 4 SSIMULACRA2 points at a ratio of 50; simple diagrams would lose up to 1.
+const BUSY_DRAWING: [f64; 2] = [2.9, 3.9];
+const MAX_DRAWING_BASE: f64 = 1.4;
 /// Ratio above which files have no layer, unless the tuning is perceptual and the texture is known.
 const MAX_RATIO: f64 = 120.0;
 const RATIO_POWER: f64 = 0.85;
@@ -139,8 +151,8 @@ impl WholeSession<'_> {
     /// Returns the number of rounds in which the Gaussians' integers are optimized under the layer.
     fn rounds(&self) -> u32 {
         match self.input.options.effort {
-            1 => 0,
-            2 | 3 => 1,
+            1 | 2 => 0,
+            3 => 1,
             4..=6 => match self.input.options.favoured() {
                 // The second and the third round gain 0.01 dB each, too little to run them in every try of a search.
                 Tune::Psnr if is_search(self.input.options.target) => 1,
@@ -174,7 +186,10 @@ impl WholeSession<'_> {
         let (most, all) = (fixed + shared, shared as f64);
         let ratio = (self.samples() / all).max(20.0);
         let least = all * texture.map_or(0.0, |texture| busy_share(texture, self.pixels(), ratio));
-        let few = bytes_of_base(self.input.options.effort, self.pixels(), ratio, all).max(least);
+        let suited = texture.map_or(1.0, |texture| base_factor(texture, ratio));
+        let few = (suited * bytes_of_base(self.input.options.effort, self.pixels(), ratio, all))
+            .min(MAX_BASE_SHARE * all)
+            .max(least);
         let most_for_base = (SHARP_SHARE + SHARP_MORE * (ratio / 20.0).strict_log2()).min(MOST_SHARP) * all;
         // A base that is kept from a larger file of a sharp picture can be too large for a smaller file.
         let room = fixed as f64 + (MAX_OVERSHOOT * most_for_base).min(MOST_SHARP * all);
@@ -304,6 +319,19 @@ fn bytes_of_base(effort: u8, pixels: u64, ratio: f64, all: f64) -> f64 {
     let haste = if effort == 1 { HASTY_BASE } else { 1.0 };
     (haste * REFERENCE_BASE_BYTES * larger.strict_powf(BASE_POWER) * (ratio.min(100.0) / 50.0).strict_powf(-BASE_FALL))
         .min(MAX_BASE_SHARE * all)
+}
+
+/// Returns the factor on the byte budget of the Gaussians that suits the texture of a picture. Gaussians represent fine
+/// texture poorly.
+fn base_factor(texture: Texture, ratio: f64) -> f64 {
+    if texture.is_drawing() {
+        let [from, to] = BUSY_DRAWING;
+        return 1.0 + (MAX_DRAWING_BASE - 1.0) * ((texture.activity - from) / (to - from)).clamp(0.0, 1.0);
+    }
+    let [from, to] = FINE_BASE_RATIOS;
+    let strength = ((ratio / from).strict_ln() / (to / from).strict_ln()).clamp(0.0, 1.0);
+    let factor = (1.0 - FINE_BASE_FALL * (texture.fineness - FINE_BASE)).clamp(MIN_FINE_BASE, 1.0);
+    1.0 - strength * (1.0 - factor)
 }
 
 /// Returns the minimum share of the bytes for the Gaussians of a picture with this texture, size and ratio.

@@ -197,6 +197,20 @@ impl Projected {
         (first < end).then_some((first as usize, end as usize, dy))
     }
 
+    /// Returns the ends of the support in row `y`, slightly enlarged, or `None` if it does not reach there.
+    #[inline(always)]
+    pub fn row_ends(&self, y: u32) -> Option<[f32; 2]> {
+        let dy = y as f32 - self.center[1];
+        let t = CUTOFF * CUTOFF - self.rest * dy * dy;
+        // Rounding must not lose a row at a tip.
+        if t < -1e-3 * CUTOFF * CUTOFF {
+            return None;
+        }
+        let half = (t.max(0.0) * self.inv_a).sqrt() + 1.0;
+        let middle = self.center[0] - self.shear * dy;
+        Some([middle - half, middle + half])
+    }
+
     /// Returns the pixels `first..end` that the support covers in any row between the distances `top` and `bottom` from
     /// the centre. The range is slightly enlarged, so that rounding loses no pixel.
     #[inline(always)]
