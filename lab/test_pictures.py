@@ -51,7 +51,7 @@ def run(program: str, path: Path) -> tuple[str, str, int]:
     outcome = STATUSES.get(child.returncode, f"STATUS {child.returncode}")
     if "panicked" in text or "a bug of ssplat" in text:
         outcome = "PANIC"
-    elif "its decoder cannot cope" in text:
+    elif "its decoder failed unexpectedly" in text:
         outcome = "broken, by a panic of its decoder"
     elif usage.ru_maxrss * 1024 > MOST_RESIDENT:
         outcome = "MEMORY"

@@ -79,7 +79,7 @@ impl Options {
         match (asked.next(), asked.next()) {
             (None, _) => Ok(Target::Auto),
             (Some(target), None) => target,
-            _ => Err(parameter("ratio", "only one of ratio, bytes, psnr, primitives and quality can be asked for")),
+            _ => Err(parameter("ratio", "only one of ratio, bytes, psnr, primitives and quality can be given")),
         }
     }
 

@@ -169,7 +169,7 @@ pub fn from_gaussians<'py>(
     let channels = Channels::from_count(c).ok_or_else(|| parameter("color", format!("{c} channels are not 1 to 4")))?;
     for (name, shape) in [("mean", mean.dim()), ("scale", scale.dim()), ("rotation", (rotation.len(), 2))] {
         if shape != (n, 2) {
-            return Err(parameter(name, format!("{} rows of {} where {n} colours are given", shape.0, shape.1)));
+            return Err(parameter(name, format!("{} rows of {}, but there are {n} colours", shape.0, shape.1)));
         }
     }
     let gaussians = (0..n).map(|i| Gaussian {

@@ -145,7 +145,7 @@ fn listen<T: Send>(py: Python<'_>, receiver: &Mutex<Receiver<Message<T>>>, calls
                     let found = task.call0()?;
                     let found = found.extract::<PyBackedBytes>().map_err(|_| {
                         let kind = found.get_type();
-                        parameter("start", format!("a task was answered by {kind}, not by bytes"))
+                        parameter("start", format!("the function that start returned must return bytes, not {kind}"))
                     })?;
                     let _ = answer.send(found.to_vec());
                 }

@@ -79,12 +79,12 @@ def test_an_answer_that_is_none_names_the_tile():
 
     for start, text in [
         (lambda task: bytes, "128 × 128 at 0, 0: 0 bytes"),
-        (foreign, "14 × 128 at 256, 0: it answers task"),
+        (foreign, "14 × 128 at 256, 0: the answer belongs to task"),
     ]:
         with pytest.raises(ssplat.ParameterError, match=text) as caught:
             ssplat.encode(PICTURE, **OPTIONS, start=start, at_once=1)
         assert caught.value.name == "answer"
-    with pytest.raises(ssplat.ParameterError, match="answered by <class 'int'>"):
+    with pytest.raises(ssplat.ParameterError, match="must return bytes, not <class 'int'>"):
         ssplat.encode(PICTURE, **OPTIONS, start=lambda task: int)
 
 

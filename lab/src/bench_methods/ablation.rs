@@ -140,8 +140,10 @@ pub fn run(args: &BenchMethods) -> std::result::Result<(), Failure> {
 /// Returns the page: a table of means over pictures and seeds for each ratio.
 fn markdown(args: &BenchMethods, pictures: &[String], steps: &[Step], found: &[Vec<OfPictures>]) -> String {
     let seeds: Vec<String> = args.seeds.iter().map(u64::to_string).collect();
-    let mut out =
-        format!("# From SmartSplat's pipeline to that of ssplat\n\n```sh\n{}\n```\n\n", page::command(std::env::args()));
+    let mut out = format!(
+        "# From SmartSplat's pipeline to that of ssplat\n\n```sh\n{}\n```\n\n",
+        page::command(std::env::args())
+    );
     let _ = writeln!(
         out,
         "Pictures: {}. Seeds {}. Effort {}.\n\

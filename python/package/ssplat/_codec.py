@@ -205,7 +205,7 @@ def decode(
     if lost:
         warnings.warn(f"{' and '.join(lost)} are missing", PartialWarning, stacklevel=2)
     elif damaged:
-        text = "the file is damaged or cut off; all of the picture that was asked for is there"
+        text = "the file is damaged or cut off, but the requested part of the picture is complete"
         warnings.warn(text, PartialWarning, stacklevel=2)
     return array
 

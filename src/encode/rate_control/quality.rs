@@ -65,9 +65,8 @@ impl Curve for Points {
 pub(super) fn to_quality<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64) -> Result<Outcome> {
     let &PackedSplats { width, height, .. } = session.blank();
     if width.min(height) < MIN_SIDE {
-        let problem = format!(
-            "SSIMULACRA2 takes no picture of {width} × {height}: a side has to have {MIN_SIDE} pixels at least"
-        );
+        let problem =
+            format!("SSIMULACRA2 needs sides of at least {MIN_SIDE} pixels; the picture has {width} × {height}");
         return Err(Error::Parameter { name: "quality", problem });
     }
     let sizes = super::sizes_tried(session.samples());

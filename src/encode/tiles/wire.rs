@@ -135,7 +135,7 @@ impl PendingTile {
         self.read(global, bytes).map_err(|e| match bad("answer", e) {
             Error::Parameter { name, problem } => {
                 let [x, y, width, height] = self.window.core.bounds();
-                let problem = format!("that of the tile of {width} × {height} at {x}, {y}: {problem}");
+                let problem = format!("for the tile of {width} × {height} at {x}, {y}: {problem}");
                 Error::Parameter { name, problem }
             }
             e => e,
@@ -146,7 +146,7 @@ impl PendingTile {
         let mut bytes = check_envelope(bytes, ANSWER)?;
         let id = bytes.u32("id of the task")?;
         if id != self.id {
-            let problem = format!("it answers task {id:08x}, not {:08x}", self.id);
+            let problem = format!("the answer belongs to task {id:08x}, not to task {:08x}", self.id);
             return Err(Error::Parameter { name: "answer", problem });
         }
         let error = read_f64(&mut bytes, "error")?;
@@ -253,15 +253,15 @@ fn check_envelope<'a>(bytes: &'a [u8], kind: &'static [u8]) -> Result<Bytes<'a>>
     let Some(rest) = bytes.strip_prefix(kind) else {
         let kind = String::from_utf8_lossy(kind);
         let found = String::from_utf8_lossy(&bytes[..bytes.len().min(kind.len())]);
-        return wrong(format!("{} bytes that begin with {found:?}, not with {kind:?}", bytes.len()));
+        return wrong(format!("the {} bytes begin with {found:?}, not with {kind:?}", bytes.len()));
     };
     let head = &rest[..rest.len().min(64)];
     let end = head.iter().position(|&b| b == b'\n');
     let version = &head[..end.unwrap_or(head.len())];
     if version != VERSION || end.is_none() {
         let [found, own] = [version, VERSION].map(|v| String::from_utf8_lossy(v).into_owned());
-        let state = if end.is_none() { "cut off within the line of the version" } else { "made by version" };
-        return wrong(format!("{state} {found:?}, this is {own:?}"));
+        let state = if end.is_none() { "truncated in the line of the version" } else { "written by version" };
+        return wrong(format!("{state} {found:?}, but this is version {own:?}"));
     }
     let start = kind.len() + version.len() + 1;
     let Some((contents, stored)) = bytes[start..].split_last_chunk() else {
@@ -354,7 +354,7 @@ fn read_context<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, pixels: &'a Task
     }
     let count = count as usize;
     let seed = u64::from_le_bytes(bytes.array("seed")?);
-    let sufficient_error = read_f64(bytes, "enough")?;
+    let sufficient_error = read_f64(bytes, "sufficient error")?;
     // The flags: whether bits have a price, whether a detail layer follows, whether hidden colours count, and whether
     // there is a time budget.
     let [is_priced, is_base, keeps_hidden, is_timed] = match bytes.array("flags")? {
