@@ -8,7 +8,7 @@ import { fetched } from "./source.js"
 let shared
 const decoder = () => shared ??= new Decoder({ worker: true })
 
-// Extensions and types of other pictures.
+// Media types of other pictures.
 const others = /^image\/(?!x-ssplat|octet)/
 const magic = [0x89, 0x53, 0x53, 0x50]
 

@@ -12,7 +12,7 @@ pub fn carry(
     notes: &mut Vec<String>,
 ) {
     let carried = options.metadata.of(icc, exif, orientation);
-    // No note about losses that the user asked for.
+    // No note about losses that the user requested.
     if options.metadata == MetadataPolicy::Needed && carried.exif_left_out > 0 {
         let but = if carried.exif.is_some() { " except for the orientation" } else { "" };
         let bytes = carried.exif_left_out;

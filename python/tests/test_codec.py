@@ -1,4 +1,4 @@
-"""Pictures to files and back: what is asked for is what comes."""
+"""Encoding and decoding: the results have the requested properties."""
 
 import io
 import warnings

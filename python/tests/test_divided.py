@@ -1,4 +1,4 @@
-"""One picture among workers: the same file, and errors that name the tile."""
+"""One picture on several workers: the same file, and errors that name the tile."""
 
 import threading
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor

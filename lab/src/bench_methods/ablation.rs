@@ -27,7 +27,7 @@ struct Step {
 }
 
 /// Returns all steps, from the paper's pipeline to that of ssplat. The last two are not part of the sequence; each
-/// changes ours in one respect.
+/// changes one property of ssplat.
 fn steps() -> Vec<Step> {
     let paper = Recipe::SmartSplat(Ablation::Colors);
     let step = |name, recipe, rung| Step {
