@@ -132,7 +132,7 @@ fn read_foreign(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Fai
             return Err(Failure { kind: Kind::Unsupported, message });
         }
         if found.has_more {
-            notes.push("only its first frame or page is used".into());
+            notes.push("only the first of its frames or pages is used".into());
         }
     }
     let stated = colour::look(&mut input).map_err(io)?;

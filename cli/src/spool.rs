@@ -219,7 +219,7 @@ fn png(path: &Path, reader: &mut BufReader<File>, end: Option<Instant>) -> Resul
     let mut notes: Vec<String> = stated.note.map(String::from).into_iter().collect();
     let mut icc = stated.or(info.icc_profile.as_ref().map(|v| v.to_vec()));
     if found.has_more {
-        notes.push("only its first frame or page is used".into());
+        notes.push("only the first of its frames or pages is used".into());
     }
     if info.utf8_text.iter().any(|text| text.keyword == "XML:com.adobe.xmp") {
         notes.push("its XMP block is left out".into());

@@ -78,7 +78,7 @@ def test_an_answer_that_is_none_names_the_tile():
         return lambda: answers[0]
 
     for start, text in [
-        (lambda task: bytes, "128 × 128 at 0, 0: 0 bytes"),
+        (lambda task: bytes, "128 × 128 at 0, 0: the 0 bytes"),
         (foreign, "14 × 128 at 256, 0: the answer belongs to task"),
     ]:
         with pytest.raises(ssplat.ParameterError, match=text) as caught:
