@@ -367,7 +367,7 @@ fn an_invalid_answer_names_its_tile() {
         ("cut", &|answer| answer[..answer.len() - 1].to_vec()),
         ("the answer belongs to task", &|_| foreign.clone()),
         ("begin with", &|_| workers.given[1].clone()),
-        ("cut off within the line", &|answer| answer[..contents(&answer) - 1].to_vec()),
+        ("truncated in the line", &|answer| answer[..contents(&answer) - 1].to_vec()),
         ("checksum", &|mut answer| {
             answer[60] ^= 1;
             answer
