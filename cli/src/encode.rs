@@ -228,7 +228,7 @@ fn load(
     }
     let mut source = source::read(path, opened, if args.auto_orient { Turn::Upright } else { Turn::Keep })?;
     if args.partial && source.is_cut_off {
-        source.notes.push("the file is truncated; the missing part of the picture is encoded as it was decoded".into());
+        source.notes.push("the file is cut off, so the encoded picture is incomplete".into());
     } else {
         source = source.whole(path)?;
     }
