@@ -79,7 +79,7 @@ impl Pixels {
         if length as u64 != want {
             return Err(Error::Parameter {
                 name: "samples",
-                problem: format!("{length} given, but {want} are needed"),
+                problem: format!("{length} given where {want} are needed"),
             });
         }
         Ok(Pixels { width, height, channels, samples })

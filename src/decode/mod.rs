@@ -60,7 +60,7 @@ pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -
     if out.count() as u64 != samples {
         return Err(Error::Parameter {
             name: "out",
-            problem: format!("{} samples given, but {samples} are needed", out.count()),
+            problem: format!("{} samples where {samples} are needed", out.count()),
         });
     }
     let opened = opening.read_for(&view, options.damage)?;
