@@ -227,11 +227,11 @@ def main(arguments=None):
     size.add_argument("--bytes", type=int)
     size.add_argument("--psnr", type=float)
     parser.add_argument("--effort", type=int, default=5)
-    parser.add_argument("--block", type=int, help="pictures in a task (by default 1 to 16)")
+    parser.add_argument("--block", type=int, help="number of pictures per task (by default 1 to 16)")
     parser.add_argument("--again", action="store_true", help="try pictures with errors once more")
     parser.add_argument("--split", type=int, nargs="?", const=2048, metavar="SIDE", help="divide one picture in tiles")
-    parser.add_argument("--keep", help="with --split: folder or fsspec URL for the answers, to go on from")
-    parser.add_argument("--address", help="the cluster's; by default one on this machine")
+    parser.add_argument("--keep", help="with --split: folder or fsspec URL for the results of tiles, from which an interrupted run continues")
+    parser.add_argument("--address", help="address of the cluster; by default one is started on this machine")
     a = parser.parse_args(arguments)
     import ray
 

@@ -50,7 +50,7 @@ def main():
     parser.add_argument("--effort", type=int, default=1)
     parser.add_argument("--ratio", type=float, default=50)
     parser.add_argument("--cores", type=int, default=2)
-    parser.add_argument("--times", type=int, default=1, help="how often each picture is there")
+    parser.add_argument("--times", type=int, default=1, help="number of copies of each picture")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--compare", action="store_true", help="xargs measures the pictures too")
     a = parser.parse_args()

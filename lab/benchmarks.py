@@ -183,7 +183,7 @@ def quality():
                 rows.append([str(ratio), label, "no files of that size", "", "", "", "", "", ""])
                 continue
             ahead = sum(b["ssimulacra2"] > v for b, v in zip(base, found["ssimulacra2"]))
-            rows.append([str(ratio), label, "as ours", *(number(mean(found[k]), d) for k, d in zip(MEASURES, (2, 4, 1, 2))), number(mean(r["encode_s"] for ps in points for r in ps), 2), f"{ahead} of 12"])
+            rows.append([str(ratio), label, "as ssplat", *(number(mean(found[k]), d) for k, d in zip(MEASURES, (2, 4, 1, 2))), number(mean(r["encode_s"] for ps in points for r in ps), 2), f"{ahead} of 12"])
         for name, label in (("vvc-medium", "VVC, vvenc medium"),):
             of = [today.get((name, p.name, ratio)) for p in pictures]
             if any(r is None for r in of):

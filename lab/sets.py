@@ -1,20 +1,20 @@
 #!/usr/bin/env python3
-"""Compares encoders on whole sets of pictures: programs beside each other, and beside AVIF (tune=iq) at equal bytes.
+"""Compares encoders on whole sets of pictures: programs with each other, and with AVIF (tune=iq) at equal bytes.
 
     python lab/sets.py PICTURES old=target/old/ssplat new=target/release/ssplat
     python lab/sets.py PICTURES new=target/release/ssplat --sets clic --ratios 50,100 --half choose --options "--effort 3"
     python lab/sets.py PICTURES ssplat=target/release/ssplat --shares off,0.1,0.25,0.5,0.75 --table shares.txt
 
-PICTURES has one folder for each set that lab/sets.json names. That file divides each set into a half on which constants of the encoder are chosen
-and a half by which they are judged. A program may bring options and variables of its own: "wide=target/release/ssplat --detail 0.5", "slow=RATE=0.5 target/release/ssplat".
+PICTURES contains one folder for each set in lab/sets.json. That file divides each set into a half for choosing constants of
+the encoder and a half for evaluating them. A program may have its own options and environment variables: "wide=target/release/ssplat --detail 0.5", "slow=RATE=0.5 target/release/ssplat".
 
-Pictures are copied without their metadata first, so that all codecs store pixels alone. Programs take turns on each picture, on one thread. All
-files are measured by `compare` of the first program. Results are kept in --cache by the hash of the program: started again, the command goes on
-where it stopped. It prints, for each set and ratio, the mean of every program, what it gains over the first, and its lead in SSIMULACRA2 over
-the better of AVIF 4:2:0 and 4:4:4, interpolated to its bytes.
+Pictures are first copied without their metadata, so that all codecs store only pixels. The programs encode each picture in turn, on
+one thread. `compare` of the first program measures all files. Results are cached in --cache by the hash of the program, so that an
+interrupted command can be continued. For each set and ratio, the command prints the means of every program, its gain over the first
+program, and its lead in SSIMULACRA2 over the better of AVIF 4:2:0 and 4:4:4, interpolated to its bytes.
 
---shares encodes each picture with the first program at each of these values of --detail beside its own choice, and writes what the picture
-would have had: the table from which the constants of src/encode/detail/divide.rs are chosen.
+--shares encodes each picture with the first program at each of these values of --detail and with its own choice, and writes a table of
+the results, from which the constants of src/encode/detail/divide.rs are chosen.
 """
 import argparse, hashlib, json, math, os, pathlib, shlex, statistics, subprocess, sys, tempfile
 
@@ -33,19 +33,19 @@ def arguments():
     parser.add_argument("--only", default="", help="pictures whose names contain one of these words, separated by commas")
     parser.add_argument("--ratios", default="20,50,100,200")
     parser.add_argument("--options", default="", help="further options of every program's encode")
-    parser.add_argument("--crop", type=int, default=0, help="side of a square in the middle that is taken instead of the picture")
+    parser.add_argument("--crop", type=int, default=0, help="encode only a square of this side in the middle of each picture")
     parser.add_argument("--no-avif", action="store_true")
     parser.add_argument("--avif-speed", type=int, default=6)
     parser.add_argument("--cache", type=pathlib.Path, default=root / "target/sets")
-    parser.add_argument("--repeat", type=int, default=1, help="encodes of each file, the fastest of which counts")
+    parser.add_argument("--repeat", type=int, default=1, help="number of encodes of each file; the time is that of the fastest")
     parser.add_argument("--each", action="store_true", help="print every picture")
     parser.add_argument("--shares", default="", help="values of --detail to try, separated by commas")
-    parser.add_argument("--table", type=pathlib.Path, help="where the table of shares is written")
+    parser.add_argument("--table", type=pathlib.Path, help="file to which the table of shares is written")
     return parser.parse_args()
 
 
 def run(command, variables={}):
-    """The output and CPU seconds of a command."""
+    """Runs a command and returns its output and CPU seconds."""
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         child = subprocess.Popen([str(part) for part in command], stdout=out, stderr=err, env=os.environ | variables)
         _, status, used = os.wait4(child.pid, 0)
@@ -71,7 +71,7 @@ class Lab:
         (args.cache / "pixels").mkdir(exist_ok=True)
 
     def kept(self, name, work):
-        """The result of `work`, from the last time if there is one."""
+        """Returns the result of `work`, from the cache if it is there."""
         path = self.args.cache / (hashlib.sha256(name.encode()).hexdigest()[:24] + ".json")
         if not path.exists():
             made = work()
@@ -81,7 +81,7 @@ class Lab:
         return json.loads(path.read_text())
 
     def pictures(self, name):
-        """The pictures of a set, without metadata."""
+        """Returns the pictures of a set, without metadata."""
         halves = json.loads((root / "lab/sets.json").read_text())[name]
         words = [word for word in self.args.only.split(",") if word]
         for file in sorted(sum((halves[half] for half in halves if self.args.half in (half, "all")), [])):
@@ -121,7 +121,7 @@ class Lab:
         return self.kept(f"{build} {variables or ''} {picture.name} {options}", work)
 
     def avif(self, picture, ratios):
-        """Files of AVIF about the sizes of such ratios, by subsampling."""
+        """Returns AVIF files with sizes around these ratios, by subsampling."""
         from PIL import Image
         speed = self.args.avif_speed
         image = Image.open(picture)
@@ -147,7 +147,7 @@ class Lab:
             for ratio in ratios:
                 size = raw / ratio
                 wanted |= {max((p for p in ladder if p[0] <= size), default=ladder[0]), min((p for p in ladder if p[0] >= size), default=ladder[-1])}
-                # Files of ours fall short of the ratio by a little.
+                # The files of ssplat are slightly smaller than the ratio allows.
                 wanted |= {max((p for p in ladder if p[0] <= .97 * size), default=ladder[0])}
             points = []
             for _, quality in sorted(wanted):
@@ -163,7 +163,7 @@ class Lab:
 
 
 def at(points, size, key):
-    """A measure at a size, by the logarithm of the size between the two files next to it; `None` outside."""
+    """Interpolates a measure at a size between the two nearest files, over the logarithm of the size. Returns `None` outside."""
     points = sorted(points, key=lambda p: p["bytes"])
     for a, b in zip(points, points[1:]):
         if a["bytes"] <= size <= b["bytes"]:
@@ -173,7 +173,7 @@ def at(points, size, key):
 
 
 def best_avif(avif, size):
-    """What the better of both subsamplings has at a size."""
+    """Returns the measures of the better of both subsamplings at a size."""
     found = [{key: at(points, size, key) for key in MEASURES} for points in avif.values()]
     found = [f for f in found if f["ssimulacra2"] is not None]
     return max(found, key=lambda f: f["ssimulacra2"], default=None)

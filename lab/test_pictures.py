@@ -1,11 +1,11 @@
-"""Runs the test pictures of other projects through the program's door for input pictures, with:
+"""Encodes the test pictures of other projects, to test how the program reads input pictures:
 
     python lab/test_pictures.py SSPLAT FOLDER_OR_ARCHIVE...
 
 Archives are tar files: Pillow's source distribution from PyPI (`pip download --no-binary pillow --no-deps pillow`, with setuptools
-and pybind11), and `git archive` of the `image` crate. Each file is encoded with the shortest fit, in an address space of 6 GB. A file
-fails the run where the program panics, is killed, hangs for a minute, exits with a status that is none for a bad picture, or holds more than
-`MOST_RESIDENT` bytes of memory. Prints how many files came to what.
+and pybind11), and `git archive` of the `image` crate. Each file is encoded with the shortest fit, in an address space of 6 GB. The run
+fails if the program panics, is killed, hangs for a minute, exits with a status that bad pictures do not have, or uses more than
+`MOST_RESIDENT` bytes of memory. Prints the number of files by outcome.
 """
 
 import collections
@@ -19,15 +19,15 @@ import tempfile
 from pathlib import Path
 
 ADDRESS_SPACE = 6_000_000_000
-#: Most bytes that may be resident; the test pictures are small, and only what some of them say of themselves is large.
+#: Maximum resident memory, bytes. The test pictures are small, although some declare large sizes.
 MOST_RESIDENT = 1 << 30
 SECONDS = 60
-#: What the program's exit statuses mean.
+#: Meanings of the program's exit statuses.
 STATUSES = {0: "decoded", 3: "not readable", 4: "broken", 5: "unsupported", 6: "over the limits"}
 
 
 def run(program: str, path: Path) -> tuple[str, str, int]:
-    """What came of a file, what was said, and the most bytes that were resident."""
+    """Returns the outcome for a file, the messages, and the peak resident memory in bytes."""
 
     def bounded() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
@@ -51,7 +51,7 @@ def run(program: str, path: Path) -> tuple[str, str, int]:
     outcome = STATUSES.get(child.returncode, f"STATUS {child.returncode}")
     if "panicked" in text or "a bug of ssplat" in text:
         outcome = "PANIC"
-    elif "its decoder cannot cope" in text:
+    elif "its decoder failed unexpectedly" in text:
         outcome = "broken, by a panic of its decoder"
     elif usage.ru_maxrss * 1024 > MOST_RESIDENT:
         outcome = "MEMORY"

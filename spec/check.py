@@ -29,7 +29,7 @@ SECONDS = 60
 
 
 def read_picture(path):
-    """Samples, rows × columns × channels, and the largest code value, of a PAM, PGM or PPM."""
+    """Returns the samples, rows × columns × channels, and the largest code value of a PAM, PGM or PPM."""
     data = path.read_bytes()
     if data[:2] == b"P7":
         head, body = data.split(b"ENDHDR\n", 1)
@@ -44,7 +44,7 @@ def read_picture(path):
 
 
 def worst_of(got, want, top, reduced):
-    """The largest difference; in a reduced picture colours count less where alpha is below 1/16 (§5.5)."""
+    """Returns the largest difference. In a reduced picture, colours have less weight where alpha is below 1/16 (§5.5)."""
     off = abs(got - want).astype(float)
     if reduced and want.shape[2] in (2, 4):
         off[..., :-1] *= np.minimum(1, 16 * want[..., -1:] / top)
@@ -52,7 +52,7 @@ def worst_of(got, want, top, reduced):
 
 
 def problem_of(run, case, folder, out):
-    """What the decoder did wrong, or None."""
+    """Returns a description of the decoder's mistake, or None."""
     width, height = case.get("size", " ").split(" ")
     options = ["--width", width, "--height", height] if width else ["--partial"] if "partial" in case else []
     status = run(folder / "file.ssplat", out, *options)
@@ -76,7 +76,7 @@ def problem_of(run, case, folder, out):
 
 
 def check(run, optional=("reduced", "partial"), show=True):
-    """Runs the vectors; gives back how many there are and what went wrong."""
+    """Runs the vectors. Returns their number and the failures."""
     folders = sorted(p.parent for p in (HERE / "vectors").glob("*/*/case.txt"))
     folders = [f for f in folders if f.parent.name in ("valid", "invalid", "limits", *optional)]
     problems = []
@@ -112,7 +112,7 @@ def by_decode(file, out, *options):
         return decode.main([str(file), str(out), *options])
 
 
-# Parts of the detail layer that a decoder might forget: where they are, and what is there without them.
+# Parts of the detail layer that a decoder might lack: their code, and its replacement without them.
 LEFT_OUT_FROM = {
     "the detail layer": (decode, "additions"),
     "lapping": (decode, "lap"),
@@ -126,7 +126,7 @@ LEFT_OUT = {
 
 
 def control():
-    """Decoders that are wrong in one way each, and the vectors that shall find them out."""
+    """Returns decoders with one fault each, and the vectors that must detect them."""
 
     def off_by(amount):
         def run(file, out, *options):

@@ -20,7 +20,7 @@ import numpy as np
 SIGNATURE = bytes([0x89, 0x53, 0x53, 0x50])
 FINE = 16
 
-# What this decoder is willing to do (§9).
+# The limits of this decoder (§9).
 MOST_PRIMITIVES = 1 << 24
 MOST_SAMPLES = 1 << 28
 MOST_WEIGHTS = 1 << 32
@@ -31,11 +31,11 @@ class Illegal(Exception):
 
 
 class TooMuch(Exception):
-    """The file may be sound but asks for more than this decoder allows."""
+    """The file may be valid but exceeds the limits of this decoder."""
 
 
 class Unsupported(Exception):
-    """A newer file, or a library is missing."""
+    """The file has a newer version, or a library is missing."""
 
 
 def demand(condition, problem):
@@ -154,7 +154,7 @@ class Header:
         return -(-side >> e) if e >= 0 else side << -e
 
     def logs(self, major, minor, angle):
-        """lx and ly of §4.3."""
+        """Returns lx and ly of §4.3."""
         key = (major, minor, angle)
         if key not in self.steps_of:
             if self.range == 0:
@@ -170,7 +170,7 @@ class Header:
         return self.steps_of[key]
 
     def seat(self, major):
-        """The logarithm of the side of the square where such primitives sit (§8.4)."""
+        """Returns the logarithm of the side of the square that contains such primitives (§8.4)."""
         t = 2 * (major * self.D - 64 - 8 * self.position) - 1
         return clamp((t + 32) // 64, self.finest, self.coarsest) - self.finest
 
@@ -190,12 +190,12 @@ class Header:
 
 
 def most_color(halves, luma):
-    """The largest colour integer whose step is so many half luma steps (§4)."""
+    """Returns the largest colour integer for a step of this many half luma steps (§4)."""
     return max(n for n in range(1, 1025) if (n * halves) ** 3 << luma <= 1 << 33)
 
 
 def read_sections(b, header, damaged):
-    """Skips the sections but for `Dtal`, whose contents it leaves in the header; gives back the bytes that the file's checksum covers."""
+    """Skips all sections except `Dtal`, whose contents it stores in the header. Returns the bytes that the file's checksum covers."""
     start, covered, last = b.at, b"", b""
     count = b.varint("section count")
     demand(1 <= count <= 64, "number of sections")
@@ -357,7 +357,7 @@ def zstd_library():
 
 
 def check_frame(frame, count):
-    """What a frame shall look like, beside what RFC 8878 says of it."""
+    """Checks the rules for a frame in addition to those of RFC 8878."""
     b = Bytes(frame)
     demand(b.take(5, "zstd frame") == b"\x28\xb5\x2f\xfd\0", "start of a zstd frame")
     window = b.byte("zstd frame")
@@ -373,7 +373,7 @@ def check_frame(frame, count):
             plain += size
             demand(plain <= count, "length of a zstd frame")
             continue
-        # Literals: raw, one that repeats, or compressed.
+        # Literals: raw, a repeated byte, or compressed.
         first = block.byte("literals")
         block.at = 0
         kind, form = first & 3, first >> 2 & 3
@@ -385,7 +385,7 @@ def check_frame(frame, count):
             head, width = [(3, 10), (3, 10), (4, 14), (5, 18)][form]
             size = int.from_bytes(block.take(head, "literals"), "little") >> 4 + width & (1 << width) - 1
         block.take(size, "literals")
-        # Sequences: their number, and modes of which two bits are reserved.
+        # Sequences: their number, and the modes, which have two reserved bits.
         first = block.byte("sequences")
         if first == 0:
             demand(block.at == len(block.data), "bytes behind a zstd block")
@@ -476,7 +476,7 @@ class RangeDecoder:
             self.at += 1
 
     def choose(self, below, low, high):
-        """The value v of low … high − 1 that below(v) ≤ target < below(v + 1) holds for; below(low) is 0. Gives both bounds too."""
+        """Returns the value v in low … high − 1 with below(v) ≤ target < below(v + 1), where below(low) is 0, and both bounds."""
         total = below(high)
         unit = self.range // total
         target = min(self.code // unit, total - 1)
@@ -540,7 +540,7 @@ def log16(v):
 
 
 class Near:
-    """The distribution around a place, with a spread."""
+    """The distribution around a place with a given spread."""
 
     def __init__(self, coder, place, spread):
         self.coder, self.place, self.inverse = coder, place, INVERSE[clamp(spread, 80, 320)]
@@ -647,7 +647,7 @@ def whole_region(header):
 
 
 def halves(corner, log, axis):
-    """The logarithms of both halves' sides, and the upper half's corner."""
+    """Returns the logarithms of the sides of both halves, and the corner of the upper half."""
     log, upper = list(log), list(corner)
     log[axis] -= 1
     upper[axis] += 1 << log[axis]
@@ -655,7 +655,7 @@ def halves(corner, log, axis):
 
 
 class Places:
-    """The squares of a group's primitives, as (logarithm of the side, corner), in the order in which they are found."""
+    """Returns the squares of a group's primitives, as (logarithm of the side, corner), in decoding order."""
 
     def __init__(self, coder, header, cells):
         self.coder, self.header, self.cells, self.out = coder, header, cells, []
@@ -855,7 +855,7 @@ def read_group(coder, header, background, book, corner, log, count):
     out, last = [], None
     for place in places:
         l, q = place
-        # What is near (§8.5), and what was before.
+        # The neighbours (§8.5), and the previous primitives.
         near = buckets.around(place)
         V, E, axis, elongation, weight = near[:6], near[6:10], near[10:12], near[12], near[13]
         if len(out) < 64 or len(out) % 8 == 0:
@@ -895,7 +895,7 @@ def read_group(coder, header, background, book, corner, log, count):
             angle = v % n
             gains_angle.learn(classes, 2 * AT_THE_MEAN * abs(first + end - total) // total)
 
-        # Rest of the position.
+        # The remaining bits of the position.
         lx, ly = header.logs(major, minor, angle)
         u, v = coder.pair(l - lx, l - ly)
         x, y = (q[0] >> lx) + u, (q[1] >> ly) + v
@@ -940,7 +940,7 @@ def read_group(coder, header, background, book, corner, log, count):
         last = (place, key)
         out.append(p)
 
-        # What it leaves.
+        # The prediction error.
         values = [major, minor] + list(color) + [0] * (4 - len(color))
         for m, value in zip(means + mean_errors, values + errors):
             m.add(FINE * value)
@@ -997,7 +997,7 @@ def read_divisions(b, header, corner, log, count, groups):
 
 
 def read_groups(b, header, lost=None):
-    """Background and primitives; with a list `lost`, groups that are not intact leave their counts there."""
+    """Returns background and primitives. With a list `lost`, damaged groups are skipped and their counts appended to it."""
     start = b.at
     background = read_background(b, header)
     book = read_codebook(b, header)
@@ -1052,7 +1052,7 @@ class DetailHead:
         flags = b.byte("detail flags")
         demand(flags < 128, "detail flags")
         seen, start = flags >> 6 & 1, b.at
-        # The fields by their bits: what the flags of both presets stand for, and what is said.
+        # The fields by their bits: the values of the preset, and the stored values.
         presets = ([39, 32], [0, 0], [0b11_10_11_00], [0x42], [1]), ([64, 32], [48, 48], [0b11_10_11_00], [0x20], [4])
         fields = [list(b.take(len(p), "field")) if flags >> k & 1 else p for k, p in enumerate(presets[seen])]
         demand(b.at == len(contents), "bytes behind the detail head")
@@ -1072,7 +1072,7 @@ class DetailHead:
         self.kinds = [(0, [0])] + [(1, [1, 2])] * (header.channels >= 3) + [(2, [3])] * has_plane
 
     def steps(self, plane, step_class, size):
-        """The steps of all frequencies of a block, rows × columns (§11.5)."""
+        """Returns the steps of all frequencies of a block, rows × columns (§11.5)."""
         base = self.step * self.ratio[plane] // 16
         if self.classes > 1:
             base = base * (38, 54, 76, 108, 152, 215, 304, 430)[step_class] // 64
@@ -1082,7 +1082,7 @@ class DetailHead:
 
 
 def wrapped(values):
-    """Modulo 2³², with a sign."""
+    """Returns the value modulo 2³² as a signed integer."""
     return np.asarray(values).astype(np.int64).astype(np.int32)
 
 
@@ -1095,14 +1095,14 @@ def tile_count(header):
 
 
 def tiles_of(header):
-    """Left, top, width and height of each."""
+    """Returns left, top, width and height of each tile."""
     width, height = header.size
     corners = [(x, y) for y in range(0, height, TILE) for x in range(0, width, TILE)]
     return [(x, y, min(TILE, width - x), min(TILE, height - y)) for x, y in corners]
 
 
 def read_tiles(b, header, lost=None):
-    """What each tile adds, with where it lies; with a list `lost`, tiles that are not intact are named there, and None is given where the index is not."""
+    """Returns the additions of each tile with its position. With a list `lost`, damaged tiles are appended to it, and the result is None if the index is damaged."""
     count, entries = tile_count(header), []
     try:
         demand(count <= len(b.data) - b.at, "index of the detail layer is cut off")
@@ -1134,7 +1134,7 @@ def read_tiles(b, header, lost=None):
 
 
 class Models:
-    """Adaptive bits that begin alike for each tile."""
+    """Adaptive bits, which start in the same state for each tile."""
 
     STARTS = None
 
@@ -1186,7 +1186,7 @@ class Models:
 
 
 def scan_of(size):
-    """The places (u, v) of a block, in order, with the zone of each."""
+    """Returns the places (u, v) of a block in coding order, with the zone of each."""
     side = range(4 << size)
     places = sorted(((u, v) for v in side for u in side), key=lambda p: (sum(p), p[1 - sum(p) % 2]))
 
@@ -1200,7 +1200,7 @@ SCANS = [scan_of(size) for size in range(SIZES)]
 
 
 class Tile:
-    """The levels of a tile of so many pixels; rows and columns are those of cells."""
+    """The levels of a tile of this size in pixels; rows and columns count cells."""
 
     def __init__(self, stream, header, size):
         self.head, self.channels, self.pixels = header.detail, header.channels, size
@@ -1252,7 +1252,7 @@ class Tile:
             self.dense[plane, y : y + n, x : x + n] = len(levels) * 1024 // (4 * n) ** 2
 
     def block(self, kind, plane, x, y, size):
-        """The levels of a block by their places (u, v)."""
+        """Returns the levels of a block by their places (u, v)."""
         n, dense = 1 << size, self.dense[plane]
         near = list(dense[y - 1, x : x + n]) * (y > 0) + list(dense[y : y + n, x - 1]) * (x > 0)
         bucket = min(7, bits(-(-int(sum(near)) * 4 * (4 * n) ** 2 // (1024 * len(near))))) if near else 2
@@ -1309,7 +1309,7 @@ class Tile:
     # §11.5
 
     def additions(self):
-        """What the pixels get, rows × columns × channels, in 1/32 of an 8-bit code value."""
+        """Returns the additions to the pixels, rows × columns × channels, in 1/32 of an 8-bit code value."""
         across, down = self.cells
         planes = np.zeros((4, 4 * down, 4 * across), np.int32)
         for plane, x, y, size, step_class, levels in self.blocks:
@@ -1357,7 +1357,7 @@ def lap(plane, sizes):
 
 
 def shares(side, pixels):
-    """What each of so many output pixels takes of each pixel along an axis, as a matrix."""
+    """Returns the weights of the pixels along an axis for each output pixel, as a matrix."""
     step, out = side / pixels, np.zeros((pixels, side))
     for i in range(pixels):
         if step <= 1:
@@ -1373,7 +1373,7 @@ def shares(side, pixels):
 
 
 def additions(header, tiles, size):
-    """What the samples of the whole picture get, in this size: rows × columns × channels, in parts of white."""
+    """Returns the additions to the samples of the whole picture at this size: rows × columns × channels, where 1 is white."""
     width, height = header.size
     whole = np.zeros((height, width, header.channels))
     for (x, y, across, down), added in tiles:
@@ -1389,7 +1389,7 @@ def additions(header, tiles, size):
 
 
 def colors_of(header, colors):
-    """Colour integers, one row each, to values."""
+    """Converts colour integers, one row per colour, to values."""
     v = np.array(colors, np.float64).reshape(-1, header.channels) * header.luma
     if header.channels >= 3:
         y, co, cg = v[:, 0].copy(), v[:, 1] * header.chroma, v[:, 2] * header.chroma
@@ -1398,7 +1398,7 @@ def colors_of(header, colors):
 
 
 def low_pass(side, pixels):
-    """Samples of an output pixel, their distance, and what the variance grows by, along one axis (§5.5)."""
+    """Returns the number of samples of an output pixel, their distance, and the increase of the variance, along one axis (§5.5)."""
     step = side / pixels
     k = next((k for k in (1, 2, 4) if step / k <= 1.5), 8)
     distance = step / k
@@ -1406,7 +1406,7 @@ def low_pass(side, pixels):
 
 
 class Shape:
-    """A primitive as it is sampled."""
+    """A primitive in the form in which it is sampled."""
 
     def __init__(self, header, primitive, grid):
         x, y, major, minor, angle, _ = primitive
@@ -1426,7 +1426,7 @@ class Shape:
         self.rows = math.floor((self.cy - hy) / dy), math.ceil((self.cy + hy) / dy)
 
     def weights(self, x, y):
-        """Of the points with these columns and rows (§5.2, §5.5)."""
+        """Returns the weights at the points with these columns and rows (§5.2, §5.5)."""
         dx, dy = x - self.cx, (y - self.cy)[:, None]
         edge = math.exp(-3.5 * 3.5 / 2)
         if not self.widened:
@@ -1438,7 +1438,7 @@ class Shape:
 
 
 def draw(header, background, primitives, tiles, size=None):
-    """The samples, rows × columns × channels, of the whole picture in its own size or another; with what the tiles of a detail layer add."""
+    """Returns the samples of the whole picture, rows × columns × channels, at its own size or another, with the additions of a detail layer."""
     width, height = size or header.size
     grid = low_pass(header.size[0], width), low_pass(header.size[1], height)
     (across, dx, _), (down, dy, _) = grid
@@ -1487,7 +1487,7 @@ def draw(header, background, primitives, tiles, size=None):
 
 
 def payload(b, header):
-    """The bytes of the Gaussians: all that are left, or those before a detail layer, which have a checksum of their own (§11.1)."""
+    """Returns the bytes of the Gaussians: all remaining bytes, or those before a detail layer, which have a separate checksum (§11.1)."""
     if header.detail is None:
         return Bytes(b.data, b.at)
     start = b.at
@@ -1504,7 +1504,7 @@ def read_primitives(b, header):
 
 
 def read(data, header, notes):
-    """Background, primitives and tiles of a whole file."""
+    """Returns background, primitives and tiles of an intact file."""
     b, damaged = Bytes(data[:-4], len(header.bytes)), []
     demand(len(b.data) >= b.at, "checksum is cut off")
     covered = header.bytes + (read_sections(b, header, damaged) if header.sections else b"")
@@ -1520,7 +1520,7 @@ def read(data, header, notes):
 
 
 def read_what_is_left(data, header, notes):
-    """The same of a damaged file (§9, §11.7)."""
+    """Returns the same for a damaged file (§9, §11.7)."""
     b, lost, tiles, gone = Bytes(data, len(header.bytes)), [], [], []
     if header.sections:
         read_sections(b, header, [])
@@ -1540,7 +1540,7 @@ def read_what_is_left(data, header, notes):
 
 
 def decode(data, partial=False, size=None):
-    """The header, the samples (rows × columns × channels), and what there is to report."""
+    """Returns the header, the samples (rows × columns × channels), and the messages to report."""
     header, notes = Header(data), []
     if math.prod(size or header.size) * header.channels > MOST_SAMPLES or header.count > MOST_PRIMITIVES:
         width, height = size or header.size

@@ -90,7 +90,7 @@ impl Reservation {
     ///
     /// # Errors
     /// As [`Budget::check`].
-    pub(crate) fn beside(&self, bytes: u64) -> Result<Reservation> {
+    pub(crate) fn reserve(&self, bytes: u64) -> Result<Reservation> {
         self.budget.reserve(bytes)
     }
 

@@ -217,7 +217,7 @@ impl fmt::Display for GpuError {
             GpuError::OutOfMemory { problem } => write!(f, "out of memory: {problem}"),
             GpuError::Validation { problem } => write!(f, "call refused: {problem}"),
             GpuError::Overflow { what, requested, allowed } => {
-                write!(f, "{requested} {what} where {allowed} fit")
+                write!(f, "{requested} {what} are needed, but only {allowed} fit")
             }
             GpuError::Unsupported { what } => write!(f, "{what} is not supported"),
         }

@@ -241,7 +241,7 @@ fn the_report_says_why_tiles_were_fitted_on_the_cpu() {
         options.backend = backend;
         ssplat::unstable::encode(&pixels, &options).unwrap().report.chosen.reason
     };
-    assert_eq!(reason(Backend::Cpu), "asked for");
+    assert_eq!(reason(Backend::Cpu), "requested");
     assert_eq!(reason(Backend::Auto), "tiles are fitted on the CPU");
 }
 
@@ -365,9 +365,9 @@ fn an_invalid_answer_names_its_tile() {
     let changes: [(&str, Change<'_>); 7] = [
         ("0 bytes", &|_| Vec::new()),
         ("cut", &|answer| answer[..answer.len() - 1].to_vec()),
-        ("answers task", &|_| foreign.clone()),
+        ("the answer belongs to task", &|_| foreign.clone()),
         ("begin with", &|_| workers.given[1].clone()),
-        ("cut off within the line", &|answer| answer[..contents(&answer) - 1].to_vec()),
+        ("truncated in the line", &|answer| answer[..contents(&answer) - 1].to_vec()),
         ("checksum", &|mut answer| {
             answer[60] ^= 1;
             answer

@@ -1,14 +1,14 @@
-// How the WebAssembly module of the encoder is called (wasm-encode/src/lib.rs is the other side). One instance does one job.
+// Interface to the WebAssembly module of the encoder (see wasm-encode/src/lib.rs). Each instance does one job.
 import { SsplatError } from "./error.js"
 
 const kinds = [, "limit", "parameter", "size", "cancelled", "internal"]
-// In the order in which the module counts them.
+// In the order of the module's numbers.
 const settings = ["ratio", "bytes", "psnr", "quality", "primitives", "effort", "tune", "time", "seed", "detail", "levels"]
 const words = { tune: ["psnr", "ssim", "iq"], detail: ["off", "auto"] }
 
-// Does `job`: { width, height, channels, depth, data, alloc } with { icc, exif, orientation, settings } to be encoded, or with `test`,
-// the samples of a picture whose SSIMULACRA2 is computed. `progress` takes a stage and the share of it that is done; the encode stops
-// if it returns true.
+// Runs `job`: { width, height, channels, depth, data, alloc }, with { icc, exif, orientation, settings } for an encode, or with `test`, the
+// samples of a picture whose SSIMULACRA2 score is computed. `progress` receives a stage and the fraction of it that is done; the encode
+// stops if it returns true.
 export function run(module, job, progress) {
   let wasm
   const most = Math.ceil(job.alloc / 65536)
@@ -17,7 +17,7 @@ export function run(module, job, progress) {
     now: () => performance.now() / 1000,
     progress: (at, length, done) => +(progress(text(at, length), done) === true),
   }
-  // The memory that the module asks for at first; more comes as it is needed, up to the limit.
+  // The initial memory of the module, which grows up to the limit.
   const least = 64
   if (most < least) throw new SsplatError("limit", `limits.alloc is ${job.alloc}, less than the ${least * 65536} bytes that any encode takes`)
   const memory = new WebAssembly.Memory({ initial: least, maximum: most })
@@ -49,8 +49,8 @@ export function run(module, job, progress) {
     }
   } catch (error) {
     if (!(error instanceof WebAssembly.RuntimeError)) throw error
-    // The module stops without a message when memory runs out, and when it has a fault. An encode asks for less than 64 bytes a pixel
-    // at once: if more is left, it is a fault.
+    // The module stops without a message if memory runs out or if it has a fault. An encode allocates less than 64 bytes per pixel at once,
+    // so if more is left, it was a fault.
     const left = job.alloc - memory.buffer.byteLength
     throw left > 64 * job.width * job.height + 2 ** 20 ? new SsplatError("internal", `the encoder stopped: ${error.message}`)
       : new SsplatError("limit", `the picture needs more than the ${job.alloc} bytes of limits.alloc`)

@@ -1,7 +1,7 @@
-// One job in a thread of its own, in browsers and in Node.js: a job in; progress and the answer out.
+// Worker for one job, in browsers and in Node.js. It receives a job, and sends the progress and the result.
 import { run } from "./encode-machine.js"
 
-// Node.js has its own way to talk to the thread that started this one.
+// Node.js has a different interface to the parent thread.
 const port = globalThis.process?.getBuiltinModule?.("node:worker_threads").parentPort ?? globalThis
 const receive = ({ module, job, isWatched }) => {
   try {

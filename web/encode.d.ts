@@ -1,7 +1,7 @@
 /** An error of the encoder. */
 export class SsplatError extends Error {
   /**
-   * parameter: a wrong argument or option; size: the file that was asked for is too small for the picture; limit: the encode needs more
+   * parameter: a wrong argument or option; size: the requested file is too small for the picture; limit: the encode needs more
    * memory than `limits.alloc`; network: the module could not be fetched; internal: the encoder failed.
    */
   readonly kind: "parameter" | "size" | "limit" | "network" | "internal"
@@ -13,65 +13,65 @@ export interface EncodePixels {
   height: number
   /** Samples of 8 or 16 bits: 1 to 4 for each pixel (grey, grey and alpha, RGB, RGBA; alpha is not premultiplied). */
   data: Uint8Array | Uint8ClampedArray | Uint16Array
-  /** Samples of a pixel; without it, what the length of `data` gives. */
+  /** Samples per pixel; by default derived from the length of `data`. */
   channels?: 1 | 2 | 3 | 4
 }
 
-/** What a file is to be. Of `ratio`, `bytes`, `psnr`, `quality` and `primitives` one can be given; without one the ratio is 50. */
+/** Options of an encode. At most one of `ratio`, `bytes`, `psnr`, `quality` and `primitives` may be given; by default the ratio is 50. */
 export interface EncodeOptions {
-  /** Bytes of the samples over bytes of the file. */
+  /** Bytes of the samples divided by bytes of the file. */
   ratio?: number
-  /** Most bytes of the file. */
+  /** Maximum size of the file, bytes. */
   bytes?: number
-  /** Least PSNR, dB. */
+  /** Minimum PSNR, dB. */
   psnr?: number
-  /** Least SSIMULACRA2: 30 low, 50 medium, 70 high, 90 very high. */
+  /** Minimum SSIMULACRA2 score: 30 is low, 50 medium, 70 high and 90 very high quality. */
   quality?: number
   /** Number of Gaussians. */
   primitives?: number
-  /** 1 to 9, by default 5: how much work to spend. */
+  /** 1 to 9, by default 5; higher efforts take longer and give better pictures. */
   effort?: number
-  /** The measure to favour, by default "iq", as eyes see it, and "psnr" where a PSNR is asked for. */
+  /** The measure to favour: by default "iq" (perceptual quality), or "psnr" if a PSNR is requested. */
   tune?: "psnr" | "ssim" | "iq"
-  /** Seconds that the encode may take; the best state reached is the result, which then differs from machine to machine. */
+  /** Time limit, seconds. The result is the best state so far, so it depends on the speed of the machine. */
   time?: number
   seed?: number
-  /** Whether the file has a detail layer where it pays. */
+  /** Whether the file has a detail layer if it gains by it. */
   detail?: "auto" | "off"
   /** 1 to 8 progressive levels. */
   levels?: number
-  /** ICC profile to carry; without one pixels are sRGB. */
+  /** ICC profile to store; without one, pixels are sRGB. */
   icc?: Uint8Array | ArrayBuffer
-  /** EXIF block to carry, from its TIFF header on. */
+  /** EXIF block to store, starting with its TIFF header. */
   exif?: Uint8Array | ArrayBuffer
-  /** How the picture is to be turned, 1 to 8 as in EXIF, to be carried. Pixels are not turned. */
+  /** EXIF orientation to store, 1 to 8. Pixels are not rotated. */
   orientation?: number
-  /** `alloc`: most bytes of WebAssembly's memory, by default 1 GiB, at most 4 GiB. */
+  /** `alloc`: maximum memory of the WebAssembly in bytes, by default 1 GiB, at most 4 GiB. */
   limits?: { alloc?: number }
-  /** Whether to encode in a worker of its own; by default true. In browsers, a function that starts `encode-worker.js` as a module. */
+  /** Whether to encode in a separate worker; by default true. In browsers, also a function that starts `encode-worker.js` as a module. */
   worker?: boolean | (() => Worker)
-  /** The WebAssembly as a URL, bytes or a compiled module, if it is not that of the package. */
+  /** The WebAssembly as a URL, bytes or a compiled module, if not that of the package. */
   module?: string | URL | ArrayBuffer | Uint8Array | WebAssembly.Module
   /** Stops the encode: at once in a worker, otherwise when `onProgress` aborts it. The promise is rejected with the signal's reason. */
   signal?: AbortSignal
-  /** Is told the stage and the share of it that is done, 0 to 1. What it throws stops the encode. */
+  /** Receives the stage and the fraction of it that is done, 0 to 1. An exception stops the encode. */
   onProgress?: (stage: string, done: number) => void
 }
 
 export interface EncodeReport {
   /** Number of Gaussians. */
   primitives: number
-  /** dB, over the samples as a decoder writes them; Infinity if all are equal. */
+  /** PSNR in dB over the decoded samples; Infinity if all are equal. */
   psnr: number
-  /** SSIMULACRA2, where it was asked for. */
+  /** SSIMULACRA2 score, if requested. */
   quality?: number
   seconds: number
   stages: { name: string; seconds: number }[]
-  /** What the encoder left out because the picture does not need it, and the bytes that this saved. */
+  /** Parts that the encoder omitted because the picture does not need them, and the bytes saved. */
   leftOut: { what: string; bytes: number }[]
 }
 
-/** Encodes pixels to an .ssplat file: the same bytes as the program's. Several calls run at a time, each in its own worker. */
+/** Encodes pixels to an .ssplat file: the same bytes as the program's. Several calls can run at the same time, each in its own worker. */
 export function encode(pixels: EncodePixels, options?: EncodeOptions): Promise<{ bytes: Uint8Array; report: EncodeReport }>
 
 /**

@@ -1,4 +1,4 @@
-// Pictures to .ssplat files in the browser and in Node.js, by a WebAssembly module of its own that is loaded at the first encode.
+// Encodes pictures to .ssplat files in browsers and in Node.js, with a separate WebAssembly module that is loaded by the first encode.
 import { SsplatError } from "./error.js"
 import { run } from "./encode-machine.js"
 
@@ -7,12 +7,12 @@ export { SsplatError, names as optionNames }
 const targets = ["ratio", "bytes", "psnr", "quality", "primitives"]
 const names = [...targets, "effort", "tune", "time", "seed", "detail", "levels", "icc", "exif", "orientation", "limits", "worker", "module", "signal", "onProgress"]
 const bad = words => { throw new SsplatError("parameter", words) }
-// Most bytes of WebAssembly's memory, by default the limit of the Rust crate on 32 bits.
+// Default maximum memory of the WebAssembly in bytes: the limit of the Rust crate on 32-bit systems.
 const memory = 2 ** 30, address = 2 ** 32
 
-// Modules are files beside this one, by addresses that bundlers see and rewrite.
+// The modules are files in the same folder, with URLs that bundlers recognize and rewrite.
 const simd = () => new URL("./ssplat-encode-simd.wasm", import.meta.url), scalar = () => new URL("./ssplat-encode-scalar.wasm", import.meta.url)
-// A function that needs vector instructions: `i32.const 0; i8x16.splat; i8x16.popcnt`.
+// A function that needs SIMD instructions: `i32.const 0; i8x16.splat; i8x16.popcnt`.
 const vectors = Uint8Array.of(0, 97, 115, 109, 1, 0, 0, 0, 1, 5, 1, 96, 0, 1, 123, 3, 2, 1, 0, 10, 10, 1, 8, 0, 65, 0, 253, 15, 253, 98, 11)
 const node = name => globalThis.process?.getBuiltinModule?.(`node:${name}`)
 
@@ -30,7 +30,7 @@ async function bytesAt(source) {
 }
 
 let compiled
-// The module that this machine can run; or that of a URL, bytes or a module. What could not be fetched is asked for again.
+// Returns the module for this machine, or the one given by a URL, bytes or a module. Failed requests are repeated by the next call.
 function compile(source) {
   if (source instanceof WebAssembly.Module) return source
   if (source) return bytesAt(source).then(bytes => WebAssembly.compile(bytes))
@@ -39,14 +39,14 @@ function compile(source) {
   return compiled
 }
 
-// Whole numbers and others within a range, both ends included.
+// Check integers and other numbers against a range, which includes both ends.
 function within(name, value, least, most, isWhole = true) {
   if (typeof value != "number" || !(value >= least && value <= most) || isWhole && !Number.isInteger(value))
     bad(`${name} is ${value}, not ${isWhole ? "an integer" : "a number"} from ${least} to ${most}`)
   return value
 }
 
-// The samples as the module takes them: interleaved, 16 bits little-endian.
+// Returns the samples in the module's format: interleaved, 16 bits little-endian.
 function samplesOf(pixels) {
   if (typeof pixels != "object" || pixels == null) bad("pixels are no object with width, height and data")
   const { width, height, data } = pixels
@@ -63,13 +63,13 @@ function samplesOf(pixels) {
   return { width, height, channels, depth, data: swapped }
 }
 
-// Bytes of a profile or a block.
+// Checks the bytes of a profile or an EXIF block.
 function bytesOf(name, value) {
   if (value == null || value instanceof Uint8Array) return value ?? undefined
   return value instanceof ArrayBuffer ? new Uint8Array(value) : bad(`${name} is neither a Uint8Array nor an ArrayBuffer`)
 }
 
-// Most bytes of WebAssembly's memory.
+// Returns the maximum memory of the WebAssembly, bytes.
 function allocOf({ limits = {} }) {
   const { alloc = memory, ...others } = limits ?? {}
   if (Object.keys(others).length) bad(`no limit of an encode is called ${Object.keys(others)[0]}; there is alloc`)
@@ -80,7 +80,7 @@ function only(names, options) {
   for (const name of Object.keys(options)) if (!names.includes(name)) bad(`no option is called ${name}; there are ${names.join(", ")}`)
 }
 
-// Everything that is asked for, held to its range. Returns a job for the module.
+// Checks all options against their ranges. Returns a job for the module.
 function jobOf(pixels, options) {
   only(names, options)
   const given = name => options[name] != null, settings = {}
@@ -107,7 +107,7 @@ function jobOf(pixels, options) {
   return { ...samplesOf(pixels), icc, exif, orientation, settings, alloc: allocOf(options) }
 }
 
-// A worker of browsers or of Node.js, or one that `make` makes in a browser, with the same three handles.
+// Returns a worker of the browser or of Node.js, or one created by `make` in a browser, with a common interface.
 function hire(make) {
   const threads = node("worker_threads")
   if (threads) {
@@ -118,7 +118,7 @@ function hire(make) {
       end: () => worker.terminate(),
     }
   }
-  // Bundlers know it in these very words.
+  // Bundlers recognize exactly this expression.
   const worker = typeof make == "function" ? make() : new Worker(new URL("./encode-worker.js", import.meta.url), { type: "module" })
   return {
     post: message => worker.postMessage(message),
@@ -155,7 +155,7 @@ const inWorker = (message, { worker: make, signal, onProgress }) => new Promise(
   worker.post(message)
 })
 
-// Has the module do a job, in a worker or here.
+// Runs a job in a worker or in this thread.
 async function work(job, { signal, onProgress, worker = true, module: source }) {
   signal?.throwIfAborted()
   const module = await compile(source)
@@ -177,7 +177,7 @@ async function work(job, { signal, onProgress, worker = true, module: source }) 
   }
 }
 
-// Encodes pixels. Resolves to the bytes of the file and the account of the encode.
+// Encodes pixels. Resolves to the bytes of the file and the report of the encode.
 export const encode = async (pixels, options = {}) => work(jobOf(pixels, options), options)
 
 // Computes the SSIMULACRA2 score of `test` against `reference`, two pictures of the same size, channels and depth; NaN if a side has

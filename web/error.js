@@ -1,5 +1,5 @@
-// What went wrong, in the decoder's words. `kind` is format, version, limit or parameter; network if something cannot be
-// fetched; internal if the decoder itself failed.
+// An error with the decoder's message. `kind` is format, version, limit or parameter; network if something cannot be fetched; internal if
+// the decoder itself failed.
 export class SsplatError extends Error {
   constructor(kind, words) {
     super(words)

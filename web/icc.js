@@ -1,9 +1,9 @@
-// Which of the canvas's colour spaces an ICC profile means.
+// Chooses the canvas colour space for an ICC profile.
 
 // Red, green and blue of Display P3 in the profile connection space.
 const p3 = [[.5151, .2412, -.0011], [.292, .6922, .0419], [.1571, .0666, .7841]]
 
-// "display-p3" for a profile with its primaries, "srgb" for all others and for none.
+// Returns "display-p3" for a profile with these primaries, and "srgb" for all others and if there is none.
 export function colorSpace(icc) {
   if (!icc || icc.length < 132) return "srgb"
   const view = new DataView(icc.buffer, icc.byteOffset, icc.length), tags = Math.min(view.getUint32(128), 100)

@@ -1,11 +1,11 @@
-// How the WebAssembly module is called (wasm/src/lib.rs is the other side). A machine does one thing at a time.
+// Interface to the WebAssembly module of the decoder (see wasm/src/lib.rs). A machine handles one request at a time.
 import { SsplatError } from "./error.js"
 
 const kinds = [, "format", "version", "limit", "parameter", "internal"]
 const limits = ["width", "height", "primitives", "tilePairs", "work", "overlap", "alloc", "metadata"]
-// In the order in which the module counts them.
+// In the order of the module's numbers.
 const layers = ["on", "off", "alone"]
-// The memory of a module never shrinks: after a larger picture it is given back with its machine.
+// The memory of a module never shrinks, so after a larger picture the machine is discarded.
 const kept = 64 << 20
 const whole = (v, what, least = 0) => {
   if (Number.isInteger(v) && v >= least && v < 2 ** 32) return v
@@ -20,7 +20,7 @@ export class Machine {
     this.#module = module
   }
 
-  // One question about a file: [pieces, numbers] of the answer.
+  // Sends one request about a file. Returns [pieces, numbers] of the result.
   #ask(bytes, options, question, ...values) {
     if (!(bytes instanceof Uint8Array)) {
       if (!(bytes instanceof ArrayBuffer)) throw new SsplatError("parameter", "the file is neither a Uint8Array nor an ArrayBuffer")
@@ -49,7 +49,7 @@ export class Machine {
       return [[piece(0, options.into), piece(1), piece(2), piece(3)], numbers]
     } catch (error) {
       if (error instanceof SsplatError) throw error
-      // A trap leaves the machine in an unknown state. The likeliest is that memory ran out.
+      // A trap leaves the machine in an unknown state. The most likely cause is that memory ran out.
       this.#wasm = undefined
       throw new SsplatError("internal", `the decoder stopped: ${error.message}`)
     } finally {
@@ -69,7 +69,7 @@ export class Machine {
     if (!layers.includes(detail)) throw new SsplatError("parameter", `detail is ${detail}, not one of ${layers.join(", ")}`)
     const part = region ? ["left", "top", "width", "height"].map((name, k) => whole(region[k] ?? region[name], `region's ${name}`, k > 1 ? 1 : 0)) : [0, 0, 0, 0]
     if (height !== undefined && width === undefined) throw new SsplatError("parameter", "a height needs a width")
-    // The module takes 0 for a side that is not asked for.
+    // For the module, 0 stands for a side that is not given.
     const out = [[width, "width"], [height, "height"]].map(([v, what]) => v === undefined ? 0 : whole(v, what, 1))
     const [[data, icc, exif], numbers] = this.#ask(bytes, options, "decode", ...part, ...out, partial ? 1 : 0, layers.indexOf(detail))
     const [columns, rows, channels, depth, primitives, orientation, missing, missingTiles, damaged] = numbers

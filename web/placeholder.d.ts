@@ -1,6 +1,6 @@
-/** What went wrong. */
+/** An error of the decoder. */
 export class SsplatError extends Error {
-  /** format: a broken file; version: a newer file; limit: sound but too large; unsupported: a sound file of another kind; parameter: a wrong size. */
+  /** format: a broken file; version: a newer file; limit: valid but too large; unsupported: a valid file of another kind; parameter: an invalid size. */
   readonly kind: "format" | "version" | "limit" | "unsupported" | "parameter"
 }
 
@@ -29,10 +29,11 @@ export interface Drawn {
   picture: Picture
 }
 
-/** The Gaussians of a file. Throws a SsplatError. */
+/** Returns the Gaussians of a file. Throws a SsplatError. */
 export function read(bytes: Uint8Array): Picture
 /**
- * Draws a file, `width` and `height` pixels large, both at least 1: without a width in its own size, without a height in its shape.
- * At most 2²⁴ pixels are drawn, and 2²⁰ where the file has a say in the size. Throws a SsplatError.
+ * Renders a file with `width` × `height` pixels, both at least 1. The default width is that of the picture; the default height keeps its
+ * aspect ratio.
+ * At most 2²⁴ pixels are rendered, and at most 2²⁰ unless both sides are given. Throws a SsplatError.
  */
 export function decode(bytes: Uint8Array, width?: number, height?: number): Drawn

@@ -1,5 +1,5 @@
-// Reads small .ssplat files without WebAssembly: one coded stream (spec §8), no codebook, no sections, at most 16 KiB.
-// decode(bytes, width, height) gives {width, height, rgba, picture}; whatever is broken or not of this kind throws a SsplatError.
+// Reads small .ssplat files without WebAssembly: one coded stream (spec §8), no codebook, no sections, at most 16 KiB. decode(bytes, width,
+// height) gives {width, height, rgba, picture}; a file that is broken or of another kind throws a SsplatError.
 export class SsplatError extends Error {
   constructor(kind, words) {
     super(words)
@@ -54,7 +54,7 @@ function rangeDecoder(bytes, start, end) {
       refill()
       return +set
     },
-    // The value of low .. high whose share holds the code, with the ends of its share and the total.
+    // Returns the value in low .. high whose interval contains the code, with the ends of the interval and the total.
     choose(below, low, high) {
       const total = below(high), unit = floor(range / total), target = min(floor(code / unit), total - 1)
       let from = 0, to = total
@@ -76,7 +76,7 @@ function rangeDecoder(bytes, start, end) {
       const v = coder.raw(a + b)
       return [v >> b, v & power(b) - 1]
     },
-    // The stream is the one that a writer makes, and nothing is left of it.
+    // Checks that the stream is canonical and completely read.
     finish() {
       const place = 8 * (at - end), unit = power(place), last = bytes[end - 1]
       if (end > start && (place < 0 || !last ||
@@ -110,7 +110,7 @@ function near(coder, place, spread) {
   }
 }
 
-// Gains of kinds with so many classes each.
+// Gains for kinds with this many classes each.
 function gains(...sizes) {
   const all = sizes.map(size => array(size, () => [0, 0]))
   return {
@@ -173,7 +173,7 @@ export function read(bytes) {
     return d ? clamp(ceil(PI * (r - 1 / r) / (Math.SQRT2 * delta * Math.LN2 * tau)), 1, 4096) : 1
   })
   const luma = power((steps[1] >> 4) / 3 - 7), chroma = channels > 2 ? luma * [1, 1.5, 2, 3][steps[0] >> 6] : luma
-  // Of the colour integers; and what is beyond 8, but for the rounding of 8 itself.
+  // Bounds of the colour integers, and of colours: 8, with a margin for rounding.
   const units = [luma, chroma, chroma, luma], vivid = (v, k) => abs(v * units[k]) > 8.000001
   const logs = (major, minor, angle) => {
     if (!range) return [0, 0]
@@ -381,10 +381,10 @@ export function read(bytes) {
   return { width: size[0], height: size[1], channels, blend: flags & 4 ? "sum" : "normalized", background: colour(background), gaussians }
 }
 
-// Draws at the size of the picture, or at the one that is given: a smaller picture's Gaussians are wider by its pixels.
+// Renders at the size of the picture or at the given size. In a smaller picture, Gaussians are widened by the area of a pixel.
 export function decode(bytes, width, height) {
   const picture = read(bytes), { channels, background } = picture
-  // Sides that the file chooses may be those of a strip with a million rows.
+  // If the file determines a side, the picture may be a strip with a million rows.
   const most = power(width && height ? 24 : 20)
   width ??= picture.width
   height ??= max(1, round(picture.height * width / picture.width))
@@ -396,7 +396,7 @@ export function decode(bytes, width, height) {
     const c = cos(phi), n = sin(phi), xx = s * s * c * c + t * t * n * n + wider[0], yy = s * s * n * n + t * t * c * c + wider[1], xy = (s * s - t * t) * c * n
     const det = xx * yy - xy * xy, [rx, ry] = [3.5 * Math.sqrt(xx), 3.5 * Math.sqrt(yy)]
     const box = [max(0, floor((cx - rx) / dx)), min(width, ceil((cx + rx) / dx)), max(0, floor((cy - ry) / dy)), min(height, ceil((cy + ry) / dy))]
-    // The determinant of a thin one loses all its digits: by the product of the deviations where nothing was widened.
+    // The determinant of a thin Gaussian would lose all its digits. If nothing was widened, it is the product of the deviations.
     const sure = wider[0] + wider[1] ? det : s * s * t * t
     return [cx, cy, color, box, yy / sure, -xy / sure, xx / sure, s * t / Math.sqrt(sure)]
   })

@@ -1,20 +1,20 @@
-/** An `<img>` for .ssplat files, and for what else the browser knows. Its `error` event is an ErrorEvent whose `error` is a SsplatError. */
+/** An `<img>` for .ssplat files and for all pictures that the browser supports. Its `error` event is an ErrorEvent whose `error` is a SsplatError. */
 export class SsplatImg extends HTMLElement {
-  /** As those of `<img>`. */
+  /** Like those of `<img>`. */
   src: string
   alt: string
   loading: "lazy" | "eager"
-  /** The attributes; read, the size in CSS pixels at which the element is shown. */
+  /** Set the attributes; reading returns the size of the element in CSS pixels. */
   width: number
   height: number
-  /** A small .ssplat file as base64 or data URI, which is shown until the picture is there. */
+  /** A small .ssplat file as base64 or data URI, which is shown until the picture has loaded. */
   placeholder: string
   readonly naturalWidth: number
   readonly naturalHeight: number
   readonly complete: boolean
-  /** The address that is shown or on its way; empty without one. */
+  /** The address of the picture that is shown or loading; empty if there is none. */
   readonly currentSrc: string
-  /** Waits until the picture is there; rejects with a SsplatError. */
+  /** Waits until the picture has loaded; rejects with a SsplatError. */
   decode(): Promise<void>
 }
 

@@ -1,5 +1,5 @@
-// <ssplat-img src alt placeholder loading width height>: an <img> for .ssplat files, drawn at the size at which it is shown.
-// Other pictures are shown as <img> shows them. `placeholder` is a small file, as base64 or data URI, seen until then.
+// <ssplat-img src alt placeholder loading width height>: an <img> for .ssplat files, rendered at the size at which it is shown. Other
+// pictures are shown by <img>. `placeholder` is a small file, as base64 or data URI, which is shown until the picture has loaded.
 import { decode as drawPlaceholder } from "./placeholder.js"
 import { Decoder, SsplatError, colorSpace } from "./ssplat.js"
 import { fetched } from "./source.js"
@@ -8,13 +8,13 @@ import { fetched } from "./source.js"
 let shared
 const decoder = () => shared ??= new Decoder({ worker: true })
 
-// Of these a picture is not a .ssplat file.
+// Media types of other pictures.
 const others = /^image\/(?!x-ssplat|octet)/
 const magic = [0x89, 0x53, 0x53, 0x50]
 
 const bytesOf = text => Uint8Array.from(atob(text.replace(/^data:[^,]*,/, "").replace(/-/g, "+").replace(/_/g, "/")), c => c.charCodeAt(0))
 
-// How a canvas is turned for each EXIF orientation: x' = a·x + c·y + e, y' = b·x + d·y + f, in sides of the canvas.
+// Transform of the canvas for each EXIF orientation: x' = a·x + c·y + e, y' = b·x + d·y + f, in sides of the canvas.
 const turns = [, , [-1, 0, 0, 1, 1, 0], [-1, 0, 0, -1, 1, 1], [1, 0, 0, -1, 0, 1], [0, 1, 1, 0, 0, 0], [0, 1, -1, 0, 1, 0], [0, -1, -1, 0, 1, 1], [0, -1, 1, 0, 0, 1]]
 
 function paint(canvas, image, orientation = 1) {
@@ -36,7 +36,7 @@ img, canvas { display: block; width: 100%; height: 100%; object-fit: inherit; ob
 [hidden] { display: none }
 span { font: inherit; overflow: hidden }`
 
-// A server that renders pages imports this module as well, and has no elements.
+// Servers that render pages import this module, too, but have no elements.
 export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
   static observedAttributes = ["src", "alt", "placeholder", "loading", "width", "height"]
   #canvas = document.createElement("canvas")
@@ -63,7 +63,7 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
     root.append(this.#canvas, this.#img, this.#words)
   }
 
-  // As those of <img>.
+  // Like those of <img>.
   get src() { return this.hasAttribute("src") ? new URL(this.getAttribute("src"), this.baseURI).href : "" }
   set src(v) { this.setAttribute("src", v) }
   get alt() { return this.getAttribute("alt") ?? "" }
@@ -107,11 +107,12 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
     if (this.isConnected && /^(src|placeholder|loading)$/.test(name)) this.#load()
   }
 
-  // The size in CSS pixels that the element has unless style says otherwise.
+  // The default size of the element in CSS pixels, which CSS can override.
   #shape([w, h] = this.#size) {
     const [width, height] = ["width", "height"].map(name => Number(this.getAttribute(name)) || 0)
     const rules = [width && `width: ${width}px`, height && `height: ${height}px`, !width && !height && w && `width: ${w}px`, w && h ? `aspect-ratio: ${w} / ${h}` : width && height && `aspect-ratio: ${width} / ${height}`]
-    // Without a height all pictures of a long page would be near, and none would wait: until one is known, that of a photograph.
+    // Without a height, all pictures of a long page would be close to the viewport and load at once. Until the size is known, the aspect
+    // ratio of a photograph is used.
     if (width && !height && !h && this.loading == "lazy") rules.push("aspect-ratio: 3 / 2")
     this.#sheet.deleteRule(this.#sheet.cssRules.length - 1)
     this.#sheet.insertRule(`:host { ${rules.filter(Boolean).join("; ")} }`, this.#sheet.cssRules.length)
@@ -139,7 +140,7 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
       try {
         const { width, height, rgba, picture } = drawPlaceholder(bytesOf(placeholder), 64)
         paint(this.#canvas, new ImageData(rgba, width, height))
-        // It has the size of the picture that it stands for.
+        // The placeholder has the size of its picture.
         this.#shape([picture.width, picture.height])
         this.#show(this.#canvas)
       } catch (error) {
@@ -191,7 +192,7 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
       this.#complete = true
       this.#size = [0, 0]
       this.#words.textContent = this.alt
-      // What the placeholder shows is more than words are.
+      // The placeholder is more useful than the alternative text.
       if (this.#canvas.hidden) this.#show(this.#words)
       const message = error.message.startsWith(src) ? error.message : `${src}: ${error.message}`
       console.error(`ssplat-img: ${message}`)
@@ -199,8 +200,8 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
     }
   }
 
-  // The bytes of a response. A file with groups or a thumbnail shows what is there each time that half as much again has come,
-  // and whenever nothing comes for a moment: a level that is whole is seen though the next one keeps everybody waiting.
+  // Reads the bytes of a response. An incomplete file with groups or a thumbnail is rendered whenever its bytes have grown by half, and
+  // whenever the transfer pauses, so that a complete level appears even if the next one is slow.
   async #read({ body }, signal) {
     if (!body) return new Uint8Array
     const reader = body.getReader()
@@ -218,7 +219,7 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
       try {
         await this.#glimpse(bytes.slice(0, length), signal)
       } finally {
-        // Where bytes trickle in, half of the time at most goes into them.
+        // On slow connections, at most half of the time is spent on rendering incomplete files.
         pause = Math.max(50, performance.now() - start)
         looking = false
         soon()
@@ -238,15 +239,15 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
         if (length > 63 && magic.every((v, i) => bytes[i] == v) && ((bytes[5] & 3) == 3 || bytes[5] > 127)) soon()
       }
     } finally {
-      // All is there, or nobody waits for it any more.
+      // The file is complete, or the element no longer shows it.
       clearTimeout(timer)
       ended = true
     }
   }
 
-  // Draws what is there of a file that is still coming.
+  // Renders the available part of an incomplete file.
   async #glimpse(bytes, signal) {
-    // With too little of it there is nothing to draw, and what is wrong with it is told when it is all there.
+    // Too short a part cannot be rendered; errors are reported when the file is complete.
     const { width, height, orientation, thumbnail, icc, ...kind } = await decoder().header(bytes).catch(() => ({}))
     if (!width || signal.aborted || this.#file) return
     this.#size = orientation > 4 ? [height, width] : [width, height]
@@ -255,7 +256,7 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
     let image = await draw(bytes, { partial: true })
     if (thumbnail.length && (!image || image.missing == image.primitives)) {
       const small = await draw(thumbnail, { height: Math.max(1, Math.round(wanted * height / width)) })
-      // Its profile is the picture's.
+      // The thumbnail has the profile of the picture.
       image = small?.channels == kind.channels && small.depth == kind.depth ? new ImageData(small.data, small.width, small.height, { colorSpace: colorSpace(icc) }) : undefined
     }
     if (!image || signal.aborted || this.#file || image.primitives && image.missing == image.primitives) return
@@ -263,10 +264,10 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
     this.#show(this.#canvas)
   }
 
-  // Samples for each pixel of the device, up to the largest canvas that browsers bear: along the element, and the file.
+  // One sample per device pixel, up to the largest canvas that browsers support, along each side of the element and the file.
   #wanted(orientation) {
     const box = this.getBoundingClientRect(), scale = devicePixelRatio, [w, h] = this.#size
-    // The picture covers at most this much, whatever object-fit says.
+    // Maximum size of the picture for any value of object-fit.
     const cover = Math.max(box.width / w, box.height / h) || 1
     const wanted = Math.max(1, Math.min(Math.ceil(w * cover * scale), 8192, Math.floor(8192 * w / h)))
     return [wanted, orientation > 4 ? Math.max(1, Math.round(wanted * h / w)) : wanted]
@@ -280,7 +281,7 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
     this.#drawn = wanted
     const turn = ++this.#turn
     const image = await decoder().decode(file.bytes, { width }).catch(error => {
-      // It was drawn before: the former drawing stays.
+      // The previous rendering is kept.
       if (!this.#complete) throw error
       console.error(`ssplat-img: ${this.src}: ${error.message}`)
     })
@@ -290,5 +291,5 @@ export class SsplatImg extends (globalThis.HTMLElement ?? class {}) {
   }
 }
 
-// Two copies of the package on one page, or one that is loaded anew while it is worked on, share the name.
+// The name may already be registered by another copy of the package, or by hot reloading.
 if (globalThis.customElements && !customElements.get("ssplat-img")) customElements.define("ssplat-img", SsplatImg)

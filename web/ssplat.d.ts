@@ -1,13 +1,13 @@
-/** What went wrong, in the decoder's words. */
+/** An error of the decoder, with its message. */
 export class SsplatError extends Error {
   /**
-   * format: a broken file; version: a newer file; limit: sound but too large; parameter: a wrong argument; network: a file could not
+   * format: a broken file; version: a newer file; limit: valid but too large; parameter: a wrong argument; network: a file could not
    * be fetched; internal: the decoder failed.
    */
   readonly kind: "format" | "version" | "limit" | "parameter" | "network" | "internal"
 }
 
-/** What a file may ask for; the defaults are the Rust crate's. */
+/** Limits for a file; the defaults are those of the Rust crate. */
 export interface Limits {
   /** Pixels. */
   width?: number
@@ -17,43 +17,43 @@ export interface Limits {
   tilePairs?: number
   work?: number
   overlap?: number
-  /** Bytes of memory in all. */
+  /** Total memory, bytes. */
   alloc?: number
   /** Bytes of ICC profile, EXIF block and other sections. */
   metadata?: number
 }
 
 export interface DecodeOptions {
-  /** Part of the picture in its own pixels: left, top, width, height. */
+  /** Part of the picture, in pixels of the picture: left, top, width, height. */
   region?: [number, number, number, number] | { left: number; top: number; width: number; height: number }
-  /** Columns of the output, at least 1; without it one for each of the part. */
+  /** Width of the output, at least 1; by default that of the part. */
   width?: number
-  /** Rows of the output, at least 1, beside a width; without it the part's shape is kept. */
+  /** Height of the output, at least 1, only together with a width; by default the aspect ratio is kept. */
   height?: number
-  /** Draws what is there of a damaged or cut file that has groups. */
+  /** Renders the intact parts of a damaged or truncated file. */
   partial?: boolean
-  /** Whether the detail layer is drawn: with the Gaussians, not at all, or on grey without them. */
+  /** Whether the detail layer is rendered: with the Gaussians, not at all, or alone on grey. */
   detail?: "on" | "off" | "alone"
   /**
-   * Memory of a former answer (`image.data.buffer`) that the pixels go into if they fit: new memory takes a part of the time of a large
-   * picture. A worker takes it away (it is detached) and gives it back with its answer.
+   * Memory of an earlier result (`image.data.buffer`), which is reused if it is large enough. This saves time for large pictures, because
+   * allocating memory takes time. A worker detaches the buffer and returns it with the result.
    */
   into?: ArrayBuffer
   limits?: Limits
 }
 
 export interface Header {
-  /** Pixels, before `orientation` turns them. */
+  /** Pixels, before `orientation` is applied. */
   width: number
   height: number
   /** 1 grey, 2 grey and alpha, 3 colour, 4 colour and alpha. */
   channels: 1 | 2 | 3 | 4
-  /** Bits a sample of the source. */
+  /** Bits per sample of the source. */
   depth: 8 | 16
   primitives: number
-  /** 1 to 8 as EXIF counts them; `decode` does not turn. */
+  /** EXIF orientation, 1 to 8; `decode` does not apply it. */
   orientation: number
-  /** The picture as a smaller file; empty if there is none. */
+  /** The thumbnail as a file; empty if there is none. */
   thumbnail: Uint8Array
   /** Empty if there is none. */
   icc: Uint8Array
@@ -61,7 +61,7 @@ export interface Header {
   exif: Uint8Array
 }
 
-/** RGBA with 8 bits. Where there is no ImageData (Node.js) an object with its fields. */
+/** RGBA with 8 bits. Without ImageData (Node.js), an object with the same fields. */
 export type Pixels = ImageData & {
   channels: 1 | 2 | 3 | 4
   depth: 8 | 16
@@ -73,7 +73,7 @@ export type Pixels = ImageData & {
   missing: number
   /** Tiles of the detail layer that `partial` could not read. */
   missingTiles: number
-  /** Whether the file is cut off or its checksum does not match; only `partial` decodes such a file. */
+  /** Whether the file is truncated or its checksum does not match; such files are decoded only with `partial`. */
   damaged: boolean
 }
 
@@ -89,9 +89,9 @@ export interface Gaussians {
   scale: Float32Array
   /** Direction of the major axis of each, radians. */
   rotation: Float32Array
-  /** Four of each, from 0 for black to 1 for white; unused ones are 0. */
+  /** Four values per Gaussian, from 0 for black to 1 for white; unused ones are 0. */
   color: Float32Array
-  /** Four. */
+  /** Four values, as in `color`. */
   background: Float32Array
 }
 
@@ -117,7 +117,7 @@ export interface Info {
   sections: { name: string; bytes: number }[]
   /** Bits of each field over all primitives. */
   fields: { name: string; bits: number }[]
-  /** Bits of each Gaussian, in the order of `gaussians`; empty in layouts that give all as many. */
+  /** Bits of each Gaussian, in the order of `gaussians`; empty in layouts where all have the same size. */
   each: Float32Array
   orientation: number
   icc: Uint8Array
@@ -125,35 +125,35 @@ export interface Info {
 }
 
 type Bytes = Uint8Array | ArrayBuffer
-/** The WebAssembly: where it is, what was fetched, its bytes, or compiled. */
+/** The WebAssembly: its URL, a Response, its bytes, or a compiled module. */
 type Source = URL | string | Response | ArrayBuffer | Uint8Array | WebAssembly.Module
 
 export interface DecoderOptions {
-  /** Decode beside the page. Where there are no workers, or none may start, the calling thread decodes. */
+  /** Whether to decode in a worker. If no worker can start, the calling thread decodes. */
   worker?: boolean
   /** The WebAssembly, if it is not that of the package. */
   module?: Source
 }
 
-/** Draws and describes files. */
+/** Decodes files and returns their properties. */
 export class Decoder {
-  /** Throws a SsplatError of the kind "parameter" for an option that there is not. */
+  /** Throws a SsplatError of the kind "parameter" if an option does not exist. */
   constructor(options?: DecoderOptions)
-  /** Rejects with a SsplatError, as all of these do. */
+  /** Rejects with a SsplatError, like all of these methods. */
   decode(bytes: Bytes, options?: DecodeOptions): Promise<Pixels>
   header(bytes: Bytes, options?: { limits?: Limits }): Promise<Header>
   gaussians(bytes: Bytes, options?: { limits?: Limits }): Promise<Gaussians>
   info(bytes: Bytes, options?: { limits?: Limits }): Promise<Info>
-  /** Ends the worker; what was asked and not answered fails. */
+  /** Ends the worker; pending requests fail. */
   close(): void
 }
 
-/** Draws a file in this thread. */
+/** Decodes a file in this thread. */
 export function decode(bytes: Bytes, options?: DecodeOptions): Promise<Pixels>
 export function header(bytes: Bytes, options?: { limits?: Limits }): Promise<Header>
 export function gaussians(bytes: Bytes, options?: { limits?: Limits }): Promise<Gaussians>
 export function info(bytes: Bytes, options?: { limits?: Limits }): Promise<Info>
-/** Compiles the WebAssembly, to be given to several decoders. */
+/** Compiles the WebAssembly, so that several decoders can share it. */
 export function compile(source?: Source): Promise<WebAssembly.Module>
-/** The canvas's colour space for an ICC profile. */
+/** Returns the canvas colour space for an ICC profile. */
 export function colorSpace(icc?: Uint8Array): "srgb" | "display-p3"

@@ -6,25 +6,25 @@ import { colorSpace } from "./icc.js"
 
 export { SsplatError, compile, colorSpace }
 
-// Pixels as ImageData where there is such a thing, in the canvas's colour space for the profile of the file.
+// Returns pixels as ImageData if it exists, in the canvas colour space for the profile of the file.
 function asImage({ data, width, height, ...facts }) {
   if (typeof ImageData == "undefined") return { data, width, height, colorSpace: colorSpace(facts.icc), ...facts }
   return Object.assign(new ImageData(data, width, height, { colorSpace: colorSpace(facts.icc) }), facts)
 }
 
-// Options of these names. Another name is a slip of whoever calls.
+// Checks the names of options; an unknown name is an error of the caller.
 function only(names, options = {}) {
   for (const name of Object.keys(options)) if (!names.includes(name)) throw new SsplatError("parameter", `no option is called ${name}; there are ${names.join(", ")}`)
   return options
 }
 
-// A worker that holds the module; nothing where its script does not start.
+// Returns a worker with the module, or undefined if its script does not start.
 async function begun(start, module) {
   let worker
   try {
     worker = await start()
     const ready = new Promise((resolve, reject) => Object.assign(worker, { onmessage: resolve, onerror: reject }))
-    // It may fail before the module is there.
+    // The worker may fail before the module has arrived.
     ready.catch(() => {})
     worker.postMessage({ module: await module })
     await ready
@@ -34,8 +34,8 @@ async function begun(start, module) {
   }
 }
 
-// Draws and describes files. `worker: true` does so beside the page, where there are workers; `module` is the WebAssembly
-// as a URL, a Response, bytes or a compiled module, if it is not that of the package.
+// Decodes files and returns their properties. `worker: true` uses a worker if workers are available; `module` is the WebAssembly as a URL,
+// a Response, bytes or a compiled module, if not that of the package.
 export class Decoder {
   #module
   #machine
@@ -47,12 +47,12 @@ export class Decoder {
   constructor(options) {
     const { worker = false, module } = only(["worker", "module"], options)
     this.#module = compile(module)
-    // Whoever asks first is told.
+    // The first caller receives the error.
     this.#module.catch(() => {})
     if (worker && typeof Worker != "undefined") (this.#worker = this.#hire()).catch(() => {})
   }
 
-  // Takes the first worker that starts; nothing if none does, as where the page's policy forbids it.
+  // Uses the first worker that starts, or none, for example if the page's policy forbids it.
   async #hire() {
     for (const start of workers()) {
       const worker = await begun(start, this.#module)
@@ -89,21 +89,22 @@ export class Decoder {
     })
   }
 
-  // Pixels, of all or of a `region` [left, top, width, height], `width` and `height` pixels large, in the ArrayBuffer `into` if they fit.
+  // Returns the pixels of the whole picture or of a `region` [left, top, width, height], with `width` × `height` pixels, in the ArrayBuffer
+  // `into` if they fit.
   async decode(bytes, options) {
     return asImage(await this.#ask("decode", bytes, { ...only(["region", "width", "height", "partial", "limits", "into", "detail"], options) }))
   }
 
-  // Size, channels, depth, number of primitives, orientation, ICC profile and EXIF block.
+  // Returns size, channels, depth, number of primitives, orientation, ICC profile and EXIF block.
   header = async (bytes, options) => this.#ask("header", bytes, { ...only(["limits"], options) })
 
-  // Typed arrays of all Gaussians.
+  // Returns all Gaussians as typed arrays.
   gaussians = async (bytes, options) => this.#ask("gaussians", bytes, { ...only(["limits"], options) })
 
-  // Everything of the header, and where the bytes go.
+  // Returns the contents of the header and the distribution of the bytes.
   info = async (bytes, options) => this.#ask("info", bytes, { ...only(["limits"], options) })
 
-  // Ends the worker; what was asked and not answered fails.
+  // Ends the worker; pending requests fail.
   close() {
     const words = "the decoder was closed"
     this.#stop(words)

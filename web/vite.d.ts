@@ -2,7 +2,7 @@ import type { ImportOptions, PluginOptions } from "./import-picture.js"
 
 export type { ImportOptions, PluginOptions }
 
-/** A plugin of Vite and Rollup. */
+/** A plugin for Vite and Rollup. */
 export interface SsplatPlugin {
   name: "ssplat"
   enforce: "pre"

@@ -9,7 +9,7 @@ export default function ssplat(options) {
   let config
   return {
     name: "ssplat",
-    // Before Vite's own handling of pictures.
+    // Runs before Vite's own handling of pictures.
     enforce: "pre",
 
     configResolved(resolved) {

@@ -4,13 +4,13 @@ export type { ImportOptions, PluginOptions }
 /** The options of the loader. */
 export interface LoaderOptions extends PluginOptions {
   /**
-   * "inline", the default, makes the .ssplat files assets by itself; "rules" leaves that to a rule of the configuration, such as
+   * "inline", the default, makes assets of the .ssplat files; "rules" leaves that to a rule of the configuration, such as
    * `{ test: /\.ssplat$/, type: "asset/resource" }`.
    */
   assets?: "inline" | "rules"
 }
 
-/** Whether the loader takes bytes. */
+/** Whether the loader receives bytes. */
 export const raw: true
-/** The loader for webpack and Turbopack, to be named as `"ssplat/webpack"`. */
+/** The loader for webpack and Turbopack, used as `"ssplat/webpack"`. */
 export default function load(this: unknown): void

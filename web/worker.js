@@ -1,4 +1,4 @@
-// A machine in a thread of its own: a module first, then questions in, answers out.
+// Worker with a machine. It receives the module first, then requests, and sends the results.
 import { Machine } from "./machine.js"
 
 let machine

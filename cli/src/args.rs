@@ -108,11 +108,11 @@ pub struct Encode {
     /// Encode the intact part of a truncated JPEG, GIF or JPEG XL
     #[arg(long)]
     pub partial: bool,
-    /// Rotate the pixels as the EXIF block says
+    /// Apply the EXIF orientation to the pixels
     #[arg(long)]
     pub auto_orient: bool,
     /// Which metadata of the input the file keeps; it counts towards the size: needed (ICC profile and orientation),
-    /// all (also the whole EXIF block, with time and place), icc, or none
+    /// all (also the whole EXIF block, including time and location), icc, or none
     #[arg(help_heading = "Contents and encoding", long, value_name = "WHICH", default_value = "needed", hide_possible_values = true, value_parser = names::metadata_policy())]
     pub metadata: MetadataPolicy,
     /// Write the file even if its name has the extension of another format
@@ -156,8 +156,8 @@ pub struct Encode {
     /// them, which takes fewer bytes
     #[arg(help_heading = "Contents and encoding", long)]
     pub keep_hidden: bool,
-    /// Whether the file has a detail layer, which codes the residual that the Gaussians leave: auto (where it pays),
-    /// off, or the share of the bytes that the Gaussians get, above 0 and below 1
+    /// Whether the file has a detail layer, which codes the residual that the Gaussians leave: auto (if the file gains
+    /// by it), off, or the share of the bytes for the Gaussians, above 0 and below 1
     #[arg(long, value_name = "WHICH", default_value = "auto", value_parser = detail)]
     pub detail: Detail,
     /// Number of progressive levels, each of which costs 1 to 2 % of the bytes; a file that is truncated after a level
@@ -241,8 +241,8 @@ pub fn pair<'a>(paths: &'a [PathBuf], output: Option<&'a Path>) -> Result<(&'a P
 #[derive(Debug, ClapArgs)]
 #[group(multiple = false)]
 pub struct TargetArgs {
-    /// Compression ratio: width x height x channels bytes over the bytes of the file [default: 50, with at least 80
-    /// bytes for the primitives]
+    /// Compression ratio: width x height x channels bytes divided by the bytes of the file [default: 50, with at least
+    /// 80 bytes for the primitives]
     #[arg(help_heading = "Size or quality (at most one)", long, short, value_name = "R", value_parser = positive)]
     pub ratio: Option<f64>,
     /// File size in bytes, or as 20k or 1.5M; never exceeded
@@ -319,7 +319,7 @@ pub struct Decode {
     /// none]
     #[arg(long, value_name = "RRGGBB", value_parser = color)]
     pub background: Option<[u8; 3]>,
-    /// Rotate the pixels as the EXIF block says
+    /// Apply the EXIF orientation to the pixels
     #[arg(long)]
     pub auto_orient: bool,
     /// Print only errors
@@ -334,8 +334,8 @@ pub struct Decode {
     /// Output height in pixels; without --width, the aspect ratio is kept
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20), conflicts_with = "scale")]
     pub height: Option<u32>,
-    /// Render the picture so that it fits into a square with this side in pixels; uses the thumbnail in the file if
-    /// that is large enough, which is faster and less exact
+    /// Render the picture so that it fits into a square with this side in pixels; uses the thumbnail in the file if it
+    /// is large enough, which is faster but less exact
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=1 << 20), conflicts_with_all = ["region", "width", "height", "scale", "backend", "partial", "layers"])]
     pub thumbnail: Option<u32>,
     /// Output pixels per pixel of the picture; below 1, the picture is low-pass filtered

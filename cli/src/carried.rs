@@ -12,9 +12,9 @@ pub fn carry(
     notes: &mut Vec<String>,
 ) {
     let carried = options.metadata.of(icc, exif, orientation);
-    // No note about losses that the user asked for.
+    // No note about losses that the user requested.
     if options.metadata == MetadataPolicy::Needed && carried.exif_left_out > 0 {
-        let but = if carried.exif.is_some() { " but for the orientation" } else { "" };
+        let but = if carried.exif.is_some() { " except for the orientation" } else { "" };
         let bytes = carried.exif_left_out;
         notes.push(format!("{EXIF} of {bytes} bytes is left out{but}; --metadata all keeps it"));
     }
@@ -36,7 +36,7 @@ pub fn is_of_exif(note: &str) -> bool {
 pub fn exif_of_files(files: usize) -> String {
     let (blocks, whose) = if files == 1 { ("block of 1 file is", "it") } else { ("blocks of", "them") };
     let count = if files == 1 { String::new() } else { format!(" {files} files are") };
-    format!("the EXIF {blocks}{count} left out but for the orientation; --metadata all keeps {whose}")
+    format!("the EXIF {blocks}{count} left out except for the orientation; --metadata all keeps {whose}")
 }
 
 /// Returns a note about a file of `bytes` bytes if more than half of it is metadata.

@@ -188,7 +188,10 @@ fn shown(
 fn background(args: &args::Decode, channels: Channels, format: Format, notes: &mut Vec<String>) -> Option<[u8; 3]> {
     channels.alpha()?;
     if args.background.is_none() && !format.has_alpha() {
-        notes.push("the format has no alpha: the picture is laid over white; --background names another colour".into());
+        notes.push(
+            "the output format has no alpha, so the picture is blended over white; --background sets another colour"
+                .into(),
+        );
         return Some([255; 3]);
     }
     args.background
@@ -234,7 +237,7 @@ fn losses(metadata: &Metadata, missing: MissingParts, of: u32) -> Vec<String> {
             notes.push(format!("{tiles} of {of_tiles} tiles of the detail layer are missing"));
         }
         if groups == 0 && tiles == 0 {
-            notes.push("the file is damaged or cut off; all of the picture that was asked for is there".into());
+            notes.push("the file is damaged or cut off, but the requested part of the picture is complete".into());
         }
     }
     notes

@@ -47,7 +47,7 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
     };
     if let Some(side) = args.paths.iter().find(is_number).map(|path| path.display()) {
         return Err(Failure::usage(format!(
-            "{side}: taken for a path; the side of tiles follows =, as in --tiles={side}"
+            "{side}: treated as a path; to set the side of tiles, write --tiles={side}"
         )));
     }
     let (input, output) = args::pair(&args.paths, args.output.as_deref())?;
@@ -56,9 +56,7 @@ pub fn run(args: &args::Encode) -> Result<(), Failure> {
     }
     if !args.force && is_of_another_format(output) {
         let path = output.display();
-        return Err(Failure::usage(format!(
-            "{path}: has the extension of another format; --force writes it all the same"
-        )));
+        return Err(Failure::usage(format!("{path}: has the extension of another format; --force writes it anyway")));
     }
     let bar = Bar::of(output_mode);
     let task = Task::new(input.into(), output.into());
@@ -152,7 +150,7 @@ fn one(args: &args::Encode, task: &Task, show: &Show) -> Result<Done, Failure> {
         && u64::from(asked) > samples
     {
         options.target = Target::Primitives(samples as u32);
-        notes.push(format!("{asked} primitives are more than the picture has samples: {samples} are enough"));
+        notes.push(format!("{asked} primitives are more than the samples of the picture; {samples} are enough"));
     }
     // Detects an output that cannot be written before the work is done.
     let sink = Sink::create(output, &[input])?;
@@ -230,7 +228,7 @@ fn load(
     }
     let mut source = source::read(path, opened, if args.auto_orient { Turn::Upright } else { Turn::Keep })?;
     if args.partial && source.is_cut_off {
-        source.notes.push("the file is cut off, and so is what is encoded".into());
+        source.notes.push("the file is cut off, so the encoded picture is incomplete".into());
     } else {
         source = source.whole(path)?;
     }
@@ -251,14 +249,12 @@ fn finished(args: &args::Encode, output: &Path, origin: &Origin, picture: &dyn P
     let mut notes = Vec::new();
     let text = match fate {
         Fate::LargerThanInput => {
-            notes.push(format!("no file is written: it would have {bytes} bytes, more than the {input} of the input"));
+            notes.push(format!("no file is written: it would have {bytes} bytes, more than the input ({input} bytes)"));
             String::new()
         }
         Fate::Written => {
             if bytes > input {
-                notes.push(format!(
-                    "the file has {bytes} bytes, more than the {input} of the picture that it was made of"
-                ));
+                notes.push(format!("the file has {bytes} bytes, more than the input ({input} bytes)"));
             }
             result_line(output, picture, encoded)
         }

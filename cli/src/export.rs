@@ -20,10 +20,7 @@ pub fn run(args: &args::Export) -> Result<(), Failure> {
     let splats = ssplat::unstable::bitstream::read(&bytes[..], &Limits::default())
         .map_err(|e| Failure::library(&args.input, &e))?;
     if splats.detail.is_some() {
-        tell(&format!(
-            "{}: the detail layer is left out: this is what the Gaussians show",
-            Failure::input(&args.input)
-        ));
+        tell(&format!("{}: the detail layer is not exported, only the Gaussians", Failure::input(&args.input)));
     }
     let parameters = Parameters::from(&splats);
     let file = match format {

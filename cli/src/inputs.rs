@@ -103,7 +103,7 @@ fn find_on(names: Names, inputs: &[PathBuf], folder: &Path, rules: &Rules) -> Re
         }
         if let Some(other) = taken.insert(names.key(output), input) {
             problems.push(format!(
-                "{} and {} would both become {}; give them a folder each",
+                "{} and {} would both be written to {}; encode them to separate folders",
                 other.display(),
                 input.display(),
                 folder.join(output).display()
@@ -114,7 +114,7 @@ fn find_on(names: Names, inputs: &[PathBuf], folder: &Path, rules: &Rules) -> Re
         let more = problems.len().saturating_sub(MAX_LISTED);
         problems.truncate(MAX_LISTED);
         if more > 0 {
-            problems.push(format!("and {more} more of the kind"));
+            problems.push(format!("and {more} more problems of this kind"));
         }
         return Err(Failure::usage(problems.join("\nssplat: ")));
     }
@@ -248,6 +248,6 @@ mod tests {
         let found = |names| find_on(names, &inputs, Path::new("out"), &rules);
         assert_eq!(found(Names::Exactly).unwrap().tasks.len(), 2);
         let refused = found(Names::IgnoringCase).unwrap_err().message;
-        assert!(refused.contains("x/A.png and y/a.png would both become"), "{refused}");
+        assert!(refused.contains("x/A.png and y/a.png would both be written to"), "{refused}");
     }
 }

@@ -54,7 +54,7 @@ pub fn read(path: &Path, input: &mut Input) -> Result<Source, Failure> {
     }
     let mut notes = Vec::new();
     if image.image_header().metadata.animation.is_some() {
-        notes.push("only the first of its frames or pages is taken".into());
+        notes.push("only the first of its frames or pages is used".into());
     }
     if has_xmp {
         notes.push("its XMP block is left out".into());

@@ -29,11 +29,14 @@ pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
     };
     match &splats.codebook {
         Some(book) => add(
-            format!("a colour of its own for each primitive: {} colours do", book.len()),
+            format!("a separate colour for each primitive: {} colours suffice", book.len()),
             small(splats).map(|s| PackedSplats { codebook: None, ..s.clone() }),
         ),
         None if splats.gaussians.is_empty() => {}
-        None => add("codebook of colours: too few occur twice".into(), small(splats).and_then(with_codebook)),
+        None => add(
+            "codebook of colours: too few colours occur more than once".into(),
+            small(splats).and_then(with_codebook),
+        ),
     }
     if splats.layout == Layout::Coded && splats.levels.len() < 2 && splats.gaussians.len() > 2 {
         add("progressive levels: 3 of them".into(), small(splats).map(with_levels));
@@ -41,21 +44,21 @@ pub fn of_file(splats: &PackedSplats, report: &Report) -> Vec<Absent> {
     let count = splats.gaussians.len();
     let round = splats.gaussians.iter().filter(|g| g.major == g.minor).count();
     if round > 0 {
-        add(format!("angles: {round} of {count} primitives are round and have none"), None);
+        add(format!("angles: {round} of {count} primitives are circular and need none"), None);
     }
     // With a codebook, the channels have no fields of their own.
     let own = count > 0 && splats.codebook.is_none() && splats.layout == Layout::Coded;
     let constant = |k: usize| own && splats.gaussians.iter().all(|g| g.color[k] == splats.gaussians[0].color[k]);
     if splats.channels.count() >= 3 && constant(1) && constant(2) {
         let bytes = bytes_of(report, &["colour 1", "colour 2"]);
-        add(format!("chroma: the same everywhere, {bytes} bytes in all"), None);
+        add(format!("chroma: constant, {bytes} bytes in total"), None);
     }
     if let Some(a) = splats.channels.alpha().filter(|&a| constant(a)) {
         let bytes = bytes_of(report, &["colour 0", "colour 1", "colour 2", "colour 3"][a..=a]);
-        add(format!("alpha: the same everywhere, {bytes} bytes in all"), None);
+        add(format!("alpha: constant, {bytes} bytes in total"), None);
     }
     if report.sections.is_empty() {
-        add("sections: no ICC profile, no EXIF block, no thumbnail, not even a table of them".into(), None);
+        add("sections: no ICC profile, EXIF block or thumbnail, and therefore no table of sections".into(), None);
     }
     list
 }

@@ -58,7 +58,7 @@ fn run(args: Args) -> Result<(), Failure> {
     if let Some(asked) = args.threads {
         let threads = asked.get().min(most_threads());
         if threads < asked.get() {
-            sink::tell(&format!("--threads {asked}: {threads} are used, as more would only wait"));
+            sink::tell(&format!("--threads {asked}: {threads} are used, because more would not be faster"));
         }
         rayon::ThreadPoolBuilder::new()
             .num_threads(threads)

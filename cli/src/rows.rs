@@ -86,16 +86,16 @@ impl Format {
             )
         );
         if depth == Depth::Sixteen && !is_deep {
-            notes.push("samples of 16 bits are rounded to 8: the format has no more".into());
+            notes.push("samples of 16 bits are rounded to 8, because the output format has no more".into());
         }
         if !icc && metadata.icc.is_some() {
-            notes.push("the ICC profile is left out: the format has no place for it".into());
+            notes.push("the ICC profile is left out, because the output format cannot store one".into());
         }
         if let Some(exif) = metadata.exif.as_deref().filter(|_| !exif) {
             let turned = Orientation::from_exif_chunk(exif).is_some_and(|o| o != Orientation::NoTransforms);
             let orientation =
                 if turned { ", and with it the orientation; --auto-orient turns the picture" } else { "" };
-            notes.push(format!("the EXIF block is left out: the format has no place for it{orientation}"));
+            notes.push(format!("the EXIF block is left out, because the output format cannot store one{orientation}"));
         }
         notes
     }

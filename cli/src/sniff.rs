@@ -49,13 +49,13 @@ impl Sniffed {
     pub fn refusal(self) -> &'static str {
         match self {
             Sniffed::JpegXl => {
-                "is a JPEG XL file, and this build reads none (feature `jxl`): convert it first, with `djxl IN.jxl OUT.png`"
+                "is a JPEG XL file, which this build does not support (feature `jxl`): convert it first, with `djxl IN.jxl OUT.png`"
             }
             Sniffed::Avif => {
-                "is an AVIF file, and this build reads none (feature `avif`): convert it first, with `avifdec IN.avif OUT.png`"
+                "is an AVIF file, which this build does not support (feature `avif`): convert it first, with `avifdec IN.avif OUT.png`"
             }
             Sniffed::Heic => {
-                "is a HEIC file, which ssplat does not read: convert it first, with `heif-convert IN.heic OUT.png` or \
+                "is a HEIC file, which ssplat does not support: convert it first, with `heif-convert IN.heic OUT.png` or \
                  ImageMagick's `convert IN.heic OUT.png`"
             }
         }

@@ -58,7 +58,8 @@ impl Source {
     /// Returns an error if the file is truncated.
     pub fn whole(self, path: &Path) -> Result<Source, Failure> {
         if self.is_cut_off {
-            let message = format!("{}: the file is cut off; --partial takes what is there", path.display());
+            let message =
+                format!("{}: the file is cut off; --partial decodes the part that is present", path.display());
             return Err(Failure { kind: Kind::Format, message });
         }
         Ok(self)
@@ -96,12 +97,12 @@ pub fn read(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Failure
 /// Returns the message for a picture that exceeds the memory limit.
 pub fn beyond_memory(path: &Path) -> String {
     let path = Failure::input(path);
-    format!("{path}: takes more memory than there is, or than the {MAX_ALLOC} bytes allowed")
+    format!("{path}: needs more memory than is available, or than the {MAX_ALLOC} bytes that are allowed")
 }
 
 /// Returns the failure for a file on which its decoder panicked.
 pub fn panicked(path: &Path, panic: &str) -> Failure {
-    let message = format!("{}: its decoder cannot cope with it: {panic}", Failure::input(path));
+    let message = format!("{}: its decoder failed unexpectedly: {panic}", Failure::input(path));
     Failure { kind: Kind::Format, message }
 }
 
@@ -125,13 +126,13 @@ fn read_foreign(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Fai
         is_cut_off = !found.is_whole;
         if found.is_reduced {
             let message = format!(
-                "{}: holds a small version first, as raw files of cameras do (DNG, NEF): develop the picture to PNG or TIFF",
+                "{}: its first picture is a reduced version, as in raw files of cameras (DNG, NEF): convert it to PNG or TIFF first",
                 Failure::input(path)
             );
             return Err(Failure { kind: Kind::Unsupported, message });
         }
         if found.has_more {
-            notes.push("only the first of its frames or pages is taken".into());
+            notes.push("only the first of its frames or pages is used".into());
         }
     }
     let stated = colour::look(&mut input).map_err(io)?;

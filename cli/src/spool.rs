@@ -124,7 +124,7 @@ fn pnm(path: &Path, reader: &mut BufReader<File>) -> Result<Option<Spooled>, Fai
             std::io::ErrorKind::UnexpectedEof => Ok(None),
             _ => Err(io(e)),
         });
-        *number = found?.ok_or_else(|| broken("its header has no numbers".into()))?;
+        *number = found?.ok_or_else(|| broken("its header is incomplete".into()))?;
     }
     let [width, height, white] = numbers;
     let depth = match white {
@@ -139,7 +139,7 @@ fn pnm(path: &Path, reader: &mut BufReader<File>) -> Result<Option<Spooled>, Fai
     let bytes = u64::from(width) * u64::from(height) * (channels.count() * depth.bytes()) as u64;
     let length = file.metadata().map_err(io)?.len();
     if start.checked_add(bytes).is_none_or(|end| end > length) {
-        return Err(broken(format!("{bytes} bytes of samples are needed where {} are", length.saturating_sub(start))));
+        return Err(broken(format!("needs {bytes} bytes of samples but has {}", length.saturating_sub(start))));
     }
     check_size(path, width, height)?;
     let file = Mutex::new(file);
@@ -163,7 +163,7 @@ fn check_spooled(path: &Path, samples: u64, packed: u64) -> Result<(), Failure> 
         return Ok(());
     }
     let message = format!(
-        "{}: would take {samples} bytes of disk, where {most} are allowed for a file of {packed}",
+        "{}: would take {samples} bytes on disk; a file of {packed} bytes may take at most {most}",
         path.display()
     );
     Err(Failure { kind: Kind::Limit, message })
@@ -219,7 +219,7 @@ fn png(path: &Path, reader: &mut BufReader<File>, end: Option<Instant>) -> Resul
     let mut notes: Vec<String> = stated.note.map(String::from).into_iter().collect();
     let mut icc = stated.or(info.icc_profile.as_ref().map(|v| v.to_vec()));
     if found.has_more {
-        notes.push("only the first of its frames or pages is taken".into());
+        notes.push("only the first of its frames or pages is used".into());
     }
     if info.utf8_text.iter().any(|text| text.keyword == "XML:com.adobe.xmp") {
         notes.push("its XMP block is left out".into());
@@ -239,7 +239,7 @@ fn png(path: &Path, reader: &mut BufReader<File>, end: Option<Instant>) -> Resul
     let mut rows = BufWriter::new(&mut file);
     for y in 0..height {
         if end.is_some_and(|end| Instant::now() >= end) {
-            let message = format!("{}: --time is over after {y} of {height} rows", path.display());
+            let message = format!("{}: --time ran out after {y} of {height} rows", path.display());
             return Err(Failure { kind: Kind::Limit, message });
         }
         let row = decoder.next_row().map_err(broken)?;

@@ -91,7 +91,7 @@ fn encode_decode_and_compare_agree_on_a_photograph() {
     ]));
     let bytes = fs::metadata(&file).unwrap().len();
     assert_eq!(number(&json, "bytes") as u64, bytes);
-    assert!(bytes as f64 <= 768.0 * 512.0 * 3.0 / 200.0, "{bytes} bytes are more than asked for");
+    assert!(bytes as f64 <= 768.0 * 512.0 * 3.0 / 200.0, "{bytes} bytes are more than requested");
     succeeds(ssplat(&[&"decode", &file, &decoded]));
     assert_eq!(fs::read(&preview).unwrap(), fs::read(&decoded).unwrap());
     let measured = succeeds(ssplat(&[&"compare", &PHOTO, &file, &"--json"]));
@@ -183,9 +183,9 @@ fn encode_and_info_report_what_was_left_out() {
     let opaque = |x, y| image::Rgba([grey(x, y), grey(x, y), grey(x, y), 255]);
     image::RgbaImage::from_fn(60, 40, opaque).save(&picture).unwrap();
     let text = succeeds(ssplat(&[&"encode", &picture, &file, &"--bytes", &"300", &"--effort", &"1", &"--explain"]));
-    assert!(text.contains("colour and alpha: all is grey and opaque"), "{text}");
+    assert!(text.contains("colour and alpha: all pixels are grey and opaque"), "{text}");
     assert!(text.contains("the GPU: the picture has fewer than 262144 pixels\n"), "{text}");
-    assert!(text.contains("sections: no ICC profile, no EXIF block, no thumbnail"), "{text}");
+    assert!(text.contains("sections: no ICC profile, EXIF block or thumbnail"), "{text}");
     assert!(fs::metadata(&file).unwrap().len() <= 300);
     let info: serde_json::Value = serde_json::from_str(&succeeds(ssplat(&[&"info", &file, &"--json"]))).unwrap();
     let left_out = info["left_out"].as_array().unwrap();
@@ -313,7 +313,7 @@ fn camera_notes_are_dropped_and_the_orientation_is_kept() {
     let asked = ["--bytes", "900", "--effort", "1"];
     let encode = |more: &[&str]| command(&[&"encode", &source, &file]).args(asked).args(more).output().unwrap();
     let said = told(encode(&[]));
-    assert!(said.contains("20026 bytes is left out but for the orientation; --metadata all"), "{said}");
+    assert!(said.contains("20026 bytes is left out except for the orientation; --metadata all"), "{said}");
     assert_eq!(metadata_of(&file), [500, 26]);
     let out = folder.path("o.png");
     succeeds(ssplat(&[&"decode", &file, &out]));
@@ -992,7 +992,7 @@ fn a_time_limit_ends_the_reading_of_a_huge_picture() {
     };
     bits(16_000);
     let late = ssplat(&[&"encode", &source, &file, &"--tiles=2048", &"--effort", &"1", &"--time", &"0.02"]);
-    fails(late, 6, "--time is over after");
+    fails(late, 6, "--time ran out after");
     assert_eq!(folder.names(), ["huge.png"]);
 }
 
@@ -1096,7 +1096,7 @@ fn several_inputs_need_a_folder_and_distinct_outputs() {
     let all = [&a, &b, &c, &d, &a].map(|path| path.as_path());
     let said = many(&all, &out, &[]);
     for pair in [[&a, &c], [&b, &d]] {
-        fails(said.clone(), 2, &format!("{} and {} would both become", pair[0].display(), pair[1].display()));
+        fails(said.clone(), 2, &format!("{} and {} would both be written to", pair[0].display(), pair[1].display()));
     }
     fails(said, 2, &format!("{}: is named twice", a.display()));
     assert_eq!(folder.names(), ["a.bmp", "a.png", "b.png", "deep"]);

@@ -160,7 +160,7 @@ fn import_checks_archives_against_the_limits_before_it_unpacks_them() {
     for (kind, shape, status, message) in [
         ("<f8", "(300000000, 2)", 6, "bomb.npz: array means: rows 300000000 is more than the 16777216"),
         ("<f8", "(16777216, 100000)", 6, "bomb.npz: array means: bytes of memory 13421772800000"),
-        ("<f4", "(2, 2)", 4, "bomb.npz: array means goes on after its elements"),
+        ("<f4", "(2, 2)", 4, "bomb.npz: array means has data after its elements"),
         ("<f4", "(4100000, 2)", 4, "bomb.npz: array means of 8200000 elements: ends too early"),
         ("<f4", "(9999999, 2)", 6, "bomb.npz: array means: bytes of memory 159999984 is more than the 67108864"),
         ("<U999999999", "()", 6, "bomb.npz: array means: characters 999999999 is more than the 64"),

@@ -1,4 +1,4 @@
-//! Imports Gaussians of other programs, as archives, arrays and tables: they are refused, or packed to a file or a
+//! Imports Gaussians of other programs from archives, arrays and tables: they are rejected, or packed to a file or a
 //! typed error, in bounded memory.
 #![no_main]
 #![allow(dead_code, reason = "the program's modules are used in part")]

@@ -21,7 +21,7 @@ struct Args {
 enum Command {
     /// Encode pictures in many ways and write the results to one HTML page
     Report(report::args::Report),
-    /// Fit pictures by other published methods and compare them with ours
+    /// Fit pictures by other published methods and compare them with ssplat
     BenchMethods(bench_methods::args::BenchMethods),
 }
 

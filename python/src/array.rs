@@ -1,4 +1,4 @@
-//! NumPy arrays to pixels and back: rows × columns, or rows × columns × channels.
+//! Conversion between pixels and NumPy arrays: rows × columns, or rows × columns × channels.
 
 use numpy::{IntoPyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -10,7 +10,7 @@ use crate::failure::{exception, parameter};
 /// Longest side of a picture, pixels.
 const MAX_SIDE: usize = 1 << 20;
 
-/// The picture of a contiguous array of 8 or 16 bits; its samples are copied.
+/// Returns the picture of a contiguous array of 8 or 16 bits. Copies the samples.
 pub fn pixels(name: &'static str, array: &Bound<'_, PyAny>) -> PyResult<Pixels> {
     // The shape is checked before the samples are copied.
     let (([width, height], channels), samples) = if let Ok(a) = array.extract::<PyReadonlyArrayDyn<'_, u8>>() {
@@ -24,7 +24,7 @@ pub fn pixels(name: &'static str, array: &Bound<'_, PyAny>) -> PyResult<Pixels> 
     Pixels::new(width, height, channels, samples).map_err(exception)
 }
 
-/// Width, height and channels of an array of this shape, if they are those of a picture.
+/// Returns width, height and channels of an array of this shape, if a picture can have them.
 fn form(name: &'static str, shape: &[usize]) -> PyResult<([u32; 2], Channels)> {
     let channels = match shape[..] {
         [_, _] => Some(Channels::Grey),
@@ -40,7 +40,7 @@ fn form(name: &'static str, shape: &[usize]) -> PyResult<([u32; 2], Channels)> {
     Ok(([shape[1] as u32, shape[0] as u32], channels))
 }
 
-/// A memory map, of which only the parts that are asked for are read.
+/// A memory map, which is read in parts.
 pub struct Mapped {
     name: &'static str,
     array: Py<PyAny>,
@@ -93,7 +93,7 @@ impl PixelSource for Mapped {
     }
 }
 
-/// The array that takes the samples over: rows × columns for grey, else rows × columns × channels.
+/// Returns an array that takes ownership of the samples: rows × columns for grey, otherwise rows × columns × channels.
 pub fn array<'py>(py: Python<'py>, pixels: Pixels) -> PyResult<Bound<'py, PyAny>> {
     let mut shape = vec![pixels.height() as usize, pixels.width() as usize];
     if pixels.channels() != Channels::Grey {

@@ -1,4 +1,4 @@
-//! A file to pixels.
+//! Decoding of files to pixels.
 
 use std::collections::BTreeMap;
 
@@ -11,10 +11,10 @@ use ssplat::{Damage, Depth, Error, Layers, Limits, Pixels, Reader, Result};
 use crate::failure::{exception, integer, parameter};
 use crate::{array, work};
 
-/// Output pixels that are worth a thread.
+/// Minimum number of output pixels per thread.
 const PIXELS_A_THREAD: u64 = 1 << 16;
 
-/// The options of `ssplat.decode`, all of them.
+/// All options of `ssplat.decode`.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Options {
@@ -27,7 +27,7 @@ pub struct Options {
     limits: Option<BTreeMap<String, i128>>,
 }
 
-/// Part of the file to draw, and how to draw it.
+/// The part of the file to render, and how to render it.
 struct Job {
     view: View,
     depth: Depth,
@@ -64,13 +64,13 @@ impl Job {
         let opened = Reader::new(data, &self.limits)?.showing(self.layers).read_for(&self.view, self.damage)?;
         let missing = opened.missing();
         let renderer = opened.renderer(&self.view)?;
-        // The integers make room for the pixels.
+        // The integers are dropped to free memory for the pixels.
         drop(opened);
         Ok((renderer.render(self.depth)?, missing))
     }
 }
 
-/// The exception for an error of the library about a value that came in the argument `name`.
+/// Returns the exception for an error of the library about the value of the argument `name`.
 fn wrong(name: &'static str, error: Error) -> PyErr {
     match error {
         Error::Parameter { problem, .. } => parameter(name, problem),
@@ -86,7 +86,7 @@ fn whole<const N: usize>(name: &'static str, values: [i128; N]) -> PyResult<[u32
     Ok(out)
 }
 
-/// The defaults with what the caller names in place of them.
+/// Returns the default limits, with those of the caller replaced.
 pub fn limits(changes: Option<&BTreeMap<String, i128>>) -> PyResult<Limits> {
     let mut limits = Limits::default();
     for (name, &value) in changes.into_iter().flatten() {
@@ -105,11 +105,11 @@ pub fn limits(changes: Option<&BTreeMap<String, i128>>) -> PyResult<Limits> {
     Ok(limits)
 }
 
-/// Numbers of missing parts: primitives, groups, groups in all, tiles of the detail layer, tiles in all; and whether
-/// the file is cut off or its checksum is wrong.
+/// Numbers of missing primitives, missing groups, all groups, missing tiles of the detail layer, and all tiles; and
+/// whether the file is truncated or its checksum is wrong.
 type Lost = (u32, u32, u32, u32, u32, bool);
 
-/// The array, and what is missing.
+/// Returns the array, and the missing parts.
 #[pyfunction]
 pub fn decode<'py>(py: Python<'py>, data: PyBackedBytes, options: Options) -> PyResult<(Bound<'py, PyAny>, Lost)> {
     let job = Job::new(&data, &options)?;

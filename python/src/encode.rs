@@ -1,4 +1,4 @@
-//! Pixels to a file.
+//! Encoding of pixels to a file.
 
 use std::time::Duration;
 
@@ -12,10 +12,10 @@ use crate::failure::{integer, parameter};
 use crate::work::{Calls, Reporter};
 use crate::{array, names, work};
 
-/// Most tasks that may be out at a time.
+/// Maximum number of unfinished tasks.
 const MOST_TASKS: i128 = 1 << 16;
 
-/// The options of `ssplat.encode`, all of them.
+/// All options of `ssplat.encode`.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Options {
@@ -42,14 +42,14 @@ pub struct Options {
     keep_hidden: bool,
 }
 
-/// `"auto"`, or the most bytes of a thumbnail.
+/// `"auto"`, or the maximum size of a thumbnail in bytes.
 #[derive(FromPyObject)]
 enum Carried {
     Bytes(i128),
     Name(String),
 }
 
-/// `"auto"`, `"off"`, or the share of the bytes that the Gaussians get.
+/// `"auto"`, `"off"`, or the share of the bytes for the Gaussians.
 #[derive(FromPyObject)]
 enum Division {
     Share(f64),
@@ -79,7 +79,7 @@ impl Options {
         match (asked.next(), asked.next()) {
             (None, _) => Ok(Target::Auto),
             (Some(target), None) => target,
-            _ => Err(parameter("ratio", "only one of ratio, bytes, psnr, primitives and quality can be asked for")),
+            _ => Err(parameter("ratio", "only one of ratio, bytes, psnr, primitives and quality can be given")),
         }
     }
 
@@ -118,8 +118,9 @@ impl Options {
     }
 }
 
-/// The file of a contiguous array of uint8 or uint16, or of a memory map, the quality that it has, where one was asked
-/// for, and its PSNR in dB. `workers` is what starts a task for others, and how many of these are to be out at a time.
+/// Encodes a contiguous array of uint8 or uint16, or a memory map. Returns the file, its quality if one was requested,
+/// and its PSNR in dB. `workers` is the function that starts a task elsewhere, and the maximum number of unfinished
+/// tasks.
 #[pyfunction]
 pub fn encode<'py>(
     py: Python<'py>,
@@ -152,7 +153,7 @@ pub fn encode<'py>(
     Ok((PyBytes::new(py, &encoded.bytes), encoded.report.quality, encoded.report.psnr))
 }
 
-/// The answer to a task.
+/// Processes a task and returns the result.
 #[pyfunction]
 pub fn work_on_tile<'py>(
     py: Python<'py>,
@@ -167,7 +168,7 @@ pub fn work_on_tile<'py>(
     Ok(PyBytes::new(py, &answer))
 }
 
-/// The pixels of an array: those of a memory map are read as they are needed, others are copied.
+/// The pixels of an array. A memory map is read when its pixels are needed; other arrays are copied.
 fn source(image: &Bound<'_, PyAny>) -> PyResult<Box<dyn PixelSource + Send>> {
     let is_mapped = image.is_instance(&image.py().import("numpy")?.getattr("memmap")?)?;
     Ok(match is_mapped {
@@ -176,7 +177,7 @@ fn source(image: &Bound<'_, PyAny>) -> PyResult<Box<dyn PixelSource + Send>> {
     })
 }
 
-/// Workers behind the calling thread.
+/// Workers that are reached through the calling thread.
 struct Others<'a> {
     reporter: &'a Reporter,
     at_once: usize,

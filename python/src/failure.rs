@@ -1,4 +1,4 @@
-//! The library's errors as Python's exceptions, one class for each kind (`ssplat/errors.py`).
+//! Conversion of the library's errors to Python exceptions, with one class for each kind (`ssplat/errors.py`).
 
 use pyo3::PyErr;
 use ssplat::{Error, Target};
@@ -14,7 +14,7 @@ mod kinds {
     pyo3::import_exception!(ssplat.errors, UnsupportedVersionError);
 }
 
-/// The exception of `error`.
+/// Returns the exception for `error`.
 pub fn exception(error: Error) -> PyErr {
     let text = error.to_string();
     match error {
@@ -32,22 +32,22 @@ pub fn exception(error: Error) -> PyErr {
     }
 }
 
-/// The argument that asks for a size.
+/// Returns the name of the argument that sets the target.
 fn asked_by(target: Target) -> &'static str {
     if matches!(target, Target::Ratio(_)) { "ratio" } else { "bytes" }
 }
 
-/// The exception for an argument that is wrong before the library sees it.
+/// Returns the exception for an invalid argument that does not reach the library.
 pub fn parameter(name: &'static str, problem: impl Into<String>) -> PyErr {
     exception(Error::Parameter { name, problem: problem.into() })
 }
 
-/// The exception for a bug: the library panicked.
+/// Returns the exception for a panic of the library, which is a bug.
 pub fn panicked() -> PyErr {
     kinds::Error::new_err("the library panicked; this is a bug in it")
 }
 
-/// An integer argument in the type that the library takes.
+/// Converts an integer argument to the type of the library.
 pub fn integer<T: TryFrom<i128>>(name: &'static str, value: i128) -> Result<T, PyErr> {
     T::try_from(value).map_err(|_| parameter(name, format!("{value} is out of range")))
 }

@@ -1,4 +1,4 @@
-//! The primitives of a file as arrays, and arrays of anyone's primitives as a file.
+//! Conversion between files and arrays of primitives.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use ssplat::{Channels, Damage, Depth, Error, Gaussian, Layers, Picture, Reader};
 use crate::failure::{integer, parameter};
 use crate::{decode, info, names, work};
 
-/// The primitives of `data`, level by level, and all that [`from_gaussians`] takes.
+/// Returns the primitives of `data`, level by level, and the other arguments of [`from_gaussians`].
 #[pyfunction]
 #[pyo3(signature = (data, limits = None))]
 pub fn gaussians<'py>(
@@ -23,7 +23,7 @@ pub fn gaussians<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let limits = decode::limits(limits.as_ref())?;
     let (opened, floats) = work::run(py, 1, &work::Calls::default(), move |_| {
-        // The detail layer is no part of the result.
+        // The detail layer is not part of the result.
         let opened = Reader::new(&data, &limits)?.showing(Layers::Gaussians).read(Damage::Refuse)?;
         let splats = opened.splats();
         let each = size_of::<[f32; 5]>() + splats.channels.count() * size_of::<f32>();
@@ -76,7 +76,7 @@ impl Floats {
     }
 }
 
-/// The options of `ssplat.from_gaussians`, all of them.
+/// All options of `ssplat.from_gaussians`.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Options {
@@ -126,7 +126,7 @@ impl Options {
     }
 }
 
-/// [`Steps`] as a caller names them.
+/// [`Steps`] under the names of the Python interface.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 struct StepIndices {
@@ -153,8 +153,8 @@ impl StepIndices {
     }
 }
 
-/// The file of primitives with means (n × 2, pixels), scales (n × 2, pixels), rotations (n, radians) and colours
-/// (n × channels), all float32.
+/// Returns the file of primitives with means (n × 2, pixels), scales (n × 2, pixels), rotations (n, radians) and
+/// colours (n × channels), all float32.
 #[pyfunction]
 pub fn from_gaussians<'py>(
     py: Python<'py>,
@@ -169,7 +169,7 @@ pub fn from_gaussians<'py>(
     let channels = Channels::from_count(c).ok_or_else(|| parameter("color", format!("{c} channels are not 1 to 4")))?;
     for (name, shape) in [("mean", mean.dim()), ("scale", scale.dim()), ("rotation", (rotation.len(), 2))] {
         if shape != (n, 2) {
-            return Err(parameter(name, format!("{} rows of {} where {n} colours are given", shape.0, shape.1)));
+            return Err(parameter(name, format!("{} rows of {}, but there are {n} colours", shape.0, shape.1)));
         }
     }
     let gaussians = (0..n).map(|i| Gaussian {
@@ -184,7 +184,7 @@ pub fn from_gaussians<'py>(
     let file = work::run(py, 1, &work::Calls::default(), move |_| {
         bitstream::to_bytes(&ssplat::unstable::pack(&picture, &how)?)
     })?;
-    // With steps of the caller's own there is nothing to choose.
+    // If the caller gives the steps, nothing is chosen.
     if file.len() as i128 > most {
         return Err(parameter("bytes", format!("{most} cannot hold {n} primitives: {} are needed", file.len())));
     }

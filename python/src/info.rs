@@ -21,10 +21,10 @@ pub fn header(data: &[u8]) -> PyResult<(u32, u32, usize, usize, bool)> {
     Ok((h.width, h.height, h.channels.count(), 8 * h.depth.bytes(), h.sections == Sections::Present))
 }
 
-/// The bytes of a section, where there is one.
+/// Returns the bytes of a section, if it exists.
 type Section = Option<Py<PyBytes>>;
 
-/// `(ICC profile, EXIF block)`; nothing of the picture is read.
+/// Returns `(ICC profile, EXIF block)` without reading the picture.
 #[pyfunction]
 #[pyo3(signature = (data, limits = None))]
 pub fn metadata(
@@ -39,7 +39,7 @@ pub fn metadata(
     Ok((bytes(icc), bytes(exif)))
 }
 
-/// Everything but the primitives.
+/// Returns all properties except the primitives.
 #[pyfunction]
 #[pyo3(signature = (data, limits = None))]
 pub fn info<'py>(

@@ -1,7 +1,7 @@
-//! The codec as the Python module `ssplat._ssplat`; `package/ssplat` dresses it for people.
+//! The codec as the Python module `ssplat._ssplat`, for which `package/ssplat` is a wrapper.
 //!
-//! Arrays come in by one copy, so that other threads may change them meanwhile, but memory maps are read as they are
-//! needed; arrays go out by none. Everything runs without the interpreter's lock on threads of its own; see [`work`].
+//! Input arrays are copied once, so that other threads may change them in the meantime; memory maps are read when they
+//! are needed. Output arrays are not copied. All work runs without the GIL, on separate threads; see [`work`].
 
 mod array;
 mod carry;

@@ -1,8 +1,8 @@
-//! Work without the interpreter's lock, on threads that live as long as the call.
+//! Runs work without the GIL, on threads that live as long as the call.
 //!
-//! A pool of its own for each call keeps calls apart: a process that was forked while another thread was encoding
-//! works like any other, which a pool of the whole process would not. The calling thread only listens, so that a
-//! signal is answered at once wherever the work is; the work itself ends at its next step.
+//! Each call has its own thread pool. Therefore a process works even if it was forked while another thread was
+//! encoding, which a global pool would not survive. The calling thread only waits for messages, so it reacts to signals
+//! at once; the work itself ends at its next step.
 
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
@@ -20,10 +20,10 @@ use ssplat::{Error, Progress, Result};
 
 use crate::failure::{exception, panicked, parameter};
 
-/// How often the calling thread looks for signals.
+/// Interval at which the calling thread checks for signals.
 const LISTEN: Duration = Duration::from_millis(20);
 
-/// Most threads of a call.
+/// Maximum number of threads of a call.
 const MOST: i128 = 1024;
 
 /// Messages from the work to the calling thread, and its requests.
@@ -34,7 +34,7 @@ enum Message<T> {
     End(Result<T>),
 }
 
-/// The work's end of the line.
+/// The end of the channel that the work holds.
 pub struct Reporter {
     step: Box<dyn Fn(&'static str, f32) + Send>,
     start: Box<dyn Fn(Vec<u8>) + Send>,
@@ -43,36 +43,36 @@ pub struct Reporter {
 }
 
 impl Reporter {
-    /// Tells how far the work is, and hears whether anybody still wants it.
+    /// Reports the progress, and returns an error if the caller has cancelled.
     pub fn step(&self, progress: &Progress) -> ControlFlow<()> {
         (self.step)(progress.stage, progress.done);
         if self.stopped.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// Has a task for others started.
+    /// Starts a task elsewhere.
     pub fn start(&self, task: Vec<u8>) {
         (self.start)(task);
     }
 
-    /// Waits for the answer to the task that was started first of those still unanswered.
+    /// Waits for the result of the oldest unfinished task.
     pub fn wait(&self) -> Result<Vec<u8>> {
         let (sender, receiver) = channel();
         (self.wait)(sender);
-        // The calling thread has left.
+        // The calling thread has returned.
         receiver.recv().map_err(|_| Error::Cancelled)
     }
 }
 
-/// The calls that the work makes in the calling thread.
+/// Callbacks that run in the calling thread.
 #[derive(Default)]
 pub struct Calls<'a, 'py> {
-    /// Takes a stage and the share of it that is done.
+    /// Receives a stage and the fraction of it that is done.
     pub progress: Option<&'a Bound<'py, PyAny>>,
-    /// Starts a task, and returns what waits for its answer.
+    /// Starts a task, and returns a function that waits for its result.
     pub start: Option<&'a Bound<'py, PyAny>>,
 }
 
-/// How many threads to use: what was asked for, else one for each core but no more than `useful`.
+/// Returns the number of threads: the requested one, or one per core, at most `useful`.
 pub fn threads(asked: Option<i128>, useful: usize) -> PyResult<usize> {
     match asked {
         Some(n @ 1..=MOST) => Ok(n as usize),
@@ -81,15 +81,15 @@ pub fn threads(asked: Option<i128>, useful: usize) -> PyResult<usize> {
     }
 }
 
-/// Runs `work` on `threads` threads; `calls` are made in the calling thread, and stop the work by raising; `progress`
-/// also by returning `False`.
+/// Runs `work` on `threads` threads. The `calls` run in the calling thread. They stop the work by raising an exception,
+/// `progress` also by returning `False`.
 pub fn run<T: Send + 'static>(
     py: Python<'_>,
     threads: usize,
     calls: &Calls<'_, '_>,
     work: impl FnOnce(&Reporter) -> Result<T> + Send + 'static,
 ) -> PyResult<T> {
-    // A panic drops the sender, which the listener notices.
+    // A panic drops the sender, which closes the channel.
     let pool = ThreadPoolBuilder::new().num_threads(threads).panic_handler(|_| ()).build();
     let pool = pool.map_err(|e| exception(Error::Io(std::io::Error::other(e))))?;
     let (sender, receiver) = channel();
@@ -99,7 +99,7 @@ pub fn run<T: Send + 'static>(
         let _ = sender.send(Message::End(work(&reporter)));
     });
     let result = listen(py, &Mutex::new(receiver), calls);
-    // Whoever leaves early takes the work with him.
+    // If this thread returns early, the work is cancelled.
     stopped.store(true, Ordering::Relaxed);
     result
 }
@@ -145,7 +145,7 @@ fn listen<T: Send>(py: Python<'_>, receiver: &Mutex<Receiver<Message<T>>>, calls
                     let found = task.call0()?;
                     let found = found.extract::<PyBackedBytes>().map_err(|_| {
                         let kind = found.get_type();
-                        parameter("start", format!("a task was answered by {kind}, not by bytes"))
+                        parameter("start", format!("the function that start returned must return bytes, not {kind}"))
                     })?;
                     let _ = answer.send(found.to_vec());
                 }

@@ -1,4 +1,4 @@
-"""What the tests have other processes do; they import it by its name."""
+"""Functions that the tests run in other processes, which import this module."""
 
 import os
 import pathlib
@@ -12,13 +12,13 @@ SMALL = {"effort": 1, "primitives": 20}
 
 
 def work(seed):
-    """A file, and the sum of what is decoded from it."""
+    """Returns a file, and the sum of its decoded samples."""
     data = ssplat.encode(PICTURE, **SMALL, seed=seed)
     return data, int(ssplat.decode(data, threads=2).sum())
 
 
 class DiesOnce:
-    """Encodes; kills its own worker the first time that it has a certain picture's file half written."""
+    """Encodes, but kills its own worker once, when the file of a certain picture is half written."""
 
     def __init__(self, name, marker):
         self.name, self.marker = name, marker
@@ -33,7 +33,7 @@ class DiesOnce:
 
 
 class TileDiesOnce:
-    """Works on tiles; kills its own worker the first time."""
+    """Processes tiles, but kills its own worker the first time."""
 
     def __init__(self, marker):
         self.marker = marker

@@ -1,4 +1,4 @@
-"""Pictures for the tests: made here, so that they need no files."""
+"""Synthetic pictures for the tests."""
 
 import pathlib
 
@@ -10,7 +10,7 @@ KODIM05 = ROOT / "tests" / "images" / "kodim05.png"
 
 
 def waves(height, width, channels=3, dtype=np.uint8, seed=0):
-    """Smooth waves with a little noise; (height, width) where ``channels`` is None."""
+    """Returns smooth waves with a little noise; the shape is (height, width) if ``channels`` is None."""
     random = np.random.default_rng(seed)
     y, x = np.mgrid[0:height, 0:width]
     planes = [

@@ -1,4 +1,4 @@
-"""Arrays of every shape, type and stride: taken as they are, or refused by name."""
+"""Arrays of every shape, type and stride are accepted, or rejected with an error that names the argument."""
 
 import numpy as np
 import pytest

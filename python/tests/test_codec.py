@@ -1,4 +1,4 @@
-"""Pictures to files and back: what is asked for is what comes."""
+"""Encoding and decoding: the results have the requested properties."""
 
 import io
 import warnings
@@ -165,7 +165,7 @@ def test_a_wrong_checksum_is_told_where_nothing_is_missing():
     wrong = levels[:-1] + bytes([levels[-1] ^ 1])
     with pytest.raises(ssplat.FormatError):
         ssplat.decode(wrong)
-    with pytest.warns(ssplat.PartialWarning, match="damaged or cut off; all of the picture"):
+    with pytest.warns(ssplat.PartialWarning, match="damaged or cut off, but the requested part"):
         pixels = ssplat.decode(wrong, partial=True)
     assert np.array_equal(pixels, ssplat.decode(levels))
     with warnings.catch_warnings():

@@ -1,4 +1,4 @@
-"""One picture among workers: the same file, and errors that name the tile."""
+"""One picture on several workers: the same file, and errors that name the tile."""
 
 import threading
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -78,13 +78,13 @@ def test_an_answer_that_is_none_names_the_tile():
         return lambda: answers[0]
 
     for start, text in [
-        (lambda task: bytes, "128 × 128 at 0, 0: 0 bytes"),
-        (foreign, "14 × 128 at 256, 0: it answers task"),
+        (lambda task: bytes, "128 × 128 at 0, 0: the 0 bytes"),
+        (foreign, "14 × 128 at 256, 0: the answer belongs to task"),
     ]:
         with pytest.raises(ssplat.ParameterError, match=text) as caught:
             ssplat.encode(PICTURE, **OPTIONS, start=start, at_once=1)
         assert caught.value.name == "answer"
-    with pytest.raises(ssplat.ParameterError, match="answered by <class 'int'>"):
+    with pytest.raises(ssplat.ParameterError, match="must return bytes, not <class 'int'>"):
         ssplat.encode(PICTURE, **OPTIONS, start=lambda task: int)
 
 

@@ -1,4 +1,4 @@
-"""Errors by kind: whose fault it is, with which value."""
+"""Errors by kind, with the offending value."""
 
 import pickle
 
@@ -42,7 +42,7 @@ def test_each_kind_has_its_class(kind, also, call):
 
 @pytest.mark.parametrize("shape", [(1 << 21, 1 << 21), (1, (1 << 20) + 1, 3), (8, 0), (1 << 20, 1 << 20, 1 << 20), (1 << 30,), (2,) * 9])
 def test_the_shape_of_a_picture_is_checked_before_it_is_copied(shape):
-    # One sample that is seen everywhere: a copy would take up to 10^18 bytes.
+    # A single sample with strides of 0: a copy would take up to 10^18 bytes.
     with pytest.raises(ssplat.ParameterError) as caught:
         ssplat.encode(np.broadcast_to(np.uint8(7), shape), effort=1)
     assert caught.value.name == "image" and str(list(shape)) in str(caught.value)
@@ -163,7 +163,7 @@ def test_a_file_beyond_the_limit_is_not_read(tmp_path):
         with pytest.raises(ssplat.LimitExceededError) as caught:
             call(path)
         assert (caught.value.what, caught.value.requested) == ("alloc", 12 << 30)
-    # A file whose length is not known is read up to the limit, and no further.
+    # A file of unknown length is read only up to the limit.
     class Endless:
         count = 0
 

@@ -1,4 +1,4 @@
-"""Gaussians out of files and into files."""
+"""Reading and writing Gaussians."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ FILE = ssplat.encode(PICTURE, effort=2, bytes=700)
 
 
 def drawn(g):
-    """The picture by the formula of the documentation, in double precision."""
+    """Renders the picture by the formula of the documentation, in double precision."""
     y, x = np.mgrid[0 : g["height"], 0 : g["width"]] + 0.5
     total, colors = np.zeros(x.shape), np.zeros((*x.shape, g["color"].shape[1]))
     for (mx, my), (major, minor), turn, color in zip(g["mean"], g["scale"], g["rotation"].astype(float), g["color"]):
@@ -79,7 +79,7 @@ def test_gaussians_fitted_elsewhere_are_stored_as_they_are(n, channels, seed, bl
     data = ssplat.from_gaussians(**g, bits=16)
     pixels = ssplat.decode(data).reshape(48, 64, channels) / 65535
     assert ssplat.info(data)["primitives"] == n
-    # What rounding to the usual steps costs: a luma step of 2^(4/3 - 7) is 5 of 255, and many overlap.
+    # The cost of rounding to the usual steps: a luma step of 2^(4/3 - 7) is 5 of 255, and many overlap.
     assert np.sqrt(np.mean((np.clip(drawn(g), 0, 1) - pixels) ** 2)) < 0.05
 
 

@@ -1,4 +1,4 @@
-"""imageio reads and writes by Pillow's plugin; nothing of our own is needed."""
+"""imageio reads and writes through the Pillow plugin."""
 
 import numpy as np
 import pytest

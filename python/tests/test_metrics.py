@@ -1,4 +1,4 @@
-"""Measures against their definitions and known values."""
+"""Compares the measures with their definitions and known values."""
 
 import math
 

@@ -102,7 +102,7 @@ class Counted(io.BytesIO):
 def test_opening_reads_the_header_alone():
     file = Counted(FILE)
     image = Image.open(file)
-    # Pillow itself looks at the first 16 bytes.
+    # Pillow itself reads the first 16 bytes.
     assert image.size == (80, 60) and file.count <= 16 + 32 < len(FILE)
     image.load()
     assert file.count >= len(FILE)

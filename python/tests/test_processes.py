@@ -48,7 +48,7 @@ def test_keyboard_interrupt_stops_an_encode_and_its_threads(progress, interrupts
     before = threads_of_this_process()
 
     def interrupt():
-        # Once the encode has threads beside this one. Threads of earlier tests may still end meanwhile.
+        # Waits until the encode has started threads. Threads of earlier tests may still end meanwhile.
         wait_until(lambda: len(threads_of_this_process() - before) > 1)
         os.kill(os.getpid(), signal.SIGINT)
 
@@ -102,7 +102,7 @@ def test_the_lock_is_free_meanwhile():
 
     counter = threading.Thread(target=count)
     counter.start()
-    # Without progress the calling thread only listens; it must not hold the lock.
+    # Without progress the calling thread only waits; it must not hold the GIL.
     ssplat.encode(PICTURE, effort=9, primitives=200, threads=1, time=0.5)
     done.set()
     counter.join()
@@ -122,7 +122,7 @@ def test_processes_give_what_one_process_gives(method):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*:DeprecationWarning")
 def test_a_fork_in_the_middle_of_an_encode_works_on():
-    """A child has none of its parent's threads: a pool that it shared would wait for them for ever."""
+    """A child has none of its parent's threads, so a shared pool would wait for them forever."""
     started, stop = threading.Event(), threading.Event()
 
     def progress(stage, done):

@@ -1,4 +1,4 @@
-"""examples/ray_encode.py on a local cluster of two workers: nothing lost, nothing twice."""
+"""Runs examples/ray_encode.py on a local cluster of two workers: no picture is lost or encoded twice."""
 
 import json
 import os
@@ -24,7 +24,7 @@ BROKEN = "05-broken.png"
 
 @pytest.fixture(scope="module")
 def cluster():
-    # Workers find this module and the example where this process does.
+    # Workers find this module and the example in the same places as this process.
     path = os.pathsep.join([str(ROOT / "examples"), str(pathlib.Path(__file__).parent)])
     ray.init(
         num_cpus=2,
@@ -53,7 +53,7 @@ def rows_of(out):
 
 
 def check(source, out):
-    """Every picture has one row; files are those of the rows, whole, and what encoding here gives."""
+    """Every picture has one row; the files match the rows, are complete, and equal local encodes."""
     rows = rows_of(out)
     assert sorted(row["path"] for row in rows) == sorted([*GOOD, BROKEN])
     there = {str(p.relative_to(out)) for p in pathlib.Path(out).rglob("*") if p.is_file() and "manifest" not in p.parts}
@@ -79,7 +79,7 @@ def test_a_broken_picture_and_a_killed_worker_cost_no_other_picture(cluster, fol
     assert ray_encode.run(source, out, OPTIONS, block=3, encode=encode) == len(GOOD) + 1
     assert marker.exists()
     check(source, out)
-    # The worker died over a part of a file; the next one wrote the whole.
+    # The worker died after writing a part of a file; the next one wrote the whole file.
     assert len(list(pathlib.Path(out).glob("*.part"))) == 1
 
 
@@ -96,7 +96,7 @@ def test_a_second_run_goes_on_where_the_first_was_stopped(cluster, folders):
     check(source, out)
     assert all(row == before[row["path"]] for row in rows_of(out) if row["path"] in before)
     assert ray_encode.run(source, out, OPTIONS, block=3) == 0
-    # Errors are tried again only when asked for.
+    # Pictures with errors are tried again only on request.
     Image.fromarray(waves(40, 50)).save(pathlib.Path(source, BROKEN))
     assert ray_encode.run(source, out, OPTIONS, again=True) == 1
     assert [row["error"] is None for row in rows_of(out) if row["path"] == BROKEN].count(True) == 1

@@ -53,10 +53,10 @@ def test_a_vector_gives_its_picture_or_an_error(folder):
         return
     told = ssplat.info(data)
     assert size or (told["height"], told["width"]) == want.shape[:2]
-    # The same Gaussians again: the way through floats loses nothing but their order.
+    # The same Gaussians again: the conversion to floats loses only their order.
     again = ssplat.decode(ssplat.from_gaussians(**ssplat.gaussians(data)), size=size)
     if told["detail"]:
-        # A layer is no Gaussians'.
+        # A detail layer is not part of the Gaussians.
         want = ssplat.decode(data, size=size, detail=False)
     check(again, want, most, size)
 
@@ -65,6 +65,6 @@ def check(pixels, want, most, size):
     assert (pixels.shape, pixels.dtype.itemsize) == (want.shape, want.dtype.itemsize)
     off = abs(pixels.astype(float) - want)
     if size and want.shape[2:] in ((2,), (4,)):
-        # In a reduced picture colours count less where there is little opacity.
+        # In a reduced picture, colours have less weight where alpha is low.
         off[..., :-1] *= np.minimum(1, 16 * want[..., -1:] / np.iinfo(pixels.dtype).max)
     assert off.max() <= most

@@ -11,17 +11,17 @@ use crate::pixels::{Pixels, Samples};
 pub(super) struct Narrow {
     pub pixels: Pixels,
     /// The channels that were removed.
-    pub what: SkipReason,
+    pub removed: SkipReason,
 }
 
 /// Channels of a picture that are constant or follow from other channels.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Silent {
+pub(super) struct ConstantChannels {
     grey: bool,
     opaque: bool,
 }
 
-impl Silent {
+impl ConstantChannels {
     /// Finds the constant channels of `pixels`.
     pub(super) fn of(pixels: &Pixels) -> Self {
         let channels = pixels.channels();
@@ -29,17 +29,17 @@ impl Silent {
             Samples::U8(v) => (is_grey(v, channels), is_opaque(v, channels, u8::MAX)),
             Samples::U16(v) => (is_grey(v, channels), is_opaque(v, channels, u16::MAX)),
         };
-        Silent { grey, opaque }
+        ConstantChannels { grey, opaque }
     }
 
     /// Returns the channels that are constant in both parts.
     pub(super) fn and(self, other: Self) -> Self {
-        Silent { grey: self.grey && other.grey, opaque: self.opaque && other.opaque }
+        ConstantChannels { grey: self.grey && other.grey, opaque: self.opaque && other.opaque }
     }
 
     /// Returns which channels of a picture of `channels` must be fitted, and the name of the others. Returns `None` if
     /// all must be fitted.
-    pub(super) fn rest(self, channels: Channels) -> Option<(Channels, SkipReason)> {
+    pub(super) fn to_fit(self, channels: Channels) -> Option<(Channels, SkipReason)> {
         let color = channels.count() >= 3 && !self.grey;
         let alpha = channels.alpha().is_some() && !self.opaque;
         match (color, alpha) {
@@ -56,15 +56,15 @@ impl Silent {
 /// Removes alpha if all pixels are opaque, and colour if all pixels are grey. Returns `None` if all channels are
 /// needed.
 pub(super) fn narrow(pixels: &Pixels) -> Option<Narrow> {
-    let (to, what) = Silent::of(pixels).rest(pixels.channels())?;
-    Some(Narrow { pixels: narrowed(pixels, to), what })
+    let (to, removed) = ConstantChannels::of(pixels).to_fit(pixels.channels())?;
+    Some(Narrow { pixels: narrowed(pixels, to), removed })
 }
 
 /// Returns `pixels` with only the channels of `to`.
 pub(super) fn narrowed(pixels: &Pixels, to: Channels) -> Pixels {
     let samples = match pixels.samples() {
-        Samples::U8(v) => Samples::U8(kept(v, pixels.channels(), to)),
-        Samples::U16(v) => Samples::U16(kept(v, pixels.channels(), to)),
+        Samples::U8(v) => Samples::U8(selected(v, pixels.channels(), to)),
+        Samples::U16(v) => Samples::U16(selected(v, pixels.channels(), to)),
     };
     Pixels::new(pixels.width(), pixels.height(), to, samples).expect("as many samples as the size says")
 }
@@ -77,7 +77,7 @@ fn is_opaque<T: PartialEq>(samples: &[T], channels: Channels, white: T) -> bool 
     channels.alpha().is_none_or(|a| samples.chunks_exact(channels.count()).all(|p| p[a] == white))
 }
 
-fn kept<T: Copy>(samples: &[T], from: Channels, to: Channels) -> Vec<T> {
+fn selected<T: Copy>(samples: &[T], from: Channels, to: Channels) -> Vec<T> {
     let pixels = samples.chunks_exact(from.count());
     pixels
         .flat_map(|p| (0..to.count()).map(move |k| if to.alpha() == Some(k) { p[from.count() - 1] } else { p[k] }))

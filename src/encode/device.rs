@@ -39,13 +39,13 @@ pub struct Chosen {
 impl Chosen {
     /// Returns the CPU, which always fits tiles.
     pub(super) fn for_tiles(asked: Backend) -> Self {
-        Chosen::cpu(if asked == Backend::Cpu { "asked for" } else { "tiles are fitted on the CPU" })
+        Chosen::cpu(if asked == Backend::Cpu { "requested" } else { "tiles are fitted on the CPU" })
     }
 }
 
 impl Default for Chosen {
     fn default() -> Self {
-        Chosen::cpu("asked for")
+        Chosen::cpu("requested")
     }
 }
 
@@ -77,11 +77,11 @@ impl Choice {
     pub(super) fn new(options: &EncodeOptions, pixels: &Pixels) -> Result<Self> {
         let area = u64::from(pixels.width()) * u64::from(pixels.height());
         let opened = match options.backend {
-            Backend::Cpu => Ok((None, Chosen::cpu("asked for"))),
+            Backend::Cpu => Ok((None, Chosen::cpu("requested"))),
             Backend::Auto if area < MIN_GPU_PIXELS => {
                 Ok((None, Chosen::cpu(format!("the picture has fewer than {MIN_GPU_PIXELS} pixels"))))
             }
-            Backend::Auto if is_constant(pixels) => Ok((None, Chosen::cpu("the picture is one colour"))),
+            Backend::Auto if is_constant(pixels) => Ok((None, Chosen::cpu("the picture has a single colour"))),
             asked => open(asked, options),
         };
         let (gpu, chosen) = match opened {
@@ -130,7 +130,7 @@ fn open(asked: Backend, options: &EncodeOptions) -> Result<(Option<Device>, Chos
         Error::Gpu(e) => e,
         e => GpuError::Refused { problem: e.to_string() },
     })?;
-    let why = if asked == Backend::Gpu { "asked for, " } else { "" };
+    let why = if asked == Backend::Gpu { "requested, " } else { "" };
     let reason = format!("{why}{}", device.reason());
     let chosen = Chosen { backend: Backend::Gpu, device: device.name().to_owned(), reason };
     Ok((Some(device), chosen))

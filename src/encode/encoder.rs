@@ -219,7 +219,7 @@ impl Encoder {
         workers: &mut dyn Workers,
         progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<Encoded> {
-        encode_by(source, &self.options, Executor::Others(workers), progress)
+        encode_by(source, &self.options, Executor::External(workers), progress)
     }
 
     /// Sets the fitting recipe, for comparisons with SmartSplat.

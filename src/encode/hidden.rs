@@ -115,22 +115,22 @@ impl Sum {
 }
 
 /// A picture with alpha whose hidden colours continue the visible ones.
-pub(super) struct Continued<'a> {
+pub(super) struct InpaintedSource<'a> {
     source: &'a dyn PixelSource,
     /// The filled level with cells of [`CELL`] pixels, for the whole picture.
     coarse: Level,
 }
 
-impl<'a> Continued<'a> {
+impl<'a> InpaintedSource<'a> {
     /// Reads the whole picture of `source` once, part by part. Returns `None` if it has no hidden colours, or if
-    /// `hidden` keeps them. Calls `show` for each part.
+    /// `hidden` keeps them. Calls `on_progress` for each part.
     ///
     /// # Errors
-    /// Returns an error of `source` or of `show`.
+    /// Returns an error of `source` or of `on_progress`.
     pub(super) fn new(
         source: &'a dyn PixelSource,
         hidden: HiddenColors,
-        mut show: impl FnMut() -> Result<()>,
+        mut on_progress: impl FnMut() -> Result<()>,
     ) -> Result<Option<Self>> {
         if hidden == HiddenColors::Keep || source.channels().alpha().is_none() {
             return Ok(None);
@@ -142,7 +142,7 @@ impl<'a> Continued<'a> {
         let mut has_hidden = false;
         for y in (0..height).step_by(READ as usize) {
             for x in (0..width).step_by(READ as usize) {
-                show()?;
+                on_progress()?;
                 let part = source.part([x, y, READ.min(width - x), READ.min(height - y)])?;
                 has_hidden |= hides_colors(&part);
                 let mut level = halved_pixels(&part);
@@ -159,7 +159,7 @@ impl<'a> Continued<'a> {
             return Ok(None);
         }
         fill_all(&mut coarse);
-        Ok(Some(Continued { source, coarse }))
+        Ok(Some(InpaintedSource { source, coarse }))
     }
 
     /// Replaces the hidden colours of `part`, whose corner (`x`, `y`) lies on the grid of [`CELL`]. Pixels within
@@ -185,7 +185,7 @@ impl<'a> Continued<'a> {
     }
 }
 
-impl PixelSource for Continued<'_> {
+impl PixelSource for InpaintedSource<'_> {
     fn width(&self) -> u32 {
         self.source.width()
     }
@@ -219,17 +219,17 @@ impl PixelSource for Continued<'_> {
 }
 
 /// Returns `pixels` with its hidden colours replaced. Returns `None` if it has none, or if `hidden` keeps them. Calls
-/// `show` from time to time.
+/// `on_progress` from time to time.
 ///
 /// # Errors
-/// Returns an error of `show`.
-pub(super) fn continued(
+/// Returns an error of `on_progress`.
+pub(super) fn inpainted(
     pixels: &Pixels,
     hidden: HiddenColors,
-    show: impl FnMut() -> Result<()>,
+    on_progress: impl FnMut() -> Result<()>,
 ) -> Result<Option<Pixels>> {
-    match Continued::new(pixels, hidden, show)? {
-        Some(continued) => continued.part([0, 0, pixels.width(), pixels.height()]).map(Some),
+    match InpaintedSource::new(pixels, hidden, on_progress)? {
+        Some(inpainted) => inpainted.part([0, 0, pixels.width(), pixels.height()]).map(Some),
         None => Ok(None),
     }
 }
@@ -322,7 +322,7 @@ mod tests {
     }
 
     fn filled(pixels: &Pixels) -> Pixels {
-        continued(pixels, HiddenColors::Continue, || Ok(())).unwrap().expect("hidden colours")
+        inpainted(pixels, HiddenColors::Continue, || Ok(())).unwrap().expect("hidden colours")
     }
 
     #[test]
@@ -347,7 +347,7 @@ mod tests {
         // The picture spans several cells, so that parts can lie anywhere on the grid.
         let picture = disc(300, 260, Channels::Rgba, 12_345);
         let whole = filled(&picture);
-        let parts = Continued::new(&picture, HiddenColors::Continue, || Ok(())).unwrap().unwrap();
+        let parts = InpaintedSource::new(&picture, HiddenColors::Continue, || Ok(())).unwrap().unwrap();
         for area in [[0, 0, 300, 260], [1, 1, 2, 3], [64, 32, 128, 96], [131, 77, 169, 183], [299, 259, 1, 1]] {
             assert_eq!(parts.part(area).unwrap(), whole.part(area).unwrap(), "{area:?}");
         }
@@ -365,9 +365,9 @@ mod tests {
     #[test]
     fn pictures_without_hidden_colors_are_unchanged() {
         let opaque = Pixels::new(2, 2, Channels::GreyAlpha, Samples::U8(vec![9, 255, 8, 1, 7, 255, 6, 255])).unwrap();
-        assert!(continued(&opaque, HiddenColors::Continue, || Ok(())).unwrap().is_none());
+        assert!(inpainted(&opaque, HiddenColors::Continue, || Ok(())).unwrap().is_none());
         let grey = Pixels::new(2, 1, Channels::Grey, Samples::U8(vec![0, 1])).unwrap();
-        assert!(continued(&grey, HiddenColors::Continue, || Ok(())).unwrap().is_none());
+        assert!(inpainted(&grey, HiddenColors::Continue, || Ok(())).unwrap().is_none());
         let clear = Pixels::new(2, 1, Channels::GreyAlpha, Samples::U8(vec![5, 0, 9, 0])).unwrap();
         assert_eq!(filled(&clear).samples(), &Samples::U8(vec![0, 0, 0, 0]));
     }

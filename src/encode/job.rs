@@ -65,7 +65,7 @@ impl WholeSession<'_> {
         plan.initial = std::mem::take(&mut self.initial);
         plan.rung = options.rung;
         if options.needs == Needs::Measured {
-            plan.enough = enough(options.target, input.pixels.depth());
+            plan.enough = sufficient_error(options.target, input.pixels.depth());
         }
         let scene = input.scene(planes.mean);
         let is_worth_it = plan.iterations >= MIN_REWEIGHED_STEPS && !scene.is_large() && !planes.amplitude.is_empty();
@@ -75,16 +75,16 @@ impl WholeSession<'_> {
 
         let clock = self.report.seconds();
         let stage = Stage { name: "fit", report: &mut self.report, input, planes };
-        let mut fitting = Fitting { stage, job, size, draft: self.blank.clone(), steps: 0 };
+        let mut watcher = FitWatcher { stage, job, size, draft: self.blank.clone(), steps: 0 };
         let Fitted { by: state, ending, amplitude } = match options.recipe {
-            Recipe::Ssplat => self.device.fit(&job, input.pixels, &mut fitting)?,
+            Recipe::Ssplat => self.device.fit(&job, input.pixels, &mut watcher)?,
             #[cfg(feature = "smartsplat")]
             Recipe::SmartSplat(parts) => {
-                let by = crate::fit::smartsplat::fit(&job, parts, &mut fitting)?;
+                let by = crate::fit::smartsplat::fit(&job, parts, &mut watcher)?;
                 Fitted { by, ending: Ending::Scheduled, amplitude: None }
             }
         };
-        let steps = fitting.steps;
+        let steps = watcher.steps;
         if let Some(amplitude) = amplitude {
             self.planes.amplitude = amplitude;
         }
@@ -100,13 +100,13 @@ impl WholeSession<'_> {
 
         let clock = self.report.seconds();
         let stage = Stage { name: "finish", report: &mut self.report, input, planes };
-        let mut making = Making { stage, splats: self.blank.clone(), levels: options.levels };
+        let mut writer = FileWriter { stage, splats: self.blank.clone(), levels: options.levels };
         // Under a detail layer, the bytes of the Gaussians are not limited: the layer uses the bytes that remain.
         let size = if self.base.is_some() { Size::Free } else { size };
         let rounding = Rounding { problem, layout: options.layout, size, plan: &plan };
-        let mut finished = finish::finish(&rounding, state, &mut making)?;
-        let bytes = making.write(&mut finished.rounded)?;
-        let Making { mut splats, .. } = making;
+        let mut finished = finish::finish(&rounding, state, &mut writer)?;
+        let bytes = writer.write(&mut finished.rounded)?;
+        let FileWriter { mut splats, .. } = writer;
         splats.gaussians = finished.rounded.gaussians;
         self.report.stage("finish", clock);
         Ok(Outcome { bytes, splats, float_error: finished.float_error, quality: None })
@@ -115,7 +115,7 @@ impl WholeSession<'_> {
 
 /// Returns the mean squared error per sample at which further iterations gain nothing. That is the error of rounding to
 /// code values or, if it is larger, the error of the target PSNR with a margin for quantization.
-pub(super) fn enough(target: Target, depth: Depth) -> f64 {
+pub(super) fn sufficient_error(target: Target, depth: Depth) -> f64 {
     // Maximum observed loss by quantization before descent recovers some of it, decibels.
     const LOSS: f64 = 3.0;
     match target {
@@ -125,7 +125,7 @@ pub(super) fn enough(target: Target, depth: Depth) -> f64 {
 }
 
 /// Watches the fit, and corrects the number of primitives by the size of their file.
-struct Fitting<'a, 'b> {
+struct FitWatcher<'a, 'b> {
     stage: Stage<'a, 'b>,
     job: Job<'a>,
     size: Size,
@@ -135,7 +135,7 @@ struct Fitting<'a, 'b> {
     steps: u32,
 }
 
-impl Watcher for Fitting<'_, '_> {
+impl Watcher for FitWatcher<'_, '_> {
     fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
         self.steps += 1;
         self.stage.step(done, now)
@@ -144,16 +144,16 @@ impl Watcher for Fitting<'_, '_> {
     fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {
         let count = self.job.count;
         match self.size {
-            Size::Bytes(most) => Ok(self.count_for(primitives, most)?.clamp(count.min(1), count * 2)),
+            Size::Bytes(max_bytes) => Ok(self.count_for(primitives, max_bytes)?.clamp(count.min(1), count * 2)),
             Size::Free => Ok(count),
         }
     }
 }
 
-impl Fitting<'_, '_> {
-    /// Returns how many primitives of this kind fit into `most` bytes. The current primitives, rounded and written,
-    /// determine the cost of each.
-    fn count_for(&mut self, primitives: &[Primitive], most: u64) -> Result<usize> {
+impl FitWatcher<'_, '_> {
+    /// Returns how many primitives of this kind fit into `max_bytes` bytes. The cost of each is that of the current
+    /// primitives when they are rounded and written.
+    fn count_for(&mut self, primitives: &[Primitive], max_bytes: u64) -> Result<usize> {
         let rounded = Rounded::nearest(&self.job.problem, self.draft.layout, primitives);
         (self.draft.steps, self.draft.gaussians) = (rounded.steps, rounded.gaussians);
         let all = bitstream::to_bytes(&self.draft)?.len() as f64;
@@ -164,8 +164,8 @@ impl Fitting<'_, '_> {
         let metadata = &self.draft.metadata;
         let carried =
             [&metadata.icc, &metadata.exif].map(|block| block.as_ref().map_or(0, Vec::len)).iter().sum::<usize>();
-        let (most, fixed) = (most.saturating_sub(carried as u64) as f64, (fixed - carried as f64).max(0.0));
-        Ok(((most * excess(primitives.len()) - fixed) / each).max(0.0) as usize)
+        let (max_bytes, fixed) = (max_bytes.saturating_sub(carried as u64) as f64, (fixed - carried as f64).max(0.0));
+        Ok(((max_bytes * excess(primitives.len()) - fixed) / each).max(0.0) as usize)
     }
 }
 
@@ -182,13 +182,13 @@ pub(super) fn excess(primitives: usize) -> f64 {
 }
 
 /// Writes the file for which the primitives are rounded.
-struct Making<'a, 'b> {
+struct FileWriter<'a, 'b> {
     stage: Stage<'a, 'b>,
     splats: PackedSplats,
     levels: u8,
 }
 
-impl Client for Making<'_, '_> {
+impl Client for FileWriter<'_, '_> {
     fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
         self.stage.step(done, now)
     }
@@ -202,7 +202,7 @@ impl Client for Making<'_, '_> {
     }
 }
 
-impl Making<'_, '_> {
+impl FileWriter<'_, '_> {
     /// Writes the file and sorts the primitives into its order.
     fn write(&mut self, rounded: &mut Rounded) -> Result<Vec<u8>> {
         self.with(rounded, file::smallest)

@@ -15,15 +15,15 @@ use crate::round::descend::Descent;
 use crate::round::rounded::projected;
 
 impl WholeSession<'_> {
-    /// Removes primitives as long as the squared error over the fitted samples stays within `enough`.
-    pub(super) fn pruned(&mut self, outcome: &mut Outcome, enough: f64) -> Result<()> {
+    /// Removes primitives as long as the squared error over the fitted samples stays within `max_error`.
+    pub(super) fn pruned(&mut self, outcome: &mut Outcome, max_error: f64) -> Result<()> {
         if outcome.splats.detail.is_some() {
             return Ok(());
         }
         let clock = self.report.seconds();
         let problem = Problem { scene: stored_scene(&outcome.splats), target: &self.planes };
         let time = self.clock;
-        let Some(pruned) = pruned(&problem, &outcome.splats, enough, &|| time.is_over()) else { return Ok(()) };
+        let Some(pruned) = pruned(&problem, &outcome.splats, max_error, &|| time.is_over()) else { return Ok(()) };
         let file = self.file(&pruned)?;
         if file.len() < outcome.bytes.len() {
             self.report.note(SkipReason::Primitives, (outcome.bytes.len() - file.len()) as u64, 0.0);
@@ -37,12 +37,12 @@ impl WholeSession<'_> {
 /// Up to this number, each primitive is also tried individually, because the predicted costs of removal are not exact.
 const MAX_SINGLY_TRIED: usize = 64;
 
-/// Returns `splats` with the fewest primitives found that keep the squared error within `enough`. The search ends early
-/// when `is_over` returns true. Returns `None` if all primitives are needed.
+/// Returns `splats` with the fewest primitives found that keep the squared error within `max_error`. The search ends
+/// early when `is_over` returns true. Returns `None` if all primitives are needed.
 fn pruned(
     problem: &Problem<'_>,
     splats: &PackedSplats,
-    enough: f64,
+    max_error: f64,
     is_over: &dyn Fn() -> bool,
 ) -> Option<PackedSplats> {
     // Each round removes primitives that are not needed. A sweep over the rest makes room for the next round.
@@ -64,7 +64,7 @@ fn pruned(
             Descent::new(*problem, &quantizer, Field::default()).sweep(&mut trial, &[], lambda);
         }
         let drawn = project(&trial);
-        if field.draw(problem, &drawn, RowSet::ALL, Output::Picture) > enough {
+        if field.draw(problem, &drawn, RowSet::ALL, Output::Picture) > max_error {
             break;
         }
         let costs = removal::costs(problem, &field, RowSet::ALL, &drawn);
@@ -79,7 +79,7 @@ fn pruned(
         while over - sure > 1 && !is_over() {
             let middle = (sure + over) / 2;
             let rest = project(&without(middle));
-            match field.draw(problem, &rest, RowSet::ALL, Output::Picture) <= enough {
+            match field.draw(problem, &rest, RowSet::ALL, Output::Picture) <= max_error {
                 true => sure = middle,
                 false => over = middle,
             }
@@ -96,11 +96,11 @@ fn pruned(
     if best.len() <= MAX_SINGLY_TRIED && !is_over() {
         let mut error =
             |gaussians: &[PackedGaussian]| field.draw(problem, &project(gaussians), RowSet::ALL, Output::Picture);
-        let mut i = if error(&best) <= enough { 0 } else { best.len() };
+        let mut i = if error(&best) <= max_error { 0 } else { best.len() };
         while i < best.len() {
             let mut without = best.clone();
             without.remove(i);
-            if error(&without) <= enough { best = without } else { i += 1 }
+            if error(&without) <= max_error { best = without } else { i += 1 }
         }
     }
     if best.len() == splats.gaussians.len() {

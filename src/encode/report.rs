@@ -55,11 +55,11 @@ impl<'a> ReportBuilder<'a> {
     ///
     /// # Errors
     /// [`Error::Cancelled`] if the caller cancels.
-    pub(super) fn show(&mut self, stage: &'static str, done: f32) -> Result<()> {
-        self.tell(&Progress { stage, done, psnr: None })
+    pub(super) fn stage_progress(&mut self, stage: &'static str, done: f32) -> Result<()> {
+        self.notify(&Progress { stage, done, psnr: None })
     }
 
-    fn tell(&mut self, progress: &Progress) -> Result<()> {
+    fn notify(&mut self, progress: &Progress) -> Result<()> {
         match (self.progress)(progress) {
             ControlFlow::Continue(()) => Ok(()),
             ControlFlow::Break(()) => Err(Error::Cancelled),
@@ -96,6 +96,6 @@ impl Stage<'_, '_> {
     pub(super) fn step(&mut self, done: f32, now: &mut dyn Snapshot) -> Result<()> {
         let stage = self.name;
         let psnr = self.report.tracer.step(stage, self.input.original, self.planes, now)?;
-        self.report.tell(&Progress { stage, done, psnr })
+        self.report.notify(&Progress { stage, done, psnr })
     }
 }

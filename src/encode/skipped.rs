@@ -48,17 +48,17 @@ pub enum SkipReason {
 impl fmt::Display for SkipReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            SkipReason::Alpha => "alpha: all is opaque",
-            SkipReason::Color => "colour: all is grey",
-            SkipReason::ColorAndAlpha => "colour and alpha: all is grey and opaque",
-            SkipReason::HiddenColors => "colours under alpha 0: nobody sees them",
-            SkipReason::StructureWeights => "weights of pixels: the picture is so even that all weigh the same",
-            SkipReason::Fit => "the fit: the picture is one colour",
-            SkipReason::Iterations => "iterations: the error is below that of rounding, or well below the target",
+            SkipReason::Alpha => "alpha: all pixels are opaque",
+            SkipReason::Color => "colour: all pixels are grey",
+            SkipReason::ColorAndAlpha => "colour and alpha: all pixels are grey and opaque",
+            SkipReason::HiddenColors => "colours under alpha 0: they are invisible",
+            SkipReason::StructureWeights => "weights of pixels: the picture is so uniform that all weights are equal",
+            SkipReason::Fit => "the fit: the picture has a single colour",
+            SkipReason::Iterations => "iterations: the error is below the rounding error, or well below the target",
             SkipReason::Primitives => {
-                "primitives without which the error stays below that of rounding, or of the target"
+                "primitives: without them, the error stays below the rounding error or the target"
             }
-            SkipReason::OwnColors => "a colour of its own for each primitive: a codebook is smaller",
+            SkipReason::OwnColors => "a separate colour for each primitive: a codebook is smaller",
             SkipReason::Gpu { reason } => return write!(f, "the GPU: {reason}"),
         })
     }

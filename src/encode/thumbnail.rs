@@ -32,16 +32,16 @@ const TIME: u32 = 20;
 fn room(options: &EncodeOptions, size: [u32; 2], bytes: u64) -> u64 {
     match options.thumbnail {
         Thumbnail::Never => 0,
-        Thumbnail::Bytes(most) => most.into(),
+        Thumbnail::Bytes(max_bytes) => max_bytes.into(),
         Thumbnail::Auto if bytes < MIN_FILE_BYTES || size[0].max(size[1]) <= MAX_SIDE => 0,
         Thumbnail::Auto => (bytes / FILE_PART).min(MAX_BYTES),
     }
 }
 
 /// Returns the part of `size` that remains for the picture next to a thumbnail of `room` bytes.
-fn beside(size: Size, room: u64) -> Size {
+fn without_thumbnail(size: Size, room: u64) -> Size {
     match size {
-        Size::Bytes(most) if room > 0 => Size::Bytes(most.saturating_sub(room + HEADER_BYTES)),
+        Size::Bytes(max_bytes) if room > 0 => Size::Bytes(max_bytes.saturating_sub(room + HEADER_BYTES)),
         size => size,
     }
 }
@@ -56,18 +56,18 @@ pub(super) fn counted(error: Error, asked: Size, room: u64) -> Error {
     }
 }
 
-/// Returns a thumbnail of at most `most` bytes: `splats`, rendered at a small size. Passes the fraction of the work
-/// that is done to `show`.
+/// Returns a thumbnail of at most `max_bytes` bytes: `splats`, rendered at a small size. Passes the fraction of the
+/// work that is done to `on_progress`.
 fn of(
     splats: &PackedSplats,
-    most: u64,
+    max_bytes: u64,
     options: &EncodeOptions,
-    show: &mut dyn FnMut(f32) -> ControlFlow<()>,
+    on_progress: &mut dyn FnMut(f32) -> ControlFlow<()>,
 ) -> Result<Vec<u8>> {
     let whole = View::of_size(splats.width, splats.height);
     let small = drawn(splats, &whole.fitted([MAX_SIDE; 2])?, splats.depth)?;
     let options = EncodeOptions {
-        target: Target::Bytes(most),
+        target: Target::Bytes(max_bytes),
         effort: options.effort.min(EFFORT),
         time: options.time.map(|t| t / TIME),
         seed: options.seed,
@@ -79,7 +79,7 @@ fn of(
         detail: Detail::Off,
         ..EncodeOptions::default()
     };
-    let made = encode_with_progress(&small, &options, &mut |p| show(p.done));
+    let made = encode_with_progress(&small, &options, &mut |p| on_progress(p.done));
     let Encoded { bytes, .. } = made.map_err(|e| match e {
         Error::TooSmall { .. } => Error::Parameter { name: "thumbnail", problem: e.to_string() },
         e => e,
@@ -89,33 +89,34 @@ fn of(
 
 /// Returns the part of `size` that remains for the picture, and the size of the thumbnail in bytes. Reserves time for
 /// the thumbnail.
-pub(super) fn kept_free<'a, S: EncodeSession<'a>>(session: &mut S, size: Size) -> (Size, u64) {
-    let Size::Bytes(most) = size else { return (size, 0) };
-    let room = room_in(session, most);
+pub(super) fn reserve_thumbnail<'a, S: EncodeSession<'a>>(session: &mut S, size: Size) -> (Size, u64) {
+    let Size::Bytes(max_bytes) = size else { return (size, 0) };
+    let room = room_in(session, max_bytes);
     if room > 0 {
         let time = session.options().time.unwrap_or_default();
         session.clock().keep(time / TIME);
     }
-    (beside(size, room), room)
+    (without_thumbnail(size, room), room)
 }
 
 /// Adds the thumbnail to a file that was made for `size`, if it should have one.
 pub(super) fn add<'a, S: EncodeSession<'a>>(session: &mut S, outcome: &mut Outcome, size: Size) -> Result<()> {
-    let most = room_in(
+    let max_bytes = room_in(
         session,
         match size {
-            Size::Bytes(most) => most,
+            Size::Bytes(max_bytes) => max_bytes,
             Size::Free => outcome.bytes.len() as u64,
         },
     );
-    if most == 0 {
+    if max_bytes == 0 {
         return Ok(());
     }
     let clock = session.report().seconds();
     let (splats, options) = (session.widened(&outcome.splats), session.options().clone());
     let report = session.report();
-    let bytes =
-        of(&splats, most, &options, &mut |done| (report.progress)(&Progress { stage: "thumbnail", done, psnr: None }))?;
+    let bytes = of(&splats, max_bytes, &options, &mut |done| {
+        (report.progress)(&Progress { stage: "thumbnail", done, psnr: None })
+    })?;
     outcome.splats.metadata.thumbnail = Some(bytes);
     outcome.bytes = session.file(&outcome.splats)?;
     session.report().stage("thumbnail", clock);

@@ -42,8 +42,8 @@ impl WholeSession<'_> {
         let (mut sure, mut over, mut points) = (0, order.len() + 1, outcome.quality);
         // The first guess is small, because a point is roughly a hundredth of the score.
         let mut next = order.len() / 64 + 1;
-        let enough = (order.len() / 1000).max(1);
-        while over - sure > enough && !self.clock.is_over() {
+        let resolution = (order.len() / 1000).max(1);
+        while over - sure > resolution && !self.clock.is_over() {
             let count = next.clamp(sure + 1, over - 1);
             let found = score(original, &without(&order[..count]))?;
             if found >= wanted {

@@ -66,16 +66,16 @@ pub(super) fn encode(
 ) -> Result<Encoded> {
     let clock = Clock::new(options.time);
     let mut report = ReportBuilder::new(progress, Tracer::new(options.trace));
-    let continued = hidden::continued(pixels, options.hidden, || report.show("survey", 0.0))?;
-    if continued.is_some() {
+    let inpainted = hidden::inpainted(pixels, options.hidden, || report.stage_progress("survey", 0.0))?;
+    if inpainted.is_some() {
         report.note(SkipReason::HiddenColors, 0, 0.0);
     }
-    let original = continued.as_ref().unwrap_or(pixels);
+    let original = inpainted.as_ref().unwrap_or(pixels);
     let narrow: Option<Narrow> = if may_leave_out(options) { narrow(original) } else { None };
     let fitted = narrow.as_ref().map_or(original, |n| &n.pixels);
     let device = Choice::new(options, fitted)?;
     if let Some(narrow) = &narrow {
-        report.note(narrow.what.clone(), 0, 0.0);
+        report.note(narrow.removed.clone(), 0, 0.0);
     }
     let input = EncodeInput { original, pixels: fitted, options };
     run(WholeSession {
@@ -210,8 +210,8 @@ impl WholeSession<'_> {
                 outcome.bytes = self.file(&outcome.splats)?;
             }
             if self.input.options.needs == Needs::Measured {
-                let enough = self.input.pixels.depth().rounding_error() * self.fitted_samples();
-                self.pruned(&mut outcome, enough)?;
+                let max_error = self.input.pixels.depth().rounding_error() * self.fitted_samples();
+                self.pruned(&mut outcome, max_error)?;
             }
             // The result must not be worse than a single colour.
             let alone =

@@ -28,5 +28,5 @@ pub(super) enum Executor<'a> {
     /// By this thread and its pool.
     Own,
     /// By workers of the caller.
-    Others(&'a mut dyn Workers),
+    External(&'a mut dyn Workers),
 }

@@ -24,7 +24,7 @@ use crate::error::Result;
 use crate::gaussian::{Blend, Channels, Picture};
 use crate::pixels::Pixels;
 use crate::raster::reference;
-use crate::target::Target as Aim;
+use crate::target::Target as EncodeTarget;
 use stiff::{Bound, Row};
 
 const BLENDS: [Blend; 2] = [Blend::Normalized, Blend::Sum];
@@ -297,7 +297,7 @@ fn every_iteration_of_every_extreme_fit_is_finite_and_the_best_state_is_kept() {
         // The large cases are fitted completely elsewhere. Here, a few iterations execute the same code.
         let large = u64::from(case.pixels.width()) * u64::from(case.pixels.height()) > 1 << 20;
         let count = match case.target {
-            Aim::Primitives(n) => n as usize,
+            EncodeTarget::Primitives(n) => n as usize,
             _ if large => 8,
             _ => 40,
         };

@@ -1,5 +1,5 @@
 //! Rendering and fitting on a GPU through `wgpu`: Vulkan, Metal and Direct3D 12. Browsers are not supported: opening a
-//! device and reading results back block.
+//! device and reading results are blocking calls.
 //!
 //! Results are bit-identical from run to run on one device, and within one code value of the definition in
 //! `raster/reference.rs`. The module needs no more than `wgpu::Limits::default()`; large pictures are rendered and

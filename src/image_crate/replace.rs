@@ -26,13 +26,13 @@ pub(super) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     };
     let Some(name) = target.file_name() else { return Err(io::ErrorKind::InvalidInput.into()) };
     let count = COUNT.fetch_add(1, Ordering::Relaxed);
-    let beside = target.with_file_name(format!(".{}.{}-{count}", name.to_string_lossy(), std::process::id()));
-    let mut file = File::create_new(&beside)?;
+    let temporary = target.with_file_name(format!(".{}.{}-{count}", name.to_string_lossy(), std::process::id()));
+    let mut file = File::create_new(&temporary)?;
     // The new file gets the permissions of the old one.
     let rights = found.map_or(Ok(()), |found| file.set_permissions(found.permissions()));
-    let written = rights.and_then(|()| file.write_all(bytes)).and_then(|()| fs::rename(&beside, &target));
+    let written = rights.and_then(|()| file.write_all(bytes)).and_then(|()| fs::rename(&temporary, &target));
     if written.is_err() {
-        let _ = fs::remove_file(&beside);
+        let _ = fs::remove_file(&temporary);
     }
     written
 }

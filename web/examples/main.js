@@ -1,4 +1,4 @@
-// What a page does with the package, the same for every bundler: it shows a file by the element, and draws a part of it by the decoder.
+// A page that uses the package, the same for every bundler: it shows a file with the element, and renders a part of it with the decoder.
 import { Decoder } from "ssplat"
 import "ssplat/ssplat-img.js"
 

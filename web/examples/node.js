@@ -1,4 +1,5 @@
-// In Node.js, as on a server that renders pages: node node.js FILE [OUT.ppm]. The element can be imported, and is no element there.
+// Decodes in Node.js, as on a server that renders pages: node node.js FILE [OUT.ppm]. The element can be imported, but is not registered
+// there.
 import { readFileSync, writeFileSync } from "node:fs"
 import { Decoder } from "ssplat"
 import { decode as placeholder } from "ssplat/placeholder.js"

@@ -1,4 +1,4 @@
-// The same without a bundler: the package's folder is served as it is.
+// The same without a bundler: the folder of the package is served unchanged.
 import { Decoder } from "./node_modules/ssplat/ssplat.js"
 import "./node_modules/ssplat/ssplat-img.js"
 

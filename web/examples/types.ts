@@ -1,4 +1,4 @@
-// What the types say: this file compiles (npm run types).
+// Tests the types: this file must compile (npm run types).
 import { Decoder, SsplatError, decode, header, type Pixels } from "ssplat"
 import { encodeFile } from "ssplat/node"
 import { SsplatImg } from "ssplat/ssplat-img.js"
@@ -23,5 +23,5 @@ console.log(file.bytes.length, file.report.psnr)
 
 // @ts-expect-error: the orientation is that of the picture file.
 await encodeFile("photo.jpg", { orientation: 6 })
-// @ts-expect-error: a slip of the pen is told.
+// @ts-expect-error: a misspelt option is an error.
 await decode(bytes, { widht: 64 })

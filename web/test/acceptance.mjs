@@ -1,7 +1,6 @@
-// Whether the WebAssembly accepts and refuses what the native decoder does, and draws the same: of the finds of fuzzing, the
-// vectors, and mutations of them. The native decoder's list comes first:
-//   cargo run --release -p ssplat-lab --example acceptance -- FOLDER && node web/test/acceptance.mjs FOLDER [MODULE...]
-// MODULE is web/ssplat-simd.wasm where none is named.
+// Checks that the WebAssembly accepts and rejects the same files as the native decoder, and renders the same: for the finds of fuzzing, the
+// vectors, and mutations of them. The native decoder's list comes first: cargo run --release -p ssplat-lab --example acceptance -- FOLDER
+// && node web/test/acceptance.mjs FOLDER [MODULE...] MODULE is web/ssplat-simd.wasm by default.
 import { readFileSync } from "node:fs"
 import { join } from "node:path"
 import { Decoder } from "../ssplat.js"
@@ -22,7 +21,7 @@ for (const path of modules) {
   for (const [name, length, outcome, width, height, drawn] of list) {
     const bytes = all.slice(at, at += +length), region = [0, 0, +width, +height]
     const kind = error => error.name == "SsplatError" ? error.kind : `${error}`
-    // A file whose header is refused names no region.
+    // A file with an invalid header has no region.
     const found = await decoder.info(bytes, { limits }).then(() => "file", kind)
     const seen = await decoder.decode(bytes, { limits, ...(+width && { region }) }).then(({ data }) => `${crc32(data)}`, kind)
     if (found != outcome || seen != drawn) {
@@ -32,7 +31,7 @@ for (const path of modules) {
     outcomes[outcome] = (outcomes[outcome] ?? 0) + 1
   }
   console.log(`${path}: ${list.length} files, natively ${JSON.stringify(outcomes)}, ${different} differ`)
-  // A list that has lost its bite shows nothing.
+  // A list without failures would prove nothing.
   if (different || !(outcomes.file > 100 && outcomes.format > 100)) failed++
 }
 process.exit(failed ? 1 : 0)

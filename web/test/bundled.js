@@ -1,4 +1,4 @@
-// What a page that was built from web/examples does: it shows the file, by a worker where the policy lets one start.
+// Tests a page that was built from web/examples: it shows the file, with a worker if the policy allows one.
 const patience = 15_000
 const until = async what => {
   for (let i = 0; i < patience / 50; i++) {
@@ -21,7 +21,7 @@ export async function test(pages) {
       frame.onload = resolve
       setTimeout(resolve, patience)
     })
-    // Vite may load its page anew once it has seen what it imports.
+    // Vite may reload the page after it has resolved the imports.
     const get = selector => frame.contentDocument?.querySelector(selector), told = () => frame.contentWindow.told ?? []
     check(await until(() => get("#part")?.width == 512 && get("ssplat-img")?.complete && get("ssplat-img").naturalWidth > 1), `nothing is shown: ${told().join("; ")}`)
     const seen = canvas => canvas?.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data.some(v => v > 0 && v < 255)

@@ -17,13 +17,13 @@ const check = (good, words) => {
   console.log(`FAILED: ${words}`)
   failed = true
 }
-// What a command printed; whatever it warns of the package is a failure.
+// Returns the output of a command. A warning about the package is a failure.
 const command = (...words) => npm(home, ...words).catch(error => {
   check(false, error.message)
   return ""
 })
 
-// What the page may do. Without `blob:` no worker starts that a bundler does not know of; the page's thread decodes then.
+// The policy of the page. Without `blob:`, no worker starts that the bundler does not handle; the page's thread decodes in this case.
 const policy = workers => `default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src ${workers}; connect-src 'self'; style-src 'self'; img-src 'self'`
 const builders = ["vite", "webpack", "esbuild", "rollup"]
 
@@ -40,12 +40,12 @@ try {
   await command("run", "types")
   for (const name of builders) {
     const said = await command("run", `build:${name}`)
-    // By its default webpack tells of every file above 244 KiB, which the WebAssembly is.
+    // By default, webpack warns about files above 244 KiB, such as the WebAssembly.
     check(!/warn/i.test(said.replace(/WARNING in (asset|entrypoint) size limit|compiled with 1 warning|^1 warning has.*/gm, "")), `${name} warns: ${said}`)
     for (const page of name == "vite" ? ["photo.ssplat"] : ["photo.ssplat", "index.html"]) cpSync(join(home, page), join(home, "out", name, page))
   }
 
-  // Vite's development server, below the folder that the test's server hands on to it.
+  // Vite's development server, below the folder that the test's server forwards to it.
   const port = await freePort()
   vite = spawn(join(home, "node_modules/.bin/vite"), ["--base", "/dev/", "--host", "127.0.0.1", "--port", String(port), "--strictPort"], { cwd: home, stdio: "ignore", detached: true })
   for (let i = 0; i < 200 && !(await fetch(`http://127.0.0.1:${port}/dev/`).catch(() => {})); i++) await new Promise(r => setTimeout(r, 100))

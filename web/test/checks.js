@@ -1,7 +1,7 @@
-// What placeholder.js promises: the vectors, and files broken at random.
+// Tests placeholder.js on the vectors and on randomly damaged files.
 import { decode, read, SsplatError } from "../placeholder.js"
 
-// The samples of a PAM file at 8 bits, as RGBA.
+// Returns the samples of a PAM file as RGBA with 8 bits.
 function pam(bytes) {
   const text = new TextDecoder("latin1").decode(bytes), body = text.indexOf("ENDHDR\n") + 7
   const field = name => Number(new RegExp(`${name} (\\d+)`).exec(text)[1])
@@ -32,10 +32,10 @@ const attempt = (work, bytes) => {
   }
 }
 
-// One stream, no codebook, no sections: what this decoder claims to read.
+// One stream, no codebook, no sections: the files that this decoder supports.
 const claimed = bytes => bytes.length <= 16388 && (bytes[5] & 3) == 2 && !(bytes[5] & 192)
 
-// `names` lists the folders of valid, invalid and limits; `load` gives the bytes of a path under the vectors.
+// `names` lists the folders of valid, invalid and limits; `load` returns the bytes of a path below the vectors.
 export async function run(names, load) {
   const problems = []
   let drawn = 0, refused = 0, damaged = 0
@@ -54,7 +54,7 @@ export async function run(names, load) {
     const worst = expected.rgba.reduce((most, v, i) => Math.max(most, Math.abs(v - result.rgba[i])), 0)
     check(worst <= 1, `${name}: a sample is off by ${worst}`)
     drawn++
-    // Broken files end in a typed error or as other pictures, whose checksum says that they are whole.
+    // Damaged files give a typed error, or a different picture if the checksum matches.
     for (let i = 0; i < 40; i++) {
       const broken = bytes.slice()
       broken[5 + Math.floor(broken.length * i / 40) % (broken.length - 9)] ^= 1 << i % 8

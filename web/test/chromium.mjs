@@ -1,4 +1,4 @@
-// Opens a page in headless Chromium and gives what its module's `test` answers; nothing where there is no Chromium.
+// Opens a page in headless Chromium and returns the result of its module's `test`; undefined if there is no Chromium.
 import { spawn } from "node:child_process"
 import { mkdtempSync, readFileSync, rmSync } from "node:fs"
 import { createServer } from "node:http"
@@ -6,12 +6,13 @@ import { tmpdir } from "node:os"
 import { join } from "node:path"
 
 const types = { html: "text/html", js: "text/javascript", mjs: "text/javascript", wasm: "application/wasm", png: "image/png", css: "text/css" }
-// Not a matter of speed: a page that never answers is a failure.
+// Not a test of speed: a page that never answers is a failure.
 const patience = 240_000
 
 export const typeOf = path => types[path.split(".").pop()] ?? "application/octet-stream"
 
-// `test` is called with `given` and `more`. Without an adapter for WebGPU unless `webgpu`. `serve` answers paths that are not the repository's: {body, headers}, or nothing.
+// `test` is called with `given` and `more`. WebGPU is available only with `webgpu`. `serve` answers requests for paths outside the
+// repository: {body, headers}, or undefined.
 export async function inChromium(root, module, given, { webgpu = false, more = {}, serve = () => {} } = {}) {
   const home = mkdtempSync(join(tmpdir(), "ssplat-chromium-"))
   let finish
@@ -40,7 +41,7 @@ try {
       if (path == "/") return response.writeHead(200, { "content-type": "text/html" }).end(page)
       const served = await serve(request.url)
       if (served) return response.writeHead(200, { "content-type": typeOf(path), ...served.headers }).end(served.body)
-      // Only the repository's own.
+      // Only files of the repository.
       if (!/^\/(web|spec|tests\/images)\//.test(path)) throw new Error(path)
       const body = readFileSync(new URL(`.${path}`, root))
       response.writeHead(200, { "content-type": typeOf(path) }).end(body)
@@ -59,7 +60,7 @@ try {
   const alarm = setTimeout(() => finish({ problems: [`no answer in ${patience / 1000} s`], words: "hung" }), patience)
   const result = await answer
   clearTimeout(alarm)
-  // With all of its children, which are of its group.
+  // Ends the whole process group, including its children.
   try {
     process.kill(-browser.pid, "SIGKILL")
   } catch {

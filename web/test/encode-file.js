@@ -1,4 +1,4 @@
-// What `encodeFile` of ssplat/node promises: the program's bytes for the same pixels, upright pictures, their profiles and depths, typed errors.
+// Tests `encodeFile` of ssplat/node: the program's bytes for the same pixels, orientation, profiles, depths, and typed errors.
 import assert from "node:assert/strict"
 import { execFileSync } from "node:child_process"
 import { readFileSync, writeFileSync } from "node:fs"
@@ -7,7 +7,7 @@ import { pathToFileURL } from "node:url"
 
 const settings = { bytes: 900, effort: 1 }, args = ["--bytes", "900", "--effort", "1"]
 
-// Pictures of each kind in `home`, made by sharp: what is in them is what the program reads.
+// Pictures of each kind in `home`, made by sharp, with contents that the program reads, too.
 async function write(home, sharp) {
   const width = 72, height = 48
   const generated = (channels, Samples) => {

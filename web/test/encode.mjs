@@ -1,5 +1,5 @@
-// The encoder of web/dist in Node.js: node web/test/encode.mjs [PROGRAM]
-// PROGRAM is the native `ssplat`, whose files it must give byte for byte; without it, target/release/ssplat.
+// The encoder of web/dist in Node.js: node web/test/encode.mjs [PROGRAM] PROGRAM is the native `ssplat`, by default target/release/ssplat;
+// the files must be the same byte for byte.
 import assert from "node:assert/strict"
 import { execFileSync } from "node:child_process"
 import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs"
@@ -15,8 +15,8 @@ const root = new URL("../../", import.meta.url), dist = new URL("../dist/", impo
 const program = process.argv[2] ?? new URL("target/release/ssplat", root).pathname
 const home = mkdtempSync(join(tmpdir(), "ssplat-encode-"))
 process.on("exit", () => rmSync(home, { recursive: true }))
-// Most bytes as brotli of the WebAssembly and the modules that it needs. The aim of 300 000 is not reached yet. The scalar one, for
-// browsers from before 2023, may take more: its loops over pixels are longer.
+// Maximum size of the WebAssembly and its modules, compressed with brotli. The goal of 300 000 is not reached yet. The scalar build, for
+// browsers from before 2023, may be larger, because its loops over pixels are longer.
 const budgets = { simd: 340_000, scalar: 380_000 }
 
 // The same picture for the program.
@@ -59,7 +59,7 @@ for (const name of ["kodim05", "kodim15"]) {
     await same(`${name} at ${ratio}`, pixels, { ratio, effort: 1 }, ["--ratio", `${ratio}`, "--effort", "1"])
 }
 
-// What is asked for is in the file.
+// The file contains the requested parts.
 const icc = Uint8Array.from({ length: 200 }, (_, i) => i)
 const turned = await header((await encode(small, { bytes: 900, effort: 1, orientation: 6, icc })).bytes)
 assert.deepEqual([turned.orientation, turned.width, Buffer.compare(turned.icc, icc)], [6, 64, 0])
@@ -89,7 +89,7 @@ await fails("network", /missing\.wasm/, small, { module: new URL("missing.wasm",
 await assert.rejects(encode(small, { onProgress() { throw new RangeError("mine") } }), RangeError)
 await assert.rejects(encode(small, { worker: false, onProgress() { throw new RangeError("mine") } }), RangeError)
 
-// SSIMULACRA2 is that of the program, for what the decoder gives.
+// The SSIMULACRA2 score equals that of the program for the decoded picture.
 {
   const path = new URL("tests/images/kodim15.png", root).pathname, out = join(home, "native.ssplat"), pixels = pixelsOfPng(readFileSync(path))
   execFileSync(program, ["encode", "--quiet", "--force", path, out, "--effort", "1"])
@@ -106,7 +106,7 @@ await assert.rejects(encode(small, { worker: false, onProgress() { throw new Ran
   await assert.rejects(ssimulacra2(pixels, small), ({ kind, message }) => kind == "parameter" && /differ in width: 768 and 64/.test(message))
 }
 
-// Progress comes, and a cancelled encode ends at once.
+// Progress is reported, and a cancelled encode ends at once.
 const large = generated(600, 400, 3, 8), seen = []
 await encode(small, { effort: 1, onProgress: (stage, done) => seen.push([stage, done]) })
 assert(seen.length > 2 && seen.every(([stage, done]) => stage && done >= 0 && done <= 1))
@@ -122,7 +122,7 @@ for (const worker of [true, false]) {
 await assert.rejects(encode(small, { signal: AbortSignal.abort(new Error("before")) }), /before/)
 console.log(`cancelled within ${waited.toFixed(1)} ms`)
 
-// Several at a time give what one gives alone.
+// Several encodes at the same time give the same files as single ones.
 const alone = (await encode(small, { effort: 1 })).bytes
 for (const { bytes } of await Promise.all(Array.from({ length: 4 }, () => encode(small, { effort: 1 })))) assert.deepEqual(bytes, alone)
 

@@ -1,6 +1,6 @@
-// What the package promises of files, in Node.js and in browsers: the native decoder's samples, and typed errors.
+// Tests decoding in Node.js and in browsers: the native decoder's samples, and typed errors.
 
-// RGBA with 8 bits of a PAM file, and whether it had more.
+// Returns a PAM file as RGBA with 8 bits, and whether it had more bits.
 export function rgbaOfPam(bytes) {
   const text = new TextDecoder("latin1").decode(bytes), body = text.indexOf("ENDHDR\n") + 7
   const field = name => Number(new RegExp(`${name} (\\d+)`).exec(text)[1])
@@ -27,7 +27,7 @@ const bytesOf = base64 => Uint8Array.from(atob(base64), letter => letter.charCod
 
 const kindOf = { invalid: /^(format|version)$/, limits: /^limit$/ }
 
-// Draws every case with `decoder`, and holds it against what the native decoder drew.
+// Renders every case with `decoder`, and compares it with the result of the native decoder.
 export async function run(cases, load, decoder) {
   const problems = []
   let same = 0, refused = 0, broken = 0
@@ -49,23 +49,23 @@ export async function run(cases, load, decoder) {
     }
     check(answer.width == columns && answer.height == rows, `${path}: ${answer}`)
     if (answer instanceof Error) continue
-    // Of 16 bits, 8 are the nearest.
+    // 16 bits are rounded to 8.
     if (!deep) check(rgba ? answer.data.every((v, i) => v == rgba[i]) : crc32(answer.data) == checksum, `${path}: other samples than the native decoder's`)
     else if (rgba) check(answer.data.every((v, i) => Math.abs(rgba[i] - 257 * v) <= 129), `${path}: not the nearest of the native decoder's samples`)
     same++
     const info = await attempt("info", bytes), header = await attempt("header", bytes), all = await attempt("gaussians", bytes)
     check(info.parts?.reduce((sum, p) => sum + p.bytes, 0) == bytes.length, `${path}: info ${info} ${JSON.stringify(info.parts)}`)
     check(info.primitives == all.count && header.primitives == all.count && all.mean?.length == 2 * all.count, `${path}: ${all.count} of ${info.primitives} Gaussians`)
-    // What the Gaussians take is what the fields take.
+    // The bits of the Gaussians add up to those of the fields.
     const each = info.each?.reduce((sum, bits) => sum + bits, 0), fields = info.fields?.reduce((sum, field) => sum + field.bits, 0)
     check(info.layout == "coded" ? info.each?.length == all.count && (!all.count || Math.abs(each - fields) < .01 * fields + 1) : info.each?.length == 0, `${path}: ${each} bits of ${info.each?.length} Gaussians, ${fields} of all fields`)
-    // The middle alone is the middle of the whole.
+    // A region equals the same part of the whole picture.
     if (!width && columns > 2 && rows > 2 && columns * rows < 1e6) {
       const [left, top] = [columns >> 2, rows >> 2], part = await attempt("decode", bytes, { region: [left, top, 2, 2] })
       const inside = [0, 1].flatMap(y => [...answer.data.subarray(4 * ((top + y) * columns + left), 4 * ((top + y) * columns + left + 2))])
       check(inside.every((v, i) => v == part.data?.[i]), `${path}: a part is not the whole's: ${part}`)
     }
-    // Broken files end in a typed error that is not the decoder's fault, or as another picture.
+    // Damaged files give a typed error other than `internal`, or a different picture.
     for (let i = 0; i < 12; i++) {
       const other = bytes.slice()
       other[5 + Math.floor(other.length * i / 12) % Math.max(1, other.length - 9)] ^= 1 << i % 8
@@ -79,12 +79,12 @@ export async function run(cases, load, decoder) {
   const [first] = cases, bytes = await load(first.path)
   for (const [options, kind] of [[{ region: [0, 0, 1 << 20, 1] }, "parameter"], [{ width: 1.5 }, "parameter"], [{ limits: { alloc: 1 } }, "limit"], [{ limits: { nonsense: 1 } }, "parameter"], [{ width: 0 }, "parameter"], [{ width: 8, height: 0 }, "parameter"], [{ height: 8 }, "parameter"], [{ widht: 8 }, "parameter"], [{ detail: "none" }, "parameter"]])
     check((await attempt("decode", bytes, options)).kind == kind, `${JSON.stringify(options)} is not refused as ${kind}`)
-  // Of a file without a detail layer nothing is left out, and nothing but grey is that layer.
+  // In a file without a detail layer, the Gaussians are the whole picture, and the layer is plain grey.
   const [on, off, alone] = await Promise.all(["on", "off", "alone"].map(detail => attempt("decode", bytes, { detail })))
   check(on.data?.every((v, i) => v == off.data?.[i]), "without a detail layer more than the Gaussians is drawn")
   check(alone.data?.every((v, i) => i % 4 == 3 || v == alone.data[0]), "a detail layer is drawn where there is none")
   check((await attempt("decode", "text")).kind == "parameter", "text is not refused")
-  // What is missing is told: a tile of a layer, and all tiles of a layer that has not arrived, for which no memory is taken.
+  // Missing parts are reported: a tile of a layer, and all tiles of a layer that has not arrived, for which no memory is allocated.
   const damaged = bytesOf("iVNTUAaSKBgGkGRoAUR0YWwId89qax39aYmsvAIAxehVgJ61qMS8G4VlvDZ/0UHZcebJzHSA74FaRvU7yY3sU0ORon5eCeIxL0LQN/TtRL8zVSN9fWqsCXkcy4klICJP2fKrFjR2zMDe5EYEa8/0OWdX1p8WfFfqDVWYr1Q=")
   check((await attempt("decode", damaged)).kind == "format", "a damaged tile is not refused")
   const left = await attempt("decode", damaged, { partial: true })

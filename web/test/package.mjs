@@ -1,6 +1,6 @@
-// The package of web/dist in Node.js and in headless Chromium: node web/test/package.mjs [PROGRAM]
-// PROGRAM is the native `ssplat`, whose samples the package must give; without it, target/release/ssplat.
-// With SSPLAT_REQUIRE_BROWSER=1 a missing Chromium is a failure, otherwise the browser is named as skipped.
+// The package of web/dist in Node.js and in headless Chromium: node web/test/package.mjs [PROGRAM] PROGRAM is the native `ssplat`, by
+// default target/release/ssplat; the package must return the same samples. With SSPLAT_REQUIRE_BROWSER=1 a missing Chromium is a failure,
+// otherwise the browser is named as skipped.
 import { execFileSync } from "node:child_process"
 import { existsSync, mkdtempSync, readFileSync, readdirSync, rmSync, statSync, writeFileSync } from "node:fs"
 import { tmpdir } from "node:os"
@@ -16,7 +16,7 @@ const root = new URL("../../", import.meta.url), vectors = new URL("spec/vectors
 const program = process.argv[2] ?? new URL("target/release/ssplat", root).pathname
 const load = path => new Uint8Array(readFileSync(new URL(path, vectors)))
 
-// What the native decoder draws: RGBA, or its checksum for a browser.
+// The result of the native decoder: RGBA, or its checksum for a browser.
 const home = mkdtempSync(join(tmpdir(), "ssplat-web-"))
 const cases = []
 for (const folder of ["valid", "reduced", "invalid", "limits"])
@@ -33,8 +33,8 @@ for (const folder of ["valid", "reduced", "invalid", "limits"])
   }
 rmSync(home, { recursive: true })
 
-// Most bytes as brotli of the WebAssembly and the modules that it needs.
-// The scalar one, for browsers from before 2023, may take more: its loops over pixels are longer.
+// Maximum size of the WebAssembly and its modules, compressed with brotli. The scalar build, for browsers from before 2023, may be larger,
+// because its loops over pixels are longer.
 const budgets = { simd: 95_000, scalar: 102_000 }
 
 let failed = false
@@ -44,7 +44,7 @@ function tell(where, { problems, words }) {
   failed ||= problems.length > 0
 }
 
-// The last is what the program holds.
+// The last one is embedded in the program.
 for (const path of ["dist/ssplat-simd.wasm", "dist/ssplat-scalar.wasm", "ssplat-simd.wasm"]) {
   const module = readFileSync(new URL(`../${path}`, import.meta.url))
   tell(`Node.js, ${path}`, await run(cases, load, new Decoder({ module })))
@@ -61,13 +61,13 @@ for (const kind of ["simd", "scalar"]) {
 const photo = new URL("tests/images/kodim05.png", root).pathname, shown = new URL("valid/coded-rgb/file.ssplat", vectors).pathname
 execFileSync(program, ["view", shown, "--html", new URL("packed.html", dist).pathname])
 execFileSync(program, ["view", shown, "--original", photo, "--html", new URL("packed-original.html", dist).pathname])
-// The element as a page has it, showing a file of this repository.
+// The element in a page, showing a file of this repository.
 const element = execFileSync(program, ["placeholder", photo, "--format", "html", "--effort", "1", "--src", "/web/viewer/samples/motocross.ssplat"])
 writeFileSync(new URL("placeholder.html", dist), element)
 
-// Browsers are told the checksums, not the samples.
+// Browsers receive the checksums, not the samples.
 const told = cases.map(({ rgba, ...one }) => ({ ...one, checksum: rgba && crc32(rgba) }))
-// What Node.js encodes, for the browsers to compare with.
+// Files encoded by Node.js, for comparison in the browsers.
 const encoded = []
 for (const [name, width, height, channels, depth, options] of [
   ["colours", 96, 64, 3, 8, { ratio: 40, effort: 2 }],
@@ -79,7 +79,7 @@ for (const [name, width, height, channels, depth, options] of [
   encoded.push({ name, picture: { width, height, channels, depth }, options, checksum: crc32(bytes) })
 }
 
-// axe-core finds what keeps people from using a page; npm has it.
+// axe-core, from npm, finds accessibility faults.
 const lint = new URL("target/lint/", root), axe = new URL("node_modules/axe-core/axe.min.js", lint)
 if (!existsSync(axe))
   try {
@@ -87,7 +87,7 @@ if (!existsSync(axe))
   } catch (error) {
     if (process.env.SSPLAT_REQUIRE_BROWSER == "1") tell("axe", { problems: [`npm cannot install it: ${error.message}`], words: "missing" })
   }
-// The requests of a page since the last question.
+// The requests of a page since the last call.
 const asked = []
 function serve(url) {
   if (url == "/asked") return { body: JSON.stringify(asked.splice(0)), headers: { "content-type": "application/json" } }

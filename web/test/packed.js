@@ -1,4 +1,4 @@
-// The package of web/dist as a tarball, installed as users install it.
+// Packs web/dist as a tarball and installs it as users do.
 import { execFile } from "node:child_process"
 import { readFileSync, writeFileSync } from "node:fs"
 import { createServer } from "node:net"
@@ -7,13 +7,13 @@ import { promisify } from "node:util"
 
 const run = promisify(execFile), dist = new URL("../dist/", import.meta.url).pathname
 
-// Packs web/dist into `home`: { filename, files, size }.
+// Packs web/dist into `home`. Returns { filename, files, size }.
 export async function pack(home) {
   const packed = JSON.parse((await run("npm", ["pack", "--json", "--pack-destination", home], { cwd: dist })).stdout)
   return Array.isArray(packed) ? packed[0] : Object.values(packed)[0]
 }
 
-// What `npm` printed in `folder`; fails with that.
+// Runs `npm` in `folder` and returns its output; fails with the output.
 export async function npm(folder, ...words) {
   try {
     const { stdout, stderr } = await run("npm", words, { cwd: folder, maxBuffer: 1 << 26, env: { ...process.env, NO_COLOR: "1", NEXT_TELEMETRY_DISABLED: "1" } })
@@ -23,7 +23,7 @@ export async function npm(folder, ...words) {
   }
 }
 
-// Installs what package.json in `folder` asks for, ssplat from `tarball`.
+// Installs the dependencies of package.json in `folder`, with ssplat from `tarball`.
 export async function install(folder, tarball) {
   const path = join(folder, "package.json"), wanted = JSON.parse(readFileSync(path))
   wanted.dependencies.ssplat = `file:${tarball}`

@@ -1,4 +1,4 @@
-// What a page that imports pictures shows: their placeholders while no file has arrived, then the pictures.
+// Tests a page that imports pictures: it shows placeholders until the files have arrived, then the pictures.
 const patience = 20_000
 const until = async what => {
   for (let i = 0; i < patience / 50; i++) {

@@ -1,7 +1,7 @@
-// The plugins for bundlers and `encodeFile`, from the packed package: node web/test/plugins.mjs [--all] [PROGRAM]
-// The examples for Vite, webpack and Next.js are installed and built twice, the second time without sharp, and shown in Chromium.
-// With --all Next.js is built by webpack as well. PROGRAM is the native `ssplat`, whose bytes the files must have; without it, target/release/ssplat.
-// With SSPLAT_REQUIRE_BROWSER=1 a missing Chromium is a failure, otherwise the browser is named as skipped.
+// The plugins for bundlers and `encodeFile`, from the packed package: node web/test/plugins.mjs [--all] [PROGRAM] The examples for Vite,
+// webpack and Next.js are installed and built twice, the second time without sharp, and shown in Chromium. With --all Next.js is built by
+// webpack as well. PROGRAM is the native `ssplat`, by default target/release/ssplat; the files must be the same. With
+// SSPLAT_REQUIRE_BROWSER=1 a missing Chromium is a failure, otherwise the browser is named as skipped.
 import assert from "node:assert/strict"
 import { cpSync, existsSync, mkdirSync, mkdtempSync, readFileSync, readdirSync, renameSync, rmSync, writeFileSync } from "node:fs"
 import { createRequire } from "node:module"
@@ -18,7 +18,7 @@ const program = process.argv.slice(2).find(word => word != "--all") ?? new URL("
 const home = mkdtempSync(join(tmpdir(), "ssplat-plugins-"))
 process.on("exit", () => rmSync(home, { recursive: true, force: true, maxRetries: 20, retryDelay: 250 }))
 
-// Where each example has its cache and what it builds, and how it says what it has encoded.
+// The cache and the output folder of each example, and the messages of its encodes.
 const examples = {
   vite: { cache: "node_modules/.vite/ssplat", out: "dist", told: /ssplat: .*photo\.jpg: 96 × 64 pixels in \d+ bytes/g },
   webpack: { cache: "node_modules/.cache/ssplat", out: "dist", told: /<i> .*photo\.jpg: 96 × 64 pixels in \d+ bytes/g },
@@ -41,14 +41,14 @@ mkdirSync(join(home, "files"))
 console.log(`encodeFile: ${await testEncodeFile({ home: join(home, "files"), program, encodeFile, sharp, decode, header })}`)
 console.log(`vite-plugin: ${await testVite({ home: join(home, "files"), vite: folder("vite"), program, installed })}`)
 
-// A configuration of Next.js stays what it is beside the loader's rules, also one that a function gives.
+// A configuration of Next.js is unchanged except for the loader's rules, even if it is a function.
 const { withSsplat } = await installed("next.js")
 const configured = await withSsplat(async phase => ({ distDir: phase, turbopack: { rules: { "*.md": "some-loader" } }, webpack: () => ({ module: { rules: [{ loader: "next-image-loader", resourceQuery: { not: [/a/] } }] } }) }))("there")
 assert.deepEqual([configured.distDir, configured.turbopack.rules["*.md"]], ["there", "some-loader"])
 assert.deepEqual(configured.webpack({}, {}).module.rules[0].resourceQuery.not.map(String), ["/a/", "/[?&]ssplat(&|$)/"])
 assert.throws(() => withSsplat({}, { qualty: 70 }), /no option is called qualty/)
 
-// Builds an example, with more words for its bundler. Returns what was printed, and its .ssplat files by their bytes.
+// Builds an example, with further arguments for its bundler. Returns the output, and its .ssplat files by their bytes.
 async function build(name, ...words) {
   const { out } = examples[name]
   for (const old of [out, ".next"]) rmSync(join(folder(name), old), { recursive: true, force: true })
@@ -67,7 +67,7 @@ for (const name of names) {
   assert(first.files.some(file => file.length > 2500 && file.length <= 3000), `${name}: no file of the 3000 bytes that were asked for`)
   if (told) assert.equal(first.said.match(told)?.length, 2, `${name}: ${first.said}`)
 
-  // Without sharp nothing can be encoded: a second build must have all in its cache.
+  // Without sharp nothing can be encoded: so the second build must find everything in its cache.
   renameSync(sharps, `${sharps}-away`)
   const second = await build(name)
   assert.deepEqual(second.files, first.files, `${name}: the second build has other files`)
@@ -88,7 +88,7 @@ if (isAll) {
 const built = names.map(name => filesIn(join(folder(name), examples[name].out), ".ssplat").map(file => readFileSync(file)).sort(Buffer.compare))
 for (const files of built) assert.deepEqual(files, built[0])
 
-// The pages, whose .ssplat files wait until they are let go.
+// The pages, whose .ssplat files are held back until they are released.
 let held = Promise.resolve(), release = () => {}
 const serve = async url => {
   const { pathname } = new URL(url, "http://localhost"), [, from] = pathname.split("/")

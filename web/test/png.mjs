@@ -1,4 +1,4 @@
-// Pixels of a PNG file with RGB of 8 bits, not interlaced, as those of tests/images are.
+// Reads the pixels of a PNG file with 8-bit RGB that is not interlaced, such as those of tests/images.
 import { inflateSync } from "node:zlib"
 
 export function pixelsOfPng(file) {

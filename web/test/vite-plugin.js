@@ -1,4 +1,4 @@
-// What the plugin for Vite and Rollup promises beyond its example: options, errors, the cache, and the development server.
+// Tests the plugin for Vite and Rollup beyond its example: options, errors, the cache, and the development server.
 import assert from "node:assert/strict"
 import { execFileSync } from "node:child_process"
 import { cpSync, readFileSync, readdirSync, rmSync, truncateSync, writeFileSync } from "node:fs"
@@ -29,7 +29,7 @@ export async function test({ home, vite, program, installed }) {
     return readFileSync(join(home, "native.ssplat"))
   }
 
-  // Two imports of a picture with other options are two files, the same import again is not a third.
+  // Imports of a picture with different options give different files; a repeated import does not.
   const requests = ["./rgb.png?effort=1&ssplat", "./rgb.png?ssplat&bytes=700&effort=1&placeholder=0", "./rgb.png?ssplat&effort=1"]
   const { assets, pictures: [plain, small, again] } = await imported(requests)
   assert.equal(assets.length, 2)
@@ -39,7 +39,7 @@ export async function test({ home, vite, program, installed }) {
   assert(/^data:image\/x-ssplat;base64,iVNTUA/.test(plain.placeholder), plain.placeholder)
   assert.equal(encoded.splice(0).length, 2)
 
-  // A second build encodes nothing; what is incomplete in the cache is encoded again.
+  // A second build encodes nothing; incomplete cache entries are encoded again.
   await imported(requests)
   assert.deepEqual(encoded.splice(0), [])
   for (const key of readdirSync(join(cacheDir, "ssplat"))) truncateSync(join(cacheDir, "ssplat", key, "rgb.ssplat"), 100)
@@ -57,7 +57,7 @@ export async function test({ home, vite, program, installed }) {
   assert.equal(readdirSync(join(home, "other")).length, 2)
   assert.throws(() => ssplat({ qualty: 70 }), /no option is called qualty/)
 
-  // Any name of a picture gives a file with a name that is safe in a URL.
+  // Any picture name is converted to a file name that is safe in a URL.
   cpSync(join(home, "rgb.png"), join(home, "my photo 100% ü.png"))
   const [named] = (await imported(["./my photo 100% ü.png?effort=1&ssplat"])).pictures
   assert(Buffer.compare(other.bytes, named.bytes) == 0, named.src)
@@ -79,7 +79,7 @@ export async function test({ home, vite, program, installed }) {
   await fails("./text.jpg?ssplat", /text\.jpg: .*unsupported/)
   await fails("./missing.jpg?ssplat", /missing\.jpg/)
 
-  // Rollup has no assets of its own: the plugin emits the file, and the module knows its URL.
+  // Rollup does not handle assets, so the plugin emits the file, and the module contains its URL.
   const { rollup } = await import(pathToFileURL(createRequire(join(vite, "package.json")).resolve("rollup")).href)
   writeFileSync(entry, `export { default } from "./rgb.png?ssplat"`)
   const bundle = await rollup({ input: entry, onLog() {}, plugins: [ssplat({ effort: 1, cacheDir })] })

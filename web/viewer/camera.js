@@ -1,14 +1,14 @@
-// Where the picture lies on the stage: CSS pixels a pixel of the picture, and the place of its corner. Fingers, mouse and wheel move it.
+// Position of the picture on the stage: its scale in CSS pixels per pixel, and the position of its corner. Touch, mouse and wheel move it.
 
 const least = 1 / 256, most = 4096
-// CSS pixels around a picture that fits: at the sides, and below, where the tools are.
+// Margins of a fitted picture in CSS pixels: at the sides, and at the bottom, where the tools are.
 const margin = 14, tools = 76
 
 export class Camera {
   zoom = 1
   left = 0
   top = 0
-  // Nobody has moved it since it was fitted.
+  // Whether the picture has not been moved since it was fitted.
   fitted = true
   #stage
   #size = [0, 0]
@@ -21,7 +21,7 @@ export class Camera {
     this.#listen()
   }
 
-  // Takes the size of a picture, and shows all of it.
+  // Sets the size of the picture and shows all of it.
   take(width, height) {
     this.#size = [width, height]
     this.fit()
@@ -43,7 +43,7 @@ export class Camera {
     this.move(0, 0)
   }
 
-  // One pixel of the screen for each of the picture.
+  // Shows one pixel of the picture as one pixel of the screen.
   actual() {
     this.zoomBy(1 / this.zoom / devicePixelRatio)
   }
@@ -57,7 +57,7 @@ export class Camera {
     this.#changed()
   }
 
-  // The part that is seen, in whole pixels of the picture: left, top, width, height.
+  // Returns the visible part in whole pixels of the picture: left, top, width, height.
   visible() {
     const ends = (start, side, length) => [Math.max(0, Math.floor(-start / this.zoom)), Math.min(length, Math.ceil((side - start) / this.zoom))]
     const [x0, x1] = ends(this.left, this.#stage.clientWidth, this.#size[0]), [y0, y1] = ends(this.top, this.#stage.clientHeight, this.#size[1])
@@ -70,7 +70,7 @@ export class Camera {
       const { left, top } = stage.getBoundingClientRect()
       return [event.clientX - left, event.clientY - top]
     }
-    // What lies on the stage has its own use for the pointer.
+    // Elements on the stage handle the pointer themselves.
     const ours = event => this.#size[0] && !event.target.closest("button, label, .pill, .middle, #border")
     stage.addEventListener("pointerdown", event => {
       if (!ours(event) || event.button > 1) return
@@ -84,7 +84,7 @@ export class Camera {
       const now = place(event), [other] = [...pointers].filter(([id]) => id != event.pointerId).map(([, at]) => at)
       pointers.set(event.pointerId, now)
       if (!other) return this.move(now[0] - before[0], now[1] - before[1])
-      // Two fingers: their distance zooms about their middle, which moves.
+      // Two fingers zoom by their distance around their centre, and move the picture with it.
       const distance = at => Math.hypot(at[0] - other[0], at[1] - other[1])
       this.move((now[0] - before[0]) / 2, (now[1] - before[1]) / 2)
       if (distance(before) > 1) this.zoomBy(distance(now) / distance(before), (now[0] + other[0]) / 2, (now[1] + other[1]) / 2)
@@ -106,7 +106,7 @@ export class Camera {
   }
 }
 
-// How many pixels of the screen a pixel of the picture takes, in words.
+// Returns the zoom as text.
 export function times(zoom) {
   const k = zoom * devicePixelRatio
   return `${k >= 9.95 ? Math.round(k).toLocaleString("en") : k >= .995 ? k.toFixed(1).replace(/\.0$/, "") : k.toFixed(k < .0995 ? 3 : 2)}×`

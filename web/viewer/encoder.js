@@ -1,5 +1,5 @@
-// The encoder for the viewer: everything that it needs is fetched once, then pictures are encoded without another request.
-// The page of one file (`ssplat view --html`) has no encoder, so that nothing is imported before it is asked for.
+// The encoder for the viewer: its files are fetched once; after that, encodes send no requests. The page of one file (`ssplat view --html`)
+// has no encoder, so modules are imported only when they are needed.
 
 // The worker's modules as blobs that import each other.
 async function script(name) {
@@ -11,7 +11,7 @@ async function script(name) {
 }
 
 let loading
-// Fetches all that encoding needs. What could not be fetched is asked for again.
+// Fetches everything that encoding needs. Failed requests are repeated by the next call.
 export function load() {
   loading ??= (async () => {
     const [library, url] = await Promise.all([import("../encode.js"), script("encode-worker.js")])
@@ -22,7 +22,7 @@ export function load() {
   return loading
 }
 
-// Where the page's policy forbids workers of blobs, the worker is a file.
+// If the page's policy forbids workers from blobs, the worker is loaded from a file.
 let worker
 async function work(library, task) {
   try {
@@ -34,16 +34,16 @@ async function work(library, task) {
   }
 }
 
-// Most memory of an encode: pictures of 2²⁶ pixels fit.
+// Maximum memory of an encode, which suffices for pictures of 2²⁶ pixels.
 const limits = { alloc: 2 ** 32 }
 
-// Encodes pixels: bytes and report.
+// Encodes pixels. Returns the bytes and the report.
 export async function encode(pixels, options) {
   const library = await load()
   return work(library, worker => library.encode(pixels, { limits, worker, ...options }))
 }
 
-// SSIMULACRA2 of `test` against `reference`.
+// Returns the SSIMULACRA2 score of `test` against `reference`.
 export async function score(reference, test, signal) {
   const library = await load()
   return work(library, worker => library.ssimulacra2(reference, test, { limits, worker, signal }))

@@ -1,9 +1,9 @@
-// What is told about a file: its numbers, where its bytes go, and what its Gaussians take.
+// The facts about a file: its figures, the distribution of its bytes, and the bits of its Gaussians.
 
 const number = v => v.toLocaleString("en")
 const colours = ["#3f7de0", "#f0803c", "#45b07c", "#b06fd8", "#d8b23a", "#d8577a", "#4fb3c4", "#8a8f98", "#9a7048", "#6d6fe0"]
 
-// 812 bytes, 14.0 kB or 1.2 MB.
+// Formats a size, such as 812 bytes, 14.0 kB or 1.2 MB.
 export const size = bytes => bytes < 1000 ? `${bytes} bytes` : bytes < 999950 ? `${(bytes / 1000).toFixed(bytes < 99950 ? 1 : 0)} kB` : `${(bytes / 1e6).toFixed(1)} MB`
 
 function make(name, contents, properties = {}) {
@@ -19,7 +19,7 @@ const colour = k => {
   return element
 }
 
-// Parts of one whole: a bar, and a row for each.
+// Shows parts of a total: a bar, and a row for each part.
 function shares(title, rows, words) {
   const whole = rows.reduce((sum, [, v]) => sum + v, 0), bar = make("div", [], { className: "bar" })
   for (const [k, [, v]] of rows.entries()) {
@@ -31,10 +31,10 @@ function shares(title, rows, words) {
   return [make("h2", [title]), bar, table(rows.map(([name, v], k) => [[colour(k), name], words(v)]))]
 }
 
-// One line: the size of the picture, of the file, and how many Gaussians.
+// Returns one line: the size of the picture, the size of the file, and the number of Gaussians.
 export const summary = info => `${info.width} × ${info.height} · ${size(info.bytes)} · ${number(info.primitives)} Gaussian${info.primitives == 1 ? "" : "s"}`
 
-// Everything, as elements.
+// Returns all facts as elements.
 export function facts(info) {
   const kinds = ["", "grey", "grey and alpha", "colour", "colour and alpha"], pixels = info.width * info.height, raw = pixels * info.channels * info.depth / 8
   const numbers = [[size(info.bytes), "the file"], [`1 : ${number(Math.round(raw / info.bytes))}`, `of ${size(raw)} raw`], [number(info.primitives), "Gaussians"], [(8 * info.bytes / pixels).toPrecision(3), "bits a pixel"]]

@@ -1,4 +1,4 @@
-// What a file is that is no .ssplat file, by its first bytes.
+// Identifies files of other formats by their first bytes.
 
 const kinds = [
   ["a PNG picture", /^89504e47/], ["a JPEG picture", /^ffd8ff/], ["a GIF picture", /^47494638/], ["a WebP picture", /^52494646.{8}57454250/],
@@ -9,7 +9,7 @@ const kinds = [
 export const isOurs = bytes => [0x89, 0x53, 0x53, 0x50].every((v, i) => bytes[i] == v)
 export const isPicture = bytes => / picture$/.test(found(bytes).kind ?? "")
 
-// What it is, if that is known, and how it begins.
+// Returns the kind of file, if it is known, and its first bytes.
 export function found(bytes) {
   const start = Array.from(bytes.subarray(0, 16), v => v.toString(16).padStart(2, "0"))
   return { kind: bytes.length ? kinds.find(([, pattern]) => pattern.test(start.join("")))?.[0] : "an empty file", start: start.slice(0, 8).join(" ") }

@@ -1,17 +1,17 @@
-// Gaussians as ellipses over the picture, coloured by what they cost or by how far the picture is from its original there.
+// Draws Gaussians as ellipses over the picture, coloured by their bits or by the error of the picture at their position.
 
-// More ellipses than these are no longer seen apart.
+// Maximum number of ellipses; more could not be distinguished.
 const most = 20000
 
-// Draws the ellipses at one standard deviation: `place` is [zoom, left, top] in the canvas's pixels, `tones`, from 0
-// to 1, colour them from blue by yellow to red; without these they have their own colours. Gives how many there are.
+// Draws the ellipses at one standard deviation: `place` is [zoom, left, top] in the canvas's pixels, `tones`, from 0 to 1, colour them from
+// blue by yellow to red; without these they have their own colours. Returns their number.
 export function ellipses(context, all, [zoom, left, top], scale, tones) {
   let count = 0
   for (let i = 0; i < all.count && count < most; i++) {
     const x = left + all.mean[2 * i] * zoom, y = top + all.mean[2 * i + 1] * zoom
     const [major, minor] = [all.scale[2 * i] * zoom, all.scale[2 * i + 1] * zoom]
     if (x + major < 0 || y + major < 0 || x - major > context.canvas.width || y - major > context.canvas.height) continue
-    // In its colour, between two that keep it apart from the picture.
+    // In its own colour, between two outlines that separate it from the picture.
     const [r, g, b] = tones ? heat(tones[i]) : own(all, i)
     context.beginPath()
     context.ellipse(x, y, Math.max(major, .5), Math.max(minor, .5), all.rotation[i], 0, 2 * Math.PI)
@@ -33,17 +33,17 @@ function heat(tone) {
   return [255 * Math.min(2 * t, 1), 255 * (t < .5 ? .4 + 1.2 * t : 2 - 2 * t), 255 * Math.max(0, 1 - 2 * t)].map(Math.round)
 }
 
-// An error of 32 code values and more is red.
+// Errors of 32 code values and more are red.
 export const tonesOfErrors = errors => errors.map(e => e / 32)
 
-// Of the bits that each takes, blue is what 5 % stay below, red what 5 % exceed.
+// Blue is the 5th percentile of the bits, red the 95th.
 export function tonesOfBits(bits) {
   const sorted = bits.slice().sort(), [low, high] = [.05, .95].map(part => sorted[Math.floor(part * (bits.length - 1))])
   return bits.map(b => (b - low) / (high - low || 1))
 }
 
-// The mean difference of two pictures of one size, in code values, within one deviation's box around each Gaussian. The
-// pictures may be smaller than the plane of the Gaussians.
+// Returns, for each Gaussian, the mean difference of two pictures of the same size, in code values, within the box of one standard
+// deviation around it. The pictures may be smaller than the picture of the Gaussians.
 export function errorsOf(all, picture, original) {
   const { width, height } = picture, wide = width + 1, sums = new Float64Array(wide * (height + 1))
   for (let y = 0; y < height; y++)

@@ -1,19 +1,19 @@
-// Makes a file of a picture as the controls ask, beside the page, and again when they are moved. The last result stays until the next.
+// Encodes a picture in a worker with the settings of the controls, and again when they change. The previous result is shown until the next
+// one is ready.
 import { encode, load, score } from "./encoder.js"
 import { size } from "./facts.js"
 import { PictureError, likeIn, readPicture } from "./picture.js"
 
 const get = id => document.getElementById(id)
-// How long the controls must rest before an encode starts, milliseconds.
+// Delay between the last change of the controls and the start of an encode, milliseconds.
 const pause = 350
-// What the slider stands for in its middle, 0: raw bytes over bytes of the file, as the program has it by default. 50 steps to the right
-// are a tenth of that.
+// Ratio at the middle of the slider, 0: the default of the program. 50 steps to the right divide it by ten.
 const ratio = 50, steps = 50
-// Effort at first, by megapixels: a photograph of 12 megapixels is to be there within half a minute.
+// Initial effort by megapixels, so that a photograph of 12 megapixels is encoded within half a minute.
 const efforts = [[0.5, 5], [1.5, 3], [3, 2], [Infinity, 1]]
 const programEffort = 5
-// What the encoder's stages are called here.
-const stages = { fit: "Fitting Gaussians", finish: "Rounding", detail: "Adding detail", prune: "Removing what is not seen", thumbnail: "Making the thumbnail" }
+// Names of the encoder's stages.
+const stages = { fit: "Fitting Gaussians", finish: "Rounding", detail: "Adding detail", prune: "Removing invisible parts", thumbnail: "Making the thumbnail" }
 const grades = [[90, "very high"], [70, "high"], [50, "medium"], [30, "low"], [-Infinity, "very low"]]
 const grade = score => grades.find(([least]) => score >= least)[1]
 
@@ -21,19 +21,19 @@ export class Maker {
   #viewer
   #picture
   #name = ""
-  // Bytes of the file that was chosen.
+  // Size of the chosen file, bytes.
   #source = 0
-  // What the running job can be stopped by, and the timer of the next.
+  // The controller that stops the running job, and the timer of the next job.
   #control
   #timer
   // The running job, while it reads a picture.
   #reading
-  // The last result: bytes and the settings that it was made with.
+  // The last result: its bytes and settings.
   #made
   #url
 
-  // `viewer` has stage(bitmap, name, alpha), which shows a picture before there is a file; show(bytes, name, bitmap, size), which shows the file;
-  // decode(bytes); tell(title, words); and resume(), after which nothing is lost if no picture could be read.
+  // `viewer` has stage(bitmap, name, alpha), which shows a picture before there is a file; show(bytes, name, bitmap, size), which shows the
+  // file; decode(bytes); tell(title, words); and resume(), which restores the previous state if no picture could be read.
   constructor(viewer) {
     this.#viewer = viewer
     for (const id of ["amount", "quality", "effort"]) get(id).addEventListener("input", () => this.#wanted())
@@ -42,14 +42,14 @@ export class Maker {
     get("again").onclick = () => this.#start()
   }
 
-  // Fetches the encoder before it is needed. Without it, the first picture says why.
+  // Fetches the encoder in advance. A failure is reported when the first picture is encoded.
   static prepare = () => load().catch(() => {})
 
   get busy() {
     return !!this.#control || !!this.#timer
   }
 
-  // Takes a picture, reads it, and encodes it at once.
+  // Reads a picture and encodes it at once.
   async take(blob, name, kind) {
     this.#stop()
     const control = this.#control = this.#reading = new AbortController()
@@ -72,7 +72,7 @@ export class Maker {
     const { width, height, channels } = picture.pixels
     get("effort").value = efforts.find(([most]) => width * height <= most * 1e6)[1]
     get("note").hidden = get("effort").value == programEffort
-    get("note").textContent = `The default here for a picture this large. The program's is ${programEffort}, which takes longer and looks better.`
+    get("note").textContent = `The default here for a picture this large. The default of the program is ${programEffort}, which takes longer and looks better.`
     get("amount").value = 0
     get("quality").value = 70
     document.querySelector("input[name=target][value=size]").checked = true
@@ -84,7 +84,7 @@ export class Maker {
     await this.#start()
   }
 
-  // Forgets the picture, as another file is shown.
+  // Discards the picture when another file is shown.
   leave() {
     this.#stop()
     this.#rest()
@@ -92,7 +92,7 @@ export class Maker {
     for (const id of ["trouble", "save"]) get(id).hidden = true
   }
 
-  // Stops what runs. The last result stays.
+  // Stops the running job. The last result remains.
   cancel() {
     const isReading = !!this.#reading
     this.#stop()
@@ -114,7 +114,7 @@ export class Maker {
     return width * height * channels
   }
 
-  // Where a file of so many bytes lies on the slider, and the bytes of where it is.
+  // Converts a size in bytes to a position of the slider, and back.
   #position = bytes => steps * Math.log10(bytes * ratio / this.#raw())
   #bytes = () => Math.max(1, Math.floor(this.#raw() / ratio * 10 ** (get("amount").value / steps)))
 
@@ -125,7 +125,7 @@ export class Maker {
   }
   #key = () => JSON.stringify(this.#options())
 
-  // What the controls are at, in words.
+  // Shows the values of the controls as text.
   #label() {
     if (!this.#picture) return
     const bytes = this.#bytes(), ratio = this.#raw() / bytes, isQuality = this.#target() == "quality"
@@ -138,7 +138,7 @@ export class Maker {
     get("effort-value").textContent = get("effort").value
   }
 
-  // Another kind of target begins where the last result is, so that nothing need be encoded yet.
+  // A different kind of target starts at the value of the last result, so that no new encode is needed yet.
   #aim() {
     if (this.#made?.score && this.#target() == "quality") get("quality").value = Math.round(this.#made.score)
     if (this.#made && this.#target() == "size") get("amount").value = this.#position(this.#made.bytes.length)
@@ -176,7 +176,7 @@ export class Maker {
     }
   }
 
-  // SSIMULACRA2 of the file as it is decoded.
+  // Computes the SSIMULACRA2 score of the decoded file.
   async #measure(bytes, pixels, signal) {
     this.#progress("Measuring the quality")
     const decoded = await this.#viewer.decode(bytes)
@@ -191,7 +191,7 @@ export class Maker {
     get("grade").textContent = Number.isNaN(value) ? "too small to measure" : `SSIMULACRA2, ${grade(value)}`
   }
 
-  // The numbers of a result, and where it can be saved.
+  // Shows the figures of a result, and the link that saves it.
   #tell(bytes, seconds, quality) {
     get("bytes").textContent = size(bytes.length)
     get("ratio").textContent = `a ratio of ${(this.#raw() / bytes.length).toLocaleString("en", { maximumSignificantDigits: 3 })}`
@@ -208,8 +208,8 @@ export class Maker {
   #trouble({ kind, message }) {
     const words = {
       size: "The picture does not fit into so few bytes. Choose a larger size.",
-      limit: "The picture is too large for the memory of this page. The program ssplat takes larger ones.",
-      network: "The encoder could not be loaded. Is this page served whole?",
+      limit: "The picture is too large for the memory of this page. The program ssplat supports larger ones.",
+      network: "The encoder could not be loaded. Some files of this page may be missing on the server.",
     }
     get("trouble").textContent = words[kind] ?? `The encoder failed: ${message}.`
     get("trouble").hidden = false

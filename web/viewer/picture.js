@@ -1,28 +1,28 @@
-// Pictures of the browser's formats to pixels for the encoder.
+// Converts pictures in the browser's formats to pixels for the encoder.
 
-// Most pixels that are taken: the encoder's memory is bounded, and so is the browser's.
+// Maximum number of pixels, because the memory of the encoder and the browser is limited.
 const most = 2 ** 26
-// Pixels that are read at a time, so that the page answers in between.
+// Number of pixels that are read at a time, so that the page stays responsive.
 const piece = 2 ** 22
 
 export class PictureError extends Error {}
 
 const rest = () => new Promise(resolve => setTimeout(resolve))
 
-// The size of a picture, from its header: it is not decoded for that.
+// Returns the size of a picture from its header, without decoding it.
 async function sizeOf(blob) {
   const image = new Image(), url = URL.createObjectURL(blob)
   try {
     await new Promise((resolve, reject) => Object.assign(image, { onload: resolve, onerror: reject, src: url }))
     return [image.naturalWidth, image.naturalHeight]
   } catch {
-    throw new PictureError("This browser cannot show it: the file is broken, too large, or of a format that the browser does not know.")
+    throw new PictureError("This browser cannot show it: the file is broken, too large, or in a format that the browser does not support.")
   } finally {
     URL.revokeObjectURL(url)
   }
 }
 
-// Samples in sRGB: RGBA where something can be seen through, else RGB.
+// Returns samples in sRGB: RGBA if any pixel is transparent, otherwise RGB.
 async function samplesOf(bitmap, channels, signal) {
   const { width, height } = bitmap, rows = Math.max(1, Math.floor(piece / width)), data = new Uint8Array(width * height * channels)
   const canvas = new OffscreenCanvas(width, Math.min(rows, height)), context = canvas.getContext("2d", { willReadFrequently: true })
@@ -45,19 +45,19 @@ async function samplesOf(bitmap, channels, signal) {
   return { width, height, channels, data }
 }
 
-// Reads a picture, upright: what a canvas draws, and the samples for the encoder.
+// Reads a picture and applies its orientation. Returns a bitmap for the canvas and the samples for the encoder.
 export async function readPicture(blob, signal) {
   const [width, height] = await sizeOf(blob), count = v => (v / 1e6).toFixed(0)
   signal?.throwIfAborted()
   if (width * height > most)
-    throw new PictureError(`It has ${count(width * height)} megapixels. This page takes up to ${count(most)}; the program ssplat takes larger ones.`)
-  // A drawing of vectors may have no size.
+    throw new PictureError(`It has ${count(width * height)} megapixels. This page takes up to ${count(most)}; the program ssplat supports larger ones.`)
+  // A vector drawing may have no size.
   if (!width || !height) throw new PictureError("It has no size in pixels.")
   let bitmap
   try {
     bitmap = await createImageBitmap(blob)
   } catch {
-    throw new PictureError("This browser cannot decode it: the file is broken, or too large for the memory.")
+    throw new PictureError("This browser cannot decode it: the file is broken or needs too much memory.")
   }
   signal?.throwIfAborted()
   try {
@@ -68,7 +68,7 @@ export async function readPicture(blob, signal) {
   }
 }
 
-// The samples of a decoded file in the channels of the picture that it was made of.
+// Returns the samples of a decoded file in the channels of its original.
 export async function likeIn({ data, width, height }, channels, signal) {
   if (channels == 4) return { width, height, channels, data }
   const samples = new Uint8Array(width * height * channels)

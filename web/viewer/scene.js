@@ -1,17 +1,17 @@
-// What a graphics device is given: Gaussians as arrays, and which views of them it can draw (sections 5.2 to 5.5 of the specification).
+// Data for a graphics device: Gaussians as arrays, and the views of them that it can render (sections 5.2 to 5.5 of the specification).
 
-// Beyond so many deviations a Gaussian is nothing; what is left of it there; and the weight of the background.
+// Number of standard deviations at which a Gaussian ends, its value there, and the weight of the background.
 export const K = 3.5, cut = Math.exp(-K * K / 2), epsilon = 1 / 128
-// The largest step for which a pixel is one sample. Wider views are means of several.
+// Maximum step at which a pixel is one sample. Larger steps average several samples.
 const widest = 1.5
-// Most pixels under Gaussians in one drawing: a graphics driver that is busy for seconds is taken for hung.
+// Maximum number of pixels covered by Gaussians in one drawing. Systems reset a graphics driver that is busy for seconds.
 const mostWork = 2e9
 const mostSide = 4096
 
 export class Scene {
   #reach
 
-  // Takes the Gaussians of a file, as `gaussians` gives them, with the blend that `info` tells.
+  // Sets the Gaussians of a file, as returned by `gaussians`, and the blend from `info`.
   constructor(all, blend) {
     const { count, channels, mean, scale, rotation } = all, rgba = (v, i) => channels > 2 ? v.subarray(4 * i, 4 * i + 4) : [v[4 * i], v[4 * i], v[4 * i], v[4 * i + 1]]
     const axis = new Float32Array(2 * count), color = new Float32Array(4 * count), reach = this.#reach = new Float32Array(2 * count)
@@ -25,8 +25,8 @@ export class Scene {
     Object.assign(this, { count, mean, scale, axis, color, ...facts })
   }
 
-  // Whether a device whose textures have at most so large a side can draw a view: `step` pixels of the picture are a pixel of the
-  // canvas, whose corner lies at (left, top).
+  // Returns whether a device with this maximum texture side can render a view. One pixel of the canvas is `step` pixels of the picture; the
+  // corner of the canvas is at (left, top).
   allows({ left, top, step, width, height }, side) {
     if (!(step <= widest) || Math.min(width, height) < 1 || Math.max(width, height) > Math.min(mostSide, side)) return false
     const { count, mean } = this, reach = this.#reach, under = (at, far, start, length) => Math.max(0, Math.min((at + far - start) / step + 2, length) - Math.max((at - far - start) / step - 2, 0))
@@ -36,5 +36,6 @@ export class Scene {
   }
 }
 
-// What the variances of Gaussians grow by, in pixels of the picture squared, where a pixel of the canvas is wider than one.
+// Returns the increase of the variances of Gaussians, in squared pixels of the picture, if a pixel of the canvas is larger than one of the
+// picture.
 export const growth = step => Math.max(0, step * step - 1) / 12

@@ -1,4 +1,4 @@
-// Draws Gaussians by WebGL2 with float blending, as sections 5.2 to 5.5 of the specification say, at the pixels of a canvas.
+// Renders Gaussians with WebGL2 and float blending to a canvas, according to sections 5.2 to 5.5 of the specification.
 import { Scene, K, cut, epsilon, growth } from "./scene.js"
 
 const vertices = `#version 300 es
@@ -17,7 +17,7 @@ void main() {
   vec2 s = scale, major = axis;
   peak = 1.;
   if (growth > 0.) {
-    // The axes of the covariance with the growth of both variances. Its determinant is a sum of what is positive.
+    // The axes of the covariance with the growth of both variances. Its determinant is a sum of positive terms.
     vec2 v = s * s, square = axis * axis;
     float xx = v.x * square.x + v.y * square.y, yy = v.x * square.y + v.y * square.x, xy = (v.x - v.y) * axis.x * axis.y;
     float det = v.x * v.y + growth * (xx + yy) + growth * growth;
@@ -35,7 +35,7 @@ void main() {
   centre = (mean - corner) / pace;
   axes = vec4(major * pace / s.x, minor * pace / s.y);
   colour = color;
-  // A pixel more on all sides: corners are rounded to parts of one.
+  // One more pixel on each side, because corners are rounded to fractions of a pixel.
   vec2 reach = ${K} * s / pace + 1., at = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2. - 1.;
   gl_Position = vec4((centre + at.x * reach.x * major + at.y * reach.y * minor) / size * 2. - 1., 0., 1.);
 }`
@@ -88,7 +88,7 @@ export class Splatting {
   #scene
   #buffers = []
 
-  // Nothing where there is no WebGL2 that adds floats up.
+  // Returns nothing if WebGL2 with float blending is not available.
   static create() {
     const canvas = new OffscreenCanvas(1, 1)
     const gl = canvas.getContext("webgl2", { premultipliedAlpha: false, preserveDrawingBuffer: true, antialias: false, depth: false })
@@ -102,7 +102,7 @@ export class Splatting {
     this.#framebuffer = gl.createFramebuffer()
   }
 
-  // A device that was taken away draws nothing any more.
+  // A lost device renders nothing.
   get lost() { return this.#gl.isContextLost() }
 
   #program(vertex, fragment) {
@@ -119,7 +119,7 @@ export class Splatting {
     return program
   }
 
-  // Takes the Gaussians of a file, as `gaussians` gives them, with the blend that `info` tells and the canvas's colour space.
+  // Sets the Gaussians of a file, as returned by `gaussians`, the blend from `info`, and the colour space of the canvas.
   load(all, blend, colorSpace = "srgb") {
     const gl = this.#gl, scene = this.#scene = new Scene(all, blend)
     for (const program of [this.#splats, this.#resolve]) gl.deleteProgram(program)
@@ -140,7 +140,8 @@ export class Splatting {
     this.#size = []
   }
 
-  // Whether a view can be drawn: `step` pixels of the picture are a pixel of the canvas, whose corner lies at (left, top).
+  // Returns whether a view can be rendered. One pixel of the canvas is `step` pixels of the picture; the corner of the canvas is at (left,
+  // top).
   can(view) {
     return !!this.#scene && !this.lost && this.#scene.allows(view, this.#gl.getParameter(this.#gl.MAX_TEXTURE_SIZE))
   }
@@ -164,7 +165,7 @@ export class Splatting {
     gl.drawBuffers(targets)
   }
 
-  // Draws a view for which `can` is true to the canvas.
+  // Renders a view, for which `can` returned true, to the canvas.
   draw({ left, top, step, width, height }) {
     const gl = this.#gl, { count, sides, background } = this.#scene
     this.#resize(width, height)
@@ -201,7 +202,7 @@ export class Splatting {
     gl.drawArrays(gl.TRIANGLES, 0, 3)
   }
 
-  // RGBA of what was drawn last, from the upper row on.
+  // Returns the last rendered view as RGBA, top row first.
   pixels() {
     const [width, height] = this.#size, gl = this.#gl, upside = new Uint8Array(4 * width * height), rgba = new Uint8ClampedArray(upside.length)
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, upside)

@@ -1,7 +1,7 @@
-// The viewer: shows a file, given by drop, paste, dialogue or ?file=URL, at any zoom, beside its original (?original=URL). A picture of
-// another format is encoded here, and shown beside what became of it.
-// What is seen is drawn at the screen's pixels: by WebGPU or WebGL2 where they can, else by the decoder. With ?draw=webgpu, webgl or
-// decoder it is that one, or the decoder.
+// The viewer: shows a file at any zoom, with its original (?original=URL). The file is dropped, pasted, chosen or given by ?file=URL.
+// Pictures in other formats are encoded here and shown with the result. The visible part is rendered at the screen's resolution, with
+// WebGPU or WebGL2 if they support it, otherwise with the decoder. ?draw=webgpu, webgl or decoder selects one of them, with the decoder as
+// a fallback.
 import { Decoder, colorSpace } from "../ssplat.js"
 import { Camera, times } from "./camera.js"
 import { facts, size, summary } from "./facts.js"
@@ -12,23 +12,23 @@ import { Splatting } from "./splatting.js"
 import { WebGpuSplatting } from "./webgpu.js"
 
 const get = id => document.getElementById(id)
-// What a page of one file holds in itself (`ssplat view --html`).
+// Data that is embedded in a page of one file (`ssplat view --html`).
 const held = id => get(id) && Uint8Array.from(atob(get(id).textContent), c => c.charCodeAt(0))
 const stage = get("stage"), picture = get("picture"), overlay = get("overlay")
 const asked = new URLSearchParams(location.search)
 const decoder = get("held-module") ? new Decoder({ module: held("held-module") }) : new Decoder({ worker: true })
 const samples = [["parrots", "Parrots"], ["motocross", "Motocross"], ["portrait", "Portrait"]]
 let file, info, all, original
-// What lies on the stage: width, height, and whether it can be seen through. The file, or the picture of which one is being made.
+// The picture on the stage: width, height, and whether it is transparent. It is the file, or the picture that is being encoded.
 let shape
-// What colours the Gaussians, for each choice that there is.
+// The values that colour the Gaussians, for each choice.
 let tones = {}
-// Draws on the graphics device; nothing where there is none that can, and until one is found.
+// The renderer on the graphics device; undefined if there is none, and until it is found.
 let device
-// What was decoded last: a canvas and the part of the picture that it shows.
+// The last decoded view: a canvas and the part of the picture that it shows.
 let drawn
 let busy = false, stale = false
-// Where the border to the original is, in hundredths of the stage.
+// Position of the border to the original, in percent of the stage.
 let border = 50
 const camera = new Camera(stage, () => show())
 
@@ -36,11 +36,11 @@ const chosen = name => document.querySelector(`input[name=${name}]:checked`).val
 function choose(name, value) {
   document.querySelector(`input[name=${name}][value=${value}]`).checked = true
 }
-// What is drawn of the detail layer; "off" where there is none.
+// How the detail layer is rendered; "off" if there is none.
 const layer = () => info?.detail ? chosen("layers") : "off"
 const pressed = id => get(id).ariaPressed == "true"
 
-// Words in the middle of the page: what is wrong, and what was found instead. `code` is set in letters of one width.
+// Shows a message in the middle of the page. `code` is shown in a monospaced font.
 function tell(title, words, code = "") {
   const [first, second] = get("message").querySelectorAll("p")
   get("message").querySelector("h2").textContent = title
@@ -57,7 +57,7 @@ function dismiss() {
   if (!shape) welcome()
 }
 
-// The page before there is a file: what this is, and three to try.
+// Shows the start page, with three samples.
 async function welcome() {
   get("empty").hidden = false
   if (get("samples").children.length > 1) return
@@ -77,11 +77,11 @@ async function welcome() {
     get("samples").append(...cards)
     get("samples").hidden = false
   } catch {
-    // A server of the viewer need not have them.
+    // The samples are optional on a server.
   }
 }
 
-// Puts something of a size onto the stage, and takes the rest away.
+// Shows a picture of this size on the stage, and hides everything else.
 function occupy(next, name) {
   shape = next
   get("name").textContent = document.title = name
@@ -90,7 +90,7 @@ function occupy(next, name) {
   stage.classList.remove("vacant")
 }
 
-// Shows a file; one that was made here, of the picture `made`, where the last one is.
+// Shows a file. A file that was encoded here from the picture `made` keeps the position of the previous one.
 async function open(bytes, name, made, originalBytes) {
   get("wait").hidden = !!made
   try {
@@ -124,8 +124,8 @@ async function open(bytes, name, made, originalBytes) {
   }
 }
 
-// A file that was dropped, chosen or asked for: a .ssplat file is shown. Another picture is encoded; but one that is dropped onto a file,
-// or chosen as its original, is compared with it.
+// Handles a file that was dropped, chosen or requested. An .ssplat file is shown. Another picture is encoded, unless it was dropped onto a
+// file or chosen as its original; then it is compared with the file.
 async function take(buffer, name, isOriginal = !!info && !isMade()) {
   const bytes = new Uint8Array(buffer)
   if (isOurs(bytes)) return open(bytes, name)
@@ -134,13 +134,13 @@ async function take(buffer, name, isOriginal = !!info && !isMade()) {
   if (isOriginal) {
     const image = await createImageBitmap(new Blob([bytes])).catch(() => undefined)
     if (image) return compareWith(image)
-    return tell(`${name} cannot be compared with`, `It is ${kind ?? "of a kind that is not known here"}. The original is a picture that this browser can show.`, start && `It begins with ${start}`)
+    return tell(`${name} cannot be compared with`, `It is ${kind ?? "of an unknown kind"}. The original is a picture that this browser can show.`, start && `It begins with ${start}`)
   }
   const advice = isPicture(bytes) ? ` The program makes one of it: ssplat encode ${name} ${name.replace(/\.[^.]*$/, "")}.ssplat` : ""
-  tell(`${name} is neither a picture nor an .ssplat file`, `It is ${kind ?? "of a kind that is not known here"}.${advice}`, start && `It begins with ${start}; an .ssplat file with 89 53 53 50`)
+  tell(`${name} is neither a picture nor an .ssplat file`, `It is ${kind ?? "of an unknown kind"}.${advice}`, start && `It begins with ${start}; an .ssplat file with 89 53 53 50`)
 }
 
-// What the Gaussians can be coloured by, and what is seen beside the picture.
+// Updates the available colourings of the Gaussians and the controls.
 function offer() {
   for (const choice of document.querySelectorAll("input[name=colours]")) choice.disabled = choice.value != "own" && !tones[choice.value]
   if (chosen("colours") != "own" && !tones[chosen("colours")]) choose("colours", "own")
@@ -155,14 +155,14 @@ function offer() {
   show()
 }
 
-// Takes a picture to compare with, or none.
+// Sets or removes the picture for comparison.
 async function compareWith(picture, sides = "both") {
   original = picture
   delete tones.error
   choose("sides", sides)
   offer()
   if (!picture) return
-  // Errors are seen as well in a picture of this width.
+  // A picture of this width is sufficient to show errors.
   const from = file, width = Math.min(info.width, 1024), decoded = await decoder.decode(file, { width }).catch(error => console.error(error))
   if (!decoded || from != file || original != picture) return
   const canvas = new OffscreenCanvas(decoded.width, decoded.height), context = canvas.getContext("2d", { colorSpace: decoded.colorSpace })
@@ -172,10 +172,10 @@ async function compareWith(picture, sides = "both") {
   offer()
 }
 
-// Where the picture is in the canvas: pixels of the canvas a pixel of the picture, and its corner.
+// Returns the position of the picture in the canvas: canvas pixels per picture pixel, and its corner.
 const place = () => [camera.zoom, camera.left, camera.top].map(v => v * devicePixelRatio)
 
-// Has what is seen drawn with the screen's next picture, and says it.
+// Schedules rendering for the next frame, and announces the view.
 let waiting = false
 function show() {
   if (!shape) return
@@ -189,7 +189,7 @@ function show() {
   waiting = true
 }
 
-// Squares under what can be seen through.
+// Draws a chequerboard under transparent pictures.
 let board
 function pattern(context) {
   if (!board) {
@@ -212,7 +212,7 @@ function paint() {
   const context = picture.getContext("2d"), [k, x, y] = place(), { width, height } = picture
   context.clearRect(0, 0, width, height)
   const view = { left: -x / k, top: -y / k, step: 1 / k, width, height }
-  // A device draws Gaussians, not the detail layer.
+  // The graphics device renders only Gaussians, not the detail layer.
   const byDevice = !!info && layer() == "off" && (device?.can(view) ?? false)
   stage.dataset.drawn = byDevice ? device.name : "decoder"
   if (byDevice) {
@@ -228,7 +228,7 @@ function paint() {
     context.beginPath()
     context.rect(from, 0, width - from, height)
     context.clip()
-    // Its pixels are seen where they are enlarged so far that the eye would find them.
+    // Pixels are shown as squares if they are enlarged enough to be visible.
     context.imageSmoothingEnabled = k * shape.width < 3 * original.width
     context.imageSmoothingQuality = "high"
     context.clearRect(0, 0, width, height)
@@ -249,13 +249,13 @@ function paint() {
   else redraw()
 }
 
-// One decoding at a time; when it is done, the next of what is seen by then.
+// Decodes one view at a time, and then the view that is current by then.
 async function redraw() {
   if (busy) return stale = true
   if (!file) return
   const region = camera.visible(), from = file, scale = camera.zoom * devicePixelRatio
   if (!region) return
-  // At a high zoom a pixel of the picture is wider than the stage: its samples are bounded, the browser enlarges the rest.
+  // At a high zoom, a pixel of the picture is larger than the stage. The number of samples is bounded, and the browser scales the result.
   const width = Math.max(1, Math.min(Math.round(region[2] * scale), 4096)), height = Math.max(1, Math.min(Math.round(region[3] * scale), 4096))
   const detail = layer(), key = [...region, width, height, detail].join()
   if (drawn?.key == key && drawn.from == from) return
@@ -284,7 +284,7 @@ function toggle() {
   get("ellipses").ariaPressed = String(!pressed("ellipses"))
   offer()
 }
-// The next of the choices that there are.
+// Selects the next available choice.
 function next(name) {
   const choices = [...document.querySelectorAll(`input[name=${name}]:enabled`)].map(choice => choice.value)
   choose(name, choices[(choices.indexOf(chosen(name)) + 1) % choices.length])
@@ -294,7 +294,7 @@ function moveBorder(to) {
   border = Math.min(Math.max(to, 0), 100)
   show()
 }
-// The original alone, and the file alone again.
+// Switches between the original alone and the file alone.
 function flip() {
   if (!original) return
   choose("sides", chosen("sides") == "original" ? "file" : "original")
@@ -313,7 +313,7 @@ function back() {
   else if (maker?.busy) maker.cancel()
 }
 
-// The controls of the encoder: there while a picture is encoded or was; they can be tucked away.
+// Shows the controls of the encoder if a picture is or was encoded; they can be collapsed.
 const isMade = () => !get("settings").hidden
 function settings(there = false) {
   get("settings").hidden = !there
@@ -324,14 +324,14 @@ function tuck(away) {
   get("settings").ariaExpanded = String(!away)
   if (!away) panel(false)
 }
-// What the sides of the border are.
+// Labels the sides of the border.
 function label(ours = "", theirs = "") {
   const [left, right] = get("border").querySelectorAll("span")
   left.textContent = `ssplat${ours}`
   right.textContent = `original${theirs}`
 }
 
-// What the maker has of this page. The page of one file has no encoder.
+// The interface of this page for the maker. The page of one file has no encoder.
 const maker = get("held-file") ? undefined : new Maker({
   stage(bitmap, name, alpha) {
     ;[file, info, all, drawn] = []
@@ -354,21 +354,21 @@ const maker = get("held-file") ? undefined : new Maker({
   },
 })
 
-// What each key does, in the order in which they are shown, and whether that needs a file.
+// The keys and their actions, in the order in which they are shown, and whether they also work without a file.
 const keys = [
-  [["+", "-"], "larger, smaller", { "+": () => camera.zoomBy(1.25), "=": () => camera.zoomBy(1.25), "-": () => camera.zoomBy(.8) }],
+  [["+", "-"], "zoom in, zoom out", { "+": () => camera.zoomBy(1.25), "=": () => camera.zoomBy(1.25), "-": () => camera.zoomBy(.8) }],
   [["←", "→", "↑", "↓"], "move", { ArrowLeft: () => camera.move(64, 0), ArrowRight: () => camera.move(-64, 0), ArrowUp: () => camera.move(0, 64), ArrowDown: () => camera.move(0, -64) }],
   [["0"], "fit the window", { 0: () => camera.fit() }],
-  [["1"], "pixel for pixel", { 1: () => camera.actual() }],
+  [["1"], "actual size", { 1: () => camera.actual() }],
   [["G"], "Gaussians as ellipses", { g: toggle }],
-  [["L"], "the picture, its Gaussians, its detail in turn", { l: () => info.detail && next("layers") }],
-  [["C"], "their colours: own, bits, error", { c: () => pressed("ellipses") && next("colours") }],
-  [["X"], "flip between the file and its original", { x: flip }],
-  [["S"], "side by side, file, original in turn", { s: () => original && next("sides") }],
+  [["L"], "cycle through picture, Gaussians and detail", { l: () => info.detail && next("layers") }],
+  [["C"], "colour Gaussians by colour, bits or error", { c: () => pressed("ellipses") && next("colours") }],
+  [["X"], "switch between the file and its original", { x: flip }],
+  [["S"], "cycle through side by side, file and original", { s: () => original && next("sides") }],
   [["[", "]"], "move the border to the original", { "[": () => moveBorder(border - 5), "]": () => moveBorder(border + 5) }],
   [["I"], "facts about the file", { i: () => panel() }],
   [["E"], "size, quality and effort", { e: () => isMade() && tuck(!get("maker").hidden) }],
-  [["D"], "save the file that was made", { d: () => isMade() && get("save").click() }],
+  [["D"], "save the encoded file", { d: () => isMade() && get("save").click() }],
   [["O"], "open a file", { o: () => get("file").click() }, true],
   [["Esc"], "close", { Escape: back }, true],
   [["?"], "these keys", { "?": () => get("help").showModal() }, true],
@@ -382,7 +382,7 @@ for (const [names, words] of keys) {
 addEventListener("keydown", event => {
   const name = event.key.length == 1 ? event.key.toLowerCase() : event.key, deed = (info ? deeds : always)[name]
   if (event.ctrlKey || event.metaKey || event.altKey || !deed || get("help").open) return
-  // Arrows that choose, scroll or move the border are not the picture's.
+  // Arrow keys that select, scroll or move the border do not move the picture.
   if (/^(Arrow|[+-])/.test(name) && event.target.closest?.("input, aside, .middle")) return
   event.preventDefault()
   if (event.target == get("border") && /^Arrow(Left|Right)$/.test(name)) return moveBorder(border + (name == "ArrowLeft" ? -2 : 2))
@@ -396,7 +396,7 @@ for (const choice of document.querySelectorAll(".choices input")) choice.onchang
 for (const id of ["file", "original"]) get(id).onchange = async event => {
   const [chosen] = event.target.files
   if (chosen) await take(await chosen.arrayBuffer(), chosen.name, id == "original")
-  // So that the same one can be chosen again.
+  // Reset, so that the same file can be chosen again.
   event.target.value = ""
 }
 get("help").onclick = event => event.target == get("help") && get("help").close()
@@ -408,7 +408,7 @@ handle.addEventListener("pointermove", event => {
   if (event.buttons) moveBorder(100 * (event.clientX - left) / width)
 })
 
-// On a phone the facts are a sheet, which is drawn down.
+// On phones, the facts are a sheet that can be pulled down.
 let pulled
 get("grip").addEventListener("pointerdown", event => {
   get("grip").setPointerCapture(event.pointerId)
@@ -437,7 +437,7 @@ addEventListener("drop", async event => {
   event.preventDefault()
   get("drop").hidden = true
   const files = await Promise.all([...event.dataTransfer.files].map(async f => [await f.arrayBuffer(), f.name]))
-  // Of two at once, the .ssplat file comes first.
+  // If two files are dropped, the .ssplat file is handled first.
   files.sort(([, a], [, b]) => b.endsWith(".ssplat") - a.endsWith(".ssplat"))
   for (const [bytes, name] of files.slice(0, 2)) await take(bytes, name)
 })
@@ -451,10 +451,10 @@ new ResizeObserver(() => {
 async function fetched(url) {
   const name = url.split("/").pop(), response = await fetch(url).catch(error => ({ statusText: error.message }))
   if (response.ok) return take(await response.arrayBuffer(), name)
-  tell(`${name} is not there`, `The server says: ${response.status ?? ""} ${response.statusText}.`, url)
+  tell(`${name} was not found`, `The server says: ${response.status ?? ""} ${response.statusText}.`, url)
 }
 const draw = asked.get("draw"), takes = name => !draw || draw == name
-// Takes a device, for the file that may be there already.
+// Sets the device, and gives it the current file.
 function use(next) {
   device = next || takes("webgl") && Splatting.create() || undefined
   if (next) next.onlost = () => use()

@@ -1,10 +1,10 @@
-// Draws Gaussians by WebGPU where it adds 32-bit floats up, as splatting.js does by WebGL2.
+// Renders Gaussians with WebGPU if it can blend 32-bit floats, as splatting.js does with WebGL2.
 import { Scene, K, cut, epsilon, growth } from "./scene.js"
 
-// Of what is asked of the system: a page need not wait longer for it.
+// Maximum time to wait for answers of the system.
 const patience = 3000
 
-// A number for WGSL, which knows "1" as an integer.
+// Formats a number for WGSL, where "1" is an integer.
 const float = v => v.toExponential(9) + "f"
 
 const shared = `
@@ -25,7 +25,7 @@ struct Splat {
   var major = axis;
   var peak = 1f;
   if (view.growth > 0) {
-    // The axes of the covariance with the growth of both variances. Its determinant is a sum of what is positive.
+    // The axes of the covariance with the growth of both variances. Its determinant is a sum of positive terms.
     let v = s * s;
     let square = axis * axis;
     let xx = v.x * square.x + v.y * square.y;
@@ -46,7 +46,7 @@ struct Splat {
   }
   let minor = vec2f(-major.y, major.x);
   let centre = (mean - view.corner) / view.pace;
-  // A pixel more on all sides: corners are rounded to parts of one.
+  // One more pixel on each side, because corners are rounded to fractions of a pixel.
   let reach = ${float(K)} * s / view.pace + 1;
   let at = vec2f(f32(number & 1), f32(number >> 1)) * 2 - 1;
   let place = (centre + at.x * reach.x * major + at.y * reach.y * minor) / view.size * 2 - 1;
@@ -64,7 +64,7 @@ struct Sums { @location(0) sums: vec4f, ${alpha ? "@location(1) alphas: f32," : 
 const samples = ({ alpha, normalized }) => `${shared}
 @group(0) @binding(1) var sums: texture_2d<f32>;
 ${alpha ? "@group(0) @binding(2) var alphas: texture_2d<f32>;" : ""}
-// Canvases hold colours times alpha.
+// Canvases store premultiplied colours.
 override premultiplied: bool;
 @vertex fn place(@builtin(vertex_index) number: u32) -> @builtin(position) vec4f {
   return vec4f(vec2f(f32(number & 1), f32(number >> 1)) * 4 - 1, 0, 1);
@@ -99,7 +99,7 @@ export class WebGpuSplatting {
   #textures = []
   #size = []
 
-  // Nothing where no device adds 32-bit floats up. A device in software, which is slower than WebGL2, is taken only if `asked`.
+  // Returns nothing if no device can blend 32-bit floats. A software device, which is slower than WebGL2, is used only if `asked`.
   static async create(asked = false) {
     const late = new Promise(resolve => setTimeout(resolve, patience)), feature = "float32-blendable"
     const adapter = await Promise.race([navigator.gpu?.requestAdapter(), late]).catch(() => {})
@@ -115,7 +115,7 @@ export class WebGpuSplatting {
     this.#context = context
     this.#format = navigator.gpu.getPreferredCanvasFormat()
     this.#view = device.createBuffer({ size: 48, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST })
-    // A device that was taken away, or does what it should not, draws nothing any more.
+    // A device that is lost or reports an error renders nothing.
     device.lost.then(({ message }) => this.#lose(message))
     device.onuncapturederror = ({ error }) => this.#lose(error.message)
   }
@@ -127,7 +127,7 @@ export class WebGpuSplatting {
     this.onlost?.()
   }
 
-  // Takes the Gaussians of a file, as `gaussians` gives them, with the blend that `info` tells and the canvas's colour space.
+  // Sets the Gaussians of a file, as returned by `gaussians`, the blend from `info`, and the colour space of the canvas.
   load(all, blend, colorSpace = "srgb") {
     const device = this.#device, scene = this.#scene = new Scene(all, blend)
     this.#buffers.forEach(b => b.destroy())
@@ -154,12 +154,13 @@ export class WebGpuSplatting {
     this.#size = []
   }
 
-  // Formats of the sums: colours and weights, and alphas where there are any.
+  // Formats of the sums: colours and weights, and alpha if there is any.
   #targets() {
     return this.#scene.alpha ? ["rgba32float", "r32float"] : ["rgba32float"]
   }
 
-  // Whether a view can be drawn: `step` pixels of the picture are a pixel of the canvas, whose corner lies at (left, top).
+  // Returns whether a view can be rendered. One pixel of the canvas is `step` pixels of the picture; the corner of the canvas is at (left,
+  // top).
   can(view) {
     return !!this.#scene && !this.lost && this.#scene.allows(view, this.#device.limits.maxTextureDimension2D)
   }
@@ -185,7 +186,7 @@ export class WebGpuSplatting {
     pass.end()
   }
 
-  // Draws a view for which `can` is true to the canvas.
+  // Renders a view, for which `can` returned true, to the canvas.
   draw({ left, top, step, width, height }) {
     const { count, sides, background } = this.#scene
     this.#resize(width, height)
@@ -199,7 +200,7 @@ export class WebGpuSplatting {
     this.#device.queue.submit([encoder.finish()])
   }
 
-  // RGBA of what was drawn last, from the upper row on.
+  // Returns the last rendered view as RGBA, top row first.
   async pixels() {
     const [width, height] = this.#size, device = this.#device, bytesPerRow = Math.ceil(4 * width / 256) * 256
     const texture = device.createTexture({ size: [width, height], format: straight, usage: GPUTextureUsage.RENDER_ATTACHMENT | GPUTextureUsage.COPY_SRC })

@@ -79,7 +79,7 @@ fn gaussian_image(arrays: &BTreeMap<String, Array>, given: Given) -> Result<(Par
     };
     Ok((
         Parameters { picture, depth: Depth::Eight, stored: None },
-        "GaussianImage cuts a Gaussian off where it is below 1/255; here it fades to nothing at 3.5 scales",
+        "GaussianImage cuts off a Gaussian where it is below 1/255; ssplat fades it out up to 3.5 scales",
     ))
 }
 
@@ -111,7 +111,7 @@ fn image_gs(arrays: &BTreeMap<String, Array>, given: Given) -> Result<(Parameter
     };
     Ok((
         Parameters { picture, depth: Depth::Eight, stored: None },
-        "Image-GS weighs the ten largest Gaussians at a pixel; here all count, so the picture is not quite the same",
+        "Image-GS blends the ten largest Gaussians at each pixel and ssplat blends all, so the picture differs slightly",
     ))
 }
 

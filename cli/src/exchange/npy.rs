@@ -113,7 +113,7 @@ pub fn read(mut file: impl Read, rows: u64, left: &mut u64) -> Result<Array, Pro
         end(&mut file)?;
         let code = |c: &[u8]| char::from_u32(u32::from_le_bytes([c[0], c[1], c[2], c[3]]));
         let text: Option<String> = data.chunks_exact(4).map(code).collect();
-        let text = text.ok_or("has a text that is none")?.trim_end_matches('\0').to_owned();
+        let text = text.ok_or("has text that is not valid Unicode")?.trim_end_matches('\0').to_owned();
         return Ok(Array { shape, values: Values::Text(text) });
     }
     Problem::limit("rows", shape.first().map_or(1, |&side| side as u64), rows)?;
@@ -164,7 +164,7 @@ fn fill(file: &mut impl Read, to: &mut [u8]) -> Result<(), Problem> {
 fn end(file: &mut impl Read) -> Result<(), Problem> {
     match file.read(&mut [0]) {
         Ok(0) => Ok(()),
-        Ok(_) => Err("goes on after its elements".into()),
+        Ok(_) => Err("has data after its elements".into()),
         Err(e) => Err(format!("ends badly: {e}").into()),
     }
 }
@@ -234,7 +234,7 @@ mod tests {
             (with("(2, 3)", "(2,-3)"), "shape"),
             (with("'descr'", "'escrd'"), "descr"),
             (with("(2, 3), ", "(2, 9), "), "of 18 elements: ends too early"),
-            (with("(2, 3), ", "(2, 2), "), "goes on after"),
+            (with("(2, 3), ", "(2, 2), "), "has data after"),
             (with("(2, 3), ", "(9999999999999, 9999999999999), "), "rows 9999999999999 is more than the 1000"),
             (with("(2, 3), ", "(9, 99999999999999999999), "), "shape"),
             (with("(2, 3), ", "(9, 99999999999, 9), "), "bytes of memory 64799999999352 is more than the 1000"),

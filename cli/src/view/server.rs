@@ -57,7 +57,7 @@ pub fn run(file: Option<Shown>, original: Option<Shown>, opens: Opens) -> Result
     let url = format!("http://{}{start}", hosts[0]);
     let served = Served { file, original, hosts, start };
     say(&format!("{url}\n"))?;
-    eprintln!("ssplat: the page is there until this program ends, by Ctrl-C");
+    eprintln!("ssplat: serving the page until Ctrl-C");
     if let Opens::Browser = opens {
         // Opening a browser may take a while.
         thread::spawn(move || {

@@ -1,4 +1,4 @@
-//! Ablation study: from SmartSplat's pipeline to ours, one change at a time, in files of the same size.
+//! Ablation study: from SmartSplat's pipeline to that of ssplat, one change at a time, in files of the same size.
 
 use std::fmt::Write as _;
 use std::fs::File;
@@ -26,8 +26,8 @@ struct Step {
     tune: Tune,
 }
 
-/// Returns all steps, from the paper's pipeline to ours. The last two are not part of the sequence; each changes ours
-/// in one respect.
+/// Returns all steps, from the paper's pipeline to that of ssplat. The last two are not part of the sequence; each
+/// changes one property of ssplat.
 fn steps() -> Vec<Step> {
     let paper = Recipe::SmartSplat(Ablation::Colors);
     let step = |name, recipe, rung| Step {
@@ -140,8 +140,10 @@ pub fn run(args: &BenchMethods) -> std::result::Result<(), Failure> {
 /// Returns the page: a table of means over pictures and seeds for each ratio.
 fn markdown(args: &BenchMethods, pictures: &[String], steps: &[Step], found: &[Vec<OfPictures>]) -> String {
     let seeds: Vec<String> = args.seeds.iter().map(u64::to_string).collect();
-    let mut out =
-        format!("# From SmartSplat's pipeline to ours\n\n```sh\n{}\n```\n\n", page::command(std::env::args()));
+    let mut out = format!(
+        "# From SmartSplat's pipeline to that of ssplat\n\n```sh\n{}\n```\n\n",
+        page::command(std::env::args())
+    );
     let _ = writeln!(
         out,
         "Pictures: {}. Seeds {}. Effort {}.\n\

@@ -16,7 +16,7 @@ Examples:
   ssplat-lab bench-methods kodim*.png --out methods --ablation --ratios 50 --effort 3
 
 Each method fits the same number of Gaussians: that of the ratio at 7 bytes for each, as SmartSplat's
-paper counts. Then each gets a file of as many bytes as the ratio has: ours and SmartSplat by the encoder, the others
+paper counts. Then each gets a file of as many bytes as the ratio has: those of ssplat and SmartSplat by the encoder, the others
 by import of their Gaussians. Writes methods.md, methods.csv and convergence.svg into the folder.";
 
 /// Names of the methods.
@@ -60,7 +60,7 @@ pub struct BenchMethods {
     /// Seeds
     #[arg(long, value_name = "N,...", value_delimiter = ',', default_values_t = [0, 1, 2])]
     pub seeds: Vec<u64>,
-    /// Iterations of the other methods, or `published` for the number of each method's own program; ours and
+    /// Iterations of the other methods, or `published` for the number of each method's own program; ssplat and
     /// SmartSplat run as the effort determines
     #[arg(long, value_name = "N|published", default_value = "1000", value_parser = Iterations::parse)]
     pub iterations: Iterations,
@@ -73,10 +73,10 @@ pub struct BenchMethods {
     /// Measure only these methods: ssplat, smartsplat, or a name in the table
     #[arg(long, value_name = "NAME,...", value_delimiter = ',', value_parser = NAMES)]
     pub methods: Vec<String>,
-    /// Effort of ours and SmartSplat
+    /// Effort of ssplat and SmartSplat
     #[arg(long, value_name = "LEVEL", default_value_t = 5, value_parser = clap::value_parser!(u8).range(1..=9))]
     pub effort: u8,
-    /// Measure the ablation from SmartSplat's pipeline to ours instead; writes ablation.md and ablation.csv
+    /// Measure the ablation from SmartSplat's pipeline to that of ssplat instead; writes ablation.md and ablation.csv
     #[arg(long, conflicts_with_all = ["counts", "iterations", "at_most", "rates", "methods"])]
     pub ablation: bool,
     /// Reduce pictures whose longer side has more pixels

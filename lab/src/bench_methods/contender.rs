@@ -33,7 +33,7 @@ pub struct Setup {
 pub struct Measured {
     /// PSNR of the floats before rounding to code values, dB.
     pub float_psnr: Option<f64>,
-    /// MS-SSIM of the picture as the method itself renders it; not available for ours and SmartSplat.
+    /// MS-SSIM of the picture as the method itself renders it; not available for ssplat and SmartSplat.
     pub ms_ssim: Option<f64>,
     /// Seconds of the fit.
     pub seconds: f64,

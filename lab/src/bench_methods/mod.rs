@@ -1,4 +1,4 @@
-//! `ssplat-lab bench-methods`: compares published methods with ours, at the same number of Gaussians and at the same
+//! `ssplat-lab bench-methods`: compares published methods with ssplat, at the same number of Gaussians and at the same
 //! file size.
 
 mod ablation;

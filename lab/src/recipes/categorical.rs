@@ -1,5 +1,5 @@
-//! Codes symbols by their frequency with our range coder, in place of the one in `compress_matrix_flatten_categorical`
-//! of GaussianImage's program, and with the table that its `analysis` counts.
+//! Codes symbols by their frequency with the range coder of ssplat, instead of the one in
+//! `compress_matrix_flatten_categorical` of GaussianImage's program, and with the table that its `analysis` counts.
 
 use ssplat::unstable::bitstream::coder::range::{Coder, Cumulative, Encoder};
 

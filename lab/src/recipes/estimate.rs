@@ -1,4 +1,4 @@
-//! Estimates the size of Gaussians that our files cannot store: numbers on uniform grids, at the entropy of their
+//! Estimates the size of Gaussians that the format cannot store: numbers on uniform grids, at the entropy of their
 //! codes.
 //!
 //! It is a lower bound for coders of this order: neither the tables of the codes nor a header are included. Positions

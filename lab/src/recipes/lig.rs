@@ -11,8 +11,8 @@
 //! published; the rate would fall only after 70 000.
 //!
 //! `Σ` need not be positive definite, and more than half of the random ones are not. As in the published program, such
-//! a Gaussian is drawn where its `σ` is not negative (`blended.rs`). Our files cannot store it; there, its second axis
-//! has the minimum scale.
+//! a Gaussian is drawn where its `σ` is not negative (`blended.rs`). The format cannot store it; in a file, its second
+//! axis has the minimum scale.
 //!
 //! Difference from the published program: at the limit of 0.999, gradients use 0.999 and not 0.99.
 

@@ -68,7 +68,7 @@ impl Method {
         Method::Splatting3dFixed,
     ];
 
-    /// Tells whether our files do not support its blend, so that its size is an estimate.
+    /// Tells whether the format does not support its blend, so that its size is an estimate.
     #[must_use]
     pub fn is_estimated(self) -> bool {
         matches!(self, Method::Splatting3d | Method::Splatting3dFixed)
@@ -112,7 +112,7 @@ pub struct Options {
     pub seed: u64,
     /// Maximum number of points in the trace.
     pub trace: u32,
-    /// Size of the estimate for blends that our files do not support; `None` for no estimate.
+    /// Size of the estimate for blends that the format does not support; `None` for no estimate.
     pub bytes: Option<u64>,
     /// Iterations of GaussianImage's second stage, with quantizers in the loop; 0 to only round the numbers.
     pub second_stage: u32,
@@ -156,8 +156,8 @@ pub struct Fit {
 pub struct Counted {
     /// Bytes.
     pub bytes: u64,
-    /// Size in bytes if the program can also code its numbers, including its tables, with our coder; `None` if it
-    /// cannot.
+    /// Size in bytes if the program can also code its numbers, including its tables, with the coder of ssplat; `None`
+    /// if it cannot.
     pub coded: Option<u64>,
     /// PSNR of the picture that the method renders from the rounded numbers, before rounding to code values, dB.
     pub psnr: f64,

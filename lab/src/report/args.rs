@@ -34,7 +34,7 @@ pub struct Report {
     /// Efforts; ratios and recipes are compared at the middle one
     #[arg(long, value_name = "N,...", value_delimiter = ',', value_parser = clap::value_parser!(u8).range(1..=9), default_value = "3,5,7")]
     pub efforts: Vec<u8>,
-    /// Recipes to compare with ours
+    /// Recipes to compare with that of ssplat
     #[arg(long, value_enum, default_value_t = Recipes::All)]
     pub recipes: Recipes,
     /// Number of pictures, from the first on, for which SmartSplat runs; its fits take by far the longest [default:

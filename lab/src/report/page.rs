@@ -31,7 +31,7 @@ pub struct Contents<'a> {
 
 const STYLE: &str = include_str!("page.css");
 
-/// Colours of the codecs, in order of occurrence; 0 is ours.
+/// Colours of the codecs, in order of occurrence; 0 is ssplat.
 fn codec_colors(anchors: &[Anchor]) -> BTreeMap<&str, usize> {
     let mut colors = BTreeMap::new();
     for a in anchors {

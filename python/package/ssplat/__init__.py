@@ -4,9 +4,9 @@
     data = ssplat.encode("photo.png", ratio=50)    # bytes of a file
     pixels = ssplat.decode(data)                   # numpy array
 
-With Pillow installed, ``Image.open("x.ssplat")`` and ``image.save("x.ssplat", ratio=50)`` work once this module is
-imported. All functions release the interpreter's lock, may be called from any thread, and work in forked and spawned
-processes. What goes wrong is a subclass of :class:`Error`; see :mod:`ssplat.errors`.
+If Pillow is installed, ``Image.open("x.ssplat")`` and ``image.save("x.ssplat", ratio=50)`` work once this module is
+imported. All functions release the GIL, may be called from any thread, and work in forked and spawned processes. Errors
+are subclasses of :class:`Error`; see :mod:`ssplat.errors`.
 """
 
 from __future__ import annotations

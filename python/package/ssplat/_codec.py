@@ -1,4 +1,4 @@
-"""Pictures to files and back."""
+"""Encoding and decoding of pictures."""
 
 from __future__ import annotations
 
@@ -54,53 +54,57 @@ def encode(
 
     Args:
         image: an array of uint8 or uint16 with shape (height, width) or (height, width, 1 to 4 channels: grey, grey and
-            alpha, RGB, RGBA); a Pillow image; or a picture that Pillow can open: its path, its bytes or a file. The samples are copied
-            once, so the array may change meanwhile. An array that is not contiguous or not in native byte order is
-            copied once more. Other types are a ParameterError. Of a ``numpy.memmap`` with ``tiles`` only the parts at work
-            are in memory.
-        ratio: bytes of the samples with 8 bits each over bytes of the file. 50 when nothing else is asked for.
-        bytes: largest size of the file.
-        psnr: PSNR to reach, dB; the smallest file found that does. With ``time`` the best file so far, and a QualityWarning if it
-            has less.
+            alpha, RGB, RGBA); a Pillow image; or a picture that Pillow can open, as a path, bytes or an open file. The
+            samples are copied once, so the array may change in the meantime. An array that is not contiguous or not in
+            native byte order is copied once more. Other types raise a ParameterError. A ``numpy.memmap`` with ``tiles``
+            is read in parts.
+        ratio: bytes of the samples at 8 bits each, divided by bytes of the file. 50 if no target is given.
+        bytes: maximum size of the file.
+        psnr: PSNR to reach, dB. The result is the smallest file found that reaches it. If ``time`` runs out first, the
+            result is the best file so far, with a QualityWarning.
         primitives: number of Gaussians.
-        quality: as eyes see it, 0 to 100: the SSIMULACRA2 score that the file shall have, within half a point; about 30, 50,
-            70 and 90 for low, medium, high and very high quality. It takes up to six tries. A QualityWarning says where it
-            is missed. At most one of these five.
+        quality: perceptual quality to reach, 0 to 100: the SSIMULACRA2 score of the file, within half a point. Low,
+            medium, high and very high quality are about 30, 50, 70 and 90. The search takes up to six tries. A
+            QualityWarning is issued if the score is not reached. At most one of these five targets may be given.
         effort: 1 to 9.
-        time: wall-clock budget, seconds; the best state reached by then is written.
-        progress: called with a stage's name and the share of it that is done, 0 to 1, in this thread. It stops the
-            encode by raising, or by returning False, which raises a CancelledError.
-        seed: of everything random.
-        threads: how many to use; None: one for each core.
-        levels: 1 to 8 progressive levels; a file that is cut after one is a coarser picture.
-        tiles: side of the tiles that the picture is fitted in, pixels: a multiple of 128. It bounds the memory of a large
-            one. None: only pictures above 268 megapixels are, in tiles of 2048.
-        thumbnail: the most bytes that a small version of the picture may take in the file. ``"auto"``: a hundredth of
-            files of 100 000 bytes and more, at most 4000. None: there is none.
-        detail: whether the file has a detail layer, a transform of what the Gaussians leave: ``auto``, where it pays; ``off``; or the
-            share of the bytes that the Gaussians get, above 0 and below 1.
-        tune: the measure to favour: PSNR, SSIM, or ``iq``, what eyes see. None: ``iq``, but ``psnr`` with ``psnr=``.
-        layout: how the integers become bytes.
-        blend: how primitives blend; None: normalized.
-        needs: whether to look for what can be left out of the fit.
-        backend: the device; only a build with the feature ``gpu`` has another than the CPU.
-        metadata: what of the picture's own metadata the file carries: ``needed``, the ICC profile and the orientation;
-            ``all`` of the EXIF block, with time and place; ``icc``; or ``none``. They count as the file's bytes.
-        icc_profile: profile to carry whatever ``metadata`` says; None: none.
-        exif: EXIF block to carry whatever ``metadata`` says, with or without ``Exif\\0\\0`` before it; None: none.
-        keep_hidden: keep the colours of pixels of alpha 0. By default they are replaced by a continuation of the visible
-            colours, which takes fewer bytes.
-        start: has others work on the tiles. It is called in this thread with the bytes of a task, hands them to a worker who
-            calls :func:`work_on_tile` on them, and returns a function that waits for the answer: with a pool of
-            ``concurrent.futures``, ``lambda task: pool.submit(ssplat.work_on_tile, task).result``. The file is the same
-            as without. What it raises stops the encode.
-        at_once: how many tasks may be out, each with the pixels of a tile: enough to keep all workers busy.
+        time: wall-clock budget, seconds. When it runs out, the best state so far is written.
+        progress: callback that receives the name of a stage and the fraction of it that is done, 0 to 1. It is called
+            in this thread. It stops the encode by raising an exception, or by returning False, which raises a
+            CancelledError.
+        seed: seed of all random numbers.
+        threads: number of threads; None: one per core.
+        levels: number of progressive levels, 1 to 8. A file that is truncated after a level is a coarser picture.
+        tiles: side of the tiles in which the picture is fitted, pixels, a multiple of 128. Tiles bound the memory for
+            large pictures. None: pictures above 268 megapixels are fitted in tiles of 2048, others as a whole.
+        thumbnail: maximum size of the thumbnail in the file, bytes. ``"auto"``: a hundredth of the file, at most 4000,
+            in files of at least 100 000 bytes. None: no thumbnail.
+        detail: whether the file has a detail layer, the transform-coded residual of the Gaussians. ``auto``: if the
+            file gains by it; ``off``: never; or the share of the bytes for the Gaussians, above 0 and below 1.
+        tune: the measure to favour: ``psnr``, ``ssim`` or ``iq`` (perceptual quality). None: ``iq``, or ``psnr`` if the
+            target is ``psnr``.
+        layout: encoding of the integers.
+        blend: how the Gaussians are blended; None: normalized.
+        needs: whether the encoder measures which parts of the fit the picture needs.
+        backend: the device. Only a build with the feature ``gpu`` supports devices other than the CPU.
+        metadata: the metadata of the picture to store: ``needed``, the ICC profile and the orientation; ``all``, also
+            the rest of the EXIF block, including time and location; ``icc``, only the ICC profile; or ``none``.
+            Metadata counts towards the size of the file.
+        icc_profile: profile to store, regardless of ``metadata``; None: none.
+        exif: EXIF block to store, regardless of ``metadata``, with or without a leading ``Exif\\0\\0``; None: none.
+        keep_hidden: keep the colours of pixels of alpha 0. By default they are replaced by a continuation of the
+            visible colours, which takes fewer bytes.
+        start: starts the work on a tile elsewhere. It is called in this thread with the bytes of a task. It passes them
+            to a worker, which calls :func:`work_on_tile`, and returns a function that waits for the result. With a pool
+            of ``concurrent.futures``, it is ``lambda task: pool.submit(ssplat.work_on_tile, task).result``. The file is
+            the same as without ``start``. An exception stops the encode.
+        at_once: maximum number of unfinished tasks, which should keep all workers busy. Each holds the pixels of a
+            tile.
 
     Raises:
-        ParameterError: an argument is out of range, the size cannot hold the picture, or an answer to a task is none; then
-            the text names the tile.
+        ParameterError: an argument is out of range, the size cannot hold the picture, or the result of a task is
+            invalid; in this case, the message names the tile.
         CancelledError: ``progress`` returned False.
-        KeyboardInterrupt: at once; the work ends at its next step.
+        KeyboardInterrupt: raised at once; the work in the background ends at its next step.
     """
     array, *own = source("image", image)
     own_profile, own_exif = _ssplat.carried(metadata, *own)
@@ -138,18 +142,19 @@ def encode(
 def work_on_tile(
     task: bytes, *, threads: int | None = None, progress: Callable[[str, float], object] | None = None
 ) -> bytes:
-    """Works on a tile for an :func:`encode` elsewhere that gave ``start`` a task. Equal tasks have equal answers.
+    """Processes a task that :func:`encode` passed to ``start``, possibly on another machine. Equal tasks have equal
+    results.
 
     Args:
-        task: the bytes that ``start`` was called with. They hold all that is needed, the pixels too.
-        threads: how many to use; None: one for each core.
+        task: the bytes with which ``start`` was called. They include the pixels.
+        threads: number of threads; None: one per core.
         progress: as for :func:`encode`; the stage is ``tile``.
 
     Returns:
-        The answer, for the encode.
+        The result, which the function returned by ``start`` must return.
 
     Raises:
-        ParameterError: these bytes are no task, or one of another version of this package.
+        ParameterError: the bytes are not a task of this version of the package.
         CancelledError: ``progress`` returned False.
     """
     return _ssplat.work_on_tile(task, threads, progress)
@@ -166,28 +171,29 @@ def decode(
     threads: int | None = None,
     limits: Mapping[str, int] | None = None,
 ) -> np.ndarray:
-    """Decodes a file, or the part of it that is asked for; of a large file little more than that part is read.
+    """Decodes a file, or a part of it. For a part of a large file, little more than that part is read.
 
     Args:
-        data: the file as bytes, its path, or a file that is open. Other buffers are copied, since they may change.
-        region: left, top, width and height of the part, pixels of the picture.
-        size: width and height of the output, pixels. Larger ones sample the continuous picture, smaller ones are
-            low-passed.
-        partial: of a damaged file, draw what is intact and warn with a PartialWarning. Files in groups, those of large pictures or
-            with several levels, and those with a detail layer have parts that stand alone.
-        detail: draw the detail layer, if the file has one; False: the Gaussians alone.
-        bits: bits of a sample; None: those of the source.
-        threads: how many to use; None: as many as are worth it.
-        limits: what the file may ask for, in place of the defaults: any of ``width``, ``height``, ``primitives``,
-            ``tile_pairs``, ``work``, ``overlap``, ``alloc`` and ``metadata``, as the library's Limits have them.
+        data: the file as bytes, a path or an open file. Other buffers are copied, because they may change.
+        region: left, top, width and height of the part, in pixels of the picture.
+        size: width and height of the output, pixels. A larger output samples the continuous picture; a smaller one is
+            low-pass filtered.
+        partial: decode the intact parts of a damaged file and issue a PartialWarning. Files in groups (large pictures
+            and several levels) and files with a detail layer have parts that can be decoded independently.
+        detail: render the detail layer, if the file has one; False: only the Gaussians.
+        bits: bits per sample; None: those of the source.
+        threads: number of threads; None: as many as are useful.
+        limits: limits for the file that replace the defaults: any of ``width``, ``height``, ``primitives``,
+            ``tile_pairs``, ``work``, ``overlap``, ``alloc`` and ``metadata``, which
+            ``Limits`` of the Rust library documents.
 
     Returns:
-        A new array of uint8 or uint16, (height, width) for grey, else (height, width, channels).
+        A new array of uint8 or uint16 with shape (height, width) for grey, otherwise (height, width, channels).
 
     Raises:
         FormatError: the file is broken.
-        UnsupportedVersionError: it is newer than this package.
-        LimitExceededError: it asks for too much.
+        UnsupportedVersionError: the file is newer than this package.
+        LimitExceededError: the file exceeds the limits.
         ParameterError: an argument is out of range.
     """
     options = {
@@ -205,23 +211,25 @@ def decode(
     if lost:
         warnings.warn(f"{' and '.join(lost)} are missing", PartialWarning, stacklevel=2)
     elif damaged:
-        text = "the file is damaged or cut off; all of the picture that was asked for is there"
+        text = "the file is damaged or cut off, but the requested part of the picture is complete"
         warnings.warn(text, PartialWarning, stacklevel=2)
     return array
 
 
 def info(data: Data, *, limits: Mapping[str, int] | None = None) -> Info:
-    """What a file says about itself: all but the primitives.
+    """Returns the properties of a file without decoding its picture.
 
     Args:
         data: the file.
-        limits: what the file may ask for, as for :func:`decode`.
+        limits: limits for the file, as for :func:`decode`.
 
     Returns:
         ``width`` and ``height`` in pixels, ``channels`` (1 to 4), ``bits`` of a sample (8 or 16), ``bytes`` of the
         file, ``primitives``, ``layout``, ``blend``, ``levels`` (primitives in each), ``groups``, ``codebook`` (colours
-        in it, or None), ``detail`` (None, or of the detail layer ``bytes``, ``bits`` and ``levels``, and ``tiles`` with levels of
-        ``of_tiles``), ``steps`` (the indices of specification §4.1), ``parts`` (bytes of each part of the file),
+        in it, or None), ``detail`` (None, or a dict of the detail layer's ``bytes``, ``bits`` and ``levels``, and of
+            the
+        number of ``tiles`` that have levels, out of ``of_tiles``), ``steps`` (the indices of specification §4.1),
+            ``parts`` (bytes of each part of the file),
         ``icc_profile``, ``exif`` and ``thumbnail`` (bytes, or None; the last is a file that :func:`decode` takes).
 
     Raises:

@@ -1,4 +1,4 @@
-"""The type of what :func:`ssplat.info` returns."""
+"""Types of the result of :func:`ssplat.info`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["DetailInfo", "Info", "StepsInfo"]
 
 
 class DetailInfo(TypedDict):
-    """A detail layer: its bytes and bits in the file, its levels, and how many of its tiles have some."""
+    """Bytes and bits of a detail layer, its levels, and the number of its tiles that have levels."""
 
     bytes: int
     bits: float
@@ -31,7 +31,7 @@ class StepsInfo(TypedDict):
 
 
 class Info(TypedDict):
-    """A file, all but its primitives; :func:`ssplat.info` says what each is."""
+    """Properties of a file; :func:`ssplat.info` documents them."""
 
     width: int
     height: int

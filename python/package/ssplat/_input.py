@@ -1,4 +1,4 @@
-"""What the functions take: pictures as arrays, and files as bytes."""
+"""Conversion of arguments: pictures to arrays, and files to bytes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _TRANSPARENT = {"1": "LA", "L": "LA", "RGB": "RGBA", "P": "RGBA"}
 
 
 def whole(name: str, value: object) -> Any:
-    """A whole number, or None; a TypeError that names the argument for anything else."""
+    """Converts a whole number or None. Raises a TypeError that names the argument for other values."""
     try:
         return None if value is None else operator.index(value)  # type: ignore[arg-type]
     except TypeError:
@@ -40,7 +40,7 @@ def whole(name: str, value: object) -> Any:
 
 
 def real(name: str, value: object) -> Any:
-    """A number, or None; a TypeError that names the argument for anything else."""
+    """Converts a number or None. Raises a TypeError that names the argument for other values."""
     if value is None or isinstance(value, Real):
         return value
     raise TypeError(f"{name}: {value!r} is not a number")
@@ -51,12 +51,12 @@ def is_path(value: object) -> TypeGuard[str | os.PathLike[str]]:
 
 
 def is_pillow(value: object) -> TypeGuard[Image.Image]:
-    # Without importing Pillow for those who do not use it.
+    # Does not import Pillow, which the caller may not use.
     return hasattr(value, "getbands") and hasattr(value, "mode")
 
 
 def convert(image: Image.Image) -> Image.Image:
-    """The picture in a mode that a file holds and that shows the same; a ParameterError where there is none."""
+    """Converts the picture to an equivalent mode that a file can store. Raises a ParameterError if there is none."""
     if "transparency" in image.info and image.mode in _TRANSPARENT:
         return image.convert(_TRANSPARENT[image.mode])
     if image.mode in _ARRAYS:
@@ -68,12 +68,12 @@ def convert(image: Image.Image) -> Image.Image:
 
 
 def contiguous(name: str, array: Any) -> np.ndarray:
-    """The array itself where its rows lie one after the other in native byte order, else a copy that does."""
+    """Returns the array itself if it is contiguous and in native byte order, otherwise a copy that is."""
     if not isinstance(array, np.ndarray):
-        raise ParameterError(f"bad parameter {name}: {type(array).__name__} is neither an array nor a picture nor a file", name)
+        raise ParameterError(f"bad parameter {name}: {type(array).__name__} is not an array, a picture or a file", name)
     if array.dtype.kind != "u" or array.dtype.itemsize > 2:
         raise ParameterError(f"bad parameter {name}: dtype {array.dtype} is neither uint8 nor uint16", name)
-    # Before the copy: an array that repeats its samples may claim any size.
+    # Checked before the copy, because an array with strides of 0 can have any size.
     shape = list(array.shape)
     if len(shape) not in (2, 3) or len(shape) == 3 and not 1 <= shape[2] <= 4:
         text = f"shape {shape} is neither (height, width) nor (height, width, 1 to 4)"
@@ -86,7 +86,7 @@ def contiguous(name: str, array: Any) -> np.ndarray:
 
 
 def pixels(name: str, image: ImageLike) -> tuple[np.ndarray, bytes | None, bytes | None]:
-    """The samples of a picture, its ICC profile and its EXIF block."""
+    """Returns the samples of a picture, its ICC profile and its EXIF block."""
     if isinstance(image, (bytes, bytearray)):
         image = io.BytesIO(image)
     if is_path(image) or hasattr(image, "read"):
@@ -107,14 +107,14 @@ def pixels(name: str, image: ImageLike) -> tuple[np.ndarray, bytes | None, bytes
 
 
 def source(name: str, image: ImageLike) -> tuple[np.ndarray, bytes | None, bytes | None]:
-    """As :func:`pixels`, but a memory map stays what it is: its parts are read when they are needed."""
+    """Like :func:`pixels`, but a memory map is returned unchanged, and its parts are read when they are needed."""
     if isinstance(image, np.memmap) and image.dtype.isnative:
         return image, None, None
     return pixels(name, image)
 
 
 def exif_of(block: Any) -> bytes | None:
-    """An EXIF block as files hold it: from its TIFF header on."""
+    """Returns an EXIF block as it is stored in files: starting with its TIFF header."""
     if block is None:
         return None
     if hasattr(block, "tobytes") and not isinstance(block, memoryview):
@@ -123,7 +123,7 @@ def exif_of(block: Any) -> bytes | None:
 
 
 def _at_most(file: BinaryIO, length: int, most: int) -> bytes:
-    """The rest of a file, which has ``length`` bytes as far as is known; a LimitExceededError beyond ``most``."""
+    """Reads the rest of a file of ``length`` bytes, if known. Raises a LimitExceededError beyond ``most``."""
     pieces: list[bytes] = []
     held = 0
     while length <= most and (piece := file.read(_PIECE)):
@@ -143,8 +143,8 @@ _ALLOC = (1 if sys.maxsize < 2**32 else 4) << 30
 
 
 def content(data: Data, limits: Mapping[str, int] | None = None) -> bytes:
-    """The bytes of a file: as they are, copied out of a buffer that may change, or read from a path or a file as far as
-    the limit ``alloc`` allows."""
+    """Returns the bytes of a file: unchanged, copied from a mutable buffer, or read from a path or an open file within
+    the limit ``alloc``."""
     if isinstance(data, bytes):
         return data
     most = whole("alloc", (limits or {}).get("alloc", _ALLOC))
@@ -155,4 +155,4 @@ def content(data: Data, limits: Mapping[str, int] | None = None) -> bytes:
         return bytes(data)
     if hasattr(data, "read"):
         return _at_most(cast("BinaryIO", data), 0, most)
-    raise ParameterError(f"bad parameter data: {type(data).__name__} is neither bytes nor a path nor a file", "data")
+    raise ParameterError(f"bad parameter data: {type(data).__name__} is not bytes, a path or a file", "data")

@@ -1,4 +1,4 @@
-"""The Gaussians of a file as arrays, and arrays of anyone's Gaussians as a file."""
+"""Conversion between files and arrays of Gaussians."""
 
 from __future__ import annotations
 
@@ -18,21 +18,23 @@ if TYPE_CHECKING:
 
 
 def gaussians(data: Data, *, limits: Mapping[str, int] | None = None) -> dict[str, Any]:
-    """The Gaussians of a file, n of them, and what is needed to draw them. A detail layer is left out.
+    """Returns the n Gaussians of a file, and the parameters for rendering them. A detail layer is ignored.
 
-    With d the vector from a mean to a point, in the frame of the Gaussian (turned back by its rotation, divided by its
-    scales), its weight there is ``w = max(0, exp(-d·d / 2) - exp(-3.5² / 2))``. A picture blends either ``normalized``,
-    ``(Σ w c + b / 128) / (Σ w + 1 / 128)``, or as a ``sum``, ``b + Σ w c``, with the colours c and the background b.
+    Let d be the vector from the mean of a Gaussian to a point, rotated by the negative of its rotation and divided by
+    its scales. The weight of the Gaussian at that point is ``w = max(0, exp(-d·d / 2) - exp(-3.5² / 2))``. With the
+    colours c and the background b, the value of the picture is ``(Σ w c + b / 128) / (Σ w + 1 / 128)`` for the blend
+    ``normalized`` and ``b + Σ w c`` for the blend ``sum``.
 
     Args:
         data: the file.
-        limits: what the file may ask for, as for :func:`ssplat.decode`.
+        limits: limits for the file, as for :func:`ssplat.decode`.
 
     Returns:
         ``mean``: float32, (n, 2): x and y in pixels; the centre of the first pixel is (0.5, 0.5).
         ``scale``: float32, (n, 2): standard deviations along the major and the minor axis, pixels.
         ``rotation``: float32, (n,): direction of the major axis, radians, from x towards y.
-        ``color``: float32, (n, channels): encoded sRGB values, 0 black and 1 white, not bounded to that.
+        ``color``: float32, (n, channels): encoded sRGB values; 0 is black and 1 is white, but values can lie outside
+            this range.
         ``background``: float32, (channels,).
         ``width``, ``height``, ``bits``, ``blend``, ``layout`` and ``steps`` as in :func:`ssplat.info`.
 
@@ -62,34 +64,34 @@ def from_gaussians(
     icc_profile: bytes | None = None,
     exif: bytes | None = None,
 ) -> bytes:
-    """Stores Gaussians that were fitted elsewhere: rounds each to the nearest the file can hold and returns the file.
+    """Stores Gaussians of any origin. Rounds each to the nearest values that a file can store, and returns the file.
 
-    The arrays and their units are those of :func:`gaussians`; anything but contiguous float32 is converted, by a copy.
-    Scales may come in either order and are held to 0.25 pixels and above. No Gaussian is left out or fitted again: all
-    that is chosen is how finely they are rounded.
+    The arrays and their units are those of :func:`gaussians`; arrays that are not contiguous float32 are copied and
+    converted. The two scales may be in either order, and are clamped to at least 0.25 pixels. No Gaussian is
+    omitted or fitted again; only the precision of the rounding is chosen.
 
     Args:
         mean, scale, rotation, color: (n, 2), (n, 2), (n,) and (n, channels).
         width, height: of the picture, pixels. Every mean must lie within.
         background: (channels,); by default 0.
         blend: how the Gaussians blend; see :func:`gaussians`.
-        bytes: largest size of the file: it gets the finest of ten sets of steps that fit.
-        ratio: the same as width × height × channels over the size. By default the steps are those of the encoder's best
-            pictures, whatever the size.
-        bits: of a sample of the decoded picture.
-        layout: how the integers become bytes.
-        steps: indices of specification §4.1 as :func:`ssplat.info` gives them, instead of chosen ones.
-        icc_profile, exif: to carry.
+        bytes: maximum size of the file. The finest of ten sets of steps that fits is used.
+        ratio: the maximum size, as width × height × channels divided by the size. Without ``bytes`` and ``ratio``, the
+            steps are those of the encoder's best pictures, whatever the size.
+        bits: bits per sample of the decoded picture.
+        layout: encoding of the integers.
+        steps: indices of specification §4.1 as returned by :func:`ssplat.info`; by default they are chosen.
+        icc_profile, exif: metadata to store.
 
     Raises:
-        ParameterError: shapes do not agree, a value has no place in the format, or the size is too small.
+        ParameterError: the shapes do not match, the format cannot store a value, or the size is too small.
     """
     color = np.ascontiguousarray(color, dtype=np.float32)
     channels = color.shape[1] if color.ndim == 2 else 0
     if ratio is not None:
         if bytes is not None or not ratio > 0:
             raise ParameterError(
-                f"bad parameter ratio: {ratio} is not positive, or bytes are asked for as well", "ratio"
+                f"bad parameter ratio: {ratio} is not positive, or bytes is given as well", "ratio"
             )
         bytes = int(width * height * channels / ratio)
     options = {
@@ -116,7 +118,7 @@ def from_gaussians(
 def _array(name: str, values: ArrayLike, dimensions: int) -> np.ndarray:
     array = np.ascontiguousarray(values, dtype=np.float32)
     if array.ndim != dimensions:
-        raise ParameterError(f"bad parameter {name}: shape {array.shape} has not {dimensions} dimensions", name)
+        raise ParameterError(f"bad parameter {name}: shape {array.shape} does not have {dimensions} dimensions", name)
     return array
 
 

@@ -1,4 +1,4 @@
-"""The compiled part; ``ssplat`` dresses it for people."""
+"""The compiled module, for which the package ``ssplat`` is a wrapper."""
 
 from collections.abc import Callable, Mapping
 from typing import Any

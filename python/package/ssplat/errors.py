@@ -1,4 +1,4 @@
-"""What can go wrong, by whose fault it is. All are subclasses of :class:`Error`."""
+"""Exceptions and warnings of this package. All exceptions are subclasses of :class:`Error`."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ __all__ = [
 
 
 class Error(Exception):
-    """Everything that this package raises on its own. Raised as such only for a bug in it."""
+    """Base class of all exceptions of this package. It is raised directly only for a bug in the package."""
 
 
 class IoError(Error, OSError):
-    """The world: the system refused something."""
+    """The operating system reported an error."""
 
 
 class FormatError(Error, ValueError):
-    """The file: it breaks the specification."""
+    """The file breaks the specification."""
 
 
 class UnsupportedVersionError(Error, ValueError):
-    """A newer file: its format version is not known.
+    """The file has a newer format version, which is not supported.
 
     Attributes:
-        found: the version that the file names.
+        found: the version stated in the file.
     """
 
     def __init__(self, message: str, found: int = 0) -> None:
@@ -41,12 +41,12 @@ class UnsupportedVersionError(Error, ValueError):
 
 
 class LimitExceededError(Error, ValueError):
-    """Policy: the file may be sound but asks for more than the limits allow.
+    """The file may be valid but exceeds the limits.
 
     Attributes:
-        what: what was limited, as the ``limits`` of :func:`ssplat.decode` name it.
-        requested: what the file asked for.
-        allowed: what is allowed.
+        what: name of the limit, as in ``limits`` of :func:`ssplat.decode`.
+        requested: amount that the file needs.
+        allowed: amount that is allowed.
     """
 
     def __init__(self, message: str, what: str = "", requested: int = 0, allowed: int = 0) -> None:
@@ -55,10 +55,10 @@ class LimitExceededError(Error, ValueError):
 
 
 class ParameterError(Error, ValueError):
-    """The caller: an argument is out of its documented range.
+    """An argument is outside its documented range.
 
     Attributes:
-        name: the argument.
+        name: name of the argument.
     """
 
     def __init__(self, message: str, name: str = "") -> None:
@@ -67,16 +67,16 @@ class ParameterError(Error, ValueError):
 
 
 class CancelledError(Error):
-    """The progress callback asked to stop."""
+    """The progress callback stopped the encode."""
 
 
 class GpuError(Error, RuntimeError):
-    """The device: a GPU is missing, failed or is too small."""
+    """The GPU is missing, failed or has too little memory."""
 
 
 class PartialWarning(UserWarning):
-    """A damaged file was decoded in part, as the caller allowed."""
+    """A damaged file was decoded partially, as requested."""
 
 
 class QualityWarning(UserWarning):
-    """A file misses the quality or the PSNR that was asked for: it cannot be reached, or was not within the time."""
+    """The file does not have the requested quality or PSNR, because it is out of reach or the time ran out."""

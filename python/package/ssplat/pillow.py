@@ -1,10 +1,10 @@
-"""Pillow's plugin: ``import ssplat``, then ``Image.open`` and ``Image.save`` know .ssplat.
+"""Plugin for Pillow: after ``import ssplat``, ``Image.open`` and ``Image.save`` support .ssplat.
 
 ``Image.open`` reads the header, and the ICC profile and EXIF block if there are any; the picture is decoded when its
-pixels are asked for. ``draft`` and ``thumbnail`` let the decoder draw at the smaller size, which takes a part of the
-time. ``save`` takes the options of :func:`ssplat.encode`. Modes: L, LA, RGB, RGBA and I;16; other pictures of 16 bits
-are opened with 8, which is what Pillow can hold. With ``ImageFile.LOAD_TRUNCATED_IMAGES`` a damaged file shows what is
-intact.
+pixels are accessed. ``draft`` and ``thumbnail`` render at the smaller size, which is faster. ``save`` accepts the
+options of :func:`ssplat.encode`. The modes are L, LA, RGB, RGBA and I;16. Other pictures with 16 bits are opened with
+8, because Pillow has no mode for them. With ``ImageFile.LOAD_TRUNCATED_IMAGES``, the intact parts of a damaged file
+are shown.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _OPTIONS = frozenset(inspect.signature(encode).parameters) - {"image", "icc_prof
 
 
 class SsplatImageFile(ImageFile.ImageFile):
-    """A file whose header has been read."""
+    """An opened file, of which only the header has been read."""
 
     format = _FORMAT
     format_description = "Pictures stored as 2D Gaussians"
@@ -41,7 +41,7 @@ class SsplatImageFile(ImageFile.ImageFile):
         try:
             width, height, channels, bits, has_metadata = _ssplat.header(head)
         except FormatError as e:
-            # What Pillow takes for "not mine".
+            # Pillow interprets this exception as "another format".
             raise SyntaxError(str(e)) from e
         except Error as e:
             raise OSError(str(e)) from e
@@ -64,7 +64,7 @@ class SsplatImageFile(ImageFile.ImageFile):
             self.info["exif"] = b"Exif\0\0" + exif
 
     def verify(self) -> None:
-        """Reads the whole file and checks all of it but the picture that it draws; an OSError says what is wrong."""
+        """Reads and checks the whole file without rendering the picture. Raises an OSError if the file is invalid."""
         if self.fp is None:
             raise RuntimeError("verify must be called directly after open")
         self.fp.seek(0)
@@ -76,7 +76,7 @@ class SsplatImageFile(ImageFile.ImageFile):
             super().verify()
 
     def draft(self, mode: str | None, size: tuple[int, int] | None) -> tuple[str, tuple[int, int, float, float]] | None:
-        """Has the picture drawn at the smallest size that is no smaller than ``size`` and of its shape."""
+        """Sets the output to the smallest size with the same aspect ratio that is not smaller than ``size``."""
         if size is None or len(self.tile) != 1:
             return None
         scale = max(size[0] / self.width, size[1] / self.height)
@@ -89,7 +89,7 @@ class SsplatImageFile(ImageFile.ImageFile):
 
 
 class _Decoder(ImageFile.PyDecoder):
-    """Draws the whole file at once."""
+    """Decodes the whole file at once."""
 
     _pulls_fd = True
 
@@ -124,7 +124,7 @@ def _save(im: Image.Image, fp: IO[bytes], filename: str | bytes) -> None:
 
 
 def register() -> None:
-    """Makes the plugin known to Pillow; ``import ssplat`` does it."""
+    """Registers the plugin with Pillow; ``import ssplat`` calls it."""
     Image.register_decoder("ssplat", _Decoder)
     Image.register_open(_FORMAT, SsplatImageFile, _accept)
     Image.register_save(_FORMAT, _save)

@@ -142,8 +142,8 @@ fn levels<D: Decisions>(
     result
 }
 
-/// Writes to `savings`, at the place of each of the `count` levels of `block`, about the bits that a level smaller by
-/// one would save: by the models as they stand, with contexts as the levels are.
+/// For each of the `count` levels of `block`, writes to its place in `savings` an estimate of the bits that a level
+/// smaller by one would save. Models and contexts are those of the current levels.
 #[cfg(feature = "encode")]
 pub(crate) fn savings(
     models: &KindModels,
@@ -152,7 +152,7 @@ pub(crate) fn savings(
     count: u32,
     savings: &mut [f32; ROOM],
 ) {
-    /// What one of the sizes that an Exp-Golomb code has saves.
+    /// Bits saved by one size of an Exp-Golomb code.
     const LARGE: f32 = 0.3;
     let places = 16u32 << (2 * size);
     block.found.clear();

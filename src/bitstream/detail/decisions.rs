@@ -7,8 +7,8 @@ use crate::strict_math::StrictMath;
 /// An adaptive probability of a 1: the mean of a fast and a slow estimate, in 1/65536.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Adaptive {
-    /// The fast estimate in the lower half, the slow one in the upper. They are written together, because a processor
-    /// stalls when it reads in one piece what was just written in two.
+    /// The fast estimate in the lower half, the slow one in the upper. They are written together, because reading one
+    /// word that was just written as two halves stalls the processor.
     estimates: u32,
     /// Number of decisions that the estimates are based on, up to [`MAX_SEEN`].
     seen: u8,

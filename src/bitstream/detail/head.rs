@@ -140,13 +140,14 @@ pub(crate) fn check_alpha(head: &DetailHead, channels: Channels) -> Result<(), B
 /// Returns the contents of the section in their shortest form.
 pub(crate) fn contents(head: &DetailHead, spans: Spans) -> Vec<u8> {
     [(DetailHead::PLAIN, 0), (DetailHead::SEEN, PRESET)]
-        .map(|(preset, flag)| beside(head, spans, &preset, flag))
+        .map(|(preset, flag)| contents_with_preset(head, spans, &preset, flag))
         .into_iter()
         .min_by_key(Vec::len)
         .expect("two presets")
 }
 
-fn beside(head: &DetailHead, spans: Spans, preset: &DetailHead, mut flags: u8) -> Vec<u8> {
+/// Returns the contents of the section, which store only the fields that differ from `preset`.
+fn contents_with_preset(head: &DetailHead, spans: Spans, preset: &DetailHead, mut flags: u8) -> Vec<u8> {
     let mut fields = Vec::new();
     if head.chroma != preset.chroma {
         flags |= CHROMA;
@@ -203,7 +204,8 @@ mod tests {
         said_twice[8] |= CLASS_COUNT;
         said_twice.push(1);
         assert!(
-            read(&said_twice, 0).is_err() && read(&beside(&DetailHead::SEEN, spans, &DetailHead::PLAIN, 0), 0).is_err()
+            read(&said_twice, 0).is_err()
+                && read(&contents_with_preset(&DetailHead::SEEN, spans, &DetailHead::PLAIN, 0), 0).is_err()
         );
         for broken in [
             DetailHead { step: 0, ..odd },

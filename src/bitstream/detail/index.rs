@@ -154,7 +154,7 @@ pub(crate) fn read(
 ) -> Result<Found> {
     let [across, down] = tile_counts(wanted.size);
     let count = across as u64 * down as u64;
-    let (start, mut index) = (bytes.left(), held.beside(0)?);
+    let (start, mut index) = (bytes.left(), held.reserve(0)?);
     let entries = match read_index(bytes, count, &mut index) {
         Ok(entries) => entries,
         Err(Error::Format(_)) if wanted.passes_over => {
@@ -251,12 +251,12 @@ impl<'a> Listed<'a> {
             if batch.is_empty() {
                 return Ok((tiles, missing, bits));
             }
-            let mut working = held.beside(most)?;
+            let mut working = held.reserve(most)?;
             let read = parallel::map(batch.len(), |k| self.tile(batch[k], self.likely(batch[k].tile)));
             for (&stream, mut tile) in batch.iter().zip(read) {
                 if let Ok(None) = tile.levels {
                     // Only deliberately constructed files have so many levels.
-                    let _working = held.beside(memory_of(samples, samples))?;
+                    let _working = held.reserve(memory_of(samples, samples))?;
                     tile = self.tile(stream, samples);
                 }
                 work = work.saturating_add(LEVEL_WORK * tile.read as u64);

@@ -33,22 +33,23 @@ impl DetailLayer {
         let [across, down] = tile_counts(size);
         let tiles = (0..across * down).map(|i| {
             let [_, _, width, height] = tile_area(size, i);
-            let mut made = Making { head: &head, index: i, tile: TileLevels::default(), maker };
-            made.run(channels, [width, height]);
-            (!made.tile.levels.is_empty()).then_some(made.tile)
+            let mut builder = TileBuilder { head: &head, index: i, tile: TileLevels::default(), maker };
+            builder.run(channels, [width, height]);
+            (!builder.tile.levels.is_empty()).then_some(builder.tile)
         });
         Ok(DetailLayer { head, tiles: tiles.collect() })
     }
 }
 
-struct Making<'a, M> {
+/// Builds one tile from the levels of a [`Maker`].
+struct TileBuilder<'a, M> {
     head: &'a DetailHead,
     index: usize,
     tile: TileLevels,
     maker: &'a mut M,
 }
 
-impl<M: Maker> Making<'_, M> {
+impl<M: Maker> TileBuilder<'_, M> {
     fn run(&mut self, channels: Channels, size: [usize; 2]) {
         let [across, down] = size.map(|side| side.div_ceil(SUPER));
         if self.head.classes > 1 {

@@ -79,7 +79,7 @@ mod tests {
     use crate::bitstream::detail::head::DetailHead;
     use crate::bitstream::detail::levels::TILE;
     use crate::bitstream::detail::model::PLANES;
-    use crate::encode::detail::choose::{BlockChoice, Care};
+    use crate::encode::detail::choose::{BlockChoice, LevelSearch};
     use crate::gaussian::Channels;
 
     fn sizes_of(luma: impl Fn(usize, usize) -> f32) -> Vec<u8> {
@@ -87,8 +87,9 @@ mod tests {
         planes[0] = (0..TILE * TILE).map(|i| luma(i % TILE, i / TILE)).collect();
         let tile = TileResidual { size: [TILE, TILE], planes, luma: vec![0.0; TILE * TILE] };
         let head = DetailHead { step: 640, ..DetailHead::PLAIN };
-        let (care, blocks_by) = (Care::Thorough, BlockChoice::Rough);
-        let setting = Setting { head, channels: Channels::Grey, lambda: 0.1, care, blocks: blocks_by, mixed_cost: 1.0 };
+        let (level_search, blocks_by) = (LevelSearch::Thorough, BlockChoice::Rough);
+        let setting =
+            Setting { head, channels: Channels::Grey, lambda: 0.1, level_search, blocks: blocks_by, mixed_cost: 1.0 };
         let [sizes, ..] = blocks(&tile, &[], &setting);
         sizes
     }

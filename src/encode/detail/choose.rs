@@ -20,7 +20,7 @@ pub(super) struct Setting {
     pub channels: Channels,
     /// Squared error that a bit must save (λ), in squared steps.
     pub lambda: f32,
-    pub care: Care,
+    pub level_search: LevelSearch,
     pub blocks: BlockChoice,
     /// Factor on the estimated cost of blocks that contain both flat and other cells, where ringing is visible.
     pub mixed_cost: f32,
@@ -38,7 +38,7 @@ pub(super) enum BlockChoice {
 
 /// Thoroughness of the search for levels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Care {
+pub(super) enum LevelSearch {
     /// Tries each clearly uncertain level once.
     Quick,
     /// Tries the levels for which the estimated savings are inconclusive. In blocks with few levels, it tries all of
@@ -158,7 +158,7 @@ struct Tried {
 /// Returns the size of the block that each cell lies in, by kind.
 pub(super) fn priced_blocks(tile: &TileResidual, classes: &[u8], setting: &Setting) -> [Vec<u8>; KINDS] {
     let all = AllSizes::new(tile, |plane| setting.head.sizes([0, 1, 1, 2][plane]));
-    let setting = Setting { care: Care::Quick, ..*setting };
+    let setting = Setting { level_search: LevelSearch::Quick, ..*setting };
     let sizes = std::array::from_fn(|_| vec![0; CELLS * CELLS]);
     Chooser::new(tile, classes, &setting, Source::All(&all), sizes).run().sizes
 }
@@ -347,7 +347,7 @@ impl<'a> Chooser<'a> {
     /// Chooses the levels of one block of a plane.
     fn levels(&mut self, kind: usize, plane: usize, cell: [usize; 2], size: usize) -> Tried {
         let [x, y] = cell;
-        let Setting { head, lambda, care, .. } = *self.setting;
+        let Setting { head, lambda, level_search, .. } = *self.setting;
         let class = self.dense.class(cell.map(|c| c / (SUPER / CELL)));
         let coefficients: &[f32] = match self.source {
             Source::All(all) => all.plane(size, plane),
@@ -387,11 +387,14 @@ impl<'a> Chooser<'a> {
         let mut found = trial.rounded(&self.candidates, self.values.energy);
         let is_many = self.candidates.len() > MAX_EXACT_LEVELS;
         let doubtful = &mut self.doubtful;
-        if is_many && care == Care::Thorough && trial.lower(&self.candidates, &mut found, &mut self.savings, doubtful) {
+        if is_many
+            && level_search == LevelSearch::Thorough
+            && trial.lower(&self.candidates, &mut found, &mut self.savings, doubtful)
+        {
             trial.try_each(doubtful, &mut found, |_, _| false);
         } else {
-            for _ in 0..if care == Care::Quick { 1 } else { 2 } {
-                if !trial.try_each(&self.candidates, &mut found, |value, level| is_sure(value, level, care)) {
+            for _ in 0..if level_search == LevelSearch::Quick { 1 } else { 2 } {
+                if !trial.try_each(&self.candidates, &mut found, |value, level| is_sure(value, level, level_search)) {
                     break;
                 }
             }
@@ -412,12 +415,12 @@ impl<'a> Chooser<'a> {
 }
 
 /// Returns whether a value is so far from the rounding boundary that its level is kept without a trial.
-fn is_sure(value: f32, level: u32, care: Care) -> bool {
-    match (level, care) {
+fn is_sure(value: f32, level: u32, level_search: LevelSearch) -> bool {
+    match (level, level_search) {
         (0, _) => true,
-        (1, Care::Quick) => value > 1.1,
+        (1, LevelSearch::Quick) => value > 1.1,
         (1, _) => value > 1.5,
-        (_, Care::Quick) => value - level as f32 > -0.2,
+        (_, LevelSearch::Quick) => value - level as f32 > -0.2,
         (_, _) => value - level as f32 > 0.1,
     }
 }
@@ -498,7 +501,7 @@ impl Trial<'_> {
         let before = *found;
         for c in candidates {
             let level = self.level(c);
-            if is_sure(c.value, level, Care::Quick) {
+            if is_sure(c.value, level, LevelSearch::Quick) {
                 continue;
             }
             let more = self.error(c.value, level - 1) - self.error(c.value, level);

@@ -33,11 +33,11 @@ use crate::options::Tune;
 use crate::pixel_source::PixelSource;
 use crate::round::rounded::projected;
 use crate::strict_math::StrictMath;
-use choose::{BlockChoice, Care, Setting};
+use choose::{BlockChoice, LevelSearch, Setting};
 use error::Counted;
 use parts::Parts;
 use residual::TileResidual;
-use search::{Aim, Coded, search};
+use search::{Coded, SearchSettings, search};
 use slopes::{Knot, Slopes};
 use texture::Texture;
 
@@ -114,22 +114,22 @@ pub(super) struct Layered {
 }
 
 impl WholeSession<'_> {
-    /// Codes a layer over `base`, for a file of at most `most` bytes.
-    fn layer(&self, base: Outcome, most: u64) -> Result<Layered> {
+    /// Codes a layer over `base`, for a file of at most `max_bytes` bytes.
+    fn layer(&self, base: Outcome, max_bytes: u64) -> Result<Layered> {
         let splats = &base.splats;
-        let coded = self.coded(splats, most, None)?;
+        let coded = self.coded(splats, max_bytes, None)?;
         let error = coded.as_ref().map_or(f64::INFINITY, |coded| self.layered_error(splats, &coded.layer));
         Ok(Layered { base, coded, error })
     }
 
     /// Fits the Gaussians' integers to the layer and the layer to the Gaussians, in at most `rounds` rounds. Writes the
     /// file.
-    fn joined(&mut self, layered: Layered, most: u64, rounds: u32) -> Result<Outcome> {
+    fn joined(&mut self, layered: Layered, max_bytes: u64, rounds: u32) -> Result<Outcome> {
         let Layered { base: mut outcome, coded, mut error } = layered;
         let Some(mut coded) = coded else { return Ok(outcome) };
         let mut took = Duration::ZERO;
         for round in 0..rounds {
-            self.report.show("detail", round as f32 / rounds as f32)?;
+            self.report.stage_progress("detail", round as f32 / rounds as f32)?;
             let start = Instant::now();
             // A round takes as long as the previous one.
             if self.until.is_some_and(|end| start + took > end) {
@@ -143,7 +143,7 @@ impl WholeSession<'_> {
             let price = colors * lambda * step * step;
             let layer = (&coded.layer, self.input.channels());
             join::descend(&mut splats, &self.planes, layer, price, self.input.options.levels)?;
-            let Some(next) = self.coded(&splats, most, Some(&coded))? else { break };
+            let Some(next) = self.coded(&splats, max_bytes, Some(&coded))? else { break };
             let next_error = self.layered_error(&splats, &next.layer);
             if next_error >= error {
                 break;
@@ -162,12 +162,12 @@ impl WholeSession<'_> {
         let tiles = self.residuals(splats);
         let factor = (coded.bytes as f64 / bytes).max(1.0).strict_powf(1.0 / MEASURED_FALL);
         [factor, factor * COARSER].map(|factor| {
-            let mut aim = self.aim_of_layer(coded.bytes);
+            let mut settings = self.settings_of_layer(coded.bytes);
             let step = f64::from(coded.layer.head.step) * factor;
-            aim.setting.head = coded.layer.head;
-            aim.setting.head.step = step.min(65_535.0) as u16;
-            aim.setting.care = Care::Quick;
-            let other = search::once(&tiles, &aim, coded);
+            settings.coding.head = coded.layer.head;
+            settings.coding.head.step = step.min(65_535.0) as u16;
+            settings.coding.level_search = LevelSearch::Quick;
+            let other = search::once(&tiles, &settings, coded);
             [other.bytes as f64, self.plain_error(splats, &other.layer)]
         })
     }
@@ -193,54 +193,60 @@ impl WholeSession<'_> {
         residual::residuals(stored_scene(splats), &self.planes, &drawn)
     }
 
-    fn aim_of_layer(&self, most: u64) -> Aim {
+    fn settings_of_layer(&self, max_bytes: u64) -> SearchSettings {
         let has_alpha = self.planes.channels.alpha().is_some();
         // Choosing the blocks at the final step gains 0.02 dB on small pictures. On large ones it gains 0.006 dB and
         // takes the most time.
-        let keeps = self.pixels() >= LARGE_PIXELS;
-        Aim { most, keeps, ..aim(self.input.options.favoured(), self.input.channels(), has_alpha) }
+        let keeps_blocks = self.pixels() >= LARGE_PIXELS;
+        SearchSettings {
+            max_bytes,
+            keeps_blocks,
+            ..search_settings(self.input.options.favoured(), self.input.channels(), has_alpha)
+        }
     }
 
-    /// Codes the residual of the Gaussians of `splats`, for a file of at most `most` bytes.
-    fn coded(&self, splats: &PackedSplats, most: u64, near: Option<&Coded>) -> Result<Option<Coded>> {
-        let mut aim = self.aim_of_layer(0);
-        let left = |aim: &Aim| left_for_layer(splats, aim, most, |empty| self.file(empty));
-        let Some(mut bytes) = left(&aim)? else { return Ok(None) };
+    /// Codes the residual of the Gaussians of `splats`, for a file of at most `max_bytes` bytes.
+    fn coded(&self, splats: &PackedSplats, max_bytes: u64, near: Option<&Coded>) -> Result<Option<Coded>> {
+        let mut settings = self.settings_of_layer(0);
+        let left = |settings: &SearchSettings| left_for_layer(splats, settings, max_bytes, |empty| self.file(empty));
+        let Some(mut bytes) = left(&settings)? else { return Ok(None) };
         let is_drawing = match near {
             // The search may keep the blocks of `near`, so the range of block sizes must be the same.
-            Some(near) => near.layer.head.sizes == for_drawing(aim, Tune::Psnr).setting.head.sizes,
+            Some(near) => near.layer.head.sizes == for_drawing(settings, Tune::Psnr).coding.head.sizes,
             None => {
                 let bits = 8.0 * bytes as f64 / self.pixels() as f64;
                 bits >= DRAWING_BITS && Texture::of(&self.planes).is_some_and(|texture| texture.is_drawing())
             }
         };
         if is_drawing {
-            let drawing = for_drawing(aim, self.input.options.favoured());
+            let drawing = for_drawing(settings, self.input.options.favoured());
             let Some(less) = left(&drawing)? else { return Ok(None) };
-            (aim, bytes) = (drawing, less);
+            (settings, bytes) = (drawing, less);
         }
         let mut tiles = self.residuals(splats);
         if let (Some(near), Tune::Psnr) = (near, self.input.options.favoured()) {
             coupled::couple(&mut tiles, &near.layer, self.input.channels());
         }
-        Ok(search(&tiles, &Aim { most: bytes, ..aim }, near))
+        Ok(search(&tiles, &SearchSettings { max_bytes: bytes, ..settings }, near))
     }
 }
 
-/// Codes a layer over `base` in a file of `most` bytes, one part of `source` at a time, and writes the file. It serves
-/// pictures whose residual is too large for memory. `source` has the fitted channels.
+/// Codes a layer over `base` in a file of `max_bytes` bytes, one part of `source` at a time, and writes the file.
+/// It is for pictures whose residual is too large for memory. `source` has the fitted channels.
 pub(super) fn layered_in_parts<'a, S: EncodeSession<'a>>(
     session: &mut S,
     source: &dyn PixelSource,
     mut base: Outcome,
-    most: u64,
+    max_bytes: u64,
 ) -> Result<Outcome> {
     let (channels, tune, hidden) = (session.channels(), session.options().favoured(), session.options().hidden);
     let parts = Parts { source, splats: &base.splats, channels, tune, hidden };
-    let aim = aim(tune, channels, source.channels().alpha().is_some());
-    let Some(left) = left_for_layer(parts.splats, &aim, most, |empty| session.file(empty))? else { return Ok(base) };
+    let settings = search_settings(tune, channels, source.channels().alpha().is_some());
+    let Some(left) = left_for_layer(parts.splats, &settings, max_bytes, |empty| session.file(empty))? else {
+        return Ok(base);
+    };
     let report = session.report();
-    if let Some(layer) = parts.layer(left, &mut |done| report.show("detail", done))? {
+    if let Some(layer) = parts.layer(left, &mut |done| report.stage_progress("detail", done))? {
         base.splats.detail = Some(Arc::new(layer));
         base.bytes = session.file(&base.splats)?;
     }
@@ -248,41 +254,41 @@ pub(super) fn layered_in_parts<'a, S: EncodeSession<'a>>(
 }
 
 /// Returns the parameters for coding a layer of a file with these channels. The caller sets the byte budget.
-fn aim(tune: Tune, channels: Channels, has_alpha: bool) -> Aim {
+fn search_settings(tune: Tune, channels: Channels, has_alpha: bool) -> SearchSettings {
     let Preset { mut head, lambda, power, slopes } = preset(tune);
     (head.alpha, head.slopes) = (has_alpha, slopes.at(head.step));
     // For pure squared error, the rough estimate loses 0.1 dB.
     let blocks = if tune == Tune::Psnr { BlockChoice::Priced } else { BlockChoice::Rough };
-    let care = if tune == Tune::Psnr { Care::Exhaustive } else { Care::Thorough };
-    let setting = Setting { head, channels, lambda, care, blocks, mixed_cost: 1.0 };
-    Aim { setting, power, slopes, most: 0, runs: RUNS, keeps: false }
+    let level_search = if tune == Tune::Psnr { LevelSearch::Exhaustive } else { LevelSearch::Thorough };
+    let coding = Setting { head, channels, lambda, level_search, blocks, mixed_cost: 1.0 };
+    SearchSettings { coding, power, slopes, max_bytes: 0, max_runs: RUNS, keeps_blocks: false }
 }
 
 /// Returns the parameters for a layer over a drawing, given those for a photograph.
-fn for_drawing(mut aim: Aim, tune: Tune) -> Aim {
+fn for_drawing(mut settings: SearchSettings, tune: Tune) -> SearchSettings {
     // Coloured lines need small chroma blocks.
-    aim.setting.head.sizes[1][0] = aim.setting.head.sizes[0][0];
-    aim.setting.mixed_cost = DRAWING_MIXED_COST;
+    settings.coding.head.sizes[1][0] = settings.coding.head.sizes[0][0];
+    settings.coding.mixed_cost = DRAWING_MIXED_COST;
     if tune == Tune::Iq {
-        aim.power = DRAWING_POWER;
-        aim.slopes = DRAWING_SLOPES;
-        aim.setting.head.slopes = aim.slopes.at(aim.setting.head.step);
+        settings.power = DRAWING_POWER;
+        settings.slopes = DRAWING_SLOPES;
+        settings.coding.head.slopes = settings.slopes.at(settings.coding.head.step);
     }
-    aim
+    settings
 }
 
-/// Returns the byte budget for index and streams of a layer over `splats` in a file of `most` bytes, or `None` if there
-/// is no room for a layer. `file` writes a file.
+/// Returns the byte budget for index and streams of a layer over `splats` in a file of `max_bytes` bytes, or `None` if
+/// there is no room for a layer. `file` writes a file.
 fn left_for_layer(
     splats: &PackedSplats,
-    aim: &Aim,
-    most: u64,
+    settings: &SearchSettings,
+    max_bytes: u64,
     file: impl Fn(&PackedSplats) -> Result<Vec<u8>>,
 ) -> Result<Option<u64>> {
     let [across, down] = tile_counts([splats.width, splats.height]);
     let count = across * down;
     let mut empty = splats.clone();
-    empty.detail = Some(Arc::new(DetailLayer { head: aim.setting.head, tiles: vec![None; count] }));
+    empty.detail = Some(Arc::new(DetailLayer { head: settings.coding.head, tiles: vec![None; count] }));
     let fixed = file(&empty)?.len() as u64 - count as u64;
-    Ok(most.checked_sub(fixed).filter(|&left| left > 2 * count as u64))
+    Ok(max_bytes.checked_sub(fixed).filter(|&left| left > 2 * count as u64))
 }

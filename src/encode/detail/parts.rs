@@ -4,9 +4,9 @@
 //! Memory holds the residual of one part, and the levels and block sizes of all tiles. Levels and block sizes take a
 //! few bytes for each byte of the file.
 
-use super::aim;
 use super::residual::{TileResidual, residual};
-use super::search::{Aim, Coded, classes_of, code, mean_activity, search, smallest_step};
+use super::search::{Coded, SearchSettings, classes_of, code, mean_activity, search, smallest_step};
+use super::search_settings;
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
 use crate::bitstream::splats::PackedSplats;
@@ -57,12 +57,20 @@ pub(in crate::encode) struct Parts<'a> {
 }
 
 impl Parts<'_> {
-    /// Returns a layer whose index and streams take at most `most` bytes, or `None` if there is nothing to add or no
-    /// room for a layer. `show` receives the fraction of the work that is done.
-    pub(crate) fn layer(&self, most: u64, show: &mut dyn FnMut(f32) -> Result<()>) -> Result<Option<DetailLayer>> {
-        show(0.0)?;
+    /// Returns a layer whose index and streams take at most `max_bytes` bytes, or `None` if there is nothing to add or
+    /// no room for a layer. `on_progress` receives the fraction of the work that is done.
+    pub(crate) fn layer(
+        &self,
+        max_bytes: u64,
+        on_progress: &mut dyn FnMut(f32) -> Result<()>,
+    ) -> Result<Option<DetailLayer>> {
+        on_progress(0.0)?;
         let count = self.count();
-        let aim = Aim { most, runs: RUNS, ..aim(self.tune, self.channels, self.source.channels().alpha().is_some()) };
+        let settings = SearchSettings {
+            max_bytes,
+            max_runs: RUNS,
+            ..search_settings(self.tune, self.channels, self.source.channels().alpha().is_some())
+        };
         let sample_size = (count / SAMPLED).clamp(8, 64);
         // The positions are independent of rows and columns.
         let place = |k: usize| ((k as u64 * 0x9e37_79b9 & 0xffff_ffff) * count as u64 >> 32) as usize;
@@ -77,15 +85,15 @@ impl Parts<'_> {
             sample.extend(self.residuals(index, 1)?);
         }
         let share = area as f64 / (f64::from(self.source.width()) * f64::from(self.source.height()));
-        let mean = mean_activity(&sample, &aim);
-        let of_sample = Aim { most: (most as f64 * share) as u64, ..aim };
+        let mean = mean_activity(&sample, &settings);
+        let of_sample = SearchSettings { max_bytes: (max_bytes as f64 * share) as u64, ..settings };
         let Some(first) = search(&sample, &of_sample, None) else { return Ok(None) };
         drop(sample);
         let step = f64::from(first.layer.head.step);
         let (mut sizes, mut runs) = (None, 0.0);
-        let found = smallest_step(&aim, step, |step| {
-            let mut show = |done: f32| show(((runs + done) / EXPECTED).min(1.0));
-            let coded = self.coded(&aim, (mean, step), sizes.as_deref(), &mut show)?;
+        let found = smallest_step(&settings, step, |step| {
+            let mut on_progress = |done: f32| on_progress(((runs + done) / EXPECTED).min(1.0));
+            let coded = self.coded(&settings, (mean, step), sizes.as_deref(), &mut on_progress)?;
             sizes.get_or_insert_with(|| coded.sizes.clone());
             runs += 1.0;
             Ok::<_, crate::Error>(coded)
@@ -111,18 +119,18 @@ impl Parts<'_> {
     /// Codes all tiles with one step.
     fn coded(
         &self,
-        aim: &Aim,
+        settings: &SearchSettings,
         (mean, step): (f32, u16),
         sizes: Option<&[[Vec<u8>; 3]]>,
-        show: &mut dyn FnMut(f32) -> Result<()>,
+        on_progress: &mut dyn FnMut(f32) -> Result<()>,
     ) -> Result<Coded> {
-        let layer = DetailLayer { head: aim.setting_at(step).head, tiles: Vec::new() };
+        let layer = DetailLayer { head: settings.setting_at(step).head, tiles: Vec::new() };
         let mut all = Coded { layer, bytes: 0, sizes: Vec::new() };
         for (index, count) in self.parts() {
-            show(index as f32 / self.count() as f32)?;
+            on_progress(index as f32 / self.count() as f32)?;
             let tiles = self.residuals(index, count)?;
-            let classes = classes_of(&tiles, aim, mean);
-            let part = code(&tiles, &classes, aim, step, (sizes.map(|sizes| &sizes[index..index + count]), &[]));
+            let classes = classes_of(&tiles, settings, mean);
+            let part = code(&tiles, &classes, settings, step, (sizes.map(|sizes| &sizes[index..index + count]), &[]));
             all.layer.tiles.extend(part.layer.tiles);
             all.sizes.extend(part.sizes);
             all.bytes += part.bytes;

@@ -25,26 +25,26 @@ pub(super) struct Coded {
 
 /// Parameters and byte budget for coding a layer.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Aim {
-    pub setting: Setting,
+pub(super) struct SearchSettings {
+    pub coding: Setting,
     /// Exponent of the variance with which the steps grow, if there are classes.
     pub power: f32,
     /// Growth of the steps with frequency.
     pub slopes: Slopes,
     /// Maximum bytes of index and streams.
-    pub most: u64,
+    pub max_bytes: u64,
     /// Maximum number of coder runs.
-    pub runs: u32,
+    pub max_runs: u32,
     /// Whether a search keeps the blocks of an earlier layer of nearly the same tiles.
-    pub keeps: bool,
+    pub keeps_blocks: bool,
 }
 
-impl Aim {
+impl SearchSettings {
     /// Returns the settings of a layer with this step.
     pub(super) fn setting_at(&self, step: u16) -> Setting {
-        let mut setting = self.setting;
-        (setting.head.step, setting.head.slopes) = (step, self.slopes.at(step));
-        setting
+        let mut coding = self.coding;
+        (coding.head.step, coding.head.slopes) = (step, self.slopes.at(step));
+        coding
     }
 }
 
@@ -64,47 +64,47 @@ const LEVEL_BITS: f64 = 5.0;
 const LIKELY: f32 = 0.8;
 
 /// Returns the layer of `tiles` with the smallest step that fits, or `None` if none fits. `near` is a layer of nearly
-/// the same tiles. The search starts at its step and keeps its blocks if `aim` says so.
-pub(super) fn search(tiles: &[TileResidual], aim: &Aim, near: Option<&Coded>) -> Option<Coded> {
-    let classes = classes_of(tiles, aim, mean_activity(tiles, aim));
-    let mut sizes = near.filter(|_| aim.keeps).map(|near| near.sizes.clone());
-    let step = near.map_or_else(|| guess(tiles, aim), |near| f64::from(near.layer.head.step));
+/// the same tiles. The search starts at its step and keeps its blocks if `settings` says so.
+pub(super) fn search(tiles: &[TileResidual], settings: &SearchSettings, near: Option<&Coded>) -> Option<Coded> {
+    let classes = classes_of(tiles, settings, mean_activity(tiles, settings));
+    let mut sizes = near.filter(|_| settings.keeps_blocks).map(|near| near.sizes.clone());
+    let step = near.map_or_else(|| guess(tiles, settings), |near| f64::from(near.layer.head.step));
     let kept: Vec<KeptBase> = if tiles.len() <= KEPT_TILES { vec![KeptBase::new(); tiles.len()] } else { Vec::new() };
     let run = |step: u16| {
-        let coded = code(tiles, &classes, aim, step, (sizes.as_deref(), &kept));
+        let coded = code(tiles, &classes, settings, step, (sizes.as_deref(), &kept));
         sizes.get_or_insert_with(|| coded.sizes.clone());
         Ok::<_, std::convert::Infallible>(coded)
     };
-    let Ok(found) = smallest_step(aim, step, run);
+    let Ok(found) = smallest_step(settings, step, run);
     found
 }
 
 /// Returns the result of `run` with the smallest step whose bytes fit, or `None` if none fits. The search starts at
 /// `step`.
 pub(super) fn smallest_step<E>(
-    aim: &Aim,
+    settings: &SearchSettings,
     mut step: f64,
     mut run: impl FnMut(u16) -> Result<Coded, E>,
 ) -> Result<Option<Coded>, E> {
     let (mut over, mut under): (Option<[f64; 2]>, Option<[f64; 2]>) = (None, None);
     let (mut fall, mut last): (f64, Option<[f64; 2]>) = (FALL, None);
     let mut best: Option<Coded> = None;
-    let goal = (aim.most as f64 * (1.0 - BELOW)).max(1.0).strict_ln();
+    let goal = (settings.max_bytes as f64 * (1.0 - BELOW)).max(1.0).strict_ln();
     // While no layer fits, the search continues for longer and with growing increments. This happens in pictures whose
     // bytes hardly decrease with a larger step.
     let mut i = 0;
-    while i < aim.runs || best.is_none() && i < PATIENCE * aim.runs {
+    while i < settings.max_runs || best.is_none() && i < PATIENCE * settings.max_runs {
         i += 1;
         let rounded = step.round().clamp(1.0, 65_535.0);
         let coded = run(rounded as u16)?;
         let at = [rounded.strict_ln(), (coded.bytes as f64).max(1.0).strict_ln()];
-        let short = aim.most as f64 - coded.bytes as f64;
+        let short = settings.max_bytes as f64 - coded.bytes as f64;
         if short >= 0.0 {
             under = Some(at);
             if best.as_ref().is_none_or(|best| best.bytes <= coded.bytes) {
                 best = Some(coded);
             }
-            if short <= aim.most as f64 * MAX_SHORTFALL || rounded <= 1.0 {
+            if short <= settings.max_bytes as f64 * MAX_SHORTFALL || rounded <= 1.0 {
                 break;
             }
         } else {
@@ -134,8 +134,8 @@ pub(super) fn smallest_step<E>(
 }
 
 /// Returns the mean activity of `tiles`. Returns 0 if there is only one class, which does not depend on it.
-pub(super) fn mean_activity(tiles: &[TileResidual], aim: &Aim) -> f32 {
-    if aim.setting.head.classes == 1 {
+pub(super) fn mean_activity(tiles: &[TileResidual], settings: &SearchSettings) -> f32 {
+    if settings.coding.head.classes == 1 {
         return 0.0;
     }
     let activity = parallel::map(tiles.len(), |i| activity(&tiles[i]));
@@ -146,21 +146,21 @@ pub(super) fn mean_activity(tiles: &[TileResidual], aim: &Aim) -> f32 {
 
 /// Returns the step classes of each tile's superblocks, in a picture with the mean activity `mean`. They are empty if
 /// there is only one class.
-pub(super) fn classes_of(tiles: &[TileResidual], aim: &Aim, mean: f32) -> Vec<Vec<u8>> {
-    let Setting { head, .. } = aim.setting;
+pub(super) fn classes_of(tiles: &[TileResidual], settings: &SearchSettings, mean: f32) -> Vec<Vec<u8>> {
+    let Setting { head, .. } = settings.coding;
     match head.classes {
         1 => vec![Vec::new(); tiles.len()],
-        count => parallel::map(tiles.len(), |i| classes(&activity(&tiles[i]), mean, aim.power, count)),
+        count => parallel::map(tiles.len(), |i| classes(&activity(&tiles[i]), mean, settings.power, count)),
     }
 }
 
 /// Codes the layer of `tiles` with the step of the setting, in the blocks of `near`.
-pub(super) fn once(tiles: &[TileResidual], aim: &Aim, near: &Coded) -> Coded {
+pub(super) fn once(tiles: &[TileResidual], settings: &SearchSettings, near: &Coded) -> Coded {
     code(
         tiles,
-        &classes_of(tiles, aim, mean_activity(tiles, aim)),
-        aim,
-        aim.setting.head.step,
+        &classes_of(tiles, settings, mean_activity(tiles, settings)),
+        settings,
+        settings.coding.head.step,
         (Some(&near.sizes), &[]),
     )
 }
@@ -173,24 +173,24 @@ type BlockSizes = [Vec<u8>; KINDS];
 pub(super) fn code(
     tiles: &[TileResidual],
     classes: &[Vec<u8>],
-    aim: &Aim,
+    settings: &SearchSettings,
     step: u16,
     (sizes, kept): (Option<&[BlockSizes]>, &[KeptBase]),
 ) -> Coded {
-    let setting = aim.setting_at(step);
+    let coding = settings.setting_at(step);
     let chosen: Vec<Chosen> = parallel::map(tiles.len(), |i| {
         let chosen;
         let sizes = match sizes {
             Some(sizes) => &sizes[i],
             None => {
-                chosen = match setting.blocks {
-                    BlockChoice::Rough => blocks(&tiles[i], &classes[i], &setting),
-                    BlockChoice::Priced => priced_blocks(&tiles[i], &classes[i], &setting),
+                chosen = match coding.blocks {
+                    BlockChoice::Rough => blocks(&tiles[i], &classes[i], &coding),
+                    BlockChoice::Priced => priced_blocks(&tiles[i], &classes[i], &coding),
                 };
                 &chosen
             }
         };
-        choose(&tiles[i], &classes[i], &setting, sizes, kept.get(i))
+        choose(&tiles[i], &classes[i], &coding, sizes, kept.get(i))
     });
     let length = |stream: &[u8]| match stream.len() as u64 {
         0 => 1,
@@ -202,11 +202,11 @@ pub(super) fn code(
         levels.push(tile.levels);
         sizes.push(tile.sizes);
     }
-    Coded { layer: DetailLayer { head: setting.head, tiles: levels }, bytes, sizes }
+    Coded { layer: DetailLayer { head: coding.head, tiles: levels }, bytes, sizes }
 }
 
 /// Estimates the step that fits the byte budget, from the magnitudes of the coefficients in blocks of 8 and 16.
-fn guess(tiles: &[TileResidual], aim: &Aim) -> f64 {
+fn guess(tiles: &[TileResidual], settings: &SearchSettings) -> f64 {
     /// Number of bins per octave.
     const FINE: f32 = 4.0;
     const BINS: usize = 128;
@@ -214,8 +214,8 @@ fn guess(tiles: &[TileResidual], aim: &Aim) -> f64 {
     const SAMPLED: usize = 4;
     /// Step in which the coefficients are measured.
     const UNIT: u16 = 1024;
-    let mut head = aim.setting.head;
-    (head.step, head.slopes, head.classes) = (UNIT, aim.slopes.at(UNIT), 1);
+    let mut head = settings.coding.head;
+    (head.step, head.slopes, head.classes) = (UNIT, settings.slopes.at(UNIT), 1);
     let bins = parallel::map(tiles.len(), |i| {
         let tile = &tiles[i];
         let mut bins = vec![0u32; BINS];
@@ -240,7 +240,7 @@ fn guess(tiles: &[TileResidual], aim: &Aim) -> f64 {
         }
         bins
     });
-    let wanted = aim.most as f64 * 8.0 / LEVEL_BITS;
+    let wanted = settings.max_bytes as f64 * 8.0 / LEVEL_BITS;
     let mut count = 0.0;
     let mut bin = BINS - 1;
     while bin > 0 {
@@ -257,23 +257,23 @@ fn guess(tiles: &[TileResidual], aim: &Aim) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::encode::detail::aim;
+    use crate::encode::detail::search_settings;
     use crate::gaussian::Channels;
     use crate::options::Tune;
 
     #[test]
     fn keeping_coefficients_does_not_change_the_bytes() {
-        let aim = Aim { most: 3000, ..aim(Tune::Iq, Channels::Rgb, false) };
+        let settings = SearchSettings { max_bytes: 3000, ..search_settings(Tune::Iq, Channels::Rgb, false) };
         let plane = |seed: usize| (0..TILE * TILE).map(|i| ((i * seed) % 4001) as f32 - 2000.0).collect::<Vec<f32>>();
         let luma = plane(31).iter().map(|v| v / 20.0 + 100.0).collect();
         let tiles = [TileResidual { size: [128, 96], planes: [plane(97), plane(89), plane(83), Vec::new()], luma }];
-        let classes = classes_of(&tiles, &aim, mean_activity(&tiles, &aim));
+        let classes = classes_of(&tiles, &settings, mean_activity(&tiles, &settings));
         let kept = vec![KeptBase::new(); tiles.len()];
-        let first = code(&tiles, &classes, &aim, 900, (None, &kept));
+        let first = code(&tiles, &classes, &settings, 900, (None, &kept));
         assert!(first.bytes > 100);
         // These runs use the blocks of the first run, because `kept` holds the coefficients for those blocks.
         let [with, without] =
-            [&kept[..], &[]].map(|kept| code(&tiles, &classes, &aim, 1200, (Some(&first.sizes), kept)));
+            [&kept[..], &[]].map(|kept| code(&tiles, &classes, &settings, 1200, (Some(&first.sizes), kept)));
         assert_eq!((with.bytes, with.layer), (without.bytes, without.layer));
     }
 
@@ -281,13 +281,13 @@ mod tests {
     fn search_finds_a_step_when_the_bytes_hardly_decrease() {
         // A picture of waves takes hardly fewer bytes when the step doubles, until it takes none at all.
         for last in [30.0, 600.0, 9000.0f64] {
-            let aim = Aim { most: 1000, ..aim(Tune::Psnr, Channels::Rgb, false) };
+            let settings = SearchSettings { max_bytes: 1000, ..search_settings(Tune::Psnr, Channels::Rgb, false) };
             let run = |step: u16| {
                 let bytes = if f64::from(step) < last { 1300.0 - 200.0 * f64::from(step) / last } else { 700.0 };
-                let layer = DetailLayer { head: aim.setting.head, tiles: Vec::new() };
+                let layer = DetailLayer { head: settings.coding.head, tiles: Vec::new() };
                 Ok::<_, std::convert::Infallible>(Coded { layer, bytes: bytes as u64, sizes: Vec::new() })
             };
-            let Ok(found) = smallest_step(&aim, 20.0, run);
+            let Ok(found) = smallest_step(&settings, 20.0, run);
             assert!(found.is_some_and(|coded| coded.bytes == 700), "{last}");
         }
     }

@@ -18,7 +18,7 @@ use crate::strict_math::StrictMath;
 use crate::target::Target;
 #[cfg(feature = "quality")]
 pub(super) use quality::AIM_ABOVE;
-use search::{Aim, Curve, Search};
+use search::{Curve, ScoreGoal, Search};
 
 /// Maximum number of primitives that an encode fits.
 pub(super) const MAX_PRIMITIVES: u64 = 16 << 20;
@@ -78,8 +78,8 @@ pub(super) fn to_target<'a, S: EncodeSession<'a>>(session: &mut S) -> Result<Out
     }
     let mut outcome = match target {
         Target::Auto | Target::Ratio(_) | Target::Bytes(_) => {
-            let (beside, room) = thumbnail::kept_free(session, size);
-            session.at_size(beside, None).map_err(|e| thumbnail::counted(e, size, room))?
+            let (remaining, room) = thumbnail::reserve_thumbnail(session, size);
+            session.at_size(remaining, None).map_err(|e| thumbnail::counted(e, size, room))?
         }
         Target::Primitives(count) => session.at_count(count as usize)?,
         Target::Psnr(psnr) => psnr::to_psnr(session, psnr)?,
@@ -115,10 +115,10 @@ fn of_one_color<'a, S: EncodeSession<'a>>(session: &mut S, size: Size) -> Result
     Ok(Some(Outcome { bytes, splats, float_error, quality: None }))
 }
 
-/// Curve, aim and time limit of a search.
-struct Goal<C> {
+/// Curve, goal and time limit of a search.
+struct SearchPlan<C> {
     curve: C,
-    aim: Aim,
+    goal: ScoreGoal,
     /// Number of parts of the time budget: one for each try of a typical search, and one for the work after the search.
     timed_parts: u32,
 }
@@ -127,16 +127,16 @@ struct Goal<C> {
 /// score is high enough. Ends early if `is_close` accepts a file.
 fn smallest<'a, S: EncodeSession<'a>, C: Curve>(
     session: &mut S,
-    goal: Goal<C>,
+    plan: SearchPlan<C>,
     mut score: impl FnMut(&mut S, &Outcome) -> Result<f64>,
     is_close: impl Fn(&S, f64, &Outcome) -> bool,
 ) -> Result<(f64, Outcome)> {
     let raw = session.samples();
     // The search varies the bytes of the picture. The bytes of the metadata are added to each size.
     let metadata = metadata_bytes(session)?;
-    let share = session.clock().left().map(|time| time / goal.timed_parts);
-    let enough = goal.aim.enough;
-    let mut search = Search::new(goal.curve, goal.aim);
+    let share = session.clock().left().map(|time| time / plan.timed_parts);
+    let required = plan.goal.required;
+    let mut search = Search::new(plan.curve, plan.goal);
     let mut best: Option<(f64, Outcome)> = None;
     while let Some(size) = search.next() {
         // All tries share the time budget. A try that starts late would be a worse fit, and its score would say little.
@@ -147,7 +147,7 @@ fn smallest<'a, S: EncodeSession<'a>, C: Curve>(
         let found = score(session, &outcome)?;
         search.note(size, found);
         let is_done = is_close(session, found, &outcome);
-        let is_better = best.as_ref().is_none_or(|(score, best)| match (found >= enough, *score >= enough) {
+        let is_better = best.as_ref().is_none_or(|(score, best)| match (found >= required, *score >= required) {
             (true, true) => outcome.bytes.len() < best.bytes.len(),
             (is_enough, was_enough) => is_enough || !was_enough && found > *score,
         });

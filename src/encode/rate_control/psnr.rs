@@ -1,7 +1,7 @@
 //! Encodes to a requested PSNR: searches for the smallest file that reaches it.
 
-use super::search::{Aim, Curve, Try};
-use super::{Goal, smallest};
+use super::search::{Curve, ScoreGoal, Try};
+use super::{SearchPlan, smallest};
 use crate::encode::session::{EncodeSession, Outcome, decibels};
 use crate::error::{Error, Result};
 use crate::strict_math::StrictMath;
@@ -60,11 +60,12 @@ impl Curve for Decibels {
 /// Encodes to a PSNR of `wanted` decibels over the samples of all channels.
 pub(super) fn to_psnr<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64) -> Result<Outcome> {
     let raw = session.samples();
-    let aim = Aim { enough: wanted, aim: wanted + AIM_ABOVE, sizes: super::sizes_tried(raw), tries: MAX_TRIES };
-    let goal = Goal { curve: Decibels, aim, timed_parts: TIMED_PARTS };
+    let goal =
+        ScoreGoal { required: wanted, aimed: wanted + AIM_ABOVE, sizes: super::sizes_tried(raw), tries: MAX_TRIES };
+    let plan = SearchPlan { curve: Decibels, goal, timed_parts: TIMED_PARTS };
     let score = |session: &mut S, outcome: &Outcome| Ok(decibels(session.error(&outcome.splats)?, raw));
     let is_close = |_: &S, reached: f64, _: &Outcome| (0.0..TOLERANCE).contains(&(reached - wanted));
-    let (reached, mut best) = smallest(session, goal, score, is_close)?;
+    let (reached, mut best) = smallest(session, plan, score, is_close)?;
     if reached < wanted {
         if session.options().time.is_some() {
             // The report contains the PSNR that was reached in that time.

@@ -1,7 +1,7 @@
 //! Encodes to a requested SSIMULACRA2 score: searches for the size, and trims files that exceed the score.
 
-use super::search::{Aim, Curve, Try};
-use super::{Goal, smallest};
+use super::search::{Curve, ScoreGoal, Try};
+use super::{SearchPlan, smallest};
 use crate::bitstream::{self, splats::PackedSplats};
 use crate::encode::drawn::own_limits;
 use crate::encode::session::{EncodeSession, Outcome};
@@ -65,20 +65,19 @@ impl Curve for Points {
 pub(super) fn to_quality<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64) -> Result<Outcome> {
     let &PackedSplats { width, height, .. } = session.blank();
     if width.min(height) < MIN_SIDE {
-        let problem = format!(
-            "SSIMULACRA2 takes no picture of {width} × {height}: a side has to have {MIN_SIDE} pixels at least"
-        );
+        let problem =
+            format!("SSIMULACRA2 needs sides of at least {MIN_SIDE} pixels; the picture has {width} × {height}");
         return Err(Error::Parameter { name: "quality", problem });
     }
     let sizes = super::sizes_tried(session.samples());
-    let aim = Aim { enough: wanted - TOLERANCE, aim: wanted + AIM_ABOVE, sizes, tries: MAX_TRIES };
-    let goal = Goal { curve: Points, aim, timed_parts: TIMED_PARTS };
+    let goal = ScoreGoal { required: wanted - TOLERANCE, aimed: wanted + AIM_ABOVE, sizes, tries: MAX_TRIES };
+    let plan = SearchPlan { curve: Points, goal, timed_parts: TIMED_PARTS };
     let score = |session: &mut S, outcome: &Outcome| session.score(&outcome.splats);
     let is_close = |session: &S, score: f64, outcome: &Outcome| {
         let above = if session.can_be_trimmed(outcome) { MAX_TRIMMED } else { TOLERANCE };
         (-TOLERANCE..=above).contains(&(score - wanted))
     };
-    let (found, mut outcome) = smallest(session, goal, score, is_close)?;
+    let (found, mut outcome) = smallest(session, plan, score, is_close)?;
     outcome.quality = Some(found);
     if found > wanted + AIM_ABOVE {
         session.trim_to_quality(&mut outcome, wanted)?;
@@ -114,8 +113,8 @@ mod tests {
             p + (q - p) * (at - a) / (b - a)
         };
         for wanted in [30.0, 50.0, 70.0, 85.0] {
-            let aim = Aim { enough: wanted - TOLERANCE, aim: wanted, sizes: [-9.0, 0.0], tries: MAX_TRIES };
-            let mut search = Search::new(Points, aim);
+            let goal = ScoreGoal { required: wanted - TOLERANCE, aimed: wanted, sizes: [-9.0, 0.0], tries: MAX_TRIES };
+            let mut search = Search::new(Points, goal);
             let (mut tries, mut points) = (0, 0.0);
             while let Some(size) = search.next() {
                 points = measured(-size);

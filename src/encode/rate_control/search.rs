@@ -25,11 +25,11 @@ pub(super) struct Try {
 
 /// Goal and bounds of a search.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Aim {
+pub(super) struct ScoreGoal {
     /// Minimum score of the file.
-    pub enough: f64,
-    /// Score that tries aim at, no lower than `enough`.
-    pub aim: f64,
+    pub required: f64,
+    /// Score that tries aim at, no lower than `required`.
+    pub aimed: f64,
     /// Smallest and largest size.
     pub sizes: [f64; 2],
     /// Maximum number of tries once a file has reached the score.
@@ -51,13 +51,13 @@ const INSIDE: f64 = 0.1;
 /// A search in progress.
 pub(super) struct Search<C> {
     curve: C,
-    aim: Aim,
+    goal: ScoreGoal,
     tries: Vec<Try>,
 }
 
 impl<C: Curve> Search<C> {
-    pub(super) fn new(curve: C, aim: Aim) -> Self {
-        Search { curve, aim, tries: Vec::new() }
+    pub(super) fn new(curve: C, goal: ScoreGoal) -> Self {
+        Search { curve, goal, tries: Vec::new() }
     }
 
     /// Records the score of a file of this size.
@@ -67,21 +67,21 @@ impl<C: Curve> Search<C> {
 
     /// Returns the size to try next, or `None` if the search is over.
     pub(super) fn next(&self) -> Option<f64> {
-        let [smallest, largest] = self.aim.sizes;
+        let [smallest, largest] = self.goal.sizes;
         let inside = |size: f64| Some(size.clamp(smallest, largest));
         match self.bracket() {
-            (None, None) => inside(self.curve.size(self.aim.aim)),
+            (None, None) => inside(self.curve.size(self.goal.aimed)),
             // The largest file is not good enough.
             (Some(low), None) if low.size >= largest => None,
             (Some(_), None) if self.tries.len() >= SMALLER => Some(largest),
-            (Some(low), None) => inside(low.size + self.step(self.curve.beyond(low, self.aim.aim) - low.size)),
+            (Some(low), None) => inside(low.size + self.step(self.curve.beyond(low, self.goal.aimed) - low.size)),
             // One file is good enough, and no tries remain.
-            (_, Some(_)) if self.tries.len() >= self.aim.tries => None,
+            (_, Some(_)) if self.tries.len() >= self.goal.tries => None,
             (None, Some(high)) if high.size <= smallest => None,
-            (None, Some(high)) => inside(high.size - self.step(high.size - self.curve.beyond(high, self.aim.aim))),
+            (None, Some(high)) => inside(high.size - self.step(high.size - self.curve.beyond(high, self.goal.aimed))),
             (Some(low), Some(high)) => {
                 let width = high.size - low.size;
-                let at = self.curve.between(low, high, self.aim.aim).max(low.size + INSIDE * width);
+                let at = self.curve.between(low, high, self.goal.aimed).max(low.size + INSIDE * width);
                 (width >= NARROW).then(|| at.min(high.size - INSIDE * width))
             }
         }
@@ -97,8 +97,8 @@ impl<C: Curve> Search<C> {
     /// successful one.
     fn bracket(&self) -> (Option<Try>, Option<Try>) {
         let by_size = |a: &&Try, b: &&Try| a.size.total_cmp(&b.size);
-        let high = self.tries.iter().filter(|t| t.score >= self.aim.enough).min_by(by_size).copied();
-        let is_below = |t: &&Try| t.score < self.aim.enough && high.is_none_or(|high| t.size < high.size);
+        let high = self.tries.iter().filter(|t| t.score >= self.goal.required).min_by(by_size).copied();
+        let is_below = |t: &&Try| t.score < self.goal.required && high.is_none_or(|high| t.size < high.size);
         (self.tries.iter().filter(is_below).max_by(by_size).copied(), high)
     }
 }
@@ -129,7 +129,8 @@ mod tests {
     /// Searches for the score `wanted` in a picture whose score is a function of the size. Returns the sizes that were
     /// tried, and the smallest one that reached the score.
     fn search(wanted: f64, score: impl Fn(f64) -> f64) -> (Vec<f64>, Option<f64>) {
-        let mut search = Search::new(Straight, Aim { enough: wanted, aim: wanted + 0.05, sizes: SIZES, tries: 8 });
+        let mut search =
+            Search::new(Straight, ScoreGoal { required: wanted, aimed: wanted + 0.05, sizes: SIZES, tries: 8 });
         let mut tried = Vec::new();
         while let Some(size) = search.next() {
             assert!((SIZES[0]..=SIZES[1]).contains(&size), "{size}");

@@ -7,15 +7,15 @@ use crate::fit::model::objective::planes::Planes;
 use crate::pixel_source::PixelSource;
 
 /// Returns the colour of a picture whose pixels are all equal. Reads `tiles`, which together cover the picture of
-/// `source`, until two pixels differ. Calls `show` with the fraction that is done.
+/// `source`, until two pixels differ. Calls `on_progress` with the fraction that is done.
 pub(super) fn color(
     source: &dyn PixelSource,
     tiles: &[Window],
-    mut show: impl FnMut(f32) -> Result<()>,
+    mut on_progress: impl FnMut(f32) -> Result<()>,
 ) -> Result<Option<[f32; 4]>> {
     let mut color = None;
     for (i, tile) in tiles.iter().enumerate() {
-        show(i as f32 / tiles.len() as f32)?;
+        on_progress(i as f32 / tiles.len() as f32)?;
         let part = source.part(tile.core.bounds())?;
         if !is_constant(&part) {
             return Ok(None);

@@ -2,7 +2,7 @@
 
 use super::global::GlobalContext;
 use super::grid::{Shift, Window};
-use super::mosaic::{Around, Placed, TileResult};
+use super::mosaic::{Placed, TileResult, WindowPrimitives};
 use crate::bitstream;
 use crate::bitstream::splats::PackedSplats;
 use crate::encode::job::excess;
@@ -28,24 +28,29 @@ pub(super) const ALONE: f32 = 0.5;
 /// The later passes: the fraction of the iterations at which each of them ends, and the position of its tiles.
 pub(super) const JOINED: [(f32, Shift); 3] = [(0.7, Shift::Half), (0.85, Shift::None), (1.0, Shift::Half)];
 /// Number of candidate primitives that are searched for in a tile, as a fraction of the primitives in the tile.
-const OTHERS: f32 = 0.25;
+const CANDIDATES: f32 = 0.25;
 
 /// Progress callback. It receives the fraction of the work that is done; an error stops the work.
-pub(super) type Show<'a> = &'a mut dyn FnMut(f32) -> Result<()>;
+pub(super) type OnProgress<'a> = &'a mut dyn FnMut(f32) -> Result<()>;
 
 /// Fits a tile alone.
-pub(super) fn begin(global: &GlobalContext<'_>, window: &Window, show: Show<'_>) -> Result<TileResult<Primitive>> {
-    let target = global.planes(&window.seen)?;
-    let problem = Problem { scene: global.scene(&window.seen), target: &target };
+pub(super) fn begin(
+    global: &GlobalContext<'_>,
+    window: &Window,
+    on_progress: OnProgress<'_>,
+) -> Result<TileResult<Primitive>> {
+    let target = global.planes(&window.padded)?;
+    let problem = Problem { scene: global.scene(&window.padded), target: &target };
     let (count, plan) = (global.count_of(&target), global.plan_of(window));
     let job = Job { problem, count, plan: &plan };
     let Start { mut state, rng, from } = multi_start::scattered(&target, count, &plan);
     let price = Some(Price {
         problem,
-        draft: global.draft(&window.seen),
+        draft: global.draft(&window.padded),
         bits: count as f64 * CODED_BITS * excess(global.settings.count),
     });
-    let mut watcher = Shown { show, from: 0.0, to: ALONE, price: price.filter(|_| global.settings.is_priced) };
+    let mut watcher =
+        TileFitWatcher { on_progress, from: 0.0, to: ALONE, price: price.filter(|_| global.settings.is_priced) };
     schedule::run(&job, &mut state, (rng, from..share(ALONE, plan.iterations)), &mut watcher)?;
     Ok(appraise(&problem, &state.primitives, window))
 }
@@ -61,43 +66,43 @@ fn appraise(problem: &Problem<'_>, primitives: &[Primitive], window: &Window) ->
     let mut field = Field::default();
     field.draw(problem, &projected, RowSet::ALL, Output::Picture);
     let costs = removal::costs(problem, &field, RowSet::ALL, &projected);
-    let count = (primitives.len() as f32 * OTHERS) as usize;
-    let others = peaks(problem, &field, RowSet::ALL, count, primitives.len());
-    let placed = |p: Primitive, cost: f32| Placed { what: moved(p, window.seen.origin()), cost };
-    let is_own = |p: &Placed<Primitive>| window.core.holds(p.what.mean);
+    let count = (primitives.len() as f32 * CANDIDATES) as usize;
+    let candidates = peaks(problem, &field, RowSet::ALL, count, primitives.len());
+    let placed = |p: Primitive, cost: f32| Placed { primitive: moved(p, window.padded.origin()), cost };
+    let is_own = |p: &Placed<Primitive>| window.core.holds(p.primitive.mean);
     TileResult {
         own: primitives.iter().zip(costs).map(|(p, cost)| placed(*p, cost)).filter(is_own).collect(),
-        others: others.iter().map(|peak| placed(at_peak(peak, problem), peak.gain)).filter(is_own).collect(),
+        candidates: candidates.iter().map(|peak| placed(at_peak(peak, problem), peak.gain)).filter(is_own).collect(),
         error: error_within(problem, &projected, window.own(), Output::Picture),
     }
 }
 
-/// Continues the fit of a tile in pass `pass` of [`JOINED`]. Only the `own` primitives move; `others` stay fixed.
+/// Continues the fit of a tile in pass `pass` of [`JOINED`]. Only the `own` primitives move; `neighbours` stay fixed.
 pub(super) fn join(
     global: &GlobalContext<'_>,
     (pass, window): (usize, &Window),
-    Around { own, others }: Around<Primitive>,
-    show: Show<'_>,
+    WindowPrimitives { own, neighbours }: WindowPrimitives<Primitive>,
+    on_progress: OnProgress<'_>,
 ) -> Result<TileResult<Primitive>> {
-    let target = global.planes(&window.seen)?;
-    let problem = Problem { scene: global.scene(&window.seen), target: &target };
+    let target = global.planes(&window.padded)?;
+    let problem = Problem { scene: global.scene(&window.padded), target: &target };
     let plan = global.plan_of(window);
     let job = Job { problem, count: own.len(), plan: &plan };
     let local = |all: Vec<Primitive>| -> Vec<Primitive> {
-        all.into_iter().map(|p| moved(p, window.seen.origin().map(|v| -v))).collect()
+        all.into_iter().map(|p| moved(p, window.padded.origin().map(|v| -v))).collect()
     };
-    let mut state = State::new(local(own), Bounds::new(window.seen.size[0], window.seen.size[1]));
-    state.frozen = local(others);
+    let mut state = State::new(local(own), Bounds::new(window.padded.size[0], window.padded.size[1]));
+    state.frozen = local(neighbours);
     let from = if pass > 0 { JOINED[pass - 1].0 } else { ALONE };
     let to = JOINED[pass].0;
-    let mut watcher = Shown { show, from, to, price: None };
+    let mut watcher = TileFitWatcher { on_progress, from, to, price: None };
     let rng = multi_start::random(&plan);
     schedule::run(&job, &mut state, (rng, share(from, plan.iterations)..share(to, plan.iterations)), &mut watcher)?;
     state.keep_best()?;
-    let seen = [&state.primitives[..], &state.frozen].concat();
-    let error = error_within(&problem, &project::all(&seen, problem.scene.height), window.own(), Output::Picture);
-    let placed = |p: &Primitive| Placed { what: moved(*p, window.seen.origin()), cost: 0.0 };
-    Ok(TileResult { own: state.primitives.iter().map(placed).collect(), others: Vec::new(), error })
+    let all = [&state.primitives[..], &state.frozen].concat();
+    let error = error_within(&problem, &project::all(&all, problem.scene.height), window.own(), Output::Picture);
+    let placed = |p: &Primitive| Placed { primitive: moved(*p, window.padded.origin()), cost: 0.0 };
+    Ok(TileResult { own: state.primitives.iter().map(placed).collect(), candidates: Vec::new(), error })
 }
 
 /// Returns the primitive, moved `by` pixels.
@@ -106,8 +111,8 @@ pub(super) fn moved(p: Primitive, by: [f32; 2]) -> Primitive {
 }
 
 /// Reports the progress of the fit of a tile, and corrects its number of primitives if bits have a price.
-struct Shown<'a> {
-    show: Show<'a>,
+struct TileFitWatcher<'a> {
+    on_progress: OnProgress<'a>,
     /// Start and end of the part of the schedule that this fit runs, as fractions of the schedule.
     from: f32,
     to: f32,
@@ -135,9 +140,9 @@ impl Price<'_> {
     }
 }
 
-impl Watcher for Shown<'_> {
+impl Watcher for TileFitWatcher<'_> {
     fn step(&mut self, done: f32, _: &mut dyn Snapshot) -> Result<()> {
-        (self.show)(((done - self.from) / (self.to - self.from)).clamp(0.0, 1.0))
+        (self.on_progress)(((done - self.from) / (self.to - self.from)).clamp(0.0, 1.0))
     }
 
     fn recount(&mut self, primitives: &[Primitive]) -> Result<usize> {

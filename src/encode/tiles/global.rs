@@ -27,7 +27,7 @@ pub(super) struct TileSettings {
     /// Whether a detail layer is added to the primitives.
     pub is_base: bool,
     /// Mean squared error per sample at which a fit ends early.
-    pub enough: f64,
+    pub sufficient_error: f64,
     /// Seed of all random numbers.
     pub seed: u64,
     /// Whether colours under alpha 0 count.
@@ -80,12 +80,12 @@ pub(super) struct Survey {
 
 impl Survey {
     /// Reads `tiles`, which together cover the picture of `source`, once. Returns the properties of the whole picture.
-    /// Calls `show` with the fraction that is done.
+    /// Calls `on_progress` with the fraction that is done.
     pub(super) fn of<'a>(
         self,
         source: &'a dyn PixelSource,
         tiles: &[Window],
-        mut show: impl FnMut(f32) -> Result<()>,
+        mut on_progress: impl FnMut(f32) -> Result<()>,
     ) -> Result<GlobalContext<'a>> {
         let Survey { scene, blank, settings, tune } = self;
         let area = f64::from(scene.width) * f64::from(scene.height);
@@ -97,7 +97,7 @@ impl Survey {
         };
         let (mut mean, mut detail) = ([0.0f64; 4], 0.0);
         for (i, tile) in tiles.iter().enumerate() {
-            show(i as f32 / tiles.len() as f32)?;
+            on_progress(i as f32 / tiles.len() as f32)?;
             let planes = Planes::with_hidden(&source.part(tile.core.bounds())?, settings.hidden);
             let share = tile.core.pixels() / area;
             mean.iter_mut().zip(planes.mean).for_each(|(m, v)| *m += share * f64::from(v));
@@ -160,8 +160,8 @@ impl<'a> GlobalContext<'a> {
 
     /// Returns the plan that all windows share.
     pub(super) fn plan(&self) -> Plan {
-        let TileSettings { effort, count, is_base, enough, seed, .. } = self.settings;
-        let plan = Plan { enough, ..Plan::new(effort, count, self.scene.pixels(), None, seed) };
+        let TileSettings { effort, count, is_base, sufficient_error, seed, .. } = self.settings;
+        let plan = Plan { enough: sufficient_error, ..Plan::new(effort, count, self.scene.pixels(), None, seed) };
         if is_base { plan.for_base(effort, self.weights.tune(), None) } else { plan }
     }
 

@@ -43,16 +43,16 @@ pub(super) struct Window {
     /// The tile itself. A primitive belongs to the tile that contains its mean.
     pub core: Area,
     /// The tile and a margin around it.
-    pub seen: Area,
+    pub padded: Area,
     /// Number of the window, unique within the picture.
     pub index: u64,
 }
 
 impl Window {
-    /// Returns the columns and rows of the tile, relative to `seen`.
+    /// Returns the columns and rows of the tile, relative to `padded`.
     pub(super) fn own(&self) -> (std::ops::Range<usize>, std::ops::Range<u32>) {
         let range = |k: usize| {
-            let first = self.core.corner[k] - self.seen.corner[k];
+            let first = self.core.corner[k] - self.padded.corner[k];
             first..first + self.core.size[k]
         };
         let columns = range(0);
@@ -100,7 +100,7 @@ impl Grid {
         for (index, (i, j, x, y)) in all.enumerate() {
             let core = Area { corner: [x[0], y[0]], size: [x[1] - x[0], y[1] - y[0]] };
             let index = 2 * index as u64 + u64::from(shift == Shift::Half);
-            turns[i % 2 + 2 * (j % 2)].push(Window { core, seen: self.around(&core), index });
+            turns[i % 2 + 2 * (j % 2)].push(Window { core, padded: self.with_margin(&core), index });
         }
         turns
     }
@@ -110,7 +110,7 @@ impl Grid {
         self.turns(Shift::None).concat()
     }
 
-    fn around(&self, core: &Area) -> Area {
+    fn with_margin(&self, core: &Area) -> Area {
         let corner = core.corner.map(|v| v.saturating_sub(self.margin));
         let end = |k: usize| (core.corner[k] + core.size[k]).saturating_add(self.margin).min(self.size[k]);
         Area { corner, size: [end(0) - corner[0], end(1) - corner[1]] }
@@ -128,14 +128,14 @@ mod tests {
         {
             let grid = Grid { size, half, margin };
             for shift in [Shift::None, Shift::Half] {
-                let mut seen = vec![0u8; (size[0] * size[1]) as usize];
+                let mut covered = vec![0u8; (size[0] * size[1]) as usize];
                 for turn in grid.turns(shift) {
                     for (i, window) in turn.iter().enumerate() {
                         let [x, y, w, h] = window.core.bounds();
                         for (y, x) in (y..y + h).flat_map(|y| (x..x + w).map(move |x| (y, x))) {
-                            seen[(y * size[0] + x) as usize] += 1;
+                            covered[(y * size[0] + x) as usize] += 1;
                         }
-                        assert!(window.seen.corner.iter().all(|v| v % UNIT == 0));
+                        assert!(window.padded.corner.iter().all(|v| v % UNIT == 0));
                         for other in &turn[..i] {
                             let apart = (0..2).any(|k| {
                                 let [a, b] =
@@ -146,7 +146,7 @@ mod tests {
                         }
                     }
                 }
-                assert!(seen.iter().all(|&n| n == 1), "{size:?} {shift:?}");
+                assert!(covered.iter().all(|&n| n == 1), "{size:?} {shift:?}");
             }
         }
     }

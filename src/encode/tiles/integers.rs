@@ -2,7 +2,7 @@
 
 use super::global::GlobalContext;
 use super::grid::Window;
-use super::mosaic::{Around, Placed, TileResult};
+use super::mosaic::{Placed, TileResult, WindowPrimitives};
 use crate::bitstream::splats::{PackedGaussian, PackedSplats};
 use crate::encode::file;
 use crate::error::Result;
@@ -15,7 +15,7 @@ use crate::round::size::{self, Worth};
 
 /// Number of candidate primitives that are searched for in a tile: a fraction of the primitives in the tile, plus a
 /// constant.
-const OTHERS: (f32, usize) = (0.06, 8);
+const CANDIDATES: (f32, usize) = (0.06, 8);
 
 /// A window and its integers, in the window's own coordinates.
 pub(super) struct Part<'a> {
@@ -24,7 +24,7 @@ pub(super) struct Part<'a> {
     /// The file of the window alone.
     splats: PackedSplats,
     quantizer: Quantizer,
-    still: Vec<Projected>,
+    frozen: Vec<Projected>,
 }
 
 impl<'a> Part<'a> {
@@ -32,42 +32,42 @@ impl<'a> Part<'a> {
     pub(super) fn new(
         global: &'a GlobalContext<'a>,
         window: &'a Window,
-        Around { own, others }: Around<PackedGaussian>,
+        WindowPrimitives { own, neighbours }: WindowPrimitives<PackedGaussian>,
     ) -> Self {
-        let of_whole = global.blank.quantizer();
-        let height = window.seen.size[1];
-        let gaussians = own.iter().map(|p| moved(p, &of_whole, window.seen.corner, Move::In)).collect();
-        let origin = window.seen.origin();
-        let still = others.iter().map(|p| {
-            let mut g = of_whole.dequantize(p);
+        let quantizer_of_whole = global.blank.quantizer();
+        let height = window.padded.size[1];
+        let gaussians = own.iter().map(|p| moved(p, &quantizer_of_whole, window.padded.corner, Move::In)).collect();
+        let origin = window.padded.origin();
+        let frozen = neighbours.iter().map(|p| {
+            let mut g = quantizer_of_whole.dequantize(p);
             g.mean = [g.mean[0] - origin[0], g.mean[1] - origin[1]];
             Projected::from_gaussian(&g, height)
         });
-        let still = still.collect();
-        let splats = PackedSplats { gaussians, ..global.draft(&window.seen) };
-        Part { global, window, quantizer: splats.quantizer(), splats, still }
+        let frozen = frozen.collect();
+        let splats = PackedSplats { gaussians, ..global.draft(&window.padded) };
+        Part { global, window, quantizer: splats.quantizer(), splats, frozen }
     }
 
     fn scene(&self) -> Scene {
         let background = self.quantizer.dequantize_color(self.splats.background);
-        Scene { background, ..self.global.scene(&self.window.seen) }
+        Scene { background, ..self.global.scene(&self.window.padded) }
     }
 
     /// Returns the squared error of the tile, with the weights of the fit.
     pub(super) fn error(self) -> Result<f64> {
-        let target = self.global.planes(&self.window.seen)?;
+        let target = self.global.planes(&self.window.padded)?;
         let problem = Problem { scene: self.scene(), target: &target };
-        let descent = Descent::new(problem, &self.quantizer, Field::default()).with_frozen(self.still);
+        let descent = Descent::new(problem, &self.quantizer, Field::default()).with_frozen(self.frozen);
         Ok(error_within(&problem, &descent.visible(&self.splats.gaussians), self.window.own(), Output::Gradient))
     }
 
     /// Sweeps once over the integers. A bit must save a squared error of `lambda`. The returned error has the weights
     /// of the fit.
     pub(super) fn sweep(mut self, lambda: f64) -> Result<TileResult<PackedGaussian>> {
-        let target = self.global.planes(&self.window.seen)?;
+        let target = self.global.planes(&self.window.padded)?;
         let problem = Problem { scene: self.scene(), target: &target };
         let expected = file::expected(&mut self.splats, 1)?;
-        let mut descent = Descent::new(problem, &self.quantizer, Field::default()).with_frozen(self.still);
+        let mut descent = Descent::new(problem, &self.quantizer, Field::default()).with_frozen(self.frozen);
         let lambda = lambda as f32;
         let mut own = self.splats.gaussians;
         descent.sweep(&mut own, &expected, lambda);
@@ -75,26 +75,31 @@ impl<'a> Part<'a> {
         // The number of primitives under a detail layer is never corrected.
         let worth = match self.global.settings.is_base {
             true => Worth { costs: vec![0.0; own.len()], candidates: Vec::new() },
-            false => size::worth(&mut descent, &own, others(own.len())),
+            false => size::worth(&mut descent, &own, candidate_count(own.len())),
         };
-        let global = |p: &PackedGaussian| moved(p, &self.quantizer, self.window.seen.corner, Move::Out);
-        let placed = |(p, cost): (&PackedGaussian, f32)| Placed { what: global(p), cost };
+        let global = |p: &PackedGaussian| moved(p, &self.quantizer, self.window.padded.corner, Move::Out);
+        let placed = |(p, cost): (&PackedGaussian, f32)| Placed { primitive: global(p), cost };
         let is_own = |p: &PackedGaussian| {
             let [x, y] = self.quantizer.dequantize(p).mean;
-            let origin = self.window.seen.origin();
+            let origin = self.window.padded.origin();
             self.window.core.holds([x + origin[0], y + origin[1]])
         };
         Ok(TileResult {
             own: own.iter().zip(worth.costs).map(placed).collect(),
-            others: worth.candidates.iter().filter(|(p, _)| is_own(p)).map(|(p, gain)| placed((p, *gain))).collect(),
+            candidates: worth
+                .candidates
+                .iter()
+                .filter(|(p, _)| is_own(p))
+                .map(|(p, gain)| placed((p, *gain)))
+                .collect(),
             error,
         })
     }
 }
 
 /// Returns the number of candidate primitives to search for in a tile of `own` primitives.
-pub(super) fn others(own: usize) -> usize {
-    (own as f32 * OTHERS.0) as usize + OTHERS.1
+pub(super) fn candidate_count(own: usize) -> usize {
+    (own as f32 * CANDIDATES.0) as usize + CANDIDATES.1
 }
 
 /// Direction of a conversion: into a part, or out of it.

@@ -28,9 +28,9 @@ use super::detail::layered_in_parts;
 use super::detail::parts::error_between;
 use super::device::Chosen;
 use super::drawn::drawn_part;
-use super::hidden::Continued;
+use super::hidden::InpaintedSource;
 use super::input::{self, may_leave_out};
-use super::job::{enough, excess};
+use super::job::{excess, sufficient_error};
 use super::pipeline::run;
 use super::rate_control::count_for;
 use super::report::ReportBuilder;
@@ -57,7 +57,7 @@ use crate::round::rounded;
 use crate::round::size::{Correction, Size, correction, is_settled};
 #[cfg(feature = "quality")]
 use crate::ssimulacra2::{MIN_SIDE, ssimulacra2};
-use floats::Show;
+use floats::OnProgress;
 use global::{GlobalContext, Survey, TileSettings};
 use grid::{Grid, Shift, UNIT, Window};
 use mosaic::{Mosaic, Placed, TileResult};
@@ -100,22 +100,22 @@ pub(super) fn encode(
     check(options)?;
     let clock = Clock::new(options.time);
     let start = report.seconds();
-    let continued = Continued::new(source, options.hidden, || report.show("survey", 0.0))?;
-    if continued.is_some() {
+    let inpainted = InpaintedSource::new(source, options.hidden, || report.stage_progress("survey", 0.0))?;
+    if inpainted.is_some() {
         report.note(SkipReason::HiddenColors, 0, 0.0);
     }
-    let source = continued.as_ref().map_or(source, |continued| continued as &dyn PixelSource);
+    let source = inpainted.as_ref().map_or(source, |inpainted| inpainted as &dyn PixelSource);
     let windows = Grid { size: source.size(), half: side / 2, margin: UNIT }.windows();
-    let looked_at = if may_leave_out(options) { &windows[..] } else { &[] };
-    let (narrowed, left_out) = Narrowed::new(source, looked_at, || report.show("survey", 0.0))?;
-    if let Some(what) = left_out {
-        report.note(what, 0, 0.0);
+    let surveyed = if may_leave_out(options) { &windows[..] } else { &[] };
+    let (narrowed, left_out) = Narrowed::new(source, surveyed, || report.stage_progress("survey", 0.0))?;
+    if let Some(reason) = left_out {
+        report.note(reason, 0, 0.0);
     }
     report.stage("survey", start);
     let blend = options.blend.unwrap_or(Blend::Normalized);
     let blank = input::empty(source.size(), (narrowed.channels(), source.depth()), blend, options);
     let kept = None;
-    run(TiledSession { options, source, seen: &narrowed, side, blank, windows, executor, clock, report, kept })
+    run(TiledSession { options, source, fitted_source: &narrowed, side, blank, windows, executor, clock, report, kept })
 }
 
 /// Returns an error if `options` ask for something that tiles do not support.
@@ -146,10 +146,10 @@ struct TiledSession<'a, 'b, 'c> {
     /// The picture with all its channels.
     source: &'b dyn PixelSource,
     /// The picture without its constant channels.
-    seen: &'b dyn PixelSource,
+    fitted_source: &'b dyn PixelSource,
     /// Side of the tiles, pixels.
     side: u32,
-    /// The file of the picture in `seen`, without primitives.
+    /// The file of the picture in `fitted_source`, without primitives.
     blank: PackedSplats,
     /// The tiles. The picture is also measured tile by tile.
     windows: Vec<Window>,
@@ -187,7 +187,7 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
 
     fn constant(&mut self) -> Result<Option<PackedSplats>> {
         let report = &mut self.report;
-        let color = constant::color(self.seen, &self.windows, |done| report.show("survey", done))?;
+        let color = constant::color(self.fitted_source, &self.windows, |done| report.stage_progress("survey", done))?;
         Ok(color.map(|color| {
             let mut splats = self.blank.clone();
             constant(&mut splats, color);
@@ -196,15 +196,15 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
     }
 
     fn at_size(&mut self, size: Size, share: Option<Duration>) -> Result<Outcome> {
-        let Size::Bytes(most) = size else { return self.gaussians(0, [size; 2], share) };
+        let Size::Bytes(max_bytes) = size else { return self.gaussians(0, [size; 2], share) };
         let fixed = self.fixed()?;
-        let area = self.seen.size().map(u64::from).iter().product();
-        let Some(budget) = base_in_tiles(self.options, area, self.samples(), most.saturating_sub(fixed)) else {
-            let count = count_for(self.options, most, fixed, self.samples())?;
+        let area = self.fitted_source.size().map(u64::from).iter().product();
+        let Some(budget) = base_in_tiles(self.options, area, self.samples(), max_bytes.saturating_sub(fixed)) else {
+            let count = count_for(self.options, max_bytes, fixed, self.samples())?;
             return self.gaussians(count, [size; 2], share);
         };
         let until = share.or(self.clock.left()).and_then(|time| Instant::now().checked_add(time));
-        let room = (MAX_KEPT * most as f64) as u64;
+        let room = (MAX_KEPT * max_bytes as f64) as u64;
         let serves =
             |kept: &&KeptBase| is_near(budget as f64, kept.base_budget) && kept.base.bytes.len() as u64 <= room;
         let base = match self.kept.as_ref().filter(serves) {
@@ -220,7 +220,7 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
             }
         };
         let clock = self.report.seconds();
-        let outcome = layered_in_parts(self, self.seen, base, most)?;
+        let outcome = layered_in_parts(self, self.fitted_source, base, max_bytes)?;
         self.report.stage("detail", clock);
         Ok(outcome)
     }
@@ -230,7 +230,7 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
     }
 
     fn fitted_error(&mut self, splats: &PackedSplats) -> Result<f64> {
-        self.measured(self.seen, splats)
+        self.measured(self.fitted_source, splats)
     }
 
     fn error(&mut self, splats: &PackedSplats) -> Result<f64> {
@@ -253,7 +253,7 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
         let wide = self.widened(splats);
         let (mut sum, mut area) = (0.0, 0.0);
         for (i, window) in self.windows.iter().enumerate() {
-            self.report.show("measure", i as f32 / self.windows.len() as f32)?;
+            self.report.stage_progress("measure", i as f32 / self.windows.len() as f32)?;
             let core = &window.core;
             if core.size[0].min(core.size[1]) < MIN_SIDE {
                 continue;
@@ -271,8 +271,8 @@ impl TiledSession<'_, '_, '_> {
     fn measured(&mut self, source: &dyn PixelSource, splats: &PackedSplats) -> Result<f64> {
         let clock = self.report.seconds();
         let report = &mut self.report;
-        let show = &mut |done| report.show("measure", done);
-        let error = squared_error((source, self.options.hidden), &self.windows, splats, show)?;
+        let on_progress = &mut |done| report.stage_progress("measure", done);
+        let error = squared_error((source, self.options.hidden), &self.windows, splats, on_progress)?;
         self.report.stage("measure", clock);
         Ok(error)
     }
@@ -282,13 +282,13 @@ impl TiledSession<'_, '_, '_> {
     fn gaussians(&mut self, count: usize, [size, limit]: [Size; 2], time: Option<Duration>) -> Result<Outcome> {
         let clock = self.report.seconds();
         let has_layer = size != limit;
-        let (options, seen) = (self.options, self.seen);
+        let (options, fitted_source) = (self.options, self.fitted_source);
         let fixed = self.fixed()?;
         let metadata = self.blank.metadata.clone();
         let blank = PackedSplats { metadata: Metadata::default(), ..self.blank.clone() };
         let scene = Scene { width: blank.width, height: blank.height, blend: blank.blend, background: [0.0; 4] };
         let by = if has_layer { fraction(scene.pixels(), count) } else { 1 };
-        let small = Shrunk::new(seen, by, options.hidden);
+        let small = Shrunk::new(fitted_source, by, options.hidden);
         let grid = grid_of(&scene, count, self.side);
         let [width, height] = small.size();
         let scene = Scene { width, height, ..scene };
@@ -298,7 +298,7 @@ impl TiledSession<'_, '_, '_> {
             count,
             is_priced: matches!(size, Size::Bytes(_)),
             is_base: has_layer,
-            enough: enough(options.target, blank.depth),
+            sufficient_error: sufficient_error(options.target, blank.depth),
             seed: options.seed,
             hidden: options.hidden,
             seconds: None,
@@ -306,17 +306,17 @@ impl TiledSession<'_, '_, '_> {
         let survey = Survey { scene, blank, settings, tune: options.favoured() };
         let fitted_grid = grid_of(&scene, count, self.side);
         let report = &mut self.report;
-        let global = survey.of(&small, &fitted_grid.windows(), |done| report.show("survey", done))?;
+        let global = survey.of(&small, &fitted_grid.windows(), |done| report.stage_progress("survey", done))?;
         report.stage("survey", clock);
         let until = time.or(self.clock.left()).and_then(|time| Instant::now().checked_add(time));
         let mut fit = TiledFit { session: self, grid: fitted_grid, global, metadata, size, limit, fixed, until };
-        let look = |p: &Primitive| p.to_gaussian();
-        let mut floats = Mosaic::new(&fitted_grid, &look);
+        let to_gaussian = |p: &Primitive| p.to_gaussian();
+        let mut floats = Mosaic::new(&fitted_grid, &to_gaussian);
         let error = fit.fit(&mut floats)?;
-        let mut floats: Vec<Primitive> = floats.all().map(|p| p.what).collect();
+        let mut floats: Vec<Primitive> = floats.all().map(|p| p.primitive).collect();
         if by > 1 {
             floats = project::zoomed(floats, by as f32);
-            fit = TiledFit { grid, global: fit.global.at_size_of(seen), ..fit };
+            fit = TiledFit { grid, global: fit.global.at_size_of(fitted_source), ..fit };
         }
         fit.round(floats, error * f64::from(by).powi(2))
     }
@@ -327,11 +327,11 @@ fn squared_error(
     (source, hidden): (&dyn PixelSource, HiddenColors),
     parts: &[Window],
     splats: &PackedSplats,
-    show: Show<'_>,
+    on_progress: OnProgress<'_>,
 ) -> Result<f64> {
     let mut error = 0.0;
     for (i, part) in parts.iter().enumerate() {
-        show(i as f32 / parts.len() as f32)?;
+        on_progress(i as f32 / parts.len() as f32)?;
         let area = part.core.bounds();
         let wanted = Planes::with_hidden(&source.part(area)?, hidden);
         // The rounding error of 16 bits is smaller than any error worth reporting.
@@ -387,20 +387,20 @@ impl TiledFit<'_, '_, '_, '_, '_> {
     ) -> Result<(Vec<Placed<T>>, f64)> {
         let turns = self.grid.turns(shift);
         let count = turns.iter().map(Vec::len).sum::<usize>() as f32;
-        let (mut others, mut error, mut through) = (Vec::new(), 0.0, 0);
+        let (mut candidates, mut error, mut through) = (Vec::new(), 0.0, 0);
         for turn in turns {
             let [from, to] = [through, through + turn.len()].map(|n| stretch.at(n as f32 / count));
             through += turn.len();
             let results = self.turn(ProgressRange { from, to, ..stretch }, &turn, work, mosaic)?;
             let mut placed = Vec::with_capacity(turn.len());
             for (window, result) in turn.iter().zip(results) {
-                others.extend(result.others);
+                candidates.extend(result.candidates);
                 error += result.error;
                 placed.push((window.core, result.own));
             }
             mosaic.replace(placed);
         }
-        Ok((others, error))
+        Ok((candidates, error))
     }
 
     /// Runs `work` on windows that do not depend on each other, and returns the results.
@@ -411,37 +411,38 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         work: T::Work,
         mosaic: &Mosaic<'_, T>,
     ) -> Result<Vec<TileResult<T>>> {
-        let at_once = self.concurrent();
+        let concurrency = self.concurrent();
         let TiledFit { session, global, .. } = self;
         let TiledSession { report, executor, .. } = &mut **session;
-        let mut show = |done: f32| report.show(stretch.stage, stretch.at(done / windows.len().max(1) as f32));
-        show(0.0)?;
+        let mut on_progress =
+            |done: f32| report.stage_progress(stretch.stage, stretch.at(done / windows.len().max(1) as f32));
+        on_progress(0.0)?;
         let mut results = Vec::new();
         match executor {
             Executor::Own => {
-                let arounds = windows.iter().map(|window| T::around(mosaic, window, work)).collect();
+                let inputs = windows.iter().map(|window| T::window_primitives(mosaic, window, work)).collect();
                 let global = &*global;
-                let work = |i: usize, around, tell: Show<'_>| {
-                    let result = T::work(global, (&windows[i], work), around, tell)?;
-                    tell(1.0)?;
+                let work = |i: usize, primitives, on_tile_progress: OnProgress<'_>| {
+                    let result = T::work(global, (&windows[i], work), primitives, on_tile_progress)?;
+                    on_tile_progress(1.0)?;
                     Ok(result)
                 };
-                results = parallel::map_watched(at_once, arounds, work, &mut show)?;
+                results = parallel::map_watched(concurrency, inputs, work, &mut on_progress)?;
             }
-            Executor::Others(workers) => {
-                let most = workers.capacity().max(1);
+            Executor::External(workers) => {
+                let capacity = workers.capacity().max(1);
                 let mut left = windows.iter();
                 let mut out = VecDeque::new();
                 loop {
-                    for window in left.by_ref().take(most - out.len()) {
-                        let around = T::around(mosaic, window, work);
-                        let task = wire::task(global, (window, work), &around)?;
-                        out.push_back(PendingTile::new(&task, window, T::most(work, around.own.len())));
+                    for window in left.by_ref().take(capacity - out.len()) {
+                        let primitives = T::window_primitives(mosaic, window, work);
+                        let task = wire::task(global, (window, work), &primitives)?;
+                        out.push_back(PendingTile::new(&task, window, T::max_primitives(work, primitives.own.len())));
                         workers.submit(task)?;
                     }
-                    let Some(sent) = out.pop_front() else { break };
-                    results.push(sent.answer(global, &workers.next()?)?);
-                    show(results.len() as f32)?;
+                    let Some(pending) = out.pop_front() else { break };
+                    results.push(pending.answer(global, &workers.next()?)?);
+                    on_progress(results.len() as f32)?;
                 }
             }
         }
@@ -458,10 +459,10 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         // In the first pass, no tile depends on another.
         let initial_count = self.turn(ProgressRange::part("fit", 0, 1), &windows, FloatWork::Begin, mosaic)?;
         let mut error = initial_count.iter().map(|b| b.error).sum();
-        let mut others = Vec::new();
+        let mut candidates = Vec::new();
         let mut placed = Vec::with_capacity(windows.len());
         for (window, result) in windows.iter().zip(initial_count) {
-            others.extend(result.others);
+            candidates.extend(result.candidates);
             placed.push((window.core, result.own));
         }
         mosaic.replace(placed);
@@ -469,13 +470,13 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         let have = mosaic.count();
         let wanted = match self.size {
             Size::Free => self.global.settings.count,
-            Size::Bytes(most) => {
+            Size::Bytes(max_bytes) => {
                 let each = self.price(mosaic, error)?;
-                let room = most as f64 * excess(have) - self.fixed as f64;
+                let room = max_bytes as f64 * excess(have) - self.fixed as f64;
                 ((room / each).max(0.0) as usize).min(2 * self.global.settings.count)
             }
         };
-        mosaic.balance(others, wanted, (MAX_SWAPPED * have as f64) as usize);
+        mosaic.balance(candidates, wanted, (MAX_SWAPPED * have as f64) as usize);
         for (pass, (to, shift)) in floats::JOINED.iter().enumerate() {
             self.give_time(time.map(|time| time.mul_f32(to - last)), windows.len());
             last = *to;
@@ -489,11 +490,11 @@ impl TiledFit<'_, '_, '_, '_, '_> {
 
     /// Sets the time limit for the work on one window, given the `time` for all `windows` of a pass.
     fn give_time(&mut self, time: Option<Duration>, windows: usize) {
-        let at_once = match &self.session.executor {
+        let concurrency = match &self.session.executor {
             Executor::Own => self.concurrent().min(parallel::threads()),
-            Executor::Others(workers) => workers.capacity(),
+            Executor::External(workers) => workers.capacity(),
         };
-        let turns = windows.div_ceil(at_once.max(1)).max(1);
+        let turns = windows.div_ceil(concurrency.max(1)).max(1);
         self.global.settings.seconds = time.map(|time| time.as_secs_f64() / turns as f64);
     }
 
@@ -509,7 +510,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
             return Ok(());
         }
         let PackedSplats { steps, background, .. } = self.global.blank;
-        let all: Vec<Primitive> = mosaic.all().map(|p| p.what).collect();
+        let all: Vec<Primitive> = mosaic.all().map(|p| p.primitive).collect();
         let quantizer = self.set_steps(&all, error);
         let gaussians = all.iter().map(|p| quantizer.quantize(&p.to_gaussian())).collect();
         let splats = PackedSplats { gaussians, ..self.global.blank.clone() };
@@ -533,11 +534,11 @@ impl TiledFit<'_, '_, '_, '_, '_> {
     /// Returns the average number of bytes per primitive in the file.
     fn price(&mut self, mosaic: &Mosaic<'_, Primitive>, error: f64) -> Result<f64> {
         let every = mosaic.count() / MAX_SAMPLED + 1;
-        let some: Vec<Primitive> = mosaic.all().step_by(every).map(|p| p.what).collect();
+        let some: Vec<Primitive> = mosaic.all().step_by(every).map(|p| p.primitive).collect();
         let quantizer = self.set_steps(&some, error);
         let blank = &mut self.global.blank;
         let fixed = bitstream::to_bytes(blank)?.len();
-        blank.gaussians = mosaic.all().map(|p| quantizer.quantize(&p.what.to_gaussian())).collect();
+        blank.gaussians = mosaic.all().map(|p| quantizer.quantize(&p.primitive.to_gaussian())).collect();
         let bytes = bitstream::to_bytes(blank)?.len();
         blank.gaussians = Vec::new();
         Ok((bytes.saturating_sub(fixed) as f64 / mosaic.count().max(1) as f64).max(0.5))
@@ -565,10 +566,10 @@ impl TiledFit<'_, '_, '_, '_, '_> {
         let float_error = error;
         let some: Vec<Primitive> = floats.iter().copied().step_by(floats.len() / MAX_SAMPLED + 1).collect();
         let quantizer = self.set_steps(&some, error);
-        let look = |p: &PackedGaussian| quantizer.dequantize(p);
-        let mut mosaic = Mosaic::new(&self.grid, &look);
+        let to_gaussian = |p: &PackedGaussian| quantizer.dequantize(p);
+        let mut mosaic = Mosaic::new(&self.grid, &to_gaussian);
         for p in &floats {
-            mosaic.insert(Placed { what: quantizer.quantize(&p.to_gaussian()), cost: 0.0 });
+            mosaic.insert(Placed { primitive: quantizer.quantize(&p.to_gaussian()), cost: 0.0 });
         }
         drop(floats);
         let sweeps = self.global.plan().sweeps.max(2);
@@ -584,30 +585,30 @@ impl TiledFit<'_, '_, '_, '_, '_> {
             let lambda = SLOPE * error / (8.0 * bytes.len() as f64);
             let shift = if round.is_multiple_of(2) { Shift::None } else { Shift::Half };
             let stretch = ProgressRange::part("finish", round as usize, (sweeps + MAX_ADDED_SWEEPS) as usize);
-            let others;
-            (others, error) = self.pass((stretch, shift), IntegerWork::Sweep(lambda), &mut mosaic)?;
+            let candidates;
+            (candidates, error) = self.pass((stretch, shift), IntegerWork::Sweep(lambda), &mut mosaic)?;
             bytes = self.write(&mosaic)?;
             took = start.elapsed();
             self.trace("finish", &self.splats(&mosaic))?;
             // The size of a base is not corrected, because the detail layer takes all remaining bytes.
-            let (Size::Bytes(most), false) = (self.size, self.global.settings.is_base) else {
+            let (Size::Bytes(max_bytes), false) = (self.size, self.global.settings.is_base) else {
                 if round + 1 == sweeps {
                     break;
                 }
                 continue;
             };
             let length = bytes.len() as u64;
-            let is_settled = is_settled(length, most, SETTLED_PART);
-            if round + 1 >= sweeps && (is_settled || length > most || round + 1 == sweeps + MAX_ADDED_SWEEPS) {
+            let is_settled = is_settled(length, max_bytes, SETTLED_PART);
+            if round + 1 >= sweeps && (is_settled || length > max_bytes || round + 1 == sweeps + MAX_ADDED_SWEEPS) {
                 break;
             }
             if round + 1 + CORRECTED_SWEEPS >= sweeps && !is_settled {
                 let count = mosaic.count();
-                let wanted = match correction(count, length.saturating_sub(self.fixed), length, most) {
+                let wanted = match correction(count, length.saturating_sub(self.fixed), length, max_bytes) {
                     Correction::Remove(cheapest) => count.saturating_sub(cheapest),
                     Correction::Add(more) => count + more,
                 };
-                mosaic.balance(others, wanted, 0);
+                mosaic.balance(candidates, wanted, 0);
                 bytes = self.write(&mosaic)?;
             }
         }
@@ -627,20 +628,20 @@ impl TiledFit<'_, '_, '_, '_, '_> {
 
     /// Returns the integers of the primitives in `mosaic`, without the constant channels.
     fn splats(&self, mosaic: &Mosaic<'_, PackedGaussian>) -> PackedSplats {
-        let gaussians = mosaic.all().map(|p| p.what).collect();
+        let gaussians = mosaic.all().map(|p| p.primitive).collect();
         PackedSplats { gaussians, metadata: self.metadata.clone(), ..self.global.blank.clone() }
     }
 
     /// Removes the cheapest primitives until the file is within its limit. Returns the bytes of the file.
     fn within(&self, mosaic: &mut Mosaic<'_, PackedGaussian>, mut bytes: Vec<u8>) -> Result<Vec<u8>> {
-        let Size::Bytes(most) = self.limit else { return Ok(bytes) };
-        while bytes.len() as u64 > most {
+        let Size::Bytes(max_bytes) = self.limit else { return Ok(bytes) };
+        while bytes.len() as u64 > max_bytes {
             let count = mosaic.count();
             if count == 0 {
-                return Err(self.session.too_small(most, bytes.len() as u64));
+                return Err(self.session.too_small(max_bytes, bytes.len() as u64));
             }
             let each = (bytes.len() as f64 / count as f64).max(1.0);
-            mosaic.remove_cheapest(((bytes.len() as u64 - most) as f64 / each).ceil() as usize);
+            mosaic.remove_cheapest(((bytes.len() as u64 - max_bytes) as f64 / each).ceil() as usize);
             bytes = self.write(mosaic)?;
         }
         Ok(bytes)

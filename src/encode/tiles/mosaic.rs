@@ -6,14 +6,14 @@ use crate::gaussian::Gaussian;
 /// A primitive and its cost: the increase of the squared error if it were removed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Placed<T> {
-    pub what: T,
+    pub primitive: T,
     pub cost: f32,
 }
 
 /// Primitives of a tile, and other primitives that reach into the tile's window.
-pub(super) struct Around<T> {
+pub(super) struct WindowPrimitives<T> {
     pub own: Vec<T>,
-    pub others: Vec<T>,
+    pub neighbours: Vec<T>,
 }
 
 /// Result of the work on a tile.
@@ -21,15 +21,15 @@ pub(super) struct TileResult<T> {
     /// Primitives of the tile, in the picture's coordinates.
     pub own: Vec<Placed<T>>,
     /// Candidate primitives. Their cost is the estimated decrease of the squared error if they were added.
-    pub others: Vec<Placed<T>>,
+    pub candidates: Vec<Placed<T>>,
     /// Squared error of the tile.
     pub error: f64,
 }
 
 impl<T> TileResult<T> {
     /// Returns the result for a tile whose error was only measured.
-    pub(super) fn seen(error: f64) -> Self {
-        TileResult { own: Vec::new(), others: Vec::new(), error }
+    pub(super) fn measured(error: f64) -> Self {
+        TileResult { own: Vec::new(), candidates: Vec::new(), error }
     }
 }
 
@@ -39,7 +39,7 @@ pub(super) struct Mosaic<'a, T> {
     half: u32,
     columns: usize,
     squares: Vec<Square<T>>,
-    look: &'a dyn Fn(&T) -> Gaussian,
+    to_gaussian: &'a dyn Fn(&T) -> Gaussian,
 }
 
 #[derive(Debug, Clone)]
@@ -50,14 +50,14 @@ struct Square<T> {
 }
 
 impl<'a, T: Copy> Mosaic<'a, T> {
-    /// Creates an empty mosaic. `look` converts a primitive to a Gaussian of the picture.
-    pub(super) fn new(grid: &Grid, look: &'a dyn Fn(&T) -> Gaussian) -> Self {
+    /// Creates an empty mosaic. `to_gaussian` converts a primitive to a Gaussian of the picture.
+    pub(super) fn new(grid: &Grid, to_gaussian: &'a dyn Fn(&T) -> Gaussian) -> Self {
         let [columns, rows] = grid.size.map(|side| side.div_ceil(grid.half) as usize);
         Mosaic {
             half: grid.half,
             columns,
             squares: vec![Square { placed: Vec::new(), reach: 0.0 }; columns * rows],
-            look,
+            to_gaussian,
         }
     }
 
@@ -70,11 +70,11 @@ impl<'a, T: Copy> Mosaic<'a, T> {
     }
 
     pub(super) fn insert(&mut self, placed: Placed<T>) {
-        let seen = (self.look)(&placed.what);
+        let gaussian = (self.to_gaussian)(&placed.primitive);
         let rows = self.squares.len() / self.columns;
-        let at = |k: usize, n: usize| ((seen.mean[k].max(0.0) / self.half as f32) as usize).min(n - 1);
+        let at = |k: usize, n: usize| ((gaussian.mean[k].max(0.0) / self.half as f32) as usize).min(n - 1);
         let square = &mut self.squares[at(1, rows) * self.columns + at(0, self.columns)];
-        let [x, y] = seen.extent();
+        let [x, y] = gaussian.extent();
         square.reach = square.reach.max(x).max(y);
         square.placed.push(placed);
     }
@@ -90,14 +90,14 @@ impl<'a, T: Copy> Mosaic<'a, T> {
 
     /// Returns the primitives of a tile.
     fn own(&self, core: &Area) -> Vec<T> {
-        self.indices(core).into_iter().flat_map(|i| self.squares[i].placed.iter().map(|p| p.what)).collect()
+        self.indices(core).into_iter().flat_map(|i| self.squares[i].placed.iter().map(|p| p.primitive)).collect()
     }
 
-    /// Returns the primitives of other tiles that reach into `seen`.
-    fn others(&self, core: &Area, seen: &Area) -> Vec<T> {
+    /// Returns the primitives of other tiles that reach into `padded`.
+    fn neighbours(&self, core: &Area, padded: &Area) -> Vec<T> {
         let own = self.indices(core);
         let touches = |low: [f32; 2], high: [f32; 2]| {
-            (0..2).all(|k| low[k] < (seen.corner[k] + seen.size[k]) as f32 && high[k] > seen.corner[k] as f32)
+            (0..2).all(|k| low[k] < (padded.corner[k] + padded.size[k]) as f32 && high[k] > padded.corner[k] as f32)
         };
         let mut out = Vec::new();
         for (i, square) in self.squares.iter().enumerate() {
@@ -106,18 +106,18 @@ impl<'a, T: Copy> Mosaic<'a, T> {
             if own.contains(&i) || !touches(corner.map(|v| v - reach), corner.map(|v| v + self.half as f32 + reach)) {
                 continue;
             }
-            out.extend(square.placed.iter().map(|p| p.what).filter(|what| {
-                let Gaussian { mean: [x, y], .. } = (self.look)(what);
-                let [w, h] = (self.look)(what).extent();
+            out.extend(square.placed.iter().map(|p| p.primitive).filter(|p| {
+                let Gaussian { mean: [x, y], .. } = (self.to_gaussian)(p);
+                let [w, h] = (self.to_gaussian)(p).extent();
                 touches([x - w, y - h], [x + w, y + h])
             }));
         }
         out
     }
 
-    /// Returns the primitives of a tile, and primitives of other tiles that reach into `seen`.
-    pub(super) fn around(&self, core: &Area, seen: &Area) -> Around<T> {
-        Around { own: self.own(core), others: self.others(core, seen) }
+    /// Returns the primitives of a tile, and primitives of other tiles that reach into `padded`.
+    pub(super) fn window_primitives(&self, core: &Area, padded: &Area) -> WindowPrimitives<T> {
+        WindowPrimitives { own: self.own(core), neighbours: self.neighbours(core, padded) }
     }
 
     /// Replaces the primitives of tiles by the results of work on them.
@@ -156,21 +156,21 @@ impl<'a, T: Copy> Mosaic<'a, T> {
     }
 
     /// Changes the number of primitives to about `wanted`: removes the cheapest ones, or adds the best candidates in
-    /// `others`. Then replaces at most `swaps` of the cheapest primitives by candidates that gain more than the
+    /// `candidates`. Then replaces at most `swaps` of the cheapest primitives by candidates that gain more than the
     /// primitives cost.
-    pub(super) fn balance(&mut self, mut others: Vec<Placed<T>>, wanted: usize, swaps: usize) {
+    pub(super) fn balance(&mut self, mut candidates: Vec<Placed<T>>, wanted: usize, swaps: usize) {
         let have = self.count();
-        others.sort_by(|a, b| b.cost.total_cmp(&a.cost));
+        candidates.sort_by(|a, b| b.cost.total_cmp(&a.cost));
         let mut costs: Vec<f32> = self.all().map(|p| p.cost).collect();
         costs.sort_unstable_by(f32::total_cmp);
-        let (mut removed, mut added) = (have.saturating_sub(wanted), wanted.saturating_sub(have).min(others.len()));
-        let most = added + swaps;
-        while added < most.min(others.len()) && removed < have && others[added].cost > costs[removed] {
+        let (mut removed, mut added) = (have.saturating_sub(wanted), wanted.saturating_sub(have).min(candidates.len()));
+        let max_added = added + swaps;
+        while added < max_added.min(candidates.len()) && removed < have && candidates[added].cost > costs[removed] {
             (removed, added) = (removed + 1, added + 1);
         }
         self.remove_cheapest(removed);
-        others.truncate(added);
-        others.into_iter().for_each(|placed| self.insert(placed));
+        candidates.truncate(added);
+        candidates.into_iter().for_each(|placed| self.insert(placed));
     }
 }
 
@@ -178,12 +178,12 @@ impl<'a, T: Copy> Mosaic<'a, T> {
 mod tests {
     use super::*;
 
-    fn look(p: &[f32; 2]) -> Gaussian {
+    fn to_gaussian(p: &[f32; 2]) -> Gaussian {
         Gaussian { mean: *p, scale: [3.0; 2], rotation: 0.0, color: [0.0; 4] }
     }
 
     fn at(x: f32, y: f32, cost: f32) -> Placed<[f32; 2]> {
-        Placed { what: [x, y], cost }
+        Placed { primitive: [x, y], cost }
     }
 
     fn costs(mosaic: &Mosaic<'_, [f32; 2]>) -> Vec<f32> {
@@ -195,15 +195,15 @@ mod tests {
     #[test]
     fn a_tile_returns_its_primitives_and_others_that_reach_into_it() {
         let grid = Grid { size: [300, 200], half: 64, margin: 64 };
-        let mut mosaic = Mosaic::new(&grid, &look);
+        let mut mosaic = Mosaic::new(&grid, &to_gaussian);
         let points = [[10.0, 10.0], [127.0, 5.0], [130.0, 5.0], [200.0, 5.0], [299.9, 199.9], [300.5, -1.0]];
         points.iter().for_each(|p| mosaic.insert(at(p[0], p[1], 1.0)));
         assert_eq!(mosaic.count(), points.len());
         let core = Area { corner: [0, 0], size: [128, 128] };
         assert_eq!(mosaic.own(&core), [[10.0, 10.0], [127.0, 5.0]]);
-        assert_eq!(mosaic.others(&core, &core), [[130.0, 5.0]]);
-        let seen = Area { corner: [0, 0], size: [192, 192] };
-        assert_eq!(mosaic.others(&core, &seen), [[130.0, 5.0], [200.0, 5.0]]);
+        assert_eq!(mosaic.neighbours(&core, &core), [[130.0, 5.0]]);
+        let padded = Area { corner: [0, 0], size: [192, 192] };
+        assert_eq!(mosaic.neighbours(&core, &padded), [[130.0, 5.0], [200.0, 5.0]]);
         mosaic.replace(vec![(core, vec![at(290.0, 190.0, 2.0)])]);
         assert_eq!((mosaic.count(), mosaic.own(&core).len()), (points.len() - 1, 0));
     }
@@ -211,12 +211,12 @@ mod tests {
     #[test]
     fn the_cheapest_primitives_are_removed_and_the_best_candidates_added() {
         let grid = Grid { size: [300, 200], half: 64, margin: 64 };
-        let mut mosaic = Mosaic::new(&grid, &look);
+        let mut mosaic = Mosaic::new(&grid, &to_gaussian);
         (0..10).for_each(|i| mosaic.insert(at(29.0 * i as f32, 7.0, (i / 2) as f32)));
         mosaic.remove_cheapest(3);
         assert_eq!(costs(&mosaic), [1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0]);
-        let others = || [0.5, 9.0, 2.5, 8.0].map(|gain| at(5.0, 5.0, gain)).to_vec();
-        mosaic.balance(others(), 8, 0);
+        let candidates = || [0.5, 9.0, 2.5, 8.0].map(|gain| at(5.0, 5.0, gain)).to_vec();
+        mosaic.balance(candidates(), 8, 0);
         assert_eq!(costs(&mosaic), [1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0, 9.0]);
         // One candidate is added and one replaces a primitive. The next candidate would gain less than the cheapest
         // primitive costs.

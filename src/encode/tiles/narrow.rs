@@ -1,7 +1,7 @@
 //! A picture that is read in parts, without its constant channels.
 
 use super::grid::Window;
-use crate::encode::channels::{Silent, narrowed};
+use crate::encode::channels::{ConstantChannels, narrowed};
 use crate::encode::skipped::SkipReason;
 use crate::error::Result;
 use crate::gaussian::Channels;
@@ -16,29 +16,29 @@ pub(super) struct Narrowed<'a> {
 
 impl<'a> Narrowed<'a> {
     /// Reads `tiles`, which together cover the picture of `source`, until no channel can be constant any more. Returns
-    /// the picture without its constant channels, and the name of these channels, if there are any. Calls `show` for
-    /// each tile.
+    /// the picture without its constant channels, and the name of these channels, if there are any. Calls `on_progress`
+    /// for each tile.
     pub(super) fn new(
         source: &'a dyn PixelSource,
         tiles: &[Window],
-        mut show: impl FnMut() -> Result<()>,
+        mut on_progress: impl FnMut() -> Result<()>,
     ) -> Result<(Self, Option<SkipReason>)> {
         let all = source.channels();
-        let mut silent: Option<Silent> = None;
+        let mut constant: Option<ConstantChannels> = None;
         for tile in tiles {
-            let rest = |silent: Silent| silent.rest(all);
-            if all == Channels::Grey || silent.is_some_and(|s| rest(s).is_none()) {
+            let to_fit = |constant: ConstantChannels| constant.to_fit(all);
+            if all == Channels::Grey || constant.is_some_and(|s| to_fit(s).is_none()) {
                 break;
             }
-            show()?;
-            let found = Silent::of(&source.part(tile.core.bounds())?);
-            silent = Some(silent.map_or(found, |s| s.and(found)));
+            on_progress()?;
+            let found = ConstantChannels::of(&source.part(tile.core.bounds())?);
+            constant = Some(constant.map_or(found, |s| s.and(found)));
         }
-        let (channels, what) = match silent.and_then(|s| s.rest(all)) {
-            Some((channels, what)) => (channels, Some(what)),
+        let (channels, removed) = match constant.and_then(|s| s.to_fit(all)) {
+            Some((channels, removed)) => (channels, Some(removed)),
             None => (all, None),
         };
-        Ok((Narrowed { source, channels }, what))
+        Ok((Narrowed { source, channels }, removed))
     }
 }
 

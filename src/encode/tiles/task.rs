@@ -1,10 +1,10 @@
 //! The kinds of work on a tile, and the pixels and primitives that each kind needs.
 
-use super::floats::{self, Show};
+use super::floats::{self, OnProgress};
 use super::global::GlobalContext;
 use super::grid::{Area, Window};
 use super::integers::Part;
-use super::mosaic::{Around, Mosaic, TileResult};
+use super::mosaic::{Mosaic, TileResult, WindowPrimitives};
 use crate::bitstream::splats::PackedGaussian;
 use crate::error::Result;
 use crate::fit::model::drawing::project::Primitive;
@@ -29,7 +29,7 @@ pub(super) enum IntegerWork {
 
 /// Primitives that can be worked on. The result depends only on the global context, the window, the work and the
 /// primitives, and not on where the work is done.
-pub(super) trait Worked: Copy + Send {
+pub(super) trait TilePrimitive: Copy + Send {
     /// The kinds of work on these primitives.
     type Work: Copy + Sync;
 
@@ -39,53 +39,53 @@ pub(super) trait Worked: Copy + Send {
     /// Does the work and returns its result.
     fn work(
         global: &GlobalContext<'_>,
-        what: (&Window, Self::Work),
-        around: Around<Self>,
-        show: Show<'_>,
+        task: (&Window, Self::Work),
+        primitives: WindowPrimitives<Self>,
+        on_progress: OnProgress<'_>,
     ) -> Result<TileResult<Self>>;
 
     /// Returns the primitives that the work needs.
-    fn around(mosaic: &Mosaic<'_, Self>, window: &Window, work: Self::Work) -> Around<Self> {
-        mosaic.around(&window.core, &Self::pixels(window, work))
+    fn window_primitives(mosaic: &Mosaic<'_, Self>, window: &Window, work: Self::Work) -> WindowPrimitives<Self> {
+        mosaic.window_primitives(&window.core, &Self::pixels(window, work))
     }
 }
 
-impl Worked for Primitive {
+impl TilePrimitive for Primitive {
     type Work = FloatWork;
 
     fn pixels(window: &Window, _: FloatWork) -> Area {
-        window.seen
+        window.padded
     }
 
     fn work(
         global: &GlobalContext<'_>,
         (window, work): (&Window, FloatWork),
-        around: Around<Self>,
-        show: Show<'_>,
+        primitives: WindowPrimitives<Self>,
+        on_progress: OnProgress<'_>,
     ) -> Result<TileResult<Self>> {
         match work {
-            FloatWork::Begin => floats::begin(global, window, show),
-            FloatWork::Join(pass) => floats::join(global, (pass, window), around, show),
+            FloatWork::Begin => floats::begin(global, window, on_progress),
+            FloatWork::Join(pass) => floats::join(global, (pass, window), primitives, on_progress),
         }
     }
 }
 
-impl Worked for PackedGaussian {
+impl TilePrimitive for PackedGaussian {
     type Work = IntegerWork;
 
     fn pixels(window: &Window, _: IntegerWork) -> Area {
-        window.seen
+        window.padded
     }
 
     fn work(
         global: &GlobalContext<'_>,
         (window, work): (&Window, IntegerWork),
-        around: Around<Self>,
-        _: Show<'_>,
+        primitives: WindowPrimitives<Self>,
+        _: OnProgress<'_>,
     ) -> Result<TileResult<Self>> {
         match work {
-            IntegerWork::Weigh => Ok(TileResult::seen(Part::new(global, window, around).error()?)),
-            IntegerWork::Sweep(lambda) => Part::new(global, window, around).sweep(lambda),
+            IntegerWork::Weigh => Ok(TileResult::measured(Part::new(global, window, primitives).error()?)),
+            IntegerWork::Sweep(lambda) => Part::new(global, window, primitives).sweep(lambda),
         }
     }
 }

@@ -6,12 +6,12 @@
 
 use std::ops::ControlFlow;
 
-use super::floats::{JOINED, Show};
+use super::floats::{JOINED, OnProgress};
 use super::global::{GlobalContext, TileSettings, Weights};
 use super::grid::{Area, UNIT, Window};
 use super::integers;
-use super::mosaic::{Around, Placed, TileResult};
-use super::task::{FloatWork, IntegerWork, Worked};
+use super::mosaic::{Placed, TileResult, WindowPrimitives};
+use super::task::{FloatWork, IntegerWork, TilePrimitive};
 use crate::bitstream;
 use crate::bitstream::bytes::Bytes;
 use crate::bitstream::checksum::hash;
@@ -46,57 +46,57 @@ const FAR: f32 = 2_097_152.0;
 /// [`Error::Parameter`] with the name `task` if the bytes are not a task of this version of the crate;
 /// [`Error::Cancelled`] if `progress` returns [`ControlFlow::Break`].
 pub fn work_on_tile(task: &[u8], progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>) -> Result<Vec<u8>> {
-    let mut show = |done: f32| match progress(&Progress { stage: "tile", done, psnr: None }) {
+    let mut on_progress = |done: f32| match progress(&Progress { stage: "tile", done, psnr: None }) {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(Error::Cancelled),
     };
-    show(0.0)?;
-    done(task, &mut show).map_err(|e| bad("task", e))
+    on_progress(0.0)?;
+    run_task(task, &mut on_progress).map_err(|e| bad("task", e))
 }
 
-fn done(task: &[u8], show: Show<'_>) -> Result<Vec<u8>> {
-    let mut bytes = opened(task, TASK)?;
-    let blank = blank_of(&mut bytes)?;
-    let window = window_of(&mut bytes, [blank.width, blank.height])?;
-    let of_work = (name_of(task), &window);
+fn run_task(task: &[u8], on_progress: OnProgress<'_>) -> Result<Vec<u8>> {
+    let mut bytes = check_envelope(task, TASK)?;
+    let blank = read_blank(&mut bytes)?;
+    let window = read_window(&mut bytes, [blank.width, blank.height])?;
+    let target = (task_id(task), &window);
     match bytes.array("work")? {
-        [0] => worked::<Primitive>(bytes, blank, FloatWork::Begin, of_work, show),
+        [0] => run_work::<Primitive>(bytes, blank, FloatWork::Begin, target, on_progress),
         [1] => match bytes.u32("pass")? {
             pass if (pass as usize) < JOINED.len() => {
-                worked::<Primitive>(bytes, blank, FloatWork::Join(pass as usize), of_work, show)
+                run_work::<Primitive>(bytes, blank, FloatWork::Join(pass as usize), target, on_progress)
             }
             pass => Err(refused("pass", pass.into())),
         },
-        [2] => worked::<PackedGaussian>(bytes, blank, IntegerWork::Weigh, of_work, show),
+        [2] => run_work::<PackedGaussian>(bytes, blank, IntegerWork::Weigh, target, on_progress),
         [3] => {
-            let lambda = f64_of(&mut bytes, "lambda")?;
-            worked::<PackedGaussian>(bytes, blank, IntegerWork::Sweep(lambda), of_work, show)
+            let lambda = read_f64(&mut bytes, "lambda")?;
+            run_work::<PackedGaussian>(bytes, blank, IntegerWork::Sweep(lambda), target, on_progress)
         }
         [other] => Err(refused("work", other.into())),
     }
 }
 
 /// Reads the rest of a task, does its work and writes the answer.
-fn worked<T: WireFormat>(
+fn run_work<T: WireFormat>(
     mut bytes: Bytes<'_>,
     blank: PackedSplats,
     work: T::Work,
-    (name, window): (u32, &Window),
-    show: Show<'_>,
+    (id, window): (u32, &Window),
+    on_progress: OnProgress<'_>,
 ) -> Result<Vec<u8>> {
-    let cut = cut_of(&mut bytes, &blank, T::pixels(window, work))?;
-    let global = whole_of(&mut bytes, blank, &cut)?;
-    let bars = Bars::new(&global, window);
+    let pixels = read_pixels(&mut bytes, &blank, T::pixels(window, work))?;
+    let global = read_context(&mut bytes, blank, &pixels)?;
+    let bounds = PrimitiveBounds::new(&global, window);
     let counts = [bytes.u32("primitives")?, bytes.u32("other primitives")?];
     let mut own = Vec::new();
     for _ in 0..counts[0] {
-        let what = T::read(&mut bytes, &bars)?;
-        what.check_inside(&bars)?;
-        own.push(what);
+        let primitive = T::read(&mut bytes, &bounds)?;
+        primitive.check_inside(&bounds)?;
+        own.push(primitive);
     }
-    let others = (0..counts[1]).map(|_| T::read(&mut bytes, &bars)).collect::<Result<_>>()?;
+    let neighbours = (0..counts[1]).map(|_| T::read(&mut bytes, &bounds)).collect::<Result<_>>()?;
     bytes.finish()?;
-    answer(name, &T::work(&global, (window, work), Around { own, others }, show)?)
+    answer(id, &T::work(&global, (window, work), WindowPrimitives { own, neighbours }, on_progress)?)
 }
 
 /// Converts an error in the bytes called `name` to an [`Error::Parameter`].
@@ -116,15 +116,15 @@ fn refused(field: &'static str, value: u64) -> Error {
 
 /// A task that has been submitted and not yet answered.
 pub(super) struct PendingTile {
-    name: u32,
+    id: u32,
     window: Window,
-    most: usize,
+    max_primitives: usize,
 }
 
 impl PendingTile {
-    /// Records a submitted `task`. Its answer has at most `most` primitives and at most `most` candidates.
-    pub(super) fn new(task: &[u8], window: &Window, most: usize) -> Self {
-        PendingTile { name: name_of(task), window: *window, most }
+    /// Records a submitted `task`. Its answer has at most `max_primitives` primitives, and as many candidates.
+    pub(super) fn new(task: &[u8], window: &Window, max_primitives: usize) -> Self {
+        PendingTile { id: task_id(task), window: *window, max_primitives }
     }
 
     /// Reads the answer to the task.
@@ -135,7 +135,7 @@ impl PendingTile {
         self.read(global, bytes).map_err(|e| match bad("answer", e) {
             Error::Parameter { name, problem } => {
                 let [x, y, width, height] = self.window.core.bounds();
-                let problem = format!("that of the tile of {width} × {height} at {x}, {y}: {problem}");
+                let problem = format!("for the tile of {width} × {height} at {x}, {y}: {problem}");
                 Error::Parameter { name, problem }
             }
             e => e,
@@ -143,18 +143,18 @@ impl PendingTile {
     }
 
     fn read<T: WireFormat>(&self, global: &GlobalContext<'_>, bytes: &[u8]) -> Result<TileResult<T>> {
-        let mut bytes = opened(bytes, ANSWER)?;
-        let name = bytes.u32("name of the task")?;
-        if name != self.name {
-            let problem = format!("it answers task {name:08x}, not {:08x}", self.name);
+        let mut bytes = check_envelope(bytes, ANSWER)?;
+        let id = bytes.u32("id of the task")?;
+        if id != self.id {
+            let problem = format!("the answer belongs to task {id:08x}, not to task {:08x}", self.id);
             return Err(Error::Parameter { name: "answer", problem });
         }
-        let error = f64_of(&mut bytes, "error")?;
+        let error = read_f64(&mut bytes, "error")?;
         let counts = [bytes.u32("primitives")?, bytes.u32("other primitives")?];
-        let bars = Bars::new(global, &self.window);
+        let bounds = PrimitiveBounds::new(global, &self.window);
         let mut placed = [Vec::new(), Vec::new()];
         for (placed, count) in placed.iter_mut().zip(counts) {
-            if count as usize > self.most {
+            if count as usize > self.max_primitives {
                 return Err(refused("number of primitives", count.into()));
             }
             for _ in 0..count {
@@ -162,39 +162,39 @@ impl PendingTile {
                 if cost.is_nan() {
                     return Err(refused("cost", cost.to_bits().into()));
                 }
-                placed.push(Placed { what: T::read(&mut bytes, &bars)?, cost });
+                placed.push(Placed { primitive: T::read(&mut bytes, &bounds)?, cost });
             }
         }
         bytes.finish()?;
-        let [own, others] = placed;
-        Ok(TileResult { own, others, error })
+        let [own, candidates] = placed;
+        Ok(TileResult { own, candidates, error })
     }
 }
 
 /// Writes an answer.
-fn answer<T: WireFormat>(name: u32, results: &TileResult<T>) -> Result<Vec<u8>> {
+fn answer<T: WireFormat>(id: u32, results: &TileResult<T>) -> Result<Vec<u8>> {
     let mut out = message(ANSWER);
-    out.extend(name.to_le_bytes());
+    out.extend(id.to_le_bytes());
     out.extend(results.error.to_le_bytes());
-    put_counts(&mut out, [results.own.len(), results.others.len()])?;
-    for placed in results.own.iter().chain(&results.others) {
+    put_counts(&mut out, [results.own.len(), results.candidates.len()])?;
+    for placed in results.own.iter().chain(&results.candidates) {
         out.extend(placed.cost.to_le_bytes());
-        placed.what.put(&mut out);
+        placed.primitive.put(&mut out);
     }
-    Ok(closed(out))
+    Ok(with_checksum(out))
 }
 
 /// Writes the task for a window.
 pub(super) fn task<T: WireFormat>(
     global: &GlobalContext<'_>,
     (window, work): (&Window, T::Work),
-    around: &Around<T>,
+    primitives: &WindowPrimitives<T>,
 ) -> Result<Vec<u8>> {
     let mut out = message(TASK);
     let blank = bitstream::to_bytes(&global.blank)?;
     out.extend((blank.len() as u32).to_le_bytes());
     out.extend(blank);
-    for v in window.core.bounds().into_iter().chain(window.seen.bounds()) {
+    for v in window.core.bounds().into_iter().chain(window.padded.bounds()) {
         out.extend(v.to_le_bytes());
     }
     out.extend(window.index.to_le_bytes());
@@ -207,7 +207,7 @@ pub(super) fn task<T: WireFormat>(
     out.push(global.settings.effort);
     out.extend((global.settings.count as u64).to_le_bytes());
     out.extend(global.settings.seed.to_le_bytes());
-    out.extend(global.settings.enough.to_le_bytes());
+    out.extend(global.settings.sufficient_error.to_le_bytes());
     let TileSettings { is_priced, is_base, hidden, seconds, .. } = global.settings;
     let flags = [is_priced, is_base, hidden == HiddenColors::Keep, seconds.is_some()];
     out.push(flags.iter().enumerate().map(|(k, &flag)| u8::from(flag) << k).sum());
@@ -219,9 +219,9 @@ pub(super) fn task<T: WireFormat>(
     };
     out.push(tag);
     means.iter().chain([&global.detail]).for_each(|v| out.extend(v.to_le_bytes()));
-    put_counts(&mut out, [around.own.len(), around.others.len()])?;
-    around.own.iter().chain(&around.others).for_each(|p| p.put(&mut out));
-    Ok(closed(out))
+    put_counts(&mut out, [primitives.own.len(), primitives.neighbours.len()])?;
+    primitives.own.iter().chain(&primitives.neighbours).for_each(|p| p.put(&mut out));
+    Ok(with_checksum(out))
 }
 
 fn put_counts(out: &mut Vec<u8>, counts: [usize; 2]) -> Result<()> {
@@ -236,32 +236,32 @@ fn message(kind: &[u8]) -> Vec<u8> {
     [kind, VERSION, b"\n"].concat()
 }
 
-fn closed(mut out: Vec<u8>) -> Vec<u8> {
+fn with_checksum(mut out: Vec<u8>) -> Vec<u8> {
     let checksum = hash(&out);
     out.extend(checksum.to_le_bytes());
     out
 }
 
-/// Returns the name of a task, which is its checksum.
-fn name_of(task: &[u8]) -> u32 {
+/// Returns the id of a task, which is its checksum.
+fn task_id(task: &[u8]) -> u32 {
     task.last_chunk().map_or(0, |c| u32::from_le_bytes(*c))
 }
 
 /// Checks the version and the checksum of a task or an answer, and returns its contents.
-fn opened<'a>(bytes: &'a [u8], kind: &'static [u8]) -> Result<Bytes<'a>> {
+fn check_envelope<'a>(bytes: &'a [u8], kind: &'static [u8]) -> Result<Bytes<'a>> {
     let wrong = |problem: String| Err(Error::Parameter { name: "bytes", problem });
     let Some(rest) = bytes.strip_prefix(kind) else {
         let kind = String::from_utf8_lossy(kind);
         let found = String::from_utf8_lossy(&bytes[..bytes.len().min(kind.len())]);
-        return wrong(format!("{} bytes that begin with {found:?}, not with {kind:?}", bytes.len()));
+        return wrong(format!("the {} bytes begin with {found:?}, not with {kind:?}", bytes.len()));
     };
     let head = &rest[..rest.len().min(64)];
     let end = head.iter().position(|&b| b == b'\n');
     let version = &head[..end.unwrap_or(head.len())];
     if version != VERSION || end.is_none() {
         let [found, own] = [version, VERSION].map(|v| String::from_utf8_lossy(v).into_owned());
-        let what = if end.is_none() { "cut off within the line of the version" } else { "made by version" };
-        return wrong(format!("{what} {found:?}, this is {own:?}"));
+        let state = if end.is_none() { "truncated in the line of the version" } else { "written by version" };
+        return wrong(format!("{state} {found:?}, but this is version {own:?}"));
     }
     let start = kind.len() + version.len() + 1;
     let Some((contents, stored)) = bytes[start..].split_last_chunk() else {
@@ -275,24 +275,24 @@ fn opened<'a>(bytes: &'a [u8], kind: &'static [u8]) -> Result<Bytes<'a>> {
 }
 
 /// Reads a finite number that is not negative.
-fn f64_of(bytes: &mut Bytes<'_>, field: &'static str) -> Result<f64> {
+fn read_f64(bytes: &mut Bytes<'_>, field: &'static str) -> Result<f64> {
     let value = bytes.f64(field)?;
     if value.is_finite() && value >= 0.0 { Ok(value) } else { Err(refused(field, value.to_bits())) }
 }
 
-fn f32_of(bytes: &mut Bytes<'_>, field: &'static str) -> Result<f32> {
+fn read_f32(bytes: &mut Bytes<'_>, field: &'static str) -> Result<f32> {
     let value = f32::from_le_bytes(bytes.array(field)?);
     if value.abs() <= FAR { Ok(value) } else { Err(refused(field, value.to_bits().into())) }
 }
 
 /// The pixels of a task, at their position in the picture.
-struct Cut {
+struct TaskPixels {
     size: [u32; 2],
     area: Area,
     pixels: Pixels,
 }
 
-impl PixelSource for Cut {
+impl PixelSource for TaskPixels {
     fn width(&self) -> u32 {
         self.size[0]
     }
@@ -314,7 +314,7 @@ impl PixelSource for Cut {
     }
 }
 
-fn cut_of(bytes: &mut Bytes<'_>, blank: &PackedSplats, area: Area) -> Result<Cut> {
+fn read_pixels(bytes: &mut Bytes<'_>, blank: &PackedSplats, area: Area) -> Result<TaskPixels> {
     let [width, height] = area.size;
     let samples = u64::from(width) * u64::from(height) * blank.channels.count() as u64;
     let samples = bytes.take(samples * blank.depth.bytes() as u64, "samples")?;
@@ -323,10 +323,10 @@ fn cut_of(bytes: &mut Bytes<'_>, blank: &PackedSplats, area: Area) -> Result<Cut
         Depth::Sixteen => Samples::U16(samples.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect()),
     };
     let pixels = Pixels::new(width, height, blank.channels, samples)?;
-    Ok(Cut { size: [blank.width, blank.height], area, pixels })
+    Ok(TaskPixels { size: [blank.width, blank.height], area, pixels })
 }
 
-fn blank_of(bytes: &mut Bytes<'_>) -> Result<PackedSplats> {
+fn read_blank(bytes: &mut Bytes<'_>) -> Result<PackedSplats> {
     let length = bytes.u32("file without primitives")?;
     let blank = bitstream::read(bytes.take(length.into(), "file without primitives")?, &Limits::default())?;
     if !blank.gaussians.is_empty() {
@@ -339,10 +339,10 @@ fn blank_of(bytes: &mut Bytes<'_>) -> Result<PackedSplats> {
     Ok(blank)
 }
 
-fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Result<GlobalContext<'a>> {
+fn read_context<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, pixels: &'a TaskPixels) -> Result<GlobalContext<'a>> {
     let mut background = [0.0; 4];
     for v in &mut background {
-        *v = f32_of(bytes, "background")?;
+        *v = read_f32(bytes, "background")?;
     }
     let [effort] = bytes.array("effort")?;
     if !(1..=9).contains(&effort) {
@@ -354,34 +354,34 @@ fn whole_of<'a>(bytes: &mut Bytes<'_>, blank: PackedSplats, cut: &'a Cut) -> Res
     }
     let count = count as usize;
     let seed = u64::from_le_bytes(bytes.array("seed")?);
-    let enough = f64_of(bytes, "enough")?;
+    let sufficient_error = read_f64(bytes, "sufficient error")?;
     // The flags: whether bits have a price, whether a detail layer follows, whether hidden colours count, and whether
     // there is a time budget.
     let [is_priced, is_base, keeps_hidden, is_timed] = match bytes.array("flags")? {
         [flags @ 0..=15] => [0, 1, 2, 3].map(|k| flags >> k & 1 != 0),
         [other] => return Err(refused("flags", other.into())),
     };
-    let seconds = if is_timed { Some(f64_of(bytes, "seconds")?) } else { None };
+    let seconds = if is_timed { Some(read_f64(bytes, "seconds")?) } else { None };
     let weights = match bytes.array("weights")? {
         [0] => Weights::Alike,
-        [1] => Weights::Structure(f64_of(bytes, "weights")?),
+        [1] => Weights::Structure(read_f64(bytes, "weights")?),
         [2] => {
             let mut means = Means::default();
             for mean in &mut means {
-                *mean = f64_of(bytes, "weights")?;
+                *mean = read_f64(bytes, "weights")?;
             }
             Weights::Masking(means)
         }
         [other] => return Err(refused("weights", other.into())),
     };
-    let detail = f64_of(bytes, "detail")?;
+    let detail = read_f64(bytes, "detail")?;
     let scene = Scene { width: blank.width, height: blank.height, blend: blank.blend, background };
     let hidden = if keeps_hidden { HiddenColors::Keep } else { HiddenColors::Continue };
-    let settings = TileSettings { effort, count, is_priced, is_base, enough, seed, hidden, seconds };
-    Ok(GlobalContext { source: cut, scene, settings, blank, weights, detail })
+    let settings = TileSettings { effort, count, is_priced, is_base, sufficient_error, seed, hidden, seconds };
+    Ok(GlobalContext { source: pixels, scene, settings, blank, weights, detail })
 }
 
-fn window_of(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {
+fn read_window(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {
     let mut areas = [[0; 4]; 2];
     for (area, field) in areas.iter_mut().zip(["tile", "pixels around the tile"]) {
         for v in area.iter_mut() {
@@ -389,16 +389,16 @@ fn window_of(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {
         }
         check_area(*area, size)?;
     }
-    let [core, seen] = areas.map(|[x, y, width, height]| Area { corner: [x, y], size: [width, height] });
-    check_area(seen.inward(core.bounds()), seen.size)?;
-    if let Some(&corner) = seen.corner.iter().find(|&v| v % UNIT != 0) {
+    let [core, padded] = areas.map(|[x, y, width, height]| Area { corner: [x, y], size: [width, height] });
+    check_area(padded.inward(core.bounds()), padded.size)?;
+    if let Some(&corner) = padded.corner.iter().find(|&v| v % UNIT != 0) {
         return Err(refused("corner", corner.into()));
     }
-    Ok(Window { core, seen, index: u64::from_le_bytes(bytes.array("number of the tile")?) })
+    Ok(Window { core, padded, index: u64::from_le_bytes(bytes.array("number of the tile")?) })
 }
 
 /// Bounds for the primitives of a task or an answer.
-pub(super) struct Bars {
+pub(super) struct PrimitiveBounds {
     size: [u32; 2],
     global: Rules,
     /// Rules for a file of the window alone.
@@ -406,28 +406,28 @@ pub(super) struct Bars {
     corner: [u32; 2],
 }
 
-impl Bars {
+impl PrimitiveBounds {
     fn new(global: &GlobalContext<'_>, window: &Window) -> Self {
-        Bars {
+        PrimitiveBounds {
             size: [global.blank.width, global.blank.height],
             global: Rules::of(&global.blank),
-            part: Rules::of(&global.draft(&window.seen)),
-            corner: window.seen.corner,
+            part: Rules::of(&global.draft(&window.padded)),
+            corner: window.padded.corner,
         }
     }
 }
 
 /// Primitives that can be sent to workers.
-pub(super) trait WireFormat: Worked {
+pub(super) trait WireFormat: TilePrimitive {
     /// Writes the kind of work.
     fn put_work(work: Self::Work, out: &mut Vec<u8>);
     fn put(&self, out: &mut Vec<u8>);
     /// Reads a primitive. Returns an error if no encode produces its values.
-    fn read(bytes: &mut Bytes<'_>, bars: &Bars) -> Result<Self>;
+    fn read(bytes: &mut Bytes<'_>, bounds: &PrimitiveBounds) -> Result<Self>;
     /// Returns an error if the primitive lies outside the window of the tile.
-    fn check_inside(&self, bars: &Bars) -> Result<()>;
+    fn check_inside(&self, bounds: &PrimitiveBounds) -> Result<()>;
     /// Returns the maximum number of primitives, and of candidates, in an answer to work on `own` primitives.
-    fn most(work: Self::Work, own: usize) -> usize;
+    fn max_primitives(work: Self::Work, own: usize) -> usize;
 }
 
 impl WireFormat for Primitive {
@@ -447,8 +447,8 @@ impl WireFormat for Primitive {
         all.for_each(|v| out.extend(v.to_le_bytes()));
     }
 
-    fn read(bytes: &mut Bytes<'_>, bars: &Bars) -> Result<Self> {
-        let mut next = |field| f32_of(bytes, field);
+    fn read(bytes: &mut Bytes<'_>, bounds: &PrimitiveBounds) -> Result<Self> {
+        let mut next = |field| read_f32(bytes, field);
         let mean = [next("x")?, next("y")?];
         let log_scale = [next("scale")?, next("scale")?];
         let rotation = next("angle")?;
@@ -458,7 +458,7 @@ impl WireFormat for Primitive {
         }
         for k in 0..2 {
             // Rounding may move a mean on the edge slightly beyond it.
-            if !(-1.0..=bars.size[k] as f32 + 1.0).contains(&mean[k]) {
+            if !(-1.0..=bounds.size[k] as f32 + 1.0).contains(&mean[k]) {
                 return Err(refused(["x", "y"][k], mean[k].to_bits().into()));
             }
             if !(MIN_SCALE.strict_ln()..=MAX_SCALE.strict_ln()).contains(&log_scale[k]) {
@@ -469,11 +469,11 @@ impl WireFormat for Primitive {
     }
 
     /// Accepts any position, because the fit moves primitives into the window.
-    fn check_inside(&self, _: &Bars) -> Result<()> {
+    fn check_inside(&self, _: &PrimitiveBounds) -> Result<()> {
         Ok(())
     }
 
-    fn most(work: FloatWork, own: usize) -> usize {
+    fn max_primitives(work: FloatWork, own: usize) -> usize {
         match work {
             FloatWork::Begin => MAX_PRIMITIVES as usize,
             FloatWork::Join(_) => own,
@@ -500,7 +500,7 @@ impl WireFormat for PackedGaussian {
         color.iter().for_each(|v| out.extend(v.to_le_bytes()));
     }
 
-    fn read(bytes: &mut Bytes<'_>, bars: &Bars) -> Result<Self> {
+    fn read(bytes: &mut Bytes<'_>, bounds: &PrimitiveBounds) -> Result<Self> {
         let [x, y] = [bytes.u32("x")?, bytes.u32("y")?];
         let [major, minor] = bytes.array("scales")?;
         let angle = u16::from_le_bytes(bytes.array("angle")?);
@@ -509,22 +509,22 @@ impl WireFormat for PackedGaussian {
             *v = i16::from_le_bytes(bytes.array("colour")?);
         }
         let p = PackedGaussian { x, y, major, minor, angle, color };
-        bars.global.primitive(&p)?;
+        bounds.global.primitive(&p)?;
         Ok(p)
     }
 
-    fn check_inside(&self, bars: &Bars) -> Result<()> {
-        let exponents = bars.global.lattice.exponents(self.major, self.minor, self.angle);
-        let inside = |v: u32, k: usize| v.checked_sub(integers::steps(bars.corner[k], exponents[k]));
+    fn check_inside(&self, bounds: &PrimitiveBounds) -> Result<()> {
+        let exponents = bounds.global.lattice.exponents(self.major, self.minor, self.angle);
+        let inside = |v: u32, k: usize| v.checked_sub(integers::steps(bounds.corner[k], exponents[k]));
         let (Some(x), Some(y)) = (inside(self.x, 0), inside(self.y, 1)) else {
             return Err(refused("position", self.x.into()));
         };
-        Ok(bars.part.position([x, y], exponents)?)
+        Ok(bounds.part.position([x, y], exponents)?)
     }
 
-    fn most(work: IntegerWork, own: usize) -> usize {
+    fn max_primitives(work: IntegerWork, own: usize) -> usize {
         match work {
-            IntegerWork::Sweep(_) => own.max(integers::others(own)),
+            IntegerWork::Sweep(_) => own.max(integers::candidate_count(own)),
             _ => 0,
         }
     }

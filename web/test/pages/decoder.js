@@ -1,4 +1,4 @@
-// The decoder in a page: on the page's thread, and in a worker.
+// Tests the decoder in a page: on the page's thread, and in a worker.
 import { Decoder } from "/web/dist/ssplat.js"
 import { run } from "/web/test/files.js"
 
@@ -11,7 +11,7 @@ export async function test(cases) {
     words.push(answer.words)
     const image = await decoder.decode(await load(cases[0].path))
     if (!(image instanceof ImageData)) problems.push(`${image} is not ImageData`)
-    // A picture takes the memory of another one if that is enough, and its own if not.
+    // A picture reuses the memory of another one if it is large enough, and allocates memory otherwise.
     const [expected, ...others] = await Promise.all([0, 0, 0].map(async () => decoder.decode(await load(cases[0].path))))
     for (const [into, fits] of [[others[0].data.buffer, true], [others[1].data.buffer.slice(1), false]]) {
       const size = into.byteLength, again = await decoder.decode(await load(cases[0].path), { into })

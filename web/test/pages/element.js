@@ -1,4 +1,4 @@
-// What <ssplat-img> promises.
+// Tests <ssplat-img>.
 import "/web/dist/ssplat-img.js"
 import { decode, info } from "/web/dist/ssplat.js"
 import { crc32 } from "/web/test/files.js"
@@ -6,20 +6,20 @@ import { crc32 } from "/web/test/files.js"
 const vector = name => `/spec/vectors/valid/${name}/file.ssplat`
 const patience = 60_000
 
-// The first of these events; "nothing" after so many milliseconds.
+// Waits for the first of these events; returns "nothing" after this many milliseconds.
 const event = (element, names, time = patience) => new Promise(resolve => {
   for (const name of names) element.addEventListener(name, resolve, { once: true })
   setTimeout(() => resolve({ type: "nothing" }), time)
 })
 
-// A file without sections, with these.
+// Adds these sections to a file without sections.
 function withSections(file, sections) {
   const long = bytes => new Uint8Array(new Uint32Array([crc32(bytes)]).buffer), varint = v => v < 128 ? [v] : [v & 127 | 128, ...varint(v >> 7)]
   let end = 6
   for (let i = 0; i < 3; i++) while (file[end++] > 127);
   const head = [...file.subarray(0, end + 3), Object.keys(sections).length]
   head[5] |= 128
-  // The file's checksum is over everything but what is in the sections; a section's begins with that of the header.
+  // The file's checksum covers everything except the contents of the sections; that of a section starts from the header's.
   const header = long(Uint8Array.from(head.slice(0, -1)))
   const whole = [...head], bare = [...head]
   for (const [name, contents] of Object.entries(sections)) {
@@ -31,7 +31,7 @@ function withSections(file, sections) {
   return Uint8Array.from([...whole, ...payload, ...long(Uint8Array.from([...bare, ...payload]))])
 }
 
-// An EXIF block that names an orientation, and an ICC profile that has nothing but its primaries.
+// An EXIF block with an orientation, and an ICC profile that contains only its primaries.
 const exif = orientation => Uint8Array.of(73, 73, 42, 0, 8, 0, 0, 0, 1, 0, 0x12, 1, 3, 0, 1, 0, 0, 0, orientation, 0, 0, 0, 0, 0, 0, 0)
 function profile(primaries) {
   const bytes = new Uint8Array(132 + 32 * 3), view = new DataView(bytes.buffer)
@@ -65,7 +65,7 @@ export async function test() {
   const base64 = async path => btoa(String.fromCharCode(...new Uint8Array(await (await fetch(path)).arrayBuffer())))
   const seen = element => !canvas(element).hidden && canvas(element).getContext("2d").getImageData(0, 0, canvas(element).width, canvas(element).height).data.some(v => v > 0 && v < 255)
 
-  // It has the size of the picture, and says so once it is there.
+  // The element has the size of the picture, and fires `load` when it has loaded.
   const plain = add({ src: vector("coded-rgb"), alt: "a picture" })
   check((await event(plain, ["load", "error"])).type == "load", "no load event")
   const box = plain.getBoundingClientRect()
@@ -73,7 +73,7 @@ export async function test() {
   check(seen(plain) && plain.complete && plain.role == "img" && plain.ariaLabel == "a picture", "nothing is seen")
   await plain.decode()
 
-  // It is drawn at the device's pixels, again when the size changes.
+  // It renders at the resolution of the device, and again when the size changes.
   const small = add({ src: vector("coded-rgb"), width: 24 })
   await event(small, ["load", "error"])
   check(canvas(small).width == Math.ceil(24 * devicePixelRatio), `24 px are drawn as ${canvas(small).width}`)
@@ -82,7 +82,7 @@ export async function test() {
   for (let i = 0; i < patience / 50 && canvas(small).width < 200; i++) await new Promise(r => setTimeout(r, 50))
   check(canvas(small).width == Math.ceil(200 * devicePixelRatio), `200 px are drawn as ${canvas(small).width}`)
 
-  // A broken or missing file is an error with the reason, and hurts nothing else.
+  // A damaged or missing file causes an error with the reason, and does not affect other elements.
   for (const [src, kind] of [["/spec/vectors/invalid/checksum/file.ssplat", "format"], ["/spec/vectors/limits/many-primitives/file.ssplat", "limit"], ["/web/no-such-file.ssplat", "network"], ["http://127.0.0.1:1/refused.ssplat", "network"]]) {
     const broken = add({ src, alt: "what it would be" }), answer = await event(broken, ["load", "error"])
     check(answer.type == "error" && answer.error.kind == kind && answer.message.includes(src), `${src}: ${answer.type}, ${answer.error?.kind}`)
@@ -91,7 +91,7 @@ export async function test() {
     check((await event(broken, ["load", "error"])).type == "load", `${src}: no other file can be shown after it`)
   }
 
-  // A placeholder is there at once, as base64 and as data URI, and broken ones do no harm.
+  // A placeholder is shown at once, as base64 and as data URI; broken ones are ignored.
   const inline = await base64(vector("coded-rgb"))
   for (const placeholder of [inline, `data:image/x-ssplat;base64,${inline}`]) {
     const held = add({ placeholder })
@@ -108,7 +108,7 @@ export async function test() {
   check((await event(other, ["load", "error"])).type == "load" && other.naturalWidth > 96 && canvas(other).hidden, "a PNG is not shown")
   check(other.currentSrc == new URL("/tests/images/kodim15.png", location).href && add({}).currentSrc == "", `currentSrc is ${other.currentSrc}`)
 
-  // It is turned as its EXIF block says.
+  // The EXIF orientation is applied.
   const file = new Uint8Array(await (await fetch(vector("coded-rgb"))).arrayBuffer()), url = bytes => URL.createObjectURL(new Blob([bytes]))
   const pixels = (element, settings) => canvas(element).getContext("2d").getImageData(0, 0, canvas(element).width, canvas(element).height, settings).data
   const [w, h] = [plain.naturalWidth, plain.naturalHeight], stored = pixels(plain)
@@ -124,7 +124,7 @@ export async function test() {
     }), `orientation ${orientation}: pixels are elsewhere`)
   }
 
-  // Samples are those of the profile's colour space.
+  // Samples are in the colour space of the profile.
   for (const [primaries, colorSpace] of [[p3, "display-p3"], [srgb, "srgb"]]) {
     const coloured = add({ src: url(withSections(file, { iccp: profile(primaries) })) })
     check((await event(coloured, ["load", "error"])).type == "load", `${colorSpace} is an error`)
@@ -132,7 +132,7 @@ export async function test() {
     check(space == colorSpace && pixels(coloured, { colorSpace }).every((v, i) => v == stored[i]), `a file in ${colorSpace} is drawn in ${space}`)
   }
 
-  // A file that comes in pieces which end at these bytes: the next one comes at each `more()`.
+  // Serves a file in pieces that end at these bytes; each `more()` sends the next one.
   const inPieces = async (name, ends) => {
     const bytes = new Uint8Array(await (await fetch(vector(name))).arrayBuffer()), fetches = window.fetch
     let stream, at = 0
@@ -154,7 +154,7 @@ export async function test() {
   }
   const same = (a, b) => a.length == b.length && a.every((v, i) => v == b[i])
 
-  // What has come of a file with groups is seen before the rest is there.
+  // The received part of a file with groups is shown before the rest has arrived.
   const streamed = await inPieces("groups-divided", [3000])
   check(await until(() => seen(streamed.element)) && !streamed.element.complete, "half of a file shows nothing")
   const half = pixels(streamed.element)
@@ -164,8 +164,8 @@ export async function test() {
   await event(once, ["load", "error"])
   check(same(pixels(once), pixels(streamed.element)) && !same(half, pixels(once)), "a file in two parts is not drawn whole")
 
-  // Its levels are seen as soon as they are whole, the coarse one first, though only three bytes have come since the last look,
-  // and nothing comes after them.
+  // Its levels are shown as soon as they are complete, the coarse one first, even if only three bytes have arrived since the last rendering
+  // and no more follow.
   const levels = await inPieces("groups-levels", [180, 183]), { levels: [coarse, finer], primitives } = await info(levels.bytes)
   for (const [end, there] of [[180, coarse], [183, coarse + finer]]) {
     const expected = await decode(levels.bytes.slice(0, end), { partial: true })
@@ -176,21 +176,21 @@ export async function test() {
   }
   check((await levels.loaded).type == "load" && same(pixels(levels.element), (await decode(levels.bytes)).data), "a file with levels is not drawn whole")
 
-  // Of a file with a thumbnail that is seen, in the size of the picture.
+  // The thumbnail of a file is shown first, at the size of the picture.
   const early = await inPieces("sections-thumbnail", [-8])
   check(await until(() => seen(early.element)) && !early.element.complete, "a thumbnail is not seen")
   const before = pixels(early.element)
   early.more()
   check((await early.loaded).type == "load" && pixels(early.element).length == before.length && !same(pixels(early.element), before), "the picture does not follow its thumbnail")
 
-  // What is far away waits until it is near.
+  // Elements far from the viewport wait until they are near.
   add({}, "display: block; height: 20000px")
   const lazy = add({ src: vector("coded-rgb"), loading: "lazy", width: 50 })
   check((await event(lazy, ["load", "error"], 500)).type == "nothing" && !lazy.complete, "lazy does not wait")
   lazy.scrollIntoView()
   check((await event(lazy, ["load", "error"])).type == "load", "lazy never loads")
 
-  // So do those of a long page of which only a width is known.
+  // This also holds for a long page in which only the widths are known.
   const many = Array.from({ length: 60 }, () => add({ src: vector("coded-rgb"), loading: "lazy", width: 300 }, "display: block"))
   many[0].scrollIntoView()
   await event(many[0], ["load", "error"])
@@ -198,7 +198,7 @@ export async function test() {
   const there = many.filter(m => m.complete).length
   check(there > 0 && there < 20, `${there} of 60 pictures are loaded at once`)
 
-  // A removed element says nothing.
+  // A removed element fires no events.
   const gone = add({ src: vector("coded-many") })
   gone.remove()
   check((await event(gone, ["load", "error"], 500)).type == "nothing", "a removed element says something")

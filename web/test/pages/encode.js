@@ -1,9 +1,9 @@
-// The encoder in a page and in a worker: Node.js's bytes, cancelling, and several encodes at a time.
+// Tests the encoder in a page and in a worker: the bytes of Node.js, cancelling, and several encodes at a time.
 import { encode, ssimulacra2 } from "/web/dist/encode.js"
 import { crc32 } from "/web/test/files.js"
 import { generated } from "/web/test/generated.js"
 
-// Of a few attempts, since the machine may be busy with something else.
+// The best of a few attempts, because the machine may be busy.
 const attempts = 5, soon = 50
 
 async function cancelled(pixels) {

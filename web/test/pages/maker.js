@@ -1,5 +1,5 @@
-// What the page that encodes promises: a dropped picture becomes a file that can be saved, without a request, for everyone, and whatever
-// is dropped.
+// Tests the page that encodes: a dropped picture is encoded to a file that can be saved, without a request; accessibility; and invalid
+// input.
 import { encode } from "/web/dist/encode.js"
 import { generated } from "/web/test/generated.js"
 import { decode } from "/web/dist/ssplat.js"
@@ -23,7 +23,7 @@ async function open(width = 1440, height = 900) {
   await new Promise(resolve => frame.onload = resolve)
   const page = frame.contentWindow, get = id => page.document.getElementById(id)
   if (!await until(() => page.document.querySelectorAll(".sample").length == 3)) throw new Error("the page has no samples")
-  // The encoder is fetched before anybody asks for it.
+  // The encoder is fetched in advance.
   if (!await until(() => page.performance.getEntriesByType("resource").some(e => /ssplat-encode-\w+\.wasm$/.test(e.name)))) throw new Error("the encoder is not fetched")
   const script = Object.assign(page.document.createElement("script"), { type: "module", textContent: "import { load } from './encoder.js'; await load(); window.isReady = true" })
   page.document.body.append(script)
@@ -31,7 +31,7 @@ async function open(width = 1440, height = 900) {
   return { page, get }
 }
 
-// RGBA of interleaved samples.
+// Converts interleaved samples to RGBA.
 function imageOf({ width, height, channels, data }) {
   const image = new ImageData(width, height)
   for (let i = 0; i < width * height; i++)
@@ -76,7 +76,7 @@ async function flow(check) {
   const score = Number(get("score").textContent)
   check(score > -100 && score < 100 && !get("border").hidden && /original/.test(get("border").textContent), `${score} is told of two sides`)
 
-  // The sliders: the old result stays until the new one is there, and views stay where they are.
+  // The sliders: the old result is shown until the new one is ready, and the view does not move.
   page.document.body.dispatchEvent(new page.KeyboardEvent("keydown", { key: "1", bubbles: true, cancelable: true }))
   const zoom = get("zoom").textContent, href = get("save").href
   for (let i = 1; i <= 20; i++) move(shown, "amount", 2 * i)
@@ -86,13 +86,13 @@ async function flow(check) {
   const second = await saved(shown)
   check(second.length > 3 * first.length && get("zoom").textContent == zoom, `a larger file has ${second.length} bytes, at ${get("zoom").textContent}`)
 
-  // A quality is kept.
+  // A requested quality is reached.
   page.document.querySelector("input[name=target][value=quality]").click()
   move(shown, "effort", 1)
   move(shown, "quality", 40)
   check(await until(() => get("save").href != href && Number(get("score").textContent) >= 40 && !busy(shown)), `a quality of 40 is ${get("score").textContent}`)
 
-  // Cancelled, the last result stays, and can be asked for again.
+  // After cancelling, the last result remains, and can be requested again.
   const before = get("save").href
   move(shown, "effort", 9)
   await until(() => busy(shown))
@@ -100,14 +100,14 @@ async function flow(check) {
   check(!busy(shown) && get("save").href == before && !get("again").hidden, "Cancel does not stop it")
   move(shown, "effort", 1)
 
-  // Another picture takes its place, by paste.
+  // A pasted picture replaces it.
   give(shown, "paste", "other.png", await png(generated(40, 30, 4, 8)))
   check(await until(() => get("name").textContent == "other.ssplat") && await done(shown), "a pasted picture is not encoded")
   const sent = await asked()
   check(sent.length == 0, `the page sends requests: ${sent.join(", ")}`)
 }
 
-// What is no picture, or too large a one, is told in words, and the page goes on.
+// Files that are not pictures, or too large, cause a message, and the page continues to work.
 async function hostile(check) {
   const shown = await open(), { get } = shown, good = await png(generated(64, 48, 3, 8)), bytes = new Uint8Array(await good.arrayBuffer())
   const bomb = bytes.slice()
@@ -132,14 +132,14 @@ async function hostile(check) {
   }
   give(shown, "drop", "good.png", good)
   check(await done(shown), "after hostile pictures a good one is not encoded")
-  // A target that cannot be met is told, and the result stays.
+  // A target that cannot be met causes a message, and the last result remains.
   const { href } = get("save")
   move(shown, "amount", -80)
   check(await until(() => !get("trouble").hidden || get("save").href != href), "nothing is told")
   check(get("trouble").hidden || /does not fit/.test(get("trouble").textContent) && get("save").href == href, get("trouble").textContent)
 }
 
-// By axe, in both schemes, on a desk and on a phone, before and after a picture is there.
+// Checked with axe in both colour schemes, at desktop and phone sizes, with and without a picture.
 async function accessible(check, axe) {
   for (const [width, height] of [[1440, 900], [390, 844]])
     for (const scheme of ["light", "dark"]) {

@@ -1,7 +1,7 @@
-// How much a page moves while its pictures come, in the browser's own measure: the sum of its layout shifts.
+// Measures how much a page moves while its pictures load: the sum of the browser's layout shifts.
 const patience = 60_000
 
-// The page of `ssplat placeholder --format html`, whose module comes late; `of` may change the element's text.
+// The page of `ssplat placeholder --format html`, whose module loads late; `of` may change the element's text.
 async function shifts(of = text => text) {
   const element = of((await (await fetch("/web/dist/placeholder.html")).text()).trim())
   const text = "<p>Words that are read meanwhile, of which there are enough for some lines, so that it is seen when they move.</p>"
@@ -26,7 +26,7 @@ async function shifts(of = text => text) {
 
 export async function test() {
   const problems = [], still = await shifts(), bare = await shifts(text => text.replace(/ style="[^"]*"/, ""))
-  // By the measure's authors .1 is good.
+  // The authors of the measure consider 0.1 good.
   if (!(still < .02)) problems.push(`layout shifts are ${still}`)
   if (!(bare > .02)) problems.push(`without the style they are ${bare}, so nothing is measured here`)
   return { problems, words: `layout shifts ${still.toFixed(3)}, without the style ${bare.toFixed(3)}` }

@@ -1,4 +1,4 @@
-// What the viewer's drawing on the graphics device promises: the decoder's picture within 2 code values.
+// Tests the viewer's rendering on the graphics device: the decoder's picture within 2 code values.
 import { Decoder } from "/web/dist/ssplat.js"
 import { Splatting } from "/web/dist/viewer/splatting.js"
 
@@ -7,14 +7,14 @@ export async function test(cases) {
   return device ? within(cases, device) : { problems: ["no WebGL2 with float blending"], words: "nothing drawn" }
 }
 
-// What any device must do.
+// Requirements for every device.
 export async function within(cases, device) {
   const problems = [], decoder = new Decoder
   let views = 0, left = 0, worst = 0
   const draw = async (path, bytes, [x, y, w, h], width, height, step) => {
     const view = { left: x, top: y, step, width, height }
     if (!device.can(view)) return left++
-    // A device draws Gaussians, not the detail layer.
+    // The device renders only Gaussians, not the detail layer.
     const expected = await decoder.decode(bytes, { region: [x, y, w, h], width, height, detail: "off" })
     device.draw(view)
     const pixels = await device.pixels()

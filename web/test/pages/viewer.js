@@ -1,4 +1,4 @@
-// What the viewer promises: it opens a file, zooms and pans, compares it, and says what is wrong with a broken one.
+// Tests the viewer: it opens a file, zooms and pans, compares it, and reports the fault of a broken one.
 const patience = 60_000
 const until = async what => {
   for (let i = 0; i < patience / 50; i++) {
@@ -30,7 +30,7 @@ export async function test() {
   check(/Where the bytes go/.test(get("panel").textContent) && get("panel").querySelectorAll("table").length >= 4, "no facts are told")
   check(get("panel").hidden && get("empty").hidden && get("message").hidden && !get("tools").hidden, "something lies over the picture")
 
-  // Keys work at once, wherever the focus is; the question mark tells them all.
+  // Keys work at once, wherever the focus is; the question mark lists them.
   const key = (name, at = page.document.body) => at.dispatchEvent(new page.KeyboardEvent("keydown", { key: name, bubbles: true, cancelable: true }))
   key("1")
   check(get("zoom").textContent == "1×", `pixel for pixel is called ${get("zoom").textContent}`)
@@ -46,7 +46,7 @@ export async function test() {
   check(!get("panel").hidden && get("facts").ariaExpanded == "true", "I shows no facts")
   key("Escape")
   check(get("panel").hidden, "Escape leaves the facts")
-  // The stage has its size again when the facts are gone.
+  // The stage regains its size when the facts are closed.
   await frame()
   key("0")
   const before = zoom()
@@ -72,13 +72,13 @@ export async function test() {
   stage.dispatchEvent(new page.MouseEvent("dblclick", { clientX: 400, clientY: 300 }))
   check(zoom() == before, "a double click does not fit it")
 
-  // However far it is moved, a part of it stays.
+  // However far the picture is moved, a part of it remains visible.
   for (let i = 0; i < 100; i++) key("ArrowRight")
   await frame()
   await frame()
   check(await until(() => pixels("picture").some(v => v > 0)), "the picture can be lost")
 
-  // Two fingers that go apart zoom as much, about their middle; one moves. Events of a script cannot be captured.
+  // Spreading two fingers zooms around their centre; one finger moves the picture. Events of a script cannot be captured.
   stage.setPointerCapture = () => {}
   const touch = (type, pointerId, x, y) => {
     const { left, top } = stage.getBoundingClientRect()
@@ -92,7 +92,7 @@ export async function test() {
   for (const id of [1, 2]) touch("pointerup", id, 0, 0)
   check(Math.abs(zoom() - 2) < .06, `fingers twice as far apart lead from 1× to ${get("zoom").textContent}`)
 
-  // Whoever does not see the page is told what everything on it is; colours follow the system's.
+  // All controls have labels for screen readers; colours follow the system's scheme.
   for (const element of page.document.querySelectorAll("input, button, a, #stage, aside, [role=slider]"))
     check(element.ariaLabel || element.labels?.[0]?.textContent.trim() || element.textContent.trim(), `#${element.id} has no name`)
   check(get("status").getAttribute("aria-live") == "polite", "changes are not read aloud")
@@ -105,12 +105,12 @@ export async function test() {
   }
   page.document.documentElement.style.colorScheme = ""
 
-  // The decoder draws the same where there is no graphics device.
+  // Without a graphics device, the decoder renders the same.
   const cpu = await open("/spec/vectors/valid/coded-rgb/file.ssplat", undefined, "&draw=decoder"), picture = cpu.document.getElementById("picture")
   const drew = frame => frame.getContext("2d").getImageData(0, 0, frame.width, frame.height).data
   check(await until(() => drew(picture).some(v => v > 0 && v < 255)) && cpu.document.getElementById("stage").dataset.drawn == "decoder", "without WebGL2 nothing is drawn")
 
-  // An original lies behind a border that keys and a handle move; or is seen alone.
+  // The original is shown behind a border that keys and a handle move, or alone.
   const compared = await open("/spec/vectors/valid/coded-rgb/file.ssplat", undefined, "&original=/tests/images/kodim05.png"), $ = id => compared.document.getElementById(id)
   check(await until(() => !$("comparing").hidden), `an original is not shown: ${$("status").textContent}`)
   const settled = () => new Promise(r => compared.requestAnimationFrame(() => compared.requestAnimationFrame(r)))
@@ -147,7 +147,7 @@ export async function test() {
   await settled()
   check(drew($("overlay")).join() != plain, "the error colours no Gaussian")
 
-  // What cannot be shown is told in the middle, with what was found; then another file can be.
+  // Files that cannot be shown cause a message with their first bytes; then another file can be opened.
   for (const [url, words] of [["/spec/vectors/invalid/checksum/file.ssplat", /broken.*checksum.*89 53 53 50/s], ["/spec/ssplat.md", /neither a picture nor an \.ssplat file.*not known here.*begins with 23 20/s], ["/web/nowhere.ssplat", /nowhere.ssplat is not there.*404/s]]) {
     const other = await open(url), message = other.document.getElementById("message")
     check(await until(() => !message.hidden && words.test(message.textContent)), `${url}: ${message.textContent}`)
@@ -155,14 +155,14 @@ export async function test() {
     check(message.hidden && !other.document.getElementById("empty").hidden, `${url}: closing it does not lead to the start`)
   }
 
-  // Without a file it says what this is, and has three to try.
+  // Without a file, the page explains the format and offers three samples.
   const empty = await open(""), cards = () => empty.document.querySelectorAll(".sample")
   check(await until(() => cards().length == 3), `${cards().length} pictures to try`)
   check(!empty.document.getElementById("empty").hidden && /Gaussians/.test(empty.document.getElementById("empty").textContent), "the page does not say what it is")
   cards()[1]?.click()
   check(await until(() => empty.document.title == "motocross.ssplat" && empty.document.getElementById("empty").hidden), "a picture to try is not shown")
 
-  // On a phone nothing is wider than the screen, fingers find what they press, and the facts are a sheet below the picture.
+  // On a phone, nothing is wider than the screen, controls are large enough for touch, and the facts are a sheet below the picture.
   const phone = await open("/spec/vectors/valid/coded-rgb/file.ssplat", undefined, "&original=/tests/images/kodim05.png"), the = id => phone.document.getElementById(id)
   phone.frameElement.style = "width: 390px; height: 844px; border: 0"
   check(await until(() => !the("tools").hidden && !the("comparing").hidden && phone.innerWidth == 390), "a phone shows nothing")
@@ -179,7 +179,7 @@ export async function test() {
   the("grip").click()
   check(the("panel").hidden, "the sheet cannot be closed")
 
-  // The same page with a file in it, which asks for nothing else.
+  // The same page with an embedded file, which sends no requests.
   const packed = await open("", "/web/dist/packed.html"), packedDrew = () => drew(packed.document.getElementById("picture")).some(v => v > 0)
   check(await until(() => packed.document.title == "file.ssplat" && packedDrew()), `the packed page shows nothing: ${packed.document.getElementById("status").textContent}`)
   check(!packed.performance.getEntriesByType("resource").some(e => e.name.startsWith("http")), "the packed page asks for more")

@@ -1,4 +1,4 @@
-// What the viewer's drawing by WebGPU promises: the same as by WebGL2, and that a page takes it when it is asked for.
+// Tests the viewer's rendering with WebGPU: it equals that with WebGL2, and a page uses it on request.
 import { WebGpuSplatting } from "/web/dist/viewer/webgpu.js"
 import { within } from "./splatting.js"
 
@@ -9,21 +9,21 @@ export async function test(cases) {
   let taken
   if (adapters) adapters.requestDevice = async function (...wishes) { return taken = await request.apply(this, wishes) }
   const device = await WebGpuSplatting.create(true)
-  // Which adapters a browser has is the system's choice.
+  // The adapters of a browser depend on the system.
   if (!device) return { problems: [], words: "skipped, no adapter of WebGPU adds 32-bit floats up" }
   let gone
   taken.lost.then(({ message }) => gone = message)
   const { problems, words } = await within(cases, device).catch(error => ({ problems: [String(error.stack)], words: "stopped" }))
-  // Whether a browser's process for graphics bears up is its own affair; what it finds wrong here is an error and no loss.
+  // A crash of the browser's graphics process is not a failure of this test, but a validation error is.
   if (gone) return { problems: [], words: `skipped, the browser took the device away: ${gone}` }
   if (device.lost) return { problems: [...problems, "the device reported an error"], words }
-  // One that is taken away is told, and claims nothing any more.
+  // The loss of a device is reported, and the device is no longer used.
   const told = new Promise(resolve => device.onlost = resolve), view = { left: 0, top: 0, step: 1, width: 8, height: 8 }
   if (!device.can(view)) problems.push("a small view is not claimed")
   taken.destroy()
   await told
   if (device.can(view)) problems.push("a device that is lost claims a view")
-  // On the page it is seen, too, and is what WebGL2 draws there.
+  // It is also visible on the page, and equals the rendering of WebGL2.
   const page = async (draw, name) => {
     const frame = document.createElement("iframe")
     frame.src = `/web/dist/viewer/index.html?file=/spec/vectors/valid/coded-rgb/file.ssplat&draw=${draw}`

@@ -1,10 +1,10 @@
-// The least and the middle time of many decodings.
+// Measures the minimum and the median time of many decodes.
 export async function measure(decoder, files) {
   const lines = []
   for (const [name, base64] of files) {
     const bytes = Uint8Array.from(atob(base64), c => c.charCodeAt(0))
     for (const [width, again, words] of [[undefined, false, "own size"], [undefined, true, "own size into the memory of the last"], [64, false, "64 wide"]]) {
-      // Browsers tell tenths of a millisecond: several are timed at once.
+      // Browsers measure tenths of a millisecond, so several decodes are timed together.
       const times = [], each = bytes.length < 1000 ? 5 : 1
       let into
       for (let i = 0; i < 200; i++) {

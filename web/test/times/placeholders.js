@@ -1,4 +1,4 @@
-// When the placeholders of a page are seen, counted from the start of its loading, milliseconds.
+// Measures when the placeholders of a page are visible, in milliseconds from the start of loading.
 const elements = 100, loads = 10
 
 export async function test(files) {

@@ -1,5 +1,5 @@
-// When a page shows its 100 placeholders, in Chromium, over 10 loads: node web/test/times/placeholders.mjs FILE...
-// The files are repeated until there are 100.
+// Prints when a page shows its 100 placeholders in Chromium, over 10 loads: node web/test/times/placeholders.mjs FILE... The files are
+// repeated until there are 100.
 import { readFileSync } from "node:fs"
 import { inChromium } from "../chromium.mjs"
 

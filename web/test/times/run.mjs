@@ -1,5 +1,5 @@
-// How long decoding takes, in Node.js and in Chromium: node web/test/times/run.mjs FILE...
-// The least and the middle of many runs, milliseconds, at the file's own size, in new memory and in that of the last picture, and 64 pixels wide.
+// Prints decoding times in Node.js and in Chromium: node web/test/times/run.mjs FILE... Minimum and median of many runs in milliseconds: at
+// the file's own size, in new memory and in the memory of the previous picture, and 64 pixels wide.
 import { readFileSync } from "node:fs"
 import { Decoder } from "../../dist/ssplat.js"
 import { inChromium } from "../chromium.mjs"

@@ -1,6 +1,6 @@
 "use client"
-// The element as a component. Its style keeps the place free until the script has loaded. The element may add its role and its label before
-// React sees it, which is no mismatch.
+// The element as a component. Its style reserves the space until the script has loaded. The element may add its role and its label before
+// React hydrates it; this is not a mismatch.
 import "ssplat/ssplat-img.js"
 
 type Properties = { src: string, width: number, height: number, placeholder: string, alt: string }
