@@ -56,6 +56,67 @@ pub fn map_chunk_pairs<A: Send, B: Send, T: Send>(
     a.chunks_mut(size_a).zip(b.chunks_mut(size_b)).enumerate().map(|(i, (a, b))| f(i, a, b)).collect()
 }
 
+/// Runs `work` on a thread of the pool and returns its result. `work` asks questions, and `answer` answers them on the
+/// calling thread.
+///
+/// From a thread of the pool, a parallel map starts at once and the other threads join in. From any other thread it
+/// would have to wake one of them and wait, which takes longer than most maps of a fit.
+///
+/// Only one call at a time uses the pool. A thread of the pool that waits for a part of one work could otherwise begin
+/// another and keep the first waiting until that ends. Further calls do their work on the calling thread.
+pub fn on_pool<Q: Send, A: Send, T: Send>(
+    work: impl FnOnce(&mut dyn FnMut(Q) -> A) -> T + Send,
+    answer: &mut dyn FnMut(Q) -> A,
+) -> T {
+    #[cfg(feature = "rayon")]
+    if threads() > 1
+        && rayon::current_thread_index().is_none()
+        && let Some(_turn) = Turn::take()
+    {
+        let (ask, questions) = mpsc::channel();
+        let (reply, answers) = mpsc::channel();
+        let mut result = None;
+        rayon::in_place_scope(|scope| {
+            let result = &mut result;
+            scope.spawn(move |_| {
+                let mut ask = |question| {
+                    ask.send(question).expect("the caller listens until the work ends");
+                    answers.recv().expect("the caller answers every question unless it panics")
+                };
+                *result = Some(work(&mut ask));
+            });
+            for question in questions {
+                // Nobody listens only after a panic.
+                let _ = reply.send(answer(question));
+            }
+        });
+        return result.expect("a panic of the work is passed on by the scope");
+    }
+    work(answer)
+}
+
+/// The right to do work on the pool.
+#[cfg(feature = "rayon")]
+struct Turn;
+
+#[cfg(feature = "rayon")]
+impl Turn {
+    /// Returns the right if nobody has it.
+    fn take() -> Option<Turn> {
+        (!IS_TAKEN.swap(true, Ordering::Acquire)).then_some(Turn)
+    }
+}
+
+#[cfg(feature = "rayon")]
+impl Drop for Turn {
+    fn drop(&mut self) {
+        IS_TAKEN.store(false, Ordering::Release);
+    }
+}
+
+#[cfg(feature = "rayon")]
+static IS_TAKEN: AtomicBool = AtomicBool::new(false);
+
 /// Runs `work(i, input i, report)` for all `inputs`, up to `most` at a time. Each job reports the fraction that it has
 /// done, and `watch` is called with the sum of all fractions on the calling thread. If `watch` or a job fails, the
 /// other jobs are cancelled when they next report.
@@ -150,6 +211,38 @@ mod tests {
     /// Returns an error that names the job.
     fn failure(i: usize) -> Error {
         Error::Parameter { name: "work", problem: i.to_string() }
+    }
+
+    #[test]
+    fn questions_are_answered_on_the_calling_thread_and_in_order() {
+        let caller = std::thread::current().id();
+        let mut asked = Vec::new();
+        let answer = &mut |question: u32| {
+            assert_eq!(std::thread::current().id(), caller);
+            asked.push(question);
+            question * question
+        };
+        let sum = on_pool(
+            |ask| (0..100).map(|i| on_pool(|_: &mut dyn FnMut(()) -> ()| i, &mut |()| ()) + ask(i)).sum::<u32>(),
+            answer,
+        );
+        assert_eq!(sum, (0..100).map(|i| i + i * i).sum());
+        assert!(asked.is_sorted() && asked.len() == 100);
+    }
+
+    #[test]
+    fn a_panic_of_the_work_or_of_an_answer_reaches_the_caller_and_leaves_the_pool_usable() {
+        for fails_in_answer in [false, true] {
+            let panicked = std::panic::catch_unwind(|| {
+                let work = |ask: &mut dyn FnMut(u32) -> u32| {
+                    assert!(fails_in_answer, "the work fails");
+                    ask(1)
+                };
+                on_pool(work, &mut |_| panic!("the answer fails"))
+            });
+            assert!(panicked.is_err());
+            assert_eq!(on_pool(|ask: &mut dyn FnMut(u32) -> u32| ask(3), &mut |n| 2 * n), 6);
+        }
     }
 
     #[test]

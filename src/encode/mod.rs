@@ -35,6 +35,7 @@ use std::ops::ControlFlow;
 use crate::bitstream::splats::Layout;
 use crate::error::{Error, Result};
 use crate::options::{Detail, EncodeOptions};
+use crate::parallel;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
 use crate::target::Target;
@@ -123,9 +124,18 @@ fn encode_by(
         (Some(side), _) => {
             tiles::encode(source, options, side, executor, ReportBuilder::new(progress, Tracer::new(options.trace)))
         }
-        (None, Some(pixels)) => whole::encode(pixels, options, progress),
-        (None, None) => whole::encode(&source.part([0, 0, source.width(), source.height()])?, options, progress),
+        (None, Some(pixels)) => encode_whole(pixels, options, progress),
+        (None, None) => encode_whole(&source.part([0, 0, source.width(), source.height()])?, options, progress),
     }
+}
+
+fn encode_whole(
+    pixels: &Pixels,
+    options: &EncodeOptions,
+    progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Encoded> {
+    let work = |ask: &mut dyn FnMut(Progress) -> ControlFlow<()>| whole::encode(pixels, options, &mut |now| ask(*now));
+    parallel::on_pool(work, &mut |now| progress(&now))
 }
 
 /// Maximum number of pixels that are fitted as a whole by default. Larger pictures are fitted in tiles even if
