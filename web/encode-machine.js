@@ -1,5 +1,5 @@
-// How the WebAssembly modules of the encoder are called (wasm-encode/src/lib.rs and wasm-score/src/lib.rs are the other side). One instance
-// does one job.
+// Interface to the WebAssembly modules of the encoder and of SSIMULACRA2 (see wasm-encode/src/lib.rs and wasm-score/src/lib.rs). Each
+// instance does one job.
 import { SsplatError } from "./error.js"
 
 const kinds = [, "limit", "parameter", "size", "cancelled", "internal"]
@@ -7,10 +7,10 @@ const kinds = [, "limit", "parameter", "size", "cancelled", "internal"]
 const settings = ["ratio", "bytes", "psnr", "quality", "primitives", "effort", "tune", "time", "seed", "detail", "levels"]
 const words = { tune: ["psnr", "ssim", "iq"], detail: ["off", "auto"] }
 
-// The memory that a module asks for at first, in pages of 64 KiB; more comes as it is needed, up to the limit.
+// The initial memory of a module in pages of 64 KiB; it grows up to the limit.
 const least = 64, page = 65536
 
-// Starts an instance for a job, with a memory of its own of at most `most` bytes.
+// Creates an instance for a job, with a separate memory of at most `most` bytes.
 function start(module, { alloc }, most = alloc, host = {}) {
   const pages = Math.ceil(most / page)
   if (pages < least) throw new SsplatError("limit", `limits.alloc is ${alloc}, of which ${most} bytes are left, less than the ${least * page} that is needed`)
@@ -26,8 +26,8 @@ function put({ wasm, memory }, { alloc }, which, bytes) {
   new Uint8Array(memory.buffer, at, bytes.byteLength).set(new Uint8Array(bytes.buffer, bytes.byteOffset, bytes.byteLength))
 }
 
-// Has an instance work on a job. It stops without a message when memory runs out, and when it has a fault. It asks for less than 64 bytes
-// a pixel at once: if more is left of its `most` bytes, it is a fault.
+// Runs `work` on an instance, which stops without a message if memory runs out or if it has a fault. A job allocates less than 64 bytes
+// per pixel at once, so if more of the `most` bytes is left, it was a fault.
 function guarded({ memory }, { width, height, alloc }, most, work) {
   try {
     return work()
@@ -49,8 +49,8 @@ export function score(module, job, most = job.alloc) {
   })
 }
 
-// Encodes `job`: { width, height, channels, depth, data, alloc, icc, exif, orientation, settings }. `scorer` is the module that computes
-// scores; only an encode to a quality needs it. `progress` takes a stage and the share of it that is done; the encode stops if it returns
+// Encodes `job`: { width, height, channels, depth, data, alloc, icc, exif, orientation, settings }. `scorer` is the module of SSIMULACRA2,
+// which only an encode to a quality needs. `progress` receives a stage and the fraction of it that is done; the encode stops if it returns
 // true.
 export function run({ module, scorer, job }, progress) {
   const { width, height, channels, depth, alloc } = job

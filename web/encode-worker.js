@@ -1,4 +1,4 @@
-// One job in a thread of its own, in browsers and in Node.js: a job in; progress and the answer out.
+// Worker for one job, in browsers and in Node.js. It receives a job, and sends the progress and the result.
 import { run, score } from "./encode-machine.js"
 
 // Node.js has a different interface to the parent thread.

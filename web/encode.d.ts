@@ -46,7 +46,7 @@ export interface EncodeOptions {
   exif?: Uint8Array | ArrayBuffer
   /** EXIF orientation to store, 1 to 8. Pixels are not rotated. */
   orientation?: number
-  /** `alloc`: most bytes of WebAssembly's memory, of all modules together, by default 1 GiB, at most 4 GiB. */
+  /** `alloc`: maximum memory of the WebAssembly modules together, in bytes, by default 1 GiB, at most 4 GiB. */
   limits?: { alloc?: number }
   /** Whether to encode in a separate worker; by default true. In browsers, also a function that starts `encode-worker.js` as a module. */
   worker?: boolean | (() => Worker)

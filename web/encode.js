@@ -1,5 +1,5 @@
-// Pictures to .ssplat files in the browser and in Node.js, by a WebAssembly module of its own that is loaded at the first encode;
-// what computes SSIMULACRA2 is another, loaded where that is asked for.
+// Encodes pictures to .ssplat files in browsers and in Node.js, with a separate WebAssembly module that is loaded by the first encode.
+// SSIMULACRA2 is another module, which is loaded if it is needed.
 import { SsplatError } from "./error.js"
 import { run, score } from "./encode-machine.js"
 
@@ -11,10 +11,10 @@ const bad = words => { throw new SsplatError("parameter", words) }
 // Default maximum memory of the WebAssembly in bytes: the limit of the Rust crate on 32-bit systems.
 const memory = 2 ** 30, address = 2 ** 32
 
-// Modules are files beside this one, by addresses that bundlers see and rewrite: with vector instructions, and without.
+// The modules are files in the same folder, with URLs that bundlers recognize and rewrite.
 const encoder = { simd: () => new URL("./ssplat-encode-simd.wasm", import.meta.url), scalar: () => new URL("./ssplat-encode-scalar.wasm", import.meta.url) }
 const scorer = { simd: () => new URL("./ssplat-score-simd.wasm", import.meta.url), scalar: () => new URL("./ssplat-score-scalar.wasm", import.meta.url) }
-// A function that needs vector instructions: `i32.const 0; i8x16.splat; i8x16.popcnt`.
+// A function that needs SIMD instructions: `i32.const 0; i8x16.splat; i8x16.popcnt`.
 const vectors = Uint8Array.of(0, 97, 115, 109, 1, 0, 0, 0, 1, 5, 1, 96, 0, 1, 123, 3, 2, 1, 0, 10, 10, 1, 8, 0, 65, 0, 253, 15, 253, 98, 11)
 const node = name => globalThis.process?.getBuiltinModule?.(`node:${name}`)
 
@@ -31,7 +31,8 @@ async function bytesAt(source) {
   }
 }
 
-// The module of `files` that this machine can run; or that of a URL, bytes or a module. What could not be fetched is asked for again.
+// Returns the module of `files` for this machine, or the one given by a URL, bytes or a module. Failed requests are repeated by the next
+// call.
 function compile(files, source) {
   if (source instanceof WebAssembly.Module) return source
   if (source) return bytesAt(source).then(bytes => WebAssembly.compile(bytes))
@@ -156,7 +157,7 @@ const inWorker = (message, { worker: make, signal, onProgress }) => new Promise(
   worker.post(message)
 })
 
-// Fetches the modules of a task, { module, scorer }, and has them do its job, in a worker or here.
+// Waits for the modules of a task, { module, scorer }, and runs its job in a worker or in this thread.
 async function work({ module, scorer, job }, { signal, onProgress, worker = true }) {
   const [encodes, scores] = await Promise.all([module, scorer])
   signal?.throwIfAborted()
@@ -179,7 +180,7 @@ async function work({ module, scorer, job }, { signal, onProgress, worker = true
   }
 }
 
-// Encodes pixels. Resolves to the bytes of the file and the account of the encode.
+// Encodes pixels. Resolves to the bytes of the file and the report of the encode.
 export async function encode(pixels, options = {}) {
   const job = jobOf(pixels, options)
   options.signal?.throwIfAborted()

@@ -15,8 +15,8 @@ const root = new URL("../../", import.meta.url), dist = new URL("../dist/", impo
 const program = process.argv[2] ?? new URL("target/release/ssplat", root).pathname
 const home = mkdtempSync(join(tmpdir(), "ssplat-encode-"))
 process.on("exit", () => rmSync(home, { recursive: true }))
-// Most bytes as brotli of the encoder's WebAssembly and the modules that it needs. The WebAssembly without vector instructions, for browsers
-// from before 2023, may take more: its loops over pixels are longer. The score is loaded only where it is asked for.
+// Maximum size of the encoder's WebAssembly and its modules, compressed with brotli. The scalar build, for browsers from before 2023, may be
+// larger, because its loops over pixels are longer. SSIMULACRA2 is loaded only if it is needed.
 const budgets = { simd: 300_000, scalar: 330_000 }, scoreBudget = 55_000
 
 // The same picture for the program.
