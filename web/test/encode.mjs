@@ -60,7 +60,7 @@ await same("tune", small, { tune: "ssim", effort: 1 }, ["--tune", "ssim", "--eff
 for (const [pixels, quality] of [[small, 40], [generated(72, 56, 4, 16), 60]])
   for (const kind of ["simd", "scalar"]) {
     const { report } = await encode(pixels, { quality, effort: 1, ...modulesOf(kind) })
-    assert(Math.abs(report.quality - quality) < 5, `${kind}: a quality of ${report.quality}, not ${quality}`)
+    assert(Math.abs(report.quality - quality) < 2, `${kind}: a quality of ${report.quality}, not ${quality}`)
     checks++
   }
 for (const name of ["kodim05", "kodim15"]) {
