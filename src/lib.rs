@@ -227,7 +227,7 @@ mod raster;
 mod round;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod simd;
-#[cfg(feature = "quality")]
+#[cfg(feature = "quality-hook")]
 mod ssimulacra2;
 #[cfg(feature = "encode")]
 mod strict_math;

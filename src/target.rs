@@ -30,7 +30,7 @@ pub enum Target {
     /// 90 mean low, medium, high and very high quality. Encoding takes up to six tries, most of which start from the
     /// Gaussians of the previous one. If none meets the score, the result is the best file found, and
     /// [`EncodeReport::quality`](crate::EncodeReport::quality) has its score.
-    #[cfg(feature = "quality")]
+    #[cfg(feature = "quality-hook")]
     #[doc(alias("ssimulacra2", "perceptual"))]
     Quality(f64),
 }

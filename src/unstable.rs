@@ -34,6 +34,11 @@ pub mod fit {
 pub mod gaussian {
     pub use crate::gaussian::*;
 }
+/// The SSIMULACRA2 of builds that have none of their own.
+#[cfg(all(feature = "quality-hook", not(feature = "quality")))]
+pub mod score {
+    pub use crate::ssimulacra2::provide_score;
+}
 /// Points in time.
 #[cfg(all(feature = "encode", target_family = "wasm", target_os = "unknown"))]
 pub mod instant {

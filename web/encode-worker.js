@@ -1,11 +1,11 @@
 // Worker for one job, in browsers and in Node.js. It receives a job, and sends the progress and the result.
-import { run } from "./encode-machine.js"
+import { run, score } from "./encode-machine.js"
 
 // Node.js has a different interface to the parent thread.
 const port = globalThis.process?.getBuiltinModule?.("node:worker_threads").parentPort ?? globalThis
-const receive = ({ module, job, isWatched }) => {
+const receive = ({ isWatched, ...task }) => {
   try {
-    const answer = run(module, job, (stage, done) => { if (isWatched) port.postMessage({ stage, done }) })
+    const answer = task.module ? run(task, (stage, done) => { if (isWatched) port.postMessage({ stage, done }) }) : score(task.scorer, task.job)
     port.postMessage({ answer }, answer.bytes ? [answer.bytes.buffer] : [])
   } catch ({ kind = "internal", message }) {
     port.postMessage({ kind, message })

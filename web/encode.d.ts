@@ -46,12 +46,14 @@ export interface EncodeOptions {
   exif?: Uint8Array | ArrayBuffer
   /** EXIF orientation to store, 1 to 8. Pixels are not rotated. */
   orientation?: number
-  /** `alloc`: maximum memory of the WebAssembly in bytes, by default 1 GiB, at most 4 GiB. */
+  /** `alloc`: maximum memory of the WebAssembly modules together, in bytes, by default 1 GiB, at most 4 GiB. */
   limits?: { alloc?: number }
   /** Whether to encode in a separate worker; by default true. In browsers, also a function that starts `encode-worker.js` as a module. */
   worker?: boolean | (() => Worker)
   /** The WebAssembly as a URL, bytes or a compiled module, if not that of the package. */
   module?: string | URL | ArrayBuffer | Uint8Array | WebAssembly.Module
+  /** The WebAssembly that computes SSIMULACRA2, in the same way. It is loaded only with `quality`. */
+  scoreModule?: EncodeOptions["module"]
   /** Stops the encode: at once in a worker, otherwise when `onProgress` aborts it. The promise is rejected with the signal's reason. */
   signal?: AbortSignal
   /** Receives the stage and the fraction of it that is done, 0 to 1. An exception stops the encode. */
@@ -78,7 +80,7 @@ export function encode(pixels: EncodePixels, options?: EncodeOptions): Promise<{
  * Computes the SSIMULACRA2 score of `test` against `reference`, two pictures of the same size, channels and depth: at most 100, for
  * identical pictures; 90 very high, 70 high, 50 medium, 30 low quality. NaN if a side has fewer than 8 pixels.
  */
-export function ssimulacra2(reference: EncodePixels, test: EncodePixels, options?: Pick<EncodeOptions, "limits" | "worker" | "module" | "signal">): Promise<number>
+export function ssimulacra2(reference: EncodePixels, test: EncodePixels, options?: Pick<EncodeOptions, "limits" | "worker" | "scoreModule" | "signal">): Promise<number>
 
-/** Fetches and compiles the WebAssembly before it is needed. */
-export function preload(): Promise<void>
+/** Fetches and compiles the WebAssembly before it is needed; with `quality`, also that which computes SSIMULACRA2. */
+export function preload(options?: { quality?: boolean }): Promise<void>

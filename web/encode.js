@@ -1,17 +1,19 @@
 // Encodes pictures to .ssplat files in browsers and in Node.js, with a separate WebAssembly module that is loaded by the first encode.
+// SSIMULACRA2 is another module, which is loaded if it is needed.
 import { SsplatError } from "./error.js"
-import { run } from "./encode-machine.js"
+import { run, score } from "./encode-machine.js"
 
 export { SsplatError, names as optionNames }
 
 const targets = ["ratio", "bytes", "psnr", "quality", "primitives"]
-const names = [...targets, "effort", "tune", "time", "seed", "detail", "levels", "icc", "exif", "orientation", "limits", "worker", "module", "signal", "onProgress"]
+const names = [...targets, "effort", "tune", "time", "seed", "detail", "levels", "icc", "exif", "orientation", "limits", "worker", "module", "scoreModule", "signal", "onProgress"]
 const bad = words => { throw new SsplatError("parameter", words) }
 // Default maximum memory of the WebAssembly in bytes: the limit of the Rust crate on 32-bit systems.
 const memory = 2 ** 30, address = 2 ** 32
 
 // The modules are files in the same folder, with URLs that bundlers recognize and rewrite.
-const simd = () => new URL("./ssplat-encode-simd.wasm", import.meta.url), scalar = () => new URL("./ssplat-encode-scalar.wasm", import.meta.url)
+const encoder = { simd: () => new URL("./ssplat-encode-simd.wasm", import.meta.url), scalar: () => new URL("./ssplat-encode-scalar.wasm", import.meta.url) }
+const scorer = { simd: () => new URL("./ssplat-score-simd.wasm", import.meta.url), scalar: () => new URL("./ssplat-score-scalar.wasm", import.meta.url) }
 // A function that needs SIMD instructions: `i32.const 0; i8x16.splat; i8x16.popcnt`.
 const vectors = Uint8Array.of(0, 97, 115, 109, 1, 0, 0, 0, 1, 5, 1, 96, 0, 1, 123, 3, 2, 1, 0, 10, 10, 1, 8, 0, 65, 0, 253, 15, 253, 98, 11)
 const node = name => globalThis.process?.getBuiltinModule?.(`node:${name}`)
@@ -29,14 +31,14 @@ async function bytesAt(source) {
   }
 }
 
-let compiled
-// Returns the module for this machine, or the one given by a URL, bytes or a module. Failed requests are repeated by the next call.
-function compile(source) {
+// Returns the module of `files` for this machine, or the one given by a URL, bytes or a module. Failed requests are repeated by the next
+// call.
+function compile(files, source) {
   if (source instanceof WebAssembly.Module) return source
   if (source) return bytesAt(source).then(bytes => WebAssembly.compile(bytes))
-  compiled ??= bytesAt(WebAssembly.validate(vectors) ? simd() : scalar()).then(bytes => WebAssembly.compile(bytes))
-  compiled.catch(() => { compiled = undefined })
-  return compiled
+  files.compiled ??= bytesAt(WebAssembly.validate(vectors) ? files.simd() : files.scalar()).then(bytes => WebAssembly.compile(bytes))
+  files.compiled.catch(() => { files.compiled = undefined })
+  return files.compiled
 }
 
 // Check integers and other numbers against a range, which includes both ends.
@@ -144,7 +146,7 @@ const inWorker = (message, { worker: make, signal, onProgress }) => new Promise(
   const stop = () => fail(signal.reason)
   signal?.addEventListener("abort", stop)
   worker.listen(({ answer, kind, message: words, stage, done: share }) => {
-    if (answer) return done(answer)
+    if (answer != null) return done(answer)
     if (kind) return fail(new SsplatError(kind, words))
     try {
       onProgress?.(stage, share)
@@ -155,15 +157,16 @@ const inWorker = (message, { worker: make, signal, onProgress }) => new Promise(
   worker.post(message)
 })
 
-// Runs a job in a worker or in this thread.
-async function work(job, { signal, onProgress, worker = true, module: source }) {
+// Waits for the modules of a task, { module, scorer }, and runs its job in a worker or in this thread.
+async function work({ module, scorer, job }, { signal, onProgress, worker = true }) {
+  const [encodes, scores] = await Promise.all([module, scorer])
   signal?.throwIfAborted()
-  const module = await compile(source)
-  signal?.throwIfAborted()
-  if (worker) return inWorker({ module, job, isWatched: !!onProgress }, { worker, signal, onProgress })
+  const task = { module: encodes, scorer: scores, job }
+  if (worker) return inWorker({ ...task, isWatched: !!onProgress }, { worker, signal, onProgress })
+  if (!encodes) return score(scores, job)
   let thrown
   try {
-    return run(module, job, (stage, done) => {
+    return run(task, (stage, done) => {
       try {
         onProgress?.(stage, done)
         signal?.throwIfAborted()
@@ -178,17 +181,23 @@ async function work(job, { signal, onProgress, worker = true, module: source }) 
 }
 
 // Encodes pixels. Resolves to the bytes of the file and the report of the encode.
-export const encode = async (pixels, options = {}) => work(jobOf(pixels, options), options)
+export async function encode(pixels, options = {}) {
+  const job = jobOf(pixels, options)
+  options.signal?.throwIfAborted()
+  const scores = job.settings.quality == null ? undefined : compile(scorer, options.scoreModule)
+  return work({ module: compile(encoder, options.module), scorer: scores, job }, options)
+}
 
 // Computes the SSIMULACRA2 score of `test` against `reference`, two pictures of the same size, channels and depth; NaN if a side has
 // fewer than 8 pixels.
 export async function ssimulacra2(reference, test, options = {}) {
-  only(["limits", "worker", "module", "signal"], options)
+  only(["limits", "worker", "scoreModule", "signal"], options)
   const [job, { data, ...kind }] = [samplesOf(reference), samplesOf(test)]
   for (const name of ["width", "height", "channels", "depth"])
     if (job[name] != kind[name]) bad(`the pictures differ in ${name}: ${job[name]} and ${kind[name]}`)
-  return (await work({ ...job, test: data, alloc: allocOf(options) }, options)).score
+  options.signal?.throwIfAborted()
+  return work({ scorer: compile(scorer, options.scoreModule), job: { ...job, test: data, alloc: allocOf(options) } }, options)
 }
 
-// Fetches and compiles the module before it is needed.
-export const preload = async () => void await compile()
+// Fetches and compiles the module of the encoder before it is needed; with `quality`, also that of SSIMULACRA2.
+export const preload = async ({ quality = false } = {}) => void await Promise.all([compile(encoder), quality && compile(scorer)])

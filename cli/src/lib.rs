@@ -1,6 +1,8 @@
 //! The program `ssplat`. The lab uses some modules to read pictures and write files; they are not a public API.
 
 pub mod args;
+#[cfg(feature = "avif")]
+mod avif;
 mod batch;
 mod carried;
 pub mod compare;

@@ -135,6 +135,12 @@ fn read_foreign(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Fai
             notes.push("only the first of its frames or pages is used".into());
         }
     }
+    #[cfg(feature = "avif")]
+    let avif = if sniff(input.start().map_err(io)?) == Some(Sniffed::Avif) {
+        Some(crate::avif::look(path, &mut input)?)
+    } else {
+        None
+    };
     let stated = colour::look(&mut input).map_err(io)?;
     notes.extend(stated.note.map(String::from));
     let mut decoder = open_picture(input, path, &limits()).map_err(failed)?;
@@ -145,6 +151,11 @@ fn read_foreign(path: &Path, mut input: Input, turn: Turn) -> Result<Source, Fai
     }
     let mut orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
     let mut picture = stated.without_idle_alpha(decoded_picture(decoder).map_err(failed)?);
+    #[cfg(feature = "avif")]
+    if let Some(avif) = avif {
+        orientation = avif.orientation;
+        picture = avif.own_channels(picture);
+    }
     if turn == Turn::Upright {
         picture.apply_orientation(orientation);
         forget_orientation(&mut exif);

@@ -89,9 +89,11 @@ fn the_viewer_and_the_named_files_are_served() {
     let (status, head, body) = served.get("/ssplat-simd.wasm");
     assert_eq!((status, body.as_slice()), (200, source("ssplat-simd.wasm").as_slice()));
     assert!(head.contains("Content-Type: application/wasm"), "{head}");
-    let (status, head, body) = served.get("/ssplat-encode-simd.wasm");
-    assert!(status == 200 && body == source("ssplat-encode-simd.wasm.gz"), "{status}, {} bytes", body.len());
-    assert!(head.contains("Content-Type: application/wasm") && head.contains("Content-Encoding: gzip"), "{head}");
+    for name in ["ssplat-encode-simd.wasm", "ssplat-score-simd.wasm"] {
+        let (status, head, body) = served.get(&format!("/{name}"));
+        assert!(status == 200 && body == source(&format!("{name}.gz")), "{name}: {status}, {} bytes", body.len());
+        assert!(head.contains("Content-Type: application/wasm") && head.contains("Content-Encoding: gzip"), "{head}");
+    }
     // Every imported module exists.
     let mut names = ["/viewer/viewer.js", "/worker.js", "/encode.js", "/encode-worker.js"].map(String::from).to_vec();
     let mut seen = 0;

@@ -67,7 +67,7 @@ impl Encoder {
     }
 
     /// Sets the target [`Target::Quality`]: an SSIMULACRA2 score, `0..=100`.
-    #[cfg(feature = "quality")]
+    #[cfg(feature = "quality-hook")]
     #[must_use]
     pub fn quality(self, quality: f64) -> Self {
         self.target(Target::Quality(quality))

@@ -18,14 +18,14 @@ mod pipeline;
 mod prune;
 mod rate_control;
 mod report;
-#[cfg(feature = "quality")]
+#[cfg(feature = "quality-hook")]
 mod score;
 mod session;
 mod skipped;
 mod thumbnail;
 mod tiles;
 mod trace;
-#[cfg(feature = "quality")]
+#[cfg(feature = "quality-hook")]
 mod trim;
 mod whole;
 mod workers;
@@ -191,7 +191,7 @@ fn check(options: &EncodeOptions) -> Result<()> {
     match options.target {
         Target::Ratio(r) if !(r.is_finite() && r > 0.0) => bad("ratio", format!("{r} is not a positive number")),
         Target::Psnr(p) if !(p.is_finite() && p > 0.0) => bad("psnr", format!("{p} is not a positive number")),
-        #[cfg(feature = "quality")]
+        #[cfg(feature = "quality-hook")]
         Target::Quality(q) if !(0.0..=100.0).contains(&q) => bad("quality", format!("{q} is outside 0..=100")),
         Target::Primitives(n) if u64::from(n) > MAX_PRIMITIVES => {
             bad("primitives", format!("{n} is over {MAX_PRIMITIVES}"))

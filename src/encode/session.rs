@@ -29,7 +29,7 @@ pub(super) struct Outcome {
 impl Outcome {
     /// Returns whether single primitives can be removed from the file. Their value is not known for files with levels or a
     /// detail layer.
-    #[cfg(feature = "quality")]
+    #[cfg(feature = "quality-hook")]
     pub(super) fn can_be_trimmed(&self) -> bool {
         self.splats.levels.is_empty() && self.splats.detail.is_none()
     }
@@ -78,7 +78,7 @@ pub(super) trait EncodeSession<'a> {
     fn error(&mut self, splats: &PackedSplats) -> Result<f64>;
 
     /// Returns the SSIMULACRA2 score of the stored picture, with the channels that were left out restored.
-    #[cfg(feature = "quality")]
+    #[cfg(feature = "quality-hook")]
     fn score(&mut self, splats: &PackedSplats) -> Result<f64>;
 
     /// Removes primitives as long as the squared error over the samples of all channels stays within `error`.
@@ -87,13 +87,13 @@ pub(super) trait EncodeSession<'a> {
     }
 
     /// Returns whether [`trim_to_quality`](Self::trim_to_quality) can make this file smaller.
-    #[cfg(feature = "quality")]
+    #[cfg(feature = "quality-hook")]
     fn can_be_trimmed(&self, _outcome: &Outcome) -> bool {
         false
     }
 
     /// Removes the least important primitives as long as the score stays at or above `wanted`.
-    #[cfg(feature = "quality")]
+    #[cfg(feature = "quality-hook")]
     fn trim_to_quality(&mut self, _outcome: &mut Outcome, _wanted: f64) -> Result<()> {
         Ok(())
     }

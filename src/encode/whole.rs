@@ -148,7 +148,7 @@ impl<'a> EncodeSession<'a> for WholeSession<'a> {
         Ok(stored_error(&self.widened(splats), &planes, self.channels()))
     }
 
-    #[cfg(feature = "quality")]
+    #[cfg(feature = "quality-hook")]
     fn score(&mut self, splats: &PackedSplats) -> Result<f64> {
         super::score::score(self.input.original, splats)
     }
@@ -161,12 +161,12 @@ impl<'a> EncodeSession<'a> for WholeSession<'a> {
         }
     }
 
-    #[cfg(feature = "quality")]
+    #[cfg(feature = "quality-hook")]
     fn can_be_trimmed(&self, outcome: &Outcome) -> bool {
         outcome.can_be_trimmed()
     }
 
-    #[cfg(feature = "quality")]
+    #[cfg(feature = "quality-hook")]
     fn trim_to_quality(&mut self, outcome: &mut Outcome, wanted: f64) -> Result<()> {
         self.trimmed(outcome, wanted)
     }

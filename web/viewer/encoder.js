@@ -15,7 +15,7 @@ let loading
 export function load() {
   loading ??= (async () => {
     const [library, url] = await Promise.all([import("../encode.js"), script("encode-worker.js")])
-    await library.preload()
+    await library.preload({ quality: true })
     return { ...library, worker: () => new Worker(url, { type: "module" }) }
   })()
   loading.catch(() => { loading = undefined })

@@ -7,6 +7,8 @@ pub const PAGE: &str = "viewer/index.html";
 pub const MODULE: &str = "ssplat-simd.wasm";
 /// That of the encoder.
 const ENCODER: &str = "ssplat-encode-simd.wasm";
+/// That of SSIMULACRA2.
+const SCORE: &str = "ssplat-score-simd.wasm";
 
 macro_rules! sources {
     ($($name:literal),* $(,)?) => { &[$(($name, include_str!(concat!(env!("SSPLAT_WEB"), "/", $name)))),*] };
@@ -44,12 +46,16 @@ pub const MODULE_BYTES: &[u8] = include_bytes!(concat!(env!("SSPLAT_WEB"), "/ssp
 /// The bytes of [`ENCODER`], compressed by gzip.
 const ENCODER_BYTES: &[u8] = include_bytes!(concat!(env!("SSPLAT_WEB"), "/ssplat-encode-simd.wasm.gz"));
 
+/// The bytes of [`SCORE`], compressed by gzip.
+const SCORE_BYTES: &[u8] = include_bytes!(concat!(env!("SSPLAT_WEB"), "/ssplat-score-simd.wasm.gz"));
+
 /// Returns a file of the viewer by its path in the viewer's folder; `None` for other paths.
 pub fn file(name: &str) -> Option<&'static [u8]> {
     match name {
         PAGE => Some(PAGE_TEXT.as_bytes()),
         MODULE => Some(MODULE_BYTES),
         ENCODER => Some(ENCODER_BYTES),
+        SCORE => Some(SCORE_BYTES),
         _ => MODULES.iter().find(|(known, _)| *known == name).map(|(_, text)| text.as_bytes()),
     }
 }

@@ -280,7 +280,7 @@ pub(in crate::encode) fn is_search(target: Target) -> bool {
     match target {
         Target::Auto | Target::Ratio(_) | Target::Bytes(_) | Target::Primitives(_) => false,
         Target::Psnr(_) => true,
-        #[cfg(feature = "quality")]
+        #[cfg(feature = "quality-hook")]
         Target::Quality(_) => true,
     }
 }

@@ -1,7 +1,7 @@
 //! Rate control: converts the target of an encode to file sizes and initial numbers of primitives.
 
 mod psnr;
-#[cfg(feature = "quality")]
+#[cfg(feature = "quality-hook")]
 mod quality;
 mod search;
 
@@ -16,7 +16,7 @@ use crate::options::EncodeOptions;
 use crate::round::size::Size;
 use crate::strict_math::StrictMath;
 use crate::target::Target;
-#[cfg(feature = "quality")]
+#[cfg(feature = "quality-hook")]
 pub(super) use quality::AIM_ABOVE;
 use search::{Curve, ScoreGoal, Search};
 
@@ -43,7 +43,7 @@ pub(super) fn size_asked(options: &EncodeOptions, samples: f64, fixed: u64) -> S
         Target::Ratio(ratio) => Size::Bytes((samples / ratio).floor() as u64),
         Target::Bytes(bytes) => Size::Bytes(bytes),
         Target::Primitives(_) | Target::Psnr(_) => Size::Free,
-        #[cfg(feature = "quality")]
+        #[cfg(feature = "quality-hook")]
         Target::Quality(_) => Size::Free,
     }
 }
@@ -83,7 +83,7 @@ pub(super) fn to_target<'a, S: EncodeSession<'a>>(session: &mut S) -> Result<Out
         }
         Target::Primitives(count) => session.at_count(count as usize)?,
         Target::Psnr(psnr) => psnr::to_psnr(session, psnr)?,
-        #[cfg(feature = "quality")]
+        #[cfg(feature = "quality-hook")]
         Target::Quality(quality) => quality::to_quality(session, quality)?,
     };
     thumbnail::add(session, &mut outcome, size)?;

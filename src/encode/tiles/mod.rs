@@ -55,7 +55,7 @@ use crate::quantize::Quantizer;
 use crate::round::finish::SLOPE;
 use crate::round::rounded;
 use crate::round::size::{Correction, Size, correction, is_settled};
-#[cfg(feature = "quality")]
+#[cfg(feature = "quality-hook")]
 use crate::ssimulacra2::{MIN_SIDE, ssimulacra2};
 use floats::OnProgress;
 use global::{GlobalContext, Survey, TileSettings};
@@ -248,7 +248,7 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
     }
 
     /// Scores large pictures tile by tile. Returns the mean of the scores, weighted by the number of pixels.
-    #[cfg(feature = "quality")]
+    #[cfg(feature = "quality-hook")]
     fn score(&mut self, splats: &PackedSplats) -> Result<f64> {
         let wide = self.widened(splats);
         let (mut sum, mut area) = (0.0, 0.0);

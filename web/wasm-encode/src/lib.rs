@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use image::metadata::Orientation;
 use ssplat::unstable::instant::provide_clock;
-use ssplat::unstable::metrics;
+use ssplat::unstable::score::provide_score;
 use ssplat::{Channels, Detail, Encoder, Error, Pixels, Progress, Result, Samples, Target, Tune};
 
 #[link(wasm_import_module = "host")]
@@ -20,12 +20,21 @@ unsafe extern "C" {
     safe fn now() -> f64;
     /// Takes the stage's name and the share of it that is done; anything but 0 stops the encode.
     safe fn progress(name: *const u8, length: usize, done: f32) -> u32;
+    /// Returns the SSIMULACRA2 score of `test` against `reference`, which are samples as [`encode`] takes them.
+    safe fn ssimulacra2(
+        width: u32,
+        height: u32,
+        channels: usize,
+        bits: u32,
+        reference: *const u8,
+        test: *const u8,
+    ) -> f64;
 }
 
 /// What is put on the desk before an encode, and what lies there after it.
 #[derive(Default)]
 struct Desk {
-    /// Samples; ICC profile, or the samples of the picture to compare with; EXIF block.
+    /// Samples; ICC profile; EXIF block.
     inputs: [Vec<u8>; 3],
     encoder: Encoder,
     /// The file or an error's words; the stages of the encode; what was left out.
@@ -109,19 +118,19 @@ pub extern "C" fn number(which: usize) -> f64 {
 #[unsafe(no_mangle)]
 pub extern "C" fn encode(width: u32, height: u32, channels: usize, bits: u32, orientation: u8) -> u32 {
     provide_clock(|| now());
+    provide_score(score);
     answer(|desk| desk.encode([width, height], channels, bits, orientation))
 }
 
-/// Computes the SSIMULACRA2 score of the samples of input 1 against those of input 0, both as [`encode`] takes them. The score is
-/// the first number of the answer, NaN if a side has fewer than 8 pixels.
-#[unsafe(no_mangle)]
-pub extern "C" fn ssimulacra2(width: u32, height: u32, channels: usize, bits: u32) -> u32 {
-    answer(|desk| {
-        let [reference, test] =
-            [desk.pixels(0, [width, height], channels, bits)?, desk.pixels(1, [width, height], channels, bits)?];
-        desk.numbers[0] = metrics::ssimulacra2(&reference, &test)?.unwrap_or(f64::NAN);
-        Ok(())
-    })
+/// Has JavaScript compute a score, with a module of its own that is loaded only for encodes that need it.
+fn score(reference: &Pixels, test: &Pixels) -> f64 {
+    let samples = |pixels: &Pixels| match pixels.samples() {
+        Samples::U8(samples) => samples.as_ptr(),
+        Samples::U16(samples) => samples.as_ptr().cast(),
+    };
+    let bits = 8 * reference.depth().bytes() as u32;
+    let channels = reference.channels().count();
+    ssimulacra2(reference.width(), reference.height(), channels, bits, samples(reference), samples(test))
 }
 
 /// Returns 0 if `work` is done, otherwise the kind of its error, whose text becomes the first piece.
@@ -146,11 +155,11 @@ fn parameter(name: &'static str, problem: String) -> Error {
 }
 
 impl Desk {
-    /// Takes the samples of an input.
-    fn pixels(&mut self, which: usize, [width, height]: [u32; 2], channels: usize, bits: u32) -> Result<Pixels> {
+    /// Takes the samples.
+    fn pixels(&mut self, [width, height]: [u32; 2], channels: usize, bits: u32) -> Result<Pixels> {
         let channels = Channels::from_count(channels)
             .ok_or_else(|| parameter("channels", format!("{channels} is outside 1..=4")))?;
-        let bytes = std::mem::take(&mut self.inputs[which]);
+        let bytes = std::mem::take(&mut self.inputs[0]);
         let samples = match bits {
             8 => Samples::U8(bytes),
             16 => Samples::U16(bytes.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect()),
@@ -160,7 +169,7 @@ impl Desk {
     }
 
     fn encode(&mut self, size: [u32; 2], channels: usize, bits: u32, orientation: u8) -> Result<()> {
-        let pixels = self.pixels(0, size, channels, bits)?;
+        let pixels = self.pixels(size, channels, bits)?;
         let orientation = Orientation::from_exif(orientation)
             .ok_or_else(|| parameter("orientation", format!("{orientation} is outside 1..=8")))?;
         let mut encoder = std::mem::take(&mut self.encoder);

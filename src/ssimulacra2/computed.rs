@@ -1,14 +1,13 @@
-//! SSIMULACRA2, a perceptual measure of the difference between two pictures, computed by the crate `fast-ssim2`.
+//! SSIMULACRA2 computed by the crate `fast-ssim2`.
 
 use fast_ssim2::{PixelDescriptor, PixelSlice, Ssimulacra2Config, compute_ssimulacra2_with_config};
 
+use super::MIN_SIDE;
 use crate::error::{Error, Result};
 use crate::metrics::BACKGROUNDS;
 use crate::pixels::{Pixels, Samples};
 use crate::strict_math::StrictMath;
 
-/// Smallest side of a picture that can be measured, pixels.
-pub(crate) const MIN_SIDE: u32 = 8;
 /// Number of pixels above which the measure is computed in strips. This takes less memory and changes the last digits
 /// of the score.
 const STRIPED_PIXELS: u64 = 1 << 22;

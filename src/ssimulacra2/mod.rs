@@ -1,0 +1,23 @@
+//! SSIMULACRA2, a perceptual measure of the difference between two pictures.
+
+#[cfg(feature = "quality")]
+mod computed;
+#[cfg(any(test, not(feature = "quality")))]
+#[cfg_attr(
+    not(feature = "unstable"),
+    allow(dead_code, reason = "only `unstable` exports the function that provides a score")
+)]
+#[cfg_attr(test, allow(dead_code, reason = "tests compile this module with all features"))]
+mod provided;
+
+#[cfg(all(feature = "quality", any(test, feature = "unstable")))]
+pub use computed::linear_light;
+#[cfg(feature = "quality")]
+pub use computed::ssimulacra2;
+#[cfg(all(not(feature = "quality"), feature = "unstable"))]
+pub use provided::provide_score;
+#[cfg(not(feature = "quality"))]
+pub(crate) use provided::ssimulacra2;
+
+/// Smallest side of a picture that can be measured, pixels.
+pub(crate) const MIN_SIDE: u32 = 8;

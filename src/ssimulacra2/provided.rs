@@ -1,0 +1,58 @@
+//! SSIMULACRA2 computed by a function that the program provides.
+
+use std::sync::OnceLock;
+
+use super::MIN_SIDE;
+use crate::error::{Error, Result};
+use crate::pixels::Pixels;
+
+/// Computes the score of the second picture against the first.
+type Score = fn(&Pixels, &Pixels) -> f64;
+
+static SCORE: OnceLock<Score> = OnceLock::new();
+
+/// Provides the SSIMULACRA2 of this program: a function that returns the score of its second argument against its
+/// first. Returns whether none was provided before.
+pub fn provide_score(score: Score) -> bool {
+    SCORE.set(score).is_ok()
+}
+
+/// Returns the SSIMULACRA2 score of two pictures of the same size, channels and depth. Returns `None` if a side is
+/// under 8 pixels.
+///
+/// # Errors
+/// [`Error::Parameter`] if the two differ in width, height, channels or depth, or if no score was provided.
+pub(crate) fn ssimulacra2(reference: &Pixels, test: &Pixels) -> Result<Option<f64>> {
+    crate::metrics::check_alike(reference, test)?;
+    if reference.width().min(reference.height()) < MIN_SIDE {
+        return Ok(None);
+    }
+    let problem = || "this build has no SSIMULACRA2, and the program provides none".to_owned();
+    let score = SCORE.get().ok_or_else(|| Error::Parameter { name: "quality", problem: problem() })?;
+    Ok(Some(score(reference, test)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussian::Channels;
+    use crate::pixels::Samples;
+
+    #[test]
+    fn without_a_provided_score_a_quality_is_refused() {
+        let grey = |side: u32, value| {
+            let samples = Samples::U8(vec![value; (side * side) as usize]);
+            Pixels::new(side, side, Channels::Grey, samples).unwrap()
+        };
+        let (a, b) = (grey(8, 1), grey(8, 2));
+        assert!(matches!(ssimulacra2(&a, &b), Err(Error::Parameter { name: "quality", .. })));
+        fn score(a: &Pixels, b: &Pixels) -> f64 {
+            let first = |p: &Pixels| if let Samples::U8(v) = p.samples() { f64::from(v[0]) } else { f64::NAN };
+            10.0 * first(a) + first(b)
+        }
+        assert!(provide_score(score) && !provide_score(score));
+        assert_eq!(ssimulacra2(&a, &b).unwrap(), Some(12.0));
+        assert_eq!(ssimulacra2(&grey(7, 1), &grey(7, 2)).unwrap(), None);
+        assert!(ssimulacra2(&a, &grey(9, 2)).is_err());
+    }
+}
