@@ -78,6 +78,8 @@ pub fn on_pool<Q: Send, A: Send, T: Send>(
         let mut result = None;
         rayon::in_place_scope(|scope| {
             let result = &mut result;
+            // If an answer panics, both ends are dropped here, so that the work ends too.
+            let (questions, reply) = (questions, reply);
             scope.spawn(move |_| {
                 let mut ask = |question| {
                     ask.send(question).expect("the caller listens until the work ends");
@@ -222,10 +224,8 @@ mod tests {
             asked.push(question);
             question * question
         };
-        let sum = on_pool(
-            |ask| (0..100).map(|i| on_pool(|_: &mut dyn FnMut(()) -> ()| i, &mut |()| ()) + ask(i)).sum::<u32>(),
-            answer,
-        );
+        let sum =
+            on_pool(|ask| (0..100).map(|i| on_pool(|nested| nested(i), &mut |i: u32| i) + ask(i)).sum::<u32>(), answer);
         assert_eq!(sum, (0..100).map(|i| i + i * i).sum());
         assert!(asked.is_sorted() && asked.len() == 100);
     }
