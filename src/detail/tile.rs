@@ -209,7 +209,7 @@ fn finish(
             }
         }
         for i in 0..SUPER {
-            let line = |plane: usize| from[plane].get(i * TILE..i * TILE + SUPER).unwrap_or(&NOTHING);
+            let line = |plane: usize| from[plane].get(i * TILE..).and_then(|line| line.first_chunk()).unwrap_or(&NOTHING);
             mix([line(0), line(1), line(2), line(3)], &mut out.channels, (row * SUPER + i) * TILE + x * SUPER);
         }
     }
@@ -224,21 +224,25 @@ fn make<T: Copy + Default>(plane: &mut Vec<T>, length: usize) {
 }
 
 /// Clears the superblock at the start of a part of a plane.
+#[inline(always)]
 fn clear<T: Copy + Default>(plane: &mut [T]) {
     for row in plane.chunks_mut(TILE).take(SUPER) {
-        row[..SUPER].fill(T::default());
+        if let Some(row) = row.first_chunk_mut::<SUPER>() {
+            *row = [T::default(); SUPER];
+        }
     }
 }
 
 /// Converts a row of a superblock from planes to channels; `at` is its first index in `channels`.
+///
+/// The length of a row is known to the compiler, which makes vector instructions of it.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
-fn mix([y, orange, green, alpha]: [&[i32]; PLANES], channels: &mut [Vec<i16>], at: usize) {
-    let side = y.len().min(orange.len()).min(green.len());
+fn mix([y, orange, green, alpha]: [&[i32; SUPER]; PLANES], channels: &mut [Vec<i16>], at: usize) {
     let rest = match channels {
         [r, g, b, rest @ ..] => {
-            let (r, g, b) = (&mut r[at..][..side], &mut g[at..][..side], &mut b[at..][..side]);
-            for i in 0..side {
+            let (r, g, b) = (row_at(r, at), row_at(g, at), row_at(b, at));
+            for i in 0..SUPER {
                 let (y, o, n) = (y[i].wrapping_mul(2), orange[i], green[i]);
                 let low = y.wrapping_sub(n);
                 r[i] = narrow(low.wrapping_add(o));
@@ -248,20 +252,26 @@ fn mix([y, orange, green, alpha]: [&[i32]; PLANES], channels: &mut [Vec<i16>], a
             rest
         }
         [grey, rest @ ..] => {
-            double(&mut grey[at..], y);
+            double(row_at(grey, at), y);
             rest
         }
         [] => return,
     };
     if let [out] = rest {
-        double(&mut out[at..], alpha);
+        double(row_at(out, at), alpha);
     }
 }
 
+/// Returns the row of a superblock that starts at `at`.
 #[inline(always)]
-fn double(out: &mut [i16], plane: &[i32]) {
-    for (out, &v) in out.iter_mut().zip(plane) {
-        *out = narrow(v.wrapping_mul(2));
+fn row_at(channel: &mut [i16], at: usize) -> &mut [i16; SUPER] {
+    channel[at..].first_chunk_mut().expect("a tile has whole superblocks")
+}
+
+#[inline(always)]
+fn double(out: &mut [i16; SUPER], plane: &[i32; SUPER]) {
+    for i in 0..SUPER {
+        out[i] = narrow(plane[i].wrapping_mul(2));
     }
 }
 
