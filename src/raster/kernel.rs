@@ -10,8 +10,8 @@
 use super::overlay::{Additions, SCALE};
 use super::project::{SUPPORT, Splat, Splats};
 use super::samples::{Codes, Sample};
-use crate::bitstream::detail::levels::{SUPER, TILE};
-use crate::detail::tile::TilePlanes;
+use crate::bitstream::detail::levels::SUPER;
+use crate::detail::tile::{StripRow, TilePlanes};
 use crate::gaussian::{Blend, EPSILON, HIDDEN};
 use crate::simd::{LANES, Lanes, Simd, Task};
 
@@ -229,14 +229,8 @@ enum More<'a, const C: usize> {
         column: usize,
     },
     /// Additions of a tile of the detail layer, by channel.
-    Tile {
-        channels: [&'a [TileRow]; C],
-        group: usize,
-    },
+    Tile([&'a [StripRow]; C]),
 }
-
-/// A row of a channel of a tile, in groups of the columns of a strip.
-type TileRow = [[i16; LANES]; TILE / LANES];
 
 impl<'a> Added<'a> {
     /// Returns the additions to `count` rows of a superblock from `row` on.
@@ -246,11 +240,11 @@ impl<'a> Added<'a> {
         match self.source {
             Source::Rows(rows) => More::Rows { rows, first: row, column },
             Source::Tile(planes) if planes.has(column, row) => {
-                let mut channels = [&[] as &[TileRow]; C];
-                for (rows, channel) in channels.iter_mut().zip(&planes.channels) {
-                    *rows = &channel.as_chunks().0.as_chunks().0[row..row + count];
+                let mut channels = [&[] as &[StripRow]; C];
+                for (c, rows) in channels.iter_mut().enumerate() {
+                    *rows = planes.strip(c, [column, row], count);
                 }
-                More::Tile { channels, group: column / LANES % (TILE / LANES) }
+                More::Tile(channels)
             }
             Source::Tile(_) => More::Nothing,
         }
@@ -266,9 +260,7 @@ fn enrich<S: Simd, T: Sample, const C: usize>(simd: S, values: &mut [S::Vector; 
         let more = match more {
             More::Nothing => return,
             More::Rows { rows, first, column } => simd.read(&rows.row(first + i)[c * rows.stride + column..]),
-            More::Tile { channels, group } => {
-                simd.mul(simd.widen(&channels[c][i][group % (TILE / LANES)]), simd.splat(SCALE))
-            }
+            More::Tile(channels) => simd.mul(simd.widen(&channels[c][i]), simd.splat(SCALE)),
         };
         let v = simd.add(*value, simd.mul(more, white));
         *value = simd.min(simd.max(v, simd.splat(0.0)), white);
