@@ -54,24 +54,32 @@ fn sided<const N: usize>(matrix: &Matrix, coefficients: &[Coefficient], out: &mu
     }
     let shift = FIRST_PASS_SHIFT - 1 + N.trailing_zeros();
     let half = 1i32 << (shift - 1);
-    for i in 0..N {
-        let mut sums = [half; N];
+    for first in (0..N).step_by(ROWS) {
+        let mut sums = [[half; N]; ROWS];
         let mut left = used;
         while left != 0 {
             let u = left.trailing_zeros() as usize % N;
             left &= left - 1;
-            let c = rounded(columns[u][i]);
             let row = &matrix[u];
-            for j in 0..N {
-                sums[j] = sums[j].wrapping_add(c.wrapping_mul(row[j]));
+            for k in 0..ROWS {
+                let c = rounded(columns[u][first + k]);
+                for j in 0..N {
+                    sums[k][j] = sums[k][j].wrapping_add(c.wrapping_mul(row[j]));
+                }
             }
         }
-        let row = &mut out[i * stride..i * stride + N];
-        for j in 0..N {
-            row[j] = sums[j] >> shift;
+        for k in 0..ROWS {
+            let row = &mut out[(first + k) * stride..][..N];
+            for j in 0..N {
+                row[j] = sums[k][j] >> shift;
+            }
         }
     }
 }
+
+/// Rows that the second pass computes at a time.
+#[cfg(not(target_family = "wasm"))]
+const ROWS: usize = 4;
 
 /// Does the same as [`sided`] for large blocks, with half of the multiplications; `H` is half of `N`.
 ///
@@ -107,35 +115,40 @@ fn folded<const N: usize, const H: usize>(
         }
     }
     let shift = FIRST_PASS_SHIFT - 1 + N.trailing_zeros();
-    for i in 0..N {
-        let even = frequencies::<N, H>(matrix, &columns, used & 0x5555_5555, (i, 1 << (shift - 1)));
-        let odd = frequencies::<N, H>(matrix, &columns, used & 0xAAAA_AAAA, (i, 0));
-        let row = &mut out[i * stride..i * stride + N];
-        for j in 0..H {
-            row[j] = even[j].wrapping_add(odd[j]) >> shift;
-        }
-        for j in 0..H {
-            row[N - 1 - j] = even[j].wrapping_sub(odd[j]) >> shift;
+    for first in (0..N).step_by(ROWS) {
+        let even = frequencies::<N, H>(matrix, &columns, used & 0x5555_5555, (first, 1 << (shift - 1)));
+        let odd = frequencies::<N, H>(matrix, &columns, used & 0xAAAA_AAAA, (first, 0));
+        for k in 0..ROWS {
+            let row = &mut out[(first + k) * stride..][..N];
+            for j in 0..H {
+                row[j] = even[k][j].wrapping_add(odd[k][j]) >> shift;
+            }
+            for j in 0..H {
+                row[N - 1 - j] = even[k][j].wrapping_sub(odd[k][j]) >> shift;
+            }
         }
     }
 }
 
-/// Returns `start` plus the sums of some frequencies in row `i`, over the first half of the samples.
+/// Returns `start` plus the sums of some frequencies in the rows from `first` on, over the first half of the samples.
 #[cfg(not(target_family = "wasm"))]
 #[inline(always)]
 fn frequencies<const N: usize, const H: usize>(
     matrix: &Matrix,
     columns: &[[i32; N]; N],
     mut left: u32,
-    (i, start): (usize, i32),
-) -> [i32; H] {
-    let mut sums = [start; H];
+    (first, start): (usize, i32),
+) -> [[i32; H]; ROWS] {
+    let mut sums = [[start; H]; ROWS];
     while left != 0 {
         let u = left.trailing_zeros() as usize % N;
         left &= left - 1;
-        let (c, row) = (columns[u][i], &matrix[u]);
-        for j in 0..H {
-            sums[j] = sums[j].wrapping_add(c.wrapping_mul(row[j]));
+        let row = &matrix[u];
+        for k in 0..ROWS {
+            let c = columns[u][first + k];
+            for j in 0..H {
+                sums[k][j] = sums[k][j].wrapping_add(c.wrapping_mul(row[j]));
+            }
         }
     }
     sums
