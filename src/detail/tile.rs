@@ -30,6 +30,9 @@ pub(crate) type StripRow = [i16; LANES];
 /// processor's cache.
 const ROOM: usize = TILE + 4;
 
+/// Bytes of the additions of one channel.
+pub(crate) const CHANNEL_BYTES: usize = TILE / LANES * ROOM * size_of::<StripRow>();
+
 /// Strips of a superblock.
 const STRIPS: usize = SUPER / LANES;
 

@@ -274,6 +274,7 @@ pub(crate) fn forward(size: usize, block: &mut [f32], stride: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::{RngExt, SeedableRng};
 
     #[test]
     fn cosines_are_symmetric_or_antisymmetric_about_the_middle_of_a_block() {
@@ -282,6 +283,29 @@ mod tests {
             for (k, row) in matrix.iter().enumerate().take(n) {
                 let sign = if k % 2 == 0 { 1 } else { -1 };
                 assert!((0..n).all(|i| row[n - 1 - i] == sign * row[i]), "size {size}, frequency {k}");
+            }
+        }
+    }
+
+    #[test]
+    fn folded_transforms_have_the_bits_of_plain_ones() {
+        let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(7);
+        for most in [40, 4000, i32::MAX] {
+            for count in [1, 3, 20, 300] {
+                let coefficients: Vec<Coefficient> = (0..count)
+                    .map(|_| Coefficient {
+                        u: rng.random_range(0..32),
+                        v: rng.random_range(0..32),
+                        value: rng.random_range(-most..most),
+                    })
+                    .collect();
+                let mut out = [[0; 32 * 40]; 4];
+                let [plain, folded_16, plain_32, folded_32] = &mut out;
+                sided::<16>(&matrices()[2], &coefficients, plain, 40);
+                folded::<16, 8>(&matrices()[2], &coefficients, folded_16, 40);
+                sided::<32>(&matrices()[3], &coefficients, plain_32, 40);
+                folded::<32, 16>(&matrices()[3], &coefficients, folded_32, 40);
+                assert!(plain == folded_16 && plain_32 == folded_32, "{count} values up to {most}");
             }
         }
     }

@@ -14,7 +14,7 @@ use crate::bitstream::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, TileLevels, tile_area, tile_counts};
 use crate::budget::Budget;
 use crate::detail::supers::Supers;
-use crate::detail::tile::{Scratch, TilePlanes, UNIT, reconstruct_some};
+use crate::detail::tile::{CHANNEL_BYTES, Scratch, TilePlanes, UNIT, reconstruct_some};
 use crate::error::Result;
 use crate::gaussian::Channels;
 use crate::limits::Limits;
@@ -170,7 +170,7 @@ impl Overlay {
     fn tile_row_memory(&self, view: &View) -> u64 {
         let tiles = (view.offset[0] + view.width).div_ceil(TILE as u32) - view.offset[0] / TILE as u32;
         let slices = TILE / TILE_WIDTH * TILE * size_of::<&[u16]>();
-        u64::from(tiles) * (TILE * TILE * self.channels.count() * size_of::<i16>() + slices) as u64
+        u64::from(tiles) * (self.channels.count() * CHANNEL_BYTES + slices) as u64
     }
 
     /// Returns the number of rows, of `stride` samples per channel, for which additions are computed at once.
@@ -241,7 +241,8 @@ impl Overlay {
     pub(crate) fn check_rows(&self, stride: usize, rows: u32, budget: &Budget) -> Result<()> {
         let additions = self.row_memory(stride).saturating_mul(rows.into());
         let [across, _] = tile_counts(self.size);
-        let tiles = across as u64 * (TILE * TILE) as u64 * (self.channels.count() as u64 * 2 + 4);
+        // The additions, and what threads need to make them and to weigh their rows.
+        let tiles = across as u64 * (self.channels.count() * CHANNEL_BYTES + TILE * TILE * size_of::<i32>()) as u64;
         budget.check(additions.saturating_add(tiles).saturating_add(stride as u64 * LINE_BYTES))
     }
 
