@@ -4,12 +4,14 @@ and docs/speed.svg.
 
     cargo build --release
     python lab/benchmarks.py target/release/ssplat KODAK [--large PICTURE...] [--jobs N]
-        [--only codecs,quality,efforts,speeds,tiny,large]
+        [--only codecs,quality,efforts,speeds,tiny,large,decoders]
 
 It needs Pillow 12 or newer for JPEG, WebP and AVIF (tune=iq), and the package pillow-jxl-plugin for JPEG XL. The rows
 of VVC come from docs/kodak-modern.csv, because its encoder cannot be installed from a package registry. KODAK is a
 folder with kodim01.png to kodim23.png, of which the odd-numbered ones are measured. All files are measured by
-`ssplat compare`. Results are cached in target/benchmarks, so that an interrupted run can be continued. Seconds are CPU
+`ssplat compare`. The table of decoders (`--only decoders`) needs `cargo build --release -p ssplat-lab --example
+decode_speed`, and the programs cwebp, dwebp, avifenc and avifdec. It crops the first picture of --large to 12
+megapixels, and the second to 24. Results are cached in target/benchmarks, so that an interrupted run can be continued. Seconds are CPU
 seconds of one thread.
 """
 import argparse, concurrent.futures, csv, hashlib, io, json, os, pathlib, platform, re, resource, statistics, subprocess, sys, tempfile, time
@@ -302,14 +304,51 @@ def large():
     tables["large"] = table(["picture", "ratio", "bytes", "PSNR dB", "MS-SSIM", "SSIMULACRA2", "encode, CPU s", "MB at the peak", "decode, CPU ms"], rows)
 
 
-for name, measure in (("codecs", codecs), ("quality", quality), ("efforts", efforts), ("speeds", speeds), ("tiny", tiny), ("large", large)):
+DECODERS = ["ssplat", "ssplat, reused", "ssplat, reading alone", "ssplat, 1024² region", "ssplat, 256 wide", "ssplat decode", "zune-jpeg", "zune-jpeg, reused", "image-webp", "dwebp", "avifdec"]
+
+
+def cropped(picture, megapixels):
+    """Returns the middle of a picture, with that many megapixels at most and sides of 3 to 2."""
+    from PIL import Image
+
+    height = int((megapixels * 1e6 / 1.5) ** 0.5) // 8 * 8
+    width = height * 3 // 2
+    path = cache / f"{picture.stem}-{megapixels}mp.png"
+    if not path.exists():
+        image = Image.open(picture).convert("RGB")
+        left, top = max(0, (image.width - width) // 2), max(0, (image.height - height) // 2)
+        image.crop((left, top, min(left + width, image.width), min(top + height, image.height))).save(path, compress_level=1)
+    return path
+
+
+def decoders():
+    """Times decoders on files of equal bytes, all in one run of the example `decode_speed`."""
+    example = args.program.parent / "examples/decode_speed"
+    # The ssplat files depend on the build.
+    files = cache / f"decoders-{build}"
+    of = [(p, r) for p in (pictures[2], pictures[11]) for r in (20, 50)]
+    of += [(cropped(p, size), r) for p, size in zip(args.large, (12, 24)) for r in (50, 100, 200)]
+    rows = []
+    for picture, ratio in of:
+        only = ",".join(sorted({name.split(",")[0] for name in DECODERS}))
+        output = run([example, picture, "--ratio", str(ratio), "--effort", "1", "--repeat", "15", "--keep", files, "--only", only])[0]
+        found = {cells[2].strip(): cells for cells in (line.split("|") for line in output.splitlines()) if len(cells) == 9}
+        cpu = {name: float(found[name][4]) for name in DECODERS}
+        rows.append([picture.stem, str(ratio), *(number(cpu[name], 1) for name in DECODERS), number(cpu["ssplat"] / cpu["zune-jpeg"], 2), number(cpu["ssplat"] / cpu["dwebp"], 2)])
+        print(rows[-1], flush=True)
+    head = ["picture", "ratio", *DECODERS, "ssplat ÷ zune-jpeg", "ssplat ÷ dwebp"]
+    tables["decoders"] = table(head, rows) + f"\n\nCPU milliseconds with commit {commit}, one thread."
+
+
+for name, measure in (("codecs", codecs), ("quality", quality), ("efforts", efforts), ("speeds", speeds), ("tiny", tiny), ("large", large), ("decoders", decoders)):
     if name in only and (name != "large" or args.large):
         measure()
         print(name, "done", flush=True)
 if not tables:
     sys.exit()
 text = page.read_text()
-tables["when"] = f"Measured on {time.strftime('%d %B %Y').lstrip('0')} with commit {commit}, on {os.cpu_count()} cores of {next((l.split(':')[1].strip() for l in open('/proc/cpuinfo') if l.startswith('model name')), platform.machine())}."
+if only != ["decoders"]:
+    tables["when"] = f"Measured on {time.strftime('%d %B %Y').lstrip('0')} with commit {commit}, on {os.cpu_count()} cores of {next((l.split(':')[1].strip() for l in open('/proc/cpuinfo') if l.startswith('model name')), platform.machine())}."
 for name, made in tables.items():
     text, count = re.subn(rf"(<!-- {name} -->\n).*?(<!-- end -->)", lambda m: m.group(1) + made + "\n" + m.group(2), text, flags=re.S)
     if not count:

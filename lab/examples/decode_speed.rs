@@ -8,7 +8,8 @@
 //! uses), losslessly as PNG, and by `cwebp`, `avifenc` and `cjxl` if they are installed. The quality is the highest at
 //! which the file is no larger than requested, or the lowest available. Every decode runs in a process of its own that
 //! decodes into memory repeatedly. The time is that of the fastest repetition, and the peak memory that of the
-//! process. Programs (`djpeg`, `dwebp`, `avifdec`, `djxl`) are timed as a whole, including writing a temporary file.
+//! process. Programs (`ssplat decode` if it lies beside this example's folder, `djpeg`, `dwebp`, `avifdec`, `djxl`) are
+//! timed as a whole, including writing a temporary file.
 //! ssplat renders a region (the middle 1024² or less) and a thumbnail (256 pixels wide) directly; the other codecs
 //! decode the whole picture for them.
 //!
@@ -48,7 +49,10 @@ struct Args {
     /// Repetitions of each decode; the fastest counts
     #[arg(long, default_value_t = 5)]
     repeat: u32,
-    /// Keep the files in this folder, and reuse the ssplat files that it contains
+    /// Run only the decoders whose names begin with one of these, as `ssplat,dwebp`
+    #[arg(long, value_delimiter = ',')]
+    only: Vec<String>,
+    /// Keep the files in this folder, and reuse the files that it contains
     #[arg(long)]
     keep: Option<PathBuf>,
     /// For internal use: decode a single file with this codec and print the figures
@@ -96,6 +100,7 @@ fn table(path: &Path, args: &Args, folder: &Path) -> Result<()> {
         picture.write_with_encoder(JpegEncoder::new_with_quality(&mut bytes, quality as u8))?;
         Ok(fs::write(&jpeg, bytes)?)
     })?;
+    let wanted = |by: &str| args.only.is_empty() || args.only.iter().any(|start| by.starts_with(start.as_str()));
     let mut rows = vec![
         ("zune-jpeg", jpeg.clone()),
         ("zune-jpeg, reused", jpeg.clone()),
@@ -104,11 +109,14 @@ fn table(path: &Path, args: &Args, folder: &Path) -> Result<()> {
         ("ssplat, reading alone", ours.clone()),
         ("ssplat, 1024² region", ours.clone()),
         ("ssplat, 256 wide", ours.clone()),
-        ("ssplat, its thumbnail", ours),
+        ("ssplat, its thumbnail", ours.clone()),
         ("png (image)", png.clone()),
         ("png (image), reused", png.clone()),
     ];
-    if installed("djpeg") {
+    if program_of_ssplat().is_some() {
+        rows.push(("ssplat decode", ours));
+    }
+    if wanted("djpeg") && installed("djpeg") {
         rows.push(("djpeg", jpeg));
     }
     let run = |program: &str, arguments: &[&str]| -> Result<()> {
@@ -117,7 +125,7 @@ fn table(path: &Path, args: &Args, folder: &Path) -> Result<()> {
         if output.status.success() { Ok(()) } else { Err(format!("{program}: {}", said()).into()) }
     };
     let text = |p: &Path| p.to_string_lossy().into_owned();
-    if installed("cwebp") {
+    if (wanted("dwebp") || wanted("image-webp")) && installed("cwebp") {
         let webp = file("webp");
         search(0, 100, most, &webp, |q| {
             run("cwebp", &["-quiet", "-q", &q.to_string(), &text(&png), "-o", &text(&webp)])
@@ -128,7 +136,7 @@ fn table(path: &Path, args: &Args, folder: &Path) -> Result<()> {
             rows.push(("dwebp", webp));
         }
     }
-    if installed("avifenc") && installed("avifdec") {
+    if wanted("avifdec") && installed("avifenc") && installed("avifdec") {
         let avif = file("avif");
         search(0, 63, most, &avif, |q| {
             let q = (63 - q).to_string();
@@ -136,7 +144,7 @@ fn table(path: &Path, args: &Args, folder: &Path) -> Result<()> {
         })?;
         rows.push(("avifdec", avif));
     }
-    if installed("cjxl") && installed("djxl") {
+    if wanted("djxl") && installed("cjxl") && installed("djxl") {
         let jxl = file("jxl");
         search(0, 100, most, &jxl, |q| {
             let distance = format!("{:.2}", 25.0 - 0.249 * f64::from(q));
@@ -145,7 +153,7 @@ fn table(path: &Path, args: &Args, folder: &Path) -> Result<()> {
         rows.push(("djxl", jxl));
     }
     let mut unit = None;
-    for (by, file) in rows {
+    for (by, file) in rows.into_iter().filter(|row| wanted(row.0)) {
         let exe = std::env::current_exe()?;
         let repeat = args.repeat.to_string();
         let output = Command::new(exe).arg(&file).args(["--by", by, "--repeat", &repeat]).output()?;
@@ -161,8 +169,18 @@ fn table(path: &Path, args: &Args, folder: &Path) -> Result<()> {
     Ok(())
 }
 
+/// Returns the program `ssplat` of the same build.
+fn program_of_ssplat() -> Option<PathBuf> {
+    let program = std::env::current_exe().ok()?.parent()?.parent()?.join("ssplat");
+    program.exists().then_some(program)
+}
+
 /// Writes the file with the highest quality in `low..=high` that has at most `most` bytes, or with the lowest quality.
+/// An existing file is kept.
 fn search(low: u32, high: u32, most: u64, file: &Path, mut write: impl FnMut(u32) -> Result<()>) -> Result<()> {
+    if file.exists() {
+        return Ok(());
+    }
     let (mut good, mut bad) = (low, high + 1);
     while bad - good > 1 {
         let middle = (good + bad) / 2;
@@ -181,7 +199,7 @@ fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
     let bytes = fs::read(file)?;
     let output = tempfile::Builder::new().suffix(".ppm").tempfile()?;
     let png = tempfile::Builder::new().suffix(".png").tempfile()?;
-    let who = if ["djpeg", "dwebp", "avifdec", "djxl"].contains(&by) {
+    let who = if ["ssplat decode", "djpeg", "dwebp", "avifdec", "djxl"].contains(&by) {
         UsageWho::RUSAGE_CHILDREN
     } else {
         UsageWho::RUSAGE_SELF
@@ -196,9 +214,16 @@ fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
     for _ in 0..repeat {
         let (cpu, wall) = (cpu_time(who)?, Instant::now());
         match by {
+            "ssplat decode" => {
+                let ssplat = program_of_ssplat().ok_or("no program ssplat")?;
+                program(&ssplat.to_string_lossy(), &["decode".as_ref(), file, output.path(), "--quiet".as_ref()])?;
+            }
             "djpeg" => program("djpeg", &["-outfile".as_ref(), output.path(), file])?,
             "dwebp" => program("dwebp", &["-quiet".as_ref(), "-ppm".as_ref(), file, "-o".as_ref(), output.path()])?,
-            "avifdec" => program("avifdec", &["--png-compress".as_ref(), "0".as_ref(), file, png.path()])?,
+            "avifdec" => program(
+                "avifdec",
+                &["--jobs".as_ref(), "1".as_ref(), "--png-compress".as_ref(), "0".as_ref(), file, png.path()],
+            )?,
             "djxl" => program("djxl", &[file, output.path()])?,
             "ssplat" => drop(ssplat::unstable::decode(&bytes, &DecodeOptions::default())?),
             "ssplat, reused" => {

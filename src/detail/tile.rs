@@ -1,6 +1,6 @@
 //! Converts the levels of a tile to additions to the samples of its pixels (spec §11.5).
 
-use super::lap::{self, Edges};
+use super::lap::{self, Edges, PITCH};
 use super::steps::PlaneSteps;
 use super::supers::Supers;
 use super::transform::{self, Coefficient};
@@ -8,18 +8,33 @@ use crate::bitstream::detail::head::DetailHead;
 use crate::bitstream::detail::levels::{CELL, SUPER, SUPERS, TILE, TileLevels};
 use crate::bitstream::detail::model::PLANES;
 use crate::gaussian::Channels;
-use crate::simd::{self, Simd, Task};
+use crate::simd::{self, LANES, Simd, Task};
 
 /// Unit of additions, as a part of an 8-bit code value.
 pub(crate) const UNIT: f32 = 1.0 / 32.0;
 
-/// Additions of a tile by channel, in 1/32 of an 8-bit code value. Rows are [`TILE`] apart.
+/// Additions of a tile by channel, in 1/32 of an 8-bit code value.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TilePlanes {
-    pub channels: Vec<Vec<i16>>,
+    /// The samples of each channel in strips of [`LANES`] columns, from left to right, of [`ROOM`] rows each. A
+    /// renderer reads a strip at a time, whose rows are adjacent in memory.
+    channels: Vec<Vec<StripRow>>,
     /// The superblocks that have additions.
     filled: Supers,
 }
+
+/// A row of a strip.
+pub(crate) type StripRow = [i16; LANES];
+
+/// Rows of a strip in memory. The unused ones prevent that the same row of all strips lies in the same set of the
+/// processor's cache.
+const ROOM: usize = TILE + 4;
+
+/// Bytes of the additions of one channel.
+pub(crate) const CHANNEL_BYTES: usize = TILE / LANES * ROOM * size_of::<StripRow>();
+
+/// Strips of a superblock.
+const STRIPS: usize = SUPER / LANES;
 
 /// Reusable working memory of [`reconstruct`].
 #[derive(Debug, Default)]
@@ -36,14 +51,42 @@ impl TilePlanes {
         self.filled.has([x / SUPER, y / SUPER])
     }
 
+    /// Returns the number of channels; 0 if no tile has been reconstructed.
+    pub(crate) fn channels(&self) -> usize {
+        self.channels.len()
+    }
+
+    /// Returns the addition to channel `c` of the pixel at column `x` and row `y`.
+    #[inline(always)]
+    pub(crate) fn value(&self, c: usize, [x, y]: [usize; 2]) -> i16 {
+        self.channels[c][x / LANES * ROOM + y][x % LANES]
+    }
+
+    /// Returns the additions to channel `c` of the pixels in row `y` from column `x` on.
+    #[inline(always)]
+    pub(crate) fn row(&self, c: usize, [x, y]: [usize; 2]) -> impl Iterator<Item = i16> {
+        let channel = &self.channels[c];
+        (x..TILE).map(move |x| channel[x / LANES * ROOM + y][x % LANES])
+    }
+
+    /// Returns `count` rows of the strip that contains column `x`, from row `y` on, in channel `c`.
+    #[inline(always)]
+    pub(crate) fn strip(&self, c: usize, [x, y]: [usize; 2], count: usize) -> &[StripRow] {
+        &self.channels[c][x / LANES * ROOM + y..][..count]
+    }
+
     /// Allocates the channels and records the superblocks that the caller is about to write.
     fn begin(&mut self, filled: Supers, channels: Channels) {
         self.channels.resize_with(channels.count(), Vec::new);
         for channel in &mut self.channels {
-            make(channel, TILE * TILE);
+            make(channel, TILE / LANES * ROOM);
             // Clear the superblocks that had additions before and have none now.
             for y in 0..SUPERS {
-                self.filled.without(filled).row(y).for_each(|x| clear(&mut channel[(y * TILE + x) * SUPER..]));
+                for x in self.filled.without(filled).row(y) {
+                    for strip in x * STRIPS..(x + 1) * STRIPS {
+                        channel[strip * ROOM + y * SUPER..][..SUPER].fill([0; LANES]);
+                    }
+                }
             }
         }
         self.filled = filled;
@@ -112,7 +155,7 @@ impl Task for Reconstruct<'_> {
             if row < down {
                 for (strips, filled) in scratch.strips.iter_mut().zip(filled) {
                     for x in filled.row(row) {
-                        make(&mut strips[row % 2], SUPER * TILE);
+                        make(&mut strips[row % 2], SUPER * PITCH);
                         clear(&mut strips[row % 2][x * SUPER..]);
                     }
                 }
@@ -165,7 +208,7 @@ impl Blocks<'_> {
             }
             edges[plane].note([x, y], block.size);
             let strip = &mut strips[plane][row % 2];
-            transform::inverse(side, coefficients, &mut strip[y % STEP * CELL * TILE + x * CELL..], TILE);
+            transform::inverse(side, coefficients, &mut strip[y % STEP * CELL * PITCH + x * CELL..], PITCH);
         }
     }
 }
@@ -175,11 +218,11 @@ impl Blocks<'_> {
 fn join_rows(row: usize, edges: &Edges, [even, odd]: &mut [Vec<i32>; 2]) {
     let (above, strip) = if row.is_multiple_of(2) { (odd, even) } else { (even, odd) };
     if row > 0 && edges.has(row * STEP) {
-        edges.between_rows(row * STEP, &mut above[(SUPER - lap::REACH) * TILE..], strip);
+        edges.between_rows(row * STEP, &mut above[(SUPER - lap::REACH) * PITCH..], strip);
     }
     for cy in 1..STEP {
-        let (above, below) = strip.split_at_mut(cy * CELL * TILE);
-        edges.between_rows(row * STEP + cy, &mut above[(cy * CELL - lap::REACH) * TILE..], below);
+        let (above, below) = strip.split_at_mut(cy * CELL * PITCH);
+        edges.between_rows(row * STEP + cy, &mut above[(cy * CELL - lap::REACH) * PITCH..], below);
     }
 }
 
@@ -197,75 +240,109 @@ fn finish(
             continue;
         }
         let sizes = &tile.sizes[[0, 1, 1, 2][plane]];
-        for (cy, rows) in scratch.strips[plane][row % 2].chunks_exact_mut(CELL * TILE).enumerate() {
+        for (cy, rows) in scratch.strips[plane][row % 2].chunks_exact_mut(CELL * PITCH).enumerate() {
             edges[plane].between_columns(row * STEP + cy, rows, sizes, across * STEP);
         }
     }
     for x in out.filled.row(row) {
-        let mut from = [&[] as &[i32]; PLANES];
+        // A plane without levels has one row of zeros.
+        let mut from: [(&[i32], usize); PLANES] = [(&NOTHING, 0); PLANES];
         for plane in 0..PLANES {
             if filled[plane].has([x, row]) {
-                from[plane] = &scratch.strips[plane][row % 2][x * SUPER..];
+                from[plane] = (&scratch.strips[plane][row % 2][x * SUPER..], PITCH);
             }
         }
-        for i in 0..SUPER {
-            let line = |plane: usize| from[plane].get(i * TILE..i * TILE + SUPER).unwrap_or(&NOTHING);
-            mix([line(0), line(1), line(2), line(3)], &mut out.channels, (row * SUPER + i) * TILE + x * SUPER);
+        for k in 0..STRIPS {
+            let from = from.map(|(samples, pitch)| (&samples[k * LANES..], pitch));
+            mix(from, &mut out.channels, (x * STRIPS + k) * ROOM + row * SUPER);
         }
     }
 }
 
 /// Allocates a plane if it does not exist. The system provides zeroed memory, and maps only the pages that are
 /// written.
+#[inline(never)]
 fn make<T: Copy + Default>(plane: &mut Vec<T>, length: usize) {
     if plane.is_empty() {
         *plane = vec![T::default(); length];
     }
 }
 
-/// Clears the superblock at the start of a part of a plane.
-fn clear<T: Copy + Default>(plane: &mut [T]) {
-    for row in plane.chunks_mut(TILE).take(SUPER) {
-        row[..SUPER].fill(T::default());
+/// Clears the superblock at the start of a part of a strip.
+#[inline(always)]
+fn clear(plane: &mut [i32]) {
+    for row in plane.chunks_mut(PITCH).take(SUPER) {
+        if let Some(row) = row.first_chunk_mut::<SUPER>() {
+            *row = NOTHING;
+        }
     }
 }
 
-/// Converts a row of a superblock from planes to channels; `at` is its first index in `channels`.
+/// Converts the strip of a superblock from planes, whose rows are the given distance apart, to channels; `at` is the
+/// first row in `channels`.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
-fn mix([y, orange, green, alpha]: [&[i32]; PLANES], channels: &mut [Vec<i16>], at: usize) {
-    let side = y.len().min(orange.len()).min(green.len());
+fn mix([y, orange, green, alpha]: [(&[i32], usize); PLANES], channels: &mut [Vec<StripRow>], at: usize) {
     let rest = match channels {
         [r, g, b, rest @ ..] => {
-            let (r, g, b) = (&mut r[at..][..side], &mut g[at..][..side], &mut b[at..][..side]);
-            for i in 0..side {
-                let (y, o, n) = (y[i].wrapping_mul(2), orange[i], green[i]);
-                let low = y.wrapping_sub(n);
-                r[i] = narrow(low.wrapping_add(o));
-                g[i] = narrow(y.wrapping_add(n));
-                b[i] = narrow(low.wrapping_sub(o));
+            let (r, g, b) = (&mut r[at..][..SUPER], &mut g[at..][..SUPER], &mut b[at..][..SUPER]);
+            for i in 0..SUPER {
+                let (y, o, n) = (part(y, i), part(orange, i), part(green, i));
+                let y = sum(y, y);
+                let low = difference(y, n);
+                (r[i], g[i], b[i]) = (narrow(sum(low, o)), narrow(sum(y, n)), narrow(difference(low, o)));
             }
             rest
         }
         [grey, rest @ ..] => {
-            double(&mut grey[at..], y);
+            double(&mut grey[at..][..SUPER], y);
             rest
         }
         [] => return,
     };
     if let [out] = rest {
-        double(&mut out[at..], alpha);
+        double(&mut out[at..][..SUPER], alpha);
     }
 }
 
+/// Returns the first samples of row `i`.
 #[inline(always)]
-fn double(out: &mut [i16], plane: &[i32]) {
-    for (out, &v) in out.iter_mut().zip(plane) {
-        *out = narrow(v.wrapping_mul(2));
-    }
+fn part((plane, pitch): (&[i32], usize), i: usize) -> [i32; LANES] {
+    *plane[i * pitch..].first_chunk().expect("a row has whole strips")
 }
 
 #[inline(always)]
-fn narrow(v: i32) -> i16 {
-    v.clamp(i16::MIN.into(), i16::MAX.into()) as i16
+fn double(out: &mut [StripRow], plane: (&[i32], usize)) {
+    for (i, out) in out.iter_mut().enumerate() {
+        let v = part(plane, i);
+        *out = narrow(sum(v, v));
+    }
+}
+
+// Arrays are passed by value: the compiler knows that values do not overlap, and makes vector instructions of the
+// loops.
+
+#[inline(always)]
+fn sum(mut a: [i32; LANES], b: [i32; LANES]) -> [i32; LANES] {
+    for i in 0..LANES {
+        a[i] = a[i].wrapping_add(b[i]);
+    }
+    a
+}
+
+#[inline(always)]
+fn difference(mut a: [i32; LANES], b: [i32; LANES]) -> [i32; LANES] {
+    for i in 0..LANES {
+        a[i] = a[i].wrapping_sub(b[i]);
+    }
+    a
+}
+
+#[inline(always)]
+fn narrow(v: [i32; LANES]) -> StripRow {
+    let mut out = [0; LANES];
+    for i in 0..LANES {
+        out[i] = v[i].clamp(i16::MIN.into(), i16::MAX.into()) as i16;
+    }
+    out
 }

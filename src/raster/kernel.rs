@@ -10,8 +10,8 @@
 use super::overlay::{Additions, SCALE};
 use super::project::{SUPPORT, Splat, Splats};
 use super::samples::{Codes, Sample};
-use crate::bitstream::detail::levels::TILE;
-use crate::detail::tile::TilePlanes;
+use crate::bitstream::detail::levels::SUPER;
+use crate::detail::tile::{StripRow, TilePlanes};
 use crate::gaussian::{Blend, EPSILON, HIDDEN};
 use crate::simd::{LANES, Lanes, Simd, Task};
 
@@ -153,7 +153,7 @@ fn draw<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, job: Job<'_
                 let shown = &mut sums[window.rows.start..];
                 let added = added.map(|a| Added { column: a.column + s * LANES / across, ..a });
                 if scene.parts == [1, 1] {
-                    finish::<S, T, C, P>(simd, shown, (start, added), &mut codes[s * LANES * C..]);
+                    finish::<S, T, C, P>(simd, shown, (start, added), (codes, s * LANES * C));
                 } else {
                     let codes = &mut codes[s * LANES / across * C..];
                     reduce::<S, T, C, P>(simd, shown, (scene.parts, start, added), codes);
@@ -188,43 +188,79 @@ fn shade<S: Simd, T: Sample, const C: usize, const P: usize>(simd: S, row: &[Lan
     values
 }
 
-/// Converts the sums of a strip to code values, which start at the strip's position in the first row of `codes`.
-/// Resets the sums to `start`.
+/// Converts the sums of a strip to code values. `codes` are whole rows of the tile, in which the strip's values start
+/// at `at`. Resets the sums to `start`.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn finish<S: Simd, T: Sample, const C: usize, const P: usize>(
     simd: S,
     strip: &mut [[Lanes; P]],
     (start, added): ([f32; P], Option<Added<'_>>),
-    codes: &mut [T],
+    (codes, at): (&mut [T], usize),
 ) {
-    for (i, (row, codes)) in strip.iter_mut().zip(codes.chunks_mut(TILE_WIDTH * C)).enumerate() {
-        let mut values = shade::<S, T, C, P>(simd, row);
-        if let Some(added) = added {
-            enrich::<S, T>(simd, &mut values, Added { row: added.row + i, ..added });
+    let mut codes = codes.chunks_exact_mut(TILE_WIDTH * C);
+    // Rows of a superblock at a time: either all of them have additions, or none.
+    let mut rest = strip;
+    let mut row = added.map_or(0, |added| added.row);
+    while !rest.is_empty() {
+        let count = (SUPER - row % SUPER).min(rest.len());
+        let (rows, below) = rest.split_at_mut(count);
+        let more = added.map_or(More::Nothing, |added| added.rows::<C>(row, count));
+        for (i, (sums, codes)) in rows.iter_mut().zip(&mut codes).enumerate() {
+            let mut values = shade::<S, T, C, P>(simd, sums);
+            enrich::<S, T, C>(simd, &mut values, &more, i);
+            for value in &mut values {
+                *value = simd.add(*value, simd.splat(0.5));
+            }
+            T::store::<S, C>(simd, &mut codes[at..at + LANES * C], values);
+            fill(simd, sums, start);
         }
-        for value in &mut values {
-            *value = simd.add(*value, simd.splat(0.5));
-        }
-        T::store::<S, C>(simd, &mut codes[..LANES * C], values);
-        fill(simd, row, start);
+        (rest, row) = (below, row + count);
     }
 }
 
-/// Adds to a row of a strip.
-///
-/// In WebAssembly, all numbers of channels share one function, which keeps the module small.
+/// Rows of additions to a strip, eight columns wide.
+enum More<'a, const C: usize> {
+    Nothing,
+    /// Additions to rows of the view, from the strip's column on.
+    Rows {
+        rows: &'a Additions,
+        first: usize,
+        column: usize,
+    },
+    /// Additions of a tile of the detail layer, by channel.
+    Tile([&'a [StripRow]; C]),
+}
+
+impl<'a> Added<'a> {
+    /// Returns the additions to `count` rows of a superblock from `row` on.
+    #[inline(always)]
+    fn rows<const C: usize>(&self, row: usize, count: usize) -> More<'a, C> {
+        let column = self.column;
+        match self.source {
+            Source::Rows(rows) => More::Rows { rows, first: row, column },
+            Source::Tile(planes) if planes.has(column, row) => {
+                let mut channels = [&[] as &[StripRow]; C];
+                for (c, rows) in channels.iter_mut().enumerate() {
+                    *rows = planes.strip(c, [column, row], count);
+                }
+                More::Tile(channels)
+            }
+            Source::Tile(_) => More::Nothing,
+        }
+    }
+}
+
+/// Adds row `i` of `more` to a row of a strip.
 #[cfg_attr(target_family = "wasm", inline(never))]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
-fn enrich<S: Simd, T: Sample>(simd: S, values: &mut [S::Vector], Added { source, row, column }: Added<'_>) {
+fn enrich<S: Simd, T: Sample, const C: usize>(simd: S, values: &mut [S::Vector; C], more: &More<'_, C>, i: usize) {
     let white = simd.splat(T::WHITE);
     for (c, value) in values.iter_mut().enumerate() {
-        let more = match source {
-            Source::Rows(additions) => simd.read(&additions.row(row)[c * additions.stride + column..]),
-            Source::Tile(planes) if planes.has(column, row) => {
-                simd.mul(simd.widen(&planes.channels[c][row * TILE + column..]), simd.splat(SCALE))
-            }
-            Source::Tile(_) => return,
+        let more = match more {
+            More::Nothing => return,
+            More::Rows { rows, first, column } => simd.read(&rows.row(first + i)[c * rows.stride + column..]),
+            More::Tile(channels) => simd.mul(simd.widen(&channels[c][i]), simd.splat(SCALE)),
         };
         let v = simd.add(*value, simd.mul(more, white));
         *value = simd.min(simd.max(v, simd.splat(0.0)), white);

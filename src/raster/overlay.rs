@@ -14,7 +14,7 @@ use crate::bitstream::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, TileLevels, tile_area, tile_counts};
 use crate::budget::Budget;
 use crate::detail::supers::Supers;
-use crate::detail::tile::{Scratch, TilePlanes, UNIT, reconstruct_some};
+use crate::detail::tile::{CHANNEL_BYTES, Scratch, TilePlanes, UNIT, reconstruct_some};
 use crate::error::Result;
 use crate::gaussian::Channels;
 use crate::limits::Limits;
@@ -127,6 +127,28 @@ impl Taps {
     }
 }
 
+impl Taps {
+    /// Returns the weighted sums of the channels of some samples, the first of which is the first pixel.
+    #[inline(always)]
+    fn sums(&self, samples: &[[f32; 4]]) -> [f32; 4] {
+        let mut sums = [0.0; 4];
+        let mut add = |samples: &[[f32; 4]], weight: f32| {
+            for sample in samples {
+                for k in 0..4 {
+                    sums[k] += sample[k] * weight;
+                }
+            }
+        };
+        let [first, middle, last] = self.weights;
+        add(&samples[..1], first);
+        if self.count > 1 {
+            add(&samples[1..self.count - 1], middle);
+            add(&samples[self.count - 1..self.count], last);
+        }
+        sums
+    }
+}
+
 impl Overlay {
     pub(crate) fn new(layer: Arc<DetailLayer>, channels: Channels, size: [u32; 2]) -> Self {
         Overlay { layer, channels, size, pool: Mutex::default() }
@@ -148,7 +170,7 @@ impl Overlay {
     fn tile_row_memory(&self, view: &View) -> u64 {
         let tiles = (view.offset[0] + view.width).div_ceil(TILE as u32) - view.offset[0] / TILE as u32;
         let slices = TILE / TILE_WIDTH * TILE * size_of::<&[u16]>();
-        u64::from(tiles) * (TILE * TILE * self.channels.count() * size_of::<i16>() + slices) as u64
+        u64::from(tiles) * (self.channels.count() * CHANNEL_BYTES + slices) as u64
     }
 
     /// Returns the number of rows, of `stride` samples per channel, for which additions are computed at once.
@@ -219,7 +241,8 @@ impl Overlay {
     pub(crate) fn check_rows(&self, stride: usize, rows: u32, budget: &Budget) -> Result<()> {
         let additions = self.row_memory(stride).saturating_mul(rows.into());
         let [across, _] = tile_counts(self.size);
-        let tiles = across as u64 * (TILE * TILE) as u64 * (self.channels.count() as u64 * 2 + 4);
+        // The additions, and what threads need to make them and to weigh their rows.
+        let tiles = across as u64 * (self.channels.count() * CHANNEL_BYTES + TILE * TILE * size_of::<i32>()) as u64;
         budget.check(additions.saturating_add(tiles).saturating_add(stride as u64 * LINE_BYTES))
     }
 
@@ -246,21 +269,20 @@ impl Overlay {
             let some = first..downs.partition_point(|taps| taps.first < within.end);
             parallel::map_chunks(&mut values[some.start * length..some.end * length], length, |k, out| {
                 let down = &downs[some.start + k];
+                let mut samples = Vec::new();
                 for (y, weight) in down.pixels(within.clone()) {
-                    let line = y % TILE * TILE;
-                    for (c, out) in out.chunks_exact_mut(stride).enumerate() {
-                        if is_direct {
+                    let line = y % TILE;
+                    if is_direct {
+                        for (c, out) in out.chunks_exact_mut(stride).enumerate() {
                             scale(&planes, (c, line), columns[0].first, out);
-                            continue;
                         }
-                        for (out, taps) in out.iter_mut().zip(&columns) {
-                            let mut sum = 0.0;
-                            for (x, share) in taps.pixels(0..side[0]) {
-                                if let Some(planes) = &planes[x / TILE - across.start] {
-                                    sum += f32::from(planes.channels[c][line + x % TILE]) * share;
-                                }
-                            }
-                            *out += sum * (weight * SCALE);
+                        continue;
+                    }
+                    interleave(&planes, line, channels, &mut samples);
+                    for (i, taps) in columns.iter().enumerate() {
+                        let sums = taps.sums(&samples[taps.first - across.start * TILE..]);
+                        for (c, sum) in sums.iter().enumerate().take(channels) {
+                            out[c * stride + i] += sum * (weight * SCALE);
                         }
                     }
                 }
@@ -313,14 +335,29 @@ fn axis(view: &View, k: usize, pixels: Range<i64>, side: usize) -> Vec<Taps> {
     pixels.map(|i| taps(view.origin[k], view.step[k], f64::from(view.offset[k]) + i as f64, side)).collect()
 }
 
-/// Copies the additions of a row of tiles at their own size, scaled to parts of white: those of channel `c` in the
-/// line that starts at `line` in each tile, from column `first` of the row's first tile (or of its picture) on.
+/// Collects the additions to row `line` of a row of tiles, with the channels of a pixel next to each other. Channels
+/// that do not exist are 0.
+fn interleave(tiles: &[Option<TilePlanes>], line: usize, channels: usize, samples: &mut Vec<[f32; 4]>) {
+    samples.clear();
+    samples.resize(tiles.len() * TILE, [0.0; 4]);
+    for (part, planes) in samples.chunks_exact_mut(TILE).zip(tiles) {
+        let Some(planes) = planes else { continue };
+        for c in 0..channels {
+            for (sample, value) in part.iter_mut().zip(planes.row(c, [0, line])) {
+                sample[c] = value.into();
+            }
+        }
+    }
+}
+
+/// Copies the additions of a row of tiles at their own size, scaled to parts of white: those of channel `c` in row
+/// `line` of each tile, from column `first` of the row's first tile (or of its picture) on.
 fn scale(tiles: &[Option<TilePlanes>], (c, line): (usize, usize), first: usize, mut out: &mut [f32]) {
     let mut start = first % TILE;
     for planes in tiles {
         let (part, rest) = out.split_at_mut(out.len().min(TILE - start));
         if let Some(planes) = planes {
-            for (out, &value) in part.iter_mut().zip(&planes.channels[c][line + start..]) {
+            for (out, value) in part.iter_mut().zip(planes.row(c, [start, line])) {
                 *out = f32::from(value) * SCALE;
             }
         }

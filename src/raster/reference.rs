@@ -3,7 +3,7 @@
 
 use super::view::{Filter, View};
 use crate::bitstream::DetailLayer;
-use crate::bitstream::detail::levels::{TILE, tile_area};
+use crate::bitstream::detail::levels::tile_area;
 use crate::bitstream::splats::PackedSplats;
 use crate::detail::tile::{Scratch, TilePlanes, reconstruct};
 use crate::gaussian::{Blend, CUTOFF, EPSILON, Gaussian, HIDDEN, Picture};
@@ -149,8 +149,8 @@ fn additions(layer: &DetailLayer, splats: &PackedSplats) -> Vec<i16> {
         let [left, top, width, height] = tile_area(size, i);
         reconstruct(tile, (&layer.head, splats.channels, [width, height]), &mut scratch, &mut planes);
         for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
-            for (k, plane) in planes.channels.iter().enumerate() {
-                out[((top + y) * size[0] as usize + left + x) * channels + k] = plane[y * TILE + x];
+            for k in 0..channels {
+                out[((top + y) * size[0] as usize + left + x) * channels + k] = planes.value(k, [x, y]);
             }
         }
     }

@@ -10,6 +10,9 @@ pub(crate) struct Adaptive {
     /// The fast estimate in the lower half, the slow one in the upper. They are written together, because reading one
     /// word that was just written as two halves stalls the processor.
     estimates: u32,
+    /// The mean of the estimates, within the limits of a probability. A reader needs it first, so it is computed when
+    /// the estimates change.
+    one: u16,
     /// Number of decisions that the estimates are based on, up to [`MAX_SEEN`].
     seen: u8,
 }
@@ -17,15 +20,28 @@ pub(crate) struct Adaptive {
 /// Number of decisions after which the estimates adapt at their final rate.
 const MAX_SEEN: usize = 127;
 
-/// Adaptation rates of the fast and the slow estimate by the number of decisions, in 1/65536.
-static RATES: [[u16; 2]; MAX_SEEN + 1] = {
-    let mut paces = [[0; 2]; MAX_SEEN + 1];
+/// How estimates adapt after a number of decisions.
+#[derive(Clone, Copy)]
+struct Rates {
+    /// Rates of the fast and the slow estimate, in 1/65536.
+    quick: u16,
+    slow: u16,
+    /// The number of decisions after the next one.
+    next: u8,
+}
+
+static RATES: [Rates; MAX_SEEN + 1] = {
+    let mut rates = [Rates { quick: 0, slow: 0, next: MAX_SEEN as u8 }; MAX_SEEN + 1];
     let mut n = 0;
     while n <= MAX_SEEN {
-        paces[n] = [pace(n as u32, 65_536 / 24), pace(n as u32, 65_536 / 128)];
+        rates[n].quick = pace(n as u32, 65_536 / 24);
+        rates[n].slow = pace(n as u32, 65_536 / 128);
+        if n < MAX_SEEN {
+            rates[n].next = n as u8 + 1;
+        }
         n += 1;
     }
-    paces
+    rates
 };
 
 const fn pace(n: u32, least: u32) -> u16 {
@@ -34,14 +50,18 @@ const fn pace(n: u32, least: u32) -> u16 {
     if pace > 32_767 { 32_767 } else { pace as u16 }
 }
 
+/// Least and greatest probability of a 1.
+const LIMITS: [u32; 2] = [32, 65_504];
+
 impl Adaptive {
     /// Placeholder for a model that has not been initialized.
-    pub(crate) const NONE: Adaptive = Adaptive { estimates: 0, seen: 0 };
+    pub(crate) const NONE: Adaptive = Adaptive { estimates: 0, one: 0, seen: 0 };
 
     /// A probability of `(256·one + 128) / 65536` with the confidence of `seen` decisions.
     pub(crate) const fn new(one: u8, seen: u8) -> Self {
-        let p = (one as u32) << 8 | 128;
-        Adaptive { estimates: p << 16 | p, seen }
+        // Within the limits for every `one`.
+        let p = (one as u16) << 8 | 128;
+        Adaptive { estimates: (p as u32) << 16 | p as u32, one: p, seen }
     }
 
     /// Returns the fast and the slow estimate.
@@ -53,19 +73,20 @@ impl Adaptive {
     /// Returns the probability of a 1, in 1/65536.
     #[inline(always)]
     pub(crate) fn one(self) -> u32 {
-        let [quick, slow] = self.estimates();
-        ((quick + slow) >> 1).clamp(32, 65_504)
+        self.one.into()
     }
 
     #[inline(always)]
     pub(crate) fn learn(&mut self, bit: bool) {
-        let n = usize::from(self.seen) & MAX_SEEN;
+        let rates = &RATES[usize::from(self.seen) & MAX_SEEN];
         let target = if bit { 65_535 } else { 0 };
         let moved = |p: u32, pace: u16| (p as i32 + (((target - p as i32) * i32::from(pace)) >> 16)) as u32;
-        let ([quick, slow], [quick_pace, slow_pace]) = (self.estimates(), RATES[n]);
+        let [quick, slow] = self.estimates();
         // Neither estimate leaves its half.
-        self.estimates = moved(slow, slow_pace) << 16 | moved(quick, quick_pace);
-        self.seen = (n + 1).min(MAX_SEEN) as u8;
+        let (quick, slow) = (moved(quick, rates.quick), moved(slow, rates.slow));
+        self.estimates = slow << 16 | quick;
+        self.one = ((quick + slow) >> 1).clamp(LIMITS[0], LIMITS[1]) as u16;
+        self.seen = rates.next;
     }
 
     /// Returns the slow estimate and the number of decisions, for learning initial states.

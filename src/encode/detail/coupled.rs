@@ -45,9 +45,9 @@ fn errors(tile: &TileResidual, layer: &DetailLayer, index: usize, channels: Chan
     for y in 0..tile.size[1] {
         for x in 0..tile.size[0] {
             let at = y * TILE + x;
-            let added = match &made.channels[..] {
+            let added = match made.channels() {
                 // The unit of additions is half of the planes' unit (spec §11.5).
-                [r, g, b, ..] if made.has(x, y) => [r, g, b].map(|channel| 0.5 * f32::from(channel[at])),
+                3.. if made.has(x, y) => [0, 1, 2].map(|k| 0.5 * f32::from(made.value(k, [x, y]))),
                 _ => [0.0; 3],
             };
             let [luma, _, green] = luma_and_chroma(added);

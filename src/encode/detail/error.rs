@@ -46,8 +46,10 @@ impl Added {
         row.fill(0.0);
         for (x, part) in row.chunks_mut(TILE).enumerate() {
             let Some(planes) = self.tiles.get(y / TILE * self.across + x).and_then(Option::as_ref) else { continue };
-            let Some(channel) = planes.channels.get(self.of[k]) else { continue };
-            for (out, &v) in part.iter_mut().zip(&channel[y % TILE * TILE..][..TILE]) {
+            if self.of[k] >= planes.channels() {
+                continue;
+            }
+            for (out, v) in part.iter_mut().zip(planes.row(self.of[k], [0, y % TILE])) {
                 *out = f32::from(v) * (UNIT / 255.0);
             }
         }
