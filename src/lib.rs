@@ -177,7 +177,7 @@ See [`gpu`] for rendering into the textures of a program.
 //!
 //! The repository's `docs/ARCHITECTURE.md` is a map of the modules, and `spec/ssplat.md` defines the format.
 
-#![cfg_attr(not(feature = "unstable"), warn(missing_docs))]
+#![cfg_attr(not(any(test, feature = "unstable")), warn(missing_docs))]
 // Without that feature, what it exports cannot be reached. Tests include files of other crates.
 #![cfg_attr(
     all(feature = "unstable", feature = "encode", not(any(test, target_family = "wasm"))),

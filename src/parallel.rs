@@ -226,7 +226,7 @@ mod tests {
         };
         let sum =
             on_pool(|ask| (0..100).map(|i| on_pool(|nested| nested(i), &mut |i: u32| i) + ask(i)).sum::<u32>(), answer);
-        assert_eq!(sum, (0..100).map(|i| i + i * i).sum());
+        assert_eq!(sum, (0..100).map(|i| i + i * i).sum::<u32>());
         assert!(asked.is_sorted() && asked.len() == 100);
     }
 

@@ -20,9 +20,9 @@ mod transcode;
 pub use decoder::{EXTENSION, SsplatDecoder, register};
 #[cfg(feature = "encode")]
 pub use encoder::SsplatEncoder;
-#[cfg(all(feature = "encode", feature = "unstable"))]
+#[cfg(all(feature = "encode", any(test, feature = "unstable")))]
 pub use encoder::save;
-#[cfg(all(feature = "encode", feature = "unstable"))]
+#[cfg(all(feature = "encode", any(test, feature = "unstable")))]
 pub use metadata_policy::Carried;
-#[cfg(all(feature = "encode", feature = "unstable"))]
+#[cfg(all(feature = "encode", any(test, feature = "unstable")))]
 pub use transcode::{encode_decoder, transcode};

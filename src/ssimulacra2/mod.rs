@@ -4,10 +4,12 @@
 mod computed;
 #[cfg(any(test, not(feature = "quality")))]
 #[cfg_attr(
-    not(feature = "unstable"),
-    allow(dead_code, reason = "only `unstable` exports the function that provides a score")
+    any(test, not(feature = "unstable")),
+    allow(
+        dead_code,
+        reason = "only `unstable` exports the function that provides a score, and only without `quality`"
+    )
 )]
-#[cfg_attr(test, allow(dead_code, reason = "tests compile this module with all features"))]
 mod provided;
 
 #[cfg(all(feature = "quality", any(test, feature = "unstable")))]
