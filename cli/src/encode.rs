@@ -25,7 +25,7 @@ use crate::sink::{Sink, printable, say, tell};
 use crate::sniff::sniff;
 use crate::source::{self, Source, Turn};
 use crate::spool::{self, Opened, Spooled};
-use crate::{args, carried, compare, left_out, resize};
+use crate::{args, carried, compare, drawing, left_out, resize};
 
 /// Extensions of other picture formats that `image` does not know.
 const OTHERS: [&str; 5] = ["heic", "heif", "jxl", "jp2", "svg"];
@@ -165,6 +165,7 @@ fn one(args: &args::Encode, task: &Task, show: &Show) -> Result<Done, Failure> {
     let encoded = encoded.map_err(|e| refusal(input, &e))?;
     notes.extend(carried::dominating(&options, encoded.bytes.len()));
     notes.extend(missed(&options, &encoded.report));
+    notes.extend(drawing::note(&pixels, encoded.bytes.len(), encoded.report.psnr));
     let mut done = finished(args, output, &origin, &pixels, &encoded);
     done.notes.splice(0..0, notes);
     if done.fate == Fate::LargerThanInput {

@@ -8,6 +8,7 @@ mod carried;
 pub mod compare;
 mod completeness;
 mod decode;
+mod drawing;
 mod encode;
 mod exchange;
 mod export;

@@ -246,3 +246,23 @@ fn the_list_of_formats_says_what_is_built_in() {
         );
     }
 }
+
+#[test]
+fn a_drawing_that_a_png_holds_better_is_named() {
+    let folder = Folder::new();
+    let (drawing, photo, out) = (folder.path("d.png"), png(&folder, "p.png", 200, 150), folder.path("o.ssplat"));
+    let line =
+        |x: u32, y: u32| Rgb(if x.is_multiple_of(40) || y.is_multiple_of(30) { [0; 3] } else { [255, 250, 240] });
+    RgbImage::from_fn(200, 150, line).save(&drawing).unwrap();
+    let encode = |input: &Path, more: &[&str]| {
+        let found = ssplat(&[&["encode", text(input), text(&out), "--effort", "1", "--force"][..], more].concat());
+        said(&found);
+        told(&found)
+    };
+    let found = encode(&drawing, &[]);
+    assert!(found.contains("d.png: this picture is a drawing of 2 colours: a lossless PNG of it takes "), "{found}");
+    let found = encode(&drawing, &["--bytes", "90"]);
+    assert!(found.contains("its lines are blurred (PSNR "), "{found}");
+    assert!(!encode(&photo, &[]).contains("drawing"));
+    assert!(!encode(&drawing, &["--quiet"]).contains("drawing"));
+}
