@@ -33,6 +33,7 @@ def arguments():
     parser.add_argument("--only", default="", help="pictures whose names contain one of these words, separated by commas")
     parser.add_argument("--ratios", default="20,50,100,200")
     parser.add_argument("--options", default="", help="further options of every program's encode")
+    parser.add_argument("--kind", choices=["rgb", "grey", "alpha", "16"], default="rgb", help="converts the pictures: to grey, to an oval on nothing, or to 16 bits per sample; without AVIF")
     parser.add_argument("--crop", type=int, default=0, help="encode only a square of this side in the middle of each picture")
     parser.add_argument("--no-avif", action="store_true")
     parser.add_argument("--avif-speed", type=int, default=6)
@@ -41,7 +42,10 @@ def arguments():
     parser.add_argument("--each", action="store_true", help="print every picture")
     parser.add_argument("--shares", default="", help="values of --detail to try, separated by commas")
     parser.add_argument("--table", type=pathlib.Path, help="file to which the table of shares is written")
-    return parser.parse_args()
+    args = parser.parse_args()
+    # The AVIF files of `avif` are RGB with 8 bits.
+    args.no_avif |= args.kind != "rgb"
+    return args
 
 
 def run(command, variables={}):
@@ -89,18 +93,31 @@ class Lab:
                 yield self.pixels(self.args.pictures / name / file)
 
     def pixels(self, picture):
-        side = self.args.crop
-        copy = self.args.cache / "pixels" / f"{picture.parent.name}-{picture.stem}{f'-{side}' if side else ''}.png"
+        side, kind = self.args.crop, self.args.kind
+        name = f"{picture.parent.name}-{picture.stem}{f'-{side}' if side else ''}{'' if kind == 'rgb' else '-' + kind}"
+        copy = self.args.cache / "pixels" / f"{name}.{'ppm' if kind == '16' else 'png'}"
         if not copy.exists():
-            from PIL import Image
+            from PIL import Image, ImageDraw
             Image.MAX_IMAGE_PIXELS = None
             image = Image.open(picture).convert("RGB")
             if side:
                 left, top = max(0, (image.width - side) // 2), max(0, (image.height - side) // 2)
                 image = image.crop((left, top, min(image.width, left + side), min(image.height, top + side)))
             image.info.clear()
-            part = copy.with_suffix(f".{os.getpid()}.png")
-            image.save(part)
+            part = copy.with_suffix(f".{os.getpid()}{copy.suffix}")
+            if kind == "16":
+                # 257 v is the 16-bit value of the 8-bit value v: the same byte twice.
+                samples = image.tobytes()
+                part.write_bytes(b"P6 %d %d 65535\n" % image.size + bytes(b for v in samples for b in (v, v)))
+            else:
+                if kind == "grey":
+                    image = image.convert("L")
+                if kind == "alpha":
+                    # Four times as large and reduced, so that its edge is smooth.
+                    oval = Image.new("L", (4 * image.width, 4 * image.height))
+                    ImageDraw.Draw(oval).ellipse((oval.width // 20, oval.height // 20, oval.width * 19 // 20, oval.height * 19 // 20), 255)
+                    image.putalpha(oval.resize(image.size, Image.Resampling.BOX))
+                image.save(part)
             part.rename(copy)
         return copy
 
