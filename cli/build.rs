@@ -9,4 +9,6 @@ fn main() {
     let web = web.expect("the viewer's files in web or ../web");
     println!("cargo::rustc-env=SSPLAT_WEB={}", web.display());
     println!("cargo::rerun-if-changed=build.rs");
+    // A package that is unpacked into another folder may be built into the same target folder.
+    println!("cargo::rerun-if-changed={}", web.join("viewer/index.html").display());
 }

@@ -148,7 +148,7 @@ export async function test() {
   check(drew($("overlay")).join() != plain, "the error colours no Gaussian")
 
   // Files that cannot be shown cause a message with their first bytes; then another file can be opened.
-  for (const [url, words] of [["/spec/vectors/invalid/checksum/file.ssplat", /broken.*checksum.*89 53 53 50/s], ["/spec/ssplat.md", /neither a picture nor an \.ssplat file.*not known here.*begins with 23 20/s], ["/web/nowhere.ssplat", /nowhere.ssplat is not there.*404/s]]) {
+  for (const [url, words] of [["/spec/vectors/invalid/checksum/file.ssplat", /broken.*checksum.*89 53 53 50/s], ["/spec/ssplat.md", /neither a picture nor an \.ssplat file.*of an unknown kind.*begins with 23 20/s], ["/web/nowhere.ssplat", /nowhere.ssplat was not found.*404/s]]) {
     const other = await open(url), message = other.document.getElementById("message")
     check(await until(() => !message.hidden && words.test(message.textContent)), `${url}: ${message.textContent}`)
     other.document.getElementById("dismiss").click()
