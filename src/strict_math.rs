@@ -1,6 +1,8 @@
 //! Elementary functions that return the same bits on every platform, for the encoder. The functions of the system
 //! libraries differ in the last bit, which is enough for a fit to produce a different file.
 
+use crate::simd::EXP2;
+
 /// Methods of the standard library, with the prefix `strict_`, in one implementation for all platforms.
 pub(crate) trait StrictMath: Sized {
     fn strict_exp(self) -> Self;
@@ -28,13 +30,10 @@ pub(crate) fn quick_powf(x: f32, exponent: f32) -> f32 {
     let square = t * t;
     let series = t * (1.0 + square * (1.0 / 3.0 + square * (1.0 / 5.0 + square * (1.0 / 7.0))));
     let y = exponent * (octave as f32 + 2.0 * std::f32::consts::LOG2_E * series);
-    // Adding 1.5·2²³ leaves the nearest integer in the low bits. The polynomial is that of `Simd::exp2`.
+    // Adding 1.5·2²³ leaves the nearest integer in the low bits, as in `Simd::exp2`.
     let shifted = y.clamp(-126.0, 126.0) + 12_582_912.0;
     let f = y - (shifted - 12_582_912.0);
-    let mut p = 1.330_026_5e-3f32;
-    for c in [9.669_709e-3, 5.550_56e-2, 2.402_228_1e-1, std::f32::consts::LN_2, 1.0] {
-        p = p * f + c;
-    }
+    let p = EXP2.into_iter().fold(0.0, |p, c| p * f + c);
     f32::from_bits(p.to_bits().wrapping_add(shifted.to_bits() << 23))
 }
 

@@ -4,7 +4,9 @@ use std::collections::HashMap;
 use std::io::{self, Write};
 
 use png::{BitDepth, ColorType, Filter};
-use ssplat::{Channels, Pixels, Samples};
+use ssplat::{Pixels, Samples};
+
+use crate::rows::color_type;
 
 /// Largest number of colours of a PNG's palette.
 const MAX_PALETTE: usize = 256;
@@ -117,12 +119,7 @@ impl<'a> Palette<'a> {
 fn png_length(pixels: &Pixels, samples: &[u8]) -> io::Result<usize> {
     let mut length = Length(0);
     let mut encoder = png::Encoder::new(&mut length, pixels.width(), pixels.height());
-    encoder.set_color(match pixels.channels() {
-        Channels::Grey => ColorType::Grayscale,
-        Channels::GreyAlpha => ColorType::GrayscaleAlpha,
-        Channels::Rgb => ColorType::Rgb,
-        Channels::Rgba => ColorType::Rgba,
-    });
+    encoder.set_color(color_type(pixels.channels()));
     write(encoder, samples)?;
     Ok(length.0)
 }
@@ -151,6 +148,7 @@ impl Write for Length {
 mod tests {
     use super::*;
     use image::{DynamicImage, ImageFormat};
+    use ssplat::Channels;
 
     /// Squares of as many colours as `colors` says, in channels and pixels of `channels`.
     fn squares(channels: Channels, colors: u32) -> Pixels {
@@ -195,7 +193,7 @@ mod tests {
     #[test]
     fn only_drawings_whose_png_is_no_larger_have_a_note() {
         let drawing = squares(Channels::Rgb, 5);
-        let length = Palette::of(&[0; 3], 3).map(|_| note(&drawing, usize::MAX, 50.0).unwrap()).unwrap();
+        let length = note(&drawing, usize::MAX, 50.0).unwrap();
         assert!(length.starts_with("this picture is a drawing of 5 colours: a lossless PNG of it takes "), "{length}");
         assert_eq!(note(&drawing, 60, 50.0), None);
         let blurred = note(&drawing, 60, 25.04).unwrap();

@@ -195,6 +195,16 @@ fn empty(depth: Depth) -> Samples {
     }
 }
 
+/// Returns the colour type of a PNG without a palette.
+pub fn color_type(channels: Channels) -> png::ColorType {
+    match channels {
+        Channels::Grey => png::ColorType::Grayscale,
+        Channels::GreyAlpha => png::ColorType::GrayscaleAlpha,
+        Channels::Rgb => png::ColorType::Rgb,
+        Channels::Rgba => png::ColorType::Rgba,
+    }
+}
+
 /// Writes a PNG up to its first row, with the ICC profile and the EXIF block.
 fn start_png(
     writer: Box<dyn Write>,
@@ -205,12 +215,7 @@ fn start_png(
     info.icc_profile = metadata.icc.as_deref().map(Into::into);
     info.exif_metadata = metadata.exif.as_deref().map(Into::into);
     let mut encoder = png::Encoder::with_info(writer, info)?;
-    encoder.set_color(match shape.channels {
-        Channels::Grey => png::ColorType::Grayscale,
-        Channels::GreyAlpha => png::ColorType::GrayscaleAlpha,
-        Channels::Rgb => png::ColorType::Rgb,
-        Channels::Rgba => png::ColorType::Rgba,
-    });
+    encoder.set_color(color_type(shape.channels));
     encoder.set_depth(match shape.depth {
         Depth::Eight => png::BitDepth::Eight,
         Depth::Sixteen => png::BitDepth::Sixteen,

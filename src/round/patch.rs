@@ -101,19 +101,16 @@ impl<'a> Patch<'a> {
             let vector = |x: f32| ((x - self.columns.start as f32).max(0.0) / LANES as f32) as u32;
             let from = vector(from - LANES as f32).min(vectors);
             let to = (vector(to + LANES as f32) + 1).min(vectors);
-            let have = self.extracted[i].clone();
-            let [before, after] = if have.start == have.end {
-                [from..to, to..to]
-            } else {
-                [from..have.start.max(from), have.end.min(to)..to]
-            };
-            for missing in [before, after] {
+            let mut have = self.extracted[i].clone();
+            if have.start == have.end {
+                have = from..from;
+            }
+            for missing in [from..have.start, have.end..to] {
                 if !missing.is_empty() {
                     base_error = simd.add(base_error, self.extract_row::<S, C>(simd, &p, (i, y), missing, sums));
                 }
             }
-            let have = &mut self.extracted[i];
-            *have = if have.start == have.end { from..to } else { have.start.min(from)..have.end.max(to) };
+            self.extracted[i] = have.start.min(from)..have.end.max(to);
         }
         // Each stored row stands for `step` rows.
         self.base_error += simd.sum(base_error) * self.step as f32;

@@ -16,6 +16,11 @@ use std::sync::OnceLock;
 #[cfg(test)]
 pub(crate) use self::plain::Plain;
 
+/// Coefficients of `2^f` for |f| ≤ ½, the highest power first: a minimax polynomial with the coefficients 1 and ln 2
+/// fixed, so that results near 0 are exact.
+pub(crate) const EXP2: [f32; 6] =
+    [1.330_026_5e-3, 9.669_709e-3, 5.550_56e-2, 2.402_228_1e-1, std::f32::consts::LN_2, 1.0];
+
 /// Lanes of a vector.
 pub const LANES: usize = 8;
 
@@ -175,9 +180,9 @@ pub trait Simd: Copy {
         let x = self.max(x, self.splat(-126.0));
         let shifted = self.add(x, magic);
         let f = self.sub(x, self.sub(shifted, magic));
-        // Minimax polynomial over |f| ≤ ½ with the coefficients 1 and ln 2 fixed, so that results near 0 are exact.
-        let mut p = self.splat(1.330_026_5e-3);
-        for c in [9.669_709e-3, 5.550_56e-2, 2.402_228_1e-1, std::f32::consts::LN_2, 1.0] {
+        let [first, rest @ ..] = EXP2;
+        let mut p = self.splat(first);
+        for c in rest {
             p = self.add(self.mul(p, f), self.splat(c));
         }
         self.scale(p, shifted)
