@@ -2,9 +2,9 @@
 
 use super::file;
 use super::report::Stage;
-use super::session::Outcome;
+use super::session::{FitRequest, Outcome, UnderLayer};
 use super::skipped::SkipReason;
-use super::whole::{Base, WholeSession};
+use super::whole::WholeSession;
 use crate::bitstream::coder::expect::PredictedCost;
 use crate::bitstream::{self, splats::PackedSplats};
 use crate::error::Result;
@@ -48,21 +48,23 @@ impl WholeSession<'_> {
         }
     }
 
-    /// Fits about `count` primitives and rounds them to a file of `size`. Both exclude the channels that are left out.
-    pub(super) fn fitted(&mut self, count: usize, size: Size) -> Result<Outcome> {
+    /// Fits about `count` primitives and rounds them to a file of the requested size. Both exclude the channels that are
+    /// left out.
+    pub(super) fn fitted(&mut self, count: usize, request: &FitRequest) -> Result<Outcome> {
+        let &FitRequest { size, time, under_layer, ref initial } = request;
         self.weigh(count);
         let (input, planes) = (self.input, &self.planes);
         let options = input.options;
         let area = u64::from(input.pixels.width()) * u64::from(input.pixels.height());
-        let time = self.clock.left().map(|left| self.share.map_or(left, |share| share.min(left)));
+        let time = self.clock.left().map(|left| time.map_or(left, |time| time.min(left)));
         let mut plan = Plan::new(options.effort, count, area, time, options.seed);
-        if let Some(Base { ratio }) = self.base {
+        if let Some(UnderLayer { ratio }) = under_layer {
             plan = plan.for_base(options.effort, options.favoured(), ratio);
             plan.by = fraction(area, count);
         } else {
             plan = plan.alone(options.effort, options.favoured());
         }
-        plan.initial = std::mem::take(&mut self.initial);
+        plan.initial.clone_from(initial);
         plan.rung = options.rung;
         if options.needs == Needs::Measured {
             plan.enough = sufficient_error(options.target, input.pixels.depth());
@@ -102,7 +104,7 @@ impl WholeSession<'_> {
         let stage = Stage { name: "finish", report: &mut self.report, input, planes };
         let mut writer = FileWriter { stage, splats: self.blank.clone(), levels: options.levels };
         // Under a detail layer, the bytes of the Gaussians are not limited: the layer uses the bytes that remain.
-        let size = if self.base.is_some() { Size::Free } else { size };
+        let size = if under_layer.is_some() { Size::Free } else { size };
         let rounding = Rounding { problem, layout: options.layout, size, plan: &plan };
         let mut finished = finish::finish(&rounding, state, &mut writer)?;
         let bytes = writer.write(&mut finished.rounded)?;

@@ -9,6 +9,7 @@ use super::input::{too_small_with, widened_file};
 use super::report::ReportBuilder;
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
+use crate::fit::model::drawing::project::Primitive;
 use crate::gaussian::Channels;
 use crate::options::EncodeOptions;
 use crate::round::size::Size;
@@ -41,6 +42,49 @@ pub(super) struct KeptBase {
     pub base: Outcome,
     /// Base byte budget before the sharpness adjustment.
     pub base_budget: f64,
+}
+
+impl KeptBase {
+    /// Returns a copy of the base if it is as good as one of `budget` bytes and takes at most `max_bytes`.
+    pub(super) fn for_budget(&self, budget: f64, max_bytes: f64) -> Option<Outcome> {
+        let serves = is_near(budget, self.base_budget) && self.base.bytes.len() as f64 <= max_bytes;
+        serves.then(|| self.base.clone())
+    }
+}
+
+/// Minimum factor by which a base must grow to justify another fit.
+pub(super) const MIN_BASE_GROWTH: f64 = 1.5;
+
+/// Returns whether a base of `base_budget` bytes is as good as one of `few` bytes.
+fn is_near(few: f64, base_budget: f64) -> bool {
+    (few / base_budget).strict_ln().abs() < MIN_BASE_GROWTH.strict_ln()
+}
+
+/// One fit of the Gaussians of a whole picture.
+#[derive(Debug, Clone)]
+pub(super) struct FitRequest {
+    /// The requested size of the file without a detail layer.
+    pub size: Size,
+    /// Maximum duration; `None` means all of the remaining time.
+    pub time: Option<Duration>,
+    /// Set if a detail layer follows, which corrects what a short fit leaves.
+    pub under_layer: Option<UnderLayer>,
+    /// Primitives of a smaller fit that this one continues. If empty, the fit starts from scratch.
+    pub initial: Vec<Primitive>,
+}
+
+/// Parameters of Gaussians under a detail layer.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct UnderLayer {
+    /// Ratio of the file with both layers, if fits of large files should be longer.
+    pub ratio: Option<f64>,
+}
+
+impl FitRequest {
+    /// Requests a file of Gaussians alone.
+    pub(super) fn alone(size: Size, time: Option<Duration>) -> Self {
+        FitRequest { size, time, under_layer: None, initial: Vec::new() }
+    }
 }
 
 /// An encode in progress. `'a` is the lifetime of the caller's progress function.

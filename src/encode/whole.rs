@@ -10,19 +10,18 @@ use super::device::Choice;
 use super::hidden;
 use super::input::{EncodeInput, may_leave_out, stored_scene};
 use super::pipeline::run;
+use super::rate_control;
 use super::report::ReportBuilder;
-use super::session::{EncodeSession, KeptBase, Outcome};
+use super::session::{EncodeSession, FitRequest, KeptBase, Outcome};
 use super::skipped::SkipReason;
 use super::trace::Tracer;
 use super::{Chosen, Encoded, Progress};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::Result;
 use crate::fit::engine::StaticSnapshot;
-use crate::fit::model::drawing::project::Primitive;
 use crate::fit::model::objective::planes::Planes;
 use crate::fit::model::problem::Problem;
 use crate::gaussian::Channels;
-use crate::instant::Instant;
 use crate::options::{EncodeOptions, Needs};
 use crate::pixels::Pixels;
 use crate::round::rounded::projected;
@@ -37,25 +36,10 @@ pub(super) struct WholeSession<'a> {
     pub planes: Planes,
     /// The time budget.
     pub clock: Clock,
-    /// The part of the budget that a fit may take; `None` means all of the remaining time.
-    pub share: Option<Duration>,
-    /// Deadline of a file with two layers.
-    pub until: Option<Instant>,
     pub device: Choice,
-    /// Set while the Gaussians under a detail layer are fitted.
-    pub base: Option<Base>,
     /// Gaussians under a detail layer from an earlier try of a search.
     pub kept: Option<KeptBase>,
-    /// Primitives of a smaller fit that the next fit continues.
-    pub initial: Vec<Primitive>,
     pub report: ReportBuilder<'a>,
-}
-
-/// Parameters of the Gaussians under a detail layer, which corrects what a short fit leaves.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Base {
-    /// Ratio of the file with both layers, if fits of large files should be longer.
-    pub ratio: Option<f64>,
 }
 
 /// Encodes `pixels` as a whole.
@@ -83,11 +67,7 @@ pub(super) fn encode(
         blank: input.empty(),
         planes: Planes::with_hidden(fitted, options.hidden),
         clock,
-        share: None,
-        until: None,
-        base: None,
         kept: None,
-        initial: Vec::new(),
         device,
         report,
     })
@@ -128,12 +108,11 @@ impl<'a> EncodeSession<'a> for WholeSession<'a> {
     }
 
     fn at_size(&mut self, size: Size, share: Option<Duration>) -> Result<Outcome> {
-        self.share = share;
-        self.layered(size)
+        self.layered(size, share)
     }
 
     fn at_count(&mut self, count: usize) -> Result<Outcome> {
-        self.without_layer(count, Size::Free)
+        self.without_layer(count, &FitRequest::alone(Size::Free, None))
     }
 
     fn fitted_error(&mut self, splats: &PackedSplats) -> Result<f64> {
@@ -186,15 +165,19 @@ impl WholeSession<'_> {
         stored_error(splats, &self.planes, self.input.channels())
     }
 
-    /// Encodes to a file of `size` without a detail layer.
-    pub(super) fn gaussians_of_size(&mut self, size: Size) -> Result<Outcome> {
-        let Size::Bytes(most) = size else { return self.without_layer(0, size) };
-        let count = super::rate_control::count_for(self.input.options, most, self.fixed()?, self.samples())?;
-        self.without_layer(count, size)
+    /// Encodes to a file of the requested size without a detail layer.
+    pub(super) fn gaussians_of_size(&mut self, request: &FitRequest) -> Result<Outcome> {
+        let count = match request.size {
+            Size::Bytes(most) => rate_control::count_for(self.input.options, most, self.fixed()?, self.samples())?,
+            Size::Free => 0,
+        };
+        self.without_layer(count, request)
     }
 
-    /// Encodes to a file of `size`, starting with about `count` primitives. Restores the channels that were left out.
-    fn without_layer(&mut self, count: usize, size: Size) -> Result<Outcome> {
+    /// Encodes to a file of the requested size, starting with about `count` primitives. Restores the channels that were
+    /// left out.
+    fn without_layer(&mut self, count: usize, request: &FitRequest) -> Result<Outcome> {
+        let size = request.size;
         // Bytes reserved for the constant channels. They are increased if they do not suffice.
         let mut spare = match size {
             Size::Bytes(most) if !self.fits_all_channels() => 6 + most.min(1 << 30) / 400,
@@ -205,7 +188,7 @@ impl WholeSession<'_> {
                 Size::Bytes(most) => Size::Bytes(most.saturating_sub(spare)),
                 Size::Free => Size::Free,
             };
-            let mut outcome = self.fitted(count, narrow)?;
+            let mut outcome = self.fitted(count, &FitRequest { size: narrow, ..request.clone() })?;
             if !self.fits_all_channels() {
                 outcome.bytes = self.file(&outcome.splats)?;
             }
@@ -220,7 +203,7 @@ impl WholeSession<'_> {
             if error.is_nan() || error > self.error_of(&alone) {
                 (outcome.bytes, outcome.splats) = (self.file(&alone)?, alone);
             }
-            let over = if self.base.is_some() { 0 } else { size.exceeded_by(&outcome.bytes) };
+            let over = if request.under_layer.is_some() { 0 } else { size.exceeded_by(&outcome.bytes) };
             if over == 0 {
                 return Ok(outcome);
             }

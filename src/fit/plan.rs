@@ -14,7 +14,7 @@ const FIT_SHARE: f64 = 0.75;
 /// Fractions of the iterations for primitives under a detail layer with perceptual tuning, by effort. At effort 5,
 /// 0.35 gains 0.1 to 0.4 points of SSIMULACRA2 on Kodak and CID22 at ratios of 50 and 100, and nothing at 2.8
 /// megapixels. It takes 28 % more time.
-const BASE_STEPS: [f32; 9] = [0.37, 0.35, 0.2, 0.2, 0.2, 0.235, 0.6, 0.6, 0.6];
+const BASE_STEPS: [f32; 9] = [0.2, 0.2, 0.2, 0.2, 0.2, 0.235, 0.6, 0.6, 0.6];
 /// The same for minimum squared error: at effort 1, up to effort 6, and from effort 7 on. 1 gains 0.06 dB at ratios of
 /// 20 and 50 and takes 50 % more time.
 const EXACT_BASE_STEPS: [f32; 3] = [0.25, 0.5, 1.0];
@@ -204,6 +204,7 @@ impl Plan {
             false => (iterations / MAX_BASE_RELOCATIONS).clamp(MIN_BASE_RELOCATION_INTERVAL, MAX_RELOCATION_INTERVAL),
         };
         let sweeps = self.sweeps.min(match effort {
+            1 if !is_exact => 0,
             1 => 1,
             2 if !is_exact => 1,
             2..7 if !is_exact => 2,

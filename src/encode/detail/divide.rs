@@ -5,12 +5,14 @@
 //! 8 kB. Sharp pictures that resemble drawings need more, because additional Gaussians still reduce their error
 //! quickly. The encoder can only recognize such pictures after it has fitted the smaller base.
 
+use std::time::Duration;
+
 use super::texture::Texture;
 use super::{Layered, layered_in_parts};
 use crate::bitstream::splats::{Layout, PackedSplats};
 use crate::encode::input::stored_scene;
-use crate::encode::session::{EncodeSession, KeptBase, Outcome};
-use crate::encode::whole::{Base, WholeSession};
+use crate::encode::session::{EncodeSession, FitRequest, KeptBase, MIN_BASE_GROWTH, Outcome, UnderLayer};
+use crate::encode::whole::WholeSession;
 use crate::error::Result;
 use crate::fit::model::drawing::field::{Field, Output};
 use crate::fit::model::drawing::project::Primitive;
@@ -33,7 +35,7 @@ const BASE_POWER: f64 = 0.35;
 /// Exponent with which these bytes decrease as the ratio, relative to 50, grows from 20 to 100.
 const BASE_FALL: f64 = 0.37;
 /// Factor on these bytes at effort 1, where short fits use bytes less efficiently than the layer.
-const HASTY_BASE: f64 = 0.5;
+const HASTY_BASE: f64 = 0.4;
 /// Maximum share of the bytes for such a base.
 const MAX_BASE_SHARE: f64 = 0.7;
 /// Fineness from which on a photograph has a smaller base, by how much the factor on its bytes falls with the fineness,
@@ -85,8 +87,6 @@ const MAX_SHARPNESS: f64 = 0.105;
 const MAX_SHARPNESS_TRIED: f64 = 0.085;
 /// Exponent with which the maximum sharpness grows with the ratio relative to 20.
 const SHARP_POWER: f64 = 0.1;
-/// Minimum factor by which a base must grow to justify another fit.
-const MIN_BASE_GROWTH: f64 = 1.5;
 /// Minimum gain of a larger base, in decibels, that justifies trying the largest one.
 const MIN_GAIN: f64 = 0.22;
 /// Bytes of the layer for which sharpness is measured, relative to those of the base. Findings at a ratio of 50 hold at
@@ -103,21 +103,40 @@ const MOST_SHARP: f64 = 0.9;
 /// Maximum factor by which these Gaussians may exceed their byte budget.
 const MAX_OVERSHOOT: f64 = 1.1;
 
+/// A file whose bytes are divided between Gaussians and layer.
+struct Division {
+    /// Size of header and metadata, bytes.
+    fixed: u64,
+    /// Bytes that Gaussians and layer share.
+    shared: u64,
+    /// The texture of the picture, if the division depends on it.
+    texture: Option<Texture>,
+    /// Maximum number of rounds in which the Gaussians are optimized under the layer.
+    rounds: u32,
+    /// The deadline.
+    until: Option<Instant>,
+    /// The same file with Gaussians alone.
+    alone: FitRequest,
+}
+
 impl WholeSession<'_> {
-    /// Encodes to a file of `size`, in which the Gaussians and the detail layer share the bytes.
-    pub(in crate::encode) fn layered(&mut self, size: Size) -> Result<Outcome> {
+    /// Encodes to a file of `size`, in which the Gaussians and the detail layer share the bytes. `time` is the part of
+    /// the time budget that this file may take; `None` means all of the remaining time.
+    pub(in crate::encode) fn layered(&mut self, size: Size, time: Option<Duration>) -> Result<Outcome> {
         let options = self.input.options;
-        let Size::Bytes(most) = size else { return self.gaussians_of_size(size) };
+        let alone = FitRequest::alone(size, time);
+        let Size::Bytes(most) = size else { return self.gaussians_of_size(&alone) };
         // The size of header and metadata does not depend on the division.
         let fixed = self.fixed()?;
-        let Some(shared) = most.checked_sub(fixed) else { return self.gaussians_of_size(size) };
+        let Some(shared) = most.checked_sub(fixed) else { return self.gaussians_of_size(&alone) };
         let may_have = options.layout == Layout::Coded && options.recipe == Recipe::Ssplat;
         let rounds = self.rounds();
-        let time = self.clock.left().map(|left| self.share.map_or(left, |share| share.min(left)));
-        self.until = time.and_then(|time| Instant::now().checked_add(time));
+        let time = self.clock.left().map(|left| time.map_or(left, |time| time.min(left)));
+        let until = time.and_then(|time| Instant::now().checked_add(time));
         match options.detail {
             Detail::Share(share) => {
-                let base = self.base(fixed + (shared as f64 * share) as u64, self.samples() / shared as f64)?;
+                let bytes = fixed + (shared as f64 * share) as u64;
+                let base = self.base(bytes, self.samples() / shared as f64, until, Vec::new())?;
                 if self.pixels() > LARGEST {
                     return layered_in_parts(self, self.input.pixels, base, most);
                 }
@@ -125,9 +144,9 @@ impl WholeSession<'_> {
                 let layered = self.layer(base, most)?;
                 if layered.coded.is_none() {
                     // There is no room for a layer, so the Gaussians get all bytes.
-                    return self.gaussians_of_size(size);
+                    return self.gaussians_of_size(&alone);
                 }
-                let outcome = self.joined(layered, most, rounds)?;
+                let outcome = self.joined(layered, most, rounds, until)?;
                 self.report.stage("detail", clock);
                 Ok(outcome)
             }
@@ -135,11 +154,11 @@ impl WholeSession<'_> {
                 let texture = self.texture();
                 let largest = largest_ratio(options.effort, self.pixels(), texture);
                 match is_worth_a_layer(self.samples(), shared, largest) {
-                    true => self.divided([fixed, shared], texture, rounds),
-                    false => self.gaussians_of_size(size),
+                    true => self.divided(&Division { fixed, shared, texture, rounds, until, alone }),
+                    false => self.gaussians_of_size(&alone),
                 }
             }
-            _ => self.gaussians_of_size(size),
+            _ => self.gaussians_of_size(&alone),
         }
     }
 
@@ -174,20 +193,18 @@ impl WholeSession<'_> {
         u64::from(self.planes.width) * u64::from(self.planes.height)
     }
 
-    /// Fits Gaussians for a file of `bytes` bytes, as the base of a layer. `ratio` is the ratio of the file with both.
-    fn base(&mut self, bytes: u64, ratio: f64) -> Result<Outcome> {
-        let share = self.share;
-        self.share = self.until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(BASE_TIME)).or(share);
+    /// Fits Gaussians for a file of `bytes` bytes, as the base of a layer. `ratio` is the ratio of the file with both,
+    /// and `until` its deadline. The fit continues `initial`, if there are any.
+    fn base(&mut self, bytes: u64, ratio: f64, until: Option<Instant>, initial: Vec<Primitive>) -> Result<Outcome> {
+        let time = until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(BASE_TIME));
         // A search runs several fits, so it does not extend them for large files.
-        self.base = Some(Base { ratio: (!is_search(self.input.options.target)).then_some(ratio) });
-        let outcome = self.gaussians_of_size(Size::Bytes(bytes));
-        (self.base, self.share) = (None, share);
-        outcome
+        let under_layer = Some(UnderLayer { ratio: (!is_search(self.input.options.target)).then_some(ratio) });
+        self.gaussians_of_size(&FitRequest { size: Size::Bytes(bytes), time, under_layer, initial })
     }
 
-    /// Finds the division of the `shared` bytes and encodes the file. `fixed` is the size of header and metadata, which
-    /// `shared` does not include.
-    fn divided(&mut self, [fixed, shared]: [u64; 2], texture: Option<Texture>, rounds: u32) -> Result<Outcome> {
+    /// Finds the division of the bytes and encodes the file.
+    fn divided(&mut self, division: &Division) -> Result<Outcome> {
+        let &Division { fixed, shared, texture, rounds, until, ref alone } = division;
         let (most, all) = (fixed + shared, shared as f64);
         let ratio = (self.samples() / all).max(20.0);
         let least = all * texture.map_or(0.0, |texture| busy_share(texture, self.pixels(), ratio));
@@ -198,10 +215,9 @@ impl WholeSession<'_> {
         let most_for_base = (SHARP_SHARE + SHARP_MORE * (ratio / 20.0).strict_log2()).min(MOST_SHARP) * all;
         // A base that is kept from a larger file of a sharp picture can be too large for a smaller file.
         let room = fixed as f64 + (MAX_OVERSHOOT * most_for_base).min(MOST_SHARP * all);
-        let serves = |kept: &&KeptBase| is_near(few, kept.base_budget) && kept.base.bytes.len() as f64 <= room;
-        let kept = self.kept.as_ref().filter(serves).map(|kept| kept.base.clone());
+        let kept = self.kept.as_ref().and_then(|kept| kept.for_budget(few, room));
         let is_new = kept.is_none();
-        let base = kept.map_or_else(|| self.base(fixed + few as u64, ratio), Ok)?;
+        let base = kept.map_or_else(|| self.base(fixed + few as u64, ratio, until, Vec::new()), Ok)?;
         if self.pixels() > LARGEST {
             if is_new {
                 self.keep(&base, few);
@@ -213,17 +229,18 @@ impl WholeSession<'_> {
         self.report.stage("detail", clock);
         // With perceptual tuning the smaller base is equally good. A time budget is too short for several fits.
         let is_exact = self.input.options.favoured() == Tune::Psnr;
-        let may_be_larger = is_new && is_exact && self.until.is_none() && most_for_base > MIN_BASE_GROWTH * few;
+        let may_be_larger = is_new && is_exact && until.is_none() && most_for_base > MIN_BASE_GROWTH * few;
         let sharpness = if may_be_larger { self.sharpness(&layered, few * MEASURED_LAYER)? } else { Some(0.0) };
         let least = if self.input.options.effort >= 7 { MAX_SHARPNESS_TRIED } else { MAX_SHARPNESS };
         if sharpness.is_none_or(|sharpness| sharpness > least * (ratio / 20.0).strict_powf(SHARP_POWER)) {
             for bytes in [(few * most_for_base).sqrt(), most_for_base] {
-                self.initial = primitives_of(&layered.base.splats);
-                let base = self.base(fixed + bytes as u64, ratio)?;
+                let initial = primitives_of(&layered.base.splats);
+                let base = self.base(fixed + bytes as u64, ratio, until, initial)?;
                 let clock = self.report.seconds();
-                let other = self.layer(base, most)?;
+                let mut other = self.layer(base, most)?;
                 self.report.stage("detail", clock);
-                let gain = 10.0 * (layered.error / other.error).strict_log10();
+                let gain =
+                    10.0 * (self.error_of_layered(&mut layered) / self.error_of_layered(&mut other)).strict_log10();
                 if gain > 0.0 {
                     layered = other;
                 }
@@ -233,13 +250,13 @@ impl WholeSession<'_> {
             }
         }
         if layered.coded.is_none() {
-            return self.gaussians_of_size(Size::Bytes(most));
+            return self.gaussians_of_size(alone);
         }
         if is_new {
             self.keep(&layered.base, few);
         }
         let clock = self.report.seconds();
-        let outcome = self.joined(layered, most, rounds)?;
+        let outcome = self.joined(layered, most, rounds, until)?;
         self.report.stage("detail", clock);
         Ok(outcome)
     }
@@ -311,11 +328,6 @@ fn largest_ratio(effort: u8, pixels: u64, texture: Option<Texture>) -> f64 {
 /// largest ratio at which the picture gains from one.
 fn is_worth_a_layer(samples: f64, bytes: u64, largest: f64) -> bool {
     bytes >= MIN_FILE_BYTES && samples / bytes as f64 <= largest
-}
-
-/// Returns whether a base of `base_budget` bytes is as good as one of `few` bytes.
-pub(in crate::encode) fn is_near(few: f64, base_budget: f64) -> bool {
-    (few / base_budget).strict_ln().abs() < MIN_BASE_GROWTH.strict_ln()
 }
 
 /// Returns the byte budget of the Gaussians in a file of `all` bytes.

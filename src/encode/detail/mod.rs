@@ -37,7 +37,7 @@ use choose::{BlockChoice, LevelSearch, Setting};
 use error::Counted;
 use parts::Parts;
 use residual::TileResidual;
-use search::{Coded, SearchSettings, search};
+use search::{Closeness, Coded, SearchSettings, search};
 use slopes::{Knot, Slopes};
 use texture::Texture;
 
@@ -109,8 +109,8 @@ const MEASURED_FALL: f64 = 1.4;
 pub(super) struct Layered {
     base: Outcome,
     coded: Option<Coded>,
-    /// Squared error with the weights of the fit.
-    error: f64,
+    /// Squared error with the weights of the fit, once it is known.
+    error: Option<f64>,
 }
 
 impl WholeSession<'_> {
@@ -118,21 +118,28 @@ impl WholeSession<'_> {
     fn layer(&self, base: Outcome, max_bytes: u64) -> Result<Layered> {
         let splats = &base.splats;
         let coded = self.coded(splats, max_bytes, None)?;
-        let error = coded.as_ref().map_or(f64::INFINITY, |coded| self.layered_error(splats, &coded.layer));
-        Ok(Layered { base, coded, error })
+        Ok(Layered { base, coded, error: None })
     }
 
-    /// Fits the Gaussians' integers to the layer and the layer to the Gaussians, in at most `rounds` rounds. Writes the
-    /// file.
-    fn joined(&mut self, layered: Layered, max_bytes: u64, rounds: u32) -> Result<Outcome> {
-        let Layered { base: mut outcome, coded, mut error } = layered;
+    /// Returns the squared error of `layered` with the weights of the fit; infinity without a layer.
+    fn error_of_layered(&self, layered: &mut Layered) -> f64 {
+        let Layered { base, coded, error } = layered;
+        let measured = || coded.as_ref().map_or(f64::INFINITY, |coded| self.layered_error(&base.splats, &coded.layer));
+        *error.get_or_insert_with(measured)
+    }
+
+    /// Fits the Gaussians' integers to the layer and the layer to the Gaussians, in at most `rounds` rounds that end by
+    /// `until`. Writes the file.
+    fn joined(&mut self, mut layered: Layered, max_bytes: u64, rounds: u32, until: Option<Instant>) -> Result<Outcome> {
+        let mut error = if rounds > 0 { self.error_of_layered(&mut layered) } else { 0.0 };
+        let Layered { base: mut outcome, coded, .. } = layered;
         let Some(mut coded) = coded else { return Ok(outcome) };
         let mut took = Duration::ZERO;
         for round in 0..rounds {
             self.report.stage_progress("detail", round as f32 / rounds as f32)?;
             let start = Instant::now();
             // A round takes as long as the previous one.
-            if self.until.is_some_and(|end| start + took > end) {
+            if until.is_some_and(|end| start + took > end) {
                 break;
             }
             let Preset { lambda, .. } = preset(self.input.options.favoured());
@@ -201,6 +208,7 @@ impl WholeSession<'_> {
         SearchSettings {
             max_bytes,
             keeps_blocks,
+            closeness: if self.input.options.effort == 1 { Closeness::HASTY } else { Closeness::USUAL },
             ..search_settings(self.input.options.favoured(), self.input.channels(), has_alpha)
         }
     }
@@ -261,7 +269,15 @@ fn search_settings(tune: Tune, channels: Channels, has_alpha: bool) -> SearchSet
     let blocks = if tune == Tune::Psnr { BlockChoice::Priced } else { BlockChoice::Rough };
     let level_search = if tune == Tune::Psnr { LevelSearch::Exhaustive } else { LevelSearch::Thorough };
     let coding = Setting { head, channels, lambda, level_search, blocks, mixed_cost: 1.0 };
-    SearchSettings { coding, power, slopes, max_bytes: 0, max_runs: RUNS, keeps_blocks: false }
+    SearchSettings {
+        coding,
+        power,
+        slopes,
+        max_bytes: 0,
+        max_runs: RUNS,
+        closeness: Closeness::USUAL,
+        keeps_blocks: false,
+    }
 }
 
 /// Returns the parameters for a layer over a drawing, given those for a photograph.

@@ -23,7 +23,7 @@ use std::time::Duration;
 
 use super::clock::Clock;
 use super::constant::constant;
-use super::detail::divide::{BASE_TIME, base_in_tiles, is_near, is_search};
+use super::detail::divide::{BASE_TIME, base_in_tiles, is_search};
 use super::detail::layered_in_parts;
 use super::detail::parts::error_between;
 use super::device::Chosen;
@@ -204,11 +204,9 @@ impl<'a> EncodeSession<'a> for TiledSession<'a, '_, '_> {
             return self.gaussians(count, [size; 2], share);
         };
         let until = share.or(self.clock.left()).and_then(|time| Instant::now().checked_add(time));
-        let room = (MAX_KEPT * max_bytes as f64) as u64;
-        let serves =
-            |kept: &&KeptBase| is_near(budget as f64, kept.base_budget) && kept.base.bytes.len() as u64 <= room;
-        let base = match self.kept.as_ref().filter(serves) {
-            Some(kept) => kept.base.clone(),
+        let room = (MAX_KEPT * max_bytes as f64).floor();
+        let base = match self.kept.as_ref().and_then(|kept| kept.for_budget(budget as f64, room)) {
+            Some(base) => base,
             None => {
                 let count = count_for(self.options, fixed + budget, fixed, self.samples())?;
                 let time = until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(BASE_TIME));
