@@ -1,14 +1,16 @@
 //! Computes the error of a picture that consists of Gaussians and a detail layer.
 
+use std::ops::Range;
+
+use super::residual::lines_at_once;
 use crate::bitstream::detail::DetailLayer;
 use crate::bitstream::detail::levels::{TILE, tile_area, tile_counts};
 use crate::bitstream::splats::PackedSplats;
 use crate::detail::tile::{Scratch, TilePlanes, UNIT, reconstruct};
 use crate::encode::input::stored_scene;
-use crate::fit::model::drawing::field::{self, Field, Output};
+use crate::fit::model::drawing::field::{self, Field};
 use crate::fit::model::drawing::project::Projected;
 use crate::fit::model::objective::planes::Planes;
-use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::gaussian::Channels;
 use crate::parallel;
@@ -20,16 +22,25 @@ use crate::round::rounded::projected;
 pub(super) struct Added {
     tiles: Vec<Option<TilePlanes>>,
     across: usize,
+    /// Index of the first tile in the layer.
+    first: usize,
     /// Index of the layer's channel that corresponds to each channel of the target.
     of: [usize; 4],
 }
 
 impl Added {
     pub(super) fn new(layer: &DetailLayer, channels: Channels, target: &Planes) -> Self {
+        Added::of_lines(layer, channels, target, 0..target.height as usize)
+    }
+
+    /// Returns the additions to `lines` of the target, which begin with a row of tiles.
+    pub(super) fn of_lines(layer: &DetailLayer, channels: Channels, target: &Planes, lines: Range<usize>) -> Self {
         let size = [target.width, target.height];
-        let tiles = parallel::map(layer.tiles.len(), |i| {
-            let levels = layer.tiles[i].as_ref()?;
-            let [_, _, width, height] = tile_area(size, i);
+        let [across, _] = tile_counts(size);
+        let [first, end] = [lines.start / TILE, lines.end.div_ceil(TILE)].map(|row| row * across);
+        let tiles = parallel::map(end - first, |i| {
+            let levels = layer.tiles[first + i].as_ref()?;
+            let [_, _, width, height] = tile_area(size, first + i);
             let (mut scratch, mut planes) = (Scratch::default(), TilePlanes::default());
             reconstruct(levels, (&layer.head, channels, [width, height]), &mut scratch, &mut planes);
             Some(planes)
@@ -38,14 +49,15 @@ impl Added {
             (Some(a), Some(alpha)) if a == k => alpha,
             _ => k,
         });
-        Added { tiles, across: tile_counts(size)[0], of }
+        Added { tiles, across, first, of }
     }
 
     /// Writes to `row` the values that the layer adds to row `y` of the target's channel `k`, as fractions of white.
     pub(super) fn row(&self, y: usize, k: usize, row: &mut [f32]) {
         row.fill(0.0);
         for (x, part) in row.chunks_mut(TILE).enumerate() {
-            let Some(planes) = self.tiles.get(y / TILE * self.across + x).and_then(Option::as_ref) else { continue };
+            let tile = y / TILE * self.across + x - self.first;
+            let Some(planes) = self.tiles.get(tile).and_then(Option::as_ref) else { continue };
             if self.of[k] >= planes.channels() {
                 continue;
             }
@@ -73,30 +85,39 @@ pub(in crate::encode) fn squared_error(
     (layer, channels): (&DetailLayer, Channels),
     counted: Counted,
 ) -> f64 {
-    let added = Added::new(layer, channels, target);
     let problem = Problem { scene, target };
-    let mut field = Field::default();
-    field.draw(&problem, projected, RowSet::ALL, Output::Picture);
-    let (count, alpha) = (target.channels.count(), target.opacity);
-    let errors = parallel::map(target.height as usize, |y| {
-        let (wanted, drawn) = (target.row(y as u32), field.row(y, count));
-        let mut more = vec![0.0; target.width as usize];
-        let mut error = 0.0;
-        let amplitude = target.amplitude(y as u32).filter(|_| counted == Counted::AsTheyWeigh);
-        for k in 0..count {
-            let channel = if counted == Counted::AsTheyWeigh { target.channel_amplitude[k] } else { 1.0 };
-            added.row(y, k, &mut more);
-            for (x, more) in more.iter().enumerate() {
-                let at = k * target.stride + x;
-                let opacity = alpha.filter(|&a| a != k).map_or(1.0, |a| wanted[a * target.stride + x]);
-                let value = (drawn[at].clamp(0.0, 1.0) + more).clamp(0.0, 1.0);
-                let weight = opacity * channel * amplitude.map_or(1.0, |a| a[x]);
-                error += f64::from((value - wanted[at]) * weight).powi(2);
-            }
-        }
-        error
+    let [across, _] = tile_counts([target.width, target.height]);
+    let mut sum = 0.0;
+    Field::default().draw_parts(&problem, projected, lines_at_once(across), |part| {
+        let added = Added::of_lines(layer, channels, target, part.lines());
+        let errors = parallel::map(part.lines().len(), |i| {
+            let y = part.first + i;
+            row_error(target, y, part.row(y), &added, counted)
+        });
+        sum = errors.iter().fold(sum, |sum, error| sum + error);
     });
-    errors.iter().sum()
+    sum
+}
+
+/// Returns the squared error of line `y`, of which the Gaussians render `drawn`.
+fn row_error(target: &Planes, y: usize, drawn: &[f32], added: &Added, counted: Counted) -> f64 {
+    let (count, alpha) = (target.channels.count(), target.opacity);
+    let wanted = target.row(y as u32);
+    let mut more = vec![0.0; target.width as usize];
+    let mut error = 0.0;
+    let amplitude = target.amplitude(y as u32).filter(|_| counted == Counted::AsTheyWeigh);
+    for k in 0..count {
+        let channel = if counted == Counted::AsTheyWeigh { target.channel_amplitude[k] } else { 1.0 };
+        added.row(y, k, &mut more);
+        for (x, more) in more.iter().enumerate() {
+            let at = k * target.stride + x;
+            let opacity = alpha.filter(|&a| a != k).map_or(1.0, |a| wanted[a * target.stride + x]);
+            let value = (drawn[at].clamp(0.0, 1.0) + more).clamp(0.0, 1.0);
+            let weight = opacity * channel * amplitude.map_or(1.0, |a| a[x]);
+            error += f64::from((value - wanted[at]) * weight).powi(2);
+        }
+    }
+    error
 }
 
 /// Returns the squared error of a stored picture over the samples of `planes`. `channels` are those of the file.

@@ -3,10 +3,9 @@
 
 use crate::bitstream::detail::levels::{SUPER, TILE, tile_area, tile_counts};
 use crate::bitstream::detail::model::PLANES;
-use crate::fit::model::drawing::field::{Field, Output};
+use crate::fit::model::drawing::field::Field;
 use crate::fit::model::drawing::project::Projected;
 use crate::fit::model::objective::planes::Planes;
-use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::parallel;
 
@@ -32,12 +31,23 @@ pub(super) fn luma_and_chroma([r, g, b]: [f32; 3]) -> [f32; 3] {
 /// Returns the difference between `target` and the picture rendered from `projected`, tile by tile.
 pub(super) fn residuals(scene: Scene, target: &Planes, projected: &[Projected]) -> Vec<TileResidual> {
     let problem = Problem { scene, target };
-    let mut field = Field::default();
-    field.draw(&problem, projected, RowSet::ALL, Output::Picture);
     let size = [target.width, target.height];
-    let [across, down] = tile_counts(size);
-    let drawn = |row: usize| field.row(row, target.channels.count());
-    parallel::map(across * down, |i| residual(target, drawn, tile_area(size, i)))
+    let [across, _] = tile_counts(size);
+    let mut tiles = Vec::new();
+    Field::default().draw_parts(&problem, projected, lines_at_once(across), |part| {
+        let rows_of_tiles = part.lines().len().div_ceil(TILE);
+        let first = part.first / TILE * across;
+        let tile = |i: usize| residual(target, |row| part.row(row), tile_area(size, first + i));
+        tiles.extend(parallel::map(rows_of_tiles * across, tile));
+    });
+    tiles
+}
+
+/// Returns the number of lines that are drawn at a time in a picture of `across` tiles in a row: whole tiles, with
+/// enough work for each thread.
+pub(super) fn lines_at_once(across: usize) -> usize {
+    const TILES_PER_THREAD: usize = 2;
+    TILE * (TILES_PER_THREAD * parallel::threads()).div_ceil(across)
 }
 
 /// Returns the residual in a part of `target`, given by left, top, width and height. `drawn` returns the rendered rows.

@@ -26,6 +26,27 @@ pub struct Field {
     pub strips: Strips,
 }
 
+/// Some lines of a drawn picture.
+#[derive(Debug, Clone, Copy)]
+pub struct DrawnPart<'a> {
+    /// The first line of the part.
+    pub first: usize,
+    planes: &'a [f32],
+    row_size: usize,
+}
+
+impl<'a> DrawnPart<'a> {
+    /// Returns the lines of the part.
+    pub fn lines(&self) -> std::ops::Range<usize> {
+        self.first..self.first + self.planes.len() / self.row_size
+    }
+
+    /// Returns the planes of line `y` of the picture, which must be in the part.
+    pub fn row(&self, y: usize) -> &'a [f32] {
+        &self.planes[(y - self.first) * self.row_size..][..self.row_size]
+    }
+}
+
 /// What a drawing leaves in the planes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Output {
@@ -111,15 +132,12 @@ impl Field {
         value: &(impl Fn(f64, usize, &[f32]) -> f64 + Sync),
     ) -> f64 {
         let (rows, scene) = (RowSet::ALL, problem.scene);
-        let bands = Bands::new(projected, rows, scene.height);
         let row_size = (problem.target.channels.count() + 1) * problem.target.stride;
         let band_size = BAND * row_size;
         let count = rows.count(scene.height).div_ceil(BAND);
         let at_once = (self.planes.len() / band_size).max(parallel::threads()).clamp(1, count.max(1));
-        self.rows = None;
-        self.stride = problem.target.stride;
         self.planes.resize(self.planes.len().max(at_once * band_size), 0.0);
-        self.strips.plan(projected, rows, scene.width);
+        let bands = self.plan_parts(problem, projected);
         let drawing = Drawing { problem, projected, strips: &self.strips, bands: &bands, rows, output };
         let mut sum = 0.0;
         for begin in (lines.start as usize / BAND..(lines.end as usize).div_ceil(BAND)).step_by(at_once) {
@@ -132,6 +150,37 @@ impl Field {
             sum = values.iter().fold(sum, |sum, v| sum + v);
         }
         sum
+    }
+
+    /// Draws the picture in parts of `height` lines, a multiple of [`BAND`], and calls `look` with each part, from the
+    /// top. The memory is that of one part.
+    pub fn draw_parts(
+        mut self,
+        problem: &Problem<'_>,
+        projected: &[Projected],
+        height: usize,
+        mut look: impl FnMut(&DrawnPart<'_>),
+    ) {
+        assert!(height.is_multiple_of(BAND), "{height} lines are not whole bands");
+        let lines = problem.scene.height as usize;
+        let row_size = (problem.target.channels.count() + 1) * problem.target.stride;
+        let bands = self.plan_parts(problem, projected);
+        let (rows, output) = (RowSet::ALL, Output::Picture);
+        let drawing = Drawing { problem, projected, strips: &self.strips, bands: &bands, rows, output };
+        for first in (0..lines).step_by(height) {
+            self.planes.resize(height.min(lines - first) * row_size, 0.0);
+            parallel::map_chunks(&mut self.planes, BAND * row_size, |b, band| drawing.band(first / BAND + b, band));
+            look(&DrawnPart { first, planes: &self.planes, row_size });
+        }
+    }
+
+    /// Prepares for drawing parts of the picture of `projected`, and returns its bands.
+    fn plan_parts(&mut self, problem: &Problem<'_>, projected: &[Projected]) -> Bands {
+        let scene = problem.scene;
+        self.rows = None;
+        self.stride = problem.target.stride;
+        self.strips.plan(projected, RowSet::ALL, scene.width);
+        Bands::new(projected, RowSet::ALL, scene.height)
     }
 
     /// Returns the gradients of the drawn primitives from index `start` on, gathered from the gradient planes over the
