@@ -115,8 +115,6 @@ struct Division {
     rounds: u32,
     /// The deadline.
     until: Option<Instant>,
-    /// The same file with Gaussians alone.
-    alone: FitRequest,
 }
 
 impl WholeSession<'_> {
@@ -130,13 +128,13 @@ impl WholeSession<'_> {
         let fixed = self.fixed()?;
         let Some(shared) = most.checked_sub(fixed) else { return self.gaussians_of_size(&alone) };
         let may_have = options.layout == Layout::Coded && options.recipe == Recipe::Ssplat;
-        let rounds = self.rounds();
-        let time = self.clock.left().map(|left| time.map_or(left, |time| time.min(left)));
-        let until = time.and_then(|time| Instant::now().checked_add(time));
+        let limit = self.clock.left().map(|left| time.map_or(left, |time| time.min(left)));
+        let until = limit.and_then(|limit| Instant::now().checked_add(limit));
+        let division = |texture| Division { fixed, shared, texture, rounds: self.rounds(), until };
         match options.detail {
             Detail::Share(share) => {
-                let bytes = fixed + (shared as f64 * share) as u64;
-                let base = self.base(bytes, self.samples() / shared as f64, until, Vec::new())?;
+                let division = division(self.texture());
+                let base = self.base((shared as f64 * share) as u64, &division, Vec::new())?;
                 if self.pixels() > LARGEST {
                     return layered_in_parts(self, self.input.pixels, base, most);
                 }
@@ -146,7 +144,7 @@ impl WholeSession<'_> {
                     // There is no room for a layer, so the Gaussians get all bytes.
                     return self.gaussians_of_size(&alone);
                 }
-                let outcome = self.joined(layered, most, rounds, until)?;
+                let outcome = self.joined(layered, most, division.rounds, until)?;
                 self.report.stage("detail", clock);
                 Ok(outcome)
             }
@@ -154,7 +152,7 @@ impl WholeSession<'_> {
                 let texture = self.texture();
                 let largest = largest_ratio(options.effort, self.pixels(), texture);
                 match is_worth_a_layer(self.samples(), shared, largest) {
-                    true => self.divided(&Division { fixed, shared, texture, rounds, until, alone }),
+                    true => self.divided(&division(texture), &alone),
                     false => self.gaussians_of_size(&alone),
                 }
             }
@@ -193,18 +191,23 @@ impl WholeSession<'_> {
         u64::from(self.planes.width) * u64::from(self.planes.height)
     }
 
-    /// Fits Gaussians for a file of `bytes` bytes, as the base of a layer. `ratio` is the ratio of the file with both,
-    /// and `until` its deadline. The fit continues `initial`, if there are any.
-    fn base(&mut self, bytes: u64, ratio: f64, until: Option<Instant>, initial: Vec<Primitive>) -> Result<Outcome> {
-        let time = until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(BASE_TIME));
-        // A search runs several fits, so it does not extend them for large files.
-        let under_layer = Some(UnderLayer { ratio: (!is_search(self.input.options.target)).then_some(ratio) });
-        self.gaussians_of_size(&FitRequest { size: Size::Bytes(bytes), time, under_layer, initial })
+    /// Fits Gaussians of `bytes` bytes, without header and metadata, as the base of a layer. The fit continues `initial`
+    /// if there are any.
+    fn base(&mut self, bytes: u64, division: &Division, initial: Vec<Primitive>) -> Result<Outcome> {
+        let time = division.until.map(|end| end.saturating_duration_since(Instant::now()).mul_f64(BASE_TIME));
+        let ratio = self.samples() / division.shared as f64;
+        let under_layer = UnderLayer {
+            // A search runs several fits, so it does not extend them for large files.
+            ratio: (!is_search(self.input.options.target)).then_some(ratio),
+            is_drawing: division.texture.is_some_and(|texture| texture.is_drawing()),
+        };
+        let size = Size::Bytes(division.fixed + bytes);
+        self.gaussians_of_size(&FitRequest { size, time, under_layer: Some(under_layer), initial })
     }
 
-    /// Finds the division of the bytes and encodes the file.
-    fn divided(&mut self, division: &Division) -> Result<Outcome> {
-        let &Division { fixed, shared, texture, rounds, until, ref alone } = division;
+    /// Finds the division of the bytes and encodes the file. `alone` requests the same file without a layer.
+    fn divided(&mut self, division: &Division, alone: &FitRequest) -> Result<Outcome> {
+        let &Division { fixed, shared, texture, rounds, until } = division;
         let (most, all) = (fixed + shared, shared as f64);
         let ratio = (self.samples() / all).max(20.0);
         let least = all * texture.map_or(0.0, |texture| busy_share(texture, self.pixels(), ratio));
@@ -217,7 +220,7 @@ impl WholeSession<'_> {
         let room = fixed as f64 + (MAX_OVERSHOOT * most_for_base).min(MOST_SHARP * all);
         let kept = self.kept.as_ref().and_then(|kept| kept.for_budget(few, room));
         let is_new = kept.is_none();
-        let base = kept.map_or_else(|| self.base(fixed + few as u64, ratio, until, Vec::new()), Ok)?;
+        let base = kept.map_or_else(|| self.base(few as u64, division, Vec::new()), Ok)?;
         if self.pixels() > LARGEST {
             if is_new {
                 self.keep(&base, few);
@@ -235,7 +238,7 @@ impl WholeSession<'_> {
         if sharpness.is_none_or(|sharpness| sharpness > least * (ratio / 20.0).strict_powf(SHARP_POWER)) {
             for bytes in [(few * most_for_base).sqrt(), most_for_base] {
                 let initial = primitives_of(&layered.base.splats);
-                let base = self.base(fixed + bytes as u64, ratio, until, initial)?;
+                let base = self.base(bytes as u64, division, initial)?;
                 let clock = self.report.seconds();
                 let mut other = self.layer(base, most)?;
                 self.report.stage("detail", clock);

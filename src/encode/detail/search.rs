@@ -29,7 +29,7 @@ pub(super) struct SearchSettings {
     pub coding: Setting,
     /// Exponent of the variance with which the steps grow, if there are classes.
     pub power: f32,
-    /// Growth of the steps with frequency.
+    /// Growth of the steps with frequency, and steps of chroma.
     pub slopes: Slopes,
     /// Maximum bytes of index and streams.
     pub max_bytes: u64,
@@ -45,7 +45,7 @@ impl SearchSettings {
     /// Returns the settings of a layer with this step.
     pub(super) fn setting_at(&self, step: u16) -> Setting {
         let mut coding = self.coding;
-        (coding.head.step, coding.head.slopes) = (step, self.slopes.at(step));
+        self.slopes.set_step(&mut coding.head, step);
         coding
     }
 }
@@ -228,7 +228,8 @@ fn guess(tiles: &[TileResidual], settings: &SearchSettings) -> f64 {
     /// Step in which the coefficients are measured.
     const UNIT: u16 = 1024;
     let mut head = settings.coding.head;
-    (head.step, head.slopes, head.classes) = (UNIT, settings.slopes.at(UNIT), 1);
+    settings.slopes.set_step(&mut head, UNIT);
+    head.classes = 1;
     let bins = parallel::map(tiles.len(), |i| {
         let tile = &tiles[i];
         let mut bins = vec![0u32; BINS];

@@ -1,13 +1,18 @@
-//! Defines how the layer's quantizer steps grow with frequency: faster in coarser layers.
+//! Defines how the layer's quantizer steps grow with frequency, and the steps of chroma: in coarser layers, steps grow
+//! faster and chroma has relatively finer steps.
 
+use crate::bitstream::detail::DetailHead;
 use crate::strict_math::StrictMath;
-/// The slopes at one quantizer step of the layer.
+
+/// The slopes and the steps of chroma at one quantizer step of the layer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Knot {
     /// The layer's step, in 1/64 code value.
     pub step: u16,
     /// Slopes for luma, grey and alpha, and for chroma.
     pub slopes: [u8; 2],
+    /// Steps of orange and green chroma relative to that of luma, in sixteenths.
+    pub chroma: [u8; 2],
 }
 
 /// Slopes for every step, interpolated between the knots linearly in the logarithm of the step.
@@ -15,17 +20,24 @@ pub(super) struct Knot {
 pub(super) struct Slopes(pub &'static [Knot]);
 
 impl Slopes {
-    /// Returns the slopes for a layer with this step.
-    pub(super) fn at(self, step: u16) -> [u8; 2] {
+    /// Sets the step of a layer, and the slopes and the steps of chroma that belong to it.
+    pub(super) fn set_step(self, head: &mut DetailHead, step: u16) {
+        let Knot { slopes, chroma, .. } = self.at(step);
+        (head.step, head.slopes, head.chroma) = (step, slopes, chroma);
+    }
+
+    /// Returns the knot at `step`.
+    fn at(self, step: u16) -> Knot {
         let next = self.0.iter().position(|knot| knot.step > step).unwrap_or(self.0.len());
         let [a, b] = [next.max(1) - 1, next.min(self.0.len() - 1)].map(|i| self.0[i]);
         if a.step >= b.step || step <= a.step {
-            return a.slopes;
+            return Knot { step, ..a };
         }
         let ln = |step: u16| f32::from(step).strict_ln();
         let share = (ln(step) - ln(a.step)) / (ln(b.step) - ln(a.step));
-        let between = |[a, b]: [u8; 2]| (f32::from(a) + share * (f32::from(b) - f32::from(a))).round() as u8;
-        [0, 1].map(|kind| between([a, b].map(|knot| knot.slopes[kind])))
+        let between = |a: u8, b: u8| (f32::from(a) + share * (f32::from(b) - f32::from(a))).round() as u8;
+        let both = |a: [u8; 2], b: [u8; 2]| [0, 1].map(|i| between(a[i], b[i]));
+        Knot { step, slopes: both(a.slopes, b.slopes), chroma: both(a.chroma, b.chroma) }
     }
 }
 
@@ -34,15 +46,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn slopes_between_knots_are_linear_in_the_logarithm_of_the_step() {
-        const KNOTS: &[Knot] = &[Knot { step: 500, slopes: [40, 30] }, Knot { step: 2000, slopes: [80, 50] }];
+    fn values_between_knots_are_linear_in_the_logarithm_of_the_step() {
+        const KNOTS: &[Knot] = &[
+            Knot { step: 500, slopes: [40, 30], chroma: [80, 40] },
+            Knot { step: 2000, slopes: [80, 50], chroma: [60, 32] },
+        ];
         let all = Slopes(KNOTS);
-        for (step, slopes) in
-            [(1, [40, 30]), (500, [40, 30]), (1000, [60, 40]), (1999, [80, 50]), (2000, [80, 50]), (u16::MAX, [80, 50])]
-        {
-            assert_eq!(all.at(step), slopes, "{step}");
+        let of = |slopes: Slopes, step| {
+            let mut head = DetailHead::PLAIN;
+            slopes.set_step(&mut head, step);
+            assert_eq!(head.step, step);
+            (head.slopes, head.chroma)
+        };
+        let [first, middle, last] = [([40, 30], [80, 40]), ([60, 40], [70, 36]), ([80, 50], [60, 32])];
+        for (step, found) in [(1, first), (500, first), (1000, middle), (1999, last), (2000, last), (u16::MAX, last)] {
+            assert_eq!(of(all, step), found, "{step}");
         }
         let one = Slopes(&KNOTS[..1]);
-        assert_eq!([1, 500, 9000].map(|step| one.at(step)), [[40, 30]; 3]);
+        assert_eq!([1, 500, 9000].map(|step| of(one, step)), [first; 3]);
     }
 }
