@@ -13,7 +13,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let bytes = std::fs::read(path)?;
     let reader = Reader::new(&bytes, &Limits::default())?;
     let (width, height, channels) = (reader.width(), reader.height(), reader.channels().count());
-    println!("{width} × {height}, {} Gaussians", reader.gaussians());
+    println!("{width} × {height}, {} Gaussians", reader.primitives());
 
     // A pan over the middle row, at twice the size.
     let image = reader.read(Damage::Refuse)?;
@@ -21,7 +21,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut frame = vec![0; 4 * (part[0] * part[1]) as usize * channels];
     for x in (0..=width - part[0]).step_by(step) {
         let view = image.view().crop(x, (height - part[1]) / 2, part[0], part[1])?;
-        image.draw_into(&view.resized(2 * part[0], 2 * part[1])?, SamplesMut::U8(&mut frame))?;
+        image.render_into(&view.resized(2 * part[0], 2 * part[1])?, SamplesMut::U8(&mut frame))?;
         let sum: u64 = frame.iter().map(|&v| u64::from(v)).sum();
         println!("from {x}: mean code value {:.1}", sum as f64 / frame.len() as f64);
     }

@@ -105,7 +105,7 @@ impl Channels {
 
 /// A picture as Gaussians with float parameters, ready to be rasterized.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Picture {
+pub struct Gaussians {
     /// Width, pixels.
     pub width: u32,
     /// Height, pixels.
@@ -117,5 +117,5 @@ pub struct Picture {
     /// Background colour `b`.
     pub background: [f32; 4],
     /// The primitives, in any order.
-    pub gaussians: Vec<Gaussian>,
+    pub list: Vec<Gaussian>,
 }

@@ -56,7 +56,7 @@
 //! # Rendering regions
 //!
 //! A viewer renders a file many times. [`Reader`] reads the header, and [`Reader::read`] the file. The resulting
-//! [`Image`] renders any [`View`]: a region of the picture at a size. Only what is visible in the view is rendered.
+//! [`SplatImage`] renders any [`View`]: a region of the picture at a size. Only what is visible in the view is rendered.
 //! [`Reader::read_for`] reads only the data that a view needs, which is little for a small region of a large file.
 //!
 //! ```
@@ -71,12 +71,12 @@
 //!
 //! let image = reader.read(Damage::Refuse)?;
 //! let region = image.view().crop(8, 4, 16, 8)?; // left, top, width, height in pixels of the picture
-//! let enlarged = image.draw(&region.resized(64, 32)?)?;
+//! let enlarged = image.render(&region.resized(64, 32)?)?;
 //! assert_eq!((enlarged.width(), enlarged.height()), (64, 32));
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 //!
-//! [`Image::draw_into`] renders into the caller's memory, and [`Image::renderer`] returns a [`Renderer`] that renders a
+//! [`SplatImage::render_into`] renders into the caller's memory, and [`SplatImage::renderer`] returns a [`Renderer`] that renders a
 //! view band by band. The results have the same bits for any number of threads and any division into parts.
 //!
 //! # The `image` crate
@@ -144,9 +144,9 @@ assert_eq!(picture.width(), 8);
     doc = r#"
 ```no_run
 use ssplat::gpu::{Adapters, Device, Renderer};
-use ssplat::{Depth, Image, Limits};
+use ssplat::{Depth, SplatImage, Limits};
 
-let image = Image::from_bytes(&std::fs::read("photo.ssplat")?, &Limits::default())?;
+let image = SplatImage::from_bytes(&std::fs::read("photo.ssplat")?, &Limits::default())?;
 let device = Device::open(Adapters::Hardware)?;
 let mut renderer = Renderer::of(&device, &image)?;
 let pixels = renderer.render(&image.view(), Depth::Eight)?;
@@ -237,11 +237,11 @@ pub mod unstable;
 
 pub use bitstream::MissingParts;
 pub use bitstream::splats::{Layout, Metadata};
-pub use decode::{Decoded, Decoder, Image, Reader};
+pub use decode::{Decoded, Decoder, Reader, SplatImage};
 #[cfg(feature = "encode")]
 pub use encode::{EncodeReport, Encoded, Encoder, Progress, Workers, work_on_tile};
 pub use error::{Error, FormatError, GpuError, Result};
-pub use gaussian::{Blend, Channels, Gaussian, Picture};
+pub use gaussian::{Blend, Channels, Gaussian, Gaussians};
 #[cfg(feature = "image")]
 pub use image;
 #[cfg(all(feature = "encode", feature = "image"))]

@@ -109,7 +109,7 @@ fn squared_error(a: &Pixels, b: &Pixels) -> f64 {
             _ => unreachable!("check_alike compared the depths"),
         };
     };
-    let most = a.depth().max() as u64;
+    let most = u64::from(a.depth().max());
     // At most 4·2³²·2¹⁶.
     fn pixel<T: Copy + Into<u64>>(p: &[T], q: &[T], alpha: usize, most: u64) -> u64 {
         let weight = |k: usize| if k == alpha { most } else { p[alpha].into() };

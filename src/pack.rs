@@ -7,11 +7,11 @@
 //! ```
 //! # #[cfg(feature = "unstable")] {
 //! use ssplat::unstable::{PackOptions, bitstream, pack};
-//! use ssplat::{Blend, Channels, Gaussian, Picture};
+//! use ssplat::{Blend, Channels, Gaussian, Gaussians};
 //!
 //! let gaussians = vec![Gaussian { mean: [8.0, 4.0], scale: [3.0, 1.5], rotation: 0.3, color: [0.9, 0.2, 0.1, 0.0] }];
 //! let picture =
-//!     Picture { width: 16, height: 8, channels: Channels::Rgb, blend: Blend::Sum, background: [0.0; 4], gaussians };
+//!     Gaussians { width: 16, height: 8, channels: Channels::Rgb, blend: Blend::Sum, background: [0.0; 4], list: gaussians };
 //! let splats = pack(&picture, &PackOptions::default())?;
 //! let file = bitstream::to_bytes(&splats)?;
 //! # assert!(file.len() < 60);
@@ -24,7 +24,7 @@ use crate::bitstream::rules::{self, MAX_COLOR};
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
 use crate::encode::smallest;
 use crate::error::{Error, Result};
-use crate::gaussian::{Gaussian, Picture};
+use crate::gaussian::{Gaussian, Gaussians};
 use crate::limits::Limits;
 use crate::pixels::Depth;
 use crate::quantize::Quantizer;
@@ -108,9 +108,9 @@ impl Default for PackOptions {
 /// times white in luma, chroma or alpha), the picture's sides or the steps are out of range, or the file cannot be as
 /// small as requested; [`Error::LimitExceeded`] if there are more Gaussians than the default [`Limits`] allow decoders
 /// to read.
-pub fn pack(picture: &Picture, options: &PackOptions) -> Result<PackedSplats> {
-    Limits::check("primitives", picture.gaussians.len() as u64, Limits::default().primitives)?;
-    picture.gaussians.iter().enumerate().try_for_each(|(i, g)| check(i, g))?;
+pub fn pack(picture: &Gaussians, options: &PackOptions) -> Result<PackedSplats> {
+    Limits::check("primitives", picture.list.len() as u64, Limits::default().primitives)?;
+    picture.list.iter().enumerate().try_for_each(|(i, g)| check(i, g))?;
     if !picture.background.iter().all(|v| v.is_finite()) {
         let problem = format!("{:?} is not finite", picture.background);
         return Err(Error::Parameter { name: "background", problem });
@@ -131,7 +131,7 @@ pub fn pack(picture: &Picture, options: &PackOptions) -> Result<PackedSplats> {
                 }
                 least = least.min(bytes);
             }
-            let count = picture.gaussians.len();
+            let count = picture.list.len();
             let problem = format!("{most} cannot hold {count} Gaussians: {least} are needed");
             Err(Error::Parameter { name: "bytes", problem })
         }
@@ -153,9 +153,9 @@ fn check(index: usize, g: &Gaussian) -> Result<()> {
 }
 
 /// Returns the steps of a level for the scales of `picture`.
-fn steps(picture: &Picture, layout: Layout, level: u8) -> Steps {
+fn steps(picture: &Gaussians, layout: Layout, level: u8) -> Steps {
     let [scale, angle, position, luma, chroma] = LADDER[usize::from(level)];
-    let mut sizes: Vec<f32> = picture.gaussians.iter().map(|g| g.scale[0].max(g.scale[1]).log2()).collect();
+    let mut sizes: Vec<f32> = picture.list.iter().map(|g| g.scale[0].max(g.scale[1]).log2()).collect();
     sizes.sort_by(f32::total_cmp);
     let at = |share: f32| sizes.get((sizes.len() as f32 * share) as usize).copied().unwrap_or(0.0);
     let fineness = f32::from(position) / 4.0;
@@ -173,7 +173,7 @@ fn steps(picture: &Picture, layout: Layout, level: u8) -> Steps {
 }
 
 /// Returns the integers and the length of their file.
-fn packed(picture: &Picture, options: &PackOptions, steps: Steps) -> Result<(PackedSplats, u64)> {
+fn packed(picture: &Gaussians, options: &PackOptions, steps: Steps) -> Result<(PackedSplats, u64)> {
     let mut metadata = Metadata::default();
     (metadata.icc, metadata.exif) = (options.icc.clone(), options.exif.clone());
     let mut splats = PackedSplats {
@@ -205,7 +205,7 @@ fn packed(picture: &Picture, options: &PackOptions, steps: Steps) -> Result<(Pac
     splats.background = color(&|| "the background".into(), picture.background)?;
     let size = [picture.width, picture.height];
     let asked = matches!(options.precision, Precision::Steps(_));
-    for (i, g) in picture.gaussians.iter().enumerate() {
+    for (i, g) in picture.list.iter().enumerate() {
         let bounds = if asked { position_limits(&quantizer, g, size) } else { size.map(|side| side as f32) };
         let is_inside = (0..2).all(|k| (0.0..=bounds[k]).contains(&g.mean[k]));
         if !is_inside && options.outside == Outside::Refuse {
@@ -241,7 +241,7 @@ mod tests {
     use crate::bitstream;
     use crate::gaussian::{Blend, Channels};
 
-    fn picture(blend: Blend) -> Picture {
+    fn picture(blend: Blend) -> Gaussians {
         let gaussians = (0..400u32)
             .map(|i| {
                 let f = |k: u32| (f64::from(i) * f64::from(k).sqrt()).fract() as f32;
@@ -253,12 +253,19 @@ mod tests {
                 }
             })
             .collect();
-        Picture { width: 96, height: 64, channels: Channels::Rgb, blend, background: [0.5, 0.4, 0.3, 0.0], gaussians }
+        Gaussians {
+            width: 96,
+            height: 64,
+            channels: Channels::Rgb,
+            blend,
+            background: [0.5, 0.4, 0.3, 0.0],
+            list: gaussians,
+        }
     }
 
     /// Returns the largest differences of means (in units of the Gaussian's scales), scales (octaves) and colours.
-    fn differences(a: &Picture, b: &Picture) -> [f32; 3] {
-        a.gaussians.iter().zip(&b.gaussians).fold([0.0f32; 3], |worst, (a, b)| {
+    fn differences(a: &Gaussians, b: &Gaussians) -> [f32; 3] {
+        a.list.iter().zip(&b.list).fold([0.0f32; 3], |worst, (a, b)| {
             let mut scale = a.scale;
             scale.sort_by(|x, y| y.total_cmp(x));
             let (sin, cos) = a.rotation.sin_cos();
@@ -276,7 +283,7 @@ mod tests {
             [([8.0, 8.0, 8.0, 0.0], true), ([8.1, 8.1, 8.1, 0.0], false), ([0.0, -9.0, 0.0, 0.0], false)]
         {
             let mut picture = picture(Blend::Sum);
-            picture.gaussians[3].color = color;
+            picture.list[3].color = color;
             for level in 0..=FINEST {
                 let options = PackOptions { precision: Precision::Level(level), ..PackOptions::default() };
                 match pack(&picture, &options) {
@@ -287,7 +294,7 @@ mod tests {
                     other => panic!("{other:?}"),
                 }
             }
-            picture.gaussians.clear();
+            picture.list.clear();
             picture.background = color;
             assert_eq!(pack(&picture, &PackOptions::default()).is_ok(), holds, "{color:?}");
         }
@@ -357,12 +364,12 @@ mod tests {
             ("color", |g| g.color[2] = f32::NAN),
         ] {
             let mut picture = picture(Blend::Sum);
-            change(&mut picture.gaussians[7]);
+            change(&mut picture.list[7]);
             let error = pack(&picture, &PackOptions::default()).unwrap_err().to_string();
             assert!(error.contains(&format!("{what}: ")) && error.contains("Gaussian 7"), "{error}");
         }
         for (width, height) in [(0, 8), (8, 1 << 21)] {
-            let picture = Picture { width, height, ..picture(Blend::Sum) };
+            let picture = Gaussians { width, height, ..picture(Blend::Sum) };
             assert!(matches!(pack(&picture, &PackOptions::default()), Err(Error::Parameter { .. })));
         }
     }
@@ -370,8 +377,8 @@ mod tests {
     #[test]
     fn equal_colours_become_a_codebook() {
         let mut picture = picture(Blend::Sum);
-        let few = picture.gaussians[..5].iter().map(|g| g.color).collect::<Vec<_>>();
-        picture.gaussians.iter_mut().enumerate().for_each(|(i, g)| g.color = few[i % 5]);
+        let few = picture.list[..5].iter().map(|g| g.color).collect::<Vec<_>>();
+        picture.list.iter_mut().enumerate().for_each(|(i, g)| g.color = few[i % 5]);
         let splats = pack(&picture, &PackOptions::default()).unwrap();
         assert_eq!(splats.codebook.map(|c| c.len()), Some(5));
     }
@@ -379,14 +386,14 @@ mod tests {
     #[test]
     fn gaussians_outside_are_omitted_or_moved_to_the_border() {
         let mut picture = picture(Blend::Sum);
-        picture.gaussians.truncate(3);
-        picture.gaussians[0].mean = [-1000.0, 5.0];
-        (picture.gaussians[1].mean, picture.gaussians[1].scale) = ([97.0, 5.0], [4.0, 4.0]);
+        picture.list.truncate(3);
+        picture.list[0].mean = [-1000.0, 5.0];
+        (picture.list[1].mean, picture.list[1].scale) = ([97.0, 5.0], [4.0, 4.0]);
         let error = pack(&picture, &PackOptions::default()).unwrap_err().to_string();
         assert!(error.contains("mean: [-1000.0, 5.0] of Gaussian 0"), "{error}");
         let options = PackOptions { outside: Outside::Crop, ..PackOptions::default() };
         let found = pack(&picture, &options).unwrap().to_picture();
-        assert_eq!(found.gaussians.len(), 2);
-        assert!((found.gaussians[0].mean[0] - 96.0).abs() < 1.0, "{:?}", found.gaussians[0]);
+        assert_eq!(found.list.len(), 2);
+        assert!((found.list[0].mean[0] - 96.0).abs() < 1.0, "{:?}", found.list[0]);
     }
 }

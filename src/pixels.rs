@@ -26,10 +26,10 @@ pub enum Depth {
 impl Depth {
     /// Returns the code value that represents 1.0: 255 or 65535.
     #[must_use]
-    pub fn max(self) -> f32 {
+    pub fn max(self) -> u16 {
         match self {
-            Depth::Eight => 255.0,
-            Depth::Sixteen => 65535.0,
+            Depth::Eight => 255,
+            Depth::Sixteen => 65535,
         }
     }
 

@@ -3,8 +3,8 @@
 use std::ops::ControlFlow;
 
 use ssplat::{
-    Channels, Damage, Decoder, Depth, Detail, Encoder, Error, Image, Layers, Limits, Pixels, Reader, Samples,
-    SamplesMut, Tune,
+    Channels, Damage, Decoder, Depth, Detail, Encoder, Error, Layers, Limits, Pixels, Reader, Samples, SamplesMut,
+    SplatImage, Tune,
 };
 
 fn picture() -> Pixels {
@@ -54,11 +54,11 @@ fn a_file_is_opened_once_and_drawn_many_times() {
         (96, 64, Channels::Rgb, Depth::Eight)
     );
     let image = reader.read(Damage::Refuse).unwrap();
-    let whole = image.draw(&image.view()).unwrap();
+    let whole = image.render(&image.view()).unwrap();
     assert_eq!(Decoder::new().decode(&bytes).unwrap().pixels, whole);
     // All ways of rendering give the same pixels, in any memory.
     let part = image.view().crop(16, 8, 40, 30).unwrap();
-    let drawn = image.draw(&part).unwrap();
+    let drawn = image.render(&part).unwrap();
     assert_eq!(Decoder::new().region([16, 8, 40, 30]).decode(&bytes).unwrap().pixels, drawn);
     let mut out = vec![0; 40 * 30 * 3];
     Decoder::new().region([16, 8, 40, 30]).decode_into(&bytes, SamplesMut::U8(&mut out)).unwrap();
@@ -82,13 +82,13 @@ fn buffers_of_the_wrong_size_are_refused() {
 fn whole_files_are_read_from_any_reader_within_the_limits() {
     let bytes = Encoder::new().bytes(300).effort(1).encode(&picture()).unwrap().bytes;
     let (head, tail) = bytes.split_at(bytes.len() / 2);
-    let image = Image::read_from(std::io::Read::chain(head, tail), &Limits::default()).unwrap();
-    assert_eq!(image.draw(&image.view()).unwrap(), Decoder::new().decode(&bytes).unwrap().pixels);
-    assert!(matches!(Image::read_from(head, &Limits::default()), Err(Error::Format(_))));
+    let image = SplatImage::read_from(std::io::Read::chain(head, tail), &Limits::default()).unwrap();
+    assert_eq!(image.render(&image.view()).unwrap(), Decoder::new().decode(&bytes).unwrap().pixels);
+    assert!(matches!(SplatImage::read_from(head, &Limits::default()), Err(Error::Format(_))));
     // A stream without an end is read no further than the limit on memory allows.
     let mut limits = Limits::default();
     limits.alloc = 1 << 20;
-    let endless = Image::read_from(std::io::Read::chain(&bytes[..], std::io::repeat(0)), &limits);
+    let endless = SplatImage::read_from(std::io::Read::chain(&bytes[..], std::io::repeat(0)), &limits);
     assert!(matches!(endless, Err(Error::LimitExceeded { .. } | Error::Format(_))), "{endless:?}");
 }
 
@@ -96,7 +96,7 @@ fn whole_files_are_read_from_any_reader_within_the_limits() {
 fn public_types_can_be_sent_to_and_shared_between_threads() {
     fn check<T: Send + Sync + 'static>() {}
     fn check_borrowing<T: Send + Sync>() {}
-    check::<(ssplat::Encoder, ssplat::Decoder, Image, ssplat::Renderer, ssplat::View)>();
+    check::<(ssplat::Encoder, ssplat::Decoder, SplatImage, ssplat::Renderer, ssplat::View)>();
     check::<(
         ssplat::Encoded,
         ssplat::EncodeReport,
@@ -106,7 +106,7 @@ fn public_types_can_be_sent_to_and_shared_between_threads() {
         ssplat::MissingParts,
     )>();
     check::<(Error, ssplat::FormatError, ssplat::GpuError)>();
-    check::<(Pixels, Samples, ssplat::Picture, ssplat::Gaussian, Limits, ssplat::Target)>();
+    check::<(Pixels, Samples, ssplat::Gaussians, ssplat::Gaussian, Limits, ssplat::Target)>();
     check_borrowing::<(Reader<'_>, SamplesMut<'_>)>();
     #[cfg(feature = "image")]
     check::<(ssplat::SsplatDecoder<std::fs::File>, ssplat::SsplatEncoder<Vec<u8>>)>();

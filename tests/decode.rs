@@ -6,7 +6,7 @@ mod synthetic;
 use ssplat::unstable::bitstream::{read, to_bytes};
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
 use ssplat::unstable::{decode, decode_into, encode};
-use ssplat::{Channels, Damage, Error, Image, Limits, Pixels, Reader, Samples, Target};
+use ssplat::{Channels, Damage, Error, Limits, Pixels, Reader, Samples, SplatImage, Target};
 use ssplat::{Renderer, SamplesMut, View};
 
 fn picture() -> Pixels {
@@ -135,7 +135,7 @@ fn levels_out_of_range_are_parameter_errors() {
 fn an_opened_file_renders_every_view_like_decode() {
     let made = synthetic::Scene { size: [1024, 768], count: 40_000, ..Default::default() };
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
-    let opened = Image::from_bytes(&bytes, &Limits::default()).unwrap();
+    let opened = SplatImage::from_bytes(&bytes, &Limits::default()).unwrap();
     let mut memory = Vec::new();
     for (region, size) in
         [([0, 0, 1024, 768], [1024, 768]), ([100, 200, 300, 400], [300, 400]), ([5, 9, 800, 700], [70, 33])]
@@ -145,10 +145,10 @@ fn an_opened_file_renders_every_view_like_decode() {
         let want = decode(&bytes, &options).unwrap().pixels;
         let view = opened.view().crop(region[0], region[1], region[2], region[3]).unwrap();
         let view = view.resized(size[0], size[1]).unwrap();
-        assert!(opened.draw(&view).unwrap() == want, "{region:?}");
+        assert!(opened.render(&view).unwrap() == want, "{region:?}");
         // Into memory that still holds the previous view.
         memory.resize((size[0] * size[1] * 3) as usize, 0);
-        opened.draw_into(&view, SamplesMut::U8(&mut memory)).unwrap();
+        opened.render_into(&view, SamplesMut::U8(&mut memory)).unwrap();
         assert!(Samples::U8(memory.clone()) == *want.samples(), "{region:?}");
         memory.reverse();
         decode_into(&bytes, &options, SamplesMut::U8(&mut memory)).unwrap();
@@ -168,9 +168,9 @@ fn data_read_for_a_part_renders_only_that_part() {
     let inner = part.crop(20, 30, 100, 100).unwrap();
     let mut options = DecodeOptions::default();
     options.region = Some([320, 430, 100, 100]);
-    assert_eq!(opened.draw(&inner).unwrap(), decode(&bytes, &options).unwrap().pixels);
+    assert_eq!(opened.render(&inner).unwrap(), decode(&bytes, &options).unwrap().pixels);
     for beyond in [whole, whole.crop(299, 400, 10, 10).unwrap(), whole.crop(790, 990, 11, 10).unwrap()] {
-        assert!(matches!(opened.draw(&beyond), Err(Error::Parameter { name: "view", .. })), "{beyond:?}");
+        assert!(matches!(opened.render(&beyond), Err(Error::Parameter { name: "view", .. })), "{beyond:?}");
     }
 }
 
@@ -178,7 +178,7 @@ fn data_read_for_a_part_renders_only_that_part() {
 fn simultaneous_views_share_one_limit() {
     let made = synthetic::Scene { size: [512, 512], count: 5000, ..Default::default() };
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
-    let mut opened = Image::from_bytes(&bytes, &Limits::default()).unwrap();
+    let mut opened = SplatImage::from_bytes(&bytes, &Limits::default()).unwrap();
     // Enough for the picture and one renderer, but not for two.
     let mut alloc = 1 << 18;
     let one = loop {

@@ -10,7 +10,7 @@ use ssplat::View;
 use ssplat::unstable::bitstream::splats::PackedSplats;
 use ssplat::unstable::bitstream::{DetailHead, MissingParts, inspect, read, read_partial, to_bytes};
 use ssplat::unstable::{DecodeOptions, decode};
-use ssplat::{Channels, Damage, Depth, Error, Image, Layers, Limits, Pixels, Reader, Samples};
+use ssplat::{Channels, Damage, Depth, Error, Layers, Limits, Pixels, Reader, Samples, SplatImage};
 use synthetic::{Levels, Scene, scene, with_layer};
 
 /// A picture of six tiles with levels in most blocks.
@@ -31,7 +31,7 @@ fn small() -> Vec<u8> {
 
 fn draw(bytes: &[u8], view: &View, layers: Layers) -> Pixels {
     let opening = Reader::new(bytes, &Limits::default()).unwrap().showing(layers);
-    opening.read_for(view, Damage::Refuse).unwrap().draw(view).unwrap()
+    opening.read_for(view, Damage::Refuse).unwrap().render(view).unwrap()
 }
 
 fn samples(pixels: &Pixels) -> Vec<u16> {
@@ -242,7 +242,7 @@ fn an_empty_layer_of_a_huge_picture_costs_nothing_before_it_is_refused() {
     assert!(part.gaussians.len() == 1 && part.detail.is_none());
     let opening = Reader::new(&bytes, &limits).unwrap();
     let corner = opening.view().crop(0, 0, 10, 10).unwrap();
-    assert_eq!(opening.read_for(&corner, Damage::Accept).unwrap().draw(&corner).unwrap().width(), 10);
+    assert_eq!(opening.read_for(&corner, Damage::Accept).unwrap().render(&corner).unwrap().width(), 10);
 }
 
 /// A stream that is invalid only at its end has been read by then.
@@ -284,7 +284,7 @@ fn levels_of_invalid_tiles_count_as_work() {
 fn views_beyond_the_picture_do_not_depend_on_how_it_was_opened() {
     for channels in [Channels::Rgb, Channels::GreyAlpha] {
         let bytes = to_bytes(&large(channels)).unwrap();
-        let whole = Image::from_bytes(&bytes, &Limits::default()).unwrap();
+        let whole = SplatImage::from_bytes(&bytes, &Limits::default()).unwrap();
         let larger = View::of_size(4000, 3000);
         let mut seen = 0;
         for [x, y, width, height] in
@@ -292,7 +292,7 @@ fn views_beyond_the_picture_do_not_depend_on_how_it_was_opened() {
         {
             let part = larger.crop(x, y, width, height).unwrap();
             for view in [part, part.resized(13, 9).unwrap(), part.resized(70, 64).unwrap()] {
-                let (all, read) = (whole.draw(&view).unwrap(), draw(&bytes, &view, Layers::Both));
+                let (all, read) = (whole.render(&view).unwrap(), draw(&bytes, &view, Layers::Both));
                 assert!(all == read, "{channels:?}: {x}, {y}, {view:?}");
                 seen += usize::from(all != draw(&bytes, &view, Layers::Gaussians));
             }
@@ -318,7 +318,7 @@ fn work_of_a_distorted_view_is_counted() {
     let bytes = to_bytes(&large(Channels::Rgb)).unwrap();
     let mut limits = Limits::default();
     limits.work = 1 << 31;
-    let opened = Image::from_bytes(&bytes, &limits).unwrap();
+    let opened = SplatImage::from_bytes(&bytes, &limits).unwrap();
     let drawn = |width, height| opened.renderer(&opened.view().resized(width, height).unwrap()).map(drop);
     assert!(drawn(1, 1).is_ok() && drawn(2000, 1).is_ok() && drawn(1, 2000).is_ok());
     for (width, height) in [(1, 1 << 20), (1 << 20, 1)] {

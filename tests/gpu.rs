@@ -15,8 +15,8 @@ use ssplat::unstable::Recipe;
 use ssplat::unstable::bitstream::{DetailHead, to_bytes};
 use ssplat::unstable::raster::reference;
 use ssplat::{
-    Backend, Blend, Channels, Damage, Depth, Error, Gaussian, GpuError, Image, Layers, Limits, Picture, Pixels, Reader,
-    Samples, Target, Tune,
+    Backend, Blend, Channels, Damage, Depth, Error, Gaussian, Gaussians, GpuError, Layers, Limits, Pixels, Reader,
+    Samples, SplatImage, Target, Tune,
 };
 use std::ops::ControlFlow;
 
@@ -65,13 +65,13 @@ fn encoder(device: &Device) {
     assert!(matches!(refused, Err(Error::Gpu(GpuError::Unsupported { .. }))), "{refused:?}");
 }
 
-fn render(device: &Device, picture: &Picture, view: &View, depth: Depth) -> Vec<u16> {
+fn render(device: &Device, picture: &Gaussians, view: &View, depth: Depth) -> Vec<u16> {
     let mut renderer = Renderer::new(device, picture, &Limits::default()).unwrap();
     codes(renderer.render(view, depth).unwrap().into_samples())
 }
 
 /// Returns the largest difference to the definition, in code values.
-fn worst(device: &Device, picture: &Picture, view: &View, depth: Depth) -> u16 {
+fn worst(device: &Device, picture: &Gaussians, view: &View, depth: Depth) -> u16 {
     let want = reference::filtered(picture, view);
     let drawn = render(device, picture, view, depth);
     assert_eq!(drawn.len(), want.len());
@@ -109,7 +109,7 @@ fn sixteen_bits(device: &Device) {
 fn needles(device: &Device) {
     for blend in [Blend::Normalized, Blend::Sum] {
         let mut picture = scene(120, 90, 60, Channels::Rgb, blend, 1);
-        for g in &mut picture.gaussians {
+        for g in &mut picture.list {
             // The maximum aspect of the encoder.
             g.scale = [60.0, 0.6];
         }
@@ -136,7 +136,7 @@ fn regions_and_sizes(device: &Device) {
 
 fn reduced(device: &Device) {
     let mut picture = scene(160, 110, 400, Channels::Rgb, Blend::Normalized, 1);
-    for g in &mut picture.gaussians[..20] {
+    for g in &mut picture.list[..20] {
         // The maximum aspect of the encoder; the variance that the low-pass filter adds to one axis hides the last
         // digits of the other.
         g.scale = [60.0, 0.6];
@@ -177,14 +177,14 @@ fn layered(channels: Channels, depth: Depth, blend: Blend, size: [u32; 2]) -> Ve
     to_bytes(&with_layer(ground, head, Levels::new(71))).unwrap()
 }
 
-fn opened(bytes: &[u8], layers: Layers) -> Image {
+fn opened(bytes: &[u8], layers: Layers) -> SplatImage {
     Reader::new(bytes, &Limits::default()).unwrap().showing(layers).read(Damage::Refuse).unwrap()
 }
 
 /// Returns the largest difference between the GPU's and the CPU's rendering of `view`, in code values, and whether the
 /// layer is visible in it.
-fn apart(device: &Device, opened: &mut Image, view: &View) -> (u16, bool) {
-    let draw = |opened: &Image| codes(opened.draw(view).unwrap().into_samples());
+fn apart(device: &Device, opened: &mut SplatImage, view: &View) -> (u16, bool) {
+    let draw = |opened: &SplatImage| codes(opened.render(view).unwrap().into_samples());
     let cpu = draw(opened);
     let depth = opened.splats().depth;
     let (count, alpha) = (opened.splats().channels.count(), opened.splats().channels.alpha());
@@ -374,7 +374,7 @@ fn read(device: &Device, buffer: &wgpu::Buffer) -> Vec<u8> {
 
 fn empty(device: &Device) {
     let mut picture = scene(20, 20, 1, Channels::Rgb, Blend::Normalized, 1);
-    picture.gaussians.clear();
+    picture.list.clear();
     assert_eq!(render(device, &picture, &View::full(&picture), Depth::Eight)[..3], [102, 179, 51]);
 }
 
@@ -388,7 +388,7 @@ fn bad_primitives(device: &Device) {
     ];
     for spoil in spoil {
         let mut picture = picture.clone();
-        spoil(&mut picture.gaussians[1]);
+        spoil(&mut picture.list[1]);
         let made = Renderer::new(device, &picture, &Limits::default());
         assert!(matches!(made, Err(Error::Parameter { name: "gaussians", .. })), "{made:?}");
     }

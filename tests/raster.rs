@@ -9,19 +9,19 @@ use std::f32::consts::FRAC_PI_2;
 use scenes::{Random, codes, scene};
 use ssplat::unstable::bitstream::splats::Steps;
 use ssplat::unstable::raster::reference;
-use ssplat::{Blend, Channels, Depth, Error, Gaussian, Limits, Picture, Samples};
+use ssplat::{Blend, Channels, Depth, Error, Gaussian, Gaussians, Limits, Samples};
 use ssplat::{Renderer, SamplesMut, View};
 
-fn picture(width: u32, height: u32, channels: Channels, blend: Blend, gaussians: Vec<Gaussian>) -> Picture {
-    Picture { width, height, channels, blend, background: [0.4, 0.7, 0.2, 0.9], gaussians }
+fn picture(width: u32, height: u32, channels: Channels, blend: Blend, gaussians: Vec<Gaussian>) -> Gaussians {
+    Gaussians { width, height, channels, blend, background: [0.4, 0.7, 0.2, 0.9], list: gaussians }
 }
 
-fn render(picture: &Picture, view: &View, depth: Depth) -> Vec<u16> {
+fn render(picture: &Gaussians, view: &View, depth: Depth) -> Vec<u16> {
     codes(Renderer::new(picture, view, &Limits::default()).unwrap().render(depth).unwrap().into_samples())
 }
 
 /// Returns the largest difference to the reference at `depth`, in code values.
-fn worst(picture: &Picture, view: &View, depth: Depth) -> u16 {
+fn worst(picture: &Gaussians, view: &View, depth: Depth) -> u16 {
     let drawn = render(picture, view, depth);
     let want = reference::filtered(picture, view);
     assert_eq!(drawn.len(), want.len());
@@ -30,7 +30,7 @@ fn worst(picture: &Picture, view: &View, depth: Depth) -> u16 {
 
 /// Returns the PSNR of a reduced `view` of the whole picture against the averages of the full view's pixels that each
 /// of its pixels covers, dB.
-fn psnr_to_averages(picture: &Picture, view: &View) -> f64 {
+fn psnr_to_averages(picture: &Gaussians, view: &View) -> f64 {
     let drawn = render(picture, view, Depth::Sixteen);
     let full = View::full(picture);
     let pixels = render(picture, &full, Depth::Sixteen);
@@ -151,7 +151,7 @@ fn sparse_pictures_with_small_weight_sums_are_within_one_code_value() {
     // One Gaussian per 40 × 40 pixels, with scales that leave most pixels with Σw below 0.02.
     for seed in 0..20 {
         let mut p = scene(160, 120, 12, Channels::Rgb, Blend::Normalized, seed);
-        for g in &mut p.gaussians {
+        for g in &mut p.list {
             g.color = [-4.0, 4.0, 2.0, 0.0];
         }
         assert!(worst(&p, &View::full(&p), Depth::Eight) <= 1, "seed {seed}");
@@ -159,7 +159,7 @@ fn sparse_pictures_with_small_weight_sums_are_within_one_code_value() {
 }
 
 /// A picture of any valid integers: narrow, huge and tiny Gaussians, colours up to the ends of their range.
-fn legal(seed: u64, count: usize, blend: Blend, channels: Channels) -> Picture {
+fn legal(seed: u64, count: usize, blend: Blend, channels: Channels) -> Gaussians {
     let mut random = synthetic::Random(seed);
     let steps = Steps {
         scale: random.below(16) as u8,
@@ -199,7 +199,7 @@ fn the_largest_valid_colours_are_within_tolerance_at_16_bits() {
             // The terms of the sum blend without their signs.
             let mut amounts = p.clone();
             amounts.background = p.background.map(f32::abs);
-            amounts.gaussians.iter_mut().for_each(|g| g.color = g.color.map(f32::abs));
+            amounts.list.iter_mut().for_each(|g| g.color = g.color.map(f32::abs));
             let amounts = reference::sample(&amounts, &view);
             for ((got, want), amount) in drawn.into_iter().zip(want).zip(amounts) {
                 let most = if blend == Blend::Sum { (amount / 16.0).max(1.0) } else { 1.0 };
@@ -237,8 +237,8 @@ fn reduced_views_are_within_one_code_value_of_their_definition() {
     for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
         for blend in [Blend::Normalized, Blend::Sum] {
             let mut p = scene(150, 131, 60, channels, blend, 31);
-            p.gaussians.push(one([70.0, 60.0], [400.0, 0.25], 0.7));
-            p.gaussians.push(one([20.0, 90.0], [0.25, 0.25], 0.0));
+            p.list.push(one([70.0, 60.0], [400.0, 0.25], 0.7));
+            p.list.push(one([20.0, 90.0], [0.25, 0.25], 0.0));
             for (w, h) in sizes {
                 let view = View::full(&p).resized(w, h).unwrap();
                 let want = reference::filtered(&p, &view);
@@ -284,7 +284,7 @@ fn reduced_views_are_close_to_the_averages_of_the_full_view() {
     // Spaced by 7 pixels as at a ratio of 50, with scales down to the smallest.
     for (blend, seed) in [(Blend::Normalized, 12), (Blend::Sum, 13)] {
         let mut p = scene(768, 512, 8000, Channels::Rgb, blend, seed);
-        for g in &mut p.gaussians {
+        for g in &mut p.list {
             g.color = g.color.map(|c| if blend == Blend::Sum { 0.2 * c } else { c });
         }
         let full = View::full(&p);
@@ -297,7 +297,7 @@ fn reduced_views_are_close_to_the_averages_of_the_full_view() {
 
 /// An opaque white disc on a transparent red (or black) background. It has no fringe at full size, because the white
 /// continues for a few pixels beyond the disc.
-fn logo(channels: Channels) -> Picture {
+fn logo(channels: Channels) -> Gaussians {
     let hidden = if channels == Channels::Rgba { [1.0, 0.0, 0.0, 0.0] } else { [0.0; 4] };
     let mut p = picture(96, 96, channels, Blend::Normalized, Vec::new());
     p.background = hidden;
@@ -306,7 +306,7 @@ fn logo(channels: Channels) -> Picture {
         let radius = (mean[0] - 48.0).hypot(mean[1] - 48.0);
         let mut color = if radius < 34.0 { [1.0; 4] } else { hidden };
         color[channels.count() - 1] = f32::from(radius < 28.0);
-        p.gaussians.push(Gaussian { mean, scale: [1.0; 2], rotation: 0.0, color });
+        p.list.push(Gaussian { mean, scale: [1.0; 2], rotation: 0.0, color });
     }
     p
 }
@@ -399,8 +399,8 @@ fn tile_pairs_of_reduced_views_are_those_of_their_samples() {
 #[test]
 fn every_division_into_parts_gives_the_same_bits() {
     let mut p = scene(401, 277, 900, Channels::Rgb, Blend::Normalized, 5);
-    p.gaussians.push(one([200.0, 100.0], [900.0, 0.4], 0.61));
-    p.gaussians.push(one([-50.0, 300.0], [300.0, 200.0], 2.0));
+    p.list.push(one([200.0, 100.0], [900.0, 0.4], 0.61));
+    p.list.push(one([-50.0, 300.0], [300.0, 200.0], 2.0));
     let full = View::full(&p);
     let sizes = [(401, 277), (1000, 300), (300, 200), (150, 90), (40, 200), (31, 23), (13, 9)];
     for view in sizes.map(|(w, h)| full.resized(w, h).unwrap()) {
@@ -471,8 +471,8 @@ fn primitives_outside_the_view_do_not_change_it() {
     let mut p = scene(200, 100, 200, Channels::Rgb, Blend::Normalized, 9);
     let view = View::full(&p).crop(64, 32, 70, 40).unwrap();
     let before = render(&p, &view, Depth::Sixteen);
-    p.gaussians.push(one([1000.0, 1000.0], [100.0, 50.0], 0.3));
-    p.gaussians.insert(0, one([-1e6, 40.0], [1000.0, 1.0], 0.0));
+    p.list.push(one([1000.0, 1000.0], [100.0, 50.0], 0.3));
+    p.list.insert(0, one([-1e6, 40.0], [1000.0, 1.0], 0.0));
     assert_eq!(before, render(&p, &view, Depth::Sixteen));
 }
 

@@ -288,7 +288,7 @@ impl Workers for Elsewhere<'_> {
         Ok(())
     }
 
-    fn next(&mut self) -> ssplat::Result<Vec<u8>> {
+    fn receive(&mut self) -> ssplat::Result<Vec<u8>> {
         let answer = work_on(&self.out.pop_front().unwrap())?;
         self.taken += 1;
         Ok((self.change)(self.taken - 1, answer))

@@ -5,7 +5,9 @@ use std::io::Read;
 use std::path::Path;
 
 use image::metadata::Orientation;
-use ssplat::{Channels, Damage, Decoder, Depth, Image, Limits, Metadata, Reader, Renderer, Samples, SamplesMut, View};
+use ssplat::{
+    Channels, Damage, Decoder, Depth, Limits, Metadata, Reader, Renderer, Samples, SamplesMut, SplatImage, View,
+};
 
 use crate::failure::{Failure, Outcome, ssplat_status};
 
@@ -44,7 +46,7 @@ pub struct Session {
     pub damage: Damage,
     bytes: Option<Vec<u8>>,
     /// The whole picture, once it has been preloaded.
-    image: Option<Image>,
+    image: Option<SplatImage>,
 }
 
 impl Session {
@@ -103,7 +105,7 @@ impl Session {
             size: [reader.width(), reader.height()],
             channels: reader.channels(),
             depth: reader.depth(),
-            gaussians: reader.gaussians(),
+            gaussians: reader.primitives(),
             orientation: orientation.unwrap_or(Orientation::NoTransforms).to_exif(),
         })
     }

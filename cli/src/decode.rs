@@ -9,7 +9,7 @@ use serde_json::json;
 use ssplat::unstable::bitstream::MissingParts;
 use ssplat::unstable::bitstream::header::Header;
 use ssplat::unstable::bitstream::splats::Metadata;
-use ssplat::{Backend, Channels, Damage, Depth, Image, Limits, Pixels, Reader, Samples};
+use ssplat::{Backend, Channels, Damage, Depth, Limits, Pixels, Reader, Samples, SplatImage};
 use ssplat::{Renderer, SamplesMut, View};
 
 use crate::batch::{self, Command, Done, Fate, OutputMode, Show};
@@ -105,7 +105,7 @@ fn one(args: &args::Decode, task: &Task, format: Format, show: &Show) -> Result<
             (pixels, device) = on_gpu(&opened, &view).map_err(failed)?;
             pixels
         } else {
-            opened.draw(&view).map_err(failed)?
+            opened.render(&view).map_err(failed)?
         };
         let source = shown(pixels, opened.into_metadata(), background, orientation).map_err(failed)?;
         shape = (source.pixels.width(), source.pixels.height());
@@ -245,7 +245,7 @@ fn losses(metadata: &Metadata, missing: MissingParts, of: u32) -> Vec<String> {
 
 /// Renders the whole view on a GPU. Returns the pixels and the name of the GPU.
 #[cfg(feature = "gpu")]
-fn on_gpu(opened: &Image, view: &View) -> ssplat::Result<(Pixels, String)> {
+fn on_gpu(opened: &SplatImage, view: &View) -> ssplat::Result<(Pixels, String)> {
     use ssplat::gpu::{Adapters, Device, Renderer};
     let device = Device::open(Adapters::Any)?;
     let pixels = Renderer::of(&device, opened)?.render(view, opened.splats().depth)?;
@@ -253,7 +253,7 @@ fn on_gpu(opened: &Image, view: &View) -> ssplat::Result<(Pixels, String)> {
 }
 
 #[cfg(not(feature = "gpu"))]
-fn on_gpu(_: &Image, _: &View) -> ssplat::Result<(Pixels, String)> {
+fn on_gpu(_: &SplatImage, _: &View) -> ssplat::Result<(Pixels, String)> {
     Err(ssplat::GpuError::NotBuilt.into())
 }
 

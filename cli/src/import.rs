@@ -45,7 +45,7 @@ pub fn run(args: &args::Import) -> Result<(), Failure> {
         Error::Parameter { name, .. } if name != "bytes" => broken(&args.input, Kind::Format, &e.to_string()),
         e => Failure::library(&args.input, &e),
     })?;
-    let left_out = parameters.picture.gaussians.len() - splats.gaussians.len();
+    let left_out = parameters.picture.list.len() - splats.gaussians.len();
     if left_out > 0 {
         tell(&format!(
             "{}: {left_out} Gaussians do not reach the picture and are left out",

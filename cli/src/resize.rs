@@ -149,7 +149,7 @@ impl<'a> Resize<'a> {
     fn add<T: Copy + Into<usize>>(&self, samples: &[T], sums: &mut [f32]) {
         let channels = self.source.channels();
         let (count, colors) = (channels.count(), self.curves.len());
-        let max = self.source.depth().max();
+        let max = f32::from(self.source.depth().max());
         for line in samples.chunks_exact(self.source.width() as usize * count) {
             let blocks = line.chunks(self.block[0] as usize * count).zip(sums.chunks_exact_mut(count));
             for (pixels, sum) in blocks {
@@ -170,7 +170,7 @@ impl<'a> Resize<'a> {
     /// Converts filtered samples to code values.
     fn codes(&self, means: &[f32]) -> Vec<u16> {
         let channels = self.source.channels();
-        let max = self.source.depth().max();
+        let max = f32::from(self.source.depth().max());
         let mut codes = Vec::with_capacity(means.len());
         for mean in means.chunks_exact(channels.count()) {
             let alpha = channels.alpha().map(|k| (mean[k].clamp(0.0, 1.0), (mean[k].clamp(0.0, 1.0) * max).round()));
@@ -208,7 +208,8 @@ impl Curve {
     fn new(curve: &ToneReprCurve, depth: Depth) -> Option<Curve> {
         let evaluator = curve.make_linear_evaluator().ok()?;
         let max = depth.max();
-        let light: Vec<f32> = (0..=max as u16).map(|code| evaluator.evaluate_value(f32::from(code) / max)).collect();
+        let light: Vec<f32> =
+            (0..=max).map(|code| evaluator.evaluate_value(f32::from(code) / f32::from(max))).collect();
         let is_sound = light.iter().all(|v| v.is_finite()) && light.is_sorted() && light.first() < light.last();
         is_sound.then_some(Curve { light })
     }

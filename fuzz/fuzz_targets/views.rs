@@ -8,7 +8,7 @@ use peak_alloc::PeakAlloc;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::bitstream::to_bytes;
 use ssplat::unstable::{DecodeOptions, decode, thumbnail};
-use ssplat::{Damage, Image, Limits, PixelSource};
+use ssplat::{Damage, Limits, PixelSource, SplatImage};
 use ssplat_fuzz::{Legal, SLACK};
 
 #[global_allocator]
@@ -109,7 +109,7 @@ fuzz_target!(|input: Input| {
     options.damage = Damage::Accept;
     measured(|| drop(decode(&bytes, &options)));
     measured(|| {
-        let Ok(opened) = Image::from_bytes(&bytes, &limits()) else { return };
+        let Ok(opened) = SplatImage::from_bytes(&bytes, &limits()) else { return };
         let mut view = opened.view();
         for step in &input.steps {
             let next = match *step {
@@ -118,7 +118,7 @@ fuzz_target!(|input: Input| {
             };
             view = next.unwrap_or(view);
         }
-        drop(opened.draw(&view));
+        drop(opened.render(&view));
     });
     let (Some(region), None) = (input.region, input.size) else { return };
     (options.damage, options.region) = (Damage::Refuse, None);

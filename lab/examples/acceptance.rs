@@ -112,7 +112,7 @@ fn corner(file: &[u8], size: &mut [u32; 2]) -> ssplat::Result<Vec<u8>> {
     let view = view.crop(0, 0, size[0], size[1])?;
     let opened = opening.read_for(&view, Damage::Refuse)?;
     let mut samples = vec![0; size[0] as usize * size[1] as usize * count];
-    opened.draw_into(&view, SamplesMut::U8(&mut samples))?;
+    opened.render_into(&view, SamplesMut::U8(&mut samples))?;
     let rgba = samples.chunks_exact(count).flat_map(|s| match *s {
         [grey] => [grey, grey, grey, 255],
         [grey, alpha] => [grey, grey, grey, alpha],

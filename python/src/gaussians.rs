@@ -8,7 +8,7 @@ use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyDict};
 use ssplat::unstable::bitstream::splats::{PackedGaussian, PackedSplats, Steps};
 use ssplat::unstable::{PackOptions, Precision, bitstream};
-use ssplat::{Channels, Damage, Depth, Error, Gaussian, Layers, Picture, Reader};
+use ssplat::{Channels, Damage, Depth, Error, Gaussian, Gaussians, Layers, Reader};
 
 use crate::failure::{integer, parameter};
 use crate::{decode, info, names, work};
@@ -93,17 +93,17 @@ pub struct Options {
 }
 
 impl Options {
-    fn picture(&self, gaussians: Vec<Gaussian>, channels: Channels) -> PyResult<Picture> {
+    fn picture(&self, gaussians: Vec<Gaussian>, channels: Channels) -> PyResult<Gaussians> {
         if self.background.len() != channels.count() {
             return Err(parameter("background", format!("{:?} is not a colour of {channels:?}", self.background)));
         }
-        Ok(Picture {
+        Ok(Gaussians {
             width: integer("width", self.width)?,
             height: integer("height", self.height)?,
             channels,
             blend: names::value("blend", &names::BLENDS, &self.blend)?,
             background: std::array::from_fn(|k| self.background.get(k).copied().unwrap_or(0.0)),
-            gaussians,
+            list: gaussians,
         })
     }
 

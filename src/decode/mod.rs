@@ -1,4 +1,4 @@
-//! Bytes to pixels: [`Decoder`] decodes one picture at a time; [`Image`] is a file that can be rendered repeatedly.
+//! Bytes to pixels: [`Decoder`] decodes one picture at a time; [`SplatImage`] is a file that can be rendered repeatedly.
 
 mod decoder;
 mod reader;
@@ -7,7 +7,7 @@ mod thumbnail;
 pub use decoder::Decoder;
 #[cfg(feature = "gpu")]
 pub(crate) use reader::check_area;
-pub use reader::{Image, Reader};
+pub use reader::{Reader, SplatImage};
 pub use thumbnail::thumbnail;
 
 use crate::bitstream::MissingParts;
@@ -64,7 +64,7 @@ pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -
         });
     }
     let opened = opening.read_for(&view, options.damage)?;
-    opened.draw_into(&view, out)?;
+    opened.render_into(&view, out)?;
     let missing = opened.missing();
     Ok((opened.into_metadata(), missing))
 }

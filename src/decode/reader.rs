@@ -28,7 +28,7 @@ use crate::raster::{Canvas, Overlay, Renderer, SamplesMut, View};
 /// let scale = 256.0 / f64::from(whole.width().max(whole.height()));
 /// let [width, height] = [whole.width(), whole.height()].map(|side| (f64::from(side) * scale).ceil() as u32);
 /// let thumbnail = whole.resized(width, height)?;
-/// let pixels = opening.read_for(&thumbnail, Damage::Refuse)?.draw(&thumbnail)?;
+/// let pixels = opening.read_for(&thumbnail, Damage::Refuse)?.render(&thumbnail)?;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
@@ -47,24 +47,24 @@ pub struct Reader<'a> {
 /// integers and of everything that is rendered from them at the same time.
 ///
 /// ```
-/// use ssplat::{Channels, Encoder, Image, Limits, Pixels, Samples, SamplesMut};
+/// use ssplat::{Channels, Encoder, SplatImage, Limits, Pixels, Samples, SamplesMut};
 ///
 /// # let samples = (0..64 * 48 * 3).map(|i| (i / 3 % 64 * 2 + i / 192) as u8).collect();
 /// # let pixels = Pixels::new(64, 48, Channels::Rgb, Samples::U8(samples))?;
 /// # let bytes = Encoder::new().bytes(300).effort(1).encode(&pixels)?.bytes;
-/// let opened = Image::from_bytes(&bytes, &Limits::default())?;
+/// let opened = SplatImage::from_bytes(&bytes, &Limits::default())?;
 /// let whole = opened.view();
 /// let icc = opened.metadata().icc.as_deref();
 ///
 /// // The left half, at twice the size.
 /// let half = whole.crop(0, 0, 32, 48)?.resized(64, 96)?;
-/// let enlarged = opened.draw(&half)?;
+/// let enlarged = opened.render(&half)?;
 /// assert_eq!((enlarged.width(), enlarged.height()), (64, 96));
 ///
 /// // A pan over the picture: every frame is drawn into the same memory.
 /// let mut frame = vec![0; 16 * 16 * 3];
 /// for x in 0..48 {
-///     opened.draw_into(&whole.crop(x, 8, 16, 16)?, SamplesMut::U8(&mut frame))?;
+///     opened.render_into(&whole.crop(x, 8, 16, 16)?, SamplesMut::U8(&mut frame))?;
 /// }
 ///
 /// // Row by row, for a writer that needs no more: the view is sorted into tiles once and drawn band by band.
@@ -77,7 +77,7 @@ pub struct Reader<'a> {
 /// # Ok::<(), ssplat::Error>(())
 /// ```
 #[derive(Debug)]
-pub struct Image {
+pub struct SplatImage {
     splats: PackedSplats,
     missing: MissingParts,
     /// The area that was read and can be rendered; `None` is the whole picture.
@@ -143,8 +143,8 @@ impl<'a> Reader<'a> {
 
     /// Returns the number of Gaussians.
     #[must_use]
-    #[doc(alias("primitives", "splats"))]
-    pub fn gaussians(&self) -> u32 {
+    #[doc(alias("gaussians", "splats"))]
+    pub fn primitives(&self) -> u32 {
         self.header.primitives
     }
 
@@ -177,7 +177,7 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// [`Error::Format`] for a file that cannot be read, and [`Error::LimitExceeded`] if reading would take too much
     /// memory. With [`Damage::Accept`], truncated and damaged groups are not errors.
-    pub fn read(self, damage: Damage) -> Result<Image> {
+    pub fn read(self, damage: Damage) -> Result<SplatImage> {
         self.read_area(None, damage)
     }
 
@@ -188,14 +188,14 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// As [`Reader::read`], and [`Error::LimitExceeded`] if the pixels of `view` alone would take too much memory.
     #[doc(alias("region", "crop"))]
-    pub fn read_for(self, view: &View, damage: Damage) -> Result<Image> {
+    pub fn read_for(self, view: &View, damage: Damage) -> Result<SplatImage> {
         let samples = u64::from(view.width()) * u64::from(view.height()) * self.header.channels.count() as u64;
         // Do not read a picture whose pixels do not fit into the limits.
         self.budget.check(samples * self.header.depth.bytes() as u64)?;
         self.read_area(Some(view.area().into()), damage)
     }
 
-    fn read_area(self, area: Option<Area>, damage: Damage) -> Result<Image> {
+    fn read_area(self, area: Option<Area>, damage: Damage) -> Result<SplatImage> {
         let Reader { header, rest, limits, budget, layers } = self;
         let reading = Reading { limits: &limits, budget: &budget, layers };
         let (splats, missing, area) = match damage {
@@ -214,11 +214,11 @@ impl<'a> Reader<'a> {
         let Metadata { damaged, .. } = &splats.metadata;
         let carried: usize = splats.metadata.sections().map(|(_, contents)| contents.len()).sum();
         let described = budget.reserve((carried + size_of_val(&damaged[..])) as u64)?;
-        Ok(Image { splats, missing, area, limits, budget, layers, integers, described })
+        Ok(SplatImage { splats, missing, area, limits, budget, layers, integers, described })
     }
 }
 
-impl Image {
+impl SplatImage {
     /// Reads the whole file `bytes`. [`Reader`] reads parts of files and damaged files.
     ///
     /// # Errors
@@ -231,7 +231,7 @@ impl Image {
     /// Reads a whole file from `reader`, up to its end. No more bytes are read than `limits` allow in memory.
     ///
     /// # Errors
-    /// As [`Image::from_bytes`], and [`Error::Io`] from the reader.
+    /// As [`SplatImage::from_bytes`], and [`Error::Io`] from the reader.
     pub fn read_from(mut reader: impl std::io::Read, limits: &Limits) -> Result<Self> {
         let header = Header::read(&mut reader, limits)?;
         let rest = read_rest(reader, limits)?;
@@ -282,9 +282,9 @@ impl Image {
     /// Renders `view` with the channels and the depth of the file.
     ///
     /// # Errors
-    /// As [`Image::renderer`], and [`Error::LimitExceeded`] if the pixels would take too much memory.
-    #[doc(alias("render", "rasterize", "decode"))]
-    pub fn draw(&self, view: &View) -> Result<Pixels> {
+    /// As [`SplatImage::renderer`], and [`Error::LimitExceeded`] if the pixels would take too much memory.
+    #[doc(alias("draw", "rasterize", "decode"))]
+    pub fn render(&self, view: &View) -> Result<Pixels> {
         self.renderer(view)?.render(self.splats.depth)
     }
 
@@ -292,14 +292,13 @@ impl Image {
     /// of `out` for several pictures saves the time of allocating it.
     ///
     /// # Errors
-    /// As [`Image::renderer`].
+    /// As [`SplatImage::renderer`].
     ///
     /// # Panics
     /// If `out` does not have exactly width × height × channels samples.
     // Inlined, so that a program that uses one depth does not contain the kernels of the other.
     #[inline(always)]
-    #[doc(alias = "render_into")]
-    pub fn draw_into(&self, view: &View, out: SamplesMut<'_>) -> Result<()> {
+    pub fn render_into(&self, view: &View, out: SamplesMut<'_>) -> Result<()> {
         self.renderer(view)?.render_into(out);
         Ok(())
     }

@@ -24,7 +24,7 @@ pub fn thumbnail(bytes: &[u8], within: [u32; 2], limits: &Limits) -> Result<Deco
         return Ok(small);
     }
     let opened = opening.read_for(&view, Damage::Refuse)?;
-    let (pixels, missing) = (opened.draw(&view)?, opened.missing());
+    let (pixels, missing) = (opened.render(&view)?, opened.missing());
     Ok(Decoded { pixels, metadata: opened.into_metadata(), missing })
 }
 
@@ -44,7 +44,7 @@ fn from_thumbnail(opening: &Reader<'_>, [width, height]: [u32; 2], limits: &Limi
             return None;
         }
         let view = small.view().resized(width, height).ok()?;
-        small.read_for(&view, Damage::Refuse).ok()?.draw(&view).ok()
+        small.read_for(&view, Damage::Refuse).ok()?.render(&view).ok()
     };
     Ok(draw().map(|pixels| Decoded { pixels, metadata, missing: MissingParts::default() }))
 }

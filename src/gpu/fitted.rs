@@ -16,7 +16,7 @@ use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::plan::Plan;
 use crate::fit::state::State;
-use crate::gaussian::{Blend, Picture};
+use crate::gaussian::{Blend, Gaussians};
 use crate::pixels::Pixels;
 
 /// Result of a fit.
@@ -24,7 +24,7 @@ use crate::pixels::Pixels;
 #[non_exhaustive]
 pub struct Fitted {
     /// The picture, before any quantization.
-    pub picture: Picture,
+    pub picture: Gaussians,
     /// PSNR of its clamped values against the pixels, dB.
     pub psnr: f64,
     /// Seconds before the first step: initialization on the CPU, and copying the data to the device.
@@ -137,13 +137,13 @@ pub fn fit(
     let psnr = -10.0 * (fitter.error(&problem)? / samples).log10();
     let bands = fitter.sizes();
     let gaussians = fitter.primitives()?.into_iter().map(Primitive::to_gaussian).collect();
-    let picture = Picture {
+    let picture = Gaussians {
         width: scene.width,
         height: scene.height,
         channels: pixels.channels(),
         blend,
         background: scene.background,
-        gaussians,
+        list: gaussians,
     };
     Ok(Fitted { picture, psnr, setup_seconds, seconds, bands })
 }

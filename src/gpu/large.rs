@@ -22,7 +22,7 @@ use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::{removal, sample};
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::state::State;
-use crate::gaussian::{Blend, Channels, Picture};
+use crate::gaussian::{Blend, Channels, Gaussians};
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::raster::{self, View};
 use crate::{Limits, parallel};
@@ -120,8 +120,14 @@ fn fit_and_draw(count: usize, rows: u32) {
 
     let gaussians = fitter.primitives().unwrap().into_iter().map(Primitive::to_gaussian).collect();
     let background = scene.background;
-    let picture =
-        Picture { width: WIDTH, height: HEIGHT, channels: Channels::Rgb, blend: scene.blend, background, gaussians };
+    let picture = Gaussians {
+        width: WIDTH,
+        height: HEIGHT,
+        channels: Channels::Rgb,
+        blend: scene.blend,
+        background,
+        list: gaussians,
+    };
     let mut renderer = Renderer::new(&device, &picture, &Limits::default()).unwrap();
     let view = View::full(&picture).crop(0, 0, WIDTH, rows).unwrap();
     last = Instant::now();

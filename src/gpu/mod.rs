@@ -8,9 +8,9 @@
 //!
 //! ```no_run
 //! use ssplat::gpu::{Adapters, Device, Renderer};
-//! use ssplat::{Depth, Limits, Image};
+//! use ssplat::{Depth, Limits, SplatImage};
 //!
-//! let opened = Image::from_bytes(&std::fs::read("photo.ssplat")?, &Limits::default())?;
+//! let opened = SplatImage::from_bytes(&std::fs::read("photo.ssplat")?, &Limits::default())?;
 //! let device = Device::open(Adapters::Hardware)?;
 //! let mut renderer = Renderer::of(&device, &opened)?;
 //! let pixels = renderer.render(&opened.view(), Depth::Eight)?;

@@ -8,9 +8,9 @@ use super::scene::Splat;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
 use crate::bitstream::area::Area;
 use crate::budget::Budget;
-use crate::decode::{Image, check_area};
+use crate::decode::{SplatImage, check_area};
 use crate::error::{Error, GpuError, Result};
-use crate::gaussian::{Blend, Channels, Gaussian, MAX_SCALE, Picture};
+use crate::gaussian::{Blend, Channels, Gaussian, Gaussians, MAX_SCALE};
 use crate::limits::Limits;
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::raster::{self, Overlay, View};
@@ -92,20 +92,20 @@ impl Renderer {
     /// # Errors
     /// [`Error::LimitExceeded`] if `limits` do not allow its primitives; [`Error::Parameter`] if one of them is not
     /// finite or has a scale outside `0..=2²⁰`; [`Error::Gpu`] if the device fails or does not have enough memory.
-    pub fn new(device: &Device, picture: &Picture, limits: &Limits) -> Result<Self> {
+    pub fn new(device: &Device, picture: &Gaussians, limits: &Limits) -> Result<Self> {
         let canvas =
             raster::Canvas { channels: picture.channels, blend: picture.blend, background: picture.background };
-        let gaussians = (picture.gaussians.len(), |i: usize| picture.gaussians[i]);
+        let gaussians = (picture.list.len(), |i: usize| picture.list[i]);
         Renderer::on(device, &canvas, gaussians, limits, &Budget::of(limits))
     }
 
-    /// Copies the [shown](Image::show) layers of an opened file to `device`. The file may be dropped afterwards;
+    /// Copies the [shown](SplatImage::show) layers of an opened file to `device`. The file may be dropped afterwards;
     /// rendering reserves memory from its account ([`Limits::alloc`]). The additions of a detail layer are computed on
     /// the CPU when a view is rendered.
     ///
     /// # Errors
     /// As [`Renderer::new`], with the limits of `opened`.
-    pub fn of(device: &Device, opened: &Image) -> Result<Self> {
+    pub fn of(device: &Device, opened: &SplatImage) -> Result<Self> {
         let (layers, area, limits, budget) = opened.render_context();
         let splats = opened.splats();
         let (canvas, count) = splats.canvas(layers);

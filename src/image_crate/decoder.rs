@@ -17,7 +17,7 @@ use image::{ColorType, ImageDecoder, ImageError, ImageResult, LimitSupport};
 
 use crate::bitstream::header::{Header, MAGIC};
 use crate::bitstream::read_rest;
-use crate::decode::{Image, Reader};
+use crate::decode::{Reader, SplatImage};
 use crate::error::{Error, Result};
 use crate::gaussian::Channels;
 use crate::limits::Limits;
@@ -58,7 +58,7 @@ pub struct SsplatDecoder<R> {
     header: Header,
     limits: Limits,
     /// The whole file, once anything after the header has been needed.
-    opened: Option<Image>,
+    opened: Option<SplatImage>,
 }
 
 impl<R: Read> SsplatDecoder<R> {
@@ -74,7 +74,7 @@ impl<R: Read> SsplatDecoder<R> {
     }
 
     /// Returns the file, which is read on first use.
-    fn opened(&mut self) -> ImageResult<&mut Image> {
+    fn opened(&mut self) -> ImageResult<&mut SplatImage> {
         let opened = match self.opened.take() {
             Some(opened) => opened,
             None => self.read().map_err(decoding_error)?,
@@ -82,7 +82,7 @@ impl<R: Read> SsplatDecoder<R> {
         Ok(self.opened.insert(opened))
     }
 
-    fn read(&mut self) -> Result<Image> {
+    fn read(&mut self) -> Result<SplatImage> {
         let rest = read_rest(&mut self.reader, &self.limits)?;
         Reader::with_header(self.header.clone(), &rest, &self.limits).read(Damage::Refuse)
     }

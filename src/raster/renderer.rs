@@ -10,7 +10,7 @@ use crate::bitstream::detail::levels::TILE;
 use crate::budget::Budget;
 use crate::detail::supers::Supers;
 use crate::error::{Error, Result};
-use crate::gaussian::{Blend, Channels, Gaussian, Picture};
+use crate::gaussian::{Blend, Channels, Gaussian, Gaussians};
 use crate::limits::Limits;
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::simd;
@@ -74,9 +74,9 @@ impl Renderer {
     /// [`Error::LimitExceeded`] if primitives, (Gaussian, tile) pairs, work or memory exceed `limits`; this is checked
     /// before memory is allocated. [`Error::Parameter`] if a primitive is not finite or has a scale of zero, or if a
     /// side of the view is 0 or over 2²⁰.
-    pub fn new(picture: &Picture, view: &View, limits: &Limits) -> Result<Self> {
+    pub fn new(picture: &Gaussians, view: &View, limits: &Limits) -> Result<Self> {
         let canvas = Canvas { channels: picture.channels, blend: picture.blend, background: picture.background };
-        let gaussians = (picture.gaussians.len(), |i| picture.gaussians[i]);
+        let gaussians = (picture.list.len(), |i| picture.list[i]);
         Renderer::of(&canvas, gaussians, view, limits, &Budget::of(limits))
     }
 
@@ -420,14 +420,8 @@ mod tests {
             })
             .collect();
         for (channels, blend) in [(Channels::Rgb, Blend::Normalized), (Channels::Rgba, Blend::Sum)] {
-            let picture = Picture {
-                width: 300,
-                height: 200,
-                channels,
-                blend,
-                background: [0.5; 4],
-                gaussians: gaussians.clone(),
-            };
+            let picture =
+                Gaussians { width: 300, height: 200, channels, blend, background: [0.5; 4], list: gaussians.clone() };
             let full = View::full(&picture);
             for view in [full, full.resized(110, 35).unwrap(), full.resized(7, 5).unwrap()] {
                 let mut renderer = Renderer::new(&picture, &view, &Limits::default()).unwrap();

@@ -1,7 +1,7 @@
 //! Views: the area to render, and the size of the output.
 
 use crate::error::{Error, Result};
-use crate::gaussian::{CUTOFF, Picture};
+use crate::gaussian::{CUTOFF, Gaussians};
 
 /// Maximum side of a view, output pixels.
 pub(super) const MAX_SIDE: u32 = 1 << 20;
@@ -40,7 +40,7 @@ pub struct View {
 impl View {
     /// Returns the view of the whole picture at its own size.
     #[must_use]
-    pub fn full(picture: &Picture) -> Self {
+    pub fn full(picture: &Gaussians) -> Self {
         View::of_size(picture.width, picture.height)
     }
 

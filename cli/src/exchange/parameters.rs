@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::ops::Index;
 
 use ssplat::unstable::bitstream::splats::{Layout, PackedSplats, Steps};
-use ssplat::{Blend, Channels, Depth, Gaussian, Picture};
+use ssplat::{Blend, Channels, Depth, Gaussian, Gaussians};
 
 use super::npy::{self, Array, Values};
 use super::npz;
@@ -36,7 +36,7 @@ pub const MOST_NUMBERS: usize = 16;
 /// The Gaussians of a picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameters {
-    pub picture: Picture,
+    pub picture: Gaussians,
     /// Bits per sample of the picture.
     pub depth: Depth,
     /// Layout and steps of the .ssplat file that they come from; with these, they are quantized to the same integers
@@ -74,7 +74,7 @@ impl Parameters {
     /// Returns an archive of the arrays [`ARRAYS`].
     pub fn to_npz(&self) -> Result<Vec<u8>, String> {
         let p = &self.picture;
-        let (gaussians, n, channels) = (&p.gaussians, p.gaussians.len(), p.channels.count());
+        let (gaussians, n, channels) = (&p.list, p.list.len(), p.channels.count());
         let covariances = gaussians.iter().flat_map(|g| {
             let [xx, xy, yy] = covariance(g);
             [xx, xy, xy, yy]
@@ -138,7 +138,7 @@ impl Parameters {
         let depth = whole(arrays, "depth")?.map(|[bits]: [u32; 1]| depth_of(bits)).transpose()?.unwrap_or(Depth::Eight);
         let layout = text(arrays, "layout")?.map(layout_of).transpose()?;
         let steps = numbers(arrays, "steps")?.map(steps_of).transpose()?;
-        let picture = Picture { width, height, channels, blend, background, gaussians };
+        let picture = Gaussians { width, height, channels, blend, background, list: gaussians };
         Ok(Parameters { picture, depth, stored: layout.zip(steps) })
     }
 }

@@ -439,7 +439,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
                         workers.submit(task)?;
                     }
                     let Some(pending) = out.pop_front() else { break };
-                    results.push(pending.answer(global, &workers.next()?)?);
+                    results.push(pending.answer(global, &workers.receive()?)?);
                     on_progress(results.len() as f32)?;
                 }
             }

@@ -154,7 +154,7 @@ pub extern "C" fn decode(
         let primitives = opening.header().primitives;
         let opened = opening.read_for(&view, if partial == 0 { Damage::Refuse } else { Damage::Accept })?;
         let mut samples = zeros(pixels as usize * channels)?;
-        opened.draw_into(&view, SamplesMut::U8(&mut samples))?;
+        opened.render_into(&view, SamplesMut::U8(&mut samples))?;
         let missing = opened.missing();
         let lost = [missing.primitives, missing.tiles, u32::from(missing.damaged)];
         let mut answer = Answer::default();
