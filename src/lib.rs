@@ -195,6 +195,7 @@ mod angle;
 mod bitstream;
 mod budget;
 mod decode;
+mod depth;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod detail;
 #[cfg(feature = "encode")]
@@ -213,7 +214,7 @@ mod limits;
 #[cfg(feature = "encode")]
 mod metrics;
 mod options;
-#[cfg(all(feature = "encode", any(test, feature = "unstable")))]
+#[cfg(feature = "encode")]
 mod pack;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod parallel;

@@ -212,15 +212,16 @@ impl PackedSplats {
         Quantizer::new(&self.steps, self.layout, [self.width, self.height], self.channels)
     }
 
-    /// Returns the picture with float parameters.
+    /// Returns all Gaussians. [`SplatImage::gaussians`](crate::SplatImage::gaussians) checks their memory first.
     #[must_use]
-    pub fn to_picture(&self) -> Gaussians {
+    pub fn to_gaussians(&self) -> Gaussians {
         let q = self.quantizer();
         Gaussians {
             width: self.width,
             height: self.height,
             channels: self.channels,
             blend: self.blend,
+            depth: self.depth,
             background: q.dequantize_color(self.background),
             list: parallel::map(self.gaussians.len(), |i| q.dequantize(&self.gaussians[i])),
         }

@@ -3,8 +3,8 @@
 use std::ops::ControlFlow;
 
 use ssplat::{
-    Channels, Damage, Decoder, Depth, Detail, Encoder, Error, Layers, Limits, Pixels, Reader, Samples, SamplesMut,
-    SplatImage, Tune,
+    Blend, Channels, Damage, Decoder, Depth, Detail, Encoder, Error, Gaussian, Gaussians, Layers, Layout, Limits,
+    Pixels, Reader, Renderer, Samples, SamplesMut, SplatImage, Target, Thumbnail, Tune, View,
 };
 
 fn picture() -> Pixels {
@@ -90,6 +90,110 @@ fn whole_files_are_read_from_any_reader_within_the_limits() {
     limits.alloc = 1 << 20;
     let endless = SplatImage::read_from(std::io::Read::chain(&bytes[..], std::io::repeat(0)), &limits);
     assert!(matches!(endless, Err(Error::LimitExceeded { .. } | Error::Format(_))), "{endless:?}");
+}
+
+/// Gaussians with values that are not on any lattice.
+fn given(channels: Channels, blend: Blend, depth: Depth) -> Gaussians {
+    let list = (0..300u32)
+        .map(|i| {
+            let f = |k: u32| (f64::from(i) * f64::from(k).sqrt()).fract() as f32;
+            let color = std::array::from_fn(|k| if k < channels.count() { f(13 + 2 * k as u32) } else { 0.0 });
+            let scale = [0.4 + 9.0 * f(5).powi(2), 0.3 + 5.0 * f(7)];
+            Gaussian { mean: [f(2) * 97.0, f(3) * 61.0], scale, rotation: 7.0 * f(11) - 3.0, color }
+        })
+        .collect();
+    let background = std::array::from_fn(|k| if k < channels.count() { 0.2 + 0.1 * k as f32 } else { 0.0 });
+    Gaussians { width: 97, height: 61, channels, depth, blend, background, list }
+}
+
+fn gaussians_of(file: &[u8]) -> Gaussians {
+    Reader::new(file, &Limits::default()).unwrap().read(Damage::Refuse).unwrap().gaussians().unwrap()
+}
+
+#[test]
+fn gaussians_that_were_stored_once_keep_their_values_when_they_are_stored_again() {
+    let encoders = [
+        Encoder::new(),
+        Encoder::new().levels(3),
+        Encoder::new().layout(Layout::Planes),
+        Encoder::new().layout(Layout::Packed),
+        Encoder::new().bytes(3000),
+        Encoder::new().ratio(4.0),
+    ];
+    for (channels, depth) in [
+        (Channels::Grey, Depth::Sixteen),
+        (Channels::GreyAlpha, Depth::Eight),
+        (Channels::Rgb, Depth::Eight),
+        (Channels::Rgba, Depth::Sixteen),
+    ] {
+        for blend in [Blend::Normalized, Blend::Sum] {
+            for encoder in &encoders {
+                let given = given(channels, blend, depth);
+                let first = encoder.encode_gaussians(&given).unwrap();
+                assert_eq!(first.report.primitives, given.list.len());
+                let once = gaussians_of(&first.bytes);
+                assert_eq!((once.channels, once.depth, once.blend), (channels, depth, blend));
+                let second = encoder.encode_gaussians(&once).unwrap();
+                assert!(gaussians_of(&second.bytes) == once, "{channels:?} {blend:?} {encoder:?}");
+                assert!(second.bytes == first.bytes, "{channels:?} {blend:?} {encoder:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn gaussians_of_a_file_render_its_picture() {
+    let bytes = Encoder::new().bytes(600).effort(1).detail(Detail::Off).encode(&picture()).unwrap().bytes;
+    let gaussians = gaussians_of(&bytes);
+    let renderer = Renderer::new(&gaussians, &View::full(&gaussians), &Limits::default()).unwrap();
+    assert_eq!(renderer.render(gaussians.depth).unwrap(), Decoder::new().decode(&bytes).unwrap().pixels);
+    // Their memory is held against the limits.
+    let mut limits = Limits::default();
+    limits.alloc = 20 * gaussians.list.len() as u64;
+    let image = Reader::new(&bytes, &limits).and_then(|reader| reader.read(Damage::Refuse));
+    let refused = image.and_then(|image| image.gaussians());
+    assert!(matches!(refused, Err(Error::LimitExceeded { .. })), "{refused:?}");
+}
+
+#[test]
+fn options_and_values_that_gaussians_cannot_have_are_named_in_the_error() {
+    let sound = given(Channels::Rgb, Blend::Sum, Depth::Eight);
+    let refused = |encoder: Encoder, given: &Gaussians| match encoder.encode_gaussians(given) {
+        Err(Error::Parameter { name, .. }) => name.to_string(),
+        other => panic!("{other:?}"),
+    };
+    for (encoder, wanted) in [
+        (Encoder::new().effort(3), "effort"),
+        (Encoder::new().seed(1), "seed"),
+        (Encoder::new().tune(Tune::Ssim), "tune"),
+        (Encoder::new().tiles(256), "tiles"),
+        (Encoder::new().psnr(30.0), "psnr"),
+        (Encoder::new().time(std::time::Duration::from_secs(1)), "time"),
+        (Encoder::new().detail(Detail::Share(0.5)), "detail"),
+        (Encoder::new().thumbnail(Thumbnail::Bytes(100)), "thumbnail"),
+        (Encoder::new().target(Target::Primitives(9)), "primitives"),
+        (Encoder::new().levels(2).layout(Layout::Planes), "levels"),
+        (Encoder::new().bytes(20), "bytes"),
+    ] {
+        assert_eq!(refused(encoder, &sound), wanted);
+    }
+    for (wanted, change) in [
+        ("mean", (|g: &mut Gaussians| g.list[3].mean[0] = f32::NAN) as fn(&mut Gaussians)),
+        ("mean", |g| g.list[3].mean[1] = 70.0),
+        ("scale", |g| g.list[3].scale[1] = 0.0),
+        ("scale", |g| g.list[3].scale[0] = f32::INFINITY),
+        ("rotation", |g| g.list[3].rotation = f32::NEG_INFINITY),
+        ("color", |g| g.list[3].color[1] = 100.0),
+        ("color", |g| g.list[3].color[1] = f32::NAN),
+        ("background", |g| g.background[2] = f32::NAN),
+        ("color", |g| g.background[2] = 50.0),
+        ("width", |g| g.width = 0),
+        ("height", |g| g.height = 1 << 21),
+    ] {
+        let mut given = sound.clone();
+        change(&mut given);
+        assert_eq!(refused(Encoder::new(), &given), wanted);
+    }
 }
 
 #[test]

@@ -190,7 +190,7 @@ fn a_part_of_a_large_file_is_rendered_from_some_of_its_groups() {
     let limits = Limits::default();
     let whole = read(&bytes[..], &limits).unwrap();
     let draw = |splats: &PackedSplats, region: [u32; 4]| {
-        let picture = splats.to_picture();
+        let picture = splats.to_gaussians();
         let [x, y, width, height] = region;
         let view = View::full(&picture).crop(x, y, width, height).unwrap();
         Renderer::new(&picture, &view, &limits).unwrap().render(splats.depth).unwrap()

@@ -78,7 +78,8 @@ fn a_reduced_region_of_a_file_in_groups_misses_nothing() {
         let [x, y, width, height] = region;
         let view = View::of_size(2048, 1536).crop(x, y, width, height).unwrap().resized(size[0], size[1]).unwrap();
         assert_eq!(view.area(), area);
-        let whole = Renderer::new(&splats.to_picture(), &view, &options.limits).unwrap().render(splats.depth).unwrap();
+        let whole =
+            Renderer::new(&splats.to_gaussians(), &view, &options.limits).unwrap().render(splats.depth).unwrap();
         assert_eq!(decode(&bytes, &options).unwrap().pixels, whole, "{region:?}");
     }
 }

@@ -54,7 +54,7 @@ fn run(pixels: &Pixels, target: Target) -> Encoded {
 
 fn decoded(encoded: &Encoded) -> Pixels {
     let splats = bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
-    let picture = splats.to_picture();
+    let picture = splats.to_gaussians();
     Renderer::new(&picture, &View::full(&picture), &Limits::default()).unwrap().render(splats.depth).unwrap()
 }
 

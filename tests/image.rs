@@ -52,7 +52,7 @@ fn file(channels: Channels, depth: Depth) -> Vec<u8> {
 /// The picture as the crate itself renders it.
 fn expected(channels: Channels, depth: Depth) -> Pixels {
     let limits = Limits::default();
-    let picture = ssplat::unstable::bitstream::read(&file(channels, depth)[..], &limits).unwrap().to_picture();
+    let picture = ssplat::unstable::bitstream::read(&file(channels, depth)[..], &limits).unwrap().to_gaussians();
     Renderer::new(&picture, &View::full(&picture), &limits).unwrap().render(depth).unwrap()
 }
 

@@ -13,7 +13,7 @@ use ssplat::{Blend, Channels, Depth, Error, Gaussian, Gaussians, Limits, Samples
 use ssplat::{Renderer, SamplesMut, View};
 
 fn picture(width: u32, height: u32, channels: Channels, blend: Blend, gaussians: Vec<Gaussian>) -> Gaussians {
-    Gaussians { width, height, channels, blend, background: [0.4, 0.7, 0.2, 0.9], list: gaussians }
+    Gaussians { width, height, channels, depth: Depth::Eight, blend, background: [0.4, 0.7, 0.2, 0.9], list: gaussians }
 }
 
 fn render(picture: &Gaussians, view: &View, depth: Depth) -> Vec<u16> {
@@ -183,7 +183,7 @@ fn legal(seed: u64, count: usize, blend: Blend, channels: Channels) -> Gaussians
             }
         }
     }
-    splats.to_picture()
+    splats.to_gaussians()
 }
 
 #[test]

@@ -31,7 +31,15 @@ fn render_error(picture: &Gaussians) -> f64 {
 
 fn scene(blend: Blend, gaussians: Vec<Gaussian>) -> Gaussians {
     let background = [0.4, 0.7, 0.2, 0.0];
-    Gaussians { width: 160, height: 144, channels: Channels::Rgb, blend, background, list: gaussians }
+    Gaussians {
+        width: 160,
+        height: 144,
+        channels: Channels::Rgb,
+        depth: Depth::Eight,
+        blend,
+        background,
+        list: gaussians,
+    }
 }
 
 fn gaussian(mean: [f32; 2], scale: [f32; 2], rotation: f32) -> Gaussian {
@@ -177,7 +185,7 @@ fn fit(case: &Fit, has_layer: bool) -> Result<Row, Error> {
         encoded => encoded?,
     };
     let splats = read(&encoded.bytes[..], &Limits::default())?;
-    let picture = splats.to_picture();
+    let picture = splats.to_gaussians();
     let finite = picture.list.iter().all(|g| {
         let all = g.mean.iter().chain(&g.scale).chain(&g.color).chain([&g.rotation]);
         all.copied().all(f32::is_finite)

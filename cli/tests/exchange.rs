@@ -81,7 +81,7 @@ fn import_fills_the_requested_size_and_uses_the_requested_precision() {
 #[test]
 fn import_of_means_scales_and_colours_alone_stays_within_the_steps() {
     let folder = tempfile::tempdir().unwrap();
-    let fit = read(&file(folder.path(), Channels::Rgb, Layout::Coded, Blend::Normalized)).to_picture();
+    let fit = read(&file(folder.path(), Channels::Rgb, Layout::Coded, Blend::Normalized)).to_gaussians();
     let (table, back) = (folder.path().join("fit.csv"), folder.path().join("back.ssplat"));
     let mut text = "x,y,scale_major,scale_minor,rotation,red,green,blue\n".to_owned();
     for g in &fit.list {

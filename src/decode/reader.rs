@@ -9,7 +9,7 @@ use crate::bitstream::splats::{Metadata, PackedGaussian, PackedSplats};
 use crate::bitstream::{MissingParts, Reading, read_rest};
 use crate::budget::{Budget, Reservation};
 use crate::error::{Error, Result};
-use crate::gaussian::Channels;
+use crate::gaussian::{Channels, Gaussian, Gaussians};
 use crate::limits::Limits;
 use crate::options::{Damage, Layers};
 use crate::pixels::{Depth, Pixels};
@@ -263,6 +263,17 @@ impl SplatImage {
         self.missing
     }
 
+    /// Returns the Gaussians that were read, with the values that the formulas of the specification give for their
+    /// integers (spec §5.1). They come in the order of the file, level by level. A detail layer is not part of them.
+    ///
+    /// # Errors
+    /// [`Error::LimitExceeded`] if they would take too much memory.
+    #[doc(alias("splats", "primitives", "export"))]
+    pub fn gaussians(&self) -> Result<Gaussians> {
+        self.budget.check((size_of::<Gaussian>() * self.splats.gaussians.len()) as u64)?;
+        Ok(self.splats.to_gaussians())
+    }
+
     /// Returns a renderer of `view`. It does not borrow the opened file.
     ///
     /// # Errors
@@ -344,7 +355,7 @@ const GREY: f32 = 0.5;
 
 impl PackedSplats {
     /// Returns a renderer of `view`. Gaussians are computed one by one, whereas
-    /// [`to_picture`](PackedSplats::to_picture) holds all of them in memory.
+    /// [`to_gaussians`](PackedSplats::to_gaussians) holds all of them in memory.
     ///
     /// # Errors
     /// As [`Renderer::new`].

@@ -43,7 +43,6 @@ pub use device::Chosen;
 pub use encoder::Encoder;
 #[cfg(any(test, feature = "unstable"))]
 pub use file::divide;
-#[cfg(any(test, feature = "unstable"))]
 pub(crate) use file::smallest;
 use rate_control::MAX_PRIMITIVES;
 use report::ReportBuilder;
@@ -120,6 +119,9 @@ fn encode_by(
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
     check(options)?;
+    if options.precision.is_some() {
+        return Err(Error::Parameter { name: "precision", problem: "it applies to given Gaussians only".into() });
+    }
     match (side(source, options), source.as_pixels()) {
         (Some(side), _) => {
             tiles::encode(source, options, side, executor, ReportBuilder::new(progress, Tracer::new(options.trace)))
@@ -159,7 +161,8 @@ fn side(source: &dyn PixelSource, options: &EncodeOptions) -> Option<u32> {
     options.tiles.or_else(|| by_default().then_some(DEFAULT_TILE_SIDE)).filter(|&side| width > side || height > side)
 }
 
-fn check(options: &EncodeOptions) -> Result<()> {
+/// Checks that every option is within its range.
+pub(crate) fn check(options: &EncodeOptions) -> Result<()> {
     let bad = |name, problem| Err(Error::Parameter { name, problem });
     if !(1..=9).contains(&options.effort) {
         return bad("effort", format!("{} is outside 1..=9", options.effort));

@@ -20,6 +20,7 @@ use super::plan::LAST_RATE;
 use super::plan::Plan;
 use super::schedule::{RATES, SAMPLED_UNTIL};
 use super::state::State;
+use crate::depth::Depth;
 use crate::error::Result;
 use crate::gaussian::{Blend, Channels, Gaussians};
 use crate::pixels::Pixels;
@@ -385,8 +386,15 @@ fn a_singular_joint_colour_solve_does_not_affect_the_fit() {
         let gaussians: Vec<_> = primitives.iter().map(|p| p.to_gaussian()).collect();
         let n = gaussians.len();
         let mut normal = vec![vec![0.0; n]; n];
-        let picture =
-            Gaussians { width: 32, height: 27, channels: Channels::Grey, blend, background: [0.0; 4], list: gaussians };
+        let picture = Gaussians {
+            width: 32,
+            height: 27,
+            channels: Channels::Grey,
+            depth: Depth::Eight,
+            blend,
+            background: [0.0; 4],
+            list: gaussians,
+        };
         for i in 0..32 * 27 {
             let (x, y) = (f64::from(i % 32) + 0.5, f64::from(i / 32) + 0.5);
             let w: Vec<f64> = picture.list.iter().map(|g| reference::weight(g, x, y)).collect();

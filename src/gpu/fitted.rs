@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use super::device::Device;
 use super::fit::Fitter;
+use crate::depth::Depth;
 use crate::error::{Error, Result};
 use crate::fit;
 use crate::fit::engine::{Engine, Snapshot, Watcher};
@@ -141,6 +142,7 @@ pub fn fit(
         width: scene.width,
         height: scene.height,
         channels: pixels.channels(),
+        depth: Depth::Eight,
         blend,
         background: scene.background,
         list: gaussians,

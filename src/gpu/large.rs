@@ -124,6 +124,7 @@ fn fit_and_draw(count: usize, rows: u32) {
         width: WIDTH,
         height: HEIGHT,
         channels: Channels::Rgb,
+        depth: Depth::Eight,
         blend: scene.blend,
         background,
         list: gaussians,

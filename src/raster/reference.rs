@@ -117,7 +117,7 @@ pub fn filtered(picture: &Gaussians, view: &View) -> Vec<f64> {
 /// §11.6).
 #[must_use]
 pub fn detailed(splats: &PackedSplats, view: &View) -> Vec<f64> {
-    let mut values = filtered(&splats.to_picture(), view);
+    let mut values = filtered(&splats.to_gaussians(), view);
     let Some(layer) = &splats.detail else { return values };
     let (size, channels) = ([splats.width, splats.height], splats.channels.count());
     let added = additions(layer, splats);

@@ -420,8 +420,15 @@ mod tests {
             })
             .collect();
         for (channels, blend) in [(Channels::Rgb, Blend::Normalized), (Channels::Rgba, Blend::Sum)] {
-            let picture =
-                Gaussians { width: 300, height: 200, channels, blend, background: [0.5; 4], list: gaussians.clone() };
+            let picture = Gaussians {
+                width: 300,
+                height: 200,
+                channels,
+                depth: Depth::Eight,
+                blend,
+                background: [0.5; 4],
+                list: gaussians.clone(),
+            };
             let full = View::full(&picture);
             for view in [full, full.resized(110, 35).unwrap(), full.resized(7, 5).unwrap()] {
                 let mut renderer = Renderer::new(&picture, &view, &Limits::default()).unwrap();

@@ -1,6 +1,6 @@
 //! Synthetic pictures with the statistics of fitted ones, and their rendered code values.
 
-use ssplat::{Blend, Channels, Gaussian, Gaussians, Samples};
+use ssplat::{Blend, Channels, Depth, Gaussian, Gaussians, Samples};
 
 /// xorshift64*: sufficient for scenes, and the same on every machine.
 pub struct Random(pub u64);
@@ -30,7 +30,7 @@ pub fn scene(width: u32, height: u32, count: usize, channels: Channels, blend: B
             }
         })
         .collect();
-    Gaussians { width, height, channels, blend, background: [0.4, 0.7, 0.2, 0.9], list: gaussians }
+    Gaussians { width, height, channels, depth: Depth::Eight, blend, background: [0.4, 0.7, 0.2, 0.9], list: gaussians }
 }
 
 pub fn codes(samples: Samples) -> Vec<u16> {

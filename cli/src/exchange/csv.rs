@@ -30,7 +30,7 @@ pub fn write(of: &Parameters) -> String {
     let p = &of.picture;
     let channels = p.channels.count();
     let joined = |values: &[f32]| values.iter().map(f32::to_string).collect::<Vec<_>>().join(" ");
-    let (blend, depth) = (names::blend_name(p.blend), 8 * of.depth.bytes());
+    let (blend, depth) = (names::blend_name(p.blend), 8 * p.depth.bytes());
     let background = joined(&p.background[..channels]);
     let mut out = format!("{COMMENT}size={}x{};blend={blend};background={background};depth={depth}", p.width, p.height);
     if let Some((layout, steps)) = of.stored {
@@ -120,8 +120,8 @@ pub fn read(text: &str, given: Given, limits: &Limits) -> Result<Parameters, Pro
     let mut color = [0.0; 4];
     background.iter().zip(&mut color).for_each(|(v, c)| *c = *v as f32);
     let blend = given.blend(blend)?;
-    let picture = Gaussians { width, height, channels, blend, background: color, list: gaussians };
-    Ok(Parameters { picture, depth, stored: layout.zip(steps) })
+    let picture = Gaussians { width, height, channels, depth, blend, background: color, list: gaussians };
+    Ok(Parameters { picture, stored: layout.zip(steps) })
 }
 
 /// Parses `WxH`.

@@ -73,12 +73,13 @@ fn gaussian_image(arrays: &BTreeMap<String, Array>, given: Given) -> Result<(Par
         width: size[0],
         height: size[1],
         channels: Channels::Rgb,
+        depth: Depth::Eight,
         blend: given.blend.unwrap_or(Blend::Sum),
         background: [0.0; 4],
         list: gaussians,
     };
     Ok((
-        Parameters { picture, depth: Depth::Eight, stored: None },
+        Parameters { picture, stored: None },
         "GaussianImage cuts off a Gaussian where it is below 1/255; ssplat fades it out up to 3.5 scales",
     ))
 }
@@ -105,12 +106,13 @@ fn image_gs(arrays: &BTreeMap<String, Array>, given: Given) -> Result<(Parameter
         width: size[0],
         height: size[1],
         channels,
+        depth: Depth::Eight,
         blend: given.blend.unwrap_or(Blend::Normalized),
         background: [0.0; 4],
         list: gaussians,
     };
     Ok((
-        Parameters { picture, depth: Depth::Eight, stored: None },
+        Parameters { picture, stored: None },
         "Image-GS blends the ten largest Gaussians at each pixel and ssplat blends all, so the picture differs slightly",
     ))
 }

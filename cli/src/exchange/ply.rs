@@ -75,7 +75,15 @@ mod tests {
     fn a_point_has_the_properties_that_viewers_look_for() {
         let g = Gaussian { mean: [3.0, 4.0], scale: [2.0, 0.5], rotation: 1.0, color: [0.5, 1.0, 0.0, 0.0] };
         let (channels, blend) = (Channels::Rgb, Blend::Sum);
-        let picture = Gaussians { width: 8, height: 6, channels, blend, background: [0.0; 4], list: vec![g; 2] };
+        let picture = Gaussians {
+            width: 8,
+            height: 6,
+            channels,
+            depth: ssplat::Depth::Eight,
+            blend,
+            background: [0.0; 4],
+            list: vec![g; 2],
+        };
         let file = write(&picture);
         let end = b"end_header\n";
         let at = file.windows(end.len()).position(|w| w == end).unwrap() + end.len();

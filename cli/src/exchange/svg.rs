@@ -49,7 +49,15 @@ mod tests {
         let gaussians = vec![at(1.0, [0.0, 1.0, 0.0, 0.5]), at(9.0, [2.0, -1.0, 0.0, 1.0])];
         let (channels, blend) = (Channels::Rgba, Blend::Sum);
         let background = [1.0, 1.0, 1.0, 1.0];
-        let text = write(&Gaussians { width: 8, height: 6, channels, blend, background, list: gaussians });
+        let text = write(&Gaussians {
+            width: 8,
+            height: 6,
+            channels,
+            depth: ssplat::Depth::Eight,
+            blend,
+            background,
+            list: gaussians,
+        });
         let lines: Vec<&str> = text.lines().collect();
         assert!(lines[1].contains("#ffffff"));
         assert!(lines[2].contains("rx=\"9.000\"") && lines[2].contains("#ff0000") && !lines[2].contains("opacity"));

@@ -193,7 +193,7 @@ fn measure(encoded: &ssplat::Encoded, job: &Job, subject: &Subject) -> Result<Va
         for _ in 0..REPEATS {
             let clock = Instant::now();
             let splats = ssplat::unstable::bitstream::read(&encoded.bytes[..], &limits).map_err(failed)?;
-            let renderer = Renderer::new(&splats.to_picture(), view, &limits).map_err(failed)?;
+            let renderer = Renderer::new(&splats.to_gaussians(), view, &limits).map_err(failed)?;
             std::hint::black_box(renderer.render(splats.depth).map_err(failed)?);
             best = best.min(clock.elapsed().as_secs_f64());
         }

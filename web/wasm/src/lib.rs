@@ -176,7 +176,7 @@ pub extern "C" fn decode(
 }
 
 /// All Gaussians: for each nine floats, which are the centre, the deviations along both axes, the rotation and four
-/// colour channels; behind them four floats of the background.
+/// colour channels, in the order and the units of [`ssplat::Gaussian`]; behind them four floats of the background.
 #[unsafe(no_mangle)]
 pub extern "C" fn gaussians() -> u32 {
     answer(|input, limits| {
@@ -185,15 +185,15 @@ pub extern "C" fn gaussians() -> u32 {
         let (width, height, primitives) = (header.width, header.height, header.primitives);
         let [channels, depth] = [header.channels.count(), 8 * header.depth.bytes()].map(|v| v as u32);
         let opened = opening.read(Damage::Refuse)?;
-        let (splats, mut bytes) = (opened.splats(), zeros(36 * opened.splats().gaussians.len() + 16)?);
-        let quantizer = splats.quantizer();
-        let (rows, background) = bytes.split_at_mut(36 * splats.gaussians.len());
-        for (row, packed) in rows.chunks_exact_mut(36).zip(&splats.gaussians) {
-            let g = quantizer.dequantize(packed);
+        let stored = opened.gaussians()?;
+        drop(opened);
+        let mut bytes = zeros(36 * stored.list.len() + 16)?;
+        let (rows, background) = bytes.split_at_mut(36 * stored.list.len());
+        for (row, g) in rows.chunks_exact_mut(36).zip(&stored.list) {
             let ([x, y], [major, minor], [red, green, blue, alpha]) = (g.mean, g.scale, g.color);
             write(row, &[x, y, major, minor, g.rotation, red, green, blue, alpha]);
         }
-        write(background, &quantizer.dequantize_color(splats.background));
+        write(background, &stored.background);
         let mut answer = Answer::default();
         answer.pieces[0] = bytes;
         answer.numbers = [width, height, channels, depth, primitives, 1, 0, 0, 0];
