@@ -64,13 +64,13 @@
 //! # let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
 //! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
 //! # let bytes = Encoder::new().effort(1).encode(&pixels)?.bytes;
-//! use ssplat::{Damage, Limits, Reader};
+//! use ssplat::{Damage, Limits, Reader, Rect};
 //!
 //! let reader = Reader::new(&bytes, &Limits::default())?; // reads the header only
 //! assert_eq!((reader.width(), reader.height()), (32, 16));
 //!
 //! let image = reader.read(Damage::Refuse)?;
-//! let region = image.view().crop(8, 4, 16, 8)?; // left, top, width, height in pixels of the picture
+//! let region = image.view().crop(Rect::new(8, 4, 16, 8))?; // left, top, width, height in pixels of the picture
 //! let enlarged = image.render(&region.resized(64, 32)?)?;
 //! assert_eq!((enlarged.width(), enlarged.height()), (64, 32));
 //! # Ok::<(), ssplat::Error>(())
@@ -224,6 +224,7 @@ mod pixels;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod quantize;
 mod raster;
+mod rect;
 #[cfg(feature = "encode")]
 mod round;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
@@ -259,6 +260,7 @@ pub use options::{Damage, Layers};
 pub use pixel_source::PixelSource;
 pub use pixels::{Depth, Pixels, Samples};
 pub use raster::{Renderer, SamplesMut, View};
+pub use rect::Rect;
 pub use target::Target;
 
 #[cfg(feature = "encode")]

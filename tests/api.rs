@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use ssplat::{
     Blend, Channels, Damage, Decoder, Depth, Detail, Encoder, Error, Gaussian, Gaussians, Layers, Layout, Limits,
-    Pixels, Reader, Renderer, Samples, SamplesMut, SplatImage, Target, Thumbnail, Tune, View,
+    Pixels, Reader, Rect, Renderer, Samples, SamplesMut, SplatImage, Target, Thumbnail, Tune, View,
 };
 
 fn picture() -> Pixels {
@@ -57,16 +57,33 @@ fn a_file_is_opened_once_and_drawn_many_times() {
     let whole = image.render(&image.view()).unwrap();
     assert_eq!(Decoder::new().decode(&bytes).unwrap().pixels, whole);
     // All ways of rendering give the same pixels, in any memory.
-    let part = image.view().crop(16, 8, 40, 30).unwrap();
+    let part = image.view().crop(Rect::new(16, 8, 40, 30)).unwrap();
     let drawn = image.render(&part).unwrap();
-    assert_eq!(Decoder::new().region([16, 8, 40, 30]).decode(&bytes).unwrap().pixels, drawn);
+    assert_eq!(Decoder::new().region(Rect::new(16, 8, 40, 30)).decode(&bytes).unwrap().pixels, drawn);
     let mut out = vec![0; 40 * 30 * 3];
-    Decoder::new().region([16, 8, 40, 30]).decode_into(&bytes, SamplesMut::U8(&mut out)).unwrap();
+    Decoder::new().region(Rect::new(16, 8, 40, 30)).decode_into(&bytes, SamplesMut::U8(&mut out)).unwrap();
     assert_eq!(drawn.samples(), &Samples::U8(out));
     let small = Decoder::new().thumbnail(&bytes, [24, 24]).unwrap().pixels;
     assert_eq!((small.width(), small.height()), (24, 16));
     let gaussians = Decoder::new().layers(Layers::Gaussians).decode(&bytes).unwrap().pixels;
     assert_eq!(gaussians.width(), 96);
+}
+
+#[test]
+fn a_region_outside_the_picture_is_named_in_the_error() {
+    let bytes = Encoder::new().bytes(300).effort(1).encode(&picture()).unwrap().bytes;
+    for region in [
+        Rect::new(96, 0, 1, 1),
+        Rect::new(90, 0, 7, 1),
+        Rect::new(0, 64, 1, 1),
+        Rect::new(0, 0, 0, 1),
+        Rect::new(u32::MAX, 0, 2, 1),
+    ] {
+        let found = Decoder::new().region(region).decode(&bytes);
+        let Err(Error::Parameter { name, problem }) = found else { panic!("{region:?}") };
+        assert_eq!(name, "region");
+        assert!(problem.contains(&format!("{} × {} at {}, {}", region.width, region.height, region.x, region.y)));
+    }
 }
 
 #[test]

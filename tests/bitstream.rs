@@ -7,7 +7,7 @@ mod synthetic;
 use ssplat::unstable::bitstream::lattice::Lattice;
 use ssplat::unstable::bitstream::splats::{Layout, PackedSplats};
 use ssplat::unstable::bitstream::{inspect, read, read_area, read_partial, to_bytes};
-use ssplat::{Blend, Channels, Depth, Error, FormatError, Limits};
+use ssplat::{Blend, Channels, Depth, Error, FormatError, Limits, Rect};
 use ssplat::{Renderer, View};
 use synthetic::{Random, Scene, scene};
 
@@ -192,7 +192,7 @@ fn a_part_of_a_large_file_is_rendered_from_some_of_its_groups() {
     let draw = |splats: &PackedSplats, region: [u32; 4]| {
         let picture = splats.to_gaussians();
         let [x, y, width, height] = region;
-        let view = View::full(&picture).crop(x, y, width, height).unwrap();
+        let view = View::full(&picture).crop(Rect::new(x, y, width, height)).unwrap();
         Renderer::new(&picture, &view, &limits).unwrap().render(splats.depth).unwrap()
     };
     let mut random = Random(5);

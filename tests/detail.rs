@@ -10,7 +10,7 @@ use ssplat::View;
 use ssplat::unstable::bitstream::splats::PackedSplats;
 use ssplat::unstable::bitstream::{DetailHead, MissingParts, inspect, read, read_partial, to_bytes};
 use ssplat::unstable::{DecodeOptions, decode};
-use ssplat::{Channels, Damage, Depth, Error, Layers, Limits, Pixels, Reader, Samples, SplatImage};
+use ssplat::{Channels, Damage, Depth, Error, Layers, Limits, Pixels, Reader, Rect, Samples, SplatImage};
 use synthetic::{Levels, Scene, scene, with_layer};
 
 /// A picture of six tiles with levels in most blocks.
@@ -69,7 +69,7 @@ fn parts_have_the_samples_of_the_whole_at_any_size() {
                 [0, h / 2, w, 1],
             ] {
                 let [x, y, width, height] = part;
-                let drawn = draw(&bytes, &view.crop(x, y, width, height).unwrap(), Layers::Both);
+                let drawn = draw(&bytes, &view.crop(Rect::new(x, y, width, height)).unwrap(), Layers::Both);
                 assert!(samples(&drawn) == cut(&whole, part), "{channels:?}: {part:?} of {w} × {h}");
             }
         }
@@ -241,7 +241,7 @@ fn an_empty_layer_of_a_huge_picture_costs_nothing_before_it_is_refused() {
     assert_eq!((missing.tiles, missing.of_tiles, missing.damaged), (1 << 24, 1 << 24, true));
     assert!(part.gaussians.len() == 1 && part.detail.is_none());
     let opening = Reader::new(&bytes, &limits).unwrap();
-    let corner = opening.view().crop(0, 0, 10, 10).unwrap();
+    let corner = opening.view().crop(Rect::new(0, 0, 10, 10)).unwrap();
     assert_eq!(opening.read_for(&corner, Damage::Accept).unwrap().render(&corner).unwrap().width(), 10);
 }
 
@@ -290,7 +290,7 @@ fn views_beyond_the_picture_do_not_depend_on_how_it_was_opened() {
         for [x, y, width, height] in
             [[900, 20, 40, 30], [30, 900, 40, 30], [1500, 1200, 30, 20], [500, 280, 60, 50], [3960, 100, 40, 90]]
         {
-            let part = larger.crop(x, y, width, height).unwrap();
+            let part = larger.crop(Rect::new(x, y, width, height)).unwrap();
             for view in [part, part.resized(13, 9).unwrap(), part.resized(70, 64).unwrap()] {
                 let (all, read) = (whole.render(&view).unwrap(), draw(&bytes, &view, Layers::Both));
                 assert!(all == read, "{channels:?}: {x}, {y}, {view:?}");

@@ -16,7 +16,7 @@ use ssplat::unstable::bitstream::{DetailHead, to_bytes};
 use ssplat::unstable::raster::reference;
 use ssplat::{
     Backend, Blend, Channels, Damage, Depth, Error, Gaussian, Gaussians, GpuError, Layers, Limits, Pixels, Reader,
-    Samples, SplatImage, Target, Tune,
+    Rect, Samples, SplatImage, Target, Tune,
 };
 use std::ops::ControlFlow;
 
@@ -121,9 +121,12 @@ fn needles(device: &Device) {
 fn regions_and_sizes(device: &Device) {
     let picture = scene(160, 110, 400, Channels::Rgb, Blend::Normalized, 1);
     let full = View::full(&picture);
-    let region = full.crop(37, 21, 90, 70).unwrap();
-    let views =
-        [region, full.resized(333, 229).unwrap(), region.resized(400, 311).unwrap().crop(111, 99, 128, 65).unwrap()];
+    let region = full.crop(Rect::new(37, 21, 90, 70)).unwrap();
+    let views = [
+        region,
+        full.resized(333, 229).unwrap(),
+        region.resized(400, 311).unwrap().crop(Rect::new(111, 99, 128, 65)).unwrap(),
+    ];
     for view in views {
         let cpu = ssplat::Renderer::new(&picture, &view, &Limits::default()).unwrap();
         let cpu = codes(cpu.render(Depth::Eight).unwrap().into_samples());
@@ -143,7 +146,7 @@ fn reduced(device: &Device) {
     }
     let full = View::full(&picture);
     let reduced = |view: View, width, height| view.resized(width, height).unwrap();
-    let region = full.crop(37, 21, 90, 70).unwrap();
+    let region = full.crop(Rect::new(37, 21, 90, 70)).unwrap();
     for (view, of) in [
         (reduced(full, 80, 55), "half"),
         (reduced(full, 97, 71), "not a whole number of pixels"),
@@ -153,7 +156,7 @@ fn reduced(device: &Device) {
         (reduced(full, 1, 1), "one pixel"),
         (reduced(full, 160, 6), "one axis"),
         (reduced(full, 9, 200), "one axis, the other enlarged"),
-        (reduced(region, 43, 29).crop(3, 5, 37, 20).unwrap(), "a crop of a region"),
+        (reduced(region, 43, 29).crop(Rect::new(3, 5, 37, 20)).unwrap(), "a crop of a region"),
     ] {
         for (blend, channels) in
             [(Blend::Normalized, Channels::Rgb), (Blend::Sum, Channels::Rgb), (Blend::Normalized, Channels::Rgba)]
@@ -206,7 +209,7 @@ fn two_layers(device: &Device) {
     // 256 rows of additions at a time, between edges of tiles; the second picture is twice as wide as that.
     let sizes = [[530, 300], [1100, 600]];
     let full = View::of_size(530, 300);
-    let region = full.crop(201, 150, 300, 140).unwrap();
+    let region = full.crop(Rect::new(201, 150, 300, 140)).unwrap();
     let resized = |view: View, width, height| view.resized(width, height).unwrap();
     let views = [
         (full, "whole"),
@@ -216,7 +219,7 @@ fn two_layers(device: &Device) {
         (resized(full, 11, 7), "samples far apart"),
         (resized(full, 777, 431), "enlarged"),
         (resized(full, 61, 700), "reduced along one axis, enlarged along the other"),
-        (resized(region, 500, 211).crop(100, 50, 300, 100).unwrap(), "a crop of a region"),
+        (resized(region, 500, 211).crop(Rect::new(100, 50, 300, 100)).unwrap(), "a crop of a region"),
     ];
     for (channels, depth, blend) in [
         (Channels::Rgb, Depth::Eight, Blend::Normalized),
@@ -238,7 +241,7 @@ fn two_layers(device: &Device) {
     }
     let bytes = layered(Channels::Rgba, Depth::Eight, Blend::Normalized, sizes[1]);
     let full = View::of_size(1100, 600);
-    for view in [full, full.crop(30, 100, 1000, 480).unwrap(), resized(full, 1000, 700)] {
+    for view in [full, full.crop(Rect::new(30, 100, 1000, 480)).unwrap(), resized(full, 1000, 700)] {
         let (off, is_seen) = apart(device, &mut opened(&bytes, Layers::Both), &view);
         assert!(off <= 1 && is_seen, "{view:?}: {off}");
     }
@@ -246,7 +249,8 @@ fn two_layers(device: &Device) {
     let whole = codes(renderer.render(&full, Depth::Eight).unwrap().into_samples());
     assert_eq!(renderer.bands().0, 256, "rows of a band");
     // One renderer renders one view after the other.
-    let part = codes(renderer.render(&full.crop(0, 250, 1100, 9).unwrap(), Depth::Eight).unwrap().into_samples());
+    let part =
+        codes(renderer.render(&full.crop(Rect::new(0, 250, 1100, 9)).unwrap(), Depth::Eight).unwrap().into_samples());
     assert!(part == whole[250 * 4400..259 * 4400]);
 }
 
@@ -274,7 +278,7 @@ fn layers_within_limits(device: &Device) {
 fn parts(device: &Device) {
     let bytes = layered(Channels::Rgb, Depth::Eight, Blend::Normalized, [530, 300]);
     let whole = View::of_size(530, 300);
-    let region = whole.crop(10, 20, 100, 50).unwrap();
+    let region = whole.crop(Rect::new(10, 20, 100, 50)).unwrap();
     let file = Reader::new(&bytes, &Limits::default()).unwrap().read_for(&region, Damage::Refuse).unwrap();
     let mut renderer = Renderer::of(device, &file).unwrap();
     renderer.render(&region, Depth::Eight).unwrap();
@@ -302,7 +306,7 @@ fn bands(device: &Device) {
         let mut renderer = Renderer::new(device, &picture, &Limits::default()).unwrap();
         let whole = codes(renderer.render(&view, Depth::Sixteen).unwrap().into_samples());
         assert_eq!(renderer.bands().0, 16, "rows of a band");
-        let part = render(device, &picture, &view.crop(0, 10, 4096, 10).unwrap(), Depth::Sixteen);
+        let part = render(device, &picture, &view.crop(Rect::new(0, 10, 4096, 10)).unwrap(), Depth::Sixteen);
         let row = 1 << 20;
         let same = (0..10)
             .all(|y| part[y * 4096..][..4096].iter().zip(&whole[(y + 10) * row..]).all(|(a, b)| a.abs_diff(*b) <= 1));

@@ -13,7 +13,7 @@ use peak_alloc::PeakAlloc;
 use ssplat::unstable::DecodeOptions;
 use ssplat::unstable::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use ssplat::unstable::bitstream::{DetailHead, inspect, to_bytes};
-use ssplat::{Blend, Channels, Damage, Depth, Limits, SplatImage};
+use ssplat::{Blend, Channels, Damage, Depth, Limits, Rect, SplatImage};
 use synthetic::{Levels, Scene, scene, with_layer};
 
 #[global_allocator]
@@ -191,7 +191,7 @@ fn layers_of_empty_tiles() {
 fn what_is_left(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     keeps("what is left", files, |bytes, granted| {
         let mut options = DecodeOptions::default();
-        (options.limits.alloc, options.damage, options.region) = (granted, Damage::Accept, Some([0, 0, 1, 1]));
+        (options.limits.alloc, options.damage, options.region) = (granted, Damage::Accept, Some(Rect::new(0, 0, 1, 1)));
         ssplat::unstable::decode(bytes, &options).is_ok()
     })
 }

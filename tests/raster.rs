@@ -9,7 +9,7 @@ use std::f32::consts::FRAC_PI_2;
 use scenes::{Random, codes, scene};
 use ssplat::unstable::bitstream::splats::Steps;
 use ssplat::unstable::raster::reference;
-use ssplat::{Blend, Channels, Depth, Error, Gaussian, Gaussians, Limits, Samples};
+use ssplat::{Blend, Channels, Depth, Error, Gaussian, Gaussians, Limits, Rect, Samples};
 use ssplat::{Renderer, SamplesMut, View};
 
 fn picture(width: u32, height: u32, channels: Channels, blend: Blend, gaussians: Vec<Gaussian>) -> Gaussians {
@@ -139,7 +139,7 @@ fn shapes_that_end_far_from_their_mean_are_within_one_code_value() {
                 continue;
             }
             let p = picture(side, side, Channels::Rgb, Blend::Normalized, vec![one(mean, [major, minor], angle)]);
-            let view = View::full(&p).crop(at[0] as u32 - 20, at[1] as u32 - 20, 40, 40).unwrap();
+            let view = View::full(&p).crop(Rect::new(at[0] as u32 - 20, at[1] as u32 - 20, 40, 40)).unwrap();
             let found = worst(&p, &view, Depth::Eight);
             assert!(found <= 1, "{found} for {major} {minor} {angle} at {mean:?}");
         }
@@ -220,7 +220,7 @@ fn enlarged_views_sample_the_continuous_picture() {
         assert!(worst(&p, &view, Depth::Eight) <= 1, "{w}×{h}");
         assert_eq!(reference::filtered(&p, &view), clamped(reference::sample(&p, &view)), "{w}×{h}");
     }
-    let part = View::full(&p).crop(20, 10, 9, 7).unwrap().resized(90, 140).unwrap();
+    let part = View::full(&p).crop(Rect::new(20, 10, 9, 7)).unwrap().resized(90, 140).unwrap();
     assert!(worst(&p, &part, Depth::Eight) <= 1);
     assert_eq!(reference::filtered(&p, &part), clamped(reference::sample(&p, &part)));
 }
@@ -410,7 +410,7 @@ fn every_division_into_parts_gives_the_same_bits() {
             let (x, y) = (r.within(0.0, view.width() as f32) as u32, r.within(0.0, view.height() as f32) as u32);
             let w = 1 + r.within(0.0, (view.width() - x - 1) as f32) as u32;
             let h = 1 + r.within(0.0, (view.height() - y - 1) as f32) as u32;
-            let part = render(&p, &view.crop(x, y, w, h).unwrap(), Depth::Sixteen);
+            let part = render(&p, &view.crop(Rect::new(x, y, w, h)).unwrap(), Depth::Sixteen);
             for j in 0..h as usize {
                 let row = 3 * ((y as usize + j) * view.width() as usize + x as usize);
                 let got = &part[3 * j * w as usize..3 * (j + 1) * w as usize];
@@ -425,7 +425,12 @@ fn bands_together_equal_the_whole() {
     let p = scene(300, 333, 500, Channels::Rgba, Blend::Sum, 6);
     let full = View::full(&p);
     let reduced = full.resized(100, 60).unwrap();
-    for view in [full, full.crop(17, 41, 200, 250).unwrap(), reduced, reduced.crop(9, 11, 50, 43).unwrap()] {
+    for view in [
+        full,
+        full.crop(Rect::new(17, 41, 200, 250)).unwrap(),
+        reduced,
+        reduced.crop(Rect::new(9, 11, 50, 43)).unwrap(),
+    ] {
         let renderer = Renderer::new(&p, &view, &Limits::default()).unwrap();
         let whole = renderer.render(Depth::Eight).unwrap().into_samples();
         let mut rows = Vec::new();
@@ -469,7 +474,7 @@ fn pictures_of_zero_one_and_two_primitives_render() {
 #[test]
 fn primitives_outside_the_view_do_not_change_it() {
     let mut p = scene(200, 100, 200, Channels::Rgb, Blend::Normalized, 9);
-    let view = View::full(&p).crop(64, 32, 70, 40).unwrap();
+    let view = View::full(&p).crop(Rect::new(64, 32, 70, 40)).unwrap();
     let before = render(&p, &view, Depth::Sixteen);
     p.list.push(one([1000.0, 1000.0], [100.0, 50.0], 0.3));
     p.list.insert(0, one([-1e6, 40.0], [1000.0, 1.0], 0.0));
@@ -604,9 +609,9 @@ fn non_finite_floats_are_parameter_errors() {
 #[test]
 fn views_outside_their_parent_are_parameter_errors() {
     let view = View::of_size(10, 10);
-    assert!(view.crop(0, 0, 0, 1).is_err());
-    assert!(view.crop(5, 0, 6, 1).is_err());
-    assert!(view.crop(u32::MAX, 0, 2, 1).is_err());
+    assert!(view.crop(Rect::new(0, 0, 0, 1)).is_err());
+    assert!(view.crop(Rect::new(5, 0, 6, 1)).is_err());
+    assert!(view.crop(Rect::new(u32::MAX, 0, 2, 1)).is_err());
     assert!(view.resized(0, 1).is_err());
     assert!(view.resized(1, (1 << 20) + 1).is_err());
 }

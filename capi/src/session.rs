@@ -6,7 +6,7 @@ use std::path::Path;
 
 use image::metadata::Orientation;
 use ssplat::{
-    Channels, Damage, Decoder, Depth, Limits, Metadata, Reader, Renderer, Samples, SamplesMut, SplatImage, View,
+    Channels, Damage, Decoder, Depth, Limits, Metadata, Reader, Rect, Renderer, Samples, SamplesMut, SplatImage, View,
 };
 
 use crate::failure::{Failure, Outcome, ssplat_status};
@@ -126,7 +126,7 @@ impl Session {
         let mut view = self.reader()?.view();
         let [x, y, width, height] = wanted.region;
         if wanted.region != [0; 4] {
-            view = view.crop(x, y, width, height)?;
+            view = view.crop(Rect::new(x, y, width, height))?;
         }
         Ok(match wanted.size {
             [0, 0] => view,

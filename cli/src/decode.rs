@@ -9,7 +9,7 @@ use serde_json::json;
 use ssplat::unstable::bitstream::MissingParts;
 use ssplat::unstable::bitstream::header::Header;
 use ssplat::unstable::bitstream::splats::Metadata;
-use ssplat::{Backend, Channels, Damage, Depth, Limits, Pixels, Reader, Samples, SplatImage};
+use ssplat::{Backend, Channels, Damage, Depth, Limits, Pixels, Reader, Rect, Samples, SplatImage};
 use ssplat::{Renderer, SamplesMut, View};
 
 use crate::batch::{self, Command, Done, Fate, OutputMode, Show};
@@ -262,7 +262,7 @@ fn view(args: &args::Decode, input: &Path, whole: View) -> Result<View, Failure>
     let failed = |e| Failure::library(input, &e);
     let mut view = whole;
     if let Some([x, y, width, height]) = args.region {
-        view = view.crop(x, y, width, height).map_err(|_| {
+        view = view.crop(Rect::new(x, y, width, height)).map_err(|_| {
             Failure::usage(format!(
                 "{}: --region {x},{y},{width},{height} is not within the picture of {}×{}",
                 Failure::input(input),

@@ -7,7 +7,7 @@ use fast_image_resize::pixels::{F32, F32x2, F32x3, F32x4};
 use fast_image_resize::{FilterType, PixelTrait, ResizeAlg, ResizeOptions, Resizer};
 use moxcms::{ColorProfile, ToneReprCurve};
 use rayon::prelude::*;
-use ssplat::{Depth, Error, HiddenColors, PixelSource, Pixels, Samples};
+use ssplat::{Depth, Error, HiddenColors, PixelSource, Pixels, Rect, Samples};
 
 use crate::guard;
 
@@ -130,7 +130,7 @@ impl<'a> Resize<'a> {
         for (y, means) in rows.zip(means.chunks_exact_mut(row)) {
             let top = y * self.block[1];
             let tall = self.block[1].min(height - top);
-            let part = self.source.part([0, top, width, tall])?;
+            let part = self.source.part(Rect::new(0, top, width, tall))?;
             match part.samples() {
                 Samples::U8(samples) => self.add(samples, means),
                 Samples::U16(samples) => self.add(samples, means),

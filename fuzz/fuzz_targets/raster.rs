@@ -7,7 +7,7 @@ use libfuzzer_sys::fuzz_target;
 use ssplat::unstable::bitstream::rules::MAX_COLOR;
 use ssplat::unstable::gaussian::{MAX_SCALE, MIN_SCALE};
 use ssplat::unstable::raster::reference;
-use ssplat::{Blend, Channels, Depth, Gaussian, Gaussians, Samples};
+use ssplat::{Blend, Channels, Depth, Gaussian, Gaussians, Rect, Samples};
 use ssplat::{Renderer, View};
 use ssplat_fuzz::tight_limits;
 
@@ -34,6 +34,7 @@ impl<'a> Arbitrary<'a> for Input {
             width,
             height,
             channels,
+            depth: Depth::Eight,
             blend: if u.arbitrary()? { Blend::Normalized } else { Blend::Sum },
             background: [0.5, 0.25, 0.75, 1.0],
             list: Vec::new(),
@@ -99,7 +100,7 @@ fn check(picture: &Gaussians, view: &View, [x, y, width, height]: [u32; 4], is_l
         }
     };
     let whole = renderer.render(Depth::Eight).expect("within the limits");
-    let crop = view.crop(x, y, width, height).expect("a part");
+    let crop = view.crop(Rect::new(x, y, width, height)).expect("a part");
     let part =
         Renderer::new(picture, &crop, &limits).expect("a part of it").render(Depth::Eight).expect("a part of it");
     let channels = picture.channels.count();

@@ -3,7 +3,7 @@
 use divan::{Bencher, black_box};
 use ssplat::unstable::bitstream::{self, splats::PackedSplats};
 use ssplat::unstable::{EncodeOptions, encode};
-use ssplat::{Limits, Pixels, Target};
+use ssplat::{Limits, Pixels, Rect, Target};
 use ssplat::{Renderer, View};
 
 fn main() {
@@ -55,7 +55,7 @@ fn rasterize(bencher: Bencher, width: u32) {
 fn rasterize_region_of_256(bencher: Bencher) {
     let splats = splats();
     let picture = splats.to_gaussians();
-    let view = View::full(&picture).crop(200, 100, 256, 256).expect("a region");
+    let view = View::full(&picture).crop(Rect::new(200, 100, 256, 256)).expect("a region");
     bencher.bench(|| Renderer::new(black_box(&picture), &view, &Limits::default())?.render(splats.depth));
 }
 

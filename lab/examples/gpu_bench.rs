@@ -30,7 +30,7 @@ use std::time::Instant;
 
 use ssplat::View;
 use ssplat::gpu::{Adapters, Device, Renderer, fit, wgpu};
-use ssplat::{Blend, Channels, Limits, Pixels, Samples};
+use ssplat::{Blend, Channels, Limits, Pixels, Rect, Samples};
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
@@ -162,7 +162,7 @@ fn frames(device: &Device, picture: &ssplat::Gaussians) -> Result<f64> {
     let full = View::full(picture);
     let mut views = Vec::new();
     for y in (0..height).step_by(rows as usize) {
-        views.push(full.crop(0, y, width, rows)?);
+        views.push(full.crop(Rect::new(0, y, width, rows))?);
     }
     let buffer = device.wgpu().0.create_buffer(&wgpu::BufferDescriptor {
         label: Some("frame"),

@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use ssplat::View;
 use ssplat::unstable::bitstream::MissingParts;
-use ssplat::{Damage, Depth, Error, Layers, Limits, Pixels, Reader, Result};
+use ssplat::{Damage, Depth, Error, Layers, Limits, Pixels, Reader, Rect, Result};
 
 use crate::failure::{exception, integer, parameter};
 use crate::{array, work};
@@ -43,7 +43,7 @@ impl Job {
         let mut view = opening.view();
         if let Some(region) = options.region {
             let [x, y, width, height] = whole("region", region)?;
-            view = view.crop(x, y, width, height).map_err(|e| wrong("region", e))?;
+            view = view.crop(Rect::new(x, y, width, height)).map_err(|e| wrong("region", e))?;
         }
         if let Some(size) = options.size {
             let [width, height] = whole("size", size)?;

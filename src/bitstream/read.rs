@@ -4,7 +4,6 @@
 use std::io::Read;
 use std::sync::Arc;
 
-use super::area::Area;
 use super::broken::Broken;
 use super::bytes::Bytes;
 use super::checksum::Hasher;
@@ -26,6 +25,7 @@ use crate::budget::{Budget, Reservation};
 use crate::error::{FormatError, Result};
 use crate::limits::Limits;
 use crate::options::Layers;
+use crate::rect::Rect;
 
 /// Number of times that the bytes of a file are counted against the memory limit: the read buffer grows to twice its
 /// size while the old one exists; later, metadata are copied out of it.
@@ -70,7 +70,7 @@ pub fn read<R: Read>(mut reader: R, limits: &Limits) -> Result<PackedSplats> {
 /// # Errors
 /// As [`read`], but errors in a group that is left out are detected only if its checksum does not match.
 #[cfg(any(test, feature = "unstable"))]
-pub fn read_area(bytes: &[u8], area: &Area, limits: &Limits) -> Result<PackedSplats> {
+pub fn read_area(bytes: &[u8], area: &Rect, limits: &Limits) -> Result<PackedSplats> {
     let mut rest = bytes;
     let header = Header::read(&mut rest, limits)?;
     let budget = Budget::of(limits);
@@ -144,7 +144,7 @@ impl Reading<'_> {
         self,
         header: &Header,
         rest: &[u8],
-        area: Option<&Area>,
+        area: Option<&Rect>,
         tally: &mut Tally,
     ) -> Result<(PackedSplats, Vec<SectionInfo>)> {
         let mut working = self.reserve(header, rest)?;
@@ -197,7 +197,7 @@ impl Reading<'_> {
     }
 
     /// Returns the part of a detail layer to read, with its limits.
-    fn wanted<'w>(&'w self, header: &Header, area: Option<&Area>, counts: bool) -> Wanted<'w> {
+    fn wanted<'w>(&'w self, header: &Header, area: Option<&Rect>, counts: bool) -> Wanted<'w> {
         let size = [header.width, header.height];
         Wanted { size, channels: header.channels, area: area.copied(), limits: self.limits, passes_over: false, counts }
     }

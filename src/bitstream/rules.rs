@@ -16,7 +16,7 @@ pub const MAX_LEVELS: usize = 8;
 
 /// Maximum grey, luma, chroma and alpha, where 1 is white. Within this range, single precision renders all visible
 /// colours exactly enough (spec §4). Red, green and blue can be at most twice as large.
-#[cfg(any(test, feature = "unstable"))]
+#[cfg(feature = "encode")]
 pub const MAX_COLOR: f32 = 8.0;
 
 /// Chroma steps in units of half a luma step (spec §4.1).

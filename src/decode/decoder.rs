@@ -5,17 +5,18 @@ use crate::error::Result;
 use crate::limits::Limits;
 use crate::options::{Damage, DecodeOptions, Layers};
 use crate::raster::SamplesMut;
+use crate::rect::Rect;
 
 /// Decodes files. Use [`Reader`](crate::Reader) for a file that is rendered more than once.
 ///
 /// ```no_run
-/// use ssplat::Decoder;
+/// use ssplat::{Decoder, Rect};
 ///
 /// let bytes = std::fs::read("photo.ssplat")?;
 /// let whole = Decoder::new().decode(&bytes)?.pixels;
 ///
 /// // The part of 640 × 480 pixels at (100, 50), at half the size.
-/// let part = Decoder::new().region([100, 50, 640, 480]).size([320, 240]).decode(&bytes)?.pixels;
+/// let part = Decoder::new().region(Rect::new(100, 50, 640, 480)).size([320, 240]).decode(&bytes)?.pixels;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -38,12 +39,12 @@ impl Decoder {
         self
     }
 
-    /// Sets the region to render: left, top, width and height, in pixels of the picture. Parts of the file that are
+    /// Sets the region to render, in pixels of the picture. Parts of the file that are
     /// not visible in the region are not rendered, and in large files mostly not even read. The default is the whole
     /// picture.
     #[must_use]
     #[doc(alias("crop", "roi", "part"))]
-    pub fn region(mut self, region: [u32; 4]) -> Self {
+    pub fn region(mut self, region: Rect) -> Self {
         self.options.region = Some(region);
         self
     }

@@ -73,8 +73,8 @@ impl DecodeOptions {
     /// Returns the view of the requested region and size of the `whole` picture.
     fn view(&self, whole: &View) -> Result<View> {
         let mut view = *whole;
-        if let Some([x, y, width, height]) = self.region {
-            view = view.crop(x, y, width, height)?;
+        if let Some(region) = self.region {
+            view = view.crop(region)?;
         }
         match self.size {
             Some([width, height]) => view.resized(width, height),

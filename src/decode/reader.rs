@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use crate::bitstream::area::Area;
 use crate::bitstream::header::Header;
 use crate::bitstream::report::Tally;
 use crate::bitstream::splats::{Metadata, PackedGaussian, PackedSplats};
@@ -14,6 +13,7 @@ use crate::limits::Limits;
 use crate::options::{Damage, Layers};
 use crate::pixels::{Depth, Pixels};
 use crate::raster::{Canvas, Overlay, Renderer, SamplesMut, View};
+use crate::rect::Rect;
 
 /// A file of which only the header has been read. It returns the size and the channels of the picture before memory is
 /// allocated for them.
@@ -47,7 +47,7 @@ pub struct Reader<'a> {
 /// integers and of everything that is rendered from them at the same time.
 ///
 /// ```
-/// use ssplat::{Channels, Encoder, SplatImage, Limits, Pixels, Samples, SamplesMut};
+/// use ssplat::{Channels, Encoder, SplatImage, Limits, Pixels, Rect, Samples, SamplesMut};
 ///
 /// # let samples = (0..64 * 48 * 3).map(|i| (i / 3 % 64 * 2 + i / 192) as u8).collect();
 /// # let pixels = Pixels::new(64, 48, Channels::Rgb, Samples::U8(samples))?;
@@ -57,14 +57,14 @@ pub struct Reader<'a> {
 /// let icc = opened.metadata().icc.as_deref();
 ///
 /// // The left half, at twice the size.
-/// let half = whole.crop(0, 0, 32, 48)?.resized(64, 96)?;
+/// let half = whole.crop(Rect::new(0, 0, 32, 48))?.resized(64, 96)?;
 /// let enlarged = opened.render(&half)?;
 /// assert_eq!((enlarged.width(), enlarged.height()), (64, 96));
 ///
 /// // A pan over the picture: every frame is drawn into the same memory.
 /// let mut frame = vec![0; 16 * 16 * 3];
 /// for x in 0..48 {
-///     opened.render_into(&whole.crop(x, 8, 16, 16)?, SamplesMut::U8(&mut frame))?;
+///     opened.render_into(&whole.crop(Rect::new(x, 8, 16, 16))?, SamplesMut::U8(&mut frame))?;
 /// }
 ///
 /// // Row by row, for a writer that needs no more: the view is sorted into tiles once and drawn band by band.
@@ -81,7 +81,7 @@ pub struct SplatImage {
     splats: PackedSplats,
     missing: MissingParts,
     /// The area that was read and can be rendered; `None` is the whole picture.
-    area: Option<Area>,
+    area: Option<Rect>,
     limits: Limits,
     budget: Budget,
     layers: Layers,
@@ -192,10 +192,10 @@ impl<'a> Reader<'a> {
         let samples = u64::from(view.width()) * u64::from(view.height()) * self.header.channels.count() as u64;
         // Do not read a picture whose pixels do not fit into the limits.
         self.budget.check(samples * self.header.depth.bytes() as u64)?;
-        self.read_area(Some(view.area().into()), damage)
+        self.read_area(Some(view.area()), damage)
     }
 
-    fn read_area(self, area: Option<Area>, damage: Damage) -> Result<SplatImage> {
+    fn read_area(self, area: Option<Rect>, damage: Damage) -> Result<SplatImage> {
         let Reader { header, rest, limits, budget, layers } = self;
         let reading = Reading { limits: &limits, budget: &budget, layers };
         let (splats, missing, area) = match damage {
@@ -286,7 +286,7 @@ impl SplatImage {
     /// Returns what a renderer needs in addition to the integers: the layers to render, the area that was read, the
     /// limits and the memory account.
     #[cfg(feature = "gpu")]
-    pub(crate) fn render_context(&self) -> (Layers, Option<Area>, &Limits, &Budget) {
+    pub(crate) fn render_context(&self) -> (Layers, Option<Rect>, &Limits, &Budget) {
         (self.layers, self.area, &self.limits, &self.budget)
     }
 
@@ -342,8 +342,8 @@ impl SplatImage {
 }
 
 /// Checks that `view` shows nothing outside `area`, if only that area was read.
-pub(crate) fn check_area(area: Option<&Area>, view: &View) -> Result<()> {
-    if area.is_some_and(|area| !area.holds(&view.area().into())) {
+pub(crate) fn check_area(area: Option<&Rect>, view: &View) -> Result<()> {
+    if area.is_some_and(|area| !area.holds(&view.area())) {
         let problem = format!("{view:?} shows more than the part of the picture that was read");
         return Err(Error::Parameter { name: "view", problem });
     }

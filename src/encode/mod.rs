@@ -38,6 +38,7 @@ use crate::options::{Detail, EncodeOptions};
 use crate::parallel;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
+use crate::rect::Rect;
 use crate::target::Target;
 pub use device::Chosen;
 pub use encoder::Encoder;
@@ -127,7 +128,9 @@ fn encode_by(
             tiles::encode(source, options, side, executor, ReportBuilder::new(progress, Tracer::new(options.trace)))
         }
         (None, Some(pixels)) => encode_whole(pixels, options, progress),
-        (None, None) => encode_whole(&source.part([0, 0, source.width(), source.height()])?, options, progress),
+        (None, None) => {
+            encode_whole(&source.part(Rect::new(0, 0, source.width(), source.height()))?, options, progress)
+        }
     }
 }
 

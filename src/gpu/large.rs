@@ -25,6 +25,7 @@ use crate::fit::state::State;
 use crate::gaussian::{Blend, Channels, Gaussians};
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::raster::{self, View};
+use crate::rect::Rect;
 use crate::{Limits, parallel};
 
 /// The largest picture of the SmartSplat paper.
@@ -130,13 +131,13 @@ fn fit_and_draw(count: usize, rows: u32) {
         list: gaussians,
     };
     let mut renderer = Renderer::new(&device, &picture, &Limits::default()).unwrap();
-    let view = View::full(&picture).crop(0, 0, WIDTH, rows).unwrap();
+    let view = View::full(&picture).crop(Rect::new(0, 0, WIDTH, rows)).unwrap();
     last = Instant::now();
     let Samples::U8(drawn) = renderer.render(&view, Depth::Eight).unwrap().into_samples() else { panic!("8 bits") };
     eprintln!("drawing {rows} rows, bands of {} rows: {:.1} s", renderer.bands().0, last.elapsed().as_secs_f64());
     // At the seam of two bands.
     let first = (renderer.bands().0 - 32).min(rows - 64);
-    let part = view.crop(0, first, WIDTH, 64).unwrap();
+    let part = view.crop(Rect::new(0, first, WIDTH, 64)).unwrap();
     let want = raster::Renderer::new(&picture, &part, &Limits::default()).unwrap().render(Depth::Eight).unwrap();
     let Samples::U8(want) = want.into_samples() else { panic!("8 bits") };
     let off: Vec<u8> =

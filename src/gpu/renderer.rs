@@ -6,7 +6,6 @@ use super::lists::{Lists, MAX_BINDING, MAX_TILES, check_primitives};
 #[cfg(test)]
 use super::scene::Splat;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
-use crate::bitstream::area::Area;
 use crate::budget::Budget;
 use crate::decode::{SplatImage, check_area};
 use crate::error::{Error, GpuError, Result};
@@ -14,6 +13,7 @@ use crate::gaussian::{Blend, Channels, Gaussian, Gaussians, MAX_SCALE};
 use crate::limits::Limits;
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::raster::{self, Overlay, View};
+use crate::rect::Rect;
 use std::sync::Arc;
 
 /// Alignment of the rows of a texture copy, bytes.
@@ -34,7 +34,7 @@ pub struct Renderer {
     /// Memory account for pixels and additions.
     budget: Budget,
     /// The area that was read and can be rendered; `None` is the whole picture.
-    area: Option<Area>,
+    area: Option<Rect>,
     /// Detail layer to add to the Gaussians.
     overlay: Option<Arc<Overlay>>,
     primitives: wgpu::Buffer,

@@ -224,6 +224,7 @@ mod tests {
     use super::*;
     use crate::error::Error;
     use crate::gaussian::Gaussian;
+    use crate::rect::Rect;
 
     /// Sorts within the given `limits`, without other accounting.
     fn bins(splats: &Splats, view: &View, limits: &Limits) -> Result<Bins> {
@@ -246,7 +247,9 @@ mod tests {
     #[test]
     fn members_stand_in_the_order_of_the_picture() {
         let full = View::of_size(2100, 1300);
-        for view in [full, full.crop(130, 700, 1500, 333).unwrap(), full.crop(1000, 500, 20, 20).unwrap()] {
+        for view in
+            [full, full.crop(Rect::new(130, 700, 1500, 333)).unwrap(), full.crop(Rect::new(1000, 500, 20, 20)).unwrap()]
+        {
             for count in [0, 1, 5000, 30_000] {
                 let splats = splats(count, &view);
                 let bins = bins(&splats, &view, &Limits::default()).unwrap();

@@ -6,7 +6,7 @@
 //! anchored to the view's grid, and nothing that is computed for a tile depends on what is rendered around it.
 //!
 //! ```
-//! use ssplat::{Blend, Channels, Depth, Gaussian, Limits, Gaussians, Renderer, View};
+//! use ssplat::{Blend, Channels, Depth, Gaussian, Gaussians, Limits, Rect, Renderer, View};
 //!
 //! let picture = Gaussians {
 //!     width: 64,
@@ -17,7 +17,7 @@
 //!     list: vec![Gaussian { mean: [32.0, 24.0], scale: [9.0, 3.0], rotation: 0.5, color: [1.0, 0.2, 0.0, 0.0] }],
 //! };
 //! let whole = View::full(&picture);
-//! let region = whole.crop(16, 8, 32, 32)?;
+//! let region = whole.crop(Rect::new(16, 8, 32, 32))?;
 //! let pixels = Renderer::new(&picture, &region, &Limits::default())?.render(Depth::Eight)?;
 //! assert_eq!((pixels.width(), pixels.height()), (32, 32));
 //! # Ok::<(), ssplat::Error>(())

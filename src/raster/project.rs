@@ -267,14 +267,15 @@ pub(super) fn project(
 mod tests {
     use super::*;
     use crate::limits::Limits;
+    use crate::rect::Rect;
 
     #[test]
     fn what_is_left_out_early_touches_nothing() {
         let full = View::of_size(500, 300);
         let views = [
-            full.crop(100, 60, 130, 90).unwrap(),
-            full.resized(1100, 400).unwrap().crop(300, 100, 200, 50).unwrap(),
-            full.resized(200, 40).unwrap().crop(60, 10, 3, 2).unwrap(),
+            full.crop(Rect::new(100, 60, 130, 90)).unwrap(),
+            full.resized(1100, 400).unwrap().crop(Rect::new(300, 100, 200, 50)).unwrap(),
+            full.resized(200, 40).unwrap().crop(Rect::new(60, 10, 3, 2)).unwrap(),
             full.resized(7, 5).unwrap(),
         ];
         let (mut left_out, mut drawn) = (0, 0);

@@ -2,6 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::gaussian::{CUTOFF, Gaussians};
+use crate::rect::Rect;
 
 /// Maximum side of a view, output pixels.
 pub(super) const MAX_SIDE: u32 = 1 << 20;
@@ -50,18 +51,14 @@ impl View {
         View { origin: [0.0; 2], step: [1.0; 2], offset: [0; 2], width, height }
     }
 
-    /// Returns the rectangle of `width × height` output pixels with its top left corner at pixel `(x, y)` of this
-    /// view. Its pixels have the same bits as in this view.
+    /// Returns a part of this view, in output pixels of this view. Its pixels have the same bits as in this view.
     ///
     /// # Errors
-    /// [`Error::Parameter`] if the rectangle is empty or not within this view.
+    /// [`Error::Parameter`] naming `region` if it is empty or not within this view.
     #[doc(alias("region", "part"))]
-    pub fn crop(&self, x: u32, y: u32, width: u32, height: u32) -> Result<Self> {
-        for (name, start, length, side) in [("width", x, width, self.width), ("height", y, height, self.height)] {
-            if length == 0 || u64::from(start) + u64::from(length) > u64::from(side) {
-                return Err(Error::Parameter { name, problem: format!("{start}+{length} is empty or beyond {side}") });
-            }
-        }
+    pub fn crop(&self, region: Rect) -> Result<Self> {
+        region.check("region", [self.width, self.height])?;
+        let Rect { x, y, width, height } = region;
         Ok(View { offset: [self.offset[0] + x, self.offset[1] + y], width, height, ..*self })
     }
 
@@ -131,10 +128,9 @@ impl View {
         self.step
     }
 
-    /// Returns the left, top, width and height, in picture pixels, of the area that a Gaussian's support must reach to
-    /// be visible in this view. It is larger than the view where the low-pass filter widens Gaussians.
+    /// Returns the area, in picture pixels, that a Gaussian's support must reach to be visible in this view. It is larger than the view where the low-pass filter widens Gaussians.
     #[must_use]
-    pub fn area(&self) -> [u32; 4] {
+    pub fn area(&self) -> Rect {
         let Filter { variance, .. } = self.filter();
         let side = [self.width, self.height];
         let [x, y] = std::array::from_fn(|k| {
@@ -145,7 +141,7 @@ impl View {
             let start = (start - margin).floor() as u32;
             [start, end.ceil() as u32 - start]
         });
-        [x[0], y[0], x[1], y[1]]
+        Rect::new(x[0], y[0], x[1], y[1])
     }
 
     /// Returns the low-pass filter for the step. Crops have the filter of their view.

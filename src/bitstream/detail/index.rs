@@ -5,7 +5,6 @@ use super::head::DetailHead;
 use super::levels::{CELL, CELLS, CodedBlock, Level, SUPERS, TILE, TileLevels, tile_area, tile_counts};
 use super::model::{KINDS, Models};
 use super::tile::{self, Count, kinds};
-use crate::bitstream::area::Area;
 use crate::bitstream::broken::Broken;
 use crate::bitstream::bytes::{Bytes, put_varint};
 use crate::bitstream::checksum::hash;
@@ -16,6 +15,7 @@ use crate::error::{Error, FormatError, Result};
 use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::parallel;
+use crate::rect::Rect;
 
 /// The detail layer of a picture: the levels of its tiles.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -88,7 +88,7 @@ pub(crate) struct Wanted<'a> {
     pub size: [u32; 2],
     pub channels: Channels,
     /// The area to read; `None` is the whole picture.
-    pub area: Option<Area>,
+    pub area: Option<Rect>,
     pub limits: &'a Limits,
     /// Whether damaged tiles are skipped.
     pub passes_over: bool,
@@ -360,10 +360,10 @@ fn memory_of(levels: u64, samples: u64) -> u64 {
 
 /// Returns whether tile `i` lies within one pixel of `area`, because enlarged views interpolate over that distance.
 /// Outside the picture, its border pixels are repeated (spec §11.6).
-fn reaches(size: [u32; 2], i: usize, area: Area) -> bool {
+fn reaches(size: [u32; 2], i: usize, area: Rect) -> bool {
     let [x, y, width, height] = tile_area(size, i).map(|v| v as u64);
     let meets = |start: u64, side: u64, k: usize| {
-        let (from, length) = (u64::from(area.corner[k]), u64::from(area.size[k]));
+        let (from, length) = (u64::from(area.corner()[k]), u64::from(area.size()[k]));
         start <= from + length && from.min(size[k].into()) <= start + side
     };
     meets(x, width, 0) && meets(y, height, 1)

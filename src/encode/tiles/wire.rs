@@ -28,6 +28,7 @@ use crate::limits::Limits;
 use crate::options::HiddenColors;
 use crate::pixel_source::{PixelSource, check_area};
 use crate::pixels::{Depth, Pixels, Samples};
+use crate::rect::Rect;
 use crate::strict_math::StrictMath;
 
 /// First bytes of a task, including the version of its layout.
@@ -134,7 +135,7 @@ impl PendingTile {
     pub(super) fn answer<T: WireFormat>(&self, global: &GlobalContext<'_>, bytes: &[u8]) -> Result<TileResult<T>> {
         self.read(global, bytes).map_err(|e| match bad("answer", e) {
             Error::Parameter { name, problem } => {
-                let [x, y, width, height] = self.window.core.bounds();
+                let [x, y, width, height] = self.window.core.bounds().into();
                 let problem = format!("for the tile of {width} × {height} at {x}, {y}: {problem}");
                 Error::Parameter { name, problem }
             }
@@ -194,7 +195,7 @@ pub(super) fn task<T: WireFormat>(
     let blank = bitstream::to_bytes(&global.blank)?;
     out.extend((blank.len() as u32).to_le_bytes());
     out.extend(blank);
-    for v in window.core.bounds().into_iter().chain(window.padded.bounds()) {
+    for v in [window.core, window.padded].into_iter().flat_map(|area| <[u32; 4]>::from(area.bounds())) {
         out.extend(v.to_le_bytes());
     }
     out.extend(window.index.to_le_bytes());
@@ -309,7 +310,7 @@ impl PixelSource for TaskPixels {
         self.pixels.depth()
     }
 
-    fn part(&self, area: [u32; 4]) -> Result<Pixels> {
+    fn part(&self, area: Rect) -> Result<Pixels> {
         self.pixels.part(self.area.inward(area))
     }
 }
@@ -387,7 +388,7 @@ fn read_window(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {
         for v in area.iter_mut() {
             *v = bytes.u32(field)?;
         }
-        check_area(*area, size)?;
+        check_area((*area).into(), size)?;
     }
     let [core, padded] = areas.map(|[x, y, width, height]| Area { corner: [x, y], size: [width, height] });
     check_area(padded.inward(core.bounds()), padded.size)?;

@@ -15,7 +15,7 @@ use image::metadata::Orientation;
 use ssplat::SamplesMut;
 use ssplat::unstable::bitstream::header::{Sections, VERSION};
 use ssplat::unstable::bitstream::splats::{Layout, Metadata};
-use ssplat::{Blend, Damage, Error, Layers, Limits, Reader, Result};
+use ssplat::{Blend, Damage, Error, Layers, Limits, Reader, Rect, Result};
 
 /// State that is kept between two calls.
 #[derive(Default)]
@@ -137,7 +137,7 @@ pub extern "C" fn decode(
         let (channels, depth) = (header.channels.count(), header.depth);
         let mut view = opening.view();
         if width > 0 {
-            view = view.crop(left, top, width, height)?;
+            view = view.crop(Rect::new(left, top, width, height))?;
         }
         if out_width > 0 {
             let kept = (f64::from(view.height()) * f64::from(out_width) / f64::from(view.width())).round().max(1.0);
