@@ -30,8 +30,9 @@ fn small() -> Vec<u8> {
 }
 
 fn draw(bytes: &[u8], view: &View, layers: Layers) -> Pixels {
-    let opening = Reader::new(bytes, &Limits::default()).unwrap().showing(layers);
-    opening.read_for(view, Damage::Refuse).unwrap().render(view).unwrap()
+    let view = view.layers(layers);
+    let reader = Reader::new(bytes, &Limits::default()).unwrap();
+    reader.read_for(&view, Damage::Refuse).unwrap().render(&view).unwrap()
 }
 
 fn samples(pixels: &Pixels) -> Vec<u16> {
@@ -212,10 +213,33 @@ fn every_flipped_bit_loses_at_most_one_tile() {
 }
 
 #[test]
+fn views_select_the_layers_of_a_whole_file_and_only_those_that_were_read() {
+    let bytes = small();
+    let reader = || Reader::new(&bytes, &Limits::default()).unwrap();
+    let all = [Layers::Both, Layers::Gaussians, Layers::Detail];
+    let whole = reader().read(Damage::Refuse).unwrap();
+    for layers in all {
+        let view = whole.view().layers(layers);
+        let read = reader().read_for(&view, Damage::Refuse).unwrap();
+        assert_eq!(whole.render(&view).unwrap(), read.render(&read.view()).unwrap(), "{layers:?}");
+        for other in all {
+            let found = read.render(&view.layers(other));
+            let is_read = layers == Layers::Both || layers == other;
+            match found {
+                Ok(_) => assert!(is_read, "{other:?} of {layers:?}"),
+                Err(Error::Parameter { name: "view", .. }) => assert!(!is_read, "{other:?} of {layers:?}"),
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+}
+
+#[test]
 fn the_gaussians_of_a_whole_file_are_read_with_nothing_missing() {
     let bytes = small();
-    let opening = Reader::new(&bytes, &Limits::default()).unwrap().showing(Layers::Gaussians);
-    assert_eq!(opening.read(Damage::Accept).unwrap().missing(), MissingParts::default());
+    let reader = Reader::new(&bytes, &Limits::default()).unwrap();
+    let view = reader.view().layers(Layers::Gaussians);
+    assert_eq!(reader.read_for(&view, Damage::Accept).unwrap().missing(), MissingParts::default());
 }
 
 #[test]
@@ -308,8 +332,9 @@ fn work_of_the_layer_is_checked_before_it_is_done() {
     limits.work = 1 << 20;
     assert!(matches!(read(&bytes[..], &limits), Err(Error::LimitExceeded { what: "work", .. })));
     // The Gaussians alone are within the limit.
-    let opening = Reader::new(&bytes, &limits).unwrap().showing(Layers::Gaussians);
-    assert!(opening.read(Damage::Refuse).is_ok());
+    let reader = Reader::new(&bytes, &limits).unwrap();
+    let view = reader.view().layers(Layers::Gaussians);
+    assert!(reader.read_for(&view, Damage::Refuse).is_ok());
 }
 
 /// A view that is enlarged along one axis and reduced along the other has more resampling taps than pixels or samples.
@@ -338,8 +363,9 @@ fn work_of_both_layers_is_counted_together() {
         let is_drawn = |work: u64| {
             let mut limits = Limits::default();
             limits.work = work;
-            let opening = Reader::new(&bytes, &limits).unwrap().showing(layers);
-            opening.read(Damage::Refuse).and_then(|o| o.renderer(&View::of_size(530, 300))).is_ok()
+            let view = View::of_size(530, 300).layers(layers);
+            let reader = Reader::new(&bytes, &limits).unwrap();
+            reader.read_for(&view, Damage::Refuse).and_then(|image| image.renderer(&view)).is_ok()
         };
         (8 * 24..8 * 36)
             .map(|eighth: u32| (1 << (eighth / 8)) / 8 * u64::from(8 + eighth % 8))

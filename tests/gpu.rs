@@ -180,21 +180,20 @@ fn layered(channels: Channels, depth: Depth, blend: Blend, size: [u32; 2]) -> Ve
     to_bytes(&with_layer(ground, head, Levels::new(71))).unwrap()
 }
 
-fn opened(bytes: &[u8], layers: Layers) -> SplatImage {
-    Reader::new(bytes, &Limits::default()).unwrap().showing(layers).read(Damage::Refuse).unwrap()
+fn opened(bytes: &[u8]) -> SplatImage {
+    Reader::new(bytes, &Limits::default()).unwrap().read(Damage::Refuse).unwrap()
 }
 
 /// Returns the largest difference between the GPU's and the CPU's rendering of `view`, in code values, and whether the
 /// layer is visible in it.
-fn apart(device: &Device, opened: &mut SplatImage, view: &View) -> (u16, bool) {
-    let draw = |opened: &SplatImage| codes(opened.render(view).unwrap().into_samples());
-    let cpu = draw(opened);
+fn apart(device: &Device, opened: &SplatImage, view: &View) -> (u16, bool) {
+    let draw = |view: &View| codes(opened.render(view).unwrap().into_samples());
+    let cpu = draw(view);
     let depth = opened.splats().depth;
     let (count, alpha) = (opened.splats().channels.count(), opened.splats().channels.alpha());
     let gpu = codes(Renderer::of(device, opened).unwrap().render(view, depth).unwrap().into_samples());
     assert_eq!(cpu.len(), gpu.len());
-    opened.show(Layers::Gaussians);
-    let alone = draw(opened);
+    let alone = draw(&view.layers(Layers::Gaussians));
     let is_reduced = view.step().iter().any(|&step| step > 1.0);
     let off = |(i, (a, b)): (usize, (&u16, &u16))| {
         // In a reduced view, the tolerance for colours of nearly transparent pixels is larger.
@@ -232,20 +231,20 @@ fn two_layers(device: &Device) {
         let most = if depth == Depth::Eight { 1 } else { 2 * TOLERANCE_16_BIT };
         for (view, of) in &views {
             for layers in [Layers::Both, Layers::Detail] {
-                let (off, is_seen) = apart(device, &mut opened(&bytes, layers), view);
+                let (off, is_seen) = apart(device, &opened(&bytes), &view.layers(layers));
                 assert!(off <= most && is_seen, "{of}, {channels:?}, {depth:?}, {blend:?}, {layers:?}: {off}");
             }
-            let (off, is_seen) = apart(device, &mut opened(&bytes, Layers::Gaussians), view);
+            let (off, is_seen) = apart(device, &opened(&bytes), &view.layers(Layers::Gaussians));
             assert!(off <= most && !is_seen, "{of}, Gaussians alone: {off}");
         }
     }
     let bytes = layered(Channels::Rgba, Depth::Eight, Blend::Normalized, sizes[1]);
     let full = View::of_size(1100, 600);
     for view in [full, full.crop(Rect::new(30, 100, 1000, 480)).unwrap(), resized(full, 1000, 700)] {
-        let (off, is_seen) = apart(device, &mut opened(&bytes, Layers::Both), &view);
+        let (off, is_seen) = apart(device, &opened(&bytes), &view);
         assert!(off <= 1 && is_seen, "{view:?}: {off}");
     }
-    let mut renderer = Renderer::of(device, &opened(&bytes, Layers::Both)).unwrap();
+    let mut renderer = Renderer::of(device, &opened(&bytes)).unwrap();
     let whole = codes(renderer.render(&full, Depth::Eight).unwrap().into_samples());
     assert_eq!(renderer.bands().0, 256, "rows of a band");
     // One renderer renders one view after the other.
@@ -258,7 +257,8 @@ fn layers_within_limits(device: &Device) {
     let bytes = layered(Channels::Rgb, Depth::Eight, Blend::Normalized, [530, 300]);
     let view = View::of_size(530, 300);
     for (layers, is_refused) in [(Layers::Both, true), (Layers::Gaussians, false)] {
-        let mut file = opened(&bytes, layers);
+        let view = view.layers(layers);
+        let mut file = opened(&bytes);
         // Enough for the pixels and the integers, but not for the additions to 300 rows.
         file.limit_alloc(2_500_000).unwrap();
         let drawn = Renderer::of(device, &file).unwrap().render(&view, Depth::Eight);
@@ -267,8 +267,7 @@ fn layers_within_limits(device: &Device) {
         // Less than the layer needs, but more than the Gaussians need.
         let mut limits = Limits::default();
         limits.work = 1 << 27;
-        let opening = Reader::new(&bytes, &limits).unwrap().showing(layers);
-        let file = opening.read(Damage::Refuse).unwrap();
+        let file = Reader::new(&bytes, &limits).unwrap().read(Damage::Refuse).unwrap();
         let drawn = Renderer::of(device, &file).unwrap().render(&view, Depth::Eight);
         let refused = matches!(drawn, Err(Error::LimitExceeded { what: "work", .. }));
         assert!(refused == is_refused && drawn.is_ok() != is_refused, "{layers:?}: {drawn:?}");

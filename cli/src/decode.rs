@@ -83,9 +83,9 @@ fn one(args: &args::Decode, task: &Task, format: Format, show: &Show) -> Result<
     }
     let failed = |e| Failure::library(input, &e);
     let limits = Limits::default();
-    let opening = Reader::new(&bytes, &limits).map_err(failed)?.showing(args.layers);
+    let opening = Reader::new(&bytes, &limits).map_err(failed)?;
     let of = opening.header().primitives;
-    let view = view(args, input, opening.view())?;
+    let view = view(args, input, opening.view().layers(args.layers))?;
     let damage = if args.partial { Damage::Accept } else { Damage::Refuse };
     let opened = opening.read_for(&view, damage).map_err(failed)?;
     drop(bytes);

@@ -23,8 +23,10 @@ pub fn gaussians<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let limits = decode::limits(limits.as_ref())?;
     let (opened, floats, background) = work::run(py, 1, &work::Calls::default(), move |_| {
-        // The detail layer is not part of the result.
-        let opened = Reader::new(&data, &limits)?.showing(Layers::Gaussians).read(Damage::Refuse)?;
+        // The detail layer is not part of the result. Pixels are not needed, so the view has only one.
+        let reader = Reader::new(&data, &limits)?;
+        let view = reader.view().resized(1, 1)?.layers(Layers::Gaussians);
+        let opened = reader.read_for(&view, Damage::Refuse)?;
         let stored = opened.gaussians()?;
         Ok((opened, Floats::of(&stored), stored.background))
     })?;

@@ -67,7 +67,7 @@ impl Decoder {
         self
     }
 
-    /// Sets the layers to render. The default is [`Layers::Both`].
+    /// Sets the layers to render, as [`View::layers`](crate::View::layers). The default is [`Layers::Both`].
     #[must_use]
     pub fn layers(mut self, layers: Layers) -> Self {
         self.options.layers = layers;

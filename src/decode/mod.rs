@@ -6,7 +6,7 @@ mod thumbnail;
 
 pub use decoder::Decoder;
 #[cfg(feature = "gpu")]
-pub(crate) use reader::check_area;
+pub(crate) use reader::check_view;
 pub use reader::{Reader, SplatImage};
 pub use thumbnail::thumbnail;
 
@@ -37,7 +37,7 @@ pub struct Decoded {
 /// files that cannot be read, [`Error::LimitExceeded`](crate::Error::LimitExceeded) for files that exceed the limits,
 /// [`Error::Parameter`](crate::Error::Parameter) for a region that is empty or not within the picture.
 pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
-    let opening = Reader::new(bytes, &options.limits)?.showing(options.layers);
+    let opening = Reader::new(bytes, &options.limits)?;
     let view = options.view(&opening.view())?;
     let opened = opening.read_for(&view, options.damage)?;
     let (depth, missing) = (opened.splats().depth, opened.missing());
@@ -54,7 +54,7 @@ pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
 /// As [`decode()`], and [`Error::Parameter`] naming `out` if `out` does not have exactly as many samples as `options`
 /// require.
 pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -> Result<(Metadata, MissingParts)> {
-    let opening = Reader::new(bytes, &options.limits)?.showing(options.layers);
+    let opening = Reader::new(bytes, &options.limits)?;
     let view = options.view(&opening.view())?;
     let samples = u64::from(view.width()) * u64::from(view.height()) * opening.header().channels.count() as u64;
     if out.count() as u64 != samples {
@@ -72,7 +72,7 @@ pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -
 impl DecodeOptions {
     /// Returns the view of the requested region and size of the `whole` picture.
     fn view(&self, whole: &View) -> Result<View> {
-        let mut view = *whole;
+        let mut view = whole.layers(self.layers);
         if let Some(region) = self.region {
             view = view.crop(region)?;
         }

@@ -38,7 +38,6 @@ pub struct Reader<'a> {
     rest: &'a [u8],
     limits: Limits,
     budget: Budget,
-    layers: Layers,
 }
 
 /// A file that has been read and can be rendered any number of times.
@@ -82,9 +81,10 @@ pub struct SplatImage {
     missing: MissingParts,
     /// The area that was read and can be rendered; `None` is the whole picture.
     area: Option<Rect>,
+    /// The layers that were read.
+    layers: Layers,
     limits: Limits,
     budget: Budget,
-    layers: Layers,
     /// Memory reserved for the integers.
     #[expect(dead_code, reason = "held until the integers are gone")]
     integers: Reservation,
@@ -107,13 +107,7 @@ impl<'a> Reader<'a> {
 
     /// Returns a reader of a file whose header has been read; `rest` are the bytes that follow it.
     pub(crate) fn with_header(header: Header, rest: &'a [u8], limits: &Limits) -> Self {
-        Reader { header, rest, limits: limits.clone(), budget: Budget::of(limits), layers: Layers::default() }
-    }
-
-    /// Restricts the layers that are read and rendered. The default is [`Layers::Both`].
-    #[must_use]
-    pub fn showing(self, layers: Layers) -> Self {
-        Reader { layers, ..self }
+        Reader { header, rest, limits: limits.clone(), budget: Budget::of(limits) }
     }
 
     /// Returns the width of the picture, pixels.
@@ -169,7 +163,7 @@ impl<'a> Reader<'a> {
     /// [`Limits::metadata`].
     #[doc(alias("icc", "exif"))]
     pub fn metadata(&self) -> Result<Metadata> {
-        Reading { limits: &self.limits, budget: &self.budget, layers: self.layers }.described(&self.header, self.rest)
+        Reading { limits: &self.limits, budget: &self.budget, layers: Layers::Both }.described(&self.header, self.rest)
     }
 
     /// Reads the whole picture.
@@ -178,12 +172,12 @@ impl<'a> Reader<'a> {
     /// [`Error::Format`] for a file that cannot be read, and [`Error::LimitExceeded`] if reading would take too much
     /// memory. With [`Damage::Accept`], truncated and damaged groups are not errors.
     pub fn read(self, damage: Damage) -> Result<SplatImage> {
-        self.read_area(None, damage)
+        self.read_part(None, Layers::Both, damage)
     }
 
-    /// Reads the part of the picture that is visible in `view`. For a small part of a large file, this is much less
-    /// than everything. The result can only render this view and parts of it. With [`Damage::Accept`], the whole file
-    /// is read.
+    /// Reads the part of the picture that is visible in `view`, and the layers that it shows. For a small part of a
+    /// large file, this is much less than everything. The result can only render this view and parts of it, with the
+    /// same [layers](View::layers). With [`Damage::Accept`], the whole picture is read.
     ///
     /// # Errors
     /// As [`Reader::read`], and [`Error::LimitExceeded`] if the pixels of `view` alone would take too much memory.
@@ -192,11 +186,11 @@ impl<'a> Reader<'a> {
         let samples = u64::from(view.width()) * u64::from(view.height()) * self.header.channels.count() as u64;
         // Do not read a picture whose pixels do not fit into the limits.
         self.budget.check(samples * self.header.depth.bytes() as u64)?;
-        self.read_area(Some(view.area()), damage)
+        self.read_part(Some(view.area()), view.shown(), damage)
     }
 
-    fn read_area(self, area: Option<Rect>, damage: Damage) -> Result<SplatImage> {
-        let Reader { header, rest, limits, budget, layers } = self;
+    fn read_part(self, area: Option<Rect>, layers: Layers, damage: Damage) -> Result<SplatImage> {
+        let Reader { header, rest, limits, budget } = self;
         let reading = Reading { limits: &limits, budget: &budget, layers };
         let (splats, missing, area) = match damage {
             Damage::Accept => {
@@ -238,10 +232,10 @@ impl SplatImage {
         Reader::with_header(header, &rest, limits).read(Damage::Refuse)
     }
 
-    /// Returns the view of the whole picture at its own size.
+    /// Returns the view of the whole picture at its own size, with the layers that were read.
     #[must_use]
     pub fn view(&self) -> View {
-        View::of_size(self.splats.width, self.splats.height)
+        View::of_size(self.splats.width, self.splats.height).layers(self.layers)
     }
 
     /// Returns the integers that were read.
@@ -277,14 +271,14 @@ impl SplatImage {
     /// Returns a renderer of `view`. It does not borrow the opened file.
     ///
     /// # Errors
-    /// As [`Renderer::new`], and [`Error::Parameter`] if the view shows parts of the picture that were not read.
+    /// As [`Renderer::new`], and [`Error::Parameter`] if the view shows parts or layers of the picture that were not read.
     pub fn renderer(&self, view: &View) -> Result<Renderer> {
-        check_area(self.area.as_ref(), view)?;
-        self.splats.renderer_within(view, (&self.limits, &self.budget), self.layers)
+        check_view(view, self.area.as_ref(), self.layers)?;
+        self.splats.renderer_within(view, &self.limits, &self.budget)
     }
 
-    /// Returns what a renderer needs in addition to the integers: the layers to render, the area that was read, the
-    /// limits and the memory account.
+    /// Returns what a renderer needs in addition to the integers: the layers and the area that were read, the limits
+    /// and the memory account.
     #[cfg(feature = "gpu")]
     pub(crate) fn render_context(&self) -> (Layers, Option<Rect>, &Limits, &Budget) {
         (self.layers, self.area, &self.limits, &self.budget)
@@ -314,11 +308,6 @@ impl SplatImage {
         Ok(())
     }
 
-    /// Sets the layers to render from now on. Layers that were not read cannot be shown.
-    pub fn show(&mut self, layers: Layers) {
-        self.layers = layers;
-    }
-
     /// Returns the metadata and drops the integers.
     #[must_use]
     pub fn into_metadata(self) -> Metadata {
@@ -341,17 +330,18 @@ impl SplatImage {
     }
 }
 
-/// Checks that `view` shows nothing outside `area`, if only that area was read.
-pub(crate) fn check_area(area: Option<&Rect>, view: &View) -> Result<()> {
+/// Checks that `view` shows nothing outside `area`, if only that area was read, and no other layers than were read.
+pub(crate) fn check_view(view: &View, area: Option<&Rect>, layers: Layers) -> Result<()> {
+    if layers != Layers::Both && view.shown() != layers {
+        let problem = format!("{view:?} shows other layers than {layers:?}, which were read");
+        return Err(Error::Parameter { name: "view", problem });
+    }
     if area.is_some_and(|area| !area.holds(&view.area())) {
         let problem = format!("{view:?} shows more than the part of the picture that was read");
         return Err(Error::Parameter { name: "view", problem });
     }
     Ok(())
 }
-
-/// Colour under the detail layer when it is rendered alone: middle grey, as an encoded value.
-const GREY: f32 = 0.5;
 
 impl PackedSplats {
     /// Returns a renderer of `view`. Gaussians are computed one by one, whereas
@@ -360,39 +350,30 @@ impl PackedSplats {
     /// # Errors
     /// As [`Renderer::new`].
     pub fn renderer(&self, view: &View, limits: &Limits) -> Result<Renderer> {
-        self.renderer_within(view, (limits, &Budget::of(limits)), Layers::Both)
+        self.renderer_within(view, limits, &Budget::of(limits))
     }
 
-    /// Returns a renderer of the given `layers`, as [`renderer`](PackedSplats::renderer) does, with memory from
-    /// `budget`.
-    fn renderer_within(&self, view: &View, (limits, budget): (&Limits, &Budget), layers: Layers) -> Result<Renderer> {
-        let (canvas, count) = self.canvas(layers);
+    /// Returns a renderer, as [`renderer`](PackedSplats::renderer) does, with memory from `budget`.
+    fn renderer_within(&self, view: &View, limits: &Limits, budget: &Budget) -> Result<Renderer> {
+        let (canvas, count) = self.canvas().showing(view.shown(), self.gaussians.len());
         let quantizer = self.quantizer();
         let gaussian = |i: usize| quantizer.dequantize(&self.gaussians[i]);
         let renderer = Renderer::of(&canvas, (count, gaussian), view, limits, budget)?;
-        match self.overlay(layers) {
+        match self.overlay().filter(|_| view.shown() != Layers::Gaussians) {
             Some(overlay) => renderer.with(overlay, limits),
             None => Ok(renderer),
         }
     }
 
-    /// Returns the canvas onto which the Gaussians are rendered when `layers` are shown, and the number of Gaussians
-    /// to render.
-    pub(crate) fn canvas(&self, layers: Layers) -> (Canvas, usize) {
-        let mut background = self.quantizer().dequantize_color(self.background);
-        let mut count = self.gaussians.len();
-        if layers == Layers::Detail {
-            (background, count) = ([GREY; 4], 0);
-            if let Some(alpha) = self.channels.alpha() {
-                background[alpha] = 1.0;
-            }
-        }
-        (Canvas { channels: self.channels, blend: self.blend, background }, count)
+    /// Returns the canvas onto which the Gaussians are rendered.
+    pub(crate) fn canvas(&self) -> Canvas {
+        let background = self.quantizer().dequantize_color(self.background);
+        Canvas { channels: self.channels, blend: self.blend, background }
     }
 
-    /// Returns the detail layer to add to the Gaussians, if `layers` include it and the file has one.
-    pub(crate) fn overlay(&self, layers: Layers) -> Option<Overlay> {
-        let layer = self.detail.as_ref().filter(|_| layers != Layers::Gaussians)?;
+    /// Returns the detail layer to add to the Gaussians, if the file has one.
+    pub(crate) fn overlay(&self) -> Option<Overlay> {
+        let layer = self.detail.as_ref()?;
         Some(Overlay::new(Arc::clone(layer), self.channels, [self.width, self.height]))
     }
 }

@@ -7,10 +7,11 @@ use super::lists::{Lists, MAX_BINDING, MAX_TILES, check_primitives};
 use super::scene::Splat;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
 use crate::budget::Budget;
-use crate::decode::{SplatImage, check_area};
+use crate::decode::{SplatImage, check_view};
 use crate::error::{Error, GpuError, Result};
 use crate::gaussian::{Blend, Channels, Gaussian, Gaussians, MAX_SCALE};
 use crate::limits::Limits;
+use crate::options::Layers;
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::raster::{self, Overlay, View};
 use crate::rect::Rect;
@@ -26,13 +27,13 @@ const PAIR_WORK: u64 = (TILE * TILE) as u64;
 #[derive(Debug)]
 pub struct Renderer {
     device: Device,
-    channels: Channels,
-    blend: Blend,
-    background: [f32; 4],
+    canvas: raster::Canvas,
     count: u32,
     limits: Limits,
     /// Memory account for pixels and additions.
     budget: Budget,
+    /// The layers that were read and can be rendered.
+    layers: Layers,
     /// The area that was read and can be rendered; `None` is the whole picture.
     area: Option<Rect>,
     /// Detail layer to add to the Gaussians.
@@ -99,20 +100,19 @@ impl Renderer {
         Renderer::on(device, &canvas, gaussians, limits, &Budget::of(limits))
     }
 
-    /// Copies the [shown](SplatImage::show) layers of an opened file to `device`. The file may be dropped afterwards;
-    /// rendering reserves memory from its account ([`Limits::alloc`]). The additions of a detail layer are computed on
-    /// the CPU when a view is rendered.
+    /// Copies the layers of `opened` that were read to `device`; each view then selects [layers](View::layers) of them.
+    /// The file may be dropped afterwards; rendering reserves memory from its account ([`Limits::alloc`]). The additions
+    /// of a detail layer are computed on the CPU when a view is rendered.
     ///
     /// # Errors
     /// As [`Renderer::new`], with the limits of `opened`.
     pub fn of(device: &Device, opened: &SplatImage) -> Result<Self> {
         let (layers, area, limits, budget) = opened.render_context();
         let splats = opened.splats();
-        let (canvas, count) = splats.canvas(layers);
         let quantizer = splats.quantizer();
-        let gaussians = (count, |i: usize| quantizer.dequantize(&splats.gaussians[i]));
-        let overlay = splats.overlay(layers).map(Arc::new);
-        Ok(Renderer { area, overlay, ..Renderer::on(device, &canvas, gaussians, limits, budget)? })
+        let gaussians = (splats.gaussians.len(), |i: usize| quantizer.dequantize(&splats.gaussians[i]));
+        let overlay = splats.overlay().map(Arc::new);
+        Ok(Renderer { layers, area, overlay, ..Renderer::on(device, &splats.canvas(), gaussians, limits, budget)? })
     }
 
     fn on(
@@ -155,12 +155,11 @@ impl Renderer {
         })?;
         Ok(Renderer {
             device: device.clone(),
-            channels: canvas.channels,
-            blend: canvas.blend,
-            background: canvas.background,
+            canvas: *canvas,
             count: count as u32,
             limits: limits.clone(),
             budget: budget.clone(),
+            layers: Layers::Both,
             area: None,
             overlay: None,
             primitives: buffer,
@@ -175,14 +174,14 @@ impl Renderer {
     /// # Errors
     /// [`Error::LimitExceeded`] if the pixels, the additions of a detail layer, the (Gaussian, tile) pairs or their
     /// work exceed the limits; rendering stops before the band that exceeds them. [`Error::Parameter`] if the view
-    /// shows parts of the picture that were not read. [`Error::Gpu`] if the device fails, or if the Gaussians of a
+    /// shows parts or layers of the picture that were not read. [`Error::Gpu`] if the device fails, or if the Gaussians of a
     /// single row of tiles do not fit into a list.
     pub fn render(&mut self, view: &View, depth: Depth) -> Result<Pixels> {
-        let count = self.channels.count();
+        let count = self.canvas.channels.count();
         let samples = u64::from(view.width()) * u64::from(view.height()) * count as u64;
         let _held = self.budget.reserve(samples * depth.bytes() as u64)?;
         // Indices of the picture's channels among red, green, blue and alpha.
-        let picked: &[usize] = match self.channels {
+        let picked: &[usize] = match self.canvas.channels {
             Channels::Grey => &[0],
             Channels::GreyAlpha => &[0, 3],
             Channels::Rgb => &[0, 1, 2],
@@ -212,7 +211,7 @@ impl Renderer {
                 Samples::U16(out)
             }
         };
-        Pixels::new(view.width(), view.height(), self.channels, samples)
+        Pixels::new(view.width(), view.height(), self.canvas.channels, samples)
     }
 
     /// Renders `view` into `buffer` as red, green, blue and straight alpha, 8 bits each, row after row. The pixels
@@ -311,15 +310,16 @@ impl Renderer {
         stride: u32,
         mut take: impl FnMut(&Device, &wgpu::Buffer, u64, u32) -> Result<()>,
     ) -> Result<()> {
-        check_area(self.area.as_ref(), view)?;
-        let mut layer = match &self.overlay {
+        check_view(view, self.area.as_ref(), self.layers)?;
+        let (canvas, count) = self.canvas.showing(view.shown(), self.count as usize);
+        let mut layer = match self.overlay.as_ref().filter(|_| view.shown() != Layers::Gaussians) {
             Some(overlay) => Some(Layer::new(overlay, view, &self.limits)?),
             None => None,
         };
         let base = Uniforms {
             stride,
             detail: layer.is_some().into(),
-            ..Uniforms::new(view, self.blend, self.channels, self.background, self.count)
+            ..Uniforms::new(view, canvas.blend, canvas.channels, canvas.background, count as u32)
         };
         // Output rows in a tile. A band has whole rows of tiles whose codes fit into a binding, or as many rows as
         // additions are held for.

@@ -12,6 +12,7 @@ use crate::detail::supers::Supers;
 use crate::error::{Error, Result};
 use crate::gaussian::{Blend, Channels, Gaussian, Gaussians};
 use crate::limits::Limits;
+use crate::options::Layers;
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::simd;
 #[cfg(feature = "rayon")]
@@ -47,6 +48,23 @@ pub(crate) struct Canvas {
     pub background: [f32; 4],
 }
 
+/// Colour under the detail layer when it is rendered alone: middle grey, as an encoded value.
+const GREY: f32 = 0.5;
+
+impl Canvas {
+    /// Returns the canvas onto which `layers` are rendered, and how many of `count` Gaussians are rendered onto it.
+    pub(crate) fn showing(mut self, layers: Layers, count: usize) -> (Self, usize) {
+        if layers != Layers::Detail {
+            return (self, count);
+        }
+        self.background = [GREY; 4];
+        if let Some(alpha) = self.channels.alpha() {
+            self.background[alpha] = 1.0;
+        }
+        (self, 0)
+    }
+}
+
 /// Selects the instruction set; the output is the same for all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Dispatch {
@@ -68,7 +86,8 @@ const MAX_SLICES: usize = 4096;
 const _: () = assert!(TILE.is_multiple_of(TILE_WIDTH) && TILE_WIDTH == TILE_HEIGHT);
 
 impl Renderer {
-    /// Projects the Gaussians of `picture` that `view` shows, and sorts them into tiles.
+    /// Projects the Gaussians of `picture` that `view` shows, and sorts them into tiles. There is no detail layer;
+    /// [`SplatImage::renderer`](crate::SplatImage::renderer) renders the one of a file.
     ///
     /// # Errors
     /// [`Error::LimitExceeded`] if primitives, (Gaussian, tile) pairs, work or memory exceed `limits`; this is checked
@@ -76,8 +95,8 @@ impl Renderer {
     /// side of the view is 0 or over 2²⁰.
     pub fn new(picture: &Gaussians, view: &View, limits: &Limits) -> Result<Self> {
         let canvas = Canvas { channels: picture.channels, blend: picture.blend, background: picture.background };
-        let gaussians = (picture.list.len(), |i| picture.list[i]);
-        Renderer::of(&canvas, gaussians, view, limits, &Budget::of(limits))
+        let (canvas, count) = canvas.showing(view.layers, picture.list.len());
+        Renderer::of(&canvas, (count, |i| picture.list[i]), view, limits, &Budget::of(limits))
     }
 
     /// Returns a renderer of `count` Gaussians that are computed on demand, so that they need not all be in memory.

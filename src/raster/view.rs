@@ -2,6 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::gaussian::{CUTOFF, Gaussians};
+use crate::options::Layers;
 use crate::rect::Rect;
 
 /// Maximum side of a view, output pixels.
@@ -23,9 +24,9 @@ pub(crate) struct Filter {
     pub variance: [f64; 2],
 }
 
-/// A rectangle of output pixels on a grid over the picture: which area to render, and at which size.
+/// What to render: an area of the picture, the size of the output, and the layers of the file.
 ///
-/// Pixel `(i, j)` of the view is pixel `offset + (i, j)` of the grid and samples the picture at `origin + (offset +
+/// A view is a rectangle of output pixels on a grid over the picture. Pixel `(i, j)` of the view is pixel `offset + (i, j)` of the grid and samples the picture at `origin + (offset +
 /// (i, j) + ½) · step`. Views that share a grid (those made by [`View::crop`]) give the same bits wherever they
 /// overlap.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,6 +37,7 @@ pub struct View {
     pub(super) offset: [u32; 2],
     pub(super) width: u32,
     pub(super) height: u32,
+    pub(super) layers: Layers,
 }
 
 impl View {
@@ -48,7 +50,7 @@ impl View {
     /// Returns the view of a whole picture of `width × height` pixels at its own size.
     #[must_use]
     pub fn of_size(width: u32, height: u32) -> Self {
-        View { origin: [0.0; 2], step: [1.0; 2], offset: [0; 2], width, height }
+        View { origin: [0.0; 2], step: [1.0; 2], offset: [0; 2], width, height, layers: Layers::Both }
     }
 
     /// Returns a part of this view, in output pixels of this view. Its pixels have the same bits as in this view.
@@ -88,7 +90,7 @@ impl View {
             self.step[0] * f64::from(self.width) / f64::from(width),
             self.step[1] * f64::from(self.height) / f64::from(height),
         ];
-        Ok(View { origin, step, offset: [0; 2], width, height })
+        Ok(View { origin, step, offset: [0; 2], width, height, ..*self })
     }
 
     /// Returns a view of the same area at the largest size that fits into `within` (width and height in output
@@ -107,6 +109,18 @@ impl View {
         let scale = (0..2).map(|k| f64::from(within[k]) / f64::from(sides[k])).fold(1.0, f64::min);
         let [width, height] = sides.map(|side| ((f64::from(side) * scale).round() as u32).max(1));
         self.resized(width, height)
+    }
+
+    /// Sets the layers to render. The default is [`Layers::Both`]. [`Reader::read_for`](crate::Reader::read_for) reads
+    /// only these layers.
+    #[must_use]
+    pub fn layers(self, layers: Layers) -> Self {
+        View { layers, ..self }
+    }
+
+    /// Returns the layers to render.
+    pub(crate) fn shown(&self) -> Layers {
+        self.layers
     }
 
     /// Returns the width, output pixels.
@@ -166,6 +180,7 @@ impl View {
             offset: std::array::from_fn(|k| self.offset[k] * parts[k]),
             width: self.width * parts[0],
             height: self.height * parts[1],
+            layers: self.layers,
         }
     }
 

@@ -135,7 +135,7 @@ pub extern "C" fn decode(
         let opening = open(input, limits)?;
         let header = opening.header();
         let (channels, depth) = (header.channels.count(), header.depth);
-        let mut view = opening.view();
+        let mut view = opening.view().layers(layers);
         if width > 0 {
             view = view.crop(Rect::new(left, top, width, height))?;
         }
@@ -150,7 +150,7 @@ pub extern "C" fn decode(
         let mut rest = limits.clone();
         rest.alloc =
             allowed.checked_sub(needed).ok_or(Error::LimitExceeded { what: "alloc", requested: needed, allowed })?;
-        let opening = open(input, &rest)?.showing(layers);
+        let opening = open(input, &rest)?;
         let primitives = opening.header().primitives;
         let opened = opening.read_for(&view, if partial == 0 { Damage::Refuse } else { Damage::Accept })?;
         let mut samples = zeros(pixels as usize * channels)?;
