@@ -165,7 +165,6 @@ pub enum FormatError {
 
 impl Error {
     /// Returns an I/O error whose message names `path`.
-    #[cfg(all(feature = "encode", feature = "image"))]
     pub(crate) fn at(path: &std::path::Path, error: &std::io::Error) -> Self {
         Error::Io(std::io::Error::new(error.kind(), format!("{}: {error}", path.display())))
     }

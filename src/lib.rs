@@ -35,7 +35,7 @@
 //! # Decoding
 //!
 //! [`Decoder`] decodes a file in one call: the whole picture, a [region](Decoder::region), at any
-//! [size](Decoder::size). [`Decoder::thumbnail`] reads the thumbnail of a large file.
+//! [size](Decoder::size). [`Reader::thumbnail`] reads the thumbnail of a large file.
 //!
 //! ```
 //! # use ssplat::{Channels, Encoder, Pixels, Samples};
@@ -55,7 +55,8 @@
 //!
 //! # Rendering regions
 //!
-//! A viewer renders a file many times. [`Reader`] reads the header, and [`Reader::read`] the file. The resulting
+//! A viewer renders a file many times. [`Reader`] reads the header of bytes in memory, of a [file](Reader::open) or of
+//! any [`std::io::Read`](Reader::from_read), and [`Reader::read`] the rest. The resulting
 //! [`SplatImage`] renders any [`View`]: a region of the picture at a size. Only what is visible in the view is rendered.
 //! [`Reader::read_for`] reads only the data that a view needs, which is little for a small region of a large file.
 //!
@@ -144,9 +145,9 @@ assert_eq!(picture.width(), 8);
     doc = r#"
 ```no_run
 use ssplat::gpu::{Adapters, Device, Renderer};
-use ssplat::{Depth, SplatImage, Limits};
+use ssplat::{Damage, Depth, Limits, Reader};
 
-let image = SplatImage::from_bytes(&std::fs::read("photo.ssplat")?, &Limits::default())?;
+let image = Reader::open("photo.ssplat", &Limits::default())?.read(Damage::Refuse)?;
 let device = Device::open(Adapters::Hardware)?;
 let mut renderer = Renderer::of(&device, &image)?;
 let pixels = renderer.render(&image.view(), Depth::Eight)?;

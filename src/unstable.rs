@@ -6,7 +6,7 @@
 //! `docs/ARCHITECTURE.md` is a map of the modules.
 
 pub use crate::bitstream::header::Header;
-pub use crate::decode::{decode, decode_into, thumbnail};
+pub use crate::decode::{decode, decode_into};
 #[cfg(feature = "encode")]
 pub use crate::encode::{MAX_WHOLE_PIXELS, TracePoint, divide, encode, encode_with_progress};
 #[cfg(all(feature = "encode", feature = "image"))]

@@ -1,5 +1,6 @@
 //! Uses the stable public names as a program that embeds the codec would, without `ssplat::unstable`.
 
+use std::io::Read;
 use std::ops::ControlFlow;
 
 use ssplat::{
@@ -63,7 +64,7 @@ fn a_file_is_opened_once_and_drawn_many_times() {
     let mut out = vec![0; 40 * 30 * 3];
     Decoder::new().region(Rect::new(16, 8, 40, 30)).decode_into(&bytes, SamplesMut::U8(&mut out)).unwrap();
     assert_eq!(drawn.samples(), &Samples::U8(out));
-    let small = Decoder::new().thumbnail(&bytes, [24, 24]).unwrap().pixels;
+    let small = Reader::new(&bytes, &Limits::default()).unwrap().thumbnail([24, 24]).unwrap().pixels;
     assert_eq!((small.width(), small.height()), (24, 16));
     let gaussians = Decoder::new().layers(Layers::Gaussians).decode(&bytes).unwrap().pixels;
     assert_eq!(gaussians.width(), 96);
@@ -96,17 +97,31 @@ fn buffers_of_the_wrong_size_are_refused() {
 }
 
 #[test]
-fn whole_files_are_read_from_any_reader_within_the_limits() {
+fn files_are_read_from_memory_a_path_and_any_reader_within_the_limits() {
     let bytes = Encoder::new().bytes(300).effort(1).encode(&picture()).unwrap().bytes;
+    let pixels = Decoder::new().decode(&bytes).unwrap().pixels;
+    let limits = Limits::default();
+    let render = |reader: Reader<'_>| {
+        let image = reader.read(Damage::Refuse)?;
+        image.render(&image.view())
+    };
     let (head, tail) = bytes.split_at(bytes.len() / 2);
-    let image = SplatImage::read_from(std::io::Read::chain(head, tail), &Limits::default()).unwrap();
-    assert_eq!(image.render(&image.view()).unwrap(), Decoder::new().decode(&bytes).unwrap().pixels);
-    assert!(matches!(SplatImage::read_from(head, &Limits::default()), Err(Error::Format(_))));
+    let from_read = |source: &mut dyn std::io::Read, limits: &Limits| Reader::from_read(source, limits);
+    assert_eq!(render(from_read(&mut head.chain(tail), &limits).unwrap()).unwrap(), pixels);
+    assert!(matches!(from_read(&mut &head[..], &limits).and_then(render), Err(Error::Format(_))));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("picture.ssplat");
+    let missing = Reader::open(&path, &limits).unwrap_err();
+    assert!(matches!(missing, Error::Io(_)) && missing.to_string().contains("picture.ssplat"), "{missing}");
+    std::fs::write(&path, &bytes).unwrap();
+    assert_eq!(render(Reader::open(&path, &limits).unwrap()).unwrap(), pixels);
     // A stream without an end is read no further than the limit on memory allows.
     let mut limits = Limits::default();
     limits.alloc = 1 << 20;
-    let endless = SplatImage::read_from(std::io::Read::chain(&bytes[..], std::io::repeat(0)), &limits);
-    assert!(matches!(endless, Err(Error::LimitExceeded { .. } | Error::Format(_))), "{endless:?}");
+    let mut endless = bytes.chain(std::io::repeat(0)).take(1 << 30);
+    let refused = from_read(&mut endless, &limits);
+    assert!(matches!(refused, Err(Error::LimitExceeded { .. })), "{refused:?}");
+    assert!(endless.limit() >= (1 << 30) - (1 << 20) - 64, "{} bytes left", endless.limit());
 }
 
 /// Gaussians with values that are not on any lattice.

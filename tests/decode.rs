@@ -6,7 +6,7 @@ mod synthetic;
 use ssplat::unstable::bitstream::{read, to_bytes};
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
 use ssplat::unstable::{decode, decode_into, encode};
-use ssplat::{Channels, Damage, Error, Limits, Pixels, Reader, Rect, Samples, SplatImage, Target};
+use ssplat::{Channels, Damage, Error, Limits, Pixels, Reader, Rect, Samples, Target};
 use ssplat::{Renderer, SamplesMut, View};
 
 fn picture() -> Pixels {
@@ -137,7 +137,7 @@ fn levels_out_of_range_are_parameter_errors() {
 fn an_opened_file_renders_every_view_like_decode() {
     let made = synthetic::Scene { size: [1024, 768], count: 40_000, ..Default::default() };
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
-    let opened = SplatImage::from_bytes(&bytes, &Limits::default()).unwrap();
+    let opened = Reader::new(&bytes, &Limits::default()).and_then(|reader| reader.read(Damage::Refuse)).unwrap();
     let mut memory = Vec::new();
     for (region, size) in
         [([0, 0, 1024, 768], [1024, 768]), ([100, 200, 300, 400], [300, 400]), ([5, 9, 800, 700], [70, 33])]
@@ -182,7 +182,7 @@ fn data_read_for_a_part_renders_only_that_part() {
 fn simultaneous_views_share_one_limit() {
     let made = synthetic::Scene { size: [512, 512], count: 5000, ..Default::default() };
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
-    let mut opened = SplatImage::from_bytes(&bytes, &Limits::default()).unwrap();
+    let mut opened = Reader::new(&bytes, &Limits::default()).and_then(|reader| reader.read(Damage::Refuse)).unwrap();
     // Enough for the picture and one renderer, but not for two.
     let mut alloc = 1 << 18;
     let one = loop {

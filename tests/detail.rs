@@ -10,7 +10,7 @@ use ssplat::View;
 use ssplat::unstable::bitstream::splats::PackedSplats;
 use ssplat::unstable::bitstream::{DetailHead, MissingParts, inspect, read, read_partial, to_bytes};
 use ssplat::unstable::{DecodeOptions, decode};
-use ssplat::{Channels, Damage, Depth, Error, Layers, Limits, Pixels, Reader, Rect, Samples, SplatImage};
+use ssplat::{Channels, Damage, Depth, Error, Layers, Limits, Pixels, Reader, Rect, Samples};
 use synthetic::{Levels, Scene, scene, with_layer};
 
 /// A picture of six tiles with levels in most blocks.
@@ -308,7 +308,7 @@ fn levels_of_invalid_tiles_count_as_work() {
 fn views_beyond_the_picture_do_not_depend_on_how_it_was_opened() {
     for channels in [Channels::Rgb, Channels::GreyAlpha] {
         let bytes = to_bytes(&large(channels)).unwrap();
-        let whole = SplatImage::from_bytes(&bytes, &Limits::default()).unwrap();
+        let whole = Reader::new(&bytes, &Limits::default()).and_then(|reader| reader.read(Damage::Refuse)).unwrap();
         let larger = View::of_size(4000, 3000);
         let mut seen = 0;
         for [x, y, width, height] in
@@ -343,7 +343,7 @@ fn work_of_a_distorted_view_is_counted() {
     let bytes = to_bytes(&large(Channels::Rgb)).unwrap();
     let mut limits = Limits::default();
     limits.work = 1 << 31;
-    let opened = SplatImage::from_bytes(&bytes, &limits).unwrap();
+    let opened = Reader::new(&bytes, &limits).and_then(|reader| reader.read(Damage::Refuse)).unwrap();
     let drawn = |width, height| opened.renderer(&opened.view().resized(width, height).unwrap()).map(drop);
     assert!(drawn(1, 1).is_ok() && drawn(2000, 1).is_ok() && drawn(1, 2000).is_ok());
     for (width, height) in [(1, 1 << 20), (1 << 20, 1)] {

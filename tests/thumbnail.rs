@@ -5,8 +5,8 @@
 use ssplat::unstable::bitstream::header::Header;
 use ssplat::unstable::bitstream::{inspect, read, to_bytes};
 use ssplat::unstable::metrics::psnr;
-use ssplat::unstable::{DecodeOptions, EncodeOptions, decode, encode, thumbnail};
-use ssplat::{Channels, Detail, Error, Limits, Pixels, Reader, Samples, Target, Thumbnail, Tune};
+use ssplat::unstable::{DecodeOptions, EncodeOptions, decode, encode};
+use ssplat::{Channels, Decoded, Detail, Error, Limits, Pixels, Reader, Samples, Target, Thumbnail, Tune};
 
 /// A picture whose halves differ, with some detail.
 fn picture(width: u32, height: u32, channels: Channels) -> Pixels {
@@ -31,6 +31,10 @@ fn drawn(bytes: &[u8], size: [u32; 2]) -> Pixels {
     let mut options = DecodeOptions::default();
     options.size = Some(size);
     decode(bytes, &options).unwrap().pixels
+}
+
+fn thumbnail(bytes: &[u8], within: [u32; 2], limits: &Limits) -> ssplat::Result<Decoded> {
+    Reader::new(bytes, limits)?.thumbnail(within)
 }
 
 fn small(bytes: &[u8], side: u32) -> Pixels {

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use image::metadata::Orientation;
 use ssplat::{
-    Channels, Damage, Decoder, Depth, Limits, Metadata, Reader, Rect, Renderer, Samples, SamplesMut, SplatImage, View,
+    Channels, Damage, Depth, Limits, Metadata, Reader, Rect, Renderer, Samples, SamplesMut, SplatImage, View,
 };
 
 use crate::failure::{Failure, Outcome, ssplat_status};
@@ -171,7 +171,7 @@ impl Session {
 
     /// Draws the picture fitted into `within`, from the file's own thumbnail if that is large enough.
     pub fn thumbnail(&self, within: [u32; 2], depth: Depth, sink: Sink<'_>) -> Outcome<()> {
-        let pixels = Decoder::new().limits(self.limits.clone()).thumbnail(self.bytes()?, within)?.pixels;
+        let pixels = self.reader()?.thumbnail(within)?.pixels;
         let (channels, len) = (pixels.channels(), pixels.width() as usize * pixels.channels().count());
         match (pixels.samples(), depth) {
             (Samples::U8(samples), Depth::Eight) => send(samples, len, channels, sink),

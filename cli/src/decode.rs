@@ -141,7 +141,7 @@ fn thumbnail(
     let start = Instant::now();
     let failed = |e| Failure::library(input, &e);
     let ssplat::Decoded { pixels, metadata, .. } =
-        ssplat::unstable::thumbnail(bytes, [side; 2], &Limits::default()).map_err(failed)?;
+        Reader::new(bytes, &Limits::default()).and_then(|reader| reader.thumbnail([side; 2])).map_err(failed)?;
     let mut notes = losses(&metadata, MissingParts::default(), 0);
     notes.extend(format.losses(pixels.depth(), &metadata));
     let orientation = orientation(args, &metadata);

@@ -7,8 +7,8 @@ use libfuzzer_sys::fuzz_target;
 use peak_alloc::PeakAlloc;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::bitstream::to_bytes;
-use ssplat::unstable::{DecodeOptions, decode, thumbnail};
-use ssplat::{Damage, Limits, PixelSource, Rect, SplatImage};
+use ssplat::unstable::{DecodeOptions, decode};
+use ssplat::{Damage, Limits, PixelSource, Reader, Rect};
 use ssplat_fuzz::{Legal, SLACK};
 
 #[global_allocator]
@@ -105,11 +105,11 @@ fuzz_target!(|input: Input| {
     let mut options = DecodeOptions::default();
     (options.limits, options.region, options.size) = (limits(), input.region.map(Rect::from), input.size);
     measured(|| drop(decode(&bytes, &options)));
-    measured(|| drop(thumbnail(&bytes, input.within, &limits())));
+    measured(|| drop(Reader::new(&bytes, &limits()).and_then(|reader| reader.thumbnail(input.within))));
     options.damage = Damage::Accept;
     measured(|| drop(decode(&bytes, &options)));
     measured(|| {
-        let Ok(opened) = SplatImage::from_bytes(&bytes, &limits()) else { return };
+        let Ok(opened) = Reader::new(&bytes, &limits()).and_then(|reader| reader.read(Damage::Refuse)) else { return };
         let mut view = opened.view();
         for step in &input.steps {
             let next = match *step {

@@ -244,7 +244,7 @@ fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
                 options.size = Some([256, (256 * size.height).div_ceil(size.width)]);
                 drop(ssplat::unstable::decode(&bytes, &options)?);
             }
-            "ssplat, its thumbnail" => drop(ssplat::unstable::thumbnail(&bytes, [256; 2], &Limits::default())?),
+            "ssplat, its thumbnail" => drop(ssplat::Reader::new(&bytes, &Limits::default())?.thumbnail([256; 2])?),
             _ => drop(image::load_from_memory(&bytes)?),
         }
         let used = cpu_time(who)? - cpu;

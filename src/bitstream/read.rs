@@ -111,14 +111,16 @@ pub fn read_partial(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Miss
     Reading::all(limits, &Budget::of(limits)).intact(&header, rest)
 }
 
-/// Returns all remaining bytes of `reader`, or one byte more than may be read into memory.
+/// Returns all remaining bytes of `reader`. It reads at most one byte more than `limits` allow.
 ///
 /// # Errors
-/// [`Error::Io`](crate::Error::Io) from the reader.
+/// [`Error::Io`](crate::Error::Io) from the reader, and [`Error::LimitExceeded`](crate::Error::LimitExceeded) if there
+/// are more bytes than may be read into memory.
 pub(crate) fn read_rest<R: Read>(reader: R, limits: &Limits) -> Result<Vec<u8>> {
     let mut rest = Vec::new();
     // Memory grows only with the bytes that arrive; the limit stops endless streams.
     reader.take(limits.alloc / FILE_COPIES + 1).read_to_end(&mut rest)?;
+    Limits::check("alloc", FILE_COPIES * rest.len() as u64, limits.alloc)?;
     Ok(rest)
 }
 

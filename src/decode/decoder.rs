@@ -1,6 +1,6 @@
 //! The decoder's public interface: options as setters, and methods that decode files.
 
-use super::{Decoded, decode, decode_into, thumbnail};
+use super::{Decoded, decode, decode_into};
 use crate::error::Result;
 use crate::limits::Limits;
 use crate::options::{Damage, DecodeOptions, Layers};
@@ -94,20 +94,5 @@ impl Decoder {
     /// not have exactly width × height × channels samples.
     pub fn decode_into(&self, bytes: &[u8], out: SamplesMut<'_>) -> Result<()> {
         decode_into(bytes, &self.options, out).map(|_| ())
-    }
-
-    /// Renders the picture of the file `bytes` at the largest size that fits into `within` (width and height in
-    /// pixels), keeping its aspect ratio. The picture is never enlarged.
-    ///
-    /// If the file contains a thumbnail of at least this size, only the thumbnail and the metadata are read. This
-    /// takes half a millisecond whatever the picture's size, but the thumbnail's error is larger than the picture's.
-    /// Otherwise the picture is rendered. The result has the picture's ICC profile and EXIF block in both cases. The
-    /// region, size, damage and layers set on this decoder have no effect on this method.
-    ///
-    /// # Errors
-    /// As [`decode`](Decoder::decode); [`Error::Parameter`](crate::Error::Parameter) if a side of `within` is 0.
-    #[doc(alias = "preview")]
-    pub fn thumbnail(&self, bytes: &[u8], within: [u32; 2]) -> Result<Decoded> {
-        thumbnail(bytes, within, &self.options.limits)
     }
 }

@@ -8,7 +8,6 @@ pub use decoder::Decoder;
 #[cfg(feature = "gpu")]
 pub(crate) use reader::check_view;
 pub use reader::{Reader, SplatImage};
-pub use thumbnail::thumbnail;
 
 use crate::bitstream::MissingParts;
 use crate::bitstream::splats::Metadata;

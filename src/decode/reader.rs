@@ -1,6 +1,12 @@
 //! Opened files: integers and metadata, from which any view can be rendered any number of times.
 
+use std::borrow::Cow;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
 use std::sync::Arc;
+
+use super::Decoded;
 
 use crate::bitstream::header::Header;
 use crate::bitstream::report::Tally;
@@ -22,8 +28,7 @@ use crate::rect::Rect;
 /// use ssplat::{Damage, Limits, Reader};
 ///
 /// // A thumbnail of at most 256 × 256 pixels, of which only what it needs is read.
-/// let bytes = std::fs::read("photo.ssplat")?;
-/// let opening = Reader::new(&bytes, &Limits::default())?;
+/// let opening = Reader::open("photo.ssplat", &Limits::default())?;
 /// let whole = opening.view();
 /// let scale = 256.0 / f64::from(whole.width().max(whole.height()));
 /// let [width, height] = [whole.width(), whole.height()].map(|side| (f64::from(side) * scale).ceil() as u32);
@@ -35,7 +40,7 @@ use crate::rect::Rect;
 pub struct Reader<'a> {
     header: Header,
     /// Bytes that follow the header.
-    rest: &'a [u8],
+    rest: Cow<'a, [u8]>,
     limits: Limits,
     budget: Budget,
 }
@@ -46,12 +51,12 @@ pub struct Reader<'a> {
 /// integers and of everything that is rendered from them at the same time.
 ///
 /// ```
-/// use ssplat::{Channels, Encoder, SplatImage, Limits, Pixels, Rect, Samples, SamplesMut};
+/// use ssplat::{Channels, Damage, Encoder, Limits, Pixels, Reader, Rect, Samples, SamplesMut};
 ///
 /// # let samples = (0..64 * 48 * 3).map(|i| (i / 3 % 64 * 2 + i / 192) as u8).collect();
 /// # let pixels = Pixels::new(64, 48, Channels::Rgb, Samples::U8(samples))?;
 /// # let bytes = Encoder::new().bytes(300).effort(1).encode(&pixels)?.bytes;
-/// let opened = SplatImage::from_bytes(&bytes, &Limits::default())?;
+/// let opened = Reader::new(&bytes, &Limits::default())?.read(Damage::Refuse)?;
 /// let whole = opened.view();
 /// let icc = opened.metadata().icc.as_deref();
 ///
@@ -98,15 +103,15 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// [`Error::Format`] if the bytes do not begin with a header, [`Error::UnsupportedVersion`] for a newer format,
     /// [`Error::LimitExceeded`] if a side of the picture or the number of its primitives exceeds `limits`.
-    #[doc(alias("open", "parse"))]
+    #[doc(alias = "parse")]
     pub fn new(bytes: &'a [u8], limits: &Limits) -> Result<Self> {
         let mut rest = bytes;
         let header = Header::read(&mut rest, limits)?;
-        Ok(Reader::with_header(header, rest, limits))
+        Ok(Reader::with_header(header, rest.into(), limits))
     }
 
     /// Returns a reader of a file whose header has been read; `rest` are the bytes that follow it.
-    pub(crate) fn with_header(header: Header, rest: &'a [u8], limits: &Limits) -> Self {
+    pub(crate) fn with_header(header: Header, rest: Cow<'a, [u8]>, limits: &Limits) -> Self {
         Reader { header, rest, limits: limits.clone(), budget: Budget::of(limits) }
     }
 
@@ -163,7 +168,34 @@ impl<'a> Reader<'a> {
     /// [`Limits::metadata`].
     #[doc(alias("icc", "exif"))]
     pub fn metadata(&self) -> Result<Metadata> {
-        Reading { limits: &self.limits, budget: &self.budget, layers: Layers::Both }.described(&self.header, self.rest)
+        Reading { limits: &self.limits, budget: &self.budget, layers: Layers::Both }.described(&self.header, &self.rest)
+    }
+
+    /// Renders the picture at the largest size that fits into `within` (width and height in pixels), keeping its aspect
+    /// ratio. The picture is never enlarged.
+    ///
+    /// If the file contains a thumbnail of at least this size, only the thumbnail and the metadata are read. This
+    /// takes half a millisecond whatever the picture's size, but the thumbnail's error is larger than the picture's.
+    /// Otherwise the picture is read and rendered. The result has the picture's ICC profile and EXIF block in both
+    /// cases.
+    ///
+    /// # Errors
+    /// As [`read`](Reader::read) and [`SplatImage::render`]; [`Error::Parameter`] if a side of `within` is 0.
+    #[doc(alias = "preview")]
+    pub fn thumbnail(&self, within: [u32; 2]) -> Result<Decoded> {
+        super::thumbnail::thumbnail(self, within)
+    }
+
+    /// Returns a reader of the same bytes with the same memory account.
+    pub(super) fn again(&self) -> Reader<'_> {
+        let Reader { header, rest, limits, budget } = self;
+        let (header, limits, budget) = (header.clone(), limits.clone(), budget.clone());
+        Reader { header, rest: Cow::Borrowed(rest), limits, budget }
+    }
+
+    /// Returns the limits.
+    pub(super) fn limits(&self) -> &Limits {
+        &self.limits
     }
 
     /// Reads the whole picture.
@@ -194,11 +226,11 @@ impl<'a> Reader<'a> {
         let reading = Reading { limits: &limits, budget: &budget, layers };
         let (splats, missing, area) = match damage {
             Damage::Accept => {
-                let (splats, missing) = reading.intact(&header, rest)?;
+                let (splats, missing) = reading.intact(&header, &rest)?;
                 (splats, missing, None)
             }
             Damage::Refuse => {
-                let (splats, _) = reading.whole(&header, rest, area.as_ref(), &mut Tally::default())?;
+                let (splats, _) = reading.whole(&header, &rest, area.as_ref(), &mut Tally::default())?;
                 (splats, MissingParts::default(), area)
             }
         };
@@ -212,26 +244,33 @@ impl<'a> Reader<'a> {
     }
 }
 
+impl Reader<'static> {
+    /// Reads all bytes of `source`, up to its end. After the header, no more bytes are read than `limits` allow in
+    /// memory.
+    ///
+    /// # Errors
+    /// As [`Reader::new`], [`Error::Io`] from `source`, and [`Error::LimitExceeded`] if there are too many bytes.
+    pub fn from_read(mut source: impl Read, limits: &Limits) -> Result<Self> {
+        let header = Header::read(&mut source, limits)?;
+        let rest = read_rest(source, limits)?;
+        Ok(Reader::with_header(header, rest.into(), limits))
+    }
+
+    /// Reads all bytes of the file at `path`, as [`from_read`](Reader::from_read) does.
+    ///
+    /// # Errors
+    /// As [`from_read`](Reader::from_read); the message of an [`Error::Io`] names the path.
+    pub fn open(path: impl AsRef<Path>, limits: &Limits) -> Result<Self> {
+        let path = path.as_ref();
+        let file = File::open(path).map_err(|e| Error::at(path, &e))?;
+        Reader::from_read(file, limits).map_err(|e| match e {
+            Error::Io(e) => Error::at(path, &e),
+            e => e,
+        })
+    }
+}
+
 impl SplatImage {
-    /// Reads the whole file `bytes`. [`Reader`] reads parts of files and damaged files.
-    ///
-    /// # Errors
-    /// As [`Reader::new`] and [`Reader::read`].
-    #[doc(alias("open", "load"))]
-    pub fn from_bytes(bytes: &[u8], limits: &Limits) -> Result<Self> {
-        Reader::new(bytes, limits)?.read(Damage::Refuse)
-    }
-
-    /// Reads a whole file from `reader`, up to its end. No more bytes are read than `limits` allow in memory.
-    ///
-    /// # Errors
-    /// As [`SplatImage::from_bytes`], and [`Error::Io`] from the reader.
-    pub fn read_from(mut reader: impl std::io::Read, limits: &Limits) -> Result<Self> {
-        let header = Header::read(&mut reader, limits)?;
-        let rest = read_rest(reader, limits)?;
-        Reader::with_header(header, &rest, limits).read(Damage::Refuse)
-    }
-
     /// Returns the view of the whole picture at its own size, with the layers that were read.
     #[must_use]
     pub fn view(&self) -> View {

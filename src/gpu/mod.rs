@@ -8,9 +8,9 @@
 //!
 //! ```no_run
 //! use ssplat::gpu::{Adapters, Device, Renderer};
-//! use ssplat::{Depth, Limits, SplatImage};
+//! use ssplat::{Damage, Depth, Limits, Reader};
 //!
-//! let opened = SplatImage::from_bytes(&std::fs::read("photo.ssplat")?, &Limits::default())?;
+//! let opened = Reader::open("photo.ssplat", &Limits::default())?.read(Damage::Refuse)?;
 //! let device = Device::open(Adapters::Hardware)?;
 //! let mut renderer = Renderer::of(&device, &opened)?;
 //! let pixels = renderer.render(&opened.view(), Depth::Eight)?;

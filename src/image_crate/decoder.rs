@@ -84,7 +84,7 @@ impl<R: Read> SsplatDecoder<R> {
 
     fn read(&mut self) -> Result<SplatImage> {
         let rest = read_rest(&mut self.reader, &self.limits)?;
-        Reader::with_header(self.header.clone(), &rest, &self.limits).read(Damage::Refuse)
+        Reader::with_header(self.header.clone(), rest.into(), &self.limits).read(Damage::Refuse)
     }
 
     /// Returns a renderer of the picture and drops the integers.
