@@ -30,6 +30,12 @@ fn an_encoder_is_set_once_and_encodes_many_pictures() {
 }
 
 #[test]
+fn a_file_has_the_requested_number_of_primitives() {
+    let bytes = Encoder::new().primitives(40).effort(1).encode(&picture()).unwrap().bytes;
+    assert_eq!(Reader::new(&bytes, &Limits::default()).unwrap().primitives(), 40);
+}
+
+#[test]
 fn values_out_of_range_are_named_in_the_error() {
     for (encoder, wanted) in [
         (Encoder::new().effort(0), "effort"),

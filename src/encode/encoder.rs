@@ -61,6 +61,14 @@ impl Encoder {
         self.target(Target::Bytes(bytes))
     }
 
+    /// Sets the target [`Target::Primitives`]: the number of Gaussians, with steps fine enough for them. Such a file has no
+    /// detail layer.
+    #[must_use]
+    #[doc(alias("gaussians", "splats"))]
+    pub fn primitives(self, count: u32) -> Self {
+        self.target(Target::Primitives(count))
+    }
+
     /// Sets the target [`Target::Psnr`]: the PSNR in dB that the file reaches with as few bytes as possible. It must be
     /// finite and above 0.
     #[must_use]
@@ -183,7 +191,7 @@ impl Encoder {
         self
     }
 
-    /// Encodes a picture: [`Pixels`](crate::Pixels) or another source. If the picture is fitted in tiles, the source is
+    /// Encodes a picture: [`Pixels`](crate::Pixels), an `image::DynamicImage` or another source. If the picture is fitted in tiles, the source is
     /// read part by part.
     ///
     /// # Errors

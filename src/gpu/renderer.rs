@@ -9,7 +9,7 @@ use super::scene::{Primitive, TILE, Uniforms, spaced};
 use crate::budget::Budget;
 use crate::decode::{SplatImage, check_view};
 use crate::error::{Error, GpuError, Result};
-use crate::gaussian::{Gaussian, Gaussians, MAX_SCALE};
+use crate::gaussian::{Channels, Gaussian, Gaussians, MAX_SCALE};
 use crate::limits::Limits;
 use crate::options::Layers;
 use crate::pixels::{Depth, Pixels, Samples};
