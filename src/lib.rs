@@ -117,15 +117,15 @@ assert_eq!(picture.width(), 8);
 //! # let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
 //! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
 //! # let bytes = Encoder::new().bytes(120).effort(1).encode(&pixels)?.bytes;
-//! use ssplat::{Decoder, Error, Limits};
+//! use ssplat::{Decoder, Error, Limit, Limits};
 //!
 //! let mut limits = Limits::default();
 //! limits.width = 16; // pixels
 //! limits.alloc = 64 << 20; // bytes, including the output
 //!
 //! match Decoder::new().limits(limits).decode(&bytes) {
-//!     Err(Error::LimitExceeded { what, requested, allowed }) => {
-//!         assert_eq!((what, requested, allowed), ("width", 32, 16));
+//!     Err(Error::LimitExceeded { limit, requested, allowed }) => {
+//!         assert_eq!((limit, requested, allowed), (Limit::Width, 32, 16));
 //!     }
 //!     other => panic!("{other:?}"),
 //! }
@@ -219,6 +219,7 @@ mod options;
 mod pack;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod parallel;
+mod parameter;
 #[cfg(feature = "encode")]
 mod pixel_source;
 mod pixels;
@@ -257,6 +258,7 @@ pub use options::{Ablation, Recipe};
 #[cfg(feature = "encode")]
 pub use options::{Backend, Detail, HiddenColors, MetadataPolicy, Thumbnail, Tune};
 pub use options::{Damage, Layers};
+pub use parameter::{Limit, Parameter};
 #[cfg(feature = "encode")]
 pub use pixel_source::PixelSource;
 pub use pixels::{Depth, Pixels, Samples};

@@ -25,6 +25,7 @@
 
 use crate::error::{Error, Result};
 use crate::parallel;
+use crate::parameter::Parameter;
 use crate::pixels::{Pixels, Samples};
 use crate::strict_math::StrictMath;
 
@@ -92,7 +93,7 @@ pub(crate) fn check_alike(a: &Pixels, b: &Pixels) -> Result<()> {
         let [a, b] = [of(a), of(b)];
         if a != b {
             let problem = format!("the pictures differ in {what}: {a} and {b}");
-            return Err(Error::Parameter { name: "pixels", problem });
+            return Err(Error::Parameter { parameter: Parameter::Pixels, problem });
         }
     }
     Ok(())

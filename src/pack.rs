@@ -13,6 +13,7 @@ use crate::gaussian::{Gaussian, Gaussians};
 use crate::instant::Instant;
 use crate::limits::Limits;
 use crate::options::{Backend, Detail, EncodeOptions, Outside, Precision, Thumbnail, Trace};
+use crate::parameter::{Limit, Parameter};
 use crate::quantize::Quantizer;
 use crate::target::Target;
 
@@ -60,27 +61,27 @@ pub(crate) fn encode_gaussians(given: &Gaussians, options: &EncodeOptions) -> Re
 fn check_applies(given: &Gaussians, options: &EncodeOptions) -> Result<()> {
     let plain = EncodeOptions::default();
     let target = match options.target {
-        Target::Primitives(_) => Some("primitives"),
-        Target::Psnr(_) => Some("psnr"),
+        Target::Primitives(_) => Some(Parameter::Primitives),
+        Target::Psnr(_) => Some(Parameter::Psnr),
         #[cfg(feature = "quality-hook")]
-        Target::Quality(_) => Some("quality"),
+        Target::Quality(_) => Some(Parameter::Quality),
         Target::Auto | Target::Bytes(_) | Target::Ratio(_) => None,
     };
     let is_set = [
-        ("effort", options.effort != plain.effort),
-        ("time", options.time.is_some()),
-        ("seed", options.seed != plain.seed),
-        ("blend", options.blend.is_some_and(|blend| blend != given.blend)),
-        ("recipe", options.recipe != plain.recipe),
-        ("tune", options.tune.is_some()),
-        ("backend", options.backend == Backend::Gpu),
-        ("detail", matches!(options.detail, Detail::Share(_))),
-        ("thumbnail", matches!(options.thumbnail, Thumbnail::Bytes(_))),
-        ("tiles", options.tiles.is_some()),
-        ("trace", options.trace == Trace::On),
+        (Parameter::Effort, options.effort != plain.effort),
+        (Parameter::Time, options.time.is_some()),
+        (Parameter::Seed, options.seed != plain.seed),
+        (Parameter::Blend, options.blend.is_some_and(|blend| blend != given.blend)),
+        (Parameter::Recipe, options.recipe != plain.recipe),
+        (Parameter::Tune, options.tune.is_some()),
+        (Parameter::Backend, options.backend == Backend::Gpu),
+        (Parameter::Detail, matches!(options.detail, Detail::Share(_))),
+        (Parameter::Thumbnail, matches!(options.thumbnail, Thumbnail::Bytes(_))),
+        (Parameter::Tiles, options.tiles.is_some()),
+        (Parameter::Trace, options.trace == Trace::On),
     ];
-    match target.or(is_set.into_iter().find(|(_, is_set)| *is_set).map(|(name, _)| name)) {
-        Some(name) => Err(Error::Parameter { name, problem: "it does not apply to given Gaussians".into() }),
+    match target.or(is_set.into_iter().find(|(_, is_set)| *is_set).map(|(parameter, _)| parameter)) {
+        Some(parameter) => Err(Error::Parameter { parameter, problem: "it does not apply to given Gaussians".into() }),
         None => Ok(()),
     }
 }
@@ -91,11 +92,11 @@ fn check_applies(given: &Gaussians, options: &EncodeOptions) -> Result<()> {
 /// Scales below [`MIN_SCALE`](crate::gaussian::MIN_SCALE) are raised to it. [`EncodeOptions::outside`] chooses the
 /// treatment of means outside the picture.
 fn pack(given: &Gaussians, options: &EncodeOptions) -> Result<(PackedSplats, Vec<u8>)> {
-    Limits::check("primitives", given.list.len() as u64, Limits::default().primitives)?;
+    Limits::check(Limit::Primitives, given.list.len() as u64, Limits::default().primitives)?;
     given.list.iter().enumerate().try_for_each(|(i, g)| check(i, g))?;
     if !given.background.iter().all(|v| v.is_finite()) {
         let problem = format!("{:?} is not finite", given.background);
-        return Err(Error::Parameter { name: "background", problem });
+        return Err(Error::Parameter { parameter: Parameter::Background, problem });
     }
     let samples = f64::from(given.width) * f64::from(given.height) * given.channels.count() as f64;
     let max_bytes = match options.target {
@@ -107,7 +108,7 @@ fn pack(given: &Gaussians, options: &EncodeOptions) -> Result<(PackedSplats, Vec
     let levels = match options.precision {
         Some(Precision::Level(level)) if level > FINEST => {
             let problem = format!("{level} is outside 0..={FINEST}");
-            return Err(Error::Parameter { name: "precision", problem });
+            return Err(Error::Parameter { parameter: Parameter::Precision, problem });
         }
         Some(Precision::Level(level)) => level..=level,
         Some(Precision::Steps(_)) => 0..=0,
@@ -127,21 +128,25 @@ fn pack(given: &Gaussians, options: &EncodeOptions) -> Result<(PackedSplats, Vec
         least = least.min(bytes.len() as u64);
     }
     let problem = format!("{max_bytes} cannot hold {} Gaussians: {least} are needed", given.list.len());
-    Err(Error::Parameter { name: "bytes", problem })
+    Err(Error::Parameter { parameter: Parameter::Bytes, problem })
 }
 
 /// Checks that the format can represent `g`.
 fn check(index: usize, g: &Gaussian) -> Result<()> {
-    let bad = |name, values: &[f32], what| {
-        Err(Error::Parameter { name, problem: format!("{values:?} of Gaussian {index} is not {what}") })
+    let bad = |parameter, values: &[f32], what| {
+        Err(Error::Parameter { parameter, problem: format!("{values:?} of Gaussian {index} is not {what}") })
     };
-    for (name, values) in [("mean", &g.mean[..]), ("scale", &g.scale), ("rotation", &[g.rotation]), ("color", &g.color)]
-    {
+    for (parameter, values) in [
+        (Parameter::Mean, &g.mean[..]),
+        (Parameter::Scale, &g.scale),
+        (Parameter::Rotation, &[g.rotation]),
+        (Parameter::Color, &g.color),
+    ] {
         if !values.iter().all(|v| v.is_finite()) {
-            return bad(name, values, "finite");
+            return bad(parameter, values, "finite");
         }
     }
-    if g.scale.iter().all(|&s| s > 0.0) { Ok(()) } else { bad("scale", &g.scale, "positive") }
+    if g.scale.iter().all(|&s| s > 0.0) { Ok(()) } else { bad(Parameter::Scale, &g.scale, "positive") }
 }
 
 /// Returns the steps of a level for the scales of `given`. They depend only on the scales as they are stored, so that
@@ -209,7 +214,7 @@ fn packed(picture: &Gaussians, options: &EncodeOptions, steps: Steps) -> Result<
             return Ok(quantizer.quantize_color(color));
         }
         let problem = format!("{color:?} of {} is more than {MAX_COLOR} in luma, chroma or alpha", of());
-        Err(Error::Parameter { name: "color", problem })
+        Err(Error::Parameter { parameter: Parameter::Color, problem })
     };
     splats.background = color(&|| "the background".into(), picture.background)?;
     let size = [picture.width, picture.height];
@@ -218,7 +223,7 @@ fn packed(picture: &Gaussians, options: &EncodeOptions, steps: Steps) -> Result<
         let is_inside = (0..2).all(|k| (0.0..=bounds[k]).contains(&g.mean[k]));
         if !is_inside && options.outside == Outside::Refuse {
             let problem = format!("{:?} of Gaussian {i} lies outside the picture", g.mean);
-            return Err(Error::Parameter { name: "mean", problem });
+            return Err(Error::Parameter { parameter: Parameter::Mean, problem });
         }
         color(&|| format!("Gaussian {i}"), g.color)?;
         if is_inside || reaches(g, size) {
@@ -302,7 +307,7 @@ mod tests {
                 let options = EncodeOptions { precision: Some(Precision::Level(level)), ..EncodeOptions::default() };
                 match stored(&picture, &options) {
                     Ok(splats) => assert!(holds && bitstream::to_bytes(&splats).is_ok(), "{color:?}"),
-                    Err(Error::Parameter { name: "color", problem }) => {
+                    Err(Error::Parameter { parameter: Parameter::Color, problem }) => {
                         assert!(!holds && problem.contains("Gaussian 3"), "{color:?} {problem}");
                     }
                     other => panic!("{other:?}"),

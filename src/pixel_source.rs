@@ -2,6 +2,7 @@
 
 use crate::error::Result;
 use crate::gaussian::Channels;
+use crate::parameter::Parameter;
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::rect::Rect;
 
@@ -81,7 +82,7 @@ impl PixelSource for Pixels {
 /// # Errors
 /// [`Error::Parameter`] if it does not.
 pub fn check_area(area: Rect, size: [u32; 2]) -> Result<()> {
-    area.check("area", size)
+    area.check(Parameter::Area, size)
 }
 
 #[cfg(test)]
@@ -98,7 +99,10 @@ mod tests {
         assert_eq!(part.samples(), &Samples::U16(vec![24, 25, 26, 27, 28, 29, 39, 40, 41, 42, 43, 44]));
         assert_eq!(pixels.part(Rect::new(0, 0, 5, 4)).unwrap(), pixels);
         for area in [[0, 0, 6, 1], [0, 0, 0, 1], [4, 0, u32::MAX, 1], [0, 4, 1, 1]] {
-            assert!(matches!(pixels.part(area.into()), Err(Error::Parameter { name: "area", .. })), "{area:?}");
+            assert!(
+                matches!(pixels.part(area.into()), Err(Error::Parameter { parameter: Parameter::Area, .. })),
+                "{area:?}"
+            );
         }
     }
 }

@@ -3,6 +3,7 @@
 pub use crate::depth::Depth;
 use crate::error::{Error, Result};
 use crate::gaussian::Channels;
+use crate::parameter::Parameter;
 
 /// The samples of a picture, row by row, channels interleaved.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -29,9 +30,9 @@ impl Pixels {
     /// # Errors
     /// [`Error::Parameter`] if a side is 0 or over 2²⁰, or if the number of samples is not width × height × channels.
     pub fn new(width: u32, height: u32, channels: Channels, samples: Samples) -> Result<Self> {
-        for (name, side) in [("width", width), ("height", height)] {
+        for (parameter, side) in [(Parameter::Width, width), (Parameter::Height, height)] {
             if side == 0 || side > 1 << 20 {
-                return Err(Error::Parameter { name, problem: format!("{side} is outside 1..=1048576") });
+                return Err(Error::Parameter { parameter, problem: format!("{side} is outside 1..=1048576") });
             }
         }
         let length = match &samples {
@@ -41,7 +42,7 @@ impl Pixels {
         let want = u64::from(width) * u64::from(height) * channels.count() as u64;
         if length as u64 != want {
             return Err(Error::Parameter {
-                name: "samples",
+                parameter: Parameter::Samples,
                 problem: format!("{length} given where {want} are needed"),
             });
         }

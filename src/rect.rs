@@ -1,6 +1,7 @@
 //! A rectangular part of a picture.
 
 use crate::error::{Error, Result};
+use crate::parameter::Parameter;
 
 /// A rectangle of whole pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -42,14 +43,14 @@ impl Rect {
     /// Checks that the rectangle is not empty and lies within a picture of `size`.
     ///
     /// # Errors
-    /// [`Error::Parameter`] naming `name` if it does not.
-    pub(crate) fn check(&self, name: &'static str, size: [u32; 2]) -> Result<()> {
+    /// [`Error::Parameter`] naming `parameter` if it does not.
+    pub(crate) fn check(&self, parameter: Parameter, size: [u32; 2]) -> Result<()> {
         let Rect { x, y, width, height } = *self;
         if width > 0 && height > 0 && Rect::new(0, 0, size[0], size[1]).holds(self) {
             return Ok(());
         }
         let problem = format!("{width} × {height} at {x}, {y} is not a part of a picture of {} × {}", size[0], size[1]);
-        Err(Error::Parameter { name, problem })
+        Err(Error::Parameter { parameter, problem })
     }
 }
 

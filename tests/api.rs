@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 
 use ssplat::{
     Blend, Channels, Damage, Decoder, Depth, Detail, Encoder, Error, Gaussian, Gaussians, Layers, Layout, Limits,
-    Pixels, Reader, Rect, Renderer, Samples, SamplesMut, SplatImage, Target, Thumbnail, Tune, View,
+    Parameter, Pixels, Reader, Rect, Renderer, Samples, SamplesMut, SplatImage, Target, Thumbnail, Tune, View,
 };
 
 fn picture() -> Pixels {
@@ -45,8 +45,8 @@ fn values_out_of_range_are_named_in_the_error() {
         (Encoder::new().tiles(100), "tiles"),
         (Encoder::new().detail(Detail::Share(1.0)), "detail"),
     ] {
-        let Err(Error::Parameter { name, .. }) = encoder.encode(&picture()) else { panic!("{wanted}") };
-        assert_eq!(name, wanted);
+        let Err(Error::Parameter { parameter, .. }) = encoder.encode(&picture()) else { panic!("{wanted}") };
+        assert_eq!(parameter.name(), wanted);
     }
     let too_small = Encoder::new().bytes(10).encode(&picture());
     assert!(matches!(too_small, Err(Error::TooSmall { allowed: 10, .. })), "{too_small:?}");
@@ -87,8 +87,8 @@ fn a_region_outside_the_picture_is_named_in_the_error() {
         Rect::new(u32::MAX, 0, 2, 1),
     ] {
         let found = Decoder::new().region(region).decode(&bytes);
-        let Err(Error::Parameter { name, problem }) = found else { panic!("{region:?}") };
-        assert_eq!(name, "region");
+        let Err(Error::Parameter { parameter, problem }) = found else { panic!("{region:?}") };
+        assert_eq!(parameter, Parameter::Region);
         assert!(problem.contains(&format!("{} × {} at {}, {}", region.width, region.height, region.x, region.y)));
     }
 }
@@ -98,7 +98,7 @@ fn buffers_of_the_wrong_size_are_refused() {
     let bytes = Encoder::new().bytes(300).effort(1).encode(&picture()).unwrap().bytes;
     for length in [0, 96 * 64 * 3 - 1, 96 * 64 * 3 + 1] {
         let refused = Decoder::new().decode_into(&bytes, SamplesMut::U8(&mut vec![0; length]));
-        assert!(matches!(refused, Err(Error::Parameter { name: "out", .. })), "{length}: {refused:?}");
+        assert!(matches!(refused, Err(Error::Parameter { parameter: Parameter::Out, .. })), "{length}: {refused:?}");
     }
 }
 
@@ -197,7 +197,7 @@ fn gaussians_of_a_file_render_its_picture() {
 fn options_and_values_that_gaussians_cannot_have_are_named_in_the_error() {
     let sound = given(Channels::Rgb, Blend::Sum, Depth::Eight);
     let refused = |encoder: Encoder, given: &Gaussians| match encoder.encode_gaussians(given) {
-        Err(Error::Parameter { name, .. }) => name.to_string(),
+        Err(Error::Parameter { parameter, .. }) => parameter.name(),
         other => panic!("{other:?}"),
     };
     for (encoder, wanted) in [
@@ -265,7 +265,8 @@ fn errors_of_the_image_crate_keep_their_cause() {
     std::fs::write(&broken, bytes).unwrap();
     let error = Encoder::new().transcode(&broken, &output).unwrap_err();
     assert!(matches!(error, Error::Source { .. }), "{error:?}");
-    let cause = std::error::Error::source(&error).and_then(|e| e.downcast_ref::<Error>());
+    let of_image = std::error::Error::source(&error).and_then(|e| e.downcast_ref::<image::ImageError>());
+    let cause = of_image.and_then(std::error::Error::source).and_then(|e| e.downcast_ref::<Error>());
     assert!(matches!(cause, Some(Error::Format(ssplat::FormatError::Checksum { .. }))), "{cause:?}");
 }
 

@@ -134,7 +134,7 @@ fn limits_are_checked_before_memory_is_allocated() {
         let mut limits = Limits::default();
         set(&mut limits);
         match read(&bytes[..], &limits) {
-            Err(Error::LimitExceeded { what, .. }) => assert_eq!(what, name),
+            Err(Error::LimitExceeded { limit, .. }) => assert_eq!(limit.name(), name),
             other => panic!("{name}: {other:?}"),
         }
     }

@@ -6,7 +6,7 @@ mod synthetic;
 use ssplat::unstable::bitstream::{read, to_bytes};
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
 use ssplat::unstable::{decode, decode_into, encode};
-use ssplat::{Channels, Damage, Error, Limits, Pixels, Reader, Rect, Samples, Target};
+use ssplat::{Channels, Damage, Error, Limit, Limits, Parameter, Pixels, Reader, Rect, Samples, Target};
 use ssplat::{Renderer, SamplesMut, View};
 
 fn picture() -> Pixels {
@@ -129,7 +129,7 @@ fn levels_out_of_range_are_parameter_errors() {
     for levels in [0, 9] {
         let mut options = options();
         options.levels = levels;
-        assert!(matches!(encode(&picture(), &options), Err(Error::Parameter { name: "levels", .. })));
+        assert!(matches!(encode(&picture(), &options), Err(Error::Parameter { parameter: Parameter::Levels, .. })));
     }
 }
 
@@ -174,7 +174,10 @@ fn data_read_for_a_part_renders_only_that_part() {
     for beyond in
         [whole, whole.crop(Rect::new(299, 400, 10, 10)).unwrap(), whole.crop(Rect::new(790, 990, 11, 10)).unwrap()]
     {
-        assert!(matches!(opened.render(&beyond), Err(Error::Parameter { name: "view", .. })), "{beyond:?}");
+        assert!(
+            matches!(opened.render(&beyond), Err(Error::Parameter { parameter: Parameter::View, .. })),
+            "{beyond:?}"
+        );
     }
 }
 
@@ -192,8 +195,8 @@ fn simultaneous_views_share_one_limit() {
             Err(_) => alloc += 1 << 14,
         }
     };
-    assert!(matches!(opened.renderer(&opened.view()), Err(Error::LimitExceeded { what: "alloc", .. })));
+    assert!(matches!(opened.renderer(&opened.view()), Err(Error::LimitExceeded { limit: Limit::Alloc, .. })));
     drop(one);
     assert!(opened.renderer(&opened.view()).is_ok());
-    assert!(matches!(opened.limit_alloc(5000), Err(Error::LimitExceeded { what: "alloc", .. })));
+    assert!(matches!(opened.limit_alloc(5000), Err(Error::LimitExceeded { limit: Limit::Alloc, .. })));
 }

@@ -10,7 +10,7 @@ use ssplat::View;
 use ssplat::unstable::bitstream::splats::PackedSplats;
 use ssplat::unstable::bitstream::{DetailHead, MissingParts, inspect, read, read_partial, to_bytes};
 use ssplat::unstable::{DecodeOptions, decode};
-use ssplat::{Channels, Damage, Depth, Error, Layers, Limits, Pixels, Reader, Rect, Samples};
+use ssplat::{Channels, Damage, Depth, Error, Layers, Limit, Limits, Parameter, Pixels, Reader, Rect, Samples};
 use synthetic::{Levels, Scene, scene, with_layer};
 
 /// A picture of six tiles with levels in most blocks.
@@ -227,7 +227,9 @@ fn views_select_the_layers_of_a_whole_file_and_only_those_that_were_read() {
             let is_read = layers == Layers::Both || layers == other;
             match found {
                 Ok(_) => assert!(is_read, "{other:?} of {layers:?}"),
-                Err(Error::Parameter { name: "view", .. }) => assert!(!is_read, "{other:?} of {layers:?}"),
+                Err(Error::Parameter { parameter: Parameter::View, .. }) => {
+                    assert!(!is_read, "{other:?} of {layers:?}")
+                }
                 other => panic!("{other:?}"),
             }
         }
@@ -299,7 +301,7 @@ fn levels_of_invalid_tiles_count_as_work() {
     assert!(enough > 20_000_000, "{enough}");
     let few = enough - enough / 1000;
     for bytes in [&good, &bad] {
-        assert!(matches!(read(bytes, few), Err(Error::LimitExceeded { what: "work", .. })));
+        assert!(matches!(read(bytes, few), Err(Error::LimitExceeded { limit: Limit::Work, .. })));
     }
 }
 
@@ -330,7 +332,7 @@ fn work_of_the_layer_is_checked_before_it_is_done() {
     let bytes = to_bytes(&large(Channels::Rgb)).unwrap();
     let mut limits = Limits::default();
     limits.work = 1 << 20;
-    assert!(matches!(read(&bytes[..], &limits), Err(Error::LimitExceeded { what: "work", .. })));
+    assert!(matches!(read(&bytes[..], &limits), Err(Error::LimitExceeded { limit: Limit::Work, .. })));
     // The Gaussians alone are within the limit.
     let reader = Reader::new(&bytes, &limits).unwrap();
     let view = reader.view().layers(Layers::Gaussians);
@@ -347,7 +349,10 @@ fn work_of_a_distorted_view_is_counted() {
     let drawn = |width, height| opened.renderer(&opened.view().resized(width, height).unwrap()).map(drop);
     assert!(drawn(1, 1).is_ok() && drawn(2000, 1).is_ok() && drawn(1, 2000).is_ok());
     for (width, height) in [(1, 1 << 20), (1 << 20, 1)] {
-        assert!(matches!(drawn(width, height), Err(Error::LimitExceeded { what: "work", .. })), "{width} × {height}");
+        assert!(
+            matches!(drawn(width, height), Err(Error::LimitExceeded { limit: Limit::Work, .. })),
+            "{width} × {height}"
+        );
     }
 }
 

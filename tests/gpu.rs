@@ -15,8 +15,8 @@ use ssplat::unstable::Recipe;
 use ssplat::unstable::bitstream::{DetailHead, to_bytes};
 use ssplat::unstable::raster::reference;
 use ssplat::{
-    Backend, Blend, Channels, Damage, Depth, Error, Gaussian, Gaussians, GpuError, Layers, Limits, Pixels, Reader,
-    Rect, Samples, SplatImage, Target, Tune,
+    Backend, Blend, Channels, Damage, Depth, Error, Gaussian, Gaussians, GpuError, Layers, Limit, Limits, Parameter,
+    Pixels, Reader, Rect, Samples, SplatImage, Target, Tune,
 };
 use std::ops::ControlFlow;
 
@@ -262,14 +262,14 @@ fn layers_within_limits(device: &Device) {
         // Enough for the pixels and the integers, but not for the additions to 300 rows.
         file.limit_alloc(2_500_000).unwrap();
         let drawn = Renderer::of(device, &file).unwrap().render(&view, Depth::Eight);
-        let refused = matches!(drawn, Err(Error::LimitExceeded { what: "alloc", .. }));
+        let refused = matches!(drawn, Err(Error::LimitExceeded { limit: Limit::Alloc, .. }));
         assert!(refused == is_refused && drawn.is_ok() != is_refused, "{layers:?}: {drawn:?}");
         // Less than the layer needs, but more than the Gaussians need.
         let mut limits = Limits::default();
         limits.work = 1 << 27;
         let file = Reader::new(&bytes, &limits).unwrap().read(Damage::Refuse).unwrap();
         let drawn = Renderer::of(device, &file).unwrap().render(&view, Depth::Eight);
-        let refused = matches!(drawn, Err(Error::LimitExceeded { what: "work", .. }));
+        let refused = matches!(drawn, Err(Error::LimitExceeded { limit: Limit::Work, .. }));
         assert!(refused == is_refused && drawn.is_ok() != is_refused, "{layers:?}: {drawn:?}");
     }
 }
@@ -282,7 +282,7 @@ fn parts(device: &Device) {
     let mut renderer = Renderer::of(device, &file).unwrap();
     renderer.render(&region, Depth::Eight).unwrap();
     let refused = renderer.render(&whole, Depth::Eight);
-    assert!(matches!(refused, Err(Error::Parameter { name: "view", .. })), "{refused:?}");
+    assert!(matches!(refused, Err(Error::Parameter { parameter: Parameter::View, .. })), "{refused:?}");
 }
 
 fn same_bits(device: &Device) {
@@ -393,7 +393,7 @@ fn bad_primitives(device: &Device) {
         let mut picture = picture.clone();
         spoil(&mut picture.list[1]);
         let made = Renderer::new(device, &picture, &Limits::default());
-        assert!(matches!(made, Err(Error::Parameter { name: "gaussians", .. })), "{made:?}");
+        assert!(matches!(made, Err(Error::Parameter { parameter: Parameter::Gaussians, .. })), "{made:?}");
     }
 }
 
@@ -401,11 +401,14 @@ fn limits(device: &Device) {
     let picture = scene(128, 128, 300, Channels::Rgb, Blend::Normalized, 1);
     let mut limits = Limits::default();
     limits.primitives = 299;
-    assert!(matches!(Renderer::new(device, &picture, &limits), Err(Error::LimitExceeded { what: "primitives", .. })));
+    assert!(matches!(
+        Renderer::new(device, &picture, &limits),
+        Err(Error::LimitExceeded { limit: Limit::Primitives, .. })
+    ));
     let mut limits = Limits::default();
     limits.tile_pairs = 300;
     let drawn = Renderer::new(device, &picture, &limits).unwrap().render(&View::full(&picture), Depth::Eight);
-    assert!(matches!(drawn, Err(Error::LimitExceeded { what: "tile_pairs", .. })), "{drawn:?}");
+    assert!(matches!(drawn, Err(Error::LimitExceeded { limit: Limit::TilePairs, .. })), "{drawn:?}");
     // The 256 pixels of each pair count, in all bands together. With a limit one below the total, the last band is not
     // rendered.
     let view = View::full(&picture);
@@ -419,7 +422,7 @@ fn limits(device: &Device) {
         let work = (refused + enough) / 2;
         match within(work) {
             Ok(_) => enough = work,
-            Err(Error::LimitExceeded { what: "work", requested, allowed }) => {
+            Err(Error::LimitExceeded { limit: Limit::Work, requested, allowed }) => {
                 assert!(requested > allowed && allowed == work, "{requested} of {allowed}");
                 refused = work;
             }
@@ -432,7 +435,7 @@ fn limits(device: &Device) {
     let mut limits = Limits::default();
     limits.alloc = 128 * 128 * 3 - 1;
     let drawn = Renderer::new(device, &picture, &limits).unwrap().render(&View::full(&picture), Depth::Eight);
-    assert!(matches!(drawn, Err(Error::LimitExceeded { what: "alloc", .. })), "{drawn:?}");
+    assert!(matches!(drawn, Err(Error::LimitExceeded { limit: Limit::Alloc, .. })), "{drawn:?}");
 }
 
 fn hardware_only(device: &Device) {

@@ -9,7 +9,7 @@ use std::f32::consts::FRAC_PI_2;
 use scenes::{Random, codes, scene};
 use ssplat::unstable::bitstream::splats::Steps;
 use ssplat::unstable::raster::reference;
-use ssplat::{Blend, Channels, Depth, Error, Gaussian, Gaussians, Limits, Rect, Samples};
+use ssplat::{Blend, Channels, Depth, Error, Gaussian, Gaussians, Limit, Limits, Rect, Samples};
 use ssplat::{Renderer, SamplesMut, View};
 
 fn picture(width: u32, height: u32, channels: Channels, blend: Blend, gaussians: Vec<Gaussian>) -> Gaussians {
@@ -391,7 +391,7 @@ fn tile_pairs_of_reduced_views_are_those_of_their_samples() {
     let mut limits = Limits::default();
     limits.tile_pairs = 24_999;
     let error = Renderer::new(&p, &view, &limits).unwrap_err();
-    assert!(matches!(error, Error::LimitExceeded { what: "tile_pairs", .. }));
+    assert!(matches!(error, Error::LimitExceeded { limit: Limit::TilePairs, .. }));
     limits.tile_pairs = 25_000;
     assert!(Renderer::new(&p, &view, &limits).is_ok());
 }
@@ -517,7 +517,7 @@ fn tile_pairs_are_checked_before_the_work() {
     limits.tile_pairs = 60_000;
     // 8 × 8 tiles for each of 1000.
     let error = Renderer::new(&p, &View::full(&p), &limits).unwrap_err();
-    assert!(matches!(error, Error::LimitExceeded { what: "tile_pairs", requested: 60_001.., allowed: 60_000 }));
+    assert!(matches!(error, Error::LimitExceeded { limit: Limit::TilePairs, requested: 60_001.., allowed: 60_000 }));
     limits.tile_pairs = 64_000;
     assert!(Renderer::new(&p, &View::full(&p), &limits).is_ok());
 }
@@ -528,7 +528,7 @@ fn work_is_limited_in_proportion_to_pixels_and_primitives() {
     let giants = vec![one([500.0, 500.0], [1e4, 1e4], 0.0); 16384];
     let p = picture(1000, 1000, Channels::Rgb, Blend::Normalized, giants);
     let error = Renderer::new(&p, &View::full(&p), &Limits::default()).unwrap_err();
-    assert!(matches!(error, Error::LimitExceeded { what: "work", .. }));
+    assert!(matches!(error, Error::LimitExceeded { limit: Limit::Work, .. }));
 }
 
 #[test]
@@ -539,7 +539,7 @@ fn the_work_of_narrow_gaussians_counts_their_exponentials() {
         let mut limits = Limits::default();
         limits.work = 0;
         match Renderer::new(&p, &View::full(&p), &limits) {
-            Err(Error::LimitExceeded { what: "work", requested, .. }) => requested,
+            Err(Error::LimitExceeded { limit: Limit::Work, requested, .. }) => requested,
             other => panic!("{other:?}"),
         }
     };
@@ -582,11 +582,14 @@ fn memory_is_checked_before_it_is_allocated() {
     let p = scene(64, 64, 100, Channels::Rgb, Blend::Normalized, 1);
     let mut limits = Limits::default();
     limits.alloc = 4096;
-    assert!(matches!(Renderer::new(&p, &View::full(&p), &limits), Err(Error::LimitExceeded { what: "alloc", .. })));
+    assert!(matches!(
+        Renderer::new(&p, &View::full(&p), &limits),
+        Err(Error::LimitExceeded { limit: Limit::Alloc, .. })
+    ));
     limits.alloc = 64 * 64 * 3 - 1;
     let empty = picture(64, 64, Channels::Rgb, Blend::Normalized, Vec::new());
     let renderer = Renderer::new(&empty, &View::full(&empty), &limits).unwrap();
-    assert!(matches!(renderer.render(Depth::Eight), Err(Error::LimitExceeded { what: "alloc", .. })));
+    assert!(matches!(renderer.render(Depth::Eight), Err(Error::LimitExceeded { limit: Limit::Alloc, .. })));
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use image::metadata::Orientation;
 use ssplat::{
-    Channels, Damage, Depth, Limits, Metadata, Reader, Rect, Renderer, Samples, SamplesMut, SplatImage, View,
+    Channels, Damage, Depth, Limit, Limits, Metadata, Reader, Rect, Renderer, Samples, SamplesMut, SplatImage, View,
 };
 
 use crate::failure::{Failure, Outcome, ssplat_status};
@@ -143,7 +143,7 @@ impl Session {
         let scratch = rows * u64::from(view.width()) * (channels.count() * depth.bytes()) as u64;
         let allowed = self.limits.alloc;
         let left = allowed.checked_sub(scratch).ok_or(ssplat::Error::LimitExceeded {
-            what: "alloc",
+            limit: Limit::Alloc,
             requested: scratch,
             allowed,
         })?;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use ssplat::unstable::{EncodeOptions, Outside, Precision};
-use ssplat::{Encoder, Error, Limits, Target};
+use ssplat::{Encoder, Error, Limits, Parameter, Target};
 
 use crate::exchange::format::ImportFormat;
 use crate::exchange::parameters::{self, Given, Parameters};
@@ -43,7 +43,9 @@ pub fn run(args: &args::Import) -> Result<(), Failure> {
     let encoder = Encoder::from(options(args, &parameters));
     let encoded = encoder.encode_gaussians(&parameters.picture).map_err(|e| match e {
         // All parameters except the size come from the input.
-        Error::Parameter { name, .. } if name != "bytes" => broken(&args.input, Kind::Format, &e.to_string()),
+        Error::Parameter { parameter, .. } if parameter != Parameter::Bytes => {
+            broken(&args.input, Kind::Format, &e.to_string())
+        }
         e => Failure::library(&args.input, &e),
     })?;
     let left_out = parameters.picture.list.len() - encoded.report.primitives;

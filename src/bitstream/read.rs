@@ -25,6 +25,7 @@ use crate::budget::{Budget, Reservation};
 use crate::error::{FormatError, Result};
 use crate::limits::Limits;
 use crate::options::Layers;
+use crate::parameter::Limit;
 use crate::rect::Rect;
 
 /// Number of times that the bytes of a file are counted against the memory limit: the read buffer grows to twice its
@@ -120,7 +121,7 @@ pub(crate) fn read_rest<R: Read>(reader: R, limits: &Limits) -> Result<Vec<u8>> 
     let mut rest = Vec::new();
     // Memory grows only with the bytes that arrive; the limit stops endless streams.
     reader.take(limits.alloc / FILE_COPIES + 1).read_to_end(&mut rest)?;
-    Limits::check("alloc", FILE_COPIES * rest.len() as u64, limits.alloc)?;
+    Limits::check(Limit::Alloc, FILE_COPIES * rest.len() as u64, limits.alloc)?;
     Ok(rest)
 }
 

@@ -13,6 +13,7 @@ use crate::bitstream::MissingParts;
 use crate::bitstream::splats::Metadata;
 use crate::error::{Error, Result};
 use crate::options::DecodeOptions;
+use crate::parameter::Parameter;
 use crate::pixels::Pixels;
 use crate::raster::{SamplesMut, View};
 
@@ -58,7 +59,7 @@ pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -
     let samples = u64::from(view.width()) * u64::from(view.height()) * opening.header().channels.count() as u64;
     if out.count() as u64 != samples {
         return Err(Error::Parameter {
-            name: "out",
+            parameter: Parameter::Out,
             problem: format!("{} samples where {samples} are needed", out.count()),
         });
     }

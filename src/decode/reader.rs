@@ -7,6 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::Decoded;
+use crate::parameter::Parameter;
 
 use crate::bitstream::header::Header;
 use crate::bitstream::report::Tally;
@@ -262,9 +263,9 @@ impl Reader<'static> {
     /// As [`from_read`](Reader::from_read); the message of an [`Error::Io`] names the path.
     pub fn open(path: impl AsRef<Path>, limits: &Limits) -> Result<Self> {
         let path = path.as_ref();
-        let file = File::open(path).map_err(|e| Error::at(path, &e))?;
+        let file = File::open(path).map_err(|e| Error::at(path, e))?;
         Reader::from_read(file, limits).map_err(|e| match e {
-            Error::Io(e) => Error::at(path, &e),
+            Error::Io(e) => Error::at(path, e),
             e => e,
         })
     }
@@ -373,11 +374,11 @@ impl SplatImage {
 pub(crate) fn check_view(view: &View, area: Option<&Rect>, layers: Layers) -> Result<()> {
     if layers != Layers::Both && view.shown() != layers {
         let problem = format!("{view:?} shows other layers than {layers:?}, which were read");
-        return Err(Error::Parameter { name: "view", problem });
+        return Err(Error::Parameter { parameter: Parameter::View, problem });
     }
     if area.is_some_and(|area| !area.holds(&view.area())) {
         let problem = format!("{view:?} shows more than the part of the picture that was read");
-        return Err(Error::Parameter { name: "view", problem });
+        return Err(Error::Parameter { parameter: Parameter::View, problem });
     }
     Ok(())
 }

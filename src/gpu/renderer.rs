@@ -12,6 +12,7 @@ use crate::error::{Error, GpuError, Result};
 use crate::gaussian::{Channels, Gaussian, Gaussians, MAX_SCALE};
 use crate::limits::Limits;
 use crate::options::Layers;
+use crate::parameter::{Limit, Parameter};
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::raster::{self, Overlay, View};
 use crate::rect::Rect;
@@ -123,10 +124,13 @@ impl Renderer {
         budget: &Budget,
     ) -> Result<Self> {
         let count = length as u64;
-        Limits::check("primitives", count, limits.primitives)?;
+        Limits::check(Limit::Primitives, count, limits.primitives)?;
         check_primitives(count)?;
         if !canvas.background.iter().all(|v| v.is_finite()) {
-            return Err(Error::Parameter { name: "background", problem: format!("{:?}", canvas.background) });
+            return Err(Error::Parameter {
+                parameter: Parameter::Background,
+                problem: format!("{:?}", canvas.background),
+            });
         }
         let _held = budget.reserve(count * size_of::<Primitive>() as u64)?;
         let mut primitives = Vec::with_capacity(length);
@@ -136,7 +140,7 @@ impl Renderer {
                 && g.scale.iter().all(|&s| s > 0.0 && s <= MAX_SCALE);
             if !sound {
                 return Err(Error::Parameter {
-                    name: "gaussians",
+                    parameter: Parameter::Gaussians,
                     problem: format!("number {i} is not finite or has a scale outside 0..=1048576: {g:?}"),
                 });
             }
@@ -247,13 +251,13 @@ impl Renderer {
             F::Rgba8Unorm | F::Rgba8UnormSrgb => Format::Rgba8,
             F::Bgra8Unorm | F::Bgra8UnormSrgb => Format::Bgra8,
             other => {
-                return Err(Error::Parameter { name: "texture", problem: format!("format {other:?}") });
+                return Err(Error::Parameter { parameter: Parameter::Texture, problem: format!("format {other:?}") });
             }
         };
         let (width, height) = (view.width(), view.height());
         if width > texture.width() || height > texture.height() {
             let problem = format!("{}×{} is smaller than the view", texture.width(), texture.height());
-            return Err(Error::Parameter { name: "texture", problem });
+            return Err(Error::Parameter { parameter: Parameter::Texture, problem });
         }
         let stride = (width * 4).next_multiple_of(ROW_ALIGNMENT) / 4;
         self.draw(view, format, stride, |device, codes, words, first| {
@@ -347,10 +351,10 @@ impl Renderer {
         let tile_pairs = self.limits.tile_pairs;
         let most_pairs = tile_pairs.min(max_work.min(all_work - layer_work) / PAIR_WORK);
         let check = |pairs: u64| {
-            Limits::check("tile_pairs", pairs, tile_pairs)?;
+            Limits::check(Limit::TilePairs, pairs, tile_pairs)?;
             let work = pairs.saturating_mul(PAIR_WORK);
-            Limits::check("work", work, max_work)?;
-            Limits::check("work", work.saturating_add(layer_work), all_work)
+            Limits::check(Limit::Work, work, max_work)?;
+            Limits::check(Limit::Work, work.saturating_add(layer_work), all_work)
         };
         let mut first = 0;
         let mut pairs = 0u64;

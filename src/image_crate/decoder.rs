@@ -22,6 +22,7 @@ use crate::error::{Error, Result};
 use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::options::Damage;
+use crate::parameter::Limit;
 use crate::pixels::Depth;
 use crate::raster::{Renderer, SamplesMut};
 
@@ -171,7 +172,7 @@ fn decoding_error(e: Error) -> ImageError {
             hint(),
             UnsupportedErrorKind::GenericFeature(e.to_string()),
         )),
-        Error::LimitExceeded { what: "width" | "height", .. } => {
+        Error::LimitExceeded { limit: Limit::Width | Limit::Height, .. } => {
             ImageError::Limits(LimitError::from_kind(LimitErrorKind::DimensionError))
         }
         Error::LimitExceeded { .. } => ImageError::Limits(LimitError::from_kind(LimitErrorKind::InsufficientMemory)),

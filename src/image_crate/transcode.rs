@@ -33,10 +33,10 @@ pub fn transcode(input: impl AsRef<Path>, output: impl AsRef<Path>, options: &En
     check_extension(output)?;
     let failed = |error: ImageError| match error {
         // `image` reports a truncated picture as an I/O error, but the picture is at fault.
-        ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::at(path, &e),
+        ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::at(path, e),
         error => Error::Source { path: Some(path.into()), error },
     };
-    let io = |e: std::io::Error| Error::at(path, &e);
+    let io = |e: std::io::Error| Error::at(path, e);
     let mut reader = BufReader::new(File::open(path).map_err(io)?);
     let stated = colour::look(&mut reader).map_err(io)?;
     let decoder = input::open(reader, path, &input::limits()).map_err(failed)?;

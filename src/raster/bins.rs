@@ -8,6 +8,7 @@ use crate::budget::{Budget, Reservation};
 use crate::error::Result;
 use crate::limits::Limits;
 use crate::parallel;
+use crate::parameter::Limit;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -59,8 +60,8 @@ impl Cost {
         spent.pairs += more.pairs;
         spent.work += more.work;
         *more = Cost { pairs: 0, work: 0 };
-        Limits::check("tile_pairs", spent.pairs, self.pairs)?;
-        Limits::check("work", spent.work, self.work)?;
+        Limits::check(Limit::TilePairs, spent.pairs, self.pairs)?;
+        Limits::check(Limit::Work, spent.work, self.work)?;
         Ok(self.pairs - spent.pairs)
     }
 }
@@ -287,7 +288,7 @@ mod tests {
             for allowed in [pairs - 1, pairs / 2, 0] {
                 limits.tile_pairs = allowed;
                 let refusal = |limits| match bins(&splats, &view, limits) {
-                    Err(Error::LimitExceeded { what: "tile_pairs", requested, .. }) => requested,
+                    Err(Error::LimitExceeded { limit: Limit::TilePairs, requested, .. }) => requested,
                     other => panic!("{other:?}"),
                 };
                 let requested = refusal(&limits);
@@ -297,9 +298,9 @@ mod tests {
         }
         limits = Limits::default();
         limits.work = pairs * PAIR_WORK;
-        assert!(matches!(bins(&splats, &view, &limits), Err(Error::LimitExceeded { what: "work", .. })));
+        assert!(matches!(bins(&splats, &view, &limits), Err(Error::LimitExceeded { limit: Limit::Work, .. })));
         limits = Limits::default();
         limits.alloc = pairs * 4;
-        assert!(matches!(bins(&splats, &view, &limits), Err(Error::LimitExceeded { what: "alloc", .. })));
+        assert!(matches!(bins(&splats, &view, &limits), Err(Error::LimitExceeded { limit: Limit::Alloc, .. })));
     }
 }

@@ -19,6 +19,7 @@ use crate::error::Result;
 use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::parallel;
+use crate::parameter::Limit;
 
 /// A detail layer, ready to be added to a view.
 #[derive(Debug)]
@@ -207,7 +208,7 @@ impl Overlay {
         let [width, height] = view.area().size().map(|side| (u64::from(side) / TILE as u64 + 2) * TILE as u64);
         let samples = width.saturating_mul(height).saturating_mul(self.channels.count() as u64 * SAMPLE_WORK);
         // Samples and levels are checked separately before they are known to exist, at four and three times their cost.
-        Limits::check("work", samples, limits.work)?;
+        Limits::check(Limit::Work, samples, limits.work)?;
         Ok((samples / 4).saturating_add(LEVEL_WORK * self.layer.levels() as u64).saturating_add(self.tap_work(view)))
     }
 

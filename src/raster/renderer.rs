@@ -13,6 +13,7 @@ use crate::error::{Error, Result};
 use crate::gaussian::{Blend, Channels, Gaussian, Gaussians};
 use crate::limits::Limits;
 use crate::options::Layers;
+use crate::parameter::{Limit, Parameter};
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::simd;
 #[cfg(feature = "rayon")]
@@ -109,16 +110,19 @@ impl Renderer {
     ) -> Result<Self> {
         if [view.width, view.height].iter().any(|&side| side == 0 || side > MAX_SIDE) {
             return Err(Error::Parameter {
-                name: "view",
+                parameter: Parameter::View,
                 problem: format!("{view:?} has a side outside 1..={MAX_SIDE}"),
             });
         }
         if !canvas.background.iter().all(|v| v.is_finite()) {
-            return Err(Error::Parameter { name: "background", problem: format!("{:?}", canvas.background) });
+            return Err(Error::Parameter {
+                parameter: Parameter::Background,
+                problem: format!("{:?}", canvas.background),
+            });
         }
         let filter = view.filter();
         let fine = view.refined(filter.parts);
-        Limits::check("primitives", count as u64, limits.primitives.min(u64::from(u32::MAX)))?;
+        Limits::check(Limit::Primitives, count as u64, limits.primitives.min(u64::from(u32::MAX)))?;
         let splats = project((count, gaussian), &fine, filter.variance, budget)?;
         let bins = Bins::new(&splats, &fine, limits, budget)?;
         Ok(Renderer {
@@ -142,7 +146,7 @@ impl Renderer {
     /// [`Error::LimitExceeded`] if Gaussians and layer together take too much memory or work.
     pub(crate) fn with(mut self, overlay: Overlay, limits: &Limits) -> Result<Self> {
         let both = self.bins.work.saturating_add(overlay.work(&self.view, limits)?);
-        Limits::check("work", both, limits.work)?;
+        Limits::check(Limit::Work, both, limits.work)?;
         let rows = (0..self.bands()).map(|band| self.band_rows(band).len() as u32).max().unwrap_or(0);
         let (stride, rows) = (self.stride(), rows.max(overlay.rows_at_once(self.stride()).min(self.view.height)));
         overlay.check(&self.view, stride, rows, &self.budget)?;

@@ -3,6 +3,7 @@
 use crate::error::{Error, Result};
 use crate::gaussian::{CUTOFF, Gaussians};
 use crate::options::Layers;
+use crate::parameter::Parameter;
 use crate::rect::Rect;
 
 /// Maximum side of a view, output pixels.
@@ -59,7 +60,7 @@ impl View {
     /// [`Error::Parameter`] naming `region` if it is empty or not within this view.
     #[doc(alias("region", "part"))]
     pub fn crop(&self, region: Rect) -> Result<Self> {
-        region.check("region", [self.width, self.height])?;
+        region.check(Parameter::Region, [self.width, self.height])?;
         let Rect { x, y, width, height } = region;
         Ok(View { offset: [self.offset[0] + x, self.offset[1] + y], width, height, ..*self })
     }
@@ -80,9 +81,9 @@ impl View {
     /// [`Error::Parameter`] if a side is 0 or over 2²⁰.
     #[doc(alias("resize", "scale", "zoom", "downscale"))]
     pub fn resized(&self, width: u32, height: u32) -> Result<Self> {
-        for (name, side) in [("width", width), ("height", height)] {
+        for (parameter, side) in [(Parameter::Width, width), (Parameter::Height, height)] {
             if side == 0 || side > MAX_SIDE {
-                return Err(Error::Parameter { name, problem: format!("{side} is outside 1..={MAX_SIDE}") });
+                return Err(Error::Parameter { parameter, problem: format!("{side} is outside 1..={MAX_SIDE}") });
             }
         }
         let origin = std::array::from_fn(|k| self.origin[k] + f64::from(self.offset[k]) * self.step[k]);
@@ -100,9 +101,9 @@ impl View {
     /// [`Error::Parameter`] if a side of `within` is 0.
     #[doc(alias("thumbnail", "preview"))]
     pub fn fitted(&self, within: [u32; 2]) -> Result<Self> {
-        for (name, side) in [("width", within[0]), ("height", within[1])] {
+        for (parameter, side) in [(Parameter::Width, within[0]), (Parameter::Height, within[1])] {
             if side == 0 {
-                return Err(Error::Parameter { name, problem: "0 pixels are too few".into() });
+                return Err(Error::Parameter { parameter, problem: "0 pixels are too few".into() });
             }
         }
         let sides = [self.width, self.height];

@@ -35,7 +35,7 @@ mod top_k;
 use ssplat::Pixels;
 use ssplat::unstable::fit::model::objective::planes::Planes;
 use ssplat::unstable::gaussian::Gaussians;
-use ssplat::{Error, Result};
+use ssplat::{Error, Parameter, Result};
 
 /// A published method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -182,12 +182,15 @@ pub struct Point {
 /// more Gaussians than pixels.
 pub fn fit(pixels: &Pixels, method: Method, options: &Options) -> Result<Fit> {
     if pixels.channels().alpha().is_some() {
-        return Err(Error::Parameter { name: "pixels", problem: format!("{:?} has alpha", pixels.channels()) });
+        return Err(Error::Parameter {
+            parameter: Parameter::Pixels,
+            problem: format!("{:?} has alpha", pixels.channels()),
+        });
     }
     let area = u64::from(pixels.width()) * u64::from(pixels.height());
     if options.count == 0 || options.count as u64 > area {
         let problem = format!("{} is not between 1 and the {area} pixels", options.count);
-        return Err(Error::Parameter { name: "count", problem });
+        return Err(Error::Parameter { parameter: Parameter::Other("count"), problem });
     }
     let target = Planes::new(pixels);
     Ok(match method {

@@ -15,6 +15,7 @@ use crate::error::{Error, FormatError, Result};
 use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::parallel;
+use crate::parameter::Limit;
 use crate::rect::Rect;
 
 /// The detail layer of a picture: the levels of its tiles.
@@ -241,7 +242,7 @@ impl<'a> Listed<'a> {
         let (samples, limit) = (self.samples(), self.wanted.limits.work);
         let chosen = (0..self.entries.len()).filter(|&i| self.is_wanted(i)).count();
         let mut work = (samples * PIXEL_WORK).saturating_mul(chosen as u64);
-        Limits::check("work", work, limit)?;
+        Limits::check(Limit::Work, work, limit)?;
         held.grow((size_of::<Option<TileLevels>>() * self.entries.len()) as u64)?;
         let mut tiles: Vec<Option<TileLevels>> = Vec::new();
         tiles.resize_with(self.entries.len(), || None);
@@ -272,7 +273,7 @@ impl<'a> Listed<'a> {
                 }
             }
             working.shrink(0);
-            Limits::check("work", work, limit)?;
+            Limits::check(Limit::Work, work, limit)?;
         }
     }
 

@@ -15,7 +15,7 @@ use image::metadata::Orientation;
 use ssplat::SamplesMut;
 use ssplat::unstable::bitstream::header::{Sections, VERSION};
 use ssplat::unstable::bitstream::splats::{Layout, Metadata};
-use ssplat::{Blend, Damage, Error, Layers, Limits, Reader, Rect, Result};
+use ssplat::{Blend, Damage, Error, Layers, Limit, Limits, Reader, Rect, Result};
 
 /// State that is kept between two calls.
 #[derive(Default)]
@@ -148,8 +148,11 @@ pub extern "C" fn decode(
         let needed = pixels.saturating_mul(channels as u64 + 4);
         let allowed = limits.alloc;
         let mut rest = limits.clone();
-        rest.alloc =
-            allowed.checked_sub(needed).ok_or(Error::LimitExceeded { what: "alloc", requested: needed, allowed })?;
+        rest.alloc = allowed.checked_sub(needed).ok_or(Error::LimitExceeded {
+            limit: Limit::Alloc,
+            requested: needed,
+            allowed,
+        })?;
         let opening = open(input, &rest)?;
         let primitives = opening.header().primitives;
         let opened = opening.read_for(&view, if partial == 0 { Damage::Refuse } else { Damage::Accept })?;
@@ -287,7 +290,7 @@ fn spread<const S: usize, const P: usize>(
     let (whole, rest) = samples.as_chunks::<S>();
     let mut rgba = Vec::new();
     let length = (whole.len() + 1) * 4 * P;
-    let full = |_| Error::LimitExceeded { what: "alloc", requested: length as u64, allowed: 0 };
+    let full = |_| Error::LimitExceeded { limit: Limit::Alloc, requested: length as u64, allowed: 0 };
     rgba.try_reserve_exact(whole.len() + 1).map_err(full)?;
     rgba.extend(whole.iter().map(&pixels));
     let mut last = [0; S];
@@ -314,7 +317,7 @@ fn write(to: &mut [u8], floats: &[f32]) {
 
 fn zeros(length: usize) -> Result<Vec<u8>> {
     let mut buffer = Vec::new();
-    let full = |_| Error::LimitExceeded { what: "alloc", requested: length as u64, allowed: 0 };
+    let full = |_| Error::LimitExceeded { limit: Limit::Alloc, requested: length as u64, allowed: 0 };
     buffer.try_reserve_exact(length).map_err(full)?;
     buffer.resize(length, 0);
     Ok(buffer)
