@@ -234,24 +234,32 @@ fn options_and_values_that_gaussians_cannot_have_are_named_in_the_error() {
     }
 }
 
+/// Fails to compile for a type that threads cannot send and share.
+const fn is_send_and_sync<T: Send + Sync>() {}
+
 #[test]
-fn public_types_can_be_sent_to_and_shared_between_threads() {
-    fn check<T: Send + Sync + 'static>() {}
-    fn check_borrowing<T: Send + Sync>() {}
-    check::<(ssplat::Encoder, ssplat::Decoder, SplatImage, ssplat::Renderer, ssplat::View)>();
-    check::<(
-        ssplat::Encoded,
-        ssplat::EncodeReport,
-        ssplat::Progress,
-        ssplat::Decoded,
-        ssplat::Metadata,
-        ssplat::MissingParts,
-    )>();
-    check::<(Error, ssplat::FormatError, ssplat::GpuError)>();
-    check::<(Pixels, Samples, ssplat::Gaussians, ssplat::Gaussian, Limits, ssplat::Target)>();
-    check_borrowing::<(Reader<'_>, SamplesMut<'_>)>();
+fn all_public_types_can_be_sent_to_and_shared_between_threads() {
+    use ssplat::report::{Chosen, SkipReason, Skipped, StageTime};
+    use ssplat::{
+        Backend, Decoded, EncodeReport, Encoded, FormatError, GpuError, HiddenColors, Limit, Metadata, MetadataPolicy,
+        MissingParts, Progress,
+    };
+    const {
+        is_send_and_sync::<(Encoder, Encoded, EncodeReport, Progress, Chosen, SkipReason, Skipped, StageTime)>();
+        is_send_and_sync::<(Backend, Detail, HiddenColors, MetadataPolicy, Target, Thumbnail, Tune)>();
+        is_send_and_sync::<(Decoder, Decoded, Reader<'_>, SplatImage, Renderer, View, Rect, SamplesMut<'_>)>();
+        is_send_and_sync::<(Damage, Layers, Layout, Limits, Metadata, MissingParts)>();
+        is_send_and_sync::<(Pixels, Samples, Depth, Channels, Blend, Gaussian, Gaussians)>();
+        is_send_and_sync::<(Error, FormatError, GpuError, Limit, Parameter)>();
+    }
     #[cfg(feature = "image")]
-    check::<(ssplat::SsplatDecoder<std::fs::File>, ssplat::SsplatEncoder<Vec<u8>>)>();
+    const {
+        is_send_and_sync::<(ssplat::SsplatDecoder<std::fs::File>, ssplat::SsplatEncoder<Vec<u8>>)>();
+    }
+    #[cfg(feature = "gpu")]
+    const {
+        is_send_and_sync::<(ssplat::gpu::Adapters, ssplat::gpu::Device, ssplat::gpu::Renderer)>();
+    }
 }
 
 /// A broken file of another format, and the cause that its decoder gives, through the chain of sources.

@@ -40,7 +40,7 @@ pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
     let opening = Reader::new(bytes, &options.limits)?;
     let view = options.view(&opening.view())?;
     let opened = opening.read_for(&view, options.damage)?;
-    let (depth, missing) = (opened.splats().depth, opened.missing());
+    let (depth, missing) = (opened.splats.depth, opened.missing());
     let renderer = opened.renderer(&view)?;
     // Release the memory of the integers before the pixels are allocated.
     let (metadata, _reserved) = opened.into_metadata_and_memory();
@@ -56,7 +56,7 @@ pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
 pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -> Result<(Metadata, MissingParts)> {
     let opening = Reader::new(bytes, &options.limits)?;
     let view = options.view(&opening.view())?;
-    let samples = u64::from(view.width()) * u64::from(view.height()) * opening.header().channels.count() as u64;
+    let samples = u64::from(view.width()) * u64::from(view.height()) * opening.header.channels.count() as u64;
     if out.count() as u64 != samples {
         return Err(Error::Parameter {
             parameter: Parameter::Out,

@@ -39,7 +39,7 @@ use crate::rect::Rect;
 /// ```
 #[derive(Debug)]
 pub struct Reader<'a> {
-    header: Header,
+    pub(super) header: Header,
     /// Bytes that follow the header.
     rest: Cow<'a, [u8]>,
     limits: Limits,
@@ -83,7 +83,7 @@ pub struct Reader<'a> {
 /// ```
 #[derive(Debug)]
 pub struct SplatImage {
-    splats: PackedSplats,
+    pub(crate) splats: PackedSplats,
     missing: MissingParts,
     /// The area that was read and can be rendered; `None` is the whole picture.
     area: Option<Rect>,
@@ -148,8 +148,8 @@ impl<'a> Reader<'a> {
         self.header.primitives
     }
 
-    /// Returns the layout in which the picture is stored.
-    #[doc(hidden)]
+    /// Returns everything that the header states.
+    #[cfg(feature = "unstable")]
     #[must_use]
     pub fn header(&self) -> &Header {
         &self.header
@@ -279,7 +279,7 @@ impl SplatImage {
     }
 
     /// Returns the integers that were read.
-    #[doc(hidden)]
+    #[cfg(feature = "unstable")]
     #[must_use]
     pub fn splats(&self) -> &PackedSplats {
         &self.splats
@@ -389,6 +389,7 @@ impl PackedSplats {
     ///
     /// # Errors
     /// As [`Renderer::new`].
+    #[cfg(any(feature = "encode", test, feature = "unstable"))]
     pub fn renderer(&self, view: &View, limits: &Limits) -> Result<Renderer> {
         self.renderer_within(view, limits, &Budget::of(limits))
     }

@@ -29,7 +29,7 @@ fn from_thumbnail(opening: &Reader<'_>, [width, height]: [u32; 2]) -> Result<Opt
     let Some(file) = metadata.thumbnail.take() else { return Ok(None) };
     let draw = || {
         let small = Reader::new(&file, &limits).ok()?;
-        let (of, is) = (opening.header(), small.header());
+        let (of, is) = (&opening.header, &small.header);
         let is_alike = (is.channels, is.depth) == (of.channels, of.depth);
         if !is_alike || is.width < width || is.height < height {
             return None;

@@ -88,8 +88,11 @@ pub struct EncodeReport {
     /// Device that fitted the picture, and the reason for the choice.
     pub chosen: Chosen,
     /// Quality during the encode, if it is traced.
-    #[doc(hidden)]
+    #[cfg(feature = "unstable")]
     pub trace: Vec<TracePoint>,
+    #[cfg(not(feature = "unstable"))]
+    #[allow(dead_code, reason = "only tools trace encodes")]
+    pub(crate) trace: Vec<TracePoint>,
 }
 
 /// Encodes `pixels`.

@@ -109,7 +109,7 @@ impl Renderer {
     /// As [`Renderer::new`], with the limits of `opened`.
     pub fn of(device: &Device, opened: &SplatImage) -> Result<Self> {
         let (layers, area, limits, budget) = opened.render_context();
-        let splats = opened.splats();
+        let splats = &opened.splats;
         let quantizer = splats.quantizer();
         let gaussians = (splats.gaussians.len(), |i: usize| quantizer.dequantize(&splats.gaussians[i]));
         let overlay = splats.overlay().map(Arc::new);

@@ -67,7 +67,7 @@ fn encode_stated(mut decoder: impl ImageDecoder, stated: Stated, options: &Encod
     let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
     let pixels = Pixels::try_from(stated.without_idle_alpha(input::picture(decoder).map_err(failed)?))?;
     let icc = icc.filter(|icc| is_for(icc, &pixels));
-    let carried = options.metadata.of(icc, exif, orientation);
+    let carried = options.metadata.select(icc, exif, orientation);
     let mut options = options.clone();
     options.icc = options.icc.or(carried.icc);
     options.exif = options.exif.or(carried.exif);

@@ -35,6 +35,7 @@ impl DetailLayer {
     }
 
     /// Returns the number of tiles of the picture.
+    #[cfg(any(test, feature = "unstable"))]
     #[must_use]
     pub fn of_tiles(&self) -> usize {
         self.tiles.len()
