@@ -10,8 +10,7 @@ use ssplat::{Damage, Limits, Reader, Rect, SamplesMut};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let path = std::env::args().nth(1).ok_or("the path of an .ssplat file")?;
-    let bytes = std::fs::read(path)?;
-    let reader = Reader::new(&bytes, &Limits::default())?;
+    let reader = Reader::open(path, &Limits::default())?;
     let (width, height, channels) = (reader.width(), reader.height(), reader.channels().count());
     println!("{width} × {height}, {} Gaussians", reader.primitives());
 

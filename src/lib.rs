@@ -77,8 +77,28 @@
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 //!
+//! A view also selects the [layers](View::layers) of the file: the Gaussians, the detail layer or both.
 //! [`SplatImage::render_into`] renders into the caller's memory, and [`SplatImage::renderer`] returns a [`Renderer`] that renders a
 //! view band by band. The results have the same bits for any number of threads and any division into parts.
+//!
+//! # Gaussians
+//!
+//! [`SplatImage::gaussians`] returns the [`Gaussians`] of a file with float parameters, and
+//! [`Encoder::encode_gaussians`] writes Gaussians from any source to a file. A [`Renderer`] renders them without a file.
+//!
+//! ```
+//! # use ssplat::{Channels, Pixels, Samples};
+//! # let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
+//! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
+//! # let bytes = ssplat::Encoder::new().effort(1).encode(&pixels)?.bytes;
+//! use ssplat::{Damage, Encoder, Limits, Reader};
+//!
+//! let mut gaussians = Reader::new(&bytes, &Limits::default())?.read(Damage::Refuse)?.gaussians()?;
+//! gaussians.list.iter_mut().for_each(|g| g.color[0] *= 0.5);
+//! let darker = Encoder::new().encode_gaussians(&gaussians)?.bytes;
+//! # assert!(!darker.is_empty());
+//! # Ok::<(), ssplat::Error>(())
+//! ```
 //!
 //! # The `image` crate
 //!
@@ -93,7 +113,9 @@ use ssplat::Encoder;
 # let path = folder.path().join("picture.ssplat");
 
 let picture = image::DynamicImage::new_rgb8(8, 8);
-Encoder::new().effort(1).save(&picture, &path)?;
+let bytes = Encoder::new().effort(1).encode(&picture)?.bytes;
+Encoder::new().effort(1).save(&picture, &path)?; // to a file
+# assert!(!bytes.is_empty());
 
 ssplat::register(); // from here on, image::open, ImageReader and load_from_memory read .ssplat
 let picture = image::open(&path)?;
@@ -173,8 +195,9 @@ See [`gpu`] for rendering into the textures of a program.
 //! # Stability
 //!
 //! The file format is final: every later version reads every file that a 1.x version writes. The names on this page
-//! follow semantic versioning; those of the feature `unstable` do not. `wgpu` and `image` are re-exported, and a minor
-//! release of this crate may update them.
+//! follow semantic versioning; those of the feature `unstable` do not. `image` and `wgpu` occur in
+//! public types and are re-exported: a release that moves to an incompatible version of `image` or `wgpu` is a major
+//! release of this crate.
 //!
 //! The repository's `docs/ARCHITECTURE.md` is a map of the modules, and `spec/ssplat.md` defines the format.
 

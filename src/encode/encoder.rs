@@ -259,7 +259,7 @@ impl Encoder {
     /// assert!(file.len() < 60);
     ///
     /// let stored = Reader::new(&file, &Limits::default())?.read(Damage::Refuse)?.gaussians()?;
-    /// assert!((stored.list[0].mean[0] - 8.0).abs() < 0.1);
+    /// assert!((stored.list[0].mean[0] - 8.0).abs() < 0.5);
     /// # Ok::<(), ssplat::Error>(())
     /// ```
     ///

@@ -41,5 +41,6 @@ pub(crate) use fit::Fitter;
 #[cfg(any(test, feature = "unstable"))]
 pub use fitted::{Fitted, Look, fit};
 pub use renderer::Renderer;
-/// The `wgpu` crate in the version that [`Device::from_wgpu`] expects. A minor release of this crate may update it.
+/// The `wgpu` crate in the version that [`Device::from_wgpu`] expects. A release that moves to
+/// an incompatible version is a major release of this crate.
 pub use wgpu;

@@ -12,6 +12,7 @@
 //!     width: 64,
 //!     height: 48,
 //!     channels: Channels::Rgb,
+//!     depth: Depth::Eight,
 //!     blend: Blend::Normalized,
 //!     background: [0.5, 0.5, 0.5, 0.0],
 //!     list: vec![Gaussian { mean: [32.0, 24.0], scale: [9.0, 3.0], rotation: 0.5, color: [1.0, 0.2, 0.0, 0.0] }],
