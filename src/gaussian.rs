@@ -28,9 +28,9 @@ pub const MAX_SCALE: f32 = 1_048_576.0;
 
 /// One primitive: a 2D Gaussian with a constant colour.
 ///
-/// Rust, Python and JavaScript have its values in the same order and units: mean x and y (pixels, the centre of the first
-/// pixel is at (0.5, 0.5)), scale along the major and the minor axis (pixels), rotation (radians, from x towards y), and
-/// the colour, one value per channel (encoded sRGB, 0 is black and 1 is white).
+/// Rust, Python and JavaScript have its values in the same order and units: mean x and y (pixels, the centre of the
+/// first pixel is at (0.5, 0.5)), scale along the major and the minor axis (pixels), rotation (radians, from x towards
+/// y), and the colour, one value per channel (encoded sRGB, 0 is black and 1 is white).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "gpu", derive(bytemuck::Pod, bytemuck::Zeroable))]
 #[repr(C)]
@@ -122,8 +122,8 @@ pub struct Gaussians {
     pub height: u32,
     /// Channels of the colours.
     pub channels: Channels,
-    /// Number of bits per sample of the picture that a file of these Gaussians represents. [`Renderer`](crate::Renderer)
-    /// renders at any depth.
+    /// Number of bits per sample of the picture that a file of these Gaussians represents.
+    /// [`Renderer`](crate::Renderer) renders at any depth.
     pub depth: Depth,
     /// Rule that combines the primitives.
     pub blend: Blend,

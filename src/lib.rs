@@ -56,9 +56,9 @@
 //! # Rendering regions
 //!
 //! A viewer renders a file many times. [`Reader`] reads the header of bytes in memory, of a [file](Reader::open) or of
-//! any [`std::io::Read`](Reader::from_read), and [`Reader::read`] the rest. The resulting
-//! [`SplatImage`] renders any [`View`]: a region of the picture at a size. Only what is visible in the view is rendered.
-//! [`Reader::read_for`] reads only the data that a view needs, which is little for a small region of a large file.
+//! any [`std::io::Read`](Reader::from_read), and [`Reader::read`] the rest. The resulting [`SplatImage`] renders any
+//! [`View`]: a region of the picture at a size. Only what is visible in the view is rendered. [`Reader::read_for`]
+//! reads only the data that a view needs, which is little for a small region of a large file.
 //!
 //! ```
 //! # use ssplat::{Channels, Encoder, Pixels, Samples};
@@ -78,13 +78,15 @@
 //! ```
 //!
 //! A view also selects the [layers](View::layers) of the file: the Gaussians, the detail layer or both.
-//! [`SplatImage::render_into`] renders into the caller's memory, and [`SplatImage::renderer`] returns a [`Renderer`] that renders a
-//! view band by band. The results have the same bits for any number of threads and any division into parts.
+//! [`SplatImage::render_into`] renders into the caller's memory, and [`SplatImage::renderer`] returns a [`Renderer`]
+//! that renders a view band by band. The results have the same bits for any number of threads and any division into
+//! parts.
 //!
 //! # Gaussians
 //!
 //! [`SplatImage::gaussians`] returns the [`Gaussians`] of a file with float parameters, and
-//! [`Encoder::encode_gaussians`] writes Gaussians from any source to a file. A [`Renderer`] renders them without a file.
+//! [`Encoder::encode_gaussians`] writes Gaussians from any source to a file. A [`Renderer`] renders them without a
+//! file.
 //!
 //! ```
 //! # use ssplat::{Channels, Pixels, Samples};

@@ -1,4 +1,5 @@
-//! Bytes to pixels: [`Decoder`] decodes one picture at a time; [`SplatImage`] is a file that can be rendered repeatedly.
+//! Bytes to pixels: [`Decoder`] decodes one picture at a time; [`SplatImage`] is a file that can be rendered
+//! repeatedly.
 
 mod decoder;
 mod reader;

@@ -311,7 +311,8 @@ impl SplatImage {
     /// Returns a renderer of `view`. It does not borrow the opened file.
     ///
     /// # Errors
-    /// As [`Renderer::new`], and [`Error::Parameter`] if the view shows parts or layers of the picture that were not read.
+    /// As [`Renderer::new`], and [`Error::Parameter`] if the view shows parts or layers of the picture that were not
+    /// read.
     pub fn renderer(&self, view: &View) -> Result<Renderer> {
         check_view(view, self.area.as_ref(), self.layers)?;
         self.splats.renderer_within(view, &self.limits, &self.budget)

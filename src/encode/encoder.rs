@@ -61,8 +61,8 @@ impl Encoder {
         self.target(Target::Bytes(bytes))
     }
 
-    /// Sets the target [`Target::Primitives`]: the number of Gaussians, with steps fine enough for them. Such a file has no
-    /// detail layer.
+    /// Sets the target [`Target::Primitives`]: the number of Gaussians, with steps fine enough for them. Such a file
+    /// has no detail layer.
     #[must_use]
     #[doc(alias("gaussians", "splats"))]
     pub fn primitives(self, count: u32) -> Self {
@@ -191,8 +191,8 @@ impl Encoder {
         self
     }
 
-    /// Encodes a picture: [`Pixels`](crate::Pixels), an `image::DynamicImage` or another source. If the picture is fitted in tiles, the source is
-    /// read part by part.
+    /// Encodes a picture: [`Pixels`](crate::Pixels), an `image::DynamicImage` or another source. If the picture is
+    /// fitted in tiles, the source is read part by part.
     ///
     /// # Errors
     /// [`Error::Parameter`](crate::Error::Parameter) if an option is out of range,

@@ -102,8 +102,8 @@ impl Renderer {
     }
 
     /// Copies the layers of `opened` that were read to `device`; each view then selects [layers](View::layers) of them.
-    /// The file may be dropped afterwards; rendering reserves memory from its account ([`Limits::alloc`]). The additions
-    /// of a detail layer are computed on the CPU when a view is rendered.
+    /// The file may be dropped afterwards; rendering reserves memory from its account ([`Limits::alloc`]). The
+    /// additions of a detail layer are computed on the CPU when a view is rendered.
     ///
     /// # Errors
     /// As [`Renderer::new`], with the limits of `opened`.
@@ -178,8 +178,8 @@ impl Renderer {
     /// # Errors
     /// [`Error::LimitExceeded`] if the pixels, the additions of a detail layer, the (Gaussian, tile) pairs or their
     /// work exceed the limits; rendering stops before the band that exceeds them. [`Error::Parameter`] if the view
-    /// shows parts or layers of the picture that were not read. [`Error::Gpu`] if the device fails, or if the Gaussians of a
-    /// single row of tiles do not fit into a list.
+    /// shows parts or layers of the picture that were not read. [`Error::Gpu`] if the device fails, or if the Gaussians
+    /// of a single row of tiles do not fit into a list.
     pub fn render(&mut self, view: &View, depth: Depth) -> Result<Pixels> {
         let count = self.canvas.channels.count();
         let samples = u64::from(view.width()) * u64::from(view.height()) * count as u64;

@@ -27,9 +27,9 @@ pub(crate) struct Filter {
 
 /// What to render: an area of the picture, the size of the output, and the layers of the file.
 ///
-/// A view is a rectangle of output pixels on a grid over the picture. Pixel `(i, j)` of the view is pixel `offset + (i, j)` of the grid and samples the picture at `origin + (offset +
-/// (i, j) + ½) · step`. Views that share a grid (those made by [`View::crop`]) give the same bits wherever they
-/// overlap.
+/// A view is a rectangle of output pixels on a grid over the picture. Pixel `(i, j)` of the view is pixel `offset + (i,
+/// j)` of the grid and samples the picture at `origin + (offset + (i, j) + ½) · step`. Views that share a grid (those
+/// made by [`View::crop`]) give the same bits wherever they overlap.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[doc(alias("region", "viewport"))]
 pub struct View {
@@ -143,7 +143,8 @@ impl View {
         self.step
     }
 
-    /// Returns the area, in picture pixels, that a Gaussian's support must reach to be visible in this view. It is larger than the view where the low-pass filter widens Gaussians.
+    /// Returns the area, in picture pixels, that a Gaussian's support must reach to be visible in this view. It is
+    /// larger than the view where the low-pass filter widens Gaussians.
     #[must_use]
     pub fn area(&self) -> Rect {
         let Filter { variance, .. } = self.filter();
