@@ -29,8 +29,8 @@ pub trait PixelSource: Sync {
     /// Returns the pixels of a part.
     ///
     /// # Errors
-    /// [`Error::Parameter`] if the part is empty or not within the picture, and errors of reading, such as
-    /// [`Error::Io`].
+    /// [`Error::Parameter`](crate::Error::Parameter) if the part is empty or not within the picture, and errors of reading, such as
+    /// [`Error::Io`](crate::Error::Io).
     fn part(&self, area: Rect) -> Result<Pixels>;
 }
 
@@ -80,7 +80,7 @@ impl PixelSource for Pixels {
 /// Checks that a part is not empty and lies within a picture of `size`.
 ///
 /// # Errors
-/// [`Error::Parameter`] if it does not.
+/// [`Error::Parameter`](crate::Error::Parameter) if it does not.
 pub fn check_area(area: Rect, size: [u32; 2]) -> Result<()> {
     area.check(Parameter::Area, size)
 }
