@@ -112,8 +112,13 @@ fn pack(given: &Gaussians, options: &EncodeOptions) -> Result<(PackedSplats, Vec
         }
         Some(Precision::Level(level)) => level..=level,
         Some(Precision::Steps(_)) => 0..=0,
-        None if max_bytes.is_none() => DEFAULT_LEVEL..=DEFAULT_LEVEL,
-        None => 0..=FINEST,
+        None => {
+            let exact = exact_level(given, options.layout)?;
+            match max_bytes {
+                None => exact.map_or(DEFAULT_LEVEL..=DEFAULT_LEVEL, |level| level..=level),
+                Some(_) => 0..=exact.unwrap_or(FINEST),
+            }
+        }
     };
     let (max_bytes, mut least) = (max_bytes.unwrap_or(u64::MAX), u64::MAX);
     for level in levels.rev() {
@@ -129,6 +134,20 @@ fn pack(given: &Gaussians, options: &EncodeOptions) -> Result<(PackedSplats, Vec
     }
     let problem = format!("{max_bytes} cannot hold {} Gaussians: {least} are needed", given.list.len());
     Err(Error::Parameter { parameter: Parameter::Bytes, problem })
+}
+
+/// Returns the coarsest level that stores `given` without any rounding, as those of Gaussians that come from a file of
+/// this function. Finer levels would only enlarge the file.
+fn exact_level(given: &Gaussians, layout: Layout) -> Result<Option<u8>> {
+    for level in 0..=FINEST {
+        let quantizer = blank(given, layout, steps(given, layout, level)?)?.quantizer();
+        let color = quantizer.dequantize_color(quantizer.quantize_color(given.background));
+        let is_exact = |g: &Gaussian| quantizer.dequantize(&quantizer.quantize(g)) == *g;
+        if color == given.background && given.list.iter().all(is_exact) {
+            return Ok(Some(level));
+        }
+    }
+    Ok(None)
 }
 
 /// Checks that the format can represent `g`.
@@ -156,7 +175,7 @@ fn steps(given: &Gaussians, layout: Layout, level: u8) -> Result<Steps> {
     let mut steps =
         Steps { scale, angle, position, coarsest: 0, range: u8::from(layout == Layout::Coded), luma, chroma };
     // Checks the sides before they are used.
-    let blank = blank(given, &EncodeOptions::default(), steps)?;
+    let blank = blank(given, layout, steps)?;
     let quantizer = blank.quantizer();
     let mut majors: Vec<u8> = given.list.iter().map(|g| quantizer.quantize_shape(g.scale, g.rotation).0).collect();
     majors.sort_unstable();
@@ -182,23 +201,21 @@ fn steps(given: &Gaussians, layout: Layout, level: u8) -> Result<Steps> {
 ///
 /// # Errors
 /// [`Error::Parameter`] if the sides of the picture or the steps are out of range.
-fn blank(picture: &Gaussians, options: &EncodeOptions, steps: Steps) -> Result<PackedSplats> {
-    let mut metadata = Metadata::default();
-    (metadata.icc, metadata.exif) = (options.icc.clone(), options.exif.clone());
+fn blank(picture: &Gaussians, layout: Layout, steps: Steps) -> Result<PackedSplats> {
     let splats = PackedSplats {
         width: picture.width,
         height: picture.height,
         channels: picture.channels,
         depth: picture.depth,
         blend: picture.blend,
-        layout: options.layout,
+        layout,
         steps,
         background: [0; 4],
         codebook: None,
         gaussians: Vec::new(),
         levels: Vec::new(),
         detail: None,
-        metadata,
+        metadata: Metadata::default(),
     };
     rules::check(&splats)?;
     Ok(splats)
@@ -206,7 +223,8 @@ fn blank(picture: &Gaussians, options: &EncodeOptions, steps: Steps) -> Result<P
 
 /// Returns the integers and their file.
 fn packed(picture: &Gaussians, options: &EncodeOptions, steps: Steps) -> Result<(PackedSplats, Vec<u8>)> {
-    let mut splats = blank(picture, options, steps)?;
+    let mut splats = blank(picture, options.layout, steps)?;
+    (splats.metadata.icc, splats.metadata.exif) = (options.icc.clone(), options.exif.clone());
     let quantizer = splats.quantizer();
     let color = |of: &dyn Fn() -> String, color: [f32; 4]| {
         let axes = quantizer.transform_color(color);

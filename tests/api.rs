@@ -155,7 +155,9 @@ fn gaussians_that_were_stored_once_keep_their_values_when_they_are_stored_again(
         Encoder::new().levels(3),
         Encoder::new().layout(Layout::Planes),
         Encoder::new().layout(Layout::Packed),
+        Encoder::new().bytes(2500),
         Encoder::new().bytes(3000),
+        Encoder::new().bytes(5000),
         Encoder::new().ratio(4.0),
     ];
     for (channels, depth) in [
@@ -166,14 +168,19 @@ fn gaussians_that_were_stored_once_keep_their_values_when_they_are_stored_again(
     ] {
         for blend in [Blend::Normalized, Blend::Sum] {
             for encoder in &encoders {
-                let given = given(channels, blend, depth);
-                let first = encoder.encode_gaussians(&given).unwrap();
-                assert_eq!(first.report.primitives, given.list.len());
-                let once = gaussians_of(&first.bytes);
-                assert_eq!((once.channels, once.depth, once.blend), (channels, depth, blend));
-                let second = encoder.encode_gaussians(&once).unwrap();
-                assert!(gaussians_of(&second.bytes) == once, "{channels:?} {blend:?} {encoder:?}");
-                assert!(second.bytes == first.bytes, "{channels:?} {blend:?} {encoder:?}");
+                let scattered = given(channels, blend, depth);
+                // Rounding takes this scale across a limit at which the step of the positions changes.
+                let mut equal = scattered.clone();
+                equal.list.iter_mut().for_each(|g| g.scale = [9.45, 2.0]);
+                for given in [scattered, equal] {
+                    let first = encoder.encode_gaussians(&given).unwrap();
+                    assert_eq!(first.report.primitives, given.list.len());
+                    let once = gaussians_of(&first.bytes);
+                    assert_eq!((once.channels, once.depth, once.blend), (channels, depth, blend));
+                    let second = encoder.encode_gaussians(&once).unwrap();
+                    assert!(gaussians_of(&second.bytes) == once, "{channels:?} {blend:?} {encoder:?}");
+                    assert!(second.bytes.len() <= first.bytes.len(), "{channels:?} {blend:?} {encoder:?}");
+                }
             }
         }
     }
