@@ -3,7 +3,6 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use crate::bitstream::header::VERSION;
 use crate::parameter::{Limit, Parameter};
 use crate::target::Target;
 
@@ -195,9 +194,6 @@ impl fmt::Display for Error {
         match self {
             Error::Io(e) => write!(f, "input or output failed: {e}"),
             Error::Format(e) => write!(f, "not a valid ssplat file: {e}"),
-            Error::UnsupportedVersion { found } if *found > VERSION => {
-                write!(f, "format version {found} is newer than {VERSION}, the newest that is supported")
-            }
             Error::UnsupportedVersion { found } => write!(f, "format version {found} is not supported"),
             Error::LimitExceeded { limit, requested, allowed } => {
                 write!(f, "limit exceeded: {limit} {requested} over the allowed {allowed}")
@@ -345,14 +341,6 @@ mod tests {
             for source in std::iter::successors(error.source(), |&e| e.source()) {
                 assert!(error.to_string().contains(&source.to_string()), "{error} {source}");
             }
-        }
-    }
-
-    #[test]
-    fn only_versions_above_the_current_one_are_called_newer() {
-        for (found, is_newer) in [(0, false), (5, false), (7, true), (255, true)] {
-            let text = Error::UnsupportedVersion { found }.to_string();
-            assert!(text.contains(&format!("version {found} ")) && text.contains("newer") == is_newer, "{text}");
         }
     }
 

@@ -29,8 +29,8 @@ pub trait PixelSource: Sync {
     /// Returns the pixels of a part.
     ///
     /// # Errors
-    /// [`Error::Parameter`](crate::Error::Parameter) if the part is empty or not within the picture, and errors of reading, such as
-    /// [`Error::Io`](crate::Error::Io).
+    /// [`Error::Parameter`](crate::Error::Parameter) if the part is empty or not within the picture, and errors of
+    /// reading, such as [`Error::Io`](crate::Error::Io).
     fn part(&self, area: Rect) -> Result<Pixels>;
 }
 

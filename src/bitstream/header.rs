@@ -94,7 +94,7 @@ impl Header {
     /// Reads and checks the header, and nothing after it.
     ///
     /// # Errors
-    /// [`Error::Format`] if it breaks spec §2, [`Error::UnsupportedVersion`] for a newer file,
+    /// [`Error::Format`] if it breaks spec §2, [`Error::UnsupportedVersion`] for another version,
     /// [`Error::LimitExceeded`] if the picture exceeds `limits`, [`Error::Io`] from the reader.
     pub fn read<R: Read>(reader: &mut R, limits: &Limits) -> Result<Self> {
         let mut tee = Tee { reader, bytes: Vec::with_capacity(MAX_HEADER_BYTES) };

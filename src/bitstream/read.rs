@@ -54,7 +54,7 @@ fn working_bytes(layout: Layout) -> u64 {
 ///
 /// # Errors
 /// [`Error::Format`](crate::Error::Format) if the file breaks the specification,
-/// [`Error::UnsupportedVersion`](crate::Error::UnsupportedVersion) if it is newer,
+/// [`Error::UnsupportedVersion`](crate::Error::UnsupportedVersion) if it has another version,
 /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) if it exceeds `limits`, [`Error::Io`](crate::Error::Io) from
 /// the reader.
 pub fn read<R: Read>(mut reader: R, limits: &Limits) -> Result<PackedSplats> {

@@ -102,7 +102,7 @@ impl<'a> Reader<'a> {
     /// Reads the header of the file `bytes`.
     ///
     /// # Errors
-    /// [`Error::Format`] if the bytes do not begin with a header, [`Error::UnsupportedVersion`] for a newer format,
+    /// [`Error::Format`] if the bytes do not begin with a header, [`Error::UnsupportedVersion`] for another version,
     /// [`Error::LimitExceeded`] if a side of the picture or the number of its primitives exceeds `limits`.
     #[doc(alias = "parse")]
     pub fn new(bytes: &'a [u8], limits: &Limits) -> Result<Self> {

@@ -66,7 +66,7 @@ impl<R: Read> SsplatDecoder<R> {
     /// Reads the header only.
     ///
     /// # Errors
-    /// [`ImageError::Decoding`] if the header is broken, [`ImageError::Unsupported`] for a newer version,
+    /// [`ImageError::Decoding`] if the header is broken, [`ImageError::Unsupported`] for another version,
     /// [`ImageError::Limits`] if the file exceeds the default [`Limits`], [`ImageError::IoError`] from `reader`.
     pub fn new(mut reader: R) -> ImageResult<Self> {
         let limits = Limits::default();
