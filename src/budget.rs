@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use crate::error::Result;
 use crate::limits::Limits;
+use crate::parameter::Limit;
 
 /// Number of bytes that may be allocated in total. Clones share one account.
 #[derive(Debug, Clone)]
@@ -47,7 +48,7 @@ impl Budget {
     /// # Errors
     /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) with the number of free bytes if they could not.
     pub(crate) fn check(&self, bytes: u64) -> Result<()> {
-        Limits::check("alloc", bytes, self.left())
+        Limits::check(Limit::Alloc, bytes, self.left())
     }
 
     /// Reserves `bytes`.
@@ -67,7 +68,7 @@ impl Budget {
     /// case.
     pub(crate) fn allow(&self, alloc: u64) -> Result<()> {
         let mut account = self.account();
-        Limits::check("alloc", account.reserved, most(alloc))?;
+        Limits::check(Limit::Alloc, account.reserved, most(alloc))?;
         account.allowed = most(alloc);
         Ok(())
     }
@@ -80,7 +81,7 @@ impl Reservation {
     /// As [`Budget::check`]; the existing reservation is kept.
     pub(crate) fn grow(&mut self, more: u64) -> Result<()> {
         let mut account = self.budget.account();
-        Limits::check("alloc", more, account.allowed - account.reserved)?;
+        Limits::check(Limit::Alloc, more, account.allowed - account.reserved)?;
         account.reserved += more;
         self.bytes += more;
         Ok(())

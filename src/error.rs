@@ -1,9 +1,9 @@
 //! The crate's error type. Each variant says what is at fault and carries the offending value.
 
 use std::fmt;
-#[cfg(feature = "image")]
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use crate::parameter::{Limit, Parameter};
 use crate::target::Target;
 
 /// Result type of this crate.
@@ -17,15 +17,15 @@ pub enum Error {
     Io(std::io::Error),
     /// The file breaks the specification.
     Format(FormatError),
-    /// The file has a newer format version, which this crate does not support.
+    /// The file has a format version that this crate does not support, for example a newer one.
     UnsupportedVersion {
         /// Version stated in the file.
         found: u8,
     },
     /// The file may be valid but exceeds one of the [`Limits`](crate::Limits).
     LimitExceeded {
-        /// Name of the limit: a field of [`Limits`](crate::Limits).
-        what: &'static str,
+        /// The limit.
+        limit: Limit,
         /// Amount that the file needs.
         requested: u64,
         /// Amount that is allowed.
@@ -33,8 +33,8 @@ pub enum Error {
     },
     /// An option or argument is outside its documented range.
     Parameter {
-        /// The parameter's name.
-        name: &'static str,
+        /// The parameter.
+        parameter: Parameter,
         /// The offending value and the allowed values.
         problem: String,
     },
@@ -164,10 +164,28 @@ pub enum FormatError {
 }
 
 impl Error {
-    /// Returns an I/O error whose message names `path`.
-    #[cfg(all(feature = "encode", feature = "image"))]
-    pub(crate) fn at(path: &std::path::Path, error: &std::io::Error) -> Self {
-        Error::Io(std::io::Error::new(error.kind(), format!("{}: {error}", path.display())))
+    /// Returns an I/O error whose message names `path`. The original error is its source.
+    pub(crate) fn at(path: &Path, error: std::io::Error) -> Self {
+        Error::Io(std::io::Error::new(error.kind(), AtPath { path: path.into(), error }))
+    }
+}
+
+/// An I/O error and the path of its file.
+#[derive(Debug)]
+struct AtPath {
+    path: PathBuf,
+    error: std::io::Error,
+}
+
+impl fmt::Display for AtPath {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.path.display(), self.error)
+    }
+}
+
+impl std::error::Error for AtPath {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        Some(&self.error)
     }
 }
 
@@ -177,10 +195,10 @@ impl fmt::Display for Error {
             Error::Io(e) => write!(f, "input or output failed: {e}"),
             Error::Format(e) => write!(f, "not a valid ssplat file: {e}"),
             Error::UnsupportedVersion { found } => write!(f, "format version {found} is not supported"),
-            Error::LimitExceeded { what, requested, allowed } => {
-                write!(f, "limit exceeded: {what} {requested} over the allowed {allowed}")
+            Error::LimitExceeded { limit, requested, allowed } => {
+                write!(f, "limit exceeded: {limit} {requested} over the allowed {allowed}")
             }
-            Error::Parameter { name, problem } => write!(f, "bad parameter {name}: {problem}"),
+            Error::Parameter { parameter, problem } => write!(f, "bad parameter {parameter}: {problem}"),
             Error::TooSmall { asked, allowed, needed, icc, exif } => {
                 match asked {
                     Target::Ratio(ratio) => {
@@ -263,16 +281,15 @@ impl fmt::Display for Thousandths<'_> {
 }
 
 impl std::error::Error for Error {
-    /// Returns the source of the wrapped error rather than the wrapped error itself, whose text is already part of
-    /// this error's message.
+    /// Returns the wrapped error. The message of this error contains its message, so that a program that prints only
+    /// this error is complete, and one that prints the whole chain repeats it.
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
-            Error::Io(e) => e.source(),
-            Error::Format(e) => e.source(),
-            Error::Gpu(e) => e.source(),
-            // The message of a decoding error of `image` contains that of its source.
+            Error::Io(e) => Some(e),
+            Error::Format(e) => Some(e),
+            Error::Gpu(e) => Some(e),
             #[cfg(feature = "image")]
-            Error::Source { error, .. } => error.source(),
+            Error::Source { error, .. } => Some(error),
             _ => None,
         }
     }
@@ -306,23 +323,23 @@ mod tests {
 
     use super::*;
 
+    /// Returns whether an error of type `E` is among the sources of `error`.
+    fn has_source<E: std::error::Error + 'static>(error: &Error) -> bool {
+        std::iter::successors(error.source(), |&e| e.source()).any(|e| e.is::<E>())
+    }
+
     #[test]
-    fn a_chain_of_errors_repeats_no_message() {
-        let inner = std::io::Error::other("the disk is on fire");
-        let errors = [
-            Error::Io(std::io::Error::other(inner)),
-            Error::Io(std::io::ErrorKind::NotFound.into()),
-            Error::Format(FormatError::TrailingBytes { count: 3 }),
-            Error::Gpu(GpuError::NoAdapter),
-        ];
-        for error in errors {
-            let mut said = error.to_string();
-            let mut source = error.source();
-            while let Some(e) = source {
-                let text = e.to_string();
-                assert!(!said.contains(&text), "{said:?} already contains {text:?}");
-                said += &text;
-                source = e.source();
+    fn the_wrapped_error_is_a_source_and_part_of_the_message() {
+        let inner = FormatError::TrailingBytes { count: 3 };
+        let wrapped = Error::Io(std::io::Error::other(inner.clone()));
+        let at_path = Error::at(Path::new("a.ssplat"), std::io::Error::from(std::io::ErrorKind::NotFound));
+        assert!(at_path.to_string().contains("a.ssplat: "), "{at_path}");
+        assert!(has_source::<std::io::Error>(&wrapped) && has_source::<std::io::Error>(&at_path));
+        assert!(has_source::<FormatError>(&Error::Format(inner)));
+        assert!(has_source::<GpuError>(&Error::Gpu(GpuError::NoAdapter)));
+        for error in [wrapped, at_path, Error::Format(FormatError::TrailingBytes { count: 3 })] {
+            for source in std::iter::successors(error.source(), |&e| e.source()) {
+                assert!(error.to_string().contains(&source.to_string()), "{error} {source}");
             }
         }
     }

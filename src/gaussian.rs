@@ -3,6 +3,8 @@
 //! Lengths are in pixels of the picture's own grid, and pixel centres are at `+0.5`. Angles are in radians. Colours
 //! are encoded sRGB values, where 0 is black and 1 is white; they may lie outside that range.
 
+use crate::depth::Depth;
+
 /// Radius of a primitive's support in units of its scales (spec §5.2).
 pub const CUTOFF: f32 = 3.5;
 
@@ -25,6 +27,10 @@ pub const MIN_SCALE: f32 = 0.25;
 pub const MAX_SCALE: f32 = 1_048_576.0;
 
 /// One primitive: a 2D Gaussian with a constant colour.
+///
+/// Rust, Python and JavaScript have its values in the same order and units: mean x and y (pixels, the centre of the
+/// first pixel is at (0.5, 0.5)), scale along the major and the minor axis (pixels), rotation (radians, from x towards
+/// y), and the colour, one value per channel (encoded sRGB, 0 is black and 1 is white).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "gpu", derive(bytemuck::Pod, bytemuck::Zeroable))]
 #[repr(C)]
@@ -103,19 +109,26 @@ impl Channels {
     }
 }
 
-/// A picture as Gaussians with float parameters, ready to be rasterized.
+/// A picture as Gaussians with float parameters: what a file stores
+/// ([`SplatImage::gaussians`](crate::SplatImage::gaussians)), and what [`Renderer`](crate::Renderer) and
+/// `Encoder::encode_gaussians` take.
+///
+/// A file can also have a detail layer, which is not part of this.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Picture {
+pub struct Gaussians {
     /// Width, pixels.
     pub width: u32,
     /// Height, pixels.
     pub height: u32,
     /// Channels of the colours.
     pub channels: Channels,
+    /// Number of bits per sample of the picture that a file of these Gaussians represents.
+    /// [`Renderer`](crate::Renderer) renders at any depth.
+    pub depth: Depth,
     /// Rule that combines the primitives.
     pub blend: Blend,
     /// Background colour `b`.
     pub background: [f32; 4],
     /// The primitives, in any order.
-    pub gaussians: Vec<Gaussian>,
+    pub list: Vec<Gaussian>,
 }

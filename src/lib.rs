@@ -35,7 +35,7 @@
 //! # Decoding
 //!
 //! [`Decoder`] decodes a file in one call: the whole picture, a [region](Decoder::region), at any
-//! [size](Decoder::size). [`Decoder::thumbnail`] reads the thumbnail of a large file.
+//! [size](Decoder::size). [`Reader::thumbnail`] reads the thumbnail of a large file.
 //!
 //! ```
 //! # use ssplat::{Channels, Encoder, Pixels, Samples};
@@ -55,29 +55,52 @@
 //!
 //! # Rendering regions
 //!
-//! A viewer renders a file many times. [`Reader`] reads the header, and [`Reader::read`] the file. The resulting
-//! [`Image`] renders any [`View`]: a region of the picture at a size. Only what is visible in the view is rendered.
-//! [`Reader::read_for`] reads only the data that a view needs, which is little for a small region of a large file.
+//! A viewer renders a file many times. [`Reader`] reads the header of bytes in memory, of a [file](Reader::open) or of
+//! any [`std::io::Read`](Reader::from_read), and [`Reader::read`] the rest. The resulting [`SplatImage`] renders any
+//! [`View`]: a region of the picture at a size. Only what is visible in the view is rendered. [`Reader::read_for`]
+//! reads only the data that a view needs, which is little for a small region of a large file.
 //!
 //! ```
 //! # use ssplat::{Channels, Encoder, Pixels, Samples};
 //! # let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
 //! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
 //! # let bytes = Encoder::new().effort(1).encode(&pixels)?.bytes;
-//! use ssplat::{Damage, Limits, Reader};
+//! use ssplat::{Damage, Limits, Reader, Rect};
 //!
 //! let reader = Reader::new(&bytes, &Limits::default())?; // reads the header only
 //! assert_eq!((reader.width(), reader.height()), (32, 16));
 //!
 //! let image = reader.read(Damage::Refuse)?;
-//! let region = image.view().crop(8, 4, 16, 8)?; // left, top, width, height in pixels of the picture
-//! let enlarged = image.draw(&region.resized(64, 32)?)?;
+//! let region = image.view().crop(Rect::new(8, 4, 16, 8))?; // left, top, width, height in pixels of the picture
+//! let enlarged = image.render(&region.resized(64, 32)?)?;
 //! assert_eq!((enlarged.width(), enlarged.height()), (64, 32));
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 //!
-//! [`Image::draw_into`] renders into the caller's memory, and [`Image::renderer`] returns a [`Renderer`] that renders a
-//! view band by band. The results have the same bits for any number of threads and any division into parts.
+//! A view also selects the [layers](View::layers) of the file: the Gaussians, the detail layer or both.
+//! [`SplatImage::render_into`] renders into the caller's memory, and [`SplatImage::renderer`] returns a [`Renderer`]
+//! that renders a view band by band. The results have the same bits for any number of threads and any division into
+//! parts.
+//!
+//! # Gaussians
+//!
+//! [`SplatImage::gaussians`] returns the [`Gaussians`] of a file with float parameters, and
+//! [`Encoder::encode_gaussians`] writes Gaussians from any source to a file. A [`Renderer`] renders them without a
+//! file.
+//!
+//! ```
+//! # use ssplat::{Channels, Pixels, Samples};
+//! # let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
+//! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
+//! # let bytes = ssplat::Encoder::new().effort(1).encode(&pixels)?.bytes;
+//! use ssplat::{Damage, Encoder, Limits, Reader};
+//!
+//! let mut gaussians = Reader::new(&bytes, &Limits::default())?.read(Damage::Refuse)?.gaussians()?;
+//! gaussians.list.iter_mut().for_each(|g| g.color[0] *= 0.5);
+//! let darker = Encoder::new().encode_gaussians(&gaussians)?.bytes;
+//! # assert!(!darker.is_empty());
+//! # Ok::<(), ssplat::Error>(())
+//! ```
 //!
 //! # The `image` crate
 //!
@@ -92,7 +115,9 @@ use ssplat::Encoder;
 # let path = folder.path().join("picture.ssplat");
 
 let picture = image::DynamicImage::new_rgb8(8, 8);
-Encoder::new().effort(1).save(&picture, &path)?;
+let bytes = Encoder::new().effort(1).encode(&picture)?.bytes;
+Encoder::new().effort(1).save(&picture, &path)?; // to a file
+# assert!(!bytes.is_empty());
 
 ssplat::register(); // from here on, image::open, ImageReader and load_from_memory read .ssplat
 let picture = image::open(&path)?;
@@ -116,15 +141,15 @@ assert_eq!(picture.width(), 8);
 //! # let gradient = (0..32 * 16).map(|i| (i % 32 * 8) as u8).collect();
 //! # let pixels = Pixels::new(32, 16, Channels::Grey, Samples::U8(gradient))?;
 //! # let bytes = Encoder::new().bytes(120).effort(1).encode(&pixels)?.bytes;
-//! use ssplat::{Decoder, Error, Limits};
+//! use ssplat::{Decoder, Error, Limit, Limits};
 //!
 //! let mut limits = Limits::default();
 //! limits.width = 16; // pixels
 //! limits.alloc = 64 << 20; // bytes, including the output
 //!
 //! match Decoder::new().limits(limits).decode(&bytes) {
-//!     Err(Error::LimitExceeded { what, requested, allowed }) => {
-//!         assert_eq!((what, requested, allowed), ("width", 32, 16));
+//!     Err(Error::LimitExceeded { limit, requested, allowed }) => {
+//!         assert_eq!((limit, requested, allowed), (Limit::Width, 32, 16));
 //!     }
 //!     other => panic!("{other:?}"),
 //! }
@@ -144,9 +169,9 @@ assert_eq!(picture.width(), 8);
     doc = r#"
 ```no_run
 use ssplat::gpu::{Adapters, Device, Renderer};
-use ssplat::{Depth, Image, Limits};
+use ssplat::{Damage, Depth, Limits, Reader};
 
-let image = Image::from_bytes(&std::fs::read("photo.ssplat")?, &Limits::default())?;
+let image = Reader::open("photo.ssplat", &Limits::default())?.read(Damage::Refuse)?;
 let device = Device::open(Adapters::Hardware)?;
 let mut renderer = Renderer::of(&device, &image)?;
 let pixels = renderer.render(&image.view(), Depth::Eight)?;
@@ -172,8 +197,9 @@ See [`gpu`] for rendering into the textures of a program.
 //! # Stability
 //!
 //! The file format is final: every later version reads every file that a 1.x version writes. The names on this page
-//! follow semantic versioning; those of the feature `unstable` do not. `wgpu` and `image` are re-exported, and a minor
-//! release of this crate may update them.
+//! follow semantic versioning; those of the feature `unstable` do not. `image` and `wgpu` occur in
+//! public types and are re-exported: a release that moves to an incompatible version of `image` or `wgpu` is a major
+//! release of this crate.
 //!
 //! The repository's `docs/ARCHITECTURE.md` is a map of the modules, and `spec/ssplat.md` defines the format.
 
@@ -195,6 +221,7 @@ mod angle;
 mod bitstream;
 mod budget;
 mod decode;
+mod depth;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod detail;
 #[cfg(feature = "encode")]
@@ -213,16 +240,18 @@ mod limits;
 #[cfg(feature = "encode")]
 mod metrics;
 mod options;
-#[cfg(all(feature = "encode", any(test, feature = "unstable")))]
+#[cfg(feature = "encode")]
 mod pack;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod parallel;
+mod parameter;
 #[cfg(feature = "encode")]
 mod pixel_source;
 mod pixels;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
 mod quantize;
 mod raster;
+mod rect;
 #[cfg(feature = "encode")]
 mod round;
 #[cfg_attr(not(feature = "encode"), allow(dead_code, reason = "only the encoder uses the rest"))]
@@ -237,11 +266,11 @@ pub mod unstable;
 
 pub use bitstream::MissingParts;
 pub use bitstream::splats::{Layout, Metadata};
-pub use decode::{Decoded, Decoder, Image, Reader};
+pub use decode::{Decoded, Decoder, Reader, SplatImage};
 #[cfg(feature = "encode")]
 pub use encode::{EncodeReport, Encoded, Encoder, Progress, Workers, work_on_tile};
 pub use error::{Error, FormatError, GpuError, Result};
-pub use gaussian::{Blend, Channels, Gaussian, Picture};
+pub use gaussian::{Blend, Channels, Gaussian, Gaussians};
 #[cfg(feature = "image")]
 pub use image;
 #[cfg(all(feature = "encode", feature = "image"))]
@@ -254,10 +283,12 @@ pub use options::{Ablation, Recipe};
 #[cfg(feature = "encode")]
 pub use options::{Backend, Detail, HiddenColors, MetadataPolicy, Thumbnail, Tune};
 pub use options::{Damage, Layers};
+pub use parameter::{Limit, Parameter};
 #[cfg(feature = "encode")]
 pub use pixel_source::PixelSource;
 pub use pixels::{Depth, Pixels, Samples};
 pub use raster::{Renderer, SamplesMut, View};
+pub use rect::Rect;
 pub use target::Target;
 
 #[cfg(feature = "encode")]

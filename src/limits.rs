@@ -1,6 +1,7 @@
 //! Limits on the memory and work of decoding, checked before memory or time is spent.
 
 use crate::error::{Error, Result};
+use crate::parameter::Limit;
 
 /// Limits on the cost of decoding. The defaults allow a picture of 16K resolution with two million primitives.
 ///
@@ -71,10 +72,10 @@ impl Limits {
     /// Checks `requested` against `allowed`.
     ///
     /// # Errors
-    /// [`Error::LimitExceeded`] naming `what` when `requested > allowed`.
-    pub(crate) fn check(what: &'static str, requested: u64, allowed: u64) -> Result<()> {
+    /// [`Error::LimitExceeded`] naming `limit` when `requested > allowed`.
+    pub(crate) fn check(limit: Limit, requested: u64, allowed: u64) -> Result<()> {
         if requested > allowed {
-            return Err(Error::LimitExceeded { what, requested, allowed });
+            return Err(Error::LimitExceeded { limit, requested, allowed });
         }
         Ok(())
     }

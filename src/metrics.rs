@@ -25,6 +25,7 @@
 
 use crate::error::{Error, Result};
 use crate::parallel;
+use crate::parameter::Parameter;
 use crate::pixels::{Pixels, Samples};
 use crate::strict_math::StrictMath;
 
@@ -92,7 +93,7 @@ pub(crate) fn check_alike(a: &Pixels, b: &Pixels) -> Result<()> {
         let [a, b] = [of(a), of(b)];
         if a != b {
             let problem = format!("the pictures differ in {what}: {a} and {b}");
-            return Err(Error::Parameter { name: "pixels", problem });
+            return Err(Error::Parameter { parameter: Parameter::Pixels, problem });
         }
     }
     Ok(())
@@ -109,7 +110,7 @@ fn squared_error(a: &Pixels, b: &Pixels) -> f64 {
             _ => unreachable!("check_alike compared the depths"),
         };
     };
-    let most = a.depth().max() as u64;
+    let most = u64::from(a.depth().max());
     // At most 4·2³²·2¹⁶.
     fn pixel<T: Copy + Into<u64>>(p: &[T], q: &[T], alpha: usize, most: u64) -> u64 {
         let weight = |k: usize| if k == alpha { most } else { p[alpha].into() };

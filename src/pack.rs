@@ -1,33 +1,21 @@
 //! Quantizes Gaussians that were fitted elsewhere to the integers of a file, with step sizes chosen by precision or by
-//! file size (spec §4.1).
+//! file size (spec §4.1). [`Encoder::encode_gaussians`](crate::Encoder::encode_gaussians) is its public entry.
 //!
-//! Nothing is fitted here: every Gaussian gets the nearest integers. [`Encoder`](crate::Encoder) achieves better
-//! quality at a given size, because it refines the integers against the picture.
-//!
-//! ```
-//! # #[cfg(feature = "unstable")] {
-//! use ssplat::unstable::{PackOptions, bitstream, pack};
-//! use ssplat::{Blend, Channels, Gaussian, Picture};
-//!
-//! let gaussians = vec![Gaussian { mean: [8.0, 4.0], scale: [3.0, 1.5], rotation: 0.3, color: [0.9, 0.2, 0.1, 0.0] }];
-//! let picture =
-//!     Picture { width: 16, height: 8, channels: Channels::Rgb, blend: Blend::Sum, background: [0.0; 4], gaussians };
-//! let splats = pack(&picture, &PackOptions::default())?;
-//! let file = bitstream::to_bytes(&splats)?;
-//! # assert!(file.len() < 60);
-//! # }
-//! # Ok::<(), ssplat::Error>(())
-//! ```
+//! Nothing is fitted here: every Gaussian gets the nearest integers. [`Encoder::encode`](crate::Encoder::encode)
+//! achieves better quality at a given size, because it refines the integers against the picture.
 
 use crate::bitstream::lattice::Lattice;
 use crate::bitstream::rules::{self, MAX_COLOR};
 use crate::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
-use crate::encode::smallest;
+use crate::encode::{self, EncodeReport, Encoded, smallest};
 use crate::error::{Error, Result};
-use crate::gaussian::{Gaussian, Picture};
+use crate::gaussian::{Gaussian, Gaussians};
+use crate::instant::Instant;
 use crate::limits::Limits;
-use crate::pixels::Depth;
+use crate::options::{Backend, Detail, EncodeOptions, Outside, Precision, Thumbnail, Trace};
+use crate::parameter::{Limit, Parameter};
 use crate::quantize::Quantizer;
+use crate::target::Target;
 
 /// Step sizes from the coarsest to the finest: scale, angle, position, luma and chroma, in the order of [`Steps`]. The
 /// encoder uses those in the middle for 24 to 41 dB.
@@ -47,119 +35,156 @@ const LADDER: [[u8; 5]; 10] = [
 /// The finest [`Precision::Level`].
 pub const FINEST: u8 = LADDER.len() as u8 - 1;
 
-/// Precision of the integers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum Precision {
-    /// `0..=`[`FINEST`], from coarse to fine. The encoder uses 0 to 5. Levels above 6 enlarge the file and change
-    /// little else.
-    Level(u8),
-    /// The finest level whose file has at most this many bytes. It is an error if the coarsest level needs more. No
-    /// Gaussian is left out to reach the size.
-    Bytes(u64),
-    /// The given steps.
-    Steps(Steps),
-}
+/// The level of files without a requested size.
+const DEFAULT_LEVEL: u8 = 6;
 
-/// Treatment of Gaussians whose mean lies outside the picture, where the format has no positions.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum Outside {
-    /// Return [`Error::Parameter`].
-    Refuse,
-    /// Leave out Gaussians whose support does not reach the picture, and move the means of the others to the nearest
-    /// position inside.
-    Crop,
-}
-
-/// Options of [`pack()`].
-#[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
-pub struct PackOptions {
-    /// Precision of the integers; the default is level 6.
-    pub precision: Precision,
-    /// Treatment of means outside the picture; the default is [`Outside::Refuse`].
-    pub outside: Outside,
-    /// Layout of the file.
-    pub layout: Layout,
-    /// Bits per sample of the picture that the file represents.
-    pub depth: Depth,
-    /// ICC profile to store.
-    pub icc: Option<Vec<u8>>,
-    /// EXIF block to store.
-    pub exif: Option<Vec<u8>>,
-}
-
-impl Default for PackOptions {
-    fn default() -> Self {
-        let (precision, outside) = (Precision::Level(6), Outside::Refuse);
-        PackOptions { precision, outside, layout: Layout::Coded, depth: Depth::Eight, icc: None, exif: None }
-    }
-}
-
-/// Returns the nearest integers of the Gaussians of `picture`, ready to be written by
-/// [`to_bytes`](crate::bitstream::to_bytes). Colours are stored in a codebook if that makes the file smaller.
-///
-/// Scales below [`MIN_SCALE`](crate::gaussian::MIN_SCALE) are raised to it. [`PackOptions::outside`] chooses the
-/// treatment of means outside the picture.
+/// Writes the nearest integers of `given` to a file.
 ///
 /// # Errors
-/// [`Error::Parameter`] if a value is not finite, a scale is not positive, a colour exceeds the range of the format (8
-/// times white in luma, chroma or alpha), the picture's sides or the steps are out of range, or the file cannot be as
-/// small as requested; [`Error::LimitExceeded`] if there are more Gaussians than the default [`Limits`] allow decoders
-/// to read.
-pub fn pack(picture: &Picture, options: &PackOptions) -> Result<PackedSplats> {
-    Limits::check("primitives", picture.gaussians.len() as u64, Limits::default().primitives)?;
-    picture.gaussians.iter().enumerate().try_for_each(|(i, g)| check(i, g))?;
-    if !picture.background.iter().all(|v| v.is_finite()) {
-        let problem = format!("{:?} is not finite", picture.background);
-        return Err(Error::Parameter { name: "background", problem });
+/// As [`Encoder::encode_gaussians`](crate::Encoder::encode_gaussians).
+pub(crate) fn encode_gaussians(given: &Gaussians, options: &EncodeOptions) -> Result<Encoded> {
+    let start = Instant::now();
+    encode::check(options)?;
+    check_applies(given, options)?;
+    let (splats, bytes) = pack(given, options)?;
+    let report = EncodeReport {
+        primitives: splats.gaussians.len(),
+        psnr: f64::NAN,
+        float_psnr: f64::NAN,
+        seconds: start.elapsed().as_secs_f64(),
+        ..EncodeReport::default()
+    };
+    Ok(Encoded { bytes, report })
+}
+
+/// Checks that no option is set that only applies to pixels.
+fn check_applies(given: &Gaussians, options: &EncodeOptions) -> Result<()> {
+    let plain = EncodeOptions::default();
+    let target = match options.target {
+        Target::Primitives(_) => Some(Parameter::Primitives),
+        Target::Psnr(_) => Some(Parameter::Psnr),
+        #[cfg(feature = "quality-hook")]
+        Target::Quality(_) => Some(Parameter::Quality),
+        Target::Auto | Target::Bytes(_) | Target::Ratio(_) => None,
+    };
+    let is_set = [
+        (Parameter::Effort, options.effort != plain.effort),
+        (Parameter::Time, options.time.is_some()),
+        (Parameter::Seed, options.seed != plain.seed),
+        (Parameter::Blend, options.blend.is_some_and(|blend| blend != given.blend)),
+        (Parameter::Recipe, options.recipe != plain.recipe),
+        (Parameter::Tune, options.tune.is_some()),
+        (Parameter::Backend, options.backend == Backend::Gpu),
+        (Parameter::Detail, matches!(options.detail, Detail::Share(_))),
+        (Parameter::Thumbnail, matches!(options.thumbnail, Thumbnail::Bytes(_))),
+        (Parameter::Tiles, options.tiles.is_some()),
+        (Parameter::Trace, options.trace == Trace::On),
+    ];
+    match target.or(is_set.into_iter().find(|(_, is_set)| *is_set).map(|(parameter, _)| parameter)) {
+        Some(parameter) => Err(Error::Parameter { parameter, problem: "it does not apply to given Gaussians".into() }),
+        None => Ok(()),
     }
-    let packed = |level| packed(picture, options, steps(picture, options.layout, level));
-    match options.precision {
-        Precision::Steps(steps) => self::packed(picture, options, steps).map(|p| p.0),
-        Precision::Level(level) if level <= FINEST => packed(level).map(|p| p.0),
-        Precision::Level(level) => {
-            Err(Error::Parameter { name: "precision", problem: format!("{level} is outside 0..={FINEST}") })
+}
+
+/// Returns the nearest integers of `given` and the bytes of their file. Colours are stored in a codebook if that makes
+/// the file smaller.
+///
+/// Scales below [`MIN_SCALE`](crate::gaussian::MIN_SCALE) are raised to it. [`EncodeOptions::outside`] chooses the
+/// treatment of means outside the picture.
+fn pack(given: &Gaussians, options: &EncodeOptions) -> Result<(PackedSplats, Vec<u8>)> {
+    Limits::check(Limit::Primitives, given.list.len() as u64, Limits::default().primitives)?;
+    given.list.iter().enumerate().try_for_each(|(i, g)| check(i, g))?;
+    if !given.background.iter().all(|v| v.is_finite()) {
+        let problem = format!("{:?} is not finite", given.background);
+        return Err(Error::Parameter { parameter: Parameter::Background, problem });
+    }
+    let samples = f64::from(given.width) * f64::from(given.height) * given.channels.count() as f64;
+    let max_bytes = match options.target {
+        Target::Bytes(bytes) => Some(bytes),
+        // Casts saturate.
+        Target::Ratio(ratio) => Some((samples / ratio).floor() as u64),
+        _ => None,
+    };
+    let levels = match options.precision {
+        Some(Precision::Level(level)) if level > FINEST => {
+            let problem = format!("{level} is outside 0..={FINEST}");
+            return Err(Error::Parameter { parameter: Parameter::Precision, problem });
         }
-        Precision::Bytes(most) => {
-            let mut least = u64::MAX;
-            for level in (0..=FINEST).rev() {
-                let (splats, bytes) = packed(level)?;
-                if bytes <= most {
-                    return Ok(splats);
-                }
-                least = least.min(bytes);
+        Some(Precision::Level(level)) => level..=level,
+        Some(Precision::Steps(_)) => 0..=0,
+        None => {
+            let exact = exact_level(given, options.layout)?;
+            match max_bytes {
+                None => exact.map_or(DEFAULT_LEVEL..=DEFAULT_LEVEL, |level| level..=level),
+                Some(_) => 0..=exact.unwrap_or(FINEST),
             }
-            let count = picture.gaussians.len();
-            let problem = format!("{most} cannot hold {count} Gaussians: {least} are needed");
-            Err(Error::Parameter { name: "bytes", problem })
+        }
+    };
+    let (max_bytes, mut least) = (max_bytes.unwrap_or(u64::MAX), u64::MAX);
+    for level in levels.rev() {
+        let steps = match options.precision {
+            Some(Precision::Steps(steps)) => steps,
+            _ => steps(given, options.layout, level)?,
+        };
+        let (splats, bytes) = packed(given, options, steps)?;
+        if bytes.len() as u64 <= max_bytes {
+            return Ok((splats, bytes));
+        }
+        least = least.min(bytes.len() as u64);
+    }
+    let problem = format!("{max_bytes} cannot hold {} Gaussians: {least} are needed", given.list.len());
+    Err(Error::Parameter { parameter: Parameter::Bytes, problem })
+}
+
+/// Returns the coarsest level that stores `given` without any rounding, as those of Gaussians that come from a file of
+/// this function. Finer levels would only enlarge the file.
+fn exact_level(given: &Gaussians, layout: Layout) -> Result<Option<u8>> {
+    for level in 0..=FINEST {
+        let quantizer = blank(given, layout, steps(given, layout, level)?)?.quantizer();
+        let color = quantizer.dequantize_color(quantizer.quantize_color(given.background));
+        let is_exact = |g: &Gaussian| quantizer.dequantize(&quantizer.quantize(g)) == *g;
+        if color == given.background && given.list.iter().all(is_exact) {
+            return Ok(Some(level));
         }
     }
+    Ok(None)
 }
 
 /// Checks that the format can represent `g`.
 fn check(index: usize, g: &Gaussian) -> Result<()> {
-    let bad = |name, values: &[f32], what| {
-        Err(Error::Parameter { name, problem: format!("{values:?} of Gaussian {index} is not {what}") })
+    let bad = |parameter, values: &[f32], what| {
+        Err(Error::Parameter { parameter, problem: format!("{values:?} of Gaussian {index} is not {what}") })
     };
-    for (name, values) in [("mean", &g.mean[..]), ("scale", &g.scale), ("rotation", &[g.rotation]), ("color", &g.color)]
-    {
+    for (parameter, values) in [
+        (Parameter::Mean, &g.mean[..]),
+        (Parameter::Scale, &g.scale),
+        (Parameter::Rotation, &[g.rotation]),
+        (Parameter::Color, &g.color),
+    ] {
         if !values.iter().all(|v| v.is_finite()) {
-            return bad(name, values, "finite");
+            return bad(parameter, values, "finite");
         }
     }
-    if g.scale.iter().all(|&s| s > 0.0) { Ok(()) } else { bad("scale", &g.scale, "positive") }
+    if g.scale.iter().all(|&s| s > 0.0) { Ok(()) } else { bad(Parameter::Scale, &g.scale, "positive") }
 }
 
-/// Returns the steps of a level for the scales of `picture`.
-fn steps(picture: &Picture, layout: Layout, level: u8) -> Steps {
+/// Returns the steps of a level for the scales of `given`. They depend only on the scales as they are stored, so that
+/// stored Gaussians get the same steps again.
+fn steps(given: &Gaussians, layout: Layout, level: u8) -> Result<Steps> {
     let [scale, angle, position, luma, chroma] = LADDER[usize::from(level)];
-    let mut sizes: Vec<f32> = picture.gaussians.iter().map(|g| g.scale[0].max(g.scale[1]).log2()).collect();
-    sizes.sort_by(f32::total_cmp);
-    let at = |share: f32| sizes.get((sizes.len() as f32 * share) as usize).copied().unwrap_or(0.0);
+    let mut steps =
+        Steps { scale, angle, position, coarsest: 0, range: u8::from(layout == Layout::Coded), luma, chroma };
+    // Checks the sides before they are used.
+    let blank = blank(given, layout, steps)?;
+    let quantizer = blank.quantizer();
+    let mut majors: Vec<u8> = given.list.iter().map(|g| quantizer.quantize_shape(g.scale, g.rotation).0).collect();
+    majors.sort_unstable();
+    let at = |share: f32| {
+        let index = majors.get((majors.len() as f32 * share) as usize);
+        index.map_or(0.0, |&index| quantizer.scale(index).log2())
+    };
     let fineness = f32::from(position) / 4.0;
-    let (coarsest, range) = match layout {
+    (steps.coarsest, steps.range) = match layout {
         Layout::Coded => {
             let coarsest = ((at(0.97) - fineness).ceil() as i8).clamp(-2, 9);
             // At fine levels, the range of exponents includes the smallest Gaussians.
@@ -169,30 +194,37 @@ fn steps(picture: &Picture, layout: Layout, level: u8) -> Steps {
         // One step for all positions, fine enough for the small Gaussians.
         Layout::Packed | Layout::Planes => (((at(0.25) - fineness / 2.0).round() as i8).clamp(-4, 6), 0),
     };
-    Steps { scale, angle, position, coarsest, range, luma, chroma }
+    Ok(steps)
 }
 
-/// Returns the integers and the length of their file.
-fn packed(picture: &Picture, options: &PackOptions, steps: Steps) -> Result<(PackedSplats, u64)> {
-    let mut metadata = Metadata::default();
-    (metadata.icc, metadata.exif) = (options.icc.clone(), options.exif.clone());
-    let mut splats = PackedSplats {
+/// Returns a file without Gaussians.
+///
+/// # Errors
+/// [`Error::Parameter`] if the sides of the picture or the steps are out of range.
+fn blank(picture: &Gaussians, layout: Layout, steps: Steps) -> Result<PackedSplats> {
+    let splats = PackedSplats {
         width: picture.width,
         height: picture.height,
         channels: picture.channels,
-        depth: options.depth,
+        depth: picture.depth,
         blend: picture.blend,
-        layout: options.layout,
+        layout,
         steps,
         background: [0; 4],
         codebook: None,
         gaussians: Vec::new(),
         levels: Vec::new(),
         detail: None,
-        metadata,
+        metadata: Metadata::default(),
     };
-    // Checks the sides and the steps before they are used below.
     rules::check(&splats)?;
+    Ok(splats)
+}
+
+/// Returns the integers and their file.
+fn packed(picture: &Gaussians, options: &EncodeOptions, steps: Steps) -> Result<(PackedSplats, Vec<u8>)> {
+    let mut splats = blank(picture, options.layout, steps)?;
+    (splats.metadata.icc, splats.metadata.exif) = (options.icc.clone(), options.exif.clone());
     let quantizer = splats.quantizer();
     let color = |of: &dyn Fn() -> String, color: [f32; 4]| {
         let axes = quantizer.transform_color(color);
@@ -200,29 +232,28 @@ fn packed(picture: &Picture, options: &PackOptions, steps: Steps) -> Result<(Pac
             return Ok(quantizer.quantize_color(color));
         }
         let problem = format!("{color:?} of {} is more than {MAX_COLOR} in luma, chroma or alpha", of());
-        Err(Error::Parameter { name: "color", problem })
+        Err(Error::Parameter { parameter: Parameter::Color, problem })
     };
     splats.background = color(&|| "the background".into(), picture.background)?;
     let size = [picture.width, picture.height];
-    let asked = matches!(options.precision, Precision::Steps(_));
-    for (i, g) in picture.gaussians.iter().enumerate() {
-        let bounds = if asked { position_limits(&quantizer, g, size) } else { size.map(|side| side as f32) };
+    for (i, g) in picture.list.iter().enumerate() {
+        let bounds = position_limits(&quantizer, g, size);
         let is_inside = (0..2).all(|k| (0.0..=bounds[k]).contains(&g.mean[k]));
         if !is_inside && options.outside == Outside::Refuse {
             let problem = format!("{:?} of Gaussian {i} lies outside the picture", g.mean);
-            return Err(Error::Parameter { name: "mean", problem });
+            return Err(Error::Parameter { parameter: Parameter::Mean, problem });
         }
         color(&|| format!("Gaussian {i}"), g.color)?;
         if is_inside || reaches(g, size) {
             splats.gaussians.push(quantizer.quantize(g));
         }
     }
-    let bytes = smallest(&mut splats, 1)?.len() as u64;
+    let bytes = smallest(&mut splats, options.levels)?;
     Ok((splats, bytes))
 }
 
-/// Returns the limits of the positions of `g`. The last cell of a coarse step may have its centre outside the picture.
-/// With explicit steps, it is a valid position as well.
+/// Returns the limits of the positions of `g`. The last cell of a coarse step may have its centre outside the picture,
+/// and a Gaussian from a file may lie there.
 fn position_limits(quantizer: &Quantizer, g: &Gaussian, size: [u32; 2]) -> [f32; 2] {
     let (major, minor, angle) = quantizer.quantize_shape(g.scale, g.rotation);
     let exponents = quantizer.lattice().exponents(major, minor, angle);
@@ -239,9 +270,14 @@ fn reaches(g: &Gaussian, size: [u32; 2]) -> bool {
 mod tests {
     use super::*;
     use crate::bitstream;
+    use crate::depth::Depth;
     use crate::gaussian::{Blend, Channels};
 
-    fn picture(blend: Blend) -> Picture {
+    fn stored(given: &Gaussians, options: &EncodeOptions) -> Result<PackedSplats> {
+        pack(given, options).map(|(splats, _)| splats)
+    }
+
+    fn picture(blend: Blend) -> Gaussians {
         let gaussians = (0..400u32)
             .map(|i| {
                 let f = |k: u32| (f64::from(i) * f64::from(k).sqrt()).fract() as f32;
@@ -253,12 +289,20 @@ mod tests {
                 }
             })
             .collect();
-        Picture { width: 96, height: 64, channels: Channels::Rgb, blend, background: [0.5, 0.4, 0.3, 0.0], gaussians }
+        Gaussians {
+            width: 96,
+            height: 64,
+            channels: Channels::Rgb,
+            depth: Depth::Eight,
+            blend,
+            background: [0.5, 0.4, 0.3, 0.0],
+            list: gaussians,
+        }
     }
 
     /// Returns the largest differences of means (in units of the Gaussian's scales), scales (octaves) and colours.
-    fn differences(a: &Picture, b: &Picture) -> [f32; 3] {
-        a.gaussians.iter().zip(&b.gaussians).fold([0.0f32; 3], |worst, (a, b)| {
+    fn differences(a: &Gaussians, b: &Gaussians) -> [f32; 3] {
+        a.list.iter().zip(&b.list).fold([0.0f32; 3], |worst, (a, b)| {
             let mut scale = a.scale;
             scale.sort_by(|x, y| y.total_cmp(x));
             let (sin, cos) = a.rotation.sin_cos();
@@ -276,20 +320,20 @@ mod tests {
             [([8.0, 8.0, 8.0, 0.0], true), ([8.1, 8.1, 8.1, 0.0], false), ([0.0, -9.0, 0.0, 0.0], false)]
         {
             let mut picture = picture(Blend::Sum);
-            picture.gaussians[3].color = color;
+            picture.list[3].color = color;
             for level in 0..=FINEST {
-                let options = PackOptions { precision: Precision::Level(level), ..PackOptions::default() };
-                match pack(&picture, &options) {
+                let options = EncodeOptions { precision: Some(Precision::Level(level)), ..EncodeOptions::default() };
+                match stored(&picture, &options) {
                     Ok(splats) => assert!(holds && bitstream::to_bytes(&splats).is_ok(), "{color:?}"),
-                    Err(Error::Parameter { name: "color", problem }) => {
+                    Err(Error::Parameter { parameter: Parameter::Color, problem }) => {
                         assert!(!holds && problem.contains("Gaussian 3"), "{color:?} {problem}");
                     }
                     other => panic!("{other:?}"),
                 }
             }
-            picture.gaussians.clear();
+            picture.list.clear();
             picture.background = color;
-            assert_eq!(pack(&picture, &PackOptions::default()).is_ok(), holds, "{color:?}");
+            assert_eq!(stored(&picture, &EncodeOptions::default()).is_ok(), holds, "{color:?}");
         }
     }
 
@@ -298,11 +342,12 @@ mod tests {
         let picture = picture(Blend::Sum);
         for layout in [Layout::Coded, Layout::Planes, Layout::Packed] {
             for level in 0..=FINEST {
-                let options = PackOptions { precision: Precision::Level(level), layout, ..PackOptions::default() };
-                let splats = pack(&picture, &options).unwrap();
+                let options =
+                    EncodeOptions { precision: Some(Precision::Level(level)), layout, ..EncodeOptions::default() };
+                let splats = stored(&picture, &options).unwrap();
                 let bytes = bitstream::to_bytes(&splats).unwrap();
                 assert_eq!(bitstream::read(&bytes[..], &Limits::default()).unwrap().gaussians.len(), 400);
-                let [_, octaves, color] = differences(&picture, &splats.to_picture());
+                let [_, octaves, color] = differences(&picture, &splats.to_gaussians());
                 let delta = (f32::from(splats.steps.scale) + 4.0) / 32.0;
                 assert!(octaves <= 0.5 * delta + 1e-4, "{layout:?} {level}: {octaves} octaves");
                 // A channel is the sum of luma and half of each chroma component.
@@ -314,36 +359,39 @@ mod tests {
 
     #[test]
     fn the_finest_level_keeps_positions_within_a_tenth_of_the_scale() {
-        let splats =
-            pack(&picture(Blend::Sum), &PackOptions { precision: Precision::Level(FINEST), ..PackOptions::default() });
-        let [mean, ..] = differences(&picture(Blend::Sum), &splats.unwrap().to_picture());
+        let splats = stored(
+            &picture(Blend::Sum),
+            &EncodeOptions { precision: Some(Precision::Level(FINEST)), ..EncodeOptions::default() },
+        );
+        let [mean, ..] = differences(&picture(Blend::Sum), &splats.unwrap().to_gaussians());
         assert!(mean < 0.1, "{mean}");
     }
 
     #[test]
     fn stored_gaussians_get_the_same_integers_with_the_same_steps() {
         for layout in [Layout::Coded, Layout::Planes, Layout::Packed] {
-            let options = PackOptions { layout, ..PackOptions::default() };
-            let once = pack(&picture(Blend::Normalized), &options).unwrap();
-            let options = PackOptions { precision: Precision::Steps(once.steps), ..options };
-            assert_eq!(pack(&once.to_picture(), &options).unwrap(), once);
+            let options = EncodeOptions { layout, ..EncodeOptions::default() };
+            let once = stored(&picture(Blend::Normalized), &options).unwrap();
+            let options = EncodeOptions { precision: Some(Precision::Steps(once.steps)), ..options };
+            assert_eq!(stored(&once.to_gaussians(), &options).unwrap(), once);
         }
     }
 
     #[test]
     fn a_size_is_filled_with_the_finest_level_that_fits() {
         let picture = picture(Blend::Normalized);
-        let length = |precision| {
-            let options = PackOptions { precision, ..PackOptions::default() };
-            bitstream::to_bytes(&pack(&picture, &options).unwrap()).unwrap().len() as u64
+        let length = |precision, target| {
+            let options = EncodeOptions { precision, target, ..EncodeOptions::default() };
+            pack(&picture, &options).unwrap().1.len() as u64
         };
-        let (at, finer) = (length(Precision::Level(4)), length(Precision::Level(5)));
+        let at_level = |level| length(Some(Precision::Level(level)), Target::Auto);
+        let (at, finer) = (at_level(4), at_level(5));
         assert!(finer > at);
-        assert_eq!(length(Precision::Bytes(finer - 1)), at);
-        assert_eq!(length(Precision::Bytes(finer)), finer);
-        let least = length(Precision::Level(0));
-        let options = PackOptions { precision: Precision::Bytes(least - 1), ..PackOptions::default() };
-        let error = pack(&picture, &options).unwrap_err().to_string();
+        assert_eq!(length(None, Target::Bytes(finer - 1)), at);
+        assert_eq!(length(None, Target::Bytes(finer)), finer);
+        let least = at_level(0);
+        let options = EncodeOptions { target: Target::Bytes(least - 1), ..EncodeOptions::default() };
+        let error = stored(&picture, &options).unwrap_err().to_string();
         assert!(error.contains(&least.to_string()), "{error}");
     }
 
@@ -357,36 +405,36 @@ mod tests {
             ("color", |g| g.color[2] = f32::NAN),
         ] {
             let mut picture = picture(Blend::Sum);
-            change(&mut picture.gaussians[7]);
-            let error = pack(&picture, &PackOptions::default()).unwrap_err().to_string();
+            change(&mut picture.list[7]);
+            let error = stored(&picture, &EncodeOptions::default()).unwrap_err().to_string();
             assert!(error.contains(&format!("{what}: ")) && error.contains("Gaussian 7"), "{error}");
         }
         for (width, height) in [(0, 8), (8, 1 << 21)] {
-            let picture = Picture { width, height, ..picture(Blend::Sum) };
-            assert!(matches!(pack(&picture, &PackOptions::default()), Err(Error::Parameter { .. })));
+            let picture = Gaussians { width, height, ..picture(Blend::Sum) };
+            assert!(matches!(stored(&picture, &EncodeOptions::default()), Err(Error::Parameter { .. })));
         }
     }
 
     #[test]
     fn equal_colours_become_a_codebook() {
         let mut picture = picture(Blend::Sum);
-        let few = picture.gaussians[..5].iter().map(|g| g.color).collect::<Vec<_>>();
-        picture.gaussians.iter_mut().enumerate().for_each(|(i, g)| g.color = few[i % 5]);
-        let splats = pack(&picture, &PackOptions::default()).unwrap();
+        let few = picture.list[..5].iter().map(|g| g.color).collect::<Vec<_>>();
+        picture.list.iter_mut().enumerate().for_each(|(i, g)| g.color = few[i % 5]);
+        let splats = stored(&picture, &EncodeOptions::default()).unwrap();
         assert_eq!(splats.codebook.map(|c| c.len()), Some(5));
     }
 
     #[test]
     fn gaussians_outside_are_omitted_or_moved_to_the_border() {
         let mut picture = picture(Blend::Sum);
-        picture.gaussians.truncate(3);
-        picture.gaussians[0].mean = [-1000.0, 5.0];
-        (picture.gaussians[1].mean, picture.gaussians[1].scale) = ([97.0, 5.0], [4.0, 4.0]);
-        let error = pack(&picture, &PackOptions::default()).unwrap_err().to_string();
+        picture.list.truncate(3);
+        picture.list[0].mean = [-1000.0, 5.0];
+        (picture.list[1].mean, picture.list[1].scale) = ([97.0, 5.0], [4.0, 4.0]);
+        let error = stored(&picture, &EncodeOptions::default()).unwrap_err().to_string();
         assert!(error.contains("mean: [-1000.0, 5.0] of Gaussian 0"), "{error}");
-        let options = PackOptions { outside: Outside::Crop, ..PackOptions::default() };
-        let found = pack(&picture, &options).unwrap().to_picture();
-        assert_eq!(found.gaussians.len(), 2);
-        assert!((found.gaussians[0].mean[0] - 96.0).abs() < 1.0, "{:?}", found.gaussians[0]);
+        let options = EncodeOptions { outside: Outside::Crop, ..EncodeOptions::default() };
+        let found = stored(&picture, &options).unwrap().to_gaussians();
+        assert_eq!(found.list.len(), 2);
+        assert!((found.list[0].mean[0] - 96.0).abs() < 1.0, "{:?}", found.list[0]);
     }
 }

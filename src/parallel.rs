@@ -209,10 +209,11 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 mod tests {
     use super::*;
     use crate::error::Error;
+    use crate::parameter::Parameter;
 
     /// Returns an error that names the job.
     fn failure(i: usize) -> Error {
-        Error::Parameter { name: "work", problem: i.to_string() }
+        Error::Parameter { parameter: Parameter::Task, problem: i.to_string() }
     }
 
     #[test]

@@ -1,8 +1,10 @@
 //! Pictures whose pixels are read in parts.
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::gaussian::Channels;
+use crate::parameter::Parameter;
 use crate::pixels::{Depth, Pixels, Samples};
+use crate::rect::Rect;
 
 /// A picture whose parts can be read by several threads at a time: a picture in memory, or a file of samples that is
 /// larger than memory.
@@ -24,12 +26,12 @@ pub trait PixelSource: Sync {
     fn as_pixels(&self) -> Option<&Pixels> {
         None
     }
-    /// Returns the pixels of a part. `area` is left, top, width and height in pixels.
+    /// Returns the pixels of a part.
     ///
     /// # Errors
-    /// [`Error::Parameter`] if the part is empty or not within the picture, and errors of reading, such as
-    /// [`Error::Io`].
-    fn part(&self, area: [u32; 4]) -> Result<Pixels>;
+    /// [`Error::Parameter`](crate::Error::Parameter) if the part is empty or not within the picture, and errors of
+    /// reading, such as [`Error::Io`](crate::Error::Io).
+    fn part(&self, area: Rect) -> Result<Pixels>;
 }
 
 impl PixelSource for Pixels {
@@ -53,7 +55,7 @@ impl PixelSource for Pixels {
         Some(self)
     }
 
-    fn part(&self, area: [u32; 4]) -> Result<Pixels> {
+    fn part(&self, area: Rect) -> Result<Pixels> {
         fn cut<T: Copy>(
             samples: &[T],
             row: usize,
@@ -63,7 +65,7 @@ impl PixelSource for Pixels {
             rows.flat_map(|y| samples[y * row..][columns.clone()].iter().copied()).collect()
         }
         check_area(area, [self.width(), self.height()])?;
-        let [x, y, width, height] = area.map(|v| v as usize);
+        let [x, y, width, height] = <[u32; 4]>::from(area).map(|v| v as usize);
         let count = self.channels().count();
         let (row, rows, columns) =
             (Pixels::width(self) as usize * count, y..y + height, x * count..(x + width) * count);
@@ -71,37 +73,36 @@ impl PixelSource for Pixels {
             Samples::U8(v) => Samples::U8(cut(v, row, rows, columns)),
             Samples::U16(v) => Samples::U16(cut(v, row, rows, columns)),
         };
-        Pixels::new(area[2], area[3], self.channels(), samples)
+        Pixels::new(area.width, area.height, self.channels(), samples)
     }
 }
 
 /// Checks that a part is not empty and lies within a picture of `size`.
 ///
 /// # Errors
-/// [`Error::Parameter`] if it does not.
-pub fn check_area([x, y, width, height]: [u32; 4], size: [u32; 2]) -> Result<()> {
-    let fits = |from: u32, length: u32, side: u32| length > 0 && u64::from(from) + u64::from(length) <= u64::from(side);
-    if fits(x, width, size[0]) && fits(y, height, size[1]) {
-        return Ok(());
-    }
-    let problem = format!("{width} × {height} at {x}, {y} is not a part of a picture of {} × {}", size[0], size[1]);
-    Err(Error::Parameter { name: "area", problem })
+/// [`Error::Parameter`](crate::Error::Parameter) if it does not.
+pub fn check_area(area: Rect, size: [u32; 2]) -> Result<()> {
+    area.check(Parameter::Area, size)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::Error;
 
     #[test]
     fn a_part_has_the_samples_of_its_place() {
         let samples: Vec<u16> = (0..5 * 4 * 3).collect();
         let pixels = Pixels::new(5, 4, Channels::Rgb, Samples::U16(samples)).unwrap();
-        let part = pixels.part([3, 1, 2, 2]).unwrap();
+        let part = pixels.part(Rect::new(3, 1, 2, 2)).unwrap();
         assert_eq!((part.width(), part.height(), part.depth()), (2, 2, Depth::Sixteen));
         assert_eq!(part.samples(), &Samples::U16(vec![24, 25, 26, 27, 28, 29, 39, 40, 41, 42, 43, 44]));
-        assert_eq!(pixels.part([0, 0, 5, 4]).unwrap(), pixels);
+        assert_eq!(pixels.part(Rect::new(0, 0, 5, 4)).unwrap(), pixels);
         for area in [[0, 0, 6, 1], [0, 0, 0, 1], [4, 0, u32::MAX, 1], [0, 4, 1, 1]] {
-            assert!(matches!(pixels.part(area), Err(Error::Parameter { name: "area", .. })), "{area:?}");
+            assert!(
+                matches!(pixels.part(area.into()), Err(Error::Parameter { parameter: Parameter::Area, .. })),
+                "{area:?}"
+            );
         }
     }
 }

@@ -1,7 +1,9 @@
 //! Interleaved pixels with 8 or 16 bits per sample: the input of the encoder and the output of the decoder.
 
+pub use crate::depth::Depth;
 use crate::error::{Error, Result};
 use crate::gaussian::Channels;
+use crate::parameter::Parameter;
 
 /// The samples of a picture, row by row, channels interleaved.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -10,44 +12,6 @@ pub enum Samples {
     U8(Vec<u8>),
     /// 16 bits per sample, native endian; 65535 is 1.0.
     U16(Vec<u16>),
-}
-
-/// Bits per sample.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
-#[doc(alias = "bit_depth")]
-pub enum Depth {
-    /// 8 bits.
-    #[default]
-    Eight,
-    /// 16 bits.
-    Sixteen,
-}
-
-impl Depth {
-    /// Returns the code value that represents 1.0: 255 or 65535.
-    #[must_use]
-    pub fn max(self) -> f32 {
-        match self {
-            Depth::Eight => 255.0,
-            Depth::Sixteen => 65535.0,
-        }
-    }
-
-    /// Returns the mean squared error that rounding to code values causes by itself, once in the source and once in
-    /// decoding, where white is 1.0.
-    #[cfg(feature = "encode")]
-    pub(crate) fn rounding_error(self) -> f64 {
-        2.0 / (12.0 * f64::from(self.max()).powi(2))
-    }
-
-    /// Returns the size of a sample in bytes: 1 or 2.
-    #[must_use]
-    pub fn bytes(self) -> usize {
-        match self {
-            Depth::Eight => 1,
-            Depth::Sixteen => 2,
-        }
-    }
 }
 
 /// A picture of pixels. It always has exactly width × height × channels samples.
@@ -66,9 +30,9 @@ impl Pixels {
     /// # Errors
     /// [`Error::Parameter`] if a side is 0 or over 2²⁰, or if the number of samples is not width × height × channels.
     pub fn new(width: u32, height: u32, channels: Channels, samples: Samples) -> Result<Self> {
-        for (name, side) in [("width", width), ("height", height)] {
+        for (parameter, side) in [(Parameter::Width, width), (Parameter::Height, height)] {
             if side == 0 || side > 1 << 20 {
-                return Err(Error::Parameter { name, problem: format!("{side} is outside 1..=1048576") });
+                return Err(Error::Parameter { parameter, problem: format!("{side} is outside 1..=1048576") });
             }
         }
         let length = match &samples {
@@ -78,7 +42,7 @@ impl Pixels {
         let want = u64::from(width) * u64::from(height) * channels.count() as u64;
         if length as u64 != want {
             return Err(Error::Parameter {
-                name: "samples",
+                parameter: Parameter::Samples,
                 problem: format!("{length} given where {want} are needed"),
             });
         }

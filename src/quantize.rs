@@ -3,7 +3,7 @@
 use crate::bitstream::lattice::Lattice;
 use crate::bitstream::rules::most_color;
 use crate::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
-use crate::gaussian::{Channels, Gaussian, Picture};
+use crate::gaussian::{Channels, Gaussian, Gaussians};
 use crate::parallel;
 
 /// Chroma steps in units of the luma step (spec §4.1).
@@ -212,17 +212,18 @@ impl PackedSplats {
         Quantizer::new(&self.steps, self.layout, [self.width, self.height], self.channels)
     }
 
-    /// Returns the picture with float parameters.
+    /// Returns all Gaussians. [`SplatImage::gaussians`](crate::SplatImage::gaussians) checks their memory first.
     #[must_use]
-    pub fn to_picture(&self) -> Picture {
+    pub fn to_gaussians(&self) -> Gaussians {
         let q = self.quantizer();
-        Picture {
+        Gaussians {
             width: self.width,
             height: self.height,
             channels: self.channels,
             blend: self.blend,
+            depth: self.depth,
             background: q.dequantize_color(self.background),
-            gaussians: parallel::map(self.gaussians.len(), |i| q.dequantize(&self.gaussians[i])),
+            list: parallel::map(self.gaussians.len(), |i| q.dequantize(&self.gaussians[i])),
         }
     }
 }

@@ -1,11 +1,12 @@
 //! Internal modules for the program, the lab, the fuzz targets and similar tools. **Any release may change them.**
 //!
 //! Bytes become integers ([`bitstream`]), integers become Gaussians ([`quantize`]), and Gaussians become pixels
-//! ([`raster`]). [`fit`] fits Gaussians to a picture, and [`pack`] quantizes Gaussians that were fitted elsewhere.
+//! ([`raster`]). [`fit`] fits Gaussians to a picture, and [`Precision`] is how finely
+//! [`Encoder::encode_gaussians`](crate::Encoder::encode_gaussians) quantizes Gaussians that were fitted elsewhere.
 //! `docs/ARCHITECTURE.md` is a map of the modules.
 
 pub use crate::bitstream::header::Header;
-pub use crate::decode::{decode, decode_into, thumbnail};
+pub use crate::decode::{decode, decode_into};
 #[cfg(feature = "encode")]
 pub use crate::encode::{MAX_WHOLE_PIXELS, TracePoint, divide, encode, encode_with_progress};
 #[cfg(all(feature = "encode", feature = "image"))]
@@ -14,9 +15,9 @@ pub use crate::image_crate::{Carried, encode_decoder, save, transcode};
 pub use crate::options::Ablation;
 pub use crate::options::DecodeOptions;
 #[cfg(feature = "encode")]
-pub use crate::options::{EncodeOptions, Needs, Recipe, Rung, Trace};
+pub use crate::options::{EncodeOptions, Needs, Outside, Precision, Recipe, Rung, Trace};
 #[cfg(feature = "encode")]
-pub use crate::pack::{FINEST, Outside, PackOptions, Precision, pack};
+pub use crate::pack::FINEST;
 #[cfg(feature = "encode")]
 pub use crate::pixel_source::check_area;
 pub use crate::simd::instruction_set;

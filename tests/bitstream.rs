@@ -7,7 +7,7 @@ mod synthetic;
 use ssplat::unstable::bitstream::lattice::Lattice;
 use ssplat::unstable::bitstream::splats::{Layout, PackedSplats};
 use ssplat::unstable::bitstream::{inspect, read, read_area, read_partial, to_bytes};
-use ssplat::{Blend, Channels, Depth, Error, FormatError, Limits};
+use ssplat::{Blend, Channels, Depth, Error, FormatError, Limits, Rect};
 use ssplat::{Renderer, View};
 use synthetic::{Random, Scene, scene};
 
@@ -134,7 +134,7 @@ fn limits_are_checked_before_memory_is_allocated() {
         let mut limits = Limits::default();
         set(&mut limits);
         match read(&bytes[..], &limits) {
-            Err(Error::LimitExceeded { what, .. }) => assert_eq!(what, name),
+            Err(Error::LimitExceeded { limit, .. }) => assert_eq!(limit.name(), name),
             other => panic!("{name}: {other:?}"),
         }
     }
@@ -190,9 +190,9 @@ fn a_part_of_a_large_file_is_rendered_from_some_of_its_groups() {
     let limits = Limits::default();
     let whole = read(&bytes[..], &limits).unwrap();
     let draw = |splats: &PackedSplats, region: [u32; 4]| {
-        let picture = splats.to_picture();
+        let picture = splats.to_gaussians();
         let [x, y, width, height] = region;
-        let view = View::full(&picture).crop(x, y, width, height).unwrap();
+        let view = View::full(&picture).crop(Rect::new(x, y, width, height)).unwrap();
         Renderer::new(&picture, &view, &limits).unwrap().render(splats.depth).unwrap()
     };
     let mut random = Random(5);

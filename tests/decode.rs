@@ -6,7 +6,7 @@ mod synthetic;
 use ssplat::unstable::bitstream::{read, to_bytes};
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
 use ssplat::unstable::{decode, decode_into, encode};
-use ssplat::{Channels, Damage, Error, Image, Limits, Pixels, Reader, Samples, Target};
+use ssplat::{Channels, Damage, Error, Limit, Limits, Parameter, Pixels, Reader, Rect, Samples, Target};
 use ssplat::{Renderer, SamplesMut, View};
 
 fn picture() -> Pixels {
@@ -26,7 +26,7 @@ fn a_region_is_the_part_of_the_whole() {
     let bytes = encode(&picture(), &options()).unwrap().bytes;
     let whole = decode(&bytes, &DecodeOptions::default()).unwrap().pixels;
     let mut of_part = DecodeOptions::default();
-    of_part.region = Some([10, 20, 30, 40]);
+    of_part.region = Some(Rect::new(10, 20, 30, 40));
     let part = decode(&bytes, &of_part).unwrap().pixels;
     let (Samples::U8(whole), Samples::U8(part)) = (whole.samples(), part.samples()) else { panic!("8 bits") };
     for y in 0..40 {
@@ -74,11 +74,13 @@ fn a_reduced_region_of_a_file_in_groups_misses_nothing() {
         ([900, 5, 64, 64], [64, 900], [900, 5, 64, 64]),
     ];
     for (region, size, area) in cases {
-        (options.region, options.size) = (Some(region), Some(size));
+        (options.region, options.size) = (Some(region.into()), Some(size));
         let [x, y, width, height] = region;
-        let view = View::of_size(2048, 1536).crop(x, y, width, height).unwrap().resized(size[0], size[1]).unwrap();
-        assert_eq!(view.area(), area);
-        let whole = Renderer::new(&splats.to_picture(), &view, &options.limits).unwrap().render(splats.depth).unwrap();
+        let view =
+            View::of_size(2048, 1536).crop(Rect::new(x, y, width, height)).unwrap().resized(size[0], size[1]).unwrap();
+        assert_eq!(view.area(), area.into());
+        let whole =
+            Renderer::new(&splats.to_gaussians(), &view, &options.limits).unwrap().render(splats.depth).unwrap();
         assert_eq!(decode(&bytes, &options).unwrap().pixels, whole, "{region:?}");
     }
 }
@@ -88,7 +90,7 @@ fn impossible_regions_and_sizes_are_parameter_errors() {
     let bytes = encode(&picture(), &options()).unwrap().bytes;
     for region in [[90, 0, 10, 10], [0, 0, 0, 1], [u32::MAX, 0, 2, 2]] {
         let mut options = DecodeOptions::default();
-        options.region = Some(region);
+        options.region = Some(region.into());
         assert!(matches!(decode(&bytes, &options), Err(Error::Parameter { .. })), "{region:?}");
     }
     let mut options = DecodeOptions::default();
@@ -127,7 +129,7 @@ fn levels_out_of_range_are_parameter_errors() {
     for levels in [0, 9] {
         let mut options = options();
         options.levels = levels;
-        assert!(matches!(encode(&picture(), &options), Err(Error::Parameter { name: "levels", .. })));
+        assert!(matches!(encode(&picture(), &options), Err(Error::Parameter { parameter: Parameter::Levels, .. })));
     }
 }
 
@@ -135,20 +137,20 @@ fn levels_out_of_range_are_parameter_errors() {
 fn an_opened_file_renders_every_view_like_decode() {
     let made = synthetic::Scene { size: [1024, 768], count: 40_000, ..Default::default() };
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
-    let opened = Image::from_bytes(&bytes, &Limits::default()).unwrap();
+    let opened = Reader::new(&bytes, &Limits::default()).and_then(|reader| reader.read(Damage::Refuse)).unwrap();
     let mut memory = Vec::new();
     for (region, size) in
         [([0, 0, 1024, 768], [1024, 768]), ([100, 200, 300, 400], [300, 400]), ([5, 9, 800, 700], [70, 33])]
     {
         let mut options = DecodeOptions::default();
-        (options.region, options.size) = (Some(region), Some(size));
+        (options.region, options.size) = (Some(region.into()), Some(size));
         let want = decode(&bytes, &options).unwrap().pixels;
-        let view = opened.view().crop(region[0], region[1], region[2], region[3]).unwrap();
+        let view = opened.view().crop(Rect::new(region[0], region[1], region[2], region[3])).unwrap();
         let view = view.resized(size[0], size[1]).unwrap();
-        assert!(opened.draw(&view).unwrap() == want, "{region:?}");
+        assert!(opened.render(&view).unwrap() == want, "{region:?}");
         // Into memory that still holds the previous view.
         memory.resize((size[0] * size[1] * 3) as usize, 0);
-        opened.draw_into(&view, SamplesMut::U8(&mut memory)).unwrap();
+        opened.render_into(&view, SamplesMut::U8(&mut memory)).unwrap();
         assert!(Samples::U8(memory.clone()) == *want.samples(), "{region:?}");
         memory.reverse();
         decode_into(&bytes, &options, SamplesMut::U8(&mut memory)).unwrap();
@@ -162,15 +164,20 @@ fn data_read_for_a_part_renders_only_that_part() {
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
     let opening = Reader::new(&bytes, &Limits::default()).unwrap();
     let whole = opening.view();
-    let part = whole.crop(300, 400, 500, 600).unwrap();
+    let part = whole.crop(Rect::new(300, 400, 500, 600)).unwrap();
     let opened = opening.read_for(&part, Damage::Refuse).unwrap();
     assert!(opened.splats().gaussians.len() < 40_000 / 2, "{}", opened.splats().gaussians.len());
-    let inner = part.crop(20, 30, 100, 100).unwrap();
+    let inner = part.crop(Rect::new(20, 30, 100, 100)).unwrap();
     let mut options = DecodeOptions::default();
-    options.region = Some([320, 430, 100, 100]);
-    assert_eq!(opened.draw(&inner).unwrap(), decode(&bytes, &options).unwrap().pixels);
-    for beyond in [whole, whole.crop(299, 400, 10, 10).unwrap(), whole.crop(790, 990, 11, 10).unwrap()] {
-        assert!(matches!(opened.draw(&beyond), Err(Error::Parameter { name: "view", .. })), "{beyond:?}");
+    options.region = Some(Rect::new(320, 430, 100, 100));
+    assert_eq!(opened.render(&inner).unwrap(), decode(&bytes, &options).unwrap().pixels);
+    for beyond in
+        [whole, whole.crop(Rect::new(299, 400, 10, 10)).unwrap(), whole.crop(Rect::new(790, 990, 11, 10)).unwrap()]
+    {
+        assert!(
+            matches!(opened.render(&beyond), Err(Error::Parameter { parameter: Parameter::View, .. })),
+            "{beyond:?}"
+        );
     }
 }
 
@@ -178,7 +185,7 @@ fn data_read_for_a_part_renders_only_that_part() {
 fn simultaneous_views_share_one_limit() {
     let made = synthetic::Scene { size: [512, 512], count: 5000, ..Default::default() };
     let bytes = to_bytes(&synthetic::scene(&made)).unwrap();
-    let mut opened = Image::from_bytes(&bytes, &Limits::default()).unwrap();
+    let mut opened = Reader::new(&bytes, &Limits::default()).and_then(|reader| reader.read(Damage::Refuse)).unwrap();
     // Enough for the picture and one renderer, but not for two.
     let mut alloc = 1 << 18;
     let one = loop {
@@ -188,8 +195,8 @@ fn simultaneous_views_share_one_limit() {
             Err(_) => alloc += 1 << 14,
         }
     };
-    assert!(matches!(opened.renderer(&opened.view()), Err(Error::LimitExceeded { what: "alloc", .. })));
+    assert!(matches!(opened.renderer(&opened.view()), Err(Error::LimitExceeded { limit: Limit::Alloc, .. })));
     drop(one);
     assert!(opened.renderer(&opened.view()).is_ok());
-    assert!(matches!(opened.limit_alloc(5000), Err(Error::LimitExceeded { what: "alloc", .. })));
+    assert!(matches!(opened.limit_alloc(5000), Err(Error::LimitExceeded { limit: Limit::Alloc, .. })));
 }

@@ -10,7 +10,7 @@ use ssplat::View;
 use ssplat::unstable::bitstream::splats::PackedSplats;
 use ssplat::unstable::bitstream::{DetailHead, MissingParts, inspect, read, read_partial, to_bytes};
 use ssplat::unstable::{DecodeOptions, decode};
-use ssplat::{Channels, Damage, Depth, Error, Image, Layers, Limits, Pixels, Reader, Samples};
+use ssplat::{Channels, Damage, Depth, Error, Layers, Limit, Limits, Parameter, Pixels, Reader, Rect, Samples};
 use synthetic::{Levels, Scene, scene, with_layer};
 
 /// A picture of six tiles with levels in most blocks.
@@ -30,8 +30,9 @@ fn small() -> Vec<u8> {
 }
 
 fn draw(bytes: &[u8], view: &View, layers: Layers) -> Pixels {
-    let opening = Reader::new(bytes, &Limits::default()).unwrap().showing(layers);
-    opening.read_for(view, Damage::Refuse).unwrap().draw(view).unwrap()
+    let view = view.layers(layers);
+    let reader = Reader::new(bytes, &Limits::default()).unwrap();
+    reader.read_for(&view, Damage::Refuse).unwrap().render(&view).unwrap()
 }
 
 fn samples(pixels: &Pixels) -> Vec<u16> {
@@ -69,7 +70,7 @@ fn parts_have_the_samples_of_the_whole_at_any_size() {
                 [0, h / 2, w, 1],
             ] {
                 let [x, y, width, height] = part;
-                let drawn = draw(&bytes, &view.crop(x, y, width, height).unwrap(), Layers::Both);
+                let drawn = draw(&bytes, &view.crop(Rect::new(x, y, width, height)).unwrap(), Layers::Both);
                 assert!(samples(&drawn) == cut(&whole, part), "{channels:?}: {part:?} of {w} × {h}");
             }
         }
@@ -212,10 +213,35 @@ fn every_flipped_bit_loses_at_most_one_tile() {
 }
 
 #[test]
+fn views_select_the_layers_of_a_whole_file_and_only_those_that_were_read() {
+    let bytes = small();
+    let reader = || Reader::new(&bytes, &Limits::default()).unwrap();
+    let all = [Layers::Both, Layers::Gaussians, Layers::Detail];
+    let whole = reader().read(Damage::Refuse).unwrap();
+    for layers in all {
+        let view = whole.view().layers(layers);
+        let read = reader().read_for(&view, Damage::Refuse).unwrap();
+        assert_eq!(whole.render(&view).unwrap(), read.render(&read.view()).unwrap(), "{layers:?}");
+        for other in all {
+            let found = read.render(&view.layers(other));
+            let is_read = layers == Layers::Both || layers == other;
+            match found {
+                Ok(_) => assert!(is_read, "{other:?} of {layers:?}"),
+                Err(Error::Parameter { parameter: Parameter::View, .. }) => {
+                    assert!(!is_read, "{other:?} of {layers:?}")
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+}
+
+#[test]
 fn the_gaussians_of_a_whole_file_are_read_with_nothing_missing() {
     let bytes = small();
-    let opening = Reader::new(&bytes, &Limits::default()).unwrap().showing(Layers::Gaussians);
-    assert_eq!(opening.read(Damage::Accept).unwrap().missing(), MissingParts::default());
+    let reader = Reader::new(&bytes, &Limits::default()).unwrap();
+    let view = reader.view().layers(Layers::Gaussians);
+    assert_eq!(reader.read_for(&view, Damage::Accept).unwrap().missing(), MissingParts::default());
 }
 
 #[test]
@@ -241,8 +267,8 @@ fn an_empty_layer_of_a_huge_picture_costs_nothing_before_it_is_refused() {
     assert_eq!((missing.tiles, missing.of_tiles, missing.damaged), (1 << 24, 1 << 24, true));
     assert!(part.gaussians.len() == 1 && part.detail.is_none());
     let opening = Reader::new(&bytes, &limits).unwrap();
-    let corner = opening.view().crop(0, 0, 10, 10).unwrap();
-    assert_eq!(opening.read_for(&corner, Damage::Accept).unwrap().draw(&corner).unwrap().width(), 10);
+    let corner = opening.view().crop(Rect::new(0, 0, 10, 10)).unwrap();
+    assert_eq!(opening.read_for(&corner, Damage::Accept).unwrap().render(&corner).unwrap().width(), 10);
 }
 
 /// A stream that is invalid only at its end has been read by then.
@@ -275,7 +301,7 @@ fn levels_of_invalid_tiles_count_as_work() {
     assert!(enough > 20_000_000, "{enough}");
     let few = enough - enough / 1000;
     for bytes in [&good, &bad] {
-        assert!(matches!(read(bytes, few), Err(Error::LimitExceeded { what: "work", .. })));
+        assert!(matches!(read(bytes, few), Err(Error::LimitExceeded { limit: Limit::Work, .. })));
     }
 }
 
@@ -284,15 +310,15 @@ fn levels_of_invalid_tiles_count_as_work() {
 fn views_beyond_the_picture_do_not_depend_on_how_it_was_opened() {
     for channels in [Channels::Rgb, Channels::GreyAlpha] {
         let bytes = to_bytes(&large(channels)).unwrap();
-        let whole = Image::from_bytes(&bytes, &Limits::default()).unwrap();
+        let whole = Reader::new(&bytes, &Limits::default()).and_then(|reader| reader.read(Damage::Refuse)).unwrap();
         let larger = View::of_size(4000, 3000);
         let mut seen = 0;
         for [x, y, width, height] in
             [[900, 20, 40, 30], [30, 900, 40, 30], [1500, 1200, 30, 20], [500, 280, 60, 50], [3960, 100, 40, 90]]
         {
-            let part = larger.crop(x, y, width, height).unwrap();
+            let part = larger.crop(Rect::new(x, y, width, height)).unwrap();
             for view in [part, part.resized(13, 9).unwrap(), part.resized(70, 64).unwrap()] {
-                let (all, read) = (whole.draw(&view).unwrap(), draw(&bytes, &view, Layers::Both));
+                let (all, read) = (whole.render(&view).unwrap(), draw(&bytes, &view, Layers::Both));
                 assert!(all == read, "{channels:?}: {x}, {y}, {view:?}");
                 seen += usize::from(all != draw(&bytes, &view, Layers::Gaussians));
             }
@@ -306,10 +332,11 @@ fn work_of_the_layer_is_checked_before_it_is_done() {
     let bytes = to_bytes(&large(Channels::Rgb)).unwrap();
     let mut limits = Limits::default();
     limits.work = 1 << 20;
-    assert!(matches!(read(&bytes[..], &limits), Err(Error::LimitExceeded { what: "work", .. })));
+    assert!(matches!(read(&bytes[..], &limits), Err(Error::LimitExceeded { limit: Limit::Work, .. })));
     // The Gaussians alone are within the limit.
-    let opening = Reader::new(&bytes, &limits).unwrap().showing(Layers::Gaussians);
-    assert!(opening.read(Damage::Refuse).is_ok());
+    let reader = Reader::new(&bytes, &limits).unwrap();
+    let view = reader.view().layers(Layers::Gaussians);
+    assert!(reader.read_for(&view, Damage::Refuse).is_ok());
 }
 
 /// A view that is enlarged along one axis and reduced along the other has more resampling taps than pixels or samples.
@@ -318,11 +345,14 @@ fn work_of_a_distorted_view_is_counted() {
     let bytes = to_bytes(&large(Channels::Rgb)).unwrap();
     let mut limits = Limits::default();
     limits.work = 1 << 31;
-    let opened = Image::from_bytes(&bytes, &limits).unwrap();
+    let opened = Reader::new(&bytes, &limits).and_then(|reader| reader.read(Damage::Refuse)).unwrap();
     let drawn = |width, height| opened.renderer(&opened.view().resized(width, height).unwrap()).map(drop);
     assert!(drawn(1, 1).is_ok() && drawn(2000, 1).is_ok() && drawn(1, 2000).is_ok());
     for (width, height) in [(1, 1 << 20), (1 << 20, 1)] {
-        assert!(matches!(drawn(width, height), Err(Error::LimitExceeded { what: "work", .. })), "{width} × {height}");
+        assert!(
+            matches!(drawn(width, height), Err(Error::LimitExceeded { limit: Limit::Work, .. })),
+            "{width} × {height}"
+        );
     }
 }
 
@@ -338,8 +368,9 @@ fn work_of_both_layers_is_counted_together() {
         let is_drawn = |work: u64| {
             let mut limits = Limits::default();
             limits.work = work;
-            let opening = Reader::new(&bytes, &limits).unwrap().showing(layers);
-            opening.read(Damage::Refuse).and_then(|o| o.renderer(&View::of_size(530, 300))).is_ok()
+            let view = View::of_size(530, 300).layers(layers);
+            let reader = Reader::new(&bytes, &limits).unwrap();
+            reader.read_for(&view, Damage::Refuse).and_then(|image| image.renderer(&view)).is_ok()
         };
         (8 * 24..8 * 36)
             .map(|eighth: u32| (1 << (eighth / 8)) / 8 * u64::from(8 + eighth % 8))

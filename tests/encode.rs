@@ -54,7 +54,7 @@ fn run(pixels: &Pixels, target: Target) -> Encoded {
 
 fn decoded(encoded: &Encoded) -> Pixels {
     let splats = bitstream::read(&encoded.bytes[..], &Limits::default()).unwrap();
-    let picture = splats.to_picture();
+    let picture = splats.to_gaussians();
     Renderer::new(&picture, &View::full(&picture), &Limits::default()).unwrap().render(splats.depth).unwrap()
 }
 
@@ -69,8 +69,8 @@ fn assert_fills(encoded: &Encoded, most: u64, what: &str) {
 #[track_caller]
 fn assert_refused(result: Result<Encoded, Error>, name: &str) {
     match result {
-        Err(Error::Parameter { name: found, problem }) => {
-            assert_eq!(found, name, "{problem}");
+        Err(Error::Parameter { parameter: found, problem }) => {
+            assert_eq!(found.name(), name, "{problem}");
             assert!(!problem.is_empty());
         }
         other => panic!("{name}: {other:?}"),
@@ -441,7 +441,10 @@ fn pixels_without_a_side_or_of_the_wrong_length_are_parameter_errors() {
         (4, 4, 49, "samples"),
     ] {
         let refused = make(width, height, length);
-        assert!(matches!(refused, Err(Error::Parameter { name: found, .. }) if found == name), "{refused:?}");
+        assert!(
+            matches!(refused, Err(Error::Parameter { parameter: found, .. }) if found.name() == name),
+            "{refused:?}"
+        );
     }
 }
 

@@ -15,8 +15,8 @@ use ssplat::unstable::Recipe;
 use ssplat::unstable::bitstream::{DetailHead, to_bytes};
 use ssplat::unstable::raster::reference;
 use ssplat::{
-    Backend, Blend, Channels, Damage, Depth, Error, Gaussian, GpuError, Image, Layers, Limits, Picture, Pixels, Reader,
-    Samples, Target, Tune,
+    Backend, Blend, Channels, Damage, Depth, Error, Gaussian, Gaussians, GpuError, Layers, Limit, Limits, Parameter,
+    Pixels, Reader, Rect, Samples, SplatImage, Target, Tune,
 };
 use std::ops::ControlFlow;
 
@@ -65,13 +65,13 @@ fn encoder(device: &Device) {
     assert!(matches!(refused, Err(Error::Gpu(GpuError::Unsupported { .. }))), "{refused:?}");
 }
 
-fn render(device: &Device, picture: &Picture, view: &View, depth: Depth) -> Vec<u16> {
+fn render(device: &Device, picture: &Gaussians, view: &View, depth: Depth) -> Vec<u16> {
     let mut renderer = Renderer::new(device, picture, &Limits::default()).unwrap();
     codes(renderer.render(view, depth).unwrap().into_samples())
 }
 
 /// Returns the largest difference to the definition, in code values.
-fn worst(device: &Device, picture: &Picture, view: &View, depth: Depth) -> u16 {
+fn worst(device: &Device, picture: &Gaussians, view: &View, depth: Depth) -> u16 {
     let want = reference::filtered(picture, view);
     let drawn = render(device, picture, view, depth);
     assert_eq!(drawn.len(), want.len());
@@ -109,7 +109,7 @@ fn sixteen_bits(device: &Device) {
 fn needles(device: &Device) {
     for blend in [Blend::Normalized, Blend::Sum] {
         let mut picture = scene(120, 90, 60, Channels::Rgb, blend, 1);
-        for g in &mut picture.gaussians {
+        for g in &mut picture.list {
             // The maximum aspect of the encoder.
             g.scale = [60.0, 0.6];
         }
@@ -121,9 +121,12 @@ fn needles(device: &Device) {
 fn regions_and_sizes(device: &Device) {
     let picture = scene(160, 110, 400, Channels::Rgb, Blend::Normalized, 1);
     let full = View::full(&picture);
-    let region = full.crop(37, 21, 90, 70).unwrap();
-    let views =
-        [region, full.resized(333, 229).unwrap(), region.resized(400, 311).unwrap().crop(111, 99, 128, 65).unwrap()];
+    let region = full.crop(Rect::new(37, 21, 90, 70)).unwrap();
+    let views = [
+        region,
+        full.resized(333, 229).unwrap(),
+        region.resized(400, 311).unwrap().crop(Rect::new(111, 99, 128, 65)).unwrap(),
+    ];
     for view in views {
         let cpu = ssplat::Renderer::new(&picture, &view, &Limits::default()).unwrap();
         let cpu = codes(cpu.render(Depth::Eight).unwrap().into_samples());
@@ -136,14 +139,14 @@ fn regions_and_sizes(device: &Device) {
 
 fn reduced(device: &Device) {
     let mut picture = scene(160, 110, 400, Channels::Rgb, Blend::Normalized, 1);
-    for g in &mut picture.gaussians[..20] {
+    for g in &mut picture.list[..20] {
         // The maximum aspect of the encoder; the variance that the low-pass filter adds to one axis hides the last
         // digits of the other.
         g.scale = [60.0, 0.6];
     }
     let full = View::full(&picture);
     let reduced = |view: View, width, height| view.resized(width, height).unwrap();
-    let region = full.crop(37, 21, 90, 70).unwrap();
+    let region = full.crop(Rect::new(37, 21, 90, 70)).unwrap();
     for (view, of) in [
         (reduced(full, 80, 55), "half"),
         (reduced(full, 97, 71), "not a whole number of pixels"),
@@ -153,7 +156,7 @@ fn reduced(device: &Device) {
         (reduced(full, 1, 1), "one pixel"),
         (reduced(full, 160, 6), "one axis"),
         (reduced(full, 9, 200), "one axis, the other enlarged"),
-        (reduced(region, 43, 29).crop(3, 5, 37, 20).unwrap(), "a crop of a region"),
+        (reduced(region, 43, 29).crop(Rect::new(3, 5, 37, 20)).unwrap(), "a crop of a region"),
     ] {
         for (blend, channels) in
             [(Blend::Normalized, Channels::Rgb), (Blend::Sum, Channels::Rgb), (Blend::Normalized, Channels::Rgba)]
@@ -177,21 +180,20 @@ fn layered(channels: Channels, depth: Depth, blend: Blend, size: [u32; 2]) -> Ve
     to_bytes(&with_layer(ground, head, Levels::new(71))).unwrap()
 }
 
-fn opened(bytes: &[u8], layers: Layers) -> Image {
-    Reader::new(bytes, &Limits::default()).unwrap().showing(layers).read(Damage::Refuse).unwrap()
+fn opened(bytes: &[u8]) -> SplatImage {
+    Reader::new(bytes, &Limits::default()).unwrap().read(Damage::Refuse).unwrap()
 }
 
 /// Returns the largest difference between the GPU's and the CPU's rendering of `view`, in code values, and whether the
 /// layer is visible in it.
-fn apart(device: &Device, opened: &mut Image, view: &View) -> (u16, bool) {
-    let draw = |opened: &Image| codes(opened.draw(view).unwrap().into_samples());
-    let cpu = draw(opened);
+fn apart(device: &Device, opened: &SplatImage, view: &View) -> (u16, bool) {
+    let draw = |view: &View| codes(opened.render(view).unwrap().into_samples());
+    let cpu = draw(view);
     let depth = opened.splats().depth;
     let (count, alpha) = (opened.splats().channels.count(), opened.splats().channels.alpha());
     let gpu = codes(Renderer::of(device, opened).unwrap().render(view, depth).unwrap().into_samples());
     assert_eq!(cpu.len(), gpu.len());
-    opened.show(Layers::Gaussians);
-    let alone = draw(opened);
+    let alone = draw(&view.layers(Layers::Gaussians));
     let is_reduced = view.step().iter().any(|&step| step > 1.0);
     let off = |(i, (a, b)): (usize, (&u16, &u16))| {
         // In a reduced view, the tolerance for colours of nearly transparent pixels is larger.
@@ -206,7 +208,7 @@ fn two_layers(device: &Device) {
     // 256 rows of additions at a time, between edges of tiles; the second picture is twice as wide as that.
     let sizes = [[530, 300], [1100, 600]];
     let full = View::of_size(530, 300);
-    let region = full.crop(201, 150, 300, 140).unwrap();
+    let region = full.crop(Rect::new(201, 150, 300, 140)).unwrap();
     let resized = |view: View, width, height| view.resized(width, height).unwrap();
     let views = [
         (full, "whole"),
@@ -216,7 +218,7 @@ fn two_layers(device: &Device) {
         (resized(full, 11, 7), "samples far apart"),
         (resized(full, 777, 431), "enlarged"),
         (resized(full, 61, 700), "reduced along one axis, enlarged along the other"),
-        (resized(region, 500, 211).crop(100, 50, 300, 100).unwrap(), "a crop of a region"),
+        (resized(region, 500, 211).crop(Rect::new(100, 50, 300, 100)).unwrap(), "a crop of a region"),
     ];
     for (channels, depth, blend) in [
         (Channels::Rgb, Depth::Eight, Blend::Normalized),
@@ -229,24 +231,25 @@ fn two_layers(device: &Device) {
         let most = if depth == Depth::Eight { 1 } else { 2 * TOLERANCE_16_BIT };
         for (view, of) in &views {
             for layers in [Layers::Both, Layers::Detail] {
-                let (off, is_seen) = apart(device, &mut opened(&bytes, layers), view);
+                let (off, is_seen) = apart(device, &opened(&bytes), &view.layers(layers));
                 assert!(off <= most && is_seen, "{of}, {channels:?}, {depth:?}, {blend:?}, {layers:?}: {off}");
             }
-            let (off, is_seen) = apart(device, &mut opened(&bytes, Layers::Gaussians), view);
+            let (off, is_seen) = apart(device, &opened(&bytes), &view.layers(Layers::Gaussians));
             assert!(off <= most && !is_seen, "{of}, Gaussians alone: {off}");
         }
     }
     let bytes = layered(Channels::Rgba, Depth::Eight, Blend::Normalized, sizes[1]);
     let full = View::of_size(1100, 600);
-    for view in [full, full.crop(30, 100, 1000, 480).unwrap(), resized(full, 1000, 700)] {
-        let (off, is_seen) = apart(device, &mut opened(&bytes, Layers::Both), &view);
+    for view in [full, full.crop(Rect::new(30, 100, 1000, 480)).unwrap(), resized(full, 1000, 700)] {
+        let (off, is_seen) = apart(device, &opened(&bytes), &view);
         assert!(off <= 1 && is_seen, "{view:?}: {off}");
     }
-    let mut renderer = Renderer::of(device, &opened(&bytes, Layers::Both)).unwrap();
+    let mut renderer = Renderer::of(device, &opened(&bytes)).unwrap();
     let whole = codes(renderer.render(&full, Depth::Eight).unwrap().into_samples());
     assert_eq!(renderer.bands().0, 256, "rows of a band");
     // One renderer renders one view after the other.
-    let part = codes(renderer.render(&full.crop(0, 250, 1100, 9).unwrap(), Depth::Eight).unwrap().into_samples());
+    let part =
+        codes(renderer.render(&full.crop(Rect::new(0, 250, 1100, 9)).unwrap(), Depth::Eight).unwrap().into_samples());
     assert!(part == whole[250 * 4400..259 * 4400]);
 }
 
@@ -254,19 +257,19 @@ fn layers_within_limits(device: &Device) {
     let bytes = layered(Channels::Rgb, Depth::Eight, Blend::Normalized, [530, 300]);
     let view = View::of_size(530, 300);
     for (layers, is_refused) in [(Layers::Both, true), (Layers::Gaussians, false)] {
-        let mut file = opened(&bytes, layers);
+        let view = view.layers(layers);
+        let mut file = opened(&bytes);
         // Enough for the pixels and the integers, but not for the additions to 300 rows.
         file.limit_alloc(2_500_000).unwrap();
         let drawn = Renderer::of(device, &file).unwrap().render(&view, Depth::Eight);
-        let refused = matches!(drawn, Err(Error::LimitExceeded { what: "alloc", .. }));
+        let refused = matches!(drawn, Err(Error::LimitExceeded { limit: Limit::Alloc, .. }));
         assert!(refused == is_refused && drawn.is_ok() != is_refused, "{layers:?}: {drawn:?}");
         // Less than the layer needs, but more than the Gaussians need.
         let mut limits = Limits::default();
         limits.work = 1 << 27;
-        let opening = Reader::new(&bytes, &limits).unwrap().showing(layers);
-        let file = opening.read(Damage::Refuse).unwrap();
+        let file = Reader::new(&bytes, &limits).unwrap().read(Damage::Refuse).unwrap();
         let drawn = Renderer::of(device, &file).unwrap().render(&view, Depth::Eight);
-        let refused = matches!(drawn, Err(Error::LimitExceeded { what: "work", .. }));
+        let refused = matches!(drawn, Err(Error::LimitExceeded { limit: Limit::Work, .. }));
         assert!(refused == is_refused && drawn.is_ok() != is_refused, "{layers:?}: {drawn:?}");
     }
 }
@@ -274,12 +277,12 @@ fn layers_within_limits(device: &Device) {
 fn parts(device: &Device) {
     let bytes = layered(Channels::Rgb, Depth::Eight, Blend::Normalized, [530, 300]);
     let whole = View::of_size(530, 300);
-    let region = whole.crop(10, 20, 100, 50).unwrap();
+    let region = whole.crop(Rect::new(10, 20, 100, 50)).unwrap();
     let file = Reader::new(&bytes, &Limits::default()).unwrap().read_for(&region, Damage::Refuse).unwrap();
     let mut renderer = Renderer::of(device, &file).unwrap();
     renderer.render(&region, Depth::Eight).unwrap();
     let refused = renderer.render(&whole, Depth::Eight);
-    assert!(matches!(refused, Err(Error::Parameter { name: "view", .. })), "{refused:?}");
+    assert!(matches!(refused, Err(Error::Parameter { parameter: Parameter::View, .. })), "{refused:?}");
 }
 
 fn same_bits(device: &Device) {
@@ -302,7 +305,7 @@ fn bands(device: &Device) {
         let mut renderer = Renderer::new(device, &picture, &Limits::default()).unwrap();
         let whole = codes(renderer.render(&view, Depth::Sixteen).unwrap().into_samples());
         assert_eq!(renderer.bands().0, 16, "rows of a band");
-        let part = render(device, &picture, &view.crop(0, 10, 4096, 10).unwrap(), Depth::Sixteen);
+        let part = render(device, &picture, &view.crop(Rect::new(0, 10, 4096, 10)).unwrap(), Depth::Sixteen);
         let row = 1 << 20;
         let same = (0..10)
             .all(|y| part[y * 4096..][..4096].iter().zip(&whole[(y + 10) * row..]).all(|(a, b)| a.abs_diff(*b) <= 1));
@@ -374,7 +377,7 @@ fn read(device: &Device, buffer: &wgpu::Buffer) -> Vec<u8> {
 
 fn empty(device: &Device) {
     let mut picture = scene(20, 20, 1, Channels::Rgb, Blend::Normalized, 1);
-    picture.gaussians.clear();
+    picture.list.clear();
     assert_eq!(render(device, &picture, &View::full(&picture), Depth::Eight)[..3], [102, 179, 51]);
 }
 
@@ -388,9 +391,9 @@ fn bad_primitives(device: &Device) {
     ];
     for spoil in spoil {
         let mut picture = picture.clone();
-        spoil(&mut picture.gaussians[1]);
+        spoil(&mut picture.list[1]);
         let made = Renderer::new(device, &picture, &Limits::default());
-        assert!(matches!(made, Err(Error::Parameter { name: "gaussians", .. })), "{made:?}");
+        assert!(matches!(made, Err(Error::Parameter { parameter: Parameter::Gaussians, .. })), "{made:?}");
     }
 }
 
@@ -398,11 +401,14 @@ fn limits(device: &Device) {
     let picture = scene(128, 128, 300, Channels::Rgb, Blend::Normalized, 1);
     let mut limits = Limits::default();
     limits.primitives = 299;
-    assert!(matches!(Renderer::new(device, &picture, &limits), Err(Error::LimitExceeded { what: "primitives", .. })));
+    assert!(matches!(
+        Renderer::new(device, &picture, &limits),
+        Err(Error::LimitExceeded { limit: Limit::Primitives, .. })
+    ));
     let mut limits = Limits::default();
     limits.tile_pairs = 300;
     let drawn = Renderer::new(device, &picture, &limits).unwrap().render(&View::full(&picture), Depth::Eight);
-    assert!(matches!(drawn, Err(Error::LimitExceeded { what: "tile_pairs", .. })), "{drawn:?}");
+    assert!(matches!(drawn, Err(Error::LimitExceeded { limit: Limit::TilePairs, .. })), "{drawn:?}");
     // The 256 pixels of each pair count, in all bands together. With a limit one below the total, the last band is not
     // rendered.
     let view = View::full(&picture);
@@ -416,7 +422,7 @@ fn limits(device: &Device) {
         let work = (refused + enough) / 2;
         match within(work) {
             Ok(_) => enough = work,
-            Err(Error::LimitExceeded { what: "work", requested, allowed }) => {
+            Err(Error::LimitExceeded { limit: Limit::Work, requested, allowed }) => {
                 assert!(requested > allowed && allowed == work, "{requested} of {allowed}");
                 refused = work;
             }
@@ -429,7 +435,7 @@ fn limits(device: &Device) {
     let mut limits = Limits::default();
     limits.alloc = 128 * 128 * 3 - 1;
     let drawn = Renderer::new(device, &picture, &limits).unwrap().render(&View::full(&picture), Depth::Eight);
-    assert!(matches!(drawn, Err(Error::LimitExceeded { what: "alloc", .. })), "{drawn:?}");
+    assert!(matches!(drawn, Err(Error::LimitExceeded { limit: Limit::Alloc, .. })), "{drawn:?}");
 }
 
 fn hardware_only(device: &Device) {

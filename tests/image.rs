@@ -9,7 +9,8 @@ use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::{Layout, Metadata, PackedSplats, Steps};
 use ssplat::unstable::quantize::Quantizer;
 use ssplat::{
-    Blend, Channels, Depth, Error, Gaussian, Limits, MetadataPolicy, Pixels, SsplatDecoder, SsplatEncoder, Target,
+    Blend, Channels, Depth, Error, Gaussian, Limits, MetadataPolicy, Parameter, Pixels, SsplatDecoder, SsplatEncoder,
+    Target,
 };
 use ssplat::{Renderer, View};
 
@@ -52,7 +53,7 @@ fn file(channels: Channels, depth: Depth) -> Vec<u8> {
 /// The picture as the crate itself renders it.
 fn expected(channels: Channels, depth: Depth) -> Pixels {
     let limits = Limits::default();
-    let picture = ssplat::unstable::bitstream::read(&file(channels, depth)[..], &limits).unwrap().to_picture();
+    let picture = ssplat::unstable::bitstream::read(&file(channels, depth)[..], &limits).unwrap().to_gaussians();
     Renderer::new(&picture, &View::full(&picture), &limits).unwrap().render(depth).unwrap()
 }
 
@@ -275,7 +276,7 @@ fn floats_are_converted_to_sixteen_bits_as_documented() {
     let pixels = of(vec![-1.0, 0.5, 7.0]).unwrap();
     assert_eq!(pixels.samples(), &ssplat::Samples::U16(vec![0, 32768, 65535]));
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-        assert!(matches!(of(vec![0.0, bad, 0.0]), Err(ssplat::Error::Parameter { name: "samples", .. })));
+        assert!(matches!(of(vec![0.0, bad, 0.0]), Err(ssplat::Error::Parameter { parameter: Parameter::Samples, .. })));
     }
 }
 
@@ -453,7 +454,7 @@ fn transcoding_errors_name_the_file() {
         assert!(!path(output).exists());
     }
     let saved = ssplat::unstable::save(&ramps(ColorType::Rgb8), path("z.png"), &quick());
-    assert!(matches!(saved, Err(Error::Parameter { name: "path", .. })), "{saved:?}");
+    assert!(matches!(saved, Err(Error::Parameter { parameter: Parameter::Path, .. })), "{saved:?}");
 }
 
 #[test]

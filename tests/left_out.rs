@@ -19,7 +19,7 @@ fn options(effort: u8, target: Target) -> EncodeOptions {
 
 fn decoded(bytes: &[u8]) -> Pixels {
     let splats = bitstream::read(bytes, &Limits::default()).unwrap();
-    let picture = splats.to_picture();
+    let picture = splats.to_gaussians();
     Renderer::new(&picture, &View::full(&picture), &Limits::default()).unwrap().render(splats.depth).unwrap()
 }
 

@@ -14,7 +14,7 @@ use seal::seal;
 use ssplat::View;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::bitstream::{MissingParts, inspect, read, read_partial, to_bytes};
-use ssplat::{Error, Limits};
+use ssplat::{Error, Limits, Rect};
 
 /// Number of times that each outcome occurred.
 #[derive(Default)]
@@ -86,7 +86,7 @@ fn outcome(bytes: &[u8]) -> &'static str {
     }
     // Rendering the whole of a large picture takes long, so only a corner is rendered.
     let (width, height) = (splats.width, splats.height);
-    let view = View::of_size(width, height).crop(0, 0, width.min(48), height.min(48)).unwrap();
+    let view = View::of_size(width, height).crop(Rect::new(0, 0, width.min(48), height.min(48))).unwrap();
     match splats.renderer(&view, &limits).and_then(|r| r.render(splats.depth)) {
         Ok(_) if !splats.metadata.damaged.is_empty() => "picture without a damaged section",
         Ok(_) => "picture",

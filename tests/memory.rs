@@ -13,7 +13,7 @@ use peak_alloc::PeakAlloc;
 use ssplat::unstable::DecodeOptions;
 use ssplat::unstable::bitstream::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use ssplat::unstable::bitstream::{DetailHead, inspect, to_bytes};
-use ssplat::{Blend, Channels, Damage, Depth, Image, Limits};
+use ssplat::{Blend, Channels, Damage, Depth, Limits, Reader, Rect};
 use synthetic::{Levels, Scene, scene, with_layer};
 
 #[global_allocator]
@@ -174,7 +174,7 @@ fn layers_of_empty_tiles() {
         limits.alloc = granted;
         ALLOCATOR.reset_peak_usage();
         let before = ALLOCATOR.current_usage();
-        let is_read = Image::from_bytes(&bytes, &limits).is_ok();
+        let is_read = Reader::new(&bytes, &limits).and_then(|reader| reader.read(Damage::Refuse)).is_ok();
         (is_read, (ALLOCATOR.peak_usage() - before) as u64)
     };
     let (mut less, mut enough) = (0u64, 1u64 << 32);
@@ -191,7 +191,7 @@ fn layers_of_empty_tiles() {
 fn what_is_left(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     keeps("what is left", files, |bytes, granted| {
         let mut options = DecodeOptions::default();
-        (options.limits.alloc, options.damage, options.region) = (granted, Damage::Accept, Some([0, 0, 1, 1]));
+        (options.limits.alloc, options.damage, options.region) = (granted, Damage::Accept, Some(Rect::new(0, 0, 1, 1)));
         ssplat::unstable::decode(bytes, &options).is_ok()
     })
 }
@@ -223,8 +223,10 @@ fn in_other_sizes() -> [u32; 2] {
         keeps(&format!("in {size:?}"), files, |bytes, granted| {
             let mut limits = Limits::default();
             limits.alloc = granted;
-            let Ok(opened) = Image::from_bytes(bytes, &limits) else { return false };
-            opened.view().resized(size[0], size[1]).is_ok_and(|view| opened.draw(&view).is_ok())
+            let Ok(opened) = Reader::new(bytes, &limits).and_then(|reader| reader.read(Damage::Refuse)) else {
+                return false;
+            };
+            opened.view().resized(size[0], size[1]).is_ok_and(|view| opened.render(&view).is_ok())
         })
     };
     let mut sum = [0; 2];
@@ -245,7 +247,9 @@ fn again_and_again(files: &[(String, Vec<u8>)]) -> [u32; 2] {
     keeps("again and again", files, |bytes, granted| {
         let mut limits = Limits::default();
         limits.alloc = granted;
-        let Ok(opened) = Image::from_bytes(bytes, &limits) else { return false };
+        let Ok(opened) = Reader::new(bytes, &limits).and_then(|reader| reader.read(Damage::Refuse)) else {
+            return false;
+        };
         let Ok(first) = opened.renderer(&opened.view()) else { return false };
         let Ok(second) = opened.renderer(&opened.view()) else { return false };
         let depth = opened.splats().depth;

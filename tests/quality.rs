@@ -3,7 +3,7 @@
 
 use ssplat::unstable::metrics;
 use ssplat::unstable::{DecodeOptions, EncodeOptions, encode};
-use ssplat::{Channels, Encoded, Error, Pixels, Samples, Target};
+use ssplat::{Channels, Encoded, Error, Parameter, Pixels, Samples, Target};
 
 /// A part of a photograph.
 fn picture(width: u32, height: u32, channels: Channels) -> Pixels {
@@ -64,9 +64,9 @@ fn an_unreachable_quality_is_reported() {
     assert_eq!(encoded.report.quality, Some(found));
     // Pictures that are too small for the measure.
     let thin = picture(7, 40, Channels::Rgb);
-    assert!(matches!(encode(&thin, &quick(50.0)), Err(Error::Parameter { name: "quality", .. })));
+    assert!(matches!(encode(&thin, &quick(50.0)), Err(Error::Parameter { parameter: Parameter::Quality, .. })));
     for wanted in [-1.0, 100.5, f64::NAN] {
-        assert!(matches!(encode(&noise, &quick(wanted)), Err(Error::Parameter { name: "quality", .. })));
+        assert!(matches!(encode(&noise, &quick(wanted)), Err(Error::Parameter { parameter: Parameter::Quality, .. })));
     }
 }
 

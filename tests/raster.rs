@@ -9,19 +9,19 @@ use std::f32::consts::FRAC_PI_2;
 use scenes::{Random, codes, scene};
 use ssplat::unstable::bitstream::splats::Steps;
 use ssplat::unstable::raster::reference;
-use ssplat::{Blend, Channels, Depth, Error, Gaussian, Limits, Picture, Samples};
+use ssplat::{Blend, Channels, Depth, Error, Gaussian, Gaussians, Limit, Limits, Rect, Samples};
 use ssplat::{Renderer, SamplesMut, View};
 
-fn picture(width: u32, height: u32, channels: Channels, blend: Blend, gaussians: Vec<Gaussian>) -> Picture {
-    Picture { width, height, channels, blend, background: [0.4, 0.7, 0.2, 0.9], gaussians }
+fn picture(width: u32, height: u32, channels: Channels, blend: Blend, gaussians: Vec<Gaussian>) -> Gaussians {
+    Gaussians { width, height, channels, depth: Depth::Eight, blend, background: [0.4, 0.7, 0.2, 0.9], list: gaussians }
 }
 
-fn render(picture: &Picture, view: &View, depth: Depth) -> Vec<u16> {
+fn render(picture: &Gaussians, view: &View, depth: Depth) -> Vec<u16> {
     codes(Renderer::new(picture, view, &Limits::default()).unwrap().render(depth).unwrap().into_samples())
 }
 
 /// Returns the largest difference to the reference at `depth`, in code values.
-fn worst(picture: &Picture, view: &View, depth: Depth) -> u16 {
+fn worst(picture: &Gaussians, view: &View, depth: Depth) -> u16 {
     let drawn = render(picture, view, depth);
     let want = reference::filtered(picture, view);
     assert_eq!(drawn.len(), want.len());
@@ -30,7 +30,7 @@ fn worst(picture: &Picture, view: &View, depth: Depth) -> u16 {
 
 /// Returns the PSNR of a reduced `view` of the whole picture against the averages of the full view's pixels that each
 /// of its pixels covers, dB.
-fn psnr_to_averages(picture: &Picture, view: &View) -> f64 {
+fn psnr_to_averages(picture: &Gaussians, view: &View) -> f64 {
     let drawn = render(picture, view, Depth::Sixteen);
     let full = View::full(picture);
     let pixels = render(picture, &full, Depth::Sixteen);
@@ -139,7 +139,7 @@ fn shapes_that_end_far_from_their_mean_are_within_one_code_value() {
                 continue;
             }
             let p = picture(side, side, Channels::Rgb, Blend::Normalized, vec![one(mean, [major, minor], angle)]);
-            let view = View::full(&p).crop(at[0] as u32 - 20, at[1] as u32 - 20, 40, 40).unwrap();
+            let view = View::full(&p).crop(Rect::new(at[0] as u32 - 20, at[1] as u32 - 20, 40, 40)).unwrap();
             let found = worst(&p, &view, Depth::Eight);
             assert!(found <= 1, "{found} for {major} {minor} {angle} at {mean:?}");
         }
@@ -151,7 +151,7 @@ fn sparse_pictures_with_small_weight_sums_are_within_one_code_value() {
     // One Gaussian per 40 × 40 pixels, with scales that leave most pixels with Σw below 0.02.
     for seed in 0..20 {
         let mut p = scene(160, 120, 12, Channels::Rgb, Blend::Normalized, seed);
-        for g in &mut p.gaussians {
+        for g in &mut p.list {
             g.color = [-4.0, 4.0, 2.0, 0.0];
         }
         assert!(worst(&p, &View::full(&p), Depth::Eight) <= 1, "seed {seed}");
@@ -159,7 +159,7 @@ fn sparse_pictures_with_small_weight_sums_are_within_one_code_value() {
 }
 
 /// A picture of any valid integers: narrow, huge and tiny Gaussians, colours up to the ends of their range.
-fn legal(seed: u64, count: usize, blend: Blend, channels: Channels) -> Picture {
+fn legal(seed: u64, count: usize, blend: Blend, channels: Channels) -> Gaussians {
     let mut random = synthetic::Random(seed);
     let steps = Steps {
         scale: random.below(16) as u8,
@@ -183,7 +183,7 @@ fn legal(seed: u64, count: usize, blend: Blend, channels: Channels) -> Picture {
             }
         }
     }
-    splats.to_picture()
+    splats.to_gaussians()
 }
 
 #[test]
@@ -199,7 +199,7 @@ fn the_largest_valid_colours_are_within_tolerance_at_16_bits() {
             // The terms of the sum blend without their signs.
             let mut amounts = p.clone();
             amounts.background = p.background.map(f32::abs);
-            amounts.gaussians.iter_mut().for_each(|g| g.color = g.color.map(f32::abs));
+            amounts.list.iter_mut().for_each(|g| g.color = g.color.map(f32::abs));
             let amounts = reference::sample(&amounts, &view);
             for ((got, want), amount) in drawn.into_iter().zip(want).zip(amounts) {
                 let most = if blend == Blend::Sum { (amount / 16.0).max(1.0) } else { 1.0 };
@@ -220,7 +220,7 @@ fn enlarged_views_sample_the_continuous_picture() {
         assert!(worst(&p, &view, Depth::Eight) <= 1, "{w}×{h}");
         assert_eq!(reference::filtered(&p, &view), clamped(reference::sample(&p, &view)), "{w}×{h}");
     }
-    let part = View::full(&p).crop(20, 10, 9, 7).unwrap().resized(90, 140).unwrap();
+    let part = View::full(&p).crop(Rect::new(20, 10, 9, 7)).unwrap().resized(90, 140).unwrap();
     assert!(worst(&p, &part, Depth::Eight) <= 1);
     assert_eq!(reference::filtered(&p, &part), clamped(reference::sample(&p, &part)));
 }
@@ -237,8 +237,8 @@ fn reduced_views_are_within_one_code_value_of_their_definition() {
     for channels in [Channels::Grey, Channels::GreyAlpha, Channels::Rgb, Channels::Rgba] {
         for blend in [Blend::Normalized, Blend::Sum] {
             let mut p = scene(150, 131, 60, channels, blend, 31);
-            p.gaussians.push(one([70.0, 60.0], [400.0, 0.25], 0.7));
-            p.gaussians.push(one([20.0, 90.0], [0.25, 0.25], 0.0));
+            p.list.push(one([70.0, 60.0], [400.0, 0.25], 0.7));
+            p.list.push(one([20.0, 90.0], [0.25, 0.25], 0.0));
             for (w, h) in sizes {
                 let view = View::full(&p).resized(w, h).unwrap();
                 let want = reference::filtered(&p, &view);
@@ -284,7 +284,7 @@ fn reduced_views_are_close_to_the_averages_of_the_full_view() {
     // Spaced by 7 pixels as at a ratio of 50, with scales down to the smallest.
     for (blend, seed) in [(Blend::Normalized, 12), (Blend::Sum, 13)] {
         let mut p = scene(768, 512, 8000, Channels::Rgb, blend, seed);
-        for g in &mut p.gaussians {
+        for g in &mut p.list {
             g.color = g.color.map(|c| if blend == Blend::Sum { 0.2 * c } else { c });
         }
         let full = View::full(&p);
@@ -297,7 +297,7 @@ fn reduced_views_are_close_to_the_averages_of_the_full_view() {
 
 /// An opaque white disc on a transparent red (or black) background. It has no fringe at full size, because the white
 /// continues for a few pixels beyond the disc.
-fn logo(channels: Channels) -> Picture {
+fn logo(channels: Channels) -> Gaussians {
     let hidden = if channels == Channels::Rgba { [1.0, 0.0, 0.0, 0.0] } else { [0.0; 4] };
     let mut p = picture(96, 96, channels, Blend::Normalized, Vec::new());
     p.background = hidden;
@@ -306,7 +306,7 @@ fn logo(channels: Channels) -> Picture {
         let radius = (mean[0] - 48.0).hypot(mean[1] - 48.0);
         let mut color = if radius < 34.0 { [1.0; 4] } else { hidden };
         color[channels.count() - 1] = f32::from(radius < 28.0);
-        p.gaussians.push(Gaussian { mean, scale: [1.0; 2], rotation: 0.0, color });
+        p.list.push(Gaussian { mean, scale: [1.0; 2], rotation: 0.0, color });
     }
     p
 }
@@ -391,7 +391,7 @@ fn tile_pairs_of_reduced_views_are_those_of_their_samples() {
     let mut limits = Limits::default();
     limits.tile_pairs = 24_999;
     let error = Renderer::new(&p, &view, &limits).unwrap_err();
-    assert!(matches!(error, Error::LimitExceeded { what: "tile_pairs", .. }));
+    assert!(matches!(error, Error::LimitExceeded { limit: Limit::TilePairs, .. }));
     limits.tile_pairs = 25_000;
     assert!(Renderer::new(&p, &view, &limits).is_ok());
 }
@@ -399,8 +399,8 @@ fn tile_pairs_of_reduced_views_are_those_of_their_samples() {
 #[test]
 fn every_division_into_parts_gives_the_same_bits() {
     let mut p = scene(401, 277, 900, Channels::Rgb, Blend::Normalized, 5);
-    p.gaussians.push(one([200.0, 100.0], [900.0, 0.4], 0.61));
-    p.gaussians.push(one([-50.0, 300.0], [300.0, 200.0], 2.0));
+    p.list.push(one([200.0, 100.0], [900.0, 0.4], 0.61));
+    p.list.push(one([-50.0, 300.0], [300.0, 200.0], 2.0));
     let full = View::full(&p);
     let sizes = [(401, 277), (1000, 300), (300, 200), (150, 90), (40, 200), (31, 23), (13, 9)];
     for view in sizes.map(|(w, h)| full.resized(w, h).unwrap()) {
@@ -410,7 +410,7 @@ fn every_division_into_parts_gives_the_same_bits() {
             let (x, y) = (r.within(0.0, view.width() as f32) as u32, r.within(0.0, view.height() as f32) as u32);
             let w = 1 + r.within(0.0, (view.width() - x - 1) as f32) as u32;
             let h = 1 + r.within(0.0, (view.height() - y - 1) as f32) as u32;
-            let part = render(&p, &view.crop(x, y, w, h).unwrap(), Depth::Sixteen);
+            let part = render(&p, &view.crop(Rect::new(x, y, w, h)).unwrap(), Depth::Sixteen);
             for j in 0..h as usize {
                 let row = 3 * ((y as usize + j) * view.width() as usize + x as usize);
                 let got = &part[3 * j * w as usize..3 * (j + 1) * w as usize];
@@ -425,7 +425,12 @@ fn bands_together_equal_the_whole() {
     let p = scene(300, 333, 500, Channels::Rgba, Blend::Sum, 6);
     let full = View::full(&p);
     let reduced = full.resized(100, 60).unwrap();
-    for view in [full, full.crop(17, 41, 200, 250).unwrap(), reduced, reduced.crop(9, 11, 50, 43).unwrap()] {
+    for view in [
+        full,
+        full.crop(Rect::new(17, 41, 200, 250)).unwrap(),
+        reduced,
+        reduced.crop(Rect::new(9, 11, 50, 43)).unwrap(),
+    ] {
         let renderer = Renderer::new(&p, &view, &Limits::default()).unwrap();
         let whole = renderer.render(Depth::Eight).unwrap().into_samples();
         let mut rows = Vec::new();
@@ -469,10 +474,10 @@ fn pictures_of_zero_one_and_two_primitives_render() {
 #[test]
 fn primitives_outside_the_view_do_not_change_it() {
     let mut p = scene(200, 100, 200, Channels::Rgb, Blend::Normalized, 9);
-    let view = View::full(&p).crop(64, 32, 70, 40).unwrap();
+    let view = View::full(&p).crop(Rect::new(64, 32, 70, 40)).unwrap();
     let before = render(&p, &view, Depth::Sixteen);
-    p.gaussians.push(one([1000.0, 1000.0], [100.0, 50.0], 0.3));
-    p.gaussians.insert(0, one([-1e6, 40.0], [1000.0, 1.0], 0.0));
+    p.list.push(one([1000.0, 1000.0], [100.0, 50.0], 0.3));
+    p.list.insert(0, one([-1e6, 40.0], [1000.0, 1.0], 0.0));
     assert_eq!(before, render(&p, &view, Depth::Sixteen));
 }
 
@@ -512,7 +517,7 @@ fn tile_pairs_are_checked_before_the_work() {
     limits.tile_pairs = 60_000;
     // 8 × 8 tiles for each of 1000.
     let error = Renderer::new(&p, &View::full(&p), &limits).unwrap_err();
-    assert!(matches!(error, Error::LimitExceeded { what: "tile_pairs", requested: 60_001.., allowed: 60_000 }));
+    assert!(matches!(error, Error::LimitExceeded { limit: Limit::TilePairs, requested: 60_001.., allowed: 60_000 }));
     limits.tile_pairs = 64_000;
     assert!(Renderer::new(&p, &View::full(&p), &limits).is_ok());
 }
@@ -523,7 +528,7 @@ fn work_is_limited_in_proportion_to_pixels_and_primitives() {
     let giants = vec![one([500.0, 500.0], [1e4, 1e4], 0.0); 16384];
     let p = picture(1000, 1000, Channels::Rgb, Blend::Normalized, giants);
     let error = Renderer::new(&p, &View::full(&p), &Limits::default()).unwrap_err();
-    assert!(matches!(error, Error::LimitExceeded { what: "work", .. }));
+    assert!(matches!(error, Error::LimitExceeded { limit: Limit::Work, .. }));
 }
 
 #[test]
@@ -534,7 +539,7 @@ fn the_work_of_narrow_gaussians_counts_their_exponentials() {
         let mut limits = Limits::default();
         limits.work = 0;
         match Renderer::new(&p, &View::full(&p), &limits) {
-            Err(Error::LimitExceeded { what: "work", requested, .. }) => requested,
+            Err(Error::LimitExceeded { limit: Limit::Work, requested, .. }) => requested,
             other => panic!("{other:?}"),
         }
     };
@@ -577,11 +582,14 @@ fn memory_is_checked_before_it_is_allocated() {
     let p = scene(64, 64, 100, Channels::Rgb, Blend::Normalized, 1);
     let mut limits = Limits::default();
     limits.alloc = 4096;
-    assert!(matches!(Renderer::new(&p, &View::full(&p), &limits), Err(Error::LimitExceeded { what: "alloc", .. })));
+    assert!(matches!(
+        Renderer::new(&p, &View::full(&p), &limits),
+        Err(Error::LimitExceeded { limit: Limit::Alloc, .. })
+    ));
     limits.alloc = 64 * 64 * 3 - 1;
     let empty = picture(64, 64, Channels::Rgb, Blend::Normalized, Vec::new());
     let renderer = Renderer::new(&empty, &View::full(&empty), &limits).unwrap();
-    assert!(matches!(renderer.render(Depth::Eight), Err(Error::LimitExceeded { what: "alloc", .. })));
+    assert!(matches!(renderer.render(Depth::Eight), Err(Error::LimitExceeded { limit: Limit::Alloc, .. })));
 }
 
 #[test]
@@ -604,9 +612,9 @@ fn non_finite_floats_are_parameter_errors() {
 #[test]
 fn views_outside_their_parent_are_parameter_errors() {
     let view = View::of_size(10, 10);
-    assert!(view.crop(0, 0, 0, 1).is_err());
-    assert!(view.crop(5, 0, 6, 1).is_err());
-    assert!(view.crop(u32::MAX, 0, 2, 1).is_err());
+    assert!(view.crop(Rect::new(0, 0, 0, 1)).is_err());
+    assert!(view.crop(Rect::new(5, 0, 6, 1)).is_err());
+    assert!(view.crop(Rect::new(u32::MAX, 0, 2, 1)).is_err());
     assert!(view.resized(0, 1).is_err());
     assert!(view.resized(1, (1 << 20) + 1).is_err());
 }

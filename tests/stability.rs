@@ -10,13 +10,13 @@ use ssplat::unstable::bitstream::{DetailHead, read, to_bytes};
 use ssplat::unstable::metrics;
 use ssplat::unstable::raster::reference;
 use ssplat::unstable::{DecodeOptions, EncodeOptions, encode};
-use ssplat::{Blend, Channels, Depth, Detail, Error, Gaussian, Limits, Picture, Pixels, Samples, Target};
+use ssplat::{Blend, Channels, Depth, Detail, Error, Gaussian, Gaussians, Limits, Pixels, Samples, Target};
 use ssplat::{Renderer, View};
 use stiff::{Bound, Fit, Row};
 use synthetic::{Levels, Scene, with_layer};
 
 /// Worst difference to the definition over the pixels of `picture`, in units of an 8-bit code value.
-fn render_error(picture: &Picture) -> f64 {
+fn render_error(picture: &Gaussians) -> f64 {
     let view = View::full(picture);
     let renderer = match Renderer::new(picture, &view, &Limits::default()) {
         Ok(renderer) => renderer,
@@ -29,9 +29,17 @@ fn render_error(picture: &Picture) -> f64 {
     drawn.iter().zip(&want).map(difference).fold(0.0, |a, d| if d.is_nan() { f64::INFINITY } else { a.max(d) })
 }
 
-fn scene(blend: Blend, gaussians: Vec<Gaussian>) -> Picture {
+fn scene(blend: Blend, gaussians: Vec<Gaussian>) -> Gaussians {
     let background = [0.4, 0.7, 0.2, 0.0];
-    Picture { width: 160, height: 144, channels: Channels::Rgb, blend, background, gaussians }
+    Gaussians {
+        width: 160,
+        height: 144,
+        channels: Channels::Rgb,
+        depth: Depth::Eight,
+        blend,
+        background,
+        list: gaussians,
+    }
 }
 
 fn gaussian(mean: [f32; 2], scale: [f32; 2], rotation: f32) -> Gaussian {
@@ -42,7 +50,7 @@ fn gaussian(mean: [f32; 2], scale: [f32; 2], rotation: f32) -> Gaussian {
 fn rendering() -> Vec<Row> {
     let blends = [Blend::Normalized, Blend::Sum];
     let mut rows = Vec::new();
-    let mut add = |case: String, guard: &str, pictures: Vec<Picture>| {
+    let mut add = |case: String, guard: &str, pictures: Vec<Gaussians>| {
         let worst = pictures.iter().map(render_error).fold(0.0, f64::max);
         rows.push(Row { group: "f32 picture".into(), case, worst, bound: Bound::Codes(1.0), guard: guard.into() });
     };
@@ -177,8 +185,8 @@ fn fit(case: &Fit, has_layer: bool) -> Result<Row, Error> {
         encoded => encoded?,
     };
     let splats = read(&encoded.bytes[..], &Limits::default())?;
-    let picture = splats.to_picture();
-    let finite = picture.gaussians.iter().all(|g| {
+    let picture = splats.to_gaussians();
+    let finite = picture.list.iter().all(|g| {
         let all = g.mean.iter().chain(&g.scale).chain(&g.color).chain([&g.rotation]);
         all.copied().all(f32::is_finite)
     });

@@ -5,8 +5,10 @@
 use ssplat::unstable::bitstream::header::Header;
 use ssplat::unstable::bitstream::{inspect, read, to_bytes};
 use ssplat::unstable::metrics::psnr;
-use ssplat::unstable::{DecodeOptions, EncodeOptions, decode, encode, thumbnail};
-use ssplat::{Channels, Detail, Error, Limits, Pixels, Reader, Samples, Target, Thumbnail, Tune};
+use ssplat::unstable::{DecodeOptions, EncodeOptions, decode, encode};
+use ssplat::{
+    Channels, Decoded, Detail, Error, Limit, Limits, Parameter, Pixels, Reader, Samples, Target, Thumbnail, Tune,
+};
 
 /// A picture whose halves differ, with some detail.
 fn picture(width: u32, height: u32, channels: Channels) -> Pixels {
@@ -31,6 +33,10 @@ fn drawn(bytes: &[u8], size: [u32; 2]) -> Pixels {
     let mut options = DecodeOptions::default();
     options.size = Some(size);
     decode(bytes, &options).unwrap().pixels
+}
+
+fn thumbnail(bytes: &[u8], within: [u32; 2], limits: &Limits) -> ssplat::Result<Decoded> {
+    Reader::new(bytes, limits)?.thumbnail(within)
 }
 
 fn small(bytes: &[u8], side: u32) -> Pixels {
@@ -141,7 +147,7 @@ fn an_unusable_thumbnail_is_ignored() {
 fn impossible_thumbnail_requests_are_refused() {
     let pixels = picture(300, 200, Channels::Rgb);
     let failed = |o: &EncodeOptions| match encode(&pixels, o) {
-        Err(Error::Parameter { name, problem }) => (name, problem),
+        Err(Error::Parameter { parameter, problem }) => (parameter.name(), problem),
         other => panic!("{other:?}"),
     };
     let (name, problem) = failed(&options(3000, Thumbnail::Bytes(5)));
@@ -149,10 +155,13 @@ fn impossible_thumbnail_requests_are_refused() {
     let crowded = encode(&pixels, &options(300, Thumbnail::Bytes(290)));
     assert!(matches!(crowded, Err(Error::TooSmall { allowed: 300, needed: 301.., .. })), "{crowded:?}");
     let bytes = encode(&pixels, &options(2500, Thumbnail::Bytes(300))).unwrap().bytes;
-    assert!(matches!(thumbnail(&bytes, [0, 9], &Limits::default()), Err(Error::Parameter { name: "width", .. })));
+    assert!(matches!(
+        thumbnail(&bytes, [0, 9], &Limits::default()),
+        Err(Error::Parameter { parameter: Parameter::Width, .. })
+    ));
     let mut limits = Limits::default();
     limits.alloc = 100;
-    assert!(matches!(thumbnail(&bytes, [100; 2], &limits), Err(Error::LimitExceeded { what: "alloc", .. })));
+    assert!(matches!(thumbnail(&bytes, [100; 2], &limits), Err(Error::LimitExceeded { limit: Limit::Alloc, .. })));
     assert!(matches!(thumbnail(b"GIF89a", [100; 2], &limits), Err(Error::Format(_))));
 }
 

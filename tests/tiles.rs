@@ -11,8 +11,8 @@ use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
 use ssplat::unstable::{Needs, Recipe, Trace};
 use ssplat::{
-    Backend, Blend, Channels, Detail, Encoded, Encoder, Error, Limits, Pixels, Samples, Target, Thumbnail, Tune,
-    Workers,
+    Backend, Blend, Channels, Detail, Encoded, Encoder, Error, Limits, Parameter, Pixels, Samples, Target, Thumbnail,
+    Tune, Workers,
 };
 use waves::picture;
 
@@ -288,7 +288,7 @@ impl Workers for Elsewhere<'_> {
         Ok(())
     }
 
-    fn next(&mut self) -> ssplat::Result<Vec<u8>> {
+    fn receive(&mut self) -> ssplat::Result<Vec<u8>> {
         let answer = work_on(&self.out.pop_front().unwrap())?;
         self.taken += 1;
         Ok((self.change)(self.taken - 1, answer))
@@ -381,7 +381,7 @@ fn an_invalid_answer_names_its_tile() {
     for (expected, change) in changes {
         let wrong = |n, answer| if n == at { change(answer) } else { answer };
         match encode_by(&pixels, &options, &mut Elsewhere::new(1, &wrong)) {
-            Err(Error::Parameter { name: "answer", problem }) => {
+            Err(Error::Parameter { parameter: Parameter::Answer, problem }) => {
                 assert!(problem.contains(place), "{problem}");
                 assert!(problem.contains(expected) || expected == "cut" && problem.contains("checksum"), "{problem}");
             }
@@ -427,7 +427,7 @@ fn invalid_tasks_and_answers_are_refused_without_a_panic() {
             })
         };
         let is_refused = |bytes: &[u8], what: &str| match stopped(bytes) {
-            Err(Error::Parameter { name: "task", .. }) => {}
+            Err(Error::Parameter { parameter: Parameter::Task, .. }) => {}
             other => panic!("{what}: {:?}", other.map(|bytes| bytes.len())),
         };
         // All lengths of the header: fuzzing once missed the case of a truncated version line.
@@ -450,7 +450,7 @@ fn invalid_tasks_and_answers_are_refused_without_a_panic() {
             is_refused(&wrong, "a changed task");
             // With a correct checksum, it is a task of another picture, or invalid.
             match stopped(&signed(wrong)) {
-                Ok(_) | Err(Error::Cancelled | Error::Parameter { name: "task", .. }) => {}
+                Ok(_) | Err(Error::Cancelled | Error::Parameter { parameter: Parameter::Task, .. }) => {}
                 Err(other) => panic!("byte {at}: {other}"),
             }
         }
@@ -470,7 +470,7 @@ fn invalid_tasks_and_answers_are_refused_without_a_panic() {
         };
         match encode_by(&pixels, &options, &mut Elsewhere::new(1, &wrong)) {
             Ok(bytes) => assert!(bytes.len() <= 300),
-            Err(Error::Parameter { name: "answer", .. }) => {}
+            Err(Error::Parameter { parameter: Parameter::Answer, .. }) => {}
             Err(other) => panic!("answer {k}, {i}: {other}"),
         }
     }
@@ -504,7 +504,7 @@ fn answers_with_extreme_numbers_are_refused_or_give_a_file() {
                     assert!(bytes.len() <= 300);
                     files += 1;
                 }
-                Err(Error::Parameter { name: "answer", .. }) => refused += 1,
+                Err(Error::Parameter { parameter: Parameter::Answer, .. }) => refused += 1,
                 Err(other) => panic!("{field:?}, {value}: {other}"),
             }
         }
@@ -526,7 +526,7 @@ fn options_that_exclude_tiles_are_parameter_errors() {
         let mut options = options(Target::Ratio(50.0), Some(128));
         change(&mut options);
         match ssplat::unstable::encode(&pixels, &options) {
-            Err(Error::Parameter { name: found, .. }) if found == name => {}
+            Err(Error::Parameter { parameter: found, .. }) if found.name() == name => {}
             other => panic!("{name}: {:?}", other.map(|e| e.bytes.len())),
         }
     };
@@ -555,7 +555,7 @@ fn a_psnr_is_met_in_tiles_by_a_file_that_is_not_much_too_large() {
     }
     let pixels = picture(140, 20, Channels::Grey);
     let unreachable = ssplat::unstable::encode(&pixels, &options(Target::Psnr(150.0), Some(128)));
-    assert!(matches!(unreachable, Err(Error::Parameter { name: "psnr", .. })), "{unreachable:?}");
+    assert!(matches!(unreachable, Err(Error::Parameter { parameter: Parameter::Psnr, .. })), "{unreachable:?}");
 }
 
 #[test]

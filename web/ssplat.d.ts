@@ -77,19 +77,20 @@ export type Pixels = ImageData & {
   damaged: boolean
 }
 
+/** JavaScript, Rust and Python have the values of a Gaussian in the same order and units: mean, scale, rotation, color. */
 export interface Gaussians {
   /** Pixels of the picture. */
   width: number
   height: number
   channels: 1 | 2 | 3 | 4
   count: number
-  /** Centres: x and y of each, pixels. */
+  /** Centres: x and y of each, pixels; the centre of the first pixel is at (0.5, 0.5). */
   mean: Float32Array
   /** Standard deviations along the major and the minor axis of each, pixels. */
   scale: Float32Array
-  /** Direction of the major axis of each, radians. */
+  /** Direction of the major axis of each, radians, from x towards y. */
   rotation: Float32Array
-  /** Four values per Gaussian, from 0 for black to 1 for white; unused ones are 0. */
+  /** Four encoded sRGB values per Gaussian, from 0 for black to 1 for white; unused ones are 0. */
   color: Float32Array
   /** Four values, as in `color`. */
   background: Float32Array

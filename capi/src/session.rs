@@ -5,7 +5,9 @@ use std::io::Read;
 use std::path::Path;
 
 use image::metadata::Orientation;
-use ssplat::{Channels, Damage, Decoder, Depth, Image, Limits, Metadata, Reader, Renderer, Samples, SamplesMut, View};
+use ssplat::{
+    Channels, Damage, Depth, Limit, Limits, Metadata, Reader, Rect, Renderer, Samples, SamplesMut, SplatImage, View,
+};
 
 use crate::failure::{Failure, Outcome, ssplat_status};
 
@@ -44,7 +46,7 @@ pub struct Session {
     pub damage: Damage,
     bytes: Option<Vec<u8>>,
     /// The whole picture, once it has been preloaded.
-    image: Option<Image>,
+    image: Option<SplatImage>,
 }
 
 impl Session {
@@ -103,7 +105,7 @@ impl Session {
             size: [reader.width(), reader.height()],
             channels: reader.channels(),
             depth: reader.depth(),
-            gaussians: reader.gaussians(),
+            gaussians: reader.primitives(),
             orientation: orientation.unwrap_or(Orientation::NoTransforms).to_exif(),
         })
     }
@@ -124,7 +126,7 @@ impl Session {
         let mut view = self.reader()?.view();
         let [x, y, width, height] = wanted.region;
         if wanted.region != [0; 4] {
-            view = view.crop(x, y, width, height)?;
+            view = view.crop(Rect::new(x, y, width, height))?;
         }
         Ok(match wanted.size {
             [0, 0] => view,
@@ -141,7 +143,7 @@ impl Session {
         let scratch = rows * u64::from(view.width()) * (channels.count() * depth.bytes()) as u64;
         let allowed = self.limits.alloc;
         let left = allowed.checked_sub(scratch).ok_or(ssplat::Error::LimitExceeded {
-            what: "alloc",
+            limit: Limit::Alloc,
             requested: scratch,
             allowed,
         })?;
@@ -169,7 +171,7 @@ impl Session {
 
     /// Draws the picture fitted into `within`, from the file's own thumbnail if that is large enough.
     pub fn thumbnail(&self, within: [u32; 2], depth: Depth, sink: Sink<'_>) -> Outcome<()> {
-        let pixels = Decoder::new().limits(self.limits.clone()).thumbnail(self.bytes()?, within)?.pixels;
+        let pixels = self.reader()?.thumbnail(within)?.pixels;
         let (channels, len) = (pixels.channels(), pixels.width() as usize * pixels.channels().count());
         match (pixels.samples(), depth) {
             (Samples::U8(samples), Depth::Eight) => send(samples, len, channels, sink),

@@ -9,7 +9,7 @@ use serde_json::json;
 use ssplat::unstable::bitstream::MissingParts;
 use ssplat::unstable::bitstream::header::Header;
 use ssplat::unstable::bitstream::splats::Metadata;
-use ssplat::{Backend, Channels, Damage, Depth, Image, Limits, Pixels, Reader, Samples};
+use ssplat::{Backend, Channels, Damage, Depth, Limits, Pixels, Reader, Rect, Samples, SplatImage};
 use ssplat::{Renderer, SamplesMut, View};
 
 use crate::batch::{self, Command, Done, Fate, OutputMode, Show};
@@ -83,9 +83,9 @@ fn one(args: &args::Decode, task: &Task, format: Format, show: &Show) -> Result<
     }
     let failed = |e| Failure::library(input, &e);
     let limits = Limits::default();
-    let opening = Reader::new(&bytes, &limits).map_err(failed)?.showing(args.layers);
+    let opening = Reader::new(&bytes, &limits).map_err(failed)?;
     let of = opening.header().primitives;
-    let view = view(args, input, opening.view())?;
+    let view = view(args, input, opening.view().layers(args.layers))?;
     let damage = if args.partial { Damage::Accept } else { Damage::Refuse };
     let opened = opening.read_for(&view, damage).map_err(failed)?;
     drop(bytes);
@@ -105,7 +105,7 @@ fn one(args: &args::Decode, task: &Task, format: Format, show: &Show) -> Result<
             (pixels, device) = on_gpu(&opened, &view).map_err(failed)?;
             pixels
         } else {
-            opened.draw(&view).map_err(failed)?
+            opened.render(&view).map_err(failed)?
         };
         let source = shown(pixels, opened.into_metadata(), background, orientation).map_err(failed)?;
         shape = (source.pixels.width(), source.pixels.height());
@@ -141,7 +141,7 @@ fn thumbnail(
     let start = Instant::now();
     let failed = |e| Failure::library(input, &e);
     let ssplat::Decoded { pixels, metadata, .. } =
-        ssplat::unstable::thumbnail(bytes, [side; 2], &Limits::default()).map_err(failed)?;
+        Reader::new(bytes, &Limits::default()).and_then(|reader| reader.thumbnail([side; 2])).map_err(failed)?;
     let mut notes = losses(&metadata, MissingParts::default(), 0);
     notes.extend(format.losses(pixels.depth(), &metadata));
     let orientation = orientation(args, &metadata);
@@ -245,7 +245,7 @@ fn losses(metadata: &Metadata, missing: MissingParts, of: u32) -> Vec<String> {
 
 /// Renders the whole view on a GPU. Returns the pixels and the name of the GPU.
 #[cfg(feature = "gpu")]
-fn on_gpu(opened: &Image, view: &View) -> ssplat::Result<(Pixels, String)> {
+fn on_gpu(opened: &SplatImage, view: &View) -> ssplat::Result<(Pixels, String)> {
     use ssplat::gpu::{Adapters, Device, Renderer};
     let device = Device::open(Adapters::Any)?;
     let pixels = Renderer::of(&device, opened)?.render(view, opened.splats().depth)?;
@@ -253,7 +253,7 @@ fn on_gpu(opened: &Image, view: &View) -> ssplat::Result<(Pixels, String)> {
 }
 
 #[cfg(not(feature = "gpu"))]
-fn on_gpu(_: &Image, _: &View) -> ssplat::Result<(Pixels, String)> {
+fn on_gpu(_: &SplatImage, _: &View) -> ssplat::Result<(Pixels, String)> {
     Err(ssplat::GpuError::NotBuilt.into())
 }
 
@@ -262,7 +262,7 @@ fn view(args: &args::Decode, input: &Path, whole: View) -> Result<View, Failure>
     let failed = |e| Failure::library(input, &e);
     let mut view = whole;
     if let Some([x, y, width, height]) = args.region {
-        view = view.crop(x, y, width, height).map_err(|_| {
+        view = view.crop(Rect::new(x, y, width, height)).map_err(|_| {
             Failure::usage(format!(
                 "{}: --region {x},{y},{width},{height} is not within the picture of {}×{}",
                 Failure::input(input),

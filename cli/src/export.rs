@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ssplat::Limits;
+use ssplat::{Damage, Limits, Reader};
 
 use crate::exchange::format::ExportFormat;
 use crate::exchange::parameters::Parameters;
@@ -17,12 +17,12 @@ pub fn run(args: &args::Export) -> Result<(), Failure> {
         None => ExportFormat::of_path(&args.output)?,
     };
     let bytes = input::read_splats(&args.input)?;
-    let splats = ssplat::unstable::bitstream::read(&bytes[..], &Limits::default())
-        .map_err(|e| Failure::library(&args.input, &e))?;
-    if splats.detail.is_some() {
+    let refused = |e| Failure::library(&args.input, &e);
+    let image = Reader::new(&bytes, &Limits::default()).and_then(|r| r.read(Damage::Refuse)).map_err(refused)?;
+    if image.splats().detail.is_some() {
         tell(&format!("{}: the detail layer is not exported, only the Gaussians", Failure::input(&args.input)));
     }
-    let parameters = Parameters::from(&splats);
+    let parameters = Parameters::of(&image).map_err(refused)?;
     let file = match format {
         ExportFormat::Npz => parameters.to_npz().map_err(|e| failed(&args.output, &e))?,
         ExportFormat::Csv => csv::write(&parameters).into_bytes(),

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use ssplat::unstable::{Outside, PackOptions, Precision};
-use ssplat::{Error, Limits};
+use ssplat::unstable::{EncodeOptions, Outside, Precision};
+use ssplat::{Encoder, Error, Limits, Parameter, Target};
 
 use crate::exchange::format::ImportFormat;
 use crate::exchange::parameters::{self, Given, Parameters};
@@ -40,41 +40,42 @@ pub fn run(args: &args::Import) -> Result<(), Failure> {
         }
     };
     drop(bytes);
-    let splats = ssplat::unstable::pack(&parameters.picture, &options(args, &parameters)).map_err(|e| match e {
+    let encoder = Encoder::from(options(args, &parameters));
+    let encoded = encoder.encode_gaussians(&parameters.picture).map_err(|e| match e {
         // All parameters except the size come from the input.
-        Error::Parameter { name, .. } if name != "bytes" => broken(&args.input, Kind::Format, &e.to_string()),
+        Error::Parameter { parameter, .. } if parameter != Parameter::Bytes => {
+            broken(&args.input, Kind::Format, &e.to_string())
+        }
         e => Failure::library(&args.input, &e),
     })?;
-    let left_out = parameters.picture.gaussians.len() - splats.gaussians.len();
+    let left_out = parameters.picture.list.len() - encoded.report.primitives;
     if left_out > 0 {
         tell(&format!(
             "{}: {left_out} Gaussians do not reach the picture and are left out",
             Failure::input(&args.input)
         ));
     }
-    let file = ssplat::unstable::bitstream::to_bytes(&splats).map_err(|e| Failure::library(&args.input, &e))?;
-    Sink::create(&args.output, &[&args.input])?.finish_with(&file)
+    Sink::create(&args.output, &[&args.input])?.finish_with(&encoded.bytes)
 }
 
-/// Returns the packing options: those of the arguments, else those that the Gaussians were stored with, else the
-/// defaults of [`PackOptions`].
-fn options(args: &args::Import, parameters: &Parameters) -> PackOptions {
-    let mut options = PackOptions::default();
-    (options.depth, options.outside) = (parameters.depth, Outside::Crop);
+/// Returns the options: those of the arguments, else those that the Gaussians were stored with, else the defaults.
+fn options(args: &args::Import, parameters: &Parameters) -> EncodeOptions {
+    let mut options = EncodeOptions::default();
+    options.outside = Outside::Crop;
     if let Some((layout, steps)) = parameters.stored {
         options.layout = layout;
-        options.precision = Precision::Steps(steps);
+        options.precision = Some(Precision::Steps(steps));
     }
     if let Some(layout) = args.layout {
         // Steps depend on the layout.
         if layout != options.layout {
-            options.precision = PackOptions::default().precision;
+            options.precision = None;
         }
         options.layout = layout;
     }
     match (args.precision, args.bytes) {
-        (Some(level), _) => options.precision = Precision::Level(level),
-        (None, Some(bytes)) => options.precision = Precision::Bytes(bytes),
+        (Some(level), _) => options.precision = Some(Precision::Level(level)),
+        (None, Some(bytes)) => (options.precision, options.target) = (None, Target::Bytes(bytes)),
         (None, None) => {}
     }
     options

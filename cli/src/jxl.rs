@@ -157,7 +157,7 @@ fn zeros<T: Clone + Default>(path: &Path, count: usize) -> Result<Vec<T>, Failur
 
 /// Converts premultiplied alpha to straight alpha.
 fn divide<T: Copy + Into<u32> + TryFrom<u32>>(samples: &mut [T], channels: Channels, depth: Depth) {
-    let max = depth.max() as u32;
+    let max = u32::from(depth.max());
     for pixel in samples.chunks_exact_mut(channels.count()) {
         let Some((&mut alpha, colors)) = pixel.split_last_mut() else { continue };
         let alpha: u32 = alpha.into();

@@ -7,7 +7,7 @@ use fast_image_resize::pixels::{F32, F32x2, F32x3, F32x4};
 use fast_image_resize::{FilterType, PixelTrait, ResizeAlg, ResizeOptions, Resizer};
 use moxcms::{ColorProfile, ToneReprCurve};
 use rayon::prelude::*;
-use ssplat::{Depth, Error, HiddenColors, PixelSource, Pixels, Samples};
+use ssplat::{Depth, Error, HiddenColors, PixelSource, Pixels, Rect, Samples};
 
 use crate::guard;
 
@@ -130,7 +130,7 @@ impl<'a> Resize<'a> {
         for (y, means) in rows.zip(means.chunks_exact_mut(row)) {
             let top = y * self.block[1];
             let tall = self.block[1].min(height - top);
-            let part = self.source.part([0, top, width, tall])?;
+            let part = self.source.part(Rect::new(0, top, width, tall))?;
             match part.samples() {
                 Samples::U8(samples) => self.add(samples, means),
                 Samples::U16(samples) => self.add(samples, means),
@@ -149,7 +149,7 @@ impl<'a> Resize<'a> {
     fn add<T: Copy + Into<usize>>(&self, samples: &[T], sums: &mut [f32]) {
         let channels = self.source.channels();
         let (count, colors) = (channels.count(), self.curves.len());
-        let max = self.source.depth().max();
+        let max = f32::from(self.source.depth().max());
         for line in samples.chunks_exact(self.source.width() as usize * count) {
             let blocks = line.chunks(self.block[0] as usize * count).zip(sums.chunks_exact_mut(count));
             for (pixels, sum) in blocks {
@@ -170,7 +170,7 @@ impl<'a> Resize<'a> {
     /// Converts filtered samples to code values.
     fn codes(&self, means: &[f32]) -> Vec<u16> {
         let channels = self.source.channels();
-        let max = self.source.depth().max();
+        let max = f32::from(self.source.depth().max());
         let mut codes = Vec::with_capacity(means.len());
         for mean in means.chunks_exact(channels.count()) {
             let alpha = channels.alpha().map(|k| (mean[k].clamp(0.0, 1.0), (mean[k].clamp(0.0, 1.0) * max).round()));
@@ -208,7 +208,8 @@ impl Curve {
     fn new(curve: &ToneReprCurve, depth: Depth) -> Option<Curve> {
         let evaluator = curve.make_linear_evaluator().ok()?;
         let max = depth.max();
-        let light: Vec<f32> = (0..=max as u16).map(|code| evaluator.evaluate_value(f32::from(code) / max)).collect();
+        let light: Vec<f32> =
+            (0..=max).map(|code| evaluator.evaluate_value(f32::from(code) / f32::from(max))).collect();
         let is_sound = light.iter().all(|v| v.is_finite()) && light.is_sorted() && light.first() < light.last();
         is_sound.then_some(Curve { light })
     }

@@ -12,7 +12,7 @@ use std::time::Instant;
 use image::ImageFormat;
 use png::{BitDepth, ColorType, Transformations};
 use ssplat::unstable::{check_area, colour};
-use ssplat::{Channels, Depth, Error, HiddenColors, PixelSource, Pixels, Samples};
+use ssplat::{Channels, Depth, Error, HiddenColors, PixelSource, Pixels, Rect, Samples};
 
 use crate::failure::{Failure, Kind};
 use crate::input::Input;
@@ -56,9 +56,9 @@ impl PixelSource for Spooled {
         self.depth
     }
 
-    fn part(&self, area: [u32; 4]) -> Result<Pixels, Error> {
+    fn part(&self, area: Rect) -> Result<Pixels, Error> {
         check_area(area, self.size())?;
-        let [x, y, width, height] = area.map(u64::from);
+        let [x, y, width, height] = <[u32; 4]>::from(area).map(u64::from);
         let pixel = (self.channels.count() * self.depth.bytes()) as u64;
         let mut bytes = vec![0; (width * height * pixel) as usize];
         let mut file = self.file.lock().unwrap_or_else(|e| e.into_inner());
@@ -70,7 +70,7 @@ impl PixelSource for Spooled {
             Depth::Eight => Samples::U8(bytes),
             Depth::Sixteen => Samples::U16(bytes.chunks_exact(2).map(|b| u16::from_be_bytes([b[0], b[1]])).collect()),
         };
-        Pixels::new(area[2], area[3], self.channels, samples)
+        Pixels::new(area.width, area.height, self.channels, samples)
     }
 }
 

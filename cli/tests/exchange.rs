@@ -81,10 +81,10 @@ fn import_fills_the_requested_size_and_uses_the_requested_precision() {
 #[test]
 fn import_of_means_scales_and_colours_alone_stays_within_the_steps() {
     let folder = tempfile::tempdir().unwrap();
-    let fit = read(&file(folder.path(), Channels::Rgb, Layout::Coded, Blend::Normalized)).to_picture();
+    let fit = read(&file(folder.path(), Channels::Rgb, Layout::Coded, Blend::Normalized)).to_gaussians();
     let (table, back) = (folder.path().join("fit.csv"), folder.path().join("back.ssplat"));
     let mut text = "x,y,scale_major,scale_minor,rotation,red,green,blue\n".to_owned();
-    for g in &fit.gaussians {
+    for g in &fit.list {
         let ([x, y], [a, b], [red, green, blue, _]) = (g.mean, g.scale, g.color);
         text += &format!("{x},{y},{a},{b},{},{red},{green},{blue}\n", g.rotation);
     }
@@ -94,13 +94,13 @@ fn import_of_means_scales_and_colours_alone_stays_within_the_steps() {
     let found = read(&back);
     let quantizer = found.quantizer();
     let steps = quantizer.color_steps();
-    assert_eq!(found.gaussians.len(), fit.gaussians.len());
+    assert_eq!(found.gaussians.len(), fit.list.len());
     // The file may reorder the Gaussians.
     let found: Vec<_> = found.gaussians.iter().map(|packed| quantizer.dequantize(packed)).collect();
     let distance = |a: &Gaussian, b: &Gaussian| {
         (a.mean[0] - b.mean[0]).hypot(a.mean[1] - b.mean[1]) + 10.0 * (a.color[0] - b.color[0]).abs()
     };
-    for want in &fit.gaussians {
+    for want in &fit.list {
         let g = found.iter().min_by(|a, b| distance(a, want).total_cmp(&distance(b, want))).unwrap();
         // Scales in steps of an eighth of an octave.
         assert!((0..2).all(|k| (g.scale[k] / want.scale[k]).log2().abs() <= 0.0625 + 1e-4), "{g:?} {want:?}");

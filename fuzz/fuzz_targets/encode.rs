@@ -7,7 +7,7 @@ use libfuzzer_sys::fuzz_target;
 use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{Ablation, Needs, Recipe};
-use ssplat::{Blend, Channels, Detail, Error, Limits, Pixels, Samples, Target, Thumbnail, Tune};
+use ssplat::{Blend, Channels, Detail, Error, Limits, Parameter, Pixels, Samples, Target, Thumbnail, Tune};
 
 #[derive(Debug)]
 struct Input {
@@ -85,8 +85,12 @@ fuzz_target!(|input: Input| {
         Ok(encoded) => encoded,
         // These options can request too small a file or too high a quality; nothing else is refused.
         Err(Error::TooSmall { .. }) if matches!(options.target, Target::Bytes(_) | Target::Ratio(_)) => return,
-        Err(Error::Parameter { name: "psnr", .. }) if matches!(options.target, Target::Psnr(_)) => return,
-        Err(Error::Parameter { name: "thumbnail", .. }) if matches!(options.thumbnail, Thumbnail::Bytes(_)) => return,
+        Err(Error::Parameter { parameter: Parameter::Psnr, .. }) if matches!(options.target, Target::Psnr(_)) => return,
+        Err(Error::Parameter { parameter: Parameter::Thumbnail, .. })
+            if matches!(options.thumbnail, Thumbnail::Bytes(_)) =>
+        {
+            return;
+        }
         Err(e) => panic!("{e}"),
     };
     if let Target::Bytes(most) = options.target {

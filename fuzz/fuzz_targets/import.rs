@@ -7,9 +7,8 @@ use std::collections::BTreeMap;
 
 use libfuzzer_sys::fuzz_target;
 use peak_alloc::PeakAlloc;
-use ssplat::unstable::PackOptions;
-use ssplat::unstable::bitstream::to_bytes;
-use ssplat::{Blend, Limits};
+
+use ssplat::{Blend, Damage, Encoder, Limits, Reader};
 
 #[path = "../../cli/src/exchange/csv.rs"]
 mod csv;
@@ -99,8 +98,10 @@ fuzz_target!(|data: &[u8]| {
     let peak = (ALLOCATOR.peak_usage() - before) as u64;
     assert!(peak <= 3 * limits().alloc + 64 * data.len() as u64, "{peak} bytes for {}", data.len());
     if let Some(found) = found
-        && let Ok(splats) = ssplat::unstable::pack(&found.picture, &PackOptions::default())
+        && let Ok(encoded) = Encoder::new().encode_gaussians(&found.picture)
     {
-        to_bytes(&splats).expect("what was packed can be written");
+        let image = Reader::new(&encoded.bytes, &Limits::default()).and_then(|reader| reader.read(Damage::Refuse));
+        let stored = image.expect("an encoded file is read").gaussians().expect("within the default limits");
+        assert_eq!(stored.list.len(), found.picture.list.len());
     }
 });

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use libfuzzer_sys::fuzz_target;
 use peak_alloc::PeakAlloc;
-use ssplat::{Error, Progress};
+use ssplat::{Error, Parameter, Progress};
 use ssplat_fuzz::task_head;
 
 #[global_allocator]
@@ -48,7 +48,7 @@ fuzz_target!(|data: &[u8]| {
     let peak = ALLOCATOR.peak_usage() - before;
     assert!(peak < FIXED + EACH * task.len(), "{peak} bytes for a task of {}", task.len());
     match answer {
-        Ok(_) | Err(Error::Parameter { name: "task", .. }) => {}
+        Ok(_) | Err(Error::Parameter { parameter: Parameter::Task, .. }) => {}
         Err(Error::Cancelled) => assert!(start.elapsed() < STOPPED, "stopped only after {:?}", start.elapsed()),
         Err(other) => panic!("a task is refused by {other:?}"),
     }

@@ -7,13 +7,13 @@ use libfuzzer_sys::fuzz_target;
 use ssplat::unstable::bitstream::rules::MAX_COLOR;
 use ssplat::unstable::gaussian::{MAX_SCALE, MIN_SCALE};
 use ssplat::unstable::raster::reference;
-use ssplat::{Blend, Channels, Depth, Gaussian, Picture, Samples};
+use ssplat::{Blend, Channels, Depth, Gaussian, Gaussians, Rect, Samples};
 use ssplat::{Renderer, View};
 use ssplat_fuzz::tight_limits;
 
 #[derive(Debug)]
 struct Input {
-    picture: Picture,
+    picture: Gaussians,
     /// Left, top, width and height of a part.
     part: [u32; 4],
     /// Width and height of a reduced view.
@@ -30,16 +30,17 @@ impl<'a> Arbitrary<'a> for Input {
         let (x, y) = (u.int_in_range(0..=width - 1)?, u.int_in_range(0..=height - 1)?);
         let part = [x, y, u.int_in_range(1..=width - x)?, u.int_in_range(1..=height - y)?];
         let reduced = [u.int_in_range(1..=width)?, u.int_in_range(1..=height)?];
-        let mut picture = Picture {
+        let mut picture = Gaussians {
             width,
             height,
             channels,
+            depth: Depth::Eight,
             blend: if u.arbitrary()? { Blend::Normalized } else { Blend::Sum },
             background: [0.5, 0.25, 0.75, 1.0],
-            gaussians: Vec::new(),
+            list: Vec::new(),
         };
         let most_color = if u.arbitrary()? { 4.0 } else { 2.0 * MAX_COLOR };
-        while !u.is_empty() && picture.gaussians.len() < 40 {
+        while !u.is_empty() && picture.list.len() < 40 {
             let mut unit = || -> arbitrary::Result<f32> { Ok(f32::from(u.arbitrary::<u16>()?) / 65535.0) };
             // Log-uniform, from the smallest scale to far beyond the picture.
             let log_scale = |t: f32| MIN_SCALE * (MAX_SCALE / MIN_SCALE).powf(t * t);
@@ -52,12 +53,12 @@ impl<'a> Arbitrary<'a> for Input {
                 rotation: unit()? * std::f32::consts::PI,
                 color: [vivid(unit()?), vivid(unit()?), vivid(unit()?), vivid(unit()?)],
             };
-            picture.gaussians.push(gaussian);
+            picture.list.push(gaussian);
         }
         if !is_legal {
             let poison =
                 u.choose(&[f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, -1.0, 1e-45, f32::MAX, f32::MIN])?;
-            if let Some(g) = picture.gaussians.last_mut() {
+            if let Some(g) = picture.list.last_mut() {
                 match u.int_in_range(0..=4)? {
                     0 => g.mean[0] = *poison,
                     1 => g.mean[1] = *poison,
@@ -89,7 +90,7 @@ fuzz_target!(|input: Input| {
 });
 
 /// Renders `view` and a part of it.
-fn check(picture: &Picture, view: &View, [x, y, width, height]: [u32; 4], is_legal: bool) {
+fn check(picture: &Gaussians, view: &View, [x, y, width, height]: [u32; 4], is_legal: bool) {
     let limits = tight_limits();
     let renderer = match Renderer::new(picture, view, &limits) {
         Ok(renderer) => renderer,
@@ -99,7 +100,7 @@ fn check(picture: &Picture, view: &View, [x, y, width, height]: [u32; 4], is_leg
         }
     };
     let whole = renderer.render(Depth::Eight).expect("within the limits");
-    let crop = view.crop(x, y, width, height).expect("a part");
+    let crop = view.crop(Rect::new(x, y, width, height)).expect("a part");
     let part =
         Renderer::new(picture, &crop, &limits).expect("a part of it").render(Depth::Eight).expect("a part of it");
     let channels = picture.channels.count();
@@ -114,8 +115,8 @@ fn check(picture: &Picture, view: &View, [x, y, width, height]: [u32; 4], is_leg
     if is_legal {
         let reference = reference::filtered(picture, view);
         // With the sum blend, the tolerance grows with the sum of the terms (spec §5.4).
-        let largest = picture.gaussians.iter().flat_map(|g| g.color).fold(1.0f32, |most, c| most.max(c.abs()));
-        let added = if picture.blend == Blend::Sum { f64::from(largest) * picture.gaussians.len() as f64 } else { 0.0 };
+        let largest = picture.list.iter().flat_map(|g| g.color).fold(1.0f32, |most, c| most.max(c.abs()));
+        let added = if picture.blend == Blend::Sum { f64::from(largest) * picture.list.len() as f64 } else { 0.0 };
         let cancelled = (added / 16.0).max(1.0);
         for (i, (&drawn, &value)) in bytes(whole.samples()).iter().zip(&reference).enumerate() {
             let want = reference::code(value, Depth::Eight);

@@ -7,8 +7,8 @@ use libfuzzer_sys::fuzz_target;
 use peak_alloc::PeakAlloc;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::bitstream::to_bytes;
-use ssplat::unstable::{DecodeOptions, decode, thumbnail};
-use ssplat::{Damage, Image, Limits, PixelSource};
+use ssplat::unstable::{DecodeOptions, decode};
+use ssplat::{Damage, Limits, PixelSource, Reader, Rect};
 use ssplat_fuzz::{Legal, SLACK};
 
 #[global_allocator]
@@ -103,32 +103,32 @@ fuzz_target!(|input: Input| {
     }
     let Ok(bytes) = to_bytes(&splats) else { return };
     let mut options = DecodeOptions::default();
-    (options.limits, options.region, options.size) = (limits(), input.region, input.size);
+    (options.limits, options.region, options.size) = (limits(), input.region.map(Rect::from), input.size);
     measured(|| drop(decode(&bytes, &options)));
-    measured(|| drop(thumbnail(&bytes, input.within, &limits())));
+    measured(|| drop(Reader::new(&bytes, &limits()).and_then(|reader| reader.thumbnail(input.within))));
     options.damage = Damage::Accept;
     measured(|| drop(decode(&bytes, &options)));
     measured(|| {
-        let Ok(opened) = Image::from_bytes(&bytes, &limits()) else { return };
+        let Ok(opened) = Reader::new(&bytes, &limits()).and_then(|reader| reader.read(Damage::Refuse)) else { return };
         let mut view = opened.view();
         for step in &input.steps {
             let next = match *step {
-                Step::Crop([x, y, width, height]) => view.crop(x, y, width, height),
+                Step::Crop([x, y, width, height]) => view.crop(Rect::new(x, y, width, height)),
                 Step::Resize([width, height]) => view.resized(width, height),
             };
             view = next.unwrap_or(view);
         }
-        drop(opened.draw(&view));
+        drop(opened.render(&view));
     });
     let (Some(region), None) = (input.region, input.size) else { return };
     (options.damage, options.region) = (Damage::Refuse, None);
     let Ok(whole) = decode(&bytes, &options) else { return };
-    options.region = Some(region);
+    options.region = Some(region.into());
     let Ok(part) = decode(&bytes, &options) else {
         let [x, y, width, height] = region.map(u64::from);
         let is_outside = x + width > splats.width.into() || y + height > splats.height.into();
         assert!(width == 0 || height == 0 || is_outside, "a part of what was drawn is refused");
         return;
     };
-    assert!(whole.pixels.part(region).expect("a part of it") == part.pixels, "a part is not that of the whole");
+    assert!(whole.pixels.part(region.into()).expect("a part of it") == part.pixels, "a part is not that of the whole");
 });

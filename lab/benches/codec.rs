@@ -3,7 +3,7 @@
 use divan::{Bencher, black_box};
 use ssplat::unstable::bitstream::{self, splats::PackedSplats};
 use ssplat::unstable::{EncodeOptions, encode};
-use ssplat::{Limits, Pixels, Target};
+use ssplat::{Limits, Pixels, Rect, Target};
 use ssplat::{Renderer, View};
 
 fn main() {
@@ -46,7 +46,7 @@ fn write(bencher: Bencher) {
 #[divan::bench(args = [96, 256, 768, 3072])]
 fn rasterize(bencher: Bencher, width: u32) {
     let splats = splats();
-    let picture = splats.to_picture();
+    let picture = splats.to_gaussians();
     let view = View::full(&picture).resized(width, width * 512 / 768).expect("a size");
     bencher.bench(|| Renderer::new(black_box(&picture), &view, &Limits::default())?.render(splats.depth));
 }
@@ -54,8 +54,8 @@ fn rasterize(bencher: Bencher, width: u32) {
 #[divan::bench]
 fn rasterize_region_of_256(bencher: Bencher) {
     let splats = splats();
-    let picture = splats.to_picture();
-    let view = View::full(&picture).crop(200, 100, 256, 256).expect("a region");
+    let picture = splats.to_gaussians();
+    let view = View::full(&picture).crop(Rect::new(200, 100, 256, 256)).expect("a region");
     bencher.bench(|| Renderer::new(black_box(&picture), &view, &Limits::default())?.render(splats.depth));
 }
 

@@ -30,7 +30,7 @@ use nix::sys::resource::{UsageWho, getrusage};
 use ssplat::SamplesMut;
 use ssplat::unstable::bitstream::header::Header;
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
-use ssplat::{Limits, Pixels, Target};
+use ssplat::{Limits, Pixels, Rect, Target};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -235,7 +235,7 @@ fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
                 let size = Header::read(&mut &bytes[..], &Limits::default())?;
                 let [w, h] = [size.width, size.height].map(|side| side.min(1024));
                 let mut options = DecodeOptions::default();
-                options.region = Some([(size.width - w) / 2, (size.height - h) / 2, w, h]);
+                options.region = Some(Rect::new((size.width - w) / 2, (size.height - h) / 2, w, h));
                 drop(ssplat::unstable::decode(&bytes, &options)?);
             }
             "ssplat, 256 wide" => {
@@ -244,7 +244,7 @@ fn measured(by: &str, file: &Path, repeat: u32) -> Result<String> {
                 options.size = Some([256, (256 * size.height).div_ceil(size.width)]);
                 drop(ssplat::unstable::decode(&bytes, &options)?);
             }
-            "ssplat, its thumbnail" => drop(ssplat::unstable::thumbnail(&bytes, [256; 2], &Limits::default())?),
+            "ssplat, its thumbnail" => drop(ssplat::Reader::new(&bytes, &Limits::default())?.thumbnail([256; 2])?),
             _ => drop(image::load_from_memory(&bytes)?),
         }
         let used = cpu_time(who)? - cpu;

@@ -30,7 +30,7 @@ use std::time::Instant;
 
 use ssplat::View;
 use ssplat::gpu::{Adapters, Device, Renderer, fit, wgpu};
-use ssplat::{Blend, Channels, Limits, Pixels, Samples};
+use ssplat::{Blend, Channels, Limits, Pixels, Rect, Samples};
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
@@ -125,7 +125,7 @@ fn run(device: &Device, case: &Case, steps: u32, looks: u32) -> Result<String> {
     Ok(format!(
         "| {} | {width} × {height} | {} | {:.1} | {steps} | {} | {} | {} | {} | {:.1} | {} | {} / {} | {slab} / {band} |",
         case.name,
-        fitted.picture.gaussians.len(),
+        fitted.picture.list.len(),
         fitted.setup_seconds,
         rate(f64::from(steps) / fitted.seconds),
         relative(format!("{:.2}", fitted.psnr)),
@@ -151,7 +151,7 @@ fn time_to(points: &[(f64, f64)], psnr: f64) -> f64 {
 }
 
 /// Frames per second.
-fn frames(device: &Device, picture: &ssplat::Picture) -> Result<f64> {
+fn frames(device: &Device, picture: &ssplat::Gaussians) -> Result<f64> {
     let [width, height] = [picture.width, picture.height];
     let mut renderer = Renderer::new(device, picture, &Limits::default())?;
     // Equal parts that fit into a buffer; a frame is all of them. They are equal so that all are rendered with the
@@ -162,7 +162,7 @@ fn frames(device: &Device, picture: &ssplat::Picture) -> Result<f64> {
     let full = View::full(picture);
     let mut views = Vec::new();
     for y in (0..height).step_by(rows as usize) {
-        views.push(full.crop(0, y, width, rows)?);
+        views.push(full.crop(Rect::new(0, y, width, rows))?);
     }
     let buffer = device.wgpu().0.create_buffer(&wgpu::BufferDescriptor {
         label: Some("frame"),

@@ -195,7 +195,7 @@ fn decode(bytes: &[u8], repeat: u32) -> ssplat::Result<(Pixels, f64)> {
     let run = || -> ssplat::Result<(Pixels, f64)> {
         let start = Instant::now();
         let splats = ssplat::unstable::bitstream::read(bytes, &limits)?;
-        let picture = splats.to_picture();
+        let picture = splats.to_gaussians();
         let pixels = Renderer::new(&picture, &View::full(&picture), &limits)?.render(splats.depth)?;
         Ok((pixels, start.elapsed().as_secs_f64()))
     };

@@ -97,7 +97,7 @@ fn worst(side: u32, kind: &str, part: u64) -> PackedSplats {
     let mut limits = Limits::default();
     limits.work /= part;
     let is_allowed = |count| {
-        let picture = picture(side, kind, count).to_picture();
+        let picture = picture(side, kind, count).to_gaussians();
         Renderer::new(&picture, &View::full(&picture), &limits).is_ok()
     };
     const MOST: u32 = 1 << 21;

@@ -3,7 +3,7 @@
 use numpy::{IntoPyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PySlice;
-use ssplat::{Channels, Depth, PixelSource, Pixels, Samples};
+use ssplat::{Channels, Depth, PixelSource, Pixels, Rect, Samples};
 
 use crate::failure::{exception, parameter};
 
@@ -81,9 +81,9 @@ impl PixelSource for Mapped {
         self.depth
     }
 
-    fn part(&self, area: [u32; 4]) -> ssplat::Result<Pixels> {
+    fn part(&self, area: Rect) -> ssplat::Result<Pixels> {
         ssplat::unstable::check_area(area, self.size)?;
-        let [x, y, width, height] = area.map(|v| v as isize);
+        let [x, y, width, height] = <[u32; 4]>::from(area).map(|v| v as isize);
         let read = |py: Python<'_>| {
             let [rows, columns] = [(y, height), (x, width)].map(|(from, n)| PySlice::new(py, from, from + n, 1));
             let part = self.array.bind(py).get_item((rows, columns))?;

@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use ssplat::View;
 use ssplat::unstable::bitstream::MissingParts;
-use ssplat::{Damage, Depth, Error, Layers, Limits, Pixels, Reader, Result};
+use ssplat::{Damage, Depth, Error, Layers, Limits, Pixels, Reader, Rect, Result};
 
 use crate::failure::{exception, integer, parameter};
 use crate::{array, work};
@@ -32,7 +32,6 @@ struct Job {
     view: View,
     depth: Depth,
     damage: Damage,
-    layers: Layers,
     limits: Limits,
 }
 
@@ -40,10 +39,11 @@ impl Job {
     fn new(data: &[u8], options: &Options) -> PyResult<Self> {
         let limits = limits(options.limits.as_ref())?;
         let opening = Reader::new(data, &limits).map_err(exception)?;
-        let mut view = opening.view();
+        let layers = if options.detail { Layers::Both } else { Layers::Gaussians };
+        let mut view = opening.view().layers(layers);
         if let Some(region) = options.region {
             let [x, y, width, height] = whole("region", region)?;
-            view = view.crop(x, y, width, height).map_err(|e| wrong("region", e))?;
+            view = view.crop(Rect::new(x, y, width, height)).map_err(|e| wrong("region", e))?;
         }
         if let Some(size) = options.size {
             let [width, height] = whole("size", size)?;
@@ -56,12 +56,11 @@ impl Job {
             Some(bits) => return Err(parameter("bits", format!("{bits} is neither 8 nor 16"))),
         };
         let damage = if options.partial { Damage::Accept } else { Damage::Refuse };
-        let layers = if options.detail { Layers::Both } else { Layers::Gaussians };
-        Ok(Job { view, depth, damage, layers, limits })
+        Ok(Job { view, depth, damage, limits })
     }
 
     fn run(&self, data: &[u8]) -> Result<(Pixels, MissingParts)> {
-        let opened = Reader::new(data, &self.limits)?.showing(self.layers).read_for(&self.view, self.damage)?;
+        let opened = Reader::new(data, &self.limits)?.read_for(&self.view, self.damage)?;
         let missing = opened.missing();
         let renderer = opened.renderer(&self.view)?;
         // The integers are dropped to free memory for the pixels.

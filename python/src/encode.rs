@@ -189,7 +189,7 @@ impl Workers for Others<'_> {
         Ok(())
     }
 
-    fn next(&mut self) -> ssplat::Result<Vec<u8>> {
+    fn receive(&mut self) -> ssplat::Result<Vec<u8>> {
         self.reporter.wait()
     }
 

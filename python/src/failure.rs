@@ -1,7 +1,7 @@
 //! Conversion of the library's errors to Python exceptions, with one class for each kind (`ssplat/errors.py`).
 
 use pyo3::PyErr;
-use ssplat::{Error, Target};
+use ssplat::{Error, Parameter, Target};
 
 mod kinds {
     pyo3::import_exception!(ssplat.errors, CancelledError);
@@ -21,10 +21,10 @@ pub fn exception(error: Error) -> PyErr {
         Error::Io(_) => kinds::IoError::new_err(text),
         Error::Format(_) => kinds::FormatError::new_err(text),
         Error::UnsupportedVersion { found } => kinds::UnsupportedVersionError::new_err((text, found)),
-        Error::LimitExceeded { what, requested, allowed } => {
-            kinds::LimitExceededError::new_err((text, what, requested, allowed))
+        Error::LimitExceeded { limit, requested, allowed } => {
+            kinds::LimitExceededError::new_err((text, limit.name(), requested, allowed))
         }
-        Error::Parameter { name, .. } => kinds::ParameterError::new_err((text, name)),
+        Error::Parameter { parameter, .. } => kinds::ParameterError::new_err((text, parameter.name())),
         Error::TooSmall { asked, .. } => kinds::ParameterError::new_err((text, asked_by(asked))),
         Error::Cancelled => kinds::CancelledError::new_err(text),
         Error::Gpu(_) => kinds::GpuError::new_err(text),
@@ -39,7 +39,7 @@ fn asked_by(target: Target) -> &'static str {
 
 /// Returns the exception for an invalid argument that does not reach the library.
 pub fn parameter(name: &'static str, problem: impl Into<String>) -> PyErr {
-    exception(Error::Parameter { name, problem: problem.into() })
+    exception(Error::Parameter { parameter: Parameter::Other(name), problem: problem.into() })
 }
 
 /// Returns the exception for a panic of the library, which is a bug.

@@ -6,9 +6,9 @@ use numpy::{IntoPyArray, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyDict};
-use ssplat::unstable::bitstream::splats::{PackedGaussian, PackedSplats, Steps};
-use ssplat::unstable::{PackOptions, Precision, bitstream};
-use ssplat::{Channels, Damage, Depth, Error, Gaussian, Layers, Picture, Reader};
+use ssplat::unstable::bitstream::splats::Steps;
+use ssplat::unstable::{EncodeOptions, Precision};
+use ssplat::{Channels, Damage, Depth, Encoder, Gaussian, Gaussians, Layers, Reader, Target};
 
 use crate::failure::{integer, parameter};
 use crate::{decode, info, names, work};
@@ -22,21 +22,17 @@ pub fn gaussians<'py>(
     limits: Option<BTreeMap<String, i128>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let limits = decode::limits(limits.as_ref())?;
-    let (opened, floats) = work::run(py, 1, &work::Calls::default(), move |_| {
-        // The detail layer is not part of the result.
-        let opened = Reader::new(&data, &limits)?.showing(Layers::Gaussians).read(Damage::Refuse)?;
-        let splats = opened.splats();
-        let each = size_of::<[f32; 5]>() + splats.channels.count() * size_of::<f32>();
-        let requested = (splats.gaussians.len() * (size_of::<PackedGaussian>() + each)) as u64;
-        if requested > limits.alloc {
-            return Err(Error::LimitExceeded { what: "alloc", requested, allowed: limits.alloc });
-        }
-        let floats = Floats::of(splats);
-        Ok((opened, floats))
+    let (opened, floats, background) = work::run(py, 1, &work::Calls::default(), move |_| {
+        // The detail layer is not part of the result. Pixels are not needed, so the view has only one.
+        let reader = Reader::new(&data, &limits)?;
+        let view = reader.view().resized(1, 1)?.layers(Layers::Gaussians);
+        let opened = reader.read_for(&view, Damage::Refuse)?;
+        let stored = opened.gaussians()?;
+        Ok((opened, Floats::of(&stored), stored.background))
     })?;
     let splats = opened.splats();
     let (n, c) = (splats.gaussians.len(), splats.channels.count());
-    let background = splats.quantizer().dequantize_color(splats.background)[..c].to_vec();
+    let background = background[..c].to_vec();
     let d = PyDict::new(py);
     d.set_item("mean", floats.mean.into_pyarray(py).reshape([n, 2])?)?;
     d.set_item("scale", floats.scale.into_pyarray(py).reshape([n, 2])?)?;
@@ -62,11 +58,10 @@ struct Floats {
 }
 
 impl Floats {
-    fn of(splats: &PackedSplats) -> Self {
-        let (quantizer, channels) = (splats.quantizer(), splats.channels.count());
+    fn of(stored: &Gaussians) -> Self {
+        let channels = stored.channels.count();
         let mut floats = Floats::default();
-        for packed in &splats.gaussians {
-            let g = quantizer.dequantize(packed);
+        for g in &stored.list {
             floats.mean.extend(g.mean);
             floats.scale.extend(g.scale);
             floats.rotation.push(g.rotation);
@@ -93,33 +88,32 @@ pub struct Options {
 }
 
 impl Options {
-    fn picture(&self, gaussians: Vec<Gaussian>, channels: Channels) -> PyResult<Picture> {
+    fn picture(&self, gaussians: Vec<Gaussian>, channels: Channels) -> PyResult<Gaussians> {
         if self.background.len() != channels.count() {
             return Err(parameter("background", format!("{:?} is not a colour of {channels:?}", self.background)));
         }
-        Ok(Picture {
+        Ok(Gaussians {
             width: integer("width", self.width)?,
             height: integer("height", self.height)?,
             channels,
+            depth: match self.bits {
+                8 => Depth::Eight,
+                16 => Depth::Sixteen,
+                bits => return Err(parameter("bits", format!("{bits} is neither 8 nor 16"))),
+            },
             blend: names::value("blend", &names::BLENDS, &self.blend)?,
             background: std::array::from_fn(|k| self.background.get(k).copied().unwrap_or(0.0)),
-            gaussians,
+            list: gaussians,
         })
     }
 
-    fn parse(&self) -> PyResult<PackOptions> {
-        let mut o = PackOptions::default();
-        o.precision = match (&self.steps, self.bytes) {
-            (None, None) => o.precision,
-            (Some(steps), _) => Precision::Steps(steps.parse()?),
-            (None, Some(bytes)) => Precision::Bytes(integer("bytes", bytes)?),
-        };
+    fn parse(&self) -> PyResult<EncodeOptions> {
+        let mut o = EncodeOptions::default();
+        o.precision = self.steps.as_ref().map(StepIndices::parse).transpose()?.map(Precision::Steps);
+        if let Some(bytes) = self.bytes {
+            o.target = Target::Bytes(integer("bytes", bytes)?);
+        }
         o.layout = names::value("layout", &names::LAYOUTS, &self.layout)?;
-        o.depth = match self.bits {
-            8 => Depth::Eight,
-            16 => Depth::Sixteen,
-            bits => return Err(parameter("bits", format!("{bits} is neither 8 nor 16"))),
-        };
         o.icc = self.icc_profile.as_ref().map(|b| b.to_vec());
         o.exif = self.exif.as_ref().map(|b| b.to_vec());
         Ok(o)
@@ -154,7 +148,7 @@ impl StepIndices {
 }
 
 /// Returns the file of primitives with means (n × 2, pixels), scales (n × 2, pixels), rotations (n, radians) and
-/// colours (n × channels), all float32.
+/// colours (n × channels), all float32: the order and the units of [`Gaussian`].
 #[pyfunction]
 pub fn from_gaussians<'py>(
     py: Python<'py>,
@@ -180,13 +174,7 @@ pub fn from_gaussians<'py>(
     });
     let picture = options.picture(gaussians.collect(), channels)?;
     let how = options.parse()?;
-    let most = options.bytes.unwrap_or(i128::MAX);
-    let file = work::run(py, 1, &work::Calls::default(), move |_| {
-        bitstream::to_bytes(&ssplat::unstable::pack(&picture, &how)?)
-    })?;
-    // If the caller gives the steps, nothing is chosen.
-    if file.len() as i128 > most {
-        return Err(parameter("bytes", format!("{most} cannot hold {n} primitives: {} are needed", file.len())));
-    }
-    Ok(PyBytes::new(py, &file))
+    let encoder = Encoder::from(how);
+    let encoded = work::run(py, 1, &work::Calls::default(), move |_| encoder.encode_gaussians(&picture))?;
+    Ok(PyBytes::new(py, &encoded.bytes))
 }

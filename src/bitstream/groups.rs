@@ -2,7 +2,6 @@
 
 use std::ops::Range;
 
-use super::area::Area;
 use super::broken::Broken;
 use super::bytes::{Bytes, put_varint};
 use super::checksum::{Hasher, hash};
@@ -16,6 +15,7 @@ use super::rules::{MAX_LEVELS, Rules, most_primitives};
 use super::splats::{Layout, PackedGaussian, PackedSplats};
 use crate::error::{FormatError, Result};
 use crate::parallel;
+use crate::rect::Rect;
 
 /// Number of primitives above which a file is divided into groups.
 const MAX_UNGROUPED: u32 = 1 << 15;
@@ -53,14 +53,14 @@ struct Entry {
 
 impl Entry {
     /// Returns whether a primitive of this group can reach into `area`.
-    fn reaches(&self, rules: &Rules, area: &Area) -> bool {
+    fn reaches(&self, rules: &Rules, area: &Rect) -> bool {
         let reach = rules.reach(self.largest);
         let pixels = |cells: u64| (cells as f64) * f64::from(rules.finest()).exp2();
         (0..2).all(|k| {
             let start = u64::from(self.region.corner[k]);
             let end = start + (1u64 << self.region.log[k]);
-            let low = f64::from(area.corner[k]);
-            let high = low + f64::from(area.size[k]);
+            let low = f64::from(area.corner()[k]);
+            let high = low + f64::from(area.size()[k]);
             pixels(start) - reach < high && pixels(end) + reach > low
         })
     }
@@ -310,7 +310,7 @@ fn read_group(stream: &[u8], entry: &Entry, group: &Group<'_>, detail: Detail) -
 pub(crate) fn read(
     bytes: &mut Bytes<'_>,
     header: &Header,
-    area: Option<&Area>,
+    area: Option<&Rect>,
     splats: &mut PackedSplats,
     tally: &mut Tally,
 ) -> Result<()> {

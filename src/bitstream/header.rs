@@ -9,6 +9,7 @@ use crate::budget::Budget;
 use crate::error::{Error, FormatError, Result};
 use crate::gaussian::{Blend, Channels};
 use crate::limits::Limits;
+use crate::parameter::Limit;
 use crate::pixels::Depth;
 
 /// The first four bytes of every file. They are not valid text.
@@ -93,7 +94,7 @@ impl Header {
     /// Reads and checks the header, and nothing after it.
     ///
     /// # Errors
-    /// [`Error::Format`] if it breaks spec §2, [`Error::UnsupportedVersion`] for a newer file,
+    /// [`Error::Format`] if it breaks spec §2, [`Error::UnsupportedVersion`] for another version,
     /// [`Error::LimitExceeded`] if the picture exceeds `limits`, [`Error::Io`] from the reader.
     pub fn read<R: Read>(reader: &mut R, limits: &Limits) -> Result<Self> {
         let mut tee = Tee { reader, bytes: Vec::with_capacity(MAX_HEADER_BYTES) };
@@ -119,9 +120,9 @@ impl Header {
         let height = side("height", tee.varint("height")?)?;
         let primitives = tee.varint("primitive count")?;
         let steps = unpack_steps([tee.byte("steps")?, tee.byte("steps")?, tee.byte("steps")?])?;
-        Limits::check("width", width.into(), limits.width.into())?;
-        Limits::check("height", height.into(), limits.height.into())?;
-        Limits::check("primitives", primitives, limits.primitives)?;
+        Limits::check(Limit::Width, width.into(), limits.width.into())?;
+        Limits::check(Limit::Height, height.into(), limits.height.into())?;
+        Limits::check(Limit::Primitives, primitives, limits.primitives)?;
         Budget::of(limits).check(primitives.saturating_mul(size_of::<PackedGaussian>() as u64))?;
         let primitives = u32::try_from(primitives)
             .map_err(|_| FormatError::BadValue { field: "primitive count", value: primitives })?;

@@ -1,6 +1,5 @@
 //! Converts bytes to integers and back, exactly. It does not interpret colours or pixels (spec §2 to §8).
 
-pub mod area;
 pub mod broken;
 pub(crate) mod bytes;
 pub(crate) mod checksum;

@@ -5,6 +5,7 @@ use super::bytes::{Bytes, put_varint, unzigzag, zigzag};
 use super::rules::MAX_CODEBOOK;
 use super::splats::PackedSplats;
 use crate::error::{Error, Result};
+use crate::parameter::Parameter;
 
 /// Returns the distinct colours of `splats`' codebook in the order of the file.
 pub(crate) fn sorted_codebook(splats: &PackedSplats) -> Option<Vec<[i16; 4]>> {
@@ -19,9 +20,10 @@ pub(crate) fn sorted_codebook(splats: &PackedSplats) -> Option<Vec<[i16; 4]>> {
 /// # Errors
 /// [`Error::Parameter`] if it is not in the codebook.
 pub(crate) fn index_of(book: &[[i16; 4]], color: [i16; 4]) -> Result<u32> {
-    book.binary_search(&color)
-        .map(|i| i as u32)
-        .map_err(|_| Error::Parameter { name: "codebook", problem: format!("does not hold the colour {color:?}") })
+    book.binary_search(&color).map(|i| i as u32).map_err(|_| Error::Parameter {
+        parameter: Parameter::Other("codebook"),
+        problem: format!("does not hold the colour {color:?}"),
+    })
 }
 
 pub(crate) fn put_color(color: &[i16], out: &mut Vec<u8>) {

@@ -4,7 +4,6 @@
 use std::io::Read;
 use std::sync::Arc;
 
-use super::area::Area;
 use super::broken::Broken;
 use super::bytes::Bytes;
 use super::checksum::Hasher;
@@ -26,6 +25,8 @@ use crate::budget::{Budget, Reservation};
 use crate::error::{FormatError, Result};
 use crate::limits::Limits;
 use crate::options::Layers;
+use crate::parameter::Limit;
+use crate::rect::Rect;
 
 /// Number of times that the bytes of a file are counted against the memory limit: the read buffer grows to twice its
 /// size while the old one exists; later, metadata are copied out of it.
@@ -53,7 +54,7 @@ fn working_bytes(layout: Layout) -> u64 {
 ///
 /// # Errors
 /// [`Error::Format`](crate::Error::Format) if the file breaks the specification,
-/// [`Error::UnsupportedVersion`](crate::Error::UnsupportedVersion) if it is newer,
+/// [`Error::UnsupportedVersion`](crate::Error::UnsupportedVersion) if it has another version,
 /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) if it exceeds `limits`, [`Error::Io`](crate::Error::Io) from
 /// the reader.
 pub fn read<R: Read>(mut reader: R, limits: &Limits) -> Result<PackedSplats> {
@@ -70,7 +71,7 @@ pub fn read<R: Read>(mut reader: R, limits: &Limits) -> Result<PackedSplats> {
 /// # Errors
 /// As [`read`], but errors in a group that is left out are detected only if its checksum does not match.
 #[cfg(any(test, feature = "unstable"))]
-pub fn read_area(bytes: &[u8], area: &Area, limits: &Limits) -> Result<PackedSplats> {
+pub fn read_area(bytes: &[u8], area: &Rect, limits: &Limits) -> Result<PackedSplats> {
     let mut rest = bytes;
     let header = Header::read(&mut rest, limits)?;
     let budget = Budget::of(limits);
@@ -111,14 +112,16 @@ pub fn read_partial(bytes: &[u8], limits: &Limits) -> Result<(PackedSplats, Miss
     Reading::all(limits, &Budget::of(limits)).intact(&header, rest)
 }
 
-/// Returns all remaining bytes of `reader`, or one byte more than may be read into memory.
+/// Returns all remaining bytes of `reader`. It reads at most one byte more than `limits` allow.
 ///
 /// # Errors
-/// [`Error::Io`](crate::Error::Io) from the reader.
+/// [`Error::Io`](crate::Error::Io) from the reader, and [`Error::LimitExceeded`](crate::Error::LimitExceeded) if there
+/// are more bytes than may be read into memory.
 pub(crate) fn read_rest<R: Read>(reader: R, limits: &Limits) -> Result<Vec<u8>> {
     let mut rest = Vec::new();
     // Memory grows only with the bytes that arrive; the limit stops endless streams.
     reader.take(limits.alloc / FILE_COPIES + 1).read_to_end(&mut rest)?;
+    Limits::check(Limit::Alloc, FILE_COPIES * rest.len() as u64, limits.alloc)?;
     Ok(rest)
 }
 
@@ -144,7 +147,7 @@ impl Reading<'_> {
         self,
         header: &Header,
         rest: &[u8],
-        area: Option<&Area>,
+        area: Option<&Rect>,
         tally: &mut Tally,
     ) -> Result<(PackedSplats, Vec<SectionInfo>)> {
         let mut working = self.reserve(header, rest)?;
@@ -197,7 +200,7 @@ impl Reading<'_> {
     }
 
     /// Returns the part of a detail layer to read, with its limits.
-    fn wanted<'w>(&'w self, header: &Header, area: Option<&Area>, counts: bool) -> Wanted<'w> {
+    fn wanted<'w>(&'w self, header: &Header, area: Option<&Rect>, counts: bool) -> Wanted<'w> {
         let size = [header.width, header.height];
         Wanted { size, channels: header.channels, area: area.copied(), limits: self.limits, passes_over: false, counts }
     }

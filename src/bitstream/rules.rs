@@ -7,6 +7,7 @@ use super::region::{Place, Region};
 use super::splats::{Layout, PackedGaussian, PackedSplats, Steps};
 use crate::error::{Error, Result};
 use crate::gaussian::{CUTOFF, Channels};
+use crate::parameter::Parameter;
 
 /// Maximum number of colours in a codebook.
 pub const MAX_CODEBOOK: usize = 1 << 16;
@@ -16,7 +17,7 @@ pub const MAX_LEVELS: usize = 8;
 
 /// Maximum grey, luma, chroma and alpha, where 1 is white. Within this range, single precision renders all visible
 /// colours exactly enough (spec §4). Red, green and blue can be at most twice as large.
-#[cfg(any(test, feature = "unstable"))]
+#[cfg(feature = "encode")]
 pub const MAX_COLOR: f32 = 8.0;
 
 /// Chroma steps in units of half a luma step (spec §4.1).
@@ -205,8 +206,19 @@ impl Rules {
 /// # Errors
 /// [`Error::Parameter`] with the name of the field.
 pub(crate) fn check(splats: &PackedSplats) -> Result<()> {
-    check_all(splats)
-        .map_err(|b| Error::Parameter { name: b.field, problem: format!("{} is against the format", b.value) })
+    check_all(splats).map_err(|b| Error::Parameter {
+        parameter: parameter_of(b.field),
+        problem: format!("{} is against the format", b.value),
+    })
+}
+
+/// Returns the parameter that sets a field.
+fn parameter_of(field: &'static str) -> Parameter {
+    match field {
+        "width" => Parameter::Width,
+        "height" => Parameter::Height,
+        field => Parameter::Other(field),
+    }
 }
 
 fn check_all(splats: &PackedSplats) -> Result<(), Broken> {

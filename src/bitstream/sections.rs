@@ -6,6 +6,7 @@ use super::detail::head::{self as detail_head, DetailHead, Spans};
 use super::splats::{EXIF, ICC, Metadata, THUMBNAIL};
 use crate::error::{FormatError, Result};
 use crate::limits::Limits;
+use crate::parameter::Limit;
 
 /// Name of the critical section with the parameters of the detail layer that follows the payload.
 pub const DETAIL: [u8; 4] = *b"Dtal";
@@ -77,7 +78,7 @@ pub(crate) fn read_sections(
         let contents = bytes.take(length, "section")?;
         head = bytes.taken().len();
         total = total.saturating_add(length);
-        Limits::check("metadata", total, limits.metadata)?;
+        Limits::check(Limit::Metadata, total, limits.metadata)?;
         let computed = contents_checksum(header, name, contents);
         let known = match name {
             ICC => Some(&mut metadata.icc),

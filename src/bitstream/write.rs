@@ -14,6 +14,7 @@ use super::sections::put_sections;
 use super::splats::{Layout, PackedSplats};
 use super::uncoded::{packed, planes};
 use crate::error::{Error, Result};
+use crate::parameter::Parameter;
 
 /// Writes `splats` in their layout. The primitives of a level are sorted into the order of the layout.
 ///
@@ -60,7 +61,7 @@ pub fn to_bytes(splats: &PackedSplats) -> Result<Vec<u8>> {
     checksum.update(&out[behind..]);
     if splats.gaussians.len() as u64 > most_primitives(payload.len() as u64) {
         let problem = format!("{} are more than 1024 and 8 a byte", splats.gaussians.len());
-        return Err(Error::Parameter { name: "primitive count", problem });
+        return Err(Error::Parameter { parameter: Parameter::Other("primitive count"), problem });
     }
     out.extend_from_slice(&checksum.finalize().to_le_bytes());
     Ok(out)

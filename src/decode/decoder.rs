@@ -1,21 +1,22 @@
 //! The decoder's public interface: options as setters, and methods that decode files.
 
-use super::{Decoded, decode, decode_into, thumbnail};
+use super::{Decoded, decode, decode_into};
 use crate::error::Result;
 use crate::limits::Limits;
 use crate::options::{Damage, DecodeOptions, Layers};
 use crate::raster::SamplesMut;
+use crate::rect::Rect;
 
 /// Decodes files. Use [`Reader`](crate::Reader) for a file that is rendered more than once.
 ///
 /// ```no_run
-/// use ssplat::Decoder;
+/// use ssplat::{Decoder, Rect};
 ///
 /// let bytes = std::fs::read("photo.ssplat")?;
 /// let whole = Decoder::new().decode(&bytes)?.pixels;
 ///
 /// // The part of 640 × 480 pixels at (100, 50), at half the size.
-/// let part = Decoder::new().region([100, 50, 640, 480]).size([320, 240]).decode(&bytes)?.pixels;
+/// let part = Decoder::new().region(Rect::new(100, 50, 640, 480)).size([320, 240]).decode(&bytes)?.pixels;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -38,12 +39,12 @@ impl Decoder {
         self
     }
 
-    /// Sets the region to render: left, top, width and height, in pixels of the picture. Parts of the file that are
+    /// Sets the region to render, in pixels of the picture. Parts of the file that are
     /// not visible in the region are not rendered, and in large files mostly not even read. The default is the whole
     /// picture.
     #[must_use]
     #[doc(alias("crop", "roi", "part"))]
-    pub fn region(mut self, region: [u32; 4]) -> Self {
+    pub fn region(mut self, region: Rect) -> Self {
         self.options.region = Some(region);
         self
     }
@@ -66,7 +67,7 @@ impl Decoder {
         self
     }
 
-    /// Sets the layers to render. The default is [`Layers::Both`].
+    /// Sets the layers to render, as [`View::layers`](crate::View::layers). The default is [`Layers::Both`].
     #[must_use]
     pub fn layers(mut self, layers: Layers) -> Self {
         self.options.layers = layers;
@@ -93,20 +94,5 @@ impl Decoder {
     /// not have exactly width × height × channels samples.
     pub fn decode_into(&self, bytes: &[u8], out: SamplesMut<'_>) -> Result<()> {
         decode_into(bytes, &self.options, out).map(|_| ())
-    }
-
-    /// Renders the picture of the file `bytes` at the largest size that fits into `within` (width and height in
-    /// pixels), keeping its aspect ratio. The picture is never enlarged.
-    ///
-    /// If the file contains a thumbnail of at least this size, only the thumbnail and the metadata are read. This
-    /// takes half a millisecond whatever the picture's size, but the thumbnail's error is larger than the picture's.
-    /// Otherwise the picture is rendered. The result has the picture's ICC profile and EXIF block in both cases. The
-    /// region, size, damage and layers set on this decoder have no effect on this method.
-    ///
-    /// # Errors
-    /// As [`decode`](Decoder::decode); [`Error::Parameter`](crate::Error::Parameter) if a side of `within` is 0.
-    #[doc(alias = "preview")]
-    pub fn thumbnail(&self, bytes: &[u8], within: [u32; 2]) -> Result<Decoded> {
-        thumbnail(bytes, within, &self.options.limits)
     }
 }

@@ -1,4 +1,5 @@
-//! Bytes to pixels: [`Decoder`] decodes one picture at a time; [`Image`] is a file that can be rendered repeatedly.
+//! Bytes to pixels: [`Decoder`] decodes one picture at a time; [`SplatImage`] is a file that can be rendered
+//! repeatedly.
 
 mod decoder;
 mod reader;
@@ -6,14 +7,14 @@ mod thumbnail;
 
 pub use decoder::Decoder;
 #[cfg(feature = "gpu")]
-pub(crate) use reader::check_area;
-pub use reader::{Image, Reader};
-pub use thumbnail::thumbnail;
+pub(crate) use reader::check_view;
+pub use reader::{Reader, SplatImage};
 
 use crate::bitstream::MissingParts;
 use crate::bitstream::splats::Metadata;
 use crate::error::{Error, Result};
 use crate::options::DecodeOptions;
+use crate::parameter::Parameter;
 use crate::pixels::Pixels;
 use crate::raster::{SamplesMut, View};
 
@@ -37,10 +38,10 @@ pub struct Decoded {
 /// files that cannot be read, [`Error::LimitExceeded`](crate::Error::LimitExceeded) for files that exceed the limits,
 /// [`Error::Parameter`](crate::Error::Parameter) for a region that is empty or not within the picture.
 pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
-    let opening = Reader::new(bytes, &options.limits)?.showing(options.layers);
+    let opening = Reader::new(bytes, &options.limits)?;
     let view = options.view(&opening.view())?;
     let opened = opening.read_for(&view, options.damage)?;
-    let (depth, missing) = (opened.splats().depth, opened.missing());
+    let (depth, missing) = (opened.splats.depth, opened.missing());
     let renderer = opened.renderer(&view)?;
     // Release the memory of the integers before the pixels are allocated.
     let (metadata, _reserved) = opened.into_metadata_and_memory();
@@ -54,17 +55,17 @@ pub fn decode(bytes: &[u8], options: &DecodeOptions) -> Result<Decoded> {
 /// As [`decode()`], and [`Error::Parameter`] naming `out` if `out` does not have exactly as many samples as `options`
 /// require.
 pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -> Result<(Metadata, MissingParts)> {
-    let opening = Reader::new(bytes, &options.limits)?.showing(options.layers);
+    let opening = Reader::new(bytes, &options.limits)?;
     let view = options.view(&opening.view())?;
-    let samples = u64::from(view.width()) * u64::from(view.height()) * opening.header().channels.count() as u64;
+    let samples = u64::from(view.width()) * u64::from(view.height()) * opening.header.channels.count() as u64;
     if out.count() as u64 != samples {
         return Err(Error::Parameter {
-            name: "out",
+            parameter: Parameter::Out,
             problem: format!("{} samples where {samples} are needed", out.count()),
         });
     }
     let opened = opening.read_for(&view, options.damage)?;
-    opened.draw_into(&view, out)?;
+    opened.render_into(&view, out)?;
     let missing = opened.missing();
     Ok((opened.into_metadata(), missing))
 }
@@ -72,9 +73,9 @@ pub fn decode_into(bytes: &[u8], options: &DecodeOptions, out: SamplesMut<'_>) -
 impl DecodeOptions {
     /// Returns the view of the requested region and size of the `whole` picture.
     fn view(&self, whole: &View) -> Result<View> {
-        let mut view = *whole;
-        if let Some([x, y, width, height]) = self.region {
-            view = view.crop(x, y, width, height)?;
+        let mut view = whole.layers(self.layers);
+        if let Some(region) = self.region {
+            view = view.crop(region)?;
         }
         match self.size {
             Some([width, height]) => view.resized(width, height),

@@ -1,19 +1,26 @@
 //! Opened files: integers and metadata, from which any view can be rendered any number of times.
 
+use std::borrow::Cow;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
 use std::sync::Arc;
 
-use crate::bitstream::area::Area;
+use super::Decoded;
+use crate::parameter::Parameter;
+
 use crate::bitstream::header::Header;
 use crate::bitstream::report::Tally;
 use crate::bitstream::splats::{Metadata, PackedGaussian, PackedSplats};
 use crate::bitstream::{MissingParts, Reading, read_rest};
 use crate::budget::{Budget, Reservation};
 use crate::error::{Error, Result};
-use crate::gaussian::Channels;
+use crate::gaussian::{Channels, Gaussian, Gaussians};
 use crate::limits::Limits;
 use crate::options::{Damage, Layers};
 use crate::pixels::{Depth, Pixels};
 use crate::raster::{Canvas, Overlay, Renderer, SamplesMut, View};
+use crate::rect::Rect;
 
 /// A file of which only the header has been read. It returns the size and the channels of the picture before memory is
 /// allocated for them.
@@ -22,23 +29,21 @@ use crate::raster::{Canvas, Overlay, Renderer, SamplesMut, View};
 /// use ssplat::{Damage, Limits, Reader};
 ///
 /// // A thumbnail of at most 256 × 256 pixels, of which only what it needs is read.
-/// let bytes = std::fs::read("photo.ssplat")?;
-/// let opening = Reader::new(&bytes, &Limits::default())?;
+/// let opening = Reader::open("photo.ssplat", &Limits::default())?;
 /// let whole = opening.view();
 /// let scale = 256.0 / f64::from(whole.width().max(whole.height()));
 /// let [width, height] = [whole.width(), whole.height()].map(|side| (f64::from(side) * scale).ceil() as u32);
 /// let thumbnail = whole.resized(width, height)?;
-/// let pixels = opening.read_for(&thumbnail, Damage::Refuse)?.draw(&thumbnail)?;
+/// let pixels = opening.read_for(&thumbnail, Damage::Refuse)?.render(&thumbnail)?;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
 pub struct Reader<'a> {
-    header: Header,
+    pub(super) header: Header,
     /// Bytes that follow the header.
-    rest: &'a [u8],
+    rest: Cow<'a, [u8]>,
     limits: Limits,
     budget: Budget,
-    layers: Layers,
 }
 
 /// A file that has been read and can be rendered any number of times.
@@ -47,24 +52,24 @@ pub struct Reader<'a> {
 /// integers and of everything that is rendered from them at the same time.
 ///
 /// ```
-/// use ssplat::{Channels, Encoder, Image, Limits, Pixels, Samples, SamplesMut};
+/// use ssplat::{Channels, Damage, Encoder, Limits, Pixels, Reader, Rect, Samples, SamplesMut};
 ///
 /// # let samples = (0..64 * 48 * 3).map(|i| (i / 3 % 64 * 2 + i / 192) as u8).collect();
 /// # let pixels = Pixels::new(64, 48, Channels::Rgb, Samples::U8(samples))?;
 /// # let bytes = Encoder::new().bytes(300).effort(1).encode(&pixels)?.bytes;
-/// let opened = Image::from_bytes(&bytes, &Limits::default())?;
+/// let opened = Reader::new(&bytes, &Limits::default())?.read(Damage::Refuse)?;
 /// let whole = opened.view();
 /// let icc = opened.metadata().icc.as_deref();
 ///
 /// // The left half, at twice the size.
-/// let half = whole.crop(0, 0, 32, 48)?.resized(64, 96)?;
-/// let enlarged = opened.draw(&half)?;
+/// let half = whole.crop(Rect::new(0, 0, 32, 48))?.resized(64, 96)?;
+/// let enlarged = opened.render(&half)?;
 /// assert_eq!((enlarged.width(), enlarged.height()), (64, 96));
 ///
 /// // A pan over the picture: every frame is drawn into the same memory.
 /// let mut frame = vec![0; 16 * 16 * 3];
 /// for x in 0..48 {
-///     opened.draw_into(&whole.crop(x, 8, 16, 16)?, SamplesMut::U8(&mut frame))?;
+///     opened.render_into(&whole.crop(Rect::new(x, 8, 16, 16))?, SamplesMut::U8(&mut frame))?;
 /// }
 ///
 /// // Row by row, for a writer that needs no more: the view is sorted into tiles once and drawn band by band.
@@ -77,14 +82,15 @@ pub struct Reader<'a> {
 /// # Ok::<(), ssplat::Error>(())
 /// ```
 #[derive(Debug)]
-pub struct Image {
-    splats: PackedSplats,
+pub struct SplatImage {
+    pub(crate) splats: PackedSplats,
     missing: MissingParts,
     /// The area that was read and can be rendered; `None` is the whole picture.
-    area: Option<Area>,
+    area: Option<Rect>,
+    /// The layers that were read.
+    layers: Layers,
     limits: Limits,
     budget: Budget,
-    layers: Layers,
     /// Memory reserved for the integers.
     #[expect(dead_code, reason = "held until the integers are gone")]
     integers: Reservation,
@@ -96,24 +102,18 @@ impl<'a> Reader<'a> {
     /// Reads the header of the file `bytes`.
     ///
     /// # Errors
-    /// [`Error::Format`] if the bytes do not begin with a header, [`Error::UnsupportedVersion`] for a newer format,
+    /// [`Error::Format`] if the bytes do not begin with a header, [`Error::UnsupportedVersion`] for another version,
     /// [`Error::LimitExceeded`] if a side of the picture or the number of its primitives exceeds `limits`.
-    #[doc(alias("open", "parse"))]
+    #[doc(alias = "parse")]
     pub fn new(bytes: &'a [u8], limits: &Limits) -> Result<Self> {
         let mut rest = bytes;
         let header = Header::read(&mut rest, limits)?;
-        Ok(Reader::with_header(header, rest, limits))
+        Ok(Reader::with_header(header, rest.into(), limits))
     }
 
     /// Returns a reader of a file whose header has been read; `rest` are the bytes that follow it.
-    pub(crate) fn with_header(header: Header, rest: &'a [u8], limits: &Limits) -> Self {
-        Reader { header, rest, limits: limits.clone(), budget: Budget::of(limits), layers: Layers::default() }
-    }
-
-    /// Restricts the layers that are read and rendered. The default is [`Layers::Both`].
-    #[must_use]
-    pub fn showing(self, layers: Layers) -> Self {
-        Reader { layers, ..self }
+    pub(crate) fn with_header(header: Header, rest: Cow<'a, [u8]>, limits: &Limits) -> Self {
+        Reader { header, rest, limits: limits.clone(), budget: Budget::of(limits) }
     }
 
     /// Returns the width of the picture, pixels.
@@ -143,13 +143,13 @@ impl<'a> Reader<'a> {
 
     /// Returns the number of Gaussians.
     #[must_use]
-    #[doc(alias("primitives", "splats"))]
-    pub fn gaussians(&self) -> u32 {
+    #[doc(alias("gaussians", "splats"))]
+    pub fn primitives(&self) -> u32 {
         self.header.primitives
     }
 
-    /// Returns the layout in which the picture is stored.
-    #[doc(hidden)]
+    /// Returns everything that the header states.
+    #[cfg(feature = "unstable")]
     #[must_use]
     pub fn header(&self) -> &Header {
         &self.header
@@ -169,7 +169,34 @@ impl<'a> Reader<'a> {
     /// [`Limits::metadata`].
     #[doc(alias("icc", "exif"))]
     pub fn metadata(&self) -> Result<Metadata> {
-        Reading { limits: &self.limits, budget: &self.budget, layers: self.layers }.described(&self.header, self.rest)
+        Reading { limits: &self.limits, budget: &self.budget, layers: Layers::Both }.described(&self.header, &self.rest)
+    }
+
+    /// Renders the picture at the largest size that fits into `within` (width and height in pixels), keeping its aspect
+    /// ratio. The picture is never enlarged.
+    ///
+    /// If the file contains a thumbnail of at least this size, only the thumbnail and the metadata are read. This
+    /// takes half a millisecond whatever the picture's size, but the thumbnail's error is larger than the picture's.
+    /// Otherwise the picture is read and rendered. The result has the picture's ICC profile and EXIF block in both
+    /// cases.
+    ///
+    /// # Errors
+    /// As [`read`](Reader::read) and [`SplatImage::render`]; [`Error::Parameter`] if a side of `within` is 0.
+    #[doc(alias = "preview")]
+    pub fn thumbnail(&self, within: [u32; 2]) -> Result<Decoded> {
+        super::thumbnail::thumbnail(self, within)
+    }
+
+    /// Returns a reader of the same bytes with the same memory account.
+    pub(super) fn again(&self) -> Reader<'_> {
+        let Reader { header, rest, limits, budget } = self;
+        let (header, limits, budget) = (header.clone(), limits.clone(), budget.clone());
+        Reader { header, rest: Cow::Borrowed(rest), limits, budget }
+    }
+
+    /// Returns the limits.
+    pub(super) fn limits(&self) -> &Limits {
+        &self.limits
     }
 
     /// Reads the whole picture.
@@ -177,34 +204,34 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// [`Error::Format`] for a file that cannot be read, and [`Error::LimitExceeded`] if reading would take too much
     /// memory. With [`Damage::Accept`], truncated and damaged groups are not errors.
-    pub fn read(self, damage: Damage) -> Result<Image> {
-        self.read_area(None, damage)
+    pub fn read(self, damage: Damage) -> Result<SplatImage> {
+        self.read_part(None, Layers::Both, damage)
     }
 
-    /// Reads the part of the picture that is visible in `view`. For a small part of a large file, this is much less
-    /// than everything. The result can only render this view and parts of it. With [`Damage::Accept`], the whole file
-    /// is read.
+    /// Reads the part of the picture that is visible in `view`, and the layers that it shows. For a small part of a
+    /// large file, this is much less than everything. The result can only render this view and parts of it, with the
+    /// same [layers](View::layers). With [`Damage::Accept`], the whole picture is read.
     ///
     /// # Errors
     /// As [`Reader::read`], and [`Error::LimitExceeded`] if the pixels of `view` alone would take too much memory.
     #[doc(alias("region", "crop"))]
-    pub fn read_for(self, view: &View, damage: Damage) -> Result<Image> {
+    pub fn read_for(self, view: &View, damage: Damage) -> Result<SplatImage> {
         let samples = u64::from(view.width()) * u64::from(view.height()) * self.header.channels.count() as u64;
         // Do not read a picture whose pixels do not fit into the limits.
         self.budget.check(samples * self.header.depth.bytes() as u64)?;
-        self.read_area(Some(view.area().into()), damage)
+        self.read_part(Some(view.area()), view.shown(), damage)
     }
 
-    fn read_area(self, area: Option<Area>, damage: Damage) -> Result<Image> {
-        let Reader { header, rest, limits, budget, layers } = self;
+    fn read_part(self, area: Option<Rect>, layers: Layers, damage: Damage) -> Result<SplatImage> {
+        let Reader { header, rest, limits, budget } = self;
         let reading = Reading { limits: &limits, budget: &budget, layers };
         let (splats, missing, area) = match damage {
             Damage::Accept => {
-                let (splats, missing) = reading.intact(&header, rest)?;
+                let (splats, missing) = reading.intact(&header, &rest)?;
                 (splats, missing, None)
             }
             Damage::Refuse => {
-                let (splats, _) = reading.whole(&header, rest, area.as_ref(), &mut Tally::default())?;
+                let (splats, _) = reading.whole(&header, &rest, area.as_ref(), &mut Tally::default())?;
                 (splats, MissingParts::default(), area)
             }
         };
@@ -214,38 +241,45 @@ impl<'a> Reader<'a> {
         let Metadata { damaged, .. } = &splats.metadata;
         let carried: usize = splats.metadata.sections().map(|(_, contents)| contents.len()).sum();
         let described = budget.reserve((carried + size_of_val(&damaged[..])) as u64)?;
-        Ok(Image { splats, missing, area, limits, budget, layers, integers, described })
+        Ok(SplatImage { splats, missing, area, limits, budget, layers, integers, described })
     }
 }
 
-impl Image {
-    /// Reads the whole file `bytes`. [`Reader`] reads parts of files and damaged files.
+impl Reader<'static> {
+    /// Reads all bytes of `source`, up to its end. After the header, no more bytes are read than `limits` allow in
+    /// memory.
     ///
     /// # Errors
-    /// As [`Reader::new`] and [`Reader::read`].
-    #[doc(alias("open", "load"))]
-    pub fn from_bytes(bytes: &[u8], limits: &Limits) -> Result<Self> {
-        Reader::new(bytes, limits)?.read(Damage::Refuse)
+    /// As [`Reader::new`], [`Error::Io`] from `source`, and [`Error::LimitExceeded`] if there are too many bytes.
+    pub fn from_read(mut source: impl Read, limits: &Limits) -> Result<Self> {
+        let header = Header::read(&mut source, limits)?;
+        let rest = read_rest(source, limits)?;
+        Ok(Reader::with_header(header, rest.into(), limits))
     }
 
-    /// Reads a whole file from `reader`, up to its end. No more bytes are read than `limits` allow in memory.
+    /// Reads all bytes of the file at `path`, as [`from_read`](Reader::from_read) does.
     ///
     /// # Errors
-    /// As [`Image::from_bytes`], and [`Error::Io`] from the reader.
-    pub fn read_from(mut reader: impl std::io::Read, limits: &Limits) -> Result<Self> {
-        let header = Header::read(&mut reader, limits)?;
-        let rest = read_rest(reader, limits)?;
-        Reader::with_header(header, &rest, limits).read(Damage::Refuse)
+    /// As [`from_read`](Reader::from_read); the message of an [`Error::Io`] names the path.
+    pub fn open(path: impl AsRef<Path>, limits: &Limits) -> Result<Self> {
+        let path = path.as_ref();
+        let file = File::open(path).map_err(|e| Error::at(path, e))?;
+        Reader::from_read(file, limits).map_err(|e| match e {
+            Error::Io(e) => Error::at(path, e),
+            e => e,
+        })
     }
+}
 
-    /// Returns the view of the whole picture at its own size.
+impl SplatImage {
+    /// Returns the view of the whole picture at its own size, with the layers that were read.
     #[must_use]
     pub fn view(&self) -> View {
-        View::of_size(self.splats.width, self.splats.height)
+        View::of_size(self.splats.width, self.splats.height).layers(self.layers)
     }
 
     /// Returns the integers that were read.
-    #[doc(hidden)]
+    #[cfg(feature = "unstable")]
     #[must_use]
     pub fn splats(&self) -> &PackedSplats {
         &self.splats
@@ -263,28 +297,40 @@ impl Image {
         self.missing
     }
 
+    /// Returns the Gaussians that were read, with the values that the formulas of the specification give for their
+    /// integers (spec §5.1). They come in the order of the file, level by level. A detail layer is not part of them.
+    ///
+    /// # Errors
+    /// [`Error::LimitExceeded`] if they would take too much memory.
+    #[doc(alias("splats", "primitives", "export"))]
+    pub fn gaussians(&self) -> Result<Gaussians> {
+        self.budget.check((size_of::<Gaussian>() * self.splats.gaussians.len()) as u64)?;
+        Ok(self.splats.to_gaussians())
+    }
+
     /// Returns a renderer of `view`. It does not borrow the opened file.
     ///
     /// # Errors
-    /// As [`Renderer::new`], and [`Error::Parameter`] if the view shows parts of the picture that were not read.
+    /// As [`Renderer::new`], and [`Error::Parameter`] if the view shows parts or layers of the picture that were not
+    /// read.
     pub fn renderer(&self, view: &View) -> Result<Renderer> {
-        check_area(self.area.as_ref(), view)?;
-        self.splats.renderer_within(view, (&self.limits, &self.budget), self.layers)
+        check_view(view, self.area.as_ref(), self.layers)?;
+        self.splats.renderer_within(view, &self.limits, &self.budget)
     }
 
-    /// Returns what a renderer needs in addition to the integers: the layers to render, the area that was read, the
-    /// limits and the memory account.
+    /// Returns what a renderer needs in addition to the integers: the layers and the area that were read, the limits
+    /// and the memory account.
     #[cfg(feature = "gpu")]
-    pub(crate) fn render_context(&self) -> (Layers, Option<Area>, &Limits, &Budget) {
+    pub(crate) fn render_context(&self) -> (Layers, Option<Rect>, &Limits, &Budget) {
         (self.layers, self.area, &self.limits, &self.budget)
     }
 
     /// Renders `view` with the channels and the depth of the file.
     ///
     /// # Errors
-    /// As [`Image::renderer`], and [`Error::LimitExceeded`] if the pixels would take too much memory.
-    #[doc(alias("render", "rasterize", "decode"))]
-    pub fn draw(&self, view: &View) -> Result<Pixels> {
+    /// As [`SplatImage::renderer`], and [`Error::LimitExceeded`] if the pixels would take too much memory.
+    #[doc(alias("draw", "rasterize", "decode"))]
+    pub fn render(&self, view: &View) -> Result<Pixels> {
         self.renderer(view)?.render(self.splats.depth)
     }
 
@@ -292,21 +338,15 @@ impl Image {
     /// of `out` for several pictures saves the time of allocating it.
     ///
     /// # Errors
-    /// As [`Image::renderer`].
+    /// As [`SplatImage::renderer`].
     ///
     /// # Panics
     /// If `out` does not have exactly width × height × channels samples.
     // Inlined, so that a program that uses one depth does not contain the kernels of the other.
     #[inline(always)]
-    #[doc(alias = "render_into")]
-    pub fn draw_into(&self, view: &View, out: SamplesMut<'_>) -> Result<()> {
+    pub fn render_into(&self, view: &View, out: SamplesMut<'_>) -> Result<()> {
         self.renderer(view)?.render_into(out);
         Ok(())
-    }
-
-    /// Sets the layers to render from now on. Layers that were not read cannot be shown.
-    pub fn show(&mut self, layers: Layers) {
-        self.layers = layers;
     }
 
     /// Returns the metadata and drops the integers.
@@ -331,58 +371,51 @@ impl Image {
     }
 }
 
-/// Checks that `view` shows nothing outside `area`, if only that area was read.
-pub(crate) fn check_area(area: Option<&Area>, view: &View) -> Result<()> {
-    if area.is_some_and(|area| !area.holds(&view.area().into())) {
+/// Checks that `view` shows nothing outside `area`, if only that area was read, and no other layers than were read.
+pub(crate) fn check_view(view: &View, area: Option<&Rect>, layers: Layers) -> Result<()> {
+    if layers != Layers::Both && view.shown() != layers {
+        let problem = format!("{view:?} shows other layers than {layers:?}, which were read");
+        return Err(Error::Parameter { parameter: Parameter::View, problem });
+    }
+    if area.is_some_and(|area| !area.holds(&view.area())) {
         let problem = format!("{view:?} shows more than the part of the picture that was read");
-        return Err(Error::Parameter { name: "view", problem });
+        return Err(Error::Parameter { parameter: Parameter::View, problem });
     }
     Ok(())
 }
 
-/// Colour under the detail layer when it is rendered alone: middle grey, as an encoded value.
-const GREY: f32 = 0.5;
-
 impl PackedSplats {
     /// Returns a renderer of `view`. Gaussians are computed one by one, whereas
-    /// [`to_picture`](PackedSplats::to_picture) holds all of them in memory.
+    /// [`to_gaussians`](PackedSplats::to_gaussians) holds all of them in memory.
     ///
     /// # Errors
     /// As [`Renderer::new`].
+    #[cfg(any(feature = "encode", test, feature = "unstable"))]
     pub fn renderer(&self, view: &View, limits: &Limits) -> Result<Renderer> {
-        self.renderer_within(view, (limits, &Budget::of(limits)), Layers::Both)
+        self.renderer_within(view, limits, &Budget::of(limits))
     }
 
-    /// Returns a renderer of the given `layers`, as [`renderer`](PackedSplats::renderer) does, with memory from
-    /// `budget`.
-    fn renderer_within(&self, view: &View, (limits, budget): (&Limits, &Budget), layers: Layers) -> Result<Renderer> {
-        let (canvas, count) = self.canvas(layers);
+    /// Returns a renderer, as [`renderer`](PackedSplats::renderer) does, with memory from `budget`.
+    fn renderer_within(&self, view: &View, limits: &Limits, budget: &Budget) -> Result<Renderer> {
+        let (canvas, count) = self.canvas().showing(view.shown(), self.gaussians.len());
         let quantizer = self.quantizer();
         let gaussian = |i: usize| quantizer.dequantize(&self.gaussians[i]);
         let renderer = Renderer::of(&canvas, (count, gaussian), view, limits, budget)?;
-        match self.overlay(layers) {
+        match self.overlay().filter(|_| view.shown() != Layers::Gaussians) {
             Some(overlay) => renderer.with(overlay, limits),
             None => Ok(renderer),
         }
     }
 
-    /// Returns the canvas onto which the Gaussians are rendered when `layers` are shown, and the number of Gaussians
-    /// to render.
-    pub(crate) fn canvas(&self, layers: Layers) -> (Canvas, usize) {
-        let mut background = self.quantizer().dequantize_color(self.background);
-        let mut count = self.gaussians.len();
-        if layers == Layers::Detail {
-            (background, count) = ([GREY; 4], 0);
-            if let Some(alpha) = self.channels.alpha() {
-                background[alpha] = 1.0;
-            }
-        }
-        (Canvas { channels: self.channels, blend: self.blend, background }, count)
+    /// Returns the canvas onto which the Gaussians are rendered.
+    pub(crate) fn canvas(&self) -> Canvas {
+        let background = self.quantizer().dequantize_color(self.background);
+        Canvas { channels: self.channels, blend: self.blend, background }
     }
 
-    /// Returns the detail layer to add to the Gaussians, if `layers` include it and the file has one.
-    pub(crate) fn overlay(&self, layers: Layers) -> Option<Overlay> {
-        let layer = self.detail.as_ref().filter(|_| layers != Layers::Gaussians)?;
+    /// Returns the detail layer to add to the Gaussians, if the file has one.
+    pub(crate) fn overlay(&self) -> Option<Overlay> {
+        let layer = self.detail.as_ref()?;
         Some(Overlay::new(Arc::clone(layer), self.channels, [self.width, self.height]))
     }
 }

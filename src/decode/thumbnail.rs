@@ -7,44 +7,35 @@ use crate::error::Result;
 use crate::limits::Limits;
 use crate::options::Damage;
 
-/// Renders the picture of the file `bytes` at the largest size that fits into `within` (width and height in pixels).
-/// The picture is never enlarged.
-///
-/// If the file contains a thumbnail of at least this size, only the thumbnail is read. This takes half a millisecond
-/// whatever the picture's size, but the thumbnail's error is larger than the picture's. If the file has no usable
-/// thumbnail, the picture is rendered as by [`decode()`](super::decode()). The result has the picture's ICC profile
-/// and EXIF block in both cases.
-///
-/// # Errors
-/// As [`decode()`](super::decode()); [`Error::Parameter`](crate::Error::Parameter) if a side of `within` is 0.
-pub fn thumbnail(bytes: &[u8], within: [u32; 2], limits: &Limits) -> Result<Decoded> {
-    let opening = Reader::new(bytes, limits)?;
+/// Renders the picture at the largest size that fits into `within`. See [`Reader::thumbnail`].
+pub(super) fn thumbnail(opening: &Reader<'_>, within: [u32; 2]) -> Result<Decoded> {
     let view = opening.view().fitted(within)?;
-    if let Some(small) = from_thumbnail(&opening, [view.width(), view.height()], limits)? {
+    if let Some(small) = from_thumbnail(opening, [view.width(), view.height()])? {
         return Ok(small);
     }
-    let opened = opening.read_for(&view, Damage::Refuse)?;
-    let (pixels, missing) = (opened.draw(&view)?, opened.missing());
+    let opened = opening.again().read_for(&view, Damage::Refuse)?;
+    let (pixels, missing) = (opened.render(&view)?, opened.missing());
     Ok(Decoded { pixels, metadata: opened.into_metadata(), missing })
 }
 
 /// Returns the file's thumbnail, rendered at `size`, if it belongs to this picture and is large enough. A thumbnail
 /// that does not belong to the picture or cannot be read is ignored.
-fn from_thumbnail(opening: &Reader<'_>, [width, height]: [u32; 2], limits: &Limits) -> Result<Option<Decoded>> {
+fn from_thumbnail(opening: &Reader<'_>, [width, height]: [u32; 2]) -> Result<Option<Decoded>> {
     let mut metadata = opening.metadata()?;
     // All metadata stay in memory while the thumbnail is rendered.
     let carried: usize = metadata.sections().map(|(_, contents)| contents.len()).sum();
+    let limits = opening.limits();
     let limits = Limits { alloc: limits.alloc.saturating_sub(carried as u64), ..limits.clone() };
     let Some(file) = metadata.thumbnail.take() else { return Ok(None) };
     let draw = || {
         let small = Reader::new(&file, &limits).ok()?;
-        let (of, is) = (opening.header(), small.header());
+        let (of, is) = (&opening.header, &small.header);
         let is_alike = (is.channels, is.depth) == (of.channels, of.depth);
         if !is_alike || is.width < width || is.height < height {
             return None;
         }
         let view = small.view().resized(width, height).ok()?;
-        small.read_for(&view, Damage::Refuse).ok()?.draw(&view).ok()
+        small.read_for(&view, Damage::Refuse).ok()?.render(&view).ok()
     };
     Ok(draw().map(|pixels| Decoded { pixels, metadata, missing: MissingParts::default() }))
 }

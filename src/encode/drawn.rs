@@ -5,6 +5,7 @@ use crate::error::Result;
 use crate::limits::Limits;
 use crate::pixels::{Depth, Pixels};
 use crate::raster::View;
+use crate::rect::Rect;
 
 /// Returns limits for the encoder's own integers, whose work need not be limited.
 pub(super) fn own_limits() -> Limits {
@@ -17,6 +18,6 @@ pub(super) fn drawn(splats: &PackedSplats, view: &View, depth: Depth) -> Result<
 }
 
 /// Renders a part of the picture, given as left, top, width and height in pixels.
-pub(super) fn drawn_part(splats: &PackedSplats, [x, y, width, height]: [u32; 4], depth: Depth) -> Result<Pixels> {
-    drawn(splats, &View::of_size(splats.width, splats.height).crop(x, y, width, height)?, depth)
+pub(super) fn drawn_part(splats: &PackedSplats, area: Rect, depth: Depth) -> Result<Pixels> {
+    drawn(splats, &View::of_size(splats.width, splats.height).crop(area)?, depth)
 }

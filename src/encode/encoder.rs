@@ -8,7 +8,9 @@ use super::workers::{Executor, Workers};
 use super::{Encoded, encode_by};
 use crate::bitstream::splats::Layout;
 use crate::error::Result;
+use crate::gaussian::Gaussians;
 use crate::options::{Backend, Detail, EncodeOptions, HiddenColors, MetadataPolicy, Thumbnail, Tune};
+use crate::pack;
 use crate::pixel_source::PixelSource;
 use crate::target::Target;
 
@@ -57,6 +59,14 @@ impl Encoder {
     #[must_use]
     pub fn bytes(self, bytes: u64) -> Self {
         self.target(Target::Bytes(bytes))
+    }
+
+    /// Sets the target [`Target::Primitives`]: the number of Gaussians, with steps fine enough for them. Such a file
+    /// has no detail layer.
+    #[must_use]
+    #[doc(alias("gaussians", "splats"))]
+    pub fn primitives(self, count: u32) -> Self {
+        self.target(Target::Primitives(count))
     }
 
     /// Sets the target [`Target::Psnr`]: the PSNR in dB that the file reaches with as few bytes as possible. It must be
@@ -181,8 +191,8 @@ impl Encoder {
         self
     }
 
-    /// Encodes a picture: [`Pixels`](crate::Pixels) or another source. If the picture is fitted in tiles, the source is
-    /// read part by part.
+    /// Encodes a picture: [`Pixels`](crate::Pixels), an `image::DynamicImage` or another source. If the picture is
+    /// fitted in tiles, the source is read part by part.
     ///
     /// # Errors
     /// [`Error::Parameter`](crate::Error::Parameter) if an option is out of range,
@@ -220,6 +230,48 @@ impl Encoder {
         progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
     ) -> Result<Encoded> {
         encode_by(source, &self.options, Executor::External(workers), progress)
+    }
+
+    /// Writes given Gaussians to a file, without fitting them to a picture: each value is rounded to the nearest that
+    /// the file can store. No Gaussian is left out, and scales below 0.25 pixels are raised to that. The order of the
+    /// Gaussians may change.
+    ///
+    /// The precision of the rounding depends on the target: with [`Target::Auto`] it is that of the finest files of
+    /// this encoder, whatever their size; with [`bytes`](Encoder::bytes) or [`ratio`](Encoder::ratio) it is the finest
+    /// of ten with which the file has at most that size. The Gaussians of such a file, if they are written again with
+    /// the same options, keep their values exactly. [`layout`](Encoder::layout), [`levels`](Encoder::levels),
+    /// [`icc`](Encoder::icc) and [`exif`](Encoder::exif) apply as well. [`EncodeReport::psnr`](super::EncodeReport) is
+    /// NaN, because there is no source to compare with.
+    ///
+    /// ```
+    /// use ssplat::{Blend, Channels, Damage, Depth, Encoder, Gaussian, Gaussians, Limits, Reader};
+    ///
+    /// let gaussians = Gaussians {
+    ///     width: 16,
+    ///     height: 8,
+    ///     channels: Channels::Rgb,
+    ///     depth: Depth::Eight,
+    ///     blend: Blend::Sum,
+    ///     background: [0.0; 4],
+    ///     list: vec![Gaussian { mean: [8.0, 4.0], scale: [3.0, 1.5], rotation: 0.3, color: [0.9, 0.2, 0.1, 0.0] }],
+    /// };
+    /// let file = Encoder::new().encode_gaussians(&gaussians)?.bytes;
+    /// assert!(file.len() < 60);
+    ///
+    /// let stored = Reader::new(&file, &Limits::default())?.read(Damage::Refuse)?.gaussians()?;
+    /// assert!((stored.list[0].mean[0] - 8.0).abs() < 0.5);
+    /// # Ok::<(), ssplat::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Parameter`](crate::Error::Parameter) if a value is not finite, a scale is not positive, a mean lies
+    /// outside the picture, a colour exceeds the range of the format (8 times white in luma, chroma or alpha), a side
+    /// of the picture is out of range, the file cannot be as small as requested, or an option is set that does not
+    /// apply, such as an effort or a PSNR; [`Error::LimitExceeded`](crate::Error::LimitExceeded) if there are more
+    /// Gaussians than the default [`Limits`](crate::Limits) allow decoders to read.
+    #[doc(alias("pack", "quantize", "import"))]
+    pub fn encode_gaussians(&self, gaussians: &Gaussians) -> Result<Encoded> {
+        pack::encode_gaussians(gaussians, &self.options)
     }
 
     /// Sets the fitting recipe, for comparisons with SmartSplat.

@@ -14,6 +14,7 @@ use crate::gaussian::Channels;
 use crate::options::HiddenColors;
 use crate::pixel_source::PixelSource;
 use crate::pixels::{Depth, Pixels, Samples};
+use crate::rect::Rect;
 
 /// Number of levels that are computed anew for each part. The coarser levels are kept for the whole picture.
 const LEVELS: u32 = 5;
@@ -143,7 +144,7 @@ impl<'a> InpaintedSource<'a> {
         for y in (0..height).step_by(READ as usize) {
             for x in (0..width).step_by(READ as usize) {
                 on_progress()?;
-                let part = source.part([x, y, READ.min(width - x), READ.min(height - y)])?;
+                let part = source.part(Rect::new(x, y, READ.min(width - x), READ.min(height - y)))?;
                 has_hidden |= hides_colors(&part);
                 let mut level = halved_pixels(&part);
                 for _ in 1..LEVELS {
@@ -164,7 +165,7 @@ impl<'a> InpaintedSource<'a> {
 
     /// Replaces the hidden colours of `part`, whose corner (`x`, `y`) lies on the grid of [`CELL`]. Pixels within
     /// [`MARGIN`] of an edge of the part are not final, unless it is an edge of the picture.
-    fn filled(&self, part: Pixels, [x, y, ..]: [u32; 4]) -> Result<Pixels> {
+    fn filled(&self, part: Pixels, Rect { x, y, .. }: Rect) -> Result<Pixels> {
         let mut levels = vec![halved_pixels(&part)];
         while levels.len() < LEVELS as usize {
             levels.push(levels[levels.len() - 1].halved());
@@ -202,19 +203,19 @@ impl PixelSource for InpaintedSource<'_> {
         self.source.depth()
     }
 
-    fn part(&self, area: [u32; 4]) -> Result<Pixels> {
+    fn part(&self, area: Rect) -> Result<Pixels> {
         let part = self.source.part(area)?;
         if !hides_colors(&part) {
             return Ok(part);
         }
-        let [x, y, width, height] = area;
+        let Rect { x, y, width, height } = area;
         let from = [x, y].map(|v| v.saturating_sub(MARGIN) / CELL * CELL);
         let to = |v: u32, side: u32| v.saturating_add(MARGIN).min(side);
         let [right, bottom] = [to(x + width, self.width()), to(y + height, self.height())];
-        let around = [from[0], from[1], right - from[0], bottom - from[1]];
+        let around = Rect::new(from[0], from[1], right - from[0], bottom - from[1]);
         let filled =
             if around == area { self.filled(part, around)? } else { self.filled(self.source.part(around)?, around)? };
-        filled.part([x - from[0], y - from[1], width, height])
+        filled.part(Rect::new(x - from[0], y - from[1], width, height))
     }
 }
 
@@ -229,7 +230,7 @@ pub(super) fn inpainted(
     on_progress: impl FnMut() -> Result<()>,
 ) -> Result<Option<Pixels>> {
     match InpaintedSource::new(pixels, hidden, on_progress)? {
-        Some(inpainted) => inpainted.part([0, 0, pixels.width(), pixels.height()]).map(Some),
+        Some(inpainted) => inpainted.part(Rect::new(0, 0, pixels.width(), pixels.height())).map(Some),
         None => Ok(None),
     }
 }
@@ -349,7 +350,7 @@ mod tests {
         let whole = filled(&picture);
         let parts = InpaintedSource::new(&picture, HiddenColors::Continue, || Ok(())).unwrap().unwrap();
         for area in [[0, 0, 300, 260], [1, 1, 2, 3], [64, 32, 128, 96], [131, 77, 169, 183], [299, 259, 1, 1]] {
-            assert_eq!(parts.part(area).unwrap(), whole.part(area).unwrap(), "{area:?}");
+            assert_eq!(parts.part(area.into()).unwrap(), whole.part(area.into()).unwrap(), "{area:?}");
         }
     }
 

@@ -36,14 +36,15 @@ use crate::bitstream::splats::Layout;
 use crate::error::{Error, Result};
 use crate::options::{Detail, EncodeOptions};
 use crate::parallel;
+use crate::parameter::Parameter;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Pixels;
+use crate::rect::Rect;
 use crate::target::Target;
 pub use device::Chosen;
 pub use encoder::Encoder;
 #[cfg(any(test, feature = "unstable"))]
 pub use file::divide;
-#[cfg(any(test, feature = "unstable"))]
 pub(crate) use file::smallest;
 use rate_control::MAX_PRIMITIVES;
 use report::ReportBuilder;
@@ -87,8 +88,11 @@ pub struct EncodeReport {
     /// Device that fitted the picture, and the reason for the choice.
     pub chosen: Chosen,
     /// Quality during the encode, if it is traced.
-    #[doc(hidden)]
+    #[cfg(feature = "unstable")]
     pub trace: Vec<TracePoint>,
+    #[cfg(not(feature = "unstable"))]
+    #[allow(dead_code, reason = "only tools trace encodes")]
+    pub(crate) trace: Vec<TracePoint>,
 }
 
 /// Encodes `pixels`.
@@ -120,12 +124,20 @@ fn encode_by(
     progress: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Encoded> {
     check(options)?;
+    if options.precision.is_some() {
+        return Err(Error::Parameter {
+            parameter: Parameter::Precision,
+            problem: "it applies to given Gaussians only".into(),
+        });
+    }
     match (side(source, options), source.as_pixels()) {
         (Some(side), _) => {
             tiles::encode(source, options, side, executor, ReportBuilder::new(progress, Tracer::new(options.trace)))
         }
         (None, Some(pixels)) => encode_whole(pixels, options, progress),
-        (None, None) => encode_whole(&source.part([0, 0, source.width(), source.height()])?, options, progress),
+        (None, None) => {
+            encode_whole(&source.part(Rect::new(0, 0, source.width(), source.height()))?, options, progress)
+        }
     }
 }
 
@@ -159,42 +171,45 @@ fn side(source: &dyn PixelSource, options: &EncodeOptions) -> Option<u32> {
     options.tiles.or_else(|| by_default().then_some(DEFAULT_TILE_SIDE)).filter(|&side| width > side || height > side)
 }
 
-fn check(options: &EncodeOptions) -> Result<()> {
-    let bad = |name, problem| Err(Error::Parameter { name, problem });
+/// Checks that every option is within its range.
+pub(crate) fn check(options: &EncodeOptions) -> Result<()> {
+    let bad = |parameter, problem| Err(Error::Parameter { parameter, problem });
     if !(1..=9).contains(&options.effort) {
-        return bad("effort", format!("{} is outside 1..=9", options.effort));
+        return bad(Parameter::Effort, format!("{} is outside 1..=9", options.effort));
     }
     if !(1..=8).contains(&options.levels) {
-        return bad("levels", format!("{} is outside 1..=8", options.levels));
+        return bad(Parameter::Levels, format!("{} is outside 1..=8", options.levels));
     }
     if options.levels > 1 && options.layout != Layout::Coded {
-        return bad("levels", "levels above 1 need the coded layout".into());
+        return bad(Parameter::Levels, "levels above 1 need the coded layout".into());
     }
     if let Some(side) =
         options.tiles.filter(|s| !tiles::TILE_SIDES.contains(s) || !s.is_multiple_of(*tiles::TILE_SIDES.start()))
     {
         let (least, most) = tiles::TILE_SIDES.into_inner();
-        return bad("tiles", format!("{side} is not a multiple of {least} within {least}..={most}"));
+        return bad(Parameter::Tiles, format!("{side} is not a multiple of {least} within {least}..={most}"));
     }
     match options.detail {
         Detail::Share(share) if !(share > 0.0 && share < 1.0) => {
-            return bad("detail", format!("a share of {share} is not between 0 and 1"));
+            return bad(Parameter::Detail, format!("a share of {share} is not between 0 and 1"));
         }
         Detail::Share(_) if options.layout != Layout::Coded => {
-            return bad("detail", "only the coded layout has a detail layer".into());
+            return bad(Parameter::Detail, "only the coded layout has a detail layer".into());
         }
         Detail::Share(_) if matches!(options.target, Target::Primitives(_)) => {
-            return bad("detail", "a file of a number of primitives has no detail layer".into());
+            return bad(Parameter::Detail, "a file of a number of primitives has no detail layer".into());
         }
         _ => {}
     }
     match options.target {
-        Target::Ratio(r) if !(r.is_finite() && r > 0.0) => bad("ratio", format!("{r} is not a positive number")),
-        Target::Psnr(p) if !(p.is_finite() && p > 0.0) => bad("psnr", format!("{p} is not a positive number")),
+        Target::Ratio(r) if !(r.is_finite() && r > 0.0) => {
+            bad(Parameter::Ratio, format!("{r} is not a positive number"))
+        }
+        Target::Psnr(p) if !(p.is_finite() && p > 0.0) => bad(Parameter::Psnr, format!("{p} is not a positive number")),
         #[cfg(feature = "quality-hook")]
-        Target::Quality(q) if !(0.0..=100.0).contains(&q) => bad("quality", format!("{q} is outside 0..=100")),
+        Target::Quality(q) if !(0.0..=100.0).contains(&q) => bad(Parameter::Quality, format!("{q} is outside 0..=100")),
         Target::Primitives(n) if u64::from(n) > MAX_PRIMITIVES => {
-            bad("primitives", format!("{n} is over {MAX_PRIMITIVES}"))
+            bad(Parameter::Primitives, format!("{n} is over {MAX_PRIMITIVES}"))
         }
         _ => Ok(()),
     }

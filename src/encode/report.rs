@@ -18,8 +18,11 @@ pub struct Progress {
     /// Fraction of the stage that is done, `0..=1`.
     pub done: f32,
     /// Last measured PSNR in dB, if the encode is traced.
-    #[doc(hidden)]
+    #[cfg(feature = "unstable")]
     pub psnr: Option<f64>,
+    #[cfg(not(feature = "unstable"))]
+    #[allow(dead_code, reason = "only tools trace encodes")]
+    pub(crate) psnr: Option<f64>,
 }
 
 /// Time of one stage of an encode.

@@ -8,6 +8,7 @@ use super::{Encoded, Progress, encode_with_progress};
 use crate::bitstream::splats::PackedSplats;
 use crate::error::{Error, Result};
 use crate::options::{Backend, Detail, EncodeOptions, Thumbnail};
+use crate::parameter::Parameter;
 use crate::raster::View;
 use crate::round::size::Size;
 use crate::target::Target;
@@ -81,7 +82,7 @@ fn of(
     };
     let made = encode_with_progress(&small, &options, &mut |p| on_progress(p.done));
     let Encoded { bytes, .. } = made.map_err(|e| match e {
-        Error::TooSmall { .. } => Error::Parameter { name: "thumbnail", problem: e.to_string() },
+        Error::TooSmall { .. } => Error::Parameter { parameter: Parameter::Thumbnail, problem: e.to_string() },
         e => e,
     })?;
     Ok(bytes)

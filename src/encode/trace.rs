@@ -123,7 +123,7 @@ fn draw(problem: &Problem<'_>, projected: &[Projected], depth: Depth) -> Pixels 
     let mut field = Field::default();
     field.draw(problem, projected, RowSet::ALL, Output::Picture);
     let (width, count) = (scene.width as usize, target.channels.count());
-    let white = depth.max();
+    let white = f32::from(depth.max());
     let codes = (0..scene.height as usize).flat_map(|y| {
         let row = field.row(y, count);
         let stride = field.stride;

@@ -16,7 +16,7 @@ pub trait Workers {
     ///
     /// # Errors
     /// Any error ends the encode.
-    fn next(&mut self) -> Result<Vec<u8>>;
+    fn receive(&mut self) -> Result<Vec<u8>>;
 
     /// Returns how many tasks should be in progress at a time to keep all workers busy. Each task contains the pixels
     /// of a tile.

@@ -20,8 +20,9 @@ use super::plan::LAST_RATE;
 use super::plan::Plan;
 use super::schedule::{RATES, SAMPLED_UNTIL};
 use super::state::State;
+use crate::depth::Depth;
 use crate::error::Result;
-use crate::gaussian::{Blend, Channels, Picture};
+use crate::gaussian::{Blend, Channels, Gaussians};
 use crate::pixels::Pixels;
 use crate::raster::reference;
 use crate::target::Target as EncodeTarget;
@@ -385,11 +386,18 @@ fn a_singular_joint_colour_solve_does_not_affect_the_fit() {
         let gaussians: Vec<_> = primitives.iter().map(|p| p.to_gaussian()).collect();
         let n = gaussians.len();
         let mut normal = vec![vec![0.0; n]; n];
-        let picture =
-            Picture { width: 32, height: 27, channels: Channels::Grey, blend, background: [0.0; 4], gaussians };
+        let picture = Gaussians {
+            width: 32,
+            height: 27,
+            channels: Channels::Grey,
+            depth: Depth::Eight,
+            blend,
+            background: [0.0; 4],
+            list: gaussians,
+        };
         for i in 0..32 * 27 {
             let (x, y) = (f64::from(i % 32) + 0.5, f64::from(i / 32) + 0.5);
-            let w: Vec<f64> = picture.gaussians.iter().map(|g| reference::weight(g, x, y)).collect();
+            let w: Vec<f64> = picture.list.iter().map(|g| reference::weight(g, x, y)).collect();
             let total = match blend {
                 Blend::Normalized => w.iter().sum::<f64>() + f64::from(crate::gaussian::EPSILON),
                 Blend::Sum => 1.0,

@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use super::device::Device;
 use super::fit::Fitter;
+use crate::depth::Depth;
 use crate::error::{Error, Result};
 use crate::fit;
 use crate::fit::engine::{Engine, Snapshot, Watcher};
@@ -16,7 +17,7 @@ use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::plan::Plan;
 use crate::fit::state::State;
-use crate::gaussian::{Blend, Picture};
+use crate::gaussian::{Blend, Gaussians};
 use crate::pixels::Pixels;
 
 /// Result of a fit.
@@ -24,7 +25,7 @@ use crate::pixels::Pixels;
 #[non_exhaustive]
 pub struct Fitted {
     /// The picture, before any quantization.
-    pub picture: Picture,
+    pub picture: Gaussians,
     /// PSNR of its clamped values against the pixels, dB.
     pub psnr: f64,
     /// Seconds before the first step: initialization on the CPU, and copying the data to the device.
@@ -137,13 +138,14 @@ pub fn fit(
     let psnr = -10.0 * (fitter.error(&problem)? / samples).log10();
     let bands = fitter.sizes();
     let gaussians = fitter.primitives()?.into_iter().map(Primitive::to_gaussian).collect();
-    let picture = Picture {
+    let picture = Gaussians {
         width: scene.width,
         height: scene.height,
         channels: pixels.channels(),
+        depth: Depth::Eight,
         blend,
         background: scene.background,
-        gaussians,
+        list: gaussians,
     };
     Ok(Fitted { picture, psnr, setup_seconds, seconds, bands })
 }

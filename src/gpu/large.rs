@@ -22,9 +22,10 @@ use crate::fit::model::objective::rows::RowSet;
 use crate::fit::model::placing::{removal, sample};
 use crate::fit::model::problem::{Problem, Scene};
 use crate::fit::state::State;
-use crate::gaussian::{Blend, Channels, Picture};
+use crate::gaussian::{Blend, Channels, Gaussians};
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::raster::{self, View};
+use crate::rect::Rect;
 use crate::{Limits, parallel};
 
 /// The largest picture of the SmartSplat paper.
@@ -120,16 +121,23 @@ fn fit_and_draw(count: usize, rows: u32) {
 
     let gaussians = fitter.primitives().unwrap().into_iter().map(Primitive::to_gaussian).collect();
     let background = scene.background;
-    let picture =
-        Picture { width: WIDTH, height: HEIGHT, channels: Channels::Rgb, blend: scene.blend, background, gaussians };
+    let picture = Gaussians {
+        width: WIDTH,
+        height: HEIGHT,
+        channels: Channels::Rgb,
+        depth: Depth::Eight,
+        blend: scene.blend,
+        background,
+        list: gaussians,
+    };
     let mut renderer = Renderer::new(&device, &picture, &Limits::default()).unwrap();
-    let view = View::full(&picture).crop(0, 0, WIDTH, rows).unwrap();
+    let view = View::full(&picture).crop(Rect::new(0, 0, WIDTH, rows)).unwrap();
     last = Instant::now();
     let Samples::U8(drawn) = renderer.render(&view, Depth::Eight).unwrap().into_samples() else { panic!("8 bits") };
     eprintln!("drawing {rows} rows, bands of {} rows: {:.1} s", renderer.bands().0, last.elapsed().as_secs_f64());
     // At the seam of two bands.
     let first = (renderer.bands().0 - 32).min(rows - 64);
-    let part = view.crop(0, first, WIDTH, 64).unwrap();
+    let part = view.crop(Rect::new(0, first, WIDTH, 64)).unwrap();
     let want = raster::Renderer::new(&picture, &part, &Limits::default()).unwrap().render(Depth::Eight).unwrap();
     let Samples::U8(want) = want.into_samples() else { panic!("8 bits") };
     let off: Vec<u8> =

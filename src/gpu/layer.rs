@@ -8,6 +8,7 @@ use super::lists::MAX_BINDING;
 use crate::budget::Budget;
 use crate::error::{GpuError, Result};
 use crate::limits::Limits;
+use crate::parameter::Limit;
 use crate::raster::{Additions, Overlay, View};
 
 /// The additions to one view.
@@ -25,7 +26,7 @@ impl Layer {
     /// [`Error::LimitExceeded`](crate::Error::LimitExceeded) if the work of the layer alone exceeds the limits.
     pub(super) fn new(overlay: &Arc<Overlay>, view: &View, limits: &Limits) -> Result<Self> {
         let work = overlay.work(view, limits)?;
-        Limits::check("work", work, limits.work)?;
+        Limits::check(Limit::Work, work, limits.work)?;
         Ok(Layer { overlay: Arc::clone(overlay), view: *view, work, made: None })
     }
 

@@ -8,9 +8,9 @@
 //!
 //! ```no_run
 //! use ssplat::gpu::{Adapters, Device, Renderer};
-//! use ssplat::{Depth, Limits, Image};
+//! use ssplat::{Damage, Depth, Limits, Reader};
 //!
-//! let opened = Image::from_bytes(&std::fs::read("photo.ssplat")?, &Limits::default())?;
+//! let opened = Reader::open("photo.ssplat", &Limits::default())?.read(Damage::Refuse)?;
 //! let device = Device::open(Adapters::Hardware)?;
 //! let mut renderer = Renderer::of(&device, &opened)?;
 //! let pixels = renderer.render(&opened.view(), Depth::Eight)?;
@@ -41,5 +41,6 @@ pub(crate) use fit::Fitter;
 #[cfg(any(test, feature = "unstable"))]
 pub use fitted::{Fitted, Look, fit};
 pub use renderer::Renderer;
-/// The `wgpu` crate in the version that [`Device::from_wgpu`] expects. A minor release of this crate may update it.
+/// The `wgpu` crate in the version that [`Device::from_wgpu`] expects. A release that moves to
+/// an incompatible version is a major release of this crate.
 pub use wgpu;

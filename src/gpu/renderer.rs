@@ -6,14 +6,16 @@ use super::lists::{Lists, MAX_BINDING, MAX_TILES, check_primitives};
 #[cfg(test)]
 use super::scene::Splat;
 use super::scene::{Primitive, TILE, Uniforms, spaced};
-use crate::bitstream::area::Area;
 use crate::budget::Budget;
-use crate::decode::{Image, check_area};
+use crate::decode::{SplatImage, check_view};
 use crate::error::{Error, GpuError, Result};
-use crate::gaussian::{Blend, Channels, Gaussian, MAX_SCALE, Picture};
+use crate::gaussian::{Channels, Gaussian, Gaussians, MAX_SCALE};
 use crate::limits::Limits;
+use crate::options::Layers;
+use crate::parameter::{Limit, Parameter};
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::raster::{self, Overlay, View};
+use crate::rect::Rect;
 use std::sync::Arc;
 
 /// Alignment of the rows of a texture copy, bytes.
@@ -26,15 +28,15 @@ const PAIR_WORK: u64 = (TILE * TILE) as u64;
 #[derive(Debug)]
 pub struct Renderer {
     device: Device,
-    channels: Channels,
-    blend: Blend,
-    background: [f32; 4],
+    canvas: raster::Canvas,
     count: u32,
     limits: Limits,
     /// Memory account for pixels and additions.
     budget: Budget,
+    /// The layers that were read and can be rendered.
+    layers: Layers,
     /// The area that was read and can be rendered; `None` is the whole picture.
-    area: Option<Area>,
+    area: Option<Rect>,
     /// Detail layer to add to the Gaussians.
     overlay: Option<Arc<Overlay>>,
     primitives: wgpu::Buffer,
@@ -92,27 +94,26 @@ impl Renderer {
     /// # Errors
     /// [`Error::LimitExceeded`] if `limits` do not allow its primitives; [`Error::Parameter`] if one of them is not
     /// finite or has a scale outside `0..=2²⁰`; [`Error::Gpu`] if the device fails or does not have enough memory.
-    pub fn new(device: &Device, picture: &Picture, limits: &Limits) -> Result<Self> {
+    pub fn new(device: &Device, picture: &Gaussians, limits: &Limits) -> Result<Self> {
         let canvas =
             raster::Canvas { channels: picture.channels, blend: picture.blend, background: picture.background };
-        let gaussians = (picture.gaussians.len(), |i: usize| picture.gaussians[i]);
+        let gaussians = (picture.list.len(), |i: usize| picture.list[i]);
         Renderer::on(device, &canvas, gaussians, limits, &Budget::of(limits))
     }
 
-    /// Copies the [shown](Image::show) layers of an opened file to `device`. The file may be dropped afterwards;
-    /// rendering reserves memory from its account ([`Limits::alloc`]). The additions of a detail layer are computed on
-    /// the CPU when a view is rendered.
+    /// Copies the layers of `opened` that were read to `device`; each view then selects [layers](View::layers) of them.
+    /// The file may be dropped afterwards; rendering reserves memory from its account ([`Limits::alloc`]). The
+    /// additions of a detail layer are computed on the CPU when a view is rendered.
     ///
     /// # Errors
     /// As [`Renderer::new`], with the limits of `opened`.
-    pub fn of(device: &Device, opened: &Image) -> Result<Self> {
+    pub fn of(device: &Device, opened: &SplatImage) -> Result<Self> {
         let (layers, area, limits, budget) = opened.render_context();
-        let splats = opened.splats();
-        let (canvas, count) = splats.canvas(layers);
+        let splats = &opened.splats;
         let quantizer = splats.quantizer();
-        let gaussians = (count, |i: usize| quantizer.dequantize(&splats.gaussians[i]));
-        let overlay = splats.overlay(layers).map(Arc::new);
-        Ok(Renderer { area, overlay, ..Renderer::on(device, &canvas, gaussians, limits, budget)? })
+        let gaussians = (splats.gaussians.len(), |i: usize| quantizer.dequantize(&splats.gaussians[i]));
+        let overlay = splats.overlay().map(Arc::new);
+        Ok(Renderer { layers, area, overlay, ..Renderer::on(device, &splats.canvas(), gaussians, limits, budget)? })
     }
 
     fn on(
@@ -123,10 +124,13 @@ impl Renderer {
         budget: &Budget,
     ) -> Result<Self> {
         let count = length as u64;
-        Limits::check("primitives", count, limits.primitives)?;
+        Limits::check(Limit::Primitives, count, limits.primitives)?;
         check_primitives(count)?;
         if !canvas.background.iter().all(|v| v.is_finite()) {
-            return Err(Error::Parameter { name: "background", problem: format!("{:?}", canvas.background) });
+            return Err(Error::Parameter {
+                parameter: Parameter::Background,
+                problem: format!("{:?}", canvas.background),
+            });
         }
         let _held = budget.reserve(count * size_of::<Primitive>() as u64)?;
         let mut primitives = Vec::with_capacity(length);
@@ -136,7 +140,7 @@ impl Renderer {
                 && g.scale.iter().all(|&s| s > 0.0 && s <= MAX_SCALE);
             if !sound {
                 return Err(Error::Parameter {
-                    name: "gaussians",
+                    parameter: Parameter::Gaussians,
                     problem: format!("number {i} is not finite or has a scale outside 0..=1048576: {g:?}"),
                 });
             }
@@ -155,12 +159,11 @@ impl Renderer {
         })?;
         Ok(Renderer {
             device: device.clone(),
-            channels: canvas.channels,
-            blend: canvas.blend,
-            background: canvas.background,
+            canvas: *canvas,
             count: count as u32,
             limits: limits.clone(),
             budget: budget.clone(),
+            layers: Layers::Both,
             area: None,
             overlay: None,
             primitives: buffer,
@@ -175,14 +178,14 @@ impl Renderer {
     /// # Errors
     /// [`Error::LimitExceeded`] if the pixels, the additions of a detail layer, the (Gaussian, tile) pairs or their
     /// work exceed the limits; rendering stops before the band that exceeds them. [`Error::Parameter`] if the view
-    /// shows parts of the picture that were not read. [`Error::Gpu`] if the device fails, or if the Gaussians of a
-    /// single row of tiles do not fit into a list.
+    /// shows parts or layers of the picture that were not read. [`Error::Gpu`] if the device fails, or if the Gaussians
+    /// of a single row of tiles do not fit into a list.
     pub fn render(&mut self, view: &View, depth: Depth) -> Result<Pixels> {
-        let count = self.channels.count();
+        let count = self.canvas.channels.count();
         let samples = u64::from(view.width()) * u64::from(view.height()) * count as u64;
         let _held = self.budget.reserve(samples * depth.bytes() as u64)?;
         // Indices of the picture's channels among red, green, blue and alpha.
-        let picked: &[usize] = match self.channels {
+        let picked: &[usize] = match self.canvas.channels {
             Channels::Grey => &[0],
             Channels::GreyAlpha => &[0, 3],
             Channels::Rgb => &[0, 1, 2],
@@ -212,7 +215,7 @@ impl Renderer {
                 Samples::U16(out)
             }
         };
-        Pixels::new(view.width(), view.height(), self.channels, samples)
+        Pixels::new(view.width(), view.height(), self.canvas.channels, samples)
     }
 
     /// Renders `view` into `buffer` as red, green, blue and straight alpha, 8 bits each, row after row. The pixels
@@ -248,13 +251,13 @@ impl Renderer {
             F::Rgba8Unorm | F::Rgba8UnormSrgb => Format::Rgba8,
             F::Bgra8Unorm | F::Bgra8UnormSrgb => Format::Bgra8,
             other => {
-                return Err(Error::Parameter { name: "texture", problem: format!("format {other:?}") });
+                return Err(Error::Parameter { parameter: Parameter::Texture, problem: format!("format {other:?}") });
             }
         };
         let (width, height) = (view.width(), view.height());
         if width > texture.width() || height > texture.height() {
             let problem = format!("{}×{} is smaller than the view", texture.width(), texture.height());
-            return Err(Error::Parameter { name: "texture", problem });
+            return Err(Error::Parameter { parameter: Parameter::Texture, problem });
         }
         let stride = (width * 4).next_multiple_of(ROW_ALIGNMENT) / 4;
         self.draw(view, format, stride, |device, codes, words, first| {
@@ -311,15 +314,16 @@ impl Renderer {
         stride: u32,
         mut take: impl FnMut(&Device, &wgpu::Buffer, u64, u32) -> Result<()>,
     ) -> Result<()> {
-        check_area(self.area.as_ref(), view)?;
-        let mut layer = match &self.overlay {
+        check_view(view, self.area.as_ref(), self.layers)?;
+        let (canvas, count) = self.canvas.showing(view.shown(), self.count as usize);
+        let mut layer = match self.overlay.as_ref().filter(|_| view.shown() != Layers::Gaussians) {
             Some(overlay) => Some(Layer::new(overlay, view, &self.limits)?),
             None => None,
         };
         let base = Uniforms {
             stride,
             detail: layer.is_some().into(),
-            ..Uniforms::new(view, self.blend, self.channels, self.background, self.count)
+            ..Uniforms::new(view, canvas.blend, canvas.channels, canvas.background, count as u32)
         };
         // Output rows in a tile. A band has whole rows of tiles whose codes fit into a binding, or as many rows as
         // additions are held for.
@@ -347,10 +351,10 @@ impl Renderer {
         let tile_pairs = self.limits.tile_pairs;
         let most_pairs = tile_pairs.min(max_work.min(all_work - layer_work) / PAIR_WORK);
         let check = |pairs: u64| {
-            Limits::check("tile_pairs", pairs, tile_pairs)?;
+            Limits::check(Limit::TilePairs, pairs, tile_pairs)?;
             let work = pairs.saturating_mul(PAIR_WORK);
-            Limits::check("work", work, max_work)?;
-            Limits::check("work", work.saturating_add(layer_work), all_work)
+            Limits::check(Limit::Work, work, max_work)?;
+            Limits::check(Limit::Work, work.saturating_add(layer_work), all_work)
         };
         let mut first = 0;
         let mut pairs = 0u64;

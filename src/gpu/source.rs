@@ -72,7 +72,7 @@ pub(super) fn words(target: &Planes, depth: Depth) -> u32 {
 /// Packs rows `first..end` of a target that does not consist of whole code values, in the format of [`pack`].
 pub(super) fn pack_target(target: &Planes, depth: Depth, first: u32, end: u32) -> Vec<u32> {
     let count = target.channels.count();
-    let white = depth.max();
+    let white = f32::from(depth.max());
     let mut out = Vec::with_capacity((end - first) as usize * (target.width * words(target, depth)) as usize);
     for y in first..end {
         let (row, amplitude) = (target.row(y), target.amplitude(y));

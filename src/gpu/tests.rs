@@ -707,20 +707,21 @@ mod stages {
         let (width, height) = (50, 37);
         let free = primitives(width, height, 60);
         let gaussians: Vec<_> = free.iter().map(|p| p.to_gaussian()).collect();
-        let picture = crate::Picture {
+        let picture = crate::Gaussians {
             width,
             height,
             channels: Channels::Rgba,
+            depth: crate::Depth::Eight,
             blend: Blend::Normalized,
             background: [0.3; 4],
-            gaussians,
+            list: gaussians,
         };
         let new = || Renderer::new(&device, &picture, &crate::Limits::default()).unwrap();
         let head = DetailHead { step: 900, alpha: true, ..DetailHead::PLAIN };
         let layer = DetailLayer::made(head, picture.channels, [width, height], &mut Ripples(0)).unwrap();
         let overlay = Arc::new(Overlay::new(Arc::new(layer), picture.channels, [width, height]));
         let p: Vec<Primitive> = picture
-            .gaussians
+            .list
             .iter()
             .map(|g| Primitive { mean: g.mean, log_scale: g.scale.map(f32::ln), rotation: g.rotation, color: g.color })
             .collect();
@@ -759,13 +760,14 @@ mod stages {
     /// Half the squared error in f64, not clamped where the picture is within 0..=1.
     fn loss(c: &Case, free: &[Free]) -> f64 {
         let gaussians: Vec<_> = free.iter().map(|p| p.to_gaussian()).collect();
-        let picture = crate::Picture {
+        let picture = crate::Gaussians {
             width: c.scene.width,
             height: c.scene.height,
             channels: c.pixels.channels(),
+            depth: crate::Depth::Eight,
             blend: c.scene.blend,
             background: c.scene.background,
-            gaussians,
+            list: gaussians,
         };
         let view = crate::raster::View::full(&picture);
         let drawn = crate::raster::reference::sample(&picture, &view);

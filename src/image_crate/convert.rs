@@ -4,6 +4,7 @@ use image::{DynamicImage, ExtendedColorType, ImageBuffer};
 
 use crate::error::{Error, Result};
 use crate::gaussian::Channels;
+use crate::parameter::Parameter;
 use crate::pixels::{Pixels, Samples};
 
 impl TryFrom<&DynamicImage> for Pixels {
@@ -17,7 +18,9 @@ impl TryFrom<&DynamicImage> for Pixels {
         let color = ExtendedColorType::from(picture.color());
         gather(picture.as_bytes(), picture.width(), picture.height(), color).map_err(|e| match e {
             Rejected::Pixels(e) => e,
-            Rejected::Color(c) => Error::Parameter { name: "color type", problem: format!("{c:?} is not supported") },
+            Rejected::Color(c) => {
+                Error::Parameter { parameter: Parameter::ColorType, problem: format!("{c:?} is not supported") }
+            }
         })
     }
 }
@@ -103,7 +106,7 @@ fn floats(buf: &[u8]) -> Result<Samples> {
     let word = |bytes: &[u8; 4]| {
         let v = f32::from_ne_bytes(*bytes);
         if !v.is_finite() {
-            return Err(Error::Parameter { name: "samples", problem: format!("{v} is not finite") });
+            return Err(Error::Parameter { parameter: Parameter::Samples, problem: format!("{v} is not finite") });
         }
         Ok((v.clamp(0.0, 1.0) * 65535.0 + 0.5) as u16)
     };

@@ -17,11 +17,12 @@ use image::{ColorType, ImageDecoder, ImageError, ImageResult, LimitSupport};
 
 use crate::bitstream::header::{Header, MAGIC};
 use crate::bitstream::read_rest;
-use crate::decode::{Image, Reader};
+use crate::decode::{Reader, SplatImage};
 use crate::error::{Error, Result};
 use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::options::Damage;
+use crate::parameter::Limit;
 use crate::pixels::Depth;
 use crate::raster::{Renderer, SamplesMut};
 
@@ -58,14 +59,14 @@ pub struct SsplatDecoder<R> {
     header: Header,
     limits: Limits,
     /// The whole file, once anything after the header has been needed.
-    opened: Option<Image>,
+    opened: Option<SplatImage>,
 }
 
 impl<R: Read> SsplatDecoder<R> {
     /// Reads the header only.
     ///
     /// # Errors
-    /// [`ImageError::Decoding`] if the header is broken, [`ImageError::Unsupported`] for a newer version,
+    /// [`ImageError::Decoding`] if the header is broken, [`ImageError::Unsupported`] for another version,
     /// [`ImageError::Limits`] if the file exceeds the default [`Limits`], [`ImageError::IoError`] from `reader`.
     pub fn new(mut reader: R) -> ImageResult<Self> {
         let limits = Limits::default();
@@ -74,7 +75,7 @@ impl<R: Read> SsplatDecoder<R> {
     }
 
     /// Returns the file, which is read on first use.
-    fn opened(&mut self) -> ImageResult<&mut Image> {
+    fn opened(&mut self) -> ImageResult<&mut SplatImage> {
         let opened = match self.opened.take() {
             Some(opened) => opened,
             None => self.read().map_err(decoding_error)?,
@@ -82,9 +83,9 @@ impl<R: Read> SsplatDecoder<R> {
         Ok(self.opened.insert(opened))
     }
 
-    fn read(&mut self) -> Result<Image> {
+    fn read(&mut self) -> Result<SplatImage> {
         let rest = read_rest(&mut self.reader, &self.limits)?;
-        Reader::with_header(self.header.clone(), &rest, &self.limits).read(Damage::Refuse)
+        Reader::with_header(self.header.clone(), rest.into(), &self.limits).read(Damage::Refuse)
     }
 
     /// Returns a renderer of the picture and drops the integers.
@@ -171,7 +172,7 @@ fn decoding_error(e: Error) -> ImageError {
             hint(),
             UnsupportedErrorKind::GenericFeature(e.to_string()),
         )),
-        Error::LimitExceeded { what: "width" | "height", .. } => {
+        Error::LimitExceeded { limit: Limit::Width | Limit::Height, .. } => {
             ImageError::Limits(LimitError::from_kind(LimitErrorKind::DimensionError))
         }
         Error::LimitExceeded { .. } => ImageError::Limits(LimitError::from_kind(LimitErrorKind::InsufficientMemory)),

@@ -27,6 +27,7 @@ use super::replace::replace;
 use crate::encode::{EncodeReport, Encoder, encode};
 use crate::error::{Error, Result};
 use crate::options::EncodeOptions;
+use crate::parameter::Parameter;
 use crate::pixels::Pixels;
 
 /// Encodes `picture` and writes the file to `path`. The file is first written under another name, so that an existing
@@ -65,12 +66,12 @@ pub(super) fn check_extension(path: &Path) -> Result<()> {
         return Ok(());
     }
     let problem = format!("{} has the extension of another format", path.display());
-    Err(Error::Parameter { name: "path", problem })
+    Err(Error::Parameter { parameter: Parameter::Path, problem })
 }
 
 /// Writes a whole file.
 pub(super) fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    replace(path, bytes).map_err(|e| Error::at(path, &e))
+    replace(path, bytes).map_err(|e| Error::at(path, e))
 }
 
 /// Writes pictures as ssplat files, for [`DynamicImage::write_with_encoder`].

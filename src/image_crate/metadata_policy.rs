@@ -33,9 +33,13 @@ impl MetadataPolicy {
     /// let carried = MetadataPolicy::Needed.of(None, Some(vec![0; 20_000]), Orientation::Rotate90);
     /// assert_eq!((carried.exif.map(|exif| exif.len()), carried.exif_left_out), (Some(26), 20_000));
     /// ```
-    #[doc(hidden)]
+    #[cfg(feature = "unstable")]
     #[must_use]
     pub fn of(self, icc: Option<Vec<u8>>, exif: Option<Vec<u8>>, orientation: Orientation) -> Carried {
+        self.select(icc, exif, orientation)
+    }
+
+    pub(crate) fn select(self, icc: Option<Vec<u8>>, exif: Option<Vec<u8>>, orientation: Orientation) -> Carried {
         let is_turned = orientation != Orientation::NoTransforms;
         let alone = || is_turned.then(|| oriented(orientation));
         let length = |block: &Option<Vec<u8>>| block.as_ref().map_or(0, Vec::len);
@@ -91,21 +95,22 @@ mod tests {
     #[test]
     fn the_default_policy_keeps_the_profile_and_the_orientation() {
         for orientation in ALL {
-            let carried = MetadataPolicy::Needed.of(Some(vec![1; 500]), Some(vec![0; 3000]), orientation);
+            let carried = MetadataPolicy::Needed.select(Some(vec![1; 500]), Some(vec![0; 3000]), orientation);
             assert_eq!((carried.icc, carried.icc_left_out), (Some(vec![1; 500]), 0));
             assert_eq!((carried.exif_left_out, carried.is_orientation_left_out), (3000, false));
             let said = carried.exif.as_deref().and_then(Orientation::from_exif_chunk);
             assert_eq!(said, (orientation != Orientation::NoTransforms).then_some(orientation));
             // A block that was stored once is stored again unchanged.
-            let again = MetadataPolicy::Needed.of(None, carried.exif.clone(), orientation);
+            let again = MetadataPolicy::Needed.select(None, carried.exif.clone(), orientation);
             assert_eq!((&again.exif, again.exif_left_out), (&carried.exif, 0));
         }
     }
 
     #[test]
     fn omitted_metadata_is_reported() {
-        let of =
-            |carry: MetadataPolicy, exif: Option<Vec<u8>>| carry.of(Some(vec![1; 500]), exif, Orientation::Rotate180);
+        let of = |carry: MetadataPolicy, exif: Option<Vec<u8>>| {
+            carry.select(Some(vec![1; 500]), exif, Orientation::Rotate180)
+        };
         let all = of(MetadataPolicy::All, Some(vec![2; 90]));
         assert_eq!((all.icc_left_out, all.exif_left_out, all.is_orientation_left_out), (0, 0, false));
         assert_eq!(all.exif, Some(vec![2; 90]));
@@ -124,9 +129,9 @@ mod tests {
     #[test]
     fn an_orientation_without_exif_is_stored_in_a_new_block() {
         for carry in [MetadataPolicy::All, MetadataPolicy::Needed] {
-            let exif = carry.of(None, None, Orientation::Rotate270).exif;
+            let exif = carry.select(None, None, Orientation::Rotate270).exif;
             assert_eq!(exif.as_deref().and_then(Orientation::from_exif_chunk), Some(Orientation::Rotate270));
-            assert_eq!(carry.of(None, None, Orientation::NoTransforms), Carried::default());
+            assert_eq!(carry.select(None, None, Orientation::NoTransforms), Carried::default());
         }
     }
 }

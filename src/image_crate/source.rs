@@ -6,6 +6,7 @@ use crate::error::Result;
 use crate::gaussian::Channels;
 use crate::pixel_source::{PixelSource, check_area};
 use crate::pixels::{Depth, Pixels};
+use crate::rect::Rect;
 
 /// Samples in `f32` are read with 16 bits, as by [`Pixels::try_from`].
 impl PixelSource for DynamicImage {
@@ -25,13 +26,13 @@ impl PixelSource for DynamicImage {
         if self.color().bytes_per_pixel() > self.color().channel_count() { Depth::Sixteen } else { Depth::Eight }
     }
 
-    fn part(&self, area: [u32; 4]) -> Result<Pixels> {
+    fn part(&self, area: Rect) -> Result<Pixels> {
         let [width, height] = self.size();
-        if area == [0, 0, width, height] {
+        if area == Rect::new(0, 0, width, height) {
             return Pixels::try_from(self);
         }
         check_area(area, [width, height])?;
-        let [x, y, width, height] = area;
+        let Rect { x, y, width, height } = area;
         Pixels::try_from(self.crop_imm(x, y, width, height))
     }
 }

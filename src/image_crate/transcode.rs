@@ -33,10 +33,10 @@ pub fn transcode(input: impl AsRef<Path>, output: impl AsRef<Path>, options: &En
     check_extension(output)?;
     let failed = |error: ImageError| match error {
         // `image` reports a truncated picture as an I/O error, but the picture is at fault.
-        ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::at(path, &e),
+        ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::at(path, e),
         error => Error::Source { path: Some(path.into()), error },
     };
-    let io = |e: std::io::Error| Error::at(path, &e);
+    let io = |e: std::io::Error| Error::at(path, e);
     let mut reader = BufReader::new(File::open(path).map_err(io)?);
     let stated = colour::look(&mut reader).map_err(io)?;
     let decoder = input::open(reader, path, &input::limits()).map_err(failed)?;
@@ -67,7 +67,7 @@ fn encode_stated(mut decoder: impl ImageDecoder, stated: Stated, options: &Encod
     let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
     let pixels = Pixels::try_from(stated.without_idle_alpha(input::picture(decoder).map_err(failed)?))?;
     let icc = icc.filter(|icc| is_for(icc, &pixels));
-    let carried = options.metadata.of(icc, exif, orientation);
+    let carried = options.metadata.select(icc, exif, orientation);
     let mut options = options.clone();
     options.icc = options.icc.or(carried.icc);
     options.exif = options.exif.or(carried.exif);

@@ -1,6 +1,7 @@
 //! Options of the decoder.
 
 use crate::limits::Limits;
+use crate::rect::Rect;
 
 /// Treatment of truncated and damaged files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
@@ -32,8 +33,8 @@ pub enum Layers {
 pub struct DecodeOptions {
     /// Limits on size, memory and work.
     pub limits: Limits,
-    /// The part to draw: left, top, width and height, pixels of the picture; `None`: all of it.
-    pub region: Option<[u32; 4]>,
+    /// The part to draw, in pixels of the picture; `None`: all of it.
+    pub region: Option<Rect>,
     /// Width and height of the output, pixels; `None`: those of the region. Larger ones sample the continuous picture,
     /// smaller ones are low-passed as [`View::resized`](crate::raster::View::resized) says.
     pub size: Option<[u32; 2]>,

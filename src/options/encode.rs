@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::bitstream::splats::Layout;
+use crate::bitstream::splats::{Layout, Steps};
 use crate::gaussian::Blend;
 use crate::target::Target;
 
@@ -164,6 +164,31 @@ pub enum MetadataPolicy {
     None,
 }
 
+/// Precision of the integers of Gaussians that were fitted elsewhere.
+#[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "tools set them"))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Precision {
+    /// `0..=`[`FINEST`](crate::pack::FINEST), from coarse to fine. The encoder uses 0 to 5. Levels above 6 enlarge the
+    /// file and change little else.
+    Level(u8),
+    /// The given steps.
+    Steps(Steps),
+}
+
+/// Treatment of Gaussians whose mean lies outside the picture, where the format has no positions.
+#[cfg_attr(not(feature = "unstable"), allow(dead_code, reason = "tools set them"))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
+#[non_exhaustive]
+pub enum Outside {
+    /// Return [`Error::Parameter`](crate::Error::Parameter).
+    #[default]
+    Refuse,
+    /// Leave out Gaussians whose support does not reach the picture, and move the means of the others to the nearest
+    /// position inside.
+    Crop,
+}
+
 /// Options of [`Encoder`](crate::Encoder).
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -213,6 +238,10 @@ pub struct EncodeOptions {
     pub trace: Trace,
     /// Last step of an ablation that is included.
     pub rung: Rung,
+    /// Precision of given Gaussians; `None`: level 6, or the finest that the target allows.
+    pub precision: Option<Precision>,
+    /// Treatment of given Gaussians outside the picture.
+    pub outside: Outside,
     /// Metadata of the source that `transcode` and `encode_decoder` copy into the file. Plain pixels have none.
     pub metadata: MetadataPolicy,
     /// ICC profile to store, regardless of `metadata`.
@@ -250,6 +279,8 @@ impl Default for EncodeOptions {
             hidden: HiddenColors::default(),
             trace: Trace::Off,
             rung: Rung::default(),
+            precision: None,
+            outside: Outside::default(),
             metadata: MetadataPolicy::Needed,
             icc: None,
             exif: None,

@@ -8,6 +8,7 @@ use crate::budget::{Budget, Reservation};
 use crate::error::Result;
 use crate::limits::Limits;
 use crate::parallel;
+use crate::parameter::Limit;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -59,8 +60,8 @@ impl Cost {
         spent.pairs += more.pairs;
         spent.work += more.work;
         *more = Cost { pairs: 0, work: 0 };
-        Limits::check("tile_pairs", spent.pairs, self.pairs)?;
-        Limits::check("work", spent.work, self.work)?;
+        Limits::check(Limit::TilePairs, spent.pairs, self.pairs)?;
+        Limits::check(Limit::Work, spent.work, self.work)?;
         Ok(self.pairs - spent.pairs)
     }
 }
@@ -224,6 +225,7 @@ mod tests {
     use super::*;
     use crate::error::Error;
     use crate::gaussian::Gaussian;
+    use crate::rect::Rect;
 
     /// Sorts within the given `limits`, without other accounting.
     fn bins(splats: &Splats, view: &View, limits: &Limits) -> Result<Bins> {
@@ -246,7 +248,9 @@ mod tests {
     #[test]
     fn members_stand_in_the_order_of_the_picture() {
         let full = View::of_size(2100, 1300);
-        for view in [full, full.crop(130, 700, 1500, 333).unwrap(), full.crop(1000, 500, 20, 20).unwrap()] {
+        for view in
+            [full, full.crop(Rect::new(130, 700, 1500, 333)).unwrap(), full.crop(Rect::new(1000, 500, 20, 20)).unwrap()]
+        {
             for count in [0, 1, 5000, 30_000] {
                 let splats = splats(count, &view);
                 let bins = bins(&splats, &view, &Limits::default()).unwrap();
@@ -284,7 +288,7 @@ mod tests {
             for allowed in [pairs - 1, pairs / 2, 0] {
                 limits.tile_pairs = allowed;
                 let refusal = |limits| match bins(&splats, &view, limits) {
-                    Err(Error::LimitExceeded { what: "tile_pairs", requested, .. }) => requested,
+                    Err(Error::LimitExceeded { limit: Limit::TilePairs, requested, .. }) => requested,
                     other => panic!("{other:?}"),
                 };
                 let requested = refusal(&limits);
@@ -294,9 +298,9 @@ mod tests {
         }
         limits = Limits::default();
         limits.work = pairs * PAIR_WORK;
-        assert!(matches!(bins(&splats, &view, &limits), Err(Error::LimitExceeded { what: "work", .. })));
+        assert!(matches!(bins(&splats, &view, &limits), Err(Error::LimitExceeded { limit: Limit::Work, .. })));
         limits = Limits::default();
         limits.alloc = pairs * 4;
-        assert!(matches!(bins(&splats, &view, &limits), Err(Error::LimitExceeded { what: "alloc", .. })));
+        assert!(matches!(bins(&splats, &view, &limits), Err(Error::LimitExceeded { limit: Limit::Alloc, .. })));
     }
 }

@@ -6,18 +6,19 @@
 //! anchored to the view's grid, and nothing that is computed for a tile depends on what is rendered around it.
 //!
 //! ```
-//! use ssplat::{Blend, Channels, Depth, Gaussian, Limits, Picture, Renderer, View};
+//! use ssplat::{Blend, Channels, Depth, Gaussian, Gaussians, Limits, Rect, Renderer, View};
 //!
-//! let picture = Picture {
+//! let picture = Gaussians {
 //!     width: 64,
 //!     height: 48,
 //!     channels: Channels::Rgb,
+//!     depth: Depth::Eight,
 //!     blend: Blend::Normalized,
 //!     background: [0.5, 0.5, 0.5, 0.0],
-//!     gaussians: vec![Gaussian { mean: [32.0, 24.0], scale: [9.0, 3.0], rotation: 0.5, color: [1.0, 0.2, 0.0, 0.0] }],
+//!     list: vec![Gaussian { mean: [32.0, 24.0], scale: [9.0, 3.0], rotation: 0.5, color: [1.0, 0.2, 0.0, 0.0] }],
 //! };
 //! let whole = View::full(&picture);
-//! let region = whole.crop(16, 8, 32, 32)?;
+//! let region = whole.crop(Rect::new(16, 8, 32, 32))?;
 //! let pixels = Renderer::new(&picture, &region, &Limits::default())?.render(Depth::Eight)?;
 //! assert_eq!((pixels.width(), pixels.height()), (32, 32));
 //! # Ok::<(), ssplat::Error>(())

@@ -19,6 +19,7 @@ use crate::error::Result;
 use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::parallel;
+use crate::parameter::Limit;
 
 /// A detail layer, ready to be added to a view.
 #[derive(Debug)]
@@ -204,10 +205,10 @@ impl Overlay {
     pub(crate) fn work(&self, view: &View, limits: &Limits) -> Result<u64> {
         /// Work per sample of a tile: its part of the densest transform.
         const SAMPLE_WORK: u64 = 64;
-        let [_, _, width, height] = view.area().map(|side| (u64::from(side) / TILE as u64 + 2) * TILE as u64);
+        let [width, height] = view.area().size().map(|side| (u64::from(side) / TILE as u64 + 2) * TILE as u64);
         let samples = width.saturating_mul(height).saturating_mul(self.channels.count() as u64 * SAMPLE_WORK);
         // Samples and levels are checked separately before they are known to exist, at four and three times their cost.
-        Limits::check("work", samples, limits.work)?;
+        Limits::check(Limit::Work, samples, limits.work)?;
         Ok((samples / 4).saturating_add(LEVEL_WORK * self.layer.levels() as u64).saturating_add(self.tap_work(view)))
     }
 
@@ -219,7 +220,7 @@ impl Overlay {
         if self.is_direct(view) {
             return 0;
         }
-        let [_, _, width, height] = view.area().map(u64::from);
+        let [width, height] = view.area().size().map(u64::from);
         let taps = width.max(2 * u64::from(view.width)).saturating_mul(height.max(2 * u64::from(view.height)));
         taps.saturating_mul(self.channels.count() as u64 * TAP_WORK)
     }

@@ -11,6 +11,7 @@ use crate::budget::{Budget, Reservation};
 use crate::error::{Error, Result};
 use crate::gaussian::{CUTOFF, CUTOFF_WEIGHT, Gaussian};
 use crate::parallel;
+use crate::parameter::Parameter;
 use crate::simd::LANES;
 
 /// `u² + v²` at the edge of the support: `K²/2 · log₂ e`.
@@ -244,7 +245,7 @@ pub(super) fn project(
                 && g.scale.iter().all(|&s| s > 0.0 && s.is_finite());
             if !sound {
                 return Err(Error::Parameter {
-                    name: "gaussians",
+                    parameter: Parameter::Gaussians,
                     problem: format!("number {i} is not finite or has a scale of zero: {g:?}"),
                 });
             }
@@ -267,14 +268,15 @@ pub(super) fn project(
 mod tests {
     use super::*;
     use crate::limits::Limits;
+    use crate::rect::Rect;
 
     #[test]
     fn what_is_left_out_early_touches_nothing() {
         let full = View::of_size(500, 300);
         let views = [
-            full.crop(100, 60, 130, 90).unwrap(),
-            full.resized(1100, 400).unwrap().crop(300, 100, 200, 50).unwrap(),
-            full.resized(200, 40).unwrap().crop(60, 10, 3, 2).unwrap(),
+            full.crop(Rect::new(100, 60, 130, 90)).unwrap(),
+            full.resized(1100, 400).unwrap().crop(Rect::new(300, 100, 200, 50)).unwrap(),
+            full.resized(200, 40).unwrap().crop(Rect::new(60, 10, 3, 2)).unwrap(),
             full.resized(7, 5).unwrap(),
         ];
         let (mut left_out, mut drawn) = (0, 0);
@@ -303,6 +305,6 @@ mod tests {
     fn what_is_no_number_is_refused_even_outside_the_view() {
         let far = Gaussian { mean: [1e6, 1e6], scale: [1.0; 2], rotation: 0.0, color: [f32::NAN; 4] };
         let found = project((1, |_| far), &View::of_size(8, 8), [0.0; 2], &Budget::of(&Limits::default()));
-        assert!(matches!(found, Err(Error::Parameter { name: "gaussians", .. })));
+        assert!(matches!(found, Err(Error::Parameter { parameter: Parameter::Gaussians, .. })));
     }
 }

@@ -6,7 +6,7 @@ use crate::bitstream::DetailLayer;
 use crate::bitstream::detail::levels::tile_area;
 use crate::bitstream::splats::PackedSplats;
 use crate::detail::tile::{Scratch, TilePlanes, reconstruct};
-use crate::gaussian::{Blend, CUTOFF, EPSILON, Gaussian, HIDDEN, Picture};
+use crate::gaussian::{Blend, CUTOFF, EPSILON, Gaussian, Gaussians, HIDDEN};
 use crate::pixels::Depth;
 
 /// Returns the weight `max(0, exp(−d²/2) − exp(−K²/2))` of `g` at `(x, y)`, pixels.
@@ -41,16 +41,16 @@ fn widened(g: &Gaussian, variance: [f64; 2], x: f64, y: f64) -> f64 {
 /// Returns the colour of `picture` at `(x, y)` (pixels), not clamped; 1.0 is white. Unused channels have the value of
 /// the background.
 #[must_use]
-pub fn color(picture: &Picture, x: f64, y: f64) -> [f64; 4] {
+pub fn color(picture: &Gaussians, x: f64, y: f64) -> [f64; 4] {
     blend(picture, [0.0; 2], x, y)
 }
 
 /// Returns the colour of `picture` at `(x, y)` with `variance` (pixels²) added to the Gaussians' variances along x and
 /// y.
-fn blend(picture: &Picture, variance: [f64; 2], x: f64, y: f64) -> [f64; 4] {
+fn blend(picture: &Gaussians, variance: [f64; 2], x: f64, y: f64) -> [f64; 4] {
     let background = picture.background.map(f64::from);
     let (mut sum, mut total) = ([0.0; 4], 0.0);
-    for g in &picture.gaussians {
+    for g in &picture.list {
         let w = widened(g, variance, x, y);
         total += w;
         for (s, c) in sum.iter_mut().zip(g.color) {
@@ -73,7 +73,7 @@ pub fn code(value: f64, depth: Depth) -> u16 {
 /// Returns the colour values of every pixel of `view`, row by row with interleaved channels, sampled at the pixel
 /// centres without a filter. For reduced views, a [`Renderer`](super::Renderer) does not return this but [`filtered`].
 #[must_use]
-pub fn sample(picture: &Picture, view: &View) -> Vec<f64> {
+pub fn sample(picture: &Gaussians, view: &View) -> Vec<f64> {
     let mut out = Vec::new();
     for j in 0..view.height() {
         for i in 0..view.width() {
@@ -87,7 +87,7 @@ pub fn sample(picture: &Picture, view: &View) -> Vec<f64> {
 /// Returns the colour values of every pixel of `view` with the low-pass filter of [`View::resized`] (spec §5.5), row
 /// by row with interleaved channels: means of samples clamped to 0..=1, where colours are weighted by their alpha.
 #[must_use]
-pub fn filtered(picture: &Picture, view: &View) -> Vec<f64> {
+pub fn filtered(picture: &Gaussians, view: &View) -> Vec<f64> {
     let Filter { parts, variance } = view.filter();
     let fine = view.refined(parts);
     let count = f64::from(parts[0] * parts[1]);
@@ -117,7 +117,7 @@ pub fn filtered(picture: &Picture, view: &View) -> Vec<f64> {
 /// §11.6).
 #[must_use]
 pub fn detailed(splats: &PackedSplats, view: &View) -> Vec<f64> {
-    let mut values = filtered(&splats.to_picture(), view);
+    let mut values = filtered(&splats.to_gaussians(), view);
     let Some(layer) = &splats.detail else { return values };
     let (size, channels) = ([splats.width, splats.height], splats.channels.count());
     let added = additions(layer, splats);

@@ -10,8 +10,10 @@ use crate::bitstream::detail::levels::TILE;
 use crate::budget::Budget;
 use crate::detail::supers::Supers;
 use crate::error::{Error, Result};
-use crate::gaussian::{Blend, Channels, Gaussian, Picture};
+use crate::gaussian::{Blend, Channels, Gaussian, Gaussians};
 use crate::limits::Limits;
+use crate::options::Layers;
+use crate::parameter::{Limit, Parameter};
 use crate::pixels::{Depth, Pixels, Samples};
 use crate::simd;
 #[cfg(feature = "rayon")]
@@ -47,6 +49,23 @@ pub(crate) struct Canvas {
     pub background: [f32; 4],
 }
 
+/// Colour under the detail layer when it is rendered alone: middle grey, as an encoded value.
+const GREY: f32 = 0.5;
+
+impl Canvas {
+    /// Returns the canvas onto which `layers` are rendered, and how many of `count` Gaussians are rendered onto it.
+    pub(crate) fn showing(mut self, layers: Layers, count: usize) -> (Self, usize) {
+        if layers != Layers::Detail {
+            return (self, count);
+        }
+        self.background = [GREY; 4];
+        if let Some(alpha) = self.channels.alpha() {
+            self.background[alpha] = 1.0;
+        }
+        (self, 0)
+    }
+}
+
 /// Selects the instruction set; the output is the same for all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Dispatch {
@@ -68,16 +87,17 @@ const MAX_SLICES: usize = 4096;
 const _: () = assert!(TILE.is_multiple_of(TILE_WIDTH) && TILE_WIDTH == TILE_HEIGHT);
 
 impl Renderer {
-    /// Projects the Gaussians of `picture` that `view` shows, and sorts them into tiles.
+    /// Projects the Gaussians of `picture` that `view` shows, and sorts them into tiles. There is no detail layer;
+    /// [`SplatImage::renderer`](crate::SplatImage::renderer) renders the one of a file.
     ///
     /// # Errors
     /// [`Error::LimitExceeded`] if primitives, (Gaussian, tile) pairs, work or memory exceed `limits`; this is checked
     /// before memory is allocated. [`Error::Parameter`] if a primitive is not finite or has a scale of zero, or if a
     /// side of the view is 0 or over 2²⁰.
-    pub fn new(picture: &Picture, view: &View, limits: &Limits) -> Result<Self> {
+    pub fn new(picture: &Gaussians, view: &View, limits: &Limits) -> Result<Self> {
         let canvas = Canvas { channels: picture.channels, blend: picture.blend, background: picture.background };
-        let gaussians = (picture.gaussians.len(), |i| picture.gaussians[i]);
-        Renderer::of(&canvas, gaussians, view, limits, &Budget::of(limits))
+        let (canvas, count) = canvas.showing(view.layers, picture.list.len());
+        Renderer::of(&canvas, (count, |i| picture.list[i]), view, limits, &Budget::of(limits))
     }
 
     /// Returns a renderer of `count` Gaussians that are computed on demand, so that they need not all be in memory.
@@ -90,16 +110,19 @@ impl Renderer {
     ) -> Result<Self> {
         if [view.width, view.height].iter().any(|&side| side == 0 || side > MAX_SIDE) {
             return Err(Error::Parameter {
-                name: "view",
+                parameter: Parameter::View,
                 problem: format!("{view:?} has a side outside 1..={MAX_SIDE}"),
             });
         }
         if !canvas.background.iter().all(|v| v.is_finite()) {
-            return Err(Error::Parameter { name: "background", problem: format!("{:?}", canvas.background) });
+            return Err(Error::Parameter {
+                parameter: Parameter::Background,
+                problem: format!("{:?}", canvas.background),
+            });
         }
         let filter = view.filter();
         let fine = view.refined(filter.parts);
-        Limits::check("primitives", count as u64, limits.primitives.min(u64::from(u32::MAX)))?;
+        Limits::check(Limit::Primitives, count as u64, limits.primitives.min(u64::from(u32::MAX)))?;
         let splats = project((count, gaussian), &fine, filter.variance, budget)?;
         let bins = Bins::new(&splats, &fine, limits, budget)?;
         Ok(Renderer {
@@ -123,7 +146,7 @@ impl Renderer {
     /// [`Error::LimitExceeded`] if Gaussians and layer together take too much memory or work.
     pub(crate) fn with(mut self, overlay: Overlay, limits: &Limits) -> Result<Self> {
         let both = self.bins.work.saturating_add(overlay.work(&self.view, limits)?);
-        Limits::check("work", both, limits.work)?;
+        Limits::check(Limit::Work, both, limits.work)?;
         let rows = (0..self.bands()).map(|band| self.band_rows(band).len() as u32).max().unwrap_or(0);
         let (stride, rows) = (self.stride(), rows.max(overlay.rows_at_once(self.stride()).min(self.view.height)));
         overlay.check(&self.view, stride, rows, &self.budget)?;
@@ -420,13 +443,14 @@ mod tests {
             })
             .collect();
         for (channels, blend) in [(Channels::Rgb, Blend::Normalized), (Channels::Rgba, Blend::Sum)] {
-            let picture = Picture {
+            let picture = Gaussians {
                 width: 300,
                 height: 200,
                 channels,
+                depth: Depth::Eight,
                 blend,
                 background: [0.5; 4],
-                gaussians: gaussians.clone(),
+                list: gaussians.clone(),
             };
             let full = View::full(&picture);
             for view in [full, full.resized(110, 35).unwrap(), full.resized(7, 5).unwrap()] {

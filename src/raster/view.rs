@@ -1,7 +1,10 @@
 //! Views: the area to render, and the size of the output.
 
 use crate::error::{Error, Result};
-use crate::gaussian::{CUTOFF, Picture};
+use crate::gaussian::{CUTOFF, Gaussians};
+use crate::options::Layers;
+use crate::parameter::Parameter;
+use crate::rect::Rect;
 
 /// Maximum side of a view, output pixels.
 pub(super) const MAX_SIDE: u32 = 1 << 20;
@@ -22,11 +25,11 @@ pub(crate) struct Filter {
     pub variance: [f64; 2],
 }
 
-/// A rectangle of output pixels on a grid over the picture: which area to render, and at which size.
+/// What to render: an area of the picture, the size of the output, and the layers of the file.
 ///
-/// Pixel `(i, j)` of the view is pixel `offset + (i, j)` of the grid and samples the picture at `origin + (offset +
-/// (i, j) + ½) · step`. Views that share a grid (those made by [`View::crop`]) give the same bits wherever they
-/// overlap.
+/// A view is a rectangle of output pixels on a grid over the picture. Pixel `(i, j)` of the view is pixel `offset + (i,
+/// j)` of the grid and samples the picture at `origin + (offset + (i, j) + ½) · step`. Views that share a grid (those
+/// made by [`View::crop`]) give the same bits wherever they overlap.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[doc(alias("region", "viewport"))]
 pub struct View {
@@ -35,33 +38,30 @@ pub struct View {
     pub(super) offset: [u32; 2],
     pub(super) width: u32,
     pub(super) height: u32,
+    pub(super) layers: Layers,
 }
 
 impl View {
     /// Returns the view of the whole picture at its own size.
     #[must_use]
-    pub fn full(picture: &Picture) -> Self {
+    pub fn full(picture: &Gaussians) -> Self {
         View::of_size(picture.width, picture.height)
     }
 
     /// Returns the view of a whole picture of `width × height` pixels at its own size.
     #[must_use]
     pub fn of_size(width: u32, height: u32) -> Self {
-        View { origin: [0.0; 2], step: [1.0; 2], offset: [0; 2], width, height }
+        View { origin: [0.0; 2], step: [1.0; 2], offset: [0; 2], width, height, layers: Layers::Both }
     }
 
-    /// Returns the rectangle of `width × height` output pixels with its top left corner at pixel `(x, y)` of this
-    /// view. Its pixels have the same bits as in this view.
+    /// Returns a part of this view, in output pixels of this view. Its pixels have the same bits as in this view.
     ///
     /// # Errors
-    /// [`Error::Parameter`] if the rectangle is empty or not within this view.
+    /// [`Error::Parameter`] naming `region` if it is empty or not within this view.
     #[doc(alias("region", "part"))]
-    pub fn crop(&self, x: u32, y: u32, width: u32, height: u32) -> Result<Self> {
-        for (name, start, length, side) in [("width", x, width, self.width), ("height", y, height, self.height)] {
-            if length == 0 || u64::from(start) + u64::from(length) > u64::from(side) {
-                return Err(Error::Parameter { name, problem: format!("{start}+{length} is empty or beyond {side}") });
-            }
-        }
+    pub fn crop(&self, region: Rect) -> Result<Self> {
+        region.check(Parameter::Region, [self.width, self.height])?;
+        let Rect { x, y, width, height } = region;
         Ok(View { offset: [self.offset[0] + x, self.offset[1] + y], width, height, ..*self })
     }
 
@@ -81,9 +81,9 @@ impl View {
     /// [`Error::Parameter`] if a side is 0 or over 2²⁰.
     #[doc(alias("resize", "scale", "zoom", "downscale"))]
     pub fn resized(&self, width: u32, height: u32) -> Result<Self> {
-        for (name, side) in [("width", width), ("height", height)] {
+        for (parameter, side) in [(Parameter::Width, width), (Parameter::Height, height)] {
             if side == 0 || side > MAX_SIDE {
-                return Err(Error::Parameter { name, problem: format!("{side} is outside 1..={MAX_SIDE}") });
+                return Err(Error::Parameter { parameter, problem: format!("{side} is outside 1..={MAX_SIDE}") });
             }
         }
         let origin = std::array::from_fn(|k| self.origin[k] + f64::from(self.offset[k]) * self.step[k]);
@@ -91,7 +91,7 @@ impl View {
             self.step[0] * f64::from(self.width) / f64::from(width),
             self.step[1] * f64::from(self.height) / f64::from(height),
         ];
-        Ok(View { origin, step, offset: [0; 2], width, height })
+        Ok(View { origin, step, offset: [0; 2], width, height, ..*self })
     }
 
     /// Returns a view of the same area at the largest size that fits into `within` (width and height in output
@@ -101,15 +101,27 @@ impl View {
     /// [`Error::Parameter`] if a side of `within` is 0.
     #[doc(alias("thumbnail", "preview"))]
     pub fn fitted(&self, within: [u32; 2]) -> Result<Self> {
-        for (name, side) in [("width", within[0]), ("height", within[1])] {
+        for (parameter, side) in [(Parameter::Width, within[0]), (Parameter::Height, within[1])] {
             if side == 0 {
-                return Err(Error::Parameter { name, problem: "0 pixels are too few".into() });
+                return Err(Error::Parameter { parameter, problem: "0 pixels are too few".into() });
             }
         }
         let sides = [self.width, self.height];
         let scale = (0..2).map(|k| f64::from(within[k]) / f64::from(sides[k])).fold(1.0, f64::min);
         let [width, height] = sides.map(|side| ((f64::from(side) * scale).round() as u32).max(1));
         self.resized(width, height)
+    }
+
+    /// Sets the layers to render. The default is [`Layers::Both`]. [`Reader::read_for`](crate::Reader::read_for) reads
+    /// only these layers.
+    #[must_use]
+    pub fn layers(self, layers: Layers) -> Self {
+        View { layers, ..self }
+    }
+
+    /// Returns the layers to render.
+    pub(crate) fn shown(&self) -> Layers {
+        self.layers
     }
 
     /// Returns the width, output pixels.
@@ -131,10 +143,10 @@ impl View {
         self.step
     }
 
-    /// Returns the left, top, width and height, in picture pixels, of the area that a Gaussian's support must reach to
-    /// be visible in this view. It is larger than the view where the low-pass filter widens Gaussians.
+    /// Returns the area, in picture pixels, that a Gaussian's support must reach to be visible in this view. It is
+    /// larger than the view where the low-pass filter widens Gaussians.
     #[must_use]
-    pub fn area(&self) -> [u32; 4] {
+    pub fn area(&self) -> Rect {
         let Filter { variance, .. } = self.filter();
         let side = [self.width, self.height];
         let [x, y] = std::array::from_fn(|k| {
@@ -145,7 +157,7 @@ impl View {
             let start = (start - margin).floor() as u32;
             [start, end.ceil() as u32 - start]
         });
-        [x[0], y[0], x[1], y[1]]
+        Rect::new(x[0], y[0], x[1], y[1])
     }
 
     /// Returns the low-pass filter for the step. Crops have the filter of their view.
@@ -170,6 +182,7 @@ impl View {
             offset: std::array::from_fn(|k| self.offset[k] * parts[k]),
             width: self.width * parts[0],
             height: self.height * parts[1],
+            layers: self.layers,
         }
     }
 

@@ -5,6 +5,7 @@ use fast_ssim2::{PixelDescriptor, PixelSlice, Ssimulacra2Config, compute_ssimula
 use super::MIN_SIDE;
 use crate::error::{Error, Result};
 use crate::metrics::BACKGROUNDS;
+use crate::parameter::Parameter;
 use crate::pixels::{Pixels, Samples};
 use crate::strict_math::StrictMath;
 
@@ -37,7 +38,7 @@ pub fn ssimulacra2(reference: &Pixels, test: &Pixels) -> Result<Option<f64>> {
 }
 
 fn similarity(a: &[[f32; 3]], b: &[[f32; 3]], [width, height]: [u32; 2]) -> Result<f64> {
-    let failed = |e: String| Error::Parameter { name: "pixels", problem: format!("SSIMULACRA2: {e}") };
+    let failed = |e: String| Error::Parameter { parameter: Parameter::Pixels, problem: format!("SSIMULACRA2: {e}") };
     let slice = |p| {
         let row = width as usize * size_of::<[f32; 3]>();
         PixelSlice::new(bytemuck::cast_slice(p), width, height, row, PixelDescriptor::RGBF32_LINEAR)

@@ -4,6 +4,7 @@ use std::sync::OnceLock;
 
 use super::MIN_SIDE;
 use crate::error::{Error, Result};
+use crate::parameter::Parameter;
 use crate::pixels::Pixels;
 
 /// Computes the score of the second picture against the first.
@@ -28,7 +29,7 @@ pub(crate) fn ssimulacra2(reference: &Pixels, test: &Pixels) -> Result<Option<f6
         return Ok(None);
     }
     let problem = || "this build has no SSIMULACRA2, and the program provides none".to_owned();
-    let score = SCORE.get().ok_or_else(|| Error::Parameter { name: "quality", problem: problem() })?;
+    let score = SCORE.get().ok_or_else(|| Error::Parameter { parameter: Parameter::Quality, problem: problem() })?;
     Ok(Some(score(reference, test)))
 }
 
@@ -45,7 +46,7 @@ mod tests {
             Pixels::new(side, side, Channels::Grey, samples).unwrap()
         };
         let (a, b) = (grey(8, 1), grey(8, 2));
-        assert!(matches!(ssimulacra2(&a, &b), Err(Error::Parameter { name: "quality", .. })));
+        assert!(matches!(ssimulacra2(&a, &b), Err(Error::Parameter { parameter: Parameter::Quality, .. })));
         fn score(a: &Pixels, b: &Pixels) -> f64 {
             let first = |p: &Pixels| if let Samples::U8(v) = p.samples() { f64::from(v[0]) } else { f64::NAN };
             10.0 * first(a) + first(b)

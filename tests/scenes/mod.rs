@@ -1,6 +1,6 @@
 //! Synthetic pictures with the statistics of fitted ones, and their rendered code values.
 
-use ssplat::{Blend, Channels, Gaussian, Picture, Samples};
+use ssplat::{Blend, Channels, Depth, Gaussian, Gaussians, Samples};
 
 /// xorshift64*: sufficient for scenes, and the same on every machine.
 pub struct Random(pub u64);
@@ -15,7 +15,7 @@ impl Random {
 }
 
 /// Log-normal scales, aspects around 2.5, colours beyond 0..=1.
-pub fn scene(width: u32, height: u32, count: usize, channels: Channels, blend: Blend, seed: u64) -> Picture {
+pub fn scene(width: u32, height: u32, count: usize, channels: Channels, blend: Blend, seed: u64) -> Gaussians {
     let mut r = Random(seed * 7919 + 12345);
     let spacing = (width as f32 * height as f32 / count as f32).sqrt();
     let gaussians = (0..count)
@@ -30,7 +30,7 @@ pub fn scene(width: u32, height: u32, count: usize, channels: Channels, blend: B
             }
         })
         .collect();
-    Picture { width, height, channels, blend, background: [0.4, 0.7, 0.2, 0.9], gaussians }
+    Gaussians { width, height, channels, depth: Depth::Eight, blend, background: [0.4, 0.7, 0.2, 0.9], list: gaussians }
 }
 
 pub fn codes(samples: Samples) -> Vec<u16> {

@@ -116,7 +116,7 @@ async function open(bytes, name, made, originalBytes) {
     camera.take(width, height)
     stage.focus()
   } catch (error) {
-    const titles = { format: `${name} is broken`, version: `${name} is of a newer version`, limit: `${name} is too large` }
+    const titles = { format: `${name} is broken`, version: `${name} has a version that is not supported`, limit: `${name} is too large` }
     tell(titles[error.kind] ?? `${name} cannot be shown`, `The decoder says: ${error.message}.`, error.kind == "format" ? `${size(bytes.length)}, beginning with ${found(bytes).start}` : "")
     console.error(error)
   } finally {

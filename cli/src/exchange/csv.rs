@@ -3,7 +3,7 @@
 
 use std::fmt::Write;
 
-use ssplat::{Channels, Depth, Limits, Picture};
+use ssplat::{Channels, Depth, Gaussians, Limits};
 
 use super::parameters::{self, Given, Parameters};
 use super::problem::{Problem, shown};
@@ -30,7 +30,7 @@ pub fn write(of: &Parameters) -> String {
     let p = &of.picture;
     let channels = p.channels.count();
     let joined = |values: &[f32]| values.iter().map(f32::to_string).collect::<Vec<_>>().join(" ");
-    let (blend, depth) = (names::blend_name(p.blend), 8 * of.depth.bytes());
+    let (blend, depth) = (names::blend_name(p.blend), 8 * p.depth.bytes());
     let background = joined(&p.background[..channels]);
     let mut out = format!("{COMMENT}size={}x{};blend={blend};background={background};depth={depth}", p.width, p.height);
     if let Some((layout, steps)) = of.stored {
@@ -40,7 +40,7 @@ pub fn write(of: &Parameters) -> String {
     out += "\n";
     out += &[&COLUMNS[..], color_columns(p.channels)].concat().join(",");
     out += "\n";
-    for g in &p.gaussians {
+    for g in &p.list {
         let shape = [g.mean[0], g.mean[1], g.scale[0], g.scale[1], g.rotation];
         let line: Vec<String> =
             shape.iter().chain(&parameters::covariance(g)).chain(&g.color[..channels]).map(f32::to_string).collect();
@@ -120,8 +120,8 @@ pub fn read(text: &str, given: Given, limits: &Limits) -> Result<Parameters, Pro
     let mut color = [0.0; 4];
     background.iter().zip(&mut color).for_each(|(v, c)| *c = *v as f32);
     let blend = given.blend(blend)?;
-    let picture = Picture { width, height, channels, blend, background: color, gaussians };
-    Ok(Parameters { picture, depth, stored: layout.zip(steps) })
+    let picture = Gaussians { width, height, channels, depth, blend, background: color, list: gaussians };
+    Ok(Parameters { picture, stored: layout.zip(steps) })
 }
 
 /// Parses `WxH`.
@@ -182,7 +182,7 @@ mod tests {
         let problem = Problem::TooMuch { what: "primitives".into(), requested: 3, allowed };
         assert_eq!(read(&text, given, &limits), Err(problem));
         limits.primitives = 3;
-        assert_eq!(read(&text, given, &limits).unwrap().picture.gaussians.len(), 3);
+        assert_eq!(read(&text, given, &limits).unwrap().picture.list.len(), 3);
     }
 
     #[test]
@@ -194,7 +194,7 @@ mod tests {
             (found.width, found.height, found.blend, found.channels),
             (20, 10, Blend::Normalized, Channels::Grey)
         );
-        assert_eq!(found.gaussians[0].scale, [3.0, 2.0]);
-        assert!((found.gaussians[0].rotation - std::f32::consts::FRAC_PI_2).abs() < 1e-6);
+        assert_eq!(found.list[0].scale, [3.0, 2.0]);
+        assert!((found.list[0].rotation - std::f32::consts::FRAC_PI_2).abs() < 1e-6);
     }
 }

@@ -8,7 +8,7 @@
 
 use std::collections::BTreeMap;
 
-use ssplat::{Blend, Channels, Depth, Picture};
+use ssplat::{Blend, Channels, Depth, Gaussians};
 
 use super::npy::Array;
 use super::parameters::{self, Given, Parameters, rows, same_length};
@@ -69,16 +69,17 @@ fn gaussian_image(arrays: &BTreeMap<String, Array>, given: Given) -> Result<(Par
             Some(parameters::gaussian([mean(&places[i], 0), mean(&places[i], 1)], scale, rotation, &colors[i]))
         })
         .collect();
-    let picture = Picture {
+    let picture = Gaussians {
         width: size[0],
         height: size[1],
         channels: Channels::Rgb,
+        depth: Depth::Eight,
         blend: given.blend.unwrap_or(Blend::Sum),
         background: [0.0; 4],
-        gaussians,
+        list: gaussians,
     };
     Ok((
-        Parameters { picture, depth: Depth::Eight, stored: None },
+        Parameters { picture, stored: None },
         "GaussianImage cuts off a Gaussian where it is below 1/255; ssplat fades it out up to 3.5 scales",
     ))
 }
@@ -101,16 +102,17 @@ fn image_gs(arrays: &BTreeMap<String, Array>, given: Given) -> Result<(Parameter
             parameters::gaussian([mean(&places[i], 0), mean(&places[i], 1)], scale, rotation, &colors[i])
         })
         .collect();
-    let picture = Picture {
+    let picture = Gaussians {
         width: size[0],
         height: size[1],
         channels,
+        depth: Depth::Eight,
         blend: given.blend.unwrap_or(Blend::Normalized),
         background: [0.0; 4],
-        gaussians,
+        list: gaussians,
     };
     Ok((
-        Parameters { picture, depth: Depth::Eight, stored: None },
+        Parameters { picture, stored: None },
         "Image-GS blends the ten largest Gaussians at each pixel and ssplat blends all, so the picture differs slightly",
     ))
 }
@@ -139,7 +141,7 @@ mod tests {
         ]);
         let found = read(&arrays, GIVEN).unwrap().0.picture;
         assert_eq!((found.blend, found.channels), (Blend::Sum, Channels::Rgb));
-        let g = found.gaussians[0];
+        let g = found.list[0];
         // The centre of the last pixel is 199 there and 199.5 here.
         assert!((g.mean[0] - 150.5).abs() < 1e-4 && (g.mean[1] - 25.5).abs() < 1e-4, "{g:?}");
         // L = [3 0; 1 1].
@@ -158,7 +160,7 @@ mod tests {
             ("_rotation", vec![1, 1], vec![-(7f32.ln())]),
             ("_features_dc", vec![1, 3], vec![0.1, 0.2, 0.3]),
         ]);
-        let g = read(&arrays, GIVEN).unwrap().0.picture.gaussians[0];
+        let g = read(&arrays, GIVEN).unwrap().0.picture.list[0];
         assert_eq!(g.scale, [3.0, 1.0]);
         let c = parameters::covariance(&g);
         for (found, want) in c.iter().zip([5.0, -4.0, 5.0]) {
@@ -176,7 +178,7 @@ mod tests {
         ]);
         let found = read(&arrays, GIVEN).unwrap().0.picture;
         assert_eq!((found.blend, found.channels), (Blend::Normalized, Channels::Grey));
-        let g = found.gaussians[0];
+        let g = found.list[0];
         assert_eq!((g.mean, g.scale, g.color[0]), ([50.5, 50.5], [4.0, 2.0], 0.7));
         assert!((g.rotation - (std::f32::consts::FRAC_PI_2 - 0.3)).abs() < 1e-6, "{g:?}");
     }

@@ -7,8 +7,8 @@
 use std::collections::BTreeMap;
 use std::ops::Index;
 
-use ssplat::unstable::bitstream::splats::{Layout, PackedSplats, Steps};
-use ssplat::{Blend, Channels, Depth, Gaussian, Picture};
+use ssplat::unstable::bitstream::splats::{Layout, Steps};
+use ssplat::{Blend, Channels, Depth, Gaussian, Gaussians, SplatImage};
 
 use super::npy::{self, Array, Values};
 use super::npz;
@@ -36,9 +36,7 @@ pub const MOST_NUMBERS: usize = 16;
 /// The Gaussians of a picture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameters {
-    pub picture: Picture,
-    /// Bits per sample of the picture.
-    pub depth: Depth,
+    pub picture: Gaussians,
     /// Layout and steps of the .ssplat file that they come from; with these, they are quantized to the same integers
     /// again.
     pub stored: Option<(Layout, Steps)>,
@@ -63,18 +61,20 @@ impl Given {
     }
 }
 
-impl From<&PackedSplats> for Parameters {
-    fn from(splats: &PackedSplats) -> Self {
-        let stored = Some((splats.layout, splats.steps));
-        Parameters { picture: splats.to_picture(), depth: splats.depth, stored }
-    }
-}
-
 impl Parameters {
+    /// Returns the Gaussians of a file, with its layout and steps.
+    ///
+    /// # Errors
+    /// As [`SplatImage::gaussians`].
+    pub fn of(image: &SplatImage) -> ssplat::Result<Self> {
+        let splats = image.splats();
+        Ok(Parameters { picture: image.gaussians()?, stored: Some((splats.layout, splats.steps)) })
+    }
+
     /// Returns an archive of the arrays [`ARRAYS`].
     pub fn to_npz(&self) -> Result<Vec<u8>, String> {
         let p = &self.picture;
-        let (gaussians, n, channels) = (&p.gaussians, p.gaussians.len(), p.channels.count());
+        let (gaussians, n, channels) = (&p.list, p.list.len(), p.channels.count());
         let covariances = gaussians.iter().flat_map(|g| {
             let [xx, xy, yy] = covariance(g);
             [xx, xy, xy, yy]
@@ -88,7 +88,7 @@ impl Parameters {
             ("background", npy::floats(&[channels], p.background[..channels].to_vec())),
             ("size", npy::integers(&[p.width as i32, p.height as i32])),
             ("blend", npy::text(names::blend_name(p.blend))),
-            ("depth", npy::integers(&[8 * self.depth.bytes() as i32])),
+            ("depth", npy::integers(&[8 * p.depth.bytes() as i32])),
         ];
         if let Some((layout, steps)) = self.stored {
             arrays.push(("layout", npy::text(names::layout_name(layout))));
@@ -138,8 +138,8 @@ impl Parameters {
         let depth = whole(arrays, "depth")?.map(|[bits]: [u32; 1]| depth_of(bits)).transpose()?.unwrap_or(Depth::Eight);
         let layout = text(arrays, "layout")?.map(layout_of).transpose()?;
         let steps = numbers(arrays, "steps")?.map(steps_of).transpose()?;
-        let picture = Picture { width, height, channels, blend, background, gaussians };
-        Ok(Parameters { picture, depth, stored: layout.zip(steps) })
+        let picture = Gaussians { width, height, channels, depth, blend, background, list: gaussians };
+        Ok(Parameters { picture, stored: layout.zip(steps) })
     }
 }
 

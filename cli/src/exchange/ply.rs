@@ -4,7 +4,7 @@
 //! colours as coefficients of the constant spherical harmonic, opacity as a logit. Viewers composite the points by
 //! opacity, so they show the Gaussians and not the picture.
 
-use ssplat::{Channels, Picture};
+use ssplat::{Channels, Gaussians};
 
 /// The constant spherical harmonic, `1/(2·√π)`.
 const HARMONIC: f32 = 0.282_094_8;
@@ -22,19 +22,19 @@ const PROPERTIES: [&str; 17] = [
 ];
 
 /// Returns the file.
-pub fn write(picture: &Picture) -> Vec<u8> {
+pub fn write(picture: &Gaussians) -> Vec<u8> {
     let mut header = format!(
         "ply\nformat binary_little_endian 1.0\ncomment ssplat: pixels, y down, picture {} x {}\nelement vertex {}\n",
         picture.width,
         picture.height,
-        picture.gaussians.len()
+        picture.list.len()
     );
     for property in PROPERTIES {
         header += &format!("property float {property}\n");
     }
     header += "end_header\n";
     let mut out = header.into_bytes();
-    for g in &picture.gaussians {
+    for g in &picture.list {
         let [red, green, blue] = match picture.channels {
             Channels::Grey | Channels::GreyAlpha => [g.color[0]; 3],
             Channels::Rgb | Channels::Rgba => [g.color[0], g.color[1], g.color[2]],
@@ -75,7 +75,15 @@ mod tests {
     fn a_point_has_the_properties_that_viewers_look_for() {
         let g = Gaussian { mean: [3.0, 4.0], scale: [2.0, 0.5], rotation: 1.0, color: [0.5, 1.0, 0.0, 0.0] };
         let (channels, blend) = (Channels::Rgb, Blend::Sum);
-        let picture = Picture { width: 8, height: 6, channels, blend, background: [0.0; 4], gaussians: vec![g; 2] };
+        let picture = Gaussians {
+            width: 8,
+            height: 6,
+            channels,
+            depth: ssplat::Depth::Eight,
+            blend,
+            background: [0.0; 4],
+            list: vec![g; 2],
+        };
         let file = write(&picture);
         let end = b"end_header\n";
         let at = file.windows(end.len()).position(|w| w == end).unwrap() + end.len();

@@ -2,17 +2,17 @@
 
 use std::fmt::Write;
 
-use ssplat::{Channels, Picture};
+use ssplat::{Channels, Gaussians};
 
 /// Returns the file, in pixels of the picture.
-pub fn write(picture: &Picture) -> String {
+pub fn write(picture: &Gaussians) -> String {
     let (width, height) = (picture.width, picture.height);
     let mut out = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\">\n\
          <rect width=\"{width}\" height=\"{height}\" fill=\"{}\"/>\n",
         color(picture.channels, picture.background).0
     );
-    let mut order: Vec<_> = picture.gaussians.iter().collect();
+    let mut order: Vec<_> = picture.list.iter().collect();
     order.sort_by(|a, b| (b.scale[0] * b.scale[1]).total_cmp(&(a.scale[0] * a.scale[1])));
     for g in order {
         let ([x, y], [s1, s2]) = (g.mean, g.scale);
@@ -49,7 +49,15 @@ mod tests {
         let gaussians = vec![at(1.0, [0.0, 1.0, 0.0, 0.5]), at(9.0, [2.0, -1.0, 0.0, 1.0])];
         let (channels, blend) = (Channels::Rgba, Blend::Sum);
         let background = [1.0, 1.0, 1.0, 1.0];
-        let text = write(&Picture { width: 8, height: 6, channels, blend, background, gaussians });
+        let text = write(&Gaussians {
+            width: 8,
+            height: 6,
+            channels,
+            depth: ssplat::Depth::Eight,
+            blend,
+            background,
+            list: gaussians,
+        });
         let lines: Vec<&str> = text.lines().collect();
         assert!(lines[1].contains("#ffffff"));
         assert!(lines[2].contains("rx=\"9.000\"") && lines[2].contains("#ff0000") && !lines[2].contains("opacity"));

@@ -1,9 +1,9 @@
 //! One method on one picture: its float result and its file.
 
 use crate::recipes::{self, Counted, Method};
-use ssplat::unstable::{Ablation, Needs, Outside, PackOptions, Precision, Recipe, Trace, metrics};
+use ssplat::unstable::{Ablation, Needs, Outside, Recipe, Trace, metrics};
 use ssplat::unstable::{DecodeOptions, EncodeOptions};
-use ssplat::{Pixels, Result, Target};
+use ssplat::{Encoder, Pixels, Result, Target};
 
 /// Method that is measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -141,8 +141,8 @@ fn published(pixels: &Pixels, setup: &Setup, method: Method, rate: f32, measured
         (measured.bytes, measured.file_psnr) = fit.estimate.map_or((None, None), |e| (Some(e.bytes), Some(e.psnr)));
         return Ok(());
     }
-    let mut options = PackOptions::default();
+    let mut options = EncodeOptions::default();
     // Pixel centres are at integers there, so the last column is half a pixel outside.
-    (options.precision, options.outside) = (Precision::Bytes(setup.bytes), Outside::Crop);
-    measured.filed(pixels, &ssplat::unstable::bitstream::to_bytes(&ssplat::unstable::pack(&fit.picture, &options)?)?)
+    (options.target, options.outside) = (Target::Bytes(setup.bytes), Outside::Crop);
+    measured.filed(pixels, &Encoder::from(options).encode_gaussians(&fit.picture)?.bytes)
 }

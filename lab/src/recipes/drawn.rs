@@ -1,7 +1,8 @@
 //! Conversions of a method's result: planes to code values, their PSNR, and the Gaussians to a picture.
 
+use ssplat::Depth;
 use ssplat::unstable::fit::model::objective::planes::Planes;
-use ssplat::unstable::gaussian::{Blend, Gaussian, Picture};
+use ssplat::unstable::gaussian::{Blend, Gaussian, Gaussians};
 use ssplat::{Pixels, Samples};
 
 /// Converts planes with the size and layout of `target` to 8-bit pixels; NaN becomes 0.
@@ -17,9 +18,9 @@ pub(super) fn pixels(target: &Planes, planes: &[f32]) -> Pixels {
 }
 
 /// Returns a picture of `target`'s size without a background.
-pub(super) fn picture(target: &Planes, blend: Blend, gaussians: Vec<Gaussian>) -> Picture {
+pub(super) fn picture(target: &Planes, blend: Blend, gaussians: Vec<Gaussian>) -> Gaussians {
     let Planes { width, height, channels, .. } = *target;
-    Picture { width, height, channels, blend, background: [0.0; 4], gaussians }
+    Gaussians { width, height, channels, depth: Depth::Eight, blend, background: [0.0; 4], list: gaussians }
 }
 
 /// Returns the PSNR of a squared error over all samples, dB.

@@ -13,7 +13,7 @@
 //! let mut options = Options::new(20);
 //! options.iterations = 30;
 //! let fit = recipes::fit(&pixels, Method::GaussianImageCholesky, &options)?;
-//! assert_eq!(fit.picture.gaussians.len(), 20);
+//! assert_eq!(fit.picture.list.len(), 20);
 //! # Ok::<(), ssplat::Error>(())
 //! ```
 
@@ -34,8 +34,8 @@ mod top_k;
 
 use ssplat::Pixels;
 use ssplat::unstable::fit::model::objective::planes::Planes;
-use ssplat::unstable::gaussian::Picture;
-use ssplat::{Error, Result};
+use ssplat::unstable::gaussian::Gaussians;
+use ssplat::{Error, Parameter, Result};
 
 /// A published method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -135,7 +135,7 @@ pub struct Fit {
     /// PSNR of that picture before rounding to code values, dB; NaN if the fit has diverged.
     pub psnr: f64,
     /// The Gaussians, with the blend of this crate that is closest to the method's.
-    pub picture: Picture,
+    pub picture: Gaussians,
     /// Wall-clock seconds without the trace.
     pub seconds: f64,
     /// Iterations (of each level of [`Method::Lig`]); [`Method::ImageGs`] ends when it no longer improves.
@@ -182,12 +182,15 @@ pub struct Point {
 /// more Gaussians than pixels.
 pub fn fit(pixels: &Pixels, method: Method, options: &Options) -> Result<Fit> {
     if pixels.channels().alpha().is_some() {
-        return Err(Error::Parameter { name: "pixels", problem: format!("{:?} has alpha", pixels.channels()) });
+        return Err(Error::Parameter {
+            parameter: Parameter::Pixels,
+            problem: format!("{:?} has alpha", pixels.channels()),
+        });
     }
     let area = u64::from(pixels.width()) * u64::from(pixels.height());
     if options.count == 0 || options.count as u64 > area {
         let problem = format!("{} is not between 1 and the {area} pixels", options.count);
-        return Err(Error::Parameter { name: "count", problem });
+        return Err(Error::Parameter { parameter: Parameter::Other("count"), problem });
     }
     let target = Planes::new(pixels);
     Ok(match method {
@@ -225,7 +228,7 @@ mod tests {
             let pixels = pixels(Channels::Rgb);
             let fit = |options: &Options| super::fit(&pixels, method, options).unwrap();
             let first = fit(&options);
-            let count = first.picture.gaussians.len();
+            let count = first.picture.list.len();
             let is_right = if method == Method::Splatting3d { (31..=60).contains(&count) } else { count == 60 };
             assert!(is_right, "{method:?}: {count}");
             let start = first.trace[0].psnr;
@@ -252,7 +255,7 @@ mod tests {
                     let fit = fit(pixels, method, &options).unwrap();
                     let size = [pixels.width(), pixels.height()];
                     assert!(!fit.psnr.is_nan(), "{method:?} {size:?} × {rate}");
-                    for g in &fit.picture.gaussians {
+                    for g in &fit.picture.list {
                         let [values, scales] = [[g.mean, [g.rotation, g.color[0]]].concat(), g.scale.to_vec()];
                         assert!(values.iter().all(|v| v.is_finite()), "{method:?} {size:?} × {rate}: {g:?}");
                         assert!(

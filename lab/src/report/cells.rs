@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use ssplat::unstable::EncodeOptions;
 use ssplat::unstable::bitstream::splats::Layout;
 use ssplat::unstable::{Ablation, Recipe, Trace};
-use ssplat::{Backend, Blend, Limits, Pixels, Target, Tune};
+use ssplat::{Backend, Blend, Limits, Pixels, Rect, Target, Tune};
 use ssplat::{Renderer, View};
 
 use ssplat_cli::compare;
@@ -184,7 +184,8 @@ fn measure(encoded: &ssplat::Encoded, job: &Job, subject: &Subject) -> Result<Va
     let (width, height) = (splats.width, splats.height);
     let full = View::of_size(width, height);
     let side = [width.min(REGION), height.min(REGION)];
-    let region = full.crop((width - side[0]) / 2, (height - side[1]) / 2, side[0], side[1]).map_err(failed)?;
+    let region =
+        full.crop(Rect::new((width - side[0]) / 2, (height - side[1]) / 2, side[0], side[1])).map_err(failed)?;
     let scale = f64::from(THUMBNAIL) / f64::from(width.max(height));
     let small = |v: u32| (f64::from(v) * scale).round().max(1.0) as u32;
     let thumbnail = full.resized(small(width), small(height)).map_err(failed)?;
@@ -193,7 +194,7 @@ fn measure(encoded: &ssplat::Encoded, job: &Job, subject: &Subject) -> Result<Va
         for _ in 0..REPEATS {
             let clock = Instant::now();
             let splats = ssplat::unstable::bitstream::read(&encoded.bytes[..], &limits).map_err(failed)?;
-            let renderer = Renderer::new(&splats.to_picture(), view, &limits).map_err(failed)?;
+            let renderer = Renderer::new(&splats.to_gaussians(), view, &limits).map_err(failed)?;
             std::hint::black_box(renderer.render(splats.depth).map_err(failed)?);
             best = best.min(clock.elapsed().as_secs_f64());
         }

@@ -92,7 +92,7 @@ pub fn measure(name: &str, pixels: &Pixels) -> ssplat::Result<Needless> {
         (options.seed, options.needs) = (seed, needs);
         let encoded = encode(pixels, &options)?;
         let splats = ssplat::unstable::bitstream::read(&encoded.bytes[..], &Limits::default())?;
-        let picture = splats.to_picture();
+        let picture = splats.to_gaussians();
         let drawn = Renderer::new(&picture, &View::full(&picture), &Limits::default())?.render(splats.depth)?;
         out.bytes[i] += encoded.bytes.len() as u64;
         out.seconds[i] += encoded.report.seconds / SEEDS as f64;

@@ -192,7 +192,7 @@ def decode(
 
     Raises:
         FormatError: the file is broken.
-        UnsupportedVersionError: the file is newer than this package.
+        UnsupportedVersionError: this package does not support the version of the file.
         LimitExceededError: the file exceeds the limits.
         ParameterError: an argument is out of range.
     """

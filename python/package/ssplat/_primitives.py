@@ -29,6 +29,8 @@ def gaussians(data: Data, *, limits: Mapping[str, int] | None = None) -> dict[st
         data: the file.
         limits: limits for the file, as for :func:`ssplat.decode`.
 
+    Python, Rust and JavaScript have the values of a Gaussian in the same order and units: mean, scale, rotation, color.
+
     Returns:
         ``mean``: float32, (n, 2): x and y in pixels; the centre of the first pixel is (0.5, 0.5).
         ``scale``: float32, (n, 2): standard deviations along the major and the minor axis, pixels.

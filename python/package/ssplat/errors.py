@@ -29,7 +29,7 @@ class FormatError(Error, ValueError):
 
 
 class UnsupportedVersionError(Error, ValueError):
-    """The file has a newer format version, which is not supported.
+    """The file has a format version that is not supported, for example a newer one.
 
     Attributes:
         found: the version stated in the file.

@@ -5,7 +5,6 @@ use super::head::DetailHead;
 use super::levels::{CELL, CELLS, CodedBlock, Level, SUPERS, TILE, TileLevels, tile_area, tile_counts};
 use super::model::{KINDS, Models};
 use super::tile::{self, Count, kinds};
-use crate::bitstream::area::Area;
 use crate::bitstream::broken::Broken;
 use crate::bitstream::bytes::{Bytes, put_varint};
 use crate::bitstream::checksum::hash;
@@ -16,6 +15,8 @@ use crate::error::{Error, FormatError, Result};
 use crate::gaussian::Channels;
 use crate::limits::Limits;
 use crate::parallel;
+use crate::parameter::Limit;
+use crate::rect::Rect;
 
 /// The detail layer of a picture: the levels of its tiles.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -34,6 +35,7 @@ impl DetailLayer {
     }
 
     /// Returns the number of tiles of the picture.
+    #[cfg(any(test, feature = "unstable"))]
     #[must_use]
     pub fn of_tiles(&self) -> usize {
         self.tiles.len()
@@ -88,7 +90,7 @@ pub(crate) struct Wanted<'a> {
     pub size: [u32; 2],
     pub channels: Channels,
     /// The area to read; `None` is the whole picture.
-    pub area: Option<Area>,
+    pub area: Option<Rect>,
     pub limits: &'a Limits,
     /// Whether damaged tiles are skipped.
     pub passes_over: bool,
@@ -241,7 +243,7 @@ impl<'a> Listed<'a> {
         let (samples, limit) = (self.samples(), self.wanted.limits.work);
         let chosen = (0..self.entries.len()).filter(|&i| self.is_wanted(i)).count();
         let mut work = (samples * PIXEL_WORK).saturating_mul(chosen as u64);
-        Limits::check("work", work, limit)?;
+        Limits::check(Limit::Work, work, limit)?;
         held.grow((size_of::<Option<TileLevels>>() * self.entries.len()) as u64)?;
         let mut tiles: Vec<Option<TileLevels>> = Vec::new();
         tiles.resize_with(self.entries.len(), || None);
@@ -272,7 +274,7 @@ impl<'a> Listed<'a> {
                 }
             }
             working.shrink(0);
-            Limits::check("work", work, limit)?;
+            Limits::check(Limit::Work, work, limit)?;
         }
     }
 
@@ -360,10 +362,10 @@ fn memory_of(levels: u64, samples: u64) -> u64 {
 
 /// Returns whether tile `i` lies within one pixel of `area`, because enlarged views interpolate over that distance.
 /// Outside the picture, its border pixels are repeated (spec §11.6).
-fn reaches(size: [u32; 2], i: usize, area: Area) -> bool {
+fn reaches(size: [u32; 2], i: usize, area: Rect) -> bool {
     let [x, y, width, height] = tile_area(size, i).map(|v| v as u64);
     let meets = |start: u64, side: u64, k: usize| {
-        let (from, length) = (u64::from(area.corner[k]), u64::from(area.size[k]));
+        let (from, length) = (u64::from(area.corner()[k]), u64::from(area.size()[k]));
         start <= from + length && from.min(size[k].into()) <= start + side
     };
     meets(x, width, 0) && meets(y, height, 1)

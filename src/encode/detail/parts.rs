@@ -18,6 +18,7 @@ use crate::options::{HiddenColors, Tune};
 use crate::parallel;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Depth;
+use crate::rect::Rect;
 
 /// Number of tiles for each sampled tile. The sample contains at least 8 tiles, or all if there are fewer, and at most
 /// 64. Each takes a megabyte of memory.
@@ -143,18 +144,18 @@ impl Parts<'_> {
         let (area, wanted, drawn) = self.part(index, count)?;
         let tile = |i: usize| {
             let left = i * TILE;
-            let width = TILE.min(area[2] as usize - left);
-            residual(&wanted, |row| drawn.row(row as u32), [left, 0, width, area[3] as usize])
+            let width = TILE.min(area.width as usize - left);
+            residual(&wanted, |row| drawn.row(row as u32), [left, 0, width, area.height as usize])
         };
         Ok(parallel::map(count, tile))
     }
 
     /// Returns the area of `count` tiles of a row, the original in that area, and the picture that the Gaussians render
     /// there.
-    fn part(&self, index: usize, count: usize) -> Result<([u32; 4], Planes, Planes)> {
+    fn part(&self, index: usize, count: usize) -> Result<(Rect, Planes, Planes)> {
         let [left, top, _, height] = tile_area(self.source.size(), index);
         let [last, _, width, _] = tile_area(self.source.size(), index + count - 1);
-        let area = [left, top, last + width - left, height].map(|side| side as u32);
+        let area = Rect::from([left, top, last + width - left, height].map(|side| side as u32));
         let wanted = Planes::with_hidden(&self.source.part(area)?, self.hidden);
         // 16 bits are finer than any quantizer step.
         let drawn = drawn_part(self.splats, area, Depth::Sixteen)?;

@@ -4,6 +4,7 @@ use super::search::{Curve, ScoreGoal, Try};
 use super::{SearchPlan, smallest};
 use crate::encode::session::{EncodeSession, Outcome, decibels};
 use crate::error::{Error, Result};
+use crate::parameter::Parameter;
 use crate::strict_math::StrictMath;
 
 /// Maximum number of tries. Later tries mostly reuse the Gaussians of earlier ones.
@@ -72,7 +73,7 @@ pub(super) fn to_psnr<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64) ->
             return Ok(best);
         }
         let problem = format!("{wanted} dB cannot be reached: the largest file has {reached:.2} dB");
-        return Err(Error::Parameter { name: "psnr", problem });
+        return Err(Error::Parameter { parameter: Parameter::Psnr, problem });
     }
     session.prune(&mut best, raw * 10f64.strict_powf(-0.1 * wanted))?;
     Ok(best)

@@ -6,6 +6,7 @@ use crate::bitstream::{self, splats::PackedSplats};
 use crate::encode::drawn::own_limits;
 use crate::encode::session::{EncodeSession, Outcome};
 use crate::error::{Error, Result};
+use crate::parameter::Parameter;
 use crate::ssimulacra2::MIN_SIDE;
 
 /// Maximum number of tries. Later tries mostly reuse the Gaussians of earlier ones.
@@ -67,7 +68,7 @@ pub(super) fn to_quality<'a, S: EncodeSession<'a>>(session: &mut S, wanted: f64)
     if width.min(height) < MIN_SIDE {
         let problem =
             format!("SSIMULACRA2 needs sides of at least {MIN_SIDE} pixels; the picture has {width} × {height}");
-        return Err(Error::Parameter { name: "quality", problem });
+        return Err(Error::Parameter { parameter: Parameter::Quality, problem });
     }
     let sizes = super::sizes_tried(session.samples());
     let goal = ScoreGoal { required: wanted - TOLERANCE, aimed: wanted + AIM_ABOVE, sizes, tries: MAX_TRIES };

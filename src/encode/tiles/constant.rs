@@ -5,6 +5,7 @@ use crate::encode::constant::is_constant;
 use crate::error::Result;
 use crate::fit::model::objective::planes::Planes;
 use crate::pixel_source::PixelSource;
+use crate::rect::Rect;
 
 /// Returns the colour of a picture whose pixels are all equal. Reads `tiles`, which together cover the picture of
 /// `source`, until two pixels differ. Calls `on_progress` with the fraction that is done.
@@ -21,7 +22,7 @@ pub(super) fn color(
             return Ok(None);
         }
         // Averaging many equal pixels loses precision, so the colour is taken from a single pixel.
-        let own = Planes::new(&part.part([0, 0, 1, 1])?).mean;
+        let own = Planes::new(&part.part(Rect::new(0, 0, 1, 1))?).mean;
         if *color.get_or_insert(own) != own {
             return Ok(None);
         }

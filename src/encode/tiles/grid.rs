@@ -1,5 +1,7 @@
 //! Division of a picture into tiles, and the order in which they are processed.
 
+use crate::rect::Rect;
+
 /// A rectangle, in pixels of the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Area {
@@ -8,9 +10,8 @@ pub(super) struct Area {
 }
 
 impl Area {
-    /// Returns left, top, width and height.
-    pub(super) fn bounds(&self) -> [u32; 4] {
-        [self.corner[0], self.corner[1], self.size[0], self.size[1]]
+    pub(super) fn bounds(&self) -> Rect {
+        Rect::new(self.corner[0], self.corner[1], self.size[0], self.size[1])
     }
 
     pub(super) fn pixels(&self) -> f64 {
@@ -22,11 +23,11 @@ impl Area {
         self.corner.map(|v| v as f32)
     }
 
-    /// Converts a rectangle (left, top, width and height) from coordinates of the picture to those of this area. If it
+    /// Converts a rectangle from coordinates of the picture to those of this area. If it
     /// starts to the left of this area or above it, the result lies outside any picture.
-    pub(super) fn inward(&self, [x, y, width, height]: [u32; 4]) -> [u32; 4] {
+    pub(super) fn inward(&self, Rect { x, y, width, height }: Rect) -> Rect {
         let local = |v: u32, k: usize| v.checked_sub(self.corner[k]).unwrap_or(u32::MAX);
-        [local(x, 0), local(y, 1), width, height]
+        Rect::new(local(x, 0), local(y, 1), width, height)
     }
 
     pub(super) fn holds(&self, point: [f32; 2]) -> bool {
@@ -131,7 +132,7 @@ mod tests {
                 let mut covered = vec![0u8; (size[0] * size[1]) as usize];
                 for turn in grid.turns(shift) {
                     for (i, window) in turn.iter().enumerate() {
-                        let [x, y, w, h] = window.core.bounds();
+                        let [x, y, w, h] = window.core.bounds().into();
                         for (y, x) in (y..y + h).flat_map(|y| (x..x + w).map(move |x| (y, x))) {
                             covered[(y * size[0] + x) as usize] += 1;
                         }

@@ -49,6 +49,7 @@ use crate::gaussian::{Blend, Channels};
 use crate::instant::Instant;
 use crate::options::{Backend, EncodeOptions, HiddenColors, Recipe};
 use crate::parallel;
+use crate::parameter::Parameter;
 use crate::pixel_source::PixelSource;
 use crate::pixels::Depth;
 use crate::quantize::Quantizer;
@@ -120,7 +121,7 @@ pub(super) fn encode(
 
 /// Returns an error if `options` ask for something that tiles do not support.
 pub(super) fn check(options: &EncodeOptions) -> Result<()> {
-    let bad = |problem: &str| Err(Error::Parameter { name: "tiles", problem: problem.into() });
+    let bad = |problem: &str| Err(Error::Parameter { parameter: Parameter::Tiles, problem: problem.into() });
     match options {
         o if o.recipe != Recipe::Ssplat => bad("another method's recipe cannot be fitted in tiles"),
         o if o.layout != Layout::Coded => bad("only the coded layout is written in tiles"),
@@ -439,7 +440,7 @@ impl TiledFit<'_, '_, '_, '_, '_> {
                         workers.submit(task)?;
                     }
                     let Some(pending) = out.pop_front() else { break };
-                    results.push(pending.answer(global, &workers.next()?)?);
+                    results.push(pending.answer(global, &workers.receive()?)?);
                     on_progress(results.len() as f32)?;
                 }
             }

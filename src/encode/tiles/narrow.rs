@@ -7,6 +7,7 @@ use crate::error::Result;
 use crate::gaussian::Channels;
 use crate::pixel_source::PixelSource;
 use crate::pixels::{Depth, Pixels};
+use crate::rect::Rect;
 
 /// A picture with only some of its channels.
 pub(super) struct Narrowed<'a> {
@@ -59,7 +60,7 @@ impl PixelSource for Narrowed<'_> {
         self.source.depth()
     }
 
-    fn part(&self, area: [u32; 4]) -> Result<Pixels> {
+    fn part(&self, area: Rect) -> Result<Pixels> {
         let pixels = self.source.part(area)?;
         Ok(if pixels.channels() == self.channels { pixels } else { narrowed(&pixels, self.channels) })
     }

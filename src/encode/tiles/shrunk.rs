@@ -5,6 +5,7 @@ use crate::gaussian::Channels;
 use crate::options::HiddenColors;
 use crate::pixel_source::{PixelSource, check_area};
 use crate::pixels::{Depth, Pixels, Samples};
+use crate::rect::Rect;
 
 /// Number of rows that are computed at a time.
 const ROWS: usize = 32;
@@ -42,11 +43,12 @@ impl PixelSource for Shrunk<'_> {
         self.source.depth()
     }
 
-    fn part(&self, [x, y, width, height]: [u32; 4]) -> Result<Pixels> {
-        check_area([x, y, width, height], self.size())?;
+    fn part(&self, area: Rect) -> Result<Pixels> {
+        check_area(area, self.size())?;
         if self.by == 1 {
-            return self.source.part([x, y, width, height]);
+            return self.source.part(area);
         }
+        let Rect { x, y, width, height } = area;
         let (size, channels) = (self.source.size(), self.channels());
         let at = |v: u32, k: usize| v.saturating_mul(self.by).min(size[k]);
         let [left, right] = [at(x, 0), at(x + width, 0)];
@@ -57,7 +59,7 @@ impl PixelSource for Shrunk<'_> {
         // Only a few rows are read at a time, because the pixels of all squares may take much memory.
         for rows in (y..y + height).step_by(ROWS) {
             let [top, bottom] = [at(rows, 1), at((rows + ROWS as u32).min(y + height), 1)];
-            let pixels = self.source.part([left, top, right - left, bottom - top])?;
+            let pixels = self.source.part(Rect::new(left, top, right - left, bottom - top))?;
             match (pixels.samples(), &mut samples) {
                 (Samples::U8(v), Samples::U8(out)) => {
                     out.extend(means(v, &pixels, (self.by, self.hidden), |v| v as u8))
@@ -123,7 +125,7 @@ mod tests {
         let picture = Pixels::new(3, 2, Channels::GreyAlpha, Samples::U8(values.to_vec())).unwrap();
         let half = Shrunk::new(&picture, 2, HiddenColors::Continue);
         assert_eq!(half.size(), [2, 1]);
-        let all = half.part([0, 0, 2, 1]).unwrap();
+        let all = half.part(Rect::new(0, 0, 2, 1)).unwrap();
         let rounded = |v: f64| (v + 0.5) as u8;
         let grey = [(200.0 * 255.0 + 10.0 * 255.0 + 30.0 * 85.0) / 595.0, (50.0 * 255.0 + 90.0 * 170.0) / 425.0];
         let want = vec![rounded(grey[0]), rounded(595.0 / 4.0), rounded(grey[1]), rounded(425.0 / 2.0)];
@@ -139,9 +141,9 @@ mod tests {
             for by in [1, 2, 4] {
                 let small = Shrunk::new(&picture, by, HiddenColors::Continue);
                 let [width, height] = small.size();
-                let all = small.part([0, 0, width, height]).unwrap();
+                let all = small.part(Rect::new(0, 0, width, height)).unwrap();
                 for area in [[0, 0, 1, 1], [3, 2, 4, 3], [width - 2, height - 3, 2, 3]] {
-                    assert_eq!(small.part(area).unwrap(), all.part(area).unwrap(), "{by} {area:?}");
+                    assert_eq!(small.part(area.into()).unwrap(), all.part(area.into()).unwrap(), "{by} {area:?}");
                 }
             }
         }

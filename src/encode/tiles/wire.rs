@@ -26,8 +26,10 @@ use crate::fit::model::problem::Scene;
 use crate::gaussian::{Channels, MAX_SCALE, MIN_SCALE};
 use crate::limits::Limits;
 use crate::options::HiddenColors;
+use crate::parameter::Parameter;
 use crate::pixel_source::{PixelSource, check_area};
 use crate::pixels::{Depth, Pixels, Samples};
+use crate::rect::Rect;
 use crate::strict_math::StrictMath;
 
 /// First bytes of a task, including the version of its layout.
@@ -51,7 +53,7 @@ pub fn work_on_tile(task: &[u8], progress: &mut dyn FnMut(&Progress) -> ControlF
         ControlFlow::Break(()) => Err(Error::Cancelled),
     };
     on_progress(0.0)?;
-    run_task(task, &mut on_progress).map_err(|e| bad("task", e))
+    run_task(task, &mut on_progress).map_err(|e| bad(Parameter::Task, e))
 }
 
 fn run_task(task: &[u8], on_progress: OnProgress<'_>) -> Result<Vec<u8>> {
@@ -99,15 +101,15 @@ fn run_work<T: WireFormat>(
     answer(id, &T::work(&global, (window, work), WindowPrimitives { own, neighbours }, on_progress)?)
 }
 
-/// Converts an error in the bytes called `name` to an [`Error::Parameter`].
-fn bad(name: &'static str, error: Error) -> Error {
+/// Converts an error in the bytes of `parameter` to an [`Error::Parameter`].
+fn bad(parameter: Parameter, error: Error) -> Error {
     let problem = match error {
         Error::Format(e) => e.to_string(),
         Error::Parameter { problem, .. } => problem,
         e @ (Error::LimitExceeded { .. } | Error::UnsupportedVersion { .. }) => e.to_string(),
         e => return e,
     };
-    Error::Parameter { name, problem }
+    Error::Parameter { parameter, problem }
 }
 
 fn refused(field: &'static str, value: u64) -> Error {
@@ -132,11 +134,11 @@ impl PendingTile {
     /// # Errors
     /// [`Error::Parameter`] with the name `answer`, and the position of the tile in its text.
     pub(super) fn answer<T: WireFormat>(&self, global: &GlobalContext<'_>, bytes: &[u8]) -> Result<TileResult<T>> {
-        self.read(global, bytes).map_err(|e| match bad("answer", e) {
-            Error::Parameter { name, problem } => {
-                let [x, y, width, height] = self.window.core.bounds();
+        self.read(global, bytes).map_err(|e| match bad(Parameter::Answer, e) {
+            Error::Parameter { parameter, problem } => {
+                let [x, y, width, height] = self.window.core.bounds().into();
                 let problem = format!("for the tile of {width} × {height} at {x}, {y}: {problem}");
-                Error::Parameter { name, problem }
+                Error::Parameter { parameter, problem }
             }
             e => e,
         })
@@ -147,7 +149,7 @@ impl PendingTile {
         let id = bytes.u32("id of the task")?;
         if id != self.id {
             let problem = format!("the answer belongs to task {id:08x}, not to task {:08x}", self.id);
-            return Err(Error::Parameter { name: "answer", problem });
+            return Err(Error::Parameter { parameter: Parameter::Answer, problem });
         }
         let error = read_f64(&mut bytes, "error")?;
         let counts = [bytes.u32("primitives")?, bytes.u32("other primitives")?];
@@ -194,7 +196,7 @@ pub(super) fn task<T: WireFormat>(
     let blank = bitstream::to_bytes(&global.blank)?;
     out.extend((blank.len() as u32).to_le_bytes());
     out.extend(blank);
-    for v in window.core.bounds().into_iter().chain(window.padded.bounds()) {
+    for v in [window.core, window.padded].into_iter().flat_map(|area| <[u32; 4]>::from(area.bounds())) {
         out.extend(v.to_le_bytes());
     }
     out.extend(window.index.to_le_bytes());
@@ -249,7 +251,7 @@ fn task_id(task: &[u8]) -> u32 {
 
 /// Checks the version and the checksum of a task or an answer, and returns its contents.
 fn check_envelope<'a>(bytes: &'a [u8], kind: &'static [u8]) -> Result<Bytes<'a>> {
-    let wrong = |problem: String| Err(Error::Parameter { name: "bytes", problem });
+    let wrong = |problem: String| Err(Error::Parameter { parameter: Parameter::Bytes, problem });
     let Some(rest) = bytes.strip_prefix(kind) else {
         let kind = String::from_utf8_lossy(kind);
         let found = String::from_utf8_lossy(&bytes[..bytes.len().min(kind.len())]);
@@ -309,7 +311,7 @@ impl PixelSource for TaskPixels {
         self.pixels.depth()
     }
 
-    fn part(&self, area: [u32; 4]) -> Result<Pixels> {
+    fn part(&self, area: Rect) -> Result<Pixels> {
         self.pixels.part(self.area.inward(area))
     }
 }
@@ -387,7 +389,7 @@ fn read_window(bytes: &mut Bytes<'_>, size: [u32; 2]) -> Result<Window> {
         for v in area.iter_mut() {
             *v = bytes.u32(field)?;
         }
-        check_area(*area, size)?;
+        check_area((*area).into(), size)?;
     }
     let [core, padded] = areas.map(|[x, y, width, height]| Area { corner: [x, y], size: [width, height] });
     check_area(padded.inward(core.bounds()), padded.size)?;

@@ -12,7 +12,7 @@ use std::time::Duration;
 use image::metadata::Orientation;
 use ssplat::unstable::instant::provide_clock;
 use ssplat::unstable::score::provide_score;
-use ssplat::{Channels, Detail, Encoder, Error, Pixels, Progress, Result, Samples, Target, Tune};
+use ssplat::{Channels, Detail, Encoder, Error, Parameter, Pixels, Progress, Result, Samples, Target, Tune};
 
 #[link(wasm_import_module = "host")]
 unsafe extern "C" {
@@ -151,7 +151,7 @@ fn answer(work: impl FnOnce(&mut Desk) -> Result<()>) -> u32 {
 }
 
 fn parameter(name: &'static str, problem: String) -> Error {
-    Error::Parameter { name, problem }
+    Error::Parameter { parameter: Parameter::Other(name), problem }
 }
 
 impl Desk {

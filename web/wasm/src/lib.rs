@@ -15,7 +15,7 @@ use image::metadata::Orientation;
 use ssplat::SamplesMut;
 use ssplat::unstable::bitstream::header::{Sections, VERSION};
 use ssplat::unstable::bitstream::splats::{Layout, Metadata};
-use ssplat::{Blend, Damage, Error, Layers, Limits, Reader, Result};
+use ssplat::{Blend, Damage, Error, Layers, Limit, Limits, Reader, Rect, Result};
 
 /// State that is kept between two calls.
 #[derive(Default)]
@@ -135,9 +135,9 @@ pub extern "C" fn decode(
         let opening = open(input, limits)?;
         let header = opening.header();
         let (channels, depth) = (header.channels.count(), header.depth);
-        let mut view = opening.view();
+        let mut view = opening.view().layers(layers);
         if width > 0 {
-            view = view.crop(left, top, width, height)?;
+            view = view.crop(Rect::new(left, top, width, height))?;
         }
         if out_width > 0 {
             let kept = (f64::from(view.height()) * f64::from(out_width) / f64::from(view.width())).round().max(1.0);
@@ -148,13 +148,16 @@ pub extern "C" fn decode(
         let needed = pixels.saturating_mul(channels as u64 + 4);
         let allowed = limits.alloc;
         let mut rest = limits.clone();
-        rest.alloc =
-            allowed.checked_sub(needed).ok_or(Error::LimitExceeded { what: "alloc", requested: needed, allowed })?;
-        let opening = open(input, &rest)?.showing(layers);
+        rest.alloc = allowed.checked_sub(needed).ok_or(Error::LimitExceeded {
+            limit: Limit::Alloc,
+            requested: needed,
+            allowed,
+        })?;
+        let opening = open(input, &rest)?;
         let primitives = opening.header().primitives;
         let opened = opening.read_for(&view, if partial == 0 { Damage::Refuse } else { Damage::Accept })?;
         let mut samples = zeros(pixels as usize * channels)?;
-        opened.draw_into(&view, SamplesMut::U8(&mut samples))?;
+        opened.render_into(&view, SamplesMut::U8(&mut samples))?;
         let missing = opened.missing();
         let lost = [missing.primitives, missing.tiles, u32::from(missing.damaged)];
         let mut answer = Answer::default();
@@ -176,7 +179,7 @@ pub extern "C" fn decode(
 }
 
 /// All Gaussians: for each nine floats, which are the centre, the deviations along both axes, the rotation and four
-/// colour channels; behind them four floats of the background.
+/// colour channels, in the order and the units of [`ssplat::Gaussian`]; behind them four floats of the background.
 #[unsafe(no_mangle)]
 pub extern "C" fn gaussians() -> u32 {
     answer(|input, limits| {
@@ -185,15 +188,15 @@ pub extern "C" fn gaussians() -> u32 {
         let (width, height, primitives) = (header.width, header.height, header.primitives);
         let [channels, depth] = [header.channels.count(), 8 * header.depth.bytes()].map(|v| v as u32);
         let opened = opening.read(Damage::Refuse)?;
-        let (splats, mut bytes) = (opened.splats(), zeros(36 * opened.splats().gaussians.len() + 16)?);
-        let quantizer = splats.quantizer();
-        let (rows, background) = bytes.split_at_mut(36 * splats.gaussians.len());
-        for (row, packed) in rows.chunks_exact_mut(36).zip(&splats.gaussians) {
-            let g = quantizer.dequantize(packed);
+        let stored = opened.gaussians()?;
+        drop(opened);
+        let mut bytes = zeros(36 * stored.list.len() + 16)?;
+        let (rows, background) = bytes.split_at_mut(36 * stored.list.len());
+        for (row, g) in rows.chunks_exact_mut(36).zip(&stored.list) {
             let ([x, y], [major, minor], [red, green, blue, alpha]) = (g.mean, g.scale, g.color);
             write(row, &[x, y, major, minor, g.rotation, red, green, blue, alpha]);
         }
-        write(background, &quantizer.dequantize_color(splats.background));
+        write(background, &stored.background);
         let mut answer = Answer::default();
         answer.pieces[0] = bytes;
         answer.numbers = [width, height, channels, depth, primitives, 1, 0, 0, 0];
@@ -287,7 +290,7 @@ fn spread<const S: usize, const P: usize>(
     let (whole, rest) = samples.as_chunks::<S>();
     let mut rgba = Vec::new();
     let length = (whole.len() + 1) * 4 * P;
-    let full = |_| Error::LimitExceeded { what: "alloc", requested: length as u64, allowed: 0 };
+    let full = |_| Error::LimitExceeded { limit: Limit::Alloc, requested: length as u64, allowed: 0 };
     rgba.try_reserve_exact(whole.len() + 1).map_err(full)?;
     rgba.extend(whole.iter().map(&pixels));
     let mut last = [0; S];
@@ -314,7 +317,7 @@ fn write(to: &mut [u8], floats: &[f32]) {
 
 fn zeros(length: usize) -> Result<Vec<u8>> {
     let mut buffer = Vec::new();
-    let full = |_| Error::LimitExceeded { what: "alloc", requested: length as u64, allowed: 0 };
+    let full = |_| Error::LimitExceeded { limit: Limit::Alloc, requested: length as u64, allowed: 0 };
     buffer.try_reserve_exact(length).map_err(full)?;
     buffer.resize(length, 0);
     Ok(buffer)
