@@ -277,7 +277,8 @@ pub(super) fn layered_in_parts<'a, S: EncodeSession<'a>>(
 fn search_settings(tune: Tune, channels: Channels, has_alpha: bool) -> SearchSettings {
     let Preset { mut head, lambda, power, slopes } = preset(tune);
     head.alpha = has_alpha;
-    slopes.set_step(&mut head, head.step);
+    let step = head.step;
+    slopes.set_step(&mut head, step);
     // For pure squared error, the rough estimate loses 0.1 dB.
     let blocks = if tune == Tune::Psnr { BlockChoice::Priced } else { BlockChoice::Rough };
     let level_search = if tune == Tune::Psnr { LevelSearch::Exhaustive } else { LevelSearch::Thorough };
@@ -301,7 +302,8 @@ fn for_drawing(mut settings: SearchSettings, tune: Tune) -> SearchSettings {
     if tune == Tune::Iq {
         settings.power = DRAWING_POWER;
         settings.slopes = DRAWING_SLOPES;
-        settings.slopes.set_step(&mut settings.coding.head, settings.coding.head.step);
+        let step = settings.coding.head.step;
+        settings.slopes.set_step(&mut settings.coding.head, step);
     }
     settings
 }
