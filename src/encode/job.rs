@@ -58,8 +58,8 @@ impl WholeSession<'_> {
         let area = u64::from(input.pixels.width()) * u64::from(input.pixels.height());
         let time = self.clock.left().map(|left| time.map_or(left, |time| time.min(left)));
         let mut plan = Plan::new(options.effort, count, area, time, options.seed);
-        if let Some(UnderLayer { ratio, is_drawing }) = under_layer {
-            plan = plan.for_base(options.effort, options.favoured(), ratio, is_drawing);
+        if let Some(UnderLayer { ratio, patience }) = under_layer {
+            plan = plan.for_base(options.effort, options.favoured(), ratio, patience);
             plan.by = fraction(area, count);
         } else {
             plan = plan.alone(options.effort, options.favoured());

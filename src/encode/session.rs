@@ -78,8 +78,8 @@ pub(super) struct FitRequest {
 pub(super) struct UnderLayer {
     /// Ratio of the file with both layers, if fits of large files should be longer.
     pub ratio: Option<f64>,
-    /// Whether the picture is a drawing, whose fits are longer.
-    pub is_drawing: bool,
+    /// Factor on the iterations up to effort 5, at least 1.
+    pub patience: f32,
 }
 
 impl FitRequest {

@@ -15,9 +15,6 @@ const FIT_SHARE: f64 = 0.75;
 /// 0.35 gains 0.1 to 0.4 points of SSIMULACRA2 on Kodak and CID22 at ratios of 50 and 100, and nothing at 2.8
 /// megapixels. It takes 28 % more time.
 const BASE_STEPS: [f32; 9] = [0.2, 0.2, 0.2, 0.2, 0.2, 0.235, 0.6, 0.6, 0.6];
-/// Factor on these iterations for drawings, up to effort 5. At effort 5, seven diagrams gain 0.5 and 0.8 points at ratios
-/// of 50 and 100. They take 1.8 times as long.
-const DRAWING_STEPS: f32 = 2.0;
 /// The same for minimum squared error: at effort 1, up to effort 6, and from effort 7 on. 1 gains 0.06 dB at ratios of
 /// 20 and 50 and takes 50 % more time.
 const EXACT_BASE_STEPS: [f32; 3] = [0.25, 0.5, 1.0];
@@ -192,12 +189,13 @@ impl Plan {
     }
 
     /// Returns the schedule for primitives under a detail layer, which corrects what a short fit leaves. `ratio` is
-    /// that of the complete file. Without it, the fit is that of small files.
-    pub(crate) fn for_base(self, effort: u8, tune: Tune, ratio: Option<f64>, is_drawing: bool) -> Self {
+    /// that of the complete file. Without it, the fit is that of small files. `patience` is a factor on the iterations
+    /// with perceptual tuning up to effort 5.
+    pub(crate) fn for_base(self, effort: u8, tune: Tune, ratio: Option<f64>, patience: f32) -> Self {
         let is_exact = tune == Tune::Psnr;
-        let drawing = if is_drawing && effort < 6 { DRAWING_STEPS } else { 1.0 };
         let share = match (effort, is_exact) {
-            (_, false) => BASE_STEPS[usize::from(effort) - 1] * drawing,
+            (1..=5, false) => BASE_STEPS[usize::from(effort) - 1] * patience,
+            (_, false) => BASE_STEPS[usize::from(effort) - 1],
             (1, true) => EXACT_BASE_STEPS[0],
             (2..7, true) => EXACT_BASE_STEPS[1] * ratio.map_or(1.0, fine_step_factor),
             (_, true) => EXACT_BASE_STEPS[2],
@@ -301,7 +299,7 @@ mod tests {
     fn fits_under_a_layer_are_longest_for_squared_error_in_large_files() {
         let steps = |effort, tune, ratio| {
             let plan = Plan::new(effort, 2000, 393_216, None, 0);
-            plan.for_base(effort, tune, ratio, false).iterations
+            plan.for_base(effort, tune, ratio, 1.0).iterations
         };
         for (ratio, extra) in [(20.0, 2.5), (31.6, 1.58), (50.0, 1.0), (100.0, 1.0)] {
             let [usual, asked] = [None, Some(ratio)].map(|ratio| steps(5, Tune::Psnr, ratio) as f32);

@@ -162,7 +162,7 @@ impl<'a> GlobalContext<'a> {
     pub(super) fn plan(&self) -> Plan {
         let TileSettings { effort, count, is_base, sufficient_error, seed, .. } = self.settings;
         let plan = Plan { enough: sufficient_error, ..Plan::new(effort, count, self.scene.pixels(), None, seed) };
-        if is_base { plan.for_base(effort, self.weights.tune(), None, false) } else { plan }
+        if is_base { plan.for_base(effort, self.weights.tune(), None, 1.0) } else { plan }
     }
 
     /// Returns the plan for a window, which has its own random seed and deadline.
