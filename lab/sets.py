@@ -14,7 +14,7 @@ interrupted command can be continued. For each set and ratio, the command prints
 program, and its lead in SSIMULACRA2 over the better of AVIF 4:2:0 and 4:4:4, interpolated to its bytes.
 
 --shares encodes each picture with the first program at each of these values of --detail and with its own choice, and writes a table of
-the results, from which the constants of src/encode/detail/divide.rs are chosen.
+the results, from which the constants of src/encode/layer/divide.rs are chosen.
 """
 import argparse, hashlib, json, math, os, pathlib, shlex, statistics, subprocess, sys, tempfile
 

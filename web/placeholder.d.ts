@@ -1,6 +1,6 @@
 /** An error of the decoder. */
 export class SsplatError extends Error {
-  /** format: a broken file; version: a newer file; limit: valid but too large; unsupported: a valid file of another kind; parameter: an invalid size. */
+  /** format: a broken file; version: a file of an unsupported version; limit: valid but too large; unsupported: a valid file of another kind; parameter: an invalid size. */
   readonly kind: "format" | "version" | "limit" | "unsupported" | "parameter"
 }
 

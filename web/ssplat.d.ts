@@ -1,7 +1,7 @@
 /** An error of the decoder, with its message. */
 export class SsplatError extends Error {
   /**
-   * format: a broken file; version: a newer file; limit: valid but too large; parameter: a wrong argument; network: a file could not
+   * format: a broken file; version: a file of an unsupported version; limit: valid but too large; parameter: a wrong argument; network: a file could not
    * be fetched; internal: the decoder failed.
    */
   readonly kind: "format" | "version" | "limit" | "parameter" | "network" | "internal"

@@ -6,7 +6,6 @@
 mod channels;
 mod clock;
 mod constant;
-mod detail;
 mod device;
 mod drawn;
 mod encoder;
@@ -14,6 +13,7 @@ mod file;
 mod hidden;
 mod input;
 mod job;
+mod layer;
 mod pipeline;
 mod prune;
 mod rate_control;

@@ -23,14 +23,14 @@ use std::time::Duration;
 
 use super::clock::Clock;
 use super::constant::constant;
-use super::detail::divide::{BASE_TIME, base_in_tiles, is_search};
-use super::detail::layered_in_parts;
-use super::detail::parts::error_between;
 use super::device::Chosen;
 use super::drawn::drawn_part;
 use super::hidden::InpaintedSource;
 use super::input::{self, may_leave_out};
 use super::job::{excess, sufficient_error};
+use super::layer::divide::{BASE_TIME, base_in_tiles, is_search};
+use super::layer::layered_in_parts;
+use super::layer::parts::error_between;
 use super::pipeline::run;
 use super::rate_control::count_for;
 use super::report::ReportBuilder;

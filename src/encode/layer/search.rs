@@ -271,7 +271,7 @@ fn guess(tiles: &[TileResidual], settings: &SearchSettings) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::encode::detail::search_settings;
+    use crate::encode::layer::search_settings;
     use crate::gaussian::Channels;
     use crate::options::Tune;
 

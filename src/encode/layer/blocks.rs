@@ -79,7 +79,7 @@ mod tests {
     use crate::bitstream::detail::head::DetailHead;
     use crate::bitstream::detail::levels::TILE;
     use crate::bitstream::detail::model::PLANES;
-    use crate::encode::detail::choose::{BlockChoice, LevelSearch};
+    use crate::encode::layer::choose::{BlockChoice, LevelSearch};
     use crate::gaussian::Channels;
 
     fn sizes_of(luma: impl Fn(usize, usize) -> f32) -> Vec<u8> {
