@@ -8,7 +8,7 @@
 pub use crate::bitstream::header::Header;
 pub use crate::decode::{decode, decode_into};
 #[cfg(feature = "encode")]
-pub use crate::encode::{MAX_WHOLE_PIXELS, TracePoint, divide, encode, encode_with_progress};
+pub use crate::encode::{MAX_WHOLE_PIXELS, Texture, TracePoint, divide, encode, encode_with_progress};
 #[cfg(all(feature = "encode", feature = "image"))]
 pub use crate::image_crate::{Carried, encode_decoder, save, transcode};
 #[cfg(feature = "smartsplat")]

@@ -6,6 +6,7 @@ mod classes;
 mod coefficients;
 mod coupled;
 pub(super) mod divide;
+pub(super) mod division;
 pub(super) mod error;
 mod ground;
 mod in_steps;
@@ -14,7 +15,7 @@ pub(super) mod parts;
 mod residual;
 mod search;
 mod slopes;
-mod texture;
+pub(super) mod texture;
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -19,7 +19,7 @@ const DRAWING: f64 = 0.3;
 
 /// Fineness and strength of the texture of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Texture {
+pub struct Texture {
     /// Variance of luma that is lost at half the resolution, divided by the further loss at a quarter. It is large if
     /// the finest detail is strong. Gaussians represent such detail poorly, a layer represents it well.
     pub fineness: f64,
@@ -30,6 +30,13 @@ pub(super) struct Texture {
 }
 
 impl Texture {
+    /// Measures the texture of `pixels`. Returns `None` if there are no whole squares, or if they are constant at half
+    /// the resolution.
+    #[cfg(feature = "unstable")]
+    pub fn of_pixels(pixels: &crate::pixels::Pixels) -> Option<Texture> {
+        Texture::of(&Planes::new(pixels))
+    }
+
     /// Measures the whole squares of a picture. Returns `None` if there are none, or if they are constant at half the
     /// resolution.
     pub(super) fn of(planes: &Planes) -> Option<Texture> {

@@ -1,0 +1,209 @@
+//! Decides how the bytes of a file are divided between the Gaussians and the detail layer. All constants of this
+//! decision are in this file.
+//!
+//! The best number of Gaussians depends on the picture and hardly on the requested file size. Gaussians represent large
+//! shapes and edges; beyond those, the layer is cheaper. The Gaussians of photographs of 0.4 megapixels need about
+//! 8 kB. Sharp pictures that resemble drawings need more, because additional Gaussians still reduce their error
+//! quickly.
+//!
+//! `python lab/fit_division.py PICTURES PROGRAM` encodes sets of pictures with several divisions, fits the constants of
+//! the rule for photographs to the results, and writes a table of what each picture would have had.
+
+use super::texture::Texture;
+use crate::options::{Detail, EncodeOptions};
+use crate::strict_math::StrictMath;
+
+/// Number of pixels of the pictures from which the values below were determined. They scale with powers of the number
+/// of pixels relative to this.
+const REFERENCE_PIXELS: f64 = 393_216.0;
+/// Bytes of a base that suits most photographs. `--detail SHARE` sets other sizes.
+const REFERENCE_BASE_BYTES: f64 = 8_200.0;
+const BASE_POWER: f64 = 0.35;
+/// Exponent with which these bytes decrease as the ratio, relative to 50, grows from 20 to 100.
+const BASE_FALL: f64 = 0.37;
+/// Factor on these bytes at effort 1, where short fits use bytes less efficiently than the layer.
+const HASTY_BASE: f64 = 0.4;
+/// Maximum share of the bytes for such a base.
+const MAX_BASE_SHARE: f64 = 0.7;
+/// Fineness from which on a photograph has a smaller base, by how much the factor on its bytes falls with the fineness,
+/// and the smallest factor. These and the values below were fitted to 48 pictures at ratios of 50, 100 and 200, each
+/// encoded with factors from 0.35 to 1.4 and without a layer (docs/studies/all-pictures.md).
+const FINE_BASE: f64 = 0.6;
+const FINE_BASE_FALL: f64 = 1.3;
+const MIN_FINE_BASE: f64 = 0.5;
+/// Ratios from which on that factor starts to apply, and at which it applies in full.
+const FINE_BASE_RATIOS: [f64; 2] = [25.0, 100.0];
+/// Activities at which a drawing starts to have a larger base and at which its factor is the largest, and that factor.
+/// A page of text with photographs gains 4 SSIMULACRA2 points at a ratio of 50; simple diagrams would lose up to 1.
+const BUSY_DRAWING: [f64; 2] = [2.9, 3.9];
+const MAX_DRAWING_BASE: f64 = 1.4;
+/// Shares of flat squares at which the fit of a picture under a layer starts to be longer and at which it is longest, and
+/// the largest factor on its iterations. With twice the iterations, seven diagrams and pages gain 0.5 and 0.8 points at
+/// ratios of 50 and 100, and take 1.4 to 1.6 times as long.
+const PATIENT_FLAT: [f64; 2] = [0.1, 0.3];
+const MAX_PATIENCE: f32 = 2.0;
+/// Ratio above which files have no layer, unless the tuning is perceptual and the texture is known.
+const MAX_RATIO: f64 = 120.0;
+const RATIO_POWER: f64 = 0.85;
+/// Fineness at which a layer is worth as much as the same bytes of Gaussians, for pictures of [`FINE_PIXELS`] at
+/// [`FINE_RATIO`]. The first value is for effort 1, whose short fits under a layer use bytes less efficiently. The
+/// second is for effort 2 and above. The ratio grows with the square of the fineness and with a power of the number of
+/// pixels. At effort 1 and a ratio of 100, this rule finds the better choice for 18 of 19 pictures of CID22 and
+/// graphics. At effort 3 and the same ratio, a layer gains 0.1 to 7.9 SSIMULACRA2 points on all of 14 pictures.
+const FINE: [f64; 2] = [0.71, 0.42];
+const FINE_RATIO: f64 = 100.0;
+const FINE_PIXELS: f64 = 262_144.0;
+const FINE_RATIO_POWER: f64 = 2.0 / 3.0;
+/// Maximum ratio at which drawings of [`FINE_PIXELS`] have a layer from effort 2 on. At a ratio of 200, three diagrams
+/// gain 4 to 6 points with a layer.
+const DRAWING_RATIO: f64 = 250.0;
+/// Ratio up to which texture does not rule out a layer.
+const ALWAYS_RATIO: f64 = 80.0;
+/// Minimum share of the bytes for the Gaussians of a large, busy picture at a ratio of 100, where the layer is coarse.
+const BUSY_SHARE: f64 = 0.5;
+/// Activities at which a picture starts to count as busy and at which it counts in full.
+const BUSY: [f64; 2] = [2.9, 4.1];
+/// Logarithm of the number of pixels, relative to [`REFERENCE_PIXELS`], at which that share applies in full.
+const BUSY_SIZE: f64 = 1.9;
+/// Minimum size of a file with a layer, bytes.
+const MIN_FILE_BYTES: u64 = 2_500;
+/// Maximum sharpness of pictures for which a small base is best. Sharpness is the estimated fraction of the error that
+/// doubling the number of Gaussians would remove, for each decibel that doubling the bytes of the layer gains. The new
+/// Gaussians are placed where the error is largest.
+const MAX_SHARPNESS: f64 = 0.105;
+/// The same from effort 7 on. Of twelve pictures, one gains 0.1 dB at a ratio of 20 and 0.2 dB at 50, and five are
+/// fitted again without a gain.
+const MAX_SHARPNESS_TRIED: f64 = 0.085;
+/// Exponent with which the maximum sharpness grows with the ratio relative to 20.
+const SHARP_POWER: f64 = 0.1;
+/// Share of the bytes for the Gaussians of a sharp picture at a ratio of 20, and the increase with each doubling of the
+/// ratio.
+const SHARP_SHARE: f64 = 0.6;
+const SHARP_MORE: f64 = 0.15;
+/// Maximum of that share.
+pub(super) const MOST_SHARP: f64 = 0.9;
+
+/// Returns the byte budget of the Gaussians in a file of `all` bytes. `texture` is known only with perceptual tuning.
+pub(super) fn base_bytes(effort: u8, pixels: u64, texture: Option<Texture>, ratio: f64, all: f64) -> f64 {
+    // At effort 1, whose short fits use bytes less efficiently, the minimum share would lose 1.7 SSIMULACRA2 points on
+    // CLIC at a ratio of 100.
+    let may_be_busy = texture.filter(|_| effort > 1);
+    let least = all * may_be_busy.map_or(0.0, |texture| busy_share(texture, pixels, ratio));
+    let suited = texture.map_or(1.0, |texture| base_factor(texture, ratio));
+    (suited * bytes_of_base(effort, pixels, ratio, all)).min(MAX_BASE_SHARE * all).max(least)
+}
+
+/// Returns the share of the bytes for the Gaussians of a sharp picture.
+pub(super) fn most_for_base(ratio: f64) -> f64 {
+    (SHARP_SHARE + SHARP_MORE * (ratio / 20.0).strict_log2()).min(MOST_SHARP)
+}
+
+/// Returns the maximum sharpness at which a small base is best.
+pub(super) fn max_sharpness(effort: u8, ratio: f64) -> f64 {
+    let at_20 = if effort >= 7 { MAX_SHARPNESS_TRIED } else { MAX_SHARPNESS };
+    at_20 * (ratio / 20.0).strict_powf(SHARP_POWER)
+}
+
+/// Returns the largest ratio at which a picture of `pixels` pixels gains from a layer. `texture` is known only with
+/// perceptual tuning.
+pub(super) fn largest_ratio(effort: u8, pixels: u64, texture: Option<Texture>) -> f64 {
+    let usual = MAX_RATIO * (pixels as f64 / REFERENCE_PIXELS).strict_powf(RATIO_POWER);
+    let Some(texture) = texture else { return usual };
+    let fine = FINE[usize::from(effort > 1)];
+    let larger = (pixels as f64 / FINE_PIXELS).strict_powf(FINE_RATIO_POWER);
+    let of_drawing = if effort > 1 && texture.is_drawing() { DRAWING_RATIO * larger } else { 0.0 };
+    usual.min(ALWAYS_RATIO).max(FINE_RATIO * (texture.fineness / fine).powi(2) * larger).max(of_drawing)
+}
+
+/// Returns whether a picture of `samples` samples gains from a layer in a file of `bytes` bytes. `largest` is the
+/// largest ratio at which the picture gains from one.
+pub(super) fn is_worth_a_layer(samples: f64, bytes: u64, largest: f64) -> bool {
+    bytes >= MIN_FILE_BYTES && samples / bytes as f64 <= largest
+}
+
+/// Returns the byte budget of the Gaussians in a file of `all` bytes.
+fn bytes_of_base(effort: u8, pixels: u64, ratio: f64, all: f64) -> f64 {
+    let larger = pixels as f64 / REFERENCE_PIXELS;
+    let haste = if effort == 1 { HASTY_BASE } else { 1.0 };
+    (haste * REFERENCE_BASE_BYTES * larger.strict_powf(BASE_POWER) * (ratio.min(100.0) / 50.0).strict_powf(-BASE_FALL))
+        .min(MAX_BASE_SHARE * all)
+}
+
+/// Returns the factor on the byte budget of the Gaussians that suits the texture of a picture. Gaussians represent fine
+/// texture poorly.
+fn base_factor(texture: Texture, ratio: f64) -> f64 {
+    if texture.is_drawing() {
+        let [from, to] = BUSY_DRAWING;
+        return 1.0 + (MAX_DRAWING_BASE - 1.0) * ((texture.activity - from) / (to - from)).clamp(0.0, 1.0);
+    }
+    let [from, to] = FINE_BASE_RATIOS;
+    let strength = ((ratio / from).strict_ln() / (to / from).strict_ln()).clamp(0.0, 1.0);
+    let factor = (1.0 - FINE_BASE_FALL * (texture.fineness - FINE_BASE)).clamp(MIN_FINE_BASE, 1.0);
+    1.0 - strength * (1.0 - factor)
+}
+
+/// Returns the factor on the iterations of a fit under a layer that suits the texture of a picture.
+pub(super) fn patience(texture: Texture) -> f32 {
+    let [from, to] = PATIENT_FLAT;
+    1.0 + (MAX_PATIENCE - 1.0) * ((texture.flat - from) / (to - from)).clamp(0.0, 1.0) as f32
+}
+
+/// Returns the minimum share of the bytes for the Gaussians of a picture with this texture, size and ratio.
+fn busy_share(texture: Texture, pixels: u64, ratio: f64) -> f64 {
+    let [from, to] = BUSY;
+    let busy = ((texture.activity - from) / (to - from)).clamp(0.0, 1.0);
+    let large = ((pixels as f64 / REFERENCE_PIXELS).strict_ln() / BUSY_SIZE).clamp(0.0, 1.0);
+    BUSY_SHARE * busy * large * (ratio / 100.0).min(1.0)
+}
+
+/// Returns the byte budget of the Gaussians of a picture that is fitted in tiles, or `None` if the picture has no
+/// layer. `shared` is the size of the file without header and metadata.
+pub(in crate::encode) fn base_in_tiles(options: &EncodeOptions, pixels: u64, samples: f64, shared: u64) -> Option<u64> {
+    let all = shared as f64;
+    match options.detail {
+        Detail::Share(share) => Some((all * share) as u64),
+        Detail::Auto if is_worth_a_layer(samples, shared, largest_ratio(options.effort, pixels, None)) => {
+            Some(base_bytes(options.effort, pixels, None, (samples / all).max(20.0), all) as u64)
+        }
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PIXELS_OF_512: u64 = 512 * 512;
+
+    fn texture(fineness: f64, activity: f64) -> Option<Texture> {
+        Some(Texture { fineness, activity, flat: 0.0 })
+    }
+
+    #[test]
+    fn fine_pictures_have_a_layer_at_larger_ratios_than_coarse_pictures() {
+        let has = |effort, texture, ratio: u64| {
+            let (samples, bytes) = (3 * PIXELS_OF_512, 3 * PIXELS_OF_512 / ratio);
+            is_worth_a_layer(samples as f64, bytes, largest_ratio(effort, PIXELS_OF_512, texture))
+        };
+        let [coarse, fine] = [0.46, 1.2].map(|fineness| texture(fineness, 4.0));
+        assert_eq!([50, 100, 200].map(|ratio| has(5, coarse, ratio)), [true, true, false]);
+        assert_eq!([50, 100, 200].map(|ratio| has(5, fine, ratio)), [true, true, true]);
+        assert_eq!([50, 100, 200].map(|ratio| has(1, coarse, ratio)), [true, false, false]);
+        assert_eq!([50, 100, 200].map(|ratio| has(1, None, ratio)), [true, false, false]);
+        // Files below the minimum size have no layer, whatever the picture.
+        assert!(!has(5, texture(9.0, 4.0), 400));
+        // Larger pictures gain from a layer at larger ratios.
+        assert!(largest_ratio(5, 10 * PIXELS_OF_512, coarse) > 4.0 * largest_ratio(5, PIXELS_OF_512, coarse));
+    }
+
+    #[test]
+    fn gaussians_get_a_larger_share_of_small_files_of_large_busy_pictures() {
+        let share = |activity, pixels, ratio| busy_share(texture(0.5, activity).unwrap(), pixels, ratio);
+        let large = 7 * REFERENCE_PIXELS as u64;
+        assert_eq!(share(5.0, large, 100.0), BUSY_SHARE);
+        assert_eq!(share(5.0, large, 50.0), BUSY_SHARE / 2.0);
+        assert_eq!([share(2.0, large, 100.0), share(5.0, REFERENCE_PIXELS as u64, 100.0)], [0.0; 2]);
+        let half = share(3.5, large, 200.0);
+        assert!((half - BUSY_SHARE / 2.0).abs() < 1e-9, "{half}");
+    }
+}
